@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
 
-from torch import Tensor
+import torch
+from torch import Generator, Tensor
 
 Params = dict[str, Tensor]
+Batch = dict[str, Tensor]
 
 
 class Task(NamedTuple):
@@ -19,3 +24,180 @@ class Task(NamedTuple):
 
     name: str
     data: dict[str, Tensor]
+
+
+@dataclass(frozen=True)
+class Tasks:
+    """Tasks side by side: every tensor has a leading task axis, of which `rows` picks some without copying.
+
+    Attributes:
+        names: the names of all stacked tasks, M of them.
+        data: tensors [M, ...]; the application's `prepare` made them.
+        rows: indices [T] of the tasks that this view holds, on the data's device.
+    """
+
+    names: tuple[str, ...]
+    data: dict[str, Tensor]
+    rows: Tensor
+
+    def __len__(self) -> int:
+        return self.rows.shape[0]
+
+    def select(self, rows: Tensor | Sequence[int]) -> Tasks:
+        """The tasks at these positions of this view; nothing is copied."""
+        return replace(self, rows=self.rows[torch.as_tensor(rows, device=self.rows.device)])
+
+    def picked_names(self) -> tuple[str, ...]:
+        """The names of the tasks in this view, in order."""
+        return tuple(self.names[row] for row in self.rows.tolist())
+
+
+@dataclass(frozen=True)
+class Adam:
+    """Settings of a plain Adam descent: the rate decays from `rate` by a half cosine to `rate * final`."""
+
+    rate: float
+    beta1: float = 0.9
+    beta2: float = 0.999
+    eps: float = 1e-8
+    final: float = 1.0
+
+
+@dataclass(frozen=True)
+class Training:
+    """How a start is prepared on the training tasks.
+
+    Attributes:
+        steps: outer steps.
+        tasks: tasks per outer step.
+        rates: outer Adam's rate by the first part of a parameter's name ("" is the rate of all others).
+        warmup: outer steps of linear warm-up.
+        final: the rate's last value over its first, reached by a half cosine.
+        decay: weight decay (L2) of the outer Adam.
+        order: derivative carried through the inner steps: 1 (FOMAML) or 2 (MAML); 0 where there are none.
+        clip: each task's outer gradient is scaled down to this norm before the mean is taken.
+        validate_every: outer steps between two looks at the validation tasks.
+    """
+
+    steps: int
+    tasks: int
+    rates: dict[str, float]
+    warmup: int = 0
+    final: float = 1.0
+    decay: float = 0.0
+    order: int = 0
+    clip: float = float("inf")
+    validate_every: int = 200
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """Everything a run may vary, for one application; a record stores the one it used.
+
+    Attributes:
+        steps: n_l, Meta's and QuickFT's number of gradient steps.
+        batch: samples b that one gradient step sees.
+        overfit_steps, overfit: Overfit's number of steps and its Adam.
+        finetune_steps, finetune: the same for Finetune.
+        quickft: QuickFT's Adam, tuned on validation tasks.
+        general: how General's encoder is trained.
+        meta: how each rule's start is trained, by the rule's name.
+        rule: the rule that is best on validation tasks: Meta's default.
+    """
+
+    steps: int
+    batch: int
+    overfit_steps: int
+    overfit: Adam
+    finetune_steps: int
+    finetune: Adam
+    quickft: Adam
+    general: Training
+    meta: dict[str, Training]
+    rule: str
+
+
+class App(ABC):
+    """An application: a network, the samples it is fitted to, and the distance that says how well it fits.
+
+    All methods are batched over tasks: parameters and batches have a leading task axis T.
+
+    Attributes:
+        name: as on the command line.
+        title: as in tables.
+        readers: modules of data_tools whose `read_tasks(paths)` turns a user's files into tasks.
+        scale: factor of a printed error; 100 where the paper prints x100.
+        recipes: "paper" and "quick".
+        paper: the paper's error and seconds by paradigm.
+    """
+
+    name: str
+    title: str
+    readers: tuple[str, ...]
+    scale: float = 1.0
+    recipes: dict[str, Recipe]
+
+    @abstractmethod
+    def prepare(self, task: Task) -> dict[str, Tensor]:
+        """What fitting needs of a task, computed once: tensors without a task axis."""
+
+    @abstractmethod
+    def init(self, rng: Generator, count: int) -> Params:
+        """Random network parameters for `count` tasks, each tensor [count, ...]."""
+
+    @abstractmethod
+    def sample(self, tasks: Tasks, rng: Generator, count: int) -> Batch:
+        """`count` random samples of each task, from the part a fit may see; tensors [T, ...]."""
+
+    @abstractmethod
+    def loss(self, theta: Params, batch: Batch, shape: Params) -> Tensor:
+        """The loss of each task, [T]; `shape` holds learned quantities of the loss, {} for the plain one."""
+
+    def shape(self, steps: int) -> Params:
+        """Initial values [steps, ...] of the quantities of the inner loss that a rule may learn."""
+        return {}
+
+    @abstractmethod
+    def init_encoder(self, rng: Generator) -> Params:
+        """Random parameters of General's encoder."""
+
+    @abstractmethod
+    def observe(self, tasks: Tasks, rng: Generator) -> Batch:
+        """The condition I that General's encoder sees of each task."""
+
+    @abstractmethod
+    def encode(self, encoder: Params, observed: Batch) -> Params:
+        """Network parameters from the condition, one forward pass; tensors [T, ...]."""
+
+    def augment(self, tasks: Tasks, rng: Generator) -> Tasks:
+        """Made-up tasks related to these, as many, for training only."""
+        return tasks
+
+    @abstractmethod
+    def errors(self, theta: Params, tasks: Tasks) -> dict[str, Tensor]:
+        """Error measures [T] on the part of each task that fits never see; "error" is the table's, unscaled."""
+
+    @abstractmethod
+    def outputs(self, theta: Params, task: Task) -> dict[str, Any]:
+        """Linear RGB pictures [H, W, 3 or 4] of one fitted task and its reference, by name (no task axis in theta)."""
+
+
+def stack(app: App, tasks: Sequence[Task], device: torch.device | str = "cpu") -> Tasks:
+    """Prepare tasks and put them side by side.
+
+    Raises:
+        ValueError: there is no task.
+    """
+    if not tasks:
+        raise ValueError(f"{app.name}: 0 tasks, expected at least one; give input files or another data set.")
+    prepared = [app.prepare(task) for task in tasks]
+    data = {key: _stack([each[key] for each in prepared]).to(device) for key in prepared[0]}
+    return Tasks(tuple(task.name for task in tasks), data, torch.arange(len(tasks), device=device))
+
+
+def _stack(tensors: list[Tensor]) -> Tensor:
+    """Stack, or share one copy where all are the same tensor, as sample positions of a data set often are."""
+    first = tensors[0]
+    if len(tensors) > 1 and all(torch.equal(first, other) for other in tensors[1:]):
+        return first.expand(len(tensors), *first.shape)
+    return torch.stack(tensors)

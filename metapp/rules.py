@@ -1,0 +1,165 @@
+"""Update rules: SGD and Adam with quantities that are fixed or learned, and the table of rules that Meta can learn.
+
+Every quantity stands in `UpdateRule.alpha` with a leading step axis, so that a rate schedule, a rate per step and a
+learned rate are the same thing.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from metapp.learning import UpdateRule
+from metapp.task import Adam, App, Params, Training
+
+
+def half_cosine(first: float, steps: int, final: float = 1.0, warmup: int = 0) -> Tensor:
+    """Rates [steps]: linear warm-up to `first`, then half a cosine down to `first * final`."""
+    i = torch.arange(max(steps, 1), dtype=torch.float32)
+    progress = ((i - warmup) / max(steps - warmup, 1)).clamp(0, 1)
+    rates = final + (1 - final) * 0.5 * (1 + torch.cos(math.pi * progress))
+    return first * rates * ((i + 1) / (warmup + 1)).clamp(max=1)
+
+
+def fixed_adam(settings: Adam, theta: Params, steps: int) -> UpdateRule:
+    """Plain Adam (Kingma & Ba 2015) for Overfit, Finetune and QuickFT."""
+    device = next(iter(theta.values())).device
+    rate = half_cosine(settings.rate, steps, settings.final).to(device)
+    alpha = {"rate": rate, "beta1": _one(settings.beta1, device), "beta2": _one(settings.beta2, device)}
+    return UpdateRule(alpha, adam_state, _adam_step(settings.eps))
+
+
+def outer_adam(training: Training, params: Params) -> UpdateRule:
+    """Adam for the outer loop: a rate by part of the tree, warm-up, half-cosine decay, weight decay."""
+    device = next(iter(params.values())).device
+    alpha = {"beta1": _one(0.9, device), "beta2": _one(0.999, device)}
+    for key in params:
+        prefix = max((part for part in training.rates if key.startswith(part)), key=len)
+        rates = half_cosine(training.rates[prefix], training.steps, training.final, training.warmup)
+        alpha[f"rate.{key}"] = rates.to(device)
+    return UpdateRule(alpha, adam_state, _adam_step(1e-8, training.decay))
+
+
+def _one(value: float, device: torch.device) -> Tensor:
+    return torch.full((1,), value, device=device)
+
+
+def _like(quantity: Tensor, other: Tensor) -> Tensor:
+    """A quantity of fewer axes, with ones appended so that it broadcasts from the left (the task axis)."""
+    return quantity.reshape(quantity.shape + (1,) * (other.ndim - quantity.ndim))
+
+
+def sgd(alpha: Params) -> UpdateRule:
+    """theta -= alpha * gradient; `alpha` holds "rate" for all or "rate.<parameter>" for each, any sign."""
+    return UpdateRule(alpha, lambda theta: {}, _sgd_step)
+
+
+def _sgd_step(alpha: Params, theta: Params, grads: Params, state: Params) -> tuple[Params, Params]:
+    return {key: theta[key] - _rate(alpha, key, grads[key]) * grads[key] for key in theta}, state
+
+
+def _rate(alpha: Params, key: str, grad: Tensor) -> Tensor:
+    return _like(alpha[f"rate.{key}"] if f"rate.{key}" in alpha else alpha["rate"], grad)
+
+
+def adam_state(theta: Params) -> Params:
+    """Both moments and the running products of the betas, which may differ from step to step."""
+    first = next(iter(theta.values()))
+    state = {f"m.{key}": torch.zeros_like(value) for key, value in theta.items()}
+    state |= {f"v.{key}": torch.zeros_like(value) for key, value in theta.items()}
+    return state | {"product1": first.new_ones(()), "product2": first.new_ones(())}
+
+
+def _adam_directions(beta1: Tensor, beta2: Tensor, eps: float, grads: Params, state: Params) -> tuple[Params, Params]:
+    after = {"product1": state["product1"] * beta1, "product2": state["product2"] * beta2}
+    directions = {}
+    for key, grad in grads.items():
+        b1, b2 = _like(beta1, grad), _like(beta2, grad)
+        first = after[f"m.{key}"] = b1 * state[f"m.{key}"] + (1 - b1) * grad
+        second = after[f"v.{key}"] = b2 * state[f"v.{key}"] + (1 - b2) * grad * grad
+        unbiased = second / _like(1 - after["product2"], grad)
+        # the square root has no derivative at 0, where dead units are
+        directions[key] = first / _like(1 - after["product1"], grad) / ((unbiased + 1e-24).sqrt() + eps)
+    return directions, after
+
+
+def _adam_step(eps: float, decay: float = 0.0) -> Callable:
+    def step(alpha: Params, theta: Params, grads: Params, state: Params) -> tuple[Params, Params]:
+        if decay:
+            grads = {key: grad + decay * theta[key] for key, grad in grads.items()}
+        directions, state = _adam_directions(alpha["beta1"], alpha["beta2"], eps, grads, state)
+        return {key: theta[key] - _rate(alpha, key, d) * d for key, d in directions.items()}, state
+
+    return step
+
+
+# Rules that Meta learns
+
+
+class LearnedRule(NamedTuple):
+    """An entry of RULES: what alpha holds at first, and the rule it parametrises.
+
+    Attributes:
+        alpha: (application, parameters of one task, steps) -> initial quantities [K, ...].
+        rule: alpha -> UpdateRule.
+    """
+
+    alpha: Callable[[App, Params, int], Params]
+    rule: Callable[[Params], UpdateRule]
+
+
+def _meta_sgd_alpha(app: App, theta: Params, steps: int) -> Params:
+    return {f"rate.{key}": torch.full_like(value, 1e-3)[None] for key, value in theta.items()}
+
+
+META_EPS = 1e-6
+
+
+def _meta_adam_step(alpha: Params, theta: Params, grads: Params, state: Params) -> tuple[Params, Params]:
+    beta1, beta2 = torch.sigmoid(alpha["beta1"]), torch.sigmoid(alpha["beta2"])
+    directions, state = _adam_directions(beta1, beta2, META_EPS, grads, state)
+    moved = {}
+    for key, direction in directions.items():
+        if f"left.{key}" in alpha:
+            direction = alpha[f"left.{key}"] @ direction
+        if f"right.{key}" in alpha:
+            direction = direction @ alpha[f"right.{key}"]
+        moved[key] = theta[key] - torch.exp(alpha[f"rate.{key}"]) * direction
+    return moved, state
+
+
+def _meta_adam_alpha(app: App, theta: Params, steps: int) -> Params:
+    first = next(iter(theta.values()))
+    alpha = {f"rate.{key}": torch.full((steps, *value.shape), math.log(5e-3)) for key, value in theta.items()}
+    alpha["beta1"] = torch.full((steps,), math.log(0.9 / 0.1))
+    alpha["beta2"] = torch.full((steps,), math.log(0.99 / 0.01))
+    alpha |= {f"loss.{key}": value for key, value in app.shape(steps).items()}
+    return {key: value.to(first) for key, value in alpha.items()}
+
+
+def _meta_curvature_alpha(app: App, theta: Params, steps: int) -> Params:
+    alpha = _meta_adam_alpha(app, theta, steps)
+    for key, value in theta.items():
+        if value.ndim == 2:
+            for side, size in zip(("left", "right"), value.shape, strict=True):
+                if size > 1:
+                    alpha[f"{side}.{key}"] = torch.eye(size).to(value).expand(1, size, size).clone()
+    return alpha
+
+
+def _meta_adam(alpha: Params) -> UpdateRule:
+    return UpdateRule(alpha, adam_state, _meta_adam_step)
+
+
+RULES: Mapping[str, LearnedRule] = {
+    # Li et al. 2017, the paper's rule: one step size a weight, the same at every step, any sign
+    "meta-sgd": LearnedRule(_meta_sgd_alpha, sgd),
+    # Adam with rates per weight and step, betas per step, and the quantities of the inner loss
+    "meta-adam": LearnedRule(_meta_adam_alpha, _meta_adam),
+    # the same, its step multiplied by learned matrices from both sides (Park & Oliva 2019)
+    "meta-curvature": LearnedRule(_meta_curvature_alpha, _meta_adam),
+}

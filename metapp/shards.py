@@ -1,0 +1,396 @@
+"""Task shards on disk: a folder with one `safetensors` file per task and a `manifest.json` that lists them.
+
+Nothing is ever unpickled, and no path of a manifest leads out of its folder.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import re
+from collections.abc import Callable, Iterable, Mapping
+from pathlib import Path
+from types import TracebackType
+from typing import Any, NamedTuple
+
+import torch
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save
+
+from metapp.task import Task
+
+SCHEMA = 1
+MANIFEST = "manifest.json"
+SPLITS = ("train", "test")
+
+_SUFFIX = ".safetensors"
+_PARTIAL = ".partial-"
+
+
+class Entry(NamedTuple):
+    """One task of a manifest.
+
+    Attributes:
+        name: the task's name, as tables print it.
+        file: its file's name inside the folder.
+        split: "train" or "test".
+        source: base name of the file or folder it was made of; "" where there is none.
+        sha256: of the file's bytes, 64 hexadecimal digits.
+    """
+
+    name: str
+    file: str
+    split: str
+    source: str
+    sha256: str
+
+
+class Manifest(NamedTuple):
+    """What a data set holds.
+
+    Attributes:
+        app: the application its tasks belong to.
+        tasks: its tasks, in the order they were added.
+        units: unit and meaning of each tensor, by the tensor's name.
+        notes: anything else worth knowing, such as converter and seed.
+        schema: version of the layout.
+    """
+
+    app: str
+    tasks: tuple[Entry, ...]
+    units: dict[str, str]
+    notes: dict[str, Any]
+    schema: int = SCHEMA
+
+
+def write_atomically(path: str | Path, write: Callable[[Path], object]) -> None:
+    """Write a file so that it is there whole or not at all, even if the program is interrupted.
+
+    Args:
+        path: the file; an existing one is replaced at the end, missing folders are made.
+        write: writes everything to the path it is given: a name in the same folder, with the same suffix.
+    """
+    path = Path(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    partial = _partial(path)
+    try:
+        write(partial)
+        os.replace(partial, path)
+    except BaseException:
+        partial.unlink(missing_ok=True)
+        raise
+
+
+def split_auto(names: Iterable[str]) -> dict[str, str]:
+    """Split tasks into training and test tasks by the stated rule: of the sorted names, every fifth is a test task.
+
+    The rule needs no seed and does not depend on the order of files: 80 names give 64 "train" and 16 "test".
+
+    Returns:
+        "train" or "test" by name, sorted by name.
+    """
+    return {name: "test" if index % 5 == 4 else "train" for index, name in enumerate(sorted(set(names)))}
+
+
+class ShardWriter:
+    """Writes a data set, all or nothing: `with ShardWriter(folder, app, units) as writer: writer.add(task, "train")`.
+
+    Files are written under temporary names; only at the end do they get their own, and the manifest comes last. When
+    the block is left by an exception, the folder is as it was. A data set of the same application that was there is
+    replaced as a whole. One writer at a time per folder.
+
+    Args:
+        folder: where; made if missing.
+        app: the application the tasks belong to.
+        units: unit and meaning of every tensor, by name.
+        notes: anything else worth keeping, as JSON can hold it.
+
+    Raises:
+        ValueError: the folder is a file or holds another application's tasks (on entering); no task was added (on
+            leaving).
+    """
+
+    def __init__(
+        self, folder: str | Path, app: str, units: Mapping[str, str], notes: Mapping[str, Any] | None = None
+    ) -> None:
+        self.folder = Path(folder)
+        self._manifest = Manifest(app, (), dict(units), dict(notes or {}))
+        # A note that JSON cannot hold should be refused now, not after an hour of converting.
+        try:
+            json.dumps(self._manifest.notes, allow_nan=False)
+        except (TypeError, ValueError) as error:
+            raise ValueError(f"{folder}: notes hold {error}; expected plain text, numbers, lists.") from None
+        self._entries: list[Entry] = []
+        self._files: set[str] = set()
+        self._made_folder = False
+
+    def __enter__(self) -> ShardWriter:
+        if self.folder.exists() and not self.folder.is_dir():
+            raise ValueError(f"{self.folder}: a file, expected a folder to write to; choose another one.")
+        before = self._replaced()
+        if before is not None and before.app != self._manifest.app:
+            raise ValueError(
+                f"{self.folder}: holds tasks of '{before.app}', expected an empty folder or tasks of "
+                f"'{self._manifest.app}'; choose another folder."
+            )
+        self._made_folder = not self.folder.exists()
+        self.folder.mkdir(parents=True, exist_ok=True)
+        self._remove_partial()  # of a writer that was killed
+        return self
+
+    def add(self, task: Task, split: str, source: str | Path = "") -> None:
+        """Write one task, under a temporary name.
+
+        Args:
+            task: its tensors may live anywhere, in any layout; a name that another task has is refused.
+            split: "train" or "test".
+            source: what it was made of; only the base name is kept.
+
+        Raises:
+            ValueError: an unknown split, an empty or repeated name, a task without tensors, a tensor without a unit,
+                a value that is not finite.
+        """
+        if split not in SPLITS:
+            raise ValueError(f"{task.name}: split '{split}', expected 'train' or 'test'.")
+        if not task.name.strip():
+            raise ValueError(f"{source or self.folder}: a task with an empty name; give it one.")
+        if any(entry.name == task.name for entry in self._entries):
+            raise ValueError(f"{task.name}: two tasks of this name, expected names that differ; rename one source.")
+        if not task.data:
+            raise ValueError(f"{task.name}: a task without tensors.")
+        for key, tensor in task.data.items():
+            if key not in self._manifest.units:
+                raise ValueError(f"{task.name}: tensor '{key}' has no unit; add it to units.")
+            if not _is_finite(tensor):
+                raise ValueError(f"{task.name}: tensor '{key}' holds NaN or infinite values, expected finite ones.")
+        # A copy of its own each: safetensors refuses tensors that share memory.
+        own = torch.contiguous_format
+        payload = save({key: tensor.detach().cpu().clone(memory_format=own) for key, tensor in task.data.items()})
+        file = _file_name(task.name, self._files)
+        _partial(self.folder / file).write_bytes(payload)
+        self._files.add(file.lower())
+        self._entries.append(Entry(task.name, file, split, _base_name(source), hashlib.sha256(payload).hexdigest()))
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        try:
+            if kind is None:
+                self._publish()
+        finally:
+            self._remove_partial()
+            if self._made_folder and not any(self.folder.iterdir()):
+                self.folder.rmdir()
+
+    def _publish(self) -> None:
+        """Give all files their names, the manifest last; while there is no manifest, there is no data set."""
+        if not self._entries:
+            raise ValueError(f"{self.folder}: 0 tasks to write, expected at least one.")
+        before = self._replaced()
+        text = _to_json(self._manifest._replace(tasks=tuple(self._entries)))
+        (self.folder / MANIFEST).unlink(missing_ok=True)
+        for entry in self._entries:
+            os.replace(_partial(self.folder / entry.file), self.folder / entry.file)
+        if before is not None:
+            for entry in before.tasks:
+                if entry.file.lower() not in self._files:
+                    (self.folder / entry.file).unlink(missing_ok=True)
+        write_atomically(self.folder / MANIFEST, lambda path: path.write_text(text, encoding="ascii"))
+
+    def _remove_partial(self) -> None:
+        for path in self.folder.glob(f"{_PARTIAL}*"):
+            path.unlink(missing_ok=True)
+
+    def _replaced(self) -> Manifest | None:
+        """The manifest that is there; None if there is none, or none that can be read."""
+        try:
+            return read_manifest(self.folder)
+        except ValueError:
+            return None
+
+
+def read_manifest(folder: str | Path) -> Manifest:
+    """Read what a data set holds.
+
+    Raises:
+        ValueError: no such folder, no manifest in it, one that is damaged or of a newer version, or one whose file
+            names lead out of the folder.
+    """
+    folder = Path(folder)
+    path = folder / MANIFEST
+    if not folder.is_dir():
+        found = "a file" if folder.exists() else "no such folder"
+        raise ValueError(f"{folder}: {found}, expected the folder of a data set; make one with `metapp data`.")
+    if not path.is_file():
+        raise ValueError(
+            f"{folder}: no {MANIFEST}, expected one beside the tasks; this is not a data set, or its conversion was "
+            "interrupted: convert again with `metapp data`."
+        )
+    try:
+        raw = json.loads(path.read_bytes())
+    except (ValueError, RecursionError) as error:
+        raise ValueError(f"{path}: not readable as JSON ({error}); convert the data again.") from None
+    return _from_json(raw, path)
+
+
+def read_shard(folder: str | Path, split: str | None = None, app: str | None = None) -> list[Task]:
+    """Read the tasks of a data set; the tensors are mapped from disk and loaded when they are used.
+
+    Args:
+        folder: of the data set.
+        split: only the "train" or only the "test" tasks; None is all.
+        app: the application that the tasks must belong to; None takes any.
+
+    Returns:
+        The tasks in the manifest's order; an empty list if the split has none. Hashes are not compared: see
+        `check_shard`.
+
+    Raises:
+        ValueError: as `read_manifest`; another application's tasks; a file that is missing or damaged.
+    """
+    folder = Path(folder)
+    if split is not None and split not in SPLITS:
+        raise ValueError(f"{folder}: split '{split}', expected 'train' or 'test'.")
+    manifest = read_manifest(folder)
+    if app is not None and manifest.app != app:
+        raise ValueError(f"{folder}: holds tasks of '{manifest.app}', expected '{app}'; name another data set.")
+    return [_read_task(folder, entry) for entry in manifest.tasks if split in (None, entry.split)]
+
+
+def check_shard(folder: str | Path) -> list[str]:
+    """Check a data set against its manifest.
+
+    Returns:
+        One line a problem: files that are missing, changed, damaged or not listed, values that are not finite. An
+        empty list means that all is well.
+    """
+    folder = Path(folder)
+    try:
+        manifest = read_manifest(folder)
+    except ValueError as error:
+        return [str(error)]
+    problems = []
+    for entry in manifest.tasks:
+        path = folder / entry.file
+        try:
+            task = _read_task(folder, entry)
+        except ValueError as error:
+            problems.append(str(error))
+            continue
+        with path.open("rb") as stream:
+            digest = hashlib.file_digest(stream, "sha256").hexdigest()
+        if digest != entry.sha256:
+            problems.append(
+                f"{path}: SHA-256 {digest[:12]}..., expected {entry.sha256[:12]}...; the file has changed since."
+            )
+        problems += [
+            f"{path}: tensor '{key}' holds NaN or infinite values, expected finite ones; convert the data again."
+            for key, tensor in task.data.items()
+            if not _is_finite(tensor)
+        ]
+    listed = {MANIFEST} | {entry.file for entry in manifest.tasks}
+    problems += [
+        f"{path}: not listed in {MANIFEST}; remove it, or convert the data again."
+        for path in sorted(folder.iterdir())
+        if path.name not in listed
+    ]
+    return problems
+
+
+def fingerprint(folder: str | Path) -> str:
+    """Short name of a data set's content: 12 hexadecimal digits, the same wherever and whenever it was converted.
+
+    It covers application, task names, splits and the files' hashes as the manifest states them; not notes, not order.
+
+    Raises:
+        ValueError: as `read_manifest`.
+    """
+    manifest = read_manifest(folder)
+    content = [manifest.app, sorted([entry.name, entry.split, entry.sha256] for entry in manifest.tasks)]
+    return hashlib.sha256(json.dumps(content).encode()).hexdigest()[:12]
+
+
+def _partial(path: Path) -> Path:
+    # The suffix stays, since image writers choose the format by it; the process id keeps two programs apart.
+    return path.with_name(f"{_PARTIAL}{os.getpid()}-{path.name}")
+
+
+def _base_name(source: str | Path) -> str:
+    return re.split(r"[/\\]", str(source).rstrip("/\\"))[-1]
+
+
+def _file_name(name: str, taken: set[str]) -> str:
+    """A file name that every file system takes, and that differs from those taken even where case does not count."""
+    stem = re.sub(r"[^A-Za-z0-9._-]+", "_", name).strip(".")[:100] or "_"
+    file, count = stem + _SUFFIX, 1
+    while file.lower() in taken:
+        count += 1
+        file = f"{stem}-{count}{_SUFFIX}"
+    return file
+
+
+def _is_finite(tensor: torch.Tensor) -> bool:
+    return bool(torch.isfinite(tensor).all())
+
+
+def _read_task(folder: Path, entry: Entry) -> Task:
+    path = folder / entry.file
+    if not path.is_file():
+        raise ValueError(f"{path}: missing, expected a file as {MANIFEST} lists it; convert the data again.")
+    if not path.resolve().is_relative_to(folder.resolve()):
+        raise ValueError(f"{path}: a link that leads out of the data set's folder; copy the file there instead.")
+    try:
+        with safe_open(path, framework="pt") as stored:
+            return Task(entry.name, {key: stored.get_tensor(key) for key in stored.keys()})  # noqa: SIM118
+    except SafetensorError as error:
+        raise ValueError(f"{path}: not readable as safetensors ({error}); convert the data again.") from None
+
+
+def _to_json(manifest: Manifest) -> str:
+    raw = {**manifest._asdict(), "tasks": [entry._asdict() for entry in manifest.tasks]}
+    # ASCII: a file name may hold bytes that no encoding takes, which Python passes on as lone surrogates.
+    return json.dumps(raw, indent=1, allow_nan=False) + "\n"
+
+
+def _from_json(raw: Any, path: Path) -> Manifest:
+    """Check every field, since anybody may have written the file."""
+
+    def field(record: Any, key: str, kind: type, where: str = "") -> Any:
+        value = record.get(key) if isinstance(record, dict) else None
+        if not isinstance(value, kind) or isinstance(value, bool):
+            raise ValueError(
+                f"{path}: {where}'{key}' is {json.dumps(value)[:60]}, expected {_KINDS[kind]}; convert the data again."
+            )
+        return value
+
+    schema = field(raw, "schema", int)
+    if schema != SCHEMA:
+        newer = schema > SCHEMA
+        remedy = "update metapp" if newer else "convert the data again"
+        raise ValueError(
+            f"{path}: schema {schema}{', written by a newer metapp' if newer else ''}, expected {SCHEMA}; {remedy}."
+        )
+    entries: list[Entry] = []
+    for index, record in enumerate(field(raw, "tasks", list)):
+        where = f"task {index + 1}: "
+        entry = Entry(*(field(record, key, str, where) for key in Entry._fields))
+        if not re.fullmatch(r"[A-Za-z0-9_-][A-Za-z0-9._-]*", entry.file) or not entry.file.endswith(_SUFFIX):
+            raise ValueError(
+                f"{path}: {where}file {json.dumps(entry.file)}, expected the plain name of a {_SUFFIX} file in the "
+                "same folder; convert the data again."
+            )
+        if entry.split not in SPLITS:
+            raise ValueError(f"{path}: {where}split '{entry.split}', expected 'train' or 'test'.")
+        entries.append(entry)
+    for key in ("name", "file"):
+        values = [getattr(entry, key) for entry in entries]
+        if len(set(values)) < len(values):
+            raise ValueError(f"{path}: two tasks have the same {key}, expected them to differ; convert the data again.")
+    units = field(raw, "units", dict)
+    for key in units:
+        field(units, key, str, "units: ")
+    return Manifest(field(raw, "app", str), tuple(entries), units, field(raw, "notes", dict), schema)
+
+
+_KINDS = {int: "a whole number", str: "text", list: "a list", dict: "an object"}

@@ -1,0 +1,129 @@
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from data_tools.brdf_task import UNITS, brdf_task
+from data_tools.merl import SCALE, merl_centres, merl_index, merl_valid, tabulate
+from metapp.geometry import above_horizon
+from metapp.shards import ShardWriter, check_shard
+
+
+def evaluate(angles: Tensor) -> Tensor:
+    return torch.stack([angles[..., 0].cos(), 0.2 + 0 * angles[..., 1], angles[..., 2] / 4], dim=-1)
+
+
+@pytest.fixture(scope="module")
+def table() -> np.ndarray:
+    table = tabulate(evaluate)
+    table[np.random.default_rng(0).random(table.shape[:3]) < 0.2] = -SCALE
+    return table
+
+
+def discrepancy(angles: Tensor, cells: int) -> float:
+    """Root mean square relative deviation from the mean count over a grid of cells well above the horizon."""
+    inside = angles[(angles[:, :2] < math.pi / 4).all(1)] / torch.tensor([math.pi / 4, math.pi / 4, math.pi])
+    bins = (inside * cells).long().clamp_max(cells - 1)
+    counts = torch.bincount((bins[:, 0] * cells + bins[:, 1]) * cells + bins[:, 2], minlength=cells**3).float()
+    return float((counts / counts.mean() - 1).square().mean().sqrt())
+
+
+def test_an_analytic_task() -> None:
+    task = brdf_task("paint", evaluate, samples=4096)
+    assert task.name == "paint"
+    assert {key: (tuple(value.shape), value.dtype) for key, value in task.data.items()} == {
+        "angles": ((4096, 3), torch.float32),
+        "reflectance": ((4096, 3), torch.float32),
+        "render": ((96, 96, 4), torch.float32),
+    }
+    angles = task.data["angles"]
+    assert above_horizon(angles).all()
+    assert (angles >= 0).all()
+    assert (angles <= torch.tensor([math.pi / 2, math.pi / 2, math.pi])).all()
+    torch.testing.assert_close(task.data["reflectance"], evaluate(angles))
+    assert task.data["render"][48, 48, 3] == 1
+    assert task.data["render"][0, 0].tolist() == [0, 0, 0, 0]
+    assert (task.data["render"][48, 48, :3] > 0).all()
+
+
+def test_the_same_samples_for_all_materials_of_a_seed() -> None:
+    first = brdf_task("a", evaluate, samples=1000).data["angles"]
+    first_copy = first.clone()
+    first.zero_()  # tasks share nothing
+    second = brdf_task("b", lambda angles: 2 * evaluate(angles), samples=1000).data["angles"]
+    assert torch.equal(first_copy, second)
+    assert not torch.equal(second, brdf_task("a", evaluate, samples=1000, seed=1).data["angles"])
+
+
+def test_both_halves_and_prefixes_are_well_spread() -> None:
+    angles = brdf_task("a", evaluate, samples=16384).data["angles"]
+    for part in (angles[:8192], angles[8192:], angles):
+        # Independent draws deviate by sqrt(cells / draws) = 0.35 (whole: 0.25) here; stratified ones by much less.
+        assert discrepancy(part, 8) < 0.75 * math.sqrt(8**3 / (0.4 * len(part)))
+    for size in (512, 2048):  # a prefix is a random part of its half
+        torch.testing.assert_close(angles[:size].mean(0), angles.mean(0), rtol=0, atol=4 / math.sqrt(size))
+    order = angles[:8192, 0]
+    assert abs(float(torch.corrcoef(torch.stack([order[:-1], order[1:]]))[0, 1])) < 0.05
+
+
+def test_table_samples_are_measured_values(table: np.ndarray) -> None:
+    data = brdf_task("measured", table=table, samples=8192).data
+    bins = merl_index(data["angles"])
+    assert len(bins.unique()) == 8192  # nothing held out has been seen
+    assert torch.equal(data["angles"], merl_centres().reshape(-1, 3)[bins])
+    assert above_horizon(data["angles"]).all()
+    assert merl_valid(table).reshape(-1)[bins.numpy()].all()
+    assert torch.equal(data["reflectance"], torch.from_numpy(table.reshape(-1, 3)[bins.numpy()]).float())
+    again = brdf_task("measured", table=table, samples=8192).data
+    assert all(torch.equal(data[key], again[key]) for key in data)
+
+
+def test_table_and_function_give_the_same_picture() -> None:
+    first = brdf_task("a", table=tabulate(evaluate), samples=64).data["render"]
+    second = brdf_task("a", evaluate, samples=64).data["render"]
+    assert float((first - second).abs().mean()) < 2e-3 * float(second.mean())
+
+
+def test_noise_below_zero_is_black() -> None:
+    table = np.ones((90, 90, 180, 3))
+    table[..., 1] = -0.1
+    data = brdf_task("noisy", table=table, samples=64).data
+    assert data["reflectance"].unique(dim=0).tolist() == [[1, 0, 1]]
+    assert (data["render"] >= 0).all()
+
+
+def test_few_valid_bins() -> None:
+    table = np.broadcast_to(-SCALE, (90, 90, 180, 3)).copy()
+    table[40:50, 10:20] = 1.0
+    assert len(brdf_task("few", table=table, samples=1000).data["angles"]) == 1000
+    available = int(above_horizon(merl_centres()[40:50, 10:20]).sum())
+    with pytest.raises(ValueError, match=f"few: {available:,} valid bins, expected 50,000 or more"):
+        brdf_task("few", table=table, samples=50_000)
+    table[:] = -SCALE
+    table[0, 0] = 1.0  # a sliver that draws hardly ever hit
+    with pytest.raises(ValueError, match=r"few: [0-9,]+ valid samples in [0-9,]+ draws, expected 100; ask for fewer"):
+        brdf_task("few", table=table, samples=100)
+
+
+def test_bad_input(table: np.ndarray) -> None:
+    with pytest.raises(ValueError, match="x: neither a function to evaluate nor a table"):
+        brdf_task("x")
+    with pytest.raises(ValueError, match="x: a function to evaluate and a table"):
+        brdf_task("x", evaluate, table)
+    with pytest.raises(ValueError, match="x: 1 samples, expected 2 or more"):
+        brdf_task("x", evaluate, samples=1)
+    with pytest.raises(ValueError, match=r"x: table \(90, 90, 180\), expected"):
+        brdf_task("x", table=table[..., 0])
+    with pytest.raises(ValueError, match=r"x: reflectance \(64, 1\), expected \(64, 3\)"):
+        brdf_task("x", lambda angles: angles[:, :1], samples=64)
+    with pytest.raises(ValueError, match="x: 192 values of the samples are NaN or infinite"):
+        brdf_task("x", lambda angles: angles * math.nan, samples=64)
+
+
+def test_units_cover_a_task(tmp_path: Path) -> None:
+    with ShardWriter(tmp_path, "brdf", UNITS) as writer:
+        writer.add(brdf_task("a", evaluate, samples=64), "train")
+    assert check_shard(tmp_path) == []

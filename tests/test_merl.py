@@ -1,0 +1,235 @@
+import math
+import struct
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from data_tools.merl import (
+    FILE_BYTES,
+    SCALE,
+    find_merl,
+    merl_centres,
+    merl_evaluate,
+    merl_index,
+    merl_valid,
+    read_merl,
+    read_merl_planes,
+    read_tasks,
+    tabulate,
+    write_merl,
+    write_merl_planes,
+)
+from metapp.geometry import above_horizon
+
+
+@pytest.fixture(scope="module")
+def merl_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A file of random values with a quarter of invalid entries, marked in several ways, and negative noise."""
+    rng = np.random.default_rng(0)
+    planes = rng.lognormal(2, 3, (3, 90, 90, 180))
+    planes[:, rng.random((90, 90, 180)) < 0.25] = -1.0
+    planes[:, 0, 0, 0] = -0.3, -1e-300, -17.0
+    planes[:, 0, 0, 1] = 1500.0, 3000.0, 4500.0
+    planes[:, 0, 0, 2] = 2.0, -0.5, 0.0
+    planes[:, 1, 2, 3] = 7.0, 8.0, 9.0
+    path = tmp_path_factory.mktemp("merl") / "gold.binary"
+    path.write_bytes(struct.pack("<3i", 90, 90, 180) + planes.tobytes())
+    return path
+
+
+def damaged(merl_file: Path, tmp_path: Path, offset: int, data: bytes) -> Path:
+    content = bytearray(merl_file.read_bytes())
+    content[offset : offset + len(data)] = data
+    path = tmp_path / "damaged.binary"
+    path.write_bytes(content)
+    return path
+
+
+def test_read_known_values(merl_file: Path) -> None:
+    table = read_merl(merl_file)
+    assert table.shape == (90, 90, 180, 3)
+    assert table.dtype == np.float64
+    np.testing.assert_allclose(table[0, 0, 1], [1.0, 2.3, 4.98], rtol=1e-15)
+    np.testing.assert_array_equal(table[1, 2, 3], np.array([7.0, 8.0, 9.0]) * SCALE)
+    # red of (1, 2, 3) lies at phi_d + 180 * (theta_d + 90 * theta_h) doubles behind the header
+    assert struct.unpack_from("<d", merl_file.read_bytes(), 12 + 8 * (3 + 180 * (2 + 90)))[0] == 7.0
+    valid = merl_valid(table)
+    assert not valid[0, 0, 0]
+    assert valid[0, 0, 2]
+    assert (table[~valid] < 0).all()
+    assert 0.7 < valid.mean() < 0.8
+
+
+def test_planes_round_trip_byte_for_byte(merl_file: Path, tmp_path: Path) -> None:
+    copy = tmp_path / "new" / "copy.binary"
+    write_merl_planes(copy, read_merl_planes(merl_file))
+    assert copy.read_bytes() == merl_file.read_bytes()
+    assert list(copy.parent.iterdir()) == [copy]
+
+
+def test_table_round_trip(merl_file: Path, tmp_path: Path) -> None:
+    copy = tmp_path / "copy.binary"
+    write_merl(copy, read_merl(merl_file))
+    planes, expected = read_merl_planes(copy), read_merl_planes(merl_file)
+    np.testing.assert_allclose(planes, expected, rtol=2.3e-16)
+    np.testing.assert_array_equal(planes == -1, expected == -1)
+
+
+def test_worked_bins() -> None:
+    centres = merl_centres()
+    assert centres.shape == (90, 90, 180, 3)
+    expected = [(0.5 / 90) ** 2 * math.pi / 2, 2.5 / 90 * math.pi / 2, 179.5 / 180 * math.pi]
+    torch.testing.assert_close(centres[0, 2, 179], torch.tensor(expected))
+    torch.testing.assert_close(centres[89, 0, 0, 0], torch.tensor((89.5 / 90) ** 2 * math.pi / 2))
+    angles = torch.tensor(
+        [
+            [0.0, 0.0, 0.0],
+            [math.pi / 2, math.pi / 2, math.pi - 1e-3],  # the ends of the thetas belong to the last bins
+            [math.pi / 8, math.pi / 4 + 1e-3, 1e-3],  # a quarter of pi/2 is half-way in square-root spacing
+            [0.0, 0.0, -1e-3],  # reciprocity: phi_d - pi
+            [0.0, 0.0, math.pi + 1e-3],
+        ]
+    )
+    assert merl_index(angles).tolist() == [0, 90 * 90 * 180 - 1, 180 * (45 + 90 * 45), 179, 0]
+
+
+def test_index_inverts_centres() -> None:
+    index = merl_index(merl_centres())
+    assert torch.equal(index.reshape(-1), torch.arange(90 * 90 * 180))
+
+
+def test_evaluate_is_exact_at_centres(merl_file: Path) -> None:
+    table = read_merl(merl_file)
+    rows = torch.randint(90 * 90 * 180, (2000,), generator=torch.Generator().manual_seed(0))
+    angles = merl_centres().reshape(-1, 3)[rows].double()
+    flat = table.reshape(-1, 3)[rows.numpy()]
+    valid = merl_valid(table).reshape(-1)[rows.numpy()]
+    result = merl_evaluate(table, angles).numpy()
+    # Neighbours differ by many orders of magnitude here, and centres are rounded to float32.
+    assert np.median(np.abs(result - flat)[valid] / flat[valid].clip(1e-9)) < 1e-4
+    smooth = np.broadcast_to(np.linspace(0.1, 1, 90)[:, None, None, None], (90, 90, 180, 3)).copy()
+    np.testing.assert_allclose(merl_evaluate(smooth, angles).numpy(), smooth.reshape(-1, 3)[rows.numpy()], rtol=1e-5)
+
+
+def test_evaluate_a_linear_function() -> None:
+    slopes = torch.tensor([[0.3, 0.1, 0.2], [0.0, 0.5, 0.1], [0.2, 0.2, 0.7]], dtype=torch.float64)
+    table = (merl_centres().double() @ slopes + 0.4).numpy()
+    # Within the outermost centres: beyond, the value is held, and phi_d goes round.
+    unit = torch.rand(5000, 3, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
+    low, high = merl_centres()[0, 0, 0].double(), merl_centres()[-1, -1, -1].double()
+    angles = low + unit * (high - low)
+    torch.testing.assert_close(merl_evaluate(table, angles), angles @ slopes + 0.4, rtol=0, atol=1e-6)
+    torch.testing.assert_close(merl_evaluate(table, angles.float()), (angles @ slopes + 0.4).float(), rtol=0, atol=1e-5)
+
+
+def test_evaluate_wraps_phi_and_holds_the_ends() -> None:
+    table = np.zeros((90, 90, 180, 3))
+    table[0, 0, 0], table[0, 0, 179] = 1.0, 3.0
+    angles = torch.tensor([[0.0, 0.0, 0.0], [0.0, 0.0, math.pi], [0.0, 0.0, math.pi / 360]], dtype=torch.float64)
+    torch.testing.assert_close(merl_evaluate(table, angles)[:, 0], torch.tensor([2.0, 2.0, 1.0], dtype=torch.float64))
+
+
+def test_evaluate_ignores_invalid_entries() -> None:
+    table = np.full((90, 90, 180, 3), -1.0) * SCALE
+    table[10, 10, 10] = 5.0
+    table[20, 20, 20] = 0.5, -0.1, 0.5  # noise in one channel: valid, and read as 0
+    centres = merl_centres()
+    near = torch.lerp(centres[10, 10, 10], centres[11, 11, 11], 0.3)
+    far = centres[50, 50, 50]
+    result = merl_evaluate(table, torch.stack([near, far, centres[20, 20, 20]]))
+    torch.testing.assert_close(result, torch.tensor([[5.0] * 3, [0.0] * 3, [0.5, 0.0, 0.5]]))
+
+
+def test_evaluate_takes_any_leading_axes() -> None:
+    assert merl_evaluate(np.ones((90, 90, 180, 3)), torch.zeros(2, 4, 3)).shape == (2, 4, 3)
+
+
+def test_tabulate(tmp_path: Path) -> None:
+    table = tabulate(lambda angles: angles + 1)
+    centres, above = merl_centres(), above_horizon(merl_centres()).numpy()
+    np.testing.assert_array_equal(merl_valid(table), above)
+    np.testing.assert_allclose(table[above], centres.numpy()[above] + 1, rtol=1e-6)
+    write_merl(tmp_path / "a.binary", table)
+    planes = read_merl_planes(tmp_path / "a.binary")
+    assert (planes[:, ~above] == -1.0).all()
+    assert tabulate(lambda angles: -angles).max() == 0.0
+
+
+def test_tabulate_refuses_bad_results() -> None:
+    with pytest.raises(ValueError, match="RGB for each angle"):
+        tabulate(lambda angles: angles[:, :1])
+    with pytest.raises(ValueError, match="evaluate returned NaN"):
+        tabulate(lambda angles: angles * math.nan)
+
+
+def test_wrong_sizes(merl_file: Path, tmp_path: Path) -> None:
+    content, path = merl_file.read_bytes(), tmp_path / "gold.binary"
+    path.write_bytes(content[: 2**25])
+    expected = r"expected 34,992,012 \(12-byte header \+ 3x90x90x180 doubles\)"
+    with pytest.raises(ValueError, match=f"gold.binary: 33,554,432 bytes, {expected}; the download is probably inco"):
+        read_merl(path)
+    path.write_bytes(content + b"\n")
+    with pytest.raises(ValueError, match=f"34,992,013 bytes, {expected}; the file has something appended"):
+        read_merl(path)
+    path.write_bytes(b"hello")
+    with pytest.raises(ValueError, match=f"5 bytes, {expected}; not a MERL file"):
+        read_merl(path)
+    assert len(content) == FILE_BYTES
+
+
+def test_bad_contents(merl_file: Path, tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="header 90x90x360, expected 90x90x180; not a MERL file"):
+        read_merl(damaged(merl_file, tmp_path, 8, struct.pack("<i", 360)))
+    with pytest.raises(ValueError, match=r"damaged.binary: 2 values are NaN or infinite"):
+        read_merl(damaged(merl_file, tmp_path, 12 + 8 * 77, struct.pack("<2d", math.inf, -math.inf)))
+    with pytest.raises(ValueError, match=r"damaged.binary: 0.00% of the entries are valid"):
+        read_merl(damaged(merl_file, tmp_path, 12, b"\xbf" * (FILE_BYTES - 12)))
+    with pytest.raises(ValueError, match="no such file, expected a MERL file"):
+        read_merl(tmp_path / "none.binary")
+    with pytest.raises(ValueError, match="a folder, expected a MERL file"):
+        read_merl(tmp_path)
+
+
+def test_refuse_to_write(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match=r"table \(90, 90, 180\), expected \(90, 90, 180, 3\)"):
+        write_merl(tmp_path / "a.binary", np.ones((90, 90, 180)))
+    with pytest.raises(ValueError, match=r"planes \(90, 90, 180, 3\), expected \(3, 90, 90, 180\)"):
+        write_merl_planes(tmp_path / "a.binary", np.ones((90, 90, 180, 3)))
+    with pytest.raises(ValueError, match="4,374,000 values are NaN"):
+        write_merl(tmp_path / "a.binary", np.full((90, 90, 180, 3), math.nan))
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_find(merl_file: Path, tmp_path: Path) -> None:
+    (tmp_path / "brdfs").mkdir()
+    (tmp_path / "brdfs" / "b.binary").symlink_to(merl_file)
+    (tmp_path / "readme.txt").write_text("about")
+    (tmp_path / ".hidden").write_text("")
+    files, skipped = find_merl([tmp_path, merl_file])
+    assert files == [tmp_path / "brdfs" / "b.binary"]  # the other is the same file
+    assert len(skipped) == 1
+    assert "readme.txt: 5 bytes" in skipped[0]
+    with pytest.raises(ValueError, match="not a MERL file"):
+        find_merl([tmp_path / "readme.txt"])
+    with pytest.raises(ValueError, match="no such file"):
+        find_merl([tmp_path / "none"])
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(ValueError, match=r"empty: no MERL file, expected \*.binary files"):
+        find_merl([tmp_path / "empty"])
+    (tmp_path / "empty" / "gold.binary").write_bytes(merl_file.read_bytes()[:1000])
+    with pytest.raises(ValueError, match=r"gold.binary: 1,000 bytes, .* incomplete"):
+        find_merl([tmp_path / "empty"])
+
+
+def test_read_tasks_warns_of_what_it_skips(merl_file: Path, tmp_path: Path) -> None:
+    (tmp_path / "silver.binary").symlink_to(merl_file)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        tasks = read_tasks([tmp_path])
+    assert [task.name for task in tasks] == ["silver"]
+    (tmp_path / "readme.txt").write_text("about")
+    with pytest.warns(UserWarning, match=r"readme.txt: 5 bytes"):
+        read_tasks([tmp_path])

@@ -1,0 +1,195 @@
+import math
+import pickle
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from data_tools.nbrdf import SHAPES, find_nbrdf, nbrdf_evaluate, read_nbrdf, read_tasks, write_nbrdf
+
+
+def make_weights(seed: int = 0) -> dict[str, np.ndarray]:
+    rng = np.random.default_rng(seed)
+    return {part: rng.normal(0, 0.5, shape).astype(np.float32) for part, shape in SHAPES.items()}
+
+
+def make_network(folder: Path, prefix: str = "", seed: int = 0) -> Path:
+    folder.mkdir(parents=True, exist_ok=True)
+    for part, array in make_weights(seed).items():
+        np.save(folder / f"{prefix}{part}.npy", array)
+    return folder
+
+
+def test_round_trip(tmp_path: Path) -> None:
+    weights = make_weights()
+    write_nbrdf(tmp_path / "new" / "gold", weights)
+    read = read_nbrdf(tmp_path / "new" / "gold")
+    assert list(read) == list(SHAPES)
+    for part, array in read.items():
+        assert array.dtype == np.float32
+        np.testing.assert_array_equal(array, weights[part])
+    assert len(list((tmp_path / "new" / "gold").iterdir())) == 6
+
+
+@pytest.mark.parametrize("kind", ["transposed", "big-endian", "double", "tensor"])
+def test_files_are_c_ordered_little_endian_float32(tmp_path: Path, kind: str) -> None:
+    plain = make_weights()
+    change = {
+        "transposed": lambda array: np.asfortranarray(array.T.copy().T),
+        "big-endian": lambda array: array.astype(">f4"),
+        "double": lambda array: array.astype(np.float64),
+        "tensor": lambda array: torch.from_numpy(array.T.copy()).T.requires_grad_(),
+    }[kind]
+    write_nbrdf(tmp_path, {part: change(array) if array.ndim == 2 else array for part, array in plain.items()})
+    for part, array in plain.items():
+        content = (tmp_path / f"{part}.npy").read_bytes()
+        assert content[:8] == b"\x93NUMPY\x01\x00"
+        length = int.from_bytes(content[8:10], "little")
+        header = content[10 : 10 + length].decode("ascii")
+        assert "'descr': '<f4'" in header
+        assert "'fortran_order': False" in header
+        assert f"'shape': {array.shape}" in header
+        assert content[10 + length :] == array.tobytes()
+
+
+def test_fortran_ordered_files_are_read_right(tmp_path: Path) -> None:
+    make_network(tmp_path)
+    np.save(tmp_path / "fc1.npy", make_weights()["fc1"].T.copy().T)
+    read = read_nbrdf(tmp_path)["fc1"]
+    np.testing.assert_array_equal(read, make_weights()["fc1"])
+    assert read.flags.c_contiguous
+
+
+def test_evaluate_worked_value() -> None:
+    weights = {part: np.zeros(shape, np.float32) for part, shape in SHAPES.items()}
+    weights["fc1"][2, 0] = 1  # cos theta_h
+    weights["fc1"][3, 1] = 1  # x of the difference vector
+    weights["fc1"][5, 2] = -1  # -cos theta_d: the ReLU drops it
+    weights["fc2"][0, 0], weights["fc2"][1, 1], weights["fc2"][2, 2] = 1, 1, 1
+    weights["fc3"][0, 0], weights["fc3"][1, 1], weights["fc3"][2, 2] = 1, 2, 1
+    weights["b3"][:] = 0.25, 0, -1
+    theta_h, theta_d, phi_d = 0.4, 0.7, 0.3
+    result = nbrdf_evaluate(weights, torch.tensor([[[theta_h, theta_d, phi_d]]], dtype=torch.float64))
+    expected = [math.exp(math.cos(theta_h) + 0.25) - 1, math.exp(2 * math.sin(theta_d) * math.cos(phi_d)) - 1, 0]
+    torch.testing.assert_close(result, torch.tensor([[expected]], dtype=torch.float64))
+
+
+def test_evaluate_takes_tensors_and_has_gradients() -> None:
+    weights = {part: torch.from_numpy(array).requires_grad_() for part, array in make_weights().items()}
+    nbrdf_evaluate(weights, torch.rand(64, 3)).sum().backward()
+    assert all(tensor.grad is not None for tensor in weights.values())
+
+
+def test_names_in_front(tmp_path: Path) -> None:
+    make_network(tmp_path, "red_felt_", seed=3)
+    np.testing.assert_array_equal(read_nbrdf(tmp_path)["fc3"], make_weights(3)["fc3"])
+    assert find_nbrdf([tmp_path]) == ([tmp_path / "red_felt"], [])
+    make_network(tmp_path, "gold_", seed=4)
+    with pytest.raises(ValueError, match=r"2 networks \(gold, red_felt\), expected one; name it: .*gold"):
+        read_nbrdf(tmp_path)
+    assert find_nbrdf([tmp_path])[0] == [tmp_path / "gold", tmp_path / "red_felt"]
+    np.testing.assert_array_equal(read_nbrdf(tmp_path / "gold")["b1"], make_weights(4)["b1"])
+    assert find_nbrdf([tmp_path / "gold"])[0] == [tmp_path / "gold"]
+    make_network(tmp_path, "", seed=5)
+    np.testing.assert_array_equal(read_nbrdf(tmp_path)["b1"], make_weights(5)["b1"])
+
+
+def test_find(tmp_path: Path) -> None:
+    for name in ("set/tin", "set/gold"):
+        make_network(tmp_path / name)
+    make_network(tmp_path / "set" / "broken")
+    (tmp_path / "set" / "broken" / "b2.npy").unlink()
+    make_network(tmp_path / "set" / ".hidden")
+    (tmp_path / "set" / "notes.txt").write_text("")
+    found, skipped = find_nbrdf([tmp_path, tmp_path / "set" / "gold"])
+    assert found == [tmp_path / "set" / "gold", tmp_path / "set" / "tin"]
+    assert len(skipped) == 1
+    assert "broken: no file for b2, expected fc1.npy" in skipped[0]
+    with pytest.raises(ValueError, match="broken: no file for b2"):
+        find_nbrdf([tmp_path / "set" / "broken"])
+    with pytest.raises(ValueError, match="no such folder"):
+        find_nbrdf([tmp_path / "none"])
+    with pytest.raises(ValueError, match="a file, expected"):
+        find_nbrdf([tmp_path / "set" / "notes.txt"])
+    shutil.rmtree(tmp_path / "set")
+    with pytest.raises(ValueError, match="no NBRDF network, expected"):
+        find_nbrdf([tmp_path])
+
+
+def test_read_tasks(tmp_path: Path) -> None:
+    for index, name in enumerate(("gold", "tin")):
+        make_network(tmp_path / name, seed=index)
+    gold, tin = read_tasks([tmp_path])
+    assert (gold.name, tin.name) == ("gold", "tin")
+    expected = nbrdf_evaluate(make_weights(1), tin.data["angles"])
+    torch.testing.assert_close(tin.data["reflectance"], expected)
+    (tmp_path / "tin" / "fc2.npy").unlink()
+    with pytest.warns(UserWarning, match="tin: no file for fc2"):
+        assert len(read_tasks([tmp_path])) == 1
+
+
+class Touch:
+    """Writes a file when it is unpickled."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    def __reduce__(self) -> tuple[object, tuple[str, str]]:
+        return open, (str(self.path), "w")
+
+
+def test_pickles_are_never_loaded(tmp_path: Path) -> None:
+    trap = tmp_path / "loaded"
+    make_network(tmp_path / "a")
+    np.save(tmp_path / "a" / "b3.npy", np.array([Touch(trap)] * 3, dtype=object), allow_pickle=True)
+    with pytest.raises(ValueError, match=r"b3.npy: not a readable .npy file \(.*dtype"):
+        read_nbrdf(tmp_path / "a")
+    (tmp_path / "a" / "b3.npy").write_bytes(pickle.dumps(Touch(trap)))
+    with pytest.raises(ValueError, match=r"b3.npy: not a readable .npy file \(the magic string"):
+        read_nbrdf(tmp_path / "a")
+    assert not trap.exists()
+
+
+@pytest.mark.parametrize(
+    ("array", "message"),
+    [
+        (np.zeros((21, 6), np.float32), r"shape \(21, 6\), expected \(6, 21\); transpose it"),
+        (np.zeros((6, 64), np.float32), r"shape \(6, 64\), expected \(6, 21\)\."),
+        (np.full((6, 21), np.nan, np.float32), "holds NaN"),
+        (np.full((6, 21), 1e300), "holds NaN or infinite values"),
+        (np.zeros((6, 21), np.int64), "values of type int64, expected float32"),
+        (np.zeros((0, 21), np.float32), "fc1.npy: "),
+    ],
+)
+def test_bad_arrays(tmp_path: Path, array: np.ndarray, message: str) -> None:
+    np.save(make_network(tmp_path) / "fc1.npy", array)
+    with pytest.raises(ValueError, match=message):
+        read_nbrdf(tmp_path)
+
+
+@pytest.mark.parametrize("keep", [0, 20, 70, 300])
+def test_short_files(tmp_path: Path, keep: int) -> None:
+    path = make_network(tmp_path) / "fc1.npy"
+    path.write_bytes(path.read_bytes()[:keep])
+    with pytest.raises(ValueError, match=r"fc1.npy: not a readable .npy file"):
+        read_nbrdf(tmp_path)
+
+
+def test_a_false_header_asks_for_no_memory(tmp_path: Path) -> None:
+    path = make_network(tmp_path) / "fc1.npy"
+    path.write_bytes(path.read_bytes().replace(b"(6, 21), }           ", b"(60000, 2100000000), }"))
+    with pytest.raises(ValueError, match=r"fc1.npy: not a readable .npy file"):
+        read_nbrdf(tmp_path)
+
+
+def test_refuse_to_write(tmp_path: Path) -> None:
+    weights = make_weights()
+    with pytest.raises(ValueError, match="weights b1, expected fc1, fc2"):
+        write_nbrdf(tmp_path, {"b1": weights["b1"]})
+    with pytest.raises(ValueError, match=r"fc3.npy: shape \(3, 21\), expected \(21, 3\); transpose it"):
+        write_nbrdf(tmp_path, {**weights, "fc3": weights["fc3"].T})
+    with pytest.raises(ValueError, match=r"b3.npy: holds NaN"):
+        write_nbrdf(tmp_path, {**weights, "b3": np.full(3, np.nan)})
+    assert list(tmp_path.iterdir()) == []

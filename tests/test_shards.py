@@ -1,0 +1,289 @@
+import json
+import os
+from pathlib import Path
+
+import pytest
+import torch
+
+from metapp.shards import ShardWriter, check_shard, fingerprint, read_manifest, read_shard, split_auto, write_atomically
+from metapp.task import Task
+
+UNITS = {"angles": "rad", "reflectance": "1/sr"}
+
+
+def make_task(name: str, value: float = 1.0) -> Task:
+    return Task(name, {"angles": torch.full((4, 3), value), "reflectance": torch.arange(12.0).reshape(4, 3)})
+
+
+def make_shard(folder: Path, names: tuple[str, ...] = ("gold", "silver"), app: str = "brdf") -> Path:
+    with ShardWriter(folder, app, UNITS, {"seed": 7}) as writer:
+        for index, name in enumerate(names):
+            writer.add(make_task(name, index), "test" if index else "train", f"/somewhere/{name}.binary")
+    return folder
+
+
+def tamper(folder: Path, **changes: object) -> None:
+    path = folder / "manifest.json"
+    path.write_text(json.dumps({**json.loads(path.read_text()), **changes}))
+
+
+def tamper_task(folder: Path, **changes: object) -> None:
+    tasks = json.loads((folder / "manifest.json").read_text())["tasks"]
+    tamper(folder, tasks=[{**tasks[0], **changes}, *tasks[1:]])
+
+
+def test_round_trip(tmp_path: Path) -> None:
+    folder = make_shard(tmp_path / "new" / "data")
+    tasks = read_shard(folder, app="brdf")
+    assert [task.name for task in tasks] == ["gold", "silver"]
+    assert torch.equal(tasks[1].data["angles"], torch.ones(4, 3))
+    assert torch.equal(tasks[0].data["reflectance"], torch.arange(12.0).reshape(4, 3))
+    manifest = read_manifest(folder)
+    assert manifest.app == "brdf"
+    assert manifest.units == UNITS
+    assert manifest.notes == {"seed": 7}
+    assert manifest.tasks[0].source == "gold.binary"
+    assert check_shard(folder) == []
+    assert sorted(path.name for path in folder.iterdir()) == [
+        "gold.safetensors",
+        "manifest.json",
+        "silver.safetensors",
+    ]
+
+
+def test_one_split(tmp_path: Path) -> None:
+    folder = make_shard(tmp_path)
+    assert [task.name for task in read_shard(folder, "train")] == ["gold"]
+    assert [task.name for task in read_shard(folder, "test")] == ["silver"]
+    with pytest.raises(ValueError, match="split 'valid', expected 'train' or 'test'"):
+        read_shard(folder, "valid")
+
+
+def test_writing_to_tensors_leaves_the_file(tmp_path: Path) -> None:
+    folder = make_shard(tmp_path)
+    read_shard(folder)[0].data["angles"].fill_(5)
+    assert check_shard(folder) == []
+
+
+def test_views_of_one_tensor_and_any_layout(tmp_path: Path) -> None:
+    whole = torch.arange(12.0).reshape(4, 3).requires_grad_()
+    with ShardWriter(tmp_path, "brdf", UNITS) as writer:
+        writer.add(Task("a", {"angles": whole.T, "reflectance": whole[1:]}), "train")
+    read = read_shard(tmp_path)[0].data
+    assert torch.equal(read["angles"], whole.detach().T)
+    assert torch.equal(read["reflectance"], whole.detach()[1:])
+
+
+def test_names_become_safe_file_names(tmp_path: Path) -> None:
+    names = ("../../escape", "a b", "a/b", "A_B", "..", "rost\udcff")
+    folder = make_shard(tmp_path / "data", names)
+    assert [task.name for task in read_shard(folder)] == list(names)
+    files = [entry.file for entry in read_manifest(folder).tasks]
+    assert files == [
+        "_.._escape.safetensors",
+        "a_b.safetensors",
+        "a_b-2.safetensors",
+        "A_B-3.safetensors",
+        "_.safetensors",
+        "rost_.safetensors",
+    ]
+    assert [path.name for path in tmp_path.iterdir()] == ["data"]
+    assert check_shard(folder) == []
+
+
+@pytest.mark.parametrize(
+    ("task", "message"),
+    [
+        (make_task("gold"), "gold: two tasks of this name"),
+        (make_task(" "), "a task with an empty name"),
+        (Task("x", {}), "x: a task without tensors"),
+        (Task("x", {"colour": torch.ones(1)}), "x: tensor 'colour' has no unit"),
+        (Task("x", {"angles": torch.tensor([float("nan")])}), "x: tensor 'angles' holds NaN"),
+    ],
+)
+def test_refused_tasks_leave_nothing(tmp_path: Path, task: Task, message: str) -> None:
+    def convert() -> None:
+        with ShardWriter(tmp_path / "data", "brdf", UNITS) as writer:
+            writer.add(make_task("gold"), "train")
+            writer.add(task, "train")
+
+    with pytest.raises(ValueError, match=message):
+        convert()
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_refused_splits_notes_and_empty_sets(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="gold: split 'auto'"), ShardWriter(tmp_path, "brdf", UNITS) as writer:
+        writer.add(make_task("gold"), "auto")
+    with pytest.raises(ValueError, match="notes hold Object of type Tensor"):
+        ShardWriter(tmp_path, "brdf", UNITS, {"seed": torch.ones(1)})
+    with pytest.raises(ValueError, match="0 tasks to write"), ShardWriter(tmp_path, "brdf", UNITS):
+        pass
+
+
+def test_interrupted_writer_leaves_what_was_there(tmp_path: Path) -> None:
+    folder = make_shard(tmp_path)
+    before = {path.name: path.read_bytes() for path in folder.iterdir()}
+
+    def convert() -> None:
+        with ShardWriter(folder, "brdf", UNITS) as writer:
+            writer.add(make_task("gold", 9), "train")
+            assert len(list(folder.iterdir())) == 4
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        convert()
+    assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
+
+
+def test_failure_while_publishing_leaves_no_manifest(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder = make_shard(tmp_path)
+    replace, calls = os.replace, []
+
+    def fail_second(source: Path, target: Path) -> None:
+        calls.append(target)
+        if len(calls) == 2:
+            raise OSError("disk full")
+        replace(source, target)
+
+    monkeypatch.setattr(os, "replace", fail_second)
+    with pytest.raises(OSError, match="disk full"):
+        make_shard(folder)
+    assert not (folder / "manifest.json").exists()
+    assert not list(folder.glob(".partial*"))
+
+
+def test_a_new_data_set_replaces_the_old_one(tmp_path: Path) -> None:
+    folder = make_shard(tmp_path, ("gold", "silver"))
+    (folder / ".partial-1-of-a-killed-writer").write_bytes(b"")
+    make_shard(folder, ("gold", "tin"))
+    assert [task.name for task in read_shard(folder)] == ["gold", "tin"]
+    assert check_shard(folder) == []
+    with pytest.raises(ValueError, match=r"holds tasks of 'brdf', expected an empty folder or tasks of 'texture'"):
+        make_shard(folder, app="texture")
+
+
+def test_a_file_is_no_folder(tmp_path: Path) -> None:
+    (tmp_path / "data").write_bytes(b"")
+    with pytest.raises(ValueError, match="a file, expected a folder"):
+        make_shard(tmp_path / "data")
+    with pytest.raises(ValueError, match="a file, expected the folder"):
+        read_shard(tmp_path / "data")
+
+
+def test_missing_parts(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="no such folder, expected the folder of a data set"):
+        read_shard(tmp_path / "none")
+    with pytest.raises(ValueError, match=r"no manifest.json, expected one beside the tasks"):
+        read_shard(tmp_path)
+    folder = make_shard(tmp_path)
+    with pytest.raises(ValueError, match="holds tasks of 'brdf', expected 'texture'"):
+        read_shard(folder, app="texture")
+    (folder / "silver.safetensors").unlink()
+    with pytest.raises(ValueError, match=r"silver.safetensors: missing"):
+        read_shard(folder)
+    assert len(check_shard(folder)) == 1
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"schema": 2}, "schema 2, written by a newer metapp, expected 1; update metapp"),
+        ({"schema": True}, "'schema' is true, expected a whole number"),
+        ({"schema": 0}, "schema 0, expected 1; convert the data again"),
+        ({"app": None}, "'app' is null, expected text"),
+        ({"tasks": {}}, "'tasks' is {}, expected a list"),
+        ({"tasks": [3]}, "task 1: 'name' is null, expected text"),
+        ({"units": {"angles": 1}}, "units: 'angles' is 1, expected text"),
+    ],
+)
+def test_damaged_manifests(tmp_path: Path, changes: dict[str, object], message: str) -> None:
+    tamper(make_shard(tmp_path), **changes)
+    with pytest.raises(ValueError, match=message):
+        read_manifest(tmp_path)
+    assert len(check_shard(tmp_path)) == 1
+
+
+@pytest.mark.parametrize("content", [b"{", b"\xff\xfe", b"", b"[" * 100_000])
+def test_manifests_that_are_no_json(tmp_path: Path, content: bytes) -> None:
+    (make_shard(tmp_path) / "manifest.json").write_bytes(content)
+    with pytest.raises(ValueError, match="not readable as JSON"):
+        read_manifest(tmp_path)
+
+
+@pytest.mark.parametrize(
+    "file", ["../gold.safetensors", "/etc/gold.safetensors", "a/gold.safetensors", "a\\gold.safetensors",
+             "..", "C:gold.safetensors", "gold.pkl", ".safetensors", ""],
+)  # fmt: skip
+def test_paths_that_leave_the_folder(tmp_path: Path, file: str) -> None:
+    folder = make_shard(tmp_path / "data")
+    (tmp_path / "gold.safetensors").write_bytes((folder / "gold.safetensors").read_bytes())
+    tamper_task(folder, file=file)
+    with pytest.raises(ValueError, match=r"expected the plain name of a \.safetensors file in the same folder"):
+        read_shard(folder)
+
+
+def test_links_that_leave_the_folder(tmp_path: Path) -> None:
+    folder = make_shard(tmp_path / "data")
+    (folder / "gold.safetensors").rename(tmp_path / "gold.safetensors")
+    (folder / "gold.safetensors").symlink_to(tmp_path / "gold.safetensors")
+    with pytest.raises(ValueError, match="a link that leads out"):
+        read_shard(folder)
+
+
+def test_repeated_names_in_a_manifest(tmp_path: Path) -> None:
+    tamper_task(make_shard(tmp_path), name="silver")
+    with pytest.raises(ValueError, match="two tasks have the same name"):
+        read_manifest(tmp_path)
+
+
+def test_check_finds_tampering(tmp_path: Path) -> None:
+    folder = make_shard(tmp_path, ("gold", "silver", "tin"))
+    payload = bytearray((folder / "gold.safetensors").read_bytes())
+    payload[-4:] = b"\0\0\xc0\x7f"  # NaN
+    (folder / "gold.safetensors").write_bytes(payload)
+    (folder / "silver.safetensors").write_bytes(b"junk")
+    (folder / "extra.txt").write_bytes(b"")
+    problems = check_shard(folder)
+    assert len(problems) == 4
+    assert "gold.safetensors: SHA-256" in problems[0]
+    assert "gold.safetensors: tensor 'reflectance' holds NaN" in problems[1]
+    assert "silver.safetensors: not readable as safetensors" in problems[2]
+    assert "extra.txt: not listed" in problems[3]
+    tamper_task(make_shard(tmp_path / "other"), sha256="0" * 64)
+    assert "expected 000000000000" in check_shard(tmp_path / "other")[0]
+
+
+def test_fingerprint_is_of_the_content(tmp_path: Path) -> None:
+    first = fingerprint(make_shard(tmp_path / "a"))
+    assert len(first) == 12
+    assert fingerprint(make_shard(tmp_path / "b")) == first
+    tamper(tmp_path / "b", notes={})
+    assert fingerprint(tmp_path / "b") == first
+    assert fingerprint(make_shard(tmp_path / "c", ("gold", "tin"))) != first
+    tamper_task(tmp_path / "b", split="test")
+    assert fingerprint(tmp_path / "b") != first
+
+
+def test_split_auto() -> None:
+    split = split_auto([f"{index:02}" for index in reversed(range(80))])
+    assert list(split.values()).count("test") == 16
+    assert [name for name, part in split.items() if part == "test"][:3] == ["04", "09", "14"]
+    assert split_auto("dcba") == dict.fromkeys("abcd", "train")
+
+
+def test_write_atomically(tmp_path: Path) -> None:
+    path = tmp_path / "new" / "picture.png"
+    write_atomically(path, lambda partial: partial.write_text("one"))
+    assert path.read_text() == "one"
+
+    def fail(partial: Path) -> None:
+        assert partial.parent == path.parent
+        assert partial.suffix == ".png"
+        partial.write_text("half")
+        raise OSError("disk full")
+
+    with pytest.raises(OSError, match="disk full"):
+        write_atomically(path, fail)
+    assert path.read_text() == "one"
+    assert list(path.parent.iterdir()) == [path]

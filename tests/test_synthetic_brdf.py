@@ -1,0 +1,207 @@
+"""The synthetic materials: physical laws for every one of them, Mitsuba's own values for the models it shares."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import Any, Literal
+
+import pytest
+import torch
+from torch import Tensor
+
+from data_tools.synthetic_brdf import (
+    CONDUCTORS,
+    Material,
+    colour_name,
+    conductor,
+    diffuse,
+    plastic,
+    roughness_name,
+    synthetic_materials,
+)
+from metapp.geometry import (
+    MicrofacetKind,
+    above_horizon,
+    cosines,
+    directions_to_rusinkiewicz,
+    gauss_legendre,
+    rusinkiewicz_to_directions,
+)
+
+SHIPPED = {"gold": "Au", "silver": "Ag", "copper": "Cu", "aluminium": "Al", "chromium": "Cr", "nickel": "Ni_palik"}
+SHIPPED |= {"tungsten": "W", "titanium-nitride": "TiN", "vanadium-nitride": "VN", "tantalum": "Ta"}
+SHIPPED |= {"copper-oxide": "CuO", "amorphous-carbon": "a-C"}
+
+
+@pytest.fixture(scope="module")
+def materials() -> list[Material]:
+    return synthetic_materials("train") + synthetic_materials("test")
+
+
+def random_angles(count: int, *, above: bool = True) -> Tensor:
+    rng = torch.Generator().manual_seed(5)
+    high = torch.tensor([math.pi / 2, math.pi / 2, math.pi], dtype=torch.float64)
+    angles = torch.rand(count, 3, generator=rng, dtype=torch.float64) * high
+    return angles[above_horizon(angles)] if above else angles
+
+
+def test_counts_names_and_determinism(materials: list[Material]) -> None:
+    names = [material.name for material in materials]
+    assert len(names) == len(set(names)) == 100
+    assert all(name == name.lower() and " " not in name for name in names)
+    again, angles = synthetic_materials("train", 10), random_angles(100)
+    assert [material.name for material in again] == names[:10]
+    for one, other in zip(again, materials, strict=False):
+        assert torch.equal(one.evaluate(angles), other.evaluate(angles))
+    assert {name.split("-")[0] for name in names[:80]} == {name.split("-")[0] for name in names[80:]}
+
+
+def test_every_draw_is_another_material(materials: list[Material]) -> None:
+    angles = random_angles(200)
+    values = torch.stack([material.evaluate(angles).log1p().flatten() for material in materials])
+    values = torch.cat([values, synthetic_materials("train", 1, seed=1)[0].evaluate(angles).log1p().reshape(1, -1)])
+    assert torch.cdist(values, values).fill_diagonal_(1).min() > 1e-2
+
+
+@pytest.mark.parametrize(
+    ("split", "index", "name", "linear_rgb"),
+    [
+        ("train", 0, "conductor-copper-oxide-polished-00", (2.58189, 1.76414, 1.63350)),
+        ("test", 1, "plastic-magenta-brushed-t01", (0.172939, 0.161022, 0.170812)),
+    ],
+)
+def test_draws_are_the_same_on_every_machine(
+    split: Literal["train", "test"], index: int, name: str, linear_rgb: tuple[float, float, float]
+) -> None:
+    """Whoever changes a draw changes the default data set, and with it every trained start and every table."""
+    material = synthetic_materials(split)[index]
+    value = material.evaluate(torch.tensor([0.05, 0.4, 1.0], dtype=torch.float64))
+    assert material.name == name
+    torch.testing.assert_close(value, torch.tensor(linear_rgb, dtype=torch.float64), rtol=1e-5, atol=0)
+
+
+def test_reciprocal_non_negative_and_dark_below_the_horizon(materials: list[Material]) -> None:
+    angles = random_angles(2000, above=False)
+    swapped = directions_to_rusinkiewicz(*reversed(rusinkiewicz_to_directions(angles)))
+    other_half = angles + torch.tensor([0.0, 0.0, math.pi], dtype=torch.float64)  # swapped, but not folded back
+    above = above_horizon(angles)
+    for material in materials:
+        value = material.evaluate(angles)
+        assert value.shape == angles.shape
+        assert value.isfinite().all(), material.name
+        assert (value >= 0).all(), material.name
+        assert (value[~above] == 0).all(), material.name
+        torch.testing.assert_close(material.evaluate(swapped), value, rtol=1e-6, atol=1e-9, msg=material.name)
+        torch.testing.assert_close(material.evaluate(other_half), value, rtol=1e-6, atol=1e-9, msg=material.name)
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_finite_with_finite_gradients_at_the_edges(materials: list[Material], dtype: torch.dtype) -> None:
+    edges = torch.tensor([0.0, 1e-4, math.pi / 4, math.pi / 2 - 1e-4, math.pi / 2], dtype=dtype)
+    azimuths = torch.tensor([0.0, math.pi / 2, math.pi - 1e-6], dtype=dtype)
+    angles = torch.cartesian_prod(edges, edges, azimuths).requires_grad_()
+    for material in materials:
+        value = material.evaluate(angles)
+        assert value.dtype == dtype
+        assert value.isfinite().all(), material.name
+        if "lambert" in material.name:  # a constant
+            continue
+        (gradient,) = torch.autograd.grad(value.sum(), angles)
+        assert gradient.isfinite().all(), material.name
+
+
+def test_no_material_reflects_more_than_it_receives(materials: list[Material]) -> None:
+    # Half vectors on rings, dense towards the normal: right for lobes of any width.
+    nodes, weights = gauss_legendre(40)
+    reach = math.asinh(math.pi / 2 / 0.03)
+    theta = (0.03 * (nodes * reach).sinh())[:, None]
+    phi = (torch.arange(24, dtype=torch.float64) + 0.5) * math.pi / 24
+    solid_angle = weights[:, None] * 0.03 * reach * (nodes[:, None] * reach).cosh() * theta.sin() * math.tau / 24
+    half = torch.stack([theta.sin() * phi.cos(), theta.sin() * phi.sin(), theta.cos().expand(-1, 24)], dim=-1)
+    incident = torch.tensor([0.15, 0.4, 0.7, 1.0], dtype=torch.float64)
+    wi = torch.stack([(1 - incident**2).sqrt(), 0 * incident, incident], dim=-1)[:, None, None]
+    cos_d = (wi * half).sum(-1, keepdim=True)
+    wo = 2 * cos_d * half - wi
+    angles = directions_to_rusinkiewicz(wi.expand_as(wo), wo)
+    measure = (4 * cos_d.clamp_min(0) * wo[..., 2:].clamp_min(0)) * solid_angle[..., None]
+    unit = (diffuse((1.0, 1.0, 1.0))(cosines(angles)) * measure).sum((1, 2))
+    torch.testing.assert_close(unit, torch.ones_like(unit), rtol=0, atol=0.02)  # the quadrature itself
+    albedos = torch.stack([(material.evaluate(angles) * measure).sum((1, 2)) for material in materials])
+    assert albedos.max() <= 1.02
+    assert albedos.amax((1, 2)).min() > 0.01  # none is a black hole
+    assert albedos[:, 2].mean(-1).quantile(0.9) - albedos[:, 2].mean(-1).quantile(0.1) > 0.3  # dark and bright ones
+
+
+def test_float32_is_good_enough(materials: list[Material]) -> None:
+    angles = random_angles(1000)
+    angles = angles[cosines(angles).incident.minimum(cosines(angles).outgoing) > 0.01]
+    for material in materials:
+        torch.testing.assert_close(
+            material.evaluate(angles.float()).double(), material.evaluate(angles), rtol=2e-3, atol=1e-5
+        )
+
+
+def test_names_of_colours_and_roughnesses() -> None:
+    assert colour_name((0.8, 0.02, 0.02)) == "red"
+    assert colour_name((0.02, 0.02, 0.8)) == "blue"
+    assert colour_name((0.9, 0.9, 0.9)) == "white"
+    assert colour_name((0.01, 0.01, 0.01)) == "black"
+    assert [roughness_name(alpha) for alpha in (0.03, 0.1, 0.2, 0.5)] == ["polished", "satin", "brushed", "rough"]
+
+
+@pytest.mark.parametrize("arguments", [("validation",), ("train", -1), ("test", 5, -2)])
+def test_impossible_sets_are_errors(arguments: tuple[Any, ...]) -> None:
+    with pytest.raises(ValueError, match="expected"):
+        synthetic_materials(*arguments)
+
+
+@pytest.fixture(scope="module")
+def mitsuba() -> Iterator[Any]:
+    import mitsuba as module
+
+    before = module.variant()
+    module.set_variant("scalar_rgb")
+    yield module
+    if before:
+        module.set_variant(before)
+
+
+def mitsuba_brdf(module: Any, bsdf: dict[str, Any], angles: Tensor) -> Tensor:
+    """BRDF [N, 3] of Mitsuba's plugin, whose values include the cosine of the outgoing direction."""
+    plugin, context, values = module.load_dict(bsdf), module.BSDFContext(), []
+    wi, wo = rusinkiewicz_to_directions(angles)
+    for incident, outgoing in zip(wi.tolist(), wo.tolist(), strict=True):
+        interaction = module.SurfaceInteraction3f()
+        interaction.wi = module.Vector3f(incident)
+        values.append(list(plugin.eval(context, interaction, module.Vector3f(outgoing))))
+    return torch.tensor(values, dtype=torch.float64) / wo[:, 2:]
+
+
+@pytest.mark.parametrize("metal", SHIPPED)
+def test_metals_agree_with_mitsubas_presets(mitsuba: Any, metal: str) -> None:
+    angles = random_angles(200)
+    preset = {"type": "roughconductor", "material": SHIPPED[metal], "alpha": 0.2, "distribution": "ggx"}
+    value = conductor(*CONDUCTORS[metal], 0.2, "ggx")(cosines(angles))
+    torch.testing.assert_close(value, mitsuba_brdf(mitsuba, preset, angles), rtol=1e-4, atol=1e-6)
+
+
+@pytest.mark.parametrize("metal", sorted(set(CONDUCTORS) - set(SHIPPED)))
+def test_metals_that_mitsuba_does_not_ship_look_like_metals(metal: str) -> None:
+    eta, k = (torch.tensor(part) for part in CONDUCTORS[metal])
+    normal_incidence = ((eta - 1) ** 2 + k**2) / ((eta + 1) ** 2 + k**2)
+    assert ((normal_incidence > 0.35) & (normal_incidence < 0.95)).all()
+
+
+@pytest.mark.parametrize("kind", ["ggx", "beckmann"])
+@pytest.mark.parametrize("alpha", [0.05, 0.15, 0.5])
+def test_plastics_agree_with_mitsuba(mitsuba: Any, kind: MicrofacetKind, alpha: float) -> None:
+    angles = random_angles(300)
+    angles = angles[cosines(angles).incident.minimum(cosines(angles).outgoing) > 0.05]
+    albedo = (0.7, 0.3, 0.1)
+    plugin = {"type": "roughplastic", "int_ior": 1.49, "ext_ior": 1.0, "nonlinear": True, "alpha": alpha}
+    plugin |= {"distribution": kind, "diffuse_reflectance": {"type": "rgb", "value": list(albedo)}}
+    # The coat is the same to 1e-5 (see test_geometry). The body differs by quadrature: Mitsuba averages the internal
+    # reflectance over 64 cosines that include both ends, and integrates the transmittance with 32 x 32 nodes.
+    value = plastic(albedo, alpha, kind)(cosines(angles))
+    torch.testing.assert_close(value, mitsuba_brdf(mitsuba, plugin, angles), rtol=0.02, atol=0)
