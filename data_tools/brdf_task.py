@@ -11,7 +11,8 @@ import torch
 from torch import Tensor
 
 from data_tools.merl import SHAPE, Array, merl_centres, merl_evaluate, merl_index, merl_valid
-from metapp.geometry import SphereScene, above_horizon, shade_sphere, sphere_scene
+from metapp.geometry import above_horizon
+from metapp.sphere import SphereScene, shade_sphere, sphere_scene
 from metapp.task import Task
 
 UNITS = {

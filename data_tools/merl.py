@@ -15,16 +15,17 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from metapp.files import write_atomically
 from metapp.geometry import above_horizon
-from metapp.shards import write_atomically
 from metapp.task import Task
 
 SHAPE = (90, 90, 180)
@@ -76,6 +77,19 @@ def find_merl(paths: Iterable[str | Path]) -> tuple[list[Path], list[str]]:
                 raise ValueError(skipped[before])
             raise ValueError(f"{path}: no MERL file, expected *.binary files of {_ABOUT}; name their folder.")
     return list(files.values()), skipped
+
+
+def recognises(path: str | Path) -> bool:
+    """Whether a path is this reader's: a file named .binary or of a MERL file's size, or a folder with one below it."""
+    path = Path(path)
+    if path.is_dir():
+        return any(recognises(file) for file in path.rglob("*") if file.is_file())
+    return path.suffix == ".binary" or (path.is_file() and path.stat().st_size == FILE_BYTES)
+
+
+def export(app: Any, theta: Mapping[str, Tensor], path: Path) -> None:
+    """Write a fitted network of the BRDF application as a MERL file, `path`.binary."""
+    write_merl(path.with_name(f"{path.name}.binary"), tabulate(lambda angles: app.reflectance(theta, angles)))
 
 
 def read_tasks(paths: Iterable[str | Path]) -> list[Task]:

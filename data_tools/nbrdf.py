@@ -13,6 +13,7 @@ import warnings
 from collections.abc import Iterable, Mapping
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -21,8 +22,8 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from data_tools.brdf_task import brdf_task
+from metapp.files import write_atomically
 from metapp.geometry import half_difference
-from metapp.shards import write_atomically
 from metapp.task import Task
 
 SHAPES = {"fc1": (6, 21), "fc2": (21, 21), "fc3": (21, 3), "b1": (21,), "b2": (21,), "b3": (3,)}
@@ -64,6 +65,18 @@ def find_nbrdf(paths: Iterable[str | Path]) -> tuple[list[Path], list[str]]:
         networks.update((network.resolve(), network) for network in whole if network.resolve() not in networks)
         skipped += broken
     return list(networks.values()), skipped
+
+
+def recognises(path: str | Path) -> bool:
+    """Whether a path is this reader's: a folder with files named as an NBRDF network's, at any depth."""
+    path = Path(path)
+    return path.is_dir() and any(_FILE.fullmatch(file.name) for file in path.rglob("*.npy"))
+
+
+def export(app: Any, theta: Mapping[str, Tensor], folder: Path) -> None:
+    """Write a fitted network of the BRDF application, w1..w3 [out, in] and b1..b3 [out, 1], as an NBRDF folder."""
+    weights = {f"fc{layer}": theta[f"w{layer}"].T for layer in (1, 2, 3)}
+    write_nbrdf(folder, weights | {f"b{layer}": theta[f"b{layer}"].flatten() for layer in (1, 2, 3)})
 
 
 def read_tasks(paths: Iterable[str | Path]) -> list[Task]:

@@ -8,29 +8,37 @@ still covers the range. Random numbers are PCG64's raw uniforms, the same on eve
 from __future__ import annotations
 
 import colorsys
-import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Literal, NamedTuple
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from metapp.geometry import (
-    Cosines,
-    MicrofacetKind,
-    cosines,
-    fresnel_conductor,
-    fresnel_dielectric,
-    fresnel_schlick,
-    gauss_legendre,
-    microfacet_lobe,
-    rough_reflectance,
-    rough_transmittance,
+from data_tools.brdf_models import (
+    CONDUCTORS,
+    Model,
+    Rgb,
+    absorbing_layer,
+    coated,
+    conductor,
+    diffuse,
+    flakes,
+    mixture,
+    oren_nayar,
+    plastic,
+    sheen,
 )
+from data_tools.brdf_task import UNITS as UNITS
+from data_tools.brdf_task import brdf_task
+from data_tools.merl import tabulate, write_merl
+from metapp.geometry import Cosines, cosines
+from metapp.reflection import MicrofacetKind
+from metapp.task import Task
 
-Rgb = tuple[float, float, float]
-Model = Callable[[Cosines], Tensor]  # cosines [...] -> BRDF [..., 3], wherever both directions are above the horizon
+Split = Literal["train", "test"]
+COUNTS: dict[Split, int] = {"train": 80, "test": 20}
 
 
 class Material(NamedTuple):
@@ -45,36 +53,11 @@ class Material(NamedTuple):
     evaluate: Callable[[Tensor], Tensor]
 
 
-# Complex indices (eta, k) for linear RGB. First what Mitsuba 3.9.1, variant scalar_rgb, makes of the spectra it ships.
-# Then metals it does not ship, at 650, 550 and 450 nm, from refractiveindex.info's selection for 3D artists (iron and
-# titanium: Johnson and Christy 1974; platinum: Rakic et al. 1998; brass, 70 % copper: Querry 1985).
-CONDUCTORS: dict[str, tuple[Rgb, Rgb]] = {
-    "gold": ((0.143036, 0.375307, 1.442045), (3.982997, 2.385556, 1.603359)),
-    "silver": ((0.155276, 0.116728, 0.138388), (4.828354, 3.122222, 2.146901)),
-    "copper": ((0.201005, 0.92375, 1.102215), (3.913262, 2.453045, 2.14209)),
-    "aluminium": ((1.657501, 0.880405, 0.521244), (9.223811, 6.269502, 4.837004)),
-    "chromium": ((4.369668, 2.916505, 1.654905), (5.206547, 4.231306, 3.754699)),
-    "nickel": ((2.367304, 1.663373, 1.467078), (4.498812, 3.050153, 2.345439)),
-    "tungsten": ((4.370816, 3.300246, 2.998407), (3.500641, 2.604874, 2.273233)),
-    "titanium-nitride": ((1.64845, 1.150516, 1.379824), (3.368328, 1.943498, 1.102068)),
-    "vanadium-nitride": ((2.865602, 2.119189, 1.940091), (3.032242, 2.056116, 1.616306)),
-    "tantalum": ((2.062721, 2.392939, 2.627929), (2.40836, 1.741486, 1.947028)),
-    "copper-oxide": ((3.247541, 2.447805, 2.21022), (0.52109, 0.570031, 0.722179)),
-    "amorphous-carbon": ((2.944046, 2.227136, 1.968162), (0.887465, 0.799298, 0.81529)),
-    "iron": ((2.9114, 2.9497, 2.5845), (3.0893, 2.9318, 2.7670)),
-    "titanium": ((2.7407, 2.5418, 2.2670), (3.8143, 3.4345, 3.0385)),
-    "platinum": ((2.3757, 2.0847, 1.8453), (4.2655, 3.7153, 3.1365)),
-    "brass": ((0.444, 0.527, 1.094), (3.695, 2.765, 1.829)),
-}
-
-_TABLE_SIZE = 64
-
-
 class _Draws:
     """Uniform numbers of one material: the first three spread evenly over its family, the others independent."""
 
-    def __init__(self, split: str, seed: int, family: int, member: int) -> None:
-        key = [seed, ("train", "test").index(split), family]
+    def __init__(self, split: Split, seed: int, family: int, member: int) -> None:
+        key = [seed, list(COUNTS).index(split), family]
         shift = np.random.Generator(np.random.PCG64(np.random.SeedSequence(key))).random(3)
         # Kronecker sequences: the golden ratio for the hue, for the others its kin in the plane (Roberts 2018).
         spread = (shift + member * np.array([0.6180339887498949, 0.7548776662466927, 0.5698402909980532])) % 1
@@ -119,166 +102,6 @@ def roughness_name(alpha: float) -> str:
     return "polished" if alpha < 0.07 else "satin" if alpha < 0.16 else "brushed" if alpha < 0.32 else "rough"
 
 
-def _interpolate(table: Tensor, cos: Tensor) -> Tensor:
-    place = cos.clamp(0, 1) * (len(table) - 1)
-    below = place.detach().long().clamp_max(len(table) - 2)
-    table = table.to(cos)
-    lower = table[below]
-    return lower + (place - below) * (table[below + 1] - lower)
-
-
-def _grid() -> Tensor:
-    # Not 0 itself, where a direction sees no facet from the front.
-    return torch.linspace(0, 1, _TABLE_SIZE, dtype=torch.float64).clamp_min(1e-6)
-
-
-def directional_albedo(model: Model, cos: Tensor, points: int = 48) -> Tensor:
-    """Share of the light from one direction that a BRDF without sharp lobes reflects, by quadrature.
-
-    Args:
-        model: the BRDF.
-        cos: cosines of the direction, [N], float64.
-        points: nodes per axis over the outgoing hemisphere.
-
-    Returns:
-        [N, 3].
-    """
-    nodes, weights = gauss_legendre(points)
-    azimuth = (torch.arange(points, dtype=torch.float64) + 0.5) * (math.pi / points)
-    incident, outgoing, phi = torch.broadcast_tensors(cos[:, None, None], nodes[:, None], azimuth)
-    sines = ((1 - incident**2) * (1 - outgoing**2)).sqrt()
-    difference = ((1 + incident * outgoing + sines * phi.cos()) / 2).clamp_min(1e-12).sqrt()
-    half = (incident + outgoing) / (2 * difference)
-    values = model(Cosines(incident, outgoing, half, difference))
-    return (values * (outgoing * weights[:, None])[..., None]).sum((1, 2)) * (2 * math.pi / points)
-
-
-def diffuse(albedo: Rgb) -> Model:
-    """Lambert's law."""
-
-    def model(at: Cosines) -> Tensor:
-        return at.half.new_tensor(albedo).div(math.pi).expand(*at.half.shape, 3)
-
-    return model
-
-
-def oren_nayar(albedo: Rgb, sigma: float) -> Model:
-    """Rough diffuse facets: Oren and Nayar (1994) in Fujii's form, which keeps energy; `sigma` in [0, 1]."""
-    norm = 1 / (math.pi + (math.pi / 2 - 2 / 3) * sigma)
-
-    def model(at: Cosines) -> Tensor:
-        s = 2 * at.difference**2 - 1 - at.incident * at.outgoing
-        # The quotient has a pole where both directions graze; the floor moves it under the horizon.
-        t = torch.where(s > 0, torch.maximum(at.incident, at.outgoing).clamp_min(0.02), 1.0)
-        return (norm * (1 + sigma * s / t)).clamp_min(0)[..., None] * at.half.new_tensor(albedo)
-
-    return model
-
-
-def conductor(eta: Rgb, k: Rgb, alpha: float, kind: MicrofacetKind) -> Model:
-    """Bare rough metal; the same model as Mitsuba's `roughconductor`."""
-
-    def fresnel(cos: Tensor) -> Tensor:
-        return fresnel_conductor(cos, cos.new_tensor(eta), cos.new_tensor(k))
-
-    return lambda at: microfacet_lobe(at, alpha, fresnel, kind)
-
-
-def coated(base: Model, alpha: float, kind: MicrofacetKind, eta: float = 1.5) -> Model:
-    """A rough dielectric interface over another model, which gets what the interface lets through, twice.
-
-    Args:
-        base: what is under the coat, in terms of the directions outside it.
-        alpha: roughness of the coat.
-        kind: its facets.
-        eta: its index of refraction.
-
-    Returns:
-        The coated model. It keeps energy: base <= 1 gives reflected + transmitted <= 1.
-    """
-
-    def interface(cos: Tensor) -> Tensor:
-        return fresnel_dielectric(cos, eta)
-
-    through = rough_transmittance(_grid(), alpha, eta, kind)
-
-    def model(at: Cosines) -> Tensor:
-        both_ways = _interpolate(through, at.incident) * _interpolate(through, at.outgoing)
-        return microfacet_lobe(at, alpha, interface, kind) + both_ways[..., None] * base(at)
-
-    return model
-
-
-def internal_reflectance(alpha: float, kind: MicrofacetKind, eta: float) -> float:
-    """Share of diffuse light from within that a rough dielectric interface of index `eta` > 1 keeps inside."""
-    nodes, weights = gauss_legendre(_TABLE_SIZE)
-    kept = rough_reflectance(nodes, alpha, lambda cos: fresnel_dielectric(cos, 1 / eta), kind)[:, 0]
-    return float((2 * weights * nodes * kept).sum())
-
-
-def plastic(albedo: Rgb, alpha: float, kind: MicrofacetKind, eta: float = 1.49) -> Model:
-    """A rough coat on a diffuse body, light bouncing between the two; Mitsuba's `roughplastic` with `nonlinear`.
-
-    The bounces deepen the colour: the body's albedo a becomes a / (1 - a R), R the coat's reflectance from within.
-    """
-    kept = internal_reflectance(alpha, kind, eta)
-    red, green, blue = (a / ((1 - a * kept) * eta * eta) for a in albedo)
-    return coated(diffuse((red, green, blue)), alpha, kind, eta)
-
-
-def absorbing_layer(base: Model, tint: Rgb, eta: float = 1.5) -> Model:
-    """A clear coloured layer over a model: `tint` is what passes on a straight way in and out, in (0, 1]."""
-
-    def model(at: Cosines) -> Tensor:
-        ways = [(1 - (1 - cos * cos) / eta**2).rsqrt() for cos in (at.incident, at.outgoing)]
-        return at.half.new_tensor(tint) ** ((ways[0] + ways[1]) / 2)[..., None] * base(at)
-
-    return model
-
-
-def flakes(colour: Rgb, alpha: float) -> Model:
-    """Metal flakes scattered about the surface's plane: a wide lobe of the given colour."""
-
-    def fresnel(cos: Tensor) -> Tensor:
-        return fresnel_schlick(cos, cos.new_tensor(colour))
-
-    return lambda at: microfacet_lobe(at, alpha, fresnel, "ggx")
-
-
-def sheen(base: Model, colour: Rgb, roughness: float) -> Model:
-    """Fibres standing on a base: Estevez and Kulla's "Charlie" (2017) with Neubelt and Pettineo's visibility.
-
-    Args:
-        base: what is under the fibres; it gets what they let through, both ways.
-        colour: of the fibres; where they would reflect more than 0.7 of the light they are dimmed.
-        roughness: in (0, 1]; lower draws the sheen to the rim.
-
-    Returns:
-        The model. Unlike the published one it is energy conserving by its albedo's complement, hence reciprocal.
-    """
-    power = 1 / roughness
-
-    def fibres(at: Cosines) -> Tensor:
-        sine = (1 - at.half * at.half).clamp_min(1e-12) ** (power / 2)
-        around = 4 * (at.incident + at.outgoing - at.incident * at.outgoing).clamp_min(1e-3)
-        return ((2 + power) / (2 * math.pi) * sine / around)[..., None] * at.half.new_tensor([1.0, 1.0, 1.0])
-
-    albedo = directional_albedo(fibres, _grid())[:, 0]
-    dim = min(1.0, 0.7 / float(albedo.max() * max(colour)))
-    through = 1 - albedo * (dim * max(colour))
-
-    def model(at: Cosines) -> Tensor:
-        both_ways = _interpolate(through, at.incident) * _interpolate(through, at.outgoing)
-        return fibres(at) * at.half.new_tensor(colour) * dim + both_ways[..., None] * base(at)
-
-    return model
-
-
-def mixture(first: Model, second: Model, share: float) -> Model:
-    """Two materials side by side, finer than the eye: `share` of the first, the rest of the second."""
-    return lambda at: share * first(at) + (1 - share) * second(at)
-
-
 def _draw_conductor(draw: _Draws) -> tuple[str, Model]:
     metal = list(CONDUCTORS)[int(draw.hue * len(CONDUCTORS))]
     alpha = draw.alpha(0.03, 0.5)
@@ -296,7 +119,7 @@ def _draw_glossy(draw: _Draws) -> tuple[str, Model]:
 
 
 def _draw_coated_metal(draw: _Draws) -> tuple[str, Model]:
-    metal = ("aluminium", "chromium", "silver", "titanium", "iron", "brass")[int(draw.between(0, 6))]
+    metal = ("aluminium", "chromium", "silver", "titanium", "iron", "iridium")[int(draw.between(0, 6))]
     tint, alpha = draw.colour(0.5, 0.98, (0.1, 0.75)), draw.alpha(0.08, 0.45)
     body = absorbing_layer(conductor(*CONDUCTORS[metal], alpha, draw.kind()), tint)
     return f"{colour_name(tint)}-{metal}-{roughness_name(alpha)}", coated(body, draw.between(0.03, 0.12), "ggx")
@@ -364,7 +187,7 @@ def _evaluator(model: Model) -> Callable[[Tensor], Tensor]:
     return evaluate
 
 
-def synthetic_materials(split: Literal["train", "test"], count: int | None = None, seed: int = 0) -> list[Material]:
+def synthetic_materials(split: Split, count: int | None = None, seed: int = 0) -> list[Material]:
     """The materials of one split.
 
     Args:
@@ -378,9 +201,9 @@ def synthetic_materials(split: Literal["train", "test"], count: int | None = Non
     Raises:
         ValueError: for another split, or a negative count or seed.
     """
-    if split not in ("train", "test"):
+    if split not in COUNTS:
         raise ValueError(f"split of the synthetic BRDFs: {split!r}, expected 'train' or 'test'")
-    count = (80 if split == "train" else 20) if count is None else count
+    count = COUNTS[split] if count is None else count
     if count < 0 or seed < 0:
         raise ValueError(f"synthetic BRDFs: count {count} and seed {seed}, expected both to be 0 or more")
     turns, drawn = _TURNS.split(), dict.fromkeys(_FAMILIES, 0)
@@ -393,3 +216,27 @@ def synthetic_materials(split: Literal["train", "test"], count: int | None = Non
         number = f"{'t' if split == 'test' else ''}{index:02d}"
         materials.append(Material(f"{family}-{kind}-{number}", _evaluator(model)))
     return materials
+
+
+def synthetic_tasks(split: Split, count: int, seed: int = 0) -> Iterator[Task]:
+    """The same materials as tasks, one by one; all have the samples of seed 0, so that they share their angles.
+
+    Raises:
+        ValueError: as `synthetic_materials`.
+    """
+    for material in synthetic_materials(split, count, seed):
+        yield brdf_task(material.name, material.evaluate)
+
+
+def write_merl_files(folder: str | Path, split: Split, count: int, seed: int = 0) -> Iterator[str]:
+    """Tabulate the same materials as MERL files of 35 MB, `<folder>/<name>.binary`, one by one.
+
+    Returns:
+        The names, each once its file is there.
+
+    Raises:
+        ValueError: as `synthetic_materials`.
+    """
+    for material in synthetic_materials(split, count, seed):
+        write_merl(Path(folder) / f"{material.name}.binary", tabulate(material.evaluate))
+        yield material.name

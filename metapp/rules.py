@@ -13,7 +13,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from metapp.learning import UpdateRule
+from metapp.adjoint import UpdateRule
 from metapp.task import Adam, App, Params, Training
 
 

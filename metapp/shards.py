@@ -9,77 +9,22 @@ import hashlib
 import json
 import os
 import re
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from types import TracebackType
-from typing import Any, NamedTuple
+from typing import Any
 
 import torch
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
 
+from metapp.files import PARTIAL, partial_path, write_atomically
+from metapp.manifest import MANIFEST, SPLITS, SUFFIX, Entry, Manifest, fingerprint, read_manifest, to_json
 from metapp.task import Task
 
-SCHEMA = 1
-MANIFEST = "manifest.json"
-SPLITS = ("train", "test")
+__all__ = ["AUTO", "ShardWriter", "check_shard", "fingerprint", "read_manifest", "read_shard", "split_auto"]
 
-_SUFFIX = ".safetensors"
-_PARTIAL = ".partial-"
-
-
-class Entry(NamedTuple):
-    """One task of a manifest.
-
-    Attributes:
-        name: the task's name, as tables print it.
-        file: its file's name inside the folder.
-        split: "train" or "test".
-        source: base name of the file or folder it was made of; "" where there is none.
-        sha256: of the file's bytes, 64 hexadecimal digits.
-    """
-
-    name: str
-    file: str
-    split: str
-    source: str
-    sha256: str
-
-
-class Manifest(NamedTuple):
-    """What a data set holds.
-
-    Attributes:
-        app: the application its tasks belong to.
-        tasks: its tasks, in the order they were added.
-        units: unit and meaning of each tensor, by the tensor's name.
-        notes: anything else worth knowing, such as converter and seed.
-        schema: version of the layout.
-    """
-
-    app: str
-    tasks: tuple[Entry, ...]
-    units: dict[str, str]
-    notes: dict[str, Any]
-    schema: int = SCHEMA
-
-
-def write_atomically(path: str | Path, write: Callable[[Path], object]) -> None:
-    """Write a file so that it is there whole or not at all, even if the program is interrupted.
-
-    Args:
-        path: the file; an existing one is replaced at the end, missing folders are made.
-        write: writes everything to the path it is given: a name in the same folder, with the same suffix.
-    """
-    path = Path(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    partial = _partial(path)
-    try:
-        write(partial)
-        os.replace(partial, path)
-    except BaseException:
-        partial.unlink(missing_ok=True)
-        raise
+AUTO = "auto"
 
 
 def split_auto(names: Iterable[str]) -> dict[str, str]:
@@ -123,7 +68,7 @@ class ShardWriter:
             raise ValueError(f"{folder}: notes hold {error}; expected plain text, numbers, lists.") from None
         self._entries: list[Entry] = []
         self._files: set[str] = set()
-        self._made_folder = False
+        self._made: list[Path] = []
 
     def __enter__(self) -> ShardWriter:
         if self.folder.exists() and not self.folder.is_dir():
@@ -134,7 +79,7 @@ class ShardWriter:
                 f"{self.folder}: holds tasks of '{before.app}', expected an empty folder or tasks of "
                 f"'{self._manifest.app}'; choose another folder."
             )
-        self._made_folder = not self.folder.exists()
+        self._made = [path for path in (self.folder, *self.folder.parents) if not path.exists()]
         self.folder.mkdir(parents=True, exist_ok=True)
         self._remove_partial()  # of a writer that was killed
         return self
@@ -144,15 +89,15 @@ class ShardWriter:
 
         Args:
             task: its tensors may live anywhere, in any layout; a name that another task has is refused.
-            split: "train" or "test".
+            split: "train", "test", or "auto": by the rule of `split_auto` among all tasks added so.
             source: what it was made of; only the base name is kept.
 
         Raises:
             ValueError: an unknown split, an empty or repeated name, a task without tensors, a tensor without a unit,
                 a value that is not finite.
         """
-        if split not in SPLITS:
-            raise ValueError(f"{task.name}: split '{split}', expected 'train' or 'test'.")
+        if split not in (*SPLITS, AUTO):
+            raise ValueError(f"{task.name}: split '{split}', expected 'train', 'test' or 'auto'.")
         if not task.name.strip():
             raise ValueError(f"{source or self.folder}: a task with an empty name; give it one.")
         if any(entry.name == task.name for entry in self._entries):
@@ -168,9 +113,14 @@ class ShardWriter:
         own = torch.contiguous_format
         payload = save({key: tensor.detach().cpu().clone(memory_format=own) for key, tensor in task.data.items()})
         file = _file_name(task.name, self._files)
-        _partial(self.folder / file).write_bytes(payload)
+        partial_path(self.folder / file).write_bytes(payload)
         self._files.add(file.lower())
         self._entries.append(Entry(task.name, file, split, _base_name(source), hashlib.sha256(payload).hexdigest()))
+
+    def entries(self) -> tuple[Entry, ...]:
+        """The tasks added so far, in that order, each in its split."""
+        auto = split_auto(entry.name for entry in self._entries if entry.split == AUTO)
+        return tuple(entry._replace(split=auto.get(entry.name, entry.split)) for entry in self._entries)
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
@@ -180,18 +130,20 @@ class ShardWriter:
                 self._publish()
         finally:
             self._remove_partial()
-            if self._made_folder and not any(self.folder.iterdir()):
-                self.folder.rmdir()
+            for path in self._made:
+                if any(path.iterdir()):
+                    break
+                path.rmdir()
 
     def _publish(self) -> None:
         """Give all files their names, the manifest last; while there is no manifest, there is no data set."""
         if not self._entries:
             raise ValueError(f"{self.folder}: 0 tasks to write, expected at least one.")
         before = self._replaced()
-        text = _to_json(self._manifest._replace(tasks=tuple(self._entries)))
+        text = to_json(self._manifest._replace(tasks=self.entries()))
         (self.folder / MANIFEST).unlink(missing_ok=True)
         for entry in self._entries:
-            os.replace(_partial(self.folder / entry.file), self.folder / entry.file)
+            os.replace(partial_path(self.folder / entry.file), self.folder / entry.file)
         if before is not None:
             for entry in before.tasks:
                 if entry.file.lower() not in self._files:
@@ -199,7 +151,7 @@ class ShardWriter:
         write_atomically(self.folder / MANIFEST, lambda path: path.write_text(text, encoding="ascii"))
 
     def _remove_partial(self) -> None:
-        for path in self.folder.glob(f"{_PARTIAL}*"):
+        for path in self.folder.glob(f"{PARTIAL}*"):
             path.unlink(missing_ok=True)
 
     def _replaced(self) -> Manifest | None:
@@ -208,30 +160,6 @@ class ShardWriter:
             return read_manifest(self.folder)
         except ValueError:
             return None
-
-
-def read_manifest(folder: str | Path) -> Manifest:
-    """Read what a data set holds.
-
-    Raises:
-        ValueError: no such folder, no manifest in it, one that is damaged or of a newer version, or one whose file
-            names lead out of the folder.
-    """
-    folder = Path(folder)
-    path = folder / MANIFEST
-    if not folder.is_dir():
-        found = "a file" if folder.exists() else "no such folder"
-        raise ValueError(f"{folder}: {found}, expected the folder of a data set; make one with `metapp data`.")
-    if not path.is_file():
-        raise ValueError(
-            f"{folder}: no {MANIFEST}, expected one beside the tasks; this is not a data set, or its conversion was "
-            "interrupted: convert again with `metapp data`."
-        )
-    try:
-        raw = json.loads(path.read_bytes())
-    except (ValueError, RecursionError) as error:
-        raise ValueError(f"{path}: not readable as JSON ({error}); convert the data again.") from None
-    return _from_json(raw, path)
 
 
 def read_shard(folder: str | Path, split: str | None = None, app: str | None = None) -> list[Task]:
@@ -298,24 +226,6 @@ def check_shard(folder: str | Path) -> list[str]:
     return problems
 
 
-def fingerprint(folder: str | Path) -> str:
-    """Short name of a data set's content: 12 hexadecimal digits, the same wherever and whenever it was converted.
-
-    It covers application, task names, splits and the files' hashes as the manifest states them; not notes, not order.
-
-    Raises:
-        ValueError: as `read_manifest`.
-    """
-    manifest = read_manifest(folder)
-    content = [manifest.app, sorted([entry.name, entry.split, entry.sha256] for entry in manifest.tasks)]
-    return hashlib.sha256(json.dumps(content).encode()).hexdigest()[:12]
-
-
-def _partial(path: Path) -> Path:
-    # The suffix stays, since image writers choose the format by it; the process id keeps two programs apart.
-    return path.with_name(f"{_PARTIAL}{os.getpid()}-{path.name}")
-
-
 def _base_name(source: str | Path) -> str:
     return re.split(r"[/\\]", str(source).rstrip("/\\"))[-1]
 
@@ -323,10 +233,10 @@ def _base_name(source: str | Path) -> str:
 def _file_name(name: str, taken: set[str]) -> str:
     """A file name that every file system takes, and that differs from those taken even where case does not count."""
     stem = re.sub(r"[^A-Za-z0-9._-]+", "_", name).strip(".")[:100] or "_"
-    file, count = stem + _SUFFIX, 1
+    file, count = stem + SUFFIX, 1
     while file.lower() in taken:
         count += 1
-        file = f"{stem}-{count}{_SUFFIX}"
+        file = f"{stem}-{count}{SUFFIX}"
     return file
 
 
@@ -345,52 +255,3 @@ def _read_task(folder: Path, entry: Entry) -> Task:
             return Task(entry.name, {key: stored.get_tensor(key) for key in stored.keys()})  # noqa: SIM118
     except SafetensorError as error:
         raise ValueError(f"{path}: not readable as safetensors ({error}); convert the data again.") from None
-
-
-def _to_json(manifest: Manifest) -> str:
-    raw = {**manifest._asdict(), "tasks": [entry._asdict() for entry in manifest.tasks]}
-    # ASCII: a file name may hold bytes that no encoding takes, which Python passes on as lone surrogates.
-    return json.dumps(raw, indent=1, allow_nan=False) + "\n"
-
-
-def _from_json(raw: Any, path: Path) -> Manifest:
-    """Check every field, since anybody may have written the file."""
-
-    def field(record: Any, key: str, kind: type, where: str = "") -> Any:
-        value = record.get(key) if isinstance(record, dict) else None
-        if not isinstance(value, kind) or isinstance(value, bool):
-            raise ValueError(
-                f"{path}: {where}'{key}' is {json.dumps(value)[:60]}, expected {_KINDS[kind]}; convert the data again."
-            )
-        return value
-
-    schema = field(raw, "schema", int)
-    if schema != SCHEMA:
-        newer = schema > SCHEMA
-        remedy = "update metapp" if newer else "convert the data again"
-        raise ValueError(
-            f"{path}: schema {schema}{', written by a newer metapp' if newer else ''}, expected {SCHEMA}; {remedy}."
-        )
-    entries: list[Entry] = []
-    for index, record in enumerate(field(raw, "tasks", list)):
-        where = f"task {index + 1}: "
-        entry = Entry(*(field(record, key, str, where) for key in Entry._fields))
-        if not re.fullmatch(r"[A-Za-z0-9_-][A-Za-z0-9._-]*", entry.file) or not entry.file.endswith(_SUFFIX):
-            raise ValueError(
-                f"{path}: {where}file {json.dumps(entry.file)}, expected the plain name of a {_SUFFIX} file in the "
-                "same folder; convert the data again."
-            )
-        if entry.split not in SPLITS:
-            raise ValueError(f"{path}: {where}split '{entry.split}', expected 'train' or 'test'.")
-        entries.append(entry)
-    for key in ("name", "file"):
-        values = [getattr(entry, key) for entry in entries]
-        if len(set(values)) < len(values):
-            raise ValueError(f"{path}: two tasks have the same {key}, expected them to differ; convert the data again.")
-    units = field(raw, "units", dict)
-    for key in units:
-        field(units, key, str, "units: ")
-    return Manifest(field(raw, "app", str), tuple(entries), units, field(raw, "notes", dict), schema)
-
-
-_KINDS = {int: "a whole number", str: "text", list: "a list", dict: "an object"}

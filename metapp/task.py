@@ -125,16 +125,26 @@ class App(ABC):
     Attributes:
         name: as on the command line.
         title: as in tables.
-        readers: modules of data_tools whose `read_tasks(paths)` turns a user's files into tasks.
+        readers: modules of data_tools whose `read_tasks(paths)` turns a user's files into tasks, and whose
+            `recognises(path)` says whether a path is theirs.
+        inputs: what a user's files may be, in words.
+        exports: modules of data_tools whose `export(app, theta, path)` writes a fit in another form.
+        protocols: values of --observe, where an application has several.
+        measure: what the error is, in one line.
         scale: factor of a printed error; 100 where the paper prints x100.
+        small_kernels: True where threads and GPUs only slow the network down, fitted to one task.
         recipes: "paper" and "quick".
-        paper: the paper's error and seconds by paradigm.
     """
 
     name: str
     title: str
     readers: tuple[str, ...]
+    inputs: str
+    exports: tuple[str, ...] = ()
+    protocols: tuple[str, ...] = ()
+    measure: str
     scale: float = 1.0
+    small_kernels: bool = False
     recipes: dict[str, Recipe]
 
     @abstractmethod

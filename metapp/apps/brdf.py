@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from typing import Any
 
@@ -9,7 +10,8 @@ import torch
 from torch import Generator, Tensor
 from torch.nn.functional import gelu, layer_norm
 
-from metapp.geometry import cos_incident, half_difference, shade_sphere, sphere_scene
+from metapp.geometry import cos_incident, half_difference
+from metapp.sphere import shade_sphere, sphere_scene
 from metapp.task import Adam, App, Batch, Params, Recipe, Task, Tasks, Training
 
 WIDTHS = (6, 21, 21, 3)
@@ -60,8 +62,12 @@ class Brdf(App):
 
     name = "brdf"
     title = "BRDF"
-    readers = ("merl", "nbrdf")
+    readers = ("nbrdf", "merl")
+    inputs = "a MERL .binary file or a folder with an NBRDF network, or a folder of these"
+    exports = ("nbrdf", "merl")
+    measure = "mean |log(1 + f cos theta_i) - log(1 + f' cos theta_i)| on held-out directions"
     scale = 100.0
+    small_kernels = True
     recipes = {"paper": PAPER, "quick": PAPER}  # noqa: RUF012  (never written to)
 
     def prepare(self, task: Task) -> dict[str, Tensor]:
@@ -76,7 +82,7 @@ class Brdf(App):
     def init(self, rng: Generator, count: int) -> Params:
         """Kaiming-normal weights and zero biases."""
         theta = {}
-        for layer, (inputs, outputs) in enumerate(zip(WIDTHS[:-1], WIDTHS[1:], strict=True), 1):
+        for layer, (inputs, outputs) in enumerate(itertools.pairwise(WIDTHS), 1):
             noise = torch.randn(count, outputs, inputs, generator=rng, device=rng.device)
             theta[f"w{layer}"] = noise * math.sqrt((2 if layer < 3 else 1) / inputs)
             theta[f"b{layer}"] = torch.zeros(count, outputs, 1, device=rng.device)
@@ -173,13 +179,23 @@ class Brdf(App):
         reflectance = network(theta, where[:, :6]).clamp_min(0)
         return {"error": (torch.log1p(reflectance * where[:, 6:7]) - target).abs().mean((1, 2))}
 
-    def outputs(self, theta: Params, task: Task) -> dict[str, Any]:
-        def evaluate(angles: Tensor) -> Tensor:
-            inputs = half_difference(angles).reshape(1, -1, 6).transpose(1, 2)
-            one = {key: value[None] for key, value in theta.items()}
-            return network(one, inputs).clamp_min(0)[0].T.reshape(*angles.shape[:-1], 3)
+    def reflectance(self, theta: Params, angles: Tensor) -> Tensor:
+        """Evaluate one fitted network.
 
-        return {"fit": shade_sphere(sphere_scene(), evaluate), "reference": task.data["render"]}
+        Args:
+            theta: parameters of one task, no task axis.
+            angles: (theta_h, theta_d, phi_d), [..., 3] rad.
+
+        Returns:
+            Linear RGB in 1/sr, [..., 3], >= 0.
+        """
+        inputs = half_difference(angles).reshape(1, -1, 6).transpose(1, 2)
+        one = {key: value[None] for key, value in theta.items()}
+        return network(one, inputs).clamp_min(0)[0].T.reshape(*angles.shape[:-1], 3)
+
+    def outputs(self, theta: Params, task: Task) -> dict[str, Any]:
+        fit = shade_sphere(sphere_scene(), lambda angles: self.reflectance(theta, angles))
+        return {"reference": task.data["render"], "fit": fit}
 
 
 def _shapes() -> list[tuple[Tensor, str]]:

@@ -1,0 +1,71 @@
+"""Five ways of training, each a start and a rule: `fit` is the same learn for all of them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+from torch import Generator
+
+from metapp.adjoint import UpdateRule
+from metapp.learning import MetaParameters, learn, task_loss
+from metapp.task import App, Params, Recipe, Tasks
+
+
+class Job(NamedTuple):
+    """What is fitted and how.
+
+    Attributes:
+        app: the application.
+        recipe: its settings.
+        rule: Meta's learned rule, a name in RULES.
+        steps: gradient steps instead of the recipe's number; None keeps that.
+    """
+
+    app: App
+    recipe: Recipe
+    rule: str
+    steps: int | None = None
+
+
+class Paradigm(NamedTuple):
+    """A way of training.
+
+    Attributes:
+        name: as on the command line.
+        needs: job -> name of the prepared start that it fits from ("general" or a rule), None for none.
+        start: (job, prepared, tasks, rng) -> parameters [T, ...] before the first step.
+        rule: (job, prepared, start, steps) -> how the steps move them.
+        steps: recipe -> number of gradient steps.
+    """
+
+    name: str
+    needs: Callable[[Job], str | None]
+    start: Callable[[Job, MetaParameters, Tasks, Generator], Params]
+    rule: Callable[[Job, MetaParameters, Params, int], UpdateRule]
+    steps: Callable[[Recipe], int]
+
+    def fit(self, job: Job, prepared: MetaParameters, tasks: Tasks, rng: Generator) -> Params:
+        """Fit tasks, one or many at once: learn(start(task), rule, task, loss, steps).
+
+        Returns:
+            The network's parameters for each task, [T, ...].
+        """
+        theta = self.start(job, prepared, tasks, rng)
+        steps = self.count(job)
+        if steps == 0:
+            return theta
+        loss = task_loss(job.app, job.recipe.batch)
+        return learn(theta, self.rule(job, prepared, theta, steps), tasks, loss, steps=steps, rng=rng)
+
+    def count(self, job: Job) -> int:
+        """The number of gradient steps of this job."""
+        return self.steps(job.recipe) if job.steps is None else job.steps
+
+
+def paradigms() -> dict[str, Paradigm]:
+    """All five by name, in the order of the paper's tables."""
+    from metapp.paradigms import finetune, general, meta, overfit, quickft
+
+    each = (general.GENERAL, overfit.OVERFIT, finetune.FINETUNE, quickft.QUICKFT, meta.META)
+    return {paradigm.name: paradigm for paradigm in each}

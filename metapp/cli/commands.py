@@ -1,0 +1,27 @@
+"""The tree of commands."""
+
+from __future__ import annotations
+
+import typer
+
+from metapp.cli import data, evaluate
+from metapp.cli.fit import make_command
+
+SUMMARIES = {
+    "general": "One forward pass of an encoder that was trained over all tasks; no gradient steps.",
+    "overfit": "Train the network on each task alone, from a random start, until it has converged.",
+    "finetune": "General's result, then about a tenth of Overfit's steps.",
+    "quickft": "General's result, then as many Adam steps as Meta takes.",
+    "meta": "A few steps from a learned start by a learned rule.\n\nExample: metapp meta brdf --steps 10",
+}
+
+app = typer.Typer(
+    no_args_is_help=True,
+    add_completion=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+    help="Reproduce visual appearance by machine learning: five training paradigms, six applications.",
+)
+for name, summary in SUMMARIES.items():
+    app.command(name)(make_command(name, summary))
+app.command("evaluate")(evaluate.command)
+app.add_typer(data.app, name="data")

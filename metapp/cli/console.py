@@ -1,0 +1,88 @@
+"""What every command shares: exit codes, consoles, progress bars and the one place that turns errors into one line."""
+
+from __future__ import annotations
+
+import contextlib
+import enum
+import json
+import os
+import sys
+import warnings
+from collections.abc import Callable, Iterator
+from typing import Any
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+out = Console(highlight=False)
+err = Console(stderr=True, highlight=False)
+
+
+class Exit(enum.IntEnum):
+    """Exit codes, as scripts rely on them."""
+
+    DONE = 0
+    FAILED = 1
+    USAGE = 2
+    INTERRUPTED = 130
+
+
+def say(message: str) -> None:
+    """A message for a person, on standard error."""
+    err.print(message, markup=False, soft_wrap=True)
+
+
+def print_json(document: dict[str, Any]) -> None:
+    """The last line of standard output, one object."""
+    sys.stdout.write(json.dumps(document, allow_nan=False, default=float) + "\n")
+    sys.stdout.flush()
+
+
+def run(command: Callable[[], Any]) -> int:
+    """Run a command; an error of the user's or of the data is one line on standard error, never a traceback."""
+    import typer
+
+    # typer carries click inside from 0.2x on, so its classes are reached through those that typer exports
+    usage_error, click_error = typer.BadParameter.__mro__[1:3]
+    warnings.simplefilter("default")
+    warnings.showwarning = lambda message, *_, **__: say(f"warning: {message}")
+    try:
+        code = command()
+    except typer.Exit as error:
+        return error.exit_code
+    except typer.Abort:
+        return _interrupted()
+    except click_error as error:  # type: ignore[misc]  # a class, found at run time
+        error.show()
+        return Exit.USAGE if isinstance(error, usage_error) else Exit.FAILED
+    except KeyboardInterrupt:
+        return _interrupted()
+    except BrokenPipeError:
+        # a reader such as `head` went away: say nothing, also not when Python flushes at exit
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return Exit.FAILED
+    except (ValueError, FloatingPointError, OSError, MemoryError, ImportError) as error:
+        if os.environ.get("METAPP_TRACEBACK"):
+            raise
+        say(f"error: {str(error) or type(error).__name__}")
+        return Exit.FAILED
+    return code if isinstance(code, int) else Exit.DONE
+
+
+def _interrupted() -> int:
+    say("interrupted; finished tasks are kept, run the same command again to go on.")
+    return Exit.INTERRUPTED
+
+
+@contextlib.contextmanager
+def progress(quiet: bool = False) -> Iterator[Progress]:
+    """A progress bar on standard error, with a free `note` field and the time left; nothing where quiet."""
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(bar_width=24),
+        MofNCompleteColumn(),
+        TimeRemainingColumn(),
+        TextColumn("{task.fields[note]}"),
+    )
+    with Progress(*columns, console=err, disable=quiet or not err.is_terminal, transient=True) as bar:
+        yield bar

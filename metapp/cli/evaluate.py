@@ -1,0 +1,215 @@
+"""`metapp evaluate`: the tables, from records; what has no record yet is run."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json as json_module
+import math
+from importlib import resources
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from metapp.cli.console import out, print_json, say
+
+FORMATS = ("rich", "markdown", "latex", "csv", "json")
+TABLES = ("results",)
+
+
+def command(
+    apps: Annotated[
+        list[str] | None, typer.Argument(metavar="[APP]...", help="Applications; default: all there are.")
+    ] = None,
+    table: Annotated[bool, typer.Option("--table", help="Print the table (the default).")] = True,
+    which: Annotated[str, typer.Option(help=f"Which table: {', '.join(TABLES)}.")] = "results",
+    format_name: Annotated[str, typer.Option("--format", help=f"One of {', '.join(FORMATS)}.")] = "rich",
+    no_run: Annotated[
+        bool, typer.Option("--no-run", help="Print what there is; name the commands for the rest.")
+    ] = False,
+    rule: Annotated[str, typer.Option(help="Meta's learned rule; default: the recipe's.")] = "",
+    data: Annotated[Path | None, typer.Option(help="Folder of task shards; default: the embedded set.")] = None,
+    out_folder: Annotated[Path, typer.Option("--out", help="Where runs are kept.")] = Path("runs"),
+    recipe: Annotated[str, typer.Option(help="quick or paper.")] = "quick",
+    seed: Annotated[int, typer.Option(help="Seed of all random draws.")] = 0,
+    device: Annotated[str, typer.Option(help="auto, cpu or cuda.")] = "auto",
+    json: Annotated[bool, typer.Option("--json", help="One JSON object as last line of standard output.")] = False,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress bar.")] = False,
+) -> None:
+    """Print error and time of all five paradigms beside the paper's; run what has no record yet.
+
+    Example: metapp evaluate brdf --table
+    """
+    if which not in TABLES:
+        raise typer.BadParameter(f"--which '{which}': expected one of {', '.join(TABLES)}.")
+    if format_name not in FORMATS:
+        raise typer.BadParameter(f"--format '{format_name}': expected one of {', '.join(FORMATS)}.")
+    from metapp.apps import app_names
+    from metapp.cli.session import Options, check_rule, find_app, find_device
+
+    rows = []
+    for app in [find_app(name) for name in apps or app_names()]:
+        options = Options(
+            app,
+            recipe,
+            check_rule(rule, app, recipe),
+            None,
+            data,
+            out_folder,
+            None,
+            seed,
+            find_device(device, app),
+            quiet,
+        )
+        rows += app_rows(options, run=not no_run)
+    if json or format_name == "json":
+        print_json({"which": which, "rows": rows})
+    elif format_name == "rich":
+        for app_name in dict.fromkeys(row["app"] for row in rows):
+            out.print(rich_table(app_name, [row for row in rows if row["app"] == app_name]))
+    else:
+        out.print(text_table(rows, format_name), markup=False, soft_wrap=True)
+
+
+def app_rows(options: Any, *, run: bool) -> list[dict[str, Any]]:
+    """A row a paradigm, from its records; paradigms that lack some are run unless told otherwise."""
+    from metapp.cli.fit import run_path, run_tasks, summary
+    from metapp.cli.session import find_start, settings_of, test_tasks
+    from metapp.paradigms import paradigms
+    from metapp.records import RunFolder
+
+    paper = paper_figures()
+    tasks, label = test_tasks(options, [])
+    rows = []
+    for paradigm in paradigms().values():
+        start = find_start(options, paradigm)
+        settings = settings_of(options, paradigm, start, label)
+        folder = RunFolder(run_path(options, settings, label), settings)
+        if run:
+            records = run_tasks(options, paradigm, start, tasks, folder)
+        else:
+            finished = folder.finished()
+            records = [finished[task.name] for task in tasks if task.name in finished]
+            if len(records) < len(tasks):
+                where = f" --data {options.data}" if options.data else ""
+                say(f"{len(tasks) - len(records)} tasks missing: metapp {paradigm.name} {options.app.name}{where}")
+        low, high = bootstrap([record["error"] for record in records]) if records else (None, None)
+        rows.append(
+            {
+                "app": options.app.name,
+                "paradigm": paradigm.name,
+                "rule": settings["rule"],
+                "steps": settings["steps"],
+                **(summary(records) if records else {"error": None, "seconds": None}),
+                "worst": max((record["error"] for record in records), default=None),
+                "tasks": len(records),
+                "low": low,
+                "high": high,
+                "paper_error": paper["error"][options.app.name].get(paradigm.name),
+                "paper_seconds": paper["seconds"][options.app.name].get(paradigm.name),
+            }
+        )
+    return rows
+
+
+def paper_figures() -> dict[str, Any]:
+    """The paper's errors and seconds, by application and paradigm."""
+    return json_module.loads((resources.files("metapp") / "paper.json").read_text())
+
+
+def bootstrap(errors: list[float], draws: int = 4000) -> tuple[float, float]:
+    """95 % interval of the mean over tasks, by resampling tasks with a fixed seed."""
+    import numpy as np
+
+    values = np.asarray(errors)
+    means = values[np.random.default_rng(0).integers(len(values), size=(draws, len(values)))].mean(1)
+    low, high = np.quantile(means, (0.025, 0.975))
+    return float(low), float(high)
+
+
+def carried(rows: list[dict[str, Any]], error: str, seconds: str) -> tuple[float | None, float | None]:
+    """The two figures that carry across data sets and machines: Meta's gap closed, and its speed-up over Overfit."""
+    by = {row["paradigm"]: row for row in rows}
+    general, overfit, meta = (by[name] for name in ("general", "overfit", "meta"))
+    gap = speed = None
+    if None not in (general[error], overfit[error], meta[error]):
+        gap = (general[error] - meta[error]) / ((general[error] - overfit[error]) or math.nan)
+    if None not in (overfit[seconds], meta[seconds]):
+        speed = overfit[seconds] / meta[seconds]
+    return gap, speed
+
+
+def _number(value: float | None, form: str) -> str:
+    return "-" if value is None else format(value, form)
+
+
+COLUMNS = ("paradigm", "steps", "error", "95 % interval", "worst", "seconds", "paper error", "paper seconds")
+
+
+def cells(row: dict[str, Any]) -> tuple[str, ...]:
+    """A row as text, in the order of COLUMNS."""
+    name = f"{row['paradigm']} ({row['rule']})" if row["paradigm"] == "meta" else row["paradigm"]
+    interval = "-" if row["low"] is None else f"{row['low']:.3f} .. {row['high']:.3f}"
+    return (
+        name,
+        str(row["steps"]),
+        _number(row["error"], ".3f"),
+        interval,
+        _number(row["worst"], ".3f"),
+        _number(row["seconds"], ".4f"),
+        _number(row["paper_error"], ".3f"),
+        _number(row["paper_seconds"], ".3f"),
+    )
+
+
+def closing(rows: list[dict[str, Any]]) -> str:
+    """Gap closed and speed-up beside the paper's."""
+    gap, speed = carried(rows, "error", "seconds")
+    paper_gap, paper_speed = carried(rows, "paper_error", "paper_seconds")
+    return (
+        f"gap closed {_number(gap, '.2f')} (paper {_number(paper_gap, '.2f')}), "
+        f"speed-up of Meta over Overfit {_number(speed, '.0f')} (paper {_number(paper_speed, '.0f')})"
+    )
+
+
+def rich_table(app_name: str, rows: list[dict[str, Any]]) -> Any:
+    """The table for a terminal."""
+    from rich.table import Table
+
+    from metapp.apps import load_app
+
+    app = load_app(app_name)
+    factor = f" x{app.scale:g}" if app.scale != 1 else ""
+    table = Table(
+        title=f"{app.title}, {rows[0]['tasks']} unseen tasks: mean error{factor}, median seconds of inference",
+        caption=f"{closing(rows)}\nerror: {app.measure}{factor}; the paper's figures are of its own data and machine",
+    )
+    for column in COLUMNS:
+        table.add_column(column, justify="left" if column == "paradigm" else "right", no_wrap=True)
+    for row in rows:
+        table.add_row(*cells(row))
+    return table
+
+
+def text_table(rows: list[dict[str, Any]], form: str) -> str:
+    """The table as markdown, LaTeX (booktabs) or CSV."""
+    header = ("app", *COLUMNS)
+    body = [(row["app"], *cells(row)) for row in rows]
+    if form == "csv":
+        buffer = io.StringIO()
+        writer = csv.DictWriter(buffer, list(rows[0]), lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(rows)
+        return buffer.getvalue().rstrip("\n")
+    notes = [
+        f"{name}: {closing([row for row in rows if row['app'] == name])}"
+        for name in dict.fromkeys(r["app"] for r in rows)
+    ]
+    if form == "markdown":
+        lines = [header, ("---",) * len(header), *body]
+        return "\n".join([*("| " + " | ".join(line) + " |" for line in lines), "", *notes])
+    escape = str.maketrans({"_": r"\_", "%": r"\%"})
+    tex = [" & ".join(line).translate(escape) + r" \\" for line in (header, *body)]
+    top = [r"\begin{tabular}{ll" + "r" * (len(header) - 2) + "}", r"\toprule", tex[0], r"\midrule"]
+    return "\n".join([*top, *tex[1:], r"\bottomrule", r"\end{tabular}", *(f"% {note}" for note in notes)])

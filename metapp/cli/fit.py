@@ -1,0 +1,223 @@
+"""`metapp general|overfit|finetune|quickft|meta`: fit tasks by one paradigm."""
+
+from __future__ import annotations
+
+import hashlib
+import time
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from metapp.cli.console import out, print_json, progress, say
+
+APP_HELP = "Application: texture, brdf, svbrdf_stationary, svbrdf_nonstationary, illumination or transport."
+
+
+def make_command(name: str, summary: str) -> Any:
+    """The command of one paradigm; they differ in name and help only."""
+
+    def command(
+        app: Annotated[str, typer.Argument(metavar="APP", help=APP_HELP)],
+        inputs: Annotated[
+            list[Path] | None,
+            typer.Argument(metavar="[INPUT]...", help="Files to fit; without any, the test tasks of --data."),
+        ] = None,
+        steps: Annotated[int | None, typer.Option(help="Gradient steps instead of the recipe's.", min=0)] = None,
+        rule: Annotated[str, typer.Option(help="Meta's learned rule: meta-sgd, meta-adam, meta-curvature.")] = "",
+        observe: Annotated[str, typer.Option(help="reference or photo, where an application has both.")] = "",
+        train: Annotated[bool, typer.Option("--train", help="Train the start on the training tasks first.")] = False,
+        train_steps: Annotated[int | None, typer.Option(help="Training steps, not the recipe's.", min=1)] = None,
+        data: Annotated[Path | None, typer.Option(help="Folder of task shards; default: the embedded set.")] = None,
+        out_folder: Annotated[Path, typer.Option("--out", help="Where runs and trained starts are kept.")] = Path(
+            "runs"
+        ),
+        checkpoint: Annotated[
+            Path | None, typer.Option(help="Start to use; default: trained here, else shipped.")
+        ] = None,
+        recipe: Annotated[str, typer.Option(help="quick or paper.")] = "quick",
+        export: Annotated[str, typer.Option(help="Write each fit in another form; brdf: nbrdf or merl.")] = "",
+        seed: Annotated[int, typer.Option(help="Seed of all random draws.")] = 0,
+        device: Annotated[str, typer.Option(help="auto, cpu or cuda.")] = "auto",
+        json: Annotated[bool, typer.Option("--json", help="One JSON object as last line of standard output.")] = False,
+        quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress bar, no table.")] = False,
+    ) -> None:
+        from metapp.cli.session import Options, check_rule, find_app, find_device
+
+        found = find_app(app)
+        if recipe not in found.recipes:
+            raise typer.BadParameter(f"--recipe '{recipe}': expected one of {', '.join(found.recipes)}.")
+        if observe and observe not in found.protocols:
+            expected = (
+                f"one of {', '.join(found.protocols)}" if found.protocols else "no such option: it has one protocol"
+            )
+            raise typer.BadParameter(f"--observe '{observe}': {found.name} expects {expected}.")
+        if export and export not in found.exports:
+            raise typer.BadParameter(f"--export '{export}': {found.name} expects one of {', '.join(found.exports)}.")
+        if train_steps and not train:
+            raise typer.BadParameter("--train-steps: only with --train.")
+        if rule and name != "meta":
+            raise typer.BadParameter(f"--rule: only meta has learned rules, not {name}.")
+        options = Options(
+            app=found,
+            recipe=recipe,
+            rule=check_rule(rule, found, recipe),
+            steps=steps,
+            data=data,
+            out=out_folder,
+            checkpoint=checkpoint,
+            seed=seed,
+            device=find_device(device, found),
+            quiet=quiet,
+        )
+        document = fit(options, name, inputs or [], train=train, train_steps=train_steps, export=export, show=not json)
+        if json:
+            print_json(document)
+
+    command.__doc__ = summary
+    return command
+
+
+def fit(
+    options: Any,
+    paradigm_name: str,
+    inputs: list[Path],
+    *,
+    train: bool = False,
+    train_steps: int | None = None,
+    export: str = "",
+    show: bool = True,
+) -> dict[str, Any]:
+    """Fit tasks, write the run folder, print the table.
+
+    Returns:
+        The document that --json prints.
+    """
+    from metapp.cli.session import find_start, settings_of, test_tasks, train_start
+    from metapp.paradigms import paradigms
+    from metapp.records import RunFolder
+
+    paradigm = paradigms()[paradigm_name]
+    tasks, label = test_tasks(options, inputs)
+    if train:
+        train_start(options, paradigm, train_steps)
+    start = find_start(options, paradigm)
+    settings = settings_of(options, paradigm, start, label)
+    folder = RunFolder(run_path(options, settings, label), settings)
+    if len(folder.finished()) >= len(tasks):
+        folder.clear()  # a finished run is run anew, one that was cut off is completed
+    if not options.quiet:
+        say(f"{options.app.name} {paradigm.name}: {len(tasks)} tasks, {settings['steps']} steps, start: {start.source}")
+    records = run_tasks(options, paradigm, start, tasks, folder)
+    if export:
+        export_all(options, tasks, folder, export)
+    document = {
+        "app": options.app.name,
+        "paradigm": paradigm.name,
+        "rule": settings["rule"],
+        "steps": settings["steps"],
+        "device": str(options.device),
+        "data": label,
+        **summary(records),
+        "tasks": [{key: record[key] for key in ("name", "error", "seconds")} for record in records],
+        "out": str(folder.path),
+    }
+    if not options.quiet:
+        from metapp.cli.pictures import picture_of_run
+
+        picture = picture_of_run(options.app, paradigm.name, tasks, records, folder.path)
+        if show:
+            out.print(table_of(options.app, paradigm.name, records))
+        say(f"picture: {picture}\nrecords: {folder.file}")
+    return document
+
+
+def run_path(options: Any, settings: dict[str, Any], label: str) -> Path:
+    """runs/<app>/<paradigm>/<data>-<recipe>-seed<seed>, with the rule and a step count that is not the recipe's."""
+    name = f"{label}-{options.recipe}-seed{options.seed}"
+    if settings["paradigm"] == "meta":
+        name += f"-{settings['rule']}"
+    if options.steps is not None:
+        name += f"-{options.steps}steps"
+    return options.out / options.app.name / settings["paradigm"] / name
+
+
+def run_tasks(options: Any, paradigm: Any, start: Any, tasks: list, folder: Any) -> list[dict[str, Any]]:
+    """Fit each task that has no record yet, alone, so that its time is its own; each is kept as soon as it is done."""
+    import torch
+    from torch import Generator
+
+    from metapp.task import stack
+
+    done = folder.finished()
+    app, job, device = options.app, options.job, options.device
+
+    def fit_one(task: Any, steps: int | None) -> tuple[dict, float, Any]:
+        # the seed depends on the task's name alone: a fit is the same whatever is fitted beside it
+        seed = int.from_bytes(hashlib.sha256(f"{options.seed} {task.name}".encode()).digest()[:6], "big")
+        rng = Generator(device).manual_seed(seed)
+        stacked = stack(app, [task], device)
+        _synchronise(torch, device)
+        begin = time.perf_counter()
+        theta = paradigm.fit(job if steps is None else job._replace(steps=steps), start.prepared, stacked, rng)
+        _synchronise(torch, device)
+        return theta, time.perf_counter() - begin, stacked
+
+    with progress(options.quiet) as bar:
+        row = bar.add_task(paradigm.name, total=len(tasks), completed=len(done), note="")
+        missing = [task for task in tasks if task.name not in done]
+        for task in missing[:1]:
+            fit_one(task, min(paradigm.count(job), 3))  # warm: first calls load kernels
+        for task in missing:
+            theta, seconds, stacked = fit_one(task, None)
+            errors = {key: app.scale * float(value[0]) for key, value in app.errors(theta, stacked).items()}
+            record = {"name": task.name, **errors, "seconds": seconds}
+            folder.add(record, {key: value[0] for key, value in theta.items()})
+            done[task.name] = record
+            bar.update(row, advance=1, note=f"{task.name} {errors['error']:.3f}")
+    return [done[task.name] for task in tasks]
+
+
+def _synchronise(torch: Any, device: Any) -> None:
+    if device.type == "cuda":
+        torch.cuda.synchronize(device)
+
+
+def summary(records: list[dict[str, Any]]) -> dict[str, float]:
+    """Mean error, as the table prints it, and median inference time of a task."""
+    import statistics
+
+    return {
+        "error": statistics.fmean(record["error"] for record in records),
+        "seconds": statistics.median(record["seconds"] for record in records),
+    }
+
+
+def table_of(app: Any, paradigm: str, records: list[dict[str, Any]]) -> Any:
+    """One line a task, and their mean."""
+    from rich.table import Table
+
+    factor = f" x{app.scale:g}" if app.scale != 1 else ""
+    table = Table(title=f"{app.title}: {paradigm}", show_footer=True, caption=f"error: {app.measure}{factor}")
+    total = summary(records)
+    table.add_column("task", "mean error, median time")
+    table.add_column(f"error{factor}", f"{total['error']:.3f}", justify="right")
+    table.add_column("seconds", f"{total['seconds']:.4f}", justify="right")
+    for record in records:
+        table.add_row(record["name"], f"{record['error']:.3f}", f"{record['seconds']:.4f}")
+    return table
+
+
+def export_all(options: Any, tasks: list, folder: Any, kind: str) -> None:
+    """Write every fit of a run in another form, under <run>/<kind>/."""
+    import importlib
+
+    from safetensors.torch import load_file
+
+    from metapp.records import file_name
+
+    tool = importlib.import_module(f"data_tools.{kind}")
+    for task in tasks:
+        theta = load_file(folder.path / "params" / f"{file_name(task.name)}.safetensors")
+        tool.export(options.app, theta, folder.path / kind / file_name(task.name))
+    say(f"{len(tasks)} fits written as {kind}: {folder.path / kind}")

@@ -1,0 +1,33 @@
+"""Files that are there whole or not at all."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+PARTIAL = ".partial-"  # what the name of an unfinished file begins with
+
+
+def write_atomically(path: str | Path, write: Callable[[Path], object]) -> None:
+    """Write a file so that it is there whole or not at all, even if the program is interrupted.
+
+    Args:
+        path: the file; an existing one is replaced at the end, missing folders are made.
+        write: writes everything to the path it is given: a name in the same folder, with the same suffix.
+    """
+    path = Path(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    partial = partial_path(path)
+    try:
+        write(partial)
+        os.replace(partial, path)
+    except BaseException:
+        partial.unlink(missing_ok=True)
+        raise
+
+
+def partial_path(path: Path) -> Path:
+    """Where to write a file until it is whole: in the same folder, with the same suffix."""
+    # The suffix stays, since image writers choose the format by it; the process id keeps two programs apart.
+    return path.with_name(f"{PARTIAL}{os.getpid()}-{path.name}")

@@ -1,0 +1,33 @@
+"""General: an encoder, trained over all tasks, predicts the parameters in one forward pass; no steps."""
+
+from __future__ import annotations
+
+from torch import Generator
+
+from metapp.adjoint import Loss
+from metapp.learning import MetaParameters, after_encoding, over_tasks, task_loss
+from metapp.paradigms import Job, Paradigm
+from metapp.rules import fixed_adam
+from metapp.task import Params, Tasks
+
+
+def start(job: Job, prepared: MetaParameters, tasks: Tasks, rng: Generator) -> Params:
+    """theta = encode(I)."""
+    encoded = job.app.encode(prepared.encoder, job.app.observe(tasks, rng))
+    return {key: value.detach() for key, value in encoded.items()}
+
+
+def preparation(job: Job, rng: Generator) -> tuple[MetaParameters, Loss]:
+    """The untrained encoder and the loss that trains it."""
+    app, training = job.app, job.recipe.general
+    loss = after_encoding(task_loss(app, job.recipe.batch), app.observe, app.encode)
+    return MetaParameters(encoder=app.init_encoder(rng)), over_tasks(loss, count=training.tasks, augment=app.augment)
+
+
+GENERAL = Paradigm(
+    name="general",
+    needs=lambda job: "general",
+    start=start,
+    rule=lambda job, prepared, theta, steps: fixed_adam(job.recipe.finetune, theta, steps),
+    steps=lambda recipe: 0,
+)

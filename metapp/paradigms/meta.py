@@ -1,0 +1,52 @@
+"""Meta: a start and a rule that were learned, together, to be good after a few steps."""
+
+from __future__ import annotations
+
+from torch import Generator
+
+from metapp.adjoint import Loss
+from metapp.learning import MetaParameters, after_learning, over_tasks, spread, task_loss
+from metapp.paradigms import Job, Paradigm
+from metapp.rules import RULES
+from metapp.task import Params, Tasks
+
+
+def preparation(job: Job, general: Params | None, rng: Generator, compiled: bool) -> tuple[MetaParameters, Loss]:
+    """phi before meta-training and the loss that trains it (alg. 3).
+
+    Args:
+        job: names the rule.
+        general: a start from General, one task's parameters (no task axis); None for a random one.
+        rng: of the random start.
+        compiled: compile the inner step and its adjoint.
+    """
+    app, recipe, rule = job.app, job.recipe, RULES[job.rule]
+    training = recipe.meta[job.rule]
+    theta = general or {key: value[0] for key, value in app.init(rng, 1).items()}
+    steps = META.count(job)
+    learned = after_learning(
+        task_loss(app, recipe.batch),
+        rule.rule,
+        steps=steps,
+        order=training.order,
+        clip=training.clip,
+        compiled=compiled,
+    )
+    phi = MetaParameters(theta, rule.alpha(app, theta, steps))
+    return phi, over_tasks(learned, count=training.tasks, augment=app.augment)
+
+
+def start(job: Job, prepared: MetaParameters, tasks: Tasks, rng: Generator) -> Params:
+    """theta_0, the same for every task."""
+    return spread(prepared.theta, len(tasks), 0)
+
+
+META = Paradigm(
+    name="meta",
+    needs=lambda job: job.rule,
+    start=start,
+    rule=lambda job, prepared, theta, steps: RULES[job.rule].rule(
+        spread(prepared.alpha, next(iter(theta.values())).shape[0], 1)
+    ),
+    steps=lambda recipe: recipe.steps,
+)

@@ -1,0 +1,12 @@
+"""Overfit: a random start, Adam until converged; nothing is prepared."""
+
+from metapp.paradigms import Paradigm
+from metapp.rules import fixed_adam
+
+OVERFIT = Paradigm(
+    name="overfit",
+    needs=lambda job: None,
+    start=lambda job, prepared, tasks, rng: job.app.init(rng, len(tasks)),
+    rule=lambda job, prepared, theta, steps: fixed_adam(job.recipe.overfit, theta, steps),
+    steps=lambda recipe: recipe.overfit_steps,
+)

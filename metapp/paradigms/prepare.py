@@ -1,0 +1,198 @@
+"""Preparation on the training tasks: train a start, keep its best state on validation tasks, tune QuickFT."""
+
+from __future__ import annotations
+
+import itertools
+import shutil
+from collections.abc import Callable
+from dataclasses import asdict
+from typing import Any, NamedTuple
+
+import torch
+from torch import Generator, Tensor
+
+from metapp.adjoint import Loss
+from metapp.learning import MetaParameters, learn
+from metapp.paradigms import Job, Paradigm, general, meta, paradigms, quickft
+from metapp.rules import outer_adam
+from metapp.task import Adam, Params, Tasks, Training
+
+Report = Callable[[int, int, str], None]  # (step, steps, note), for a progress bar
+
+
+class Prepared(NamedTuple):
+    """A trained start and how it came about.
+
+    Attributes:
+        start: the best state on the validation tasks.
+        validation: its mean error there, as the table prints it.
+        step: the outer step it was reached at.
+        curve: (step, mean training loss since the last entry, validation error), both as the table prints errors.
+    """
+
+    start: MetaParameters
+    validation: float
+    step: int
+    curve: list[tuple[int, float, float]]
+
+
+class Interrupted(KeyboardInterrupt):
+    """Training was interrupted; carries what it had reached."""
+
+    def __init__(self, prepared: Prepared) -> None:
+        super().__init__()
+        self.prepared = prepared
+
+
+def split_validation(tasks: Tasks) -> tuple[Tasks, Tasks]:
+    """(to train on, to validate on): every eighth training task, from the fourth on, validates.
+
+    Raises:
+        ValueError: fewer than 4 tasks.
+    """
+    if len(tasks) < 4:
+        raise ValueError(f"training set: {len(tasks)} tasks, expected at least 4 (some are kept for validation).")
+    validating = list(range(3, len(tasks), 8))
+    return tasks.select([i for i in range(len(tasks)) if i not in validating]), tasks.select(validating)
+
+
+def validation_error(paradigm: Paradigm, job: Job, prepared: MetaParameters, tasks: Tasks, seeds: int = 2) -> float:
+    """Mean error of fits of all tasks with fixed seeds, as the table prints it."""
+    total = 0.0
+    for seed in range(seeds):
+        theta = paradigm.fit(job, prepared, tasks, Generator(tasks.rows.device).manual_seed(seed))
+        total += float(job.app.errors(theta, tasks)["error"].mean())
+    return job.app.scale * total / seeds
+
+
+def prepare(
+    name: str,
+    job: Job,
+    tasks: Tasks,
+    rng: Generator,
+    *,
+    encoder: MetaParameters | None = None,
+    steps: int | None = None,
+    report: Report | None = None,
+) -> Prepared:
+    """Prepare what a paradigm needs, by its name: "general", "quickft", or a learned rule.
+
+    Args:
+        name: what to prepare.
+        job: application and recipe.
+        tasks: the training tasks; every eighth of them validates.
+        rng: of all random draws.
+        encoder: a prepared General; QuickFT tunes on it, Meta starts from the mean of its predictions.
+        steps: outer steps instead of the recipe's.
+        report: called with the progress.
+
+    Raises:
+        Interrupted: Ctrl-C; carries the best state so far.
+        FloatingPointError: the training loss is not finite; names tasks and step.
+    """
+    to_fit, to_validate = split_validation(tasks)
+    if name == "quickft":
+        assert encoder is not None
+        return tune_quickft(job, encoder, to_validate, report)
+    if name == "general":
+        training, paradigm = job.recipe.general, paradigms()["general"]
+        first, loss = general.preparation(job, rng)
+    else:
+        training, paradigm = job.recipe.meta[name], paradigms()["meta"]
+        mean = None
+        if encoder is not None:
+            mean = {key: value.mean(0) for key, value in general.start(job, encoder, to_fit, rng).items()}
+        first, loss = meta.preparation(job, mean, rng, compiled=_can_compile())
+    if steps is not None:
+        training = Training(**{**asdict(training), "steps": steps})
+
+    def validate(params: Params) -> float:
+        return validation_error(paradigm, job, MetaParameters.unflat(params), to_validate)
+
+    return _train(first, loss, training, to_fit, validate, job.app.scale, rng, report)
+
+
+def _train(
+    first: MetaParameters,
+    loss: Loss,
+    training: Training,
+    tasks: Tasks,
+    validate: Callable[[Params], float],
+    scale: float,
+    rng: Generator,
+    report: Report | None,
+) -> Prepared:
+    best = Prepared(first, float("inf"), 0, [])
+    losses: list[Tensor] = []
+
+    def look(step: int, params: Params) -> None:
+        nonlocal best
+        error = validate(params)
+        mean = scale * float(torch.stack(losses).mean()) if losses else float("nan")
+        losses.clear()
+        best.curve.append((step, mean, error))
+        if error < best.validation:
+            kept = {key: value.clone() for key, value in params.items()}
+            best = Prepared(MetaParameters.unflat(kept), error, step, best.curve)
+        if report:
+            report(step, training.steps, f"loss {mean:.3f}, validation {error:.3f}, best {best.validation:.3f}")
+
+    def watch(step: int, params: Params, value: Tensor) -> None:
+        if step % training.validate_every == 0:
+            look(step, params)
+        losses.append(value.mean())
+
+    params = first.flat()
+    rule = outer_adam(training, params)
+    try:
+        final = learn(params, rule, tasks, loss, steps=training.steps, rng=rng, watch=watch, check_every=1)
+    except KeyboardInterrupt:
+        raise Interrupted(best) from None
+    look(training.steps, final)
+    return best
+
+
+def tune_quickft(job: Job, encoder: MetaParameters, tasks: Tasks, report: Report | None = None) -> Prepared:
+    """Search QuickFT's Adam on a grid of rate, betas and decay, on validation tasks: a fair baseline for Meta.
+
+    Returns:
+        A start whose alpha holds rate, beta1, beta2 and final, and the encoder it was tuned for.
+    """
+    rates = [job.recipe.quickft.rate * 2 ** (i / 2) for i in range(-8, 5)]
+    grid = list(itertools.product(rates, (0.5, 0.7, 0.8, 0.9, 0.95), (0.8, 0.9, 0.97, 0.999), (1.0, 0.3, 0.1, 0.0)))
+    curve: list[tuple[int, float, float]] = []
+    best = Prepared(encoder, float("inf"), 0, curve)
+    for i, (rate, beta1, beta2, final) in enumerate(grid):
+        alpha = quickft.to_alpha(Adam(rate, beta1, beta2, job.recipe.quickft.eps, final))
+        tuned = encoder._replace(alpha={key: value.to(tasks.rows.device) for key, value in alpha.items()})
+        error = validation_error(quickft.QUICKFT, job, tuned, tasks)
+        if error < best.validation:
+            best = Prepared(tuned, error, i, curve)
+            curve.append((i, float("nan"), error))
+        if report:
+            report(i + 1, len(grid), f"rate {rate:.1e}, validation {error:.3f}, best {best.validation:.3f}")
+    return best
+
+
+def _can_compile() -> bool:
+    """torch.compile needs a C++ compiler on the CPU; without one, training is about half as fast and the same."""
+    return any(shutil.which(name) for name in ("g++", "clang++"))
+
+
+def describe(job: Job, name: str, prepared: Prepared) -> dict[str, Any]:
+    """What a checkpoint says about itself: JSON-ready."""
+    recipe = job.recipe
+    training: Any = None
+    if name == "general":
+        training = asdict(recipe.general)
+    elif name in recipe.meta:
+        training = asdict(recipe.meta[name])
+    return {
+        "app": job.app.name,
+        "start": name,
+        "inner_steps": recipe.steps,
+        "batch": recipe.batch,
+        "training": training,
+        "validation_error": prepared.validation,
+        "best_step": prepared.step,
+    }

@@ -1,0 +1,91 @@
+"""What several test files share."""
+
+from __future__ import annotations
+
+import json
+import math
+import warnings
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import pytest
+import torch
+from torch import Tensor
+
+from metapp.geometry import above_horizon
+
+
+class Result(NamedTuple):
+    """What a command left: exit code, standard output, standard error."""
+
+    code: int
+    out: str
+    err: str
+
+    @property
+    def document(self) -> dict[str, Any]:
+        """The object that --json prints last."""
+        return json.loads(self.out.splitlines()[-1])
+
+
+@pytest.fixture(autouse=True)
+def cache(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """No test touches the user's cache."""
+    folder = tmp_path_factory.mktemp("cache")
+    monkeypatch.setenv("METAPP_CACHE", str(folder))
+    return folder
+
+
+@pytest.fixture
+def metapp(capsys: pytest.CaptureFixture[str]) -> Callable[..., Result]:
+    """Runs `metapp <arguments>` as the command does, without the seconds that a new process takes."""
+    from metapp.cli.commands import app
+    from metapp.cli.console import run
+
+    def call(*arguments: str | Path) -> Result:
+        with warnings.catch_warnings():
+            code = run(lambda: app([str(argument) for argument in arguments], standalone_mode=False))
+        captured = capsys.readouterr()
+        return Result(int(code), captured.out, captured.err)
+
+    return call
+
+
+@pytest.fixture
+def rng() -> torch.Generator:
+    return torch.Generator().manual_seed(3)
+
+
+@pytest.fixture(scope="session")
+def random_angles() -> Callable[..., Tensor]:
+    """Draws up to `count` half and difference angles, float64 [N, 3] rad, the same each time; all above the horizon."""
+
+    def draw(count: int = 4000, *, above: bool = True) -> Tensor:
+        rng = torch.Generator().manual_seed(3)
+        high = torch.tensor([math.pi / 2, math.pi / 2, math.pi], dtype=torch.float64)
+        angles = 1e-4 + torch.rand(count, 3, generator=rng, dtype=torch.float64) * (high - 2e-4)
+        return angles[above_horizon(angles)] if above else angles
+
+    return draw
+
+
+@pytest.fixture(scope="module")
+def mitsuba_brdf() -> Iterator[Callable[[dict[str, Any], Tensor, Tensor], Tensor]]:
+    """BRDF [N, 3] of a Mitsuba plugin for directions [N, 3]; the plugin's own values include the outgoing cosine."""
+    import mitsuba
+
+    before = mitsuba.variant()
+    mitsuba.set_variant("scalar_rgb")
+
+    def evaluate(bsdf: dict[str, Any], wi: Tensor, wo: Tensor) -> Tensor:
+        plugin, context, values = mitsuba.load_dict(bsdf), mitsuba.BSDFContext(), []
+        for incident, outgoing in zip(wi.tolist(), wo.tolist(), strict=True):
+            interaction = mitsuba.SurfaceInteraction3f()
+            interaction.wi = mitsuba.Vector3f(incident)
+            values.append(list(plugin.eval(context, interaction, mitsuba.Vector3f(outgoing))))
+        return torch.tensor(values, dtype=torch.float64) / wo[:, 2:]
+
+    yield evaluate
+    if before:
+        mitsuba.set_variant(before)

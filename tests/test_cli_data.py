@@ -1,0 +1,274 @@
+"""`metapp data` end to end: what is written where, exit codes, and one line for every kind of bad input."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import shutil
+import struct
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from data_tools.nbrdf import SHAPES
+from metapp.manifest import read_manifest
+from metapp.shards import check_shard, read_shard
+
+FEW = ("--samples", "64")
+
+
+@pytest.fixture(scope="module")
+def gold(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    planes = np.full((3, 90, 90, 180), 300.0)
+    path = tmp_path_factory.mktemp("merl") / "gold.binary"
+    path.write_bytes(struct.pack("<3i", 90, 90, 180) + planes.tobytes())
+    return path
+
+
+def make_network(folder: Path) -> Path:
+    folder.mkdir(parents=True)
+    rng = np.random.default_rng(0)
+    for part, shape in SHAPES.items():
+        np.save(folder / f"{part}.npy", rng.normal(0, 0.3, shape).astype(np.float32))
+    return folder
+
+
+# What works
+
+
+def test_merl_files_become_a_data_set(metapp: Callable, gold: Path, tmp_path: Path) -> None:
+    result = metapp("data", "merl", gold, "--out", tmp_path / "out", *FEW)
+    assert result == (0, "", f"brdf: 1 train + 0 test tasks in {tmp_path / 'out'}\n")
+    (task,) = read_shard(tmp_path / "out", "train", "brdf")
+    assert task.name == "gold"
+    assert task.data["angles"].shape == (64, 3)
+    assert task.data["reflectance"][0].tolist() == pytest.approx([0.2, 0.23, 0.332])
+    assert check_shard(tmp_path / "out") == []
+    assert read_manifest(tmp_path / "out").notes == {"made_by": "metapp data merl", "samples": 64, "split": "auto"}
+
+
+def test_networks_become_a_data_set_split_by_the_rule(metapp: Callable, tmp_path: Path) -> None:
+    for name in ("tin", "brass", "sub/gold", "felt", "sub/wood", "ink"):
+        make_network(tmp_path / "in" / name)
+    out = tmp_path / "new" / "out"
+    result = metapp("data", "nbrdf", tmp_path / "in", tmp_path / "in" / "tin", "--out", out, *FEW, "--json")
+    assert result.code == 0
+    assert list(result.document) == ["app", "out", "train", "test", "skipped"]
+    assert result.document["app"] == "brdf"
+    assert result.document["out"] == str(out)
+    assert sorted(result.document["train"]) == ["brass", "felt", "gold", "ink", "wood"]
+    assert result.document["test"] == ["tin"]
+    assert "5 train + 1 test tasks" in result.err
+    assert metapp("data", "nbrdf", tmp_path / "in", "--out", out, "--split", "test", "--quiet", *FEW) == (0, "", "")
+    assert {task.split for task in read_manifest(out).tasks} == {"test"}
+
+
+def test_bad_files_of_a_folder_are_skipped_with_one_line_each(metapp: Callable, gold: Path, tmp_path: Path) -> None:
+    shutil.copy(gold, tmp_path / "good.binary")
+    (tmp_path / "notes.txt").write_text("about")
+    with shutil.copy(gold, tmp_path / "bad.binary").open("r+b") as stream:
+        stream.seek(12)
+        stream.write(struct.pack("<d", math.nan))
+    result = metapp("data", "merl", tmp_path, "--out", tmp_path / "out", *FEW, "--json")
+    assert result.code == 0
+    assert result.document["train"] == ["good"]
+    assert len(result.document["skipped"]) == 2
+    lines = result.err.splitlines()
+    assert [line.startswith("warning: skipped: ") for line in lines] == [True, True, False]
+    assert "notes.txt: 5 bytes" in lines[0]
+    assert "bad.binary: 1 values are NaN" in lines[1]
+    assert lines[2].endswith("; 2 skipped")
+
+
+def test_check_says_what_a_set_holds_and_what_is_wrong(metapp: Callable, gold: Path, tmp_path: Path) -> None:
+    metapp("data", "merl", gold, "--out", tmp_path, *FEW)
+    result = metapp("data", "check", tmp_path)
+    assert result.code == 0
+    assert result.err == ""
+    assert "brdf, 1 train + 0 test tasks, 0.1 MB" in result.out
+    assert "reflectance: 1/sr; linear RGB" in result.out
+    assert result.out.endswith("no problems\n")
+    payload = bytearray((tmp_path / "gold.safetensors").read_bytes())
+    payload[-1] ^= 1
+    (tmp_path / "gold.safetensors").write_bytes(payload)
+    (tmp_path / "extra").write_bytes(b"")
+    result = metapp("data", "check", tmp_path)
+    assert result.code == 1
+    assert [line.split(":")[0] for line in result.err.splitlines()] == ["problem", "problem"]
+    result = metapp("data", "check", tmp_path, "--json")
+    assert result.code == 1
+    assert result.document["app"] == "brdf"
+    assert result.document["train"] == 1
+    assert len(result.document["problems"]) == 2
+
+
+# What does not: data is exit code 1 with one line, usage is 2
+
+
+def damaged_merl(gold: Path, folder: Path, offset: int, data: bytes) -> Path:
+    path = shutil.copy(gold, folder / "damaged.binary")
+    with path.open("r+b") as stream:
+        stream.seek(offset)
+        stream.write(data)
+    return path
+
+
+def truncated(gold: Path, folder: Path) -> Path:
+    path = shutil.copy(gold, folder / "short.binary")
+    os.truncate(path, 2**25)
+    return path
+
+
+def written(folder: Path, name: str, content: str) -> Path:
+    (folder / name).write_text(content)
+    return folder / name
+
+
+BAD_MERL: dict[str, tuple[Callable[[Path, Path], Path], str]] = {
+    "truncated": (truncated, "33,554,432 bytes, expected 34,992,012"),
+    "long": (lambda gold, folder: damaged_merl(gold, folder, 34_992_012, b"\n"), "something appended"),
+    "header": (lambda gold, folder: damaged_merl(gold, folder, 0, struct.pack("<i", 91)), "header 91x90x180"),
+    "nan": (lambda gold, folder: damaged_merl(gold, folder, 12, struct.pack("<d", math.nan)), "1 values are NaN"),
+    "empty file": (lambda gold, folder: written(folder, "empty.binary", ""), "empty.binary: 0 bytes"),
+    "text": (lambda gold, folder: written(folder, "text.binary", "a BRDF"), "text.binary: 6 bytes"),
+    "missing": (lambda gold, folder: folder / "none.binary", "none.binary: no such file"),
+    "empty folder": (lambda gold, folder: folder, "no MERL file, expected *.binary files"),
+}
+
+
+@pytest.mark.parametrize("kind", BAD_MERL)
+def test_bad_merl_files(metapp: Callable, gold: Path, tmp_path: Path, kind: str) -> None:
+    make, message = BAD_MERL[kind]
+    (tmp_path / "in").mkdir()
+    bad = make(gold, tmp_path / "in")
+    assert_refused(metapp("data", "merl", gold, bad, "--out", tmp_path / "new" / "out", *FEW), message)
+    if bad.exists():  # the same, found in a folder that holds nothing else
+        assert_refused(metapp("data", "merl", tmp_path / "in", "--out", tmp_path / "new" / "out", *FEW), message)
+    assert not (tmp_path / "new").exists()
+
+
+def cut(network: Path) -> None:
+    (network / "b2.npy").unlink()
+
+
+def save(part: str, array: np.ndarray) -> Callable[[Path], None]:
+    return lambda network: np.save(network / f"{part}.npy", array, allow_pickle=True)
+
+
+BAD_NETWORKS: dict[str, tuple[Callable[[Path], None], str]] = {
+    "missing file": (cut, "no file for b2, expected fc1.npy"),
+    "shape": (save("fc1", np.zeros((21, 6), np.float32)), "shape (21, 6), expected (6, 21)"),
+    "nan": (save("b3", np.full(3, np.nan, np.float32)), "b3.npy: holds NaN"),
+    "pickle": (save("b3", np.array([{}, {}, {}], dtype=object)), "b3.npy: not a readable .npy file"),
+    "missing folder": (shutil.rmtree, "bad: no such folder"),
+}
+
+
+@pytest.mark.parametrize("kind", BAD_NETWORKS)
+def test_bad_networks(metapp: Callable, tmp_path: Path, kind: str) -> None:
+    damage, message = BAD_NETWORKS[kind]
+    good, bad = make_network(tmp_path / "good"), make_network(tmp_path / "bad")
+    damage(bad)
+    assert_refused(metapp("data", "nbrdf", good, bad, "--out", tmp_path / "out", *FEW), message)
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_folder_of_bad_networks_only(metapp: Callable, tmp_path: Path) -> None:
+    for name in ("a", "b"):
+        BAD_NETWORKS["nan"][0](make_network(tmp_path / "in" / name))
+    result = metapp("data", "nbrdf", tmp_path / "in", "--out", tmp_path / "out", *FEW)
+    assert result.code == 1
+    assert [line.split(":")[0] for line in result.err.splitlines()] == ["warning", "warning", "error"]
+    assert "2 NBRDF networks, none usable" in result.err
+    assert not (tmp_path / "out").exists()
+
+
+def test_two_sources_of_one_name(metapp: Callable, tmp_path: Path) -> None:
+    networks = [make_network(tmp_path / name / "gold") for name in ("a", "b")]
+    assert_refused(metapp("data", "nbrdf", *networks, "--out", tmp_path / "out", *FEW), "two tasks named 'gold'")
+
+
+def test_another_applications_folder_is_not_overwritten(metapp: Callable, tmp_path: Path) -> None:
+    manifest = {"app": "texture", "schema": 1, "tasks": [], "units": {}, "notes": {}}
+    written(tmp_path, "manifest.json", json.dumps(manifest))
+    make_network(tmp_path / "in")
+    assert_refused(metapp("data", "nbrdf", tmp_path / "in", "--out", tmp_path, *FEW), "holds tasks of 'texture'")
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [(None, "no manifest.json"), ("{", "not readable as JSON"), ('{"schema": 7}', "schema 7, written by a newer")],
+)
+def test_check_refuses_what_is_no_data_set(metapp: Callable, tmp_path: Path, content: str | None, message: str) -> None:
+    if content:
+        written(tmp_path, "manifest.json", content)
+    assert_refused(metapp("data", "check", tmp_path), message)
+    result = metapp("data", "check", tmp_path, "--json")
+    assert result.code == 1
+    assert result.document["app"] is None
+    assert message in result.document["problems"][0]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("merl", "IN", "--out", "OUT", "--split", "valid"), "'valid' is not one of 'train', 'test', 'auto'"),
+        (("merl", "IN", "--out", "FILE"), "a file, expected a folder to write to"),
+        (("nbrdf", "IN", "--out", "FILE/below"), "a file, expected a folder to write to"),
+        (("merl", "IN"), "Missing option '--out'"),
+        (("nbrdf", "IN", "--out", "OUT", "--samples", "1"), "'--samples': "),
+        (("nbrdf", "IN", "--out", "OUT", "--samples", "few"), "'--samples': "),
+        (("synth", "brdf", "--count", "0"), "'--count': "),
+        (("synth", "brdf", "--seed", "-1"), "'--seed': "),
+        (("synth", "glass"), "'glass' has no embedded data set, expected one of brdf"),
+        (("synth", "brdf", "--as", "exr"), "'exr' is not one of 'shards', 'merl'"),
+        (("synth", "brdf", "--as", "merl"), "expected a folder for the MERL files"),
+        (("synth", "brdf", "--out", "FILE"), "a file, expected a folder to write to"),
+    ],
+)
+def test_bad_usage(metapp: Callable, tmp_path: Path, arguments: tuple[str, ...], message: str) -> None:
+    places = {"IN": tmp_path / "in", "OUT": tmp_path / "out", "FILE": written(tmp_path, "file", "")}
+    make_network(tmp_path / "in")
+    filled = []
+    for argument in arguments:
+        key, *rest = argument.split("/")
+        filled.append("/".join([str(places.get(key, key)), *rest]))
+    result = metapp("data", *filled)
+    assert result.code == 2
+    assert result.out == ""
+    errors = [line for line in result.err.splitlines() if line.startswith("Error: ")]
+    assert len(errors) == 1
+    assert message in errors[0]
+    assert not (tmp_path / "out").exists()
+
+
+def assert_refused(result: Any, message: str) -> None:
+    assert result.code == 1
+    assert result.out == ""
+    (line,) = result.err.splitlines()
+    assert line.startswith("error: ")
+    assert message in line
+
+
+def test_a_process_of_its_own_says_one_line_too(tmp_path: Path) -> None:
+    arguments = [sys.executable, "-m", "metapp", "data", "merl", str(tmp_path), "--out", str(tmp_path / "out")]
+    done = subprocess.run(arguments, capture_output=True, text=True, check=False)
+    assert done.returncode == 1
+    assert done.stdout == ""
+    (line,) = done.stderr.splitlines()
+    assert line.startswith(f"error: {tmp_path}: no MERL file, expected *.binary files")
+
+
+def test_help_of_every_command_needs_no_torch() -> None:
+    lines = "import sys\nfrom metapp.cli import main\nsys.argv = ['metapp', 'data', *sys.argv[1:], '--help']\n"
+    lines += "try:\n    main()\nfinally:\n    print('torch' in sys.modules)"
+    for command in ([], ["synth"], ["merl"], ["nbrdf"], ["check"]):
+        done = subprocess.run([sys.executable, "-c", lines, *command], capture_output=True, text=True, check=True)
+        assert "Usage" in done.stdout
+        assert done.stdout.splitlines()[-1] == "False"

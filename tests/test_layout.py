@@ -1,0 +1,140 @@
+"""How the code hangs together: who imports whom, who prints, and that nothing is ever unpickled."""
+
+from __future__ import annotations
+
+import ast
+import importlib.util
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parent.parent
+FILES = {
+    ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__"): path
+    for package in ("metapp", "data_tools")
+    for path in sorted((ROOT / package).rglob("*.py"))
+}
+TREES = {name: ast.parse(path.read_text(encoding="utf-8")) for name, path in FILES.items()}
+
+LAYERS = ("metapp.task", "metapp.adjoint", "metapp.learning", "metapp.rules", "metapp.paradigms", "metapp.cli")
+MATHS = ("metapp.task", "metapp.adjoint", "metapp.learning", "metapp.rules", "metapp.geometry", "metapp.reflection",
+         "metapp.sphere", "metapp.networks", "metapp.metrics")  # fmt: skip
+FOR_APPS = ("metapp.task", "metapp.geometry", "metapp.reflection", "metapp.sphere", "metapp.networks", "metapp.metrics")
+STORAGE = ("metapp.shards", "metapp.manifest", "metapp.files")
+FOR_DATA_TOOLS = (*STORAGE, "metapp.geometry", "metapp.reflection", "metapp.sphere", "metapp.task")
+
+
+def imports(name: str) -> set[str]:
+    """Modules of ours that a module imports, anywhere in it, as dotted names."""
+    found: set[str] = set()
+    for node in ast.walk(TREES[name]):
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            package = name if FILES[name].name == "__init__.py" else name.rpartition(".")[0]
+            module = importlib.util.resolve_name("." * node.level + (node.module or ""), package)
+            # `from package import module` names a module; `from module import function` does not.
+            below = {f"{module}.{alias.name}" for alias in node.names}
+            found |= (below & FILES.keys()) | ({module} if below - FILES.keys() else set())
+    return {each for each in found if each.partition(".")[0] in ("metapp", "data_tools")}
+
+
+def is_in(name: str, *places: str) -> bool:
+    """Whether a module is one of these, or inside one of these packages."""
+    return any(name == place or name.startswith(f"{place}.") for place in places)
+
+
+def calls(name: str) -> list[tuple[str, ast.Call]]:
+    """All calls of a module, with what is called as it is written: `torch.load`."""
+    return [(ast.unparse(node.func), node) for node in ast.walk(TREES[name]) if isinstance(node, ast.Call)]
+
+
+def modules(*places: str) -> list[str]:
+    return [name for name in FILES if is_in(name, *places)]
+
+
+@pytest.mark.parametrize("name", modules(*LAYERS))
+def test_layers_import_only_downwards(name: str) -> None:
+    own = next(index for index, layer in enumerate(LAYERS) if is_in(name, layer))
+    assert not [each for each in imports(name) if is_in(each, *LAYERS[own + 1 :])]
+
+
+@pytest.mark.parametrize("name", modules(*MATHS))
+def test_maths_knows_no_files_and_no_commands(name: str) -> None:
+    assert not [each for each in imports(name) if not is_in(each, *MATHS)]
+
+
+@pytest.mark.parametrize("name", modules("metapp.apps"))
+def test_applications_stand_alone(name: str) -> None:
+    own = ".".join(name.split(".")[:3])  # an application may be a package
+    assert not [each for each in imports(name) if not is_in(each, own, *FOR_APPS)]
+
+
+@pytest.mark.parametrize("name", modules("metapp.paradigms"))
+def test_paradigms_name_no_application(name: str) -> None:
+    assert not [each for each in imports(name) if is_in(each, "metapp.apps", "data_tools")]
+    apps = {each.split(".")[2] for each in modules("metapp.apps") if each.count(".") == 2}
+    texts = {node.value for node in ast.walk(TREES[name]) if isinstance(node, ast.Constant)}
+    assert not apps & {text for text in texts if isinstance(text, str)}
+
+
+@pytest.mark.parametrize("name", modules(*STORAGE))
+def test_storage_knows_tasks_only(name: str) -> None:
+    assert not [each for each in imports(name) if not is_in(each, "metapp.task", *STORAGE)]
+
+
+@pytest.mark.parametrize("name", modules("data_tools"))
+def test_data_tools_know_shards_and_geometry(name: str) -> None:
+    assert not [each for each in imports(name) if not is_in(each, "data_tools", *FOR_DATA_TOOLS)]
+
+
+@pytest.mark.parametrize("name", modules("metapp"))
+def test_data_tools_are_reached_by_name_only(name: str) -> None:
+    assert not [each for each in imports(name) if is_in(each, "data_tools")]
+
+
+@pytest.mark.parametrize("name", [name for name in FILES if not is_in(name, "metapp.cli")])
+def test_only_the_command_line_prints_or_exits(name: str) -> None:
+    if name != "metapp.__main__":
+        assert not [each for each in imports(name) if is_in(each, "metapp.cli")]
+    talking = {"print", "exit", "quit", "sys.exit", "os._exit", "sys.stdout.write", "sys.stderr.write"}
+    assert not [called for called, _ in calls(name) if called in talking]
+    for node in ast.walk(TREES[name]):
+        if isinstance(node, ast.Import | ast.ImportFrom):
+            imported = [alias.name for alias in node.names] if isinstance(node, ast.Import) else [node.module or ""]
+            assert not [each for each in imported if each.partition(".")[0] in ("rich", "typer", "click")]
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_nothing_is_unpickled(name: str) -> None:
+    for node in ast.walk(TREES[name]):
+        if isinstance(node, ast.Import | ast.ImportFrom):
+            imported = [alias.name for alias in node.names] if isinstance(node, ast.Import) else [node.module or ""]
+            assert not {"pickle", "cPickle", "dill", "cloudpickle", "joblib", "shelve", "marshal"} & set(imported)
+    for called, node in calls(name):
+        assert called != "torch.load"  # numpy's own load refuses pickles unless told otherwise
+        assert not [each for each in node.keywords if each.arg == "allow_pickle" and ast.unparse(each.value) != "False"]
+
+
+def test_the_walk_sees_what_it_should() -> None:
+    assert "metapp.task" in imports("metapp.learning")
+    assert "metapp.cli.data" in imports("metapp.cli.commands")  # `from package import module`
+    assert "metapp.geometry" in imports("metapp.apps.brdf")
+
+
+@pytest.mark.parametrize("arguments", [[], ["data"]])
+def test_help_answers_at_once(arguments: list[str]) -> None:
+    lines = "import sys\nfrom metapp.cli import main\ntry:\n    main()\nfinally:\n"
+    lines += (
+        "    print([name for name in ('torch', 'mitsuba', 'colour', 'matplotlib', 'numpy') if name in sys.modules])"
+    )
+    start = time.perf_counter()
+    done = subprocess.run(
+        [sys.executable, "-c", lines, *arguments, "--help"], capture_output=True, text=True, check=True, cwd=ROOT
+    )
+    assert done.stdout.splitlines()[-1] == "set()"
+    # 0.2 s on an idle machine; the margin is for busy ones, which the list above does not depend on.
+    assert time.perf_counter() - start < 3

@@ -1,0 +1,92 @@
+"""The reference sphere: its lights, its sky and its shading."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import pytest
+import torch
+from torch import Tensor
+
+from metapp.geometry import above_horizon, cosines
+from metapp.reflection import MicrofacetKind, fresnel_schlick, microfacet_lobe, rough_reflectance
+from metapp.sphere import SphereScene, shade_sphere, sphere_scene
+
+KINDS: tuple[MicrofacetKind, ...] = ("ggx", "beckmann")
+ALPHAS = (0.03, 0.1, 0.3, 0.6)
+
+
+@pytest.fixture(scope="module")
+def scene() -> SphereScene:
+    return sphere_scene(48, dtype=torch.float64)
+
+
+def white(angles: Tensor) -> Tensor:
+    return torch.full_like(angles, 0.8 / math.pi)
+
+
+def test_the_sphere_fills_its_picture_and_is_well_exposed(scene: SphereScene) -> None:
+    assert scene.coverage.mean().item() == pytest.approx(math.pi / 4 * 0.96**2, rel=5e-3)
+    assert scene.mask.sum() == len(scene.angles) == len(scene.weights)
+    image = shade_sphere(scene, white)
+    assert image.shape == (48, 48, 4)
+    torch.testing.assert_close(image[..., 3], scene.coverage)
+    inside = image[scene.coverage == 1][:, :3]
+    assert inside.mean(-1).max().item() == pytest.approx(0.85, abs=1e-6)
+    assert 0.4 < inside.mean() < 0.7
+    assert (image[~scene.mask] == 0).all()
+
+
+def test_only_light_above_the_horizon_counts(scene: SphereScene) -> None:
+    lit = scene.weights.amax(-1) > 0
+    assert (scene.weights >= 0).all()
+    assert above_horizon(scene.angles[lit]).all()
+    assert scene.angles.shape[1] == 103
+    assert scene.angles.isfinite().all()
+
+
+def test_shading_is_the_weighted_sum_in_chunks_of_any_size(scene: SphereScene) -> None:
+    def glossy(angles: Tensor) -> Tensor:
+        return microfacet_lobe(cosines(angles), 0.2, lambda cos: fresnel_schlick(cos, cos.new_tensor([0.9, 0.6, 0.3])))
+
+    image = shade_sphere(scene, glossy, chunk=1001)
+    direct = (scene.weights * glossy(scene.angles)).sum(1) * scene.coverage[scene.mask][:, None]
+    torch.testing.assert_close(image[scene.mask][:, :3], direct)
+
+
+def test_the_sky_on_the_sphere_keeps_a_mirror_smooth(scene: SphereScene) -> None:
+    sky = scene._replace(angles=scene.angles[:, -42:], weights=scene.weights[:, -42:])
+
+    def metal(alpha: float) -> Callable[[Tensor], Tensor]:
+        return lambda angles: microfacet_lobe(cosines(angles), alpha, torch.ones_like).expand_as(angles)
+
+    # Down the middle column: a dot of light would stand out from the sky's slow gradient.
+    middle = shade_sphere(sky, metal(0.03))[8:40, 24, 1]
+    assert middle[0] > 5 * middle[-1]
+    assert middle.diff(n=2).abs().max() < 0.01 * middle.max()
+
+
+def test_shading_passes_gradients_to_the_material(scene: SphereScene) -> None:
+    albedo = torch.tensor(0.5, dtype=torch.float64, requires_grad=True)
+    image = shade_sphere(scene, lambda angles: albedo * torch.ones_like(angles))
+    (gradient,) = torch.autograd.grad(image[..., :3].sum(), albedo)
+    torch.testing.assert_close(gradient * 0.5, image[..., :3].sum().detach())
+
+
+def test_the_sky_integrates_lobes_of_any_width() -> None:
+    # At the centre of the sphere the sky's gradient cancels: a lobe sees its albedo times one and the same level.
+    scene = sphere_scene(49, dtype=torch.float64)
+    centre = len(scene.angles) // 2
+    angles, weights = scene.angles[centre, -42:], scene.weights[centre, -42:]
+    levels = []
+    for kind, alpha in [(kind, alpha) for kind in KINDS for alpha in ALPHAS]:
+        lobe = microfacet_lobe(cosines(angles), alpha, torch.ones_like, kind)
+        albedo = rough_reflectance(torch.ones(1, dtype=torch.float64), alpha, torch.ones_like, kind)
+        levels.append((weights * lobe).sum() / albedo.sum())
+    assert max(levels) < 1.1 * min(levels)
+
+
+def test_a_sphere_of_too_few_pixels_is_an_error() -> None:
+    with pytest.raises(ValueError, match="4 pixels, expected at least 8"):
+        sphere_scene(4)
