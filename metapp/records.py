@@ -7,6 +7,7 @@ import json
 from pathlib import Path
 from typing import Any
 
+import torch
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 from torch import Tensor
@@ -24,7 +25,7 @@ def save_start(path: Path, start: MetaParameters, info: dict[str, Any]) -> None:
     write_atomically(path, lambda target: save_file(tensors, target, metadata))
 
 
-def load_start(path: Path, device: str = "cpu") -> tuple[MetaParameters, dict[str, Any]]:
+def load_start(path: Path, device: torch.device | str = "cpu") -> tuple[MetaParameters, dict[str, Any]]:
     """Read a prepared start.
 
     Returns:
@@ -36,7 +37,7 @@ def load_start(path: Path, device: str = "cpu") -> tuple[MetaParameters, dict[st
     if not path.is_file():
         raise ValueError(f"{path}: no such start; give --checkpoint an existing .safetensors file, or train one.")
     try:
-        with safe_open(path, "pt", device=device) as file:
+        with safe_open(path, "pt", device=str(device)) as file:
             info = json.loads((file.metadata() or {})["metapp"])
             tensors = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118  (not a mapping)
         if info["schema"] > SCHEMA:

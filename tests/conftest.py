@@ -45,7 +45,7 @@ def metapp(capsys: pytest.CaptureFixture[str]) -> Callable[..., Result]:
 
     def call(*arguments: str | Path) -> Result:
         with warnings.catch_warnings():
-            code = run(lambda: app([str(argument) for argument in arguments], standalone_mode=False))
+            code = run(lambda: app([str(each) for each in arguments], standalone_mode=False, prog_name="metapp"))
         captured = capsys.readouterr()
         return Result(int(code), captured.out, captured.err)
 

@@ -272,3 +272,19 @@ def test_help_of_every_command_needs_no_torch() -> None:
         done = subprocess.run([sys.executable, "-c", lines, *command], capture_output=True, text=True, check=True)
         assert "Usage" in done.stdout
         assert done.stdout.splitlines()[-1] == "False"
+
+
+def test_join_keeps_each_task_in_its_split(metapp: Callable, tmp_path: Path) -> None:
+    for split, name in (("train", "tin"), ("test", "ink")):
+        made = metapp("data", "nbrdf", make_network(tmp_path / name), "--out", tmp_path / split, "--split", split, *FEW)
+        assert made.code == 0
+    joined = tmp_path / "joint"
+    result = metapp("data", "join", tmp_path / "train", tmp_path / "test", "--out", joined, "--json")
+    assert (result.document["train"], result.document["test"]) == (["tin"], ["ink"])
+    assert [task.name for task in read_shard(joined, "test", "brdf")] == ["ink"]
+    assert check_shard(joined) == []
+    again = metapp("data", "join", tmp_path / "train", tmp_path / "train", "--out", joined)
+    assert again.code == 1
+    assert "two tasks of this name" in again.err
+    assert metapp("data", "join", joined, tmp_path / "test", "--out", joined).code == 1
+    assert metapp("data", "join", tmp_path / "none", "--out", joined).code == 1

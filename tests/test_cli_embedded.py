@@ -78,3 +78,19 @@ def test_a_full_disk_is_foreseen(metapp: Callable, tmp_path: Path, monkeypatch: 
     result = metapp("data", "synth", "brdf", "--as", "merl", "--out", tmp_path / "out")
     assert result.code == 1
     assert "0.1 GB free, expected 3.5 GB for 100 MERL files" in result.err
+
+
+def test_a_cache_that_cannot_be_written(metapp: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "file").write_text("")
+    monkeypatch.setenv("METAPP_CACHE", str(tmp_path / "file"))
+    result = metapp("data", "synth", "brdf", "--count", "2")
+    assert result.code == 1
+    (line,) = result.err.splitlines()
+    assert "Not a directory, expected a folder that can be written; set METAPP_CACHE" in line
+
+
+def test_an_unknown_application_is_an_error() -> None:
+    with pytest.raises(ValueError, match="glass: no embedded data set, expected one of brdf"):
+        embedded_data("glass")
+    with pytest.raises(ValueError, match="brdf: 0 tasks, expected 1 or more"):
+        embedded_data("brdf", count=0)

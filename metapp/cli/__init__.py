@@ -10,4 +10,4 @@ def main() -> None:
     from metapp.cli.commands import app
     from metapp.cli.console import run
 
-    sys.exit(run(lambda: app(standalone_mode=False)))
+    sys.exit(run(lambda: app(standalone_mode=False, prog_name="metapp")))

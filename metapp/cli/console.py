@@ -66,11 +66,13 @@ def run(command: Callable[[], Any]) -> int:
             raise
         say(f"error: {str(error) or type(error).__name__}")
         return Exit.FAILED
+    if code == Exit.INTERRUPTED:  # typer turns Ctrl-C into this code by itself
+        return _interrupted()
     return code if isinstance(code, int) else Exit.DONE
 
 
 def _interrupted() -> int:
-    say("interrupted; finished tasks are kept, run the same command again to go on.")
+    say("interrupted; fits that were finished are kept, nothing half-written is: run the same command again to go on.")
     return Exit.INTERRUPTED
 
 

@@ -215,6 +215,37 @@ def nbrdf(
 
 
 @_command
+def join(
+    folders: Annotated[list[Path], typer.Argument(metavar="DIRS...", help="Data sets of one application.")],
+    folder: Out,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Put several data sets into one; training tasks stay training tasks, test tasks stay test tasks.
+
+    Example:
+      metapp data join synthetic merl --out joint
+    """
+    from metapp.manifest import read_manifest
+    from metapp.shards import ShardWriter, read_shard
+
+    manifests = [read_manifest(each) for each in folders]
+    name = manifests[0].app
+    if folder.resolve() in [each.resolve() for each in folders]:
+        raise ValueError(f"{folder}: one of the data sets to join, expected another folder to write to.")
+    notes = {"made_by": "metapp data join", "of": [each.name for each in folders]}
+    with ShardWriter(folder, name, manifests[0].units, notes) as writer, progress(quiet) as bar:
+        shown = bar.add_task("join", total=sum(len(manifest.tasks) for manifest in manifests), note="")
+        for each, manifest in zip(folders, manifests, strict=True):
+            tasks = {task.name: task for task in read_shard(each, app=name)}
+            for entry in manifest.tasks:
+                writer.add(tasks[entry.name], entry.split, entry.source)
+                bar.update(shown, advance=1, note=entry.name)
+        names = {split: [entry.name for entry in writer.entries() if entry.split == split] for split in ("train", "test")}
+    _report(Converted(name, str(folder), names["train"], names["test"], []), quiet, as_json)
+
+
+@_command
 def check(
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of a data set, with its manifest.json.")],
     as_json: Json = False,

@@ -88,6 +88,12 @@ def embedded_data(
     folder = cache_folder() / "data" / f"{app}-{notes['count']}-seed{seed}-v{VERSION}"
     if _is_finished(folder, app, notes):
         return folder
+    try:
+        folder.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ValueError(
+            f"{folder.parent}: {error.strerror}, expected a folder that can be written; set METAPP_CACHE to one."
+        ) from None
     if not quiet:
         say(f"{app}: making the embedded data set, once: {folder}")
     # In a folder of its own: another program may be making the same set.
@@ -101,6 +107,15 @@ def embedded_data(
     finally:
         shutil.rmtree(work, ignore_errors=True)
     return folder
+
+
+def embedded_exists(app: str) -> bool:
+    """Whether the default embedded set has been made already."""
+    return app in embedded_apps() and (_default_folder(app) / "manifest.json").is_file()
+
+
+def _default_folder(app: str) -> Path:
+    return cache_folder() / "data" / f"{app}-{sum(split_counts(app).values())}-seed0-v{VERSION}"
 
 
 def _make(app: str, folder: Path, counts: dict[str, int], seed: int, notes: dict[str, Any], quiet: bool) -> None:

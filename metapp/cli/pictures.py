@@ -50,7 +50,7 @@ def _grid(cells: list[tuple[dict[str, Any], str]], title: str, path: Path) -> Pa
 
     columns = min(10, len(cells))
     rows = -(-len(cells) // columns)
-    figure = Figure(figsize=(1.25 * columns + 0.3, 3.1 * rows + 0.5), layout="constrained")
+    figure = Figure(figsize=(1.25 * columns + 0.3, 2.8 * rows + 0.4), layout="constrained")
     axes = figure.subplots(2 * rows, columns, squeeze=False)
     for axis in axes.flat:
         axis.axis("off")

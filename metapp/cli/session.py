@@ -16,7 +16,7 @@ from torch import Generator
 
 from metapp.apps import app_names, load_app
 from metapp.cli.console import progress, say
-from metapp.cli.embedded import embedded_data
+from metapp.cli.embedded import embedded_data, embedded_exists
 from metapp.learning import MetaParameters
 from metapp.paradigms import Job, Paradigm, paradigms
 from metapp.paradigms.prepare import Interrupted, describe, prepare
@@ -141,7 +141,7 @@ def find_start(options: Options, paradigm: Paradigm) -> Start:
     if needed is None:
         return Start(MetaParameters(), "random", "")
     path = _start_path(options, needed)
-    prepared, info = load_start(path, str(options.device))
+    prepared, info = load_start(path, options.device)
     if info["app"] != options.app.name or info["start"] != needed:
         raise ValueError(f"{path}: a start of {info['app']} {info['start']}, expected {options.app.name} {needed}.")
     start = Start(prepared, _describe_path(path, options), digest(path))
@@ -156,22 +156,28 @@ def _with_tuning(options: Options, start: Start) -> Start:
         path = _start_path(options._replace(checkpoint=None), "quickft")
     except ValueError:
         return start
-    tuned, info = load_start(path, str(options.device))
+    tuned, info = load_start(path, options.device)
     if info["encoder"] != start.digest:
         return start
     return Start(
-        start.prepared._replace(alpha=tuned.alpha), f"{start.source}, tuned Adam", digest([start.digest, path.name])
+        start.prepared._replace(alpha=tuned.alpha), f"{start.source}, tuned Adam", digest(path)
     )
 
 
 def _start_path(options: Options, name: str) -> Path:
     if options.checkpoint:
         return options.checkpoint
-    for path in (trained_path(options, name), shipped_path(options.app.name, name)):
+    if options.data or embedded_exists(options.app.name):
+        path = trained_path(options, name)
         if path.is_file():
             return path
+    path = shipped_path(options.app.name, name)
+    # the starts that ship were trained by the quick recipe
+    if path.is_file() and options.recipe == "quick":
+        return path
     raise ValueError(
-        f"{options.app.name} {name}: no start, neither trained on this data nor shipped; train one with --train."
+        f"{options.app.name} {name}, recipe {options.recipe}: no start, neither trained on this data nor shipped; "
+        "train one with --train."
     )
 
 
@@ -187,9 +193,8 @@ def shipped_path(app: str, name: str) -> Path:
 
 
 def _describe_path(path: Path, options: Options) -> str:
-    if options.checkpoint:
-        return str(path)
-    return "shipped start" if "checkpoints" in path.parts and options.out not in path.parents else f"trained, {path}"
+    shipped = path == shipped_path(options.app.name, path.stem)
+    return "the one that ships" if shipped and not options.checkpoint else str(path)
 
 
 def train_start(options: Options, paradigm: Paradigm, steps: int | None) -> Path:

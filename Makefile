@@ -1,0 +1,57 @@
+# The front door. `make help` lists the targets.
+SHELL := /bin/bash
+.DEFAULT_GOAL := help
+
+VENV ?= .venv
+PYTHON ?= python3
+METAPP := $(VENV)/bin/metapp
+DATA ?= data
+RUNS ?= runs
+SEEDS ?= 0 1 2
+# small networks run many times slower where threads fight over them
+export OMP_NUM_THREADS ?= 1
+
+.PHONY: help setup demo test test-slow lint types bench tables table-results real starts-brdf clean
+
+help:  ## list the targets
+	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 18
+
+setup: $(VENV)/.ready  ## make the virtual environment and install metapp, pinned by constraints.txt
+
+$(VENV)/.ready: setup.cfg pyproject.toml constraints.txt tools/setup.sh
+	bash tools/setup.sh "$(PYTHON)" "$(VENV)"
+	@touch $@
+
+demo: setup  ## fit 20 unseen materials in 10 gradient steps each; table and picture
+	$(METAPP) meta brdf --steps 10 --out $(RUNS)
+
+test: setup  ## lint-free quick tests, minutes
+	$(VENV)/bin/python -m pytest -m "not slow"
+
+test-slow: setup  ## the tests that take minutes each
+	$(VENV)/bin/python -m pytest -m slow
+
+lint: setup  ## ruff
+	$(VENV)/bin/ruff check .
+	$(VENV)/bin/ruff format --check .
+
+types: setup  ## mypy
+	$(VENV)/bin/mypy
+
+bench: setup  ## speed and memory of learning, as ratios measured side by side
+	$(VENV)/bin/python -m tests.benchmarks.bench_learning
+
+tables: table-results  ## all tables there are
+
+table-results: setup  ## error and time of the five paradigms on the embedded data, beside the paper's
+	$(METAPP) evaluate --table --which results --out $(RUNS)
+
+real: setup  ## real materials: make real DATA=<folder with nbrdf/merl>; trains and prints the five paradigms, 3 seeds
+	bash tools/real_brdf.sh "$(METAPP)" "$(DATA)" "$(RUNS)" $(SEEDS)
+
+starts-brdf: setup  ## train the starts that ship: make starts-brdf DATA=<folder with nbrdf/merl>
+	bash tools/starts_brdf.sh "$(METAPP)" "$(DATA)" "$(RUNS)"
+
+clean:  ## remove runs, caches and the virtual environment
+	rm -rf $(VENV) runs build *.egg-info .pytest_cache .mypy_cache .ruff_cache
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -1,0 +1,335 @@
+"""Time and memory of learning, and of differentiating through it, against plain loops; `make bench` runs it.
+
+What is measured: the BRDF network (675 weights), 8 tasks, 10 inner steps of 512 samples, Meta-SGD, one thread.
+
+- Training: one outer step, the value of `after_learning` and its second-order gradient in phi = {theta_0, alpha}.
+- Adapting: 10 steps from theta_0, no meta-gradient.
+
+Against what: (a) the plain way, written here: task after task, `linear` on [samples, features], an unrolled graph with
+`create_graph=True`; (b) learn2learn's MetaSGD and TorchOpt's differentiable SGD (one fixed rate: its gradient is in
+theta_0 alone), the same network and batches, where they can be imported. All of them see the same samples, drawn
+beforehand; loss and gradient of (a) and of metapp are compared first, in the same run.
+
+How: all contestants take turns, round after round, and the median over the rounds counts. Seconds are the process's
+CPU seconds, the same as the clock's where nothing else runs. Compiling happens before the first round and is not
+counted; its seconds are printed.
+
+Memory: the peak of live tensor storage, counted by a TorchDispatchMode that sees every tensor an operator returns and
+forgets it when its storage dies, during one eager outer step of a convolutional U-Net on 128 x 128 pixels. It counts
+tensors, whatever the allocator does; scratch memory inside an operator is not seen.
+"""
+
+from __future__ import annotations
+
+import statistics
+import time
+import weakref
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import torch
+from torch import Generator, Tensor
+from torch.nn.functional import avg_pool2d, conv2d, interpolate, linear
+from torch.utils._python_dispatch import TorchDispatchMode
+from torch.utils._pytree import tree_leaves
+
+from metapp.adjoint import Drawn, Loss
+from metapp.apps.brdf import APP, network
+from metapp.learning import MetaParameters, after_learning, learn, spread
+from metapp.rules import sgd
+from metapp.task import Batch, Params
+
+TASKS, STEPS, SAMPLES, RATE = 8, 10, 512, 1e-2
+ROUNDS = 25
+
+
+def draw_batch(rng: Generator) -> Batch:
+    """Samples of 8 materials: unit vectors, cosines in (0, 1), targets of another random network."""
+    vectors = torch.randn(TASKS, 2, 3, SAMPLES, generator=rng)
+    vectors = (vectors / vectors.norm(dim=2, keepdim=True)).reshape(TASKS, 6, SAMPLES)
+    cosine = torch.rand(TASKS, 1, SAMPLES, generator=rng)
+    other = APP.init(Generator().manual_seed(1), TASKS)
+    target = torch.log1p(network(other, vectors).clamp_min(0) * cosine)
+    return {"where": torch.cat([vectors, cosine], 1), "target": target}
+
+
+def one_task(batch: Batch, task: int) -> tuple[Tensor, Tensor, Tensor]:
+    """(inputs [N, 6], cosine [N, 1], target [N, 3]) of one task."""
+    where = batch["where"][task].T.contiguous()
+    return where[:, :6].contiguous(), where[:, 6:].contiguous(), batch["target"][task].T.contiguous()
+
+
+PlainBatch = tuple[Tensor, Tensor, Tensor]
+
+
+def plain_loss(weights: list[Tensor], batch: PlainBatch) -> Tensor:
+    """The same loss of the same network as most would write it."""
+    inputs, cosine, target = batch
+    x = torch.relu(linear(inputs, weights[0], weights[1]))
+    x = torch.relu(linear(x, weights[2], weights[3]))
+    reflectance = torch.expm1(linear(x, weights[4], weights[5]))
+    return (torch.log1p(reflectance * cosine) - target).abs().mean()
+
+
+def plain_adapt(weights: list[Tensor], rates: list[Tensor], batches: list[PlainBatch], graph: bool) -> list[Tensor]:
+    """Meta-SGD's inner loop for one task, unrolled where `graph`."""
+    for batch in batches:
+        if not graph:
+            weights = [weight.detach().requires_grad_() for weight in weights]
+        grads = torch.autograd.grad(plain_loss(weights, batch), weights, create_graph=graph)
+        weights = [weight - rate * grad for weight, rate, grad in zip(weights, rates, grads, strict=True)]
+    return weights
+
+
+class Network(torch.nn.Module):
+    """The same network for the libraries, which want a module."""
+
+    def __init__(self, weights: list[Tensor]) -> None:
+        super().__init__()
+        for i, weight in enumerate(weights):
+            self.register_parameter(f"p{i}", torch.nn.Parameter(weight.clone()))
+
+    def forward(self, batch: PlainBatch) -> Tensor:
+        return plain_loss(list(self.parameters()), batch)
+
+
+def plain_weights(theta: Params) -> list[Tensor]:
+    """metapp's tree as the plain code wants it: biases without their second axis."""
+    return [value.squeeze(-1) if key.startswith("b") else value for key, value in theta.items()]
+
+
+def learn2learn_step(theta: Params, inner: list[list[PlainBatch]], last: list[PlainBatch]) -> Callable[[], Any] | str:
+    """One second-order outer step of learn2learn's MetaSGD, or why there is none."""
+    try:
+        from learn2learn.algorithms import MetaSGD
+    except Exception as error:  # its import fails in many ways
+        return f"learn2learn: not installed ({type(error).__name__})"
+    meta = MetaSGD(Network(plain_weights(theta)), lr=RATE)
+
+    def step() -> tuple[Tensor, list[Tensor]]:
+        total = torch.zeros(())
+        for batches, final in zip(inner, last, strict=True):
+            learner = meta.clone()
+            for batch in batches:
+                learner.adapt(learner(batch))
+            total = total + learner(final) / TASKS
+        return total, list(torch.autograd.grad(total, list(meta.parameters())))
+
+    return step
+
+
+def torchopt_step(theta: Params, inner: list[list[PlainBatch]], last: list[PlainBatch]) -> Callable[[], Any] | str:
+    """One second-order outer step of TorchOpt's differentiable SGD, or why there is none."""
+    try:
+        import torchopt
+    except Exception as error:
+        return f"TorchOpt: not installed ({type(error).__name__})"
+    net = Network(plain_weights(theta))
+    optimiser = torchopt.MetaSGD(net, lr=RATE)
+    start_net, start_state = torchopt.extract_state_dict(net), torchopt.extract_state_dict(optimiser)
+    leaves = list(net.parameters())
+
+    def step() -> tuple[Tensor, list[Tensor]]:
+        total = torch.zeros(())
+        for batches, final in zip(inner, last, strict=True):
+            for batch in batches:
+                optimiser.step(net(batch))
+            total = total + net(final) / TASKS
+            torchopt.recover_state_dict(net, start_net)
+            torchopt.recover_state_dict(optimiser, start_state)
+        return total, list(torch.autograd.grad(total, leaves))
+
+    return step
+
+
+def medians(contestants: dict[str, Callable[[], Any]]) -> dict[str, float]:
+    """CPU seconds of each, taking turns."""
+    seconds: dict[str, list[float]] = {name: [] for name in contestants}
+    for name, run in contestants.items():
+        start = time.perf_counter()
+        run()
+        if "compiled" in name:
+            print(f"  {name}: {time.perf_counter() - start:.1f} s to compile")
+        run()
+    for _ in range(ROUNDS):
+        for name, run in contestants.items():
+            start = time.process_time()
+            run()
+            seconds[name].append(time.process_time() - start)
+    return {name: statistics.median(each) for name, each in seconds.items()}
+
+
+def show(title: str, seconds: dict[str, float], targets: dict[str, float]) -> None:
+    """Milliseconds and how many times as fast as the first contestant."""
+    print(f"\n{title:44} {'ms':>8} {'times (a)':>10} {'target':>8}")
+    first = next(iter(seconds.values()))
+    for name, value in seconds.items():
+        target = f">= {targets[name]:g}" if name in targets else ""
+        print(f"  {name:42} {1e3 * value:8.2f} {first / value:10.2f} {target:>8}")
+
+
+def bench_brdf() -> None:
+    """Training and adapting with the BRDF network."""
+    rng = Generator().manual_seed(0)
+    theta = {key: value[0] for key, value in APP.init(rng, 1).items()}
+    alpha = {f"rate.{key}": torch.full_like(value, RATE)[None] for key, value in theta.items()}
+    batches, last = [draw_batch(rng) for _ in range(STEPS)], draw_batch(rng)
+    plain_inner = [[one_task(batch, task) for batch in batches] for task in range(TASKS)]
+    plain_last = [one_task(last, task) for task in range(TASKS)]
+    supply: list[Iterator[Batch]] = [iter(())]
+    loss = Loss(lambda data, rng: Drawn((), next(supply[0])), APP.loss)
+
+    def plain() -> tuple[Tensor, list[Tensor]]:
+        weights = [weight.clone().requires_grad_() for weight in plain_weights(theta)]
+        rates = [torch.full_like(weight, RATE, requires_grad=True) for weight in weights]
+        total = torch.zeros(())
+        for inner, final in zip(plain_inner, plain_last, strict=True):
+            total = total + plain_loss(plain_adapt(weights, rates, inner, graph=True), final) / TASKS
+        return total.detach(), list(torch.autograd.grad(total, [*weights, *rates]))
+
+    def ours(compiled: bool) -> Callable[[], tuple[Tensor, list[Tensor]]]:
+        lifted = after_learning(loss, sgd, steps=STEPS, order=2, compiled=compiled)
+
+        def step() -> tuple[Tensor, list[Tensor]]:
+            phi = {key: value.clone().requires_grad_() for key, value in MetaParameters(theta, alpha).flat().items()}
+            total = lifted.value(phi, (batches, last), {}).mean()
+            return total.detach(), list(torch.autograd.grad(total, list(phi.values())))
+
+        return step
+
+    def adapt(compiled: bool) -> Callable[[], Params]:
+        start, rule = spread(theta, TASKS, 0), sgd(spread(alpha, TASKS, 1))
+
+        def run() -> Params:
+            supply[0] = iter(batches)
+            return learn(start, rule, None, loss, steps=STEPS, rng=rng, compiled=compiled)
+
+        return run
+
+    def plain_one_by_one() -> None:
+        weights = plain_weights(theta)
+        rates = [torch.full_like(weight, RATE) for weight in weights]
+        for inner in plain_inner:
+            plain_adapt(weights, rates, inner, graph=False)
+
+    (value_a, grads_a), (value, grads) = plain(), ours(False)()
+    away = max(float((a - b.reshape(a.shape)).norm() / a.norm()) for a, b in zip(grads_a, grads, strict=True))
+    print(f"\nBRDF network, {TASKS} tasks, {STEPS} steps of {SAMPLES} samples; CPU seconds, one thread")
+    print(f"  loss (a) {float(value_a):.7f}, metapp {float(value):.7f}; gradients differ by {away:.0e} of their norm")
+    name = "metapp, compiled"
+    contestants = {"(a) plain loop, unrolled": plain, "metapp, eager": ours(False), name: ours(True)}
+    for title, library in (("learn2learn MetaSGD", learn2learn_step), ("TorchOpt MetaSGD, one rate", torchopt_step)):
+        step = library(theta, plain_inner, plain_last)
+        if isinstance(step, str):
+            print(f"  (b) {step}")
+            continue
+        print(f"  (b) {title}: loss {float(step()[0]):.7f}")
+        contestants[f"(b) {title}"] = step
+    show("second-order training step", medians(contestants), {name: 4})
+    contestants = {"(a) plain loop, one by one": plain_one_by_one, "metapp, eager": adapt(False), name: adapt(True)}
+    show("adapting, no meta-gradient", medians(contestants), {name: 8})
+
+
+# Memory
+
+
+class LiveBytes(TorchDispatchMode):
+    """Counts the bytes of storages that operators made and that still live."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.live = self.peak = 0
+        self.seen: dict[int, Any] = {}
+
+    def __torch_dispatch__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
+        result = func(*args, **(kwargs or {}))
+        for tensor in tree_leaves(result):
+            if isinstance(tensor, Tensor):
+                self._count(tensor.untyped_storage())
+        return result
+
+    def _count(self, storage: torch.UntypedStorage) -> None:
+        key, size = storage._cdata, storage.nbytes()
+        if key in self.seen:
+            return
+
+        def forget(_: Any) -> None:
+            self.live -= size
+            del self.seen[key]
+
+        self.seen[key] = weakref.ref(storage, forget)
+        self.live += size
+        self.peak = max(self.peak, self.live)
+
+
+CHANNELS = (16, 32, 64, 128)
+
+
+def unet_init(rng: Generator) -> Params:
+    """Weights of one U-Net, 3 channels in and out, two convolutions a level."""
+    theta = {}
+
+    def add(name: str, inputs: int, outputs: int) -> None:
+        theta[f"{name}.w"] = torch.randn(outputs, inputs, 3, 3, generator=rng) * (2 / (9 * inputs)) ** 0.5
+        theta[f"{name}.b"] = torch.zeros(outputs)
+
+    for level, (inputs, outputs) in enumerate(zip((3, *CHANNELS), CHANNELS, strict=False)):
+        add(f"down{level}", inputs, outputs)
+        add(f"deep{level}", outputs, outputs)
+    for level in reversed(range(len(CHANNELS) - 1)):
+        add(f"up{level}", CHANNELS[level + 1] + CHANNELS[level], CHANNELS[level])
+    add("out", CHANNELS[0], 3)
+    return theta
+
+
+def unet(theta: Params, x: Tensor) -> Tensor:
+    """One U-Net on pictures [N, 3, H, W]."""
+
+    def layer(name: str, x: Tensor) -> Tensor:
+        return torch.nn.functional.silu(conv2d(x, theta[f"{name}.w"], theta[f"{name}.b"], padding=1))
+
+    kept = []
+    for level in range(len(CHANNELS)):
+        x = layer(f"deep{level}", layer(f"down{level}", x if level == 0 else avg_pool2d(x, 2)))
+        kept.append(x)
+    for level in reversed(range(len(CHANNELS) - 1)):
+        x = layer(f"up{level}", torch.cat([interpolate(x, scale_factor=2.0), kept[level]], 1))
+    return conv2d(x, theta["out.w"], theta["out.b"], padding=1)
+
+
+def bench_memory(tasks: int = 2, steps: int = 3) -> None:
+    """Peak of an outer step of first and of second order."""
+    rng = Generator().manual_seed(0)
+    theta = unet_init(rng)
+    alpha = {f"rate.{key}": torch.full_like(value, 1e-2)[None] for key, value in theta.items()}
+    apply = torch.func.vmap(unet)
+
+    def value(theta: Params, batch: Batch, shape: Params) -> Tensor:
+        return (apply(theta, batch["photo"]) - batch["target"]).square().mean((1, 2, 3, 4))
+
+    photos = torch.rand(2, tasks, 1, 3, 128, 128, generator=rng)
+    batch = {"photo": photos[0], "target": photos[1]}
+    loss = Loss(lambda data, rng: Drawn((), batch), value)
+    weights = sum(each.numel() for each in theta.values())
+    print(f"\nU-Net of {weights:,} weights, {tasks} tasks of 128 x 128 pixels, {steps} steps: peak of live tensors")
+    peaks = {}
+    for order in (1, 2):
+        lifted = after_learning(loss, sgd, steps=steps, order=order)
+        phi = {key: each.clone().requires_grad_() for key, each in MetaParameters(theta, alpha).flat().items()}
+        with LiveBytes() as counter:
+            total = lifted.value(phi, ([batch] * steps, batch), {}).mean()
+            torch.autograd.grad(total, list(phi.values()))
+        peaks[order] = counter.peak
+        print(f"  order {order}: {counter.peak / 2**20:.1f} MiB")
+    print(f"  second order / first order: {peaks[2] / peaks[1]:.2f} (target <= 1.5)")
+
+
+def main() -> None:
+    """Print the tables."""
+    torch.set_num_threads(1)
+    bench_memory()
+    bench_brdf()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,287 @@
+"""Fitting and evaluating end to end: tables, JSON, run folders, starts, and one line for every kind of bad input."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from safetensors.torch import load_file, save_file
+
+from data_tools.nbrdf import SHAPES, read_nbrdf
+from metapp.apps.brdf import APP
+from metapp.records import read_records
+from metapp.task import Recipe
+
+FEW = ("--samples", "512")
+STEPS = ("--train", "--train-steps", "3")
+
+
+@pytest.fixture(autouse=True)
+def short(monkeypatch: pytest.MonkeyPatch) -> Recipe:
+    """The quick recipe with few steps of Overfit and Finetune, and without a compiler."""
+    recipe = replace(APP.recipes["quick"], overfit_steps=30, finetune_steps=5)
+    monkeypatch.setitem(APP.recipes, "quick", recipe)
+    monkeypatch.setattr("metapp.paradigms.prepare.shutil.which", lambda name: None)
+    return recipe
+
+
+@pytest.fixture(scope="module")
+def networks(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("networks")
+    rng = np.random.default_rng(0)
+    for i in range(10):
+        (folder / f"m{i}").mkdir()
+        for part, shape in SHAPES.items():
+            np.save(folder / f"m{i}" / f"{part}.npy", rng.normal(0, 0.3, shape).astype(np.float32))
+    return folder
+
+
+@pytest.fixture
+def data(metapp: Callable, networks: Path, tmp_path: Path) -> Path:
+    folder = tmp_path / "materials"
+    assert metapp("data", "nbrdf", networks, "--out", folder, *FEW).code == 0
+    return folder
+
+
+@pytest.fixture
+def fit(metapp: Callable, data: Path, tmp_path: Path) -> Callable:
+    """`metapp PARADIGM brdf` on ten small materials, eight of them for training, runs in a folder of this test."""
+
+    def call(paradigm: str, *arguments: str | Path, data: Path = data):
+        return metapp(paradigm, "brdf", *arguments, "--data", data, "--out", tmp_path / "runs")
+
+    return call
+
+
+# What works
+
+
+def test_a_fit_prints_a_table_and_leaves_records_parameters_and_a_picture(fit: Callable, tmp_path: Path) -> None:
+    result = fit("overfit", "--steps", "40")
+    assert result.code == 0
+    assert "m4" in result.out
+    assert "mean error" in result.out
+    assert "start: random" in result.err
+    (folder,) = (tmp_path / "runs" / "brdf" / "overfit").iterdir()
+    records = read_records(folder / "record.jsonl")
+    assert [record["name"] for record in records] == ["m4", "m9"]
+    assert records[0]["settings"]["steps"] == 40
+    assert records[0]["settings"]["versions"]["torch"] == str(torch.__version__)
+    assert load_file(folder / "params" / "m4.safetensors")["w2"].shape == (21, 21)
+    assert (folder / "pictures.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_json_is_one_object_as_scripts_rely_on_it(fit: Callable) -> None:
+    result = fit("meta", "--rule", "meta-sgd", *STEPS, "--json", "--quiet")
+    document = result.document
+    assert len(result.out.splitlines()) == 1
+    keys = ["app", "paradigm", "rule", "steps", "device", "data", "error", "seconds", "tasks", "out"]
+    assert sorted(document) == sorted(keys)
+    assert (document["app"], document["paradigm"], document["rule"]) == ("brdf", "meta", "meta-sgd")
+    assert document["steps"] == 10
+    assert sorted(document["tasks"][0]) == ["error", "name", "seconds"]
+    assert document["error"] == pytest.approx(np.mean([task["error"] for task in document["tasks"]]))
+    assert Path(document["out"]).is_dir()
+
+
+def test_the_same_seed_gives_the_same_errors_whatever_is_fitted_beside(fit: Callable, networks: Path) -> None:
+    errors = [
+        {task["name"]: task["error"] for task in fit("overfit", *inputs, "--json", "--quiet").document["tasks"]}
+        for inputs in ((networks / "m4", networks / "m5"), (networks / "m5",), (networks / "m5", "--seed", "1"))
+    ]
+    assert errors[0]["m5"] == errors[1]["m5"]
+    assert errors[0]["m5"] != errors[2]["m5"]
+
+
+def test_a_start_trained_on_this_data_is_found_again_and_said(fit: Callable) -> None:
+    trained = fit("general", *STEPS, "--json")
+    again = fit("general", "--json")
+    assert "starts" in again.err
+    assert "general.safetensors" in again.err
+    assert again.document["tasks"][0]["error"] == trained.document["tasks"][0]["error"]
+    assert fit("finetune", "--json").document["steps"] == 5
+
+
+def test_quickft_is_tuned_for_its_encoder(fit: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("metapp.paradigms.prepare.itertools.product", lambda *axes: [[axis[0] for axis in axes]])
+    assert fit("general", *STEPS).code == 0
+    tuned = fit("quickft", *STEPS)
+    assert tuned.code == 0
+    assert "tuned Adam" in tuned.err
+
+
+def test_a_named_checkpoint_is_used(fit: Callable, tmp_path: Path) -> None:
+    fit("general", *STEPS)
+    (start,) = (tmp_path / "runs" / "brdf" / "starts").rglob("general.safetensors")
+    moved = start.rename(tmp_path / "mine.safetensors")
+    result = fit("general", "--checkpoint", moved)
+    assert result.code == 0
+    assert "mine.safetensors" in result.err
+
+
+@pytest.mark.parametrize("kind", ["nbrdf", "merl"])
+def test_exports_hold_what_was_fitted(fit: Callable, networks: Path, kind: str) -> None:
+    first = fit("overfit", networks / "m4", "--steps", "300", "--json", "--quiet", "--export", kind).document
+    exported = Path(first["out"]) / kind / ("m4" if kind == "nbrdf" else "m4.binary")
+    if kind == "nbrdf":
+        theta = load_file(Path(first["out"]) / "params" / "m4.safetensors")
+        assert np.array_equal(read_nbrdf(exported)["fc1"], theta["w1"].T.numpy())
+    again = fit("overfit", exported, "--steps", "1", "--json", "--quiet")
+    assert again.code == 0
+    assert again.document["tasks"][0]["name"] == "m4"
+
+
+def test_an_interrupted_run_keeps_finished_tasks_and_goes_on(
+    fit: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    calls = []
+    errors = APP.errors
+
+    def interrupted(theta, tasks):
+        calls.append(tasks.names)
+        if len(calls) == 2:
+            raise KeyboardInterrupt
+        return errors(theta, tasks)
+
+    monkeypatch.setattr(APP, "errors", interrupted)
+    result = fit("overfit")
+    assert result.code == 130
+    assert "run the same command again" in result.err
+    (file,) = (tmp_path / "runs").rglob("record.jsonl")
+    (kept,) = read_records(file)
+    assert fit("overfit").code == 0
+    first, second = read_records(file)
+    assert first == kept
+    assert second["name"] == "m9"
+    assert calls == [("m4",), ("m9",), ("m9",)]
+
+
+def test_interrupted_training_keeps_its_best_state(
+    fit: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    observe, calls = APP.observe, []
+
+    def interrupted(tasks, rng):
+        calls.append(1)
+        if len(calls) == 8:
+            raise KeyboardInterrupt
+        return observe(tasks, rng)
+
+    monkeypatch.setattr(APP, "observe", interrupted)
+    assert fit("general", "--train").code == 130
+    assert list((tmp_path / "runs").rglob("general.interrupted.safetensors"))
+
+
+def test_evaluate_runs_what_is_missing_and_prints_the_paper_beside_it(
+    metapp: Callable, fit: Callable, data: Path, tmp_path: Path
+) -> None:
+    fit("general", *STEPS)
+    fit("meta", *STEPS)
+    common = ("evaluate", "brdf", "--data", data, "--out", tmp_path / "runs")
+    missing = metapp(*common, "--no-run", "--json")
+    assert "metapp overfit brdf" in missing.err
+    result = metapp(*common, "--table")
+    assert result.code == 0
+    for text in ("general", "overfit", "finetune", "quickft", "meta", "1.892", "0.93", "4555", "gap closed"):
+        assert text in result.out
+    document = metapp(*common, "--json", "--no-run").document
+    assert document["which"] == "results"
+    row = document["rows"][-1]
+    wanted = {"app", "paradigm", "error", "seconds", "tasks", "low", "high", "paper_error", "paper_seconds"}
+    assert wanted <= set(row)
+    assert row["paper_error"] == 0.720
+    assert row["low"] <= row["error"] <= row["high"]
+    by_format = {form: metapp(*common, "--no-run", "--format", form).out for form in ("markdown", "latex", "csv")}
+    assert by_format["markdown"].startswith("| app |")
+    assert r"\bottomrule" in by_format["latex"]
+    assert by_format["csv"].startswith("app,paradigm")
+
+
+# What is refused, each with its exit code and one line
+
+
+def refuse(result, code: int, *parts: str) -> None:
+    assert result.code == code, result.err
+    assert "Traceback" not in result.err
+    assert result.out == ""
+    for part in parts:
+        assert part in result.err.replace("\n", " ").replace("│", ""), result.err
+
+
+def test_refuses_wrong_options(metapp: Callable, fit: Callable) -> None:
+    refuse(metapp("meta", "brdfs"), 2, "brdfs", "expected one of brdf")
+    refuse(fit("meta", "--rule", "meta-magic"), 2, "meta-magic", "meta-sgd")
+    refuse(fit("overfit", "--rule", "meta-sgd"), 2, "--rule")
+    refuse(fit("meta", "--recipe", "slow"), 2, "slow", "quick")
+    refuse(fit("meta", "--observe", "photo"), 2, "--observe")
+    refuse(fit("meta", "--export", "blend"), 2, "blend", "nbrdf")
+    refuse(fit("meta", "--steps", "-1"), 2, "--steps", "0")
+    refuse(fit("meta", "--steps", "ten"), 2, "ten")
+    refuse(fit("meta", "--device", "tpu"), 2, "tpu", "cuda")
+    refuse(fit("overfit", "--train"), 2, "needs no preparation")
+    refuse(fit("meta", "--train-steps", "5"), 2, "--train")
+    refuse(metapp("evaluate", "brdf", "--which", "nothing"), 2, "nothing", "results")
+    refuse(metapp("evaluate", "brdf", "--format", "word"), 2, "word", "markdown")
+
+
+def test_refuses_bad_input_files(fit: Callable, tmp_path: Path) -> None:
+    refuse(fit("overfit", tmp_path / "none.binary"), 1, "none.binary: no such file")
+    text = tmp_path / "text.binary"
+    text.write_text("not a material")
+    refuse(fit("overfit", text), 1, "text.binary: 14 bytes, expected 34,992,012")
+    other = tmp_path / "photo.png"
+    other.write_bytes(b"\x89PNG")
+    refuse(fit("overfit", other), 1, "photo.png: not an input of brdf", "MERL")
+    empty = tmp_path / "empty"
+    empty.mkdir()
+    refuse(fit("overfit", empty), 1, "empty: not an input of brdf")
+
+
+def test_refuses_bad_starts(fit: Callable, tmp_path: Path) -> None:
+    refuse(fit("general", "--checkpoint", tmp_path / "none.safetensors"), 1, "no such start")
+    broken = tmp_path / "broken.safetensors"
+    broken.write_bytes(b"broken")
+    refuse(fit("general", "--checkpoint", broken), 1, "not a start")
+    foreign = tmp_path / "foreign.safetensors"
+    save_file({"x": torch.zeros(2)}, foreign)
+    refuse(fit("general", "--checkpoint", foreign), 1, "not a start")
+    fit("general", *STEPS)
+    (start,) = (tmp_path / "runs").rglob("general.safetensors")
+    refuse(fit("meta", "--checkpoint", start), 1, "a start of brdf general, expected brdf meta-curvature")
+    refuse(fit("meta", "--recipe", "paper"), 1, "no start", "--train")
+
+
+def test_refuses_bad_data(fit: Callable, metapp: Callable, networks: Path, tmp_path: Path) -> None:
+    refuse(fit("overfit", data=tmp_path / "none"), 1, "none")
+    only = tmp_path / "only"
+    metapp("data", "nbrdf", networks, "--out", only, "--split", "train", *FEW)
+    refuse(fit("overfit", data=only), 1, "0 test tasks")
+    few = tmp_path / "few"
+    metapp("data", "nbrdf", networks / "m1", networks / "m2", "--out", few, "--split", "train", *FEW)
+    metapp("data", "nbrdf", networks / "m1", "--out", tmp_path / "test", "--split", "test", *FEW)
+    refuse(fit("general", *STEPS, data=tmp_path / "test"), 1, "0 tasks")
+
+
+def test_a_training_that_diverges_names_task_and_step(fit: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
+    loss, calls = APP.loss, []
+
+    def exploding(theta, batch, shape):
+        calls.append(1)
+        value = loss(theta, batch, shape)
+        return value * float("nan") if len(calls) > 2 else value
+
+    monkeypatch.setattr(APP, "loss", exploding)
+    result = fit("overfit")
+    refuse(result, 1, "m4", "not finite at step")
+
+
+def test_records_hold_valid_json_alone(fit: Callable, tmp_path: Path) -> None:
+    fit("overfit", "--quiet")
+    (file,) = (tmp_path / "runs").rglob("record.jsonl")
+    for line in file.read_text().splitlines():
+        assert json.loads(line)["settings"]["adam"]["rate"] > 0

@@ -1,0 +1,27 @@
+#!/usr/bin/env bash
+# Make the virtual environment: setup.sh PYTHON VENV. Works on a bare Debian 12 with python3.
+set -euo pipefail
+python=$1 venv=$2
+
+if ! "$python" -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null; then
+  echo "setup: $python is missing or older than 3.11; install Python 3.11 or name one: make setup PYTHON=..." >&2
+  exit 1
+fi
+if ! "$python" -c 'import ensurepip, venv' 2>/dev/null; then
+  # Debian packs venv separately
+  if [ "$(id -u)" = 0 ] && command -v apt-get >/dev/null; then
+    apt-get update -qq && apt-get install -y -qq --no-install-recommends python3-venv >/dev/null
+  else
+    echo "setup: Python has no venv module; install it first: apt-get install python3-venv" >&2
+    exit 1
+  fi
+fi
+"$python" -m venv "$venv"
+"$venv/bin/python" -m pip install --quiet --disable-pip-version-check --upgrade pip
+# the CPU build of torch where its index can be reached; elsewhere what the configured index gives for the same pin
+if ! "$venv/bin/python" -c 'import torch' 2>/dev/null; then
+  "$venv/bin/python" -m pip install --quiet --disable-pip-version-check -c constraints.txt \
+    ${TORCH_INDEX:+--index-url "$TORCH_INDEX"} torch
+fi
+"$venv/bin/python" -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[dev]'
+echo "setup: done, $venv/bin/metapp"

@@ -1,0 +1,16 @@
+#!/usr/bin/env bash
+# Train the BRDF starts that ship: starts_brdf.sh METAPP DATA RUNS
+# on the embedded training set and the 64 training materials of the MERL fits, never on the other 16.
+set -euo pipefail
+metapp=$1 data=$2 runs=$3
+[ -d "$data/nbrdf/merl" ] || { echo "starts: $data/nbrdf/merl is missing; name it: make starts-brdf DATA=..." >&2; exit 1; }
+"$metapp" data synth brdf --out "$runs/data/synthetic"
+"$metapp" data nbrdf "$data/nbrdf/merl" --out "$runs/data/nbrdf-merl"
+"$metapp" data join "$runs/data/synthetic" "$runs/data/nbrdf-merl" --out "$runs/data/joint"
+common=(brdf --data "$runs/data/joint" --out "$runs")
+"$metapp" general "${common[@]}" --train
+"$metapp" quickft "${common[@]}" --train
+for rule in meta-sgd meta-adam meta-curvature; do
+  "$metapp" meta "${common[@]}" --rule "$rule" --train
+done
+cp -v "$runs"/brdf/starts/joint-*-quick-seed0/{general,quickft,meta-sgd,meta-adam,meta-curvature}.safetensors metapp/checkpoints/brdf/
