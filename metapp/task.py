@@ -77,6 +77,7 @@ class Training:
         order: derivative carried through the inner steps: 1 (FOMAML) or 2 (MAML); 0 where there are none.
         clip: each task's outer gradient is scaled down to this norm before the mean is taken.
         validate_every: outer steps between two looks at the validation tasks.
+        from_general: Meta's first start is the mean of General's predictions; a random one otherwise.
     """
 
     steps: int
@@ -87,7 +88,8 @@ class Training:
     decay: float = 0.0
     order: int = 0
     clip: float = float("inf")
-    validate_every: int = 200
+    validate_every: int = 250
+    from_general: bool = True
 
 
 @dataclass(frozen=True)

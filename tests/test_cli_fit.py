@@ -221,12 +221,13 @@ def test_refuses_wrong_options(metapp: Callable, fit: Callable) -> None:
     refuse(fit("meta", "--observe", "photo"), 2, "--observe")
     refuse(fit("meta", "--export", "blend"), 2, "blend", "nbrdf")
     refuse(fit("meta", "--steps", "-1"), 2, "--steps", "0")
-    refuse(fit("meta", "--steps", "ten"), 2, "ten")
+    refuse(fit("meta", "--steps", "ten"), 2, "--steps", "integer")
     refuse(fit("meta", "--device", "tpu"), 2, "tpu", "cuda")
     refuse(fit("overfit", "--train"), 2, "needs no preparation")
     refuse(fit("meta", "--train-steps", "5"), 2, "--train")
     refuse(metapp("evaluate", "brdf", "--which", "nothing"), 2, "nothing", "results")
     refuse(metapp("evaluate", "brdf", "--format", "word"), 2, "word", "markdown")
+    refuse(metapp("evaluate", "brdf", "--recipe", "slow"), 2, "slow", "quick")
 
 
 def test_refuses_bad_input_files(fit: Callable, tmp_path: Path) -> None:
@@ -285,3 +286,10 @@ def test_records_hold_valid_json_alone(fit: Callable, tmp_path: Path) -> None:
     (file,) = (tmp_path / "runs").rglob("record.jsonl")
     for line in file.read_text().splitlines():
         assert json.loads(line)["settings"]["adam"]["rate"] > 0
+
+
+def test_doctor_says_what_there_is(metapp: Callable, cache: Path) -> None:
+    document = metapp("doctor", "--json").document
+    assert document["versions"]["torch"] == str(torch.__version__)
+    assert document["cache"] == str(cache)
+    assert metapp("doctor").out.startswith("versions")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from dataclasses import replace
 from typing import Any
 
 import torch
@@ -19,25 +20,46 @@ OBSERVED = 1024
 ENCODER = 128
 KNOTS = 8
 AUGMENTED = 8192
-RATES = {"": 1e-3, "alpha.": 1e-2, "alpha.left": 1e-3, "alpha.right": 1e-3}
-LEARNED = Training(steps=20_000, tasks=4, rates=RATES, warmup=200, final=0.01, order=2, clip=0.1)
+# Each task's gradient is scaled to about the same norm before the mean is taken: meta-gradients are heavy-tailed, and a
+# clip of 0.001 gave half the error of a clip of 1 on validation materials.
+LEARNED = Training(
+    steps=10_000,
+    tasks=4,
+    rates={"": 1e-3, "alpha.": 1e-2, "alpha.left": 1e-3, "alpha.right": 1e-3},
+    warmup=200,
+    final=0.01,
+    order=2,
+    clip=1e-3,
+)
 
-PAPER = Recipe(
-    # Fischer & Ritschel 2022, section 4.1.2 and supplement
+QUICK = Recipe(
     steps=10,
     batch=512,
-    overfit_steps=10_000,
-    overfit=Adam(5e-3, final=0.0),
-    finetune_steps=1_000,
-    finetune=Adam(1e-3, final=0.0),
-    quickft=Adam(5e-3),
-    general=Training(steps=20_000, tasks=16, rates={"": 5e-4}, warmup=200, final=0.0, clip=1.0),
+    overfit_steps=20_000,
+    overfit=Adam(1e-2, final=0.0),
+    finetune_steps=2_000,
+    finetune=Adam(4e-3, final=0.0),
+    quickft=Adam(5e-3, final=0.1),
+    general=Training(steps=12_000, tasks=8, rates={"": 1e-3}, warmup=200, final=0.0, validate_every=500),
     meta={
-        "meta-sgd": Training(steps=50_000, tasks=4, rates={"": 1e-4}, decay=1e-6, order=2, clip=1.0),
+        "meta-sgd": replace(LEARNED, rates={"": 1e-3}),
         "meta-adam": LEARNED,
         "meta-curvature": LEARNED,
     },
     rule="meta-curvature",
+)
+
+# Fischer & Ritschel 2022, section 4.1.2 and supplement: 10 inner steps of 512 samples, MAML with Meta-SGD from
+# alpha = 1e-3, outer Adam at 1e-4 with weight decay 1e-6, a random start
+PAPER = replace(
+    QUICK,
+    quickft=Adam(5e-3),
+    meta={
+        "meta-sgd": Training(
+            steps=100_000, tasks=1, rates={"": 1e-4}, decay=1e-6, order=2, clip=10.0, from_general=False
+        )
+    },
+    rule="meta-sgd",
 )
 
 
@@ -68,7 +90,7 @@ class Brdf(App):
     measure = "mean |log(1 + f cos theta_i) - log(1 + f' cos theta_i)| on held-out directions"
     scale = 100.0
     small_kernels = True
-    recipes = {"paper": PAPER, "quick": PAPER}  # noqa: RUF012  (never written to)
+    recipes = {"paper": PAPER, "quick": QUICK}  # noqa: RUF012  (never written to)
 
     def prepare(self, task: Task) -> dict[str, Tensor]:
         """`samples` [N, 10]: half and difference vector, cos theta_i, log(1 + f cos theta_i)."""

@@ -7,6 +7,7 @@ import enum
 import json
 import os
 import sys
+import time
 import warnings
 from collections.abc import Callable, Iterator
 from typing import Any
@@ -88,3 +89,16 @@ def progress(quiet: bool = False) -> Iterator[Progress]:
     )
     with Progress(*columns, console=err, disable=quiet or not err.is_terminal, transient=True) as bar:
         yield bar
+
+
+def follow(bar: Progress, row: Any, step: int, steps: int, note: str) -> None:
+    """Show a long job's state: on the bar, or, where there is no terminal, as a line now and then."""
+    bar.update(row, completed=step, total=steps, note=note)
+    now = time.monotonic()
+    if not err.is_terminal and (now - _last_line[0] > LINE_SECONDS or step == steps):
+        _last_line[0] = now
+        say(f"{bar.tasks[row].description}: step {step} of {steps}, {note}")
+
+
+LINE_SECONDS = 60.0
+_last_line = [float("-inf")]

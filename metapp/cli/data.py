@@ -241,8 +241,8 @@ def join(
             for entry in manifest.tasks:
                 writer.add(tasks[entry.name], entry.split, entry.source)
                 bar.update(shown, advance=1, note=entry.name)
-        names = {split: [entry.name for entry in writer.entries() if entry.split == split] for split in ("train", "test")}
-    _report(Converted(name, str(folder), names["train"], names["test"], []), quiet, as_json)
+        train, test = ([e.name for e in writer.entries() if e.split == split] for split in ("train", "test"))
+    _report(Converted(name, str(folder), train, test, []), quiet, as_json)
 
 
 @_command

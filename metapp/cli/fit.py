@@ -45,8 +45,6 @@ def make_command(name: str, summary: str) -> Any:
         from metapp.cli.session import Options, check_rule, find_app, find_device
 
         found = find_app(app)
-        if recipe not in found.recipes:
-            raise typer.BadParameter(f"--recipe '{recipe}': expected one of {', '.join(found.recipes)}.")
         if observe and observe not in found.protocols:
             expected = (
                 f"one of {', '.join(found.protocols)}" if found.protocols else "no such option: it has one protocol"

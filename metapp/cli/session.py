@@ -15,13 +15,12 @@ import typer
 from torch import Generator
 
 from metapp.apps import app_names, load_app
-from metapp.cli.console import progress, say
+from metapp.cli.console import follow, progress, say
 from metapp.cli.embedded import embedded_data, embedded_exists
 from metapp.learning import MetaParameters
 from metapp.paradigms import Job, Paradigm, paradigms
 from metapp.paradigms.prepare import Interrupted, describe, prepare
 from metapp.records import digest, load_start, save_start
-from metapp.rules import RULES
 from metapp.shards import fingerprint, read_shard
 from metapp.task import App, Task, stack
 
@@ -62,9 +61,12 @@ def find_app(name: str) -> App:
 
 
 def check_rule(name: str, app: App, recipe: str) -> str:
-    """The rule, the recipe's default where it is empty, or a usage error."""
-    if name and name not in RULES:
-        raise typer.BadParameter(f"--rule '{name}': expected one of {', '.join(RULES)}.")
+    """The rule, the recipe's default where it is empty, or a usage error; of the recipe as well."""
+    if recipe not in app.recipes:
+        raise typer.BadParameter(f"--recipe '{recipe}': expected one of {', '.join(app.recipes)}.")
+    known = app.recipes[recipe].meta
+    if name and name not in known:
+        raise typer.BadParameter(f"--rule '{name}': {app.name}, recipe {recipe}, expects one of {', '.join(known)}.")
     return name or app.recipes[recipe].rule
 
 
@@ -159,9 +161,7 @@ def _with_tuning(options: Options, start: Start) -> Start:
     tuned, info = load_start(path, options.device)
     if info["encoder"] != start.digest:
         return start
-    return Start(
-        start.prepared._replace(alpha=tuned.alpha), f"{start.source}, tuned Adam", digest(path)
-    )
+    return Start(start.prepared._replace(alpha=tuned.alpha), f"{start.source}, tuned Adam", digest(path))
 
 
 def _start_path(options: Options, name: str) -> Path:
@@ -232,7 +232,7 @@ def train_start(options: Options, paradigm: Paradigm, steps: int | None) -> Path
                 generator,
                 encoder=None if name == "general" else encoder.prepared,
                 steps=steps,
-                report=lambda i, n, note: bar.update(row, completed=i, total=n, note=note),
+                report=None if options.quiet else lambda i, n, note: follow(bar, row, i, n, note),
             )
         except Interrupted as error:
             kept = path.with_suffix(".interrupted.safetensors")

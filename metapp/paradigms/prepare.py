@@ -100,7 +100,7 @@ def prepare(
     else:
         training, paradigm = job.recipe.meta[name], paradigms()["meta"]
         mean = None
-        if encoder is not None:
+        if encoder is not None and training.from_general:
             mean = {key: value.mean(0) for key, value in general.start(job, encoder, to_fit, rng).items()}
         first, loss = meta.preparation(job, mean, rng, compiled=_can_compile())
     if steps is not None:

@@ -1,0 +1,71 @@
+"""`metapp doctor`: what this installation has and lacks."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from ctypes.util import find_library
+from importlib import metadata
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from metapp.cli.console import out, print_json
+
+PACKAGES = ("metapp", "torch", "numpy", "mitsuba", "OpenImageIO", "colour-science", "safetensors", "typer", "rich")
+
+
+def command(
+    json: Annotated[bool, typer.Option("--json", help="One JSON object as last line of standard output.")] = False,
+) -> None:
+    """Say what this installation has: versions, device, compiler, cache, starts that ship, libLLVM."""
+    found = examine()
+    if json:
+        print_json(found)
+        return
+    for name, value in found.items():
+        text = ", ".join(f"{key} {item}" for key, item in value.items()) if isinstance(value, dict) else str(value)
+        out.print(f"{name:<10} {text}", markup=False, soft_wrap=True)
+
+
+def examine() -> dict[str, Any]:
+    """What `doctor` prints, by subject."""
+    import torch
+
+    from metapp.apps import app_names
+    from metapp.cli.embedded import cache_folder, embedded_exists
+    from metapp.cli.session import shipped_path
+
+    starts = {
+        app: sorted(path.stem for path in shipped_path(app, "x").parent.glob("*.safetensors")) for app in app_names()
+    }
+    compiler = next((name for name in ("g++", "clang++") if shutil.which(name)), None)
+    return {
+        "versions": {name: _version(name) for name in PACKAGES},
+        "device": torch.cuda.get_device_name() if torch.cuda.is_available() else f"CPU, {os.cpu_count()} cores",
+        "compiler": compiler or "none: training runs about half as fast; install g++",
+        "cache": str(cache_folder()),
+        "data": {app: "made" if embedded_exists(app) else "made on first use" for app in app_names()},
+        "starts": {app: ", ".join(names) or "none" for app, names in starts.items()},
+        "libLLVM": _llvm(),
+    }
+
+
+def _version(package: str) -> str:
+    try:
+        return metadata.version(package)
+    except metadata.PackageNotFoundError:
+        return "missing"
+
+
+def _llvm() -> str:
+    """Mitsuba's llvm variants abort the process with versions 15 and 16; nothing here loads the library."""
+    path = os.environ.get("DRJIT_LIBLLVM_PATH")
+    if path:
+        return path if Path(path).exists() else f"{path} (DRJIT_LIBLLVM_PATH): no such file"
+    for version in (22, 21, 20, 19):
+        name = find_library(f"LLVM-{version}")
+        if name:
+            return name
+    return "none that fits; rendering scenes needs 19 or newer: apt-get install libllvm19 libatomic1"
