@@ -147,7 +147,7 @@ def _meta_curvature_alpha(app: App, theta: Params, steps: int) -> Params:
         if value.ndim == 2:
             for side, size in zip(("left", "right"), value.shape, strict=True):
                 if size > 1:
-                    alpha[f"{side}.{key}"] = torch.eye(size).to(value).expand(1, size, size).clone()
+                    alpha[f"{side}.{key}"] = torch.eye(size).to(value).repeat(steps, 1, 1)
     return alpha
 
 
