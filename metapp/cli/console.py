@@ -45,7 +45,9 @@ def run(command: Callable[[], Any]) -> int:
 
     # typer carries click inside from 0.2x on, so its classes are reached through those that typer exports
     usage_error, click_error = typer.BadParameter.__mro__[1:3]
-    warnings.simplefilter("default")
+    # only our own warnings are for the user
+    warnings.simplefilter("ignore")
+    warnings.filterwarnings("default", module=r"(metapp|data_tools)\b")
     warnings.showwarning = lambda message, *_, **__: say(f"warning: {message}")
     try:
         code = command()

@@ -27,13 +27,14 @@ class Prepared(NamedTuple):
         start: the best state on the validation tasks.
         validation: its mean error there, as the table prints it.
         step: the outer step it was reached at.
-        curve: (step, mean training loss since the last entry, validation error), both as the table prints errors.
+        curve: (step, mean training loss since the last entry, validation error), both as the table prints errors; None
+            where there was no training yet.
     """
 
     start: MetaParameters
     validation: float
     step: int
-    curve: list[tuple[int, float, float]]
+    curve: list[tuple[int, float | None, float]]
 
 
 class Interrupted(KeyboardInterrupt):
@@ -128,14 +129,15 @@ def _train(
     def look(step: int, params: Params) -> None:
         nonlocal best
         error = validate(params)
-        mean = scale * float(torch.stack(losses).mean()) if losses else float("nan")
+        mean = scale * float(torch.stack(losses).mean()) if losses else None
         losses.clear()
         best.curve.append((step, mean, error))
         if error < best.validation:
             kept = {key: value.clone() for key, value in params.items()}
             best = Prepared(MetaParameters.unflat(kept), error, step, best.curve)
         if report:
-            report(step, training.steps, f"loss {mean:.3f}, validation {error:.3f}, best {best.validation:.3f}")
+            loss_note = "" if mean is None else f"loss {mean:.3f}, "
+            report(step, training.steps, f"{loss_note}validation {error:.3f}, best {best.validation:.3f}")
 
     def watch(step: int, params: Params, value: Tensor) -> None:
         if step % training.validate_every == 0:
@@ -160,7 +162,7 @@ def tune_quickft(job: Job, encoder: MetaParameters, tasks: Tasks, report: Report
     """
     rates = [job.recipe.quickft.rate * 2 ** (i / 2) for i in range(-8, 5)]
     grid = list(itertools.product(rates, (0.5, 0.7, 0.8, 0.9, 0.95), (0.8, 0.9, 0.97, 0.999), (1.0, 0.3, 0.1, 0.0)))
-    curve: list[tuple[int, float, float]] = []
+    curve: list[tuple[int, float | None, float]] = []
     best = Prepared(encoder, float("inf"), 0, curve)
     for i, (rate, beta1, beta2, final) in enumerate(grid):
         alpha = quickft.to_alpha(Adam(rate, beta1, beta2, job.recipe.quickft.eps, final))
@@ -168,7 +170,7 @@ def tune_quickft(job: Job, encoder: MetaParameters, tasks: Tasks, report: Report
         error = validation_error(quickft.QUICKFT, job, tuned, tasks)
         if error < best.validation:
             best = Prepared(tuned, error, i, curve)
-            curve.append((i, float("nan"), error))
+            curve.append((i, None, error))
         if report:
             report(i + 1, len(grid), f"rate {rate:.1e}, validation {error:.3f}, best {best.validation:.3f}")
     return best

@@ -1,0 +1,266 @@
+"""Differentiating through learning: closed forms, an unrolled graph and finite differences must agree with it."""
+
+from __future__ import annotations
+
+import shutil
+import weakref
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import pytest
+import torch
+from torch import Generator, Tensor
+
+from metapp.adjoint import Drawn, Loss, UpdateRule, at_step, learn_through
+from metapp.apps.brdf import APP
+from metapp.learning import MetaParameters, after_learning, spread
+from metapp.rules import RULES, fixed_adam, sgd
+from metapp.task import Adam, Batch, Params
+
+TASKS, STEPS, SAMPLES = 3, 4, 24
+
+
+def unused(data: Any, rng: Generator) -> Drawn:
+    raise AssertionError("batches are given")
+
+
+def parabola(params: Params, batch: Batch, shape: Params) -> Tensor:
+    """(x - c)^T A (x - c) / 2, times a learned factor where there is one; [T]."""
+    away = params["x"] - batch["c"]
+    value = 0.5 * (away * (batch["A"] @ away[..., None])[..., 0]).sum(-1)
+    return value * torch.exp(shape["factor"]) if shape else value
+
+
+PARABOLA, BRDF = Loss(unused, parabola), Loss(unused, APP.loss)
+
+
+@pytest.fixture
+def randn() -> Callable[..., Tensor]:
+    rng = Generator().manual_seed(5)
+    return lambda *shape: torch.randn(*shape, generator=rng, dtype=torch.float64)
+
+
+def symmetric(matrices: Tensor) -> Tensor:
+    return matrices @ matrices.mT
+
+
+def brdf_batch(randn: Callable[..., Tensor]) -> Batch:
+    """Random unit vectors, cosines in (0, 1) and targets."""
+    vectors = torch.nn.functional.normalize(randn(TASKS, 2, 3, SAMPLES), dim=2).flatten(1, 2)
+    cosine = torch.sigmoid(randn(TASKS, 1, SAMPLES))
+    return {"where": torch.cat([vectors, cosine], 1), "target": torch.log1p(randn(TASKS, 3, SAMPLES).abs())}
+
+
+def brdf_phi(rule: str, randn: Callable[..., Tensor], steps: int = STEPS) -> Params:
+    """A random start and a rule away from its initial quantities, float64, flat."""
+    theta = {key: value[0].double() for key, value in APP.init(Generator().manual_seed(2), 1).items()}
+    alpha = {key: value + 0.05 * randn(*value.shape) for key, value in RULES[rule].alpha(APP, theta, steps).items()}
+    return MetaParameters(theta, alpha).flat()
+
+
+def unrolled(theta: Params, rule: UpdateRule, batches: Sequence[Batch], loss: Loss, order: int) -> Params:
+    """What learn_through stands for: one graph through all steps."""
+    state = rule.init(theta)
+    for i, batch in enumerate(batches):
+        alpha = at_step(rule.alpha, i)
+        shape = {key[5:]: value for key, value in alpha.items() if key.startswith("loss.")}
+        total = loss.value(theta, batch, shape).sum()
+        grads = torch.autograd.grad(total, list(theta.values()), create_graph=order == 2, retain_graph=True)
+        theta, state = rule.step(alpha, theta, dict(zip(theta, grads, strict=True)), state)
+    return theta
+
+
+def value_and_grads(function: Callable[[Params], Tensor], params: Params) -> tuple[Tensor, Params]:
+    leaves = {key: value.detach().clone().requires_grad_() for key, value in params.items()}
+    value = function(leaves)
+    grads = torch.autograd.grad(value, list(leaves.values()), allow_unused=True, materialize_grads=True)
+    return value.detach(), dict(zip(leaves, grads, strict=True))
+
+
+def assert_same(actual: Params, expected: Params, **tolerance: float) -> None:
+    assert list(actual) == list(expected)
+    for key, value in expected.items():
+        torch.testing.assert_close(actual[key], value, msg=lambda text, key=key: f"{key}: {text}", **tolerance)
+
+
+@pytest.mark.parametrize("steps", [1, 2, 5])
+@pytest.mark.parametrize("order", [1, 2])
+def test_one_dimension_in_closed_form(order: int, steps: int) -> None:
+    curvature = torch.tensor([0.5, 2.0], dtype=torch.float64)
+    target, rate = torch.tensor([1.0, -3.0], dtype=torch.float64), 0.3
+    away, keep = 0.7 - target, 1 - rate * curvature
+    batch = {"A": curvature[:, None, None], "c": target[:, None]}
+    phi = {"theta.x": torch.full((1,), 0.7).double(), "alpha.rate": torch.full((1, 1), rate, dtype=torch.float64)}
+    lifted = after_learning(PARABOLA, sgd, steps=steps, order=order)
+    value, grads = value_and_grads(lambda phi: lifted.value(phi, ([batch] * steps, batch), {}).sum(), phi)
+    # x_K - c = keep^K (x_0 - c), and the loss is A (x_K - c)^2 / 2
+    torch.testing.assert_close(value, (0.5 * curvature * (keep**steps * away) ** 2).sum())
+    if order == 2:
+        start = curvature * keep ** (2 * steps) * away
+        step = -steps * curvature**2 * keep ** (2 * steps - 1) * away**2
+    else:  # each step's gradient is a constant: d x_K / d x_0 = 1, d x_K / d rate = -sum of the gradients
+        start = curvature * keep**steps * away
+        step = -(curvature**2) * keep**steps * away**2 * sum(keep**i for i in range(steps))
+    torch.testing.assert_close(grads["theta.x"], start.sum()[None])
+    torch.testing.assert_close(grads["alpha.rate"], step.sum().reshape(1, 1))
+
+
+@pytest.mark.parametrize("order", [1, 2])
+def test_recursion_by_hand(order: int, randn: Callable[..., Tensor]) -> None:
+    """A rate per weight and step, another batch at each step: the adjoint recursion, written out for a parabola."""
+    matrices, centres = symmetric(randn(STEPS, 5, 5)) / 5, randn(STEPS, 5)
+    rates, last = 0.1 * randn(STEPS, 5), {"A": symmetric(randn(1, 5, 5)), "c": randn(1, 5)}
+    phi = {"theta.x": randn(5), "alpha.rate.x": rates}
+    xs, grads = [phi["theta.x"]], []
+    for matrix, centre, rate in zip(matrices, centres, rates, strict=True):
+        grads.append(matrix @ (xs[-1] - centre))
+        xs.append(xs[-1] - rate * grads[-1])
+    pull, expected = last["A"][0] @ (xs[-1] - last["c"][0]), torch.zeros_like(rates)
+    for i in reversed(range(STEPS)):
+        expected[i] = -pull * grads[i]
+        if order == 2:
+            pull = pull - matrices[i] @ (rates[i] * pull)
+    batches = [{"A": matrix[None], "c": centre[None]} for matrix, centre in zip(matrices, centres, strict=True)]
+    lifted = after_learning(PARABOLA, sgd, steps=STEPS, order=order)
+    _, result = value_and_grads(lambda phi: lifted.value(phi, (batches, last), {}).sum(), phi)
+    assert_same(result, {"theta.x": pull, "alpha.rate.x": expected})
+
+
+@pytest.mark.parametrize("order", [1, 2])
+@pytest.mark.parametrize("rule", list(RULES))
+def test_same_as_an_unrolled_graph(rule: str, order: int, randn: Callable[..., Tensor]) -> None:
+    phi, last = brdf_phi(rule, randn), brdf_batch(randn)
+    batches = [brdf_batch(randn) for _ in range(STEPS)]
+    lifted = after_learning(BRDF, RULES[rule].rule, steps=STEPS, order=order)
+
+    def reference(phi: Params) -> Tensor:
+        start = MetaParameters.unflat(phi)
+        learned = RULES[rule].rule(spread(start.alpha, TASKS, 1))
+        return APP.loss(unrolled(spread(start.theta, TASKS, 0), learned, batches, BRDF, order), last, {}).mean()
+
+    value, grads = value_and_grads(lambda phi: lifted.value(phi, (batches, last), {}).mean(), phi)
+    expected, expected_grads = value_and_grads(reference, phi)
+    torch.testing.assert_close(value, expected)
+    assert_same(grads, expected_grads, rtol=1e-7, atol=1e-12)
+    for key, grad in grads.items():  # every quantity matters; order 1 does not see the loss's own
+        assert (float(grad.abs().max()) > 0) == (order == 2 or not key.startswith("alpha.loss.")), key
+
+
+@pytest.mark.parametrize("order", [1, 2])
+def test_fixed_adam_same_as_an_unrolled_graph(order: int, randn: Callable[..., Tensor]) -> None:
+    theta = {key: value.double() for key, value in APP.init(Generator().manual_seed(2), TASKS).items()}
+    batches, last = [brdf_batch(randn) for _ in range(STEPS)], brdf_batch(randn)
+    rule = fixed_adam(Adam(1e-2, beta1=0.8, final=0.1), theta, STEPS)
+
+    def after(learned: Callable[[Params], Params]) -> Params:
+        return value_and_grads(lambda theta: APP.loss(learned(theta), last, {}).sum(), theta)[1]
+
+    actual = after(lambda theta: learn_through(theta, rule, batches, BRDF, order=order))
+    expected = after(lambda theta: unrolled(theta, rule, batches, BRDF, order))
+    assert_same(actual, expected, rtol=1e-7, atol=1e-12)
+
+
+@pytest.mark.parametrize("rule", list(RULES))
+def test_finite_differences(rule: str, randn: Callable[..., Tensor]) -> None:
+    phi, last = brdf_phi(rule, randn), brdf_batch(randn)
+    batches = [brdf_batch(randn) for _ in range(STEPS)]
+    lifted = after_learning(BRDF, RULES[rule].rule, steps=STEPS, order=2)
+
+    def mean(phi: Params) -> Tensor:
+        return lifted.value(phi, (batches, last), {}).mean()
+
+    _, grads = value_and_grads(mean, phi)
+    for part in ("theta.", "alpha.rate", "alpha.beta", "alpha.loss", "alpha.left", "alpha.right"):
+        moved = [key for key in phi if key.startswith(part)]
+        if not moved:
+            continue
+        direction = {key: randn(*phi[key].shape) for key in moved}
+        ahead, behind = (mean({**phi, **{key: phi[key] + h * direction[key] for key in moved}}) for h in (1e-6, -1e-6))
+        slope = sum((grads[key] * direction[key]).sum() for key in moved)
+        torch.testing.assert_close(slope, (ahead - behind) / 2e-6, rtol=2e-5, atol=1e-8)
+
+
+@pytest.mark.parametrize("order", [1, 2])
+def test_quantities_of_the_loss(order: int, randn: Callable[..., Tensor]) -> None:
+    """What is named loss.* goes to the inner loss and to no other: a factor on it is a factor on the rate."""
+    batch = {"A": symmetric(randn(TASKS, 3, 3)) / 3, "c": randn(TASKS, 3)}
+    phi = {"theta.x": randn(3), "alpha.rate": torch.full((1, TASKS), 0.05).double(), "alpha.loss.factor": randn(2)}
+    lifted = after_learning(PARABOLA, sgd, steps=2, order=order)
+
+    def by_factor(phi: Params) -> Tensor:
+        return lifted.value({**phi, "alpha.rate": phi["alpha.rate"][:, 0]}, ([batch] * 2, batch), {}).sum()
+
+    def by_rate(phi: Params) -> Tensor:
+        rate = phi["alpha.rate"][:, 0] * torch.exp(phi["alpha.loss.factor"])
+        return lifted.value({"theta.x": phi["theta.x"], "alpha.rate": rate}, ([batch] * 2, batch), {}).sum()
+
+    (value, grads), (expected, expected_grads) = value_and_grads(by_factor, phi), value_and_grads(by_rate, phi)
+    torch.testing.assert_close(value, expected)
+    if order == 1:  # which treats the gradient as a constant, its factor too
+        assert not grads.pop("alpha.loss.factor").any()
+        del expected_grads["alpha.loss.factor"]
+    assert_same(grads, expected_grads)
+
+
+def test_steps_beyond_the_last_quantities(randn: Callable[..., Tensor]) -> None:
+    batch = {"A": symmetric(randn(1, 3, 3)) / 3, "c": randn(1, 3)}
+    rates, start = 0.1 * randn(2, 3), randn(3)
+    few = {"theta.x": start, "alpha.rate.x": rates}
+    many = {"theta.x": start, "alpha.rate.x": rates[[0, 1, 1, 1, 1]]}
+    lifted = after_learning(PARABOLA, sgd, steps=5, order=2)
+    value, grads = value_and_grads(lambda phi: lifted.value(phi, ([batch] * 5, batch), {}).sum(), few)
+    expected, each = value_and_grads(lambda phi: lifted.value(phi, ([batch] * 5, batch), {}).sum(), many)
+    torch.testing.assert_close(value, expected)
+    rate = each["alpha.rate.x"]
+    assert_same(grads, {"theta.x": each["theta.x"], "alpha.rate.x": torch.stack([rate[0], rate[1:].sum(0)])})
+    assert at_step({"rate": rates}, 7)["rate"] is not rates
+    assert torch.equal(at_step({"rate": rates}, 7)["rate"], rates[1])
+
+
+def test_no_graph_is_kept_between_steps(randn: Callable[..., Tensor]) -> None:
+    """Every step's activations are gone before the next step computes its own, on the way there and back."""
+    activations: list[weakref.ref] = []
+    alive: list[int] = []
+
+    def value(params: Params, batch: Batch, shape: Params) -> Tensor:
+        alive.append(sum(each() is not None for each in activations))
+        hidden = torch.tanh(params["x"][..., None] * batch["c"])
+        activations.append(weakref.ref(hidden.untyped_storage()))
+        return (hidden * hidden).mean((1, 2))
+
+    batches = [{"c": randn(TASKS, 3, 50)} for _ in range(12)]
+    theta = {"x": randn(TASKS, 3).requires_grad_()}
+    rule = sgd({"rate": torch.full((1, TASKS), 0.1).double().requires_grad_()})
+    final = learn_through(theta, rule, batches, Loss(unused, value), order=2)["x"]
+    assert not any(each() is not None for each in activations)
+    torch.autograd.grad(final.sum(), [theta["x"], rule.alpha["rate"]])
+    assert len(alive) == 24
+    assert max(alive) == 0
+
+
+def test_a_second_walk_back_is_refused_or_right(randn: Callable[..., Tensor]) -> None:
+    """The states are given up on the way back; a second walk must not return something else in silence."""
+    batch = {"A": symmetric(randn(1, 3, 3)), "c": randn(1, 3)}
+    theta = {"x": randn(1, 3).requires_grad_()}
+    rule = sgd({"rate": torch.full((1, 1), 0.1).double()})
+    final = learn_through(theta, rule, [batch] * 3, PARABOLA, order=2)["x"].sum()
+    (first,) = torch.autograd.grad(final, theta["x"], retain_graph=True)
+    try:
+        (second,) = torch.autograd.grad(final, theta["x"])
+    except (RuntimeError, IndexError):
+        return
+    torch.testing.assert_close(first, second)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not (shutil.which("g++") or shutil.which("clang++")), reason="torch.compile needs a C++ compiler")
+@pytest.mark.parametrize("rule", list(RULES))
+def test_compiled_same_as_eager(rule: str, randn: Callable[..., Tensor]) -> None:
+    phi, last = brdf_phi(rule, randn), brdf_batch(randn)
+    batches = [brdf_batch(randn) for _ in range(STEPS)]
+    results = []
+    for compiled in (False, True):
+        lifted = after_learning(BRDF, RULES[rule].rule, steps=STEPS, order=2, compiled=compiled)
+        results.append(value_and_grads(lambda phi: lifted.value(phi, (batches, last), {}).mean(), phi))  # noqa: B023
+    torch.testing.assert_close(results[0][0], results[1][0])
+    assert_same(results[1][1], results[0][1], rtol=1e-7, atol=1e-12)

@@ -1,0 +1,305 @@
+"""The BRDF application: its network, losses, samples, encoder and made-up materials."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from torch import Generator, Tensor
+
+from data_tools.brdf_task import brdf_task
+from data_tools.nbrdf import export, nbrdf_evaluate, read_nbrdf
+from data_tools.synthetic_brdf import synthetic_materials
+from metapp.apps.brdf import APP, KNOTS
+from metapp.geometry import cos_incident
+from metapp.task import Batch, Params, Task, Tasks, stack
+
+SAMPLES = 512
+
+
+@pytest.fixture(scope="module")
+def materials() -> list[Task]:
+    return [brdf_task(each.name, each.evaluate, samples=SAMPLES) for each in synthetic_materials("train", 4)]
+
+
+@pytest.fixture(scope="module")
+def tasks(materials: list[Task]) -> Tasks:
+    return stack(APP, materials)
+
+
+@pytest.fixture
+def theta(rng: Generator) -> Params:
+    """Four random networks that are not black anywhere near."""
+    theta = APP.init(rng, 4)
+    return {key: value + 0.3 * torch.rand(value.shape, generator=rng) for key, value in theta.items()}
+
+
+@pytest.fixture
+def batch(tasks: Tasks, rng: Generator) -> Batch:
+    return APP.sample(tasks, rng, 100)
+
+
+def network_by_hand(theta: Params, task: int, inputs: np.ndarray) -> np.ndarray:
+    """exp(out) - 1 of one network, inputs [6, N]."""
+    x, weights = inputs, {key: value[task].numpy() for key, value in theta.items()}
+    for layer in (1, 2, 3):
+        x = weights[f"w{layer}"] @ x + weights[f"b{layer}"]
+        x = np.maximum(x, 0) if layer < 3 else np.exp(x) - 1
+    return x
+
+
+def distance_by_hand(theta: Params, batch: Batch, task: int, clamp: bool) -> np.ndarray:
+    """|log(1 + f cos) - log(1 + f' cos)|, [3, N]."""
+    where, target = batch["where"][task].numpy(), batch["target"][task].numpy()
+    value = network_by_hand(theta, task, where[:6])
+    return np.abs(np.log1p((np.maximum(value, 0) if clamp else value) * where[6]) - target)
+
+
+def test_the_data(materials: list[Task], tasks: Tasks) -> None:
+    angles, reflectance = materials[1].data["angles"], materials[1].data["reflectance"]
+    torch.testing.assert_close(tasks.data["where"][1, :, 6], cos_incident(angles))
+    torch.testing.assert_close(tasks.data["where"][1, :, 2], angles[:, 0].cos())
+    torch.testing.assert_close(tasks.data["where"][1, :, 5], angles[:, 1].cos())
+    weighted = torch.expm1(tasks.data["target"][1]) / cos_incident(angles)[:, None]
+    torch.testing.assert_close(weighted, reflectance, rtol=1e-3, atol=1e-4)
+    assert (tasks.data["where"][..., 6] > 0).all()
+    assert tasks.data["where"].stride(0) == 0  # one copy for all materials
+
+
+def test_init() -> None:
+    theta = APP.init(Generator().manual_seed(0), 2000)
+    assert sum(value[0].numel() for value in theta.values()) == 675
+    for layer, (inputs, gain) in enumerate(((6, 2), (21, 2), (21, 1)), 1):
+        torch.testing.assert_close(theta[f"w{layer}"].var(), torch.tensor(gain / inputs), rtol=0.02, atol=0)
+        assert not theta[f"b{layer}"].any()
+    assert not torch.equal(theta["w1"][0], theta["w1"][1])
+
+
+def test_loss_by_hand(theta: Params, batch: Batch) -> None:
+    loss = APP.loss(theta, batch, {})
+    assert loss.shape == (4,)
+    expected = [distance_by_hand(theta, batch, task, clamp=False).mean() for task in range(4)]
+    np.testing.assert_allclose(loss.numpy(), expected, rtol=1e-5)
+
+
+def test_errors_by_hand(theta: Params, tasks: Tasks) -> None:
+    """On the half that fits never see, with the clamp at 0 that makes the network a reflectance."""
+    errors = APP.errors(theta, tasks)["error"]
+    held_out = {key: value[:, SAMPLES // 2 :].transpose(1, 2) for key, value in tasks.data.items()}
+    expected = [distance_by_hand(theta, held_out, task, clamp=True).mean() for task in range(4)]
+    np.testing.assert_allclose(errors.numpy(), expected, rtol=1e-5)
+
+
+def test_smoothing_by_hand(theta: Params, batch: Batch) -> None:
+    shape = {"smoothing": torch.tensor([0.3, 0.1, 0.01, 1.0]).log(), "weights": torch.zeros(4, KNOTS)}
+    smooth = APP.loss(theta, batch, shape)
+    for task, s in enumerate(shape["smoothing"].exp().tolist()):
+        d = distance_by_hand(theta, batch, task, clamp=False)
+        np.testing.assert_allclose(float(smooth[task]), (np.sqrt(d * d + s * s) - s).mean(), rtol=1e-4)
+    assert (smooth < APP.loss(theta, batch, {})).all()
+
+
+def test_no_smoothing_and_no_weights_give_the_plain_loss(theta: Params, batch: Batch) -> None:
+    shape = {"smoothing": torch.full((4,), math.log(1e-9)), "weights": torch.zeros(4, KNOTS)}
+    torch.testing.assert_close(APP.loss(theta, batch, shape), APP.loss(theta, batch, {}))
+
+
+def test_sample_weights_by_hand(theta: Params, batch: Batch, rng: Generator) -> None:
+    knots = torch.randn(4, KNOTS, generator=rng)
+    weighted = APP.loss(theta, batch, {"smoothing": torch.full((4,), -20.0), "weights": knots})
+    for task in range(4):
+        theta_h = np.arccos(batch["where"][task, 2].clamp(-1, 1).numpy())
+        weight = np.exp(np.interp(theta_h, np.linspace(0, math.pi / 2, KNOTS), knots[task].numpy()))
+        expected = (distance_by_hand(theta, batch, task, clamp=False) * weight).mean()
+        np.testing.assert_allclose(float(weighted[task]), expected, rtol=1e-4)
+
+
+def test_initial_shape_is_gentle(theta: Params, batch: Batch) -> None:
+    shape = APP.shape(10)
+    assert {key: tuple(value.shape) for key, value in shape.items()} == {"smoothing": (10,), "weights": (10, KNOTS)}
+    torch.testing.assert_close(shape["smoothing"].exp(), torch.full((10,), 0.05))
+    assert not shape["weights"].any()
+
+
+def test_a_network_that_is_too_dark_has_a_gradient(batch: Batch) -> None:
+    theta = APP.init(Generator().manual_seed(0), 4)
+    theta["b3"] = torch.full_like(theta["b3"], -20.0).requires_grad_()
+    (grad,) = torch.autograd.grad(APP.loss(theta, batch, {}).sum(), theta["b3"])
+    assert torch.isfinite(grad).all()
+    assert torch.isfinite(APP.loss(theta, batch, {})).all()
+
+
+def test_same_as_the_published_network(theta: Params, materials: list[Task], tasks: Tasks, tmp_path: Path) -> None:
+    """Through an export to files and back: the formula of Sztrajman et al., and the same errors."""
+    angles, errors = materials[0].data["angles"], APP.errors(theta, tasks)["error"]
+    held_out = slice(SAMPLES // 2, None)
+    for task, material in enumerate(materials):
+        one = {key: value[task] for key, value in theta.items()}
+        export(APP, one, tmp_path / material.name)
+        published = nbrdf_evaluate(read_nbrdf(tmp_path / material.name), angles)
+        torch.testing.assert_close(APP.reflectance(one, angles), published, rtol=1e-5, atol=1e-5)
+        cosine, truth = cos_incident(angles)[held_out, None], material.data["reflectance"][held_out]
+        error = (torch.log1p(published[held_out] * cosine) - torch.log1p(truth * cosine)).abs().mean()
+        torch.testing.assert_close(error, errors[task], rtol=1e-4, atol=1e-7)
+
+
+def test_reflectance_takes_any_leading_axes(theta: Params) -> None:
+    angles, one = torch.rand(2, 5, 3), {key: value[0] for key, value in theta.items()}
+    value = APP.reflectance(one, angles)
+    assert value.shape == (2, 5, 3)
+    assert (value >= 0).all()
+    torch.testing.assert_close(value[1, 2], APP.reflectance(one, angles[1, 2]))
+
+
+# Samples
+
+
+def poisoned(tasks: Tasks, part: slice) -> Tasks:
+    target = tasks.data["target"].clone()
+    target[:, part] = math.nan
+    return Tasks(tasks.names, {**tasks.data, "target": target}, tasks.rows)
+
+
+def test_fits_see_the_first_half_alone(tasks: Tasks, theta: Params, rng: Generator) -> None:
+    hidden, seen = poisoned(tasks, slice(SAMPLES // 2, None)), poisoned(tasks, slice(SAMPLES // 2))
+    drawn = APP.sample(hidden, rng, 5000)["target"]
+    assert torch.isfinite(drawn).all()
+    assert torch.isfinite(APP.observe(hidden, rng)["target"]).all()
+    assert torch.isfinite(APP.errors(theta, seen)["error"]).all()
+    assert len(drawn[0].T.unique(dim=0)) > 0.95 * len(tasks.data["target"][0, : SAMPLES // 2].unique(dim=0))
+
+
+def test_samples_are_of_their_task(tasks: Tasks, rng: Generator) -> None:
+    drawn = APP.sample(tasks.select([2, 0]), rng, 7)
+    assert drawn["where"].shape == (2, 7, 7)
+    assert drawn["target"].shape == (2, 3, 7)
+    for position, task in enumerate((2, 0)):
+        rows = torch.cat([tasks.data["where"][task], tasks.data["target"][task]], 1).tolist()
+        for sample in torch.cat([drawn["where"][position], drawn["target"][position]]).T.tolist():
+            assert sample in rows
+
+
+# Encoder
+
+
+def test_encoder_does_not_mind_the_order_of_samples(tasks: Tasks, rng: Generator) -> None:
+    encoder, seen = APP.init_encoder(rng), APP.observe(tasks, rng)
+    shuffled = {key: value[..., torch.randperm(value.shape[-1], generator=rng)] for key, value in seen.items()}
+    order = torch.randperm(seen["where"].shape[-1], generator=rng)
+    together = {key: value[..., order] for key, value in seen.items()}
+    theta, same = APP.encode(encoder, seen), APP.encode(encoder, together)
+    for key, value in theta.items():
+        torch.testing.assert_close(same[key], value, rtol=1e-4, atol=1e-5)
+    other = APP.encode(encoder, shuffled)  # other targets for the same places are another material
+    assert not torch.allclose(other["w2"], theta["w2"], rtol=1e-4, atol=1e-5)
+
+
+def test_encoder_predicts_networks(tasks: Tasks, rng: Generator) -> None:
+    encoder = APP.init_encoder(rng)
+    theta = APP.encode(encoder, APP.observe(tasks, rng))
+    template = APP.init(rng, 4)
+    assert {key: value.shape for key, value in theta.items()} == {key: value.shape for key, value in template.items()}
+    one = APP.encode(encoder, APP.observe(tasks.select([1]), rng))
+    assert {value.shape[0] for value in one.values()} == {1}
+    start = APP.errors(theta, tasks)["error"]
+    assert (start < 3 * APP.errors(template, tasks)["error"].max()).all()
+
+
+# Made-up materials
+
+
+def apart(tasks: Tasks) -> Tasks:
+    """The same materials, as if each had angles of its own: they cannot be mixed."""
+    return Tasks(tasks.names, {key: value.clone().contiguous() for key, value in tasks.data.items()}, tasks.rows)
+
+
+def weighted(tasks: Tasks) -> Tensor:
+    """f cos theta_i of the stacked materials, [M, N, 3]."""
+    return torch.expm1(tasks.data["target"])
+
+
+def sources(made: Tasks, tasks: Tasks) -> Tensor:
+    """Indices [N] of the samples of `tasks` that made-up materials stand at."""
+    return torch.cdist(made.data["where"][0].double(), tasks.data["where"][0].double()).argmin(1)
+
+
+def test_made_up_materials_are_tasks(tasks: Tasks, rng: Generator) -> None:
+    picked = tasks.select([3, 1])
+    made = APP.augment(picked, rng)
+    assert len(made) == 2
+    assert made.names == tuple(f"variant of {name}" for name in picked.picked_names())
+    assert all(torch.isfinite(value).all() for value in made.data.values())
+    assert (made.data["target"] >= 0).all()
+    drawn = APP.sample(made, rng, 16)
+    assert drawn["where"].shape == (2, 7, 16)
+    assert not torch.equal(APP.augment(picked, rng).data["target"], made.data["target"])
+
+
+def test_a_made_up_material_is_one_material(tasks: Tasks, rng: Generator) -> None:
+    """Each channel is one channel of the source times one factor, at every sample."""
+    own = apart(tasks)
+    made = APP.augment(own, rng)
+    before, after = weighted(own)[:, sources(made, own)], weighted(made)
+    permuted = 0
+    for task in range(4):
+        matches = []
+        for channel in range(3):
+            factors = after[task, :, [channel]] / before[task].clamp_min(1e-6)
+            spread = factors.std(0) / factors.mean(0)
+            matches.append(int(spread.argmin()))
+            assert float(spread.min()) < 1e-2
+        permuted += sorted(matches) == [0, 1, 2] and matches != [0, 1, 2]
+    assert permuted
+
+
+def test_mixtures_are_between_two_materials(tasks: Tasks, rng: Generator, monkeypatch: pytest.MonkeyPatch) -> None:
+    grey = weighted(tasks).mean(2, keepdim=True).expand(-1, -1, 3)  # which permuting channels leaves alone
+    tasks = Tasks(tasks.names, {**tasks.data, "target": torch.log1p(grey)}, tasks.rows)
+    monkeypatch.setattr("metapp.apps.brdf.torch.randn", lambda *shape, **_: torch.zeros(shape))  # no gains
+    mixed = 0
+    for _ in range(4):
+        made = APP.augment(tasks, rng)
+        at = sources(made, tasks)
+        for task in range(4):
+            mine, result = grey[task, at, 0], weighted(made)[task, :, 0]
+            shares = []
+            for other in range(4):
+                gap = mine - grey[other, at, 0]
+                clear = gap.abs() > 0.05 * gap.abs().max()
+                share = 1 + ((result - mine) / gap)[clear] if other != task and clear.any() else torch.zeros(2)
+                shares.append((float(share.std()), float(share.mean())) if other != task else (1.0, 0.0))
+            deviation, share = min(shares)
+            assert deviation < 1e-3
+            assert -1e-3 < share < 1 + 1e-3
+            mixed += share < 0.99
+    assert 3 <= mixed <= 15
+
+
+def test_only_the_given_materials_are_mixed(tasks: Tasks, rng: Generator) -> None:
+    """A task outside of the view, as those that validate, must not get into training."""
+    target = tasks.data["target"].clone()
+    target[3] = math.nan
+    view = Tasks(tasks.names, {**tasks.data, "target": target}, tasks.rows).select([0, 1, 2])
+    for _ in range(30):
+        assert torch.isfinite(APP.augment(view, rng).data["target"]).all()
+
+
+def test_one_copy_of_shared_samples_survives_a_move(materials: list[Task]) -> None:
+    """Mixing asks for it, on every device ("meta" stands for one here)."""
+    assert stack(APP, materials, "meta").data["where"].stride(0) == 0
+
+
+def test_outputs(theta: Params, materials: list[Task], monkeypatch: pytest.MonkeyPatch) -> None:
+    seen: list[Callable] = []
+    monkeypatch.setattr("metapp.apps.brdf.sphere_scene", lambda: "scene")
+    monkeypatch.setattr("metapp.apps.brdf.shade_sphere", lambda scene, f: seen.append(f) or "picture")
+    one = {key: value[0] for key, value in theta.items()}
+    pictures = APP.outputs(one, materials[0])
+    assert pictures["fit"] == "picture"
+    assert pictures["reference"] is materials[0].data["render"]
+    angles = torch.rand(5, 3)
+    torch.testing.assert_close(seen[0](angles), APP.reflectance(one, angles))

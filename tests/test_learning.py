@@ -1,0 +1,367 @@
+"""learn and the combinators that lift losses."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+import torch
+from torch import Generator, Tensor
+
+from metapp.adjoint import Drawn, Loss
+from metapp.apps.brdf import APP
+from metapp.learning import (
+    MetaParameters,
+    after_encoding,
+    after_learning,
+    clip_per_task,
+    learn,
+    over_tasks,
+    spread,
+    task_loss,
+)
+from metapp.rules import RULES, fixed_adam, sgd
+from metapp.task import Adam, Batch, Params, Tasks
+
+NAMES = ("brass", "chalk", "felt", "glass", "paper")
+
+
+def parabola(params: Params, batch: Batch, shape: Params) -> Tensor:
+    return 0.5 * ((params["x"] - batch["c"]) ** 2).sum(-1)
+
+
+def draw_noisy(tasks: Tasks, rng: Generator) -> Drawn:
+    centre = tasks.data["c"][tasks.rows]
+    return Drawn(tasks.picked_names(), {"c": centre + torch.rand(centre.shape, generator=rng, dtype=centre.dtype)})
+
+
+def draw_exact(tasks: Tasks, rng: Generator) -> Drawn:
+    return Drawn(tasks.picked_names(), {"c": tasks.data["c"][tasks.rows]})
+
+
+EXACT, NOISY = Loss(draw_exact, parabola), Loss(draw_noisy, parabola)
+
+
+@pytest.fixture
+def tasks(rng: Generator) -> Tasks:
+    centres = torch.randn(len(NAMES), 3, generator=rng, dtype=torch.float64)
+    return Tasks(NAMES, {"c": centres}, torch.arange(len(NAMES)))
+
+
+@pytest.fixture
+def materials(rng: Generator) -> Tasks:
+    """Random samples that no real material has, float64."""
+    where = torch.rand(4, 64, 7, generator=rng, dtype=torch.float64)
+    target = torch.rand(4, 64, 3, generator=rng, dtype=torch.float64)
+    return Tasks(NAMES[:4], {"where": where, "target": target}, torch.arange(4))
+
+
+def zeros(tasks: Tasks) -> Params:
+    return {"x": torch.zeros(len(tasks), 3, dtype=torch.float64)}
+
+
+def rate(value: float) -> Params:
+    return {"rate": torch.full((1,), value, dtype=torch.float64)}
+
+
+# learn
+
+
+def test_closed_form(tasks: Tasks, rng: Generator) -> None:
+    final = learn(zeros(tasks), sgd(rate(0.1)), tasks, EXACT, steps=20, rng=rng)["x"]
+    torch.testing.assert_close(final, (1 - 0.9**20) * tasks.data["c"])
+
+
+def test_no_steps_return_the_start(tasks: Tasks, rng: Generator) -> None:
+    start = {"x": torch.randn(5, 3).requires_grad_()}
+    final = learn(start, sgd(rate(0.1)), tasks, EXACT, steps=0, rng=rng)["x"]
+    assert torch.equal(final, start["x"])
+    assert not final.requires_grad
+
+
+def test_the_start_is_not_written_to(tasks: Tasks, rng: Generator) -> None:
+    start = {"x": torch.randn(5, 3, dtype=torch.float64).requires_grad_()}
+    before = start["x"].detach().clone()
+    final = learn(start, sgd(rate(0.1)), tasks, EXACT, steps=2, rng=rng)["x"]
+    assert torch.equal(start["x"], before)
+    assert start["x"].grad is None
+    assert not final.requires_grad
+
+
+def given(batches: dict[str, list[Batch]]) -> Loss:
+    """The BRDF loss on batches that depend on the task and the step alone."""
+    step = {"next": 0}
+
+    def draw(tasks: Tasks, rng: Generator) -> Drawn:
+        names, i = tasks.picked_names(), step["next"]
+        step["next"] += 1
+        picked = [batches[name][i] for name in names]
+        return Drawn(names, {key: torch.stack([each[key] for each in picked]) for key in picked[0]})
+
+    return Loss(draw, APP.loss)
+
+
+@pytest.mark.parametrize("rule", ["adam", *RULES])
+def test_tasks_side_by_side_equal_each_alone(rule: str, materials: Tasks, rng: Generator) -> None:
+    steps, count = 6, len(materials)
+    batches: dict[str, list[Batch]] = {name: [] for name in materials.names}
+    for i, name in enumerate(materials.names):
+        for _ in range(steps):
+            drawn = APP.sample(materials.select([i]), rng, 16)
+            batches[name].append({key: value[0] for key, value in drawn.items()})
+    start = {key: value.double() for key, value in APP.init(rng, count).items()}
+    alpha = {} if rule == "adam" else RULES[rule].alpha(APP, {key: value[0] for key, value in start.items()}, steps)
+
+    def fit(rows: list[int]) -> Params:
+        theta = {key: value[rows] for key, value in start.items()}
+        own = fixed_adam(Adam(1e-2), theta, steps) if rule == "adam" else RULES[rule].rule(spread(alpha, len(rows), 1))
+        return learn(theta, own, materials.select(rows), given(batches), steps=steps, rng=rng)
+
+    together = fit(list(range(count)))
+    for i in range(count):
+        for key, value in fit([i]).items():
+            assert not torch.equal(value[0], start[key][i])
+            torch.testing.assert_close(together[key][i], value[0], rtol=1e-9, atol=1e-12)
+
+
+def test_same_seed_same_result(materials: Tasks) -> None:
+    theta = {key: value.double() for key, value in APP.init(Generator().manual_seed(0), 4).items()}
+
+    def fit(seed: int) -> Params:
+        loss, rng = task_loss(APP, 16), Generator().manual_seed(seed)
+        return learn(theta, fixed_adam(Adam(1e-2), theta, 5), materials, loss, steps=5, rng=rng)
+
+    first, again, other = fit(0), fit(0), fit(1)
+    assert all(torch.equal(first[key], again[key]) for key in theta)
+    assert not any(torch.equal(first[key], other[key]) for key in theta)
+
+
+def test_watch_sees_each_step_before_its_update(tasks: Tasks, rng: Generator) -> None:
+    seen: list[tuple[int, Tensor, Tensor]] = []
+    learn(
+        zeros(tasks),
+        sgd(rate(0.5)),
+        tasks,
+        EXACT,
+        steps=3,
+        rng=rng,
+        watch=lambda i, params, value: seen.append((i, params["x"], value)),
+    )
+    assert [i for i, _, _ in seen] == [0, 1, 2]
+    for i, x, value in seen:
+        torch.testing.assert_close(x, (1 - 0.5**i) * tasks.data["c"])
+        torch.testing.assert_close(value, 0.5 * (0.5**i * tasks.data["c"]).square().sum(1))
+
+
+def failing(names: tuple[str, ...], at: int, bad: float) -> Loss:
+    steps = iter(range(1000))
+
+    def draw(tasks: Tasks, rng: Generator) -> Drawn:
+        i, picked = next(steps), tasks.picked_names()
+        values = [bad if i >= at and name in names else 0.0 for name in picked]
+        return Drawn(picked, {"c": torch.tensor(values, dtype=torch.float64)[:, None]})
+
+    return Loss(draw, parabola)
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf])
+def test_a_loss_that_is_not_finite_names_task_and_step(bad: float, tasks: Tasks, rng: Generator) -> None:
+    loss = failing(("glass",), 3, bad)
+    message = r"^glass: the loss is not finite at step 3; lower the learning rate or clip earlier\.$"
+    with pytest.raises(FloatingPointError, match=message):
+        learn(zeros(tasks), sgd(rate(0.1)), tasks, loss, steps=10, rng=rng, check_every=1)
+
+
+def test_the_last_step_is_always_checked(tasks: Tasks, rng: Generator) -> None:
+    loss = failing(NAMES, 3, math.nan)
+    with pytest.raises(FloatingPointError, match=r"^brass, chalk, felt: the loss is not finite at step 9;"):
+        learn(zeros(tasks), sgd(rate(0.1)), tasks, loss, steps=10, rng=rng, check_every=50)
+
+
+# Combinators
+
+
+def test_task_loss_draws_what_the_application_samples(materials: Tasks) -> None:
+    loss = task_loss(APP, 8)
+    drawn = loss.draw(materials.select([2, 0]), Generator().manual_seed(1))
+    assert drawn.names == ("felt", "brass")
+    expected = APP.sample(materials.select([2, 0]), Generator().manual_seed(1), 8)
+    assert all(torch.equal(drawn.batch[key], value) for key, value in expected.items())
+    assert not loss.shared
+
+
+def test_over_tasks_is_the_mean_over_tasks(tasks: Tasks, rng: Generator) -> None:
+    loss = over_tasks(EXACT, count=5)
+    drawn = loss.draw(tasks, rng)
+    total, each = loss.total({"x": torch.zeros(3).double()}, drawn.batch, {})
+    expected = {name: 0.5 * float(c.square().sum()) for name, c in zip(NAMES, tasks.data["c"], strict=True)}
+    torch.testing.assert_close(each.tolist(), [expected[name] for name in drawn.names])
+    assert math.isclose(float(total), sum(expected.values()) / 5)
+
+
+def test_over_tasks_draws_without_replacement(tasks: Tasks, rng: Generator) -> None:
+    loss, counts = over_tasks(EXACT, count=3), dict.fromkeys(NAMES, 0)
+    for _ in range(300):
+        names = loss.draw(tasks, rng).names
+        assert len(names) == len(set(names)) == 3
+        for name in names:
+            counts[name] += 1
+    assert all(abs(count - 180) < 5 * math.sqrt(300 * 0.6 * 0.4) for count in counts.values())
+    assert sorted(over_tasks(EXACT, count=9).draw(tasks, rng).names) == list(NAMES)  # no more than there are
+    subset = tasks.select([1, 4])
+    assert {name for _ in range(20) for name in loss.draw(subset, rng).names} == {"chalk", "paper"}
+
+
+def test_over_tasks_samples_from_the_augmented(tasks: Tasks, rng: Generator) -> None:
+    def augment(picked: Tasks, rng: Generator) -> Tasks:
+        names = tuple(f"twice {name}" for name in picked.picked_names())
+        return Tasks(names, {"c": 2 * picked.data["c"][picked.rows]}, torch.arange(len(picked)))
+
+    drawn = over_tasks(EXACT, count=2, augment=augment).draw(tasks, rng)
+    for name, c in zip(drawn.names, drawn.batch["c"], strict=True):
+        assert torch.equal(c, 2 * tasks.data["c"][NAMES.index(name.removeprefix("twice "))])
+
+
+def test_after_learning_is_the_loss_after_learn(tasks: Tasks) -> None:
+    phi = MetaParameters({"x": torch.randn(3).double()}, rate(0.1)).flat()
+    lifted = after_learning(NOISY, sgd, steps=4, order=2)
+    drawn = lifted.draw(tasks, Generator().manual_seed(1))
+    assert drawn.names == NAMES
+    rng = Generator().manual_seed(1)
+    final = learn(spread({"x": phi["theta.x"]}, 5, 0), sgd(rate(0.1)), tasks, NOISY, steps=4, rng=rng)
+    last = NOISY.draw(tasks, rng).batch  # other samples than any step has seen
+    torch.testing.assert_close(lifted.value(phi, drawn.batch, {}), parabola(final, last, {}))
+
+
+def test_after_no_steps_it_is_the_loss_itself(tasks: Tasks, rng: Generator) -> None:
+    phi = MetaParameters({"x": torch.randn(3).double()}, rate(0.1)).flat()
+    lifted = after_learning(NOISY, sgd, steps=0, order=2)
+    batch = lifted.draw(tasks, rng).batch
+    torch.testing.assert_close(lifted.value(phi, batch, {}), parabola({"x": phi["theta.x"]}, batch[1], {}))
+
+
+def test_meta_is_learn_over_tasks_after_learning(tasks: Tasks, rng: Generator) -> None:
+    """Alg. 3: on parabolas of one curvature the best start is the mean and the best rate the curvature's inverse."""
+    phi = MetaParameters({"x": torch.randn(3).double()}, rate(0.1)).flat()
+    lifted = over_tasks(after_learning(EXACT, sgd, steps=3, order=2), count=5)
+    start = float(lifted.value(phi, lifted.draw(tasks, rng).batch, {}).mean())
+    trained = learn(phi, fixed_adam(Adam(0.1, final=0.0), phi, 200), tasks, lifted, steps=200, rng=rng)
+    assert float(lifted.value(trained, lifted.draw(tasks, rng).batch, {}).mean()) < 1e-6 * start
+    torch.testing.assert_close(float(trained["alpha.rate"]), 1.0, rtol=0, atol=0.1)
+
+
+def test_after_encoding(tasks: Tasks, rng: Generator) -> None:
+    def observe(tasks: Tasks, rng: Generator) -> Batch:
+        return {"seen": tasks.data["c"][tasks.rows]}
+
+    def encode(encoder: Params, observed: Any) -> Params:
+        return {"x": observed["seen"] @ encoder["w"]}
+
+    loss = over_tasks(after_encoding(EXACT, observe, encode), count=5)
+    phi = MetaParameters(encoder={"w": torch.zeros(3, 3).double()}).flat()
+    trained = learn(phi, fixed_adam(Adam(0.05, final=0.0), phi, 300), tasks, loss, steps=300, rng=rng)
+    torch.testing.assert_close(trained["encoder.w"], torch.eye(3).double(), rtol=0, atol=1e-3)
+
+
+def test_flat_and_unflat_are_inverse() -> None:
+    start = MetaParameters(
+        {"w.x": torch.ones(2)}, {"rate.w.x": torch.ones(1), "beta": torch.ones(3)}, {"in.w": torch.ones(4)}
+    )
+    flat = start.flat()
+    assert list(flat) == ["theta.w.x", "alpha.rate.w.x", "alpha.beta", "encoder.in.w"]
+    back = MetaParameters.unflat(flat)
+    assert back == start
+    assert all(back.alpha[key] is value for key, value in start.alpha.items())
+    assert MetaParameters().flat() == {}
+    assert MetaParameters.unflat({}) == MetaParameters()
+
+
+def test_spread_copies_nothing() -> None:
+    value = torch.arange(6.0).reshape(2, 3)
+    for axis in (0, 1):
+        wide = spread({"x": value}, 4, axis)["x"]
+        assert wide.shape == ((4, 2, 3), (2, 4, 3))[axis]
+        assert wide.data_ptr() == value.data_ptr()
+        assert all(torch.equal(wide.select(axis, i), value) for i in range(4))
+
+
+# Clipping
+
+
+@pytest.fixture
+def pulled(rng: Generator) -> Callable[..., tuple[Tensor, Tensor]]:
+    """Gradients, for each task, of a function that is linear in theta [T, 4] and alpha [K, T, 2]."""
+
+    def pull(slope_theta: Tensor, slope_alpha: Tensor, limit: float) -> tuple[Tensor, Tensor]:
+        theta = {"x": torch.zeros_like(slope_theta, requires_grad=True)}
+        alpha = {"rate": torch.zeros_like(slope_alpha, requires_grad=True)}
+        same_theta, same_alpha = clip_per_task(theta, alpha, limit)
+        assert torch.equal(same_theta["x"], theta["x"])
+        assert torch.equal(same_alpha["rate"], alpha["rate"])
+        total = (same_theta["x"] * slope_theta).sum() + (same_alpha["rate"] * slope_alpha).sum()
+        grads = torch.autograd.grad(total, [theta["x"], alpha["rate"]])
+        return grads[0], grads[1]
+
+    return pull
+
+
+def slopes(rng: Generator) -> tuple[Tensor, Tensor]:
+    """Slopes of 4 tasks whose norms range from 1e-3 to 1e6."""
+    scale = torch.tensor([1e-3, 0.1, 3.0, 1e6], dtype=torch.float64)
+    theta = torch.randn(4, 4, generator=rng, dtype=torch.float64) * scale[:, None]
+    return theta, torch.randn(3, 4, 2, generator=rng, dtype=torch.float64) * scale[:, None]
+
+
+def by_task(theta: Tensor, alpha: Tensor) -> Tensor:
+    return torch.cat([theta, alpha.movedim(1, 0).flatten(1)], 1)
+
+
+def test_clipping_keeps_directions(pulled: Callable, rng: Generator) -> None:
+    before = slopes(rng)
+    raw, clipped = by_task(*before), by_task(*pulled(*before, 0.5))
+    norms = raw.norm(dim=1)
+    assert norms[0] < 0.5 < norms[2]
+    torch.testing.assert_close(clipped.norm(dim=1), norms.clamp_max(0.5))
+    torch.testing.assert_close(torch.cosine_similarity(raw, clipped), torch.ones(4).double())
+    torch.testing.assert_close(clipped[norms <= 0.5], raw[norms <= 0.5])
+
+
+def test_no_limit_changes_nothing(pulled: Callable, rng: Generator) -> None:
+    before = slopes(rng)
+    for after, expected in zip(pulled(*before, math.inf), before, strict=True):
+        assert torch.equal(after, expected)
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf, 1e200])
+@pytest.mark.parametrize("limit", [0.5, math.inf])
+def test_a_task_that_overflows_adds_nothing(bad: float, limit: float, pulled: Callable, rng: Generator) -> None:
+    before = slopes(rng)
+    expected = by_task(*pulled(*before, limit))
+    before[1][0, 1, 0] = bad
+    clipped = by_task(*pulled(*before, limit))
+    assert not clipped[1].any()
+    assert torch.equal(clipped[[0, 2, 3]], expected[[0, 2, 3]])
+
+
+def test_a_gradient_of_zero_stays_zero(pulled: Callable) -> None:
+    assert not by_task(*pulled(torch.zeros(4, 4), torch.zeros(3, 4, 2), 0.5)).any()
+
+
+def test_meta_gradient_is_the_mean_of_clipped_ones(tasks: Tasks, rng: Generator) -> None:
+    """Through after_learning and over_tasks: each task's gradient, over start and rate together, within the limit."""
+    phi = MetaParameters({"x": torch.zeros(3).double()}, {"rate.x": torch.full((1, 3), 0.1).double()}).flat()
+
+    def gradient(subset: Tasks, clip: float) -> Tensor:
+        loss = over_tasks(after_learning(EXACT, sgd, steps=2, order=2, clip=clip), count=5)
+        leaves = {key: value.clone().requires_grad_() for key, value in phi.items()}
+        total, _ = loss.total(leaves, loss.draw(subset, rng).batch, {})
+        return torch.cat([each.flatten() for each in torch.autograd.grad(total, list(leaves.values()))])
+
+    # the mean over tasks stands before the clip on the way back: a limit on a task's share of the mean
+    limit = 0.2
+    alone = torch.stack([gradient(tasks.select([i]), math.inf) for i in range(5)])
+    torch.testing.assert_close(gradient(tasks, math.inf), alone.mean(0))
+    clipped = alone * (limit / alone.norm(dim=1, keepdim=True)).clamp_max(1)
+    torch.testing.assert_close(gradient(tasks, limit), clipped.mean(0))
