@@ -15,7 +15,5 @@ for seed in "$@"; do
   for rule in meta-sgd meta-adam meta-curvature; do
     "$metapp" meta "${common[@]}" --rule "$rule" --train --quiet
   done
-  for rule in meta-sgd meta-adam meta-curvature; do
-    "$metapp" evaluate brdf --table --data "$folder" --out "$runs" --seed "$seed" --rule "$rule"
-  done
+  "$metapp" evaluate "${common[@]}" --table
 done

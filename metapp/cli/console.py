@@ -13,7 +13,8 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, ProgressColumn, TextColumn, TimeRemainingColumn
+from rich.text import Text
 
 out = Console(highlight=False)
 err = Console(stderr=True, highlight=False)
@@ -79,14 +80,22 @@ def _interrupted() -> int:
     return Exit.INTERRUPTED
 
 
+class _Speed(ProgressColumn):
+    """Steps a second."""
+
+    def render(self, task: Any) -> Text:
+        return Text(f"{task.speed:.1f}/s" if task.speed else "")
+
+
 @contextlib.contextmanager
 def progress(quiet: bool = False) -> Iterator[Progress]:
-    """A progress bar on standard error, with a free `note` field and the time left; nothing where quiet."""
-    columns = (
+    """A progress bar on standard error, with the time left, the speed and a free `note` field; nothing where quiet."""
+    columns: tuple[ProgressColumn, ...] = (
         TextColumn("{task.description}"),
         BarColumn(bar_width=24),
         MofNCompleteColumn(),
         TimeRemainingColumn(),
+        _Speed(),
         TextColumn("{task.fields[note]}"),
     )
     with Progress(*columns, console=err, disable=quiet or not err.is_terminal, transient=True) as bar:

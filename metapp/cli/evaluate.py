@@ -8,11 +8,15 @@ import json as json_module
 import math
 from importlib import resources
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from metapp.cli.console import out, print_json, say
+
+if TYPE_CHECKING:
+    from metapp.cli.session import Options, Start
+    from metapp.paradigms import Paradigm
 
 FORMATS = ("rich", "markdown", "latex", "csv", "json")
 TABLES = ("results",)
@@ -72,45 +76,60 @@ def command(
         out.print(text_table(rows, format_name), markup=False, soft_wrap=True)
 
 
-def app_rows(options: Any, *, run: bool) -> list[dict[str, Any]]:
-    """A row a paradigm, from its records; paradigms that lack some are run unless told otherwise."""
-    from metapp.cli.fit import run_path, run_tasks, summary
-    from metapp.cli.session import find_start, settings_of, test_tasks
+def app_rows(options: Options, *, run: bool) -> list[dict[str, Any]]:
+    """A row a paradigm, and one for each further learned rule of Meta that has a start, from their records.
+
+    What has no record yet is run, unless told otherwise.
+    """
+    from metapp.cli.session import find_start, test_tasks
     from metapp.paradigms import paradigms
+
+    tasks, label = test_tasks(options, [])
+    each = paradigms()
+    rows = [_row(options, paradigm, find_start(options, paradigm), tasks, label, run) for paradigm in each.values()]
+    for rule in options.job.recipe.meta:
+        other = options._replace(rule=rule)
+        try:
+            start = find_start(other, each["meta"])
+        except ValueError:
+            continue  # nobody trained this rule
+        if rule != options.rule:
+            row = _row(other, each["meta"], start, tasks, label, run)
+            rows.append({**row, "paradigm": f"meta:{rule}", "paper_error": None, "paper_seconds": None})
+    return rows
+
+
+def _row(options: Options, paradigm: Paradigm, start: Start, tasks: list, label: str, run: bool) -> dict[str, Any]:
+    from metapp.cli.fit import run_path, run_tasks, summary
+    from metapp.cli.session import settings_of
     from metapp.records import RunFolder
 
+    settings = settings_of(options, paradigm, start, label)
+    folder = RunFolder(run_path(options, settings, label), settings)
+    if run:
+        records = run_tasks(options, paradigm, start, tasks, folder)
+    else:
+        finished = folder.finished()
+        records = [finished[task.name] for task in tasks if task.name in finished]
+        if len(records) < len(tasks):
+            where = f" --data {options.data}" if options.data else ""
+            rule = f" --rule {options.rule}" if paradigm.name == "meta" else ""
+            say(f"{len(tasks) - len(records)} tasks missing: metapp {paradigm.name} {options.app.name}{rule}{where}")
+    low, high = bootstrap([record["error"] for record in records]) if records else (None, None)
     paper = paper_figures()
-    tasks, label = test_tasks(options, [])
-    rows = []
-    for paradigm in paradigms().values():
-        start = find_start(options, paradigm)
-        settings = settings_of(options, paradigm, start, label)
-        folder = RunFolder(run_path(options, settings, label), settings)
-        if run:
-            records = run_tasks(options, paradigm, start, tasks, folder)
-        else:
-            finished = folder.finished()
-            records = [finished[task.name] for task in tasks if task.name in finished]
-            if len(records) < len(tasks):
-                where = f" --data {options.data}" if options.data else ""
-                say(f"{len(tasks) - len(records)} tasks missing: metapp {paradigm.name} {options.app.name}{where}")
-        low, high = bootstrap([record["error"] for record in records]) if records else (None, None)
-        rows.append(
-            {
-                "app": options.app.name,
-                "paradigm": paradigm.name,
-                "rule": settings["rule"],
-                "steps": settings["steps"],
-                **(summary(records) if records else {"error": None, "seconds": None}),
-                "worst": max((record["error"] for record in records), default=None),
-                "tasks": len(records),
-                "low": low,
-                "high": high,
-                "paper_error": paper["error"][options.app.name].get(paradigm.name),
-                "paper_seconds": paper["seconds"][options.app.name].get(paradigm.name),
-            }
-        )
-    return rows
+    return {
+        "app": options.app.name,
+        "paradigm": paradigm.name,
+        "rule": settings["rule"],
+        "steps": settings["steps"],
+        **(summary(records) if records else {"error": None, "seconds": None}),
+        "worst": max((record["error"] for record in records), default=None),
+        "tasks": len(records),
+        "low": low,
+        "high": high,
+        "paper_error": paper["error"][options.app.name].get(paradigm.name),
+        "paper_seconds": paper["seconds"][options.app.name].get(paradigm.name),
+    }
 
 
 def paper_figures() -> dict[str, Any]:

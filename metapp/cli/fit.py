@@ -96,6 +96,8 @@ def fit(
     from metapp.records import RunFolder
 
     paradigm = paradigms()[paradigm_name]
+    if options.steps == paradigm.steps(options.job.recipe):
+        options = options._replace(steps=None)  # the recipe's own number is the recipe's own run
     tasks, label = test_tasks(options, inputs)
     if train:
         train_start(options, paradigm, train_steps)
