@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 import torch
 from torch import Generator, Tensor
 from torch.autograd.function import once_differentiable
+from torch.utils._pytree import tree_flatten, tree_unflatten
 
 from metapp.task import Params
 
@@ -111,23 +112,72 @@ def _enable_grad(function: Callable) -> Callable:
     return enabled
 
 
+def _in_slices(pullback: Callable, size: int) -> Callable:
+    """The same for some tasks at a time, which lowers its memory: tasks do not see each other.
+
+    Tensors without axes, as Adam's products of betas at first, belong to all tasks: their pulls add up.
+    """
+
+    def sliced(*trees: Params) -> tuple[Params, ...]:
+        count = next(iter(trees[1].values())).shape[0]
+        parts = [
+            pullback(
+                *({key: value[i : i + size] if value.ndim else value for key, value in tree.items()} for tree in trees)
+            )
+            for i in range(0, count, size)
+        ]
+        return tuple(
+            {
+                key: torch.cat([one[key] for one in each]) if value.ndim else sum(one[key] for one in each)
+                for key, value in each[0].items()
+            }
+            for each in zip(*parts, strict=True)
+        )
+
+    return sliced
+
+
 class _Compiled:
-    """Trace a function that calls autograd, for the shapes of its first call, and compile the trace."""
+    """Trace a function of flat trees that calls autograd, for the shapes of its first call, and compile the trace."""
 
     def __init__(self, function: Callable) -> None:
         self.function = _enable_grad(function)
-        self.programs: dict[tuple, Callable] = {}
+        self.programs: dict[tuple, tuple[Callable, Any]] = {}
 
-    def __call__(self, *args: Any) -> Any:
-        leaves, spec = torch.utils._pytree.tree_flatten(args)
-        key = (spec, *((leaf.shape, leaf.dtype, leaf.device) for leaf in leaves))
+    def __call__(self, *trees: Params) -> Any:
+        # contiguous, as the trace assumes: the key here stands for all that torch would check again at every call
+        leaves = [value.contiguous() for tree in trees for value in tree.values()]
+        key = (*map(tuple, trees), *((leaf.shape, leaf.dtype, leaf.device) for leaf in leaves))
         if key not in self.programs:
-            from torch.fx.experimental.proxy_tensor import make_fx
-
-            detached = torch.utils._pytree.tree_unflatten([leaf.detach() for leaf in leaves], spec)
-            self.programs[key] = torch.compile(make_fx(self.function)(*detached))
+            self.programs[key] = self._compile([list(tree) for tree in trees], leaves)
+        program, spec = self.programs[key]
         with torch.no_grad():
-            return self.programs[key](*args)
+            return tree_unflatten(list(program(*leaves)), spec)
+
+    def _compile(self, names: list[list[str]], leaves: list[Tensor]) -> tuple[Callable, Any]:
+        from torch.fx.experimental.proxy_tensor import make_fx
+
+        spec: Any = None
+
+        def flat(*leaves: Tensor) -> list[Tensor]:
+            nonlocal spec
+            values = iter(leaves)
+            result = self.function(*({name: next(values) for name in tree} for tree in names))
+            outputs, spec = tree_flatten(result)
+            return outputs
+
+        table: dict[Any, Callable] = {torch.ops.aten.bmm.default: _narrow_bmm}
+        program = make_fx(flat, decomposition_table=table)(*[leaf.detach() for leaf in leaves])
+        options: Any = {"guard_filter_fn": torch.compiler.skip_all_guards_unsafe}
+        return torch.compile(program, options=options), spec
+
+
+def _narrow_bmm(left: Tensor, right: Tensor) -> Tensor:
+    """A product that is a long sum for few results, as weight gradients are: on CPUs a loop beats the library's."""
+    rows, inner, columns = *left.shape[1:], right.shape[2]
+    if left.device.type != "cpu" or inner < 8 * max(rows, columns):
+        return NotImplemented
+    return (left[:, :, None, :] * right.mT[:, None, :, :]).sum(-1)
 
 
 class _LearnThrough(torch.autograd.Function):
@@ -163,7 +213,14 @@ class _LearnThrough(torch.autograd.Function):
 
 
 def learn_through(
-    theta: Params, rule: UpdateRule, batches: Sequence[Any], loss: Loss, *, order: int, compiled: bool = False
+    theta: Params,
+    rule: UpdateRule,
+    batches: Sequence[Any],
+    loss: Loss,
+    *,
+    order: int,
+    compiled: bool = False,
+    tasks_at_once: int | None = None,
 ) -> Params:
     """Learn on given batches, differentiably in the start and in the rule's alpha.
 
@@ -171,6 +228,8 @@ def learn_through(
     and of the rule's state. Order 1 treats each step's gradient as a constant (FOMAML); order 2 is exact (MAML).
     """
     steps = step_pair(rule.step, loss, order, compiled)
+    if tasks_at_once:
+        steps = steps._replace(pullback=_in_slices(steps.pullback, tasks_at_once))
     keys = list(theta)
     final = _LearnThrough.apply(steps, rule, batches, keys, *theta.values(), *rule.alpha.values())
     return dict(zip(keys, final, strict=True))

@@ -129,6 +129,7 @@ def after_learning(
     order: int,
     clip: float = float("inf"),
     compiled: bool = False,
+    tasks_at_once: int | None = None,
 ) -> Loss:
     """Lift a loss on theta to a loss on phi: what is left after learning from phi's start by phi's rule (alg. 3).
 
@@ -139,6 +140,7 @@ def after_learning(
         order: derivative carried through the steps: 1 leaves out second derivatives (FOMAML), 2 is exact (MAML).
         clip: each task's gradient, over all of phi, is scaled down to this norm.
         compiled: compile the inner step and its adjoint.
+        tasks_at_once: walk back for so many tasks at a time, which lowers the memory; None for all.
 
     Returns:
         A loss on the flat tree of MetaParameters.
@@ -153,8 +155,11 @@ def after_learning(
         inner, last = batch
         count = next(iter(last.values())).shape[0]
         start = MetaParameters.unflat(phi)
-        theta, alpha = clip_per_task(spread(start.theta, count, 0), spread(start.alpha, count, 1), clip)
-        final = learn_through(theta, rule(alpha), inner, loss, order=order, compiled=compiled)
+        # the mean over tasks has divided each one's gradient by their number
+        theta, alpha = clip_per_task(spread(start.theta, count, 0), spread(start.alpha, count, 1), clip / count)
+        final = learn_through(
+            theta, rule(alpha), inner, loss, order=order, compiled=compiled, tasks_at_once=tasks_at_once
+        )
         return loss.value(final, last, {})
 
     return Loss(draw, value)

@@ -42,11 +42,17 @@ def load_start(path: Path, device: torch.device | str = "cpu") -> tuple[MetaPara
             tensors = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118  (not a mapping)
         if info["schema"] > SCHEMA:
             raise ValueError(f"{path}: schema {info['schema']}, expected at most {SCHEMA}; update metapp.")
+        if not all(name.split(".")[0] in MetaParameters._fields and "." in name for name in tensors):
+            raise _Misnamed
         return MetaParameters.unflat(tensors), info
-    except (SafetensorError, KeyError, TypeError, AttributeError, json.JSONDecodeError):
+    except (SafetensorError, KeyError, TypeError, AttributeError, json.JSONDecodeError, _Misnamed):
         raise ValueError(
             f"{path}: not a start that metapp wrote (safetensors with its description); train one with --train."
         ) from None
+
+
+class _Misnamed(Exception):
+    """A tensor that is no part of a start."""
 
 
 def digest(document: Any) -> str:
@@ -94,7 +100,7 @@ def read_records(path: Path) -> list[dict[str, Any]]:
     """The lines of a record file; an unreadable line counts as absent, an absent file as empty."""
     records = []
     if path.is_file():
-        for line in path.read_text().splitlines():
+        for line in path.read_text(errors="replace").splitlines():
             try:
                 records.append(json.loads(line))
             except json.JSONDecodeError:

@@ -203,13 +203,13 @@ def stack(app: App, tasks: Sequence[Task], device: torch.device | str = "cpu") -
     if not tasks:
         raise ValueError(f"{app.name}: 0 tasks, expected at least one; give input files or another data set.")
     prepared = [app.prepare(task) for task in tasks]
-    data = {key: _stack([each[key] for each in prepared]).to(device) for key in prepared[0]}
+    data = {key: _stack([each[key] for each in prepared], device) for key in prepared[0]}
     return Tasks(tuple(task.name for task in tasks), data, torch.arange(len(tasks), device=device))
 
 
-def _stack(tensors: list[Tensor]) -> Tensor:
+def _stack(tensors: list[Tensor], device: torch.device | str) -> Tensor:
     """Stack, or share one copy where all are the same tensor, as sample positions of a data set often are."""
     first = tensors[0]
     if len(tensors) > 1 and all(torch.equal(first, other) for other in tensors[1:]):
-        return first.expand(len(tensors), *first.shape)
-    return torch.stack(tensors)
+        return first.to(device).expand(len(tensors), *first.shape)
+    return torch.stack(tensors).to(device)

@@ -21,7 +21,7 @@ ENCODER = 128
 KNOTS = 8
 AUGMENTED = 8192
 # Each task's gradient is scaled to about the same norm before the mean is taken: meta-gradients are heavy-tailed, and a
-# clip of 0.001 gave half the error of a clip of 1 on validation materials.
+# clip of 0.004 gave two thirds of the error that a clip of 1 gave on validation materials.
 LEARNED = Training(
     steps=10_000,
     tasks=4,
@@ -29,7 +29,7 @@ LEARNED = Training(
     warmup=200,
     final=0.01,
     order=2,
-    clip=1e-3,
+    clip=4e-3,
 )
 
 QUICK = Recipe(
@@ -174,7 +174,7 @@ class Brdf(App):
         return theta
 
     def augment(self, tasks: Tasks, rng: Generator) -> Tasks:
-        """Mixtures of two materials, channels permuted and scaled, at AUGMENTED samples each.
+        """Mixtures of two of these materials, channels permuted and scaled, at AUGMENTED samples each.
 
         Mixing needs both materials at the same angles; where a data set has them at its own for each, they are only
         permuted and scaled.
@@ -184,7 +184,7 @@ class Brdf(App):
         columns = torch.randint(where.shape[1], (AUGMENTED,), generator=rng, device=device)
         mine = torch.expm1(target[tasks.rows[:, None], columns])
         if where.stride(0) == 0:
-            other = torch.randint(target.shape[0], (count, 1), generator=rng, device=device)
+            other = tasks.rows[torch.randint(count, (count, 1), generator=rng, device=device)]
             share = 2 * torch.rand(count, 1, 1, generator=rng, device=device)
             mine = torch.lerp(torch.expm1(target[other, columns]), mine, share.clamp(max=1))
         channels = torch.rand(count, 1, 3, generator=rng, device=device).argsort(-1).expand_as(mine)

@@ -128,7 +128,10 @@ def _train(
 
     def look(step: int, params: Params) -> None:
         nonlocal best
-        error = validate(params)
+        try:
+            error = validate(params)
+        except FloatingPointError:  # a start that fits diverge from is a bad one, no more
+            error = float("inf")
         mean = scale * float(torch.stack(losses).mean()) if losses else None
         losses.clear()
         best.curve.append((step, mean, error))
@@ -148,9 +151,9 @@ def _train(
     rule = outer_adam(training, params)
     try:
         final = learn(params, rule, tasks, loss, steps=training.steps, rng=rng, watch=watch, check_every=1)
+        look(training.steps, final)
     except KeyboardInterrupt:
         raise Interrupted(best) from None
-    look(training.steps, final)
     return best
 
 
@@ -164,15 +167,18 @@ def tune_quickft(job: Job, encoder: MetaParameters, tasks: Tasks, report: Report
     grid = list(itertools.product(rates, (0.5, 0.7, 0.8, 0.9, 0.95), (0.8, 0.9, 0.97, 0.999), (1.0, 0.3, 0.1, 0.0)))
     curve: list[tuple[int, float | None, float]] = []
     best = Prepared(encoder, float("inf"), 0, curve)
-    for i, (rate, beta1, beta2, final) in enumerate(grid):
-        alpha = quickft.to_alpha(Adam(rate, beta1, beta2, job.recipe.quickft.eps, final))
-        tuned = encoder._replace(alpha={key: value.to(tasks.rows.device) for key, value in alpha.items()})
-        error = validation_error(quickft.QUICKFT, job, tuned, tasks)
-        if error < best.validation:
-            best = Prepared(tuned, error, i, curve)
-            curve.append((i, None, error))
-        if report:
-            report(i + 1, len(grid), f"rate {rate:.1e}, validation {error:.3f}, best {best.validation:.3f}")
+    try:
+        for i, (rate, beta1, beta2, final) in enumerate(grid):
+            alpha = quickft.to_alpha(Adam(rate, beta1, beta2, job.recipe.quickft.eps, final))
+            tuned = encoder._replace(alpha={key: value.to(tasks.rows.device) for key, value in alpha.items()})
+            error = validation_error(quickft.QUICKFT, job, tuned, tasks)
+            if error < best.validation:
+                best = Prepared(tuned, error, i, curve)
+                curve.append((i, None, error))
+            if report:
+                report(i + 1, len(grid), f"rate {rate:.1e}, validation {error:.3f}, best {best.validation:.3f}")
+    except KeyboardInterrupt:
+        raise Interrupted(best) from None
     return best
 
 
