@@ -76,6 +76,7 @@ class Training:
         decay: weight decay (L2) of the outer Adam.
         order: derivative carried through the inner steps: 1 (FOMAML) or 2 (MAML); 0 where there are none.
         clip: each task's outer gradient is scaled down to this norm before the mean is taken.
+        tasks_at_once: tasks that are walked back together, where memory is short; None for all.
         validate_every: outer steps between two looks at the validation tasks.
         from_general: Meta's first start is the mean of General's predictions; a random one otherwise.
     """
@@ -88,6 +89,7 @@ class Training:
     decay: float = 0.0
     order: int = 0
     clip: float = float("inf")
+    tasks_at_once: int | None = None
     validate_every: int = 250
     from_general: bool = True
 

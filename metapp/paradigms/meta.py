@@ -31,6 +31,7 @@ def preparation(job: Job, general: Params | None, rng: Generator, compiled: bool
         order=training.order,
         clip=training.clip,
         compiled=compiled,
+        tasks_at_once=training.tasks_at_once,
     )
     phi = MetaParameters(theta, rule.alpha(app, theta, steps))
     return phi, over_tasks(learned, count=training.tasks, augment=app.augment)

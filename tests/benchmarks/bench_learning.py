@@ -326,7 +326,7 @@ def bench_memory(tasks: int = 4, steps: int = 3) -> None:
     weights = sum(each.numel() for each in theta.values())
     print(f"\nU-Net of {weights:,} weights, {tasks} tasks of 128 x 128 pixels, {steps} steps: peak of live tensors")
     peaks = []
-    for order, at_once in ((1, None), (2, None), (2, 1)):
+    for order, at_once in ((1, None), (2, None), (1, 1), (2, 1)):
         lifted = after_learning(loss, sgd, steps=steps, order=order, tasks_at_once=at_once)
         phi = {key: each.clone().requires_grad_() for key, each in MetaParameters(theta, alpha).flat().items()}
         with LiveBytes() as counter:
