@@ -104,16 +104,16 @@ class LearnedRule(NamedTuple):
     """An entry of RULES: what alpha holds at first, and the rule it parametrises.
 
     Attributes:
-        alpha: (application, parameters of one task, steps) -> initial quantities [K, ...].
+        alpha: (application, parameters of one task, steps, rate) -> initial quantities [K, ...], all rates `rate`.
         rule: alpha -> UpdateRule.
     """
 
-    alpha: Callable[[App, Params, int], Params]
+    alpha: Callable[[App, Params, int, float], Params]
     rule: Callable[[Params], UpdateRule]
 
 
-def _meta_sgd_alpha(app: App, theta: Params, steps: int) -> Params:
-    return {f"rate.{key}": torch.full_like(value, 1e-3)[None] for key, value in theta.items()}
+def _meta_sgd_alpha(app: App, theta: Params, steps: int, rate: float) -> Params:
+    return {f"rate.{key}": torch.full_like(value, rate)[None] for key, value in theta.items()}
 
 
 META_EPS = 1e-6
@@ -132,17 +132,17 @@ def _meta_adam_step(alpha: Params, theta: Params, grads: Params, state: Params) 
     return moved, state
 
 
-def _meta_adam_alpha(app: App, theta: Params, steps: int) -> Params:
+def _meta_adam_alpha(app: App, theta: Params, steps: int, rate: float) -> Params:
     first = next(iter(theta.values()))
-    alpha = {f"rate.{key}": torch.full((steps, *value.shape), math.log(5e-3)) for key, value in theta.items()}
+    alpha = {f"rate.{key}": torch.full((steps, *value.shape), math.log(rate)) for key, value in theta.items()}
     alpha["beta1"] = torch.full((steps,), math.log(0.9 / 0.1))
     alpha["beta2"] = torch.full((steps,), math.log(0.99 / 0.01))
     alpha |= {f"loss.{key}": value for key, value in app.shape(steps).items()}
     return {key: value.to(first) for key, value in alpha.items()}
 
 
-def _meta_curvature_alpha(app: App, theta: Params, steps: int) -> Params:
-    alpha = _meta_adam_alpha(app, theta, steps)
+def _meta_curvature_alpha(app: App, theta: Params, steps: int, rate: float) -> Params:
+    alpha = _meta_adam_alpha(app, theta, steps, rate)
     for key, value in theta.items():
         if value.ndim == 2:
             for side, size in zip(("left", "right"), value.shape, strict=True):

@@ -70,6 +70,7 @@ class Training:
     Attributes:
         steps: outer steps.
         tasks: tasks per outer step.
+        rate: a learned rule's rates before training.
         rates: outer Adam's rate by the first part of a parameter's name ("" is the rate of all others).
         warmup: outer steps of linear warm-up.
         final: the rate's last value over its first, reached by a half cosine.
@@ -84,6 +85,7 @@ class Training:
     steps: int
     tasks: int
     rates: dict[str, float]
+    rate: float = 5e-3
     warmup: int = 0
     final: float = 1.0
     decay: float = 0.0

@@ -54,7 +54,9 @@ def brdf_batch(randn: Callable[..., Tensor]) -> Batch:
 def brdf_phi(rule: str, randn: Callable[..., Tensor], steps: int = STEPS) -> Params:
     """A random start and a rule away from its initial quantities, float64, flat."""
     theta = {key: value[0].double() for key, value in APP.init(Generator().manual_seed(2), 1).items()}
-    alpha = {key: value + 0.05 * randn(*value.shape) for key, value in RULES[rule].alpha(APP, theta, steps).items()}
+    alpha = {
+        key: value + 0.05 * randn(*value.shape) for key, value in RULES[rule].alpha(APP, theta, steps, 5e-3).items()
+    }
     return MetaParameters(theta, alpha).flat()
 
 

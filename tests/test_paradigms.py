@@ -69,7 +69,7 @@ def rng(seed: int = 0) -> Generator:
 def untrained(job: Job) -> MetaParameters:
     """A start for every paradigm: a random encoder, a random theta_0 and its rule's initial quantities."""
     theta = {key: value[0] for key, value in job.app.init(rng(1), 1).items()}
-    alpha = RULES[job.rule].alpha(job.app, theta, job.recipe.steps)
+    alpha = RULES[job.rule].alpha(job.app, theta, job.recipe.steps, 5e-3)
     return MetaParameters(theta, alpha, job.app.init_encoder(rng(2)))
 
 

@@ -131,7 +131,7 @@ def one_task(theta: Params) -> Params:
 
 @pytest.mark.parametrize("rule", list(RULES))
 def test_learned_rules_start_well_formed(rule: str, theta: Params) -> None:
-    alpha = RULES[rule].alpha(APP, one_task(theta), 5)
+    alpha = RULES[rule].alpha(APP, one_task(theta), 5, 5e-3)
     for key, value in alpha.items():
         assert value.dtype == torch.float64 or rule == "meta-sgd", key
         assert value.shape[0] == (1 if rule == "meta-sgd" else 5) or key.startswith(("left", "right")), key
@@ -145,17 +145,17 @@ def test_learned_rules_start_well_formed(rule: str, theta: Params) -> None:
 @pytest.mark.parametrize("rule", ["meta-adam", "meta-curvature"])
 def test_learned_adam_starts_as_adam(rule: str, theta: Params, grads: list[Params]) -> None:
     start, single = one_task(theta), [one_task(grad) for grad in grads]
-    learned = RULES[rule].rule(RULES[rule].alpha(APP, start, STEPS))
+    learned = RULES[rule].rule(RULES[rule].alpha(APP, start, STEPS, 5e-3))
     plain = fixed_adam(Adam(5e-3, 0.9, 0.99, META_EPS), start, STEPS)
     assert_same(run(learned, start, single), run(plain, start, single))
 
 
 def test_curvature_multiplies_from_both_sides(theta: Params, grads: list[Params]) -> None:
     start, rng = one_task(theta), Generator().manual_seed(0)
-    alpha = RULES["meta-curvature"].alpha(APP, start, STEPS)
+    alpha = RULES["meta-curvature"].alpha(APP, start, STEPS, 5e-3)
     left, right = (torch.randn(21, 21, generator=rng).double() for _ in "lr")
     alpha |= {"left.w2": left[None], "right.w2": right[None]}
-    plain = RULES["meta-adam"].alpha(APP, start, STEPS)
+    plain = RULES["meta-adam"].alpha(APP, start, STEPS, 5e-3)
     first = one_task(grads[0])
     bent = run(RULES["meta-curvature"].rule(alpha), start, [first])[0]
     straight = run(RULES["meta-adam"].rule(plain), start, [first])[0]

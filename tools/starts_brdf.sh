@@ -8,9 +8,9 @@ metapp=$1 data=$2 runs=$3
 "$metapp" data nbrdf "$data/nbrdf/merl" --out "$runs/data/nbrdf-merl"
 "$metapp" data join "$runs/data/synthetic" "$runs/data/nbrdf-merl" --out "$runs/data/joint"
 common=(brdf --data "$runs/data/joint" --out "$runs")
-"$metapp" general "${common[@]}" --train --train-steps 40000
+"$metapp" general "${common[@]}" --train --train-steps 30000
 "$metapp" quickft "${common[@]}" --train
 for rule in meta-sgd meta-adam meta-curvature; do
-  "$metapp" meta "${common[@]}" --rule "$rule" --train --train-steps 40000
+  "$metapp" meta "${common[@]}" --rule "$rule" --train --train-steps 30000
 done
 cp -v "$runs"/brdf/starts/joint-*-quick-seed0/{general,quickft,meta-sgd,meta-adam,meta-curvature}.safetensors metapp/checkpoints/brdf/

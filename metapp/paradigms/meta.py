@@ -33,7 +33,7 @@ def preparation(job: Job, general: Params | None, rng: Generator, compiled: bool
         compiled=compiled,
         tasks_at_once=training.tasks_at_once,
     )
-    phi = MetaParameters(theta, rule.alpha(app, theta, steps))
+    phi = MetaParameters(theta, rule.alpha(app, theta, steps, training.rate))
     return phi, over_tasks(learned, count=training.tasks, augment=app.augment)
 
 
