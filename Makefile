@@ -52,6 +52,6 @@ real: setup  ## real materials: make real DATA=<folder with nbrdf/merl>; trains 
 starts-brdf: setup  ## train the starts that ship: make starts-brdf DATA=<folder with nbrdf/merl>
 	bash tools/starts_brdf.sh "$(METAPP)" "$(DATA)" "$(RUNS)"
 
-clean:  ## remove runs, caches and the virtual environment
-	rm -rf $(VENV) runs build *.egg-info .pytest_cache .mypy_cache .ruff_cache
+clean:  ## remove caches and the virtual environment; runs and trained starts stay
+	rm -rf $(VENV) build *.egg-info .pytest_cache .mypy_cache .ruff_cache
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

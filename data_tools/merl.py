@@ -14,7 +14,6 @@ Source: Matusik et al. 2003, "A Data-Driven Reflectance Model", and the reader p
 from __future__ import annotations
 
 import math
-import warnings
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
@@ -79,6 +78,9 @@ def find_merl(paths: Iterable[str | Path]) -> tuple[list[Path], list[str]]:
     return list(files.values()), skipped
 
 
+find = find_merl  # the name that every reader has
+
+
 def recognises(path: str | Path) -> bool:
     """Whether a path is this reader's: a file named .binary or of a MERL file's size, or a folder with one below it."""
     path = Path(path)
@@ -92,18 +94,15 @@ def export(app: Any, theta: Mapping[str, Tensor], path: Path) -> None:
     write_merl(path.with_name(f"{path.name}.binary"), tabulate(lambda angles: app.reflectance(theta, angles)))
 
 
-def read_tasks(paths: Iterable[str | Path]) -> list[Task]:
-    """Turn MERL files into BRDF tasks, named by the files' stems; warns of each file that was skipped.
+def read_task(path: Path) -> Task:
+    """Turn a MERL file into a BRDF task, named by the file's stem.
 
     Raises:
-        ValueError: as `find_merl` and `read_merl`.
+        ValueError: as `read_merl`.
     """
     from data_tools.brdf_task import brdf_task  # it builds on this module
 
-    files, skipped = find_merl(paths)
-    for line in skipped:
-        warnings.warn(line, stacklevel=2)
-    return [brdf_task(file.stem, table=read_merl(file)) for file in files]
+    return brdf_task(path.stem, table=read_merl(path))
 
 
 def read_merl_planes(path: str | Path) -> Array:

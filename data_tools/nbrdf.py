@@ -9,7 +9,6 @@ hidden layers are ReLU; reflectance = max(exp(out) - 1, 0), linear RGB in 1/sr. 
 from __future__ import annotations
 
 import re
-import warnings
 from collections.abc import Iterable, Mapping
 from functools import partial
 from pathlib import Path
@@ -67,6 +66,9 @@ def find_nbrdf(paths: Iterable[str | Path]) -> tuple[list[Path], list[str]]:
     return list(networks.values()), skipped
 
 
+find = find_nbrdf  # the name that every reader has
+
+
 def recognises(path: str | Path) -> bool:
     """Whether a path is this reader's: a folder with files named as an NBRDF network's, at any depth."""
     path = Path(path)
@@ -79,16 +81,13 @@ def export(app: Any, theta: Mapping[str, Tensor], folder: Path) -> None:
     write_nbrdf(folder, weights | {f"b{layer}": theta[f"b{layer}"].flatten() for layer in (1, 2, 3)})
 
 
-def read_tasks(paths: Iterable[str | Path]) -> list[Task]:
-    """Turn NBRDF networks into BRDF tasks, named as `find_nbrdf` says; warns of each network that was skipped.
+def read_task(path: Path) -> Task:
+    """Turn an NBRDF network, as `find_nbrdf` names it, into a BRDF task named by the last part of its path.
 
     Raises:
-        ValueError: as `find_nbrdf` and `read_nbrdf`.
+        ValueError: as `read_nbrdf`.
     """
-    networks, skipped = find_nbrdf(paths)
-    for line in skipped:
-        warnings.warn(line, stacklevel=2)
-    return [brdf_task(path.resolve().name, partial(nbrdf_evaluate, read_nbrdf(path))) for path in networks]
+    return brdf_task(path.resolve().name, partial(nbrdf_evaluate, read_nbrdf(path)))
 
 
 def read_nbrdf(folder: str | Path) -> dict[str, NDArray[np.float32]]:

@@ -14,6 +14,7 @@ from torch import Tensor
 
 from metapp.files import write_atomically
 from metapp.learning import MetaParameters
+from metapp.task import Params
 
 SCHEMA = 1
 
@@ -40,6 +41,8 @@ def load_start(path: Path, device: torch.device | str = "cpu") -> tuple[MetaPara
         with safe_open(path, "pt", device=str(device)) as file:
             info = json.loads((file.metadata() or {})["metapp"])
             tensors = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118  (not a mapping)
+        if not all(bool(torch.isfinite(value).all()) for value in tensors.values()):
+            raise ValueError(f"{path}: holds NaN or infinite values, expected finite ones; train a start again.")
         if info["schema"] > SCHEMA:
             raise ValueError(f"{path}: schema {info['schema']}, expected at most {SCHEMA}; update metapp.")
         if not all(name.split(".")[0] in MetaParameters._fields and "." in name for name in tensors):
@@ -59,6 +62,14 @@ def digest(document: Any) -> str:
     """12 hex digits that change with a JSON-ready document, or with a file's bytes where a path is given."""
     raw = document.read_bytes() if isinstance(document, Path) else json.dumps(document, sort_keys=True).encode()
     return hashlib.sha256(raw).hexdigest()[:12]
+
+
+def tensor_digest(params: Params) -> str:
+    """12 hex digits that change with any value of a tree."""
+    total = hashlib.sha256()
+    for key in sorted(params):
+        total.update(key.encode() + params[key].detach().cpu().contiguous().numpy().tobytes())
+    return total.hexdigest()[:12]
 
 
 class RunFolder:
@@ -82,16 +93,13 @@ class RunFolder:
         """Records of this run's key, by task."""
         return {record["name"]: record for record in read_records(self.file) if record.get("key") == self.key}
 
-    def clear(self) -> None:
-        """Forget the records, to run anew."""
-        self.file.unlink(missing_ok=True)
-
     def add(self, record: dict[str, Any], theta: dict[str, Tensor]) -> None:
         """Keep a finished task; its parameters first, so that a record's parameters are always there."""
         tensors = {key: value.detach().cpu().contiguous() for key, value in theta.items()}
         target = self.path / "params" / f"{file_name(record['name'])}.safetensors"
         write_atomically(target, lambda temporary: save_file(tensors, temporary))
-        lines = [*self.finished().values(), {**record, "key": self.key, "settings": self.settings}]
+        lines = [line for line in self.finished().values() if line["name"] != record["name"]]
+        lines = [*lines, {**record, "key": self.key, "settings": self.settings}]
         text = "".join(json.dumps(line) + "\n" for line in lines)
         write_atomically(self.file, lambda temporary: temporary.write_text(text))
 

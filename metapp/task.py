@@ -70,7 +70,7 @@ class Training:
     Attributes:
         steps: outer steps.
         tasks: tasks per outer step.
-        rate: a learned rule's rates before training.
+        first_rate: a learned rule's rates before training.
         rates: outer Adam's rate by the first part of a parameter's name ("" is the rate of all others).
         warmup: outer steps of linear warm-up.
         final: the rate's last value over its first, reached by a half cosine.
@@ -79,13 +79,14 @@ class Training:
         clip: each task's outer gradient is scaled down to this norm before the mean is taken.
         tasks_at_once: tasks that are walked back together, where memory is short; None for all.
         validate_every: outer steps between two looks at the validation tasks.
+        augment: train on made-up relatives of the tasks.
         from_general: Meta's first start is the mean of General's predictions; a random one otherwise.
     """
 
     steps: int
     tasks: int
     rates: dict[str, float]
-    rate: float = 5e-3
+    first_rate: float = 5e-3
     warmup: int = 0
     final: float = 1.0
     decay: float = 0.0
@@ -93,6 +94,7 @@ class Training:
     clip: float = float("inf")
     tasks_at_once: int | None = None
     validate_every: int = 250
+    augment: bool = True
     from_general: bool = True
 
 
@@ -131,8 +133,8 @@ class App(ABC):
     Attributes:
         name: as on the command line.
         title: as in tables.
-        readers: modules of data_tools whose `read_tasks(paths)` turns a user's files into tasks, and whose
-            `recognises(path)` says whether a path is theirs.
+        readers: modules of data_tools that turn a user's files into tasks: `recognises(path)` says whether a path is
+            theirs, `find(paths)` lists sources and lines about what was skipped, `read_task(source)` reads one.
         inputs: what a user's files may be, in words.
         exports: modules of data_tools whose `export(app, theta, path)` writes a fit in another form.
         protocols: values of --observe, where an application has several.
@@ -202,11 +204,18 @@ def stack(app: App, tasks: Sequence[Task], device: torch.device | str = "cpu") -
     """Prepare tasks and put them side by side.
 
     Raises:
-        ValueError: there is no task.
+        ValueError: there is no task, or they differ in their tensors' shapes.
     """
     if not tasks:
         raise ValueError(f"{app.name}: 0 tasks, expected at least one; give input files or another data set.")
     prepared = [app.prepare(task) for task in tasks]
+    for task, each in zip(tasks, prepared, strict=True):
+        for key, value in prepared[0].items():
+            if each[key].shape != value.shape:
+                raise ValueError(
+                    f"{task.name}: {key} {tuple(each[key].shape)}, expected {tuple(value.shape)} as of "
+                    f"{tasks[0].name}; convert both with the same settings."
+                )
     data = {key: _stack([each[key] for each in prepared], device) for key in prepared[0]}
     return Tasks(tuple(task.name for task in tasks), data, torch.arange(len(tasks), device=device))
 

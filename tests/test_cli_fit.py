@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -14,7 +15,7 @@ from safetensors.torch import load_file, save_file
 
 from data_tools.nbrdf import SHAPES, read_nbrdf
 from metapp.apps.brdf import APP
-from metapp.records import read_records
+from metapp.records import load_start, read_records
 from metapp.task import Recipe
 
 FEW = ("--samples", "512")
@@ -26,7 +27,7 @@ def short(monkeypatch: pytest.MonkeyPatch) -> Recipe:
     """The quick recipe with few steps of Overfit and Finetune, and without a compiler."""
     recipe = replace(APP.recipes["quick"], overfit_steps=30, finetune_steps=5)
     monkeypatch.setitem(APP.recipes, "quick", recipe)
-    monkeypatch.setattr("metapp.paradigms.prepare.shutil.which", lambda name: None)
+    monkeypatch.setattr("metapp.paradigms.prepare.can_compile", lambda: False)
     return recipe
 
 
@@ -107,12 +108,15 @@ def test_a_start_trained_on_this_data_is_found_again_and_said(fit: Callable) -> 
     assert fit("finetune", "--json").document["steps"] == 5
 
 
-def test_quickft_is_tuned_for_its_encoder(fit: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_quickft_is_tuned_for_its_encoder(fit: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("metapp.paradigms.prepare.itertools.product", lambda *axes: [[axis[0] for axis in axes]])
     assert fit("general", *STEPS).code == 0
-    tuned = fit("quickft", *STEPS)
+    assert "no Adam was tuned" in fit("quickft").err
+    tuned = fit("quickft", "--train")
     assert tuned.code == 0
     assert "tuned Adam" in tuned.err
+    (file,) = (tmp_path / "runs" / "brdf" / "quickft").rglob("record.jsonl")
+    assert read_records(file)[0]["settings"]["adam"]["beta1"] == 0.3  # the tuned one, not the recipe's
 
 
 def test_a_named_checkpoint_is_used(fit: Callable, tmp_path: Path) -> None:
@@ -151,7 +155,7 @@ def test_an_interrupted_run_keeps_finished_tasks_and_goes_on(
     monkeypatch.setattr(APP, "errors", interrupted)
     result = fit("overfit")
     assert result.code == 130
-    assert "run the same command again" in result.err
+    assert "the same command goes on" in result.err
     (file,) = (tmp_path / "runs").rglob("record.jsonl")
     (kept,) = read_records(file)
     assert fit("overfit").code == 0
@@ -159,6 +163,50 @@ def test_an_interrupted_run_keeps_finished_tasks_and_goes_on(
     assert first == kept
     assert second["name"] == "m9"
     assert calls == [("m4",), ("m9",), ("m9",)]
+
+
+def test_a_finished_run_that_is_run_again_and_interrupted_loses_nothing(
+    fit: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert fit("overfit").code == 0
+    (file,) = (tmp_path / "runs").rglob("record.jsonl")
+    before = file.read_text()
+
+    def interrupted(theta, tasks):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(APP, "errors", interrupted)
+    assert fit("overfit").code == 130
+    assert file.read_text() == before
+
+
+def test_meta_on_own_data_starts_from_a_general_of_this_data(fit: Callable, tmp_path: Path) -> None:
+    result = fit("meta", *STEPS)
+    assert "no General that was trained on this data yet" in result.err
+    assert list((tmp_path / "runs" / "brdf" / "starts").rglob("general.safetensors"))
+
+
+def test_a_start_says_how_it_was_trained(fit: Callable, tmp_path: Path) -> None:
+    fit("general", *STEPS)
+    (file,) = (tmp_path / "runs").rglob("general.safetensors")
+    _, info = load_start(file)
+    assert info["training"]["steps"] == 3
+    fit("general", *STEPS)
+    assert file.with_suffix(".previous.safetensors").is_file()
+
+
+def test_a_folder_is_read_by_every_reader_and_damaged_files_in_it_are_skipped(
+    fit: Callable, networks: Path, tmp_path: Path
+) -> None:
+    mixed = tmp_path / "mixed"
+    shutil.copytree(networks / "m1", mixed / "net")
+    shutil.copytree(networks / "m2", mixed / "damaged")
+    (mixed / "damaged" / "b1.npy").write_bytes(b"damaged")
+    shutil.copytree(networks / "m3", mixed / "more" / "net")
+    result = fit("overfit", mixed, networks / "m1", "--json")
+    assert [task["name"] for task in result.document["tasks"]] == ["net", "net-2", "m1"]
+    assert "skipped" in result.err
+    assert "a second net is called net-2" in result.err
 
 
 def test_interrupted_training_keeps_its_best_state(
@@ -225,6 +273,10 @@ def test_refuses_wrong_options(metapp: Callable, fit: Callable) -> None:
     refuse(fit("meta", "--device", "tpu"), 2, "tpu", "cuda")
     refuse(fit("overfit", "--train"), 2, "needs no preparation")
     refuse(fit("meta", "--train-steps", "5"), 2, "--train")
+    refuse(fit("quickft", "--train", "--train-steps", "5"), 2, "--train-steps")
+    refuse(fit("general", "--steps", "5"), 2, "--steps")
+    refuse(fit("overfit", "--checkpoint", "x"), 2, "--checkpoint")
+    refuse(fit("overfit", "--seed", "-1"), 2, "--seed")
     refuse(metapp("evaluate", "brdf", "--which", "nothing"), 2, "nothing", "results")
     refuse(metapp("evaluate", "brdf", "--format", "word"), 2, "word", "markdown")
     refuse(metapp("evaluate", "brdf", "--recipe", "slow"), 2, "slow", "quick")

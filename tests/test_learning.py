@@ -227,7 +227,7 @@ def test_over_tasks_samples_from_the_augmented(tasks: Tasks, rng: Generator) -> 
 
 
 def test_after_learning_is_the_loss_after_learn(tasks: Tasks) -> None:
-    phi = MetaParameters({"x": torch.randn(3).double()}, rate(0.1)).flat()
+    phi = MetaParameters({"x": torch.randn(3, generator=torch.Generator().manual_seed(0)).double()}, rate(0.1)).flat()
     lifted = after_learning(NOISY, sgd, steps=4, order=2)
     drawn = lifted.draw(tasks, Generator().manual_seed(1))
     assert drawn.names == NAMES
@@ -238,7 +238,7 @@ def test_after_learning_is_the_loss_after_learn(tasks: Tasks) -> None:
 
 
 def test_after_no_steps_it_is_the_loss_itself(tasks: Tasks, rng: Generator) -> None:
-    phi = MetaParameters({"x": torch.randn(3).double()}, rate(0.1)).flat()
+    phi = MetaParameters({"x": torch.randn(3, generator=torch.Generator().manual_seed(0)).double()}, rate(0.1)).flat()
     lifted = after_learning(NOISY, sgd, steps=0, order=2)
     batch = lifted.draw(tasks, rng).batch
     torch.testing.assert_close(lifted.value(phi, batch, {}), parabola({"x": phi["theta.x"]}, batch[1], {}))
@@ -246,7 +246,7 @@ def test_after_no_steps_it_is_the_loss_itself(tasks: Tasks, rng: Generator) -> N
 
 def test_meta_is_learn_over_tasks_after_learning(tasks: Tasks, rng: Generator) -> None:
     """Alg. 3: on parabolas of one curvature the best start is the mean and the best rate the curvature's inverse."""
-    phi = MetaParameters({"x": torch.randn(3).double()}, rate(0.1)).flat()
+    phi = MetaParameters({"x": torch.randn(3, generator=torch.Generator().manual_seed(0)).double()}, rate(0.1)).flat()
     lifted = over_tasks(after_learning(EXACT, sgd, steps=3, order=2), count=5)
     start = float(lifted.value(phi, lifted.draw(tasks, rng).batch, {}).mean())
     trained = learn(phi, fixed_adam(Adam(0.1, final=0.0), phi, 200), tasks, lifted, steps=200, rng=rng)

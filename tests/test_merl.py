@@ -1,6 +1,5 @@
 import math
 import struct
-import warnings
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +16,7 @@ from data_tools.merl import (
     merl_valid,
     read_merl,
     read_merl_planes,
-    read_tasks,
+    read_task,
     tabulate,
     write_merl,
     write_merl_planes,
@@ -224,12 +223,6 @@ def test_find(merl_file: Path, tmp_path: Path) -> None:
         find_merl([tmp_path / "empty"])
 
 
-def test_read_tasks_warns_of_what_it_skips(merl_file: Path, tmp_path: Path) -> None:
+def test_a_task_is_named_by_its_file(merl_file: Path, tmp_path: Path) -> None:
     (tmp_path / "silver.binary").symlink_to(merl_file)
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        tasks = read_tasks([tmp_path])
-    assert [task.name for task in tasks] == ["silver"]
-    (tmp_path / "readme.txt").write_text("about")
-    with pytest.warns(UserWarning, match=r"readme.txt: 5 bytes"):
-        read_tasks([tmp_path])
+    assert read_task(tmp_path / "silver.binary").name == "silver"

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from data_tools.nbrdf import SHAPES, find_nbrdf, nbrdf_evaluate, read_nbrdf, read_tasks, write_nbrdf
+from data_tools.nbrdf import SHAPES, find_nbrdf, nbrdf_evaluate, read_nbrdf, read_task, write_nbrdf
 
 
 def make_weights(seed: int = 0) -> dict[str, np.ndarray]:
@@ -118,16 +118,13 @@ def test_find(tmp_path: Path) -> None:
         find_nbrdf([tmp_path])
 
 
-def test_read_tasks(tmp_path: Path) -> None:
+def test_tasks_are_named_by_their_folders(tmp_path: Path) -> None:
     for index, name in enumerate(("gold", "tin")):
         make_network(tmp_path / name, seed=index)
-    gold, tin = read_tasks([tmp_path])
+    gold, tin = map(read_task, find_nbrdf([tmp_path])[0])
     assert (gold.name, tin.name) == ("gold", "tin")
     expected = nbrdf_evaluate(make_weights(1), tin.data["angles"])
     torch.testing.assert_close(tin.data["reflectance"], expected)
-    (tmp_path / "tin" / "fc2.npy").unlink()
-    with pytest.warns(UserWarning, match="tin: no file for fc2"):
-        assert len(read_tasks([tmp_path])) == 1
 
 
 class Touch:

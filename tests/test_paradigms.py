@@ -35,7 +35,7 @@ SMALL: dict[str, Callable[[], list[Task]]] = {"brdf": brdf_tasks}
 @pytest.fixture(autouse=True)
 def eager(monkeypatch: pytest.MonkeyPatch) -> None:
     """Compiling takes longer than these tests."""
-    monkeypatch.setattr(prepare, "_can_compile", lambda: False)
+    monkeypatch.setattr(prepare, "can_compile", lambda: False)
 
 
 @pytest.fixture(scope="module", params=app_names())

@@ -178,13 +178,13 @@ def test_strange_lines_count_as_absent(tmp_path: Path) -> None:
     assert list(run.finished()) == ["gold"]
 
 
-def test_clear_forgets(tmp_path: Path) -> None:
+def test_a_task_that_runs_again_replaces_its_line_alone(tmp_path: Path) -> None:
     run = RunFolder(tmp_path, {})
-    run.clear()
     run.add(record("gold"), THETA)
-    run.clear()
-    assert run.finished() == {}
-    assert read_records(run.file) == []
+    run.add(record("tin"), THETA)
+    run.add({**record("gold"), "error": 7.0}, THETA)
+    assert [(line["name"], line["error"]) for line in read_records(run.file)][1:] == [("gold", 7.0)]
+    assert set(run.finished()) == {"gold", "tin"}
 
 
 def test_parameters_are_there_before_their_record(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

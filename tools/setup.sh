@@ -18,10 +18,14 @@ if ! "$python" -c 'import ensurepip, venv' 2>/dev/null; then
 fi
 "$python" -m venv "$venv"
 "$venv/bin/python" -m pip install --quiet --disable-pip-version-check --upgrade pip
-# the CPU build of torch where its index can be reached; elsewhere what the configured index gives for the same pin
 if ! "$venv/bin/python" -c 'import torch' 2>/dev/null; then
-  "$venv/bin/python" -m pip install --quiet --disable-pip-version-check -c constraints.txt \
-    ${TORCH_INDEX:+--index-url "$TORCH_INDEX"} torch
+  pip_torch=("$venv/bin/python" -m pip install --quiet --disable-pip-version-check -c constraints.txt torch)
+  # without an NVIDIA driver the CPU build saves gigabytes; where its index is out of reach, the default one serves
+  cpu_index=${TORCH_INDEX:-https://download.pytorch.org/whl/cpu}
+  if command -v nvidia-smi >/dev/null ||
+    ! "${pip_torch[@]}" --retries 0 --timeout 15 --index-url "$cpu_index" 2>/dev/null; then
+    "${pip_torch[@]}"
+  fi
 fi
 "$venv/bin/python" -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[dev]'
 echo "setup: done, $venv/bin/metapp"

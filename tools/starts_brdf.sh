@@ -13,4 +13,5 @@ common=(brdf --data "$runs/data/joint" --out "$runs")
 for rule in meta-sgd meta-adam meta-curvature; do
   "$metapp" meta "${common[@]}" --rule "$rule" --train --train-steps 30000
 done
-cp -v "$runs"/brdf/starts/joint-*-quick-seed0/{general,quickft,meta-sgd,meta-adam,meta-curvature}.safetensors metapp/checkpoints/brdf/
+folder=$(ls -td "$runs"/brdf/starts/joint-*-quick-seed0 | head -1)
+cp -v "$folder"/{general,quickft,meta-sgd,meta-adam,meta-curvature}.safetensors metapp/checkpoints/brdf/

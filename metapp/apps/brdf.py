@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import itertools
 import math
 from dataclasses import replace
@@ -12,7 +13,7 @@ from torch import Generator, Tensor
 from torch.nn.functional import gelu, layer_norm
 
 from metapp.geometry import cos_incident, half_difference
-from metapp.sphere import shade_sphere, sphere_scene
+from metapp.sphere import SphereScene, shade_sphere, sphere_scene
 from metapp.task import Adam, App, Batch, Params, Recipe, Task, Tasks, Training
 
 WIDTHS = (6, 21, 21, 3)
@@ -42,7 +43,7 @@ QUICK = Recipe(
     quickft=Adam(5e-3, final=0.1),
     general=Training(steps=12_000, tasks=8, rates={"": 1e-3}, warmup=200, final=0.0, validate_every=500),
     meta={
-        "meta-sgd": replace(LEARNED, rate=0.1, rates={"": 1e-3}),
+        "meta-sgd": replace(LEARNED, first_rate=0.1, rates={"": 3e-3}),
         "meta-adam": LEARNED,
         "meta-curvature": LEARNED,
     },
@@ -56,7 +57,15 @@ PAPER = replace(
     quickft=Adam(5e-3),
     meta={
         "meta-sgd": Training(
-            steps=100_000, tasks=1, rate=1e-3, rates={"": 1e-4}, decay=1e-6, order=2, clip=10.0, from_general=False
+            steps=100_000,
+            tasks=1,
+            rates={"": 1e-4},
+            first_rate=1e-3,
+            decay=1e-6,
+            order=2,
+            clip=10.0,
+            augment=False,
+            from_general=False,
         )
     },
     rule="meta-sgd",
@@ -142,7 +151,8 @@ class Brdf(App):
     def init_encoder(self, rng: Generator) -> Params:
         """A set encoder: a network on each sample, the mean over samples, a network to all 675 weights."""
         sizes = {"in": (10, ENCODER), "mid": (ENCODER, ENCODER), "set": (2 * ENCODER, 2 * ENCODER)}
-        sizes |= {"deep": (2 * ENCODER, 2 * ENCODER), "out": (2 * ENCODER, sum(v[0].numel() for v in _shapes()))}
+        weights = sum(rows * columns for rows, columns in _shapes().values())
+        sizes |= {"deep": (2 * ENCODER, 2 * ENCODER), "out": (2 * ENCODER, weights)}
         encoder = {}
         for name, (inputs, outputs) in sizes.items():
             gain = 0.1 if name == "out" else math.sqrt(2)
@@ -168,9 +178,9 @@ class Brdf(App):
         x = x + gelu(dense("deep", layer_norm(x, x.shape[-1:])))
         flat = dense("out", x)
         theta, at = {}, 0
-        for name, shape in ((v[1], v[0].shape) for v in _shapes()):
-            theta[name] = flat[:, at : at + shape.numel()].reshape(-1, *shape)
-            at += shape.numel()
+        for name, (rows, columns) in _shapes().items():
+            theta[name] = flat[:, at : at + rows * columns].reshape(-1, rows, columns)
+            at += rows * columns
         return theta
 
     def augment(self, tasks: Tasks, rng: Generator) -> Tasks:
@@ -216,13 +226,21 @@ class Brdf(App):
         return network(one, inputs).clamp_min(0)[0].T.reshape(*angles.shape[:-1], 3)
 
     def outputs(self, theta: Params, task: Task) -> dict[str, Any]:
-        fit = shade_sphere(sphere_scene(), lambda angles: self.reflectance(theta, angles))
+        fit = shade_sphere(_scene(), lambda angles: self.reflectance(theta, angles))
         return {"reference": task.data["render"], "fit": fit}
 
 
-def _shapes() -> list[tuple[Tensor, str]]:
-    template = Brdf().init(Generator(), 1)
-    return [(value[0], key) for key, value in template.items()]
+def _shapes() -> dict[str, tuple[int, int]]:
+    """The shape of each parameter of one task."""
+    shapes: dict[str, tuple[int, int]] = {}
+    for layer, (inputs, outputs) in enumerate(itertools.pairwise(WIDTHS), 1):
+        shapes |= {f"w{layer}": (outputs, inputs), f"b{layer}": (outputs, 1)}
+    return shapes
+
+
+@functools.cache
+def _scene() -> SphereScene:
+    return sphere_scene()
 
 
 APP = Brdf()

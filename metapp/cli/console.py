@@ -16,7 +16,8 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, ProgressColumn, TextColumn, TimeRemainingColumn
 from rich.text import Text
 
-out = Console(highlight=False)
+# a pipe has no width of its own
+out = Console(highlight=False, width=None if sys.stdout.isatty() else 120)
 err = Console(stderr=True, highlight=False)
 
 
@@ -76,7 +77,10 @@ def run(command: Callable[[], Any]) -> int:
 
 
 def _interrupted() -> int:
-    say("interrupted; fits that were finished are kept, nothing half-written is: run the same command again to go on.")
+    say(
+        "interrupted; finished fits are kept, the same command goes on with the rest; "
+        "training and conversions start over."
+    )
     return Exit.INTERRUPTED
 
 
@@ -96,7 +100,7 @@ def progress(quiet: bool = False) -> Iterator[Progress]:
         MofNCompleteColumn(),
         TimeRemainingColumn(),
         _Speed(),
-        TextColumn("{task.fields[note]}"),
+        TextColumn("{task.fields[note]}", markup=False),
     )
     with Progress(*columns, console=err, disable=quiet or not err.is_terminal, transient=True) as bar:
         yield bar

@@ -233,12 +233,21 @@ def join(
     name = manifests[0].app
     if folder.resolve() in [each.resolve() for each in folders]:
         raise ValueError(f"{folder}: one of the data sets to join, expected another folder to write to.")
+    shapes: dict[str, Any] = {}
     notes = {"made_by": "metapp data join", "of": [each.name for each in folders]}
     with ShardWriter(folder, name, manifests[0].units, notes) as writer, progress(quiet) as bar:
         shown = bar.add_task("join", total=sum(len(manifest.tasks) for manifest in manifests), note="")
         for each, manifest in zip(folders, manifests, strict=True):
             tasks = {task.name: task for task in read_shard(each, app=name)}
             for entry in manifest.tasks:
+                shapes = shapes or {key: value.shape for key, value in tasks[entry.name].data.items()}
+                for key, value in tasks[entry.name].data.items():
+                    if value.shape != shapes.get(key):
+                        expected = tuple(shapes.get(key, ()))
+                        raise ValueError(
+                            f"{entry.name}: {key} {tuple(value.shape)}, expected {expected} as in the others; "
+                            "convert all with the same --samples."
+                        )
                 writer.add(tasks[entry.name], entry.split, entry.source)
                 bar.update(shown, advance=1, note=entry.name)
         train, test = ([e.name for e in writer.entries() if e.split == split] for split in ("train", "test"))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import shutil
 from ctypes.util import find_library
 from importlib import metadata
 from pathlib import Path
@@ -35,16 +34,18 @@ def examine() -> dict[str, Any]:
 
     from metapp.apps import app_names
     from metapp.cli.embedded import cache_folder, embedded_exists
-    from metapp.cli.session import shipped_path
+    from metapp.cli.starts import shipped_path
+    from metapp.paradigms.prepare import can_compile
 
     starts = {
         app: sorted(path.stem for path in shipped_path(app, "x").parent.glob("*.safetensors")) for app in app_names()
     }
-    compiler = next((name for name in ("g++", "clang++") if shutil.which(name)), None)
     return {
         "versions": {name: _version(name) for name in PACKAGES},
         "device": torch.cuda.get_device_name() if torch.cuda.is_available() else f"CPU, {os.cpu_count()} cores",
-        "compiler": compiler or "none: training runs about half as fast; install g++",
+        "compiler": "works"
+        if can_compile()
+        else "none that works: training is half as fast; install g++ and python3-dev",
         "cache": str(cache_folder()),
         "data": {app: "made" if embedded_exists(app) else "made on first use" for app in app_names()},
         "starts": {app: ", ".join(names) or "none" for app, names in starts.items()},

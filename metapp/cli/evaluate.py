@@ -6,6 +6,7 @@ import csv
 import io
 import json as json_module
 import math
+import shlex
 from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -17,6 +18,7 @@ from metapp.cli.console import out, print_json, say
 if TYPE_CHECKING:
     from metapp.cli.session import Options, Start
     from metapp.paradigms import Paradigm
+    from metapp.task import Task
 
 FORMATS = ("rich", "markdown", "latex", "csv", "json")
 TABLES = ("results",)
@@ -36,7 +38,7 @@ def command(
     data: Annotated[Path | None, typer.Option(help="Folder of task shards; default: the embedded set.")] = None,
     out_folder: Annotated[Path, typer.Option("--out", help="Where runs are kept.")] = Path("runs"),
     recipe: Annotated[str, typer.Option(help="quick or paper.")] = "quick",
-    seed: Annotated[int, typer.Option(help="Seed of all random draws.")] = 0,
+    seed: Annotated[int, typer.Option(help="Seed of all random draws.", min=0, max=2**63 - 1)] = 0,
     device: Annotated[str, typer.Option(help="auto, cpu or cuda.")] = "auto",
     json: Annotated[bool, typer.Option("--json", help="One JSON object as last line of standard output.")] = False,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress bar.")] = False,
@@ -81,47 +83,64 @@ def app_rows(options: Options, *, run: bool) -> list[dict[str, Any]]:
 
     What has no record yet is run, unless told otherwise.
     """
-    from metapp.cli.session import find_start, test_tasks
+    from metapp.cli.inputs import tasks_to_fit
+    from metapp.cli.session import make_folder
+    from metapp.cli.starts import find_start
     from metapp.paradigms import paradigms
 
-    tasks, label = test_tasks(options, [])
+    make_folder(options.out)
+    tasks, label = tasks_to_fit(options.app, [], options.data, options.quiet)
     each = paradigms()
-    rows = [_row(options, paradigm, find_start(options, paradigm), tasks, label, run) for paradigm in each.values()]
-    for rule in options.job.recipe.meta:
-        other = options._replace(rule=rule)
+    others = [rule for rule in options.job.recipe.meta if rule != options.rule]
+    runs = [(options, paradigm) for paradigm in each.values()]
+    runs += [(options._replace(rule=rule), each["meta"]) for rule in others]
+    # all starts before the first fit: a missing one should not be found after an hour
+    starts: list[Start | None] = []
+    for of, paradigm in runs:
         try:
-            start = find_start(other, each["meta"])
-        except ValueError:
+            starts.append(find_start(of, paradigm))
+        except ValueError as error:
+            if of.rule == options.rule:
+                if run:
+                    raise
+                say(f"{error}")
+            starts.append(None)
+    rows = []
+    for (of, paradigm), start in zip(runs, starts, strict=True):
+        if start is None and of.rule != options.rule:
             continue  # nobody trained this rule
-        if rule != options.rule:
-            row = _row(other, each["meta"], start, tasks, label, run)
-            rows.append({**row, "paradigm": f"meta:{rule}", "paper_error": None, "paper_seconds": None})
+        row = _row(of, paradigm, start, tasks, label, run)
+        if of.rule != options.rule:
+            row |= {"paradigm": f"meta:{of.rule}", "paper_error": None, "paper_seconds": None}
+        rows.append(row)
     return rows
 
 
-def _row(options: Options, paradigm: Paradigm, start: Start, tasks: list, label: str, run: bool) -> dict[str, Any]:
+def _row(
+    options: Options, paradigm: Paradigm, start: Start | None, tasks: list[Task], label: str, run: bool
+) -> dict[str, Any]:
     from metapp.cli.fit import run_path, run_tasks, summary
     from metapp.cli.session import settings_of
     from metapp.records import RunFolder
 
-    settings = settings_of(options, paradigm, start, label)
-    folder = RunFolder(run_path(options, settings, label), settings)
-    if run:
-        records = run_tasks(options, paradigm, start, tasks, folder)
-    else:
-        finished = folder.finished()
-        records = [finished[task.name] for task in tasks if task.name in finished]
-        if len(records) < len(tasks):
-            where = f" --data {options.data}" if options.data else ""
-            rule = f" --rule {options.rule}" if paradigm.name == "meta" else ""
-            say(f"{len(tasks) - len(records)} tasks missing: metapp {paradigm.name} {options.app.name}{rule}{where}")
+    records: list[dict[str, Any]] = []
+    if start is not None:
+        settings = settings_of(options, paradigm, start, label)
+        folder = RunFolder(run_path(options, settings, label), settings)
+        if run:
+            records = run_tasks(options, paradigm, start, tasks, folder)
+        else:
+            finished = folder.finished()
+            records = [finished[task.name] for task in tasks if task.name in finished]
+    if len(records) < len(tasks):
+        say(f"{len(tasks) - len(records)} of {len(tasks)} tasks missing: {_command_for(options, paradigm, start)}")
     low, high = bootstrap([record["error"] for record in records]) if records else (None, None)
     paper = paper_figures()
     return {
         "app": options.app.name,
         "paradigm": paradigm.name,
-        "rule": settings["rule"],
-        "steps": settings["steps"],
+        "rule": options.rule if paradigm.name == "meta" else None,
+        "steps": paradigm.count(options.job),
         **(summary(records) if records else {"error": None, "seconds": None}),
         "worst": max((record["error"] for record in records), default=None),
         "tasks": len(records),
@@ -130,6 +149,14 @@ def _row(options: Options, paradigm: Paradigm, start: Start, tasks: list, label:
         "paper_error": paper["error"][options.app.name].get(paradigm.name),
         "paper_seconds": paper["seconds"][options.app.name].get(paradigm.name),
     }
+
+
+def _command_for(options: Options, paradigm: Paradigm, start: Start | None) -> str:
+    """The command that makes what is missing."""
+    words = ["metapp", paradigm.name, options.app.name, "--out", str(options.out), "--recipe", options.recipe]
+    words += ["--seed", str(options.seed)] + (["--data", str(options.data)] if options.data else [])
+    words += (["--rule", options.rule] if paradigm.name == "meta" else []) + (["--train"] if start is None else [])
+    return shlex.join(words)
 
 
 def paper_figures() -> dict[str, Any]:
@@ -163,22 +190,22 @@ def _number(value: float | None, form: str) -> str:
     return "-" if value is None else format(value, form)
 
 
-COLUMNS = ("paradigm", "steps", "error", "95 % interval", "worst", "seconds", "paper error", "paper seconds")
+COLUMNS = ("paradigm", "error", "seconds", "paper error", "paper seconds", "steps", "95 % interval", "worst")
+NARROW = 5  # so many of them fit into 80 columns
 
 
 def cells(row: dict[str, Any]) -> tuple[str, ...]:
     """A row as text, in the order of COLUMNS."""
-    name = f"{row['paradigm']} ({row['rule']})" if row["paradigm"] == "meta" else row["paradigm"]
     interval = "-" if row["low"] is None else f"{row['low']:.3f} .. {row['high']:.3f}"
     return (
-        name,
-        str(row["steps"]),
+        row["paradigm"],
         _number(row["error"], ".3f"),
-        interval,
-        _number(row["worst"], ".3f"),
         _number(row["seconds"], ".4f"),
         _number(row["paper_error"], ".3f"),
         _number(row["paper_seconds"], ".3f"),
+        str(row["steps"]),
+        interval,
+        _number(row["worst"], ".3f"),
     )
 
 
@@ -200,14 +227,17 @@ def rich_table(app_name: str, rows: list[dict[str, Any]]) -> Any:
 
     app = load_app(app_name)
     factor = f" x{app.scale:g}" if app.scale != 1 else ""
+    rule = next(row["rule"] for row in rows if row["paradigm"] == "meta")
     table = Table(
         title=f"{app.title}, {rows[0]['tasks']} unseen tasks: mean error{factor}, median seconds of inference",
-        caption=f"{closing(rows)}\nerror: {app.measure}{factor}; the paper's figures are of its own data and machine",
+        caption=f"{closing(rows)}\nmeta: {rule}; error: {app.measure}{factor}\n"
+        "the paper's figures are of its own data and machine",
     )
-    for column in COLUMNS:
-        table.add_column(column, justify="left" if column == "paradigm" else "right", no_wrap=True)
+    shown = len(COLUMNS) if out.width >= 110 else NARROW
+    for column in COLUMNS[:shown]:
+        table.add_column(column, justify="left" if column == "paradigm" else "right", no_wrap=column != "paradigm")
     for row in rows:
-        table.add_row(*cells(row))
+        table.add_row(*cells(row)[:shown])
     return table
 
 

@@ -3,15 +3,22 @@
 from __future__ import annotations
 
 import hashlib
+import math
 import time
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from metapp.cli.console import out, print_json, progress, say
 
-APP_HELP = "Application: texture, brdf, svbrdf_stationary, svbrdf_nonstationary, illumination or transport."
+if TYPE_CHECKING:
+    from metapp.cli.session import Options, Start
+    from metapp.paradigms import Paradigm
+    from metapp.records import RunFolder
+    from metapp.task import App, Task
+
+APP_HELP = "Application; brdf so far."
 
 
 def make_command(name: str, summary: str) -> Any:
@@ -21,13 +28,20 @@ def make_command(name: str, summary: str) -> Any:
         app: Annotated[str, typer.Argument(metavar="APP", help=APP_HELP)],
         inputs: Annotated[
             list[Path] | None,
-            typer.Argument(metavar="[INPUT]...", help="Files to fit; without any, the test tasks of --data."),
+            typer.Argument(
+                metavar="[INPUT]...",
+                help="What to fit (brdf: MERL .binary files, NBRDF folders); without any, the test tasks of --data.",
+            ),
         ] = None,
         steps: Annotated[int | None, typer.Option(help="Gradient steps instead of the recipe's.", min=0)] = None,
-        rule: Annotated[str, typer.Option(help="Meta's learned rule: meta-sgd, meta-adam, meta-curvature.")] = "",
+        rule: Annotated[
+            str, typer.Option(help="Meta's rule: meta-sgd, meta-adam, meta-curvature; default: the recipe's.")
+        ] = "",
         observe: Annotated[str, typer.Option(help="reference or photo, where an application has both.")] = "",
         train: Annotated[bool, typer.Option("--train", help="Train the start on the training tasks first.")] = False,
-        train_steps: Annotated[int | None, typer.Option(help="Training steps, not the recipe's.", min=1)] = None,
+        train_steps: Annotated[
+            int | None, typer.Option(help="Outer training steps instead of the recipe's.", min=1)
+        ] = None,
         data: Annotated[Path | None, typer.Option(help="Folder of task shards; default: the embedded set.")] = None,
         out_folder: Annotated[Path, typer.Option("--out", help="Where runs and trained starts are kept.")] = Path(
             "runs"
@@ -37,7 +51,7 @@ def make_command(name: str, summary: str) -> Any:
         ] = None,
         recipe: Annotated[str, typer.Option(help="quick or paper.")] = "quick",
         export: Annotated[str, typer.Option(help="Write each fit in another form; brdf: nbrdf or merl.")] = "",
-        seed: Annotated[int, typer.Option(help="Seed of all random draws.")] = 0,
+        seed: Annotated[int, typer.Option(help="Seed of all random draws.", min=0, max=2**63 - 1)] = 0,
         device: Annotated[str, typer.Option(help="auto, cpu or cuda.")] = "auto",
         json: Annotated[bool, typer.Option("--json", help="One JSON object as last line of standard output.")] = False,
         quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress bar, no table.")] = False,
@@ -47,15 +61,21 @@ def make_command(name: str, summary: str) -> Any:
         found = find_app(app)
         if observe and observe not in found.protocols:
             expected = (
-                f"one of {', '.join(found.protocols)}" if found.protocols else "no such option: it has one protocol"
+                f"expects one of {', '.join(found.protocols)}" if found.protocols else "has one protocol; leave it out"
             )
-            raise typer.BadParameter(f"--observe '{observe}': {found.name} expects {expected}.")
+            raise typer.BadParameter(f"--observe '{observe}': {found.name} {expected}.")
         if export and export not in found.exports:
             raise typer.BadParameter(f"--export '{export}': {found.name} expects one of {', '.join(found.exports)}.")
         if train_steps and not train:
             raise typer.BadParameter("--train-steps: only with --train.")
+        if train_steps and name == "quickft":
+            raise typer.BadParameter("--train-steps: quickft is tuned on a fixed grid; leave it out.")
         if rule and name != "meta":
             raise typer.BadParameter(f"--rule: only meta has learned rules, not {name}.")
+        if steps and name == "general":
+            raise typer.BadParameter("--steps: general takes none; finetune and quickft go on from it.")
+        if checkpoint and name == "overfit":
+            raise typer.BadParameter("--checkpoint: overfit starts at random; leave it out.")
         options = Options(
             app=found,
             recipe=recipe,
@@ -77,7 +97,7 @@ def make_command(name: str, summary: str) -> Any:
 
 
 def fit(
-    options: Any,
+    options: Options,
     paradigm_name: str,
     inputs: list[Path],
     *,
@@ -91,24 +111,27 @@ def fit(
     Returns:
         The document that --json prints.
     """
-    from metapp.cli.session import find_start, settings_of, test_tasks, train_start
+    from metapp.cli.inputs import tasks_to_fit
+    from metapp.cli.session import make_folder, settings_of
+    from metapp.cli.starts import find_start, train_start
     from metapp.paradigms import paradigms
     from metapp.records import RunFolder
 
     paradigm = paradigms()[paradigm_name]
     if options.steps == paradigm.steps(options.job.recipe):
         options = options._replace(steps=None)  # the recipe's own number is the recipe's own run
-    tasks, label = test_tasks(options, inputs)
+    make_folder(options.out)
+    tasks, label = tasks_to_fit(options.app, inputs, options.data, options.quiet)
     if train:
         train_start(options, paradigm, train_steps)
     start = find_start(options, paradigm)
     settings = settings_of(options, paradigm, start, label)
     folder = RunFolder(run_path(options, settings, label), settings)
-    if len(folder.finished()) >= len(tasks):
-        folder.clear()  # a finished run is run anew, one that was cut off is completed
     if not options.quiet:
         say(f"{options.app.name} {paradigm.name}: {len(tasks)} tasks, {settings['steps']} steps, start: {start.source}")
-    records = run_tasks(options, paradigm, start, tasks, folder)
+    # a finished run is run anew, one that was cut off is completed
+    again = len(folder.finished()) >= len(tasks)
+    records = run_tasks(options, paradigm, start, tasks, folder, again=again)
     if export:
         export_all(options, tasks, folder, export)
     document = {
@@ -132,7 +155,7 @@ def fit(
     return document
 
 
-def run_path(options: Any, settings: dict[str, Any], label: str) -> Path:
+def run_path(options: Options, settings: dict[str, Any], label: str) -> Path:
     """runs/<app>/<paradigm>/<data>-<recipe>-seed<seed>, with the rule and a step count that is not the recipe's."""
     name = f"{label}-{options.recipe}-seed{options.seed}"
     if settings["paradigm"] == "meta":
@@ -142,23 +165,28 @@ def run_path(options: Any, settings: dict[str, Any], label: str) -> Path:
     return options.out / options.app.name / settings["paradigm"] / name
 
 
-def run_tasks(options: Any, paradigm: Any, start: Any, tasks: list, folder: Any) -> list[dict[str, Any]]:
-    """Fit each task that has no record yet, alone, so that its time is its own; each is kept as soon as it is done."""
+def run_tasks(
+    options: Options, paradigm: Paradigm, start: Start, tasks: list[Task], folder: RunFolder, *, again: bool = False
+) -> list[dict[str, Any]]:
+    """Fit each task that has no record yet, or all again; alone, so that its time is its own.
+
+    Each is kept as soon as it is done. The time is from the task's samples to the final parameters, warm.
+    """
     import torch
     from torch import Generator
 
     from metapp.task import stack
 
-    done = folder.finished()
+    done = {} if again else folder.finished()
     app, job, device = options.app, options.job, options.device
 
     def fit_one(task: Any, steps: int | None) -> tuple[dict, float, Any]:
         # the seed depends on the task's name alone: a fit is the same whatever is fitted beside it
         seed = int.from_bytes(hashlib.sha256(f"{options.seed} {task.name}".encode()).digest()[:6], "big")
         rng = Generator(device).manual_seed(seed)
-        stacked = stack(app, [task], device)
         _synchronise(torch, device)
         begin = time.perf_counter()
+        stacked = stack(app, [task], device)
         theta = paradigm.fit(job if steps is None else job._replace(steps=steps), start.prepared, stacked, rng)
         _synchronise(torch, device)
         return theta, time.perf_counter() - begin, stacked
@@ -171,6 +199,10 @@ def run_tasks(options: Any, paradigm: Any, start: Any, tasks: list, folder: Any)
         for task in missing:
             theta, seconds, stacked = fit_one(task, None)
             errors = {key: app.scale * float(value[0]) for key, value in app.errors(theta, stacked).items()}
+            if not math.isfinite(errors["error"]):
+                raise FloatingPointError(
+                    f"{task.name}: the fit's error is not finite; use another start or fewer steps."
+                )
             record = {"name": task.name, **errors, "seconds": seconds}
             folder.add(record, {key: value[0] for key, value in theta.items()})
             done[task.name] = record
@@ -193,9 +225,10 @@ def summary(records: list[dict[str, Any]]) -> dict[str, float]:
     }
 
 
-def table_of(app: Any, paradigm: str, records: list[dict[str, Any]]) -> Any:
+def table_of(app: App, paradigm: str, records: list[dict[str, Any]]) -> Any:
     """One line a task, and their mean."""
     from rich.table import Table
+    from rich.text import Text
 
     factor = f" x{app.scale:g}" if app.scale != 1 else ""
     table = Table(title=f"{app.title}: {paradigm}", show_footer=True, caption=f"error: {app.measure}{factor}")
@@ -204,11 +237,11 @@ def table_of(app: Any, paradigm: str, records: list[dict[str, Any]]) -> Any:
     table.add_column(f"error{factor}", f"{total['error']:.3f}", justify="right")
     table.add_column("seconds", f"{total['seconds']:.4f}", justify="right")
     for record in records:
-        table.add_row(record["name"], f"{record['error']:.3f}", f"{record['seconds']:.4f}")
+        table.add_row(Text(record["name"]), f"{record['error']:.3f}", f"{record['seconds']:.4f}")
     return table
 
 
-def export_all(options: Any, tasks: list, folder: Any, kind: str) -> None:
+def export_all(options: Options, tasks: list[Task], folder: RunFolder, kind: str) -> None:
     """Write every fit of a run in another form, under <run>/<kind>/."""
     import importlib
 

@@ -21,7 +21,8 @@ def preparation(job: Job, rng: Generator) -> tuple[MetaParameters, Loss]:
     """The untrained encoder and the loss that trains it."""
     app, training = job.app, job.recipe.general
     loss = after_encoding(task_loss(app, job.recipe.batch), app.observe, app.encode)
-    return MetaParameters(encoder=app.init_encoder(rng)), over_tasks(loss, count=training.tasks, augment=app.augment)
+    augment = app.augment if training.augment else None
+    return MetaParameters(encoder=app.init_encoder(rng)), over_tasks(loss, count=training.tasks, augment=augment)
 
 
 GENERAL = Paradigm(

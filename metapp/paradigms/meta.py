@@ -33,8 +33,8 @@ def preparation(job: Job, general: Params | None, rng: Generator, compiled: bool
         compiled=compiled,
         tasks_at_once=training.tasks_at_once,
     )
-    phi = MetaParameters(theta, rule.alpha(app, theta, steps, training.rate))
-    return phi, over_tasks(learned, count=training.tasks, augment=app.augment)
+    phi = MetaParameters(theta, rule.alpha(app, theta, steps, training.first_rate))
+    return phi, over_tasks(learned, count=training.tasks, augment=app.augment if training.augment else None)
 
 
 def start(job: Job, prepared: MetaParameters, tasks: Tasks, rng: Generator) -> Params:

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import functools
 import itertools
 import shutil
 from collections.abc import Callable
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from typing import Any, NamedTuple
 
 import torch
@@ -58,10 +59,13 @@ def split_validation(tasks: Tasks) -> tuple[Tasks, Tasks]:
 
 
 def validation_error(paradigm: Paradigm, job: Job, prepared: MetaParameters, tasks: Tasks, seeds: int = 2) -> float:
-    """Mean error of fits of all tasks with fixed seeds, as the table prints it."""
+    """Mean error of fits of all tasks with fixed seeds, as the table prints it; infinite where a fit diverges."""
     total = 0.0
     for seed in range(seeds):
-        theta = paradigm.fit(job, prepared, tasks, Generator(tasks.rows.device).manual_seed(seed))
+        try:
+            theta = paradigm.fit(job, prepared, tasks, Generator(tasks.rows.device).manual_seed(seed))
+        except FloatingPointError:
+            return float("inf")
         total += float(job.app.errors(theta, tasks)["error"].mean())
     return job.app.scale * total / seeds
 
@@ -91,6 +95,7 @@ def prepare(
         Interrupted: Ctrl-C; carries the best state so far.
         FloatingPointError: the training loss is not finite; names tasks and step.
     """
+    job = job._replace(steps=None)  # a start is learned through the recipe's number of steps
     to_fit, to_validate = split_validation(tasks)
     if name == "quickft":
         assert encoder is not None
@@ -103,9 +108,9 @@ def prepare(
         mean = None
         if encoder is not None and training.from_general:
             mean = {key: value.mean(0) for key, value in general.start(job, encoder, to_fit, rng).items()}
-        first, loss = meta.preparation(job, mean, rng, compiled=_can_compile())
+        first, loss = meta.preparation(job, mean, rng, compiled=can_compile())
     if steps is not None:
-        training = Training(**{**asdict(training), "steps": steps})
+        training = replace(training, steps=steps)
 
     def validate(params: Params) -> float:
         return validation_error(paradigm, job, MetaParameters.unflat(params), to_validate)
@@ -128,10 +133,7 @@ def _train(
 
     def look(step: int, params: Params) -> None:
         nonlocal best
-        try:
-            error = validate(params)
-        except FloatingPointError:  # a start that fits diverge from is a bad one, no more
-            error = float("inf")
+        error = validate(params)
         mean = scale * float(torch.stack(losses).mean()) if losses else None
         losses.clear()
         best.curve.append((step, mean, error))
@@ -158,49 +160,84 @@ def _train(
 
 
 def tune_quickft(job: Job, encoder: MetaParameters, tasks: Tasks, report: Report | None = None) -> Prepared:
-    """Search QuickFT's Adam on a grid of rate, betas and decay, on validation tasks: a fair baseline for Meta.
+    """Search QuickFT's Adam on validation tasks: a win over a badly tuned baseline is no win.
+
+    First a grid of rate, betas and decay, then eps and a finer rate around the best.
 
     Returns:
-        A start whose alpha holds rate, beta1, beta2 and final, and the encoder it was tuned for.
+        A start whose alpha holds Adam's settings, scalars on the CPU, and the encoder that they were tuned for.
+
+    Raises:
+        Interrupted: Ctrl-C; carries the best settings so far.
     """
-    rates = [job.recipe.quickft.rate * 2 ** (i / 2) for i in range(-8, 5)]
-    grid = list(itertools.product(rates, (0.5, 0.7, 0.8, 0.9, 0.95), (0.8, 0.9, 0.97, 0.999), (1.0, 0.3, 0.1, 0.0)))
+    first = job.recipe.quickft
+    rates = [first.rate * 2 ** (i / 2) for i in range(-6, 8)]
+    betas = itertools.product((0.3, 0.5, 0.7, 0.8, 0.9), (0.8, 0.9, 0.97, 0.999))
+    grid = [
+        replace(first, rate=rate, beta1=beta1, beta2=beta2, final=final)
+        for rate, (beta1, beta2), final in itertools.product(rates, list(betas), (1.0, 0.3, 0.1, 0.0))
+    ]
     curve: list[tuple[int, float | None, float]] = []
-    best = Prepared(encoder, float("inf"), 0, curve)
+    best, best_adam = Prepared(encoder, float("inf"), 0, curve), first
+    total = len(grid) + len(EPSILONS) * len(FINER)
+
+    def look(i: int, adam: Adam) -> None:
+        nonlocal best, best_adam
+        tuned = encoder._replace(alpha=quickft.to_alpha(adam))
+        error = validation_error(quickft.QUICKFT, job, tuned, tasks)
+        if error < best.validation:
+            best, best_adam = Prepared(tuned, error, i, curve), adam
+            curve.append((i, None, error))
+        if report:
+            report(i + 1, total, f"rate {adam.rate:.1e}, validation {error:.3f}, best {best.validation:.3f}")
+
     try:
-        for i, (rate, beta1, beta2, final) in enumerate(grid):
-            alpha = quickft.to_alpha(Adam(rate, beta1, beta2, job.recipe.quickft.eps, final))
-            tuned = encoder._replace(alpha={key: value.to(tasks.rows.device) for key, value in alpha.items()})
-            error = validation_error(quickft.QUICKFT, job, tuned, tasks)
-            if error < best.validation:
-                best = Prepared(tuned, error, i, curve)
-                curve.append((i, None, error))
-            if report:
-                report(i + 1, len(grid), f"rate {rate:.1e}, validation {error:.3f}, best {best.validation:.3f}")
+        for i, adam in enumerate(grid):
+            look(i, adam)
+        around = best_adam
+        for i, (eps, factor) in enumerate(itertools.product(EPSILONS, FINER), len(grid)):
+            look(i, replace(around, eps=eps, rate=around.rate * factor))
     except KeyboardInterrupt:
         raise Interrupted(best) from None
     return best
 
 
-def _can_compile() -> bool:
-    """torch.compile needs a C++ compiler on the CPU; without one, training is about half as fast and the same."""
-    return any(shutil.which(name) for name in ("g++", "clang++"))
+EPSILONS = (1e-8, 1e-6, 1e-5, 1e-4, 1e-3)
+FINER = (0.71, 0.84, 1.0, 1.19, 1.41)
 
 
-def describe(job: Job, name: str, prepared: Prepared) -> dict[str, Any]:
-    """What a checkpoint says about itself: JSON-ready."""
+@functools.cache
+def can_compile() -> bool:
+    """torch.compile needs a whole C++ tool chain on the CPU; without one, training is about half as fast, the same."""
+    if not any(shutil.which(name) for name in ("g++", "clang++")):
+        return False
+    try:
+        torch.compile(lambda x: x.sin() + 1)(torch.ones(8))
+    except Exception:  # whatever a compiler that lacks a part raises
+        return False
+    return True
+
+
+def describe(job: Job, name: str, prepared: Prepared, steps: int | None = None) -> dict[str, Any]:
+    """What a start says about itself: JSON-ready.
+
+    Args:
+        job: application and recipe.
+        name: what was prepared.
+        prepared: the result.
+        steps: outer steps instead of the recipe's.
+    """
     recipe = job.recipe
-    training: Any = None
-    if name == "general":
-        training = asdict(recipe.general)
-    elif name in recipe.meta:
-        training = asdict(recipe.meta[name])
+    training = recipe.general if name == "general" else recipe.meta.get(name)
+    if training and steps is not None:
+        training = replace(training, steps=steps)
     return {
         "app": job.app.name,
         "start": name,
         "inner_steps": recipe.steps,
         "batch": recipe.batch,
-        "training": training,
+        "training": training and asdict(training),
         "validation_error": prepared.validation,
         "best_step": prepared.step,
+        "curve": prepared.curve,
     }

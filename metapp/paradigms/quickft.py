@@ -19,10 +19,15 @@ def to_alpha(settings: Adam) -> Params:
     return {key: torch.tensor(getattr(settings, key), dtype=torch.float64) for key in TUNED}
 
 
-def rule(job: Job, prepared: MetaParameters, theta: Params, steps: int) -> UpdateRule:
-    """The recipe's Adam, or the one that was tuned on this data's validation tasks."""
+def adam_of(job: Job, prepared: MetaParameters) -> Adam:
+    """The Adam that was tuned on this data's validation tasks, else the recipe's."""
     tuned = {key: float(value) for key, value in prepared.alpha.items()}
-    return fixed_adam(Adam(**tuned) if tuned else job.recipe.quickft, theta, steps)
+    return Adam(**tuned) if tuned else job.recipe.quickft
+
+
+def rule(job: Job, prepared: MetaParameters, theta: Params, steps: int) -> UpdateRule:
+    """Adam at a raised rate."""
+    return fixed_adam(adam_of(job, prepared), theta, steps)
 
 
 QUICKFT = Paradigm(name="quickft", needs=GENERAL.needs, start=start, rule=rule, steps=lambda recipe: recipe.steps)

@@ -1,0 +1,176 @@
+"""Starts: find the best there is, or train one on the training tasks of a data set."""
+
+from __future__ import annotations
+
+import os
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import typer
+from torch import Generator
+
+from metapp.cli.console import follow, progress, say
+from metapp.cli.embedded import embedded_exists
+from metapp.cli.inputs import data_folder, data_label
+from metapp.cli.session import Options, Start, make_folder, versions
+from metapp.learning import MetaParameters
+from metapp.paradigms import Paradigm, paradigms
+from metapp.paradigms.prepare import Interrupted, Prepared, describe, prepare
+from metapp.records import digest, load_start, save_start, tensor_digest
+from metapp.shards import read_shard
+from metapp.task import App, Params, stack
+
+
+def find_start(options: Options, paradigm: Paradigm) -> Start:
+    """The best start there is: --checkpoint, else one trained on this data earlier, else the one that ships.
+
+    Raises:
+        ValueError: there is none, or it is another application's, another paradigm's or another network's.
+    """
+    needed = paradigm.needs(options.job)
+    if needed is None:
+        return Start(MetaParameters(), "random", "")
+    path = _start_path(options, needed)
+    prepared, info = load_start(path, options.device)
+    app, name = info.get("app"), info.get("start")
+    if (app, name) != (options.app.name, needed):
+        remedy = f"; add --rule {name}" if name in options.job.recipe.meta and paradigm.name == "meta" else ""
+        raise ValueError(f"{path}: a start of {app} {name}, expected {options.app.name} {needed}{remedy}.")
+    _require_fit(path, options.app, prepared)
+    start = Start(prepared, str(path), digest(path))
+    if path == shipped_path(options.app.name, needed) and not options.checkpoint:
+        start = start._replace(source="the one that ships")
+    return _with_tuning(options, start) if paradigm.name == "quickft" else start
+
+
+def _require_fit(path: Path, app: App, prepared: MetaParameters) -> None:
+    """Refuse tensors that are not this application's."""
+    rng = Generator().manual_seed(0)
+    expected: dict[str, Params] = {}
+    if prepared.theta:
+        expected["theta"] = {key: value[0] for key, value in app.init(rng, 1).items()}
+    if prepared.encoder:
+        expected["encoder"] = app.init_encoder(rng)
+    for part, tensors in expected.items():
+        found = getattr(prepared, part)
+        for key, value in tensors.items():
+            shape = tuple(found[key].shape) if key in found else "missing"
+            if shape != tuple(value.shape):
+                raise ValueError(
+                    f"{path}: {part} {key} is {shape}, expected {tuple(value.shape)}; train a start with this version."
+                )
+
+
+def _with_tuning(options: Options, start: Start) -> Start:
+    """Put the Adam that was tuned for this very encoder into its start."""
+    encoder = tensor_digest(start.prepared.encoder)
+    candidates = [shipped_path(options.app.name, "quickft")]
+    if options.data or embedded_exists(options.app.name):
+        candidates.insert(0, trained_path(options, "quickft"))
+    for path in candidates:
+        if path.is_file():
+            tuned, info = load_start(path)
+            if info.get("encoder") == encoder:
+                return Start(start.prepared._replace(alpha=tuned.alpha), f"{start.source}, tuned Adam", digest(path))
+    say(f"quickft: no Adam was tuned for this encoder, the recipe's is used; metapp quickft {options.app.name} --train")
+    return start
+
+
+def _start_path(options: Options, name: str) -> Path:
+    if options.checkpoint:
+        return options.checkpoint
+    if options.data or embedded_exists(options.app.name):
+        path = trained_path(options, name)
+        if path.is_file():
+            return path
+    path = shipped_path(options.app.name, name)
+    # the starts that ship were trained by the quick recipe
+    if path.is_file() and options.recipe == "quick":
+        return path
+    raise ValueError(
+        f"{options.app.name} {name}, recipe {options.recipe}: no start, neither trained on this data nor shipped; "
+        "train one with --train."
+    )
+
+
+def trained_path(options: Options, name: str) -> Path:
+    """Where a start that is trained on this data is kept."""
+    label = data_label(data_folder(options.app, options.data, options.quiet))
+    run = f"{label}-{options.recipe}-seed{options.seed}"
+    return options.out / options.app.name / "starts" / run / f"{name}.safetensors"
+
+
+def shipped_path(app: str, name: str) -> Path:
+    """Where a start that ships with metapp is."""
+    return Path(str(resources.files("metapp.checkpoints"))) / app / f"{name}.safetensors"
+
+
+def train_start(options: Options, paradigm: Paradigm, steps: int | None) -> Path:
+    """Train what a paradigm needs on the training tasks and keep it for later runs on this data.
+
+    Returns:
+        The file of the start; the one it replaces is kept as `<name>.previous.safetensors`.
+    """
+    needed = paradigm.needs(options.job)
+    if needed is None:
+        raise typer.BadParameter(f"--train: {paradigm.name} needs no preparation; leave the option out.")
+    if options.checkpoint:
+        raise typer.BadParameter("--train makes a start of its own; leave --checkpoint out.")
+    name = "quickft" if paradigm.name == "quickft" else needed
+    path = trained_path(options, name)
+    make_folder(path.parent)
+    folder = data_folder(options.app, options.data, options.quiet)
+    encoder = _encoder(options, name, steps)
+    tasks = stack(options.app, read_shard(folder, "train", options.app.name), options.device)
+    say(f"training {options.app.name} {name} on {len(tasks)} tasks of {folder.name}, every eighth for validation")
+    info: dict[str, Any] = {"data": data_label(folder), "recipe": options.recipe, "seed": options.seed}
+    info |= {"versions": versions()} | ({"encoder": tensor_digest(encoder.encoder)} if encoder else {})
+
+    def keep(prepared: Prepared, file: Path) -> None:
+        save_start(file, prepared.start, describe(options.job, name, prepared, steps) | info)
+
+    with progress(options.quiet) as bar:
+        row = bar.add_task(f"train {name}", total=None, note="")
+        try:
+            prepared = prepare(
+                name,
+                options.job,
+                tasks,
+                Generator(options.device).manual_seed(options.seed),
+                encoder=encoder,
+                steps=steps,
+                report=None if options.quiet else lambda i, n, note: follow(bar, row, i, n, note),
+            )
+        except Interrupted as error:
+            if error.prepared.curve:
+                kept = path.with_suffix(".interrupted.safetensors")
+                keep(error.prepared, kept)
+                say(f"validation error {error.prepared.validation:.3f}; to use it as it is: --checkpoint {kept}")
+            raise
+    if path.is_file():
+        os.replace(path, path.with_suffix(".previous.safetensors"))
+    keep(prepared, path)
+    say(f"{name}: validation error {prepared.validation:.3f} at step {prepared.step}; kept as {path}")
+    return path
+
+
+def _encoder(options: Options, name: str, steps: int | None) -> MetaParameters | None:
+    """The General that QuickFT is tuned for or that Meta starts from, trained now if this data has none.
+
+    For a data set of the user's own only one trained on its training tasks will do: the one that ships may have seen
+    its test tasks.
+    """
+    training = options.job.recipe.meta.get(name)
+    if name == "general" or (training and not training.from_general):
+        return None
+    general = paradigms()["general"]
+    usable = trained_path(options, "general").is_file()
+    if not usable and not options.data and options.recipe == "quick":
+        usable = shipped_path(options.app.name, "general").is_file()
+    if not usable:
+        say("no General that was trained on this data yet: training it first.")
+        train_start(options, general, steps)
+    start = find_start(options, general)
+    say(f"General: {start.source}")
+    return start.prepared
