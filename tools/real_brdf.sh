@@ -12,7 +12,7 @@ for seed in "$@"; do
   common=(brdf --data "$folder" --out "$runs" --seed "$seed")
   "$metapp" general "${common[@]}" --train --quiet
   "$metapp" quickft "${common[@]}" --train --quiet
-  for rule in meta-sgd meta-adam meta-curvature; do
+  for rule in meta-sgd meta-curvature; do
     "$metapp" meta "${common[@]}" --rule "$rule" --train --quiet
   done
   "$metapp" evaluate "${common[@]}" --table
