@@ -68,9 +68,18 @@ class StepPair(NamedTuple):
     pullback: Callable[..., tuple[Params, Params, Params]]
 
 
-@lru_cache(maxsize=64)
 def step_pair(rule_step: Callable, loss: Loss, order: int, compiled: bool) -> StepPair:
     """One step and its vector-Jacobian product; the only two functions that are worth compiling."""
+    return _compiled_pair(rule_step, loss, order) if compiled else _eager_pair(rule_step, loss, order)
+
+
+@lru_cache(maxsize=16)  # compiling takes seconds
+def _compiled_pair(rule_step: Callable, loss: Loss, order: int) -> StepPair:
+    eager = _eager_pair(rule_step, loss, order)
+    return StepPair(_Compiled(eager.forward), _Compiled(eager.pullback))
+
+
+def _eager_pair(rule_step: Callable, loss: Loss, order: int) -> StepPair:
 
     def advance(alpha: Params, theta: Params, state: Params, batch: Any, *, graph: bool) -> tuple:
         shape = {key[5:]: value for key, value in alpha.items() if key.startswith("loss.")}
@@ -95,8 +104,6 @@ def step_pair(rule_step: Callable, loss: Loss, order: int, compiled: bool) -> St
         grads = iter(torch.autograd.grad([o for o, _ in live], inputs, [p for _, p in live], materialize_grads=True))
         return dict(zip(theta, grads)), dict(zip(state, grads)), dict(zip(alpha, grads))  # noqa: B905
 
-    if compiled:
-        return StepPair(_Compiled(forward), _Compiled(pullback))
     return StepPair(_enable_grad(forward), _enable_grad(pullback))
 
 
@@ -141,7 +148,7 @@ class _Compiled:
     """Trace a function of flat trees that calls autograd, for the shapes of its first call, and compile the trace."""
 
     def __init__(self, function: Callable) -> None:
-        self.function = _enable_grad(function)
+        self.function = function
         self.programs: dict[tuple, tuple[Callable, Any]] = {}
 
     def __call__(self, *trees: Params) -> Any:
