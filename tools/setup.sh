@@ -28,4 +28,12 @@ if ! "$venv/bin/python" -c 'import torch' 2>/dev/null; then
   fi
 fi
 "$venv/bin/python" -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[dev]'
+# Mitsuba's wheels need libatomic, which a bare Debian has not; only the tests against Mitsuba use them so far
+if ! "$venv/bin/python" -c 'import drjit' 2>/dev/null; then
+  if [ "$(id -u)" = 0 ] && command -v apt-get >/dev/null; then
+    apt-get update -qq && apt-get install -y -qq --no-install-recommends libatomic1 >/dev/null
+  else
+    echo "setup: Mitsuba cannot be imported; install its library: apt-get install libatomic1" >&2
+  fi
+fi
 echo "setup: done, $venv/bin/metapp"
