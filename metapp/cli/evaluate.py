@@ -228,8 +228,9 @@ def rich_table(app_name: str, rows: list[dict[str, Any]]) -> Any:
     app = load_app(app_name)
     factor = f" x{app.scale:g}" if app.scale != 1 else ""
     rule = next(row["rule"] for row in rows if row["paradigm"] == "meta")
+    count = max(row["tasks"] for row in rows)
     table = Table(
-        title=f"{app.title}, {max(row['tasks'] for row in rows)} unseen tasks: mean error{factor}, median seconds of inference",
+        title=f"{app.title}, {count} unseen tasks: mean error{factor}, median seconds of inference",
         caption=f"{closing(rows)}\nmeta: {rule}; error: {app.measure}{factor}\n"
         "the paper's figures are of its own data and machine",
     )
