@@ -40,7 +40,8 @@ def find_start(options: Options, paradigm: Paradigm) -> Start:
     _require_fit(path, options.app, prepared)
     start = Start(prepared, str(path), digest(path))
     if path == shipped_path(options.app.name, needed) and not options.checkpoint:
-        start = start._replace(source="the one that ships")
+        note = ", trained on other data, which may hold these tasks" if options.data else ""
+        start = start._replace(source=f"the one that ships{note}")
     return _with_tuning(options, start) if paradigm.name == "quickft" else start
 
 
