@@ -25,7 +25,7 @@ $(VENV)/.ready: setup.cfg pyproject.toml constraints.txt tools/setup.sh
 demo: setup  ## fit 20 unseen materials in 10 gradient steps each; table and picture
 	$(METAPP) meta brdf --steps 10 --out $(RUNS)
 
-test: setup  ## lint-free quick tests, minutes
+test: setup  ## the tests, one to two minutes
 	$(VENV)/bin/python -m pytest -m "not slow"
 
 test-slow: setup  ## the tests that take minutes each
