@@ -129,7 +129,8 @@ def train_start(options: Options, paradigm: Paradigm, steps: int | None) -> Path
     info |= {"versions": versions()} | ({"encoder": tensor_digest(encoder.encoder)} if encoder else {})
 
     def keep(prepared: Prepared, file: Path) -> None:
-        save_start(file, prepared.start, describe(options.job, name, prepared, steps) | info)
+        start = prepared.start._replace(encoder={}) if name == "quickft" else prepared.start  # General's file holds it
+        save_start(file, start, describe(options.job, name, prepared, steps) | info)
 
     with progress(options.quiet) as bar:
         row = bar.add_task(f"train {name}", total=None, note="")
