@@ -239,6 +239,7 @@ def test_evaluate_runs_what_is_missing_and_prints_the_paper_beside_it(
         assert text in result.out
     document = metapp(*common, "--json", "--no-run").document
     assert document["which"] == "results"
+    assert [row["paradigm"] for row in document["rows"]] == ["general", "overfit", "finetune", "quickft", "meta"]
     row = document["rows"][-1]
     wanted = {"app", "paradigm", "error", "seconds", "tasks", "low", "high", "paper_error", "paper_seconds"}
     assert wanted <= set(row)

@@ -85,13 +85,15 @@ def app_rows(options: Options, *, run: bool) -> list[dict[str, Any]]:
     """
     from metapp.cli.inputs import tasks_to_fit
     from metapp.cli.session import make_folder
-    from metapp.cli.starts import find_start
+    from metapp.cli.starts import find_start, trained_path
     from metapp.paradigms import paradigms
 
     make_folder(options.out)
     tasks, label = tasks_to_fit(options.app, [], options.data, options.quiet)
     each = paradigms()
     others = [rule for rule in options.job.recipe.meta if rule != options.rule]
+    if options.data:  # beside starts of this data, none that was trained on other data
+        others = [rule for rule in others if trained_path(options, rule).is_file()]
     runs = [(options, paradigm) for paradigm in each.values()]
     runs += [(options._replace(rule=rule), each["meta"]) for rule in others]
     # all starts before the first fit: a missing one should not be found after an hour
