@@ -12,7 +12,7 @@ from torch import Tensor
 
 from data_tools.merl import SHAPE, Array, merl_centres, merl_evaluate, merl_index, merl_valid
 from metapp.geometry import above_horizon
-from metapp.sphere import SphereScene, shade_sphere, sphere_scene
+from metapp.sphere import reference_scene, shade_sphere
 from metapp.task import Task
 
 UNITS = {
@@ -79,7 +79,7 @@ def brdf_task(
             raise ValueError(
                 f"{name}: reflectance {tuple(reflectance.shape)}, expected {tuple(angles.shape)}: RGB for each sample."
             )
-        render = shade_sphere(_scene(), shade).float()
+        render = shade_sphere(reference_scene(), shade).float()
     for subject, values in (("samples", reflectance), ("sphere", render)):
         bad = int((~torch.isfinite(values)).sum())
         if bad:
@@ -135,8 +135,3 @@ def _pool(name: str, samples: int, seed: int, keep: Keep) -> Tensor:
 @functools.cache
 def _bins_above_horizon() -> Tensor:
     return above_horizon(merl_centres()).reshape(-1)
-
-
-@functools.cache
-def _scene() -> SphereScene:
-    return sphere_scene(96)

@@ -94,15 +94,15 @@ def export(app: Any, theta: Mapping[str, Tensor], path: Path) -> None:
     write_merl(path.with_name(f"{path.name}.binary"), tabulate(lambda angles: app.reflectance(theta, angles)))
 
 
-def read_task(path: Path) -> Task:
-    """Turn a MERL file into a BRDF task, named by the file's stem.
+def read_task(path: Path, samples: int = 65_536) -> Task:
+    """Turn a MERL file into a BRDF task of so many samples, named by the file's stem.
 
     Raises:
         ValueError: as `read_merl`.
     """
     from data_tools.brdf_task import brdf_task  # it builds on this module
 
-    return brdf_task(path.stem, table=read_merl(path))
+    return brdf_task(path.stem, table=read_merl(path), samples=samples)
 
 
 def read_merl_planes(path: str | Path) -> Array:

@@ -81,13 +81,13 @@ def export(app: Any, theta: Mapping[str, Tensor], folder: Path) -> None:
     write_nbrdf(folder, weights | {f"b{layer}": theta[f"b{layer}"].flatten() for layer in (1, 2, 3)})
 
 
-def read_task(path: Path) -> Task:
+def read_task(path: Path, samples: int = 65_536) -> Task:
     """Turn an NBRDF network, as `find_nbrdf` names it, into a BRDF task named by the last part of its path.
 
     Raises:
         ValueError: as `read_nbrdf`.
     """
-    return brdf_task(path.resolve().name, partial(nbrdf_evaluate, read_nbrdf(path)))
+    return brdf_task(path.resolve().name, partial(nbrdf_evaluate, read_nbrdf(path)), samples=samples)
 
 
 def read_nbrdf(folder: str | Path) -> dict[str, NDArray[np.float32]]:

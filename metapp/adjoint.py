@@ -80,7 +80,6 @@ def _compiled_pair(rule_step: Callable, loss: Loss, order: int) -> StepPair:
 
 
 def _eager_pair(rule_step: Callable, loss: Loss, order: int) -> StepPair:
-
     def advance(alpha: Params, theta: Params, state: Params, batch: Any, *, graph: bool) -> tuple:
         shape = {key[5:]: value for key, value in alpha.items() if key.startswith("loss.")}
         total, each = loss.total(theta, batch, shape)

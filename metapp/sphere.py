@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Callable
 from typing import NamedTuple
@@ -137,3 +138,9 @@ def shade_sphere(scene: SphereScene, evaluate: Callable[[Tensor], Tensor], *, ch
     image = radiance.new_zeros(*scene.mask.shape, 4)
     image[scene.mask] = torch.cat([linear_rgb * coverage, coverage], dim=-1)
     return image
+
+
+@functools.cache
+def reference_scene() -> SphereScene:
+    """The scene of every BRDF picture: a fit and its reference are shaded in the same one."""
+    return sphere_scene()

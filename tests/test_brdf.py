@@ -302,7 +302,7 @@ def test_outputs(theta: Params, materials: list[Task], monkeypatch: pytest.Monke
         seen.append(reflectance)
         return "picture"
 
-    monkeypatch.setattr("metapp.apps.brdf._scene", lambda: "scene")
+    monkeypatch.setattr("metapp.apps.brdf.reference_scene", lambda: "scene")
     monkeypatch.setattr("metapp.apps.brdf.shade_sphere", shade)
     one = {key: value[0] for key, value in theta.items()}
     pictures = APP.outputs(one, materials[0])

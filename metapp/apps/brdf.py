@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 import itertools
 import math
 from dataclasses import replace
@@ -13,7 +12,7 @@ from torch import Generator, Tensor
 from torch.nn.functional import gelu, layer_norm
 
 from metapp.geometry import cos_incident, half_difference
-from metapp.sphere import SphereScene, shade_sphere, sphere_scene
+from metapp.sphere import reference_scene, shade_sphere
 from metapp.task import Adam, App, Batch, Params, Recipe, Task, Tasks, Training
 
 WIDTHS = (6, 21, 21, 3)
@@ -226,7 +225,7 @@ class Brdf(App):
         return network(one, inputs).clamp_min(0)[0].T.reshape(*angles.shape[:-1], 3)
 
     def outputs(self, theta: Params, task: Task) -> dict[str, Any]:
-        fit = shade_sphere(_scene(), lambda angles: self.reflectance(theta, angles))
+        fit = shade_sphere(reference_scene(), lambda angles: self.reflectance(theta, angles))
         return {"reference": task.data["render"], "fit": fit}
 
 
@@ -236,11 +235,6 @@ def _shapes() -> dict[str, tuple[int, int]]:
     for layer, (inputs, outputs) in enumerate(itertools.pairwise(WIDTHS), 1):
         shapes |= {f"w{layer}": (outputs, inputs), f"b{layer}": (outputs, 1)}
     return shapes
-
-
-@functools.cache
-def _scene() -> SphereScene:
-    return sphere_scene()
 
 
 APP = Brdf()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import enum
+import functools
 import importlib
 import inspect
 import shutil
@@ -170,9 +171,7 @@ def merl(
     """
     module, tasks = importlib.import_module("data_tools.merl"), importlib.import_module("data_tools.brdf_task")
 
-    def read(source: Path) -> Any:
-        return tasks.brdf_task(source.stem, table=module.read_merl(source), samples=samples)
-
+    read = functools.partial(module.read_task, samples=samples)
     notes = {"made_by": "metapp data merl", "samples": samples}
     reader = Reader("brdf", "MERL file", tasks.UNITS, module.find_merl, lambda source: source.stem, read, notes)
     _report(convert(reader, paths, folder, split.value, quiet), quiet, as_json)
@@ -200,13 +199,7 @@ def nbrdf(
     """
     module, tasks = importlib.import_module("data_tools.nbrdf"), importlib.import_module("data_tools.brdf_task")
 
-    def evaluator(source: Path) -> Any:
-        weights = module.read_nbrdf(source)
-        return lambda angles: module.nbrdf_evaluate(weights, angles)
-
-    def read(source: Path) -> Any:
-        return tasks.brdf_task(source.resolve().name, evaluator(source), samples=samples)
-
+    read = functools.partial(module.read_task, samples=samples)
     notes = {"made_by": "metapp data nbrdf", "samples": samples}
     reader = Reader(
         "brdf", "NBRDF network", tasks.UNITS, module.find_nbrdf, lambda source: source.resolve().name, read, notes
