@@ -23,6 +23,7 @@ class Reader(NamedTuple):
         name: source -> the task's name.
         read: source -> the task; ValueError where it is damaged.
         notes: what the manifest should say about the conversion.
+        split_of: source -> its split where "auto" is asked for; None: by the rule of `metapp.shards.split_auto`.
     """
 
     app: str
@@ -32,6 +33,7 @@ class Reader(NamedTuple):
     name: Callable[[Path], str]
     read: Callable[[Path], Task]
     notes: Mapping[str, Any]
+    split_of: Callable[[Path], str] | None = None
 
 
 class Converted(NamedTuple):
@@ -59,7 +61,7 @@ def convert(reader: Reader, paths: Iterable[Path], out: Path, split: str, quiet:
     Raises:
         ValueError: a bad path or named file, a folder without a usable one, two tasks of one name.
     """
-    from metapp.shards import ShardWriter
+    from metapp.shards import AUTO, ShardWriter
 
     sources, skipped = _find(reader, paths)
     bad: dict[Path, list[str]] = {}  # by the folder that was searched
@@ -76,7 +78,8 @@ def convert(reader: Reader, paths: Iterable[Path], out: Path, split: str, quiet:
                         raise
                     bad.setdefault(searched, []).append(str(error))
                 else:
-                    writer.add(task, split, source)
+                    part = reader.split_of(source) if reader.split_of and split == AUTO else split
+                    writer.add(task, part, source)
                     usable |= {searched} if searched else set()
                 bar.update(shown, advance=1)
         empty = [folder for folder in bad if folder not in usable]

