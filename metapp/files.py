@@ -9,6 +9,13 @@ from pathlib import Path
 PARTIAL = ".partial-"  # what the name of an unfinished file begins with
 
 
+def cache_folder() -> Path:
+    """Where files are kept that can be had again: METAPP_CACHE if set, else the user's cache folder of this system."""
+    import platformdirs
+
+    return Path(os.environ.get("METAPP_CACHE") or platformdirs.user_cache_dir("metapp", appauthor=False))
+
+
 def write_atomically(path: str | Path, write: Callable[[Path], object]) -> None:
     """Write a file so that it is there whole or not at all, even if the program is interrupted.
 

@@ -36,4 +36,7 @@ if ! "$venv/bin/python" -c 'import drjit' 2>/dev/null; then
     echo "setup: Mitsuba cannot be imported; install its library: apt-get install libatomic1" >&2
   fi
 fi
+if ! "$venv/bin/metapp" data vgg; then
+  echo "setup: no VGG weights: until 'metapp data vgg' gets them, features fall back to fixed random filters" >&2
+fi
 echo "setup: done, $venv/bin/metapp"

