@@ -1,0 +1,178 @@
+"""Periodic patterns on the unit tile: draws, noise, blurs and colour ramps that the procedural materials are made of.
+
+Fields are float32 [S, S] of texel centres, rows downwards. Everything repeats after one tile, so a field has no border.
+Random numbers are PCG64's raw uniforms: the same on every machine, up to rounding.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Sequence
+from typing import Any, TypeVar
+
+import numpy as np
+import numpy.typing as npt
+
+Field = npt.NDArray[np.floating[Any]]  # float32 in all maps
+Ids = npt.NDArray[np.int64]
+Rng = np.random.Generator
+
+_Item = TypeVar("_Item")
+
+
+def between(rng: Rng, low: float, high: float) -> float:
+    """A number evenly drawn from [low, high)."""
+    return low + (high - low) * float(rng.random())
+
+
+def log_between(rng: Rng, low: float, high: float) -> float:
+    """A number from [low, high), evenly drawn over its logarithm."""
+    return float(low * (high / low) ** float(rng.random()))
+
+
+def whole(rng: Rng, low: int, high: int) -> int:
+    """A whole number from low to high, both included."""
+    return low + int(float(rng.random()) * (high - low + 1))
+
+
+def chance(rng: Rng, probability: float) -> bool:
+    """True in this share of draws."""
+    return float(rng.random()) < probability
+
+
+def pick(rng: Rng, items: Sequence[_Item]) -> _Item:
+    """One of the items."""
+    return items[whole(rng, 0, len(items) - 1)]
+
+
+def uniforms(rng: Rng, *shape: int) -> Field:
+    """Numbers in [0, 1) of this shape."""
+    return rng.random(shape, dtype=np.float32)
+
+
+@functools.lru_cache(maxsize=4)
+def texel_centres(size: int) -> tuple[Field, Field]:
+    """The coordinates x and y of texel centres, each [S, S], in tiles, within (0, 1)."""
+    centres = (np.arange(size, dtype=np.float32) + np.float32(0.5)) / np.float32(size)
+    x, y = np.meshgrid(centres, centres)
+    x.flags.writeable = y.flags.writeable = False
+    return x, y
+
+
+@functools.lru_cache(maxsize=4)
+def _frequencies(size: int) -> tuple[Field, Field]:
+    """The frequencies of a real transform [S, S/2 + 1], in cycles per tile, along x and y."""
+    along_x = np.fft.rfftfreq(size, 1 / size).astype(np.float32)
+    along_y = np.fft.fftfreq(size, 1 / size).astype(np.float32)
+    fx, fy = np.meshgrid(along_x, along_y)
+    return fx, fy
+
+
+def _shaped_noise(rng: Rng, size: int, amplitude: Field) -> Field:
+    """White noise with this spectrum; mean 0, variance 1."""
+    spectrum = np.fft.rfft2(uniforms(rng, size, size) - np.float32(0.5)) * amplitude
+    spectrum[0, 0] = 0
+    field: Field = np.fft.irfft2(spectrum, s=(size, size)).astype(np.float32)
+    return field / max(float(field.std()), 1e-12)
+
+
+def _radius(size: int, stretch: float, angle_rad: float) -> Field:
+    """Frequency in cycles per tile, where structure is `stretch` times as long along the angle as across it."""
+    fx, fy = _frequencies(size)
+    if stretch == 1:
+        return np.hypot(fx, fy)
+    cos, sin = np.float32(np.cos(angle_rad)), np.float32(np.sin(angle_rad))
+    return np.hypot((fx * cos + fy * sin) * np.float32(stretch), fy * cos - fx * sin)
+
+
+def band_noise(
+    rng: Rng, size: int, frequency: float, octaves: float = 0.5, stretch: float = 1.0, angle_rad: float = 0.0
+) -> Field:
+    """Gaussian noise of one scale.
+
+    Args:
+        rng: of the draws.
+        size: S.
+        frequency: in cycles per tile, of the middle of the band; across the angle, where stretched.
+        octaves: width of the band (a standard deviation).
+        stretch: how many times longer structure is along the angle than across it.
+        angle_rad: direction of the long side, from x towards y.
+
+    Returns:
+        [S, S], mean 0, variance 1.
+    """
+    radius = np.maximum(_radius(size, stretch, angle_rad), np.float32(1e-3))
+    return _shaped_noise(rng, size, np.exp(-0.5 * (np.log2(radius / frequency) / octaves) ** 2) / radius)
+
+
+def fbm(
+    rng: Rng, size: int, frequency: float, slope: float = 2.0, stretch: float = 1.0, angle_rad: float = 0.0
+) -> Field:
+    """Noise of all scales below that of `frequency`: its amplitude falls with f^-slope beyond it (1: rough, 3: soft).
+
+    Args:
+        rng: of the draws.
+        size: S.
+        frequency: in cycles per tile, of the coarsest structure.
+        slope: fall of the amplitude.
+        stretch: how many times longer structure is along the angle than across it.
+        angle_rad: direction of the long side, from x towards y.
+
+    Returns:
+        [S, S], mean 0, variance 1.
+    """
+    radius = _radius(size, stretch, angle_rad) / np.float32(frequency)
+    # Frequencies far below the first are left out: they would make one part of the tile unlike another.
+    low_cut = radius**2 / (radius**2 + np.float32(0.25))
+    return _shaped_noise(rng, size, low_cut * (1 + radius**2) ** np.float32(-slope / 2))
+
+
+def wobble(rng: Rng, size: int, frequency: float, amount: float) -> tuple[Field, Field]:
+    """A smooth displacement along and across, two fields [S, S] of standard deviation `amount`."""
+    along, across = fbm(rng, size, frequency, 3.2), fbm(rng, size, frequency, 3.2)
+    return along * np.float32(amount), across * np.float32(amount)
+
+
+def ridges(field: Field, width: float) -> Field:
+    """Lines where a noise of variance 1 crosses zero: 1 on the line, falling to 0 at about `width` from it."""
+    return np.exp(-((field / np.float32(width)) ** 2))
+
+
+def share_below(field: Field) -> Field:
+    """A noise of variance 1 mapped to (0, 1), roughly evenly (the logistic nearest to the normal distribution)."""
+    return 1 / (1 + np.exp(np.float32(-1.702) * np.clip(field, -8, 8)))
+
+
+def step(field: Field, low: float | Field, high: float | Field) -> Field:
+    """0 below low, 1 above high, smooth between; falling where high < low."""
+    t = np.clip((field - low) / (high - low), 0, 1).astype(np.float32)
+    return t * t * (3 - 2 * t)
+
+
+def mix(first: Field, second: Field, weight: Field | float) -> Field:
+    """From the first (weight 0) to the second (weight 1)."""
+    return first + (second - first) * np.asarray(weight, dtype=np.float32)
+
+
+def blur(field: Field, sigma: float) -> Field:
+    """A Gaussian blur, sigma in tiles."""
+    size = field.shape[-1]
+    fx, fy = _frequencies(size)
+    kernel = np.exp(np.float32(-2 * np.pi**2 * sigma**2) * (fx**2 + fy**2))
+    return np.fft.irfft2(np.fft.rfft2(field) * kernel, s=(size, size)).astype(np.float32)
+
+
+def slopes(height: Field) -> tuple[Field, Field]:
+    """Slope of a height [S, S] along x and y, by periodic central differences; height in texels gives true slopes."""
+    along_x = (np.roll(height, -1, 1) - np.roll(height, 1, 1)) / 2
+    along_y = (np.roll(height, -1, 0) - np.roll(height, 1, 0)) / 2
+    return along_x, along_y
+
+
+def ramp(values: Field, colours: Field) -> Field:
+    """Colours [K, 3], K >= 1, spread over [0, 1] and interpolated at values [S, S]: [3, S, S]."""
+    places = np.clip(values, 0, 1) * (len(colours) - 1)
+    lower = np.minimum(places.astype(np.int64), max(len(colours) - 2, 0))
+    upper = np.minimum(lower + 1, len(colours) - 1)
+    fraction = (places - lower).astype(np.float32)
+    return np.stack([mix(channel[lower], channel[upper], fraction) for channel in colours.T])
