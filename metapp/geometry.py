@@ -119,10 +119,23 @@ def above_horizon(angles: Tensor) -> Tensor:
     return (at.incident > 0) & (at.outgoing > 0)
 
 
-def direction_cosines(wi: Tensor, wo: Tensor) -> Cosines:
-    """The four cosines of two directions [..., 3] of unit length."""
-    length = _length(wi + wo)
-    return Cosines(wi[..., 2], wo[..., 2], (wi + wo)[..., 2] / length, length / 2)
+def direction_cosines(wi: Tensor, wo: Tensor, normal: Tensor | None = None) -> Cosines:
+    """The four cosines of two directions [..., 3] of unit length.
+
+    Args:
+        wi: [..., 3], unit length.
+        wo: [..., 3], unit length.
+        normal: [..., 3] in the frame of the directions, unit length; the z axis if there is none.
+
+    Returns:
+        Cosines [...]; shapes broadcast.
+    """
+    total = wi + wo
+    length = _length(total)
+    if normal is None:
+        return Cosines(wi[..., 2], wo[..., 2], total[..., 2] / length, length / 2)
+    incident, outgoing = (wi * normal).sum(-1), (wo * normal).sum(-1)
+    return Cosines(incident, outgoing, (incident + outgoing) / length, length / 2)
 
 
 @functools.cache

@@ -1,0 +1,477 @@
+"""The flash renderer: closed forms, Mitsuba's own pictures, gradients, and where a photo's flash was."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import pytest
+import torch
+from torch import Tensor
+
+from metapp.flash import (
+    Maps,
+    brdf,
+    camera,
+    camera_distance,
+    expose,
+    flash_position,
+    normal_from_height,
+    positions,
+    render,
+)
+from metapp.geometry import rusinkiewicz_to_directions
+
+RandomAngles = Callable[..., Tensor]
+MitsubaBrdf = Callable[[dict[str, Any], Tensor, Tensor], Tensor]
+UP = (0.0, 0.0, 1.0)
+
+
+def flat(
+    diffuse: float = 0.0,
+    specular: float = 0.0,
+    roughness: float = 0.5,
+    *,
+    size: tuple[int, int] = (1, 1),
+    normal: tuple[float, float, float] = UP,
+) -> Maps:
+    """The same material everywhere, float64, [.., H, W] without a batch."""
+    values = ([diffuse] * 3, [specular], [roughness], normal)
+    return Maps(*(torch.tensor(v, dtype=torch.float64)[:, None, None].expand(-1, *size) for v in values))
+
+
+def rough(rng: torch.Generator, *batch: int, size: tuple[int, int] = (6, 5), colours: int = 3) -> Maps:
+    """A random bumpy material, float64."""
+
+    def draw(channels: int) -> Tensor:
+        return torch.rand(*batch, channels, *size, generator=rng, dtype=torch.float64)
+
+    return Maps(draw(3), draw(colours), 0.25 + 0.7 * draw(1), normal_from_height(draw(1), 0.6))
+
+
+def at(x: float, y: float, z: float = camera_distance()) -> Tensor:
+    return torch.tensor([x, y, z], dtype=torch.float64)
+
+
+def grid(height: int, width: int) -> Tensor:
+    return positions(height, width, dtype=torch.float64)
+
+
+# Places and normals
+
+
+def test_texels_fill_the_patch_and_row_0_is_on_top() -> None:
+    x, y = grid(4, 4)
+    torch.testing.assert_close(x[0], torch.tensor([-0.75, -0.25, 0.25, 0.75], dtype=torch.float64))
+    torch.testing.assert_close(y[:, 0], -x[0])
+    wide = grid(4, 8)
+    torch.testing.assert_close(wide[:, :, 2:6], grid(4, 4))  # the square in the middle of a photo is the patch
+
+
+def test_the_camera_sees_exactly_the_patch() -> None:
+    assert math.atan(1 / camera_distance()) == pytest.approx(math.pi / 8)
+    assert camera(math.pi / 2).tolist() == pytest.approx([0, 0, 1])
+
+
+@pytest.mark.parametrize("periodic", [False, True])
+def test_normals_of_a_slope(periodic: bool) -> None:
+    x, y = grid(16, 16) * 8  # in texels
+    normal = normal_from_height((0.5 * x - 0.25 * y)[None], 2.0, periodic=periodic)
+    expected = torch.tensor([-1.0, 0.5, 1.0], dtype=torch.float64) / 1.5
+    inner = normal[:, 1:-1, 1:-1] if periodic else normal
+    torch.testing.assert_close(inner, expected[:, None, None].expand_as(inner))
+
+
+def test_normals_of_waves_in_any_direction_are_those_of_the_derivative() -> None:
+    x, y = grid(64, 64) * math.pi
+    for right, up in ((3, 0), (0, 3), (2, 2), (-3, 2)):
+        normal = normal_from_height(4 * (right * x + up * y).sin()[None])
+        derivative = 4 * math.tau / 64 * (right * x + up * y).cos()
+        torch.testing.assert_close(-normal[:1] / normal[2:], right * derivative[None], rtol=0, atol=0.03)
+        torch.testing.assert_close(-normal[1:2] / normal[2:], up * derivative[None], rtol=0, atol=0.03)
+        torch.testing.assert_close(normal.norm(dim=0), torch.ones_like(x))
+
+
+def test_periodic_normals_move_with_the_height(rng: torch.Generator) -> None:
+    height = torch.rand(2, 1, 7, 9, generator=rng)
+    moved = normal_from_height(height.roll((3, -2), (-2, -1)))
+    torch.testing.assert_close(moved, normal_from_height(height).roll((3, -2), (-2, -1)))
+
+
+# Closed forms
+
+
+def test_a_white_patch_right_below_the_flash_has_radiance_1() -> None:
+    image = render(flat(1, size=(9, 9)), grid(9, 9), at(0, 0), at(0, 0))
+    torch.testing.assert_close(image[:, 4, 4], torch.ones(3, dtype=torch.float64))
+    assert (image <= 1).all()
+
+
+def test_a_lambertian_patch_follows_cosine_and_inverse_square() -> None:
+    place, light = grid(8, 8), at(0.4, -0.3, 1.7)
+    image = render(flat(0.5, size=(8, 8)), place, light, at(0, 0), intensity=3.0, falloff=2.0, distance=1.0)
+    squared = (place - light[:2, None, None]).square().sum(0) + 1.7**2
+    cosine = 1.7 / squared.sqrt()
+    # The lobe of specular 0 is not quite nothing: Schlick's (1 - cos)^5, below 1e-3 up here.
+    torch.testing.assert_close(image[0], 0.5 * 3 / squared * cosine**3, rtol=2e-3, atol=0)
+    rows, columns = (image[0] == image[0].max()).nonzero()[0].tolist()
+    assert place[:, rows, columns].tolist() == pytest.approx(light[:2].tolist(), abs=0.13)
+
+
+def test_a_mirror_like_patch_shines_midway_between_light_and_viewer() -> None:
+    image = render(flat(0, 0.5, 0.15, size=(101, 101)), grid(101, 101), at(0.8, 0.4), at(0, 0))
+    row, column = divmod(int(image[0].argmax()), 101)
+    assert grid(101, 101)[:, row, column].tolist() == pytest.approx([0.4, 0.2], abs=0.03)
+
+
+def test_a_tilted_texel_is_brightest_where_it_faces_the_flash() -> None:
+    centre, tilted = torch.zeros(2, 1, 1, dtype=torch.float64), flat(0.5, normal=(0.6, 0, 0.8))  # to the right
+    towards = render(tilted, centre, at(1.5, 0, 2), at(0, 0), distance=2.5)
+    assert towards[0].item() == pytest.approx(0.5, rel=1e-3)  # face to face, as far as `distance`
+    assert (towards > render(tilted, centre, at(0, 0, 2.5), at(0, 0), distance=2.5)).all()
+    steep = flat(1, 0.5, normal=(0.96, 0, 0.28))
+    assert (render(steep, centre, at(-1, 0, 0.2), at(0, 0)) == 0).all()
+
+
+def test_intensity_and_falloff_may_differ_by_picture() -> None:
+    maps, place = flat(0.7, size=(4, 4)), grid(4, 4)
+    colour = torch.tensor([[1.0, 0.5, 0.25], [2.0, 2.0, 2.0]], dtype=torch.float64)
+    power = torch.tensor([0.0, 2.0], dtype=torch.float64)
+    both = render(maps, place, at(0, 0), at(0, 0), intensity=colour, falloff=power)
+    white = render(maps, place, at(0, 0), at(0, 0))
+    torch.testing.assert_close(both[0], white * colour[0][:, None, None])
+    torch.testing.assert_close(both[1], 2 * render(maps, place, at(0, 0), at(0, 0), falloff=2.0))
+
+
+# Reflection
+
+
+def channels_first(*vectors: Tensor) -> list[Tensor]:
+    """Directions [N, 3] as a picture of one column."""
+    return [each.T[..., None] for each in vectors]
+
+
+def test_light_and_viewer_may_be_swapped(rng: torch.Generator, random_angles: RandomAngles) -> None:
+    wi, wo = channels_first(*rusinkiewicz_to_directions(random_angles(500)))
+    maps = rough(rng, size=(wi.shape[-2], 1))
+    torch.testing.assert_close(brdf(maps, wi, wo), brdf(maps, wo, wi))
+    # So may flash and camera: what the flash loses on the way and by the cosine is the only difference.
+    maps, light, view = rough(rng), at(0.3, 0.2, 2), at(-0.5, 0.1, 3)
+
+    def weight(place: Tensor) -> Tensor:
+        ray = place[:, None, None] - torch.cat([grid(6, 5), torch.zeros(1, 6, 5).double()])
+        return (ray * maps.normal).sum(0).clamp_min(0) / ray.norm(dim=0) ** 3
+
+    there, back = (render(maps, grid(6, 5), *pair) for pair in ((light, view), (view, light)))
+    torch.testing.assert_close(there * weight(view), back * weight(light))
+
+
+def reflected(maps: Maps, angle_rad: float, count: int = 400) -> float:
+    """Share of the light from one direction that comes back, by quadrature over the projected hemisphere."""
+    ticks = (torch.arange(count, dtype=torch.float64) + 0.5) * 2 / count - 1
+    disc = torch.cartesian_prod(ticks, ticks)
+    disc = disc[disc.square().sum(-1) < 1]
+    outgoing = torch.cat([disc, (1 - disc.square().sum(-1, keepdim=True)).sqrt()], dim=-1)
+    incident = torch.tensor([math.sin(angle_rad), 0, math.cos(angle_rad)], dtype=torch.float64)
+    wi, wo = channels_first(incident.expand_as(outgoing), outgoing)
+    return brdf(maps, wi, wo)[0].sum().item() * (2 / count) ** 2
+
+
+@pytest.mark.parametrize("roughness", [0.2, 0.35, 0.6, 1.0])
+def test_no_more_light_comes_back_than_is_promised(roughness: float) -> None:
+    for angle in (0, 30, 45, 60, 80):
+        lobe, body = (reflected(flat(a, f0, roughness), math.radians(angle)) for a, f0 in ((0, 1), (1, 0.04)))
+        assert lobe < 1.001  # all facets mirror: only what they mask from each other is missing
+        assert body < (1.005 if angle <= 45 else 2)
+    assert reflected(flat(0, 1, 0.2), 0) == pytest.approx(1, abs=3e-3)  # smooth facets mask little
+    assert reflected(flat(0.6, 0, roughness), 0) == pytest.approx(0.6, abs=1e-3)
+
+
+def test_very_smooth_materials_stay_finite() -> None:
+    maps = flat(0.5, 0.04, 0.0, size=(3, 3))
+    roughness = maps.roughness.clone().requires_grad_()
+    image = render(maps._replace(roughness=roughness), grid(3, 3), at(0, 0), at(0, 0))
+    assert image.isfinite().all()
+    image.sum().backward()
+    assert roughness.grad is not None
+    assert (roughness.grad == 0).all()
+
+
+def in_frames(normal: Tensor, direction: Tensor) -> Tensor:
+    """Local directions [N, 3] to those of the patch where the normals are [N, 3]."""
+    tangent = torch.linalg.cross(normal, normal.new_tensor([0.0, 1.0, 0.0]).expand_as(normal))
+    tangent = tangent / tangent.norm(dim=-1, keepdim=True)
+    frame = torch.stack([tangent, torch.linalg.cross(normal, tangent), normal], dim=-1)
+    return (frame @ direction[..., None])[..., 0]
+
+
+@pytest.mark.parametrize("roughness", [0.2, 0.4, 0.7])
+def test_reflection_agrees_with_mitsuba(
+    mitsuba_brdf: MitsubaBrdf, roughness: float, random_angles: RandomAngles, rng: torch.Generator
+) -> None:
+    angles = random_angles(300)
+    angles[::2, 0] *= 0.2  # half of them near the peak
+    local = rusinkiewicz_to_directions(angles)
+    above = (local[0][:, 2] > 0) & (local[1][:, 2] > 0)
+    wi, wo = (each[above] for each in local)
+    normal = torch.randn(len(wi), 3, generator=rng, dtype=torch.float64) * 0.4 + torch.tensor(UP, dtype=torch.float64)
+    normal = normal / normal.norm(dim=-1, keepdim=True)
+    turned = channels_first(*(in_frames(normal, each) for each in (wi, wo)))
+    tilted = normal.T[..., None]
+
+    mirror = {"type": "roughconductor", "material": "none", "distribution": "ggx", "alpha": roughness**2}
+    value = brdf(flat(0.3, 1, roughness)._replace(normal=tilted), *turned)  # F0 = 1 leaves no light for the body
+    torch.testing.assert_close(value[..., 0].T, mitsuba_brdf(mirror, wi, wo), rtol=1e-4, atol=1e-6)
+
+    value = brdf(flat(0.3, 0, roughness)._replace(normal=tilted), *turned)
+    matte = {"type": "diffuse", "reflectance": 0.3}
+    # Schlick's reflectance of F0 = 0 rises near grazing; only what is left without it is the body.
+    lobe = brdf(flat(0, 0, roughness)._replace(normal=tilted), *turned)
+    torch.testing.assert_close((value - lobe)[..., 0].T, mitsuba_brdf(matte, wi, wo), rtol=1e-5, atol=0)
+
+
+# Mitsuba's camera, light and plane
+
+
+@pytest.fixture(scope="module")
+def photograph() -> Iterator[Callable[..., Tensor]]:
+    """Photo [3, size, size] by Mitsuba of the square [-1, 1]^2 with a BSDF, under a point light, from `camera()`."""
+    mitsuba = pytest.importorskip("mitsuba", reason="needs libatomic1", exc_type=ImportError)
+    before = mitsuba.variant()
+    mitsuba.set_variant("scalar_rgb")
+
+    def photo(bsdf: Callable[[Any], dict[str, Any]], light: Tensor, size: int, samples: int) -> Tensor:
+        pose = mitsuba.ScalarTransform4f().look_at(origin=[0, 0, camera_distance()], target=[0, 0, 0], up=[0, 1, 0])
+        film = {"type": "hdrfilm", "width": size, "height": size, "rfilter": {"type": "box"}, "pixel_format": "rgb"}
+        scene = mitsuba.load_dict(
+            {
+                "type": "scene",
+                "integrator": {"type": "direct"},
+                "sensor": {
+                    "type": "perspective",
+                    "fov": 45,
+                    "to_world": pose,
+                    "film": film,
+                    "sampler": {"type": "stratified", "sample_count": samples},
+                },
+                "light": {
+                    "type": "point",
+                    "position": light.tolist(),
+                    # scalar_rgb would take a bare number for a spectrum of that height as well; RGB is explicit.
+                    "intensity": {"type": "rgb", "value": [math.pi * camera_distance() ** 2] * 3},
+                },
+                "patch": {"type": "rectangle", "bsdf": bsdf(mitsuba)},
+            }
+        )
+        pixels = torch.tensor(mitsuba.render(scene, seed=0).array, dtype=torch.float64)
+        return pixels.reshape(size, size, 3).movedim(-1, 0)
+
+    yield photo
+    if before:
+        mitsuba.set_variant(before)
+
+
+LIGHT = (0.5, 0.3, 2.0)  # to the right and further up, lower than the camera
+
+
+def test_a_matte_photo_agrees_with_mitsuba(photograph: Callable[..., Tensor]) -> None:
+    photo = photograph(lambda _: {"type": "diffuse", "reflectance": 0.6}, at(*LIGHT), 32, 16)
+    image = render(flat(0.6, size=(32, 32)), grid(32, 32), at(*LIGHT), at(0, 0))
+    torch.testing.assert_close(image, photo, rtol=4e-3, atol=0)
+
+
+def test_a_photo_of_a_texture_agrees_with_mitsuba(photograph: Callable[..., Tensor], rng: torch.Generator) -> None:
+    diffuse = torch.rand(3, 16, 16, generator=rng, dtype=torch.float64)
+
+    def bsdf(mitsuba: Any) -> dict[str, Any]:
+        upwards = diffuse.flip(-2).movedim(0, -1)  # Mitsuba's first row is at v = 0, which is below
+        bitmap = mitsuba.Bitmap(upwards.float().contiguous().numpy())
+        texture = {"type": "bitmap", "bitmap": bitmap, "filter_type": "nearest", "raw": True}
+        return {"type": "diffuse", "reflectance": texture}
+
+    photo = photograph(bsdf, at(*LIGHT), 16, 16)
+    image = render(flat(size=(16, 16))._replace(diffuse=diffuse), grid(16, 16), at(*LIGHT), at(0, 0))
+    torch.testing.assert_close(image, photo, rtol=5e-3, atol=0)
+
+
+@pytest.mark.parametrize("roughness", [0.3, 0.5])
+def test_a_glossy_photo_agrees_with_mitsuba(photograph: Callable[..., Tensor], roughness: float) -> None:
+    metal = {"type": "roughconductor", "eta": 0.6, "k": 2.0, "distribution": "ggx", "alpha": roughness**2}
+    photo = photograph(lambda _: metal, at(*LIGHT), 48, 64)
+    f0 = (0.4**2 + 4) / (1.6**2 + 4)
+    image = render(flat(0, f0, roughness, size=(48, 48)), grid(48, 48), at(*LIGHT), at(0, 0))
+    # Centres of pixels against means over pixels; so near normal incidence Schlick's reflectance is the metal's.
+    torch.testing.assert_close(image, photo, rtol=2e-2, atol=2e-3 * photo.max().item())
+    assert int(image[0].argmax()) == int(photo[0].argmax())
+
+
+# Crops, batches, types, gradients
+
+
+def test_a_crop_is_lit_as_its_place_in_the_photo(rng: torch.Generator) -> None:
+    maps, place = rough(rng, 2), grid(6, 5)
+    light, view = at(0.2, 0.1), at(0, 0)
+    whole = render(maps, place, light, view)
+    crop = Maps(*(each[..., 1:4, 2:5] for each in maps))
+    torch.testing.assert_close(render(crop, place[:, 1:4, 2:5], light, view), whole[..., 1:4, 2:5])
+    other = torch.stack([place[:, 1:4, 2:5], place[:, :3, :3]])  # each of the batch from a place of its own
+    there = render(Maps(*(each[1:, ..., 1:4, 2:5] for each in maps)), place[:, :3, :3], light, view)
+    torch.testing.assert_close(render(crop, other, light, view)[1:], there)
+
+
+def test_a_batch_is_what_its_members_are(rng: torch.Generator) -> None:
+    maps, place = rough(rng, 3, colours=1), grid(6, 5)
+    light, view = torch.stack([at(0, 0), at(0.3, 0, 2), at(0, 1)]), torch.stack([at(0, 0), at(0, 0.5), at(1, 0, 3)])
+    together = render(maps, place, light, view)
+    assert together.shape == (3, 3, 6, 5)
+    alone = [render(Maps(*(each[i] for each in maps)), place, light[i], view[i]) for i in range(3)]
+    torch.testing.assert_close(together, torch.stack(alone))
+    mapped = torch.func.vmap(lambda maps, light, view: render(maps, place, light, view))(maps, light, view)
+    torch.testing.assert_close(together, mapped)
+
+
+@pytest.mark.parametrize("roughness", [0.0, 0.2, 0.5, 1.0])
+def test_single_precision_is_enough(rng: torch.Generator, roughness: float) -> None:
+    maps = rough(rng, size=(64, 64))
+    maps = maps._replace(roughness=torch.full_like(maps.roughness, roughness), normal=flat(size=(64, 64)).normal)
+    single = render(Maps(*(each.float() for each in maps)), positions(64, 64), camera(), camera())
+    assert single.dtype == torch.float32
+    double = render(maps, grid(64, 64), at(0, 0), at(0, 0))
+    # At the floor of roughness alpha squared is 2.6e-6, and 1 - cos is known to 6e-8.
+    torch.testing.assert_close(single.double(), double, rtol=0.1 if roughness == 0 else 1e-3, atol=1e-6)
+
+
+def test_nothing_is_left_on_another_device() -> None:
+    place = positions(16, 24, device="meta")  # "meta" refuses to mix with tensors of the CPU, as a GPU would
+    maps = Maps(*(torch.rand(2, channels, 16, 24, device="meta") for channels in (3, 1, 1, 3)))
+    maps = maps._replace(normal=normal_from_height(maps.roughness, 0.5))
+    power = torch.ones(2, device="meta")
+    image = expose(render(maps, place, camera(device="meta"), camera(device="meta"), falloff=power))
+    assert (image.shape, image.device.type) == ((2, 3, 16, 24), "meta")
+    assert flash_position(image).shape == (2, 2)
+
+
+def test_gradients(rng: torch.Generator) -> None:
+    maps, place = rough(rng, 2, size=(3, 4)), grid(3, 4)
+    height = torch.rand(2, 1, 3, 4, generator=rng, dtype=torch.float64)
+    light, view = torch.stack([at(0.1, 0.2), at(-0.4, 0.3, 1.5)]), at(0.1, -0.1)
+    power = torch.tensor([0.5, 1.5], dtype=torch.float64)
+
+    def picture(*inputs: Tensor) -> Tensor:
+        diffuse, specular, roughness, height, light, view, place, power = inputs
+        normal = normal_from_height(height, 0.5)
+        return render(Maps(diffuse, specular, roughness, normal), place, light, view, intensity=power, falloff=power[0])
+
+    inputs = (*maps[:3], height, light, view, place, power[:, None])
+    assert torch.autograd.gradcheck(picture, tuple(each.clone().requires_grad_() for each in inputs))
+
+
+def test_gradients_with_respect_to_normals_and_of_flat_heights() -> None:
+    height = torch.zeros(1, 4, 4, dtype=torch.float64, requires_grad=True)
+    assert torch.autograd.gradcheck(normal_from_height, (height,))
+    assert torch.autograd.gradcheck(lambda height: normal_from_height(height, 2.0, periodic=False), (height,))
+    normal = flat(size=(2, 2)).normal.clone().requires_grad_()  # light, viewer and normal in one direction
+
+    def picture(normal: Tensor) -> Tensor:
+        return render(flat(0.4, 0.2, size=(2, 2))._replace(normal=normal), grid(2, 2), at(0, 0), at(0, 0))
+
+    assert torch.autograd.gradcheck(picture, (normal,))
+
+
+# Exposure
+
+
+def test_exposure_is_a_clamp_and_a_root_with_finite_gradients() -> None:
+    radiance = torch.tensor([-1.0, 0.0, 1e-6, 0.25, 1.0, 1.5], dtype=torch.float64, requires_grad=True)
+    shown = expose(radiance)
+    assert shown[-2:].tolist() == [1, 1]
+    assert shown[3].item() == pytest.approx(0.25 ** (1 / 2.2))
+    assert shown[1].item() < 0.5 / 255
+    (slope,) = torch.autograd.grad(shown.sum(), radiance)
+    assert slope.isfinite().all()
+    assert slope[[0, 1, 5]].tolist() == [0, 0, 0]
+    assert slope.max() < 1000
+    assert torch.autograd.gradcheck(expose, (torch.linspace(0.01, 0.99, 9, dtype=torch.float64).requires_grad_(),))
+
+
+# Where the flash was
+
+
+def textured(rng: torch.Generator, specular: float, roughness: float, contrast: float, blob: int = 1) -> Maps:
+    """A material of 128 by 128 texels whose albedo and normals vary, in blobs of so many texels."""
+    noise = torch.randn(1, 1, 128 // blob, 128 // blob, generator=rng).repeat_interleave(blob, -1)
+    albedo = (0.25 * (contrast * noise.repeat_interleave(blob, -2)).exp()).clamp(0, 1)
+    bumps = torch.randn(1, 1, 128, 128, generator=rng) * (0.1 if contrast > 0 else 0)
+    constant = torch.ones(1, 1, 128, 128)
+    return Maps(albedo.expand(-1, 3, -1, -1), constant * specular, constant * roughness, normal_from_height(bumps))
+
+
+PLACES = ((0.0, 0.0), (0.2, 0.1), (-0.3, 0.2), (0.1, -0.4))
+
+
+@pytest.mark.parametrize(
+    ("specular", "roughness", "contrast", "blob", "tolerance"),
+    [
+        (0.04, 0.12, 0, 1, 0.02),  # a spot as of polish
+        (0.04, 0.35, 0, 1, 0.02),
+        (0.3, 0.5, 0, 1, 0.02),  # metallic
+        (0.0, 0.9, 0, 1, 0.04),  # matte: only the fall-off tells
+        (0.04, 0.12, 0.4, 1, 0.06),
+        (0.04, 0.35, 0.4, 4, 0.1),
+        (0.3, 0.5, 0.8, 8, 0.06),  # one deviation of its albedo is a factor of 2.2
+        (0.0, 0.9, 0.4, 1, 0.1),
+    ],
+)
+def test_the_flash_is_found(
+    specular: float, roughness: float, contrast: float, blob: int, tolerance: float, rng: torch.Generator
+) -> None:
+    maps = textured(rng, specular, roughness, contrast, blob)
+    for x, y in PLACES:
+        above = camera() + torch.tensor([x, y, 0])
+        photo = expose(render(maps, positions(128, 128), above, above, intensity=1.2))
+        assert (flash_position(photo)[0] - above[:2]).norm() < tolerance
+
+
+def test_the_flash_over_something_matte_is_found_wherever_the_camera_is(rng: torch.Generator) -> None:
+    maps = textured(rng, 0.0, 0.9, 0.2)
+    for x, y in PLACES:
+        light = camera() + torch.tensor([x, y, 0])
+        photo = expose(render(maps, positions(128, 128), light, camera()))
+        assert (flash_position(photo)[0] - light[:2]).norm() < 0.06
+
+
+def test_flash_positions_of_wide_photos_and_of_batches(rng: torch.Generator) -> None:
+    maps = textured(rng, 0.04, 0.3, 0.2)
+    lights = camera() + torch.tensor([[0.2, -0.1, 0.0], [-0.3, 0.3, 0.0]])
+    photos = expose(render(maps, positions(128, 128), lights, lights))
+    found = flash_position(photos)
+    assert found.shape == (2, 2)
+    torch.testing.assert_close(found, torch.stack([flash_position(photo) for photo in photos]))
+    wide = expose(render(Maps(*(torch.cat([m, m], -1) for m in maps)), positions(128, 256), lights, lights))
+    torch.testing.assert_close(flash_position(wide), lights[:, :2], rtol=0, atol=0.05)
+
+
+@pytest.mark.parametrize("kind", ["noise", "constant", "black", "slope", "dark spot", "frame"])
+def test_without_a_clear_maximum_the_flash_is_taken_to_be_central(kind: str, rng: torch.Generator) -> None:
+    x, y = positions(96, 96)
+    noise = torch.rand(96, 96, generator=rng)
+    photo = {
+        "noise": noise,
+        "constant": torch.full_like(x, 0.5),
+        "black": torch.zeros_like(x),
+        "slope": 0.5 + 0.3 * x + 0.1 * y,
+        "dark spot": 0.8 - 0.5 * (-4 * ((x - 0.3).square() + y.square())).exp(),
+        "frame": torch.where(x.abs() > 0.9, 1.0, 0.2 + 0.1 * noise),
+    }[kind]
+    assert flash_position(photo.expand(1, 3, -1, -1))[0].norm() < 0.05
+
+
+def test_the_flash_is_at_most_half_way_to_the_edge(rng: torch.Generator) -> None:
+    light = camera() + torch.tensor([0.9, 0.0, 0.0])
+    maps = Maps(*(each.float() for each in flat(0.5, size=(64, 64))))
+    found = flash_position(expose(render(maps, positions(64, 64), light, light)))
+    assert found.norm() <= 0.5 + 1e-6
+    x, y = positions(64, 64)
+    corner = torch.where((x > 0.8) & (y > 0.8), 1.0, 0.2 + 0.1 * torch.rand(64, 64, generator=rng))
+    assert flash_position(corner.expand(3, -1, -1)).norm() <= 0.5 + 1e-6  # a sticker, say
