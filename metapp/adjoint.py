@@ -62,9 +62,15 @@ def at_step(alpha: Params, i: int) -> Params:
 
 
 class StepPair(NamedTuple):
-    """One step, (alpha, theta, state, batch) -> (theta, state, losses), and its vector-Jacobian product."""
+    """One step and its vector-Jacobian product.
 
-    forward: Callable[..., tuple[Params, Params, Tensor]]
+    Attributes:
+        forward: (alpha, theta, state, batch) -> (theta, state, losses, gradient).
+        pullback: (alpha, theta, state, needed, pull_theta, pull_state) -> pulls of (theta, state, alpha). It needs
+            the batch for order 2, which differentiates the gradient; for order 1 the gradient, which is a constant.
+    """
+
+    forward: Callable[..., tuple[Params, Params, Tensor, Params]]
     pullback: Callable[..., tuple[Params, Params, Params]]
 
 
@@ -80,22 +86,24 @@ def _compiled_pair(rule_step: Callable, loss: Loss, order: int) -> StepPair:
 
 
 def _eager_pair(rule_step: Callable, loss: Loss, order: int) -> StepPair:
-    def advance(alpha: Params, theta: Params, state: Params, batch: Any, *, graph: bool) -> tuple:
+    def gradient(alpha: Params, theta: Params, batch: Any, *, graph: bool) -> tuple[Params, Tensor]:
         shape = {key[5:]: value for key, value in alpha.items() if key.startswith("loss.")}
         total, each = loss.total(theta, batch, shape)
         grads = torch.autograd.grad(total, list(theta.values()), create_graph=graph, materialize_grads=True)
-        return *rule_step(alpha, theta, dict(zip(theta, grads, strict=True)), state), each
+        return dict(zip(theta, grads, strict=True)), each
 
-    def forward(alpha: Params, theta: Params, state: Params, batch: Any) -> tuple[Params, Params, Tensor]:
+    def forward(alpha: Params, theta: Params, state: Params, batch: Any) -> tuple[Params, Params, Tensor, Params]:
         theta = _leaves(theta)
-        moved, state, each = advance(alpha, theta, state, batch, graph=False)
-        return {key: value.detach() for key, value in moved.items()}, state, each
+        grads, each = gradient(alpha, theta, batch, graph=False)
+        moved, state = rule_step(alpha, theta, grads, state)
+        return {key: value.detach() for key, value in moved.items()}, state, each, grads
 
     def pullback(
-        alpha: Params, theta: Params, state: Params, batch: Any, pull_theta: Params, pull_state: Params
+        alpha: Params, theta: Params, state: Params, needed: Any, pull_theta: Params, pull_state: Params
     ) -> tuple[Params, Params, Params]:
         alpha, theta, state = _leaves(alpha), _leaves(theta), _leaves(state)
-        moved, stated, _ = advance(alpha, theta, state, batch, graph=order == 2)
+        grads = gradient(alpha, theta, needed, graph=True)[0] if order == 2 else needed
+        moved, stated = rule_step(alpha, theta, grads, state)
         outputs = [*moved.values(), *(stated[key] for key in state)]
         pulls = [*(pull_theta[key] for key in moved), *(pull_state[key] for key in state)]
         inputs = [*theta.values(), *state.values(), *alpha.values()]
@@ -190,32 +198,47 @@ class _LearnThrough(torch.autograd.Function):
     """K steps of learning as one node of the graph: keeps the K states, walks back one recomputed step at a time."""
 
     @staticmethod
-    def forward(ctx: Any, steps: StepPair, rule: UpdateRule, batches: Sequence[Any], keys: Sequence[str], *leaves: Any):
+    def forward(
+        ctx: Any,
+        steps: StepPair,
+        order: int,
+        rule: UpdateRule,
+        batches: Sequence[Any],
+        keys: Sequence[str],
+        *leaves: Any,
+    ):
         detached = [leaf.detach() for leaf in leaves]
         theta = dict(zip(keys, detached, strict=False))
         ctx.alpha = dict(zip(rule.alpha, detached[len(keys) :], strict=True))
         state = rule.init(theta)
-        ctx.steps, ctx.batches, ctx.states = steps, batches, []
+        ctx.steps, ctx.taken, ctx.gradients, losses = steps, [], [], []
         for i, batch in enumerate(batches):
-            ctx.states.append((theta, state))
-            theta, state, _ = steps.forward(at_step(ctx.alpha, i), theta, state, batch)
+            before = (theta, state)
+            theta, state, each, gradient = steps.forward(at_step(ctx.alpha, i), theta, state, batch)
+            ctx.taken.append((*before, batch if order == 2 else gradient))
+            ctx.gradients.append(gradient)
+            losses.append(each)
         ctx.last_state = state
-        return tuple(theta[key] for key in keys)
+        ctx.set_materialize_grads(False)
+        return torch.stack(losses), *(theta[key] for key in keys)
 
     @staticmethod
     @once_differentiable
-    def backward(ctx: Any, *pulls: Tensor):
-        pull_theta = dict(zip(ctx.states[0][0], (pull.contiguous() for pull in pulls), strict=True))
+    def backward(ctx: Any, pull_losses: Tensor | None, *pulls: Tensor):
+        pull_theta = dict(zip(ctx.taken[0][0], (pull.contiguous() for pull in pulls), strict=True))
         pull_state = {key: torch.zeros_like(value) for key, value in ctx.last_state.items()}
         pull_alpha = {key: torch.zeros_like(value) for key, value in ctx.alpha.items()}
-        for i in reversed(range(len(ctx.batches))):
-            theta, state = ctx.states.pop()
+        for i in reversed(range(len(ctx.taken))):
             pull_theta, pull_state, pulled = ctx.steps.pullback(
-                at_step(ctx.alpha, i), theta, state, ctx.batches[i], pull_theta, pull_state
+                at_step(ctx.alpha, i), *ctx.taken.pop(), pull_theta, pull_state
             )
+            gradient = ctx.gradients.pop()
+            if pull_losses is not None:
+                each = pull_losses[i]
+                pull_theta = {key: pull + _from_left(each, pull) * gradient[key] for key, pull in pull_theta.items()}
             for key, value in pulled.items():
                 pull_alpha[key][min(i, pull_alpha[key].shape[0] - 1)] += value
-        return None, None, None, None, *pull_theta.values(), *pull_alpha.values()
+        return None, None, None, None, None, *pull_theta.values(), *pull_alpha.values()
 
 
 def learn_through(
@@ -227,8 +250,12 @@ def learn_through(
     order: int,
     compiled: bool = False,
     tasks_at_once: int | None = None,
-) -> Params:
+) -> tuple[Params, Tensor]:
     """Learn on given batches, differentiably in the start and in the rule's alpha.
+
+    Returns:
+        The parameters after the last step, and the loss of each task before each step, [K, T]. The derivative of the
+        latter is that of the parameters' part: learned quantities of the loss itself are constants to it.
 
     The gradient is the adjoint recursion over the steps: memory is one step's graph and K copies of the parameters
     and of the rule's state. Order 1 treats each step's gradient as a constant (FOMAML); order 2 is exact (MAML).
@@ -237,5 +264,9 @@ def learn_through(
     if tasks_at_once:
         steps = steps._replace(pullback=_in_slices(steps.pullback, tasks_at_once))
     keys = list(theta)
-    final = _LearnThrough.apply(steps, rule, batches, keys, *theta.values(), *rule.alpha.values())
-    return dict(zip(keys, final, strict=True))
+    losses, *final = _LearnThrough.apply(steps, order, rule, batches, keys, *theta.values(), *rule.alpha.values())
+    return dict(zip(keys, final, strict=True)), losses
+
+
+def _from_left(value: Tensor, other: Tensor) -> Tensor:
+    return value.reshape(value.shape + (1,) * (other.ndim - value.ndim))

@@ -76,7 +76,7 @@ def learn(
     step = step_pair(rule.step, loss, 1, compiled).forward
     for i in range(steps):
         drawn = loss.draw(data, rng)
-        moved, state, value = step(at_step(rule.alpha, i), theta, state, drawn.batch)
+        moved, state, value, _ = step(at_step(rule.alpha, i), theta, state, drawn.batch)
         if i % check_every == 0 or i == steps - 1:
             _require_finite(value, drawn.names, i)
         if watch is not None:
@@ -130,6 +130,9 @@ def after_learning(
     clip: float = float("inf"),
     compiled: bool = False,
     tasks_at_once: int | None = None,
+    along: float = 0.0,
+    observe: Callable[[Any, Generator], Any] | None = None,
+    encode: Callable[[Params, Any], Params] | None = None,
 ) -> Loss:
     """Lift a loss on theta to a loss on phi: what is left after learning from phi's start by phi's rule (alg. 3).
 
@@ -141,6 +144,9 @@ def after_learning(
         clip: each task's gradient, over all of phi, is scaled down to this norm.
         compiled: compile the inner step and its adjoint.
         tasks_at_once: walk back for so many tasks at a time, which lowers the memory; None for all.
+        along: share of the loss that is not of the last parameters but a mean over those on the way, later ones
+            weighing more: its gradient comes for nothing and is less noisy (Antoniou et al. 2019).
+        observe, encode: where phi holds an encoder, its condition and forward pass give each task's own start.
 
     Returns:
         A loss on the flat tree of MetaParameters.
@@ -149,18 +155,23 @@ def after_learning(
     def draw(tasks: Any, rng: Generator) -> Drawn:
         inner = [loss.draw(tasks, rng).batch for _ in range(steps)]
         last = loss.draw(tasks, rng)
-        return Drawn(last.names, (inner, last.batch))
+        return Drawn(last.names, (inner, last.batch, observe(tasks, rng) if observe else None))
 
     def value(phi: Params, batch: Any, _: Params) -> Tensor:
-        inner, last = batch
+        inner, last, observed = batch
         count = next(iter(last.values())).shape[0]
         start = MetaParameters.unflat(phi)
+        theta = encode(start.encoder, observed) if encode else spread(start.theta, count, 0)
         # the mean over tasks has divided each one's gradient by their number
-        theta, alpha = clip_per_task(spread(start.theta, count, 0), spread(start.alpha, count, 1), clip / count)
-        final = learn_through(
+        theta, alpha = clip_per_task(theta, spread(start.alpha, count, 1), clip / count)
+        final, losses = learn_through(
             theta, rule(alpha), inner, loss, order=order, compiled=compiled, tasks_at_once=tasks_at_once
         )
-        return loss.value(final, last, {})
+        left = loss.value(final, last, {})
+        if not along:
+            return left
+        weights = torch.arange(steps, dtype=losses.dtype, device=losses.device)
+        return (1 - along) * left + along * (weights / weights.sum().clamp_min(1)) @ losses
 
     return Loss(draw, value)
 

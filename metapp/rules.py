@@ -128,7 +128,10 @@ def _meta_adam_step(alpha: Params, theta: Params, grads: Params, state: Params) 
             direction = alpha[f"left.{key}"] @ direction
         if f"right.{key}" in alpha:
             direction = direction @ alpha[f"right.{key}"]
-        moved[key] = theta[key] - torch.exp(alpha[f"rate.{key}"]) * direction
+        rate = alpha[f"rate.{key}"]
+        if f"pace.{key}" in alpha:
+            rate = rate + _like(alpha[f"pace.{key}"], rate)
+        moved[key] = theta[key] - torch.exp(rate) * direction
     return moved, state
 
 
@@ -139,6 +142,14 @@ def _meta_adam_alpha(app: App, theta: Params, steps: int, rate: float) -> Params
     alpha["beta2"] = torch.full((steps,), math.log(0.99 / 0.01))
     alpha |= {f"loss.{key}": value for key, value in app.shape(steps).items()}
     return {key: value.to(first) for key, value in alpha.items()}
+
+
+def _meta_adam_tied_alpha(app: App, theta: Params, steps: int, rate: float) -> Params:
+    alpha = _meta_adam_alpha(app, theta, steps, rate)
+    for key, value in theta.items():
+        alpha[f"rate.{key}"] = alpha[f"rate.{key}"][:1]
+        alpha[f"pace.{key}"] = torch.zeros(steps).to(value)
+    return alpha
 
 
 def _meta_curvature_alpha(app: App, theta: Params, steps: int, rate: float) -> Params:
@@ -160,6 +171,10 @@ RULES: Mapping[str, LearnedRule] = {
     "meta-sgd": LearnedRule(_meta_sgd_alpha, sgd),
     # Adam with rates per weight and step, betas per step, and the quantities of the inner loss
     "meta-adam": LearnedRule(_meta_adam_alpha, _meta_adam),
-    # the same, its step multiplied by learned matrices from both sides (Park & Oliva 2019)
+    # the same with one rate per weight for all steps, times one per parameter tensor and step: as small as meta-sgd's
+    "meta-adam-tied": LearnedRule(_meta_adam_tied_alpha, _meta_adam),
+    # the same from General's encoder as the start, trained through the steps
+    "meta-encoder": LearnedRule(_meta_adam_tied_alpha, _meta_adam),
+    # meta-adam, its step multiplied by learned matrices from both sides (Park & Oliva 2019)
     "meta-curvature": LearnedRule(_meta_curvature_alpha, _meta_adam),
 }

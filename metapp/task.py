@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import torch
 from torch import Generator, Tensor
@@ -78,9 +78,11 @@ class Training:
         order: derivative carried through the inner steps: 1 (FOMAML) or 2 (MAML); 0 where there are none.
         clip: each task's outer gradient is scaled down to this norm before the mean is taken.
         tasks_at_once: tasks that are walked back together, where memory is short; None for all.
+        along: share of Meta's outer loss that is of the steps on the way.
         validate_every: outer steps between two looks at the validation tasks.
         augment: train on made-up relatives of the tasks.
-        from_general: Meta's first start is the mean of General's predictions; a random one otherwise.
+        start: Meta's first start: "random"; "mean" of General's predictions; "encoder", General's own, which is then
+            trained through the steps and starts each task at its prediction.
     """
 
     steps: int
@@ -93,9 +95,10 @@ class Training:
     order: int = 0
     clip: float = float("inf")
     tasks_at_once: int | None = None
+    along: float = 0.0
     validate_every: int = 250
     augment: bool = True
-    from_general: bool = True
+    start: Literal["random", "mean", "encoder"] = "mean"
 
 
 @dataclass(frozen=True)
@@ -111,6 +114,7 @@ class Recipe:
         general: how General's encoder is trained.
         meta: how each rule's start is trained, by the rule's name.
         rule: the rule that is best on validation tasks: Meta's default.
+        setup: the application's own settings, such as sizes; None where it has none.
     """
 
     steps: int
@@ -123,6 +127,7 @@ class Recipe:
     general: Training
     meta: dict[str, Training]
     rule: str
+    setup: Any = None
 
 
 class App(ABC):
@@ -154,6 +159,14 @@ class App(ABC):
     scale: float = 1.0
     small_kernels: bool = False
     recipes: dict[str, Recipe]
+
+    def at(self, recipe: Recipe) -> App:
+        """The application at a recipe's setup."""
+        return self
+
+    def conditions(self) -> dict[str, str]:
+        """What else its errors depend on, by name: part of every record, and said wherever errors are printed."""
+        return {}
 
     @abstractmethod
     def prepare(self, task: Task) -> dict[str, Tensor]:
@@ -198,6 +211,10 @@ class App(ABC):
     @abstractmethod
     def outputs(self, theta: Params, task: Task) -> dict[str, Any]:
         """Linear RGB pictures [H, W, 3 or 4] of one fitted task and its reference, by name (no task axis in theta)."""
+
+    def files(self, theta: Params, task: Task) -> dict[str, Tensor]:
+        """What a fit makes for its user, by file name: display values [H, W, 1 or 3] in [0, 1], kept as PNG."""
+        return {}
 
 
 def stack(app: App, tasks: Sequence[Task], device: torch.device | str = "cpu") -> Tasks:

@@ -7,22 +7,25 @@ from torch import Generator
 from metapp.adjoint import Loss
 from metapp.learning import MetaParameters, after_learning, over_tasks, spread, task_loss
 from metapp.paradigms import Job, Paradigm
+from metapp.paradigms.general import start as general_start
 from metapp.rules import RULES
 from metapp.task import Params, Tasks
 
 
-def preparation(job: Job, general: Params | None, rng: Generator, compiled: bool) -> tuple[MetaParameters, Loss]:
+def preparation(job: Job, general: MetaParameters, rng: Generator, compiled: bool) -> tuple[MetaParameters, Loss]:
     """phi before meta-training and the loss that trains it (alg. 3).
 
     Args:
         job: names the rule.
-        general: a start from General, one task's parameters (no task axis); None for a random one.
+        general: General's encoder, which the start goes on from; or a start theta without task axis; a random one is
+            drawn where both are empty.
         rng: of the random start.
         compiled: compile the inner step and its adjoint.
     """
     app, recipe, rule = job.app, job.recipe, RULES[job.rule]
     training = recipe.meta[job.rule]
-    theta = general or {key: value[0] for key, value in app.init(rng, 1).items()}
+    random = {key: value[0] for key, value in app.init(rng, 1).items()}
+    theta = {} if general.encoder else general.theta or random
     steps = META.count(job)
     learned = after_learning(
         task_loss(app, recipe.batch),
@@ -32,14 +35,17 @@ def preparation(job: Job, general: Params | None, rng: Generator, compiled: bool
         clip=training.clip,
         compiled=compiled,
         tasks_at_once=training.tasks_at_once,
+        along=training.along,
+        observe=app.observe if general.encoder else None,
+        encode=app.encode if general.encoder else None,
     )
-    phi = MetaParameters(theta, rule.alpha(app, theta, steps, training.first_rate))
+    phi = MetaParameters(theta, rule.alpha(app, random, steps, training.first_rate), general.encoder)
     return phi, over_tasks(learned, count=training.tasks, augment=app.augment if training.augment else None)
 
 
 def start(job: Job, prepared: MetaParameters, tasks: Tasks, rng: Generator) -> Params:
-    """theta_0, the same for every task."""
-    return spread(prepared.theta, len(tasks), 0)
+    """theta_0, the same for every task; or what an encoder that was trained through the steps says of each."""
+    return general_start(job, prepared, tasks, rng) if prepared.encoder else spread(prepared.theta, len(tasks), 0)
 
 
 META = Paradigm(

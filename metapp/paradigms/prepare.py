@@ -87,7 +87,7 @@ def prepare(
         job: application and recipe.
         tasks: the training tasks; every eighth of them validates.
         rng: of all random draws.
-        encoder: a prepared General; QuickFT tunes on it, Meta starts from the mean of its predictions.
+        encoder: a prepared General; QuickFT tunes on it, Meta starts from it or from the mean of its predictions.
         steps: outer steps instead of the recipe's.
         report: called with the progress.
 
@@ -105,10 +105,8 @@ def prepare(
         first, loss = general.preparation(job, rng)
     else:
         training, paradigm = job.recipe.meta[name], paradigms()["meta"]
-        mean = None
-        if encoder is not None and training.from_general:
-            mean = {key: value.mean(0) for key, value in general.start(job, encoder, to_fit, rng).items()}
-        first, loss = meta.preparation(job, mean, rng, compiled=can_compile())
+        compiled = job.app.small_kernels and can_compile()
+        first, loss = meta.preparation(job, _meta_start(job, training, encoder, to_fit, rng), rng, compiled=compiled)
     if steps is not None:
         training = replace(training, steps=steps)
 
@@ -116,6 +114,17 @@ def prepare(
         return validation_error(paradigm, job, MetaParameters.unflat(params), to_validate)
 
     return _train(first, loss, training, to_fit, validate, job.app.scale, rng, report)
+
+
+def _meta_start(
+    job: Job, training: Training, encoder: MetaParameters | None, tasks: Tasks, rng: Generator
+) -> MetaParameters:
+    if encoder is None or training.start == "random":
+        return MetaParameters()
+    if training.start == "encoder":
+        return encoder
+    predicted = general.start(job, encoder, tasks, rng)
+    return MetaParameters({key: value.mean(0) for key, value in predicted.items()})
 
 
 def _train(
@@ -162,7 +171,7 @@ def _train(
 def tune_quickft(job: Job, encoder: MetaParameters, tasks: Tasks, report: Report | None = None) -> Prepared:
     """Search QuickFT's Adam on validation tasks: a win over a badly tuned baseline is no win.
 
-    First a grid of rate, betas and decay, then eps and a finer rate around the best.
+    One quantity or two at a time, around the best so far, twice.
 
     Returns:
         A start whose alpha holds Adam's settings, scalars on the CPU, and the encoder that they were tuned for.
@@ -170,40 +179,44 @@ def tune_quickft(job: Job, encoder: MetaParameters, tasks: Tasks, report: Report
     Raises:
         Interrupted: Ctrl-C; carries the best settings so far.
     """
-    first = job.recipe.quickft
-    rates = [first.rate * 2 ** (i / 2) for i in range(-6, 8)]
-    betas = itertools.product((0.3, 0.5, 0.7, 0.8, 0.9), (0.8, 0.9, 0.97, 0.999))
-    grid = [
-        replace(first, rate=rate, beta1=beta1, beta2=beta2, final=final)
-        for rate, (beta1, beta2), final in itertools.product(rates, list(betas), (1.0, 0.3, 0.1, 0.0))
-    ]
     curve: list[tuple[int, float | None, float]] = []
-    best, best_adam = Prepared(encoder, float("inf"), 0, curve), first
-    total = len(grid) + len(EPSILONS) * len(FINER)
+    best, best_adam = Prepared(encoder, float("inf"), 0, curve), job.recipe.quickft
+    total = 1 + ROUNDS * sum(len(choices) for choices in SEARCHED)
+    looks = 0
 
-    def look(i: int, adam: Adam) -> None:
-        nonlocal best, best_adam
+    def look(adam: Adam) -> None:
+        nonlocal best, best_adam, looks
         tuned = encoder._replace(alpha=quickft.to_alpha(adam))
         error = validation_error(quickft.QUICKFT, job, tuned, tasks)
+        looks += 1
         if error < best.validation:
-            best, best_adam = Prepared(tuned, error, i, curve), adam
-            curve.append((i, None, error))
+            best, best_adam = Prepared(tuned, error, looks, curve), adam
+            curve.append((looks, None, error))
         if report:
-            report(i + 1, total, f"rate {adam.rate:.1e}, validation {error:.3f}, best {best.validation:.3f}")
+            report(looks, total, f"rate {adam.rate:.1e}, validation {error:.3f}, best {best.validation:.3f}")
 
     try:
-        for i, adam in enumerate(grid):
-            look(i, adam)
-        around = best_adam
-        for i, (eps, factor) in enumerate(itertools.product(EPSILONS, FINER), len(grid)):
-            look(i, replace(around, eps=eps, rate=around.rate * factor))
+        look(best_adam)
+        for choices in SEARCHED * ROUNDS:
+            around = best_adam
+            for changes in choices:
+                look(replace(around, **{**changes, "rate": around.rate * changes.get("rate", 1.0)}))
     except KeyboardInterrupt:
         raise Interrupted(best) from None
     return best
 
 
-EPSILONS = (1e-8, 1e-6, 1e-5, 1e-4, 1e-3)
-FINER = (0.71, 0.84, 1.0, 1.19, 1.41)
+# What QuickFT's search tries, one line after the other around the best so far; a rate is a factor of the best's.
+ROUNDS = 2
+SEARCHED: tuple[list[dict[str, float]], ...] = (
+    [{"rate": 2 ** (i / 2)} for i in (-6, -5, -4, -3, -2, -1, 1, 2, 3, 4, 5, 6)],
+    [
+        {"beta1": beta1, "beta2": beta2}
+        for beta1, beta2 in itertools.product((0.3, 0.5, 0.7, 0.8, 0.9), (0.8, 0.9, 0.97, 0.99, 0.999))
+    ],
+    [{"final": final, "rate": factor} for final, factor in itertools.product((1.0, 0.3, 0.1, 0.0), (1.0, 1.3))],
+    [{"eps": eps, "rate": factor} for eps, factor in itertools.product((1e-8, 1e-6, 1e-4, 1e-3), (0.84, 1.0, 1.19))],
+)
 
 
 @functools.cache
