@@ -11,7 +11,7 @@ SEEDS ?= 0 1 2
 # small networks run many times slower where threads fight over them
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: help setup demo test test-slow lint types bench tables table-results real starts-brdf clean
+.PHONY: help setup demo test test-slow lint types bench tables table-results real real-photos starts-brdf starts-photos clean
 
 help:  ## list the targets
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 18
@@ -48,6 +48,12 @@ table-results: setup  ## error and time of the five paradigms on the embedded da
 
 real: setup  ## real materials: make real DATA=<folder with nbrdf/merl>; trains and prints the five paradigms, 3 seeds
 	bash tools/real_brdf.sh "$(METAPP)" "$(DATA)" "$(RUNS)" $(SEEDS)
+
+real-photos: setup  ## real textures and flash photos: make real-photos DATA=<folder with texture, flash_stationary>; hours
+	bash tools/real_photos.sh "$(METAPP)" "$(DATA)" "$(RUNS)" $(firstword $(SEEDS))
+
+starts-photos: setup  ## train the starts of textures and svBRDFs that ship, on the embedded sets; hours
+	bash tools/starts_photos.sh "$(METAPP)" "$(RUNS)"
 
 starts-brdf: setup  ## train the starts that ship: make starts-brdf DATA=<folder with nbrdf/merl>
 	bash tools/starts_brdf.sh "$(METAPP)" "$(DATA)" "$(RUNS)"

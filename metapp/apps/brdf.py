@@ -64,7 +64,7 @@ PAPER = replace(
             order=2,
             clip=10.0,
             augment=False,
-            from_general=False,
+            start="random",
         )
     },
     rule="meta-sgd",

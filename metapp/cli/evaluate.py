@@ -56,10 +56,11 @@ def command(
 
     rows = []
     for app in [find_app(name) for name in apps or app_names()]:
+        chosen = check_rule(rule, app, recipe)
         options = Options(
-            app,
+            app.at(app.recipes[recipe]),
             recipe,
-            check_rule(rule, app, recipe),
+            chosen,
             None,
             data,
             out_folder,
@@ -107,28 +108,38 @@ def app_rows(options: Options, *, run: bool) -> list[dict[str, Any]]:
                     raise
                 say(f"{error}")
             starts.append(None)
-    rows = []
+    rows, complete = [], []
     for (of, paradigm), start in zip(runs, starts, strict=True):
         if start is None and of.rule != options.rule:
             continue  # nobody trained this rule
-        row = _row(of, paradigm, start, tasks, label, run)
+        row, folder, records = _row(of, paradigm, start, tasks, label, run)
+        if of.rule == options.rule and len(records) == len(tasks):
+            complete.append((paradigm.name, folder, records))
         if of.rule != options.rule:
             row |= {"paradigm": f"meta:{of.rule}", "paper_error": None, "paper_seconds": None}
         rows.append(row)
+    if complete and not options.quiet:
+        from metapp.cli.pictures import picture_of_table
+
+        file = options.out / options.app.name / f"comparison-{label}-{options.recipe}-seed{options.seed}.png"
+        say(f"picture: {picture_of_table(options.app, tasks, complete, file)}")
     return rows
 
 
 def _row(
     options: Options, paradigm: Paradigm, start: Start | None, tasks: list[Task], label: str, run: bool
-) -> dict[str, Any]:
+) -> tuple[dict[str, Any], Path, list[dict[str, Any]]]:
+    """A row of the table, and the run's folder and records it was made of."""
     from metapp.cli.fit import run_path, run_tasks, summary
     from metapp.cli.session import settings_of
     from metapp.records import RunFolder
 
     records: list[dict[str, Any]] = []
+    path = Path()
     if start is not None:
         settings = settings_of(options, paradigm, start, label)
-        folder = RunFolder(run_path(options, settings, label), settings)
+        path = run_path(options, settings, label)
+        folder = RunFolder(path, settings)
         if run:
             records = run_tasks(options, paradigm, start, tasks, folder)
         else:
@@ -138,7 +149,7 @@ def _row(
         say(f"{len(tasks) - len(records)} of {len(tasks)} tasks missing: {_command_for(options, paradigm, start)}")
     low, high = bootstrap([record["error"] for record in records]) if records else (None, None)
     paper = paper_figures()
-    return {
+    row = {
         "app": options.app.name,
         "paradigm": paradigm.name,
         "rule": options.rule if paradigm.name == "meta" else None,
@@ -151,6 +162,7 @@ def _row(
         "paper_error": paper["error"][options.app.name].get(paradigm.name),
         "paper_seconds": paper["seconds"][options.app.name].get(paradigm.name),
     }
+    return row, path, records
 
 
 def _command_for(options: Options, paradigm: Paradigm, start: Start | None) -> str:
@@ -226,6 +238,7 @@ def rich_table(app_name: str, rows: list[dict[str, Any]]) -> Any:
     from rich.table import Table
 
     from metapp.apps import load_app
+    from metapp.cli.fit import caption_of
 
     app = load_app(app_name)
     factor = f" x{app.scale:g}" if app.scale != 1 else ""
@@ -233,7 +246,7 @@ def rich_table(app_name: str, rows: list[dict[str, Any]]) -> Any:
     count = max(row["tasks"] for row in rows)
     table = Table(
         title=f"{app.title}, {count} unseen tasks: mean error{factor}, median seconds of inference",
-        caption=f"{closing(rows)}\nmeta: {rule}; error: {app.measure}{factor}\n"
+        caption=f"{closing(rows)}\nmeta: {rule}; {caption_of(app)}\n"
         "the paper's figures are of its own data and machine",
     )
     shown = len(COLUMNS) if out.width >= 110 else NARROW

@@ -18,7 +18,8 @@ if TYPE_CHECKING:
     from metapp.records import RunFolder
     from metapp.task import App, Task
 
-APP_HELP = "Application; brdf so far."
+RULE_NAMES = "meta-sgd, meta-adam, meta-adam-tied, meta-curvature, meta-encoder"
+APP_HELP = "Application: brdf, texture, svbrdf_stationary."
 
 
 def make_command(name: str, summary: str) -> Any:
@@ -30,12 +31,13 @@ def make_command(name: str, summary: str) -> Any:
             list[Path] | None,
             typer.Argument(
                 metavar="[INPUT]...",
-                help="What to fit (brdf: MERL .binary files, NBRDF folders); without any, the test tasks of --data.",
+                help="What to fit: brdf: MERL .binary files, NBRDF folders; texture: images; svbrdf_stationary: flash "
+                "photos. Without any, the test tasks of --data.",
             ),
         ] = None,
         steps: Annotated[int | None, typer.Option(help="Gradient steps instead of the recipe's.", min=0)] = None,
         rule: Annotated[
-            str, typer.Option(help="Meta's rule: meta-sgd, meta-adam, meta-curvature; default: the recipe's.")
+            str, typer.Option(help=f"Meta's rule, of those that the recipe trains: {RULE_NAMES}; default: its best.")
         ] = "",
         observe: Annotated[str, typer.Option(help="reference or photo, where an application has both.")] = "",
         train: Annotated[bool, typer.Option("--train", help="Train the start on the training tasks first.")] = False,
@@ -76,10 +78,11 @@ def make_command(name: str, summary: str) -> Any:
             raise typer.BadParameter("--steps: general takes none; finetune and quickft go on from it.")
         if checkpoint and name == "overfit":
             raise typer.BadParameter("--checkpoint: overfit starts at random; leave it out.")
+        rule = check_rule(rule, found, recipe)
         options = Options(
-            app=found,
+            app=found.at(found.recipes[recipe]),
             recipe=recipe,
-            rule=check_rule(rule, found, recipe),
+            rule=rule,
             steps=steps,
             data=data,
             out=out_folder,
@@ -112,6 +115,7 @@ def fit(
         The document that --json prints.
     """
     from metapp.cli.inputs import tasks_to_fit
+    from metapp.cli.pictures import picture_of_run, write_files
     from metapp.cli.session import make_folder, settings_of
     from metapp.cli.starts import find_start, train_start
     from metapp.paradigms import paradigms
@@ -132,6 +136,7 @@ def fit(
     # a finished run is run anew, one that was cut off is completed
     again = len(folder.finished()) >= len(tasks)
     records = run_tasks(options, paradigm, start, tasks, folder, again=again)
+    made = write_files(options.app, tasks, folder.path)
     if export:
         export_all(options, tasks, folder, export)
     document = {
@@ -141,17 +146,16 @@ def fit(
         "steps": settings["steps"],
         "device": str(options.device),
         "data": label,
+        **options.app.conditions(),
         **summary(records),
         "tasks": [{key: record[key] for key in ("name", "error", "seconds")} for record in records],
         "out": str(folder.path),
     }
     if not options.quiet:
-        from metapp.cli.pictures import picture_of_run
-
         picture = picture_of_run(options.app, paradigm.name, tasks, records, folder.path)
         if show:
             out.print(table_of(options.app, paradigm.name, records))
-        say(f"picture: {picture}\nrecords: {folder.file}")
+        say(f"picture: {picture}\nrecords: {folder.file}" + (f"\nmade: {made}" if made else ""))
     return document
 
 
@@ -231,7 +235,7 @@ def table_of(app: App, paradigm: str, records: list[dict[str, Any]]) -> Any:
     from rich.text import Text
 
     factor = f" x{app.scale:g}" if app.scale != 1 else ""
-    table = Table(title=f"{app.title}: {paradigm}", show_footer=True, caption=f"error: {app.measure}{factor}")
+    table = Table(title=f"{app.title}: {paradigm}", show_footer=True, caption=caption_of(app))
     total = summary(records)
     table.add_column("task", "mean error, median time")
     table.add_column(f"error{factor}", f"{total['error']:.3f}", justify="right")
@@ -239,6 +243,12 @@ def table_of(app: App, paradigm: str, records: list[dict[str, Any]]) -> Any:
     for record in records:
         table.add_row(Text(record["name"]), f"{record['error']:.3f}", f"{record['seconds']:.4f}")
     return table
+
+
+def caption_of(app: App) -> str:
+    """What a table says about its errors."""
+    conditions = "".join(f"; {key}: {value}" for key, value in app.conditions().items())
+    return f"error: {app.measure}{f' x{app.scale:g}' if app.scale != 1 else ''}{conditions}"
 
 
 def export_all(options: Options, tasks: list[Task], folder: RunFolder, kind: str) -> None:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from safetensors.torch import load_file
+from torch import Tensor
 
 from metapp.files import write_atomically
 from metapp.records import file_name
@@ -25,40 +27,97 @@ def to_srgb(linear: Any) -> np.ndarray:
 
 
 def picture_of_run(app: App, paradigm: str, tasks: Sequence[Task], records: Sequence[dict], folder: Path) -> Path:
-    """Write `pictures.png` into a run's folder: up to 20 tasks, the reference above the fit, the error under it.
+    """Write `pictures.png` into a run's folder: up to 20 tasks, a column each, the reference above the fit.
 
     Returns:
         The file.
     """
-    shown = list(zip(tasks, records, strict=True))[:20]
-    cells = []
-    for task, record in shown:
-        theta = load_file(folder / "params" / f"{file_name(task.name)}.safetensors")
-        cells.append((app.outputs(theta, task), f"{task.name}\n{record['error']:.3f}"))
+    columns = []
+    for task, record in list(zip(tasks, records, strict=True))[:20]:
+        columns.append((_shown(app.outputs(_theta(folder, task), task)), f"{task.name}\n{record['error']:.3f}"))
     mean = np.mean([record["error"] for record in records])
-    factor = f" x{app.scale:g}" if app.scale != 1 else ""
-    return _grid(cells, f"{app.title}, {paradigm}: mean error{factor} {mean:.3f}", folder / "pictures.png")
+    return _grid(columns, f"{app.title}, {paradigm}: mean error{_factor(app)} {mean:.3f}", folder / "pictures.png")
 
 
-def _grid(cells: list[tuple[dict[str, Any], str]], title: str, path: Path) -> Path:
+def picture_of_table(app: App, tasks: Sequence[Task], runs: Sequence[tuple[str, Path, list[dict]]], file: Path) -> Path:
+    """Write one picture of up to 20 tasks, a column each: the reference, and the fit of every paradigm below it.
+
+    Args:
+        app: the application.
+        tasks: what was fitted.
+        runs: (label, run folder, records of all tasks) of each paradigm.
+        file: where to.
+
+    Returns:
+        The file.
+    """
+    columns = []
+    for i, task in enumerate(tasks[:20]):
+        rows: dict[str, np.ndarray] = {}
+        for label, folder, records in runs:
+            pictures = app.outputs(_theta(folder, task), task)
+            rows |= {"reference": to_srgb(pictures["reference"])} if not rows else {}
+            rows[f"{label} {records[i]['error']:.3f}"] = to_srgb(pictures["fit"])
+        columns.append((rows, f"{task.name}\n"))
+    return _grid(columns, f"{app.title}: mean error{_factor(app)} of each fit beside it", file)
+
+
+def write_files(app: App, tasks: Sequence[Task], folder: Path) -> Path | None:
+    """Write what each fit makes for its user as PNG of 8 bits, <run>/outputs/<task>/<name>.png; None where nothing."""
+    written = None
+    for task in tasks:
+        for name, picture in app.files(_theta(folder, task), task).items():
+            written = folder / "outputs"
+            write_atomically(written / file_name(task.name) / f"{name}.png", functools.partial(_write_png, picture))
+    return written
+
+
+def _write_png(picture: Tensor, path: Path) -> None:
+    import OpenImageIO as oiio
+
+    pixels = (np.clip(picture.numpy(), 0, 1) * 255 + 0.5).astype(np.uint8)
+    oiio.ImageBuf(np.ascontiguousarray(pixels)).write(str(path))
+
+
+def _theta(folder: Path, task: Task) -> dict[str, Any]:
+    return load_file(folder / "params" / f"{file_name(task.name)}.safetensors")
+
+
+def _factor(app: App) -> str:
+    return f" x{app.scale:g}" if app.scale != 1 else ""
+
+
+def _shown(pictures: dict[str, Any]) -> dict[str, np.ndarray]:
+    return {name: to_srgb(picture) for name, picture in pictures.items()}
+
+
+def _grid(tasks: list[tuple[dict[str, np.ndarray], str]], title: str, path: Path) -> Path:
+    """Columns of display values [H, W, 3] with their rows' names, ten columns beside each other, labels below."""
     from matplotlib.figure import Figure
 
-    columns = min(10, len(cells))
-    rows = -(-len(cells) // columns)
-    figure = Figure(figsize=(max(1.25 * columns + 0.5, 3.5), 2.8 * rows + 0.4), layout="constrained")
-    axes = figure.subplots(2 * rows, columns, squeeze=False)
+    columns, height = min(10, len(tasks)), len(tasks[0][0])
+    blocks = -(-len(tasks) // columns)
+    size = (max(1.25 * columns + 0.5, 3.5), (1.3 * height + 0.2) * blocks + 0.4)
+    figure = Figure(figsize=size, layout="constrained")
+    axes = figure.subplots(height * blocks, columns, squeeze=False)
     for axis in axes.flat:
         axis.set_xticks([])
         axis.set_yticks([])
         axis.set_frame_on(False)
-    for i, (pictures, label) in enumerate(cells):
-        row, column = divmod(i, columns)
-        for k, name in enumerate(("reference", "fit")):
-            axis = axes[2 * row + k, column]
-            axis.imshow(to_srgb(pictures[name]))
+    for i, (pictures, label) in enumerate(tasks):
+        block, column = divmod(i, columns)
+        for k, (name, picture) in enumerate(pictures.items()):
+            axis = axes[height * block + k, column]
+            axis.imshow(picture)
+            paradigm, _, error = name.partition(" ")
             if column == 0:
-                axis.set_ylabel(name, fontsize=7)
-        axes[2 * row + 1, column].set_xlabel(_wrapped(label), fontsize=6, parse_math=False)
+                axis.set_ylabel(paradigm, fontsize=7)
+            if error and k < height - 1:
+                axis.set_xlabel(error, fontsize=6, labelpad=1)
+        last = name.partition(" ")[2]
+        axes[height * block + height - 1, column].set_xlabel(
+            _wrapped(label if not last else f"{label.strip()}\n{last}"), fontsize=6, parse_math=False
+        )
     figure.suptitle(title, fontsize=9)
     write_atomically(path, lambda target: figure.savefig(target, dpi=120))
     return path

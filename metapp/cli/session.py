@@ -120,4 +120,5 @@ def settings_of(options: Options, paradigm: Paradigm, start: Start, label: str) 
         "seed": options.seed,
         "device": str(options.device),
         "versions": versions(),
+        **options.app.conditions(),
     }

@@ -37,12 +37,23 @@ def find_start(options: Options, paradigm: Paradigm) -> Start:
     if (app, name) != (options.app.name, needed):
         remedy = f"; add --rule {name}" if name in options.job.recipe.meta and paradigm.name == "meta" else ""
         raise ValueError(f"{path}: a start of {app} {name}, expected {options.app.name} {needed}{remedy}.")
+    _require_conditions(path, options.app, prepared, info)
     _require_fit(path, options.app, prepared)
     start = Start(prepared, str(path), digest(path))
     if path == shipped_path(options.app.name, needed) and not options.checkpoint:
         note = ", trained on other data, which may hold these tasks" if options.data else ""
         start = start._replace(source=f"the one that ships{note}")
     return _with_tuning(options, start) if paradigm.name == "quickft" else start
+
+
+def _require_conditions(path: Path, app: App, prepared: MetaParameters, info: dict[str, Any]) -> None:
+    """Say that a start was trained with other features than are at hand; refuse one whose encoder reads them."""
+    for key, now in app.conditions().items():
+        then = info.get(key, now)
+        if then != now and prepared.encoder:
+            raise ValueError(f"{path}: its encoder reads {then}; here: {now}; or train one with --train.")
+        if then != now:
+            say(f"warning: {path.name} was trained with {then}; here: {now}.")
 
 
 def _require_fit(path: Path, app: App, prepared: MetaParameters) -> None:
@@ -126,7 +137,11 @@ def train_start(options: Options, paradigm: Paradigm, steps: int | None) -> Path
     tasks = stack(options.app, read_shard(folder, "train", options.app.name), options.device)
     say(f"training {options.app.name} {name} on {len(tasks)} tasks of {folder.name}, every eighth for validation")
     info: dict[str, Any] = {"data": data_label(folder), "recipe": options.recipe, "seed": options.seed}
-    info |= {"versions": versions()} | ({"encoder": tensor_digest(encoder.encoder)} if encoder else {})
+    info |= (
+        options.app.conditions()
+        | {"versions": versions()}
+        | ({"encoder": tensor_digest(encoder.encoder)} if encoder else {})
+    )
 
     def keep(prepared: Prepared, file: Path) -> None:
         start = prepared.start._replace(encoder={}) if name == "quickft" else prepared.start  # General's file holds it
@@ -164,7 +179,7 @@ def _encoder(options: Options, name: str, steps: int | None) -> MetaParameters |
     its test tasks.
     """
     training = options.job.recipe.meta.get(name)
-    if name == "general" or (training and not training.from_general):
+    if name == "general" or (training and training.start == "random"):
         return None
     general = paradigms()["general"]
     usable = trained_path(options, "general").is_file()

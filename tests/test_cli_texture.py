@@ -1,0 +1,147 @@
+"""`metapp ... texture` and `metapp ... svbrdf_stationary` end to end, at random filters instead of VGG's."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import OpenImageIO as oiio
+import pytest
+from safetensors.numpy import save_file
+
+from metapp.apps import load_app
+from metapp.exemplar import Setup
+from metapp.features import BLOCKS, weights_path
+from metapp.networks import UNet
+
+APPS = ("texture", "svbrdf_stationary")
+OUTPUTS = {
+    "texture": {"texture"},
+    "svbrdf_stationary": {
+        *("diffuse", "specular", "roughness", "normal", "height"),
+        *("lit_from_left", "lit_from_above", "lit_from_aside"),
+    },
+}
+
+
+def write(path: Path, pixels: np.ndarray) -> Path:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    oiio.ImageBuf(np.ascontiguousarray(pixels)).write(str(path))
+    return path
+
+
+def photo(path: Path, seed: int = 0, side: int = 40) -> Path:
+    return write(path, np.random.default_rng(seed).integers(0, 256, (side, side, 3), dtype=np.uint8))
+
+
+@pytest.fixture(params=APPS)
+def app(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
+    """The applications, at a size that takes no time."""
+    loaded = load_app(request.param)
+    quick = loaded.recipes["quick"]
+    outputs = quick.setup.network.outputs
+    setup = Setup(16, 16, UNet(4, levels=2, noise=2, code=4, outputs=outputs), "vgg16", ("relu1_1", "relu2_1"))
+    short = {name: replace(training, steps=2, tasks=2, warmup=0) for name, training in quick.meta.items()}
+    quick = replace(quick, setup=setup, overfit_steps=3, general=replace(quick.general, steps=2, tasks=2), meta=short)
+    monkeypatch.setitem(loaded.recipes, "quick", quick)
+    return request.param
+
+
+@pytest.fixture
+def data(app: str, metapp: Callable, tmp_path: Path) -> Path:
+    for i in range(6):
+        photo(tmp_path / "in" / f"p{i}.png", i)
+    command = "images" if app == "texture" else "flash"
+    assert metapp("data", command, tmp_path / "in", "--out", tmp_path / "data", "--size", "32").code == 0
+    return tmp_path / "data"
+
+
+def test_a_photo_is_fitted_and_what_was_made_is_written(app: str, data: Path, metapp: Callable, tmp_path: Path) -> None:
+    common = (app, "--data", data, "--out", tmp_path / "runs")
+    trained = metapp("meta", *common, "--rule", "meta-adam-tied", "--train", "--json")
+    assert trained.code == 0, trained.err
+    wall = photo(tmp_path / "wall.png", 9)
+    fitted = metapp("meta", app, wall, "--rule", "meta-adam-tied", *common[1:], "--json", "--steps", "2")
+    assert fitted.code == 0, fitted.err
+    document = fitted.document
+    assert [task["name"] for task in document["tasks"]] == ["wall"]
+    assert "random filters" in document["features"]
+    made = Path(document["out"]) / "outputs" / "wall"
+    assert {file.stem for file in made.iterdir()} == OUTPUTS[app]
+    for file in made.iterdir():
+        spec = oiio.ImageBuf(str(file)).spec()
+        assert (spec.width, spec.height, str(spec.format)) == (64, 64, "uint8")  # four times the training's
+    assert (Path(document["out"]) / "pictures.png").is_file()
+
+
+def test_all_paradigms_and_their_table(app: str, data: Path, metapp: Callable, tmp_path: Path) -> None:
+    common = (app, "--data", data, "--out", tmp_path / "runs")
+    rule = load_app(app).recipes["quick"].rule
+    assert metapp("meta", *common, "--train", "--quiet").code == 0
+    table = metapp("evaluate", *common)
+    assert table.code == 0, table.err
+    assert "random filters" in table.out
+    assert "no Adam was tuned" in table.err
+    (picture,) = (tmp_path / "runs" / app).glob("comparison-*.png")
+    assert picture.stat().st_size > 10_000
+    rows = metapp("evaluate", *common, "--json", "--no-run").document["rows"]
+    assert [row["paradigm"] for row in rows[:5]] == ["general", "overfit", "finetune", "quickft", "meta"]
+    assert rows[4]["rule"] == rule
+    assert all(row["tasks"] == 1 for row in rows[:5])
+
+
+def test_other_features_than_the_encoder_reads_are_refused(
+    app: str, data: Path, metapp: Callable, tmp_path: Path
+) -> None:
+    common = (app, "--data", data, "--out", tmp_path / "runs")
+    assert metapp("meta", *common, "--rule", "meta-adam-tied", "--train", "--quiet").code == 0
+    widths = [3, *(width for block in BLOCKS["vgg16"] for width in block)]
+    weights = {}
+    for i, (inputs, outputs) in enumerate(itertools.pairwise(widths)):
+        weights[f"conv{i}.weight"] = np.zeros((outputs, inputs, 3, 3), np.float32)
+        weights[f"conv{i}.bias"] = np.zeros(outputs, np.float32)
+    save_file(weights, weights_path("vgg16"))
+    general = metapp("general", *common)
+    assert general.code == 1
+    assert "its encoder reads random filters" in general.err
+    assert len(general.err.strip().splitlines()) == 1
+    meta = metapp("meta", *common, "--rule", "meta-adam-tied", "--quiet")
+    assert meta.code == 0
+    assert "warning: meta-adam-tied.safetensors was trained with random filters" in meta.err
+
+
+@pytest.mark.parametrize("app", APPS)
+@pytest.mark.parametrize(
+    ("name", "make"),
+    [
+        ("one.png", lambda path: write(path, np.full((1, 1, 3), 90, np.uint8))),
+        ("black.png", lambda path: write(path, np.zeros((64, 64, 3), np.uint8))),
+        ("words.jpg", lambda path: path.write_text("in words") and path),
+        ("missing.jpg", lambda path: path),
+        ("words.txt", lambda path: path.write_text("in words") and path),
+    ],
+)
+def test_bad_input_gets_one_line(app: str, name: str, make: Callable, metapp: Callable, tmp_path: Path) -> None:
+    result = metapp("overfit", app, make(tmp_path / name), "--out", tmp_path / "runs", "--steps", "1")
+    assert result.code == 1
+    (line,) = result.err.strip().splitlines()
+    assert name in line
+    assert not list((tmp_path / "runs").rglob("*.jsonl"))
+
+
+@pytest.mark.parametrize("channels", [1, 2, 4])
+@pytest.mark.parametrize("form", ["uint8", "uint16"])
+def test_other_pixels_than_rgb_of_8_bits_are_read(
+    app: str, channels: int, form: str, metapp: Callable, tmp_path: Path
+) -> None:
+    most = np.iinfo(form).max
+    pixels = np.random.default_rng(1).integers(0, most, (40, 50, channels), dtype=form)
+    if channels in (2, 4):
+        pixels[..., -1] = most  # opaque
+    file = write(tmp_path / "odd.png", pixels)
+    result = metapp("overfit", app, file, "--out", tmp_path / "runs", "--json", "--quiet")
+    assert result.code == 0, result.err
+    assert np.isfinite(result.document["error"])

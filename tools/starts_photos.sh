@@ -1,0 +1,12 @@
+#!/usr/bin/env bash
+# Train the texture and svBRDF starts that ship, on the embedded sets alone: starts_photos.sh METAPP RUNS
+set -euo pipefail
+metapp=$1 runs=$2
+for app in texture svbrdf_stationary; do
+  "$metapp" general "$app" --out "$runs" --train
+  "$metapp" quickft "$app" --out "$runs" --train
+  "$metapp" meta "$app" --out "$runs" --train
+  folder=$(ls -td "$runs/$app"/starts/*-quick-seed0 | head -1)
+  mkdir -p "metapp/checkpoints/$app"
+  cp -v "$folder"/{general,quickft,meta-adam-tied}.safetensors "metapp/checkpoints/$app/"
+done
