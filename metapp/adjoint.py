@@ -132,14 +132,15 @@ def _in_slices(pullback: Callable, size: int) -> Callable:
     Tensors without axes, as Adam's products of betas at first, belong to all tasks: their pulls add up.
     """
 
+    def part(trees: tuple[Params, ...], i: int) -> tuple[Params, Params, Params]:
+        own = [{key: value[i : i + size] if value.ndim else value for key, value in tree.items()} for tree in trees]
+        if i:  # what is pulled from all tasks' tensors must be counted once
+            own[-1] = {key: value if value.ndim else torch.zeros_like(value) for key, value in own[-1].items()}
+        return pullback(*own)
+
     def sliced(*trees: Params) -> tuple[Params, ...]:
         count = next(iter(trees[1].values())).shape[0]
-        parts = [
-            pullback(
-                *({key: value[i : i + size] if value.ndim else value for key, value in tree.items()} for tree in trees)
-            )
-            for i in range(0, count, size)
-        ]
+        parts = [part(trees, i) for i in range(0, count, size)]
         return tuple(
             {
                 key: torch.cat([one[key] for one in each]) if value.ndim else sum(one[key] for one in each)
@@ -202,6 +203,7 @@ class _LearnThrough(torch.autograd.Function):
         ctx: Any,
         steps: StepPair,
         order: int,
+        on_the_way: bool,
         rule: UpdateRule,
         batches: Sequence[Any],
         keys: Sequence[str],
@@ -216,16 +218,22 @@ class _LearnThrough(torch.autograd.Function):
             before = (theta, state)
             theta, state, each, gradient = steps.forward(at_step(ctx.alpha, i), theta, state, batch)
             ctx.taken.append((*before, batch if order == 2 else gradient))
-            ctx.gradients.append(gradient)
+            ctx.gradients.append(gradient if on_the_way else None)
             losses.append(each)
         ctx.last_state = state
         ctx.set_materialize_grads(False)
-        return torch.stack(losses), *(theta[key] for key in keys)
+        stacked = torch.stack(losses) if losses else leaves[0].new_zeros(0)
+        if not on_the_way:
+            ctx.mark_non_differentiable(stacked)
+        return stacked, *(theta[key] for key in keys)
 
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, pull_losses: Tensor | None, *pulls: Tensor):
-        pull_theta = dict(zip(ctx.taken[0][0], (pull.contiguous() for pull in pulls), strict=True))
+        pull_theta = {
+            key: torch.zeros_like(value) if pull is None else pull.contiguous()
+            for (key, value), pull in zip(ctx.taken[0][0].items(), pulls, strict=True)
+        }
         pull_state = {key: torch.zeros_like(value) for key, value in ctx.last_state.items()}
         pull_alpha = {key: torch.zeros_like(value) for key, value in ctx.alpha.items()}
         for i in reversed(range(len(ctx.taken))):
@@ -238,7 +246,7 @@ class _LearnThrough(torch.autograd.Function):
                 pull_theta = {key: pull + _from_left(each, pull) * gradient[key] for key, pull in pull_theta.items()}
             for key, value in pulled.items():
                 pull_alpha[key][min(i, pull_alpha[key].shape[0] - 1)] += value
-        return None, None, None, None, None, *pull_theta.values(), *pull_alpha.values()
+        return None, None, None, None, None, None, *pull_theta.values(), *pull_alpha.values()
 
 
 def learn_through(
@@ -250,12 +258,13 @@ def learn_through(
     order: int,
     compiled: bool = False,
     tasks_at_once: int | None = None,
+    on_the_way: bool = False,
 ) -> tuple[Params, Tensor]:
     """Learn on given batches, differentiably in the start and in the rule's alpha.
 
     Returns:
-        The parameters after the last step, and the loss of each task before each step, [K, T]. The derivative of the
-        latter is that of the parameters' part: learned quantities of the loss itself are constants to it.
+        The parameters after the last step, and the loss of each task before each step, [K, T]. With `on_the_way` these
+        losses have derivatives, too, of the parameters' part: learned quantities of the loss are constants to them.
 
     The gradient is the adjoint recursion over the steps: memory is one step's graph and K copies of the parameters
     and of the rule's state. Order 1 treats each step's gradient as a constant (FOMAML); order 2 is exact (MAML).
@@ -264,7 +273,9 @@ def learn_through(
     if tasks_at_once:
         steps = steps._replace(pullback=_in_slices(steps.pullback, tasks_at_once))
     keys = list(theta)
-    losses, *final = _LearnThrough.apply(steps, order, rule, batches, keys, *theta.values(), *rule.alpha.values())
+    losses, *final = _LearnThrough.apply(
+        steps, order, on_the_way, rule, batches, keys, *theta.values(), *rule.alpha.values()
+    )
     return dict(zip(keys, final, strict=True)), losses
 
 

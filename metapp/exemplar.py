@@ -79,7 +79,8 @@ class ExemplarApp(App):
         rows = round(images.shape[-1] * self.setup.height / self.setup.width)
         top = (images.shape[-2] - rows) // 2
         size = (self.setup.height, self.setup.width)
-        return interpolate(images[..., top : top + rows, :], size=size, mode="area")
+        part = images[..., top : top + rows, :]
+        return interpolate(part, size=size, mode="area" if part.shape[-2] >= size[0] else "bilinear")
 
     def init(self, rng: Generator, count: int) -> Params:
         return self.setup.network.init(rng, count)

@@ -72,7 +72,7 @@ def describe_features(which: str) -> str:
     """What `load_features` would give now, in words."""
     if weights_path(which).is_file():
         return f"{which.upper().replace('VGG', 'VGG-')} features (ImageNet)"
-    return f"random filters, as the {which} weights are missing (metapp data vgg fetches them)"
+    return f"random filters, as the {which} weights are missing (metapp data vgg --which {which} fetches them)"
 
 
 def load_features(which: str, taps: Sequence[str], like: Tensor) -> Features:
@@ -95,7 +95,7 @@ def _vgg(which: str, taps: Sequence[str], path: str) -> Features:
         weights = load_file(path)
     except SafetensorError:
         raise ValueError(
-            f"{path}: damaged, expected the weights of {which}; fetch it again: metapp data vgg."
+            f"{path}: damaged, expected the weights of {which}; fetch it again: metapp data vgg --which {which}."
         ) from None
     stages: list[list[nn.Module]] = [[]]
     inputs, layer = 3, 0
@@ -109,7 +109,7 @@ def _vgg(which: str, taps: Sequence[str], path: str) -> Features:
             except (KeyError, RuntimeError):
                 raise ValueError(
                     f"{path}: conv{layer} missing or of another shape, expected {which}; "
-                    "fetch it again: metapp data vgg."
+                    f"fetch it again: metapp data vgg --which {which}."
                 ) from None
             stages[-1] += [convolution, nn.ReLU()]
             inputs, layer = outputs, layer + 1

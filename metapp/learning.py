@@ -165,10 +165,17 @@ def after_learning(
         # the mean over tasks has divided each one's gradient by their number
         theta, alpha = clip_per_task(theta, spread(start.alpha, count, 1), clip / count)
         final, losses = learn_through(
-            theta, rule(alpha), inner, loss, order=order, compiled=compiled, tasks_at_once=tasks_at_once
+            theta,
+            rule(alpha),
+            inner,
+            loss,
+            order=order,
+            compiled=compiled,
+            tasks_at_once=tasks_at_once,
+            on_the_way=along > 0,
         )
         left = loss.value(final, last, {})
-        if not along:
+        if not along or not steps:
             return left
         weights = torch.arange(steps, dtype=losses.dtype, device=losses.device)
         return (1 - along) * left + along * (weights / weights.sum().clamp_min(1)) @ losses

@@ -104,16 +104,17 @@ class LearnedRule(NamedTuple):
     """An entry of RULES: what alpha holds at first, and the rule it parametrises.
 
     Attributes:
-        alpha: (application, parameters of one task, steps, rate) -> initial quantities [K, ...], all rates `rate`.
+        alpha: (application, parameters of one task, steps, first) -> initial quantities [K, ...], which make the rule
+            the plain Adam `first` (its eps aside), or SGD of its rate.
         rule: alpha -> UpdateRule.
     """
 
-    alpha: Callable[[App, Params, int, float], Params]
+    alpha: Callable[[App, Params, int, Adam], Params]
     rule: Callable[[Params], UpdateRule]
 
 
-def _meta_sgd_alpha(app: App, theta: Params, steps: int, rate: float) -> Params:
-    return {f"rate.{key}": torch.full_like(value, rate)[None] for key, value in theta.items()}
+def _meta_sgd_alpha(app: App, theta: Params, steps: int, first: Adam) -> Params:
+    return {f"rate.{key}": torch.full_like(value, first.rate)[None] for key, value in theta.items()}
 
 
 META_EPS = 1e-6
@@ -135,25 +136,28 @@ def _meta_adam_step(alpha: Params, theta: Params, grads: Params, state: Params) 
     return moved, state
 
 
-def _meta_adam_alpha(app: App, theta: Params, steps: int, rate: float) -> Params:
-    first = next(iter(theta.values()))
-    alpha = {f"rate.{key}": torch.full((steps, *value.shape), math.log(rate)) for key, value in theta.items()}
-    alpha["beta1"] = torch.full((steps,), math.log(0.9 / 0.1))
-    alpha["beta2"] = torch.full((steps,), math.log(0.99 / 0.01))
+def _meta_adam_alpha(app: App, theta: Params, steps: int, first: Adam) -> Params:
+    like = next(iter(theta.values()))
+    rates = half_cosine(first.rate, steps, first.final).log()
+    alpha = {f"rate.{key}": _like(rates, value[None]).repeat(1, *value.shape) for key, value in theta.items()}
+    for name in ("beta1", "beta2"):
+        beta = getattr(first, name)
+        alpha[name] = torch.full((steps,), math.log(beta / (1 - beta)))
     alpha |= {f"loss.{key}": value for key, value in app.shape(steps).items()}
-    return {key: value.to(first) for key, value in alpha.items()}
+    return {key: value.to(like) for key, value in alpha.items()}
 
 
-def _meta_adam_tied_alpha(app: App, theta: Params, steps: int, rate: float) -> Params:
-    alpha = _meta_adam_alpha(app, theta, steps, rate)
+def _meta_adam_tied_alpha(app: App, theta: Params, steps: int, first: Adam) -> Params:
+    alpha = _meta_adam_alpha(app, theta, steps, first)
+    paces = half_cosine(1.0, steps, first.final).log()
     for key, value in theta.items():
         alpha[f"rate.{key}"] = alpha[f"rate.{key}"][:1]
-        alpha[f"pace.{key}"] = torch.zeros(steps).to(value)
+        alpha[f"pace.{key}"] = paces.to(value)
     return alpha
 
 
-def _meta_curvature_alpha(app: App, theta: Params, steps: int, rate: float) -> Params:
-    alpha = _meta_adam_alpha(app, theta, steps, rate)
+def _meta_curvature_alpha(app: App, theta: Params, steps: int, first: Adam) -> Params:
+    alpha = _meta_adam_alpha(app, theta, steps, first)
     for key, value in theta.items():
         if value.ndim == 2:
             for side, size in zip(("left", "right"), value.shape, strict=True):

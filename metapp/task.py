@@ -70,7 +70,7 @@ class Training:
     Attributes:
         steps: outer steps.
         tasks: tasks per outer step.
-        first_rate: a learned rule's rates before training.
+        first: the Adam that a learned rule is before training; SGD of this rate for meta-sgd.
         rates: outer Adam's rate by the first part of a parameter's name ("" is the rate of all others).
         warmup: outer steps of linear warm-up.
         final: the rate's last value over its first, reached by a half cosine.
@@ -88,7 +88,7 @@ class Training:
     steps: int
     tasks: int
     rates: dict[str, float]
-    first_rate: float = 5e-3
+    first: Adam = Adam(5e-3, beta2=0.99)
     warmup: int = 0
     final: float = 1.0
     decay: float = 0.0

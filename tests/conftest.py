@@ -35,9 +35,17 @@ def _seed() -> None:
     torch.manual_seed(0)
 
 
+@pytest.fixture(scope="session", autouse=True)
+def _no_user_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """Nor does any fixture that several tests share: none depends on what the user has fetched."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("METAPP_CACHE", str(tmp_path_factory.mktemp("cache")))
+        yield
+
+
 @pytest.fixture(autouse=True)
 def cache(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """No test touches the user's cache."""
+    """No test touches the user's cache; each has an empty one of its own."""
     folder = tmp_path_factory.mktemp("cache")
     monkeypatch.setenv("METAPP_CACHE", str(folder))
     return folder

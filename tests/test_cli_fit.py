@@ -16,7 +16,7 @@ from safetensors.torch import load_file, save_file
 from data_tools.nbrdf import SHAPES, read_nbrdf
 from metapp.apps.brdf import APP
 from metapp.records import load_start, read_records
-from metapp.task import Recipe
+from metapp.task import Adam, Recipe
 
 FEW = ("--samples", "512")
 STEPS = ("--train", "--train-steps", "3")
@@ -108,8 +108,13 @@ def test_a_start_trained_on_this_data_is_found_again_and_said(fit: Callable) -> 
     assert fit("finetune", "--json").document["steps"] == 5
 
 
-def test_quickft_is_tuned_for_its_encoder(fit: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("metapp.paradigms.prepare.itertools.product", lambda *axes: [[axis[0] for axis in axes]])
+def test_quickft_is_tuned_for_its_encoder(
+    fit: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, short: Recipe
+) -> None:
+    # a recipe that hardly moves, and a search that looks at one other
+    monkeypatch.setitem(APP.recipes, "quick", replace(short, quickft=Adam(1e-9)))
+    monkeypatch.setattr("metapp.paradigms.prepare.ROUNDS", 1)
+    monkeypatch.setattr("metapp.paradigms.prepare.SEARCHED", ([{"beta1": 0.3, "rate": 1e6}],))
     assert fit("general", *STEPS).code == 0
     assert "no Adam was tuned" in fit("quickft").err
     tuned = fit("quickft", "--train")

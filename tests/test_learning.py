@@ -113,7 +113,9 @@ def test_tasks_side_by_side_equal_each_alone(rule: str, materials: Tasks, rng: G
             batches[name].append({key: value[0] for key, value in drawn.items()})
     start = {key: value.double() for key, value in APP.init(rng, count).items()}
     alpha = (
-        {} if rule == "adam" else RULES[rule].alpha(APP, {key: value[0] for key, value in start.items()}, steps, 5e-3)
+        {}
+        if rule == "adam"
+        else RULES[rule].alpha(APP, {key: value[0] for key, value in start.items()}, steps, Adam(5e-3, beta2=0.99))
     )
 
     def fit(rows: list[int]) -> Params:

@@ -42,7 +42,7 @@ QUICK = Recipe(
     quickft=Adam(5e-3, final=0.1),
     general=Training(steps=12_000, tasks=8, rates={"": 1e-3}, warmup=200, final=0.0, validate_every=500),
     meta={
-        "meta-sgd": replace(LEARNED, first_rate=0.1, rates={"": 3e-3}),
+        "meta-sgd": replace(LEARNED, first=Adam(0.1), rates={"": 3e-3}),
         "meta-adam": LEARNED,
         "meta-curvature": LEARNED,
     },
@@ -59,7 +59,7 @@ PAPER = replace(
             steps=100_000,
             tasks=1,
             rates={"": 1e-4},
-            first_rate=1e-3,
+            first=Adam(1e-3),
             decay=1e-6,
             order=2,
             clip=10.0,

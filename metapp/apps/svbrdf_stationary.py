@@ -25,17 +25,17 @@ RINGS = ((0.0, 0.2), (0.2, 0.8), (0.8, 3.0))  # squared distances from the centr
 RELIEF = 2.0  # texels of height a unit of the network's output
 FALLOFF = 1.0
 LEARNED = Training(
-    steps=800,
+    steps=500,
     tasks=3,
     rates={"": 1e-3, "alpha.": 1e-2},
-    first_rate=8e-3,
+    first=Adam(2.8e-3, beta1=0.7, beta2=0.9, final=0.1),
     warmup=20,
     final=0.01,
     order=1,
     clip=1e-2,
     validate_every=100,
 )
-ENCODED = replace(LEARNED, start="encoder", rates={"": 1e-3, "alpha.": 1e-2, "encoder.mlp": 3e-4})
+ENCODED = replace(LEARNED, start="encoder", rates={"": 3e-4, "alpha.": 1e-2, "encoder.mlp": 1e-4}, along=0.7)
 QUICK = Recipe(
     steps=20,
     batch=1,
@@ -43,10 +43,10 @@ QUICK = Recipe(
     overfit=Adam(5e-3, beta2=0.99, final=0.0),
     finetune_steps=100,
     finetune=Adam(5e-3, beta2=0.99, final=0.0),
-    quickft=Adam(8e-3, beta2=0.99, final=0.3),
+    quickft=Adam(2.8e-3, beta1=0.7, beta2=0.9, final=0.1),
     general=Training(steps=2500, tasks=6, rates={"": 3e-3, "encoder.mlp": 1e-3}, warmup=50, final=0.0),
-    meta={"meta-sgd": replace(LEARNED, first_rate=0.1), "meta-adam-tied": LEARNED, "meta-encoder": ENCODED},
-    rule="meta-adam-tied",
+    meta={"meta-sgd": replace(LEARNED, first=Adam(0.1)), "meta-adam-tied": LEARNED, "meta-encoder": ENCODED},
+    rule="meta-encoder",
     setup=Setup(64, 64, UNet(16, outputs=6), "vgg16", ("relu1_1", "relu2_1", "relu3_1")),
 )
 
@@ -58,7 +58,7 @@ PAPER = replace(
     finetune_steps=1_000,
     meta={
         "meta-sgd": Training(
-            steps=100_000, tasks=3, rates={"": 1e-4}, first_rate=1e-3, order=1, clip=10.0, start="random"
+            steps=100_000, tasks=3, rates={"": 1e-4}, first=Adam(1e-3), order=1, clip=10.0, start="random"
         )
     },
     rule="meta-sgd",
@@ -165,7 +165,7 @@ class SvbrdfStationary(ExemplarApp):
         `relit` is the error under other lights and from elsewhere, where the data set has references of that.
         """
         rng = Generator(tasks.rows.device).manual_seed(0)
-        noise = self.noise(rng, len(tasks), JUDGED)
+        noise = self.noise(rng, 1, JUDGED).expand(len(tasks), -1, -1, -1, -1)
         every = torch.arange(GRID * GRID, device=tasks.rows.device).expand(len(tasks), -1)
         found = self._distances(theta, {"noise": noise, "windows": every} | self._targets(tasks, every))
         errors = {"error": found["gram"], "spectrum": found["spectrum"] / SPECTRUM, "brightness": found["pooled"]}
@@ -221,7 +221,7 @@ def _ring(maps: Tensor, low: float, high: float) -> Tensor:
     """Feature maps [B, C, H, W] where the squared distance from the centre is in [low, high), 0 elsewhere."""
     squared = positions(*maps.shape[-2:], dtype=maps.dtype, device=maps.device).square().sum(0)
     inside = ((squared >= low) & (squared < high)).to(maps)
-    return maps * inside / inside.mean()
+    return maps * inside / inside.mean().clamp_min(1e-6)
 
 
 def _grams(maps: Tensor, windows: Iterable[int]) -> Tensor:

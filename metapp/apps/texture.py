@@ -16,17 +16,17 @@ from metapp.task import Adam, Batch, Params, Recipe, Task, Tasks, Training
 
 SMALLEST_CROP = 0.5
 LEARNED = Training(
-    steps=1000,
+    steps=600,
     tasks=4,
     rates={"": 1e-3, "alpha.": 1e-2},
-    first_rate=8e-3,
+    first=Adam(2.8e-3, beta1=0.7, beta2=0.9, final=0.1),
     warmup=20,
     final=0.01,
     order=1,
     clip=1e-2,
     validate_every=100,
 )
-ENCODED = replace(LEARNED, start="encoder", rates={"": 1e-3, "alpha.": 1e-2, "encoder.mlp": 3e-4})
+ENCODED = replace(LEARNED, start="encoder", rates={"": 3e-4, "alpha.": 1e-2, "encoder.mlp": 1e-4}, along=0.7)
 QUICK = Recipe(
     steps=15,
     batch=1,
@@ -34,10 +34,10 @@ QUICK = Recipe(
     overfit=Adam(5e-3, beta2=0.99, final=0.0),
     finetune_steps=100,
     finetune=Adam(5e-3, beta2=0.99, final=0.0),
-    quickft=Adam(8e-3, beta2=0.99, final=0.3),
+    quickft=Adam(2.8e-3, beta1=0.7, beta2=0.9, final=0.1),
     general=Training(steps=4000, tasks=8, rates={"": 3e-3, "encoder.mlp": 1e-3}, warmup=50, final=0.0),
-    meta={"meta-sgd": replace(LEARNED, first_rate=0.1), "meta-adam-tied": LEARNED, "meta-encoder": ENCODED},
-    rule="meta-adam-tied",
+    meta={"meta-sgd": replace(LEARNED, first=Adam(0.1)), "meta-adam-tied": LEARNED, "meta-encoder": ENCODED},
+    rule="meta-encoder",
     setup=Setup(64, 64, UNet(16), "vgg16", ("relu1_1", "relu2_1", "relu3_1")),
 )
 
@@ -49,11 +49,16 @@ PAPER = replace(
     finetune_steps=1_000,
     meta={
         "meta-sgd": Training(
-            steps=100_000, tasks=5, rates={"": 1e-4}, first_rate=1e-3, order=1, clip=10.0, start="random"
+            steps=100_000, tasks=5, rates={"": 1e-4}, first=Adam(1e-3), order=1, clip=10.0, start="random"
         )
     },
     rule="meta-sgd",
     setup=Setup(192, 256, UNet(32), "vgg16", ("relu1_2", "relu2_2", "relu3_3", "relu4_3", "relu5_3")),
+)
+# the authors' features
+VGG19 = replace(
+    PAPER,
+    setup=replace(PAPER.setup, features="vgg19", taps=("relu1_2", "relu2_2", "relu3_4", "relu4_4", "relu5_4")),
 )
 
 
@@ -64,7 +69,7 @@ class Texture(ExemplarApp):
     title = "Texture"
     readers = ("images",)
     measure = "relative L1 distance of Gram matrices, mean over taps and generated textures"
-    recipes = {"paper": PAPER, "quick": QUICK}  # noqa: RUF012  (never written to)
+    recipes = {"paper": PAPER, "paper-vgg19": VGG19, "quick": QUICK}  # noqa: RUF012  (never written to)
 
     @torch.no_grad()
     def describe(self, exemplars: Tensor) -> dict[str, Tensor]:

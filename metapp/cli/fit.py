@@ -51,7 +51,7 @@ def make_command(name: str, summary: str) -> Any:
         checkpoint: Annotated[
             Path | None, typer.Option(help="Start to use; default: trained here, else shipped.")
         ] = None,
-        recipe: Annotated[str, typer.Option(help="quick or paper.")] = "quick",
+        recipe: Annotated[str, typer.Option(help="quick or paper; texture: also paper-vgg19.")] = "quick",
         export: Annotated[str, typer.Option(help="Write each fit in another form; brdf: nbrdf or merl.")] = "",
         seed: Annotated[int, typer.Option(help="Seed of all random draws.", min=0, max=2**63 - 1)] = 0,
         device: Annotated[str, typer.Option(help="auto, cpu or cuda.")] = "auto",

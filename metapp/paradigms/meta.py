@@ -39,7 +39,7 @@ def preparation(job: Job, general: MetaParameters, rng: Generator, compiled: boo
         observe=app.observe if general.encoder else None,
         encode=app.encode if general.encoder else None,
     )
-    phi = MetaParameters(theta, rule.alpha(app, random, steps, training.first_rate), general.encoder)
+    phi = MetaParameters(theta, rule.alpha(app, random, steps, training.first), general.encoder)
     return phi, over_tasks(learned, count=training.tasks, augment=app.augment if training.augment else None)
 
 

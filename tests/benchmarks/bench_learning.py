@@ -192,7 +192,7 @@ def bench_brdf() -> None:
 
         def step() -> tuple[Tensor, list[Tensor]]:
             phi = {key: value.clone().requires_grad_() for key, value in MetaParameters(theta, alpha).flat().items()}
-            total = lifted.value(phi, (batches, last), {}).mean()
+            total = lifted.value(phi, (batches, last, None), {}).mean()
             return total.detach(), list(torch.autograd.grad(total, list(phi.values())))
 
         return step
@@ -330,7 +330,7 @@ def bench_memory(tasks: int = 4, steps: int = 3) -> None:
         lifted = after_learning(loss, sgd, steps=steps, order=order, tasks_at_once=at_once)
         phi = {key: each.clone().requires_grad_() for key, each in MetaParameters(theta, alpha).flat().items()}
         with LiveBytes() as counter:
-            total = lifted.value(phi, ([batch] * steps, batch), {}).mean()
+            total = lifted.value(phi, ([batch] * steps, batch, None), {}).mean()
             torch.autograd.grad(total, list(phi.values()))
         peaks.append(counter.peak)
         way = "one task at a time on the way back" if at_once else "all tasks at once"

@@ -1,0 +1,299 @@
+"""Feature statistics: closed forms, gradients, the fixed random filters, and VGG against a loop written by hand."""
+
+from __future__ import annotations
+
+import itertools
+import math
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+import torch
+from safetensors.torch import save_file
+from torch import Generator, Tensor
+from torch.nn.functional import conv2d, max_pool2d
+
+from metapp import features
+from metapp.features import (
+    BLOCKS,
+    DEVIATION,
+    MEAN,
+    RANDOM,
+    amplitudes,
+    channels_of,
+    describe_features,
+    distance,
+    gram,
+    hann,
+    load_features,
+    moments,
+    weights_path,
+)
+
+DOUBLE = torch.zeros((), dtype=torch.float64)
+ANSWER = 0.1988  # of the random filters to a grey picture, their mean
+TAPS = ("relu1_2", "relu2_1", "relu4_3", "relu5_1")
+
+
+@pytest.fixture
+def rand(rng: Generator) -> Callable[..., Tensor]:
+    return lambda *shape: torch.rand(*shape, generator=rng, dtype=torch.float64)
+
+
+# Statistics
+
+
+def test_gram_matrices_in_closed_form(rand: Callable[..., Tensor]) -> None:
+    colour = torch.tensor([1.0, -2.0, 3.0], dtype=torch.float64)
+    constant = colour[:, None, None].expand(3, 5, 7)
+    angle = torch.arange(8, dtype=torch.float64) * math.tau / 8
+    waves = torch.stack([angle.sin(), angle.cos(), (2 * angle).cos()])[:, None].expand(3, 4, 8)
+    found = gram(torch.stack([constant[:, :4, :7], waves[..., :7]]))
+    torch.testing.assert_close(found[0], torch.outer(colour, colour))
+    torch.testing.assert_close(gram(waves[None])[0], torch.eye(3, dtype=torch.float64) / 2)  # a whole period
+    maps = rand(2, 3, 4, 5)
+    by_hand = sum(maps[:, :, None, y, x] * maps[:, None, :, y, x] for y in range(4) for x in range(5)) / 20
+    torch.testing.assert_close(gram(maps), by_hand)
+
+
+def test_a_gram_matrix_does_not_know_places(rand: Callable[..., Tensor], rng: Generator) -> None:
+    maps = rand(1, 4, 6, 6)
+    moved = maps.flatten(2)[..., torch.randperm(36, generator=rng)].unflatten(2, (6, 6))
+    torch.testing.assert_close(gram(moved), gram(maps))
+
+
+def test_distances(rand: Callable[..., Tensor]) -> None:
+    target = [rand(2, 3, 3), rand(2, 5, 5)]
+    assert distance(target, target).tolist() == [0, 0]
+    torch.testing.assert_close(distance([0 * t for t in target], target), torch.ones(2, dtype=torch.float64))
+    torch.testing.assert_close(distance([1.5 * t for t in target], target), torch.full((2,), 0.5).double())
+    found = [rand(2, 3, 3), rand(2, 5, 5)]
+    plain = distance(found, target)
+    # neither brightness nor contrast of one tap outweighs the other
+    torch.testing.assert_close(distance([100 * found[0], found[1]], [100 * target[0], target[1]]), plain)
+    torch.testing.assert_close((distance(found[:1], target[:1]) + distance(found[1:], target[1:])) / 2, plain)
+    torch.testing.assert_close(distance([each[1:] for each in found], [each[1:] for each in target]), plain[1:])
+    black = [torch.zeros(1, 3, 3, dtype=torch.float64)]
+    assert distance(black, black).tolist() == [0]
+
+
+def test_distances_broadcast_over_what_is_generated(rand: Callable[..., Tensor]) -> None:
+    found, target = rand(2, 4, 3, 3), rand(2, 3, 3)
+    each = distance([found], [target[:, None]])
+    assert each.shape == (2, 4)
+    torch.testing.assert_close(each[1, 2], distance([found[1, 2]], [target[1]]))
+
+
+def test_moments_are_means_and_root_mean_squares(rand: Callable[..., Tensor]) -> None:
+    first, second = rand(2, 3, 4, 4), rand(2, 5, 2, 2)
+    found = moments([first, second])
+    assert found.shape == (2, 2 * (3 + 5))
+    torch.testing.assert_close(found[:, :3], first.mean((2, 3)))
+    torch.testing.assert_close(found[:, 3:6], (first**2).mean((2, 3)).sqrt())
+    torch.testing.assert_close(found[:, 6:], moments([second]))
+
+
+def test_windows_are_smooth_symmetric_and_nowhere_zero() -> None:
+    for size in (1, 2, 3, 8, 15, 32):
+        window = hann(size, DOUBLE)
+        assert window.shape == (size,)
+        assert window.dtype == torch.float64
+        assert (window > 0).all()
+        torch.testing.assert_close(window, window.flip(0))
+        assert window.max() == pytest.approx(1, abs=0.3 if size == 2 else 0.04)
+    assert hann(15, DOUBLE)[7] == 1
+
+
+def sines(rows: int, columns: int, size: int = 32) -> Tensor:
+    """A wave of so many periods down and across a picture, [1, 1, size, size]."""
+    y, x = torch.meshgrid(*[torch.arange(size, dtype=torch.float64) / size] * 2, indexing="ij")
+    return (math.tau * (rows * y + columns * x) + 0.3).sin()[None, None]
+
+
+@pytest.mark.parametrize(("rows", "columns"), [(0, 6), (6, 0), (4, 9), (-4, 9), (0, 12)])
+def test_a_wave_peaks_at_its_frequency(rows: int, columns: int) -> None:
+    found = amplitudes(sines(rows, columns))[0]
+    assert found.shape == (32, 17)
+    row, column = divmod(int(found.argmax()), 17)
+    assert column == columns
+    assert row in (rows % 32, -rows % 32) if columns == 0 else row == rows % 32
+    far = (torch.arange(17) - columns).abs() > 4
+    assert found[:, far].max() < 0.01 * found.max()
+
+
+def test_amplitudes_are_amplitudes(rand: Callable[..., Tensor]) -> None:
+    """Twice the contrast is twice the amplitude; brightness does not count; channels add their power."""
+    maps = rand(2, 3, 16, 16)
+    found = amplitudes(maps)
+    torch.testing.assert_close(amplitudes(2 * maps), 2 * found, rtol=1e-4, atol=1e-4)
+    torch.testing.assert_close(amplitudes(maps + 5), found)
+    power = sum(amplitudes(maps[:, i : i + 1]) ** 2 for i in range(3))
+    torch.testing.assert_close(found**2, power, rtol=1e-6, atol=1e-7)
+    assert amplitudes(torch.ones(1, 2, 8, 8)).max() < 1e-3
+
+
+def test_amplitudes_hardly_depend_on_the_place() -> None:
+    first, other = sines(5, 3), sines(5, 3).roll((7, 11), (-2, -1))
+    assert distance([amplitudes(first)], [amplitudes(other)]) < 0.05
+    assert distance([amplitudes(first)], [amplitudes(sines(3, 5))]) > 0.8
+
+
+@pytest.mark.parametrize("statistic", [gram, amplitudes])
+def test_gradients_of_statistics(statistic: Callable[[Tensor], Tensor], rand: Callable[..., Tensor]) -> None:
+    maps = rand(2, 3, 4, 6).requires_grad_()
+    target = statistic(rand(2, 3, 4, 6))
+    assert torch.autograd.gradcheck(statistic, (maps,))
+    assert torch.autograd.gradcheck(lambda maps: distance([statistic(maps)], [target]), (maps,))
+
+
+@pytest.mark.parametrize("value", [0.0, 0.5])
+def test_gradients_stay_finite_where_there_is_nothing(value: float) -> None:
+    """Of a black picture, a uniform one, and one that equals the exemplar."""
+    maps = torch.full((1, 2, 8, 8), value, dtype=torch.float64, requires_grad=True)
+    for statistic, target in itertools.product((gram, amplitudes), (0.0, value, 1.0)):
+        wanted = statistic(torch.full_like(maps, target))
+        (slope,) = torch.autograd.grad(distance([statistic(maps)], [wanted]).sum(), maps)
+        assert slope.isfinite().all()
+
+
+# Random filters
+
+
+def test_random_filters_are_the_same_every_time(rand: Callable[..., Tensor]) -> None:
+    image = rand(2, 3, 16, 16).float()
+    first = load_features("vgg16", TAPS, image)(image)
+    assert [tuple(each.shape) for each in first] == [(2, RANDOM, size, size) for size in (16, 8, 4, 2)]
+    torch.manual_seed(99)
+    features._load.cache_clear()
+    again = load_features("vgg16", TAPS, image)(image)
+    assert all(torch.equal(one, other) for one, other in zip(first, again, strict=True))
+    # what a trained start saw in training: whoever changes it makes old starts worthless
+    found = load_features("vgg16", ("relu1_1",), image)(torch.full((1, 3, 16, 16), 0.5))[0][0, :, 8, 8]
+    torch.testing.assert_close(found.mean(), torch.tensor(ANSWER), rtol=1e-3, atol=0)
+
+
+def test_random_filters_answer_to_contrast_in_moderation(rng: Generator) -> None:
+    """Neither dead nor saturated: about half of them answer anywhere, white noise gives responses of order 1."""
+    noise = torch.randn(4, 3, 32, 32, generator=rng) * torch.tensor(DEVIATION)[:, None, None]
+    (maps,) = load_features("vgg16", ("relu1_1",), noise)(noise + torch.tensor(MEAN)[:, None, None])
+    assert 0.4 < (maps > 0).float().mean() < 0.6
+    assert 0.3 < maps.square().mean().sqrt() < 1.5
+    assert (maps.amax((0, 2, 3)) > 0).float().mean() > 0.95
+
+
+def test_without_weights_everything_says_so(cache: Path) -> None:
+    assert weights_path("vgg16") == cache / "vgg16.safetensors"
+    assert "random filters" in describe_features("vgg16")
+    assert "vgg16 weights are missing" in describe_features("vgg16")
+    assert "metapp data vgg --which vgg19" in describe_features("vgg19")
+    assert channels_of("vgg16", TAPS) == [RANDOM] * 4
+    assert "random" in load_features("vgg16", TAPS, DOUBLE).name
+
+
+def test_gradients_of_features(rand: Callable[..., Tensor]) -> None:
+    network = load_features("vgg16", ("relu1_1", "relu2_1"), DOUBLE)
+    image = rand(1, 3, 4, 6).requires_grad_()
+    target = [gram(each) for each in network(rand(1, 3, 4, 6))]
+    assert torch.autograd.gradcheck(lambda image: distance([gram(each) for each in network(image)], target), (image,))
+    maps = network(image)
+    assert {each.dtype for each in maps} == {torch.float64}
+    assert not any(parameter.requires_grad for parameter in network.parameters())
+
+
+# VGG
+
+
+def made_up(which: str) -> dict[str, Tensor]:
+    """Random weights of a network's shapes, about as large as keeps the size of what passes through."""
+    rng, weights, inputs = Generator().manual_seed(5), {}, 3
+    for layer, outputs in enumerate(itertools.chain(*BLOCKS[which])):
+        scale = math.sqrt(2 / (9 * inputs))
+        weights[f"conv{layer}.weight"] = torch.randn(outputs, inputs, 3, 3, generator=rng) * scale
+        weights[f"conv{layer}.bias"] = torch.randn(outputs, generator=rng) * 0.1
+        inputs = outputs
+    return weights
+
+
+@pytest.fixture(scope="module")
+def vgg16(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A file of made-up weights, of the true shapes."""
+    path = tmp_path_factory.mktemp("weights") / "vgg16.safetensors"
+    save_file(made_up("vgg16"), path)
+    return path
+
+
+def by_hand(weights: dict[str, Tensor], images: Tensor) -> dict[str, Tensor]:
+    """All layers of VGG-16, as its paper lists them: 3x3 convolutions, maximum of 2x2 after each block."""
+    mean, deviation = (torch.tensor(each)[:, None, None] for each in (MEAN, DEVIATION))
+    x, found, layer = (images - mean) / deviation, {}, 0
+    for block, depth in enumerate((2, 2, 3, 3, 3), 1):
+        if block > 1:
+            x = max_pool2d(x, 2)
+        for i in range(1, depth + 1):
+            weight, bias = (weights[f"conv{layer}.{part}"].double() for part in ("weight", "bias"))
+            x = conv2d(x, weight, bias, padding=1).clamp_min(0)
+            found[f"relu{block}_{i}"] = x
+            layer += 1
+    return found
+
+
+@pytest.mark.parametrize("taps", [TAPS, ("relu1_1", "relu1_2", "relu2_2", "relu3_3"), ("relu3_1",)])
+def test_vgg_is_what_its_paper_lists(
+    taps: tuple[str, ...], vgg16: Path, cache: Path, rand: Callable[..., Tensor]
+) -> None:
+    os.link(vgg16, cache / "vgg16.safetensors")
+    image = rand(2, 3, 32, 16)
+    network = load_features("vgg16", taps, image)
+    maps, expected = network(image), by_hand(made_up("vgg16"), image)
+    assert len(maps) == len(taps)
+    for tap, each in zip(taps, maps, strict=True):
+        torch.testing.assert_close(each, expected[tap])
+    assert channels_of("vgg16", taps) == [each.shape[1] for each in maps]
+    assert describe_features("vgg16") == network.name == "VGG-16 features (ImageNet)"
+    assert "random" in describe_features("vgg19")
+    features._load.cache_clear()  # 60 MB each
+
+
+SMALL = {"vgg16": ((2, 2), (3,)), "vgg19": ((2, 2), (3, 4))}
+
+
+@pytest.mark.parametrize(
+    ("damage", "expected"),
+    [
+        (lambda weights: weights.pop("conv1.bias"), "conv1 missing or of another shape"),
+        (
+            lambda weights: weights.update({"conv1.weight": torch.zeros(2, 2, 5, 5)}),
+            "conv1 missing or of another shape",
+        ),
+        (lambda weights: weights.update({"conv2.bias": torch.zeros(4)}), "conv2 missing or of another shape"),
+    ],
+)
+def test_weights_of_another_network_are_refused(
+    damage: Callable, expected: str, cache: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(features, "BLOCKS", SMALL)
+    weights = {
+        f"conv{i}.{part}": torch.zeros(shape)
+        for i, outputs, inputs in ((0, 2, 3), (1, 2, 2), (2, 3, 2))
+        for part, shape in (("weight", (outputs, inputs, 3, 3)), ("bias", (outputs,)))
+    }
+    save_file(weights, cache / "vgg16.safetensors")
+    assert load_features("vgg16", ("relu2_1",), DOUBLE)(torch.zeros(1, 3, 4, 4).double())[0].shape == (1, 3, 2, 2)
+    features._load.cache_clear()
+    damage(weights)
+    save_file(weights, cache / "vgg16.safetensors")
+    with pytest.raises(
+        ValueError, match=f"^[^\n]*{expected}, expected vgg16; fetch it again: metapp data vgg --which vgg16.$"
+    ):
+        load_features("vgg16", ("relu2_1",), DOUBLE)
+
+
+@pytest.mark.parametrize("kept", [0, 4, 100, 0.5, 1 - 1e-6])
+def test_damaged_weights_are_refused(kept: float, vgg16: Path, cache: Path) -> None:
+    whole = vgg16.read_bytes() if kept else b""
+    (cache / "vgg16.safetensors").write_bytes(whole[: int(kept if kept >= 1 else kept * len(whole))])
+    with pytest.raises(
+        ValueError, match=r"^[^\n]*vgg16.safetensors: damaged, expected the weights of vgg16; fetch it again"
+    ):
+        load_features("vgg16", ("relu1_1",), DOUBLE)

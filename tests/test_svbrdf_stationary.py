@@ -1,0 +1,440 @@
+"""Stationary svBRDFs: windows, maps, the light of a photo, and that a highlight stays out of the maps."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import cast
+
+import pytest
+import torch
+from torch import Generator, Tensor
+
+from metapp.apps import svbrdf_stationary
+from metapp.apps.svbrdf_stationary import (
+    APP,
+    DRAWN,
+    FALLOFF,
+    GRID,
+    PAPER,
+    POOLED,
+    QUICK,
+    RELIEF,
+    SvbrdfStationary,
+    _grams,
+)
+from metapp.colour import linear_to_srgb, srgb_to_linear
+from metapp.exemplar import JUDGED, TILED, Setup
+from metapp.features import RANDOM
+from metapp.flash import Maps, camera, expose, normal_from_height, positions, relightings, render
+from metapp.learning import MetaParameters
+from metapp.networks import UNet
+from metapp.paradigms import Job, paradigms
+from metapp.task import Params, Task, Tasks, stack
+
+SIZE = 32
+TINY = replace(QUICK, setup=Setup(SIZE, SIZE, UNet(4, 3, noise=4, code=4, outputs=6), "vgg16", ("relu1_1",)))
+WINDOWS = range(GRID * GRID)
+
+
+def tiny() -> SvbrdfStationary:
+    return APP.at(TINY)
+
+
+def seeded(seed: int = 0) -> Generator:
+    return Generator().manual_seed(seed)
+
+
+def glossy(seed: int, size: int = SIZE) -> Maps:
+    """A material [1, .., size, size] of two colours in small patches, as shiny as varnish."""
+    patches = (torch.rand(1, 1, size // 2, size // 2, generator=seeded(seed)) < 0.5).float()
+    patches = patches.repeat_interleave(2, -1).repeat_interleave(2, -2)
+    colours = torch.tensor([[0.05, 0.1, 0.2], [0.3, 0.25, 0.1]])[..., None, None]
+    one = torch.ones(1, 1, size, size)
+    return Maps(torch.lerp(*colours, patches), 0.3 * one, 0.35 * one, normal_from_height(0.2 * patches))
+
+
+def photo_of(maps: Maps, place: tuple[float, float]) -> Tensor:
+    """uint8 [3, size, size], with light and camera above a place of the patch."""
+    above = camera() + torch.tensor([*place, 0.0])
+    shown = expose(render(maps, positions(*maps.diffuse.shape[-2:]), above, above, falloff=FALLOFF))
+    return (255 * shown[0]).round().to(torch.uint8)
+
+
+PLACES = ((0.0, 0.0), (0.3, -0.2), (-0.3, 0.25))
+
+
+@pytest.fixture(scope="module")
+def sources() -> list[Task]:
+    return [Task(f"varnish-{i}", {"image": photo_of(glossy(i), place)}) for i, place in enumerate(PLACES)]
+
+
+@pytest.fixture(scope="module")
+def tasks(sources: list[Task]) -> Tasks:
+    return stack(tiny(), sources)
+
+
+def flat(app: SvbrdfStationary, *raw: float, count: int = 1) -> Params:
+    """Parameters of a generator that makes the same everywhere: what its six outputs are before any range."""
+    theta = app.init(seeded(), count)
+    shift = torch.tensor(raw).expand(count, 6)
+    return theta | {"out.kernel": torch.zeros_like(theta["out.kernel"]), "out.shift": shift}
+
+
+# Windows
+
+
+@pytest.mark.parametrize("size", [(16, 16), (8, 24)])
+def test_windows_of_constant_features_have_the_constants_products(size: tuple[int, int], rng: Generator) -> None:
+    colours = torch.rand(2, 5, generator=rng, dtype=torch.float64)
+    found = _grams(colours[..., None, None].expand(2, 5, *size), WINDOWS)
+    assert found.shape == (2, 9, 5, 5)
+    products = colours[:, :, None] * colours[:, None]
+    torch.testing.assert_close(found, products[:, None].expand(2, 9, 5, 5))
+
+
+def test_windows_cover_the_picture_and_fade_towards_their_edges() -> None:
+    """How much each place counts in each window: half as wide as the picture, from edge to edge."""
+    counts = []
+    for window in WINDOWS:
+        maps = torch.ones(1, 1, 16, 24, dtype=torch.float64, requires_grad=True)
+        counts.append(torch.autograd.grad(_grams(maps, [window]).sum(), maps)[0][0, 0])
+    weights = torch.stack(counts) / 2  # of a square
+    assert (weights.amax(0) > 0).all()
+    torch.testing.assert_close(weights.sum((1, 2)), torch.ones(9, dtype=torch.float64))
+    for window, weight in enumerate(weights):
+        row, column = divmod(window, GRID)
+        inside = torch.zeros(16, 24, dtype=torch.bool)
+        inside[4 * row : 4 * row + 8, 6 * column : 6 * column + 12] = True
+        assert torch.equal(weight > 0, inside)
+        assert weight[4 * row + 3, 6 * column + 5] == weight.max()
+        assert weight[4 * row, 6 * column] < 0.1 * weight.max()
+    # together they weigh the picture: least at its rim, which no other window knows
+    assert weights.sum(0)[4:12, 6:18].min() > 0.5 * weights.sum(0).max()
+
+
+def test_some_windows_are_those_of_all(rng: Generator) -> None:
+    maps = torch.rand(2, 3, 16, 16, generator=rng)
+    torch.testing.assert_close(_grams(maps, [7, 2, 2]), _grams(maps, WINDOWS)[:, [7, 2, 2]])
+
+
+# What is compared
+
+
+def test_what_is_prepared(sources: list[Task], tasks: Tasks) -> None:
+    data = tiny().prepare(sources[0])
+    assert {key: tuple(value.shape) for key, value in data.items()} == {
+        "image": (3, SIZE, SIZE),
+        "light": (3,),
+        "pooled": (3, POOLED, POOLED),
+        "gram0": (9, RANDOM, RANDOM),
+        "spectrum0": (SIZE, SIZE // 2 + 1),
+        "summary": (6 * RANDOM,),
+    }
+    assert tiny().summary_size() == 6 * RANDOM
+    assert data["summary"].isfinite().all()
+    shown = sources[0].data["image"].float() / 255
+    torch.testing.assert_close(data["pooled"][:, 0, 0], shown[:, :4, :4].mean((1, 2)))
+
+
+def test_samples_and_losses(tasks: Tasks) -> None:
+    app, few = tiny(), tasks.select([2, 0])
+    rng, seen = seeded(), set()
+    for _ in range(20):
+        batch = app.sample(few, rng, 2)
+        seen |= set(batch["windows"][0].tolist())
+        assert torch.equal(batch["windows"][0], batch["windows"][1])
+        assert len(batch["windows"][0].unique()) == DRAWN
+        for i, task in enumerate((2, 0)):
+            assert torch.equal(batch["gram0"][i], tasks.data["gram0"][task, batch["windows"][i]])
+    assert seen == set(WINDOWS)
+    assert {key: tuple(value.shape) for key, value in batch.items()} == {
+        "noise": (2, 2, 4, SIZE, SIZE),
+        "windows": (2, DRAWN),
+        "light": (2, 3),
+        "pooled": (2, 3, POOLED, POOLED),
+        "gram0": (2, DRAWN, RANDOM, RANDOM),
+        "spectrum0": (2, SIZE, SIZE // 2 + 1),
+    }
+    loss = app.loss(app.init(seeded(), 2), batch, {})
+    assert loss.shape == (2,)
+    assert (loss > 0).all()
+
+
+def test_a_photo_is_at_no_distance_from_itself(
+    sources: list[Task], tasks: Tasks, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    app, theta = tiny(), tiny().init(seeded(), 3)
+    photos = torch.stack([task.data["image"] for task in sources]).float()[:, None] / 255
+
+    def show(pictures: Tensor) -> None:
+        monkeypatch.setattr(
+            app, "photograph", lambda maps, light, view: pictures.expand(-1, maps.diffuse.shape[1], -1, -1, -1)
+        )
+
+    show(photos)
+    assert app.loss(theta, app.sample(tasks, seeded(), 2), {}).max() < 1e-5
+    found = app.errors(theta, tasks)
+    assert set(found) == {"error", "spectrum", "brightness"}
+    assert all(value.max() < 1e-5 for value in found.values())
+
+    show(photos.roll(1, 0))  # another photo's: the highlight is elsewhere
+    assert app.errors(theta, tasks)["error"].min() > 0.1
+    show(photos.flip(-1))  # windows know where the light is, spectra do not
+    turned = app.errors(theta, tasks)
+    assert (turned["error"][1:] > 0.2).all()
+    show(photos.sqrt())
+    brighter = app.errors(theta, tasks)["brightness"]
+    torch.testing.assert_close(brighter, (photos.sqrt() - photos).mean((1, 2, 3, 4)), rtol=0.01, atol=0)
+
+
+def test_the_loss_is_the_sum_of_what_is_reported(tasks: Tasks) -> None:
+    """In all windows, and on the noise that errors are judged by."""
+    app, theta = tiny(), tiny().init(seeded(), 3)
+    one = tasks.select([1])
+    own = {key: value[1:2] for key, value in theta.items()}
+    every = torch.arange(9)[None]
+    batch = {"noise": app.noise(seeded(), 1, JUDGED), "windows": every} | app._targets(one, every)
+    found = app.errors(own, one)
+    expected = found["error"] + svbrdf_stationary.SPECTRUM * found["spectrum"] + found["brightness"]
+    torch.testing.assert_close(app.loss(own, batch, {}), expected)
+
+
+def test_gradients_of_maps_and_of_their_photograph() -> None:
+    """In float64, from all that the network makes: albedo, specular, roughness and height."""
+
+    def network(theta: Params, noise: Tensor) -> Tensor:
+        return noise
+
+    app = SvbrdfStationary(Setup(16, 16, cast(UNet, network), "vgg16", ("relu1_1",)))
+    raw = torch.randn(1, 1, 6, 16, 16, generator=seeded(), dtype=torch.float64) / 2
+    light = torch.tensor([0.1, -0.2, 2.4], dtype=torch.float64)
+
+    def photograph(raw: Tensor) -> Tensor:
+        return app.photograph(app.maps({}, raw)[0], light, light)
+
+    picture = photograph(raw)
+    assert picture.dtype == torch.float64
+    assert picture.max() < 1  # where nothing clips
+    assert torch.autograd.gradcheck(photograph, (raw.requires_grad_(),), fast_mode=True)
+
+
+def test_gradients_of_the_loss() -> None:
+    """In float64, from the generator's parameters through maps, photograph and features to the distance."""
+    app = SvbrdfStationary(Setup(16, 16, UNet(2, 2, noise=1, code=2, outputs=6), "vgg16", ("relu1_1", "relu2_1")))
+    theta = {key: value.double() for key, value in app.init(seeded(), 2).items()}
+    photos = torch.rand(2, 3, 16, 16, generator=seeded(), dtype=torch.float64)
+    data = app.describe(photos)
+    assert {value.dtype for value in data.values()} == {torch.float64}
+    batch = app.sample(Tasks(("a", "b"), data, torch.arange(2)), seeded(), 1)
+    batch["noise"] = batch["noise"].double()
+
+    def loss(*values: Tensor) -> Tensor:
+        return app.loss(dict(zip(theta, values, strict=True)), batch, {})
+
+    leaves = tuple(value.clone().requires_grad_() for value in theta.values())
+    assert loss(*leaves).dtype == torch.float64
+    assert torch.autograd.gradcheck(loss, leaves, fast_mode=True)
+    grads = torch.autograd.grad(loss(*leaves).sum(), leaves)
+    assert all(grad.abs().max() > 0 for grad in grads)
+
+
+# The light
+
+
+def test_the_light_is_where_the_highlight_is(
+    sources: list[Task], tasks: Tasks, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Found in the photo, and put there, above the camera's plane, whenever a fit is compared with it or shown."""
+    lights = tasks.data["light"]
+    torch.testing.assert_close(lights[:, :2], torch.tensor(PLACES), rtol=0, atol=0.1)
+    torch.testing.assert_close(lights[:, 2], camera()[2].expand(3))
+    app, used = tiny(), []
+    photograph = app.photograph
+
+    def spied(maps: Maps, light: Tensor, view: Tensor) -> Tensor:
+        used.append((light, view))
+        return photograph(maps, light, view)
+
+    monkeypatch.setattr(app, "photograph", spied)
+    theta = app.init(seeded(), 3)
+    app.loss(theta, app.sample(tasks.select([1, 2, 0]), seeded(), 2), {})
+    app.errors(theta, tasks)
+    app.outputs({key: value[0] for key, value in theta.items()}, sources[1])
+    for (light, view), expected in zip(used, (lights[[1, 2, 0], None], lights[:, None], lights[1:2]), strict=False):
+        torch.testing.assert_close(light, expected)
+        assert torch.equal(light, view)
+
+
+# Maps
+
+
+@pytest.mark.parametrize("scale", [0.0, 1.0, 30.0])
+def test_maps_stay_in_their_ranges(scale: float) -> None:
+    app, theta = tiny(), tiny().init(seeded(), 2)
+    theta["out.kernel"] = scale * theta["out.kernel"]
+    maps, height = app.maps(theta, app.noise(seeded(), 2, 3))
+    leading = (2, 3)
+    assert [tuple(each.shape) for each in (*maps, height)] == [
+        (*leading, channels, SIZE, SIZE) for channels in (3, 1, 1, 3, 1)
+    ]
+    assert 0 <= maps.diffuse.min() <= maps.diffuse.max() <= 1
+    assert 0 <= maps.specular.min() <= maps.specular.max() <= 1
+    assert 0.1 <= maps.roughness.min() <= maps.roughness.max() <= 1
+    torch.testing.assert_close(maps.normal.norm(dim=2), torch.ones(*leading, SIZE, SIZE))
+    assert (maps.normal[:, :, 2] > 0).all()
+    picture = app.photograph(maps, camera(), camera())
+    assert picture.isfinite().all()
+    assert 0 <= picture.min() <= picture.max() <= 1
+    if scale == 0:
+        assert maps.specular.unique().item() == pytest.approx(0.05, abs=0.01)  # of most things that are not metal
+        assert maps.diffuse.unique().item() == pytest.approx(0.5**2.2)
+
+
+def test_normals_are_those_of_the_height() -> None:
+    app, theta = tiny(), tiny().init(seeded(), 1)
+    noise = app.noise(seeded(), 1, 1)
+    maps, height = app.maps(theta, noise)
+    assert torch.equal(height, RELIEF * TINY.setup.network(theta, noise)[:, :, 5:])
+    assert torch.equal(maps.normal, normal_from_height(height))
+
+
+# Fitting
+
+
+def about(picture: Tensor) -> tuple[float, float]:
+    """Means of a picture [.., H, W] near its centre and near its border."""
+    squared = positions(*picture.shape[-2:]).square().sum(0)
+    return float(picture[..., squared < 0.25].mean()), float(picture[..., squared > 0.8].mean())
+
+
+def test_a_highlight_stays_out_of_the_maps(sources: list[Task], tasks: Tasks) -> None:
+    """The light explains what is bright in the middle; the generator cannot, since it does not know the place."""
+    app, first = tiny(), tasks.select([0])
+    before = app.errors(app.init(seeded(), 1), first)["error"]
+    theta = paradigms()["overfit"].fit(Job(app, TINY, TINY.rule, 150), MetaParameters(), first, seeded())
+    assert app.errors(theta, first)["error"] < 0.4 * before
+    with torch.no_grad():
+        maps, _ = app.maps(theta, app.noise(seeded(1), 1, 16))
+        made = app.photograph(maps, first.data["light"][:1, None], first.data["light"][:1, None])
+    (middle, border), (fit_middle, fit_border) = about(sources[0].data["image"] / 255), about(made)
+    assert middle > 1.8 * border  # there is a highlight in the photo,
+    assert fit_middle > 1.8 * fit_border  # and in the fit under its light,
+    for name, each in maps._asdict().items():
+        one, other = about(each[:, :, 2:] if name == "normal" else each)
+        assert one == pytest.approx(other, rel=0.05), name  # but in no map
+    assert 0.15 < maps.specular.mean() < 0.6  # it is shiny, as the material is, of 0.3
+    assert 0.25 < maps.roughness.mean() < 0.45  # of 0.35
+
+
+# What a fit makes
+
+
+def test_files_are_the_maps_and_other_lights(sources: list[Task]) -> None:
+    app = tiny()
+    theta = {key: value[0] for key, value in app.init(seeded(), 1).items()}
+    files = app.files(theta, sources[0])
+    names = ["diffuse", "specular", "roughness", "normal", "height"]
+    assert list(files) == [*names, *(f"lit_from_{name}" for name in relightings())]
+    side = TILED * SIZE
+    channels = {"specular": 1, "roughness": 1, "height": 1}
+    assert {name: tuple(picture.shape) for name, picture in files.items()} == {
+        name: (side, side, channels.get(name, 3)) for name in files
+    }
+    assert (files["height"].min(), files["height"].max()) == (0, 1)
+    torch.testing.assert_close((files["normal"] * 2 - 1).norm(dim=2), torch.ones(side, side))
+    # what a user loads as maps is what was rendered
+    normal = (files["normal"] * 2 - 1).permute(2, 0, 1)
+    maps = Maps(
+        srgb_to_linear(files["diffuse"]).permute(2, 0, 1),
+        files["specular"].permute(2, 0, 1),
+        files["roughness"].permute(2, 0, 1),
+        normal,
+    )
+    for name, (light, view) in relightings().items():
+        shown = app.photograph(maps, light, view).permute(1, 2, 0)
+        torch.testing.assert_close(files[f"lit_from_{name}"], shown, rtol=0, atol=2e-3)
+
+
+def test_maps_tile(sources: list[Task]) -> None:
+    """Also the normals, which look at their neighbours."""
+    app = tiny()
+    files = app.files({key: value[0] for key, value in app.init(seeded(), 1).items()}, sources[0])
+    for name in ("diffuse", "specular", "roughness", "normal", "height"):
+        for axis in (0, 1):
+            differences = (files[name] - files[name].roll(1, axis)).abs().movedim(axis, 0).flatten(1).mean(1)[::4]
+            assert 0.5 < differences[0] / differences[1:].mean() < 1.6, name
+
+
+def test_the_highlight_moves_with_light_and_viewer(sources: list[Task]) -> None:
+    """To where they mirror each other in a flat material."""
+    app = tiny()
+    theta = {key: value[0] for key, value in flat(app, -3.0, -3.0, -3.0, -2.5, -1.5, 0.0).items()}
+    files = app.files(theta, sources[0])
+    assert files["height"].max() == 0
+    places = positions(TILED * SIZE, TILED * SIZE).flatten(1)
+    found = {}
+    for name, (light, view) in relightings().items():
+        picture = files[f"lit_from_{name}"].mean(2).flatten()
+        assert picture.max() < 1
+        found[name] = places[:, picture.argmax()]
+        mirror = (light[:2] * view[2] + view[:2] * light[2]) / (light[2] + view[2])
+        torch.testing.assert_close(found[name], mirror, rtol=0, atol=0.08)
+    assert found["left"][0] < -0.3
+    assert found["above"][1] > 0.3
+
+
+def test_references_under_other_lights_are_compared_where_there_are_any(sources: list[Task]) -> None:
+    app = tiny()
+    theta = flat(app, 0.5, -0.5, 0.0, 0.5, -1.0, 0.0)
+    (maps, _), place = app.maps(theta, app.noise(seeded(), 1, 1)), camera()
+    whole = Maps(*(part[0] for part in maps))
+
+    def as_bytes(light: Tensor, view: Tensor) -> Tensor:
+        return (255 * app.photograph(whole, light, view)[0]).round().to(torch.uint8)
+
+    image = as_bytes(place, place)
+    relit = torch.stack([as_bytes(light, view) for light, view in relightings().values()])
+    task = Task("flat", {"image": image, "relit": relit})
+    found = app.errors(theta, stack(app, [task]))
+    assert found["relit"].shape == (1,)
+    assert found["relit"] < 0.02
+    other = app.errors(flat(app, 0.5, -0.5, 0.0, 2.5, 1.0, 0.0), stack(app, [task]))
+    assert other["relit"] > 0.1
+    assert "relit" not in app.errors(theta, stack(app, sources[:1]))
+    assert "relit" not in app.augment(stack(app, [task]), seeded()).data
+
+
+def test_outputs_show_photo_and_fit_under_its_light(sources: list[Task], tasks: Tasks) -> None:
+    app, theta = tiny(), tiny().init(seeded(), 1)
+    outputs = app.outputs({key: value[0] for key, value in theta.items()}, sources[1])
+    photo = sources[1].data["image"].float().permute(1, 2, 0) / 255
+    torch.testing.assert_close(outputs["reference"], srgb_to_linear(photo))
+    assert {tuple(picture.shape) for picture in outputs.values()} == {(SIZE, SIZE, 3)}
+    maps, _ = app.maps(theta, app.noise(seeded(1), 1, 1))
+    light = tasks.data["light"][1]
+    fit = app.photograph(maps, light, light)[0, 0].permute(1, 2, 0)
+    torch.testing.assert_close(linear_to_srgb(outputs["fit"]), fit, rtol=0, atol=1e-4)
+
+
+def test_the_paper_s_recipe() -> None:
+    assert PAPER.steps == 20
+    assert PAPER.rule == "meta-sgd"
+    assert (PAPER.meta["meta-sgd"].tasks, PAPER.meta["meta-sgd"].order) == (3, 1)
+    app = APP.at(PAPER)
+    assert app.noise(seeded(), 1, 1).shape == (1, 1, 8, 256, 256)
+    photos = torch.rand(1, 3, 256, 256)
+    assert torch.equal(app.exemplar(photos), photos)
+
+
+def test_variants_are_photos_with_lights_of_their_own(tasks: Tasks) -> None:
+    """Mirrored and transposed, never cropped: the light stays as far from the centre, and in the picture."""
+    app, lights = tiny(), []
+    for seed in range(12):
+        made = app.augment(tasks.select([1]), seeded(seed))
+        lights.append(made.data["light"][0, :2])
+        assert set(made.data) == set(tasks.data) - {"image"}
+    found = torch.stack(lights)
+    torch.testing.assert_close(found.norm(dim=1), tasks.data["light"][1, :2].norm().expand(12), rtol=0.1, atol=0.01)
+    assert (found[:, 0] > 0.1).any()
+    assert (found[:, 0] < -0.1).any()
+    torch.testing.assert_close(made.data["pooled"].sum(), tasks.data["pooled"][1].sum(), rtol=1e-3, atol=0)

@@ -1,0 +1,332 @@
+"""Textures: what is compared, what is made up for training, that fits learn, and that what they make tiles."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import pytest
+import torch
+from torch import Generator, Tensor
+from torch.nn.functional import interpolate, pad
+
+from metapp import networks
+from metapp.apps.texture import APP, PAPER, QUICK, SMALLEST_CROP, Texture
+from metapp.cli.starts import shipped_path
+from metapp.colour import srgb_to_linear
+from metapp.exemplar import JUDGED, TILED, Setup
+from metapp.features import RANDOM, gram, load_features, moments
+from metapp.learning import MetaParameters
+from metapp.networks import UNet
+from metapp.paradigms import Job, paradigms
+from metapp.records import load_start
+from metapp.task import Params, Recipe, Task, Tasks, stack
+
+SIZE, LEVELS = 32, 3
+TINY = replace(QUICK, setup=Setup(SIZE, SIZE, UNet(8, LEVELS, noise=4, code=8), "vgg16", ("relu1_1", "relu2_1")))
+
+
+def tiny() -> Texture:
+    return APP.at(TINY)
+
+
+def seeded(seed: int = 0) -> Generator:
+    return Generator().manual_seed(seed)
+
+
+def wavy(sharpness: float, seed: int, size: int = 64) -> Tensor:
+    """A picture [3, size, size] of blobs in two colours that tiles."""
+    rng = seeded(seed)
+    coarse = pad(torch.randn(1, 1, size // 4, size // 4, generator=rng), (2, 2, 2, 2), mode="circular")
+    smooth = interpolate(coarse, scale_factor=4, mode="bicubic")[0, 0, 8:-8, 8:-8]
+    first, second = torch.rand(2, 3, 1, 1, generator=rng)
+    return torch.lerp(first, second, torch.sigmoid(sharpness * smooth))
+
+
+def striped(size: int = 64) -> Tensor:
+    at = torch.arange(size) * (8 * torch.pi / size)
+    wave = 0.5 + 0.5 * (at[:, None] + 2 * at).sin()
+    return torch.stack([wave, 0.3 + 0.4 * wave, 1 - wave])
+
+
+def paved(size: int = 64) -> Tensor:
+    at = torch.arange(size) % 8 < 2
+    joint = (at[:, None] | at).float()
+    return torch.stack([0.2 + 0.6 * joint, torch.full_like(joint, 0.5), 0.8 - 0.6 * joint])
+
+
+@pytest.fixture(scope="module")
+def sources() -> list[Task]:
+    pictures = {"soft": wavy(3, 1), "hard": wavy(8, 2), "stripes": striped(), "paving": paved()}
+    return [Task(name, {"image": (255 * picture).to(torch.uint8)}) for name, picture in pictures.items()]
+
+
+@pytest.fixture(scope="module")
+def tasks(sources: list[Task]) -> Tasks:
+    return stack(tiny(), sources)
+
+
+def overfit(app: Texture, tasks: Tasks, steps: int, recipe: Recipe = TINY) -> Params:
+    job = Job(app, recipe, recipe.rule, steps)
+    return paradigms()["overfit"].fit(job, MetaParameters(), tasks, seeded())
+
+
+# What is compared
+
+
+def test_what_is_prepared(sources: list[Task], tasks: Tasks) -> None:
+    data = tiny().prepare(sources[0])
+    assert {key: tuple(value.shape) for key, value in data.items()} == {
+        "image": (3, 64, 64),
+        "gram0": (RANDOM, RANDOM),
+        "gram1": (RANDOM, RANDOM),
+        "summary": (4 * RANDOM,),
+    }
+    assert data["image"].dtype == torch.uint8
+    assert tiny().summary_size() == 4 * RANDOM
+    exemplar = interpolate(sources[0].data["image"][None] / 255, size=(SIZE, SIZE), mode="area")
+    maps = load_features("vgg16", TINY.setup.taps, exemplar)(exemplar)
+    torch.testing.assert_close(data["gram1"], gram(maps[1])[0])
+    torch.testing.assert_close(data["summary"], moments(maps)[0])
+
+
+def test_samples_and_losses(tasks: Tasks) -> None:
+    app, few = tiny(), tasks.select([2, 0, 3])
+    batch = app.sample(few, seeded(), 5)
+    assert {key: tuple(value.shape) for key, value in batch.items()} == {
+        "noise": (3, 5, 4, SIZE, SIZE),
+        "gram0": (3, RANDOM, RANDOM),
+        "gram1": (3, RANDOM, RANDOM),
+    }
+    assert torch.equal(batch["gram0"], tasks.data["gram0"][[2, 0, 3]])
+    assert batch["noise"].std() == pytest.approx(1, abs=0.02)
+    assert not torch.equal(batch["noise"][0, 0], batch["noise"][1, 0])
+    theta = app.init(seeded(), 3)
+    loss = app.loss(theta, batch, {})
+    assert loss.shape == (3,)
+    # the mean over what is generated
+    each = [app.loss(theta, batch | {"noise": batch["noise"][:, i : i + 1]}, {}) for i in range(5)]
+    torch.testing.assert_close(loss, torch.stack(each).mean(0))
+
+
+def test_an_exemplar_is_at_no_distance_from_itself(
+    sources: list[Task], tasks: Tasks, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    app = tiny()
+    exemplars = app.exemplar(torch.stack([task.data["image"] for task in sources]) / 255)
+    monkeypatch.setattr(app, "generate", lambda theta, noise: exemplars[:, None].expand(-1, noise.shape[1], -1, -1, -1))
+    theta = app.init(seeded(), 4)
+    assert app.loss(theta, app.sample(tasks, seeded(), 2), {}).max() < 1e-5
+    assert app.errors(theta, tasks)["error"].max() < 1e-5
+    monkeypatch.setattr(app, "generate", lambda theta, noise: exemplars.roll(1, 0)[:, None])
+    assert app.errors(theta, tasks)["error"].min() > 0.3
+    # statistics, not pixels
+    monkeypatch.setattr(app, "generate", lambda theta, noise: exemplars.roll((9, 5), (-2, -1))[:, None])
+    assert app.errors(theta, tasks)["error"].max() < 0.15
+
+
+def test_errors_of_a_task_are_the_same_whatever_is_beside_it(tasks: Tasks) -> None:
+    """And are those of textures that no fit has seen, of as many as it says."""
+    app = tiny()
+    theta = app.init(seeded(), 4)
+    errors = app.errors(theta, tasks)["error"]
+    alone = {key: value[2:3] for key, value in theta.items()}
+    torch.testing.assert_close(app.errors(alone, tasks.select([2]))["error"], errors[2:3])
+    noise = app.noise(seeded(), 1, JUDGED)
+    batch = app.sample(tasks.select([2]), seeded(5), 1) | {"noise": noise}
+    torch.testing.assert_close(app.loss(alone, batch, {}), errors[2:3])
+
+
+def test_the_exemplar_has_the_recipe_s_proportions(rng: Generator) -> None:
+    """The paper's is 192 rows of 256: the middle of a square picture, none of it stretched."""
+    app, images = APP.at(PAPER), torch.rand(2, 3, 256, 256, generator=rng)
+    assert torch.equal(app.exemplar(images), images[:, :, 32:-32])
+    large = images.repeat_interleave(2, 2).repeat_interleave(2, 3)
+    torch.testing.assert_close(app.exemplar(large), images[:, :, 32:-32])
+    assert app.noise(seeded(), 1, 1).shape == (1, 1, 8, 192, 256)
+    assert app.noise(seeded(), 1, 1, TILED).shape == (1, 1, 8, 768, 1024)
+    square = APP.exemplar(images)
+    torch.testing.assert_close(square, interpolate(images, scale_factor=0.25, mode="area"))
+
+
+def test_the_paper_s_recipe() -> None:
+    assert PAPER.steps == 15
+    assert PAPER.rule == "meta-sgd"
+    assert (PAPER.meta["meta-sgd"].tasks, PAPER.meta["meta-sgd"].order) == (5, 1)
+    sizes = APP.at(PAPER).init(seeded(), 1)
+    assert 5e5 < sum(value.numel() for value in sizes.values()) < 5e6
+
+
+# What is made up for training
+
+
+class Seen(Texture):
+    """Keeps exemplars instead of what describes them."""
+
+    def describe(self, exemplars: Tensor) -> dict[str, Tensor]:
+        return {"exemplar": exemplars}
+
+
+def variants(image: Tensor, count: int = 40, app: type[Texture] = Seen) -> Tensor:
+    """Variants [count, 3, 16, 16] of an image [3, S, S]."""
+    setup = replace(TINY.setup, height=16, width=16)
+    task = Task("a", {"image": (255 * image).round().to(torch.uint8)})
+    tasks = stack(app(setup), [task]).select([0] * count)
+    return app(setup).augment(tasks, seeded()).data["exemplar"]
+
+
+def test_variants_permute_the_channels_and_no_more() -> None:
+    colour = torch.tensor([0.2, 0.4, 0.8])
+    made = variants(colour[:, None, None].expand(3, 32, 32)).mean((2, 3))
+    torch.testing.assert_close(made.sort(1).values, colour.expand(40, 3), rtol=0, atol=0.5 / 255)
+    assert len(made.round(decimals=2).unique(dim=0)) == 6  # every permutation comes
+
+
+class Uncropped(Seen):
+    def crop(self, image: Tensor, rng: Generator) -> Tensor:
+        return image
+
+
+def test_variants_are_flipped_and_transposed() -> None:
+    """What is brightest at the upper left comes at every corner, and turned over its diagonal."""
+    image = torch.full((3, 16, 16), 0.2)
+    image[:, :2, :6] = 1.0  # lies along the upper edge
+    made = variants(image, app=Uncropped)[:, 0]
+    corners = torch.stack([made[:, y : y + 2, x : x + 2].mean((1, 2)) for y in (0, 14) for x in (0, 14)], 1) > 0.9
+    assert (corners.sum(1) == 1).all()
+    assert corners.any(0).tolist() == [True, True, True, False]  # flips go left to right, before the transposition
+    lying = (made > 0.9).any(1).sum(1) == 6
+    assert 5 < lying.sum() < 35
+    torch.testing.assert_close(made.mean((1, 2)), torch.full((40,), image.mean().item()), rtol=0, atol=1e-3)
+
+
+def test_crops_are_squares_of_at_least_half_the_side() -> None:
+    at = torch.arange(64.0)
+    image = torch.stack([at.expand(64, 64), at[:, None].expand(64, 64), torch.zeros(64, 64)])
+    rng, sides, corners = seeded(), [], []
+    for _ in range(200):
+        part = APP.crop(image, rng)
+        side = part.shape[1]
+        assert part.shape == (3, side, side)
+        left, top = int(part[0, 0, 0]), int(part[1, 0, 0])
+        assert torch.equal(part, image[:, top : top + side, left : left + side])
+        sides.append(side)
+        corners.append((left, top, 64 - left - side, 64 - top - side))
+    assert min(sides) in range(round(SMALLEST_CROP * 64), round(SMALLEST_CROP * 64) + 3)
+    assert max(sides) >= 62
+    assert torch.tensor(corners).amin(0).tolist() == [0, 0, 0, 0]
+    assert torch.tensor(corners).amax(0).min() > 20
+
+
+# Fitting, and what fits make
+
+
+def test_a_few_steps_lower_the_loss(tasks: Tasks) -> None:
+    app = tiny()
+    before, after = (app.errors(overfit(app, tasks, steps), tasks)["error"] for steps in (0, 30))
+    assert (after < 0.8 * before).all()
+    assert after.mean() < 0.6 * before.mean()
+
+
+def test_gradients_of_the_loss() -> None:
+    """From the generator's parameters to the distance, in float64."""
+    setup = Setup(8, 8, UNet(2, levels=2, noise=1, code=2), "vgg16", ("relu1_1", "relu2_1"))
+    app = Texture(setup)
+    double = {key: value.double() for key, value in app.init(seeded(), 2).items()}
+    exemplars = torch.rand(2, 3, 8, 8, generator=seeded(), dtype=torch.float64)
+    noise = torch.randn(2, 2, 1, 8, 8, generator=seeded(), dtype=torch.float64)
+    batch = {"noise": noise} | app.describe(exemplars)
+
+    def loss(*values: Tensor) -> Tensor:
+        return app.loss(dict(zip(double, values, strict=True)), batch, {})
+
+    leaves = tuple(value.clone().requires_grad_() for value in double.values())
+    assert loss(*leaves).dtype == torch.float64
+    assert torch.autograd.gradcheck(loss, leaves, fast_mode=True)
+
+
+def test_outputs_and_files(sources: list[Task], tasks: Tasks) -> None:
+    app = tiny()
+    theta = {key: value[0] for key, value in overfit(app, tasks, 3).items()}
+    outputs, files = app.outputs(theta, sources[0]), app.files(theta, sources[0])
+    exemplar = app.exemplar(sources[0].data["image"][None] / 255)[0]
+    torch.testing.assert_close(outputs["reference"], srgb_to_linear(exemplar).permute(1, 2, 0))
+    assert outputs["fit"].shape == (SIZE, SIZE, 3)
+    assert list(files) == ["texture"]
+    assert files["texture"].shape == (TILED * SIZE, TILED * SIZE, 3)
+
+
+def seams(made: Tensor) -> Tensor:
+    """How much more neighbours differ across the seams of pictures [B, 3, H, W] laid side by side than inside, [2].
+
+    Inside is at the other borders between cells of the coarsest grid, which are where seams are.
+    """
+    ratios = []
+    for axis in (-2, -1):
+        differences = (made - made.roll(1, axis)).abs().movedim(axis, 0).flatten(1).mean(1)[:: 2 ** (LEVELS - 1)]
+        ratios.append(differences[0] / differences[1:].mean())
+    return torch.stack(ratios)
+
+
+def without_circles(x: Tensor, sides: Any, mode: str) -> Tensor:
+    assert mode == "circular"
+    return pad(x, sides)
+
+
+@torch.no_grad()
+def large(app: Texture, theta: Params, count: int = 6) -> Tensor:
+    """Pictures [T, count, 3, H, W], four times as high and wide as in training."""
+    return app.generate(theta, app.noise(seeded(1), theta["z"].shape[0], count, TILED))
+
+
+def test_seams_are_found_where_there_are_any() -> None:
+    """The measure itself: 1 for what tiles, more for a cut-out of the same."""
+    pictures = torch.stack([wavy(3, seed, 128) for seed in range(6)])
+    torch.testing.assert_close(seams(pictures), torch.ones(2), rtol=0, atol=0.25)
+    assert (seams(pictures[..., :100, :100]) > 2).all()
+
+
+def test_textures_tile_at_four_times_the_size(sources: list[Task], tasks: Tasks) -> None:
+    app = tiny()
+    theta = overfit(app, tasks, 80)
+    assert app.errors(theta, tasks)["error"].mean() < 0.3  # there is structure that a seam would cut
+    ratios = torch.stack([seams(made) for made in large(app, theta)])
+    assert (ratios > 0.7).all()
+    assert (ratios < 1.4).all()
+    one = [app.files({key: value[i] for key, value in theta.items()}, sources[i])["texture"] for i in range(4)]
+    mean = torch.stack([seams(made.permute(2, 0, 1)[None]) for made in one]).mean()  # what the user gets
+    assert 0.7 < mean < 1.4
+
+
+def test_without_circular_convolutions_textures_do_not_tile(tasks: Tasks, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The test above can fail."""
+    monkeypatch.setattr(networks, "pad", without_circles)
+    app = tiny()
+    ratios = torch.stack([seams(made) for made in large(app, overfit(app, tasks, 80))])
+    assert (ratios > 1.4).float().mean() > 0.5
+    assert ratios.mean() > 1.6
+
+
+STARTS = sorted(path.stem for path in shipped_path(APP.name, "general").parent.glob("*.safetensors"))
+
+
+def test_what_starts_that_ship_make_tiles() -> None:
+    for name in STARTS:
+        start, _ = load_start(shipped_path(APP.name, name))
+        theta = start.theta
+        if start.encoder:
+            theta = {key[8:]: value for key, value in start.encoder.items() if key.startswith("decoder.")}
+            theta["z"] = start.encoder["mlp3.b"]
+        if theta:  # that of QuickFT has none of its own
+            ratio = seams(large(APP, {key: value[None] for key, value in theta.items()}, 2)[0])
+            assert (ratio > 0.7).all(), name
+            assert (ratio < 1.4).all(), name
+
+
+def test_the_noise_and_the_seed_decide_what_is_made(tasks: Tasks) -> None:
+    app: Callable = tiny().generate
+    theta = tiny().init(seeded(), 4)
+    first, again, other = (app(theta, tiny().noise(seeded(seed), 4, 1)) for seed in (0, 0, 1))
+    assert torch.equal(first, again)
+    assert (first - other).abs().mean() > 0.01
