@@ -28,14 +28,14 @@ LEARNED = Training(
     steps=500,
     tasks=3,
     rates={"": 1e-3, "alpha.": 1e-2},
-    first=Adam(2.8e-3, beta1=0.7, beta2=0.9, final=0.1),
+    first=Adam(3.7e-3, beta1=0.7, beta2=0.99, final=0.3),
     warmup=20,
     final=0.01,
     order=1,
     clip=1e-2,
     validate_every=100,
 )
-ENCODED = replace(LEARNED, start="encoder", rates={"": 3e-4, "alpha.": 1e-2, "encoder.mlp": 1e-4}, along=0.7)
+ENCODED = replace(LEARNED, start="encoder", rates={"": 3e-4, "alpha.": 3e-3, "encoder.mlp": 1e-4})
 QUICK = Recipe(
     steps=20,
     batch=1,
@@ -43,7 +43,7 @@ QUICK = Recipe(
     overfit=Adam(5e-3, beta2=0.99, final=0.0),
     finetune_steps=100,
     finetune=Adam(5e-3, beta2=0.99, final=0.0),
-    quickft=Adam(2.8e-3, beta1=0.7, beta2=0.9, final=0.1),
+    quickft=Adam(3.7e-3, beta1=0.7, beta2=0.99, final=0.3),
     general=Training(steps=2500, tasks=6, rates={"": 3e-3, "encoder.mlp": 1e-3}, warmup=50, final=0.0),
     meta={"meta-sgd": replace(LEARNED, first=Adam(0.1)), "meta-adam-tied": LEARNED, "meta-encoder": ENCODED},
     rule="meta-encoder",
