@@ -122,9 +122,11 @@ META_EPS = 1e-6
 
 def _meta_adam_step(alpha: Params, theta: Params, grads: Params, state: Params) -> tuple[Params, Params]:
     beta1, beta2 = torch.sigmoid(alpha["beta1"]), torch.sigmoid(alpha["beta2"])
-    directions, state = _adam_directions(beta1, beta2, META_EPS, grads, state)
+    rotated = {key: _rotate(alpha, key, grad) for key, grad in grads.items()}
+    directions, state = _adam_directions(beta1, beta2, META_EPS, rotated, state)
     moved = {}
     for key, direction in directions.items():
+        direction = _rotate(alpha, key, direction, back=True)
         if f"left.{key}" in alpha:
             direction = alpha[f"left.{key}"] @ direction
         if f"right.{key}" in alpha:
@@ -134,6 +136,16 @@ def _meta_adam_step(alpha: Params, theta: Params, grads: Params, state: Params) 
             rate = rate + _like(alpha[f"pace.{key}"], rate)
         moved[key] = theta[key] - torch.exp(rate) * direction
     return moved, state
+
+
+def _rotate(alpha: Params, key: str, value: Tensor, *, back: bool = False) -> Tensor:
+    """A gradient [T, out, in, ...] in the bases that alpha holds for its first two axes, or back from there."""
+    for name, equation in (("out", "{0}ji,{0}j...->{0}i..."), ("in", "{0}ji,{0}kj...->{0}ki...")):
+        if f"{name}.{key}" in alpha:
+            basis = alpha[f"{name}.{key}"]
+            terms = equation.format("t" if basis.ndim == 3 else "")  # where there is a task axis
+            value = torch.einsum(terms, basis.mT if back else basis, value)
+    return value
 
 
 def _meta_adam_alpha(app: App, theta: Params, steps: int, first: Adam) -> Params:
@@ -154,6 +166,39 @@ def _meta_adam_tied_alpha(app: App, theta: Params, steps: int, first: Adam) -> P
         alpha[f"rate.{key}"] = alpha[f"rate.{key}"][:1]
         alpha[f"pace.{key}"] = paces.to(value)
     return alpha
+
+
+def _meta_basis_alpha(app: App, theta: Params, steps: int, first: Adam) -> Params:
+    alpha = _meta_adam_tied_alpha(app, theta, steps, first)
+    for key, value in theta.items():
+        if value.ndim > 1:
+            alpha |= {f"{name}.{key}": torch.eye(n).to(value)[None] for name, n in zip(("out", "in"), value.shape)}  # noqa: B905
+    return alpha
+
+
+def second_moments(alpha: Params, grads: Params) -> Params:
+    """Sums of products of a step's gradients [T, out, in, ...], for each basis `out.<key>` and `in.<key>` of alpha.
+
+    Each gradient is brought to length 1, so that tasks weigh alike.
+    """
+    moments = {}
+    for name in alpha:
+        axis, _, key = name.partition(".")
+        if axis in ("out", "in"):
+            length = grads[key].flatten(1).norm(dim=1).clamp_min(1e-20)
+            unit = grads[key] / length.reshape(-1, *[1] * (grads[key].ndim - 1))
+            rows = unit.movedim(1 if axis == "out" else 2, 0).flatten(1)
+            moments[name] = rows @ rows.mT
+    return moments
+
+
+def principal_axes(alpha: Params, moments: Params) -> Params:
+    """Alpha with its bases turned to the principal axes of gradients, where Adam's entries depend least on each other.
+
+    That is SOAP (Vyas et al. 2024), but for axes that are learned once, on the training tasks, not anew in each fit,
+    which has no time for it.
+    """
+    return alpha | {name: torch.linalg.eigh(value).eigenvectors[None] for name, value in moments.items()}
 
 
 def _meta_curvature_alpha(app: App, theta: Params, steps: int, first: Adam) -> Params:
@@ -179,6 +224,8 @@ RULES: Mapping[str, LearnedRule] = {
     "meta-adam-tied": LearnedRule(_meta_adam_tied_alpha, _meta_adam),
     # the same from General's encoder as the start, trained through the steps
     "meta-encoder": LearnedRule(_meta_adam_tied_alpha, _meta_adam),
+    # and in the principal axes of the training tasks' gradients
+    "meta-basis": LearnedRule(_meta_basis_alpha, _meta_adam),
     # meta-adam, its step multiplied by learned matrices from both sides (Park & Oliva 2019)
     "meta-curvature": LearnedRule(_meta_curvature_alpha, _meta_adam),
 }

@@ -13,6 +13,7 @@ import pytest
 import torch
 from torch import Tensor
 
+from metapp.features import weights_path
 from metapp.geometry import above_horizon
 
 
@@ -49,6 +50,18 @@ def cache(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPa
     folder = tmp_path_factory.mktemp("cache")
     monkeypatch.setenv("METAPP_CACHE", str(folder))
     return folder
+
+
+USER_WEIGHTS = weights_path("vgg16")  # before any test moves the cache
+
+
+@pytest.fixture
+def vgg(cache: Path) -> Path:
+    """The VGG weights that `make setup` fetched, in the test's cache."""
+    if not USER_WEIGHTS.is_file():
+        pytest.skip("the VGG weights are not there: metapp data vgg fetches them")
+    (cache / USER_WEIGHTS.name).symlink_to(USER_WEIGHTS)
+    return cache
 
 
 @pytest.fixture

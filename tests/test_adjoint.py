@@ -183,14 +183,29 @@ def test_finite_differences(rule: str, randn: Callable[..., Tensor]) -> None:
         return lifted.value(phi, (batches, last, None), {}).mean()
 
     _, grads = value_and_grads(mean, phi)
-    for part in ("theta.", "alpha.rate", "alpha.pace", "alpha.beta", "alpha.loss", "alpha.left", "alpha.right"):
+    for part in (
+        "theta.",
+        "alpha.rate",
+        "alpha.pace",
+        "alpha.beta",
+        "alpha.loss",
+        "alpha.left",
+        "alpha.right",
+        "alpha.out",
+        "alpha.in",
+    ):
+        if part == "theta." and rule == "meta-basis":
+            continue  # turned gradients have entries of 1e-6, where Adam's direction has a kink for any step h
+        h = 1e-6
         moved = [key for key in phi if key.startswith(part)]
         if not moved:
             continue
         direction = {key: randn(*phi[key].shape) for key in moved}
-        ahead, behind = (mean({**phi, **{key: phi[key] + h * direction[key] for key in moved}}) for h in (1e-6, -1e-6))
+        ahead, behind = (
+            mean({**phi, **{key: phi[key] + sign * h * direction[key] for key in moved}}) for sign in (1, -1)
+        )
         slope = sum((grads[key] * direction[key]).sum() for key in moved)
-        torch.testing.assert_close(slope, (ahead - behind) / 2e-6, rtol=2e-5, atol=1e-8)
+        torch.testing.assert_close(slope, (ahead - behind) / (2 * h), rtol=2e-5, atol=1e-8)
 
 
 @pytest.mark.parametrize("order", [1, 2])

@@ -1,15 +1,19 @@
-"""The starts that ship: they load, belong together, and fit materials that they have not seen."""
+"""The starts that ship: they load, belong together, and fit tasks that they have not seen."""
 
 from __future__ import annotations
 
+import importlib
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
+import OpenImageIO as oiio
 import pytest
 from torch import Generator
 
 from data_tools.brdf_task import brdf_task
 from data_tools.synthetic_brdf import synthetic_materials
+from metapp.apps import load_app
 from metapp.apps.brdf import APP
 from metapp.cli.starts import shipped_path
 from metapp.learning import MetaParameters
@@ -63,3 +67,56 @@ def test_the_command_finds_them(metapp: Callable, tmp_path: Path) -> None:
     result = metapp("meta", "brdf", "--data", data, "--out", tmp_path, "--json")
     assert "the one that ships, trained on other data" in result.err
     assert result.document["error"] < 2
+
+
+# Textures and svBRDFs
+
+PICTURES = ("texture", "svbrdf_stationary")
+
+
+@pytest.mark.parametrize("name", PICTURES)
+def test_starts_of_pictures_say_what_they_are(name: str) -> None:
+    files = sorted(shipped_path(name, "general").parent.glob("*.safetensors"))
+    recipe = load_app(name).recipes["quick"]
+    assert {path.stem for path in files} == {"general", "quickft", recipe.rule}
+    encoder = tensor_digest(load_start(shipped_path(name, "general"))[0].encoder)
+    for path in files:
+        _, info = load_start(path)
+        assert (info["app"], info["start"], info["recipe"]) == (name, path.stem, "quick")
+        assert info["features"] == "VGG-16 features (ImageNet)"
+        assert info["data"].startswith(name)  # the embedded set alone
+        assert path.stem == "general" or info["encoder"] == encoder
+        assert path.stat().st_size < 4e6
+
+
+@pytest.mark.usefixtures("vgg")
+@pytest.mark.parametrize("name", PICTURES)
+def test_few_steps_beat_none_on_unseen_pictures(name: str) -> None:
+    app = load_app(name)
+    module = importlib.import_module(f"data_tools.synthetic_{name}")
+    tasks = stack(
+        app, [task._replace(data={"image": task.data["image"]}) for task in module.synthetic_tasks("test", 3)]
+    )
+    recipe = app.recipes["quick"]
+    job = Job(app, recipe, recipe.rule)
+    starts = {each: load_start(shipped_path(name, each))[0] for each in ("general", "quickft", recipe.rule)}
+    starts["quickft"] = starts["general"]._replace(alpha=starts["quickft"].alpha)
+    errors = {}
+    for paradigm, start in (("general", "general"), ("quickft", "quickft"), ("meta", recipe.rule)):
+        theta = paradigms()[paradigm].fit(job, starts[start], tasks, Generator().manual_seed(0))
+        errors[paradigm] = float(app.errors(theta, tasks)["error"].mean())
+    assert errors["quickft"] < 0.8 * errors["general"]
+    assert errors["meta"] < 0.8 * errors["general"]
+
+
+@pytest.mark.usefixtures("vgg")
+@pytest.mark.parametrize("name", PICTURES)
+def test_a_photo_is_fitted_in_seconds_by_what_ships(name: str, metapp: Callable, tmp_path: Path) -> None:
+    module = importlib.import_module(f"data_tools.synthetic_{name}")
+    (task,) = module.synthetic_tasks("test", 1)
+    photo = np.ascontiguousarray(task.data["image"].permute(1, 2, 0).numpy())
+    oiio.ImageBuf(photo).write(str(tmp_path / "wall.png"))
+    result = metapp("meta", name, tmp_path / "wall.png", "--out", tmp_path / "runs", "--json")
+    assert result.code == 0, result.err
+    assert "the one that ships" in result.err
+    assert result.document["error"] < 0.5

@@ -13,7 +13,17 @@ from torch import Generator, Tensor
 from metapp.adjoint import UpdateRule, at_step
 from metapp.apps.brdf import APP
 from metapp.learning import spread
-from metapp.rules import META_EPS, RULES, fixed_adam, half_cosine, outer_adam, sgd
+from metapp.rules import (
+    META_EPS,
+    RULES,
+    _rotate,
+    fixed_adam,
+    half_cosine,
+    outer_adam,
+    principal_axes,
+    second_moments,
+    sgd,
+)
 from metapp.task import Adam, Params, Training
 
 STEPS = 12
@@ -136,7 +146,7 @@ def test_learned_rules_start_well_formed(rule: str, theta: Params) -> None:
     for key, value in alpha.items():
         assert value.dtype == torch.float64 or rule == "meta-sgd", key
         # one entry for all steps, or one a step
-        tied = rule == "meta-sgd" or (f"pace.{key.removeprefix('rate.')}" in alpha)
+        tied = rule == "meta-sgd" or (f"pace.{key.removeprefix('rate.')}" in alpha) or key.startswith(("out.", "in."))
         assert value.shape[0] == (1 if tied else 5), key
         value += 0  # each has memory of its own, which training may write to
     built = RULES[rule].rule(alpha)
@@ -230,3 +240,30 @@ def test_adam_moves_dead_weights_nowhere(theta: Params) -> None:
     zero: list[dict[str, Tensor]] = [{key: torch.zeros_like(value) for key, value in theta.items()}] * 3
     for key, value in run(fixed_adam(dataclasses.replace(Adam(1e-2), beta1=0.5), theta, 3), theta, zero)[-1].items():
         assert torch.equal(value, theta[key])
+
+
+def test_bases_are_turned_to_the_axes_of_gradients(rng: Generator) -> None:
+    """Gradients that are alike but for a rotation of their rows and columns become diagonal."""
+    rows, columns = (torch.linalg.qr(torch.randn(n, n, generator=rng, dtype=torch.float64)).Q for n in (4, 3))
+    cores = torch.zeros(50, 4, 3).double()
+    for i in range(3):
+        cores[:, i, i] = torch.randn(50, generator=rng).double() * (i + 1)
+    alpha = {"out.w": torch.eye(4).double()[None], "in.w": torch.eye(3).double()[None], "pace.w": torch.zeros(1)}
+    gradients = {"w": rows @ cores @ columns.mT, "b": torch.ones(50, 4)}
+    turned = principal_axes(alpha, second_moments(alpha, gradients))
+    assert turned.keys() == alpha.keys()
+    for name in ("out.w", "in.w"):
+        basis = turned[name][0]
+        torch.testing.assert_close(basis @ basis.mT, torch.eye(len(basis)).double())
+    own = spread(turned, 50, 1)
+    inside = _rotate(at_step(own, 0), "w", gradients["w"])
+    assert ((inside.abs() > 1e-9).sum((1, 2)) <= 3).all()  # one entry a row and column
+    torch.testing.assert_close(_rotate(at_step(own, 0), "w", inside, back=True), gradients["w"])
+
+
+def test_second_moments_weigh_tasks_alike(rng: Generator) -> None:
+    alpha = {"out.w": torch.eye(2)[None], "in.w": torch.eye(3)[None]}
+    gradient = torch.randn(5, 2, 3, 3, 3, generator=rng)
+    scaled = gradient * torch.tensor([1e-3, 1.0, 1e3, 5.0, 1e-9]).reshape(-1, 1, 1, 1, 1)
+    assert_same([second_moments(alpha, {"w": gradient})], [second_moments(alpha, {"w": scaled})])
+    assert float(second_moments(alpha, {"w": gradient})["out.w"].trace()) == pytest.approx(5)

@@ -25,7 +25,7 @@ RINGS = ((0.0, 0.2), (0.2, 0.8), (0.8, 3.0))  # squared distances from the centr
 RELIEF = 2.0  # texels of height a unit of the network's output
 FALLOFF = 1.0
 LEARNED = Training(
-    steps=500,
+    steps=300,
     tasks=3,
     rates={"": 1e-3, "alpha.": 1e-2},
     first=Adam(3.7e-3, beta1=0.7, beta2=0.99, final=0.3),
@@ -35,7 +35,7 @@ LEARNED = Training(
     clip=1e-2,
     validate_every=100,
 )
-ENCODED = replace(LEARNED, start="encoder", rates={"": 3e-4, "alpha.": 3e-3, "encoder.mlp": 1e-4})
+ENCODED = replace(LEARNED, start="encoder", rates={"": 3e-4, "alpha.": 3e-3, "alpha.out.": 0.0, "alpha.in.": 0.0})
 QUICK = Recipe(
     steps=20,
     batch=1,
@@ -45,8 +45,13 @@ QUICK = Recipe(
     finetune=Adam(5e-3, beta2=0.99, final=0.0),
     quickft=Adam(3.7e-3, beta1=0.7, beta2=0.99, final=0.3),
     general=Training(steps=2500, tasks=6, rates={"": 3e-3, "encoder.mlp": 1e-3}, warmup=50, final=0.0),
-    meta={"meta-sgd": replace(LEARNED, first=Adam(0.1)), "meta-adam-tied": LEARNED, "meta-encoder": ENCODED},
-    rule="meta-encoder",
+    meta={
+        "meta-sgd": replace(LEARNED, first=Adam(0.1)),
+        "meta-adam-tied": LEARNED,
+        "meta-encoder": ENCODED,
+        "meta-basis": ENCODED,
+    },
+    rule="meta-basis",
     setup=Setup(64, 64, UNet(16, outputs=6), "vgg16", ("relu1_1", "relu2_1", "relu3_1")),
 )
 

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from typing import Any
+
+import torch
 from torch import Generator
 
 from metapp.adjoint import Loss
-from metapp.learning import MetaParameters, after_learning, over_tasks, spread, task_loss
+from metapp.learning import MetaParameters, after_learning, learn, over_tasks, spread, task_loss
 from metapp.paradigms import Job, Paradigm
 from metapp.paradigms.general import start as general_start
-from metapp.rules import RULES
+from metapp.rules import RULES, principal_axes, second_moments
 from metapp.task import Params, Tasks
 
 
@@ -41,6 +44,30 @@ def preparation(job: Job, general: MetaParameters, rng: Generator, compiled: boo
     )
     phi = MetaParameters(theta, rule.alpha(app, random, steps, training.first), general.encoder)
     return phi, over_tasks(learned, count=training.tasks, augment=app.augment if training.augment else None)
+
+
+def with_bases(job: Job, phi: MetaParameters, tasks: Tasks, rng: Generator) -> MetaParameters:
+    """phi with the bases of its rule, where it has any, taken from the gradients of fits of training tasks."""
+    if not any(name.startswith("out.") for name in phi.alpha):
+        return phi
+    total: Params = {}
+    count = min(len(tasks), BASED_ON)
+    for some in torch.arange(count).split(AT_ONCE):
+        part = tasks.select([int(i) * len(tasks) // count for i in some])
+        theta = start(job, phi, part, rng)
+        rule = META.rule(job, phi, theta, META.count(job))
+
+        def recording(alpha: Params, theta: Params, grads: Params, state: Params, step: Any = rule.step) -> Any:
+            for name, value in second_moments(phi.alpha, grads).items():
+                total[name] = total.get(name, 0) + value
+            return step(alpha, theta, grads, state)
+
+        loss = task_loss(job.app, job.recipe.batch)
+        learn(theta, rule._replace(step=recording), part, loss, steps=META.count(job), rng=rng)
+    return phi._replace(alpha=principal_axes(phi.alpha, total))
+
+
+BASED_ON, AT_ONCE = 32, 8  # tasks
 
 
 def start(job: Job, prepared: MetaParameters, tasks: Tasks, rng: Generator) -> Params:

@@ -99,7 +99,9 @@ def prepare(
     to_fit, to_validate = split_validation(tasks)
     if name == "quickft":
         assert encoder is not None
-        return tune_quickft(job, encoder, to_validate, report)
+        count = min(len(to_validate), TUNED_ON)
+        few = to_validate.select([i * len(to_validate) // count for i in range(count)])
+        return tune_quickft(job, encoder, few, report)
     if name == "general":
         training, paradigm = job.recipe.general, paradigms()["general"]
         first, loss = general.preparation(job, rng)
@@ -107,6 +109,7 @@ def prepare(
         training, paradigm = job.recipe.meta[name], paradigms()["meta"]
         compiled = job.app.small_kernels and can_compile()
         first, loss = meta.preparation(job, _meta_start(job, training, encoder, to_fit, rng), rng, compiled=compiled)
+        first = meta.with_bases(job, first, to_fit, rng)
     if steps is not None:
         training = replace(training, steps=steps)
 
@@ -171,7 +174,7 @@ def _train(
 def tune_quickft(job: Job, encoder: MetaParameters, tasks: Tasks, report: Report | None = None) -> Prepared:
     """Search QuickFT's Adam on validation tasks: a win over a badly tuned baseline is no win.
 
-    One quantity or two at a time, around the best so far, on up to TUNED_ON of the tasks.
+    One quantity or two at a time, around the best so far.
 
     Returns:
         A start whose alpha holds Adam's settings, scalars on the CPU, and the encoder that they were tuned for.
@@ -181,8 +184,6 @@ def tune_quickft(job: Job, encoder: MetaParameters, tasks: Tasks, report: Report
     """
     curve: list[tuple[int, float | None, float]] = []
     best, best_adam = Prepared(encoder, float("inf"), 0, curve), job.recipe.quickft
-    count = min(len(tasks), TUNED_ON)
-    tasks = tasks.select([i * len(tasks) // count for i in range(count)])
     total = 1 + sum(len(choices) for choices in SEARCHED)
     looks = 0
 
@@ -209,15 +210,16 @@ def tune_quickft(job: Job, encoder: MetaParameters, tasks: Tasks, report: Report
 
 
 # What QuickFT's search tries, one line after the other around the best so far; a rate is a factor of the best's.
-TUNED_ON = 8
+TUNED_ON = 8  # validation tasks
 SEARCHED: tuple[list[dict[str, float]], ...] = (
-    [{"rate": 2 ** (i / 2)} for i in (-6, -5, -4, -3, -2, -1, 1, 2, 3, 4, 5, 6)],
+    [{"rate": 2.0**i} for i in (-5, -4, -3, -2, -1, 1, 2, 3, 4, 5)],
     [
         {"beta1": beta1, "beta2": beta2}
         for beta1, beta2 in itertools.product((0.3, 0.5, 0.7, 0.8, 0.9), (0.8, 0.9, 0.97, 0.99, 0.999))
     ],
     [{"final": final, "rate": factor} for final, factor in itertools.product((1.0, 0.3, 0.1, 0.0), (1.0, 1.3))],
     [{"eps": eps, "rate": factor} for eps, factor in itertools.product((1e-8, 1e-6, 1e-4, 1e-3), (0.84, 1.0, 1.19))],
+    [{"rate": 2 ** (i / 8)} for i in (-5, -3, -2, -1, 1, 2, 3, 5)],
 )
 
 
