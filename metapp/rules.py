@@ -118,12 +118,13 @@ def _meta_sgd_alpha(app: App, theta: Params, steps: int, first: Adam) -> Params:
 
 
 META_EPS = 1e-6
+AVERAGED = 0.4
 
 
 def _meta_adam_step(alpha: Params, theta: Params, grads: Params, state: Params) -> tuple[Params, Params]:
     beta1, beta2 = torch.sigmoid(alpha["beta1"]), torch.sigmoid(alpha["beta2"])
     rotated = {key: _rotate(alpha, key, grad) for key, grad in grads.items()}
-    directions, state = _adam_directions(beta1, beta2, META_EPS, rotated, state)
+    directions, after = _adam_directions(beta1, beta2, META_EPS, rotated, state)
     moved = {}
     for key, direction in directions.items():
         direction = _rotate(alpha, key, direction, back=True)
@@ -135,7 +136,11 @@ def _meta_adam_step(alpha: Params, theta: Params, grads: Params, state: Params) 
         if f"pace.{key}" in alpha:
             rate = rate + _like(alpha[f"pace.{key}"], rate)
         moved[key] = theta[key] - torch.exp(rate) * direction
-    return moved, state
+        if "mean" in alpha:
+            before = state[f"mean.{key}"]
+            after[f"mean.{key}"] = torch.lerp(before, moved[key], _like(alpha["mean"], before))
+            moved[key] = torch.lerp(moved[key], after[f"mean.{key}"], _like(alpha["answer"], before))
+    return moved, after
 
 
 def _rotate(alpha: Params, key: str, value: Tensor, *, back: bool = False) -> Tensor:
@@ -168,11 +173,21 @@ def _meta_adam_tied_alpha(app: App, theta: Params, steps: int, first: Adam) -> P
     return alpha
 
 
-def _meta_basis_alpha(app: App, theta: Params, steps: int, first: Adam) -> Params:
+def _meta_mean_alpha(app: App, theta: Params, steps: int, first: Adam) -> Params:
     alpha = _meta_adam_tied_alpha(app, theta, steps, first)
+    # a running mean of the parameters, whose memory is the last AVERAGED of the steps, is the answer of the last step
+    after = torch.arange(steps) - round((1 - AVERAGED) * steps)
+    alpha["mean"] = (1 / (1 + after).clamp_min(1)).to(alpha["beta1"])
+    alpha["answer"] = (torch.arange(steps) == steps - 1).to(alpha["beta1"])
+    return alpha
+
+
+def _meta_basis_alpha(app: App, theta: Params, steps: int, first: Adam) -> Params:
+    alpha = _meta_mean_alpha(app, theta, steps, first)
     for key, value in theta.items():
         if value.ndim > 1:
-            alpha |= {f"{name}.{key}": torch.eye(n).to(value)[None] for name, n in zip(("out", "in"), value.shape)}  # noqa: B905
+            rows, columns = (torch.eye(n).to(value)[None] for n in value.shape[:2])
+            alpha |= {f"out.{key}": rows, f"in.{key}": columns}
     return alpha
 
 
@@ -212,7 +227,11 @@ def _meta_curvature_alpha(app: App, theta: Params, steps: int, first: Adam) -> P
 
 
 def _meta_adam(alpha: Params) -> UpdateRule:
-    return UpdateRule(alpha, adam_state, _meta_adam_step)
+    return UpdateRule(alpha, _meta_adam_state if "mean" in alpha else adam_state, _meta_adam_step)
+
+
+def _meta_adam_state(theta: Params) -> Params:
+    return adam_state(theta) | {f"mean.{key}": value for key, value in theta.items()}
 
 
 RULES: Mapping[str, LearnedRule] = {
@@ -224,7 +243,9 @@ RULES: Mapping[str, LearnedRule] = {
     "meta-adam-tied": LearnedRule(_meta_adam_tied_alpha, _meta_adam),
     # the same from General's encoder as the start, trained through the steps
     "meta-encoder": LearnedRule(_meta_adam_tied_alpha, _meta_adam),
-    # and in the principal axes of the training tasks' gradients
+    # that, with the mean of the last parameters as the answer, which gradients of few samples let scatter
+    "meta-mean": LearnedRule(_meta_mean_alpha, _meta_adam),
+    # that, in the principal axes of the training tasks' gradients
     "meta-basis": LearnedRule(_meta_basis_alpha, _meta_adam),
     # meta-adam, its step multiplied by learned matrices from both sides (Park & Oliva 2019)
     "meta-curvature": LearnedRule(_meta_curvature_alpha, _meta_adam),

@@ -72,6 +72,7 @@ class Training:
         tasks: tasks per outer step.
         first: the Adam that a learned rule is before training; SGD of this rate for meta-sgd.
         rates: outer Adam's rate by the first part of a parameter's name ("" is the rate of all others).
+        tuned: search that Adam on validation tasks, as QuickFT's, before the outer steps, if any.
         warmup: outer steps of linear warm-up.
         final: the rate's last value over its first, reached by a half cosine.
         decay: weight decay (L2) of the outer Adam.
@@ -89,6 +90,7 @@ class Training:
     tasks: int
     rates: dict[str, float]
     first: Adam = Adam(5e-3, beta2=0.99)
+    tuned: bool = False
     warmup: int = 0
     final: float = 1.0
     decay: float = 0.0

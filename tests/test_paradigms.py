@@ -77,7 +77,8 @@ def small_recipe(app: App) -> Recipe:
     recipe = app.recipes["quick"]
 
     def short(training: Training) -> Training:
-        return replace(training, steps=12, tasks=3, warmup=0, validate_every=4)
+        rates = training.rates if training.steps else {"": 1e-4, "alpha.out.": 0.0, "alpha.in.": 0.0}
+        return replace(training, steps=12, tasks=3, warmup=0, validate_every=4, rates=rates, tuned=False)
 
     return replace(
         recipe,
@@ -627,6 +628,31 @@ def test_an_interrupted_search_carries_the_best_so_far(looks: int, search: Calla
     assert best.validation == min(bowl(each) for each in searching.looked)
     assert adam_of(searching.job, best.start) == min(searching.looked, key=bowl)
     assert best.start.encoder
+
+
+@pytest.mark.parametrize("outer", [0, 2])
+@pytest.mark.parametrize("rule", ["meta-mean", "meta-basis"])
+def test_a_rule_is_tuned_as_quickft_is(
+    rule: str, outer: int, job: Job, tasks: Tasks, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its Adam is searched on validation tasks, in the bases of the training tasks; outer steps go on from there."""
+    if job.app.name != "texture":
+        pytest.skip("one application will do")
+    monkeypatch.setattr(prepare, "SEARCHED", ([{"rate": 0.5}, {"rate": 2.0}], [{"beta1": 0.3, "rate": 1.0}]))
+    training = replace(job.recipe.meta[rule], start="encoder", tuned=True, steps=outer)
+    job = job._replace(rule=rule, recipe=replace(job.recipe, meta={rule: training}))
+    encoder = MetaParameters(encoder=job.app.init_encoder(rng()))
+    made = prepare.prepare(rule, job, tasks, rng(), encoder=encoder)
+    plain = RULES[rule].alpha(job.app, {key: v[0] for key, v in job.app.init(rng(), 1).items()}, 3, training.first)
+    assert made.start.alpha.keys() == plain.keys()
+    assert not made.start.theta
+    for name, value in made.start.alpha.items():
+        if name.startswith(("out.", "in.")):
+            torch.testing.assert_close(value @ value.mT, torch.eye(value.shape[-1])[None], atol=1e-4, rtol=0)
+            assert value.shape[-1] == 1 or not torch.equal(value, plain[name])
+    if not outer:
+        assert len(made.curve) >= 1
+        assert made.validation == min(error for _, _, error in made.curve)
 
 
 def test_choices_of_the_search_are_settings_of_adam() -> None:

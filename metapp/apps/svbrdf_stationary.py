@@ -36,6 +36,9 @@ LEARNED = Training(
     validate_every=100,
 )
 ENCODED = replace(LEARNED, start="encoder", rates={"": 3e-4, "alpha.": 3e-3, "alpha.out.": 0.0, "alpha.in.": 0.0})
+TUNED = Training(
+    steps=0, tasks=0, rates={"": 0.0}, first=Adam(6e-3, beta1=0.7, beta2=0.99, final=0.6), tuned=True, start="encoder"
+)
 QUICK = Recipe(
     steps=20,
     batch=1,
@@ -49,9 +52,10 @@ QUICK = Recipe(
         "meta-sgd": replace(LEARNED, first=Adam(0.1)),
         "meta-adam-tied": LEARNED,
         "meta-encoder": ENCODED,
-        "meta-basis": ENCODED,
+        "meta-mean": TUNED,
+        "meta-basis": TUNED,
     },
-    rule="meta-basis",
+    rule="meta-mean",
     setup=Setup(64, 64, UNet(16, outputs=6), "vgg16", ("relu1_1", "relu2_1", "relu3_1")),
 )
 

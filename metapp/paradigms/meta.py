@@ -12,7 +12,7 @@ from metapp.learning import MetaParameters, after_learning, learn, over_tasks, s
 from metapp.paradigms import Job, Paradigm
 from metapp.paradigms.general import start as general_start
 from metapp.rules import RULES, principal_axes, second_moments
-from metapp.task import Params, Tasks
+from metapp.task import Adam, Params, Tasks
 
 
 def preparation(job: Job, general: MetaParameters, rng: Generator, compiled: bool) -> tuple[MetaParameters, Loss]:
@@ -65,6 +65,14 @@ def with_bases(job: Job, phi: MetaParameters, tasks: Tasks, rng: Generator) -> M
         loss = task_loss(job.app, job.recipe.batch)
         learn(theta, rule._replace(step=recording), part, loss, steps=META.count(job), rng=rng)
     return phi._replace(alpha=principal_axes(phi.alpha, total))
+
+
+def with_adam(job: Job, phi: MetaParameters, adam: Adam) -> MetaParameters:
+    """phi with the quantities of its rule as they are at first for this Adam, but for the bases, which it keeps."""
+    theta = {key: value[0] for key, value in job.app.init(Generator().manual_seed(0), 1).items()}
+    fresh = RULES[job.rule].alpha(job.app, theta, META.count(job), adam)
+    bases = {name: value for name, value in phi.alpha.items() if name.startswith(("out.", "in."))}
+    return phi._replace(alpha={name: value.to(phi.alpha[name]) for name, value in (fresh | bases).items()})
 
 
 BASED_ON, AT_ONCE = 32, 8  # tasks

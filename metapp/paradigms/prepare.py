@@ -99,9 +99,7 @@ def prepare(
     to_fit, to_validate = split_validation(tasks)
     if name == "quickft":
         assert encoder is not None
-        count = min(len(to_validate), TUNED_ON)
-        few = to_validate.select([i * len(to_validate) // count for i in range(count)])
-        return tune_quickft(job, encoder, few, report)
+        return tune_quickft(job, encoder, _few(to_validate), report)
     if name == "general":
         training, paradigm = job.recipe.general, paradigms()["general"]
         first, loss = general.preparation(job, rng)
@@ -110,6 +108,13 @@ def prepare(
         compiled = job.app.small_kernels and can_compile()
         first, loss = meta.preparation(job, _meta_start(job, training, encoder, to_fit, rng), rng, compiled=compiled)
         first = meta.with_bases(job, first, to_fit, rng)
+        if training.tuned:
+            found = _search(
+                paradigm, job, training.first, lambda adam: meta.with_adam(job, first, adam), _few(to_validate), report
+            )
+            if not training.steps:
+                return found
+            first = found.start
     if steps is not None:
         training = replace(training, steps=steps)
 
@@ -117,6 +122,12 @@ def prepare(
         return validation_error(paradigm, job, MetaParameters.unflat(params), to_validate)
 
     return _train(first, loss, training, to_fit, validate, job.app.scale, rng, report)
+
+
+def _few(tasks: Tasks) -> Tasks:
+    """Up to TUNED_ON of the tasks, evenly spaced."""
+    count = min(len(tasks), TUNED_ON)
+    return tasks.select([i * len(tasks) // count for i in range(count)])
 
 
 def _meta_start(
@@ -174,23 +185,37 @@ def _train(
 def tune_quickft(job: Job, encoder: MetaParameters, tasks: Tasks, report: Report | None = None) -> Prepared:
     """Search QuickFT's Adam on validation tasks: a win over a badly tuned baseline is no win.
 
-    One quantity or two at a time, around the best so far.
-
     Returns:
         A start whose alpha holds Adam's settings, scalars on the CPU, and the encoder that they were tuned for.
 
     Raises:
         Interrupted: Ctrl-C; carries the best settings so far.
     """
+
+    def start_of(adam: Adam) -> MetaParameters:
+        return encoder._replace(alpha=quickft.to_alpha(adam))
+
+    return _search(quickft.QUICKFT, job, job.recipe.quickft, start_of, tasks, report)
+
+
+def _search(
+    paradigm: Paradigm,
+    job: Job,
+    first: Adam,
+    start_of: Callable[[Adam], MetaParameters],
+    tasks: Tasks,
+    report: Report | None,
+) -> Prepared:
+    """The best Adam on validation tasks: one quantity or two at a time, around the best so far."""
     curve: list[tuple[int, float | None, float]] = []
-    best, best_adam = Prepared(encoder, float("inf"), 0, curve), job.recipe.quickft
+    best, best_adam = Prepared(start_of(first), float("inf"), 0, curve), first
     total = 1 + sum(len(choices) for choices in SEARCHED)
     looks = 0
 
     def look(adam: Adam) -> None:
         nonlocal best, best_adam, looks
-        tuned = encoder._replace(alpha=quickft.to_alpha(adam))
-        error = validation_error(quickft.QUICKFT, job, tuned, tasks)
+        tuned = start_of(adam)
+        error = validation_error(paradigm, job, tuned, tasks)
         looks += 1
         if error < best.validation:
             best, best_adam = Prepared(tuned, error, looks, curve), adam
@@ -209,7 +234,7 @@ def tune_quickft(job: Job, encoder: MetaParameters, tasks: Tasks, report: Report
     return best
 
 
-# What QuickFT's search tries, one line after the other around the best so far; a rate is a factor of the best's.
+# What the search tries, one line after the other around the best so far; a rate is a factor of the best's.
 TUNED_ON = 8  # validation tasks
 SEARCHED: tuple[list[dict[str, float]], ...] = (
     [{"rate": 2.0**i} for i in (-5, -4, -3, -2, -1, 1, 2, 3, 4, 5)],
