@@ -2,11 +2,12 @@
 # Train the texture and svBRDF starts that ship, on the embedded sets alone: starts_photos.sh METAPP RUNS
 set -euo pipefail
 metapp=$1 runs=$2
-for app in texture svbrdf_stationary; do
+for pair in texture:meta-basis svbrdf_stationary:meta-mean; do
+  app=${pair%:*} rule=${pair#*:}
   "$metapp" general "$app" --out "$runs" --train
   "$metapp" quickft "$app" --out "$runs" --train
-  "$metapp" meta "$app" --out "$runs" --train
-  folder=$(ls -td "$runs/$app"/starts/*-quick-seed0 | head -1)
+  "$metapp" meta "$app" --rule "$rule" --out "$runs" --train
+  folder=$(ls -td "$runs/$app"/starts/"$app"-*-quick-seed0 | head -1)
   mkdir -p "metapp/checkpoints/$app"
-  cp -v "$folder"/{general,quickft,meta-adam-tied}.safetensors "metapp/checkpoints/$app/"
+  cp -v "$folder"/{general,quickft,"$rule"}.safetensors "metapp/checkpoints/$app/"
 done
