@@ -21,13 +21,13 @@ TREES = {name: ast.parse(path.read_text(encoding="utf-8")) for name, path in FIL
 
 LAYERS = ("metapp.task", "metapp.adjoint", "metapp.learning", "metapp.rules", "metapp.paradigms", "metapp.cli")
 MATHS = ("metapp.task", "metapp.adjoint", "metapp.learning", "metapp.rules", "metapp.geometry", "metapp.reflection",
-         "metapp.sphere", "metapp.flash", "metapp.networks", "metapp.metrics")  # fmt: skip
-FOR_APPS = ("metapp.task", "metapp.geometry", "metapp.reflection", "metapp.sphere", "metapp.flash", "metapp.networks",
-            "metapp.metrics", "metapp.features", "metapp.exemplar", "metapp.colour")  # fmt: skip
+         "metapp.sphere", "metapp.flash", "metapp.latlong", "metapp.networks", "metapp.metrics")  # fmt: skip
+FOR_APPS = ("metapp.task", "metapp.geometry", "metapp.reflection", "metapp.sphere", "metapp.flash", "metapp.latlong",
+            "metapp.networks", "metapp.metrics", "metapp.features", "metapp.exemplar", "metapp.colour")  # fmt: skip
 STORAGE = ("metapp.shards", "metapp.manifest", "metapp.files")
 UNPICKLES = "data_tools.vgg"
 FOR_DATA_TOOLS = (*STORAGE, "metapp.colour", "metapp.geometry", "metapp.reflection", "metapp.sphere", "metapp.flash",
-                  "metapp.task", "metapp.features")  # fmt: skip
+                  "metapp.latlong", "metapp.task", "metapp.features")  # fmt: skip
 
 
 def imports(name: str) -> set[str]:

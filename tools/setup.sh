@@ -28,13 +28,37 @@ if ! "$venv/bin/python" -c 'import torch' 2>/dev/null; then
   fi
 fi
 "$venv/bin/python" -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[dev]'
-# Mitsuba's wheels need libatomic, which a bare Debian has not; only the tests against Mitsuba use them so far
-if ! "$venv/bin/python" -c 'import drjit' 2>/dev/null; then
-  if [ "$(id -u)" = 0 ] && command -v apt-get >/dev/null; then
-    apt-get update -qq && apt-get install -y -qq --no-install-recommends libatomic1 >/dev/null
+
+# Mitsuba's wheels need libatomic to be imported and libLLVM to render, which a bare Debian has not
+renders() { "$venv/bin/python" -c 'import data_tools.mitsuba_variant as m; m.load_mitsuba()' 2>/dev/null; }
+# Without root: into the virtual environment, what is not installed of these packages and of those they need.
+unpack_libraries() (
+  work=$(mktemp -d)
+  trap 'rm -rf "$work"' EXIT
+  mkdir -p "$work/lists/partial" "$work/cache/archives/partial" "$venv/lib/llvm"
+  apt=(-qq -o "Dir::State::lists=$work/lists" -o "Dir::Cache=$work/cache")
+  apt-get "${apt[@]}" update || exit
+  needed=$(apt-cache "${apt[@]}" depends --recurse --no-recommends --no-suggests --no-conflicts --no-breaks \
+    --no-replaces --no-enhances "$@" | grep '^[a-z]' | sort -u)
+  for package in $needed; do
+    if ! dpkg-query -W -f '${db:Status-Abbrev}' "$package" 2>/dev/null | grep -q '^ii'; then
+      (cd "$work" && apt-get "${apt[@]}" download "$package" && dpkg-deb -x "$package"_*.deb root) || exit
+    fi
+  done
+  find "$work/root" -name '*.so*' -not -type d -exec cp -P {} "$venv/lib/llvm/" \;
+  # Dr.Jit needs libatomic to be imported, and looks for it beside itself
+  drjit=$("$venv/bin/python" -c 'import importlib.util as u; print(*u.find_spec("drjit").submodule_search_locations)')
+  find "$work/root" -name 'libatomic.so*' -exec cp -P {} "$drjit/" \;
+)
+if ! renders && command -v apt-get >/dev/null; then
+  if [ "$(id -u)" = 0 ]; then
+    apt-get update -qq && apt-get install -y -qq --no-install-recommends libllvm19 libatomic1 >/dev/null || true
   else
-    echo "setup: Mitsuba cannot be imported; install its library: apt-get install libatomic1" >&2
+    unpack_libraries libllvm19 libatomic1 2>/dev/null || true
   fi
+fi
+if ! renders; then
+  echo "setup: Mitsuba cannot render scenes; it needs: apt-get install libllvm19 libatomic1" >&2
 fi
 if ! "$venv/bin/metapp" data vgg; then
   echo "setup: no VGG weights: until 'metapp data vgg' gets them, features fall back to fixed random filters" >&2

@@ -198,6 +198,34 @@ def flash(
     report(convert(reader, paths, folder, split.value, quiet), quiet, as_json)
 
 
+def laval(
+    paths: Annotated[
+        list[Path], typer.Argument(metavar="FILES...", help="HDR maps (.exr, .hdr), and folders searched at any depth.")
+    ],
+    folder: Out,
+    split: SplitOption = Split.AUTO,
+    quiet: Quiet = False,
+    as_json: Json = False,
+) -> None:
+    """Convert HDR environment maps, such as those of the Laval indoor set.
+
+    Any lat-long map (Gardner et al. 2017 publish 2048 x 1024 EXR) with floating-point RGB or gray pixels. It becomes
+    linear Rec.709 of 64 x 128 texels, averaged over solid angle, of mean luminance 1 beside the scale it had, and four
+    photographs of spheres under it. A bad file that was named ends the conversion and nothing is written; one found in
+    a folder is skipped with a warning.
+
+    Examples:
+      metapp data laval IndoorHDR --out laval
+      metapp data laval office.exr street.hdr --split test --out maps
+    """
+    module = importlib.import_module("data_tools.latlong")
+
+    notes = {"made_by": "metapp data laval", "rows": module.HEIGHT}
+    name, read = (lambda source: source.stem), module.read_map_task
+    reader = Reader("illumination", "map", module.UNITS, module.find_maps, name, read, notes)
+    report(convert(reader, paths, folder, split.value, quiet), quiet, as_json)
+
+
 def report(done: Converted, quiet: bool, as_json: bool) -> None:
     """Say what was written, for a person and for scripts."""
     if not quiet:

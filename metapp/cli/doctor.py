@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import importlib
 import os
-from ctypes.util import find_library
 from importlib import metadata
-from pathlib import Path
 from typing import Annotated, Any
 
 import typer
@@ -71,12 +69,8 @@ def _vgg(which: str) -> str:
 
 
 def _llvm() -> str:
-    """Mitsuba's llvm variants abort the process with versions 15 and 16; nothing here loads the library."""
-    path = os.environ.get("DRJIT_LIBLLVM_PATH")
-    if path:
-        return path if Path(path).exists() else f"{path} (DRJIT_LIBLLVM_PATH): no such file"
-    for version in (22, 21, 20, 19):
-        name = find_library(f"LLVM-{version}")
-        if name:
-            return name
-    return "none that fits; rendering scenes needs 19 or newer: apt-get install libllvm19 libatomic1"
+    """The library that scenes are rendered with."""
+    try:
+        return str(importlib.import_module("data_tools.mitsuba_variant").find_llvm())
+    except ValueError as error:
+        return str(error).removeprefix("libLLVM: ")

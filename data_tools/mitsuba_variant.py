@@ -1,0 +1,121 @@
+"""Mitsuba in a variant that renders many rays at once, with a libLLVM that does not abort the process."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import re
+import sys
+from collections.abc import Iterator
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+OLDEST = 19  # 15 and 16 abort the process at the first render, which no `except` can catch; 14 is refused
+VARIABLE = "DRJIT_LIBLLVM_PATH"  # where Dr.Jit, below Mitsuba, looks for the library
+REMEDY = f"apt-get install libllvm19 libatomic1, or point {VARIABLE} at such a library"
+# Debian and Ubuntu, Fedora, others, macOS
+_PLACES = ("/usr/lib/*-linux-gnu", "/usr/lib/llvm-*/lib", "/usr/lib64", "/usr/lib64/llvm*/lib*", "/usr/lib",
+           "/usr/local/lib", "/opt/homebrew/opt/llvm*/lib")  # fmt: skip
+
+
+def load_mitsuba() -> Any:
+    """Import Mitsuba: in the variant cuda_ad_rgb where torch has a GPU, else in llvm_ad_rgb with as many threads.
+
+    Returns:
+        The module `mitsuba`. The variant is the whole program's: what needs another one sets it again.
+
+    Raises:
+        ValueError: Mitsuba cannot be imported, no libLLVM here is fit for it, or it has taken another one already.
+    """
+    import torch
+
+    on_gpu = torch.cuda.is_available()
+    if not on_gpu:
+        choose_llvm()
+    try:
+        import drjit
+        import mitsuba
+    except (ImportError, NameError) as error:  # drjit trips over its own failure to load libatomic
+        reason = str(error.__context__ or error).partition("\n")[0]
+        raise ValueError(f"mitsuba: {reason}, expected a package that can be imported; {REMEDY}.") from None
+    if not on_gpu and drjit.detail.llvm_version()[0] < OLDEST:
+        raise ValueError(
+            f"mitsuba: imported before with libLLVM {drjit.detail.llvm_version()[0]}, expected {OLDEST} or newer; "
+            f"start again with {VARIABLE}={os.environ[VARIABLE]}."
+        )
+    mitsuba.set_variant("cuda_ad_rgb" if on_gpu else "llvm_ad_rgb")
+    drjit.set_thread_count(torch.get_num_threads())
+    return mitsuba
+
+
+def choose_llvm() -> Path:
+    """Have Mitsuba take a fit libLLVM when it is imported, in whatever variant: it takes one then, and keeps it.
+
+    Raises:
+        ValueError: none is there.
+    """
+    library = find_llvm()
+    _preload(library)
+    os.environ[VARIABLE] = str(library)
+    return library
+
+
+def find_llvm() -> Path:
+    """The libLLVM for Mitsuba: the one that DRJIT_LIBLLVM_PATH names, this environment's or the system's.
+
+    Nothing is loaded but what has no version in its name.
+
+    Raises:
+        ValueError: none is there that is new enough.
+    """
+    unfit = []
+    for path in _candidates():
+        version = llvm_version(path)
+        if version is not None and version >= OLDEST:
+            return path
+        unfit.append(f"{path} (version {version or 'unknown'})")
+    found = ", ".join(unfit) or "none"
+    raise ValueError(f"libLLVM: found {found}, expected {OLDEST} or newer for Mitsuba; {REMEDY}.")
+
+
+def llvm_version(path: Path) -> int | None:
+    """The major version of a libLLVM, by its name or else by asking it; None where there is none."""
+    if not path.exists():
+        return None
+    named = re.match(r"libLLVM[-.](?:so\.)?(\d+)", path.resolve().name)
+    if named:
+        return int(named[1])
+    major, minor, patch = ctypes.c_uint(), ctypes.c_uint(), ctypes.c_uint()
+    with suppress(OSError, AttributeError):  # no library; older than 16, where the function came
+        ctypes.CDLL(str(path)).LLVMGetVersion(ctypes.byref(major), ctypes.byref(minor), ctypes.byref(patch))
+    return major.value or None
+
+
+def _candidates() -> Iterator[Path]:
+    if os.environ.get(VARIABLE):
+        yield Path(os.environ[VARIABLE])
+    here = Path(sys.prefix) / "lib"
+    seen: set[Path] = set()
+    for folder in (_own_folder(), here, *(each for place in _PLACES for each in sorted(Path("/").glob(place[1:])))):
+        for path in sorted(folder.glob("libLLVM[-.]*")):
+            if path.resolve() not in seen:
+                seen.add(path.resolve())
+                yield path
+
+
+def _own_folder() -> Path:
+    """Where tools/setup.sh puts the library, and those it needs, if it may not install them."""
+    return Path(sys.prefix) / "lib" / "llvm"
+
+
+def _preload(library: Path) -> None:
+    """Load what setup put beside the library: the loader would look for these in the system's folders only."""
+    if library.parent != _own_folder():
+        return
+    waiting = [path for path in library.parent.glob("*.so*") if not path.name.startswith("libLLVM")]
+    for _ in range(len(waiting)):  # each after those that it needs itself, in an order found by trying
+        for path in list(waiting):
+            with suppress(OSError):
+                ctypes.CDLL(str(path))
+                waiting.remove(path)

@@ -1,0 +1,270 @@
+"""Procedural environments: rooms against Mitsuba's, light against closed forms, energy kept up to the map."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from data_tools.environment import BEYOND, Backdrop, Box, Crown, Finish, Lamp, Scene, Window, cast, turned, view
+from data_tools.environment_backdrop import open_ground
+from data_tools.environment_light import irradiance, render, sun_disc, sunlight, visibility
+from data_tools.environment_patterns import BLACK, direction, vector
+from data_tools.environment_sky import Sky, black_sky, clear_sky, cloudy, sun_irradiance
+from data_tools.environment_sources import sources
+from data_tools.patterns import Field
+from data_tools.procedural import stream
+from metapp.latlong import cosine_transfer, directions, resample, solid_angles
+
+DARK = Backdrop(black_sky(), np.zeros_like, lambda rays: np.ones(rays.shape[1], np.float32))
+BRIGHT = DARK._replace(radiance=np.ones_like)  # radiance 1 from everywhere
+WHITE = vector(1, 1, 1)
+GRAY = Finish(vector(0.5, 0.5, 0.5))
+
+
+def room(albedo: float = 0.5, backdrop: Backdrop = DARK) -> Scene:
+    """5 m wide, 2.7 m high, 5 m deep."""
+    finish = Finish(WHITE * np.float32(albedo))
+    return Scene(vector(-2, -1.5, -3), vector(3, 1.2, 2), [finish] * 6, backdrop)
+
+
+def plain(sky: Sky, albedo: float = 0.2) -> Scene:
+    """Open ground, 1.5 m below the eye."""
+    finish = Finish(WHITE * np.float32(albedo))
+    low = vector(-np.inf, -1.5, -np.inf)
+    return Scene(low, np.full(3, np.inf, np.float32), [finish] * 6, open_ground(sky, finish.colour), closed=0.0)
+
+
+def clear(elevation_deg: float, azimuth_deg: float = 40.0, turbidity: float = 3.0) -> Sky:
+    sun = direction(math.radians(elevation_deg), math.radians(azimuth_deg))
+    return Sky(sun, sun_irradiance(math.radians(elevation_deg), turbidity), clear_sky(sun, turbidity))
+
+
+def columns(*places: tuple[float, float, float]) -> Field:
+    return np.array(places, np.float32).T
+
+
+def energy(radiance: Field) -> Field:
+    """Radiance times solid angle of a map [3, H, W], summed: [3]."""
+    angles = solid_angles(*radiance.shape[1:]).numpy()
+    return (radiance * angles).sum((1, 2))
+
+
+@pytest.fixture(scope="module")
+def mitsuba() -> Iterator[Any]:
+    module = pytest.importorskip("mitsuba", reason="needs libatomic1", exc_type=ImportError)
+    before = module.variant()
+    module.set_variant("scalar_rgb")
+    yield module
+    if before:
+        module.set_variant(before)
+
+
+# The sun in a map
+
+
+@pytest.mark.parametrize("elevation_deg", [3, 35, 88])
+@pytest.mark.parametrize("supersampling", [1, 2, 3])
+def test_the_sun_keeps_its_energy_and_its_place(supersampling: int, elevation_deg: float) -> None:
+    sky = clear(elevation_deg, azimuth_deg=123)
+    rays, angles = view(supersampling)
+    disc = sun_disc(sky, rays, angles)
+    np.testing.assert_allclose(disc @ angles, sky.sunlight, rtol=1e-4)
+    mean = rays @ (disc[1] * angles)
+    assert mean @ sky.sun / np.linalg.norm(mean) > math.cos(math.radians(0.6))
+    assert rays[:, disc[1] > 0].T @ sky.sun == pytest.approx(1, abs=1 - math.cos(math.radians(6 / supersampling)))
+
+
+def test_maps_hold_the_sun_that_the_scene_has() -> None:
+    sky = clear(35, azimuth_deg=-70)
+    lit, unlit = (render(plain(each, 0.0), 0.0) for each in (sky, Sky(sky.sun, BLACK, sky.radiance)))
+    np.testing.assert_allclose(energy(lit - unlit), sky.sunlight, rtol=2e-3)
+    row, column = np.unravel_index((lit - unlit)[1].argmax(), (64, 128))
+    assert directions(64, 128)[:, row, column].numpy() @ sky.sun > math.cos(math.radians(2.5))
+    assert (lit - unlit).max() > 1e3 * np.median(lit[:, :32])
+    behind = plain(sky, 0.0)
+    behind.boxes.append(Box(5 * sky.sun - 1, 5 * sky.sun + 1, Finish(BLACK)))
+    assert render(behind, 0.0).max() < 0.01 * lit.max()
+
+
+@pytest.mark.parametrize("turn", [1, 50])
+def test_turning_the_eye_moves_the_columns(turn: int) -> None:
+    scene = plain(clear(35))
+    scene.boxes.append(Box(vector(2, -1.5, 2), vector(4, 1, 5), GRAY))
+    scene.crowns.append(Crown(vector(-3, 1, 2), 1.5, vector(0.1, 0.2, 0.05)))
+    straight, moved = render(scene, 0.0), render(scene, turn * math.tau / 128)
+    apart = np.abs(np.roll(straight, -turn, 2) - moved).max(0) / straight.mean()
+    assert np.quantile(apart, 0.97) < 1e-2  # at edges rounding decides
+
+
+# Light
+
+
+@pytest.mark.parametrize(("elevation_deg", "seed"), [(15, None), (60, None), (40, 1), (25, 4)])
+def test_ground_is_lit_by_all_that_is_above_it(elevation_deg: float, seed: int | None) -> None:
+    sky = clear(elevation_deg) if seed is None else cloudy(stream(seed), clear(elevation_deg), 0.5)
+    light = render(plain(sky, 0.2), 0.0)
+    above = light.copy()
+    above[:, 32:] = 0
+    up = cosine_transfer(torch.tensor([[0.0, 1.0, 0.0]]), 64, 128)[0].numpy()
+    np.testing.assert_allclose(light[:, 36:].mean((1, 2)), 0.2 * above.reshape(3, -1) @ up, rtol=0.02)
+
+
+def test_an_even_sky_gives_pi_times_its_radiance() -> None:
+    scene = plain(Sky(vector(0, -1, 0), BLACK, np.ones_like))
+    ground, wall = columns((0, 1, 0)), columns((1, 0, 0))
+    place = columns((3, -1.5, 2))
+    np.testing.assert_allclose(irradiance(scene, sources(scene), place, ground), math.pi, rtol=0.02)
+    np.testing.assert_allclose(irradiance(scene, sources(scene), place, wall), math.pi / 2, rtol=0.06)
+
+
+@pytest.mark.parametrize("far", [0.4, 1.0, 4.0])
+def test_lamps_shine_as_closed_forms_say(far: float) -> None:
+    at = vector(0, far, 0)
+    disc = Lamp(at, vector(0.3, 0, 0), vector(0, 0, 0.3), vector(5, 4, 3), "disc")
+    ball = disc._replace(shape="ball")
+    for lamp, expected in ((disc, math.pi * 0.09 / (0.09 + far**2)), (ball, math.pi * 0.09 / (0.09 + far**2))):
+        scene = room()
+        scene.lamps = [lamp]
+        found = irradiance(scene, sources(scene), columns((0, 0, 0)), columns((0, 1, 0)))
+        np.testing.assert_allclose(found[:, 0], lamp.radiance * expected, rtol=1e-3)
+        behind = irradiance(scene, sources(scene), columns((0, 2 * far, 0)), columns((0, -1, 0)))
+        assert behind.any() == (lamp.shape == "ball")
+
+
+def test_many_lamps_shine_as_much_as_they_do_one_by_one() -> None:
+    scene = room()
+    spots = [vector(x, 1.19, z) for x in np.linspace(-1.5, 2.5, 8) for z in np.linspace(-2.5, 1.5, 8)]
+    scene.lamps = [Lamp(at, vector(0.1, 0, 0), vector(0, 0, 0.1), vector(8, 8, 8)) for at in spots]
+    rays = directions(16, 32)[:, 9:].flatten(1).numpy()
+    hits = cast(scene, rays)
+    together = irradiance(scene, sources(scene), hits.place, hits.normal)
+    apart = np.zeros_like(together)
+    for lamp in scene.lamps:
+        alone = room()
+        alone.lamps = [lamp]
+        apart += irradiance(alone, sources(alone), hits.place, hits.normal)
+    assert len(sources(scene)[0].areas) < 30
+    np.testing.assert_allclose(together.mean(1), apart.mean(1), rtol=0.08)
+
+
+def test_small_lamps_are_seen_with_all_their_light() -> None:
+    scene = room(0.0)
+    scene.lamps = [Lamp(vector(1.5, 1.1, -1), vector(0.01, 0, 0), vector(0, 0, 0.01), vector(9, 6, 3), "disc")]
+    found = np.mean([energy(render(scene, turn)) for turn in np.arange(8) * 0.74], axis=0)
+    distance2 = 1.5**2 + 1.1**2 + 1
+    expected = scene.lamps[0].radiance * (math.pi * 1e-4 / distance2 * 1.1 / math.sqrt(distance2))
+    np.testing.assert_allclose(found, expected, rtol=0.15)
+
+
+def test_boxes_and_crowns_cast_shadows() -> None:
+    scene = plain(clear(45, azimuth_deg=0))  # the sun is at +x, shadows fall to -x, as long as things are high
+    scene.boxes.append(Box(vector(1, -1.5, -1), vector(2, 0.5, 1), GRAY))
+    ground, up = columns((0, -1.5, 0), (-0.9, -1.5, 0), (-1.3, -1.5, 0), (0, -1.5, 1.2), (3, -1.5, 0)), vector(0, 1, 0)
+    light = sunlight(scene, ground, np.tile(up[:, None], 5))
+    full = scene.backdrop.sky.sunlight * np.float32(math.sin(math.pi / 4))
+    np.testing.assert_allclose(light / full[:, None], np.tile([0, 0, 1, 1, 1], (3, 1)), atol=1e-3)
+    way = scene.backdrop.sky.sun[:, None]
+    assert visibility(scene, ground, way, 0.5, 0.01).tolist() == [1, 1, 1, 1, 1]  # what is near enough is before it
+    scene.boxes, scene.crowns = [], [Crown(vector(1.5, 0, 0), 1.0, WHITE)]
+    assert (sunlight(scene, ground, np.tile(up[:, None], 5))[1] < 0.9 * full[1]).tolist() == [True] + 4 * [False]
+
+
+def test_the_sun_comes_into_a_room_through_its_windows_only() -> None:
+    scene = room(backdrop=open_ground(clear(45, azimuth_deg=0), WHITE))
+    scene.windows = [Window(1, (-1, -0.5), (1, 0.5), vector(0.8, 0.9, 1.0))]  # in the wall at x = 3
+    floor = columns((2.5, -1.5, 0), (1.5, -1.5, 0), (0.5, -1.5, 0), (1.5, -1.5, 1.5), (1.2, -1.5, -0.9))
+    light = sunlight(scene, floor, np.tile(vector(0, 1, 0)[:, None], 5))
+    expected = scene.backdrop.sky.sunlight * scene.windows[0].glass * np.float32(math.sin(math.pi / 4))
+    np.testing.assert_allclose(light, expected[:, None] * [0, 1, 0, 0, 1], rtol=1e-4)
+
+
+def test_rays_end_where_things_are() -> None:
+    scene = room(backdrop=BRIGHT)
+    scene.boxes.append(Box(vector(-0.5, -0.5, 1), vector(0.5, 0.5, 1.5), GRAY))
+    scene.windows = [Window(0, (-1, -1), (1, 1), vector(0.5, 0.6, 0.7), (2, 1))]
+    hits = cast(scene, columns((0, 0, 1), (0, -1, 0), (-0.96, 0, 0.28), (-1, 0, 0), (0, 0, -1)))
+    assert hits.surface.tolist() == [6, 2, BEYOND, 0, 4]  # a box; the floor; a pane; the bar in the middle; a wall
+    assert hits.distance[[0, 1, 4]] == pytest.approx([1, 1.5, 3])
+    assert hits.normal[:, 0].tolist() == [0, 0, -1]
+    assert hits.glass is not None
+    assert hits.glass[:, 2] == pytest.approx([0.5, 0.6, 0.7])
+    seen = render(scene, 0.0)[:, 32, 96 - 4]  # of 128 columns; a little right of -x
+    assert seen == pytest.approx([0.5, 0.6, 0.7])
+
+
+def mitsuba_room(mitsuba: Any, scene: Scene, emitter: dict[str, Any], target: tuple[float, float, float]) -> Field:
+    """Green radiance [16, 16] that a path tracer sees, 80 degrees wide around a direction."""
+    at, transform = [0.0, 0.0, 0.0], mitsuba.ScalarTransform4f
+    gray = float(scene.sides[0].colour[1])
+    bsdf = {"type": "twosided", "inner": {"type": "diffuse", "reflectance": {"type": "rgb", "value": gray}}}
+
+    def cube(low: Field, high: Field) -> dict[str, Any]:
+        placed = transform().translate(((low + high) / 2).tolist()).scale(((high - low) / 2).tolist())
+        return {"type": "cube", "to_world": placed, "bsdf": bsdf}
+
+    described: dict[str, Any] = {"type": "scene", "integrator": {"type": "path", "max_depth": 12}, "emitter": emitter}
+    described |= {f"box{k}": cube(box.low, box.high) for k, box in enumerate(scene.boxes)}
+    described["room"] = cube(scene.low, scene.high)
+    film = {"type": "hdrfilm", "width": 16, "height": 16, "rfilter": {"type": "box"}, "pixel_format": "rgb"}
+    described["sensor"] = {"type": "perspective", "fov": 80.0, "film": film,
+                           "to_world": transform().look_at(at, list(target), [0.0, 1.0, 0.01])}  # fmt: skip
+    image: Field = np.array(mitsuba.render(mitsuba.load_dict(described), spp=48, seed=1))[..., 1]
+    return image
+
+
+def seen_in(light: Field, target: tuple[float, float, float]) -> Field:
+    """The same of a map."""
+    forward = np.array(target) / np.linalg.norm(target)
+    right = np.cross(forward, [0, 1, 0.01])
+    right /= np.linalg.norm(right)
+    ticks = ((np.arange(64) + 0.5) / 32 - 1) * math.tan(math.radians(40))
+    rays = (
+        forward[:, None, None] + ticks * right[:, None, None] - (ticks * np.cross(right, forward)[:, None])[:, :, None]
+    )
+    rays /= np.linalg.norm(rays, axis=0)
+    rows, places = np.arccos(rays[1]) / math.pi * 64, np.arctan2(rays[0], -rays[2]) / math.tau * 128
+    found: Field = light[1][rows.astype(int), np.floor(places).astype(int) % 128]
+    return found.reshape(16, 4, 16, 4).mean((1, 3))
+
+
+@pytest.mark.parametrize("lit_by", ["lamp", "window"])
+def test_rooms_are_lit_as_by_a_path_tracer(mitsuba: Any, lit_by: str) -> None:
+    scene, transform = room(0.5, BRIGHT if lit_by == "window" else DARK), mitsuba.ScalarTransform4f
+    scene.boxes = [Box(vector(-1.5, -1.5, -2.5), vector(-0.3, -0.6, -1.2), scene.sides[0])]
+    if lit_by == "lamp":
+        scene.lamps = [Lamp(vector(1, 1.19, -1), vector(0.4, 0, 0), vector(0, 0, 0.3), 10 * WHITE)]
+        placed, radiance = transform().translate([1.0, 1.19, -1.0]).rotate([1, 0, 0], 90).scale([0.4, 0.3, 1.0]), 10.0
+    else:
+        scene.windows = [Window(1, (-2.0, -0.8), (0.5, 0.8), WHITE)]
+        placed = transform().translate([2.999, 0.0, -0.75]).rotate([0, 1, 0], -90).scale([1.25, 0.8, 1.0])
+        radiance = 1.0
+    emitter = {"type": "rectangle", "to_world": placed,
+               "emitter": {"type": "area", "radiance": {"type": "rgb", "value": radiance}}}  # fmt: skip
+    light = render(scene, 0.0)
+    for target in ((0.0, -1.0, 0.02), (0.0, 1.0, 0.02), (-1.0, 0.0, 0.0), (0.0, 0.0, -1.0)):
+        theirs, ours = mitsuba_room(mitsuba, scene, emitter, target), seen_in(light, target)
+        walls = theirs < radiance / 3
+        assert np.median(ours[walls] / theirs[walls]) == pytest.approx(1, abs=0.12)
+        assert np.quantile(np.abs(ours[walls] / theirs[walls] - 1), 0.9) < 0.4
+
+
+def test_supersampling_changes_edges_only() -> None:
+    scene = room()
+    scene.lamps = [Lamp(vector(1, 1.19, -1), vector(0.4, 0, 0), vector(0, 0, 0.3), 10 * WHITE)]
+    scene.boxes = [Box(vector(-1.5, -1.5, -2.5), vector(-0.3, -0.6, -1.2), GRAY)]
+    two, three = render(scene, 0.0, 2), render(scene, 0.0, 3)
+    assert np.median(np.abs(two - three) / three) < 0.01
+    np.testing.assert_allclose(energy(two), energy(three), rtol=0.03)
+
+
+def test_turned_directions_keep_their_length_and_height() -> None:
+    rays = view(1)[0]
+    moved = turned(rays, 1.0)
+    np.testing.assert_allclose(np.linalg.norm(moved, axis=0), 1, rtol=1e-5)
+    assert (moved[1] == rays[1]).all()
+    assert resample(torch.from_numpy(moved).unflatten(1, (64, 128)), 1, 1).abs().max() < 1e-3

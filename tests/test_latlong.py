@@ -1,0 +1,313 @@
+"""Lat-long maps: agreement with Mitsuba, energy, closed forms of diffuse light, symmetries and gradients."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+from torch.nn.functional import normalize
+
+from metapp.latlong import (
+    cosine_transfer,
+    directions,
+    glossy_transfer,
+    luminance,
+    mean_luminance,
+    resample,
+    rotate,
+    solid_angles,
+    sphere_normals,
+)
+
+SIZES = [(2, 4), (5, 10), (16, 32), (64, 128), (64, 96)]
+
+
+def draw_normals(rng: torch.Generator, count: int = 40, facing: bool = False) -> Tensor:
+    """Random unit vectors, float64 [count, 3]; with z > 0.1 if they face the viewer."""
+    normals = torch.randn(count, 3, generator=rng, dtype=torch.float64)
+    if facing:
+        normals[:, 2] = normals[:, 2].abs() + 0.1 * normals.norm(dim=-1)
+    return normalize(normals, dim=-1)
+
+
+def draw_maps(rng: torch.Generator, height: int, width: int, *batch: int) -> Tensor:
+    return torch.rand(*batch, 3, height, width, generator=rng, dtype=torch.float64)
+
+
+def shine(transfer: Tensor, maps: Tensor) -> Tensor:
+    """Radiance [P, 3] through a transfer matrix."""
+    return transfer @ maps.flatten(-2).mT
+
+
+def energy(maps: Tensor) -> Tensor:
+    """Radiance times solid angle over the sphere, [3]."""
+    return (maps * solid_angles(*maps.shape[-2:], dtype=maps.dtype)).sum((-2, -1))
+
+
+# Directions
+
+
+@pytest.fixture
+def mitsuba_envmap() -> Iterator[Callable[[Tensor, Tensor], Tensor]]:
+    """Radiance [3, H, W] that Mitsuba's `envmap` of a map [3, h, w] has in directions [3, H, W]."""
+    mitsuba = pytest.importorskip("mitsuba", reason="needs libatomic1", exc_type=ImportError)
+
+    before = mitsuba.variant()
+    mitsuba.set_variant("scalar_rgb")
+
+    def evaluate(maps: Tensor, towards: Tensor) -> Tensor:
+        pixels = np.ascontiguousarray(maps.float().permute(1, 2, 0).numpy())
+        emitter: Any = mitsuba.load_dict({"type": "envmap", "bitmap": mitsuba.Bitmap(pixels)})
+        values = []
+        for direction in towards.flatten(1).T.tolist():
+            interaction = mitsuba.SurfaceInteraction3f()
+            interaction.wi = -mitsuba.Vector3f(direction)
+            values.append(list(emitter.eval(interaction)))
+        return torch.tensor(values, dtype=maps.dtype).T.reshape(towards.shape)
+
+    yield evaluate
+    if before:
+        mitsuba.set_variant(before)
+
+
+def test_columns_lie_where_mitsuba_has_them(mitsuba_envmap: Callable, rng: torch.Generator) -> None:
+    maps = draw_maps(rng, 1, 12).expand(3, 6, 12)  # each column another colour
+    seen = mitsuba_envmap(maps, directions(6, 12, dtype=torch.float64))
+    torch.testing.assert_close(seen, maps, atol=2e-6, rtol=0)
+
+
+def test_rows_lie_at_the_heights_of_mitsuba(mitsuba_envmap: Callable) -> None:
+    # Mitsuba's first and last rows are the poles themselves, and it interpolates: of a map that rises evenly with the
+    # angle from the top pole we see that angle.
+    maps = torch.linspace(0, 1, 7, dtype=torch.float64)[:, None].expand(3, 7, 14)
+    seen = mitsuba_envmap(maps, directions(6, 12, dtype=torch.float64))
+    expected = ((torch.arange(6, dtype=torch.float64) + 0.5) / 6)[:, None].expand(3, 6, 12)
+    torch.testing.assert_close(seen, expected, atol=2e-6, rtol=0)
+
+
+def test_the_axes() -> None:
+    at = directions(64, 128, dtype=torch.float64)
+    near = math.cos(0.05)  # the centres next to an axis are within 0.035 rad of it
+    for axis, (row, column) in {
+        (0, 1, 0): (0, 7), (0, -1, 0): (63, 7), (0, 0, 1): (32, 64), (0, 0, -1): (32, 0), (1, 0, 0): (31, 32),
+        (-1, 0, 0): (31, 96),
+    }.items():  # fmt: skip
+        assert at[:, row, column] @ at.new_tensor(axis) > near
+    torch.testing.assert_close(at.norm(dim=0), torch.ones_like(at[0]))
+
+
+@pytest.mark.parametrize("size", SIZES)
+def test_solid_angles_cover_the_sphere(size: tuple[int, int]) -> None:
+    height, width = size
+    exact = solid_angles(height, width, dtype=torch.float64)
+    assert exact.shape == (height, 1)
+    assert exact.sum().item() * width == pytest.approx(4 * math.pi, rel=1e-13)
+    assert solid_angles(height, width).sum().item() * width == pytest.approx(4 * math.pi, rel=1e-6)
+    # Archimedes: a band's area is its height.
+    assert exact[: height // 2].sum().item() * width == pytest.approx(
+        2 * math.pi * (1 - math.cos(math.pi * (height // 2) / height)), rel=1e-13
+    )
+
+
+def test_luminance() -> None:
+    gray = torch.full((2, 3, 4, 8), 0.7, dtype=torch.float64)
+    torch.testing.assert_close(luminance(gray), gray[:, 0])
+    torch.testing.assert_close(mean_luminance(gray), gray[:, 0, 0, 0])
+    green = torch.zeros(3, 4, 8)
+    green[1, 0, 0] = 1e5
+    expected = 0.7152e5 * solid_angles(4, 8)[0, 0].item() / (4 * math.pi)
+    assert mean_luminance(green).item() == pytest.approx(expected, rel=1e-6)
+
+
+# Resampling and rotation
+
+
+@pytest.mark.parametrize("source", [(16, 32), (13, 26)])
+@pytest.mark.parametrize("target", [(4, 8), (5, 9), (16, 32), (32, 64), (23, 50)])
+def test_resampling_keeps_energy(source: tuple[int, int], target: tuple[int, int], rng: torch.Generator) -> None:
+    maps = draw_maps(rng, *source, 2)
+    other = resample(maps, *target)
+    assert other.shape == (2, 3, *target)
+    torch.testing.assert_close(energy(other), energy(maps))
+    torch.testing.assert_close(resample(torch.ones_like(maps), *target), torch.ones_like(other))
+    assert other.min() >= maps.min() - 1e-12
+    assert other.max() <= maps.max() + 1e-12
+
+
+def test_resampling_to_the_same_size_changes_nothing(rng: torch.Generator) -> None:
+    for size in SIZES:
+        maps = draw_maps(rng, *size).float()
+        assert torch.equal(resample(maps, *size), maps)
+
+
+def test_resampling_up_and_down_again_is_a_round_trip(rng: torch.Generator) -> None:
+    maps = draw_maps(rng, 7, 14)
+    assert torch.equal(resample(maps, 14, 42)[..., 1::2, 1::3], maps)  # a texel's children are what it was
+    torch.testing.assert_close(resample(resample(maps, 14, 42), 7, 14), maps)
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_a_sun_of_one_texel_keeps_its_energy(dtype: torch.dtype) -> None:
+    for row in (0, 20, 63):
+        maps = torch.full((3, 64, 128), 0.1, dtype=dtype)
+        maps[:, row, 77] = 1e5
+        for size in ((16, 32), (200, 400), (3, 5)):
+            other = resample(maps, *size)
+            assert other.isfinite().all()
+            torch.testing.assert_close(energy(other), energy(maps), rtol=1e-5, atol=0)
+            torch.testing.assert_close(mean_luminance(other), mean_luminance(maps), rtol=1e-5, atol=0)
+
+
+def test_resampling_keeps_irradiance(rng: torch.Generator) -> None:
+    # Energy stays within a texel's width: light moves by at most 0.14 rad in a map of 16 rows.
+    maps = draw_maps(rng, 64, 128) ** 8
+    normals = draw_normals(rng)
+    before = shine(cosine_transfer(normals, 64, 128), maps)
+    after = shine(cosine_transfer(normals, 16, 32), resample(maps, 16, 32))
+    torch.testing.assert_close(after, before, rtol=0.02, atol=0)
+    # A map that is constant in each texel is the same light at any higher resolution.
+    larger = shine(cosine_transfer(normals, 128, 256), resample(maps, 128, 256))
+    torch.testing.assert_close(larger, before, rtol=1e-3, atol=0)
+
+
+def test_turning_the_map_turns_the_light(rng: torch.Generator) -> None:
+    maps, normals = draw_maps(rng, 16, 32), draw_normals(rng)
+    before = shine(cosine_transfer(normals, 16, 32), maps)
+    for columns in (1, 5, -9, 32):
+        angle = -math.tau * columns / 32
+        x, y, z = normals.unbind(-1)
+        turned = torch.stack(
+            [math.cos(angle) * x + math.sin(angle) * z, y, math.cos(angle) * z - math.sin(angle) * x], dim=-1
+        )
+        after = shine(cosine_transfer(turned, 16, 32), rotate(maps, columns))
+        torch.testing.assert_close(after, before)
+        torch.testing.assert_close(energy(rotate(maps, columns)), energy(maps))
+
+
+# Light on a sphere
+
+
+def test_the_sphere_touches_its_picture() -> None:
+    normals, mask = sphere_normals(64, dtype=torch.float64)
+    assert normals.shape == (3, 64, 64)
+    torch.testing.assert_close(normals.norm(dim=0), torch.ones(64, 64, dtype=torch.float64))
+    assert mask.float().mean().item() == pytest.approx(math.pi / 4, rel=0.01)
+    assert mask[0, 31:33].all()
+    assert not mask[0, 0]
+    assert (normals[2] > 0).equal(mask)
+    assert normals[1, 0, 32] > 0.9  # y is up, x is right
+    assert normals[0, 32, 63] > 0.9
+    assert torch.equal(normals.flip(-1)[1:], normals[1:])
+
+
+@pytest.mark.parametrize("size", SIZES)
+def test_furnace(size: tuple[int, int], rng: torch.Generator) -> None:
+    normals = draw_normals(rng, facing=True)
+    constant = torch.tensor([0.2, 1.0, 3.0], dtype=torch.float64)[:, None, None].expand(3, *size)
+    expected = constant[:, 0, 0].expand(len(normals), 3)
+    torch.testing.assert_close(shine(cosine_transfer(normals, *size), constant), expected)
+    for roughness in (0.05, 0.3, 1.0):
+        torch.testing.assert_close(shine(glossy_transfer(normals, roughness, *size), constant), expected)
+
+
+def harmonics(at: Tensor) -> dict[int, Tensor]:
+    """Real spherical harmonics of degree 0 to 3, unnormalised, of vectors [..., 3]: some each, [K, ...]."""
+    x, y, z = at.unbind(-1)
+    return {
+        0: torch.ones_like(x)[None],
+        1: torch.stack([x, y, z]),
+        2: torch.stack([x * y, y * z, z * x, x * x - z * z, 3 * y * y - 1]),
+        3: torch.stack([x * y * z, y * (5 * y * y - 3), x * (5 * y * y - 1)]),
+    }
+
+
+def cosine_error(height: int, normals: Tensor) -> float:
+    """Greatest deviation of diffuse light of spherical harmonics from the closed form."""
+    width = 2 * height
+    maps = harmonics(directions(height, width, dtype=torch.float64).permute(1, 2, 0))
+    transfer = cosine_transfer(normals, height, width)
+    # Ramamoorthi and Hanrahan 2001, "An Efficient Representation for Irradiance Environment Maps", over pi
+    factors = {0: 1.0, 1: 2 / 3, 2: 1 / 4, 3: 0.0}
+    return max(
+        (shine(transfer, maps[degree]) - factor * harmonics(normals)[degree].T).abs().max().item()
+        for degree, factor in factors.items()
+    )
+
+
+def test_diffuse_light_of_spherical_harmonics(rng: torch.Generator) -> None:
+    normals = draw_normals(rng, 200)
+    errors = {height: cosine_error(height, normals) for height in (8, 16, 32, 64)}
+    assert errors[8] < 0.05
+    assert errors[64] < 0.05 / 64  # in proportion to a texel's area
+    assert errors[8] > 2 * errors[16] > 4 * errors[32] > 8 * errors[64]
+
+
+def test_light_from_behind_does_not_count(rng: torch.Generator) -> None:
+    normals = draw_normals(rng, facing=True)
+    behind = normals @ directions(16, 32, dtype=torch.float64).flatten(1) < 0
+    assert (cosine_transfer(normals, 16, 32)[behind] == 0).all()
+    assert (glossy_transfer(normals, 0.5, 16, 32)[behind] == 0).all()
+    assert (glossy_transfer(-normals, 0.5, 16, 32) == 0).all()
+
+
+def test_a_narrow_lobe_is_a_mirror(rng: torch.Generator) -> None:
+    normals = draw_normals(rng, 100, facing=True)
+    mirrored = 2 * normals[:, 2:] * normals - normals.new_tensor([0.0, 0.0, 1.0])
+    at = directions(64, 128, dtype=torch.float64).flatten(1)
+    seen = glossy_transfer(normals, 0.1, 64, 128) @ at.T
+    assert (normalize(seen, dim=-1) * mirrored).sum(-1).min() > math.cos(0.05)  # within a texel
+    wider = glossy_transfer(normals, 0.6, 64, 128) @ at.T
+    assert (wider.norm(dim=-1) < seen.norm(dim=-1)).all()
+
+
+@pytest.mark.parametrize("roughness", [0.25, 0.7])
+def test_the_lobe_is_mitsubas(roughness: float, mitsuba_brdf: Callable, rng: torch.Generator) -> None:
+    normals = draw_normals(rng, 6, facing=True)
+    to_light = directions(8, 16, dtype=torch.float64).flatten(1).T
+    weights = solid_angles(8, 16, dtype=torch.float64).expand(8, 16).flatten()
+    plugin = {"type": "roughconductor", "material": "none", "distribution": "ggx", "alpha": roughness**2}
+    for normal, row in zip(normals, glossy_transfer(normals, roughness, 8, 16), strict=True):
+        tangent = normalize(torch.linalg.cross(normal, normal.new_tensor([0.0, 1.0, 0.0])), dim=0)
+        frame = torch.stack([tangent, torch.linalg.cross(normal, tangent), normal])
+        lit = to_light @ normal > 0
+        wi, wo = to_light[lit] @ frame.T, frame[:, 2].expand(int(lit.sum()), 3)
+        expected = mitsuba_brdf(plugin, wo, wi)[:, 0] * wi[:, 2] * weights[lit]
+        torch.testing.assert_close(row[lit], expected / expected.sum(), rtol=1e-3, atol=1e-6)
+
+
+def test_samples_within_a_texel_are_texels_of_a_finer_map(rng: torch.Generator) -> None:
+    normals, maps = draw_normals(rng, facing=True), draw_maps(rng, 8, 16)
+    finer = shine(glossy_transfer(normals, 0.3, 24, 48), resample(maps, 24, 48))
+    torch.testing.assert_close(shine(glossy_transfer(normals, 0.3, 8, 16, samples=3), maps), finer)
+
+
+# Gradients
+
+
+def test_gradients(rng: torch.Generator) -> None:
+    maps = draw_maps(rng, 4, 8).requires_grad_()
+    normals = draw_normals(rng, 3, facing=True).requires_grad_()
+    roughness = torch.tensor(0.4, dtype=torch.float64, requires_grad=True)
+    assert torch.autograd.gradcheck(lambda m: (resample(m, 3, 5), resample(m, 9, 17), mean_luminance(m)), maps)
+    assert torch.autograd.gradcheck(lambda n: cosine_transfer(n, 4, 8), normals)
+    assert torch.autograd.gradcheck(lambda n, r: glossy_transfer(n, r, 4, 8, samples=2), (normals, roughness))
+
+
+def test_types_are_kept() -> None:
+    maps = torch.rand(3, 4, 8)
+    normals, _ = sphere_normals(8)
+    for result in (
+        resample(maps, 8, 16),
+        mean_luminance(maps),
+        cosine_transfer(normals.flatten(1).T, 4, 8),
+        glossy_transfer(normals.flatten(1).T, 0.5, 4, 8),
+        directions(4, 8),
+        solid_angles(4, 8),
+    ):
+        assert result.dtype == torch.float32
+        assert result.isfinite().all()

@@ -1,0 +1,329 @@
+"""Reading HDR maps and photographs of spheres: every layout a user may have, and one line for each that is no use."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import OpenImageIO as oiio
+import pytest
+import torch
+from torch import Tensor
+
+from data_tools import latlong
+from data_tools.latlong import find_maps, map_task, read_map, read_map_task, read_task
+from data_tools.procedural import stream
+from metapp.latlong import mean_luminance, resample, solid_angles, sphere_normals
+
+ACESCG = (0.713, 0.293, 0.165, 0.83, 0.128, 0.044, 0.32168, 0.33767)
+REC709_D50 = (0.64845, 0.33088, 0.32119, 0.59789, 0.1559, 0.06606, 0.34571, 0.35854)  # adapted
+
+
+def write(path: Path, values: np.ndarray, kind: str = "float", names: tuple[str, ...] = (), **attributes: Any) -> Path:
+    """An image file of values [height, width, channels]; attributes as OpenImageIO calls them, `_` for `:`."""
+    spec = oiio.ImageSpec(values.shape[1], values.shape[0], values.shape[2], kind)
+    if names:
+        spec.channelnames = names
+    for name, value in attributes.items():
+        typed = (oiio.TypeDesc(f"float[{len(value)}]"), value) if isinstance(value, tuple) else (value,)
+        spec.attribute(name.replace("_", ":"), *typed)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    output = oiio.ImageOutput.create(str(path))
+    assert output.open(str(path), spec)
+    assert output.write_image(np.ascontiguousarray(values))
+    output.close()
+    return path
+
+
+def radiance(height: int = 64, width: int = 128, channels: int = 3, seed: int = 0) -> np.ndarray:
+    return np.random.default_rng(seed).uniform(0.1, 4, (height, width, channels)).astype(np.float32)
+
+
+def planes(values: np.ndarray) -> Tensor:
+    return torch.from_numpy(np.ascontiguousarray(values.transpose(2, 0, 1)))
+
+
+def ball(size: int = 64, seed: int = 0) -> np.ndarray:
+    """A picture that is bright all over, uint8 [size, size, 3]."""
+    return np.random.default_rng(seed).integers(60, 256, (size, size, 3), dtype=np.uint8)
+
+
+# Maps
+
+
+@pytest.mark.parametrize("name", ["a.exr", "a.tif", "A.EXR"])
+def test_a_map_of_the_right_size_is_read_as_it_is(tmp_path: Path, name: str) -> None:
+    values = radiance()
+    assert torch.equal(read_map(write(tmp_path / name, values)), planes(values))
+
+
+def test_radiance_files(tmp_path: Path) -> None:
+    values = radiance()
+    read = read_map(write(tmp_path / "a.hdr", values))
+    torch.testing.assert_close(read, planes(values), atol=4 / 128, rtol=0)  # 8 bits and a shared exponent
+
+
+@pytest.mark.parametrize("size", [(256, 512), (129, 257), (32, 64), (96, 191)])
+def test_other_sizes_keep_their_light(tmp_path: Path, size: tuple[int, int]) -> None:
+    values = radiance(*size)
+    values[size[0] // 3, 5] = 1e5
+    read = read_map(write(tmp_path / "a.exr", values))
+    assert read.shape == (3, 64, 128)
+
+    def energy(maps: Tensor) -> Tensor:
+        return (maps.double() * solid_angles(*maps.shape[-2:], dtype=torch.float64)).sum((-2, -1))
+
+    torch.testing.assert_close(energy(read), energy(planes(values)), rtol=1e-5, atol=0)
+    torch.testing.assert_close(read, resample(planes(values), 64, 128))
+
+
+def test_half_floats_and_a_double(tmp_path: Path) -> None:
+    values = radiance()
+    half = read_map(write(tmp_path / "a.exr", values, "half"))
+    torch.testing.assert_close(half, planes(values), rtol=1e-3, atol=0)
+    assert read_map(write(tmp_path / "b.tif", values, "double")).dtype == torch.float32
+
+
+LAYOUTS: dict[str, tuple[tuple[str, ...], list[int]]] = {
+    "alpha": (("R", "G", "B", "A"), [0, 1, 2]),
+    "any order": (("B", "G", "R"), [2, 1, 0]),
+    "small letters": (("r", "g", "b"), [0, 1, 2]),
+    "a layer": (("rgb.R", "rgb.G", "rgb.B"), [0, 1, 2]),
+    "layers": (("V.Combined.R", "V.Combined.G", "V.Combined.B", "V.Depth.Z"), [0, 1, 2]),
+    "a layer besides": (("R", "G", "B", "glow.R", "glow.G", "glow.B"), [0, 1, 2]),
+    "others besides": (("Z", "R", "id", "G", "B"), [1, 3, 4]),
+    "gray": (("Y",), [0, 0, 0]),
+    "gray with alpha": (("Y", "A"), [0, 0, 0]),
+}
+
+
+@pytest.mark.parametrize("layout", LAYOUTS)
+def test_channels_go_by_their_names(tmp_path: Path, layout: str) -> None:
+    names, order = LAYOUTS[layout]
+    values = radiance(channels=len(names))
+    for index, name in enumerate(names):
+        values[..., index] *= 0.01 if name == "A" else 1 + index
+    read = read_map(write(tmp_path / "a.exr", values, names=names))
+    assert torch.equal(read, planes(values[..., order]))
+
+
+def test_a_map_that_was_stored_upside_down(tmp_path: Path) -> None:
+    values = radiance()
+    read = read_map(write(tmp_path / "a.exr", values, Orientation=3))
+    assert torch.equal(read, planes(values[::-1, ::-1]))
+
+
+# Colours
+
+
+@pytest.mark.parametrize("attributes", [{"chromaticities": ACESCG}, {"oiio_ColorSpace": "ACEScg"}])
+def test_colours_of_another_space_are_converted(tmp_path: Path, attributes: dict[str, Any]) -> None:
+    # Rec.709's red in ACEScg (AP1), from the published matrices of AP1 and Rec.709 with Bradford's adaptation.
+    red_green = np.array([[0.61309732, 0.07019422, 0.02061560], [0.33952285, 0.91635557, 0.10956983]])
+    values = np.tile(red_green[None].repeat(32, 1), (64, 2, 1)).astype(np.float32)
+    read = read_map(write(tmp_path / "a.exr", values, **attributes))
+    expected = torch.eye(3)[:2].repeat_interleave(32, 0).repeat(2, 1).T[:, None].expand(3, 64, 128)
+    torch.testing.assert_close(read, expected, atol=2e-3, rtol=0)
+
+
+@pytest.mark.parametrize("space", ["ACES2065-1", "lin_rec2020_scene", "lin_p3d65_scene", "Linear AdobeRGB"])
+def test_white_stays_white_and_colours_change(tmp_path: Path, space: str) -> None:
+    white = np.ones((64, 128, 3), np.float32)
+    read = read_map(write(tmp_path / "white.exr", white, oiio_ColorSpace=space))
+    torch.testing.assert_close(read, torch.ones(3, 64, 128), atol=2e-3, rtol=0)
+    values = radiance()
+    assert (read_map(write(tmp_path / "a.exr", values, oiio_ColorSpace=space)) - planes(values)).abs().max() > 0.3
+
+
+@pytest.mark.parametrize(
+    "attributes",
+    [
+        {"oiio_ColorSpace": "lin_rec709_scene"},
+        {"oiio_ColorSpace": "linear"},
+        {"chromaticities": (0.64, 0.33, 0.3, 0.6, 0.15, 0.06, 0.3127, 0.329)},
+        {"chromaticities": REC709_D50},
+    ],
+)
+def test_colours_of_rec709_stay(tmp_path: Path, attributes: dict[str, Any]) -> None:
+    values = radiance()
+    read = read_map(write(tmp_path / "a.exr", values, **attributes))
+    torch.testing.assert_close(read, planes(values), rtol=1e-3, atol=1e-3)
+
+
+def test_colours_beyond_rec709_become_zero(tmp_path: Path) -> None:
+    green = np.tile(np.float32([0, 1, 0]), (64, 128, 1))
+    read = read_map(write(tmp_path / "a.exr", green, chromaticities=ACESCG))
+    assert read.min() == 0
+    assert read[1].min() > 1
+
+
+# Tasks
+
+
+def test_a_map_becomes_a_task(tmp_path: Path) -> None:
+    values = radiance(128, 256) * np.float32(37)
+    task = read_task(write(tmp_path / "my room.v2.exr", values))
+    assert task.name == "my room.v2"
+    assert list(task.data) == list(latlong.UNITS) == ["map", "scale", "photos"]
+    assert [(each.dtype, each.shape) for each in task.data.values()] == [
+        (torch.float32, (3, 64, 128)),
+        (torch.float32, ()),
+        (torch.uint8, (4, 3, 64, 64)),
+    ]
+    assert mean_luminance(task.data["map"]).item() == pytest.approx(1, abs=1e-5)
+    before = read_map(tmp_path / "my room.v2.exr")
+    torch.testing.assert_close(task.data["map"] * task.data["scale"], before)
+    assert task.data["scale"].item() == pytest.approx(mean_luminance(planes(values)).item(), rel=1e-5)
+
+
+def test_photographs_go_by_the_name(tmp_path: Path) -> None:
+    values = radiance()
+    first, again, other = (
+        read_map_task(write(tmp_path / name, values)).data["photos"] for name in ("a.exr", "sub/a.tif", "b.exr")
+    )
+    assert torch.equal(first, again)
+    assert not torch.equal(first, other)
+
+
+def test_any_map_becomes_a_task() -> None:
+    light = 5 + torch.rand(3, 16, 32, dtype=torch.float64)
+    task = map_task("a", light, stream(0))
+    assert {key: value.dtype for key, value in task.data.items()} == {
+        "map": torch.float32, "scale": torch.float32, "photos": torch.uint8
+    }  # fmt: skip
+    assert task.data["map"].shape == (3, 64, 128)
+    assert task.data["scale"].item() == pytest.approx(mean_luminance(light).item())
+
+
+@pytest.mark.parametrize("name", ["a.png", "a.jpg", "a.bmp"])
+def test_an_ldr_picture_is_a_photograph_of_a_sphere(tmp_path: Path, name: str) -> None:
+    task = read_task(write(tmp_path / name, ball(80), "uint8"))
+    assert task.name == "a"
+    assert list(task.data) == ["photos"]
+    photos = task.data["photos"]
+    assert photos.shape == (1, 3, 64, 64)
+    assert photos.dtype == torch.uint8
+    mask = sphere_normals(64)[1]
+    assert (photos[..., ~mask] == 0).all()
+    assert (photos[..., mask] > 0).float().mean() > 0.99
+
+
+def test_of_a_photograph_the_central_square_counts(tmp_path: Path) -> None:
+    wide = np.zeros((64, 96, 3), np.uint8)
+    wide[:, 16:80] = ball()
+    photos = [read_task(write(tmp_path / f"{name}.png", values, "uint8")).data["photos"]
+              for name, values in (("wide", wide), ("square", ball()))]  # fmt: skip
+    assert torch.equal(*photos)
+
+
+# Files
+
+
+def test_what_is_recognised_and_found(tmp_path: Path) -> None:
+    for name in ("b.exr", "sub/a.HDR"):
+        write(tmp_path / name, radiance(32, 64))
+    write(tmp_path / "b.png", ball(), "uint8")
+    (tmp_path / "notes.txt").write_text("about")
+    for name in ("", "sub", "b.exr", "b.png"):
+        assert latlong.recognises(tmp_path / name)
+    assert not latlong.recognises(tmp_path / "notes.txt")
+    assert [file.name for file in latlong.find([tmp_path])[0]] == ["b.exr", "b.png", "a.HDR"]
+    found, skipped = find_maps([tmp_path, tmp_path / "sub" / "a.HDR"])
+    assert [file.name for file in found] == ["b.exr", "a.HDR"]
+    assert [line.partition(": ")[0] for line in skipped] == [str(tmp_path / name) for name in ("notes.txt", "b.png")]
+    assert find_maps([tmp_path / "b.png"]) == ([tmp_path / "b.png"], [])  # reading it says what is wrong
+    (tmp_path / "b.exr").unlink()
+    (tmp_path / "sub" / "a.HDR").unlink()
+    with pytest.raises(ValueError, match="no map in this folder, expected an HDR map"):
+        find_maps([tmp_path])
+
+
+# What is refused
+
+
+def with_values(value: float, count: int = 1, kind: str = "float") -> Callable[[Path], Path]:
+    def make(folder: Path) -> Path:
+        values = radiance()
+        values.reshape(-1)[:count] = value
+        return write(folder / "a.exr", values, kind)
+
+    return make
+
+
+def truncated(path: Path) -> Path:
+    write(path, radiance())
+    os.truncate(path, path.stat().st_size // 2)
+    return path
+
+
+def text(path: Path) -> Path:
+    path.write_text("in words")
+    return path
+
+
+def picture(name: str, height: int, width: int) -> Callable[[Path], Path]:
+    return lambda folder: write(folder / name, ball(width)[:height], "uint8")
+
+
+def layout(*names: str) -> Callable[[Path], Path]:
+    return lambda folder: write(folder / "a.exr", radiance(channels=len(names)), names=names)
+
+
+def stated(**attributes: Any) -> Callable[[Path], Path]:
+    return lambda folder: write(folder / "a.exr", radiance(), **attributes)
+
+
+BAD: dict[str, tuple[Callable[[Path], Path], str]] = {
+    "square": (lambda folder: write(folder / "a.exr", radiance(64, 64)), "64x64 px, expected a lat-long map"),
+    "two rows off": (lambda folder: write(folder / "a.exr", radiance(64, 124)), "124x64 px, expected a lat-long map"),
+    "tiny": (lambda folder: write(folder / "a.exr", radiance(4, 8)), "8x4 px, expected 32 rows or more"),
+    "nan": (with_values(float("nan"), 3), "a.exr: 3 values are NaN or infinite"),
+    "inf": (with_values(float("inf")), "a.exr: 1 values are NaN or infinite"),
+    "infinite halves": (with_values(1e6, kind="half"), "a.exr: 1 values are NaN or infinite"),
+    "negative": (with_values(-1, 200), "radiance down to -1 at a mean of 2"),
+    "black": (lambda folder: write(folder / "a.exr", 0 * radiance()), "a.exr: black all over"),
+    "ldr map": (picture("a.png", 64, 128), "an LDR image (uint8), expected an HDR map"),
+    "ldr": (picture("a.jpg", 64, 64), "--observe photo"),
+    "no blue": (layout("R", "G"), "channels R, G, expected R, G, B, or Y alone"),
+    "luminance and chroma": (layout("Y", "RY", "BY"), "expected R, G, B, or Y alone"),
+    "depth": (layout("Z"), "channels Z, expected"),
+    "encoded": (stated(oiio_ColorSpace="sRGB"), "colours in 'srgb_rec709_scene', expected a linear space"),
+    "no primaries": (stated(chromaticities=(0.0,) * 8), "chromaticities 0, 0, 0, 0, 0, 0, expected three primaries"),
+    "truncated exr": (lambda folder: truncated(folder / "a.exr"), "a.exr: damaged or incomplete ("),
+    "truncated hdr": (lambda folder: truncated(folder / "a.hdr"), "a.hdr: damaged or incomplete ("),
+    "text": (lambda folder: text(folder / "a.exr"), "a.exr: not an image ("),
+    "missing": (lambda folder: folder / "a.exr", "a.exr: no such file"),
+    "folder": (lambda folder: folder, "a folder, expected"),
+}
+
+
+@pytest.mark.parametrize("kind", BAD)
+def test_what_is_no_map_is_refused_in_one_line(tmp_path: Path, kind: str) -> None:
+    make, message = BAD[kind]
+    path = make(tmp_path)
+    with pytest.raises(ValueError) as caught:  # noqa: PT011  # the message is looked at below
+        read_map_task(path)
+    assert str(path) in str(caught.value)
+    assert message in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_trace_below_zero_is_clamped(tmp_path: Path) -> None:
+    read = read_map(with_values(-1, 20)(tmp_path))
+    assert read.min() == 0
+    assert (read == 0).sum() == 20
+
+
+def test_a_wide_ldr_picture_is_no_sphere(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match=r"a.png: 128x64 px of uint8, expected an HDR map .* or a photograph"):
+        read_task(picture("a.png", 64, 128)(tmp_path))
+
+
+def test_a_black_disc_is_no_sphere(tmp_path: Path) -> None:
+    values = ball()
+    values[sphere_normals(64)[1].numpy()] = 0
+    with pytest.raises(ValueError, match=r"a.png: black inside the disc"):
+        read_task(write(tmp_path / "a.png", values, "uint8"))

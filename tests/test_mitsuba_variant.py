@@ -1,0 +1,108 @@
+"""Which libLLVM Mitsuba gets, and that none that aborts the process is among them."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from data_tools import mitsuba_variant
+from data_tools.mitsuba_variant import OLDEST, VARIABLE, find_llvm, llvm_version
+
+SYSTEM = sorted(path for place in mitsuba_variant._PLACES for path in Path("/").glob(f"{place[1:]}/libLLVM[-.]*"))
+
+
+@pytest.fixture
+def environment(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The library folder of an environment, where nothing else is in reach."""
+    monkeypatch.delenv(VARIABLE, raising=False)
+    monkeypatch.setattr(sys, "prefix", str(tmp_path))
+    monkeypatch.setattr(mitsuba_variant, "_PLACES", ())
+    (tmp_path / "lib" / "llvm").mkdir(parents=True)
+    return tmp_path / "lib"
+
+
+def make(path: Path) -> Path:
+    path.touch()
+    return path
+
+
+@pytest.mark.parametrize(
+    ("name", "version"),
+    [("libLLVM.so.19.1", 19), ("libLLVM-15.so.1", 15), ("libLLVM-14.0.6.so.1", 14), ("libLLVM-20.so", 20)],
+)
+def test_names_tell_the_version(tmp_path: Path, name: str, version: int) -> None:
+    assert llvm_version(make(tmp_path / name)) == version
+
+
+def test_a_link_is_what_it_leads_to(tmp_path: Path) -> None:
+    link = tmp_path / "libLLVM.so"
+    link.symlink_to(make(tmp_path / "libLLVM-14.so.1"))
+    assert llvm_version(link) == 14
+
+
+def test_what_is_no_library_has_no_version(tmp_path: Path) -> None:
+    assert llvm_version(tmp_path / "libLLVM.so.19.1") is None
+    assert llvm_version(make(tmp_path / "libLLVM.so")) is None
+
+
+def test_a_library_without_a_version_in_its_name_is_asked(tmp_path: Path) -> None:
+    try:
+        there = find_llvm()
+    except ValueError as error:
+        pytest.skip(str(error))
+    copy = tmp_path / "libLLVM.so"
+    try:
+        os.link(there.resolve(), copy)
+    except OSError:
+        pytest.skip(f"{tmp_path} is on another disk than {there}")
+    assert llvm_version(copy) == llvm_version(there)
+
+
+def test_the_users_choice_comes_first_then_the_environments(environment: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    own = make(environment / "llvm" / "libLLVM.so.19.1")
+    make(environment / "libLLVM-20.so")
+    assert find_llvm() == own
+    chosen = make(environment.parent / "libLLVM-22.so")
+    monkeypatch.setenv(VARIABLE, str(chosen))
+    assert find_llvm() == chosen
+
+
+def test_old_libraries_are_passed_over(environment: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    make(environment / "libLLVM-15.so.1")
+    monkeypatch.setenv(VARIABLE, str(make(environment / "libLLVM-18.so")))
+    with pytest.raises(ValueError, match=r"version 15.*expected 19 or newer.*apt-get install libllvm19") as caught:
+        find_llvm()
+    assert "\n" not in str(caught.value)
+    fit = make(environment / "libLLVM.so.19.1")
+    assert find_llvm() == fit
+
+
+def test_where_there_is_none_the_message_says_what_to_install(environment: Path) -> None:
+    with pytest.raises(ValueError, match=r"found none, expected 19 or newer.*apt-get install libllvm19"):
+        find_llvm()
+
+
+def test_a_mitsuba_that_took_an_old_library_is_refused_before_it_can_abort() -> None:
+    old = [path for path in SYSTEM if 15 <= (llvm_version(path) or 0) < OLDEST]
+    try:
+        find_llvm()
+    except ValueError as error:
+        pytest.skip(str(error))
+    if not old:
+        pytest.skip("no old libLLVM here")
+    lines = "import mitsuba\nfrom data_tools.mitsuba_variant import *\nimport os\ndel os.environ[VARIABLE]\n"
+    lines += f"os.environ[VARIABLE] = {str(find_llvm())!r}\n"
+    lines += "try:\n    load_mitsuba()\nexcept ValueError as error:\n    print(error)"
+    done = subprocess.run(
+        [sys.executable, "-c", lines],
+        capture_output=True,
+        text=True,
+        check=True,
+        cwd=Path(__file__).parent.parent,
+        env={**os.environ, VARIABLE: str(old[0])},
+    )
+    assert "imported before with libLLVM" in done.stdout

@@ -1,0 +1,208 @@
+"""The second scene: linear, without loss or gain, with its shadows and reflections in place, as Mitsuba renders it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from torch import Tensor
+
+from data_tools import second_scene
+from data_tools.mitsuba_variant import choose_llvm
+from data_tools.second_scene import GLOSSY_CENTRE, MATTE_CENTRE, direct, relight, transfer
+from metapp import latlong
+
+ROWS, COLUMNS = 16, 32
+SUNS = [(3, 3), (4, 11), (3, 20), (4, 28)]  # texels, 40 to 50 degrees above the horizon, all round
+
+try:
+    choose_llvm()  # while the tests are collected: whichever of them first imports Mitsuba decides which it takes
+    MISSING = ""
+except ValueError as error:
+    MISSING = str(error)
+needs_mitsuba = pytest.mark.skipif(bool(MISSING), reason=MISSING)
+
+
+@pytest.fixture(scope="module")
+def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A cache with the matrix of small maps."""
+    folder = tmp_path_factory.mktemp("matrix")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("METAPP_CACHE", str(folder))
+        patch.setattr(second_scene, "SAMPLES", 4096)
+        transfer(ROWS, COLUMNS)
+    return folder
+
+
+@pytest.fixture
+def matrix(built: Path, monkeypatch: pytest.MonkeyPatch) -> Tensor:
+    """[64, 96, 16, 32]; `relight` finds it too."""
+    monkeypatch.setenv("METAPP_CACHE", str(built))
+    return transfer(ROWS, COLUMNS).view(second_scene.HEIGHT, second_scene.WIDTH, ROWS, COLUMNS)
+
+
+def view(rows: Tensor | float, columns: Tensor | float) -> Tensor:
+    """Directions [..., 3] of view through places in the picture, in px from its top left corner."""
+    rows, columns = torch.as_tensor(rows, dtype=torch.float64), torch.as_tensor(columns, dtype=torch.float64)
+    right, up, forward = axes()
+    x = (columns / second_scene.WIDTH * 2 - 1) * math.tan(math.radians(second_scene.FIELD_DEGREES / 2))
+    y = (second_scene.HEIGHT - 2 * rows) / second_scene.WIDTH * math.tan(math.radians(second_scene.FIELD_DEGREES / 2))
+    return torch.nn.functional.normalize(x[..., None] * right + y[..., None] * up + forward, dim=-1)
+
+
+def pixel(point: Tensor) -> tuple[int, int]:
+    """Row and column of the picture in which a point [3] is seen."""
+    right, up, forward = axes()
+    way = point - torch.tensor(second_scene.CAMERA, dtype=torch.float64)
+    scale = second_scene.WIDTH / 2 / math.tan(math.radians(second_scene.FIELD_DEGREES / 2)) / (way @ forward)
+    return int(second_scene.HEIGHT / 2 - way @ up * scale), int(second_scene.WIDTH / 2 + way @ right * scale)
+
+
+def axes() -> Tensor:
+    """Right, up and forward [3, 3] of the camera."""
+    way = torch.tensor(second_scene.TARGET, dtype=torch.float64) - torch.tensor(second_scene.CAMERA).double()
+    forward = torch.nn.functional.normalize(way, dim=0)
+    right = torch.nn.functional.normalize(torch.linalg.cross(forward, torch.tensor([0.0, 1.0, 0.0]).double()), dim=0)
+    return torch.stack([right, torch.linalg.cross(right, forward), forward])
+
+
+def sun(row: int, column: int) -> Tensor:
+    """A map [3, 16, 32] with one texel 10,000 times as bright as the rest."""
+    light = torch.full((3, ROWS, COLUMNS), 0.01)
+    light[:, row, column] *= 1e4
+    return light
+
+
+@needs_mitsuba
+def test_light_adds_up_and_is_never_negative(matrix: Tensor, rng: torch.Generator) -> None:
+    assert (matrix >= 0).all()
+    assert matrix.isfinite().all()
+    maps = torch.rand(3, 3, ROWS, COLUMNS, generator=rng)
+    maps[2] = 2 * maps[0] + 0.5 * maps[1]
+    first, second, both = relight(maps, height=ROWS, width=COLUMNS)
+    torch.testing.assert_close(both, 2 * first + 0.5 * second)
+    by_hand = torch.einsum("hwrc,krc->khw", matrix.double(), maps[0].double())
+    torch.testing.assert_close(first.double(), by_hand, rtol=1e-5, atol=0)
+
+
+@needs_mitsuba
+def test_maps_of_any_size_give_the_same_picture(matrix: Tensor, rng: torch.Generator) -> None:
+    maps = torch.rand(1, 3, ROWS, COLUMNS, generator=rng)
+    larger = maps.repeat_interleave(2, -2).repeat_interleave(2, -1)
+    # a texel's halves above and below differ in solid angle, but not in radiance
+    assert relight(larger, height=ROWS, width=COLUMNS).shape == (1, 3, second_scene.HEIGHT, second_scene.WIDTH)
+    torch.testing.assert_close(*(relight(each, height=ROWS, width=COLUMNS) for each in (maps, larger)))
+
+
+@needs_mitsuba
+def test_in_a_furnace_nothing_shines_and_the_open_floor_shows_its_albedo(matrix: Tensor) -> None:
+    picture = matrix.sum((-2, -1))
+    assert picture.max() < second_scene.GLOSSY_REFLECTANCE * 1.03  # noise
+    torch.testing.assert_close(picture[0], torch.full_like(picture[0], second_scene.FLOOR_ALBEDO), rtol=0.03, atol=0)
+    top = pixel(torch.tensor(GLOSSY_CENTRE).double() + torch.tensor([0, 0.85, 0.5]).double())
+    assert picture[top] > 0.95 * second_scene.GLOSSY_REFLECTANCE  # it sees nothing but the sky
+    assert picture[pixel(torch.tensor([1.15, 0.0, 1.0]).double())] < 0.9 * second_scene.FLOOR_ALBEDO
+
+
+@needs_mitsuba
+def test_what_is_below_the_horizon_lights_nothing(matrix: Tensor) -> None:
+    assert (matrix[..., ROWS // 2 :, :] == 0).all()
+    assert (matrix[..., : ROWS // 2, :].amax((0, 1)) > 0).all()
+
+
+@needs_mitsuba
+@pytest.mark.parametrize("centre", [MATTE_CENTRE, GLOSSY_CENTRE])
+def test_shadows_lie_on_the_far_side_of_the_spheres(matrix: Tensor, centre: tuple[float, float, float]) -> None:
+    to_light = latlong.directions(ROWS, COLUMNS, dtype=torch.float64)
+    tried = 0
+    for row, column in SUNS:
+        light = to_light[:, row, column]
+        open_floor = second_scene.FLOOR_ALBEDO / math.pi * light[1] * latlong.solid_angles(ROWS, COLUMNS)[row, 0]
+        far, near = (torch.tensor(centre).double() + side * light / light[1] for side in (-1, 1))
+        far[1] = near[1] = 0
+        # the sphere hides some of these places from the camera, or they are outside the picture
+        if is_seen(far):
+            assert matrix[(*pixel(far), row, column)] < 0.25 * open_floor
+            tried += 1
+        if is_seen(near):
+            assert matrix[(*pixel(near), row, column)] > 0.85 * open_floor
+            tried += 1
+    assert tried >= 4
+
+
+def is_seen(point: Tensor) -> bool:
+    """Whether a point of the floor is in the picture, with no sphere, a little enlarged, before it."""
+    row, column = pixel(point)
+    camera = torch.tensor(second_scene.CAMERA, dtype=torch.float64)
+    way = torch.nn.functional.normalize(point - camera, dim=0)
+    for centre in (MATTE_CENTRE, GLOSSY_CENTRE):
+        to_centre = torch.tensor(centre, dtype=torch.float64) - camera
+        if torch.linalg.cross(way, to_centre).norm() < 1.1:
+            return False
+    return 0 <= row < second_scene.HEIGHT and 0 <= column < second_scene.WIDTH
+
+
+@needs_mitsuba
+def test_the_glossy_sphere_reflects_what_lies_in_the_mirrors_direction(matrix: Tensor) -> None:
+    rows, columns = torch.meshgrid(
+        torch.arange(second_scene.HEIGHT) + 0.5, torch.arange(second_scene.WIDTH) + 0.5, indexing="ij"
+    )
+    way = view(rows, columns)
+    to_camera = torch.tensor(second_scene.CAMERA).double() - torch.tensor(GLOSSY_CENTRE).double()
+    along = (way * to_camera).sum(-1)
+    inside = along**2 - to_camera @ to_camera + 1
+    normal = to_camera + (-along - inside.clamp_min(0).sqrt())[..., None] * way
+    mirrored = way - 2 * (way * normal).sum(-1, keepdim=True) * normal
+    # well inside the disc and above the floor, not where the other sphere is mirrored
+    chosen = (inside > 0.15) & (mirrored[..., 1] > 0.5) & (mirrored[..., 0] > -0.7)
+    assert chosen.sum() > 100
+    to_light = latlong.directions(ROWS, COLUMNS, dtype=torch.float64)
+    mean = torch.nn.functional.normalize(torch.einsum("prc,krc->pk", matrix[chosen].double(), to_light), dim=-1)
+    angle = (mean * mirrored[chosen]).sum(-1).clamp(-1, 1).acos().rad2deg()
+    assert angle.max() < 8  # a texel is 11 degrees wide, the lobe about 14
+    assert angle.mean() < 4
+
+
+@needs_mitsuba
+@pytest.mark.parametrize(("illumination", "spp", "within"), [("soft", 256, 0.05), ("sunny", 1024, 0.1)])
+def test_pictures_agree_with_mitsubas_path_tracer(matrix: Tensor, illumination: str, spp: int, within: float) -> None:
+    soft = 1 + 0.5 * latlong.directions(ROWS, COLUMNS)
+    light = soft if illumination == "soft" else sun(3, 12) * soft
+    expected = direct(light, spp)
+    (picture,) = relight(light[None], height=ROWS, width=COLUMNS)
+    assert ((picture - expected).abs() / expected).mean() < within
+    torch.testing.assert_close(picture.mean((1, 2)), expected.mean((1, 2)), rtol=0.02, atol=0)
+
+
+def test_the_matrix_is_built_once_and_again_where_the_file_is_damaged(
+    cache: Path, monkeypatch: pytest.MonkeyPatch, rng: torch.Generator
+) -> None:
+    calls: list[tuple[int, int]] = []
+    made = torch.rand(second_scene.HEIGHT * second_scene.WIDTH, 8, generator=rng)
+
+    def build(height: int, width: int, report: Callable[[int, int], Any]) -> Tensor:
+        calls.append((height, width))
+        return made
+
+    monkeypatch.setattr(second_scene, "_build", build)
+    assert torch.equal(transfer(2, 4), made)
+    assert torch.equal(transfer(2, 4), made)
+    assert calls == [(2, 4)]
+    transfer(4, 2)
+    assert calls == [(2, 4), (4, 2)]
+    assert len(list(cache.iterdir())) == 2  # and no unfinished file
+
+    (file,) = cache.glob("*-2x4-*")
+    file.write_bytes(b"damaged")
+    assert torch.equal(transfer(2, 4), made)
+    assert calls == [(2, 4), (4, 2), (2, 4)]
+
+
+@pytest.mark.parametrize(("height", "width"), [(3, 6), (0, 4), (2, 0)])
+def test_maps_that_the_horizon_cuts_are_refused(height: int, width: int) -> None:
+    with pytest.raises(ValueError, match="even number of rows"):
+        transfer(height, width)

@@ -1,0 +1,151 @@
+"""The synthetic environments: varied, lit from dim to dazzling as real ones are, the same for a seed."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from data_tools.procedural import stream
+from data_tools.synthetic_illumination import COUNTS, FAMILIES, UNITS, environment, synthetic_tasks, white_balance
+from metapp.cli.embedded import embedded_data
+from metapp.latlong import luminance, mean_luminance, solid_angles
+from metapp.manifest import read_manifest
+from metapp.task import Task
+
+# Mean of the upper and of the lower half of red, green and blue of three maps.
+EXPECTED = (
+    (1.2468, 0.4939, 1.4069, 0.4491, 1.6428, 0.3528),
+    (2.2516, 0.2897, 1.9984, 0.2339, 1.6686, 0.1976),
+    (1.3883, 0.1651, 1.5073, 0.1827, 1.6945, 0.0962),
+)
+
+
+@pytest.fixture(scope="module")
+def train() -> list[Task]:
+    return list(synthetic_tasks("train", 48))
+
+
+@pytest.fixture(scope="module")
+def test() -> list[Task]:
+    return list(synthetic_tasks("test", COUNTS["test"]))
+
+
+@pytest.fixture(scope="module")
+def light(train: list[Task], test: list[Task]) -> Tensor:
+    """[64, 3, 64, 128]."""
+    return torch.stack([task.data["map"] for task in train + test])
+
+
+def test_counts_names_and_tensors(train: list[Task], test: list[Task]) -> None:
+    assert COUNTS == {"train": 900, "test": 16}
+    names = [task.name for task in train + test]
+    assert len(set(names)) == len(names) == 64
+    assert names[:2] == ["meadow-000", "apartment-001"]
+    assert names[48] == "meadow-t000"
+    assert {name.split("-")[0] for name in names[:20]} == {name.split("-")[0] for name in names[48:]} == set(FAMILIES)
+    for task in train + test:
+        assert set(task.data) == set(UNITS)
+        assert (task.data["map"].dtype, task.data["map"].shape) == (torch.float32, (3, 64, 128))
+        assert (task.data["photos"].dtype, task.data["photos"].shape) == (torch.uint8, (4, 3, 64, 64))
+        assert (task.data["scale"].dtype, task.data["scale"].shape) == (torch.float32, ())
+
+
+def test_maps_are_finite_lit_everywhere_and_of_mean_luminance_1(light: Tensor, train: list[Task]) -> None:
+    assert light.isfinite().all()
+    assert light.min() >= 0
+    assert (mean_luminance(light) - 1).abs().max() < 1e-4
+    assert (luminance(light) > 0).float().mean() > 0.98
+    scales = torch.stack([task.data["scale"] for task in train])  # kcd/m^2: from lamplight to sunlight
+    assert scales.min() > 1e-3
+    assert scales.max() < 50
+    assert scales.max() > 300 * scales.min()
+
+
+def test_a_larger_set_begins_with_the_smaller_one_and_a_seed_changes_all(train: list[Task]) -> None:
+    for one, two in zip(synthetic_tasks("train", 4), train, strict=False):
+        assert one.name == two.name
+        assert all(torch.equal(one.data[key], two.data[key]) for key in UNITS)
+    for one, two in zip(synthetic_tasks("train", 8, seed=1), train, strict=False):
+        assert (one.data["map"] - two.data["map"]).abs().mean() > 0.1
+
+
+def test_draws_are_the_same_on_every_machine(light: Tensor) -> None:
+    """Whoever changes a draw changes the default data set, and with it every trained start and every table."""
+    found = light[[0, 21, 60]].unflatten(2, (2, 32)).mean((3, 4)).flatten(1)
+    np.testing.assert_allclose(found.numpy(), EXPECTED, rtol=0.01)
+
+
+def test_every_map_is_another_place(light: Tensor) -> None:
+    small = torch.nn.functional.avg_pool2d(light, 8).add(0.05).log().flatten(1)
+    apart = torch.cdist(small, small, p=1).fill_diagonal_(float("inf")) / small.shape[1]
+    assert apart.min() > 0.15  # and with that no test map is a training map
+
+
+def test_light_is_spread_as_in_real_places(light: Tensor) -> None:
+    """The medians and the range of some statistics lie where those of published environment maps do."""
+    levels, share = luminance(light), solid_angles(64, 128) / (4 * torch.pi)
+    weight = share.expand(64, 128).flatten()
+    rising, order = levels.flatten(1).sort(dim=1)
+    below = weight[order].cumsum(1)
+    median = rising.gather(1, (below > 0.5).int().argmax(1, keepdim=True)).squeeze(1)
+    brightest = ((rising * weight[order]) * (below > 0.99)).sum(1)  # share of the light from 1 % of all directions
+    upper = (levels * share)[:, :32].sum((1, 2))
+    peak = levels.flatten(1).amax(1)
+    for found, low, middle, high in (
+        (median, 0.06, (0.2, 0.5), 0.6),
+        (brightest, 0.06, (0.15, 0.6), 0.8),
+        (upper, 0.6, (0.72, 0.9), 0.92),
+        (peak, 8, (30, 400), 2000),
+    ):
+        assert found.min() < low
+        assert middle[0] < found.median() < middle[1]
+        assert found.max() > high
+
+
+def test_suns_stand_in_all_directions(light: Tensor) -> None:
+    levels = luminance(light)
+    columns = levels[levels.flatten(1).amax(1) > 500].flatten(1).argmax(1) % 128
+    assert len(columns) > 8
+    assert len((columns // 32).unique()) == 4
+
+
+def test_photos_show_the_map(train: list[Task]) -> None:
+    """What lies above is brighter than what lies below in the photos of most maps, as it is in the maps."""
+    photos = torch.stack([task.data["photos"] for task in train]).float().mean((1, 2))
+    light = torch.stack([luminance(task.data["map"]) for task in train])
+    above = photos[:, :32].sum((1, 2)) > photos[:, 32:].sum((1, 2))
+    expected = light[:, :32, 64 - 40 : 64 + 40].sum((1, 2)) > light[:, 32:, 64 - 40 : 64 + 40].sum((1, 2))
+    assert (above == expected).float().mean() > 0.8
+
+
+def test_cameras_take_away_strong_casts() -> None:
+    red = torch.tensor([8.0, 1.0, 0.25]).expand(64, 128, 3).permute(2, 0, 1).numpy()
+    for seed in range(50):
+        gains = torch.from_numpy(white_balance(red, stream(seed)))
+        seen = gains * torch.tensor([8.0, 1.0, 0.25])
+        assert 0.4 < seen[0] / seen[2] < 2 ** (1.2 + 0.6) * 1.01
+
+
+@pytest.mark.parametrize("name", list(FAMILIES))
+def test_families_draw_without_fail(name: str) -> None:
+    for seed in range(2):
+        light = environment(FAMILIES[name], stream(7, seed), supersampling=1)
+        assert light.isfinite().all()
+        assert mean_luminance(light) > 1e-4
+
+
+def test_the_embedded_set_has_all_units(tmp_path: Path) -> None:
+    manifest = read_manifest(embedded_data("illumination", count=3, out=tmp_path / "maps", quiet=True))
+    assert manifest.units == UNITS
+    assert [entry.split for entry in manifest.tasks].count("test") == 1
+
+
+@pytest.mark.parametrize("arguments", [("validation", 1), ("train", -1), ("test", 5, -2)])
+def test_impossible_sets_are_errors(arguments: tuple[Any, ...]) -> None:
+    with pytest.raises(ValueError, match="expected"):
+        next(synthetic_tasks(*arguments))
