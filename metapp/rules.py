@@ -240,7 +240,8 @@ def _meta_adam(alpha: Params) -> UpdateRule:
 
 
 def _meta_adam_state(theta: Params) -> Params:
-    return adam_state(theta) | {f"mean.{key}": value for key, value in theta.items()}
+    # not theta: derivatives are not carried through a state's first values, which the first mean forgets anyway
+    return adam_state(theta) | {f"mean.{key}": torch.zeros_like(value) for key, value in theta.items()}
 
 
 RULES: Mapping[str, LearnedRule] = {

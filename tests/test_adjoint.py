@@ -14,7 +14,7 @@ from torch import Generator, Tensor
 from metapp.adjoint import Drawn, Loss, UpdateRule, at_step, learn_through
 from metapp.apps.brdf import APP
 from metapp.learning import MetaParameters, after_learning, spread
-from metapp.rules import RULES, fixed_adam, sgd
+from metapp.rules import META_EPS, RULES, fixed_adam, sgd
 from metapp.task import Adam, Batch, Params
 
 TASKS, STEPS, SAMPLES = 3, 4, 24
@@ -56,7 +56,7 @@ def brdf_phi(rule: str, randn: Callable[..., Tensor], steps: int = STEPS) -> Par
     theta = {key: value[0].double() for key, value in APP.init(Generator().manual_seed(2), 1).items()}
     alpha = {
         key: value + 0.05 * randn(*value.shape)
-        for key, value in RULES[rule].alpha(APP, theta, steps, Adam(5e-3, beta2=0.99)).items()
+        for key, value in RULES[rule].alpha(APP, theta, steps, Adam(5e-3, beta2=0.99, eps=META_EPS)).items()
     }
     return MetaParameters(theta, alpha).flat()
 
@@ -179,6 +179,8 @@ def test_finite_differences(rule: str, randn: Callable[..., Tensor]) -> None:
         "alpha.rate",
         "alpha.pace",
         "alpha.beta",
+        "alpha.eps",
+        "alpha.mean",
         "alpha.loss",
         "alpha.left",
         "alpha.right",
