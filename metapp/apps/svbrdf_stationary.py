@@ -37,7 +37,7 @@ LEARNED = Training(
 )
 ENCODED = replace(LEARNED, start="encoder", rates={"": 3e-4, "alpha.": 3e-3})
 TUNED = Training(
-    steps=0, tasks=0, rates={"": 0.0}, first=Adam(6e-3, beta1=0.7, beta2=0.99, final=0.6), tuned=True, start="encoder"
+    steps=0, tasks=0, rates={"": 0.0}, first=Adam(3e-3, beta1=0.5, beta2=0.97, final=0.3), tuned=True, start="encoder"
 )
 QUICK = Recipe(
     steps=20,
@@ -55,7 +55,7 @@ QUICK = Recipe(
         "meta-mean": TUNED,
         "meta-basis": TUNED,
     },
-    rule="meta-mean",
+    rule="meta-basis",
     setup=Setup(64, 64, UNet(16, outputs=6), "vgg16", ("relu1_1", "relu2_1", "relu3_1")),
 )
 
