@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import re
 from collections.abc import Collection, Iterable, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -33,6 +34,8 @@ _EXPECTED = "expected an image file, such as JPEG, PNG, TIFF or EXR"
 
 # What may open as a TIFF, but as its thumbnail.
 _RAW = (".arw", ".cr2", ".cr3", ".crw", ".dng", ".nef", ".nrw", ".orf", ".pef", ".raf", ".raw", ".rw2", ".srw")
+_HEIF = (".avif", ".heic", ".heif", ".hif")  # few builds of OpenImageIO read these
+_NAMED = (*SUFFIXES, *_RAW, *_HEIF)
 
 _CONFIG = "ocio://default"  # a user's own, which the variable OCIO names, may know other spaces
 _SRGB, _LINEAR = "srgb_rec709_scene", "lin_rec709_scene"
@@ -70,7 +73,7 @@ def find_photos(paths: Iterable[str | Path], expected: Collection[str] = ()) -> 
         returned as it is, if it exists: reading it says what is wrong with it.
 
     Raises:
-        ValueError: a path that does not exist, a folder without any image.
+        ValueError: a path that does not exist, a folder without any image that can be read.
     """
     files: dict[Path, Path] = {}
     skipped: list[str] = []
@@ -80,27 +83,35 @@ def find_photos(paths: Iterable[str | Path], expected: Collection[str] = ()) -> 
             files.setdefault(path.resolve(), path)
             continue
         found = 0
+        to_export = []
         for file in _files_below(path):
-            if is_photo(file):
+            if file.suffix.lower() in SUFFIXES or _opens(file):
                 files.setdefault(file.resolve(), file)
                 found += 1
+            elif file.suffix.lower() in _NAMED:
+                to_export.append(_to_export(file))
             elif file.name not in expected:
                 skipped.append(f"{file}: not an image that can be read, {_EXPECTED}.")
         if not found:
-            raise ValueError(f"{path}: no image in this folder, {_EXPECTED}; name the folder of the photographs.")
+            nothing = f"{path}: no image in this folder, {_EXPECTED}; name the folder of the photographs."
+            raise ValueError(to_export[0] if to_export else nothing)
+        skipped += to_export
     return list(files.values()), skipped
 
 
 def is_photo(path: str | Path) -> bool:
-    """Whether a file is an image: by its suffix if that is a known one, else by whether OpenImageIO opens it."""
+    """Whether a file is an image: by its suffix if that is a known one, else by whether OpenImageIO opens it.
+
+    A camera's raw or HEIF file is one too, though reading it may only say that it is to be exported.
+    """
     path = Path(path)
-    return path.is_file() and (path.suffix.lower() in SUFFIXES or _opens(path))
+    return path.is_file() and (path.suffix.lower() in _NAMED or _opens(path))
 
 
 def holds_photos(path: str | Path) -> bool:
     """Whether a path is an image file, or a folder with one below it, known by its suffix."""
     path = Path(path)
-    return any(file.suffix.lower() in SUFFIXES for file in _files_below(path)) if path.is_dir() else is_photo(path)
+    return any(file.suffix.lower() in _NAMED for file in _files_below(path)) if path.is_dir() else is_photo(path)
 
 
 def read_photo(path: str | Path, size: int = SIZE) -> Tensor:
@@ -118,8 +129,8 @@ def read_photo(path: str | Path, size: int = SIZE) -> Tensor:
         sRGB, uint8 [3, size, size], rows from the top.
 
     Raises:
-        ValueError: no such file, no image, a damaged one; a side below 32 px, more than 2^28 px; channels other than
-            gray or RGB; NaN; a picture of one colour.
+        ValueError: no such file, no image, a damaged one; a name that is not UTF-8; a side below 32 px, more than
+            2^28 px; channels other than gray or RGB; NaN; a picture of one colour.
     """
     path = Path(path)
     pixels = _read(path)
@@ -131,6 +142,12 @@ def read_photo(path: str | Path, size: int = SIZE) -> Tensor:
     srgb = linear_to_srgb(torch.from_numpy(linear)).numpy()
     deviation = srgb.std(axis=(0, 1)).max()
     if deviation < _MIN_DEVIATION:
+        colours = pixels.values[..., :3]
+        if colours.dtype.kind == "f" and (colours > 1).mean() > 0.5:
+            raise ValueError(
+                f"{path}: values up to {colours.max():.4g}, most above 1, which is white, expected values in [0, 1]; "
+                "scale them to it."
+            )
         raise ValueError(
             f"{path}: one colour all over (standard deviation {deviation * 255:.2f} of 255), expected a picture with "
             "a visible structure; leave it out."
@@ -182,22 +199,32 @@ def _open(path: Path) -> Any:
     import OpenImageIO as oiio  # its import costs more than a command that reads no image should pay
 
     if path.suffix.lower() in _RAW:
-        raise ValueError(f"{path}: raw values of a camera, {_EXPECTED}; develop it first.")
+        raise ValueError(_to_export(path))
     wanted = oiio.ImageSpec()
     wanted.attribute("oiio:UnassociatedAlpha", 1)
     try:
         source = oiio.ImageInput.open(str(path), wanted)
-    except UnicodeError:
-        raise ValueError(f"{path!a}: a name that is not UTF-8, expected one that is; rename the file.") from None
+    except (UnicodeError, TypeError):  # which one depends on OpenImageIO's version
+        raise ValueError(f"{str(path)!a}: a name that is not UTF-8, expected one that is; rename it.") from None
     if source is None:
-        raise ValueError(f"{path}: not an image ({_reason(oiio.geterror(), path)}), {_EXPECTED}.")
+        reason = _reason(oiio.geterror(), path)  # also told where it is not shown, else it appears as Python ends
+        if path.suffix.lower() in _HEIF:
+            raise ValueError(_to_export(path))
+        raise ValueError(f"{path}: not an image ({reason}), {_EXPECTED}; check the file or export it again.")
     return source
+
+
+def _to_export(path: Path) -> str:
+    """The line about a camera's or phone's own form of pictures."""
+    kind = "raw values of a camera" if path.suffix.lower() in _RAW else "a picture in HEIF or AVIF"
+    return f"{path}: {kind}, {_EXPECTED}; export it as JPEG or PNG."
 
 
 def _reason(message: str, path: Path) -> str:
     """The first sentence of OpenImageIO's message, without the path, which the line has already."""
-    first = next(iter(message.splitlines()), "").replace(f'"{path}"', "the file").replace("(the file)", "")
-    return first.partition(". ")[0].strip().rstrip(".") or "unknown reason"
+    without = re.sub(rf'( for( file)?)? ?["(]?{re.escape(str(path))}[")]?( is\b)?', "", message)
+    first = next(iter(without.splitlines()), "")
+    return first.partition(". ")[0].strip(" :.") or "unknown reason"
 
 
 def _read(path: Path) -> _Pixels:

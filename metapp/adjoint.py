@@ -203,7 +203,6 @@ class _LearnThrough(torch.autograd.Function):
         ctx: Any,
         steps: StepPair,
         order: int,
-        on_the_way: bool,
         rule: UpdateRule,
         batches: Sequence[Any],
         keys: Sequence[str],
@@ -213,40 +212,27 @@ class _LearnThrough(torch.autograd.Function):
         theta = dict(zip(keys, detached, strict=False))
         ctx.alpha = dict(zip(rule.alpha, detached[len(keys) :], strict=True))
         state = rule.init(theta)
-        ctx.steps, ctx.taken, ctx.gradients, losses = steps, [], [], []
+        ctx.steps, ctx.taken = steps, []
         for i, batch in enumerate(batches):
             before = (theta, state)
-            theta, state, each, gradient = steps.forward(at_step(ctx.alpha, i), theta, state, batch)
+            theta, state, _, gradient = steps.forward(at_step(ctx.alpha, i), theta, state, batch)
             ctx.taken.append((*before, batch if order == 2 else gradient))
-            ctx.gradients.append(gradient if on_the_way else None)
-            losses.append(each)
         ctx.last_state = state
-        ctx.set_materialize_grads(False)
-        stacked = torch.stack(losses) if losses else leaves[0].new_zeros(0)
-        if not on_the_way:
-            ctx.mark_non_differentiable(stacked)
-        return stacked, *(theta[key] for key in keys)
+        return tuple(theta[key] for key in keys)
 
     @staticmethod
     @once_differentiable
-    def backward(ctx: Any, pull_losses: Tensor | None, *pulls: Tensor):
-        pull_theta = {
-            key: torch.zeros_like(value) if pull is None else pull.contiguous()
-            for (key, value), pull in zip(ctx.taken[0][0].items(), pulls, strict=True)
-        }
+    def backward(ctx: Any, *pulls: Tensor):
+        pull_theta = dict(zip(ctx.taken[0][0], (pull.contiguous() for pull in pulls), strict=True))
         pull_state = {key: torch.zeros_like(value) for key, value in ctx.last_state.items()}
         pull_alpha = {key: torch.zeros_like(value) for key, value in ctx.alpha.items()}
         for i in reversed(range(len(ctx.taken))):
             pull_theta, pull_state, pulled = ctx.steps.pullback(
                 at_step(ctx.alpha, i), *ctx.taken.pop(), pull_theta, pull_state
             )
-            gradient = ctx.gradients.pop()
-            if pull_losses is not None:
-                each = pull_losses[i]
-                pull_theta = {key: pull + _from_left(each, pull) * gradient[key] for key, pull in pull_theta.items()}
             for key, value in pulled.items():
                 pull_alpha[key][min(i, pull_alpha[key].shape[0] - 1)] += value
-        return None, None, None, None, None, None, *pull_theta.values(), *pull_alpha.values()
+        return None, None, None, None, None, *pull_theta.values(), *pull_alpha.values()
 
 
 def learn_through(
@@ -258,13 +244,8 @@ def learn_through(
     order: int,
     compiled: bool = False,
     tasks_at_once: int | None = None,
-    on_the_way: bool = False,
-) -> tuple[Params, Tensor]:
+) -> Params:
     """Learn on given batches, differentiably in the start and in the rule's alpha.
-
-    Returns:
-        The parameters after the last step, and the loss of each task before each step, [K, T]. With `on_the_way` these
-        losses have derivatives, too, of the parameters' part: learned quantities of the loss are constants to them.
 
     The gradient is the adjoint recursion over the steps: memory is one step's graph and K copies of the parameters
     and of the rule's state. Order 1 treats each step's gradient as a constant (FOMAML); order 2 is exact (MAML).
@@ -273,11 +254,5 @@ def learn_through(
     if tasks_at_once:
         steps = steps._replace(pullback=_in_slices(steps.pullback, tasks_at_once))
     keys = list(theta)
-    losses, *final = _LearnThrough.apply(
-        steps, order, on_the_way, rule, batches, keys, *theta.values(), *rule.alpha.values()
-    )
-    return dict(zip(keys, final, strict=True)), losses
-
-
-def _from_left(value: Tensor, other: Tensor) -> Tensor:
-    return value.reshape(value.shape + (1,) * (other.ndim - value.ndim))
+    final = _LearnThrough.apply(steps, order, rule, batches, keys, *theta.values(), *rule.alpha.values())
+    return dict(zip(keys, final, strict=True))

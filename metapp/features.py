@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
 
 import torch
-from safetensors import SafetensorError
+from safetensors import SafetensorError, safe_open
 from safetensors.torch import load_file
 from torch import Generator, Tensor, nn
 from torch.nn.functional import avg_pool2d
@@ -19,6 +20,8 @@ BLOCKS = {
     "vgg16": ((64,) * 2, (128,) * 2, (256,) * 3, (512,) * 3, (512,) * 3),
     "vgg19": ((64,) * 2, (128,) * 2, (256,) * 4, (512,) * 4, (512,) * 4),
 }
+# how the SHA-256 begins of files of ImageNet's weights, and of VGG-16's as the cache keeps them
+KNOWN = {"vgg16": ("397923af", "a286e44c", "2ecbe4ce", "306c6f39"), "vgg19": ("dcbb9e9d",)}
 MEAN, DEVIATION = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
 
 
@@ -27,7 +30,7 @@ class Features(nn.Module):
 
     Attributes:
         name: what outputs call the features.
-        last: how many stages there are; each ends at a tap.
+        stages: the layers up to each tap, from the one before.
     """
 
     mean: Tensor
@@ -69,10 +72,36 @@ def weights_path(which: str) -> Path:
 
 
 def describe_features(which: str) -> str:
-    """What `load_features` would give now, in words."""
-    if weights_path(which).is_file():
-        return f"{which.upper().replace('VGG', 'VGG-')} features (ImageNet)"
+    """What `load_features` would give now, in words.
+
+    Raises:
+        ValueError: damaged weights.
+    """
+    path = weights_path(which)
+    if path.is_file():
+        return f"{which.upper().replace('VGG', 'VGG-')} features ({_origin(which, path, path.stat().st_mtime_ns)})"
     return f"random filters, as the {which} weights are missing (metapp data vgg --which {which} fetches them)"
+
+
+@lru_cache(maxsize=4)
+def _origin(which: str, path: Path, changed: int) -> str:  # `changed`, its time, is there for the lru_cache
+    """What a file's weights are: ImageNet's, by the file they came from or by their own digest, or unknown ones."""
+    try:
+        with safe_open(path, "pt") as weights:
+            digest = (weights.metadata() or {}).get("sha256", "")
+    except SafetensorError:
+        raise _damaged(which, path) from None
+    if digest[:8] not in KNOWN[which]:
+        with path.open("rb") as file:
+            file.seek(8 + int.from_bytes(file.read(8), "little"))  # past the header, which tells the source
+            digest = hashlib.file_digest(file, "sha256").hexdigest()
+    return "ImageNet" if digest[:8] in KNOWN[which] else f"unknown weights {digest[:8]}"
+
+
+def _damaged(which: str, path: str | Path) -> ValueError:
+    return ValueError(
+        f"{path}: damaged, expected the weights of {which}; fetch it again: metapp data vgg --which {which}."
+    )
 
 
 def load_features(which: str, taps: Sequence[str], like: Tensor) -> Features:
@@ -94,9 +123,7 @@ def _vgg(which: str, taps: Sequence[str], path: str) -> Features:
     try:
         weights = load_file(path)
     except SafetensorError:
-        raise ValueError(
-            f"{path}: damaged, expected the weights of {which}; fetch it again: metapp data vgg --which {which}."
-        ) from None
+        raise _damaged(which, path) from None
     stages: list[list[nn.Module]] = [[]]
     inputs, layer = 3, 0
     for block, widths in enumerate(BLOCKS[which], 1):

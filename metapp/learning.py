@@ -130,7 +130,6 @@ def after_learning(
     clip: float = float("inf"),
     compiled: bool = False,
     tasks_at_once: int | None = None,
-    along: float = 0.0,
     observe: Callable[[Any, Generator], Any] | None = None,
     encode: Callable[[Params, Any], Params] | None = None,
 ) -> Loss:
@@ -144,8 +143,6 @@ def after_learning(
         clip: each task's gradient, over all of phi, is scaled down to this norm.
         compiled: compile the inner step and its adjoint.
         tasks_at_once: walk back for so many tasks at a time, which lowers the memory; None for all.
-        along: share of the loss that is not of the last parameters but a mean over those on the way, later ones
-            weighing more: its gradient comes for nothing and is less noisy (Antoniou et al. 2019).
         observe, encode: where phi holds an encoder, its condition and forward pass give each task's own start.
 
     Returns:
@@ -164,21 +161,10 @@ def after_learning(
         theta = encode(start.encoder, observed) if encode else spread(start.theta, count, 0)
         # the mean over tasks has divided each one's gradient by their number
         theta, alpha = clip_per_task(theta, spread(start.alpha, count, 1), clip / count)
-        final, losses = learn_through(
-            theta,
-            rule(alpha),
-            inner,
-            loss,
-            order=order,
-            compiled=compiled,
-            tasks_at_once=tasks_at_once,
-            on_the_way=along > 0,
+        final = learn_through(
+            theta, rule(alpha), inner, loss, order=order, compiled=compiled, tasks_at_once=tasks_at_once
         )
-        left = loss.value(final, last, {})
-        if not along or not steps:
-            return left
-        weights = torch.arange(steps, dtype=losses.dtype, device=losses.device)
-        return (1 - along) * left + along * (weights / weights.sum().clamp_min(1)) @ losses
+        return loss.value(final, last, {})
 
     return Loss(draw, value)
 

@@ -24,6 +24,7 @@ class Entry(NamedTuple):
         split: "train" or "test".
         source: base name of the file or folder it was made of; "" where there is none.
         sha256: of the file's bytes, 64 hexadecimal digits.
+        group: what several tasks show; "" where it shows something of its own, or the file does not say.
     """
 
     name: str
@@ -31,6 +32,7 @@ class Entry(NamedTuple):
     split: str
     source: str
     sha256: str
+    group: str = ""
 
 
 class Manifest(NamedTuple):
@@ -116,7 +118,8 @@ def _from_json(raw: Any, path: Path) -> Manifest:
     entries: list[Entry] = []
     for index, record in enumerate(field(raw, "tasks", list)):
         where = f"task {index + 1}: "
-        entry = Entry(*(field(record, key, str, where) for key in Entry._fields))
+        optional = [key for key in Entry._field_defaults if isinstance(record, dict) and key not in record]
+        entry = Entry(**{key: field(record, key, str, where) for key in Entry._fields if key not in optional})
         if not re.fullmatch(r"[A-Za-z0-9_-][A-Za-z0-9._-]*", entry.file) or not entry.file.endswith(SUFFIX):
             raise ValueError(
                 f"{path}: {where}file {json.dumps(entry.file)}, expected the plain name of a {SUFFIX} file in the "

@@ -74,7 +74,9 @@ def adam_state(theta: Params) -> Params:
     return state | {"product1": first.new_ones(()), "product2": first.new_ones(())}
 
 
-def _adam_directions(beta1: Tensor, beta2: Tensor, eps: float, grads: Params, state: Params) -> tuple[Params, Params]:
+def _adam_directions(
+    beta1: Tensor, beta2: Tensor, eps: Tensor | float, grads: Params, state: Params
+) -> tuple[Params, Params]:
     after = {"product1": state["product1"] * beta1, "product2": state["product2"] * beta2}
     directions = {}
     for key, grad in grads.items():
@@ -83,7 +85,8 @@ def _adam_directions(beta1: Tensor, beta2: Tensor, eps: float, grads: Params, st
         second = after[f"v.{key}"] = b2 * state[f"v.{key}"] + (1 - b2) * grad * grad
         unbiased = second / _like(1 - after["product2"], grad)
         # the square root has no derivative at 0, where dead units are
-        directions[key] = first / _like(1 - after["product1"], grad) / ((unbiased + 1e-24).sqrt() + eps)
+        floor = _like(eps, grad) if isinstance(eps, Tensor) else eps
+        directions[key] = first / _like(1 - after["product1"], grad) / ((unbiased + 1e-24).sqrt() + floor)
     return directions, after
 
 
@@ -105,7 +108,7 @@ class LearnedRule(NamedTuple):
 
     Attributes:
         alpha: (application, parameters of one task, steps, first) -> initial quantities [K, ...], which make the rule
-            the plain Adam `first` (its eps aside), or SGD of its rate.
+            the plain Adam `first` (but for the eps of rules that have none of their own), or SGD of its rate.
         rule: alpha -> UpdateRule.
     """
 
@@ -124,7 +127,8 @@ AVERAGED = 0.4
 def _meta_adam_step(alpha: Params, theta: Params, grads: Params, state: Params) -> tuple[Params, Params]:
     beta1, beta2 = torch.sigmoid(alpha["beta1"]), torch.sigmoid(alpha["beta2"])
     rotated = {key: _rotate(alpha, key, grad) for key, grad in grads.items()}
-    directions, after = _adam_directions(beta1, beta2, META_EPS, rotated, state)
+    eps = torch.exp(alpha["eps"]) if "eps" in alpha else META_EPS
+    directions, after = _adam_directions(beta1, beta2, eps, rotated, state)
     moved = {}
     for key, direction in directions.items():
         direction = _rotate(alpha, key, direction, back=True)
@@ -175,11 +179,16 @@ def _meta_adam_tied_alpha(app: App, theta: Params, steps: int, first: Adam) -> P
 
 def _meta_mean_alpha(app: App, theta: Params, steps: int, first: Adam) -> Params:
     alpha = _meta_adam_tied_alpha(app, theta, steps, first)
-    # a running mean of the parameters, whose memory is the last AVERAGED of the steps, is the answer of the last step
+    return alpha | averaging(steps, alpha["beta1"]) | {"eps": alpha["beta1"].new_tensor([math.log(first.eps)])}
+
+
+def averaging(steps: int, like: Tensor) -> Params:
+    """`mean` and `answer` [steps]: the last step answers with the running mean over the last AVERAGED of the steps."""
     after = torch.arange(steps) - round((1 - AVERAGED) * steps)
-    alpha["mean"] = (1 / (1 + after).clamp_min(1)).to(alpha["beta1"])
-    alpha["answer"] = (torch.arange(steps) == steps - 1).to(alpha["beta1"])
-    return alpha
+    return {
+        "mean": (1 / (1 + after).clamp_min(1)).to(like),
+        "answer": (torch.arange(steps) == steps - 1).to(like),
+    }
 
 
 def _meta_basis_alpha(app: App, theta: Params, steps: int, first: Adam) -> Params:
@@ -231,7 +240,8 @@ def _meta_adam(alpha: Params) -> UpdateRule:
 
 
 def _meta_adam_state(theta: Params) -> Params:
-    return adam_state(theta) | {f"mean.{key}": value for key, value in theta.items()}
+    # not theta: derivatives are not carried through a state's first values, which the first mean forgets anyway
+    return adam_state(theta) | {f"mean.{key}": torch.zeros_like(value) for key, value in theta.items()}
 
 
 RULES: Mapping[str, LearnedRule] = {
@@ -241,9 +251,9 @@ RULES: Mapping[str, LearnedRule] = {
     "meta-adam": LearnedRule(_meta_adam_alpha, _meta_adam),
     # the same with one rate per weight for all steps, times one per parameter tensor and step: as small as meta-sgd's
     "meta-adam-tied": LearnedRule(_meta_adam_tied_alpha, _meta_adam),
-    # the same from General's encoder as the start, trained through the steps
+    # the same, for recipes that start from General's encoder and train it through the steps
     "meta-encoder": LearnedRule(_meta_adam_tied_alpha, _meta_adam),
-    # that, with the mean of the last parameters as the answer, which gradients of few samples let scatter
+    # the same with the mean of the last parameters as the answer, which gradients of few samples let scatter
     "meta-mean": LearnedRule(_meta_mean_alpha, _meta_adam),
     # that, in the principal axes of the training tasks' gradients
     "meta-basis": LearnedRule(_meta_basis_alpha, _meta_adam),

@@ -115,7 +115,8 @@ class ShardWriter:
         file = _file_name(task.name, self._files)
         partial_path(self.folder / file).write_bytes(payload)
         self._files.add(file.lower())
-        self._entries.append(Entry(task.name, file, split, _base_name(source), hashlib.sha256(payload).hexdigest()))
+        digest = hashlib.sha256(payload).hexdigest()
+        self._entries.append(Entry(task.name, file, split, _base_name(source), digest, task.group))
 
     def entries(self) -> tuple[Entry, ...]:
         """The tasks added so far, in that order, each in its split."""
@@ -252,6 +253,7 @@ def _read_task(folder: Path, entry: Entry) -> Task:
         raise ValueError(f"{path}: a link that leads out of the data set's folder; copy the file there instead.")
     try:
         with safe_open(path, framework="pt") as stored:
-            return Task(entry.name, {key: stored.get_tensor(key) for key in stored.keys()})  # noqa: SIM118
+            data = {key: stored.get_tensor(key) for key in stored.keys()}  # noqa: SIM118
+            return Task(entry.name, data, entry.group)
     except SafetensorError as error:
         raise ValueError(f"{path}: not readable as safetensors ({error}); convert the data again.") from None

@@ -20,10 +20,12 @@ class Task(NamedTuple):
     Attributes:
         name: what tables and files call it.
         data: its observations, by name, without a task axis; the application says which it needs.
+        group: what several tasks show, such as the material of several photos: no split parts them; "" for its own.
     """
 
     name: str
     data: dict[str, Tensor]
+    group: str = ""
 
 
 @dataclass(frozen=True)
@@ -34,11 +36,13 @@ class Tasks:
         names: the names of all stacked tasks, M of them.
         data: tensors [M, ...]; the application's `prepare` made them.
         rows: indices [T] of the tasks that this view holds, on the data's device.
+        groups: of the stacked tasks; () where each is its own.
     """
 
     names: tuple[str, ...]
     data: dict[str, Tensor]
     rows: Tensor
+    groups: tuple[str, ...] = ()
 
     def __len__(self) -> int:
         return self.rows.shape[0]
@@ -79,11 +83,10 @@ class Training:
         order: derivative carried through the inner steps: 1 (FOMAML) or 2 (MAML); 0 where there are none.
         clip: each task's outer gradient is scaled down to this norm before the mean is taken.
         tasks_at_once: tasks that are walked back together, where memory is short; None for all.
-        along: share of Meta's outer loss that is of the steps on the way.
         validate_every: outer steps between two looks at the validation tasks.
         augment: train on made-up relatives of the tasks.
-        start: Meta's first start: "random"; "mean" of General's predictions; "encoder", General's own, which is then
-            trained through the steps and starts each task at its prediction.
+        start: Meta's first start: "random"; "mean" of General's predictions; "encoder", General's own, which starts
+            each task at its prediction and which outer steps, if any, train through the inner ones.
     """
 
     steps: int
@@ -97,7 +100,6 @@ class Training:
     order: int = 0
     clip: float = float("inf")
     tasks_at_once: int | None = None
-    along: float = 0.0
     validate_every: int = 250
     augment: bool = True
     start: Literal["random", "mean", "encoder"] = "mean"
@@ -149,6 +151,7 @@ class App(ABC):
         scale: factor of a printed error; 100 where the paper prints x100.
         small_kernels: True where threads and GPUs only slow the network down, fitted to one task.
         recipes: "paper" and "quick".
+        raw: names of those `files` whose values are no colours, such as normals.
     """
 
     name: str
@@ -161,6 +164,7 @@ class App(ABC):
     scale: float = 1.0
     small_kernels: bool = False
     recipes: dict[str, Recipe]
+    raw: tuple[str, ...] = ()
 
     def at(self, recipe: Recipe) -> App:
         """The application at a recipe's setup."""
@@ -236,7 +240,8 @@ def stack(app: App, tasks: Sequence[Task], device: torch.device | str = "cpu") -
                     f"{tasks[0].name}; convert both with the same settings."
                 )
     data = {key: _stack([each[key] for each in prepared], device) for key in prepared[0]}
-    return Tasks(tuple(task.name for task in tasks), data, torch.arange(len(tasks), device=device))
+    names, groups = (task.name for task in tasks), (task.group or task.name for task in tasks)
+    return Tasks(tuple(names), data, torch.arange(len(tasks), device=device), tuple(groups))
 
 
 def _stack(tensors: list[Tensor], device: torch.device | str) -> Tensor:

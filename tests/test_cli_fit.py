@@ -278,7 +278,6 @@ def test_refuses_wrong_options(metapp: Callable, fit: Callable) -> None:
     refuse(fit("meta", "--device", "tpu"), 2, "tpu", "cuda")
     refuse(fit("overfit", "--train"), 2, "needs no preparation")
     refuse(fit("meta", "--train-steps", "5"), 2, "--train")
-    refuse(fit("quickft", "--train", "--train-steps", "5"), 2, "--train-steps")
     refuse(fit("general", "--steps", "5"), 2, "--steps")
     refuse(fit("overfit", "--checkpoint", "x"), 2, "--checkpoint")
     refuse(fit("overfit", "--seed", "-1"), 2, "--seed")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import itertools
 import math
 import os
@@ -10,7 +11,7 @@ from pathlib import Path
 
 import pytest
 import torch
-from safetensors.torch import save_file
+from safetensors.torch import load_file, save_file
 from torch import Generator, Tensor
 from torch.nn.functional import conv2d, max_pool2d
 
@@ -250,9 +251,31 @@ def test_vgg_is_what_its_paper_lists(
     for tap, each in zip(taps, maps, strict=True):
         torch.testing.assert_close(each, expected[tap])
     assert channels_of("vgg16", taps) == [each.shape[1] for each in maps]
-    assert describe_features("vgg16") == network.name == "VGG-16 features (ImageNet)"
+    assert describe_features("vgg16") == network.name
     assert "random" in describe_features("vgg19")
     features._load.cache_clear()  # 60 MB each
+
+
+def test_weights_are_imagenets_where_they_are_known_to_be(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    known = {"which": "vgg19", "sha256": "dcbb9e9d" + 56 * "0"}
+    save_file({"w": torch.ones(3)}, cache / "vgg19.safetensors", known)
+    assert describe_features("vgg19") == "VGG-19 features (ImageNet)"
+    digest = hashlib.sha256(torch.ones(3).numpy().tobytes()).hexdigest()
+    path = cache / "vgg16.safetensors"
+    for time, notes in enumerate((None, known, {"which": "vgg16", "sha256": 64 * "0"})):  # of another network
+        save_file({"w": torch.ones(3)}, path, notes)
+        os.utime(path, (time, time))
+        assert describe_features("vgg16") == f"VGG-16 features (unknown weights {digest[:8]})"
+    monkeypatch.setitem(features.KNOWN, "vgg16", (digest[:8],))  # the very weights, wherever they came from
+    os.utime(path, (9, 9))
+    assert describe_features("vgg16") == "VGG-16 features (ImageNet)"
+
+
+def test_the_weights_of_the_shipped_starts_are_known(vgg: Path) -> None:
+    assert describe_features("vgg16") == "VGG-16 features (ImageNet)"
+    save_file(load_file(vgg / "vgg16.safetensors"), vgg / "copy.safetensors")  # without notes on their source
+    (vgg / "copy.safetensors").replace(vgg / "vgg16.safetensors")
+    assert describe_features("vgg16") == "VGG-16 features (ImageNet)"
 
 
 SMALL = {"vgg16": ((2, 2), (3,)), "vgg19": ((2, 2), (3, 4))}
@@ -297,3 +320,5 @@ def test_damaged_weights_are_refused(kept: float, vgg16: Path, cache: Path) -> N
         ValueError, match=r"^[^\n]*vgg16.safetensors: damaged, expected the weights of vgg16; fetch it again"
     ):
         load_features("vgg16", ("relu1_1",), DOUBLE)
+    with pytest.raises(ValueError, match=r"^[^\n]*vgg16.safetensors: damaged, expected the weights of vgg16"):
+        describe_features("vgg16")

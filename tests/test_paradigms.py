@@ -332,10 +332,22 @@ def test_a_recipe_is_no_part_of_the_application(app: App) -> None:
 def test_split_keeps_tasks_apart(tasks: Tasks) -> None:
     fit, validate = split_validation(tasks)
     names = tasks.picked_names()
-    assert validate.picked_names() == names[3::8]
-    assert fit.picked_names() == tuple(name for name in names if name not in names[3::8])
-    with pytest.raises(ValueError, match="training set: 3 tasks, expected at least 4"):
+    assert set(validate.picked_names()) == set(sorted(names)[3::8])
+    assert fit.picked_names() == tuple(name for name in names if name not in validate.picked_names())
+    with pytest.raises(ValueError, match="training set: 3 tasks that show 3 things, expected at least 4"):
         split_validation(tasks.select([0, 1, 2]))
+
+
+def test_split_keeps_photos_of_one_thing_together() -> None:
+    """Whatever their order; and sorting spreads the validation tasks over families that take turns."""
+    names = tuple(f"{i:02d}-{photo}" for photo in range(3) for i in range(12))
+    groups = tuple(name.split("-")[0] for name in names)
+    fit, validate = split_validation(Tasks(names, {}, torch.arange(36), groups))
+    assert {name.split("-")[0] for name in validate.picked_names()} == {"03", "11"}
+    assert (len(fit), len(validate)) == (30, 6)
+    turns = tuple(f"{'abcd'[i % 4]}-{i:02d}" for i in range(64))
+    _, validate = split_validation(Tasks(turns, {}, torch.arange(64)))
+    assert {name[0] for name in validate.picked_names()} == set("abcd")
 
 
 def look(name: str, job: Job, tasks: Tasks, **options: Any) -> Prepared:
@@ -628,6 +640,30 @@ def test_an_interrupted_search_carries_the_best_so_far(looks: int, search: Calla
     assert best.validation == min(bowl(each) for each in searching.looked)
     assert adam_of(searching.job, best.start) == min(searching.looked, key=bowl)
     assert best.start.encoder
+
+
+@pytest.mark.parametrize("steps", [5, 30])
+def test_a_mean_is_over_the_last_of_the_steps_there_are(steps: int, job: Job, tasks: Tasks) -> None:
+    """A rule that was prepared for fewer or more steps takes no other mean than one prepared for these."""
+    if job.app.name != "texture":
+        pytest.skip("one application will do")
+    job = job._replace(rule="meta-mean")
+    single = {key: value[0] for key, value in job.app.init(rng(), 1).items()}
+    fits = []
+    for prepared_for in (15, steps):
+        alpha = RULES["meta-mean"].alpha(job.app, single, prepared_for, Adam(1e-3))
+        start = MetaParameters(single, alpha)
+        fits.append(paradigms()["meta"].fit(job._replace(steps=steps), start, tasks.select([0]), rng()))
+    for key, value in fits[0].items():
+        torch.testing.assert_close(value, fits[1][key])
+
+
+@pytest.mark.parametrize("looks", [1, 4, 11, 30])
+def test_a_search_takes_no_more_looks_than_told(looks: int, search: Callable[..., Search]) -> None:
+    searching = search(Adam(1e-2))
+    tuned = searching.run(looks=looks)
+    assert len(searching.looked) == looks
+    assert tuned.validation == min(bowl(each) for each in searching.looked)
 
 
 @pytest.mark.parametrize("outer", [0, 2])

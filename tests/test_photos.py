@@ -295,9 +295,18 @@ def not_a_number(path: Path) -> Path:
 BAD: dict[str, tuple[Callable[[Path], Path], str]] = {
     "missing": (lambda folder: folder / "a.jpg", "a.jpg: no such file, expected an image file"),
     "folder": (lambda folder: folder, ": a folder, expected an image file"),
-    "text": (lambda folder: text(folder / "a.jpg"), "a.jpg: not an image ("),
-    "text without suffix": (lambda folder: text(folder / "a"), "a: not an image ("),
+    "text": (lambda folder: text(folder / "a.jpg"), "a.jpg: not an image (not a JPEG file, magic number"),
+    "text, remedy": (lambda folder: text(folder / "a.jpg"), "or EXR; check the file or export it again."),
+    "text without suffix": (
+        lambda folder: text(folder / "a"),
+        "a: not an image (OpenImageIO could not find a format reader), expected an image file, such as JPEG",
+    ),
+    "text as bmp": (lambda folder: text(folder / "a.bmp"), "a.bmp: not an image (not a BMP file, magic"),
+    "text as webp": (lambda folder: text(folder / "a.webp"), "a.webp: not an image (not a WebP image file), expected"),
+    "text as exr": (lambda folder: text(folder / "a.exr"), "a.exr: not an image (EXR Error"),
     "empty": (lambda folder: truncated(text(folder / "a.png"), 0), "a.png: not an image ("),
+    "empty jpg": (lambda folder: truncated(text(folder / "a.jpg"), 0), "a.jpg: not an image (Empty file), expected"),
+    "empty exr": (lambda folder: truncated(text(folder / "a.exr"), 0), "a.exr: not an image (EXR Error: "),
     "truncated jpg": (lambda folder: truncated(write(folder / "a.jpg", noise(99, 99))), "a.jpg: damaged or incomplete"),
     "truncated png": (lambda folder: truncated(write(folder / "a.png", noise(99, 99))), "a.png: damaged or incomplete"),
     "truncated tif": (lambda folder: truncated(write(folder / "a.tif", noise(99, 99))), "a.tif: "),
@@ -313,6 +322,10 @@ BAD: dict[str, tuple[Callable[[Path], Path], str]] = {
     "nearly white": (lambda folder: write(folder / "a.png", 254 + noise(64, 64) // 128), "one colour all over"),
     "glaring": (
         lambda folder: write(folder / "a.exr", 2 + noise(64, 64).astype(np.float32)),
+        "values up to 257, most above 1, which is white, expected values in [0, 1]; scale them to it.",
+    ),
+    "dark floats": (
+        lambda folder: write(folder / "a.exr", noise(64, 64).astype(np.float32) / -255),
         "one colour all over",
     ),
     "NaN": (lambda folder: not_a_number(folder / "a.exr"), "holds NaN, expected finite values"),
@@ -324,7 +337,11 @@ BAD: dict[str, tuple[Callable[[Path], Path], str]] = {
         lambda folder: write(folder / "a.tif", noise(64, 64, 2), **{"oiio:UnassociatedAlpha": 0}),
         "channels ",
     ),
-    "raw": (lambda folder: write(folder / "a.tif", noise(64, 64)).rename(folder / "a.dng"), "raw values of a camera"),
+    "raw": (
+        lambda folder: write(folder / "a.tif", noise(64, 64)).rename(folder / "a.dng"),
+        "raw values of a camera, expected an image file, such as JPEG, PNG, TIFF or EXR; export it as JPEG or PNG.",
+    ),
+    "heic": (lambda folder: text(folder / "a.HEIC"), "a picture in HEIF or AVIF, expected an image file, such as JPEG"),
 }
 
 
@@ -337,9 +354,18 @@ def test_what_cannot_be_used_is_one_line(tmp_path: Path, capfd: pytest.CaptureFi
     line = str(error.value)
     assert line.startswith(f"{path}: ")
     assert message in line
+    assert line.count(str(path)) == 1
     assert "\n" not in line
     assert line.endswith(".")
     assert capfd.readouterr() == ("", "")  # image libraries write to the screen by themselves
+
+
+@pytest.mark.parametrize("name", [b"\xff.png", b"\xff"])
+def test_a_name_that_is_not_utf8_is_one_line(tmp_path: Path, name: bytes) -> None:
+    path = write(tmp_path / "a.png", noise(64, 64)).rename(tmp_path / os.fsdecode(name))
+    with pytest.raises(ValueError, match=r"^'[ -~]*': a name that is not UTF-8, expected one that is; rename it\.$"):
+        read_photo(path, 48)
+    assert is_photo(path) == (name != b"\xff")
 
 
 def test_any_cut_of_any_format_is_a_line_or_a_picture(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
@@ -391,6 +417,26 @@ def test_folders_are_searched_at_any_depth(tmp_path: Path) -> None:
     assert holds_photos(tmp_path / "deep" / "picture")
     assert not holds_photos(tmp_path / "notes.txt")
     assert not holds_photos(tmp_path / "nothing")
+
+
+def test_what_cameras_and_phones_write_is_recognised_so_that_reading_explains(tmp_path: Path) -> None:
+    for name in ("a.dng", "b.CR2", "c.heic", "d.HEIF"):
+        assert is_photo(text(tmp_path / name))
+        assert holds_photos(tmp_path / name)
+    assert not is_photo(tmp_path / "none.heic")
+    assert holds_photos(tmp_path)
+    with pytest.raises(ValueError, match=r"a\.dng: raw values of a camera, .*; export it as JPEG or PNG\.$"):
+        find_photos([tmp_path])
+    jpg = write(tmp_path / "a.jpg", noise(48, 48))  # a camera may write both
+    renamed = write(tmp_path / "e.jpg", noise(48, 48)).rename(tmp_path / "e.heic")  # and a suffix be wrong
+    files, skipped = find_photos([tmp_path])
+    assert files == [jpg, renamed]
+    assert [line.partition(",")[0] for line in skipped] == [
+        f"{tmp_path / 'a.dng'}: raw values of a camera",
+        f"{tmp_path / 'b.CR2'}: raw values of a camera",
+        f"{tmp_path / 'c.heic'}: a picture in HEIF or AVIF",
+        f"{tmp_path / 'd.HEIF'}: a picture in HEIF or AVIF",
+    ]
 
 
 def test_a_folder_without_images_and_a_missing_path_are_refused(tmp_path: Path) -> None:

@@ -146,7 +146,8 @@ def test_learned_rules_start_well_formed(rule: str, theta: Params) -> None:
     for key, value in alpha.items():
         assert value.dtype == torch.float64 or rule == "meta-sgd", key
         # one entry for all steps, or one a step
-        tied = rule == "meta-sgd" or (f"pace.{key.removeprefix('rate.')}" in alpha) or key.startswith(("out.", "in."))
+        paced = f"pace.{key.removeprefix('rate.')}" in alpha
+        tied = rule == "meta-sgd" or paced or key == "eps" or key.startswith(("out.", "in."))
         assert value.shape[0] == (1 if tied else 5), key
         value += 0  # each has memory of its own, which training may write to
     built = RULES[rule].rule(alpha)
@@ -159,8 +160,9 @@ def test_learned_rules_start_well_formed(rule: str, theta: Params) -> None:
 @pytest.mark.parametrize("rule", [name for name in RULES if name != "meta-sgd"])
 def test_learned_adam_starts_as_adam(rule: str, settings: Adam, theta: Params, grads: list[Params]) -> None:
     start, single = one_task(theta), [one_task(grad) for grad in grads]
-    learned = RULES[rule].rule(RULES[rule].alpha(APP, start, STEPS, settings))
-    plain = fixed_adam(dataclasses.replace(settings, eps=META_EPS), start, STEPS)
+    own = dataclasses.replace(settings, eps=1e-3)
+    learned = RULES[rule].rule(RULES[rule].alpha(APP, start, STEPS, own))
+    plain = fixed_adam(own if "eps" in learned.alpha else dataclasses.replace(own, eps=META_EPS), start, STEPS)
     until = -1 if "mean" in learned.alpha else None  # the last answer is a mean then
     assert_same(run(learned, start, single)[:until], run(plain, start, single)[:until])
 
@@ -247,7 +249,9 @@ def test_adam_moves_dead_weights_nowhere(theta: Params) -> None:
 def test_the_mean_of_the_last_parameters_is_the_answer(steps: int, theta: Params, rng: Generator) -> None:
     start = one_task(theta)
     grads = [{key: torch.randn(v.shape, generator=rng).to(v) for key, v in start.items()} for _ in range(steps)]
-    tied, mean = (RULES[rule].alpha(APP, start, steps, Adam(5e-3)) for rule in ("meta-adam-tied", "meta-mean"))
+    tied, mean = (
+        RULES[rule].alpha(APP, start, steps, Adam(5e-3, eps=META_EPS)) for rule in ("meta-adam-tied", "meta-mean")
+    )
     path = run(RULES["meta-adam-tied"].rule(tied), start, grads)
     averaged = run(RULES["meta-mean"].rule(mean), start, grads)
     assert_same(averaged[:-1], path[:-1])

@@ -6,6 +6,7 @@ import hashlib
 import io
 import os
 import pickle
+import re
 import subprocess
 import tarfile
 import time
@@ -19,6 +20,7 @@ import torch
 from safetensors.torch import load_file, save_file
 
 from data_tools import vgg
+from metapp.features import KNOWN, describe_features
 
 SMALL = {"vgg16": ((2, 2), (3,)), "vgg19": ((2, 2), (3, 4))}
 TREE = {
@@ -339,6 +341,26 @@ def test_what_is_stored_makes_features() -> None:
     assert torch.equal(kernels[-1], given["conv12.weight"])
 
 
+def test_what_is_checked_by_its_hash_counts_as_imagenets() -> None:
+    for which, known in KNOWN.items():
+        digests = [vgg.TORCHVISION_SHA256[which], *([vgg.LPIPS_SHA256, vgg.CKPT_SHA256] * (which == "vgg16"))]
+        assert {digest[:8] for digest in digests} <= set(known)
+        zeros = {key: torch.zeros(shape) for key, shape in vgg.shapes(which).items()}
+        vgg.store(which, zeros, vgg.Origin("", digests[0]))
+        assert describe_features(which).endswith(" features (ImageNet)")
+
+
+@pytest.mark.usefixtures("small")
+def test_given_weights_that_nobody_knows_are_called_so(tmp_path: Path) -> None:
+    labels = set()
+    for _ in range(2):
+        save_file(weights(), tmp_path / "mine.safetensors")
+        vgg.provide("vgg16", tmp_path / "mine.safetensors", nothing)
+        labels.add(describe_features("vgg16"))
+    assert len(labels) == 2
+    assert all(re.fullmatch(r"VGG-16 features \(unknown weights [0-9a-f]{8}\)", label) for label in labels)
+
+
 # The commands
 
 
@@ -423,3 +445,8 @@ def test_doctor_says_whether_there_are_weights(metapp: Callable) -> None:
     found = metapp("doctor", "--json").document["VGG"]
     assert found["vgg16"] == "from somewhere"
     assert found["vgg19"].endswith("get it: metapp data vgg --which vgg19")
+    file = vgg.weights_path("vgg16")
+    file.write_bytes(file.read_bytes()[:-4])
+    found = metapp("doctor", "--json").document["VGG"]
+    assert found["vgg16"].startswith("damaged: ")
+    assert found["vgg16"].endswith("fetch it again: metapp data vgg --which vgg16")

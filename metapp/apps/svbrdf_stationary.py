@@ -35,9 +35,9 @@ LEARNED = Training(
     clip=1e-2,
     validate_every=100,
 )
-ENCODED = replace(LEARNED, start="encoder", rates={"": 3e-4, "alpha.": 3e-3, "alpha.out.": 0.0, "alpha.in.": 0.0})
+ENCODED = replace(LEARNED, start="encoder", rates={"": 3e-4, "alpha.": 3e-3})
 TUNED = Training(
-    steps=0, tasks=0, rates={"": 0.0}, first=Adam(6e-3, beta1=0.7, beta2=0.99, final=0.6), tuned=True, start="encoder"
+    steps=0, tasks=0, rates={"": 0.0}, first=Adam(3e-3, beta1=0.5, beta2=0.97, final=0.3), tuned=True, start="encoder"
 )
 QUICK = Recipe(
     steps=20,
@@ -55,7 +55,7 @@ QUICK = Recipe(
         "meta-mean": TUNED,
         "meta-basis": TUNED,
     },
-    rule="meta-mean",
+    rule="meta-basis",
     setup=Setup(64, 64, UNet(16, outputs=6), "vgg16", ("relu1_1", "relu2_1", "relu3_1")),
 )
 
@@ -88,6 +88,7 @@ class SvbrdfStationary(ExemplarApp):
     readers = ("flash",)
     inputs = "a flash photo of a flat material, or a folder of these"
     measure = "relative L1 distance of Gram matrices in 9 windows, mean over windows, taps and generated materials"
+    raw = ("specular", "roughness", "normal", "height")
     recipes = {"paper": PAPER, "quick": QUICK}  # noqa: RUF012  (never written to)
 
     @torch.no_grad()
@@ -227,7 +228,10 @@ class SvbrdfStationary(ExemplarApp):
 
 
 def _ring(maps: Tensor, low: float, high: float) -> Tensor:
-    """Feature maps [B, C, H, W] where the squared distance from the centre is in [low, high), 0 elsewhere."""
+    """Feature maps [B, C, H, W] where the squared distance from the centre is in [low, high), 0 elsewhere.
+
+    Scaled so that their mean over the picture is the mean in the ring.
+    """
     squared = positions(*maps.shape[-2:], dtype=maps.dtype, device=maps.device).square().sum(0)
     inside = ((squared >= low) & (squared < high)).to(maps)
     return maps * inside / inside.mean().clamp_min(1e-6)

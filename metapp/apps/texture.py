@@ -26,7 +26,7 @@ LEARNED = Training(
     clip=1e-2,
     validate_every=100,
 )
-ENCODED = replace(LEARNED, start="encoder", rates={"": 1e-4, "alpha.": 3e-3, "alpha.out.": 0.0, "alpha.in.": 0.0})
+ENCODED = replace(LEARNED, start="encoder", rates={"": 1e-4, "alpha.": 3e-3})
 TUNED = Training(
     steps=0, tasks=0, rates={"": 0.0}, first=Adam(5e-3, beta1=0.5, beta2=0.99, final=0.6), tuned=True, start="encoder"
 )

@@ -19,7 +19,7 @@ app = typer.Typer(
     no_args_is_help=True,
     add_completion=False,
     context_settings={"help_option_names": ["-h", "--help"]},
-    help="Reproduce visual appearance by machine learning: five training paradigms, six applications.",
+    help="Reproduce visual appearance by machine learning: five training paradigms, one way of learning.",
 )
 for name, summary in SUMMARIES.items():
     app.command(name)(make_command(name, summary))

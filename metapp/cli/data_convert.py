@@ -188,7 +188,7 @@ def flash(
         return photos[source.resolve()].name
 
     def read(source: Path) -> Task:
-        return module.read_task(source, size)._replace(name=name(source))
+        return module.read_task(source, size)._replace(name=name(source), group=photos[source.resolve()].material)
 
     def split_of(source: Path) -> str:
         return splits[source.resolve()]

@@ -62,9 +62,13 @@ def _version(package: str) -> str:
 
 
 def _vgg(which: str) -> str:
+    from metapp.features import weights_path
+
     origin = importlib.import_module("data_tools.vgg").stored(which)
     if origin:
         return f"from {origin.source}"
+    if weights_path(which).is_file():
+        return f"damaged: what is fitted to pictures fails; fetch it again: metapp data vgg --which {which}"
     return f"none: losses on pictures use random filters; get it: metapp data vgg --which {which}"
 
 

@@ -18,7 +18,7 @@ from metapp.cli.console import out, print_json, say
 if TYPE_CHECKING:
     from metapp.cli.session import Options, Start
     from metapp.paradigms import Paradigm
-    from metapp.task import Task
+    from metapp.task import App, Task
 
 FORMATS = ("rich", "markdown", "latex", "csv", "json")
 TABLES = ("results",)
@@ -54,7 +54,7 @@ def command(
     from metapp.apps import app_names
     from metapp.cli.session import Options, check_rule, find_app, find_device
 
-    rows = []
+    rows, shown = [], {}
     for app in [find_app(name) for name in apps or app_names()]:
         chosen = check_rule(rule, app, recipe)
         options = Options(
@@ -70,13 +70,14 @@ def command(
             quiet,
         )
         rows += app_rows(options, run=not no_run)
+        shown[app.name] = options.app
     if json or format_name == "json":
         print_json({"which": which, "rows": rows})
     elif format_name == "rich":
         for app_name in dict.fromkeys(row["app"] for row in rows):
-            out.print(rich_table(app_name, [row for row in rows if row["app"] == app_name]))
+            out.print(rich_table(shown[app_name], [row for row in rows if row["app"] == app_name]))
     else:
-        out.print(text_table(rows, format_name), markup=False, soft_wrap=True)
+        out.print(text_table(rows, shown, format_name), markup=False, soft_wrap=True)
 
 
 def app_rows(options: Options, *, run: bool) -> list[dict[str, Any]]:
@@ -147,7 +148,10 @@ def _row(
             records = [finished[task.name] for task in tasks if task.name in finished]
     if len(records) < len(tasks):
         say(f"{len(tasks) - len(records)} of {len(tasks)} tasks missing: {_command_for(options, paradigm, start)}")
-    low, high = bootstrap([record["error"] for record in records]) if records else (None, None)
+    groups = {task.name: task.group or task.name for task in tasks}
+    low, high = (None, None)
+    if records:
+        low, high = bootstrap([r["error"] for r in records], [groups[r["name"]] for r in records])
     paper = paper_figures()
     row = {
         "app": options.app.name,
@@ -161,6 +165,7 @@ def _row(
         "high": high,
         "paper_error": paper["error"][options.app.name].get(paradigm.name),
         "paper_seconds": paper["seconds"][options.app.name].get(paradigm.name),
+        **options.app.conditions(),
     }
     return row, path, records
 
@@ -178,13 +183,15 @@ def paper_figures() -> dict[str, Any]:
     return json_module.loads((resources.files("metapp") / "paper.json").read_text())
 
 
-def bootstrap(errors: list[float], draws: int = 4000) -> tuple[float, float]:
-    """95 % interval of the mean over tasks, by resampling tasks with a fixed seed."""
+def bootstrap(errors: list[float], groups: list[str], draws: int = 4000) -> tuple[float, float]:
+    """95 % interval of the mean over tasks, by resampling groups of tasks that show the same, with a fixed seed."""
     import numpy as np
 
-    values = np.asarray(errors)
-    means = values[np.random.default_rng(0).integers(len(values), size=(draws, len(values)))].mean(1)
-    low, high = np.quantile(means, (0.025, 0.975))
+    order = {group: index for index, group in enumerate(dict.fromkeys(groups))}
+    rows = [order[group] for group in groups]
+    total, count = np.bincount(rows, errors), np.bincount(rows)
+    drawn = np.random.default_rng(0).integers(len(order), size=(draws, len(order)))
+    low, high = np.quantile(total[drawn].sum(1) / count[drawn].sum(1), (0.025, 0.975))
     return float(low), float(high)
 
 
@@ -233,14 +240,12 @@ def closing(rows: list[dict[str, Any]]) -> str:
     )
 
 
-def rich_table(app_name: str, rows: list[dict[str, Any]]) -> Any:
+def rich_table(app: App, rows: list[dict[str, Any]]) -> Any:
     """The table for a terminal."""
     from rich.table import Table
 
-    from metapp.apps import load_app
     from metapp.cli.fit import caption_of
 
-    app = load_app(app_name)
     factor = f" x{app.scale:g}" if app.scale != 1 else ""
     rule = next(row["rule"] for row in rows if row["paradigm"] == "meta")
     count = max(row["tasks"] for row in rows)
@@ -257,19 +262,21 @@ def rich_table(app_name: str, rows: list[dict[str, Any]]) -> Any:
     return table
 
 
-def text_table(rows: list[dict[str, Any]], form: str) -> str:
+def text_table(rows: list[dict[str, Any]], apps: dict[str, App], form: str) -> str:
     """The table as markdown, LaTeX (booktabs) or CSV."""
     header = ("app", *COLUMNS)
     body = [(row["app"], *cells(row)) for row in rows]
     if form == "csv":
         buffer = io.StringIO()
-        writer = csv.DictWriter(buffer, list(rows[0]), lineterminator="\n")
+        writer = csv.DictWriter(buffer, list(dict.fromkeys(key for row in rows for key in row)), lineterminator="\n")
         writer.writeheader()
         writer.writerows(rows)
         return buffer.getvalue().rstrip("\n")
+    from metapp.cli.fit import caption_of
+
     notes = [
-        f"{name}: {closing([row for row in rows if row['app'] == name])}"
-        for name in dict.fromkeys(r["app"] for r in rows)
+        f"{name}: {closing([row for row in rows if row['app'] == name])}; {caption_of(app)}"
+        for name, app in apps.items()
     ]
     if form == "markdown":
         lines = [header, ("---",) * len(header), *body]

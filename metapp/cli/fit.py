@@ -67,11 +67,10 @@ def make_command(name: str, summary: str) -> Any:
             )
             raise typer.BadParameter(f"--observe '{observe}': {found.name} {expected}.")
         if export and export not in found.exports:
-            raise typer.BadParameter(f"--export '{export}': {found.name} expects one of {', '.join(found.exports)}.")
+            expected = f"expects one of {', '.join(found.exports)}" if found.exports else "has none; leave it out"
+            raise typer.BadParameter(f"--export '{export}': {found.name} {expected}.")
         if train_steps and not train:
             raise typer.BadParameter("--train-steps: only with --train.")
-        if train_steps and name == "quickft":
-            raise typer.BadParameter("--train-steps: quickft is tuned on a fixed grid; leave it out.")
         if rule and name != "meta":
             raise typer.BadParameter(f"--rule: only meta has learned rules, not {name}.")
         if steps and name == "general":

@@ -8,9 +8,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
 from safetensors.torch import load_file
 from torch import Tensor
 
+from metapp.colour import linear_to_srgb
 from metapp.files import write_atomically
 from metapp.records import file_name
 from metapp.task import App, Task
@@ -22,8 +24,7 @@ def to_srgb(linear: Any) -> np.ndarray:
     # composited after encoding, so that the rim stays as smooth as its coverage
     coverage = image[..., 3:] if image.shape[-1] == 4 else np.ones_like(image[..., :1])
     colour = np.clip(image[..., :3] / np.maximum(coverage, 1e-6), 0, 1)
-    encoded = np.where(colour <= 0.0031308, 12.92 * colour, 1.055 * colour ** (1 / 2.4) - 0.055)
-    return coverage * encoded + (1 - coverage)
+    return coverage * linear_to_srgb(torch.from_numpy(colour)).numpy() + (1 - coverage)
 
 
 def picture_of_run(app: App, paradigm: str, tasks: Sequence[Task], records: Sequence[dict], folder: Path) -> Path:
@@ -68,15 +69,20 @@ def write_files(app: App, tasks: Sequence[Task], folder: Path) -> Path | None:
     for task in tasks:
         for name, picture in app.files(_theta(folder, task), task).items():
             written = folder / "outputs"
-            write_atomically(written / file_name(task.name) / f"{name}.png", functools.partial(_write_png, picture))
+            write = functools.partial(_write_png, picture, name in app.raw)
+            write_atomically(written / file_name(task.name) / f"{name}.png", write)
     return written
 
 
-def _write_png(picture: Tensor, path: Path) -> None:
+def _write_png(picture: Tensor, raw: bool, path: Path) -> None:
     import OpenImageIO as oiio
 
     pixels = (np.clip(picture.numpy(), 0, 1) * 255 + 0.5).astype(np.uint8)
-    oiio.ImageBuf(np.ascontiguousarray(pixels)).write(str(path))
+    image = oiio.ImageBuf(np.ascontiguousarray(pixels))
+    # whoever honours a PNG's colour space would decode roughness and normals wrongly
+    image.specmod().attribute("oiio:ColorSpace", "data" if raw else "sRGB")
+    if not image.write(str(path)):
+        raise ValueError(f"{path}: not written ({image.geterror()}); is the disk full?")
 
 
 def _theta(folder: Path, task: Task) -> dict[str, Any]:

@@ -35,7 +35,8 @@ def find_start(options: Options, paradigm: Paradigm) -> Start:
     prepared, info = load_start(path, options.device)
     app, name = info.get("app"), info.get("start")
     if (app, name) != (options.app.name, needed):
-        remedy = f"; add --rule {name}" if name in options.job.recipe.meta and paradigm.name == "meta" else ""
+        other = app == options.app.name and name in options.job.recipe.meta and paradigm.name == "meta"
+        remedy = f"; add --rule {name}" if other else ""
         raise ValueError(f"{path}: a start of {app} {name}, expected {options.app.name} {needed}{remedy}.")
     _require_conditions(path, options.app, prepared, info)
     _require_fit(path, options.app, prepared)
@@ -186,7 +187,7 @@ def _encoder(options: Options, name: str, steps: int | None) -> MetaParameters |
     if not usable and not options.data and options.recipe == "quick":
         usable = shipped_path(options.app.name, "general").is_file()
     if not usable:
-        say("no General that was trained on this data yet: training it first.")
+        say(f"no General that was trained on this data yet: training it first{f', {steps} steps' if steps else ''}.")
         train_start(options, general, steps)
     start = find_start(options, general)
     say(f"General: {start.source}")

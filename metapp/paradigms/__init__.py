@@ -11,6 +11,8 @@ from metapp.adjoint import UpdateRule
 from metapp.learning import MetaParameters, learn, task_loss
 from metapp.task import App, Params, Recipe, Tasks
 
+AT_ONCE = 8  # tasks that are fitted side by side where memory would grow with a data set
+
 
 class Job(NamedTuple):
     """What is fitted and how.

@@ -7,11 +7,11 @@ from typing import Any
 import torch
 from torch import Generator
 
-from metapp.adjoint import Loss
+from metapp.adjoint import Loss, UpdateRule
 from metapp.learning import MetaParameters, after_learning, learn, over_tasks, spread, task_loss
-from metapp.paradigms import Job, Paradigm
+from metapp.paradigms import AT_ONCE, Job, Paradigm
 from metapp.paradigms.general import start as general_start
-from metapp.rules import RULES, principal_axes, second_moments
+from metapp.rules import RULES, averaging, principal_axes, second_moments
 from metapp.task import Adam, Params, Tasks
 
 
@@ -38,7 +38,6 @@ def preparation(job: Job, general: MetaParameters, rng: Generator, compiled: boo
         clip=training.clip,
         compiled=compiled,
         tasks_at_once=training.tasks_at_once,
-        along=training.along,
         observe=app.observe if general.encoder else None,
         encode=app.encode if general.encoder else None,
     )
@@ -75,7 +74,7 @@ def with_adam(job: Job, phi: MetaParameters, adam: Adam) -> MetaParameters:
     return phi._replace(alpha={name: value.to(phi.alpha[name]) for name, value in (fresh | bases).items()})
 
 
-BASED_ON, AT_ONCE = 32, 8  # tasks
+BASED_ON = 32  # tasks
 
 
 def start(job: Job, prepared: MetaParameters, tasks: Tasks, rng: Generator) -> Params:
@@ -83,12 +82,18 @@ def start(job: Job, prepared: MetaParameters, tasks: Tasks, rng: Generator) -> P
     return general_start(job, prepared, tasks, rng) if prepared.encoder else spread(prepared.theta, len(tasks), 0)
 
 
+def rule(job: Job, prepared: MetaParameters, theta: Params, steps: int) -> UpdateRule:
+    """The learned rule; a mean that it answers with is over the last of these steps, however many they are."""
+    alpha = prepared.alpha
+    if "answer" in alpha:
+        alpha = alpha | averaging(steps, alpha["answer"])
+    return RULES[job.rule].rule(spread(alpha, next(iter(theta.values())).shape[0], 1))
+
+
 META = Paradigm(
     name="meta",
     needs=lambda job: job.rule,
     start=start,
-    rule=lambda job, prepared, theta, steps: RULES[job.rule].rule(
-        spread(prepared.alpha, next(iter(theta.values())).shape[0], 1)
-    ),
+    rule=rule,
     steps=lambda recipe: recipe.steps,
 )

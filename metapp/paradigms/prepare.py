@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import itertools
 import shutil
+import sys
 from collections.abc import Callable
 from dataclasses import asdict, replace
 from typing import Any, NamedTuple
@@ -14,7 +15,7 @@ from torch import Generator, Tensor
 
 from metapp.adjoint import Loss
 from metapp.learning import MetaParameters, learn
-from metapp.paradigms import Job, Paradigm, general, meta, paradigms, quickft
+from metapp.paradigms import AT_ONCE, Job, Paradigm, general, meta, paradigms, quickft
 from metapp.rules import outer_adam
 from metapp.task import Adam, Params, Tasks, Training
 
@@ -47,27 +48,40 @@ class Interrupted(KeyboardInterrupt):
 
 
 def split_validation(tasks: Tasks) -> tuple[Tasks, Tasks]:
-    """(to train on, to validate on): every eighth training task, from the fourth on, validates.
+    """(to train on, to validate on): of the groups, sorted by name, every eighth from the fourth on validates.
+
+    Sorting spreads the validation tasks over the families that names begin with.
 
     Raises:
-        ValueError: fewer than 4 tasks.
+        ValueError: fewer than 4 groups.
     """
-    if len(tasks) < 4:
-        raise ValueError(f"training set: {len(tasks)} tasks, expected at least 4 (some are kept for validation).")
-    validating = list(range(3, len(tasks), 8))
-    return tasks.select([i for i in range(len(tasks)) if i not in validating]), tasks.select(validating)
+    groups = [(tasks.groups or tasks.names)[row] for row in tasks.rows.tolist()]
+    if len(set(groups)) < 4:
+        raise ValueError(
+            f"training set: {len(tasks)} tasks that show {len(set(groups))} things, expected at least 4 (some are kept "
+            "for validation)."
+        )
+    validating = set(sorted(set(groups))[3::8])
+    rows = range(len(tasks))
+    return (
+        tasks.select([row for row in rows if groups[row] not in validating]),
+        tasks.select([row for row in rows if groups[row] in validating]),
+    )
 
 
 def validation_error(paradigm: Paradigm, job: Job, prepared: MetaParameters, tasks: Tasks, seeds: int = 2) -> float:
     """Mean error of fits of all tasks with fixed seeds, as the table prints it; infinite where a fit diverges."""
     total = 0.0
     for seed in range(seeds):
-        try:
-            theta = paradigm.fit(job, prepared, tasks, Generator(tasks.rows.device).manual_seed(seed))
-        except FloatingPointError:
-            return float("inf")
-        total += float(job.app.errors(theta, tasks)["error"].mean())
-    return job.app.scale * total / seeds
+        rng = Generator(tasks.rows.device).manual_seed(seed)
+        for some in torch.arange(len(tasks)).split(AT_ONCE):
+            part = tasks.select(some)
+            try:
+                theta = paradigm.fit(job, prepared, part, rng)
+            except FloatingPointError:
+                return float("inf")
+            total += float(job.app.errors(theta, part)["error"].sum())
+    return job.app.scale * total / (seeds * len(tasks))
 
 
 def prepare(
@@ -88,7 +102,7 @@ def prepare(
         tasks: the training tasks; every eighth of them validates.
         rng: of all random draws.
         encoder: a prepared General; QuickFT tunes on it, Meta starts from it or from the mean of its predictions.
-        steps: outer steps instead of the recipe's.
+        steps: outer steps instead of the recipe's; looks at validation tasks where there is only a search.
         report: called with the progress.
 
     Raises:
@@ -99,7 +113,7 @@ def prepare(
     to_fit, to_validate = split_validation(tasks)
     if name == "quickft":
         assert encoder is not None
-        return tune_quickft(job, encoder, _few(to_validate), report)
+        return tune_quickft(job, encoder, _few(to_validate), report, steps)
     if name == "general":
         training, paradigm = job.recipe.general, paradigms()["general"]
         first, loss = general.preparation(job, rng)
@@ -109,9 +123,9 @@ def prepare(
         first, loss = meta.preparation(job, _meta_start(job, training, encoder, to_fit, rng), rng, compiled=compiled)
         first = meta.with_bases(job, first, to_fit, rng)
         if training.tuned:
-            found = _search(
-                paradigm, job, training.first, lambda adam: meta.with_adam(job, first, adam), _few(to_validate), report
-            )
+            start_of = functools.partial(meta.with_adam, job, first)
+            few, looks = _few(to_validate), None if training.steps else steps
+            found = _search(paradigm, job, training.first, start_of, few, report, looks)
             if not training.steps:
                 return found
             first = found.start
@@ -182,8 +196,10 @@ def _train(
     return best
 
 
-def tune_quickft(job: Job, encoder: MetaParameters, tasks: Tasks, report: Report | None = None) -> Prepared:
-    """Search QuickFT's Adam on validation tasks: a win over a badly tuned baseline is no win.
+def tune_quickft(
+    job: Job, encoder: MetaParameters, tasks: Tasks, report: Report | None = None, looks: int | None = None
+) -> Prepared:
+    """Search QuickFT's Adam on validation tasks, in so many looks: a win over a badly tuned baseline is no win.
 
     Returns:
         A start whose alpha holds Adam's settings, scalars on the CPU, and the encoder that they were tuned for.
@@ -195,7 +211,7 @@ def tune_quickft(job: Job, encoder: MetaParameters, tasks: Tasks, report: Report
     def start_of(adam: Adam) -> MetaParameters:
         return encoder._replace(alpha=quickft.to_alpha(adam))
 
-    return _search(quickft.QUICKFT, job, job.recipe.quickft, start_of, tasks, report)
+    return _search(quickft.QUICKFT, job, job.recipe.quickft, start_of, tasks, report, looks)
 
 
 def _search(
@@ -205,29 +221,30 @@ def _search(
     start_of: Callable[[Adam], MetaParameters],
     tasks: Tasks,
     report: Report | None,
+    looks: int | None,
 ) -> Prepared:
     """The best Adam on validation tasks: one quantity or two at a time, around the best so far."""
     curve: list[tuple[int, float | None, float]] = []
     best, best_adam = Prepared(start_of(first), float("inf"), 0, curve), first
-    total = 1 + sum(len(choices) for choices in SEARCHED)
-    looks = 0
+    total = min(1 + sum(len(choices) for choices in SEARCHED), looks or sys.maxsize)
+    done = 0
 
     def look(adam: Adam) -> None:
-        nonlocal best, best_adam, looks
+        nonlocal best, best_adam, done
         tuned = start_of(adam)
         error = validation_error(paradigm, job, tuned, tasks)
-        looks += 1
+        done += 1
         if error < best.validation:
-            best, best_adam = Prepared(tuned, error, looks, curve), adam
-            curve.append((looks, None, error))
+            best, best_adam = Prepared(tuned, error, done, curve), adam
+            curve.append((done, None, error))
         if report:
-            report(looks, total, f"rate {adam.rate:.1e}, validation {error:.3f}, best {best.validation:.3f}")
+            report(done, total, f"rate {adam.rate:.1e}, validation {error:.3f}, best {best.validation:.3f}")
 
     try:
         look(best_adam)
         for choices in SEARCHED:
             around = best_adam
-            for changes in choices:
+            for changes in choices[: total - done]:
                 look(replace(around, **{**changes, "rate": around.rate * changes.get("rate", 1.0)}))
     except KeyboardInterrupt:
         raise Interrupted(best) from None
@@ -271,7 +288,7 @@ def describe(job: Job, name: str, prepared: Prepared, steps: int | None = None) 
     """
     recipe = job.recipe
     training = recipe.general if name == "general" else recipe.meta.get(name)
-    if training and steps is not None:
+    if training and training.steps and steps is not None:
         training = replace(training, steps=steps)
     return {
         "app": job.app.name,
