@@ -46,7 +46,7 @@ def _command(function: Callable[..., None], bare_is_help: bool = True) -> Callab
 
 @_command
 def synth(
-    name: Annotated[str, typer.Argument(metavar="APP", help="brdf, texture or svbrdf_stationary.")],
+    name: Annotated[str, typer.Argument(metavar="APP", help="brdf, texture, svbrdf_stationary or illumination.")],
     folder: Annotated[
         Path | None,
         typer.Option(
@@ -82,6 +82,9 @@ def synth(
     texture: photographs of 20 families of flat materials such as bricks, weaves, wood; 0.2 MB each; 240 + 20.
 
     svbrdf_stationary: flash photographs of 16 of these families, with relightings for the tests; 0.2 MB; 120 + 16.
+
+    illumination: HDR environment maps of 16 families, outdoors and in, with photographs of spheres under them; 0.15 MB
+    each; 900 + 16.
 
     Examples:
       metapp data synth brdf
