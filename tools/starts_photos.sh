@@ -2,8 +2,8 @@
 # Train the texture and svBRDF starts that ship, on the embedded sets alone: starts_photos.sh METAPP RUNS
 set -euo pipefail
 metapp=$1 runs=$2
-for pair in texture:meta-basis svbrdf_stationary:meta-mean; do
-  app=${pair%:*} rule=${pair#*:}
+rule=meta-basis
+for app in texture svbrdf_stationary; do
   "$metapp" general "$app" --out "$runs" --train
   "$metapp" quickft "$app" --out "$runs" --train
   "$metapp" meta "$app" --rule "$rule" --out "$runs" --train
