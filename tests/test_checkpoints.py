@@ -95,7 +95,7 @@ def test_few_steps_beat_none_on_unseen_pictures(name: str) -> None:
     app = load_app(name)
     module = importlib.import_module(f"data_tools.synthetic_{name}")
     tasks = stack(
-        app, [task._replace(data={"image": task.data["image"]}) for task in module.synthetic_tasks("test", 3)]
+        app, [task._replace(data={"image": task.data["image"]}) for task in module.synthetic_tasks("test", 8)]
     )
     recipe = app.recipes["quick"]
     job = Job(app, recipe, recipe.rule)
