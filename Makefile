@@ -25,7 +25,7 @@ $(VENV)/.ready: setup.cfg pyproject.toml constraints.txt tools/setup.sh
 demo: setup  ## fit 20 unseen materials in 10 gradient steps each; table and picture
 	$(METAPP) meta brdf --steps 10 --out $(RUNS)
 
-test: setup  ## the tests, one to two minutes
+test: setup  ## the tests, three to five minutes
 	$(VENV)/bin/python -m pytest -m "not slow"
 
 test-slow: setup  ## the tests that take minutes each
@@ -43,7 +43,7 @@ bench: setup  ## speed and memory of learning, as ratios measured side by side
 
 tables: table-results  ## all tables there are
 
-table-results: setup  ## error and time of the five paradigms on the embedded data, beside the paper's
+table-results: setup  ## error and time of the five paradigms on the embedded data, beside the paper's; half an hour
 	$(METAPP) evaluate --table --which results --out $(RUNS)
 
 real: setup  ## real materials: make real DATA=<folder with nbrdf/merl>; trains and prints the five paradigms, 3 seeds
