@@ -113,7 +113,7 @@ def prepare(
     to_fit, to_validate = split_validation(tasks)
     if name == "quickft":
         assert encoder is not None
-        return tune_quickft(job, encoder, _few(to_validate), report, steps)
+        return tune_quickft(job, encoder, _to_tune_on(job, to_validate), report, steps)
     if name == "general":
         training, paradigm = job.recipe.general, paradigms()["general"]
         first, loss = general.preparation(job, rng)
@@ -124,7 +124,7 @@ def prepare(
         first = meta.with_bases(job, first, to_fit, rng)
         if training.tuned:
             start_of = functools.partial(meta.with_adam, job, first)
-            few, looks = _few(to_validate), None if training.steps else steps
+            few, looks = _to_tune_on(job, to_validate), None if training.steps else steps
             found = _search(paradigm, job, training.first, start_of, few, report, looks)
             if not training.steps:
                 return found
@@ -138,8 +138,10 @@ def prepare(
     return _train(first, loss, training, to_fit, validate, job.app.scale, rng, report)
 
 
-def _few(tasks: Tasks) -> Tasks:
-    """Up to TUNED_ON of the tasks, evenly spaced."""
+def _to_tune_on(job: Job, tasks: Tasks) -> Tasks:
+    """All validation tasks where fits are cheap, else up to TUNED_ON of them, evenly spaced."""
+    if job.app.small_kernels:
+        return tasks
     count = min(len(tasks), TUNED_ON)
     return tasks.select([i * len(tasks) // count for i in range(count)])
 
@@ -252,7 +254,7 @@ def _search(
 
 
 # What the search tries, one line after the other around the best so far; a rate is a factor of the best's.
-TUNED_ON = 8  # validation tasks
+TUNED_ON = 8  # validation tasks, where a fit takes longer than an instant
 SEARCHED: tuple[list[dict[str, float]], ...] = (
     [{"rate": 2.0**i} for i in (-5, -4, -3, -2, -1, 1, 2, 3, 4, 5)],
     [
