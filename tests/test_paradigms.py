@@ -658,6 +658,25 @@ def test_a_mean_is_over_the_last_of_the_steps_there_are(steps: int, job: Job, ta
         torch.testing.assert_close(value, fits[1][key])
 
 
+@pytest.mark.parametrize(("name", "count"), [("brdf", 30), ("texture", 8), ("svbrdf_stationary", 8)])
+def test_searches_look_at_all_validation_tasks_where_fits_are_cheap(
+    name: str, count: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    app = load_app(name)
+    job = Job(app, app.recipes["quick"], app.recipes["quick"].rule)
+    names = tuple(f"{i:03d}" for i in range(240))
+    looked: list[int] = []
+
+    def told(paradigm: Paradigm, job: Job, prepared: MetaParameters, tasks: Tasks, seeds: int = 2) -> float:
+        looked.append(len(tasks))
+        return 1.0
+
+    monkeypatch.setattr(prepare, "validation_error", told)
+    encoder = MetaParameters(encoder={"w": torch.ones(2)})
+    prepare.prepare("quickft", job, Tasks(names, {}, torch.arange(240)), rng(), encoder=encoder, steps=3)
+    assert looked == [count] * 3
+
+
 @pytest.mark.parametrize("looks", [1, 4, 11, 30])
 def test_a_search_takes_no_more_looks_than_told(looks: int, search: Callable[..., Search]) -> None:
     searching = search(Adam(1e-2))
