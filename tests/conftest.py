@@ -98,12 +98,19 @@ def random_angles() -> Callable[..., Tensor]:
 
 
 @pytest.fixture(scope="module")
-def mitsuba_brdf() -> Iterator[Callable[[dict[str, Any], Tensor, Tensor], Tensor]]:
-    """BRDF [N, 3] of a Mitsuba plugin for directions [N, 3]; the plugin's own values include the outgoing cosine."""
-    mitsuba = pytest.importorskip("mitsuba", reason="needs libatomic1", exc_type=ImportError)
+def mitsuba() -> Iterator[Any]:
+    """Mitsuba, in the variant that evaluates one thing at a time."""
+    module = pytest.importorskip("mitsuba", reason="needs libatomic1", exc_type=ImportError)
+    before = module.variant()
+    module.set_variant("scalar_rgb")
+    yield module
+    if before:
+        module.set_variant(before)
 
-    before = mitsuba.variant()
-    mitsuba.set_variant("scalar_rgb")
+
+@pytest.fixture(scope="module")
+def mitsuba_brdf(mitsuba: Any) -> Callable[[dict[str, Any], Tensor, Tensor], Tensor]:
+    """BRDF [N, 3] of a Mitsuba plugin for directions [N, 3]; the plugin's own values include the outgoing cosine."""
 
     def evaluate(bsdf: dict[str, Any], wi: Tensor, wo: Tensor) -> Tensor:
         plugin, context, values = mitsuba.load_dict(bsdf), mitsuba.BSDFContext(), []
@@ -113,6 +120,4 @@ def mitsuba_brdf() -> Iterator[Callable[[dict[str, Any], Tensor, Tensor], Tensor
             values.append(list(plugin.eval(context, interaction, mitsuba.Vector3f(outgoing))))
         return torch.tensor(values, dtype=torch.float64) / wo[:, 2:]
 
-    yield evaluate
-    if before:
-        mitsuba.set_variant(before)
+    return evaluate

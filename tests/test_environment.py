@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -52,16 +51,6 @@ def energy(radiance: Field) -> Field:
     """Radiance times solid angle of a map [3, H, W], summed: [3]."""
     angles = solid_angles(*radiance.shape[1:]).numpy()
     return (radiance * angles).sum((1, 2))
-
-
-@pytest.fixture(scope="module")
-def mitsuba() -> Iterator[Any]:
-    module = pytest.importorskip("mitsuba", reason="needs libatomic1", exc_type=ImportError)
-    before = module.variant()
-    module.set_variant("scalar_rgb")
-    yield module
-    if before:
-        module.set_variant(before)
 
 
 # The sun in a map

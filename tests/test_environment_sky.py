@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -23,16 +23,6 @@ WHITE = vector(1, 1, 1)
 def clear(elevation_deg: float, azimuth_deg: float = 40.0, turbidity: float = 3.0) -> Sky:
     sun = direction(math.radians(elevation_deg), math.radians(azimuth_deg))
     return Sky(sun, sun_irradiance(math.radians(elevation_deg), turbidity), clear_sky(sun, turbidity))
-
-
-@pytest.fixture(scope="module")
-def mitsuba() -> Iterator[Any]:
-    module = pytest.importorskip("mitsuba", reason="needs libatomic1", exc_type=ImportError)
-    before = module.variant()
-    module.set_variant("scalar_rgb")
-    yield module
-    if before:
-        module.set_variant(before)
 
 
 def mitsuba_sky(mitsuba: Any, sun: Field, turbidity: float, rays: Field, **scales: float) -> Field:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import Any
 
 import pytest
@@ -235,11 +235,8 @@ def test_reflection_agrees_with_mitsuba(
 
 
 @pytest.fixture(scope="module")
-def photograph() -> Iterator[Callable[..., Tensor]]:
+def photograph(mitsuba: Any) -> Callable[..., Tensor]:
     """Photo [3, size, size] by Mitsuba of the square [-1, 1]^2 with a BSDF, under a point light, from `camera()`."""
-    mitsuba = pytest.importorskip("mitsuba", reason="needs libatomic1", exc_type=ImportError)
-    before = mitsuba.variant()
-    mitsuba.set_variant("scalar_rgb")
 
     def photo(bsdf: Callable[[Any], dict[str, Any]], light: Tensor, size: int, samples: int) -> Tensor:
         pose = mitsuba.ScalarTransform4f().look_at(origin=[0, 0, camera_distance()], target=[0, 0, 0], up=[0, 1, 0])
@@ -267,9 +264,7 @@ def photograph() -> Iterator[Callable[..., Tensor]]:
         pixels = torch.tensor(mitsuba.render(scene, seed=0).array, dtype=torch.float64)
         return pixels.reshape(size, size, 3).movedim(-1, 0)
 
-    yield photo
-    if before:
-        mitsuba.set_variant(before)
+    return photo
 
 
 LIGHT = (0.5, 0.3, 2.0)  # to the right and further up, lower than the camera

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -53,12 +53,8 @@ def energy(maps: Tensor) -> Tensor:
 
 
 @pytest.fixture
-def mitsuba_envmap() -> Iterator[Callable[[Tensor, Tensor], Tensor]]:
+def mitsuba_envmap(mitsuba: Any) -> Callable[[Tensor, Tensor], Tensor]:
     """Radiance [3, H, W] that Mitsuba's `envmap` of a map [3, h, w] has in directions [3, H, W]."""
-    mitsuba = pytest.importorskip("mitsuba", reason="needs libatomic1", exc_type=ImportError)
-
-    before = mitsuba.variant()
-    mitsuba.set_variant("scalar_rgb")
 
     def evaluate(maps: Tensor, towards: Tensor) -> Tensor:
         pixels = np.ascontiguousarray(maps.float().permute(1, 2, 0).numpy())
@@ -70,9 +66,7 @@ def mitsuba_envmap() -> Iterator[Callable[[Tensor, Tensor], Tensor]]:
             values.append(list(emitter.eval(interaction)))
         return torch.tensor(values, dtype=maps.dtype).T.reshape(towards.shape)
 
-    yield evaluate
-    if before:
-        mitsuba.set_variant(before)
+    return evaluate
 
 
 def test_columns_lie_where_mitsuba_has_them(mitsuba_envmap: Callable, rng: torch.Generator) -> None:

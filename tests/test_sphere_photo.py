@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -81,12 +81,8 @@ def test_the_matrices_are_fine_enough(roughness: float) -> None:
 
 
 @pytest.fixture
-def mitsuba_sphere() -> Iterator[Callable[[dict[str, Any], int], Tensor]]:
+def mitsuba_sphere(mitsuba: Any) -> Callable[[dict[str, Any], int], Tensor]:
     """Mitsuba's own picture [3, S, S] of a sphere of some BSDF under `smooth`."""
-    mitsuba = pytest.importorskip("mitsuba", reason="needs libatomic1", exc_type=ImportError)
-
-    before = mitsuba.variant()
-    mitsuba.set_variant("scalar_rgb")
 
     def render(bsdf: dict[str, Any], size: int) -> Tensor:
         # The poles are rows of Mitsuba's maps.
@@ -107,9 +103,7 @@ def mitsuba_sphere() -> Iterator[Callable[[dict[str, Any], int], Tensor]]:
         picture = mitsuba.render(mitsuba.load_dict(scene), spp=256, seed=1)
         return torch.from_numpy(np.array(picture)).permute(2, 0, 1)
 
-    yield render
-    if before:
-        mitsuba.set_variant(before)
+    return render
 
 
 def test_the_picture_is_mitsubas(mitsuba_sphere: Callable) -> None:
