@@ -20,7 +20,16 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from data_tools.patterns import Rng
-from data_tools.photos import _check_exists, _open, _reason, _silent, _upright, find_photos, holds_photos, read_photo
+from data_tools.photos import (
+    check_exists,
+    find_photos,
+    holds_photos,
+    open_image,
+    read_photo,
+    reason_of,
+    silent,
+    turn_upright,
+)
 from data_tools.procedural import stream
 from data_tools.sphere_photo import SIZE, photograph
 from metapp.latlong import mean_luminance, resample, sphere_normals
@@ -189,15 +198,15 @@ def read_map(path: str | Path, height: int = HEIGHT) -> Tensor:
 
 
 def _look(path: Path) -> _Look:
-    _check_exists(path)
-    with _silent(), contextlib.closing(_open(path)) as source:
+    check_exists(path)
+    with silent(), contextlib.closing(open_image(path)) as source:
         spec = source.spec()
         return _Look(str(spec.format), spec.width, spec.height)
 
 
 def _read(path: Path) -> tuple[list[NDArray[np.float32]], Tensor]:
     """The planes of red, green and blue, each [H, W], and the matrix [3, 3] that makes them Rec.709."""
-    with _silent(), contextlib.closing(_open(path)) as source:
+    with silent(), contextlib.closing(open_image(path)) as source:
         spec = source.spec()
         channels = _channels(spec.channelnames, path)
         first = min(channels)
@@ -206,11 +215,11 @@ def _read(path: Path) -> tuple[list[NDArray[np.float32]], Tensor]:
         to_rec709 = _to_rec709(spec, path)
     if values is None or problem:
         raise ValueError(
-            f"{path}: damaged or incomplete ({_reason(problem, path)}), expected a whole map; copy or download it "
+            f"{path}: damaged or incomplete ({reason_of(problem, path)}), expected a whole map; copy or download it "
             "again."
         )
     orientation = spec.get_int_attribute("Orientation", 1)
-    upright = _upright(values, orientation if orientation <= 4 else 1)  # a map that lies on its side is not 2 : 1
+    upright = turn_upright(values, orientation if orientation <= 4 else 1)  # a map that lies on its side is not 2 : 1
     return [upright[..., channel - first] for channel in channels], to_rec709
 
 

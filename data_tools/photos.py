@@ -79,7 +79,7 @@ def find_photos(paths: Iterable[str | Path], expected: Collection[str] = ()) -> 
     skipped: list[str] = []
     for path in map(Path, paths):
         if not path.is_dir():
-            _check_exists(path)
+            check_exists(path)
             files.setdefault(path.resolve(), path)
             continue
         found = 0
@@ -161,14 +161,14 @@ def _files_below(folder: Path) -> Iterator[Path]:
             yield file
 
 
-def _check_exists(path: Path) -> None:
+def check_exists(path: Path) -> None:
     if not path.is_file():
         found = "a folder" if path.is_dir() else "no such file"
         raise ValueError(f"{path}: {found}, {_EXPECTED}; check the path.")
 
 
 @contextlib.contextmanager
-def _silent() -> Iterator[None]:
+def silent() -> Iterator[None]:
     """Keep what libraries such as libpng write to standard error by themselves off the user's screen."""
     try:
         kept = os.dup(2)
@@ -187,14 +187,14 @@ def _silent() -> Iterator[None]:
 
 def _opens(path: Path) -> bool:
     try:
-        with _silent():
-            _open(path).close()
+        with silent():
+            open_image(path).close()
     except ValueError:
         return False
     return True
 
 
-def _open(path: Path) -> Any:
+def open_image(path: Path) -> Any:
     """An open OpenImageIO.ImageInput that does not multiply colours by alpha."""
     import OpenImageIO as oiio  # its import costs more than a command that reads no image should pay
 
@@ -207,7 +207,7 @@ def _open(path: Path) -> Any:
     except (UnicodeError, TypeError):  # which one depends on OpenImageIO's version
         raise ValueError(f"{str(path)!a}: a name that is not UTF-8, expected one that is; rename it.") from None
     if source is None:
-        reason = _reason(oiio.geterror(), path)  # also told where it is not shown, else it appears as Python ends
+        reason = reason_of(oiio.geterror(), path)  # also told where it is not shown, else it appears as Python ends
         if path.suffix.lower() in _HEIF:
             raise ValueError(_to_export(path))
         raise ValueError(f"{path}: not an image ({reason}), {_EXPECTED}; check the file or export it again.")
@@ -220,7 +220,7 @@ def _to_export(path: Path) -> str:
     return f"{path}: {kind}, {_EXPECTED}; export it as JPEG or PNG."
 
 
-def _reason(message: str, path: Path) -> str:
+def reason_of(message: str, path: Path) -> str:
     """The first sentence of OpenImageIO's message, without the path, which the line has already."""
     without = re.sub(rf'( for( file)?)? ?["(]?{re.escape(str(path))}[")]?( is\b)?', "", message)
     first = next(iter(without.splitlines()), "")
@@ -229,8 +229,8 @@ def _reason(message: str, path: Path) -> str:
 
 def _read(path: Path) -> _Pixels:
     """The central square of a file, upright, as it is encoded."""
-    _check_exists(path)
-    with _silent(), contextlib.closing(_open(path)) as source:
+    check_exists(path)
+    with silent(), contextlib.closing(open_image(path)) as source:
         spec = source.spec()
         _check_size(spec, path)
         channels = _channels(spec, path)
@@ -239,10 +239,10 @@ def _read(path: Path) -> _Pixels:
         problem = source.geterror()
     if values is None or problem:
         raise ValueError(
-            f"{path}: damaged or incomplete ({_reason(problem, path)}), expected a whole image; copy or download it "
+            f"{path}: damaged or incomplete ({reason_of(problem, path)}), expected a whole image; copy or download it "
             "again."
         )
-    upright = _upright(values, spec.get_int_attribute("Orientation", 1))
+    upright = turn_upright(values, spec.get_int_attribute("Orientation", 1))
     is_premultiplied = not spec.get_int_attribute("oiio:UnassociatedAlpha", 0)
     return _Pixels(_square(upright)[..., channels], _space(spec), is_premultiplied)
 
@@ -283,7 +283,7 @@ def _space(spec: Any) -> str:
     return _LINEAR if str(spec.format) in ("half", "float", "double") else _SRGB
 
 
-def _upright(values: Array, orientation: int) -> Array:
+def turn_upright(values: Array, orientation: int) -> Array:
     """Turn [height, width, ...] as EXIF's orientation 1 to 8 says; anything else counts as 1."""
     if orientation in (5, 6, 7, 8):
         values = values.swapaxes(0, 1)
