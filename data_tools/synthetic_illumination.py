@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
-from typing import Literal
 
 import numpy as np
 import torch
@@ -21,11 +20,10 @@ from data_tools.environment_light import render
 from data_tools.environment_outdoor import courtyard, dull, dusk, forest, meadow, night, shore, square, street
 from data_tools.environment_patterns import vector
 from data_tools.patterns import Field, Rng, between, chance
-from data_tools.procedural import stream
+from data_tools.procedural import Split, turns
 from metapp.latlong import solid_angles
 from metapp.task import Task
 
-Split = Literal["train", "test"]
 _STRONGEST_CAST = 1.2  # of red over blue, in the mean of a map, as a power of 2
 
 UNITS = {**latlong.UNITS, "scale": "mean luminance of the map before, kcd/m^2, about"}
@@ -65,15 +63,7 @@ def synthetic_tasks(split: Split, count: int, seed: int = 0) -> Iterator[Task]:
     Raises:
         ValueError: for another split, or a negative count or seed.
     """
-    if split not in COUNTS:
-        raise ValueError(f"split of the synthetic environments: {split!r}, expected 'train' or 'test'")
-    if count < 0 or seed < 0:
-        raise ValueError(f"synthetic environments: count {count} and seed {seed}, expected both to be 0 or more")
-    families = list(FAMILIES)
-    for index in range(count):
-        family = families[index % len(families)]
-        rng = stream(seed, list(COUNTS).index(split), index % len(families), index // len(families))
-        name = f"{family}-{'t' if split == 'test' else ''}{index:03d}"
+    for family, name, rng in turns("environments", FAMILIES, COUNTS, split, count, seed):
         yield latlong.map_task(name, environment(FAMILIES[family], rng), rng)
 
 

@@ -8,7 +8,6 @@ also the same material under other lights, for judging.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Literal
 
 import numpy as np
 import torch
@@ -17,11 +16,10 @@ from torch import Tensor
 from data_tools import procedural
 from data_tools.flash import UNITS as OF_PHOTOS
 from data_tools.patterns import Rng, between, log_between, uniforms
-from data_tools.procedural import FAMILIES, stream
+from data_tools.procedural import FAMILIES, Split, turns
 from metapp.flash import Maps, camera, expose, normal_from_height, positions, relightings, render
 from metapp.task import Task
 
-Split = Literal["train", "test"]
 COUNTS: dict[Split, int] = {"train": 120, "test": 16}
 UNITS = {
     **OF_PHOTOS,
@@ -51,16 +49,10 @@ def synthetic_tasks(split: Split, count: int, seed: int = 0) -> Iterator[Task]:
     Raises:
         ValueError: for another split, or a negative count or seed.
     """
-    if split not in COUNTS:
-        raise ValueError(f"split of the synthetic svBRDFs: {split!r}, expected 'train' or 'test'")
-    if count < 0 or seed < 0:
-        raise ValueError(f"synthetic svBRDFs: count {count} and seed {seed}, expected both to be 0 or more")
-    for index in range(count):
-        family = FLAT[index % len(FLAT)]
-        rng = stream(seed, list(COUNTS).index(split), index % len(FLAT), index // len(FLAT), _STREAM)
+    for family, name, rng in turns("svBRDFs", FLAT, COUNTS, split, count, seed, _STREAM):
         image, relit = flash_photographs(FAMILIES[family](rng, _SIZE), rng)
         data = {"image": image} | ({"relit": relit} if split == "test" else {})
-        yield Task(f"{family}-{'t' if split == 'test' else ''}{index:03d}", data)
+        yield Task(name, data)
 
 
 @torch.no_grad()

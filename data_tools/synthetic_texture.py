@@ -8,17 +8,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
 import torch
 
 from data_tools.patterns import Field, Rng, between, blur, log_between, slopes
-from data_tools.procedural import FAMILIES, Maps, stream
+from data_tools.procedural import FAMILIES, Maps, Split, turns
 from metapp.task import Task
 
-Split = Literal["train", "test"]
 UNITS = {"image": "sRGB, 0 .. 255; a photograph from above"}
 COUNTS: dict[Split, int] = {"train": 240, "test": 20}
 
@@ -41,16 +39,9 @@ def synthetic_tasks(split: Split, count: int, seed: int = 0) -> Iterator[Task]:
     Raises:
         ValueError: for another split, or a negative count or seed.
     """
-    if split not in COUNTS:
-        raise ValueError(f"split of the synthetic textures: {split!r}, expected 'train' or 'test'")
-    if count < 0 or seed < 0:
-        raise ValueError(f"synthetic textures: count {count} and seed {seed}, expected both to be 0 or more")
-    families = list(FAMILIES)
-    for index in range(count):
-        family = families[index % len(families)]
-        rng = stream(seed, list(COUNTS).index(split), index % len(families), index // len(families))
+    for family, name, rng in turns("textures", FAMILIES, COUNTS, split, count, seed):
         image = photograph(FAMILIES[family](rng, _SIZE), rng)
-        yield Task(f"{family}-{'t' if split == 'test' else ''}{index:03d}", {"image": torch.from_numpy(image)})
+        yield Task(name, {"image": torch.from_numpy(image)})
 
 
 def photograph(maps: Maps, rng: Rng) -> npt.NDArray[np.uint8]:
