@@ -50,7 +50,7 @@ class ExemplarApp(App):
     def __init__(self, setup: Setup) -> None:
         self.setup = setup
 
-    def at(self, recipe: Recipe) -> Self:
+    def at(self, recipe: Recipe, observe: str = "") -> Self:
         return type(self)(recipe.setup)
 
     def conditions(self) -> dict[str, str]:

@@ -98,11 +98,19 @@ def _require_finite(value: Tensor, names: tuple[str, ...], step: int) -> None:
 
 def task_loss(app: App, batch: int) -> Loss:
     """The loss of an application on samples of tasks (alg. 2), [T]."""
+    return Loss(_sampling(app, batch), app.loss)
 
+
+def task_goal(app: App, batch: int) -> Loss:
+    """What preparation wants of fits of an application, on samples of training tasks, [T]."""
+    return Loss(_sampling(app, batch), app.goal)
+
+
+def _sampling(app: App, batch: int) -> Callable[[Tasks, Generator], Drawn]:
     def draw(tasks: Tasks, rng: Generator) -> Drawn:
         return Drawn(tasks.picked_names(), app.sample(tasks, rng, batch))
 
-    return Loss(draw, app.loss)
+    return draw
 
 
 Augment = Callable[[Tasks, Generator], Tasks]
@@ -132,6 +140,7 @@ def after_learning(
     tasks_at_once: int | None = None,
     observe: Callable[[Any, Generator], Any] | None = None,
     encode: Callable[[Params, Any], Params] | None = None,
+    goal: Loss | None = None,
 ) -> Loss:
     """Lift a loss on theta to a loss on phi: what is left after learning from phi's start by phi's rule (alg. 3).
 
@@ -144,14 +153,17 @@ def after_learning(
         compiled: compile the inner step and its adjoint.
         tasks_at_once: walk back for so many tasks at a time, which lowers the memory; None for all.
         observe, encode: where phi holds an encoder, its condition and forward pass give each task's own start.
+        goal: what is wanted of the final theta, where that is not the loss itself.
 
     Returns:
         A loss on the flat tree of MetaParameters.
     """
 
+    wanted = goal or loss
+
     def draw(tasks: Any, rng: Generator) -> Drawn:
         inner = [loss.draw(tasks, rng).batch for _ in range(steps)]
-        last = loss.draw(tasks, rng)
+        last = wanted.draw(tasks, rng)
         return Drawn(last.names, (inner, last.batch, observe(tasks, rng) if observe else None))
 
     def value(phi: Params, batch: Any, _: Params) -> Tensor:
@@ -164,7 +176,7 @@ def after_learning(
         final = learn_through(
             theta, rule(alpha), inner, loss, order=order, compiled=compiled, tasks_at_once=tasks_at_once
         )
-        return loss.value(final, last, {})
+        return wanted.value(final, last, {})
 
     return Loss(draw, value)
 

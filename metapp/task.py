@@ -146,12 +146,14 @@ class App(ABC):
             theirs, `find(paths)` lists sources and lines about what was skipped, `read_task(source)` reads one.
         inputs: what a user's files may be, in words.
         exports: modules of data_tools whose `export(app, theta, path)` writes a fit in another form.
-        protocols: values of --observe, where an application has several.
+        protocols: what a fit may see, the values of --observe, where an application has several; the first is the default.
+        protocol: the one of these that is in force; "" where there is none.
         measure: what the error is, in one line.
         scale: factor of a printed error; 100 where the paper prints x100.
         small_kernels: True where threads and GPUs only slow the network down, fitted to one task.
         recipes: "paper" and "quick".
         raw: names of those `files` whose values are no colours, such as normals.
+        radiance: names of those `files` that are linear radiance of any range, kept as EXR.
     """
 
     name: str
@@ -160,14 +162,16 @@ class App(ABC):
     inputs: str
     exports: tuple[str, ...] = ()
     protocols: tuple[str, ...] = ()
+    protocol: str = ""
     measure: str
     scale: float = 1.0
     small_kernels: bool = False
     recipes: dict[str, Recipe]
     raw: tuple[str, ...] = ()
+    radiance: tuple[str, ...] = ()
 
-    def at(self, recipe: Recipe) -> App:
-        """The application at a recipe's setup."""
+    def at(self, recipe: Recipe, observe: str = "") -> App:
+        """The application at a recipe's setup, under a protocol, its first one where none is named."""
         return self
 
     def conditions(self) -> dict[str, str]:
@@ -189,6 +193,10 @@ class App(ABC):
     @abstractmethod
     def loss(self, theta: Params, batch: Batch, shape: Params) -> Tensor:
         """The loss of each task, [T]; `shape` holds learned quantities of the loss, {} for the plain one."""
+
+    def goal(self, theta: Params, batch: Batch, shape: Params) -> Tensor:
+        """What preparation wants of a fit, [T]: the loss itself, unless training tasks know more than a fit may see."""
+        return self.loss(theta, batch, shape)
 
     def shape(self, steps: int) -> Params:
         """Initial values [steps, ...] of the quantities of the inner loss that a rule may learn."""
@@ -212,14 +220,20 @@ class App(ABC):
 
     @abstractmethod
     def errors(self, theta: Params, tasks: Tasks) -> dict[str, Tensor]:
-        """Error measures [T] on the part of each task that fits never see; "error" is the table's, unscaled."""
+        """Error measures [T] on the part of each task that fits never see; "error" is the table's, unscaled.
+
+        Empty where the tasks hold no reference.
+        """
 
     @abstractmethod
     def outputs(self, theta: Params, task: Task) -> dict[str, Any]:
         """Linear RGB pictures [H, W, 3 or 4] of one fitted task and its reference, by name (no task axis in theta)."""
 
     def files(self, theta: Params, task: Task) -> dict[str, Tensor]:
-        """What a fit makes for its user, by file name: display values [H, W, 1 or 3] in [0, 1], kept as PNG."""
+        """What a fit makes for its user, by file name: display values [H, W, 1 or 3] in [0, 1], kept as PNG.
+
+        Those named in `radiance` are linear, of any range, and kept as EXR.
+        """
         return {}
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from torch import Generator
 
 from metapp.adjoint import Loss
-from metapp.learning import MetaParameters, after_encoding, over_tasks, task_loss
+from metapp.learning import MetaParameters, after_encoding, over_tasks, task_goal
 from metapp.paradigms import Job, Paradigm
 from metapp.rules import fixed_adam
 from metapp.task import Params, Tasks
@@ -20,7 +20,7 @@ def start(job: Job, prepared: MetaParameters, tasks: Tasks, rng: Generator) -> P
 def preparation(job: Job, rng: Generator) -> tuple[MetaParameters, Loss]:
     """The untrained encoder and the loss that trains it."""
     app, training = job.app, job.recipe.general
-    loss = after_encoding(task_loss(app, job.recipe.batch), app.observe, app.encode)
+    loss = after_encoding(task_goal(app, job.recipe.batch), app.observe, app.encode)
     augment = app.augment if training.augment else None
     return MetaParameters(encoder=app.init_encoder(rng)), over_tasks(loss, count=training.tasks, augment=augment)
 

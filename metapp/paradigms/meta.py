@@ -8,7 +8,7 @@ import torch
 from torch import Generator
 
 from metapp.adjoint import Loss, UpdateRule
-from metapp.learning import MetaParameters, after_learning, learn, over_tasks, spread, task_loss
+from metapp.learning import MetaParameters, after_learning, learn, over_tasks, spread, task_goal, task_loss
 from metapp.paradigms import AT_ONCE, Job, Paradigm
 from metapp.paradigms.general import start as general_start
 from metapp.rules import RULES, averaging, principal_axes, second_moments
@@ -40,6 +40,7 @@ def preparation(job: Job, general: MetaParameters, rng: Generator, compiled: boo
         tasks_at_once=training.tasks_at_once,
         observe=app.observe if general.encoder else None,
         encode=app.encode if general.encoder else None,
+        goal=task_goal(app, recipe.batch),
     )
     phi = MetaParameters(theta, rule.alpha(app, random, steps, training.first), general.encoder)
     return phi, over_tasks(learned, count=training.tasks, augment=app.augment if training.augment else None)
