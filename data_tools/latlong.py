@@ -31,11 +31,12 @@ from data_tools.photos import (
     turn_upright,
 )
 from data_tools.procedural import stream
-from data_tools.sphere_photo import SIZE, photograph
 from metapp.latlong import mean_luminance, resample, sphere_normals
+from metapp.photograph import photograph
 from metapp.task import Task
 
 HEIGHT, WIDTH = 64, 128
+SIZE, COUNT = 64, 4  # px and number of the photographs of a map
 UNITS = {
     "map": "lat-long radiance, linear Rec.709 [3, 64, 128], rows from the top (+y), the middle column looks to +z; "
     "mean luminance over the sphere 1",
@@ -133,7 +134,9 @@ def map_task(name: str, light: Tensor, rng: Rng) -> Task:
     light = resample(light.float(), HEIGHT, WIDTH)
     scale = mean_luminance(light)
     light = light / scale
-    return Task(name, {"map": light, "scale": scale, "photos": photograph(light, rng)})
+    seeded = torch.Generator().manual_seed(int(rng.integers(2**63)))
+    photos = photograph(light.expand(COUNT, -1, -1, -1), seeded, SIZE)
+    return Task(name, {"map": light, "scale": scale, "photos": (photos * 255).round().to(torch.uint8)})
 
 
 def find_maps(paths: Iterable[str | Path]) -> tuple[list[Path], list[str]]:

@@ -67,12 +67,17 @@ def transfer(height: int = 32, width: int = 64, *, report: Report = lambda done,
     """
     if height < 2 or height % 2 or width < 1:
         raise ValueError(f"second scene: maps of {height} x {width} texels, expected an even number of rows.")
-    path = cache_folder() / f"second-scene-{height}x{width}-v{VERSION}.safetensors"
+    path = matrix_path(height, width)
     with suppress(OSError, SafetensorError, KeyError):  # not there, or damaged
         return _load(path, path.stat().st_mtime_ns)
     matrix = _build(height, width, report)
     write_atomically(path, lambda partial: save_file({"matrix": matrix}, partial))
     return matrix
+
+
+def matrix_path(height: int = 32, width: int = 64) -> Path:
+    """Where the cache keeps the matrix for maps of that size."""
+    return cache_folder() / f"second-scene-{height}x{width}-v{VERSION}.safetensors"
 
 
 @functools.lru_cache(maxsize=1)

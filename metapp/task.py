@@ -151,6 +151,7 @@ class App(ABC):
         measure: what the error is, in one line.
         scale: factor of a printed error; 100 where the paper prints x100.
         small_kernels: True where threads and GPUs only slow the network down, fitted to one task.
+        random: False where nothing that a fit sees is drawn at random, so that one fit says what two would.
         recipes: "paper" and "quick".
         raw: names of those `files` whose values are no colours, such as normals.
         radiance: names of those `files` that are linear radiance of any range, kept as EXR.
@@ -166,6 +167,7 @@ class App(ABC):
     measure: str
     scale: float = 1.0
     small_kernels: bool = False
+    random: bool = True
     recipes: dict[str, Recipe]
     raw: tuple[str, ...] = ()
     radiance: tuple[str, ...] = ()

@@ -13,6 +13,7 @@ import pytest
 import torch
 from torch import Tensor
 
+from data_tools.second_scene import matrix_path
 from metapp.features import weights_path
 from metapp.geometry import above_horizon
 
@@ -52,7 +53,7 @@ def cache(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPa
     return folder
 
 
-USER_WEIGHTS = weights_path("vgg16")  # before any test moves the cache
+USER_WEIGHTS, USER_MATRIX = weights_path("vgg16"), matrix_path()  # before any test moves the cache
 
 
 @pytest.fixture
@@ -61,6 +62,15 @@ def vgg(cache: Path) -> Path:
     if not USER_WEIGHTS.is_file():
         pytest.skip("the VGG weights are not there: metapp data vgg fetches them")
     (cache / USER_WEIGHTS.name).symlink_to(USER_WEIGHTS)
+    return cache
+
+
+@pytest.fixture
+def scene(cache: Path) -> Path:
+    """The matrix of the second scene that `make setup` built, in the test's cache."""
+    if not USER_MATRIX.is_file():
+        pytest.skip("the second scene's matrix is not there: metapp data scene builds it")
+    (cache / USER_MATRIX.name).symlink_to(USER_MATRIX)
     return cache
 
 

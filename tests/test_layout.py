@@ -23,11 +23,12 @@ LAYERS = ("metapp.task", "metapp.adjoint", "metapp.learning", "metapp.rules", "m
 MATHS = ("metapp.task", "metapp.adjoint", "metapp.learning", "metapp.rules", "metapp.geometry", "metapp.reflection",
          "metapp.sphere", "metapp.flash", "metapp.latlong", "metapp.networks", "metapp.metrics")  # fmt: skip
 FOR_APPS = ("metapp.task", "metapp.geometry", "metapp.reflection", "metapp.sphere", "metapp.flash", "metapp.latlong",
-            "metapp.networks", "metapp.metrics", "metapp.features", "metapp.exemplar", "metapp.colour")  # fmt: skip
+            "metapp.photograph", "metapp.networks", "metapp.metrics", "metapp.features", "metapp.exemplar",
+            "metapp.colour")  # fmt: skip
 STORAGE = ("metapp.shards", "metapp.manifest", "metapp.files")
 UNPICKLES = "data_tools.vgg"
 FOR_DATA_TOOLS = (*STORAGE, "metapp.colour", "metapp.geometry", "metapp.reflection", "metapp.sphere", "metapp.flash",
-                  "metapp.latlong", "metapp.task", "metapp.features")  # fmt: skip
+                  "metapp.latlong", "metapp.photograph", "metapp.task", "metapp.features")  # fmt: skip
 
 
 def imports(name: str) -> set[str]:

@@ -69,9 +69,9 @@ def split_validation(tasks: Tasks) -> tuple[Tasks, Tasks]:
     )
 
 
-def validation_error(paradigm: Paradigm, job: Job, prepared: MetaParameters, tasks: Tasks, seeds: int = 2) -> float:
+def validation_error(paradigm: Paradigm, job: Job, prepared: MetaParameters, tasks: Tasks) -> float:
     """Mean error of fits of all tasks with fixed seeds, as the table prints it; infinite where a fit diverges."""
-    total = 0.0
+    total, seeds = 0.0, 2 if job.app.random else 1
     for seed in range(seeds):
         rng = Generator(tasks.rows.device).manual_seed(seed)
         for some in torch.arange(len(tasks)).split(AT_ONCE):

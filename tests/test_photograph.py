@@ -11,27 +11,53 @@ import pytest
 import torch
 from torch import Tensor
 
-from data_tools.procedural import stream
-from data_tools.sphere_photo import (
+from metapp.colour import srgb_to_linear
+from metapp.latlong import cosine_transfer, directions, glossy_transfer, luminance, resample, sphere_normals
+from metapp.photograph import (
     ROUGHNESSES,
     Camera,
     Material,
+    develop,
     draw_camera,
     draw_material,
-    expose,
+    exposures,
     photograph,
-    shade,
 )
-from metapp.colour import srgb_to_linear
-from metapp.latlong import cosine_transfer, directions, glossy_transfer, luminance, resample, sphere_normals
+from metapp.photograph import shade as shade_all
 
 WHITE = torch.ones(3)
-SRGB = Camera(level=0.7, gamma=1.0, contrast=0.0)
+
+def material(albedo: Tensor, specular: float, roughness: float) -> Material:
+    """One of gloss of one roughness."""
+    parts = torch.tensor([[float(each == roughness) for each in ROUGHNESSES]])
+    return Material(albedo[None], torch.tensor([specular]), parts)
 
 
 def gloss(roughness: float) -> Material:
     """No body, all gloss."""
-    return Material(torch.zeros(3), 1.0, roughness)
+    return material(torch.zeros(3), 1.0, roughness)
+
+
+def shade(light: Tensor, of: Material, size: int) -> Tensor:
+    """One picture [3, size, size], by the one roughness that the gloss has."""
+    kind = int(of.gloss.argmax())
+    single = of._replace(gloss=of.gloss[:, kind : kind + 1])
+    return shade_all(light[None], single, size, ROUGHNESSES[kind : kind + 1])[0]
+
+
+def seeded(seed: int) -> torch.Generator:
+    return torch.Generator().manual_seed(seed)
+
+
+def photographs(light: Tensor, seed: int, count: int = 4, size: int = 16) -> Tensor:
+    """Some of one map, uint8."""
+    return (photograph(light.expand(count, -1, -1, -1), seeded(seed), size) * 255).round().to(torch.uint8)
+
+
+def exposed(radiance: Tensor, level: float) -> Tensor:
+    """Display values [3, S, S] by sRGB's curve."""
+    camera = Camera(exposures(radiance[None], torch.tensor([level])), torch.ones(1), torch.zeros(1))
+    return develop(radiance[None], camera)[0].clamp_max(1)
 
 
 def draw_map(rng: torch.Generator, height: int = 64) -> Tensor:
@@ -53,7 +79,7 @@ def smooth(towards: Tensor) -> Tensor:
 
 @pytest.mark.parametrize("roughness", ROUGHNESSES)
 def test_furnace(roughness: float) -> None:
-    picture = shade(torch.ones(3, 64, 128), Material(WHITE, 0.3, roughness), 16)
+    picture = shade(torch.ones(3, 64, 128), material(WHITE, 0.3, roughness), 16)
     mask = sphere_normals(16)[1]
     torch.testing.assert_close(picture, mask.expand(3, 16, 16).float(), atol=1e-5, rtol=0)
 
@@ -61,12 +87,12 @@ def test_furnace(roughness: float) -> None:
 def test_a_quarter_of_the_matrix_is_enough(rng: torch.Generator) -> None:
     light = draw_map(rng)
     normals, mask = sphere_normals(16)
-    for material, transfer in (
-        (Material(WHITE, 0.0, 0.3), cosine_transfer(normals.flatten(1).T, 16, 32)),
+    for of, transfer in (
+        (material(WHITE, 0.0, 0.32), cosine_transfer(normals.flatten(1).T, 16, 32)),
         (gloss(0.7), glossy_transfer(normals.flatten(1).T, 0.7, 16, 32)),
     ):
         whole = (resample(light, 16, 32).flatten(1) @ transfer.T).reshape(3, 16, 16) * mask
-        torch.testing.assert_close(shade(light, material, 16), whole, atol=1e-5, rtol=1e-4)
+        torch.testing.assert_close(shade(light, of, 16), whole, atol=1e-5, rtol=1e-4)
 
 
 @pytest.mark.parametrize("roughness", ROUGHNESSES)
@@ -110,14 +136,14 @@ def test_the_picture_is_mitsubas(mitsuba_sphere: Callable) -> None:
     albedo = torch.tensor([0.8, 0.5, 0.3])
     bodies = {
         "diffuse": ({"type": "diffuse", "reflectance": {"type": "rgb", "value": albedo.tolist()}},
-                    Material(albedo, 0.0, 0.5)),
+                    material(albedo, 0.0, 0.54)),
         "mirror": ({"type": "roughconductor", "material": "none", "distribution": "ggx", "alpha": 0.25**2},
                    gloss(0.25)),
     }  # fmt: skip
     normals, _ = sphere_normals(16)
     inside = normals[2] > 0.7  # a pixel is nearly what its centre is, and masking loses little
-    for name, (bsdf, material) in bodies.items():
-        ours, theirs = (each[:, inside] for each in (shade(sky(64, 128), material, 16), mitsuba_sphere(bsdf, 16)))
+    for name, (bsdf, of) in bodies.items():
+        ours, theirs = (each[:, inside] for each in (shade(sky(64, 128), of, 16), mitsuba_sphere(bsdf, 16)))
         assert (ours - theirs).abs().mean() < 0.06 * theirs.mean(), name  # noise
         torch.testing.assert_close(ours.mean(-1), theirs.mean(-1), rtol=0.02, atol=0)
 
@@ -126,8 +152,8 @@ def test_light_falls_from_where_it_is() -> None:
     y, x = torch.meshgrid(-torch.arange(16.0) + 7.5, torch.arange(16.0) - 7.5, indexing="ij")
     for axis, sign, lit in ((0, 1, x > 0), (0, -1, x < 0), (1, 1, y > 0), (1, -1, y < 0)):
         light = ((directions(64, 128)[axis] * sign) > 0.9).expand(3, -1, -1).float()
-        for material in (Material(WHITE, 0.0, 0.5), Material(WHITE, 0.4, 0.3)):
-            picture = shade(light, material, 16)
+        for of in (material(WHITE, 0.0, 0.54), material(WHITE, 0.4, 0.32)):
+            picture = shade(light, of, 16)
             assert picture[:, lit].sum() > 10 * picture[:, ~lit].sum()
 
 
@@ -137,17 +163,18 @@ def test_light_falls_from_where_it_is() -> None:
 @pytest.mark.parametrize("level", [0.4, 0.9])
 def test_nine_tenths_of_the_sphere_are_exposed_below_the_level(level: float, rng: torch.Generator) -> None:
     light = draw_map(rng).mean(0, keepdim=True).expand(3, -1, -1)
-    display = expose(shade(light, Material(WHITE, 0.0, 0.5), 32), Camera(level, 1.0, 0.0))
+    display = exposed(shade(light, material(WHITE, 0.0, 0.54), 32), level)
     mask = sphere_normals(32)[1]
     linear = srgb_to_linear(display[0, mask])
     assert linear.quantile(0.9).item() == pytest.approx(srgb_to_linear(torch.tensor(level)).item(), rel=1e-4)
     assert (display[:, ~mask] == 0).all()
 
 
-def test_curves_rise_from_black_to_white() -> None:
+def test_curves_rise_from_black_to_white(rng: torch.Generator) -> None:
     ramp = (torch.linspace(0, 1, 32 * 32) ** 20).reshape(1, 32, 32).expand(3, -1, -1)
-    for index in range(20):
-        display = expose(ramp, draw_camera(stream(index)))[0].flatten()
+    ramps = ramp.expand(20, -1, -1, -1)
+    cameras = draw_camera(torch.rand(20, 3, generator=rng), ramps)
+    for display in develop(ramps, cameras).clamp_max(1)[:, 0].flatten(1):
         assert display[0] == 0
         assert (display.diff() >= -1e-6).all()
         assert display[-1].item() == pytest.approx(1, abs=1e-6)  # clipped: 1 is over four times the level
@@ -156,7 +183,7 @@ def test_curves_rise_from_black_to_white() -> None:
 def test_suns_clip_and_the_rest_is_seen() -> None:
     light = torch.full((3, 64, 128), 0.3)
     light[:, 20, 70] = 1e5
-    picture = expose(shade(light, Material(0.5 * WHITE, 0.3, 0.25), 16), SRGB)
+    picture = exposed(shade(light, material(0.5 * WHITE, 0.3, 0.25), 16), 0.7)
     assert picture.max() > 0.999
     assert 0.2 < picture[:, sphere_normals(16)[1]].median() < 0.8
 
@@ -165,7 +192,7 @@ def test_suns_clip_and_the_rest_is_seen() -> None:
 def test_light_from_behind_only(peak: float) -> None:
     light = torch.zeros(3, 64, 128)
     light[:, 32, 20] = peak  # z = -0.54: only the rim sees it
-    photos = photograph(light, stream(1), size=16)
+    photos = photographs(light, 1)
     assert (photos[:, :, 8, 8] == 0).all()
     assert bool(photos.any()) == (peak > 0)
 
@@ -174,7 +201,7 @@ def test_light_from_behind_only(peak: float) -> None:
 
 
 def test_photographs_fill_the_disc(rng: torch.Generator) -> None:
-    photos = photograph(draw_map(rng), stream(0))
+    photos = photographs(draw_map(rng), 0, size=64)
     assert photos.shape == (4, 3, 64, 64)
     assert photos.dtype == torch.uint8
     mask = sphere_normals(64)[1]
@@ -187,44 +214,66 @@ def test_photographs_fill_the_disc(rng: torch.Generator) -> None:
 
 def test_draws(rng: torch.Generator) -> None:
     light = draw_map(rng)
-    first = photograph(light, stream(5), size=16)
-    assert torch.equal(photograph(light, stream(5), size=16), first)
-    assert not torch.equal(photograph(light, stream(6), size=16), first)
-    assert torch.equal(photograph(light, stream(5), count=2, size=16), first[:2])
+    first = photographs(light, 5)
+    assert torch.equal(photographs(light, 5), first)
+    assert not torch.equal(photographs(light, 6), first)
+    assert (photographs(light, 5, count=2).int() - first[:2].int()).abs().max() <= 1  # rounding alone
     assert not any(torch.equal(first[0], other) for other in first[1:])
 
 
 def test_the_scale_of_a_map_does_not_matter(rng: torch.Generator) -> None:
     light = draw_map(rng)
-    photos = [photograph(light * scale, stream(2), size=16).int() for scale in (1.0, 1e-4, 1e4)]
+    photos = [photographs(light * scale, 2).int() for scale in (1.0, 1e-4, 1e4)]
     assert max((photo - photos[0]).abs().max() for photo in photos) <= 1
 
 
 def test_mirrored_maps_make_mirrored_photographs(rng: torch.Generator) -> None:
     light = draw_map(rng)
-    photos = photograph(light, stream(2), size=16).int()
+    photos = photographs(light, 2).int()
     for dim in (-1, -2):
-        mirrored = photograph(light.flip(dim), stream(2), size=16).int().flip(dim)
+        mirrored = photographs(light.flip(dim), 2).int().flip(dim)
         assert (mirrored - photos).abs().max() <= 1
     assert (photos - photos.flip(-1)).abs().max() > 1
 
 
-def test_materials_and_cameras_stay_in_their_ranges() -> None:
-    materials = [draw_material(stream(0, index)) for index in range(400)]
-    albedo = torch.stack([material.albedo for material in materials])
+def test_materials_and_cameras_stay_in_their_ranges(rng: torch.Generator) -> None:
+    drawn = torch.rand(400, 11, generator=rng)
+    materials = draw_material(drawn[:, :8])
+    albedo, specular = materials.albedo, materials.specular
     assert albedo.min() >= 0.3
     assert 0.9 < albedo.max() <= 0.95
     assert luminance(albedo[..., None, None]).std() > 0.1
     assert (albedo.amax(-1) - albedo.amin(-1)).max() > 0.2
-    specular = torch.tensor([material.specular for material in materials])
     assert 0.15 < (specular == 0).float().mean() < 0.35
     assert 0.5 < specular.max() <= 0.6
-    assert {material.roughness for material in materials} == set(ROUGHNESSES)
-    cameras = torch.tensor([draw_camera(stream(1, index)) for index in range(400)])
-    for values, low, high in zip(cameras.T, (0.4, 0.8, 0.0), (0.9, 1.25, 0.5), strict=True):
+    assert (materials.gloss.sum(0) > 20).all()
+    assert (materials.gloss.sum(1) == 1).all()
+    cameras = draw_camera(drawn[:, 8:], torch.ones(400, 3, 16, 16))
+    levels = 0.4 + 0.5 * drawn[:, 8]
+    torch.testing.assert_close(cameras.exposure, srgb_to_linear(levels))
+    for values, low, high in ((levels, 0.4, 0.9), (cameras.gamma, 0.8, 1.25), (cameras.contrast, 0.0, 0.5)):
         assert low <= values.min() < low + 0.05 < high - 0.05 < values.max() <= high
+
+
+def test_a_clipped_value_still_rises() -> None:
+    camera = Camera(torch.ones(1), torch.ones(1), 0.5 * torch.ones(1))
+    ramp = torch.linspace(0, 4, 256).reshape(1, 1, 16, 16).expand(1, 3, -1, -1).clone().requires_grad_()
+    display = develop(ramp, camera)
+    assert (display[0, 0].flatten().diff() > 0).all()
+    (slope,) = torch.autograd.grad(display.sum(), ramp)
+    assert torch.isfinite(slope).all()
+    assert (slope[0, 0].flatten()[1:] > 0).all()
+
+
+def test_mixed_gloss_is_the_mixture(rng: torch.Generator) -> None:
+    light = draw_map(rng)
+    parts = torch.zeros(1, len(ROUGHNESSES))
+    parts[0, 2], parts[0, 5] = 0.25, 0.75
+    mixed = shade_all(light[None], Material(torch.zeros(1, 3), torch.ones(1), parts), 16)[0]
+    apart = 0.25 * shade(light, gloss(ROUGHNESSES[2]), 16) + 0.75 * shade(light, gloss(ROUGHNESSES[5]), 16)
+    torch.testing.assert_close(mixed, apart)
 
 
 def test_an_odd_size_is_an_error() -> None:
     with pytest.raises(ValueError, match="15 px, expected an even number"):
-        shade(torch.ones(3, 64, 128), Material(WHITE, 0.0, 0.5), 15)
+        shade(torch.ones(3, 64, 128), material(WHITE, 0.0, 0.54), 15)

@@ -1,0 +1,301 @@
+"""Illumination: HDR environment maps, from themselves or from an LDR photograph of a sphere (paper section 4.1.5)."""
+
+from __future__ import annotations
+
+import functools
+import importlib
+import math
+from dataclasses import dataclass, replace
+from typing import Any
+
+import torch
+from torch import Generator, Tensor
+from torch.nn.functional import avg_pool2d, interpolate, normalize, relu, softmax
+
+from metapp.apps.illumination.encoder import Encoder
+from metapp.apps.illumination.field import Field
+from metapp.colour import linear_to_srgb, srgb_to_linear, tone_map
+from metapp.latlong import cosine_transfer, glossy_transfer, mean_luminance, resample, solid_angles, sphere_normals
+from metapp.photograph import Camera, Material, develop, photograph, shade
+from metapp.task import Adam, App, Batch, Params, Recipe, Task, Tasks, Training
+
+DARK = 0.01  # of a map of mean luminance 1: the log of radiance is flat below
+DIM = 0.02  # the same for what surfaces send out
+SEEN = 0.3  # the photograph's weight in the goal
+FACED, MIRRORED, SHINE = 64, 128, 0.35  # surfaces that the loss looks at: diffuse, glossy and how rough
+BODY = 10  # numbers of a sphere's material and a camera
+GLOSSES = (0.25, 0.42, 0.7)
+SMALL = 32  # px of the photograph in the loss
+
+
+@dataclass(frozen=True)
+class Setup:
+    """The size of everything.
+
+    Attributes:
+        field: the network of one map.
+    """
+
+    field: Field
+
+    @property
+    def encoder(self) -> Encoder:
+        """The encoder that fits it."""
+        return Encoder(2 * self.field.rows, 2 * self.field.columns, self.field.code, BODY)
+
+
+LEARNED = Training(
+    steps=1500,
+    tasks=4,
+    rates={"": 1e-4, "alpha.": 1e-2},
+    first=Adam(1e-2, beta1=0.7, beta2=0.99, final=0.1),
+    tuned=True,
+    warmup=50,
+    final=0.05,
+    order=2,
+    clip=0.1,
+    validate_every=100,
+    start="encoder",
+)
+QUICK = Recipe(
+    steps=15,
+    batch=1,
+    overfit_steps=3000,
+    overfit=Adam(5e-3, final=0.0),
+    finetune_steps=300,
+    finetune=Adam(3e-3, final=0.0),
+    quickft=Adam(1e-2, beta1=0.7, beta2=0.99, final=0.1),
+    general=Training(steps=3000, tasks=16, rates={"": 1e-3}, warmup=100, final=0.0),
+    meta={
+        "meta-sgd": replace(LEARNED, first=Adam(0.03), tuned=False),
+        "meta-encoder": LEARNED,
+        "meta-basis": replace(LEARNED, steps=0),
+    },
+    rule="meta-encoder",
+    setup=Setup(Field(32, 64)),
+)
+# 15 inner steps, first-order MAML with Meta-SGD from a random start, as in Fischer & Ritschel 2022, section 4.1.5
+PAPER = replace(
+    QUICK,
+    overfit_steps=10_000,
+    finetune_steps=1_000,
+    meta={
+        "meta-sgd": Training(
+            steps=100_000, tasks=5, rates={"": 1e-4}, first=Adam(1e-3), order=1, clip=10.0, start="random"
+        )
+    },
+    rule="meta-sgd",
+    setup=Setup(Field(64, 128, hidden=64)),
+)
+
+
+class Illumination(App):
+    """One environment map a task, of mean luminance 1.
+
+    Under the protocol "reference" a fit sees the map itself; under "photo" it sees the LDR photograph of a sphere
+    alone, and is what a sphere of some material must be lit by to look so through some camera.
+    """
+
+    name = "illumination"
+    title = "Illumination"
+    readers = ("latlong",)
+    inputs = "an HDR map (.exr, .hdr), an LDR photo of a sphere that touches its borders, or a folder of these"
+    protocols = ("reference", "photo")
+    measure = "mean absolute error of a second scene's picture under the map"
+    scale = 100.0
+    small_kernels = True
+    random = False
+    radiance = ("map",)
+    recipes = {"paper": PAPER, "quick": QUICK}  # noqa: RUF012  (never written to)
+
+    def __init__(self, setup: Setup, protocol: str) -> None:
+        self.setup, self.protocol = setup, protocol
+
+    def at(self, recipe: Recipe, observe: str = "") -> Illumination:
+        return Illumination(recipe.setup, observe or self.protocol)
+
+    def prepare(self, task: Task) -> dict[str, Tensor]:
+        """`photo` uint8 [3, S, S], and of the map `map` [3, H, W] and `sent`, what surfaces send out under it."""
+        prepared = {"photo": task.data["photos"][0]}
+        if "map" in task.data:
+            prepared |= self.described(task.data["map"][None].float())
+        elif self.protocol == "reference":
+            raise ValueError(
+                f"{task.name}: a photo of a sphere, expected an HDR map where fits see the map itself; add --observe "
+                "photo, or give an .exr or .hdr map."
+            )
+        return {key: value[0] if key != "photo" else value for key, value in prepared.items()}
+
+    def described(self, maps: Tensor) -> dict[str, Tensor]:
+        field = self.setup.field
+        maps = resample(maps, field.height, field.width)
+        return {"map": maps, "sent": maps.flatten(2) @ self._surfaces(maps).T}
+
+    def _surfaces(self, like: Tensor) -> Tensor:
+        """What surfaces send out by a map, [S, H * W]: diffuse ones that face, glossy ones that mirror all around."""
+        return _surfaces(self.setup.field.height, self.setup.field.width).to(like)
+
+    def init(self, rng: Generator, count: int) -> Params:
+        return self.setup.field.init(rng, count) | {"body": torch.zeros(count, BODY, device=rng.device)}
+
+    def radiance_of(self, theta: Params) -> Tensor:
+        """The fitted maps, linear radiance [T, 3, H, W]."""
+        return self.setup.field({key: value for key, value in theta.items() if key != "body"}).clamp_max(16).exp()
+
+    def sample(self, tasks: Tasks, rng: Generator, count: int) -> Batch:
+        """The whole of the map and of the photograph; nothing is random."""
+        return {key: value[tasks.rows] for key, value in tasks.data.items()}
+
+    def loss(self, theta: Params, batch: Batch, shape: Params) -> Tensor:
+        """Of the map or of the photograph, by the protocol, [T]."""
+        maps = self.radiance_of(theta)
+        return (self._map_loss if self.protocol == "reference" else self._photo_loss)(theta, maps, batch, shape)
+
+    def goal(self, theta: Params, batch: Batch, shape: Params) -> Tensor:
+        """Both, [T]: whatever fits see, what is wanted is the map."""
+        maps = self.radiance_of(theta)
+        return self._map_loss(theta, maps, batch, {}) + SEEN * self._photo_loss(theta, maps, batch, {})
+
+    def _map_loss(self, theta: Params, maps: Tensor, batch: Batch, shape: Params) -> Tensor:
+        """Mean differences of logs: of the radiance over the sphere, and of what surfaces send out."""
+        weights = solid_angles(*maps.shape[-2:], dtype=maps.dtype, device=maps.device) / (4 * math.pi)
+        texels = _norm((maps + DARK).log() - (batch["map"] + DARK).log(), shape) * weights
+        sent = maps.flatten(2) @ self._surfaces(maps).T
+        surfaces = _norm((sent + DIM).log() - (batch["sent"] + DIM).log(), shape)
+        return texels.sum((2, 3)).mean(1) + surfaces.mean((1, 2))
+
+    def _photo_loss(self, theta: Params, maps: Tensor, batch: Batch, shape: Params) -> Tensor:
+        """Mean difference of display values; where the photograph clips, only what is darker than it counts."""
+        target = avg_pool2d(batch["photo"].to(maps) / 255, batch["photo"].shape[-1] // SMALL)
+        material, camera = body_of(theta["body"])
+        display = develop(shade(maps, material, SMALL, GLOSSES), camera)
+        short = target - display
+        short = torch.where(target > 0.98, relu(short), short)
+        mask = sphere_normals(SMALL, device=maps.device)[1]
+        return _norm(short, shape)[..., mask].mean((1, 2))
+
+    def shape(self, steps: int) -> Params:
+        return {"smoothing": torch.full((steps,), math.log(0.05))}
+
+    def init_encoder(self, rng: Generator) -> Params:
+        """The encoder of photographs, and the parameters of the network that all maps share."""
+        shared = self.setup.field.init(rng, 1)
+        decoder = {f"decoder.{key}": value[0] for key, value in shared.items() if key != "z"}
+        return {f"encoder.{key}": value for key, value in self.setup.encoder.init(rng).items()} | decoder
+
+    def observe(self, tasks: Tasks, rng: Generator) -> Batch:
+        return {"photo": tasks.data["photo"][tasks.rows]}
+
+    def encode(self, encoder: Params, observed: Batch) -> Params:
+        parts: dict[str, Params] = {"encoder": {}, "decoder": {}}
+        for name, value in encoder.items():
+            part, key = name.split(".", 1)
+            parts[part][key] = value
+        photos = observed["photo"].to(next(iter(encoder.values()))) / 255
+        code, body = self.setup.encoder(parts["encoder"], photos)
+        theta = {key: value.expand(len(photos), *value.shape) for key, value in parts["decoder"].items()}
+        return {"z": code, **theta, "body": body}
+
+    def augment(self, tasks: Tasks, rng: Generator) -> Tasks:
+        """The same maps turned about the vertical, mirrored and tinted, and new photographs under them."""
+        maps, device = tasks.data["map"][tasks.rows], rng.device
+        count, width = len(maps), maps.shape[-1]
+        turned = torch.randint(width, (count, 1), generator=rng, device=device)
+        mirrored = torch.rand(count, 1, generator=rng, device=device) < 0.5
+        columns = (torch.arange(width, device=device) + turned) % width
+        columns = torch.where(mirrored, columns.flip(1), columns)[:, None, None].expand_as(maps)
+        tints = torch.exp(0.15 * torch.randn(count, 3, 1, 1, generator=rng, device=device))
+        maps = maps.gather(3, columns) * tints
+        maps = maps / mean_luminance(maps)[:, None, None, None]
+        photos = (photograph(maps, rng, tasks.data["photo"].shape[-1]) * 255).round().to(torch.uint8)
+        names = tuple(f"variant of {name}" for name in tasks.picked_names())
+        return Tasks(names, {"photo": photos} | self.described(maps), torch.arange(count, device=device))
+
+    @torch.no_grad()
+    def errors(self, theta: Params, tasks: Tasks) -> dict[str, Tensor]:
+        """Of the second scene's pictures `error`, `relative` to their mean, `ssim` after tone mapping.
+
+        And `map`, the mean difference of the maps' logs.
+        """
+        if "map" not in tasks.data:
+            return {}
+        # takes half a second to import
+        from torchmetrics.functional.image import structural_similarity_index_measure
+
+        maps, target = self.radiance_of(theta), tasks.data["map"][tasks.rows]
+        found, wanted = _relight(maps), _relight(target)
+        error = (found - wanted).abs().mean((1, 2, 3))
+        weights = solid_angles(*maps.shape[-2:], dtype=maps.dtype, device=maps.device) / (4 * math.pi)
+        logs = ((maps + DARK).log() - (target + DARK).log()).abs().mul(weights).sum((2, 3)).mean(1)
+        ssim = structural_similarity_index_measure(_display(found), _display(wanted), data_range=1.0, reduction="none")
+        return {"error": error, "relative": error / wanted.mean((1, 2, 3)), "ssim": ssim.reshape(-1), "map": logs}
+
+    @torch.no_grad()
+    def outputs(self, theta: Params, task: Task) -> dict[str, Any]:
+        """Map and second scene, tone-mapped, of the reference, beside the photograph, and of the fit."""
+        prepared = {key: value[None] for key, value in self.prepare(task).items()}
+        fit = self.radiance_of({key: value[None] for key, value in theta.items()})
+        shown = {"reference": prepared["map"]} if "map" in prepared else {}
+        return {name: _shown(maps, prepared["photo"]) for name, maps in (shown | {"fit": fit}).items()}
+
+    @torch.no_grad()
+    def files(self, theta: Params, task: Task) -> dict[str, Tensor]:
+        """The map, of the luminance that the task's map had, and the second scene under it."""
+        maps = self.radiance_of({key: value[None] for key, value in theta.items()})
+        scale = task.data.get("scale", torch.ones(()))
+        return {
+            "map": (maps * scale)[0].permute(1, 2, 0),
+            "relit": _display(_relight(maps))[0].permute(1, 2, 0),
+        }
+
+
+def _norm(difference: Tensor, shape: Params) -> Tensor:
+    """|d|, or sqrt(d^2 + s^2) - s where the rule has learned an s for each task."""
+    if not shape:
+        return difference.abs()
+    s = torch.exp(shape["smoothing"]).reshape(-1, *[1] * (difference.ndim - 1))
+    return (difference * difference + s * s).sqrt() - s
+
+
+def body_of(body: Tensor) -> tuple[Material, Camera]:
+    """Materials and cameras of their description [T, BODY], any numbers."""
+    material = Material(torch.sigmoid(body[:, :3] + 1), torch.sigmoid(body[:, 3] - 1), softmax(body[:, 4:7], 1))
+    return material, Camera(torch.exp(body[:, 7]), torch.exp(0.3 * body[:, 8]), 0.5 * torch.sigmoid(body[:, 9]))
+
+
+@functools.lru_cache(maxsize=4)
+def _surfaces(height: int, width: int) -> Tensor:
+    """[FACED + MIRRORED, height * width]: evenly spread normals, and evenly spread mirrored directions."""
+    middle = normalize(_spread(MIRRORED) + torch.tensor([0.0, 0.0, 1.0]), dim=1)  # between them and the viewer
+    glossy = glossy_transfer(middle, SHINE, height, width, samples=2)
+    return torch.cat([cosine_transfer(_spread(FACED), height, width), glossy])
+
+
+def _spread(count: int) -> Tensor:
+    """Evenly spread directions [count, 3]: a Fibonacci lattice."""
+    i = torch.arange(count) + 0.5
+    y, phi = 1 - 2 * i / count, i * (math.pi * (1 + math.sqrt(5)))
+    radius = (1 - y * y).sqrt()
+    return torch.stack([radius * phi.sin(), y, -radius * phi.cos()], 1)
+
+
+def _relight(maps: Tensor) -> Tensor:
+    """Pictures [T, 3, h, w] of the second scene, linear."""
+    return importlib.import_module("data_tools.second_scene").relight(maps)
+
+
+def _display(linear: Tensor) -> Tensor:
+    return linear_to_srgb(tone_map(linear))
+
+
+def _shown(maps: Tensor, photo: Tensor) -> Tensor:
+    """One linear picture: the map above the second scene, and the photograph in the corner beside that."""
+    scene = tone_map(_relight(maps))[0]
+    high = interpolate(tone_map(maps), size=(scene.shape[2] * 2 // 3, scene.shape[2] * 4 // 3), mode="nearest")[0]
+    beside = srgb_to_linear(avg_pool2d(photo.float() / 255, photo.shape[-1] // (scene.shape[2] // 3)))[0]
+    column = torch.ones(3, scene.shape[1], scene.shape[2] // 3)
+    column[:, : beside.shape[1], : beside.shape[2]] = beside
+    return torch.cat([high, torch.cat([scene, column], 2)], 1).permute(1, 2, 0)
+
+
+APP = Illumination(QUICK.setup, "reference")

@@ -1,0 +1,277 @@
+"""Illumination: the network of a map, the encoder's views of a photograph, losses, protocols and outputs."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import pytest
+import torch
+from torch import Generator, Tensor
+
+from metapp.apps.illumination import APP, BODY, GLOSSES, QUICK, SMALL, Illumination, Setup, body_of
+from metapp.apps.illumination.encoder import Encoder, unwrapped
+from metapp.apps.illumination.field import Field
+from metapp.latlong import directions, mean_luminance
+from metapp.photograph import develop, photograph, shade
+from metapp.task import Params, Task, Tasks, stack
+
+FIELD = Field(8, 16, hidden=8, layers=2, rows=4, columns=8, code=3)
+RECIPE = replace(QUICK, setup=Setup(FIELD))
+
+
+def lamps(seed: int, height: int = 64) -> Tensor:
+    """A smooth map [3, height, 2 height] of mean luminance 1."""
+    generator = Generator().manual_seed(seed)
+    towards = torch.nn.functional.normalize(torch.randn(3, 3, generator=generator), dim=1)
+    colours = torch.rand(3, 3, generator=generator)
+    near = torch.einsum("lc,chw->lhw", towards, directions(height, 2 * height))
+    light = 0.2 + torch.einsum("lhw,lc->chw", (4 * (near - 0.5)).exp(), colours)
+    return light / mean_luminance(light)
+
+
+def task_of(light: Tensor, name: str = "lamps") -> Task:
+    photos = photograph(light.expand(2, -1, -1, -1), Generator().manual_seed(1))
+    photos = (photos * 255).round().to(torch.uint8)
+    return Task(name, {"map": light, "scale": torch.tensor(3.0), "photos": photos})
+
+
+@pytest.fixture
+def app() -> Illumination:
+    return APP.at(RECIPE, "reference")
+
+
+@pytest.fixture
+def tasks(app: Illumination) -> Tasks:
+    return stack(app, [task_of(lamps(seed), f"lamps-{seed}") for seed in range(4)])
+
+
+def exact(app: Illumination, tasks: Tasks, monkeypatch: pytest.MonkeyPatch) -> Params:
+    """Parameters whose network gives the tasks' maps."""
+    monkeypatch.setattr(Field, "__call__", lambda field, theta: tasks.data["map"][tasks.rows].log())
+    return app.init(Generator().manual_seed(0), len(tasks))
+
+
+# The network
+
+
+def test_a_code_without_variation_is_the_same_everywhere(rng: Generator) -> None:
+    theta = FIELD.init(rng, 2)
+    theta["z"] = torch.randn(2, 3, 1, 1, generator=rng).expand(-1, -1, 4, 8)
+    for key in theta:
+        if key.endswith(".kernel"):  # then only the code is left
+            theta[key] = torch.zeros_like(theta[key])
+    out = FIELD(theta)
+    torch.testing.assert_close(out, out[..., :1, :1].expand_as(out))
+
+
+def test_the_code_wraps_around_the_horizon(rng: Generator) -> None:
+    theta = FIELD.init(rng, 1)
+    for name in ("layer0", "layer1", "out"):
+        theta[f"{name}.kernel"] = torch.zeros_like(theta[f"{name}.kernel"])
+    turned = {**theta, "z": theta["z"].roll(3, -1)}
+    torch.testing.assert_close(FIELD(turned), FIELD(theta).roll(6, -1))
+
+
+def test_a_cell_of_the_code_reaches_its_neighbourhood_only(rng: Generator) -> None:
+    theta = FIELD.init(rng, 1)
+    moved = {**theta, "z": theta["z"].clone()}
+    moved["z"][0, :, 2, 5] += 1
+    rows, columns = (FIELD(moved) - FIELD(theta)).abs().sum((0, 1)).nonzero().T
+    assert set(rows.tolist()) == {3, 4, 5, 6}
+    assert set(columns.tolist()) == {9, 10, 11, 12}
+
+
+def test_networks_beside_each_other_are_independent(rng: Generator) -> None:
+    theta = FIELD.init(rng, 3)
+    alone = FIELD({key: value[1:2] for key, value in theta.items()})
+    torch.testing.assert_close(FIELD(theta)[1:2], alone)
+
+
+# What the encoder sees
+
+
+def test_a_mirror_ball_is_unwrapped_to_the_map() -> None:
+    # what a perfect mirror shows at a pixel is the map where it reflects the view
+    size = 64
+    centre = (torch.arange(size) + 0.5) * (2 / size) - 1
+    x, y = centre.expand(size, size), -centre[:, None].expand(size, size)
+    z = (1 - x * x - y * y).clamp_min(0).sqrt()
+    reflected = torch.stack([2 * z * x, 2 * z * y, 2 * z * z - 1])
+    seen = unwrapped(0.5 * reflected[None] + 0.5, 16, 32)[0, :3] * 2  # [-1, 1], as 0.5 is taken off
+    towards = directions(16, 32)
+    front = towards[2] > -0.6
+    assert (seen - towards)[:, front].abs().max() < 0.12
+    assert (seen - towards)[:, front].abs().mean() < 0.03  # it looks 3 % inside of where that is
+
+
+def test_what_faces_is_looked_up_where_it_faces() -> None:
+    size = 64
+    centre = (torch.arange(size) + 0.5) * (2 / size) - 1
+    normals = torch.stack([centre.expand(size, size), -centre[:, None].expand(size, size), torch.zeros(size, size)])
+    seen = unwrapped(0.5 * normals[None] + 0.5, 16, 32)[0, 3:6] * 2
+    towards = directions(16, 32)
+    front = towards[2] > 0.1
+    assert (seen - towards)[:2, front].abs().max() < 0.05
+
+
+def test_the_encoder_makes_a_start(app: Illumination, tasks: Tasks, rng: Generator) -> None:
+    encoder = app.init_encoder(rng)
+    theta = app.encode(encoder, app.observe(tasks, rng))
+    expected = app.init(rng, len(tasks))
+    assert {key: value.shape for key, value in theta.items()} == {key: each.shape for key, each in expected.items()}
+    assert theta["body"].shape == (4, BODY)
+    assert not torch.equal(theta["z"][0], theta["z"][1])
+    assert torch.equal(theta["layer0.kernel"][0], theta["layer0.kernel"][1])
+
+
+def test_an_encoder_of_another_size_has_another_code(rng: Generator) -> None:
+    encoder = Encoder(8, 16, code=3, body=BODY)
+    code, body = encoder(encoder.init(rng), torch.rand(2, 3, 64, 64, generator=rng))
+    assert code.shape == (2, 3, 4, 8)
+    assert body.shape == (2, BODY)
+
+
+# Losses and protocols
+
+
+def test_the_true_map_has_no_loss(app: Illumination, tasks: Tasks, monkeypatch: pytest.MonkeyPatch) -> None:
+    theta = exact(app, tasks, monkeypatch)
+    batch = app.sample(tasks, Generator(), 1)
+    assert app.loss(theta, batch, {}).max() < 1e-5
+    assert app.errors(theta, tasks)["map"].max() < 1e-5
+    smoothed = app.loss(theta, batch, {"smoothing": torch.full((4,), math.log(0.05))})
+    assert smoothed.abs().max() < 1e-5
+
+
+def test_the_true_map_sphere_and_camera_look_like_the_photo(
+    app: Illumination, tasks: Tasks, monkeypatch: pytest.MonkeyPatch, rng: Generator
+) -> None:
+    photo = app.at(RECIPE, "photo")
+    theta = exact(photo, tasks, monkeypatch) | {"body": 0.5 * torch.randn(4, BODY, generator=rng)}
+    material, camera = body_of(theta["body"])
+    seen = develop(shade(tasks.data["map"], material, SMALL, GLOSSES), camera).clamp_max(1)
+    batch = {"photo": (seen * 255).round()}
+    assert photo.loss(theta, batch, {}).max() < 0.003  # rounding
+    darker = {**theta, "body": theta["body"] - torch.eye(BODY)[7]}
+    assert photo.loss(darker, batch, {}).min() > 0.05
+
+
+def test_what_a_photo_clips_may_be_any_brightness(tasks: Tasks) -> None:
+    photo = APP.at(RECIPE, "photo")
+    theta = photo.init(Generator().manual_seed(0), 4)
+    batch = {"photo": torch.full((4, 3, 64, 64), 255.0)}
+    bright = {**theta, "body": theta["body"] + 12 * torch.eye(BODY)[7]}
+    assert photo.loss(bright, batch, {}).max() < 1e-4
+    assert photo.loss(theta, batch, {}).min() > 0.05
+
+
+def test_protocols_differ_in_what_fits_see(tasks: Tasks) -> None:
+    small = APP.at(RECIPE).init(Generator().manual_seed(0), 4)
+    reference, photo = APP.at(RECIPE, "reference"), APP.at(RECIPE, "photo")
+    assert (reference.protocol, photo.protocol) == ("reference", "photo")
+    batch = reference.sample(tasks, Generator(), 1)
+    for app, seen, unseen in ((reference, "map", "photo"), (photo, "photo", "map")):
+        before = app.loss(small, batch, {})
+        torch.testing.assert_close(app.loss(small, {**batch, unseen: batch[unseen] * 0}, {}), before)
+        assert not torch.allclose(app.loss(small, {**batch, seen: batch[seen] * 0}, {}), before)
+    torch.testing.assert_close(photo.goal(small, batch, {}), reference.goal(small, batch, {}))
+
+
+@pytest.mark.parametrize("protocol", ["reference", "photo"])
+def test_gradients(protocol: str, tasks: Tasks) -> None:
+    app = APP.at(RECIPE, protocol)
+    theta = {key: value.double() for key, value in app.init(Generator().manual_seed(2), 4).items()}
+    batch = {key: value.double() for key, value in app.sample(tasks, Generator(), 1).items()}
+    shape = {key: value[:1].double().expand(4) for key, value in app.shape(1).items()}
+    directed = {key: torch.randn_like(value) for key, value in theta.items()}
+    leaves = {key: value.clone().requires_grad_() for key, value in theta.items()}
+    grads = torch.autograd.grad(app.loss(leaves, batch, shape).sum(), list(leaves.values()), materialize_grads=True)
+    slope = sum(float((grad * directed[key]).sum()) for key, grad in zip(leaves, grads, strict=True))
+    step = 1e-6
+    ahead, behind = (
+        float(app.loss({key: value + s * directed[key] for key, value in theta.items()}, batch, shape).sum())
+        for s in (step, -step)
+    )
+    assert slope == pytest.approx((ahead - behind) / (2 * step), rel=1e-4)
+
+
+def test_photographs_alone_have_no_error(rng: Generator) -> None:
+    app = APP.at(RECIPE, "photo")
+    task = task_of(lamps(0))
+    alone = task._replace(data={"photos": task.data["photos"][:1]})
+    tasks = stack(app, [alone])
+    theta = app.init(rng, 1)
+    assert app.errors(theta, tasks) == {}
+    assert torch.isfinite(app.loss(theta, app.sample(tasks, rng, 1), {})).all()
+    with pytest.raises(ValueError, match="lamps: a photo of a sphere, expected an HDR map .* --observe photo"):
+        stack(APP.at(RECIPE, "reference"), [alone])
+
+
+# Made-up tasks
+
+
+def test_turned_maps_have_the_light_of_the_map(app: Illumination, tasks: Tasks, rng: Generator) -> None:
+    made = app.augment(tasks, rng)
+    assert made.data.keys() == tasks.data.keys()
+    torch.testing.assert_close(mean_luminance(made.data["map"]), torch.ones(4), atol=2e-3, rtol=0)
+    assert not torch.equal(made.data["photo"], tasks.data["photo"])
+
+
+def test_a_turn_of_the_map_is_a_turn_of_what_surfaces_send(app: Illumination, tasks: Tasks) -> None:
+    """Without tints and mirroring, some turn of the map must explain the variant, and give its `sent` as well."""
+    made = app.augment(tasks, Generator().manual_seed(5))
+    for row in range(4):
+        found = made.data["map"][row]
+        gray = found.mean(0) / found.mean()
+        candidates = [
+            each.roll(turn, -1) for turn in range(16) for each in (tasks.data["map"][row], tasks.data["map"][row].flip(-1))
+        ]
+        distances = [float((each.mean(0) / each.mean() - gray).abs().mean()) for each in candidates]
+        assert min(distances) < 0.1 < sorted(distances)[len(distances) // 2]
+    described = app.described(made.data["map"])
+    torch.testing.assert_close(described["sent"], made.data["sent"])
+
+
+# Outputs
+
+
+@pytest.mark.usefixtures("scene")
+def test_the_error_is_of_the_second_scene(app: Illumination, tasks: Tasks, monkeypatch: pytest.MonkeyPatch) -> None:
+    theta = exact(app, tasks, monkeypatch)
+    errors = app.errors(theta, tasks)
+    assert errors["error"].max() < 1e-5
+    assert (errors["ssim"] - 1).abs().max() < 1e-4
+    monkeypatch.setattr(Field, "__call__", lambda field, theta: (1.1 * tasks.data["map"]).log())
+    torch.testing.assert_close(app.errors(theta, tasks)["relative"], torch.full((4,), 0.1), atol=1e-3, rtol=0)
+
+
+@pytest.mark.usefixtures("scene")
+def test_a_map_goes_out_at_the_scale_it_came_in(rng: Generator) -> None:
+    app = APP.at(RECIPE)
+    theta = {key: value[0] for key, value in app.init(rng, 1).items()}
+    files = app.files(theta, task_of(lamps(0)))
+    fitted = app.radiance_of({key: value[None] for key, value in theta.items()})[0]
+    torch.testing.assert_close(files["map"], 3 * fitted.permute(1, 2, 0))
+    assert files["relit"].shape == (64, 96, 3)
+    assert 0 <= files["relit"].min() < files["relit"].max() <= 1
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("scene")
+def test_overfit_finds_the_map(rng: Generator) -> None:
+    from metapp.paradigms import Job, paradigms
+
+    app = APP.at(QUICK)
+    tasks = stack(app, [task_of(lamps(seed), f"{seed}") for seed in range(2)])
+    theta = paradigms()["overfit"].fit(Job(app, QUICK, QUICK.rule), None, tasks, rng)  # type: ignore[arg-type]
+    assert app.errors(theta, tasks)["relative"].max() < 0.02
+
+
+def test_sizes_of_the_paper_recipe(rng: Generator) -> None:
+    app = APP.at(APP.recipes["paper"])
+    theta = app.init(rng, 1)
+    assert app.radiance_of(theta).shape == (1, 3, 64, 128)
+    tasks = stack(app, [task_of(lamps(1))])
+    encoded = app.encode(app.init_encoder(rng), app.observe(tasks, rng))
+    assert {key: value.shape for key, value in encoded.items()} == {key: value.shape for key, value in theta.items()}
