@@ -130,7 +130,8 @@ def _grid(tasks: list[tuple[dict[str, np.ndarray], str]], title: str, path: Path
     """
     from matplotlib.figure import Figure
 
-    names = list(dict.fromkeys(name.partition(" ")[0] for pictures, _ in tasks for name in pictures))
+    found = dict.fromkeys(name.partition(" ")[0] for pictures, _ in tasks for name in pictures)
+    names = sorted(found, key=lambda name: name != "reference")  # on top, also where the first task has none
     columns, height = min(10, len(tasks)), len(names)
     blocks = -(-len(tasks) // columns)
     size = (max(1.25 * columns + 0.5, 3.5), (1.3 * height + 0.2) * blocks + 0.4)
