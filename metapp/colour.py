@@ -1,4 +1,4 @@
-"""sRGB encoding (IEC 61966-2-1), both ways."""
+"""sRGB encoding (IEC 61966-2-1), both ways, and how radiance of any range is shown."""
 
 from __future__ import annotations
 
@@ -18,6 +18,10 @@ def linear_to_srgb(linear: Tensor) -> Tensor:
     return torch.where(linear <= 0.0031308, low, 1.055 * linear.clamp_min(0.0031308) ** (1 / 2.4) - 0.055)
 
 
-def tone_map(linear: Tensor) -> Tensor:
-    """Linear radiance in [0, inf) to linear display values in [0, 1): x / (1 + x) (Reinhard et al. 2002)."""
-    return linear / (1 + linear)
+def tone_map(radiance: Tensor) -> Tensor:
+    """Linear values in [0, inf) to display values in [0, 1), of any shape: x / (1 + x), Reinhard et al. 2002, as sRGB.
+
+    Values below 0 become 0.
+    """
+    light = radiance.clamp_min(0)
+    return linear_to_srgb(light / (1 + light))

@@ -146,7 +146,7 @@ class App(ABC):
             theirs, `find(paths)` lists sources and lines about what was skipped, `read_task(source)` reads one.
         inputs: what a user's files may be, in words.
         exports: modules of data_tools whose `export(app, theta, path)` writes a fit in another form.
-        protocols: what a fit may see, the values of --observe, where an application has several; the first is the default.
+        protocols: what a fit may see, the values of --observe, where there are several; the first is the default.
         protocol: the one of these that is in force; "" where there is none.
         measure: what the error is, in one line.
         scale: factor of a printed error; 100 where the paper prints x100.

@@ -35,6 +35,11 @@ def say(message: str) -> None:
     err.print(message, markup=False, soft_wrap=True)
 
 
+def number(value: float | None, form: str) -> str:
+    """A number as tables print it."""
+    return "-" if value is None else format(value, form)
+
+
 def print_json(document: dict[str, Any]) -> None:
     """The last line of standard output, one object."""
     sys.stdout.write(json.dumps(document, allow_nan=False, default=float) + "\n")

@@ -5,12 +5,13 @@ from __future__ import annotations
 import hashlib
 import math
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from metapp.cli.console import out, print_json, progress, say
+from metapp.cli.console import number, out, print_json, progress, say
 
 if TYPE_CHECKING:
     from metapp.cli.session import Options, Start
@@ -19,7 +20,7 @@ if TYPE_CHECKING:
     from metapp.task import App, Task
 
 RULE_NAMES = "meta-sgd, meta-adam, meta-adam-tied, meta-curvature, meta-encoder, meta-mean, meta-basis"
-APP_HELP = "Application: brdf, texture, svbrdf_stationary."
+APP_HELP = "Application: brdf, texture, svbrdf_stationary, illumination."
 
 
 def make_command(name: str, summary: str) -> Any:
@@ -32,14 +33,18 @@ def make_command(name: str, summary: str) -> Any:
             typer.Argument(
                 metavar="[INPUT]...",
                 help="What to fit: brdf: MERL .binary files, NBRDF folders; texture: images; svbrdf_stationary: flash "
-                "photos. Without any, the test tasks of --data.",
+                "photos; illumination: HDR maps (.exr, .hdr) or photos of a sphere. Without any, the test tasks of "
+                "--data.",
             ),
         ] = None,
         steps: Annotated[int | None, typer.Option(help="Gradient steps instead of the recipe's.", min=0)] = None,
         rule: Annotated[
             str, typer.Option(help=f"Meta's rule, of those that the recipe trains: {RULE_NAMES}; default: its best.")
         ] = "",
-        observe: Annotated[str, typer.Option(help="reference or photo, where an application has both.")] = "",
+        observe: Annotated[
+            str,
+            typer.Option(help="What a fit may see, where an application has both: reference (the default) or photo."),
+        ] = "",
         train: Annotated[bool, typer.Option("--train", help="Train the start on the training tasks first.")] = False,
         train_steps: Annotated[
             int | None, typer.Option(help="Outer training steps instead of the recipe's.", min=1)
@@ -58,14 +63,10 @@ def make_command(name: str, summary: str) -> Any:
         json: Annotated[bool, typer.Option("--json", help="One JSON object as last line of standard output.")] = False,
         quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress bar, no table.")] = False,
     ) -> None:
-        from metapp.cli.session import Options, check_rule, find_app, find_device
+        from metapp.cli.session import Options, check_protocol, check_rule, find_app, find_device
 
         found = find_app(app)
-        if observe and observe not in found.protocols:
-            expected = (
-                f"expects one of {', '.join(found.protocols)}" if found.protocols else "has one protocol; leave it out"
-            )
-            raise typer.BadParameter(f"--observe '{observe}': {found.name} {expected}.")
+        check_protocol(observe, found)
         if export and export not in found.exports:
             expected = f"expects one of {', '.join(found.exports)}" if found.exports else "has none; leave it out"
             raise typer.BadParameter(f"--export '{export}': {found.name} {expected}.")
@@ -79,7 +80,7 @@ def make_command(name: str, summary: str) -> Any:
             raise typer.BadParameter("--checkpoint: overfit starts at random; leave it out.")
         rule = check_rule(rule, found, recipe)
         options = Options(
-            app=found.at(found.recipes[recipe]),
+            app=found.at(found.recipes[recipe], observe),
             recipe=recipe,
             rule=rule,
             steps=steps,
@@ -115,7 +116,7 @@ def fit(
     """
     from metapp.cli.inputs import tasks_to_fit
     from metapp.cli.pictures import picture_of_run, write_files
-    from metapp.cli.session import make_folder, settings_of
+    from metapp.cli.session import make_folder, name_of, observe_of, settings_of
     from metapp.cli.starts import find_start, train_start
     from metapp.paradigms import paradigms
     from metapp.records import RunFolder
@@ -131,7 +132,8 @@ def fit(
     settings = settings_of(options, paradigm, start, label)
     folder = RunFolder(run_path(options, settings, label), settings)
     if not options.quiet:
-        say(f"{options.app.name} {paradigm.name}: {len(tasks)} tasks, {settings['steps']} steps, start: {start.source}")
+        what = f"{name_of(options.app)} {paradigm.name}"
+        say(f"{what}: {len(tasks)} tasks, {settings['steps']} steps, start: {start.source}")
     # a finished run is run anew, one that was cut off is completed
     again = len(folder.finished()) >= len(tasks)
     records = run_tasks(options, paradigm, start, tasks, folder, again=again)
@@ -140,6 +142,7 @@ def fit(
         export_all(options, tasks, folder, export)
     document = {
         "app": options.app.name,
+        **observe_of(options.app),
         "paradigm": paradigm.name,
         "rule": settings["rule"],
         "steps": settings["steps"],
@@ -159,12 +162,14 @@ def fit(
 
 
 def run_path(options: Options, settings: dict[str, Any], label: str) -> Path:
-    """runs/<app>/<paradigm>/<data>-<recipe>-seed<seed>, with the rule and a step count that is not the recipe's."""
+    """runs/<app>/<paradigm>/<data>-<recipe>-seed<seed>, with rule, steps that are not the recipe's, and protocol."""
     name = f"{label}-{options.recipe}-seed{options.seed}"
     if settings["paradigm"] == "meta":
         name += f"-{settings['rule']}"
     if options.steps is not None:
         name += f"-{options.steps}steps"
+    if options.app.protocol:
+        name += f"-{options.app.protocol}"
     return options.out / options.app.name / settings["paradigm"] / name
 
 
@@ -173,7 +178,8 @@ def run_tasks(
 ) -> list[dict[str, Any]]:
     """Fit each task that has no record yet, or all again; alone, so that its time is its own.
 
-    Each is kept as soon as it is done. The time is from the task's samples to the final parameters, warm.
+    Each is kept as soon as it is done. The time is from the task's samples to the final parameters, warm. The error is
+    None where a task holds no reference.
     """
     import torch
     from torch import Generator
@@ -202,14 +208,14 @@ def run_tasks(
         for task in missing:
             theta, seconds, stacked = fit_one(task, None)
             errors = {key: app.scale * float(value[0]) for key, value in app.errors(theta, stacked).items()}
-            if not math.isfinite(errors["error"]):
-                raise FloatingPointError(
-                    f"{task.name}: the fit's error is not finite; use another start or fewer steps."
-                )
-            record = {"name": task.name, **errors, "seconds": seconds}
+            finite = all(bool(torch.isfinite(value).all()) for value in theta.values())
+            if not finite or (errors and not math.isfinite(errors["error"])):
+                what = "error is" if finite else "parameters are"
+                raise FloatingPointError(f"{task.name}: the fit's {what} not finite; use another start or fewer steps.")
+            record = {"name": task.name, "error": None, **errors, "seconds": seconds}
             folder.add(record, {key: value[0] for key, value in theta.items()})
             done[task.name] = record
-            bar.update(row, advance=1, note=f"{task.name} {errors['error']:.3f}")
+            bar.update(row, advance=1, note=f"{task.name} {errors['error']:.3f}" if errors else task.name)
     return [done[task.name] for task in tasks]
 
 
@@ -218,12 +224,13 @@ def _synchronise(torch: Any, device: Any) -> None:
         torch.cuda.synchronize(device)
 
 
-def summary(records: list[dict[str, Any]]) -> dict[str, float]:
-    """Mean error, as the table prints it, and median inference time of a task."""
+def summary(records: Sequence[dict[str, Any]]) -> dict[str, float | None]:
+    """Mean error, as the table prints it, of tasks that have one, and median inference time of a task."""
     import statistics
 
+    errors = [record["error"] for record in records if record["error"] is not None]
     return {
-        "error": statistics.fmean(record["error"] for record in records),
+        "error": statistics.fmean(errors) if errors else None,
         "seconds": statistics.median(record["seconds"] for record in records),
     }
 
@@ -233,20 +240,23 @@ def table_of(app: App, paradigm: str, records: list[dict[str, Any]]) -> Any:
     from rich.table import Table
     from rich.text import Text
 
+    from metapp.cli.session import title_of
+
     factor = f" x{app.scale:g}" if app.scale != 1 else ""
-    table = Table(title=f"{app.title}: {paradigm}", show_footer=True, caption=caption_of(app))
+    table = Table(title=f"{title_of(app)}: {paradigm}", show_footer=True, caption=caption_of(app))
     total = summary(records)
     table.add_column("task", "mean error, median time")
-    table.add_column(f"error{factor}", f"{total['error']:.3f}", justify="right")
-    table.add_column("seconds", f"{total['seconds']:.4f}", justify="right")
+    table.add_column(f"error{factor}", number(total["error"], ".3f"), justify="right")
+    table.add_column("seconds", number(total["seconds"], ".4f"), justify="right")
     for record in records:
-        table.add_row(Text(record["name"]), f"{record['error']:.3f}", f"{record['seconds']:.4f}")
+        table.add_row(Text(record["name"]), number(record["error"], ".3f"), f"{record['seconds']:.4f}")
     return table
 
 
 def caption_of(app: App) -> str:
     """What a table says about its errors."""
-    conditions = "".join(f"; {key}: {value}" for key, value in app.conditions().items())
+    seen = {"fits see": app.protocol} if app.protocol else {}
+    conditions = "".join(f"; {key}: {value}" for key, value in (seen | app.conditions()).items())
     return f"error: {app.measure}{f' x{app.scale:g}' if app.scale != 1 else ''}{conditions}"
 
 

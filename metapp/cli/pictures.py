@@ -12,7 +12,9 @@ import torch
 from safetensors.torch import load_file
 from torch import Tensor
 
-from metapp.colour import linear_to_srgb
+from metapp.cli.fit import summary
+from metapp.cli.session import title_of
+from metapp.colour import linear_to_srgb, tone_map
 from metapp.files import write_atomically
 from metapp.records import file_name
 from metapp.task import App, Task
@@ -35,9 +37,10 @@ def picture_of_run(app: App, paradigm: str, tasks: Sequence[Task], records: Sequ
     """
     columns = []
     for task, record in list(zip(tasks, records, strict=True))[:20]:
-        columns.append((_shown(app.outputs(_theta(folder, task), task)), f"{task.name}\n{record['error']:.3f}"))
-    mean = np.mean([record["error"] for record in records])
-    return _grid(columns, f"{app.title}, {paradigm}: mean error{_factor(app)} {mean:.3f}", folder / "pictures.png")
+        columns.append((_shown(app.outputs(_theta(folder, task), task)), f"{task.name}\n{_label(record)}"))
+    mean = summary(records)["error"]
+    found = "" if mean is None else f": mean error{_factor(app)} {mean:.3f}"
+    return _grid(columns, f"{title_of(app)}, {paradigm}{found}", folder / "pictures.png")
 
 
 def picture_of_table(app: App, tasks: Sequence[Task], runs: Sequence[tuple[str, Path, list[dict]]], file: Path) -> Path:
@@ -57,20 +60,26 @@ def picture_of_table(app: App, tasks: Sequence[Task], runs: Sequence[tuple[str, 
         rows: dict[str, np.ndarray] = {}
         for label, folder, records in runs:
             pictures = app.outputs(_theta(folder, task), task)
-            rows |= {"reference": to_srgb(pictures["reference"])} if not rows else {}
-            rows[f"{label} {records[i]['error']:.3f}"] = to_srgb(pictures["fit"])
+            rows |= _shown({"reference": pictures["reference"]}) if not rows and "reference" in pictures else {}
+            rows[f"{label} {_label(records[i])}".rstrip()] = to_srgb(pictures["fit"])
         columns.append((rows, f"{task.name}\n"))
-    return _grid(columns, f"{app.title}: mean error{_factor(app)} of each fit beside it", file)
+    return _grid(columns, f"{title_of(app)}: mean error{_factor(app)} of each fit beside it", file)
 
 
 def write_files(app: App, tasks: Sequence[Task], folder: Path) -> Path | None:
-    """Write what each fit makes for its user as PNG of 8 bits, <run>/outputs/<task>/<name>.png; None where nothing."""
+    """Write what each fit makes for its user, <run>/outputs/<task>/<name>.png, 8 bits; None where nothing.
+
+    Radiance is kept as <name>.exr, and tone-mapped beside it.
+    """
     written = None
     for task in tasks:
         for name, picture in app.files(_theta(folder, task), task).items():
             written = folder / "outputs"
-            write = functools.partial(_write_png, picture, name in app.raw)
-            write_atomically(written / file_name(task.name) / f"{name}.png", write)
+            file = written / file_name(task.name) / f"{name}.png"
+            if name in app.radiance:
+                write_atomically(file.with_name(f"{name}.exr"), functools.partial(_write_exr, picture))
+                picture = tone_map(picture)
+            write_atomically(file, functools.partial(_write_png, picture, name in app.raw))
     return written
 
 
@@ -81,12 +90,29 @@ def _write_png(picture: Tensor, raw: bool, path: Path) -> None:
     image = oiio.ImageBuf(np.ascontiguousarray(pixels))
     # whoever honours a PNG's colour space would decode roughness and normals wrongly
     image.specmod().attribute("oiio:ColorSpace", "data" if raw else "sRGB")
-    if not image.write(str(path)):
+    _write(image, "uint8", path)
+
+
+def _write_exr(radiance: Tensor, path: Path) -> None:
+    import OpenImageIO as oiio
+
+    pixels = np.ascontiguousarray(radiance.numpy(), dtype=np.float32)
+    image = oiio.ImageBuf(pixels)
+    image.specmod().attribute("oiio:ColorSpace", "lin_rec709_scene")
+    _write(image, "half" if pixels.max() <= np.finfo(np.float16).max else "float", path)
+
+
+def _write(image: Any, form: str, path: Path) -> None:
+    if not image.write(str(path), form):
         raise ValueError(f"{path}: not written ({image.geterror()}); is the disk full?")
 
 
 def _theta(folder: Path, task: Task) -> dict[str, Any]:
     return load_file(folder / "params" / f"{file_name(task.name)}.safetensors")
+
+
+def _label(record: dict[str, Any]) -> str:
+    return "" if record["error"] is None else f"{record['error']:.3f}"
 
 
 def _factor(app: App) -> str:
@@ -98,10 +124,15 @@ def _shown(pictures: dict[str, Any]) -> dict[str, np.ndarray]:
 
 
 def _grid(tasks: list[tuple[dict[str, np.ndarray], str]], title: str, path: Path) -> Path:
-    """Columns of display values [H, W, 3] with their rows' names, ten columns beside each other, labels below."""
+    """Columns of display values [H, W, 3] with their rows' names, ten columns beside each other, labels below.
+
+    A name may go on with an error; what a task does not have stays blank.
+    """
     from matplotlib.figure import Figure
 
-    columns, height = min(10, len(tasks)), len(tasks[0][0])
+    found = dict.fromkeys(name.partition(" ")[0] for pictures, _ in tasks for name in pictures)
+    names = sorted(found, key=lambda name: name != "reference")  # on top, also where the first task has none
+    columns, height = min(10, len(tasks)), len(names)
     blocks = -(-len(tasks) // columns)
     size = (max(1.25 * columns + 0.5, 3.5), (1.3 * height + 0.2) * blocks + 0.4)
     figure = Figure(figsize=size, layout="constrained")
@@ -112,15 +143,17 @@ def _grid(tasks: list[tuple[dict[str, np.ndarray], str]], title: str, path: Path
         axis.set_frame_on(False)
     for i, (pictures, label) in enumerate(tasks):
         block, column = divmod(i, columns)
-        for k, (name, picture) in enumerate(pictures.items()):
+        by_name = {name.partition(" ")[0]: (name.partition(" ")[2], picture) for name, picture in pictures.items()}
+        last = ""
+        for k, name in enumerate(names):
             axis = axes[height * block + k, column]
-            axis.imshow(picture)
-            paradigm, _, error = name.partition(" ")
             if column == 0:
-                axis.set_ylabel(paradigm, fontsize=7)
-            if error and k < height - 1:
-                axis.set_xlabel(error, fontsize=6, labelpad=1)
-        last = name.partition(" ")[2]
+                axis.set_ylabel(name, fontsize=7)
+            last, picture = by_name.get(name, ("", None))
+            if picture is not None:
+                axis.imshow(picture)
+            if last and k < height - 1:
+                axis.set_xlabel(last, fontsize=6, labelpad=1)
         axes[height * block + height - 1, column].set_xlabel(
             _wrapped(label if not last else f"{label.strip()}\n{last}"), fontsize=6, parse_math=False
         )

@@ -63,6 +63,34 @@ def check_rule(name: str, app: App, recipe: str) -> str:
     return name or app.recipes[recipe].rule
 
 
+def check_protocol(name: str, app: App) -> str:
+    """What fits may see, as it was given, or a usage error where the application has no such protocol."""
+    if name and name not in app.protocols:
+        expected = f"expects one of {', '.join(app.protocols)}" if app.protocols else "has one protocol; leave it out"
+        raise typer.BadParameter(f"--observe '{name}': {app.name} {expected}.")
+    return name
+
+
+def is_first_protocol(app: App) -> bool:
+    """Whether the application is under its first protocol, or has no other."""
+    return app.protocol in ("", *app.protocols[:1])
+
+
+def observe_of(app: App) -> dict[str, str]:
+    """The protocol as records, rows and headers of starts say it: nothing where there is none."""
+    return {"observe": app.protocol} if app.protocol else {}
+
+
+def name_of(app: App) -> str:
+    """The application's name and its protocol, if any: illumination photo."""
+    return f"{app.name} {app.protocol}".rstrip()
+
+
+def title_of(app: App) -> str:
+    """The application's title in tables and pictures, with its protocol, if any."""
+    return f"{app.title} ({app.protocol})" if app.protocol else app.title
+
+
 def find_device(name: str, app: App) -> torch.device:
     """The device; auto is CUDA where there is one, but the CPU where the application's kernels are too small for it."""
     if name not in ("auto", "cpu", "cuda"):
@@ -109,6 +137,7 @@ def settings_of(options: Options, paradigm: Paradigm, start: Start, label: str) 
         adam = asdict(getattr(recipe, paradigm.name))
     return {
         "app": options.app.name,
+        **observe_of(options.app),
         "paradigm": paradigm.name,
         "rule": options.rule if paradigm.name == "meta" else ("adam" if adam else "none"),
         "steps": paradigm.count(options.job),

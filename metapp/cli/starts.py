@@ -13,7 +13,7 @@ from torch import Generator
 from metapp.cli.console import follow, progress, say
 from metapp.cli.embedded import embedded_exists
 from metapp.cli.inputs import data_folder, data_label
-from metapp.cli.session import Options, Start, make_folder, versions
+from metapp.cli.session import Options, Start, is_first_protocol, make_folder, name_of, observe_of, versions
 from metapp.learning import MetaParameters
 from metapp.paradigms import Paradigm, paradigms
 from metapp.paradigms.prepare import Interrupted, Prepared, describe, prepare
@@ -26,7 +26,7 @@ def find_start(options: Options, paradigm: Paradigm) -> Start:
     """The best start there is: --checkpoint, else one trained on this data earlier, else the one that ships.
 
     Raises:
-        ValueError: there is none, or it is another application's, another paradigm's or another network's.
+        ValueError: there is none, or it is another application's, paradigm's, protocol's or network's.
     """
     needed = paradigm.needs(options.job)
     if needed is None:
@@ -38,13 +38,24 @@ def find_start(options: Options, paradigm: Paradigm) -> Start:
         other = app == options.app.name and name in options.job.recipe.meta and paradigm.name == "meta"
         remedy = f"; add --rule {name}" if other else ""
         raise ValueError(f"{path}: a start of {app} {name}, expected {options.app.name} {needed}{remedy}.")
+    _require_protocol(path, options.app, info)
     _require_conditions(path, options.app, prepared, info)
     _require_fit(path, options.app, prepared)
     start = Start(prepared, str(path), digest(path))
-    if path == shipped_path(options.app.name, needed) and not options.checkpoint:
+    if path == shipped_path(options.app.name, start_name(options.app, needed)) and not options.checkpoint:
         note = ", trained on other data, which may hold these tasks" if options.data else ""
         start = start._replace(source=f"the one that ships{note}")
     return _with_tuning(options, start) if paradigm.name == "quickft" else start
+
+
+def _require_protocol(path: Path, app: App, info: dict[str, Any]) -> None:
+    """Refuse a start that learned from what fits may not see now; General, which all protocols share, says none."""
+    then = info.get("observe", app.protocol)
+    if then != app.protocol:
+        raise ValueError(
+            f"{path}: a start for --observe {then}, expected one for {app.protocol}; give --observe {then} or another "
+            "start."
+        )
 
 
 def _require_conditions(path: Path, app: App, prepared: MetaParameters, info: dict[str, Any]) -> None:
@@ -78,7 +89,7 @@ def _require_fit(path: Path, app: App, prepared: MetaParameters) -> None:
 def _with_tuning(options: Options, start: Start) -> Start:
     """Put the Adam that was tuned for this very encoder into its start."""
     encoder = tensor_digest(start.prepared.encoder)
-    candidates = [shipped_path(options.app.name, "quickft")]
+    candidates = [shipped_path(options.app.name, start_name(options.app, "quickft"))]
     if options.data or embedded_exists(options.app.name):
         candidates.insert(0, trained_path(options, "quickft"))
     for path in candidates:
@@ -86,7 +97,9 @@ def _with_tuning(options: Options, start: Start) -> Start:
             tuned, info = load_start(path)
             if info.get("encoder") == encoder:
                 return Start(start.prepared._replace(alpha=tuned.alpha), f"{start.source}, tuned Adam", digest(path))
-    say(f"quickft: no Adam was tuned for this encoder, the recipe's is used; metapp quickft {options.app.name} --train")
+    observe = "".join(f" --observe {protocol}" for protocol in observe_of(options.app).values())
+    remedy = f"metapp quickft {options.app.name}{observe} --train"
+    say(f"quickft: no Adam was tuned for this encoder, the recipe's is used; {remedy}")
     return start
 
 
@@ -97,12 +110,12 @@ def _start_path(options: Options, name: str) -> Path:
         path = trained_path(options, name)
         if path.is_file():
             return path
-    path = shipped_path(options.app.name, name)
+    path = shipped_path(options.app.name, start_name(options.app, name))
     # the starts that ship were trained by the quick recipe
     if path.is_file() and options.recipe == "quick":
         return path
     raise ValueError(
-        f"{options.app.name} {name}, recipe {options.recipe}: no start, neither trained on this data nor shipped; "
+        f"{name_of(options.app)} {name}, recipe {options.recipe}: no start, neither trained on this data nor shipped; "
         "train one with --train."
     )
 
@@ -111,11 +124,16 @@ def trained_path(options: Options, name: str) -> Path:
     """Where a start that is trained on this data is kept."""
     label = data_label(data_folder(options.app, options.data, options.quiet))
     run = f"{label}-{options.recipe}-seed{options.seed}"
-    return options.out / options.app.name / "starts" / run / f"{name}.safetensors"
+    return options.out / options.app.name / "starts" / run / f"{start_name(options.app, name)}.safetensors"
+
+
+def start_name(app: App, name: str) -> str:
+    """A start's file name without its suffix: with the protocol, unless it is the first or General's."""
+    return name if name == "general" or is_first_protocol(app) else f"{name}-{app.protocol}"
 
 
 def shipped_path(app: str, name: str) -> Path:
-    """Where a start that ships with metapp is."""
+    """Where a start that ships with metapp is, by its file name without suffix."""
     return Path(str(resources.files("metapp.checkpoints"))) / app / f"{name}.safetensors"
 
 
@@ -136,10 +154,11 @@ def train_start(options: Options, paradigm: Paradigm, steps: int | None) -> Path
     folder = data_folder(options.app, options.data, options.quiet)
     encoder = _encoder(options, name, steps)
     tasks = stack(options.app, read_shard(folder, "train", options.app.name), options.device)
-    say(f"training {options.app.name} {name} on {len(tasks)} tasks of {folder.name}, every eighth for validation")
+    say(f"training {name_of(options.app)} {name} on {len(tasks)} tasks of {folder.name}, every eighth for validation")
     info: dict[str, Any] = {"data": data_label(folder), "recipe": options.recipe, "seed": options.seed}
     info |= (
-        options.app.conditions()
+        ({} if name == "general" else observe_of(options.app))
+        | options.app.conditions()
         | {"versions": versions()}
         | ({"encoder": tensor_digest(encoder.encoder)} if encoder else {})
     )

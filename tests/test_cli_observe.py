@@ -1,0 +1,342 @@
+"""An application whose fits may see a reference or a photo: what --observe picks is part of every figure and start."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import OpenImageIO as oiio
+import pytest
+import torch
+from torch import Generator, Tensor
+
+from data_tools.latlong import read_map
+from data_tools.nbrdf import SHAPES
+from metapp.apps import brdf
+from metapp.apps.brdf import Brdf
+from metapp.cli.evaluate import bootstrap, closing
+from metapp.cli.fit import summary, table_of
+from metapp.cli.starts import shipped_path, start_name
+from metapp.colour import tone_map
+from metapp.records import load_start, read_records
+from metapp.task import App, Batch, Params, Recipe, Task, Tasks
+
+STEPS = ("--train", "--train-steps", "2", "--quiet")
+
+
+class Seen(Brdf):
+    """BRDFs of which a photo shows half the light; materials called `unknown...` have no reference."""
+
+    protocols = ("reference", "photo")
+    radiance = ("light",)
+    brightest = 3.0
+
+    def at(self, recipe: Recipe, observe: str = "") -> App:
+        app = copy.copy(self)
+        app.protocol = observe or self.protocols[0]
+        return app
+
+    def loss(self, theta: Params, batch: Batch, shape: Params) -> Tensor:
+        seen = {"reference": 1.0, "photo": 0.5}[self.protocol]
+        return super().loss(theta, batch | {"target": seen * batch["target"]}, shape)
+
+    def goal(self, theta: Params, batch: Batch, shape: Params) -> Tensor:
+        return super().loss(theta, batch, shape)
+
+    def errors(self, theta: Params, tasks: Tasks) -> dict[str, Tensor]:
+        return {} if tasks.picked_names()[0].startswith("unknown") else super().errors(theta, tasks)
+
+    def outputs(self, theta: Params, task: Task) -> dict[str, Any]:
+        pictures = super().outputs(theta, task)
+        return {"fit": pictures["fit"]} if task.name.startswith("unknown") else pictures
+
+    def files(self, theta: Params, task: Task) -> dict[str, Tensor]:
+        return {"light": self.light(), "normal": torch.full((4, 4, 3), 0.5)}
+
+    def light(self) -> Tensor:
+        return torch.linspace(0.1, self.brightest, 64 * 128 * 3).reshape(64, 128, 3)
+
+
+@pytest.fixture(autouse=True)
+def app(monkeypatch: pytest.MonkeyPatch) -> Seen:
+    """In place of BRDFs, with few steps of everything and without a compiler."""
+    seen, quick = Seen(), Brdf.recipes["quick"]
+    short = {"meta-sgd": replace(quick.meta["meta-sgd"], order=1)}
+    quick = replace(quick, steps=2, overfit_steps=3, finetune_steps=3, meta=short, rule="meta-sgd")
+    monkeypatch.setitem(Brdf.recipes, "quick", quick)
+    monkeypatch.setattr(brdf, "APP", seen)
+    monkeypatch.setattr("metapp.paradigms.prepare.can_compile", lambda: False)
+    return seen
+
+
+@pytest.fixture(scope="module")
+def networks(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("networks")
+    rng = np.random.default_rng(0)
+    for name in (*(f"m{i}" for i in range(10)), "unknown"):
+        (folder / name).mkdir()
+        for part, shape in SHAPES.items():
+            np.save(folder / name / f"{part}.npy", rng.normal(0, 0.3, shape).astype(np.float32))
+    return folder
+
+
+@pytest.fixture
+def data(metapp: Callable, networks: Path, tmp_path: Path) -> Path:
+    folder = tmp_path / "materials"
+    known = [networks / f"m{i}" for i in range(10)]
+    assert metapp("data", "nbrdf", *known, "--out", folder, "--samples", "512").code == 0
+    return folder
+
+
+@pytest.fixture
+def on_data(metapp: Callable, data: Path, tmp_path: Path) -> Callable:
+    """A command on ten small materials, eight of them for training, runs in a folder of this test."""
+    return lambda *arguments: metapp(*arguments, "--data", data, "--out", tmp_path / "runs")
+
+
+# Fits
+
+
+def test_a_fit_says_what_it_saw(on_data: Callable) -> None:
+    documents = {}
+    for observe in ("", "reference", "photo"):
+        result = on_data("overfit", "brdf", *(("--observe", observe) if observe else ()), "--json")
+        assert f"brdf {observe or 'reference'} overfit: 2 tasks" in result.err
+        documents[observe] = result.document
+    assert [document["observe"] for document in documents.values()] == ["reference", "reference", "photo"]
+    assert documents[""]["tasks"][0]["error"] == documents["reference"]["tasks"][0]["error"]
+    assert documents[""]["error"] != documents["photo"]["error"]
+    folders = {observe: Path(document["out"]) for observe, document in documents.items()}
+    assert folders[""] == folders["reference"]
+    assert folders["photo"].name == folders[""].name.replace("-reference", "-photo")
+    (record, _) = read_records(folders["photo"] / "record.jsonl")
+    assert record["settings"]["observe"] == "photo"
+    assert "fits see: photo" in " ".join(on_data("overfit", "brdf", "--observe", "photo").out.split())
+
+
+def test_an_application_with_one_protocol_says_nothing(on_data: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(brdf, "APP", Brdf())
+    document = on_data("overfit", "brdf", "--json").document
+    assert "observe" not in document
+    assert document["out"].endswith("-seed0")
+    assert "observe" not in read_records(Path(document["out"]) / "record.jsonl")[0]["settings"]
+    refused = on_data("evaluate", "brdf", "--observe", "photo")
+    assert refused.code == 2
+    assert "has one protocol" in refused.err
+
+
+# Starts
+
+
+def test_protocols_share_general_and_nothing_else(on_data: Callable, tmp_path: Path) -> None:
+    assert on_data("meta", "brdf", "--observe", "photo", *STEPS).code == 0
+    (folder,) = (tmp_path / "runs" / "brdf" / "starts").iterdir()
+    assert {file.stem for file in folder.iterdir()} == {"general", "meta-sgd-photo"}
+    general = folder / "general.safetensors"
+    assert load_start(folder / "meta-sgd-photo.safetensors")[1]["observe"] == "photo"
+    assert "observe" not in load_start(general)[1]
+    assert "general.safetensors" in on_data("general", "brdf").err  # under the first protocol
+    before = load_start(general)[0].encoder
+    assert on_data("general", "brdf", *STEPS).code == 0
+    assert all(torch.equal(value, before[key]) for key, value in load_start(general)[0].encoder.items())
+
+    assert on_data("meta", "brdf", *STEPS).code == 0
+    assert load_start(folder / "meta-sgd.safetensors")[1]["observe"] == "reference"
+    for observe, name in (("photo", "meta-sgd-photo.safetensors"), ("reference", "meta-sgd.safetensors")):
+        assert name in on_data("meta", "brdf", "--observe", observe).err
+
+
+def test_quickft_is_tuned_per_protocol(on_data: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("metapp.paradigms.prepare.SEARCHED", ([{"rate": 0.5}],))
+    assert on_data("general", "brdf", *STEPS).code == 0
+    assert on_data("quickft", "brdf", "--observe", "photo", "--train").code == 0
+    (file,) = (tmp_path / "runs").rglob("quickft*.safetensors")
+    assert file.stem == "quickft-photo"
+    assert load_start(file)[1]["observe"] == "photo"
+    assert "tuned Adam" in on_data("quickft", "brdf", "--observe", "photo").err
+    assert "metapp quickft brdf --observe reference --train" in on_data("quickft", "brdf").err
+
+
+def test_a_start_for_another_protocol_is_refused(on_data: Callable, tmp_path: Path) -> None:
+    assert on_data("meta", "brdf", "--observe", "photo", *STEPS).code == 0
+    (start,) = (tmp_path / "runs").rglob("meta-sgd-photo.safetensors")
+    refused = on_data("meta", "brdf", "--checkpoint", start)
+    assert refused.code == 1
+    (line,) = refused.err.strip().splitlines()
+    for part in (start.name, "for --observe photo", "expected one for reference", "give --observe photo"):
+        assert part in line
+    (general,) = (tmp_path / "runs").rglob("general.safetensors")
+    for observe in ("reference", "photo"):
+        assert on_data("general", "brdf", "--checkpoint", general, "--observe", observe).code == 0
+
+
+def test_only_the_first_protocol_takes_the_starts_without_a_name(app: Seen, on_data: Callable) -> None:
+    recipe = app.recipes["quick"]
+    for observe, suffix in (("reference", ""), ("photo", "-photo")):
+        under = app.at(recipe, observe)
+        assert start_name(under, "general") == "general"
+        assert start_name(under, "meta-basis") == f"meta-basis{suffix}"
+    assert shipped_path("brdf", start_name(app.at(recipe), "general")).is_file()
+    assert "the one that ships" in on_data("meta", "brdf").err
+    missing = on_data("meta", "brdf", "--observe", "photo")
+    assert missing.code == 1
+    assert "brdf photo meta-sgd, recipe quick: no start" in missing.err
+
+
+# Tables
+
+
+def test_every_protocol_has_a_table_of_its_own(on_data: Callable, tmp_path: Path) -> None:
+    assert on_data("meta", "brdf", "--observe", "photo", *STEPS).code == 0
+    assert on_data("meta", "brdf", *STEPS).code == 0
+    missing = on_data("evaluate", "brdf", "--no-run", "--observe", "photo").err
+    assert "metapp overfit brdf" in missing
+    assert "--observe photo" in missing
+    assert "--observe reference" not in missing
+
+    table = on_data("evaluate", "brdf")
+    assert table.code == 0, table.err
+    shown = " ".join(table.out.split())
+    assert shown.index("BRDF (reference)") < shown.index("gap closed") < shown.index("BRDF (photo)")
+    assert shown.index("fits see: reference") < shown.index("fits see: photo")
+    assert shown.count("gap closed") == shown.count("the paper's figures are") == 1
+    assert "Overfit sees the photo alone and is no floor" in shown
+    pictures = {file.stem.rpartition("-")[2] for file in (tmp_path / "runs" / "brdf").glob("comparison-*.png")}
+    assert pictures == {"reference", "photo"}
+
+    rows = on_data("evaluate", "brdf", "--no-run", "--json").document["rows"]
+    assert [row["observe"] for row in rows] == ["reference"] * 5 + ["photo"] * 5
+    assert rows[4]["paper_error"] == 0.720
+    assert all(row["paper_error"] is None and row["paper_seconds"] is None for row in rows[5:])
+    assert all(row["tasks"] == 2 for row in rows)
+    assert on_data("evaluate", "brdf", "--no-run", "--json", "--observe", "photo").document["rows"] == rows[5:]
+    text = on_data("evaluate", "brdf", "--no-run", "--format", "markdown").out
+    assert "| brdf reference | general |" in text
+    assert "| brdf photo | meta |" in text
+    assert "\nbrdf photo: Meta's error is " in text
+    assert "brdf reference: gap closed" in text
+    for form in ("latex", "csv"):
+        assert on_data("evaluate", "brdf", "--no-run", "--format", form).code == 0
+
+
+def test_a_protocol_that_nothing_named_has_is_refused(metapp: Callable) -> None:
+    for apps, observe, reason in (
+        (("texture",), "photo", "texture has one protocol"),
+        (("texture", "svbrdf_stationary"), "photo", "texture has one protocol"),
+        (("texture", "brdf"), "mirror", "brdf expects one of reference, photo"),
+    ):
+        refused = metapp("evaluate", *apps, "--observe", observe, "--no-run")
+        assert (refused.code, refused.out) == (2, "")
+        assert reason in " ".join(refused.err.replace("│", "").split())
+
+
+def test_the_option_reaches_those_that_have_the_protocol(metapp: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
+    met: list[tuple[str, str]] = []
+
+    def rows(options: Any, *, run: bool) -> list[dict[str, Any]]:
+        met.append((options.app.name, options.app.protocol))
+        return []
+
+    monkeypatch.setattr("metapp.cli.evaluate.app_rows", rows)
+    assert metapp("evaluate", "texture", "brdf", "--observe", "photo", "--json").code == 0
+    assert metapp("evaluate", "texture", "brdf", "--json").code == 0
+    both = [("brdf", "reference"), ("brdf", "photo")]
+    assert met == [("texture", ""), both[1], ("texture", ""), *both]
+
+
+def test_meta_is_compared_where_overfit_is_no_floor(app: Seen) -> None:
+    errors = {"general": 1.0, "overfit": 0.5, "quickft": 0.978, "meta": 0.88}
+    rows = [
+        {"paradigm": name, "error": error, "seconds": 1.0, "paper_error": None, "paper_seconds": None}
+        for name, error in errors.items()
+    ]
+    recipe = app.recipes["quick"]
+    assert "gap closed 0.24" in closing(app.at(recipe), rows)
+    photo = app.at(recipe, "photo")
+    said = closing(photo, rows)
+    assert said.startswith("Meta's error is 12 % below General's, 10 % below QuickFT's; Overfit sees the photo alone")
+    assert "gap" not in said
+    rows[-1]["error"] = 1.1
+    assert "10 % above General's" in closing(photo, rows)
+    rows[-1]["error"] = None
+    assert closing(photo, rows).startswith("Overfit sees the photo alone and is no floor")
+
+
+# Tasks without a reference
+
+
+@pytest.mark.parametrize("with_others", [False, True])
+def test_a_task_without_reference_has_no_error(
+    with_others: bool, metapp: Callable, networks: Path, tmp_path: Path
+) -> None:
+    others = [networks / "m1"] if with_others else []
+    common = ("brdf", networks / "unknown", *others, "--out", tmp_path / "runs")
+    result = metapp("overfit", *common, "--json")
+    assert result.code == 0, result.err
+    first, *rest = result.document["tasks"]
+    assert first["error"] is None
+    assert first["seconds"] > 0
+    assert result.document["error"] == (rest[0]["error"] if with_others else None)
+    assert read_records(Path(result.document["out"]) / "record.jsonl")[0]["error"] is None
+    assert (Path(result.document["out"]) / "pictures.png").is_file()
+    assert " - " in metapp("overfit", *common).out
+
+
+def test_tables_of_tasks_without_reference(app: Seen) -> None:
+    records = [{"name": name, "error": error, "seconds": 1.0} for name, error in (("a", None), ("b", 2.0))]
+    assert summary(records) == {"error": 2.0, "seconds": 1.0}
+    assert summary(records[:1])["error"] is None
+    assert table_of(app, "meta", records).row_count == 2
+    assert bootstrap([2.0], ["b"]) == (2.0, 2.0)
+
+
+def test_a_data_set_of_tasks_without_reference_has_a_table(metapp: Callable, networks: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "unknown"
+    made = metapp("data", "nbrdf", networks / "unknown", "--split", "test", "--out", folder, "--samples", "512")
+    assert made.code == 0, made.err
+    common = ("evaluate", "brdf", "--data", folder, "--out", tmp_path / "runs", "--observe", "reference")
+    result = metapp(*common, "--json")
+    assert result.code == 0, result.err
+    row = result.document["rows"][0]
+    assert (row["tasks"], row["error"], row["worst"], row["low"]) == (1, None, None, None)
+    assert metapp(*common).code == 0
+
+
+@pytest.mark.parametrize("name", ["m1", "unknown"])
+def test_parameters_that_are_not_finite_are_an_error(
+    name: str, app: Seen, metapp: Callable, networks: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    init = app.init
+
+    def infinite(rng: Generator, count: int) -> Params:
+        return {key: value / 0 for key, value in init(rng, count).items()}
+
+    monkeypatch.setattr(Seen, "init", lambda self, rng, count: infinite(rng, count))
+    result = metapp("overfit", "brdf", networks / name, "--steps", "0", "--out", tmp_path / "runs")
+    assert result.code == 1
+    assert f"{name}: the fit's parameters are not finite" in result.err
+    assert not list((tmp_path / "runs").rglob("*.jsonl"))
+
+
+# Radiance
+
+
+@pytest.mark.parametrize(("brightest", "form"), [(3.0, "half"), (65504.0, "half"), (1e6, "float")])
+def test_radiance_is_kept_as_exr_and_shown_as_png(
+    brightest: float, form: str, app: Seen, metapp: Callable, networks: Path, tmp_path: Path
+) -> None:
+    app.brightest = brightest
+    document = metapp("overfit", "brdf", networks / "m1", "--out", tmp_path / "runs", "--json", "--quiet").document
+    made = Path(document["out"]) / "outputs" / "m1"
+    assert {file.name for file in made.iterdir()} == {"light.exr", "light.png", "normal.png"}
+    spec = oiio.ImageBuf(str(made / "light.exr")).spec()
+    assert (str(spec.format), spec.channelnames) == (form, ("R", "G", "B"))
+    assert "rec709" in spec.get_string_attribute("oiio:ColorSpace")
+    stored = app.light().half().float() if form == "half" else app.light()
+    torch.testing.assert_close(read_map(made / "light.exr"), stored.permute(2, 0, 1), rtol=1e-5, atol=1e-6)
+    shown = oiio.ImageBuf(str(made / "light.png")).get_pixels(oiio.UINT8)
+    assert np.abs(shown - 255 * tone_map(app.light()).numpy()).max() <= 0.51

@@ -1,0 +1,17 @@
+"""How radiance of any range is shown."""
+
+from __future__ import annotations
+
+import torch
+
+from metapp.colour import linear_to_srgb, tone_map
+
+
+def test_tone_map_keeps_order_and_any_radiance_displays() -> None:
+    radiance = torch.cat([torch.zeros(1), torch.logspace(-4, 6, 400)]).double()
+    shown = tone_map(radiance)
+    assert shown[0] == 0
+    assert (shown.diff() > 0).all()
+    assert shown[-1] < 1
+    torch.testing.assert_close(tone_map(torch.ones(2, 3)), linear_to_srgb(torch.full((2, 3), 0.5)))
+    assert tone_map(torch.tensor(-1.0)) == 0
