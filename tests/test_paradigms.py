@@ -14,13 +14,15 @@ from torch import Generator
 
 from data_tools.brdf_task import brdf_task
 from data_tools.synthetic_brdf import synthetic_materials
-from metapp.apps import app_names, load_app
+from metapp.apps import app_names, illumination, load_app
 from metapp.exemplar import Setup
+from metapp.latlong import directions, mean_luminance
 from metapp.learning import MetaParameters, learn, task_loss
 from metapp.networks import UNet
 from metapp.paradigms import Job, Paradigm, paradigms, prepare
 from metapp.paradigms.prepare import Interrupted, Prepared, split_validation, tune_quickft, validation_error
 from metapp.paradigms.quickft import adam_of, to_alpha
+from metapp.photograph import photograph
 from metapp.rules import RULES, fixed_adam
 from metapp.task import Adam, App, Batch, Params, Recipe, Task, Tasks, Training, stack
 
@@ -55,12 +57,26 @@ def picture_tasks() -> list[Task]:
     return tasks
 
 
+def map_tasks() -> list[Task]:
+    """Maps of one lamp each, all around, with a photograph of 16 px."""
+    generator, towards, tasks = rng(7), directions(16, 32), []
+    for i in range(COUNT):
+        lamp = torch.nn.functional.normalize(torch.randn(3, generator=generator), dim=0)
+        colour = 0.3 + torch.rand(3, 1, 1, generator=generator)
+        light = 0.3 + colour * (6 * (torch.einsum("c,chw->hw", lamp, towards) - 0.6)).exp()
+        light = light / mean_luminance(light)
+        photos = (photograph(light[None], generator) * 255).round().to(torch.uint8)
+        tasks.append(Task(f"lamp-{i}", {"map": light, "scale": torch.tensor(2.0), "photos": photos}))
+    return tasks
+
+
 def small_setup(outputs: int) -> Setup:
     return Setup(16, 16, UNet(4, levels=2, noise=2, code=4, outputs=outputs), "vgg16", ("relu1_1",))
 
 
 SMALL: dict[str, Small] = {
     "brdf": Small(brdf_tasks),
+    "illumination": Small(map_tasks, illumination.Setup(illumination.Field(8, 16, 8, 2, 4, 8, 3))),
     "svbrdf_stationary": Small(picture_tasks, small_setup(6)),
     "texture": Small(picture_tasks, small_setup(3)),
 }
@@ -110,6 +126,13 @@ def tasks(app: App, sources: list[Task]) -> Tasks:
     return stack(app, sources)
 
 
+@pytest.fixture(autouse=True)
+def judged(request: pytest.FixtureRequest) -> None:
+    """What errors of an application need beside its tasks."""
+    if "app" in request.fixturenames and request.getfixturevalue("app").name == "illumination":
+        request.getfixturevalue("scene")
+
+
 @pytest.fixture
 def job(app: App) -> Job:
     recipe = small_recipe(app)
@@ -150,7 +173,10 @@ def test_a_paradigm_fits(name: str, job: Job, tasks: Tasks) -> None:
     assert all(torch.equal(theta[key], again[key]) for key in theta)
     other = paradigm.fit(job, prepared, few, rng(9))
     # without steps nothing need be random: an encoder may look at all there is
-    assert not paradigm.count(job) or not all(torch.equal(theta[key], other[key]) for key in theta)
+    if name == "overfit" or (paradigm.count(job) and job.app.random):
+        assert not all(torch.equal(theta[key], other[key]) for key in theta)
+    elif not job.app.random:
+        assert all(torch.equal(theta[key], other[key]) for key in theta)
     errors = job.app.errors(theta, few)
     assert {tuple(value.shape) for value in errors.values()} == {(3,)}
     assert torch.isfinite(errors["error"]).all()
@@ -269,7 +295,7 @@ def test_files_are_display_values(app: App, fitted: Params, sources: list[Task])
         assert picture.ndim == 3, name
         assert picture.shape[2] in (1, 3), name
         assert picture.isfinite().all(), name
-        assert 0 <= float(picture.min()) <= float(picture.max()) <= 1, name
+        assert 0 <= float(picture.min()) <= float(picture.max()) <= (math.inf if name in app.radiance else 1), name
         assert not picture.requires_grad, name
     again = app.files(fitted, sources[0])
     assert all(torch.equal(again[name], picture) for name, picture in made.items())
@@ -396,7 +422,7 @@ def test_general_learns(job: Job, tasks: Tasks) -> None:
 
 
 def test_meta_learns(job: Job, tasks: Tasks) -> None:
-    training = replace(job.recipe.meta["meta-adam"], steps=60, rates={"": 1e-2}, validate_every=20)
+    training = replace(job.recipe.meta["meta-adam"], steps=60, rates={"": 3e-3}, validate_every=20)
     recipe = replace(job.recipe, meta={"meta-adam": training})
     prepared = look("meta-adam", job._replace(recipe=recipe), tasks)
     assert prepared.validation < 0.9 * prepared.curve[0][2]

@@ -59,6 +59,8 @@ if ! renders && command -v apt-get >/dev/null; then
 fi
 if ! renders; then
   echo "setup: Mitsuba cannot render scenes; it needs: apt-get install libllvm19 libatomic1" >&2
+else
+  "$venv/bin/metapp" data scene
 fi
 if ! "$venv/bin/metapp" data vgg; then
   echo "setup: no VGG weights: until 'metapp data vgg' gets them, features fall back to fixed random filters" >&2

@@ -267,3 +267,25 @@ def vgg(
     if as_json:
         document = {"which": which.value, "path": str(file), "bytes": size, "there_already": there}
         print_json({**document, **origin._asdict()})
+
+
+@functools.partial(_command, bare_is_help=False)
+def scene(quiet: Quiet = False, as_json: Json = False) -> None:
+    """Build the second scene, under which illumination is judged, once, into the user's cache.
+
+    Mitsuba finds how much of each direction's light reaches each pixel; that takes 20 s and 50 MB. Without this command
+    the first fit that needs it builds it.
+
+    Example: metapp data scene
+    """
+    module = importlib.import_module("data_tools.second_scene")
+    file = module.matrix_path()
+    there = file.is_file()
+    with progress(quiet) as bar:
+        row = bar.add_task("second scene", total=None, note="")
+        module.transfer(report=lambda done, total: bar.update(row, completed=done, total=total))
+    size = file.stat().st_size
+    if not quiet:
+        say(f"second scene: {'there already' if there else 'done'}: {file}, {size / 1e6:.1f} MB")
+    if as_json:
+        print_json({"path": str(file), "bytes": size, "there_already": there})

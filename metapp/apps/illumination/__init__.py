@@ -14,7 +14,7 @@ from torch.nn.functional import avg_pool2d, interpolate, normalize, relu, softma
 
 from metapp.apps.illumination.encoder import Encoder
 from metapp.apps.illumination.field import Field
-from metapp.colour import linear_to_srgb, srgb_to_linear, tone_map
+from metapp.colour import srgb_to_linear, tone_map
 from metapp.latlong import cosine_transfer, glossy_transfer, mean_luminance, resample, solid_angles, sphere_normals
 from metapp.photograph import Camera, Material, develop, photograph, shade
 from metapp.task import Adam, App, Batch, Params, Recipe, Task, Tasks, Training
@@ -65,7 +65,7 @@ QUICK = Recipe(
     finetune_steps=300,
     finetune=Adam(3e-3, final=0.0),
     quickft=Adam(1e-2, beta1=0.7, beta2=0.99, final=0.1),
-    general=Training(steps=3000, tasks=16, rates={"": 1e-3}, warmup=100, final=0.0),
+    general=Training(steps=8000, tasks=16, rates={"": 1e-3}, warmup=100, final=0.0, validate_every=500),
     meta={
         "meta-sgd": replace(LEARNED, first=Adam(0.03), tuned=False),
         "meta-encoder": LEARNED,
@@ -227,7 +227,7 @@ class Illumination(App):
         error = (found - wanted).abs().mean((1, 2, 3))
         weights = solid_angles(*maps.shape[-2:], dtype=maps.dtype, device=maps.device) / (4 * math.pi)
         logs = ((maps + DARK).log() - (target + DARK).log()).abs().mul(weights).sum((2, 3)).mean(1)
-        ssim = structural_similarity_index_measure(_display(found), _display(wanted), data_range=1.0, reduction="none")
+        ssim = structural_similarity_index_measure(tone_map(found), tone_map(wanted), data_range=1.0, reduction="none")
         return {"error": error, "relative": error / wanted.mean((1, 2, 3)), "ssim": ssim.reshape(-1), "map": logs}
 
     @torch.no_grad()
@@ -245,7 +245,7 @@ class Illumination(App):
         scale = task.data.get("scale", torch.ones(()))
         return {
             "map": (maps * scale)[0].permute(1, 2, 0),
-            "relit": _display(_relight(maps))[0].permute(1, 2, 0),
+            "relit": tone_map(_relight(maps))[0].permute(1, 2, 0),
         }
 
 
@@ -284,18 +284,16 @@ def _relight(maps: Tensor) -> Tensor:
     return importlib.import_module("data_tools.second_scene").relight(maps)
 
 
-def _display(linear: Tensor) -> Tensor:
-    return linear_to_srgb(tone_map(linear))
-
-
 def _shown(maps: Tensor, photo: Tensor) -> Tensor:
     """One linear picture: the map above the second scene, and the photograph in the corner beside that."""
     scene = tone_map(_relight(maps))[0]
-    high = interpolate(tone_map(maps), size=(scene.shape[2] * 2 // 3, scene.shape[2] * 4 // 3), mode="nearest")[0]
-    beside = srgb_to_linear(avg_pool2d(photo.float() / 255, photo.shape[-1] // (scene.shape[2] // 3)))[0]
-    column = torch.ones(3, scene.shape[1], scene.shape[2] // 3)
-    column[:, : beside.shape[1], : beside.shape[2]] = beside
-    return torch.cat([high, torch.cat([scene, column], 2)], 1).permute(1, 2, 0)
+    height, width = scene.shape[1:]
+    across = width // 3
+    whole = interpolate(tone_map(maps), size=(2 * across, 4 * across), mode="nearest")[0]
+    column = torch.ones(3, height, across)
+    column[:, :across] = avg_pool2d(photo.float() / 255, photo.shape[-1] // across)[0, :, :across, :across]
+    pictures = torch.cat([whole, torch.cat([scene, column], 2)], 1)
+    return srgb_to_linear(pictures).permute(1, 2, 0)
 
 
 APP = Illumination(QUICK.setup, "reference")
