@@ -122,10 +122,8 @@ def shade(maps: Tensor, material: Material, size: int, roughnesses: Sequence[flo
     """
     normals, mask = sphere_normals(size, dtype=maps.dtype, device=maps.device)
     body = _lit(_diffuse(size), maps) * material.albedo[..., None, None]
-    gloss = sum(
-        _lit(_glossy(size, roughness), maps) * material.gloss[:, i, None, None, None]
-        for i, roughness in enumerate(roughnesses)
-    )
+    lobes = torch.stack([_lit(_glossy(size, roughness), maps) for roughness in roughnesses], 1)
+    gloss = (lobes * material.gloss[..., None, None, None]).sum(1)
     specular = material.specular[:, None, None, None]
     fresnel = specular + (specular > 0) * (1 - specular) * (1 - normals[2]) ** 5
     return torch.lerp(body, gloss, fresnel.expand_as(body)) * mask

@@ -131,7 +131,6 @@ def _meta_adam_step(alpha: Params, theta: Params, grads: Params, state: Params) 
     directions, after = _adam_directions(beta1, beta2, eps, rotated, state)
     moved = {}
     for key, direction in directions.items():
-        direction = _rotate(alpha, key, direction, back=True)
         if f"left.{key}" in alpha:
             direction = alpha[f"left.{key}"] @ direction
         if f"right.{key}" in alpha:
@@ -139,7 +138,8 @@ def _meta_adam_step(alpha: Params, theta: Params, grads: Params, state: Params) 
         rate = alpha[f"rate.{key}"]
         if f"pace.{key}" in alpha:
             rate = rate + _like(alpha[f"pace.{key}"], rate)
-        moved[key] = theta[key] - torch.exp(rate) * direction
+        # rates are of the axes that bases turn to
+        moved[key] = theta[key] - _rotate(alpha, key, torch.exp(rate) * direction, back=True)
         if "mean" in alpha:
             before = state[f"mean.{key}"]
             after[f"mean.{key}"] = torch.lerp(before, moved[key], _like(alpha["mean"], before))
@@ -177,9 +177,14 @@ def _meta_adam_tied_alpha(app: App, theta: Params, steps: int, first: Adam) -> P
     return alpha
 
 
-def _meta_mean_alpha(app: App, theta: Params, steps: int, first: Adam) -> Params:
+def _meta_encoder_alpha(app: App, theta: Params, steps: int, first: Adam) -> Params:
     alpha = _meta_adam_tied_alpha(app, theta, steps, first)
-    return alpha | averaging(steps, alpha["beta1"]) | {"eps": alpha["beta1"].new_tensor([math.log(first.eps)])}
+    return alpha | {"eps": alpha["beta1"].new_tensor([math.log(first.eps)])}
+
+
+def _meta_mean_alpha(app: App, theta: Params, steps: int, first: Adam) -> Params:
+    alpha = _meta_encoder_alpha(app, theta, steps, first)
+    return alpha | (averaging(steps, alpha["beta1"]) if app.random else {})
 
 
 def averaging(steps: int, like: Tensor) -> Params:
@@ -251,9 +256,10 @@ RULES: Mapping[str, LearnedRule] = {
     "meta-adam": LearnedRule(_meta_adam_alpha, _meta_adam),
     # the same with one rate per weight for all steps, times one per parameter tensor and step: as small as meta-sgd's
     "meta-adam-tied": LearnedRule(_meta_adam_tied_alpha, _meta_adam),
-    # the same, for recipes that start from General's encoder and train it through the steps
-    "meta-encoder": LearnedRule(_meta_adam_tied_alpha, _meta_adam),
-    # the same with the mean of the last parameters as the answer, which gradients of few samples let scatter
+    # the same with a learned eps, for recipes that start from General's encoder and train it through the steps
+    "meta-encoder": LearnedRule(_meta_encoder_alpha, _meta_adam),
+    # the same with the mean of the last parameters as the answer, which gradients of few samples, where they are random,
+    # let scatter
     "meta-mean": LearnedRule(_meta_mean_alpha, _meta_adam),
     # that, in the principal axes of the training tasks' gradients
     "meta-basis": LearnedRule(_meta_basis_alpha, _meta_adam),

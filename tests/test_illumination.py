@@ -204,7 +204,7 @@ def test_photographs_alone_have_no_error(rng: Generator) -> None:
     theta = app.init(rng, 1)
     assert app.errors(theta, tasks) == {}
     assert torch.isfinite(app.loss(theta, app.sample(tasks, rng, 1), {})).all()
-    with pytest.raises(ValueError, match="lamps: a photo of a sphere, expected an HDR map .* --observe photo"):
+    with pytest.raises(ValueError, match=r"lamps: a photo of a sphere, expected an HDR map .* --observe photo"):
         stack(APP.at(RECIPE, "reference"), [alone])
 
 
@@ -225,7 +225,9 @@ def test_a_turn_of_the_map_is_a_turn_of_what_surfaces_send(app: Illumination, ta
         found = made.data["map"][row]
         gray = found.mean(0) / found.mean()
         candidates = [
-            each.roll(turn, -1) for turn in range(16) for each in (tasks.data["map"][row], tasks.data["map"][row].flip(-1))
+            each.roll(turn, -1)
+            for turn in range(16)
+            for each in (tasks.data["map"][row], tasks.data["map"][row].flip(-1))
         ]
         distances = [float((each.mean(0) / each.mean() - gray).abs().mean()) for each in candidates]
         assert min(distances) < 0.1 < sorted(distances)[len(distances) // 2]

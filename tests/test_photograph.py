@@ -27,6 +27,7 @@ from metapp.photograph import shade as shade_all
 
 WHITE = torch.ones(3)
 
+
 def material(albedo: Tensor, specular: float, roughness: float) -> Material:
     """One of gloss of one roughness."""
     parts = torch.tensor([[float(each == roughness) for each in ROUGHNESSES]])

@@ -69,7 +69,7 @@ QUICK = Recipe(
     meta={
         "meta-sgd": replace(LEARNED, first=Adam(0.03), tuned=False),
         "meta-encoder": LEARNED,
-        "meta-basis": replace(LEARNED, steps=0),
+        "meta-basis": LEARNED,
     },
     rule="meta-encoder",
     setup=Setup(Field(32, 64)),
@@ -227,7 +227,9 @@ class Illumination(App):
         error = (found - wanted).abs().mean((1, 2, 3))
         weights = solid_angles(*maps.shape[-2:], dtype=maps.dtype, device=maps.device) / (4 * math.pi)
         logs = ((maps + DARK).log() - (target + DARK).log()).abs().mul(weights).sum((2, 3)).mean(1)
-        ssim = structural_similarity_index_measure(tone_map(found), tone_map(wanted), data_range=1.0, reduction="none")
+        ssim: Any = structural_similarity_index_measure(
+            tone_map(found), tone_map(wanted), data_range=1.0, reduction=None
+        )
         return {"error": error, "relative": error / wanted.mean((1, 2, 3)), "ssim": ssim.reshape(-1), "map": logs}
 
     @torch.no_grad()
