@@ -11,7 +11,8 @@ SEEDS ?= 0 1 2
 # small networks run many times slower where threads fight over them
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: help setup demo test test-slow lint types bench tables table-results real real-photos starts-brdf starts-photos clean
+.PHONY: help setup demo test test-slow lint types bench tables table-results real real-photos real-illumination \
+  starts-brdf starts-photos starts-illumination clean
 
 help:  ## list the targets
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 18
@@ -51,6 +52,12 @@ real: setup  ## real materials: make real DATA=<folder with nbrdf/merl>; trains 
 
 real-photos: setup  ## real textures and flash photos: make real-photos DATA=<folder with texture, flash_stationary>; hours
 	bash tools/real_photos.sh "$(METAPP)" "$(DATA)" "$(RUNS)" $(firstword $(SEEDS))
+
+real-illumination: setup  ## real maps: make real-illumination DATA=<folder with illumination>; the starts that ship, 10 minutes
+	bash tools/real_illumination.sh "$(METAPP)" "$(DATA)" "$(RUNS)"
+
+starts-illumination: setup  ## train the starts of illumination that ship, on the embedded maps; an hour
+	bash tools/starts_illumination.sh "$(METAPP)" "$(RUNS)"
 
 starts-photos: setup  ## train the starts of textures and svBRDFs that ship, on the embedded sets; hours
 	bash tools/starts_photos.sh "$(METAPP)" "$(RUNS)"

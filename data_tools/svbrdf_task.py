@@ -1,0 +1,51 @@
+"""Non-stationary svBRDFs as tasks: maps of a flat material, texel by texel, and its photograph under a flash."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from metapp.colour import linear_to_srgb
+from metapp.flash import Maps, camera, positions, render
+from metapp.task import Task
+
+UNITS = {
+    "maps": "float16 [10, height, width], rows from the top: normal x, y, z (right, up, out; unit length), diffuse "
+    "linear RGB albedo, roughness (GGX alpha is its square), specular linear RGB reflectance at normal incidence",
+    "photo": "sRGB, uint8 0..255 [3, height, width], rows from the top; camera and flash above the centre, 45 degrees",
+}
+
+
+def pack(maps: Maps) -> Tensor:
+    """Maps without a leading axis, C = 1 or 3 specular channels, as one tensor [10, H, W]."""
+    specular = maps.specular.expand(3, -1, -1)
+    return torch.cat([maps.normal, maps.diffuse, maps.roughness, specular])
+
+
+def unpack(maps: Tensor) -> Maps:
+    """The inverse of `pack`, for [..., 10, H, W]."""
+    normal, diffuse, roughness, specular = maps.split((3, 3, 1, 3), -3)
+    return Maps(diffuse, specular, roughness, normal)
+
+
+def svbrdf_task(name: str, maps: Tensor, *, photo: Tensor | None = None, group: str = "") -> Task:
+    """A material as a task.
+
+    Args:
+        name: of the task.
+        maps: [10, S, S], as `pack` gives them.
+        photo: uint8 [3, S, S]; rendered from the maps where there is none.
+        group: what it shows, where several tasks show the same.
+
+    Returns:
+        `maps` float16 [10, S, S] and `photo` uint8 [3, S, S].
+    """
+    return Task(name, {"maps": maps.half(), "photo": flash_photo(maps) if photo is None else photo}, group)
+
+
+def flash_photo(maps: Tensor) -> Tensor:
+    """A material [10, H, W] under a flash beside the lens, straight above: uint8 sRGB [3, H, W]."""
+    above = camera(dtype=torch.float32)
+    place = positions(*maps.shape[-2:], dtype=torch.float32)
+    radiance = render(unpack(maps.float()), place, above, above)
+    return (linear_to_srgb(radiance.clamp(0, 1)) * 255).round().to(torch.uint8)

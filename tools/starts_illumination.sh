@@ -1,0 +1,14 @@
+#!/usr/bin/env bash
+# Train the illumination starts that ship, on the embedded maps alone: starts_illumination.sh METAPP RUNS
+set -euo pipefail
+metapp=$1 runs=$2
+app=illumination
+"$metapp" general "$app" --out "$runs" --train
+for observe in reference photo; do
+  "$metapp" quickft "$app" --observe "$observe" --out "$runs" --train
+  "$metapp" meta "$app" --observe "$observe" --out "$runs" --train
+done
+folder=$(ls -td "$runs/$app"/starts/"$app"-*-quick-seed0 | head -1)
+mkdir -p "metapp/checkpoints/$app"
+find "$folder" -name '*.safetensors' ! -name '*.previous.*' ! -name '*.interrupted.*' \
+  -exec cp -v {} "metapp/checkpoints/$app/" \;
