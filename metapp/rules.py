@@ -258,8 +258,7 @@ RULES: Mapping[str, LearnedRule] = {
     "meta-adam-tied": LearnedRule(_meta_adam_tied_alpha, _meta_adam),
     # the same with a learned eps, for recipes that start from General's encoder and train it through the steps
     "meta-encoder": LearnedRule(_meta_encoder_alpha, _meta_adam),
-    # the same with the mean of the last parameters as the answer, which gradients of few samples, where they are random,
-    # let scatter
+    # the same with the mean of the last parameters as the answer, where samples are random, which lets them scatter
     "meta-mean": LearnedRule(_meta_mean_alpha, _meta_adam),
     # that, in the principal axes of the training tasks' gradients
     "meta-basis": LearnedRule(_meta_basis_alpha, _meta_adam),

@@ -12,7 +12,7 @@ import pytest
 import torch
 
 from data_tools.latlong import read_map
-from metapp.apps.illumination import APP, Field, Setup
+from metapp.apps.illumination import APP, RECIPES, Field, Setup
 from metapp.latlong import directions, mean_luminance
 from metapp.photograph import photograph
 
@@ -45,21 +45,22 @@ def png(tmp_path: Path) -> Path:
 @pytest.fixture(autouse=True)
 def small(monkeypatch: pytest.MonkeyPatch) -> None:
     """Other sizes and a few steps."""
-    quick = APP.recipes["quick"]
 
     def short(training):  # type: ignore[no-untyped-def]
         return replace(training, steps=2, tasks=2, warmup=0, tuned=False)
 
-    quick = replace(
-        quick,
-        steps=3,
-        overfit_steps=30,
-        finetune_steps=5,
-        general=short(quick.general),
-        meta={name: short(training) for name, training in quick.meta.items()},
-        setup=Setup(Field(8, 16, 8, 2, 4, 8, 3)),
-    )
-    monkeypatch.setitem(APP.recipes, "quick", quick)
+    for recipes in RECIPES.values():
+        quick = recipes["quick"]
+        short_one = replace(
+            quick,
+            steps=3,
+            overfit_steps=30,
+            finetune_steps=5,
+            general=short(quick.general),
+            meta={name: short(training) for name, training in quick.meta.items()},
+            setup=Setup(Field(8, 16, 8, 2, 4, 8, 3)),
+        )
+        monkeypatch.setitem(recipes, "quick", short_one)
     monkeypatch.setattr("metapp.paradigms.prepare.can_compile", lambda: False)
 
 
