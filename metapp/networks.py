@@ -1,7 +1,8 @@
-"""The generator that textures and stationary svBRDFs share: a U-Net from noise to maps, conditioned by a code."""
+"""Networks that applications share: a generator of pictures from noise, and fields with a code in every place."""
 
 from __future__ import annotations
 
+import functools
 import math
 from typing import NamedTuple
 
@@ -94,3 +95,89 @@ class UNet(NamedTuple):
         gain, shift = style[..., 0].chunk(2, 1)
         x = instance_norm(x) * (1 + gain.reshape(-1, 1, 1)) + shift.reshape(-1, 1, 1)
         return leaky_relu(x, SLOPE)
+
+
+class LocalField(NamedTuple):
+    """A SIREN (Sitzmann et al. 2020) whose layers are shifted by a code that varies from place to place.
+
+    The code lies on a grid and is interpolated between its cells: shift modulations as of Dupont et al. 2022, made
+    local as of Mehta et al. 2021. A detail then moves a few entries of the code, not all weights at once, which is why
+    few steps fit it.
+
+    Attributes:
+        height, width: texels of what it makes.
+        inputs, outputs: channels.
+        rows, columns: cells of the code's grid.
+        code: length of the code in a cell.
+        hidden: units of a layer.
+        layers: sine layers.
+        frequency: of the first layer's sines for inputs in [-1, 1], w0.
+        wraps: whether the left edge goes on at the right one.
+    """
+
+    height: int
+    width: int
+    inputs: int = 3
+    outputs: int = 3
+    rows: int = 16
+    columns: int = 32
+    code: int = 8
+    hidden: int = 32
+    layers: int = 3
+    frequency: float = 12.0
+    wraps: bool = True
+
+    def init(self, rng: Generator, count: int) -> Params:
+        """Random parameters of `count` networks: each tensor [count, ...]."""
+
+        def uniform(*shape: int, bound: float) -> Tensor:
+            return (2 * torch.rand(count, *shape, generator=rng, device=rng.device) - 1) * bound
+
+        theta = {"z": uniform(self.code, self.rows, self.columns, bound=0.1)}
+        for layer in range(self.layers):
+            inputs = self.hidden if layer else self.inputs
+            bound = math.sqrt(6 / inputs) if layer else self.frequency / math.sqrt(inputs)
+            theta[f"layer{layer}.kernel"] = uniform(self.hidden, inputs, bound=bound)
+            theta[f"layer{layer}.code"] = uniform(self.hidden, self.code, bound=1.5 / math.sqrt(self.code))
+            theta[f"layer{layer}.shift"] = uniform(self.hidden, bound=0.1 if layer else math.pi)
+        theta["out.kernel"] = uniform(self.outputs, self.hidden, bound=1 / math.sqrt(self.hidden))
+        theta["out.code"] = uniform(self.outputs, self.code, bound=1 / math.sqrt(self.code))
+        theta["out.shift"] = torch.zeros(count, self.outputs, device=rng.device)
+        return theta
+
+    def __call__(self, theta: Params, places: Tensor) -> Tensor:
+        """What is at every texel.
+
+        Args:
+            theta: parameters of T networks, as of `init`.
+            places: what is known of the texels, [T, inputs, height, width].
+
+        Returns:
+            Values before any range is imposed, [T, outputs, height, width].
+        """
+        z = theta["z"]
+        down, across = (each.to(z) for each in _interpolation(self))
+        code, x = (down @ z @ across).flatten(2), places.flatten(2)
+        for name in (*(f"layer{layer}" for layer in range(self.layers)), "out"):
+            shifted = torch.baddbmm(theta[f"{name}.shift"][..., None], theta[f"{name}.code"], code)
+            x = torch.baddbmm(shifted, theta[f"{name}.kernel"], x)
+            x = x if name == "out" else x.sin()
+        return x.unflatten(2, (self.height, self.width))
+
+
+@functools.lru_cache(maxsize=8)
+def _interpolation(field: LocalField) -> tuple[Tensor, Tensor]:
+    """What each row and column takes of those of the code: [height, rows] and [columns, width]."""
+    down = _linear(field.height, field.rows, wraps=False)
+    return down, _linear(field.width, field.columns, wraps=field.wraps).T.contiguous()
+
+
+def _linear(count: int, cells: int, *, wraps: bool) -> Tensor:
+    """Linear interpolation at `count` centres between those of `cells`, [count, cells]; around or up to the ends."""
+    place = (torch.arange(count) + 0.5) * (cells / count) - 0.5
+    first = place.floor().long()
+    weights = torch.zeros(count, cells)
+    for cell, share in ((first, 1 - (place - first)), (first + 1, place - first)):
+        cell = cell % cells if wraps else cell.clamp(0, cells - 1)
+        weights.scatter_add_(1, cell[:, None], share[:, None])
+    return weights

@@ -12,8 +12,9 @@ import pytest
 import torch
 
 from data_tools.latlong import read_map
-from metapp.apps.illumination import APP, RECIPES, Field, Setup
+from metapp.apps.illumination import APP, RECIPES, Setup
 from metapp.latlong import directions, mean_luminance
+from metapp.networks import LocalField
 from metapp.photograph import photograph
 
 pytestmark = pytest.mark.usefixtures("scene")
@@ -58,7 +59,7 @@ def small(monkeypatch: pytest.MonkeyPatch) -> None:
             finetune_steps=5,
             general=short(quick.general),
             meta={name: short(training) for name, training in quick.meta.items()},
-            setup=Setup(Field(8, 16, 8, 2, 4, 8, 3)),
+            setup=Setup(LocalField(8, 16, rows=4, columns=8, code=3, hidden=8, layers=2)),
         )
         monkeypatch.setitem(recipes, "quick", short_one)
     monkeypatch.setattr("metapp.paradigms.prepare.can_compile", lambda: False)

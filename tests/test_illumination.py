@@ -11,12 +11,12 @@ from torch import Generator, Tensor
 
 from metapp.apps.illumination import APP, BODY, GLOSSES, QUICK, SMALL, Illumination, Setup, body_of
 from metapp.apps.illumination.encoder import Encoder, unwrapped
-from metapp.apps.illumination.field import Field
 from metapp.latlong import directions, mean_luminance
+from metapp.networks import LocalField
 from metapp.photograph import develop, photograph, shade
 from metapp.task import Params, Task, Tasks, stack
 
-FIELD = Field(8, 16, hidden=8, layers=2, rows=4, columns=8, code=3)
+FIELD = LocalField(8, 16, rows=4, columns=8, code=3, hidden=8, layers=2)
 RECIPE = replace(QUICK, setup=Setup(FIELD))
 
 
@@ -48,44 +48,8 @@ def tasks(app: Illumination) -> Tasks:
 
 def exact(app: Illumination, tasks: Tasks, monkeypatch: pytest.MonkeyPatch) -> Params:
     """Parameters whose network gives the tasks' maps."""
-    monkeypatch.setattr(Field, "__call__", lambda field, theta: tasks.data["map"][tasks.rows].log())
+    monkeypatch.setattr(LocalField, "__call__", lambda field, theta, places: tasks.data["map"][tasks.rows].log())
     return app.init(Generator().manual_seed(0), len(tasks))
-
-
-# The network
-
-
-def test_a_code_without_variation_is_the_same_everywhere(rng: Generator) -> None:
-    theta = FIELD.init(rng, 2)
-    theta["z"] = torch.randn(2, 3, 1, 1, generator=rng).expand(-1, -1, 4, 8)
-    for key in theta:
-        if key.endswith(".kernel"):  # then only the code is left
-            theta[key] = torch.zeros_like(theta[key])
-    out = FIELD(theta)
-    torch.testing.assert_close(out, out[..., :1, :1].expand_as(out))
-
-
-def test_the_code_wraps_around_the_horizon(rng: Generator) -> None:
-    theta = FIELD.init(rng, 1)
-    for name in ("layer0", "layer1", "out"):
-        theta[f"{name}.kernel"] = torch.zeros_like(theta[f"{name}.kernel"])
-    turned = {**theta, "z": theta["z"].roll(3, -1)}
-    torch.testing.assert_close(FIELD(turned), FIELD(theta).roll(6, -1))
-
-
-def test_a_cell_of_the_code_reaches_its_neighbourhood_only(rng: Generator) -> None:
-    theta = FIELD.init(rng, 1)
-    moved = {**theta, "z": theta["z"].clone()}
-    moved["z"][0, :, 2, 5] += 1
-    rows, columns = (FIELD(moved) - FIELD(theta)).abs().sum((0, 1)).nonzero().T
-    assert set(rows.tolist()) == {3, 4, 5, 6}
-    assert set(columns.tolist()) == {9, 10, 11, 12}
-
-
-def test_networks_beside_each_other_are_independent(rng: Generator) -> None:
-    theta = FIELD.init(rng, 3)
-    alone = FIELD({key: value[1:2] for key, value in theta.items()})
-    torch.testing.assert_close(FIELD(theta)[1:2], alone)
 
 
 # What the encoder sees
@@ -163,7 +127,8 @@ def test_what_a_photo_clips_may_be_any_brightness(tasks: Tasks) -> None:
     batch = {"photo": torch.full((4, 3, 64, 64), 255.0)}
     bright = {**theta, "body": theta["body"] + 12 * torch.eye(BODY)[7]}
     assert photo.loss(bright, batch, {}).max() < 1e-4
-    assert photo.loss(theta, batch, {}).min() > 0.05
+    dark = {**theta, "body": theta["body"] - 4 * torch.eye(BODY)[7]}
+    assert photo.loss(dark, batch, {}).min() > 0.05
 
 
 def test_protocols_differ_in_what_fits_see(tasks: Tasks) -> None:
@@ -244,7 +209,7 @@ def test_the_error_is_of_the_second_scene(app: Illumination, tasks: Tasks, monke
     errors = app.errors(theta, tasks)
     assert errors["error"].max() < 1e-5
     assert (errors["ssim"] - 1).abs().max() < 1e-4
-    monkeypatch.setattr(Field, "__call__", lambda field, theta: (1.1 * tasks.data["map"]).log())
+    monkeypatch.setattr(LocalField, "__call__", lambda field, theta, places: (1.1 * tasks.data["map"]).log())
     torch.testing.assert_close(app.errors(theta, tasks)["relative"], torch.full((4,), 0.1), atol=1e-3, rtol=0)
 
 

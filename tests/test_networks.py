@@ -9,7 +9,7 @@ import pytest
 import torch
 from torch import Generator, Tensor
 
-from metapp.networks import UNet
+from metapp.networks import LocalField, UNet
 from metapp.task import Params
 
 NETWORK = UNet(4, levels=3, noise=2, code=5)
@@ -199,3 +199,48 @@ def test_what_it_makes_at_first_is_neither_flat_nor_extreme(rng: Generator) -> N
     assert spread.min() > 0.1
     assert spread.mean() < 2
     assert made.abs().max() < 12
+
+
+# Fields with a code in every place
+
+FIELD = LocalField(8, 16, rows=4, columns=8, code=3, hidden=8, layers=2)
+
+
+def blind(rng: Generator, count: int, field: LocalField = FIELD) -> Params:
+    """Parameters of networks that see their code alone."""
+    theta = field.init(rng, count)
+    return {key: torch.zeros_like(value) if key.endswith(".kernel") else value for key, value in theta.items()}
+
+
+def places(count: int, field: LocalField = FIELD) -> Tensor:
+    return torch.rand(count, field.inputs, field.height, field.width, generator=Generator().manual_seed(1))
+
+
+def test_a_code_without_variation_is_the_same_everywhere(rng: Generator) -> None:
+    theta = blind(rng, 2) | {"z": torch.randn(2, 3, 1, 1, generator=rng).expand(-1, -1, 4, 8)}
+    made = FIELD(theta, places(2))
+    assert made.shape == (2, 3, 8, 16)
+    torch.testing.assert_close(made, made[..., :1, :1].expand_as(made))
+
+
+def test_a_code_wraps_around_where_it_is_told(rng: Generator) -> None:
+    for wraps in (True, False):
+        field = FIELD._replace(wraps=wraps)
+        theta = blind(rng, 1, field)
+        turned = field({**theta, "z": theta["z"].roll(3, -1)}, places(1))
+        assert torch.allclose(turned, field(theta, places(1)).roll(6, -1), atol=1e-5) == wraps
+
+
+def test_a_cell_of_the_code_reaches_its_neighbourhood_only(rng: Generator) -> None:
+    theta = FIELD.init(rng, 1)
+    moved = {**theta, "z": theta["z"].clone()}
+    moved["z"][0, :, 2, 5] += 1
+    rows, columns = (FIELD(moved, places(1)) - FIELD(theta, places(1))).abs().sum((0, 1)).nonzero().T
+    assert set(rows.tolist()) == {3, 4, 5, 6}
+    assert set(columns.tolist()) == {9, 10, 11, 12}
+
+
+def test_fields_beside_each_other_are_independent(rng: Generator) -> None:
+    theta = FIELD.init(rng, 3)
+    alone = FIELD({key: value[1:2] for key, value in theta.items()}, places(3)[1:2])
+    torch.testing.assert_close(FIELD(theta, places(3))[1:2], alone)

@@ -18,7 +18,7 @@ from metapp.apps import app_names, illumination, load_app
 from metapp.exemplar import Setup
 from metapp.latlong import directions, mean_luminance
 from metapp.learning import MetaParameters, learn, task_loss
-from metapp.networks import UNet
+from metapp.networks import LocalField, UNet
 from metapp.paradigms import Job, Paradigm, paradigms, prepare
 from metapp.paradigms.prepare import Interrupted, Prepared, split_validation, tune_quickft, validation_error
 from metapp.paradigms.quickft import adam_of, to_alpha
@@ -76,7 +76,9 @@ def small_setup(outputs: int) -> Setup:
 
 SMALL: dict[str, Small] = {
     "brdf": Small(brdf_tasks),
-    "illumination": Small(map_tasks, illumination.Setup(illumination.Field(8, 16, 8, 2, 4, 8, 3))),
+    "illumination": Small(
+        map_tasks, illumination.Setup(LocalField(8, 16, rows=4, columns=8, code=3, hidden=8, layers=2))
+    ),
     "svbrdf_stationary": Small(picture_tasks, small_setup(6)),
     "texture": Small(picture_tasks, small_setup(3)),
 }

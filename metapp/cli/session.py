@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import platform
+import tempfile
 from dataclasses import asdict
 from importlib import metadata
 from pathlib import Path
@@ -111,9 +112,8 @@ def make_folder(folder: Path) -> None:
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        probe = folder / ".metapp-probe"
-        probe.touch()
-        probe.unlink()
+        with tempfile.TemporaryFile(dir=folder):  # nameless, as other runs may write there, too
+            pass
     except OSError as error:
         raise ValueError(f"--out {folder}: cannot be written to ({error.strerror}); choose another folder.") from None
 

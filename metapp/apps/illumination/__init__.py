@@ -13,9 +13,17 @@ from torch import Generator, Tensor
 from torch.nn.functional import avg_pool2d, interpolate, normalize, relu, softmax
 
 from metapp.apps.illumination.encoder import Encoder
-from metapp.apps.illumination.field import Field
 from metapp.colour import srgb_to_linear, tone_map
-from metapp.latlong import cosine_transfer, glossy_transfer, mean_luminance, resample, solid_angles, sphere_normals
+from metapp.latlong import (
+    cosine_transfer,
+    directions,
+    glossy_transfer,
+    mean_luminance,
+    resample,
+    solid_angles,
+    sphere_normals,
+)
+from metapp.networks import LocalField
 from metapp.photograph import Camera, Material, develop, photograph, shade
 from metapp.task import Adam, App, Batch, Params, Recipe, Task, Tasks, Training
 
@@ -36,7 +44,7 @@ class Setup:
         field: the network of one map.
     """
 
-    field: Field
+    field: LocalField
 
     @property
     def encoder(self) -> Encoder:
@@ -69,7 +77,7 @@ QUICK = Recipe(
     general=Training(steps=8000, tasks=16, rates={"": 1e-3}, warmup=100, final=0.0, validate_every=500),
     meta={"meta-sgd": replace(LEARNED, first=Adam(0.03), tuned=False), "meta-encoder": LEARNED, "meta-basis": LEARNED},
     rule="meta-basis",
-    setup=Setup(Field(32, 64)),
+    setup=Setup(LocalField(32, 64)),
 )
 # A photograph says little that General has not read from it: steps are small at first, and where gradients are, too,
 # a large eps keeps them so; small ones made the exact derivative explode.
@@ -91,7 +99,7 @@ PAPER = replace(
         )
     },
     rule="meta-sgd",
-    setup=Setup(Field(64, 128, hidden=64)),
+    setup=Setup(LocalField(64, 128, hidden=64)),
 )
 RECIPES = {
     "reference": {"paper": PAPER, "quick": QUICK},
@@ -152,7 +160,9 @@ class Illumination(App):
 
     def radiance_of(self, theta: Params) -> Tensor:
         """The fitted maps, linear radiance [T, 3, H, W]."""
-        return self.setup.field({key: value for key, value in theta.items() if key != "body"}).clamp_max(16).exp()
+        field, z = self.setup.field, theta["z"]
+        towards = directions(field.height, field.width, dtype=z.dtype, device=z.device)
+        return field(theta, towards.expand(len(z), -1, -1, -1)).clamp_max(16).exp()
 
     def sample(self, tasks: Tasks, rng: Generator, count: int) -> Batch:
         """The whole of the map and of the photograph; nothing is random."""
