@@ -24,7 +24,7 @@ MATHS = ("metapp.task", "metapp.adjoint", "metapp.learning", "metapp.rules", "me
          "metapp.sphere", "metapp.flash", "metapp.latlong", "metapp.networks", "metapp.metrics")  # fmt: skip
 FOR_APPS = ("metapp.task", "metapp.geometry", "metapp.reflection", "metapp.sphere", "metapp.flash", "metapp.latlong",
             "metapp.photograph", "metapp.networks", "metapp.metrics", "metapp.features", "metapp.exemplar",
-            "metapp.colour")  # fmt: skip
+            "metapp.coded", "metapp.colour")  # fmt: skip
 STORAGE = ("metapp.shards", "metapp.manifest", "metapp.files")
 UNPICKLES = "data_tools.vgg"
 FOR_DATA_TOOLS = (*STORAGE, "metapp.colour", "metapp.geometry", "metapp.reflection", "metapp.sphere", "metapp.flash",

@@ -13,6 +13,7 @@ from torch import Generator, Tensor
 from torch.nn.functional import avg_pool2d, interpolate, normalize, relu, softmax
 
 from metapp.apps.illumination.encoder import Encoder
+from metapp.coded import CodedApp, norm
 from metapp.colour import srgb_to_linear, tone_map
 from metapp.latlong import (
     cosine_transfer,
@@ -25,7 +26,7 @@ from metapp.latlong import (
 )
 from metapp.networks import LocalField
 from metapp.photograph import Camera, Material, develop, photograph, shade
-from metapp.task import Adam, App, Batch, Params, Recipe, Task, Tasks, Training
+from metapp.task import Adam, Batch, Params, Recipe, Task, Tasks, Training
 
 DARK = 0.01  # of a map of mean luminance 1: the log of radiance is flat below
 DIM = 0.02  # the same for what surfaces send out
@@ -110,7 +111,7 @@ RECIPES = {
 }
 
 
-class Illumination(App):
+class Illumination(CodedApp):
     """One environment map a task, of mean luminance 1.
 
     Under the protocol "reference" a fit sees the map itself; under "photo" it sees the LDR photograph of a sphere
@@ -121,18 +122,10 @@ class Illumination(App):
     title = "Illumination"
     readers = ("latlong",)
     inputs = "an HDR map (.exr, .hdr), an LDR photo of a sphere that touches its borders, or a folder of these"
-    protocols = tuple(RECIPES)
     measure = "mean absolute error of a second scene's picture under the map"
     scale = 100.0
-    small_kernels = True
-    random = False
+    all_recipes = RECIPES
     radiance = ("map",)
-
-    def __init__(self, setup: Setup, protocol: str) -> None:
-        self.setup, self.protocol, self.recipes = setup, protocol, RECIPES[protocol]
-
-    def at(self, recipe: Recipe, observe: str = "") -> Illumination:
-        return Illumination(recipe.setup, observe or self.protocol)
 
     def prepare(self, task: Task) -> dict[str, Tensor]:
         """`photo` uint8 [3, S, S], and of the map `map` [3, H, W] and `sent`, what surfaces send out under it."""
@@ -147,20 +140,19 @@ class Illumination(App):
         return {key: value[0] if key != "photo" else value for key, value in prepared.items()}
 
     def described(self, maps: Tensor) -> dict[str, Tensor]:
-        field = self.setup.field
-        maps = resample(maps, field.height, field.width)
+        maps = resample(maps, self.field.height, self.field.width)
         return {"map": maps, "sent": maps.flatten(2) @ self._surfaces(maps).T}
 
     def _surfaces(self, like: Tensor) -> Tensor:
         """What surfaces send out by a map, [S, H * W]: diffuse ones that face, glossy ones that mirror all around."""
-        return _surfaces(self.setup.field.height, self.setup.field.width).to(like)
+        return _surfaces(self.field.height, self.field.width).to(like)
 
     def init(self, rng: Generator, count: int) -> Params:
-        return self.setup.field.init(rng, count) | {"body": torch.zeros(count, BODY, device=rng.device)}
+        return super().init(rng, count) | {"body": torch.zeros(count, BODY, device=rng.device)}
 
     def radiance_of(self, theta: Params) -> Tensor:
         """The fitted maps, linear radiance [T, 3, H, W]."""
-        field, z = self.setup.field, theta["z"]
+        field, z = self.field, theta["z"]
         towards = directions(field.height, field.width, dtype=z.dtype, device=z.device)
         return field(theta, towards.expand(len(z), -1, -1, -1)).clamp_max(16).exp()
 
@@ -181,9 +173,9 @@ class Illumination(App):
     def _map_loss(self, theta: Params, maps: Tensor, batch: Batch, shape: Params) -> Tensor:
         """Mean differences of logs: of the radiance over the sphere, and of what surfaces send out."""
         weights = solid_angles(*maps.shape[-2:], dtype=maps.dtype, device=maps.device) / (4 * math.pi)
-        texels = _norm((maps + DARK).log() - (batch["map"] + DARK).log(), shape) * weights
+        texels = norm((maps + DARK).log() - (batch["map"] + DARK).log(), shape) * weights
         sent = maps.flatten(2) @ self._surfaces(maps).T
-        surfaces = _norm((sent + DIM).log() - (batch["sent"] + DIM).log(), shape)
+        surfaces = norm((sent + DIM).log() - (batch["sent"] + DIM).log(), shape)
         return texels.sum((2, 3)).mean(1) + surfaces.mean((1, 2))
 
     def _photo_loss(self, theta: Params, maps: Tensor, batch: Batch, shape: Params) -> Tensor:
@@ -194,29 +186,14 @@ class Illumination(App):
         short = target - display
         short = torch.where(target > 0.98, relu(short), short)
         mask = sphere_normals(SMALL, device=maps.device)[1]
-        return _norm(short, shape)[..., mask].mean((1, 2))
+        return norm(short, shape)[..., mask].mean((1, 2))
 
-    def shape(self, steps: int) -> Params:
-        return {"smoothing": torch.full((steps,), math.log(0.05))}
+    def init_reader(self, rng: Generator) -> Params:
+        return self.setup.encoder.init(rng)
 
-    def init_encoder(self, rng: Generator) -> Params:
-        """The encoder of photographs, and the parameters of the network that all maps share."""
-        shared = self.setup.field.init(rng, 1)
-        decoder = {f"decoder.{key}": value[0] for key, value in shared.items() if key != "z"}
-        return {f"encoder.{key}": value for key, value in self.setup.encoder.init(rng).items()} | decoder
-
-    def observe(self, tasks: Tasks, rng: Generator) -> Batch:
-        return {"photo": tasks.data["photo"][tasks.rows]}
-
-    def encode(self, encoder: Params, observed: Batch) -> Params:
-        parts: dict[str, Params] = {"encoder": {}, "decoder": {}}
-        for name, value in encoder.items():
-            part, key = name.split(".", 1)
-            parts[part][key] = value
-        photos = observed["photo"].to(next(iter(encoder.values()))) / 255
-        code, body = self.setup.encoder(parts["encoder"], photos)
-        theta = {key: value.expand(len(photos), *value.shape) for key, value in parts["decoder"].items()}
-        return {"z": code, **theta, "body": body}
+    def read(self, reader: Params, photos: Tensor) -> Params:
+        code, body = self.setup.encoder(reader, photos.to(next(iter(reader.values()))) / 255)
+        return {"z": code, "body": body}
 
     def augment(self, tasks: Tasks, rng: Generator) -> Tasks:
         """The same maps turned about the vertical, mirrored and tinted, and new photographs under them."""
@@ -271,14 +248,6 @@ class Illumination(App):
             "map": (maps * scale)[0].permute(1, 2, 0),
             "relit": tone_map(_relight(maps))[0].permute(1, 2, 0),
         }
-
-
-def _norm(difference: Tensor, shape: Params) -> Tensor:
-    """|d|, or sqrt(d^2 + s^2) - s where the rule has learned an s for each task."""
-    if not shape:
-        return difference.abs()
-    s = torch.exp(shape["smoothing"]).reshape(-1, *[1] * (difference.ndim - 1))
-    return (difference * difference + s * s).sqrt() - s
 
 
 def body_of(body: Tensor) -> tuple[Material, Camera]:

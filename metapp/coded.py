@@ -1,0 +1,80 @@
+"""What applications share whose network has a code in every place, which General's encoder reads from a photograph."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, ClassVar, Self
+
+import torch
+from torch import Generator, Tensor
+
+from metapp.networks import LocalField
+from metapp.task import App, Batch, Params, Recipe, Tasks
+
+
+class CodedApp(App):
+    """A `LocalField` a task, fitted to the thing itself ("reference") or to one photograph of it alone ("photo").
+
+    General's encoder makes a task's own parameters, the code z among them, of `photo` [T, 3, S, S]; the field's other
+    parameters are then the same for all tasks. Nothing that a fit sees is drawn at random.
+
+    Attributes:
+        all_recipes: the recipes of each protocol.
+        setup: a recipe's; holds the `field`.
+    """
+
+    all_recipes: ClassVar[dict[str, dict[str, Recipe]]]
+    setup: Any
+    protocols = ("reference", "photo")
+    small_kernels = True
+    random = False
+
+    def __init__(self, setup: Any, protocol: str) -> None:
+        self.setup, self.protocol, self.recipes = setup, protocol, self.all_recipes[protocol]
+
+    def at(self, recipe: Recipe, observe: str = "") -> Self:
+        return type(self)(recipe.setup, observe or self.protocol)
+
+    @property
+    def field(self) -> LocalField:
+        """The network of one task."""
+        return self.setup.field
+
+    def init(self, rng: Generator, count: int) -> Params:
+        return self.field.init(rng, count)
+
+    def shape(self, steps: int) -> Params:
+        return {"smoothing": torch.full((steps,), math.log(0.05))}
+
+    def init_reader(self, rng: Generator) -> Params:
+        """Random parameters of what reads a task's own parameters from its photograph."""
+        raise NotImplementedError
+
+    def read(self, reader: Params, photos: Tensor) -> Params:
+        """A task's own parameters, [T, ...] each, from what is seen of it."""
+        raise NotImplementedError
+
+    def init_encoder(self, rng: Generator) -> Params:
+        """The reader of photographs, and the parameters of the field that all tasks share."""
+        shared = {f"decoder.{key}": value[0] for key, value in self.field.init(rng, 1).items() if key != "z"}
+        return {f"encoder.{key}": value for key, value in self.init_reader(rng).items()} | shared
+
+    def observe(self, tasks: Tasks, rng: Generator) -> Batch:
+        return {"photo": tasks.data["photo"][tasks.rows]}
+
+    def encode(self, encoder: Params, observed: Batch) -> Params:
+        parts: dict[str, Params] = {"encoder": {}, "decoder": {}}
+        for name, value in encoder.items():
+            part, key = name.split(".", 1)
+            parts[part][key] = value
+        count = len(observed["photo"])
+        shared = {key: value.expand(count, *value.shape) for key, value in parts["decoder"].items()}
+        return self.read(parts["encoder"], observed["photo"]) | shared
+
+
+def norm(difference: Tensor, shape: Params) -> Tensor:
+    """|d|, or sqrt(d^2 + s^2) - s where a rule has learned an s for each task: the loss's `shape`."""
+    if not shape:
+        return difference.abs()
+    s = torch.exp(shape["smoothing"]).reshape(-1, *[1] * (difference.ndim - 1))
+    return (difference * difference + s * s).sqrt() - s
