@@ -38,7 +38,7 @@ _HEIF = (".avif", ".heic", ".heif", ".hif")  # few builds of OpenImageIO read th
 _NAMED = (*SUFFIXES, *_RAW, *_HEIF)
 
 _CONFIG = "ocio://default"  # a user's own, which the variable OCIO names, may know other spaces
-_SRGB, _LINEAR = "srgb_rec709_scene", "lin_rec709_scene"
+_SRGB, LINEAR = "srgb_rec709_scene", "lin_rec709_scene"
 _PROFILES = {"Display P3": "srgb_p3d65_scene", "Adobe RGB (1998)": "g22_adobergb_scene"}
 
 _ROWS = 256  # decoded at a time: linear floats of a whole photograph take over a hundred megabytes
@@ -47,7 +47,7 @@ Array = NDArray[Any]
 Floats = NDArray[np.floating]
 
 
-class _Pixels(NamedTuple):
+class Pixels(NamedTuple):
     """A file's values.
 
     Attributes:
@@ -133,8 +133,8 @@ def read_photo(path: str | Path, size: int = SIZE) -> Tensor:
             2^28 px; channels other than gray or RGB; NaN; a picture of one colour.
     """
     path = Path(path)
-    pixels = _read(path)
-    linear = _resample(pixels, size)
+    pixels = central_square(read_pixels(path))
+    linear = resample(pixels, size)
     if not np.isfinite(linear).all():
         raise ValueError(f"{path}: holds NaN, expected finite values; export the image again.")
     if linear.shape[-1] == 4:
@@ -227,8 +227,12 @@ def reason_of(message: str, path: Path) -> str:
     return first.partition(". ")[0].strip(" :.") or "unknown reason"
 
 
-def _read(path: Path) -> _Pixels:
-    """The central square of a file, upright, as it is encoded."""
+def read_pixels(path: Path) -> Pixels:
+    """A whole file, upright, as it is encoded.
+
+    Raises:
+        ValueError: as `read_photo`, but for NaN and a picture of one colour.
+    """
     check_exists(path)
     with silent(), contextlib.closing(open_image(path)) as source:
         spec = source.spec()
@@ -244,7 +248,7 @@ def _read(path: Path) -> _Pixels:
         )
     upright = turn_upright(values, spec.get_int_attribute("Orientation", 1))
     is_premultiplied = not spec.get_int_attribute("oiio:UnassociatedAlpha", 0)
-    return _Pixels(_square(upright)[..., channels], _space(spec), is_premultiplied)
+    return Pixels(upright[..., channels], _space(spec), is_premultiplied)
 
 
 def _check_size(spec: Any, path: Path) -> None:
@@ -278,9 +282,9 @@ def _space(spec: Any) -> str:
     if profile in _PROFILES:
         return _PROFILES[profile]
     stated = spec.get_string_attribute("oiio:ColorSpace")
-    if stated in (_SRGB, _LINEAR) or (stated and oiio.ColorConfig(_CONFIG).getColorSpaceIndex(stated) >= 0):
+    if stated in (_SRGB, LINEAR) or (stated and oiio.ColorConfig(_CONFIG).getColorSpaceIndex(stated) >= 0):
         return stated
-    return _LINEAR if str(spec.format) in ("half", "float", "double") else _SRGB
+    return LINEAR if str(spec.format) in ("half", "float", "double") else _SRGB
 
 
 def turn_upright(values: Array, orientation: int) -> Array:
@@ -294,15 +298,19 @@ def turn_upright(values: Array, orientation: int) -> Array:
     return values
 
 
-def _square(values: Array) -> Array:
-    height, width = values.shape[:2]
+def central_square(pixels: Pixels) -> Pixels:
+    """The middle of a picture, as large as its shorter side."""
+    height, width = pixels.values.shape[:2]
     side = min(height, width)
     top, left = (height - side) // 2, (width - side) // 2
-    return values[top : top + side, left : left + side]
+    return pixels._replace(values=pixels.values[top : top + side, left : left + side])
 
 
-def _resample(pixels: _Pixels, size: int) -> Floats:
-    """Linear RGB [size, size, 3], or 4 with alpha last and colours multiplied by it, float64 in [0, 1]."""
+def resample(pixels: Pixels, size: int) -> Floats:
+    """A square as linear RGB [size, size, 3], or 4 with alpha last and colours multiplied by it, float64 in [0, 1].
+
+    Means are taken over exact areas; a smaller picture is interpolated.
+    """
     side = pixels.values.shape[0]
     columns = min(side, size)
     rows = [
@@ -326,12 +334,12 @@ def _area(values: Floats, count: int) -> Floats:
     return np.diff(at_edges, axis=0) * (count / length)
 
 
-def _linear(pixels: _Pixels, rows: slice) -> Floats:
+def _linear(pixels: Pixels, rows: slice) -> Floats:
     """Some rows in linear light, in [0, 1], float32; with alpha, colours are multiplied by it."""
     stored = pixels.values[rows]
     if stored.shape[-1] == 3:
         return _decode(stored, pixels.space)
-    values = _fraction(stored)
+    values = fraction(stored)
     colours, alpha = values[..., :3], values[..., 3:].clip(0, 1)
     if pixels.is_premultiplied:  # in the file's encoding, which does not commute with it
         colours = colours / np.maximum(alpha, 1e-6)
@@ -343,15 +351,15 @@ def _decode(values: Array, space: str) -> Floats:
     if values.dtype.kind == "u" and space == _SRGB:
         levels = torch.linspace(0, 1, np.iinfo(values.dtype).max + 1, dtype=torch.float64)
         return srgb_to_linear(levels).float().numpy()[values]
-    floats = _fraction(values)
+    floats = fraction(values)
     if space == _SRGB:
         floats = srgb_to_linear(torch.from_numpy(floats)).numpy()
-    elif space != _LINEAR:
+    elif space != LINEAR:
         floats = _converted(floats, space)
     return floats.clip(0, 1).astype(np.float32)
 
 
-def _fraction(values: Array) -> Floats:
+def fraction(values: Array) -> Floats:
     """Integers over their greatest value, floats as they are; float32."""
     return values.astype(np.float32) / (np.iinfo(values.dtype).max if values.dtype.kind == "u" else 1)
 
@@ -361,7 +369,7 @@ def _converted(values: Floats, space: str) -> Floats:
     import OpenImageIO as oiio
 
     image = oiio.ImageBuf(np.ascontiguousarray(values))
-    done = oiio.ImageBufAlgo.colorconvert(image, space, _LINEAR, colorconfig=_CONFIG)
+    done = oiio.ImageBufAlgo.colorconvert(image, space, LINEAR, colorconfig=_CONFIG)
     linear = done.get_pixels(oiio.FLOAT)
     assert linear is not None, done.geterror()  # `_space` names known ones only
     return linear

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import re
+from pathlib import Path
+
 import torch
 from torch import Tensor
+from torch.nn import functional
 
 from metapp.colour import linear_to_srgb
 from metapp.flash import Maps, camera, positions, render
@@ -14,6 +18,9 @@ UNITS = {
     "linear RGB albedo, roughness (GGX alpha is its square), specular linear RGB reflectance at normal incidence",
     "photo": "sRGB, uint8 0..255 [3, height, width], rows from the top; camera and flash above the centre, 45 degrees",
 }
+
+_MIN_HEIGHT = 0.3  # mean z of normals; a picture of middle brightness has 0
+_LOWEST = 0.02  # z of a normal: what points into the surface cannot be seen
 
 
 def pack(maps: Maps) -> Tensor:
@@ -48,4 +55,37 @@ def flash_photo(maps: Tensor) -> Tensor:
     above = camera(dtype=torch.float32)
     place = positions(*maps.shape[-2:], dtype=torch.float32)
     radiance = render(unpack(maps.float()), place, above, above)
+    return encoded(radiance)
+
+
+def encoded(radiance: Tensor) -> Tensor:
+    """Linear radiance of any shape, 1 is white, as uint8 sRGB."""
     return (linear_to_srgb(radiance.clamp(0, 1)) * 255).round().to(torch.uint8)
+
+
+def task_name(stem: str) -> str:
+    """A file's stem as a name that is a plain file name, too: what is no letter, digit, dot or hyphen becomes `_`."""
+    return re.sub(r"[^\w.-]", "_", stem).lstrip(".") or "material"
+
+
+def unit_normals(stored: Tensor, source: Path) -> Tensor:
+    """Normals from how images keep them.
+
+    Args:
+        stored: [3, H, W] in [0, 1], where 0.5 is 0.
+        source: named in the error.
+
+    Returns:
+        [3, H, W], unit length, z > 0.
+
+    Raises:
+        ValueError: not normals: they do not point out of the surface.
+    """
+    vectors = stored.float() * 2 - 1
+    height = float(vectors[2].mean())
+    if not height >= _MIN_HEIGHT:
+        raise ValueError(
+            f"{source}: normals with a mean z of {height:.2f}, expected {_MIN_HEIGHT} or more; it holds something "
+            "else, or not as tangent-space normals (0..1 for -1..1)."
+        )
+    return functional.normalize(torch.cat([vectors[:2], vectors[2:].clamp_min(_LOWEST)]), dim=0)

@@ -16,6 +16,7 @@ import typer
 from metapp.cli.console import Exit, out, print_json, progress, say
 from metapp.cli.convert import Converted
 from metapp.cli.data_convert import Json, Out, Quiet, check_folder, flash, images, laval, merl, nbrdf, report
+from metapp.cli.data_svbrdf import maps, strips
 from metapp.cli.embedded import embedded_apps, embedded_data, embedded_module, split_counts
 
 app = typer.Typer(no_args_is_help=True, help="Make data sets from files or by drawing them, and check them.")
@@ -131,7 +132,7 @@ def _synth_merl(name: str, folder: Path | None, count: int | None, seed: int, qu
     return Converted(name, str(folder), names["train"], names["test"], [])
 
 
-for _convert in (merl, nbrdf, images, flash, laval):
+for _convert in (merl, nbrdf, images, flash, laval, strips, maps):
     _command(_convert)
 
 

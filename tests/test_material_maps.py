@@ -1,0 +1,310 @@
+"""Materials as separate maps: which file is what, and how each becomes a map of the renderer."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import OpenImageIO as oiio
+import pytest
+import torch
+from torch import Tensor
+
+from data_tools import material_maps
+from data_tools.material_maps import find_materials, mixed_slopes, read_task, split_materials
+from data_tools.svbrdf_task import flash_photo
+from metapp.colour import linear_to_srgb
+from metapp.flash import normal_from_height
+
+UP = torch.tensor([0.5, 0.5, 1.0])
+
+
+def write(path: Path, values: Any, kind: str = "uint8", size: int = 64) -> Path:
+    """An image file of planes [C, H, W] in [0, 1], or of one colour."""
+    planes = torch.as_tensor(values, dtype=torch.float32)
+    planes = planes if planes.ndim == 3 else planes.reshape(-1, 1, 1).expand(-1, size, size)
+    array = np.ascontiguousarray(planes.permute(1, 2, 0).numpy())
+    path.parent.mkdir(parents=True, exist_ok=True)
+    output = oiio.ImageOutput.create(str(path))
+    spec = oiio.ImageSpec(array.shape[1], array.shape[0], array.shape[2], kind)
+    spec.attribute("oiio:UnassociatedAlpha", 1)
+    assert output.open(str(path), spec)
+    assert output.write_image(array)
+    output.close()
+    return path
+
+
+def folder(path: Path, **maps: Any) -> Path:
+    """Maps of one colour each; those that every material needs unless they are given or None."""
+    for role, value in ({"diffuse": 0.5, "normal": UP, "roughness": 0.4} | maps).items():
+        if value is not None:
+            write(path / f"rock_{role}.png", value)
+    return path
+
+
+def maps_of(path: Path, **options: Any) -> Tensor:
+    """The maps of the one material of a folder, float32 [10, S, S]."""
+    (source,), _ = material_maps.find([path])
+    return read_task(source, 64, **options).data["maps"].float()
+
+
+def values_of(path: Path) -> list[float]:
+    """Diffuse, roughness, specular of a material of one colour; of colours the first channel."""
+    return maps_of(path)[[3, 6, 7], 5, 7].tolist()
+
+
+LINEAR_HALF = ((128 / 255 + 0.055) / 1.055) ** 2.4  # of sRGB 0.5 in 8 bit: 0.2159
+WORKED: dict[str, tuple[dict[str, Any], tuple[float, float, float]]] = {
+    "roughness": ({}, (LINEAR_HALF, 0.4, 0.04)),
+    "gloss": ({"roughness": None, "gloss": 0.8}, (LINEAR_HALF, 0.2, 0.04)),
+    "smoothness": ({"roughness": None, "smoothness": 0.2}, (LINEAR_HALF, 0.8, 0.04)),
+    "both": ({"gloss": 0.2}, (LINEAR_HALF, 0.4, 0.04)),
+    "metal": ({"metallic": 1.0}, (0.0, 0.4, LINEAR_HALF)),
+    "no metal": ({"metalness": 0.0}, (LINEAR_HALF, 0.4, 0.04)),
+    "half a metal": ({"metal": 0.6}, (0.4 * LINEAR_HALF, 0.4, 0.016 + 0.6 * LINEAR_HALF)),
+    "specular": ({"specular": 0.5}, (LINEAR_HALF, 0.4, LINEAR_HALF)),
+    "specular of a metal": ({"specular": 0.5, "metallic": 0.0}, (LINEAR_HALF, 0.4, 0.04)),
+    "white": ({"diffuse": 1.0}, (1.0, 0.4, 0.04)),
+    "linear part": ({"diffuse": 10 / 255}, (10 / 255 / 12.92, 0.4, 0.04)),
+}
+
+
+@pytest.mark.parametrize("kind", WORKED)
+def test_worked_values(tmp_path: Path, kind: str) -> None:
+    maps, expected = WORKED[kind]
+    assert values_of(folder(tmp_path, **maps)) == pytest.approx(expected, abs=1e-3)
+
+
+# 0.01 / g is alpha^2, the fourth power of the roughness
+@pytest.mark.parametrize(
+    ("gloss", "roughness"), [(0.0, 1.0), (0.004, 1.0), (0.2, 0.4729), (0.6, 0.3593), (1.0, 0.3162)]
+)
+def test_the_gloss_of_old_games_is_a_highlight(tmp_path: Path, gloss: float, roughness: float) -> None:
+    write(tmp_path / "rock.png", 0.5)
+    write(tmp_path / "rock_norm.png", UP)
+    write(tmp_path / "rock_gloss.png", [gloss] * 3)
+    assert values_of(tmp_path) == pytest.approx((LINEAR_HALF, roughness, 0.04), abs=1e-3)
+
+
+@pytest.mark.parametrize(("kind", "suffix"), [("uint16", "png"), ("uint8", "tga"), ("uint8", "jpg"), ("half", "exr"),
+                                              ("float", "tif"), ("uint16", "tif")])  # fmt: skip
+def test_formats(tmp_path: Path, kind: str, suffix: str) -> None:
+    is_float = kind in ("half", "float")
+    colour = torch.tensor([0.2, 0.4, 0.6])
+    write(tmp_path / f"a_albedo.{suffix}", colour if is_float else linear_to_srgb(colour), kind)
+    write(tmp_path / f"a_nrm.{suffix}", torch.tensor([0.6, 0.4, 0.9]), kind)
+    write(tmp_path / f"a_rough.{suffix}", 0.25, kind)
+    maps = maps_of(tmp_path)
+    normal = torch.tensor([0.2, -0.2, 0.8]) / 0.72**0.5
+    torch.testing.assert_close(maps[:3, 4, 4], normal, atol=0.015, rtol=0)
+    torch.testing.assert_close(maps[3:6, 4, 4], colour, atol=0.015, rtol=0)
+    assert maps[6, 4, 4].item() == pytest.approx(0.25, abs=0.005)
+
+
+def test_a_task_is_photographed_by_the_renderer(tmp_path: Path) -> None:
+    (source,), _ = material_maps.find([folder(tmp_path)])
+    task = read_task(source, 48)
+    assert task.name == "rock"
+    assert list(task.data) == list(material_maps.UNITS)
+    assert task.data["maps"].shape == (10, 48, 48)
+    assert (task.data["photo"].int() - flash_photo(task.data["maps"]).int()).abs().max() <= 1  # maps are halves
+    assert read_task(source).data["photo"].shape == (3, 256, 256)
+
+
+def test_alpha_is_left_aside(tmp_path: Path) -> None:
+    folder(tmp_path, diffuse=[0.5, 0.5, 0.5, 0.1])
+    assert values_of(tmp_path)[0] == pytest.approx(LINEAR_HALF, abs=1e-3)
+
+
+def test_sizes_may_differ_and_the_central_square_counts(tmp_path: Path) -> None:
+    wide = torch.ones(3, 64, 128)
+    wide[..., 32:96] = 0.5
+    write(tmp_path / "a_diffuse.png", wide)
+    write(tmp_path / "a_normal.png", UP.reshape(3, 1, 1).expand(3, 100, 200))
+    write(tmp_path / "a_roughness.png", torch.full((1, 32, 64), 0.3))
+    assert maps_of(tmp_path)[3].max().item() == pytest.approx(LINEAR_HALF, abs=1e-3)
+
+
+# Names
+
+NAMES: dict[str, tuple[str, str | None]] = {
+    "rock_diff_4k": ("rock", "base colour"),
+    "T_Rock_BaseColor": ("T_Rock", "base colour"),
+    "rock-base-color": ("rock", "base colour"),
+    "Bricks075A_2K-JPG_Color": ("Bricks075A_2K-JPG", "base colour"),
+    "ROCK_COL": ("ROCK", "base colour"),
+    "rock.albedo.2048": ("rock", "base colour"),
+    "RockNormal": ("Rock", "normal"),
+    "rock_nor": ("rock", "normal"),
+    "RockNormalGL": ("Rock", "normal (OpenGL)"),
+    "rock_nor_gl_1k": ("rock", "normal (OpenGL)"),
+    "rock_nor_dx": ("rock", "normal (DirectX)"),
+    "Rock_NormalDirectX": ("Rock", "normal (DirectX)"),
+    "rock rough": ("rock", "roughness"),
+    "RockGlossiness": ("Rock", "gloss"),
+    "rock_f0": ("rock", "specular"),
+    "rock_metalness": ("rock", "metallic"),
+    "normal": ("", "normal"),
+    "rock_ao": ("rock", ""),
+    "rock": ("rock", None),
+    "Metal_049": ("Metal_049", None),
+    "eX_cretewall_03b": ("eX_cretewall_03b", None),
+    "abnormal": ("abnormal", None),
+}
+
+
+@pytest.mark.parametrize("stem", NAMES)
+def test_the_role_is_in_the_name(stem: str) -> None:
+    assert material_maps._parts(stem) == NAMES[stem]
+
+
+def test_a_folder_may_hold_several_materials(tmp_path: Path) -> None:
+    folder(tmp_path / "box")
+    for role in ("BaseColor", "Normal", "Roughness", "AmbientOcclusion"):
+        write(tmp_path / "box" / f"Wood{role}.png", UP)
+    for role in ("color", "normal", "gloss"):
+        write(tmp_path / "deep" / "sand" / f"{role}.png", UP)
+    write(tmp_path / "preview of all.png", UP)
+    materials, skipped = find_materials([tmp_path, tmp_path / "box"])
+    assert [each.title for each in materials] == ["rock", "Wood", "sand"]
+    (line,) = skipped
+    assert "preview of all.png: no map under a usual name, expected names such as" in line
+    assert material_maps.recognises(tmp_path)
+    assert not material_maps.recognises(tmp_path / "preview of all.png")
+    assert [read_task(each.source, 32).name for each in materials] == ["rock", "Wood", "sand"]
+    # any map names its material
+    assert [each.title for each in find_materials([tmp_path / "box" / "WoodNormal.png"])[0]] == ["Wood"]
+
+
+def test_variants_with_the_same_normals_stay_together(tmp_path: Path) -> None:
+    for index in range(10):
+        for variant in "ab":
+            path = tmp_path / f"m{index}{variant}"
+            write(path / "color.png", 0.5)
+            write(path / "rough.png", 0.1 * index)
+            write(path / "normal.png", torch.tensor([0.5 + 0.02 * index, 0.5, 1.0]))
+    sides = split_materials(find_materials([tmp_path])[0])
+    assert len(sides) == 20
+    assert {group for side, group in sides.values() if side == "test"} == {"m4a", "m9a"}
+    assert [side for side, _ in sides.values()].count("test") == 4
+
+
+# Normals
+
+
+def bumps(size: int = 96, seed: int = 0) -> Tensor:
+    """Stored normals [3, S, S] of a random height field, y up."""
+    rng = torch.Generator().manual_seed(seed)
+    small = torch.rand(1, 1, 12, 12, generator=rng)
+    height = torch.nn.functional.interpolate(small, (size, size), mode="bicubic", align_corners=False)[0]
+    return normal_from_height(height * 12, periodic=False) / 2 + 0.5
+
+
+def turned(stored: Tensor) -> Tensor:
+    return torch.stack([stored[0], 1 - stored[1], stored[2]])
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("size", [64, 200])
+def test_the_green_of_a_height_field_is_told(tmp_path: Path, seed: int, size: int) -> None:
+    stored = bumps(size, seed)
+    assert mixed_slopes(stored * 2 - 1) > 0.8
+    assert mixed_slopes(turned(stored) * 2 - 1) < -0.8
+    up = maps_of(folder(tmp_path / "up", normal=stored))[:3]
+    down = maps_of(folder(tmp_path / "down", normal=turned(stored)))[:3]
+    torch.testing.assert_close(up, down, atol=0.02, rtol=0)
+    if size == 64:
+        torch.testing.assert_close(up, stored * 2 - 1, atol=0.02, rtol=0)
+
+
+def test_green_points_up_where_nothing_says_otherwise(tmp_path: Path) -> None:
+    ridges = bumps()[:, :1].expand(3, 96, 96).clone()
+    ridges[1] = 0.7  # the same slope everywhere
+    assert mixed_slopes(ridges * 2 - 1) == pytest.approx(0, abs=0.1)
+    assert maps_of(folder(tmp_path, normal=ridges))[1].mean() > 0.2
+
+
+@pytest.mark.parametrize(
+    ("role", "option", "is_turned"),
+    [
+        ("normal_gl", "auto", False),
+        ("normal_dx", "auto", True),
+        ("normal", "directx", True),
+        ("nor_gl", "directx", True),
+        ("normal_dx", "opengl", False),
+        ("normal", "opengl", False),
+    ],
+)
+def test_green_goes_by_option_then_name(tmp_path: Path, role: str, option: str, is_turned: bool) -> None:
+    stored = torch.tensor([0.5, 0.75, 0.9])
+    read = maps_of(folder(tmp_path, **{"normal": None, role: stored}), normals=option)
+    assert (read[1, 0, 0].item() < 0) == is_turned
+    assert abs(read[1, 0, 0].item()) == pytest.approx(0.53, abs=0.01)
+
+
+def test_of_both_conventions_opengl_counts(tmp_path: Path) -> None:
+    tilted = torch.tensor([0.5, 0.75, 0.9])
+    folder(tmp_path, normal=None, nor_gl=tilted, nor_dx=turned(tilted[:, None, None]))
+    assert maps_of(tmp_path)[1, 0, 0] > 0
+
+
+# What is refused
+
+
+def text(path: Path) -> Path:
+    path.write_text("in words")
+    return path
+
+
+def with_nan(path: Path) -> Path:
+    values = torch.full((3, 64, 64), 0.5)
+    values[0, 3, 3] = float("nan")
+    write(folder(path, diffuse=None) / "rock_diffuse.exr", values, "float")
+    return path
+
+
+BAD: dict[str, tuple[Callable[[Path], object], str]] = {
+    "no normal": (
+        lambda path: folder(path, normal=None),
+        "rock: no normal map (rock_diffuse.png, rock_roughness.png), expected names such as",
+    ),
+    "no base colour": (lambda path: folder(path, diffuse=None), "rock: no base colour map (rock_normal.png, "),
+    "no roughness": (lambda path: folder(path, roughness=None), "rock: no roughness or gloss map (rock_diffuse.png, "),
+    "two colours": (
+        lambda path: folder(path, albedo=0.5), "rock: rock_albedo.png and rock_diffuse.png for base colour, "
+    ),
+    "two formats": (
+        lambda path: write(folder(path) / "rock_normal.tga", UP), "rock_normal.png and rock_normal.tga for normal"
+    ),
+    "text": (lambda path: text(folder(path) / "rock_normal.png"), "rock_normal.png: not an image ("),
+    "nan": (with_nan, "rock_diffuse.exr: holds NaN, expected finite values"),
+    "other shape": (
+        lambda path: write(folder(path) / "rock_normal.png", UP.reshape(3, 1, 1).expand(3, 64, 96)),
+        "rock: rock_normal.png 96x64 px and rock_diffuse.png 64x64 px, expected maps of one shape",
+    ),
+    "no normals": (lambda path: folder(path, normal=0.5), "rock_normal.png: normals with a mean z of 0"),
+    "black": (lambda path: folder(path, diffuse=0.0, specular=0.0), "rock: diffuse and specular are black"),
+    "tiny": (lambda path: write(folder(path) / "rock_normal.png", UP, size=8), "8x8 px, expected 32 px or more"),
+    "no maps": (lambda path: write(path / "photo.png", 0.5), "no maps in this folder (photo.png), expected names such"),
+    "empty": (lambda path: path.mkdir(), "no image in this folder"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", BAD)
+def test_what_is_no_material_is_refused_in_one_line(tmp_path: Path, kind: str) -> None:
+    make, message = BAD[kind]
+    make(tmp_path / "in")
+    with pytest.raises(ValueError) as caught:  # noqa: PT011  # the message is looked at below
+        maps_of(tmp_path / "in")
+    assert str(tmp_path / "in") in str(caught.value)
+    assert message in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_file_that_is_no_map(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match=r"photo.png: no map under a usual name, expected"):
+        find_materials([write(tmp_path / "photo.png", 0.5)])
+    with pytest.raises(ValueError, match=r"photo.png: no map under a usual name, expected"):
+        read_task(tmp_path / "photo.png")

@@ -1,0 +1,261 @@
+"""Strips of five squares: what they hold, which materials they blend, and that no material is on both sides."""
+
+from __future__ import annotations
+
+import random
+from collections import Counter
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import OpenImageIO as oiio
+import pytest
+import torch
+from torch import Tensor
+
+from data_tools import strips, svbrdf_inputs
+from data_tools.strips import blend, group_strips, split_strips
+from data_tools.svbrdf_task import encoded, flash_photo, pack, unpack
+from metapp.flash import Maps, normal_from_height
+
+
+def write(path: Path, values: Tensor | np.ndarray, kind: str = "uint8") -> Path:
+    """An image file of planes [C, H, W] in [0, 1]."""
+    planes = np.ascontiguousarray(torch.as_tensor(values).permute(1, 2, 0).float().numpy())
+    spec = oiio.ImageSpec(planes.shape[1], planes.shape[0], planes.shape[2], kind)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    output = oiio.ImageOutput.create(str(path))
+    assert output.open(str(path), spec)
+    assert output.write_image(planes)
+    output.close()
+    return path
+
+
+def material(size: int = 64) -> Tensor:
+    """Maps [10, S, S] that differ in all channels."""
+    rng = torch.Generator().manual_seed(1)
+    smooth = torch.nn.functional.interpolate(torch.rand(1, 8, 8, 8, generator=rng), (size, size), mode="bicubic")[0]
+    smooth = smooth.clamp(0.05, 1)
+    normal = normal_from_height(smooth[:1] * size / 16)
+    return pack(Maps(0.8 * smooth[1:4], 0.5 * smooth[4:7], smooth[7:], normal))
+
+
+def strip(maps: Tensor, photo: Tensor, gamma: float = 1.0) -> Tensor:
+    """The five tiles [3, S, 5 S]."""
+    at = unpack(maps)
+    tiles = [photo, at.normal / 2 + 0.5, at.diffuse, at.roughness.expand(3, -1, -1), at.specular]
+    return torch.cat([tile if index == 1 else tile ** (1 / gamma) for index, tile in enumerate(tiles)], -1)
+
+
+def example(size: int = 64) -> Tensor:
+    maps = material(size)
+    return strip(maps, torch.rand(3, size, size))
+
+
+@pytest.mark.parametrize(("kind", "suffix", "tolerance"), [("uint8", "png", 0.005), ("uint16", "png", 6e-4),
+                                                            ("half", "exr", 1e-3), ("float", "tif", 6e-4)])  # fmt: skip
+@pytest.mark.parametrize("gamma", [1.0, 2.2])
+def test_a_strip_holds_its_maps(tmp_path: Path, kind: str, suffix: str, tolerance: float, gamma: float) -> None:
+    maps, photo = material(), torch.rand(3, 64, 64)
+    path = write(tmp_path / f"a;b.{suffix}", strip(maps, photo, gamma), kind)
+    task = strips.read_task(path, 64, gamma)
+    assert task.name == "a_b"
+    assert list(task.data) == list(strips.UNITS)
+    assert task.data["maps"].dtype == torch.float16
+    torch.testing.assert_close(task.data["maps"].float(), maps, atol=tolerance * gamma * 1.3, rtol=0)
+    torch.testing.assert_close(task.data["maps"][:3].float().norm(dim=0), torch.ones(64, 64), atol=1e-3, rtol=0)
+    difference = task.data["photo"].int() - encoded(photo).int()
+    assert difference.abs().max() <= (1 if tolerance < 1e-3 else 13)  # sRGB is steep near black
+    assert difference.abs().float().mean() < 0.5
+
+
+@pytest.mark.parametrize("size", [32, 48, 64, 96])
+def test_other_sizes_keep_means_and_unit_normals(tmp_path: Path, size: int) -> None:
+    maps = material()
+    read = strips.read_task(write(tmp_path / "a.exr", strip(maps, flash_photo(maps) / 255), "float"), size)
+    assert read.data["maps"].shape == (10, size, size)
+    assert read.data["photo"].shape == (3, size, size)
+    got = read.data["maps"].float()
+    torch.testing.assert_close(got[3:].mean((1, 2)), maps[3:].mean((1, 2)), atol=2e-3, rtol=0)
+    torch.testing.assert_close(got[:3].norm(dim=0), torch.ones(size, size), atol=1e-3, rtol=0)
+    assert got[2].min() > 0
+
+
+def test_normals_that_point_inwards_are_lifted(tmp_path: Path) -> None:
+    values = example()
+    values[:, 0, 64:74] = torch.tensor([1.0, 0.5, 0.0])[:, None]
+    normal = strips.read_task(write(tmp_path / "a.png", values), 64).data["maps"][:3].float()
+    assert normal[2].min() > 0.01
+    torch.testing.assert_close(normal[0, 0, :10], torch.ones(10), atol=1e-3, rtol=0)
+
+
+# Names
+
+BLENDS = {
+    "0000001;PolishedMarbleFloor_01Xmetal_bumpy_squares;1X1": (
+        {"PolishedMarbleFloor_01", "metal_bumpy_squares"}, {"PolishedMarbleFloor_01;1", "metal_bumpy_squares;1"},
+    ),
+    "0000015;brick_uneven_stonesXmetal_bumpy_squares;defaultX0": (
+        {"brick_uneven_stones", "metal_bumpy_squares"}, {"brick_uneven_stones;default", "metal_bumpy_squares;0"},
+    ),
+    "12;box_mixXflax;0X1": ({"box_mix", "flax"}, {"box_mix;0", "flax;1"}),
+    "3;leather;default": ({"leather"}, {"leather;default"}),
+    "4;eX_wallXwood;0X1": ({"e", "_wall", "wood"}, {"e", "_wall", "wood"}),
+    "5;woodXwood;0X1": ({"wood"}, {"wood;0", "wood;1"}),
+    "my Xstrip": ({"my Xstrip"}, {"my Xstrip"}),
+    "6;X;0": ({"6;X;0"}, {"6;X;0;0"}),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", BLENDS)
+def test_what_a_strip_is_made_of(name: str) -> None:
+    assert blend(Path("in") / f"{name}.png") == BLENDS[name]
+
+
+def named(*kinds: tuple[str, str], count: int = 1) -> list[Path]:
+    """Strips by materials and presets."""
+    return [Path(f"{index:07d}_{i};{a};{b}.png") for i in range(count) for index, (a, b) in enumerate(kinds)]
+
+
+def sides_of(paths: list[Path], by: str) -> dict[str, set[str]]:
+    """What the strips of each side are made of."""
+    split = split_strips(paths)
+    assert split.by == by
+    assert set(split.sides) | set(split.left_out) == set(paths)
+    assert not set(split.sides) & set(split.left_out)
+    field = 0 if by == "material" else 1
+    found: dict[str, set[str]] = {"train": set(), "test": set()}
+    for path, side in split.sides.items():
+        found[side] |= blend(path)[field]
+    assert not found["train"] & found["test"]
+    return found
+
+
+def test_of_many_components_every_fifth_is_for_tests_whole() -> None:
+    paths = named(*((f"a{i}Xb{i}", "0X0") for i in range(11)), ("a3Xb4", "0X1"), count=2)
+    random.Random(0).shuffle(paths)
+    found = sides_of(paths, "material")
+    assert split_strips(paths).left_out == []
+    # a3, b3, a4, b4 are one component, the largest and so the first in line
+    assert found["test"] == {"a2", "b2", "a9", "b9"}
+    assert set(group_strips(paths).values()) == {f"a{i}" for i in range(11)} - {"a4"}
+
+
+def test_components_that_are_few_are_cut_where_least_is_lost() -> None:
+    # A chain; parting a4Xa5 leaves 6 and 3 of 10.
+    paths = named(*((f"a{i}Xa{i + 1}", "0X0") for i in range(10)))
+    split = split_strips(paths)
+    found = sides_of(paths, "material")
+    assert len(split.left_out) == 1
+    assert 2 <= len(found["test"]) - 1 <= 4
+    assert Counter(split.sides.values())["test"] >= 2
+
+
+def test_presets_are_parted_where_all_materials_are_blended() -> None:
+    paths = named(*((f"{a}X{b}", f"{i}X{i}") for a, b in ("ab", "bc", "ac") for i in range(5)), count=2)
+    found = sides_of(paths, "preset")
+    assert len(split_strips(paths).left_out) == 0
+    assert found["test"] == {"a;0", "b;0", "c;0"}
+    assert len(set(group_strips(paths).values())) == 15  # both strips of a blend are one group
+
+
+def test_what_cannot_be_parted_trains() -> None:
+    for paths in (named(("aXb", "0X0"), count=9), [Path("a.png")], named(("aXb", "0X0"), ("bXa", "0X0"))):
+        split = split_strips(paths)
+        assert set(split.sides.values()) == {"train"}
+        assert split.left_out == []
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_no_split_parts_a_material_whatever_the_blends(seed: int) -> None:
+    rng = random.Random(seed)
+    kinds = [(f"m{rng.randrange(20):02d}Xm{rng.randrange(20):02d}", f"{rng.randrange(3)}X0") for _ in range(60)]
+    paths = named(*kinds)
+    split = split_strips(paths)
+    sides_of(paths, split.by)
+    assert split == split_strips(list(paths))
+
+
+# What is refused
+
+
+def changed(change: Callable[[Tensor], Tensor], name: str = "a.exr") -> Callable[[Path], Path]:
+    return lambda folder: write(folder / name, change(example()), "float" if name.endswith("exr") else "uint8")
+
+
+def set_to(value: float, tiles: tuple[int, ...]) -> Callable[[Tensor], Tensor]:
+    def change(values: Tensor) -> Tensor:
+        for tile in tiles:
+            values[:, :, 64 * tile : 64 * tile + 64] = value
+        return values
+
+    return change
+
+
+def with_nan(values: Tensor) -> Tensor:
+    values[0, 3, :2] = float("nan")
+    return values
+
+
+def text(path: Path) -> Path:
+    path.write_text("in words")
+    return path
+
+
+BAD: dict[str, tuple[Callable[[Path], Path], str]] = {
+    "four tiles": (changed(lambda values: values[..., :256]), "256x64 px, 4 tiles, expected 5 squares"),
+    "six tiles": (changed(lambda values: torch.cat([values, values[..., :64]], -1)), "384x64 px, 6 tiles"),
+    "not square": (changed(lambda values: values[:, :45]), "320x45 px, tiles of 64x45 px, expected 5 squares"),
+    "nan": (changed(with_nan), "2 values are NaN or infinite, expected finite ones"),
+    "black": (changed(set_to(0, (2, 4)), "a.png"), "diffuse and specular are black"),
+    "flat gray": (changed(set_to(0.5, (1,))), "normals with a mean z of 0.00, expected 0.3 or more"),
+    "black normals": (changed(set_to(0, (1,)), "a.png"), "normals with a mean z of -1.00"),
+    "tiny": (changed(lambda values: values[:, ::4, ::4]), "80x16 px, expected 32 px or more"),
+    "text": (lambda folder: text(folder / "a.png"), "a.png: not an image ("),
+    "missing": (lambda folder: folder / "a.png", "a.png: no such file"),
+}
+
+
+@pytest.mark.parametrize("kind", BAD)
+def test_what_is_no_strip_is_refused_in_one_line(tmp_path: Path, kind: str) -> None:
+    make, message = BAD[kind]
+    path = make(tmp_path)
+    with pytest.raises(ValueError) as caught:  # noqa: PT011  # the message is looked at below
+        strips.read_task(path)
+    assert str(path) in str(caught.value)
+    assert message in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+# What fits read
+
+
+def test_fits_read_strips_maps_and_photographs(tmp_path: Path) -> None:
+    maps = material()
+    write(tmp_path / "strip.png", strip(maps, torch.rand(3, 64, 64)))
+    write(tmp_path / "off by one.png", example()[..., :-1])
+    write(tmp_path / "phone.jpg", torch.rand(3, 60, 80))
+    write(tmp_path / "wood_color.jpg", torch.rand(3, 60, 80))  # alone: a photograph that is called so
+    write(tmp_path / "rock" / "rock.png", maps[3:6])
+    write(tmp_path / "rock" / "rock_norm.png", maps[:3] / 2 + 0.5)
+    write(tmp_path / "rock" / "rock_gloss.png", maps[6:7])
+    assert svbrdf_inputs.recognises(tmp_path)
+    sources, skipped = svbrdf_inputs.find([tmp_path])
+    assert skipped == []
+    tasks = {source.name: svbrdf_inputs.read_task(source, 64) for source in sources}
+    assert {name: sorted(task.data) for name, task in tasks.items()} == {
+        "off by one.png": ["maps", "photo"],
+        "phone.jpg": ["photo"],
+        "rock.png": ["maps", "photo"],
+        "strip.png": ["maps", "photo"],
+        "wood_color.jpg": ["photo"],
+    }
+    assert tasks["off by one.png"].name == "off_by_one"
+    assert tasks["phone.jpg"].data["photo"].shape == (3, 64, 64)
+    assert tasks["phone.jpg"].data["photo"].dtype == torch.uint8
+    torch.testing.assert_close(tasks["strip.png"].data["maps"].float(), maps, atol=0.006, rtol=0)
+    assert strips.recognises(tmp_path / "strip.png")
+    assert not strips.recognises(tmp_path / "phone.jpg")
+    assert not strips.recognises(tmp_path)
+    with pytest.raises(ValueError, match=r"none.png: no such file"):
+        svbrdf_inputs.read_task(tmp_path / "none.png")
