@@ -47,7 +47,12 @@ def _command(function: Callable[..., None], bare_is_help: bool = True) -> Callab
 
 @_command
 def synth(
-    name: Annotated[str, typer.Argument(metavar="APP", help="brdf, texture, svbrdf_stationary or illumination.")],
+    name: Annotated[
+        str,
+        typer.Argument(
+            metavar="APP", help="brdf, texture, svbrdf_stationary, svbrdf_nonstationary (data alone) or illumination."
+        ),
+    ],
     folder: Annotated[
         Path | None,
         typer.Option(
@@ -83,6 +88,9 @@ def synth(
     texture: photographs of 20 families of flat materials such as bricks, weaves, wood; 0.2 MB each; 240 + 20.
 
     svbrdf_stationary: flash photographs of 16 of these families, with relightings for the tests; 0.2 MB; 120 + 16.
+
+    svbrdf_nonstationary: maps of patches of several materials, of 19 families such as inlays, rust, puddles, and their
+    flash photographs; 0.4 MB and 0.03 s each; 400 + 16.
 
     illumination: HDR environment maps of 16 families, outdoors and in, with photographs of spheres under them; 0.15 MB
     each; 900 + 16.

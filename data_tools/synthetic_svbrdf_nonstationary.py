@@ -1,0 +1,65 @@
+"""The default set of non-stationary svBRDFs: procedural patches of several materials and what happened to them.
+
+Families take turns, so any count of 19 or more holds them all; every draw is another patch. Training and test draws
+come from other random streams. Maps cover what most libraries of materials hold little of: bare metals in colour,
+roughness from 0.1 to 0.95 within one patch, strong relief beside none.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+from data_tools import svbrdf_task
+from data_tools.patch import Surface, finish
+from data_tools.patch_built import circuit, cover, inlay, mosaic, planks, plates, tiles
+from data_tools.patch_crafted import carpet, label, ornament, stitched
+from data_tools.patch_worn import corroded, crumpled, flaking, overgrown, puddles, scratches, stains, tracks
+from data_tools.patterns import Rng
+from data_tools.procedural import Split, turns
+from metapp.task import Task
+
+UNITS = svbrdf_task.UNITS
+COUNTS: dict[Split, int] = {"train": 400, "test": 19}
+FAMILIES: dict[str, Callable[[Rng, int], Surface]] = {
+    "inlay": inlay,
+    "corroded": corroded,
+    "tiles": tiles,
+    "puddles": puddles,
+    "ornament": ornament,
+    "label": label,
+    "plates": plates,
+    "stitched": stitched,
+    "flaking": flaking,
+    "mosaic": mosaic,
+    "scratches": scratches,
+    "carpet": carpet,
+    "planks": planks,
+    "overgrown": overgrown,
+    "tracks": tracks,
+    "stains": stains,
+    "cover": cover,
+    "circuit": circuit,
+    "crumpled": crumpled,
+}
+
+_SIZE = 128
+_STREAM = 2  # other materials than those of the textures and of the stationary svBRDFs
+
+
+def synthetic_tasks(split: Split, count: int, seed: int = 0) -> Iterator[Task]:
+    """The patches of one split, one by one.
+
+    Args:
+        split: "train" or "test"; the same families, other draws.
+        count: how many. A larger set begins with the smaller one.
+        seed: of all draws, >= 0.
+
+    Returns:
+        Tasks with unique names such as "inlay-016" ("inlay-t000" in the test split), as `svbrdf_task` makes them:
+        `maps` float16 [10, 128, 128] and `photo` uint8 [3, 128, 128].
+
+    Raises:
+        ValueError: for another split, or a negative count or seed.
+    """
+    for family, name, rng in turns("svBRDFs", FAMILIES, COUNTS, split, count, seed, _STREAM):
+        yield svbrdf_task.svbrdf_task(name, finish(FAMILIES[family](rng, _SIZE)))

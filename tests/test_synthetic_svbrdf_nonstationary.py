@@ -1,0 +1,203 @@
+"""The synthetic non-stationary svBRDFs: physical, varied within every patch, metals among them, the same for a seed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from data_tools.patch import Surface, covers, distance, finish, lay, softened
+from data_tools.patch_shapes import box, centred, disc, grid, star, text
+from data_tools.procedural import stream
+from data_tools.svbrdf_task import flash_photo, unpack
+from data_tools.synthetic_svbrdf_nonstationary import COUNTS, FAMILIES, UNITS, synthetic_tasks
+from metapp.flash import Maps
+from metapp.manifest import read_manifest
+from metapp.shards import check_shard, read_shard
+from metapp.task import Task
+
+# Mean normal x, diffuse green, roughness and specular green of three patches.
+EXPECTED = ((-0.0032, 0.1001, 0.4919, 0.3050), (0.0001, 0.0211, 0.4600, 0.5278), (0.0015, 0.0900, 0.6739, 0.0442))
+
+
+@pytest.fixture(scope="module")
+def train() -> list[Task]:
+    return list(synthetic_tasks("train", 48))
+
+
+@pytest.fixture(scope="module")
+def test() -> list[Task]:
+    return list(synthetic_tasks("test", COUNTS["test"]))
+
+
+@pytest.fixture(scope="module")
+def maps(train: list[Task], test: list[Task]) -> Maps:
+    """Each [64, C, 128, 128]."""
+    return unpack(torch.stack([task.data["maps"] for task in train + test]).float())
+
+
+def metal(maps: Maps) -> Tensor:
+    """Where there is metal, [N, 128, 128]."""
+    return maps.specular.mean(1) > 0.4
+
+
+def test_counts_names_and_tensors(train: list[Task], test: list[Task]) -> None:
+    assert COUNTS == {"train": 400, "test": 16}
+    names = [task.name for task in train + test]
+    assert len(set(names)) == len(names) == 64
+    assert names[0] == "inlay-000"
+    assert names[48] == "inlay-t000"
+    assert {name.split("-")[0] for name in names[: len(FAMILIES)]} == set(FAMILIES)
+    for task in train + test:
+        assert set(task.data) == set(UNITS)
+        assert (task.data["maps"].dtype, task.data["maps"].shape) == (torch.float16, (10, 128, 128))
+        assert (task.data["photo"].dtype, task.data["photo"].shape) == (torch.uint8, (3, 128, 128))
+
+
+def test_maps_are_physical(maps: Maps) -> None:
+    assert all(each.isfinite().all() for each in maps)
+    assert (maps.normal.norm(dim=1) - 1).abs().max() < 2e-3  # of 16 bits
+    assert maps.normal[:, 2].min() > 0
+    assert maps.roughness.min() > 0.0999
+    assert maps.roughness.max() < 0.9505
+    assert maps.specular.min() > 0.0199
+    assert maps.specular.max() <= 1
+    assert maps.diffuse.min() >= 0
+    assert maps.diffuse.max() < 0.8505
+    assert (maps.diffuse * (1 - maps.specular) + maps.specular).max() <= 1
+    assert maps.diffuse.movedim(1, 0)[:, metal(maps)].mean() < 0.03
+    dielectric = maps.diffuse.movedim(1, 0)[:, maps.specular.mean(1) < 0.1]
+    assert dielectric.min() > 0.0199
+
+
+def test_draws_cover_what_materials_do(maps: Maps) -> None:
+    spread = maps.roughness.flatten(1).std(1)
+    assert spread.median() > 0.12
+    assert (spread > 0.2).float().mean() > 0.2
+    low, high = maps.roughness.flatten(1).quantile(torch.tensor([0.02, 0.98]), dim=1)
+    assert (high - low > 0.5).float().mean() > 0.4
+    levels = maps.roughness.flatten().histc(8, 0.1, 0.95) / maps.roughness.numel()
+    assert levels.min() > 0.04
+    metallic = metal(maps).flatten(1).float().mean(1)
+    assert 0.2 < (metallic > 0.05).float().mean() < 0.8
+    tinted = (maps.specular[:, 0] - maps.specular[:, 2] > 0.1) & metal(maps)  # gold, copper, brass
+    assert (tinted.flatten(1).float().mean(1) > 0.05).float().mean() > 0.1
+    albedo = maps.diffuse.movedim(1, 0)[:, ~metal(maps)].flatten()[::31]
+    assert albedo.quantile(0.05) < 0.04
+    assert albedo.quantile(0.95) > 0.5
+
+
+def test_normals_tilt_from_hardly_to_strongly_and_to_no_side(maps: Maps) -> None:
+    tilt = torch.rad2deg(torch.acos(maps.normal[:, 2].clamp(-1, 1))).flatten(1).mean(1)
+    assert 5 < tilt.median() < 20
+    assert tilt.quantile(0.1) < 5
+    assert tilt.quantile(0.9) > 15
+    assert maps.normal[:, :2].mean((0, 2, 3)).abs().max() < 0.03
+
+
+def test_patches_are_not_stationary_nor_centred(maps: Maps) -> None:
+    quarters = torch.nn.functional.avg_pool2d(torch.cat([maps.diffuse, maps.roughness, maps.specular], 1), 64)
+    apart = (quarters.flatten(2).amax(2) - quarters.flatten(2).amin(2)).amax(1)
+    assert (apart > 0.05).float().mean() > 0.7
+    content = torch.cat([maps.diffuse, maps.roughness, maps.specular], 1)
+    mirrored = (content - content.flip(-1)).abs().mean((1, 2, 3)) / content.std((2, 3)).mean(1)
+    assert mirrored.min() > 0.1
+
+
+def test_a_larger_set_begins_with_the_smaller_one_and_a_seed_changes_all(train: list[Task]) -> None:
+    for one, two in zip(synthetic_tasks("train", 6), train, strict=False):
+        assert one.name == two.name
+        assert all(torch.equal(one.data[key], two.data[key]) for key in UNITS)
+    for one, two in zip(synthetic_tasks("train", 6, seed=1), train, strict=False):
+        assert (one.data["maps"].float() - two.data["maps"].float()).abs().mean() > 0.02
+
+
+def test_every_patch_is_another_one(maps: Maps) -> None:
+    small = torch.nn.functional.avg_pool2d(torch.cat(maps, 1), 8).flatten(1)
+    apart = torch.cdist(small, small, p=1).fill_diagonal_(float("inf")) / small.shape[1]
+    assert apart.min() > 0.02  # and with that no test patch is a training patch
+
+
+def test_draws_are_the_same_on_every_machine(maps: Maps) -> None:
+    """Whoever changes a draw changes the default data set, and with it every trained start and every table."""
+    channels = (maps.normal[:, 0], maps.diffuse[:, 1], maps.roughness[:, 0], maps.specular[:, 1])
+    found = torch.stack([each.mean((1, 2)) for each in channels], 1)[[4, 21, 60]]
+    torch.testing.assert_close(found, torch.tensor(EXPECTED), rtol=0, atol=0.003)
+
+
+def test_photos_show_the_maps_and_are_neither_dark_nor_burnt_out(train: list[Task], test: list[Task]) -> None:
+    for task in train[::5]:
+        photo = flash_photo(task.data["maps"])  # of 16 bits, which moves sharp glints a little
+        assert (photo.int() - task.data["photo"].int()).abs().float().mean() < 0.5
+    photos = torch.stack([task.data["photo"] for task in train + test]).float() / 255
+    assert photos.mean((1, 2, 3)).min() > 0.1
+    assert (photos > 0.999).all(1).float().mean((1, 2)).quantile(0.9) < 0.15
+
+
+def test_layers_have_bevelled_steps() -> None:
+    base = Surface(*(np.full((*channels, 64, 64), 0.5, np.float32) for channels in ((3,), (3,), (), ())))
+    inside = disc(centred(64), 0.5) * 32
+    found = lay(base, base._replace(roughness=base.roughness * 0.4), inside, thickness=2, bevel=4)
+    assert found.height[32, 32] == pytest.approx(2.5)
+    assert found.height[0, 0] == pytest.approx(0.5)
+    assert np.abs(np.diff(found.height[32])).max() < 0.9  # 2 texels over 4.5: no step in one
+    assert found.roughness[32, 32] == pytest.approx(0.2)
+    normal = unpack(finish(found)).normal
+    row = normal[0, 32]
+    assert row[:32].min() < -0.4  # up to the left rim, down from the right one
+    assert row[32:].max() > 0.4
+    assert normal[2, :4].min() > 0.999
+
+
+def test_shapes_measure_distances() -> None:
+    place = centred(128)
+    assert (disc(place, 0.5) > 0).mean() == pytest.approx(np.pi / 16, rel=0.01)
+    assert (box(place, 0.6, 0.3) > 0).mean() == pytest.approx(0.18, rel=0.03)
+    assert (star(place, 4, 0.8, 0.0) > 0).mean() == pytest.approx(0.32, rel=0.03)  # a square on its corner
+    for field in (disc(place, 0.5), box(place.moved(0.1, 0.2, 0.7), 0.6, 0.3, 0.1), star(place, 5, 0.9, 0.4)):
+        steep = np.hypot(*np.gradient(field)) * place.unit
+        assert np.quantile(steep, 0.95) < 1.05
+        near = np.abs(field) < 0.05
+        assert np.abs(distance(field)[near] - field[near] * place.unit).mean() < 0.3
+    cells = grid(place.moved(0.1, 0.1, 0.5), 0.5, 0.25, 0.5)
+    assert cells.inside.max() == pytest.approx(0.125, abs=0.02)
+    assert 0 <= cells.cell.min() <= cells.cell.max() < cells.total
+    ink = covers(text(stream(1), place, 0.9, 0.5, 3) * place.unit).mean()
+    assert 0.03 < ink < 0.4
+
+
+def test_blurs_do_not_reach_around_the_border() -> None:
+    field = np.zeros((64, 64), np.float32)
+    field[:, :8] = 1
+    assert np.abs(softened(field, 4)[:, 40:]).max() < 1e-3
+    assert softened(field, 4)[:, 0].min() > 0.8
+
+
+@pytest.mark.parametrize("name", list(FAMILIES))
+def test_families_draw_without_fail(name: str) -> None:
+    for seed in range(3):
+        maps = finish(FAMILIES[name](stream(7, seed), 64))
+        assert maps.shape == (10, 64, 64)
+        assert maps.isfinite().all()
+
+
+def test_the_command_writes_the_set(metapp: Callable, tmp_path: Path) -> None:
+    result = metapp("data", "synth", "svbrdf_nonstationary", "--count", "8", "--out", tmp_path, "--json")
+    assert result.code == 0
+    assert (len(result.document["train"]), len(result.document["test"])) == (7, 1)
+    assert check_shard(tmp_path) == []
+    manifest = read_manifest(tmp_path)
+    assert (manifest.app, manifest.units) == ("svbrdf_nonstationary", UNITS)
+    (task,) = read_shard(tmp_path, "test", "svbrdf_nonstationary")
+    assert task.name == "inlay-t000"
+
+
+@pytest.mark.parametrize("arguments", [("validation", 1), ("train", -1), ("test", 5, -2)])
+def test_impossible_sets_are_errors(arguments: tuple[Any, ...]) -> None:
+    with pytest.raises(ValueError, match="expected"):
+        next(synthetic_tasks(*arguments))
