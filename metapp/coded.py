@@ -44,7 +44,7 @@ class CodedApp(App):
         return self.field.init(rng, count)
 
     def shape(self, steps: int) -> Params:
-        return {"smoothing": torch.full((steps,), math.log(0.05))}
+        return {"smoothing": torch.full((steps,), math.log(0.3))}
 
     def init_reader(self, rng: Generator) -> Params:
         """Random parameters of what reads a task's own parameters from its photograph."""

@@ -113,6 +113,7 @@ class LocalField(NamedTuple):
         layers: sine layers.
         frequency: of the first layer's sines for inputs in [-1, 1], w0.
         wraps: whether the left edge goes on at the right one.
+        gain: of the code; a step of a rate moves it so many times as far as a weight, and it has far to go.
     """
 
     height: int
@@ -126,6 +127,7 @@ class LocalField(NamedTuple):
     layers: int = 3
     frequency: float = 12.0
     wraps: bool = True
+    gain: float = 30.0
 
     def init(self, rng: Generator, count: int) -> Params:
         """Random parameters of `count` networks: each tensor [count, ...]."""
@@ -133,7 +135,7 @@ class LocalField(NamedTuple):
         def uniform(*shape: int, bound: float) -> Tensor:
             return (2 * torch.rand(count, *shape, generator=rng, device=rng.device) - 1) * bound
 
-        theta = {"z": uniform(self.code, self.rows, self.columns, bound=0.1)}
+        theta = {"z": uniform(self.code, self.rows, self.columns, bound=0.1 / self.gain)}
         for layer in range(self.layers):
             inputs = self.hidden if layer else self.inputs
             bound = math.sqrt(6 / inputs) if layer else self.frequency / math.sqrt(inputs)
@@ -155,7 +157,7 @@ class LocalField(NamedTuple):
         Returns:
             Values before any range is imposed, [T, outputs, height, width].
         """
-        z = theta["z"]
+        z = self.gain * theta["z"]
         down, across = (each.to(z) for each in _interpolation(self))
         code, x = (down @ z @ across).flatten(2), places.flatten(2)
         for name in (*(f"layer{layer}" for layer in range(self.layers)), "out"):

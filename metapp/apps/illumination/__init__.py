@@ -75,7 +75,7 @@ QUICK = Recipe(
     finetune_steps=300,
     finetune=Adam(3e-3, final=0.0),
     quickft=Adam(4e-2, beta1=0.7, beta2=0.99, final=0.1),
-    general=Training(steps=8000, tasks=16, rates={"": 1e-3}, warmup=100, final=0.0, validate_every=500),
+    general=Training(steps=6000, tasks=16, rates={"": 1e-3}, warmup=100, final=0.0, validate_every=500),
     meta={"meta-sgd": replace(LEARNED, first=Adam(0.03), tuned=False), "meta-encoder": LEARNED, "meta-basis": LEARNED},
     rule="meta-basis",
     setup=Setup(LocalField(32, 64)),
@@ -171,12 +171,12 @@ class Illumination(CodedApp):
         return self._map_loss(theta, maps, batch, {}) + SEEN * self._photo_loss(theta, maps, batch, {})
 
     def _map_loss(self, theta: Params, maps: Tensor, batch: Batch, shape: Params) -> Tensor:
-        """Mean differences of logs: of the radiance over the sphere, and of what surfaces send out."""
+        """Mean differences, [T]: of the log of radiance over the sphere; of what surfaces send out, and of its log."""
         weights = solid_angles(*maps.shape[-2:], dtype=maps.dtype, device=maps.device) / (4 * math.pi)
         texels = norm((maps + DARK).log() - (batch["map"] + DARK).log(), shape) * weights
         sent = maps.flatten(2) @ self._surfaces(maps).T
-        surfaces = norm((sent + DIM).log() - (batch["sent"] + DIM).log(), shape)
-        return texels.sum((2, 3)).mean(1) + surfaces.mean((1, 2))
+        logs = norm((sent + DIM).log() - (batch["sent"] + DIM).log(), shape)
+        return texels.sum((2, 3)).mean(1) + (logs + norm(sent - batch["sent"], shape)).mean((1, 2))
 
     def _photo_loss(self, theta: Params, maps: Tensor, batch: Batch, shape: Params) -> Tensor:
         """Mean difference of display values; where the photograph clips, only what is darker than it counts."""
@@ -193,7 +193,7 @@ class Illumination(CodedApp):
 
     def read(self, reader: Params, photos: Tensor) -> Params:
         code, body = self.setup.encoder(reader, photos.to(next(iter(reader.values()))) / 255)
-        return {"z": code, "body": body}
+        return {"z": code / self.field.gain, "body": body}
 
     def augment(self, tasks: Tasks, rng: Generator) -> Tasks:
         """The same maps turned about the vertical, mirrored and tinted, and new photographs under them."""
