@@ -82,8 +82,8 @@ QUICK = Recipe(
 # A photograph says little that General has not read from it: small steps, smaller still where gradients are.
 GENTLE = replace(
     LEARNED,
-    rates={"": 3e-5, "alpha.": 1e-2, "alpha.out.": 1e-4, "alpha.in.": 1e-4},
-    first=Adam(1e-4, beta1=0.7, beta2=0.99, eps=1e-3, final=0.1),
+    rates={"": 5e-5, "alpha.": 1e-2, "alpha.out.": 1e-4, "alpha.in.": 1e-4},
+    first=Adam(3e-4, beta1=0.7, beta2=0.99, eps=1e-3, final=0.1),
 )
 QUICK_PHOTO = replace(
     QUICK,
