@@ -15,7 +15,7 @@ from data_tools.brdf_task import brdf_task
 from data_tools.synthetic_brdf import synthetic_materials
 from metapp.apps import load_app
 from metapp.apps.brdf import APP
-from metapp.cli.starts import shipped_path
+from metapp.cli.starts import shipped_path, start_name
 from metapp.learning import MetaParameters
 from metapp.paradigms import Job, paradigms
 from metapp.records import load_start, tensor_digest
@@ -120,3 +120,56 @@ def test_a_photo_is_fitted_in_seconds_by_what_ships(name: str, metapp: Callable,
     assert result.code == 0, result.err
     assert "the one that ships" in result.err
     assert result.document["error"] < 0.5
+
+
+# Illumination
+
+PROTOCOLS = ("reference", "photo")
+
+
+def test_starts_of_illumination_say_what_they_are() -> None:
+    recipe = load_app("illumination").recipes["quick"]
+    files = sorted(shipped_path("illumination", "general").parent.glob("*.safetensors"))
+    learned = ("quickft", recipe.rule)
+    assert {path.stem for path in files} == {"general", *learned, *(f"{name}-photo" for name in learned)}
+    encoder = tensor_digest(load_start(shipped_path("illumination", "general"))[0].encoder)
+    for path in files:
+        _, info = load_start(path)
+        assert info["app"] == "illumination"
+        assert info["data"].startswith("illumination")  # the embedded set alone
+        if path.stem != "general":
+            assert info["encoder"] == encoder
+            assert info["observe"] == ("photo" if path.stem.endswith("-photo") else "reference")
+        assert path.stat().st_size < 2e6
+
+
+@pytest.mark.usefixtures("scene")
+@pytest.mark.parametrize("protocol", PROTOCOLS)
+def test_few_steps_beat_none_on_unseen_maps(protocol: str) -> None:
+    plain = load_app("illumination")
+    app = plain.at(plain.recipes["quick"], protocol)
+    recipe = app.recipes["quick"]
+    module = importlib.import_module("data_tools.synthetic_illumination")
+    tasks = stack(app, list(module.synthetic_tasks("test", 16)))
+    job = Job(app, recipe, recipe.rule)
+    errors = {}
+    for paradigm, start in (("general", "general"), ("meta", start_name(app, recipe.rule))):
+        prepared = load_start(shipped_path("illumination", start))[0]
+        theta = paradigms()[paradigm].fit(job, prepared, tasks, Generator().manual_seed(0))
+        errors[paradigm] = float(app.errors(theta, tasks)["error"].mean())
+    assert errors["meta"] < (0.4 if protocol == "reference" else 1.0) * errors["general"]
+
+
+@pytest.mark.usefixtures("scene")
+def test_a_ball_is_fitted_at_once_by_what_ships(metapp: Callable, tmp_path: Path) -> None:
+    module = importlib.import_module("data_tools.synthetic_illumination")
+    (task,) = module.synthetic_tasks("test", 1)
+    photo = np.ascontiguousarray(task.data["photos"][0].permute(1, 2, 0).numpy())
+    oiio.ImageBuf(photo).write(str(tmp_path / "ball.png"))
+    result = metapp(
+        "meta", "illumination", tmp_path / "ball.png", "--observe", "photo", "--out", tmp_path / "runs", "--json"
+    )
+    assert result.code == 0, result.err
+    assert "the one that ships" in result.err
+    made = Path(result.document["out"]) / "outputs" / "ball"
+    assert {path.name for path in made.iterdir()} == {"map.exr", "map.png", "relit.png"}

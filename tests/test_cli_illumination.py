@@ -145,3 +145,10 @@ def test_starts_of_both_protocols(metapp: Callable, tmp_path: Path) -> None:
     assert "illumination photo" in result.out
     assert "gap closed" in result.out
     assert "is no floor" in result.out
+
+
+def test_the_second_scene_is_built_once(metapp: Callable, scene: Path) -> None:
+    document = metapp("data", "scene", "--json").document
+    assert document["there_already"]
+    assert Path(document["path"]).parent == scene
+    assert document["bytes"] > 4e7
