@@ -31,6 +31,7 @@ from metapp.task import Adam, Batch, Params, Recipe, Task, Tasks, Training
 DARK = 0.01  # of a map of mean luminance 1: the log of radiance is flat below
 DIM = 0.02  # the same for what surfaces send out
 SEEN = 0.3  # the photograph's weight in the goal
+LIGHT = 0.3  # by how much a texel's own light adds to what it counts in a fit, so that few steps find suns
 FACED, MIRRORED, SHINE = 64, 128, 0.35  # surfaces that the loss looks at: diffuse, glossy and how rough
 BODY = 10  # numbers of a sphere's material and a camera
 GLOSSES = (0.25, 0.42, 0.7)
@@ -165,16 +166,23 @@ class Illumination(CodedApp):
     def loss(self, theta: Params, batch: Batch, shape: Params) -> Tensor:
         """Of the map or of the photograph, by the protocol, [T]."""
         maps = self.radiance_of(theta)
-        return (self._map_loss if self.protocol == "reference" else self._photo_loss)(theta, maps, batch, shape)
+        if self.protocol == "photo":
+            return self._photo_loss(theta, maps, batch, shape)
+        light = torch.exp(shape["light"])[:, None, None, None] if shape else LIGHT
+        return self._map_loss(maps, batch, shape, light)
 
     def goal(self, theta: Params, batch: Batch, shape: Params) -> Tensor:
         """Both, [T]: whatever fits see, what is wanted is the map."""
         maps = self.radiance_of(theta)
-        return self._map_loss(theta, maps, batch, {}) + SEEN * self._photo_loss(theta, maps, batch, {})
+        return self._map_loss(maps, batch, {}, 0.0) + SEEN * self._photo_loss(theta, maps, batch, {})
 
-    def _map_loss(self, theta: Params, maps: Tensor, batch: Batch, shape: Params) -> Tensor:
-        """Mean differences, [T]: of the log of radiance over the sphere; of what surfaces send out, and of its log."""
+    def _map_loss(self, maps: Tensor, batch: Batch, shape: Params, light: Tensor | float) -> Tensor:
+        """Mean differences, [T]: of the log of radiance over the sphere; of what surfaces send out, and of its log.
+
+        Texels count by their solid angle, and by their light, of mean 1, so many times as much.
+        """
         weights = solid_angles(*maps.shape[-2:], dtype=maps.dtype, device=maps.device) / (4 * math.pi)
+        weights = weights * (1 + light * batch["map"].mean(1, keepdim=True))
         texels = norm((maps + DARK).log() - (batch["map"] + DARK).log(), shape) * weights
         sent = maps.flatten(2) @ self._surfaces(maps).T
         logs = norm((sent + DIM).log() - (batch["sent"] + DIM).log(), shape)
@@ -189,6 +197,10 @@ class Illumination(CodedApp):
         short = torch.where(target > 0.98, relu(short), short)
         mask = sphere_normals(SMALL, device=maps.device)[1]
         return norm(short, shape)[..., mask].mean((1, 2))
+
+    def shape(self, steps: int) -> Params:
+        light = {"light": torch.full((steps,), math.log(LIGHT))} if self.protocol == "reference" else {}
+        return super().shape(steps) | light
 
     def init_reader(self, rng: Generator) -> Params:
         return self.setup.encoder.init(rng)
