@@ -8,7 +8,7 @@ import pytest
 import torch
 from torch import Generator, Tensor
 
-from metapp.apps.illumination import APP, BODY, GLOSSES, QUICK, SMALL, Illumination, Setup, body_of
+from metapp.apps.illumination import APP, BODY, GLOSSES, QUICK, Illumination, Setup, body_of
 from metapp.apps.illumination.encoder import Encoder, unwrapped
 from metapp.latlong import directions, mean_luminance
 from metapp.networks import LocalField
@@ -113,9 +113,9 @@ def test_the_true_map_sphere_and_camera_look_like_the_photo(
     photo = app.at(RECIPE, "photo")
     theta = exact(photo, tasks, monkeypatch) | {"body": 0.5 * torch.randn(4, BODY, generator=rng)}
     material, camera = body_of(theta["body"])
-    seen = develop(shade(tasks.data["map"], material, SMALL, GLOSSES), camera).clamp_max(1)
-    batch = {"photo": (seen * 255).round()}
-    assert photo.loss(theta, batch, {}).max() < 0.003  # rounding
+    seen = develop(shade(tasks.data["map"], material, 64, GLOSSES), camera).clamp_max(1)
+    batch = {"photo": (seen * 255).round()}  # black around the sphere
+    assert photo.loss(theta, batch, {}).max() < 0.005  # rounding, and means of display values
     darker = {**theta, "body": theta["body"] - torch.eye(BODY)[7]}
     assert photo.loss(darker, batch, {}).min() > 0.05
 

@@ -83,13 +83,14 @@ QUICK = Recipe(
 # A photograph says little that General has not read from it: small steps, smaller still where gradients are.
 GENTLE = replace(
     LEARNED,
-    rates={"": 5e-5, "alpha.": 1e-2, "alpha.out.": 1e-4, "alpha.in.": 1e-4},
-    first=Adam(3e-4, beta1=0.7, beta2=0.99, eps=1e-3, final=0.1),
+    rates={"": 3e-5, "alpha.": 5e-3, "alpha.out.": 0.0, "alpha.in.": 0.0},
+    clip=1.0,
+    first=Adam(2e-3, beta1=0.7, beta2=0.99, eps=1e-2, final=0.1),
 )
 QUICK_PHOTO = replace(
     QUICK,
     finetune=Adam(1e-4, final=0.0),
-    quickft=Adam(1e-4, beta1=0.7, beta2=0.99, eps=1e-3, final=0.1),
+    quickft=Adam(3e-4, beta1=0.7, beta2=0.99, eps=1e-3, final=0.1),
     meta={"meta-encoder": GENTLE, "meta-basis": GENTLE},
 )
 # 15 inner steps, first-order MAML with Meta-SGD from a random start, as in Fischer & Ritschel 2022, section 4.1.5
@@ -190,13 +191,13 @@ class Illumination(CodedApp):
 
     def _photo_loss(self, theta: Params, maps: Tensor, batch: Batch, shape: Params) -> Tensor:
         """Mean difference of display values; where the photograph clips, only what is darker than it counts."""
-        target = avg_pool2d(batch["photo"].to(maps) / 255, batch["photo"].shape[-1] // SMALL)
+        side = batch["photo"].shape[-1]
+        target = avg_pool2d(batch["photo"].to(maps) / 255, side // SMALL)
         material, camera = body_of(theta["body"])
         display = develop(shade(maps, material, SMALL, GLOSSES), camera)
         short = target - display
         short = torch.where(target > 0.98, relu(short), short)
-        mask = sphere_normals(SMALL, device=maps.device)[1]
-        return norm(short, shape)[..., mask].mean((1, 2))
+        return norm(short, shape)[..., _inside(side).to(maps.device)].mean((1, 2))
 
     def shape(self, steps: int) -> Params:
         light = {"light": torch.full((steps,), math.log(LIGHT))} if self.protocol == "reference" else {}
@@ -276,6 +277,12 @@ def _surfaces(height: int, width: int) -> Tensor:
     middle = normalize(_spread(MIRRORED) + torch.tensor([0.0, 0.0, 1.0]), dim=1)  # between them and the viewer
     glossy = glossy_transfer(middle, SHINE, height, width, samples=2)
     return torch.cat([cosine_transfer(_spread(FACED), height, width), glossy])
+
+
+@functools.lru_cache(maxsize=4)
+def _inside(side: int) -> Tensor:
+    """Which pixels [SMALL, SMALL] of a photograph of so many px a side show nothing but the sphere."""
+    return avg_pool2d(sphere_normals(side)[1].float()[None], side // SMALL)[0] > 0.999
 
 
 def _spread(count: int) -> Tensor:
