@@ -33,7 +33,7 @@ class CodedApp(App):
         self.setup, self.protocol, self.recipes = setup, protocol, self.all_recipes[protocol]
 
     def at(self, recipe: Recipe, observe: str = "") -> Self:
-        return type(self)(recipe.setup, observe or self.protocol)
+        return type(self)(recipe.setup, observe or self.protocols[0])
 
     @property
     def field(self) -> LocalField:

@@ -98,19 +98,16 @@ def _require_finite(value: Tensor, names: tuple[str, ...], step: int) -> None:
 
 def task_loss(app: App, batch: int) -> Loss:
     """The loss of an application on samples of tasks (alg. 2), [T]."""
-    return Loss(_sampling(app, batch), app.loss)
+
+    def draw(tasks: Tasks, rng: Generator) -> Drawn:
+        return Drawn(tasks.picked_names(), app.sample(tasks, rng, batch))
+
+    return Loss(draw, app.loss)
 
 
 def task_goal(app: App, batch: int) -> Loss:
     """What preparation wants of fits of an application, on samples of training tasks, [T]."""
-    return Loss(_sampling(app, batch), app.goal)
-
-
-def _sampling(app: App, batch: int) -> Callable[[Tasks, Generator], Drawn]:
-    def draw(tasks: Tasks, rng: Generator) -> Drawn:
-        return Drawn(tasks.picked_names(), app.sample(tasks, rng, batch))
-
-    return draw
+    return task_loss(app, batch)._replace(value=app.goal)
 
 
 Augment = Callable[[Tasks, Generator], Tasks]

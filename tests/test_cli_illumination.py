@@ -94,14 +94,27 @@ def test_a_photo_is_fitted_without_a_reference(metapp: Callable, png: Path, tmp_
     assert document["tasks"][0]["error"] is None
     made = Path(document["out"]) / "outputs" / "ball"
     assert {path.name for path in made.iterdir()} == {"map.exr", "map.png", "relit.png"}
+    written = read_map(_enlarged(made / "map.exr"), 8)
+    assert float(mean_luminance(written)) == pytest.approx(1, rel=0.01)
     assert (Path(document["out"]) / "pictures.png").is_file()
 
 
 def test_a_photo_needs_its_protocol(metapp: Callable, png: Path, tmp_path: Path) -> None:
     result = metapp("overfit", "illumination", png, "--out", tmp_path / "runs")
     assert result.code == 1
-    assert "ball: a photo of a sphere, expected an HDR map where fits see the map itself; add --observe" in result.err
+    assert "ball: a photo of a sphere, expected an HDR map where fits see the map itself; give an" in result.err
     assert len(result.err.strip().splitlines()) <= 2
+
+
+def test_a_photo_among_maps_is_found_before_the_first_fit(
+    metapp: Callable, exr: Path, png: Path, tmp_path: Path
+) -> None:
+    result = metapp("overfit", "illumination", exr, png, "--out", tmp_path / "runs")
+    assert result.code == 1
+    assert "ball: a photo of a sphere" in result.err
+    assert not list((tmp_path / "runs").rglob("record.jsonl")) or not any(
+        path.read_text().strip() for path in (tmp_path / "runs").rglob("record.jsonl")
+    )
 
 
 def test_a_folder_of_maps_and_photos(metapp: Callable, exr: Path, png: Path, tmp_path: Path) -> None:

@@ -58,7 +58,7 @@ def picture_tasks() -> list[Task]:
 
 
 def map_tasks() -> list[Task]:
-    """Maps of one lamp each, all around, with a photograph of 16 px."""
+    """Maps of one lamp each, all around, and a photograph."""
     generator, towards, tasks = rng(7), directions(16, 32), []
     for i in range(COUNT):
         lamp = torch.nn.functional.normalize(torch.randn(3, generator=generator), dim=0)

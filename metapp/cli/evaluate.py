@@ -7,6 +7,7 @@ import io
 import json as json_module
 import math
 import shlex
+from contextlib import suppress
 from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -61,8 +62,7 @@ def command(
     found = [find_app(name) for name in apps or app_names()]
     for app in [app for app in found if app.protocols] or found:
         check_protocol(observe, app)
-    rows: list[dict[str, Any]] = []
-    shown: dict[tuple[str, str], App] = {}
+    planned: list[tuple[Options, list[Planned]]] = []
     for app in found:
         chosen = check_rule(rule, app, recipe)
         for protocol in (observe,) if observe and app.protocols else app.protocols or ("",):
@@ -78,8 +78,10 @@ def command(
                 find_device(device, app),
                 quiet,
             )
-            rows += app_rows(options, run=not no_run)
-            shown[app.name, options.app.protocol] = options.app
+            # all starts before the first fit: a missing one should not be found after an hour
+            planned.append((options, find_starts(options, run=not no_run)))
+    rows = [row for options, runs in planned for row in app_rows(options, runs, run=not no_run)]
+    shown = {(options.app.name, options.app.protocol): options.app for options, _ in planned}
     if json or format_name == "json":
         print_json({"which": which, "rows": rows})
     elif format_name == "rich":
@@ -89,39 +91,47 @@ def command(
         out.print(text_table(rows, shown, format_name), markup=False, soft_wrap=True)
 
 
-def app_rows(options: Options, *, run: bool) -> list[dict[str, Any]]:
-    """A row a paradigm, and one for each further learned rule of Meta that has a start, from their records.
+Planned = tuple["Options", "Paradigm", "Start | None"]
 
-    What has no record yet is run, unless told otherwise.
+
+def find_starts(options: Options, *, run: bool) -> list[Planned]:
+    """What the rows of one application are fitted from: the paradigms, then Meta by further rules that have a start.
+
+    Raises:
+        ValueError: a start is missing that a row must have; it is said, and None, where nothing is to be run.
     """
-    from metapp.cli.inputs import tasks_to_fit
-    from metapp.cli.session import make_folder
     from metapp.cli.starts import find_start, trained_path
     from metapp.paradigms import paradigms
 
-    make_folder(options.out)
-    tasks, label = tasks_to_fit(options.app, [], options.data, options.quiet)
     each = paradigms()
     others = [rule for rule in options.job.recipe.meta if rule != options.rule]
     if options.data:  # beside starts of this data, none that was trained on other data
         others = [rule for rule in others if trained_path(options, rule).is_file()]
-    runs = [(options, paradigm) for paradigm in each.values()]
-    runs += [(options._replace(rule=rule), each["meta"]) for rule in others]
-    # all starts before the first fit: a missing one should not be found after an hour
-    starts: list[Start | None] = []
-    for of, paradigm in runs:
+    runs: list[Planned] = []
+    for paradigm in each.values():
         try:
-            starts.append(find_start(of, paradigm))
+            runs.append((options, paradigm, find_start(options, paradigm)))
         except ValueError as error:
-            if of.rule == options.rule:
-                if run:
-                    raise
-                say(f"{error}")
-            starts.append(None)
+            if run:
+                raise
+            say(f"{error}")
+            runs.append((options, paradigm, None))
+    for rule in others:
+        with suppress(ValueError):  # nobody trained this rule
+            of = options._replace(rule=rule)
+            runs.append((of, each["meta"], find_start(of, each["meta"])))
+    return runs
+
+
+def app_rows(options: Options, runs: list[Planned], *, run: bool) -> list[dict[str, Any]]:
+    """A row for each of the runs, from their records; what has no record yet is run, unless told otherwise."""
+    from metapp.cli.inputs import tasks_to_fit
+    from metapp.cli.session import make_folder
+
+    make_folder(options.out)
+    tasks, label = tasks_to_fit(options.app, [], options.data, options.quiet)
     rows, complete = [], []
-    for (of, paradigm), start in zip(runs, starts, strict=True):
-        if start is None and of.rule != options.rule:
-            continue  # nobody trained this rule
+    for of, paradigm, start in runs:
         row, folder, records = _row(of, paradigm, start, tasks, label, run)
         if of.rule == options.rule and len(records) == len(tasks):
             complete.append((paradigm.name, folder, records))

@@ -203,11 +203,14 @@ def run_tasks(
     with progress(options.quiet) as bar:
         row = bar.add_task(paradigm.name, total=len(tasks), completed=len(done), note="")
         missing = [task for task in tasks if task.name not in done]
+        for task in missing if app.protocols else ():
+            app.prepare(task)  # that one does not hold what a fit may see should not be found after an hour
         for task in missing[:1]:
             fit_one(task, min(paradigm.count(job), 3))  # warm: first calls load kernels
         for task in missing:
             theta, seconds, stacked = fit_one(task, None)
-            errors = {key: app.scale * float(value[0]) for key, value in app.errors(theta, stacked).items()}
+            errors = {key: float(value[0]) for key, value in app.errors(theta, stacked).items()}
+            errors |= {key: app.scale * value for key, value in errors.items() if key == "error"}
             finite = all(bool(torch.isfinite(value).all()) for value in theta.values())
             if not finite or (errors and not math.isfinite(errors["error"])):
                 what = "error is" if finite else "parameters are"

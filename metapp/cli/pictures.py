@@ -78,7 +78,7 @@ def write_files(app: App, tasks: Sequence[Task], folder: Path) -> Path | None:
             file = written / file_name(task.name) / f"{name}.png"
             if name in app.radiance:
                 write_atomically(file.with_name(f"{name}.exr"), functools.partial(_write_exr, picture))
-                picture = tone_map(picture)
+                picture = tone_map(picture / picture.mean().clamp_min(1e-20))  # whatever its unit
             write_atomically(file, functools.partial(_write_png, picture, name in app.raw))
     return written
 
@@ -99,7 +99,8 @@ def _write_exr(radiance: Tensor, path: Path) -> None:
     pixels = np.ascontiguousarray(radiance.numpy(), dtype=np.float32)
     image = oiio.ImageBuf(pixels)
     image.specmod().attribute("oiio:ColorSpace", "lin_rec709_scene")
-    _write(image, "half" if pixels.max() <= np.finfo(np.float16).max else "float", path)
+    fits_half = 1 <= pixels.max() <= np.finfo(np.float16).max  # below, dark parts would lose digits
+    _write(image, "half" if fits_half else "float", path)
 
 
 def _write(image: Any, form: str, path: Path) -> None:

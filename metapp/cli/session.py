@@ -64,12 +64,11 @@ def check_rule(name: str, app: App, recipe: str) -> str:
     return name or app.recipes[recipe].rule
 
 
-def check_protocol(name: str, app: App) -> str:
-    """What fits may see, as it was given, or a usage error where the application has no such protocol."""
+def check_protocol(name: str, app: App) -> None:
+    """A usage error where the application has no such protocol."""
     if name and name not in app.protocols:
         expected = f"expects one of {', '.join(app.protocols)}" if app.protocols else "has one protocol; leave it out"
         raise typer.BadParameter(f"--observe '{name}': {app.name} {expected}.")
-    return name
 
 
 def is_first_protocol(app: App) -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shlex
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -97,8 +98,9 @@ def _with_tuning(options: Options, start: Start) -> Start:
             tuned, info = load_start(path)
             if info.get("encoder") == encoder:
                 return Start(start.prepared._replace(alpha=tuned.alpha), f"{start.source}, tuned Adam", digest(path))
-    observe = "".join(f" --observe {protocol}" for protocol in observe_of(options.app).values())
-    remedy = f"metapp quickft {options.app.name}{observe} --train"
+    words = ["metapp", "quickft", options.app.name, "--train"]
+    words += ["--observe", options.app.protocol] if options.app.protocol else []
+    remedy = shlex.join(words + (["--data", str(options.data)] if options.data else []))
     say(f"quickft: no Adam was tuned for this encoder, the recipe's is used; {remedy}")
     return start
 

@@ -133,15 +133,17 @@ class Illumination(CodedApp):
 
     def prepare(self, task: Task) -> dict[str, Tensor]:
         """`photo` uint8 [3, S, S], and of the map `map` [3, H, W] and `sent`, what surfaces send out under it."""
-        prepared = {"photo": task.data["photos"][0]}
+        _scene()  # better missed now than after a fit
+        photo = {"photo": task.data["photos"][0]}
         if "map" in task.data:
-            prepared |= self.described(task.data["map"][None].float())
-        elif self.protocol == "reference":
+            described = self.described(task.data["map"][None].float())
+            return photo | {key: value[0] for key, value in described.items()}
+        if self.protocol == "reference":
             raise ValueError(
-                f"{task.name}: a photo of a sphere, expected an HDR map where fits see the map itself; add --observe "
-                "photo, or give an .exr or .hdr map."
+                f"{task.name}: a photo of a sphere, expected an HDR map where fits see the map itself; give an .exr or "
+                ".hdr map, or fit photos alone with --observe photo."
             )
-        return {key: value[0] if key != "photo" else value for key, value in prepared.items()}
+        return photo
 
     def described(self, maps: Tensor) -> dict[str, Tensor]:
         maps = resample(maps, self.field.height, self.field.width)
@@ -244,7 +246,12 @@ class Illumination(CodedApp):
         ssim: Any = structural_similarity_index_measure(
             tone_map(found), tone_map(wanted), data_range=1.0, reduction=None
         )
-        return {"error": error, "relative": error / wanted.mean((1, 2, 3)), "ssim": ssim.reshape(-1), "map": logs}
+        return {
+            "error": error,
+            "relative": error / wanted.mean((1, 2, 3)).clamp_min(1e-6),
+            "ssim": ssim.reshape(-1),
+            "map": logs,
+        }
 
     @torch.no_grad()
     def outputs(self, theta: Params, task: Task) -> dict[str, Any]:
@@ -256,8 +263,10 @@ class Illumination(CodedApp):
 
     @torch.no_grad()
     def files(self, theta: Params, task: Task) -> dict[str, Tensor]:
-        """The map, of the luminance that the task's map had, and the second scene under it."""
+        """The map, at its file's scale, of mean luminance 1 where there was none, and the second scene under it."""
         maps = self.radiance_of({key: value[None] for key, value in theta.items()})
+        if "scale" not in task.data:
+            maps = maps / mean_luminance(maps)[:, None, None, None]
         scale = task.data.get("scale", torch.ones(()))
         return {
             "map": (maps * scale)[0].permute(1, 2, 0),
@@ -293,9 +302,16 @@ def _spread(count: int) -> Tensor:
     return torch.stack([radius * phi.sin(), y, -radius * phi.cos()], 1)
 
 
+def _scene() -> Any:
+    """The second scene, its matrix built where that has not been done yet."""
+    scene = importlib.import_module("data_tools.second_scene")
+    scene.transfer()
+    return scene
+
+
 def _relight(maps: Tensor) -> Tensor:
     """Pictures [T, 3, h, w] of the second scene, linear."""
-    return importlib.import_module("data_tools.second_scene").relight(maps)
+    return _scene().relight(maps)
 
 
 def _shown(maps: Tensor, photo: Tensor) -> Tensor:
