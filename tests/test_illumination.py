@@ -140,7 +140,10 @@ def test_protocols_differ_in_what_fits_see(tasks: Tasks) -> None:
         before = app.loss(small, batch, {})
         torch.testing.assert_close(app.loss(small, {**batch, unseen: batch[unseen] * 0}, {}), before)
         assert not torch.allclose(app.loss(small, {**batch, seen: batch[seen] * 0}, {}), before)
-    torch.testing.assert_close(photo.goal(small, batch, {}), reference.goal(small, batch, {}))
+    torch.testing.assert_close(mean_luminance(photo.answer(small)), torch.ones(4))
+    brighter = {**small, "out.shift": small["out.shift"] + 1, "body": small["body"] - torch.eye(BODY)[7]}
+    torch.testing.assert_close(photo.goal(brighter, batch, {}), photo.goal(small, batch, {}))  # nobody could tell
+    assert not torch.allclose(reference.goal(brighter, batch, {}), reference.goal(small, batch, {}))
 
 
 @pytest.mark.parametrize("protocol", ["reference", "photo"])
