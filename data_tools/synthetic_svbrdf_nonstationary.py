@@ -19,7 +19,7 @@ from data_tools.procedural import Split, turns
 from metapp.task import Task
 
 UNITS = svbrdf_task.UNITS
-COUNTS: dict[Split, int] = {"train": 400, "test": 19}
+COUNTS: dict[Split, int] = {"train": 400, "test": 16}
 FAMILIES: dict[str, Callable[[Rng, int], Surface]] = {
     "inlay": inlay,
     "corroded": corroded,
