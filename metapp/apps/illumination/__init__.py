@@ -87,7 +87,7 @@ GENTLE = replace(
     steps=100,
     rates={"": 3e-5, "alpha.": 5e-3, "alpha.out.": 0.0, "alpha.in.": 0.0},
     clip=1.0,
-    first=Adam(1e-3, beta1=0.7, beta2=0.99, eps=1e-3, final=0.1),
+    first=Adam(5e-3, beta1=0.7, beta2=0.99, eps=1e-3, final=0.1),
 )
 QUICK_PHOTO = replace(
     QUICK,
