@@ -15,7 +15,7 @@ from metapp.exemplar import JUDGED, TILED, ExemplarApp, Setup
 from metapp.features import amplitudes, channels_of, distance, gram, hann, moments
 from metapp.flash import Maps, camera, expose, flash_position, normal_from_height, positions, relightings, render
 from metapp.networks import UNet
-from metapp.task import Adam, Batch, Params, Recipe, Task, Tasks, Training
+from metapp.task import AS_PUBLISHED, Adam, Batch, Params, Recipe, Task, Tasks, Training
 
 GRID = 3  # windows along a side
 DRAWN = 3
@@ -65,11 +65,7 @@ PAPER = replace(
     QUICK,
     overfit_steps=10_000,
     finetune_steps=1_000,
-    meta={
-        "meta-sgd": Training(
-            steps=100_000, tasks=3, rates={"": 1e-4}, first=Adam(1e-3), order=1, clip=10.0, start="random"
-        )
-    },
+    meta={"meta-sgd": replace(AS_PUBLISHED, tasks=3)},
     rule="meta-sgd",
     setup=Setup(256, 256, UNet(32, outputs=6), "vgg16", ("relu1_2", "relu2_2", "relu3_3", "relu4_3")),
 )

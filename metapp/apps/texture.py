@@ -12,7 +12,7 @@ from metapp.colour import srgb_to_linear
 from metapp.exemplar import TILED, ExemplarApp, Setup
 from metapp.features import channels_of, distance, gram, moments
 from metapp.networks import UNet
-from metapp.task import Adam, Batch, Params, Recipe, Task, Tasks, Training
+from metapp.task import AS_PUBLISHED, Adam, Batch, Params, Recipe, Task, Tasks, Training
 
 SMALLEST_CROP = 0.5
 LEARNED = Training(
@@ -56,11 +56,7 @@ PAPER = replace(
     QUICK,
     overfit_steps=10_000,
     finetune_steps=1_000,
-    meta={
-        "meta-sgd": Training(
-            steps=100_000, tasks=5, rates={"": 1e-4}, first=Adam(1e-3), order=1, clip=10.0, start="random"
-        )
-    },
+    meta={"meta-sgd": AS_PUBLISHED},
     rule="meta-sgd",
     setup=Setup(192, 256, UNet(32), "vgg16", ("relu1_2", "relu2_2", "relu3_3", "relu4_3", "relu5_3")),
 )

@@ -26,7 +26,7 @@ from metapp.latlong import (
 )
 from metapp.networks import LocalField
 from metapp.photograph import Camera, Material, develop, photograph, shade
-from metapp.task import Adam, Batch, Params, Recipe, Task, Tasks, Training
+from metapp.task import AS_PUBLISHED, Adam, Batch, Params, Recipe, Task, Tasks, Training
 
 DARK = 0.01  # of a map of mean luminance 1: the log of radiance is flat below
 DIM = 0.02  # the same for what surfaces send out
@@ -100,11 +100,7 @@ PAPER = replace(
     QUICK,
     overfit_steps=10_000,
     finetune_steps=1_000,
-    meta={
-        "meta-sgd": Training(
-            steps=100_000, tasks=5, rates={"": 1e-4}, first=Adam(1e-3), order=1, clip=10.0, start="random"
-        )
-    },
+    meta={"meta-sgd": AS_PUBLISHED},
     rule="meta-sgd",
     setup=Setup(LocalField(64, 128, hidden=64)),
 )
@@ -135,7 +131,7 @@ class Illumination(CodedApp):
 
     def prepare(self, task: Task) -> dict[str, Tensor]:
         """`photo` uint8 [3, S, S], and of the map `map` [3, H, W] and `sent`, what surfaces send out under it."""
-        _scene()  # better missed now than after a fit
+        _scene().transfer()  # better missed now than after a fit
         photo = {"photo": task.data["photos"][0]}
         if "map" in task.data:
             described = self.described(task.data["map"][None].float())
@@ -165,8 +161,11 @@ class Illumination(CodedApp):
         return field(theta, towards.expand(len(z), -1, -1, -1)).clamp_max(16).exp()
 
     def answer(self, theta: Params) -> Tensor:
-        """The same as they are judged and shown: of mean luminance 1 where a photograph does not say how bright."""
-        maps = self.radiance_of(theta)
+        """The same as they are judged and shown."""
+        return self._scaled(self.radiance_of(theta))
+
+    def _scaled(self, maps: Tensor) -> Tensor:
+        """Maps, of mean luminance 1 where a photograph does not say how bright they are."""
         return maps if self.protocol == "reference" else maps / mean_luminance(maps)[:, None, None, None]
 
     def sample(self, tasks: Tasks, rng: Generator, count: int) -> Batch:
@@ -183,20 +182,15 @@ class Illumination(CodedApp):
 
     def goal(self, theta: Params, batch: Batch, shape: Params) -> Tensor:
         """Both, [T]: whatever fits see, what is wanted is the map."""
-        seen = self._photo_loss(theta, self.radiance_of(theta), batch, {})
-        return self._map_loss(self.answer(theta), batch, {}, 0.0) + SEEN * seen
+        maps = self.radiance_of(theta)
+        return self._map_loss(self._scaled(maps), batch, {}, 0.0) + SEEN * self._photo_loss(theta, maps, batch, {})
 
     def _map_loss(self, maps: Tensor, batch: Batch, shape: Params, light: Tensor | float) -> Tensor:
-        """Mean differences, [T]: of the log of radiance over the sphere; of what surfaces send out, and of its log.
-
-        Texels count by their solid angle, and by their light, of mean 1, so many times as much.
-        """
-        weights = solid_angles(*maps.shape[-2:], dtype=maps.dtype, device=maps.device) / (4 * math.pi)
-        weights = weights * (1 + light * batch["map"].mean(1, keepdim=True))
-        texels = norm((maps + DARK).log() - (batch["map"] + DARK).log(), shape) * weights
+        """Mean differences, [T]: of the log of radiance over the sphere; of what surfaces send out, and of its log."""
         sent = maps.flatten(2) @ self._surfaces(maps).T
         logs = norm((sent + DIM).log() - (batch["sent"] + DIM).log(), shape)
-        return texels.sum((2, 3)).mean(1) + (logs + norm(sent - batch["sent"], shape)).mean((1, 2))
+        texels = _texels(maps, batch["map"], shape, light)
+        return texels + (logs + norm(sent - batch["sent"], shape)).mean((1, 2))
 
     def _photo_loss(self, theta: Params, maps: Tensor, batch: Batch, shape: Params) -> Tensor:
         """Mean difference of display values; where the photograph clips, only what is darker than it counts."""
@@ -248,8 +242,7 @@ class Illumination(CodedApp):
         maps, target = self.answer(theta), tasks.data["map"][tasks.rows]
         found, wanted = _relight(maps), _relight(target)
         error = (found - wanted).abs().mean((1, 2, 3))
-        weights = solid_angles(*maps.shape[-2:], dtype=maps.dtype, device=maps.device) / (4 * math.pi)
-        logs = ((maps + DARK).log() - (target + DARK).log()).abs().mul(weights).sum((2, 3)).mean(1)
+        logs = _texels(maps, target, {}, 0.0)
         ssim: Any = structural_similarity_index_measure(
             tone_map(found), tone_map(wanted), data_range=1.0, reduction=None
         )
@@ -277,6 +270,16 @@ class Illumination(CodedApp):
             "map": (maps * scale)[0].permute(1, 2, 0),
             "relit": tone_map(_relight(maps))[0].permute(1, 2, 0),
         }
+
+
+def _texels(maps: Tensor, target: Tensor, shape: Params, light: Tensor | float) -> Tensor:
+    """Mean difference of the logs of radiance, [T].
+
+    Texels count by their solid angle, and by the target's light, of mean 1, `light` times as much.
+    """
+    weights = solid_angles(*maps.shape[-2:], dtype=maps.dtype, device=maps.device) / (4 * math.pi)
+    weights = weights * (1 + light * target.mean(1, keepdim=True))
+    return (norm((maps + DARK).log() - (target + DARK).log(), shape) * weights).sum((2, 3)).mean(1)
 
 
 def body_of(body: Tensor) -> tuple[Material, Camera]:
@@ -308,10 +311,8 @@ def _spread(count: int) -> Tensor:
 
 
 def _scene() -> Any:
-    """The second scene, its matrix built where that has not been done yet."""
-    scene = importlib.import_module("data_tools.second_scene")
-    scene.transfer()
-    return scene
+    """The second scene: a module of data_tools."""
+    return importlib.import_module("data_tools.second_scene")
 
 
 def _relight(maps: Tensor) -> Tensor:
