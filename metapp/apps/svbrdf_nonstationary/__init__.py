@@ -45,7 +45,7 @@ class Setup:
         return Encoder(INPUTS, self.width, self.field.code, FLASH)
 
 
-def _field(side: int, hidden: int) -> LocalField:
+def field_of(side: int, hidden: int) -> LocalField:
     return LocalField(
         side,
         side,
@@ -85,7 +85,7 @@ QUICK = Recipe(
     general=Training(steps=16_000, tasks=8, rates={"": 1e-3}, warmup=100, final=0.0, validate_every=500),
     meta={"meta-encoder": LEARNED, "meta-basis": LEARNED},
     rule="meta-basis",
-    setup=Setup(_field(64, 32)),
+    setup=Setup(field_of(64, 32)),
 )
 QUICK_PHOTO = replace(
     QUICK,
@@ -100,7 +100,7 @@ PAPER = replace(
     finetune_steps=1_000,
     meta={"meta-sgd": AS_PUBLISHED},
     rule="meta-sgd",
-    setup=Setup(_field(256, 64), 64),
+    setup=Setup(field_of(256, 64), 64),
 )
 RECIPES = {
     "reference": {"paper": PAPER, "quick": QUICK},
