@@ -7,7 +7,7 @@ from typing import Any
 
 import torch
 from torch import Generator, Tensor
-from torch.nn.functional import adaptive_avg_pool2d, normalize, relu
+from torch.nn.functional import adaptive_avg_pool2d, interpolate, normalize, relu
 
 from metapp.apps.svbrdf_nonstationary.encoder import Encoder
 from metapp.apps.svbrdf_nonstationary.variants import varied
@@ -20,7 +20,8 @@ from metapp.task import AS_PUBLISHED, Adam, Batch, Params, Recipe, Task, Tasks, 
 
 DARK = 0.1  # of white: the log of radiance is flat below
 CLIPPED = 0.95  # of white: what a photograph shows no more
-MAPS, PHOTO = 0.3, 0.3  # weights of the maps' differences in losses, and of the photograph's in the goal
+MAPS = 1.0  # weight of the maps' differences in a fit
+WANTED, SEEN = 0.3, 0.3  # and in the goal, beside the photograph's
 RIG, JUDGED = (2, 3), (6, 6)  # lights that fits see, and that they are judged under: oblique, mirroring
 DRAWN = (1, 2)  # and those that preparation draws
 LARGEST = 256  # px of the maps that are written
@@ -51,8 +52,8 @@ def field_of(side: int, hidden: int) -> LocalField:
         side,
         inputs=INPUTS,
         outputs=OUTPUTS,
-        rows=side // 2,
-        columns=side // 2,
+        rows=side,
+        columns=side,
         code=12,
         hidden=hidden,
         layers=2,
@@ -181,7 +182,7 @@ class SvbrdfNonstationary(CodedApp):
         wanted = self._logs(unpacked(batch["maps"]), batch["pairs"])
         pictures = (self._logs(maps, batch["pairs"]) - wanted).abs().mean((1, 2, 3, 4))
         photo = self._photo_loss(theta, maps, batch["photo"], {})
-        return pictures + MAPS * self._map_loss(maps, batch["maps"], {}) + PHOTO * photo
+        return pictures + WANTED * self._map_loss(maps, batch["maps"], {}) + SEEN * photo
 
     def _logs(self, maps: Maps, pairs: Tensor) -> Tensor:
         """Log of what maps [T, ...] send out under pairs of light and viewer [T or 1, V, 2, 3]: [T, V, 3, H, W]."""
@@ -204,6 +205,8 @@ class SvbrdfNonstationary(CodedApp):
 
     def read(self, reader: Params, photos: Tensor) -> Params:
         code, flash = self.setup.encoder(reader, seen(photos))
+        # a cell for each texel, so that a step moves each by itself
+        code = interpolate(code, size=(self.field.rows, self.field.columns), mode="bilinear")
         return {"z": code / self.field.gain, "flash": flash}
 
     def augment(self, tasks: Tasks, rng: Generator) -> Tasks:
