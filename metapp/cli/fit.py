@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from metapp.records import RunFolder
     from metapp.task import App, Task
 
-RULE_NAMES = "meta-sgd, meta-adam, meta-adam-tied, meta-curvature, meta-encoder, meta-mean, meta-basis"
+RULE_NAMES = "meta-sgd, meta-adam, meta-adam-tied, meta-curvature, meta-encoder, meta-lgd, meta-mean, meta-basis"
 APP_HELP = "Application: brdf, texture, svbrdf_stationary, illumination."
 
 
