@@ -99,9 +99,8 @@ QUICK_PHOTO = replace(
     meta={
         "meta-lgd": replace(
             LEARNED,
-            rates={"": 3e-5, "alpha.": 5e-3, "alpha.within.": 1e-3, "alpha.within.z.unit": 0.0},
+            rates={"": 1e-4, "alpha.": 5e-3, "alpha.within.": 3e-4, "alpha.within.z.unit": 0.0},
             first=Adam(3e-4, beta1=0.7, beta2=0.99, eps=1e-4, final=0.1),
-            clip=1.0,
         )
     },
     rule="meta-lgd",
