@@ -8,18 +8,18 @@ from its density q(directions | film). One path of four is left to the uniform d
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import torch
 from torch import Generator, Tensor
 
-from data_tools.path_space import DEPTH, Tracer
+from data_tools.path_space import Tracer
 
 UNIFORM = 4  # every so manieth path is not guided
 
 _BATCH = 2**18  # paths at a time
-_REFERENCE_SPP = 2048
+_REFERENCE_SPP = 1024
 
 
 class Guide(NamedTuple):
@@ -34,9 +34,7 @@ class Guide(NamedTuple):
     density: Callable[[Tensor, Tensor], Tensor]
 
 
-def render(
-    scene: dict[str, Any] | Tracer, spp: int, size: int, seed: int = 0, guide: Guide | None = None
-) -> Tensor:
+def render(scene: dict[str, Any] | Tracer, spp: int, size: int, seed: int = 0, guide: Guide | None = None) -> Tensor:
     """A picture [3, size, size], linear RGB radiance, of so many paths a pixel.
 
     Args:

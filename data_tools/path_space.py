@@ -14,13 +14,12 @@ from torch import Generator, Tensor
 
 from data_tools.scene_loading import brightness, load_scene
 
-
 DIMENSIONS = 4  # film, and the direction at the first surface that scatters
 DEPTH = 6  # edges of the longest path
 IMAGE = 32  # px, side of the picture that comes with samples
 
 _BATCH = 2**19  # paths traced at a time
-_RAREST = 2e-5  # share of the paths that become samples, where this takes a minute or two
+_RAREST = 2e-4  # of the paths become samples: at this share, 40,000 take two minutes on one core
 
 
 class Tracer:
@@ -46,7 +45,7 @@ class Tracer:
             rng: of all numbers that the points do not hold.
 
         Returns:
-            float32 [N, 3], linear RGB radiance; its mean over all points with one film place is the radiance seen there.
+            float32 [N, 3], linear RGB radiance; its mean over all points at a place on the film is what is seen there.
         """
         mi = self.mi
         columns = [mi.Float(column.cpu().contiguous().numpy()) for column in points.T]
@@ -138,7 +137,7 @@ def path_samples(tracer: Tracer, count: int, dimensions: int, rng: Generator) ->
         traced, have = traced + _BATCH, sum(map(len, kept))
         if have < _RAREST * traced:
             raise ValueError(
-                f"{have} of {traced:,} paths meet a light, expected {_RAREST:.3%} or more; point the camera at "
+                f"{have} of {traced:,} paths meet a light, expected {_RAREST:.2%} or more; point the camera at "
                 "surfaces that light reaches, or enlarge the lights."
             )
     image = (total / hits.clamp_min(1)).float().unflatten(1, (IMAGE, IMAGE))

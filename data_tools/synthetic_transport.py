@@ -9,11 +9,11 @@ from collections.abc import Iterator
 
 from data_tools.cornell import draw_scene
 from data_tools.path_space import DIMENSIONS
-from data_tools.procedural import Split, turns
-from data_tools.transport_task import HELD, SAMPLES, TEXTS, UNITS, transport_task
+from data_tools.procedural import Split, stream, turns
+from data_tools.transport_task import BESIDE, HELD, SAMPLES, UNITS, transport_task
 from metapp.task import Task
 
-__all__ = ["COUNTS", "TEXTS", "UNITS", "synthetic_tasks"]
+__all__ = ["BESIDE", "COUNTS", "UNITS", "cornell_tasks", "synthetic_tasks"]
 
 COUNTS: dict[Split, int] = {"train": 40, "test": 8}
 
@@ -46,4 +46,20 @@ def synthetic_tasks(
     for _, name, rng in turns("scenes", ["box"], COUNTS, split, count, seed):
         scene = draw_scene(rng)
         drawn = int(rng.integers(2**63))
+        yield transport_task(name, scene, drawn, samples=samples, held=held, dimensions=dimensions)
+
+
+def cornell_tasks(
+    count: int, seed: int = 0, *, samples: int = SAMPLES, held: int = HELD, dimensions: int = DIMENSIONS
+) -> Iterator[Task]:
+    """Other Cornell boxes than any of the default sets, one by one: those of `metapp data cornell`.
+
+    Returns:
+        Tasks as `transport_task` makes them, named "cornell-7-000" and so on, with the seed in the middle. A larger set
+        begins with the smaller one.
+    """
+    for index in range(count):
+        rng = stream(seed, index)
+        scene = draw_scene(rng)
+        drawn, name = int(rng.integers(2**63)), f"cornell-{seed}-{index:03d}"
         yield transport_task(name, scene, drawn, samples=samples, held=held, dimensions=dimensions)

@@ -18,7 +18,7 @@ UNITS = {
     "image": "linear RGB radiance [3, 32, 32], rows from the top; noisy",
     "scene": "Mitsuba 3 scene as JSON text, UTF-8, blanks at its end",
 }
-TEXTS = {"scene": ".json"}  # are files beside the shards, too
+BESIDE = ("scene", ".json")  # is a file beside each shard, too
 
 
 def transport_task(
@@ -44,12 +44,9 @@ def transport_task(
         `samples` [N, d], `held` [M, d] and `image` [3, 32, 32], float32, and `scene`, uint8 [L].
 
     Raises:
-        ValueError: as `load_scene` and `path_samples`, with the task's name.
+        ValueError: as `load_scene` and `path_samples`.
     """
     rng = Generator().manual_seed(seed)
-    try:
-        points, image = path_samples(Tracer(scene), samples + held, dimensions, rng)
-    except ValueError as error:
-        raise ValueError(f"{name}: {error}") from None
+    points, image = path_samples(Tracer(scene), samples + held, dimensions, rng)
     data = {"samples": points[:samples], "held": points[samples:], "image": image, "scene": scene_bytes(scene)}
     return Task(name, data)
