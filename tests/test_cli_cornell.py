@@ -15,7 +15,7 @@ from data_tools.mitsuba_variant import choose_llvm
 from data_tools.synthetic_transport import COUNTS, cornell_tasks, synthetic_tasks
 from metapp.cli.embedded import embedded_data, split_counts
 from metapp.manifest import read_manifest
-from metapp.shards import check_shard, fingerprint, read_shard
+from metapp.shards import check_shard, read_shard
 
 try:
     choose_llvm()  # while the tests are collected: whichever of them first imports Mitsuba decides which it takes
@@ -45,14 +45,13 @@ def test_boxes_are_written_with_their_scenes_beside(metapp: Callable, tmp_path: 
         assert task.data["held"].shape == (50, 4)
         scene = json.loads((tmp_path / "a" / f"{task.name}.json").read_text())
         assert scene == scene_of(task.data["scene"])
-    assert metapp("data", "cornell", "--count", "5", "--seed", "7", *FEW, "-o", tmp_path / "b", "-q").code == 0
-    assert fingerprint(tmp_path / "a") == fingerprint(tmp_path / "b")
     # fewer take the place of all, scenes included
-    assert metapp("data", "cornell", "--count", "1", "--seed", "7", *FEW, "-o", tmp_path / "b", "-q").code == 0
+    for count in ("2", "1"):
+        assert metapp("data", "cornell", "--count", count, "--seed", "7", *FEW, "-o", tmp_path / "b", "-q").code == 0
     files = {"manifest.json", "cornell-7-000.json", "cornell-7-000.safetensors"}
     assert {path.name for path in (tmp_path / "b").iterdir()} == files
     (again,) = read_shard(tmp_path / "b")
-    assert torch.equal(again.data["samples"], tasks[0].data["samples"])
+    assert all(torch.equal(again.data[key], tasks[0].data[key]) for key in again.data)
 
 
 @needs_mitsuba
