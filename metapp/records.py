@@ -27,7 +27,7 @@ def save_start(path: Path, start: MetaParameters, info: dict[str, Any]) -> None:
 
 
 def load_start(path: Path, device: torch.device | str = "cpu") -> tuple[MetaParameters, dict[str, Any]]:
-    """Read a prepared start.
+    """Read a prepared start; what is stored in half precision becomes float32.
 
     Returns:
         The start and what `save_start` was told about it.
@@ -40,7 +40,8 @@ def load_start(path: Path, device: torch.device | str = "cpu") -> tuple[MetaPara
     try:
         with safe_open(path, "pt", device=str(device)) as file:
             info = json.loads((file.metadata() or {})["metapp"])
-            tensors = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118  (not a mapping)
+            stored = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118  (not a mapping)
+        tensors = {key: value.float() if value.dtype == torch.half else value for key, value in stored.items()}
         if not all(bool(torch.isfinite(value).all()) for value in tensors.values()):
             raise ValueError(f"{path}: holds NaN or infinite values, expected finite ones; train a start again.")
         if info["schema"] > SCHEMA:
