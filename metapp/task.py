@@ -138,6 +138,20 @@ class Recipe:
     setup: Any = None
 
 
+class Visible(NamedTuple):
+    """What a fit may see of a task.
+
+    Attributes:
+        samples: how many it draws from; 1 where each step sees all there is.
+        size: bytes of one, as data sets keep it.
+        encoder: samples that General's encoder reads of these.
+    """
+
+    samples: int
+    size: int
+    encoder: int
+
+
 class App(ABC):
     """An application: a network, the samples it is fitted to, and the distance that says how well it fits.
 
@@ -159,6 +173,8 @@ class App(ABC):
         recipes: "paper" and "quick".
         raw: names of those `files` whose values are no colours, such as normals.
         radiance: names of those `files` that are linear radiance of any range, kept as EXR.
+        image_measure: what `image_errors` are of, in one line; "" where there are none.
+        unfitted: what tables call the picture that is made without any fit; "" where there is none.
     """
 
     name: str
@@ -175,6 +191,8 @@ class App(ABC):
     recipes: dict[str, Recipe]
     raw: tuple[str, ...] = ()
     radiance: tuple[str, ...] = ()
+    image_measure: str = ""
+    unfitted: str = ""
 
     def at(self, recipe: Recipe, observe: str = "") -> App:
         """The application at a recipe's setup, under a protocol, its first one where none is named."""
@@ -234,6 +252,18 @@ class App(ABC):
     @abstractmethod
     def outputs(self, theta: Params, task: Task) -> dict[str, Any]:
         """Linear RGB pictures [H, W, 3 or 4] of one fitted task and its reference, by name (no task axis in theta)."""
+
+    def visible(self, task: Task) -> Visible | None:
+        """How much a fit may see of a task; None where the application does not say."""
+        return None
+
+    def image_errors(self, theta: Params | None, task: Task) -> dict[str, float]:
+        """Measures of a fit's picture against its reference's, by name, such as SSIM; {} where there are none.
+
+        `theta` has no task axis; None asks for the picture that is made without any fit (`unfitted`). Of measures whose
+        name begins with SSIM more is better, of others less.
+        """
+        return {}
 
     def files(self, theta: Params, task: Task) -> dict[str, Tensor]:
         """What a fit makes for its user, by file name: display values [H, W, 1 or 3] in [0, 1], kept as PNG.

@@ -11,9 +11,10 @@ import torch
 from torch import Generator, Tensor
 from torch.nn.functional import gelu, layer_norm
 
+from metapp.colour import linear_to_srgb
 from metapp.geometry import cos_incident, half_difference
 from metapp.sphere import reference_scene, shade_sphere
-from metapp.task import Adam, App, Batch, Params, Recipe, Task, Tasks, Training
+from metapp.task import Adam, App, Batch, Params, Recipe, Task, Tasks, Training, Visible
 
 WIDTHS = (6, 21, 21, 3)
 OBSERVED = 1024
@@ -96,6 +97,7 @@ class Brdf(App):
     inputs = "a MERL .binary file or a folder with an NBRDF network, or a folder of these"
     exports = ("nbrdf", "merl")
     measure = "mean |log(1 + f cos theta_i) - log(1 + f' cos theta_i)| on held-out directions"
+    image_measure = "the reference sphere under three softboxes, a lamp and a dim sky, sRGB, over the pixels it touches"
     scale = 100.0
     small_kernels = True
     recipes = {"paper": PAPER, "quick": QUICK}  # noqa: RUF012  (never written to)
@@ -210,6 +212,23 @@ class Brdf(App):
         reflectance = network(theta, where[:, :6]).clamp_min(0)
         return {"error": (torch.log1p(reflectance * where[:, 6:7]) - target).abs().mean((1, 2))}
 
+    def image_errors(self, theta: Params | None, task: Task) -> dict[str, float]:
+        """SSIM of the reference sphere, mean over the pixels that it touches."""
+        if theta is None or "render" not in task.data:
+            return {}
+        # takes half a second to import
+        from torchmetrics.functional.image import structural_similarity_index_measure
+
+        pictures = self.outputs(theta, task)
+        fit, reference = (_display(pictures[name]).permute(2, 0, 1)[None] for name in ("fit", "reference"))
+        _, full = structural_similarity_index_measure(fit, reference, data_range=1.0, return_full_image=True)
+        return {"SSIM": float(full[0][:, reference_scene().mask].mean())}
+
+    def visible(self, task: Task) -> Visible:
+        """The first half of the samples, three angles and a colour each."""
+        angles, reflectance = task.data["angles"], task.data["reflectance"]
+        return Visible(len(angles) // 2, angles[0].nbytes + reflectance[0].nbytes, OBSERVED)
+
     def reflectance(self, theta: Params, angles: Tensor) -> Tensor:
         """Evaluate one fitted network.
 
@@ -227,6 +246,12 @@ class Brdf(App):
     def outputs(self, theta: Params, task: Task) -> dict[str, Any]:
         fit = shade_sphere(reference_scene(), lambda angles: self.reflectance(theta, angles))
         return {"reference": task.data["render"], "fit": fit}
+
+
+def _display(linear: Tensor) -> Tensor:
+    """Linear RGB on black with coverage, [H, W, 4], as sRGB [H, W, 3] on white."""
+    coverage = linear[..., 3:]
+    return coverage * linear_to_srgb((linear[..., :3] / coverage.clamp_min(1e-6)).clamp(0, 1)) + 1 - coverage
 
 
 def _shapes() -> dict[str, tuple[int, int]]:
