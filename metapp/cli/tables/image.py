@@ -80,8 +80,6 @@ def measured_row(subject: Subject, name: str, cell: Cell, key: str) -> Row:
         "paper_seconds": None,
         "worst": (min(values) if better else max(values)) if values else None,
         "share": statistics.fmean(value >= bound for value in values) if better and values else None,
-        if better and values
-        else None,
         "paper_share": told["ssim"]["share"].get(app, {}).get(name) if better else None,
     }
 
