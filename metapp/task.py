@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal, NamedTuple
 
@@ -152,6 +152,13 @@ class Visible(NamedTuple):
     encoder: int
 
 
+class Fitted(NamedTuple):
+    """A fit of one task: parameters without task axis, and the seconds of inference that it took."""
+
+    theta: Params
+    seconds: float
+
+
 class App(ABC):
     """An application: a network, the samples it is fitted to, and the distance that says how well it fits.
 
@@ -174,7 +181,6 @@ class App(ABC):
         raw: names of those `files` whose values are no colours, such as normals.
         radiance: names of those `files` that are linear radiance of any range, kept as EXR.
         image_measure: what `image_errors` are of, in one line; "" where there are none.
-        unfitted: what tables call the picture that is made without any fit; "" where there is none.
     """
 
     name: str
@@ -192,7 +198,6 @@ class App(ABC):
     raw: tuple[str, ...] = ()
     radiance: tuple[str, ...] = ()
     image_measure: str = ""
-    unfitted: str = ""
 
     def at(self, recipe: Recipe, observe: str = "") -> App:
         """The application at a recipe's setup, under a protocol, its first one where none is named."""
@@ -257,11 +262,11 @@ class App(ABC):
         """How much a fit may see of a task; None where the application does not say."""
         return None
 
-    def image_errors(self, theta: Params | None, task: Task) -> dict[str, float]:
-        """Measures of a fit's picture against its reference's, by name, such as SSIM; {} where there are none.
+    def image_errors(self, fits: Mapping[str, Fitted], task: Task) -> dict[str, dict[str, float]]:
+        """Measures of the pictures that fits of a task make, by the fit's name, then by the measure's, such as SSIM.
 
-        `theta` has no task axis; None asks for the picture that is made without any fit (`unfitted`). Of measures whose
-        name begins with SSIM more is better, of others less.
+        There may be further names, of pictures that are made without any fit. Of measures whose name begins with SSIM
+        more is better, of others less. Empty where there are none.
         """
         return {}
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -14,7 +15,7 @@ from torch.nn.functional import gelu, layer_norm
 from metapp.colour import linear_to_srgb
 from metapp.geometry import cos_incident, half_difference
 from metapp.sphere import reference_scene, shade_sphere
-from metapp.task import Adam, App, Batch, Params, Recipe, Task, Tasks, Training, Visible
+from metapp.task import Adam, App, Batch, Fitted, Params, Recipe, Task, Tasks, Training, Visible
 
 WIDTHS = (6, 21, 21, 3)
 OBSERVED = 1024
@@ -212,17 +213,20 @@ class Brdf(App):
         reflectance = network(theta, where[:, :6]).clamp_min(0)
         return {"error": (torch.log1p(reflectance * where[:, 6:7]) - target).abs().mean((1, 2))}
 
-    def image_errors(self, theta: Params | None, task: Task) -> dict[str, float]:
+    def image_errors(self, fits: Mapping[str, Fitted], task: Task) -> dict[str, dict[str, float]]:
         """SSIM of the reference sphere, mean over the pixels that it touches."""
-        if theta is None or "render" not in task.data:
+        if "render" not in task.data:
             return {}
         # takes half a second to import
         from torchmetrics.functional.image import structural_similarity_index_measure
 
-        pictures = self.outputs(theta, task)
-        fit, reference = (_display(pictures[name]).permute(2, 0, 1)[None] for name in ("fit", "reference"))
-        _, full = structural_similarity_index_measure(fit, reference, data_range=1.0, return_full_image=True)
-        return {"SSIM": float(full[0][:, reference_scene().mask].mean())}
+        mask, measured = reference_scene().mask, {}
+        for name, fit in fits.items():
+            pictures = self.outputs(fit.theta, task)
+            found, wanted = (_display(pictures[each]).permute(2, 0, 1)[None] for each in ("fit", "reference"))
+            full = structural_similarity_index_measure(found, wanted, data_range=1.0, return_full_image=True)[1]
+            measured[name] = {"SSIM": float(full[0][:, mask].mean())}
+        return measured
 
     def visible(self, task: Task) -> Visible:
         """The first half of the samples, three angles and a colour each."""

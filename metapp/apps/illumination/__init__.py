@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import importlib
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -26,7 +27,7 @@ from metapp.latlong import (
 )
 from metapp.networks import LocalField
 from metapp.photograph import Camera, Material, develop, photograph, shade
-from metapp.task import AS_PUBLISHED, Adam, Batch, Params, Recipe, Task, Tasks, Training, Visible, stack
+from metapp.task import AS_PUBLISHED, Adam, Batch, Fitted, Params, Recipe, Task, Tasks, Training, Visible, stack
 
 DARK = 0.01  # of a map of mean luminance 1: the log of radiance is flat below
 DIM = 0.02  # the same for what surfaces send out
@@ -260,15 +261,15 @@ class Illumination(CodedApp):
             "map": logs,
         }
 
-    def image_errors(self, theta: Params | None, task: Task) -> dict[str, float]:
+    def image_errors(self, fits: Mapping[str, Fitted], task: Task) -> dict[str, dict[str, float]]:
         """Of the second scene's picture: the table's error, the same relative to the picture's mean, and SSIM."""
-        if theta is None:
-            return {}
-        errors = self.errors({key: value[None] for key, value in theta.items()}, stack(self, [task]))
-        if not errors:
-            return {}
-        error, relative, ssim = (float(errors[key]) for key in ("error", "relative", "ssim"))
-        return {f"MAE x{self.scale:g}": self.scale * error, "relative MAE": relative, "SSIM": ssim}
+        stacked, measured = stack(self, [task]), {}
+        for name, fit in fits.items():
+            errors = self.errors({key: value[None] for key, value in fit.theta.items()}, stacked)
+            if errors:
+                error, relative, ssim = (float(errors[key]) for key in ("error", "relative", "ssim"))
+                measured[name] = {f"MAE x{self.scale:g}": self.scale * error, "relative MAE": relative, "SSIM": ssim}
+        return measured
 
     @torch.no_grad()
     def outputs(self, theta: Params, task: Task) -> dict[str, Any]:

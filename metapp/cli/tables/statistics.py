@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import statistics
 from collections.abc import Sequence
 from typing import Any
@@ -63,12 +62,15 @@ def verdict(rows: list[Row], one: str = "meta", other: str = "quickft") -> str:
 
 
 def carried(rows: list[Row], error: str, seconds: str) -> tuple[float | None, float | None]:
-    """The two figures that carry across data sets and machines: Meta's gap closed, and its speed-up over Overfit."""
+    """The two figures that carry across data sets and machines: Meta's gap closed, and its speed-up over Overfit.
+
+    There is no gap to close where Overfit is no better than General.
+    """
     by = {row["paradigm"]: row for row in rows}
     general, overfit, meta = (by[name] for name in ("general", "overfit", "meta"))
     gap = speed = None
-    if None not in (general[error], overfit[error], meta[error]):
-        gap = (general[error] - meta[error]) / ((general[error] - overfit[error]) or math.nan)
+    if None not in (general[error], overfit[error], meta[error]) and overfit[error] < general[error]:
+        gap = (general[error] - meta[error]) / (general[error] - overfit[error])
     if None not in (overfit[seconds], meta[seconds]):
         speed = overfit[seconds] / meta[seconds]
     return gap, speed

@@ -95,6 +95,11 @@ class Subject:
         return title_of(self.app)
 
     @property
+    def shortened(self) -> str:
+        """What names say of an Overfit of fewer steps than the recipe's; "" where there is nothing to say."""
+        return f"overfit{self.share:g}" if self.share != 1 else ""
+
+    @property
     def key(self) -> tuple[str, str]:
         """Application and protocol: what makes a table."""
         return self.app.name, self.app.protocol

@@ -33,12 +33,12 @@ def trace_cell(subject: Subject) -> Cell:
     fits = [subject.fits[name] for name in CURVES]
     options = subject.options
     path = options.out / options.app.name / "trace" / f"{subject.label}-{options.recipe}-seed{options.seed}"
-    protocol, share = options.app.protocol, f"overfit{subject.share:g}" if subject.share != 1 else ""
     folder = None
     if all(fit.start for fit in fits):
         keys = [digest(settings_of(f.options, f.paradigm, f.start, subject.label)) for f in fits if f.start]
         said = {"app": options.app.name, **observe_of(options.app), "fits": keys, "further": FURTHER, "walked": WALKED}
-        folder = RunFolder(path.with_name("-".join(filter(None, (path.name, options.rule, share, protocol)))), said)
+        end = (path.name, options.rule, subject.shortened, options.app.protocol)
+        folder = RunFolder(path.with_name("-".join(filter(None, end))), said)
 
     def measure(missing: list[Task]) -> Iterator[Record]:
         assert folder is not None
