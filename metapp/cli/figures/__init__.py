@@ -34,8 +34,13 @@ class Drawn(NamedTuple):
 
 def draw(name: str, subject: Subject) -> Drawn | None:
     """The figure of that name, one of FIGURES; None where nothing was measured yet that it could show."""
+    from matplotlib import rc_context
+
+    from metapp.cli.figures.style import STYLE
+
     module, function = FIGURES[name].split(".")
-    return getattr(importlib.import_module(f"metapp.cli.figures.{module}"), function)(subject)
+    with rc_context(STYLE):
+        return getattr(importlib.import_module(f"metapp.cli.figures.{module}"), function)(subject)
 
 
 def write_figures(subjects: Sequence[Subject], folder: Path) -> list[Path]:

@@ -8,7 +8,7 @@ from matplotlib.ticker import NullLocator
 
 from metapp.cli.figures import Drawn
 from metapp.cli.figures.quality import factor
-from metapp.cli.figures.style import COLOURS, INK, TITLES, line, new
+from metapp.cli.figures.style import COLOURS, INK, TITLES, legend, line, new
 from metapp.cli.tables.subject import Subject
 from metapp.cli.tables.trace import CURVES, trace_cell
 
@@ -20,7 +20,7 @@ def curves(subject: Subject) -> Drawn | None:
     records = trace_cell(subject).records()
     if not records or records[0]["curves"]["meta"][0][1] is None:
         return None
-    figure, axes = new(3.6, 3.0)
+    figure, axes = new(4.0, 3.2)
     axis = axes[0, 0]
     last = {}
     for name in CURVES:
@@ -35,7 +35,7 @@ def curves(subject: Subject) -> Drawn | None:
     axis.set_xlabel("gradient steps")
     axis.set_ylabel(f"error{factor(subject)}")
     axis.set_title(subject.title)
-    axis.legend(ncols=2)
+    legend(figure)
     said = ", ".join(f"{TITLES[name]} {error:.3f}" for name, error in last.items())
     return Drawn(figure, f"{subject.title}: error along the steps, mean over {len(records)} tasks. In the end: {said}.")
 
@@ -56,7 +56,7 @@ def trajectories(subject: Subject) -> Drawn | None:
         axis.set_yticklabels([])
         name = record["name"] if len(record["name"]) < 26 else record["name"][:24] + "…"
         axis.set_title(f"{name}\n{record['explained']:.0%} of the variance", fontsize=8, parse_math=False)
-    axes[0, 0].legend()
+    legend(figure)
     figure.suptitle(f"{subject.title}: from the start (ring) to the result (star)", fontsize=10)
     tasks = ", ".join(record["name"] for record in records)
     return Drawn(

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from metapp.cli.figures import Drawn
-from metapp.cli.figures.style import COLOURS, MARKERS, TITLES, line, new
+from metapp.cli.figures.style import COLOURS, MARKERS, TITLES, legend, line, new
 from metapp.cli.tables.results import result_row
 from metapp.cli.tables.subject import Subject
+
+OFFSETS = {"meta": (8, 8), "quickft": (6, -13)}  # points; the two often lie close
 
 
 def plane(subject: Subject) -> Drawn | None:
@@ -14,13 +16,14 @@ def plane(subject: Subject) -> Drawn | None:
     rows = {name: row for name, row in rows.items() if None not in (row["error"], row["seconds"])}
     if not rows:
         return None
-    figure, axes = new(3.6, 3.0)
+    figure, axes = new(4.0, 3.0)
     axis = axes[0, 0]
     for name, row in rows.items():
         reach = [[row["error"] - row["low"]], [row["high"] - row["error"]]]
         look = {"fmt": MARKERS[name], "color": COLOURS[name], "markersize": 12 if name == "meta" else 7}
         axis.errorbar(row["seconds"], row["error"], yerr=reach, capsize=2, **look)
-        axis.annotate(TITLES[name], (row["seconds"], row["error"]), (6, 6), textcoords="offset points", fontsize=8)
+        where, away = (row["seconds"], row["error"]), OFFSETS.get(name, (6, 6))
+        axis.annotate(TITLES[name], where, away, textcoords="offset points", fontsize=8)
     axis.set_xscale("log")
     axis.invert_xaxis()
     axis.invert_yaxis()
@@ -38,7 +41,7 @@ def ranks(subject: Subject) -> Drawn | None:
     found = {name: sorted(errors) for name, errors in found.items() if errors}
     if not found:
         return None
-    figure, axes = new(3.6, 3.0)
+    figure, axes = new(4.0, 3.2)
     axis = axes[0, 0]
     for name, errors in found.items():
         axis.plot(range(1, len(errors) + 1), errors, **line(name))
@@ -47,7 +50,7 @@ def ranks(subject: Subject) -> Drawn | None:
     axis.set_xlabel("test task, each paradigm's in order of error")
     axis.set_ylabel(f"error{factor(subject)}")
     axis.set_title(subject.title)
-    axis.legend(ncols=2)
+    legend(figure)
     worst = ", ".join(f"{TITLES[name]} {errors[-1]:.3f}" for name, errors in found.items())
     return Drawn(figure, f"{subject.title}: errors of all test tasks, sorted. Worst: {worst}.")
 

@@ -35,7 +35,7 @@ def histogram(subject: Subject) -> Drawn | None:
     logs = {key: values for key, values in logs.items() if len(values)}
     low, high = (f(f(values) for values in logs.values()) for f in (min, max))
     edges = np.linspace(low - 0.1, high + 0.1, BINS + 1)
-    figure, axes = new(3.8, 0.24 * len(logs) + 1.2)
+    figure, axes = new(4.0, 0.24 * len(logs) + 1.2)
     axis = axes[0, 0]
     for i, values in enumerate(logs.values()):
         counts, _ = np.histogram(values, edges)

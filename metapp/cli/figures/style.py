@@ -47,12 +47,10 @@ STYLE: Any = {
 }
 
 
-def new(width: float, height: float, rows: int = 1, columns: int = 1, **options: Any) -> tuple[Figure, Any]:
+def new(width: float, height: float, rows: int = 1, columns: int = 1) -> tuple[Figure, Any]:
     """A figure of so many inches, and its axes [rows, columns]."""
-    with rc_context(STYLE):
-        figure = Figure(figsize=(width, height), layout="constrained")
-        axes = figure.subplots(rows, columns, squeeze=False, **options)
-    return figure, axes
+    figure = Figure(figsize=(width, height), layout="constrained")
+    return figure, figure.subplots(rows, columns, squeeze=False)
 
 
 def line(name: str) -> dict[str, Any]:
@@ -63,6 +61,12 @@ def line(name: str) -> dict[str, Any]:
         "markersize": 7 if name == "meta" else 4,
         "label": TITLES[name],
     }
+
+
+def legend(figure: Figure) -> None:
+    """What the lines of a figure's first axes are, below it, where it covers none of them."""
+    handles, labels = figure.axes[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=len(labels), columnspacing=1.0, handletextpad=0.4)
 
 
 def png_of(figure: Figure) -> bytes:

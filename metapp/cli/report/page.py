@@ -65,8 +65,8 @@ def section(subject: Subject, pictures: Pictures) -> str:
     """All there is of one application."""
     name = anchor(subject)
     figures = {each: draw(each, subject) for each in FIGURES if each != "plane"}
-    drawn = {each: drawn_html(d, f"{name}-{each}", pictures) for each, d in figures.items() if d}
-    strips = drawn.pop("strips", "").replace('class="figure"', 'class="wide"', 1)
+    drawn = {each: drawn_html(d, f"{name}-{each}", pictures, _kind(each)) for each, d in figures.items() if d}
+    strips = drawn.pop("strips", "")
     gallery = gallery_html(subject, pictures)
     asked = "The reference beside five results; a click shows the record behind one."
     return "\n".join(
@@ -81,6 +81,10 @@ def section(subject: Subject, pictures: Pictures) -> str:
             "</section>",
         ]
     )
+
+
+def _kind(figure: str) -> str:
+    return "figure broad" if figure == "trajectories" else "figure"
 
 
 def _table(name: str, subject: Subject) -> str:
