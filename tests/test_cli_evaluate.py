@@ -27,6 +27,7 @@ from metapp.cli.report.html import EMBEDDED, Pictures, identifier
 from metapp.cli.session import Options
 from metapp.cli.tables import NAMES, blank, load_table, paper
 from metapp.cli.tables.convergence import steps_needed
+from metapp.cli.tables.image import image_cell
 from metapp.cli.tables.running import Clock, duration, run_cells
 from metapp.cli.tables.statistics import carried, change, overlap, statistics_of, verdict
 from metapp.cli.tables.storage import size
@@ -111,19 +112,43 @@ def networks(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-@pytest.fixture
-def few(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.fixture(scope="module", autouse=True)
+def few() -> Iterator[None]:
     """Few steps of Overfit and Finetune, and of what comes after Meta."""
-    monkeypatch.setitem(APP.recipes, "quick", replace(APP.recipes["quick"], overfit_steps=40, finetune_steps=5))
-    monkeypatch.setattr("metapp.cli.tables.trace.FURTHER", (2, 4))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(APP.recipes, "quick", replace(APP.recipes["quick"], overfit_steps=40, finetune_steps=5))
+        patch.setattr("metapp.cli.tables.trace.FURTHER", (2, 4))
+        yield
+
+
+@pytest.fixture(scope="module")
+def data(networks: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Three small materials, all of them test tasks."""
+    folder = tmp_path_factory.mktemp("data") / "materials"
+    assert call("data", "nbrdf", networks, "--split", "test", "--out", folder, "--samples", "256") == 0
+    return folder
+
+
+@pytest.fixture(scope="module")
+def done(few: None, data: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with the runs of all tables, the figures and the report, by the starts that ship."""
+    folder = tmp_path_factory.mktemp("done")
+    drawn = ("--report", folder / "report", "--figures", folder / "figures")
+    assert call("evaluate", "brdf", "--data", data, "--out", folder / "runs", "--quiet", "--json", *drawn) == 0
+    return folder
+
+
+def call(*arguments: str | Path) -> int:
+    """`metapp <arguments>`, where no test is to see what it prints."""
+    from metapp.cli import console
+    from metapp.cli.commands import app
+
+    return int(console.run(lambda: app([str(each) for each in arguments], standalone_mode=False)))
 
 
 @pytest.fixture
-def evaluate(few: None, metapp: Callable, networks: Path, tmp_path: Path) -> Callable:
-    """`metapp evaluate brdf` on three small materials, by the starts that ship."""
-    data = tmp_path / "materials"
-    made = metapp("data", "nbrdf", networks, "--split", "test", "--out", data, "--samples", "256")
-    assert made.code == 0, made.err
+def evaluate(metapp: Callable, data: Path, tmp_path: Path) -> Callable:
+    """`metapp evaluate brdf` on the three materials, into a folder of this test."""
     return lambda *arguments: metapp("evaluate", "brdf", "--data", data, "--out", tmp_path / "runs", *arguments)
 
 
@@ -132,35 +157,44 @@ def errors(document: dict[str, Any]) -> list[Any]:
     return [{key: value for key, value in row.items() if "seconds" not in key} for row in document["rows"]]
 
 
-def test_all_tables_have_all_rows_in_every_format(evaluate: Callable, tmp_path: Path) -> None:
+def test_all_tables_have_all_rows_in_every_format(evaluate: Callable, done: Path) -> None:
     empty = evaluate("--which", "all", "--no-run", "--json")
     assert empty.code == 0, empty.err
     assert all(row["error"] is None for row in empty.document["rows"])
     assert "brdf trace: 3 of 3 tasks missing: metapp evaluate brdf --which convergence" in empty.err
-    full = evaluate("--which", "all", "--json", "--overfit-share", "0.5")
+    common = ("--out", done / "runs", "--no-run")
+    full = evaluate(*common, "--which", "all", "--json")
     assert full.code == 0, full.err
+    assert "missing" not in full.err
     assert full.document["which"] == "all"
     rows = full.document["rows"]
     assert {row["table"] for row in rows} == set(NAMES)
     assert all(set(row) >= KEYS for row in rows)
-    for name in ("results", "quickft", "image", "ablation", "convergence"):
-        for row in (row for row in rows if row["table"] == name):
-            assert row["low"] <= row["error"] <= row["high"], row
-            assert row["tasks"] == 3
+    for row in (row for row in rows if row["table"] not in ("storage", "samples")):
+        assert row["low"] <= row["error"] <= row["high"], row
+        assert row["tasks"] == 3
     for name in NAMES:
-        one = evaluate("--which", name, "--no-run", "--json", "--overfit-share", "0.5").document
+        one = evaluate(*common, "--which", name, "--json").document
         assert one["which"] == name
         assert [row | {"table": name} for row in one["rows"]] == [row for row in rows if row["table"] == name]
     for form, mark in (("rich", "BRDF"), ("markdown", "| --- |"), ("latex", r"\bottomrule"), ("csv", "app,")):
-        shown = evaluate("--which", "all", "--no-run", "--format", form, "--overfit-share", "0.5")
+        shown = evaluate(*common, "--which", "all", "--format", form)
         assert shown.code == 0, shown.err
         assert shown.out.count(mark) >= (1 if form == "csv" else len(NAMES))
-    budget = "20 of the recipe's 40 steps"
-    assert budget in " ".join(evaluate("--no-run", "--overfit-share", "0.5").out.split())
-    assert budget not in " ".join(evaluate("--no-run").out.split())
-    # what an abbreviated Overfit has left is not taken for a whole one
-    whole = evaluate("--no-run", "--json").document["rows"]
-    assert [row["tasks"] for row in whole if row["paradigm"] == "overfit"] == [0]
+
+
+def test_an_overfit_of_fewer_steps_is_said_and_is_another_run(evaluate: Callable, done: Path) -> None:
+    common = ("--out", done / "runs", "--no-run")
+    short = evaluate(*common, "--overfit-share", "0.5")
+    assert "20 of the recipe's 40 steps" in " ".join(short.out.split())
+    assert "--steps 20" in short.err
+    tasks = {row["paradigm"]: row["tasks"] for row in rows_of(evaluate(*common, "--overfit-share", "0.5", "--json"))}
+    assert tasks == {"general": 3, "overfit": 0, "finetune": 3, "quickft": 3, "meta": 3}
+    assert "of the recipe's" not in evaluate(*common).out
+
+
+def rows_of(result: Any) -> list[dict[str, Any]]:
+    return result.document["rows"]
 
 
 KILLED = """
@@ -180,9 +214,11 @@ app(sys.argv[2:], standalone_mode=False)
 """
 
 
-def test_a_run_that_is_killed_twice_gives_the_table_of_an_unbroken_one(evaluate: Callable, tmp_path: Path) -> None:
-    unbroken = evaluate("--json", "--out", tmp_path / "unbroken", "--quiet").document
-    common = ["evaluate", "brdf", "--data", str(tmp_path / "materials"), "--out", str(tmp_path / "broken"), "--quiet"]
+def test_a_run_that_is_killed_twice_gives_the_table_of_an_unbroken_one(
+    evaluate: Callable, done: Path, data: Path, tmp_path: Path
+) -> None:
+    unbroken = evaluate("--json", "--out", done / "runs", "--no-run").document
+    common = ["evaluate", "brdf", "--data", str(data), "--out", str(tmp_path / "broken"), "--quiet"]
     kept = []
     for calls in ("5", "7"):
         done = subprocess.run([sys.executable, "-c", KILLED, calls, *common], capture_output=True, check=False)
@@ -194,26 +230,21 @@ def test_a_run_that_is_killed_twice_gives_the_table_of_an_unbroken_one(evaluate:
 
 
 @pytest.fixture
-def subject(evaluate: Callable, tmp_path: Path) -> Subject:
-    """The same materials, nothing run yet."""
-    of = APP.at(APP.recipes["quick"])
-    device = torch.device("cpu")
-    data, out = tmp_path / "materials", tmp_path / "runs"
-    options = Options(of, "quick", "meta-curvature", None, data, out, None, 0, device, True)
+def subject(data: Path, done: Path) -> Subject:
+    """The same materials, with all that has been run of them."""
+    of, device = APP.at(APP.recipes["quick"]), torch.device("cpu")
+    options = Options(of, "quick", "meta-curvature", None, data, done / "runs", None, 0, device, True)
     (found,) = find_subjects([options], run=True, share=1.0)
     return found
 
 
-def run(subject: Subject, *names: str) -> dict[str, list[dict[str, Any]]]:
-    tables = {name: load_table(name) for name in names}
-    run_cells([cell for table in tables.values() for cell in table.cells(subject)], quiet=True)
-    return {name: table.rows(subject) for name, table in tables.items()}
+def rows(subject: Subject, name: str) -> list[dict[str, Any]]:
+    return load_table(name).rows(subject)
 
 
 def test_the_ablation_has_four_corners_and_those_of_the_results_among_them(subject: Subject) -> None:
-    found = run(subject, "ablation", "results")
-    ablation = {(row["start"], row["rule"]): row["error"] for row in found["ablation"]}
-    results = {row["paradigm"]: row["error"] for row in found["results"]}
+    ablation = {(row["start"], row["rule"]): row["error"] for row in rows(subject, "ablation")}
+    results = {row["paradigm"]: row["error"] for row in rows(subject, "results")}
     start = "meta (meta-curvature)"
     assert set(ablation) == {(a, b) for a in ("general", start) for b in ("adam", "meta-curvature")}
     assert ablation["general", "adam"] == results["quickft"]
@@ -245,8 +276,7 @@ def test_what_is_combined_is_what_it_says(subject: Subject) -> None:
     assert START_ALONE.count(job) == RULE_ALONE.count(job) == 10
 
 
-def test_a_trace_is_the_fit_itself(subject: Subject, monkeypatch: pytest.MonkeyPatch) -> None:
-    found = run(subject, "convergence", "results")
+def test_a_trace_is_the_fit_itself(subject: Subject) -> None:
     cell = trace_cell(subject)
     for name in ("overfit", "finetune", "quickft", "meta"):
         last = {record["name"]: record["curves"][name][-1] for record in cell.records()}
@@ -256,7 +286,7 @@ def test_a_trace_is_the_fit_itself(subject: Subject, monkeypatch: pytest.MonkeyP
         assert {step for step, _ in last.values()} == {
             subject.fits[name].paradigm.count(subject.fits[name].options.job)
         }
-    assert [row["step"] for row in found["convergence"][: len(PARTS)]] == [0, 2, 5, 8, 10]
+    assert [row["step"] for row in rows(subject, "convergence")[: len(PARTS)]] == [0, 2, 5, 8, 10]
     start = subject.fits["meta"].start
     assert start
     states = states_of(cell, subject.tasks[0])
@@ -268,50 +298,51 @@ def test_a_trace_is_the_fit_itself(subject: Subject, monkeypatch: pytest.MonkeyP
 
 
 def test_storage_is_that_of_the_parameters(subject: Subject) -> None:
-    rows = {row["paradigm"]: row for row in load_table("storage").rows(subject)}
+    found = {row["paradigm"]: row for row in rows(subject, "storage")}
     network = size(subject.app.init(torch.Generator(), 1))
     assert network == 4 * 675
-    assert rows["overfit"]["bytes_100"] == rows["finetune"]["bytes_100"] == 100 * network
-    assert rows["overfit"]["factor"] == 1
+    assert found["overfit"]["bytes_100"] == found["finetune"]["bytes_100"] == 100 * network
+    assert found["overfit"]["factor"] == 1
     for name in ("general", "quickft", "meta"):
-        assert rows[name]["bytes_1"] == rows[name]["bytes_1000"]
-    meta = rows["meta"]
+        assert found[name]["bytes_1"] == found[name]["bytes_1000"]
+    meta = found["meta"]
     assert meta["bytes_1"] <= meta["pays_from"] * network < meta["bytes_1"] + network
 
 
 def test_the_papers_rule_stores_two_networks(subject: Subject) -> None:
     # its compression factor is 2 / m, as the paper has it
     (of,) = find_subjects([subject.options._replace(rule="meta-sgd", data=None)], run=False, share=1.0)
-    meta = {row["paradigm"]: row for row in load_table("storage").rows(of)}["meta"]
+    meta = {row["paradigm"]: row for row in rows(of, "storage")}["meta"]
     assert meta["networks"] == paper()["storage"]["meta_networks"]
     assert meta["factor"] == pytest.approx(paper()["storage"]["factor"])
 
 
 def test_samples_are_those_that_steps_draw(subject: Subject) -> None:
-    rows = {row["paradigm"]: row for row in load_table("samples").rows(subject)}
-    assert {row["all"] for row in rows.values()} == {128}  # half of 256; the rest is held out
-    assert rows["overfit"]["saved"] == 0
-    assert rows["overfit"]["all_bytes"] == 128 * 6 * 4
+    found = {row["paradigm"]: row for row in rows(subject, "samples")}
+    assert {row["all"] for row in found.values()} == {128}  # half of 256; the rest is held out
+    assert found["overfit"]["saved"] == 0
+    assert found["overfit"]["all_bytes"] == 128 * 6 * 4
     (task,) = [task for task in subject.tasks if task.name == "m0"]
     many = {key: value.repeat(128, 1) if value.ndim == 2 else value for key, value in task.data.items()}
     subject.__dict__["_data"] = ([Task("m0", many)], "many")
-    rows = {row["paradigm"]: row for row in load_table("samples").rows(subject)}
-    assert rows["meta"]["seen"] == paper()["samples"]["brdf"]["seen"] == 10 * 512
-    assert rows["meta"]["saved"] == 1 - 5120 / 16384
-    assert rows["quickft"]["seen"] == 10 * 512 + 1024
-    assert rows["general"]["seen"] == 1024
+    found = {row["paradigm"]: row for row in rows(subject, "samples")}
+    assert found["meta"]["seen"] == paper()["samples"]["brdf"]["seen"] == 10 * 512
+    assert found["meta"]["saved"] == 1 - 5120 / 16384
+    assert found["quickft"]["seen"] == 10 * 512 + 1024
+    assert found["general"]["seen"] == 1024
 
 
-def test_measures_of_pictures(subject: Subject, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(type(APP), "image_errors", lambda self, fits, task: measured(fits, task))
-
-    def measured(fits: Any, task: Task) -> dict[str, dict[str, float]]:
+def test_measures_of_pictures(subject: Subject, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    def measured(self: Any, fits: Any, task: Task) -> dict[str, dict[str, float]]:
         assert all(fit.seconds > 0 and fit.theta["w2"].shape == (21, 21) for fit in fits.values())
         value = 0.94 + 0.01 * int(task.name[1:])  # m0 is below the bound
         return {"regular": {"MAPE": 0.5}, **{name: {"SSIM": value, "MAPE": 0.25} for name in fits}}
 
-    rows = run(subject, "image")["image"]
-    by = {(row["paradigm"], row["measure"]): row for row in rows}
+    monkeypatch.setattr(type(APP), "image_errors", measured)
+    shutil.rmtree(image_cell(subject).folder.path)
+    run_cells(load_table("image").cells(subject), quiet=True)
+    by = {(row["paradigm"], row["measure"]): row for row in rows(subject, "image")}
+    shutil.rmtree(image_cell(subject).folder.path)
     assert by["regular", "MAPE"]["error"] == 0.5
     assert by["regular", "SSIM"]["error"] is None
     meta = by["meta", "SSIM"]
@@ -457,14 +488,8 @@ class Page(HTMLParser):
         return [attributes for name, attributes in self.tags if name == tag]
 
 
-@pytest.fixture
-def page(evaluate: Callable, tmp_path: Path) -> Path:
-    result = evaluate("--report", tmp_path / "report", "--figures", tmp_path / "figures", "--quiet")
-    assert result.code == 0, result.err
-    return tmp_path / "report" / "index.html"
-
-
-def test_the_report_is_one_whole_page_that_needs_no_network(page: Path, tmp_path: Path) -> None:
+def test_the_report_is_one_whole_page_that_needs_no_network(done: Path) -> None:
+    page = done / "report" / "index.html"
     text = page.read_text()
     parsed = Page()
     parsed.feed(text)
@@ -491,9 +516,9 @@ def test_the_report_is_one_whole_page_that_needs_no_network(page: Path, tmp_path
         assert found["brdf"]["settings"][shown["key"]]["paradigm"] == button["data-row"]
     for expected in ("metapp evaluate brdf --which all", str(torch.__version__), "4555", "95 % interval"):
         assert expected in text or expected.replace("4555", "4,555") in text
-    figures = {file.name for file in (tmp_path / "figures").iterdir()}
+    figures = {file.name for file in (done / "figures").iterdir()}
     assert figures == {f"brdf-{name}.{form}" for name in FIGURES for form in ("png", "pdf")}
-    assert (tmp_path / "figures" / "brdf-plane.pdf").read_bytes().startswith(b"%PDF")
+    assert (done / "figures" / "brdf-plane.pdf").read_bytes().startswith(b"%PDF")
 
 
 def test_a_report_of_nothing_is_a_page_as_well(evaluate: Callable, tmp_path: Path) -> None:
@@ -519,12 +544,13 @@ BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "
 
 @pytest.mark.slow
 @pytest.mark.skipif(BROWSER is None, reason="no Chromium here")
-def test_a_browser_shows_the_report_without_an_error(page: Path, tmp_path: Path) -> None:
+def test_a_browser_shows_the_report_without_an_error(done: Path, tmp_path: Path) -> None:
+    page = tmp_path / "index.html"
     shot = tmp_path / "shot.png"
     # sort a table and open a record, as a reader does; what goes wrong is said on standard error
     acts = "document.querySelector('.sortable th button').click();document.querySelector('.record').click();"
     acts += "console.log('rows ' + document.querySelector('.sortable tbody').rows.length + ' ' + dialog.open);"
-    page.write_text(page.read_text().replace("</body>", f"<script>{acts}</script></body>"))
+    page.write_text((done / "report" / "index.html").read_text().replace("</body>", f"<script>{acts}</script></body>"))
     options = ["--headless", "--no-sandbox", "--disable-gpu", "--enable-logging=stderr", "--window-size=1280,3000"]
     done = subprocess.run(
         [str(BROWSER), *options, f"--user-data-dir={tmp_path / 'profile'}", f"--screenshot={shot}", page.as_uri()],
