@@ -12,7 +12,7 @@ SEEDS ?= 0 1 2
 export OMP_NUM_THREADS ?= 1
 
 .PHONY: help setup demo test test-slow lint types bench tables figures report paper real real-photos real-illumination \
-  starts-brdf starts-photos starts-illumination clean
+  real-svbrdf starts-brdf starts-photos starts-illumination starts-svbrdf clean
 
 help:  ## list the targets
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 18
@@ -88,8 +88,14 @@ real-photos: setup  ## real textures and flash photos: make real-photos DATA=<fo
 real-illumination: setup  ## real maps: make real-illumination DATA=<folder with illumination>; the starts that ship, 10 minutes
 	bash tools/real_illumination.sh "$(METAPP)" "$(DATA)" "$(RUNS)"
 
+real-svbrdf: setup  ## real materials: make real-svbrdf DATA=<folder with svbrdf_strips, svbrdf_maps, flash_nonstationary>
+	bash tools/real_svbrdf.sh "$(METAPP)" "$(DATA)" "$(RUNS)"
+
 starts-illumination: setup  ## train the starts of illumination that ship, on the embedded maps; an hour
-	bash tools/starts_illumination.sh "$(METAPP)" "$(RUNS)"
+	bash tools/starts_observed.sh "$(METAPP)" "$(RUNS)" illumination
+
+starts-svbrdf: setup  ## train the starts of non-stationary svBRDFs that ship, on the embedded patches; two hours
+	bash tools/starts_observed.sh "$(METAPP)" "$(RUNS)" svbrdf_nonstationary
 
 starts-photos: setup  ## train the starts of textures and svBRDFs that ship, on the embedded sets; hours
 	bash tools/starts_photos.sh "$(METAPP)" "$(RUNS)"

@@ -181,6 +181,7 @@ class _Compiled:
             outputs, spec = tree_flatten(result)
             return outputs
 
+        flat(*leaves)  # fills caches, whose making a trace would take for a part of every step
         table: dict[Any, Callable] = {torch.ops.aten.bmm.default: _narrow_bmm}
         program = make_fx(flat, decomposition_table=table)(*[leaf.detach() for leaf in leaves])
         options: Any = {"guard_filter_fn": torch.compiler.skip_all_guards_unsafe}

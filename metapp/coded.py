@@ -31,6 +31,7 @@ class CodedApp(App):
 
     def __init__(self, setup: Any, protocol: str) -> None:
         self.setup, self.protocol, self.recipes = setup, protocol, self.all_recipes[protocol]
+        self.wraps = self.field.wraps
 
     def at(self, recipe: Recipe, observe: str = "") -> Self:
         return type(self)(recipe.setup, observe or self.protocols[0])

@@ -14,6 +14,7 @@ import torch
 from torch import Tensor
 
 from metapp.adjoint import UpdateRule
+from metapp.learned_descent import move, network_of, networks, no_memory
 from metapp.task import Adam, App, Params, Training
 
 
@@ -140,6 +141,9 @@ def _meta_adam_step(alpha: Params, theta: Params, grads: Params, state: Params) 
             rate = rate + _like(alpha[f"pace.{key}"], rate)
         # rates are of the axes that bases turn to
         moved[key] = theta[key] - _rotate(alpha, key, torch.exp(rate) * direction, back=True)
+        if name := network_of(alpha, key):
+            added, after[f"memory.{key}"] = move(alpha, name, theta[key], grads[key], direction, state[f"memory.{key}"])
+            moved[key] = moved[key] + added
         if "mean" in alpha:
             before = state[f"mean.{key}"]
             after[f"mean.{key}"] = torch.lerp(before, moved[key], _like(alpha["mean"], before))
@@ -196,6 +200,12 @@ def averaging(steps: int, like: Tensor) -> Params:
     }
 
 
+def _meta_lgd_alpha(app: App, theta: Params, steps: int, first: Adam) -> Params:
+    alpha = _meta_encoder_alpha(app, theta, steps, first)
+    learned = networks(theta, steps, first.rate, wraps=app.wraps)
+    return alpha | {key: value.to(alpha["beta1"]) for key, value in learned.items()}
+
+
 def _meta_basis_alpha(app: App, theta: Params, steps: int, first: Adam) -> Params:
     alpha = _meta_mean_alpha(app, theta, steps, first)
     for key, value in theta.items():
@@ -241,12 +251,13 @@ def _meta_curvature_alpha(app: App, theta: Params, steps: int, first: Adam) -> P
 
 
 def _meta_adam(alpha: Params) -> UpdateRule:
-    return UpdateRule(alpha, _meta_adam_state if "mean" in alpha else adam_state, _meta_adam_step)
+    def init(theta: Params) -> Params:
+        state = adam_state(theta) | no_memory(alpha, theta)
+        # not theta: derivatives are not carried through a state's first values, which the first mean forgets anyway
+        means = {f"mean.{key}": torch.zeros_like(value) for key, value in theta.items()}
+        return state | (means if "mean" in alpha else {})
 
-
-def _meta_adam_state(theta: Params) -> Params:
-    # not theta: derivatives are not carried through a state's first values, which the first mean forgets anyway
-    return adam_state(theta) | {f"mean.{key}": torch.zeros_like(value) for key, value in theta.items()}
+    return UpdateRule(alpha, init, _meta_adam_step)
 
 
 RULES: Mapping[str, LearnedRule] = {
@@ -260,7 +271,9 @@ RULES: Mapping[str, LearnedRule] = {
     "meta-encoder": LearnedRule(_meta_encoder_alpha, _meta_adam),
     # the same with the mean of the last parameters as the answer, where samples are random, which lets them scatter
     "meta-mean": LearnedRule(_meta_mean_alpha, _meta_adam),
-    # that, in the principal axes of the training tasks' gradients
+    # meta-encoder, and a convolutional network that adds to the steps of parameters on a grid
+    "meta-lgd": LearnedRule(_meta_lgd_alpha, _meta_adam),
+    # meta-mean, in the principal axes of the training tasks' gradients
     "meta-basis": LearnedRule(_meta_basis_alpha, _meta_adam),
     # meta-adam, its step multiplied by learned matrices from both sides (Park & Oliva 2019)
     "meta-curvature": LearnedRule(_meta_curvature_alpha, _meta_adam),

@@ -176,6 +176,7 @@ class App(ABC):
         measure: what the error is, in one line.
         scale: factor of a printed error; 100 where the paper prints x100.
         small_kernels: True where threads and GPUs only slow the network down, fitted to one task.
+        wraps: True where the columns of parameters on a grid, those of three axes, go on at the grid's other edge.
         random: False where nothing that a fit sees is drawn at random, so that one fit says what two would.
         recipes: "paper" and "quick".
         raw: names of those `files` whose values are no colours, such as normals.
@@ -193,6 +194,7 @@ class App(ABC):
     measure: str
     scale: float = 1.0
     small_kernels: bool = False
+    wraps: bool = False
     random: bool = True
     recipes: dict[str, Recipe]
     raw: tuple[str, ...] = ()

@@ -234,7 +234,7 @@ def subject(data: Path, done: Path) -> Subject:
     """The same materials, with all that has been run of them."""
     of, device = APP.at(APP.recipes["quick"]), torch.device("cpu")
     options = Options(of, "quick", "meta-curvature", None, data, done / "runs", None, 0, device, True)
-    (found,) = find_subjects([options], run=True, share=1.0)
+    (found,) = find_subjects([options], run=True, strict=True, share=1.0)
     return found
 
 
@@ -311,7 +311,7 @@ def test_storage_is_that_of_the_parameters(subject: Subject) -> None:
 
 def test_the_papers_rule_stores_two_networks(subject: Subject) -> None:
     # its compression factor is 2 / m, as the paper has it
-    (of,) = find_subjects([subject.options._replace(rule="meta-sgd", data=None)], run=False, share=1.0)
+    (of,) = find_subjects([subject.options._replace(rule="meta-sgd", data=None)], run=False, strict=True, share=1.0)
     meta = {row["paradigm"]: row for row in rows(of, "storage")}["meta"]
     assert meta["networks"] == paper()["storage"]["meta_networks"]
     assert meta["factor"] == pytest.approx(paper()["storage"]["factor"])

@@ -13,9 +13,11 @@ import torch
 from torch import Generator
 
 from data_tools.brdf_task import brdf_task
+from data_tools.svbrdf_task import pack, svbrdf_task
 from data_tools.synthetic_brdf import synthetic_materials
-from metapp.apps import app_names, illumination, load_app
+from metapp.apps import app_names, illumination, load_app, svbrdf_nonstationary
 from metapp.exemplar import Setup
+from metapp.flash import Maps, normal_from_height
 from metapp.latlong import directions, mean_luminance
 from metapp.learning import MetaParameters, learn, task_loss
 from metapp.networks import LocalField, UNet
@@ -70,6 +72,18 @@ def map_tasks() -> list[Task]:
     return tasks
 
 
+def material_tasks() -> list[Task]:
+    """Smooth materials of two colours each, and how they look under a flash."""
+    generator, tasks = rng(7), []
+    for i in range(COUNT):
+        coarse = torch.rand(1, 8, 3, 3, generator=generator)
+        smooth = torch.nn.functional.interpolate(coarse, (16, 16), mode="bilinear")[0]
+        normal = normal_from_height(3 * smooth[:1])
+        maps = Maps(0.8 * smooth[1:4], 0.1 + 0.4 * smooth[4:7], 0.2 + 0.6 * smooth[7:], normal)
+        tasks.append(svbrdf_task(f"material-{i}", pack(maps)))
+    return tasks
+
+
 def small_setup(outputs: int) -> Setup:
     return Setup(16, 16, UNet(4, levels=2, noise=2, code=4, outputs=outputs), "vgg16", ("relu1_1",))
 
@@ -78,6 +92,10 @@ SMALL: dict[str, Small] = {
     "brdf": Small(brdf_tasks),
     "illumination": Small(
         map_tasks, illumination.Setup(LocalField(8, 16, rows=4, columns=8, code=3, hidden=8, layers=2))
+    ),
+    "svbrdf_nonstationary": Small(
+        material_tasks,
+        svbrdf_nonstationary.Setup(svbrdf_nonstationary.field_of(16, hidden=8)._replace(code=3), width=2),
     ),
     "svbrdf_stationary": Small(picture_tasks, small_setup(6)),
     "texture": Small(picture_tasks, small_setup(3)),

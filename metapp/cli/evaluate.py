@@ -57,7 +57,7 @@ def command(
     if format_name not in FORMATS:
         raise typer.BadParameter(f"--format '{format_name}': expected one of {', '.join(FORMATS)}.")
     from metapp.apps import app_names
-    from metapp.cli.session import Options, check_protocol, check_rule, find_app, find_device
+    from metapp.cli.session import Options, check_protocol, check_recipe, check_rule, find_app, find_device
     from metapp.cli.tables.subject import absent
 
     found = [find_app(name) for name in apps or app_names()]
@@ -65,13 +65,14 @@ def command(
         check_protocol(observe, app)
     planned: list[Options] = []
     for app in found:
-        chosen = check_rule(rule, app, recipe)
+        check_recipe(recipe, app)
         for protocol in (observe,) if observe and app.protocols else app.protocols or ("",):
             of = app.at(app.recipes[recipe], protocol)
-            on = find_device(device, app)
+            chosen, on = check_rule(rule, of, recipe), find_device(device, app)
             planned.append(Options(of, recipe, chosen, None, data, out_folder, None, seed, on, quiet))
-    # all starts before the first fit: a missing one should not be found after an hour
-    subjects = find_subjects(planned, run=not no_run, share=overfit_share)
+    # all starts before the first fit: a missing one should not be found after an hour; applications that nobody named
+    # have empty cells where a start is missing
+    subjects = find_subjects(planned, run=not no_run, strict=bool(apps) and not no_run, share=overfit_share)
     missing = [] if apps or data else absent(app_names())
     tables = [load_table(name) for name in (NAMES if which == ALL else (which,))]
     measured = [load_table(name) for name in NAMES] if figures or report else tables
@@ -91,11 +92,11 @@ def command(
         say(f"report: {write_report(subjects, missing, report)}")
 
 
-def find_subjects(planned: list[Options], *, run: bool, share: float) -> list[Subject]:
+def find_subjects(planned: list[Options], *, run: bool, strict: bool, share: float) -> list[Subject]:
     """What tables are about, with the starts of all."""
     from metapp.cli.tables.subject import Subject
 
-    return [Subject(options, run=run, share=share) for options in planned]
+    return [Subject(options, run=run, strict=strict, share=share) for options in planned]
 
 
 def fill(cells: list[Cell], *, run: bool, quiet: bool) -> None:

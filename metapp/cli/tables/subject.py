@@ -75,13 +75,14 @@ class Subject:
     Attributes:
         options: of the default row; others differ in rule or steps.
         run: whether cells without records will be run; else they stay empty.
+        strict: whether a start that is missing is an error; else it is said, and its cells stay empty.
         share: of the recipe's steps that Overfit takes here.
         fits: how each row of the results is fitted, by name.
     """
 
-    def __init__(self, options: Options, *, run: bool, share: float = 1.0) -> None:
+    def __init__(self, options: Options, *, run: bool, strict: bool, share: float = 1.0) -> None:
         self.options, self.run, self.share = options, run, share
-        self.fits = {fit.name: fit for fit in _find_fits(options, run, share)}
+        self.fits = {fit.name: fit for fit in _find_fits(options, strict, share)}
         self._cells: dict[str, Cell] = {}
 
     @property
@@ -202,11 +203,11 @@ def absent(names: Sequence[str]) -> list[Absent]:
     return [Absent(name) for name in paper()["titles"] if name not in names]
 
 
-def _find_fits(options: Options, run: bool, share: float) -> list[Fit]:
+def _find_fits(options: Options, strict: bool, share: float) -> list[Fit]:
     """What the rows of one application are fitted from: the paradigms, then Meta by further rules that have a start.
 
     Raises:
-        ValueError: a start is missing that a row must have; it is said, and None, where nothing is to be run.
+        ValueError: a start is missing that a row must have, and that is an error.
     """
     each = paradigms()
     others = [rule for rule in options.job.recipe.meta if rule != options.rule]
@@ -220,7 +221,7 @@ def _find_fits(options: Options, run: bool, share: float) -> list[Fit]:
         try:
             fits.append(Fit(name, of, paradigm, find_start(of, paradigm)))
         except ValueError as error:
-            if run:
+            if strict:
                 raise
             say(f"{error}")
             fits.append(Fit(name, of, paradigm, None))

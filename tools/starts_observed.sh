@@ -1,8 +1,8 @@
 #!/usr/bin/env bash
-# Train the illumination starts that ship, on the embedded maps alone: starts_illumination.sh METAPP RUNS
+# Train the starts that ship of an application with two protocols, on its embedded set alone:
+# starts_observed.sh METAPP RUNS APP
 set -euo pipefail
-metapp=$1 runs=$2
-app=illumination
+metapp=$1 runs=$2 app=$3
 "$metapp" general "$app" --out "$runs" --train
 for observe in reference photo; do
   "$metapp" quickft "$app" --observe "$observe" --out "$runs" --train

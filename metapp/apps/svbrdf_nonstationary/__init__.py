@@ -1,0 +1,347 @@
+"""Non-stationary svBRDFs: maps of a flat material from one photograph under a flash (paper section 4.1.4)."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Any
+
+import torch
+from torch import Generator, Tensor
+from torch.nn.functional import adaptive_avg_pool2d, normalize, relu
+
+from metapp.apps.svbrdf_nonstationary.encoder import Encoder
+from metapp.apps.svbrdf_nonstationary.variants import varied
+from metapp.apps.svbrdf_nonstationary.views import FLASH, flash_of, mirroring_pairs, oblique_pairs, photographed, seen
+from metapp.coded import CodedApp, norm
+from metapp.colour import linear_to_srgb, srgb_to_linear
+from metapp.flash import Maps, camera, expose, positions, relightings, render
+from metapp.networks import LocalField
+from metapp.task import AS_PUBLISHED, Adam, Batch, Params, Recipe, Task, Tasks, Training
+
+DARK = 0.1  # of white: the log of radiance is flat below
+CLIPPED = 0.95  # of white: what a photograph shows no more
+MAPS = 1.0  # weight of the maps' differences in a fit
+WANTED, SEEN = 0.3, 0.3  # and in the goal, beside the photograph's
+RIG, JUDGED = (2, 3), (6, 6)  # lights that fits see, and that they are judged under: oblique, mirroring
+DRAWN = (1, 2)  # and those that preparation draws
+SMOOTHED = 0.1  # at first, where learned losses round off |d|
+LARGEST = 256  # px of the maps that are written
+INPUTS, OUTPUTS = 8, 9
+
+
+@dataclass(frozen=True)
+class Setup:
+    """The size of everything.
+
+    Attributes:
+        field: the network of one material.
+        width: channels of the encoder's finest level.
+    """
+
+    field: LocalField
+    width: int = 16
+
+    @property
+    def encoder(self) -> Encoder:
+        """The encoder that fits it."""
+        return Encoder(INPUTS, self.width, self.field.code, FLASH)
+
+
+def field_of(side: int, hidden: int) -> LocalField:
+    return LocalField(
+        side,
+        side,
+        inputs=INPUTS,
+        outputs=OUTPUTS,
+        rows=side,  # a cell for each texel, so that a step moves each by itself
+        columns=side,
+        code=12,
+        hidden=hidden,
+        layers=2,
+        frequency=2.0,
+        wraps=False,
+        gain=60.0,
+    )
+
+
+# exact second order, from General's encoder, which goes on learning through the steps
+LEARNED = Training(
+    steps=400,
+    tasks=8,
+    rates={"": 1e-4, "alpha.": 1e-2},
+    first=Adam(5e-3, beta1=0.6, beta2=0.98, eps=1e-6, final=0.1),
+    warmup=20,
+    final=0.01,
+    order=2,
+    clip=3.0,
+    validate_every=25,
+    start="encoder",
+)
+QUICK = Recipe(
+    steps=15,
+    batch=1,
+    overfit_steps=2000,
+    overfit=Adam(1e-2, final=0.0),
+    finetune_steps=200,
+    finetune=Adam(5e-3, final=0.0),
+    quickft=Adam(5e-3, beta1=0.6, beta2=0.98, final=0.1),
+    general=Training(steps=8000, tasks=8, rates={"": 1e-3}, warmup=100, final=0.0, validate_every=500),
+    meta={"meta-encoder": LEARNED},
+    rule="meta-encoder",
+    setup=Setup(field_of(64, 32)),
+)
+# a photograph leaves most of it open: what its gradient calls for is learned, not only how far to go
+QUICK_PHOTO = replace(
+    QUICK,
+    finetune=Adam(3e-4, final=0.0),
+    quickft=Adam(1e-3, beta1=0.7, beta2=0.99, eps=1e-3, final=0.1),
+    meta={
+        "meta-lgd": replace(
+            LEARNED,
+            rates={"": 3e-5, "alpha.": 5e-3, "alpha.within.": 1e-3, "alpha.within.z.unit": 0.0},
+            first=Adam(3e-4, beta1=0.7, beta2=0.99, eps=1e-4, final=0.1),
+            clip=1.0,
+        )
+    },
+    rule="meta-lgd",
+)
+# 15 inner steps on maps of 256 px, first-order MAML with Meta-SGD from a random start, as in Fischer & Ritschel 2022,
+# section 4.1.4
+PAPER = replace(
+    QUICK,
+    overfit_steps=10_000,
+    finetune_steps=1_000,
+    meta={"meta-sgd": AS_PUBLISHED},
+    rule="meta-sgd",
+    setup=Setup(field_of(256, 64), 64),
+)
+RECIPES = {
+    "reference": {"paper": PAPER, "quick": QUICK},
+    "photo": {
+        "paper": replace(PAPER, finetune=QUICK_PHOTO.finetune, quickft=QUICK_PHOTO.quickft),
+        "quick": QUICK_PHOTO,
+    },
+}
+
+
+class SvbrdfNonstationary(CodedApp):
+    """One flat material a task, photographed from straight above with the flash beside the lens.
+
+    The field makes maps of what the photograph shows in a place and of the code there. Under the protocol "reference"
+    a fit sees the material's maps and pictures under RIG lights; under "photo" the photograph alone, whose flash it
+    looks for, too.
+    """
+
+    name = "svbrdf_nonstationary"
+    title = "svBRDF non-stat."
+    readers = ("svbrdf_inputs",)
+    inputs = "a flash photo of a flat material, a strip, a material's maps, or a folder of these"
+    measure = "mean absolute difference of log(radiance + 0.1) under 12 other lights, from elsewhere"
+    all_recipes = RECIPES
+    raw = ("normal", "roughness")
+
+    def prepare(self, task: Task) -> dict[str, Tensor]:
+        """`photo`, linear [3, H, W], and `maps` [10, H, W] with what they look like under RIG lights, `lit`."""
+        size = (self.field.height, self.field.width)
+        photo = {"photo": adaptive_avg_pool2d(_linear(task.data["photo"]), size)}
+        if "maps" in task.data:
+            described = self.described(pooled(task.data["maps"].float(), size)[None])
+            return photo | {key: value[0] for key, value in described.items()}
+        if self.protocol == "reference":
+            raise ValueError(
+                f"{task.name}: a flash photo, expected a material's maps where fits see them; give a strip or its "
+                "maps, or fit photos alone with --observe photo."
+            )
+        return photo
+
+    def described(self, maps: Tensor) -> dict[str, Tensor]:
+        """Maps [T, 10, H, W], RIG lights, `rig`, and the log of what maps send out under these, `lit`."""
+        rig = _pairs(RIG).to(maps).expand(len(maps), -1, -1, -1)
+        return {"maps": maps, "rig": rig, "lit": self._logs(unpacked(maps), rig)}
+
+    def init(self, rng: Generator, count: int) -> Params:
+        return super().init(rng, count) | {"flash": torch.zeros(count, FLASH, device=rng.device)}
+
+    def maps_of(self, theta: Params, photo: Tensor) -> Maps:
+        """The fitted maps [T, C, h, w] of photographs [T, 3, h, w], at the photographs' resolution."""
+        height, width = photo.shape[-2:]
+        raw = self.field._replace(height=height, width=width)(theta, seen(photo))
+        slopes, diffuse, roughness, specular = raw.split((2, 3, 1, 3), 1)
+        normal = normalize(torch.cat([slopes, torch.ones_like(roughness)], 1), dim=1)
+        return Maps(
+            torch.sigmoid(diffuse) ** 2.2,  # about evenly spread for the eye
+            torch.sigmoid(specular - 2) ** 2,  # about 0.02 at first, as of dielectrics
+            0.05 + 0.95 * torch.sigmoid(roughness),
+            normal,
+        )
+
+    def sample(self, tasks: Tasks, rng: Generator, count: int) -> Batch:
+        """All there is of each task; `pairs` [T, V, 2, 3] of light and viewer are random, which the goal looks at."""
+        drawn = {"pairs": draw_pairs(DRAWN, rng, len(tasks))} if "maps" in tasks.data else {}
+        return {key: value[tasks.rows] for key, value in tasks.data.items()} | drawn
+
+    def loss(self, theta: Params, batch: Batch, shape: Params) -> Tensor:
+        """Of maps and pictures, or of the photograph, by the protocol, [T]."""
+        maps = self.maps_of(theta, batch["photo"])
+        if self.protocol == "photo":
+            return self._photo_loss(theta, maps, batch["photo"], shape)
+        pictures = norm(self._logs(maps, batch["rig"]) - batch["lit"], shape)
+        return pictures.mean((1, 2, 3, 4)) + MAPS * self._map_loss(maps, batch["maps"], shape)
+
+    def goal(self, theta: Params, batch: Batch, shape: Params) -> Tensor:
+        """Whatever fits see, what is wanted are the maps and what they look like under any light, [T]."""
+        maps = self.maps_of(theta, batch["photo"])
+        wanted = self._logs(unpacked(batch["maps"]), batch["pairs"])
+        pictures = (self._logs(maps, batch["pairs"]) - wanted).abs().mean((1, 2, 3, 4))
+        photo = self._photo_loss(theta, maps, batch["photo"], {})
+        return pictures + WANTED * self._map_loss(maps, batch["maps"], {}) + SEEN * photo
+
+    def _logs(self, maps: Maps, pairs: Tensor) -> Tensor:
+        """Log of what maps [T, ...] send out under pairs of light and viewer [T or 1, V, 2, 3]: [T, V, 3, H, W]."""
+        place = positions(*maps.diffuse.shape[-2:], dtype=pairs.dtype, device=pairs.device)
+        spread = Maps(*(part[:, None] for part in maps))
+        return (render(spread, place, pairs[:, :, 0], pairs[:, :, 1]) + DARK).log()
+
+    def _map_loss(self, maps: Maps, target: Tensor, shape: Params) -> Tensor:
+        """Sum of the mean differences of maps, [T]; colours as the eye spaces them."""
+        return torch.stack([norm(each, shape).mean((1, 2, 3)) for each in differences(maps, unpacked(target))]).sum(0)
+
+    def _photo_loss(self, theta: Params, maps: Maps, photo: Tensor, shape: Params) -> Tensor:
+        """Mean difference of logs, [T]; where the photograph clips, only what is darker than it counts."""
+        short = (photo + DARK).log() - (photographed(maps, flash_of(theta["flash"])) + DARK).log()
+        short = torch.where(photo > CLIPPED, relu(short), short)
+        return norm(short, shape).mean((1, 2, 3))
+
+    def shape(self, steps: int) -> Params:
+        return {"smoothing": torch.full((steps,), math.log(SMOOTHED))}
+
+    def init_reader(self, rng: Generator) -> Params:
+        return self.setup.encoder.init(rng)
+
+    def read(self, reader: Params, photos: Tensor) -> Params:
+        code, flash = self.setup.encoder(reader, seen(photos))
+        return {"z": code / self.field.gain, "flash": flash}
+
+    def augment(self, tasks: Tasks, rng: Generator) -> Tasks:
+        """The same materials turned, mirrored, mixed and recoloured, photographed anew."""
+        maps, photos = varied(tasks.data["maps"][tasks.rows], rng)
+        names = tuple(f"variant of {name}" for name in tasks.picked_names())
+        data = {"photo": photos} | self.described(maps)
+        return Tasks(names, data, torch.arange(len(maps), device=maps.device))
+
+    @torch.no_grad()
+    def errors(self, theta: Params, tasks: Tasks) -> dict[str, Tensor]:
+        """`error` under lights that no fit has seen, `ssim` of these pictures, and how far the maps are off.
+
+        `normal` in degrees, `diffuse`, `roughness`, `specular` as means of differences, colours at gamma 2.2.
+        """
+        if "maps" not in tasks.data:
+            return {}
+        # takes half a second to import
+        from torchmetrics.functional.image import structural_similarity_index_measure
+
+        photo, target = tasks.data["photo"][tasks.rows], unpacked(tasks.data["maps"][tasks.rows])
+        maps = self.maps_of(theta, photo)
+        pairs = _pairs(JUDGED).to(photo)[None]
+        found, wanted = self._logs(maps, pairs), self._logs(target, pairs)
+        shown, target_shown = (expose((logs.exp() - DARK).flatten(0, 1)) for logs in (found, wanted))
+        ssim: Any = structural_similarity_index_measure(shown, target_shown, data_range=1.0, reduction=None)
+        cosine = (maps.normal * target.normal).sum(1).clamp(-1, 1)
+        parts = dict(zip(("diffuse", "specular", "roughness"), differences(maps, target), strict=False))
+        return {
+            "error": (found - wanted).abs().mean((1, 2, 3, 4)),
+            "ssim": ssim.reshape(len(photo), -1).mean(1),
+            "normal": torch.rad2deg(cosine.acos()).mean((1, 2)),
+            **{name: part.abs().mean((1, 2, 3)) for name, part in parts.items()},
+        }
+
+    @torch.no_grad()
+    def outputs(self, theta: Params, task: Task) -> dict[str, Any]:
+        """Four maps above what they look like under the flash and three other lights, beside those of the fit."""
+        photo = self._photo_at(task, LARGEST)
+        shown = {"fit": _sheet(self.maps_of({key: value[None] for key, value in theta.items()}, photo), photo)}
+        if "maps" in task.data:
+            target = unpacked(pooled(task.data["maps"].float(), photo.shape[-2:])[None])
+            shown = {"reference": _sheet(target, photo)} | shown
+        return shown
+
+    @torch.no_grad()
+    def files(self, theta: Params, task: Task) -> dict[str, Tensor]:
+        """The maps, as fine as the photograph up to 256 px, and pictures under three other lights."""
+        photo = self._photo_at(task, LARGEST)
+        maps = self.maps_of({key: value[None] for key, value in theta.items()}, photo)
+        pictures = {f"lit_from_{name}": picture for name, picture in _relit(maps).items()}
+        return {name: picture.permute(1, 2, 0) for name, picture in (_displayed(maps) | pictures).items()}
+
+    def _photo_at(self, task: Task, largest: int) -> Tensor:
+        """The photograph, linear [1, 3, S, S], as fine as it is, but no finer than that."""
+        side = min(largest, task.data["photo"].shape[-1])
+        return adaptive_avg_pool2d(_linear(task.data["photo"])[None], side)
+
+
+def _linear(photo: Tensor) -> Tensor:
+    return srgb_to_linear(photo.float() / 255)
+
+
+def unpacked(maps: Tensor) -> Maps:
+    """Maps of one tensor [..., 10, H, W] in the order of tasks: normal, diffuse, roughness, specular."""
+    normal, diffuse, roughness, specular = maps.split((3, 3, 1, 3), -3)
+    return Maps(diffuse, specular, roughness, normal)
+
+
+def pooled(maps: Tensor, size: Any) -> Tensor:
+    """Maps [10, H, W] at another size, normals of unit length."""
+    maps = adaptive_avg_pool2d(maps, tuple(size))
+    return torch.cat([normalize(maps[:3], dim=0), maps[3:]])
+
+
+def differences(maps: Maps, target: Maps) -> list[Tensor]:
+    """Of diffuse and specular colour at gamma 2.2, of roughness and of normals, [T, C, H, W] each."""
+    colours = [_shades(each) - _shades(other) for each, other in zip(maps[:2], target[:2], strict=True)]
+    return [*colours, maps.roughness - target.roughness, maps.normal - target.normal]
+
+
+def _shades(colour: Tensor) -> Tensor:
+    return (colour + 1e-3) ** (1 / 2.2)
+
+
+def draw_pairs(counts: tuple[int, int], rng: Generator, tasks: int) -> Tensor:
+    """Places of light and viewer [tasks, V, 2, 3]: some anywhere, then some that mirror each other in the patch."""
+    return torch.cat([oblique_pairs(rng, (tasks, counts[0])), mirroring_pairs(rng, (tasks, counts[1]))], 1)
+
+
+def _pairs(counts: tuple[int, int]) -> Tensor:
+    """The same ones for all tasks and for ever, [V, 2, 3]."""
+    return draw_pairs(counts, Generator().manual_seed(sum(counts)), 1)[0]
+
+
+def _displayed(maps: Maps) -> dict[str, Tensor]:
+    """Maps [1, ...] as images [1 or 3, H, W] in [0, 1]: colours as sRGB, the others as they are."""
+    parts = Maps(*(part[0] for part in maps))
+    return {
+        "normal": parts.normal * 0.5 + 0.5,
+        "diffuse": linear_to_srgb(parts.diffuse),
+        "roughness": parts.roughness,
+        "specular": linear_to_srgb(parts.specular),
+    }
+
+
+def _relit(maps: Maps) -> dict[str, Tensor]:
+    """Display values [3, H, W] of maps [1, ...] under three other lights, by name."""
+    place = positions(*maps.diffuse.shape[-2:], dtype=maps.diffuse.dtype, device=maps.diffuse.device)
+    pairs = relightings(device=place.device)
+    return {name: expose(render(maps, place, light, view))[0] for name, (light, view) in pairs.items()}
+
+
+def _sheet(maps: Maps, photo: Tensor) -> Tensor:
+    """One linear picture [H, W, 3]: four maps; below, the photograph's light and three others."""
+    eye = camera(dtype=photo.dtype, device=photo.device)
+    place = positions(*photo.shape[-2:], dtype=photo.dtype, device=photo.device)
+    flash = expose(render(maps, place, eye, eye))[0]
+    above = [part.expand(3, -1, -1) for part in _displayed(maps).values()]
+    rows = [torch.cat(row, 2) for row in (above, [flash, *_relit(maps).values()])]
+    return srgb_to_linear(torch.cat(rows, 1)).permute(1, 2, 0)
+
+
+APP = SvbrdfNonstationary(QUICK.setup, "reference")

@@ -1,0 +1,83 @@
+"""General's encoder: a U-Net from the flash photograph of a material to the code of its field, and to its flash."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import torch
+from torch import Generator, Tensor
+from torch.nn.functional import avg_pool2d, conv2d, interpolate, leaky_relu, pad
+
+from metapp.task import Params
+
+SLOPE = 0.1
+MOST = 6  # times the finest level's channels, at the coarsest
+
+
+class Encoder(NamedTuple):
+    """A U-Net whose levels all know the picture's mean (Ronneberger et al. 2015; Deschaintre et al. 2018).
+
+    Attributes:
+        inputs: channels of what is known of the pixels.
+        width: channels of the finest level; each level down has twice as many, up to MOST times.
+        code: length of the code in a pixel.
+        flash: numbers that describe the flash.
+        levels: resolutions, each half of the one before.
+    """
+
+    inputs: int
+    width: int
+    code: int
+    flash: int
+    levels: int = 5
+
+    def channels(self, level: int) -> int:
+        """Channels at a level, 0 the finest."""
+        return self.width * min(2**level, MOST)
+
+    def init(self, rng: Generator) -> Params:
+        """Random parameters."""
+        encoder: Params = {}
+
+        def layer(name: str, outputs: int, *inputs: int, gain: float = math.sqrt(2)) -> None:
+            noise = torch.randn(outputs, *inputs, generator=rng, device=rng.device)
+            encoder[f"{name}.kernel"] = noise * gain / math.sqrt(math.prod(inputs))
+            encoder[f"{name}.shift"] = torch.zeros(outputs, device=rng.device)
+
+        def block(name: str, inputs: int, outputs: int) -> None:
+            layer(f"{name}.first", outputs, inputs, 3, 3)
+            layer(f"{name}.second", outputs, outputs, 3, 3, gain=0.7)
+            layer(f"{name}.mean", outputs, outputs, gain=0.5)
+
+        block("down0", self.inputs, self.channels(0))
+        for level in range(1, self.levels):
+            block(f"down{level}", self.channels(level - 1), self.channels(level))
+        for level in reversed(range(self.levels - 1)):
+            block(f"up{level}", self.channels(level + 1) + self.channels(level), self.channels(level))
+        layer("code", self.code, self.channels(0), gain=0.3)
+        layer("flash", self.flash, self.channels(self.levels - 1), gain=0.1)
+        return encoder
+
+    def __call__(self, encoder: Params, seen: Tensor) -> tuple[Tensor, Tensor]:
+        """The code [T, code, H, W] and the flash [T, flash] of what is seen, [T, inputs, H, W]."""
+        x, skips = seen, []
+        for level in range(self.levels):
+            x = _block(encoder, f"down{level}", avg_pool2d(x, 2) if level else x)
+            skips.append(x)
+        flash = x.mean((2, 3)) @ encoder["flash.kernel"].T + encoder["flash.shift"]
+        for level in reversed(range(self.levels - 1)):
+            x = torch.cat([interpolate(x, scale_factor=2, mode="nearest"), skips[level]], 1)
+            x = _block(encoder, f"up{level}", x)
+        return conv2d(x, encoder["code.kernel"][..., None, None], encoder["code.shift"]), flash
+
+
+def _block(encoder: Params, name: str, x: Tensor) -> Tensor:
+    """Two convolutions, the second beside a path around it, which adds what the picture's mean says."""
+    first = leaky_relu(_conv(encoder, f"{name}.first", x), SLOPE)
+    mean = first.mean((2, 3)) @ encoder[f"{name}.mean.kernel"].T + encoder[f"{name}.mean.shift"]
+    return first + leaky_relu(_conv(encoder, f"{name}.second", first) + mean[..., None, None], SLOPE)
+
+
+def _conv(encoder: Params, name: str, x: Tensor) -> Tensor:
+    return conv2d(pad(x, (1, 1, 1, 1), mode="replicate"), encoder[f"{name}.kernel"], encoder[f"{name}.shift"])

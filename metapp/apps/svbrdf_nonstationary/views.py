@@ -1,0 +1,83 @@
+"""What is seen of a flat material: from where, under which lights, through which flash."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import torch
+from torch import Generator, Tensor
+from torch.nn.functional import pad
+
+from metapp.flash import Maps, camera, camera_distance, positions, render
+
+FLASH = 4  # numbers that describe a flash
+STEEPEST = 0.4  # cosine with the patch's normal of the most oblique light or view
+STRIDE = 64  # a picture's side over how far apart neighbours are that contrasts are taken of
+
+
+class Flash(NamedTuple):
+    """A flash beside the lens, and what the camera makes of it.
+
+    Attributes:
+        place: [T, 3].
+        gain: [T, 1], of the exposure.
+    """
+
+    place: Tensor
+    gain: Tensor
+
+
+def flash_of(flash: Tensor) -> Flash:
+    """Of its description [T, FLASH], any numbers; zeros say straight above, exposed as white is 1."""
+    height = camera_distance() * torch.exp(0.2 * flash[:, 2:3])
+    return Flash(torch.cat([0.3 * flash[:, :2], height], 1), torch.exp(0.3 * flash[:, 3:4]))
+
+
+def photographed(maps: Maps, flash: Flash) -> Tensor:
+    """Radiance [T, 3, H, W] of maps [T, ...] under a flash, from straight above."""
+    like = maps.diffuse
+    place = positions(*like.shape[-2:], dtype=like.dtype, device=like.device)
+    eye = camera(dtype=like.dtype, device=like.device)
+    return render(maps, place, flash.place, eye, intensity=flash.gain)
+
+
+def oblique_pairs(rng: Generator, shape: tuple[int, ...]) -> Tensor:
+    """Places of a light and of a viewer who know nothing of each other, [*shape, 2, 3]."""
+    return camera_distance() * _directions(rng, (*shape, 2))
+
+
+def mirroring_pairs(rng: Generator, shape: tuple[int, ...]) -> Tensor:
+    """Places of a light and of a viewer who sees it mirrored somewhere in a smooth patch, [*shape, 2, 3]."""
+    centre = 1.6 * torch.rand(*shape, 2, generator=rng, device=rng.device) - 0.8
+    centre = torch.cat([centre, torch.zeros_like(centre[..., :1])], -1)
+    towards = _directions(rng, shape)
+    mirrored = towards * towards.new_tensor([-1.0, -1.0, 1.0])
+    return torch.stack([centre + camera_distance() * each for each in (towards, mirrored)], -2)
+
+
+def _directions(rng: Generator, shape: tuple[int, ...]) -> Tensor:
+    """Unit vectors [*shape, 3], evenly spread in solid angle about the normal, no more oblique than STEEPEST."""
+    z, turn = torch.rand(2, *shape, generator=rng, device=rng.device)
+    z, phi = STEEPEST + (1 - STEEPEST) * z, 2 * math.pi * turn
+    sine = (1 - z * z).sqrt()
+    return torch.stack([sine * phi.cos(), sine * phi.sin(), z], -1)
+
+
+def seen(photo: Tensor) -> Tensor:
+    """What is known of each pixel of linear photographs [T, 3, H, W]: [T, 8, H, W].
+
+    The log of its colour, how brightness differs from and among its neighbours, and where it is. Neighbours are as far
+    apart in the patch whatever the resolution, so that a field that was fitted at one works at others.
+    """
+    logs = (photo + 0.02).log()
+    side = max(1, min(photo.shape[-2:]) // STRIDE)
+    wide = pad(logs.mean(1, keepdim=True), (side, side, side, side), mode="replicate")
+    middle, after = slice(side, -side), slice(2 * side, None)
+    before = slice(None, -2 * side)
+    left, right = wide[..., middle, before], wide[..., middle, after]
+    above, below = wide[..., before, middle], wide[..., after, middle]
+    here = wide[..., middle, middle]
+    contrasts = [right - left, above - below, 4 * here - left - right - above - below]
+    place = positions(*photo.shape[-2:], dtype=photo.dtype, device=photo.device).expand(len(photo), -1, -1, -1)
+    return torch.cat([logs / 1.5 + 1, *contrasts, place], 1)

@@ -1,0 +1,171 @@
+"""Learned gradient descent: at first the rule it adds to, exact derivatives, and what its networks see of a grid."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+import torch
+from torch import Generator, Tensor
+
+from metapp.adjoint import Loss, at_step, learn_through
+from metapp.apps import illumination
+from metapp.learned_descent import MEMORY, move, network_of, networks, no_memory
+from metapp.learning import MetaParameters, after_learning, spread
+from metapp.networks import LocalField
+from metapp.rules import RULES
+from metapp.task import Adam, App, Params
+
+TASKS, STEPS = 2, 3
+FIELD = LocalField(8, 16, rows=4, columns=8, code=3, hidden=6, layers=2)
+FIRST = Adam(5e-3, 0.7, 0.99, eps=1e-3, final=0.1)
+
+
+@pytest.fixture(scope="module")
+def app() -> App:
+    return illumination.Illumination(illumination.Setup(FIELD), "reference")
+
+
+@pytest.fixture
+def randn() -> Callable[..., Tensor]:
+    rng = Generator().manual_seed(3)
+    return lambda *shape: torch.randn(*shape, generator=rng, dtype=torch.float64)
+
+
+def one(app: App) -> Params:
+    return {key: value[0].double() for key, value in app.init(Generator().manual_seed(1), 1).items()}
+
+
+def batches_for(app: illumination.Illumination, randn: Callable[..., Tensor], count: int) -> list[dict[str, Tensor]]:
+    return [app.described(torch.exp(randn(TASKS, 3, 8, 16))) for _ in range(count)]
+
+
+def phi_of(app: App, randn: Callable[..., Tensor]) -> Params:
+    """A start and a rule away from what it is at first, flat."""
+    theta = one(app)
+    alpha = RULES["meta-lgd"].alpha(app, theta, STEPS, FIRST)
+    return MetaParameters(theta, {key: value + 0.05 * randn(*value.shape) for key, value in alpha.items()}).flat()
+
+
+def unused(*_: Any) -> Any:
+    raise AssertionError("batches are given")
+
+
+def test_at_first_it_is_the_rule_it_adds_to(app: Any, randn: Callable[..., Tensor]) -> None:
+    theta, batches = spread(one(app), TASKS, 0), batches_for(app, randn, STEPS)
+    moved = []
+    for name in ("meta-lgd", "meta-encoder"):
+        alpha = RULES[name].alpha(app, one(app), STEPS, FIRST)
+        rule = RULES[name].rule(spread(alpha, TASKS, 1))
+        moved.append(learn_through(theta, rule, batches, Loss(unused, app.loss), order=1))
+    for key, value in moved[1].items():
+        assert torch.equal(moved[0][key], value), key
+    assert not torch.equal(moved[0]["z"], theta["z"])
+
+
+def test_networks_of_parameters_on_a_grid(app: Any) -> None:
+    around = networks(one(app), STEPS, 0.1, wraps=True)
+    assert {name.split(".")[1] for name in around} == {"z"}  # the one parameter of three axes
+    assert network_of(around, "z") == "around.z"
+    assert not network_of(around, "body")
+    within = networks(one(app), STEPS, 0.1, wraps=False)
+    assert network_of(within, "z") == "within.z"
+    assert set(within) == {name.replace("around", "within") for name in around}
+    for name, value in around.items():
+        assert len(value) == (STEPS if "shift" in name else 1), name
+    assert not any(value.any() for name, value in around.items() if "2" in name)  # the last layer
+    assert no_memory(around, {"z": torch.ones(TASKS, 3, 4, 8)})["memory.z"].shape == (TASKS, MEMORY, 4, 8)
+    assert networks({"kernel": torch.ones(4, 4)}, STEPS, 0.1, wraps=True) == {}
+
+
+@pytest.fixture
+def seen(randn: Callable[..., Tensor]) -> dict[str, Tensor]:
+    """What a network sees of parameters [T, 3, 4, 8]."""
+    seen = {key: randn(TASKS, 3, 4, 8) for key in ("value", "grad", "direction")}
+    return seen | {"memory": randn(TASKS, MEMORY, 4, 8)}
+
+
+def network(randn: Callable[..., Tensor], *, wraps: bool) -> Params:
+    alpha = networks({"z": torch.zeros(3, 4, 8)}, 1, 0.1, wraps=wraps)
+    alpha = {key: value.double() + 0.1 * randn(*value.shape) for key, value in alpha.items()}
+    name = "around" if wraps else "within"
+    return alpha | {f"{name}.z.place": torch.zeros(1, *alpha[f"{name}.z.place"].shape[1:]).double()}
+
+
+@pytest.mark.parametrize("wraps", [True, False])
+def test_a_grid_that_wraps_has_no_edge(wraps: bool, seen: dict[str, Tensor], randn: Callable[..., Tensor]) -> None:
+    """Turned columns are moved as they were before they were turned; where there is an edge they are not."""
+    alpha = network(randn, wraps=wraps)
+    own, name = at_step(spread(alpha, TASKS, 1), 0), network_of(alpha, "z")
+    turned = move(own, name, **{key: value.roll(3, -1) for key, value in seen.items()})
+    for found, expected in zip(turned, move(own, name, **seen), strict=True):
+        assert torch.allclose(found, expected.roll(3, -1)) == wraps
+
+
+def test_the_length_of_a_gradient_is_seen_by_itself(seen: dict[str, Tensor], randn: Callable[..., Tensor]) -> None:
+    """A network that does not look at the log of the length is moved alike by gradients of any length."""
+    alpha = network(randn, wraps=True)
+    alpha["around.z.kernel0"][:, :, 9] = 0  # after value, gradient and direction
+    own = at_step(spread(alpha, TASKS, 1), 0)
+    moves = [move(own, "around.z", **seen | {"grad": seen["grad"] * factor})[0] for factor in (1.0, 1e-3, 1e4)]
+    for each in moves[1:]:
+        torch.testing.assert_close(each, moves[0])
+
+
+def test_tasks_have_networks_of_their_own(seen: dict[str, Tensor], randn: Callable[..., Tensor]) -> None:
+    both = [at_step(network(randn, wraps=True), 0) for _ in range(TASKS)]
+    stacked = {key: torch.stack([each[key] for each in both]) for key in both[0]}
+    together = move(stacked, "around.z", **seen)
+    for i, alpha in enumerate(both):
+        alone = move(
+            {key: value[None] for key, value in alpha.items()},
+            "around.z",
+            **{key: value[i : i + 1] for key, value in seen.items()},
+        )
+        for whole, part in zip(together, alone, strict=True):
+            torch.testing.assert_close(whole[i : i + 1], part)
+
+
+def mean_of(lifted: Loss, batches: list[dict[str, Tensor]]) -> Callable[[Params], Tensor]:
+    return lambda phi: lifted.value(phi, (batches[:-1], batches[-1], None), {}).mean()
+
+
+def gradients(mean: Callable[[Params], Tensor], phi: Params) -> Params:
+    leaves = {key: value.detach().clone().requires_grad_() for key, value in phi.items()}
+    return dict(zip(leaves, torch.autograd.grad(mean(leaves), list(leaves.values())), strict=True))
+
+
+def test_finite_differences(app: Any, randn: Callable[..., Tensor]) -> None:
+    phi, batches = phi_of(app, randn), batches_for(app, randn, STEPS + 1)
+    mean = mean_of(after_learning(Loss(unused, app.loss), RULES["meta-lgd"].rule, steps=STEPS, order=2), batches)
+    grads, h = gradients(mean, phi), 1e-7
+    parts = ("kernel0", "kernel1", "kernel2", "shift0", "shift1", "shift2", "place", "unit")
+    for moved in ([f"alpha.around.z.{part}"] for part in parts):
+        assert grads[moved[0]].any()
+        direction = {key: randn(*phi[key].shape) for key in moved}
+        direction = {key: value / value.norm() for key, value in direction.items()}
+        ahead, behind = (
+            float(mean(phi | {key: phi[key] + sign * h * direction[key] for key in moved})) for sign in (1, -1)
+        )
+        slope = float(sum((grads[key] * direction[key]).sum() for key in moved))
+        assert slope == pytest.approx((ahead - behind) / (2 * h), rel=2e-5, abs=1e-8), moved
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not (shutil.which("g++") or shutil.which("clang++")), reason="torch.compile needs a C++ compiler")
+def test_compiled_same_as_eager(app: Any, randn: Callable[..., Tensor]) -> None:
+    phi, batches = phi_of(app, randn), batches_for(app, randn, STEPS + 1)
+    eager, compiled = (
+        gradients(
+            mean_of(
+                after_learning(Loss(unused, app.loss), RULES["meta-lgd"].rule, steps=STEPS, order=2, compiled=compiled),
+                batches,
+            ),
+            phi,
+        )
+        for compiled in (False, True)
+    )
+    for key, value in eager.items():
+        torch.testing.assert_close(compiled[key], value, rtol=1e-7, atol=1e-12)

@@ -1,0 +1,370 @@
+"""Non-stationary svBRDFs: what is seen of a photo, views, variants, losses, protocols and outputs."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import pytest
+import torch
+from torch import Generator, Tensor
+from torch.nn.functional import interpolate, normalize
+
+from data_tools.svbrdf_task import flash_photo, pack, svbrdf_task
+from metapp.apps import svbrdf_nonstationary
+from metapp.apps.svbrdf_nonstationary import APP, QUICK, Setup, SvbrdfNonstationary, field_of, pooled, unpacked
+from metapp.apps.svbrdf_nonstationary.encoder import Encoder
+from metapp.apps.svbrdf_nonstationary.variants import _mixed, _recoloured, _turned, varied
+from metapp.apps.svbrdf_nonstationary.views import (
+    FLASH,
+    flash_of,
+    mirroring_pairs,
+    oblique_pairs,
+    photographed,
+    seen,
+)
+from metapp.colour import linear_to_srgb, srgb_to_linear
+from metapp.flash import Maps, camera, camera_distance, normal_from_height, positions, render
+from metapp.task import Params, Task, Tasks, stack
+
+SIDE = 16
+RECIPE = replace(QUICK, setup=Setup(field_of(SIDE, hidden=8)._replace(code=3), width=2))
+
+
+def material(seed: int, size: int = 32) -> Tensor:
+    """Maps [10, size, size], smooth, with relief."""
+    coarse = torch.rand(1, 8, 4, 4, generator=Generator().manual_seed(seed))
+    smooth = interpolate(coarse, (size, size), mode="bilinear")[0]
+    normal = normal_from_height(4 * smooth[:1], periodic=False)
+    return pack(Maps(0.1 + 0.7 * smooth[1:4], 0.4 * smooth[4:7], 0.3 + 0.5 * smooth[7:], normal))
+
+
+@pytest.fixture
+def app() -> SvbrdfNonstationary:
+    return APP.at(RECIPE, "reference")
+
+
+@pytest.fixture
+def tasks(app: SvbrdfNonstationary) -> Tasks:
+    return stack(app, [svbrdf_task(f"material-{seed}", material(seed)) for seed in range(4)])
+
+
+@pytest.fixture
+def exact(tasks: Tasks, monkeypatch: pytest.MonkeyPatch) -> Params:
+    """Parameters whose field gives the tasks' maps."""
+    truth = unpacked(tasks.data["maps"])
+    monkeypatch.setattr(SvbrdfNonstationary, "maps_of", lambda app, theta, photo: truth)
+    return APP.at(RECIPE).init(Generator().manual_seed(0), 4)
+
+
+# What is seen of a photograph
+
+
+def test_an_even_photo_has_no_contrast() -> None:
+    known = seen(torch.full((1, 3, 16, 16), 0.3))
+    assert known[:, 3:6].abs().max() < 1e-5  # rounding
+    assert float(known[0, 0, 3, 4]) == pytest.approx(math.log(0.32) / 1.5 + 1, rel=1e-5)
+
+
+def test_contrasts_say_where_it_gets_brighter() -> None:
+    x, y = positions(64, 64, dtype=torch.float64)
+    photo = torch.exp(0.5 * x + 0.25 * y).expand(1, 3, -1, -1) - 0.02
+    known = seen(photo)[0, :, 1:-1, 1:-1]
+    texel = 2 / 64
+    torch.testing.assert_close(known[3], torch.full_like(known[3], 2 * texel * 0.5))
+    torch.testing.assert_close(known[4], torch.full_like(known[4], 2 * texel * 0.25))
+    assert known[5].abs().max() < 1e-12
+    torch.testing.assert_close(known[6:], torch.stack([x, y])[:, 1:-1, 1:-1])
+
+
+def test_a_finer_photo_says_the_same() -> None:
+    coarse = 0.3 + 0.4 * torch.rand(1, 3, 4, 4, generator=Generator().manual_seed(0))
+    fine, plain = (interpolate(coarse, (size, size), mode="bicubic") for size in (256, 64))
+    found = torch.nn.functional.avg_pool2d(seen(fine), 4)
+    difference = (found - seen(plain))[..., 4:-4, 4:-4]
+    assert difference.abs().max() < 0.05
+    assert (difference.abs().mean((0, 2, 3)) / seen(plain).std((0, 2, 3)).clamp_min(1e-3)).max() < 0.05
+
+
+def test_a_field_fitted_at_one_resolution_works_at_others(app: SvbrdfNonstationary) -> None:
+    theta = app.init(Generator().manual_seed(0), 1)
+    photo = torch.full((1, 3, 64, 64), 0.4)
+    fine, plain = app.maps_of(theta, photo), app.maps_of(theta, photo[..., ::4, ::4])
+    for one, other in zip(fine, plain, strict=True):
+        assert one.shape[-1] == 64
+        assert (torch.nn.functional.avg_pool2d(one, 4) - other).abs().mean() < 0.02
+
+
+def test_the_encoder_makes_a_start(app: SvbrdfNonstationary, tasks: Tasks, rng: Generator) -> None:
+    theta = app.encode(app.init_encoder(rng), app.observe(tasks, rng))
+    expected = app.init(rng, len(tasks))
+    assert {key: value.shape for key, value in theta.items()} == {key: each.shape for key, each in expected.items()}
+    assert theta["flash"].shape == (4, FLASH)
+    assert not torch.equal(theta["z"][0], theta["z"][1])
+    assert torch.equal(theta["layer0.kernel"][0], theta["layer0.kernel"][1])
+
+
+def test_the_encoder_knows_the_whole_picture(rng: Generator) -> None:
+    encoder = Encoder(8, 4, code=3, flash=FLASH)
+    weights = encoder.init(rng)
+    known = torch.rand(1, 8, 32, 32, generator=rng)
+    other = known.clone()
+    other[..., -1, -1] += 5
+    code, changed = encoder(weights, known)[0], encoder(weights, other)[0]
+    assert code.shape == (1, 3, 32, 32)
+    assert (code - changed)[..., 0, 0].abs().max() > 0
+
+
+# Views
+
+
+def test_mirroring_pairs_mirror_in_the_patch(rng: Generator) -> None:
+    light, view = mirroring_pairs(rng, (2, 50)).unbind(-2)
+    centre = (light + view) / 2
+    assert centre[..., :2].abs().max() <= 0.8
+    towards = (light - centre * torch.tensor([1.0, 1.0, 0.0])) / camera_distance()
+    torch.testing.assert_close(towards.norm(dim=-1), torch.ones(2, 50))
+    half = normalize(light + view - 2 * centre * torch.tensor([1.0, 1.0, 0.0]), dim=-1)
+    torch.testing.assert_close(half, torch.tensor([0.0, 0.0, 1.0]).expand(2, 50, 3), atol=1e-5, rtol=0)
+
+
+def test_oblique_pairs_are_evenly_spread_above_the_patch(rng: Generator) -> None:
+    towards = oblique_pairs(rng, (4000,)) / camera_distance()
+    torch.testing.assert_close(towards.norm(dim=-1), torch.ones(4000, 2))
+    assert towards[..., 2].min() >= 0.4
+    assert towards.mean((0, 1)).sub(torch.tensor([0.0, 0.0, 0.7])).abs().max() < 0.02  # z is uniform in [0.4, 1]
+
+
+def test_what_fits_see_is_not_what_they_are_judged_by(app: SvbrdfNonstationary) -> None:
+    rig, judged = (svbrdf_nonstationary._pairs(counts) for counts in (svbrdf_nonstationary.RIG, (6, 6)))
+    assert rig.shape == (5, 2, 3)
+    assert judged.shape == (12, 2, 3)
+    assert (rig[:, None] - judged).abs().flatten(2).amax(2).min() > 0.05
+    assert torch.equal(judged, svbrdf_nonstationary._pairs((6, 6)))
+
+
+def test_a_flash_described_by_zeros_is_the_camera_s() -> None:
+    maps = material(0)[None]
+    photo = photographed(unpacked(maps), flash_of(torch.zeros(1, FLASH)))
+    wanted = srgb_to_linear(flash_photo(maps[0]).float() / 255)
+    torch.testing.assert_close(photo[0].clamp(0, 1), wanted, atol=0.01, rtol=0.01)  # 8 bits
+
+
+def test_gradients_of_the_flash_are_right() -> None:
+    maps = Maps(*(part.double() for part in unpacked(material(0, 6)[None])))
+    flash = torch.tensor([[0.2, -0.1, 0.3, 0.1]], dtype=torch.float64, requires_grad=True)
+    assert torch.autograd.gradcheck(lambda flash: photographed(maps, flash_of(flash)), (flash,))
+
+
+def test_gradients_of_the_maps_are_right(tasks: Tasks) -> None:
+    field = field_of(6, hidden=4)._replace(code=2)
+    app = SvbrdfNonstationary(Setup(field), "photo")
+    theta = {key: value.double().requires_grad_() for key, value in app.init(Generator().manual_seed(0), 1).items()}
+    photo = torch.rand(1, 3, 6, 6, generator=Generator().manual_seed(1)).double() * 0.9
+
+    def loss(*values: Tensor) -> Tensor:
+        return app.loss(dict(zip(theta, values, strict=True)), {"photo": photo}, {})
+
+    assert torch.autograd.gradcheck(loss, tuple(theta.values()))
+
+
+@pytest.mark.parametrize("kind", ["matte", "metal"])
+def test_a_flash_photo_of_maps_agrees_with_mitsuba(mitsuba: Any, kind: str) -> None:
+    """Where the flash is, which way normals point and how display values are encoded."""
+    size = 16
+    maps = material(3, size)
+    height = normal_from_height(8 * material(4, size)[3:4], periodic=False)
+    maps[:3] = height
+    if kind == "matte":
+        maps[7:] = 0
+    else:
+        maps[3:6], maps[6], maps[7:] = 0, 0.5, (0.4**2 + 4) / (1.6**2 + 4)
+
+    def texture(values: Tensor) -> dict[str, Any]:
+        upwards = values.flip(-2).movedim(0, -1).float().contiguous().numpy()  # its first row is below
+        return {"type": "bitmap", "bitmap": mitsuba.Bitmap(upwards), "filter_type": "nearest", "raw": True}
+
+    metal = {"type": "roughconductor", "eta": 0.6, "k": 2.0, "distribution": "ggx", "alpha": 0.25}
+    inner = {"type": "diffuse", "reflectance": texture(maps[3:6])} if kind == "matte" else metal
+    pose = mitsuba.ScalarTransform4f().look_at(origin=[0, 0, camera_distance()], target=[0, 0, 0], up=[0, 1, 0])
+    film = {"type": "hdrfilm", "width": size, "height": size, "rfilter": {"type": "box"}, "pixel_format": "rgb"}
+    scene = mitsuba.load_dict(
+        {
+            "type": "scene",
+            "integrator": {"type": "direct"},
+            "sensor": {
+                "type": "perspective",
+                "fov": 45,
+                "to_world": pose,
+                "film": film,
+                "sampler": {"type": "stratified", "sample_count": 64},
+            },
+            "light": {
+                "type": "point",
+                "position": camera().tolist(),
+                "intensity": {"type": "rgb", "value": [math.pi * camera_distance() ** 2] * 3},
+            },
+            "patch": {
+                "type": "rectangle",
+                "bsdf": {"type": "normalmap", "normalmap": texture(maps[:3] / 2 + 0.5), "bsdf": inner},
+            },
+        }
+    )
+    pixels = torch.tensor(mitsuba.render(scene, seed=0).array, dtype=torch.float32).reshape(size, size, 3)
+    wanted = linear_to_srgb(pixels.movedim(-1, 0).clamp(0, 1))
+    found = flash_photo(maps).float() / 255
+    assert (found - wanted).abs().max() < 0.02  # pixels' centres against means; 8 bits
+    assert (found - wanted).abs().mean() < 0.004
+    turned = flash_photo(torch.cat([-maps[:2], maps[2:]])).float() / 255
+    assert (turned - wanted).abs().mean() > 0.03  # and it would be seen
+
+
+# Variants
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_a_turned_material_looks_like_its_turned_photo(seed: int) -> None:
+    maps = material(seed)
+    turned = _turned(maps, Generator().manual_seed(seed))
+    before, after = flash_photo(maps).int(), flash_photo(turned).int()
+    candidates = [torch.rot90(each, k, (1, 2)) for each in (before, before.flip(2)) for k in range(4)]
+    off = [int((candidate - after).abs().max()) for candidate in candidates]
+    assert min(off) <= 1
+    colours = [torch.rot90(each, k, (1, 2)) for each in (maps, maps.flip(2)) for k in range(4)]
+    assert torch.equal(colours[off.index(min(off))][2:], turned[2:])
+
+
+def test_all_turns_occur() -> None:
+    maps, rng = material(0), Generator().manual_seed(0)
+    assert len({tuple(_turned(maps, rng)[3:].flatten().tolist()) for _ in range(60)}) == 8
+
+
+def test_variants_are_materials(tasks: Tasks, rng: Generator) -> None:
+    for change in (_mixed, _recoloured):
+        maps = change(tasks.data["maps"], rng)
+        torch.testing.assert_close(maps[:, :3].norm(dim=1), torch.ones(4, SIDE, SIDE))
+        assert maps[:, 3:].amin() >= 0
+        assert maps[:, 3:].amax() <= 1
+        assert not torch.equal(maps, tasks.data["maps"])
+
+
+def test_variants_are_photographed_anew(tasks: Tasks, rng: Generator) -> None:
+    maps, photos = varied(tasks.data["maps"].repeat(8, 1, 1, 1), rng)
+    straight = photographed(unpacked(maps), flash_of(torch.zeros(32, FLASH))).clamp(0, 1)
+    off = (linear_to_srgb(photos) - linear_to_srgb(straight)).abs().mean((1, 2, 3))
+    assert photos.amin() >= 0
+    assert photos.amax() <= 1
+    assert (off < 0.01).sum() > 6  # calibrated, but for noise
+    assert (off > 0.02).sum() > 6
+
+
+# Losses and protocols
+
+
+def test_the_true_maps_have_no_loss(app: SvbrdfNonstationary, tasks: Tasks, exact: Params, rng: Generator) -> None:
+    batch = app.sample(tasks, rng, 1)
+    assert app.loss(exact, batch, {}).max() < 1e-6
+    assert app.goal(exact, batch, {}).max() < 0.01  # the photograph has 8 bits
+    errors = app.errors(exact, tasks)
+    assert errors["ssim"].min() > 0.9999
+    assert max(float(value.max()) for key, value in errors.items() if key not in ("ssim", "normal")) < 1e-6
+    assert errors["normal"].max() < 0.1
+
+
+def test_a_tilt_is_measured_in_degrees(app: SvbrdfNonstationary, tasks: Tasks, monkeypatch: pytest.MonkeyPatch) -> None:
+    flat = tasks.data["maps"].clone()
+    flat[:, :3] = torch.tensor([0.0, 0.0, 1.0])[:, None, None]
+    angle = math.radians(10)
+    tilted = unpacked(flat)._replace(normal=torch.tensor([math.sin(angle), 0.0, math.cos(angle)])[:, None, None])
+    tilted = tilted._replace(normal=tilted.normal.expand(4, -1, SIDE, SIDE))
+    monkeypatch.setattr(SvbrdfNonstationary, "maps_of", lambda app, theta, photo: tilted)
+    judged = replace(tasks, data=tasks.data | {"maps": flat})
+    torch.testing.assert_close(app.errors({}, judged)["normal"], torch.full((4,), 10.0), rtol=1e-3, atol=0)
+
+
+def test_what_a_photo_clips_may_be_any_brightness(tasks: Tasks, exact: Params) -> None:
+    photo = APP.at(RECIPE, "photo")
+    white = {"photo": torch.ones(4, 3, SIDE, SIDE)}
+    brighter = exact | {"flash": torch.tensor([[0.0, 0.0, 0.0, 20.0]]).expand(4, -1)}
+    assert photo.loss(brighter, white, {}).max() < 1e-4
+    assert photo.loss(exact, white, {}).min() > 0.05
+
+
+def test_protocols_differ_in_what_fits_see(tasks: Tasks) -> None:
+    reference, photo = APP.at(RECIPE, "reference"), APP.at(RECIPE, "photo")
+    theta = reference.init(Generator().manual_seed(0), 4)
+    batch = reference.sample(tasks, Generator(), 1)
+    for app, changed in ((reference, "maps"), (reference, "lit"), (photo, "photo")):
+        before = app.loss(theta, batch, {})
+        after = app.loss(theta, batch | {changed: batch[changed] * 0.9}, {})
+        assert (before - after).abs().min() > 1e-4
+    for hidden in ("maps", "lit"):
+        other = batch | {hidden: batch[hidden] * 0.5}
+        assert torch.equal(photo.loss(theta, other, {}), photo.loss(theta, batch, {}))
+
+
+def test_a_photo_alone_is_no_reference(app: SvbrdfNonstationary) -> None:
+    task = Task("wall", {"photo": flash_photo(material(0))})
+    with pytest.raises(ValueError, match=r"wall: a flash photo, expected .* --observe photo"):
+        app.prepare(task)
+    photo = APP.at(RECIPE, "photo")
+    alone = stack(photo, [task])
+    assert photo.errors(photo.init(Generator(), 1), alone) == {}
+
+
+def test_maps_are_written_as_fine_as_the_photo(app: SvbrdfNonstationary) -> None:
+    theta = {key: value[0] for key, value in app.init(Generator().manual_seed(0), 1).items()}
+    for size, written in ((48, 48), (300, 256)):
+        files = app.files(theta, svbrdf_task("wall", material(0, size)))
+        assert list(files) == [
+            "normal", "diffuse", "roughness", "specular", "lit_from_left", "lit_from_above", "lit_from_aside",
+        ]  # fmt: skip
+        for name, picture in files.items():
+            assert picture.shape == (written, written, 1 if name == "roughness" else 3)
+            assert float(picture.min()) >= 0
+            assert float(picture.max()) <= 1
+
+
+def test_outputs_stand_beside_each_other(app: SvbrdfNonstationary) -> None:
+    theta = {key: value[0] for key, value in app.init(Generator().manual_seed(0), 1).items()}
+    task = svbrdf_task("wall", material(0))
+    both = app.outputs(theta, task)
+    assert {name: tuple(each.shape) for name, each in both.items()} == {
+        "reference": (64, 128, 3),
+        "fit": (64, 128, 3),
+    }
+    assert set(app.outputs(theta, Task("wall", {"photo": task.data["photo"]}))) == {"fit"}
+
+
+def test_pooled_normals_have_unit_length() -> None:
+    maps = pooled(material(0), (8, 8))
+    torch.testing.assert_close(maps[:3].norm(dim=0), torch.ones(8, 8))
+    torch.testing.assert_close(maps[3:].mean((1, 2)), material(0)[3:].mean((1, 2)))
+
+
+def test_a_lit_patch_is_what_flash_renders(app: SvbrdfNonstationary, tasks: Tasks) -> None:
+    light, view = tasks.data["rig"][0, 3]
+    maps = Maps(*(part[2] for part in unpacked(tasks.data["maps"])))
+    wanted = (render(maps, positions(SIDE, SIDE), light, view) + 0.1).log()
+    torch.testing.assert_close(tasks.data["lit"][2, 3], wanted)
+
+
+def fitted(steps: int) -> Callable[[SvbrdfNonstationary, Tasks], float]:
+    """The mean error after some Adam steps from a random start."""
+    from metapp.learning import learn, task_loss
+    from metapp.rules import fixed_adam
+    from metapp.task import Adam
+
+    def run(app: SvbrdfNonstationary, tasks: Tasks) -> float:
+        theta = app.init(Generator().manual_seed(0), len(tasks))
+        rule = fixed_adam(Adam(3e-2, final=0.1), theta, steps)
+        theta = learn(theta, rule, tasks, task_loss(app, 1), steps=steps, rng=Generator())
+        return float(app.errors(theta, tasks)["error"].mean())
+
+    return run
+
+
+def test_fits_come_close(app: SvbrdfNonstationary, tasks: Tasks) -> None:
+    assert fitted(150)(app, tasks) < 0.25 * fitted(1)(app, tasks)

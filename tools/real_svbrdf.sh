@@ -1,0 +1,15 @@
+#!/usr/bin/env bash
+# All five paradigms on real strips and game materials, under both protocols, and flash photos without maps, by the
+# starts that ship: real_svbrdf.sh METAPP DATA RUNS
+# Those were trained on drawn materials alone, so that every real one is a test task.
+set -euo pipefail
+metapp=$1 data=$2 runs=$3
+for folder in svbrdf_strips svbrdf_maps flash_nonstationary; do
+  [ -d "$data/$folder" ] || { echo "real: $data/$folder is missing; name it: make real-svbrdf DATA=..." >&2; exit 1; }
+done
+"$metapp" data strips "$data/svbrdf_strips" --split test --out "$runs/data/strips"
+"$metapp" data maps "$data/svbrdf_maps" --split test --out "$runs/data/maps"
+for each in strips maps; do
+  "$metapp" evaluate svbrdf_nonstationary --data "$runs/data/$each" --out "$runs" --table
+done
+"$metapp" meta svbrdf_nonstationary "$data/flash_nonstationary" --observe photo --out "$runs"
