@@ -47,6 +47,8 @@ OVERFIT ?= 0.2
 EVALUATE := $(METAPP) evaluate --overfit-share $(OVERFIT) --out $(RUNS)
 TABLES := results quickft image ablation storage samples convergence
 
+.PHONY: $(TABLES:%=table-%)
+
 tables: $(TABLES:%=table-%)  ## all tables on the embedded data, beside the paper's figures: 20 minutes
 
 table-results: setup  ## error and time of the five paradigms
