@@ -34,6 +34,7 @@ from metapp.cli.tables.storage import size
 from metapp.cli.tables.subject import Cell, Subject, absent
 from metapp.cli.tables.trace import FURTHER, PARTS, looks, near, places, project, states_of, trace_cell
 from metapp.records import RunFolder, read_records
+from metapp.sphere import environment_scene, shade_sphere
 from metapp.task import Task
 
 KEYS = {"app", "paradigm", "error", "seconds", "tasks", "low", "high", "paper_error", "paper_seconds"}
@@ -44,7 +45,7 @@ KEYS = {"app", "paradigm", "error", "seconds", "tasks", "low", "high", "paper_er
 
 def row(paradigm: str, low: float | None, high: float | None, seconds: float = 1.0) -> dict[str, Any]:
     error = None if low is None or high is None else (low + high) / 2
-    return blank("brdf", paradigm) | {"low": low, "high": high, "error": error, "seconds": seconds}
+    return blank("brdf", paradigm) | {"low": low, "high": high, "error": error, "seconds": seconds, "tasks": 8}
 
 
 def test_statistics_of_tasks() -> None:
@@ -63,6 +64,9 @@ def test_overlapping_intervals_are_no_win() -> None:
     assert overlap(*touching) is True
     assert "no win" in verdict(touching)
     assert "wins" not in verdict(touching)
+    few = [each | {"tasks": 4} for each in apart]
+    assert overlap(*few) is None
+    assert "too few" in verdict(few)
     assert verdict([row("quickft", None, None), row("meta", 1.0, 1.5)]) == ""
 
 
@@ -356,10 +360,13 @@ def test_the_same_picture_has_an_ssim_of_one(subject: Subject) -> None:
 
     task = subject.tasks[0]
     theta = {key: value[0] for key, value in APP.init(torch.Generator().manual_seed(0), 1).items()}
-    same = Task("same", task.data | {"render": APP.outputs(theta, task)["fit"]})
+    picture = shade_sphere(environment_scene(), lambda angles: APP.reflectance(theta, angles))
+    same = Task("same", task.data | {"environment": picture})
     measured = APP.image_errors({"meta": Fitted(theta, 1.0)}, same)
     assert measured["meta"]["SSIM"] == pytest.approx(1, abs=1e-5)
     assert APP.image_errors({"meta": Fitted(theta, 1.0)}, task)["meta"]["SSIM"] < 0.999
+    older = Task("older", {key: value for key, value in task.data.items() if key != "environment"})
+    assert APP.image_errors({"meta": Fitted(theta, 1.0)}, older) == {}
 
 
 # Convergence

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import itertools
 import math
 from collections.abc import Mapping
@@ -14,7 +15,7 @@ from torch.nn.functional import gelu, layer_norm
 
 from metapp.colour import linear_to_srgb
 from metapp.geometry import cos_incident, half_difference
-from metapp.sphere import reference_scene, shade_sphere
+from metapp.sphere import environment_scene, reference_scene, shade_sphere
 from metapp.task import Adam, App, Batch, Fitted, Params, Recipe, Task, Tasks, Training, Visible
 
 WIDTHS = (6, 21, 21, 3)
@@ -98,7 +99,7 @@ class Brdf(App):
     inputs = "a MERL .binary file or a folder with an NBRDF network, or a folder of these"
     exports = ("nbrdf", "merl")
     measure = "mean |log(1 + f cos theta_i) - log(1 + f' cos theta_i)| on held-out directions"
-    image_measure = "the reference sphere under three softboxes, a lamp and a dim sky, sRGB, over the pixels it touches"
+    image_measure = "the sphere under an environment map (a sky, a sun, two windows), sRGB, over the pixels it touches"
     scale = 100.0
     small_kernels = True
     recipes = {"paper": PAPER, "quick": QUICK}  # noqa: RUF012  (never written to)
@@ -214,18 +215,21 @@ class Brdf(App):
         return {"error": (torch.log1p(reflectance * where[:, 6:7]) - target).abs().mean((1, 2))}
 
     def image_errors(self, fits: Mapping[str, Fitted], task: Task) -> dict[str, dict[str, float]]:
-        """SSIM of the reference sphere, mean over the pixels that it touches."""
-        if "render" not in task.data:
+        """SSIM of the sphere under the environment map, mean over the pixels that it touches.
+
+        Empty where a data set was made before it had such pictures.
+        """
+        if "environment" not in task.data:
             return {}
         # takes half a second to import
         from torchmetrics.functional.image import structural_similarity_index_measure
 
-        mask, measured = reference_scene().mask, {}
+        scene, measured = environment_scene(), {}
+        wanted = _display(task.data["environment"])
         for name, fit in fits.items():
-            pictures = self.outputs(fit.theta, task)
-            found, wanted = (_display(pictures[each]).permute(2, 0, 1)[None] for each in ("fit", "reference"))
+            found = _display(shade_sphere(scene, functools.partial(self.reflectance, fit.theta)))
             full = structural_similarity_index_measure(found, wanted, data_range=1.0, return_full_image=True)[1]
-            measured[name] = {"SSIM": float(full[0][:, mask].mean())}
+            measured[name] = {"SSIM": float(full[0][:, scene.mask].mean())}
         return measured
 
     def visible(self, task: Task) -> Visible:
@@ -253,9 +257,10 @@ class Brdf(App):
 
 
 def _display(linear: Tensor) -> Tensor:
-    """Linear RGB on black with coverage, [H, W, 4], as sRGB [H, W, 3] on white."""
+    """Linear RGB on black with coverage, [H, W, 4], as sRGB [1, 3, H, W] on white."""
     coverage = linear[..., 3:]
-    return coverage * linear_to_srgb((linear[..., :3] / coverage.clamp_min(1e-6)).clamp(0, 1)) + 1 - coverage
+    display = coverage * linear_to_srgb((linear[..., :3] / coverage.clamp_min(1e-6)).clamp(0, 1)) + 1 - coverage
+    return display.permute(2, 0, 1)[None]
 
 
 def _shapes() -> dict[str, tuple[int, int]]:

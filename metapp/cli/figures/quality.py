@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from matplotlib.ticker import MaxNLocator
+
 from metapp.cli.figures import Drawn
 from metapp.cli.figures.style import COLOURS, MARKERS, TITLES, legend, line, new
 from metapp.cli.tables.results import result_row
@@ -47,6 +49,7 @@ def ranks(subject: Subject) -> Drawn | None:
         axis.plot(range(1, len(errors) + 1), errors, **line(name))
     if min(min(errors) for errors in found.values()) > 0:
         axis.set_yscale("log")
+    axis.xaxis.set_major_locator(MaxNLocator(integer=True))
     axis.set_xlabel("test task, each paradigm's in order of error")
     axis.set_ylabel(f"error{factor(subject)}")
     axis.set_title(subject.title)

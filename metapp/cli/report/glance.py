@@ -54,7 +54,8 @@ def badge(rows: list[Row]) -> str:
     by = {row["paradigm"]: row for row in rows}
     tied = overlap(by["meta"], by["quickft"])
     if tied is None:
-        return '<span class="badge">not measured yet</span>'
+        said = "not measured yet" if by["meta"]["error"] is None else "too few tasks to call a win"
+        return f'<span class="badge">{said}</span>'
     if tied:
         return '<span class="badge">no win over QuickFT: intervals overlap</span>'
     kind, said = ("win", "ahead of") if by["meta"]["error"] < by["quickft"]["error"] else ("loss", "behind")

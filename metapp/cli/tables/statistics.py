@@ -35,9 +35,12 @@ def statistics_of(errors: Sequence[float], groups: list[str]) -> dict[str, Any]:
     }
 
 
+FEWEST = 5  # tasks: the bootstrap of fewer says nothing
+
+
 def overlap(one: Row, other: Row) -> bool | None:
-    """Whether the intervals of two rows overlap; None where one is not known."""
-    if None in (one["low"], other["low"]):
+    """Whether the intervals of two rows overlap; None where one is not known, or is of too few tasks to tell."""
+    if None in (one["low"], other["low"]) or min(one["tasks"], other["tasks"]) < FEWEST:
         return None
     return one["low"] <= other["high"] and other["low"] <= one["high"]
 
@@ -53,8 +56,11 @@ def change(one: Row, other: Row) -> str:
 def verdict(rows: list[Row], one: str = "meta", other: str = "quickft") -> str:
     """Who of two paradigms has the lower error; nobody, where their intervals overlap. "" where one is not known."""
     by = {row["paradigm"]: row for row in rows}
-    if one not in by or other not in by or (tied := overlap(by[one], by[other])) is None:
+    if None in (by[one]["low"], by[other]["low"]):
         return ""
+    tied = overlap(by[one], by[other])
+    if tied is None:
+        return f"{one} and {other}: fewer than {FEWEST} tasks, too few to call a win"
     if tied:
         return f"{one} and {other}: 95 % intervals overlap, no win"
     ahead = one if by[one]["error"] < by[other]["error"] else other
