@@ -43,7 +43,7 @@ bench: setup  ## speed and memory of learning, as ratios measured side by side
 	$(VENV)/bin/python -m tests.benchmarks.bench_learning
 
 # on two cores; the tables say that Overfit has fewer steps than the recipe's; OVERFIT=1 takes all of them
-OVERFIT ?= 0.2
+OVERFIT ?= 0.1
 EVALUATE := $(METAPP) evaluate --overfit-share $(OVERFIT) --out $(RUNS)
 TABLES := results quickft image ablation storage samples convergence
 

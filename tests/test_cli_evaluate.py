@@ -26,6 +26,7 @@ from metapp.cli.figures.rates import step_sizes
 from metapp.cli.report.html import EMBEDDED, Pictures, identifier
 from metapp.cli.session import Options
 from metapp.cli.tables import NAMES, blank, load_table, paper
+from metapp.cli.tables.ablation import RULE_ALONE, START_ALONE, combined, same_start
 from metapp.cli.tables.convergence import steps_needed
 from metapp.cli.tables.image import image_cell
 from metapp.cli.tables.running import Clock, duration, run_cells
@@ -35,7 +36,7 @@ from metapp.cli.tables.subject import Cell, Subject, absent
 from metapp.cli.tables.trace import FURTHER, PARTS, looks, near, places, project, states_of, trace_cell
 from metapp.records import RunFolder, read_records
 from metapp.sphere import environment_scene, shade_sphere
-from metapp.task import Task
+from metapp.task import Fitted, Task, stack
 
 KEYS = {"app", "paradigm", "error", "seconds", "tasks", "low", "high", "paper_error", "paper_seconds"}
 
@@ -257,9 +258,6 @@ def test_the_ablation_has_four_corners_and_those_of_the_results_among_them(subje
 
 
 def test_what_is_combined_is_what_it_says(subject: Subject) -> None:
-    from metapp.cli.tables.ablation import RULE_ALONE, START_ALONE, combined
-    from metapp.task import stack
-
     cells = {rule: cell for _, rule, cell in combined(subject, "meta")}
     assert {cell.folder.path.parent.name for cell in cells.values() if cell.folder} == {
         "ablation-rule",
@@ -278,6 +276,18 @@ def test_what_is_combined_is_what_it_says(subject: Subject) -> None:
     encoded = subject.fits["general"].paradigm.start(job, general.prepared, tasks, torch.Generator().manual_seed(1))
     assert all(torch.equal(theirs[key], encoded[key]) for key in encoded)
     assert START_ALONE.count(job) == RULE_ALONE.count(job) == 10
+
+
+def test_a_start_that_is_generals_is_not_fitted_twice(subject: Subject) -> None:
+    meta, general = subject.fits["meta"], subject.fits["general"]
+    assert meta.start
+    assert general.start
+    own = meta.start._replace(prepared=meta.start.prepared._replace(theta={}, encoder=general.start.prepared.encoder))
+    assert not same_start(subject, "meta")
+    subject.fits["meta"] = meta._replace(start=own)
+    assert same_start(subject, "meta")
+    assert [cell for _, _, cell in combined(subject, "meta")] == [subject.cell("meta"), subject.cell("quickft")]
+    assert any("General's own" in note for note in load_table("ablation").notes(subject, []))
 
 
 def test_a_trace_is_the_fit_itself(subject: Subject) -> None:
@@ -356,8 +366,6 @@ def test_measures_of_pictures(subject: Subject, monkeypatch: pytest.MonkeyPatch,
 
 
 def test_the_same_picture_has_an_ssim_of_one(subject: Subject) -> None:
-    from metapp.task import Fitted
-
     task = subject.tasks[0]
     theta = {key: value[0] for key, value in APP.init(torch.Generator().manual_seed(0), 1).items()}
     picture = shade_sphere(environment_scene(), lambda angles: APP.reflectance(theta, angles))

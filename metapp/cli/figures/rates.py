@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from torch import Tensor
 
 from metapp.cli.figures import Drawn
 from metapp.cli.figures.style import COLOURS, INK, new
@@ -25,10 +26,15 @@ def step_sizes(rule: str, alpha: Params) -> dict[str, np.ndarray]:
     return found
 
 
+def _rates(alpha: Params) -> list[Tensor]:
+    return [value for name, value in alpha.items() if name.startswith("rate.") and value.numel() > 1 and value.ndim > 1]
+
+
 def histogram(subject: Subject) -> Drawn | None:
     """Magnitudes of learned step sizes, layer above layer."""
     fit = subject.fits["meta"]
-    sizes = step_sizes(fit.options.rule, fit.start.prepared.alpha) if fit.start else {}
+    alpha = fit.start.prepared.alpha if fit.start else {}
+    sizes = step_sizes(fit.options.rule, alpha)
     if not sizes:
         return None
     logs = {key: np.log10(np.abs(values[values != 0])) for key, values in sizes.items()}
@@ -48,5 +54,7 @@ def histogram(subject: Subject) -> Drawn | None:
     negative = {key: float((values < 0).mean()) for key, values in sizes.items()}
     said = f"; negative: {np.mean(list(negative.values())):.0%}" if any(negative.values()) else ""
     middle = np.median(np.concatenate(list(logs.values())))
+    if all(len(np.unique(each.flatten(1)[0].numpy())) == 1 for each in _rates(alpha)):
+        said += "; the same for all weights, as its Adam was searched"
     what = f"step sizes that {fit.options.rule} has learned, a row a layer; median {10**middle:.1e}{said}"
     return Drawn(figure, f"{subject.title}: {what}.")

@@ -41,10 +41,12 @@ def combined(subject: Subject, name: str) -> list[tuple[str, str, Cell]]:
     starts = (meta.start, general.start, quickft.start)
     if any(start is None for start in starts):
         return []
+    rule = meta.options.rule
+    if same_start(subject, name):
+        return [("general", rule, subject.cell(name)), (f"meta ({rule})", "adam", subject.cell("quickft"))]
     learnt, encoder, tuned = (start.prepared for start in starts if start)
     digest = "+".join(start.digest for start in starts if start)
-    options, rule = meta.options, meta.options.rule
-    found = []
+    options, found = meta.options, []
     for paradigm, words_of, prepared in (
         (RULE_ALONE, ("general", rule), MetaParameters(alpha=learnt.alpha, encoder=encoder.encoder)),
         (START_ALONE, (f"meta ({rule})", "adam"), learnt._replace(alpha=tuned.alpha)),
@@ -54,6 +56,14 @@ def combined(subject: Subject, name: str) -> list[tuple[str, str, Cell]]:
         fit = Fit(f"ablation {' + '.join(words_of)}", options, paradigm, Start(prepared, "combined", digest))
         found.append((*words_of, subject.fit_cell(fit, settings, rule)))
     return found
+
+
+def same_start(subject: Subject, name: str) -> bool:
+    """Whether a learned rule starts at General's own prediction."""
+    meta, general = (subject.fits[each].start for each in (name, "general"))
+    if meta is None or general is None or not meta.prepared.encoder:
+        return False
+    return tensor_digest(meta.prepared.encoder) == tensor_digest(general.prepared.encoder)
 
 
 def cells(subject: Subject) -> list[Cell]:
@@ -80,13 +90,10 @@ def rows(subject: Subject) -> list[Row]:
 def notes(subject: Subject, found: list[Row]) -> list[str]:
     """What is the same by construction, and what adam is."""
     said = ["adam: QuickFT's, searched on validation tasks for General's start", caption_of(subject.app)]
-    general = subject.fits["general"].start
     for name in learned(subject):
-        start = subject.fits[name].start
-        if general and start and start.prepared.encoder:
-            same = tensor_digest(start.prepared.encoder) == tensor_digest(general.prepared.encoder)
-            rule = subject.fits[name].options.rule
-            said += [f"{rule}'s start is General's own: rows that differ in it alone are equal"] if same else []
+        rule = subject.fits[name].options.rule
+        own = f"{rule}'s start is General's own: rows that differ in it alone are of the same fits"
+        said += [own] if same_start(subject, name) else []
     return said
 
 

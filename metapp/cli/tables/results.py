@@ -48,7 +48,8 @@ def budget(subject: Subject) -> list[str]:
     if subject.share == 1:
         return []
     steps, recipe = subject.fits["overfit"].options.steps, subject.options.job.recipe.overfit_steps
-    return [f"overfit: {steps:,} of the recipe's {recipe:,} steps, so its error is too high and its time too short"]
+    changed = "its error and the gap closed are too high, its time and the speed-up too low"
+    return [f"overfit: {steps:,} of the recipe's {recipe:,} steps, so {changed}"]
 
 
 def closing(app: App, found: list[Row]) -> str:

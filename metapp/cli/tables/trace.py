@@ -24,7 +24,7 @@ from metapp.task import Params, Task, Tasks, stack
 TRACED = 5  # tasks
 PARTS = (0.0, 0.25, 0.5, 0.75, 1.0)
 CURVES = ("overfit", "finetune", "quickft", "meta")
-FURTHER = (8, 16, 32, 65, 128, 256)  # steps after Meta's
+FURTHER = (8, 16, 32, 65, 130)  # steps after Meta's
 WALKED = 32  # places on a path
 
 
