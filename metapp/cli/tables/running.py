@@ -88,7 +88,8 @@ def _progress(quiet: bool) -> Iterator[Told]:
             nonlocal last
             if not quiet and time.monotonic() - last > LINE_SECONDS:
                 last = time.monotonic()
-                say(f"evaluate: {note}; {duration(spent)} so far, about {duration(left)} left")
+                rest = f"about {duration(left)} left" if left else "time left not known yet"
+                say(f"evaluate: {note}; {duration(spent)} so far, {rest}")
 
         yield line
         return
