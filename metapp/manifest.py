@@ -25,6 +25,7 @@ class Entry(NamedTuple):
         source: base name of the file or folder it was made of; "" where there is none.
         sha256: of the file's bytes, 64 hexadecimal digits.
         group: what several tasks show; "" where it shows something of its own, or the file does not say.
+        beside: name of a file in the folder that holds one of its tensors as text; "" where there is none.
     """
 
     name: str
@@ -33,6 +34,7 @@ class Entry(NamedTuple):
     source: str
     sha256: str
     group: str = ""
+    beside: str = ""
 
 
 class Manifest(NamedTuple):
@@ -124,6 +126,12 @@ def _from_json(raw: Any, path: Path) -> Manifest:
             raise ValueError(
                 f"{path}: {where}file {json.dumps(entry.file)}, expected the plain name of a {SUFFIX} file in the "
                 "same folder; convert the data again."
+            )
+        stem = re.escape(entry.file.removesuffix(SUFFIX))
+        if entry.beside and not re.fullmatch(rf"{stem}\.[a-z]{{1,8}}", entry.beside):
+            raise ValueError(
+                f"{path}: {where}beside {json.dumps(entry.beside)}, expected the name of {entry.file} with another "
+                "suffix; convert the data again."
             )
         if entry.split not in SPLITS:
             raise ValueError(f"{path}: {where}split '{entry.split}', expected 'train' or 'test'.")

@@ -25,7 +25,7 @@ MAPS = 1.0  # weight of the maps' differences in a fit
 WANTED, SEEN = 0.3, 0.3  # and in the goal, beside the photograph's
 RIG, JUDGED = (2, 3), (6, 6)  # lights that fits see, and that they are judged under: oblique, mirroring
 DRAWN = (1, 2)  # and those that preparation draws
-SMOOTHED = 0.1  # at first, where learned losses round off |d|
+SMOOTHED = 0.03  # at first, where learned losses round off |d|
 LARGEST = 256  # px of the maps that are written
 INPUTS, OUTPUTS = 8, 9
 
@@ -67,11 +67,11 @@ def field_of(side: int, hidden: int) -> LocalField:
 
 # exact second order, from General's encoder, which goes on learning through the steps
 LEARNED = Training(
-    steps=400,
+    steps=200,
     tasks=8,
-    rates={"": 1e-4, "alpha.": 1e-2},
-    first=Adam(5e-3, beta1=0.6, beta2=0.98, eps=1e-6, final=0.1),
-    warmup=20,
+    rates={"": 1e-4, "alpha.": 2e-2},
+    first=Adam(3e-3, beta1=0.6, beta2=0.98, eps=1e-6, final=0.1),
+    warmup=10,
     final=0.01,
     order=2,
     clip=3.0,
@@ -85,7 +85,7 @@ QUICK = Recipe(
     overfit=Adam(1e-2, final=0.0),
     finetune_steps=200,
     finetune=Adam(5e-3, final=0.0),
-    quickft=Adam(5e-3, beta1=0.6, beta2=0.98, final=0.1),
+    quickft=Adam(3e-3, beta1=0.6, beta2=0.98, final=0.1),
     general=Training(steps=8000, tasks=8, rates={"": 1e-3}, warmup=100, final=0.0, validate_every=500),
     meta={"meta-encoder": LEARNED},
     rule="meta-encoder",
@@ -99,9 +99,8 @@ QUICK_PHOTO = replace(
     meta={
         "meta-lgd": replace(
             LEARNED,
-            rates={"": 3e-5, "alpha.": 5e-3, "alpha.within.": 1e-3, "alpha.within.z.unit": 0.0},
+            rates={"": 1e-4, "alpha.": 5e-3, "alpha.within.": 3e-4, "alpha.within.z.unit": 0.0},
             first=Adam(3e-4, beta1=0.7, beta2=0.99, eps=1e-4, final=0.1),
-            clip=1.0,
         )
     },
     rule="meta-lgd",
