@@ -94,11 +94,12 @@ class RunFolder:
         """Records of this run's key, by task."""
         return {record["name"]: record for record in read_records(self.file) if record.get("key") == self.key}
 
-    def add(self, record: dict[str, Any], theta: dict[str, Tensor]) -> None:
-        """Keep a finished task; its parameters first, so that a record's parameters are always there."""
-        tensors = {key: value.detach().cpu().contiguous() for key, value in theta.items()}
-        target = self.path / "params" / f"{file_name(record['name'])}.safetensors"
-        write_atomically(target, lambda temporary: save_file(tensors, temporary))
+    def add(self, record: dict[str, Any], theta: dict[str, Tensor] | None = None) -> None:
+        """Keep a finished task; its parameters, if it has any, first, so that a record's are always there."""
+        if theta is not None:
+            tensors = {key: value.detach().cpu().contiguous() for key, value in theta.items()}
+            target = self.path / "params" / f"{file_name(record['name'])}.safetensors"
+            write_atomically(target, lambda temporary: save_file(tensors, temporary))
         lines = [line for line in self.finished().values() if line["name"] != record["name"]]
         lines = [*lines, {**record, "key": self.key, "settings": self.settings}]
         text = "".join(json.dumps(line) + "\n" for line in lines)
