@@ -54,7 +54,7 @@ def brdf_task(
 
     Returns:
         A task with angles [N, 3] rad, reflectance [N, 3] in 1/sr, linear RGB, >= 0, and of the sphere render
-        [96, 96, 4] in the studio and environment [64, 64, 4], linear RGB and coverage in [0, 1]; all float32.
+        [96, 96, 4] in the studio and environment [48, 48, 4], linear RGB and coverage in [0, 1]; all float32.
 
     Raises:
         ValueError: neither or both of evaluate and table; too few samples, or more than the table has valid bins for;

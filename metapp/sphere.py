@@ -185,7 +185,7 @@ def reference_scene() -> SphereScene:
 
 
 @functools.cache
-def environment_scene(size: int = 64) -> SphereScene:
+def environment_scene(size: int = 48) -> SphereScene:
     """The same sphere under `environment` alone, 320 directions a pixel, float32; of width and height >= 8."""
     mask, coverage, frame = _surface(size)
     wo = frame[:, :, 2]

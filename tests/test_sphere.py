@@ -103,7 +103,7 @@ def test_the_environment_lights_a_white_sphere_as_a_fine_sum_over_directions_doe
     light = environment(grid) * (theta.sin() * (math.pi / 180) * (math.tau / 360)).reshape(-1, 1)
     scene = environment_scene()
     y, x = scene.mask.nonzero().T.double() + 0.5
-    normal = torch.stack([x / 32 - 1, 1 - y / 32], -1) / 0.96
+    normal = torch.stack([x / 24 - 1, 1 - y / 24], -1) / 0.96
     inside = normal.square().sum(-1) < 0.8
     normal = torch.cat([normal, (1 - normal.square().sum(-1, keepdim=True)).clamp_min(0).sqrt()], -1)[inside]
     expected = (normal @ grid.T).clamp_min(0) @ light
