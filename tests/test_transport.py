@@ -33,7 +33,11 @@ def bent(flow: Flow, seed: int = 0, scale: float = 0.5) -> Params:
     """Parameters of a flow that is far from the identity, float64, task axis 1."""
     generator = rng(seed)
     start = flow.init(generator, 1)
-    return {key: value.double() + scale * torch.randn(value.shape, generator=generator) for key, value in start.items()}
+    scales = {key: scale / flow.gain if key == "z" else scale for key in start}
+    return {
+        key: value.double() + scales[key] * torch.randn(value.shape, generator=generator)
+        for key, value in start.items()
+    }
 
 
 # Splines
@@ -112,7 +116,7 @@ def middles(count: int) -> Tensor:
 
 
 def test_both_densities_integrate_to_1() -> None:
-    theta, square = bent(FLOW), middles(600)
+    theta, square = bent(FLOW), middles(200)
     film, _ = FLOW.log_density(theta, torch.cat([square, square], 1))
     assert float(film.exp().mean()) == pytest.approx(1, abs=2e-3)
     for place in ((0.1, 0.9), (0.55, 0.3)):
@@ -323,12 +327,12 @@ def test_variants_are_mirrored_or_not(app: Transport, tasks: Tasks) -> None:
 
 def test_pictures_of_a_flow_and_of_samples_drawn_from_it_agree() -> None:
     theta = bent(FLOW, scale=0.3)
-    uniform = torch.rand(1, 4, 400_000, generator=rng(1), dtype=torch.float64)
+    uniform = torch.rand(1, 4, 60_000, generator=rng(1), dtype=torch.float64)
     film, _ = FLOW.sample_film(theta, uniform[:, :2])
     directions, _ = FLOW.sample_directions(theta, film, uniform[:, 2:])
     drawn = views.picture_of_samples(torch.cat([film, directions], 1)[0].T.float())
     fit = views.picture_of_flow(FLOW, {key: value[0].float() for key, value in theta.items()})
     assert fit.shape == drawn.shape == (128, 256, 3)
-    assert float((fit - drawn).abs().mean()) < 0.02
+    assert float((fit - drawn).abs().mean()) < 0.04
     other = views.picture_of_flow(FLOW, {key: value[0].float() for key, value in bent(FLOW, 7, 0.3).items()})
     assert float((fit - other).abs().mean()) > 0.05
