@@ -14,6 +14,8 @@ SPLITS = ("train", "test")
 
 SUFFIX = ".safetensors"
 
+_PLAIN = r"[A-Za-z0-9_-][A-Za-z0-9._-]*"
+
 
 class Entry(NamedTuple):
     """One task of a manifest.
@@ -25,6 +27,7 @@ class Entry(NamedTuple):
         source: base name of the file or folder it was made of; "" where there is none.
         sha256: of the file's bytes, 64 hexadecimal digits.
         group: what several tasks show; "" where it shows something of its own, or the file does not say.
+        beside: name of a file in the folder that holds one of its tensors as text; "" where there is none.
     """
 
     name: str
@@ -33,6 +36,7 @@ class Entry(NamedTuple):
     source: str
     sha256: str
     group: str = ""
+    beside: str = ""
 
 
 class Manifest(NamedTuple):
@@ -120,10 +124,15 @@ def _from_json(raw: Any, path: Path) -> Manifest:
         where = f"task {index + 1}: "
         optional = [key for key in Entry._field_defaults if isinstance(record, dict) and key not in record]
         entry = Entry(**{key: field(record, key, str, where) for key in Entry._fields if key not in optional})
-        if not re.fullmatch(r"[A-Za-z0-9_-][A-Za-z0-9._-]*", entry.file) or not entry.file.endswith(SUFFIX):
+        if not re.fullmatch(_PLAIN, entry.file) or not entry.file.endswith(SUFFIX):
             raise ValueError(
                 f"{path}: {where}file {json.dumps(entry.file)}, expected the plain name of a {SUFFIX} file in the "
                 "same folder; convert the data again."
+            )
+        if not re.fullmatch(_PLAIN, entry.beside or entry.file):
+            raise ValueError(
+                f"{path}: {where}beside {json.dumps(entry.beside)}, expected the plain name of a file in the same "
+                "folder; convert the data again."
             )
         if entry.split not in SPLITS:
             raise ValueError(f"{path}: {where}split '{entry.split}', expected 'train' or 'test'.")

@@ -50,6 +50,7 @@ class ShardWriter:
         app: the application the tasks belong to.
         units: unit and meaning of every tensor, by name.
         notes: anything else worth keeping, as JSON can hold it.
+        beside: name of a tensor whose bytes, a text, are kept as a file beside each task, and that file's suffix.
 
     Raises:
         ValueError: the folder is a file or holds another application's tasks (on entering); no task was added (on
@@ -57,9 +58,15 @@ class ShardWriter:
     """
 
     def __init__(
-        self, folder: str | Path, app: str, units: Mapping[str, str], notes: Mapping[str, Any] | None = None
+        self,
+        folder: str | Path,
+        app: str,
+        units: Mapping[str, str],
+        notes: Mapping[str, Any] | None = None,
+        beside: tuple[str, str] | None = None,
     ) -> None:
         self.folder = Path(folder)
+        self._beside = beside
         self._manifest = Manifest(app, (), dict(units), dict(notes or {}))
         # A note that JSON cannot hold should be refused now, not after an hour of converting.
         try:
@@ -115,8 +122,14 @@ class ShardWriter:
         file = _file_name(task.name, self._files)
         partial_path(self.folder / file).write_bytes(payload)
         self._files.add(file.lower())
+        beside = ""
+        if self._beside is not None:
+            key, suffix = self._beside
+            beside = file.removesuffix(SUFFIX) + suffix
+            partial_path(self.folder / beside).write_bytes(task.data[key].cpu().numpy().tobytes().rstrip() + b"\n")
+            self._files.add(beside.lower())
         digest = hashlib.sha256(payload).hexdigest()
-        self._entries.append(Entry(task.name, file, split, _base_name(source), digest, task.group))
+        self._entries.append(Entry(task.name, file, split, _base_name(source), digest, task.group, beside))
 
     def entries(self) -> tuple[Entry, ...]:
         """The tasks added so far, in that order, each in its split."""
@@ -143,12 +156,12 @@ class ShardWriter:
         before = self._replaced()
         text = to_json(self._manifest._replace(tasks=self.entries()))
         (self.folder / MANIFEST).unlink(missing_ok=True)
-        for entry in self._entries:
-            os.replace(partial_path(self.folder / entry.file), self.folder / entry.file)
+        for file in _files(self._entries):
+            os.replace(partial_path(self.folder / file), self.folder / file)
         if before is not None:
-            for entry in before.tasks:
-                if entry.file.lower() not in self._files:
-                    (self.folder / entry.file).unlink(missing_ok=True)
+            for file in _files(before.tasks):
+                if file.lower() not in self._files:
+                    (self.folder / file).unlink(missing_ok=True)
         write_atomically(self.folder / MANIFEST, lambda path: path.write_text(text, encoding="ascii"))
 
     def _remove_partial(self) -> None:
@@ -218,13 +231,19 @@ def check_shard(folder: str | Path) -> list[str]:
             for key, tensor in task.data.items()
             if not _is_finite(tensor)
         ]
-    listed = {MANIFEST} | {entry.file for entry in manifest.tasks}
+    missing = [entry.beside for entry in manifest.tasks if entry.beside and not (folder / entry.beside).is_file()]
+    problems += [f"{folder / file}: missing, expected a file as {MANIFEST} lists it." for file in missing]
+    listed = {MANIFEST, *_files(manifest.tasks)}
     problems += [
         f"{path}: not listed in {MANIFEST}; remove it, or convert the data again."
         for path in sorted(folder.iterdir())
         if path.name not in listed
     ]
     return problems
+
+
+def _files(entries: Iterable[Entry]) -> list[str]:
+    return [file for entry in entries for file in (entry.file, entry.beside) if file]
 
 
 def _base_name(source: str | Path) -> str:

@@ -16,6 +16,7 @@ import typer
 from metapp.cli.console import Exit, out, print_json, progress, say
 from metapp.cli.convert import Converted
 from metapp.cli.data_convert import Json, Out, Quiet, check_folder, flash, images, laval, merl, nbrdf, report
+from metapp.cli.data_cornell import cornell
 from metapp.cli.data_svbrdf import maps, strips
 from metapp.cli.embedded import embedded_apps, embedded_data, embedded_module, split_counts
 
@@ -50,7 +51,8 @@ def synth(
     name: Annotated[
         str,
         typer.Argument(
-            metavar="APP", help="brdf, texture, svbrdf_stationary, svbrdf_nonstationary (data alone) or illumination."
+            metavar="APP",
+            help="brdf, texture, svbrdf_stationary, svbrdf_nonstationary (data alone), illumination or transport.",
         ),
     ],
     folder: Annotated[
@@ -94,6 +96,9 @@ def synth(
 
     illumination: HDR environment maps of 16 families, outdoors and in, with photographs of spheres under them; 0.15 MB
     each; 900 + 16.
+
+    transport: samples of the light paths of Cornell boxes with one to five spheres and a mirror; 0.7 MB and 2 s each;
+    40 + 8.
 
     Examples:
       metapp data synth brdf
@@ -140,7 +145,7 @@ def _synth_merl(name: str, folder: Path | None, count: int | None, seed: int, qu
     return Converted(name, str(folder), names["train"], names["test"], [])
 
 
-for _convert in (merl, nbrdf, images, flash, laval, strips, maps):
+for _convert in (merl, nbrdf, images, flash, laval, strips, maps, cornell):
     _command(_convert)
 
 

@@ -116,7 +116,8 @@ def _make(app: str, folder: Path, counts: dict[str, int], seed: int, notes: dict
     from metapp.shards import ShardWriter
 
     module = embedded_module(app)
-    with ShardWriter(folder, app, module.UNITS, notes) as writer, progress(quiet) as bar:
+    beside = getattr(module, "BESIDE", None)
+    with ShardWriter(folder, app, module.UNITS, notes, beside) as writer, progress(quiet) as bar:
         shown = bar.add_task(f"{app} data", total=sum(counts.values()), note="")
         for split, count in counts.items():
             for task in module.synthetic_tasks(split, count, seed):

@@ -1,0 +1,56 @@
+"""The command of `metapp data` that draws Cornell boxes and traces their light paths."""
+
+from __future__ import annotations
+
+import importlib
+from typing import Annotated
+
+import typer
+
+from metapp.cli.console import progress
+from metapp.cli.convert import Converted
+from metapp.cli.data_convert import Json, Out, Quiet, Split, SplitOption, report
+
+_SAMPLES, _HELD = 32_768, 8_192
+
+
+def cornell(
+    folder: Out,
+    count: Annotated[int, typer.Option(min=1, metavar="N", help="Scenes.")] = 10,
+    seed: Annotated[int, typer.Option(min=0, metavar="S", help="Of all random draws.")] = 0,
+    split: SplitOption = Split.AUTO,
+    samples: Annotated[
+        int, typer.Option(min=1, metavar="N", help="Samples per scene for fits to see; the paper has 288,000.")
+    ] = _SAMPLES,
+    held: Annotated[int, typer.Option(min=1, metavar="M", help="Samples per scene for tests alone.")] = _HELD,
+    dimensions: Annotated[
+        int,
+        typer.Option(min=4, max=6, metavar="D", help="Of a sample: 4, film and a direction; 6, a second direction."),
+    ] = 4,
+    quiet: Quiet = False,
+    as_json: Json = False,
+) -> None:
+    """Draw Cornell boxes and trace their light paths.
+
+    In each are one to five spheres of diffuse, glass or metal material, a mirror on a side wall and an area light on
+    the ceiling, all at random places. Its samples are points of primary sample space, in proportion to the luminance
+    that their paths carry; 2 s each. The scene, a dictionary of Mitsuba 3, is a .json file beside its shard.
+
+    Examples:
+      metapp data cornell --count 20 --seed 7 --out boxes
+      metapp data cornell --count 4 --samples 288000 --dimensions 6 --split test --out boxes
+    """
+    from metapp.shards import ShardWriter
+
+    if dimensions % 2:
+        raise typer.BadParameter(f"{dimensions}, expected 4 or 6.", param_hint="--dimensions")
+    module = importlib.import_module("data_tools.synthetic_transport")
+    tasks = module.cornell_tasks(count, seed, samples=samples, held=held, dimensions=dimensions)
+    notes = {"made_by": "metapp data cornell", "seed": seed, "count": count, "split": split.value}
+    with ShardWriter(folder, "transport", module.UNITS, notes, module.BESIDE) as writer, progress(quiet) as bar:
+        shown = bar.add_task("Cornell boxes", total=count, note="")
+        for task in tasks:
+            writer.add(task, split.value)
+            bar.update(shown, advance=1, note=task.name)
+        train, test = ([e.name for e in writer.entries() if e.split == part] for part in ("train", "test"))
+    report(Converted("transport", str(folder), train, test, []), quiet, as_json)

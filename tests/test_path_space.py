@@ -1,0 +1,193 @@
+"""Paths by their random numbers: Mitsuba's own pictures, and samples in exact proportion to what they carry."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import pytest
+import torch
+from torch import Generator, Tensor
+
+from data_tools.cornell import random_scene
+from data_tools.mitsuba_variant import choose_llvm, load_mitsuba
+from data_tools.path_space import IMAGE, Tracer, path_samples
+from data_tools.scene_loading import brightness, load_scene
+
+try:
+    choose_llvm()  # while the tests are collected: whichever of them first imports Mitsuba decides which it takes
+    MISSING = ""
+except ValueError as error:
+    MISSING = str(error)
+needs_mitsuba = pytest.mark.skipif(bool(MISSING), reason=MISSING)
+
+CELLS = 8  # of the film, per side
+
+
+def seeded(seed: int = 0) -> Generator:
+    return Generator().manual_seed(seed)
+
+
+def cell_means(tracer: Tracer, count: int, dimensions: int) -> tuple[Tensor, Tensor]:
+    """Mean luminance of cells of the film [8, 8], row by row, and its standard errors."""
+    rng = seeded()
+    points = torch.rand(count, dimensions, generator=rng)
+    values = brightness(tracer.contributions(points, rng)).double()
+    cell = (points[:, 1] * CELLS).long() * CELLS + (points[:, 0] * CELLS).long()
+    hits, first, second = (torch.bincount(cell, values**power, CELLS**2) for power in (0, 1, 2))
+    mean = first / hits
+    return mean.view(CELLS, CELLS), ((second / hits - mean**2) / hits).sqrt().view(CELLS, CELLS)
+
+
+def mitsuba_means(scene: dict[str, Any], depth: int, runs: int = 16) -> tuple[Tensor, Tensor]:
+    """The same by Mitsuba's path integrator, without the tracer's code."""
+    loaded = load_scene({**scene, "sensor": {**scene["sensor"], "film": film(CELLS, CELLS)}})
+    mi = loaded.mitsuba
+    path = mi.load_dict({"type": "path", "max_depth": depth, "rr_depth": 100})
+    pictures = [mi.render(loaded.scene, integrator=path, spp=256, seed=seed).numpy() for seed in range(runs)]
+    values = torch.stack([brightness(torch.from_numpy(each).reshape(-1, 3)) for each in pictures]).double()
+    return values.mean(0).view(CELLS, CELLS), (values.std(0) / math.sqrt(runs)).view(CELLS, CELLS)
+
+
+def film(width: int, height: int) -> dict[str, Any]:
+    box = {"type": "box"}
+    return {"type": "hdrfilm", "width": width, "height": height, "pixel_format": "rgb", "rfilter": box}
+
+
+@needs_mitsuba
+@pytest.mark.parametrize(("seed", "depth", "dimensions"), [(0, 6, 4), (4, 4, 6)])
+def test_the_tracer_finds_what_mitsuba_does(seed: int, depth: int, dimensions: int) -> None:
+    scene = random_scene(seed)
+    ours, our_error = cell_means(Tracer(scene, depth), 2**20, dimensions)
+    theirs, their_error = mitsuba_means(scene, depth)
+    deviation = (ours - theirs) / (our_error**2 + their_error**2).sqrt()
+    assert deviation.abs().max() < 4.5
+    assert 0.5 < deviation.square().mean() < 1.6
+    assert float(ours.mean()) == pytest.approx(float(theirs.mean()), rel=0.02)
+    assert (our_error / ours).median() < 0.1  # or it would say little
+
+
+@needs_mitsuba
+def test_all_is_as_bright_as_its_surroundings() -> None:
+    # under an even sky a convex surface sends out its albedo, path by path
+    scene = {
+        "type": "scene",
+        "sensor": {"type": "perspective", "fov": 30, "film": film(4, 4)},
+        "sky": {"type": "constant", "radiance": {"type": "rgb", "value": [1.0, 2.0, 3.0]}},
+        "ball": {"type": "sphere", "center": [0, 0, 10], "radius": 8.0,
+                 "bsdf": {"type": "diffuse", "reflectance": {"type": "rgb", "value": [0.5, 0.25, 0.125]}}},
+    }  # fmt: skip
+    tracer = Tracer(scene)
+    rng = seeded()
+    carried = tracer.contributions(torch.rand(4096, 4, generator=rng), rng)
+    torch.testing.assert_close(carried, torch.tensor([0.5, 0.5, 0.375]).expand(4096, -1))
+    assert tracer.brightest == pytest.approx(float(brightness(torch.tensor([[1.0, 2.0, 3.0]]))))
+
+
+@needs_mitsuba
+def test_directions_are_for_surfaces_that_scatter() -> None:
+    # seen in a mirror, the floor still takes the point's numbers: nothing is left to chance
+    scene = {
+        key: value for key, value in random_scene(1).items() if key in ("type", "sensor", "floor", "back", "light")
+    }
+    mirror = {"type": "conductor", "material": "none", "specular_reflectance": {"type": "rgb", "value": [0.8] * 3}}
+    scene["back"] = {**scene["back"], "bsdf": mirror}
+    tracer = Tracer(scene, depth=4)
+    points = torch.rand(2**17, 4, generator=seeded())
+    carried = tracer.contributions(points, seeded(1))
+    assert torch.equal(carried, tracer.contributions(points, seeded(2)))
+    assert not torch.equal(carried[:, 0] > 0, tracer.contributions(points[:, :2], seeded(2))[:, 0] > 0)
+    in_mirror = (points[:, 1] > 0.72) & (points[:, 1] < 0.79)  # the floor itself ends at 0.796, its image at 0.71
+    assert (carried[in_mirror] > 0).sum() > 20
+
+
+@needs_mitsuba
+def test_streams_are_even_and_not_alike() -> None:
+    tracer = Tracer(random_scene(0))
+
+    def draws(seed: int, count: int = 2**16, steps: int = 8) -> Tensor:
+        streams = tracer.streams(count, seeded(seed))
+        return torch.stack([torch.from_numpy(streams.next_float32().numpy()) for _ in range(steps)]).double() - 0.5
+
+    first = draws(0)
+    assert torch.equal(first, draws(0))
+    spread = 1 / 12 / math.sqrt(first.numel())  # of the mean of products of two independent draws
+    for other in (first.roll(1, 1), first.roll(8, 1), first.roll(1, 0), draws(1)):
+        assert float((first * other).mean().abs()) < 4 * spread
+    assert float(first.mean().abs()) < 4 * math.sqrt(1 / 12 / first.numel())
+    assert float(first.mean(0).square().mean() * 8 * 12) == pytest.approx(1, abs=0.03)  # variance of streams' means
+
+
+@needs_mitsuba
+def test_samples_are_in_proportion_to_what_paths_carry() -> None:
+    tracer = Tracer(random_scene(0))
+    cells, count = 4, 20_000
+    points, image = path_samples(tracer, count, 4, seeded())
+    assert points.shape == (count, 4)
+    assert (points.min() >= 0) & (points.max() < 1)
+    assert len(points.unique(dim=0)) == count
+
+    def histogram(points: Tensor, values: Tensor) -> Tensor:
+        place = sum((points[:, axis] * cells).long() * cells**axis for axis in range(4))
+        return torch.bincount(place, values, cells**4)
+
+    rng = seeded(9)
+    tried = torch.rand(2**21, 4, generator=rng)
+    values = brightness(tracer.contributions(tried, rng)).double()
+    expected, square = histogram(tried, values) / values.sum(), histogram(tried, values**2) / values.sum() ** 2
+    share = histogram(points, torch.ones(count, dtype=torch.float64)) / count
+    filled = expected > 20 / count
+    deviation = (share - expected)[filled] / (square + expected / count)[filled].sqrt()
+    assert filled.sum() > 50
+    assert deviation.abs().max() < 4.5
+    assert deviation.square().mean() < 1.4
+    assert float(brightness(image.flatten(1).T).mean()) == pytest.approx(float(values.mean()), rel=0.02)
+
+
+class _Sloped:
+    """Stands for a tracer: what a path carries grows along one axis, to 2, whatever bound it states."""
+
+    def __init__(self, brightest: float) -> None:
+        self.brightest = brightest
+
+    def contributions(self, points: Tensor, rng: Generator) -> Tensor:
+        return 2 * points[:, 2:3].expand(-1, 3)
+
+
+@pytest.mark.parametrize("brightest", [0.0, 1.3, 2.0, 5.0])
+def test_a_bound_that_is_exceeded_is_raised(brightest: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("data_tools.path_space._BATCH", 1000)
+    points, image = path_samples(_Sloped(brightest), 100_000, 4, seeded())  # type: ignore[arg-type]
+    # of a density 2 x the cumulative distribution is x^2; Kolmogorov and Smirnov's distance is below 2 / sqrt(N)
+    place = points[:, 2].sort().values.double()
+    assert float((place**2 - torch.arange(len(place)) / len(place)).abs().max()) < 2 / math.sqrt(len(place))
+    assert image.shape == (3, IMAGE, IMAGE)
+    assert float(image.mean()) == pytest.approx(1, abs=0.02)
+
+
+def test_scenes_without_light_in_view_are_refused() -> None:
+    class Dark(_Sloped):
+        def contributions(self, points: Tensor, rng: Generator) -> Tensor:
+            return torch.zeros(len(points), 3)
+
+    with pytest.raises(ValueError, match=r"0 of [\d,]+ paths meet a light, expected 0.02% or more; point the camera"):
+        path_samples(Dark(1.0), 100, 4, seeded())  # type: ignore[arg-type]
+
+
+@needs_mitsuba
+def test_a_wide_film_counts_in_its_central_square() -> None:
+    scene = random_scene(2)
+    sensor = {**scene["sensor"], "fov_axis": "smaller"}
+    square, wide = (
+        cell_means(Tracer({**scene, "sensor": {**sensor, "film": film(*size)}}), 2**18, 4)[0]
+        for size in ((64, 64), (160, 64))
+    )
+    torch.testing.assert_close(square, wide, rtol=1e-3, atol=1e-3)
+
+
+def test_mitsuba_can_be_loaded_or_says_why() -> None:
+    if MISSING:
+        with pytest.raises(ValueError, match="expected 19 or newer"):
+            load_mitsuba()
+    else:
+        assert load_mitsuba().variant() in ("llvm_ad_rgb", "cuda_ad_rgb")
