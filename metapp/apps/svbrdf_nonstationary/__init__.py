@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -24,6 +25,7 @@ MAPS = 1.0  # weight of the maps' differences in a fit
 WANTED, SEEN = 0.3, 0.3  # and in the goal, beside the photograph's
 RIG, JUDGED = (2, 3), (6, 6)  # lights that fits see, and that they are judged under: oblique, mirroring
 DRAWN = (1, 2)  # and those that preparation draws
+SMOOTHED = 0.1  # at first, where learned losses round off |d|
 LARGEST = 256  # px of the maps that are written
 INPUTS, OUTPUTS = 8, 9
 
@@ -59,39 +61,50 @@ def field_of(side: int, hidden: int) -> LocalField:
         layers=2,
         frequency=2.0,
         wraps=False,
+        gain=60.0,
     )
 
 
 # exact second order, from General's encoder, which goes on learning through the steps
 LEARNED = Training(
-    steps=700,
+    steps=400,
     tasks=8,
-    rates={"": 1e-4, "alpha.": 1e-2, "alpha.out.": 3e-4, "alpha.in.": 3e-4},
-    first=Adam(1.2e-2, beta1=0.6, beta2=0.98, eps=1e-4, final=0.1),
-    warmup=50,
+    rates={"": 1e-4, "alpha.": 1e-2},
+    first=Adam(5e-3, beta1=0.6, beta2=0.98, eps=1e-6, final=0.1),
+    warmup=20,
     final=0.01,
     order=2,
     clip=3.0,
-    validate_every=50,
+    validate_every=25,
     start="encoder",
 )
 QUICK = Recipe(
     steps=15,
     batch=1,
-    overfit_steps=3000,
+    overfit_steps=2000,
     overfit=Adam(1e-2, final=0.0),
-    finetune_steps=300,
-    finetune=Adam(1e-2, final=0.0),
-    quickft=Adam(1e-2, beta1=0.6, beta2=0.98, final=0.1),
+    finetune_steps=200,
+    finetune=Adam(5e-3, final=0.0),
+    quickft=Adam(5e-3, beta1=0.6, beta2=0.98, final=0.1),
     general=Training(steps=16_000, tasks=8, rates={"": 1e-3}, warmup=100, final=0.0, validate_every=500),
-    meta={"meta-encoder": LEARNED, "meta-basis": LEARNED},
-    rule="meta-basis",
+    meta={"meta-encoder": LEARNED},
+    rule="meta-encoder",
     setup=Setup(field_of(64, 32)),
 )
+# a photograph leaves most of it open: what its gradient calls for is learned, not only how far to go
 QUICK_PHOTO = replace(
     QUICK,
-    finetune=Adam(1e-3, final=0.0),
+    finetune=Adam(3e-4, final=0.0),
     quickft=Adam(1e-3, beta1=0.7, beta2=0.99, eps=1e-3, final=0.1),
+    meta={
+        "meta-lgd": replace(
+            LEARNED,
+            rates={"": 3e-5, "alpha.": 5e-3, "alpha.within.": 1e-3, "alpha.within.z.unit": 0.0},
+            first=Adam(3e-4, beta1=0.7, beta2=0.99, eps=1e-4, final=0.1),
+            clip=1.0,
+        )
+    },
+    rule="meta-lgd",
 )
 # 15 inner steps on maps of 256 px, first-order MAML with Meta-SGD from a random start, as in Fischer & Ritschel 2022,
 # section 4.1.4
@@ -199,6 +212,9 @@ class SvbrdfNonstationary(CodedApp):
         short = (photo + DARK).log() - (photographed(maps, flash_of(theta["flash"])) + DARK).log()
         short = torch.where(photo > CLIPPED, relu(short), short)
         return norm(short, shape).mean((1, 2, 3))
+
+    def shape(self, steps: int) -> Params:
+        return {"smoothing": torch.full((steps,), math.log(SMOOTHED))}
 
     def init_reader(self, rng: Generator) -> Params:
         return self.setup.encoder.init(rng)

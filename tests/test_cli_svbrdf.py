@@ -1,0 +1,138 @@
+"""`metapp ... svbrdf_nonstationary` end to end, on strips, maps and flash photographs, at a size that takes no time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import OpenImageIO as oiio
+import pytest
+import torch
+from torch import Tensor
+from torch.nn.functional import interpolate
+
+from data_tools.svbrdf_task import flash_photo, pack, unpack
+from metapp.apps.svbrdf_nonstationary import APP, RECIPES, Setup, field_of
+from metapp.flash import Maps, normal_from_height
+
+MADE = {f"{name}.png" for name in ("normal", "diffuse", "roughness", "specular")} | {
+    f"lit_from_{side}.png" for side in ("left", "above", "aside")
+}
+
+
+def material(size: int = 64) -> Tensor:
+    coarse = torch.rand(1, 8, 4, 4, generator=torch.Generator().manual_seed(0))
+    smooth = interpolate(coarse, (size, size), mode="bilinear")[0]
+    return pack(Maps(0.7 * smooth[1:4], 0.3 * smooth[4:7], 0.3 + 0.5 * smooth[7:], normal_from_height(4 * smooth[:1])))
+
+
+def write(path: Path, planes: Tensor) -> Path:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    pixels = (255 * planes.clamp(0, 1)).round().to(torch.uint8) if planes.is_floating_point() else planes
+    oiio.ImageBuf(np.ascontiguousarray(pixels.permute(1, 2, 0).numpy())).write(str(path))
+    return path
+
+
+@pytest.fixture
+def strip(tmp_path: Path) -> Path:
+    maps = unpack(material())
+    photo = flash_photo(material()).float() / 255
+    tiles = [photo, maps.normal / 2 + 0.5, maps.diffuse, maps.roughness.expand(3, -1, -1), maps.specular]
+    return write(tmp_path / "in" / "tiles.png", torch.cat(tiles, 2))
+
+
+@pytest.fixture
+def photo(tmp_path: Path) -> Path:
+    return write(tmp_path / "in" / "wall.png", flash_photo(material(80)))
+
+
+@pytest.fixture(autouse=True)
+def small(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Other sizes and a few steps."""
+
+    def short(training):  # type: ignore[no-untyped-def]
+        return replace(training, steps=2, tasks=2, warmup=0, tuned=False)
+
+    for recipes in RECIPES.values():
+        quick = recipes["quick"]
+        short_one = replace(
+            quick,
+            steps=3,
+            overfit_steps=30,
+            finetune_steps=5,
+            general=short(quick.general),
+            meta={name: short(training) for name, training in quick.meta.items()},
+            setup=Setup(field_of(16, hidden=8)._replace(code=3), width=2),
+        )
+        monkeypatch.setitem(recipes, "quick", short_one)
+    monkeypatch.setattr("metapp.paradigms.prepare.can_compile", lambda: False)
+
+
+def size_of(path: Path) -> tuple[int, int]:
+    spec = oiio.ImageBuf(str(path)).spec()
+    return spec.width, spec.height
+
+
+def test_a_strip_is_fitted_and_its_maps_are_written(metapp: Callable, strip: Path, tmp_path: Path) -> None:
+    result = metapp("overfit", "svbrdf_nonstationary", strip, "--out", tmp_path / "runs", "--json")
+    assert result.code == 0, result.err
+    document = result.document
+    assert (document["observe"], document["tasks"][0]["name"]) == ("reference", "tiles")
+    assert 0 < document["error"] < 2
+    made = Path(document["out"]) / "outputs" / "tiles"
+    assert {path.name for path in made.iterdir()} == MADE
+    assert {size_of(path) for path in made.iterdir()} == {(256, 256)}  # readers scale to it
+
+
+def test_a_photo_is_fitted_without_a_reference(metapp: Callable, photo: Path, tmp_path: Path) -> None:
+    arguments = ("overfit", "svbrdf_nonstationary", photo, "--observe", "photo", "--out", tmp_path / "runs", "--json")
+    result = metapp(*arguments)
+    assert result.code == 0, result.err
+    document = result.document
+    assert document["error"] is None
+    assert {path.name for path in (Path(document["out"]) / "outputs" / "wall").iterdir()} == MADE
+    assert (Path(document["out"]) / "pictures.png").is_file()
+
+
+def test_a_photo_needs_its_protocol(metapp: Callable, photo: Path, tmp_path: Path) -> None:
+    result = metapp("overfit", "svbrdf_nonstationary", photo, "--out", tmp_path / "runs")
+    assert result.code == 1
+    assert "wall: a flash photo, expected a material's maps where fits see them; give a strip or its maps" in result.err
+    assert len(result.err.strip().splitlines()) <= 2
+
+
+def test_a_folder_of_strips_and_photos(metapp: Callable, strip: Path, photo: Path, tmp_path: Path) -> None:
+    common = ("--observe", "photo", "--out", tmp_path / "runs", "--json")
+    document = metapp("overfit", "svbrdf_nonstationary", strip.parent, *common).document
+    errors = {task["name"]: task["error"] for task in document["tasks"]}
+    assert errors["wall"] is None
+    assert document["error"] == pytest.approx(errors["tiles"])
+
+
+def test_a_damaged_picture_ends_in_one_line(metapp: Callable, tmp_path: Path) -> None:
+    bad = tmp_path / "bad.png"
+    bad.write_bytes(b"\x89PNG\r\n\x1a\n nothing")
+    result = metapp("meta", "svbrdf_nonstationary", bad, "--observe", "photo", "--out", tmp_path / "runs")
+    assert result.code == 1
+    assert "bad.png" in result.err
+    assert "Traceback" not in result.err
+
+
+def test_starts_of_both_protocols(metapp: Callable, tmp_path: Path) -> None:
+    data, runs = tmp_path / "few", tmp_path / "runs"
+    assert metapp("data", "synth", "svbrdf_nonstationary", "--count", "20", "--out", data).code == 0
+    common = ("svbrdf_nonstationary", "--data", data, "--out", runs)
+    for observe in ("reference", "photo"):
+        for paradigm, steps in (("meta", "2"), ("quickft", "2")):
+            result = metapp(paradigm, *common, "--observe", observe, "--train", "--train-steps", steps, "--json")
+            assert result.code == 0, result.err
+    (folder,) = (runs / "svbrdf_nonstationary" / "starts").iterdir()
+    names = {path.name.removesuffix(".safetensors") for path in folder.glob("*.safetensors")}
+    rules = {observe: RECIPES[observe]["quick"].rule for observe in RECIPES}
+    assert names == {"general", "quickft", "quickft-photo", rules["reference"], f"{rules['photo']}-photo"}
+    result = metapp("evaluate", *common, "--format", "markdown")
+    assert result.code == 0, result.err
+    assert f"{APP.name} photo" in result.out
+    assert "gap closed" in result.out
