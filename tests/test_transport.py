@@ -4,16 +4,20 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import Any
 
+import numpy as np
 import pytest
 import torch
 from torch import Generator, Tensor
 
+from data_tools.cornell import random_scene
+from data_tools.path_space import Tracer
 from metapp.apps.transport import APP, QUICK, Setup, Transport, spline, views
 from metapp.apps.transport.flow import Flow, blobs, interpolated
 from metapp.apps.transport.guide import table_of
-from metapp.paradigms import Job, paradigms
 from metapp.learning import MetaParameters
+from metapp.paradigms import Job, paradigms
 from metapp.task import Params, Task, Tasks, stack
 
 FLOW = Flow(rows=4, columns=4, code=3, hidden=8, bins=5, film_bins=8, blobs=6)
@@ -116,7 +120,7 @@ def middles(count: int) -> Tensor:
 
 
 def test_both_densities_integrate_to_1() -> None:
-    theta, square = bent(FLOW), middles(200)
+    theta, square = bent(FLOW, scale=0.2), middles(200)
     film, _ = FLOW.log_density(theta, torch.cat([square, square], 1))
     assert float(film.exp().mean()) == pytest.approx(1, abs=2e-3)
     for place in ((0.1, 0.9), (0.55, 0.3)):
@@ -292,8 +296,8 @@ def test_an_untrained_encoder_says_what_the_picture_says(app: Transport, tasks: 
     points = torch.stack([x, y, x, y]).expand(4, 4, 64)
     film = FLOW.log_density(theta, points)[0].exp().reshape(4, 8, 8)
     image = tasks.data["image"][:, 0]
-    assert float((film - image / image.mean((1, 2), keepdim=True)).abs().mean()) < 0.15
-    assert torch.equal(film.flatten(1).argmax(1), image.flatten(1).argmax(1))
+    for found, wanted in zip(film, image, strict=True):
+        assert float(torch.corrcoef(torch.stack([found.flatten(), wanted.flatten()]))[0, 1]) > 0.98
 
 
 def test_a_picture_of_another_size_is_refused(app: Transport, tasks: Tasks) -> None:
@@ -323,6 +327,32 @@ def test_variants_are_mirrored_or_not(app: Transport, tasks: Tasks) -> None:
         seen.add(same)
     assert seen == {True, False}
     assert made.data["samples"].max() < 1
+
+
+def mirrored(scene: dict[str, Any]) -> dict[str, Any]:
+    """The same scene with left and right exchanged."""
+    flip = np.diag([-1.0, 1.0, 1.0, 1.0])
+
+    def turn(value: Any) -> Any:
+        if not isinstance(value, dict):
+            return value
+        return {k: (flip @ np.array(v) @ flip).tolist() if k == "to_world" else turn(v) for k, v in value.items()}
+
+    return {**turn(scene), "sensor": scene["sensor"]}
+
+
+def test_the_tracer_mirrors_scenes_as_variants_do() -> None:
+    """What leaves the first surface towards a light carries the same in both."""
+    for seed in (1, 2):
+        scene, points = random_scene(seed), torch.rand(2**15, 4, generator=rng(seed))
+        turned = torch.where(torch.tensor([True, False, True, False]), 1 - points, points)
+        plain, other = (
+            Tracer(each, depth=2).contributions(where, rng())
+            for each, where in ((scene, points), (mirrored(scene), turned))
+        )
+        lit = plain.sum(1) > 0
+        assert lit.sum() > 100
+        assert float(((plain - other).abs().sum(1) < 1e-3 * plain.sum(1))[lit].float().mean()) > 0.98
 
 
 def test_pictures_of_a_flow_and_of_samples_drawn_from_it_agree() -> None:

@@ -77,11 +77,13 @@ class Transport(App):
 
     name = "transport"
     title = "Transport"
-    readers = ("scene_file",)
+    readers = ("mitsuba_scenes",)
     inputs = "a Mitsuba scene (.xml, .json) with a perspective camera, or a folder of these"
     measure = "negative log-likelihood of held-out light paths, on the film and in their first direction"
     radiance = ("guided", "regular")
-    image_measure = "pictures of 64 px, 1024 paths a pixel, of which a fit guides three of four; against 4096 with the light's"
+    image_measure = (
+        "pictures of 64 px, 1024 paths a pixel, of which a fit guides three of four; against 4096 with the light's"
+    )
     unfitted = "regular"
     recipes = {"paper": PAPER, "quick": QUICK}  # noqa: RUF012  (never written to)
 

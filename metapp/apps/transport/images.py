@@ -6,7 +6,7 @@ import functools
 import importlib
 import time
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -105,9 +105,9 @@ def image_errors(flow: Flow, theta: Params | None, task: Task, seconds: float | 
         seconds: what the fit took, if known.
 
     Returns:
-        `MAPE`, `SMAPE` and `DSSIM` at SPP paths a pixel. Of fits also `time`, of their picture over Regular's, the table
-        counted, and `MAPE in its time`: of the picture of as many paths as fit, table and picture have time for where
-        they may take as long as Regular for SPP; left out where the seconds are not known or leave no time.
+        `MAPE`, `SMAPE` and `DSSIM` at SPP paths a pixel. Of fits also `time`, of their picture over Regular's, the
+        table counted, and `MAPE in its time`: of the picture of as many paths as there is time for where fit, table
+        and picture may take as long as Regular for SPP; left out where the seconds are not known or leave no time.
     """
     studio = studio_of(task)
     plain = studio.baseline
