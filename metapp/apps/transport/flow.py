@@ -89,7 +89,8 @@ class Flow(NamedTuple):
     def film_y(self, theta: Params, x: Tensor) -> Tensor:
         """The numbers [T, 3 K + 1, N] of the spline of y at x [T, N].
 
-        They are read off a table [T, 3, K, K] of widths, masses and bends, with y down and x across; at the lower edge of the film nothing is bent.
+        They are read off a table [T, 3, K, K] of widths, masses and bends, y down and x across; at the lower edge of
+        the film nothing is bent.
         """
         return pad(theta["film.y"].flatten(1, 2), (0, 0, 0, 1)) @ blobs(x, self.film_bins)
 
@@ -113,7 +114,7 @@ class Flow(NamedTuple):
         return torch.stack([x, y], 1), first + second
 
     def sample_directions(self, theta: Params, film: Tensor, uniform: Tensor) -> tuple[Tensor, Tensor]:
-        """Directions [T, directions, N] at places [T, 2, N] by uniform numbers, and the log of their density, [T, N]."""
+        """Directions [T, directions, N] at places [T, 2, N] by uniform numbers, and their log densities, [T, N]."""
         trunk = self.trunk(theta, film[:, 0], film[:, 1])
         drawn, total = uniform[:, :0], torch.zeros_like(film[:, 0])
         for i in range(self.directions):
