@@ -14,7 +14,7 @@ from metapp.apps.transport.images import image_errors, studio_of
 from metapp.apps.transport.views import picture_of_flow, picture_of_samples
 from metapp.task import AS_PUBLISHED, Adam, App, Batch, Params, Recipe, Task, Tasks, Training
 
-SHOWN = 64  # paths a pixel of the pictures that a run leaves
+SHOWN, GLANCE = 64, 16  # paths a pixel of the pictures that a run leaves, and of those in its overview
 WANTED = 2048  # samples of a training scene that preparation judges a fit by
 JITTER = 0.1  # of what augmentation adds to the log of a picture
 
@@ -37,15 +37,15 @@ class Setup:
 
 # exact second order, from General's encoder, which goes on learning through the steps
 LEARNED = Training(
-    steps=100,
-    tasks=3,
-    rates={"": 2e-4, "alpha.": 1e-2, "alpha.within.": 2e-3},
-    first=Adam(2e-3, beta1=0.8, beta2=0.98, eps=1e-6, final=0.3),
+    steps=200,
+    tasks=4,
+    rates={"": 3e-4, "alpha.": 2e-2, "alpha.within.": 3e-3},
+    first=Adam(2e-3, beta1=0.5, beta2=0.8, eps=1e-6, final=0.3),
     warmup=10,
     final=0.05,
     order=2,
     clip=1.0,
-    validate_every=10,
+    validate_every=20,
     start="encoder",
 )
 QUICK = Recipe(
@@ -54,7 +54,7 @@ QUICK = Recipe(
     overfit_steps=400,
     overfit=Adam(1e-2, final=0.0),
     finetune_steps=40,
-    finetune=Adam(5e-3, final=0.0),
+    finetune=Adam(3e-3, final=0.0),
     quickft=Adam(2e-3, beta1=0.8, beta2=0.98, eps=1e-6, final=0.3),
     general=Training(steps=1200, tasks=8, rates={"": 2e-3}, warmup=50, final=0.0, decay=1e-4, validate_every=100),
     meta={"meta-encoder": LEARNED, "meta-lgd": LEARNED},
@@ -174,10 +174,18 @@ class Transport(App):
         return {"error": -(film + directions).mean(1), "film": -film.mean(1), "directions": -directions.mean(1)}
 
     def outputs(self, theta: Params, task: Task) -> dict[str, Any]:
-        """The density of the samples and of the fit: the film, and the directions at sixteen parts of it."""
+        """What there is on the film, and the directions at sixteen parts of it, of the samples and of the fit.
+
+        On the film there are the scene's picture and one of GLANCE paths a pixel that the fit guides; where there is no
+        scene, the densities.
+        """
+        seen = found = None
+        if "scene" in task.data:
+            studio = studio_of(task)
+            seen, found = studio.glance, studio.guided(self.flow, theta, GLANCE).picture
         return {
-            "reference": picture_of_samples(task.data["samples"]),
-            "fit": picture_of_flow(self.flow, theta),
+            "reference": picture_of_samples(task.data["samples"], seen),
+            "fit": picture_of_flow(self.flow, theta, found),
         }
 
     def image_errors(self, theta: Params | None, task: Task, seconds: float | None = None) -> dict[str, float]:

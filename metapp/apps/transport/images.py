@@ -64,6 +64,11 @@ class Studio:
         return self.paths.reference(self.tracer, self.size, REFERENCE_SPP)
 
     @functools.cached_property
+    def glance(self) -> Tensor:
+        """The same with some noise, in an instant."""
+        return self.paths.reference(self.tracer, self.size, 64)
+
+    @functools.cached_property
     def baseline(self) -> Shot:
         """The one by the sampling of materials that others are compared with."""
         self.regular(1)  # the first call compiles

@@ -1,4 +1,4 @@
-"""What a density over primary sample space looks like: its film, and the directions at sixteen parts of the film."""
+"""What a density over primary sample space looks like: its film, or a picture, and directions at parts of the film."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ FILM, PARTS, CELLS = 32, 4, 16  # places along the film, parts of it, cells of d
 EACH = 32  # px of a part
 
 
-def picture_of_samples(samples: Tensor) -> Tensor:
-    """Histograms of samples [N, 4 or more], as `picture` shows densities."""
+def picture_of_samples(samples: Tensor, scene: Tensor | None = None) -> Tensor:
+    """Histograms of samples [N, 4 or more], as `picture` shows densities, or the scene's picture and one histogram."""
     film, parts, cells = ((samples * n).long().clamp_max(n - 1) for n in (FILM, PARTS, CELLS))
     seen = torch.bincount(film[:, 1] * FILM + film[:, 0], minlength=FILM**2).float()
     index = ((parts[:, 1] * PARTS + parts[:, 0]) * CELLS + cells[:, 2]) * CELLS + cells[:, 3]
     found = torch.bincount(index, minlength=(PARTS * CELLS) ** 2).float()
-    return picture(seen.reshape(FILM, FILM), found.reshape(PARTS, PARTS, CELLS, CELLS))
+    return picture(seen.reshape(1, FILM, FILM) if scene is None else scene, found.reshape(PARTS, PARTS, CELLS, CELLS))
 
 
 @torch.no_grad()
-def picture_of_flow(flow: Flow, theta: Params) -> Tensor:
-    """The density of a fit, no task axis in theta, as `picture` shows it."""
+def picture_of_flow(flow: Flow, theta: Params, scene: Tensor | None = None) -> Tensor:
+    """The density of a fit, no task axis in theta, as `picture` shows it, or a picture instead of its film."""
     middles = (torch.arange(FILM) + 0.5) / FILM
     y, x = (each.flatten() for each in torch.meshgrid(middles, middles, indexing="ij"))
     points = torch.stack([x, y, *[torch.full_like(x, 0.5)] * flow.directions])[None]
@@ -33,24 +33,24 @@ def picture_of_flow(flow: Flow, theta: Params) -> Tensor:
     film = flow.log_density(one, points)[0].exp().reshape(FILM, FILM)
     table = table_of(flow, theta, FILM, CELLS).masses
     table = (table * film.reshape(-1, 1)).reshape(PARTS, FILM // PARTS, PARTS, FILM // PARTS, CELLS, CELLS)
-    return picture(film, table.sum((1, 3)))
+    return picture(film[None] if scene is None else scene, table.sum((1, 3)))
 
 
 def picture(film: Tensor, directions: Tensor) -> Tensor:
-    """Densities of any scale as one linear picture [128, 256, 3].
+    """Both side by side, linear RGB [128, 256, 3].
 
     Args:
-        film: [32, 32], on the left, tone-mapped as pictures are.
-        directions: [4, 4, 16, 16], of each part of the film: on the right, of a mean of their own, the first coordinate
-            to the right and the second down.
+        film: linear, of any scale, [1 or 3, 32 or 64, as many]: on the left, tone-mapped.
+        directions: a density of any scale, [4, 4, 16, 16], of each part of the film: on the right, of a mean of its
+            own, the first coordinate to the right and the second down.
     """
     side = PARTS * EACH
-    left = _enlarged(film / film.mean().clamp_min(1e-20), side // FILM)
+    seen = film / film.mean().clamp_min(1e-20)
+    left = _enlarged(seen.permute(1, 2, 0), side // film.shape[1]).expand(-1, -1, 3)
     parts = directions / directions.mean((2, 3), keepdim=True).clamp_min(1e-20)
-    right = _enlarged(parts.permute(0, 3, 1, 2).reshape(PARTS * CELLS, PARTS * CELLS), EACH // CELLS)
-    right[::EACH], right[:, ::EACH] = 8.0, 8.0  # lines between the parts
-    shown = srgb_to_linear(tone_map(torch.cat([left, 0.5 * right], 1)))
-    return shown[..., None].expand(-1, -1, 3).contiguous().float()
+    right = _enlarged(0.5 * parts.permute(0, 3, 1, 2).reshape(PARTS * CELLS, PARTS * CELLS, 1), EACH // CELLS)
+    right[::EACH], right[:, ::EACH] = 4.0, 4.0  # lines between the parts
+    return srgb_to_linear(tone_map(torch.cat([left, right.expand(-1, -1, 3)], 1))).float()
 
 
 def _enlarged(values: Tensor, times: int) -> Tensor:
