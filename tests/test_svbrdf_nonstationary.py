@@ -113,7 +113,7 @@ def test_the_encoder_knows_the_whole_picture(rng: Generator) -> None:
     other = known.clone()
     other[..., -1, -1] += 5
     code, changed = encoder(weights, known)[0], encoder(weights, other)[0]
-    assert code.shape == (1, 3, 16, 16)
+    assert code.shape == (1, 3, 32, 32)
     assert (code - changed)[..., 0, 0].abs().max() > 0
 
 

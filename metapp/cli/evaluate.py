@@ -57,19 +57,20 @@ def command(
     if format_name not in FORMATS:
         raise typer.BadParameter(f"--format '{format_name}': expected one of {', '.join(FORMATS)}.")
     from metapp.apps import app_names
-    from metapp.cli.session import Options, check_protocol, check_rule, find_app, find_device
+    from metapp.cli.session import Options, check_protocol, check_recipe, check_rule, find_app, find_device
 
     found = [find_app(name) for name in apps or app_names()]
     for app in [app for app in found if app.protocols] or found:
         check_protocol(observe, app)
     planned: list[tuple[Options, list[Planned]]] = []
     for app in found:
-        chosen = check_rule(rule, app, recipe)
+        check_recipe(recipe, app)
         for protocol in (observe,) if observe and app.protocols else app.protocols or ("",):
+            placed = app.at(app.recipes[recipe], protocol)
             options = Options(
-                app.at(app.recipes[recipe], protocol),
+                placed,
                 recipe,
-                chosen,
+                check_rule(rule, placed, recipe),
                 None,
                 data,
                 out_folder,

@@ -63,7 +63,7 @@ def make_command(name: str, summary: str) -> Any:
         json: Annotated[bool, typer.Option("--json", help="One JSON object as last line of standard output.")] = False,
         quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress bar, no table.")] = False,
     ) -> None:
-        from metapp.cli.session import Options, check_protocol, check_rule, find_app, find_device
+        from metapp.cli.session import Options, check_protocol, check_recipe, check_rule, find_app, find_device
 
         found = find_app(app)
         check_protocol(observe, found)
@@ -78,11 +78,12 @@ def make_command(name: str, summary: str) -> Any:
             raise typer.BadParameter("--steps: general takes none; finetune and quickft go on from it.")
         if checkpoint and name == "overfit":
             raise typer.BadParameter("--checkpoint: overfit starts at random; leave it out.")
-        rule = check_rule(rule, found, recipe)
+        check_recipe(recipe, found)
+        placed = found.at(found.recipes[recipe], observe)
         options = Options(
-            app=found.at(found.recipes[recipe], observe),
+            app=placed,
             recipe=recipe,
-            rule=rule,
+            rule=check_rule(rule, placed, recipe),
             steps=steps,
             data=data,
             out=out_folder,

@@ -54,10 +54,14 @@ def find_app(name: str) -> App:
     return load_app(name)
 
 
+def check_recipe(name: str, app: App) -> None:
+    """A usage error where the application has no such recipe."""
+    if name not in app.recipes:
+        raise typer.BadParameter(f"--recipe '{name}': expected one of {', '.join(app.recipes)}.")
+
+
 def check_rule(name: str, app: App, recipe: str) -> str:
-    """The rule, the recipe's default where it is empty, or a usage error; of the recipe as well."""
-    if recipe not in app.recipes:
-        raise typer.BadParameter(f"--recipe '{recipe}': expected one of {', '.join(app.recipes)}.")
+    """The rule, the recipe's default where it is empty, or a usage error; recipes may differ by protocol."""
     known = app.recipes[recipe].meta
     if name and name not in known:
         raise typer.BadParameter(f"--rule '{name}': {app.name}, recipe {recipe}, expects one of {', '.join(known)}.")

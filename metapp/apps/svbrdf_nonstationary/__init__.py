@@ -8,7 +8,7 @@ from typing import Any
 
 import torch
 from torch import Generator, Tensor
-from torch.nn.functional import adaptive_avg_pool2d, interpolate, normalize, relu
+from torch.nn.functional import adaptive_avg_pool2d, normalize, relu
 
 from metapp.apps.svbrdf_nonstationary.encoder import Encoder
 from metapp.apps.svbrdf_nonstationary.variants import varied
@@ -54,7 +54,7 @@ def field_of(side: int, hidden: int) -> LocalField:
         side,
         inputs=INPUTS,
         outputs=OUTPUTS,
-        rows=side,
+        rows=side,  # a cell for each texel, so that a step moves each by itself
         columns=side,
         code=12,
         hidden=hidden,
@@ -86,7 +86,7 @@ QUICK = Recipe(
     finetune_steps=200,
     finetune=Adam(5e-3, final=0.0),
     quickft=Adam(5e-3, beta1=0.6, beta2=0.98, final=0.1),
-    general=Training(steps=16_000, tasks=8, rates={"": 1e-3}, warmup=100, final=0.0, validate_every=500),
+    general=Training(steps=8000, tasks=8, rates={"": 1e-3}, warmup=100, final=0.0, validate_every=500),
     meta={"meta-encoder": LEARNED},
     rule="meta-encoder",
     setup=Setup(field_of(64, 32)),
@@ -221,8 +221,6 @@ class SvbrdfNonstationary(CodedApp):
 
     def read(self, reader: Params, photos: Tensor) -> Params:
         code, flash = self.setup.encoder(reader, seen(photos))
-        # a cell for each texel, so that a step moves each by itself
-        code = interpolate(code, size=(self.field.rows, self.field.columns), mode="bilinear")
         return {"z": code / self.field.gain, "flash": flash}
 
     def augment(self, tasks: Tasks, rng: Generator) -> Tasks:

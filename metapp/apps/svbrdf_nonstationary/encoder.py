@@ -21,7 +21,7 @@ class Encoder(NamedTuple):
     Attributes:
         inputs: channels of what is known of the pixels.
         width: channels of the finest level; each level down has twice as many, up to MOST times.
-        code: length of the code in a cell; cells are two pixels wide.
+        code: length of the code in a pixel.
         flash: numbers that describe the flash.
         levels: resolutions, each half of the one before.
     """
@@ -53,20 +53,20 @@ class Encoder(NamedTuple):
         block("down0", self.inputs, self.channels(0))
         for level in range(1, self.levels):
             block(f"down{level}", self.channels(level - 1), self.channels(level))
-        for level in reversed(range(1, self.levels - 1)):
+        for level in reversed(range(self.levels - 1)):
             block(f"up{level}", self.channels(level + 1) + self.channels(level), self.channels(level))
-        layer("code", self.code, self.channels(1), gain=0.3)
+        layer("code", self.code, self.channels(0), gain=0.3)
         layer("flash", self.flash, self.channels(self.levels - 1), gain=0.1)
         return encoder
 
     def __call__(self, encoder: Params, seen: Tensor) -> tuple[Tensor, Tensor]:
-        """The code [T, code, H / 2, W / 2] and the flash [T, flash] of what is seen, [T, inputs, H, W]."""
+        """The code [T, code, H, W] and the flash [T, flash] of what is seen, [T, inputs, H, W]."""
         x, skips = seen, []
         for level in range(self.levels):
             x = _block(encoder, f"down{level}", avg_pool2d(x, 2) if level else x)
             skips.append(x)
         flash = x.mean((2, 3)) @ encoder["flash.kernel"].T + encoder["flash.shift"]
-        for level in reversed(range(1, self.levels - 1)):
+        for level in reversed(range(self.levels - 1)):
             x = torch.cat([interpolate(x, scale_factor=2, mode="nearest"), skips[level]], 1)
             x = _block(encoder, f"up{level}", x)
         return conv2d(x, encoder["code.kernel"][..., None, None], encoder["code.shift"]), flash
