@@ -19,7 +19,7 @@ from data_tools.path_space import Tracer
 UNIFORM = 4  # every so manieth path is not guided
 
 _BATCH = 2**18  # paths at a time
-_REFERENCE_SPP = 1024
+_REFERENCE_SPP = 2048
 
 
 class Guide(NamedTuple):
@@ -66,7 +66,7 @@ def reference(scene: dict[str, Any] | Tracer, size: int, spp: int = _REFERENCE_S
 
     Args:
         scene: as for `render`.
-        size: side of the picture, px; 64 take 8 s on one core.
+        size: side of the picture, px; 64 take 7 s on one core.
         spp: paths a pixel.
         seed: of all draws.
 

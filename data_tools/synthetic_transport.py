@@ -59,7 +59,7 @@ def cornell_tasks(
         begins with the smaller one.
     """
     for index in range(count):
-        rng = stream(seed, index)
+        rng = stream(seed, len(COUNTS), 0, index)  # beside those that `turns` draws from
         scene = draw_scene(rng)
         drawn, name = int(rng.integers(2**63)), f"cornell-{seed}-{index:03d}"
         yield transport_task(name, scene, drawn, samples=samples, held=held, dimensions=dimensions)

@@ -14,8 +14,6 @@ SPLITS = ("train", "test")
 
 SUFFIX = ".safetensors"
 
-_PLAIN = r"[A-Za-z0-9_-][A-Za-z0-9._-]*"
-
 
 class Entry(NamedTuple):
     """One task of a manifest.
@@ -124,15 +122,16 @@ def _from_json(raw: Any, path: Path) -> Manifest:
         where = f"task {index + 1}: "
         optional = [key for key in Entry._field_defaults if isinstance(record, dict) and key not in record]
         entry = Entry(**{key: field(record, key, str, where) for key in Entry._fields if key not in optional})
-        if not re.fullmatch(_PLAIN, entry.file) or not entry.file.endswith(SUFFIX):
+        if not re.fullmatch(r"[A-Za-z0-9_-][A-Za-z0-9._-]*", entry.file) or not entry.file.endswith(SUFFIX):
             raise ValueError(
                 f"{path}: {where}file {json.dumps(entry.file)}, expected the plain name of a {SUFFIX} file in the "
                 "same folder; convert the data again."
             )
-        if not re.fullmatch(_PLAIN, entry.beside or entry.file):
+        stem = re.escape(entry.file.removesuffix(SUFFIX))
+        if entry.beside and not re.fullmatch(rf"{stem}\.[a-z]{{1,8}}", entry.beside):
             raise ValueError(
-                f"{path}: {where}beside {json.dumps(entry.beside)}, expected the plain name of a file in the same "
-                "folder; convert the data again."
+                f"{path}: {where}beside {json.dumps(entry.beside)}, expected the name of {entry.file} with another "
+                "suffix; convert the data again."
             )
         if entry.split not in SPLITS:
             raise ValueError(f"{path}: {where}split '{entry.split}', expected 'train' or 'test'.")

@@ -74,7 +74,7 @@ class ShardWriter:
         except (TypeError, ValueError) as error:
             raise ValueError(f"{folder}: notes hold {error}; expected plain text, numbers, lists.") from None
         self._entries: list[Entry] = []
-        self._files: set[str] = set()
+        self._files = {MANIFEST.replace(".json", SUFFIX)} if beside else set()  # its text would take the same name
         self._made: list[Path] = []
 
     def __enter__(self) -> ShardWriter:

@@ -56,6 +56,21 @@ def test_paths_that_leave_the_folder(tmp_path: Path, file: str) -> None:
         read_manifest(tmp_path)
 
 
+def test_a_file_beside_a_shard_is_named_as_it(tmp_path: Path) -> None:
+    write(tmp_path, tasks=[{**GOLD._asdict(), "beside": "gold.json"}, SILVER._asdict()])
+    assert read_manifest(tmp_path).tasks[0].beside == "gold.json"
+    for beside in ("../gold.json", "silver.json", "notes.txt", "gold", "gold.safetensors", "manifest.json"):
+        write(tmp_path, tasks=[{**GOLD._asdict(), "beside": beside}, SILVER._asdict()])
+        with pytest.raises(ValueError, match=r"expected the name of gold\.safetensors with another suffix"):
+            read_manifest(tmp_path)
+
+
+def test_manifests_without_files_beside_are_read(tmp_path: Path) -> None:
+    tasks = [{key: value for key, value in entry._asdict().items() if key != "beside"} for entry in (GOLD, SILVER)]
+    write(tmp_path, tasks=tasks)
+    assert read_manifest(tmp_path) == MANIFEST
+
+
 def test_repeated_names_in_a_manifest(tmp_path: Path) -> None:
     write(tmp_path, tasks=[{**GOLD._asdict(), "name": "silver"}, SILVER._asdict()])
     with pytest.raises(ValueError, match="two tasks have the same name"):

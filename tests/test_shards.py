@@ -53,6 +53,27 @@ def test_round_trip(tmp_path: Path) -> None:
     ]
 
 
+def test_texts_are_files_beside(tmp_path: Path) -> None:
+    def text(content: str) -> Task:
+        return Task(content, {"text": torch.tensor(list(f"[{content!r}]   ".encode()), dtype=torch.uint8)})
+
+    def make(*names: str) -> None:
+        with ShardWriter(tmp_path, "brdf", {"text": "UTF-8"}, beside=("text", ".json")) as writer:
+            for name in names:
+                writer.add(text(name), "train")
+
+    make("gold", "manifest")
+    assert {path.name for path in tmp_path.iterdir()} == {
+        "gold.safetensors", "gold.json", "manifest-2.safetensors", "manifest-2.json", "manifest.json"
+    }  # fmt: skip
+    assert (tmp_path / "gold.json").read_bytes() == b"['gold']\n"
+    assert check_shard(tmp_path) == []
+    (tmp_path / "gold.json").unlink()
+    assert check_shard(tmp_path) == [f"{tmp_path / 'gold.json'}: missing, expected a file as manifest.json lists it."]
+    make("silver")
+    assert {path.name for path in tmp_path.iterdir()} == {"silver.safetensors", "silver.json", "manifest.json"}
+
+
 def test_one_split(tmp_path: Path) -> None:
     folder = make_shard(tmp_path)
     assert [task.name for task in read_shard(folder, "train")] == ["gold"]

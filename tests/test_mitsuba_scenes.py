@@ -1,0 +1,190 @@
+"""A user's scene files: read as tasks that render again from anywhere, or refused in one line; none runs code."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+
+from data_tools import mitsuba_variant
+from data_tools.cornell import random_scene, scene_of
+from data_tools.mitsuba_scenes import find, read_task, recognises
+from data_tools.mitsuba_variant import choose_llvm
+from data_tools.path_space import Tracer
+
+try:
+    choose_llvm()  # while the tests are collected: whichever of them first imports Mitsuba decides which it takes
+    MISSING = ""
+except ValueError as error:
+    MISSING = str(error)
+needs_mitsuba = pytest.mark.skipif(bool(MISSING), reason=MISSING)
+
+LAMP = '<emitter type="area"><rgb name="radiance" value="4 4 4"/></emitter>'
+CAMERA = """<sensor type="perspective"><float name="fov" value="45"/>
+    <transform name="to_world"><lookat origin="0, 0, 4" target="0, 0, 0" up="0, 1, 0"/></transform>
+    <film type="hdrfilm"><integer name="width" value="80"/><integer name="height" value="60"/></film></sensor>"""
+ROOM = """<shape type="sphere"><boolean name="flip_normals" value="true"/><float name="radius" value="6"/></shape>"""
+
+
+def xml(*parts: str) -> str:
+    return '<scene version="3.0.0">' + "".join(parts) + "</scene>"
+
+
+def ball(inside: str = LAMP) -> str:
+    return f'<shape type="sphere"><float name="radius" value="0.5"/>{inside}</shape>'
+
+
+def write(path: Path, content: str | dict[str, Any]) -> Path:
+    path.write_text(content if isinstance(content, str) else json.dumps(content))
+    return path
+
+
+def test_scene_files_are_recognised(tmp_path: Path) -> None:
+    scene = write(tmp_path / "room.xml", "")
+    assert recognises(scene)
+    assert recognises(tmp_path)
+    assert not recognises(write(tmp_path / "room.obj", ""))
+    other = write(tmp_path / "box.json", "")
+    write(tmp_path / "manifest.json", "")  # of a data set
+    assert find([tmp_path]) == ([other, scene], [])
+    assert find([scene, tmp_path])[0] == [scene, other]
+    empty = tmp_path / "empty"
+    empty.mkdir()
+    assert not recognises(empty)
+    with pytest.raises(ValueError, match=r"no scene in this folder, expected \.xml or \.json"):
+        find([empty])
+    with pytest.raises(ValueError, match="no such file or folder"):
+        find([tmp_path / "none.xml"])
+
+
+@pytest.fixture(autouse=True)
+def _few_paths(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("data_tools.path_space._BATCH", 2**16)
+
+
+@needs_mitsuba
+def test_a_dictionary_is_the_task_it_came_from(tmp_path: Path) -> None:
+    scene = random_scene(5)
+    task = read_task(write(tmp_path / "five.json", scene), samples=300, held=100)
+    assert task.name == "five"
+    assert scene_of(task.data["scene"]) == scene
+    assert {key: tuple(value.shape) for key, value in task.data.items()} == {
+        "samples": (300, 4),
+        "held": (100, 4),
+        "image": (3, 32, 32),
+        "scene": (8192,),
+    }
+    again = read_task(write(tmp_path / "five.json", scene), samples=300, held=100)
+    assert all(torch.equal(task.data[key], again.data[key]) for key in task.data)
+    assert not torch.equal(task.data["samples"][:100], task.data["held"])
+    assert read_task(tmp_path / "five.json", 64, 64, dimensions=6).data["held"].shape == (64, 6)
+
+
+@needs_mitsuba
+def test_file_names_start_from_the_scenes_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder = tmp_path / "scenes"
+    (folder / "parts").mkdir(parents=True)
+    write(folder / "parts" / "lamp.obj", "v -1 1.5 -1\nv 1 1.5 -1\nv 0 1.5 1\nf 1 2 3\nf 3 2 1\n")
+    write(folder / "camera.xml", xml(CAMERA))
+    lamp = f'<shape type="obj"><string name="filename" value="parts/lamp.obj"/>{LAMP}</shape>'
+    write(folder / "room.xml", xml('<include filename="camera.xml"/>', ROOM, lamp))
+    task = read_task(folder / "room.xml", samples=64, held=16)
+    monkeypatch.chdir(tmp_path)
+    elsewhere = read_task(write(tmp_path / "room.json", scene_of(task.data["scene"])), samples=64, held=16)
+    assert all(torch.equal(task.data[key], elsewhere.data[key]) for key in task.data)
+    # and in a dictionary
+    sensor = random_scene(0)["sensor"]
+    part = {"type": "obj", "filename": "parts/lamp.obj", "emitter": {"type": "area"}}
+    write(folder / "room.json", {"type": "scene", "sensor": sensor, "lamp": part})
+    assert read_task(folder / "room.json", samples=64, held=16).data["image"].max() > 0.5
+
+
+@needs_mitsuba
+def test_an_environment_is_a_light(tmp_path: Path) -> None:
+    sky = '<emitter type="constant"><rgb name="radiance" value="0.5 0.5 0.5"/></emitter>'
+    task = read_task(write(tmp_path / "sky.xml", xml(CAMERA, ball(""), sky)), samples=500, held=500)
+    edge, middle = task.data["image"][:, 0], task.data["image"][:, 16, 16]
+    torch.testing.assert_close(edge, torch.full_like(edge, 0.5))
+    torch.testing.assert_close(middle, torch.full_like(middle, 0.25))  # Mitsuba's default reflects half
+
+
+BAD = {
+    "empty.xml": ("", "not readable as XML"),
+    "cut.xml": (xml(CAMERA)[:-9], "not readable as XML"),
+    "binary.xml": (b"\xff\xfe\x00", "not text in UTF-8"),
+    "cut.json": ('{"type": "scene"', "not readable as JSON"),
+    "list.json": ("[1, 2]", "no scene, expected an object of type 'scene'"),
+    "other.json": ('{"app": "brdf"}', "no scene, expected an object of type 'scene'"),
+    "bsdf.xml": ('<bsdf version="3.0.0" type="diffuse"/>', "no scene, expected <scene> around all else"),
+    "dark.xml": (xml(CAMERA, ROOM), "no emitter, expected an area light or an environment; add one"),
+    "point.xml": (xml(CAMERA, ROOM, '<emitter type="point"/>'), "an emitter PointLight.*put a small area light"),
+    "sun.xml": (xml(CAMERA, ROOM, '<emitter type="directional"/>'), "an emitter DirectionalEmitter.*small area light"),
+    "blind.xml": (xml(ROOM, ball()), "no sensor, expected a perspective one"),
+    "lens.xml": (
+        xml(CAMERA.replace("perspective", "orthographic").replace('<float name="fov" value="45"/>', ""), ball()),
+        "a sensor Orthographic.*expected a perspective one",
+    ),
+    "closed.xml": (
+        xml(CAMERA, ball(), '<shape type="sphere"><point name="center" value="0, 0, 4"/></shape>'),
+        r"0 of [\d,]+ paths meet a light, expected 0.02% or more; point the camera",
+    ),
+    "away.xml": (xml(CAMERA.replace('target="0, 0, 0"', 'target="0, 0, 9"'), ball()), "0 of .* paths meet a light"),
+    "black.xml": (xml(CAMERA, ball(LAMP.replace("4 4 4", "0 0 0"))), "0 of .* paths meet a light"),
+    "fog.xml": (
+        xml(CAMERA, ball(), '<shape type="cube"><medium name="interior" type="homogeneous"/></shape>'),
+        "a participating medium, 'homogeneous', expected surfaces alone",
+    ),
+    "unknown.xml": (xml(CAMERA, '<shape type="teapot"/>'), "a plugin 'teapot', expected one of Mitsuba's own"),
+    "unknown.json": ('{"type": "scene", "a": {"type": "../x"}}', r"a plugin '\.\./x', expected one of Mitsuba's own"),
+    "mesh.xml": (
+        xml(CAMERA, ball(), '<shape type="obj"><string name="filename" value="a.obj"/></shape>'),
+        "no scene that Mitsuba can load: .*file not found",
+    ),
+    "include.xml": (xml('<include filename="none.xml"/>'), "includes 'none.xml', which cannot be read"),
+    "self.xml": (xml('<include filename="self.xml"/>'), "includes 'self.xml', which cannot be read"),
+    "path.xml": (xml('<path value="/tmp"/>'), "a <path>, expected file names that start from the scene's folder"),
+    "matrix.json": ('{"type": "scene", "a": {"type": "sphere", "to_world": [1]}}', "no scene that Mitsuba can load"),
+}
+
+
+@needs_mitsuba
+@pytest.mark.parametrize("name", BAD)
+def test_what_is_wrong_is_said_in_one_line(name: str, tmp_path: Path) -> None:
+    content, expected = BAD[name]
+    path = tmp_path / name
+    path.write_bytes(content if isinstance(content, bytes) else content.encode())
+    with pytest.raises(ValueError, match=expected) as caught:
+        read_task(path, samples=64, held=16)
+    assert str(caught.value).startswith(f"{path}: ")
+    assert "\n" not in str(caught.value)
+
+
+@needs_mitsuba
+def test_no_library_beside_a_scene_is_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    import mitsuba
+
+    # one that would load, in the place of a plugin that has not been needed yet, here and in the folder we are in
+    own = Path(mitsuba.__file__).parent / "plugins"
+    (tmp_path / "plugins").mkdir()
+    for name in ("cylinder", "evil"):
+        shutil.copy(own / "sphere.so", tmp_path / "plugins" / f"{name}.so")
+    monkeypatch.chdir(tmp_path)
+    shape = f'<shape type="cylinder"><float name="radius" value="0.5"/>{LAMP}</shape>'
+    tracer = Tracer({"xml": xml(CAMERA, shape), "folder": str(tmp_path)})
+    assert "Cylinder" in str(tracer.scene.shapes()[0])
+    with pytest.raises(ValueError, match="a plugin 'evil', expected one of Mitsuba's own"):
+        Tracer({"xml": xml(CAMERA, '<shape type="evil"/>'), "folder": str(tmp_path)})
+
+
+def test_a_missing_libllvm_is_not_the_scenes_fault(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def none() -> Path:
+        raise ValueError("libLLVM: found none, expected 19 or newer for Mitsuba; apt-get install libllvm19 libatomic1.")
+
+    monkeypatch.setattr(mitsuba_variant, "find_llvm", none)
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
+    with pytest.raises(ValueError, match=r"^libLLVM: found none, expected 19"):
+        read_task(write(tmp_path / "box.json", random_scene(0)))
