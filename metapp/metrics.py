@@ -43,8 +43,8 @@ def dssim(pictures: Tensor, references: Tensor) -> Tensor:
     from torchmetrics.functional.image import structural_similarity_index_measure
 
     exposure = references.mean((1, 2, 3), keepdim=True).clamp_min(torch.finfo(references.dtype).tiny)
-    shown = [tone_map(each / exposure) for each in (pictures, references)]
-    found: Any = structural_similarity_index_measure(*shown, data_range=1.0, reduction=None)
+    shown, wanted = tone_map(pictures / exposure), tone_map(references / exposure)
+    found: Any = structural_similarity_index_measure(shown, wanted, data_range=1.0, reduction=None)
     return 1 - found.reshape(-1)
 
 

@@ -63,9 +63,9 @@ class Encoder(NamedTuple):
         light = luminance(images)
         logs = (light / light.mean((1, 2), keepdim=True).clamp_min(1e-12) + DARK).log()
         colours = images / (images.sum(1, keepdim=True) + 1e-6) - 1 / 3
-        x = torch.cat([logs[:, None], colours[:, ::2], places(*images.shape[-2:], like=images)], 1)
+        x = torch.cat([logs[:, None], colours[:, ::2], places(images)], 1)
         x = leaky_relu(conv2d(x, encoder["in.kernel"], encoder["in.shift"], stride=2, padding=1), SLOPE)
-        grid = places(*x.shape[-2:], like=x)
+        grid = places(x)
         seen = leaky_relu(_convolved(encoder, "look", x), SLOPE)
         weights = _convolved(encoder, "heads", seen).flatten(2).softmax(2)
         found = weights @ torch.cat([seen, grid], 1).flatten(2).mT
@@ -87,8 +87,9 @@ class Encoder(NamedTuple):
         return {"film.x": torch.cat([widths, shares, bends, bends[:, -1:]], 1), "film.y": told + fine[:, :3]}
 
 
-def places(rows: int, columns: int, like: Tensor) -> Tensor:
-    """The coordinates of a grid's cells in [-1, 1], [T, 2, rows, columns]."""
+def places(like: Tensor) -> Tensor:
+    """The coordinates in [-1, 1] of the cells of a grid [T, C, rows, columns]: x and y, [T, 2, rows, columns]."""
+    rows, columns = like.shape[-2:]
     y, x = (((torch.arange(n, device=like.device) + 0.5) * (2 / n) - 1).to(like) for n in (rows, columns))
     grid = torch.stack([x.expand(rows, columns), y[:, None].expand(rows, columns)])
     return grid.expand(len(like), -1, -1, -1)

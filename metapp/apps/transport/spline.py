@@ -35,12 +35,12 @@ class Bin(NamedTuple):
     """The bin that a place is in, each entry [..., N].
 
     Attributes:
-        index: which, [..., 1, N].
+        which: its number, [..., 1, N].
         width, log_density: of it, the latter the mean.
         first, last: the density at its ends over its mean.
     """
 
-    index: Tensor
+    which: Tensor
     width: Tensor
     log_density: Tensor
     first: Tensor
@@ -115,9 +115,9 @@ def cumulative(numbers: Tensor, places: Tensor) -> Tensor:
     """The splines themselves: the mass left of places in [0, 1], of the shapes of `log_density`."""
     splines = splines_of(numbers)
     found, t = _find(splines, places)
-    both, mass = t * (1 - t), _at(splines.masses, found.index)
+    both, mass = t * (1 - t), _at(splines.masses, found.which)
     share = (t * t + found.first * both) / (1 + (found.first + found.last - 2) * both)
-    return _at(splines.masses.cumsum(-2), found.index) - mass * (1 - share)
+    return _at(splines.masses.cumsum(-2), found.which) - mass * (1 - share)
 
 
 def quantile(numbers: Tensor, masses: Tensor) -> tuple[Tensor, Tensor]:
@@ -125,9 +125,9 @@ def quantile(numbers: Tensor, masses: Tensor) -> tuple[Tensor, Tensor]:
     splines = splines_of(numbers)
     ends = splines.masses.cumsum(-2)
     found = _bin(splines, _index(ends, masses))
-    share = (1 - (_at(ends, found.index) - masses) / _at(splines.masses, found.index)).clamp(0, 1)
+    share = (1 - (_at(ends, found.which) - masses) / _at(splines.masses, found.which)).clamp(0, 1)
     linear = found.first - share * (found.first + found.last - 2)
     root = (linear * linear + 4 * (1 - linear) * share).clamp_min(0).sqrt()
     t = (2 * share / (linear + root).clamp_min(1e-12)).clamp(0, 1)
-    places = _at(splines.widths.cumsum(-2), found.index) - found.width * (1 - t)
+    places = _at(splines.widths.cumsum(-2), found.which) - found.width * (1 - t)
     return places.clamp(0, BELOW_ONE), found.log_density + _log_slope(found, t)
