@@ -108,6 +108,7 @@ def test_guided_means_are_those_of_the_reference(scenes: list[Task]) -> None:
     theta = {key: value[0] for key, value in flow.init(generator, 1).items()}
     theta = {key: value + 0.3 * torch.randn(value.shape, generator=generator) for key, value in theta.items()}
     theta["z"] = theta["z"] / flow.gain
+    theta |= {key: theta[key] / flow.film_gain for key in ("film.x", "film.y")}
     table = table_of(flow, theta, places=8, cells=16)
     for task in scenes[:5]:
         studio = images.Studio(task.data["scene"].numpy().tobytes(), size=16)

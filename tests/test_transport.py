@@ -37,7 +37,8 @@ def bent(flow: Flow, seed: int = 0, scale: float = 0.5) -> Params:
     """Parameters of a flow that is far from the identity, float64, task axis 1."""
     generator = rng(seed)
     start = flow.init(generator, 1)
-    scales = {key: scale / flow.gain if key == "z" else scale for key in start}
+    gains = {"z": flow.gain, "film.x": flow.film_gain, "film.y": flow.film_gain}
+    scales = {key: scale / gains.get(key, 1.0) for key in start}
     return {
         key: value.double() + scales[key] * torch.randn(value.shape, generator=generator)
         for key, value in start.items()

@@ -37,8 +37,8 @@ class Setup:
 
 # exact second order, from General's encoder, which goes on learning through the steps
 LEARNED = Training(
-    steps=200,
-    tasks=4,
+    steps=100,
+    tasks=3,
     rates={"": 3e-4, "alpha.": 2e-2, "alpha.within.": 3e-3},
     first=Adam(2e-3, beta1=0.5, beta2=0.8, eps=1e-6, final=0.3),
     warmup=10,
@@ -52,10 +52,10 @@ QUICK = Recipe(
     steps=8,
     batch=4096,
     overfit_steps=400,
-    overfit=Adam(1e-2, final=0.0),
+    overfit=Adam(5e-3, final=0.0),
     finetune_steps=40,
     finetune=Adam(3e-3, final=0.0),
-    quickft=Adam(2e-3, beta1=0.8, beta2=0.98, eps=1e-6, final=0.3),
+    quickft=Adam(2e-3, beta1=0.5, beta2=0.8, eps=1e-6, final=0.3),
     general=Training(steps=1200, tasks=8, rates={"": 2e-3}, warmup=50, final=0.0, decay=1e-4, validate_every=100),
     meta={"meta-encoder": LEARNED, "meta-lgd": LEARNED},
     rule="meta-lgd",

@@ -84,7 +84,8 @@ class Encoder(NamedTuple):
         told = torch.stack([torch.zeros_like(logs), logs, torch.zeros_like(logs)], 1)
         widths, masses, bends = fine[:, 3:].mean(2).unbind(1)
         shares = logs.exp().sum(1).log() + masses
-        return {"film.x": torch.cat([widths, shares, bends, bends[:, -1:]], 1), "film.y": told + fine[:, :3]}
+        numbers = {"film.x": torch.cat([widths, shares, bends, bends[:, -1:]], 1), "film.y": told + fine[:, :3]}
+        return {key: value / self.flow.film_gain for key, value in numbers.items()}
 
 
 def places(like: Tensor) -> Tensor:

@@ -29,7 +29,8 @@ class Flow(NamedTuple):
         bins: of a direction's spline.
         film_bins: of the film's splines.
         blobs: of the encoding of a coordinate.
-        gain: of the code; a step of a rate moves it so many times as far as a weight.
+        gain, film_gain: of the code and of the film's numbers; a step of a rate moves these so many times as far as a
+            weight.
     """
 
     directions: int = 2
@@ -41,6 +42,7 @@ class Flow(NamedTuple):
     film_bins: int = 32
     blobs: int = 24
     gain: float = 10.0
+    film_gain: float = 6.0
 
     def init(self, rng: Generator, count: int) -> Params:
         """Random parameters of `count` flows, each tensor [count, ...]; all are the identity."""
@@ -78,7 +80,7 @@ class Flow(NamedTuple):
             log q(film) and log q(directions | film), [T, N] each.
         """
         x, y = points[:, 0], points[:, 1]
-        film = spline.log_density(theta["film.x"][..., None], x) + spline.log_density(self.film_y(theta, x), y)
+        film = spline.log_density(self.film_x(theta), x) + spline.log_density(self.film_y(theta, x), y)
         trunk = self.trunk(theta, x, y)
         directions = torch.zeros_like(film)
         for i in range(self.directions):
@@ -86,13 +88,17 @@ class Flow(NamedTuple):
             directions = directions + spline.log_density(numbers, points[:, 2 + i])
         return film, directions
 
+    def film_x(self, theta: Params) -> Tensor:
+        """The numbers [T, 3 K + 1, 1] of the spline of x."""
+        return self.film_gain * theta["film.x"][..., None]
+
     def film_y(self, theta: Params, x: Tensor) -> Tensor:
         """The numbers [T, 3 K + 1, N] of the spline of y at x [T, N].
 
         They are read off a table [T, 3, K, K] of widths, masses and bends, y down and x across; at the lower edge of
         the film nothing is bent.
         """
-        return pad(theta["film.y"].flatten(1, 2), (0, 0, 0, 1)) @ blobs(x, self.film_bins)
+        return self.film_gain * pad(theta["film.y"].flatten(1, 2), (0, 0, 0, 1)) @ blobs(x, self.film_bins)
 
     def trunk(self, theta: Params, x: Tensor, y: Tensor) -> Tensor:
         """What all directions' splines see of a place on the film: [T, hidden, N]."""
@@ -109,7 +115,7 @@ class Flow(NamedTuple):
 
     def sample_film(self, theta: Params, uniform: Tensor) -> tuple[Tensor, Tensor]:
         """Places [T, 2, N] on the film by uniform numbers [T, 2, N], and log q(film), [T, N]."""
-        x, first = spline.quantile(theta["film.x"][..., None], uniform[:, 0])
+        x, first = spline.quantile(self.film_x(theta), uniform[:, 0])
         y, second = spline.quantile(self.film_y(theta, x), uniform[:, 1])
         return torch.stack([x, y], 1), first + second
 
