@@ -54,7 +54,7 @@ QUICK = Recipe(
     overfit_steps=400,
     overfit=Adam(5e-3, final=0.0),
     finetune_steps=40,
-    finetune=Adam(3e-3, final=0.0),
+    finetune=Adam(2e-3, final=0.0),
     quickft=Adam(2e-3, beta1=0.5, beta2=0.8, eps=1e-6, final=0.3),
     general=Training(steps=1200, tasks=8, rates={"": 2e-3}, warmup=50, final=0.0, decay=1e-4, validate_every=100),
     meta={"meta-encoder": LEARNED, "meta-lgd": LEARNED},
@@ -83,9 +83,7 @@ class Transport(App):
     inputs = "a Mitsuba scene (.xml, .json) with a perspective camera, or a folder of these"
     measure = "negative log-likelihood of held-out light paths, on the film and in their first direction"
     radiance = ("guided", "regular")
-    image_measure = (
-        "pictures of 64 px, 1024 paths a pixel, of which a fit guides three of four; against 4096 with the light's"
-    )
+    image_measure = "pictures of 64 px of 1024 paths a pixel, three of four guided, without next-event estimation"
     unfitted = "regular"
     recipes = {"paper": PAPER, "quick": QUICK}  # noqa: RUF012  (never written to)
 
