@@ -11,7 +11,7 @@ SEEDS ?= 0 1 2
 # small networks run many times slower where threads fight over them
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: help setup demo test test-slow lint types bench tables table-results real real-photos real-illumination \
+.PHONY: help setup demo test test-slow lint types bench tables figures report paper real real-photos real-illumination \
   real-svbrdf starts-brdf starts-photos starts-illumination starts-svbrdf \
   starts-transport clean
 
@@ -43,10 +43,44 @@ types: setup  ## mypy
 bench: setup  ## speed and memory of learning, as ratios measured side by side
 	$(VENV)/bin/python -m tests.benchmarks.bench_learning
 
-tables: table-results  ## all tables there are
+# on two cores; the tables say that Overfit has fewer steps than the recipe's; OVERFIT=1 takes all of them
+OVERFIT ?= 0.1
+EVALUATE := $(METAPP) evaluate --overfit-share $(OVERFIT) --out $(RUNS)
+TABLES := results quickft image ablation storage samples convergence
 
-table-results: setup  ## error and time of the five paradigms on the embedded data, beside the paper's; half an hour
-	$(METAPP) evaluate --table --which results --out $(RUNS)
+.PHONY: $(TABLES:%=table-%)
+
+tables: $(TABLES:%=table-%)  ## all tables on the embedded data, beside the paper's figures: 20 minutes
+
+table-results: setup  ## error and time of the five paradigms
+	$(EVALUATE) --which results
+
+table-quickft: setup  ## General, QuickFT and Meta after as many steps
+	$(EVALUATE) --which quickft
+
+table-image: setup  ## errors of pictures that fits make
+	$(EVALUATE) --which image
+
+table-ablation: setup  ## learned start and learned rule, each alone, and all rules that ship
+	$(EVALUATE) --which ablation
+
+table-storage: setup  ## bytes for many exemplars
+	$(EVALUATE) --which storage
+
+table-samples: setup  ## samples that a fit sees
+	$(EVALUATE) --which samples
+
+table-convergence: setup  ## errors along Meta's steps, and how many more bring it to Overfit
+	$(EVALUATE) --which convergence
+
+figures: setup  ## all figures as PNG and PDF, in runs/figures
+	$(EVALUATE) --which all --figures $(RUNS)/figures --format markdown
+
+report: setup  ## all tables, figures, pictures and records as one page: runs/report/index.html
+	$(EVALUATE) --which all --report $(RUNS)/report --format markdown
+
+paper: setup  ## the paper's own recipe, for a machine with a GPU and days: trains all starts, then tables and report
+	bash tools/paper.sh "$(METAPP)" "$(RUNS)" $$($(VENV)/bin/python -c 'from metapp.apps import app_names; print(*app_names())')
 
 real: setup  ## real materials: make real DATA=<folder with nbrdf/merl>; trains and prints the five paradigms, 3 seeds
 	bash tools/real_brdf.sh "$(METAPP)" "$(DATA)" "$(RUNS)" $(SEEDS)

@@ -12,13 +12,14 @@ from torch import Tensor
 
 from data_tools.merl import SHAPE, Array, merl_centres, merl_evaluate, merl_index, merl_valid
 from metapp.geometry import above_horizon
-from metapp.sphere import reference_scene, shade_sphere
+from metapp.sphere import environment_scene, reference_scene, shade_sphere
 from metapp.task import Task
 
 UNITS = {
     "angles": "rad; theta_h, theta_d, phi_d (Rusinkiewicz), phi_h = 0",
     "reflectance": "1/sr; linear RGB",
     "render": "linear RGB on black, coverage; the reference sphere",
+    "environment": "linear RGB on black, coverage; the sphere under the environment map of metapp.sphere",
 }
 
 _MAX_DRAWS = 64  # per sample; about 2 suffice for a measured table
@@ -52,8 +53,8 @@ def brdf_task(
         seed: of the draws.
 
     Returns:
-        A task with angles [N, 3] rad, reflectance [N, 3] in 1/sr, linear RGB, >= 0, and render [96, 96, 4], linear RGB
-        and coverage in [0, 1] of the reference sphere; all float32.
+        A task with angles [N, 3] rad, reflectance [N, 3] in 1/sr, linear RGB, >= 0, and of the sphere render
+        [96, 96, 4] in the studio and environment [64, 64, 4], linear RGB and coverage in [0, 1]; all float32.
 
     Raises:
         ValueError: neither or both of evaluate and table; too few samples, or more than the table has valid bins for;
@@ -80,11 +81,13 @@ def brdf_task(
                 f"{name}: reflectance {tuple(reflectance.shape)}, expected {tuple(angles.shape)}: RGB for each sample."
             )
         render = shade_sphere(reference_scene(), shade).float()
-    for subject, values in (("samples", reflectance), ("sphere", render)):
+        environment = shade_sphere(environment_scene(), shade).float()
+    for subject, values in (("samples", reflectance), ("sphere", render), ("sphere", environment)):
         bad = int((~torch.isfinite(values)).sum())
         if bad:
             raise ValueError(f"{name}: {bad:,} values of the {subject} are NaN or infinite, expected finite ones.")
-    return Task(name, {"angles": angles, "reflectance": reflectance.clamp_min(0), "render": render})
+    pictures = {"render": render, "environment": environment}
+    return Task(name, {"angles": angles, "reflectance": reflectance.clamp_min(0), **pictures})
 
 
 @functools.lru_cache(maxsize=2)

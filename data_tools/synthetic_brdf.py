@@ -39,6 +39,7 @@ from metapp.task import Task
 
 Split = Literal["train", "test"]
 COUNTS: dict[Split, int] = {"train": 80, "test": 20}
+VERSION = 2  # 2: pictures under an environment map
 
 
 class Material(NamedTuple):

@@ -12,7 +12,7 @@ from torch.nn.functional import interpolate, leaky_relu
 
 from metapp.features import Features, describe_features, load_features
 from metapp.networks import UNet
-from metapp.task import App, Batch, Params, Recipe, Task, Tasks
+from metapp.task import App, Batch, Params, Recipe, Task, Tasks, Visible
 
 HIDDEN = 128
 TILED = 4
@@ -130,6 +130,10 @@ class ExemplarApp(App):
         images = images.gather(1, channels.expand(images.shape))
         names = tuple(f"variant of {name}" for name in tasks.picked_names())
         return Tasks(names, self.describe(images), torch.arange(count, device=device))
+
+    def visible(self, task: Task) -> Visible:
+        """The exemplar, all of it in each step."""
+        return Visible(1, task.data["image"].nbytes, 1)
 
     @torch.no_grad()
     def errors(self, theta: Params, tasks: Tasks) -> dict[str, Tensor]:

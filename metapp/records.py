@@ -27,7 +27,7 @@ def save_start(path: Path, start: MetaParameters, info: dict[str, Any]) -> None:
 
 
 def load_start(path: Path, device: torch.device | str = "cpu") -> tuple[MetaParameters, dict[str, Any]]:
-    """Read a prepared start.
+    """Read a prepared start; what is stored in half precision becomes float32.
 
     Returns:
         The start and what `save_start` was told about it.
@@ -40,7 +40,8 @@ def load_start(path: Path, device: torch.device | str = "cpu") -> tuple[MetaPara
     try:
         with safe_open(path, "pt", device=str(device)) as file:
             info = json.loads((file.metadata() or {})["metapp"])
-            tensors = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118  (not a mapping)
+            stored = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118  (not a mapping)
+        tensors = {key: value.float() if value.dtype == torch.half else value for key, value in stored.items()}
         if not all(bool(torch.isfinite(value).all()) for value in tensors.values()):
             raise ValueError(f"{path}: holds NaN or infinite values, expected finite ones; train a start again.")
         if info["schema"] > SCHEMA:
@@ -93,11 +94,12 @@ class RunFolder:
         """Records of this run's key, by task."""
         return {record["name"]: record for record in read_records(self.file) if record.get("key") == self.key}
 
-    def add(self, record: dict[str, Any], theta: dict[str, Tensor]) -> None:
-        """Keep a finished task; its parameters first, so that a record's parameters are always there."""
-        tensors = {key: value.detach().cpu().contiguous() for key, value in theta.items()}
-        target = self.path / "params" / f"{file_name(record['name'])}.safetensors"
-        write_atomically(target, lambda temporary: save_file(tensors, temporary))
+    def add(self, record: dict[str, Any], theta: dict[str, Tensor] | None = None) -> None:
+        """Keep a finished task; its parameters, if it has any, first, so that a record's are always there."""
+        if theta is not None:
+            tensors = {key: value.detach().cpu().contiguous() for key, value in theta.items()}
+            target = self.path / "params" / f"{file_name(record['name'])}.safetensors"
+            write_atomically(target, lambda temporary: save_file(tensors, temporary))
         lines = [line for line in self.finished().values() if line["name"] != record["name"]]
         lines = [*lines, {**record, "key": self.key, "settings": self.settings}]
         text = "".join(json.dumps(line) + "\n" for line in lines)

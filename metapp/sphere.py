@@ -52,41 +52,60 @@ def _studio_lights() -> tuple[Tensor, Tensor]:
     return torch.cat([d for d, _, _ in lights]), torch.cat(power)
 
 
-def _dome(wo: Tensor, up: Tensor) -> tuple[Tensor, Tensor]:
-    """A dim sky for each pixel: directions [P, 42, 3] and irradiance [P, 42, 3] of `wo` and "up" [P, 3], all local.
+def _rings(wo: Tensor, rings: int, around: int) -> tuple[Tensor, Tensor]:
+    """Directions all around for each pixel, wi [P, rings * around, 3], and solid angles, of `wo` [P, 3], all local.
 
     Fixed lights would show as dots in polished metal. These lie on rings of half vectors about each pixel's normal,
     dense towards it, which integrates lobes of any width to a few percent.
     """
-    nodes, weights = gauss_legendre(7)
+    nodes, weights = gauss_legendre(rings)
     narrowest, reach = 0.05, math.asinh(math.pi / 2 / 0.05)
     theta_h = (narrowest * (nodes * reach).sinh())[:, None]
     # d theta_h sin theta_h d phi, then d wi = 4 cos theta_d d half
-    solid_angle = weights[:, None] * narrowest * reach * (nodes[:, None] * reach).cosh() * theta_h.sin() * math.tau / 6
-    phi_h = (torch.arange(6, dtype=torch.float64) + 0.5) * math.tau / 6
+    width = math.tau / around
+    solid_angle = weights[:, None] * narrowest * reach * (nodes[:, None] * reach).cosh() * theta_h.sin() * width
+    phi_h = (torch.arange(around, dtype=torch.float64) + 0.5) * width
     half = torch.stack(
-        [theta_h.sin() * phi_h.cos(), theta_h.sin() * phi_h.sin(), theta_h.cos().expand(7, 6)], dim=-1
+        [theta_h.sin() * phi_h.cos(), theta_h.sin() * phi_h.sin(), theta_h.cos().expand(rings, around)], dim=-1
     ).reshape(-1, 3)
     cos_d = wo @ half.T
     wi = 2 * cos_d[..., None] * half - wo[:, None]
+    return wi, 4 * cos_d.clamp_min(0) * solid_angle.expand(rings, around).reshape(-1)
+
+
+def _dome(wo: Tensor, up: Tensor) -> tuple[Tensor, Tensor]:
+    """A dim sky for each pixel: directions [P, 42, 3] and irradiance [P, 42, 3] of `wo` and "up" [P, 3], all local."""
+    wi, solid_angle = _rings(wo, 7, 6)
     radiance = 0.06 + 0.05 * (wi * up[:, None]).sum(-1)  # brighter above than below
-    irradiance = radiance * 4 * cos_d.clamp_min(0) * solid_angle.expand(7, 6).reshape(-1)
+    irradiance = radiance * solid_angle
     return wi, irradiance[..., None] * irradiance.new_tensor([0.95, 0.97, 1.0])
 
 
-def sphere_scene(
-    size: int = 96, *, dtype: torch.dtype = torch.float32, device: torch.device | str | None = None
-) -> SphereScene:
-    """The reference picture: a sphere under three softboxes, a small lamp and a dim sky: 103 directions of light.
+def environment(directions: Tensor) -> Tensor:
+    """An environment map that no file is needed for: a sky above a floor, a low sun in haze, two windows.
 
     Args:
-        size: width and height in pixels, >= 8; the sphere fills 96 % of it.
-        dtype: of the floating-point tensors.
-        device: where they live.
+        directions: unit vectors [..., 3], x right, y up, z to the camera.
 
     Returns:
-        The scene, exposed such that a white diffuse sphere of albedo 0.8 is 0.85 where brightest.
+        Linear RGB radiance [..., 3], > 0; lobes are as wide as 320 directions a pixel resolve.
     """
+    colour = directions.new_tensor
+    above = torch.sigmoid(12 * directions[..., 1:2])
+    sky = colour([0.25, 0.35, 0.55]) + colour([0.35, 0.25, 0.10]) * torch.exp(-6 * directions[..., 1:2].square())
+    radiance = above * sky + (1 - above) * colour([0.16, 0.13, 0.10])
+    for towards, sharpness, power in (
+        ((-0.55, 0.45, 0.70), 25.0, (10.0, 8.0, 5.6)),
+        ((0.80, 0.35, 0.49), 20.0, (2.0, 2.3, 2.7)),
+        ((0.35, 0.60, -0.72), 15.0, (2.7, 2.4, 2.1)),
+    ):
+        axis = torch.nn.functional.normalize(colour(towards), dim=0)
+        radiance = radiance + torch.exp(sharpness * ((directions * axis).sum(-1, keepdim=True) - 1)) * colour(power)
+    return radiance
+
+
+def _surface(size: int) -> tuple[Tensor, Tensor, Tensor]:
+    """Mask and coverage of a picture of the sphere, and the frame of each pixel's point, [P, 3, 3], rows are axes."""
     if size < 8:
         raise ValueError(f"size of the reference sphere: {size} pixels, expected at least 8")
     centre = (torch.arange(size, dtype=torch.float64) + 0.5) * 2 / size - 1
@@ -103,19 +122,38 @@ def sphere_scene(
     tangent = torch.nn.functional.normalize(
         torch.stack([normal[:, 2], torch.zeros_like(normal_x), -normal_x], dim=-1), dim=-1
     )
-    frame = torch.stack([tangent, torch.linalg.cross(normal, tangent), normal], dim=1)  # [P, 3, 3], rows are axes
+    frame = torch.stack([tangent, torch.linalg.cross(normal, tangent), normal], dim=1)
+    return mask, coverage, frame
+
+
+def _exposed(mask: Tensor, coverage: Tensor, wi: Tensor, wo: Tensor, irradiance: Tensor) -> SphereScene:
+    """A scene such that a white diffuse sphere of albedo 0.8 is 0.85 where brightest."""
+    weights = irradiance * wi[..., 2:].clamp_min(0)
+    weights = weights * (0.85 * math.pi / 0.8 / weights.sum(1).mean(-1).max())
+    return SphereScene(mask, coverage, directions_to_rusinkiewicz(wi, wo[:, None].expand_as(wi)), weights)
+
+
+def sphere_scene(
+    size: int = 96, *, dtype: torch.dtype = torch.float32, device: torch.device | str | None = None
+) -> SphereScene:
+    """The reference picture: a sphere under three softboxes, a small lamp and a dim sky: 103 directions of light.
+
+    Args:
+        size: width and height in pixels, >= 8; the sphere fills 96 % of it.
+        dtype: of the floating-point tensors.
+        device: where they live.
+
+    Returns:
+        The scene, exposed such that a white diffuse sphere of albedo 0.8 is 0.85 where brightest.
+    """
+    mask, coverage, frame = _surface(size)
     directions, irradiance = _studio_lights()
     wo = frame[:, :, 2]
     sky, sky_irradiance = _dome(wo, frame[:, :, 1])
     wi = torch.cat([torch.einsum("pij,lj->pli", frame, directions), sky], dim=1)
-    weights = torch.cat([irradiance.expand(len(wi), -1, -1), sky_irradiance], dim=1) * wi[..., 2:].clamp_min(0)
-    weights = weights * (0.85 * math.pi / 0.8 / weights.sum(1).mean(-1).max())
-    return SphereScene(
-        mask.to(device),
-        coverage.to(device, dtype),
-        directions_to_rusinkiewicz(wi, wo[:, None].expand_as(wi)).to(device, dtype),
-        weights.to(device, dtype),
-    )
+    irradiance = torch.cat([irradiance.expand(len(wi), -1, -1), sky_irradiance], dim=1)
+    scene = _exposed(mask, coverage, wi, wo, irradiance)
+    return SphereScene(*(part.to(device, None if part.dtype == torch.bool else dtype) for part in scene))
 
 
 def shade_sphere(scene: SphereScene, evaluate: Callable[[Tensor], Tensor], *, chunk: int = 65_536) -> Tensor:
@@ -144,3 +182,14 @@ def shade_sphere(scene: SphereScene, evaluate: Callable[[Tensor], Tensor], *, ch
 def reference_scene() -> SphereScene:
     """The scene of every BRDF picture: a fit and its reference are shaded in the same one."""
     return sphere_scene()
+
+
+@functools.cache
+def environment_scene(size: int = 64) -> SphereScene:
+    """The same sphere under `environment` alone, 320 directions a pixel, float32; of width and height >= 8."""
+    mask, coverage, frame = _surface(size)
+    wo = frame[:, :, 2]
+    wi, solid_angle = _rings(wo, 16, 20)
+    light = environment(torch.einsum("pji,plj->pli", frame, wi))
+    scene = _exposed(mask, coverage, wi, wo, light * solid_angle[..., None])
+    return SphereScene(*(part if part.dtype == torch.bool else part.float() for part in scene))

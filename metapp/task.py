@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal, NamedTuple
 
@@ -138,6 +138,27 @@ class Recipe:
     setup: Any = None
 
 
+class Visible(NamedTuple):
+    """What a fit may see of a task.
+
+    Attributes:
+        samples: how many it draws from; 1 where each step sees all there is.
+        size: bytes of one, as data sets keep it.
+        encoder: samples that General's encoder reads of these.
+    """
+
+    samples: int
+    size: int
+    encoder: int
+
+
+class Fitted(NamedTuple):
+    """A fit of one task: parameters without task axis, and the seconds of inference that it took."""
+
+    theta: Params
+    seconds: float
+
+
 class App(ABC):
     """An application: a network, the samples it is fitted to, and the distance that says how well it fits.
 
@@ -160,6 +181,7 @@ class App(ABC):
         recipes: "paper" and "quick".
         raw: names of those `files` whose values are no colours, such as normals.
         radiance: names of those `files` that are linear radiance of any range, kept as EXR.
+        image_measure: what `image_errors` are of, in one line; "" where there are none.
     """
 
     name: str
@@ -177,6 +199,7 @@ class App(ABC):
     recipes: dict[str, Recipe]
     raw: tuple[str, ...] = ()
     radiance: tuple[str, ...] = ()
+    image_measure: str = ""
 
     def at(self, recipe: Recipe, observe: str = "") -> App:
         """The application at a recipe's setup, under a protocol, its first one where none is named."""
@@ -236,6 +259,18 @@ class App(ABC):
     @abstractmethod
     def outputs(self, theta: Params, task: Task) -> dict[str, Any]:
         """Linear RGB pictures [H, W, 3 or 4] of one fitted task and its reference, by name (no task axis in theta)."""
+
+    def visible(self, task: Task) -> Visible | None:
+        """How much a fit may see of a task; None where the application does not say."""
+        return None
+
+    def image_errors(self, fits: Mapping[str, Fitted], task: Task) -> dict[str, dict[str, float]]:
+        """Measures of the pictures that fits of a task make, by the fit's name, then by the measure's, such as SSIM.
+
+        There may be further names, of pictures that are made without any fit. Of measures whose name begins with SSIM
+        more is better, of others less. Empty where there are none.
+        """
+        return {}
 
     def files(self, theta: Params, task: Task) -> dict[str, Tensor]:
         """What a fit makes for its user, by file name: display values [H, W, 1 or 3] in [0, 1], kept as PNG.

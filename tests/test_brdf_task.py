@@ -38,6 +38,7 @@ def test_an_analytic_task() -> None:
         "angles": ((4096, 3), torch.float32),
         "reflectance": ((4096, 3), torch.float32),
         "render": ((96, 96, 4), torch.float32),
+        "environment": ((64, 64, 4), torch.float32),
     }
     angles = task.data["angles"]
     assert above_horizon(angles).all()

@@ -19,7 +19,7 @@ from metapp.cli.starts import shipped_path, start_name
 from metapp.learning import MetaParameters
 from metapp.paradigms import Job, paradigms
 from metapp.records import load_start, tensor_digest
-from metapp.task import Tasks, stack
+from metapp.task import App, Recipe, Tasks, stack
 
 SHIPPED = sorted(shipped_path("brdf", "general").parent.glob("*.safetensors"))
 
@@ -122,45 +122,54 @@ def test_a_photo_is_fitted_in_seconds_by_what_ships(name: str, metapp: Callable,
     assert result.document["error"] < 0.5
 
 
-# Illumination
+# What can be fitted to the thing itself, or to a photograph of it alone
 
+OBSERVED = ("illumination", "svbrdf_nonstationary")
 PROTOCOLS = ("reference", "photo")
 
 
-def test_starts_of_illumination_say_what_they_are() -> None:
-    recipe = load_app("illumination").recipes["quick"]
-    files = sorted(shipped_path("illumination", "general").parent.glob("*.safetensors"))
-    learned = ("quickft", recipe.rule)
-    assert {path.stem for path in files} == {"general", *learned, *(f"{name}-photo" for name in learned)}
-    encoder = tensor_digest(load_start(shipped_path("illumination", "general"))[0].encoder)
+def recipe_of(name: str, protocol: str) -> tuple[App, Recipe]:
+    plain = load_app(name)
+    app = plain.at(plain.recipes["quick"], protocol)
+    return app, app.recipes["quick"]
+
+
+@pytest.mark.parametrize("name", OBSERVED)
+def test_starts_by_protocol_say_what_they_are(name: str) -> None:
+    files = sorted(shipped_path(name, "general").parent.glob("*.safetensors"))
+    expected = {"general"}
+    for protocol in PROTOCOLS:
+        app, recipe = recipe_of(name, protocol)
+        expected |= {start_name(app, "quickft"), start_name(app, recipe.rule)}
+    assert {path.stem for path in files} == expected
+    encoder = tensor_digest(load_start(shipped_path(name, "general"))[0].encoder)
     for path in files:
         _, info = load_start(path)
-        assert info["app"] == "illumination"
-        assert info["data"].startswith("illumination")  # the embedded set alone
+        assert info["app"] == name
+        assert info["data"].startswith(name)  # the embedded set alone
         if path.stem != "general":
             assert info["encoder"] == encoder
             assert info["observe"] == ("photo" if path.stem.endswith("-photo") else "reference")
-        assert path.stat().st_size < 2e6
+        assert path.stat().st_size < 5e6
 
 
 @pytest.mark.usefixtures("scene")
 @pytest.mark.parametrize("protocol", PROTOCOLS)
-def test_few_steps_beat_none_on_unseen_maps(protocol: str) -> None:
-    plain = load_app("illumination")
-    app = plain.at(plain.recipes["quick"], protocol)
-    recipe = app.recipes["quick"]
-    module = importlib.import_module("data_tools.synthetic_illumination")
+@pytest.mark.parametrize("name", OBSERVED)
+def test_few_steps_beat_none_on_unseen_tasks(name: str, protocol: str) -> None:
+    app, recipe = recipe_of(name, protocol)
+    module = importlib.import_module(f"data_tools.synthetic_{name}")
     tasks = stack(app, list(module.synthetic_tasks("test", 16)))
     job = Job(app, recipe, recipe.rule)
     errors, losses = {}, {}
     for paradigm, start in (("general", "general"), ("meta", start_name(app, recipe.rule))):
-        prepared = load_start(shipped_path("illumination", start))[0]
+        prepared = load_start(shipped_path(name, start))[0]
         theta = paradigms()[paradigm].fit(job, prepared, tasks, Generator().manual_seed(0))
         errors[paradigm] = float(app.errors(theta, tasks)["error"].mean())
         losses[paradigm] = float(app.loss(theta, app.sample(tasks, Generator(), 1), {}).mean())
     if protocol == "reference":
         assert errors["meta"] < 0.25 * errors["general"]
-    else:  # a photograph that is explained better need not mean a better map on so few of them
+    else:  # a photograph that is explained better need not mean better maps on so few of them
         assert losses["meta"] < 0.9 * losses["general"]
         assert errors["meta"] < 1.2 * errors["general"]
 
@@ -178,6 +187,19 @@ def test_a_ball_is_fitted_at_once_by_what_ships(metapp: Callable, tmp_path: Path
     assert "the one that ships" in result.err
     made = Path(result.document["out"]) / "outputs" / "ball"
     assert {path.name for path in made.iterdir()} == {"map.exr", "map.png", "relit.png"}
+
+
+def test_a_flash_photo_is_fitted_at_once_by_what_ships(metapp: Callable, tmp_path: Path) -> None:
+    module = importlib.import_module("data_tools.synthetic_svbrdf_nonstationary")
+    (task,) = module.synthetic_tasks("test", 1)
+    photo = np.ascontiguousarray(task.data["photo"].permute(1, 2, 0).numpy())
+    oiio.ImageBuf(photo).write(str(tmp_path / "wall.png"))
+    common = ("--observe", "photo", "--out", tmp_path / "runs", "--json")
+    result = metapp("meta", "svbrdf_nonstationary", tmp_path / "wall.png", *common)
+    assert result.code == 0, result.err
+    assert "the one that ships" in result.err
+    made = Path(result.document["out"]) / "outputs" / "wall"
+    assert {"normal.png", "diffuse.png", "roughness.png", "specular.png"} <= {path.name for path in made.iterdir()}
 
 
 # Light transport

@@ -18,9 +18,10 @@ from data_tools.latlong import read_map
 from data_tools.nbrdf import SHAPES
 from metapp.apps import brdf
 from metapp.apps.brdf import Brdf
-from metapp.cli.evaluate import bootstrap, closing
 from metapp.cli.fit import summary, table_of
 from metapp.cli.starts import shipped_path, start_name
+from metapp.cli.tables.results import closing
+from metapp.cli.tables.statistics import bootstrap
 from metapp.colour import tone_map
 from metapp.records import load_start, read_records
 from metapp.task import App, Batch, Params, Recipe, Task, Tasks
@@ -237,12 +238,11 @@ def test_a_protocol_that_nothing_named_has_is_refused(metapp: Callable) -> None:
 def test_the_option_reaches_those_that_have_the_protocol(metapp: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
     met: list[tuple[str, str]] = []
 
-    def rows(options: Any, runs: list, *, run: bool) -> list[dict[str, Any]]:
-        met.append((options.app.name, options.app.protocol))
+    def subjects(planned: list[Any], *, run: bool, strict: bool, share: float) -> list[Any]:
+        met.extend((options.app.name, options.app.protocol) for options in planned)
         return []
 
-    monkeypatch.setattr("metapp.cli.evaluate.find_starts", lambda options, run: [])
-    monkeypatch.setattr("metapp.cli.evaluate.app_rows", rows)
+    monkeypatch.setattr("metapp.cli.evaluate.find_subjects", subjects)
     assert metapp("evaluate", "texture", "brdf", "--observe", "photo", "--json").code == 0
     assert metapp("evaluate", "texture", "brdf", "--json").code == 0
     both = [("brdf", "reference"), ("brdf", "photo")]

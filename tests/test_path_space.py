@@ -44,7 +44,7 @@ def mitsuba_means(scene: dict[str, Any], depth: int, runs: int = 16) -> tuple[Te
     loaded = load_scene({**scene, "sensor": {**scene["sensor"], "film": film(CELLS, CELLS)}})
     mi = loaded.mitsuba
     path = mi.load_dict({"type": "path", "max_depth": depth, "rr_depth": 100})
-    pictures = [mi.render(loaded.scene, integrator=path, spp=256, seed=seed).numpy() for seed in range(runs)]
+    pictures = [mi.render(loaded.scene, integrator=path, spp=128, seed=seed).numpy() for seed in range(runs)]
     values = torch.stack([brightness(torch.from_numpy(each).reshape(-1, 3)) for each in pictures]).double()
     return values.mean(0).view(CELLS, CELLS), (values.std(0) / math.sqrt(runs)).view(CELLS, CELLS)
 
@@ -132,7 +132,7 @@ def test_samples_are_in_proportion_to_what_paths_carry() -> None:
         return torch.bincount(place, values, cells**4)
 
     rng = seeded(9)
-    tried = torch.rand(2**21, 4, generator=rng)
+    tried = torch.rand(2**20, 4, generator=rng)
     values = brightness(tracer.contributions(tried, rng)).double()
     expected, square = histogram(tried, values) / values.sum(), histogram(tried, values**2) / values.sum() ** 2
     share = histogram(points, torch.ones(count, dtype=torch.float64)) / count

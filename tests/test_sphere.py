@@ -11,7 +11,7 @@ from torch import Tensor
 
 from metapp.geometry import above_horizon, cosines
 from metapp.reflection import MicrofacetKind, fresnel_schlick, microfacet_lobe, rough_reflectance
-from metapp.sphere import SphereScene, shade_sphere, sphere_scene
+from metapp.sphere import SphereScene, environment, environment_scene, shade_sphere, sphere_scene
 
 KINDS: tuple[MicrofacetKind, ...] = ("ggx", "beckmann")
 ALPHAS = (0.03, 0.1, 0.3, 0.6)
@@ -90,3 +90,26 @@ def test_the_sky_integrates_lobes_of_any_width() -> None:
 def test_a_sphere_of_too_few_pixels_is_an_error() -> None:
     with pytest.raises(ValueError, match="4 pixels, expected at least 8"):
         sphere_scene(4)
+
+
+def test_the_environment_lights_a_white_sphere_as_a_fine_sum_over_directions_does() -> None:
+    # irradiance of a diffuse surface: the rings of half vectors against a lat-long grid of the same map
+    theta, phi = torch.meshgrid(
+        (torch.arange(180, dtype=torch.float64) + 0.5) * math.pi / 180,
+        (torch.arange(360, dtype=torch.float64) + 0.5) * math.tau / 360,
+        indexing="ij",
+    )
+    grid = torch.stack([theta.sin() * phi.sin(), theta.cos(), -theta.sin() * phi.cos()], -1).reshape(-1, 3)
+    light = environment(grid) * (theta.sin() * (math.pi / 180) * (math.tau / 360)).reshape(-1, 1)
+    scene = environment_scene()
+    y, x = scene.mask.nonzero().T.double() + 0.5
+    normal = torch.stack([x / 32 - 1, 1 - y / 32], -1) / 0.96
+    inside = normal.square().sum(-1) < 0.8
+    normal = torch.cat([normal, (1 - normal.square().sum(-1, keepdim=True)).clamp_min(0).sqrt()], -1)[inside]
+    expected = (normal @ grid.T).clamp_min(0) @ light
+    found = scene.weights.double().sum(1)[inside]
+    ratio = found / expected
+    ratio = ratio / ratio.median()
+    assert (ratio - 1).abs().mean() < 0.05
+    assert ratio.amin() > 0.8
+    assert ratio.amax() < 1.2

@@ -9,6 +9,4 @@ for observe in reference photo; do
   "$metapp" meta "$app" --observe "$observe" --out "$runs" --train
 done
 folder=$(ls -td "$runs/$app"/starts/"$app"-*-quick-seed0 | head -1)
-mkdir -p "metapp/checkpoints/$app"
-find "$folder" -name '*.safetensors' ! -name '*.previous.*' ! -name '*.interrupted.*' \
-  -exec cp -v {} "metapp/checkpoints/$app/" \;
+"$(dirname "$metapp")/python" tools/ship.py "$folder" "metapp/checkpoints/$app"

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import functools
 import itertools
 import math
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -11,9 +13,10 @@ import torch
 from torch import Generator, Tensor
 from torch.nn.functional import gelu, layer_norm
 
+from metapp.colour import linear_to_srgb
 from metapp.geometry import cos_incident, half_difference
-from metapp.sphere import reference_scene, shade_sphere
-from metapp.task import Adam, App, Batch, Params, Recipe, Task, Tasks, Training
+from metapp.sphere import environment_scene, reference_scene, shade_sphere
+from metapp.task import Adam, App, Batch, Fitted, Params, Recipe, Task, Tasks, Training, Visible
 
 WIDTHS = (6, 21, 21, 3)
 OBSERVED = 1024
@@ -96,6 +99,7 @@ class Brdf(App):
     inputs = "a MERL .binary file or a folder with an NBRDF network, or a folder of these"
     exports = ("nbrdf", "merl")
     measure = "mean |log(1 + f cos theta_i) - log(1 + f' cos theta_i)| on held-out directions"
+    image_measure = "the sphere under an environment map (a sky, a sun, two windows), sRGB, over the pixels it touches"
     scale = 100.0
     small_kernels = True
     recipes = {"paper": PAPER, "quick": QUICK}  # noqa: RUF012  (never written to)
@@ -210,6 +214,29 @@ class Brdf(App):
         reflectance = network(theta, where[:, :6]).clamp_min(0)
         return {"error": (torch.log1p(reflectance * where[:, 6:7]) - target).abs().mean((1, 2))}
 
+    def image_errors(self, fits: Mapping[str, Fitted], task: Task) -> dict[str, dict[str, float]]:
+        """SSIM of the sphere under the environment map, mean over the pixels that it touches.
+
+        Empty where a data set was made before it had such pictures.
+        """
+        if "environment" not in task.data:
+            return {}
+        # takes half a second to import
+        from torchmetrics.functional.image import structural_similarity_index_measure
+
+        scene, measured = environment_scene(), {}
+        wanted = _display(task.data["environment"])
+        for name, fit in fits.items():
+            found = _display(shade_sphere(scene, functools.partial(self.reflectance, fit.theta)))
+            full = structural_similarity_index_measure(found, wanted, data_range=1.0, return_full_image=True)[1]
+            measured[name] = {"SSIM": float(full[0][:, scene.mask].mean())}
+        return measured
+
+    def visible(self, task: Task) -> Visible:
+        """The first half of the samples, three angles and a colour each."""
+        angles, reflectance = task.data["angles"], task.data["reflectance"]
+        return Visible(len(angles) // 2, angles[0].nbytes + reflectance[0].nbytes, OBSERVED)
+
     def reflectance(self, theta: Params, angles: Tensor) -> Tensor:
         """Evaluate one fitted network.
 
@@ -227,6 +254,13 @@ class Brdf(App):
     def outputs(self, theta: Params, task: Task) -> dict[str, Any]:
         fit = shade_sphere(reference_scene(), lambda angles: self.reflectance(theta, angles))
         return {"reference": task.data["render"], "fit": fit}
+
+
+def _display(linear: Tensor) -> Tensor:
+    """Linear RGB on black with coverage, [H, W, 4], as sRGB [1, 3, H, W] on white."""
+    coverage = linear[..., 3:]
+    display = coverage * linear_to_srgb((linear[..., :3] / coverage.clamp_min(1e-6)).clamp(0, 1)) + 1 - coverage
+    return display.permute(2, 0, 1)[None]
 
 
 def _shapes() -> dict[str, tuple[int, int]]:

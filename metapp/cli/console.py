@@ -111,6 +111,19 @@ def progress(quiet: bool = False) -> Iterator[Progress]:
         yield bar
 
 
+@contextlib.contextmanager
+def progress_of_all() -> Iterator[Progress]:
+    """A progress bar over work of unlike parts: its fields `left` and `note` say the time left and what is done."""
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(bar_width=24),
+        TextColumn("{task.fields[left]}", markup=False),
+        TextColumn("{task.fields[note]}", markup=False),
+    )
+    with Progress(*columns, console=err, transient=True) as bar:
+        yield bar
+
+
 def follow(bar: Progress, row: Any, step: int, steps: int, note: str) -> None:
     """Show a long job's state: on the bar, or, where there is no terminal, as a line now and then."""
     bar.update(row, completed=step, total=steps, note=note)

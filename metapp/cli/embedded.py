@@ -14,7 +14,7 @@ from typing import Any
 from metapp.cli.console import progress, say
 from metapp.files import cache_folder
 
-VERSION = 1  # raised when a draw changes, so that no older set is taken for the new one
+VERSION = 1  # a module's own is raised when its draw changes, so that no older set is taken for the new one
 
 _PREFIX = "synthetic_"
 _STALE_SECONDS = 3600.0
@@ -75,11 +75,11 @@ def embedded_data(
             data.
     """
     counts = split_counts(app, count)
-    notes = {"made_by": "metapp data synth", "version": VERSION, "seed": seed, "count": sum(counts.values())}
+    notes = {"made_by": "metapp data synth", "version": _version(app), "seed": seed, "count": sum(counts.values())}
     if out is not None:
         _make(app, out, counts, seed, notes, quiet)
         return out
-    folder = cache_folder() / "data" / f"{app}-{notes['count']}-seed{seed}-v{VERSION}"
+    folder = cache_folder() / "data" / f"{app}-{notes['count']}-seed{seed}-v{_version(app)}"
     if _is_finished(folder, app, notes):
         return folder
     try:
@@ -108,8 +108,12 @@ def embedded_exists(app: str) -> bool:
     return app in embedded_apps() and (_default_folder(app) / "manifest.json").is_file()
 
 
+def _version(app: str) -> int:
+    return getattr(embedded_module(app), "VERSION", VERSION)
+
+
 def _default_folder(app: str) -> Path:
-    return cache_folder() / "data" / f"{app}-{sum(split_counts(app).values())}-seed0-v{VERSION}"
+    return cache_folder() / "data" / f"{app}-{sum(split_counts(app).values())}-seed0-v{_version(app)}"
 
 
 def _make(app: str, folder: Path, counts: dict[str, int], seed: int, notes: dict[str, Any], quiet: bool) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -14,6 +14,8 @@ import typer
 from metapp.cli.console import number, out, print_json, progress, say
 
 if TYPE_CHECKING:
+    from torch import Generator
+
     from metapp.cli.session import Options, Start
     from metapp.paradigms import Paradigm
     from metapp.records import RunFolder
@@ -177,23 +179,36 @@ def run_path(options: Options, settings: dict[str, Any], label: str) -> Path:
 def run_tasks(
     options: Options, paradigm: Paradigm, start: Start, tasks: list[Task], folder: RunFolder, *, again: bool = False
 ) -> list[dict[str, Any]]:
-    """Fit each task that has no record yet, or all again; alone, so that its time is its own.
+    """Fit each task that has no record yet, or all again, with a progress bar; the records of all, in order."""
+    done = {} if again else folder.finished()
+    with progress(options.quiet) as bar:
+        row = bar.add_task(paradigm.name, total=len(tasks), completed=len(done), note="")
+        missing = [task for task in tasks if task.name not in done]
+        for record in fit_tasks(options, paradigm, start, missing, folder):
+            done[record["name"]] = record
+            bar.update(row, advance=1, note=f"{record['name']} {number(record['error'], '.3f')}".removesuffix(" -"))
+    return [done[task.name] for task in tasks]
 
-    Each is kept as soon as it is done. The time is from the task's samples to the final parameters, warm. The error is
-    None where a task holds no reference.
+
+def fit_tasks(
+    options: Options, paradigm: Paradigm, start: Start, tasks: list[Task], folder: RunFolder
+) -> Iterator[dict[str, Any]]:
+    """Fit tasks, each alone, so that its time is its own, and keep each as soon as it is done.
+
+    The time is from the task's samples to the final parameters, warm. The error is None where a task holds no
+    reference.
+
+    Yields:
+        Their records.
     """
     import torch
-    from torch import Generator
 
     from metapp.task import stack
 
-    done = {} if again else folder.finished()
     app, job, device = options.app, options.job, options.device
 
     def fit_one(task: Any, steps: int | None) -> tuple[dict, float, Any]:
-        # the seed depends on the task's name alone: a fit is the same whatever is fitted beside it
-        seed = int.from_bytes(hashlib.sha256(f"{options.seed} {task.name}".encode()).digest()[:6], "big")
-        rng = Generator(device).manual_seed(seed)
+        rng = rng_of(options, task)
         _synchronise(torch, device)
         begin = time.perf_counter()
         stacked = stack(app, [task], device)
@@ -201,26 +216,29 @@ def run_tasks(
         _synchronise(torch, device)
         return theta, time.perf_counter() - begin, stacked
 
-    with progress(options.quiet) as bar:
-        row = bar.add_task(paradigm.name, total=len(tasks), completed=len(done), note="")
-        missing = [task for task in tasks if task.name not in done]
-        for task in missing if app.protocols else ():
-            app.prepare(task)  # that one does not hold what a fit may see should not be found after an hour
-        for task in missing[:1]:
-            fit_one(task, min(paradigm.count(job), 3))  # warm: first calls load kernels
-        for task in missing:
-            theta, seconds, stacked = fit_one(task, None)
-            errors = {key: float(value[0]) for key, value in app.errors(theta, stacked).items()}
-            errors |= {key: app.scale * value for key, value in errors.items() if key == "error"}
-            finite = all(bool(torch.isfinite(value).all()) for value in theta.values())
-            if not finite or (errors and not math.isfinite(errors["error"])):
-                what = "error is" if finite else "parameters are"
-                raise FloatingPointError(f"{task.name}: the fit's {what} not finite; use another start or fewer steps.")
-            record = {"name": task.name, "error": None, **errors, "seconds": seconds}
-            folder.add(record, {key: value[0] for key, value in theta.items()})
-            done[task.name] = record
-            bar.update(row, advance=1, note=f"{task.name} {errors['error']:.3f}" if errors else task.name)
-    return [done[task.name] for task in tasks]
+    for task in tasks if app.protocols else ():
+        app.prepare(task)  # that one does not hold what a fit may see should not be found after an hour
+    for task in tasks[:1]:
+        fit_one(task, min(paradigm.count(job), 3))  # warm: first calls load kernels
+    for task in tasks:
+        theta, seconds, stacked = fit_one(task, None)
+        errors = {key: float(value[0]) for key, value in app.errors(theta, stacked).items()}
+        errors |= {key: app.scale * value for key, value in errors.items() if key == "error"}
+        finite = all(bool(torch.isfinite(value).all()) for value in theta.values())
+        if not finite or (errors and not math.isfinite(errors["error"])):
+            what = "error is" if finite else "parameters are"
+            raise FloatingPointError(f"{task.name}: the fit's {what} not finite; use another start or fewer steps.")
+        record = {"name": task.name, "error": None, **errors, "seconds": seconds}
+        folder.add(record, {key: value[0] for key, value in theta.items()})
+        yield record
+
+
+def rng_of(options: Options, task: Task) -> Generator:
+    """The source of a fit's draws: it depends on the task's name alone, whatever is fitted beside it."""
+    from torch import Generator
+
+    seed = int.from_bytes(hashlib.sha256(f"{options.seed} {task.name}".encode()).digest()[:6], "big")
+    return Generator(options.device).manual_seed(seed)
 
 
 def _synchronise(torch: Any, device: Any) -> None:

@@ -135,7 +135,10 @@ def _grid(tasks: list[tuple[dict[str, np.ndarray], str]], title: str, path: Path
     names = sorted(found, key=lambda name: name != "reference")  # on top, also where the first task has none
     columns, height = min(10, len(tasks)), len(names)
     blocks = -(-len(tasks) // columns)
-    size = (max(1.25 * columns + 0.5, 3.5), (1.3 * height + 0.2) * blocks + 0.4)
+    rows, across = next(iter(tasks[0][0].values())).shape[:2]
+    aspect = max(1.0, across / rows)
+    width = 1.25 * aspect**0.6  # wide pictures hold several: more room, and none between their rows
+    size = (max(width * columns + 0.5, 3.5), ((width / aspect + 0.05) * height + 0.2) * blocks + 0.4)
     figure = Figure(figsize=size, layout="constrained")
     axes = figure.subplots(height * blocks, columns, squeeze=False)
     for axis in axes.flat:

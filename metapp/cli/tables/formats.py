@@ -1,0 +1,77 @@
+"""A table for a terminal, as markdown, LaTeX (booktabs), CSV."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Sequence
+from typing import Any
+
+from metapp.cli.console import out
+from metapp.cli.tables import Row, Table
+from metapp.cli.tables.subject import Absent, Subject
+
+WIDE = 110  # characters, from which on all columns are shown
+
+
+def rich_table(table: Table, subject: Subject | Absent, rows: list[Row]) -> Any:
+    """The table of one application for a terminal."""
+    from rich.table import Table as RichTable
+    from rich.text import Text
+
+    shown = RichTable(title=title_of(table, subject, rows), caption=Text("\n".join(notes_of(table, subject, rows))))
+    columns = table.columns if out.width >= WIDE else table.columns[: table.narrow]
+    for column in columns:
+        left = column.left
+        shown.add_column(column.title, justify="left" if left else "right", no_wrap=not left)
+    for row in rows:
+        shown.add_row(*(Text(column.text(row)) for column in columns))
+    return shown
+
+
+def text_table(table: Table, found: Sequence[tuple[Subject | Absent, list[Row]]], form: str) -> str:
+    """The table of all applications as "markdown", "latex" or "csv"."""
+    rows = [row for _, each in found for row in each]
+    if form == "csv":
+        return csv_of(rows)
+    header = ["app", *(column.title for column in table.columns)]
+    body = [[key_of(row), *(column.text(row) for column in table.columns)] for row in rows]
+    notes = [
+        f"{key_of(each[0]) if each else subject.title}: {'; '.join(notes_of(table, subject, each))}"
+        for subject, each in found
+    ]
+    if form == "markdown":
+        lines = [header, ["---"] * len(header), *body]
+        return "\n".join([*("| " + " | ".join(line) + " |" for line in lines), "", *notes])
+    escape = str.maketrans({"_": r"\_", "%": r"\%", "&": r"\&", "#": r"\#"})
+    tex = [" & ".join(text.translate(escape) for text in line) + r" \\" for line in (header, *body)]
+    align = "l" + "".join("l" if column.left else "r" for column in table.columns)
+    top = [rf"\begin{{tabular}}{{{align}}}", r"\toprule", tex[0], r"\midrule"]
+    return "\n".join([*top, *tex[1:], r"\bottomrule", r"\end{tabular}", *(f"% {note}" for note in notes)])
+
+
+def csv_of(rows: Sequence[Row]) -> str:
+    """Rows with all they hold, whatever columns show."""
+    buffer = io.StringIO()
+    writer = csv.DictWriter(buffer, list(dict.fromkeys(key for row in rows for key in row)), lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    return buffer.getvalue().rstrip("\n")
+
+
+def key_of(row: Row) -> str:
+    """The application of a row, and its protocol, if any."""
+    return f"{row['app']} {row.get('observe', '')}".rstrip()
+
+
+def title_of(table: Table, subject: Subject | Absent, rows: list[Row]) -> str:
+    """What a table shows, of what and of how many tasks."""
+    count = max((row["tasks"] for row in rows), default=0)
+    scale = 1 if isinstance(subject, Absent) else subject.app.scale
+    said = table.title.format(factor=f" x{scale:g}" if scale != 1 else "")
+    return f"{subject.title}, {f'{count} unseen tasks: ' if count else ''}{said}"
+
+
+def notes_of(table: Table, subject: Subject | Absent, rows: list[Row]) -> list[str]:
+    """What must be said below it."""
+    return ["not here yet; the figures are the paper's"] if isinstance(subject, Absent) else table.notes(subject, rows)

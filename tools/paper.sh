@@ -1,0 +1,14 @@
+#!/usr/bin/env bash
+# The paper's recipe on the embedded data, for a machine with a GPU: paper.sh METAPP RUNS APP...
+# Trains General, QuickFT's Adam and Meta (100,000 outer steps) of every application, which takes days, then fits all
+# test tasks with all of Overfit's steps and writes tables, figures and the report. Fits see what the paper's do.
+set -euo pipefail
+metapp=$1 runs=$2
+shift 2
+for app in "$@"; do
+  for paradigm in general quickft meta; do
+    "$metapp" "$paradigm" "$app" --recipe paper --train --out "$runs"
+  done
+done
+"$metapp" evaluate "$@" --recipe paper --observe reference --which all --out "$runs" \
+  --figures "$runs/figures" --report "$runs/report"
