@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -18,7 +19,7 @@ from metapp.apps.transport import APP, Setup, images
 from metapp.apps.transport.flow import Flow
 from metapp.apps.transport.guide import table_of
 from metapp.shards import ShardWriter
-from metapp.task import Task
+from metapp.task import Fitted, Task
 
 PARADIGMS = ("general", "overfit", "finetune", "quickft", "meta")
 
@@ -59,6 +60,7 @@ def small(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(APP.recipes, "quick", recipe)
     monkeypatch.setattr("metapp.apps.transport.SHOWN", 4)
     monkeypatch.setattr("metapp.apps.transport.GLANCE", 1)
+    monkeypatch.setattr(images, "table_of", functools.partial(table_of, places=8, cells=8))
     monkeypatch.setattr(images, "SPP", 64)
     monkeypatch.setattr(images, "REFERENCE_SPP", 16)
 
@@ -88,17 +90,18 @@ def test_train_fit_and_compare(metapp: Callable, data: Path, tmp_path: Path) -> 
 def test_pictures_are_judged_at_equal_paths_and_in_equal_time(scenes: list[Task]) -> None:
     task, app = scenes[0], APP.at(APP.recipes["quick"])
     theta = {key: value[0] for key, value in app.init(torch.Generator().manual_seed(0), 1).items()}
-    plain = app.image_errors(None, task)
-    assert set(plain) == {"MAPE", "SMAPE", "DSSIM"}
-    assert all(0 < value < 2 for value in plain.values())
-    guided = app.image_errors(theta, task, seconds=0.0)
-    assert set(guided) - {"MAPE in its time"} == {*plain, "time"}
-    # the start's density is uniform, as Regular's is: the same picture but for noise
-    for name, value in plain.items():
-        assert guided[name] == pytest.approx(value, rel=0.2)
-    assert guided["time"] > 0
-    assert "MAPE in its time" not in app.image_errors(theta, task, seconds=1e9)
-    assert app.image_errors(theta, task._replace(data={})) == {}
+    found = app.image_errors({"instant": Fitted(theta, 0.0), "endless": Fitted(theta, 1e9)}, task)
+    assert list(found) == ["regular", "instant", "endless"]
+    measures = {"MAPE", "SMAPE", "DSSIM"}
+    for name, each in found.items():
+        assert set(each) - {images.EQUAL_TIME} == measures | {"time"}
+        assert all(0 < value < 2 for key, value in each.items() if key in measures)
+        # the start's density is uniform, as Regular's is: the same picture but for noise
+        assert all(each[key] == pytest.approx(found["regular"][key], rel=0.2) for key in measures), name
+        assert each["time"] > 0
+    assert found["regular"][images.EQUAL_TIME] == found["regular"]["MAPE"]
+    assert images.EQUAL_TIME not in found["endless"]
+    assert app.image_errors({"instant": Fitted(theta, 0.0)}, task._replace(data={})) == {}
 
 
 def test_guided_means_are_those_of_the_reference(scenes: list[Task]) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -12,7 +13,7 @@ from metapp.apps.transport.encoder import Encoder
 from metapp.apps.transport.flow import Flow
 from metapp.apps.transport.images import image_errors, studio_of
 from metapp.apps.transport.views import picture_of_flow, picture_of_samples
-from metapp.task import AS_PUBLISHED, Adam, App, Batch, Params, Recipe, Task, Tasks, Training
+from metapp.task import AS_PUBLISHED, Adam, App, Batch, Fitted, Params, Recipe, Task, Tasks, Training, Visible
 
 SHOWN, GLANCE = 64, 16  # paths a pixel of the pictures that a run leaves, and of those in its overview
 WANTED = 2048  # samples of a training scene that preparation judges a fit by
@@ -84,7 +85,6 @@ class Transport(App):
     measure = "negative log-likelihood of held-out light paths, on the film and in their first direction"
     radiance = ("guided", "regular")
     image_measure = "pictures of 64 px of 1024 paths a pixel, three of four guided, without next-event estimation"
-    unfitted = "regular"
     recipes = {"paper": PAPER, "quick": QUICK}  # noqa: RUF012  (never written to)
 
     def __init__(self, setup: Setup) -> None:
@@ -163,6 +163,11 @@ class Transport(App):
         names = tuple(f"variant of {name}" for name in tasks.picked_names())
         return Tasks(names, {"samples": samples, "image": image}, torch.arange(count, device=device))
 
+    def visible(self, task: Task) -> Visible:
+        """All samples but the held-out ones; General's encoder sees none of them, only the picture."""
+        samples = task.data["samples"]
+        return Visible(len(samples), samples[0].nbytes, 0)
+
     @torch.no_grad()
     def errors(self, theta: Params, tasks: Tasks) -> dict[str, Tensor]:
         """Negative log-likelihoods of held-out samples: `error`, and its parts `film` and `directions`."""
@@ -186,9 +191,9 @@ class Transport(App):
             "fit": picture_of_flow(self.flow, theta, found),
         }
 
-    def image_errors(self, theta: Params | None, task: Task, seconds: float | None = None) -> dict[str, float]:
-        """MAPE, SMAPE and DSSIM of the picture that the fit guides, and what it costs; {} where there is no scene."""
-        return image_errors(self.flow, theta, task, seconds) if "scene" in task.data else {}
+    def image_errors(self, fits: Mapping[str, Fitted], task: Task) -> dict[str, dict[str, float]]:
+        """MAPE, SMAPE and DSSIM of pictures that fits guide, at equal paths and in equal time, and of Regular's."""
+        return image_errors(self.flow, fits, task) if "scene" in task.data else {}
 
     def files(self, theta: Params, task: Task) -> dict[str, Tensor]:
         """The scene guided by the fit, and without a guide, at SHOWN paths a pixel; nothing where there is no scene."""

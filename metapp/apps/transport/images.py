@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import importlib
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
 import torch
@@ -14,9 +14,10 @@ from torch import Tensor
 from metapp.apps.transport.flow import Flow
 from metapp.apps.transport.guide import table_of
 from metapp.metrics import dssim, mape, smape
-from metapp.task import Params, Task
+from metapp.task import Fitted, Params, Task
 
 SIZE, SPP = 64, 1024  # px of a side, and paths a pixel as in Fischer & Ritschel 2022, table 2
+REGULAR, EQUAL_TIME = "regular", "MAPE, equal time"
 REFERENCE_SPP = 2048  # with next-event estimation, whose noise is far below
 
 
@@ -100,29 +101,34 @@ def _studio(scene: bytes) -> Studio:
     return Studio(scene)
 
 
-def image_errors(flow: Flow, theta: Params | None, task: Task, seconds: float | None = None) -> dict[str, float]:
-    """Measures of the picture that a fit guides, or of that without any.
+def image_errors(flow: Flow, fits: Mapping[str, Fitted], task: Task) -> dict[str, dict[str, float]]:
+    """Measures of the pictures that fits guide, and of REGULAR's, by the sampling of materials alone.
 
     Args:
         flow: the network.
-        theta: its parameters, no task axis; None for the picture by the sampling of materials alone, Regular.
+        fits: by name.
         task: holds the `scene`.
-        seconds: what the fit took, if known.
 
     Returns:
-        `MAPE`, `SMAPE` and `DSSIM` at SPP paths a pixel. Of fits also `time`, of their picture over Regular's, the
-        table counted, and `MAPE in its time`: of the picture of as many paths as there is time for where fit, table
-        and picture may take as long as Regular for SPP; left out where the seconds are not known or leave no time.
+        By name: `MAPE`, `SMAPE` and `DSSIM` at SPP paths a pixel; `time`, of the picture over Regular's, the table
+        counted but not the fit; and `MAPE, equal time`, of as many paths as there is time for where fit, table and
+        picture may take as long as Regular for SPP, left out where there is none.
     """
     studio = studio_of(task)
-    plain = studio.baseline
-    if theta is None:
-        return studio.errors(plain.picture)
-    studio.guided(flow, theta, 4)  # the first call compiles
-    table, shot = studio.guided(flow, theta, 1).seconds, studio.guided(flow, theta, SPP)
-    found = {**studio.errors(shot.picture), "time": shot.seconds / plain.seconds}
-    if seconds is not None:
-        spp = int(SPP * (plain.seconds - seconds - table) / max(shot.seconds - table, 1e-9))
-        if spp >= 1:
-            found["MAPE in its time"] = studio.errors(studio.guided(flow, theta, spp, seed=1).picture)["MAPE"]
+    errors = studio.errors(studio.baseline.picture)
+    found = {REGULAR: {**errors, "time": 1.0, EQUAL_TIME: errors["MAPE"]}}
+    for i, (name, fit) in enumerate(fits.items()):
+        if not i:
+            studio.guided(flow, fit.theta, 4)  # the first call compiles
+        found[name] = _guided_errors(studio, flow, fit)
+    return found
+
+
+def _guided_errors(studio: Studio, flow: Flow, fit: Fitted) -> dict[str, float]:
+    table, shot = studio.guided(flow, fit.theta, 1).seconds, studio.guided(flow, fit.theta, SPP)
+    plain = studio.baseline.seconds
+    found = {**studio.errors(shot.picture), "time": shot.seconds / plain}
+    spp = int(SPP * (plain - fit.seconds - table) / max(shot.seconds - table, 1e-9))
+    if spp >= 1:
+        found[EQUAL_TIME] = studio.errors(studio.guided(flow, fit.theta, spp, seed=1).picture)["MAPE"]
     return found
