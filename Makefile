@@ -12,7 +12,8 @@ SEEDS ?= 0 1 2
 export OMP_NUM_THREADS ?= 1
 
 .PHONY: help setup demo test test-slow lint types bench tables figures report paper real real-photos real-illumination \
-  real-svbrdf starts-brdf starts-photos starts-illumination starts-svbrdf clean
+  real-svbrdf starts-brdf starts-photos starts-illumination starts-svbrdf \
+  starts-transport clean
 
 help:  ## list the targets
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 18
@@ -98,6 +99,9 @@ starts-illumination: setup  ## train the starts of illumination that ship, on th
 
 starts-svbrdf: setup  ## train the starts of non-stationary svBRDFs that ship, on the embedded patches; two hours
 	bash tools/starts_observed.sh "$(METAPP)" "$(RUNS)" svbrdf_nonstationary
+
+starts-transport: setup  ## train the starts of light transport that ship, on the embedded scenes; an hour
+	bash tools/starts_transport.sh "$(METAPP)" "$(RUNS)"
 
 starts-photos: setup  ## train the starts of textures and svBRDFs that ship, on the embedded sets; hours
 	bash tools/starts_photos.sh "$(METAPP)" "$(RUNS)"

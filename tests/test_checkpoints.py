@@ -200,3 +200,35 @@ def test_a_flash_photo_is_fitted_at_once_by_what_ships(metapp: Callable, tmp_pat
     assert "the one that ships" in result.err
     made = Path(result.document["out"]) / "outputs" / "wall"
     assert {"normal.png", "diffuse.png", "roughness.png", "specular.png"} <= {path.name for path in made.iterdir()}
+
+
+# Light transport
+
+
+def test_starts_of_transport_say_what_they_are() -> None:
+    recipe = load_app("transport").recipes["quick"]
+    files = sorted(shipped_path("transport", "general").parent.glob("*.safetensors"))
+    assert {path.stem for path in files} == {"general", "quickft", recipe.rule}
+    encoder = tensor_digest(load_start(shipped_path("transport", "general"))[0].encoder)
+    for path in files:
+        _, info = load_start(path)
+        assert (info["app"], info["start"]) == ("transport", path.stem)
+        assert info["data"].startswith("transport")  # the embedded set alone
+        if path.stem != "general":
+            assert info["encoder"] == encoder
+        assert path.stat().st_size < 2e6
+
+
+def test_few_steps_beat_none_on_unseen_scenes() -> None:
+    app = load_app("transport")
+    recipe = app.recipes["quick"]
+    module = importlib.import_module("data_tools.synthetic_transport")
+    tasks = stack(app, list(module.synthetic_tasks("test", 2)))
+    job, errors = Job(app, recipe, recipe.rule), {}
+    for paradigm, start in (("general", "general"), ("meta", recipe.rule)):
+        prepared = load_start(shipped_path("transport", start))[0]
+        theta = paradigms()[paradigm].fit(job, prepared, tasks, Generator().manual_seed(0))
+        errors[paradigm] = app.errors(theta, tasks)
+    for part in ("error", "film", "directions"):
+        assert (errors["meta"][part] < errors["general"][part]).all(), part
+    assert errors["meta"]["error"].mean() < errors["general"]["error"].mean() - 0.08

@@ -22,7 +22,7 @@ TREES = {name: ast.parse(path.read_text(encoding="utf-8")) for name, path in FIL
 LAYERS = ("metapp.task", "metapp.adjoint", "metapp.learning", "metapp.rules", "metapp.paradigms", "metapp.cli")
 MATHS = ("metapp.task", "metapp.adjoint", "metapp.learned_descent", "metapp.learning", "metapp.rules",
          "metapp.geometry", "metapp.reflection", "metapp.sphere", "metapp.flash", "metapp.latlong", "metapp.networks",
-         "metapp.metrics")  # fmt: skip
+         "metapp.colour", "metapp.metrics")  # fmt: skip
 FOR_APPS = ("metapp.task", "metapp.geometry", "metapp.reflection", "metapp.sphere", "metapp.flash", "metapp.latlong",
             "metapp.photograph", "metapp.networks", "metapp.metrics", "metapp.features", "metapp.exemplar",
             "metapp.coded", "metapp.colour")  # fmt: skip

@@ -15,7 +15,8 @@ from torch import Generator
 from data_tools.brdf_task import brdf_task
 from data_tools.svbrdf_task import pack, svbrdf_task
 from data_tools.synthetic_brdf import synthetic_materials
-from metapp.apps import app_names, illumination, load_app, svbrdf_nonstationary
+from metapp.apps import app_names, illumination, load_app, svbrdf_nonstationary, transport
+from metapp.apps.transport.flow import Flow
 from metapp.exemplar import Setup
 from metapp.flash import Maps, normal_from_height
 from metapp.latlong import directions, mean_luminance
@@ -84,6 +85,21 @@ def material_tasks() -> list[Task]:
     return tasks
 
 
+def path_tasks() -> list[Task]:
+    """Samples of which half are on a lamp, and others come from where it is, and a picture of 8 px."""
+    generator, tasks = rng(7), []
+    for i in range(COUNT):
+        lamp = 0.2 + 0.6 * torch.rand(2, generator=generator)
+        samples = torch.rand(2048, 4, generator=generator)
+        samples[:1024, :2] = lamp + 0.1 * (samples[:1024, :2] - 0.5)
+        samples[1024:, 2:] = 0.5 + 0.5 * (lamp - samples[1024:, :2]) + 0.1 * (samples[1024:, 2:] - 0.5)
+        samples = samples.clamp(0, 0.999)[torch.randperm(2048, generator=generator)]
+        row, column = ((8 * samples[:, k]).long() for k in (1, 0))
+        image = torch.bincount(8 * row + column, minlength=64).reshape(1, 8, 8).expand(3, -1, -1) / 32
+        tasks.append(Task(f"room-{i}", {"samples": samples[:1536], "held": samples[1536:], "image": image.clone()}))
+    return tasks
+
+
 def small_setup(outputs: int) -> Setup:
     return Setup(16, 16, UNet(4, levels=2, noise=2, code=4, outputs=outputs), "vgg16", ("relu1_1",))
 
@@ -99,6 +115,10 @@ SMALL: dict[str, Small] = {
     ),
     "svbrdf_stationary": Small(picture_tasks, small_setup(6)),
     "texture": Small(picture_tasks, small_setup(3)),
+    "transport": Small(
+        path_tasks,
+        transport.Setup(Flow(rows=4, columns=4, code=3, hidden=8, bins=4, film_bins=8, blobs=6)),
+    ),
 }
 
 

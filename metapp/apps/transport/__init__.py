@@ -1,0 +1,207 @@
+"""Transport: the light of a scene as a density over primary sample space, to guide paths by (paper section 4.1.6)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import torch
+from torch import Generator, Tensor
+
+from metapp.apps.transport.encoder import Encoder
+from metapp.apps.transport.flow import Flow
+from metapp.apps.transport.images import image_errors, studio_of
+from metapp.apps.transport.views import picture_of_flow, picture_of_samples
+from metapp.task import AS_PUBLISHED, Adam, App, Batch, Fitted, Params, Recipe, Task, Tasks, Training, Visible
+
+SHOWN, GLANCE = 64, 16  # paths a pixel of the pictures that a run leaves, and of those in its overview
+WANTED = 2048  # samples of a training scene that preparation judges a fit by
+JITTER = 0.1  # of what augmentation adds to the log of a picture
+
+
+@dataclass(frozen=True)
+class Setup:
+    """The size of everything.
+
+    Attributes:
+        flow: the network of one scene.
+    """
+
+    flow: Flow
+
+    @property
+    def encoder(self) -> Encoder:
+        """The encoder that fits it."""
+        return Encoder(self.flow)
+
+
+# exact second order, from General's encoder, which goes on learning through the steps
+LEARNED = Training(
+    steps=100,
+    tasks=3,
+    rates={"": 3e-4, "alpha.": 2e-2, "alpha.within.": 3e-3},
+    first=Adam(2e-3, beta1=0.5, beta2=0.8, eps=1e-6, final=0.3),
+    warmup=10,
+    final=0.05,
+    order=2,
+    clip=1.0,
+    validate_every=20,
+    start="encoder",
+)
+QUICK = Recipe(
+    steps=8,
+    batch=4096,
+    overfit_steps=400,
+    overfit=Adam(5e-3, final=0.0),
+    finetune_steps=40,
+    finetune=Adam(2e-3, final=0.0),
+    quickft=Adam(2e-3, beta1=0.5, beta2=0.8, eps=1e-6, final=0.3),
+    general=Training(steps=1200, tasks=8, rates={"": 2e-3}, warmup=50, final=0.0, decay=1e-4, validate_every=100),
+    meta={"meta-encoder": LEARNED, "meta-lgd": LEARNED},
+    rule="meta-lgd",
+    setup=Setup(Flow()),
+)
+# 8 inner steps of 10,000 of 288,000 samples, first-order MAML with Meta-SGD from a random start, as in Fischer &
+# Ritschel 2022, section 4.1.6
+PAPER = replace(
+    QUICK,
+    batch=10_000,
+    overfit_steps=10_000,
+    finetune_steps=1_000,
+    meta={"meta-sgd": AS_PUBLISHED},
+    rule="meta-sgd",
+    setup=Setup(Flow(hidden=64, bins=16)),
+)
+
+
+class Transport(App):
+    """One scene a task: samples of its light paths in proportion to the luminance that they carry."""
+
+    name = "transport"
+    title = "Transport"
+    readers = ("mitsuba_scenes",)
+    inputs = "a Mitsuba scene (.xml, .json) with a perspective camera, or a folder of these"
+    measure = "negative log-likelihood of held-out light paths, on the film and in their first direction"
+    radiance = ("guided", "regular")
+    image_measure = "pictures of 64 px of 1024 paths a pixel, three of four guided, without next-event estimation"
+    recipes = {"paper": PAPER, "quick": QUICK}  # noqa: RUF012  (never written to)
+
+    def __init__(self, setup: Setup) -> None:
+        self.setup = setup
+
+    def at(self, recipe: Recipe, observe: str = "") -> Transport:
+        return Transport(recipe.setup)
+
+    @property
+    def flow(self) -> Flow:
+        """The network of one task."""
+        return self.setup.flow
+
+    def prepare(self, task: Task) -> dict[str, Tensor]:
+        """`samples` [d, N] and `held` [d, M] of primary sample space, and `image` [3, 32, 32], linear.
+
+        Raises:
+            ValueError: the samples have another number of coordinates than the network.
+        """
+        found, expected = task.data["samples"].shape[1], 2 + self.flow.directions
+        if found != expected:
+            raise ValueError(f"{task.name}: samples of {found} coordinates, expected {expected}; make the data anew.")
+        return {key: task.data[key].float() for key in ("samples", "held", "image") if key in task.data}
+
+    def init(self, rng: Generator, count: int) -> Params:
+        return self.flow.init(rng, count)
+
+    def sample(self, tasks: Tasks, rng: Generator, count: int) -> Batch:
+        """`points` [T, d, count]."""
+        samples = tasks.data["samples"]
+        rows = torch.randint(samples.shape[1], (len(tasks), count), generator=rng, device=rng.device)
+        return {"points": samples[tasks.rows[:, None], rows].mT.contiguous()}
+
+    def loss(self, theta: Params, batch: Batch, shape: Params) -> Tensor:
+        """Mean negative log-likelihood, [T]."""
+        film, directions = self.flow.log_density(theta, batch["points"])
+        return -(film + directions).mean(1)
+
+    def goal(self, theta: Params, batch: Batch, shape: Params) -> Tensor:
+        """The same, [T], of as many samples as preparation needs: scenes differ more than samples of one do."""
+        return self.loss(theta, {"points": batch["points"][..., :WANTED]}, shape)
+
+    def init_encoder(self, rng: Generator) -> Params:
+        """The reader of pictures, and the parameters of the flow that all tasks share."""
+        own = ("z", "film.x", "film.y")
+        shared = {f"decoder.{key}": value[0] for key, value in self.flow.init(rng, 1).items() if key not in own}
+        return {f"encoder.{key}": value for key, value in self.setup.encoder.init(rng).items()} | shared
+
+    def observe(self, tasks: Tasks, rng: Generator) -> Batch:
+        return {"image": tasks.data["image"][tasks.rows]}
+
+    def encode(self, encoder: Params, observed: Batch) -> Params:
+        parts: dict[str, Params] = {"encoder": {}, "decoder": {}}
+        for name, value in encoder.items():
+            part, key = name.split(".", 1)
+            parts[part][key] = value
+        count = len(observed["image"])
+        shared = {key: value.expand(count, *value.shape) for key, value in parts["decoder"].items()}
+        return self.setup.encoder(parts["encoder"], observed["image"]) | shared
+
+    def augment(self, tasks: Tasks, rng: Generator) -> Tasks:
+        """The same scenes, some mirrored left to right, their pictures a little noisier.
+
+        Directions are counted from axes that the data's tracer mirrors with the scene.
+        """
+        count, device = len(tasks), rng.device
+        mirrored = torch.rand(count, 1, 1, generator=rng, device=device) < 0.5
+        image = tasks.data["image"][tasks.rows]
+        image = torch.where(mirrored[..., None], image.flip(3), image)
+        image = image * torch.exp(JITTER * torch.randn(image.shape, generator=rng, device=device))
+        samples = tasks.data["samples"][tasks.rows]
+        across = torch.zeros(samples.shape[2], dtype=torch.bool, device=device)
+        across[0], across[2::2] = True, True
+        turned = (1 - samples).clamp_max(1 - 2**-24)
+        samples = torch.where(mirrored & across, turned, samples)
+        names = tuple(f"variant of {name}" for name in tasks.picked_names())
+        return Tasks(names, {"samples": samples, "image": image}, torch.arange(count, device=device))
+
+    def visible(self, task: Task) -> Visible:
+        """All samples but the held-out ones; General's encoder sees none of them, only the picture."""
+        samples = task.data["samples"]
+        return Visible(len(samples), samples[0].nbytes, 0)
+
+    @torch.no_grad()
+    def errors(self, theta: Params, tasks: Tasks) -> dict[str, Tensor]:
+        """Negative log-likelihoods of held-out samples: `error`, and its parts `film` and `directions`."""
+        if "held" not in tasks.data:
+            return {}
+        film, directions = self.flow.log_density(theta, tasks.data["held"][tasks.rows].mT)
+        return {"error": -(film + directions).mean(1), "film": -film.mean(1), "directions": -directions.mean(1)}
+
+    def outputs(self, theta: Params, task: Task) -> dict[str, Any]:
+        """What there is on the film, and the directions at sixteen parts of it, of the samples and of the fit.
+
+        On the film there are the scene's picture and one of GLANCE paths a pixel that the fit guides; where there is no
+        scene, the densities.
+        """
+        seen = found = None
+        if "scene" in task.data:
+            studio = studio_of(task)
+            seen, found = studio.glance, studio.guided(self.flow, theta, GLANCE).picture
+        return {
+            "reference": picture_of_samples(task.data["samples"], seen),
+            "fit": picture_of_flow(self.flow, theta, found),
+        }
+
+    def image_errors(self, fits: Mapping[str, Fitted], task: Task) -> dict[str, dict[str, float]]:
+        """MAPE, SMAPE and DSSIM of pictures that fits guide, at equal paths and in equal time, and of Regular's."""
+        return image_errors(self.flow, fits, task) if "scene" in task.data else {}
+
+    def files(self, theta: Params, task: Task) -> dict[str, Tensor]:
+        """The scene guided by the fit, and without a guide, at SHOWN paths a pixel; nothing where there is no scene."""
+        if "scene" not in task.data:
+            return {}
+        studio = studio_of(task)
+        shots = {"guided": studio.guided(self.flow, theta, SHOWN), "regular": studio.regular(SHOWN)}
+        return {name: shot.picture.permute(1, 2, 0) for name, shot in shots.items()}
+
+
+APP = Transport(QUICK.setup)

@@ -1,0 +1,134 @@
+"""Fits judged by the pictures that they guide: at equal paths a pixel, and in equal time with everything counted."""
+
+from __future__ import annotations
+
+import functools
+import importlib
+import time
+from collections.abc import Callable, Mapping
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from metapp.apps.transport.flow import Flow
+from metapp.apps.transport.guide import table_of
+from metapp.metrics import dssim, mape, smape
+from metapp.task import Fitted, Params, Task
+
+SIZE, SPP = 64, 1024  # px of a side, and paths a pixel as in Fischer & Ritschel 2022, table 2
+REGULAR, EQUAL_TIME = "regular", "MAPE, equal time"
+REFERENCE_SPP = 2048  # with next-event estimation, whose noise is far below
+
+
+class Shot(NamedTuple):
+    """A picture [3, size, size], linear RGB, and the seconds that it took, with all that had to be made for it."""
+
+    picture: Tensor
+    seconds: float
+
+
+class Studio:
+    """One scene, to take pictures of.
+
+    Args:
+        scene: its JSON text, UTF-8.
+        size: side of the pictures, px.
+
+    Raises:
+        ValueError: it cannot be traced here.
+    """
+
+    def __init__(self, scene: bytes, size: int = SIZE) -> None:
+        self.paths = importlib.import_module("data_tools.path_render")
+        space, cornell = (importlib.import_module(f"data_tools.{name}") for name in ("path_space", "cornell"))
+        self.tracer = space.Tracer(cornell.scene_of(torch.frombuffer(bytearray(scene), dtype=torch.uint8)))
+        self.size = size
+
+    def regular(self, spp: int, seed: int = 0) -> Shot:
+        """A picture by the sampling of materials alone."""
+        return _timed(lambda: self.paths.render(self.tracer, spp, self.size, seed))
+
+    def guided(self, flow: Flow, theta: Params, spp: int, seed: int = 0) -> Shot:
+        """A picture guided by a fit, no task axis in theta; the time includes that of making its table."""
+
+        def shoot() -> Tensor:
+            table = table_of(flow, theta)
+            guide = self.paths.Guide(table.sample, table.density)
+            return self.paths.render(self.tracer, spp, self.size, seed, guide)
+
+        return _timed(shoot)
+
+    @functools.cached_property
+    def reference(self) -> Tensor:
+        """The picture itself, with little noise."""
+        return self.paths.reference(self.tracer, self.size, REFERENCE_SPP)
+
+    @functools.cached_property
+    def glance(self) -> Tensor:
+        """The same with some noise, in an instant."""
+        return self.paths.reference(self.tracer, self.size, 64)
+
+    @functools.cached_property
+    def baseline(self) -> Shot:
+        """The one by the sampling of materials that others are compared with."""
+        self.regular(1)  # the first call compiles
+        return self.regular(SPP)
+
+    def errors(self, picture: Tensor) -> dict[str, float]:
+        """Measures of a picture against the reference."""
+        pair = picture[None], self.reference[None]
+        return {name: float(measure(*pair)) for name, measure in (("MAPE", mape), ("SMAPE", smape), ("DSSIM", dssim))}
+
+
+def _timed(shoot: Callable[[], Tensor]) -> Shot:
+    begin = time.perf_counter()
+    picture = shoot()
+    return Shot(picture, time.perf_counter() - begin)
+
+
+def studio_of(task: Task) -> Studio:
+    """The studio of a task's scene.
+
+    Raises:
+        ValueError: the scene cannot be traced here.
+    """
+    return _studio(task.data["scene"].cpu().numpy().tobytes())
+
+
+@functools.lru_cache(maxsize=16)  # a reference takes seconds
+def _studio(scene: bytes) -> Studio:
+    return Studio(scene)
+
+
+def image_errors(flow: Flow, fits: Mapping[str, Fitted], task: Task) -> dict[str, dict[str, float]]:
+    """Measures of the pictures that fits guide, and of REGULAR's, by the sampling of materials alone.
+
+    Args:
+        flow: the network.
+        fits: by name.
+        task: holds the `scene`.
+
+    Returns:
+        By name: `MAPE`, `SMAPE` and `DSSIM` at SPP paths a pixel; `time`, of the picture over Regular's, the table
+        counted but not the fit; and `MAPE, equal time`, of as many paths as there is time for where fit, table and
+        picture may take as long as Regular for SPP, left out where there is none.
+    """
+    studio = studio_of(task)
+    errors = studio.errors(studio.baseline.picture)
+    found = {REGULAR: {**errors, "time": 1.0, EQUAL_TIME: errors["MAPE"]}}
+    for i, (name, fit) in enumerate(fits.items()):
+        if not i:
+            studio.guided(flow, fit.theta, 4)  # the first call compiles
+        found[name] = _guided_errors(studio, flow, fit)
+    return found
+
+
+def _guided_errors(studio: Studio, flow: Flow, fit: Fitted) -> dict[str, float]:
+    table, shot = studio.guided(flow, fit.theta, 1).seconds, studio.guided(flow, fit.theta, SPP)
+    plain = studio.baseline.seconds
+    found = {**studio.errors(shot.picture), "time": shot.seconds / plain}
+    spp = int(SPP * (plain - fit.seconds - table) / max(shot.seconds - table, 1e-9))
+    if spp >= 1:
+        found[EQUAL_TIME] = studio.errors(studio.guided(flow, fit.theta, spp, seed=1).picture)["MAPE"]
+    return found

@@ -1,0 +1,133 @@
+"""Monotonic rational-quadratic splines on [0, 1] (Gregory & Delbourgo 1982; Durkan et al. 2019), many side by side.
+
+A spline of K bins is described by 3 K + 1 numbers: logits of the bins' widths and of their masses, and what is added
+to the log of the density at each knot. That log is, where 0 is added, the mean of those of both neighbours, so that one
+number moves one bin and the density stays smooth about it. All zeros make the identity.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+LEAST = 1e-3  # of a bin's width, and of its mass
+STEEPEST = 5.0  # of what is added to the log of a density, either way
+BELOW_ONE = 1 - 2**-24  # the largest of 32 bits
+
+
+class Splines(NamedTuple):
+    """Splines at work; N is 1 where all places share one.
+
+    Attributes:
+        widths: of the bins, [..., K, N], which sum to 1.
+        masses: of the bins, likewise.
+        bends: what is added to the log of the density at the knots, [..., K + 1, N].
+    """
+
+    widths: Tensor
+    masses: Tensor
+    bends: Tensor
+
+
+class Bin(NamedTuple):
+    """The bin that a place is in, each entry [..., N].
+
+    Attributes:
+        which: its number, [..., 1, N].
+        width, log_density: of it, the latter the mean.
+        first, last: the density at its ends over its mean.
+    """
+
+    which: Tensor
+    width: Tensor
+    log_density: Tensor
+    first: Tensor
+    last: Tensor
+
+
+def size(bins: int) -> int:
+    """How many numbers describe a spline."""
+    return 3 * bins + 1
+
+
+def splines_of(numbers: Tensor) -> Splines:
+    """Splines of any numbers [..., 3 K + 1, N]."""
+    count = numbers.shape[-2] // 3
+    widths, masses, bends = numbers.split([count, count, count + 1], -2)
+    share = 1 - count * LEAST
+    return Splines(widths.softmax(-2) * share + LEAST, masses.softmax(-2) * share + LEAST, bends)
+
+
+def _at(values: Tensor, index: Tensor) -> Tensor:
+    """The entries [..., N] of [..., K, N or 1] at an index [..., 1, N]."""
+    return values.expand(*values.shape[:-1], index.shape[-1]).gather(-2, index).squeeze(-2)
+
+
+def _index(ends: Tensor, places: Tensor) -> Tensor:
+    """Which of the bins with these right ends [..., K, N] a place [..., N] is in, [..., 1, N]."""
+    return (places.unsqueeze(-2) >= ends[..., :-1, :]).sum(-2, keepdim=True)
+
+
+def _bin(splines: Splines, index: Tensor) -> Bin:
+    """What is needed of a bin and its neighbours."""
+    at = torch.cat([(index - 1).clamp_min(0), index, (index + 1).clamp_max(splines.widths.shape[-2] - 1)], -2)
+    widths, masses = (each.expand(*each.shape[:-1], at.shape[-1]).gather(-2, at) for each in splines[:2])
+    logs = masses.log() - widths.log()
+    knots = torch.cat([index, index + 1], -2)
+    bends = splines.bends.expand(*splines.bends.shape[:-1], at.shape[-1]).gather(-2, knots)
+    middle = logs[..., 1:2, :]
+    ends = (0.5 * (logs[..., ::2, :] - middle) + STEEPEST * torch.tanh(bends / STEEPEST)).exp()
+    return Bin(index, widths[..., 1, :], middle.squeeze(-2), ends[..., 0, :], ends[..., 1, :])
+
+
+def _log_slope(found: Bin, t: Tensor) -> Tensor:
+    """The log of the density over the bin's mean, at a share t of its width."""
+    both, rest = t * (1 - t), 1 - t
+    top = found.last * t * t + 2 * both + found.first * rest * rest
+    return top.log() - 2 * torch.log1p((found.first + found.last - 2) * both)
+
+
+def _find(splines: Splines, places: Tensor) -> tuple[Bin, Tensor]:
+    """The bins that places [..., N] are in, and how far into them, in [0, 1]."""
+    ends = splines.widths.cumsum(-2)
+    index = _index(ends.detach(), places)
+    found = _bin(splines, index)
+    return found, (1 - (_at(ends, index) - places) / found.width).clamp(0, 1)
+
+
+def log_density(numbers: Tensor, places: Tensor) -> Tensor:
+    """The log of the splines' slopes, which is that of the density of what they make uniform.
+
+    Args:
+        numbers: of the splines, [..., 3 K + 1, N].
+        places: in [0, 1], [..., N].
+
+    Returns:
+        [..., N].
+    """
+    found, t = _find(splines_of(numbers), places)
+    return found.log_density + _log_slope(found, t)
+
+
+def cumulative(numbers: Tensor, places: Tensor) -> Tensor:
+    """The splines themselves: the mass left of places in [0, 1], of the shapes of `log_density`."""
+    splines = splines_of(numbers)
+    found, t = _find(splines, places)
+    both, mass = t * (1 - t), _at(splines.masses, found.which)
+    share = (t * t + found.first * both) / (1 + (found.first + found.last - 2) * both)
+    return _at(splines.masses.cumsum(-2), found.which) - mass * (1 - share)
+
+
+def quantile(numbers: Tensor, masses: Tensor) -> tuple[Tensor, Tensor]:
+    """The inverse of `cumulative`: where the mass on the left is this, in [0, 1), and the log of the density there."""
+    splines = splines_of(numbers)
+    ends = splines.masses.cumsum(-2)
+    found = _bin(splines, _index(ends, masses))
+    share = (1 - (_at(ends, found.which) - masses) / _at(splines.masses, found.which)).clamp(0, 1)
+    linear = found.first - share * (found.first + found.last - 2)
+    root = (linear * linear + 4 * (1 - linear) * share).clamp_min(0).sqrt()
+    t = (2 * share / (linear + root).clamp_min(1e-12)).clamp(0, 1)
+    places = _at(splines.widths.cumsum(-2), found.which) - found.width * (1 - t)
+    return places.clamp(0, BELOW_ONE), found.log_density + _log_slope(found, t)

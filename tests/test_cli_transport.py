@@ -1,0 +1,123 @@
+"""`metapp ... transport` end to end, on scenes whose samples take no time."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import OpenImageIO as oiio
+import pytest
+import torch
+
+from data_tools.cornell import random_scene
+from data_tools.synthetic_transport import UNITS
+from data_tools.transport_task import transport_task
+from metapp.apps.transport import APP, Setup, images
+from metapp.apps.transport.flow import Flow
+from metapp.apps.transport.guide import table_of
+from metapp.shards import ShardWriter
+from metapp.task import Fitted, Task
+
+PARADIGMS = ("general", "overfit", "finetune", "quickft", "meta")
+
+
+@pytest.fixture(scope="module")
+def scenes() -> list[Task]:
+    """Cornell boxes of few samples each."""
+    return [transport_task(f"box-{i}", random_scene(i), i, samples=2048, held=512) for i in range(6)]
+
+
+@pytest.fixture
+def data(scenes: list[Task], tmp_path: Path) -> Path:
+    folder = tmp_path / "data"
+    with ShardWriter(folder, "transport", UNITS, {}) as writer:
+        for i, task in enumerate(scenes):
+            writer.add(task, "train" if i < 5 else "test")
+    return folder
+
+
+@pytest.fixture(autouse=True)
+def small(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A small network, a few steps, few paths."""
+
+    def short(training):  # type: ignore[no-untyped-def]
+        return replace(training, steps=2, tasks=2, warmup=0, tuned=False)
+
+    quick = APP.recipes["quick"]
+    recipe = replace(
+        quick,
+        steps=2,
+        batch=256,
+        overfit_steps=30,
+        finetune_steps=3,
+        general=short(quick.general),
+        meta={name: short(training) for name, training in quick.meta.items()},
+        setup=Setup(Flow(code=3, hidden=8, bins=4)),
+    )
+    monkeypatch.setitem(APP.recipes, "quick", recipe)
+    monkeypatch.setattr("metapp.apps.transport.SHOWN", 4)
+    monkeypatch.setattr("metapp.apps.transport.GLANCE", 1)
+    monkeypatch.setattr(images, "table_of", functools.partial(table_of, places=8, cells=8))
+    monkeypatch.setattr(images, "SPP", 64)
+    monkeypatch.setattr(images, "REFERENCE_SPP", 16)
+
+
+def test_train_fit_and_compare(metapp: Callable, data: Path, tmp_path: Path) -> None:
+    runs = tmp_path / "runs"
+    for paradigm in PARADIGMS:
+        train = () if paradigm in ("overfit", "finetune") else ("--train", "--train-steps", "2")
+        result = metapp(paradigm, "transport", "--data", data, "--out", runs, "--json", *train)
+        assert result.code == 0, result.err
+        document = result.document
+        assert (document["app"], document["paradigm"], len(document["tasks"])) == ("transport", paradigm, 1)
+        assert np.isfinite(document["error"])
+        made = Path(document["out"]) / "outputs" / "box-5"
+        assert {path.name for path in made.iterdir()} == {"guided.exr", "guided.png", "regular.exr", "regular.png"}
+        guided, regular = (oiio.ImageBuf(str(made / f"{name}.exr")).get_pixels() for name in ("guided", "regular"))
+        assert guided.shape == (64, 64, 3)
+        assert float(np.mean(guided)) == pytest.approx(float(np.mean(regular)), rel=0.2)
+        assert (Path(document["out"]) / "pictures.png").is_file()
+    result = metapp("evaluate", "transport", "--data", data, "--out", runs, "--json")
+    assert result.code == 0, result.err
+    rows = {row["paradigm"]: row["error"] for row in result.document["rows"]}
+    assert set(PARADIGMS) <= set(rows)
+    assert rows["overfit"] < 0  # below the uniform density's
+
+
+def test_pictures_are_judged_at_equal_paths_and_in_equal_time(scenes: list[Task]) -> None:
+    task, app = scenes[0], APP.at(APP.recipes["quick"])
+    theta = {key: value[0] for key, value in app.init(torch.Generator().manual_seed(0), 1).items()}
+    found = app.image_errors({"instant": Fitted(theta, 0.0), "endless": Fitted(theta, 1e9)}, task)
+    assert list(found) == ["regular", "instant", "endless"]
+    measures = {"MAPE", "SMAPE", "DSSIM"}
+    for name, each in found.items():
+        assert set(each) - {images.EQUAL_TIME} == measures | {"time"}
+        assert all(0 < value < 2 for key, value in each.items() if key in measures)
+        # the start's density is uniform, as Regular's is: the same picture but for noise
+        assert all(each[key] == pytest.approx(found["regular"][key], rel=0.2) for key in measures), name
+        assert each["time"] > 0
+    assert found["regular"][images.EQUAL_TIME] == found["regular"]["MAPE"]
+    assert images.EQUAL_TIME not in found["endless"]
+    assert app.image_errors({"instant": Fitted(theta, 0.0)}, task._replace(data={})) == {}
+
+
+def test_guided_means_are_those_of_the_reference(scenes: list[Task]) -> None:
+    """On five scenes, by a guide that is far from them: within 3 standard errors, from 12 pictures each."""
+    flow = Flow(code=3, hidden=8, bins=4)
+    generator = torch.Generator().manual_seed(0)
+    theta = {key: value[0] for key, value in flow.init(generator, 1).items()}
+    theta = {key: value + 0.3 * torch.randn(value.shape, generator=generator) for key, value in theta.items()}
+    theta["z"] = theta["z"] / flow.gain
+    theta |= {key: theta[key] / flow.film_gain for key in ("film.x", "film.y")}
+    table = table_of(flow, theta, places=8, cells=16)
+    for task in scenes[:5]:
+        studio = images.Studio(task.data["scene"].numpy().tobytes(), size=16)
+        guide = studio.paths.Guide(table.sample, table.density)
+        shots = [studio.paths.render(studio.tracer, 32, 16, seed, guide).mean() for seed in range(12)]
+        means, wanted = torch.stack(shots).double(), float(studio.paths.reference(studio.tracer, 16, 256).mean())
+        error = float(means.std() / len(means) ** 0.5)
+        assert abs(float(means.mean()) - wanted) < 3 * error + 0.003 * wanted, task.name  # the reference's own error
+        assert error < 0.05 * wanted

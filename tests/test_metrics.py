@@ -1,0 +1,51 @@
+"""Error measures of pictures: closed forms, symmetry, and what they do not depend on."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from torch import Generator, Tensor
+
+from metapp.metrics import dssim, mape, smape
+
+
+@pytest.fixture
+def pictures() -> Tensor:
+    return 0.1 + torch.rand(3, 3, 32, 32, generator=Generator().manual_seed(0))
+
+
+@pytest.mark.parametrize("measure", [mape, smape, dssim])
+def test_a_picture_has_no_error_against_itself(measure, pictures: Tensor) -> None:  # type: ignore[no-untyped-def]
+    torch.testing.assert_close(measure(pictures, pictures), torch.zeros(3), atol=1e-5, rtol=0)
+
+
+@pytest.mark.parametrize("measure", [mape, smape, dssim])
+def test_errors_are_of_each_picture_and_of_no_unit(measure, pictures: Tensor) -> None:  # type: ignore[no-untyped-def]
+    wanted = pictures.flip(0) + 0.5
+    each = measure(pictures, wanted)
+    assert each.shape == (3,)
+    assert len(set(each.tolist())) > 1
+    torch.testing.assert_close(measure(pictures[1:2], wanted[1:2]), each[1:2])
+    torch.testing.assert_close(measure(7 * pictures, 7 * wanted), each)
+
+
+def test_what_is_a_fifth_brighter_is_20_percent_off(pictures: Tensor) -> None:
+    torch.testing.assert_close(mape(1.2 * pictures, pictures), torch.full((3,), 0.2))
+    torch.testing.assert_close(smape(1.2 * pictures, pictures), torch.full((3,), 2 * 0.2 / 2.2))
+    torch.testing.assert_close(smape(pictures, 1.2 * pictures), torch.full((3,), 2 * 0.2 / 2.2))
+    torch.testing.assert_close(smape(torch.zeros_like(pictures), pictures), torch.full((3,), 2.0))
+
+
+def test_black_pixels_have_finite_errors(pictures: Tensor) -> None:
+    black = pictures.clone()
+    black[:, :, :4] = 0
+    noisy = black + 1e-4
+    assert mape(noisy, black).max() < 0.05
+    assert smape(noisy, black).max() < 0.05
+
+
+def test_structure_counts_for_dssim(pictures: Tensor) -> None:
+    noise = 0.3 * torch.rand(pictures.shape, generator=Generator().manual_seed(1))
+    little, much = dssim(pictures + 0.1 * noise, pictures), dssim(pictures + noise, pictures)
+    assert (little < much).all()
+    assert (dssim(pictures.flip(3), pictures) > 0.5).all()

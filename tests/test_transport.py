@@ -1,0 +1,369 @@
+"""Transport: splines, the flow, its table, the encoder and what an application promises beside the common contract."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from torch import Generator, Tensor
+
+from data_tools.cornell import random_scene
+from data_tools.path_space import Tracer
+from metapp.apps.transport import APP, QUICK, Setup, Transport, spline, views
+from metapp.apps.transport.flow import Flow, blobs, interpolated
+from metapp.apps.transport.guide import table_of
+from metapp.learning import MetaParameters
+from metapp.paradigms import Job, paradigms
+from metapp.task import Params, Task, Tasks, stack
+
+FLOW = Flow(rows=4, columns=4, code=3, hidden=8, bins=5, film_bins=8, blobs=6)
+RECIPE = replace(QUICK, setup=Setup(FLOW))
+
+
+def rng(seed: int = 0) -> Generator:
+    return Generator().manual_seed(seed)
+
+
+def numbers(bins: int, count: int, scale: float = 1.5, seed: int = 0) -> Tensor:
+    """Of `count` splines, float64 [3 K + 1, count]."""
+    return scale * torch.randn(spline.size(bins), count, generator=rng(seed), dtype=torch.float64)
+
+
+def bent(flow: Flow, seed: int = 0, scale: float = 0.5) -> Params:
+    """Parameters of a flow that is far from the identity, float64, task axis 1."""
+    generator = rng(seed)
+    start = flow.init(generator, 1)
+    gains = {"z": flow.gain, "film.x": flow.film_gain, "film.y": flow.film_gain}
+    scales = {key: scale / gains.get(key, 1.0) for key in start}
+    return {
+        key: value.double() + scales[key] * torch.randn(value.shape, generator=generator)
+        for key, value in start.items()
+    }
+
+
+# Splines
+
+
+@pytest.mark.parametrize("bins", [1, 2, 12])
+def test_a_spline_of_zeros_is_the_identity(bins: int) -> None:
+    places = torch.linspace(0, 1, 33, dtype=torch.float64)
+    zeros = torch.zeros(spline.size(bins), 1, dtype=torch.float64)
+    torch.testing.assert_close(spline.cumulative(zeros, places), places)
+    torch.testing.assert_close(spline.log_density(zeros, places), torch.zeros_like(places), atol=1e-9, rtol=0)
+
+
+@pytest.mark.parametrize("bins", [1, 2, 7, 32])
+def test_a_spline_and_its_inverse(bins: int) -> None:
+    many, places = numbers(bins, 400), torch.rand(400, generator=rng(1), dtype=torch.float64)
+    masses = spline.cumulative(many, places)
+    found, log_density = spline.quantile(many, masses)
+    torch.testing.assert_close(found, places, atol=1e-8, rtol=0)
+    torch.testing.assert_close(log_density, spline.log_density(many, places), atol=1e-5, rtol=0)
+
+
+def test_a_spline_goes_up_from_0_to_1() -> None:
+    places = torch.linspace(0, 1, 2001, dtype=torch.float64)
+    for seed in range(5):
+        one = numbers(6, 1, scale=3.0, seed=seed)
+        masses = spline.cumulative(one, places)
+        assert float(masses[0]) == pytest.approx(0, abs=1e-12)
+        assert float(masses[-1]) == pytest.approx(1, abs=1e-12)
+        assert (masses.diff() > 0).all()
+
+
+def test_the_density_is_the_slope() -> None:
+    many = numbers(7, 300)
+    places = torch.rand(300, generator=rng(2), dtype=torch.float64).requires_grad_()
+    (slope,) = torch.autograd.grad(spline.cumulative(many, places).sum(), places)
+    torch.testing.assert_close(spline.log_density(many, places).exp(), slope)
+
+
+def test_derivatives_of_the_log_density_are_those_of_differences() -> None:
+    """First and second ones, in all numbers: what exact second order rests on."""
+    many = numbers(4, 6).requires_grad_()
+    places = torch.rand(6, generator=rng(3), dtype=torch.float64)
+    assert torch.autograd.gradcheck(lambda n: spline.log_density(n, places), many)
+    assert torch.autograd.gradgradcheck(lambda n: spline.log_density(n, places), many)
+
+
+def test_one_mass_moves_one_bin_up_and_all_others_down() -> None:
+    zeros = torch.zeros(spline.size(4), 1)
+    more = zeros.clone()
+    more[4 + 2] = 1.0
+    places = (torch.arange(4) + 0.5) / 4
+    change = spline.log_density(more, places) - spline.log_density(zeros, places)
+    assert change[2] > 0
+    assert (change[[0, 1, 3]] < 0).all()
+
+
+# The flow
+
+
+def test_a_flow_is_the_identity_at_first() -> None:
+    flow = Flow()
+    theta = flow.init(rng(), 3)
+    points = torch.rand(3, 4, 50, generator=rng(1))
+    for part in flow.log_density(theta, points):
+        torch.testing.assert_close(part, torch.zeros(3, 50), atol=1e-5, rtol=0)
+    drawn, log_density = flow.sample_directions(theta, points[:, :2], points[:, 2:])
+    torch.testing.assert_close(drawn, points[:, 2:], atol=1e-5, rtol=0)
+    torch.testing.assert_close(log_density, torch.zeros(3, 50), atol=1e-5, rtol=0)
+
+
+def middles(count: int) -> Tensor:
+    """Of the cells of a grid over the unit square, [1, 2, count * count]."""
+    each = (torch.arange(count, dtype=torch.float64) + 0.5) / count
+    return torch.stack(torch.meshgrid(each, each, indexing="ij")).flatten(1)[None]
+
+
+def test_both_densities_integrate_to_1() -> None:
+    theta, square = bent(FLOW, scale=0.2), middles(200)
+    film, _ = FLOW.log_density(theta, torch.cat([square, square], 1))
+    assert float(film.exp().mean()) == pytest.approx(1, abs=2e-3)
+    for place in ((0.1, 0.9), (0.55, 0.3)):
+        there = torch.tensor(place, dtype=torch.float64)[None, :, None].expand(1, 2, square.shape[2])
+        _, directions = FLOW.log_density(theta, torch.cat([there, square], 1))
+        assert float(directions.exp().mean()) == pytest.approx(1, abs=2e-3)
+
+
+@pytest.mark.parametrize("directions", [2, 4])
+def test_the_density_is_the_inverse_of_the_jacobian_of_sampling(directions: int) -> None:
+    flow = FLOW._replace(directions=directions)
+    theta = bent(flow, scale=0.2)
+
+    def drawn(uniform: Tensor) -> Tensor:
+        film, _ = flow.sample_film(theta, uniform[None, :2, None])
+        towards, _ = flow.sample_directions(theta, film, uniform[None, 2:, None])
+        return torch.cat([film, towards], 1)[0, :, 0]
+
+    for seed in range(4):
+        uniform = torch.rand(2 + directions, generator=rng(seed), dtype=torch.float64)
+        jacobian = torch.autograd.functional.jacobian(drawn, uniform)
+        film, towards = flow.log_density(theta, drawn(uniform)[None, :, None])
+        assert float(torch.linalg.det(jacobian).log()) == pytest.approx(-float(film + towards), abs=1e-5)
+
+
+def test_what_is_sampled_has_the_density_that_it_says() -> None:
+    theta = bent(FLOW)
+    uniform = torch.rand(1, 4, 500, generator=rng(1), dtype=torch.float64)
+    film, first = FLOW.sample_film(theta, uniform[:, :2])
+    directions, second = FLOW.sample_directions(theta, film, uniform[:, 2:])
+    expected = FLOW.log_density(theta, torch.cat([film, directions], 1))
+    torch.testing.assert_close(first, expected[0], atol=1e-5, rtol=0)
+    torch.testing.assert_close(second, expected[1], atol=1e-5, rtol=0)
+
+
+def test_the_loss_has_the_gradient_of_differences() -> None:
+    theta = bent(FLOW, scale=0.2)
+    points = torch.rand(1, 4, 40, generator=rng(1), dtype=torch.float64)
+
+    def loss(values: Params) -> Tensor:
+        film, directions = FLOW.log_density(values, points)
+        return -(film + directions).mean()
+
+    for key in theta:
+        value = theta[key].clone().requires_grad_()
+        (gradient,) = torch.autograd.grad(loss(theta | {key: value}), value)
+        assert float(gradient.abs().max()) > 0, key
+        way = torch.randn(value.shape, generator=rng(5), dtype=torch.float64)
+        ends = [float(loss(theta | {key: theta[key] + step * way})) for step in (1e-6, -1e-6)]
+        assert (ends[0] - ends[1]) / 2e-6 == pytest.approx(float((gradient * way).sum()), rel=1e-4, abs=1e-7), key
+
+
+def test_flows_side_by_side_are_flows_alone() -> None:
+    each = [bent(FLOW, seed) for seed in range(3)]
+    points = torch.rand(3, 4, 20, generator=rng(1), dtype=torch.float64)
+    together = FLOW.log_density({key: torch.cat([one[key] for one in each]) for key in each[0]}, points)
+    for i, one in enumerate(each):
+        for part, alone in zip(together, FLOW.log_density(one, points[i : i + 1]), strict=True):
+            torch.testing.assert_close(part[i], alone[0])
+
+
+def test_blobs_and_grids_are_linear_between_centres() -> None:
+    x = torch.rand(1, 100, generator=rng(), dtype=torch.float64)
+    torch.testing.assert_close(blobs(x, 6).sum(1), torch.ones(1, 100, dtype=torch.float64))
+    inside = x.clamp(0.5 / 6, 5.5 / 6)
+    centres = (torch.arange(6, dtype=torch.float64) + 0.5) / 6
+    torch.testing.assert_close((blobs(inside, 6) * centres[:, None]).sum(1), inside)
+    y = torch.rand(1, 100, generator=rng(1), dtype=torch.float64).clamp(0.5 / 4, 3.5 / 4)
+    rows = (torch.arange(4, dtype=torch.float64) + 0.5) / 4
+    grid = torch.stack([centres.expand(4, 6), rows[:, None].expand(4, 6)])[None]
+    torch.testing.assert_close(interpolated(grid, inside, y), torch.stack([inside, y], 1))
+
+
+# The table
+
+
+def test_a_table_is_the_flow_in_cells() -> None:
+    theta = {key: value[0].float() for key, value in bent(FLOW, scale=0.2).items()}
+    table = table_of(FLOW, theta, places=8, cells=32)
+    torch.testing.assert_close(table.masses.sum(1), torch.ones(64), atol=1e-5, rtol=0)
+    place = torch.tensor([5.5 / 8, 2.5 / 8])
+    square = middles(32).float()
+    one = {key: value[None] for key, value in theta.items()}
+    _, directions = FLOW.log_density(one, torch.cat([place[None, :, None].expand(1, 2, 1024), square], 1))
+    found = table.density(place.expand(1024, 2), square[0].T)
+    assert float((found - directions[0].exp()).abs().mean()) < 0.02
+
+
+def test_what_a_table_draws_has_the_density_that_it_says() -> None:
+    """Also as its numbers say: of 200,000 draws as many fall into each cell as its mass is, within 5 deviations."""
+    theta = {key: value[0].float() for key, value in bent(FLOW).items()}
+    table = table_of(FLOW, theta, places=4, cells=8)
+    torch.manual_seed(0)
+    count = 200_000
+    place = torch.tensor([0.6, 0.3]).expand(count, 2)
+    drawn, density = table.sample(place)
+    assert drawn.min() >= 0
+    assert drawn.max() < 1
+    torch.testing.assert_close(density, table.density(place, drawn))
+    cell = (drawn * 8).long()
+    seen = torch.bincount(cell[:, 0] * 8 + cell[:, 1], minlength=64) / count
+    mass = table.masses[1 * 4 + 2]
+    assert ((seen - mass).abs() < 5 * (mass / count).sqrt() + 1e-5).all()
+
+
+def test_a_guide_leaves_means_as_they_are() -> None:
+    """Of any function: the mean over draws, over their density, mixed with uniform ones, is that over the square."""
+    theta = {key: value[0].float() for key, value in bent(FLOW, seed=3).items()}
+    table = table_of(FLOW, theta, places=4, cells=8)
+    torch.manual_seed(1)
+    film = torch.rand(400_000, 2)
+    guided, density = table.sample(film)
+    uniform = torch.rand(100_000, 2)
+    all_densities = torch.cat([density, table.density(film[:100_000], uniform)])
+    share = 0.2  # of uniform ones
+    value = torch.cat([guided, uniform])
+    value = (6 * value[:, 0]).sin().square() * value[:, 1] / (share + (1 - share) * all_densities)
+    expected = (0.5 - math.sin(12) / 24) / 2
+    error = (0.8 * value[:400_000].var() / 500_000 + 0.2 * value[400_000:].var() / 500_000).sqrt()
+    assert abs(float(value.mean()) - expected) < 4 * float(error)
+
+
+# The application
+
+
+def room(seed: int, count: int = 4096) -> Task:
+    """Samples with a lamp on the film and, elsewhere, directions towards it; a picture of where they are."""
+    generator = rng(seed)
+    lamp = 0.2 + 0.6 * torch.rand(2, generator=generator)
+    points = torch.rand(2 * count, 4, generator=generator)
+    lit = torch.rand(2 * count, generator=generator) < 0.3
+    points[lit, :2] = lamp + 0.05 * (torch.rand(int(lit.sum()), 2, generator=generator) - 0.5)
+    near = (lamp - points[:, :2]) * 0.5 + 0.5
+    points[~lit, 2:] = (near + 0.05 * torch.randn(2 * count, 2, generator=generator)).clamp(0, 0.9999)[~lit]
+    film = (points[:, :2] * 8).long()
+    image = torch.bincount(film[:, 1] * 8 + film[:, 0], minlength=64).float().reshape(8, 8) / (2 * count / 64)
+    data = {"samples": points[:count], "held": points[count:], "image": image.expand(3, 8, 8).clone()}
+    return Task(f"room-{seed}", data)
+
+
+@pytest.fixture
+def app() -> Transport:
+    return APP.at(RECIPE)
+
+
+@pytest.fixture
+def tasks(app: Transport) -> Tasks:
+    return stack(app, [room(seed) for seed in range(4)])
+
+
+def test_errors_are_of_held_out_samples_and_add_up(app: Transport, tasks: Tasks) -> None:
+    theta = {key: value.repeat(4, *[1] * (value.ndim - 1)).float() for key, value in bent(FLOW).items()}
+    errors = app.errors(theta, tasks)
+    torch.testing.assert_close(errors["error"], errors["film"] + errors["directions"])
+    torch.testing.assert_close(errors["error"], app.loss(theta, {"points": tasks.data["held"].mT}, {}))
+
+
+def test_overfit_finds_the_lamp_and_where_it_is_from_each_place(app: Transport, tasks: Tasks) -> None:
+    job = Job(app, replace(RECIPE, overfit_steps=150, batch=1024), "")
+    theta = paradigms()["overfit"].fit(job, MetaParameters(), tasks, rng())
+    errors = app.errors(theta, tasks)
+    assert (errors["film"] < -0.5).all()
+    assert (errors["directions"] < -0.7).all()
+
+
+def test_an_untrained_encoder_says_what_the_picture_says(app: Transport, tasks: Tasks) -> None:
+    encoder = app.init_encoder(rng())
+    theta = app.encode(encoder, app.observe(tasks, rng()))
+    expected = app.init(rng(), 4)
+    assert {key: value.shape for key, value in theta.items()} == {key: each.shape for key, each in expected.items()}
+    each = (torch.arange(8) + 0.5) / 8
+    y, x = (values.flatten() for values in torch.meshgrid(each, each, indexing="ij"))
+    points = torch.stack([x, y, x, y]).expand(4, 4, 64)
+    film = FLOW.log_density(theta, points)[0].exp().reshape(4, 8, 8)
+    image = tasks.data["image"][:, 0]
+    for found, wanted in zip(film, image, strict=True):
+        assert float(torch.corrcoef(torch.stack([found.flatten(), wanted.flatten()]))[0, 1]) > 0.98
+
+
+def test_a_picture_of_another_size_is_refused(app: Transport, tasks: Tasks) -> None:
+    encoder = app.init_encoder(rng())
+    with pytest.raises(ValueError, match="picture: 16 px a side, expected 8"):
+        app.encode(encoder, {"image": torch.ones(1, 3, 16, 16)})
+
+
+def test_samples_of_another_dimension_are_refused(app: Transport) -> None:
+    task = room(0)
+    six = task._replace(data=task.data | {"samples": torch.rand(10, 6)})
+    with pytest.raises(ValueError, match="room-0: samples of 6 coordinates, expected 4; make the data anew"):
+        app.prepare(six)
+
+
+def test_variants_are_mirrored_or_not(app: Transport, tasks: Tasks) -> None:
+    made = app.augment(tasks.select([0, 1, 2, 3, 0, 1, 2, 3]), rng(2))
+    seen = set()
+    for i in range(8):
+        plain, variant = tasks.data["samples"][i % 4], made.data["samples"][i]
+        same = torch.equal(plain, variant)
+        turned = torch.stack([1 - plain[:, 0], plain[:, 1], 1 - plain[:, 2], plain[:, 3]], 1)
+        assert same or torch.allclose(turned, variant, atol=1e-6)
+        picture = tasks.data["image"][i % 4]
+        picture = picture if same else picture.flip(2)
+        assert float((made.data["image"][i] / picture.clamp_min(1e-6)).log().abs().mean()) < 0.5
+        seen.add(same)
+    assert seen == {True, False}
+    assert made.data["samples"].max() < 1
+
+
+def mirrored(scene: dict[str, Any]) -> dict[str, Any]:
+    """The same scene with left and right exchanged."""
+    flip = np.diag([-1.0, 1.0, 1.0, 1.0])
+
+    def turn(value: Any) -> Any:
+        if not isinstance(value, dict):
+            return value
+        return {k: (flip @ np.array(v) @ flip).tolist() if k == "to_world" else turn(v) for k, v in value.items()}
+
+    return {**turn(scene), "sensor": scene["sensor"]}
+
+
+def test_the_tracer_mirrors_scenes_as_variants_do() -> None:
+    """What leaves the first surface towards a light carries the same in both."""
+    for seed in (1, 2):
+        scene, points = random_scene(seed), torch.rand(2**15, 4, generator=rng(seed))
+        turned = torch.where(torch.tensor([True, False, True, False]), 1 - points, points)
+        plain, other = (
+            Tracer(each, depth=2).contributions(where, rng())
+            for each, where in ((scene, points), (mirrored(scene), turned))
+        )
+        lit = plain.sum(1) > 0
+        assert lit.sum() > 100
+        assert float(((plain - other).abs().sum(1) < 1e-3 * plain.sum(1))[lit].float().mean()) > 0.98
+
+
+def test_pictures_of_a_flow_and_of_samples_drawn_from_it_agree() -> None:
+    theta = bent(FLOW, scale=0.3)
+    uniform = torch.rand(1, 4, 60_000, generator=rng(1), dtype=torch.float64)
+    film, _ = FLOW.sample_film(theta, uniform[:, :2])
+    directions, _ = FLOW.sample_directions(theta, film, uniform[:, 2:])
+    drawn = views.picture_of_samples(torch.cat([film, directions], 1)[0].T.float())
+    fit = views.picture_of_flow(FLOW, {key: value[0].float() for key, value in theta.items()})
+    assert fit.shape == drawn.shape == (128, 256, 3)
+    assert float((fit - drawn).abs().mean()) < 0.04
+    other = views.picture_of_flow(FLOW, {key: value[0].float() for key, value in bent(FLOW, 7, 0.3).items()})
+    assert float((fit - other).abs().mean()) > 0.05
