@@ -82,7 +82,7 @@ QUICK = Recipe(
     steps=15,
     batch=1,
     overfit_steps=1000,
-    overfit=Adam(1e-2, final=0.0),
+    overfit=Adam(3e-3, beta2=0.99, final=0.0),
     finetune_steps=100,
     finetune=Adam(3e-3, final=0.0),
     quickft=Adam(3e-3, beta1=0.6, beta2=0.98, final=0.1),
