@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import Any, ClassVar, Self
 
 import torch
 from torch import Generator, Tensor
 
 from metapp.networks import LocalField
-from metapp.task import App, Batch, Params, Recipe, Tasks
+from metapp.task import App, Batch, Fitted, Params, Recipe, Task, Tasks, stack
 
 
 class CodedApp(App):
@@ -21,10 +22,12 @@ class CodedApp(App):
     Attributes:
         all_recipes: the recipes of each protocol.
         setup: a recipe's; holds the `field`.
+        of_pictures: which `errors` are of pictures, and what tables of these call them.
     """
 
     all_recipes: ClassVar[dict[str, dict[str, Recipe]]]
     setup: Any
+    of_pictures: ClassVar[dict[str, str]]
     protocols = ("reference", "photo")
     small_kernels = True
     random = False
@@ -71,6 +74,15 @@ class CodedApp(App):
         count = len(observed["photo"])
         shared = {key: value.expand(count, *value.shape) for key, value in parts["decoder"].items()}
         return self.read(parts["encoder"], observed["photo"]) | shared
+
+    def image_errors(self, fits: Mapping[str, Fitted], task: Task) -> dict[str, dict[str, float]]:
+        """Those errors that are of pictures; of a task without reference none."""
+        stacked, measured = stack(self, [task]), {}
+        for name, fit in fits.items():
+            if errors := self.errors({key: value[None] for key, value in fit.theta.items()}, stacked):
+                errors["error"] = self.scale * errors["error"]
+                measured[name] = {title: float(errors[key]) for key, title in self.of_pictures.items()}
+        return measured
 
 
 def norm(difference: Tensor, shape: Params) -> Tensor:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import functools
 import importlib
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -27,7 +26,7 @@ from metapp.latlong import (
 )
 from metapp.networks import LocalField
 from metapp.photograph import Camera, Material, develop, photograph, shade
-from metapp.task import AS_PUBLISHED, Adam, Batch, Fitted, Params, Recipe, Task, Tasks, Training, Visible, stack
+from metapp.task import AS_PUBLISHED, Adam, Batch, Params, Recipe, Task, Tasks, Training, Visible
 
 DARK = 0.01  # of a map of mean luminance 1: the log of radiance is flat below
 DIM = 0.02  # the same for what surfaces send out
@@ -127,6 +126,7 @@ class Illumination(CodedApp):
     inputs = "an HDR map (.exr, .hdr), an LDR photo of a sphere that touches its borders, or a folder of these"
     measure = "mean absolute error of a second scene's picture under the map"
     image_measure = "the second scene under the map; its SSIM after tone mapping"
+    of_pictures = {"error": "MAE x100", "relative": "relative MAE", "ssim": "SSIM"}  # noqa: RUF012  (never written to)
     scale = 100.0
     all_recipes = RECIPES
     radiance = ("map",)
@@ -260,16 +260,6 @@ class Illumination(CodedApp):
             "ssim": ssim.reshape(-1),
             "map": logs,
         }
-
-    def image_errors(self, fits: Mapping[str, Fitted], task: Task) -> dict[str, dict[str, float]]:
-        """Of the second scene's picture: the table's error, the same relative to the picture's mean, and SSIM."""
-        stacked, measured = stack(self, [task]), {}
-        for name, fit in fits.items():
-            errors = self.errors({key: value[None] for key, value in fit.theta.items()}, stacked)
-            if errors:
-                error, relative, ssim = (float(errors[key]) for key in ("error", "relative", "ssim"))
-                measured[name] = {f"MAE x{self.scale:g}": self.scale * error, "relative MAE": relative, "SSIM": ssim}
-        return measured
 
     @torch.no_grad()
     def outputs(self, theta: Params, task: Task) -> dict[str, Any]:

@@ -17,7 +17,7 @@ from metapp.coded import CodedApp, norm
 from metapp.colour import linear_to_srgb, srgb_to_linear
 from metapp.flash import Maps, camera, expose, positions, relightings, render
 from metapp.networks import LocalField
-from metapp.task import AS_PUBLISHED, Adam, Batch, Params, Recipe, Task, Tasks, Training
+from metapp.task import AS_PUBLISHED, Adam, Batch, Params, Recipe, Task, Tasks, Training, Visible
 
 DARK = 0.1  # of white: the log of radiance is flat below
 CLIPPED = 0.95  # of white: what a photograph shows no more
@@ -126,6 +126,8 @@ class SvbrdfNonstationary(CodedApp):
     readers = ("svbrdf_inputs",)
     inputs = "a flash photo of a flat material, a strip, a material's maps, or a folder of these"
     measure = "mean absolute difference of log(radiance + 0.1) under 12 other lights, from elsewhere"
+    image_measure = "renderings under 12 other lights: difference of logs, and SSIM at gamma 2.2"
+    of_pictures = {"error": "log L1", "ssim": "SSIM"}  # noqa: RUF012  (never written to)
     all_recipes = RECIPES
     raw = ("normal", "roughness")
 
@@ -217,6 +219,12 @@ class SvbrdfNonstationary(CodedApp):
         names = tuple(f"variant of {name}" for name in tasks.picked_names())
         data = {"photo": photos} | self.described(maps)
         return Tasks(names, data, torch.arange(len(maps), device=maps.device))
+
+    def visible(self, task: Task) -> Visible:
+        """The maps or the photograph, all of it in each step; General's encoder reads the photograph alone."""
+        if self.protocol == "photo":
+            return Visible(1, task.data["photo"].nbytes, 1)
+        return Visible(1, task.data["maps"].nbytes, 0)
 
     @torch.no_grad()
     def errors(self, theta: Params, tasks: Tasks) -> dict[str, Tensor]:
