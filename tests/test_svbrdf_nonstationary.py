@@ -14,8 +14,9 @@ from torch.nn.functional import interpolate, normalize
 
 from data_tools.svbrdf_task import flash_photo, pack, svbrdf_task
 from metapp.apps import svbrdf_nonstationary
-from metapp.apps.svbrdf_nonstationary import APP, QUICK, Setup, SvbrdfNonstationary, field_of, pooled, unpacked
+from metapp.apps.svbrdf_nonstationary import APP, QUICK, Setup, SvbrdfNonstationary, field_of
 from metapp.apps.svbrdf_nonstationary.encoder import Encoder
+from metapp.apps.svbrdf_nonstationary.maps import pooled, unpacked
 from metapp.apps.svbrdf_nonstationary.variants import _mixed, _recoloured, _turned, varied
 from metapp.apps.svbrdf_nonstationary.views import (
     FLASH,

@@ -11,11 +11,20 @@ from torch import Generator, Tensor
 from torch.nn.functional import adaptive_avg_pool2d, normalize, relu
 
 from metapp.apps.svbrdf_nonstationary.encoder import Encoder
+from metapp.apps.svbrdf_nonstationary.maps import (
+    differences,
+    displayed,
+    linear,
+    photo_of,
+    pooled,
+    relit,
+    sheet,
+    unpacked,
+)
 from metapp.apps.svbrdf_nonstationary.variants import varied
 from metapp.apps.svbrdf_nonstationary.views import FLASH, flash_of, mirroring_pairs, oblique_pairs, photographed, seen
 from metapp.coded import CodedApp, norm
-from metapp.colour import linear_to_srgb, srgb_to_linear
-from metapp.flash import Maps, camera, expose, positions, relightings, render
+from metapp.flash import Maps, expose, positions, render
 from metapp.networks import LocalField
 from metapp.task import AS_PUBLISHED, Adam, Batch, Params, Recipe, Task, Tasks, Training, Visible
 
@@ -134,7 +143,7 @@ class SvbrdfNonstationary(CodedApp):
     def prepare(self, task: Task) -> dict[str, Tensor]:
         """`photo`, linear [3, H, W], and `maps` [10, H, W] with what they look like under RIG lights, `lit`."""
         size = (self.field.height, self.field.width)
-        photo = {"photo": adaptive_avg_pool2d(_linear(task.data["photo"]), size)}
+        photo = {"photo": adaptive_avg_pool2d(linear(task.data["photo"]), size)}
         if "maps" in task.data:
             described = self.described(pooled(task.data["maps"].float(), size)[None])
             return photo | {key: value[0] for key, value in described.items()}
@@ -255,51 +264,20 @@ class SvbrdfNonstationary(CodedApp):
     @torch.no_grad()
     def outputs(self, theta: Params, task: Task) -> dict[str, Any]:
         """Four maps above what they look like under the flash and three other lights, beside those of the fit."""
-        photo = self._photo_at(task, LARGEST)
-        shown = {"fit": _sheet(self.maps_of({key: value[None] for key, value in theta.items()}, photo), photo)}
+        photo = photo_of(task, LARGEST)
+        shown = {"fit": sheet(self.maps_of({key: value[None] for key, value in theta.items()}, photo), photo)}
         if "maps" in task.data:
             target = unpacked(pooled(task.data["maps"].float(), photo.shape[-2:])[None])
-            shown = {"reference": _sheet(target, photo)} | shown
+            shown = {"reference": sheet(target, photo)} | shown
         return shown
 
     @torch.no_grad()
     def files(self, theta: Params, task: Task) -> dict[str, Tensor]:
         """The maps, as fine as the photograph up to 256 px, and pictures under three other lights."""
-        photo = self._photo_at(task, LARGEST)
+        photo = photo_of(task, LARGEST)
         maps = self.maps_of({key: value[None] for key, value in theta.items()}, photo)
-        pictures = {f"lit_from_{name}": picture for name, picture in _relit(maps).items()}
-        return {name: picture.permute(1, 2, 0) for name, picture in (_displayed(maps) | pictures).items()}
-
-    def _photo_at(self, task: Task, largest: int) -> Tensor:
-        """The photograph, linear [1, 3, S, S], as fine as it is, but no finer than that."""
-        side = min(largest, task.data["photo"].shape[-1])
-        return adaptive_avg_pool2d(_linear(task.data["photo"])[None], side)
-
-
-def _linear(photo: Tensor) -> Tensor:
-    return srgb_to_linear(photo.float() / 255)
-
-
-def unpacked(maps: Tensor) -> Maps:
-    """Maps of one tensor [..., 10, H, W] in the order of tasks: normal, diffuse, roughness, specular."""
-    normal, diffuse, roughness, specular = maps.split((3, 3, 1, 3), -3)
-    return Maps(diffuse, specular, roughness, normal)
-
-
-def pooled(maps: Tensor, size: Any) -> Tensor:
-    """Maps [10, H, W] at another size, normals of unit length."""
-    maps = adaptive_avg_pool2d(maps, tuple(size))
-    return torch.cat([normalize(maps[:3], dim=0), maps[3:]])
-
-
-def differences(maps: Maps, target: Maps) -> list[Tensor]:
-    """Of diffuse and specular colour at gamma 2.2, of roughness and of normals, [T, C, H, W] each."""
-    colours = [_shades(each) - _shades(other) for each, other in zip(maps[:2], target[:2], strict=True)]
-    return [*colours, maps.roughness - target.roughness, maps.normal - target.normal]
-
-
-def _shades(colour: Tensor) -> Tensor:
-    return (colour + 1e-3) ** (1 / 2.2)
+        pictures = {f"lit_from_{name}": picture for name, picture in relit(maps).items()}
+        return {name: picture.permute(1, 2, 0) for name, picture in (displayed(maps) | pictures).items()}
 
 
 def draw_pairs(counts: tuple[int, int], rng: Generator, tasks: int) -> Tensor:
@@ -310,34 +288,6 @@ def draw_pairs(counts: tuple[int, int], rng: Generator, tasks: int) -> Tensor:
 def _pairs(counts: tuple[int, int]) -> Tensor:
     """The same ones for all tasks and for ever, [V, 2, 3]."""
     return draw_pairs(counts, Generator().manual_seed(sum(counts)), 1)[0]
-
-
-def _displayed(maps: Maps) -> dict[str, Tensor]:
-    """Maps [1, ...] as images [1 or 3, H, W] in [0, 1]: colours as sRGB, the others as they are."""
-    parts = Maps(*(part[0] for part in maps))
-    return {
-        "normal": parts.normal * 0.5 + 0.5,
-        "diffuse": linear_to_srgb(parts.diffuse),
-        "roughness": parts.roughness,
-        "specular": linear_to_srgb(parts.specular),
-    }
-
-
-def _relit(maps: Maps) -> dict[str, Tensor]:
-    """Display values [3, H, W] of maps [1, ...] under three other lights, by name."""
-    place = positions(*maps.diffuse.shape[-2:], dtype=maps.diffuse.dtype, device=maps.diffuse.device)
-    pairs = relightings(device=place.device)
-    return {name: expose(render(maps, place, light, view))[0] for name, (light, view) in pairs.items()}
-
-
-def _sheet(maps: Maps, photo: Tensor) -> Tensor:
-    """One linear picture [H, W, 3]: four maps; below, the photograph's light and three others."""
-    eye = camera(dtype=photo.dtype, device=photo.device)
-    place = positions(*photo.shape[-2:], dtype=photo.dtype, device=photo.device)
-    flash = expose(render(maps, place, eye, eye))[0]
-    above = [part.expand(3, -1, -1) for part in _displayed(maps).values()]
-    rows = [torch.cat(row, 2) for row in (above, [flash, *_relit(maps).values()])]
-    return srgb_to_linear(torch.cat(rows, 1)).permute(1, 2, 0)
 
 
 APP = SvbrdfNonstationary(QUICK.setup, "reference")

@@ -1,0 +1,74 @@
+"""Maps of a flat material: as tasks keep them, how far two are apart, and how they are shown."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+from torch import Tensor
+from torch.nn.functional import adaptive_avg_pool2d, normalize
+
+from metapp.colour import linear_to_srgb, srgb_to_linear
+from metapp.flash import Maps, camera, expose, positions, relightings, render
+from metapp.task import Task
+
+
+def linear(photo: Tensor) -> Tensor:
+    """A photograph as tasks keep it, uint8 sRGB of any shape, in linear RGB."""
+    return srgb_to_linear(photo.float() / 255)
+
+
+def photo_of(task: Task, largest: int) -> Tensor:
+    """The photograph, linear [1, 3, S, S], as fine as it is, but no finer than that."""
+    side = min(largest, task.data["photo"].shape[-1])
+    return adaptive_avg_pool2d(linear(task.data["photo"])[None], side)
+
+
+def unpacked(maps: Tensor) -> Maps:
+    """Maps of one tensor [..., 10, H, W] in the order of tasks: normal, diffuse, roughness, specular."""
+    normal, diffuse, roughness, specular = maps.split((3, 3, 1, 3), -3)
+    return Maps(diffuse, specular, roughness, normal)
+
+
+def pooled(maps: Tensor, size: Any) -> Tensor:
+    """Maps [10, H, W] at another size, normals of unit length."""
+    maps = adaptive_avg_pool2d(maps, tuple(size))
+    return torch.cat([normalize(maps[:3], dim=0), maps[3:]])
+
+
+def differences(maps: Maps, target: Maps) -> list[Tensor]:
+    """Of diffuse and specular colour at gamma 2.2, of roughness and of normals, [T, C, H, W] each."""
+    colours = [_shades(each) - _shades(other) for each, other in zip(maps[:2], target[:2], strict=True)]
+    return [*colours, maps.roughness - target.roughness, maps.normal - target.normal]
+
+
+def _shades(colour: Tensor) -> Tensor:
+    return (colour + 1e-3) ** (1 / 2.2)
+
+
+def displayed(maps: Maps) -> dict[str, Tensor]:
+    """Maps [1, ...] as images [1 or 3, H, W] in [0, 1]: colours as sRGB, the others as they are."""
+    parts = Maps(*(part[0] for part in maps))
+    return {
+        "normal": parts.normal * 0.5 + 0.5,
+        "diffuse": linear_to_srgb(parts.diffuse),
+        "roughness": parts.roughness,
+        "specular": linear_to_srgb(parts.specular),
+    }
+
+
+def relit(maps: Maps) -> dict[str, Tensor]:
+    """Display values [3, H, W] of maps [1, ...] under three other lights, by name."""
+    place = positions(*maps.diffuse.shape[-2:], dtype=maps.diffuse.dtype, device=maps.diffuse.device)
+    pairs = relightings(device=place.device)
+    return {name: expose(render(maps, place, light, view))[0] for name, (light, view) in pairs.items()}
+
+
+def sheet(maps: Maps, photo: Tensor) -> Tensor:
+    """One linear picture [H, W, 3]: four maps; below, the photograph's light and three others."""
+    eye = camera(dtype=photo.dtype, device=photo.device)
+    place = positions(*photo.shape[-2:], dtype=photo.dtype, device=photo.device)
+    flash = expose(render(maps, place, eye, eye))[0]
+    above = [part.expand(3, -1, -1) for part in displayed(maps).values()]
+    rows = [torch.cat(row, 2) for row in (above, [flash, *relit(maps).values()])]
+    return srgb_to_linear(torch.cat(rows, 1)).permute(1, 2, 0)
