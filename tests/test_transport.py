@@ -200,7 +200,7 @@ def test_blobs_and_grids_are_linear_between_centres() -> None:
 
 def test_a_table_is_the_flow_in_cells() -> None:
     theta = {key: value[0].float() for key, value in bent(FLOW, scale=0.2).items()}
-    table = table_of(FLOW, theta, places=8, cells=32)
+    table = table_of(FLOW, theta, places=8, cells=32, power=1.0)
     torch.testing.assert_close(table.masses.sum(1), torch.ones(64), atol=1e-5, rtol=0)
     place = torch.tensor([5.5 / 8, 2.5 / 8])
     square = middles(32).float()
@@ -208,6 +208,10 @@ def test_a_table_is_the_flow_in_cells() -> None:
     _, directions = FLOW.log_density(one, torch.cat([place[None, :, None].expand(1, 2, 1024), square], 1))
     found = table.density(place.expand(1024, 2), square[0].T)
     assert float((found - directions[0].exp()).abs().mean()) < 0.02
+    root = table_of(FLOW, theta, places=8, cells=32, power=0.5)
+    torch.testing.assert_close(root.masses.sum(1), torch.ones(64), atol=1e-5, rtol=0)
+    ratio = root.masses.square() / table.masses
+    torch.testing.assert_close(ratio, ratio[:, :1].expand_as(ratio), rtol=1e-3, atol=0)
 
 
 def test_what_a_table_draws_has_the_density_that_it_says() -> None:

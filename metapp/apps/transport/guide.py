@@ -12,6 +12,7 @@ from metapp.apps.transport.flow import Flow
 from metapp.task import Params
 
 PLACES, CELLS = 32, 32  # along a side of the film, and of the directions of each place
+POWER = 0.5
 
 
 class Table(NamedTuple):
@@ -57,8 +58,8 @@ class Table(NamedTuple):
 
 
 @torch.no_grad()
-def table_of(flow: Flow, theta: Params, places: int = PLACES, cells: int = CELLS) -> Table:
-    """The first direction's density, looked up at the middle of each place on the film.
+def table_of(flow: Flow, theta: Params, places: int = PLACES, cells: int = CELLS, power: float = POWER) -> Table:
+    """A power of the first direction's density, looked up at the middle of each place on the film.
 
     Args:
         flow: the network.
@@ -66,6 +67,9 @@ def table_of(flow: Flow, theta: Params, places: int = PLACES, cells: int = CELLS
         places: rows and columns of places on the film.
         cells: rows and columns of cells of directions; the rows, of the first coordinate, hold exactly the flow's mass,
             and share it as the flow does at their middle.
+        power: of the density; 1 is the flow's own. The best density for a mean goes with the root of the mean square of
+            what paths carry. Most carry nothing and the others about as much as each other, so that the mean square
+            goes with the mean, which is what the flow has learned.
     """
     one = {key: value[None] for key, value in theta.items()}
     middles = (torch.arange(places, device=theta["z"].device) + 0.5) / places
@@ -73,19 +77,11 @@ def table_of(flow: Flow, theta: Params, places: int = PLACES, cells: int = CELLS
     rows = []
     for y in middles:
         trunk = flow.trunk(one, middles[None], y.expand(1, places))
-        first = _shares(flow.numbers(one, 0, trunk, middles.new_empty(1, 0, places)), cells)  # [1, cells, places]
+        first = spline.shares(flow.numbers(one, 0, trunk, middles.new_empty(1, 0, places)), cells)  # [1, cells, places]
         before = across.repeat(places)[None, None]
-        second = _shares(flow.numbers(one, 1, trunk.repeat_interleave(cells, 2), before), cells)
+        second = spline.shares(flow.numbers(one, 1, trunk.repeat_interleave(cells, 2), before), cells)
         rows.append(first[0].T[..., None] * second[0].T.reshape(places, cells, cells))
-    return _table(torch.cat(rows).flatten(1))
-
-
-def _shares(numbers: Tensor, cells: int) -> Tensor:
-    """The splines' masses between evenly spaced places, [..., cells, N]."""
-    like = numbers[..., 0, :]
-    within = [spline.cumulative(numbers, torch.full_like(like, i / cells)) for i in range(1, cells)]
-    ends = torch.stack([torch.zeros_like(like), *within, torch.ones_like(like)], -2)
-    return ends.diff(dim=-2).clamp_min(0)
+    return _table(torch.cat(rows).flatten(1) ** power)
 
 
 def _table(masses: Tensor) -> Table:

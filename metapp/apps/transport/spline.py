@@ -113,7 +113,18 @@ def log_density(numbers: Tensor, places: Tensor) -> Tensor:
 
 def cumulative(numbers: Tensor, places: Tensor) -> Tensor:
     """The splines themselves: the mass left of places in [0, 1], of the shapes of `log_density`."""
-    splines = splines_of(numbers)
+    return _mass_left(splines_of(numbers), places)
+
+
+def shares(numbers: Tensor, cells: int) -> Tensor:
+    """The masses of so many cells of the same width, [..., cells, N]."""
+    splines, like = splines_of(numbers), numbers[..., 0, :]
+    within = [_mass_left(splines, torch.full_like(like, i / cells)) for i in range(1, cells)]
+    ends = torch.stack([torch.zeros_like(like), *within, torch.ones_like(like)], -2)
+    return ends.diff(dim=-2).clamp_min(0)
+
+
+def _mass_left(splines: Splines, places: Tensor) -> Tensor:
     found, t = _find(splines, places)
     both, mass = t * (1 - t), _at(splines.masses, found.which)
     share = (t * t + found.first * both) / (1 + (found.first + found.last - 2) * both)

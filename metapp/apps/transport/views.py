@@ -31,7 +31,7 @@ def picture_of_flow(flow: Flow, theta: Params, scene: Tensor | None = None) -> T
     points = torch.stack([x, y, *[torch.full_like(x, 0.5)] * flow.directions])[None]
     one = {key: value[None] for key, value in theta.items()}
     film = flow.log_density(one, points)[0].exp().reshape(FILM, FILM)
-    table = table_of(flow, theta, FILM, CELLS).masses
+    table = table_of(flow, theta, FILM, CELLS, power=1.0).masses
     table = (table * film.reshape(-1, 1)).reshape(PARTS, FILM // PARTS, PARTS, FILM // PARTS, CELLS, CELLS)
     return picture(film[None] if scene is None else scene, table.sum((1, 3)))
 
