@@ -91,7 +91,7 @@ def test_check_says_what_a_set_holds_and_what_is_wrong(metapp: Callable, gold: P
     result = metapp("data", "check", tmp_path)
     assert result.code == 0
     assert result.err == ""
-    assert "brdf, 1 train + 0 test tasks, 0.1 MB" in result.out
+    assert "brdf, 1 train + 0 test tasks, 0.2 MB" in result.out
     assert "reflectance: 1/sr; linear RGB" in result.out
     assert result.out.endswith("no problems\n")
     payload = bytearray((tmp_path / "gold.safetensors").read_bytes())
