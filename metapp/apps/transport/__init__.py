@@ -15,7 +15,7 @@ from metapp.apps.transport.images import image_errors, studio_of
 from metapp.apps.transport.views import picture_of_flow, picture_of_samples
 from metapp.task import AS_PUBLISHED, Adam, App, Batch, Fitted, Params, Recipe, Task, Tasks, Training, Visible
 
-SHOWN, GLANCE = 64, 16  # paths a pixel of the pictures that a run leaves, and of those in its overview
+SHOWN, GLANCE = 512, 256  # paths a pixel of the pictures that a run leaves, and of those in its overview
 WANTED = 2048  # samples of a training scene that preparation judges a fit by
 JITTER = 0.1  # of what augmentation adds to the log of a picture
 
