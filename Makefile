@@ -50,7 +50,7 @@ TABLES := results quickft image ablation storage samples convergence
 
 .PHONY: $(TABLES:%=table-%)
 
-tables: $(TABLES:%=table-%)  ## all tables on the embedded data, beside the paper's figures: half an hour
+tables: $(TABLES:%=table-%)  ## all tables on the embedded data, beside the paper's figures: 20 minutes
 
 table-results: setup  ## error and time of the five paradigms
 	$(EVALUATE) --which results
