@@ -27,8 +27,8 @@ import torch
 from torch import Tensor
 
 from data_tools.photos import LINEAR, SIZE, SUFFIXES, central_square, find_photos, read_pixels, resample
-from data_tools.svbrdf_task import UNITS, pack, svbrdf_task, task_name, unit_normals
-from metapp.flash import Maps
+from data_tools.svbrdf_task import UNITS, svbrdf_task, task_name, unit_normals
+from metapp.flash import Maps, pack
 from metapp.shards import split_auto
 from metapp.task import Task
 

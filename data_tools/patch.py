@@ -12,8 +12,7 @@ import torch
 from torch import Tensor
 
 from data_tools.patterns import Field, Rng, blur, fbm, mix, step
-from data_tools.svbrdf_task import pack
-from metapp.flash import Maps, normal_from_height
+from metapp.flash import Maps, normal_from_height, pack
 
 SMOOTHEST, ROUGHEST = 0.1, 0.95
 

@@ -31,8 +31,8 @@ from data_tools.photos import (
     silent,
 )
 from data_tools.svbrdf_task import UNITS as OF_TASKS
-from data_tools.svbrdf_task import encoded, pack, svbrdf_task, task_name, unit_normals
-from metapp.flash import Maps
+from data_tools.svbrdf_task import encoded, svbrdf_task, task_name, unit_normals
+from metapp.flash import Maps, pack
 from metapp.task import Task
 
 __all__ = ["UNITS", "find", "group_strips", "is_strip", "read_task", "recognises", "split_strips", "task_name"]

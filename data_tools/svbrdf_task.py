@@ -10,7 +10,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from metapp.colour import linear_to_srgb
-from metapp.flash import Maps, camera, positions, render
+from metapp.flash import camera, positions, render, unpack
 from metapp.task import Task
 
 UNITS = {
@@ -23,24 +23,12 @@ _MIN_HEIGHT = 0.3  # mean z of normals; a picture of middle brightness has 0
 _LOWEST = 0.02  # z of a normal: what points into the surface cannot be seen
 
 
-def pack(maps: Maps) -> Tensor:
-    """Maps without a leading axis, C = 1 or 3 specular channels, as one tensor [10, H, W]."""
-    specular = maps.specular.expand(3, -1, -1)
-    return torch.cat([maps.normal, maps.diffuse, maps.roughness, specular])
-
-
-def unpack(maps: Tensor) -> Maps:
-    """The inverse of `pack`, for [..., 10, H, W]."""
-    normal, diffuse, roughness, specular = maps.split((3, 3, 1, 3), -3)
-    return Maps(diffuse, specular, roughness, normal)
-
-
 def svbrdf_task(name: str, maps: Tensor, *, photo: Tensor | None = None, group: str = "") -> Task:
     """A material as a task.
 
     Args:
         name: of the task.
-        maps: [10, S, S], as `pack` gives them.
+        maps: [10, S, S], as `metapp.flash.pack` gives them.
         photo: uint8 [3, S, S]; rendered from the maps where there is none.
         group: what it shows, where several tasks show the same.
 

@@ -128,8 +128,7 @@ class ExemplarApp(App):
         channels = torch.rand(count, 3, generator=rng, device=device).argsort(1)[..., None, None]
         images = torch.cat(exemplars)
         images = images.gather(1, channels.expand(images.shape))
-        names = tuple(f"variant of {name}" for name in tasks.picked_names())
-        return Tasks(names, self.describe(images), torch.arange(count, device=device))
+        return tasks.variants(self.describe(images))
 
     def visible(self, task: Task) -> Visible:
         """The exemplar, all of it in each step."""

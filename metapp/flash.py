@@ -42,6 +42,18 @@ class Maps(NamedTuple):
     normal: Tensor
 
 
+def pack(maps: Maps) -> Tensor:
+    """Maps without a leading axis, C = 1 or 3 specular channels, as one tensor [10, H, W]."""
+    specular = maps.specular.expand(3, -1, -1)
+    return torch.cat([maps.normal, maps.diffuse, maps.roughness, specular])
+
+
+def unpack(maps: Tensor) -> Maps:
+    """The inverse of `pack`, for [..., 10, H, W]."""
+    normal, diffuse, roughness, specular = maps.split((3, 3, 1, 3), -3)
+    return Maps(diffuse, specular, roughness, normal)
+
+
 def camera_distance(fov_rad: float = FOV_RAD) -> float:
     """Height from which a camera of this field of view (rad, along the shorter side) sees exactly the patch."""
     return 1 / math.tan(fov_rad / 2)

@@ -13,12 +13,12 @@ import torch
 from torch import Generator
 
 from data_tools.brdf_task import brdf_task
-from data_tools.svbrdf_task import pack, svbrdf_task
+from data_tools.svbrdf_task import svbrdf_task
 from data_tools.synthetic_brdf import synthetic_materials
 from metapp.apps import app_names, illumination, load_app, svbrdf_nonstationary, transport
 from metapp.apps.transport.flow import Flow
 from metapp.exemplar import Setup
-from metapp.flash import Maps, normal_from_height
+from metapp.flash import Maps, normal_from_height, pack
 from metapp.latlong import directions, mean_luminance
 from metapp.learning import MetaParameters, learn, task_loss
 from metapp.networks import LocalField, UNet

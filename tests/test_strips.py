@@ -15,8 +15,8 @@ from torch import Tensor
 
 from data_tools import strips, svbrdf_inputs
 from data_tools.strips import blend, group_strips, split_strips
-from data_tools.svbrdf_task import encoded, flash_photo, pack, unpack
-from metapp.flash import Maps, normal_from_height
+from data_tools.svbrdf_task import encoded, flash_photo
+from metapp.flash import Maps, normal_from_height, pack, unpack
 
 
 def write(path: Path, values: Tensor | np.ndarray, kind: str = "uint8") -> Path:

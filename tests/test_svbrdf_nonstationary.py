@@ -12,11 +12,11 @@ import torch
 from torch import Generator, Tensor
 from torch.nn.functional import interpolate, normalize
 
-from data_tools.svbrdf_task import flash_photo, pack, svbrdf_task
+from data_tools.svbrdf_task import flash_photo, svbrdf_task
 from metapp.apps import svbrdf_nonstationary
 from metapp.apps.svbrdf_nonstationary import APP, QUICK, Setup, SvbrdfNonstationary, field_of
 from metapp.apps.svbrdf_nonstationary.encoder import Encoder
-from metapp.apps.svbrdf_nonstationary.maps import pooled, unpacked
+from metapp.apps.svbrdf_nonstationary.maps import pooled
 from metapp.apps.svbrdf_nonstationary.variants import _mixed, _recoloured, _turned, varied
 from metapp.apps.svbrdf_nonstationary.views import (
     FLASH,
@@ -27,7 +27,7 @@ from metapp.apps.svbrdf_nonstationary.views import (
     seen,
 )
 from metapp.colour import linear_to_srgb, srgb_to_linear
-from metapp.flash import Maps, camera, camera_distance, normal_from_height, positions, render
+from metapp.flash import Maps, camera, camera_distance, normal_from_height, pack, positions, render, unpack
 from metapp.task import Params, Task, Tasks, stack
 
 SIDE = 16
@@ -55,7 +55,7 @@ def tasks(app: SvbrdfNonstationary) -> Tasks:
 @pytest.fixture
 def exact(tasks: Tasks, monkeypatch: pytest.MonkeyPatch) -> Params:
     """Parameters whose field gives the tasks' maps."""
-    truth = unpacked(tasks.data["maps"])
+    truth = unpack(tasks.data["maps"])
     monkeypatch.setattr(SvbrdfNonstationary, "maps_of", lambda app, theta, photo: truth)
     return APP.at(RECIPE).init(Generator().manual_seed(0), 4)
 
@@ -148,13 +148,13 @@ def test_what_fits_see_is_not_what_they_are_judged_by(app: SvbrdfNonstationary) 
 
 def test_a_flash_described_by_zeros_is_the_camera_s() -> None:
     maps = material(0)[None]
-    photo = photographed(unpacked(maps), flash_of(torch.zeros(1, FLASH)))
+    photo = photographed(unpack(maps), flash_of(torch.zeros(1, FLASH)))
     wanted = srgb_to_linear(flash_photo(maps[0]).float() / 255)
     torch.testing.assert_close(photo[0].clamp(0, 1), wanted, atol=0.01, rtol=0.01)  # 8 bits
 
 
 def test_gradients_of_the_flash_are_right() -> None:
-    maps = Maps(*(part.double() for part in unpacked(material(0, 6)[None])))
+    maps = Maps(*(part.double() for part in unpack(material(0, 6)[None])))
     flash = torch.tensor([[0.2, -0.1, 0.3, 0.1]], dtype=torch.float64, requires_grad=True)
     assert torch.autograd.gradcheck(lambda flash: photographed(maps, flash_of(flash)), (flash,))
 
@@ -253,7 +253,7 @@ def test_variants_are_materials(tasks: Tasks, rng: Generator) -> None:
 
 def test_variants_are_photographed_anew(tasks: Tasks, rng: Generator) -> None:
     maps, photos = varied(tasks.data["maps"].repeat(8, 1, 1, 1), rng)
-    straight = photographed(unpacked(maps), flash_of(torch.zeros(32, FLASH))).clamp(0, 1)
+    straight = photographed(unpack(maps), flash_of(torch.zeros(32, FLASH))).clamp(0, 1)
     off = (linear_to_srgb(photos) - linear_to_srgb(straight)).abs().mean((1, 2, 3))
     assert photos.amin() >= 0
     assert photos.amax() <= 1
@@ -278,7 +278,7 @@ def test_a_tilt_is_measured_in_degrees(app: SvbrdfNonstationary, tasks: Tasks, m
     flat = tasks.data["maps"].clone()
     flat[:, :3] = torch.tensor([0.0, 0.0, 1.0])[:, None, None]
     angle = math.radians(10)
-    tilted = unpacked(flat)._replace(normal=torch.tensor([math.sin(angle), 0.0, math.cos(angle)])[:, None, None])
+    tilted = unpack(flat)._replace(normal=torch.tensor([math.sin(angle), 0.0, math.cos(angle)])[:, None, None])
     tilted = tilted._replace(normal=tilted.normal.expand(4, -1, SIDE, SIDE))
     monkeypatch.setattr(SvbrdfNonstationary, "maps_of", lambda app, theta, photo: tilted)
     judged = replace(tasks, data=tasks.data | {"maps": flat})
@@ -347,7 +347,7 @@ def test_pooled_normals_have_unit_length() -> None:
 
 def test_a_lit_patch_is_what_flash_renders(app: SvbrdfNonstationary, tasks: Tasks) -> None:
     light, view = tasks.data["rig"][0, 3]
-    maps = Maps(*(part[2] for part in unpacked(tasks.data["maps"])))
+    maps = Maps(*(part[2] for part in unpack(tasks.data["maps"])))
     wanted = (render(maps, positions(SIDE, SIDE), light, view) + 0.1).log()
     torch.testing.assert_close(tasks.data["lit"][2, 3], wanted)
 

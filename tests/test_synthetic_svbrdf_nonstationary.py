@@ -14,9 +14,9 @@ from torch import Tensor
 from data_tools.patch import Surface, covers, distance, finish, lay, softened
 from data_tools.patch_shapes import box, centred, disc, grid, star, text
 from data_tools.procedural import stream
-from data_tools.svbrdf_task import flash_photo, unpack
+from data_tools.svbrdf_task import flash_photo
 from data_tools.synthetic_svbrdf_nonstationary import COUNTS, FAMILIES, UNITS, synthetic_tasks
-from metapp.flash import Maps
+from metapp.flash import Maps, unpack
 from metapp.manifest import read_manifest
 from metapp.shards import check_shard, read_shard
 from metapp.task import Task

@@ -204,8 +204,7 @@ class Brdf(App):
         gain = torch.exp(0.3 * torch.randn(count, 1, 3, generator=rng, device=device))
         gain = gain * torch.exp(0.3 * torch.randn(count, 1, 1, generator=rng, device=device))
         data = {"where": where[tasks.rows[:, None], columns], "target": torch.log1p(mine.gather(2, channels) * gain)}
-        names = tuple(f"variant of {name}" for name in tasks.picked_names())
-        return Tasks(names, data, torch.arange(count, device=device))
+        return tasks.variants(data)
 
     def errors(self, theta: Params, tasks: Tasks) -> dict[str, Tensor]:
         half = tasks.data["where"].shape[1] // 2

@@ -227,8 +227,7 @@ class Illumination(CodedApp):
         maps = maps.gather(3, columns) * tints
         maps = maps / mean_luminance(maps)[:, None, None, None]
         photos = (photograph(maps, rng, tasks.data["photo"].shape[-1]) * 255).round().to(torch.uint8)
-        names = tuple(f"variant of {name}" for name in tasks.picked_names())
-        return Tasks(names, {"photo": photos} | self.described(maps), torch.arange(count, device=device))
+        return tasks.variants({"photo": photos} | self.described(maps))
 
     def visible(self, task: Task) -> Visible:
         """The map or the photograph, all of it in each step; General's encoder reads the photograph alone."""

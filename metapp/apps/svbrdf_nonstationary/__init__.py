@@ -19,12 +19,11 @@ from metapp.apps.svbrdf_nonstationary.maps import (
     pooled,
     relit,
     sheet,
-    unpacked,
 )
 from metapp.apps.svbrdf_nonstationary.variants import varied
 from metapp.apps.svbrdf_nonstationary.views import FLASH, flash_of, mirroring_pairs, oblique_pairs, photographed, seen
 from metapp.coded import CodedApp, norm
-from metapp.flash import Maps, expose, positions, render
+from metapp.flash import Maps, expose, positions, render, unpack
 from metapp.networks import LocalField
 from metapp.task import AS_PUBLISHED, Adam, Batch, Params, Recipe, Task, Tasks, Training, Visible
 
@@ -157,7 +156,7 @@ class SvbrdfNonstationary(CodedApp):
     def described(self, maps: Tensor) -> dict[str, Tensor]:
         """Maps [T, 10, H, W], RIG lights, `rig`, and the log of what maps send out under these, `lit`."""
         rig = _pairs(RIG).to(maps).expand(len(maps), -1, -1, -1)
-        return {"maps": maps, "rig": rig, "lit": self._logs(unpacked(maps), rig)}
+        return {"maps": maps, "rig": rig, "lit": self._logs(unpack(maps), rig)}
 
     def init(self, rng: Generator, count: int) -> Params:
         return super().init(rng, count) | {"flash": torch.zeros(count, FLASH, device=rng.device)}
@@ -191,7 +190,7 @@ class SvbrdfNonstationary(CodedApp):
     def goal(self, theta: Params, batch: Batch, shape: Params) -> Tensor:
         """Whatever fits see, what is wanted are the maps and what they look like under any light, [T]."""
         maps = self.maps_of(theta, batch["photo"])
-        wanted = self._logs(unpacked(batch["maps"]), batch["pairs"])
+        wanted = self._logs(unpack(batch["maps"]), batch["pairs"])
         pictures = (self._logs(maps, batch["pairs"]) - wanted).abs().mean((1, 2, 3, 4))
         photo = self._photo_loss(theta, maps, batch["photo"], {})
         return pictures + WANTED * self._map_loss(maps, batch["maps"], {}) + SEEN * photo
@@ -204,7 +203,7 @@ class SvbrdfNonstationary(CodedApp):
 
     def _map_loss(self, maps: Maps, target: Tensor, shape: Params) -> Tensor:
         """Sum of the mean differences of maps, [T]; colours as the eye spaces them."""
-        return torch.stack([norm(each, shape).mean((1, 2, 3)) for each in differences(maps, unpacked(target))]).sum(0)
+        return torch.stack([norm(each, shape).mean((1, 2, 3)) for each in differences(maps, unpack(target))]).sum(0)
 
     def _photo_loss(self, theta: Params, maps: Maps, photo: Tensor, shape: Params) -> Tensor:
         """Mean difference of logs, [T]; where the photograph clips, only what is darker than it counts."""
@@ -225,9 +224,7 @@ class SvbrdfNonstationary(CodedApp):
     def augment(self, tasks: Tasks, rng: Generator) -> Tasks:
         """The same materials turned, mirrored, mixed and recoloured, photographed anew."""
         maps, photos = varied(tasks.data["maps"][tasks.rows], rng)
-        names = tuple(f"variant of {name}" for name in tasks.picked_names())
-        data = {"photo": photos} | self.described(maps)
-        return Tasks(names, data, torch.arange(len(maps), device=maps.device))
+        return tasks.variants({"photo": photos} | self.described(maps))
 
     def visible(self, task: Task) -> Visible:
         """The maps or the photograph, all of it in each step; General's encoder reads the photograph alone."""
@@ -246,7 +243,7 @@ class SvbrdfNonstationary(CodedApp):
         # takes half a second to import
         from torchmetrics.functional.image import structural_similarity_index_measure
 
-        photo, target = tasks.data["photo"][tasks.rows], unpacked(tasks.data["maps"][tasks.rows])
+        photo, target = tasks.data["photo"][tasks.rows], unpack(tasks.data["maps"][tasks.rows])
         maps = self.maps_of(theta, photo)
         pairs = _pairs(JUDGED).to(photo)[None]
         found, wanted = self._logs(maps, pairs), self._logs(target, pairs)
@@ -267,7 +264,7 @@ class SvbrdfNonstationary(CodedApp):
         photo = photo_of(task, LARGEST)
         shown = {"fit": sheet(self.maps_of({key: value[None] for key, value in theta.items()}, photo), photo)}
         if "maps" in task.data:
-            target = unpacked(pooled(task.data["maps"].float(), photo.shape[-2:])[None])
+            target = unpack(pooled(task.data["maps"].float(), photo.shape[-2:])[None])
             shown = {"reference": sheet(target, photo)} | shown
         return shown
 

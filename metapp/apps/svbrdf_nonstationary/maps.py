@@ -24,12 +24,6 @@ def photo_of(task: Task, largest: int) -> Tensor:
     return adaptive_avg_pool2d(linear(task.data["photo"])[None], side)
 
 
-def unpacked(maps: Tensor) -> Maps:
-    """Maps of one tensor [..., 10, H, W] in the order of tasks: normal, diffuse, roughness, specular."""
-    normal, diffuse, roughness, specular = maps.split((3, 3, 1, 3), -3)
-    return Maps(diffuse, specular, roughness, normal)
-
-
 def pooled(maps: Tensor, size: Any) -> Tensor:
     """Maps [10, H, W] at another size, normals of unit length."""
     maps = adaptive_avg_pool2d(maps, tuple(size))

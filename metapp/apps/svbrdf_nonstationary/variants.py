@@ -8,7 +8,7 @@ from torch.nn.functional import interpolate, normalize
 
 from metapp.apps.svbrdf_nonstationary.views import FLASH, flash_of, photographed
 from metapp.colour import linear_to_srgb, srgb_to_linear
-from metapp.flash import Maps
+from metapp.flash import unpack
 
 # of the numbers that describe a flash: beside, nearer or farther, brighter or darker
 JITTER = (0.4, 0.4, 0.5, 0.4)
@@ -24,8 +24,7 @@ def varied(maps: Tensor, rng: Generator) -> tuple[Tensor, Tensor]:
     count, device = len(maps), maps.device
     flash = torch.randn(count, FLASH, generator=rng, device=device) * maps.new_tensor(JITTER)
     flash = flash * (torch.rand(count, 1, generator=rng, device=device) > CALIBRATED)
-    normal, diffuse, roughness, specular = maps.split((3, 3, 1, 3), 1)
-    radiance = photographed(Maps(diffuse, specular, roughness, normal), flash_of(flash))
+    radiance = photographed(unpack(maps), flash_of(flash))
     shown = linear_to_srgb(radiance.clamp(0, 1))
     noise = torch.randn(shown.shape, generator=rng, device=device) * 0.01
     noise = noise * torch.rand(count, 1, 1, 1, generator=rng, device=device)

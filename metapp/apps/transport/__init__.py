@@ -160,8 +160,7 @@ class Transport(App):
         across[0], across[2::2] = True, True
         turned = (1 - samples).clamp_max(1 - 2**-24)
         samples = torch.where(mirrored & across, turned, samples)
-        names = tuple(f"variant of {name}" for name in tasks.picked_names())
-        return Tasks(names, {"samples": samples, "image": image}, torch.arange(count, device=device))
+        return tasks.variants({"samples": samples, "image": image})
 
     def visible(self, task: Task) -> Visible:
         """All samples but the held-out ones; General's encoder sees none of them, only the picture."""
