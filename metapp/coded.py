@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from typing import Any, ClassVar, Self
 
 import torch
@@ -60,20 +60,18 @@ class CodedApp(App):
 
     def init_encoder(self, rng: Generator) -> Params:
         """The reader of photographs, and the parameters of the field that all tasks share."""
-        shared = {f"decoder.{key}": value[0] for key, value in self.field.init(rng, 1).items() if key != "z"}
-        return {f"encoder.{key}": value for key, value in self.init_reader(rng).items()} | shared
+        decoder = decoder_of(self.field.init(rng, 1), ("z",))
+        return {f"encoder.{key}": value for key, value in self.init_reader(rng).items()} | decoder
 
     def observe(self, tasks: Tasks, rng: Generator) -> Batch:
         return {"photo": tasks.data["photo"][tasks.rows]}
 
     def encode(self, encoder: Params, observed: Batch) -> Params:
-        parts: dict[str, Params] = {"encoder": {}, "decoder": {}}
-        for name, value in encoder.items():
-            part, key = name.split(".", 1)
-            parts[part][key] = value
-        count = len(observed["photo"])
-        shared = {key: value.expand(count, *value.shape) for key, value in parts["decoder"].items()}
-        return self.read(parts["encoder"], observed["photo"]) | shared
+        return with_decoder(self.read(reader_of(encoder), observed["photo"]), encoder)
+
+    def sample(self, tasks: Tasks, rng: Generator, count: int) -> Batch:
+        """All there is of each task."""
+        return {key: value[tasks.rows] for key, value in tasks.data.items()}
 
     def image_errors(self, fits: Mapping[str, Fitted], task: Task) -> dict[str, dict[str, float]]:
         """Those errors that are of pictures; of a task without reference none."""
@@ -83,6 +81,30 @@ class CodedApp(App):
                 errors["error"] = self.scale * errors["error"]
                 measured[name] = {title: float(errors[key]) for key, title in self.of_pictures.items()}
         return measured
+
+
+def decoder_of(theta: Params, own: Collection[str]) -> Params:
+    """The part of General's encoder that is the network itself: one task's parameters but for the task's own ones.
+
+    Args:
+        theta: parameters [1, ...].
+        own: names of those that the encoder predicts.
+
+    Returns:
+        The others, without a task axis, as `decoder.<name>`.
+    """
+    return {f"decoder.{key}": value[0] for key, value in theta.items() if key not in own}
+
+
+def reader_of(encoder: Params) -> Params:
+    """The part of General's encoder that reads what it is shown, `encoder.<name>`, by name."""
+    return {key.removeprefix("encoder."): value for key, value in encoder.items() if key.startswith("encoder.")}
+
+
+def with_decoder(own: Params, encoder: Params) -> Params:
+    """Tasks' own parameters, `z` [T, ...] among them, and those of General's decoder, the same for each."""
+    shared = {key.removeprefix("decoder."): value for key, value in encoder.items() if key.startswith("decoder.")}
+    return own | {key: value.expand(len(own["z"]), *value.shape) for key, value in shared.items()}
 
 
 def norm(difference: Tensor, shape: Params) -> Tensor:

@@ -10,6 +10,7 @@ import torch
 from torch import Generator, Tensor
 from torch.nn.functional import interpolate, leaky_relu
 
+from metapp.coded import decoder_of, with_decoder
 from metapp.features import Features, describe_features, load_features
 from metapp.networks import UNet
 from metapp.task import App, Batch, Params, Recipe, Task, Tasks, Visible
@@ -91,7 +92,7 @@ class ExemplarApp(App):
         return torch.randn(tasks, count, self.setup.network.noise, *size, generator=rng, device=rng.device)
 
     def init_encoder(self, rng: Generator) -> Params:
-        encoder = {f"decoder.{key}": value[0] for key, value in self.init(rng, 1).items() if key != "z"}
+        encoder = decoder_of(self.init(rng, 1), ("z",))
         sizes = (self.summary_size(), HIDDEN, HIDDEN, self.setup.network.code)
         for layer in (1, 2, 3):
             inputs, outputs = sizes[layer - 1], sizes[layer]
@@ -108,8 +109,7 @@ class ExemplarApp(App):
         for layer in (1, 2, 3):
             x = x @ encoder[f"mlp{layer}.w"].T + encoder[f"mlp{layer}.b"]
             x = leaky_relu(x, 0.2) if layer < 3 else x
-        shared = {key.removeprefix("decoder."): value for key, value in encoder.items() if key.startswith("decoder.")}
-        return {"z": x} | {key: value.expand(len(x), *value.shape) for key, value in shared.items()}
+        return with_decoder({"z": x}, encoder)
 
     def crop(self, image: Tensor, rng: Generator) -> Tensor:
         """A part [3, s, s] of an image [3, S, S] that could have been photographed as well; here all of it."""

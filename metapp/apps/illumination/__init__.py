@@ -170,10 +170,6 @@ class Illumination(CodedApp):
         """Maps, of mean luminance 1 where a photograph does not say how bright they are."""
         return maps if self.protocol == "reference" else maps / mean_luminance(maps)[:, None, None, None]
 
-    def sample(self, tasks: Tasks, rng: Generator, count: int) -> Batch:
-        """The whole of the map and of the photograph; nothing is random."""
-        return {key: value[tasks.rows] for key, value in tasks.data.items()}
-
     def loss(self, theta: Params, batch: Batch, shape: Params) -> Tensor:
         """Of the map or of the photograph, by the protocol, [T]."""
         maps = self.radiance_of(theta)

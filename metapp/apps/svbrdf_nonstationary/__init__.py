@@ -177,7 +177,7 @@ class SvbrdfNonstationary(CodedApp):
     def sample(self, tasks: Tasks, rng: Generator, count: int) -> Batch:
         """All there is of each task; `pairs` [T, V, 2, 3] of light and viewer are random, which the goal looks at."""
         drawn = {"pairs": draw_pairs(DRAWN, rng, len(tasks))} if "maps" in tasks.data else {}
-        return {key: value[tasks.rows] for key, value in tasks.data.items()} | drawn
+        return super().sample(tasks, rng, count) | drawn
 
     def loss(self, theta: Params, batch: Batch, shape: Params) -> Tensor:
         """Of maps and pictures, or of the photograph, by the protocol, [T]."""

@@ -13,6 +13,7 @@ from metapp.apps.transport.encoder import Encoder
 from metapp.apps.transport.flow import Flow
 from metapp.apps.transport.images import image_errors, studio_of
 from metapp.apps.transport.views import picture_of_flow, picture_of_samples
+from metapp.coded import decoder_of, reader_of, with_decoder
 from metapp.task import AS_PUBLISHED, Adam, App, Batch, Fitted, Params, Recipe, Task, Tasks, Training, Visible
 
 SHOWN, GLANCE = 512, 256  # paths a pixel of the pictures that a run leaves, and of those in its overview
@@ -129,21 +130,14 @@ class Transport(App):
 
     def init_encoder(self, rng: Generator) -> Params:
         """The reader of pictures, and the parameters of the flow that all tasks share."""
-        own = ("z", "film.x", "film.y")
-        shared = {f"decoder.{key}": value[0] for key, value in self.flow.init(rng, 1).items() if key not in own}
-        return {f"encoder.{key}": value for key, value in self.setup.encoder.init(rng).items()} | shared
+        decoder = decoder_of(self.flow.init(rng, 1), ("z", "film.x", "film.y"))
+        return {f"encoder.{key}": value for key, value in self.setup.encoder.init(rng).items()} | decoder
 
     def observe(self, tasks: Tasks, rng: Generator) -> Batch:
         return {"image": tasks.data["image"][tasks.rows]}
 
     def encode(self, encoder: Params, observed: Batch) -> Params:
-        parts: dict[str, Params] = {"encoder": {}, "decoder": {}}
-        for name, value in encoder.items():
-            part, key = name.split(".", 1)
-            parts[part][key] = value
-        count = len(observed["image"])
-        shared = {key: value.expand(count, *value.shape) for key, value in parts["decoder"].items()}
-        return self.setup.encoder(parts["encoder"], observed["image"]) | shared
+        return with_decoder(self.setup.encoder(reader_of(encoder), observed["image"]), encoder)
 
     def augment(self, tasks: Tasks, rng: Generator) -> Tasks:
         """The same scenes, some mirrored left to right, their pictures a little noisier.
