@@ -6,16 +6,21 @@ import json
 import math
 import warnings
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
 import pytest
 import torch
 from torch import Tensor
 
+from data_tools.nbrdf import SHAPES
 from data_tools.second_scene import matrix_path
 from metapp.features import weights_path
+from metapp.flash import camera_distance
 from metapp.geometry import above_horizon
+from metapp.task import Recipe, Training
 
 
 class Result(NamedTuple):
@@ -119,6 +124,39 @@ def mitsuba() -> Iterator[Any]:
 
 
 @pytest.fixture(scope="module")
+def photograph(mitsuba: Any) -> Callable[..., Tensor]:
+    """Photo [3, size, size] by Mitsuba of the square [-1, 1]^2 with a BSDF, under a point light, from `camera()`."""
+
+    def photo(bsdf: Callable[[Any], dict[str, Any]], light: Tensor, size: int, samples: int) -> Tensor:
+        pose = mitsuba.ScalarTransform4f().look_at(origin=[0, 0, camera_distance()], target=[0, 0, 0], up=[0, 1, 0])
+        film = {"type": "hdrfilm", "width": size, "height": size, "rfilter": {"type": "box"}, "pixel_format": "rgb"}
+        scene = mitsuba.load_dict(
+            {
+                "type": "scene",
+                "integrator": {"type": "direct"},
+                "sensor": {
+                    "type": "perspective",
+                    "fov": 45,
+                    "to_world": pose,
+                    "film": film,
+                    "sampler": {"type": "stratified", "sample_count": samples},
+                },
+                "light": {
+                    "type": "point",
+                    "position": light.tolist(),
+                    # scalar_rgb would take a bare number for a spectrum of that height as well; RGB is explicit.
+                    "intensity": {"type": "rgb", "value": [math.pi * camera_distance() ** 2] * 3},
+                },
+                "patch": {"type": "rectangle", "bsdf": bsdf(mitsuba)},
+            }
+        )
+        pixels = torch.tensor(mitsuba.render(scene, seed=0).array, dtype=torch.float64)
+        return pixels.reshape(size, size, 3).movedim(-1, 0)
+
+    return photo
+
+
+@pytest.fixture(scope="module")
 def mitsuba_brdf(mitsuba: Any) -> Callable[[dict[str, Any], Tensor, Tensor], Tensor]:
     """BRDF [N, 3] of a Mitsuba plugin for directions [N, 3]; the plugin's own values include the outgoing cosine."""
 
@@ -131,3 +169,43 @@ def mitsuba_brdf(mitsuba: Any) -> Callable[[dict[str, Any], Tensor, Tensor], Ten
         return torch.tensor(values, dtype=torch.float64) / wo[:, 2:]
 
     return evaluate
+
+
+@pytest.fixture
+def short_by_protocol(monkeypatch: pytest.MonkeyPatch) -> Callable[[dict[str, dict[str, Recipe]], Any], None]:
+    """Gives the quick recipes of all protocols another setup and a few steps; without a compiler."""
+
+    def shorten(recipes: dict[str, dict[str, Recipe]], setup: Any) -> None:
+        def short(training: Training) -> Training:
+            return replace(training, steps=2, tasks=2, warmup=0, tuned=False)
+
+        for of_protocol in recipes.values():
+            quick = of_protocol["quick"]
+            short_one = replace(
+                quick,
+                steps=3,
+                overfit_steps=30,
+                finetune_steps=5,
+                general=short(quick.general),
+                meta={name: short(training) for name, training in quick.meta.items()},
+                setup=setup,
+            )
+            monkeypatch.setitem(of_protocol, "quick", short_one)
+        monkeypatch.setattr("metapp.paradigms.prepare.can_compile", lambda: False)
+
+    return shorten
+
+
+@pytest.fixture(scope="session")
+def neural_fits(tmp_path_factory: pytest.TempPathFactory) -> Callable[[int], Path]:
+    """Makes a folder of so many random NBRDF networks, m0, m1, ..., the same each time."""
+
+    def write(count: int) -> Path:
+        folder, rng = tmp_path_factory.mktemp("networks"), np.random.default_rng(0)
+        for i in range(count):
+            (folder / f"m{i}").mkdir()
+            for part, shape in SHAPES.items():
+                np.save(folder / f"m{i}" / f"{part}.npy", rng.normal(0, 0.3, shape).astype(np.float32))
+        return folder
+
+    return write

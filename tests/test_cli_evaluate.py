@@ -18,7 +18,6 @@ import numpy as np
 import pytest
 import torch
 
-from data_tools.nbrdf import SHAPES
 from metapp.apps.brdf import APP
 from metapp.cli.evaluate import find_subjects
 from metapp.cli.figures import FIGURES
@@ -107,14 +106,8 @@ def test_the_papers_figures_have_sources_and_agree_with_each_other() -> None:
 
 
 @pytest.fixture(scope="module")
-def networks(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("networks")
-    rng = np.random.default_rng(0)
-    for i in range(3):
-        (folder / f"m{i}").mkdir()
-        for part, shape in SHAPES.items():
-            np.save(folder / f"m{i}" / f"{part}.npy", rng.normal(0, 0.3, shape).astype(np.float32))
-    return folder
+def networks(neural_fits: Callable[[int], Path]) -> Path:
+    return neural_fits(3)
 
 
 @pytest.fixture(scope="module", autouse=True)

@@ -13,7 +13,7 @@ import pytest
 import torch
 from safetensors.torch import load_file, save_file
 
-from data_tools.nbrdf import SHAPES, read_nbrdf
+from data_tools.nbrdf import read_nbrdf
 from metapp.apps.brdf import APP
 from metapp.records import load_start, read_records
 from metapp.task import Adam, Recipe
@@ -32,14 +32,8 @@ def short(monkeypatch: pytest.MonkeyPatch) -> Recipe:
 
 
 @pytest.fixture(scope="module")
-def networks(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("networks")
-    rng = np.random.default_rng(0)
-    for i in range(10):
-        (folder / f"m{i}").mkdir()
-        for part, shape in SHAPES.items():
-            np.save(folder / f"m{i}" / f"{part}.npy", rng.normal(0, 0.3, shape).astype(np.float32))
-    return folder
+def networks(neural_fits: Callable[[int], Path]) -> Path:
+    return neural_fits(10)
 
 
 @pytest.fixture

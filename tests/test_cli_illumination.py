@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -44,25 +43,9 @@ def png(tmp_path: Path) -> Path:
 
 
 @pytest.fixture(autouse=True)
-def small(monkeypatch: pytest.MonkeyPatch) -> None:
+def small(short_by_protocol: Callable) -> None:
     """Other sizes and a few steps."""
-
-    def short(training):  # type: ignore[no-untyped-def]
-        return replace(training, steps=2, tasks=2, warmup=0, tuned=False)
-
-    for recipes in RECIPES.values():
-        quick = recipes["quick"]
-        short_one = replace(
-            quick,
-            steps=3,
-            overfit_steps=30,
-            finetune_steps=5,
-            general=short(quick.general),
-            meta={name: short(training) for name, training in quick.meta.items()},
-            setup=Setup(LocalField(8, 16, rows=4, columns=8, code=3, hidden=8, layers=2)),
-        )
-        monkeypatch.setitem(recipes, "quick", short_one)
-    monkeypatch.setattr("metapp.paradigms.prepare.can_compile", lambda: False)
+    short_by_protocol(RECIPES, Setup(LocalField(8, 16, rows=4, columns=8, code=3, hidden=8, layers=2)))
 
 
 def test_a_map_is_fitted_and_written(metapp: Callable, exr: Path, tmp_path: Path) -> None:

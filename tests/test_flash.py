@@ -234,39 +234,6 @@ def test_reflection_agrees_with_mitsuba(
 # Mitsuba's camera, light and plane
 
 
-@pytest.fixture(scope="module")
-def photograph(mitsuba: Any) -> Callable[..., Tensor]:
-    """Photo [3, size, size] by Mitsuba of the square [-1, 1]^2 with a BSDF, under a point light, from `camera()`."""
-
-    def photo(bsdf: Callable[[Any], dict[str, Any]], light: Tensor, size: int, samples: int) -> Tensor:
-        pose = mitsuba.ScalarTransform4f().look_at(origin=[0, 0, camera_distance()], target=[0, 0, 0], up=[0, 1, 0])
-        film = {"type": "hdrfilm", "width": size, "height": size, "rfilter": {"type": "box"}, "pixel_format": "rgb"}
-        scene = mitsuba.load_dict(
-            {
-                "type": "scene",
-                "integrator": {"type": "direct"},
-                "sensor": {
-                    "type": "perspective",
-                    "fov": 45,
-                    "to_world": pose,
-                    "film": film,
-                    "sampler": {"type": "stratified", "sample_count": samples},
-                },
-                "light": {
-                    "type": "point",
-                    "position": light.tolist(),
-                    # scalar_rgb would take a bare number for a spectrum of that height as well; RGB is explicit.
-                    "intensity": {"type": "rgb", "value": [math.pi * camera_distance() ** 2] * 3},
-                },
-                "patch": {"type": "rectangle", "bsdf": bsdf(mitsuba)},
-            }
-        )
-        pixels = torch.tensor(mitsuba.render(scene, seed=0).array, dtype=torch.float64)
-        return pixels.reshape(size, size, 3).movedim(-1, 0)
-
-    return photo
-
-
 LIGHT = (0.5, 0.3, 2.0)  # to the right and further up, lower than the camera
 
 
