@@ -10,6 +10,12 @@ import time
 from pathlib import Path
 
 import pytest
+from typer.testing import CliRunner
+
+from metapp.apps import app_names
+from metapp.cli.commands import app as cli
+from metapp.cli.fit import RULE_NAMES
+from metapp.rules import RULES
 
 ROOT = Path(__file__).parent.parent
 FILES = {
@@ -161,3 +167,13 @@ def test_help_answers_at_once(arguments: list[str]) -> None:
     assert done.stdout.splitlines()[-1] == "set()"
     # 0.2 s on an idle machine; the margin is for busy ones, which the list above does not depend on.
     assert time.perf_counter() - start < 3
+
+
+@pytest.mark.parametrize("command", ["meta", "data synth"])
+def test_help_names_all_applications(command: str) -> None:
+    shown = CliRunner().invoke(cli, [*command.split(), "--help"], env={"COLUMNS": "200"}).stdout
+    assert [name for name in app_names() if name not in shown] == []
+
+
+def test_help_names_all_rules() -> None:
+    assert sorted(RULE_NAMES.split(", ")) == sorted(RULES)

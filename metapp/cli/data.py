@@ -52,7 +52,7 @@ def synth(
         str,
         typer.Argument(
             metavar="APP",
-            help="brdf, texture, svbrdf_stationary, svbrdf_nonstationary (data alone), illumination or transport.",
+            help="brdf, texture, svbrdf_stationary, svbrdf_nonstationary, illumination or transport.",
         ),
     ],
     folder: Annotated[

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from metapp.task import App, Task
 
 RULE_NAMES = "meta-sgd, meta-adam, meta-adam-tied, meta-curvature, meta-encoder, meta-lgd, meta-mean, meta-basis"
-APP_HELP = "Application: brdf, texture, svbrdf_stationary, illumination, transport."
+APP_HELP = "Application: brdf, texture, svbrdf_stationary, svbrdf_nonstationary, illumination, transport."
 
 
 def make_command(name: str, summary: str) -> Any:
@@ -35,8 +35,8 @@ def make_command(name: str, summary: str) -> Any:
             typer.Argument(
                 metavar="[INPUT]...",
                 help="What to fit: brdf: MERL .binary files, NBRDF folders; texture: images; svbrdf_stationary: flash "
-                "photos; illumination: HDR maps (.exr, .hdr) or photos of a sphere; transport: Mitsuba scenes. Without "
-                "any, the test tasks of --data.",
+                "photos; svbrdf_nonstationary: strips, a material's maps, flash photos; illumination: HDR maps (.exr, "
+                ".hdr) or photos of a sphere; transport: Mitsuba scenes. Without any, the test tasks of --data.",
             ),
         ] = None,
         steps: Annotated[int | None, typer.Option(help="Gradient steps instead of the recipe's.", min=0)] = None,
