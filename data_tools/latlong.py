@@ -13,6 +13,7 @@ import warnings
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
+from unittest.mock import NonCallableMock
 
 import numpy as np
 import torch
@@ -297,7 +298,8 @@ def _matrix(space: Sequence[float] | str, path: Path) -> Tensor:
 def _colour() -> Any:
     """colour-science, imported without its warning of a missing SciPy, which nothing here needs.
 
-    It may not see OpenImageIO: what it keeps of it would be reported as leaks when Python ends.
+    It may not see OpenImageIO: what it keeps of it would be reported as leaks when Python ends. The mocks that it
+    leaves in place of SciPy go again: other libraries would take them for the package.
     """
     import OpenImageIO as oiio
 
@@ -308,4 +310,6 @@ def _colour() -> Any:
             import colour
     finally:
         sys.modules["OpenImageIO"] = oiio
+    for name in [name for name, module in sys.modules.items() if isinstance(module, NonCallableMock)]:
+        del sys.modules[name]
     return colour
