@@ -11,7 +11,7 @@ import pytest
 import torch
 
 from data_tools.latlong import read_map
-from metapp.apps.illumination import APP, RECIPES, Setup
+from metapp.apps.illumination import RECIPES, Setup
 from metapp.latlong import directions, mean_luminance
 from metapp.networks import LocalField
 from metapp.photograph import photograph
@@ -133,9 +133,9 @@ def test_starts_of_both_protocols(metapp: Callable, tmp_path: Path) -> None:
         result = metapp("quickft", *common, "--observe", observe, "--train", "--train-steps", "2", "--json")
         assert result.code == 0, result.err
     (folder,) = (runs / "illumination" / "starts").iterdir()
-    rule = APP.recipes["quick"].rule
+    rules = {observe: RECIPES[observe]["quick"].rule for observe in ("reference", "photo")}
     names = {path.name.removesuffix(".safetensors") for path in folder.glob("*.safetensors")}
-    assert names == {"general", "quickft", "quickft-photo", rule, f"{rule}-photo"}
+    assert names == {"general", "quickft", "quickft-photo", rules["reference"], f"{rules['photo']}-photo"}
     result = metapp("evaluate", *common, "--format", "markdown")
     assert result.code == 0, result.err
     assert "illumination photo" in result.out

@@ -8,8 +8,9 @@ import pytest
 import torch
 from torch import Generator, Tensor
 
-from metapp.apps.illumination import APP, BODY, GLOSSES, QUICK, Illumination, Setup, body_of
+from metapp.apps.illumination import APP, BODY, BODY_GAIN, GLOSSES, QUICK, Illumination, Setup, body_of
 from metapp.apps.illumination.encoder import Encoder, unwrapped
+from metapp.apps.illumination.variants import mixed, regraded, tinted, turned
 from metapp.latlong import cosine_transfer, directions, mean_luminance
 from metapp.networks import LocalField
 from metapp.photograph import develop, photograph, shade
@@ -112,12 +113,12 @@ def test_the_true_map_sphere_and_camera_look_like_the_photo(
     app: Illumination, tasks: Tasks, monkeypatch: pytest.MonkeyPatch, rng: Generator
 ) -> None:
     photo = app.at(RECIPE, "photo")
-    theta = exact(photo, tasks, monkeypatch) | {"body": 0.5 * torch.randn(4, BODY, generator=rng)}
-    material, camera = body_of(theta["body"])
+    theta = exact(photo, tasks, monkeypatch) | {"body": 0.5 / BODY_GAIN * torch.randn(4, BODY, generator=rng)}
+    material, camera = body_of(BODY_GAIN * theta["body"])
     seen = develop(shade(tasks.data["map"], material, 64, GLOSSES), camera).clamp_max(1)
     batch = {"photo": (seen * 255).round()}  # black around the sphere
     assert photo.loss(theta, batch, {}).max() < 0.005  # rounding, and means of display values
-    darker = {**theta, "body": theta["body"] - torch.eye(BODY)[7]}
+    darker = {**theta, "body": theta["body"] - torch.eye(BODY)[7] / BODY_GAIN}
     assert photo.loss(darker, batch, {}).min() > 0.05
 
 
@@ -125,9 +126,9 @@ def test_what_a_photo_clips_may_be_any_brightness(tasks: Tasks) -> None:
     photo = APP.at(RECIPE, "photo")
     theta = photo.init(Generator().manual_seed(0), 4)
     batch = {"photo": torch.full((4, 3, 64, 64), 255.0)}
-    bright = {**theta, "body": theta["body"] + 12 * torch.eye(BODY)[7]}
+    bright = {**theta, "body": theta["body"] + 12 / BODY_GAIN * torch.eye(BODY)[7]}
     assert photo.loss(bright, batch, {}).max() < 1e-4
-    dark = {**theta, "body": theta["body"] - 4 * torch.eye(BODY)[7]}
+    dark = {**theta, "body": theta["body"] - 4 / BODY_GAIN * torch.eye(BODY)[7]}
     assert photo.loss(dark, batch, {}).min() > 0.05
 
 
@@ -141,7 +142,7 @@ def test_protocols_differ_in_what_fits_see(tasks: Tasks) -> None:
         torch.testing.assert_close(app.loss(small, {**batch, unseen: batch[unseen] * 0}, {}), before)
         assert not torch.allclose(app.loss(small, {**batch, seen: batch[seen] * 0}, {}), before)
     torch.testing.assert_close(mean_luminance(photo.answer(small)), torch.ones(4))
-    brighter = {**small, "out.shift": small["out.shift"] + 1, "body": small["body"] - torch.eye(BODY)[7]}
+    brighter = {**small, "out.shift": small["out.shift"] + 1, "body": small["body"] - torch.eye(BODY)[7] / BODY_GAIN}
     torch.testing.assert_close(photo.goal(brighter, batch, {}), photo.goal(small, batch, {}))  # nobody could tell
     assert not torch.allclose(reference.goal(brighter, batch, {}), reference.goal(small, batch, {}))
 
@@ -186,15 +187,34 @@ def test_turned_maps_have_the_light_of_the_map(app: Illumination, tasks: Tasks, 
     assert not torch.equal(made.data["photo"], tasks.data["photo"])
 
 
-def test_variants_are_the_maps_turned_mirrored_and_tinted(app: Illumination, tasks: Tasks) -> None:
-    made = app.augment(tasks, Generator().manual_seed(5))
-    for row in range(4):
-        found = made.data["map"][row]
-        gray = found.mean(0) / found.mean()
-        both = tasks.data["map"][row], tasks.data["map"][row].flip(-1)
-        candidates = [each.roll(turn, -1) for turn in range(16) for each in both]
-        distances = [float((each.mean(0) / each.mean() - gray).abs().mean()) for each in candidates]
-        assert min(distances) < 0.1 < sorted(distances)[len(distances) // 2]
+def test_variants_are_the_maps_turned_and_mirrored(tasks: Tasks) -> None:
+    maps = tasks.data["map"]
+    for found, original in zip(turned(maps, Generator().manual_seed(5)), maps, strict=True):
+        candidates = [each.roll(turn, -1) for turn in range(16) for each in (original, original.flip(-1))]
+        distances = [float((each - found).abs().mean()) for each in candidates]
+        assert min(distances) == 0 < sorted(distances)[len(distances) // 2]
+
+
+def test_variants_are_tinted(tasks: Tasks, rng: Generator) -> None:
+    maps = tasks.data["map"]
+    ratio = (tinted(maps, rng) / maps).flatten(2)
+    torch.testing.assert_close(ratio, ratio[..., :1].expand_as(ratio))
+    assert ratio[..., 0].std(1).min() > 0
+
+
+def test_some_variants_are_regraded(tasks: Tasks, rng: Generator) -> None:
+    maps = tasks.data["map"].repeat(8, 1, 1, 1)
+    power = (regraded(maps, rng).log() / maps.log()).flatten(1).median(1).values
+    assert 6 < (power != 1).sum() < 26
+    assert 0.7 < power.min() < power.max() < 1.4
+
+
+def test_some_variants_are_mixed(tasks: Tasks, rng: Generator) -> None:
+    maps = tasks.data["map"].repeat(8, 1, 1, 1)
+    found = mixed(maps, rng)
+    own, other = ((found - each).flatten(1).norm(dim=1) for each in (maps, maps.roll(1, 0)))
+    torch.testing.assert_close(own + other, (maps - maps.roll(1, 0)).flatten(1).norm(dim=1))  # in between
+    assert 4 < (own > 0).sum() < 20
 
 
 def test_a_turned_map_sends_what_turned_surfaces_get(app: Illumination) -> None:

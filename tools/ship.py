@@ -1,41 +1,52 @@
 """Copy trained starts to where those that ship lie: ship.py STARTS CHECKPOINTS.
 
-The encoders of Meta's starts are kept in half precision there, which no error shows and halves their size; General's is
-kept as it is, since others name it by its digest.
+Encoders are kept in half precision there, which no error shows and halves their size; starts that name General's by its
+digest name the rounded one.
 """
 
-import shutil
+import json
 import sys
 from pathlib import Path
+from typing import Any
 
 import torch
 from safetensors import safe_open
 from safetensors.torch import save_file
 
+from metapp.records import load_start, tensor_digest
+from metapp.task import Params
+
 SKIPPED = (".previous", ".interrupted")
 
 
-def ship(source: Path, target: Path) -> None:
-    """Copy one start."""
-    if not source.name.startswith("meta-"):
-        shutil.copyfile(source, target)
-        return
+def ship(source: Path, target: Path, rounded: dict[str, str]) -> None:
+    """Copy one start; `rounded` has the digests of encoders before and after rounding."""
     with safe_open(source, "pt") as file:
         tensors = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118  (not a mapping)
-        metadata = file.metadata()
-    save_file(
-        {key: value.half() if _of_encoder(key, value) else value for key, value in tensors.items()}, target, metadata
-    )
+        info: dict[str, Any] = json.loads(file.metadata()["metapp"])
+    if "encoder" in info:
+        info["encoder"] = rounded.get(info["encoder"], info["encoder"])
+    tensors = {key: value.half() if _of_encoder(key, value) else value for key, value in tensors.items()}
+    save_file(tensors, target, {"metapp": json.dumps(info)})
 
 
 def _of_encoder(key: str, value: torch.Tensor) -> bool:
     return key.startswith("encoder.") and value.dtype == torch.float32
 
 
+def digests(general: Path) -> dict[str, str]:
+    """General's digest as it was trained, and as it ships."""
+    if not general.is_file():
+        return {}
+    encoder: Params = load_start(general)[0].encoder
+    return {tensor_digest(encoder): tensor_digest({key: value.half().float() for key, value in encoder.items()})}
+
+
 if __name__ == "__main__":
     folder, checkpoints = map(Path, sys.argv[1:])
     checkpoints.mkdir(parents=True, exist_ok=True)
+    rounded = digests(folder / "general.safetensors")
     for start in sorted(folder.glob("*.safetensors")):
         if not start.stem.endswith(SKIPPED):
-            ship(start, checkpoints / start.name)
+            ship(start, checkpoints / start.name, rounded)
             print(checkpoints / start.name, (checkpoints / start.name).stat().st_size)

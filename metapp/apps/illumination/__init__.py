@@ -3,37 +3,31 @@
 from __future__ import annotations
 
 import functools
-import importlib
 import math
 from dataclasses import dataclass, replace
 from typing import Any
 
 import torch
 from torch import Generator, Tensor
-from torch.nn.functional import avg_pool2d, interpolate, normalize, relu, softmax
+from torch.nn.functional import avg_pool2d, relu, softmax
 
 from metapp.apps.illumination.encoder import Encoder
+from metapp.apps.illumination.surfaces import FACED, MIRRORED, relight, scene, shown, surfaces
+from metapp.apps.illumination.variants import of_mean_1, varied
 from metapp.coded import CodedApp, norm
-from metapp.colour import srgb_to_linear, tone_map
-from metapp.latlong import (
-    cosine_transfer,
-    directions,
-    glossy_transfer,
-    mean_luminance,
-    resample,
-    solid_angles,
-    sphere_normals,
-)
+from metapp.colour import tone_map
+from metapp.latlong import directions, resample, solid_angles, sphere_normals
 from metapp.networks import LocalField
 from metapp.photograph import Camera, Material, develop, photograph, shade
 from metapp.task import AS_PUBLISHED, Adam, Batch, Params, Recipe, Task, Tasks, Training, Visible
 
 DARK = 0.01  # of a map of mean luminance 1: the log of radiance is flat below
 DIM = 0.02  # the same for what surfaces send out
-SEEN = 0.3  # the photograph's weight in the goal
+# weights in the goal, beside what faces the light: of texels, of what mirrors, of the log of both, of the photograph
+TEXELS, MIRRORING, LOGS, SEEN = 0.3, 0.3, 0.2, 0.3
 LIGHT = 0.3  # by how much a texel's own light adds to what it counts in a fit, so that few steps find suns
-FACED, MIRRORED, SHINE = 64, 128, 0.35  # surfaces that the loss looks at: diffuse, glossy and how rough
 BODY = 10  # numbers of a sphere's material and a camera
+BODY_GAIN = 100  # of these: few steps at a network's rate find them, else the map takes their part
 GLOSSES = (0.25, 0.42, 0.7)
 SMALL = 32  # px of the photograph in the loss
 
@@ -56,7 +50,7 @@ class Setup:
 
 # exact second order, from General's encoder, which goes on learning through the steps
 LEARNED = Training(
-    steps=700,
+    steps=300,
     tasks=8,
     rates={"": 1e-4, "alpha.": 1e-2, "alpha.out.": 3e-4, "alpha.in.": 3e-4},
     first=Adam(1.2e-2, beta1=0.6, beta2=0.98, eps=1e-4, final=0.1),
@@ -75,25 +69,27 @@ QUICK = Recipe(
     finetune_steps=300,
     finetune=Adam(1e-2, final=0.0),
     quickft=Adam(1e-2, beta1=0.6, beta2=0.98, final=0.1),
-    general=Training(steps=6000, tasks=16, rates={"": 1e-3}, warmup=100, final=0.0, validate_every=500),
+    general=Training(steps=9000, tasks=16, rates={"": 1e-3}, warmup=100, final=0.0, validate_every=500),
     meta={"meta-encoder": LEARNED, "meta-basis": LEARNED},
     rule="meta-basis",
     setup=Setup(LocalField(32, 64)),
 )
-# A photograph says little that General has not read from it: small steps, smaller still where gradients are; longer
-# training made validation errors worse.
-GENTLE = replace(
+# from photographs slowly and for long: the start has much to learn, such as to leave to the steps what they can find
+FROM_PHOTOS = replace(
     LEARNED,
-    steps=100,
-    rates={"": 3e-5, "alpha.": 5e-3, "alpha.out.": 0.0, "alpha.in.": 0.0},
+    steps=1200,
+    rates={"": 1e-4, "alpha.": 1e-2},
     clip=1.0,
-    first=Adam(5e-3, beta1=0.7, beta2=0.99, eps=1e-3, final=0.1),
+    first=Adam(1e-3, beta1=0.7, beta2=0.99, eps=1e-3, final=0.1),
+    warmup=20,
 )
 QUICK_PHOTO = replace(
     QUICK,
+    overfit=Adam(1e-3, final=0.0),
     finetune=Adam(1e-4, final=0.0),
     quickft=Adam(3e-4, beta1=0.7, beta2=0.99, eps=1e-3, final=0.1),
-    meta={"meta-encoder": GENTLE, "meta-basis": GENTLE},
+    meta={"meta-encoder": FROM_PHOTOS},
+    rule="meta-encoder",
 )
 # 15 inner steps, first-order MAML with Meta-SGD from a random start, as in Fischer & Ritschel 2022, section 4.1.5
 PAPER = replace(
@@ -107,7 +103,9 @@ PAPER = replace(
 RECIPES = {
     "reference": {"paper": PAPER, "quick": QUICK},
     "photo": {
-        "paper": replace(PAPER, finetune=QUICK_PHOTO.finetune, quickft=QUICK_PHOTO.quickft),
+        "paper": replace(
+            PAPER, overfit=QUICK_PHOTO.overfit, finetune=QUICK_PHOTO.finetune, quickft=QUICK_PHOTO.quickft
+        ),
         "quick": QUICK_PHOTO,
     },
 }
@@ -133,7 +131,7 @@ class Illumination(CodedApp):
 
     def prepare(self, task: Task) -> dict[str, Tensor]:
         """`photo` uint8 [3, S, S], and of the map `map` [3, H, W] and `sent`, what surfaces send out under it."""
-        _scene().transfer()  # better missed now than after a fit
+        scene().transfer()  # better missed now than after a fit
         photo = {"photo": task.data["photos"][0]}
         if "map" in task.data:
             described = self.described(task.data["map"][None].float())
@@ -151,7 +149,7 @@ class Illumination(CodedApp):
 
     def _surfaces(self, like: Tensor) -> Tensor:
         """What surfaces send out by a map, [S, H * W]: diffuse ones that face, glossy ones that mirror all around."""
-        return _surfaces(self.field.height, self.field.width).to(like)
+        return surfaces(self.field.height, self.field.width).to(like)
 
     def init(self, rng: Generator, count: int) -> Params:
         return super().init(rng, count) | {"body": torch.zeros(count, BODY, device=rng.device)}
@@ -168,7 +166,7 @@ class Illumination(CodedApp):
 
     def _scaled(self, maps: Tensor) -> Tensor:
         """Maps, of mean luminance 1 where a photograph does not say how bright they are."""
-        return maps if self.protocol == "reference" else maps / mean_luminance(maps)[:, None, None, None]
+        return maps if self.protocol == "reference" else of_mean_1(maps)
 
     def loss(self, theta: Params, batch: Batch, shape: Params) -> Tensor:
         """Of the map or of the photograph, by the protocol, [T]."""
@@ -179,22 +177,30 @@ class Illumination(CodedApp):
         return self._map_loss(maps, batch, shape, light)
 
     def goal(self, theta: Params, batch: Batch, shape: Params) -> Tensor:
-        """Both, [T]: whatever fits see, what is wanted is the map."""
+        """Whatever fits see, what is wanted is the map, [T], above all what diffuse surfaces send out under it."""
         maps = self.radiance_of(theta)
-        return self._map_loss(self._scaled(maps), batch, {}, 0.0) + SEEN * self._photo_loss(theta, maps, batch, {})
+        scaled = self._scaled(maps)
+        sent, logs = self._sent_apart(scaled, batch["sent"], {})
+        texels = _texels(scaled, batch["map"], {}, 0.0)
+        photo = self._photo_loss(theta, maps, batch, {})
+        faced, mirrored = (each.mean((1, 2)) for each in sent.split((FACED, MIRRORED), 2))
+        return faced + MIRRORING * mirrored + LOGS * logs.mean((1, 2)) + TEXELS * texels + SEEN * photo
+
+    def _sent_apart(self, maps: Tensor, target: Tensor, shape: Params) -> tuple[Tensor, Tensor]:
+        """How far what surfaces send out is from the target, and its log, [T, 3, S] each."""
+        sent = maps.flatten(2) @ self._surfaces(maps).T
+        return norm(sent - target, shape), norm((sent + DIM).log() - (target + DIM).log(), shape)
 
     def _map_loss(self, maps: Tensor, batch: Batch, shape: Params, light: Tensor | float) -> Tensor:
         """Mean differences, [T]: of the log of radiance over the sphere; of what surfaces send out, and of its log."""
-        sent = maps.flatten(2) @ self._surfaces(maps).T
-        logs = norm((sent + DIM).log() - (batch["sent"] + DIM).log(), shape)
-        texels = _texels(maps, batch["map"], shape, light)
-        return texels + (logs + norm(sent - batch["sent"], shape)).mean((1, 2))
+        sent, logs = self._sent_apart(maps, batch["sent"], shape)
+        return _texels(maps, batch["map"], shape, light) + (sent + logs).mean((1, 2))
 
     def _photo_loss(self, theta: Params, maps: Tensor, batch: Batch, shape: Params) -> Tensor:
         """Mean difference of display values; where the photograph clips, only what is darker than it counts."""
         side = batch["photo"].shape[-1]
         target = avg_pool2d(batch["photo"].to(maps) / 255, side // SMALL)
-        material, camera = body_of(theta["body"])
+        material, camera = body_of(BODY_GAIN * theta["body"])
         display = develop(shade(maps, material, SMALL, GLOSSES), camera)
         short = target - display
         short = torch.where(target > 0.98, relu(short), short)
@@ -209,19 +215,11 @@ class Illumination(CodedApp):
 
     def read(self, reader: Params, photos: Tensor) -> Params:
         code, body = self.setup.encoder(reader, photos.to(next(iter(reader.values()))) / 255)
-        return {"z": code / self.field.gain, "body": body}
+        return {"z": code / self.field.gain, "body": body / BODY_GAIN}
 
     def augment(self, tasks: Tasks, rng: Generator) -> Tasks:
-        """The same maps turned about the vertical, mirrored and tinted, and new photographs under them."""
-        maps, device = tasks.data["map"][tasks.rows], rng.device
-        count, width = len(maps), maps.shape[-1]
-        turned = torch.randint(width, (count, 1), generator=rng, device=device)
-        mirrored = torch.rand(count, 1, generator=rng, device=device) < 0.5
-        columns = (torch.arange(width, device=device) + turned) % width
-        columns = torch.where(mirrored, columns.flip(1), columns)[:, None, None].expand_as(maps)
-        tints = torch.exp(0.15 * torch.randn(count, 3, 1, 1, generator=rng, device=device))
-        maps = maps.gather(3, columns) * tints
-        maps = maps / mean_luminance(maps)[:, None, None, None]
+        """Relatives of the maps, and new photographs under them."""
+        maps = varied(tasks.data["map"][tasks.rows], rng)
         photos = (photograph(maps, rng, tasks.data["photo"].shape[-1]) * 255).round().to(torch.uint8)
         return tasks.variants({"photo": photos} | self.described(maps))
 
@@ -243,7 +241,7 @@ class Illumination(CodedApp):
         from torchmetrics.functional.image import structural_similarity_index_measure
 
         maps, target = self.answer(theta), tasks.data["map"][tasks.rows]
-        found, wanted = _relight(maps), _relight(target)
+        found, wanted = relight(maps), relight(target)
         error = (found - wanted).abs().mean((1, 2, 3))
         logs = _texels(maps, target, {}, 0.0)
         ssim: Any = structural_similarity_index_measure(
@@ -261,8 +259,8 @@ class Illumination(CodedApp):
         """Map and second scene, tone-mapped, of the reference, beside the photograph, and of the fit."""
         prepared = {key: value[None] for key, value in self.prepare(task).items()}
         fit = self.answer({key: value[None] for key, value in theta.items()})
-        shown = {"reference": prepared["map"]} if "map" in prepared else {}
-        return {name: _shown(maps, prepared["photo"]) for name, maps in (shown | {"fit": fit}).items()}
+        both = ({"reference": prepared["map"]} if "map" in prepared else {}) | {"fit": fit}
+        return {name: shown(maps, prepared["photo"]) for name, maps in both.items()}
 
     @torch.no_grad()
     def files(self, theta: Params, task: Task) -> dict[str, Tensor]:
@@ -271,7 +269,7 @@ class Illumination(CodedApp):
         scale = task.data.get("scale", torch.ones(()))
         return {
             "map": (maps * scale)[0].permute(1, 2, 0),
-            "relit": tone_map(_relight(maps))[0].permute(1, 2, 0),
+            "relit": tone_map(relight(maps))[0].permute(1, 2, 0),
         }
 
 
@@ -292,47 +290,9 @@ def body_of(body: Tensor) -> tuple[Material, Camera]:
 
 
 @functools.lru_cache(maxsize=4)
-def _surfaces(height: int, width: int) -> Tensor:
-    """[FACED + MIRRORED, height * width]: evenly spread normals, and evenly spread mirrored directions."""
-    middle = normalize(_spread(MIRRORED) + torch.tensor([0.0, 0.0, 1.0]), dim=1)  # between them and the viewer
-    glossy = glossy_transfer(middle, SHINE, height, width, samples=2)
-    return torch.cat([cosine_transfer(_spread(FACED), height, width), glossy])
-
-
-@functools.lru_cache(maxsize=4)
 def _inside(side: int) -> Tensor:
     """Which pixels [SMALL, SMALL] of a photograph of so many px a side show nothing but the sphere."""
     return avg_pool2d(sphere_normals(side)[1].float()[None], side // SMALL)[0] > 0.999
-
-
-def _spread(count: int) -> Tensor:
-    """Evenly spread directions [count, 3]: a Fibonacci lattice."""
-    i = torch.arange(count) + 0.5
-    y, phi = 1 - 2 * i / count, i * (math.pi * (1 + math.sqrt(5)))
-    radius = (1 - y * y).sqrt()
-    return torch.stack([radius * phi.sin(), y, -radius * phi.cos()], 1)
-
-
-def _scene() -> Any:
-    """The second scene: a module of data_tools."""
-    return importlib.import_module("data_tools.second_scene")
-
-
-def _relight(maps: Tensor) -> Tensor:
-    """Pictures [T, 3, h, w] of the second scene, linear."""
-    return _scene().relight(maps)
-
-
-def _shown(maps: Tensor, photo: Tensor) -> Tensor:
-    """One linear picture: the map above the second scene, and the photograph in the corner beside that."""
-    scene = tone_map(_relight(maps))[0]
-    height, width = scene.shape[1:]
-    across = width // 3
-    whole = interpolate(tone_map(maps), size=(2 * across, 4 * across), mode="nearest")[0]
-    column = torch.ones(3, height, across)
-    column[:, :across] = avg_pool2d(photo.float() / 255, photo.shape[-1] // across)[0, :, :across, :across]
-    pictures = torch.cat([whole, torch.cat([scene, column], 2)], 1)
-    return srgb_to_linear(pictures).permute(1, 2, 0)
 
 
 APP = Illumination(QUICK.setup, "reference")

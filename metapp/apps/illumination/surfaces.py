@@ -1,0 +1,55 @@
+"""What light is judged by: surfaces that losses look at, and the second scene."""
+
+from __future__ import annotations
+
+import functools
+import importlib
+import math
+from typing import Any
+
+import torch
+from torch import Tensor
+from torch.nn.functional import avg_pool2d, interpolate, normalize
+
+from metapp.colour import srgb_to_linear, tone_map
+from metapp.latlong import cosine_transfer, glossy_transfer
+
+FACED, MIRRORED, SHINE = 64, 128, 0.35  # surfaces that the loss looks at: diffuse, glossy and how rough
+
+
+@functools.lru_cache(maxsize=4)
+def surfaces(height: int, width: int) -> Tensor:
+    """What they send out by a map, [FACED + MIRRORED, height * width]: evenly spread, facing and mirroring."""
+    middle = normalize(_spread(MIRRORED) + torch.tensor([0.0, 0.0, 1.0]), dim=1)  # between them and the viewer
+    glossy = glossy_transfer(middle, SHINE, height, width, samples=2)
+    return torch.cat([cosine_transfer(_spread(FACED), height, width), glossy])
+
+
+def _spread(count: int) -> Tensor:
+    """Evenly spread directions [count, 3]: a Fibonacci lattice."""
+    i = torch.arange(count) + 0.5
+    y, phi = 1 - 2 * i / count, i * (math.pi * (1 + math.sqrt(5)))
+    radius = (1 - y * y).sqrt()
+    return torch.stack([radius * phi.sin(), y, -radius * phi.cos()], 1)
+
+
+def scene() -> Any:
+    """The second scene: a module of data_tools."""
+    return importlib.import_module("data_tools.second_scene")
+
+
+def relight(maps: Tensor) -> Tensor:
+    """Pictures [T, 3, h, w] of the second scene, linear."""
+    return scene().relight(maps)
+
+
+def shown(maps: Tensor, photo: Tensor) -> Tensor:
+    """One linear picture: the map above the second scene, and the photograph in the corner beside that."""
+    lit = tone_map(relight(maps))[0]
+    height, width = lit.shape[1:]
+    across = width // 3
+    whole = interpolate(tone_map(maps), size=(2 * across, 4 * across), mode="nearest")[0]
+    column = torch.ones(3, height, across)
+    column[:, :across] = avg_pool2d(photo.float() / 255, photo.shape[-1] // across)[0, :, :across, :across]
+    pictures = torch.cat([whole, torch.cat([lit, column], 2)], 1)
+    return srgb_to_linear(pictures).permute(1, 2, 0)
