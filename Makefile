@@ -94,7 +94,7 @@ real-illumination: setup  ## real maps: make real-illumination DATA=<folder with
 real-svbrdf: setup  ## real materials: make real-svbrdf DATA=<folder with svbrdf_strips, svbrdf_maps, flash_nonstationary>
 	bash tools/real_svbrdf.sh "$(METAPP)" "$(DATA)" "$(RUNS)"
 
-starts-illumination: setup  ## train the starts of illumination that ship, on the embedded maps; an hour
+starts-illumination: setup  ## train the starts of illumination that ship, on the embedded maps; two hours
 	bash tools/starts_observed.sh "$(METAPP)" "$(RUNS)" illumination
 
 starts-svbrdf: setup  ## train the starts of non-stationary svBRDFs that ship, on the embedded patches; two hours
