@@ -15,6 +15,29 @@ from metapp.task import Params
 SLOPE = 0.2
 
 
+def add_layer(
+    params: Params, rng: Generator, name: str, outputs: int, *inputs: int, gain: float = math.sqrt(2)
+) -> None:
+    """Add a random layer to an encoder's parameters (He et al. 2015).
+
+    Args:
+        params: gets `<name>.kernel` [outputs, *inputs], normally distributed, and `<name>.shift` [outputs], zero.
+        rng: of the kernel.
+        name: the layer's.
+        outputs: channels that it makes.
+        inputs: channels that it reads, and the sides of a convolution's kernel.
+        gain: standard deviation of what comes out where that of what goes in is 1.
+    """
+    noise = torch.randn(outputs, *inputs, generator=rng, device=rng.device)
+    params[f"{name}.kernel"] = noise * gain / math.sqrt(math.prod(inputs))
+    params[f"{name}.shift"] = torch.zeros(outputs, device=rng.device)
+
+
+def dense(params: Params, name: str, x: Tensor) -> Tensor:
+    """A layer of `add_layer` that reads vectors [T, inputs]: [T, outputs]."""
+    return x @ params[f"{name}.kernel"].T + params[f"{name}.shift"]
+
+
 class UNet(NamedTuple):
     """A noise-to-image U-Net with adaptive instance normalisation (Ulyanov et al. 2016; Henzler et al. 2020, 2021).
 

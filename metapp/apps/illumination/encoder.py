@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import math
 from typing import NamedTuple
 
 import torch
@@ -11,6 +10,7 @@ from torch import Generator, Tensor
 from torch.nn.functional import avg_pool2d, conv1d, conv2d, grid_sample, leaky_relu, normalize, pad
 
 from metapp.latlong import directions
+from metapp.networks import add_layer, dense
 from metapp.task import Params
 
 SLOPE = 0.1
@@ -42,11 +42,7 @@ class Encoder(NamedTuple):
     def init(self, rng: Generator) -> Params:
         """Random parameters."""
         encoder: Params = {}
-
-        def layer(name: str, outputs: int, *inputs: int, gain: float = math.sqrt(2)) -> None:
-            noise = torch.randn(outputs, *inputs, generator=rng, device=rng.device)
-            encoder[f"{name}.kernel"] = noise * gain / math.sqrt(math.prod(inputs))
-            encoder[f"{name}.shift"] = torch.zeros(outputs, device=rng.device)
+        layer = functools.partial(add_layer, encoder, rng)
 
         for i, (inputs, outputs) in enumerate(DIRECT):
             layer(f"photo{i}", outputs, inputs, 3, 3)
@@ -67,15 +63,15 @@ class Encoder(NamedTuple):
         for i in range(len(DIRECT)):
             kernel, shift = encoder[f"photo{i}.kernel"], encoder[f"photo{i}.shift"]
             x = leaky_relu(conv2d(x, kernel, shift, stride=2, padding=1), SLOPE)
-        whole = leaky_relu(_dense(encoder, "whole", x.flatten(1)), SLOPE)
+        whole = leaky_relu(dense(encoder, "whole", x.flatten(1)), SLOPE)
         x = unwrapped(photos, self.height, self.width).contiguous(memory_format=torch.channels_last)
-        outline = _dense(encoder, "around0.whole", _dense(encoder, "outline", whole))[..., None, None]
+        outline = dense(encoder, "around0.whole", dense(encoder, "outline", whole))[..., None, None]
         x = avg_pool2d(leaky_relu(_around(encoder, "around0", x) + outline, SLOPE), 2)
         for i, stride in enumerate(STRIDES, 1):
             row = conv1d(x.mean(3), encoder[f"around{i}.row.kernel"], encoder[f"around{i}.row.shift"])[..., None]
             x = x + leaky_relu(_around(encoder, f"around{i}", x, stride) + row, SLOPE)
         code = conv2d(x, encoder["code.kernel"], encoder["code.shift"])
-        return code, _dense(encoder, "body", whole)
+        return code, dense(encoder, "body", whole)
 
 
 def unwrapped(photos: Tensor, height: int, width: int) -> Tensor:
@@ -108,10 +104,6 @@ def _places(height: int, width: int) -> tuple[list[Tensor], Tensor]:
         # a pixel inside, where the rim is
         grids += [0.97 * torch.stack([place[0], -place[1]], -1) for place in (mirror, facing)]
     return grids, towards
-
-
-def _dense(encoder: Params, name: str, x: Tensor) -> Tensor:
-    return x @ encoder[f"{name}.kernel"].T + encoder[f"{name}.shift"]
 
 
 def _around(encoder: Params, name: str, x: Tensor, stride: int = 1) -> Tensor:

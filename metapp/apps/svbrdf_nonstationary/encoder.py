@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-import math
+import functools
 from typing import NamedTuple
 
 import torch
 from torch import Generator, Tensor
 from torch.nn.functional import avg_pool2d, conv2d, interpolate, leaky_relu, pad
 
+from metapp.networks import add_layer, dense
 from metapp.task import Params
 
 SLOPE = 0.1
@@ -39,11 +40,7 @@ class Encoder(NamedTuple):
     def init(self, rng: Generator) -> Params:
         """Random parameters."""
         encoder: Params = {}
-
-        def layer(name: str, outputs: int, *inputs: int, gain: float = math.sqrt(2)) -> None:
-            noise = torch.randn(outputs, *inputs, generator=rng, device=rng.device)
-            encoder[f"{name}.kernel"] = noise * gain / math.sqrt(math.prod(inputs))
-            encoder[f"{name}.shift"] = torch.zeros(outputs, device=rng.device)
+        layer = functools.partial(add_layer, encoder, rng)
 
         def block(name: str, inputs: int, outputs: int) -> None:
             layer(f"{name}.first", outputs, inputs, 3, 3)
@@ -65,7 +62,7 @@ class Encoder(NamedTuple):
         for level in range(self.levels):
             x = _block(encoder, f"down{level}", avg_pool2d(x, 2) if level else x)
             skips.append(x)
-        flash = x.mean((2, 3)) @ encoder["flash.kernel"].T + encoder["flash.shift"]
+        flash = dense(encoder, "flash", x.mean((2, 3)))
         for level in reversed(range(self.levels - 1)):
             x = torch.cat([interpolate(x, scale_factor=2, mode="nearest"), skips[level]], 1)
             x = _block(encoder, f"up{level}", x)
@@ -75,7 +72,7 @@ class Encoder(NamedTuple):
 def _block(encoder: Params, name: str, x: Tensor) -> Tensor:
     """Two convolutions, the second beside a path around it, which adds what the picture's mean says."""
     first = leaky_relu(_conv(encoder, f"{name}.first", x), SLOPE)
-    mean = first.mean((2, 3)) @ encoder[f"{name}.mean.kernel"].T + encoder[f"{name}.mean.shift"]
+    mean = dense(encoder, f"{name}.mean", first.mean((2, 3)))
     return first + leaky_relu(_conv(encoder, f"{name}.second", first) + mean[..., None, None], SLOPE)
 
 

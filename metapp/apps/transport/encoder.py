@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import math
+import functools
 from typing import NamedTuple
 
 import torch
@@ -11,6 +11,7 @@ from torch.nn.functional import conv2d, leaky_relu
 
 from metapp.apps.transport.flow import Flow
 from metapp.latlong import luminance
+from metapp.networks import add_layer, dense
 from metapp.task import Params
 
 SLOPE = 0.1
@@ -34,11 +35,7 @@ class Encoder(NamedTuple):
     def init(self, rng: Generator) -> Params:
         """Random parameters; the flow's directions start almost uniform, and its film as the picture is."""
         encoder: Params = {}
-
-        def layer(name: str, outputs: int, *inputs: int, gain: float = math.sqrt(2)) -> None:
-            noise = torch.randn(outputs, *inputs, generator=rng, device=rng.device)
-            encoder[f"{name}.kernel"] = noise * gain / math.sqrt(math.prod(inputs))
-            encoder[f"{name}.shift"] = torch.zeros(outputs, device=rng.device)
+        layer = functools.partial(add_layer, encoder, rng)
 
         layer("in", self.channels, 5, 4, 4)
         layer("look", self.channels, self.channels, 3, 3)
@@ -69,7 +66,7 @@ class Encoder(NamedTuple):
         seen = leaky_relu(_convolved(encoder, "look", x), SLOPE)
         weights = _convolved(encoder, "heads", seen).flatten(2).softmax(2)
         found = weights @ torch.cat([seen, grid], 1).flatten(2).mT
-        whole = found.flatten(1) @ encoder["whole.kernel"].T + encoder["whole.shift"]
+        whole = dense(encoder, "whole", found.flatten(1))
         x = seen + whole[..., None, None]
         for i in range(BLOCKS):
             x = x + leaky_relu(_convolved(encoder, f"block{i}", torch.cat([x, grid], 1)), SLOPE)
