@@ -1,0 +1,47 @@
+"""What the contract of applications and paradigms is tested on: each application, small."""
+
+from __future__ import annotations
+
+import pytest
+
+from metapp.apps import app_names, load_app
+from metapp.paradigms import Job, prepare
+from metapp.task import App, Task, Tasks, stack
+from tests.paradigms.small import SMALL, small_recipe
+
+
+@pytest.fixture(autouse=True)
+def eager(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Compiling takes longer than these tests."""
+    monkeypatch.setattr(prepare, "can_compile", lambda: False)
+
+
+@pytest.fixture(scope="module", params=app_names())
+def app(request: pytest.FixtureRequest) -> App:
+    app = load_app(request.param)
+    assert app.name in SMALL, f"{app.name}: no small tasks for its contract; add a line to SMALL."
+    return app.at(small_recipe(app))
+
+
+@pytest.fixture(scope="module")
+def sources(app: App) -> list[Task]:
+    """What tasks are before an application prepares them."""
+    return SMALL[app.name].tasks()
+
+
+@pytest.fixture(scope="module")
+def tasks(app: App, sources: list[Task]) -> Tasks:
+    return stack(app, sources)
+
+
+@pytest.fixture(autouse=True)
+def judged(request: pytest.FixtureRequest) -> None:
+    """What errors of an application need beside its tasks."""
+    if "app" in request.fixturenames and request.getfixturevalue("app").name == "illumination":
+        request.getfixturevalue("scene")
+
+
+@pytest.fixture
+def job(app: App) -> Job:
+    recipe = small_recipe(app)
+    return Job(app, recipe, recipe.rule)

@@ -1,0 +1,154 @@
+"""Tasks and recipes small enough for what every application and paradigm promises."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import torch
+from torch import Generator
+
+from data_tools.brdf_task import brdf_task
+from data_tools.svbrdf_task import svbrdf_task
+from data_tools.synthetic_brdf import synthetic_materials
+from metapp.apps import illumination, svbrdf_nonstationary, transport
+from metapp.apps.transport.flow import Flow
+from metapp.exemplar import Setup
+from metapp.flash import Maps, normal_from_height, pack
+from metapp.latlong import directions, mean_luminance
+from metapp.learning import MetaParameters
+from metapp.networks import LocalField, UNet
+from metapp.paradigms import Job, Paradigm
+from metapp.photograph import photograph
+from metapp.rules import RULES
+from metapp.task import Adam, App, Recipe, Task, Training
+
+COUNT = 12
+# rules that differ in more than the start that recipes give them
+UNLIKE = sorted({rule: name for name, rule in reversed(RULES.items())}.values())
+
+
+class Small(NamedTuple):
+    """What makes an application small enough for its contract: other settings than the quick recipe's, and tasks."""
+
+    tasks: Callable[[], list[Task]]
+    setup: Any = None
+
+
+def brdf_tasks() -> list[Task]:
+    return [brdf_task(each.name, each.evaluate, samples=512) for each in synthetic_materials("train", COUNT)]
+
+
+def picture_tasks() -> list[Task]:
+    """Pictures of 32 px in small patches, dark green and bright red ones, that fade towards the edges."""
+    generator, tasks = rng(7), []
+    away = torch.linspace(-1, 1, 32).square()
+    colours = torch.tensor([[0.1, 0.3, 0.2], [0.8, 0.5, 0.3]])[..., None, None]
+    for i in range(COUNT):
+        size = 2 + 2 * (i % 2)
+        which = torch.rand(1, 32 // size, 32 // size, generator=generator) < 0.3 + 0.4 * i / COUNT
+        dark, bright = colours + 0.1 * torch.rand(2, 3, 1, 1, generator=generator)
+        image = torch.where(which.repeat_interleave(size, 1).repeat_interleave(size, 2), bright, dark)
+        image = image / (1 + 0.3 * (away[:, None] + away))
+        tasks.append(Task(f"patches-{i}", {"image": (255 * image).to(torch.uint8)}))
+    return tasks
+
+
+def map_tasks() -> list[Task]:
+    """Maps of one lamp each, all around, and a photograph."""
+    generator, towards, tasks = rng(7), directions(16, 32), []
+    for i in range(COUNT):
+        lamp = torch.nn.functional.normalize(torch.randn(3, generator=generator), dim=0)
+        colour = 0.3 + torch.rand(3, 1, 1, generator=generator)
+        light = 0.3 + colour * (6 * (torch.einsum("c,chw->hw", lamp, towards) - 0.6)).exp()
+        light = light / mean_luminance(light)
+        photos = (photograph(light[None], generator) * 255).round().to(torch.uint8)
+        tasks.append(Task(f"lamp-{i}", {"map": light, "scale": torch.tensor(2.0), "photos": photos}))
+    return tasks
+
+
+def material_tasks() -> list[Task]:
+    """Smooth materials of two colours each, and how they look under a flash."""
+    generator, tasks = rng(7), []
+    for i in range(COUNT):
+        coarse = torch.rand(1, 8, 3, 3, generator=generator)
+        smooth = torch.nn.functional.interpolate(coarse, (16, 16), mode="bilinear")[0]
+        normal = normal_from_height(3 * smooth[:1])
+        maps = Maps(0.8 * smooth[1:4], 0.1 + 0.4 * smooth[4:7], 0.2 + 0.6 * smooth[7:], normal)
+        tasks.append(svbrdf_task(f"material-{i}", pack(maps)))
+    return tasks
+
+
+def path_tasks() -> list[Task]:
+    """Samples of which half are on a lamp, and others come from where it is, and a picture of 8 px."""
+    generator, tasks = rng(7), []
+    for i in range(COUNT):
+        lamp = 0.2 + 0.6 * torch.rand(2, generator=generator)
+        samples = torch.rand(2048, 4, generator=generator)
+        samples[:1024, :2] = lamp + 0.1 * (samples[:1024, :2] - 0.5)
+        samples[1024:, 2:] = 0.5 + 0.5 * (lamp - samples[1024:, :2]) + 0.1 * (samples[1024:, 2:] - 0.5)
+        samples = samples.clamp(0, 0.999)[torch.randperm(2048, generator=generator)]
+        row, column = ((8 * samples[:, k]).long() for k in (1, 0))
+        image = torch.bincount(8 * row + column, minlength=64).reshape(1, 8, 8).expand(3, -1, -1) / 32
+        tasks.append(Task(f"room-{i}", {"samples": samples[:1536], "held": samples[1536:], "image": image.clone()}))
+    return tasks
+
+
+def small_setup(outputs: int) -> Setup:
+    return Setup(16, 16, UNet(4, levels=2, noise=2, code=4, outputs=outputs), "vgg16", ("relu1_1",))
+
+
+SMALL: dict[str, Small] = {
+    "brdf": Small(brdf_tasks),
+    "illumination": Small(
+        map_tasks, illumination.Setup(LocalField(8, 16, rows=4, columns=8, code=3, hidden=8, layers=2))
+    ),
+    "svbrdf_nonstationary": Small(
+        material_tasks,
+        svbrdf_nonstationary.Setup(svbrdf_nonstationary.field_of(16, hidden=8)._replace(code=3), width=2),
+    ),
+    "svbrdf_stationary": Small(picture_tasks, small_setup(6)),
+    "texture": Small(picture_tasks, small_setup(3)),
+    "transport": Small(
+        path_tasks,
+        transport.Setup(Flow(rows=4, columns=4, code=3, hidden=8, bins=4, film_bins=8, blobs=6)),
+    ),
+}
+
+
+def small_recipe(app: App) -> Recipe:
+    """The quick recipe, with few samples, tasks and steps, and every rule."""
+    recipe = app.recipes["quick"]
+
+    def short(training: Training) -> Training:
+        rates = training.rates if training.steps else {"": 1e-4, "alpha.out.": 0.0, "alpha.in.": 0.0}
+        return replace(training, steps=12, tasks=3, warmup=0, validate_every=4, rates=rates, tuned=False)
+
+    return replace(
+        recipe,
+        steps=3,
+        batch=min(64, recipe.batch),
+        overfit_steps=60,
+        finetune_steps=20,
+        general=short(recipe.general),
+        meta={rule: short(recipe.meta.get(rule, recipe.meta[recipe.rule])) for rule in RULES},
+        setup=SMALL[app.name].setup or recipe.setup,
+    )
+
+
+def rng(seed: int = 0) -> Generator:
+    return Generator().manual_seed(seed)
+
+
+def untrained(job: Job) -> MetaParameters:
+    """A start for every paradigm: a random encoder, a random theta_0 and its rule's initial quantities."""
+    theta = {key: value[0] for key, value in job.app.init(rng(1), 1).items()}
+    alpha = RULES[job.rule].alpha(job.app, theta, job.recipe.steps, Adam(5e-3, beta2=0.99))
+    return MetaParameters(theta, alpha, job.app.init_encoder(rng(2)))
+
+
+def start_for(paradigm: Paradigm, job: Job) -> MetaParameters:
+    """What its preparation would leave, untrained."""
+    start = untrained(job)
+    return start._replace(encoder={}) if paradigm.name == "meta" else MetaParameters(encoder=start.encoder)

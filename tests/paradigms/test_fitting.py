@@ -1,0 +1,228 @@
+"""What every application and paradigm promises of fits, on tasks small enough to make here."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import pytest
+import torch
+
+from metapp.apps import load_app
+from metapp.learning import MetaParameters, learn, task_loss
+from metapp.paradigms import Job, paradigms
+from metapp.paradigms.quickft import to_alpha
+from metapp.rules import RULES, fixed_adam
+from metapp.task import Adam, App, Batch, Params, Task, Tasks
+from tests.paradigms.small import UNLIKE, rng, start_for, untrained
+
+# Fitting
+
+
+@pytest.mark.parametrize("name", list(paradigms()))
+def test_a_paradigm_fits(name: str, job: Job, tasks: Tasks) -> None:
+    """Parameters of the same network, detached, finite, the same for the same seed; errors for every task."""
+    paradigm, few = paradigms()[name], tasks.select([0, 5, 2])
+    prepared = start_for(paradigm, job)
+    theta = paradigm.fit(job, prepared, few, rng())
+    template = job.app.init(rng(), 3)
+    assert {key: value.shape for key, value in theta.items()} == {key: value.shape for key, value in template.items()}
+    assert {value.dtype for value in theta.values()} == {torch.float32}
+    assert not any(value.requires_grad for value in theta.values())
+    again = paradigm.fit(job, prepared, few, rng())
+    assert all(torch.equal(theta[key], again[key]) for key in theta)
+    other = paradigm.fit(job, prepared, few, rng(9))
+    # without steps nothing need be random: an encoder may look at all there is
+    if name == "overfit" or (paradigm.count(job) and job.app.random):
+        assert not all(torch.equal(theta[key], other[key]) for key in theta)
+    elif not job.app.random:
+        assert all(torch.equal(theta[key], other[key]) for key in theta)
+    errors = job.app.errors(theta, few)
+    assert {tuple(value.shape) for value in errors.values()} == {(3,)}
+    assert torch.isfinite(errors["error"]).all()
+
+
+def test_the_five_paradigms(job: Job) -> None:
+    table = paradigms()
+    assert list(table) == ["general", "overfit", "finetune", "quickft", "meta"]
+    assert {name: paradigm.needs(job) for name, paradigm in table.items()} == {
+        "general": "general",
+        "overfit": None,
+        "finetune": "general",
+        "quickft": "general",
+        "meta": job.rule,
+    }
+    recipe = job.recipe
+    expected = {"general": 0, "overfit": 60, "finetune": 20, "quickft": recipe.steps, "meta": recipe.steps}
+    assert {name: paradigm.count(job) for name, paradigm in table.items()} == expected
+    assert {paradigm.count(job._replace(steps=7)) for paradigm in table.values()} == {7}
+
+
+@pytest.mark.parametrize("rule", UNLIKE)
+def test_meta_fits_by_every_rule(rule: str, job: Job, tasks: Tasks) -> None:
+    job = job._replace(rule=rule)
+    start = start_for(paradigms()["meta"], job)
+    theta = paradigms()["meta"].fit(job, start, tasks.select([0, 1]), rng())
+    assert all(torch.isfinite(value).all() for value in theta.values())
+    assert not all(torch.equal(value[0], start.theta[key]) for key, value in theta.items())
+    longer = paradigms()["meta"].fit(job._replace(steps=job.recipe.steps + 2), start, tasks, rng())
+    assert all(torch.isfinite(value).all() for value in longer.values())
+
+
+def test_overfit_learns(job: Job, tasks: Tasks) -> None:
+    few, job = tasks.select([0, 1, 2, 3]), job._replace(steps=300)
+    before = job.app.errors(job.app.init(rng(), 4), few)["error"]
+    after = job.app.errors(paradigms()["overfit"].fit(job, MetaParameters(), few, rng()), few)["error"]
+    assert (after < 0.7 * before).all()
+    assert after.mean() < 0.5 * before.mean()
+
+
+@pytest.mark.parametrize("name", ["quickft", "finetune"])
+def test_no_steps_from_general_is_general(name: str, job: Job, tasks: Tasks) -> None:
+    prepared = start_for(paradigms()[name], job)
+    general = paradigms()["general"].fit(job, prepared, tasks, rng())
+    for key, value in paradigms()[name].fit(job._replace(steps=0), prepared, tasks, rng()).items():
+        assert torch.equal(value, general[key])
+
+
+def test_meta_starts_all_tasks_alike(job: Job, tasks: Tasks) -> None:
+    start = start_for(paradigms()["meta"], job)
+    theta = paradigms()["meta"].fit(job._replace(steps=0), start, tasks, rng())
+    for key, value in start.theta.items():
+        assert torch.equal(theta[key], value.expand(len(tasks), *value.shape))
+
+
+def test_meta_with_an_encoder_starts_where_general_ends(job: Job, tasks: Tasks) -> None:
+    start = untrained(job)._replace(theta={})
+    theta = paradigms()["meta"].fit(job._replace(steps=0), start, tasks, rng())
+    general = paradigms()["general"].fit(job, start, tasks, rng())
+    assert all(torch.equal(theta[key], value) for key, value in general.items())
+    moved = paradigms()["meta"].fit(job, start, tasks, rng())
+    assert all(value.isfinite().all() for value in moved.values())
+    assert not all(torch.equal(moved[key], value) for key, value in general.items())
+
+
+@pytest.mark.parametrize("name", ["finetune", "quickft", "meta"])
+def test_a_fit_is_learn_and_nothing_else(name: str, job: Job, tasks: Tasks) -> None:
+    paradigm = paradigms()[name]
+    prepared, generator = start_for(paradigm, job), rng()
+    theta = paradigm.start(job, prepared, tasks, generator)
+    rule, steps = paradigm.rule(job, prepared, theta, paradigm.count(job)), paradigm.count(job)
+    expected = learn(theta, rule, tasks, task_loss(job.app, job.recipe.batch), steps=steps, rng=generator)
+    for key, value in paradigm.fit(job, prepared, tasks, rng()).items():
+        assert torch.equal(value, expected[key])
+
+
+def test_quickft_takes_the_tuned_adam(job: Job, tasks: Tasks) -> None:
+    settings = Adam(0.02, 0.7, 0.9, 1e-6, 0.1)
+    prepared = start_for(paradigms()["quickft"], job)._replace(alpha=to_alpha(settings))
+    theta, steps = paradigms()["general"].fit(job, prepared, tasks, rng()), job.recipe.steps
+    tuned = paradigms()["quickft"].rule(job, prepared, theta, steps)
+    for key, value in fixed_adam(settings, theta, steps).alpha.items():
+        torch.testing.assert_close(tuned.alpha[key], value)
+
+
+@pytest.mark.parametrize("steps", [5, 30])
+def test_a_mean_is_over_the_last_of_the_steps_there_are(steps: int, job: Job, tasks: Tasks) -> None:
+    """A rule that was prepared for fewer or more steps takes no other mean than one prepared for these."""
+    if job.app.name != "texture":
+        pytest.skip("one application will do")
+    job = job._replace(rule="meta-mean")
+    single = {key: value[0] for key, value in job.app.init(rng(), 1).items()}
+    fits = []
+    for prepared_for in (15, steps):
+        alpha = RULES["meta-mean"].alpha(job.app, single, prepared_for, Adam(1e-3))
+        start = MetaParameters(single, alpha)
+        fits.append(paradigms()["meta"].fit(job._replace(steps=steps), start, tasks.select([0]), rng()))
+    for key, value in fits[0].items():
+        torch.testing.assert_close(value, fits[1][key])
+
+
+# What an application makes of tasks
+
+
+@pytest.fixture
+def fitted(job: Job, tasks: Tasks) -> Params:
+    """The parameters of the first task after a few steps, as a run keeps them: without a task axis."""
+    theta = paradigms()["overfit"].fit(job._replace(steps=3), MetaParameters(), tasks.select([0]), rng())
+    return {key: value[0] for key, value in theta.items()}
+
+
+def test_pictures_of_a_fit_and_of_its_reference(app: App, fitted: Params, sources: list[Task]) -> None:
+    pictures = app.outputs(fitted, sources[0])
+    assert list(pictures)[:2] == ["reference", "fit"]
+    assert pictures["fit"].shape == pictures["reference"].shape
+    for name, picture in pictures.items():
+        assert picture.ndim == 3, name
+        assert picture.shape[2] in (3, 4), name
+        assert picture.dtype == torch.float32, name
+        assert picture.isfinite().all(), name
+        assert not picture.requires_grad, name
+    again = app.outputs(fitted, sources[0])
+    assert all(torch.equal(again[name], picture) for name, picture in pictures.items())
+    other = app.outputs(fitted, sources[1])
+    assert not torch.equal(other["reference"], pictures["reference"])
+
+
+def test_files_are_display_values(app: App, fitted: Params, sources: list[Task]) -> None:
+    made = app.files(fitted, sources[0])
+    for name, picture in made.items():
+        assert name.replace("_", "").isalnum(), name
+        assert picture.ndim == 3, name
+        assert picture.shape[2] in (1, 3), name
+        assert picture.isfinite().all(), name
+        assert 0 <= float(picture.min()) <= float(picture.max()) <= (math.inf if name in app.radiance else 1), name
+        assert not picture.requires_grad, name
+    again = app.files(fitted, sources[0])
+    assert all(torch.equal(again[name], picture) for name, picture in made.items())
+
+
+def shapes(batch: Batch) -> dict[str, Any]:
+    return {key: (value.shape, value.dtype) for key, value in batch.items()}
+
+
+def test_made_up_tasks_do_what_tasks_do(job: Job, tasks: Tasks) -> None:
+    """As many, with names that say so, for the same network: samples and observations of the same shapes."""
+    app, few = job.app, tasks.select([4, 1, 7])
+    made = app.augment(few, rng())
+    assert len(made) == len(made.names) == 3
+    assert not set(made.names) & set(tasks.names)
+    drawn = app.sample(made, rng(), job.recipe.batch)
+    assert shapes(drawn) == shapes(app.sample(few, rng(), job.recipe.batch))
+    assert shapes(app.observe(made, rng())) == shapes(app.observe(few, rng()))
+    theta = app.encode(app.init_encoder(rng()), app.observe(made, rng()))
+    assert app.loss(theta, drawn, {}).shape == (3,)
+    assert app.loss(theta, drawn, {}).isfinite().all()
+    again, other = app.augment(few, rng()), app.augment(few, rng(1))
+    assert all(torch.equal(again.data[key], value) for key, value in made.data.items())
+    assert not all(torch.equal(other.data[key], value) for key, value in made.data.items())
+
+
+def test_made_up_tasks_leave_the_tasks_alone(app: App, tasks: Tasks) -> None:
+    before = {key: value.clone() for key, value in tasks.data.items()}
+    app.augment(tasks, rng())
+    assert all(torch.equal(tasks.data[key], value) for key, value in before.items())
+
+
+def test_tasks_beside_each_other_are_independent(job: Job, tasks: Tasks) -> None:
+    """The loss and the errors of a task are the same, whatever is fitted beside it."""
+    app, few = job.app, tasks.select([3, 0])
+    theta, batch = app.init(rng(), 2), app.sample(few, rng(), 2)
+    together = app.loss(theta, batch, {})
+    for i in (0, 1):
+        own = {key: value[i : i + 1] for key, value in theta.items()}
+        alone = app.loss(own, {key: value[i : i + 1] for key, value in batch.items()}, {})
+        torch.testing.assert_close(alone, together[i : i + 1])
+        for key, value in app.errors(theta, few).items():
+            torch.testing.assert_close(app.errors(own, few.select([i]))[key], value[i : i + 1])
+
+
+def test_a_recipe_is_no_part_of_the_application(app: App) -> None:
+    """Its recipes stay what they are at any setup, and what errors depend on is said."""
+    recipes = load_app(app.name).recipes
+    assert {"paper", "quick"} <= set(recipes)
+    for recipe in recipes.values():
+        again = load_app(app.name).at(recipe)
+        assert (again.name, again.recipes) == (app.name, recipes)
+        assert recipe.rule in recipe.meta
+        assert all(isinstance(value, str) and value for value in again.conditions().values())

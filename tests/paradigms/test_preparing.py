@@ -1,0 +1,216 @@
+"""Preparation on training tasks: what is kept, what it goes on from, what it never sees."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from dataclasses import asdict, replace
+from typing import Any
+
+import pytest
+import torch
+
+from metapp.learning import MetaParameters
+from metapp.paradigms import Job, paradigms, prepare
+from metapp.paradigms.prepare import Interrupted, Prepared, split_validation, tune_quickft, validation_error
+from metapp.task import Adam, Tasks
+from tests.paradigms.small import UNLIKE, rng, start_for
+
+
+def test_split_keeps_tasks_apart(tasks: Tasks) -> None:
+    fit, validate = split_validation(tasks)
+    names = tasks.picked_names()
+    assert set(validate.picked_names()) == set(sorted(names)[3::8])
+    assert fit.picked_names() == tuple(name for name in names if name not in validate.picked_names())
+    with pytest.raises(ValueError, match="training set: 3 tasks that show 3 things, expected at least 4"):
+        split_validation(tasks.select([0, 1, 2]))
+
+
+def test_split_keeps_photos_of_one_thing_together() -> None:
+    """Whatever their order; and sorting spreads the validation tasks over families that take turns."""
+    names = tuple(f"{i:02d}-{photo}" for photo in range(3) for i in range(12))
+    groups = tuple(name.split("-")[0] for name in names)
+    fit, validate = split_validation(Tasks(names, {}, torch.arange(36), groups))
+    assert {name.split("-")[0] for name in validate.picked_names()} == {"03", "11"}
+    assert (len(fit), len(validate)) == (30, 6)
+    turns = tuple(f"{'abcd'[i % 4]}-{i:02d}" for i in range(64))
+    _, validate = split_validation(Tasks(turns, {}, torch.arange(64)))
+    assert {name[0] for name in validate.picked_names()} == set("abcd")
+
+
+def look(name: str, job: Job, tasks: Tasks, **options: Any) -> Prepared:
+    return prepare.prepare(name, job if name == "general" else job._replace(rule=name), tasks, rng(3), **options)
+
+
+def error_of(name: str, job: Job, start: MetaParameters, tasks: Tasks) -> float:
+    job = job if name == "general" else job._replace(rule=name)
+    return validation_error(paradigms()["general" if name == "general" else "meta"], job, start, tasks)
+
+
+@pytest.mark.parametrize("name", ["general", *UNLIKE])
+def test_the_best_state_is_kept(name: str, job: Job, tasks: Tasks) -> None:
+    prepared = look(name, job, tasks)
+    steps, losses, errors = zip(*prepared.curve, strict=True)
+    assert steps == (0, 4, 8, 12)
+    assert prepared.validation == min(errors) <= errors[0]
+    assert steps[errors.index(min(errors))] == prepared.step
+    assert losses[0] is None
+    assert all(loss is not None and math.isfinite(loss) for loss in losses[1:])
+    validation = split_validation(tasks)[1]
+    assert math.isclose(error_of(name, job, prepared.start, validation), prepared.validation, rel_tol=1e-6)
+    again = look(name, job, tasks)
+    assert again.curve[1:] == prepared.curve[1:]
+    assert all(torch.equal(again.start.flat()[key], value) for key, value in prepared.start.flat().items())
+
+
+@pytest.mark.parametrize("name", ["general", *UNLIKE])
+def test_a_start_that_only_gets_worse_is_kept(
+    name: str, job: Job, tasks: Tasks, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Iteration 0 is among the states to choose from, and it is not written to afterwards."""
+    before, errors = look(name, job, tasks, steps=0), itertools.count(1)
+    monkeypatch.setattr(prepare, "validation_error", lambda *_: float(next(errors)))
+    prepared = look(name, job, tasks)
+    assert (prepared.step, prepared.validation) == (0, 1.0)
+    assert [error for _, _, error in prepared.curve] == [1.0, 2.0, 3.0, 4.0]
+    assert all(torch.equal(prepared.start.flat()[key], value) for key, value in before.start.flat().items())
+
+
+def test_general_learns(job: Job, tasks: Tasks) -> None:
+    """Preparing it improves what it is prepared for."""
+    training = replace(job.recipe.general, steps=100, rates={"": 1e-3}, validate_every=25)
+    prepared = look("general", job._replace(recipe=replace(job.recipe, general=training)), tasks)
+    assert prepared.validation < 0.9 * prepared.curve[0][2]
+
+
+def test_meta_learns(job: Job, tasks: Tasks) -> None:
+    training = replace(job.recipe.meta["meta-adam"], steps=60, rates={"": 3e-3}, validate_every=20)
+    recipe = replace(job.recipe, meta={"meta-adam": training})
+    prepared = look("meta-adam", job._replace(recipe=recipe), tasks)
+    assert prepared.validation < 0.9 * prepared.curve[0][2]
+
+
+def starting_from(start: str, job: Job) -> Job:
+    rule = job.recipe.rule
+    return job._replace(recipe=replace(job.recipe, meta={rule: replace(job.recipe.meta[rule], start=start)}))
+
+
+def test_meta_starts_from_the_mean_of_general(job: Job, tasks: Tasks) -> None:
+    encoder, rule = start_for(paradigms()["general"], job), job.recipe.rule
+    prepared = look(rule, starting_from("mean", job), tasks, encoder=encoder, steps=0)
+    assert not prepared.start.encoder
+    predicted = paradigms()["general"].fit(job, encoder, split_validation(tasks)[0], rng(3))
+    for key, value in predicted.items():
+        torch.testing.assert_close(prepared.start.theta[key], value.mean(0))
+
+
+def test_meta_starts_at_random(job: Job, tasks: Tasks) -> None:
+    """Where it is told to, and where there is no General."""
+    encoder, rule = start_for(paradigms()["general"], job), job.recipe.rule
+    told = look(rule, starting_from("random", job), tasks, encoder=encoder, steps=0).start
+    alone = look(rule, starting_from("mean", job), tasks, steps=0).start
+    expected = {key: value[0] for key, value in job.app.init(rng(3), 1).items()}
+    for start in (told, alone):
+        assert not start.encoder
+        assert all(torch.equal(start.theta[key], value) for key, value in expected.items())
+
+
+def test_meta_goes_on_from_general(job: Job, tasks: Tasks) -> None:
+    """The encoder itself is then trained through the steps, beside the rule, and another start there is none."""
+    encoder, rule = start_for(paradigms()["general"], job), job.recipe.rule
+    job = starting_from("encoder", job)
+    first = look(rule, job, tasks, encoder=encoder, steps=0).start
+    assert not first.theta
+    assert all(torch.equal(first.encoder[key], value) for key, value in encoder.encoder.items())
+    training = replace(job.recipe.meta[rule], steps=20, rates={"": 1e-3}, validate_every=5)
+    job = job._replace(recipe=replace(job.recipe, meta={rule: training}))
+    prepared = look(rule, job, tasks, encoder=encoder)
+    assert prepared.step > 0
+    assert prepared.validation < prepared.curve[0][2]
+    assert not prepared.start.theta
+    assert not all(torch.equal(prepared.start.encoder[key], value) for key, value in encoder.encoder.items())
+    assert not all(torch.equal(prepared.start.alpha[key], value) for key, value in first.alpha.items())
+    validation = split_validation(tasks)[1]
+    assert math.isclose(error_of(rule, job, prepared.start, validation), prepared.validation, rel_tol=1e-6)
+
+
+@pytest.mark.parametrize("name", ["general", "meta-sgd"])
+def test_training_never_sees_a_validation_task(
+    name: str, job: Job, tasks: Tasks, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With the data of the validation tasks spoilt, the training loss stays finite."""
+    rows = split_validation(tasks)[1].rows
+    spoilt = {}
+    for key, value in tasks.data.items():
+        own = value.stride(0) != 0  # what all tasks share is no task's
+        spoilt[key] = value.float().index_fill(0, rows, math.nan) if own else value
+    monkeypatch.setattr(prepare, "validation_error", lambda *_: 1.0)
+    prepared = look(name, job, Tasks(tasks.names, spoilt, tasks.rows), steps=30)
+    assert all(loss is not None and math.isfinite(loss) for _, loss, _ in prepared.curve[1:])
+
+
+@pytest.mark.parametrize("name", ["general", "meta-sgd"])
+def test_interrupted_carries_the_best_state(name: str, job: Job, tasks: Tasks) -> None:
+    whole = look(name, job, tasks)
+
+    def stop(step: int, steps: int, note: str) -> None:
+        assert steps == 12
+        if step >= 8:
+            raise KeyboardInterrupt
+
+    with pytest.raises(Interrupted) as caught:
+        look(name, job, tasks, report=stop)
+    best = caught.value.prepared
+    assert best.curve[1:] == whole.curve[1:3]
+    assert best.validation == min(error for _, _, error in whole.curve[:3])
+    assert best.step in (0, 4, 8)
+    validation = split_validation(tasks)[1]
+    assert math.isclose(error_of(name, job, best.start, validation), best.validation, rel_tol=1e-6)
+
+
+def test_interrupted_at_the_last_look(job: Job, tasks: Tasks) -> None:
+    def stop(step: int, steps: int, note: str) -> None:
+        if step == steps:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt) as caught:
+        look("general", job, tasks, report=stop)
+    assert isinstance(caught.value, Interrupted)
+    assert math.isfinite(caught.value.prepared.validation)
+
+
+def test_tuned_quickft_is_no_worse_than_the_recipe(job: Job, tasks: Tasks, monkeypatch: pytest.MonkeyPatch) -> None:
+    """On the tasks it was tuned on; a strawman is no baseline."""
+    job = job._replace(steps=2)
+    rates = [{"rate": 2.0**i} for i in (-4, -2, -1, 1, 2, 4)]
+    monkeypatch.setattr(prepare, "SEARCHED", (rates, [{"beta1": 0.5}, {"eps": 1e-3, "rate": 1.2}]))
+    encoder, validation = start_for(paradigms()["quickft"], job), split_validation(tasks)[1]
+    plain = validation_error(paradigms()["quickft"], job, encoder, validation)
+    tuned = tune_quickft(job, encoder, validation)
+    assert tuned.validation <= plain
+    assert math.isclose(validation_error(paradigms()["quickft"], job, tuned.start, validation), tuned.validation)
+    assert set(tuned.start.alpha) == set(asdict(Adam(0.0)))
+    assert tuned.start.encoder is encoder.encoder
+    errors = [error for _, _, error in tuned.curve]
+    assert errors == sorted(errors, reverse=True)
+
+
+def test_interrupted_tuning_carries_the_best_so_far(job: Job, tasks: Tasks) -> None:
+    def stop(step: int, steps: int, note: str) -> None:
+        if step == 3:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt) as caught:
+        look("quickft", job, tasks, encoder=start_for(paradigms()["quickft"], job), report=stop)
+    assert isinstance(caught.value, Interrupted)
+    assert math.isfinite(caught.value.prepared.validation)
+
+
+def test_a_preparation_says_how_it_came_about(job: Job, tasks: Tasks) -> None:
+    prepared = look("general", job, tasks, steps=4)
+    said = prepare.describe(job, "general", prepared)
+    assert said["app"] == job.app.name
+    assert said["start"] == "general"
+    assert said["validation_error"] == prepared.validation
+    assert said["best_step"] == prepared.step
+    assert said["training"] == asdict(job.recipe.general)

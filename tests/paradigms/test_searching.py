@@ -1,0 +1,196 @@
+"""The search of an Adam on validation tasks."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import pytest
+import torch
+
+from metapp.apps import load_app
+from metapp.learning import MetaParameters
+from metapp.paradigms import Job, Paradigm, prepare
+from metapp.paradigms.prepare import Interrupted, Prepared, tune_quickft
+from metapp.paradigms.quickft import adam_of
+from metapp.rules import RULES
+from metapp.task import Adam, Tasks
+from tests.paradigms.small import rng
+
+# The search of QuickFT's Adam, on errors in closed form
+
+
+BEST = Adam(rate=0.05, beta1=0.5, beta2=0.97, eps=1e-4, final=0.1)
+
+
+def bowl(adam: Adam) -> float:
+    """0 at BEST, and rising with the distance from it in each quantity."""
+    away = [
+        math.log(adam.rate / BEST.rate),
+        3 * (adam.beta1 - BEST.beta1),
+        10 * (adam.beta2 - BEST.beta2),
+        math.log(adam.eps / BEST.eps) / 10,
+        adam.final - BEST.final,
+    ]
+    return sum(each * each for each in away)
+
+
+class Search(NamedTuple):
+    """What a search looked at and what it found."""
+
+    looked: list[Adam]
+    job: Job
+    run: Callable[..., Prepared]
+
+
+@pytest.fixture
+def search(monkeypatch: pytest.MonkeyPatch) -> Callable[..., Search]:
+    """A search that starts at an Adam and that is told errors in closed form."""
+
+    def make(first: Adam, error: Callable[[Adam], float] = bowl) -> Search:
+        app = load_app("brdf")
+        job = Job(app, replace(app.recipes["quick"], quickft=first), "meta-sgd")
+        looked: list[Adam] = []
+
+        def told(paradigm: Paradigm, job: Job, prepared: MetaParameters, tasks: Any, seeds: int = 2) -> float:
+            assert paradigm.name == "quickft"
+            looked.append(adam_of(job, prepared))
+            return error(looked[-1])
+
+        monkeypatch.setattr(prepare, "validation_error", told)
+        encoder = MetaParameters(encoder={"w": torch.ones(2)})
+        return Search(looked, job, lambda **options: tune_quickft(job, encoder, None, **options))  # type: ignore[arg-type]
+
+    return make
+
+
+@pytest.mark.parametrize(
+    "first", [Adam(1e-2), Adam(5e-2, 0.9, 0.99, 1e-8, 0.0), Adam(1.0, 0.3, 0.8), Adam(2e-3, 0.9, 0.999, 1e-3)]
+)
+def test_the_search_finds_the_best_adam(first: Adam, search: Callable[..., Search]) -> None:
+    """Also from a rate that is 25 times too small or 20 times too large; the rate to a third of its grid's step."""
+    tuned = search(first).run()
+    found = adam_of(search(first).job, tuned.start)
+    assert (found.beta1, found.beta2, found.final) == (BEST.beta1, BEST.beta2, BEST.final)
+    assert found.eps == pytest.approx(BEST.eps)
+    assert abs(math.log2(found.rate / BEST.rate)) < 1 / 6
+    assert tuned.validation == pytest.approx(bowl(found))
+
+
+def test_the_search_goes_on_around_the_best_so_far(search: Callable[..., Search]) -> None:
+    """One line of choices at a time changes its own quantities, and those before it stay at their best."""
+    first = Adam(0.05, 0.9, 0.999, 1e-8, 1.0)
+    searching = search(first)
+    reported: list[tuple[int, int]] = []
+    tuned = searching.run(report=lambda step, steps, note: reported.append((step, steps)))
+    looked, lines = searching.looked, [len(line) for line in prepare.SEARCHED]
+    assert looked[0] == first
+    assert len(looked) == 1 + sum(lines)
+    assert reported == [(i + 1, len(looked)) for i in range(len(looked))]
+    assert {(each.beta1, each.beta2, each.eps, each.final) for each in looked[1 : 1 + lines[0]]} == {
+        (0.9, 0.999, 1e-8, 1.0)
+    }
+    assert all((each.beta1, each.beta2) == (BEST.beta1, BEST.beta2) for each in looked[1 + sum(lines[:2]) : sum(lines)])
+    best = min(looked, key=bowl)
+    assert adam_of(searching.job, tuned.start) == best
+    assert looked[tuned.step - 1] == best
+    errors = [error for _, _, error in tuned.curve]
+    assert errors == sorted(errors, reverse=True)
+    assert errors[-1] == tuned.validation == bowl(best)
+    assert [looked[step - 1] for step, _, _ in tuned.curve][-1] == best
+
+
+def test_a_recipe_that_nothing_beats_is_kept(search: Callable[..., Search]) -> None:
+    first = Adam(0.0123, 0.77, 0.95, 3e-5, 0.2)
+    for error in (lambda adam: 1.0, lambda adam: 0.5 if adam == first else math.inf):
+        tuned = search(first, error).run()
+        assert adam_of(search(first, error).job, tuned.start) == first
+        assert (tuned.step, len(tuned.curve)) == (1, 1)
+
+
+def test_a_recipe_that_diverges_is_left(search: Callable[..., Search]) -> None:
+    tuned = search(Adam(10.0), lambda adam: bowl(adam) if adam.rate < 3 else math.inf).run()
+    assert math.isfinite(tuned.validation)
+    assert adam_of(search(Adam(10.0)).job, tuned.start).rate < 3
+
+
+@pytest.mark.parametrize("looks", [1, 7, 60])
+def test_an_interrupted_search_carries_the_best_so_far(looks: int, search: Callable[..., Search]) -> None:
+    searching = search(Adam(1e-2))
+
+    def stop(step: int, steps: int, note: str) -> None:
+        if step == looks:
+            raise KeyboardInterrupt
+
+    with pytest.raises(Interrupted) as caught:
+        searching.run(report=stop)
+    assert len(searching.looked) == looks
+    best = caught.value.prepared
+    assert best.validation == min(bowl(each) for each in searching.looked)
+    assert adam_of(searching.job, best.start) == min(searching.looked, key=bowl)
+    assert best.start.encoder
+
+
+@pytest.mark.parametrize(("name", "count"), [("brdf", 30), ("texture", 8), ("svbrdf_stationary", 8)])
+def test_searches_look_at_all_validation_tasks_where_fits_are_cheap(
+    name: str, count: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    app = load_app(name)
+    job = Job(app, app.recipes["quick"], app.recipes["quick"].rule)
+    names = tuple(f"{i:03d}" for i in range(240))
+    looked: list[int] = []
+
+    def told(paradigm: Paradigm, job: Job, prepared: MetaParameters, tasks: Tasks, seeds: int = 2) -> float:
+        looked.append(len(tasks))
+        return 1.0
+
+    monkeypatch.setattr(prepare, "validation_error", told)
+    encoder = MetaParameters(encoder={"w": torch.ones(2)})
+    prepare.prepare("quickft", job, Tasks(names, {}, torch.arange(240)), rng(), encoder=encoder, steps=3)
+    assert looked == [count] * 3
+
+
+@pytest.mark.parametrize("looks", [1, 4, 11, 30])
+def test_a_search_takes_no_more_looks_than_told(looks: int, search: Callable[..., Search]) -> None:
+    searching = search(Adam(1e-2))
+    tuned = searching.run(looks=looks)
+    assert len(searching.looked) == looks
+    assert tuned.validation == min(bowl(each) for each in searching.looked)
+
+
+@pytest.mark.parametrize("outer", [0, 2])
+@pytest.mark.parametrize("rule", ["meta-mean", "meta-basis"])
+def test_a_rule_is_tuned_as_quickft_is(
+    rule: str, outer: int, job: Job, tasks: Tasks, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its Adam is searched on validation tasks, in the bases of the training tasks; outer steps go on from there."""
+    if job.app.name != "texture":
+        pytest.skip("one application will do")
+    monkeypatch.setattr(prepare, "SEARCHED", ([{"rate": 0.5}, {"rate": 2.0}], [{"beta1": 0.3, "rate": 1.0}]))
+    training = replace(job.recipe.meta[rule], start="encoder", tuned=True, steps=outer)
+    job = job._replace(rule=rule, recipe=replace(job.recipe, meta={rule: training}))
+    encoder = MetaParameters(encoder=job.app.init_encoder(rng()))
+    made = prepare.prepare(rule, job, tasks, rng(), encoder=encoder)
+    plain = RULES[rule].alpha(job.app, {key: v[0] for key, v in job.app.init(rng(), 1).items()}, 3, training.first)
+    assert made.start.alpha.keys() == plain.keys()
+    assert not made.start.theta
+    for name, value in made.start.alpha.items():
+        if name.startswith(("out.", "in.")):
+            torch.testing.assert_close(value @ value.mT, torch.eye(value.shape[-1])[None], atol=1e-4, rtol=0)
+            assert value.shape[-1] == 1 or not torch.equal(value, plain[name])
+    if not outer:
+        assert len(made.curve) >= 1
+        assert made.validation == min(error for _, _, error in made.curve)
+
+
+def test_choices_of_the_search_are_settings_of_adam() -> None:
+    for line in prepare.SEARCHED:
+        for changes in line:
+            adam = replace(Adam(1.0), **changes)
+            assert adam.rate > 0
+            assert 0 <= adam.beta1 < 1
+            assert 0 < adam.beta2 < 1
+            assert 0 <= adam.final <= 1
+            assert adam.eps > 0
