@@ -10,7 +10,7 @@ from torch import Generator, Tensor
 
 from metapp.apps.illumination import APP, BODY, BODY_GAIN, GLOSSES, QUICK, Illumination, Setup, body_of
 from metapp.apps.illumination.encoder import Encoder, unwrapped
-from metapp.apps.illumination.variants import mixed, regraded, tinted, turned
+from metapp.apps.illumination.variants import LAMPS, lit, mixed, regraded, tinted, turned
 from metapp.latlong import cosine_transfer, directions, mean_luminance
 from metapp.networks import LocalField
 from metapp.photograph import develop, photograph, shade
@@ -215,6 +215,18 @@ def test_some_variants_are_mixed(tasks: Tasks, rng: Generator) -> None:
     own, other = ((found - each).flatten(1).norm(dim=1) for each in (maps, maps.roll(1, 0)))
     torch.testing.assert_close(own + other, (maps - maps.roll(1, 0)).flatten(1).norm(dim=1))  # in between
     assert 4 < (own > 0).sum() < 20
+
+
+def test_some_variants_get_lamps(rng: Generator) -> None:
+    dark = torch.zeros(64, 3, 16, 32)
+    added = lit(dark, rng)
+    bright = (added.amax(1) > 0).flatten(1).sum(1)
+    assert 10 < (bright > 0).sum() < 33  # about a third
+    assert bright.max() <= 4 * LAMPS  # each lies between four texels at most
+    assert added.amin() == 0
+    assert torch.isfinite(added).all()
+    columns = torch.cat([lit(dark, rng) for _ in range(8)]).amax((1, 2)) > 0
+    assert columns.any(0).all()  # at the seam, too
 
 
 def test_a_turned_map_sends_what_turned_surfaces_get(app: Illumination) -> None:

@@ -50,14 +50,14 @@ class Setup:
 
 # exact second order, from General's encoder, which goes on learning through the steps
 LEARNED = Training(
-    steps=300,
+    steps=1000,
     tasks=8,
-    rates={"": 1e-4, "alpha.": 1e-2, "alpha.out.": 3e-4, "alpha.in.": 3e-4},
+    rates={"": 1e-4, "alpha.": 5e-3, "alpha.around.": 5e-4},
     first=Adam(1.2e-2, beta1=0.6, beta2=0.98, eps=1e-4, final=0.1),
     warmup=50,
     final=0.01,
     order=2,
-    clip=3.0,
+    clip=1.0,
     validate_every=50,
     start="encoder",
 )
@@ -70,18 +70,18 @@ QUICK = Recipe(
     finetune=Adam(1e-2, final=0.0),
     quickft=Adam(1e-2, beta1=0.6, beta2=0.98, final=0.1),
     general=Training(steps=9000, tasks=16, rates={"": 1e-3}, warmup=100, final=0.0, validate_every=500),
-    meta={"meta-encoder": LEARNED, "meta-basis": LEARNED},
-    rule="meta-basis",
+    meta={"meta-encoder": LEARNED, "meta-lgd": LEARNED},
+    rule="meta-lgd",
     setup=Setup(LocalField(32, 64)),
 )
 # from photographs slowly and for long: the start has much to learn, such as to leave to the steps what they can find
 FROM_PHOTOS = replace(
     LEARNED,
-    steps=1200,
+    steps=3000,
     rates={"": 1e-4, "alpha.": 1e-2},
-    clip=1.0,
     first=Adam(1e-3, beta1=0.7, beta2=0.99, eps=1e-3, final=0.1),
     warmup=20,
+    validate_every=100,
 )
 QUICK_PHOTO = replace(
     QUICK,

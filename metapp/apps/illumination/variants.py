@@ -1,13 +1,16 @@
-"""Relatives of environment maps, to train on: turned, mirrored, tinted, of another contrast, mixed."""
+"""Relatives of environment maps, to train on: turned, mirrored, tinted, of another contrast, mixed, with more lamps."""
 
 from __future__ import annotations
 
 import torch
 from torch import Generator, Tensor
+from torch.nn.functional import relu
 
 from metapp.latlong import mean_luminance
 
-REGRADED, MIXED = 1 / 2, 1 / 3  # shares of the maps that get another contrast, and that are mixed with another one
+# shares of the maps that get another contrast, that are mixed with another one, that get lamps
+REGRADED, MIXED, LIT = 1 / 2, 1 / 3, 1 / 3
+LAMPS, BRIGHTEST = 3, 6.5  # how many, and the log of the brightest one's radiance
 
 
 def of_mean_1(maps: Tensor) -> Tensor:
@@ -17,7 +20,7 @@ def of_mean_1(maps: Tensor) -> Tensor:
 
 def varied(maps: Tensor, rng: Generator) -> Tensor:
     """Made-up relatives of maps [T, 3, H, W], of mean luminance 1."""
-    return of_mean_1(mixed(of_mean_1(regraded(tinted(turned(maps, rng), rng), rng)), rng))
+    return of_mean_1(lit(mixed(of_mean_1(regraded(tinted(turned(maps, rng), rng), rng)), rng), rng))
 
 
 def turned(maps: Tensor, rng: Generator) -> Tensor:
@@ -46,6 +49,20 @@ def mixed(maps: Tensor, rng: Generator) -> Tensor:
     shape = (len(maps), 1, 1, 1)
     share = torch.rand(shape, generator=rng, device=rng.device)
     return torch.lerp(maps.roll(1, 0), maps, torch.where(_happens(rng, shape, MIXED), share, 1.0))
+
+
+def lit(maps: Tensor, rng: Generator) -> Tensor:
+    """Some with a few more lamps of about a texel, anywhere, of radiance 1 to exp(BRIGHTEST)."""
+    count, _, height, width = maps.shape
+
+    def draw(*shape: int) -> Tensor:
+        return torch.rand(count, LAMPS, *shape, generator=rng, device=rng.device)
+
+    rows = relu(1 - (torch.arange(height, device=rng.device) - (height - 1) * draw(1)).abs())
+    away = (torch.arange(width, device=rng.device) - width * draw(1)).abs()
+    columns = relu(1 - torch.minimum(away, width - away))  # around the horizon
+    lamps = torch.einsum("tlh,tlw,tlc->tchw", rows, columns, torch.exp(BRIGHTEST * draw(1)) * (0.7 + 0.6 * draw(3)))
+    return maps + torch.where(_happens(rng, (count, 1, 1, 1), LIT), lamps, 0.0)
 
 
 def _happens(rng: Generator, shape: tuple[int, ...], share: float) -> Tensor:
