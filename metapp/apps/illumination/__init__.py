@@ -50,7 +50,7 @@ class Setup:
 
 # exact second order, from General's encoder, which goes on learning through the steps
 LEARNED = Training(
-    steps=1000,
+    steps=1500,
     tasks=8,
     rates={"": 1e-4, "alpha.": 5e-3, "alpha.around.": 5e-4},
     first=Adam(1.2e-2, beta1=0.6, beta2=0.98, eps=1e-4, final=0.1),
