@@ -241,6 +241,19 @@ def test_variants_are_photographed_anew(tasks: Tasks, rng: Generator) -> None:
     assert (off > 0.02).sum() > 6
 
 
+def test_variants_show_relief_that_is_finer_than_their_maps(app: SvbrdfNonstationary, rng: Generator) -> None:
+    size = 2 * SIDE
+    slopes = torch.where(torch.arange(size) % 2 == 0, 1.0, -1.0).expand(1, size, size)
+    normal = normalize(torch.cat([slopes, torch.zeros_like(slopes), torch.ones_like(slopes)]), dim=0)
+    even = torch.ones(3, size, size)
+    ridges = pack(Maps(0.5 * even, 0.04 * even, 0.9 * even[:1], normal))
+    variants = app.augment(stack(app, [svbrdf_task(f"ridges-{i}", ridges) for i in range(16)]), rng)
+    assert variants.data["maps"][:, 2].amin() > 0.9  # even, as far as these know
+    flat = photographed(unpack(variants.data["maps"]), flash_of(torch.zeros(16, FLASH)))
+    darker = variants.data["photo"].mean((1, 2, 3)) / flat.clamp(0, 1).mean((1, 2, 3))
+    assert float(darker.median()) < 0.85  # about cos 45 degrees
+
+
 # Losses and protocols
 
 

@@ -8,13 +8,14 @@ from typing import Any
 
 import torch
 from torch import Generator, Tensor
-from torch.nn.functional import adaptive_avg_pool2d, normalize, relu
+from torch.nn.functional import adaptive_avg_pool2d, relu
 
 from metapp.apps.svbrdf_nonstationary.encoder import Encoder
 from metapp.apps.svbrdf_nonstationary.maps import (
     differences,
     displayed,
     linear,
+    of_length_1,
     photo_of,
     pooled,
     relit,
@@ -35,6 +36,7 @@ RIG, JUDGED = (2, 3), (6, 6)  # lights that fits see, and that they are judged u
 DRAWN = (1, 2)  # and those that preparation draws
 SMOOTHED = 0.03  # at first, where learned losses round off |d|
 LARGEST = 256  # px of the maps that are written
+FINER = 2  # how many times as fine as their maps made-up materials are photographed
 INPUTS, OUTPUTS = 8, 9
 
 
@@ -75,15 +77,15 @@ def field_of(side: int, hidden: int) -> LocalField:
 
 # exact second order, from General's encoder, which goes on learning through the steps
 LEARNED = Training(
-    steps=200,
-    tasks=8,
-    rates={"": 3e-5, "alpha.": 5e-3},
+    steps=300,
+    tasks=4,
+    rates={"": 5e-5, "alpha.": 5e-3, "alpha.within.": 5e-4},
     first=Adam(3e-3, beta1=0.5, beta2=0.8, eps=1e-6, final=0.1),
     warmup=10,
     final=0.01,
     order=2,
     clip=1.0,
-    validate_every=25,
+    validate_every=50,
     start="encoder",
 )
 QUICK = Recipe(
@@ -94,14 +96,20 @@ QUICK = Recipe(
     finetune_steps=100,
     finetune=Adam(3e-3, final=0.0),
     quickft=Adam(3e-3, beta1=0.6, beta2=0.98, final=0.1),
-    general=Training(steps=8000, tasks=8, rates={"": 1e-3}, warmup=100, final=0.0, validate_every=500),
-    meta={"meta-encoder": LEARNED},
-    rule="meta-encoder",
+    general=Training(steps=24_000, tasks=8, rates={"": 1e-3}, warmup=100, final=0.0, validate_every=1000),
+    meta={"meta-encoder": LEARNED, "meta-lgd": LEARNED},
+    rule="meta-lgd",
     setup=Setup(field_of(64, 32)),
 )
 # a photograph says little that General has not read from it: small steps, and hardly any training through them
-GENTLE = replace(LEARNED, steps=50, first=Adam(2.3e-4, beta1=0.8, beta2=0.8, eps=1e-3))
-QUICK_PHOTO = replace(QUICK, finetune=Adam(1e-4, final=0.0), quickft=GENTLE.first, meta={"meta-encoder": GENTLE})
+GENTLE = replace(LEARNED, steps=50, tasks=8, first=Adam(3e-4, beta1=0.8, beta2=0.8, eps=1e-3), validate_every=25)
+QUICK_PHOTO = replace(
+    QUICK,
+    finetune=Adam(1e-4, final=0.0),
+    quickft=GENTLE.first,
+    meta={"meta-encoder": GENTLE},
+    rule="meta-encoder",
+)
 # 15 inner steps on maps of 256 px, first-order MAML with Meta-SGD from a random start, as in Fischer & Ritschel 2022,
 # section 4.1.4
 PAPER = replace(
@@ -140,12 +148,17 @@ class SvbrdfNonstationary(CodedApp):
     raw = ("normal", "roughness")
 
     def prepare(self, task: Task) -> dict[str, Tensor]:
-        """`photo`, linear [3, H, W], and `maps` [10, H, W] with what they look like under RIG lights, `lit`."""
+        """`photo`, linear [3, H, W], and `maps` [10, H, W] with what they look like under RIG lights, `lit`.
+
+        And `fine`, the maps as made-up relatives are photographed.
+        """
         size = (self.field.height, self.field.width)
         photo = {"photo": adaptive_avg_pool2d(linear(task.data["photo"]), size)}
         if "maps" in task.data:
-            described = self.described(pooled(task.data["maps"].float(), size)[None])
-            return photo | {key: value[0] for key, value in described.items()}
+            maps = task.data["maps"].float()
+            described = self.described(pooled(maps, size)[None])
+            fine = pooled(maps, [FINER * side for side in size]).half()
+            return photo | {"fine": fine} | {key: value[0] for key, value in described.items()}
         if self.protocol == "reference":
             raise ValueError(
                 f"{task.name}: a flash photo, expected a material's maps where fits see them; give a strip or its "
@@ -166,7 +179,7 @@ class SvbrdfNonstationary(CodedApp):
         height, width = photo.shape[-2:]
         raw = self.field._replace(height=height, width=width)(theta, seen(photo))
         slopes, diffuse, roughness, specular = raw.split((2, 3, 1, 3), 1)
-        normal = normalize(torch.cat([slopes, torch.ones_like(roughness)], 1), dim=1)
+        normal = of_length_1(torch.cat([slopes, torch.ones_like(roughness)], 1))
         return Maps(
             torch.sigmoid(diffuse) ** 2.2,  # about evenly spread for the eye
             torch.sigmoid(specular - 2) ** 2,  # about 0.02 at first, as of dielectrics
@@ -177,7 +190,9 @@ class SvbrdfNonstationary(CodedApp):
     def sample(self, tasks: Tasks, rng: Generator, count: int) -> Batch:
         """All there is of each task; `pairs` [T, V, 2, 3] of light and viewer are random, which the goal looks at."""
         drawn = {"pairs": draw_pairs(DRAWN, rng, len(tasks))} if "maps" in tasks.data else {}
-        return super().sample(tasks, rng, count) | drawn
+        batch = super().sample(tasks, rng, count)
+        batch.pop("fine", None)
+        return batch | drawn
 
     def loss(self, theta: Params, batch: Batch, shape: Params) -> Tensor:
         """Of maps and pictures, or of the photograph, by the protocol, [T]."""
@@ -207,7 +222,8 @@ class SvbrdfNonstationary(CodedApp):
 
     def _photo_loss(self, theta: Params, maps: Maps, photo: Tensor, shape: Params) -> Tensor:
         """Mean difference of logs, [T]; where the photograph clips, only what is darker than it counts."""
-        short = (photo + DARK).log() - (photographed(maps, flash_of(theta["flash"])) + DARK).log()
+        flash = flash_of(self.field.gain * theta["flash"])  # as far to go as the code
+        short = (photo + DARK).log() - (photographed(maps, flash) + DARK).log()
         short = torch.where(photo > CLIPPED, relu(short), short)
         return norm(short, shape).mean((1, 2, 3))
 
@@ -219,12 +235,13 @@ class SvbrdfNonstationary(CodedApp):
 
     def read(self, reader: Params, photos: Tensor) -> Params:
         code, flash = self.setup.encoder(reader, seen(photos))
-        return {"z": code / self.field.gain, "flash": flash}
+        return {"z": code / self.field.gain, "flash": flash / self.field.gain}
 
     def augment(self, tasks: Tasks, rng: Generator) -> Tasks:
         """The same materials turned, mirrored, mixed and recoloured, photographed anew."""
-        maps, photos = varied(tasks.data["maps"][tasks.rows], rng)
-        return tasks.variants({"photo": photos} | self.described(maps))
+        size = (self.field.height, self.field.width)
+        fine, photos = varied(tasks.data["fine"][tasks.rows].float(), rng)
+        return tasks.variants({"photo": adaptive_avg_pool2d(photos, size)} | self.described(pooled(fine, size)))
 
     def visible(self, task: Task) -> Visible:
         """The maps or the photograph, all of it in each step; General's encoder reads the photograph alone."""

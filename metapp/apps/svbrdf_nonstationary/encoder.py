@@ -7,13 +7,14 @@ from typing import NamedTuple
 
 import torch
 from torch import Generator, Tensor
-from torch.nn.functional import avg_pool2d, conv2d, interpolate, leaky_relu, pad
+from torch.nn.functional import adaptive_avg_pool2d, avg_pool2d, conv2d, interpolate, leaky_relu
 
 from metapp.networks import add_layer, dense
 from metapp.task import Params
 
 SLOPE = 0.1
-MOST = 6  # times the finest level's channels, at the coarsest
+LOOKED = 4  # cells a side of the coarsest level that the flash is looked for in
+MOST = 8  # times the finest level's channels, at the coarsest
 
 
 class Encoder(NamedTuple):
@@ -53,16 +54,16 @@ class Encoder(NamedTuple):
         for level in reversed(range(self.levels - 1)):
             block(f"up{level}", self.channels(level + 1) + self.channels(level), self.channels(level))
         layer("code", self.code, self.channels(0), gain=0.3)
-        layer("flash", self.flash, self.channels(self.levels - 1), gain=0.1)
+        layer("flash", self.flash, self.channels(self.levels - 1) * LOOKED**2, gain=0.1)
         return encoder
 
     def __call__(self, encoder: Params, seen: Tensor) -> tuple[Tensor, Tensor]:
         """The code [T, code, H, W] and the flash [T, flash] of what is seen, [T, inputs, H, W]."""
-        x, skips = seen, []
+        x, skips = seen.contiguous(memory_format=torch.channels_last), []
         for level in range(self.levels):
             x = _block(encoder, f"down{level}", avg_pool2d(x, 2) if level else x)
             skips.append(x)
-        flash = dense(encoder, "flash", x.mean((2, 3)))
+        flash = dense(encoder, "flash", adaptive_avg_pool2d(x, LOOKED).flatten(1))
         for level in reversed(range(self.levels - 1)):
             x = torch.cat([interpolate(x, scale_factor=2, mode="nearest"), skips[level]], 1)
             x = _block(encoder, f"up{level}", x)
@@ -77,4 +78,4 @@ def _block(encoder: Params, name: str, x: Tensor) -> Tensor:
 
 
 def _conv(encoder: Params, name: str, x: Tensor) -> Tensor:
-    return conv2d(pad(x, (1, 1, 1, 1), mode="replicate"), encoder[f"{name}.kernel"], encoder[f"{name}.shift"])
+    return conv2d(x, encoder[f"{name}.kernel"], encoder[f"{name}.shift"], padding=1)

@@ -6,7 +6,7 @@ from typing import Any
 
 import torch
 from torch import Tensor
-from torch.nn.functional import adaptive_avg_pool2d, normalize
+from torch.nn.functional import adaptive_avg_pool2d
 
 from metapp.colour import linear_to_srgb, srgb_to_linear
 from metapp.flash import Maps, camera, expose, positions, relightings, render
@@ -25,9 +25,14 @@ def photo_of(task: Task, largest: int) -> Tensor:
 
 
 def pooled(maps: Tensor, size: Any) -> Tensor:
-    """Maps [10, H, W] at another size, normals of unit length."""
-    maps = adaptive_avg_pool2d(maps, tuple(size))
-    return torch.cat([normalize(maps[:3], dim=0), maps[3:]])
+    """Maps [..., 10, H, W] at another size, normals of unit length."""
+    normal, rest = adaptive_avg_pool2d(maps, tuple(size)).split((3, 7), -3)
+    return torch.cat([of_length_1(normal), rest], -3)
+
+
+def of_length_1(vectors: Tensor) -> Tensor:
+    """Vectors [..., 3, H, W] of length 1; many times as fast as torch's own where channels come first."""
+    return vectors * vectors.square().sum(-3, keepdim=True).clamp_min(1e-24).rsqrt()
 
 
 def differences(maps: Maps, target: Maps) -> list[Tensor]:

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import torch
 from torch import Generator, Tensor
-from torch.nn.functional import interpolate, normalize
+from torch.nn.functional import interpolate
 
+from metapp.apps.svbrdf_nonstationary.maps import of_length_1
 from metapp.apps.svbrdf_nonstationary.views import FLASH, flash_of, photographed
 from metapp.colour import linear_to_srgb, srgb_to_linear
 from metapp.flash import unpack
@@ -68,4 +69,4 @@ def _mixed(maps: Tensor, rng: Generator) -> Tensor:
     kind = torch.rand(count, 1, 1, 1, generator=rng, device=device)
     share = torch.where(kind < 0.5, torch.ones_like(masks), torch.where(kind < 0.75, even.expand_as(masks), masks))
     mixed = torch.lerp(maps.roll(1, 0), maps, share)
-    return torch.cat([normalize(mixed[:, :3], dim=1), mixed[:, 3:]], 1)
+    return torch.cat([of_length_1(mixed[:, :3]), mixed[:, 3:]], 1)
