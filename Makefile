@@ -27,7 +27,7 @@ $(VENV)/.ready: setup.cfg pyproject.toml constraints.txt tools/setup.sh
 demo: setup  ## fit 20 unseen materials in 10 gradient steps each; table and picture
 	$(METAPP) meta brdf --steps 10 --out $(RUNS)
 
-test: setup  ## the tests, three to five minutes
+test: setup  ## the tests, seven to ten minutes
 	$(VENV)/bin/python -m pytest -m "not slow"
 
 test-slow: setup  ## the tests that take minutes each
@@ -94,7 +94,7 @@ real-illumination: setup  ## real maps: make real-illumination DATA=<folder with
 real-svbrdf: setup  ## real materials: make real-svbrdf DATA=<folder with svbrdf_strips, svbrdf_maps, flash_nonstationary>
 	bash tools/real_svbrdf.sh "$(METAPP)" "$(DATA)" "$(RUNS)"
 
-starts-illumination: setup  ## train the starts of illumination that ship, on the embedded maps; two hours
+starts-illumination: setup  ## train the starts of illumination that ship, on the embedded maps; two to three hours
 	bash tools/starts_observed.sh "$(METAPP)" "$(RUNS)" illumination
 
 starts-svbrdf: setup  ## train the starts of non-stationary svBRDFs that ship, on the embedded patches; two hours
