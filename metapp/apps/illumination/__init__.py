@@ -58,7 +58,7 @@ LEARNED = Training(
     final=0.01,
     order=2,
     clip=1.0,
-    validate_every=50,
+    validate_every=100,
     start="encoder",
 )
 QUICK = Recipe(
@@ -81,7 +81,6 @@ FROM_PHOTOS = replace(
     rates={"": 1e-4, "alpha.": 1e-2},
     first=Adam(1e-3, beta1=0.7, beta2=0.99, eps=1e-3, final=0.1),
     warmup=20,
-    validate_every=100,
 )
 QUICK_PHOTO = replace(
     QUICK,
