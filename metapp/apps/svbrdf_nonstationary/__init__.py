@@ -190,9 +190,8 @@ class SvbrdfNonstationary(CodedApp):
     def sample(self, tasks: Tasks, rng: Generator, count: int) -> Batch:
         """All there is of each task; `pairs` [T, V, 2, 3] of light and viewer are random, which the goal looks at."""
         drawn = {"pairs": draw_pairs(DRAWN, rng, len(tasks))} if "maps" in tasks.data else {}
-        batch = super().sample(tasks, rng, count)
-        batch.pop("fine", None)
-        return batch | drawn
+        shown = {key: value for key, value in tasks.data.items() if key != "fine"}
+        return super().sample(replace(tasks, data=shown), rng, count) | drawn
 
     def loss(self, theta: Params, batch: Batch, shape: Params) -> Tensor:
         """Of maps and pictures, or of the photograph, by the protocol, [T]."""
