@@ -58,7 +58,7 @@ def test_strips_become_a_data_set(metapp: Callable, tmp_path: Path) -> None:
     assert {name for name, split in splits(out).items() if split == "test"} == {"4_a4Xb4_0X1", "14_b4Xa4_2Xdefault"}
     manifest = read_manifest(out)
     assert manifest.notes == {
-        "made_by": "metapp data strips", "size": 32, "gamma": 1.0, "split_by": "material", "left_out": 0,
+        "made_by": "metapp data strips", "size": 32, "gamma": 1.0, "white": 1.35, "split_by": "material", "left_out": 0,
         "split": "auto",
     }  # fmt: skip
     assert {entry.name: entry.group for entry in manifest.tasks}["14_b4Xa4_2Xdefault"] == "a4"
@@ -95,7 +95,7 @@ def test_options_of_strips(metapp: Callable, tmp_path: Path) -> None:
     assert fingerprint(tmp_path / "one") == fingerprint(tmp_path / "two") != fingerprint(tmp_path / "gamma")
     means = [read_shard(tmp_path / name)[0].data["maps"][3:6].float().mean().item() for name in ("one", "gamma")]
     assert means[1] < 0.8 * means[0]
-    for arguments in (("--split", "some"), ("--size", "4"), ("--gamma", "0")):
+    for arguments in (("--split", "some"), ("--size", "4"), ("--gamma", "0"), ("--white", "0")):
         assert metapp("data", "strips", path, "--out", tmp_path / "new", *arguments).code == 2
     assert not (tmp_path / "new").exists()
 

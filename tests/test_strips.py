@@ -16,6 +16,7 @@ from torch import Tensor
 from data_tools import strips, svbrdf_inputs
 from data_tools.strips import blend, group_strips, split_strips
 from data_tools.svbrdf_task import encoded, flash_photo
+from metapp.colour import srgb_to_linear
 from metapp.flash import Maps, normal_from_height, pack, unpack
 
 
@@ -58,7 +59,7 @@ def example(size: int = 64) -> Tensor:
 def test_a_strip_holds_its_maps(tmp_path: Path, kind: str, suffix: str, tolerance: float, gamma: float) -> None:
     maps, photo = material(), torch.rand(3, 64, 64)
     path = write(tmp_path / f"a;b.{suffix}", strip(maps, photo, gamma), kind)
-    task = strips.read_task(path, 64, gamma)
+    task = strips.read_task(path, 64, gamma, white=1)
     assert task.name == "a_b"
     assert list(task.data) == list(strips.UNITS)
     assert task.data["maps"].dtype == torch.float16
@@ -67,6 +68,17 @@ def test_a_strip_holds_its_maps(tmp_path: Path, kind: str, suffix: str, toleranc
     difference = task.data["photo"].int() - encoded(photo).int()
     assert difference.abs().max() <= (1 if tolerance < 1e-3 else 13)  # sRGB is steep near black
     assert difference.abs().float().mean() < 0.5
+
+
+@pytest.mark.parametrize("white", [0.8, strips.WHITE, 3.0])
+def test_photographs_are_exposed_anew_but_where_they_clip(tmp_path: Path, white: float) -> None:
+    maps, photo = material(), 1.2 * torch.rand(3, 64, 64)
+    photo[(photo > 0.99) & (photo < 1)] = 1
+    path = write(tmp_path / "a.exr", strip(maps, photo.clamp(0, 1)), "float")
+    found = srgb_to_linear(strips.read_task(path, 64, white=white).data["photo"].float() / 255)
+    clipped = photo >= 1
+    assert (found[clipped] == 1).all()
+    torch.testing.assert_close(found[~clipped], (photo[~clipped] / white).clamp(0, 1), atol=0.006, rtol=0)
 
 
 @pytest.mark.parametrize("size", [32, 48, 64, 96])

@@ -45,6 +45,16 @@ def strips(
         float,
         typer.Option(min=0.1, max=10, metavar="G", help="How all tiles but the normals are encoded; 1 is linear."),
     ] = 1.0,
+    white: Annotated[
+        float,
+        typer.Option(
+            min=0.01,
+            max=100,
+            metavar="W",
+            help="How bright white would be right below the flash, 1 where the photographs clip; they are made that "
+            "much darker. The default is that of the published ones.",
+        ),
+    ] = 1.35,
     quiet: Quiet = False,
     as_json: Json = False,
 ) -> None:
@@ -58,7 +68,7 @@ def strips(
 
     Examples:
       metapp data strips DeepMaterialsData/trainBlended --out svbrdf
-      metapp data strips strips --gamma 2.2 --split test --out svbrdf
+      metapp data strips strips --gamma 2.2 --white 1 --split test --out svbrdf
     """
     module = importlib.import_module("data_tools.strips")
 
@@ -66,7 +76,7 @@ def strips(
     groups = module.group_strips(sources)
     sides: dict[Path, str] = {}
     left_out: set[Path] = set()
-    notes = {"made_by": "metapp data strips", "size": size, "gamma": gamma}
+    notes = {"made_by": "metapp data strips", "size": size, "gamma": gamma, "white": white}
     if split is Split.AUTO:
         parted = module.split_strips(list(sources))
         sides, left_out = parted.sides, set(parted.left_out)
@@ -79,7 +89,7 @@ def strips(
         return [source for source in found if source.resolve() not in left_out], skipped
 
     def read(source: Path) -> Task:
-        return module.read_task(source, size, gamma)._replace(group=groups[source.resolve()])
+        return module.read_task(source, size, gamma, white)._replace(group=groups[source.resolve()])
 
     def split_of(source: Path) -> str:
         return sides[source.resolve()]
