@@ -76,18 +76,23 @@ def test_a_start_that_only_gets_worse_is_kept(
     assert all(torch.equal(prepared.start.flat()[key], value) for key, value in before.start.flat().items())
 
 
+def gain(prepared: Prepared) -> float:
+    """How much lower the error is than before the first step, as a share of its size: errors may be negative."""
+    before = prepared.curve[0][2]
+    return (before - prepared.validation) / abs(before)
+
+
 def test_general_learns(job: Job, tasks: Tasks) -> None:
     """Preparing it improves what it is prepared for."""
     training = replace(job.recipe.general, steps=100, rates={"": 1e-3}, validate_every=25)
     prepared = look("general", job._replace(recipe=replace(job.recipe, general=training)), tasks)
-    assert prepared.validation < 0.9 * prepared.curve[0][2]
+    assert gain(prepared) > 0.1
 
 
 def test_meta_learns(job: Job, tasks: Tasks) -> None:
-    training = replace(job.recipe.meta["meta-adam"], steps=60, rates={"": 3e-3}, validate_every=20)
+    training = replace(job.recipe.meta["meta-adam"], steps=160, rates={"": 1e-2}, validate_every=40)
     recipe = replace(job.recipe, meta={"meta-adam": training})
-    prepared = look("meta-adam", job._replace(recipe=recipe), tasks)
-    assert prepared.validation < 0.9 * prepared.curve[0][2]
+    assert gain(look("meta-adam", job._replace(recipe=recipe), tasks)) > 0.1
 
 
 def starting_from(start: str, job: Job) -> Job:
