@@ -38,11 +38,20 @@ def svbrdf_task(name: str, maps: Tensor, *, photo: Tensor | None = None, group: 
     return Task(name, {"maps": maps.half(), "photo": flash_photo(maps) if photo is None else photo}, group)
 
 
-def flash_photo(maps: Tensor) -> Tensor:
-    """A material [10, H, W] under a flash beside the lens, straight above: uint8 sRGB [3, H, W]."""
+def flash_photo(maps: Tensor, flash: Tensor | None = None, intensity: float = 1.0) -> Tensor:
+    """A material [10, H, W] from straight above under a flash at a place [3], beside the lens unless told otherwise.
+
+    Args:
+        maps: the material.
+        flash: where it is, as `metapp.flash.render` has it.
+        intensity: of the flash; with 1 and beside the lens white has radiance 1 in the centre.
+
+    Returns:
+        uint8 sRGB [3, H, W].
+    """
     above = camera(dtype=torch.float32)
     place = positions(*maps.shape[-2:], dtype=torch.float32)
-    radiance = render(unpack(maps.float()), place, above, above)
+    radiance = render(unpack(maps.float()), place, above if flash is None else flash, above, intensity=intensity)
     return encoded(radiance)
 
 

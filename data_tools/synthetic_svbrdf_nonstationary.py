@@ -2,12 +2,17 @@
 
 Families take turns, so any count of 19 or more holds them all; every draw is another patch. Training and test draws
 come from other random streams. Maps cover what most libraries of materials hold little of: bare metals in colour,
-roughness from 0.1 to 0.95 within one patch, strong relief beside none.
+roughness from 0.1 to 0.95 within one patch, strong relief beside none. Photographs are as people take them: in most the
+flash is not quite beside the lens.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+
+import numpy as np
+import torch
+from torch import Tensor
 
 from data_tools import svbrdf_task
 from data_tools.patch import Surface, finish
@@ -16,10 +21,15 @@ from data_tools.patch_crafted import carpet, label, ornament, stitched
 from data_tools.patch_worn import corroded, crumpled, flaking, overgrown, puddles, scratches, stains, tracks
 from data_tools.patterns import Rng
 from data_tools.procedural import Split, turns
+from metapp.flash import camera
 from metapp.task import Task
 
-UNITS = svbrdf_task.UNITS
-COUNTS: dict[Split, int] = {"train": 400, "test": 16}
+VERSION = 2
+UNITS = {
+    **svbrdf_task.UNITS,
+    "photo": "sRGB, uint8 0..255 [3, height, width], rows from the top; camera above the centre, flash near it",
+}
+COUNTS: dict[Split, int] = {"train": 1200, "test": 16}
 FAMILIES: dict[str, Callable[[Rng, int], Surface]] = {
     "inlay": inlay,
     "corroded": corroded,
@@ -42,6 +52,10 @@ FAMILIES: dict[str, Callable[[Rng, int], Surface]] = {
     "crumpled": crumpled,
 }
 
+BESIDE_LENS = 0.3  # share of the photographs whose flash is
+# how far off the others' are, in half sides of the patch and in logs; aside as in the strips of Deschaintre et al. 2018
+ASIDE, HIGHER, BRIGHTER = 0.24, 0.08, 0.06
+
 _SIZE = 128
 _STREAM = 2  # other materials than those of the textures and of the stationary svBRDFs
 
@@ -62,4 +76,13 @@ def synthetic_tasks(split: Split, count: int, seed: int = 0) -> Iterator[Task]:
         ValueError: for another split, or a negative count or seed.
     """
     for family, name, rng in turns("svBRDFs", FAMILIES, COUNTS, split, count, seed, _STREAM):
-        yield svbrdf_task.svbrdf_task(name, finish(FAMILIES[family](rng, _SIZE)))
+        maps = finish(FAMILIES[family](rng, _SIZE))
+        yield svbrdf_task.svbrdf_task(name, maps, photo=svbrdf_task.flash_photo(maps, *held(rng)))
+
+
+def held(rng: Rng) -> tuple[Tensor, float]:
+    """Where somebody holds the flash, [3] as `metapp.flash.render` has it, and its intensity."""
+    apart = rng.normal(size=4) * (rng.random() >= BESIDE_LENS)
+    aside, higher, brighter = apart[:2] * ASIDE, np.exp(apart[2] * HIGHER), np.exp(apart[3] * BRIGHTER)
+    place = torch.tensor([*aside, float(camera()[2]) * higher], dtype=torch.float32)
+    return place, float(brighter * higher**2)  # exposed by what is right below it

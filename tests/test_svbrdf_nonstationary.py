@@ -153,6 +153,16 @@ def test_a_flash_described_by_zeros_is_the_camera_s() -> None:
     torch.testing.assert_close(photo[0].clamp(0, 1), wanted, atol=0.01, rtol=0.01)  # 8 bits
 
 
+def test_white_right_below_a_flash_is_as_bright_whatever_its_height() -> None:
+    white = pack(Maps(torch.ones(3, 33, 33), torch.zeros(3, 33, 33), torch.ones(1, 33, 33), torch.zeros(3, 33, 33)))
+    white[2] = 1
+    for higher in (-2.0, 0.0, 2.0):
+        flash = flash_of(torch.tensor([[0.0, 0.0, higher, 0.0], [0.0, 0.0, higher, 1.0]]))
+        below = photographed(unpack(white[None]), flash)[:, :, 16, 16]
+        torch.testing.assert_close(below, torch.tensor([1.0, math.exp(0.3)])[:, None].expand(2, 3), atol=1e-3, rtol=0)
+        assert flash.place[0, 2] == pytest.approx(camera_distance() * math.exp(0.2 * higher))
+
+
 def test_gradients_of_the_flash_are_right() -> None:
     maps = Maps(*(part.double() for part in unpack(material(0, 6)[None])))
     flash = torch.tensor([[0.2, -0.1, 0.3, 0.1]], dtype=torch.float64, requires_grad=True)

@@ -11,9 +11,9 @@ from metapp.apps.svbrdf_nonstationary.views import FLASH, flash_of, photographed
 from metapp.colour import linear_to_srgb, srgb_to_linear
 from metapp.flash import unpack
 
-# of the numbers that describe a flash: beside, nearer or farther, brighter or darker
-JITTER = (0.4, 0.4, 0.5, 0.4)
-CALIBRATED = 0.5  # share of the flashes that are where they should be
+# of the numbers that describe a flash: beside, as far as in the strips of Deschaintre et al. 2018, higher, brighter
+JITTER = (0.8, 0.8, 0.4, 0.2)
+CALIBRATED = 0.3  # share of the flashes that are where they should be
 
 
 def varied(maps: Tensor, rng: Generator) -> tuple[Tensor, Tensor]:

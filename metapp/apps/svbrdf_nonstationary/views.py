@@ -21,7 +21,7 @@ class Flash(NamedTuple):
 
     Attributes:
         place: [T, 3].
-        gain: [T, 1], of the exposure.
+        gain: [T, 1], its intensity, as `metapp.flash.render` has it.
     """
 
     place: Tensor
@@ -29,9 +29,13 @@ class Flash(NamedTuple):
 
 
 def flash_of(flash: Tensor) -> Flash:
-    """Of its description [T, FLASH], any numbers; zeros say straight above, exposed as white is 1."""
-    height = camera_distance() * torch.exp(0.2 * flash[:, 2:3])
-    return Flash(torch.cat([0.3 * flash[:, :2], height], 1), torch.exp(0.3 * flash[:, 3:4]))
+    """Of its description [T, FLASH], any numbers: aside, higher, brighter; zeros say beside the lens, where white is 1.
+
+    How bright white is right below the flash does not depend on its height, since exposure makes up for that.
+    """
+    higher = torch.exp(0.2 * flash[:, 2:3])
+    place = torch.cat([0.3 * flash[:, :2], camera_distance() * higher], 1)
+    return Flash(place, torch.exp(0.3 * flash[:, 3:4]) * higher * higher)
 
 
 def photographed(maps: Maps, flash: Flash) -> Tensor:
