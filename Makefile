@@ -97,7 +97,7 @@ real-svbrdf: setup  ## real materials: make real-svbrdf DATA=<folder with svbrdf
 starts-illumination: setup  ## train the starts of illumination that ship, on the embedded maps; two to three hours
 	bash tools/starts_observed.sh "$(METAPP)" "$(RUNS)" illumination
 
-starts-svbrdf: setup  ## train the starts of non-stationary svBRDFs that ship, on the embedded patches; two hours
+starts-svbrdf: setup  ## train the starts of non-stationary svBRDFs that ship, on the embedded patches; three hours
 	bash tools/starts_observed.sh "$(METAPP)" "$(RUNS)" svbrdf_nonstationary
 
 starts-transport: setup  ## train the starts of light transport that ship, on the embedded scenes; an hour

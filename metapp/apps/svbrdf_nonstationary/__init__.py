@@ -77,7 +77,7 @@ def field_of(side: int, hidden: int) -> LocalField:
 
 # exact second order, from General's encoder, which goes on learning through the steps
 LEARNED = Training(
-    steps=300,
+    steps=600,
     tasks=4,
     rates={"": 5e-5, "alpha.": 5e-3, "alpha.within.": 5e-4},
     first=Adam(3e-3, beta1=0.5, beta2=0.8, eps=1e-6, final=0.1),
