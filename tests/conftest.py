@@ -43,11 +43,12 @@ def _seed() -> None:
 
 
 @pytest.fixture(scope="session", autouse=True)
-def _no_user_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    """Nor does any fixture that several tests share: none depends on what the user has fetched."""
+def _shared_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """What fixtures that several tests share have for a cache: none depends on what the user has fetched."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("METAPP_CACHE", str(tmp_path_factory.mktemp("cache")))
-        yield
+        folder = tmp_path_factory.mktemp("cache")
+        patch.setenv("METAPP_CACHE", str(folder))
+        yield folder
 
 
 @pytest.fixture(autouse=True)
@@ -73,6 +74,16 @@ def vgg(cache: Path) -> Path:
 @pytest.fixture
 def scene(cache: Path) -> Path:
     """The matrix of the second scene that `make setup` built, in the test's cache."""
+    return lend_scene(cache)
+
+
+@pytest.fixture(scope="session")
+def shared_scene(_shared_cache: Path) -> Path:
+    """The same for fixtures that several tests share: building the matrix takes a minute."""
+    return lend_scene(_shared_cache)
+
+
+def lend_scene(cache: Path) -> Path:
     if not USER_MATRIX.is_file():
         pytest.skip("the second scene's matrix is not there: metapp data scene builds it")
     (cache / USER_MATRIX.name).symlink_to(USER_MATRIX)

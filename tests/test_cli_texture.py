@@ -45,7 +45,8 @@ def app(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
     outputs = quick.setup.network.outputs
     setup = Setup(16, 16, UNet(4, levels=2, noise=2, code=4, outputs=outputs), "vgg16", ("relu1_1", "relu2_1"))
     short = {name: replace(training, steps=2, tasks=2, warmup=0) for name, training in quick.meta.items()}
-    quick = replace(quick, setup=setup, overfit_steps=3, general=replace(quick.general, steps=2, tasks=2), meta=short)
+    general = replace(quick.general, steps=2, tasks=2)
+    quick = replace(quick, setup=setup, steps=3, overfit_steps=3, general=general, meta=short)
     monkeypatch.setitem(loaded.recipes, "quick", quick)
     return request.param
 

@@ -30,7 +30,9 @@ def sources(app: App) -> list[Task]:
 
 
 @pytest.fixture(scope="module")
-def tasks(app: App, sources: list[Task]) -> Tasks:
+def tasks(request: pytest.FixtureRequest, app: App, sources: list[Task]) -> Tasks:
+    if app.name == "illumination":
+        request.getfixturevalue("shared_scene")
     return stack(app, sources)
 
 
