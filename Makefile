@@ -11,8 +11,8 @@ SEEDS ?= 0 1 2
 # small networks run many times slower where threads fight over them
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: help setup demo test test-slow lint types bench tables figures report paper real real-photos real-illumination \
-  real-svbrdf starts-brdf starts-photos starts-illumination starts-svbrdf \
+.PHONY: help setup demo test test-slow lint types bench bench-photo tables figures report paper real real-photos \
+  real-illumination real-svbrdf starts-brdf starts-photos starts-illumination starts-svbrdf \
   starts-transport clean
 
 help:  ## list the targets
@@ -42,6 +42,9 @@ types: setup  ## mypy
 
 bench: setup  ## speed and memory of learning, as ratios measured side by side
 	$(VENV)/bin/python -m tests.benchmarks.bench_learning
+
+bench-photo: setup  ## what a flash photo says beyond what General reads from it; DATA=<data set of svbrdf_nonstationary>
+	$(VENV)/bin/python -m tests.benchmarks.bench_flash_photo $(if $(filter file,$(origin DATA)),,"$(DATA)")
 
 # on two cores; the tables say that Overfit has fewer steps than the recipe's; OVERFIT=1 takes all of them
 OVERFIT ?= 0.1

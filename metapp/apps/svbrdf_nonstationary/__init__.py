@@ -12,10 +12,11 @@ from torch.nn.functional import adaptive_avg_pool2d, relu
 
 from metapp.apps.svbrdf_nonstationary.encoder import Encoder
 from metapp.apps.svbrdf_nonstationary.maps import (
+    RAW,
+    decoded,
     differences,
     displayed,
     linear,
-    of_length_1,
     photo_of,
     pooled,
     relit,
@@ -37,7 +38,7 @@ DRAWN = (1, 2)  # and those that preparation draws
 SMOOTHED = 0.03  # at first, where learned losses round off |d|
 LARGEST = 256  # px of the maps that are written
 FINER = 2  # how many times as fine as their maps made-up materials are photographed
-INPUTS, OUTPUTS = 8, 9
+INPUTS = 8
 
 
 @dataclass(frozen=True)
@@ -63,7 +64,7 @@ def field_of(side: int, hidden: int) -> LocalField:
         side,
         side,
         inputs=INPUTS,
-        outputs=OUTPUTS,
+        outputs=sum(RAW),
         rows=side,  # a cell for each texel, so that a step moves each by itself
         columns=side,
         code=12,
@@ -177,15 +178,7 @@ class SvbrdfNonstationary(CodedApp):
     def maps_of(self, theta: Params, photo: Tensor) -> Maps:
         """The fitted maps [T, C, h, w] of photographs [T, 3, h, w], at the photographs' resolution."""
         height, width = photo.shape[-2:]
-        raw = self.field._replace(height=height, width=width)(theta, seen(photo))
-        slopes, diffuse, roughness, specular = raw.split((2, 3, 1, 3), 1)
-        normal = of_length_1(torch.cat([slopes, torch.ones_like(roughness)], 1))
-        return Maps(
-            torch.sigmoid(diffuse) ** 2.2,  # about evenly spread for the eye
-            torch.sigmoid(specular - 2) ** 2,  # about 0.02 at first, as of dielectrics
-            0.05 + 0.95 * torch.sigmoid(roughness),
-            normal,
-        )
+        return decoded(self.field._replace(height=height, width=width)(theta, seen(photo)))
 
     def sample(self, tasks: Tasks, rng: Generator, count: int) -> Batch:
         """All there is of each task; `pairs` [T, V, 2, 3] of light and viewer are random, which the goal looks at."""

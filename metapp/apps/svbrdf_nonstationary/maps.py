@@ -12,6 +12,19 @@ from metapp.colour import linear_to_srgb, srgb_to_linear
 from metapp.flash import Maps, camera, expose, positions, relightings, render
 from metapp.task import Task
 
+RAW = (2, 3, 1, 3)  # numbers of any size in a place: slopes, diffuse colour, roughness, specular colour
+
+
+def decoded(raw: Tensor) -> Maps:
+    """The maps [T, C, H, W] that RAW numbers [T, 9, H, W] stand for."""
+    slopes, diffuse, roughness, specular = raw.split(RAW, 1)
+    return Maps(
+        torch.sigmoid(diffuse) ** 2.2,  # about evenly spread for the eye
+        torch.sigmoid(specular - 2) ** 2,  # about 0.02 at first, as of dielectrics
+        0.05 + 0.95 * torch.sigmoid(roughness),
+        of_length_1(torch.cat([slopes, torch.ones_like(roughness)], 1)),
+    )
+
 
 def linear(photo: Tensor) -> Tensor:
     """A photograph as tasks keep it, uint8 sRGB of any shape, in linear RGB."""
