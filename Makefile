@@ -43,6 +43,7 @@ types: setup  ## mypy
 bench: setup  ## speed and memory of learning, as ratios measured side by side
 	$(VENV)/bin/python -m tests.benchmarks.bench_learning
 
+# of the embedded data set, unless DATA is given
 bench-photo: setup  ## what a flash photo says beyond what General reads from it; DATA=<data set of svbrdf_nonstationary>
 	$(VENV)/bin/python -m tests.benchmarks.bench_flash_photo $(if $(filter file,$(origin DATA)),,"$(DATA)")
 

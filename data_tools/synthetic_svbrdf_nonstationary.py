@@ -21,7 +21,7 @@ from data_tools.patch_crafted import carpet, label, ornament, stitched
 from data_tools.patch_worn import corroded, crumpled, flaking, overgrown, puddles, scratches, stains, tracks
 from data_tools.patterns import Rng
 from data_tools.procedural import Split, turns
-from metapp.flash import camera
+from metapp.flash import ASIDE, BESIDE_LENS, BRIGHTER, HIGHER, camera
 from metapp.task import Task
 
 VERSION = 2
@@ -51,10 +51,6 @@ FAMILIES: dict[str, Callable[[Rng, int], Surface]] = {
     "circuit": circuit,
     "crumpled": crumpled,
 }
-
-BESIDE_LENS = 0.3  # share of the photographs whose flash is
-# how far off the others' are, in half sides of the patch and in logs; aside as in the strips of Deschaintre et al. 2018
-ASIDE, HIGHER, BRIGHTER = 0.24, 0.08, 0.06
 
 _SIZE = 128
 _STREAM = 2  # other materials than those of the textures and of the stationary svBRDFs

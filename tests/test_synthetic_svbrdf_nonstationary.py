@@ -14,9 +14,9 @@ from torch import Tensor
 from data_tools.patch import Surface, covers, distance, finish, lay, softened
 from data_tools.patch_shapes import box, centred, disc, grid, star, text
 from data_tools.procedural import stream
-from data_tools.synthetic_svbrdf_nonstationary import BESIDE_LENS, COUNTS, FAMILIES, UNITS, held, synthetic_tasks
+from data_tools.synthetic_svbrdf_nonstationary import COUNTS, FAMILIES, UNITS, held, synthetic_tasks
 from metapp.colour import linear_to_srgb
-from metapp.flash import Maps, camera, positions, render, unpack
+from metapp.flash import BESIDE_LENS, Maps, camera, positions, render, unpack
 from metapp.manifest import read_manifest
 from metapp.shards import check_shard, read_shard
 from metapp.task import Task

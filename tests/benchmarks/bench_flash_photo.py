@@ -19,14 +19,15 @@ from pathlib import Path
 import torch
 from torch import Generator, Tensor
 
-from metapp.apps import load_app
-from metapp.apps.svbrdf_nonstationary import JUDGED, SvbrdfNonstationary, _pairs
+from metapp.apps.svbrdf_nonstationary import APP, JUDGED, _pairs
 from metapp.apps.svbrdf_nonstationary.maps import RAW, decoded
 from metapp.apps.svbrdf_nonstationary.views import FLASH, seen
+from metapp.cli.console import run
 from metapp.cli.inputs import tasks_to_fit
 from metapp.cli.starts import shipped_path
 from metapp.flash import Maps, unpack
-from metapp.paradigms import Job, paradigms
+from metapp.paradigms import Job
+from metapp.paradigms.general import GENERAL
 from metapp.records import load_start
 from metapp.task import Params, stack
 
@@ -40,32 +41,29 @@ class Bench:
     """The tasks, what General makes of them, and what is true of them."""
 
     def __init__(self, data: Path | None) -> None:
-        app = load_app("svbrdf_nonstationary").at(load_app("svbrdf_nonstationary").recipes["quick"], "photo")
-        assert isinstance(app, SvbrdfNonstationary)
-        recipe = app.recipes["quick"]
-        self.app, self.tasks = app, stack(app, tasks_to_fit(app, [], data, quiet=True)[0])
-        general, _ = load_start(shipped_path(app.name, "general"))
-        job = Job(app, recipe, recipe.rule)
-        theta = paradigms()["general"].fit(job, general, self.tasks, Generator().manual_seed(0))
-        self.photo, self.truth = self.tasks.data["photo"], unpack(self.tasks.data["maps"])
+        tasks = stack(APP, tasks_to_fit(APP, [], data, quiet=True)[0])
+        recipe = APP.recipes["quick"]
+        general, _ = load_start(shipped_path(APP.name, "general"))
+        theta = GENERAL.fit(Job(APP, recipe, recipe.rule), general, tasks, Generator().manual_seed(0))
+        self.photo, self.truth = tasks.data["photo"], unpack(tasks.data["maps"])
         self.pairs = _pairs(JUDGED)[None]
-        self.wanted = app._logs(self.truth, self.pairs)
-        self.raw = app.field(theta, seen(self.photo)).detach()
+        self.wanted = APP._logs(self.truth, self.pairs)
+        self.raw = APP.field(theta, seen(self.photo)).detach()
         self.flash = {"flash": theta["flash"].detach()}
 
     def error(self, maps: Maps) -> float:
         """What tables print."""
         with torch.no_grad():
-            return float((self.app._logs(maps, self.pairs) - self.wanted).abs().mean())
+            return float((APP._logs(maps, self.pairs) - self.wanted).abs().mean())
 
     def of_photo(self, maps: Maps, flash: Params) -> Tensor:
         """The photo's loss, [T]."""
-        return self.app._photo_loss(flash, maps, self.photo, {})
+        return APP._photo_loss(flash, maps, self.photo, {})
 
     def true_flash(self) -> Params:
         """The flash under which the true maps look like the photo best."""
         flash = torch.zeros(len(self.photo), FLASH, requires_grad=True)
-        optimiser = torch.optim.Adam([flash], 0.03 / self.app.field.gain)
+        optimiser = torch.optim.Adam([flash], 0.03 / APP.field.gain)
         for _ in range(CALIBRATING):
             optimiser.zero_grad()
             self.of_photo(self.truth, {"flash": flash}).sum().backward()
@@ -79,7 +77,7 @@ class Bench:
         groups = [{"params": [part.requires_grad_() for part in free], "lr": rate}]
         place = flash["flash"].clone().requires_grad_(not told)
         if not told:
-            groups.append({"params": [place], "lr": rate / self.app.field.gain})
+            groups.append({"params": [place], "lr": rate / APP.field.gain})
         optimiser, found = torch.optim.Adam(groups), []
         for step in range(1, STEPS + 1):
             optimiser.zero_grad()
@@ -117,4 +115,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(run(main))

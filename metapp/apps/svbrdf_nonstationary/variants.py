@@ -7,13 +7,12 @@ from torch import Generator, Tensor
 from torch.nn.functional import interpolate
 
 from metapp.apps.svbrdf_nonstationary.maps import of_length_1
-from metapp.apps.svbrdf_nonstationary.views import FLASH, flash_of, photographed
+from metapp.apps.svbrdf_nonstationary.views import ACROSS, BRIGHT, FLASH, UP, flash_of, photographed
 from metapp.colour import linear_to_srgb, srgb_to_linear
-from metapp.flash import unpack
+from metapp.flash import ASIDE, BESIDE_LENS, BRIGHTER, HIGHER, unpack
 
-# of the numbers that describe a flash: beside, as far as in the strips of Deschaintre et al. 2018, higher, brighter
-JITTER = (0.8, 0.8, 0.4, 0.2)
-CALIBRATED = 0.3  # share of the flashes that are where they should be
+# of the numbers that describe a flash, as drawn materials are photographed
+JITTER = (ASIDE / ACROSS, ASIDE / ACROSS, HIGHER / UP, BRIGHTER / BRIGHT)
 
 
 def varied(maps: Tensor, rng: Generator) -> tuple[Tensor, Tensor]:
@@ -24,7 +23,7 @@ def varied(maps: Tensor, rng: Generator) -> tuple[Tensor, Tensor]:
     maps = _mixed(_recoloured(torch.stack([_turned(each, rng) for each in maps]), rng), rng)
     count, device = len(maps), maps.device
     flash = torch.randn(count, FLASH, generator=rng, device=device) * maps.new_tensor(JITTER)
-    flash = flash * (torch.rand(count, 1, generator=rng, device=device) > CALIBRATED)
+    flash = flash * (torch.rand(count, 1, generator=rng, device=device) > BESIDE_LENS)
     radiance = photographed(unpack(maps), flash_of(flash))
     shown = linear_to_srgb(radiance.clamp(0, 1))
     noise = torch.randn(shown.shape, generator=rng, device=device) * 0.01

@@ -12,6 +12,7 @@ from torch.nn.functional import pad
 from metapp.flash import Maps, camera, camera_distance, positions, render
 
 FLASH = 4  # numbers that describe a flash
+ACROSS, UP, BRIGHT = 0.3, 0.2, 0.3  # and how much one of each is: half sides aside, the log of the height, of the gain
 STEEPEST = 0.4  # cosine with the patch's normal of the most oblique light or view
 STRIDE = 64  # a picture's side over how far apart neighbours are that contrasts are taken of
 
@@ -33,9 +34,9 @@ def flash_of(flash: Tensor) -> Flash:
 
     How bright white is right below the flash does not depend on its height, since exposure makes up for that.
     """
-    higher = torch.exp(0.2 * flash[:, 2:3])
-    place = torch.cat([0.3 * flash[:, :2], camera_distance() * higher], 1)
-    return Flash(place, torch.exp(0.3 * flash[:, 3:4]) * higher * higher)
+    higher = torch.exp(UP * flash[:, 2:3])
+    place = torch.cat([ACROSS * flash[:, :2], camera_distance() * higher], 1)
+    return Flash(place, torch.exp(BRIGHT * flash[:, 3:4]) * higher * higher)
 
 
 def photographed(maps: Maps, flash: Flash) -> Tensor:
