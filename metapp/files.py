@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
+import errno
+import glob
 import os
-from collections.abc import Callable
+import re
+import shutil
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 PARTIAL = ".partial-"  # what the name of an unfinished file begins with
@@ -16,25 +21,103 @@ def cache_folder() -> Path:
     return Path(os.environ.get("METAPP_CACHE") or platformdirs.user_cache_dir("metapp", appauthor=False))
 
 
-def write_atomically(path: str | Path, write: Callable[[Path], object]) -> None:
-    """Write a file so that it is there whole or not at all, even if the program is interrupted.
+def write_atomically(path: str | Path, write: Callable[[Path], object], previous: Path | None = None) -> None:
+    """Write a file so that it is there whole or not at all, even if the program is killed or the power fails.
 
     Args:
         path: the file; an existing one is replaced at the end, missing folders are made.
         write: writes everything to the path it is given: a name in the same folder, with the same suffix.
+        previous: another name in that folder for the file that is replaced, if any.
+
+    Raises:
+        OSError: it cannot be written; names the folder. What was there before is still there.
     """
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
     partial = partial_path(path)
     try:
-        write(partial)
-        os.replace(partial, path)
+        with naming(path):
+            write(partial)
+            _sync(partial)
+            if previous and path.is_file():
+                _keep_as(previous, path)
+            os.replace(partial, path)
     except BaseException:
         partial.unlink(missing_ok=True)
         raise
+    with contextlib.suppress(OSError):  # not every system opens folders
+        _sync(path.parent)
+
+
+@contextlib.contextmanager
+def naming(path: Path) -> Iterator[None]:
+    """Errors of writing a file name it and its folder: those of the system and of libraries often do not.
+
+    Raises:
+        OSError: instead of one without a file name or of an unfinished file.
+    """
+    try:
+        yield
+    except Exception as error:
+        code = error.errno if isinstance(error, OSError) else _code_in(str(error))
+        told = str(getattr(error, "filename", None) or "")
+        if not code or (told and Path(told).parent != path.parent):
+            raise
+        room = "free some space or choose another folder" if code in _FULL else "choose another folder"
+        named = OSError(f"{path.parent}: {os.strerror(code)}; {path.name} was not written; {room}.")
+        named.errno = code
+        raise named from error
+
+
+_FULL = (errno.ENOSPC, errno.EDQUOT)
+
+
+def _code_in(message: str) -> int | None:
+    """The system's error number in a message of safetensors."""
+    found = re.search(r"(?:os error|code:) (\d+)", message)
+    return int(found[1]) if found else None
+
+
+def _sync(path: Path) -> None:
+    """Wait until a file, or the names in a folder, are on the disk."""
+    handle = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
+
+
+def _keep_as(name: Path, path: Path) -> None:
+    """Give a file a second name, whose own file is replaced at once; a copy where there are no links."""
+    partial = partial_path(name)
+    partial.unlink(missing_ok=True)
+    try:
+        os.link(path, partial)
+    except OSError:
+        shutil.copyfile(path, partial)
+    os.replace(partial, name)
+    partial.unlink(missing_ok=True)  # still there where both were the same file already
 
 
 def partial_path(path: Path) -> Path:
     """Where to write a file until it is whole: in the same folder, with the same suffix."""
     # The suffix stays, since image writers choose the format by it; the process id keeps two programs apart.
     return path.with_name(f"{PARTIAL}{os.getpid()}-{path.name}")
+
+
+def remove_partial(path: Path) -> None:
+    """Remove what programs left of a file when they were killed; of those that still run, nothing."""
+    for left in path.parent.glob(f"{PARTIAL}*-{glob.escape(path.name)}"):
+        number = left.name.removeprefix(PARTIAL).split("-")[0]
+        if number.isdigit() and int(number) != os.getpid() and not _runs(int(number)):
+            left.unlink(missing_ok=True)
+
+
+def _runs(process: int) -> bool:
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    except OSError:  # another user's
+        return True
+    return True

@@ -40,6 +40,20 @@ class MetaParameters(NamedTuple):
 Watch = Callable[[int, Params, Tensor], None]
 
 
+class Progress(NamedTuple):
+    """Where a descent is, before a step: with the state of its generator, all that the rest depends on.
+
+    Attributes:
+        step: the steps that were taken.
+        theta: the parameters.
+        state: the rule's own.
+    """
+
+    step: int
+    theta: Params
+    state: Params
+
+
 def learn(
     params: Params,
     rule: UpdateRule,
@@ -51,6 +65,8 @@ def learn(
     watch: Watch | None = None,
     check_every: int = 50,
     compiled: bool = False,
+    since: Progress | None = None,
+    keep: Callable[[Progress], object] | None = None,
 ) -> Params:
     """Descend a loss from a start by a rule (alg. 1).
 
@@ -64,6 +80,8 @@ def learn(
         watch: called as watch(step, params, loss of each task) before each step's update.
         check_every: steps between two checks that the loss is finite.
         compiled: compile the step with torch.compile (worth it from some thousand steps on).
+        since: where an earlier descent was cut off, to go on from; `rng` must be in its state of then.
+        keep: called with where the descent is, before anything is drawn for the next step.
 
     Returns:
         The final parameters, detached.
@@ -72,9 +90,11 @@ def learn(
         FloatingPointError: a loss is not finite; names the tasks and the step.
     """
     theta = {key: value.detach() for key, value in params.items()}
-    state = rule.init(theta)
+    first, theta, state = since or Progress(0, theta, rule.init(theta))
     step = step_pair(rule.step, loss, 1, compiled).forward
-    for i in range(steps):
+    for i in range(first, steps):
+        if keep is not None:
+            keep(Progress(i, theta, state))
         drawn = loss.draw(data, rng)
         moved, state, value, _ = step(at_step(rule.alpha, i), theta, state, drawn.batch)
         if i % check_every == 0 or i == steps - 1:

@@ -9,7 +9,7 @@ from typing import Any
 
 import torch
 from safetensors import SafetensorError, safe_open
-from safetensors.torch import save_file
+from safetensors.torch import save, save_file
 from torch import Tensor
 
 from metapp.files import write_atomically
@@ -19,11 +19,12 @@ from metapp.task import Params
 SCHEMA = 1
 
 
-def save_start(path: Path, start: MetaParameters, info: dict[str, Any]) -> None:
-    """Write a prepared start with what it says about itself, as safetensors."""
+def save_start(path: Path, start: MetaParameters, info: dict[str, Any], previous: Path | None = None) -> None:
+    """Write a prepared start with what it says about itself, as safetensors; `previous` names the one it replaces."""
     tensors = {key: value.detach().cpu().contiguous().clone() for key, value in start.flat().items()}
     metadata = {"metapp": json.dumps({**info, "schema": SCHEMA})}
-    write_atomically(path, lambda target: save_file(tensors, target, metadata))
+    # bytes: save_file writes under a name of its own, which a kill would leave behind
+    write_atomically(path, lambda target: target.write_bytes(save(tensors, metadata)), previous)
 
 
 def load_start(path: Path, device: torch.device | str = "cpu") -> tuple[MetaParameters, dict[str, Any]]:

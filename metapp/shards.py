@@ -18,7 +18,7 @@ import torch
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
 
-from metapp.files import PARTIAL, partial_path, write_atomically
+from metapp.files import PARTIAL, naming, partial_path, write_atomically
 from metapp.manifest import MANIFEST, SPLITS, SUFFIX, Entry, Manifest, fingerprint, read_manifest, to_json
 from metapp.task import Task
 
@@ -120,7 +120,8 @@ class ShardWriter:
         own = torch.contiguous_format
         payload = save({key: tensor.detach().cpu().clone(memory_format=own) for key, tensor in task.data.items()})
         file = _file_name(task.name, self._files)
-        partial_path(self.folder / file).write_bytes(payload)
+        with naming(self.folder / file):
+            partial_path(self.folder / file).write_bytes(payload)
         self._files.add(file.lower())
         beside = ""
         if self._beside is not None:

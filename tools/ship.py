@@ -16,7 +16,7 @@ from safetensors.torch import save_file
 from metapp.records import load_start, tensor_digest
 from metapp.task import Params
 
-SKIPPED = (".previous", ".interrupted")
+SKIPPED = (".previous", ".interrupted", ".training", ".aside")
 
 
 def ship(source: Path, target: Path, rounded: dict[str, str]) -> None:

@@ -8,5 +8,5 @@ for paradigm in general quickft meta; do
 done
 folder=$(ls -td "$runs/$app"/starts/"$app"-*-quick-seed0 | head -1)
 mkdir -p "metapp/checkpoints/$app"
-find "$folder" -name '*.safetensors' ! -name '*.previous.*' ! -name '*.interrupted.*' \
+find "$folder" -name '*.safetensors' ! -name '*.previous.*' ! -name '*.interrupted.*' ! -name '*.training.*' \
   -exec cp -v {} "metapp/checkpoints/$app/" \;

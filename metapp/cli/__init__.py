@@ -7,7 +7,11 @@ import sys
 
 def main() -> None:
     """Entry point of the `metapp` command."""
-    from metapp.cli.commands import app
     from metapp.cli.console import run
 
-    sys.exit(run(lambda: app(standalone_mode=False, prog_name="metapp")))
+    def command() -> object:
+        from metapp.cli.commands import app  # here, as Ctrl-C is one line from now on
+
+        return app(standalone_mode=False, prog_name="metapp")
+
+    sys.exit(run(command))

@@ -6,7 +6,9 @@ import contextlib
 import enum
 import json
 import os
+import signal
 import sys
+import threading
 import time
 import warnings
 from collections.abc import Callable, Iterator
@@ -56,6 +58,7 @@ def run(command: Callable[[], Any]) -> int:
     warnings.simplefilter("ignore")
     warnings.filterwarnings("default", module=r"(metapp|data_tools)\b")
     warnings.showwarning = lambda message, *_, **__: say(f"warning: {message}")
+    _end_like_ctrl_c()
     try:
         code = command()
     except typer.Exit as error:
@@ -81,10 +84,20 @@ def run(command: Callable[[], Any]) -> int:
     return code if isinstance(code, int) else Exit.DONE
 
 
+def _end_like_ctrl_c() -> None:
+    """SIGTERM, by which clusters and systems end a program, keeps what Ctrl-C keeps."""
+
+    def stop(*_: Any) -> None:
+        raise KeyboardInterrupt
+
+    if threading.current_thread() is threading.main_thread():
+        signal.signal(signal.SIGTERM, stop)
+
+
 def _interrupted() -> int:
     say(
-        "interrupted; finished fits are kept, the same command goes on with the rest; "
-        "training and conversions start over."
+        "interrupted; the same command goes on with training where it was and with fits that are not finished; "
+        "conversions start over."
     )
     return Exit.INTERRUPTED
 

@@ -2,25 +2,27 @@
 
 from __future__ import annotations
 
-import os
 import shlex
 from importlib import resources
 from pathlib import Path
 from typing import Any
 
 import typer
-from torch import Generator
+from torch import Generator, get_num_threads
 
 from metapp.cli.console import follow, progress, say
 from metapp.cli.embedded import embedded_exists
 from metapp.cli.inputs import data_folder, data_label
 from metapp.cli.session import Options, Start, is_first_protocol, make_folder, name_of, observe_of, versions
+from metapp.files import remove_partial
 from metapp.learning import MetaParameters
 from metapp.paradigms import Paradigm, paradigms
-from metapp.paradigms.prepare import Interrupted, Prepared, describe, prepare
+from metapp.paradigms.prepare import describe, prepare, training_of
+from metapp.paradigms.resuming import Interrupted, Prepared, Reached
 from metapp.records import digest, load_start, save_start, tensor_digest
-from metapp.shards import read_shard
-from metapp.task import App, Params, stack
+from metapp.shards import fingerprint, read_shard
+from metapp.task import App, Params, Training, stack
+from metapp.training_checkpoint import TrainingCheckpoint
 
 
 def find_start(options: Options, paradigm: Paradigm) -> Start:
@@ -165,10 +167,13 @@ def train_start(options: Options, paradigm: Paradigm, steps: int | None) -> Path
         | ({"encoder": tensor_digest(encoder.encoder)} if encoder else {})
     )
 
-    def keep(prepared: Prepared, file: Path) -> None:
+    def keep(prepared: Prepared, file: Path, previous: Path | None = None) -> None:
         start = prepared.start._replace(encoder={}) if name == "quickft" else prepared.start  # General's file holds it
-        save_start(file, start, describe(options.job, name, prepared, steps) | info)
+        save_start(file, start, describe(options.job, name, prepared, steps) | info, previous)
 
+    remove_partial(path)
+    checkpoint = TrainingCheckpoint(path, _settings(options, name, steps, folder, encoder) | info, options.device)
+    since = _go_on(checkpoint, training_of(options.job, name, steps))
     with progress(options.quiet) as bar:
         row = bar.add_task(f"train {name}", total=None, note="")
         try:
@@ -180,18 +185,51 @@ def train_start(options: Options, paradigm: Paradigm, steps: int | None) -> Path
                 encoder=encoder,
                 steps=steps,
                 report=None if options.quiet else lambda i, n, note: follow(bar, row, i, n, note),
+                since=since,
+                keep=checkpoint.keep,
             )
-        except Interrupted as error:
-            if error.prepared.curve:
+        except KeyboardInterrupt as error:
+            checkpoint.write()
+            if isinstance(error, Interrupted) and error.prepared.curve:
                 kept = path.with_suffix(".interrupted.safetensors")
                 keep(error.prepared, kept)
                 say(f"validation error {error.prepared.validation:.3f}; to use it as it is: --checkpoint {kept}")
             raise
-    if path.is_file():
-        os.replace(path, path.with_suffix(".previous.safetensors"))
-    keep(prepared, path)
+    keep(prepared, path, path.with_suffix(".previous.safetensors"))
+    checkpoint.remove()
     say(f"{name}: validation error {prepared.validation:.3f} at step {prepared.step}; kept as {path}")
     return path
+
+
+def _settings(
+    options: Options, name: str, steps: int | None, folder: Path, encoder: MetaParameters | None
+) -> dict[str, Any]:
+    """What the result of a training depends on, beside what its start says about itself."""
+    return {
+        "app": options.app.name,
+        "start": name,
+        "steps": steps,
+        "settings of the recipe": digest(repr(options.job.recipe)),
+        "content of the data": fingerprint(folder),
+        "General": encoder and tensor_digest(encoder.flat()),
+        "device": str(options.device),
+        "threads": get_num_threads(),
+    }
+
+
+def _go_on(checkpoint: TrainingCheckpoint, training: Training | None) -> Reached:
+    """How far the same training was when it was cut off, and one line about it."""
+    try:
+        since = checkpoint.load()
+    except ValueError as error:
+        say(f"{error}; training from the beginning")
+        return Reached()
+    if since.outer and training:
+        steps = f"step {since.outer.progress.step:,} of {training.steps:,}"
+        say(f"going on from {steps} (training checkpoint {checkpoint.path})")
+    elif since.looks:
+        say(f"going on after {len(since.looks)} looks of the search (training checkpoint {checkpoint.path})")
+    return since
 
 
 def _encoder(options: Options, name: str, steps: int | None) -> MetaParameters | None:

@@ -8,43 +8,19 @@ import shutil
 import sys
 from collections.abc import Callable
 from dataclasses import asdict, replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import torch
 from torch import Generator, Tensor
 
 from metapp.adjoint import Loss
-from metapp.learning import MetaParameters, learn
+from metapp.learning import MetaParameters, Progress, learn
 from metapp.paradigms import AT_ONCE, Job, Paradigm, general, meta, paradigms, quickft
+from metapp.paradigms.resuming import Interrupted, Keep, Outer, Prepared, Reached, forget
 from metapp.rules import outer_adam
 from metapp.task import Adam, Params, Tasks, Training
 
 Report = Callable[[int, int, str], None]  # (step, steps, note), for a progress bar
-
-
-class Prepared(NamedTuple):
-    """A trained start and how it came about.
-
-    Attributes:
-        start: the best state on the validation tasks.
-        validation: its mean error there, as the table prints it.
-        step: the outer step it was reached at.
-        curve: (step, mean training loss since the last entry, validation error), both as the table prints errors; None
-            where there was no training yet.
-    """
-
-    start: MetaParameters
-    validation: float
-    step: int
-    curve: list[tuple[int, float | None, float]]
-
-
-class Interrupted(KeyboardInterrupt):
-    """Training was interrupted; carries what it had reached."""
-
-    def __init__(self, prepared: Prepared) -> None:
-        super().__init__()
-        self.prepared = prepared
 
 
 def split_validation(tasks: Tasks) -> tuple[Tasks, Tasks]:
@@ -93,6 +69,8 @@ def prepare(
     encoder: MetaParameters | None = None,
     steps: int | None = None,
     report: Report | None = None,
+    since: Reached = Reached(),  # noqa: B008  (never written to)
+    keep: Keep = forget,
 ) -> Prepared:
     """Prepare what a paradigm needs, by its name: "general", "quickft", or a learned rule.
 
@@ -104,6 +82,8 @@ def prepare(
         encoder: a prepared General; QuickFT tunes on it, Meta starts from it or from the mean of its predictions.
         steps: outer steps instead of the recipe's; looks at validation tasks where there is only a search.
         report: called with the progress.
+        since: how far the same preparation was when it was cut off, to go on from.
+        keep: called with how far it is, before each outer step and after each look of a search.
 
     Raises:
         Interrupted: Ctrl-C; carries the best state so far.
@@ -113,7 +93,7 @@ def prepare(
     to_fit, to_validate = split_validation(tasks)
     if name == "quickft":
         assert encoder is not None
-        return tune_quickft(job, encoder, _to_tune_on(job, to_validate), report, steps)
+        return tune_quickft(job, encoder, _to_tune_on(job, to_validate), report, steps, since, keep)
     if name == "general":
         training, paradigm = job.recipe.general, paradigms()["general"]
         first, loss = general.preparation(job, rng)
@@ -125,7 +105,13 @@ def prepare(
         if training.tuned:
             start_of = functools.partial(meta.with_adam, job, first)
             few, looks = _to_tune_on(job, to_validate), None if training.steps else steps
-            found = _search(paradigm, job, training.first, start_of, few, report, looks)
+
+            def keep_looks(reached: Reached) -> None:
+                nonlocal since
+                since = reached  # the outer steps keep them, too
+                keep(reached)
+
+            found = _search(paradigm, job, training.first, start_of, few, report, looks, since, keep_looks)
             if not training.steps:
                 return found
             first = found.start
@@ -135,7 +121,7 @@ def prepare(
     def validate(params: Params) -> float:
         return validation_error(paradigm, job, MetaParameters.unflat(params), to_validate)
 
-    return _train(first, loss, training, to_fit, validate, job.app.scale, rng, report)
+    return _train(first, loss, training, to_fit, validate, job.app.scale, rng, report, since, keep)
 
 
 def _to_tune_on(job: Job, tasks: Tasks) -> Tasks:
@@ -166,9 +152,19 @@ def _train(
     scale: float,
     rng: Generator,
     report: Report | None,
+    since: Reached,
+    keep: Keep,
 ) -> Prepared:
     best = Prepared(first, float("inf"), 0, [])
     losses: list[Tensor] = []
+    if since.outer:
+        best = since.outer.best._replace(curve=list(since.outer.best.curve))
+        losses = list(since.outer.losses)
+        rng.set_state(since.outer.rng)
+
+    def keep_copy(progress: Progress) -> None:
+        reached = best._replace(curve=list(best.curve))
+        keep(since._replace(outer=Outer(progress, rng.get_state(), reached, tuple(losses))))
 
     def look(step: int, params: Params) -> None:
         nonlocal best
@@ -191,7 +187,18 @@ def _train(
     params = first.flat()
     rule = outer_adam(training, params)
     try:
-        final = learn(params, rule, tasks, loss, steps=training.steps, rng=rng, watch=watch, check_every=1)
+        final = learn(
+            params,
+            rule,
+            tasks,
+            loss,
+            steps=training.steps,
+            rng=rng,
+            watch=watch,
+            check_every=1,
+            since=since.outer and since.outer.progress,
+            keep=keep_copy,
+        )
         look(training.steps, final)
     except KeyboardInterrupt:
         raise Interrupted(best) from None
@@ -199,7 +206,13 @@ def _train(
 
 
 def tune_quickft(
-    job: Job, encoder: MetaParameters, tasks: Tasks, report: Report | None = None, looks: int | None = None
+    job: Job,
+    encoder: MetaParameters,
+    tasks: Tasks,
+    report: Report | None = None,
+    looks: int | None = None,
+    since: Reached = Reached(),  # noqa: B008  (never written to)
+    keep: Keep = forget,
 ) -> Prepared:
     """Search QuickFT's Adam on validation tasks, in so many looks: a win over a badly tuned baseline is no win.
 
@@ -213,7 +226,7 @@ def tune_quickft(
     def start_of(adam: Adam) -> MetaParameters:
         return encoder._replace(alpha=quickft.to_alpha(adam))
 
-    return _search(quickft.QUICKFT, job, job.recipe.quickft, start_of, tasks, report, looks)
+    return _search(quickft.QUICKFT, job, job.recipe.quickft, start_of, tasks, report, looks, since, keep)
 
 
 def _search(
@@ -224,21 +237,27 @@ def _search(
     tasks: Tasks,
     report: Report | None,
     looks: int | None,
+    since: Reached,
+    keep: Keep,
 ) -> Prepared:
     """The best Adam on validation tasks: one quantity or two at a time, around the best so far."""
     curve: list[tuple[int, float | None, float]] = []
     best, best_adam = Prepared(start_of(first), float("inf"), 0, curve), first
     total = min(1 + sum(len(choices) for choices in SEARCHED), looks or sys.maxsize)
-    done = 0
+    errors: list[float] = []
 
     def look(adam: Adam) -> None:
-        nonlocal best, best_adam, done
-        tuned = start_of(adam)
-        error = validation_error(paradigm, job, tuned, tasks)
-        done += 1
+        nonlocal best, best_adam
+        tuned, known = start_of(adam), since.looks[len(errors) :]
+        error = known[0] if known else validation_error(paradigm, job, tuned, tasks)
+        errors.append(error)
+        done = len(errors)
         if error < best.validation:
             best, best_adam = Prepared(tuned, error, done, curve), adam
             curve.append((done, None, error))
+        if known:
+            return
+        keep(Reached(tuple(errors)))
         if report:
             report(done, total, f"rate {adam.rate:.1e}, validation {error:.3f}, best {best.validation:.3f}")
 
@@ -246,7 +265,7 @@ def _search(
         look(best_adam)
         for choices in SEARCHED:
             around = best_adam
-            for changes in choices[: total - done]:
+            for changes in choices[: total - len(errors)]:
                 look(replace(around, **{**changes, "rate": around.rate * changes.get("rate", 1.0)}))
     except KeyboardInterrupt:
         raise Interrupted(best) from None
@@ -279,6 +298,14 @@ def can_compile() -> bool:
     return True
 
 
+def training_of(job: Job, name: str, steps: int | None) -> Training | None:
+    """How a start is trained, with outer steps instead of the recipe's; None where there is only a search."""
+    training = job.recipe.general if name == "general" else job.recipe.meta.get(name)
+    if training and training.steps and steps is not None:
+        training = replace(training, steps=steps)
+    return training
+
+
 def describe(job: Job, name: str, prepared: Prepared, steps: int | None = None) -> dict[str, Any]:
     """What a start says about itself: JSON-ready.
 
@@ -288,10 +315,7 @@ def describe(job: Job, name: str, prepared: Prepared, steps: int | None = None) 
         prepared: the result.
         steps: outer steps instead of the recipe's.
     """
-    recipe = job.recipe
-    training = recipe.general if name == "general" else recipe.meta.get(name)
-    if training and training.steps and steps is not None:
-        training = replace(training, steps=steps)
+    recipe, training = job.recipe, training_of(job, name, steps)
     return {
         "app": job.app.name,
         "start": name,

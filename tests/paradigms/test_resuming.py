@@ -1,0 +1,214 @@
+"""Preparations that are cut off: what goes on from a training checkpoint ends bit for bit as if nothing had happened."""
+
+from __future__ import annotations
+
+import errno
+import random
+import struct
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+
+from metapp.learning import MetaParameters
+from metapp.paradigms import Job, paradigms, prepare
+from metapp.paradigms.resuming import Interrupted, Prepared, Reached
+from metapp.records import save_start
+from metapp.task import Tasks
+from metapp.training_checkpoint import TrainingCheckpoint
+from tests.paradigms.small import rng, start_for
+
+SETTINGS = {"steps": 12, "seed": 3}
+SEARCHED: Any = ([{"rate": 0.5}, {"rate": 2.0}], [{"beta1": 0.3}, {"eps": 1e-3, "rate": 1.2}])
+
+
+class Cut(Exception):
+    """A kill: what was not written before is lost."""
+
+
+class Cutting(TrainingCheckpoint):
+    """Writes every time, and ends the program after so many."""
+
+    def __init__(self, start: Path, after: float) -> None:
+        super().__init__(start, SETTINGS)
+        self.seconds, self.after, self.steps = 0.0, after, []
+
+    def keep(self, reached: Reached) -> None:
+        super().keep(reached)
+        self.steps.append(reached.outer.progress.step if reached.outer else -len(reached.looks))
+        if len(self.steps) >= self.after:
+            raise Cut
+
+
+def encoder_for(job: Job) -> MetaParameters:
+    return start_for(paradigms()["quickft"], job)
+
+
+def small_job(kind: str, job: Job, monkeypatch: pytest.MonkeyPatch) -> tuple[str, Job]:
+    """A preparation by name: one of each kind of stages."""
+    monkeypatch.setattr(prepare, "SEARCHED", SEARCHED)
+    if kind in ("general", "quickft"):
+        return kind, job
+    rule, tuned = (kind.removesuffix(" tuned"), kind.endswith(" tuned"))
+    training = replace(job.recipe.meta[rule], tuned=tuned, start="encoder" if tuned else "mean")
+    return rule, job._replace(rule=rule, recipe=replace(job.recipe, meta={rule: training}))
+
+
+def run(name: str, job: Job, tasks: Tasks, checkpoint: TrainingCheckpoint | None = None) -> Prepared:
+    options: dict[str, Any] = {"encoder": None if name == "general" else encoder_for(job)}
+    if checkpoint is not None:
+        options |= {"since": checkpoint.load(), "keep": checkpoint.keep}
+    return prepare.prepare(name, job, tasks, rng(3), **options)
+
+
+def as_file(prepared: Prepared, path: Path) -> bytes:
+    """All of a preparation's result, as its file holds it."""
+    save_start(path, prepared.start, {"curve": prepared.curve, "at": prepared.step, "error": prepared.validation})
+    return path.read_bytes()
+
+
+KINDS = ["general", "quickft", "meta-sgd", "meta-lgd", "meta-basis tuned", "meta-lgd tuned"]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_what_was_cut_off_ends_as_if_it_had_not_been(
+    kind: str, job: Job, tasks: Tasks, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    name, job = small_job(kind, job, monkeypatch)
+    expected = as_file(run(name, job, tasks), tmp_path / "expected.safetensors")
+    path, chance, seen = tmp_path / "start.safetensors", random.Random(kind), [0]
+    while True:
+        checkpoint = Cutting(path, after=chance.randint(1, 6))
+        try:
+            made = run(name, job, tasks, checkpoint)
+            break
+        except Cut:
+            seen += checkpoint.steps
+    assert len(seen) > 3  # it was cut off
+    assert as_file(made, path) == expected
+
+
+@pytest.mark.parametrize("kind", ["general", "quickft", "meta-lgd tuned"])
+def test_ctrl_c_at_any_moment_loses_no_step(
+    kind: str, job: Job, tasks: Tasks, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In the middle of a step or of a look, as signals come; what is written is of a moment between two."""
+    name, job = small_job(kind, job, monkeypatch)
+    expected = as_file(run(name, job, tasks), tmp_path / "expected.safetensors")
+    path, chance, reached = tmp_path / "start.safetensors", random.Random(kind), [(-1, -1)]
+    loss, errors, calls = job.app.goal, job.app.errors, [0]
+
+    def interrupting(function: Callable[..., Any]) -> Callable[..., Any]:
+        def call(*arguments: Any) -> Any:
+            result = function(*arguments)
+            calls[0] -= 1
+            if calls[0] == 0:
+                raise KeyboardInterrupt
+            return result
+
+        return call
+
+    for _ in range(50):
+        calls[0] = chance.randint(3, 9)
+        checkpoint = TrainingCheckpoint(path, SETTINGS)
+        with monkeypatch.context() as patch:
+            patch.setattr(job.app, "goal", interrupting(loss))
+            patch.setattr(job.app, "errors", interrupting(errors))
+            try:
+                made = run(name, job, tasks, checkpoint)
+                break
+            except KeyboardInterrupt as error:
+                assert isinstance(error, Interrupted)
+                checkpoint.write()
+                now = checkpoint.reached
+                reached.append((len(now.looks), now.outer.progress.step if now.outer else -1))
+    assert as_file(made, path) == expected
+    assert len(reached) > 1  # it was cut off
+    assert reached == sorted(reached)
+
+
+def test_training_draws_from_its_own_generator_alone(job: Job, tasks: Tasks) -> None:
+    """What else was random would not be in a checkpoint."""
+    before = torch.get_rng_state()
+    run("general", job, tasks)
+    run(job.recipe.rule, job, tasks)
+    assert torch.equal(torch.get_rng_state(), before)
+
+
+@pytest.fixture
+def cut(job: Job, tasks: Tasks, tmp_path: Path) -> Path:
+    """A training checkpoint of a General, of the first application alone."""
+    if job.app.name != "brdf":
+        pytest.skip("one application will do")
+    checkpoint = Cutting(tmp_path / "general.safetensors", after=7)
+    with pytest.raises(Cut):
+        run("general", job, tasks, checkpoint)
+    return checkpoint.path
+
+
+def test_layouts_and_types_are_kept(cut: Path) -> None:
+    checkpoint = TrainingCheckpoint(cut.with_name("general.safetensors"), SETTINGS)
+    reached = checkpoint.load()
+    assert reached.outer is not None
+    turned = torch.arange(6.0).reshape(2, 3).T
+    theta = {"b": turned, "a": torch.ones(2, dtype=torch.float64)}
+    progress = reached.outer.progress._replace(theta=theta)
+    checkpoint.keep(Reached((0.5, float("inf")), reached.outer._replace(progress=progress)))
+    checkpoint.write()
+    again = checkpoint.load()
+    assert again.looks == (0.5, float("inf"))
+    assert again.outer is not None
+    found = again.outer.progress.theta
+    assert list(found) == ["b", "a"]
+    assert found["b"].stride() == turned.stride()
+    assert torch.equal(found["b"], turned)
+    assert found["a"].dtype == torch.float64
+
+
+def test_a_checkpoint_of_other_settings_is_put_aside(cut: Path) -> None:
+    before = cut.read_bytes()
+    other = TrainingCheckpoint(cut.with_name("general.safetensors"), {**SETTINGS, "seed": 4, "more": 1})
+    with pytest.raises(ValueError, match=r"other settings \(more, seed\), put aside as general.training.aside"):
+        other.load()
+    assert cut.with_name("general.training.aside.safetensors").read_bytes() == before
+    assert other.load() == Reached()
+
+
+def damaged(raw: bytes) -> list[bytes]:
+    """Cut short, of another kind, and with single bits turned: in the header, in its document, in tensors."""
+    size = struct.unpack("<Q", raw[:8])[0]
+    places = [2, 9, size // 2, size, 8 + size + 3, (len(raw) + size) // 2, len(raw) - 1]
+    flipped = [raw[:at] + bytes([raw[at] ^ 4]) + raw[at + 1 :] for at in places]
+    return [b"", raw[:100], raw[:-1], raw + b"0", b"{}" * 50, *flipped]
+
+
+def test_a_damaged_checkpoint_is_one_line(cut: Path) -> None:
+    raw = cut.read_bytes()
+    for each in damaged(raw):
+        cut.write_bytes(each)
+        checkpoint = TrainingCheckpoint(cut.with_name("general.safetensors"), SETTINGS)
+        with pytest.raises(ValueError, match="a damaged training checkpoint, put aside"):
+            checkpoint.load()
+    cut.write_bytes(raw)
+    assert checkpoint.load().outer is not None
+
+
+def test_a_full_disk_ends_no_training(
+    cut: Path, job: Job, tasks: Tasks, monkeypatch: pytest.MonkeyPatch, recwarn: pytest.WarningsRecorder
+) -> None:
+    before, expected = cut.read_bytes(), as_file(run("general", job, tasks), cut.with_name("expected"))
+
+    def full(*_: Any) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    checkpoint = TrainingCheckpoint(cut.with_name("general.safetensors"), SETTINGS)
+    checkpoint.seconds = 0.0
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "write_bytes", full)
+        made = run("general", job, tasks, checkpoint)
+    assert f"{cut.parent}: No space left on device; {cut.name} was not written" in str(recwarn[0].message)
+    assert cut.read_bytes() == before
+    assert as_file(made, cut.with_name("made")) == expected
