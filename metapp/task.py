@@ -157,6 +157,9 @@ class Visible(NamedTuple):
     encoder: int
 
 
+REFERENCE = "reference"  # among measures of pictures: what the references are off by themselves
+
+
 class Fitted(NamedTuple):
     """A fit of one task: parameters without task axis, and the seconds of inference that it took."""
 
@@ -182,11 +185,13 @@ class App(ABC):
         scale: factor of a printed error; 100 where the paper prints x100.
         small_kernels: True where threads and GPUs only slow the network down, fitted to one task.
         wraps: True where the columns of parameters on a grid, those of three axes, go on at the grid's other edge.
+        logarithmic: True where the error is a logarithm, of any sign: of two, the difference counts, not the ratio.
         random: False where nothing that a fit sees is drawn at random, so that one fit says what two would.
         recipes: "paper" and "quick".
         raw: names of those `files` whose values are no colours, such as normals.
         radiance: names of those `files` that are linear radiance of any range, kept as EXR.
         image_measure: what `image_errors` are of, in one line; "" where there are none.
+        image_seconds: that they take a task, about, to tell the time left before any was measured.
     """
 
     name: str
@@ -200,11 +205,13 @@ class App(ABC):
     scale: float = 1.0
     small_kernels: bool = False
     wraps: bool = False
+    logarithmic: bool = False
     random: bool = True
     recipes: dict[str, Recipe]
     raw: tuple[str, ...] = ()
     radiance: tuple[str, ...] = ()
     image_measure: str = ""
+    image_seconds: float = 0.1
 
     def at(self, recipe: Recipe, observe: str = "") -> App:
         """The application at a recipe's setup, under a protocol, its first one where none is named."""
@@ -272,7 +279,8 @@ class App(ABC):
     def image_errors(self, fits: Mapping[str, Fitted], task: Task) -> dict[str, dict[str, float]]:
         """Measures of the pictures that fits of a task make, by the fit's name, then by the measure's, such as SSIM.
 
-        There may be further names, of pictures that are made without any fit. Of measures whose name begins with SSIM
+        There may be further names, of pictures that are made without any fit; REFERENCE is of the references' own
+        error. Of measures whose name begins with SSIM
         more is better, of others less. Empty where there are none.
         """
         return {}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import shutil
@@ -18,18 +19,34 @@ import numpy as np
 import pytest
 import torch
 
+from metapp.apps import load_app
 from metapp.apps.brdf import APP
+from metapp.cli import session
 from metapp.cli.evaluate import find_subjects
 from metapp.cli.figures import FIGURES
 from metapp.cli.figures.rates import step_sizes
 from metapp.cli.report.html import EMBEDDED, Pictures, identifier
-from metapp.cli.session import Options
+from metapp.cli.session import Options, find_device
 from metapp.cli.tables import NAMES, blank, load_table, paper
 from metapp.cli.tables.ablation import RULE_ALONE, START_ALONE, combined, same_start
 from metapp.cli.tables.convergence import steps_needed
+from metapp.cli.tables.formats import rich_table
 from metapp.cli.tables.image import image_cell
 from metapp.cli.tables.running import Clock, duration, run_cells
-from metapp.cli.tables.statistics import carried, change, overlap, statistics_of, verdict
+from metapp.cli.tables.statistics import (
+    Paired,
+    apart,
+    bootstrap,
+    carried,
+    change,
+    paired,
+    paired_entries,
+    paired_note,
+    paired_of,
+    paired_text,
+    statistics_of,
+    verdict,
+)
 from metapp.cli.tables.storage import size
 from metapp.cli.tables.subject import Cell, Subject, absent
 from metapp.cli.tables.trace import FURTHER, PARTS, looks, near, places, project, states_of, trace_cell
@@ -43,9 +60,8 @@ KEYS = {"app", "paradigm", "error", "seconds", "tasks", "low", "high", "paper_er
 # Statistics
 
 
-def row(paradigm: str, low: float | None, high: float | None, seconds: float = 1.0) -> dict[str, Any]:
-    error = None if low is None or high is None else (low + high) / 2
-    return blank("brdf", paradigm) | {"low": low, "high": high, "error": error, "seconds": seconds, "tasks": 8}
+def row(paradigm: str, error: float | None, seconds: float = 1.0) -> dict[str, Any]:
+    return blank("brdf", paradigm) | {"error": error, "seconds": seconds, "tasks": 8}
 
 
 def test_statistics_of_tasks() -> None:
@@ -55,28 +71,100 @@ def test_statistics_of_tasks() -> None:
     assert set(statistics_of([], []).values()) == {None}
 
 
-def test_overlapping_intervals_are_no_win() -> None:
-    apart = [row("quickft", 2.0, 3.0), row("meta", 1.0, 1.5)]
-    touching = [row("quickft", 1.5, 3.0), row("meta", 1.0, 1.5)]
-    assert overlap(*apart) is False
-    assert "meta wins" in verdict(apart)
-    assert "quickft wins" in verdict([row("quickft", 0.1, 0.2), row("meta", 1.0, 1.5)])
-    assert overlap(*touching) is True
-    assert "no win" in verdict(touching)
-    assert "wins" not in verdict(touching)
-    few = [each | {"tasks": 4} for each in apart]
-    assert overlap(*few) is None
-    assert "too few" in verdict(few)
-    assert verdict([row("quickft", None, None), row("meta", 1.0, 1.5)]) == ""
+def compared(
+    one: list[float], other: list[float], groups: str | None = None, *, logarithmic: bool = False
+) -> Paired | None:
+    names = [f"t{i}" for i in range(len(one))]
+    of = dict(zip(names, groups or names, strict=True))
+    return paired(dict(zip(names, one, strict=True)), dict(zip(names, other, strict=True)), of, logarithmic=logarithmic)
+
+
+HARD = [0.1 * 1.6**i for i in range(12)]  # errors of tasks that differ by a factor of 170
+
+
+def test_what_is_a_little_better_on_every_task_wins_though_intervals_overlap() -> None:
+    ours = [0.95 * error * (1 + 0.02 * (-1) ** i) for i, error in enumerate(HARD)]
+    (low, _), (_, high) = (bootstrap(errors, list(map(str, range(12)))) for errors in (HARD, ours))
+    assert low < high  # each one's own intervals overlap by far
+    found = compared(ours, HARD)
+    assert found
+    assert (found.kind, found.ahead, found.tasks, found.groups) == ("ratio", 12, 12, 12)
+    assert found.value == pytest.approx(sum(ours) / sum(HARD))
+    assert 0.93 < found.low < found.value < found.high < 0.97
+    assert apart(found) is True
+    assert found == compared(ours, HARD)  # the same draws each time
+    assert "ahead on 12 of 12 tasks; meta wins" in verdict(row("meta", 1.0) | paired_entries("quickft", found))
+    turned = compared(HARD, ours)
+    assert turned
+    assert turned.low == pytest.approx(1 / found.high)
+    assert "quickft wins" in verdict(row("meta", 1.0) | paired_entries("quickft", turned))
+
+
+def test_what_is_better_on_some_tasks_and_worse_on_others_does_not_win() -> None:
+    found = compared([error * (1.5 if i % 2 else 0.6) for i, error in enumerate(HARD)], HARD)
+    assert found
+    assert found.low < 1 < found.high
+    assert apart(found) is False
+    assert "no win" in verdict(row("meta", 1.0) | paired_entries("quickft", found))
+    same = compared(HARD, HARD)
+    assert same
+    assert (same.value, same.low, same.high, same.ahead, apart(same)) == (1.0, 1.0, 1.0, 0, False)
+    assert verdict(row("meta", 1.0) | paired_entries("quickft", None)) == ""
+
+
+def test_tasks_that_show_the_same_are_drawn_together() -> None:
+    ours = [error * (0.9 if i < 6 else 1.02) for i, error in enumerate([1.0] * 12)]
+    alone, together = compared(ours, [1.0] * 12), compared(ours, [1.0] * 12, "aaabbbcccddd")
+    assert alone
+    assert together
+    assert alone.value == together.value
+    assert together.high - together.low > 1.5 * (alone.high - alone.low)
+    assert together.groups == 4
+    assert apart(together) is None
+    assert "4 different tasks, fewer than 5, are too few" in verdict(
+        row("meta", 1.0) | paired_entries("quickft", together)
+    )
+
+
+def test_errors_that_are_logarithms_are_compared_by_differences() -> None:
+    found = compared([-2.5 - 0.1 * i for i in range(8)], [-2.4 - 0.1 * i for i in range(8)], logarithmic=True)
+    assert found
+    assert found.kind == "difference"
+    assert (found.value, found.low, found.high) == (pytest.approx(-0.1),) * 3
+    assert apart(found) is True
+    assert paired_text(found) == "-0.100 [-0.100, -0.100]"
+    assert "below 0" in paired_note([row("meta", -2.5) | paired_entries("quickft", found)])[0]
+
+
+def test_there_is_no_ratio_to_errors_of_zero_and_none_without_common_tasks() -> None:
+    assert compared([1.0] * 6, [0.0] * 6) is None
+    assert compared([1.0] * 6, [-1.0] * 6) is None
+    assert paired({"a": 1.0}, {"b": 1.0}, {"a": "a", "b": "b"}, logarithmic=False) is None
+    entries = paired_entries("quickft", None)
+    assert entries["vs_quickft"] is None
+    assert entries.keys() == paired_entries("quickft", compared(HARD, HARD)).keys()
+    assert paired_of(entries, "quickft") is None
+    assert paired_of(paired_entries("quickft", compared(HARD, HARD)), "quickft") == compared(HARD, HARD)
+
+
+def test_the_interval_holds_the_truth_about_as_often_as_it_says() -> None:
+    rng = np.random.default_rng(1)
+    hits = 0
+    for _ in range(100):
+        hard = rng.lognormal(0, 1, 40)
+        found = compared(list(0.9 * hard * rng.lognormal(-0.02, 0.2, 40)), list(hard))
+        assert found
+        hits += found.low <= 0.9 <= found.high
+    assert 82 <= hits <= 100
 
 
 def test_changes_are_of_the_size_of_the_other_error() -> None:
-    assert change(row("meta", 0.75, 0.75), row("quickft", 1.0, 1.0)) == "25 % below"
-    assert change(row("meta", -5.0, -5.0), row("quickft", -4.0, -4.0)) == "25 % below"  # likelihoods are negative
+    assert change(row("meta", 0.75), row("quickft", 1.0)) == "25 % below"
+    assert change(row("meta", -5.0), row("quickft", -4.0)) == "25 % below"  # likelihoods are negative
 
 
 def test_there_is_no_gap_to_close_where_overfit_is_no_better() -> None:
-    rows = [row("general", 2.0, 2.0), row("overfit", 1.0, 1.0, 30.0), row("meta", 1.25, 1.25, 2.0)]
+    rows = [row("general", 2.0), row("overfit", 1.0, 30.0), row("meta", 1.25, 2.0)]
     assert carried(rows, "error", "seconds") == (0.75, 15.0)
     rows[1] |= {"error": 2.5}
     assert carried(rows, "error", "seconds") == (None, 15.0)
@@ -179,6 +267,60 @@ def test_all_tables_have_all_rows_in_every_format(evaluate: Callable, done: Path
         shown = evaluate(*common, "--which", "all", "--format", form)
         assert shown.code == 0, shown.err
         assert shown.out.count(mark) >= (1 if form == "csv" else len(NAMES))
+
+
+def test_rows_are_compared_with_quickft_and_general_on_the_same_tasks(subject: Subject) -> None:
+    found = {row["paradigm"]: row for row in rows(subject, "results")}
+    ours, theirs = ([record["error"] for record in subject.cell(name).records()] for name in ("meta", "quickft"))
+    meta = found["meta"]
+    assert meta["vs_quickft"] == pytest.approx(sum(ours) / sum(theirs))
+    assert meta["vs_quickft_low"] <= meta["vs_quickft"] <= meta["vs_quickft_high"]
+    assert meta["vs_quickft_ahead"] == sum(a < b for a, b in zip(ours, theirs, strict=True))
+    assert (meta["vs_quickft_tasks"], meta["vs_quickft_groups"], meta["vs_quickft_kind"]) == (3, 3, "ratio")
+    assert found["quickft"]["vs_quickft"] is None
+    assert found["quickft"]["vs_general"] < 1
+    quickft = rows(subject, "quickft")[2]
+    assert quickft["ahead"] == meta["vs_quickft_ahead"]
+    assert quickft["apart"] is None  # too few tasks
+    assert "too few to call a win" in " ".join(load_table("quickft").notes(subject, rows(subject, "quickft")))
+
+
+def test_fits_that_carry_a_warning_are_counted(subject: Subject, evaluate: Callable, tmp_path: Path) -> None:
+    folder = RunFolder(tmp_path / "warned", {})
+    for i, record in enumerate(subject.cell("meta").records()):
+        more = {"threads": 1, **({"warning": "the loss rose"} if i == 1 else {})}
+        folder.add({key: value for key, value in record.items() if key not in ("key", "settings")} | more)
+    subject._cells["meta"] = subject.cell("meta")._replace(folder=folder)
+    for name in ("results", "quickft", "ablation"):
+        found = rows(subject, name)
+        assert [row["warnings"] for row in found] == [int("meta" in (row["paradigm"],)) for row in found]
+        notes = load_table(name).notes(subject, found)
+        assert "meta: 1 of 3 fits ended above their initialisation's loss" in notes
+        assert not any("quickft: " in note and "fits ended" in note for note in notes)
+    assert "threads: 1" in load_table("quickft").notes(subject, rows(subject, "quickft"))
+
+
+@pytest.mark.parametrize("width", [60, 80, 120, 200])
+def test_a_terminal_shows_as_many_columns_as_it_has_room_for(
+    width: int, subject: Subject, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from rich.console import Console
+
+    monkeypatch.setattr("metapp.cli.tables.formats.out", Console(width=width))
+    for name in NAMES:
+        table, found = load_table(name), rows(subject, name)
+        if not found:
+            continue
+        console = Console(width=width)
+        with console.capture() as shown:
+            console.print(rich_table(table, subject, found))
+        text = shown.get()
+        assert max(map(len, text.splitlines())) <= width
+        assert "…" not in text
+        if width == 200:
+            assert len(rich_table(table, subject, found).columns) == len(table.columns)
+        for row in found:
+            assert table.columns[0].text(row) in text, name
 
 
 def test_an_overfit_of_fewer_steps_is_said_and_is_another_run(evaluate: Callable, done: Path) -> None:
@@ -451,6 +593,66 @@ def test_the_time_left_is_by_gradient_steps(tmp_path: Path) -> None:
     clock.add(other, 1.0)
     assert clock.left() == pytest.approx(10.0)
     assert [duration(seconds) for seconds in (5, 300, 7200)] == ["5 s", "5 min", "2.0 h"]
+
+
+def test_the_time_left_counts_pictures(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """By a clock that stands still but for what a task takes: steps 0.1 s each, pictures 30 s where 20 were guessed."""
+    now, told = [0.0], []
+    monkeypatch.setattr("metapp.cli.tables.running.time.perf_counter", lambda: now[0])
+
+    @contextlib.contextmanager
+    def progress(quiet: bool) -> Iterator[Any]:
+        yield lambda note, spent, left: told.append((note.partition(",")[0], spent, left))
+
+    monkeypatch.setattr("metapp.cli.tables.running._progress", progress)
+
+    def taking(made: Cell, seconds: float) -> Cell:
+        def measure(missing: list[Task]) -> Iterator[dict[str, Any]]:
+            for each in made.measure(missing):
+                now[0] += seconds
+                yield each
+
+        return made._replace(measure=measure)
+
+    fits = taking(cell("transport fit", tmp_path, ["a", "b"], [], steps=9), 1.0)
+    pictures = cell("transport pictures", tmp_path, ["a", "b"], [], steps=0, stage=1)
+    run_cells([fits, taking(pictures._replace(guess=20.0), 30.0)], quiet=True)
+    assert told == [
+        ("transport fit", 0.0, 0.0),
+        ("transport fit a", 1.0, pytest.approx(1.0 + 40.0)),
+        ("transport fit b", 2.0, pytest.approx(40.0)),
+        ("transport pictures", 2.0, pytest.approx(40.0)),
+        ("transport pictures a", 32.0, pytest.approx(30.0)),  # as measured
+        ("transport pictures b", 62.0, 0.0),
+    ]
+
+
+def test_fits_have_the_threads_of_their_application_whatever_ran_before(tmp_path: Path) -> None:
+    found: list[tuple[str, int]] = []
+    before = torch.get_num_threads()
+
+    def with_threads(name: str, threads: int | None) -> Cell:
+        made = cell(name, tmp_path, ["a"], [], steps=1)
+
+        def measure(missing: list[Task]) -> Iterator[dict[str, Any]]:
+            for each in made.measure(missing):
+                found.append((name, torch.get_num_threads()))
+                yield each
+
+        return made._replace(measure=measure, threads=threads)
+
+    try:
+        torch.set_num_threads(2)
+        run_cells([with_threads("one", 1), with_threads("three", 3), with_threads("as it is", None)], quiet=True)
+        assert found == [("one", 1), ("three", 3), ("as it is", 2)]
+        assert torch.get_num_threads() == 2
+        small, large = (load_app(name) for name in ("illumination", "texture"))
+        for order in ((small, large), (large, small), (small, small, large, large)):
+            for app in order:
+                find_device("cpu", app)
+                assert torch.get_num_threads() == (1 if app.small_kernels else session.THREADS)
+    finally:
+        torch.set_num_threads(before)
 
 
 def test_an_application_that_is_not_here_has_empty_cells(

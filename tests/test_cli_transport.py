@@ -91,17 +91,45 @@ def test_pictures_are_judged_at_equal_paths_and_in_equal_time(scenes: list[Task]
     task, app = scenes[0], APP.at(APP.recipes["quick"])
     theta = {key: value[0] for key, value in app.init(torch.Generator().manual_seed(0), 1).items()}
     found = app.image_errors({"instant": Fitted(theta, 0.0), "endless": Fitted(theta, 1e9)}, task)
-    assert list(found) == ["regular", "instant", "endless"]
+    assert list(found) == ["reference", "regular", "instant", "endless"]
+    assert set(found["reference"]) == {"MAPE"}
     measures = {"MAPE", "SMAPE", "DSSIM"}
-    for name, each in found.items():
-        assert set(each) - {images.EQUAL_TIME} == measures | {"time"}
+    for name, each in list(found.items())[1:]:
+        assert set(each) - {images.EQUAL_TIME} == measures | {"time", images.FIXED}
         assert all(0 < value < 2 for key, value in each.items() if key in measures)
         # the start's density is uniform, as Regular's is: the same picture but for noise
         assert all(each[key] == pytest.approx(found["regular"][key], rel=0.2) for key in measures), name
         assert each["time"] > 0
     assert found["regular"][images.EQUAL_TIME] == found["regular"]["MAPE"]
     assert images.EQUAL_TIME not in found["endless"]
+    assert found["endless"][images.FIXED] > 1e6 * found["instant"][images.FIXED] > 0
     assert app.image_errors({"instant": Fitted(theta, 0.0)}, task._replace(data={})) == {}
+
+
+def test_equal_time_counts_the_samples_that_a_fit_sees(scenes: list[Task], monkeypatch: pytest.MonkeyPatch) -> None:
+    task, app = scenes[0], APP.at(APP.recipes["quick"])
+    theta = {key: value[0] for key, value in app.init(torch.Generator().manual_seed(0), 1).items()}
+    asked = []
+
+    def sampling(self: images.Studio, samples: torch.Tensor) -> float:
+        asked.append(tuple(samples.shape))
+        return 1e9
+
+    monkeypatch.setattr(images.Studio, "sampling", sampling)
+    found = app.image_errors({"instant": Fitted(theta, 0.0)}, task)
+    assert asked == [(2048, 4)]  # what fits may see, without what is held out
+    assert images.EQUAL_TIME not in found["instant"]
+    assert found["instant"][images.FIXED] > 1e6
+    assert found["regular"][images.FIXED] == 0
+
+
+def test_a_reference_knows_its_own_error(scenes: list[Task], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(images, "REFERENCE_SPP", 512)
+    studio = images.Studio(scenes[0].data["scene"].numpy().tobytes(), size=16)
+    told, wanted = studio.reference_error, studio.paths.reference(studio.tracer, 16, 8192, seed=9)
+    found = float(images.mape(studio.reference[None], wanted[None]))
+    assert found == pytest.approx(told, rel=0.3)  # as far from the truth as its halves say
+    assert studio.sampling(scenes[0].data["samples"]) > 0
 
 
 def test_guided_means_are_those_of_the_reference(scenes: list[Task]) -> None:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import functools
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from metapp.cli.console import out, print_json, say
+from metapp.cli.console import out, print_json, progress, say
 from metapp.cli.tables import NAMES, Row, Table, blank, load_table
 
 if TYPE_CHECKING:
@@ -79,7 +80,7 @@ def command(
     cells = [cell for each in measured for subject in subjects for cell in each.cells(subject)]
     fill(cells, run=not no_run, quiet=quiet)
     if not quiet and which in ("results", ALL):
-        compare(subjects)
+        compare(subjects, quiet=quiet)
     show(tables, subjects, missing, "json" if json else format_name)
     if figures:
         from metapp.cli.figures import write_figures
@@ -144,9 +145,9 @@ def show(tables: list[Table], subjects: list[Subject], missing: list[Absent], fo
             out.print(text_table(table, found[table.name], form), markup=False, soft_wrap=True)
 
 
-def compare(subjects: list[Subject]) -> None:
+def compare(subjects: list[Subject], *, quiet: bool) -> None:
     """Draw the fits of all paradigms that are complete, side by side, one picture an application."""
-    from metapp.cli.pictures import picture_of_table
+    from metapp.cli.pictures import COMPARED, picture_of_table
 
     for subject in subjects:
         options, complete = subject.options, []
@@ -158,4 +159,8 @@ def compare(subjects: list[Subject]) -> None:
             name = f"comparison-{subject.label}-{options.recipe}-seed{options.seed}"
             name += f"-{options.app.protocol}" if options.app.protocol else ""
             file = options.out / options.app.name / f"{name}.png"
-            say(f"picture: {picture_of_table(options.app, subject.tasks, complete, file)}")
+            with progress(quiet) as bar:
+                row = bar.add_task(f"pictures of {subject.title}", total=len(subject.tasks[:COMPARED]), note="")
+                tell = functools.partial(bar.advance, row)
+                made = picture_of_table(options.app, subject.tasks, complete, file, tell)
+            say(f"picture: {made}")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +18,8 @@ from metapp.colour import linear_to_srgb, tone_map
 from metapp.files import write_atomically
 from metapp.records import file_name
 from metapp.task import App, Task
+
+COMPARED = 20  # tasks in a picture of all paradigms
 
 
 def to_srgb(linear: Any) -> np.ndarray:
@@ -43,26 +45,34 @@ def picture_of_run(app: App, paradigm: str, tasks: Sequence[Task], records: Sequ
     return _grid(columns, f"{title_of(app)}, {paradigm}{found}", folder / "pictures.png")
 
 
-def picture_of_table(app: App, tasks: Sequence[Task], runs: Sequence[tuple[str, Path, list[dict]]], file: Path) -> Path:
-    """Write one picture of up to 20 tasks, a column each: the reference, and the fit of every paradigm below it.
+def picture_of_table(
+    app: App,
+    tasks: Sequence[Task],
+    runs: Sequence[tuple[str, Path, list[dict]]],
+    file: Path,
+    tell: Callable[[], None] = lambda: None,
+) -> Path:
+    """Write one picture of up to COMPARED tasks, a column each: the reference, and the fit of every paradigm below it.
 
     Args:
         app: the application.
         tasks: what was fitted.
         runs: (label, run folder, records of all tasks) of each paradigm.
         file: where to.
+        tell: called after each task's pictures, as those of a scene take seconds.
 
     Returns:
         The file.
     """
     columns = []
-    for i, task in enumerate(tasks[:20]):
+    for i, task in enumerate(tasks[:COMPARED]):
         rows: dict[str, np.ndarray] = {}
         for label, folder, records in runs:
             pictures = app.outputs(_theta(folder, task), task)
             rows |= _shown({"reference": pictures["reference"]}) if not rows and "reference" in pictures else {}
             rows[f"{label} {_label(records[i])}".rstrip()] = to_srgb(pictures["fit"])
         columns.append((rows, f"{task.name}\n"))
+        tell()
     return _grid(columns, f"{title_of(app)}: mean error{_factor(app)} of each fit beside it", file)
 
 

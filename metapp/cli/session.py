@@ -18,6 +18,8 @@ from metapp.paradigms import Job, Paradigm
 from metapp.paradigms.quickft import adam_of
 from metapp.task import App
 
+THREADS = torch.get_num_threads()  # as the process began
+
 
 class Options(NamedTuple):
     """The options that all paradigms share; what each means stands in its --help."""
@@ -95,14 +97,18 @@ def title_of(app: App) -> str:
     return f"{app.title} ({app.protocol})" if app.protocol else app.title
 
 
+def threads_of(app: App) -> int:
+    """The threads that an application's fits run on, whatever ran before: threads that share small kernels wait."""
+    return 1 if app.small_kernels else THREADS
+
+
 def find_device(name: str, app: App) -> torch.device:
     """The device; auto is CUDA where there is one, but the CPU where the application's kernels are too small for it."""
     if name not in ("auto", "cpu", "cuda"):
         raise typer.BadParameter(f"--device '{name}': expected auto, cpu or cuda.")
     if name == "cuda" and not torch.cuda.is_available():
         raise ValueError("--device cuda: PyTorch finds no CUDA device; use --device cpu or install a CUDA build.")
-    if app.small_kernels:
-        torch.set_num_threads(1)  # threads that share such small kernels wait for each other
+    torch.set_num_threads(threads_of(app))
     automatic = "cuda" if torch.cuda.is_available() and not app.small_kernels else "cpu"
     return torch.device(automatic if name == "auto" else name)
 

@@ -85,7 +85,12 @@ class Transport(App):
     inputs = "a Mitsuba scene (.xml, .json) with a perspective camera, or a folder of these"
     measure = "negative log-likelihood of held-out light paths, on the film and in their first direction"
     radiance = ("guided", "regular")
-    image_measure = "pictures of 64 px of 1024 paths a pixel, three of four guided, without next-event estimation"
+    image_measure = (
+        "pictures of 64 px of 1024 paths a pixel, three of four guided, without next-event estimation; equal time "
+        "counts the samples that a fit sees, the fit, its table and the picture"
+    )
+    image_seconds = 20.0
+    logarithmic = True
     recipes = {"paper": PAPER, "quick": QUICK}  # noqa: RUF012  (never written to)
 
     def __init__(self, setup: Setup) -> None:

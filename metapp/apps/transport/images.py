@@ -9,16 +9,17 @@ from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
 import torch
-from torch import Tensor
+from torch import Generator, Tensor
 
 from metapp.apps.transport.flow import Flow
 from metapp.apps.transport.guide import table_of
 from metapp.metrics import dssim, mape, smape
-from metapp.task import Fitted, Params, Task
+from metapp.task import REFERENCE, Fitted, Params, Task
 
 SIZE, SPP = 64, 1024  # px of a side, and paths a pixel as in Fischer & Ritschel 2022, table 2
 REGULAR, EQUAL_TIME = "regular", "MAPE, equal time"
-REFERENCE_SPP = 2048  # with next-event estimation, whose noise is far below
+FIXED = "fixed time"
+REFERENCE_SPP = 2048  # with next-event estimation, in two halves, which tell its own error
 
 
 class Shot(NamedTuple):
@@ -41,8 +42,8 @@ class Studio:
 
     def __init__(self, scene: bytes, size: int = SIZE) -> None:
         self.paths = importlib.import_module("data_tools.path_render")
-        space, cornell = (importlib.import_module(f"data_tools.{name}") for name in ("path_space", "cornell"))
-        self.tracer = space.Tracer(cornell.scene_of(torch.frombuffer(bytearray(scene), dtype=torch.uint8)))
+        self.space, cornell = (importlib.import_module(f"data_tools.{name}") for name in ("path_space", "cornell"))
+        self.tracer = self.space.Tracer(cornell.scene_of(torch.frombuffer(bytearray(scene), dtype=torch.uint8)))
         self.size = size
 
     def regular(self, spp: int, seed: int = 0) -> Shot:
@@ -59,10 +60,29 @@ class Studio:
 
         return _timed(shoot)
 
+    def sampling(self, samples: Tensor) -> float:
+        """Seconds that as many samples [N, d] of the scene take, and with them the picture that General reads."""
+        count, dimensions = samples.shape
+        self.space.path_samples(self.tracer, 1, dimensions, Generator())  # the first call compiles
+        begin = time.perf_counter()
+        self.space.path_samples(self.tracer, count, dimensions, Generator())
+        return time.perf_counter() - begin
+
+    @functools.cached_property
+    def halves(self) -> Tensor:
+        """The picture itself twice, of half the paths each, with other random numbers: [2, 3, size, size]."""
+        spp = max(1, REFERENCE_SPP // 2)
+        return torch.stack([self.paths.reference(self.tracer, self.size, spp, seed) for seed in (1, 2)])
+
     @functools.cached_property
     def reference(self) -> Tensor:
         """The picture itself, with little noise."""
-        return self.paths.reference(self.tracer, self.size, REFERENCE_SPP)
+        return self.halves.mean(0)
+
+    @property
+    def reference_error(self) -> float:
+        """MAPE of the reference: a half is as far from the mean of both as that mean is from the truth."""
+        return float(mape(self.halves[:1], self.reference[None]))
 
     @functools.cached_property
     def glance(self) -> Tensor:
@@ -111,24 +131,29 @@ def image_errors(flow: Flow, fits: Mapping[str, Fitted], task: Task) -> dict[str
 
     Returns:
         By name: `MAPE`, `SMAPE` and `DSSIM` at SPP paths a pixel; `time`, of the picture over Regular's, the table
-        counted but not the fit; and `MAPE, equal time`, of as many paths as there is time for where fit, table and
-        picture may take as long as Regular for SPP, left out where there is none.
+        counted; `fixed time`, of what comes before, whatever the paths: the samples that fits see, the fit and its
+        table, over Regular's picture; and `MAPE, equal time`, of as many paths as there is time for where all of that
+        and the picture may take as long as Regular for SPP, left out where there is none. REFERENCE has its own `MAPE`.
     """
     studio = studio_of(task)
     errors = studio.errors(studio.baseline.picture)
-    found = {REGULAR: {**errors, "time": 1.0, EQUAL_TIME: errors["MAPE"]}}
+    found = {
+        REFERENCE: {"MAPE": studio.reference_error},
+        REGULAR: {**errors, "time": 1.0, FIXED: 0.0, EQUAL_TIME: errors["MAPE"]},
+    }
+    sampling = studio.sampling(task.data["samples"]) if fits else 0.0
     for i, (name, fit) in enumerate(fits.items()):
         if not i:
             studio.guided(flow, fit.theta, 4)  # the first call compiles
-        found[name] = _guided_errors(studio, flow, fit)
+        found[name] = _guided_errors(studio, flow, fit, sampling)
     return found
 
 
-def _guided_errors(studio: Studio, flow: Flow, fit: Fitted) -> dict[str, float]:
+def _guided_errors(studio: Studio, flow: Flow, fit: Fitted, sampling: float) -> dict[str, float]:
     table, shot = studio.guided(flow, fit.theta, 1).seconds, studio.guided(flow, fit.theta, SPP)
-    plain = studio.baseline.seconds
-    found = {**studio.errors(shot.picture), "time": shot.seconds / plain}
-    spp = int(SPP * (plain - fit.seconds - table) / max(shot.seconds - table, 1e-9))
+    plain, fixed = studio.baseline.seconds, sampling + fit.seconds + table
+    found = {**studio.errors(shot.picture), "time": shot.seconds / plain, FIXED: fixed / plain}
+    spp = int(SPP * (plain - fixed) / max(shot.seconds - table, 1e-9))
     if spp >= 1:
         found[EQUAL_TIME] = studio.errors(studio.guided(flow, fit.theta, spp, seed=1).picture)["MAPE"]
     return found

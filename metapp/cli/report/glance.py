@@ -11,7 +11,7 @@ from metapp.cli.figures.style import TITLES
 from metapp.cli.report.html import Pictures, anchor, drawn_html
 from metapp.cli.tables import Row, blank, paper
 from metapp.cli.tables.results import budget, result_row
-from metapp.cli.tables.statistics import carried, overlap
+from metapp.cli.tables.statistics import apart, carried, paired_of, paired_text, warned
 from metapp.cli.tables.subject import Absent, Subject
 
 TIMES = "&times;"
@@ -33,7 +33,7 @@ def card(subject: Subject, pictures: Pictures) -> str:
     lines = [f"{_big(speed, ',.0f', TIMES)} as fast as Overfit {_small(paper_speed, ',.0f', TIMES)}"]
     if subject.is_papers:
         lines.insert(0, f"{_big(gap, '.0%')} of the gap closed {_small(paper_gap, '.0%')}")
-    lines += [badge(rows), *(f"<small>{escape(note)}</small>" for note in budget(subject))]
+    lines += [badge(rows), *(f"<small>{escape(note)}</small>" for note in (*warned(rows), *budget(subject)))]
     drawn = draw("plane", subject)
     picture = drawn_html(drawn, f"{anchor(subject)}-plane", pictures, "plain") if drawn else ""
     said = "".join(f"<li>{line}</li>" for line in lines)
@@ -52,14 +52,19 @@ def _small(value: float | None, form: str, unit: str = "") -> str:
 def badge(rows: list[Row]) -> str:
     """Meta against QuickFT, which takes as many steps: ahead, behind, or not to be told apart."""
     by = {row["paradigm"]: row for row in rows}
-    tied = overlap(by["meta"], by["quickft"])
-    if tied is None:
-        said = "not measured yet" if by["meta"]["error"] is None else "too few tasks to call a win"
-        return f'<span class="badge">{said}</span>'
-    if tied:
-        return '<span class="badge">no win over QuickFT: intervals overlap</span>'
-    kind, said = ("win", "ahead of") if by["meta"]["error"] < by["quickft"]["error"] else ("loss", "behind")
-    return f'<span class="badge {kind}">{said} QuickFT, intervals apart</span>'
+    found = paired_of(by["meta"], "quickft")
+    if found is None:
+        return '<span class="badge">not measured yet</span>'
+    kind, won = "", apart(found)
+    if won is None:
+        said = "too few tasks to call a win over QuickFT"
+    elif not won:
+        said = "no win over QuickFT"
+    else:
+        lower = by["meta"]["error"] < by["quickft"]["error"]
+        kind, said = (" win", "ahead of QuickFT") if lower else (" loss", "behind QuickFT")
+    figures = f"{found.kind} of errors {paired_text(found)}, ahead on {found.ahead} of {found.tasks} tasks"
+    return f'<span class="badge{kind}">{said}</span> <small>{escape(figures)}</small>'
 
 
 def matrix(subjects: Sequence[Subject], missing: Sequence[Absent]) -> str:

@@ -41,8 +41,7 @@ class Table(NamedTuple):
     Attributes:
         name: a value of --which.
         title: what it shows, after the application's title; {factor} stands for the factor of its errors.
-        columns: from left to right, after the application's.
-        narrow: so many of them fit into 80 columns.
+        columns: from left to right, after the application's; a terminal shows as many as it has room for.
         cells: what must have been measured.
         rows: its rows, of what has been measured so far.
         notes: what must be said below it.
@@ -51,7 +50,6 @@ class Table(NamedTuple):
     name: str
     title: str
     columns: tuple[Column, ...]
-    narrow: int
     cells: Callable[[Subject], list[Cell]]
     rows: Callable[[Subject], list[Row]]
     notes: Callable[[Subject, list[Row]], list[str]]
@@ -92,6 +90,8 @@ def blank(app: str, paradigm: str, **more: Any) -> Row:
         "error": None,
         "seconds": None,
         "tasks": 0,
+        "warnings": 0,
+        "threads": None,
         "low": None,
         "high": None,
         "paper_error": known["error"].get(app, {}).get(paradigm),

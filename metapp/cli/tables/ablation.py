@@ -10,8 +10,8 @@ from dataclasses import asdict
 from metapp.cli.fit import caption_of
 from metapp.cli.session import Start
 from metapp.cli.tables import Row, Table, interval, numbers, words
-from metapp.cli.tables.results import result_row
-from metapp.cli.tables.statistics import overlap
+from metapp.cli.tables.results import COMPARED, result_row
+from metapp.cli.tables.statistics import apart, paired_columns, paired_entries, paired_note, paired_of, warned
 from metapp.cli.tables.subject import Cell, Fit, Subject
 from metapp.learning import MetaParameters
 from metapp.paradigms import Paradigm
@@ -80,10 +80,13 @@ def rows(subject: Subject) -> list[Row]:
         steps = META.count(subject.options.job)
         for start, by, cell in combined(subject, name):
             what = f"{start}+{by}"
-            found.append(subject.row(what, cell, start=start, rule=by, steps=steps) | {"paper_error": None})
+            row = subject.row(what, cell, start=start, rule=by, steps=steps) | {"paper_error": None}
+            for other in COMPARED:
+                row |= paired_entries(other, subject.paired(cell, subject.cell(other)))
+            found.append(row)
         found.append(result_row(subject, name) | {"start": f"meta ({rule})", "rule": rule})
     for row in found:
-        row["apart"] = None if (tied := overlap(row, found[0])) is None else not tied
+        row["apart"] = apart(paired_of(row, "quickft"))
     return found
 
 
@@ -94,7 +97,7 @@ def notes(subject: Subject, found: list[Row]) -> list[str]:
         rule = subject.fits[name].options.rule
         own = f"{rule}'s start is General's own: rows that differ in it alone are of the same fits"
         said += [own] if same_start(subject, name) else []
-    return said
+    return [*said, *warned(found), *paired_note(found)]
 
 
 TABLE = Table(
@@ -104,13 +107,13 @@ TABLE = Table(
         words("start", "start"),
         words("rule", "rule"),
         numbers("error", "error", ".3f"),
+        *paired_columns("quickft"),
         interval(),
         numbers("steps", "steps", "d"),
         numbers("seconds", "seconds", ".4f"),
         numbers("median", "median", ".3f"),
         numbers("worst", "worst", ".3f"),
     ),
-    4,
     cells,
     rows,
     notes,

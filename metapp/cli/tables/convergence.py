@@ -77,7 +77,6 @@ TABLE = Table(
         numbers("median", "median", ".3f"),
         numbers("worst", "worst", ".3f"),
     ),
-    5,
     cells,
     rows,
     notes,

@@ -8,10 +8,10 @@ from collections.abc import Sequence
 from typing import Any
 
 from metapp.cli.console import out
-from metapp.cli.tables import Row, Table
+from metapp.cli.tables import Column, Row, Table
 from metapp.cli.tables.subject import Absent, Subject
 
-WIDE = 110  # characters, from which on all columns are shown
+FEWEST_COLUMNS = 3  # are shown however narrow the terminal
 
 
 def rich_table(table: Table, subject: Subject | Absent, rows: list[Row]) -> Any:
@@ -20,13 +20,29 @@ def rich_table(table: Table, subject: Subject | Absent, rows: list[Row]) -> Any:
     from rich.text import Text
 
     shown = RichTable(title=title_of(table, subject, rows), caption=Text("\n".join(notes_of(table, subject, rows))))
-    columns = table.columns if out.width >= WIDE else table.columns[: table.narrow]
+    columns = fitting(table.columns, rows, out.width)
     for column in columns:
         left = column.left
-        shown.add_column(column.title, justify="left" if left else "right", no_wrap=not left)
+        shown.add_column("\n".join(heading(column)), justify="left" if left else "right", no_wrap=not left)
     for row in rows:
         shown.add_row(*(Text(column.text(row)) for column in columns))
     return shown
+
+
+def heading(column: Column) -> list[str]:
+    """A title on two lines where it is long: most columns are of short numbers."""
+    first, _, last = column.title.rpartition(" ")
+    return [first, last] if first and len(column.title) > 9 else [column.title]
+
+
+def fitting(columns: Sequence[Column], rows: Sequence[Row], width: int) -> Sequence[Column]:
+    """As many columns, from the left, as a terminal of that many characters has room for."""
+    total = 1
+    for i, column in enumerate(columns):
+        total += max(map(len, [*heading(column), *(column.text(row) for row in rows)])) + 3
+        if total > width and i >= FEWEST_COLUMNS:
+            return columns[:i]
+    return columns
 
 
 def text_table(table: Table, found: Sequence[tuple[Subject | Absent, list[Row]]], form: str) -> str:
@@ -36,18 +52,17 @@ def text_table(table: Table, found: Sequence[tuple[Subject | Absent, list[Row]]]
         return csv_of(rows)
     header = ["app", *(column.title for column in table.columns)]
     body = [[key_of(row), *(column.text(row) for column in table.columns)] for row in rows]
-    notes = [
-        f"{key_of(each[0]) if each else subject.title}: {'; '.join(notes_of(table, subject, each))}"
-        for subject, each in found
-    ]
+    notes = [(key_of(each[0]) if each else subject.title, notes_of(table, subject, each)) for subject, each in found]
     if form == "markdown":
         lines = [header, ["---"] * len(header), *body]
-        return "\n".join([*("| " + " | ".join(line) + " |" for line in lines), "", *notes])
+        said = [line for name, each in notes for line in ("", f"{name}:", "", *(f"- {note}" for note in each))]
+        return "\n".join([*("| " + " | ".join(line) + " |" for line in lines), *said])
     escape = str.maketrans({"_": r"\_", "%": r"\%", "&": r"\&", "#": r"\#"})
     tex = [" & ".join(text.translate(escape) for text in line) + r" \\" for line in (header, *body)]
     align = "l" + "".join("l" if column.left else "r" for column in table.columns)
+    said = [f"% {name}: {note}" for name, each in notes for note in each]
     top = [rf"\begin{{tabular}}{{{align}}}", r"\toprule", tex[0], r"\midrule"]
-    return "\n".join([*top, *tex[1:], r"\bottomrule", r"\end{tabular}", *(f"% {note}" for note in notes)])
+    return "\n".join([*top, *tex[1:], r"\bottomrule", r"\end{tabular}", *said])
 
 
 def csv_of(rows: Sequence[Row]) -> str:

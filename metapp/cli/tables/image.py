@@ -7,12 +7,12 @@ from collections.abc import Iterator
 
 from safetensors.torch import load_file
 
-from metapp.cli.session import name_of
+from metapp.cli.session import name_of, threads_of
 from metapp.cli.tables import Row, Table, interval, numbers, paper, words
 from metapp.cli.tables.results import budget
 from metapp.cli.tables.subject import Cell, Record, Subject
 from metapp.records import RunFolder, file_name
-from metapp.task import Fitted, Task
+from metapp.task import REFERENCE, Fitted, Task
 
 
 def compared(subject: Subject) -> dict[str, Cell]:
@@ -37,7 +37,8 @@ def image_cell(subject: Subject) -> Cell:
         path = options.out / app.name / "image" / f"{subject.label}-{options.recipe}-seed{options.seed}"
         end = "-".join(filter(None, (options.rule, subject.shortened, app.protocol)))
         keys = {name: each.key for name, each in folders.items()}
-        folder = RunFolder(path.with_name(f"{path.name}-{end}"), {"app": app.name, "measure": "image", "fits": keys})
+        said = {"app": app.name, "measure": app.image_measure, "fits": keys}
+        folder = RunFolder(path.with_name(f"{path.name}-{end}"), said)
 
     def measure(missing: list[Task]) -> Iterator[Record]:
         assert folder is not None
@@ -50,7 +51,8 @@ def image_cell(subject: Subject) -> Cell:
             yield record
 
     title = f"{name_of(app)} pictures"
-    return Cell(title, subject.tasks, folder, measure, steps=0, command=subject.command("image"), stage=1)
+    command, count = subject.command("image"), threads_of(app)
+    return Cell(title, subject.tasks, folder, measure, 0, command, 1, threads=count, guess=app.image_seconds)
 
 
 def rows(subject: Subject) -> list[Row]:
@@ -62,7 +64,12 @@ def rows(subject: Subject) -> list[Row]:
     measures = [record["measures"] for record in cell.records()]
     others = dict.fromkeys(name for each in measures for name in each if name not in fits)
     keys = dict.fromkeys(key for each in measures for of in each.values() for key in of)
-    return [measured_row(subject, name, cell, key) for key in keys or ("",) for name in (*others, *fits)]
+    return [
+        measured_row(subject, name, cell, key)
+        for key in keys or ("",)
+        for name in (*others, *fits)
+        if name != REFERENCE or any(key in each[name] for each in measures)
+    ]
 
 
 def measured_row(subject: Subject, name: str, cell: Cell, key: str) -> Row:
@@ -86,7 +93,12 @@ def measured_row(subject: Subject, name: str, cell: Cell, key: str) -> Row:
 def notes(subject: Subject, found: list[Row]) -> list[str]:
     """What the measures are of."""
     told = paper()
-    said = [subject.app.image_measure, *budget(subject)]
+    own = [
+        f"the references themselves are off by {row['error']:.3f} {row['measure']}, which all figures of it contain"
+        for row in found
+        if row["paradigm"] == REFERENCE and row["error"] is not None
+    ]
+    said = [", ".join([subject.app.image_measure, *own]), *budget(subject)]
     if any(row["paper_share"] is not None for row in found):
         said.append(f"paper: {told['sources']['ssim']}")
     if subject.app.name in told["image"]:
@@ -107,7 +119,6 @@ TABLE = Table(
         interval(),
         numbers("worst", "worst", ".3f"),
     ),
-    5,
     cells,
     rows,
     notes,

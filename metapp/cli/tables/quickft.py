@@ -5,8 +5,8 @@ from __future__ import annotations
 from metapp.cli.console import number
 from metapp.cli.fit import caption_of
 from metapp.cli.tables import Row, Table, interval, numbers, words
-from metapp.cli.tables.results import result_row
-from metapp.cli.tables.statistics import change, overlap, verdict
+from metapp.cli.tables.results import on_threads, result_row
+from metapp.cli.tables.statistics import apart, change, paired_columns, paired_note, paired_of, verdict, warned
 from metapp.cli.tables.subject import Cell, Subject
 
 COMPARED = ("general", "quickft", "meta")
@@ -18,26 +18,23 @@ def cells(subject: Subject) -> list[Cell]:
 
 
 def rows(subject: Subject) -> list[Row]:
-    """The three, each with how far it is below QuickFT and on how many tasks Meta is ahead of it."""
+    """The three, each with how far it is below QuickFT and on how many tasks it is ahead of it."""
     found = [result_row(subject, name) for name in COMPARED]
-    quickft, meta = ({r["name"]: r["error"] for r in subject.cell(name).records()} for name in COMPARED[1:])
-    both = [name for name in meta if None not in (meta[name], quickft.get(name))]
     for row in found:
         row["against_quickft"] = change(row, found[1]) if row is not found[1] else None
-        row["apart"] = None if (tied := overlap(row, found[1])) is None or row is found[1] else not tied
-    found[2]["ahead"] = sum(meta[name] < quickft[name] for name in both) if both else None
+        row["apart"] = apart(paired_of(row, "quickft"))
+    found[2]["ahead"] = found[2]["vs_quickft_ahead"]
     return found
 
 
 def notes(subject: Subject, found: list[Row]) -> list[str]:
     """Who wins, on how many tasks, and in the paper."""
     by = {row["paradigm"]: row["paper_error"] for row in found}
-    ahead = found[2]["ahead"]
-    said = [verdict(found)]
-    said += [f"meta is ahead on {ahead} of {found[2]['tasks']} tasks"] if ahead is not None else []
+    said = [verdict(found[2]), verdict(found[2], "general"), *warned(found)]
     if None not in (by["meta"], by["quickft"]):
         said.append(f"paper: meta {number(by['meta'], '.3f')}, quickft {number(by['quickft'], '.3f')}")
-    return [*filter(None, said), caption_of(subject.app), "quickft's Adam is searched on validation tasks"]
+    said += [caption_of(subject.app), "quickft's Adam is searched on validation tasks"]
+    return [*filter(None, said), *paired_note(found), *on_threads(found)]
 
 
 TABLE = Table(
@@ -46,15 +43,14 @@ TABLE = Table(
     (
         words("paradigm", "paradigm"),
         numbers("error", "error", ".3f"),
-        words("against quickft", "against_quickft"),
-        interval(),
+        *paired_columns("quickft"),
         numbers("paper error", "paper_error", ".3f"),
+        interval(),
         numbers("steps", "steps", "d"),
         numbers("seconds", "seconds", ".4f"),
         numbers("median", "median", ".3f"),
         numbers("worst", "worst", ".3f"),
     ),
-    5,
     cells,
     rows,
     notes,

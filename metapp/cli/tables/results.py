@@ -5,9 +5,19 @@ from __future__ import annotations
 from metapp.cli.console import number
 from metapp.cli.fit import caption_of
 from metapp.cli.tables import Column, Row, Table, interval, numbers, words
-from metapp.cli.tables.statistics import carried, change, verdict
+from metapp.cli.tables.statistics import (
+    carried,
+    change,
+    paired_columns,
+    paired_entries,
+    paired_note,
+    verdict,
+    warned,
+)
 from metapp.cli.tables.subject import Cell, Subject
 from metapp.task import App
+
+COMPARED = ("quickft", "general")
 
 
 def cells(subject: Subject) -> list[Cell]:
@@ -21,26 +31,41 @@ def rows(subject: Subject) -> list[Row]:
 
 
 def result_row(subject: Subject, name: str) -> Row:
-    """Error and time of one paradigm, or of one of Meta's rules."""
-    fit = subject.fits[name]
-    return subject.row(
+    """Error and time of one paradigm, or of one of Meta's rules, also beside QuickFT's and General's."""
+    fit, cell = subject.fits[name], subject.cell(name)
+    row = subject.row(
         name,
-        subject.cell(name),
+        cell,
         rule=fit.options.rule if fit.paradigm.name == "meta" else None,
         steps=fit.paradigm.count(fit.options.job),
     )
+    for other in COMPARED:
+        row |= paired_entries(other, subject.paired(cell, subject.cell(other)) if other != name else None)
+    return row
 
 
 def notes(subject: Subject, found: list[Row]) -> list[str]:
     """Gap closed, speed-up, who wins, what the errors are, and what differs from the recipe and the paper."""
-    rule = next(row["rule"] for row in found if row["paradigm"] == "meta")
+    meta = next(row for row in found if row["paradigm"] == "meta")
     return [
         closing(subject.app, found),
-        *filter(None, [verdict(found)]),
-        f"meta: {rule}; {caption_of(subject.app)}",
+        *filter(None, (verdict(meta, other) for other in COMPARED)),
+        *warned(found),
+        f"meta: {meta['rule']}; {caption_of(subject.app)}",
+        *paired_note(found),
+        *on_threads(found),
         *budget(subject),
         *(["the paper's figures are of its own data and machine"] if subject.is_papers else []),
     ]
+
+
+def on_threads(found: list[Row]) -> list[str]:
+    """The threads that seconds are of, where records say so."""
+    known = list(dict.fromkeys(row["threads"] for row in found if row["threads"]))
+    if len(known) > 1:
+        said = "; ".join(f"{row['paradigm']} {row['threads']}" for row in found if row["threads"])
+        return [f"threads: {said}; seconds of different threads do not compare"]
+    return [f"threads: {each}" for each in known]
 
 
 def budget(subject: Subject) -> list[str]:
@@ -82,9 +107,10 @@ COLUMNS: tuple[Column, ...] = (
     numbers("seconds", "seconds", ".4f"),
     numbers("paper error", "paper_error", ".3f"),
     numbers("paper seconds", "paper_seconds", ".3f"),
-    numbers("steps", "steps", "d"),
+    *paired_columns("quickft"),
     interval(),
+    numbers("steps", "steps", "d"),
     numbers("median", "median", ".3f"),
     numbers("worst", "worst", ".3f"),
 )
-TABLE = Table("results", "mean error{factor}, median seconds of inference", COLUMNS, 5, cells, rows, notes)
+TABLE = Table("results", "mean error{factor}, median seconds of inference", COLUMNS, cells, rows, notes)

@@ -6,6 +6,8 @@ import contextlib
 import time
 from collections.abc import Callable, Iterator, Sequence
 
+import torch
+
 from metapp.cli.console import LINE_SECONDS, err, progress_of_all, say
 from metapp.cli.tables.subject import Cell
 from metapp.task import Task
@@ -31,44 +33,66 @@ def run_cells(cells: Sequence[Cell], *, quiet: bool) -> None:
     with _progress(quiet) as tell:
         for i, (cell, missing) in enumerate(planned, 1):
             tell(f"{cell.title}, cell {i} of {len(planned)}", clock.spent, clock.left())
-            begin = time.perf_counter()
-            for record in cell.measure(missing):
-                now = time.perf_counter()
-                clock.add(cell, now - begin)
-                begin = now
-                tell(f"{cell.title} {record['name']}, cell {i} of {len(planned)}", clock.spent, clock.left())
+            with threads(cell.threads):
+                begin = time.perf_counter()
+                for record in cell.measure(missing):
+                    now = time.perf_counter()
+                    clock.add(cell, now - begin)
+                    begin = now
+                    tell(f"{cell.title} {record['name']}, cell {i} of {len(planned)}", clock.spent, clock.left())
+
+
+@contextlib.contextmanager
+def threads(count: int | None) -> Iterator[None]:
+    """Have torch work with so many threads; afterwards with as many as before."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(count or before)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
 
 
 class Clock:
-    """How long the rest will take: seconds a gradient step of each application, as measured so far."""
+    """How long the rest will take: seconds a gradient step of each application, as measured so far.
+
+    What takes its time beside steps, such as pictures, has seconds a task of its own, at first those it guesses.
+    """
 
     def __init__(self, planned: Sequence[tuple[Cell, list[Task]]]) -> None:
         self.spent = 0.0
         self._missing = {cell.folder.path: (cell, len(missing)) for cell, missing in planned if cell.folder}
-        self._measured: dict[str, list[float]] = {}  # application -> [seconds, steps]
+        self._measured: dict[tuple[str, float], list[float]] = {}  # what takes time -> [seconds, steps, or tasks]
 
     def add(self, cell: Cell, seconds: float) -> None:
         """A task of a cell took so long."""
         self.spent += seconds
         if cell.folder:
             self._missing[cell.folder.path] = (cell, self._missing[cell.folder.path][1] - 1)
-        total = self._measured.setdefault(_app(cell), [0.0, 0.0])
+        total = self._measured.setdefault(_kind(cell), [0.0, 0.0])
         total[0] += seconds
-        total[1] += cell.steps + 1
+        total[1] += _amount(cell)
 
     def left(self) -> float:
         """Seconds left, 0 where nothing was measured yet; an application without a figure takes the others' mean."""
-        seconds = sum(each[0] for each in self._measured.values())
-        steps = sum(each[1] for each in self._measured.values()) or 1.0
+        if not self._measured:
+            return 0.0
+        fits = [each for (_, guess), each in self._measured.items() if not guess]
+        mean = [sum(each[0] for each in fits), sum(each[1] for each in fits) or 1.0]
         rest = 0.0
         for cell, count in self._missing.values():
-            own = self._measured.get(_app(cell), (seconds, steps))
-            rest += count * (cell.steps + 1) * own[0] / own[1]
+            own = self._measured.get(_kind(cell), [cell.guess, 1.0] if cell.guess else mean)
+            rest += count * _amount(cell) * own[0] / own[1]
         return rest
 
 
-def _app(cell: Cell) -> str:
-    return cell.title.partition(" ")[0]
+def _kind(cell: Cell) -> tuple[str, float]:
+    """What takes the same time: steps of one application, or tasks that guess the same."""
+    return cell.title.partition(" ")[0], cell.guess
+
+
+def _amount(cell: Cell) -> float:
+    return 1.0 if cell.guess else cell.steps + 1.0
 
 
 def duration(seconds: float) -> str:

@@ -79,7 +79,6 @@ TABLE = Table(
         numbers("steps", "steps", ",d"),
         numbers("batch", "batch", ",d"),
     ),
-    5,
     cells,
     rows,
     notes,

@@ -87,7 +87,6 @@ TABLE = Table(
         numbers("networks", "networks", ".2f"),
         numbers("pays from", "pays_from", "d"),
     ),
-    6,
     cells,
     rows,
     notes,

@@ -12,10 +12,10 @@ from metapp.cli.console import say
 from metapp.cli.embedded import embedded_exists
 from metapp.cli.fit import fit_tasks, run_path, summary
 from metapp.cli.inputs import tasks_to_fit
-from metapp.cli.session import Options, Start, make_folder, name_of, observe_of, settings_of, title_of
+from metapp.cli.session import Options, Start, make_folder, name_of, observe_of, settings_of, threads_of, title_of
 from metapp.cli.starts import find_start, trained_path
 from metapp.cli.tables import Row, blank, paper
-from metapp.cli.tables.statistics import statistics_of
+from metapp.cli.tables.statistics import Paired, paired, statistics_of
 from metapp.paradigms import Paradigm, paradigms
 from metapp.records import RunFolder
 from metapp.task import App, Task
@@ -34,6 +34,8 @@ class Cell(NamedTuple):
         steps: gradient steps a task, about: cells with few come first.
         command: the command that fills it.
         stage: cells of a lower stage come first, which this one reads.
+        threads: that torch works with meanwhile; None: as many as it does.
+        guess: seconds that a task takes beside its steps, about, before any was measured.
     """
 
     title: str
@@ -43,6 +45,8 @@ class Cell(NamedTuple):
     steps: int
     command: str
     stage: int = 0
+    threads: int | None = None
+    guess: float = 0.0
 
     def records(self) -> list[Record]:
         """Those there are, in the order of the tasks."""
@@ -155,7 +159,8 @@ class Subject:
 
         steps = paradigm.count(options.job)
         command = self.command("") if name else _fit_command(fit)
-        return Cell(f"{name_of(self.app)} {fit.name}", self.tasks, folder, measure, steps, command)
+        title, threads = f"{name_of(self.app)} {fit.name}", threads_of(self.app)
+        return Cell(title, self.tasks, folder, measure, steps, command, threads=threads)
 
     def command(self, which: str) -> str:
         """The command that fills a table for this application."""
@@ -173,18 +178,41 @@ class Subject:
         """
         records = cell.records()
         values = {record["name"]: value for record in records if (value := take(record)) is not None}
-        groups = {task.name: task.group or task.name for task in cell.tasks}
+        groups = self.groups(cell)
         said = statistics_of(list(values.values()), [groups[each] for each in values])
         seconds = summary(records)["seconds"] if records and "seconds" in records[0] else None
         row = blank(self.app.name, name, **observe_of(self.app))
         if not self.is_papers or name.startswith("meta:"):  # the paper's fits see what those of the first protocol see
             row |= {"paper_error": None, "paper_seconds": None}
-        return row | said | {"seconds": seconds, "tasks": len(records)} | more | self.app.conditions()
+        return (
+            row | said | {"seconds": seconds, "tasks": len(records), **_remarks(records)} | more | self.app.conditions()
+        )
+
+    def groups(self, cell: Cell) -> dict[str, str]:
+        """What each task of a cell shows, by its name."""
+        return {task.name: task.group or task.name for task in cell.tasks}
+
+    def paired(self, one: Cell, other: Cell) -> Paired | None:
+        """The fits of a cell compared with another's, by their errors of the same tasks."""
+        ours, theirs = (
+            {record["name"]: record["error"] for record in cell.records() if record["error"] is not None}
+            for cell in (one, other)
+        )
+        return paired(ours, theirs, self.groups(one), logarithmic=self.app.logarithmic)
 
     @property
     def is_papers(self) -> bool:
         """Whether fits see what the paper's do."""
         return self.app.protocol in ("", *self.app.protocols[:1])
+
+
+def _remarks(records: Sequence[Record]) -> Row:
+    """How many fits carry a warning, and the threads that they ran on, where records say so."""
+    threads = sorted({record["threads"] for record in records if record.get("threads")})
+    return {
+        "warnings": sum(bool(record.get("warning")) for record in records),
+        "threads": ", ".join(map(str, threads)) or None,
+    }
 
 
 class Absent(NamedTuple):

@@ -13,7 +13,7 @@ from safetensors.torch import load_file
 from torch import Tensor
 
 from metapp.cli.fit import rng_of
-from metapp.cli.session import name_of, observe_of, settings_of
+from metapp.cli.session import name_of, observe_of, settings_of, threads_of
 from metapp.cli.tables import paper
 from metapp.cli.tables.subject import Cell, Fit, Record, Subject
 from metapp.learning import learn, task_loss
@@ -49,7 +49,15 @@ def trace_cell(subject: Subject) -> Cell:
 
     steps = sum(fit.paradigm.count(fit.options.job) for fit in fits) + sum(FURTHER)
     title = f"{name_of(options.app)} trace"
-    return Cell(title, subject.some(TRACED), folder, measure, steps, subject.command("convergence"))
+    return Cell(
+        title,
+        subject.some(TRACED),
+        folder,
+        measure,
+        steps,
+        subject.command("convergence"),
+        threads=threads_of(options.app),
+    )
 
 
 def trace(subject: Subject, fits: list[Fit], task: Task) -> tuple[Record, Params]:
