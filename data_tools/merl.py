@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +24,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from data_tools.plausibility import warn_implausible
 from metapp.files import write_atomically
 from metapp.geometry import above_horizon
 from metapp.task import Task
@@ -95,14 +97,17 @@ def export(app: Any, theta: Mapping[str, Tensor], path: Path) -> None:
 
 
 def read_task(path: Path, samples: int = 65_536) -> Task:
-    """Turn a MERL file into a BRDF task of so many samples, named by the file's stem.
+    """Turn a MERL file into a BRDF task of so many samples, named by the file's stem; warns of implausible values.
 
     Raises:
         ValueError: as `read_merl`.
     """
     from data_tools.brdf_task import brdf_task  # it builds on this module
 
-    return brdf_task(path.stem, table=read_merl(path), samples=samples)
+    table = read_merl(path)
+    task = brdf_task(path.stem, table=table, samples=samples)
+    warn_implausible(path, task, partial(merl_evaluate, table))
+    return task
 
 
 def read_merl_planes(path: str | Path) -> Array:

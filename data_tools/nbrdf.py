@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from data_tools.brdf_task import brdf_task
+from data_tools.plausibility import warn_implausible
 from metapp.files import write_atomically
 from metapp.geometry import half_difference
 from metapp.task import Task
@@ -84,10 +85,15 @@ def export(app: Any, theta: Mapping[str, Tensor], folder: Path) -> None:
 def read_task(path: Path, samples: int = 65_536) -> Task:
     """Turn an NBRDF network, as `find_nbrdf` names it, into a BRDF task named by the last part of its path.
 
+    Warns of implausible values.
+
     Raises:
         ValueError: as `read_nbrdf`.
     """
-    return brdf_task(path.resolve().name, partial(nbrdf_evaluate, read_nbrdf(path)), samples=samples)
+    evaluate = partial(nbrdf_evaluate, read_nbrdf(path))
+    task = brdf_task(path.resolve().name, evaluate, samples=samples)
+    warn_implausible(path, task, evaluate)
+    return task
 
 
 def read_nbrdf(folder: str | Path) -> dict[str, NDArray[np.float32]]:

@@ -5,11 +5,12 @@ Nothing is ever unpickled, and no path of a manifest leads out of its folder.
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import json
 import os
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -18,9 +19,9 @@ import torch
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
 
-from metapp.files import PARTIAL, naming, partial_path, write_atomically
+from metapp.files import PARTIAL, locked, naming, partial_path, write_atomically
 from metapp.manifest import MANIFEST, SPLITS, SUFFIX, Entry, Manifest, fingerprint, read_manifest, to_json
-from metapp.task import Task
+from metapp.task import Held, Task, problems_of
 
 __all__ = ["AUTO", "ShardWriter", "check_shard", "fingerprint", "read_manifest", "read_shard", "split_auto"]
 
@@ -43,7 +44,7 @@ class ShardWriter:
 
     Files are written under temporary names; only at the end do they get their own, and the manifest comes last. When
     the block is left by an exception, the folder is as it was. A data set of the same application that was there is
-    replaced as a whole. One writer at a time per folder.
+    replaced as a whole. One writer at a time per folder: it holds the folder's lock, and a second one is refused.
 
     Args:
         folder: where; made if missing.
@@ -53,8 +54,8 @@ class ShardWriter:
         beside: name of a tensor whose bytes, a text, are kept as a file beside each task, and that file's suffix.
 
     Raises:
-        ValueError: the folder is a file or holds another application's tasks (on entering); no task was added (on
-            leaving).
+        ValueError: the folder is a file, holds another application's tasks, or another program is writing to it (on
+            entering); no task was added (on leaving).
     """
 
     def __init__(
@@ -76,19 +77,23 @@ class ShardWriter:
         self._entries: list[Entry] = []
         self._files = {MANIFEST.replace(".json", SUFFIX)} if beside else set()  # its text would take the same name
         self._made: list[Path] = []
+        self._lock = contextlib.ExitStack()
 
     def __enter__(self) -> ShardWriter:
         if self.folder.exists() and not self.folder.is_dir():
             raise ValueError(f"{self.folder}: a file, expected a folder to write to; choose another one.")
-        before = self._replaced()
-        if before is not None and before.app != self._manifest.app:
-            raise ValueError(
-                f"{self.folder}: holds tasks of '{before.app}', expected an empty folder or tasks of "
-                f"'{self._manifest.app}'; choose another folder."
-            )
         self._made = [path for path in (self.folder, *self.folder.parents) if not path.exists()]
         self.folder.mkdir(parents=True, exist_ok=True)
-        self._remove_partial()  # of a writer that was killed
+        with contextlib.ExitStack() as stack:
+            stack.enter_context(only_writer(self.folder))
+            before = self._replaced()
+            if before is not None and before.app != self._manifest.app:
+                raise ValueError(
+                    f"{self.folder}: holds tasks of '{before.app}', expected an empty folder or tasks of "
+                    f"'{self._manifest.app}'; choose another folder."
+                )
+            self._remove_partial()  # of a writer that was killed
+            self._lock = stack.pop_all()
         return self
 
     def add(self, task: Task, split: str, source: str | Path = "") -> None:
@@ -140,15 +145,16 @@ class ShardWriter:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        try:
-            if kind is None:
-                self._publish()
-        finally:
-            self._remove_partial()
-            for path in self._made:
-                if any(path.iterdir()):
-                    break
-                path.rmdir()
+        with self._lock:
+            try:
+                if kind is None:
+                    self._publish()
+            finally:
+                self._remove_partial()
+                for path in self._made:
+                    if any(path.iterdir()):
+                        break
+                    path.rmdir()
 
     def _publish(self) -> None:
         """Give all files their names, the manifest last; while there is no manifest, there is no data set."""
@@ -177,20 +183,41 @@ class ShardWriter:
             return None
 
 
-def read_shard(folder: str | Path, split: str | None = None, app: str | None = None) -> list[Task]:
+@contextlib.contextmanager
+def only_writer(folder: Path) -> Iterator[None]:
+    """Hold the lock of a folder that data are written to.
+
+    Raises:
+        ValueError: another program holds it.
+    """
+    with contextlib.ExitStack() as stack:
+        try:
+            stack.enter_context(locked(folder, wait=False))
+        except BlockingIOError:
+            raise ValueError(
+                f"{folder}: another program is writing data there; wait until it is done, or choose another folder."
+            ) from None
+        yield
+
+
+def read_shard(
+    folder: str | Path, split: str | None = None, app: str | None = None, holds: Mapping[str, Held] | None = None
+) -> list[Task]:
     """Read the tasks of a data set; the tensors are mapped from disk and loaded when they are used.
 
     Args:
         folder: of the data set.
         split: only the "train" or only the "test" tasks; None is all.
         app: the application that the tasks must belong to; None takes any.
+        holds: what each task must hold, as the application says; None takes any tensors.
 
     Returns:
         The tasks in the manifest's order; an empty list if the split has none. Hashes are not compared: see
         `check_shard`.
 
     Raises:
-        ValueError: as `read_manifest`; another application's tasks; a file that is missing or damaged.
+        ValueError: as `read_manifest`; another application's tasks; a file that is missing or damaged, or does not
+            hold what it must.
     """
     folder = Path(folder)
     if split is not None and split not in SPLITS:
@@ -198,15 +225,22 @@ def read_shard(folder: str | Path, split: str | None = None, app: str | None = N
     manifest = read_manifest(folder)
     if app is not None and manifest.app != app:
         raise ValueError(f"{folder}: holds tasks of '{manifest.app}', expected '{app}'; name another data set.")
-    return [_read_task(folder, entry) for entry in manifest.tasks if split in (None, entry.split)]
+    tasks = []
+    for entry in manifest.tasks:
+        if split in (None, entry.split):
+            task = _read_task(folder, entry)
+            if problems := problems_of(task, holds or {}):
+                raise ValueError(f"{folder / entry.file}: {problems[0]}; convert the data again.")
+            tasks.append(task)
+    return tasks
 
 
-def check_shard(folder: str | Path) -> list[str]:
-    """Check a data set against its manifest.
+def check_shard(folder: str | Path, holds: Mapping[str, Held] | None = None) -> list[str]:
+    """Check a data set against its manifest, and its tasks against what the application says they must hold.
 
     Returns:
-        One line a problem: files that are missing, changed, damaged or not listed, values that are not finite. An
-        empty list means that all is well.
+        One line a problem: files that are missing, changed, damaged or not listed, values that are not finite,
+        tensors that are missing or of another shape or type. An empty list means that all is well.
     """
     folder = Path(folder)
     try:
@@ -227,11 +261,7 @@ def check_shard(folder: str | Path) -> list[str]:
             problems.append(
                 f"{path}: SHA-256 {digest[:12]}..., expected {entry.sha256[:12]}...; the file has changed since."
             )
-        problems += [
-            f"{path}: tensor '{key}' holds NaN or infinite values, expected finite ones; convert the data again."
-            for key, tensor in task.data.items()
-            if not _is_finite(tensor)
-        ]
+        problems += [f"{path}: {problem}; convert the data again." for problem in problems_of(task, holds or {})]
     missing = [entry.beside for entry in manifest.tasks if entry.beside and not (folder / entry.beside).is_file()]
     problems += [f"{folder / file}: missing, expected a file as {MANIFEST} lists it." for file in missing]
     listed = {MANIFEST, *_files(manifest.tasks)}
@@ -275,5 +305,5 @@ def _read_task(folder: Path, entry: Entry) -> Task:
         with safe_open(path, framework="pt") as stored:
             data = {key: stored.get_tensor(key) for key in stored.keys()}  # noqa: SIM118
             return Task(entry.name, data, entry.group)
-    except SafetensorError as error:
+    except (SafetensorError, RuntimeError, TypeError, AttributeError) as error:  # torch's, of types it lacks
         raise ValueError(f"{path}: not readable as safetensors ({error}); convert the data again.") from None

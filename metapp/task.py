@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 from typing import Any, Literal, NamedTuple
 
 import torch
@@ -26,6 +28,66 @@ class Task(NamedTuple):
     name: str
     data: dict[str, Tensor]
     group: str = ""
+
+
+class Held(NamedTuple):
+    """What a tensor of a task must be.
+
+    Attributes:
+        shape: sizes; a letter stands for any size, the same wherever it stands in a task.
+        kind: "float" (16, 32 or 64 bits) or "uint8".
+        low, high: least and greatest value.
+        optional: whether a task may lack it.
+    """
+
+    shape: tuple[int | str, ...]
+    kind: Literal["float", "uint8"] = "float"
+    low: float = -math.inf
+    high: float = math.inf
+    optional: bool = False
+
+
+_KINDS = {"float": (torch.float16, torch.float32, torch.float64), "uint8": (torch.uint8,)}
+
+
+def problems_of(task: Task, holds: Mapping[str, Held]) -> list[str]:
+    """What is wrong with a task's tensors, a line each: found, expected.
+
+    Args:
+        task: from a file that anybody may have written.
+        holds: what it must hold, by name; further tensors need only be finite.
+    """
+    missing = [key for key, held in holds.items() if key not in task.data and not held.optional]
+    problems = [f"tensor '{key}' is missing, expected {_said(holds[key])}" for key in missing]
+    sizes: dict[str, int] = {}
+    for key, tensor in task.data.items():
+        held = holds.get(key)
+        if tensor.is_floating_point() and tensor.dtype not in _KINDS["float"]:
+            problems.append(f"tensor '{key}' is {_of(tensor)}, expected floats of 16, 32 or 64 bits")
+        elif held and (tensor.dtype not in _KINDS[held.kind] or not _has_shape(tensor, held.shape, sizes)):
+            problems.append(f"tensor '{key}' is {_of(tensor)}, expected {_said(held)}")
+        elif not bool(torch.isfinite(tensor).all()):
+            problems.append(f"tensor '{key}' holds NaN or infinite values, expected finite ones")
+        elif held and not held.low <= float(tensor.min()) <= float(tensor.max()) <= held.high:
+            found = f"{float(tensor.min()):g} to {float(tensor.max()):g}"
+            problems.append(f"tensor '{key}' holds {found}, expected {held.low:g} to {held.high:g}")
+    return problems
+
+
+def _has_shape(tensor: Tensor, shape: tuple[int | str, ...], sizes: dict[str, int]) -> bool:
+    """Whether a shape fits, given what letters stand for so far; what they stand for here is added."""
+    if tensor.ndim != len(shape) or tensor.numel() == 0:
+        return False
+    pairs = zip(tensor.shape, shape, strict=True)
+    return all(size == (sizes.setdefault(of, size) if isinstance(of, str) else of) for size, of in pairs)
+
+
+def _of(tensor: Tensor) -> str:
+    return f"{str(tensor.dtype).removeprefix('torch.')} {list(tensor.shape)}"
+
+
+def _said(held: Held) -> str:
+    return f"{held.kind} [{', '.join(map(str, held.shape))}]"
 
 
 @dataclass(frozen=True)
@@ -178,6 +240,7 @@ class App(ABC):
         readers: modules of data_tools that turn a user's files into tasks: `recognises(path)` says whether a path is
             theirs, `find(paths)` lists sources and lines about what was skipped, `read_task(source)` reads one.
         inputs: what a user's files may be, in words.
+        holds: what each task must hold, by the tensor's name.
         exports: modules of data_tools whose `export(app, theta, path)` writes a fit in another form.
         protocols: what a fit may see, the values of --observe, where there are several; the first is the default.
         protocol: the one of these that is in force; "" where there is none.
@@ -198,6 +261,7 @@ class App(ABC):
     title: str
     readers: tuple[str, ...]
     inputs: str
+    holds: Mapping[str, Held] = MappingProxyType({})
     exports: tuple[str, ...] = ()
     protocols: tuple[str, ...] = ()
     protocol: str = ""

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import multiprocessing
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +13,7 @@ import torch
 from safetensors.torch import load_file, save_file
 
 from metapp.learning import MetaParameters
-from metapp.records import SCHEMA, RunFolder, digest, file_name, load_start, read_records, save_start
+from metapp.records import FIT, SCHEMA, RunFolder, digest, file_name, load_start, read_records, safe_name, save_start
 
 START = MetaParameters(
     {"w1": torch.arange(6.0).reshape(2, 3)},
@@ -148,14 +150,15 @@ def test_a_task_again_replaces_its_line(tmp_path: Path) -> None:
     assert run.finished()["gold"]["error"] == 0.25
 
 
-def test_other_settings_drop_old_lines_at_the_first_write(tmp_path: Path) -> None:
+def test_lines_of_other_settings_stay_until_their_parameters_are_replaced(tmp_path: Path) -> None:
     old, new = RunFolder(tmp_path, {"steps": 10}), RunFolder(tmp_path, {"steps": 20})
-    old.add(record("gold"), THETA)
+    for name in ("gold", "tin"):
+        old.add(record(name), THETA)
     assert new.finished() == {}
-    assert list(old.finished()) == ["gold"]
-    new.add(record("tin"), THETA)
-    assert old.finished() == {}
-    assert [each["name"] for each in read_records(new.file)] == ["tin"]
+    new.add(record("tin"), {"w": torch.zeros(3)})
+    assert list(old.finished()) == ["gold"]  # tin's parameters on disk are another run's now
+    assert list(new.finished()) == ["tin"]
+    assert [each["name"] for each in read_records(new.file)] == ["gold", "tin"]
 
 
 @pytest.mark.parametrize("keep", [0, 1, 20, -1])
@@ -220,3 +223,170 @@ def test_file_names_are_safe_and_distinct() -> None:
         assert not file.startswith("."), name
         assert not set(file) & set('/\\:*?"<>| \0'), name
     assert file_name("gold-1.5_x") == "gold-1.5_x"
+
+
+# Attacks on record files
+
+
+NESTED = "[" * 100_000 + "]" * 100_000
+BAD_LINES = {
+    "text": {"error": "0.5"},
+    "list as name": {"name": ["gold"]},
+    "NaN": {"error": float("nan")},
+    "infinite": {"seconds": float("inf")},
+    "huge": {"error": 10**400},
+    "true": {"seconds": True},
+    "no settings": {"settings": None},
+}
+
+
+def fit_folder(path: Path) -> RunFolder:
+    run = RunFolder(path, {"steps": 10}, FIT)
+    run.add(record("gold", seconds=0.1), THETA)
+    run.add(record("tin", seconds=0.1), THETA)
+    return run
+
+
+@pytest.mark.parametrize("change", BAD_LINES.values(), ids=BAD_LINES)
+def test_a_bad_line_is_passed_over_with_its_number(tmp_path: Path, change: dict[str, Any]) -> None:
+    run = fit_folder(tmp_path)
+    first, second = run.file.read_text().splitlines()
+    run.file.write_text(f"{json.dumps({**json.loads(first), **change})}\n{second}\n")
+    with pytest.warns(UserWarning, match=r"record.jsonl: line 1: no record"):
+        assert list(run.finished()) == ["tin"]
+    run.add(record("gold", seconds=0.2), THETA)  # the task is fitted again
+    with pytest.warns(UserWarning, match="line 1"):
+        assert set(run.finished()) == {"gold", "tin"}
+
+
+@pytest.mark.parametrize("line", [NESTED, '{"name": "x", "error": 1' + "0" * 5000 + "}", "\0" * 64, "\x7f\xfe"])
+def test_lines_that_are_no_json_are_passed_over(tmp_path: Path, line: str) -> None:
+    run = fit_folder(tmp_path)
+    run.file.write_text(f"{line}\n{run.file.read_text()}", errors="surrogateescape")
+    with pytest.warns(UserWarning, match="line 1"):
+        assert set(run.finished()) == {"gold", "tin"}
+
+
+@pytest.mark.parametrize("keep", [1, 20, -2])
+def test_a_torn_line_gives_way_to_the_next(tmp_path: Path, keep: int) -> None:
+    run = fit_folder(tmp_path)
+    whole = run.file.read_bytes()
+    run.file.write_bytes(whole + whole[:keep] * (keep > 0) + (whole[:-2] if keep < 0 else b""))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        before = set(run.finished())
+    run.add(record("zinc", seconds=0.1), THETA)
+    assert set(run.finished()) == before | {"zinc"} == {"gold", "tin", "zinc"}
+
+
+def test_a_last_line_without_an_end_stays(tmp_path: Path) -> None:
+    run = fit_folder(tmp_path)
+    run.file.write_bytes(run.file.read_bytes()[:-1])
+    run.add(record("zinc", seconds=0.1), THETA)
+    assert set(run.finished()) == {"gold", "tin", "zinc"}
+
+
+def add_many(path: Path, writer: int, count: int) -> None:
+    run = RunFolder(path, {"steps": 10}, FIT)
+    for i in range(count):
+        run.add(record(f"task-{writer}-{i}", seconds=0.1, note="x" * 10_000))
+
+
+def test_what_several_programs_add_at_once_stays(tmp_path: Path) -> None:
+    writers = [multiprocessing.get_context("fork").Process(target=add_many, args=(tmp_path, i, 20)) for i in range(4)]
+    for writer in writers:
+        writer.start()
+    for writer in writers:
+        writer.join()
+    assert len(RunFolder(tmp_path, {"steps": 10}, FIT).finished()) == 80
+
+
+def test_records_are_read_again_only_where_the_file_has_changed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run, calls = fit_folder(tmp_path), []
+    monkeypatch.setattr("metapp.records.read_records", lambda *args: calls.append(args) or read_records(*args))
+    for _ in range(3):
+        assert len(run.finished()) == 2
+    run.add(record("zinc", seconds=0.1))
+    assert len(run.finished()) == 3
+    assert len(calls) == 2
+
+
+def test_numbers_that_json_lacks_become_none(tmp_path: Path) -> None:
+    run = RunFolder(tmp_path, {}, FIT)
+    run.add({"name": "gold", "error": 1.0, "seconds": 0.1, "ssim": float("nan"), "curve": [(1, float("inf"))]})
+    kept = run.finished()["gold"]
+    assert (kept["ssim"], kept["curve"]) == (None, [[1, None]])
+
+
+def test_damaged_parameters_are_one_line(tmp_path: Path) -> None:
+    run = fit_folder(tmp_path)
+    assert torch.equal(run.theta("gold")["w"], THETA["w"])
+    run.params("gold").write_bytes(b"\xff" * 100)
+    run.params("tin").unlink()
+    for name in ("gold", "tin"):
+        with pytest.raises(ValueError, match=rf"{name}.safetensors: fitted parameters not readable"):
+            run.theta(name)
+
+
+LONG = [
+    "x" * 230,
+    "größe" * 60,
+    "日" * 200,
+    "a\nb",
+    "bell\a",
+    "\x1b[31mred",
+    "caf\udce9",
+    "\ud800",
+    "a\u2028b",
+    "x" * 101,
+]
+
+
+@pytest.mark.parametrize("name", LONG)
+def test_names_are_made_safe_and_short(tmp_path: Path, name: str) -> None:
+    for make in (safe_name, file_name):
+        safe = make(name)
+        assert len(safe.encode()) <= 100
+        assert safe.isprintable()
+        assert make(safe) == safe
+    assert safe_name(name) != safe_name(f"{name}2")
+    run = RunFolder(tmp_path, {}, FIT)
+    run.add(record(name, seconds=0.1), THETA)
+    assert torch.equal(run.theta(name)["w"], THETA["w"])
+    assert list(run.finished()) == [name]
+
+
+def test_good_names_stay() -> None:
+    for name in ("gold", "red felt/2", "größe", "x" * 100, ""):
+        assert safe_name(name) == name
+
+
+@pytest.mark.parametrize(
+    "info",
+    [
+        "[1]",
+        '"text"',
+        "3",
+        "null",
+        '{"schema": true}',
+        '{"schema": "1"}',
+        '{"schema": [1]}',
+        '{"schema": 1e400}',
+        NESTED,
+    ],
+)
+def test_metadata_of_other_forms_are_no_start(tmp_path: Path, info: str) -> None:
+    path = tmp_path / "start.safetensors"
+    write(path, ONE, {"metapp": info})
+    with pytest.raises(ValueError, match=r"start.safetensors: not a start that metapp wrote"):
+        load_start(path)
+
+
+def test_a_start_holds_floats(tmp_path: Path) -> None:
+    path = tmp_path / "start.safetensors"
+    for dtype in (torch.int64, torch.bool, torch.float8_e4m3fn, torch.complex64):
+        write(path, {"theta.x": torch.ones(2).to(dtype)}, GOOD)
+        with pytest.raises(ValueError, match="not a start that metapp wrote"):
+            load_start(path)

@@ -15,7 +15,7 @@ from metapp.exemplar import JUDGED, TILED, ExemplarApp, Setup
 from metapp.features import amplitudes, channels_of, distance, gram, hann, moments
 from metapp.flash import Maps, camera, expose, flash_position, normal_from_height, positions, relightings, render
 from metapp.networks import UNet
-from metapp.task import AS_PUBLISHED, Adam, Batch, Params, Recipe, Task, Tasks, Training
+from metapp.task import AS_PUBLISHED, Adam, Batch, Held, Params, Recipe, Task, Tasks, Training
 
 GRID = 3  # windows along a side
 DRAWN = 3
@@ -82,6 +82,10 @@ class SvbrdfStationary(ExemplarApp):
     name = "svbrdf_stationary"
     title = "svBRDF stat."
     readers = ("flash",)
+    holds = {  # noqa: RUF012  (never written to)
+        "image": Held((3, "S", "S"), "uint8"),
+        "relit": Held((3, 3, "R", "R"), "uint8", optional=True),
+    }
     inputs = "a flash photo of a flat material, or a folder of these"
     measure = "relative L1 distance of Gram matrices in 9 windows, mean over windows, taps and generated materials"
     raw = ("specular", "roughness", "normal", "height")

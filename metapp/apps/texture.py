@@ -12,7 +12,7 @@ from metapp.colour import srgb_to_linear
 from metapp.exemplar import TILED, ExemplarApp, Setup
 from metapp.features import channels_of, distance, gram, moments
 from metapp.networks import UNet
-from metapp.task import AS_PUBLISHED, Adam, Batch, Params, Recipe, Task, Tasks, Training
+from metapp.task import AS_PUBLISHED, Adam, Batch, Held, Params, Recipe, Task, Tasks, Training
 
 SMALLEST_CROP = 0.5
 LEARNED = Training(
@@ -73,6 +73,7 @@ class Texture(ExemplarApp):
     name = "texture"
     title = "Texture"
     readers = ("images",)
+    holds = {"image": Held((3, "S", "S"), "uint8")}  # noqa: RUF012  (never written to)
     measure = "relative L1 distance of Gram matrices, mean over taps and generated textures"
     recipes = {"paper": PAPER, "paper-vgg19": VGG19, "quick": QUICK}  # noqa: RUF012  (never written to)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import enum
+import io
 import json
 import os
 import signal
@@ -12,12 +13,36 @@ import threading
 import time
 import warnings
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, ProgressColumn, TextColumn, TimeRemainingColumn
 from rich.text import Text
 
+LONGEST = 300  # characters of an error or a warning
+
+
+def open_streams() -> None:
+    """Give closed standard streams a place to go (`metapp ... >&-`), and let no character of a name stop a line.
+
+    A closed descriptor is filled first: else the next file that is opened takes its number, and gets what is printed.
+    """
+    for descriptor, name in enumerate(("stdin", "stdout", "stderr")):
+        try:
+            os.fstat(descriptor)
+        except OSError:
+            os.dup2(os.open(os.devnull, os.O_RDWR), descriptor)
+        if getattr(sys, name) is None:
+            setattr(sys, name, open(os.devnull, "w" if descriptor else "r"))  # noqa: SIM115  (for the whole run)
+            _closed.add(name)
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
+
+
+_closed: set[str] = set()  # names of the standard streams that were closed when the program began
+open_streams()
 # a pipe has no width of its own
 out = Console(highlight=False, width=None if sys.stdout.isatty() else 120)
 err = Console(stderr=True, highlight=False)
@@ -33,8 +58,32 @@ class Exit(enum.IntEnum):
 
 
 def say(message: str) -> None:
-    """A message for a person, on standard error."""
-    err.print(message, markup=False, soft_wrap=True)
+    """A message for a person, on standard error; an error, a warning or a problem is one line of LONGEST characters."""
+    if message.startswith(("error: ", "warning: ", "problem: ")):
+        message = one_line(message)
+    try:
+        err.print(message, markup=False, soft_wrap=True)
+    except OSError:
+        _leave(sys.stderr)
+
+
+def one_line(message: str) -> str:
+    """A message without control characters, shortened in its middle: its ends hold the subject and the remedy."""
+    text = "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in message)
+    half = (LONGEST - 5) // 2
+    return text if len(text) <= LONGEST else f"{text[:half]} ... {text[-half:]}"
+
+
+def named(error: Exception, source: Path) -> ValueError:
+    """An error that a reader met, with the file named."""
+    text = str(error) or type(error).__name__
+    return ValueError(text if source.name in text else f"{source}: {text}")
+
+
+def _leave(stream: Any) -> None:
+    """Let a stream that cannot be written to lead nowhere, so that Python does not fail at it again when it ends."""
+    with contextlib.suppress(OSError, ValueError):
+        os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 
 
 def number(value: float | None, form: str) -> str:
@@ -43,7 +92,13 @@ def number(value: float | None, form: str) -> str:
 
 
 def print_json(document: dict[str, Any]) -> None:
-    """The last line of standard output, one object."""
+    """The last line of standard output, one object.
+
+    Raises:
+        ValueError: standard output is closed.
+    """
+    if "stdout" in _closed:
+        raise ValueError("standard output: closed, expected an open one for --json; what was made is kept.")
     sys.stdout.write(json.dumps(document, allow_nan=False, default=float) + "\n")
     sys.stdout.flush()
 
@@ -61,23 +116,32 @@ def run(command: Callable[[], Any]) -> int:
     _end_like_ctrl_c()
     try:
         code = command()
+        sys.stdout.flush()
     except typer.Exit as error:
         return error.exit_code
     except typer.Abort:
         return _interrupted()
     except click_error as error:  # type: ignore[misc]  # a class, found at run time
+        if hasattr(error, "message"):
+            error.message = one_line(str(error.message))
         error.show()
         return Exit.USAGE if isinstance(error, usage_error) else Exit.FAILED
     except KeyboardInterrupt:
         return _interrupted()
     except BrokenPipeError:
         # a reader such as `head` went away: say nothing, also not when Python flushes at exit
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        _leave(sys.stdout)
         return Exit.FAILED
-    except (ValueError, FloatingPointError, OSError, MemoryError, ImportError) as error:
+    except Exception as error:
         if os.environ.get("METAPP_TRACEBACK"):
             raise
-        say(f"error: {str(error) or type(error).__name__}")
+        foreseen = isinstance(error, ValueError | FloatingPointError | OSError | MemoryError | ImportError)
+        what = str(error) or type(error).__name__
+        say(f"error: {what}" if foreseen else f"error: {type(error).__name__}: {_cut(what)}; {REPORT}")
+        try:
+            sys.stdout.flush()
+        except OSError:
+            _leave(sys.stdout)  # it is full
         return Exit.FAILED
     if code == Exit.INTERRUPTED:  # typer turns Ctrl-C into this code by itself
         return _interrupted()
@@ -92,6 +156,14 @@ def _end_like_ctrl_c() -> None:
 
     if threading.current_thread() is threading.main_thread():
         signal.signal(signal.SIGTERM, stop)
+
+
+REPORT = "unexpected: please report it with the output of METAPP_TRACEBACK=1 and the command."
+
+
+def _cut(message: str) -> str:
+    """The beginning of what a library says, which may be pages."""
+    return message if len(message) < 150 else f"{message[:147]}..."
 
 
 def _interrupted() -> int:

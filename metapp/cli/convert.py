@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from metapp.cli.console import progress, say
+from metapp.cli.console import named, progress, say
 
 if TYPE_CHECKING:
     from metapp.task import Task
@@ -75,8 +75,8 @@ def convert(reader: Reader, paths: Iterable[Path], out: Path, split: str, quiet:
                     task = reader.read(source)
                 except (ValueError, OSError) as error:
                     if searched is None:
-                        raise
-                    bad.setdefault(searched, []).append(str(error))
+                        raise named(error, source) from None
+                    bad.setdefault(searched, []).append(str(named(error, source)))
                 else:
                     part = reader.split_of(source) if reader.split_of and split == AUTO else split
                     writer.add(task, part, source)

@@ -7,9 +7,9 @@ import functools
 import importlib
 import inspect
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -19,6 +19,9 @@ from metapp.cli.data_convert import Json, Out, Quiet, check_folder, flash, image
 from metapp.cli.data_cornell import cornell
 from metapp.cli.data_svbrdf import maps, strips
 from metapp.cli.embedded import embedded_apps, embedded_data, embedded_module, split_counts
+
+if TYPE_CHECKING:
+    from metapp.task import Held
 
 app = typer.Typer(no_args_is_help=True, help="Make data sets from files or by drawing them, and check them.")
 
@@ -121,6 +124,8 @@ def synth(
 
 
 def _synth_merl(name: str, folder: Path | None, count: int | None, seed: int, quiet: bool) -> Converted:
+    from metapp.shards import only_writer
+
     module = embedded_module(name)
     if not hasattr(module, "write_merl_files"):
         raise typer.BadParameter(f"merl: a format of BRDFs, expected shards for {name}.", param_hint="--as")
@@ -135,7 +140,8 @@ def _synth_merl(name: str, folder: Path | None, count: int | None, seed: int, qu
             "files; take a smaller --count."
         )
     names: dict[str, list[str]] = {}
-    with progress(quiet) as bar:
+    folder.mkdir(parents=True, exist_ok=True)
+    with only_writer(folder), progress(quiet) as bar:
         shown = bar.add_task("MERL files", total=sum(counts.values()), note="")
         for split, number in counts.items():
             names[split] = []
@@ -172,7 +178,7 @@ def join(
     if folder.resolve() in [each.resolve() for each in folders]:
         raise ValueError(f"{folder}: one of the data sets to join, expected another folder to write to.")
     notes = {"made_by": "metapp data join", "of": [each.name for each in folders]}
-    sets = [{task.name: task for task in read_shard(each, app=name)} for each in folders]
+    sets = [{task.name: task for task in read_shard(each, app=name, holds=_holds(name))} for each in folders]
     every = [task.data for tasks in sets for task in tasks.values()]
     shapes = {key: value.shape for key, value in every[0].items() if all(key in data for data in every)}
     units = {key: unit for key, unit in manifests[0].units.items() if key in shapes}
@@ -200,7 +206,8 @@ def check(
 ) -> None:
     """Verify a data set.
 
-    Compares files with their SHA-256 hashes, looks for missing and foreign ones and for values that are not finite.
+    Compares files with their SHA-256 hashes, looks for missing and foreign ones, for tensors that the application
+    cannot use (missing, of another shape or type) and for values that are not finite.
     Prints what it holds, then its problems, one a line; exit code 1 if there are any.
 
     Example:
@@ -209,13 +216,14 @@ def check(
     from metapp.manifest import read_manifest
     from metapp.shards import check_shard
 
-    problems = check_shard(folder)
+    problems = []
     try:
         manifest = read_manifest(folder)
-    except ValueError:
+        problems = check_shard(folder, _holds(manifest.app))
+    except ValueError as error:
         if not as_json:
             raise
-        print_json({"app": None, "folder": str(folder), "problems": problems})
+        print_json({"app": None, "folder": str(folder), "problems": [str(error)]})
         raise typer.Exit(Exit.FAILED) from None
     counts = {split: sum(task.split == split for task in manifest.tasks) for split in ("train", "test")}
     files = [folder / task.file for task in manifest.tasks]
@@ -234,6 +242,17 @@ def check(
         out.print(f"{len(problems)} problems" if problems else "no problems", markup=False)
     if problems:
         raise typer.Exit(Exit.FAILED)
+
+
+def _holds(name: str) -> Mapping[str, Held]:
+    """What tasks of an application must hold.
+
+    Raises:
+        ValueError: there is no such application.
+    """
+    from metapp.apps import load_app
+
+    return load_app(name).holds
 
 
 @functools.partial(_command, bare_is_help=False)

@@ -12,7 +12,7 @@ from types import ModuleType
 from typing import Any
 
 from metapp.cli.console import progress, say
-from metapp.files import cache_folder
+from metapp.files import cache_folder, locked
 
 VERSION = 1  # a module's own is raised when its draw changes, so that no older set is taken for the new one
 
@@ -95,9 +95,10 @@ def embedded_data(
     _remove_stale(folder.parent)
     try:
         _make(app, work, counts, seed, notes, quiet)
-        if not _is_finished(folder, app, notes):
-            shutil.rmtree(folder, ignore_errors=True)  # half a set, or a damaged one
-            os.replace(work, folder)
+        with locked(folder.parent):
+            if not _is_finished(folder, app, notes):
+                shutil.rmtree(folder, ignore_errors=True)  # half a set, or a damaged one
+                os.replace(work, folder)
     finally:
         shutil.rmtree(work, ignore_errors=True)
     return folder

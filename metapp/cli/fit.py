@@ -17,9 +17,9 @@ if TYPE_CHECKING:
     from torch import Generator
 
     from metapp.cli.session import Options, Start
-    from metapp.paradigms import Paradigm
+    from metapp.paradigms import Job, Paradigm
     from metapp.records import RunFolder
-    from metapp.task import App, Task
+    from metapp.task import App, Params, Task, Tasks
 
 RULE_NAMES = "meta-sgd, meta-adam, meta-adam-tied, meta-curvature, meta-encoder, meta-lgd, meta-mean, meta-basis"
 APP_HELP = "Application: brdf, texture, svbrdf_stationary, svbrdf_nonstationary, illumination, transport."
@@ -122,7 +122,7 @@ def fit(
     from metapp.cli.session import make_folder, name_of, observe_of, settings_of
     from metapp.cli.starts import find_start, train_start
     from metapp.paradigms import paradigms
-    from metapp.records import RunFolder
+    from metapp.records import FIT, RunFolder
 
     paradigm = paradigms()[paradigm_name]
     if options.steps == paradigm.steps(options.job.recipe):
@@ -133,7 +133,7 @@ def fit(
         train_start(options, paradigm, train_steps)
     start = find_start(options, paradigm)
     settings = settings_of(options, paradigm, start, label)
-    folder = RunFolder(run_path(options, settings, label), settings)
+    folder = RunFolder(run_path(options, settings, label), settings, FIT)
     if not options.quiet:
         what = f"{name_of(options.app)} {paradigm.name}"
         say(f"{what}: {len(tasks)} tasks, {settings['steps']} steps, start: {start.source}")
@@ -220,6 +220,7 @@ def fit_tasks(
         app.prepare(task)  # that one does not hold what a fit may see should not be found after an hour
     for task in tasks[:1]:
         fit_one(task, min(paradigm.count(job), 3))  # warm: first calls load kernels
+    threads = torch.get_num_threads()
     for task in tasks:
         theta, seconds, stacked = fit_one(task, None)
         errors = {key: float(value[0]) for key, value in app.errors(theta, stacked).items()}
@@ -228,16 +229,47 @@ def fit_tasks(
         if not finite or (errors and not math.isfinite(errors["error"])):
             what = "error is" if finite else "parameters are"
             raise FloatingPointError(f"{task.name}: the fit's {what} not finite; use another start or fewer steps.")
-        record = {"name": task.name, "error": None, **errors, "seconds": seconds}
+        # sums depend on the number of threads, in their last digits: the record says it, but its key does not, since
+        # that is no reason to fit anew
+        record = {"name": task.name, "error": None, **errors, "seconds": seconds, "threads": threads}
+        record |= warning_of(paradigm, job, start, stacked, theta, rng_of(options, task))
         folder.add(record, {key: value[0] for key, value in theta.items()})
         yield record
+
+
+def warning_of(
+    paradigm: Paradigm, job: Job, start: Start, stacked: Tasks, theta: Params, rng: Generator
+) -> dict[str, str]:
+    """What a record says of a fit that leaves what it sees worse than its start: a learned rule can fail on a task.
+
+    Args:
+        paradigm, job, start: what the fit was made by.
+        stacked: the one task.
+        theta: the fit, [1, ...].
+        rng: as it was at the beginning of the fit, so that the start is the same.
+    """
+    import torch
+
+    if paradigm.count(job) == 0:
+        return {}
+    first = paradigm.start(job, start.prepared, stacked, rng)
+    with torch.no_grad():
+        batch = job.app.sample(stacked, torch.Generator(rng.device).manual_seed(0), job.recipe.batch)
+        before, after = (float(job.app.loss(each, batch, {})[0]) for each in (first, theta))
+    if after <= before:
+        return {}
+    warning = f"the visible loss rose from {before:.4g} to {after:.4g}"
+    say(f"warning: {stacked.names[0]}: {warning}; try another rule, more steps or another paradigm.")
+    return {"warning": warning}
 
 
 def rng_of(options: Options, task: Task) -> Generator:
     """The source of a fit's draws: it depends on the task's name alone, whatever is fitted beside it."""
     from torch import Generator
 
-    seed = int.from_bytes(hashlib.sha256(f"{options.seed} {task.name}".encode()).digest()[:6], "big")
+    seed = int.from_bytes(
+        hashlib.sha256(f"{options.seed} {task.name}".encode(errors="surrogatepass")).digest()[:6], "big"
+    )
     return Generator(options.device).manual_seed(seed)
 
 
@@ -286,12 +318,10 @@ def export_all(options: Options, tasks: list[Task], folder: RunFolder, kind: str
     """Write every fit of a run in another form, under <run>/<kind>/."""
     import importlib
 
-    from safetensors.torch import load_file
-
     from metapp.records import file_name
 
     tool = importlib.import_module(f"data_tools.{kind}")
     for task in tasks:
-        theta = load_file(folder.path / "params" / f"{file_name(task.name)}.safetensors")
+        theta = folder.theta(task.name)
         tool.export(options.app, theta, folder.path / kind / file_name(task.name))
     say(f"{len(tasks)} fits written as {kind}: {folder.path / kind}")

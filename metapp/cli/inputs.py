@@ -9,9 +9,9 @@ from types import ModuleType
 
 import torch
 
-from metapp.cli.console import say
+from metapp.cli.console import named, say
 from metapp.cli.embedded import embedded_data
-from metapp.records import file_name
+from metapp.records import file_name, safe_name
 from metapp.shards import fingerprint, read_shard
 from metapp.task import App, Task
 
@@ -23,7 +23,7 @@ def data_folder(app: App, data: Path | None, quiet: bool) -> Path:
 
 def data_label(folder: Path) -> str:
     """A data set's name in run folders: its folder's name and a digest of its content."""
-    return f"{folder.resolve().name}-{fingerprint(folder)[:6]}"
+    return f"{safe_name(folder.resolve().name)}-{fingerprint(folder)[:6]}"
 
 
 def tasks_to_fit(app: App, inputs: list[Path], data: Path | None, quiet: bool) -> tuple[list[Task], str]:
@@ -37,10 +37,10 @@ def tasks_to_fit(app: App, inputs: list[Path], data: Path | None, quiet: bool) -
         more = f"-and-{len(tasks) - 1}-more" if len(tasks) > 1 else ""
         return tasks, f"{file_name(tasks[0].name)[:40]}{more}-{_content(tasks)}"
     folder = data_folder(app, data, quiet)
-    tasks = read_shard(folder, "test", app.name)
+    tasks = read_shard(folder, "test", app.name, app.holds)
     if not tasks:
         raise ValueError(f"{folder}: 0 test tasks, expected some; convert the data again with --split auto or test.")
-    return tasks, data_label(folder)
+    return distinct(tasks), data_label(folder)
 
 
 def read_input(app: App, path: Path) -> list[Task]:
@@ -65,17 +65,18 @@ def _read(reader: ModuleType, path: Path, alone: bool) -> list[Task]:
     for source in sources:
         try:
             tasks.append(reader.read_task(source))
-        except ValueError as error:
+        except (ValueError, OSError) as error:
             if len(sources) == 1:
-                raise
-            say(f"warning: skipped {error}")
+                raise named(error, source) from None
+            say(f"warning: skipped {named(error, source)}")
     if not tasks:
         raise ValueError(f"{path}: none of the {len(sources)} found could be read.")
     return tasks
 
 
 def distinct(tasks: list[Task]) -> list[Task]:
-    """The same tasks; where names repeat, later ones are numbered, and it is said."""
+    """The same tasks, their names made safe and short; where names repeat, later ones are numbered, and it is said."""
+    tasks = [task._replace(name=safe_name(task.name)) for task in tasks]
     taken: set[str] = {task.name for task in tasks}
     seen: set[str] = set()
     renamed = []
@@ -95,7 +96,7 @@ def _content(tasks: list[Task]) -> str:
     """6 hex digits of names and values."""
     total = hashlib.sha256()
     for task in tasks:
-        total.update(task.name.encode())
+        total.update(task.name.encode(errors="surrogatepass"))
         for key in sorted(task.data):
             total.update(task.data[key].detach().contiguous().flatten().view(torch.uint8).numpy().tobytes())
     return total.hexdigest()[:6]

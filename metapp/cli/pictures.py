@@ -9,14 +9,13 @@ from typing import Any
 
 import numpy as np
 import torch
-from safetensors.torch import load_file
 from torch import Tensor
 
 from metapp.cli.fit import summary
 from metapp.cli.session import title_of
 from metapp.colour import linear_to_srgb, tone_map
 from metapp.files import write_atomically
-from metapp.records import file_name
+from metapp.records import file_name, read_theta
 from metapp.task import App, Task
 
 COMPARED = 20  # tasks in a picture of all paradigms
@@ -119,7 +118,7 @@ def _write(image: Any, form: str, path: Path) -> None:
 
 
 def _theta(folder: Path, task: Task) -> dict[str, Any]:
-    return load_file(folder / "params" / f"{file_name(task.name)}.safetensors")
+    return read_theta(folder, task.name)
 
 
 def _label(record: dict[str, Any]) -> str:

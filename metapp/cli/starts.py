@@ -14,6 +14,7 @@ from metapp.cli.console import follow, progress, say
 from metapp.cli.embedded import embedded_exists
 from metapp.cli.inputs import data_folder, data_label
 from metapp.cli.session import Options, Start, is_first_protocol, make_folder, name_of, observe_of, versions
+from metapp.cli.start_check import require_fit, require_tuned
 from metapp.files import remove_partial
 from metapp.learning import MetaParameters
 from metapp.paradigms import Paradigm, paradigms
@@ -21,7 +22,7 @@ from metapp.paradigms.prepare import describe, prepare, training_of
 from metapp.paradigms.resuming import Interrupted, Prepared, Reached
 from metapp.records import digest, load_start, save_start, tensor_digest
 from metapp.shards import fingerprint, read_shard
-from metapp.task import App, Params, Training, stack
+from metapp.task import App, Training, stack
 from metapp.training_checkpoint import TrainingCheckpoint
 
 
@@ -38,12 +39,12 @@ def find_start(options: Options, paradigm: Paradigm) -> Start:
     prepared, info = load_start(path, options.device)
     app, name = info.get("app"), info.get("start")
     if (app, name) != (options.app.name, needed):
-        other = app == options.app.name and name in options.job.recipe.meta and paradigm.name == "meta"
+        other = app == options.app.name and name in list(options.job.recipe.meta) and paradigm.name == "meta"
         remedy = f"; add --rule {name}" if other else ""
         raise ValueError(f"{path}: a start of {app} {name}, expected {options.app.name} {needed}{remedy}.")
     _require_protocol(path, options.app, info)
     _require_conditions(path, options.app, prepared, info)
-    _require_fit(path, options.app, prepared)
+    require_fit(path, options, paradigm, prepared)
     start = Start(prepared, str(path), digest(path))
     if path == shipped_path(options.app.name, start_name(options.app, needed)) and not options.checkpoint:
         note = ", trained on other data, which may hold these tasks" if options.data else ""
@@ -71,24 +72,6 @@ def _require_conditions(path: Path, app: App, prepared: MetaParameters, info: di
             say(f"warning: {path.name} was trained with {then}; here: {now}.")
 
 
-def _require_fit(path: Path, app: App, prepared: MetaParameters) -> None:
-    """Refuse tensors that are not this application's."""
-    rng = Generator().manual_seed(0)
-    expected: dict[str, Params] = {}
-    if prepared.theta:
-        expected["theta"] = {key: value[0] for key, value in app.init(rng, 1).items()}
-    if prepared.encoder:
-        expected["encoder"] = app.init_encoder(rng)
-    for part, tensors in expected.items():
-        found = getattr(prepared, part)
-        for key, value in tensors.items():
-            shape = tuple(found[key].shape) if key in found else "missing"
-            if shape != tuple(value.shape):
-                raise ValueError(
-                    f"{path}: {part} {key} is {shape}, expected {tuple(value.shape)}; train a start with this version."
-                )
-
-
 def _with_tuning(options: Options, start: Start) -> Start:
     """Put the Adam that was tuned for this very encoder into its start."""
     encoder = tensor_digest(start.prepared.encoder)
@@ -99,6 +82,7 @@ def _with_tuning(options: Options, start: Start) -> Start:
         if path.is_file():
             tuned, info = load_start(path)
             if info.get("encoder") == encoder:
+                require_tuned(path, tuned)
                 return Start(start.prepared._replace(alpha=tuned.alpha), f"{start.source}, tuned Adam", digest(path))
     words = ["metapp", "quickft", options.app.name, "--train"]
     words += ["--observe", options.app.protocol] if options.app.protocol else []
@@ -157,7 +141,7 @@ def train_start(options: Options, paradigm: Paradigm, steps: int | None) -> Path
     make_folder(path.parent)
     folder = data_folder(options.app, options.data, options.quiet)
     encoder = _encoder(options, name, steps)
-    tasks = stack(options.app, read_shard(folder, "train", options.app.name), options.device)
+    tasks = stack(options.app, read_shard(folder, "train", options.app.name, options.app.holds), options.device)
     say(f"training {name_of(options.app)} {name} on {len(tasks)} tasks of {folder.name}, every eighth for validation")
     info: dict[str, Any] = {"data": data_label(folder), "recipe": options.recipe, "seed": options.seed}
     info |= (

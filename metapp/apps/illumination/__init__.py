@@ -19,7 +19,7 @@ from metapp.colour import tone_map
 from metapp.latlong import directions, resample, solid_angles, sphere_normals
 from metapp.networks import LocalField
 from metapp.photograph import Camera, Material, develop, photograph, shade
-from metapp.task import AS_PUBLISHED, Adam, Batch, Params, Recipe, Task, Tasks, Training, Visible
+from metapp.task import AS_PUBLISHED, Adam, Batch, Held, Params, Recipe, Task, Tasks, Training, Visible
 
 DARK = 0.01  # of a map of mean luminance 1: the log of radiance is flat below
 DIM = 0.02  # the same for what surfaces send out
@@ -120,6 +120,11 @@ class Illumination(CodedApp):
     name = "illumination"
     title = "Illumination"
     readers = ("latlong",)
+    holds = {  # noqa: RUF012  (never written to)
+        "photos": Held(("K", 3, 64, 64), "uint8"),
+        "map": Held((3, "H", "W"), low=0.0, optional=True),
+        "scale": Held((), low=0.0, optional=True),
+    }
     inputs = "an HDR map (.exr, .hdr), an LDR photo of a sphere that touches its borders, or a folder of these"
     measure = "mean absolute error of a second scene's picture under the map"
     image_measure = "the second scene under the map; its SSIM after tone mapping"

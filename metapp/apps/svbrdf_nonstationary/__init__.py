@@ -27,7 +27,7 @@ from metapp.apps.svbrdf_nonstationary.views import FLASH, flash_of, mirroring_pa
 from metapp.coded import CodedApp, norm
 from metapp.flash import Maps, expose, positions, render, unpack
 from metapp.networks import LocalField
-from metapp.task import AS_PUBLISHED, Adam, Batch, Params, Recipe, Task, Tasks, Training, Visible
+from metapp.task import AS_PUBLISHED, Adam, Batch, Held, Params, Recipe, Task, Tasks, Training, Visible
 
 DARK = 0.1  # of white: the log of radiance is flat below
 CLIPPED = 0.95  # of white: what a photograph shows no more
@@ -141,6 +141,10 @@ class SvbrdfNonstationary(CodedApp):
     name = "svbrdf_nonstationary"
     title = "svBRDF non-stat."
     readers = ("svbrdf_inputs",)
+    holds = {  # noqa: RUF012  (never written to)
+        "photo": Held((3, "S", "S"), "uint8"),
+        "maps": Held((10, "M", "M"), low=-1.001, high=1.001, optional=True),
+    }
     inputs = "a flash photo of a flat material, a strip, a material's maps, or a folder of these"
     measure = "mean absolute difference of log(radiance + 0.1) under 12 other lights, from elsewhere"
     image_measure = "renderings under 12 other lights: difference of logs, and SSIM at gamma 2.2"

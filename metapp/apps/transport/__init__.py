@@ -14,7 +14,7 @@ from metapp.apps.transport.flow import Flow
 from metapp.apps.transport.images import image_errors, studio_of
 from metapp.apps.transport.views import picture_of_flow, picture_of_samples
 from metapp.coded import decoder_of, reader_of, with_decoder
-from metapp.task import AS_PUBLISHED, Adam, App, Batch, Fitted, Params, Recipe, Task, Tasks, Training, Visible
+from metapp.task import AS_PUBLISHED, Adam, App, Batch, Fitted, Held, Params, Recipe, Task, Tasks, Training, Visible
 
 SHOWN, GLANCE = 512, 256  # paths a pixel of the pictures that a run leaves, and of those in its overview
 WANTED = 2048  # samples of a training scene that preparation judges a fit by
@@ -82,6 +82,12 @@ class Transport(App):
     name = "transport"
     title = "Transport"
     readers = ("mitsuba_scenes",)
+    holds = {  # noqa: RUF012  (never written to)
+        "samples": Held(("N", "d"), low=0.0, high=1.0),
+        "held": Held(("M", "d"), low=0.0, high=1.0, optional=True),
+        "image": Held((3, 32, 32), low=0.0),
+        "scene": Held(("L",), "uint8", optional=True),
+    }
     inputs = "a Mitsuba scene (.xml, .json) with a perspective camera, or a folder of these"
     measure = "negative log-likelihood of held-out light paths, on the film and in their first direction"
     radiance = ("guided", "regular")

@@ -5,14 +5,11 @@ from __future__ import annotations
 from html import escape
 from typing import Any
 
-from safetensors.torch import load_file
-
 from metapp.cli.console import number
 from metapp.cli.figures.style import TITLES
 from metapp.cli.pictures import to_srgb
 from metapp.cli.report.html import Pictures, anchor, identifier
 from metapp.cli.tables.subject import Subject
-from metapp.records import file_name
 from metapp.task import Task
 
 SHOWN = 8  # tasks
@@ -34,7 +31,7 @@ def _task_html(subject: Subject, task: Task, pictures: Pictures) -> str:
         record = next((each for each in cell.records() if each["name"] == task.name), None)
         if record is None or cell.folder is None:
             continue
-        theta = load_file(cell.folder.path / "params" / f"{file_name(task.name)}.safetensors")
+        theta = cell.folder.theta(task.name)
         made = app.outputs(theta, task)
         if not shown and "reference" in made:
             address = pictures.add_array(identifier(*subject.key, task.name, "reference"), to_srgb(made["reference"]))

@@ -5,14 +5,14 @@ from __future__ import annotations
 import statistics
 from collections.abc import Iterator
 
-from safetensors.torch import load_file
-
 from metapp.cli.session import name_of, threads_of
 from metapp.cli.tables import Row, Table, interval, numbers, paper, words
 from metapp.cli.tables.results import budget
 from metapp.cli.tables.subject import Cell, Record, Subject
-from metapp.records import RunFolder, file_name
+from metapp.records import OPTIONAL, RunFolder
 from metapp.task import REFERENCE, Fitted, Task
+
+FORM = {"measures": {...: {...: OPTIONAL}}}  # of a record
 
 
 def compared(subject: Subject) -> dict[str, Cell]:
@@ -38,14 +38,13 @@ def image_cell(subject: Subject) -> Cell:
         end = "-".join(filter(None, (options.rule, subject.shortened, app.protocol)))
         keys = {name: each.key for name, each in folders.items()}
         said = {"app": app.name, "measure": app.image_measure, "fits": keys}
-        folder = RunFolder(path.with_name(f"{path.name}-{end}"), said)
+        folder = RunFolder(path.with_name(f"{path.name}-{end}"), said, FORM)
 
     def measure(missing: list[Task]) -> Iterator[Record]:
         assert folder is not None
         seconds = {name: {record["name"]: record["seconds"] for record in fits[name].records()} for name in fits}
         for task in missing:
-            file = f"params/{file_name(task.name)}.safetensors"
-            fitted = {name: Fitted(load_file(folders[name].path / file), seconds[name][task.name]) for name in fits}
+            fitted = {name: Fitted(folders[name].theta(task.name), seconds[name][task.name]) for name in fits}
             record = {"name": task.name, "error": None, "measures": app.image_errors(fitted, task)}
             folder.add(record)
             yield record

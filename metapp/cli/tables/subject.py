@@ -17,7 +17,7 @@ from metapp.cli.starts import find_start, trained_path
 from metapp.cli.tables import Row, blank, paper
 from metapp.cli.tables.statistics import Paired, paired, statistics_of
 from metapp.paradigms import Paradigm, paradigms
-from metapp.records import RunFolder
+from metapp.records import FIT, RunFolder
 from metapp.task import App, Task
 
 Record = dict[str, Any]
@@ -150,7 +150,7 @@ class Subject:
         if start is not None:
             said = settings_of(options, paradigm, start, self.label) | (settings or {})
             path = run_path(options, said, self.label)
-            folder = RunFolder(path.with_name(f"{path.name}-{name}") if name else path, said)
+            folder = RunFolder(path.with_name(f"{path.name}-{name}") if name else path, said, FIT)
 
         def measure(missing: list[Task]) -> Iterator[Record]:
             assert folder is not None

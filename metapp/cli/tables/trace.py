@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Collection, Iterator
 
 import torch
-from safetensors.torch import load_file
 from torch import Tensor
 
 from metapp.cli.fit import rng_of
@@ -17,7 +16,7 @@ from metapp.cli.session import name_of, observe_of, settings_of, threads_of
 from metapp.cli.tables import paper
 from metapp.cli.tables.subject import Cell, Fit, Record, Subject
 from metapp.learning import learn, task_loss
-from metapp.records import RunFolder, digest, file_name
+from metapp.records import NUMBER, OPTIONAL, RunFolder, digest
 from metapp.rules import fixed_adam
 from metapp.task import Params, Task, Tasks, stack
 
@@ -26,6 +25,13 @@ PARTS = (0.0, 0.25, 0.5, 0.75, 1.0)
 CURVES = ("overfit", "finetune", "quickft", "meta")
 FURTHER = (8, 16, 32, 65, 130)  # steps after Meta's
 WALKED = 32  # places on a path
+_STEPS, _PLACES = [(NUMBER, OPTIONAL)], [(NUMBER, NUMBER)]
+FORM = {  # of a record
+    "curves": dict.fromkeys(CURVES, _STEPS),
+    "further": _STEPS,
+    "paths": {"meta": _PLACES, "overfit": _PLACES},
+    "explained": NUMBER,
+}
 
 
 def trace_cell(subject: Subject) -> Cell:
@@ -38,7 +44,7 @@ def trace_cell(subject: Subject) -> Cell:
         keys = [digest(settings_of(f.options, f.paradigm, f.start, subject.label)) for f in fits if f.start]
         said = {"app": options.app.name, **observe_of(options.app), "fits": keys, "further": FURTHER, "walked": WALKED}
         end = (path.name, options.rule, subject.shortened, options.app.protocol)
-        folder = RunFolder(path.with_name("-".join(filter(None, end))), said)
+        folder = RunFolder(path.with_name("-".join(filter(None, end))), said, FORM)
 
     def measure(missing: list[Task]) -> Iterator[Record]:
         assert folder is not None
@@ -179,7 +185,7 @@ def states_of(cell: Cell, task: Task) -> dict[float, Params]:
     """Meta's parameters at PARTS of its steps, without task axis, from a trace."""
     assert cell.folder is not None
     states: dict[float, Params] = {part: {} for part in PARTS}
-    for name, value in load_file(cell.folder.path / "params" / f"{file_name(task.name)}.safetensors").items():
+    for name, value in cell.folder.theta(task.name).items():
         part, key = name.split("/", 1)
         states[float(part)][key] = value
     return states
