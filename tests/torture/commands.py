@@ -73,6 +73,8 @@ def check(report: Report, part: str, command: list[Any], ended: Ended, codes: tu
     tail = " / ".join(ended.output.strip().splitlines()[-3:])[-250:]
     if "Traceback" in ended.output:
         report.add(part, f"a traceback: {tail}", shown(command))
+    elif "unexpected: please report" in ended.output:
+        report.add(part, f"an error that nobody foresaw: {tail}", shown(command))
     elif ended.code not in codes:
         report.add(part, f"exit code {ended.code}, expected {' or '.join(map(str, codes))}: {tail}", shown(command))
     elif ended.error:

@@ -19,6 +19,8 @@ from tests.torture.commands import metapp
 from tests.torture.report import Report
 
 _FULL = {"fit": 60, "export": 200, "synth": 3000, "convert": 1500, "general": 200, "evaluate": 40}  # KB that are free
+_NAMES = (b"a\nb", b"\xff\xfe", b"-q", b"x" * 230, "\N{GRINNING FACE}\u202e".encode(), b"\x1b[31mred", b" ", b"...",
+          b"a;b'c\"d", b"con.", b"%s%n{}")  # fmt: skip
 _SIZES = (0, 4, 16)  # KB; and the case's own
 
 
@@ -163,8 +165,7 @@ def streams(report: Report, rng: random.Random, data: Path, place: Path, quick: 
 def names(report: Report, rng: random.Random, data: Path, place: Path, quick: bool) -> None:
     """Files under strange names, as inputs and as folders to write to."""
     network = next((data.parent / "networks").iterdir())
-    for name in (b"a\nb", b"\xff\xfe", b"-q", b"x" * 230, "\N{GRINNING FACE}\u202e".encode(), b"\x1b[31mred", b" ", b"...",
-                 b"a;b'c\"d", b"con.", b"%s%n{}"):  # fmt: skip
+    for name in _NAMES:
         folder = Path(os.fsdecode(os.fsencode(place) + b"/" + name))
         shutil.copytree(network, folder)
         for words in (

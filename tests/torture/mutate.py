@@ -31,7 +31,7 @@ def mutate_json(rng: random.Random, document: Any) -> str:
     text = json.dumps(document)
     kind = rng.random()
     if kind < 0.1:
-        return mutate_bytes(rng, text.encode(), [text.encode()]).decode("utf-8", "replace")
+        return _of_text(rng, text)
     if kind < 0.12:
         depth = rng.choice((200, 2000, 100_000))
         return text.replace("0", "[" * depth + "]" * depth, 1)
@@ -46,7 +46,7 @@ def mutate_xml(rng: random.Random, text: str) -> str:
     text = _xml_text(root)
     kind = rng.random()
     if kind < 0.1:
-        return mutate_bytes(rng, text.encode(), [text.encode()]).decode("utf-8", "replace")
+        return _of_text(rng, text)
     if kind < 0.12:
         depth = rng.choice((100, 2000, 50_000))
         return text.replace("<shape", "<shape>" * depth + "</shape>" * depth + "<shape", 1)
@@ -55,6 +55,11 @@ def mutate_xml(rng: random.Random, text: str) -> str:
             "diffuse", "&a;"
         )
     return text
+
+
+def _of_text(rng: random.Random, text: str) -> str:
+    content = text.encode("utf-8", "surrogatepass")
+    return mutate_bytes(rng, content, [content]).decode("utf-8", "replace")
 
 
 def _place(rng: random.Random, content: bytes) -> int:

@@ -18,6 +18,7 @@ import warnings
 from pathlib import Path
 from typing import Any
 
+from metapp.cli import console
 from tests.torture.report import fault_of_message
 from tests.torture.targets import TARGETS, BadResult, Target, mutated
 
@@ -43,7 +44,7 @@ def fault(target: Target, rng: random.Random, folder: Path, valid: list[Any]) ->
     except ValueError as error:
         if isinstance(error, UnicodeError):
             return f"{type(error).__name__}: {error}{_where(error)}"
-        return fault_of_message(str(error), folder.name, folder)
+        return fault_of_message(_as_shown(str(error)), folder.name, folder)
     except FloatingPointError:
         return ""
     except BadResult as error:
@@ -55,6 +56,11 @@ def fault(target: Target, rng: random.Random, folder: Path, valid: list[Any]) ->
     finally:
         signal.setitimer(signal.ITIMER_PROF, 0)
     return ""
+
+
+def _as_shown(message: str) -> str:
+    """What the user sees of a message: the command line escapes and shortens."""
+    return getattr(console, "one_line", str)(message)
 
 
 def _where(error: BaseException) -> str:
