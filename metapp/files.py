@@ -38,3 +38,13 @@ def partial_path(path: Path) -> Path:
     """Where to write a file until it is whole: in the same folder, with the same suffix."""
     # The suffix stays, since image writers choose the format by it; the process id keeps two programs apart.
     return path.with_name(f"{PARTIAL}{os.getpid()}-{path.name}")
+
+
+def check_readable(path: Path) -> None:
+    """Refuse what a user names as input but has no end, such as a pipe or a device.
+
+    Raises:
+        ValueError: neither a file nor a folder, though it is there.
+    """
+    if path.exists() and not path.is_file() and not path.is_dir():
+        raise ValueError(f"{path}: a pipe or device, expected a file or folder; copy what it gives to a file.")

@@ -10,6 +10,7 @@ import signal
 import tempfile
 import time
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -54,15 +55,29 @@ def run(report: Report, seed: str, quick: bool, only: list[str], ends: float = f
         only: cases; all where empty.
         ends: no further kill point after this moment of the monotonic clock.
     """
-    rng = random.Random(f"{seed}/kills")
     place = Path(tempfile.mkdtemp(prefix="torture-kills-"))
     try:
         data = _make_data(report, place)
         cases = {name: case for name, case in CASES.items() if not only or name in only}
         points = QUICK_POINTS if quick else POINTS
         shares = {name: points // len(cases) + (i < points % len(cases)) for i, name in enumerate(cases)}
-        for name, case in cases.items():
-            _kill_one(report, rng, name, case, data, place, shares[name], ends)
+        with ThreadPoolExecutor(max_workers=2) as pool:
+            waiting = [
+                pool.submit(
+                    _kill_one,
+                    report,
+                    random.Random(f"{seed}/kills/{name}"),
+                    name,
+                    case,
+                    data,
+                    place,
+                    shares[name],
+                    ends,
+                )
+                for name, case in cases.items()
+            ]
+        for done in waiting:
+            done.result()
     finally:
         shutil.rmtree(place, ignore_errors=True)
 
@@ -79,6 +94,8 @@ def _make_data(report: Report, place: Path) -> Path:
 def _kill_one(
     report: Report, rng: random.Random, name: str, case: Case, data: Path, place: Path, points: int, ends: float
 ) -> None:
+    if not points:
+        return
     part = f"kills:{name}"
     whole = metapp(*case.words(data, place / f"{name}-whole"))
     began = time.monotonic()
