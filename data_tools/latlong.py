@@ -21,6 +21,7 @@ from torch import Tensor
 
 from data_tools.patterns import Rng
 from data_tools.photos import (
+    check_memory,
     error_of,
     find_photos,
     holds_photos,
@@ -209,6 +210,7 @@ def _read(path: Path) -> tuple[list[NDArray[np.float32]], Tensor]:
     """The planes of red, green and blue, each [H, W], and the matrix [3, 3] that makes them Rec.709."""
     with opened(path) as source:
         spec = source.spec()
+        check_memory(spec, path)
         channels = _channels(spec.channelnames, path)
         first = min(channels)
         values = source.read_image(0, 0, first, max(channels) + 1, "float")

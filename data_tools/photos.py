@@ -221,18 +221,17 @@ def opened(path: Path) -> Iterator[Any]:
     """An image file as `open_image` gives it, closed at the end; libraries say nothing meanwhile.
 
     Raises:
-        ValueError: no such file, no image, one whose text or size cannot be true.
+        ValueError: no such file, no image, one whose text is not UTF-8.
     """
     check_exists(path)
     with silent(), contextlib.closing(open_image(path)) as source:
         try:
-            _check_memory(source.spec(), path)
             yield source
         except UnicodeDecodeError:
             raise ValueError(f"{path}: holds text that is not UTF-8, {_EXPECTED}; export it again.") from None
 
 
-def _check_memory(spec: Any, path: Path) -> None:
+def check_memory(spec: Any, path: Path) -> None:
     """Refuse a small file that would take gigabytes: its header is damaged, or made for that."""
     held = spec.image_bytes()
     if held > max(_ALWAYS_BYTES, _MAX_RATIO * path.stat().st_size):
@@ -272,6 +271,7 @@ def read_pixels(path: Path) -> Pixels:
     with opened(path) as source:
         spec = source.spec()
         _check_size(spec, path)
+        check_memory(spec, path)
         channels = _channels(spec, path)
         kind = str(spec.format)
         values = source.read_image(kind if kind in ("uint8", "uint16") else "float")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import sys
 import threading
 from pathlib import Path
 from typing import NamedTuple
@@ -43,6 +44,7 @@ class Report:
         """Keep a finding."""
         with self._lock:
             self.findings.append(Finding(part, " ".join(what.split())[:400], repeat))
+        print(f"found by {part}: {what[:120]!a}; {repeat}", file=sys.stderr, flush=True)
 
     def notice(self, line: str) -> None:
         """Keep a line on what could not be tried."""
