@@ -6,7 +6,6 @@ space, from which it is converted. White stays white (Bradford).
 
 from __future__ import annotations
 
-import contextlib
 import hashlib
 import sys
 import warnings
@@ -22,13 +21,13 @@ from torch import Tensor
 
 from data_tools.patterns import Rng
 from data_tools.photos import (
-    check_exists,
+    check_memory,
+    error_of,
     find_photos,
     holds_photos,
-    open_image,
+    opened,
     read_photo,
     reason_of,
-    silent,
     turn_upright,
 )
 from data_tools.procedural import stream
@@ -202,20 +201,20 @@ def read_map(path: str | Path, height: int = HEIGHT) -> Tensor:
 
 
 def _look(path: Path) -> _Look:
-    check_exists(path)
-    with silent(), contextlib.closing(open_image(path)) as source:
+    with opened(path) as source:
         spec = source.spec()
         return _Look(str(spec.format), spec.width, spec.height)
 
 
 def _read(path: Path) -> tuple[list[NDArray[np.float32]], Tensor]:
     """The planes of red, green and blue, each [H, W], and the matrix [3, 3] that makes them Rec.709."""
-    with silent(), contextlib.closing(open_image(path)) as source:
+    with opened(path) as source:
         spec = source.spec()
+        check_memory(spec, path)
         channels = _channels(spec.channelnames, path)
         first = min(channels)
         values = source.read_image(0, 0, first, max(channels) + 1, "float")
-        problem = source.geterror()
+        problem = error_of(source)
         to_rec709 = _to_rec709(spec, path)
     if values is None or problem:
         raise ValueError(

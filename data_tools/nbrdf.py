@@ -160,7 +160,7 @@ def _locate(path: Path) -> tuple[Path, dict[str, Path]]:
     groups: dict[str, dict[str, Path]] = {}
     for file in sorted(folder.iterdir()):
         match = _FILE.fullmatch(file.name)
-        if match:
+        if match and file.is_file():  # a pipe would be waited for
             groups.setdefault(match["name"] or "", {})[match["part"]] = file
     if only is not None and only not in groups:
         raise ValueError(f"{path}: no such folder, {_EXPECTED} in it, or {path.name}_fc1.npy, ...; check the path.")

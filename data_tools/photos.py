@@ -29,6 +29,8 @@ SIZE = 256  # px, of a task's picture unless another one is asked for
 
 _MIN_SIDE = 32
 _MAX_PIXELS = 2**28
+_ALWAYS_BYTES, _MAX_RATIO = 2**26, 2000  # zlib packs 1032 to 1
+_REASON = 120  # characters of a library's message
 _MIN_DEVIATION = 1 / 255
 _EXPECTED = "expected an image file, such as JPEG, PNG, TIFF or EXR"
 
@@ -207,11 +209,44 @@ def open_image(path: Path) -> Any:
     except (UnicodeError, TypeError):  # which one depends on OpenImageIO's version
         raise ValueError(f"{str(path)!a}: a name that is not UTF-8, expected one that is; rename it.") from None
     if source is None:
-        reason = reason_of(oiio.geterror(), path)  # also told where it is not shown, else it appears as Python ends
+        reason = reason_of(error_of(oiio), path)  # also told where it is not shown, else it appears as Python ends
         if path.suffix.lower() in _HEIF:
             raise ValueError(_to_export(path))
         raise ValueError(f"{path}: not an image ({reason}), {_EXPECTED}; check the file or export it again.")
     return source
+
+
+@contextlib.contextmanager
+def opened(path: Path) -> Iterator[Any]:
+    """An image file as `open_image` gives it, closed at the end; libraries say nothing meanwhile.
+
+    Raises:
+        ValueError: no such file, no image, one whose text is not UTF-8.
+    """
+    check_exists(path)
+    with silent(), contextlib.closing(open_image(path)) as source:
+        try:
+            yield source
+        except UnicodeDecodeError:
+            raise ValueError(f"{path}: holds text that is not UTF-8, {_EXPECTED}; export it again.") from None
+
+
+def check_memory(spec: Any, path: Path) -> None:
+    """Refuse a small file that would take gigabytes: its header is damaged, or made for that."""
+    held = spec.image_bytes()
+    if held > max(_ALWAYS_BYTES, _MAX_RATIO * path.stat().st_size):
+        raise ValueError(
+            f"{path}: {spec.width}x{spec.height} px of {spec.nchannels} channels in {path.stat().st_size:,} bytes, "
+            "expected a whole image; copy or download it again."
+        )
+
+
+def error_of(source: Any) -> str:
+    """What OpenImageIO, or an open file of its, says went wrong; "" for nothing."""
+    try:
+        return str(source.geterror())
+    except UnicodeDecodeError as error:  # it repeats bytes of the file
+        return error.object.decode("ascii", "replace")
 
 
 def _to_export(path: Path) -> str:
@@ -223,8 +258,8 @@ def _to_export(path: Path) -> str:
 def reason_of(message: str, path: Path) -> str:
     """The first sentence of OpenImageIO's message, without the path, which the line has already."""
     without = re.sub(rf'( for( file)?)? ?["(]?{re.escape(str(path))}[")]?( is\b)?', "", message)
-    first = next(iter(without.splitlines()), "")
-    return first.partition(". ")[0].strip(" :.") or "unknown reason"
+    first = next(iter(without.splitlines()), "").partition(". ")[0]
+    return "".join(c if c.isprintable() else "?" for c in first)[:_REASON].strip(" :.") or "unknown reason"
 
 
 def read_pixels(path: Path) -> Pixels:
@@ -233,14 +268,15 @@ def read_pixels(path: Path) -> Pixels:
     Raises:
         ValueError: as `read_photo`, but for NaN and a picture of one colour.
     """
-    check_exists(path)
-    with silent(), contextlib.closing(open_image(path)) as source:
+    with opened(path) as source:
         spec = source.spec()
         _check_size(spec, path)
+        check_memory(spec, path)
         channels = _channels(spec, path)
         kind = str(spec.format)
         values = source.read_image(kind if kind in ("uint8", "uint16") else "float")
-        problem = source.geterror()
+        problem = error_of(source)
+        space = _space(spec)
     if values is None or problem:
         raise ValueError(
             f"{path}: damaged or incomplete ({reason_of(problem, path)}), expected a whole image; copy or download it "
@@ -248,7 +284,7 @@ def read_pixels(path: Path) -> Pixels:
         )
     upright = turn_upright(values, spec.get_int_attribute("Orientation", 1))
     is_premultiplied = not spec.get_int_attribute("oiio:UnassociatedAlpha", 0)
-    return Pixels(upright[..., channels], _space(spec), is_premultiplied)
+    return Pixels(upright[..., channels], space, is_premultiplied)
 
 
 def _check_size(spec: Any, path: Path) -> None:

@@ -11,7 +11,6 @@ their photographs best, 5 % brighter or darker.
 
 from __future__ import annotations
 
-import contextlib
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
@@ -25,14 +24,12 @@ from data_tools.photos import (
     LINEAR,
     SIZE,
     Pixels,
-    check_exists,
     find_photos,
     fraction,
     is_photo,
-    open_image,
+    opened,
     read_pixels,
     resample,
-    silent,
 )
 from data_tools.svbrdf_task import UNITS as OF_TASKS
 from data_tools.svbrdf_task import encoded, svbrdf_task, task_name, unit_normals
@@ -94,8 +91,7 @@ def is_strip(path: Path) -> bool:
     Raises:
         ValueError: no such file, no image.
     """
-    check_exists(path)
-    with silent(), contextlib.closing(open_image(path)) as source:
+    with opened(path) as source:
         spec = source.spec()
         return _has_tiles(spec.height, spec.width)
 

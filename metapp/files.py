@@ -187,3 +187,13 @@ def _last_line(descriptor: int, size: int) -> bytes:
         at -= step
         tail = os.pread(descriptor, step, at) + tail
     return tail.rpartition(b"\n")[2]
+
+
+def check_readable(path: Path) -> None:
+    """Refuse what a user names as input but has no end, such as a pipe or a device.
+
+    Raises:
+        ValueError: neither a file nor a folder, though it is there.
+    """
+    if path.exists() and not path.is_file() and not path.is_dir():
+        raise ValueError(f"{path}: a pipe or device, expected a file or folder; copy what it gives to a file.")

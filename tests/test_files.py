@@ -1,10 +1,11 @@
 """Files are there whole or not at all."""
 
+import os
 from pathlib import Path
 
 import pytest
 
-from metapp.files import write_atomically
+from metapp.files import check_readable, write_atomically
 
 
 def test_write_atomically(tmp_path: Path) -> None:
@@ -22,3 +23,11 @@ def test_write_atomically(tmp_path: Path) -> None:
         write_atomically(path, fail)
     assert path.read_text() == "one"
     assert list(path.parent.iterdir()) == [path]
+
+
+def test_pipes_and_devices_are_no_inputs(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    for path in (tmp_path / "pipe", Path("/dev/zero")):
+        with pytest.raises(ValueError, match="a pipe or device"):
+            check_readable(path)
+    check_readable(tmp_path)

@@ -1,4 +1,5 @@
 import math
+import os
 import pickle
 import shutil
 from pathlib import Path
@@ -190,3 +191,11 @@ def test_refuse_to_write(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match=r"b3.npy: holds NaN"):
         write_nbrdf(tmp_path, {**weights, "b3": np.full(3, np.nan)})
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_pipe_is_not_waited_for(tmp_path: Path) -> None:
+    make_network(tmp_path)
+    (tmp_path / "b3.npy").unlink()
+    os.mkfifo(tmp_path / "b3.npy")
+    with pytest.raises(ValueError, match="no file for b3"):
+        read_nbrdf(tmp_path)

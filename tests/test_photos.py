@@ -446,3 +446,22 @@ def test_a_folder_without_images_and_a_missing_path_are_refused(tmp_path: Path) 
         find_photos([tmp_path])
     with pytest.raises(ValueError, match=r"none.jpg: no such file, expected an image file"):
         find_photos([tmp_path / "none.jpg"])
+
+
+def test_text_that_is_not_utf8_is_a_line_that_names_the_file(tmp_path: Path) -> None:
+    whole = write(tmp_path / "a.exr", noise(40, 40), "half").read_bytes()
+    messages = []
+    for at in range(8, 200):
+        (tmp_path / "b.exr").write_bytes(whole[:at] + b"\xff\x80\x01" + whole[at + 3 :])
+        try:
+            read_photo(tmp_path / "b.exr", 32)
+        except ValueError as error:
+            messages.append(str(error))
+    assert len(messages) > 20
+    assert all(message.startswith(f"{tmp_path / 'b.exr'}: ") and message.isprintable() for message in messages)
+
+
+def test_a_small_file_cannot_ask_for_gigabytes(tmp_path: Path) -> None:
+    (tmp_path / "bomb.ppm").write_bytes(b"P6\n16384 16384\n255\n" + bytes(1000))
+    with pytest.raises(ValueError, match=r"bomb.ppm: 16384x16384 px of 3 channels in 1,\d+ bytes"):
+        read_photo(tmp_path / "bomb.ppm")

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from metapp.cli.console import named, progress, say
+from metapp.files import check_readable
 
 if TYPE_CHECKING:
     from metapp.task import Task
@@ -100,6 +101,7 @@ def _find(reader: Reader, paths: Iterable[Path]) -> tuple[dict[Path, Path | None
     found: dict[Path, tuple[Path, Path | None]] = {}
     skipped: list[str] = []
     for path in paths:
+        check_readable(path)
         sources, lines = reader.find([path])
         skipped += lines
         for source in sources:

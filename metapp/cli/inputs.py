@@ -11,6 +11,7 @@ import torch
 
 from metapp.cli.console import named, say
 from metapp.cli.embedded import embedded_data
+from metapp.files import check_readable
 from metapp.records import file_name, safe_name
 from metapp.shards import fingerprint, read_shard
 from metapp.task import App, Task
@@ -50,6 +51,7 @@ def read_input(app: App, path: Path) -> list[Task]:
     """
     if not path.exists():
         raise ValueError(f"{path}: no such file or folder; give existing input files.")
+    check_readable(path)
     modules = [importlib.import_module(f"data_tools.{name}") for name in app.readers]
     readers = [module for module in modules if module.recognises(path)]
     if not readers:

@@ -1,0 +1,164 @@
+"""Commands killed at random moments: the same command must end afterwards, with the results of one never killed."""
+
+from __future__ import annotations
+
+import json
+import os
+import random
+import shutil
+import signal
+import tempfile
+import time
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from tests.torture import commands
+from tests.torture.commands import metapp
+from tests.torture.report import Report
+
+POINTS, QUICK_POINTS = 100, 10
+_A_ROW = 5  # kills before a command may end
+_TASKS = "40"  # enough that fits and conversions are seen half done
+
+
+class Case(NamedTuple):
+    """A command: its words after `metapp`, for a data set and a folder to write to."""
+
+    words: Callable[[Path, Path], list[Any]]
+
+
+CASES: dict[str, Case] = {
+    "fit": Case(lambda data, out: ["meta", "brdf", "--data", data, "--out", out]),
+    "overfit": Case(lambda data, out: ["overfit", "brdf", "--steps", "200", "--data", data, "--out", out]),
+    "export": Case(lambda data, out: ["meta", "brdf", "--export", "nbrdf", "--data", data, "--out", out]),
+    "synth": Case(lambda data, out: ["data", "synth", "brdf", "--count", _TASKS, "--out", out]),
+    "convert": Case(lambda data, out: ["data", "nbrdf", data.parent / "networks", "--samples", "4096", "--out", out]),
+    "general": Case(lambda data, out: [*_train("general", data, out), "--train-steps", "60"]),
+    "meta": Case(lambda data, out: [*_train("meta", data, out), "--rule", "meta-sgd", "--train-steps", "12"]),
+    "evaluate": Case(lambda data, out: ["evaluate", "brdf", "--which", "quickft", "--data", data, "--out", out]),
+}
+
+
+def _train(paradigm: str, data: Path, out: Path) -> list[Any]:
+    return [paradigm, "brdf", "--train", "--data", data, "--out", out]
+
+
+def run(report: Report, seed: str, quick: bool, only: list[str], ends: float = float("inf")) -> None:
+    """Kill commands at random moments, SIGTERM a quarter of the time, else SIGKILL.
+
+    Args:
+        report: gets counts and findings.
+        seed: of moments and signals; what a moment hits depends on the machine.
+        quick: fewer kill points.
+        only: cases; all where empty.
+        ends: no further kill point after this moment of the monotonic clock.
+    """
+    place = Path(tempfile.mkdtemp(prefix="torture-kills-"))
+    try:
+        data = _make_data(report, place)
+        cases = {name: case for name, case in CASES.items() if not only or name in only}
+        points = QUICK_POINTS if quick else POINTS
+        shares = {name: points // len(cases) + (i < points % len(cases)) for i, name in enumerate(cases)}
+        with ThreadPoolExecutor(max_workers=2) as pool:
+            waiting = [
+                pool.submit(
+                    _kill_one,
+                    report,
+                    random.Random(f"{seed}/kills/{name}"),
+                    name,
+                    case,
+                    data,
+                    place,
+                    shares[name],
+                    ends,
+                )
+                for name, case in cases.items()
+            ]
+        for done in waiting:
+            done.result()
+    finally:
+        shutil.rmtree(place, ignore_errors=True)
+
+
+def _make_data(report: Report, place: Path) -> Path:
+    data = place / "data"
+    commands.run(report, "kills:data", metapp("data", "synth", "brdf", "--count", _TASKS, "--out", data), (0,))
+    made = metapp("meta", "brdf", "--export", "nbrdf", "--data", data, "--out", place / "made", "-q")
+    commands.run(report, "kills:data", made, (0,))
+    next((place / "made").rglob("nbrdf")).rename(place / "networks")
+    return data
+
+
+def _kill_one(
+    report: Report, rng: random.Random, name: str, case: Case, data: Path, place: Path, points: int, ends: float
+) -> None:
+    if not points:
+        return
+    part = f"kills:{name}"
+    whole = metapp(*case.words(data, place / f"{name}-whole"))
+    began = time.monotonic()
+    if commands.run(report, part, whole, (0,)).code:
+        return
+    seconds = time.monotonic() - began
+    expected = results(place / f"{name}-whole")
+    out, moments = place / f"{name}-killed", []
+    command = metapp(*case.words(data, out))
+    for point in range(points):
+        if time.monotonic() > ends:
+            report.notice(f"{part}: {points - point} kill points left out, the time was over")
+            break
+        moment, number = rng.uniform(0.2, 1.05) * seconds, rng.choice((signal.SIGKILL,) * 3 + (signal.SIGTERM,))
+        moments.append(f"{number.name} after {moment:.2f} s")
+        _kill(report, part, command, moment, number)
+        if (point + 1) % _A_ROW and point + 1 < points:
+            continue
+        ended = commands.run(report, part, command, (0,))
+        for fault in differences(expected, results(out)) if ended.code == 0 else ["no end"]:
+            repeat = f"{commands.shown(command)}, killed: {', '.join(moments)}"
+            report.add(part, f"{fault}, after {len(moments)} kills", repeat)
+        shutil.rmtree(out, ignore_errors=True)
+        moments = []
+
+
+def _kill(report: Report, part: str, command: list[Any], moment: float, number: signal.Signals) -> None:
+    report.count(f"{part} (points)")
+    process = commands.start(command)
+    try:
+        output = process.communicate(timeout=moment)[0]
+    except commands.subprocess.TimeoutExpired:
+        os.kill(process.pid, number)
+        try:
+            output = process.communicate(timeout=60)[0]
+        except commands.subprocess.TimeoutExpired:
+            os.killpg(process.pid, signal.SIGKILL)
+            output = process.communicate()[0]
+            report.add(part, f"did not end within 60 s of {number.name}", commands.shown(command))
+    ended = commands.Ended(process.returncode, output.decode("utf-8", "replace"))
+    commands.check(report, part, command, ended, (*commands.CODES, -number, 128 + number))
+
+
+def results(out: Path) -> dict[str, Any]:
+    """What must not depend on kills: bytes of parameters, starts and data, errors of records."""
+    found: dict[str, Any] = {}
+    for path in sorted(path for path in out.rglob("*") if path.is_file()):
+        name = str(path.relative_to(out))
+        if path.name == "record.jsonl":
+            lines = [json.loads(line) for line in path.read_text().splitlines()]
+            found[name] = sorted((line["name"], line["error"]) for line in lines)
+        elif path.suffix in (".safetensors", ".npy", ".json") and ".previous." not in path.name:
+            found[name] = path.read_bytes()
+        elif path.name.startswith(".partial-"):
+            found[name] = "left over"
+    return found
+
+
+def differences(expected: dict[str, Any], found: dict[str, Any]) -> list[str]:
+    """What is missing, more or other than expected; empty where all is alike."""
+    ignored = (".interrupted.", ".checkpoint", ".partial-", ".lock")
+    more = [name for name in set(found) - set(expected) if not any(word in name for word in ignored)]
+    lines = [f"{name} is missing" for name in sorted(set(expected) - set(found))]
+    lines += [f"{name} is not there without kills" for name in sorted(more)]
+    lines += [f"{name} differs" for name in sorted(set(expected) & set(found)) if expected[name] != found[name]]
+    return lines[:3]

@@ -1,0 +1,236 @@
+"""What is tried on mutated inputs: how each reader is called as commands call it, and what a good result is."""
+
+from __future__ import annotations
+
+import functools
+import json
+import math
+import random
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from tests.torture import seeds
+from tests.torture.mutate import mutate_bytes, mutate_json, mutate_xml
+
+
+class BadResult(Exception):
+    """A reader returned what it must not return."""
+
+
+class Target(NamedTuple):
+    """A reader.
+
+    Attributes:
+        seeds: valid inputs.
+        read: takes the input's folder and the mutated file; ValueError is a refusal.
+        write: instead of mutating a seed's file; returns the file.
+    """
+
+    seeds: Callable[[], list[seeds.Files]]
+    read: Callable[[Path, Path], None]
+    write: Callable[[random.Random, Path], Path] | None = None
+
+
+def mutated(rng: random.Random, target: Target, folder: Path, valid: list[seeds.Files]) -> Path:
+    """Write one mutated input into an empty folder; the mutated file."""
+    if target.write:
+        return target.write(rng, folder)
+    files = rng.choice(valid)
+    name = rng.choice(list(files))
+    kind = rng.random()
+    if name.endswith((".json", ".jsonl")) and kind < 0.7:
+        lines = files[name].decode().splitlines() if name.endswith("l") else [files[name].decode()]
+        at = rng.randrange(len(lines))
+        lines[at] = mutate_json(rng, json.loads(lines[at]))
+        content = "\n".join(lines).encode("utf-8", "surrogatepass")
+    elif name.endswith(".xml") and kind < 0.7:
+        content = mutate_xml(rng, files[name].decode()).encode("utf-8", "surrogatepass")
+    elif name.endswith(".safetensors") and kind < 0.5:
+        content = _safetensors(rng, files[name])
+    else:
+        content = mutate_bytes(rng, files[name], [files_[n] for files_ in valid for n in files_])
+    for other, whole in files.items():
+        (folder / other).write_bytes(content if other == name else whole)
+    return folder / name
+
+
+def _safetensors(rng: random.Random, content: bytes) -> bytes:
+    """The header as JSON with changed values, its length put right."""
+    length = int.from_bytes(content[:8], "little")
+    document = json.loads(content[8 : 8 + length])
+    told = document.get("__metadata__", {}).get("metapp")
+    if told and rng.random() < 0.6:  # what a start says about itself
+        document["__metadata__"]["metapp"] = mutate_json(rng, json.loads(told))
+        header = json.dumps(document).encode()
+    else:
+        header = mutate_json(rng, document).encode("utf-8", "surrogatepass")
+    return len(header).to_bytes(8, "little") + header + content[8 + length :]
+
+
+def finite(task: Any, **shapes: tuple[int, ...] | None) -> None:
+    """Refuse a task with values that are not finite, or of other shapes."""
+    for key, value in task.data.items():
+        if not bool(value.isfinite().all()):
+            raise BadResult(f"{key} is not finite")
+    for key, shape in shapes.items():
+        if shape and (key not in task.data or tuple(task.data[key].shape) != shape):
+            raise BadResult(f"{key} is {tuple(task.data[key].shape) if key in task.data else None}, expected {shape}")
+
+
+def _merl_file(rng: random.Random, folder: Path) -> Path:
+    """Mostly headers and sizes, which cost little; one in 20 is whole, with values changed."""
+    from data_tools.merl import _HEADER, FILE_BYTES
+
+    file = folder / "gold.binary"
+    header = _HEADER.tobytes()
+    with file.open("wb") as stream:
+        if rng.random() < 0.95:
+            stream.write(mutate_bytes(rng, header + bytes(64), [header])[: rng.choice((12, 76))])
+            stream.truncate(rng.choice((FILE_BYTES, FILE_BYTES, FILE_BYTES - 1, FILE_BYTES + 8, rng.randrange(200))))
+            return file
+        stream.write(header)
+        for _ in range(rng.choice((1, 10, 1000))):
+            stream.seek(rng.randrange(12, FILE_BYTES))
+            stream.write(rng.randbytes(8 * rng.choice((1, 2))))
+        stream.truncate(FILE_BYTES)
+    return file
+
+
+def _read_merl(folder: Path, file: Path) -> None:
+    import numpy as np
+
+    from data_tools.merl import SHAPE, find_merl, read_merl
+
+    find_merl([file])
+    table = read_merl(file)
+    if table.shape != (*SHAPE, 3) or not np.isfinite(table).all():
+        raise BadResult(f"table {table.shape} or not finite")
+
+
+def _read_nbrdf(folder: Path, file: Path) -> None:
+    from data_tools import nbrdf
+
+    for network in nbrdf.find([folder])[0]:
+        weights = nbrdf.read_nbrdf(network)
+        if any(weights[part].shape != shape for part, shape in nbrdf.SHAPES.items()):
+            raise BadResult("weights of other shapes")
+        if sum(file.read_bytes()) % 20 == 0:  # its pictures cost more than all else
+            finite(nbrdf.read_task(network, samples=64), reflectance=(64, 3))
+
+
+def _read_with(module: str, key: str | None, side: int, folder: Path, file: Path) -> None:
+    """A reader of pictures."""
+    import importlib
+
+    reader = importlib.import_module(f"data_tools.{module}")
+    for source in reader.find([file])[0]:
+        finite(reader.read_task(source, side), **({key: (3, side, side)} if key else {}))
+
+
+def _read_maps(folder: Path, file: Path) -> None:
+    from data_tools import svbrdf_inputs
+
+    for source in svbrdf_inputs.find([folder])[0]:
+        finite(svbrdf_inputs.read_task(source, 32))
+
+
+def _read_light(folder: Path, file: Path) -> None:
+    from data_tools import latlong
+
+    finite(latlong.read_task(latlong.find([file])[0][0]))
+
+
+def _read_scene(folder: Path, file: Path) -> None:
+    from data_tools.mitsuba_scenes import find, read_scene
+    from data_tools.scene_loading import load_scene
+
+    path = next((path for path in find([folder])[0] if path.name.startswith("box")), file)
+    scene = read_scene(path)
+    try:
+        brightest = load_scene(scene).brightest
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from None  # as read_task names it
+    if not math.isfinite(brightest) or brightest < 0:
+        raise BadResult(f"a scene whose brightest light is {brightest}")
+
+
+def _read_shard(folder: Path, file: Path) -> None:
+    from metapp.apps import load_app
+    from metapp.cli.inputs import tasks_to_fit
+    from metapp.shards import check_shard
+    from metapp.task import stack
+
+    app = load_app("brdf")
+    check_shard(folder)
+    tasks = tasks_to_fit(app, [], folder, True)[0]
+    for task in tasks:
+        finite(task, environment=(48, 48, 4))
+    stack(app, tasks)
+
+
+def _read_manifest(folder: Path, file: Path) -> None:
+    from metapp.manifest import fingerprint, read_manifest, to_json
+
+    manifest = read_manifest(folder)
+    fingerprint(folder)
+    to_json(manifest)
+
+
+@functools.cache
+def _small_task() -> Any:
+    from data_tools.brdf_task import brdf_task
+    from metapp.apps import load_app
+    from metapp.task import stack
+
+    return stack(load_app("brdf"), [brdf_task("small", lambda angles: angles * 0 + 0.1, samples=64)])
+
+
+def _read_start(folder: Path, file: Path) -> None:
+    """As --checkpoint, then one step of a fit."""
+    import torch
+
+    from metapp.apps import load_app
+    from metapp.cli.session import Options
+    from metapp.cli.starts import find_start
+    from metapp.paradigms import paradigms
+
+    app, paradigm = load_app("brdf"), paradigms()["meta"]
+    options = Options(app, "quick", file.stem, 1, None, folder, file, 0, torch.device("cpu"), True)
+    start = find_start(options, paradigm)
+    paradigm.fit(options.job, start.prepared, _small_task(), torch.Generator().manual_seed(0))
+
+
+def _read_records(folder: Path, file: Path) -> None:
+    """As a run that goes on, whose table shows all finished tasks."""
+    from metapp.cli.fit import summary
+    from metapp.records import RunFolder
+
+    records = RunFolder(folder, {"app": "brdf", "steps": 10}).finished()
+    for name, record in records.items():
+        numbers = [record["seconds"], *([] if record["error"] is None else [record["error"]])]
+        if not isinstance(name, str) or not all(math.isfinite(number) for number in numbers):
+            raise BadResult(f"a record {record}")
+    if records:
+        summary(list(records.values()))
+
+
+def _manifest_alone() -> list[seeds.Files]:
+    return [{"manifest.json": files["manifest.json"]} for files in seeds.shards()]
+
+
+TARGETS: dict[str, Target] = {
+    "merl": Target(lambda: [], _read_merl, _merl_file),
+    "nbrdf": Target(seeds.networks, _read_nbrdf),
+    "images": Target(seeds.photographs, functools.partial(_read_with, "images", "image", 32)),
+    "flash": Target(seeds.flash_photos, functools.partial(_read_with, "flash", "image", 32)),
+    "strips": Target(seeds.strips, functools.partial(_read_with, "strips", "photo", 32)),
+    "material_maps": Target(seeds.material_maps, _read_maps),
+    "latlong": Target(seeds.maps_of_light, _read_light),
+    "scene_xml": Target(seeds.scenes_xml, _read_scene),
+    "scene_json": Target(seeds.scenes_json, _read_scene),
+    "shard": Target(seeds.shards, _read_shard),
+    "manifest": Target(_manifest_alone, _read_manifest),
+    "start": Target(seeds.starts, _read_start),
+    "record": Target(seeds.records, _read_records),
+}
