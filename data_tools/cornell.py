@@ -76,8 +76,15 @@ def scene_bytes(scene: Scene) -> Tensor:
 
 
 def scene_of(text: Tensor) -> Scene:
-    """The scene whose JSON text this is, as `scene_bytes` makes it."""
-    return json.loads(text.cpu().numpy().tobytes())
+    """The scene whose JSON text this is, as `scene_bytes` makes it.
+
+    Raises:
+        ValueError: it is no JSON.
+    """
+    try:
+        return json.loads(text.cpu().numpy().tobytes())
+    except (ValueError, RecursionError) as error:
+        raise ValueError(f"a stored scene is no JSON ({error}), expected a dictionary; make the data anew.") from None
 
 
 def _sensor() -> Scene:

@@ -6,11 +6,11 @@ import hashlib
 import json
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
 
 from data_tools.mitsuba_variant import load_mitsuba
 from data_tools.path_space import DIMENSIONS
-from data_tools.scene_loading import Scene
+from data_tools.scene_files import Places, read_text
+from data_tools.scene_loading import Scene, checked
 from data_tools.transport_task import HELD, SAMPLES, transport_task
 from metapp.manifest import MANIFEST
 from metapp.task import Task
@@ -44,10 +44,19 @@ def find(paths: Iterable[str | Path]) -> tuple[list[Path], list[str]]:
     return list({file.resolve(): file for file in found}.values()), []
 
 
-def read_task(path: Path, samples: int = SAMPLES, held: int = HELD, dimensions: int = DIMENSIONS) -> Task:
+def read_task(
+    path: Path, samples: int = SAMPLES, held: int = HELD, dimensions: int = DIMENSIONS, roots: Iterable[Path] = ()
+) -> Task:
     """Trace the paths of a scene file, as the task that is named by the file's stem.
 
     The same file name gives the same draws.
+
+    Args:
+        path: of the file.
+        samples: N, for fits to see.
+        held: M, for tests alone.
+        dimensions: of both, 4 or 6.
+        roots: folders that its files may come from, beside its own.
 
     Returns:
         As `transport_task`.
@@ -56,7 +65,7 @@ def read_task(path: Path, samples: int = SAMPLES, held: int = HELD, dimensions: 
         ValueError: as `read_scene`, `load_scene` and `path_samples`, with the path.
     """
     load_mitsuba()  # what keeps it from rendering is no fault of the scene
-    scene = read_scene(path)
+    scene = read_scene(path, roots)
     seed = int.from_bytes(hashlib.sha256(path.stem.encode()).digest()[:7], "big")
     try:
         return transport_task(path.stem, scene, seed, samples=samples, held=held, dimensions=dimensions)
@@ -64,36 +73,34 @@ def read_task(path: Path, samples: int = SAMPLES, held: int = HELD, dimensions: 
         raise ValueError(f"{path}: {error}") from None
 
 
-def read_scene(path: Path) -> Scene:
+def read_scene(path: Path, roots: Iterable[Path] = ()) -> Scene:
     """The content of a scene file, as `load_scene` takes it, with file names that hold from everywhere.
 
+    Args:
+        path: of the file.
+        roots: folders that its files may come from, beside its own.
+
     Raises:
-        ValueError: no text; of a .json file, no JSON or no object.
+        ValueError: no text; of a .json file, no JSON or no object; something that a scene may not hold.
     """
     try:
-        text = path.read_text(encoding="utf-8")
-    except UnicodeDecodeError:
-        raise ValueError(f"{path}: not text in UTF-8, expected a scene of Mitsuba 3.") from None
-    folder = path.resolve().parent
-    if path.suffix.lower() == ".xml":
-        return {"xml": text, "folder": str(folder)}
+        own, *others = (folder.resolve() for folder in (path.resolve().parent, *roots))
+        places = Places(search=(own, *others), roots=(own, *others))
+        text = read_text(path)
+        scene = {"xml": text} if path.suffix.lower() == ".xml" else _from_json(text)
+        return checked(scene, places, str(path.resolve()))
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from None
+
+
+def _from_json(text: str) -> Scene:
     try:
         scene = json.loads(text)
     except (ValueError, RecursionError) as error:
-        raise ValueError(f"{path}: not readable as JSON ({error}), expected a scene dictionary of Mitsuba 3.") from None
+        raise ValueError(f"not readable as JSON ({error}), expected a scene dictionary of Mitsuba 3.") from None
     if not isinstance(scene, dict) or not (scene.get("type") == "scene" or isinstance(scene.get("xml"), str)):
-        raise ValueError(f"{path}: no scene, expected an object of type 'scene'; write one with metapp data cornell.")
-    return _absolute(scene, folder)
-
-
-def _absolute(scene: Any, folder: Path) -> Any:
-    """The same with all file names absolute."""
-    if not isinstance(scene, dict):
-        return scene
-    return {
-        key: str(folder / value) if key == "filename" and isinstance(value, str) else _absolute(value, folder)
-        for key, value in scene.items()
-    }
+        raise ValueError("no scene, expected an object of type 'scene'; write one with metapp data cornell.")
+    return scene
 
 
 def _below(folder: Path) -> list[Path]:

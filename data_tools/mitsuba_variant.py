@@ -45,8 +45,17 @@ def load_mitsuba() -> Any:
             f"start again with {VARIABLE}={os.environ[VARIABLE]}."
         )
     mitsuba.set_variant("cuda_ad_rgb" if on_gpu else "llvm_ad_rgb")
+    _own_plugins_only(mitsuba)
     drjit.set_thread_count(torch.get_num_threads())
     return mitsuba
+
+
+def _own_plugins_only(mitsuba: Any) -> None:
+    """Have Mitsuba load plugins, native code, from its own folder alone: it would look in the working folder first."""
+    places = mitsuba.FileResolver()
+    places.clear()
+    places.append(str(Path(mitsuba.__file__).parent))
+    mitsuba.set_file_resolver(places)
 
 
 def choose_llvm() -> Path:

@@ -12,7 +12,7 @@ import torch
 
 from data_tools import mitsuba_variant
 from data_tools.cornell import random_scene, scene_of
-from data_tools.mitsuba_scenes import find, read_task, recognises
+from data_tools.mitsuba_scenes import find, read_scene, read_task, recognises
 from data_tools.mitsuba_variant import choose_llvm
 from data_tools.path_space import Tracer
 
@@ -142,12 +142,15 @@ BAD = {
     "unknown.json": ('{"type": "scene", "a": {"type": "../x"}}', r"a plugin '\.\./x', expected one of Mitsuba's own"),
     "mesh.xml": (
         xml(CAMERA, ball(), '<shape type="obj"><string name="filename" value="a.obj"/></shape>'),
-        "no scene that Mitsuba can load: .*file not found",
+        "names the file 'a.obj': file not found; put it in the scene's folder",
     ),
     "include.xml": (xml('<include filename="none.xml"/>'), "includes 'none.xml', which cannot be read"),
     "self.xml": (xml('<include filename="self.xml"/>'), "includes 'self.xml', which cannot be read"),
-    "path.xml": (xml('<path value="/tmp"/>'), "a <path>, expected file names that start from the scene's folder"),
-    "matrix.json": ('{"type": "scene", "a": {"type": "sphere", "to_world": [1]}}', "no scene that Mitsuba can load"),
+    "path.xml": (xml('<path value="/tmp"/>'), "the <path> '/tmp' outside the scene's folder.*: --scene-root /tmp$"),
+    "matrix.json": (
+        '{"type": "scene", "a": {"type": "sphere", "to_world": [1]}}',
+        "a value of 'to_world', 'list', expected a",
+    ),
 }
 
 
@@ -174,10 +177,10 @@ def test_no_library_beside_a_scene_is_run(tmp_path: Path, monkeypatch: pytest.Mo
         shutil.copy(own / "sphere.so", tmp_path / "plugins" / f"{name}.so")
     monkeypatch.chdir(tmp_path)
     shape = f'<shape type="cylinder"><float name="radius" value="0.5"/>{LAMP}</shape>'
-    tracer = Tracer({"xml": xml(CAMERA, shape), "folder": str(tmp_path)})
+    tracer = Tracer(read_scene(write(tmp_path / "cylinder.xml", xml(CAMERA, shape))))
     assert "Cylinder" in str(tracer.scene.shapes()[0])
     with pytest.raises(ValueError, match="a plugin 'evil', expected one of Mitsuba's own"):
-        Tracer({"xml": xml(CAMERA, '<shape type="evil"/>'), "folder": str(tmp_path)})
+        Tracer({"xml": xml(CAMERA, '<shape type="evil"/>')})
 
 
 def test_a_missing_libllvm_is_not_the_scenes_fault(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

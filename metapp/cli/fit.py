@@ -59,6 +59,16 @@ def make_command(name: str, summary: str) -> Any:
             Path | None, typer.Option(help="Start to use; default: trained here, else shipped.")
         ] = None,
         recipe: Annotated[str, typer.Option(help="quick or paper; texture: also paper-vgg19.")] = "quick",
+        scene_root: Annotated[
+            list[Path] | None,
+            typer.Option(
+                metavar="DIR",
+                exists=True,
+                file_okay=False,
+                help="A folder beside a scene's own that its meshes, bitmaps, spectra and includes may come from; for "
+                "transport. Plugins never do.",
+            ),
+        ] = None,
         export: Annotated[str, typer.Option(help="Write each fit in another form; brdf: nbrdf or merl.")] = "",
         seed: Annotated[int, typer.Option(help="Seed of all random draws.", min=0, max=2**63 - 1)] = 0,
         device: Annotated[str, typer.Option(help="auto, cpu or cuda.")] = "auto",
@@ -74,6 +84,8 @@ def make_command(name: str, summary: str) -> Any:
             raise typer.BadParameter(f"--export '{export}': {found.name} {expected}.")
         if train_steps and not train:
             raise typer.BadParameter("--train-steps: only with --train.")
+        if scene_root and "mitsuba_scenes" not in found.readers:
+            raise typer.BadParameter(f"--scene-root: {found.name} has no scenes, only transport; leave it out.")
         if rule and name != "meta":
             raise typer.BadParameter(f"--rule: only meta has learned rules, not {name}.")
         if steps and name == "general":
@@ -94,7 +106,16 @@ def make_command(name: str, summary: str) -> Any:
             device=find_device(device, found),
             quiet=quiet,
         )
-        document = fit(options, name, inputs or [], train=train, train_steps=train_steps, export=export, show=not json)
+        document = fit(
+            options,
+            name,
+            inputs or [],
+            train=train,
+            train_steps=train_steps,
+            export=export,
+            scene_roots=scene_root or [],
+            show=not json,
+        )
         if json:
             print_json(document)
 
@@ -110,6 +131,7 @@ def fit(
     train: bool = False,
     train_steps: int | None = None,
     export: str = "",
+    scene_roots: Sequence[Path] = (),
     show: bool = True,
 ) -> dict[str, Any]:
     """Fit tasks, write the run folder, print the table.
@@ -128,7 +150,7 @@ def fit(
     if options.steps == paradigm.steps(options.job.recipe):
         options = options._replace(steps=None)  # the recipe's own number is the recipe's own run
     make_folder(options.out)
-    tasks, label = tasks_to_fit(options.app, inputs, options.data, options.quiet)
+    tasks, label = tasks_to_fit(options.app, inputs, options.data, options.quiet, scene_roots)
     if train:
         train_start(options, paradigm, train_steps)
     start = find_start(options, paradigm)

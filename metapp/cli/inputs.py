@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import functools
 import hashlib
 import importlib
+from collections.abc import Sequence
 from pathlib import Path
 from types import ModuleType
 
@@ -27,14 +29,23 @@ def data_label(folder: Path) -> str:
     return f"{safe_name(folder.resolve().name)}-{fingerprint(folder)[:6]}"
 
 
-def tasks_to_fit(app: App, inputs: list[Path], data: Path | None, quiet: bool) -> tuple[list[Task], str]:
+def tasks_to_fit(
+    app: App, inputs: list[Path], data: Path | None, quiet: bool, scene_roots: Sequence[Path] = ()
+) -> tuple[list[Task], str]:
     """What to fit, the user's files or the data set's test tasks, and its name in run folders.
+
+    Args:
+        app: the application.
+        inputs: the user's files; none: the data set's test tasks.
+        data: folder of the data set; None: the embedded one.
+        quiet: no progress.
+        scene_roots: folders that files of scenes may come from, beside each scene's own.
 
     Raises:
         ValueError: a path that is missing or no input of the application, a damaged file, no test task.
     """
     if inputs:
-        tasks = distinct([task for path in inputs for task in read_input(app, path)])
+        tasks = distinct([task for path in inputs for task in read_input(app, path, scene_roots)])
         more = f"-and-{len(tasks) - 1}-more" if len(tasks) > 1 else ""
         return tasks, f"{file_name(tasks[0].name)[:40]}{more}-{_content(tasks)}"
     folder = data_folder(app, data, quiet)
@@ -44,7 +55,7 @@ def tasks_to_fit(app: App, inputs: list[Path], data: Path | None, quiet: bool) -
     return distinct(tasks), data_label(folder)
 
 
-def read_input(app: App, path: Path) -> list[Task]:
+def read_input(app: App, path: Path, scene_roots: Sequence[Path] = ()) -> list[Task]:
     """The tasks of one path, by every reader that recognises it.
 
     A path that was named must be good; a damaged file that was found in a folder is skipped with a warning.
@@ -56,17 +67,18 @@ def read_input(app: App, path: Path) -> list[Task]:
     readers = [module for module in modules if module.recognises(path)]
     if not readers:
         raise ValueError(f"{path}: not an input of {app.name}, expected {app.inputs}.")
-    return [task for reader in readers for task in _read(reader, path, alone=len(readers) == 1)]
+    return [task for reader in readers for task in _read(reader, path, len(readers) == 1, scene_roots)]
 
 
-def _read(reader: ModuleType, path: Path, alone: bool) -> list[Task]:
+def _read(reader: ModuleType, path: Path, alone: bool, scene_roots: Sequence[Path]) -> list[Task]:
     sources, skipped = reader.find([path])
+    read = functools.partial(reader.read_task, roots=scene_roots) if scene_roots else reader.read_task
     for line in skipped if alone else ():
         say(f"warning: {line}")
     tasks = []
     for source in sources:
         try:
-            tasks.append(reader.read_task(source))
+            tasks.append(read(source))
         except (ValueError, OSError) as error:
             if len(sources) == 1:
                 raise named(error, source) from None
