@@ -18,7 +18,6 @@ import pytest
 
 from metapp.cli import main
 
-
 # a process that has imported what takes seconds, and from which commands are forked
 FORKS = multiprocessing.get_context("forkserver")
 FORKS.set_forkserver_preload(["torch", "metapp.cli.starts", "metapp.cli.commands", "metapp.apps.brdf"])
@@ -146,7 +145,7 @@ def test_killed_trainings_go_on(command: Callable[..., Command]) -> None:
 @pytest.mark.parametrize(("paradigm", "count"), [("quickft", 20), ("meta", 8)])
 def test_trainings_that_are_killed_often_go_on(command: Callable[..., Command], paradigm: str, count: int) -> None:
     """Meta's steps are compiled where there is a compiler."""
-    kill_often(command, seed=2, count=count, paradigm=paradigm, steps=600)
+    kill_often(command, seed=2, count=count, paradigm=paradigm, steps=250)
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
