@@ -1,11 +1,12 @@
 """Files are there whole or not at all."""
 
+import errno
 import os
 from pathlib import Path
 
 import pytest
 
-from metapp.files import check_readable, write_atomically
+from metapp.files import check_readable, remove_partial, write_atomically
 
 
 def test_write_atomically(tmp_path: Path) -> None:
@@ -31,3 +32,70 @@ def test_pipes_and_devices_are_no_inputs(tmp_path: Path) -> None:
         with pytest.raises(ValueError, match="a pipe or device"):
             check_readable(path)
     check_readable(tmp_path)
+
+
+def test_what_is_replaced_is_kept_under_another_name(tmp_path: Path) -> None:
+    path, previous = tmp_path / "start", tmp_path / "previous"
+    for text in ("one", "two", "three"):
+        write_atomically(path, lambda partial, text=text: partial.write_text(text), previous)
+        assert path.read_text() == text
+    assert previous.read_text() == "two"
+
+    def fail(partial: Path) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    with pytest.raises(OSError, match="No space left"):
+        write_atomically(path, fail, previous)
+    assert (path.read_text(), previous.read_text()) == ("three", "two")
+    # killed after the old file got its second name: both are one file
+    previous.unlink()
+    previous.hardlink_to(path)
+    write_atomically(path, lambda partial: partial.write_text("four"), previous)
+    assert (path.read_text(), previous.read_text()) == ("four", "three")
+    assert sorted(tmp_path.iterdir()) == [previous, path]
+
+
+class Refused(Exception):
+    """What a library raises that does not name the file."""
+
+
+@pytest.mark.parametrize(
+    "error",
+    [
+        OSError(errno.ENOSPC, "No space left on device"),
+        OSError(errno.EDQUOT, "Disk quota exceeded"),
+        PermissionError(errno.EACCES, "Permission denied"),
+        Refused("Error while serializing: I/O error: No space left on device (os error 28)"),
+    ],
+)
+def test_failed_writes_name_the_folder(error: Exception, tmp_path: Path) -> None:
+    def fail(partial: Path) -> None:
+        partial.write_text("half")
+        raise error
+
+    with pytest.raises(OSError, match="not written; ") as caught:
+        write_atomically(tmp_path / "map.exr", fail)
+    assert str(caught.value).startswith(f"{tmp_path}: ")
+    assert "map.exr" in str(caught.value)
+    assert caught.value.errno in (errno.ENOSPC, errno.EDQUOT, errno.EACCES)
+    assert not list(tmp_path.iterdir())
+
+
+def test_errors_about_other_things_stay_as_they_are(tmp_path: Path) -> None:
+    def fail(partial: Path) -> None:
+        (tmp_path / "elsewhere" / "texture.png").read_bytes()
+
+    with pytest.raises(FileNotFoundError, match=r"elsewhere/texture\.png"):
+        write_atomically(tmp_path / "map.exr", fail)
+
+
+def test_what_dead_programs_left_is_removed(tmp_path: Path) -> None:
+    path = tmp_path / "start.safetensors"
+    dead = 2**22 + 1  # above the largest process id of Linux
+    left = tmp_path / f".partial-{dead}-start.safetensors"
+    running = tmp_path / f".partial-{os.getppid()}-start.safetensors"
+    other = tmp_path / f".partial-{dead}-other.safetensors"
+    for each in (left, running, other):
+        each.touch()
+    remove_partial(path)
+    assert sorted(tmp_path.iterdir()) == sorted([running, other])

@@ -1,4 +1,4 @@
-"""Preparations that are cut off: what goes on from a training checkpoint ends bit for bit as if nothing had happened."""
+"""Preparations that are cut off: what goes on from a training checkpoint ends bit for bit as an uninterrupted one."""
 
 from __future__ import annotations
 
@@ -48,7 +48,9 @@ def encoder_for(job: Job) -> MetaParameters:
 
 
 def small_job(kind: str, job: Job, monkeypatch: pytest.MonkeyPatch) -> tuple[str, Job]:
-    """A preparation by name: one of each kind of stages."""
+    """A preparation by name: one of each kind of stages, and of two kinds with each application."""
+    if job.app.name != "brdf" and kind not in ("general", "meta-lgd tuned"):
+        pytest.skip("one application will do")
     monkeypatch.setattr(prepare, "SEARCHED", SEARCHED)
     if kind in ("general", "quickft"):
         return kind, job
@@ -111,8 +113,8 @@ def test_ctrl_c_at_any_moment_loses_no_step(
 
         return call
 
-    for _ in range(50):
-        calls[0] = chance.randint(3, 9)
+    for _ in range(100):
+        calls[0] = chance.randint(2, 5)
         checkpoint = TrainingCheckpoint(path, SETTINGS)
         with monkeypatch.context() as patch:
             patch.setattr(job.app, "goal", interrupting(loss))
@@ -120,8 +122,7 @@ def test_ctrl_c_at_any_moment_loses_no_step(
             try:
                 made = run(name, job, tasks, checkpoint)
                 break
-            except KeyboardInterrupt as error:
-                assert isinstance(error, Interrupted)
+            except Interrupted:
                 checkpoint.write()
                 now = checkpoint.reached
                 reached.append((len(now.looks), now.outer.progress.step if now.outer else -1))

@@ -1,0 +1,197 @@
+"""Commands that are killed while they train: the same command goes on, and ends with the same bytes."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import pytest
+
+from metapp.cli import main
+
+# a process that has imported what takes seconds, and from which commands are forked
+FORKS = multiprocessing.get_context("forkserver")
+FORKS.set_forkserver_preload(["torch", "metapp.cli.starts", "metapp.cli.commands", "metapp.apps.brdf"])
+
+
+def main_of(arguments: list[str], said: Path) -> None:
+    """The `metapp` command, with its standard error in a file, and a training checkpoint every 0.2 s."""
+    os.environ["METAPP_CHECKPOINT_SECONDS"] = "0.2"
+    os.dup2(os.open(said, os.O_WRONLY | os.O_CREAT | os.O_TRUNC), sys.stderr.fileno())
+    sys.argv = ["metapp", *arguments]
+    main()
+
+
+class Running(NamedTuple):
+    """A command in a process of its own."""
+
+    process: Any
+    said: Path
+
+    def end(self) -> tuple[int, str]:
+        """Its exit code and what it said, once it has ended."""
+        self.process.join()
+        return self.process.exitcode, self.said.read_text()
+
+
+class Command(NamedTuple):
+    """A command that trains."""
+
+    arguments: tuple[str | Path, ...]
+    out: Path
+
+    def start(self) -> Running:
+        said = self.out.with_name(f"{self.out.name}.txt")
+        line = [*map(str, self.arguments), "--out", str(self.out), "--quiet"]
+        running = Running(FORKS.Process(target=main_of, args=(line, said)), said)
+        running.process.start()
+        return running
+
+    def run(self) -> str:
+        """To its end; what it says."""
+        code, said = self.start().end()
+        assert code == 0, said
+        return said
+
+    def starts(self) -> dict[str, bytes]:
+        """The files of starts, whatever else is there."""
+        return {
+            str(path.relative_to(self.out)): path.read_bytes()
+            for path in self.out.rglob("starts/**/*.safetensors")
+            if path.suffixes == [".safetensors"]
+        }
+
+    def train_until(self, running: Running, seconds: float) -> bool:
+        """Wait until it has kept something new and so long after that; whether it still runs."""
+        before = self._written()
+        while running.process.is_alive() and self._written() == before:
+            time.sleep(0.01)
+        running.process.join(seconds)
+        return running.process.is_alive()
+
+    def _written(self) -> list[tuple[str, int]]:
+        found = []
+        for path in self.out.rglob("*.training.safetensors"):
+            try:
+                found.append((path.name, path.stat().st_mtime_ns))
+            except FileNotFoundError:
+                continue
+        return found
+
+    def kill(self, count: int, chance: random.Random) -> tuple[int, list[str]]:
+        """Run it and kill it at random moments of its training, up to so many times, then to its end.
+
+        Returns:
+            How often it was killed, and what it said about going on.
+        """
+        killed, lines = 0, []
+        while killed < count:
+            running = self.start()
+            killed += (alive := self.train_until(running, chance.uniform(0, 1.0)))
+            running.process.kill()
+            _, said = running.end()
+            assert "Traceback" not in said
+            lines += [line for line in said.splitlines() if line.startswith("going on")]
+            if not alive:
+                break
+        self.run()
+        return killed, lines
+
+
+@pytest.fixture
+def command(metapp: Callable, neural_fits: Callable[[int], Path], tmp_path: Path) -> Callable[..., Command]:
+    """Makes a command that trains on ten small networks, whose runs go to a folder of their own."""
+    data = tmp_path / "data"
+    assert metapp("data", "nbrdf", neural_fits(10), "--samples", "512", "--out", data, "--quiet").code == 0
+
+    def make(out: str, paradigm: str = "quickft", steps: int = 300) -> Command:
+        arguments = (paradigm, "brdf", "--data", data, "--train", "--train-steps", str(steps))
+        return Command(arguments, tmp_path / out)
+
+    return make
+
+
+def kill_often(command: Callable[..., Command], seed: int, count: int, paradigm: str, steps: int) -> None:
+    """Train General and what goes on from it, kill all of it so often, and compare what is kept."""
+    whole = command("whole", paradigm, steps)
+    whole.run()
+    expected, chance = whole.starts(), random.Random(seed)
+    assert len(expected) == 2
+    total, i = 0, 0
+    while total < count:
+        again = command(f"killed-{i}", paradigm, steps)
+        killed, lines = again.kill(count - total, chance)
+        print(f"seed {seed}, {paradigm} {i}: {killed} kills;", "; ".join(line.split(" (")[0] for line in lines))
+        assert again.starts() == expected
+        assert not list(again.out.rglob("*.training.safetensors"))
+        assert not list(again.out.rglob(".partial-*"))
+        total, i = total + killed, i + 1
+
+
+def test_killed_trainings_go_on(command: Callable[..., Command]) -> None:
+    kill_often(command, seed=1, count=3, paradigm="quickft", steps=200)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("paradigm", "count"), [("quickft", 20), ("meta", 8)])
+def test_trainings_that_are_killed_often_go_on(command: Callable[..., Command], paradigm: str, count: int) -> None:
+    """Meta's steps are compiled where there is a compiler."""
+    kill_often(command, seed=2, count=count, paradigm=paradigm, steps=250)
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_sigterm_acts_like_ctrl_c(command: Callable[..., Command], number: signal.Signals) -> None:
+    stopped = command("stopped")
+    running = stopped.start()
+    assert stopped.train_until(running, 0.5)
+    os.kill(running.process.pid, number)
+    code, said = running.end()
+    assert code == 130
+    assert "Traceback" not in said
+    assert said.splitlines()[-1].startswith("interrupted; the same command goes on")
+    assert list(stopped.out.rglob("general.interrupted.safetensors"))
+    assert "going on from step" in stopped.run()
+
+
+@pytest.fixture
+def small_disk(tmp_path: Path) -> Iterator[Path]:
+    """A disk of 16 MB."""
+    folder = tmp_path / "disk"
+    folder.mkdir()
+    mounted = subprocess.run(["mount", "-t", "tmpfs", "-o", "size=16m", "tmpfs", str(folder)], capture_output=True)
+    if mounted.returncode:
+        pytest.skip("needs root")
+    yield folder
+    subprocess.run(["umount", "-l", str(folder)], check=True)
+
+
+def test_a_full_disk_is_one_line_and_loses_nothing(command: Callable[..., Command], small_disk: Path) -> None:
+    """The start that was there stays, what was trained is in the training checkpoint, and both say where."""
+    trained = command("disk/runs", "general", steps=300)
+    trained.run()
+    before = trained.starts()
+    (file,) = (trained.out / each for each in before)
+    running = trained.start()
+    assert trained.train_until(running, 0.0)
+    with suppress(OSError), open(small_disk / "filler", "wb", buffering=0) as filler:
+        while True:
+            filler.write(bytes(4096))
+    code, said = running.end()
+    assert code == 1
+    assert "Traceback" not in said
+    assert said.splitlines()[-1].startswith(f"error: {file.parent}: No space left on device; {file.name} was not")
+    assert f"warning: no training checkpoint: {file.parent}: No space left" in said
+    assert trained.starts() == before
+    assert not list(trained.out.rglob(".partial-*"))
+    (small_disk / "filler").unlink()
+    assert "going on from step" in trained.run()
+    assert trained.starts() == before  # the same training again
