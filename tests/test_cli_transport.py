@@ -21,6 +21,7 @@ from metapp.apps.transport.guide import table_of
 from metapp.shards import ShardWriter
 from metapp.task import Fitted, Task
 
+SPP_OF_TABLES = images.REFERENCE_SPP
 PARADIGMS = ("general", "overfit", "finetune", "quickft", "meta")
 
 
@@ -124,9 +125,9 @@ def test_equal_time_counts_the_samples_that_a_fit_sees(scenes: list[Task], monke
 
 
 def test_a_reference_knows_its_own_error(scenes: list[Task], monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(images, "REFERENCE_SPP", 512)
-    studio = images.Studio(scenes[0].data["scene"].numpy().tobytes(), size=16)
-    told, wanted = studio.reference_error, studio.paths.reference(studio.tracer, 16, 8192, seed=9)
+    monkeypatch.setattr(images, "REFERENCE_SPP", SPP_OF_TABLES)
+    studio = images.Studio(scenes[0].data["scene"].numpy().tobytes(), size=8)
+    told, wanted = studio.reference_error, studio.paths.reference(studio.tracer, 8, 16 * SPP_OF_TABLES, seed=9)
     found = float(images.mape(studio.reference[None], wanted[None]))
     assert found == pytest.approx(told, rel=0.3)  # as far from the truth as its halves say
     assert studio.sampling(scenes[0].data["samples"]) > 0

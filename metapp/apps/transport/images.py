@@ -81,7 +81,7 @@ class Studio:
 
     @property
     def reference_error(self) -> float:
-        """MAPE of the reference: a half is as far from the mean of both as that mean is from the truth."""
+        """MAPE of the reference, about: a half is as far from the mean of both as that mean is from the truth."""
         return float(mape(self.halves[:1], self.reference[None]))
 
     @functools.cached_property

@@ -161,8 +161,8 @@ def paired_note(rows: Sequence[Row], other: str = "quickft") -> list[str]:
     kinds = {found.kind for row in rows if (found := paired_of(row, other))}
     lower = {"ratio": "below 1: lower error", "difference": "below 0: lower error"}
     return [
-        f"vs {other}: {kind} of mean errors, 95 % interval (paired bootstrap over tasks; {lower[kind]}); ahead: on how "
-        "many tasks"
+        f"vs {other}: {kind} of mean errors, 95 % interval (paired bootstrap over tasks; {lower[kind]}); ahead: tasks "
+        "with the lower error"
         for kind in sorted(kinds)
     ]
 
