@@ -155,7 +155,7 @@ STARTS = {
     "alpha missing": ({"alpha": {"rate.w1": None}}, "alpha rate.w1 is missing"),
     "alpha misshaped": ({"alpha": {"rate.w1": torch.ones(1, 3)}}, "alpha rate.w1 is (steps, 3)"),
     "alpha scalar": ({"alpha": {"rate.w1": torch.ones(())}}, "alpha rate.w1 is ()"),
-    "alpha more": ({"alpha": {"beta3": torch.ones(10)}}, "alpha beta3 is (steps), expected missing"),
+    "alpha more": ({"alpha": {"beta3": torch.ones(10)}}, "alpha beta3 is (10), expected missing"),
     "theta missing": ({"theta": {"w1": None}}, "theta w1 is missing"),
     "theta misshaped": ({"theta": {"w1": torch.ones(4, 4)}}, "theta w1 is (4, 4)"),
     "encoder": ({"encoder": {"in.w": torch.ones(2)}}, "encoder in.w is (2)"),
