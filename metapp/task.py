@@ -184,7 +184,9 @@ class App(ABC):
         wraps: True where the columns of parameters on a grid, those of three axes, go on at the grid's other edge.
         random: False where nothing that a fit sees is drawn at random, so that one fit says what two would.
         recipes: "paper" and "quick".
-        raw: names of those `files` whose values are no colours, such as normals.
+        raw: names of those `files` that are linear data and no colours, such as normals; all others are sRGB.
+        heights: names of those raw `files` that are heights in texels, of any range: kept stretched to [0, 1], with
+            both ends as the text of the PNG.
         radiance: names of those `files` that are linear radiance of any range, kept as EXR.
         image_measure: what `image_errors` are of, in one line; "" where there are none.
     """
@@ -203,6 +205,7 @@ class App(ABC):
     random: bool = True
     recipes: dict[str, Recipe]
     raw: tuple[str, ...] = ()
+    heights: tuple[str, ...] = ()
     radiance: tuple[str, ...] = ()
     image_measure: str = ""
 
@@ -280,7 +283,8 @@ class App(ABC):
     def files(self, theta: Params, task: Task) -> dict[str, Tensor]:
         """What a fit makes for its user, by file name: display values [H, W, 1 or 3] in [0, 1], kept as PNG.
 
-        Those named in `radiance` are linear, of any range, and kept as EXR.
+        Those named in `raw` are linear data; of these, those in `heights` may have any range. Those named in `radiance`
+        are linear, of any range, and kept as EXR.
         """
         return {}
 
