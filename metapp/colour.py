@@ -1,4 +1,4 @@
-"""sRGB encoding (IEC 61966-2-1), both ways, and how radiance of any range is shown."""
+"""sRGB encoding (IEC 61966-2-1), both ways, and how values of any range are shown."""
 
 from __future__ import annotations
 
@@ -25,3 +25,9 @@ def tone_map(radiance: Tensor) -> Tensor:
     """
     light = radiance.clamp_min(0)
     return linear_to_srgb(light / (1 + light))
+
+
+def stretched(values: Tensor) -> tuple[Tensor, float, float]:
+    """Values of any shape, their least at 0 and their greatest at 1, and these two; 0 where all are the same."""
+    low, high = values.amin(), values.amax()
+    return (values - low) / torch.where(high > low, high - low, 1), float(low), float(high)

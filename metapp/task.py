@@ -251,7 +251,9 @@ class App(ABC):
         logarithmic: True where the error is a logarithm, of any sign: of two, the difference counts, not the ratio.
         random: False where nothing that a fit sees is drawn at random, so that one fit says what two would.
         recipes: "paper" and "quick".
-        raw: names of those `files` whose values are no colours, such as normals.
+        raw: names of those `files` that are linear data and no colours, such as normals; all others are sRGB.
+        heights: names of those raw `files` that are heights in texels, of any range: kept stretched to [0, 1], with
+            both ends as the text of the PNG.
         radiance: names of those `files` that are linear radiance of any range, kept as EXR.
         image_measure: what `image_errors` are of, in one line; "" where there are none.
         image_seconds: that they take a task, about, to tell the time left before any was measured.
@@ -273,6 +275,7 @@ class App(ABC):
     random: bool = True
     recipes: dict[str, Recipe]
     raw: tuple[str, ...] = ()
+    heights: tuple[str, ...] = ()
     radiance: tuple[str, ...] = ()
     image_measure: str = ""
     image_seconds: float = 0.1
@@ -352,7 +355,8 @@ class App(ABC):
     def files(self, theta: Params, task: Task) -> dict[str, Tensor]:
         """What a fit makes for its user, by file name: display values [H, W, 1 or 3] in [0, 1], kept as PNG.
 
-        Those named in `radiance` are linear, of any range, and kept as EXR.
+        Those named in `raw` are linear data; of these, those in `heights` may have any range. Those named in `radiance`
+        are linear, of any range, and kept as EXR.
         """
         return {}
 

@@ -10,12 +10,18 @@ from pathlib import Path
 import numpy as np
 import OpenImageIO as oiio
 import pytest
+import torch
 from safetensors.numpy import save_file
+from safetensors.torch import load_file
 
+from data_tools.material_maps import read_task
 from metapp.apps import load_app
+from metapp.colour import srgb_to_linear
 from metapp.exemplar import Setup
 from metapp.features import BLOCKS, weights_path
+from metapp.flash import normal_from_height, unpack
 from metapp.networks import UNet
+from metapp.task import Task
 
 APPS = ("texture", "svbrdf_stationary")
 OUTPUTS = {
@@ -76,6 +82,38 @@ def test_a_photo_is_fitted_and_what_was_made_is_written(app: str, data: Path, me
         spec = oiio.ImageBuf(str(file)).spec()
         assert (spec.width, spec.height, str(spec.format)) == (64, 64, "uint8")  # four times the training's
     assert (Path(document["out"]) / "pictures.png").is_file()
+
+
+@pytest.mark.parametrize("app", ["svbrdf_stationary"], indirect=True)
+def test_maps_come_back_from_their_files(app: str, data: Path, metapp: Callable, tmp_path: Path) -> None:
+    wall = photo(tmp_path / "wall.png", 9)
+    fitted = metapp("overfit", app, wall, "--data", data, "--out", tmp_path / "runs", "--json")
+    assert fitted.code == 0, fitted.err
+    made = Path(fitted.document["out"]) / "outputs" / "wall"
+    loaded = load_app(app)
+    placed = loaded.at(loaded.recipes["quick"])
+    theta = load_file(Path(fitted.document["out"]) / "params" / "wall.safetensors")
+    wanted = {name: torch.movedim(each, -1, 0) for name, each in placed.files(theta, Task("wall", {})).items()}
+    found = unpack(read_task(made / "diffuse.png", 64).data["maps"].float()[None])
+    for name, space in (("diffuse", srgb_to_linear), ("specular", srgb_to_linear), ("roughness", torch.clone)):
+        side_by_side = getattr(found, name)[0], space(wanted[name]).expand_as(getattr(found, name)[0])
+        torch.testing.assert_close(*side_by_side, rtol=0, atol=0.006)  # 8 bits
+    texts = {file.stem: oiio.ImageBuf(str(file)).spec() for file in made.iterdir()}
+    linear = {name for name, spec in texts.items() if spec["encoding"] == "linear"}
+    assert linear == {"roughness", "normal", "height"}
+    assert all(spec["encoding"] == "sRGB" for name, spec in texts.items() if name not in linear)
+    # the height in texels, and the normals that follow from it
+    low, high = (float(texts["height"][f"height_{end}"]) for end in ("minimum", "maximum"))
+    assert texts["height"]["height_unit"] == "texels"
+    height = torch.from_numpy(oiio.ImageBuf(str(made / "height.png")).get_pixels(oiio.FLOAT)).movedim(-1, 0)
+    height = low + height * (high - low)
+    torch.testing.assert_close(height, wanted["height"], rtol=0, atol=(high - low) / 509)
+    torch.testing.assert_close(normal_from_height(height[None])[0], wanted["normal"] * 2 - 1, rtol=0, atol=0.05)
+
+
+@pytest.mark.parametrize("name", ["svbrdf_stationary", "svbrdf_nonstationary"])
+def test_colours_of_all_svbrdfs_are_srgb(name: str) -> None:
+    assert {"diffuse", "specular"}.isdisjoint(load_app(name).raw)
 
 
 def test_all_paradigms_and_their_table(app: str, data: Path, metapp: Callable, tmp_path: Path) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import torch
 
-from metapp.colour import linear_to_srgb, tone_map
+from metapp.colour import linear_to_srgb, stretched, tone_map
 
 
 def test_tone_map_keeps_order_and_any_radiance_displays() -> None:
@@ -15,3 +15,12 @@ def test_tone_map_keeps_order_and_any_radiance_displays() -> None:
     assert shown[-1] < 1
     torch.testing.assert_close(tone_map(torch.ones(2, 3)), linear_to_srgb(torch.full((2, 3), 0.5)))
     assert tone_map(torch.tensor(-1.0)) == 0
+
+
+def test_stretched_values_come_back_and_a_plane_is_black() -> None:
+    values = torch.randn(7, 5, generator=torch.Generator().manual_seed(0), dtype=torch.float64) * 30 - 4
+    shown, low, high = stretched(values)
+    assert (shown.min(), shown.max()) == (0, 1)
+    torch.testing.assert_close(low + shown * (high - low), values)
+    shown, low, high = stretched(torch.full((2, 2), -3.0))
+    assert (shown.tolist(), low, high) == ([[0, 0], [0, 0]], -3, -3)

@@ -10,7 +10,7 @@ import torch
 from torch import Generator, Tensor
 from torch.nn.functional import adaptive_avg_pool2d
 
-from metapp.colour import linear_to_srgb, srgb_to_linear
+from metapp.colour import linear_to_srgb, srgb_to_linear, stretched
 from metapp.exemplar import JUDGED, TILED, ExemplarApp, Setup
 from metapp.features import amplitudes, channels_of, distance, gram, hann, moments
 from metapp.flash import Maps, camera, expose, flash_position, normal_from_height, positions, relightings, render
@@ -88,7 +88,8 @@ class SvbrdfStationary(ExemplarApp):
     }
     inputs = "a flash photo of a flat material, or a folder of these"
     measure = "relative L1 distance of Gram matrices in 9 windows, mean over windows, taps and generated materials"
-    raw = ("specular", "roughness", "normal", "height")
+    raw = ("roughness", "normal", "height")
+    heights = ("height",)
     recipes = {"paper": PAPER, "quick": QUICK}  # noqa: RUF012  (never written to)
 
     @torch.no_grad()
@@ -203,24 +204,27 @@ class SvbrdfStationary(ExemplarApp):
         light = self._light(photo)
         maps, _ = self._made(theta, self.maps, 1)
         fit = self.photograph(Maps(*(part[0] for part in maps)), light, light)
-        shown = {"reference": photo[0], "fit": fit[0]} | self._pictures(theta, 1)
+        pictures = self._pictures(theta, 1)
+        shown = {"reference": photo[0], "fit": fit[0]} | pictures | {"height": stretched(pictures["height"])[0]}
         return {name: srgb_to_linear(picture).permute(1, 2, 0).expand(-1, -1, 3) for name, picture in shown.items()}
 
     def files(self, theta: Params, task: Task) -> dict[str, Tensor]:
-        """The maps, four times as high and wide as in training (they tile), and photographs under other lights."""
+        """The maps, four times as high and wide as in training (they tile), and photographs under other lights.
+
+        Diffuse and specular colour (F0) are sRGB, roughness, normal and height (texels) linear.
+        """
         return {name: picture.permute(1, 2, 0) for name, picture in self._pictures(theta, TILED).items()}
 
     def _pictures(self, theta: Params, times: int) -> dict[str, Tensor]:
-        """Display values [1 or 3, H, W] of maps, and of photographs with the light and the viewer moved."""
+        """Display values [1 or 3, H, W] of maps, but the height in texels, and of photographs under other lights."""
         made, heights = self._made(theta, self.maps, times)
         maps, height = Maps(*(part[0, 0] for part in made)), heights[0, 0]
-        low, high = height.amin(), height.amax()
         pictures = {
             "diffuse": linear_to_srgb(maps.diffuse),
-            "specular": maps.specular,
+            "specular": linear_to_srgb(maps.specular),
             "roughness": maps.roughness,
             "normal": maps.normal * 0.5 + 0.5,
-            "height": (height - low) / (high - low).clamp_min(1e-6),
+            "height": height,
         }
         for name, (light, view) in relightings(device=height.device).items():
             pictures[f"lit_from_{name}"] = self.photograph(maps, light, view)

@@ -13,7 +13,7 @@ from torch import Tensor
 
 from metapp.cli.fit import summary
 from metapp.cli.session import title_of
-from metapp.colour import linear_to_srgb, tone_map
+from metapp.colour import linear_to_srgb, stretched, tone_map
 from metapp.files import write_atomically
 from metapp.records import file_name, read_theta
 from metapp.task import App, Task
@@ -78,27 +78,35 @@ def picture_of_table(
 def write_files(app: App, tasks: Sequence[Task], folder: Path) -> Path | None:
     """Write what each fit makes for its user, <run>/outputs/<task>/<name>.png, 8 bits; None where nothing.
 
-    Radiance is kept as <name>.exr, and tone-mapped beside it.
+    Colours are sRGB; data such as roughness, normals and heights are linear: the PNG's text `encoding` says which.
+    Heights h, in texels, are kept as (h - minimum) / (maximum - minimum), of which the texts `height_minimum` and
+    `height_maximum` tell. Radiance is kept as <name>.exr, and tone-mapped beside it.
     """
     written = None
     for task in tasks:
         for name, picture in app.files(_theta(folder, task), task).items():
             written = folder / "outputs"
             file = written / file_name(task.name) / f"{name}.png"
+            texts = {"encoding": "linear" if name in app.raw else "sRGB"}
+            if name in app.heights:
+                picture, low, high = stretched(picture)
+                texts |= {"height_minimum": f"{low:.9g}", "height_maximum": f"{high:.9g}", "height_unit": "texels"}
             if name in app.radiance:
                 write_atomically(file.with_name(f"{name}.exr"), functools.partial(_write_exr, picture))
                 picture = tone_map(picture / picture.mean().clamp_min(1e-20))  # whatever its unit
-            write_atomically(file, functools.partial(_write_png, picture, name in app.raw))
+            write_atomically(file, functools.partial(_write_png, picture, texts))
     return written
 
 
-def _write_png(picture: Tensor, raw: bool, path: Path) -> None:
+def _write_png(picture: Tensor, texts: dict[str, str], path: Path) -> None:
     import OpenImageIO as oiio
 
     pixels = (np.clip(picture.numpy(), 0, 1) * 255 + 0.5).astype(np.uint8)
     image = oiio.ImageBuf(np.ascontiguousarray(pixels))
     # whoever honours a PNG's colour space would decode roughness and normals wrongly
-    image.specmod().attribute("oiio:ColorSpace", "data" if raw else "sRGB")
+    image.specmod().attribute("oiio:ColorSpace", "data" if texts["encoding"] == "linear" else "sRGB")
+    for key, text in texts.items():
+        image.specmod().attribute(key, text)
     _write(image, "uint8", path)
 
 
