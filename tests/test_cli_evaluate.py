@@ -498,6 +498,16 @@ def test_measures_of_pictures(subject: Subject, monkeypatch: pytest.MonkeyPatch,
     assert (meta["error"], meta["worst"], meta["share"]) == (pytest.approx(0.95), 0.94, pytest.approx(2 / 3))
     assert meta["paper_share"] == 0.99
     assert by["meta", "MAPE"]["share"] is None
+    assert (by["regular", "MAPE"]["measured"], by["regular", "SSIM"]["measured"]) == (3, 0)
+
+
+def test_means_of_some_tasks_alone_say_so(subject: Subject) -> None:
+    found = [
+        row(name, 0.3) | {"measure": "MAPE, equal time", "measured": count, "paper_share": None}
+        for name, count in (("reference", 1), ("general", 8), ("overfit", 0), ("meta", 3))
+    ]
+    notes = [note for note in load_table("image").notes(subject, found) if "others have none" in note]
+    assert notes == ["meta, MAPE, equal time: mean of 3 of 8 tasks, the others have none"]
 
 
 def test_the_same_picture_has_an_ssim_of_one(subject: Subject) -> None:

@@ -85,6 +85,7 @@ def measured_row(subject: Subject, name: str, cell: Cell, key: str) -> Row:
         "paper_seconds": None,
         "worst": (min(values) if better else max(values)) if values else None,
         "share": statistics.fmean(value >= bound for value in values) if better and values else None,
+        "measured": len(values),
         "paper_share": told["ssim"]["share"].get(app, {}).get(name) if better else None,
     }
 
@@ -98,6 +99,11 @@ def notes(subject: Subject, found: list[Row]) -> list[str]:
         if row["paradigm"] == REFERENCE and row["error"] is not None
     ]
     said = [", ".join([subject.app.image_measure, *own]), *budget(subject)]
+    said += [
+        f"{row['paradigm']}, {row['measure']}: mean of {row['measured']} of {row['tasks']} tasks, the others have none"
+        for row in found
+        if row["paradigm"] != REFERENCE and 0 < row["measured"] < row["tasks"]
+    ]
     if any(row["paper_share"] is not None for row in found):
         said.append(f"paper: {told['sources']['ssim']}")
     if subject.app.name in told["image"]:
