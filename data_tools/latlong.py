@@ -237,7 +237,8 @@ def _channels(names: Sequence[str], path: Path) -> list[int]:
             return [found[channel] for channel in "RGB"]
     if layers[""].keys() - {"A"} == {"Y"} and len(layers) == 1:
         return [layers[""]["Y"]] * 3
-    raise ValueError(f"{path}: channels {', '.join(names[:8])}, expected R, G, B, or Y alone; export it as RGB.")
+    shown = ", ".join(name if name.isprintable() else ascii(name) for name in names[:8])
+    raise ValueError(f"{path}: channels {shown}, expected R, G, B, or Y alone; export it as RGB.")
 
 
 def _check_values(planes: Sequence[NDArray[np.float32]], path: Path) -> None:
@@ -271,8 +272,8 @@ def _to_rec709(spec: Any, path: Path) -> Tensor:
         return torch.eye(3)
     if space not in _LINEAR:
         raise ValueError(
-            f"{path}: colours in '{stated}', expected a linear space such as Rec.709, Rec.2020 or ACEScg; export the "
-            "map with linear colours."
+            f"{path}: colours in {stated[:40]!a}, expected a linear space such as Rec.709, Rec.2020 or ACEScg; "
+            "export the map with linear colours."
         )
     return _matrix(_LINEAR[space], path)
 

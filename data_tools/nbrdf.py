@@ -184,7 +184,8 @@ def _read_part(path: Path, shape: tuple[int, ...]) -> NDArray[np.float32]:
         # Mapped, so that a false header cannot ask for more memory than the file has; refuses objects (pickles).
         mapped = npy.open_memmap(path, mode="r")
     except Exception as error:  # numpy lets pass whatever Python's tokenizer raises at a damaged header
-        reason = (str(error) or type(error).__name__).splitlines()[0].rstrip(".")
+        # it repeats the header, which may be long
+        reason = (str(error) or type(error).__name__).splitlines()[0][:80].rstrip(".")
         raise ValueError(f"{path}: not a readable .npy file ({reason}), expected float32 {shape}.") from None
     if mapped.dtype.kind != "f":
         raise ValueError(f"{path}: values of type {mapped.dtype}, expected float32.")

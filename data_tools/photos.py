@@ -305,7 +305,7 @@ def _channels(spec: Any, path: Path) -> list[int]:
     elif spec.nchannels == 1 or (spec.nchannels == 2 and "A" in names):
         found = [next(index for index, name in enumerate(names) if name != "A" or spec.nchannels == 1)] * 3
     else:
-        shown = ", ".join(names[:8])
+        shown = ", ".join(name if name.isprintable() else ascii(name) for name in names[:8])
         raise ValueError(f"{path}: channels {shown}, expected R, G, B or a gray one; export it as RGB.")
     return found + ([names.index("A")] if "A" in names and spec.nchannels > 1 else [])
 

@@ -180,7 +180,7 @@ def names(report: Report, rng: random.Random, data: Path, place: Path, quick: bo
             ["data", "nbrdf", "--samples", "4096", "--out", place / "data" / str(len(name)), "--", folder],
             ["meta", "brdf", "--data", data, "--out", folder / "out"],
         )[:: 2 if quick else 1]:
-            commands.run(report, "disk:names", metapp(*words), (0,), cwd=place)
+            commands.run(report, "disk:names", metapp(*words), (0,) if name.strip() else (0, 1), cwd=place)
         commands.run(report, "disk:names", metapp("meta", "texture", "--out", place / "runs", "--", folder), (1,))
 
 

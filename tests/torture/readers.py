@@ -19,7 +19,7 @@ from tests.torture.targets import TARGETS
 
 INPUTS, QUICK_INPUTS = 10_000, 250
 _CHUNK = 2500  # inputs of one process
-_STALL_SECONDS = 60.0  # without a word: not even its CPU time ends it
+_STALL_SECONDS = 150.0  # without a word: not even its CPU time ends it
 _MOST_DEATHS = 10  # of one chunk; then its rest is left out, with a finding each
 
 

@@ -170,11 +170,10 @@ def _read_shard(folder: Path, file: Path) -> None:
 
 
 def _read_manifest(folder: Path, file: Path) -> None:
-    from metapp.manifest import fingerprint, read_manifest, to_json
+    from metapp.manifest import fingerprint, read_manifest
 
-    manifest = read_manifest(folder)
+    read_manifest(folder)
     fingerprint(folder)
-    to_json(manifest)
 
 
 @functools.cache

@@ -78,14 +78,15 @@ def main(name: str, seed: str, first: int, count: int, place: str) -> None:
     channel = os.fdopen(os.dup(1), "w", buffering=1)
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # what libraries print is not ours
     signal.signal(signal.SIGPROF, _hang)
+    for files in valid:  # what is imported and cached now stays
+        _fresh(folder, files)
+        target.read(folder, folder / next(iter(files)))
+    _limit_memory()
     handles = 0
     for index in range(first, first + count):
-        shutil.rmtree(folder, ignore_errors=True)
-        folder.mkdir()
+        _fresh(folder, {})
         print(f"at {index}", file=channel)
         what = fault(target, random.Random(f"{seed}/{name}/{index}"), folder, valid)
-        if index == first:  # what is imported and cached at the first input stays
-            _limit_memory()
         if (index - first) % 200 == 100:
             gc.collect()
             now = len(os.listdir("/proc/self/fd"))
@@ -95,6 +96,13 @@ def main(name: str, seed: str, first: int, count: int, place: str) -> None:
         if what:
             print(json.dumps({"index": index, "what": what}), file=channel)
     print("done", file=channel)
+
+
+def _fresh(folder: Path, files: dict[str, bytes]) -> None:
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir()
+    for name, content in files.items():
+        (folder / name).write_bytes(content)
 
 
 def _limit_memory() -> None:
