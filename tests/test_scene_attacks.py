@@ -15,12 +15,14 @@ from typing import Any
 
 import pytest
 import torch
+from typer.testing import CliRunner
 
 from data_tools.cornell import random_scene, scene_of
 from data_tools.mitsuba_scenes import read_scene, read_task
 from data_tools.mitsuba_variant import choose_llvm
 from data_tools.path_space import Tracer
 from data_tools.scene_loading import load_scene
+from metapp.cli.commands import app as cli
 
 try:
     choose_llvm()  # while the tests are collected: whichever of them first imports Mitsuba decides which it takes
@@ -200,7 +202,7 @@ BAD: dict[str, tuple[str, str]] = {
     "itself.xml": (xml('<include filename="itself.xml"/>'), "'itself.xml', which cannot be read: it includes it"),
     "cycle.xml": (xml(CYCLE), "no scene that Mitsuba can load: .*circular"),
     "scenes.xml": (xml('<scene version="3.0.0"/>'), "a <scene> within a <scene>"),
-    "bitmap.xml": (xml('<bsdf type="diffuse"><texture name="reflectance" type="bitmap"/></bsdf>'), "without 'filename'"),
+    "bitmap.xml": (xml('<bsdf type="diffuse"><texture name="a" type="bitmap"/></bsdf>'), "without 'filename'"),
     "blend.xml": (xml('<bsdf type="blendbsdf" id="a"/>'), "a plugin 'blendbsdf' without 'weight'"),
     "version.xml": (xml(version="3;rm"), "a version '3;rm'"),
     "null.json": (in_json({**SPHERE, "radius": None}), "a value of 'radius', None"),
@@ -224,7 +226,7 @@ BAD: dict[str, tuple[str, str]] = {
     "scenes.json": (in_json({"type": "scene"}), "a scene within a scene"),
     "deep.json": ('{"type":"scene","a":' * NESTED + "1" + "}" * NESTED, "not readable as JSON|scene within"),
     "deeplist.json": ('{"type": "scene", "a": ' + "[" * NESTED + "]" * NESTED + "}", "readable as JSON|'a'"),
-    "deeper.json": (in_json(json.loads('{"type":"twosided","a":' * 200 + "1" + "}" * 200)), "within each other, 64 deep"),
+    "deeper.json": (in_json(json.loads('{"type":"twosided","a":' * 200 + "1" + "}" * 200)), "other, 64 deep"),
     "text.json": (json.dumps({"type": "scene", "xml": 3}), "an 'xml' that is no text"),
 }  # fmt: skip
 
@@ -421,3 +423,11 @@ def test_files_come_from_a_folder_that_the_user_names(tmp_path: Path, evil: Call
     with pytest.raises(ValueError, match="a plugin 'evil'"):
         read_scene(write(scenes / "evil.xml", preview('<path value="../data/common"/>', ITSELF)), [data])
     assert not mark.exists()
+
+
+def test_only_transport_has_scenes(tmp_path: Path) -> None:
+    done = CliRunner().invoke(cli, ["meta", "brdf", "--scene-root", str(tmp_path)], env={"COLUMNS": "200"})
+    assert done.exit_code == 2
+    assert "--scene-root: brdf has no scenes" in done.output
+    missing = CliRunner().invoke(cli, ["meta", "transport", "--scene-root", str(tmp_path / "none")])
+    assert missing.exit_code == 2
