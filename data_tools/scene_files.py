@@ -93,10 +93,13 @@ def read_text(path: Path) -> str:
         handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK | getattr(os, "O_BINARY", 0))
     except OSError as error:
         raise ValueError(f"{error.strerror}, expected a scene of Mitsuba 3 that can be read.") from None
-    with os.fdopen(handle, "rb") as file:
+    try:
         if not stat.S_ISREG(os.fstat(handle).st_mode):
             raise ValueError("no regular file, expected a scene of Mitsuba 3.")
-        content = file.read(TEXT_BYTES + 1)
+        with os.fdopen(handle, "rb", closefd=False) as file:
+            content = file.read(TEXT_BYTES + 1)
+    finally:
+        os.close(handle)
     if len(content) > TEXT_BYTES:
         raise ValueError(f"more than {TEXT_BYTES:,} bytes, expected a scene of Mitsuba 3; put meshes in files.")
     try:

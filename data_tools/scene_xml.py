@@ -129,6 +129,8 @@ class _Reader:
                 raise ValueError("it includes itself.")
             root = self.document(text, places.first(path.parent), (*chain, str(path)), depth)
         except ValueError as error:
+            if str(error).startswith("includes "):
+                raise  # one file is named, the one that is to blame
             raise ValueError(f"includes {name[:60]!r}, which cannot be read: {error}") from None
         del root.attrib["version"]
         if root.tag == "scene":

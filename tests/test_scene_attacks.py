@@ -1,0 +1,433 @@
+"""Scene files made to run code, to read what they should not, to end the process or to hang it: all refused."""
+
+from __future__ import annotations
+
+import ctypes
+import json
+import os
+import shutil
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from typer.testing import CliRunner
+
+from data_tools.cornell import random_scene, scene_of
+from data_tools.mitsuba_scenes import read_scene, read_task
+from data_tools.mitsuba_variant import choose_llvm
+from data_tools.path_space import Tracer
+from data_tools.scene_loading import load_scene
+from metapp.cli.commands import app as cli
+
+try:
+    choose_llvm()  # while the tests are collected: whichever of them first imports Mitsuba decides which it takes
+    MISSING = ""
+except ValueError as error:
+    MISSING = str(error)
+pytestmark = pytest.mark.skipif(bool(MISSING), reason=MISSING)
+
+ROOT = Path(__file__).parent.parent
+EVIL = '__attribute__((constructor)) static void run(void) { fclose(fopen(MARK, "w")); }'
+LAMP = '<emitter type="area"><rgb name="radiance" value="4 4 4"/></emitter>'
+CAMERA = """<sensor type="perspective"><float name="fov" value="45"/>
+    <transform name="to_world"><lookat origin="0, 0, 4" target="0, 0, 0" up="0, 1, 0"/></transform></sensor>"""
+BALL = f'<shape type="sphere"><float name="radius" value="0.5"/>{LAMP}</shape>'
+ITSELF = '<shape type="evil"/>'
+
+
+def xml(*parts: str, before: str = "", version: str = "3.0.0") -> str:
+    return f'{before}<scene version="{version}">{CAMERA}{BALL}{"".join(parts)}</scene>'
+
+
+def in_json(part: Any, **more: Any) -> str:
+    return json.dumps({**random_scene(0), "more": part, **more})
+
+
+@pytest.fixture
+def evil(tmp_path: Path) -> Callable[[Path, str], Path]:
+    """Puts a library that leaves a mark when it is loaded into a folder's `plugins`; returns the mark's path."""
+    if not shutil.which("gcc"):
+        pytest.skip("no gcc")
+    source, library, mark = tmp_path / "evil.c", tmp_path / "evil.so", tmp_path / "mark"
+    source.write_text(f'#include <stdio.h>\n#define MARK "{mark}"\n{EVIL}\n')
+    subprocess.run(["gcc", "-shared", "-fPIC", "-o", library, source], check=True)
+
+    def put(folder: Path, name: str) -> Path:
+        (folder / "plugins").mkdir(parents=True, exist_ok=True)
+        shutil.copy(library, folder / "plugins" / f"{name}.so")
+        return mark
+
+    return put
+
+
+def test_the_library_would_run(tmp_path: Path, evil: Callable[[Path, str], Path]) -> None:
+    mark = evil(tmp_path, "evil")
+    assert not mark.exists()
+    ctypes.CDLL(str(tmp_path / "plugins" / "evil.so"))
+    assert mark.exists()
+
+
+INCLUDED = '<scene version="3.0.0"><shape type="evil"/></scene>'
+CODE = {
+    "plain.xml": xml(ITSELF),
+    "entity.xml": xml('<shape type="&a;"/>', before='<!DOCTYPE scene [<!ENTITY a "evil">]>'),
+    "default.xml": xml(
+        '<x:include xmlns:x="q"/>',
+        before='<!DOCTYPE scene [<!ATTLIST x:include filename CDATA "part.txt" xmlns:x CDATA "q">]>',
+    ),
+    "attribute.xml": xml("<shape/>", before='<!DOCTYPE scene [<!ATTLIST shape type CDATA "evil">]>'),
+    "namespace.xml": xml('<x:include xmlns:x="q" filename="part.txt"/>'),
+    "names.xml": xml('<include xmlns="q" filename="part.txt"/>'),
+    "dollar.xml": xml('<default name="f" value="part.txt"/>', '<include filename="$f"/>'),
+    "dollars.xml": xml(
+        '<default name="a" value="ev"/>', '<default name="b" value="${a}il"/>', '<shape type="${a}il"/>'
+    ),
+    "type.xml": xml('<default name="a" value="evil"/>', '<shape type="$a"/>'),
+    "nested.xml": xml('<include filename="below/part.txt"/>'),
+    "above.xml": xml('<shape type="../plugins/evil"/>'),
+    "spectrum.xml": xml('<shape type="cube"><spectrum name="a" type="evil"/></shape>'),
+    "case.xml": xml('<Include filename="part.txt"/>'),
+    "comment.xml": xml('<!-- -- ><shape type="evil"/> -->', ITSELF),
+    "instruction.xml": xml('<?xml-stylesheet href="part.txt"?>', ITSELF),
+    "cdata.xml": xml('<![CDATA[<shape type="cube"/>]]>', ITSELF),
+    "utf7.xml": xml("+ADw-shape type=+ACI-evil+ACI-/+AD4-", ITSELF, before='<?xml version="1.0" encoding="UTF-7"?>'),
+    "old.xml": xml('<shape type="evil" id="fileName"/>', version="0.5.0"),
+    "alias.xml": xml('<alias id="a" as="b"/>', ITSELF),
+    "path.xml": xml('<path value="."/>', ITSELF),
+    "plain.json": in_json({"type": "evil"}),
+    "above.json": in_json({"type": "../plugins/evil"}),
+    "list.json": in_json({"type": ["evil"]}),
+    "none.json": in_json({"types": "evil"}),
+    "deep.json": in_json({"type": "sphere", "a": {"type": "area", "radiance": {"type": "evil"}}}),
+    "inlist.json": in_json([{"type": "evil"}]),
+    "include.json": in_json({"type": "include", "filename": "part.txt"}),
+    "resources.json": in_json({"type": "resources", "path": "."}),
+    "path.json": in_json({"type": "path", "value": "."}, again={"type": "evil"}),
+    "xml.json": json.dumps({"xml": xml(ITSELF), "folder": "."}),
+    "include-xml.json": json.dumps({"xml": xml('<include filename="part.txt"/>'), "folder": "below"}),
+}
+
+
+@pytest.mark.parametrize("name", CODE)
+def test_no_scene_runs_a_library(name: str, tmp_path: Path, evil: Callable[[Path, str], Path]) -> None:
+    below = tmp_path / "below"
+    mark = evil(tmp_path, "evil")
+    evil(below, "evil")
+    harmless = '<scene version="3.0.0"><shape type="cube"/></scene>'
+    # what is checked in one folder must not be another file in the next
+    (tmp_path / "part.txt").write_text(INCLUDED)
+    (below / "part.txt").write_text('<scene version="3.0.0"><include filename="inner.txt"/></scene>')
+    (below / "inner.txt").write_text(INCLUDED)
+    (tmp_path / "inner.txt").write_text(harmless)
+    path = tmp_path / name
+    path.write_text(CODE[name])
+    with pytest.raises(ValueError, match=r".") as caught:
+        read_task(path, samples=64, held=16)
+    assert_one_line(caught.value, path)
+    assert not mark.exists()
+    stored = {"xml": CODE[name]} if name.endswith("xml") else json.loads(CODE[name])
+    with pytest.raises(ValueError, match=r"."):
+        load_scene(stored)
+    assert not mark.exists()
+
+
+def test_no_library_in_the_working_folder_is_run(tmp_path: Path, evil: Callable[[Path, str], Path]) -> None:
+    """Mitsuba looks in the folder that it is started in first; all that we do with a scene, its later plugins too."""
+    import mitsuba
+
+    for plugin in (Path(mitsuba.__file__).parent / "plugins").iterdir():
+        mark = evil(tmp_path, plugin.stem)
+    (tmp_path / "room.json").write_text(json.dumps(random_scene(0)))
+    lines = (
+        "from pathlib import Path\nfrom data_tools.mitsuba_scenes import read_scene\n"
+        "from data_tools.path_render import reference\n"
+        "print(reference(read_scene(Path('room.json')), 4, 4).shape)"
+    )
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
+    done = subprocess.run(
+        [sys.executable, "-c", lines], cwd=tmp_path, env=environment, capture_output=True, text=True, check=True
+    )
+    assert "torch.Size([3, 4, 4])" in done.stdout
+    assert not mark.exists()
+
+
+def assert_one_line(error: ValueError, path: Path) -> None:
+    said = str(error).removeprefix(f"{path}: ")
+    assert said != str(error)
+    assert "\n" not in said
+    assert len(said) <= 300
+
+
+NESTED = 50_000
+MATERIAL = '<bsdf type="conductor"><string name="material" value="{}"/></bsdf>'
+NAMED = '<string name="filename" value="{}"/>'
+FILE = f'<bsdf type="diffuse"><texture name="reflectance" type="bitmap">{NAMED}</texture></bsdf>'
+GROWING = "".join(f'<default name="a{i}" value="{f"$a{i - 1}" * 10 if i else "x" * 10}"/>' for i in range(10))
+CYCLE = '<bsdf type="twosided" id="a"><ref id="b"/></bsdf><bsdf type="twosided" id="b"><ref id="a"/></bsdf>'
+LAUGH = "".join(f'<!ENTITY l{i + 1} "{f"&l{i};" * 10}">' for i in range(12))
+SPHERE = {"type": "sphere"}
+BAD: dict[str, tuple[str, str]] = {
+    "doctype.xml": (xml(before="<!DOCTYPE scene>"), "a DOCTYPE, expected a scene without one"),
+    "laughs.xml": (xml(before=f'<!DOCTYPE scene [<!ENTITY l0 "ha">{LAUGH}]>'), "a DOCTYPE"),
+    "outside.xml": (xml(before='<!DOCTYPE scene SYSTEM "file:///etc/passwd">'), "a DOCTYPE"),
+    "unknown.xml": (xml('<shape type="&lol;"/>'), "not readable as XML"),
+    "deep.xml": (xml('<bsdf type="twosided">' * NESTED, "</bsdf>" * NESTED), "64 within each other"),
+    "many.xml": (xml('<shape type="cube"/>' * 200_001), "more than 200,000 elements"),
+    "growing.xml": (xml(GROWING), "a <default> 'a3'"),
+    "escaped.xml": (xml('<string name="a" value="\\$b"/>'), "expected a <default> before it"),
+    "undeclared.xml": (xml('<include filename="$f"/>'), r"'\$f', expected a <default> before it"),
+    "late.xml": (xml('<shape type="$f"/>', '<default name="f" value="cube"/>'), r"'\$f', expected a <default>"),
+    "media.xml": (xml('<shape type="cube"><medium type="heterogeneous"/></shape>'), "a participating medium"),
+    "address.xml": (xml('<shape type="blender"><string name="verts" value="4096"/></shape>'), "a plugin 'blender'"),
+    "material.xml": (xml(MATERIAL.format("../../../../tmp/x")), "expected plain text, no path"),
+    "metal.xml": (xml(MATERIAL.format("x")), "a material 'x', expected one of Mitsuba's own"),
+    "passwd.xml": (xml(FILE.format("/etc/passwd")), "names the file '/etc/passwd' outside.*--scene-root /etc"),
+    "dots.xml": (xml(FILE.format("../../../../../../../../../etc/passwd")), "outside the scene's folder"),
+    "link.xml": (xml(FILE.format("link")), "names the file 'link' outside the scene's folder"),
+    "url.xml": (xml(FILE.format("file:///etc/passwd")), "file not found"),
+    "fifo-bitmap.xml": (xml(FILE.format("fifo")), "no regular file"),
+    "zero-bitmap.xml": (xml(FILE.format("zero")), "outside the scene's folder"),
+    "folder-bitmap.xml": (xml(FILE.format(".")), "no regular file"),
+    "spectrum.xml": (xml('<shape type="cube"><spectrum name="a" filename="/etc/passwd"/></shape>'), "outside"),
+    "folder.xml": (xml('<path value="/etc"/>'), "the <path> '/etc' outside the scene's folder.*--scene-root /etc"),
+    "fifo.xml": (xml('<include filename="fifo"/>'), "includes 'fifo', which cannot be read: no regular file"),
+    "zero.xml": (xml('<include filename="/dev/zero"/>'), "includes '/dev/zero', which cannot be read.*outside"),
+    "directory.xml": (xml('<include filename="."/>'), "includes '.', which cannot be read"),
+    "exponential.xml": (xml('<include filename="half0.xml"/>'), "more than 64 includes"),
+    "itself.xml": (xml('<include filename="itself.xml"/>'), "'itself.xml', which cannot be read: it includes it"),
+    "cycle.xml": (xml(CYCLE), "no scene that Mitsuba can load: .*circular"),
+    "scenes.xml": (xml('<scene version="3.0.0"/>'), "a <scene> within a <scene>"),
+    "bitmap.xml": (xml('<bsdf type="diffuse"><texture name="a" type="bitmap"/></bsdf>'), "without 'filename'"),
+    "blend.xml": (xml('<bsdf type="blendbsdf" id="a"/>'), "a plugin 'blendbsdf' without 'weight'"),
+    "version.xml": (xml(version="3;rm"), "a version '3;rm'"),
+    "null.json": (in_json({**SPHERE, "radius": None}), "a value of 'radius', None"),
+    "null-type.json": (in_json({"type": None}), "an object of type None"),
+    "null-top.json": (in_json(None), "a value of 'more', None"),
+    "number-type.json": (in_json({"type": 3}), "an object of type 3"),
+    "id.json": (in_json({**SPHERE, "id": 3}), "a value of 'id', 3"),
+    "bitmap.json": (in_json({"type": "bitmap", "bitmap": {"type": "checkerboard"}}), "'bitmap' without 'filename'"),
+    "blend.json": (in_json({"type": "blendbsdf"}), "a plugin 'blendbsdf' without 'weight'"),
+    "file.json": (in_json({"type": "bitmap", "filename": "/etc/passwd"}), "outside the scene's folder"),
+    "filenumber.json": (in_json({"type": "ply", "filename": 3}), "no scene that Mitsuba can load"),
+    "spectrum.json": (in_json({**SPHERE, "r": {"type": "spectrum", "filename": "/etc/passwd"}}), "outside the scene's"),
+    "material.json": (in_json({"type": "conductor", "material": "../../x"}), "expected plain text, no path"),
+    "rgb.json": (in_json({**SPHERE, "r": {"type": "rgb", "value": "evil"}}), "a value of 'value'|a 'rgb' with"),
+    "rgbnull.json": (in_json({**SPHERE, "r": {"type": "rgb", "value": None}}), "a 'rgb' with"),
+    "ref.json": (in_json({**SPHERE, "r": {"type": "ref", "id": ["a"]}}), "a value of 'id'"),
+    "nan.json": (in_json({**SPHERE, "radius": float("nan")}), "a value of 'radius', nan"),
+    "huge.json": (in_json({**SPHERE, "radius": 10**30}), "a value of 'radius'"),
+    "lists.json": (in_json([[[1.0]]]), "a value of 'more', 'list'"),
+    "point.json": (in_json(SPHERE, **{"a.b": SPHERE}), "a key 'a.b'"),
+    "scenes.json": (in_json({"type": "scene"}), "a scene within a scene"),
+    "deep.json": ('{"type":"scene","a":' * NESTED + "1" + "}" * NESTED, "not readable as JSON|scene within"),
+    "deeplist.json": ('{"type": "scene", "a": ' + "[" * NESTED + "]" * NESTED + "}", "readable as JSON|'a'"),
+    "deeper.json": (in_json(json.loads('{"type":"twosided","a":' * 200 + "1" + "}" * 200)), "other, 64 deep"),
+    "text.json": (json.dumps({"type": "scene", "xml": 3}), "an 'xml' that is no text"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_hostile_scenes_are_refused_at_once(name: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    os.mkfifo(tmp_path / "fifo")
+    (tmp_path / "link").symlink_to("/etc/passwd")
+    (tmp_path / "zero").symlink_to("/dev/zero")
+    for number in range(33):
+        twice = f'<include filename="half{number + 1}.xml"/>' * 2 * (number < 32)
+        (tmp_path / f"half{number}.xml").write_text(f'<scene version="3.0.0">{twice}</scene>')
+    content, expected = BAD[name]
+    path = tmp_path / name
+    path.write_text(content)
+    begin = time.perf_counter()
+    with pytest.raises(ValueError, match=expected) as caught:
+        read_task(path, samples=64, held=16)
+    assert_one_line(caught.value, path)
+    assert time.perf_counter() - begin < 20  # hangs are without end
+    assert capfd.readouterr() == ("", "")
+
+
+@pytest.mark.parametrize("kind", ["fifo", "device", "folder", "missing", "large", "utf16"])
+def test_a_scene_file_is_a_regular_file_of_text(kind: str, tmp_path: Path) -> None:
+    path = tmp_path / "room.xml"
+    if kind == "fifo":
+        os.mkfifo(path)
+    elif kind == "device":
+        path.symlink_to("/dev/zero")
+    elif kind == "folder":
+        path.mkdir()
+    elif kind == "large":
+        with path.open("wb") as file:
+            file.truncate(2**40)
+    elif kind == "utf16":
+        path.write_bytes(xml(ITSELF).encode("utf-16"))
+    expected = {"large": "more than 16,777,216 bytes", "missing": "No such file", "utf16": "not text in UTF-8"}
+    with pytest.raises(ValueError, match=expected.get(kind, "no regular file")) as caught:
+        read_scene(path)
+    assert_one_line(caught.value, path)
+
+
+def test_a_stored_scene_reads_no_files_but_those_of_scenes_read_before(tmp_path: Path) -> None:
+    mesh = tmp_path / "lamp.obj"
+    mesh.write_text("v -1 1.5 -1\nv 1 1.5 -1\nv 0 1.5 1\nf 1 2 3\n")
+    stored = {**random_scene(0), "more": {"type": "obj", "filename": str(mesh)}}
+    with pytest.raises(ValueError, match=r"expected none in a stored scene; give the scene file"):
+        load_scene(stored)
+    with pytest.raises(ValueError, match=r"expected none in a stored scene|file not found"):
+        load_scene({"xml": xml(f'<include filename="{tmp_path}/part.xml"/>'), "folder": str(tmp_path)})
+    path = tmp_path / "room.json"
+    path.write_text(json.dumps({**stored, "more": {"type": "obj", "filename": "lamp.obj"}}))
+    assert read_scene(path) == stored
+    assert len(load_scene(stored).scene.shapes()) == len(load_scene(random_scene(0)).scene.shapes()) + 1
+
+
+@pytest.mark.parametrize("text", [b"[1]", b"{", b"\xff", b"[" * NESTED, b"3", b"null"])
+def test_a_stored_scene_that_is_none_is_one_line(text: bytes) -> None:
+    with pytest.raises(ValueError, match=r"stored scene is no JSON|no scene, expected an object"):
+        load_scene(scene_of(torch.frombuffer(bytearray(text), dtype=torch.uint8)))
+
+
+def test_what_is_handed_on_holds_no_more_than_was_checked(tmp_path: Path) -> None:
+    path = tmp_path / "room.xml"
+    inside = '<default name="size" value="0.25"/><shape type="cube"><float name="r" value="$size"/></shape>'
+    declared = '<?xml version="1.0" encoding="UTF-16"?>'  # Python's parser goes by the text, Mitsuba's might not
+    path.write_text(xml(inside, '<!-- <shape type="evil"/> -->', "<![CDATA[<evil/>]]>", "<?evil?>", before=declared))
+    made = read_scene(path)["xml"]
+    assert made.isascii()
+    assert not [each for each in ("$", "evil", "<!", "<?", "default", "&") if each in made]
+    assert 'name="r" value="0.25"' in made
+    assert read_scene(path) == {"xml": read_scene(path)["xml"]}
+    path.write_text(made)
+    assert read_scene(path) == {"xml": made}
+
+
+# Scenes in the style of Mitsuba's public ones
+
+
+def write(path: Path, content: str) -> Path:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(content)
+    return path
+
+
+def quad(path: Path, corners: str) -> None:
+    """A square as a mesh, .obj or .ply by its suffix."""
+    points = [point.split() for point in corners.split(",")]
+    if path.suffix == ".obj":
+        write(path, "".join(f"v {' '.join(point)}\n" for point in points) + "f 1 2 3\nf 1 3 4\n")
+        return
+    head = "ply\nformat ascii 1.0\nelement vertex 4\nproperty float x\nproperty float y\nproperty float z\n"
+    rows = "".join(f"{' '.join(point)}\n" for point in points)
+    write(path, f"{head}element face 2\nproperty list uchar int vertex_indices\nend_header\n{rows}3 0 1 2\n3 0 2 3\n")
+
+
+def mesh(kind: str, file: str, *inside: str) -> str:
+    return f'<shape type="{kind}"><string name="filename" value="{file}"/>{"".join(inside)}</shape>'
+
+
+def document(*parts: str) -> str:
+    return f'<?xml version="1.0" encoding="utf-8"?>\n<scene version="3.0.0">\n{"".join(parts)}\n</scene>\n'
+
+
+def picture(path: Path, tmp_path: Path) -> Path:
+    import mitsuba as mi
+    import numpy as np
+
+    path.parent.mkdir(parents=True, exist_ok=True)
+    values = np.linspace(0.2, 2, 8 * 16 * 3, dtype=np.float32).reshape(8, 16, 3)
+    mi.Bitmap(values if path.suffix == ".exr" else (values * 100).astype(np.uint8)).write(str(path))
+    return path
+
+
+def test_a_cornell_box_of_fragments_and_meshes(tmp_path: Path) -> None:
+    box = tmp_path / "box"
+    quad(box / "meshes" / "floor.obj", "-1 -1 1,1 -1 1,1 -1 -1,-1 -1 -1")
+    quad(box / "meshes" / "back.ply", "-1 -1 -1,1 -1 -1,1 1 -1,-1 1 -1")
+    quad(box / "meshes" / "lamp.obj", "-.5 .99 -.5,.5 .99 -.5,.5 .99 .5,-.5 .99 .5")
+    white = '<bsdf type="diffuse" id="white"><spectrum name="reflectance" value="400:0.7, 700:0.7"/></bsdf>'
+    write(box / "fragments" / "materials.xml", document(white))
+    write(box / "fragments" / "base.xml", document(
+        '<default name="res" value="64"/>',
+        '<include filename="fragments/materials.xml"/>',
+        mesh("obj", "meshes/floor.obj", '<ref id="white"/>'),
+        mesh("ply", "meshes/back.ply", '<ref id="white" name="bsdf"/>'),
+    ))  # fmt: skip
+    path = write(box / "box.xml", document(
+        '<default name="spp" value="16"/><default name="res" value="32"/><default name="kind" value="path"/>',
+        '<integrator type="$kind"><integer name="max_depth" value="6"/></integrator>',
+        '<include filename="fragments/base.xml"/>',
+        '<sensor type="perspective"><string name="fov_axis" value="smaller"/><float name="fov" value="39.3"/>',
+        '<transform name="to_world"><lookat origin="0, 0, 4" target="0, 0, 0" up="0, 1, 0"/></transform>',
+        '<sampler type="independent"><integer name="sample_count" value="$spp"/></sampler>',
+        '<film type="hdrfilm"><integer name="width" value="$res"/><integer name="height" value="$res"/>',
+        '<rfilter type="tent"/></film></sensor>',
+        mesh("obj", "meshes/lamp.obj", '<ref id="white"/>', LAMP),
+    ))  # fmt: skip
+    task = read_task(path, samples=64, held=16)
+    assert task.data["image"].max() > 0.5
+    tracer = Tracer(scene_of(task.data["scene"]))  # as pictures of fits do
+    assert sum(shape.face_count() for shape in tracer.scene.shapes()) == 6
+    assert tuple(tracer.scene.sensors()[0].film().size()) == (32, 32)
+
+
+def preview(*parts: str) -> str:
+    """A ball under a map, as materials are shown."""
+    texture = '<texture type="bitmap" name="reflectance"><string name="filename" value="textures/grid.png"/></texture>'
+    return document(
+        CAMERA,
+        *parts,
+        '<emitter type="envmap" id="sky"><string name="filename" value="textures/sky.exr"/>',
+        '<float name="scale" value="3"/></emitter>',
+        f'<bsdf type="twosided" id="grid"><bsdf type="diffuse">{texture}</bsdf></bsdf>',
+        '<shape type="sphere"><ref id="grid"/></shape>',
+    )
+
+
+def test_a_material_preview_under_a_map(tmp_path: Path) -> None:
+    picture(tmp_path / "textures" / "sky.exr", tmp_path)
+    picture(tmp_path / "textures" / "grid.png", tmp_path)
+    path = write(tmp_path / "preview.xml", preview())
+    assert Tracer(read_scene(path)).brightest == pytest.approx(6, rel=0.01)  # 2 of the map, times its scale
+    assert read_task(path, samples=64, held=16).data["image"].max() > 0.5
+    # and a lamp of 8-bit texels
+    scene = random_scene(0)
+    lamp = {"type": "area", "radiance": {"type": "bitmap", "filename": "textures/grid.png"}}
+    scene["light"]["emitter"] = lamp
+    loaded = load_scene(read_scene(write(tmp_path / "lamp.json", json.dumps(scene))))
+    assert 0.5 < loaded.brightest <= 1
+
+
+def test_files_come_from_a_folder_that_the_user_names(tmp_path: Path, evil: Callable[[Path, str], Path]) -> None:
+    data, scenes = tmp_path / "data", tmp_path / "scenes"
+    picture(data / "common" / "textures" / "sky.exr", tmp_path)
+    picture(data / "common" / "textures" / "grid.png", tmp_path)
+    named = write(scenes / "named.xml", preview('<path value="../data/common"/>'))
+    with pytest.raises(ValueError, match=r"the <path> '\.\./data/common' outside.*: --scene-root .*/data/common$"):
+        read_scene(named)
+    assert read_task(named, samples=64, held=16, roots=[data]).data["image"].max() > 0.5
+    plain = write(scenes / "plain.xml", preview())
+    with pytest.raises(ValueError, match=r"names the file 'textures/sky\.exr': file not found"):
+        read_scene(plain)
+    assert Tracer(read_scene(plain, [data / "common"])).brightest > 0
+    # but plugins never do
+    mark = evil(data / "common", "cylinder")
+    evil(data / "common", "evil")
+    Tracer(
+        read_scene(
+            write(scenes / "own.xml", preview('<path value="../data/common"/>', '<shape type="cylinder"/>')), [data]
+        )
+    )
+    with pytest.raises(ValueError, match="a plugin 'evil'"):
+        read_scene(write(scenes / "evil.xml", preview('<path value="../data/common"/>', ITSELF)), [data])
+    assert not mark.exists()
+
+
+def test_only_transport_has_scenes(tmp_path: Path) -> None:
+    done = CliRunner().invoke(cli, ["meta", "brdf", "--scene-root", str(tmp_path)], env={"COLUMNS": "200"})
+    assert done.exit_code == 2
+    assert "--scene-root: brdf has no scenes" in done.output
+    missing = CliRunner().invoke(cli, ["meta", "transport", "--scene-root", str(tmp_path / "none")])
+    assert missing.exit_code == 2
