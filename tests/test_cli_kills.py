@@ -113,7 +113,7 @@ def command(metapp: Callable, neural_fits: Callable[[int], Path], tmp_path: Path
     data = tmp_path / "data"
     assert metapp("data", "nbrdf", neural_fits(10), "--samples", "512", "--out", data, "--quiet").code == 0
 
-    def make(out: str, paradigm: str = "quickft", steps: int = 300) -> Command:
+    def make(out: str, paradigm: str = "quickft", steps: int = 150) -> Command:
         arguments = (paradigm, "brdf", "--data", data, "--train", "--train-steps", str(steps))
         return Command(arguments, tmp_path / out)
 
@@ -176,7 +176,7 @@ def small_disk(tmp_path: Path) -> Iterator[Path]:
 
 def test_a_full_disk_is_one_line_and_loses_nothing(command: Callable[..., Command], small_disk: Path) -> None:
     """The start that was there stays, what was trained is in the training checkpoint, and both say where."""
-    trained = command("disk/runs", "general", steps=300)
+    trained = command("disk/runs", "general", steps=100)
     trained.run()
     before = trained.starts()
     (file,) = (trained.out / each for each in before)
