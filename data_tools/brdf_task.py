@@ -36,14 +36,16 @@ def brdf_task(
 ) -> Task:
     """Make the task of one material.
 
-    Samples are draws uniform in theta_h, theta_d in [0, pi/2] and phi_d in [0, pi] (as Sztrajman et al. 2021 sample),
-    kept where light and view are above the horizon, stratified (scrambled Sobol). The first half is what a fit may
-    see, the second half is held out; each half is stratified by itself and in random order, so any prefix is well
-    spread. Without a table the angles are the same for all materials of the same `samples` and `seed`.
+    Samples are draws uniform in theta_h, theta_d in [0, pi/2] and phi_d in [0, 2 pi] (as Sztrajman et al. 2021 sample:
+    what evaluates a network does not fold phi_d by reciprocity), kept where light and view are above the horizon,
+    stratified (scrambled Sobol). The first half is what a fit may see, the second half is held out; each half is
+    stratified by itself and in random order, so any prefix is well spread. Without a table the angles are the same for
+    all materials of the same `samples` and `seed`.
 
-    With a table, each draw moves to the centre of its bin, where its value was measured: nothing is interpolated.
-    Invalid bins are left out, and so are bins that an earlier draw has, since a held-out sample must not have been
-    seen; further draws replace them. Only the picture interpolates.
+    With a table, each draw moves to the centre of its bin, where its value was measured: nothing is interpolated. A
+    bin stands for phi_d and, by reciprocity, phi_d + pi: the sample is on the draw's side. Invalid bins are left out,
+    and so are bins that an earlier draw has, on either side, since a held-out sample must not have been seen; further
+    draws replace them. Only the picture interpolates.
 
     Args:
         name: of the material.
@@ -111,13 +113,16 @@ def _table_samples(name: str, table: Array, samples: int, seed: int) -> tuple[Te
         _, first = np.unique(bins[inside].numpy(), return_index=True)
         return inside[torch.from_numpy(np.sort(first))]
 
-    bins = merl_index(_pool(name, samples, seed, keep))
-    return merl_centres().reshape(-1, 3)[bins], torch.from_numpy(table.reshape(-1, 3)[bins.numpy()]).float()
+    draws = _pool(name, samples, seed, keep)
+    bins = merl_index(draws)
+    angles = merl_centres().reshape(-1, 3)[bins]
+    angles[:, 2] += torch.where(draws[:, 2] >= math.pi, math.pi, 0.0)
+    return angles, torch.from_numpy(table.reshape(-1, 3)[bins.numpy()]).float()
 
 
 def _pool(name: str, samples: int, seed: int, keep: Keep) -> Tensor:
     """The first `samples` draws [N, 3] rad that are kept, the order random within each half."""
-    extent = torch.tensor([math.pi / 2, math.pi / 2, math.pi])
+    extent = torch.tensor([math.pi / 2, math.pi / 2, 2 * math.pi])
     count = 4 * samples
     while True:
         draws = torch.quasirandom.SobolEngine(3, scramble=True, seed=seed).draw(count) * extent

@@ -39,7 +39,7 @@ from metapp.task import Task
 
 Split = Literal["train", "test"]
 COUNTS: dict[Split, int] = {"train": 80, "test": 20}
-VERSION = 2  # 2: pictures under an environment map
+VERSION = 3  # 2: pictures under an environment map; 3: phi_d over the full circle
 
 
 class Material(NamedTuple):

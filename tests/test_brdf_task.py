@@ -25,7 +25,7 @@ def table() -> np.ndarray:
 
 def discrepancy(angles: Tensor, cells: int) -> float:
     """Root mean square relative deviation from the mean count over a grid of cells well above the horizon."""
-    inside = angles[(angles[:, :2] < math.pi / 4).all(1)] / torch.tensor([math.pi / 4, math.pi / 4, math.pi])
+    inside = angles[(angles[:, :2] < math.pi / 4).all(1)] / torch.tensor([math.pi / 4, math.pi / 4, 2 * math.pi])
     bins = (inside * cells).long().clamp_max(cells - 1)
     counts = torch.bincount((bins[:, 0] * cells + bins[:, 1]) * cells + bins[:, 2], minlength=cells**3).float()
     return float((counts / counts.mean() - 1).square().mean().sqrt())
@@ -43,7 +43,9 @@ def test_an_analytic_task() -> None:
     angles = task.data["angles"]
     assert above_horizon(angles).all()
     assert (angles >= 0).all()
-    assert (angles <= torch.tensor([math.pi / 2, math.pi / 2, math.pi])).all()
+    assert (angles <= torch.tensor([math.pi / 2, math.pi / 2, 2 * math.pi])).all()
+    for half in angles.split(2048):  # seen and held out
+        assert float((half[:, 2] > math.pi).float().mean()) == pytest.approx(0.5, abs=0.02)
     torch.testing.assert_close(task.data["reflectance"], evaluate(angles))
     assert task.data["render"][48, 48, 3] == 1
     assert task.data["render"][0, 0].tolist() == [0, 0, 0, 0]
@@ -74,7 +76,10 @@ def test_table_samples_are_measured_values(table: np.ndarray) -> None:
     data = brdf_task("measured", table=table, samples=8192).data
     bins = merl_index(data["angles"])
     assert len(bins.unique()) == 8192  # nothing held out has been seen
-    assert torch.equal(data["angles"], merl_centres().reshape(-1, 3)[bins])
+    centres = merl_centres().reshape(-1, 3)[bins]
+    turned = data["angles"][:, 2] > math.pi  # the value of phi_d - pi, by reciprocity
+    torch.testing.assert_close(data["angles"], centres + turned[:, None] * torch.tensor([0, 0, math.pi]))
+    assert float(turned.float().mean()) == pytest.approx(0.5, abs=0.02)
     assert above_horizon(data["angles"]).all()
     assert merl_valid(table).reshape(-1)[bins.numpy()].all()
     assert torch.equal(data["reflectance"], torch.from_numpy(table.reshape(-1, 3)[bins.numpy()]).float())
