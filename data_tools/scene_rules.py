@@ -14,6 +14,7 @@ DEPTH = 64  # of elements or objects within each other
 PARTS = 200_000  # elements, or values
 TEXT = 2**20  # characters of one value
 
+_SAMPLES = 2**20
 _MEDIA = {"homogeneous", "heterogeneous"}
 _MEMORY = {"blender"}  # reads addresses in memory that a scene gives as numbers
 _REQUIRED = {"bitmap": "filename", "blendbsdf": "weight"}  # Mitsuba 3.9 ends the process without these
@@ -60,6 +61,12 @@ def checked_string(name: str, value: str, places: Places) -> str:
     if name == "material" and value != "none" and not (own_folder() / f"data/ior/{value}.eta.spd").is_file():
         raise ValueError(f"a material {value[:60]!r}, expected one of Mitsuba's own; change it.")
     return value
+
+
+def check_samples(name: str, value: float) -> None:
+    """Refuse a count of samples that some of Mitsuba's samplers never come to an end with; paths here need none."""
+    if name == "sample_count" and value > _SAMPLES:
+        raise ValueError(f"a 'sample_count' of {value:.0f}, expected {_SAMPLES:,} at most; lower it.")
 
 
 class CheckedDict:
@@ -109,6 +116,8 @@ class CheckedDict:
                 f"a value of {key[:40]!r}, {_shown(value)}, expected a finite number, text, true, false, three "
                 "numbers, a matrix or an object; change it."
             )
+        if _is_number(value):
+            check_samples(key, value)
         return value
 
     def _check_plain(self, kind: str, scene: dict[str, Any]) -> None:

@@ -13,7 +13,7 @@ from xml.etree.ElementTree import Element, tostring
 from xml.parsers import expat
 
 from data_tools.scene_files import TEXT_BYTES, Places
-from data_tools.scene_rules import DEPTH, PARTS, TEXT, check_plugin, checked_string
+from data_tools.scene_rules import DEPTH, PARTS, TEXT, check_plugin, check_samples, checked_string
 
 _OBJECTS = {"bsdf", "emitter", "film", "integrator", "medium", "phase", "rfilter", "sampler", "sensor", "shape",
             "texture", "volume"}  # fmt: skip
@@ -93,6 +93,8 @@ class _Reader:
         self.characters += sum(map(len, made.values()))
         if self.parts > PARTS or self.characters > TEXT_BYTES:
             raise ValueError(f"more than {PARTS:,} elements or {TEXT_BYTES:,} characters; put meshes in files.")
+        if source.tag == "integer" and re.fullmatch(r"\s*\d{1,20}\s*", made.get("value", "")):
+            check_samples(made.get("name", ""), int(made["value"]))
         if source.tag == "string":
             made["value"] = checked_string(made.get("name", ""), made.get("value", ""), places)
         elif "filename" in made:  # of a spectrum

@@ -205,6 +205,8 @@ BAD: dict[str, tuple[str, str]] = {
     "bitmap.xml": (xml('<bsdf type="diffuse"><texture name="a" type="bitmap"/></bsdf>'), "without 'filename'"),
     "blend.xml": (xml('<bsdf type="blendbsdf" id="a"/>'), "a plugin 'blendbsdf' without 'weight'"),
     "version.xml": (xml(version="3;rm"), "a version '3;rm'"),
+    "samples.xml": (xml('<sampler type="ldsampler"><integer name="sample_count" value="4000000"/></sampler>'), "sam"),
+    "samples.json": (in_json({"type": "ldsampler", "sample_count": 4e9}), "a 'sample_count' of 4000000000, expected"),
     "null.json": (in_json({**SPHERE, "radius": None}), "a value of 'radius', None"),
     "null-type.json": (in_json({"type": None}), "an object of type None"),
     "null-top.json": (in_json(None), "a value of 'more', None"),
