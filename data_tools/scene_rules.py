@@ -33,6 +33,11 @@ def _plugins() -> frozenset[str]:
     return frozenset(path.stem for path in (own_folder() / "plugins").iterdir())
 
 
+@functools.cache
+def _materials() -> frozenset[str]:
+    return frozenset(path.name.removesuffix(".eta.spd") for path in (own_folder() / "data/ior").glob("*.eta.spd"))
+
+
 def check_plugin(kind: str, given: set[str]) -> None:
     """Refuse all but plugins that Mitsuba ships and that paths can be traced with.
 
@@ -58,7 +63,7 @@ def checked_string(name: str, value: str, places: Places) -> str:
         return str(places.file(value))
     if len(value) > TEXT or not value.isascii() or not value.isprintable() or set("/\\$") & set(value) or ".." in value:
         raise ValueError(f"a parameter {name[:40]!r} of {value[:60]!r}, expected plain text, no path; change it.")
-    if name == "material" and value != "none" and not (own_folder() / f"data/ior/{value}.eta.spd").is_file():
+    if name == "material" and value != "none" and value not in _materials():
         raise ValueError(f"a material {value[:60]!r}, expected one of Mitsuba's own; change it.")
     return value
 

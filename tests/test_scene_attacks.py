@@ -186,6 +186,7 @@ BAD: dict[str, tuple[str, str]] = {
     "address.xml": (xml('<shape type="blender"><string name="verts" value="4096"/></shape>'), "a plugin 'blender'"),
     "material.xml": (xml(MATERIAL.format("../../../../tmp/x")), "expected plain text, no path"),
     "metal.xml": (xml(MATERIAL.format("x")), "a material 'x', expected one of Mitsuba's own"),
+    "long.xml": (xml(MATERIAL.format("x" * 250)), "a material 'x"),
     "passwd.xml": (xml(FILE.format("/etc/passwd")), "names the file '/etc/passwd' outside.*--scene-root /etc"),
     "dots.xml": (xml(FILE.format("../../../../../../../../../etc/passwd")), "outside the scene's folder"),
     "link.xml": (xml(FILE.format("link")), "names the file 'link' outside the scene's folder"),

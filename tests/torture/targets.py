@@ -203,9 +203,9 @@ def _read_start(folder: Path, file: Path) -> None:
 def _read_records(folder: Path, file: Path) -> None:
     """As a run that goes on, whose table shows all finished tasks."""
     from metapp.cli.fit import summary
-    from metapp.records import RunFolder
+    from metapp.records import FIT, RunFolder
 
-    records = RunFolder(folder, {"app": "brdf", "steps": 10}).finished()
+    records = RunFolder(folder, {"app": "brdf", "steps": 10}, FIT).finished()
     for name, record in records.items():
         numbers = [record["seconds"], *([] if record["error"] is None else [record["error"]])]
         if not isinstance(name, str) or not all(math.isfinite(number) for number in numbers):
