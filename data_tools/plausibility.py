@@ -18,7 +18,7 @@ _RINGS, _TURNS = 256, 16
 
 
 def warn_implausible(source: Path, task: Task, evaluate: Callable[[Tensor], Tensor]) -> None:
-    """One warning where no material reflects so: the same everywhere, nothing, far too bright, more than comes in.
+    """One warning where no material reflects so: nothing, far too bright, or more than comes in.
 
     Args:
         source: named in the warning.
@@ -34,8 +34,6 @@ def warn_implausible(source: Path, task: Task, evaluate: Callable[[Tensor], Tens
         found, expected = f"reflectance of up to {high:.3g} /sr", f"at most {HIGHEST:g}"
     elif albedo > REFLECTED:
         found, expected = f"{albedo:.3g} times the light that comes in from above is reflected", "at most all of it"
-    elif torch.equal(reflectance.amin(0), reflectance.amax(0)):
-        found, expected = f"the same reflectance in all directions, up to {high:.3g} /sr", "one that varies"
     else:
         return
     warnings.warn(f"{source}: {found}, expected {expected}; is it damaged, or in another unit?", stacklevel=2)

@@ -25,7 +25,7 @@ def constant_network(folder: Path, reflectance: float) -> Path:
 
 @pytest.mark.parametrize(
     ("reflectance", "said"),
-    [(0.0, "reflectance 0 everywhere"), (0.1, "the same"), (1.0, "3.14 times the light"), (1e30, "up to 1e+30 /sr")],
+    [(0.0, "reflectance 0 everywhere"), (1.0, "3.14 times the light"), (1e30, "up to 1e+30 /sr")],
 )
 def test_conversions_and_fits_warn_once(metapp: Callable, tmp_path: Path, reflectance: float, said: str) -> None:
     folder = constant_network(tmp_path / "gold", reflectance)
@@ -37,6 +37,12 @@ def test_conversions_and_fits_warn_once(metapp: Callable, tmp_path: Path, reflec
         assert line.startswith("warning: ")
         assert said in line
         assert "gold" in line
+
+
+def test_a_diffuse_surface_is_not_warned_of(tmp_path: Path) -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        read_network(constant_network(tmp_path / "plaster", 0.25), samples=64)
 
 
 def test_a_merl_file_of_absurd_values_is_warned_of(tmp_path: Path) -> None:

@@ -111,12 +111,11 @@ def _kill_one(
         if time.monotonic() > ends:
             report.notice(f"{part}: {points - point} kill points left out, the time was over")
             break
-        moment, number = (
-            rng.uniform(*rng.choice(_SPANS)) * seconds,
-            rng.choice((signal.SIGKILL,) * 3 + (signal.SIGTERM,)),
-        )
-        moments.append(f"{number.name} after {moment:.2f} s")
-        _kill(report, part, command, moment, number)
+        moment = rng.uniform(*rng.choice(_SPANS)) * seconds
+        number = rng.choice((signal.SIGKILL,) * 3 + (signal.SIGTERM,))
+        files = rng.randint(1, 2 * len(expected) + 1) if rng.random() < 0.5 else None
+        moments.append(f"{number.name} after {f'{files} names of files' if files else f'{moment:.2f} s'}")
+        _kill(report, part, command, moment, number, (out, files) if files else None)
         if (point + 1) % _A_ROW and point + 1 < points:
             continue
         ended = commands.run(report, part, command, (0,))
@@ -127,9 +126,33 @@ def _kill_one(
         moments = []
 
 
-def _kill(report: Report, part: str, command: list[Any], moment: float, number: signal.Signals) -> None:
+def _wait_for_files(process: Any, out: Path, count: int) -> None:
+    """Wait until so many further names of files were seen in a folder, temporary ones too, or the process has ended."""
+    before = _files_in(out)
+    seen: set[str] = set()
+    ends = time.monotonic() + commands.SECONDS
+    while len(seen) < count and process.poll() is None and time.monotonic() < ends:
+        seen |= _files_in(out) - before
+
+
+def _files_in(out: Path) -> set[str]:
+    return {os.path.join(folder, name) for folder, _, names in os.walk(out) for name in names}
+
+
+def _kill(
+    report: Report,
+    part: str,
+    command: list[Any],
+    moment: float,
+    number: signal.Signals,
+    files: tuple[Path, int] | None = None,
+) -> None:
+    """Start a command and kill it after some seconds, or as soon as so many files were seen in a folder."""
     report.count(f"{part} (points)")
     process = commands.start(command)
+    if files:
+        _wait_for_files(process, *files)
+        moment = 0.0
     try:
         output = process.communicate(timeout=moment)[0]
     except commands.subprocess.TimeoutExpired:
