@@ -156,7 +156,7 @@ def _kill(
     try:
         output = process.communicate(timeout=moment)[0]
     except commands.subprocess.TimeoutExpired:
-        os.kill(process.pid, number)
+        process.send_signal(number)
         try:
             output = process.communicate(timeout=60)[0]
         except commands.subprocess.TimeoutExpired:
