@@ -218,7 +218,7 @@ def test_every_protocol_has_a_table_of_its_own(on_data: Callable, tmp_path: Path
     text = on_data("evaluate", "brdf", "--no-run", "--format", "markdown").out
     assert "| brdf reference | general |" in text
     assert "| brdf photo | meta |" in text
-    assert "\nbrdf photo: Meta's error is " in text
+    assert "\n- brdf photo: Meta's error is " in text
     assert "brdf reference: gap closed" in text
     for form in ("latex", "csv"):
         assert on_data("evaluate", "brdf", "--no-run", "--format", form).code == 0

