@@ -346,7 +346,7 @@ def test_files_are_the_maps_and_other_lights(sources: list[Task]) -> None:
     normal = (files["normal"] * 2 - 1).permute(2, 0, 1)
     maps = Maps(
         srgb_to_linear(files["diffuse"]).permute(2, 0, 1),
-        files["specular"].permute(2, 0, 1),
+        srgb_to_linear(files["specular"]).permute(2, 0, 1),
         files["roughness"].permute(2, 0, 1),
         normal,
     )

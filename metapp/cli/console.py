@@ -72,7 +72,7 @@ def one_line(message: str) -> str:
     """A message without control characters, its long paths cut, then its middle: the ends hold subject and remedy."""
     text = "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in message)
     if len(text) > LONGEST:
-        text = re.sub(r"\S{60,}", lambda word: f"...{word[0][-45:]}", text)  # long paths: their ends tell most
+        text = re.sub(r"[^\s(]{60,}", lambda word: f"...{word[0][-45:]}", text)  # long paths: their ends tell most
     half = (LONGEST - 5) // 2
     return text if len(text) <= LONGEST else f"{text[:half]} ... {text[-half:]}"
 
