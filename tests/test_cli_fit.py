@@ -105,10 +105,10 @@ def test_a_start_trained_on_this_data_is_found_again_and_said(fit: Callable) -> 
 def test_quickft_is_tuned_for_its_encoder(
     fit: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, short: Recipe
 ) -> None:
-    # a recipe that hardly moves, and a search that looks at one other
-    monkeypatch.setitem(APP.recipes, "quick", replace(short, quickft=Adam(1e-9)))
-    monkeypatch.setattr("metapp.paradigms.prepare.SEARCHED", ([{"beta1": 0.3, "rate": 1e6}],))
-    assert fit("general", "--train", "--train-steps", "60").code == 0
+    # a recipe that moves too far, and a search that looks at one other
+    monkeypatch.setitem(APP.recipes, "quick", replace(short, quickft=Adam(1.0)))
+    monkeypatch.setattr("metapp.paradigms.prepare.SEARCHED", ([{"beta1": 0.3, "rate": 1e-7}],))
+    assert fit("general", *STEPS).code == 0
     assert "no Adam was tuned" in fit("quickft").err
     tuned = fit("quickft", "--train")
     assert tuned.code == 0
