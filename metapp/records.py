@@ -171,7 +171,7 @@ class RunFolder:
 
     def params(self, task: str) -> Path:
         """The file of a task's parameters."""
-        return self.path / "params" / f"{file_name(task)}.safetensors"
+        return _params(self.path, task)
 
     def theta(self, task: str) -> dict[str, Tensor]:
         """A task's parameters.
@@ -188,13 +188,17 @@ def read_theta(folder: Path, task: str) -> dict[str, Tensor]:
     Raises:
         ValueError: their file is missing or damaged.
     """
-    path = folder / "params" / f"{file_name(task)}.safetensors"
+    path = _params(folder, task)
     try:
         return load_file(path)
     except (SafetensorError, OSError) as error:
         raise ValueError(
             f"{path}: fitted parameters not readable ({error}); remove record.jsonl in {folder.name} to fit anew."
         ) from None
+
+
+def _params(folder: Path, task: str) -> Path:
+    return folder / "params" / f"{file_name(task)}.safetensors"
 
 
 def read_records(path: Path, form: dict[str, Any] | None = None) -> list[dict[str, Any]]:

@@ -61,8 +61,8 @@ def badge(rows: list[Row]) -> str:
     elif not won:
         said = "no win over QuickFT"
     else:
-        lower = by["meta"]["error"] < by["quickft"]["error"]
-        kind, said = (" win", "ahead of QuickFT") if lower else (" loss", "behind QuickFT")
+        ahead = found.value < found.level
+        kind, said = (" win", "ahead of QuickFT") if ahead else (" loss", "behind QuickFT")
     figures = f"{found.kind} of errors {paired_text(found)}, ahead on {found.ahead} of {found.tasks} tasks"
     return f'<span class="badge{kind}">{said}</span> <small>{escape(figures)}</small>'
 

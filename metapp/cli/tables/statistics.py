@@ -83,6 +83,11 @@ class Paired(NamedTuple):
     groups: int
     kind: str
 
+    @property
+    def level(self) -> float:
+        """The value of two paradigms that are equally good."""
+        return 1.0 if self.kind == "ratio" else 0.0
+
 
 def paired(
     one: Mapping[str, float], other: Mapping[str, float], groups: Mapping[str, str], *, logarithmic: bool
@@ -135,7 +140,7 @@ def apart(found: Paired | None) -> bool | None:
     """Whether two paradigms differ by more than chance; None where that is not known, or on too few tasks to tell."""
     if found is None or found.groups < FEWEST:
         return None
-    return not found.low <= (1.0 if found.kind == "ratio" else 0.0) <= found.high
+    return not found.low <= found.level <= found.high
 
 
 def paired_text(found: Paired | None) -> str:
@@ -186,8 +191,7 @@ def verdict(row: Row, other: str = "quickft") -> str:
         return f"{said}; {found.groups} different tasks, fewer than {FEWEST}, are too few to call a win"
     if not won:
         return f"{said}; no win"
-    lower = found.value < (1.0 if found.kind == "ratio" else 0.0)
-    return f"{said}; {one if lower else other} wins"
+    return f"{said}; {one if found.value < found.level else other} wins"
 
 
 def warned(rows: Sequence[Row]) -> list[str]:
