@@ -11,18 +11,11 @@ import torch
 
 from data_tools import synthetic_transport
 from data_tools.cornell import scene_of
-from data_tools.mitsuba_variant import choose_llvm
 from data_tools.synthetic_transport import COUNTS, cornell_tasks, synthetic_tasks
 from metapp.cli.embedded import embedded_data, split_counts
 from metapp.manifest import read_manifest
 from metapp.shards import check_shard, read_shard
-
-try:
-    choose_llvm()  # while the tests are collected: whichever of them first imports Mitsuba decides which it takes
-    MISSING = ""
-except ValueError as error:
-    MISSING = str(error)
-needs_mitsuba = pytest.mark.skipif(bool(MISSING), reason=MISSING)
+from tests.needs_mitsuba import needs_mitsuba
 
 FEW = ("--samples", "200", "--held", "50")
 

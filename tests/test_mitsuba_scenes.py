@@ -13,15 +13,8 @@ import torch
 from data_tools import mitsuba_variant
 from data_tools.cornell import random_scene, scene_of
 from data_tools.mitsuba_scenes import find, read_scene, read_task, recognises
-from data_tools.mitsuba_variant import choose_llvm
 from data_tools.path_space import Tracer
-
-try:
-    choose_llvm()  # while the tests are collected: whichever of them first imports Mitsuba decides which it takes
-    MISSING = ""
-except ValueError as error:
-    MISSING = str(error)
-needs_mitsuba = pytest.mark.skipif(bool(MISSING), reason=MISSING)
+from tests.needs_mitsuba import needs_mitsuba
 
 LAMP = '<emitter type="area"><rgb name="radiance" value="4 4 4"/></emitter>'
 CAMERA = """<sensor type="perspective"><float name="fov" value="45"/>

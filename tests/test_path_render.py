@@ -9,16 +9,11 @@ import torch
 from torch import Tensor
 
 from data_tools.cornell import random_scene, scene_bytes, scene_of
-from data_tools.mitsuba_variant import choose_llvm
 from data_tools.path_render import Guide, reference, render
 from data_tools.path_space import Tracer
+from tests.needs_mitsuba import needs_mitsuba
 
-try:
-    choose_llvm()  # while the tests are collected: whichever of them first imports Mitsuba decides which it takes
-    MISSING = ""
-except ValueError as error:
-    MISSING = str(error)
-pytestmark = pytest.mark.skipif(bool(MISSING), reason=MISSING)
+pytestmark = needs_mitsuba
 
 RUNS, SIZE, SPP = 8, 8, 512
 

@@ -10,16 +10,10 @@ import torch
 from torch import Generator, Tensor
 
 from data_tools.cornell import random_scene
-from data_tools.mitsuba_variant import choose_llvm, load_mitsuba
+from data_tools.mitsuba_variant import load_mitsuba
 from data_tools.path_space import IMAGE, Tracer, path_samples
 from data_tools.scene_loading import brightness, load_scene
-
-try:
-    choose_llvm()  # while the tests are collected: whichever of them first imports Mitsuba decides which it takes
-    MISSING = ""
-except ValueError as error:
-    MISSING = str(error)
-needs_mitsuba = pytest.mark.skipif(bool(MISSING), reason=MISSING)
+from tests.needs_mitsuba import MISSING, needs_mitsuba
 
 CELLS = 8  # of the film, per side
 

@@ -19,17 +19,12 @@ from typer.testing import CliRunner
 
 from data_tools.cornell import random_scene, scene_of
 from data_tools.mitsuba_scenes import read_scene, read_task
-from data_tools.mitsuba_variant import choose_llvm
 from data_tools.path_space import Tracer
 from data_tools.scene_loading import load_scene
 from metapp.cli.commands import app as cli
+from tests.needs_mitsuba import needs_mitsuba
 
-try:
-    choose_llvm()  # while the tests are collected: whichever of them first imports Mitsuba decides which it takes
-    MISSING = ""
-except ValueError as error:
-    MISSING = str(error)
-pytestmark = pytest.mark.skipif(bool(MISSING), reason=MISSING)
+pytestmark = needs_mitsuba
 
 ROOT = Path(__file__).parent.parent
 EVIL = '__attribute__((constructor)) static void run(void) { fclose(fopen(MARK, "w")); }'

@@ -12,19 +12,12 @@ import torch
 from torch import Tensor
 
 from data_tools import second_scene
-from data_tools.mitsuba_variant import choose_llvm
 from data_tools.second_scene import GLOSSY_CENTRE, MATTE_CENTRE, direct, relight, transfer
 from metapp import latlong
+from tests.needs_mitsuba import needs_mitsuba
 
 ROWS, COLUMNS = 16, 32
 SUNS = [(3, 3), (4, 11), (3, 20), (4, 28)]  # texels, 40 to 50 degrees above the horizon, all round
-
-try:
-    choose_llvm()  # while the tests are collected: whichever of them first imports Mitsuba decides which it takes
-    MISSING = ""
-except ValueError as error:
-    MISSING = str(error)
-needs_mitsuba = pytest.mark.skipif(bool(MISSING), reason=MISSING)
 
 
 @pytest.fixture(scope="module")

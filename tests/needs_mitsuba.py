@@ -1,0 +1,12 @@
+"""The mark of tests that render: they are skipped where there is no libLLVM that Mitsuba can take."""
+
+import pytest
+
+from data_tools.mitsuba_variant import choose_llvm
+
+try:
+    choose_llvm()  # while the tests are collected: whichever of them first imports Mitsuba decides which it takes
+    MISSING = ""
+except ValueError as error:
+    MISSING = str(error)
+needs_mitsuba = pytest.mark.skipif(bool(MISSING), reason=MISSING)
