@@ -31,7 +31,7 @@ test: setup  ## the tests on up to four cores, four to nine minutes on two
 	$(VENV)/bin/python -m pytest -m "not slow" -n auto --maxprocesses 4 --dist worksteal
 
 test-slow: setup  ## the tests that take minutes each
-	$(VENV)/bin/python -m pytest -m slow
+	$(VENV)/bin/python -m pytest -m slow -o faulthandler_timeout=3600
 
 torture: setup  ## attempts to break metapp: mutated files, kills, full disks; under 30 minutes, docs/reliability.md
 	$(VENV)/bin/python -m tests.torture

@@ -13,6 +13,7 @@ from typing import Any
 
 OLDEST = 19  # 15 and 16 abort the process at the first render, which no `except` can catch; 14 is refused
 VARIABLE = "DRJIT_LIBLLVM_PATH"  # where Dr.Jit, below Mitsuba, looks for the library
+THREADS = 2  # at least: Mitsuba hands parts of EXR files to other threads and waits for ever where there is none
 REMEDY = f"apt-get install libllvm19 libatomic1, or point {VARIABLE} at such a library"
 # Debian and Ubuntu, Fedora, others, macOS
 _PLACES = ("/usr/lib/*-linux-gnu", "/usr/lib/llvm-*/lib", "/usr/lib64", "/usr/lib64/llvm*/lib*", "/usr/lib",
@@ -21,6 +22,8 @@ _PLACES = ("/usr/lib/*-linux-gnu", "/usr/lib/llvm-*/lib", "/usr/lib64", "/usr/li
 
 def load_mitsuba() -> Any:
     """Import Mitsuba: in the variant cuda_ad_rgb where torch has a GPU, else in llvm_ad_rgb with as many threads.
+
+    There are two threads at least, also where torch has one.
 
     Returns:
         The module `mitsuba`. The variant is the whole program's: what needs another one sets it again.
@@ -46,7 +49,7 @@ def load_mitsuba() -> Any:
         )
     mitsuba.set_variant("cuda_ad_rgb" if on_gpu else "llvm_ad_rgb")
     _own_plugins_only(mitsuba)
-    drjit.set_thread_count(torch.get_num_threads())
+    drjit.set_thread_count(max(THREADS, torch.get_num_threads()))
     return mitsuba
 
 

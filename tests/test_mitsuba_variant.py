@@ -11,6 +11,7 @@ import pytest
 
 from data_tools import mitsuba_variant
 from data_tools.mitsuba_variant import OLDEST, VARIABLE, find_llvm, llvm_version
+from tests.needs_mitsuba import needs_mitsuba
 
 SYSTEM = sorted(path for place in mitsuba_variant._PLACES for path in Path("/").glob(f"{place[1:]}/libLLVM[-.]*"))
 
@@ -106,3 +107,20 @@ def test_a_mitsuba_that_took_an_old_library_is_refused_before_it_can_abort() -> 
         env={**os.environ, VARIABLE: str(old[0])},
     )
     assert "imported before with libLLVM" in done.stdout
+
+
+@needs_mitsuba
+def test_exr_files_are_written_and_read_where_torch_has_one_thread(tmp_path: Path) -> None:
+    """Mitsuba waits for a thread of Dr.Jit's pool, which has one less than it is told."""
+    lines = "import sys, numpy, torch\nfrom data_tools.mitsuba_variant import load_mitsuba\ntorch.set_num_threads(1)\n"
+    lines += "mi = load_mitsuba()\nmi.Bitmap(numpy.ones((64, 32, 3), 'float32')).write(sys.argv[1])\n"
+    lines += "print(mi.Bitmap(sys.argv[1]).size())"
+    done = subprocess.run(
+        [sys.executable, "-c", lines, tmp_path / "a.exr"],
+        capture_output=True,
+        text=True,
+        check=True,
+        cwd=Path(__file__).parent.parent,
+        timeout=120,
+    )
+    assert done.stdout.strip() == "[32, 64]"

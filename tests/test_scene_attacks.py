@@ -19,6 +19,7 @@ from typer.testing import CliRunner
 
 from data_tools.cornell import random_scene, scene_of
 from data_tools.mitsuba_scenes import read_scene, read_task
+from data_tools.mitsuba_variant import load_mitsuba
 from data_tools.path_space import Tracer
 from data_tools.scene_loading import load_scene
 from metapp.cli.commands import app as cli
@@ -331,9 +332,9 @@ def document(*parts: str) -> str:
 
 
 def picture(path: Path, tmp_path: Path) -> Path:
-    import mitsuba as mi
     import numpy as np
 
+    mi = load_mitsuba()
     path.parent.mkdir(parents=True, exist_ok=True)
     values = np.linspace(0.2, 2, 8 * 16 * 3, dtype=np.float32).reshape(8, 16, 3)
     mi.Bitmap(values if path.suffix == ".exr" else (values * 100).astype(np.uint8)).write(str(path))
