@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import math
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import torch
@@ -33,6 +34,7 @@ def brdf_task(
     table: Array | None = None,
     samples: int = 65536,
     seed: int = 0,
+    source: str | Path = "",
 ) -> Task:
     """Make the task of one material.
 
@@ -53,6 +55,7 @@ def brdf_task(
         table: a MERL table [90, 90, 180, 3], as `read_merl` returns it.
         samples: N, 2 or more.
         seed: of the draws.
+        source: the file that errors name; the material's name where there is none.
 
     Returns:
         A task with angles [N, 3] rad, reflectance [N, 3] in 1/sr, linear RGB, >= 0, and of the sphere render
@@ -62,15 +65,16 @@ def brdf_task(
         ValueError: neither or both of evaluate and table; too few samples, or more than the table has valid bins for;
             reflectance of another shape, or not finite.
     """
+    source = source or name
     if (evaluate is None) == (table is None):
         found = "neither a function to evaluate nor a table" if table is None else "a function to evaluate and a table"
-        raise ValueError(f"{name}: {found}, expected one of the two.")
+        raise ValueError(f"{source}: {found}, expected one of the two.")
     if samples < 2:
-        raise ValueError(f"{name}: {samples} samples, expected 2 or more.")
+        raise ValueError(f"{source}: {samples} samples, expected 2 or more.")
     shade: Callable[[Tensor], Tensor]
     with torch.no_grad():
         if table is not None:
-            angles, reflectance = _table_samples(name, table, samples, seed)
+            angles, reflectance = _table_samples(source, table, samples, seed)
             # Interpolation gathers at random: channels side by side and half the bytes are faster.
             shade = functools.partial(merl_evaluate, torch.from_numpy(table.astype(np.float32, order="C")))
         else:
@@ -80,14 +84,14 @@ def brdf_task(
             shade = evaluate
         if reflectance.shape != angles.shape:
             raise ValueError(
-                f"{name}: reflectance {tuple(reflectance.shape)}, expected {tuple(angles.shape)}: RGB for each sample."
+                f"{source}: reflectance {tuple(reflectance.shape)}, expected {tuple(angles.shape)}: RGB for each sample."
             )
         render = shade_sphere(reference_scene(), shade).float()
         environment = shade_sphere(environment_scene(), shade).float()
     for subject, values in (("samples", reflectance), ("sphere", render), ("sphere", environment)):
         bad = int((~torch.isfinite(values)).sum())
         if bad:
-            raise ValueError(f"{name}: {bad:,} values of the {subject} are NaN or infinite, expected finite ones.")
+            raise ValueError(f"{source}: {bad:,} values of the {subject} are NaN or infinite, expected finite ones.")
     pictures = {"render": render, "environment": environment}
     return Task(name, {"angles": angles, "reflectance": reflectance.clamp_min(0), **pictures})
 
@@ -98,14 +102,14 @@ def _analytic_angles(samples: int, seed: int) -> Tensor:
     return _pool("samples", samples, seed, lambda draws: above_horizon(draws).nonzero()[:, 0])
 
 
-def _table_samples(name: str, table: Array, samples: int, seed: int) -> tuple[Tensor, Tensor]:
+def _table_samples(source: str | Path, table: Array, samples: int, seed: int) -> tuple[Tensor, Tensor]:
     """Angles [N, 3] rad and reflectance [N, 3] of distinct valid bins."""
     if table.shape != (*SHAPE, 3):
-        raise ValueError(f"{name}: table {table.shape}, expected {(*SHAPE, 3)}, as read_merl returns it.")
+        raise ValueError(f"{source}: table {table.shape}, expected {(*SHAPE, 3)}, as read_merl returns it.")
     allowed = torch.from_numpy(merl_valid(table)).reshape(-1) & _bins_above_horizon()
     available = int(allowed.sum())
     if samples > available:
-        raise ValueError(f"{name}: {available:,} valid bins, expected {samples:,} or more; ask for fewer samples.")
+        raise ValueError(f"{source}: {available:,} valid bins, expected {samples:,} or more; ask for fewer samples.")
 
     def keep(draws: Tensor) -> Tensor:
         bins = merl_index(draws)
@@ -113,14 +117,14 @@ def _table_samples(name: str, table: Array, samples: int, seed: int) -> tuple[Te
         _, first = np.unique(bins[inside].numpy(), return_index=True)
         return inside[torch.from_numpy(np.sort(first))]
 
-    draws = _pool(name, samples, seed, keep)
+    draws = _pool(source, samples, seed, keep)
     bins = merl_index(draws)
     angles = merl_centres().reshape(-1, 3)[bins]
     angles[:, 2] += torch.where(draws[:, 2] >= math.pi, math.pi, 0.0)
     return angles, torch.from_numpy(table.reshape(-1, 3)[bins.numpy()]).float()
 
 
-def _pool(name: str, samples: int, seed: int, keep: Keep) -> Tensor:
+def _pool(source: str | Path, samples: int, seed: int, keep: Keep) -> Tensor:
     """The first `samples` draws [N, 3] rad that are kept, the order random within each half."""
     extent = torch.tensor([math.pi / 2, math.pi / 2, 2 * math.pi])
     count = 4 * samples
@@ -131,7 +135,7 @@ def _pool(name: str, samples: int, seed: int, keep: Keep) -> Tensor:
             break
         if count > _MAX_DRAWS * samples:
             raise ValueError(
-                f"{name}: {len(kept):,} valid samples in {count:,} draws, expected {samples:,}; ask for fewer samples."
+                f"{source}: {len(kept):,} valid samples in {count:,} draws, expected {samples:,}; ask for fewer samples."
             )
         count *= 4
     rng = torch.Generator().manual_seed(seed)

@@ -105,7 +105,7 @@ def read_task(path: Path, samples: int = 65_536) -> Task:
     from data_tools.brdf_task import brdf_task  # it builds on this module
 
     table = read_merl(path)
-    task = brdf_task(path.stem, table=table, samples=samples)
+    task = brdf_task(path.stem, table=table, samples=samples, source=path)
     warn_implausible(path, task, partial(merl_evaluate, table))
     return task
 

@@ -91,7 +91,7 @@ def read_task(path: Path, samples: int = 65_536) -> Task:
         ValueError: as `read_nbrdf`.
     """
     evaluate = partial(nbrdf_evaluate, read_nbrdf(path))
-    task = brdf_task(path.resolve().name, evaluate, samples=samples)
+    task = brdf_task(path.resolve().name, evaluate, samples=samples, source=path)
     warn_implausible(path, task, evaluate)
     return task
 
