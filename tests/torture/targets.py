@@ -165,7 +165,8 @@ def _read_shard(folder: Path, file: Path) -> None:
     check_shard(folder)
     tasks = tasks_to_fit(app, [], folder, True)[0]
     for task in tasks:
-        finite(task, environment=(48, 48, 4))
+        # the picture of the environment is optional
+        finite(task, **({"environment": (48, 48, 4)} if "environment" in task.data else {}))
     stack(app, tasks)
 
 
