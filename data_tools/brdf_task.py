@@ -84,7 +84,7 @@ def brdf_task(
             shade = evaluate
         if reflectance.shape != angles.shape:
             raise ValueError(
-                f"{source}: reflectance {tuple(reflectance.shape)}, expected {tuple(angles.shape)}: RGB for each sample."
+                f"{source}: reflectance {tuple(reflectance.shape)}, expected {tuple(angles.shape)}: RGB of a sample."
             )
         render = shade_sphere(reference_scene(), shade).float()
         environment = shade_sphere(environment_scene(), shade).float()
@@ -109,7 +109,7 @@ def _table_samples(source: str | Path, table: Array, samples: int, seed: int) ->
     allowed = torch.from_numpy(merl_valid(table)).reshape(-1) & _bins_above_horizon()
     available = int(allowed.sum())
     if samples > available:
-        raise ValueError(f"{source}: {available:,} valid bins, expected {samples:,} or more; ask for fewer samples.")
+        raise ValueError(f"{source}: {available:,} valid bins, expected {samples:,} or more; take fewer samples.")
 
     def keep(draws: Tensor) -> Tensor:
         bins = merl_index(draws)
@@ -135,7 +135,7 @@ def _pool(source: str | Path, samples: int, seed: int, keep: Keep) -> Tensor:
             break
         if count > _MAX_DRAWS * samples:
             raise ValueError(
-                f"{source}: {len(kept):,} valid samples in {count:,} draws, expected {samples:,}; ask for fewer samples."
+                f"{source}: {len(kept):,} valid samples in {count:,} draws, expected {samples:,}; take fewer samples."
             )
         count *= 4
     rng = torch.Generator().manual_seed(seed)

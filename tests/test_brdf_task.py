@@ -110,7 +110,7 @@ def test_few_valid_bins() -> None:
         brdf_task("few", table=table, samples=50_000)
     table[:] = -SCALE
     table[0, 0] = 1.0  # a sliver that draws hardly ever hit
-    with pytest.raises(ValueError, match=r"few: [0-9,]+ valid samples in [0-9,]+ draws, expected 100; ask for fewer"):
+    with pytest.raises(ValueError, match=r"few: [0-9,]+ valid samples in [0-9,]+ draws, expected 100; take fewer"):
         brdf_task("few", table=table, samples=100)
 
 
