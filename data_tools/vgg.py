@@ -29,8 +29,8 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import load_file, save_file
 from torch import Tensor
 
-from metapp.features import BLOCKS, weights_path
-from metapp.files import PARTIAL, cache_folder, write_atomically
+from metapp.appearance.features import BLOCKS, weights_path
+from metapp.storage.files import PARTIAL, cache_folder, write_atomically
 
 # torchvision names a file by the first digits of its SHA-256; of VGG-19's, those are all that is published
 TORCHVISION = {"vgg16": "vgg16-397923af.pth", "vgg19": "vgg19-dcbb9e9d.pth"}
@@ -287,7 +287,7 @@ def _forms(which: str) -> str:
 def read_safetensors(path: Path) -> Read:
     """Weights named as in the cache, `conv0.weight`, or as torchvision names them, `features.0.weight`.
 
-    Any are taken; `metapp.features.describe_features` says of which it does not know that they are ImageNet's.
+    Any are taken; `metapp.appearance.features.describe_features` says of which it does not know that they are ImageNet's.
     """
     try:
         weights = load_file(path)

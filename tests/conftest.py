@@ -15,12 +15,12 @@ import pytest
 import torch
 from torch import Tensor
 
-from data_tools.nbrdf import SHAPES
-from data_tools.second_scene import matrix_path
-from metapp.features import weights_path
-from metapp.flash import camera_distance
-from metapp.geometry import above_horizon
-from metapp.task import Recipe, Training
+from data_tools.formats.nbrdf import SHAPES
+from metapp.appearance.features import weights_path
+from metapp.appearance.flash import camera_distance
+from metapp.appearance.geometry import above_horizon
+from metapp.learning.recipe import Recipe, Training
+from metapp.rendering.second_scene import matrix_path
 
 
 class Result(NamedTuple):
@@ -202,7 +202,7 @@ def short_by_protocol(monkeypatch: pytest.MonkeyPatch) -> Callable[[dict[str, di
                 setup=setup,
             )
             monkeypatch.setitem(of_protocol, "quick", short_one)
-        monkeypatch.setattr("metapp.paradigms.prepare.can_compile", lambda: False)
+        monkeypatch.setattr("metapp.paradigms.training.can_compile", lambda: False)
 
     return shorten
 

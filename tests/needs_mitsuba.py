@@ -2,7 +2,7 @@
 
 import pytest
 
-from data_tools.mitsuba_variant import choose_llvm
+from metapp.rendering.variant import choose_llvm
 
 try:
     choose_llvm()  # while the tests are collected: whichever of them first imports Mitsuba decides which it takes

@@ -11,11 +11,12 @@ import pytest
 import torch
 from torch import Generator, Tensor
 
-from metapp.adjoint import Drawn, Loss, UpdateRule, at_step, learn_through
 from metapp.apps.brdf import APP
-from metapp.learning import MetaParameters, after_learning, spread
-from metapp.rules import META_EPS, RULES, fixed_adam, sgd
-from metapp.task import Adam, Batch, Params
+from metapp.learning.adjoint import Drawn, Loss, UpdateRule, at_step, learn_through
+from metapp.learning.learn import MetaParameters, after_learning, spread
+from metapp.learning.recipe import Adam
+from metapp.learning.rules import META_EPS, RULES, fixed_adam, sgd
+from metapp.learning.task import Batch, Params
 
 TASKS, STEPS, SAMPLES = 3, 4, 24
 

@@ -11,12 +11,13 @@ import pytest
 import torch
 from torch import Generator, Tensor
 
-from data_tools.brdf_task import brdf_task
-from data_tools.nbrdf import export, nbrdf_evaluate, read_nbrdf
-from data_tools.synthetic_brdf import synthetic_materials
+from data_tools.formats.brdf_task import brdf_task
+from data_tools.formats.nbrdf import export, nbrdf_evaluate, read_nbrdf
+from data_tools.synthetic.brdf import synthetic_materials
+from metapp.appearance.geometry import cos_incident
 from metapp.apps.brdf import APP, KNOTS
-from metapp.geometry import cos_incident
-from metapp.task import Batch, Params, Task, Tasks, stack
+from metapp.learning.app import stack
+from metapp.learning.task import Batch, Params, Task, Tasks
 
 SAMPLES = 512
 

@@ -6,10 +6,10 @@ import pytest
 import torch
 from torch import Tensor
 
-from data_tools.brdf_task import UNITS, brdf_task
-from data_tools.merl import SCALE, merl_centres, merl_index, merl_valid, tabulate
-from metapp.geometry import above_horizon
-from metapp.shards import ShardWriter, check_shard
+from data_tools.formats.brdf_task import UNITS, brdf_task
+from data_tools.formats.merl import SCALE, merl_centres, merl_index, merl_valid, tabulate
+from metapp.appearance.geometry import above_horizon
+from metapp.storage.shards import ShardWriter, check_shard
 
 
 def evaluate(angles: Tensor) -> Tensor:

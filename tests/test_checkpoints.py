@@ -11,15 +11,17 @@ import OpenImageIO as oiio
 import pytest
 from torch import Generator
 
-from data_tools.brdf_task import brdf_task
-from data_tools.synthetic_brdf import synthetic_materials
+from data_tools.formats.brdf_task import brdf_task
+from data_tools.synthetic.brdf import synthetic_materials
 from metapp.apps import load_app
 from metapp.apps.brdf import APP
-from metapp.cli.starts import shipped_path, start_name
-from metapp.learning import MetaParameters
+from metapp.experiments.starts import shipped_path, start_name
+from metapp.learning.app import App, stack
+from metapp.learning.learn import MetaParameters
+from metapp.learning.recipe import Recipe
+from metapp.learning.task import Tasks
 from metapp.paradigms import Job, paradigms
-from metapp.records import load_start, tensor_digest
-from metapp.task import App, Recipe, Tasks, stack
+from metapp.storage.records import load_start, tensor_digest
 
 SHIPPED = sorted(shipped_path("brdf", "general").parent.glob("*.safetensors"))
 
@@ -176,7 +178,7 @@ def test_few_steps_beat_none_on_unseen_tasks(name: str, protocol: str) -> None:
 
 @pytest.mark.usefixtures("scene")
 def test_a_ball_is_fitted_at_once_by_what_ships(metapp: Callable, tmp_path: Path) -> None:
-    module = importlib.import_module("data_tools.synthetic_illumination")
+    module = importlib.import_module("data_tools.synthetic.illumination")
     (task,) = module.synthetic_tasks("test", 1)
     photo = np.ascontiguousarray(task.data["photos"][0].permute(1, 2, 0).numpy())
     oiio.ImageBuf(photo).write(str(tmp_path / "ball.png"))
@@ -190,7 +192,7 @@ def test_a_ball_is_fitted_at_once_by_what_ships(metapp: Callable, tmp_path: Path
 
 
 def test_a_flash_photo_is_fitted_at_once_by_what_ships(metapp: Callable, tmp_path: Path) -> None:
-    module = importlib.import_module("data_tools.synthetic_svbrdf_nonstationary")
+    module = importlib.import_module("data_tools.synthetic.svbrdf_nonstationary")
     (task,) = module.synthetic_tasks("test", 1)
     photo = np.ascontiguousarray(task.data["photo"].permute(1, 2, 0).numpy())
     oiio.ImageBuf(photo).write(str(tmp_path / "wall.png"))
@@ -222,7 +224,7 @@ def test_starts_of_transport_say_what_they_are() -> None:
 def test_few_steps_beat_none_on_unseen_scenes() -> None:
     app = load_app("transport")
     recipe = app.recipes["quick"]
-    module = importlib.import_module("data_tools.synthetic_transport")
+    module = importlib.import_module("data_tools.synthetic.transport")
     tasks = stack(app, list(module.synthetic_tasks("test", 2)))
     job, errors = Job(app, recipe, recipe.rule), {}
     for paradigm, start in (("general", "general"), ("meta", recipe.rule)):

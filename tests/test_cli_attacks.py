@@ -18,11 +18,13 @@ from safetensors.torch import load_file, save_file
 from metapp.apps.brdf import APP
 from metapp.cli.console import LONGEST, one_line
 from metapp.cli.fit import warning_of
-from metapp.cli.session import Start
-from metapp.learning import MetaParameters
+from metapp.experiments.session import Start
+from metapp.learning.app import stack
+from metapp.learning.learn import MetaParameters
+from metapp.learning.recipe import Adam
+from metapp.learning.task import Task
 from metapp.paradigms import Job, paradigms
-from metapp.records import load_start, read_records, save_start
-from metapp.task import Adam, Task, stack
+from metapp.storage.records import load_start, read_records, save_start
 
 SHIPPED = Path(__file__).parent.parent / "metapp" / "checkpoints"
 
@@ -104,8 +106,8 @@ def test_what_applications_draw_is_what_they_hold(metapp: Callable, tmp_path: Pa
 SLOW_WRITER = """
 import sys, time, torch
 from pathlib import Path
-from metapp.shards import ShardWriter
-from metapp.task import Task
+from metapp.storage.shards import ShardWriter
+from metapp.learning.task import Task
 with ShardWriter(Path(sys.argv[1]), "brdf", {"x": "1"}) as writer:
     writer.add(Task("slow", {"x": torch.ones(2)}), "train")
     print("writing", flush=True)

@@ -9,12 +9,12 @@ from pathlib import Path
 import pytest
 import torch
 
-from data_tools import synthetic_transport
-from data_tools.cornell import scene_of
-from data_tools.synthetic_transport import COUNTS, cornell_tasks, synthetic_tasks
-from metapp.cli.embedded import embedded_data, split_counts
-from metapp.manifest import read_manifest
-from metapp.shards import check_shard, read_shard
+from data_tools.synthetic import transport as synthetic_transport
+from data_tools.synthetic.transport import COUNTS, cornell_tasks, synthetic_tasks
+from metapp.experiments.embedded import embedded_data, split_counts
+from metapp.rendering.cornell import scene_of
+from metapp.storage.manifest import read_manifest
+from metapp.storage.shards import check_shard, read_shard
 from tests.needs_mitsuba import needs_mitsuba
 
 FEW = ("--samples", "200", "--held", "50")
@@ -22,7 +22,7 @@ FEW = ("--samples", "200", "--held", "50")
 
 @pytest.fixture(autouse=True)
 def _few_paths(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("data_tools.path_space._BATCH", 2**16)
+    monkeypatch.setattr("metapp.rendering.path_space._BATCH", 2**16)
 
 
 @needs_mitsuba
@@ -49,7 +49,7 @@ def test_boxes_are_written_with_their_scenes_beside(metapp: Callable, tmp_path: 
 
 @needs_mitsuba
 def test_a_box_that_was_written_can_be_read(metapp: Callable, tmp_path: Path) -> None:
-    from data_tools.mitsuba_scenes import find, read_task
+    from data_tools.formats.mitsuba_scenes import find, read_task
 
     more = ("--dimensions", "6", "--split", "test")
     assert metapp("data", "cornell", "--count", "1", *FEW, *more, "--out", tmp_path, "-q").code == 0
@@ -99,7 +99,7 @@ def test_without_a_fit_libllvm_nothing_is_written(
     def none() -> Path:
         raise ValueError("libLLVM: found none, expected 19 or newer for Mitsuba; apt-get install libllvm19 libatomic1.")
 
-    monkeypatch.setattr("data_tools.mitsuba_variant.find_llvm", none)
+    monkeypatch.setattr("metapp.rendering.variant.find_llvm", none)
     monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
     result = metapp("data", "cornell", "--out", tmp_path / "boxes")
     assert result.code == 1

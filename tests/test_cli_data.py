@@ -16,9 +16,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from data_tools.nbrdf import SHAPES
-from metapp.manifest import read_manifest
-from metapp.shards import check_shard, read_shard
+from data_tools.formats.nbrdf import SHAPES
+from metapp.storage.manifest import read_manifest
+from metapp.storage.shards import check_shard, read_shard
 
 FEW = ("--samples", "64")
 

@@ -10,10 +10,10 @@ from pathlib import Path
 
 import pytest
 
-from data_tools.merl import read_merl
-from metapp.cli.embedded import cache_folder, embedded_data, split_counts
-from metapp.manifest import read_manifest
-from metapp.shards import check_shard, fingerprint
+from data_tools.formats.merl import read_merl
+from metapp.experiments.embedded import cache_folder, embedded_data, split_counts
+from metapp.storage.manifest import read_manifest
+from metapp.storage.shards import check_shard, fingerprint
 
 
 def test_synth_makes_a_set_once(metapp: Callable, cache: Path) -> None:
@@ -47,7 +47,7 @@ def test_synth_writes_merl_files_that_convert_back(metapp: Callable, tmp_path: P
 
 
 def test_an_interrupted_synth_leaves_nothing(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from data_tools import synthetic_brdf
+    from data_tools.synthetic import brdf as synthetic_brdf
 
     def interrupt(*_: object) -> None:
         raise KeyboardInterrupt

@@ -19,21 +19,22 @@ import numpy as np
 import pytest
 import torch
 
+from metapp.appearance.sphere import environment_scene, shade_sphere
 from metapp.apps import load_app
 from metapp.apps.brdf import APP
 from metapp.cli import session
 from metapp.cli.evaluate import find_subjects
-from metapp.cli.figures import FIGURES
-from metapp.cli.figures.rates import step_sizes
-from metapp.cli.report.html import EMBEDDED, Pictures, identifier
-from metapp.cli.session import Options, find_device
-from metapp.cli.tables import NAMES, blank, load_table, paper
-from metapp.cli.tables.ablation import RULE_ALONE, START_ALONE, combined, same_start
-from metapp.cli.tables.convergence import steps_needed
-from metapp.cli.tables.formats import rich_table
-from metapp.cli.tables.image import image_cell
-from metapp.cli.tables.running import Clock, duration, run_cells
-from metapp.cli.tables.statistics import (
+from metapp.experiments.figures import FIGURES
+from metapp.experiments.figures.rates import step_sizes
+from metapp.experiments.report.html import EMBEDDED, Pictures, identifier
+from metapp.experiments.session import Options, find_device
+from metapp.experiments.tables import NAMES, blank, load_table, paper
+from metapp.experiments.tables.ablation import RULE_ALONE, START_ALONE, combined, same_start
+from metapp.experiments.tables.convergence import steps_needed
+from metapp.experiments.tables.formats import rich_table
+from metapp.experiments.tables.image import image_cell
+from metapp.experiments.tables.running import Clock, duration, run_cells
+from metapp.experiments.tables.statistics import (
     Paired,
     apart,
     bootstrap,
@@ -47,12 +48,12 @@ from metapp.cli.tables.statistics import (
     statistics_of,
     verdict,
 )
-from metapp.cli.tables.storage import size
-from metapp.cli.tables.subject import Cell, Subject, absent
-from metapp.cli.tables.trace import FURTHER, PARTS, looks, near, places, project, states_of, trace_cell
-from metapp.records import RunFolder, read_records
-from metapp.sphere import environment_scene, shade_sphere
-from metapp.task import Fitted, Task, stack
+from metapp.experiments.tables.storage import size
+from metapp.experiments.tables.subject import Cell, Subject, absent
+from metapp.experiments.tables.trace import FURTHER, PARTS, looks, near, places, project, states_of, trace_cell
+from metapp.learning.app import Fitted, stack
+from metapp.learning.task import Task
+from metapp.storage.records import RunFolder, read_records
 
 KEYS = {"app", "paradigm", "error", "seconds", "tasks", "low", "high", "paper_error", "paper_seconds"}
 
@@ -203,7 +204,7 @@ def few() -> Iterator[None]:
     """Few steps of Overfit and Finetune, and of what comes after Meta."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setitem(APP.recipes, "quick", replace(APP.recipes["quick"], overfit_steps=40, finetune_steps=5))
-        patch.setattr("metapp.cli.tables.trace.FURTHER", (2, 4))
+        patch.setattr("metapp.experiments.tables.trace.FURTHER", (2, 4))
         yield
 
 
@@ -306,7 +307,7 @@ def test_a_terminal_shows_as_many_columns_as_it_has_room_for(
 ) -> None:
     from rich.console import Console
 
-    monkeypatch.setattr("metapp.cli.tables.formats.out", Console(width=width))
+    monkeypatch.setattr("metapp.experiments.tables.formats.out", Console(width=width))
     for name in NAMES:
         table, found = load_table(name), rows(subject, name)
         if not found:
@@ -608,13 +609,13 @@ def test_the_time_left_is_by_gradient_steps(tmp_path: Path) -> None:
 def test_the_time_left_counts_pictures(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """By a clock that stands still but for what a task takes: steps 0.1 s each, pictures 30 s where 20 were guessed."""
     now, told = [0.0], []
-    monkeypatch.setattr("metapp.cli.tables.running.time.perf_counter", lambda: now[0])
+    monkeypatch.setattr("metapp.experiments.tables.running.time.perf_counter", lambda: now[0])
 
     @contextlib.contextmanager
     def progress(quiet: bool) -> Iterator[Any]:
         yield lambda note, spent, left: told.append((note.partition(",")[0], spent, left))
 
-    monkeypatch.setattr("metapp.cli.tables.running._progress", progress)
+    monkeypatch.setattr("metapp.experiments.tables.running._progress", progress)
 
     def taking(made: Cell, seconds: float) -> Cell:
         def measure(missing: list[Task]) -> Iterator[dict[str, Any]]:

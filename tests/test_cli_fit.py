@@ -13,10 +13,10 @@ import pytest
 import torch
 from safetensors.torch import load_file, save_file
 
-from data_tools.nbrdf import read_nbrdf
+from data_tools.formats.nbrdf import read_nbrdf
 from metapp.apps.brdf import APP
-from metapp.records import load_start, read_records
-from metapp.task import Adam, Recipe
+from metapp.learning.recipe import Adam, Recipe
+from metapp.storage.records import load_start, read_records
 
 FEW = ("--samples", "512")
 STEPS = ("--train", "--train-steps", "3")
@@ -27,7 +27,7 @@ def short(monkeypatch: pytest.MonkeyPatch) -> Recipe:
     """The quick recipe with few steps of Overfit and Finetune, and without a compiler."""
     recipe = replace(APP.recipes["quick"], overfit_steps=30, finetune_steps=5)
     monkeypatch.setitem(APP.recipes, "quick", recipe)
-    monkeypatch.setattr("metapp.paradigms.prepare.can_compile", lambda: False)
+    monkeypatch.setattr("metapp.paradigms.training.can_compile", lambda: False)
     return recipe
 
 
@@ -107,7 +107,7 @@ def test_quickft_is_tuned_for_its_encoder(
 ) -> None:
     # a recipe that moves too far, and a search that looks at one other
     monkeypatch.setitem(APP.recipes, "quick", replace(short, quickft=Adam(1.0)))
-    monkeypatch.setattr("metapp.paradigms.prepare.SEARCHED", ([{"beta1": 0.3, "rate": 1e-7}],))
+    monkeypatch.setattr("metapp.paradigms.training.SEARCHED", ([{"beta1": 0.3, "rate": 1e-7}],))
     assert fit("general", *STEPS).code == 0
     assert "no Adam was tuned" in fit("quickft").err
     tuned = fit("quickft", "--train")

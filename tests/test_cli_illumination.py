@@ -10,11 +10,11 @@ import OpenImageIO as oiio
 import pytest
 import torch
 
-from data_tools.latlong import read_map
+from data_tools.formats.latlong import read_map
+from metapp.appearance.latlong import directions, mean_luminance
+from metapp.appearance.photograph import photograph
 from metapp.apps.illumination import RECIPES, Setup
-from metapp.latlong import directions, mean_luminance
-from metapp.networks import LocalField
-from metapp.photograph import photograph
+from metapp.networks.layers import LocalField
 
 pytestmark = pytest.mark.usefixtures("scene")
 

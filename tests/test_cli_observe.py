@@ -14,17 +14,19 @@ import pytest
 import torch
 from torch import Generator, Tensor
 
-from data_tools.latlong import read_map
-from data_tools.nbrdf import SHAPES
+from data_tools.formats.latlong import read_map
+from data_tools.formats.nbrdf import SHAPES
+from metapp.appearance.colour import tone_map
 from metapp.apps import brdf
 from metapp.apps.brdf import Brdf
 from metapp.cli.fit import summary, table_of
-from metapp.cli.starts import shipped_path, start_name
-from metapp.cli.tables.results import closing
-from metapp.cli.tables.statistics import bootstrap
-from metapp.colour import tone_map
-from metapp.records import load_start, read_records
-from metapp.task import App, Batch, Params, Recipe, Task, Tasks
+from metapp.experiments.starts import shipped_path, start_name
+from metapp.experiments.tables.results import closing
+from metapp.experiments.tables.statistics import bootstrap
+from metapp.learning.app import App
+from metapp.learning.recipe import Recipe
+from metapp.learning.task import Batch, Params, Task, Tasks
+from metapp.storage.records import load_start, read_records
 
 STEPS = ("--train", "--train-steps", "2", "--quiet")
 
@@ -70,7 +72,7 @@ def app(monkeypatch: pytest.MonkeyPatch) -> Seen:
     quick = replace(quick, steps=2, overfit_steps=3, finetune_steps=3, meta=short, rule="meta-sgd")
     monkeypatch.setitem(Brdf.recipes, "quick", quick)
     monkeypatch.setattr(brdf, "APP", seen)
-    monkeypatch.setattr("metapp.paradigms.prepare.can_compile", lambda: False)
+    monkeypatch.setattr("metapp.paradigms.training.can_compile", lambda: False)
     return seen
 
 
@@ -152,7 +154,7 @@ def test_protocols_share_general_and_nothing_else(on_data: Callable, tmp_path: P
 
 
 def test_quickft_is_tuned_per_protocol(on_data: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("metapp.paradigms.prepare.SEARCHED", ([{"rate": 0.5}],))
+    monkeypatch.setattr("metapp.paradigms.training.SEARCHED", ([{"rate": 0.5}],))
     assert on_data("general", "brdf", *STEPS).code == 0
     assert on_data("quickft", "brdf", "--observe", "photo", "--train").code == 0
     (file,) = (tmp_path / "runs").rglob("quickft*.safetensors")

@@ -12,9 +12,9 @@ import torch
 from torch import Tensor
 from torch.nn.functional import interpolate
 
-from data_tools.svbrdf_task import flash_photo
+from data_tools.formats.svbrdf_task import flash_photo
+from metapp.appearance.flash import Maps, normal_from_height, pack, unpack
 from metapp.apps.svbrdf_nonstationary import APP, RECIPES, Setup, field_of
-from metapp.flash import Maps, normal_from_height, pack, unpack
 
 MADE = {f"{name}.png" for name in ("normal", "diffuse", "roughness", "specular")} | {
     f"lit_from_{side}.png" for side in ("left", "above", "aside")

@@ -9,8 +9,8 @@ import numpy as np
 import OpenImageIO as oiio
 import pytest
 
-from metapp.manifest import fingerprint, read_manifest
-from metapp.shards import check_shard, read_shard
+from metapp.storage.manifest import fingerprint, read_manifest
+from metapp.storage.shards import check_shard, read_shard
 
 
 def write(path: Path, values: np.ndarray) -> Path:

@@ -14,14 +14,14 @@ import torch
 from safetensors.numpy import save_file
 from safetensors.torch import load_file
 
-from data_tools.material_maps import read_task
+from data_tools.formats.material_maps import read_task
+from metapp.appearance.colour import srgb_to_linear
+from metapp.appearance.features import BLOCKS, weights_path
+from metapp.appearance.flash import normal_from_height, unpack
 from metapp.apps import load_app
-from metapp.colour import srgb_to_linear
-from metapp.exemplar import Setup
-from metapp.features import BLOCKS, weights_path
-from metapp.flash import normal_from_height, unpack
-from metapp.networks import UNet
-from metapp.task import Task
+from metapp.learning.task import Task
+from metapp.networks.exemplar import Setup
+from metapp.networks.layers import UNet
 
 APPS = ("texture", "svbrdf_stationary")
 OUTPUTS = {

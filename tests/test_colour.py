@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import torch
 
-from metapp.colour import linear_to_srgb, stretched, tone_map
+from metapp.appearance.colour import linear_to_srgb, stretched, tone_map
 
 
 def test_tone_map_keeps_order_and_any_radiance_displays() -> None:

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import torch
 
-from data_tools.cornell import BYTES, random_scene, scene_bytes, scene_of
+from metapp.rendering.cornell import BYTES, random_scene, scene_bytes, scene_of
 
 SCENES = [random_scene(seed) for seed in range(200)]
 WALLS = {"floor", "ceiling", "back", "left", "right"}

@@ -9,15 +9,27 @@ import numpy as np
 import pytest
 import torch
 
-from data_tools.environment import BEYOND, Backdrop, Box, Crown, Finish, Lamp, Scene, Window, cast, turned, view
-from data_tools.environment_backdrop import open_ground
-from data_tools.environment_light import irradiance, render, sun_disc, sunlight, visibility
-from data_tools.environment_patterns import BLACK, direction, vector
-from data_tools.environment_sky import Sky, black_sky, clear_sky, cloudy, sun_irradiance
-from data_tools.environment_sources import sources
-from data_tools.patterns import Field
-from data_tools.procedural import stream
-from metapp.latlong import cosine_transfer, directions, resample, solid_angles
+from data_tools.synthetic.environments.backdrop import open_ground
+from data_tools.synthetic.environments.light import irradiance, render, sun_disc, sunlight, visibility
+from data_tools.synthetic.environments.patterns import BLACK, direction, vector
+from data_tools.synthetic.environments.scene import (
+    BEYOND,
+    Backdrop,
+    Box,
+    Crown,
+    Finish,
+    Lamp,
+    Scene,
+    Window,
+    cast,
+    turned,
+    view,
+)
+from data_tools.synthetic.environments.sky import Sky, black_sky, clear_sky, cloudy, sun_irradiance
+from data_tools.synthetic.environments.sources import sources
+from data_tools.synthetic.patterns.fields import Field
+from data_tools.synthetic.stationary.families import stream
+from metapp.appearance.latlong import cosine_transfer, directions, resample, solid_angles
 
 DARK = Backdrop(black_sky(), np.zeros_like, lambda rays: np.ones(rays.shape[1], np.float32))
 BRIGHT = DARK._replace(radiance=np.ones_like)  # radiance 1 from everywhere

@@ -15,8 +15,8 @@ from safetensors.torch import load_file, save_file
 from torch import Generator, Tensor
 from torch.nn.functional import conv2d, max_pool2d
 
-from metapp import features
-from metapp.features import (
+from metapp.appearance import features
+from metapp.appearance.features import (
     BLOCKS,
     DEVIATION,
     MEAN,

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from metapp.files import check_readable, remove_partial, write_atomically
+from metapp.storage.files import check_readable, remove_partial, write_atomically
 
 
 def test_write_atomically(tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from metapp.flash import (
+from metapp.appearance.flash import (
     Maps,
     brdf,
     camera,
@@ -21,7 +21,7 @@ from metapp.flash import (
     positions,
     render,
 )
-from metapp.geometry import rusinkiewicz_to_directions
+from metapp.appearance.geometry import rusinkiewicz_to_directions
 
 RandomAngles = Callable[..., Tensor]
 MitsubaBrdf = Callable[[dict[str, Any], Tensor, Tensor], Tensor]

@@ -10,7 +10,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from metapp.geometry import (
+from metapp.appearance.geometry import (
     above_horizon,
     cos_incident,
     cosines,

@@ -8,13 +8,14 @@ import pytest
 import torch
 from torch import Generator, Tensor
 
+from metapp.appearance.latlong import cosine_transfer, directions, mean_luminance
+from metapp.appearance.photograph import develop, photograph, shade
 from metapp.apps.illumination import APP, BODY, BODY_GAIN, GLOSSES, QUICK, Illumination, Setup, body_of
 from metapp.apps.illumination.encoder import Encoder, unwrapped
 from metapp.apps.illumination.variants import LAMPS, lit, mixed, regraded, tinted, turned
-from metapp.latlong import cosine_transfer, directions, mean_luminance
-from metapp.networks import LocalField
-from metapp.photograph import develop, photograph, shade
-from metapp.task import Params, Task, Tasks, stack
+from metapp.learning.app import stack
+from metapp.learning.task import Params, Task, Tasks
+from metapp.networks.layers import LocalField
 
 pytestmark = pytest.mark.usefixtures("scene")
 FIELD = LocalField(8, 16, rows=4, columns=8, code=3, hidden=8, layers=2)

@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 from torch.nn.functional import normalize
 
-from metapp.latlong import (
+from metapp.appearance.latlong import (
     cosine_transfer,
     directions,
     glossy_transfer,

@@ -15,10 +15,10 @@ import pytest
 import torch
 from torch import Tensor
 
-from data_tools import latlong
-from data_tools.latlong import find_maps, map_task, read_map, read_map_task, read_task
-from data_tools.procedural import stream
-from metapp.latlong import mean_luminance, resample, solid_angles, sphere_normals
+from data_tools.formats import latlong
+from data_tools.formats.latlong import find_maps, map_task, read_map, read_map_task, read_task
+from data_tools.synthetic.stationary.families import stream
+from metapp.appearance.latlong import mean_luminance, resample, solid_angles, sphere_normals
 
 ACESCG = (0.713, 0.293, 0.165, 0.83, 0.128, 0.044, 0.32168, 0.33767)
 REC709_D50 = (0.64845, 0.33088, 0.32119, 0.59789, 0.1559, 0.06606, 0.34571, 0.35854)  # adapted

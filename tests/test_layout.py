@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 from metapp.apps import app_names
 from metapp.cli.commands import app as cli
 from metapp.cli.fit import RULE_NAMES
-from metapp.rules import RULES
+from metapp.learning.rules import RULES
 
 ROOT = Path(__file__).parent.parent
 FILES = {
@@ -25,17 +25,24 @@ FILES = {
 }
 TREES = {name: ast.parse(path.read_text(encoding="utf-8")) for name, path in FILES.items()}
 
-LAYERS = ("metapp.task", "metapp.adjoint", "metapp.learning", "metapp.rules", "metapp.paradigms", "metapp.cli")
-MATHS = ("metapp.task", "metapp.adjoint", "metapp.learned_descent", "metapp.learning", "metapp.rules",
-         "metapp.geometry", "metapp.reflection", "metapp.sphere", "metapp.flash", "metapp.latlong", "metapp.networks",
-         "metapp.colour", "metapp.metrics")  # fmt: skip
-FOR_APPS = ("metapp.task", "metapp.geometry", "metapp.reflection", "metapp.sphere", "metapp.flash", "metapp.latlong",
-            "metapp.photograph", "metapp.networks", "metapp.metrics", "metapp.features", "metapp.exemplar",
-            "metapp.coded", "metapp.colour")  # fmt: skip
-STORAGE = ("metapp.shards", "metapp.manifest", "metapp.files")
+LAYERS = (
+    "metapp.learning.app",
+    "metapp.learning.adjoint",
+    "metapp.learning.learn",
+    "metapp.learning.rules",
+    "metapp.paradigms",
+    "metapp.cli",
+)
+MATHS = ("metapp.learning.app", "metapp.learning.adjoint", "metapp.learning.rules.network", "metapp.learning.learn", "metapp.learning.rules",
+         "metapp.appearance.geometry", "metapp.appearance.reflection", "metapp.appearance.sphere", "metapp.appearance.flash", "metapp.appearance.latlong", "metapp.networks.layers",
+         "metapp.appearance.colour", "metapp.appearance.metrics")  # fmt: skip
+FOR_APPS = ("metapp.learning.app", "metapp.appearance.geometry", "metapp.appearance.reflection", "metapp.appearance.sphere", "metapp.appearance.flash", "metapp.appearance.latlong",
+            "metapp.appearance.photograph", "metapp.networks.layers", "metapp.appearance.metrics", "metapp.appearance.features", "metapp.networks.exemplar",
+            "metapp.networks.coded", "metapp.appearance.colour")  # fmt: skip
+STORAGE = ("metapp.storage.shards", "metapp.storage.manifest", "metapp.storage.files")
 UNPICKLES = "data_tools.vgg"
-FOR_DATA_TOOLS = (*STORAGE, "metapp.colour", "metapp.geometry", "metapp.reflection", "metapp.sphere", "metapp.flash",
-                  "metapp.latlong", "metapp.photograph", "metapp.task", "metapp.features")  # fmt: skip
+FOR_DATA_TOOLS = (*STORAGE, "metapp.appearance.colour", "metapp.appearance.geometry", "metapp.appearance.reflection", "metapp.appearance.sphere", "metapp.appearance.flash",
+                  "metapp.appearance.latlong", "metapp.appearance.photograph", "metapp.learning.app", "metapp.appearance.features")  # fmt: skip
 
 
 def imports(name: str) -> set[str]:
@@ -94,7 +101,7 @@ def test_paradigms_name_no_application(name: str) -> None:
 
 @pytest.mark.parametrize("name", modules(*STORAGE))
 def test_storage_knows_tasks_only(name: str) -> None:
-    assert not [each for each in imports(name) if not is_in(each, "metapp.task", *STORAGE)]
+    assert not [each for each in imports(name) if not is_in(each, "metapp.learning.app", *STORAGE)]
 
 
 @pytest.mark.parametrize("name", modules("data_tools"))
@@ -151,9 +158,9 @@ def test_the_weights_of_others_are_unpickled_as_tensors_only() -> None:
 
 
 def test_the_walk_sees_what_it_should() -> None:
-    assert "metapp.task" in imports("metapp.learning")
+    assert "metapp.learning.app" in imports("metapp.learning.learn")
     assert "metapp.cli.data" in imports("metapp.cli.commands")  # `from package import module`
-    assert "metapp.geometry" in imports("metapp.apps.brdf")
+    assert "metapp.appearance.geometry" in imports("metapp.apps.brdf")
 
 
 @pytest.mark.parametrize("arguments", [[], ["data"]])

@@ -10,13 +10,15 @@ import pytest
 import torch
 from torch import Generator, Tensor
 
-from metapp.adjoint import Loss, at_step, learn_through
 from metapp.apps import illumination
-from metapp.learned_descent import MEMORY, move, network_of, networks, no_memory
-from metapp.learning import MetaParameters, after_learning, spread
-from metapp.networks import LocalField
-from metapp.rules import RULES
-from metapp.task import Adam, App, Params
+from metapp.learning.adjoint import Loss, at_step, learn_through
+from metapp.learning.app import App
+from metapp.learning.learn import MetaParameters, after_learning, spread
+from metapp.learning.recipe import Adam
+from metapp.learning.rules import RULES
+from metapp.learning.rules.network import MEMORY, move, network_of, networks, no_memory
+from metapp.learning.task import Params
+from metapp.networks.layers import LocalField
 
 TASKS, STEPS = 2, 3
 FIELD = LocalField(8, 16, rows=4, columns=8, code=3, hidden=6, layers=2)

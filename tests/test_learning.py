@@ -10,9 +10,9 @@ import pytest
 import torch
 from torch import Generator, Tensor
 
-from metapp.adjoint import Drawn, Loss
 from metapp.apps.brdf import APP
-from metapp.learning import (
+from metapp.learning.adjoint import Drawn, Loss
+from metapp.learning.learn import (
     MetaParameters,
     after_encoding,
     after_learning,
@@ -22,8 +22,9 @@ from metapp.learning import (
     spread,
     task_loss,
 )
-from metapp.rules import RULES, fixed_adam, sgd
-from metapp.task import Adam, Batch, Params, Tasks
+from metapp.learning.recipe import Adam
+from metapp.learning.rules import RULES, fixed_adam, sgd
+from metapp.learning.task import Batch, Params, Tasks
 
 NAMES = ("brass", "chalk", "felt", "glass", "paper")
 

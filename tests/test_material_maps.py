@@ -12,11 +12,11 @@ import pytest
 import torch
 from torch import Tensor
 
-from data_tools import material_maps
-from data_tools.material_maps import find_materials, mixed_slopes, read_task, split_materials
-from data_tools.svbrdf_task import flash_photo
-from metapp.colour import linear_to_srgb
-from metapp.flash import normal_from_height
+from data_tools.formats import material_maps
+from data_tools.formats.material_maps import find_materials, mixed_slopes, read_task, split_materials
+from data_tools.formats.svbrdf_task import flash_photo
+from metapp.appearance.colour import linear_to_srgb
+from metapp.appearance.flash import normal_from_height
 
 UP = torch.tensor([0.5, 0.5, 1.0])
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from data_tools.merl import (
+from data_tools.formats.merl import (
     FILE_BYTES,
     SCALE,
     find_merl,
@@ -21,7 +21,7 @@ from data_tools.merl import (
     write_merl,
     write_merl_planes,
 )
-from metapp.geometry import above_horizon
+from metapp.appearance.geometry import above_horizon
 
 
 @pytest.fixture(scope="module")

@@ -6,7 +6,7 @@ import pytest
 import torch
 from torch import Generator, Tensor
 
-from metapp.metrics import dssim, mape, smape
+from metapp.appearance.metrics import dssim, mape, smape
 
 
 @pytest.fixture

@@ -10,10 +10,10 @@ from typing import Any
 import pytest
 import torch
 
-from data_tools import mitsuba_variant
-from data_tools.cornell import random_scene, scene_of
-from data_tools.mitsuba_scenes import find, read_scene, read_task, recognises
-from data_tools.path_space import Tracer
+from data_tools.formats.mitsuba_scenes import find, read_scene, read_task, recognises
+from metapp.rendering import variant as mitsuba_variant
+from metapp.rendering.cornell import random_scene, scene_of
+from metapp.rendering.path_space import Tracer
 from tests.needs_mitsuba import needs_mitsuba
 
 LAMP = '<emitter type="area"><rgb name="radiance" value="4 4 4"/></emitter>'
@@ -56,7 +56,7 @@ def test_scene_files_are_recognised(tmp_path: Path) -> None:
 
 @pytest.fixture(autouse=True)
 def _few_paths(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("data_tools.path_space._BATCH", 2**16)
+    monkeypatch.setattr("metapp.rendering.path_space._BATCH", 2**16)
 
 
 @needs_mitsuba

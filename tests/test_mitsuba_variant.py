@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from data_tools import mitsuba_variant
-from data_tools.mitsuba_variant import OLDEST, VARIABLE, find_llvm, llvm_version
+from metapp.rendering import variant as mitsuba_variant
+from metapp.rendering.variant import OLDEST, VARIABLE, find_llvm, llvm_version
 from tests.needs_mitsuba import needs_mitsuba
 
 SYSTEM = sorted(path for place in mitsuba_variant._PLACES for path in Path("/").glob(f"{place[1:]}/libLLVM[-.]*"))
@@ -95,7 +95,7 @@ def test_a_mitsuba_that_took_an_old_library_is_refused_before_it_can_abort() -> 
         pytest.skip(str(error))
     if not old:
         pytest.skip("no old libLLVM here")
-    lines = "import mitsuba\nfrom data_tools.mitsuba_variant import *\nimport os\ndel os.environ[VARIABLE]\n"
+    lines = "import mitsuba\nfrom metapp.rendering.variant import *\nimport os\ndel os.environ[VARIABLE]\n"
     lines += f"os.environ[VARIABLE] = {str(find_llvm())!r}\n"
     lines += "try:\n    load_mitsuba()\nexcept ValueError as error:\n    print(error)"
     done = subprocess.run(
@@ -112,7 +112,7 @@ def test_a_mitsuba_that_took_an_old_library_is_refused_before_it_can_abort() -> 
 @needs_mitsuba
 def test_exr_files_are_written_and_read_where_torch_has_one_thread(tmp_path: Path) -> None:
     """Mitsuba waits for a thread of Dr.Jit's pool, which has one less than it is told."""
-    lines = "import sys, numpy, torch\nfrom data_tools.mitsuba_variant import load_mitsuba\ntorch.set_num_threads(1)\n"
+    lines = "import sys, numpy, torch\nfrom metapp.rendering.variant import load_mitsuba\ntorch.set_num_threads(1)\n"
     lines += "mi = load_mitsuba()\nmi.Bitmap(numpy.ones((64, 32, 3), 'float32')).write(sys.argv[1])\n"
     lines += "print(mi.Bitmap(sys.argv[1]).size())"
     done = subprocess.run(

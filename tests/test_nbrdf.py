@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 import torch
 
-from data_tools.brdf_task import brdf_task
-from data_tools.nbrdf import SHAPES, export, find_nbrdf, nbrdf_evaluate, read_nbrdf, read_task, write_nbrdf
-from data_tools.synthetic_brdf import synthetic_materials
+from data_tools.formats.brdf_task import brdf_task
+from data_tools.formats.nbrdf import SHAPES, export, find_nbrdf, nbrdf_evaluate, read_nbrdf, read_task, write_nbrdf
+from data_tools.synthetic.brdf import synthetic_materials
+from metapp.appearance.geometry import above_horizon, rusinkiewicz_to_directions
 from metapp.apps.brdf import APP
-from metapp.cli.starts import shipped_path
-from metapp.geometry import above_horizon, rusinkiewicz_to_directions
+from metapp.experiments.starts import shipped_path
+from metapp.learning.app import stack
 from metapp.paradigms import Job, paradigms
-from metapp.records import load_start
-from metapp.task import stack
+from metapp.storage.records import load_start
 
 
 def make_weights(seed: int = 0) -> dict[str, np.ndarray]:

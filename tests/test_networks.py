@@ -9,8 +9,8 @@ import pytest
 import torch
 from torch import Generator, Tensor
 
-from metapp.networks import LocalField, UNet
-from metapp.task import Params
+from metapp.learning.task import Params
+from metapp.networks.layers import LocalField, UNet
 
 NETWORK = UNet(4, levels=3, noise=2, code=5)
 

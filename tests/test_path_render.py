@@ -8,9 +8,9 @@ import pytest
 import torch
 from torch import Tensor
 
-from data_tools.cornell import random_scene, scene_bytes, scene_of
-from data_tools.path_render import Guide, reference, render
-from data_tools.path_space import Tracer
+from metapp.rendering.cornell import random_scene, scene_bytes, scene_of
+from metapp.rendering.path_render import Guide, reference, render
+from metapp.rendering.path_space import Tracer
 from tests.needs_mitsuba import needs_mitsuba
 
 pytestmark = needs_mitsuba

@@ -9,10 +9,10 @@ import pytest
 import torch
 from torch import Generator, Tensor
 
-from data_tools.cornell import random_scene
-from data_tools.mitsuba_variant import load_mitsuba
-from data_tools.path_space import IMAGE, Tracer, path_samples
-from data_tools.scene_loading import brightness, load_scene
+from metapp.rendering.cornell import random_scene
+from metapp.rendering.path_space import IMAGE, Tracer, path_samples
+from metapp.rendering.scene_loading import brightness, load_scene
+from metapp.rendering.variant import load_mitsuba
 from tests.needs_mitsuba import MISSING, needs_mitsuba
 
 CELLS = 8  # of the film, per side
@@ -150,7 +150,7 @@ class _Sloped:
 
 @pytest.mark.parametrize("brightest", [0.0, 1.3, 2.0, 5.0])
 def test_a_bound_that_is_exceeded_is_raised(brightest: float, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("data_tools.path_space._BATCH", 1000)
+    monkeypatch.setattr("metapp.rendering.path_space._BATCH", 1000)
     points, image = path_samples(_Sloped(brightest), 100_000, 4, seeded())  # type: ignore[arg-type]
     # of a density 2 x the cumulative distribution is x^2; Kolmogorov and Smirnov's distance is below 2 / sqrt(N)
     place = points[:, 2].sort().values.double()

@@ -11,9 +11,9 @@ import pytest
 import torch
 from torch import Tensor
 
-from metapp.colour import srgb_to_linear
-from metapp.latlong import cosine_transfer, directions, glossy_transfer, luminance, resample, sphere_normals
-from metapp.photograph import (
+from metapp.appearance.colour import srgb_to_linear
+from metapp.appearance.latlong import cosine_transfer, directions, glossy_transfer, luminance, resample, sphere_normals
+from metapp.appearance.photograph import (
     ROUGHNESSES,
     Camera,
     Material,
@@ -23,7 +23,7 @@ from metapp.photograph import (
     exposures,
     photograph,
 )
-from metapp.photograph import shade as shade_all
+from metapp.appearance.photograph import shade as shade_all
 
 WHITE = torch.ones(3)
 

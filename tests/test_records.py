@@ -12,8 +12,18 @@ import pytest
 import torch
 from safetensors.torch import load_file, save_file
 
-from metapp.learning import MetaParameters
-from metapp.records import FIT, SCHEMA, RunFolder, digest, file_name, load_start, read_records, safe_name, save_start
+from metapp.learning.learn import MetaParameters
+from metapp.storage.records import (
+    FIT,
+    SCHEMA,
+    RunFolder,
+    digest,
+    file_name,
+    load_start,
+    read_records,
+    safe_name,
+    save_start,
+)
 
 START = MetaParameters(
     {"w1": torch.arange(6.0).reshape(2, 3)},
@@ -192,7 +202,7 @@ def test_a_task_that_runs_again_replaces_its_line_alone(tmp_path: Path) -> None:
 
 def test_parameters_are_there_before_their_record(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     run = RunFolder(tmp_path, {})
-    monkeypatch.setattr("metapp.records.json.dumps", lambda *_, **__: 1 / 0)
+    monkeypatch.setattr("metapp.storage.records.json.dumps", lambda *_, **__: 1 / 0)
     with pytest.raises(ZeroDivisionError):
         run.add(record("gold"), THETA)
     assert (tmp_path / "params" / "gold.safetensors").is_file()
@@ -305,7 +315,7 @@ def test_records_are_read_again_only_where_the_file_has_changed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     run, calls = fit_folder(tmp_path), []
-    monkeypatch.setattr("metapp.records.read_records", lambda *args: calls.append(args) or read_records(*args))
+    monkeypatch.setattr("metapp.storage.records.read_records", lambda *args: calls.append(args) or read_records(*args))
     for _ in range(3):
         assert len(run.finished()) == 2
     run.add(record("zinc", seconds=0.1))

@@ -10,8 +10,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from metapp.geometry import above_horizon, gauss_legendre, rusinkiewicz_to_directions
-from metapp.reflection import (
+from metapp.appearance.geometry import above_horizon, gauss_legendre, rusinkiewicz_to_directions
+from metapp.appearance.reflection import (
     MicrofacetKind,
     beckmann_distribution,
     fresnel_conductor,

@@ -10,10 +10,11 @@ import pytest
 import torch
 from torch import Generator, Tensor
 
-from metapp.adjoint import UpdateRule, at_step
 from metapp.apps.brdf import APP
-from metapp.learning import spread
-from metapp.rules import (
+from metapp.learning.adjoint import UpdateRule, at_step
+from metapp.learning.learn import spread
+from metapp.learning.recipe import Adam, Training
+from metapp.learning.rules import (
     META_EPS,
     RULES,
     _rotate,
@@ -24,7 +25,7 @@ from metapp.rules import (
     second_moments,
     sgd,
 )
-from metapp.task import Adam, Params, Training
+from metapp.learning.task import Params
 
 STEPS = 12
 

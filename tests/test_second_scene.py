@@ -11,9 +11,9 @@ import pytest
 import torch
 from torch import Tensor
 
-from data_tools import second_scene
-from data_tools.second_scene import GLOSSY_CENTRE, MATTE_CENTRE, direct, relight, transfer
-from metapp import latlong
+from metapp.appearance import latlong
+from metapp.rendering import second_scene
+from metapp.rendering.second_scene import GLOSSY_CENTRE, MATTE_CENTRE, direct, relight, transfer
 from tests.needs_mitsuba import needs_mitsuba
 
 ROWS, COLUMNS = 16, 32

@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 import torch
 
-from metapp.shards import ShardWriter, check_shard, fingerprint, read_manifest, read_shard, split_auto
-from metapp.task import Task
+from metapp.learning.task import Task
+from metapp.storage.shards import ShardWriter, check_shard, fingerprint, read_manifest, read_shard, split_auto
 
 UNITS = {"angles": "rad", "reflectance": "1/sr"}
 

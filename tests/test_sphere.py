@@ -9,9 +9,9 @@ import pytest
 import torch
 from torch import Tensor
 
-from metapp.geometry import above_horizon, cosines
-from metapp.reflection import MicrofacetKind, fresnel_schlick, microfacet_lobe, rough_reflectance
-from metapp.sphere import SphereScene, environment, environment_scene, shade_sphere, sphere_scene
+from metapp.appearance.geometry import above_horizon, cosines
+from metapp.appearance.reflection import MicrofacetKind, fresnel_schlick, microfacet_lobe, rough_reflectance
+from metapp.appearance.sphere import SphereScene, environment, environment_scene, shade_sphere, sphere_scene
 
 KINDS: tuple[MicrofacetKind, ...] = ("ggx", "beckmann")
 ALPHAS = (0.03, 0.1, 0.3, 0.6)

@@ -13,11 +13,11 @@ import pytest
 import torch
 from torch import Tensor
 
-from data_tools import strips, svbrdf_inputs
-from data_tools.strips import blend, group_strips, split_strips
-from data_tools.svbrdf_task import encoded, flash_photo
-from metapp.colour import srgb_to_linear
-from metapp.flash import Maps, normal_from_height, pack, unpack
+from data_tools.formats import strips, svbrdf_inputs
+from data_tools.formats.strips import blend, group_strips, split_strips
+from data_tools.formats.svbrdf_task import encoded, flash_photo
+from metapp.appearance.colour import srgb_to_linear
+from metapp.appearance.flash import Maps, normal_from_height, pack, unpack
 
 
 def write(path: Path, values: Tensor | np.ndarray, kind: str = "uint8") -> Path:

@@ -12,7 +12,9 @@ import torch
 from torch import Generator, Tensor
 from torch.nn.functional import interpolate, normalize
 
-from data_tools.svbrdf_task import flash_photo, svbrdf_task
+from data_tools.formats.svbrdf_task import flash_photo, svbrdf_task
+from metapp.appearance.colour import linear_to_srgb, srgb_to_linear
+from metapp.appearance.flash import Maps, camera, camera_distance, normal_from_height, pack, positions, render, unpack
 from metapp.apps import svbrdf_nonstationary
 from metapp.apps.svbrdf_nonstationary import APP, QUICK, Setup, SvbrdfNonstationary, field_of
 from metapp.apps.svbrdf_nonstationary.encoder import Encoder
@@ -26,9 +28,8 @@ from metapp.apps.svbrdf_nonstationary.views import (
     photographed,
     seen,
 )
-from metapp.colour import linear_to_srgb, srgb_to_linear
-from metapp.flash import Maps, camera, camera_distance, normal_from_height, pack, positions, render, unpack
-from metapp.task import Params, Task, Tasks, stack
+from metapp.learning.app import stack
+from metapp.learning.task import Params, Task, Tasks
 
 SIDE = 16
 RECIPE = replace(QUICK, setup=Setup(field_of(SIDE, hidden=8)._replace(code=3), width=2))
@@ -357,9 +358,9 @@ def test_a_lit_patch_is_what_flash_renders(app: SvbrdfNonstationary, tasks: Task
 
 def fitted(steps: int) -> Callable[[SvbrdfNonstationary, Tasks], float]:
     """The mean error after some Adam steps from a random start."""
-    from metapp.learning import learn, task_loss
-    from metapp.rules import fixed_adam
-    from metapp.task import Adam
+    from metapp.learning.learn import learn, task_loss
+    from metapp.learning.recipe import Adam
+    from metapp.learning.rules import fixed_adam
 
     def run(app: SvbrdfNonstationary, tasks: Tasks) -> float:
         theta = app.init(Generator().manual_seed(0), len(tasks))

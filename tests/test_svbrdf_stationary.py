@@ -9,6 +9,9 @@ import pytest
 import torch
 from torch import Generator, Tensor
 
+from metapp.appearance.colour import linear_to_srgb, srgb_to_linear
+from metapp.appearance.features import RANDOM
+from metapp.appearance.flash import Maps, camera, expose, normal_from_height, positions, relightings, render
 from metapp.apps import svbrdf_stationary
 from metapp.apps.svbrdf_stationary import (
     APP,
@@ -22,14 +25,12 @@ from metapp.apps.svbrdf_stationary import (
     SvbrdfStationary,
     _grams,
 )
-from metapp.colour import linear_to_srgb, srgb_to_linear
-from metapp.exemplar import JUDGED, TILED, Setup
-from metapp.features import RANDOM
-from metapp.flash import Maps, camera, expose, normal_from_height, positions, relightings, render
-from metapp.learning import MetaParameters
-from metapp.networks import UNet
+from metapp.learning.app import stack
+from metapp.learning.learn import MetaParameters
+from metapp.learning.task import Params, Task, Tasks
+from metapp.networks.exemplar import JUDGED, TILED, Setup
+from metapp.networks.layers import UNet
 from metapp.paradigms import Job, paradigms
-from metapp.task import Params, Task, Tasks, stack
 
 SIZE = 32
 TINY = replace(QUICK, setup=Setup(SIZE, SIZE, UNet(4, 3, noise=4, code=4, outputs=6), "vgg16", ("relu1_1",)))

@@ -10,16 +10,16 @@ import pytest
 import torch
 from torch import Tensor
 
-from data_tools.brdf_models import CONDUCTORS, conductor, diffuse, plastic
-from data_tools.synthetic_brdf import Material, colour_name, roughness_name, synthetic_materials
-from metapp.geometry import (
+from data_tools.synthetic.brdf import Material, colour_name, roughness_name, synthetic_materials
+from data_tools.synthetic.brdf_models import CONDUCTORS, conductor, diffuse, plastic
+from metapp.appearance.geometry import (
     above_horizon,
     cosines,
     directions_to_rusinkiewicz,
     gauss_legendre,
     rusinkiewicz_to_directions,
 )
-from metapp.reflection import MicrofacetKind
+from metapp.appearance.reflection import MicrofacetKind
 
 RandomAngles = Callable[..., Tensor]
 MitsubaBrdf = Callable[[dict[str, Any], Tensor, Tensor], Tensor]

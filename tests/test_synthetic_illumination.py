@@ -10,12 +10,12 @@ import pytest
 import torch
 from torch import Tensor
 
-from data_tools.procedural import stream
-from data_tools.synthetic_illumination import COUNTS, FAMILIES, UNITS, environment, synthetic_tasks, white_balance
-from metapp.cli.embedded import embedded_data
-from metapp.latlong import luminance, mean_luminance, solid_angles
-from metapp.manifest import read_manifest
-from metapp.task import Task
+from data_tools.synthetic.illumination import COUNTS, FAMILIES, UNITS, environment, synthetic_tasks, white_balance
+from data_tools.synthetic.stationary.families import stream
+from metapp.appearance.latlong import luminance, mean_luminance, solid_angles
+from metapp.experiments.embedded import embedded_data
+from metapp.learning.task import Task
+from metapp.storage.manifest import read_manifest
 
 # Mean of the upper and of the lower half of red, green and blue of three maps.
 EXPECTED = (

@@ -9,12 +9,12 @@ import pytest
 import torch
 from torch import Tensor
 
-from data_tools.procedural import FAMILIES, stream
-from data_tools.synthetic_svbrdf_stationary import COUNTS, FLAT, UNITS, flash_photographs, synthetic_tasks
-from metapp.cli.embedded import embedded_data
-from metapp.flash import flash_position
-from metapp.shards import read_manifest
-from metapp.task import Task
+from data_tools.synthetic.stationary.families import FAMILIES, stream
+from data_tools.synthetic.svbrdf_stationary import COUNTS, FLAT, UNITS, flash_photographs, synthetic_tasks
+from metapp.appearance.flash import flash_position
+from metapp.experiments.embedded import embedded_data
+from metapp.learning.task import Task
+from metapp.storage.shards import read_manifest
 
 # Mean red, green and blue of three pictures, 0 .. 255.
 EXPECTED = ((117.12, 107.52, 90.58), (106.62, 105.66, 102.13), (105.63, 110.56, 111.35))

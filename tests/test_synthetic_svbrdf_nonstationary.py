@@ -11,15 +11,15 @@ import pytest
 import torch
 from torch import Tensor
 
-from data_tools.patch import Surface, covers, distance, finish, lay, softened
-from data_tools.patch_shapes import box, centred, disc, grid, star, text
-from data_tools.procedural import stream
-from data_tools.synthetic_svbrdf_nonstationary import COUNTS, FAMILIES, UNITS, held, synthetic_tasks
-from metapp.colour import linear_to_srgb
-from metapp.flash import BESIDE_LENS, Maps, camera, positions, render, unpack
-from metapp.manifest import read_manifest
-from metapp.shards import check_shard, read_shard
-from metapp.task import Task
+from data_tools.synthetic.nonstationary.shapes import box, centred, disc, grid, star, text
+from data_tools.synthetic.nonstationary.surface import Surface, covers, distance, finish, lay, softened
+from data_tools.synthetic.stationary.families import stream
+from data_tools.synthetic.svbrdf_nonstationary import COUNTS, FAMILIES, UNITS, held, synthetic_tasks
+from metapp.appearance.colour import linear_to_srgb
+from metapp.appearance.flash import BESIDE_LENS, Maps, camera, positions, render, unpack
+from metapp.learning.task import Task
+from metapp.storage.manifest import read_manifest
+from metapp.storage.shards import check_shard, read_shard
 
 # Mean normal x, diffuse green, roughness and specular green of three patches.
 EXPECTED = ((-0.0032, 0.1001, 0.4919, 0.3050), (0.0001, 0.0211, 0.4600, 0.5278), (0.0015, 0.0900, 0.6739, 0.0442))

@@ -9,11 +9,11 @@ import pytest
 import torch
 from torch import Tensor
 
-from data_tools.procedural import FAMILIES
-from data_tools.synthetic_texture import COUNTS, UNITS, synthetic_tasks
-from metapp.cli.embedded import embedded_data
-from metapp.shards import read_manifest
-from metapp.task import Task
+from data_tools.synthetic.stationary.families import FAMILIES
+from data_tools.synthetic.texture import COUNTS, UNITS, synthetic_tasks
+from metapp.experiments.embedded import embedded_data
+from metapp.learning.task import Task
+from metapp.storage.shards import read_manifest
 
 # Mean red, green and blue of three pictures, 0 .. 255.
 EXPECTED = ((120.05, 94.97, 89.41), (184.26, 124.76, 93.63), (159.70, 158.05, 156.52))

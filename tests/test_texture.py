@@ -11,17 +11,19 @@ import torch
 from torch import Generator, Tensor
 from torch.nn.functional import interpolate, pad
 
-from metapp import networks
+from metapp.appearance.colour import srgb_to_linear
+from metapp.appearance.features import RANDOM, gram, load_features, moments
 from metapp.apps.texture import APP, PAPER, QUICK, SMALLEST_CROP, Texture
-from metapp.cli.starts import shipped_path
-from metapp.colour import srgb_to_linear
-from metapp.exemplar import JUDGED, TILED, Setup
-from metapp.features import RANDOM, gram, load_features, moments
-from metapp.learning import MetaParameters
-from metapp.networks import UNet
+from metapp.experiments.starts import shipped_path
+from metapp.learning.app import stack
+from metapp.learning.learn import MetaParameters
+from metapp.learning.recipe import Recipe
+from metapp.learning.task import Params, Task, Tasks
+from metapp.networks import layers as networks
+from metapp.networks.exemplar import JUDGED, TILED, Setup
+from metapp.networks.layers import UNet
 from metapp.paradigms import Job, paradigms
-from metapp.records import load_start
-from metapp.task import Params, Recipe, Task, Tasks, stack
+from metapp.storage.records import load_start
 
 SIZE, LEVELS = 32, 3
 TINY = replace(QUICK, setup=Setup(SIZE, SIZE, UNet(8, LEVELS, noise=4, code=8), "vgg16", ("relu1_1", "relu2_1")))

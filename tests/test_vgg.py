@@ -20,7 +20,7 @@ import torch
 from safetensors.torch import load_file, save_file
 
 from data_tools import vgg
-from metapp.features import KNOWN, describe_features
+from metapp.appearance.features import KNOWN, describe_features
 
 SMALL = {"vgg16": ((2, 2), (3,)), "vgg19": ((2, 2), (3, 4))}
 TREE = {
@@ -332,7 +332,7 @@ def test_damaged_weights_are_none(cache: Path) -> None:
 
 
 def test_what_is_stored_makes_features() -> None:
-    features = pytest.importorskip("metapp.features")
+    features = pytest.importorskip("metapp.appearance.features")
     given = {key: torch.randn(shape) * 0.05 for key, shape in vgg.shapes("vgg16").items()}
     vgg.store("vgg16", given, vgg.Origin("x", ""))
     loaded = features.load_features("vgg16", ["relu1_1", "relu5_3"], torch.zeros(1))

@@ -30,7 +30,7 @@ fi
 "$venv/bin/python" -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[dev]'
 
 # Mitsuba's wheels need libatomic to be imported and libLLVM to render, which a bare Debian has not
-renders() { "$venv/bin/python" -c 'import data_tools.mitsuba_variant as m; m.load_mitsuba()' 2>/dev/null; }
+renders() { "$venv/bin/python" -c 'import metapp.rendering.variant as m; m.load_mitsuba()' 2>/dev/null; }
 # Without root: into the virtual environment, what is not installed of these packages and of those they need.
 unpack_libraries() (
   work=$(mktemp -d)

@@ -13,8 +13,8 @@ import torch
 from safetensors import safe_open
 from safetensors.torch import save_file
 
-from metapp.records import load_start, tensor_digest
-from metapp.task import Params
+from metapp.learning.task import Params
+from metapp.storage.records import load_start, tensor_digest
 
 SKIPPED = (".previous", ".interrupted", ".training", ".aside")
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import importlib
 import pkgutil
 
-from metapp.task import App
+from metapp.learning.app import App
 
 
 def app_names() -> list[str]:

@@ -14,14 +14,14 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from metapp.cli.console import Exit, out, print_json, progress, say
-from metapp.cli.convert import Converted
 from metapp.cli.data_convert import Json, Out, Quiet, check_folder, flash, images, laval, merl, nbrdf, report
 from metapp.cli.data_cornell import cornell
 from metapp.cli.data_svbrdf import maps, strips
-from metapp.cli.embedded import embedded_apps, embedded_data, embedded_module, split_counts
+from metapp.experiments.convert import Converted
+from metapp.experiments.embedded import embedded_apps, embedded_data, embedded_module, split_counts
 
 if TYPE_CHECKING:
-    from metapp.task import Held
+    from metapp.learning.task import Held
 
 app = typer.Typer(no_args_is_help=True, help="Make data sets from files or by drawing them, and check them.")
 
@@ -114,7 +114,7 @@ def synth(
     if form is Form.MERL:
         done = _synth_merl(name, folder, count, seed, quiet)
     else:
-        from metapp.manifest import read_manifest
+        from metapp.storage.manifest import read_manifest
 
         made = embedded_data(name, seed, count, folder, quiet)
         tasks = read_manifest(made).tasks
@@ -124,7 +124,7 @@ def synth(
 
 
 def _synth_merl(name: str, folder: Path | None, count: int | None, seed: int, quiet: bool) -> Converted:
-    from metapp.shards import only_writer
+    from metapp.storage.shards import only_writer
 
     module = embedded_module(name)
     if not hasattr(module, "write_merl_files"):
@@ -169,9 +169,9 @@ def join(
     Example:
       metapp data join synthetic merl --out joint
     """
-    from metapp.manifest import read_manifest
-    from metapp.shards import ShardWriter, read_shard
-    from metapp.task import Task
+    from metapp.learning.task import Task
+    from metapp.storage.manifest import read_manifest
+    from metapp.storage.shards import ShardWriter, read_shard
 
     manifests = [read_manifest(each) for each in folders]
     name = manifests[0].app
@@ -213,8 +213,8 @@ def check(
     Example:
       metapp data check merl
     """
-    from metapp.manifest import read_manifest
-    from metapp.shards import check_shard
+    from metapp.storage.manifest import read_manifest
+    from metapp.storage.shards import check_shard
 
     problems = []
     try:
@@ -282,7 +282,7 @@ def vgg(
       metapp data vgg
       metapp data vgg --which vgg19 --weights vgg19-dcbb9e9d.pth
     """
-    from metapp.features import weights_path
+    from metapp.appearance.features import weights_path
 
     module = importlib.import_module("data_tools.vgg")
     with progress(quiet) as bar:
@@ -311,7 +311,7 @@ def scene(quiet: Quiet = False, as_json: Json = False) -> None:
 
     Example: metapp data scene
     """
-    module = importlib.import_module("data_tools.second_scene")
+    module = importlib.import_module("metapp.rendering.second_scene")
     file = module.matrix_path()
     there = file.is_file()
     with progress(quiet) as bar:

@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from metapp.cli.console import print_json, say
-from metapp.cli.convert import Converted, Reader, convert
+from metapp.experiments.convert import Converted, Reader, convert
 
 if TYPE_CHECKING:
-    from metapp.task import Task
+    from metapp.learning.task import Task
 
 _SAMPLES = 65_536
 _SIZE, _MIN_SIZE, _MAX_SIZE = 256, 32, 4096
@@ -77,7 +77,10 @@ def merl(
       metapp data merl BRDFDatabase/brdfs --out merl
       metapp data merl gold.binary steel.binary --split test --out metals
     """
-    module, tasks = importlib.import_module("data_tools.merl"), importlib.import_module("data_tools.brdf_task")
+    module, tasks = (
+        importlib.import_module("data_tools.formats.merl"),
+        importlib.import_module("data_tools.formats.brdf_task"),
+    )
 
     read = functools.partial(module.read_task, samples=samples)
     notes = {"made_by": "metapp data merl", "samples": samples}
@@ -104,7 +107,10 @@ def nbrdf(
       metapp data nbrdf trained --out nbrdf
       metapp data nbrdf trained/gold trained/tin --split test --out metals
     """
-    module, tasks = importlib.import_module("data_tools.nbrdf"), importlib.import_module("data_tools.brdf_task")
+    module, tasks = (
+        importlib.import_module("data_tools.formats.nbrdf"),
+        importlib.import_module("data_tools.formats.brdf_task"),
+    )
 
     read = functools.partial(module.read_task, samples=samples)
     notes = {"made_by": "metapp data nbrdf", "samples": samples}
@@ -141,7 +147,7 @@ def images(
 
     if app != "texture" and (app not in app_names() or "images" not in load_app(app).readers):
         raise typer.BadParameter(f"'{app}' reads no images, expected texture or another that does.", param_hint="--app")
-    module = importlib.import_module("data_tools.images")
+    module = importlib.import_module("data_tools.formats.images")
 
     read = functools.partial(module.read_task, size=size)
     notes = {"made_by": "metapp data images", "size": size}
@@ -179,7 +185,7 @@ def flash(
       metapp data flash flash_images --out flash
       metapp data flash wood.jpg tiles.jpg --split test --out flash
     """
-    module = importlib.import_module("data_tools.flash")
+    module = importlib.import_module("data_tools.formats.flash")
 
     photos = module.find_shown(paths)
     splits = module.split_by_material(photos) if split is Split.AUTO else {}
@@ -218,7 +224,7 @@ def laval(
       metapp data laval IndoorHDR --out laval
       metapp data laval office.exr street.hdr --split test --out maps
     """
-    module = importlib.import_module("data_tools.latlong")
+    module = importlib.import_module("data_tools.formats.latlong")
 
     notes = {"made_by": "metapp data laval", "rows": module.HEIGHT}
     name, read = (lambda source: source.stem), module.read_map_task

@@ -8,8 +8,8 @@ from typing import Annotated
 import typer
 
 from metapp.cli.console import progress
-from metapp.cli.convert import Converted
 from metapp.cli.data_convert import Json, Out, Quiet, Split, SplitOption, report
+from metapp.experiments.convert import Converted
 
 _SAMPLES, _HELD = 32_768, 8_192
 
@@ -40,11 +40,11 @@ def cornell(
       metapp data cornell --count 20 --seed 7 --out boxes
       metapp data cornell --count 4 --samples 288000 --dimensions 6 --split test --out boxes
     """
-    from metapp.shards import ShardWriter
+    from metapp.storage.shards import ShardWriter
 
     if dimensions % 2:
         raise typer.BadParameter(f"{dimensions}, expected 4 or 6.", param_hint="--dimensions")
-    module = importlib.import_module("data_tools.synthetic_transport")
+    module = importlib.import_module("data_tools.synthetic.transport")
     tasks = module.cornell_tasks(count, seed, samples=samples, held=held, dimensions=dimensions)
     notes = {"made_by": "metapp data cornell", "seed": seed, "count": count, "split": split.value}
     with ShardWriter(folder, "transport", module.UNITS, notes, module.BESIDE) as writer, progress(quiet) as bar:

@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from metapp.cli.console import say
-from metapp.cli.convert import Reader, convert
 from metapp.cli.data_convert import Json, Out, Quiet, Size, Split, report
+from metapp.experiments.convert import Reader, convert
 
 if TYPE_CHECKING:
-    from metapp.task import Task
+    from metapp.learning.task import Task
 
 _APP = "svbrdf_nonstationary"
 _SIZE = 256
@@ -70,7 +70,7 @@ def strips(
       metapp data strips DeepMaterialsData/trainBlended --out svbrdf
       metapp data strips strips --gamma 2.2 --white 1 --split test --out svbrdf
     """
-    module = importlib.import_module("data_tools.strips")
+    module = importlib.import_module("data_tools.formats.strips")
 
     sources = {source.resolve(): source for source in module.find(paths)[0]}
     groups = module.group_strips(sources)
@@ -145,7 +145,7 @@ def maps(
       metapp data maps materials --out svbrdf
       metapp data maps materials/rock --normals directx --split test --out rock
     """
-    module = importlib.import_module("data_tools.material_maps")
+    module = importlib.import_module("data_tools.formats.material_maps")
 
     materials = {each.source.resolve(): each for each in module.find_materials(paths)[0]}
     sides = module.split_materials(materials.values())

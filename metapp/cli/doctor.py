@@ -32,10 +32,10 @@ def examine() -> dict[str, Any]:
     import torch
 
     from metapp.apps import app_names
-    from metapp.cli.embedded import embedded_exists
-    from metapp.cli.starts import shipped_path
-    from metapp.files import cache_folder
-    from metapp.paradigms.prepare import can_compile
+    from metapp.experiments.embedded import embedded_exists
+    from metapp.experiments.starts import shipped_path
+    from metapp.paradigms.training import can_compile
+    from metapp.storage.files import cache_folder
 
     starts = {
         app: sorted(path.stem for path in shipped_path(app, "x").parent.glob("*.safetensors")) for app in app_names()
@@ -62,7 +62,7 @@ def _version(package: str) -> str:
 
 
 def _vgg(which: str) -> str:
-    from metapp.features import weights_path
+    from metapp.appearance.features import weights_path
 
     origin = importlib.import_module("data_tools.vgg").stored(which)
     if origin:
@@ -75,6 +75,6 @@ def _vgg(which: str) -> str:
 def _llvm() -> str:
     """The library that scenes are rendered with."""
     try:
-        return str(importlib.import_module("data_tools.mitsuba_variant").find_llvm())
+        return str(importlib.import_module("metapp.rendering.variant").find_llvm())
     except ValueError as error:
         return str(error).removeprefix("libLLVM: ")

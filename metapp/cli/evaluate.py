@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from metapp.cli.console import out, print_json, progress, say
-from metapp.cli.tables import NAMES, Row, Table, blank, load_table
+from metapp.experiments.tables import NAMES, Row, Table, blank, load_table
 
 if TYPE_CHECKING:
-    from metapp.cli.session import Options
-    from metapp.cli.tables.subject import Absent, Cell, Subject
+    from metapp.experiments.session import Options
+    from metapp.experiments.tables.subject import Absent, Cell, Subject
 
 FORMATS = ("rich", "markdown", "latex", "csv", "json")
 ALL = "all"
@@ -58,8 +58,8 @@ def command(
     if format_name not in FORMATS:
         raise typer.BadParameter(f"--format '{format_name}': expected one of {', '.join(FORMATS)}.")
     from metapp.apps import app_names
-    from metapp.cli.session import Options, check_protocol, check_recipe, check_rule, find_app, find_device
-    from metapp.cli.tables.subject import absent
+    from metapp.experiments.session import Options, check_protocol, check_recipe, check_rule, find_app, find_device
+    from metapp.experiments.tables.subject import absent
 
     found = [find_app(name) for name in apps or app_names()]
     for app in [app for app in found if app.protocols] or found:
@@ -83,26 +83,26 @@ def command(
         compare(subjects, quiet=quiet)
     show(tables, subjects, missing, "json" if json else format_name)
     if figures:
-        from metapp.cli.figures import write_figures
+        from metapp.experiments.figures import write_figures
 
         for file in write_figures(subjects, figures):
             say(f"figure: {file}")
     if report:
-        from metapp.cli.report.page import write_report
+        from metapp.experiments.report.page import write_report
 
         say(f"report: {write_report(subjects, missing, report)}")
 
 
 def find_subjects(planned: list[Options], *, run: bool, strict: bool, share: float) -> list[Subject]:
     """What tables are about, with the starts of all."""
-    from metapp.cli.tables.subject import Subject
+    from metapp.experiments.tables.subject import Subject
 
     return [Subject(options, run=run, strict=strict, share=share) for options in planned]
 
 
 def fill(cells: list[Cell], *, run: bool, quiet: bool) -> None:
     """Measure what cells lack, or name the commands that do."""
-    from metapp.cli.tables.running import run_cells
+    from metapp.experiments.tables.running import run_cells
 
     if run:
         run_cells(cells, quiet=quiet)
@@ -115,7 +115,7 @@ def fill(cells: list[Cell], *, run: bool, quiet: bool) -> None:
 
 def rows_of(table: Table, subject: Subject | Absent) -> list[Row]:
     """The rows of one application; of one that is not here, the paper's figures, where the table has any."""
-    from metapp.cli.tables.subject import Absent
+    from metapp.experiments.tables.subject import Absent
     from metapp.paradigms import paradigms
 
     if not isinstance(subject, Absent):
@@ -125,7 +125,7 @@ def rows_of(table: Table, subject: Subject | Absent) -> list[Row]:
 
 def show(tables: list[Table], subjects: list[Subject], missing: list[Absent], form: str) -> None:
     """Print tables in a format."""
-    from metapp.cli.tables.formats import csv_of, rich_table, text_table
+    from metapp.experiments.tables.formats import csv_of, rich_table, text_table
 
     about: list[Subject | Absent] = [*subjects, *missing]
     several = len(tables) > 1
@@ -147,7 +147,7 @@ def show(tables: list[Table], subjects: list[Subject], missing: list[Absent], fo
 
 def compare(subjects: list[Subject], *, quiet: bool) -> None:
     """Draw the fits of all paradigms that are complete, side by side, one picture an application."""
-    from metapp.cli.pictures import COMPARED, picture_of_table
+    from metapp.experiments.pictures import COMPARED, picture_of_table
 
     for subject in subjects:
         options, complete = subject.options, []

@@ -16,10 +16,11 @@ from metapp.cli.console import number, out, print_json, progress, say
 if TYPE_CHECKING:
     from torch import Generator
 
-    from metapp.cli.session import Options, Start
+    from metapp.experiments.session import Options, Start
+    from metapp.learning.app import App
+    from metapp.learning.task import Params, Task, Tasks
     from metapp.paradigms import Job, Paradigm
-    from metapp.records import RunFolder
-    from metapp.task import App, Params, Task, Tasks
+    from metapp.storage.records import RunFolder
 
 RULE_NAMES = "meta-sgd, meta-adam, meta-adam-tied, meta-curvature, meta-encoder, meta-lgd, meta-mean, meta-basis"
 APP_HELP = "Application: brdf, texture, svbrdf_stationary, svbrdf_nonstationary, illumination, transport."
@@ -75,7 +76,7 @@ def make_command(name: str, summary: str) -> Any:
         json: Annotated[bool, typer.Option("--json", help="One JSON object as last line of standard output.")] = False,
         quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress bar, no table.")] = False,
     ) -> None:
-        from metapp.cli.session import Options, check_protocol, check_recipe, check_rule, find_app, find_device
+        from metapp.experiments.session import Options, check_protocol, check_recipe, check_rule, find_app, find_device
 
         found = find_app(app)
         check_protocol(observe, found)
@@ -139,12 +140,12 @@ def fit(
     Returns:
         The document that --json prints.
     """
-    from metapp.cli.inputs import tasks_to_fit
-    from metapp.cli.pictures import picture_of_run, write_files
-    from metapp.cli.session import make_folder, name_of, observe_of, settings_of
-    from metapp.cli.starts import find_start, train_start
+    from metapp.experiments.inputs import tasks_to_fit
+    from metapp.experiments.pictures import picture_of_run, write_files
+    from metapp.experiments.session import make_folder, name_of, observe_of, settings_of
+    from metapp.experiments.starts import find_start, train_start
     from metapp.paradigms import paradigms
-    from metapp.records import FIT, RunFolder
+    from metapp.storage.records import FIT, RunFolder
 
     paradigm = paradigms()[paradigm_name]
     if options.steps == paradigm.steps(options.job.recipe):
@@ -225,7 +226,7 @@ def fit_tasks(
     """
     import torch
 
-    from metapp.task import stack
+    from metapp.learning.app import stack
 
     app, job, device = options.app, options.job, options.device
 
@@ -316,7 +317,7 @@ def table_of(app: App, paradigm: str, records: list[dict[str, Any]]) -> Any:
     from rich.table import Table
     from rich.text import Text
 
-    from metapp.cli.session import title_of
+    from metapp.experiments.session import title_of
 
     factor = f" x{app.scale:g}" if app.scale != 1 else ""
     table = Table(title=f"{title_of(app)}: {paradigm}", show_footer=True, caption=caption_of(app))
@@ -340,7 +341,7 @@ def export_all(options: Options, tasks: list[Task], folder: RunFolder, kind: str
     """Write every fit of a run in another form, under <run>/<kind>/."""
     import importlib
 
-    from metapp.records import file_name
+    from metapp.storage.records import file_name
 
     tool = importlib.import_module(f"data_tools.{kind}")
     for task in tasks:

@@ -7,9 +7,11 @@ from typing import NamedTuple
 
 from torch import Generator
 
-from metapp.adjoint import UpdateRule
-from metapp.learning import MetaParameters, learn, task_loss
-from metapp.task import App, Params, Recipe, Tasks
+from metapp.learning.adjoint import UpdateRule
+from metapp.learning.app import App
+from metapp.learning.learn import MetaParameters, learn, task_loss
+from metapp.learning.recipe import Recipe
+from metapp.learning.task import Params, Tasks
 
 AT_ONCE = 8  # tasks that are fitted side by side where memory would grow with a data set
 

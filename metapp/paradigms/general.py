@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from torch import Generator
 
-from metapp.adjoint import Loss
-from metapp.learning import MetaParameters, after_encoding, over_tasks, task_goal
+from metapp.learning.adjoint import Loss
+from metapp.learning.learn import MetaParameters, after_encoding, over_tasks, task_goal
+from metapp.learning.rules import fixed_adam
+from metapp.learning.task import Params, Tasks
 from metapp.paradigms import Job, Paradigm
-from metapp.rules import fixed_adam
-from metapp.task import Params, Tasks
 
 
 def start(job: Job, prepared: MetaParameters, tasks: Tasks, rng: Generator) -> Params:

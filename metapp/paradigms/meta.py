@@ -7,12 +7,13 @@ from typing import Any
 import torch
 from torch import Generator
 
-from metapp.adjoint import Loss, UpdateRule
-from metapp.learning import MetaParameters, after_learning, learn, over_tasks, spread, task_goal, task_loss
+from metapp.learning.adjoint import Loss, UpdateRule
+from metapp.learning.learn import MetaParameters, after_learning, learn, over_tasks, spread, task_goal, task_loss
+from metapp.learning.recipe import Adam
+from metapp.learning.rules import RULES, averaging, principal_axes, second_moments
+from metapp.learning.task import Params, Tasks
 from metapp.paradigms import AT_ONCE, Job, Paradigm
 from metapp.paradigms.general import start as general_start
-from metapp.rules import RULES, averaging, principal_axes, second_moments
-from metapp.task import Adam, Params, Tasks
 
 
 def preparation(job: Job, general: MetaParameters, rng: Generator, compiled: bool) -> tuple[MetaParameters, Loss]:

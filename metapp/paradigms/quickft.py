@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import torch
 
-from metapp.adjoint import UpdateRule
-from metapp.learning import MetaParameters
+from metapp.learning.adjoint import UpdateRule
+from metapp.learning.learn import MetaParameters
+from metapp.learning.recipe import Adam
+from metapp.learning.rules import fixed_adam
+from metapp.learning.task import Params
 from metapp.paradigms import Job, Paradigm
 from metapp.paradigms.general import GENERAL, start
-from metapp.rules import fixed_adam
-from metapp.task import Adam, Params
 
 TUNED = ("rate", "beta1", "beta2", "eps", "final")
 

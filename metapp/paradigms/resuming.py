@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 from torch import Tensor
 
-from metapp.learning import MetaParameters, Progress
+from metapp.learning.learn import MetaParameters, Progress
 
 
 class Prepared(NamedTuple):

@@ -19,17 +19,18 @@ from pathlib import Path
 import torch
 from torch import Generator, Tensor
 
+from metapp.appearance.flash import Maps, unpack
 from metapp.apps.svbrdf_nonstationary import APP, JUDGED, _pairs
 from metapp.apps.svbrdf_nonstationary.maps import RAW, decoded
 from metapp.apps.svbrdf_nonstationary.views import FLASH, seen
 from metapp.cli.console import run
-from metapp.cli.inputs import tasks_to_fit
-from metapp.cli.starts import shipped_path
-from metapp.flash import Maps, unpack
+from metapp.experiments.inputs import tasks_to_fit
+from metapp.experiments.starts import shipped_path
+from metapp.learning.app import stack
+from metapp.learning.task import Params
 from metapp.paradigms import Job
 from metapp.paradigms.general import GENERAL
-from metapp.records import load_start
-from metapp.task import Params, stack
+from metapp.storage.records import load_start
 
 RATES = (1e-3, 3e-3, 1e-2, 3e-2, 1e-1)
 STEPS, LOOKED_AT = 120, 5

@@ -33,11 +33,11 @@ from torch.nn.functional import avg_pool2d, conv2d, interpolate, linear
 from torch.utils._python_dispatch import TorchDispatchMode
 from torch.utils._pytree import tree_leaves
 
-from metapp.adjoint import Drawn, Loss
 from metapp.apps.brdf import APP, network
-from metapp.learning import MetaParameters, after_learning, learn, spread
-from metapp.rules import sgd
-from metapp.task import Batch, Params
+from metapp.learning.adjoint import Drawn, Loss
+from metapp.learning.learn import MetaParameters, after_learning, learn, spread
+from metapp.learning.rules import sgd
+from metapp.learning.task import Batch, Params
 
 TASKS, STEPS, SAMPLES, RATE = 8, 10, 512, 1e-2
 ROUNDS = 25

@@ -5,8 +5,9 @@ from __future__ import annotations
 import pytest
 
 from metapp.apps import app_names, load_app
+from metapp.learning.app import App, stack
+from metapp.learning.task import Task, Tasks
 from metapp.paradigms import Job, prepare
-from metapp.task import App, Task, Tasks, stack
 from tests.paradigms.small import SMALL, small_recipe
 
 

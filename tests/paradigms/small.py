@@ -9,20 +9,22 @@ from typing import Any, NamedTuple
 import torch
 from torch import Generator
 
-from data_tools.brdf_task import brdf_task
-from data_tools.svbrdf_task import svbrdf_task
-from data_tools.synthetic_brdf import synthetic_materials
+from data_tools.formats.brdf_task import brdf_task
+from data_tools.formats.svbrdf_task import svbrdf_task
+from data_tools.synthetic.brdf import synthetic_materials
+from metapp.appearance.flash import Maps, normal_from_height, pack
+from metapp.appearance.latlong import directions, mean_luminance
+from metapp.appearance.photograph import photograph
 from metapp.apps import illumination, svbrdf_nonstationary, transport
 from metapp.apps.transport.flow import Flow
-from metapp.exemplar import Setup
-from metapp.flash import Maps, normal_from_height, pack
-from metapp.latlong import directions, mean_luminance
-from metapp.learning import MetaParameters
-from metapp.networks import LocalField, UNet
+from metapp.learning.app import App
+from metapp.learning.learn import MetaParameters
+from metapp.learning.recipe import Adam, Recipe, Training
+from metapp.learning.rules import RULES
+from metapp.learning.task import Task
+from metapp.networks.exemplar import Setup
+from metapp.networks.layers import LocalField, UNet
 from metapp.paradigms import Job, Paradigm
-from metapp.photograph import photograph
-from metapp.rules import RULES
-from metapp.task import Adam, App, Recipe, Task, Training
 
 COUNT = 12
 # rules that differ in more than the start that recipes give them

@@ -9,11 +9,13 @@ import pytest
 import torch
 
 from metapp.apps import load_app
-from metapp.learning import MetaParameters, learn, task_loss
+from metapp.learning.app import App
+from metapp.learning.learn import MetaParameters, learn, task_loss
+from metapp.learning.recipe import Adam
+from metapp.learning.rules import RULES, fixed_adam
+from metapp.learning.task import Batch, Params, Task, Tasks
 from metapp.paradigms import Job, paradigms
 from metapp.paradigms.quickft import to_alpha
-from metapp.rules import RULES, fixed_adam
-from metapp.task import Adam, App, Batch, Params, Task, Tasks
 from tests.paradigms.small import UNLIKE, rng, start_for, untrained
 
 # Fitting

@@ -10,10 +10,11 @@ from typing import Any
 import pytest
 import torch
 
-from metapp.learning import MetaParameters
+from metapp.learning.learn import MetaParameters
+from metapp.learning.recipe import Adam
+from metapp.learning.task import Tasks
 from metapp.paradigms import Job, paradigms, prepare
-from metapp.paradigms.prepare import Interrupted, Prepared, split_validation, tune_quickft, validation_error
-from metapp.task import Adam, Tasks
+from metapp.paradigms.training import Interrupted, Prepared, split_validation, tune_quickft, validation_error
 from tests.paradigms.small import UNLIKE, rng, start_for
 
 

@@ -13,12 +13,12 @@ from typing import Any
 import pytest
 import torch
 
-from metapp.learning import MetaParameters
+from metapp.learning.learn import MetaParameters
+from metapp.learning.task import Tasks
 from metapp.paradigms import Job, paradigms, prepare
 from metapp.paradigms.resuming import Interrupted, Prepared, Reached
-from metapp.records import save_start
-from metapp.task import Tasks
-from metapp.training_checkpoint import TrainingCheckpoint
+from metapp.storage.records import save_start
+from metapp.storage.training_checkpoint import TrainingCheckpoint
 from tests.paradigms.small import rng, start_for
 
 SETTINGS = {"steps": 12, "seed": 3}

@@ -11,12 +11,13 @@ import pytest
 import torch
 
 from metapp.apps import load_app
-from metapp.learning import MetaParameters
+from metapp.learning.learn import MetaParameters
+from metapp.learning.recipe import Adam
+from metapp.learning.rules import RULES
+from metapp.learning.task import Tasks
 from metapp.paradigms import Job, Paradigm, prepare
-from metapp.paradigms.prepare import Interrupted, Prepared, tune_quickft
 from metapp.paradigms.quickft import adam_of
-from metapp.rules import RULES
-from metapp.task import Adam, Tasks
+from metapp.paradigms.training import Interrupted, Prepared, tune_quickft
 from tests.paradigms.small import rng
 
 # The search of QuickFT's Adam, on errors in closed form

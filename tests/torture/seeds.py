@@ -108,7 +108,7 @@ def material_maps() -> list[Files]:
 
 def networks() -> list[Files]:
     """NBRDF networks."""
-    from data_tools.nbrdf import SHAPES
+    from data_tools.formats.nbrdf import SHAPES
 
     rng = np.random.default_rng(0)
     found = []
@@ -131,7 +131,7 @@ def scenes_xml() -> list[Files]:
 
 def scenes_json() -> list[Files]:
     """Scenes as dictionaries, and XML inside JSON."""
-    from data_tools.cornell import random_scene
+    from metapp.rendering.cornell import random_scene
 
     boxes = [json.dumps(random_scene(seed)).encode() for seed in (0, 1)]
     return [*({"box.json": box} for box in boxes), {"box.json": json.dumps({"xml": SCENE}).encode()}]
@@ -139,8 +139,8 @@ def scenes_json() -> list[Files]:
 
 def shards() -> list[Files]:
     """A data set of two BRDF tasks."""
-    from data_tools.brdf_task import UNITS, brdf_task
-    from metapp.shards import ShardWriter
+    from data_tools.formats.brdf_task import UNITS, brdf_task
+    from metapp.storage.shards import ShardWriter
 
     with tempfile.TemporaryDirectory() as folder:
         with ShardWriter(folder, "brdf", UNITS, {"made_by": "torture"}) as writer:
@@ -152,7 +152,7 @@ def shards() -> list[Files]:
 
 def starts() -> list[Files]:
     """The small trained starts that ship."""
-    from metapp.cli.starts import shipped_path
+    from metapp.experiments.starts import shipped_path
 
     names = ("meta-sgd", "meta-adam")
     return [{f"{name}.safetensors": shipped_path("brdf", name).read_bytes()} for name in names]
@@ -161,7 +161,7 @@ def starts() -> list[Files]:
 def records() -> list[Files]:
     """A run's record file."""
     settings = {"app": "brdf", "steps": 10}
-    from metapp.records import digest
+    from metapp.storage.records import digest
 
     line = {"error": 0.5, "seconds": 0.1, "key": digest(settings), "settings": settings}
     return [{"record.jsonl": b"".join(json.dumps({"name": n, **line}).encode() + b"\n" for n in ("a", "b", "c"))}]

@@ -80,7 +80,7 @@ def finite(task: Any, **shapes: tuple[int, ...] | None) -> None:
 
 def _merl_file(rng: random.Random, folder: Path) -> Path:
     """Mostly headers and sizes, which cost little; one in 20 is whole, with values changed."""
-    from data_tools.merl import _HEADER, FILE_BYTES
+    from data_tools.formats.merl import _HEADER, FILE_BYTES
 
     file = folder / "gold.binary"
     header = _HEADER.tobytes()
@@ -100,7 +100,7 @@ def _merl_file(rng: random.Random, folder: Path) -> Path:
 def _read_merl(folder: Path, file: Path) -> None:
     import numpy as np
 
-    from data_tools.merl import SHAPE, find_merl, read_merl
+    from data_tools.formats.merl import SHAPE, find_merl, read_merl
 
     find_merl([file])
     table = read_merl(file)
@@ -109,7 +109,7 @@ def _read_merl(folder: Path, file: Path) -> None:
 
 
 def _read_nbrdf(folder: Path, file: Path) -> None:
-    from data_tools import nbrdf
+    from data_tools.formats import nbrdf
 
     for network in nbrdf.find([folder])[0]:
         weights = nbrdf.read_nbrdf(network)
@@ -129,21 +129,21 @@ def _read_with(module: str, key: str | None, side: int, folder: Path, file: Path
 
 
 def _read_maps(folder: Path, file: Path) -> None:
-    from data_tools import svbrdf_inputs
+    from data_tools.formats import svbrdf_inputs
 
     for source in svbrdf_inputs.find([folder])[0]:
         finite(svbrdf_inputs.read_task(source, 32))
 
 
 def _read_light(folder: Path, file: Path) -> None:
-    from data_tools import latlong
+    from data_tools.formats import latlong
 
     finite(latlong.read_task(latlong.find([file])[0][0]))
 
 
 def _read_scene(folder: Path, file: Path) -> None:
-    from data_tools.mitsuba_scenes import find, read_scene
-    from data_tools.scene_loading import load_scene
+    from data_tools.formats.mitsuba_scenes import find, read_scene
+    from metapp.rendering.scene_loading import load_scene
 
     path = next((path for path in find([folder])[0] if path.name.startswith("box")), file)
     scene = read_scene(path)
@@ -157,9 +157,9 @@ def _read_scene(folder: Path, file: Path) -> None:
 
 def _read_shard(folder: Path, file: Path) -> None:
     from metapp.apps import load_app
-    from metapp.cli.inputs import tasks_to_fit
-    from metapp.shards import check_shard
-    from metapp.task import stack
+    from metapp.experiments.inputs import tasks_to_fit
+    from metapp.learning.app import stack
+    from metapp.storage.shards import check_shard
 
     app = load_app("brdf")
     check_shard(folder)
@@ -171,7 +171,7 @@ def _read_shard(folder: Path, file: Path) -> None:
 
 
 def _read_manifest(folder: Path, file: Path) -> None:
-    from metapp.manifest import fingerprint, read_manifest
+    from metapp.storage.manifest import fingerprint, read_manifest
 
     read_manifest(folder)
     fingerprint(folder)
@@ -179,9 +179,9 @@ def _read_manifest(folder: Path, file: Path) -> None:
 
 @functools.cache
 def _small_task() -> Any:
-    from data_tools.brdf_task import brdf_task
+    from data_tools.formats.brdf_task import brdf_task
     from metapp.apps import load_app
-    from metapp.task import stack
+    from metapp.learning.app import stack
 
     return stack(load_app("brdf"), [brdf_task("small", lambda angles: angles * 0 + 0.1, samples=64)])
 
@@ -191,8 +191,8 @@ def _read_start(folder: Path, file: Path) -> None:
     import torch
 
     from metapp.apps import load_app
-    from metapp.cli.session import Options
-    from metapp.cli.starts import find_start
+    from metapp.experiments.session import Options
+    from metapp.experiments.starts import find_start
     from metapp.paradigms import paradigms
 
     app, paradigm = load_app("brdf"), paradigms()["meta"]
@@ -204,7 +204,7 @@ def _read_start(folder: Path, file: Path) -> None:
 def _read_records(folder: Path, file: Path) -> None:
     """As a run that goes on, whose table shows all finished tasks."""
     from metapp.cli.fit import summary
-    from metapp.records import FIT, RunFolder
+    from metapp.storage.records import FIT, RunFolder
 
     records = RunFolder(folder, {"app": "brdf", "steps": 10}, FIT).finished()
     for name, record in records.items():

@@ -11,15 +11,17 @@ import torch
 from torch import Generator, Tensor
 from torch.nn.functional import avg_pool2d, relu, softmax
 
+from metapp.appearance.colour import tone_map
+from metapp.appearance.latlong import directions, resample, solid_angles, sphere_normals
+from metapp.appearance.photograph import Camera, Material, develop, photograph, shade
 from metapp.apps.illumination.encoder import Encoder
 from metapp.apps.illumination.surfaces import FACED, MIRRORED, relight, scene, shown, surfaces
 from metapp.apps.illumination.variants import of_mean_1, varied
-from metapp.coded import CodedApp, norm
-from metapp.colour import tone_map
-from metapp.latlong import directions, resample, solid_angles, sphere_normals
-from metapp.networks import LocalField
-from metapp.photograph import Camera, Material, develop, photograph, shade
-from metapp.task import AS_PUBLISHED, Adam, Batch, Held, Params, Recipe, Task, Tasks, Training, Visible
+from metapp.learning.app import Visible
+from metapp.learning.recipe import AS_PUBLISHED, Adam, Recipe, Training
+from metapp.learning.task import Batch, Held, Params, Task, Tasks
+from metapp.networks.coded import CodedApp, norm
+from metapp.networks.layers import LocalField
 
 DARK = 0.01  # of a map of mean luminance 1: the log of radiance is flat below
 DIM = 0.02  # the same for what surfaces send out

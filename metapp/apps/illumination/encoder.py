@@ -9,9 +9,9 @@ import torch
 from torch import Generator, Tensor
 from torch.nn.functional import avg_pool2d, conv1d, conv2d, grid_sample, leaky_relu, normalize, pad
 
-from metapp.latlong import directions
-from metapp.networks import add_layer, dense
-from metapp.task import Params
+from metapp.appearance.latlong import directions
+from metapp.learning.task import Params
+from metapp.networks.layers import add_layer, dense
 
 SLOPE = 0.1
 DIRECT = ((3, 24), (24, 48), (48, 64), (64, 96))  # channels of the layers that look at the photograph as it is

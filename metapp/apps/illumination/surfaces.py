@@ -11,8 +11,8 @@ import torch
 from torch import Tensor
 from torch.nn.functional import avg_pool2d, interpolate, normalize
 
-from metapp.colour import srgb_to_linear, tone_map
-from metapp.latlong import cosine_transfer, glossy_transfer
+from metapp.appearance.colour import srgb_to_linear, tone_map
+from metapp.appearance.latlong import cosine_transfer, glossy_transfer
 
 FACED, MIRRORED, SHINE = 64, 128, 0.35  # surfaces that the loss looks at: diffuse, glossy and how rough
 
@@ -35,7 +35,7 @@ def _spread(count: int) -> Tensor:
 
 def scene() -> Any:
     """The second scene: a module of data_tools."""
-    return importlib.import_module("data_tools.second_scene")
+    return importlib.import_module("metapp.rendering.second_scene")
 
 
 def relight(maps: Tensor) -> Tensor:

@@ -6,7 +6,7 @@ import torch
 from torch import Generator, Tensor
 from torch.nn.functional import relu
 
-from metapp.latlong import mean_luminance
+from metapp.appearance.latlong import mean_luminance
 
 # shares of the maps that get another contrast, that are mixed with another one, that get lamps
 REGRADED, MIXED, LIT = 1 / 2, 1 / 3, 1 / 3

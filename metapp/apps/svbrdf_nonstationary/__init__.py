@@ -10,6 +10,7 @@ import torch
 from torch import Generator, Tensor
 from torch.nn.functional import adaptive_avg_pool2d, relu
 
+from metapp.appearance.flash import Maps, expose, positions, render, unpack
 from metapp.apps.svbrdf_nonstationary.encoder import Encoder
 from metapp.apps.svbrdf_nonstationary.maps import (
     RAW,
@@ -24,10 +25,11 @@ from metapp.apps.svbrdf_nonstationary.maps import (
 )
 from metapp.apps.svbrdf_nonstationary.variants import varied
 from metapp.apps.svbrdf_nonstationary.views import FLASH, flash_of, mirroring_pairs, oblique_pairs, photographed, seen
-from metapp.coded import CodedApp, norm
-from metapp.flash import Maps, expose, positions, render, unpack
-from metapp.networks import LocalField
-from metapp.task import AS_PUBLISHED, Adam, Batch, Held, Params, Recipe, Task, Tasks, Training, Visible
+from metapp.learning.app import Visible
+from metapp.learning.recipe import AS_PUBLISHED, Adam, Recipe, Training
+from metapp.learning.task import Batch, Held, Params, Task, Tasks
+from metapp.networks.coded import CodedApp, norm
+from metapp.networks.layers import LocalField
 
 DARK = 0.1  # of white: the log of radiance is flat below
 CLIPPED = 0.95  # of white: what a photograph shows no more

@@ -9,8 +9,8 @@ import torch
 from torch import Generator, Tensor
 from torch.nn.functional import adaptive_avg_pool2d, avg_pool2d, conv2d, interpolate, leaky_relu
 
-from metapp.networks import add_layer, dense
-from metapp.task import Params
+from metapp.learning.task import Params
+from metapp.networks.layers import add_layer, dense
 
 SLOPE = 0.1
 LOOKED = 4  # cells a side of the coarsest level that the flash is looked for in

@@ -8,9 +8,9 @@ import torch
 from torch import Tensor
 from torch.nn.functional import adaptive_avg_pool2d
 
-from metapp.colour import linear_to_srgb, srgb_to_linear
-from metapp.flash import Maps, camera, expose, positions, relightings, render
-from metapp.task import Task
+from metapp.appearance.colour import linear_to_srgb, srgb_to_linear
+from metapp.appearance.flash import Maps, camera, expose, positions, relightings, render
+from metapp.learning.task import Task
 
 RAW = (2, 3, 1, 3)  # numbers of any size in a place: slopes, diffuse colour, roughness, specular colour
 

@@ -9,7 +9,7 @@ import torch
 from torch import Generator, Tensor
 from torch.nn.functional import pad
 
-from metapp.flash import Maps, camera, camera_distance, positions, render
+from metapp.appearance.flash import Maps, camera, camera_distance, positions, render
 
 FLASH = 4  # numbers that describe a flash
 ACROSS, UP, BRIGHT = 0.3, 0.2, 0.3  # and how much one of each is: half sides aside, the log of the height, of the gain
@@ -22,7 +22,7 @@ class Flash(NamedTuple):
 
     Attributes:
         place: [T, 3].
-        gain: [T, 1], its intensity, as `metapp.flash.render` has it.
+        gain: [T, 1], its intensity, as `metapp.appearance.flash.render` has it.
     """
 
     place: Tensor

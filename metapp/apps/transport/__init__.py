@@ -13,8 +13,10 @@ from metapp.apps.transport.encoder import Encoder
 from metapp.apps.transport.flow import Flow
 from metapp.apps.transport.images import image_errors, studio_of
 from metapp.apps.transport.views import picture_of_flow, picture_of_samples
-from metapp.coded import decoder_of, reader_of, with_decoder
-from metapp.task import AS_PUBLISHED, Adam, App, Batch, Fitted, Held, Params, Recipe, Task, Tasks, Training, Visible
+from metapp.learning.app import App, Fitted, Visible
+from metapp.learning.recipe import AS_PUBLISHED, Adam, Recipe, Training
+from metapp.learning.task import Batch, Held, Params, Task, Tasks
+from metapp.networks.coded import decoder_of, reader_of, with_decoder
 
 SHOWN, GLANCE = 512, 256  # paths a pixel of the pictures that a run leaves, and of those in its overview
 WANTED = 2048  # samples of a training scene that preparation judges a fit by

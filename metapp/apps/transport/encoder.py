@@ -9,10 +9,10 @@ import torch
 from torch import Generator, Tensor
 from torch.nn.functional import conv2d, leaky_relu
 
+from metapp.appearance.latlong import luminance
 from metapp.apps.transport.flow import Flow
-from metapp.latlong import luminance
-from metapp.networks import add_layer, dense
-from metapp.task import Params
+from metapp.learning.task import Params
+from metapp.networks.layers import add_layer, dense
 
 SLOPE = 0.1
 DARK = 0.01  # of a picture of mean luminance 1: its log is flat below

@@ -10,7 +10,7 @@ from torch import Generator, Tensor
 from torch.nn.functional import pad, silu
 
 from metapp.apps.transport import spline
-from metapp.task import Params
+from metapp.learning.task import Params
 
 
 class Flow(NamedTuple):

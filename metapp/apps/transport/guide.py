@@ -9,7 +9,7 @@ from torch import Tensor
 
 from metapp.apps.transport import spline
 from metapp.apps.transport.flow import Flow
-from metapp.task import Params
+from metapp.learning.task import Params
 
 PLACES, CELLS = 32, 32  # along a side of the film, and of the directions of each place
 POWER = 0.5

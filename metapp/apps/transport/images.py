@@ -11,10 +11,11 @@ from typing import NamedTuple
 import torch
 from torch import Generator, Tensor
 
+from metapp.appearance.metrics import dssim, mape, smape
 from metapp.apps.transport.flow import Flow
 from metapp.apps.transport.guide import table_of
-from metapp.metrics import dssim, mape, smape
-from metapp.task import REFERENCE, Fitted, Params, Task
+from metapp.learning.app import REFERENCE, Fitted
+from metapp.learning.task import Params, Task
 
 SIZE, SPP = 64, 1024  # px of a side, and paths a pixel as in Fischer & Ritschel 2022, table 2
 REGULAR, EQUAL_TIME = "regular", "MAPE, equal time"
@@ -41,7 +42,7 @@ class Studio:
     """
 
     def __init__(self, scene: bytes, size: int = SIZE) -> None:
-        self.paths = importlib.import_module("data_tools.path_render")
+        self.paths = importlib.import_module("metapp.rendering.path_render")
         self.space, cornell = (importlib.import_module(f"data_tools.{name}") for name in ("path_space", "cornell"))
         self.tracer = self.space.Tracer(cornell.scene_of(torch.frombuffer(bytearray(scene), dtype=torch.uint8)))
         self.size = size

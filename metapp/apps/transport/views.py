@@ -5,10 +5,10 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from metapp.appearance.colour import srgb_to_linear, tone_map
 from metapp.apps.transport.flow import Flow
 from metapp.apps.transport.guide import table_of
-from metapp.colour import srgb_to_linear, tone_map
-from metapp.task import Params
+from metapp.learning.task import Params
 
 FILM, PARTS, CELLS = 32, 4, 16  # places along the film, parts of it, cells of directions in each
 EACH = 32  # px of a part

@@ -1,0 +1,149 @@
+"""The samples that every BRDF task is made of, whatever the BRDF comes from."""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from data_tools.formats.merl import SHAPE, Array, merl_centres, merl_evaluate, merl_index, merl_valid
+from metapp.appearance.geometry import above_horizon
+from metapp.appearance.sphere import environment_scene, reference_scene, shade_sphere
+from metapp.learning.task import Task
+
+UNITS = {
+    "angles": "rad; theta_h, theta_d, phi_d (Rusinkiewicz), phi_h = 0",
+    "reflectance": "1/sr; linear RGB",
+    "render": "linear RGB on black, coverage; the reference sphere",
+    "environment": "linear RGB on black, coverage; the sphere under the environment map of metapp.appearance.sphere",
+}
+
+_MAX_DRAWS = 64  # per sample; about 2 suffice for a measured table
+
+Keep = Callable[[Tensor], Tensor]  # draws [M, 3] -> indices of those to keep, ascending
+
+
+def brdf_task(
+    name: str,
+    evaluate: Callable[[Tensor], Tensor] | None = None,
+    table: Array | None = None,
+    samples: int = 65536,
+    seed: int = 0,
+    source: str | Path = "",
+) -> Task:
+    """Make the task of one material.
+
+    Samples are draws uniform in theta_h, theta_d in [0, pi/2] and phi_d in [0, 2 pi] (as Sztrajman et al. 2021 sample:
+    what evaluates a network does not fold phi_d by reciprocity), kept where light and view are above the horizon,
+    stratified (scrambled Sobol). The first half is what a fit may see, the second half is held out; each half is
+    stratified by itself and in random order, so any prefix is well spread. Without a table the angles are the same for
+    all materials of the same `samples` and `seed`.
+
+    With a table, each draw moves to the centre of its bin, where its value was measured: nothing is interpolated. A
+    bin stands for phi_d and, by reciprocity, phi_d + pi: the sample is on the draw's side. Invalid bins are left out,
+    and so are bins that an earlier draw has, on either side, since a held-out sample must not have been seen; further
+    draws replace them. Only the picture interpolates.
+
+    Args:
+        name: of the material.
+        evaluate: reflectance [..., 3] in 1/sr, linear RGB, of angles [..., 3] rad; or
+        table: a MERL table [90, 90, 180, 3], as `read_merl` returns it.
+        samples: N, 2 or more.
+        seed: of the draws.
+        source: the file that errors name; the material's name where there is none.
+
+    Returns:
+        A task with angles [N, 3] rad, reflectance [N, 3] in 1/sr, linear RGB, >= 0, and of the sphere render
+        [96, 96, 4] in the studio and environment [48, 48, 4], linear RGB and coverage in [0, 1]; all float32.
+
+    Raises:
+        ValueError: neither or both of evaluate and table; too few samples, or more than the table has valid bins for;
+            reflectance of another shape, or not finite.
+    """
+    source = source or name
+    if (evaluate is None) == (table is None):
+        found = "neither a function to evaluate nor a table" if table is None else "a function to evaluate and a table"
+        raise ValueError(f"{source}: {found}, expected one of the two.")
+    if samples < 2:
+        raise ValueError(f"{source}: {samples} samples, expected 2 or more.")
+    shade: Callable[[Tensor], Tensor]
+    with torch.no_grad():
+        if table is not None:
+            angles, reflectance = _table_samples(source, table, samples, seed)
+            # Interpolation gathers at random: channels side by side and half the bytes are faster.
+            shade = functools.partial(merl_evaluate, torch.from_numpy(table.astype(np.float32, order="C")))
+        else:
+            assert evaluate is not None
+            angles = _analytic_angles(samples, seed).clone()  # tasks must not share what somebody may write to
+            reflectance = evaluate(angles).float()
+            shade = evaluate
+        if reflectance.shape != angles.shape:
+            raise ValueError(
+                f"{source}: reflectance {tuple(reflectance.shape)}, expected {tuple(angles.shape)}: RGB of a sample."
+            )
+        render = shade_sphere(reference_scene(), shade).float()
+        environment = shade_sphere(environment_scene(), shade).float()
+    for subject, values in (("samples", reflectance), ("sphere", render), ("sphere", environment)):
+        bad = int((~torch.isfinite(values)).sum())
+        if bad:
+            raise ValueError(f"{source}: {bad:,} values of the {subject} are NaN or infinite, expected finite ones.")
+    pictures = {"render": render, "environment": environment}
+    return Task(name, {"angles": angles, "reflectance": reflectance.clamp_min(0), **pictures})
+
+
+@functools.lru_cache(maxsize=2)
+def _analytic_angles(samples: int, seed: int) -> Tensor:
+    """The pool [N, 3] rad of all materials that can be evaluated anywhere."""
+    return _pool("samples", samples, seed, lambda draws: above_horizon(draws).nonzero()[:, 0])
+
+
+def _table_samples(source: str | Path, table: Array, samples: int, seed: int) -> tuple[Tensor, Tensor]:
+    """Angles [N, 3] rad and reflectance [N, 3] of distinct valid bins."""
+    if table.shape != (*SHAPE, 3):
+        raise ValueError(f"{source}: table {table.shape}, expected {(*SHAPE, 3)}, as read_merl returns it.")
+    allowed = torch.from_numpy(merl_valid(table)).reshape(-1) & _bins_above_horizon()
+    available = int(allowed.sum())
+    if samples > available:
+        raise ValueError(f"{source}: {available:,} valid bins, expected {samples:,} or more; take fewer samples.")
+
+    def keep(draws: Tensor) -> Tensor:
+        bins = merl_index(draws)
+        inside = allowed[bins].nonzero()[:, 0]
+        _, first = np.unique(bins[inside].numpy(), return_index=True)
+        return inside[torch.from_numpy(np.sort(first))]
+
+    draws = _pool(source, samples, seed, keep)
+    bins = merl_index(draws)
+    angles = merl_centres().reshape(-1, 3)[bins]
+    angles[:, 2] += torch.where(draws[:, 2] >= math.pi, math.pi, 0.0)
+    return angles, torch.from_numpy(table.reshape(-1, 3)[bins.numpy()]).float()
+
+
+def _pool(source: str | Path, samples: int, seed: int, keep: Keep) -> Tensor:
+    """The first `samples` draws [N, 3] rad that are kept, the order random within each half."""
+    extent = torch.tensor([math.pi / 2, math.pi / 2, 2 * math.pi])
+    count = 4 * samples
+    while True:
+        draws = torch.quasirandom.SobolEngine(3, scramble=True, seed=seed).draw(count) * extent
+        kept = keep(draws)
+        if len(kept) >= samples:
+            break
+        if count > _MAX_DRAWS * samples:
+            raise ValueError(
+                f"{source}: {len(kept):,} valid samples in {count:,} draws, expected {samples:,}; take fewer samples."
+            )
+        count *= 4
+    rng = torch.Generator().manual_seed(seed)
+    half = samples // 2
+    order = torch.cat([torch.randperm(half, generator=rng), half + torch.randperm(samples - half, generator=rng)])
+    return draws[kept[:samples][order]]
+
+
+@functools.cache
+def _bins_above_horizon() -> Tensor:
+    return above_horizon(merl_centres()).reshape(-1)

@@ -1,0 +1,315 @@
+"""HDR environment maps (lat-long EXR, Radiance HDR) and LDR photographs of spheres, as tasks of illumination.
+
+A map is linear: in Rec.709, unless its file states other primaries (`chromaticities` of EXR) or names another linear
+space, from which it is converted. White stays white (Bradford).
+"""
+
+from __future__ import annotations
+
+import hashlib
+import sys
+import warnings
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+from unittest.mock import NonCallableMock
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from data_tools.formats.photos import (
+    check_memory,
+    error_of,
+    find_photos,
+    holds_photos,
+    opened,
+    read_photo,
+    reason_of,
+    turn_upright,
+)
+from data_tools.synthetic.patterns.fields import Rng
+from data_tools.synthetic.stationary.families import stream
+from metapp.appearance.latlong import mean_luminance, resample, sphere_normals
+from metapp.appearance.photograph import photograph
+from metapp.learning.task import Task
+
+HEIGHT, WIDTH = 64, 128
+SIZE, COUNT = 64, 4  # px and number of the photographs of a map
+UNITS = {
+    "map": "lat-long radiance, linear Rec.709 [3, 64, 128], rows from the top (+y), the middle column looks to +z; "
+    "mean luminance over the sphere 1",
+    "scale": "mean luminance of the map before, in the unit of its file",
+    "photos": "spheres seen from +z, display values, uint8 0..255 [count, 3, 64, 64], rows from the top; black outside",
+}
+
+_SUFFIXES = (".exr", ".hdr", ".rgbe")
+_MIN_HEIGHT = 32
+_MAX_PIXELS = 2**27  # 16,384 x 8,192 px are 1.6 GB
+_NEGATIVE = 1e-3  # of all light: far more than compression and conversions leave around 0
+_EXPECTED = "expected an HDR map (.exr or .hdr)"
+
+_UNSTATED = ("", "unknown", "data", "raw")  # say nothing of primaries
+_REC709 = "Linear Rec.709 (sRGB)"
+_LINEAR = {  # OpenColorIO's name to that of colour-science
+    "ACES2065-1": "ACES2065-1",
+    "ACEScg": "ACEScg",
+    "Linear AdobeRGB": "Adobe RGB (1998)",
+    "Linear P3-D65": "P3-D65",
+    "Linear Rec.2020": "ITU-R BT.2020",
+}
+_REC709_XY = (0.64, 0.33, 0.3, 0.6, 0.15, 0.06, 0.3127, 0.329)  # red, green, blue, white
+
+find = find_photos  # the names that every reader has
+recognises = holds_photos
+
+
+class _Look(NamedTuple):
+    """What a file says of its pixels."""
+
+    kind: str
+    width: int
+    height: int
+
+    @property
+    def is_hdr(self) -> bool:
+        return self.kind in ("half", "float", "double")
+
+    @property
+    def is_latlong(self) -> bool:
+        return abs(self.width - 2 * self.height) <= 2  # a row more or less
+
+    def __str__(self) -> str:
+        return f"{self.width}x{self.height} px"
+
+
+def read_task(path: Path) -> Task:
+    """Turn an HDR map, or an LDR photograph of a sphere, into a task named by the file's stem.
+
+    Returns:
+        Of a map, as `map_task`; of a photograph `photos` alone, uint8 [1, 3, 64, 64]: the central square, whose borders
+        the sphere should touch, black outside the disc.
+
+    Raises:
+        ValueError: as `read_map` and `data_tools.formats.photos.read_photo`; an LDR picture twice as wide as high; a disc that
+            is black.
+    """
+    look = _look(path)
+    if look.is_hdr:
+        return read_map_task(path)
+    if look.is_latlong:
+        raise ValueError(
+            f"{path}: {look} of {look.kind}, {_EXPECTED} or a photograph of a sphere; export the map as HDR, or crop "
+            "the photograph to the sphere."
+        )
+    photo = read_photo(path, SIZE) * sphere_normals(SIZE)[1]
+    if not photo.any():
+        raise ValueError(f"{path}: black inside the disc, expected a sphere that touches the borders; crop it to that.")
+    return Task(path.stem, {"photos": photo[None]})
+
+
+def read_map_task(path: Path) -> Task:
+    """As `read_task`, for maps only; the photographs are the same for the same name.
+
+    Raises:
+        ValueError: as `read_map`.
+    """
+    light = read_map(path)
+    return map_task(path.stem, light, stream(*hashlib.sha256(path.stem.encode()).digest()))
+
+
+def map_task(name: str, light: Tensor, rng: Rng) -> Task:
+    """A map as a task.
+
+    Args:
+        name: of the task.
+        light: [3, H, W] linear Rec.709 radiance, >= 0, not black.
+        rng: of the photographs' materials and cameras.
+
+    Returns:
+        `map` [3, 64, 128] of mean luminance 1, `scale` [], the mean luminance before, and `photos` uint8
+        [4, 3, 64, 64] of spheres under the map.
+    """
+    light = resample(light.float(), HEIGHT, WIDTH)
+    scale = mean_luminance(light)
+    light = light / scale
+    seeded = torch.Generator().manual_seed(int(rng.integers(2**63)))
+    photos = photograph(light.expand(COUNT, -1, -1, -1), seeded, SIZE)
+    return Task(name, {"map": light, "scale": scale, "photos": (photos * 255).round().to(torch.uint8)})
+
+
+def find_maps(paths: Iterable[str | Path]) -> tuple[list[Path], list[str]]:
+    """Find HDR maps: in folders by their suffix, at any depth; named files as they are.
+
+    Returns:
+        The files, each once, those of a folder sorted; and a line for each other file of a folder.
+
+    Raises:
+        ValueError: a path that does not exist, a folder without any map.
+    """
+    maps: list[Path] = []
+    skipped: list[str] = []
+    for path in map(Path, paths):
+        found, lines = find_photos([path])
+        others = [file for file in found if path.is_dir() and file.suffix.lower() not in _SUFFIXES]
+        if len(others) == len(found):
+            raise ValueError(f"{path}: no map in this folder, {_EXPECTED}; name the folder of the maps.")
+        maps += [file for file in found if file not in others]
+        skipped += lines + [f"{file}: not an HDR map, {_EXPECTED}." for file in others]
+    return list({file.resolve(): file for file in maps}.values()), skipped
+
+
+def read_map(path: str | Path, height: int = HEIGHT) -> Tensor:
+    """Read a lat-long map, averaged over equal parts of the sphere of directions.
+
+    A gray file (Y) gets three equal channels, of several layers the first one in RGB counts, alpha does not. Negative
+    values become 0, if together they are less than 0.1 % of the light, and so do colours that Rec.709 cannot hold.
+
+    Args:
+        path: the file.
+        height: rows of the result.
+
+    Returns:
+        Linear Rec.709 radiance, float32 [3, height, 2 * height], >= 0, in the file's unit.
+
+    Raises:
+        ValueError: no such file, no image, an LDR one, a damaged one; not 2 : 1 (but for a row), below 32 or over 2^27
+            px; channels other than RGB or Y; no linear space; NaN, infinite or negative values; a black map.
+    """
+    path = Path(path)
+    look = _look(path)
+    if not look.is_hdr:
+        raise ValueError(
+            f"{path}: an LDR image ({look.kind}), {_EXPECTED}; a photograph of a sphere is for fits with --observe "
+            "photo."
+        )
+    if not look.is_latlong:
+        raise ValueError(
+            f"{path}: {look}, expected a lat-long map, twice as wide as high; a photograph of a sphere should be PNG "
+            "or JPEG."
+        )
+    if look.height < _MIN_HEIGHT or look.width * look.height > _MAX_PIXELS:
+        raise ValueError(f"{path}: {look}, expected {_MIN_HEIGHT} rows or more and {_MAX_PIXELS:,} px or fewer.")
+    planes, to_rec709 = _read(path)
+    _check_values(planes, path)
+    stored = [resample(torch.from_numpy(np.ascontiguousarray(plane)), height, 2 * height) for plane in planes]
+    light = torch.einsum("ij,jhw->ihw", to_rec709, torch.stack(stored)).clamp_min(0)
+    if not mean_luminance(light) > 0:
+        raise ValueError(f"{path}: black all over, expected a map with some light; leave it out.")
+    return light
+
+
+def _look(path: Path) -> _Look:
+    with opened(path) as source:
+        spec = source.spec()
+        return _Look(str(spec.format), spec.width, spec.height)
+
+
+def _read(path: Path) -> tuple[list[NDArray[np.float32]], Tensor]:
+    """The planes of red, green and blue, each [H, W], and the matrix [3, 3] that makes them Rec.709."""
+    with opened(path) as source:
+        spec = source.spec()
+        check_memory(spec, path)
+        channels = _channels(spec.channelnames, path)
+        first = min(channels)
+        values = source.read_image(0, 0, first, max(channels) + 1, "float")
+        problem = error_of(source)
+        to_rec709 = _to_rec709(spec, path)
+    if values is None or problem:
+        raise ValueError(
+            f"{path}: damaged or incomplete ({reason_of(problem, path)}), expected a whole map; copy or download it "
+            "again."
+        )
+    orientation = spec.get_int_attribute("Orientation", 1)
+    upright = turn_upright(values, orientation if orientation <= 4 else 1)  # a map that lies on its side is not 2 : 1
+    return [upright[..., channel - first] for channel in channels], to_rec709
+
+
+def _channels(names: Sequence[str], path: Path) -> list[int]:
+    """Where red, green and blue are: without a layer, else of the first layer that has them; or Y three times."""
+    layers: dict[str, dict[str, int]] = {"": {}}
+    for index, name in enumerate(names):
+        layer, _, channel = name.upper().rpartition(".")
+        layers.setdefault(layer, {})[channel] = index
+    for found in layers.values():
+        if found.keys() >= {"R", "G", "B"}:
+            return [found[channel] for channel in "RGB"]
+    if layers[""].keys() - {"A"} == {"Y"} and len(layers) == 1:
+        return [layers[""]["Y"]] * 3
+    shown = ", ".join(name if name.isprintable() else ascii(name) for name in names[:8])
+    raise ValueError(f"{path}: channels {shown}, expected R, G, B, or Y alone; export it as RGB.")
+
+
+def _check_values(planes: Sequence[NDArray[np.float32]], path: Path) -> None:
+    # A mean is not finite if any value is not; it costs less than looking at each.
+    with np.errstate(invalid="ignore"):
+        mean = float(sum(plane.mean(dtype=np.float64) for plane in planes)) / 3
+    if not np.isfinite(mean):
+        count = sum(int((~np.isfinite(plane)).sum()) for plane in planes)
+        raise ValueError(
+            f"{path}: {count:,} values are NaN or infinite, expected finite radiance; clamp them and export it again."
+        )
+    negative = -float(sum(plane.clip(max=0).mean(dtype=np.float64) for plane in planes)) / 3
+    if negative > _NEGATIVE * abs(mean):
+        lowest = min(float(plane.min()) for plane in planes)
+        raise ValueError(
+            f"{path}: radiance down to {lowest:.3g} at a mean of {mean:.3g}, expected none below 0; clamp it and "
+            "export the map again."
+        )
+
+
+def _to_rec709(spec: Any, path: Path) -> Tensor:
+    """The matrix [3, 3] from a file's linear colours to Rec.709: by its primaries, else by its space's name."""
+    import OpenImageIO as oiio
+
+    primaries = spec.getattribute("chromaticities")
+    if primaries is not None:
+        return _matrix(primaries, path) if np.abs(np.subtract(primaries, _REC709_XY)).max() > 1e-3 else torch.eye(3)
+    stated = spec.get_string_attribute("oiio:ColorSpace")
+    space = oiio.ColorConfig("ocio://default").resolve(stated)
+    if stated.lower() in _UNSTATED or space == _REC709:
+        return torch.eye(3)
+    if space not in _LINEAR:
+        raise ValueError(
+            f"{path}: colours in {stated[:40]!a}, expected a linear space such as Rec.709, Rec.2020 or ACEScg; "
+            "export the map with linear colours."
+        )
+    return _matrix(_LINEAR[space], path)
+
+
+def _matrix(space: Sequence[float] | str, path: Path) -> Tensor:
+    """From a space of colour-science, or xy of red, green, blue and white, to Rec.709, white to white."""
+    colour = _colour()
+    if isinstance(space, str):
+        source = colour.RGB_COLOURSPACES[space]
+    else:
+        source = colour.RGB_Colourspace("stated", np.reshape(space[:6], (3, 2)), np.array(space[6:]))
+    try:
+        matrix = colour.matrix_RGB_to_RGB(source, colour.RGB_COLOURSPACES["ITU-R BT.709"], "Bradford")
+    except np.linalg.LinAlgError:
+        shown = ", ".join(f"{each:.3g}" for each in source.primaries.flat)
+        raise ValueError(
+            f"{path}: chromaticities {shown}, expected three primaries that differ; export the map again."
+        ) from None
+    return torch.from_numpy(matrix).float()
+
+
+def _colour() -> Any:
+    """colour-science, imported without its warning of a missing SciPy, which nothing here needs.
+
+    It may not see OpenImageIO: what it keeps of it would be reported as leaks when Python ends. The mocks that it
+    leaves in place of SciPy go again: other libraries would take them for the package.
+    """
+    import OpenImageIO as oiio
+
+    sys.modules["OpenImageIO"] = None  # type: ignore[assignment]
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            import colour
+    finally:
+        sys.modules["OpenImageIO"] = oiio
+    for name in [name for name, module in sys.modules.items() if isinstance(module, NonCallableMock)]:
+        del sys.modules[name]
+    return colour

@@ -1,0 +1,333 @@
+"""Materials that are kept as separate maps in a folder, under the usual names, as tasks.
+
+A file is called after its material and its role, such as `rock_diff_4k.jpg`, `RockNormalGL.png` or just `normal.png` in
+a folder of the material's name: case does not count, a size at the end neither, and `_`, `-`, `.`, space or a capital
+part words. Colours of integer files are sRGB, all other maps are data.
+
+Several roles say the same thing: roughness = 1 - gloss where there is no roughness, and with a metallic map m
+diffuse = base (1 - m) and specular = 0.04 (1 - m) + base m, a specular map being left aside. Without both, specular is
+0.04.
+
+Old games keep a colour without any role in its name, `rock.png`, beside `rock_norm.png` and `rock_gloss.png`. Their
+gloss is no smoothness but the strength g of a highlight, in display values. It is converted to the roughness at which a
+GGX lobe of specular 0.04 peaks as bright: pi D F / 4 = g, so alpha^2 = 0.01 / g, at most 1.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import math
+import re
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from data_tools.formats.photos import LINEAR, SIZE, SUFFIXES, central_square, find_photos, read_pixels, resample
+from data_tools.formats.svbrdf_task import UNITS, svbrdf_task, task_name, unit_normals
+from metapp.appearance.flash import Maps, pack
+from metapp.learning.task import Task
+from metapp.storage.shards import split_auto
+
+__all__ = [
+    "UNITS",
+    "Material",
+    "find",
+    "find_materials",
+    "material_of",
+    "materials_in",
+    "read_task",
+    "recognises",
+    "split_materials",
+    "task_name",
+]
+
+DIELECTRIC = 0.04  # reflectance at normal incidence of nearly all that is no metal
+
+_ROLES = {
+    "base colour": ("diffuse", "diff", "albedo", "basecolor", "basecolour", "color", "colour", "col"),
+    "normal": ("normal", "norm", "nrm", "nor"),
+    "normal (OpenGL)": ("normalgl", "normgl", "nrmgl", "norgl", "normalopengl", "noropengl"),
+    "normal (DirectX)": ("normaldx", "normdx", "nrmdx", "nordx", "normaldirectx", "nordirectx"),
+    "roughness": ("roughness", "rough"),
+    "gloss": ("gloss", "glossiness", "smoothness"),
+    "specular": ("specular", "spec", "f0"),
+    "metallic": ("metallic", "metalness", "metal"),
+    "": (  # of no use here, but no base colour either
+        "ambientocclusion", "ao", "occlusion", "height", "disp", "displacement", "bump", "opacity", "alpha", "mask",
+        "emissive", "emission", "glow", "reflect", "cavity", "curvature", "arm", "orm", "rma", "preview", "thumb",
+        "thumbnail", "render", "translucency", "sheen", "anisotropy",
+    ),
+}  # fmt: skip
+_ROLE = {word: role for role, words in _ROLES.items() for word in words}
+_PLAIN = "plain"  # a colour by its place beside the others
+_NORMALS = ("normal (OpenGL)", "normal", "normal (DirectX)")
+_WORD = re.compile(r"\d+[kK](?![a-z])|[A-Z]+(?![a-z])\d*|[A-Z]?[a-z]+\d*|\d+")
+_RESOLUTION = re.compile(r"\d{1,2}k|128|256|512|1024|2048|4096|8192", re.IGNORECASE)
+_IS_CLEAR = 0.2  # correlation of the two mixed slopes, 1 for an exact height field and -1 for an upturned one
+_SAME_SHAPE = 0.02  # log of a ratio of width to height
+_EXPECTED = "expected names such as rock_diffuse.png, rock_normal.png, rock_roughness.png"
+
+
+class Material(NamedTuple):
+    """The maps of a material.
+
+    Attributes:
+        folder: that holds them.
+        name: as the files say; "" where they state their role alone.
+        files: by role.
+    """
+
+    folder: Path
+    name: str
+    files: Mapping[str, tuple[Path, ...]]
+
+    @property
+    def title(self) -> str:
+        return self.name or self.folder.resolve().name
+
+    @property
+    def source(self) -> Path:
+        """The file that stands for all."""
+        return min(self.maps)
+
+    @property
+    def maps(self) -> list[Path]:
+        """All its files."""
+        return [file for files in self.files.values() for file in files]
+
+    def __str__(self) -> str:
+        return str(self.folder / self.name)
+
+
+def recognises(path: Path) -> bool:
+    """Whether a path is a folder with a material below it, or one of the maps of a material."""
+    path = Path(path)
+    if not path.is_dir():
+        return path.is_file() and material_of(path) is not None
+    folders = (path, *(each for each in path.rglob("*") if each.is_dir()))
+    return any(materials_in(folder)[0] for folder in folders)
+
+
+def find(paths: Iterable[str | Path]) -> tuple[list[Path], list[str]]:
+    """One file of each material; see `find_materials`."""
+    materials, skipped = find_materials(paths)
+    return [material.source for material in materials], skipped
+
+
+def find_materials(paths: Iterable[str | Path]) -> tuple[list[Material], list[str]]:
+    """Find materials in folders at any depth; a named file stands for its material.
+
+    Returns:
+        The materials, each once, and a line for each file that is no map of one, but for such as heights.
+
+    Raises:
+        ValueError: a path that does not exist, a folder without a map.
+    """
+    found: dict[Path, Material] = {}
+    skipped: list[str] = []
+    for path in map(Path, paths):
+        files, lines = find_photos([path])
+        if not path.is_dir():
+            material = material_of(path)
+            if material is None:
+                raise ValueError(f"{path}: no map under a usual name, {_EXPECTED}; rename it, or name a folder.")
+            found.setdefault(material.source.resolve(), material)
+            continue
+        in_folders = [materials_in(folder) for folder in sorted({file.parent for file in files})]
+        below = [material for materials, _ in in_folders for material in materials]
+        if not below:
+            names = ", ".join(file.name for file in files[:3])
+            raise ValueError(f"{path}: no maps in this folder ({names}), {_EXPECTED}; rename them.")
+        found.update({material.source.resolve(): material for material in below})
+        others = [file for _, files in in_folders for file in files]
+        skipped += lines + [f"{file}: no map under a usual name, {_EXPECTED}; rename it." for file in others]
+    return list(found.values()), skipped
+
+
+def material_of(file: Path) -> Material | None:
+    """The material that a map belongs to."""
+    materials = materials_in(file.parent)[0]
+    return next((each for each in materials if any(file.name == map_.name for map_ in each.maps)), None)
+
+
+def materials_in(folder: Path) -> tuple[list[Material], list[Path]]:
+    """The materials right in a folder, by name, and image files that are no map."""
+    images = sorted(file for file in folder.iterdir() if file.is_file() and file.suffix.lower() in SUFFIXES)
+    images = [file for file in images if not file.name.startswith(".")]
+    names: dict[str, str] = {}
+    roles: dict[str, dict[str, tuple[Path, ...]]] = {}
+    plain: list[tuple[str, Path]] = []
+    for file in images:
+        name, role = _parts(file.stem)
+        if role is None:
+            plain.append((name, file))
+        elif role:
+            names.setdefault(name.lower(), name)
+            maps = roles.setdefault(name.lower(), {})
+            maps[role] = (*maps.get(role, ()), file)
+    others = []
+    for name, file in plain:
+        maps = roles.get(name.lower(), {})
+        if maps and "base colour" not in maps:
+            maps[_PLAIN] = (*maps.get(_PLAIN, ()), file)
+        elif not maps:
+            others.append(file)
+    return [Material(folder, names[key], roles[key]) for key in sorted(roles)], others
+
+
+def _parts(stem: str) -> tuple[str, str | None]:
+    """A stem as the material's name and a role: "" for one of no use here, None for none."""
+    words = list(_WORD.finditer(stem))
+    end = len(words)
+    while end > 1 and _RESOLUTION.fullmatch(words[end - 1].group()):
+        end -= 1
+    for count in (3, 2, 1):  # NormalOpenGL, nor_gl, normal
+        tail = "".join(word.group() for word in words[max(end - count, 0) : end]).lower()
+        if end >= count and tail in _ROLE:
+            return stem[: words[end - count].start()].rstrip("_-. "), _ROLE[tail]
+    return stem, None
+
+
+def read_task(source: Path, size: int = SIZE, normals: str = "auto") -> Task:
+    """Turn the material that a map belongs to into a task, photographed by the renderer.
+
+    Args:
+        source: one of its maps.
+        size: side in px; of each map the central square counts.
+        normals: whether green points up ("opengl") or down ("directx"); "auto": as names say, else what a height field
+            could have, up if that is not clear.
+
+    Raises:
+        ValueError: as `data_tools.formats.photos.read_pixels`; a map that is missing or there twice, maps of different shapes,
+            NaN, black, normals that are none.
+    """
+    material = material_of(source)
+    if material is None:
+        raise ValueError(f"{source}: no map under a usual name, {_EXPECTED}; rename it.")
+    chosen = _choose(material)
+    shapes: dict[str, tuple[int, int]] = {}
+    maps = {role: _read(file, size, role, shapes) for role, file in chosen.items()}
+    _check_shapes(material, chosen, shapes)
+    colour = maps["base colour"] if "base colour" in maps else maps[_PLAIN]
+    diffuse, specular = reflectances(colour, maps.get("metallic"), maps.get("specular"))
+    if "roughness" in maps:
+        roughness = _gray(maps["roughness"])
+    elif _PLAIN in maps:
+        roughness = roughness_of_highlight(_gray(maps["gloss"]))
+    else:
+        roughness = 1 - _gray(maps["gloss"])
+    role = next(role for role in _NORMALS if role in maps)
+    normal = unit_normals(maps[role], chosen[role])
+    if is_green_down(normal, role, normals):
+        normal = normal * normal.new_tensor([1, -1, 1])[:, None, None]
+    if not max(float(diffuse.max()), float(specular.max())) > 0:
+        raise ValueError(
+            f"{material}: diffuse and specular are black, expected a material that reflects; leave it out."
+        )
+    return svbrdf_task(task_name(material.title), pack(Maps(diffuse, specular, roughness, normal)))
+
+
+def reflectances(colour: Tensor, metallic: Tensor | None, specular: Tensor | None) -> tuple[Tensor, Tensor]:
+    """Diffuse and specular [3, H, W] of a linear base colour [3, H, W] and what else there is."""
+    if metallic is not None:
+        share = _gray(metallic)
+        return colour * (1 - share), DIELECTRIC * (1 - share) + colour * share
+    return colour, torch.full_like(colour, DIELECTRIC) if specular is None else specular
+
+
+def roughness_of_highlight(strength: Tensor) -> Tensor:
+    """The roughness at which a GGX lobe of specular 0.04 peaks at this radiance, that of white paper being 1."""
+    return (DIELECTRIC / 4 / strength.clamp_min(1e-6)).sqrt().sqrt().clamp_max(1)
+
+
+def is_green_down(normal: Tensor, role: str, stated: str = "auto") -> bool:
+    """Whether y of normals [3, H, W] points down: as stated, as the role says, or by what a height field could have."""
+    if stated != "auto":
+        return stated == "directx"
+    if role != "normal":
+        return role == "normal (DirectX)"
+    return mixed_slopes(normal) < -_IS_CLEAR
+
+
+def mixed_slopes(normal: Tensor) -> float:
+    """How alike both mixed second derivatives of the height are that normals [3, H, W] tell, in [-1, 1].
+
+    2 <u v> / <u^2 + v^2> for u the slope along x derived along y (up), v the other: a height field has u = v, one whose
+    y is turned over u = -v. 0 for a plane.
+    """
+    slopes = -normal[:2] / normal[2:].clamp_min(0.1)
+    along_x = (slopes[1, :, 2:] - slopes[1, :, :-2])[1:-1]
+    along_y = (slopes[0, :-2] - slopes[0, 2:])[:, 1:-1]
+    total = float((along_x.square() + along_y.square()).sum())
+    return 2 * float((along_x * along_y).sum()) / total if total > 0 else 0.0
+
+
+def split_materials(materials: Iterable[Material]) -> dict[Path, tuple[str, str]]:
+    """Split and group of each material, by its file that stands for all.
+
+    Materials with the very same file of normals are variants and belong together. Of the sorted groups, every fifth is
+    for tests.
+    """
+    groups: dict[Path, str] = {}
+    first: dict[str, str] = {}
+    for material in materials:
+        files = next((material.files[role] for role in _NORMALS if role in material.files), (material.source,))
+        digest = hashlib.sha256(files[0].read_bytes()).hexdigest()
+        groups[material.source.resolve()] = first.setdefault(digest, material.title)
+    splits = split_auto(groups.values())
+    return {source: (splits[group], group) for source, group in groups.items()}
+
+
+def _choose(material: Material) -> dict[str, Path]:
+    """One file for each role that counts."""
+    roles = dict(material.files)
+    found = ", ".join(sorted(file.name for file in material.maps))
+    needed = {
+        "base colour": ("base colour", _PLAIN),
+        "normal": _NORMALS,
+        "roughness or gloss": ("roughness", "gloss"),
+        "": ("metallic", "specular"),
+    }
+    chosen = {}
+    for noun, candidates in needed.items():
+        role = next((role for role in candidates if role in roles), None)
+        if role is None and noun:
+            raise ValueError(f"{material}: no {noun} map ({found}), {_EXPECTED}; add it.")
+        if role is None:
+            continue
+        if len(roles[role]) > 1:
+            names = " and ".join(file.name for file in roles[role][:2])
+            raise ValueError(f"{material}: {names} for {noun or role}, expected one of them; remove or rename others.")
+        chosen[role] = roles[role][0]
+    return chosen
+
+
+def _read(file: Path, size: int, role: str, shapes: dict[str, tuple[int, int]]) -> Tensor:
+    """The central square of a map, [3, size, size] in [0, 1]; its whole size in px goes to `shapes`."""
+    pixels = read_pixels(file)
+    height, width = pixels.values.shape[:2]
+    shapes[role] = height, width
+    is_colour = role in ("base colour", _PLAIN, "specular")
+    values = pixels.values[..., :3]  # alpha holds opacity or something else again
+    square = central_square(pixels._replace(values=values, space=pixels.space if is_colour else LINEAR))
+    linear = resample(square, size)
+    if not np.isfinite(linear).all():
+        raise ValueError(f"{file}: holds NaN, expected finite values; export the map again.")
+    return torch.from_numpy(linear).permute(2, 0, 1).float()
+
+
+def _check_shapes(material: Material, files: Mapping[str, Path], shapes: Mapping[str, tuple[int, int]]) -> None:
+    """Sizes may differ; what is not as wide for its height does not lie over the rest."""
+    ratios = {role: math.log(width / height) for role, (height, width) in shapes.items()}
+    low, high = min(ratios, key=ratios.__getitem__), max(ratios, key=ratios.__getitem__)
+    if ratios[high] - ratios[low] > _SAME_SHAPE:
+        told = " and ".join(f"{files[role].name} {shapes[role][1]}x{shapes[role][0]} px" for role in (high, low))
+        raise ValueError(f"{material}: {told}, expected maps of one shape; crop or scale them alike.")
+
+
+def _gray(values: Tensor) -> Tensor:
+    return values.mean(0, keepdim=True)

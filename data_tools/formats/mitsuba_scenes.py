@@ -1,0 +1,108 @@
+"""Scene files of Mitsuba 3 as tasks of light transport: XML, or a scene dictionary as JSON."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterable
+from pathlib import Path
+
+from data_tools.formats.transport_task import HELD, SAMPLES, transport_task
+from metapp.learning.task import Task
+from metapp.rendering.path_space import DIMENSIONS
+from metapp.rendering.scene_files import Places, read_text
+from metapp.rendering.scene_loading import Scene, checked
+from metapp.rendering.variant import load_mitsuba
+from metapp.storage.manifest import MANIFEST
+
+SUFFIXES = (".xml", ".json")
+
+
+def recognises(path: Path) -> bool:
+    """Whether a path is a scene file, or a folder with one in it, known by its suffix."""
+    return bool(_below(path)) if path.is_dir() else path.suffix.lower() in SUFFIXES
+
+
+def find(paths: Iterable[str | Path]) -> tuple[list[Path], list[str]]:
+    """Find scene files: in folders by their suffix, at any depth; named files as they are.
+
+    Returns:
+        The files, each once, those of a folder sorted; and no line about others, since meshes and textures belong to
+        scenes.
+
+    Raises:
+        ValueError: a path that does not exist, a folder without any scene.
+    """
+    found: list[Path] = []
+    for path in map(Path, paths):
+        if not path.exists():
+            raise ValueError(f"{path}: no such file or folder; give existing scene files.")
+        scenes = _below(path) if path.is_dir() else [path]
+        if not scenes:
+            raise ValueError(f"{path}: no scene in this folder, expected .xml or .json files of Mitsuba 3.")
+        found += scenes
+    return list({file.resolve(): file for file in found}.values()), []
+
+
+def read_task(
+    path: Path, samples: int = SAMPLES, held: int = HELD, dimensions: int = DIMENSIONS, roots: Iterable[Path] = ()
+) -> Task:
+    """Trace the paths of a scene file, as the task that is named by the file's stem.
+
+    The same file name gives the same draws.
+
+    Args:
+        path: of the file.
+        samples: N, for fits to see.
+        held: M, for tests alone.
+        dimensions: of both, 4 or 6.
+        roots: folders that its files may come from, beside its own.
+
+    Returns:
+        As `transport_task`.
+
+    Raises:
+        ValueError: as `read_scene`, `load_scene` and `path_samples`, with the path.
+    """
+    load_mitsuba()  # what keeps it from rendering is no fault of the scene
+    scene = read_scene(path, roots)
+    seed = int.from_bytes(hashlib.sha256(path.stem.encode()).digest()[:7], "big")
+    try:
+        return transport_task(path.stem, scene, seed, samples=samples, held=held, dimensions=dimensions)
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from None
+
+
+def read_scene(path: Path, roots: Iterable[Path] = ()) -> Scene:
+    """The content of a scene file, as `load_scene` takes it, with file names that hold from everywhere.
+
+    Args:
+        path: of the file.
+        roots: folders that its files may come from, beside its own.
+
+    Raises:
+        ValueError: no text; of a .json file, no JSON or no object; something that a scene may not hold.
+    """
+    try:
+        own, *others = (folder.resolve() for folder in (path.resolve().parent, *roots))
+        places = Places(search=(own, *others), roots=(own, *others))
+        text = read_text(path)
+        scene = {"xml": text} if path.suffix.lower() == ".xml" else _from_json(text)
+        return checked(scene, places, str(path.resolve()))
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from None
+
+
+def _from_json(text: str) -> Scene:
+    try:
+        scene = json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise ValueError(f"not readable as JSON ({error}), expected a scene dictionary of Mitsuba 3.") from None
+    if not isinstance(scene, dict) or not (scene.get("type") == "scene" or isinstance(scene.get("xml"), str)):
+        raise ValueError("no scene, expected an object of type 'scene'; write one with metapp data cornell.")
+    return scene
+
+
+def _below(folder: Path) -> list[Path]:
+    files = (path for path in folder.rglob("*") if path.suffix.lower() in SUFFIXES and path.name != MANIFEST)
+    return sorted(path for path in files if path.is_file())

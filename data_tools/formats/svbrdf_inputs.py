@@ -1,0 +1,57 @@
+"""What fits of non-stationary svBRDFs read: strips, materials as maps, and plain flash photographs."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+
+from data_tools.formats import material_maps, strips
+from data_tools.formats.photos import SIZE, check_exists, find_photos, holds_photos, read_photo
+from data_tools.formats.svbrdf_task import UNITS, task_name
+from metapp.learning.task import Task
+
+__all__ = ["UNITS", "find", "read_task", "recognises"]
+
+recognises = holds_photos  # the names that every reader has
+
+
+def find(paths: Iterable[str | Path]) -> tuple[list[Path], list[str]]:
+    """All strips and photographs, and one file of each material that is kept as maps.
+
+    Returns:
+        The files, each once, and a line for each other file of a folder.
+
+    Raises:
+        ValueError: as `data_tools.formats.photos.find_photos`.
+    """
+    files, skipped = find_photos(paths)
+    stands_for: dict[Path, Path] = {}
+    for folder in {file.parent for file in files}:
+        for material in filter(_is_material, material_maps.materials_in(folder)[0]):
+            stands_for.update(dict.fromkeys(material.maps, material.source))
+    sources = [stands_for.get(file, file) for file in files]
+    return list({source.resolve(): source for source in sources}.values()), skipped
+
+
+def read_task(path: Path, size: int = SIZE) -> Task:
+    """Turn a strip, the material that a map belongs to, or else a photograph into a task named by the file.
+
+    Returns:
+        As `data_tools.formats.svbrdf_task.svbrdf_task`; of a photograph `photo` alone, uint8 [3, size, size].
+
+    Raises:
+        ValueError: as the `read_task` of `data_tools.formats.strips` and `data_tools.formats.material_maps`, and as
+            `data_tools.formats.photos.read_photo`.
+    """
+    check_exists(path)
+    material = material_maps.material_of(path)
+    if material and _is_material(material):
+        return material_maps.read_task(path, size)
+    if strips.is_strip(path):
+        return strips.read_task(path, size)
+    return Task(task_name(path.stem), {"photo": read_photo(path, size)})
+
+
+def _is_material(material: material_maps.Material) -> bool:
+    """A photograph that is only called like a map has no other one beside it."""
+    return len(material.files) > 1

@@ -1,0 +1,88 @@
+"""Non-stationary svBRDFs as tasks: maps of a flat material, texel by texel, and its photograph under a flash."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+from metapp.appearance.colour import linear_to_srgb
+from metapp.appearance.flash import camera, positions, render, unpack
+from metapp.learning.task import Task
+
+UNITS = {
+    "maps": "float16 [10, height, width], rows from the top: normal x, y, z (right, up, out; unit length), diffuse "
+    "linear RGB albedo, roughness (GGX alpha is its square), specular linear RGB reflectance at normal incidence",
+    "photo": "sRGB, uint8 0..255 [3, height, width], rows from the top; camera and flash above the centre, 45 degrees",
+}
+
+_MIN_HEIGHT = 0.3  # mean z of normals; a picture of middle brightness has 0
+_LOWEST = 0.02  # z of a normal: what points into the surface cannot be seen
+
+
+def svbrdf_task(name: str, maps: Tensor, *, photo: Tensor | None = None, group: str = "") -> Task:
+    """A material as a task.
+
+    Args:
+        name: of the task.
+        maps: [10, S, S], as `metapp.appearance.flash.pack` gives them.
+        photo: uint8 [3, S, S]; rendered from the maps where there is none.
+        group: what it shows, where several tasks show the same.
+
+    Returns:
+        `maps` float16 [10, S, S] and `photo` uint8 [3, S, S].
+    """
+    return Task(name, {"maps": maps.half(), "photo": flash_photo(maps) if photo is None else photo}, group)
+
+
+def flash_photo(maps: Tensor, flash: Tensor | None = None, intensity: float = 1.0) -> Tensor:
+    """A material [10, H, W] from straight above under a flash at a place [3], beside the lens unless told otherwise.
+
+    Args:
+        maps: the material.
+        flash: where it is, as `metapp.appearance.flash.render` has it.
+        intensity: of the flash; with 1 and beside the lens white has radiance 1 in the centre.
+
+    Returns:
+        uint8 sRGB [3, H, W].
+    """
+    above = camera(dtype=torch.float32)
+    place = positions(*maps.shape[-2:], dtype=torch.float32)
+    radiance = render(unpack(maps.float()), place, above if flash is None else flash, above, intensity=intensity)
+    return encoded(radiance)
+
+
+def encoded(radiance: Tensor) -> Tensor:
+    """Linear radiance of any shape, 1 is white, as uint8 sRGB."""
+    return (linear_to_srgb(radiance.clamp(0, 1)) * 255).round().to(torch.uint8)
+
+
+def task_name(stem: str) -> str:
+    """A file's stem as a name that is a plain file name, too: what is no letter, digit, dot or hyphen becomes `_`."""
+    return re.sub(r"[^\w.-]", "_", stem).lstrip(".") or "material"
+
+
+def unit_normals(stored: Tensor, source: Path) -> Tensor:
+    """Normals from how images keep them.
+
+    Args:
+        stored: [3, H, W] in [0, 1], where 0.5 is 0.
+        source: named in the error.
+
+    Returns:
+        [3, H, W], unit length, z > 0.
+
+    Raises:
+        ValueError: not normals: they do not point out of the surface.
+    """
+    vectors = stored.float() * 2 - 1
+    height = float(vectors[2].mean())
+    if not height >= _MIN_HEIGHT:
+        raise ValueError(
+            f"{source}: normals with a mean z of {height:.2f}, expected {_MIN_HEIGHT} or more; it holds something "
+            "else, or not as tangent-space normals (0..1 for -1..1)."
+        )
+    return functional.normalize(torch.cat([vectors[:2], vectors[2:].clamp_min(_LOWEST)]), dim=0)

@@ -1,0 +1,52 @@
+"""The samples that every task of light transport is made of, whatever its scene comes from."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from torch import Generator
+
+from metapp.learning.task import Task
+from metapp.rendering.cornell import scene_bytes
+from metapp.rendering.path_space import DIMENSIONS, Tracer, path_samples
+
+SAMPLES, HELD = 32_768, 8_192
+UNITS = {
+    "samples": "primary sample space, in [0, 1) [N, d]: film (x right, y down), then two numbers for the direction at "
+    "each of the first surfaces that scatter; in proportion to the luminance carried",
+    "held": "as samples; for tests alone",
+    "image": "linear RGB radiance [3, 32, 32], rows from the top; noisy",
+    "scene": "Mitsuba 3 scene as JSON text, UTF-8, blanks at its end",
+}
+BESIDE = ("scene", ".json")  # is a file beside each shard, too
+
+
+def transport_task(
+    name: str,
+    scene: dict[str, Any],
+    seed: int,
+    *,
+    samples: int = SAMPLES,
+    held: int = HELD,
+    dimensions: int = DIMENSIONS,
+) -> Task:
+    """A scene as a task.
+
+    Args:
+        name: of the task.
+        scene: as `metapp.rendering.scene_loading.load_scene` takes it.
+        seed: of all draws.
+        samples: N, for fits to see.
+        held: M, for tests alone.
+        dimensions: d of both, 4 or 6.
+
+    Returns:
+        `samples` [N, d], `held` [M, d] and `image` [3, 32, 32], float32, and `scene`, uint8 [L].
+
+    Raises:
+        ValueError: as `load_scene` and `path_samples`.
+    """
+    rng = Generator().manual_seed(seed)
+    points, image = path_samples(Tracer(scene), samples + held, dimensions, rng)
+    data = {"samples": points[:samples], "held": points[samples:], "image": image, "scene": scene_bytes(scene)}
+    return Task(name, data)

@@ -1,0 +1,97 @@
+"""What is far away: hills, woods and towns before the sky, and the ground that windows look down on."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from data_tools.synthetic.environments.patterns import BLACK, look_up, scrambled, vector
+from data_tools.synthetic.environments.scene import Backdrop, Mask
+from data_tools.synthetic.environments.sky import Sky
+from data_tools.synthetic.patterns.fields import Field, Rng, between, log_between, uniforms
+from metapp.appearance.latlong import directions, solid_angles
+
+_GRID = (16, 32)
+_PANES = 400.0  # columns of windows around the horizon
+_COLOURS = {  # darkest and lightest albedo
+    "hills": np.array([[0.1, 0.13, 0.07], [0.18, 0.16, 0.12]], np.float32),
+    "woods": np.array([[0.03, 0.05, 0.015], [0.09, 0.12, 0.035]], np.float32),
+}
+_HAZE = {"hills": 0.35, "woods": 0.08, "town": 0.08}  # at most
+
+
+def sky_irradiance(sky: Sky) -> Field:
+    """Irradiance [3] in klx of the sky, without its sun, on level ground."""
+    height, width = _GRID
+    rays = directions(height, width)[:, : height // 2].flatten(1).numpy()
+    angles = solid_angles(height, width)[: height // 2].expand(-1, width).flatten().numpy()
+    return sky.radiance(rays) @ (rays[1] * angles)
+
+
+def open_ground(sky: Sky, albedo: Field) -> Backdrop:
+    """Level ground of this albedo [3] up to the horizon, lit by sky and sun."""
+    sunlight = sky.sunlight * max(float(sky.sun[1]), 0.0)
+    below = (albedo * (sky_irradiance(sky) + sunlight) * np.float32(1 / math.pi))[:, None]
+
+    def radiance(rays: Field) -> Field:
+        return np.where(rays[1] < 0, below, sky.radiance(rays))
+
+    return Backdrop(sky, radiance, lambda rays: (rays[1] >= 0).astype(np.float32))
+
+
+def skyline(rng: Rng, sky: Sky, ground: Field, kind: str, height: float, lit: Field = BLACK) -> Backdrop:
+    """Open ground whose horizon is not level.
+
+    Args:
+        rng: of its shape and colours.
+        sky: behind it.
+        ground: albedo [3] of the ground before it.
+        kind: "hills", "woods", or "town".
+        height: sine of the elevation that it reaches, about.
+        lit: radiance [3] of windows in a town.
+    """
+    plain, around, place = open_ground(sky, ground), sky_irradiance(sky)[:, None], float(rng.random())
+    haze = np.float32(between(rng, 0.0, _HAZE[kind]))
+    far = sky.radiance(vector(-sky.sun[0], 0, -sky.sun[2])[:, None])
+    colours = _COLOURS.get(kind, (0.1 + 0.4 * uniforms(rng, 2, 1)) * (0.8 + 0.4 * uniforms(rng, 2, 3)))
+    houses, storey = round(log_between(rng, 14, 70)), np.float32(log_between(rng, 0.02, 0.05))
+
+    def turn(rays: Field) -> Field:
+        return np.arctan2(rays[2], rays[0]) * np.float32(0.5 / math.pi) + np.float32(0.5)
+
+    def hidden(rays: Field) -> Mask:
+        angle = turn(rays)
+        if kind == "town":
+            return height * (0.25 + 0.75 * scrambled(np.floor(angle * houses), place)) > rays[1]
+        coarse = look_up("soft", angle, place)
+        if kind == "hills":
+            return height * (0.6 + 0.35 * coarse) > rays[1]
+        above = height * (0.75 + 0.25 * coarse + 0.12 * look_up("leaves", angle, place)) - rays[1]
+        leaves = look_up("leaves", 3 * angle, rays[1] + np.float32(place))
+        return (above > 0) & (leaves > 1.2 - above * np.float32(7 / height))
+
+    def town(angle: Field, up: Field) -> tuple[Field, Mask]:
+        """How light houses are, and which windows are lit, both [N]."""
+        row, column = np.floor(up / storey), np.floor(angle * _PANES)
+        pane = (np.abs(up / storey - row - 0.5) < 0.3) & (np.abs(angle * _PANES - column - 0.5) < 0.3)
+        lightness = scrambled(np.floor(angle * houses), place + 0.3) * np.where(pane, np.float32(0.1), np.float32(1))
+        return lightness, pane & (scrambled(row * 1009 + column, place) > 0.6)
+
+    def radiance(rays: Field) -> Field:
+        result = plain.radiance(rays)
+        seen = np.flatnonzero((rays[1] >= 0) & hidden(rays))
+        angle, up = turn(rays[:, seen]), rays[1, seen]
+        if kind == "town":
+            lightness, windows = town(angle, up)
+        else:
+            texture = look_up("leaves" if kind == "woods" else "rough", 3 * angle, 3 * up)
+            lightness, windows = np.clip(0.5 + 0.35 * texture, 0, 1), np.zeros(up.shape, np.bool_)
+        facing = np.maximum(-(sky.sun[[0, 2]] @ rays[:, seen][[0, 2]]), 0) + np.float32(0.05)
+        light = sky.sunlight[:, None] * facing + np.float32(0.5) * around
+        albedo = colours[0][:, None] + (colours[1] - colours[0])[:, None] * lightness
+        near = albedo * light * np.float32(1 / math.pi) + lit[:, None] * windows
+        result[:, seen] = near + (far - near) * haze
+        return result
+
+    return Backdrop(sky, radiance, lambda rays: plain.clearness(rays) * ~hidden(rays))

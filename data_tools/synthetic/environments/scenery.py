@@ -1,0 +1,227 @@
+"""What stands under the open sky: ground, houses, walls, roofs, vehicles, trees."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from data_tools.synthetic.environments.backdrop import open_ground, skyline
+from data_tools.synthetic.environments.patterns import BLACK, direction, vector
+from data_tools.synthetic.environments.scene import Box, Crown, Finish, Scene
+from data_tools.synthetic.environments.sky import Sky
+from data_tools.synthetic.patterns.fields import Field, Rng, between, chance, log_between, pick, uniforms, whole
+from data_tools.synthetic.stationary.maps import Range
+
+_Colours = tuple[tuple[float, float, float], tuple[float, float, float]]  # darkest and lightest albedo
+_GROUNDS: dict[str, _Colours] = {
+    "grass": ((0.03, 0.055, 0.015), (0.16, 0.2, 0.07)),
+    "meadow": ((0.06, 0.07, 0.02), (0.25, 0.22, 0.11)),
+    "dirt": ((0.08, 0.055, 0.035), (0.26, 0.19, 0.13)),
+    "sand": ((0.25, 0.2, 0.14), (0.5, 0.42, 0.31)),
+    "snow": ((0.6, 0.62, 0.66), (0.88, 0.88, 0.89)),
+    "asphalt": ((0.05, 0.05, 0.05), (0.18, 0.175, 0.17)),
+    "concrete": ((0.18, 0.175, 0.165), (0.42, 0.41, 0.39)),
+    "gravel": ((0.12, 0.11, 0.1), (0.35, 0.33, 0.3)),
+}
+_WALLS: tuple[_Colours, ...] = (  # brick, plaster, concrete, wood
+    ((0.16, 0.07, 0.05), (0.4, 0.22, 0.16)),
+    ((0.35, 0.3, 0.22), (0.7, 0.66, 0.58)),
+    ((0.15, 0.15, 0.15), (0.45, 0.44, 0.42)),
+    ((0.1, 0.07, 0.05), (0.35, 0.25, 0.17)),
+)
+_HEDGE = Finish(vector(0.05, 0.08, 0.02), vector(0.12, 0.15, 0.05), "leaves", 6)
+
+NATURAL = ("grass", "grass", "grass", "meadow", "meadow", "dirt", "dirt", "sand", "snow", "gravel")
+BUILT = ("asphalt", "asphalt", "concrete", "concrete", "gravel")
+
+
+def open_scene(
+    rng: Rng, sky: Sky, grounds: tuple[str, ...], far: tuple[str, ...], height: Range, lit: Field = BLACK
+) -> Scene:
+    """Level ground to the horizon, and what is behind it.
+
+    Args:
+        rng: of all choices.
+        sky: above.
+        grounds: kinds to choose from.
+        far: what may be at the horizon: "hills", "woods", "town", "none".
+        height: range of the sine of the elevation that it reaches.
+        lit: radiance [3] of windows at the horizon.
+    """
+    kind, level = pick(rng, grounds), 0.7 * float(rng.random()) ** 1.5
+    first, second = (_between_colours(_GROUNDS[kind], share) for share in (level, level + 0.3))
+    pattern = "leaves" if kind in ("grass", "meadow", "dirt") else pick(rng, ("rough", "soft", "cloud"))
+    ground = Finish(first, second, pattern, log_between(rng, 4, 30))
+    beyond, mean = pick(rng, far), (first + second) / 2
+    backdrop = open_ground(sky, mean)
+    if beyond != "none":
+        backdrop = skyline(rng, sky, mean, beyond, log_between(rng, *height), lit)
+    low = vector(-np.inf, -between(rng, 1.2, 2.2), -np.inf)
+    return Scene(low, np.full(3, np.inf, np.float32), [ground] * 6, backdrop, closed=0.3)
+
+
+def _between_colours(colours: _Colours, share: float) -> Field:
+    dark, light = (vector(*each) for each in colours)
+    return dark + (light - dark) * np.float32(share)
+
+
+def wall(rng: Rng) -> Finish:
+    """Brick, plaster, concrete or wood."""
+    colour = _between_colours(pick(rng, _WALLS), float(rng.random()))
+    pattern = pick(rng, ("rough", "cloud"))
+    return Finish(colour, colour * np.float32(between(rng, 0.5, 0.9)), pattern, between(rng, 3, 12))
+
+
+def facade(rng: Rng, lit: Field = BLACK) -> Finish:
+    """A wall with rows of windows; `lit` is the radiance [3] of those behind which there is light."""
+    glazed = (between(rng, 0.4, 0.9), between(rng, 0.3, 0.95))
+    return wall(rng)._replace(panes=(between(rng, 2.6, 3.8), between(rng, 1.4, 4)), glazed=glazed, lit=lit)
+
+
+def canyon(rng: Rng, scene: Scene, lit: Field) -> None:
+    """Houses on both sides of a street along the z axis."""
+    bottom, height = float(scene.low[1]), log_between(rng, 5, 24)
+    for sign in (-1, 1):
+        near, start, gaps = between(rng, 3.5, 13), between(rng, -75, -60), chance(rng, 0.5)
+        if chance(rng, 0.1):
+            continue
+        x = sorted((sign * near, sign * (near + 14)))
+        while start < 60:
+            end, top = start + between(rng, 9, 30), bottom + height * between(rng, 0.6, 1.4)
+            scene.boxes.append(Box(vector(x[0], bottom, start), vector(x[1], top, end), facade(rng, lit)))
+            start = end + (between(rng, 4, 12) if gaps and chance(rng, 0.4) else 0)
+        if chance(rng, 0.4):
+            for place in range(-2, 3):
+                _tree(rng, scene, sign * (near - 2), place * 9 + between(rng, -3, 3), between(rng, 1.2, 2.2))
+    vehicles(rng, scene, whole(rng, 0, 6), (2.5, 20), along=True)
+    scene.closed = 0.7
+
+
+def ring(rng: Rng, scene: Scene, away: float, lit: Field) -> None:
+    """Houses all around, so many metres away."""
+    bottom, count, height = float(scene.low[1]), whole(rng, 4, 10), away * between(rng, 0.3, 1.0)
+    for place in range(count):
+        angle = (place + between(rng, -0.3, 0.3)) * math.tau / count
+        centre = direction(0, angle) * np.float32(away * between(rng, 1, 1.6))
+        half = vector(*(away * between(rng, 0.12, 0.35) for _ in range(3)))
+        low, high = centre - half, centre + half
+        low[1], high[1] = bottom, bottom + height * between(rng, 0.4, 1.4)
+        add(scene, Box(low, high, facade(rng, lit)))
+    trees(rng, scene, whole(rng, 0, 6), (6, away))
+    walls(rng, scene, whole(rng, 0, 2))
+    bushes(rng, scene, whole(rng, 0, 3), (4, away))
+    vehicles(rng, scene, whole(rng, 0, 6), (4, away))
+
+
+def yard(rng: Rng, scene: Scene) -> None:
+    """Houses or walls close by, on up to four sides."""
+    plain, height, bottom = wall(rng), between(rng, 2.5, 9), float(scene.low[1])
+    for axis, sign in ((0, -1), (0, 1), (2, -1), (2, 1)):
+        if chance(rng, 0.15):
+            continue
+        away, length = between(rng, 3, 11), between(rng, 6, 16)
+        finish = plain._replace(panes=(3.0, between(rng, 2, 4))) if chance(rng, 0.6) else plain
+        low = vector(-length, bottom, -length)
+        high = vector(length, bottom + height * between(rng, 0.6, 1.2), length)
+        low[axis], high[axis] = sorted((sign * away, sign * (away + 5)))
+        scene.boxes.append(Box(low, high, finish))
+    scene.closed = 0.8
+
+
+def porch(rng: Rng, scene: Scene) -> None:
+    """A roof or a bridge over the eye, on posts, sometimes with a wall."""
+    under, bottom, finish = between(rng, 0.8, 2.5), float(scene.low[1]), wall(rng)
+    wide = 20.0 if chance(rng, 0.3) else 7.0
+    x, z = (sorted(log_between(rng, 1.2, wide) * sign for sign in (-1, 1)) for _ in range(2))
+    scene.boxes.append(Box(vector(x[0], under, z[0]), vector(x[1], under + 0.3, z[1]), finish))
+    for place in np.linspace(z[0] + 0.2, z[1] - 0.2, whole(rng, 2, 5)).tolist():
+        for edge in x if chance(rng, 0.5) else x[:1]:
+            low, high = vector(edge - 0.15, bottom, place - 0.15), vector(edge + 0.15, under, place + 0.15)
+            add(scene, Box(low, high, finish))
+    if chance(rng, 0.5):
+        add(scene, Box(vector(x[0] - 0.4, bottom, z[0]), vector(x[0] - 0.1, under, z[1]), wall(rng)))
+
+
+def vehicles(rng: Rng, scene: Scene, count: int, away: Range, along: bool = False) -> None:
+    """Boxes as large as cars and bins, at a distance from the range, or along the sides of a street."""
+    for _ in range(count):
+        bright = uniforms(rng, 3) if chance(rng, 0.3) else 1 + uniforms(rng, 3) * np.float32(0.15)
+        colour = np.clip(bright * np.float32(log_between(rng, 0.03, 0.5)), 0.02, 0.8)
+        half = vector(0.9, between(rng, 0.5, 1), between(rng, 0.6, 2.2))
+        centre = direction(0, between(rng, 0, math.tau)) * np.float32(between(rng, *away))
+        if along:
+            centre = vector(pick(rng, (-1, 1)) * away[0], 0, between(rng, -away[1], away[1]))
+        elif chance(rng, 0.5):
+            half = half[[2, 1, 0]]
+        centre[1] = scene.low[1] + half[1]
+        add(scene, Box(centre - half, centre + half, Finish(colour, gloss=0.05)))
+
+
+def walls(rng: Rng, scene: Scene, count: int) -> None:
+    """Garden walls, fences, hedges and sheds, straight, at some distance."""
+    bottom = float(scene.low[1])
+    for _ in range(count):
+        start, length, away = (
+            between(rng, -25, 10),
+            log_between(rng, 2, 40),
+            log_between(rng, 3, 20) * pick(rng, (-1, 1)),
+        )
+        low, high = vector(start, bottom, min(away, away * 1.1)), vector(start + length, 0, max(away, away * 1.1))
+        high[1] = bottom + log_between(rng, 0.6, 3.5)
+        if chance(rng, 0.5):
+            low, high = low[[2, 1, 0]], high[[2, 1, 0]]
+        finish = wall(rng) if chance(rng, 0.7) else _HEDGE
+        if chance(rng, 0.4):
+            pattern, size = pick(rng, ("stripes", "patches")), log_between(rng, 0.6, 6)
+            finish = finish._replace(other=finish.colour * np.float32(0.2), pattern=pattern, size=size)
+        add(scene, Box(low, high, finish))
+
+
+def paths(rng: Rng, scene: Scene, count: int) -> None:
+    """Straight roads, paths or strips of another ground, flat."""
+    bottom = float(scene.low[1])
+    for _ in range(count):
+        colours = _GROUNDS[pick(rng, (*BUILT, "dirt", "meadow"))]
+        finish = Finish(_between_colours(colours, between(rng, 0, 0.6)), vector(*colours[0]), size=between(rng, 3, 10))
+        start, width = between(rng, -15, 12), log_between(rng, 1, 9)
+        low, high = vector(start, bottom - 1, -500), vector(start + width, bottom + 0.02, 500)
+        if chance(rng, 0.3):
+            low, high = low[[2, 1, 0]], high[[2, 1, 0]]
+        scene.boxes.append(Box(low, high, finish))
+
+
+def trees(rng: Rng, scene: Scene, count: int, away: Range, radius: Range = (1.2, 3.5)) -> None:
+    """Trees at distances from the range, with crowns of radii from the range."""
+    for _ in range(count):
+        x, _, z = (direction(0, between(rng, 0, math.tau)) * np.float32(log_between(rng, *away))).tolist()
+        _tree(rng, scene, x, z, between(rng, *radius))
+
+
+def _tree(rng: Rng, scene: Scene, x: float, z: float, radius: float) -> None:
+    radius = min(radius, 0.6 * math.hypot(x, z))
+    top = float(scene.low[1]) + radius * between(rng, 1.2, 2.6)
+    scene.crowns.append(Crown(vector(x, top, z), radius, _leaves(rng)))
+    trunk = vector(0.06, 0, 0.06) * np.float32(1 + radius)
+    bark = Finish(vector(0.09, 0.07, 0.05) * np.float32(between(rng, 0.5, 2)))
+    add(scene, Box(vector(x, scene.low[1], z) - trunk, vector(x, top, z) + trunk, bark))
+
+
+def bushes(rng: Rng, scene: Scene, count: int, away: Range) -> None:
+    """Bushes at distances from the range."""
+    for _ in range(count):
+        far = log_between(rng, *away)
+        centre, radius = direction(0, between(rng, 0, math.tau)) * np.float32(far), min(between(rng, 0.5, 1.8), far / 2)
+        centre[1] = scene.low[1] + 0.5 * radius
+        scene.crowns.append(Crown(centre, radius, _leaves(rng)))
+
+
+def _leaves(rng: Rng) -> Field:
+    """Albedo [3] of foliage."""
+    return vector(between(rng, 0.45, 1.0), 1, between(rng, 0.15, 0.5)) * np.float32(between(rng, 0.05, 0.14))
+
+
+def add(scene: Scene, box: Box) -> None:
+    """Put a box there unless the eye would be in it or close by."""
+    if (np.maximum(box.low, -box.high)[[0, 2]] > 0.4).any():
+        scene.boxes.append(box)

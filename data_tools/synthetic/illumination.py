@@ -1,0 +1,99 @@
+"""The default illumination set: procedural environments out of doors, indoors and in studios, each with sphere photos.
+
+Families take turns, so any count of 16 or more holds them all; every draw is another place. Training and test draws
+come from other random streams.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from data_tools.formats import latlong
+from data_tools.synthetic.environments.indoor import apartment, evening, lobby, office, studio, warehouse, workshop
+from data_tools.synthetic.environments.light import render
+from data_tools.synthetic.environments.outdoor import (
+    courtyard,
+    dull,
+    dusk,
+    forest,
+    meadow,
+    night,
+    shore,
+    square,
+    street,
+)
+from data_tools.synthetic.environments.patterns import vector
+from data_tools.synthetic.environments.scene import Scene
+from data_tools.synthetic.patterns.fields import Field, Rng, between, chance
+from data_tools.synthetic.stationary.families import Split, turns
+from metapp.appearance.latlong import solid_angles
+from metapp.learning.task import Task
+
+_STRONGEST_CAST = 1.2  # of red over blue, in the mean of a map, as a power of 2
+
+UNITS = {**latlong.UNITS, "scale": "mean luminance of the map before, kcd/m^2, about"}
+COUNTS: dict[Split, int] = {"train": 900, "test": 16}
+FAMILIES: dict[str, Callable[[Rng], Scene]] = {
+    "meadow": meadow,
+    "apartment": apartment,
+    "street": street,
+    "studio": studio,
+    "courtyard": courtyard,
+    "office": office,
+    "forest": forest,
+    "workshop": workshop,
+    "shore": shore,
+    "evening": evening,
+    "square": square,
+    "warehouse": warehouse,
+    "dusk": dusk,
+    "lobby": lobby,
+    "dull": dull,
+    "night": night,
+}
+
+
+def synthetic_tasks(split: Split, count: int, seed: int = 0) -> Iterator[Task]:
+    """The environments of one split, one by one.
+
+    Args:
+        split: "train" or "test"; the same families, other draws.
+        count: how many. A larger set begins with the smaller one.
+        seed: of all draws, >= 0.
+
+    Returns:
+        Tasks with unique names such as "meadow-016" ("meadow-t000" in the test split), as `latlong.map_task` makes
+        them of a file.
+
+    Raises:
+        ValueError: for another split, or a negative count or seed.
+    """
+    for family, name, rng in turns("environments", FAMILIES, COUNTS, split, count, seed):
+        yield latlong.map_task(name, environment(FAMILIES[family], rng), rng)
+
+
+def environment(family: Callable[[Rng], Scene], rng: Rng, supersampling: int = 2) -> Tensor:
+    """A map of a family's next scene, turned to anywhere and seen by a camera of some white balance.
+
+    Returns:
+        Radiance, float32 [3, 64, 128], kcd/m^2.
+    """
+    scene = family(rng)
+    light = render(scene, between(rng, 0, math.tau), supersampling)
+    return torch.from_numpy(light * white_balance(light, rng)[:, None, None])
+
+
+def white_balance(light: Field, rng: Rng) -> Field:
+    """Gains [3] of a camera: towards a gray mean of the map [3, H, W], more or less, and a little off."""
+    weights = solid_angles(*light.shape[1:]).numpy() / light.shape[2]
+    mean = np.maximum((light * weights).sum((1, 2)), 1e-9)
+    kept = between(rng, 0.05, 0.7) if chance(rng, 0.9) else 1.0
+    kept = min(kept, _STRONGEST_CAST / max(abs(math.log2(mean[0] / mean[2])), 1e-3))
+    warmth, green = between(rng, -0.2, 0.3), between(rng, -0.06, 0.06)
+    gains = (mean / mean[1]) ** (kept - 1) * vector(2**warmth, 2**green, 2**-warmth)
+    return np.clip(gains, 0.2, 5).astype(np.float32)

@@ -1,0 +1,174 @@
+"""Periodic cells: lattices at any angle with an identity for every cell, and Worley noise on them."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from data_tools.synthetic.patterns.fields import Field, Ids, Rng, texel_centres, uniforms
+
+
+class Lattice:
+    """Rows of cells that repeat after one tile, whatever their angle.
+
+    The vectors that turn tile coordinates into columns and rows are whole numbers: one tile further is a whole number
+    of cells further. Of all such vectors near the wanted ones, the most nearly orthogonal are taken.
+
+    Args:
+        size: S.
+        columns: cells per tile along the angle, about.
+        rows: cells per tile across the angle, about.
+        angle_rad: of the rows, from x towards y.
+        shift: of each row against the one before, in cells; a multiple of 1 / multiple.
+        multiple: rows come in multiples of it, and so do columns where `period` says so.
+        period: columns come in multiples of it.
+        warp: displacement of columns and rows, two fields [S, S] in cells.
+
+    Attributes:
+        u: position [S, S] within the cell along the row, in [0, 1).
+        v: position [S, S] across the row, in [0, 1).
+        column, row: numbers [S, S] of the cell.
+        cell: identity [S, S] of the cell, 0 .. count - 1, the same for a cell and its repetitions.
+        count: how many cells there are.
+        width, height: of a cell, in tiles.
+        direction_rad: the true angle of the rows.
+    """
+
+    def __init__(
+        self,
+        size: int,
+        columns: float,
+        rows: float,
+        angle_rad: float = 0.0,
+        shift: float = 0.0,
+        multiple: int = 1,
+        period: int = 1,
+        warp: tuple[Field, Field] | None = None,
+    ) -> None:
+        (a, b), (c, d) = _whole_vectors(columns, rows, angle_rad, period, multiple)
+        x, y = texel_centres(size)
+        across = c * x + d * y if warp is None else c * x + d * y + warp[1]
+        self.row = np.floor(across).astype(np.int64)
+        along = a * x + b * y + np.float32(shift) * self.row
+        along = (along if warp is None else along + warp[0]).astype(np.float32)
+        self.column = np.floor(along).astype(np.int64)
+        self.u = (along - self.column).astype(np.float32)
+        self.v = (across - self.row).astype(np.float32)
+        self.shift = shift
+        determinant = abs(a * d - b * c)
+        self.width, self.height = math.hypot(c, d) / determinant, math.hypot(a, b) / determinant
+        self.direction_rad = math.atan2(b, a)
+        self._origin = (int(self.column.min()) - 2, int(self.row.min()) - 2)
+        shape = (int(self.column.max()) - self._origin[0] + 3, int(self.row.max()) - self._origin[1] + 3)
+        i, j = np.meshgrid(np.arange(shape[0]), np.arange(shape[1]), indexing="ij")
+        # Two cells are one where they differ by a whole number of tiles: equal images under the adjugate, modulo it.
+        a, b = round(a + shift * c), round(b + shift * d)
+        first, second = (d * i - b * j) % determinant, (a * j - c * i) % determinant
+        keys, identities = np.unique(first * determinant + second, return_inverse=True)
+        self.count = len(keys)
+        self._identities = identities.reshape(shape).astype(np.int64)
+        self.cell = self.neighbour(0, 0)
+
+    def neighbour(self, columns: int | Ids, rows: int | Ids) -> Ids:
+        """Identity [S, S] of the cell that is so many columns and rows further (at most 2)."""
+        return self._identities[self.column + columns - self._origin[0], self.row + rows - self._origin[1]]
+
+
+def _whole_vectors(
+    columns: float, rows: float, angle_rad: float, period: int, multiple: int
+) -> tuple[tuple[int, int], tuple[int, int]]:
+    """Two vectors of whole numbers, multiples of period and of multiple, near the wanted ones and nearly orthogonal."""
+    cos, sin = math.cos(angle_rad), math.sin(angle_rad)
+
+    def near(wanted: float, unit: int) -> list[int]:
+        middle = round(wanted / unit)
+        return [unit * (middle + each) for each in (-1, 0, 1)]
+
+    best, found = math.inf, ((1, 0), (0, 1))
+    for a, b in itertools.product(near(columns * cos, period), near(columns * sin, period)):
+        for c, d in itertools.product(near(-rows * sin, multiple), near(rows * cos, multiple)):
+            first, second = math.hypot(a, b), math.hypot(c, d)
+            if first == 0 or second == 0 or a * d - b * c <= 0:
+                continue
+            skew = abs(a * c + b * d) / (first * second)
+            turn = 1 - (a * cos + b * sin) / first
+            scale = abs(math.log(first / columns)) + abs(math.log(second / rows))
+            cost = 8 * skew + 2 * turn + 0.5 * scale
+            if cost < best:
+                best, found = cost, ((a, b), (c, d))
+    return found
+
+
+class Worley(NamedTuple):
+    """Distances to the feature points of cells, in widths of a mean cell.
+
+    Attributes:
+        nearest: distance [S, S] to the nearest point (F1).
+        second: distance [S, S] to the next (F2).
+        edge: distance [S, S] to the border between their two cells.
+        cell: identity [S, S] of the nearest point's cell, 0 .. total - 1.
+        total: number of cells.
+        across_x, across_y: from the nearest point to here, each [S, S], along the lattice's rows and across them.
+    """
+
+    nearest: Field
+    second: Field
+    edge: Field
+    cell: Ids
+    total: int
+    across_x: Field
+    across_y: Field
+
+
+def worley(rng: Rng, lattice: Lattice, jitter: float = 0.85) -> Worley:
+    """Worley noise with one feature point in each cell of a lattice.
+
+    Args:
+        rng: of the points.
+        lattice: its cells; a warped lattice gives curved borders.
+        jitter: 0 for points in the middle of their cells, up to 1 for any place in them.
+    """
+    offsets = np.float32(jitter) * (uniforms(rng, 2, lattice.count) - np.float32(0.5)) + np.float32(0.5)
+    mean = math.sqrt(lattice.width * lattice.height)
+    scale_x, scale_y = np.float32(lattice.width / mean), np.float32(lattice.height / mean)
+    shape = lattice.u.shape
+    first, second = np.full(shape, 1e9, np.float32), np.full(shape, 1e9, np.float32)
+    cell = np.zeros(shape, np.int64)
+    near, far = np.zeros((2, *shape), np.float32), np.zeros((2, *shape), np.float32)
+    for dj, di in itertools.product((0, -1, 1), repeat=2):
+        identity = lattice.neighbour(di, dj)
+        px = (offsets[0][identity] + np.float32(di - lattice.shift * dj) - lattice.u) * scale_x
+        py = (offsets[1][identity] + np.float32(dj) - lattice.v) * scale_y
+        distance = px * px + py * py
+        nearer = distance < first
+        nearly = ~nearer & (distance < second)
+        for place, value in enumerate((px, py)):
+            far[place] = np.where(nearer, near[place], np.where(nearly, value, far[place]))
+            near[place] = np.where(nearer, value, near[place])
+        second = np.where(nearer, first, np.where(nearly, distance, second))
+        first = np.where(nearer, distance, first)
+        cell = np.where(nearer, identity, cell)
+    apart = np.hypot(far[0] - near[0], far[1] - near[1])
+    edge = (second - first) / np.maximum(2 * apart, np.float32(1e-6))
+    return Worley(np.sqrt(first), np.sqrt(second), edge, cell, lattice.count, -near[0], -near[1])
+
+
+def isotropic_cells(
+    rng: Rng, size: int, cells: float, jitter: float = 0.85, warp: tuple[Field, Field] | None = None, aspect: float = 1
+) -> Worley:
+    """Worley noise of about `cells` cells per tile side, on a lattice at a random angle.
+
+    Args:
+        rng: of angle and points.
+        size: S.
+        cells: per tile side.
+        jitter: as for `worley`.
+        warp: displacement [S, S] along and across, in cells.
+        aspect: length of a cell over its width.
+    """
+    stretch = math.sqrt(aspect)
+    lattice = Lattice(size, cells / stretch, cells * stretch, float(rng.random()) * math.pi, warp=warp)
+    return worley(rng, lattice, jitter)

@@ -1,0 +1,81 @@
+"""The families of procedural materials: `FAMILIES[name](rng, size)` draws one, stationary and periodic.
+
+Each family varies colours, contrast, scale, orientation and irregularity, and most hold several kinds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from typing import Literal
+
+import numpy as np
+
+from data_tools.synthetic.patterns.fields import Rng
+from data_tools.synthetic.stationary.built import bricks, metal, shingles, tiles, wood
+from data_tools.synthetic.stationary.maps import Maps as Maps
+from data_tools.synthetic.stationary.nature import camouflage, dots, foliage, grass, rust
+from data_tools.synthetic.stationary.stone import cracks, grain, granite, gravel, marble, terrazzo
+from data_tools.synthetic.stationary.textile import knit, leather, stripes, weave
+
+Split = Literal["train", "test"]
+Family = Callable[[Rng, int], Maps]
+
+FAMILIES: dict[str, Family] = {
+    "bricks": bricks,
+    "weave": weave,
+    "gravel": gravel,
+    "wood": wood,
+    "grass": grass,
+    "tiles": tiles,
+    "marble": marble,
+    "leather": leather,
+    "rust": rust,
+    "dots": dots,
+    "knit": knit,
+    "cracks": cracks,
+    "metal": metal,
+    "camouflage": camouflage,
+    "granite": granite,
+    "shingles": shingles,
+    "stripes": stripes,
+    "foliage": foliage,
+    "terrazzo": terrazzo,
+    "grain": grain,
+}
+
+
+def turns(
+    noun: str, families: Iterable[str], counts: Mapping[Split, int], split: Split, count: int, seed: int, *more: int
+) -> Iterator[tuple[str, str, Rng]]:
+    """The draws of one split of an embedded set, whose families take turns.
+
+    Args:
+        noun: what is drawn, for errors.
+        families: their names.
+        counts: of the default set, by split; splits have random streams of their own.
+        split: one of these.
+        count: how many. A larger set begins with the smaller one.
+        seed: of all draws, >= 0.
+        more: of the streams' keys, to set them apart from those of other sets.
+
+    Returns:
+        Of each draw the family, the task's name such as "bricks-013" ("bricks-t013" in the test split), and its random
+        numbers.
+
+    Raises:
+        ValueError: for another split, or a negative count or seed.
+    """
+    if split not in counts:
+        raise ValueError(f"split of the synthetic {noun}: {split!r}, expected 'train' or 'test'")
+    if count < 0 or seed < 0:
+        raise ValueError(f"synthetic {noun}: count {count} and seed {seed}, expected both to be 0 or more")
+    names = list(families)
+    for index in range(count):
+        turn, place = divmod(index, len(names))
+        name = f"{names[place]}-{'t' if split == 'test' else ''}{index:03d}"
+        yield names[place], name, stream(seed, list(counts).index(split), place, turn, *more)
+
+
+def stream(*key: int) -> Rng:
+    """The random numbers of a key, whole numbers >= 0; others for every other key of the same length."""
+    return np.random.Generator(np.random.PCG64(np.random.SeedSequence(key)))

@@ -1,0 +1,93 @@
+"""The default set of non-stationary svBRDFs: procedural patches of several materials and what happened to them.
+
+Families take turns, so any count of 19 or more holds them all; every draw is another patch. Training and test draws
+come from other random streams. Maps cover what most libraries of materials hold little of: bare metals in colour,
+roughness from 0.1 to 0.95 within one patch, strong relief beside none. Photographs are as people take them: in most the
+flash is not quite beside the lens.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from data_tools.formats import svbrdf_task
+from data_tools.synthetic.nonstationary.built import circuit, cover, inlay, mosaic, planks, plates, tiles
+from data_tools.synthetic.nonstationary.crafted import carpet, label, ornament, stitched
+from data_tools.synthetic.nonstationary.surface import Surface, finish
+from data_tools.synthetic.nonstationary.worn import (
+    corroded,
+    crumpled,
+    flaking,
+    overgrown,
+    puddles,
+    scratches,
+    stains,
+    tracks,
+)
+from data_tools.synthetic.patterns.fields import Rng
+from data_tools.synthetic.stationary.families import Split, turns
+from metapp.appearance.flash import ASIDE, BESIDE_LENS, BRIGHTER, HIGHER, camera
+from metapp.learning.task import Task
+
+VERSION = 2
+UNITS = {
+    **svbrdf_task.UNITS,
+    "photo": "sRGB, uint8 0..255 [3, height, width], rows from the top; camera above the centre, flash near it",
+}
+COUNTS: dict[Split, int] = {"train": 1200, "test": 16}
+FAMILIES: dict[str, Callable[[Rng, int], Surface]] = {
+    "inlay": inlay,
+    "corroded": corroded,
+    "tiles": tiles,
+    "puddles": puddles,
+    "ornament": ornament,
+    "label": label,
+    "plates": plates,
+    "stitched": stitched,
+    "flaking": flaking,
+    "mosaic": mosaic,
+    "scratches": scratches,
+    "carpet": carpet,
+    "planks": planks,
+    "overgrown": overgrown,
+    "tracks": tracks,
+    "stains": stains,
+    "cover": cover,
+    "circuit": circuit,
+    "crumpled": crumpled,
+}
+
+_SIZE = 128
+_STREAM = 2  # other materials than those of the textures and of the stationary svBRDFs
+
+
+def synthetic_tasks(split: Split, count: int, seed: int = 0) -> Iterator[Task]:
+    """The patches of one split, one by one.
+
+    Args:
+        split: "train" or "test"; the same families, other draws.
+        count: how many. A larger set begins with the smaller one.
+        seed: of all draws, >= 0.
+
+    Returns:
+        Tasks with unique names such as "inlay-016" ("inlay-t000" in the test split), as `svbrdf_task` makes them:
+        `maps` float16 [10, 128, 128] and `photo` uint8 [3, 128, 128].
+
+    Raises:
+        ValueError: for another split, or a negative count or seed.
+    """
+    for family, name, rng in turns("svBRDFs", FAMILIES, COUNTS, split, count, seed, _STREAM):
+        maps = finish(FAMILIES[family](rng, _SIZE))
+        yield svbrdf_task.svbrdf_task(name, maps, photo=svbrdf_task.flash_photo(maps, *held(rng)))
+
+
+def held(rng: Rng) -> tuple[Tensor, float]:
+    """Where somebody holds the flash, [3] as `metapp.appearance.flash.render` has it, and its intensity."""
+    apart = rng.normal(size=4) * (rng.random() >= BESIDE_LENS)
+    aside, higher, brighter = apart[:2] * ASIDE, np.exp(apart[2] * HIGHER), np.exp(apart[3] * BRIGHTER)
+    place = torch.tensor([*aside, float(camera()[2]) * higher], dtype=torch.float32)
+    return place, float(brighter * higher**2)  # exposed by what is right below it

@@ -1,0 +1,88 @@
+"""The default set of stationary svBRDFs: procedural materials, each in one photograph under the flash of a phone.
+
+Families take turns, so any count of 16 or more holds them all; every draw is another material. Training and test draws
+come from other random streams. A training task holds what a real photograph's would, the picture alone; a test task
+also the same material under other lights, for judging.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from data_tools.formats.flash import UNITS as OF_PHOTOS
+from data_tools.synthetic.patterns.fields import Rng, between, log_between, uniforms
+from data_tools.synthetic.stationary import families as procedural
+from data_tools.synthetic.stationary.families import FAMILIES, Split, turns
+from metapp.appearance.flash import Maps, camera, expose, normal_from_height, positions, relightings, render
+from metapp.learning.task import Task
+
+COUNTS: dict[Split, int] = {"train": 120, "test": 16}
+UNITS = {
+    **OF_PHOTOS,
+    "relit": "photographs under other lights, sRGB display values 0..255, [3, 3, S, S]; test tasks only",
+}
+
+# Flat enough to be maps on a plane: without loose grass, leaves, and what is mostly print.
+FLAT = tuple(name for name in FAMILIES if name not in ("grass", "foliage", "stripes", "camouflage"))
+
+_SIZE = 256
+_STREAM = 1  # other materials than those of the textures
+
+
+def synthetic_tasks(split: Split, count: int, seed: int = 0) -> Iterator[Task]:
+    """The photographs of one split, one by one.
+
+    Args:
+        split: "train" or "test"; the same families, other draws.
+        count: how many. A larger set begins with the smaller one.
+        seed: of all draws, >= 0.
+
+    Returns:
+        Tasks with unique names such as "bricks-016" ("bricks-t000" in the test split) and `image`, uint8
+        [3, 256, 256], sRGB; in the test split also `relit`, uint8 [3, 3, 256, 256], the same material and exposure
+        under `metapp.appearance.flash.relightings`.
+
+    Raises:
+        ValueError: for another split, or a negative count or seed.
+    """
+    for family, name, rng in turns("svBRDFs", FLAT, COUNTS, split, count, seed, _STREAM):
+        image, relit = flash_photographs(FAMILIES[family](rng, _SIZE), rng)
+        data = {"image": image} | ({"relit": relit} if split == "test" else {})
+        yield Task(name, data)
+
+
+@torch.no_grad()
+def flash_photographs(maps: procedural.Maps, rng: Rng) -> tuple[Tensor, Tensor]:
+    """A photograph of a material by a phone held straight above it, its flash beside the lens, and relightings.
+
+    Args:
+        maps: of the material, [.., S, S].
+        rng: of the flash's exact place and cone, the exposure and the sensor's noise.
+
+    Returns:
+        uint8 [3, S, S], gamma-encoded (2.2): the highlight is about to clip, the rest neither black nor white. And
+        uint8 [3, 3, S, S], the same exposure without noise under `metapp.appearance.flash.relightings`.
+    """
+    diffuse, specular, roughness, height = (torch.from_numpy(each) for each in maps)
+    size = height.shape[-1]
+    surface = Maps(diffuse, specular, roughness.clamp_min(0.15), normal_from_height(height, 0.7))
+    flash = camera() + torch.tensor([between(rng, -0.06, 0.06), between(rng, -0.06, 0.06), 0.0])
+    place, falloff = positions(size, size), between(rng, 0.7, 1.3)
+    radiance = render(surface, place, flash, camera(), falloff=falloff)
+    luminance = radiance.mean(0)
+    # A phone meters the whole picture and holds the highlight back: of the two, what is darker.
+    metered = log_between(rng, 0.13, 0.3) / float(luminance.mean())
+    held_back = 1 / float(luminance.quantile(between(rng, 0.985, 0.998)))
+    exposure = min(metered, max(held_back, 0.08 / float(luminance.mean())))
+    exposed = radiance * exposure
+    # Photons (variance in proportion to the light) and read-out; the sum of four uniforms is nearly normal.
+    normal = torch.from_numpy((uniforms(rng, 4, 3, size, size).sum(0) - 2) * np.float32(3**0.5))
+    noise = log_between(rng, 0.003, 0.015)
+    noisy = exposed + normal * (noise**2 * exposed + (0.15 * noise) ** 2).sqrt()
+    moved = [render(surface, place, *lit, falloff=falloff) * exposure for lit in relightings().values()]
+    photo, relit = ((expose(each) * 255).round().to(torch.uint8) for each in (noisy, torch.stack(moved)))
+    return photo, relit

@@ -1,0 +1,216 @@
+"""Visual feature statistics: Gram matrices of ImageNet VGG features, or of fixed random filters without its weights."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+from functools import lru_cache
+from pathlib import Path
+
+import torch
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import load_file
+from torch import Generator, Tensor, nn
+from torch.nn.functional import avg_pool2d
+
+from metapp.storage.files import cache_folder
+
+# channels of the convolutions of each block (Simonyan & Zisserman 2015); blocks are parted by max pooling
+BLOCKS = {
+    "vgg16": ((64,) * 2, (128,) * 2, (256,) * 3, (512,) * 3, (512,) * 3),
+    "vgg19": ((64,) * 2, (128,) * 2, (256,) * 4, (512,) * 4, (512,) * 4),
+}
+# how the SHA-256 begins of files of ImageNet's weights, and of VGG-16's as the cache keeps them
+KNOWN = {"vgg16": ("397923af", "a286e44c", "2ecbe4ce", "306c6f39"), "vgg19": ("dcbb9e9d",)}
+MEAN, DEVIATION = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
+
+
+class Features(nn.Module):
+    """Maps of features of images, at several depths.
+
+    Attributes:
+        name: what outputs call the features.
+        stages: the layers up to each tap, from the one before.
+    """
+
+    mean: Tensor
+    deviation: Tensor
+
+    def __init__(self, name: str, stages: Sequence[nn.Module]) -> None:
+        super().__init__()
+        self.name = name
+        self.stages = nn.ModuleList(stages)
+        self.register_buffer("mean", torch.tensor(MEAN).reshape(3, 1, 1))
+        self.register_buffer("deviation", torch.tensor(DEVIATION).reshape(3, 1, 1))
+        self.requires_grad_(False)
+
+    def forward(self, images: Tensor) -> list[Tensor]:
+        """Images [B, 3, H, W], sRGB in [0, 1], to maps [B, C, H', W'], one a tap."""
+        x = ((images - self.mean) / self.deviation).contiguous(memory_format=torch.channels_last)
+        maps = []
+        for stage in self.stages:
+            x = stage(x)
+            maps.append(x)
+        return maps
+
+
+class RandomFilters(Features):
+    """Random filters with a ReLU, on the image at several scales (Ustyuzhaninov et al. 2017)."""
+
+    def forward(self, images: Tensor) -> list[Tensor]:
+        x = (images - self.mean) / self.deviation
+        maps = []
+        for stage in self.stages:
+            maps.append(stage(x))
+            x = avg_pool2d(x, 2)
+        return maps
+
+
+def weights_path(which: str) -> Path:
+    """Where `metapp data vgg` keeps the weights of "vgg16" or "vgg19"."""
+    return cache_folder() / f"{which}.safetensors"
+
+
+def describe_features(which: str) -> str:
+    """What `load_features` would give now, in words.
+
+    Raises:
+        ValueError: damaged weights.
+    """
+    path = weights_path(which)
+    if path.is_file():
+        return f"{which.upper().replace('VGG', 'VGG-')} features ({_origin(which, path, path.stat().st_mtime_ns)})"
+    return f"random filters, as the {which} weights are missing (metapp data vgg --which {which} fetches them)"
+
+
+@lru_cache(maxsize=4)
+def _origin(which: str, path: Path, changed: int) -> str:  # `changed`, its time, is there for the lru_cache
+    """What a file's weights are: ImageNet's, by the file they came from or by their own digest, or unknown ones."""
+    try:
+        with safe_open(path, "pt") as weights:
+            digest = (weights.metadata() or {}).get("sha256", "")
+    except SafetensorError:
+        raise _damaged(which, path) from None
+    if digest[:8] not in KNOWN[which]:
+        with path.open("rb") as file:
+            file.seek(8 + int.from_bytes(file.read(8), "little"))  # past the header, which tells the source
+            digest = hashlib.file_digest(file, "sha256").hexdigest()
+    return "ImageNet" if digest[:8] in KNOWN[which] else f"unknown weights {digest[:8]}"
+
+
+def _damaged(which: str, path: str | Path) -> ValueError:
+    return ValueError(
+        f"{path}: damaged, expected the weights of {which}; fetch it again: metapp data vgg --which {which}."
+    )
+
+
+def load_features(which: str, taps: Sequence[str], like: Tensor) -> Features:
+    """Features with taps such as ("relu1_1", "relu2_1"), on the device and in the precision of a tensor.
+
+    Without weights in the cache they are fixed random filters; their Gram matrices say much less about textures.
+    """
+    path = weights_path(which)
+    return _load(which, tuple(taps), str(path) if path.is_file() else "", like.device, like.dtype)
+
+
+@lru_cache(maxsize=4)
+def _load(which: str, taps: tuple[str, ...], path: str, device: torch.device, dtype: torch.dtype) -> Features:
+    features = _vgg(which, taps, path) if path else _random(len(taps))
+    return features.to(device=device, dtype=dtype).to(memory_format=torch.channels_last).eval()  # type: ignore[call-overload]
+
+
+def _vgg(which: str, taps: Sequence[str], path: str) -> Features:
+    try:
+        weights = load_file(path)
+    except SafetensorError:
+        raise _damaged(which, path) from None
+    stages: list[list[nn.Module]] = [[]]
+    inputs, layer = 3, 0
+    for block, widths in enumerate(BLOCKS[which], 1):
+        for i, outputs in enumerate(widths, 1):
+            convolution = nn.Conv2d(inputs, outputs, 3, padding=1)
+            try:
+                convolution.load_state_dict(
+                    {part: weights[f"conv{layer}.{part}"] for part in ("weight", "bias")}, strict=True
+                )
+            except (KeyError, RuntimeError):
+                raise ValueError(
+                    f"{path}: conv{layer} missing or of another shape, expected {which}; "
+                    f"fetch it again: metapp data vgg --which {which}."
+                ) from None
+            stages[-1] += [convolution, nn.ReLU()]
+            inputs, layer = outputs, layer + 1
+            if f"relu{block}_{i}" in taps:
+                stages.append([])
+        stages[-1].append(nn.MaxPool2d(2))
+    name = describe_features(which)
+    return Features(name, [nn.Sequential(*stage) for stage in stages[: len(taps)]])
+
+
+RANDOM = 96
+
+
+def _random(scales: int, filters: int = RANDOM, size: int = 7) -> Features:
+    rng = Generator().manual_seed(0)
+    stages = []
+    for _ in range(scales):
+        convolution = nn.Conv2d(3, filters, size, padding=size // 2)
+        # unit response to white noise, biases that put the threshold at many levels
+        convolution.weight.data = torch.randn(filters, 3, size, size, generator=rng) / (3 * size**2) ** 0.5
+        convolution.bias.data = torch.randn(filters, generator=rng) * 0.5  # type: ignore[union-attr]
+        stages.append(nn.Sequential(convolution, nn.ReLU()))
+    return RandomFilters("random filters", stages)
+
+
+def channels_of(which: str, taps: Sequence[str]) -> list[int]:
+    """Channels of the maps at each tap."""
+    if not weights_path(which).is_file():
+        return [RANDOM] * len(taps)
+    places = [tap.removeprefix("relu").split("_") for tap in taps]
+    return [BLOCKS[which][int(block) - 1][int(i) - 1] for block, i in places]
+
+
+def moments(maps: Sequence[Tensor]) -> Tensor:
+    """Means and root mean squares of feature maps [B, C, H, W] over the picture, side by side for all taps, [B, S]."""
+    parts = [part for each in maps for part in (each.mean((2, 3)), each.square().mean((2, 3)).sqrt())]
+    return torch.cat(parts, 1)
+
+
+def gram(maps: Tensor) -> Tensor:
+    """Mean products of channels over a picture, [B, C, C], of feature maps [B, C, H, W] (Gatys et al. 2015)."""
+    flat = maps.flatten(2)
+    return flat @ flat.mT / flat.shape[-1]
+
+
+def hann(size: int, like: Tensor) -> Tensor:
+    """A smooth window [size], positive, 1 in the middle."""
+    return torch.hann_window(size + 2, periodic=False, dtype=like.dtype, device=like.device)[1:-1]
+
+
+def amplitudes(maps: Tensor) -> Tensor:
+    """Root of the power spectrum, summed over channels, [B, H, W // 2 + 1], of feature maps [B, C, H, W].
+
+    The picture's mean is taken off and its edges are faded out, so that neither brightness nor the border counts; the
+    power is smoothed a little, since that of one random picture scatters about its expectation.
+    """
+    height, width = maps.shape[-2:]
+    window = hann(height, maps)[:, None] * hann(width, maps)
+    centred = (maps - maps.mean((-1, -2), keepdim=True)) * window
+    power = torch.fft.rfft2(centred, norm="ortho").abs().square().sum(1, keepdim=True)
+    return (avg_pool2d(power, 3, stride=1, padding=1, count_include_pad=False) + 1e-8).sqrt()[:, 0]
+
+
+def distance(found: Sequence[Tensor], target: Sequence[Tensor]) -> Tensor:
+    """Relative L1 distance of Gram matrices or spectra, sum |G - G*| / sum |G*|, the mean over taps.
+
+    Args:
+        found: matrices [..., C, C], one a tap.
+        target: those of the exemplar, of the same shapes.
+
+    Returns:
+        Distances [...]; 0 for equal statistics, 1 for a picture without any features.
+    """
+    each = [
+        (g - t).abs().sum((-1, -2)) / t.abs().sum((-1, -2)).clamp_min(1e-12) for g, t in zip(found, target, strict=True)
+    ]
+    return torch.stack(each).mean(0)

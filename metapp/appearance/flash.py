@@ -1,0 +1,296 @@
+"""A flat patch of material under a point flash: maps of a material to a photo of it, and where a photo's flash was.
+
+The patch lies in the plane z = 0 about the origin and its half side is 1, x to the right, y up, z towards the camera.
+The camera looks down from `camera()`, so high that a square photo covers the patch. Pictures live in texture space, a
+pixel a texel: another view changes the shading, never the projection, so what is rendered is what a flat material
+looks like from there, straightened.
+
+Everything is differentiable and takes any leading axes (written B), dtype and device; shapes broadcast.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from metapp.appearance.geometry import direction_cosines
+from metapp.appearance.reflection import fresnel_schlick, microfacet_lobe
+
+FOV_RAD = math.pi / 4  # a phone held upright, along the shorter side of its picture
+# GGX is narrower than a texel there: half vectors of neighbours differ by 0.003 rad in a map of 256.
+SMOOTHEST = 0.04
+FARTHEST = 0.5  # from the centre of a photo that a flash is looked for
+# How made-up photographs are taken: the share whose flash is beside the lens; how far off the others' are, one standard
+# deviation, in half sides of the patch and in logs; aside as in the strips of Deschaintre et al. 2018.
+BESIDE_LENS = 0.3
+ASIDE, HIGHER, BRIGHTER = 0.24, 0.08, 0.06
+
+
+class Maps(NamedTuple):
+    """What a flat material is made of, texel by texel; row 0 is the upper edge.
+
+    Attributes:
+        diffuse: [B, 3, H, W] linear RGB albedo in [0, 1].
+        specular: [B, C, H, W], C = 1 or 3, linear reflectance at normal incidence in [0, 1].
+        roughness: [B, 1, H, W] in (0, 1]; GGX's alpha is its square.
+        normal: [B, 3, H, W], unit length, z up out of the patch.
+    """
+
+    diffuse: Tensor
+    specular: Tensor
+    roughness: Tensor
+    normal: Tensor
+
+
+def pack(maps: Maps) -> Tensor:
+    """Maps without a leading axis, C = 1 or 3 specular channels, as one tensor [10, H, W]."""
+    specular = maps.specular.expand(3, -1, -1)
+    return torch.cat([maps.normal, maps.diffuse, maps.roughness, specular])
+
+
+def unpack(maps: Tensor) -> Maps:
+    """The inverse of `pack`, for [..., 10, H, W]."""
+    normal, diffuse, roughness, specular = maps.split((3, 3, 1, 3), -3)
+    return Maps(diffuse, specular, roughness, normal)
+
+
+def camera_distance(fov_rad: float = FOV_RAD) -> float:
+    """Height from which a camera of this field of view (rad, along the shorter side) sees exactly the patch."""
+    return 1 / math.tan(fov_rad / 2)
+
+
+def camera(
+    fov_rad: float = FOV_RAD, *, dtype: torch.dtype = torch.float32, device: torch.device | str | None = None
+) -> Tensor:
+    """Where the camera is, [3]: above the centre. A flash beside its lens is there, too."""
+    return torch.tensor([0.0, 0.0, camera_distance(fov_rad)], dtype=dtype, device=device)
+
+
+def relightings(*, dtype: torch.dtype = torch.float32, device: torch.device | str | None = None) -> dict[str, tuple]:
+    """Three other (light [3], view [3]) that a material is judged and shown under, by name."""
+    eye = camera(dtype=dtype, device=device)
+    moves = {
+        "left": ((-0.8, 0.0, -0.8), (0.0, 0.0, 0.0)),
+        "above": ((0.0, 0.8, -0.8), (0.0, 0.0, 0.0)),
+        "aside": ((0.8, -0.8, -1.2), (-0.8, 0.5, 0.0)),
+    }
+    return {name: tuple(eye + eye.new_tensor(move) for move in pair) for name, pair in moves.items()}
+
+
+def positions(
+    height: int, width: int, *, dtype: torch.dtype = torch.float32, device: torch.device | str | None = None
+) -> Tensor:
+    """Centres of texels (x right, y up), [2, height, width], row 0 on top.
+
+    The shorter side reaches from -1 to 1 and texels are square. The place of a crop is the same crop of this.
+    """
+    texel = 2 / min(height, width)
+    x, y = (
+        (torch.arange(count, dtype=dtype, device=device) - (count - 1) / 2) * (sign * texel)
+        for count, sign in ((width, 1), (height, -1))
+    )
+    return torch.stack([x.expand(height, width), y[:, None].expand(height, width)])
+
+
+def _extended(field: Tensor, axis: int, periodic: bool) -> Tensor:
+    """A field with one more texel at either end of an axis: the other end's, or straight on."""
+    first, last, count = field.narrow(axis, 0, 1), field.narrow(axis, -1, 1), field.shape[axis]
+    if periodic:
+        return torch.cat([last, field, first], dim=axis)
+    second, last_but_one = field.narrow(axis, 1, 1), field.narrow(axis, count - 2, 1)
+    return torch.cat([2 * first - second, field, 2 * last - last_but_one], dim=axis)
+
+
+def normal_from_height(height: Tensor, scale: Tensor | float = 1.0, *, periodic: bool = True) -> Tensor:
+    """Normals of a height field, by central differences smoothed across as Scharr's (2000), nearly isotropic.
+
+    Args:
+        height: [B, 1, H, W], in texels, up out of the patch; H and W at least 2.
+        scale: multiplies the height; a number or [B, 1, 1, 1].
+        periodic: whether the left edge goes on at the right one and the upper at the lower one; otherwise slopes go on
+            straight.
+
+    Returns:
+        [B, 3, H, W], unit length, z > 0. A slope that alternates from texel to texel is not seen.
+    """
+    wide = _extended(_extended(height, -1, periodic), -2, periodic)
+    along_x = wide[..., 2:] - wide[..., :-2]
+    along_y = wide[..., :-2, :] - wide[..., 2:, :]  # rows go down, y goes up
+    slope_x = (3 * along_x[..., :-2, :] + 10 * along_x[..., 1:-1, :] + 3 * along_x[..., 2:, :]) * (scale / 32)
+    slope_y = (3 * along_y[..., :-2] + 10 * along_y[..., 1:-1] + 3 * along_y[..., 2:]) * (scale / 32)
+    z = (1 + slope_x * slope_x + slope_y * slope_y).rsqrt()
+    return torch.cat([-slope_x * z, -slope_y * z, z], dim=-3)
+
+
+def brdf(maps: Maps, wi: Tensor, wo: Tensor) -> Tensor:
+    """Reflection of a material's texels: a Lambertian body under a GGX lobe with Schlick's Fresnel.
+
+    diffuse (1 - specular) / pi + D F G / (4 cos_i cos_o), as Deschaintre et al., "Single-Image SVBRDF Capture with a
+    Rendering-Aware Deep Network" (2018); G is separable. It is reciprocal. What it reflects of the light from one
+    direction is at most what the lobe does plus diffuse (1 - specular): no more than 1 (to 0.5 %) up to 45 degrees;
+    near grazing up to 2, as Schlick's reflectance rises there and the body keeps its light.
+
+    Args:
+        maps: the material; roughness below 0.04 counts as 0.04 (and gets no gradient), which keeps the lobe finite.
+        wi: to the light, [B, 3, H, W], unit length, in the frame of the patch.
+        wo: to the viewer, likewise.
+
+    Returns:
+        [B, 3, H, W] in 1/sr, linear RGB. The lobe is 0 where a normal turns away from light or viewer, the body is
+        not: multiply by the cosine, at least 0.
+    """
+    # Channels go last for a moment: views, nothing moves in memory.
+    at = direction_cosines(*(vectors.movedim(-3, -1) for vectors in (wi, wo, maps.normal)))
+    alpha = maps.roughness.squeeze(-3).clamp_min(SMOOTHEST) ** 2
+    f0 = maps.specular.movedim(-3, -1)
+    lobe = microfacet_lobe(at, alpha, lambda cos: fresnel_schlick(cos, f0)).movedim(-1, -3)
+    return maps.diffuse * (1 - maps.specular) / math.pi + lobe
+
+
+def _towards(place: Tensor, positions: Tensor) -> tuple[Tensor, Tensor]:
+    """Unit vectors [B, 3, h, w] from the patch to a place [B, 3] above it, and squared distances [B, 1, h, w]."""
+    across = place[..., :2, None, None] - positions
+    up = place[..., 2:, None, None].expand_as(across[..., :1, :, :])
+    squared = (across * across).sum(-3, keepdim=True) + up * up
+    return torch.cat([across, up], dim=-3) * squared.rsqrt(), squared
+
+
+def render(
+    maps: Maps,
+    positions: Tensor,
+    light: Tensor,
+    view: Tensor,
+    *,
+    intensity: Tensor | float = 1.0,
+    falloff: Tensor | float = 0.0,
+    distance: float = camera_distance(),
+) -> Tensor:
+    """A material under a point flash: BRDF * cosine * intensity / squared distance, without shadows.
+
+    Args:
+        maps: of the patch, or of any crop of it.
+        positions: [2, h, w] or [B, 2, h, w] from `positions`: where in the patch the maps' texels are.
+        light: [3] or [B, 3], where the flash is; z > 0.
+        view: [3] or [B, 3], where the viewer is; z > 0.
+        intensity: of the flash: a number, [3] or [B, 3] linear RGB, or [B, 1]. With 1 a white Lambertian patch has
+            radiance 1 right below a flash at height `distance`.
+        falloff: the flash fades as this power of the cosine with its axis, which points straight down: 0 is a point
+            that shines evenly, 1 a small flat lamp. A number or [B].
+        distance: the unit of the flash, see there; of the camera of 45 degrees unless told otherwise.
+
+    Returns:
+        Linear radiance [B, 3, h, w], >= 0.
+    """
+    wi, squared = _towards(light, positions)
+    wo, _ = _towards(view, positions)
+    power = falloff[..., None, None, None] if isinstance(falloff, Tensor) else falloff
+    colour = intensity[..., None, None] if isinstance(intensity, Tensor) else intensity
+    irradiance = colour * (math.pi * distance * distance) * wi[..., 2:, :, :] ** power / squared
+    cosine = (wi * maps.normal).sum(-3, keepdim=True).clamp_min(0)
+    return brdf(maps, wi, wo) * (irradiance * cosine)
+
+
+def expose(radiance: Tensor, gamma: float = 2.2) -> Tensor:
+    """Linear radiance to what a display shows: clamped to [1e-6, 1], then its gamma-th root.
+
+    The floor keeps the slope at black finite (850 for 2.2) and is less than half a step of 8 bits. Outside the range
+    the gradient is 0: a pixel that is over-exposed in the photo, too, has nothing to say about how bright it was, but
+    a picture that is over-exposed all over cannot find its way back: start dark enough.
+
+    Args:
+        radiance: any shape, linear, 1 is white.
+        gamma: > 0.
+
+    Returns:
+        The same shape, in [0.002, 1] for 2.2.
+    """
+    return radiance.clamp(1e-6, 1.0) ** (1 / gamma)
+
+
+@functools.lru_cache(4)  # 15 MB each; the photos of one camera have one shape
+def _rings(rows: int, columns: int) -> tuple[Tensor, Tensor, Tensor]:
+    """Pictures that are round about a centre, for all centres, and at last a slope, which has none; float64.
+
+    Returns:
+        centres [K, 2], that of the slope 0; an orthonormal basis [K, rows * columns, 3] of the round pictures
+        a + b log(1 + r^2) + c exp(-8 r^2), or of a + b x + c y; and [K, 3], by how much each of the basis falls from
+        the centre to r = 1, 0 for the slope.
+    """
+    ticks = torch.arange(-12, 13, dtype=torch.float64) * (FARTHEST / 12)
+    centres = torch.cartesian_prod(ticks, ticks)
+    centres = centres[centres.square().sum(-1) <= FARTHEST**2 + 1e-9]
+    cells = positions(rows, columns, dtype=torch.float64).flatten(1).T
+
+    def profile(squared: Tensor) -> Tensor:
+        return torch.stack([torch.ones_like(squared), squared.log1p(), (-8 * squared).exp()], dim=-1)
+
+    slope = torch.cat([torch.ones_like(cells[:, :1]), cells], dim=-1)
+    pictures = torch.cat([profile((cells - centres[:, None]).square().sum(-1)), slope[None]])
+    basis, triangle = torch.linalg.qr(pictures)
+    first, last = profile(torch.tensor([[[0.0]], [[1.0]]], dtype=torch.float64))
+    fall = (first - last).expand(len(centres), 1, 3)
+    fall = torch.linalg.solve_triangular(triangle[:-1], fall, upper=True, left=False)[:, 0]
+    none = torch.zeros_like(centres[:1])
+    return torch.cat([centres, none]), basis, torch.cat([fall, torch.zeros_like(fall[:1])])
+
+
+def _sheen(brightness: Tensor) -> Tensor:
+    """About which point [B, 2] a picture [B, rows, columns] of log brightness is round and falls off.
+
+    The mean of a posterior over centres: how well round pictures fit, as if 40 cells were independent (texture makes
+    the errors of neighbours alike), and a prior 0.2 wide, which has the last word where nothing is round.
+    """
+    centres, basis, fall = (part.to(brightness) for part in _rings(*brightness.shape[-2:]))
+    cells = brightness.flatten(-2)
+    cells = cells - cells.mean(-1, keepdim=True)
+    parts = torch.einsum("knp,...n->...kp", basis, cells)
+    explained = torch.where((parts * fall).sum(-1) >= 0, parts.square().sum(-1), 0.0)
+    unexplained = 1 - explained / cells.square().sum(-1, keepdim=True).clamp_min(1e-6)
+    misfit = 40 * unexplained.clamp_min(1e-3).log() + centres.square().sum(-1) / 0.2**2
+    return (-misfit / 2).softmax(-1) @ centres
+
+
+def _highlight(radiance: Tensor) -> tuple[Tensor, Tensor]:
+    """Centre [B, 2] of the outstandingly bright cells of [B, rows, columns]; [B, 1], whether they are one near spot."""
+    places = positions(*radiance.shape[-2:], dtype=radiance.dtype, device=radiance.device).flatten(1).T
+    cells = radiance.flatten(-2)
+    apart = cells - cells.median(-1, keepdim=True).values
+    deviation = 1.4826 * apart.abs().median(-1, keepdim=True).values + 1e-3  # 1.4826: of a normal distribution
+    # Neither a matte material's own fall-off nor most textures reach six deviations.
+    weights = (apart / deviation - 6).clamp_min(0)
+    total = weights.sum(-1, keepdim=True)
+    share = weights / total.clamp_min(1e-6)
+    centre = share @ places
+    spread_squared = share @ places.square().sum(-1, keepdim=True) - centre.square().sum(-1, keepdim=True)
+    is_near = centre.square().sum(-1, keepdim=True) < FARTHEST**2
+    return centre, is_near & (total > 3) & (spread_squared < 0.35**2)
+
+
+def flash_position(photo: Tensor) -> Tensor:
+    """Where in the patch a photo is brightest: estimated from its highlight, without one from its fall-off.
+
+    Put both light and view above that point: a highlight is where they mirror each other, and what is behind an
+    off-centre one in a photo is mostly a camera that was not held quite straight.
+
+    Args:
+        photo: [B, 3, H, W] or [3, H, W] as displayed (gamma-encoded), in [0, 1]; 16 pixels or more a side.
+
+    Returns:
+        [B, 2], as `positions`, at most 0.5 from the centre, and near it where nothing says otherwise. On renders
+        good to 0.03, to 0.1 under strong texture, to 0.3 where that is coarse and nothing shines. Without useful
+        gradients.
+    """
+    height, width = photo.shape[-2:]
+    cell = min(height, width) / min(32, height, width)
+    luminance = photo.mean(-3, keepdim=True)
+
+    def pooled(picture: Tensor) -> Tensor:
+        size = round(height / cell), round(width / cell)
+        return torch.nn.functional.adaptive_avg_pool2d(picture, size).squeeze(-3)
+
+    highlight, is_clear = _highlight(pooled(luminance**2.2))
+    return torch.where(is_clear, highlight, _sheen((pooled(luminance) + 1 / 255).log()))

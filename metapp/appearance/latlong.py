@@ -1,0 +1,149 @@
+"""Lat-long environment maps: their directions and solid angles, resampling, and the light they cast on a sphere.
+
+A map is [..., 3, H, W] linear Rec.709 radiance, constant in each texel, row 0 at the top. The texel in (row, column)
+has its centre at u = (column + 0.5) / W and v = (row + 0.5) / H, and lies in the direction d (+y up) where
+u = atan2(d.x, -d.z) / (2 pi) mod 1 and v = acos(d.y) / pi, as in Mitsuba 3's `envmap`: the middle looks to +z.
+The sphere that maps light is seen from +z: x to the right, y up, all rays of view parallel.
+
+Everything is differentiable and takes any dtype and device.
+"""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import Tensor
+
+from metapp.appearance.geometry import Cosines
+from metapp.appearance.reflection import microfacet_lobe
+
+_LUMINANCE = (0.2126, 0.7152, 0.0722)  # Rec.709
+
+
+def directions(
+    height: int, width: int, *, dtype: torch.dtype = torch.float32, device: torch.device | str | None = None
+) -> Tensor:
+    """Directions of the texels' centres, [3, height, width], of unit length."""
+    phi = (torch.arange(width, dtype=torch.float64) + 0.5) * (math.tau / width)
+    theta = ((torch.arange(height, dtype=torch.float64) + 0.5) * (math.pi / height))[:, None]
+    y = theta.cos().expand(height, width)
+    return torch.stack([theta.sin() * phi.sin(), y, -theta.sin() * phi.cos()]).to(device, dtype)
+
+
+def solid_angles(
+    height: int, width: int, *, dtype: torch.dtype = torch.float32, device: torch.device | str | None = None
+) -> Tensor:
+    """Solid angle of one texel of each row, exact, [height, 1] in sr; those of all texels sum to 4 pi."""
+    theta = (torch.arange(height, dtype=torch.float64) + 0.5) * (math.pi / height)
+    # cos a - cos b as a product: near the poles the difference would cancel.
+    return (theta.sin() * (2 * math.sin(math.pi / 2 / height) * math.tau / width))[:, None].to(device, dtype)
+
+
+def luminance(rgb: Tensor) -> Tensor:
+    """Luminance [..., H, W] of linear Rec.709 [..., 3, H, W]."""
+    return torch.einsum("...chw,c->...hw", rgb, rgb.new_tensor(_LUMINANCE))
+
+
+def mean_luminance(maps: Tensor) -> Tensor:
+    """Mean luminance over the sphere of directions, [...], of maps [..., 3, H, W]."""
+    height, width = maps.shape[-2:]
+    share = solid_angles(height, width, dtype=torch.float64) / (4 * math.pi)
+    return (luminance(maps) * share.to(maps)).sum((-2, -1))
+
+
+def resample(maps: Tensor, height: int, width: int) -> Tensor:
+    """Maps of another resolution, smaller or larger: the mean radiance over each new texel's exact area.
+
+    Args:
+        maps: [..., 3, H, W] radiance.
+        height: rows of the result.
+        width: its columns.
+
+    Returns:
+        [..., 3, height, width]. Radiance times solid angle, summed over the sphere, stays as it is.
+    """
+    rows, columns = maps.shape[-2:]
+    along_v = _shares(*(-torch.linspace(0, math.pi, n + 1, dtype=torch.float64).cos() for n in (height, rows)))
+    along_u = _shares(*(torch.linspace(0, 1, n + 1, dtype=torch.float64) for n in (width, columns)))
+    return along_v.to(maps) @ maps @ along_u.to(maps).T
+
+
+def _shares(target: Tensor, source: Tensor) -> Tensor:
+    """Which share of each interval between rising edges [M + 1] lies in those between [N + 1], as [M, N]."""
+    upper = torch.minimum(target[1:, None], source[1:])
+    lower = torch.maximum(target[:-1, None], source[:-1])
+    return (upper - lower).clamp_min(0) / target.diff()[:, None]
+
+
+def rotate(maps: Tensor, columns: int) -> Tensor:
+    """Maps [..., H, W] turned about the vertical by so many columns to the right: about +y by -2 pi columns / W."""
+    return maps.roll(columns, dims=-1)
+
+
+def sphere_normals(
+    size: int, *, dtype: torch.dtype = torch.float32, device: torch.device | str | None = None
+) -> tuple[Tensor, Tensor]:
+    """The sphere that touches the borders of a square picture of `size` px.
+
+    Returns:
+        normals [3, size, size] at the pixels' centres, unit length, z >= 0, outside the disc those of the rim; and
+        which pixels have their centre on the sphere, bool [size, size].
+    """
+    centre = (torch.arange(size, dtype=torch.float64) + 0.5) * (2 / size) - 1
+    x, y = centre.expand(size, size), -centre[:, None].expand(size, size)
+    squared = x * x + y * y
+    rim = squared.sqrt().clamp_min(1)
+    normals = torch.stack([x / rim, y / rim, (1 - squared).clamp_min(0).sqrt()])
+    return normals.to(device, dtype), (squared < 1).to(device)
+
+
+def cosine_transfer(normals: Tensor, height: int, width: int) -> Tensor:
+    """What a white diffuse surface sends out, by map: `cosine_transfer(...) @ maps.flatten(-2).mT` is [..., P, 3].
+
+    Args:
+        normals: [P, 3], unit length.
+        height: rows of the map.
+        width: its columns.
+
+    Returns:
+        [P, height * width]: max(n . d, 0) * solid angle / pi at the texels' centres, each row scaled by its quadrature
+        error to sum to 1, so that a constant map gives itself.
+    """
+    to_light, weights = _texels(normals, height, width)
+    return _to_one((normals @ to_light).clamp_min(0) * weights)
+
+
+def glossy_transfer(normals: Tensor, roughness: Tensor | float, height: int, width: int, *, samples: int = 1) -> Tensor:
+    """What a rough mirror sends to a viewer at +z, by map: the GGX lobe with separable masking, scaled to lose nothing.
+
+    Args:
+        normals: [P, 3], unit length, z > 0; a row of zeros comes of a normal that turns away from the viewer.
+        roughness: in (0, 1]; GGX's alpha is its square.
+        height: rows of the map.
+        width: its columns.
+        samples: places in a texel, along each side, where the lobe is looked at. Alpha below about
+            pi / (2 height samples) is narrower than what lies between them.
+
+    Returns:
+        [P, height * width], each row sums to 1.
+    """
+    fine = height * samples, width * samples
+    to_light, weights = _texels(normals, *fine)
+    incident, outgoing = normals @ to_light, normals[:, 2:]
+    length = (2 + 2 * to_light[2]).clamp_min(torch.finfo(normals.dtype).eps).sqrt()  # of d + (0, 0, 1)
+    at = Cosines(incident, outgoing, (incident + outgoing) / length, length / 2)
+    lobe = microfacet_lobe(at, roughness * roughness, torch.ones_like).squeeze(-1) * incident.clamp_min(0) * weights
+    return _to_one(lobe.reshape(-1, height, samples, width, samples).sum((2, 4)).flatten(1))
+
+
+def _texels(normals: Tensor, height: int, width: int) -> tuple[Tensor, Tensor]:
+    """Directions [3, H * W] of a map's texels and their solid angles over pi [H * W], as the normals are stored."""
+    dtype, device = normals.dtype, normals.device
+    weights = solid_angles(height, width, dtype=dtype, device=device).expand(height, width).flatten() / math.pi
+    return directions(height, width, dtype=dtype, device=device).flatten(1), weights
+
+
+def _to_one(rows: Tensor) -> Tensor:
+    """Rows [P, N] >= 0 over their sums; zeros stay zeros."""
+    return rows / rows.sum(-1, keepdim=True).clamp_min(torch.finfo(rows.dtype).tiny)

@@ -1,0 +1,174 @@
+"""Photographs of spheres: what lat-long maps look like on balls of some material, through some camera.
+
+A sphere touches its picture's border, is seen from +z, and is lit by the map alone; nothing is around it. Everything
+has a leading axis of T photographs.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import torch
+from torch import Generator, Tensor
+
+from metapp.appearance.colour import linear_to_srgb, srgb_to_linear
+from metapp.appearance.latlong import cosine_transfer, glossy_transfer, luminance, resample, sphere_normals
+
+ROUGHNESSES = (0.15, 0.19, 0.25, 0.32, 0.42, 0.54, 0.7)  # each needs a matrix of its own
+
+_CHUNK = 16  # pixels at a time: a lobe is looked at in up to 32,768 directions, which then stay in the cache
+
+
+class Material(NamedTuple):
+    """What spheres are made of.
+
+    Attributes:
+        albedo: of the diffuse body, linear RGB [T, 3].
+        specular: share of the light that a gloss on top takes, seen from straight above; it rises to all at the rim
+            (Schlick), [T]. 0 is no gloss.
+        gloss: parts of the gloss by roughness, [T, R]; each row sums to 1.
+    """
+
+    albedo: Tensor
+    specular: Tensor
+    gloss: Tensor
+
+
+class Camera(NamedTuple):
+    """How radiance becomes display values.
+
+    Attributes:
+        exposure: linear value of radiance 1, [T].
+        gamma: power of sRGB's display values, [T].
+        contrast: share of an S-curve after that, [T].
+    """
+
+    exposure: Tensor
+    gamma: Tensor
+    contrast: Tensor
+
+
+@torch.no_grad()
+def photograph(maps: Tensor, rng: Generator, size: int = 64) -> Tensor:
+    """Photographs of spheres of random materials, each under a map, by random cameras.
+
+    Args:
+        maps: [T, 3, H, W] linear Rec.709 radiance, >= 0; its scale does not matter.
+        rng: of materials and cameras.
+        size: side of the pictures, an even number of px.
+
+    Returns:
+        Display values in [0, 1], [T, 3, size, size]; black outside the disc.
+    """
+    drawn = torch.rand(len(maps), 11, generator=rng, device=rng.device).to(maps)
+    materials = draw_material(drawn[:, :8])
+    kinds = materials.gloss.argmax(1)
+    radiance = maps.new_zeros(len(maps), 3, size, size)
+    for kind in kinds.unique().tolist():
+        rows = (kinds == kind).nonzero()[:, 0]
+        some = Material(materials.albedo[rows], materials.specular[rows], maps.new_ones(len(rows), 1))
+        radiance[rows] = shade(maps[rows], some, size, ROUGHNESSES[kind : kind + 1])
+    return develop(radiance, draw_camera(drawn[:, 8:], radiance)).clamp_max(1)
+
+
+def draw_material(drawn: Tensor) -> Material:
+    """A body of albedo 0.3 to 0.95, mostly nearly gray; on three of four a gloss of up to 0.6, smooth to rough.
+
+    Args:
+        drawn: uniform in [0, 1), [T, 8].
+    """
+    tint = 1 - 0.5 * drawn[:, :1] ** 2 * drawn[:, 1:4]
+    albedo = ((0.3 + 0.65 * drawn[:, 4:5]) * tint / tint.amax(1, keepdim=True)).clamp_min(0.3)
+    specular = torch.where(drawn[:, 5] < 0.75, 0.6 * drawn[:, 6], 0.0)
+    kind = (drawn[:, 7] * len(ROUGHNESSES)).long()
+    return Material(albedo, specular, torch.nn.functional.one_hot(kind, len(ROUGHNESSES)).to(drawn))
+
+
+def draw_camera(drawn: Tensor, radiance: Tensor) -> Camera:
+    """A curve around sRGB's, exposed for most of the sphere to be seen while suns clip.
+
+    Args:
+        drawn: uniform in [0, 1), [T, 3].
+        radiance: of the spheres, [T, 3, S, S].
+    """
+    gamma, contrast = torch.exp((2 * drawn[:, 1] - 1) * math.log(1.25)), 0.5 * drawn[:, 2]
+    return Camera(exposures(radiance, 0.4 + 0.5 * drawn[:, 0]), gamma, contrast)
+
+
+def exposures(radiance: Tensor, level: Tensor) -> Tensor:
+    """Exposures [T] by which the 90th percentile of each sphere's luminance has a display value, by sRGB's curve.
+
+    Args:
+        radiance: [T, 3, S, S].
+        level: the display values, [T].
+    """
+    seen = luminance(radiance)[:, sphere_normals(radiance.shape[-1], device=radiance.device)[1]]
+    # where less than a tenth of the sphere is lit, a tenth of the mean counts instead
+    bright = torch.maximum(seen.quantile(0.9, 1), seen.mean(1) / 10).clamp_min(torch.finfo(seen.dtype).tiny)
+    return srgb_to_linear(level) / bright
+
+
+def shade(maps: Tensor, material: Material, size: int, roughnesses: Sequence[float] = ROUGHNESSES) -> Tensor:
+    """Radiance [T, 3, size, size] of spheres under maps [T, 3, H, W]; 0 outside the disc.
+
+    Args:
+        maps: linear radiance.
+        material: of each sphere; the parts of its gloss are of these roughnesses.
+        size: side of the pictures, an even number of px.
+        roughnesses: of which each needs a product with a matrix.
+    """
+    normals, mask = sphere_normals(size, dtype=maps.dtype, device=maps.device)
+    body = _lit(_diffuse(size), maps) * material.albedo[..., None, None]
+    lobes = torch.stack([_lit(_glossy(size, roughness), maps) for roughness in roughnesses], 1)
+    gloss = (lobes * material.gloss[..., None, None, None]).sum(1)
+    specular = material.specular[:, None, None, None]
+    fresnel = specular + (specular > 0) * (1 - specular) * (1 - normals[2]) ** 5
+    return torch.lerp(body, gloss, fresnel.expand_as(body)) * mask
+
+
+def develop(radiance: Tensor, camera: Camera) -> Tensor:
+    """Display values of radiance, both [T, 3, S, S]: in [0, 1], and rising above 1 where a sensor would clip."""
+    exposure, gamma, contrast = (each[:, None, None, None] for each in camera)
+    linear = radiance * exposure
+    display = linear_to_srgb(linear.clamp(0, 1)).clamp_min(0)
+    # a power has no derivative at 0
+    display = torch.where(display > 0, display.clamp_min(1e-6) ** gamma, 0.0)
+    curved = display + contrast * (display * display * (3 - 2 * display) - display)
+    return curved + (linear - 1).clamp_min(0)
+
+
+def _lit(transfer: Tensor, maps: Tensor) -> Tensor:
+    """Pictures [T, 3, S, S] of what maps become by the matrix [(S / 2)^2, 2 n^2] of the upper right quarter.
+
+    Mirrored pixels see what that quarter sees of the mirrored map.
+    """
+    rows, half = math.isqrt(transfer.shape[1] // 2), math.isqrt(transfer.shape[0])
+    upright = resample(maps, rows, 2 * rows) if maps.shape[-2:] != (rows, 2 * rows) else maps
+    both = torch.stack([upright, upright.flip(-2)])
+    mirrored = torch.stack([both, both.flip(-1)]).flatten(-2)  # [right or left, upper or lower, T, 3, 2 n^2]
+    right, left = (mirrored @ transfer.to(maps).T).unflatten(-1, (half, half))
+    upper, lower = torch.cat([left.flip(-1), right], dim=-1)
+    return torch.cat([upper, lower.flip(-2)], dim=-2)
+
+
+def _quarter(size: int) -> Tensor:
+    """Normals [(size / 2)^2, 3] of the upper right quarter of the picture."""
+    if size % 2:
+        raise ValueError(f"size of a sphere's picture: {size} px, expected an even number")
+    return sphere_normals(size)[0][:, : size // 2, size // 2 :].flatten(1).T
+
+
+@functools.cache
+def _diffuse(size: int) -> Tensor:
+    return cosine_transfer(_quarter(size), 16, 32)
+
+
+@functools.cache
+def _glossy(size: int, roughness: float) -> Tensor:
+    rows = 64 if roughness < 0.22 else 32 if roughness < 0.5 else 16
+    samples = math.ceil(math.pi / 2 / rows / roughness**2)
+    parts = _quarter(size).split(_CHUNK)
+    return torch.cat([glossy_transfer(part, roughness, rows, 2 * rows, samples=samples) for part in parts])

@@ -1,0 +1,195 @@
+"""A lit sphere: what a BRDF looks like, and the picture by which materials are compared."""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Callable
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from metapp.appearance.geometry import directions_to_rusinkiewicz, gauss_legendre
+
+
+class SphereScene(NamedTuple):
+    """A lit sphere seen by an orthographic camera, as (pixel, light) pairs to multiply with a BRDF.
+
+    Attributes:
+        mask: [size, size] bool, the pixels the sphere touches; P of them, in row-major order.
+        coverage: [size, size] in [0, 1], the share of the pixel that the sphere covers.
+        angles: [P, L, 3] in rad, of light (wi) and camera (wo) at the pixel's point.
+        weights: [P, L, 3] linear RGB, radiance * cosine * solid angle; zero for lights below the horizon.
+    """
+
+    mask: Tensor
+    coverage: Tensor
+    angles: Tensor
+    weights: Tensor
+
+
+def _softbox(centre: tuple[float, float, float], size_rad: tuple[float, float], grid: tuple[int, int]) -> Tensor:
+    forward = torch.nn.functional.normalize(torch.tensor(centre, dtype=torch.float64), dim=0)
+    right = torch.nn.functional.normalize(torch.linalg.cross(forward.new_tensor([0.0, 1.0, 0.0]), forward), dim=0)
+    across, along = (
+        ((torch.arange(count, dtype=torch.float64) + 0.5) / count - 0.5) * extent
+        for count, extent in zip(grid, size_rad, strict=True)
+    )
+    tangent = across.tan()[:, None, None] * right + along.tan()[:, None] * torch.linalg.cross(forward, right)
+    return torch.nn.functional.normalize((forward + tangent).reshape(-1, 3), dim=-1)
+
+
+def _studio_lights() -> tuple[Tensor, Tensor]:
+    """Directions [L, 3] (x right, y up, z to the camera) and their linear RGB irradiance [L, 3] across the beam."""
+    lights = [  # directions, tint, power
+        (_softbox((-0.55, 0.6, 0.75), (0.45, 0.45), (6, 6)), (1.0, 0.95, 0.88), 1.0),  # key
+        (_softbox((0.95, 0.05, 0.45), (0.2, 0.7), (2, 8)), (0.84, 0.93, 1.0), 0.35),  # fill
+        (_softbox((0.35, 0.75, -0.6), (0.6, 0.1), (8, 1)), (1.0, 1.0, 1.0), 0.4),  # rim, from behind
+        (torch.tensor([[0.36, 0.48, 0.8]], dtype=torch.float64), (1.0, 0.98, 0.95), 0.2),  # lamp: shows highlights
+    ]
+    power = [torch.tensor(tint, dtype=torch.float64).mul(p / len(d)).expand(len(d), 3) for d, tint, p in lights]
+    return torch.cat([d for d, _, _ in lights]), torch.cat(power)
+
+
+def _rings(wo: Tensor, rings: int, around: int) -> tuple[Tensor, Tensor]:
+    """Directions all around for each pixel, wi [P, rings * around, 3], and solid angles, of `wo` [P, 3], all local.
+
+    Fixed lights would show as dots in polished metal. These lie on rings of half vectors about each pixel's normal,
+    dense towards it, which integrates lobes of any width to a few percent.
+    """
+    nodes, weights = gauss_legendre(rings)
+    narrowest, reach = 0.05, math.asinh(math.pi / 2 / 0.05)
+    theta_h = (narrowest * (nodes * reach).sinh())[:, None]
+    # d theta_h sin theta_h d phi, then d wi = 4 cos theta_d d half
+    width = math.tau / around
+    solid_angle = weights[:, None] * narrowest * reach * (nodes[:, None] * reach).cosh() * theta_h.sin() * width
+    phi_h = (torch.arange(around, dtype=torch.float64) + 0.5) * width
+    half = torch.stack(
+        [theta_h.sin() * phi_h.cos(), theta_h.sin() * phi_h.sin(), theta_h.cos().expand(rings, around)], dim=-1
+    ).reshape(-1, 3)
+    cos_d = wo @ half.T
+    wi = 2 * cos_d[..., None] * half - wo[:, None]
+    return wi, 4 * cos_d.clamp_min(0) * solid_angle.expand(rings, around).reshape(-1)
+
+
+def _dome(wo: Tensor, up: Tensor) -> tuple[Tensor, Tensor]:
+    """A dim sky for each pixel: directions [P, 42, 3] and irradiance [P, 42, 3] of `wo` and "up" [P, 3], all local."""
+    wi, solid_angle = _rings(wo, 7, 6)
+    radiance = 0.06 + 0.05 * (wi * up[:, None]).sum(-1)  # brighter above than below
+    irradiance = radiance * solid_angle
+    return wi, irradiance[..., None] * irradiance.new_tensor([0.95, 0.97, 1.0])
+
+
+def environment(directions: Tensor) -> Tensor:
+    """An environment map that no file is needed for: a sky above a floor, a low sun in haze, two windows.
+
+    Args:
+        directions: unit vectors [..., 3], x right, y up, z to the camera.
+
+    Returns:
+        Linear RGB radiance [..., 3], > 0; lobes are as wide as 320 directions a pixel resolve.
+    """
+    colour = directions.new_tensor
+    above = torch.sigmoid(12 * directions[..., 1:2])
+    sky = colour([0.25, 0.35, 0.55]) + colour([0.35, 0.25, 0.10]) * torch.exp(-6 * directions[..., 1:2].square())
+    radiance = above * sky + (1 - above) * colour([0.16, 0.13, 0.10])
+    for towards, sharpness, power in (
+        ((-0.55, 0.45, 0.70), 25.0, (10.0, 8.0, 5.6)),
+        ((0.80, 0.35, 0.49), 20.0, (2.0, 2.3, 2.7)),
+        ((0.35, 0.60, -0.72), 15.0, (2.7, 2.4, 2.1)),
+    ):
+        axis = torch.nn.functional.normalize(colour(towards), dim=0)
+        radiance = radiance + torch.exp(sharpness * ((directions * axis).sum(-1, keepdim=True) - 1)) * colour(power)
+    return radiance
+
+
+def _surface(size: int) -> tuple[Tensor, Tensor, Tensor]:
+    """Mask and coverage of a picture of the sphere, and the frame of each pixel's point, [P, 3, 3], rows are axes."""
+    if size < 8:
+        raise ValueError(f"size of the reference sphere: {size} pixels, expected at least 8")
+    centre = (torch.arange(size, dtype=torch.float64) + 0.5) * 2 / size - 1
+    y, x = torch.meshgrid(-centre, centre, indexing="ij")
+    radius = (x * x + y * y).sqrt() / 0.96
+    coverage = (0.5 + (1 - radius) * 0.96 * size / 2).clamp(0, 1)
+    mask = coverage > 0
+    # A pixel on the rim may have its centre outside the disc; it shows the last point inside.
+    shrink = 0.96 * (radius / 0.995).clamp_min(1)
+    normal_x, normal_y = (x / shrink)[mask], (y / shrink)[mask]
+    normal = torch.stack([normal_x, normal_y, (1 - normal_x**2 - normal_y**2).sqrt()], dim=-1)
+
+    # An isotropic surface does not mind which tangents; these are never parallel to the normal, which faces the camera.
+    tangent = torch.nn.functional.normalize(
+        torch.stack([normal[:, 2], torch.zeros_like(normal_x), -normal_x], dim=-1), dim=-1
+    )
+    frame = torch.stack([tangent, torch.linalg.cross(normal, tangent), normal], dim=1)
+    return mask, coverage, frame
+
+
+def _exposed(mask: Tensor, coverage: Tensor, wi: Tensor, wo: Tensor, irradiance: Tensor) -> SphereScene:
+    """A scene such that a white diffuse sphere of albedo 0.8 is 0.85 where brightest."""
+    weights = irradiance * wi[..., 2:].clamp_min(0)
+    weights = weights * (0.85 * math.pi / 0.8 / weights.sum(1).mean(-1).max())
+    return SphereScene(mask, coverage, directions_to_rusinkiewicz(wi, wo[:, None].expand_as(wi)), weights)
+
+
+def sphere_scene(
+    size: int = 96, *, dtype: torch.dtype = torch.float32, device: torch.device | str | None = None
+) -> SphereScene:
+    """The reference picture: a sphere under three softboxes, a small lamp and a dim sky: 103 directions of light.
+
+    Args:
+        size: width and height in pixels, >= 8; the sphere fills 96 % of it.
+        dtype: of the floating-point tensors.
+        device: where they live.
+
+    Returns:
+        The scene, exposed such that a white diffuse sphere of albedo 0.8 is 0.85 where brightest.
+    """
+    mask, coverage, frame = _surface(size)
+    directions, irradiance = _studio_lights()
+    wo = frame[:, :, 2]
+    sky, sky_irradiance = _dome(wo, frame[:, :, 1])
+    wi = torch.cat([torch.einsum("pij,lj->pli", frame, directions), sky], dim=1)
+    irradiance = torch.cat([irradiance.expand(len(wi), -1, -1), sky_irradiance], dim=1)
+    scene = _exposed(mask, coverage, wi, wo, irradiance)
+    return SphereScene(*(part.to(device, None if part.dtype == torch.bool else dtype) for part in scene))
+
+
+def shade_sphere(scene: SphereScene, evaluate: Callable[[Tensor], Tensor], *, chunk: int = 65_536) -> Tensor:
+    """A BRDF as a picture of the reference sphere.
+
+    Args:
+        scene: where the lights are.
+        evaluate: BRDF [..., 3] in 1/sr, linear RGB, of angles [..., 3]; called with [<= chunk, 3].
+        chunk: (pixel, light) pairs a call; it bounds the memory.
+
+    Returns:
+        [size, size, 4]: linear RGB radiance on black (that is, times coverage: associated alpha, as in EXR), coverage.
+    """
+    lit = scene.weights.amax(-1) > 0
+    pixel = lit.nonzero()[:, 0]
+    pairs = zip(scene.angles[lit].split(chunk), scene.weights[lit].split(chunk), strict=True)
+    radiance = torch.cat([evaluate(angles) * weights for angles, weights in pairs])
+    coverage = scene.coverage[scene.mask][:, None].to(radiance)
+    linear_rgb = radiance.new_zeros(len(coverage), 3).index_add(0, pixel, radiance)
+    image = radiance.new_zeros(*scene.mask.shape, 4)
+    image[scene.mask] = torch.cat([linear_rgb * coverage, coverage], dim=-1)
+    return image
+
+
+@functools.cache
+def reference_scene() -> SphereScene:
+    """The scene of every BRDF picture: a fit and its reference are shaded in the same one."""
+    return sphere_scene()
+
+
+@functools.cache
+def environment_scene(size: int = 48) -> SphereScene:
+    """The same sphere under `environment` alone, 320 directions a pixel, float32; of width and height >= 8."""
+    mask, coverage, frame = _surface(size)
+    wo = frame[:, :, 2]
+    wi, solid_angle = _rings(wo, 16, 20)
+    light = environment(torch.einsum("pji,plj->pli", frame, wi))
+    scene = _exposed(mask, coverage, wi, wo, light * solid_angle[..., None])
+    return SphereScene(*(part if part.dtype == torch.bool else part.float() for part in scene))

@@ -1,0 +1,269 @@
+"""Stationary svBRDFs: a network from noise to maps that look as a flash photo under its light (paper section 4.1.3)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import replace
+from typing import Any
+
+import torch
+from torch import Generator, Tensor
+from torch.nn.functional import adaptive_avg_pool2d
+
+from metapp.appearance.colour import linear_to_srgb, srgb_to_linear, stretched
+from metapp.appearance.features import amplitudes, channels_of, distance, gram, hann, moments
+from metapp.appearance.flash import (
+    Maps,
+    camera,
+    expose,
+    flash_position,
+    normal_from_height,
+    positions,
+    relightings,
+    render,
+)
+from metapp.learning.recipe import AS_PUBLISHED, Adam, Recipe, Training
+from metapp.learning.task import Batch, Held, Params, Task, Tasks
+from metapp.networks.exemplar import JUDGED, TILED, ExemplarApp, Setup
+from metapp.networks.layers import UNet
+
+GRID = 3  # windows along a side
+DRAWN = 3
+POOLED = 8
+SPECTRUM = 0.3  # the spectra's weight in the loss
+RINGS = ((0.0, 0.2), (0.2, 0.8), (0.8, 3.0))  # squared distances from the centre, of half the photo's side
+RELIEF = 2.0  # texels of height a unit of the network's output
+FALLOFF = 1.0
+LEARNED = Training(
+    steps=300,
+    tasks=3,
+    rates={"": 1e-3, "alpha.": 1e-2},
+    first=Adam(3.7e-3, beta1=0.7, beta2=0.99, final=0.3),
+    warmup=20,
+    final=0.01,
+    order=1,
+    clip=1e-2,
+    validate_every=100,
+)
+ENCODED = replace(LEARNED, start="encoder", rates={"": 3e-4, "alpha.": 3e-3})
+TUNED = Training(
+    steps=0, tasks=0, rates={"": 0.0}, first=Adam(3e-3, beta1=0.5, beta2=0.97, final=0.3), tuned=True, start="encoder"
+)
+QUICK = Recipe(
+    steps=20,
+    batch=1,
+    overfit_steps=1000,
+    overfit=Adam(5e-3, beta2=0.99, final=0.0),
+    finetune_steps=100,
+    finetune=Adam(5e-3, beta2=0.99, final=0.0),
+    quickft=Adam(3.7e-3, beta1=0.7, beta2=0.99, final=0.3),
+    general=Training(steps=2500, tasks=6, rates={"": 3e-3, "encoder.mlp": 1e-3}, warmup=50, final=0.0),
+    meta={
+        "meta-sgd": replace(LEARNED, first=Adam(0.1)),
+        "meta-adam-tied": LEARNED,
+        "meta-encoder": ENCODED,
+        "meta-mean": TUNED,
+        "meta-basis": TUNED,
+    },
+    rule="meta-basis",
+    setup=Setup(64, 64, UNet(16, outputs=6), "vgg16", ("relu1_1", "relu2_1", "relu3_1")),
+)
+
+# Fischer & Ritschel 2022, section 4.1.3 and supplement: 20 inner steps, first-order MAML with Meta-SGD, meta-batch 3,
+# a random start
+PAPER = replace(
+    QUICK,
+    overfit_steps=10_000,
+    finetune_steps=1_000,
+    meta={"meta-sgd": replace(AS_PUBLISHED, tasks=3)},
+    rule="meta-sgd",
+    setup=Setup(256, 256, UNet(32, outputs=6), "vgg16", ("relu1_2", "relu2_2", "relu3_3", "relu4_3")),
+)
+
+
+class SvbrdfStationary(ExemplarApp):
+    """One flash photograph of a flat stationary material a task.
+
+    What the light does depends on the place, so statistics are compared window by window: those of a window of the
+    picture with those of the same window of the photo. The generator does not know the place, which keeps highlights
+    out of the maps.
+    """
+
+    name = "svbrdf_stationary"
+    title = "svBRDF stat."
+    readers = ("flash",)
+    holds = {  # noqa: RUF012  (never written to)
+        "image": Held((3, "S", "S"), "uint8"),
+        "relit": Held((3, 3, "R", "R"), "uint8", optional=True),
+    }
+    inputs = "a flash photo of a flat material, or a folder of these"
+    measure = "relative L1 distance of Gram matrices in 9 windows, mean over windows, taps and generated materials"
+    raw = ("roughness", "normal", "height")
+    heights = ("height",)
+    recipes = {"paper": PAPER, "quick": QUICK}  # noqa: RUF012  (never written to)
+
+    @torch.no_grad()
+    def describe(self, exemplars: Tensor) -> dict[str, Tensor]:
+        """Of photos [B, 3, h, w].
+
+        Gram matrices in all windows `gram0`... [B, N, C, C], spectra `spectrum0`..., `pooled` [B, 3, 8, 8], `light`
+        [B, 3] where the flash was, `summary`.
+        """
+        maps = self.features(exemplars)(exemplars)
+        described = {"light": self._light(exemplars), "pooled": adaptive_avg_pool2d(exemplars, POOLED)}
+        for i, each in enumerate(maps):
+            described[f"gram{i}"] = _grams(each, range(GRID * GRID))
+            described[f"spectrum{i}"] = amplitudes(each)
+        # where the light is strong, at medium strength, and weak
+        rings = [[_ring(each, low, high) for each in maps] for low, high in RINGS]
+        described["summary"] = torch.cat([moments(ring) for ring in rings], 1)
+        return described
+
+    def _light(self, photos: Tensor) -> Tensor:
+        place = flash_position(photos)
+        height = camera(dtype=photos.dtype, device=photos.device)[2].expand(len(photos), 1)
+        return torch.cat([place.to(photos), height], 1)
+
+    def summary_size(self) -> int:
+        return 6 * sum(channels_of(self.setup.features, self.setup.taps))
+
+    def prepare(self, task: Task) -> dict[str, Tensor]:
+        """As for all exemplars, and `relit` uint8 [3, 3, S, S] where the task has it."""
+        return super().prepare(task) | {key: task.data[key] for key in ("relit",) if key in task.data}
+
+    def maps(self, theta: Params, noise: Tensor) -> tuple[Maps, Tensor]:
+        """Maps of materials [T, B, ...] from noise [T, B, C, H, W], and their height [T, B, 1, H, W] in texels."""
+        raw = self.setup.network(theta, noise)
+        diffuse = torch.sigmoid(raw[:, :, :3]) ** 2.2  # about evenly spread for the eye
+        specular = torch.sigmoid(raw[:, :, 3:4] - 3)  # about 0.05 at first, as most dielectrics
+        roughness = 0.1 + 0.9 * torch.sigmoid(raw[:, :, 4:5])
+        height = RELIEF * raw[:, :, 5:]
+        return Maps(diffuse, specular, roughness, normal_from_height(height)), height
+
+    def photograph(self, maps: Maps, light: Tensor, view: Tensor) -> Tensor:
+        """Display values [..., 3, H, W] of maps under a flash; light and view [..., 3]."""
+        place = positions(*maps.diffuse.shape[-2:], dtype=light.dtype, device=light.device)
+        return expose(render(maps, place, light, view, falloff=FALLOFF))
+
+    def sample(self, tasks: Tasks, rng: Generator, count: int) -> Batch:
+        """`noise` for `count` materials of each task, DRAWN of the windows and what is known of the photo there."""
+        drawn = torch.randperm(GRID * GRID, generator=rng, device=rng.device)[:DRAWN].expand(len(tasks), -1)
+        return {"noise": self.noise(rng, len(tasks), count), "windows": drawn} | self._targets(tasks, drawn)
+
+    def _targets(self, tasks: Tasks, windows: Tensor) -> Batch:
+        rows = tasks.rows
+        targets = {key: tasks.data[key][rows] for key in ("light", "pooled")}
+        for i in range(len(self.setup.taps)):
+            targets[f"spectrum{i}"] = tasks.data[f"spectrum{i}"][rows]
+            targets[f"gram{i}"] = tasks.data[f"gram{i}"][rows[:, None], windows]
+        return targets
+
+    def loss(self, theta: Params, batch: Batch, shape: Params) -> Tensor:
+        """Distance of Gram matrices in windows, of the features' spectra, and of the pooled pictures, [T]."""
+        return torch.stack(list(self._distances(theta, batch).values())).sum(0)
+
+    def _distances(self, theta: Params, batch: Batch) -> dict[str, Tensor]:
+        maps, _ = self.maps(theta, batch["noise"])
+        pictures = self.photograph(maps, batch["light"][:, None], batch["light"][:, None])
+        leading = pictures.shape[:2]
+        pooled = adaptive_avg_pool2d(pictures.flatten(0, 1), POOLED).unflatten(0, leading)
+        windows = batch["windows"][0].tolist()  # the same for all tasks
+        grams, spectra = [], []
+        for each in self.features(pictures)(pictures.flatten(0, 1)):
+            grams.append(_grams(each, windows).unflatten(0, leading))
+            spectra.append(amplitudes(each).unflatten(0, leading))
+        taps = range(len(grams))
+        return {
+            "gram": distance(grams, [batch[f"gram{i}"][:, None] for i in taps]).mean((1, 2)),
+            "spectrum": SPECTRUM * distance(spectra, [batch[f"spectrum{i}"][:, None] for i in taps]).mean(1),
+            "pooled": (pooled - batch["pooled"][:, None]).abs().mean((1, 2, 3, 4)),
+        }
+
+    @torch.no_grad()
+    def errors(self, theta: Params, tasks: Tasks) -> dict[str, Tensor]:
+        """`error` and its companions, on materials from noise that no fit has seen, the same for all.
+
+        `relit` is the error under other lights and from elsewhere, where the data set has references of that.
+        """
+        rng = Generator(tasks.rows.device).manual_seed(0)
+        noise = self.noise(rng, 1, JUDGED).expand(len(tasks), -1, -1, -1, -1)
+        every = torch.arange(GRID * GRID, device=tasks.rows.device).expand(len(tasks), -1)
+        found = self._distances(theta, {"noise": noise, "windows": every} | self._targets(tasks, every))
+        errors = {"error": found["gram"], "spectrum": found["spectrum"] / SPECTRUM, "brightness": found["pooled"]}
+        if "relit" in tasks.data:
+            errors["relit"] = self._relit(theta, noise, tasks.data["relit"][tasks.rows])
+        return errors
+
+    def _relit(self, theta: Params, noise: Tensor, references: Tensor) -> Tensor:
+        maps, _ = self.maps(theta, noise)
+        each = []
+        for i, (light, view) in enumerate(relightings(device=noise.device).values()):
+            pictures = self.photograph(maps, light, view)
+            target = self.exemplar(references[:, i].float() / 255)
+            grams = [
+                [_grams(part, range(GRID * GRID)) for part in self.features(target)(images)]
+                for images in (pictures.flatten(0, 1), target)
+            ]
+            found = [part.unflatten(0, pictures.shape[:2]) for part in grams[0]]
+            each.append(distance(found, [part[:, None] for part in grams[1]]).mean((1, 2)))
+        return torch.stack(each).mean(0)
+
+    def outputs(self, theta: Params, task: Task) -> dict[str, Any]:
+        """Photo and fit under the photo's light, then maps and relightings as they are displayed."""
+        photo = self.exemplar(task.data["image"][None].float() / 255)
+        light = self._light(photo)
+        maps, _ = self._made(theta, self.maps, 1)
+        fit = self.photograph(Maps(*(part[0] for part in maps)), light, light)
+        pictures = self._pictures(theta, 1)
+        shown = {"reference": photo[0], "fit": fit[0]} | pictures | {"height": stretched(pictures["height"])[0]}
+        return {name: srgb_to_linear(picture).permute(1, 2, 0).expand(-1, -1, 3) for name, picture in shown.items()}
+
+    def files(self, theta: Params, task: Task) -> dict[str, Tensor]:
+        """The maps, four times as high and wide as in training (they tile), and photographs under other lights.
+
+        Diffuse and specular colour (F0) are sRGB, roughness, normal and height (texels) linear.
+        """
+        return {name: picture.permute(1, 2, 0) for name, picture in self._pictures(theta, TILED).items()}
+
+    def _pictures(self, theta: Params, times: int) -> dict[str, Tensor]:
+        """Display values [1 or 3, H, W] of maps, but the height in texels, and of photographs under other lights."""
+        made, heights = self._made(theta, self.maps, times)
+        maps, height = Maps(*(part[0, 0] for part in made)), heights[0, 0]
+        pictures = {
+            "diffuse": linear_to_srgb(maps.diffuse),
+            "specular": linear_to_srgb(maps.specular),
+            "roughness": maps.roughness,
+            "normal": maps.normal * 0.5 + 0.5,
+            "height": height,
+        }
+        for name, (light, view) in relightings(device=height.device).items():
+            pictures[f"lit_from_{name}"] = self.photograph(maps, light, view)
+        return pictures
+
+
+def _ring(maps: Tensor, low: float, high: float) -> Tensor:
+    """Feature maps [B, C, H, W] where the squared distance from the centre is in [low, high), 0 elsewhere.
+
+    Scaled so that their mean over the picture is the mean in the ring.
+    """
+    squared = positions(*maps.shape[-2:], dtype=maps.dtype, device=maps.device).square().sum(0)
+    inside = ((squared >= low) & (squared < high)).to(maps)
+    return maps * inside / inside.mean().clamp_min(1e-6)
+
+
+def _grams(maps: Tensor, windows: Iterable[int]) -> Tensor:
+    """Gram matrices [B, N, C, C] of feature maps [B, C, H, W] in some windows.
+
+    Windows are half as high and wide as the picture, fade towards their edges, and lie on a grid, overlapping.
+    """
+    height, width = (size // 2 for size in maps.shape[-2:])
+    weights = hann(height, maps)[:, None] * hann(width, maps)
+    root = (weights / weights.mean()).sqrt()
+    each = []
+    for window in windows:
+        top, left = (i * size // (GRID - 1) for i, size in zip(divmod(window, GRID), (height, width), strict=True))
+        each.append(gram(maps[..., top : top + height, left : left + width] * root))
+    return torch.stack(each, 1)
+
+
+APP = SvbrdfStationary(QUICK.setup)

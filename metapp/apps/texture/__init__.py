@@ -1,0 +1,130 @@
+"""Textures: a network from noise to a texture with the visual statistics of an exemplar (paper section 4.1.1)."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import torch
+from torch import Generator, Tensor
+
+from metapp.appearance.colour import srgb_to_linear
+from metapp.appearance.features import channels_of, distance, gram, moments
+from metapp.learning.recipe import AS_PUBLISHED, Adam, Recipe, Training
+from metapp.learning.task import Batch, Held, Params, Task, Tasks
+from metapp.networks.exemplar import TILED, ExemplarApp, Setup
+from metapp.networks.layers import UNet
+
+SMALLEST_CROP = 0.5
+LEARNED = Training(
+    steps=300,
+    tasks=4,
+    rates={"": 1e-3, "alpha.": 1e-2},
+    first=Adam(3.7e-3, beta1=0.7, beta2=0.99, final=0.3),
+    warmup=20,
+    final=0.01,
+    order=1,
+    clip=1e-2,
+    validate_every=100,
+)
+ENCODED = replace(LEARNED, start="encoder", rates={"": 1e-4, "alpha.": 3e-3})
+TUNED = Training(
+    steps=0, tasks=0, rates={"": 0.0}, first=Adam(5e-3, beta1=0.5, beta2=0.99, final=0.6), tuned=True, start="encoder"
+)
+QUICK = Recipe(
+    steps=15,
+    batch=1,
+    overfit_steps=1000,
+    overfit=Adam(5e-3, beta2=0.99, final=0.0),
+    finetune_steps=100,
+    finetune=Adam(5e-3, beta2=0.99, final=0.0),
+    quickft=Adam(3.7e-3, beta1=0.7, beta2=0.99, final=0.3),
+    general=Training(steps=4000, tasks=8, rates={"": 3e-3, "encoder.mlp": 1e-3}, warmup=50, final=0.0),
+    meta={
+        "meta-sgd": replace(LEARNED, first=Adam(0.1)),
+        "meta-adam-tied": LEARNED,
+        "meta-encoder": ENCODED,
+        "meta-mean": TUNED,
+        "meta-basis": TUNED,
+    },
+    rule="meta-basis",
+    setup=Setup(64, 64, UNet(16), "vgg16", ("relu1_1", "relu2_1", "relu3_1")),
+)
+
+# Fischer & Ritschel 2022, section 4.1.1 and supplement: 15 inner steps, first-order MAML with Meta-SGD, meta-batch 5,
+# a random start
+PAPER = replace(
+    QUICK,
+    overfit_steps=10_000,
+    finetune_steps=1_000,
+    meta={"meta-sgd": AS_PUBLISHED},
+    rule="meta-sgd",
+    setup=Setup(192, 256, UNet(32), "vgg16", ("relu1_2", "relu2_2", "relu3_3", "relu4_3", "relu5_3")),
+)
+# the authors' features
+VGG19 = replace(
+    PAPER,
+    setup=replace(PAPER.setup, features="vgg19", taps=("relu1_2", "relu2_2", "relu3_4", "relu4_4", "relu5_4")),
+)
+
+
+class Texture(ExemplarApp):
+    """One exemplar of a stationary texture a task."""
+
+    name = "texture"
+    title = "Texture"
+    readers = ("images",)
+    holds = {"image": Held((3, "S", "S"), "uint8")}  # noqa: RUF012  (never written to)
+    measure = "relative L1 distance of Gram matrices, mean over taps and generated textures"
+    recipes = {"paper": PAPER, "paper-vgg19": VGG19, "quick": QUICK}  # noqa: RUF012  (never written to)
+
+    @torch.no_grad()
+    def describe(self, exemplars: Tensor) -> dict[str, Tensor]:
+        """Gram matrices `gram0`... [B, C, C] and `summary`, means and root mean squares of features."""
+        maps = self.features(exemplars)(exemplars)
+        return {f"gram{i}": gram(each) for i, each in enumerate(maps)} | {"summary": moments(maps)}
+
+    def summary_size(self) -> int:
+        return 2 * sum(channels_of(self.setup.features, self.setup.taps))
+
+    def generate(self, theta: Params, noise: Tensor) -> Tensor:
+        """Textures [T, B, 3, H, W], sRGB in [0, 1], from noise [T, B, C, H, W]."""
+        return torch.sigmoid(self.setup.network(theta, noise))
+
+    def sample(self, tasks: Tasks, rng: Generator, count: int) -> Batch:
+        """`noise` for `count` textures of each task, and the exemplars' Gram matrices."""
+        targets = {key: tasks.data[key][tasks.rows] for key in self._targets()}
+        return {"noise": self.noise(rng, len(tasks), count)} | targets
+
+    def _targets(self) -> list[str]:
+        return [f"gram{i}" for i in range(len(self.setup.taps))]
+
+    def loss(self, theta: Params, batch: Batch, shape: Params) -> Tensor:
+        """Relative L1 distance of Gram matrices, [T]."""
+        images = self.generate(theta, batch["noise"])
+        maps = self.features(images)(images.flatten(0, 1))
+        found = [gram(each).unflatten(0, images.shape[:2]) for each in maps]
+        return distance(found, [batch[key][:, None] for key in self._targets()]).mean(1)
+
+    def crop(self, image: Tensor, rng: Generator) -> Tensor:
+        """A square part of the image, at a random place and scale."""
+        size = image.shape[-1]
+        scale, left, top = torch.rand(3, generator=rng, device=rng.device).tolist()
+        side = round(size * (SMALLEST_CROP + (1 - SMALLEST_CROP) * scale))
+        x, y = round(left * (size - side)), round(top * (size - side))
+        return image[:, y : y + side, x : x + side]
+
+    def outputs(self, theta: Params, task: Task) -> dict[str, Any]:
+        exemplar = self.exemplar(task.data["image"][None].float() / 255)[0]
+        made = self._made(theta, self.generate, 1)[0, 0]
+        return {
+            "reference": srgb_to_linear(exemplar).permute(1, 2, 0),
+            "fit": srgb_to_linear(made).permute(1, 2, 0),
+        }
+
+    def files(self, theta: Params, task: Task) -> dict[str, Tensor]:
+        """The texture, four times as high and wide as in training; it tiles."""
+        return {"texture": self._made(theta, self.generate, TILED)[0, 0].permute(1, 2, 0)}
+
+
+APP = Texture(QUICK.setup)

@@ -1,0 +1,61 @@
+"""The paper's figures, of any application: functions of a subject that draw, or return None where there is nothing.
+
+A figure is a function in a module here that FIGURES names.
+"""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from metapp.experiments.tables.subject import Subject
+
+FIGURES = {
+    "plane": "quality.plane",
+    "ranks": "quality.ranks",
+    "curves": "paths.curves",
+    "trajectories": "paths.trajectories",
+    "rates": "rates.histogram",
+    "strips": "strips.strips",
+}
+
+
+class Drawn(NamedTuple):
+    """A figure and what it shows, in words, for those who read it or hear it."""
+
+    figure: Figure
+    caption: str
+
+
+def draw(name: str, subject: Subject) -> Drawn | None:
+    """The figure of that name, one of FIGURES; None where nothing was measured yet that it could show."""
+    from matplotlib import rc_context
+
+    from metapp.experiments.figures.style import STYLE
+
+    module, function = FIGURES[name].split(".")
+    with rc_context(STYLE):
+        return getattr(importlib.import_module(f"metapp.experiments.figures.{module}"), function)(subject)
+
+
+def write_figures(subjects: Sequence[Subject], folder: Path) -> list[Path]:
+    """Write all figures as <app>-<name>.png and .pdf.
+
+    Returns:
+        The PNG files.
+    """
+    from metapp.experiments.figures.style import save
+
+    files = []
+    for subject in subjects:
+        for name in FIGURES:
+            drawn = draw(name, subject)
+            if drawn:
+                stem = "-".join(filter(None, (*subject.key, name)))
+                files += [save(drawn.figure, folder / f"{stem}.png"), save(drawn.figure, folder / f"{stem}.pdf")][:1]
+    return files

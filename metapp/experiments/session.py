@@ -1,0 +1,162 @@
+"""What fitting and evaluation share: options, device, and everything that a figure depends on."""
+
+from __future__ import annotations
+
+import platform
+import tempfile
+from dataclasses import asdict
+from importlib import metadata
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import torch
+import typer
+
+from metapp.apps import app_names, load_app
+from metapp.learning.app import App
+from metapp.learning.learn import MetaParameters
+from metapp.paradigms import Job, Paradigm
+from metapp.paradigms.quickft import adam_of
+
+THREADS = torch.get_num_threads()  # as the process began
+
+
+class Options(NamedTuple):
+    """The options that all paradigms share; what each means stands in its --help."""
+
+    app: App
+    recipe: str
+    rule: str
+    steps: int | None
+    data: Path | None
+    out: Path
+    checkpoint: Path | None
+    seed: int
+    device: torch.device
+    quiet: bool
+
+    @property
+    def job(self) -> Job:
+        """What the paradigms work on."""
+        return Job(self.app, self.app.recipes[self.recipe], self.rule, self.steps)
+
+
+class Start(NamedTuple):
+    """A prepared start, where it came from and a digest of its file ("" where nothing is needed)."""
+
+    prepared: MetaParameters
+    source: str
+    digest: str
+
+
+def find_app(name: str) -> App:
+    """The application, or a usage error that lists those that exist."""
+    if name not in app_names():
+        raise typer.BadParameter(f"'{name}' is not an application; expected one of {', '.join(app_names())}.")
+    return load_app(name)
+
+
+def check_recipe(name: str, app: App) -> None:
+    """A usage error where the application has no such recipe."""
+    if name not in app.recipes:
+        raise typer.BadParameter(f"--recipe '{name}': expected one of {', '.join(app.recipes)}.")
+
+
+def check_rule(name: str, app: App, recipe: str) -> str:
+    """The rule, the recipe's default where it is empty, or a usage error; recipes may differ by protocol."""
+    known = app.recipes[recipe].meta
+    if name and name not in known:
+        raise typer.BadParameter(f"--rule '{name}': {app.name}, recipe {recipe}, expects one of {', '.join(known)}.")
+    return name or app.recipes[recipe].rule
+
+
+def check_protocol(name: str, app: App) -> None:
+    """A usage error where the application has no such protocol."""
+    if name and name not in app.protocols:
+        expected = f"expects one of {', '.join(app.protocols)}" if app.protocols else "has one protocol; leave it out"
+        raise typer.BadParameter(f"--observe '{name}': {app.name} {expected}.")
+
+
+def is_first_protocol(app: App) -> bool:
+    """Whether the application is under its first protocol, or has no other."""
+    return app.protocol in ("", *app.protocols[:1])
+
+
+def observe_of(app: App) -> dict[str, str]:
+    """The protocol as records, rows and headers of starts say it: nothing where there is none."""
+    return {"observe": app.protocol} if app.protocol else {}
+
+
+def name_of(app: App) -> str:
+    """The application's name and its protocol, if any: illumination photo."""
+    return f"{app.name} {app.protocol}".rstrip()
+
+
+def title_of(app: App) -> str:
+    """The application's title in tables and pictures, with its protocol, if any."""
+    return f"{app.title} ({app.protocol})" if app.protocol else app.title
+
+
+def threads_of(app: App) -> int:
+    """The threads that an application's fits run on, whatever ran before: threads that share small kernels wait."""
+    return 1 if app.small_kernels else THREADS
+
+
+def find_device(name: str, app: App) -> torch.device:
+    """The device; auto is CUDA where there is one, but the CPU where the application's kernels are too small for it."""
+    if name not in ("auto", "cpu", "cuda"):
+        raise typer.BadParameter(f"--device '{name}': expected auto, cpu or cuda.")
+    if name == "cuda" and not torch.cuda.is_available():
+        raise ValueError("--device cuda: PyTorch finds no CUDA device; use --device cpu or install a CUDA build.")
+    torch.set_num_threads(threads_of(app))
+    automatic = "cuda" if torch.cuda.is_available() and not app.small_kernels else "cpu"
+    return torch.device(automatic if name == "auto" else name)
+
+
+def make_folder(folder: Path) -> None:
+    """Make a folder to write to, before any work is done.
+
+    Raises:
+        ValueError: it cannot be made or written to.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):  # nameless, as other runs may write there, too
+            pass
+    except OSError as error:
+        raise ValueError(f"--out {folder}: cannot be written to ({error.strerror}); choose another folder.") from None
+
+
+def versions() -> dict[str, str]:
+    """The versions that a figure depends on."""
+    return {
+        "metapp": metadata.version("metapp"),
+        "torch": str(torch.__version__),
+        "python": platform.python_version(),
+    }
+
+
+def settings_of(options: Options, paradigm: Paradigm, start: Start, label: str) -> dict[str, Any]:
+    """Everything that a run's figures depend on: what its records carry, and their key."""
+    recipe = options.job.recipe
+    adam = None
+    if paradigm.name == "quickft":
+        adam = asdict(adam_of(options.job, start.prepared))
+    elif paradigm.name in ("overfit", "finetune"):
+        adam = asdict(getattr(recipe, paradigm.name))
+    return {
+        "app": options.app.name,
+        **observe_of(options.app),
+        "paradigm": paradigm.name,
+        "rule": options.rule if paradigm.name == "meta" else ("adam" if adam else "none"),
+        "steps": paradigm.count(options.job),
+        "batch": recipe.batch,
+        "adam": adam,
+        "start": start.digest,
+        "data": label,
+        "recipe": options.recipe,
+        "seed": options.seed,
+        "device": str(options.device),
+        "versions": versions(),
+        **options.app.conditions(),
+    }

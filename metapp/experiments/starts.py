@@ -1,0 +1,238 @@
+"""Starts: find the best there is, or train one on the training tasks of a data set."""
+
+from __future__ import annotations
+
+import shlex
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import typer
+from torch import Generator, get_num_threads
+
+from metapp.cli.console import follow, progress, say
+from metapp.experiments.embedded import embedded_exists
+from metapp.experiments.inputs import data_folder, data_label
+from metapp.experiments.session import Options, Start, is_first_protocol, make_folder, name_of, observe_of, versions
+from metapp.experiments.start_check import require_fit, require_tuned
+from metapp.learning.app import App, stack
+from metapp.learning.learn import MetaParameters
+from metapp.learning.recipe import Training
+from metapp.paradigms import Paradigm, paradigms
+from metapp.paradigms.resuming import Interrupted, Prepared, Reached
+from metapp.paradigms.training import describe, prepare, training_of
+from metapp.storage.files import remove_partial
+from metapp.storage.records import digest, load_start, save_start, tensor_digest
+from metapp.storage.shards import fingerprint, read_shard
+from metapp.storage.training_checkpoint import TrainingCheckpoint
+
+
+def find_start(options: Options, paradigm: Paradigm) -> Start:
+    """The best start there is: --checkpoint, else one trained on this data earlier, else the one that ships.
+
+    Raises:
+        ValueError: there is none, or it is another application's, paradigm's, protocol's or network's.
+    """
+    needed = paradigm.needs(options.job)
+    if needed is None:
+        return Start(MetaParameters(), "random", "")
+    path = _start_path(options, needed)
+    prepared, info = load_start(path, options.device)
+    app, name = info.get("app"), info.get("start")
+    if (app, name) != (options.app.name, needed):
+        other = app == options.app.name and name in list(options.job.recipe.meta) and paradigm.name == "meta"
+        remedy = f"; add --rule {name}" if other else ""
+        raise ValueError(f"{path}: a start of {app} {name}, expected {options.app.name} {needed}{remedy}.")
+    _require_protocol(path, options.app, info)
+    _require_conditions(path, options.app, prepared, info)
+    require_fit(path, options, paradigm, prepared)
+    start = Start(prepared, str(path), digest(path))
+    if path == shipped_path(options.app.name, start_name(options.app, needed)) and not options.checkpoint:
+        note = ", trained on other data, which may hold these tasks" if options.data else ""
+        start = start._replace(source=f"the one that ships{note}")
+    return _with_tuning(options, start) if paradigm.name == "quickft" else start
+
+
+def _require_protocol(path: Path, app: App, info: dict[str, Any]) -> None:
+    """Refuse a start that learned from what fits may not see now; General, which all protocols share, says none."""
+    then = info.get("observe", app.protocol)
+    if then != app.protocol:
+        raise ValueError(
+            f"{path}: a start for --observe {then}, expected one for {app.protocol}; give --observe {then} or another "
+            "start."
+        )
+
+
+def _require_conditions(path: Path, app: App, prepared: MetaParameters, info: dict[str, Any]) -> None:
+    """Say that a start was trained with other features than are at hand; refuse one whose encoder reads them."""
+    for key, now in app.conditions().items():
+        then = info.get(key, now)
+        if then != now and prepared.encoder:
+            raise ValueError(f"{path}: its encoder reads {then}; here: {now}; or train one with --train.")
+        if then != now:
+            say(f"warning: {path.name} was trained with {then}; here: {now}.")
+
+
+def _with_tuning(options: Options, start: Start) -> Start:
+    """Put the Adam that was tuned for this very encoder into its start."""
+    encoder = tensor_digest(start.prepared.encoder)
+    candidates = [shipped_path(options.app.name, start_name(options.app, "quickft"))]
+    if options.data or embedded_exists(options.app.name):
+        candidates.insert(0, trained_path(options, "quickft"))
+    for path in candidates:
+        if path.is_file():
+            tuned, info = load_start(path)
+            if info.get("encoder") == encoder:
+                require_tuned(path, tuned)
+                return Start(start.prepared._replace(alpha=tuned.alpha), f"{start.source}, tuned Adam", digest(path))
+    words = ["metapp", "quickft", options.app.name, "--train"]
+    words += ["--observe", options.app.protocol] if options.app.protocol else []
+    remedy = shlex.join(words + (["--data", str(options.data)] if options.data else []))
+    say(f"quickft: no Adam was tuned for this encoder, the recipe's is used; {remedy}")
+    return start
+
+
+def _start_path(options: Options, name: str) -> Path:
+    if options.checkpoint:
+        return options.checkpoint
+    if options.data or embedded_exists(options.app.name):
+        path = trained_path(options, name)
+        if path.is_file():
+            return path
+    path = shipped_path(options.app.name, start_name(options.app, name))
+    # the starts that ship were trained by the quick recipe
+    if path.is_file() and options.recipe == "quick":
+        return path
+    raise ValueError(
+        f"{name_of(options.app)} {name}, recipe {options.recipe}: no start, neither trained on this data nor shipped; "
+        "train one with --train."
+    )
+
+
+def trained_path(options: Options, name: str) -> Path:
+    """Where a start that is trained on this data is kept."""
+    label = data_label(data_folder(options.app, options.data, options.quiet))
+    run = f"{label}-{options.recipe}-seed{options.seed}"
+    return options.out / options.app.name / "starts" / run / f"{start_name(options.app, name)}.safetensors"
+
+
+def start_name(app: App, name: str) -> str:
+    """A start's file name without its suffix: with the protocol, unless it is the first or General's."""
+    return name if name == "general" or is_first_protocol(app) else f"{name}-{app.protocol}"
+
+
+def shipped_path(app: str, name: str) -> Path:
+    """Where a start that ships with metapp is, by its file name without suffix."""
+    return Path(str(resources.files("metapp.checkpoints"))) / app / f"{name}.safetensors"
+
+
+def train_start(options: Options, paradigm: Paradigm, steps: int | None) -> Path:
+    """Train what a paradigm needs on the training tasks and keep it for later runs on this data.
+
+    Returns:
+        The file of the start; the one it replaces is kept as `<name>.previous.safetensors`.
+    """
+    needed = paradigm.needs(options.job)
+    if needed is None:
+        raise typer.BadParameter(f"--train: {paradigm.name} needs no preparation; leave the option out.")
+    if options.checkpoint:
+        raise typer.BadParameter("--train makes a start of its own; leave --checkpoint out.")
+    name = "quickft" if paradigm.name == "quickft" else needed
+    path = trained_path(options, name)
+    make_folder(path.parent)
+    folder = data_folder(options.app, options.data, options.quiet)
+    encoder = _encoder(options, name, steps)
+    tasks = stack(options.app, read_shard(folder, "train", options.app.name, options.app.holds), options.device)
+    say(f"training {name_of(options.app)} {name} on {len(tasks)} tasks of {folder.name}, every eighth for validation")
+    info: dict[str, Any] = {"data": data_label(folder), "recipe": options.recipe, "seed": options.seed}
+    info |= (
+        ({} if name == "general" else observe_of(options.app))
+        | options.app.conditions()
+        | {"versions": versions()}
+        | ({"encoder": tensor_digest(encoder.encoder)} if encoder else {})
+    )
+
+    def keep(prepared: Prepared, file: Path, previous: Path | None = None) -> None:
+        start = prepared.start._replace(encoder={}) if name == "quickft" else prepared.start  # General's file holds it
+        save_start(file, start, describe(options.job, name, prepared, steps) | info, previous)
+
+    remove_partial(path)
+    checkpoint = TrainingCheckpoint(path, _settings(options, name, steps, folder, encoder) | info, options.device)
+    since = _go_on(checkpoint, training_of(options.job, name, steps))
+    with progress(options.quiet) as bar:
+        row = bar.add_task(f"train {name}", total=None, note="")
+        try:
+            prepared = prepare(
+                name,
+                options.job,
+                tasks,
+                Generator(options.device).manual_seed(options.seed),
+                encoder=encoder,
+                steps=steps,
+                report=None if options.quiet else lambda i, n, note: follow(bar, row, i, n, note),
+                since=since,
+                keep=checkpoint.keep,
+            )
+        except KeyboardInterrupt as error:
+            checkpoint.write()
+            if isinstance(error, Interrupted) and error.prepared.curve:
+                kept = path.with_suffix(".interrupted.safetensors")
+                keep(error.prepared, kept)
+                say(f"validation error {error.prepared.validation:.3f}; to use it as it is: --checkpoint {kept}")
+            raise
+    keep(prepared, path, path.with_suffix(".previous.safetensors"))
+    checkpoint.remove()
+    say(f"{name}: validation error {prepared.validation:.3f} at step {prepared.step}; kept as {path}")
+    return path
+
+
+def _settings(
+    options: Options, name: str, steps: int | None, folder: Path, encoder: MetaParameters | None
+) -> dict[str, Any]:
+    """What the result of a training depends on, beside what its start says about itself."""
+    return {
+        "app": options.app.name,
+        "start": name,
+        "steps": steps,
+        "settings of the recipe": digest(repr(options.job.recipe)),
+        "content of the data": fingerprint(folder),
+        "General": encoder and tensor_digest(encoder.flat()),
+        "device": str(options.device),
+        "threads": get_num_threads(),
+    }
+
+
+def _go_on(checkpoint: TrainingCheckpoint, training: Training | None) -> Reached:
+    """How far the same training was when it was cut off, and one line about it."""
+    try:
+        since = checkpoint.load()
+    except ValueError as error:
+        say(f"{error}; training from the beginning")
+        return Reached()
+    if since.outer and training:
+        steps = f"step {since.outer.progress.step:,} of {training.steps:,}"
+        say(f"going on from {steps} (training checkpoint {checkpoint.path})")
+    elif since.looks:
+        say(f"going on after {len(since.looks)} looks of the search (training checkpoint {checkpoint.path})")
+    return since
+
+
+def _encoder(options: Options, name: str, steps: int | None) -> MetaParameters | None:
+    """The General that QuickFT is tuned for or that Meta starts from, trained now if this data has none.
+
+    For a data set of the user's own only one trained on its training tasks will do: the one that ships may have seen
+    its test tasks.
+    """
+    training = options.job.recipe.meta.get(name)
+    if name == "general" or (training and training.start == "random"):
+        return None
+    general = paradigms()["general"]
+    usable = trained_path(options, "general").is_file()
+    if not usable and not options.data and options.recipe == "quick":
+        usable = shipped_path(options.app.name, "general").is_file()
+    if not usable:
+        say(f"no General that was trained on this data yet: training it first{f', {steps} steps' if steps else ''}.")
+        train_start(options, general, steps)
+    start = find_start(options, general)
+    say(f"General: {start.source}")
+    return start.prepared

@@ -1,0 +1,92 @@
+"""A table for a terminal, as markdown, LaTeX (booktabs), CSV."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Sequence
+from typing import Any
+
+from metapp.cli.console import out
+from metapp.experiments.tables import Column, Row, Table
+from metapp.experiments.tables.subject import Absent, Subject
+
+FEWEST_COLUMNS = 3  # are shown however narrow the terminal
+
+
+def rich_table(table: Table, subject: Subject | Absent, rows: list[Row]) -> Any:
+    """The table of one application for a terminal."""
+    from rich.table import Table as RichTable
+    from rich.text import Text
+
+    shown = RichTable(title=title_of(table, subject, rows), caption=Text("\n".join(notes_of(table, subject, rows))))
+    columns = fitting(table.columns, rows, out.width)
+    for column in columns:
+        left = column.left
+        shown.add_column("\n".join(heading(column)), justify="left" if left else "right", no_wrap=not left)
+    for row in rows:
+        shown.add_row(*(Text(column.text(row)) for column in columns))
+    return shown
+
+
+def heading(column: Column) -> list[str]:
+    """A title on two lines where it is long: most columns are of short numbers."""
+    first, _, last = column.title.rpartition(" ")
+    return [first, last] if first and len(column.title) > 9 else [column.title]
+
+
+def fitting(columns: Sequence[Column], rows: Sequence[Row], width: int) -> Sequence[Column]:
+    """As many columns, from the left, as a terminal of that many characters has room for."""
+    total = 1
+    for i, column in enumerate(columns):
+        total += max(map(len, [*heading(column), *(column.text(row) for row in rows)])) + 3
+        if total > width and i >= FEWEST_COLUMNS:
+            return columns[:i]
+    return columns
+
+
+def text_table(table: Table, found: Sequence[tuple[Subject | Absent, list[Row]]], form: str) -> str:
+    """The table of all applications as "markdown", "latex" or "csv"."""
+    rows = [row for _, each in found for row in each]
+    if form == "csv":
+        return csv_of(rows)
+    header = ["app", *(column.title for column in table.columns)]
+    body = [[key_of(row), *(column.text(row) for column in table.columns)] for row in rows]
+    notes = [(key_of(each[0]) if each else subject.title, notes_of(table, subject, each)) for subject, each in found]
+    if form == "markdown":
+        lines = [header, ["---"] * len(header), *body]
+        said = [line for name, each in notes for line in ("", f"{name}:", "", *(f"- {note}" for note in each))]
+        return "\n".join([*("| " + " | ".join(line) + " |" for line in lines), *said])
+    escape = str.maketrans({"_": r"\_", "%": r"\%", "&": r"\&", "#": r"\#"})
+    tex = [" & ".join(text.translate(escape) for text in line) + r" \\" for line in (header, *body)]
+    align = "l" + "".join("l" if column.left else "r" for column in table.columns)
+    said = [f"% {name}: {note}" for name, each in notes for note in each]
+    top = [rf"\begin{{tabular}}{{{align}}}", r"\toprule", tex[0], r"\midrule"]
+    return "\n".join([*top, *tex[1:], r"\bottomrule", r"\end{tabular}", *said])
+
+
+def csv_of(rows: Sequence[Row]) -> str:
+    """Rows with all they hold, whatever columns show."""
+    buffer = io.StringIO()
+    writer = csv.DictWriter(buffer, list(dict.fromkeys(key for row in rows for key in row)), lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    return buffer.getvalue().rstrip("\n")
+
+
+def key_of(row: Row) -> str:
+    """The application of a row, and its protocol, if any."""
+    return f"{row['app']} {row.get('observe', '')}".rstrip()
+
+
+def title_of(table: Table, subject: Subject | Absent, rows: list[Row]) -> str:
+    """What a table shows, of what and of how many tasks."""
+    count = max((row["tasks"] for row in rows), default=0)
+    scale = 1 if isinstance(subject, Absent) else subject.app.scale
+    said = table.title.format(factor=f" x{scale:g}" if scale != 1 else "")
+    return f"{subject.title}, {f'{count} unseen tasks: ' if count else ''}{said}"
+
+
+def notes_of(table: Table, subject: Subject | Absent, rows: list[Row]) -> list[str]:
+    """What must be said below it."""
+    return ["not here yet; the figures are the paper's"] if isinstance(subject, Absent) else table.notes(subject, rows)

@@ -1,0 +1,250 @@
+"""learn: the one descent behind every paradigm, and the combinators that make Meta out of General.
+
+The paper's three algorithms map to three names here: `learn` (alg. 1), a `Loss` (alg. 2), and
+`over_tasks(after_learning(loss))` (alg. 3). Update rules are in `rules`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import torch
+from torch import Generator, Tensor
+
+from metapp.learning.adjoint import Drawn, Loss, UpdateRule, at_step, learn_through, step_pair
+from metapp.learning.app import App
+from metapp.learning.task import Params, Tasks
+
+
+class MetaParameters(NamedTuple):
+    """What a paradigm prepares: phi, a start and the quantities of a rule, for Meta; an encoder for General."""
+
+    theta: Params = {}  # noqa: RUF012  (never written to)
+    alpha: Params = {}  # noqa: RUF012
+    encoder: Params = {}  # noqa: RUF012
+
+    def flat(self) -> Params:
+        """phi as one flat tree, with the part's name before each parameter's."""
+        return {f"{part}.{key}": value for part in self._fields for key, value in getattr(self, part).items()}
+
+    @classmethod
+    def unflat(cls, phi: Params) -> MetaParameters:
+        """The inverse of `flat`."""
+        parts: dict[str, Params] = {part: {} for part in cls._fields}
+        for name, value in phi.items():
+            part, key = name.split(".", 1)
+            parts[part][key] = value
+        return cls(**parts)
+
+
+Watch = Callable[[int, Params, Tensor], None]
+
+
+class Progress(NamedTuple):
+    """Where a descent is, before a step: with the state of its generator, all that the rest depends on.
+
+    Attributes:
+        step: the steps that were taken.
+        theta: the parameters.
+        state: the rule's own.
+    """
+
+    step: int
+    theta: Params
+    state: Params
+
+
+def learn(
+    params: Params,
+    rule: UpdateRule,
+    data: Any,
+    loss: Loss,
+    *,
+    steps: int,
+    rng: Generator,
+    watch: Watch | None = None,
+    check_every: int = 50,
+    compiled: bool = False,
+    since: Progress | None = None,
+    keep: Callable[[Progress], object] | None = None,
+) -> Params:
+    """Descend a loss from a start by a rule (alg. 1).
+
+    Args:
+        params: the start; tensors [T, ...] where each task has its own.
+        rule: the update rule.
+        data: whatever the loss draws from.
+        loss: what to descend.
+        steps: number of steps.
+        rng: source of all random draws.
+        watch: called as watch(step, params, loss of each task) before each step's update.
+        check_every: steps between two checks that the loss is finite.
+        compiled: compile the step with torch.compile (worth it from some thousand steps on).
+        since: where an earlier descent was cut off, to go on from; `rng` must be in its state of then.
+        keep: called with where the descent is, before anything is drawn for the next step.
+
+    Returns:
+        The final parameters, detached.
+
+    Raises:
+        FloatingPointError: a loss is not finite; names the tasks and the step.
+    """
+    theta = {key: value.detach() for key, value in params.items()}
+    first, theta, state = since or Progress(0, theta, rule.init(theta))
+    step = step_pair(rule.step, loss, 1, compiled).forward
+    for i in range(first, steps):
+        if keep is not None:
+            keep(Progress(i, theta, state))
+        drawn = loss.draw(data, rng)
+        moved, state, value, _ = step(at_step(rule.alpha, i), theta, state, drawn.batch)
+        if i % check_every == 0 or i == steps - 1:
+            _require_finite(value, drawn.names, i)
+        if watch is not None:
+            watch(i, theta, value)
+        theta = moved
+    return theta
+
+
+def _require_finite(value: Tensor, names: tuple[str, ...], step: int) -> None:
+    bad = [name for name, fine in zip(names, torch.isfinite(value).tolist(), strict=False) if not fine]
+    if bad:
+        raise FloatingPointError(
+            f"{', '.join(bad[:3])}: the loss is not finite at step {step}; lower the learning rate or clip earlier."
+        )
+
+
+# Losses and the combinators that lift them
+
+
+def task_loss(app: App, batch: int) -> Loss:
+    """The loss of an application on samples of tasks (alg. 2), [T]."""
+
+    def draw(tasks: Tasks, rng: Generator) -> Drawn:
+        return Drawn(tasks.picked_names(), app.sample(tasks, rng, batch))
+
+    return Loss(draw, app.loss)
+
+
+def task_goal(app: App, batch: int) -> Loss:
+    """What preparation wants of fits of an application, on samples of training tasks, [T]."""
+    return task_loss(app, batch)._replace(value=app.goal)
+
+
+Augment = Callable[[Tasks, Generator], Tasks]
+
+
+def over_tasks(loss: Loss, *, count: int, augment: Augment | None = None) -> Loss:
+    """Lift a loss on given tasks to the mean over `count` random ones of a set, drawn without replacement.
+
+    `augment` turns the drawn tasks into made-up relatives of theirs before anything is sampled from them.
+    """
+
+    def draw(tasks: Tasks, rng: Generator) -> Drawn:
+        picked = tasks.select(torch.randperm(len(tasks), generator=rng, device=rng.device)[:count])
+        return loss.draw(augment(picked, rng) if augment else picked, rng)
+
+    return Loss(draw, loss.value, shared=True)
+
+
+def after_learning(
+    loss: Loss,
+    rule: Callable[[Params], UpdateRule],
+    *,
+    steps: int,
+    order: int,
+    clip: float = float("inf"),
+    compiled: bool = False,
+    tasks_at_once: int | None = None,
+    observe: Callable[[Any, Generator], Any] | None = None,
+    encode: Callable[[Params, Any], Params] | None = None,
+    goal: Loss | None = None,
+) -> Loss:
+    """Lift a loss on theta to a loss on phi: what is left after learning from phi's start by phi's rule (alg. 3).
+
+    Args:
+        loss: the loss that the inner steps descend.
+        rule: alpha -> update rule.
+        steps: inner steps.
+        order: derivative carried through the steps: 1 leaves out second derivatives (FOMAML), 2 is exact (MAML).
+        clip: each task's gradient, over all of phi, is scaled down to this norm.
+        compiled: compile the inner step and its adjoint.
+        tasks_at_once: walk back for so many tasks at a time, which lowers the memory; None for all.
+        observe, encode: where phi holds an encoder, its condition and forward pass give each task's own start.
+        goal: what is wanted of the final theta, where that is not the loss itself.
+
+    Returns:
+        A loss on the flat tree of MetaParameters.
+    """
+
+    wanted = goal or loss
+
+    def draw(tasks: Any, rng: Generator) -> Drawn:
+        inner = [loss.draw(tasks, rng).batch for _ in range(steps)]
+        last = wanted.draw(tasks, rng)
+        return Drawn(last.names, (inner, last.batch, observe(tasks, rng) if observe else None))
+
+    def value(phi: Params, batch: Any, _: Params) -> Tensor:
+        inner, last, observed = batch
+        count = next(iter(last.values())).shape[0]
+        start = MetaParameters.unflat(phi)
+        theta = encode(start.encoder, observed) if encode else spread(start.theta, count, 0)
+        # the mean over tasks has divided each one's gradient by their number
+        theta, alpha = clip_per_task(theta, spread(start.alpha, count, 1), clip / count)
+        final = learn_through(
+            theta, rule(alpha), inner, loss, order=order, compiled=compiled, tasks_at_once=tasks_at_once
+        )
+        return wanted.value(final, last, {})
+
+    return Loss(draw, value)
+
+
+def after_encoding(loss: Loss, observe: Callable[[Any, Generator], Any], encode: Callable) -> Loss:
+    """Lift a loss on theta to a loss on an encoder, in the flat tree of MetaParameters: General's loss."""
+
+    def draw(tasks: Any, rng: Generator) -> Drawn:
+        drawn = loss.draw(tasks, rng)
+        return Drawn(drawn.names, (observe(tasks, rng), drawn.batch))
+
+    def value(prepared: Params, batch: Any, shape: Params) -> Tensor:
+        return loss.value(encode(MetaParameters.unflat(prepared).encoder, batch[0]), batch[1], shape)
+
+    return Loss(draw, value, shared=True)
+
+
+def spread(params: Params, count: int, axis: int) -> Params:
+    """The same parameters for each of `count` tasks, along a new task axis; nothing is copied."""
+    return {
+        key: value.unsqueeze(axis).expand(*value.shape[:axis], count, *value.shape[axis:])
+        for key, value in params.items()
+    }
+
+
+class _ClipPerTask(torch.autograd.Function):
+    """Identity whose gradient is scaled down, task by task, to a norm; meta-gradients are heavy-tailed."""
+
+    @staticmethod
+    def forward(ctx: Any, limit: float, axes: tuple[int, ...], *tensors: Tensor) -> tuple[Tensor, ...]:
+        ctx.limit, ctx.axes = limit, axes
+        return tuple(tensor.view_as(tensor) for tensor in tensors)
+
+    @staticmethod
+    def backward(ctx: Any, *grads: Tensor) -> tuple[Any, ...]:  # type: ignore[override]
+        flat = [grad.movedim(axis, 0).flatten(1) for grad, axis in zip(grads, ctx.axes, strict=True)]
+        norm = torch.stack([grad.square().sum(1) for grad in flat]).sum(0).sqrt()
+        # a task whose gradient overflowed says nothing about the direction: it is left out of the mean
+        scale = torch.where(torch.isfinite(norm), (ctx.limit / norm.clamp_min(1e-30)).clamp_max(1.0), 0.0)
+        clipped = []
+        for grad, axis in zip(grads, ctx.axes, strict=True):
+            shape = [1] * grad.ndim
+            shape[axis] = -1
+            clipped.append(torch.nan_to_num(grad, 0.0, 0.0, 0.0) * scale.reshape(shape))
+        return None, None, *clipped
+
+
+def clip_per_task(theta: Params, alpha: Params, limit: float) -> tuple[Params, Params]:
+    """The same values; on the way back each task's gradient over both trees has at most the norm `limit`."""
+    keys = [*theta, *alpha]
+    axes = (0,) * len(theta) + (1,) * len(alpha)
+    clipped = dict(zip(keys, _ClipPerTask.apply(limit, axes, *theta.values(), *alpha.values()), strict=True))
+    return {key: clipped[key] for key in theta}, {key: clipped[key] for key in alpha}

@@ -1,0 +1,88 @@
+"""The settings of a run, for one application: the optimisers, how checkpoints are trained, sizes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Literal
+
+
+@dataclass(frozen=True)
+class Adam:
+    """Settings of a plain Adam descent: the rate decays from `rate` by a half cosine to `rate * final`."""
+
+    rate: float
+    beta1: float = 0.9
+    beta2: float = 0.999
+    eps: float = 1e-8
+    final: float = 1.0
+
+
+@dataclass(frozen=True)
+class Training:
+    """How a start is prepared on the training tasks.
+
+    Attributes:
+        steps: outer steps.
+        tasks: tasks per outer step.
+        first: the Adam that a learned rule is before training; SGD of this rate for meta-sgd.
+        rates: outer Adam's rate by the first part of a parameter's name ("" is the rate of all others).
+        tuned: search that Adam on validation tasks, as QuickFT's, before the outer steps, if any.
+        warmup: outer steps of linear warm-up.
+        final: the rate's last value over its first, reached by a half cosine.
+        decay: weight decay (L2) of the outer Adam.
+        order: derivative carried through the inner steps: 1 (FOMAML) or 2 (MAML); 0 where there are none.
+        clip: each task's outer gradient is scaled down to this norm before the mean is taken.
+        tasks_at_once: tasks that are walked back together, where memory is short; None for all.
+        validate_every: outer steps between two looks at the validation tasks.
+        augment: train on made-up relatives of the tasks.
+        start: Meta's first start: "random"; "mean" of General's predictions; "encoder", General's own, which starts
+            each task at its prediction and which outer steps, if any, train through the inner ones.
+    """
+
+    steps: int
+    tasks: int
+    rates: dict[str, float]
+    first: Adam = Adam(5e-3, beta2=0.99)
+    tuned: bool = False
+    warmup: int = 0
+    final: float = 1.0
+    decay: float = 0.0
+    order: int = 0
+    clip: float = float("inf")
+    tasks_at_once: int | None = None
+    validate_every: int = 250
+    augment: bool = True
+    start: Literal["random", "mean", "encoder"] = "mean"
+
+
+# Fischer & Ritschel 2022, supplement: first-order MAML with Meta-SGD from a random start, meta-batch 5
+AS_PUBLISHED = Training(steps=100_000, tasks=5, rates={"": 1e-4}, first=Adam(1e-3), order=1, clip=10.0, start="random")
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """Everything a run may vary, for one application; a record stores the one it used.
+
+    Attributes:
+        steps: n_l, Meta's and QuickFT's number of gradient steps.
+        batch: samples b that one gradient step sees.
+        overfit_steps, overfit: Overfit's number of steps and its Adam.
+        finetune_steps, finetune: the same for Finetune.
+        quickft: QuickFT's Adam, tuned on validation tasks.
+        general: how General's encoder is trained.
+        meta: how each rule's start is trained, by the rule's name.
+        rule: the rule that is best on validation tasks: Meta's default.
+        setup: the application's own settings, such as sizes; None where it has none.
+    """
+
+    steps: int
+    batch: int
+    overfit_steps: int
+    overfit: Adam
+    finetune_steps: int
+    finetune: Adam
+    quickft: Adam
+    general: Training
+    meta: dict[str, Training]
+    rule: str
+    setup: Any = None

@@ -1,0 +1,99 @@
+"""Learned gradient descent: what a convolutional network adds to a rule's steps of a parameter that lies on a grid.
+
+The network sees the parameter, its gradient, Adam's direction and what it wrote down in the steps before, and says
+how the parameter moves beside its rule's own step (Adler & Oektem 2017; Putzky & Welling 2017). It thus learns which
+changes of its neighbourhood a gradient calls for, where the loss alone leaves that open.
+
+Its quantities stand in a rule's alpha as `around.<parameter>.*` where the grid's columns go on at the other edge, else
+as `within.<parameter>.*`; all but the shifts are shared by all steps.
+"""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import Generator, Tensor
+from torch.nn.functional import conv2d, leaky_relu, pad
+
+from metapp.learning.task import Params
+
+WIDTH = 32  # channels of its two inner layers
+MEMORY = 16  # channels that it passes on to its next step
+REACH = 10  # how many times a step's length the parameter is measured in
+SLOPE = 0.1
+
+
+def networks(theta: Params, steps: int, rate: float, *, wraps: bool) -> Params:
+    """Initial quantities [K, ...] of a network for each parameter of three axes, [channels, rows, columns].
+
+    Args:
+        theta: parameters of one task.
+        steps: K of the shifts.
+        rate: the length of the rule's own steps at first; the networks' moves are measured in it.
+        wraps: whether the grids' columns go on at the other edge.
+
+    Returns:
+        Random inner layers and a last one of zeros: such a network moves nothing and writes nothing down.
+    """
+    alpha: Params = {}
+    rng = Generator().manual_seed(0)
+    for key, value in theta.items():
+        if value.ndim == 3:
+            channels, name = len(value), f"{'around' if wraps else 'within'}.{key}"
+            for i, inputs in enumerate((3 * channels + 1 + MEMORY, WIDTH)):
+                kernel = torch.randn(1, WIDTH, inputs, 3, 3, generator=rng) * math.sqrt(2 / (9 * inputs))
+                alpha |= {f"{name}.kernel{i}": kernel, f"{name}.shift{i}": torch.zeros(steps, WIDTH, 1, 1)}
+            alpha |= {
+                f"{name}.place": torch.zeros(1, WIDTH, *value.shape[1:]),
+                f"{name}.kernel2": torch.zeros(1, channels + MEMORY, WIDTH, 3, 3),
+                f"{name}.shift2": torch.zeros(steps, channels + MEMORY, 1, 1),
+                f"{name}.unit": torch.full((1,), math.log(rate)),
+            }
+    return alpha
+
+
+def network_of(alpha: Params, key: str) -> str:
+    """The name of a parameter's network in alpha; "" where it has none."""
+    return next((f"{edge}.{key}" for edge in ("around", "within") if f"{edge}.{key}.unit" in alpha), "")
+
+
+def no_memory(alpha: Params, theta: Params) -> Params:
+    """The part of a rule's state that networks write to, `memory.<parameter>` [T, MEMORY, rows, columns]; empty."""
+    return {
+        f"memory.{key}": value.new_zeros(len(value), MEMORY, *value.shape[2:])
+        for key, value in theta.items()
+        if network_of(alpha, key)
+    }
+
+
+def move(
+    alpha: Params, name: str, value: Tensor, grad: Tensor, direction: Tensor, memory: Tensor
+) -> tuple[Tensor, Tensor]:
+    """What a network adds to a parameter, and its memory after that.
+
+    Args:
+        alpha: the quantities of this step, with a task axis.
+        name: the network's.
+        value: the parameter [T, channels, rows, columns].
+        grad: its gradient; the network sees each task's by itself at length 1, and how long it was.
+        direction: Adam's.
+        memory: what it wrote down before, [T, MEMORY, rows, columns].
+    """
+    unit = torch.exp(alpha[f"{name}.unit"])[:, None, None, None]
+    size = (grad.square().mean((1, 2, 3), keepdim=True) + 1e-24).sqrt()
+    log_size = 0.3 * size.log().expand(-1, 1, *grad.shape[2:])
+    x = torch.cat([value / (REACH * unit), grad / size, direction, log_size, memory], 1)
+    x = _layer(alpha, name, 0, x) + alpha[f"{name}.place"]
+    x = _layer(alpha, name, 1, leaky_relu(x, SLOPE))
+    x = _layer(alpha, name, 2, leaky_relu(x, SLOPE))
+    moves, written = x.split([value.shape[1], MEMORY], 1)
+    return unit * moves, memory + written
+
+
+def _layer(alpha: Params, name: str, i: int, x: Tensor) -> Tensor:
+    """A 3x3 convolution of each task's channels by its own kernel; beyond the edges are zeros, or the other edge."""
+    kernel = alpha[f"{name}.kernel{i}"]
+    x = pad(x, (1, 1, 0, 0), mode="circular") if name.startswith("around.") else pad(x, (1, 1, 0, 0))
+    x = conv2d(pad(x, (0, 0, 1, 1)).flatten(0, 1)[None], kernel.flatten(0, 1), groups=len(kernel))
+    return x[0].unflatten(0, (len(kernel), -1)) + alpha[f"{name}.shift{i}"]

@@ -1,0 +1,121 @@
+"""What a task is, what it must hold, and the one tree that all parameters live in."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal, NamedTuple
+
+import torch
+from torch import Tensor
+
+Params = dict[str, Tensor]
+Batch = dict[str, Tensor]
+
+
+class Task(NamedTuple):
+    """One thing to reproduce: a material, a texture, a map, a scene.
+
+    Attributes:
+        name: what tables and files call it.
+        data: its observations, by name, without a task axis; the application says which it needs.
+        group: what several tasks show, such as the material of several photos: no split parts them; "" for its own.
+    """
+
+    name: str
+    data: dict[str, Tensor]
+    group: str = ""
+
+
+class Held(NamedTuple):
+    """What a tensor of a task must be.
+
+    Attributes:
+        shape: sizes; a letter stands for any size, the same wherever it stands in a task.
+        kind: "float" (16, 32 or 64 bits) or "uint8".
+        low, high: least and greatest value.
+        optional: whether a task may lack it.
+    """
+
+    shape: tuple[int | str, ...]
+    kind: Literal["float", "uint8"] = "float"
+    low: float = -math.inf
+    high: float = math.inf
+    optional: bool = False
+
+
+_KINDS = {"float": (torch.float16, torch.float32, torch.float64), "uint8": (torch.uint8,)}
+
+
+def problems_of(task: Task, holds: Mapping[str, Held]) -> list[str]:
+    """What is wrong with a task's tensors, a line each: found, expected.
+
+    Args:
+        task: from a file that anybody may have written.
+        holds: what it must hold, by name; further tensors need only be finite.
+    """
+    missing = [key for key, held in holds.items() if key not in task.data and not held.optional]
+    problems = [f"tensor '{key}' is missing, expected {_said(holds[key])}" for key in missing]
+    sizes: dict[str, int] = {}
+    for key, tensor in task.data.items():
+        held = holds.get(key)
+        if tensor.is_floating_point() and tensor.dtype not in _KINDS["float"]:
+            problems.append(f"tensor '{key}' is {_of(tensor)}, expected floats of 16, 32 or 64 bits")
+        elif held and (tensor.dtype not in _KINDS[held.kind] or not _has_shape(tensor, held.shape, sizes)):
+            problems.append(f"tensor '{key}' is {_of(tensor)}, expected {_said(held)}")
+        elif not bool(torch.isfinite(tensor).all()):
+            problems.append(f"tensor '{key}' holds NaN or infinite values, expected finite ones")
+        elif held and not held.low <= float(tensor.min()) <= float(tensor.max()) <= held.high:
+            found = f"{float(tensor.min()):g} to {float(tensor.max()):g}"
+            problems.append(f"tensor '{key}' holds {found}, expected {held.low:g} to {held.high:g}")
+    return problems
+
+
+def _has_shape(tensor: Tensor, shape: tuple[int | str, ...], sizes: dict[str, int]) -> bool:
+    """Whether a shape fits, given what letters stand for so far; what they stand for here is added."""
+    if tensor.ndim != len(shape) or tensor.numel() == 0:
+        return False
+    pairs = zip(tensor.shape, shape, strict=True)
+    return all(size == (sizes.setdefault(of, size) if isinstance(of, str) else of) for size, of in pairs)
+
+
+def _of(tensor: Tensor) -> str:
+    return f"{str(tensor.dtype).removeprefix('torch.')} {list(tensor.shape)}"
+
+
+def _said(held: Held) -> str:
+    return f"{held.kind} [{', '.join(map(str, held.shape))}]"
+
+
+@dataclass(frozen=True)
+class Tasks:
+    """Tasks side by side: every tensor has a leading task axis, of which `rows` picks some without copying.
+
+    Attributes:
+        names: the names of all stacked tasks, M of them.
+        data: tensors [M, ...]; the application's `prepare` made them.
+        rows: indices [T] of the tasks that this view holds, on the data's device.
+        groups: of the stacked tasks; () where each is its own.
+    """
+
+    names: tuple[str, ...]
+    data: dict[str, Tensor]
+    rows: Tensor
+    groups: tuple[str, ...] = ()
+
+    def __len__(self) -> int:
+        return self.rows.shape[0]
+
+    def select(self, rows: Tensor | Sequence[int]) -> Tasks:
+        """The tasks at these positions of this view; nothing is copied."""
+        return replace(self, rows=self.rows[torch.as_tensor(rows, device=self.rows.device)])
+
+    def picked_names(self) -> tuple[str, ...]:
+        """The names of the tasks in this view, in order."""
+        return tuple(self.names[row] for row in self.rows.tolist())
+
+    def variants(self, data: dict[str, Tensor]) -> Tasks:
+        """Made-up relatives of the tasks in this view, one of each, in order: tensors [T, ...]."""
+        names = tuple(f"variant of {name}" for name in self.picked_names())
+        return Tasks(names, data, torch.arange(len(names), device=self.rows.device))

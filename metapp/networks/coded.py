@@ -1,0 +1,117 @@
+"""What applications share whose network has a code in every place, which General's encoder reads from a photograph."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Mapping
+from typing import Any, ClassVar, Self
+
+import torch
+from torch import Generator, Tensor
+
+from metapp.learning.app import App, Fitted, stack
+from metapp.learning.recipe import Recipe
+from metapp.learning.task import Batch, Params, Task, Tasks
+from metapp.networks.layers import LocalField
+
+
+class CodedApp(App):
+    """A `LocalField` a task, fitted to the thing itself ("reference") or to one photograph of it alone ("photo").
+
+    General's encoder makes a task's own parameters, the code z among them, of `photo` [T, 3, S, S]; the field's other
+    parameters are then the same for all tasks. Nothing that a fit sees is drawn at random.
+
+    Attributes:
+        all_recipes: the recipes of each protocol.
+        setup: a recipe's; holds the `field`.
+        of_pictures: which `errors` are of pictures, and what tables of these call them.
+    """
+
+    all_recipes: ClassVar[dict[str, dict[str, Recipe]]]
+    setup: Any
+    of_pictures: ClassVar[dict[str, str]]
+    protocols = ("reference", "photo")
+    small_kernels = True
+    random = False
+
+    def __init__(self, setup: Any, protocol: str) -> None:
+        self.setup, self.protocol, self.recipes = setup, protocol, self.all_recipes[protocol]
+        self.wraps = self.field.wraps
+
+    def at(self, recipe: Recipe, observe: str = "") -> Self:
+        return type(self)(recipe.setup, observe or self.protocols[0])
+
+    @property
+    def field(self) -> LocalField:
+        """The network of one task."""
+        return self.setup.field
+
+    def init(self, rng: Generator, count: int) -> Params:
+        return self.field.init(rng, count)
+
+    def shape(self, steps: int) -> Params:
+        return {"smoothing": torch.full((steps,), math.log(0.3))}
+
+    def init_reader(self, rng: Generator) -> Params:
+        """Random parameters of what reads a task's own parameters from its photograph."""
+        raise NotImplementedError
+
+    def read(self, reader: Params, photos: Tensor) -> Params:
+        """A task's own parameters, [T, ...] each, from what is seen of it."""
+        raise NotImplementedError
+
+    def init_encoder(self, rng: Generator) -> Params:
+        """The reader of photographs, and the parameters of the field that all tasks share."""
+        decoder = decoder_of(self.field.init(rng, 1), ("z",))
+        return {f"encoder.{key}": value for key, value in self.init_reader(rng).items()} | decoder
+
+    def observe(self, tasks: Tasks, rng: Generator) -> Batch:
+        return {"photo": tasks.data["photo"][tasks.rows]}
+
+    def encode(self, encoder: Params, observed: Batch) -> Params:
+        return with_decoder(self.read(reader_of(encoder), observed["photo"]), encoder)
+
+    def sample(self, tasks: Tasks, rng: Generator, count: int) -> Batch:
+        """All there is of each task."""
+        return {key: value[tasks.rows] for key, value in tasks.data.items()}
+
+    def image_errors(self, fits: Mapping[str, Fitted], task: Task) -> dict[str, dict[str, float]]:
+        """Those errors that are of pictures; of a task without reference none."""
+        stacked, measured = stack(self, [task]), {}
+        for name, fit in fits.items():
+            if errors := self.errors({key: value[None] for key, value in fit.theta.items()}, stacked):
+                errors["error"] = self.scale * errors["error"]
+                measured[name] = {title: float(errors[key]) for key, title in self.of_pictures.items()}
+        return measured
+
+
+def decoder_of(theta: Params, own: Collection[str]) -> Params:
+    """The part of General's encoder that is the network itself: one task's parameters but for the task's own ones.
+
+    Args:
+        theta: parameters [1, ...].
+        own: names of those that the encoder predicts.
+
+    Returns:
+        The others, without a task axis, as `decoder.<name>`.
+    """
+    return {f"decoder.{key}": value[0] for key, value in theta.items() if key not in own}
+
+
+def reader_of(encoder: Params) -> Params:
+    """The part of General's encoder that reads what it is shown, `encoder.<name>`, by name."""
+    return {key.removeprefix("encoder."): value for key, value in encoder.items() if key.startswith("encoder.")}
+
+
+def with_decoder(own: Params, encoder: Params) -> Params:
+    """Tasks' own parameters, `z` [T, ...] among them, and those of General's decoder, the same for each."""
+    shared = {key.removeprefix("decoder."): value for key, value in encoder.items() if key.startswith("decoder.")}
+    return own | {key: value.expand(len(own["z"]), *value.shape) for key, value in shared.items()}
+
+
+def norm(difference: Tensor, shape: Params) -> Tensor:
+    """|d|, or sqrt(d^2 + s^2) - s where a rule has learned an s for each task: the loss's `shape`."""
+    if not shape:
+        return difference.abs()
+    s = torch.exp(shape["smoothing"]).reshape(-1, *[1] * (difference.ndim - 1))
+    return (difference * difference + s * s).sqrt() - s

@@ -1,0 +1,208 @@
+"""Networks that applications share: a generator of pictures from noise, and fields with a code in every place."""
+
+from __future__ import annotations
+
+import functools
+import math
+from typing import NamedTuple
+
+import torch
+from torch import Generator, Tensor
+from torch.nn.functional import avg_pool2d, conv2d, instance_norm, interpolate, leaky_relu, pad
+
+from metapp.learning.task import Params
+
+SLOPE = 0.2
+
+
+def add_layer(
+    params: Params, rng: Generator, name: str, outputs: int, *inputs: int, gain: float = math.sqrt(2)
+) -> None:
+    """Add a random layer to an encoder's parameters (He et al. 2015).
+
+    Args:
+        params: gets `<name>.kernel` [outputs, *inputs], normally distributed, and `<name>.shift` [outputs], zero.
+        rng: of the kernel.
+        name: the layer's.
+        outputs: channels that it makes.
+        inputs: channels that it reads, and the sides of a convolution's kernel.
+        gain: standard deviation of what comes out where that of what goes in is 1.
+    """
+    noise = torch.randn(outputs, *inputs, generator=rng, device=rng.device)
+    params[f"{name}.kernel"] = noise * gain / math.sqrt(math.prod(inputs))
+    params[f"{name}.shift"] = torch.zeros(outputs, device=rng.device)
+
+
+def dense(params: Params, name: str, x: Tensor) -> Tensor:
+    """A layer of `add_layer` that reads vectors [T, inputs]: [T, outputs]."""
+    return x @ params[f"{name}.kernel"].T + params[f"{name}.shift"]
+
+
+class UNet(NamedTuple):
+    """A noise-to-image U-Net with adaptive instance normalisation (Ulyanov et al. 2016; Henzler et al. 2020, 2021).
+
+    All convolutions pad circularly, so that what it makes tiles, at any size that `2 ** (levels - 1)` divides.
+
+    Attributes:
+        width: channels of the finest level; each level down doubles them, up to four times as many.
+        levels: resolutions, each half of the one before.
+        noise: channels of the noise it starts from.
+        code: length of z.
+        outputs: channels of what it makes.
+    """
+
+    width: int
+    levels: int = 4
+    noise: int = 8
+    code: int = 32
+    outputs: int = 3
+
+    def channels(self, level: int) -> int:
+        """Channels at a level, 0 the finest."""
+        return self.width * min(2**level, 4)
+
+    def layers(self) -> dict[str, tuple[int, int]]:
+        """(inputs, outputs) of each 3x3 convolution, in order of use."""
+        down = {"down0": (self.noise, self.channels(0))}
+        for level in range(1, self.levels):
+            down[f"down{level}"] = (self.channels(level - 1), self.channels(level))
+        up = {
+            f"up{level}": (self.channels(level + 1) + self.channels(level), self.channels(level))
+            for level in reversed(range(self.levels - 1))
+        }
+        return down | up
+
+    def init(self, rng: Generator, count: int) -> Params:
+        """Random parameters of `count` networks: each tensor [count, ...]."""
+
+        def normal(*shape: int, scale: float) -> Tensor:
+            return torch.randn(count, *shape, generator=rng, device=rng.device) * scale
+
+        theta = {"z": normal(self.code, scale=1.0)}
+        for name, (inputs, outputs) in self.layers().items():
+            theta[f"{name}.kernel"] = normal(outputs, inputs, 3, 3, scale=math.sqrt(2 / (9 * inputs)))
+            theta[f"{name}.style"] = normal(2 * outputs, self.code, scale=0.3 / math.sqrt(self.code))
+            theta[f"{name}.shift"] = torch.zeros(count, 2 * outputs, device=rng.device)
+        theta["out.kernel"] = normal(self.outputs, self.channels(0), 1, 1, scale=math.sqrt(1 / self.channels(0)))
+        theta["out.shift"] = torch.zeros(count, self.outputs, device=rng.device)
+        return theta
+
+    def __call__(self, theta: Params, noise: Tensor) -> Tensor:
+        """Maps from noise.
+
+        Args:
+            theta: parameters of T networks, as of `init`.
+            noise: standard normal, [T, B, noise, H, W].
+
+        Returns:
+            Values before any range is imposed, [T, B, outputs, H, W].
+        """
+        tasks, batch, _, height, width = noise.shape
+        x = noise.transpose(0, 1).reshape(batch, -1, height, width)
+        skips = []
+        for level in range(self.levels):
+            x = self._layer(theta, f"down{level}", avg_pool2d(x, 2) if level else x)
+            skips.append(x)
+        for level in reversed(range(self.levels - 1)):
+            above = interpolate(x, scale_factor=2, mode="nearest")
+            # channels of one task lie together, as grouped convolutions want them
+            parts = [part.unflatten(1, (tasks, -1)) for part in (above, skips[level])]
+            x = self._layer(theta, f"up{level}", torch.cat(parts, 2).flatten(1, 2))
+        x = conv2d(x, theta["out.kernel"].flatten(0, 1), theta["out.shift"].flatten(), groups=tasks)
+        return x.unflatten(1, (tasks, self.outputs)).transpose(0, 1)
+
+    def _layer(self, theta: Params, name: str, x: Tensor) -> Tensor:
+        kernel = theta[f"{name}.kernel"]
+        x = conv2d(pad(x, (1, 1, 1, 1), mode="circular"), kernel.flatten(0, 1), groups=kernel.shape[0])
+        style = torch.baddbmm(theta[f"{name}.shift"][..., None], theta[f"{name}.style"], theta["z"][..., None])
+        gain, shift = style[..., 0].chunk(2, 1)
+        x = instance_norm(x) * (1 + gain.reshape(-1, 1, 1)) + shift.reshape(-1, 1, 1)
+        return leaky_relu(x, SLOPE)
+
+
+class LocalField(NamedTuple):
+    """A SIREN (Sitzmann et al. 2020) whose layers are shifted by a code that varies from place to place.
+
+    The code lies on a grid and is interpolated between its cells: shift modulations as of Dupont et al. 2022, made
+    local as of Mehta et al. 2021. A detail then moves a few entries of the code, not all weights at once, which is why
+    few steps fit it.
+
+    Attributes:
+        height, width: texels of what it makes.
+        inputs, outputs: channels.
+        rows, columns: cells of the code's grid.
+        code: length of the code in a cell.
+        hidden: units of a layer.
+        layers: sine layers.
+        frequency: of the first layer's sines for inputs in [-1, 1], w0.
+        wraps: whether the left edge goes on at the right one.
+        gain: of the code; a step of a rate moves it so many times as far as a weight, and it has far to go.
+    """
+
+    height: int
+    width: int
+    inputs: int = 3
+    outputs: int = 3
+    rows: int = 16
+    columns: int = 32
+    code: int = 8
+    hidden: int = 32
+    layers: int = 3
+    frequency: float = 12.0
+    wraps: bool = True
+    gain: float = 30.0
+
+    def init(self, rng: Generator, count: int) -> Params:
+        """Random parameters of `count` networks: each tensor [count, ...]."""
+
+        def uniform(*shape: int, bound: float) -> Tensor:
+            return (2 * torch.rand(count, *shape, generator=rng, device=rng.device) - 1) * bound
+
+        theta = {"z": uniform(self.code, self.rows, self.columns, bound=0.1 / self.gain)}
+        for layer in range(self.layers):
+            inputs = self.hidden if layer else self.inputs
+            bound = math.sqrt(6 / inputs) if layer else self.frequency / math.sqrt(inputs)
+            theta[f"layer{layer}.kernel"] = uniform(self.hidden, inputs, bound=bound)
+            theta[f"layer{layer}.code"] = uniform(self.hidden, self.code, bound=1.5 / math.sqrt(self.code))
+            theta[f"layer{layer}.shift"] = uniform(self.hidden, bound=0.1 if layer else math.pi)
+        theta["out.kernel"] = uniform(self.outputs, self.hidden, bound=1 / math.sqrt(self.hidden))
+        theta["out.code"] = uniform(self.outputs, self.code, bound=1 / math.sqrt(self.code))
+        theta["out.shift"] = torch.zeros(count, self.outputs, device=rng.device)
+        return theta
+
+    def __call__(self, theta: Params, places: Tensor) -> Tensor:
+        """What is at every texel.
+
+        Args:
+            theta: parameters of T networks, as of `init`.
+            places: what is known of the texels, [T, inputs, height, width].
+
+        Returns:
+            Values before any range is imposed, [T, outputs, height, width].
+        """
+        z = self.gain * theta["z"]
+        down, across = (each.to(z) for each in _interpolation(self))
+        code, x = (down @ z @ across).flatten(2), places.flatten(2)
+        for name in (*(f"layer{layer}" for layer in range(self.layers)), "out"):
+            shifted = torch.baddbmm(theta[f"{name}.shift"][..., None], theta[f"{name}.code"], code)
+            x = torch.baddbmm(shifted, theta[f"{name}.kernel"], x)
+            x = x if name == "out" else x.sin()
+        return x.unflatten(2, (self.height, self.width))
+
+
+@functools.lru_cache(maxsize=8)
+def _interpolation(field: LocalField) -> tuple[Tensor, Tensor]:
+    """What each row and column takes of those of the code: [height, rows] and [columns, width]."""
+    down = _linear(field.height, field.rows, wraps=False)
+    return down, _linear(field.width, field.columns, wraps=field.wraps).T.contiguous()
+
+
+def _linear(count: int, cells: int, *, wraps: bool) -> Tensor:
+    """Linear interpolation at `count` centres between those of `cells`, [count, cells]; around or up to the ends."""
+    place = (torch.arange(count) + 0.5) * (cells / count) - 0.5
+    first = place.floor().long()
+    weights = torch.zeros(count, cells)
+    for cell, share in ((first, 1 - (place - first)), (first + 1, place - first)):
+        cell = cell % cells if wraps else cell.clamp(0, cells - 1)
+        weights.scatter_add_(1, cell[:, None], share[:, None])
+    return weights

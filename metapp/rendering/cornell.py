@@ -1,0 +1,183 @@
+"""Random Cornell boxes, as Mitsuba 3 scene dictionaries that JSON can hold.
+
+The box spans [-1, 1] along x (right), y (up) and z (towards the camera), open in front. In it are one to five spheres
+of diffuse, glass or metal material, a mirror on a side wall and an area light on the ceiling, all placed at random.
+Matrices are nested lists, row by row.
+"""
+
+from __future__ import annotations
+
+import colorsys
+import json
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from data_tools.synthetic.patterns.fields import Rng, between, chance, log_between, pick, whole
+from data_tools.synthetic.stationary.families import stream
+
+Scene = dict[str, Any]
+
+BYTES = 8192  # of a scene as text: one size, so that sets of tasks can be joined
+MATERIALS = ("diffuse", "glass", "metal")
+METALS = ("Ag", "Al", "Au", "Cr", "Cu")
+
+_CAMERA, _FIELD_DEGREES = 3.9, 38.0  # distance from the middle; the opening fills the picture
+_WHITE = 0.75
+_POWER = 4.0  # radiance times area of the light
+_RADII = (0.18, 0.42)
+_GAP = 0.02  # between things, at least
+
+
+class _Ball(NamedTuple):
+    """A sphere's place."""
+
+    centre: tuple[float, float, float]
+    radius: float
+
+
+def random_scene(seed: int) -> Scene:
+    """A Cornell box drawn at random.
+
+    Args:
+        seed: of all draws, >= 0.
+
+    Returns:
+        A scene dictionary that JSON can hold, with the keys sensor, floor, ceiling, back, left, right, mirror, light
+        and sphere-0 to sphere-4.
+
+    Raises:
+        ValueError: a negative seed.
+    """
+    if seed < 0:
+        raise ValueError(f"Cornell box: seed {seed}, expected 0 or more.")
+    return draw_scene(stream(seed))
+
+
+def draw_scene(rng: Rng) -> Scene:
+    """The same, from these random numbers."""
+    scene: Scene = {"type": "scene", "sensor": _sensor()}
+    scene |= _walls(_wall_colour(rng), _wall_colour(rng))
+    scene["mirror"] = _mirror(rng)
+    scene["light"] = _light(rng)
+    for number, ball in enumerate(_balls(rng, whole(rng, 1, 5))):
+        scene[f"sphere-{number}"] = _sphere(ball, _material(rng))
+    return scene
+
+
+def scene_bytes(scene: Scene) -> Tensor:
+    """A scene as its JSON text, uint8 [L], with blanks at its end up to a multiple of 8192 bytes."""
+    text = json.dumps(scene, allow_nan=False).encode()
+    padded = text.ljust(math.ceil(len(text) / BYTES) * BYTES)
+    return torch.frombuffer(bytearray(padded), dtype=torch.uint8)
+
+
+def scene_of(text: Tensor) -> Scene:
+    """The scene whose JSON text this is, as `scene_bytes` makes it.
+
+    Raises:
+        ValueError: it is no JSON.
+    """
+    try:
+        return json.loads(text.cpu().numpy().tobytes())
+    except (ValueError, RecursionError) as error:
+        raise ValueError(f"a stored scene is no JSON ({error}), expected a dictionary; make the data anew.") from None
+
+
+def _sensor() -> Scene:
+    return {
+        "type": "perspective",
+        "fov": _FIELD_DEGREES,
+        # Mitsuba's cameras look along their z, with x to the left
+        "to_world": [[-1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, -1.0, _CAMERA], [0.0, 0.0, 0.0, 1.0]],
+        "film": {"type": "hdrfilm", "width": 64, "height": 64, "pixel_format": "rgb", "rfilter": {"type": "box"}},
+    }
+
+
+def _walls(left: list[float], right: list[float]) -> Scene:
+    white = [_WHITE] * 3
+    return {
+        "floor": _rectangle((0, -1, 0), (1, 0, 0), (0, 0, -1), _diffuse(white)),
+        "ceiling": _rectangle((0, 1, 0), (1, 0, 0), (0, 0, 1), _diffuse(white)),
+        "back": _rectangle((0, 0, -1), (1, 0, 0), (0, 1, 0), _diffuse(white)),
+        "left": _rectangle((-1, 0, 0), (0, 0, -1), (0, 1, 0), _diffuse(left)),
+        "right": _rectangle((1, 0, 0), (0, 0, 1), (0, 1, 0), _diffuse(right)),
+    }
+
+
+def _mirror(rng: Rng) -> Scene:
+    side = pick(rng, (-1, 1))
+    width, height = between(rng, 0.3, 0.6), between(rng, 0.3, 0.6)  # half of them
+    reach_y, reach_z = 0.95 - height, 0.95 - width
+    centre = (side * 0.99, between(rng, -reach_y, reach_y), between(rng, -reach_z, reach_z))
+    glass = {"type": "conductor", "material": "none", "specular_reflectance": _rgb([0.95] * 3)}
+    return _rectangle(centre, (0, 0, side * width), (0, height, 0), glass)
+
+
+def _light(rng: Rng) -> Scene:
+    width, depth = between(rng, 0.15, 0.35), between(rng, 0.15, 0.35)  # half of them
+    reach_x, reach_z = 0.9 - width, 0.9 - depth
+    centre = (between(rng, -reach_x, reach_x), 0.99, between(rng, -reach_z, reach_z))
+    warmth = between(rng, 0.0, 0.35)
+    radiance = _POWER / (4 * width * depth) * np.array([1 + warmth, 1.0, 1 - warmth])
+    lamp = _rectangle(centre, (width, 0, 0), (0, 0, depth), _diffuse([0.0] * 3))
+    return {**lamp, "emitter": {"type": "area", "radiance": _rgb(radiance.tolist())}}
+
+
+def _balls(rng: Rng, count: int) -> list[_Ball]:
+    """Places inside the box that do not overlap; most stand on the floor, some hover."""
+    balls: list[_Ball] = []
+    while len(balls) < count:
+        radius = between(rng, *_RADII)
+        reach = 0.97 - radius
+        height = radius - 1 if chance(rng, 0.7) else between(rng, radius - 1 + _GAP, 0.5 - radius)
+        ball = _Ball((between(rng, -reach, reach), height, between(rng, -reach, reach)), radius)
+        if all(math.dist(ball.centre, each.centre) > ball.radius + each.radius + _GAP for each in balls):
+            balls.append(ball)
+    return balls
+
+
+def _material(rng: Rng) -> Scene:
+    kind = pick(rng, MATERIALS)
+    if kind == "diffuse":
+        hue, saturation, value = between(rng, 0, 1), between(rng, 0.1, 0.8), between(rng, 0.3, 0.85)
+        return _diffuse(list(colorsys.hsv_to_rgb(hue, saturation, value)))
+    if kind == "glass":
+        return {"type": "dielectric", "int_ior": between(rng, 1.35, 1.7), "ext_ior": 1.0}
+    return {
+        "type": "roughconductor",
+        "material": pick(rng, METALS),
+        "distribution": "ggx",
+        "alpha": log_between(rng, 0.03, 0.3),
+    }
+
+
+def _wall_colour(rng: Rng) -> list[float]:
+    return list(colorsys.hsv_to_rgb(between(rng, 0, 1), between(rng, 0.6, 0.9), between(rng, 0.55, 0.8)))
+
+
+def _sphere(ball: _Ball, bsdf: Scene) -> Scene:
+    (x, y, z), r = ball.centre, ball.radius
+    # its poles are above and below: where directions are counted from turns evenly all round
+    turned = [[r, 0.0, 0.0, x], [0.0, 0.0, r, y], [0.0, -r, 0.0, z], [0.0, 0.0, 0.0, 1.0]]
+    return {"type": "sphere", "to_world": turned, "bsdf": bsdf}
+
+
+def _rectangle(centre: Any, right: Any, up: Any, bsdf: Scene) -> Scene:
+    """A rectangle from its centre to its sides; it faces where right x up points."""
+    right, up = np.array(right, float), np.array(up, float)
+    facing = np.cross(right, up)
+    columns = [right, up, facing / np.linalg.norm(facing), np.array(centre, float)]
+    matrix = [*np.stack(columns, axis=1).tolist(), [0.0, 0.0, 0.0, 1.0]]
+    return {"type": "rectangle", "to_world": matrix, "bsdf": bsdf}
+
+
+def _diffuse(reflectance: list[float]) -> Scene:
+    return {"type": "diffuse", "reflectance": _rgb(reflectance)}
+
+
+def _rgb(value: list[float]) -> Scene:
+    return {"type": "rgb", "value": value}

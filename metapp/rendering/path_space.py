@@ -1,0 +1,144 @@
+"""Light paths as points of primary sample space: the random numbers from which a path tracer makes them.
+
+A point holds the place on the film, x to the right and y down, then two numbers for the direction in which the path
+leaves each of the first surfaces that scatter. Mirrors and glass, which leave no choice of direction, take none. All
+further numbers of a path are drawn within. There is no next-event estimation: a path counts if it meets a light.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+from torch import Generator, Tensor
+
+from metapp.rendering.scene_loading import brightness, load_scene
+
+DIMENSIONS = 4  # film, and the direction at the first surface that scatters
+DEPTH = 6  # edges of the longest path
+IMAGE = 32  # px, side of the picture that comes with samples
+
+_BATCH = 2**19  # paths traced at a time
+_RAREST = 2e-4  # of the paths become samples: at this share, 40,000 take two minutes on one core
+
+
+class Tracer:
+    """Traces the paths of one scene.
+
+    Args:
+        scene: as `load_scene` takes it.
+        depth: edges of the longest path, as `max_depth` of Mitsuba's `path`.
+
+    Raises:
+        ValueError: as `load_scene`.
+    """
+
+    def __init__(self, scene: dict[str, Any], depth: int = DEPTH) -> None:
+        self.mi, self.scene, self.brightest = load_scene(scene)
+        self.depth = depth
+
+    def contributions(self, points: Tensor, rng: Generator) -> Tensor:
+        """What paths carry to the film.
+
+        Args:
+            points: float32 [N, d] in [0, 1), d = 2, 4, 6, ...
+            rng: of all numbers that the points do not hold.
+
+        Returns:
+            float32 [N, 3], linear RGB radiance; its mean over all points at a place on the film is what is seen there.
+        """
+        mi = self.mi
+        columns = [mi.Float(column.cpu().contiguous().numpy()) for column in points.T]
+        pairs = [mi.Point2f(x, y) for x, y in zip(columns[::2], columns[1::2], strict=True)]
+        radiance = self._trace(pairs[0], pairs[1:], self.streams(len(points), rng))
+        return torch.from_numpy(radiance.numpy()).T.contiguous()
+
+    def streams(self, count: int, rng: Generator) -> Any:
+        """A Dr.Jit generator of `count` random streams; unlike neighbouring streams of PCG32, they are not alike."""
+        import drjit
+
+        mi = self.mi
+        key = int(torch.randint(2**32, (), generator=rng))
+        lane = drjit.arange(mi.UInt32, count)
+        state, sequence = mi.sample_tea_32(lane, drjit.opaque(mi.UInt32, key))  # opaque: else each is compiled anew
+        return mi.PCG32(initstate=mi.UInt64(state), initseq=mi.UInt64(sequence))
+
+    def rays(self, film: Any) -> Any:
+        """The rays through places on the film, of which the central square counts."""
+        mi = self.mi
+        sensor = self.scene.sensors()[0]
+        width, height = sensor.film().crop_size()
+        side = min(width, height)
+        place = (film - 0.5) * mi.ScalarVector2f(side / width, side / height) + 0.5
+        return sensor.sample_ray(0.0, 0.5, place, mi.Point2f(0.5))[0]
+
+    def _trace(self, film: Any, directions: list[Any], rng: Any) -> Any:
+        import drjit as dr
+
+        mi, scene, context = self.mi, self.scene, self.mi.BSDFContext()
+
+        def bounce(ray: Any, weight: Any, found: Any, depth: Any, used: Any, rng: Any, active: Any) -> tuple:
+            at = scene.ray_intersect(ray, active)
+            found += dr.select(active, weight * at.emitter(scene, active).eval(at, active), 0)
+            depth += 1
+            active &= at.is_valid() & (depth < self.depth)
+            bsdf = at.bsdf(ray)
+            scatters = active & mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth)
+            lobe, pair = rng.next_float32(), mi.Point2f(rng.next_float32(), rng.next_float32())
+            for number, direction in enumerate(directions):
+                pair = dr.select(used == number, direction, pair)
+            sample, share = bsdf.sample(context, at, lobe, pair, active)
+            used += dr.select(scatters, mi.UInt32(1), mi.UInt32(0))
+            weight *= share
+            active &= dr.max(weight) > 0
+            return at.spawn_ray(at.to_world(sample.wo)), weight, found, depth, used, rng, active
+
+        count = dr.width(film)
+        ones = dr.full(mi.Float, 1, count)
+        start = (self.rays(film), mi.Color3f(ones), mi.Color3f(0 * ones), mi.UInt32(0), mi.UInt32(0), rng,
+                 dr.full(mi.Bool, True, count))  # fmt: skip
+        return dr.while_loop(start, lambda *state: state[-1], bounce)[2]
+
+
+def path_samples(tracer: Tracer, count: int, dimensions: int, rng: Generator) -> tuple[Tensor, Tensor]:
+    """Points of primary sample space in proportion to the luminance of what their paths carry, by rejection.
+
+    A path is kept with a probability of its luminance over the lights' greatest, which none exceeds where surfaces give
+    back no more light than they get. Should one do so, the bound is raised to it and what was kept before is thinned.
+
+    Args:
+        tracer: of the scene.
+        count: points wanted.
+        dimensions: of a point, 4 or 6; all others are marginalised.
+        rng: of all draws.
+
+    Returns:
+        points float32 [count, dimensions], no two from one path; and the picture that all paths, kept or not, add up
+        to, float32 [3, 32, 32], linear RGB.
+
+    Raises:
+        ValueError: hardly any path meets a light.
+    """
+    kept: list[Tensor] = []
+    bound, traced, have = tracer.brightest, 0, 0
+    total, hits = torch.zeros(3, IMAGE**2, dtype=torch.float64), torch.zeros(IMAGE**2, dtype=torch.float64)
+    while have < count:
+        points = torch.rand(_BATCH, dimensions, generator=rng)
+        carried = tracer.contributions(points, rng)
+        bright = brightness(carried)
+        highest = float(bright.max())
+        if highest > bound:
+            kept = [each[torch.rand(len(each), generator=rng) < bound / highest] for each in kept]
+            bound = highest
+        kept.append(points[torch.rand(_BATCH, generator=rng) * bound < bright])
+        pixel = (points[:, 1] * IMAGE).long() * IMAGE + (points[:, 0] * IMAGE).long()
+        hits += torch.bincount(pixel, minlength=IMAGE**2)
+        total += torch.stack([torch.bincount(pixel, each.double(), IMAGE**2) for each in carried.T])
+        traced, have = traced + _BATCH, sum(map(len, kept))
+        if have < _RAREST * traced:
+            raise ValueError(
+                f"{have} of {traced:,} paths meet a light, expected {_RAREST:.2%} or more; point the camera at "
+                "surfaces that light reaches, or enlarge the lights."
+            )
+    image = (total / hits.clamp_min(1)).float().unflatten(1, (IMAGE, IMAGE))
+    return torch.cat(kept)[:count].contiguous(), image

@@ -1,0 +1,129 @@
+"""Mitsuba scenes that paths can be traced in: loaded, and refused where they cannot be.
+
+A scene is what Mitsuba's `load_dict` takes, as far as JSON holds it, with matrices as nested lists; or the text of an
+XML document, {"xml": text}.
+
+Mitsuba gets nothing but what was checked here, and no folder of a scene: it would run a library that lies there and
+that the scene names as a plugin. All file names are absolute, and the files lie where the user said.
+"""
+
+from __future__ import annotations
+
+import re
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from metapp.appearance.latlong import luminance
+from metapp.rendering.scene_files import Places
+from metapp.rendering.scene_rules import CheckedDict
+from metapp.rendering.scene_xml import checked_xml
+from metapp.rendering.variant import load_mitsuba
+
+Scene = dict[str, Any]
+
+_LONGEST = 200  # characters of what Mitsuba says
+
+
+class Loaded(NamedTuple):
+    """A scene in Mitsuba.
+
+    Attributes:
+        mitsuba: the module, in its variant.
+        scene: Mitsuba's.
+        brightest: the greatest luminance that its lights send out; 0 where they do not tell.
+    """
+
+    mitsuba: Any
+    scene: Any
+    brightest: float
+
+
+def checked(scene: Scene, places: Places, name: str = "") -> Scene:
+    """The same scene, of the same form, with absolute file names, includes and defaults in it.
+
+    Args:
+        scene: a dictionary, or {"xml": text}.
+        places: where its files may lie; none for a stored scene, whose files must have been read in this process.
+        name: resolved path of its file, if it has one.
+
+    Raises:
+        ValueError: something that a scene may not hold.
+    """
+    if not isinstance(scene, dict):
+        raise ValueError("no scene, expected an object of type 'scene'.")
+    if "xml" in scene:
+        if not isinstance(scene["xml"], str):
+            raise ValueError("an 'xml' that is no text, expected a document; change it.")
+        return {"xml": checked_xml(scene["xml"], places, name)}
+    return CheckedDict(places).object(scene)
+
+
+def load_scene(scene: Scene) -> Loaded:
+    """Load a scene whose paths can be traced without joining them to the lights.
+
+    Raises:
+        ValueError: no Mitsuba that can render here; no scene that it can load; no light, or one that paths cannot meet;
+            a sensor other than a perspective one; fog; a file that `checked` did not let through before.
+    """
+    mi = load_mitsuba()
+    mi.set_log_level(mi.LogLevel.Error)
+    scene = checked(scene, Places())
+    try:  # in this thread: others would write what they have to say to the screen
+        if "xml" in scene:
+            loaded = mi.load_string(scene["xml"], parallel=False)
+        else:
+            loaded = mi.load_dict(_matrices(mi, scene), parallel=False)
+    except Exception as error:  # whatever it is, the scene is to blame
+        reason = re.sub(r"\[\w+\.cpp:\d+\] |\s+", lambda part: " " if part[0].isspace() else "", str(error)).strip()
+        reason = reason if len(reason) <= _LONGEST else f"{reason[: _LONGEST // 2]} ... {reason[5 - _LONGEST // 2 :]}"
+        raise ValueError(f"no scene that Mitsuba can load: {reason}") from None
+    _check(mi, loaded)
+    return Loaded(mi, loaded, max(_brightest(mi, emitter) for emitter in loaded.emitters()))
+
+
+def brightness(radiance: Tensor) -> Tensor:
+    """Luminance [N] of linear Rec.709 [N, 3]."""
+    return luminance(radiance.T[..., None])[:, 0]
+
+
+def _check(mi: Any, scene: Any) -> None:
+    if not scene.emitters():
+        raise ValueError("no emitter, expected an area light or an environment; add one.")
+    for emitter in scene.emitters():
+        if mi.has_flag(emitter.flags(), mi.EmitterFlags.Delta):
+            raise ValueError(
+                f"an emitter {emitter.class_name()}, which no path meets by chance, expected area lights and "
+                "environments; put a small area light in its place."
+            )
+    if not scene.sensors():
+        raise ValueError("no sensor, expected a perspective one; add it.")
+    kind = scene.sensors()[0].class_name()
+    if kind != "PerspectiveCamera":
+        raise ValueError(f"a sensor {kind}, expected a perspective one; change its type to 'perspective'.")
+
+
+def _brightest(mi: Any, emitter: Any) -> float:
+    values = mi.traverse(emitter)
+    for name in ("radiance.value", "radiance.data", "data"):
+        if name in values:
+            radiance = torch.from_numpy(np.array(values[name]))
+            if not radiance.is_floating_point():  # 8-bit sRGB: linear values are no greater
+                radiance = radiance / torch.iinfo(radiance.dtype).max
+            shape = (1, -1) if name == "radiance.value" else (-1, radiance.shape[-1])
+            colours = radiance.float().reshape(shape)[:, :3].expand(-1, 3)
+            factor = np.array(values.get("scale", 1.0)).item() if name == "data" else 1.0  # a Dr.Jit array in envmaps
+            return float(brightness(colours * factor).max())
+    return 0.0
+
+
+def _matrices(mi: Any, value: Any) -> Any:
+    """The same with its matrices as Mitsuba wants them."""
+    if isinstance(value, dict):
+        plain = value.get("type") in ("rgb", "spectrum")
+        return {key: each if plain else _matrices(mi, each) for key, each in value.items()}
+    if isinstance(value, list) and isinstance(value[0], list):
+        return mi.ScalarTransform4f(value) if len(value) == 4 else mi.ScalarTransform3f(value)
+    return value

@@ -1,0 +1,269 @@
+"""What runs leave on disk: trained starts, one record a task, fitted parameters."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import sys
+import unicodedata
+import warnings
+from pathlib import Path
+from typing import Any
+
+import torch
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import load_file, save
+from torch import Tensor
+
+from metapp.learning.learn import MetaParameters
+from metapp.learning.task import Params
+from metapp.storage.files import append_line, locked, write_atomically
+
+SCHEMA = 1
+LONGEST = 100  # bytes of a name; file systems take 255, of which suffixes and temporary names need some
+FLOATS = (torch.half, torch.float32, torch.float64)
+
+NUMBER, OPTIONAL = int | float, int | float | None
+# what a document must hold, as `holds` reads it: of a fit's record, and of what a start says about itself
+FIT = {"error": OPTIONAL, "seconds": NUMBER}
+START = {"schema": int}
+_RECORD = {"name": str, "key": str, "settings": dict}
+
+
+def holds(value: Any, form: Any) -> bool:
+    """Whether a JSON document has a form.
+
+    A form is a type, or a union of several, of which numbers must be finite; a list of one form, that of all items; a
+    tuple of forms, one for each item of a list; a dictionary of the forms of those entries that must be there, where
+    `...` is the form of all.
+    """
+    if isinstance(form, dict):
+        if not isinstance(value, dict):
+            return False
+        if ... in form:
+            return all(holds(each, form[...]) for each in value.values())
+        return all(key in value and holds(value[key], each) for key, each in form.items())
+    if isinstance(form, list):
+        return isinstance(value, list) and all(holds(each, form[0]) for each in value)
+    if isinstance(form, tuple):
+        return (
+            isinstance(value, list)
+            and len(value) == len(form)
+            and all(holds(each, of) for each, of in zip(value, form, strict=True))
+        )
+    if isinstance(value, bool) or not isinstance(value, form):
+        return False
+    return not isinstance(value, int | float) or abs(value) <= sys.float_info.max
+
+
+def save_start(path: Path, start: MetaParameters, info: dict[str, Any], previous: Path | None = None) -> None:
+    """Write a prepared start with what it says about itself, as safetensors; `previous` names the one it replaces."""
+    tensors = {key: value.detach().cpu().contiguous().clone() for key, value in start.flat().items()}
+    metadata = {"metapp": json.dumps({**info, "schema": SCHEMA})}
+    # bytes: save_file writes under a name of its own, which a kill would leave behind
+    write_atomically(path, lambda target: target.write_bytes(save(tensors, metadata)), previous)
+
+
+def load_start(path: Path, device: torch.device | str = "cpu") -> tuple[MetaParameters, dict[str, Any]]:
+    """Read a prepared start; what is stored in half precision becomes float32.
+
+    Returns:
+        The start and what `save_start` was told about it.
+
+    Raises:
+        ValueError: there is no such file, or it is not a start of metapp's.
+    """
+    if not path.is_file():
+        raise ValueError(f"{path}: no such start; give --checkpoint an existing .safetensors file, or train one.")
+    try:
+        with safe_open(path, "pt", device=str(device)) as file:
+            info = json.loads((file.metadata() or {})["metapp"])
+            if not holds(info, START):
+                raise _Misnamed
+            stored = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118  (not a mapping)
+        tensors = {key: value.float() if value.dtype == torch.half else value for key, value in stored.items()}
+        if info["schema"] > SCHEMA:
+            raise ValueError(f"{path}: schema {info['schema']}, expected at most {SCHEMA}; update metapp.")
+        if not all(value.dtype in FLOATS for value in tensors.values()):
+            raise _Misnamed
+        if not all(name.split(".")[0] in MetaParameters._fields and "." in name for name in tensors):
+            raise _Misnamed
+        if not all(bool(torch.isfinite(value).all()) for value in tensors.values()):
+            raise ValueError(f"{path}: holds NaN or infinite values, expected finite ones; train a start again.")
+        return MetaParameters.unflat(tensors), info
+    except (SafetensorError, KeyError, RecursionError, json.JSONDecodeError, _Misnamed):
+        raise ValueError(
+            f"{path}: not a start that metapp wrote (safetensors with its description); train one with --train."
+        ) from None
+
+
+class _Misnamed(Exception):
+    """A tensor that is no part of a start."""
+
+
+def digest(document: Any) -> str:
+    """12 hex digits that change with a JSON-ready document, or with a file's bytes where a path is given."""
+    raw = document.read_bytes() if isinstance(document, Path) else json.dumps(document, sort_keys=True).encode()
+    return hashlib.sha256(raw).hexdigest()[:12]
+
+
+def tensor_digest(params: Params) -> str:
+    """12 hex digits that change with any value of a tree."""
+    total = hashlib.sha256()
+    for key in sorted(params):
+        total.update(key.encode() + params[key].detach().cpu().contiguous().numpy().tobytes())
+    return total.hexdigest()[:12]
+
+
+class RunFolder:
+    """A run's folder: `record.jsonl`, one line a task, and `params/<task>.safetensors`.
+
+    Lines are only ever appended, whole or not at all, and what several programs add at once stays. Of a task's lines
+    the last one counts, since its parameters are those on disk. Lines carry the run's key, a digest of all settings;
+    those of another key are another run's: they stay, and count for that run alone. A run that was cut off resumes at
+    its first missing task.
+
+    Args:
+        path: the folder, made at the first record.
+        settings: all that the run's figures depend on.
+        form: what its records must hold beside a name, as `holds` reads it; a line that does not is passed over, with a
+            warning, and its task counts as missing.
+    """
+
+    def __init__(self, path: Path, settings: dict[str, Any], form: dict[str, Any] | None = None) -> None:
+        self.path = path
+        self.settings = settings
+        self.key = digest(settings)
+        self._form = form or {}
+        self._read: tuple[Any, dict[str, dict[str, Any]]] = (None, {})
+
+    @property
+    def file(self) -> Path:
+        """The record file."""
+        return self.path / "record.jsonl"
+
+    def finished(self) -> dict[str, dict[str, Any]]:
+        """Records of this run's key, by task; the file is read again only where it has changed."""
+        state = self.file.stat() if self.file.is_file() else None
+        stamp = state and (state.st_ino, state.st_size, state.st_mtime_ns)
+        if stamp is None or stamp != self._read[0]:
+            form = _RECORD | self._form
+            found = {each["name"]: each for each in read_records(self.file, form) if each["key"] == self.key}
+            self._read = (stamp, found)
+        return dict(self._read[1])
+
+    def add(self, record: dict[str, Any], theta: dict[str, Tensor] | None = None) -> None:
+        """Keep a finished task; its parameters, if it has any, first, so that a record's are always there.
+
+        Numbers that are not finite, which JSON lacks, become None.
+
+        Raises:
+            OSError: the disk is full; the record file is as before.
+        """
+        self.path.mkdir(parents=True, exist_ok=True)
+        with locked(self.path):  # another run's parameters of this task must not come between
+            if theta is not None:
+                tensors = {key: value.detach().cpu().contiguous() for key, value in theta.items()}
+                write_atomically(self.params(record["name"]), lambda target: target.write_bytes(save(tensors)))
+            line = json.dumps(_finite({**record, "key": self.key, "settings": self.settings}), allow_nan=False)
+            append_line(self.file, line.encode(), lambda tail: _parsed(tail) is not None)
+
+    def params(self, task: str) -> Path:
+        """The file of a task's parameters."""
+        return _params(self.path, task)
+
+    def theta(self, task: str) -> dict[str, Tensor]:
+        """A task's parameters.
+
+        Raises:
+            ValueError: their file is missing or damaged.
+        """
+        return read_theta(self.path, task)
+
+
+def read_theta(folder: Path, task: str) -> dict[str, Tensor]:
+    """A task's parameters in a run's folder.
+
+    Raises:
+        ValueError: their file is missing or damaged.
+    """
+    path = _params(folder, task)
+    try:
+        return load_file(path)
+    except (SafetensorError, OSError) as error:
+        raise ValueError(
+            f"{path}: fitted parameters not readable ({error}); remove record.jsonl in {folder.name} to fit anew."
+        ) from None
+
+
+def _params(folder: Path, task: str) -> Path:
+    return folder / "params" / f"{file_name(task)}.safetensors"
+
+
+def read_records(path: Path, form: dict[str, Any] | None = None) -> list[dict[str, Any]]:
+    """The records of a file, each task's last one; an absent file counts as empty.
+
+    A line that is no record is passed over with a warning; a last one that was cut off without.
+
+    Args:
+        path: the file.
+        form: what they must hold, as `holds` reads it; a name at least.
+    """
+    records: dict[str, dict[str, Any]] = {}
+    bad = []
+    lines = path.read_bytes().split(b"\n") if path.is_file() else []
+    for number, line in enumerate(lines, 1):
+        record = _parsed(line)
+        if holds(record, {"name": str, **(form or {})}):
+            records.pop(record["name"], None)
+            records[record["name"]] = record
+        elif line.strip() and (record is not None or number < len(lines)):
+            bad.append(number)
+    if bad:
+        which = f"line{'s' if len(bad) > 1 else ''} {', '.join(map(str, bad[:5]))}{', ...' if len(bad) > 5 else ''}"
+        warnings.warn(
+            f"{path}: {which}: no record, expected one of a task; passed over, as if not there.", stacklevel=2
+        )
+    return list(records.values())
+
+
+def _finite(value: Any) -> Any:
+    """A document with None for every number that is not finite."""
+    if isinstance(value, dict):
+        return {key: _finite(each) for key, each in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(each) for each in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def _parsed(line: bytes) -> Any:
+    """A line's document; None where it is not JSON."""
+    try:
+        return json.loads(line)
+    except (ValueError, RecursionError):
+        return None
+
+
+def safe_name(name: str) -> str:
+    """A name that can be printed and drawn, of LONGEST bytes at most; others get a digest of what they were.
+
+    Control characters, line ends and bytes that are no text (lone surrogates) become underscores.
+    """
+    return _marked("".join("_" if unicodedata.category(c)[0] == "C" or c in "\u2028\u2029" else c for c in name), name)
+
+
+def file_name(task: str) -> str:
+    """A task's name as a file name: letters, digits, dot, underscore and hyphen, the rest as underscores.
+
+    It has LONGEST bytes at most; one that differs from the task's name ends with a digest of that.
+    """
+    return _marked("".join(c if c.isalnum() or c in "._-" else "_" for c in task).lstrip(".") or "task", task)
+
+
+def _marked(safe: str, name: str) -> str:
+    """`safe` where it is the name itself and short, else with a digest of the name."""
+    if safe == name and len(safe.encode()) <= LONGEST:
+        return safe
+    mark = hashlib.sha256(name.encode(errors="surrogatepass")).hexdigest()[:6]
+    return f"{safe.encode()[: LONGEST - 7].decode(errors='ignore')}-{mark}"

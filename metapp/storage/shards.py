@@ -1,0 +1,309 @@
+"""Task shards on disk: a folder with one `safetensors` file per task and a `manifest.json` that lists them.
+
+Nothing is ever unpickled, and no path of a manifest leads out of its folder.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import json
+import os
+import re
+from collections.abc import Iterable, Iterator, Mapping
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+import torch
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save
+
+from metapp.learning.task import Held, Task, problems_of
+from metapp.storage.files import PARTIAL, locked, naming, partial_path, write_atomically
+from metapp.storage.manifest import MANIFEST, SPLITS, SUFFIX, Entry, Manifest, fingerprint, read_manifest, to_json
+
+__all__ = ["AUTO", "ShardWriter", "check_shard", "fingerprint", "read_manifest", "read_shard", "split_auto"]
+
+AUTO = "auto"
+
+
+def split_auto(names: Iterable[str]) -> dict[str, str]:
+    """Split tasks into training and test tasks by the stated rule: of the sorted names, every fifth is a test task.
+
+    The rule needs no seed and does not depend on the order of files: 80 names give 64 "train" and 16 "test".
+
+    Returns:
+        "train" or "test" by name, sorted by name.
+    """
+    return {name: "test" if index % 5 == 4 else "train" for index, name in enumerate(sorted(set(names)))}
+
+
+class ShardWriter:
+    """Writes a data set, all or nothing: `with ShardWriter(folder, app, units) as writer: writer.add(task, "train")`.
+
+    Files are written under temporary names; only at the end do they get their own, and the manifest comes last. When
+    the block is left by an exception, the folder is as it was. A data set of the same application that was there is
+    replaced as a whole. One writer at a time per folder: it holds the folder's lock, and a second one is refused.
+
+    Args:
+        folder: where; made if missing.
+        app: the application the tasks belong to.
+        units: unit and meaning of every tensor, by name.
+        notes: anything else worth keeping, as JSON can hold it.
+        beside: name of a tensor whose bytes, a text, are kept as a file beside each task, and that file's suffix.
+
+    Raises:
+        ValueError: the folder is a file, holds another application's tasks, or another program is writing to it (on
+            entering); no task was added (on leaving).
+    """
+
+    def __init__(
+        self,
+        folder: str | Path,
+        app: str,
+        units: Mapping[str, str],
+        notes: Mapping[str, Any] | None = None,
+        beside: tuple[str, str] | None = None,
+    ) -> None:
+        self.folder = Path(folder)
+        self._beside = beside
+        self._manifest = Manifest(app, (), dict(units), dict(notes or {}))
+        # A note that JSON cannot hold should be refused now, not after an hour of converting.
+        try:
+            json.dumps(self._manifest.notes, allow_nan=False)
+        except (TypeError, ValueError) as error:
+            raise ValueError(f"{folder}: notes hold {error}; expected plain text, numbers, lists.") from None
+        self._entries: list[Entry] = []
+        self._files = {MANIFEST.replace(".json", SUFFIX)} if beside else set()  # its text would take the same name
+        self._made: list[Path] = []
+        self._lock = contextlib.ExitStack()
+
+    def __enter__(self) -> ShardWriter:
+        if self.folder.exists() and not self.folder.is_dir():
+            raise ValueError(f"{self.folder}: a file, expected a folder to write to; choose another one.")
+        self._made = [path for path in (self.folder, *self.folder.parents) if not path.exists()]
+        self.folder.mkdir(parents=True, exist_ok=True)
+        with contextlib.ExitStack() as stack:
+            stack.enter_context(only_writer(self.folder))
+            before = self._replaced()
+            if before is not None and before.app != self._manifest.app:
+                raise ValueError(
+                    f"{self.folder}: holds tasks of '{before.app}', expected an empty folder or tasks of "
+                    f"'{self._manifest.app}'; choose another folder."
+                )
+            self._remove_partial()  # of a writer that was killed
+            self._lock = stack.pop_all()
+        return self
+
+    def add(self, task: Task, split: str, source: str | Path = "") -> None:
+        """Write one task, under a temporary name.
+
+        Args:
+            task: its tensors may live anywhere, in any layout; a name that another task has is refused.
+            split: "train", "test", or "auto": by the rule of `split_auto` among all tasks added so.
+            source: what it was made of; only the base name is kept.
+
+        Raises:
+            ValueError: an unknown split, an empty or repeated name, a task without tensors, a tensor without a unit,
+                a value that is not finite.
+        """
+        if split not in (*SPLITS, AUTO):
+            raise ValueError(f"{task.name}: split '{split}', expected 'train', 'test' or 'auto'.")
+        if not task.name.strip():
+            raise ValueError(f"{source or self.folder}: a task with an empty name; give it one.")
+        if any(entry.name == task.name for entry in self._entries):
+            raise ValueError(f"{task.name}: two tasks of this name, expected names that differ; rename one source.")
+        if not task.data:
+            raise ValueError(f"{task.name}: a task without tensors.")
+        for key, tensor in task.data.items():
+            if key not in self._manifest.units:
+                raise ValueError(f"{task.name}: tensor '{key}' has no unit; add it to units.")
+            if not _is_finite(tensor):
+                raise ValueError(f"{task.name}: tensor '{key}' holds NaN or infinite values, expected finite ones.")
+        # A copy of its own each: safetensors refuses tensors that share memory.
+        own = torch.contiguous_format
+        payload = save({key: tensor.detach().cpu().clone(memory_format=own) for key, tensor in task.data.items()})
+        file = _file_name(task.name, self._files)
+        with naming(self.folder / file):
+            partial_path(self.folder / file).write_bytes(payload)
+        self._files.add(file.lower())
+        beside = ""
+        if self._beside is not None:
+            key, suffix = self._beside
+            beside = file.removesuffix(SUFFIX) + suffix
+            partial_path(self.folder / beside).write_bytes(task.data[key].cpu().numpy().tobytes().rstrip() + b"\n")
+            self._files.add(beside.lower())
+        digest = hashlib.sha256(payload).hexdigest()
+        self._entries.append(Entry(task.name, file, split, _base_name(source), digest, task.group, beside))
+
+    def entries(self) -> tuple[Entry, ...]:
+        """The tasks added so far, in that order, each in its split."""
+        auto = split_auto(entry.name for entry in self._entries if entry.split == AUTO)
+        return tuple(entry._replace(split=auto.get(entry.name, entry.split)) for entry in self._entries)
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        with self._lock:
+            try:
+                if kind is None:
+                    self._publish()
+            finally:
+                self._remove_partial()
+                for path in self._made:
+                    if any(path.iterdir()):
+                        break
+                    path.rmdir()
+
+    def _publish(self) -> None:
+        """Give all files their names, the manifest last; while there is no manifest, there is no data set."""
+        if not self._entries:
+            raise ValueError(f"{self.folder}: 0 tasks to write, expected at least one.")
+        before = self._replaced()
+        text = to_json(self._manifest._replace(tasks=self.entries()))
+        (self.folder / MANIFEST).unlink(missing_ok=True)
+        for file in _files(self._entries):
+            os.replace(partial_path(self.folder / file), self.folder / file)
+        if before is not None:
+            for file in _files(before.tasks):
+                if file.lower() not in self._files:
+                    (self.folder / file).unlink(missing_ok=True)
+        write_atomically(self.folder / MANIFEST, lambda path: path.write_text(text, encoding="ascii"))
+
+    def _remove_partial(self) -> None:
+        for path in self.folder.glob(f"{PARTIAL}*"):
+            path.unlink(missing_ok=True)
+
+    def _replaced(self) -> Manifest | None:
+        """The manifest that is there; None if there is none, or none that can be read."""
+        try:
+            return read_manifest(self.folder)
+        except ValueError:
+            return None
+
+
+@contextlib.contextmanager
+def only_writer(folder: Path) -> Iterator[None]:
+    """Hold the lock of a folder that data are written to.
+
+    Raises:
+        ValueError: another program holds it.
+    """
+    with contextlib.ExitStack() as stack:
+        try:
+            stack.enter_context(locked(folder, wait=False))
+        except BlockingIOError:
+            raise ValueError(
+                f"{folder}: another program is writing data there; wait until it is done, or choose another folder."
+            ) from None
+        yield
+
+
+def read_shard(
+    folder: str | Path, split: str | None = None, app: str | None = None, holds: Mapping[str, Held] | None = None
+) -> list[Task]:
+    """Read the tasks of a data set; the tensors are mapped from disk and loaded when they are used.
+
+    Args:
+        folder: of the data set.
+        split: only the "train" or only the "test" tasks; None is all.
+        app: the application that the tasks must belong to; None takes any.
+        holds: what each task must hold, as the application says; None takes any tensors.
+
+    Returns:
+        The tasks in the manifest's order; an empty list if the split has none. Hashes are not compared: see
+        `check_shard`.
+
+    Raises:
+        ValueError: as `read_manifest`; another application's tasks; a file that is missing or damaged, or does not
+            hold what it must.
+    """
+    folder = Path(folder)
+    if split is not None and split not in SPLITS:
+        raise ValueError(f"{folder}: split '{split}', expected 'train' or 'test'.")
+    manifest = read_manifest(folder)
+    if app is not None and manifest.app != app:
+        raise ValueError(f"{folder}: holds tasks of '{manifest.app}', expected '{app}'; name another data set.")
+    tasks = []
+    for entry in manifest.tasks:
+        if split in (None, entry.split):
+            task = _read_task(folder, entry)
+            if problems := problems_of(task, holds or {}):
+                raise ValueError(f"{folder / entry.file}: {problems[0]}; convert the data again.")
+            tasks.append(task)
+    return tasks
+
+
+def check_shard(folder: str | Path, holds: Mapping[str, Held] | None = None) -> list[str]:
+    """Check a data set against its manifest, and its tasks against what the application says they must hold.
+
+    Returns:
+        One line a problem: files that are missing, changed, damaged or not listed, values that are not finite,
+        tensors that are missing or of another shape or type. An empty list means that all is well.
+    """
+    folder = Path(folder)
+    try:
+        manifest = read_manifest(folder)
+    except ValueError as error:
+        return [str(error)]
+    problems = []
+    for entry in manifest.tasks:
+        path = folder / entry.file
+        try:
+            task = _read_task(folder, entry)
+        except ValueError as error:
+            problems.append(str(error))
+            continue
+        with path.open("rb") as stream:
+            digest = hashlib.file_digest(stream, "sha256").hexdigest()
+        if digest != entry.sha256:
+            problems.append(
+                f"{path}: SHA-256 {digest[:12]}..., expected {entry.sha256[:12]}...; the file has changed since."
+            )
+        problems += [f"{path}: {problem}; convert the data again." for problem in problems_of(task, holds or {})]
+    missing = [entry.beside for entry in manifest.tasks if entry.beside and not (folder / entry.beside).is_file()]
+    problems += [f"{folder / file}: missing, expected a file as {MANIFEST} lists it." for file in missing]
+    listed = {MANIFEST, *_files(manifest.tasks)}
+    problems += [
+        f"{path}: not listed in {MANIFEST}; remove it, or convert the data again."
+        for path in sorted(folder.iterdir())
+        if path.name not in listed
+    ]
+    return problems
+
+
+def _files(entries: Iterable[Entry]) -> list[str]:
+    return [file for entry in entries for file in (entry.file, entry.beside) if file]
+
+
+def _base_name(source: str | Path) -> str:
+    return re.split(r"[/\\]", str(source).rstrip("/\\"))[-1]
+
+
+def _file_name(name: str, taken: set[str]) -> str:
+    """A file name that every file system takes, and that differs from those taken even where case does not count."""
+    stem = re.sub(r"[^A-Za-z0-9._-]+", "_", name).strip(".")[:100] or "_"
+    file, count = stem + SUFFIX, 1
+    while file.lower() in taken:
+        count += 1
+        file = f"{stem}-{count}{SUFFIX}"
+    return file
+
+
+def _is_finite(tensor: torch.Tensor) -> bool:
+    return bool(torch.isfinite(tensor).all())
+
+
+def _read_task(folder: Path, entry: Entry) -> Task:
+    path = folder / entry.file
+    if not path.is_file():
+        raise ValueError(f"{path}: missing, expected a file as {MANIFEST} lists it; convert the data again.")
+    if not path.resolve().is_relative_to(folder.resolve()):
+        raise ValueError(f"{path}: a link that leads out of the data set's folder; copy the file there instead.")
+    try:
+        with safe_open(path, framework="pt") as stored:
+            data = {key: stored.get_tensor(key) for key in stored.keys()}  # noqa: SIM118
+            return Task(entry.name, data, entry.group)
+    except (SafetensorError, RuntimeError, TypeError, AttributeError) as error:  # torch's, of types it lacks
+        raise ValueError(f"{path}: not readable as safetensors ({error}); convert the data again.") from None
