@@ -6,7 +6,8 @@ from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from metapp.cli.console import named, progress, say
+from metapp.experiments.inputs import named
+from metapp.experiments.reporter import progress, say
 from metapp.storage.files import check_readable
 
 if TYPE_CHECKING:
@@ -68,10 +69,9 @@ def convert(reader: Reader, paths: Iterable[Path], out: Path, split: str, quiet:
     bad: dict[Path, list[str]] = {}  # by the folder that was searched
     usable: set[Path] = set()
     with ShardWriter(out, reader.app, reader.units, {**reader.notes, "split": split}) as writer:
-        with progress(quiet) as bar:
-            shown = bar.add_task(f"{reader.noun}s", total=len(sources), note="")
+        with progress(f"{reader.noun}s", len(sources), quiet=quiet) as bar:
             for source, searched in sources.items():
-                bar.update(shown, note=reader.name(source))
+                bar.name(reader.name(source))
                 try:
                     task = reader.read(source)
                 except (ValueError, OSError) as error:
@@ -82,7 +82,7 @@ def convert(reader: Reader, paths: Iterable[Path], out: Path, split: str, quiet:
                     part = reader.split_of(source) if reader.split_of and split == AUTO else split
                     writer.add(task, part, source)
                     usable |= {searched} if searched else set()
-                bar.update(shown, advance=1)
+                bar.advance(reader.name(source))
         empty = [folder for folder in bad if folder not in usable]
         if empty and len(bad[empty[0]]) == 1:
             raise ValueError(bad[empty[0]][0])  # the one thing in it is likely what was meant

@@ -11,7 +11,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from metapp.cli.console import progress, say
+from metapp.experiments.reporter import progress, say
 from metapp.storage.files import cache_folder, locked
 
 VERSION = 1  # a module's own is raised when its draw changes, so that no older set is taken for the new one
@@ -122,12 +122,12 @@ def _make(app: str, folder: Path, counts: dict[str, int], seed: int, notes: dict
 
     module = embedded_module(app)
     beside = getattr(module, "BESIDE", None)
-    with ShardWriter(folder, app, module.UNITS, notes, beside) as writer, progress(quiet) as bar:
-        shown = bar.add_task(f"{app} data", total=sum(counts.values()), note="")
+    shown = progress(f"{app} data", sum(counts.values()), quiet=quiet)
+    with ShardWriter(folder, app, module.UNITS, notes, beside) as writer, shown as bar:
         for split, count in counts.items():
             for task in module.synthetic_tasks(split, count, seed):
                 writer.add(task, split)
-                bar.update(shown, advance=1, note=task.name)
+                bar.advance(task.name)
 
 
 def _is_finished(folder: Path, app: str, notes: dict[str, Any]) -> bool:

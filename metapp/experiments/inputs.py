@@ -11,7 +11,7 @@ from types import ModuleType
 
 import torch
 
-from metapp.cli.console import named, say
+from metapp.experiments.reporter import say
 from metapp.experiments.embedded import embedded_data
 from metapp.learning.app import App
 from metapp.learning.task import Task
@@ -87,6 +87,12 @@ def _read(reader: ModuleType, path: Path, alone: bool, scene_roots: Sequence[Pat
     if not tasks:
         raise ValueError(f"{path}: none of the {len(sources)} found could be read.")
     return tasks
+
+
+def named(error: Exception, source: Path) -> ValueError:
+    """An error that a reader met, with the file named."""
+    text = str(error) or type(error).__name__
+    return ValueError(text if source.name in text else f"{source}: {text}")
 
 
 def distinct(tasks: list[Task]) -> list[Task]:

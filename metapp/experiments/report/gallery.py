@@ -5,7 +5,7 @@ from __future__ import annotations
 from html import escape
 from typing import Any
 
-from metapp.cli.console import number
+from metapp.experiments.reporter import number
 from metapp.experiments.figures.style import TITLES
 from metapp.experiments.pictures import to_srgb
 from metapp.experiments.report.html import Pictures, anchor, identifier

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from html import escape
 
-from metapp.cli.console import number
+from metapp.experiments.reporter import number
 from metapp.experiments.figures import draw
 from metapp.experiments.figures.style import TITLES
 from metapp.experiments.report.html import Pictures, anchor, drawn_html

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from typing import Any, NamedTuple
 
-from metapp.cli.console import say
+from metapp.experiments.reporter import say
 from metapp.cli.fit import fit_tasks, run_path, summary
 from metapp.experiments.embedded import embedded_exists
 from metapp.experiments.inputs import tasks_to_fit
