@@ -287,7 +287,8 @@ def _forms(which: str) -> str:
 def read_safetensors(path: Path) -> Read:
     """Weights named as in the cache, `conv0.weight`, or as torchvision names them, `features.0.weight`.
 
-    Any are taken; `metapp.appearance.features.describe_features` says of which it does not know that they are ImageNet's.
+    Any are taken; `metapp.appearance.features.describe_features` says of which it does not know that they are
+    ImageNet's.
     """
     try:
         weights = load_file(path)

@@ -24,6 +24,7 @@ from metapp.apps import load_app
 from metapp.apps.brdf import APP
 from metapp.cli import session
 from metapp.cli.evaluate import find_subjects
+from metapp.cli.show import rich_table
 from metapp.experiments.figures import FIGURES
 from metapp.experiments.figures.rates import step_sizes
 from metapp.experiments.report.html import EMBEDDED, Pictures, identifier
@@ -31,7 +32,6 @@ from metapp.experiments.session import Options, find_device
 from metapp.experiments.tables import NAMES, blank, load_table, paper
 from metapp.experiments.tables.ablation import RULE_ALONE, START_ALONE, combined, same_start
 from metapp.experiments.tables.convergence import steps_needed
-from metapp.experiments.tables.formats import rich_table
 from metapp.experiments.tables.image import image_cell
 from metapp.experiments.tables.running import Clock, duration, run_cells
 from metapp.experiments.tables.statistics import (

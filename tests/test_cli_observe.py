@@ -14,8 +14,8 @@ import pytest
 import torch
 from torch import Generator, Tensor
 
-from data_tools.formats.latlong import read_map
-from data_tools.formats.nbrdf import SHAPES
+from data_tools.readers.latlong import read_map
+from data_tools.readers.nbrdf import SHAPES
 from metapp.appearance.colour import tone_map
 from metapp.apps import brdf
 from metapp.apps.brdf import Brdf

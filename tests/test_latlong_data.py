@@ -15,9 +15,9 @@ import pytest
 import torch
 from torch import Tensor
 
-from data_tools.formats import latlong
-from data_tools.formats.latlong import find_maps, map_task, read_map, read_map_task, read_task
-from data_tools.synthetic.stationary.families import stream
+from data_tools.draws import stream
+from data_tools.readers import latlong
+from data_tools.readers.latlong import find_maps, map_task, read_map, read_map_task, read_task
 from metapp.appearance.latlong import mean_luminance, resample, solid_angles, sphere_normals
 
 ACESCG = (0.713, 0.293, 0.165, 0.83, 0.128, 0.044, 0.32168, 0.33767)

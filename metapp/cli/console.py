@@ -20,6 +20,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, ProgressColumn, TextColumn, TimeRemainingColumn
 from rich.text import Text
 
+from metapp.experiments import BadOption
 from metapp.experiments.reporter import Bar, Clock, Reporter, duration, reporting
 
 LONGEST = 300  # characters of an error or a warning
@@ -110,6 +111,9 @@ def run(command: Callable[[], Any]) -> int:
             error.message = one_line(str(error.message))
         error.show()
         return Exit.USAGE if isinstance(error, usage_error) else Exit.FAILED
+    except BadOption as error:
+        typer.BadParameter(one_line(str(error))).show()
+        return Exit.USAGE
     except KeyboardInterrupt:
         return _interrupted()
     except BrokenPipeError:

@@ -2,40 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
-from metapp.experiments.inputs import named
+from data_tools.formats import AUTO, Reader
 from metapp.experiments.reporter import progress, say
-from metapp.storage.files import check_readable
+from metapp.storage.files import check_readable, named
 
 if TYPE_CHECKING:
-    from metapp.learning.task import Task
-
-
-class Reader(NamedTuple):
-    """How files of one kind become tasks.
-
-    Attributes:
-        app: the application of the tasks.
-        noun: what one source is called, such as "MERL file".
-        units: of the tasks' tensors, by name.
-        find: paths -> sources, and a line for each file of a folder that is none; ValueError for a bad named path.
-        name: source -> the task's name.
-        read: source -> the task; ValueError where it is damaged.
-        notes: what the manifest should say about the conversion.
-        split_of: source -> its split where "auto" is asked for; None: by the rule of `metapp.storage.shards.split_auto`.
-    """
-
-    app: str
-    noun: str
-    units: Mapping[str, str]
-    find: Callable[[Iterable[Path]], tuple[list[Path], list[str]]]
-    name: Callable[[Path], str]
-    read: Callable[[Path], Task]
-    notes: Mapping[str, Any]
-    split_of: Callable[[Path], str] | None = None
+    pass
 
 
 class Converted(NamedTuple):
@@ -63,7 +39,7 @@ def convert(reader: Reader, paths: Iterable[Path], out: Path, split: str, quiet:
     Raises:
         ValueError: a bad path or named file, a folder without a usable one, two tasks of one name.
     """
-    from metapp.storage.shards import AUTO, ShardWriter
+    from metapp.storage.shards import ShardWriter
 
     sources, skipped = _find(reader, paths)
     bad: dict[Path, list[str]] = {}  # by the folder that was searched

@@ -11,19 +11,19 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
+from data_tools import synthetic
+from metapp.apps import app_names
 from metapp.experiments.reporter import progress, say
 from metapp.storage.files import cache_folder, locked
 
 VERSION = 1  # a module's own is raised when its draw changes, so that no older set is taken for the new one
 
-_PREFIX = "synthetic_"
 _STALE_SECONDS = 3600.0
 
 
 def embedded_apps() -> list[str]:
-    """The applications that have an embedded set: data_tools holds a module `synthetic_<app>` for each."""
-    modules = pkgutil.iter_modules(importlib.import_module("data_tools").__path__)
-    return sorted(module.name.removeprefix(_PREFIX) for module in modules if module.name.startswith(_PREFIX))
+    """Return the applications that have an embedded set: `data_tools.synthetic` holds a module of their name."""
+    return sorted({module.name for module in pkgutil.iter_modules(synthetic.__path__)} & set(app_names()))
 
 
 def embedded_module(app: str) -> ModuleType:
@@ -34,7 +34,7 @@ def embedded_module(app: str) -> ModuleType:
     """
     if app not in embedded_apps():
         raise ValueError(f"{app}: no embedded data set, expected one of {', '.join(embedded_apps())}.")
-    return importlib.import_module(f"data_tools.{_PREFIX}{app}")
+    return importlib.import_module(f"{synthetic.__name__}.{app}")
 
 
 def split_counts(app: str, count: int | None = None) -> dict[str, int]:

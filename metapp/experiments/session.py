@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import torch
-import typer
 
 from metapp.apps import app_names, load_app
+from metapp.experiments import BadOption
 from metapp.learning.app import App
 from metapp.learning.learn import MetaParameters
 from metapp.paradigms import Job, Paradigm
@@ -52,21 +52,21 @@ class Start(NamedTuple):
 def find_app(name: str) -> App:
     """The application, or a usage error that lists those that exist."""
     if name not in app_names():
-        raise typer.BadParameter(f"'{name}' is not an application; expected one of {', '.join(app_names())}.")
+        raise BadOption(f"'{name}' is not an application; expected one of {', '.join(app_names())}.")
     return load_app(name)
 
 
 def check_recipe(name: str, app: App) -> None:
     """A usage error where the application has no such recipe."""
     if name not in app.recipes:
-        raise typer.BadParameter(f"--recipe '{name}': expected one of {', '.join(app.recipes)}.")
+        raise BadOption(f"--recipe '{name}': expected one of {', '.join(app.recipes)}.")
 
 
 def check_rule(name: str, app: App, recipe: str) -> str:
     """The rule, the recipe's default where it is empty, or a usage error; recipes may differ by protocol."""
     known = app.recipes[recipe].meta
     if name and name not in known:
-        raise typer.BadParameter(f"--rule '{name}': {app.name}, recipe {recipe}, expects one of {', '.join(known)}.")
+        raise BadOption(f"--rule '{name}': {app.name}, recipe {recipe}, expects one of {', '.join(known)}.")
     return name or app.recipes[recipe].rule
 
 
@@ -74,7 +74,7 @@ def check_protocol(name: str, app: App) -> None:
     """A usage error where the application has no such protocol."""
     if name and name not in app.protocols:
         expected = f"expects one of {', '.join(app.protocols)}" if app.protocols else "has one protocol; leave it out"
-        raise typer.BadParameter(f"--observe '{name}': {app.name} {expected}.")
+        raise BadOption(f"--observe '{name}': {app.name} {expected}.")
 
 
 def is_first_protocol(app: App) -> bool:
@@ -97,6 +97,13 @@ def title_of(app: App) -> str:
     return f"{app.title} ({app.protocol})" if app.protocol else app.title
 
 
+def caption_of(app: App) -> str:
+    """What a table says about its errors."""
+    seen = {"fits see": app.protocol} if app.protocol else {}
+    conditions = "".join(f"; {key}: {value}" for key, value in (seen | app.conditions()).items())
+    return f"error: {app.measure}{f' x{app.scale:g}' if app.scale != 1 else ''}{conditions}"
+
+
 def threads_of(app: App) -> int:
     """The threads that an application's fits run on, whatever ran before: threads that share small kernels wait."""
     return 1 if app.small_kernels else THREADS
@@ -105,7 +112,7 @@ def threads_of(app: App) -> int:
 def find_device(name: str, app: App) -> torch.device:
     """The device; auto is CUDA where there is one, but the CPU where the application's kernels are too small for it."""
     if name not in ("auto", "cpu", "cuda"):
-        raise typer.BadParameter(f"--device '{name}': expected auto, cpu or cuda.")
+        raise BadOption(f"--device '{name}': expected auto, cpu or cuda.")
     if name == "cuda" and not torch.cuda.is_available():
         raise ValueError("--device cuda: PyTorch finds no CUDA device; use --device cpu or install a CUDA build.")
     torch.set_num_threads(threads_of(app))

@@ -7,12 +7,12 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
-import typer
 from torch import Generator, get_num_threads
 
-from metapp.experiments.reporter import progress, say
+from metapp.experiments import BadOption
 from metapp.experiments.embedded import embedded_exists
 from metapp.experiments.inputs import data_folder, data_label
+from metapp.experiments.reporter import progress, say
 from metapp.experiments.session import Options, Start, is_first_protocol, make_folder, name_of, observe_of, versions
 from metapp.experiments.start_check import require_fit, require_tuned
 from metapp.learning.app import App, stack
@@ -134,9 +134,9 @@ def train_start(options: Options, paradigm: Paradigm, steps: int | None) -> Path
     """
     needed = paradigm.needs(options.job)
     if needed is None:
-        raise typer.BadParameter(f"--train: {paradigm.name} needs no preparation; leave the option out.")
+        raise BadOption(f"--train: {paradigm.name} needs no preparation; leave the option out.")
     if options.checkpoint:
-        raise typer.BadParameter("--train makes a start of its own; leave --checkpoint out.")
+        raise BadOption("--train makes a start of its own; leave --checkpoint out.")
     name = "quickft" if paradigm.name == "quickft" else needed
     path = trained_path(options, name)
     make_folder(path.parent)

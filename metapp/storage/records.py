@@ -5,9 +5,11 @@ from __future__ import annotations
 import hashlib
 import json
 import math
+import statistics
 import sys
 import unicodedata
 import warnings
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -267,3 +269,12 @@ def _marked(safe: str, name: str) -> str:
         return safe
     mark = hashlib.sha256(name.encode(errors="surrogatepass")).hexdigest()[:6]
     return f"{safe.encode()[: LONGEST - 7].decode(errors='ignore')}-{mark}"
+
+
+def summary(records: Sequence[dict[str, Any]]) -> dict[str, float | None]:
+    """Mean error, as the table prints it, of tasks that have one, and median inference time of a task."""
+    errors = [record["error"] for record in records if record["error"] is not None]
+    return {
+        "error": statistics.fmean(errors) if errors else None,
+        "seconds": statistics.median(record["seconds"] for record in records),
+    }
