@@ -32,7 +32,7 @@ MATHS = ("metapp.task", "metapp.adjoint", "metapp.learned_descent", "metapp.lear
 FOR_APPS = ("metapp.task", "metapp.geometry", "metapp.reflection", "metapp.sphere", "metapp.flash", "metapp.latlong",
             "metapp.photograph", "metapp.networks", "metapp.metrics", "metapp.features", "metapp.exemplar",
             "metapp.coded", "metapp.colour")  # fmt: skip
-STORAGE = ("metapp.shards", "metapp.manifest", "metapp.files")
+STORAGE = ("metapp.shards", "metapp.manifest", "metapp.files", "metapp.tensors")
 UNPICKLES = "data_tools.vgg"
 FOR_DATA_TOOLS = (*STORAGE, "metapp.colour", "metapp.geometry", "metapp.reflection", "metapp.sphere", "metapp.flash",
                   "metapp.latlong", "metapp.photograph", "metapp.task", "metapp.features")  # fmt: skip
