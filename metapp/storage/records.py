@@ -14,13 +14,14 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from safetensors import SafetensorError, safe_open
-from safetensors.torch import load_file, save
+from safetensors import SafetensorError
+from safetensors.torch import save
 from torch import Tensor
 
 from metapp.learning.learn import MetaParameters
 from metapp.learning.task import Params
 from metapp.storage.files import append_line, locked, write_atomically
+from metapp.storage.tensors import opened_tensors, read_tensors
 
 SCHEMA = 1
 LONGEST = 100  # bytes of a name; file systems take 255, of which suffixes and temporary names need some
@@ -79,7 +80,7 @@ def load_start(path: Path, device: torch.device | str = "cpu") -> tuple[MetaPara
     if not path.is_file():
         raise ValueError(f"{path}: no such start; give --checkpoint an existing .safetensors file, or train one.")
     try:
-        with safe_open(path, "pt", device=str(device)) as file:
+        with opened_tensors(path, str(device)) as file:
             info = json.loads((file.metadata() or {})["metapp"])
             if not holds(info, START):
                 raise _Misnamed
@@ -192,7 +193,7 @@ def read_theta(folder: Path, task: str) -> dict[str, Tensor]:
     """
     path = _params(folder, task)
     try:
-        return load_file(path)
+        return read_tensors(path)
     except (SafetensorError, OSError) as error:
         raise ValueError(
             f"{path}: fitted parameters not readable ({error}); remove record.jsonl in {folder.name} to fit anew."
