@@ -661,7 +661,7 @@ def test_fits_have_the_threads_of_their_application_whatever_ran_before(tmp_path
         for order in ((small, large), (large, small), (small, small, large, large)):
             for app in order:
                 find_device("cpu", app)
-                assert torch.get_num_threads() == (1 if app.small_kernels else session.THREADS)
+                assert torch.get_num_threads() == (1 if app.single_threaded else session.THREADS)
     finally:
         torch.set_num_threads(before)
 

@@ -38,17 +38,17 @@ class Seen(Brdf):
     radiance = ("light",)
     brightest = 3.0
 
-    def at(self, recipe: Recipe, observe: str = "") -> App:
+    def at(self, recipe: Recipe, protocol: str = "") -> App:
         app = copy.copy(self)
-        app.protocol = observe or self.protocols[0]
+        app.protocol = protocol or self.protocols[0]
         return app
 
-    def loss(self, theta: Params, batch: Batch, shape: Params) -> Tensor:
+    def loss(self, theta: Params, batch: Batch, learned: Params) -> Tensor:
         seen = {"reference": 1.0, "photo": 0.5}[self.protocol]
-        return super().loss(theta, batch | {"target": seen * batch["target"]}, shape)
+        return super().loss(theta, batch | {"target": seen * batch["target"]}, learned)
 
-    def goal(self, theta: Params, batch: Batch, shape: Params) -> Tensor:
-        return super().loss(theta, batch, shape)
+    def outer_loss(self, theta: Params, batch: Batch, learned: Params) -> Tensor:
+        return super().loss(theta, batch, learned)
 
     def errors(self, theta: Params, tasks: Tasks) -> dict[str, Tensor]:
         return {} if tasks.picked_names()[0].startswith("unknown") else super().errors(theta, tasks)

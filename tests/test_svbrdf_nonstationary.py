@@ -100,7 +100,7 @@ def test_a_field_fitted_at_one_resolution_works_at_others(app: SvbrdfNonstationa
 
 
 def test_the_encoder_makes_a_start(app: SvbrdfNonstationary, tasks: Tasks, rng: Generator) -> None:
-    theta = app.encode(app.init_encoder(rng), app.observe(tasks, rng))
+    theta = app.encode(app.init_encoder(rng), app.condition(tasks, rng))
     expected = app.init(rng, len(tasks))
     assert {key: value.shape for key, value in theta.items()} == {key: each.shape for key, each in expected.items()}
     assert theta["flash"].shape == (4, FLASH)
@@ -271,7 +271,7 @@ def test_variants_show_relief_that_is_finer_than_their_maps(app: SvbrdfNonstatio
 def test_the_true_maps_have_no_loss(app: SvbrdfNonstationary, tasks: Tasks, exact: Params, rng: Generator) -> None:
     batch = app.sample(tasks, rng, 1)
     assert app.loss(exact, batch, {}).max() < 1e-6
-    assert app.goal(exact, batch, {}).max() < 0.01  # the photograph has 8 bits
+    assert app.outer_loss(exact, batch, {}).max() < 0.01  # the photograph has 8 bits
     errors = app.errors(exact, tasks)
     assert errors["ssim"].min() > 0.9999
     assert max(float(value.max()) for key, value in errors.items() if key not in ("ssim", "normal")) < 1e-6

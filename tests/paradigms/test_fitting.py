@@ -35,9 +35,9 @@ def test_a_paradigm_fits(name: str, job: Job, tasks: Tasks) -> None:
     assert all(torch.equal(theta[key], again[key]) for key in theta)
     other = paradigm.fit(job, prepared, few, rng(9))
     # without steps nothing need be random: an encoder may look at all there is
-    if name == "overfit" or (paradigm.count(job) and job.app.random):
+    if name == "overfit" or (paradigm.count(job) and not job.app.deterministic):
         assert not all(torch.equal(theta[key], other[key]) for key in theta)
-    elif not job.app.random:
+    elif job.app.deterministic:
         assert all(torch.equal(theta[key], other[key]) for key in theta)
     errors = job.app.errors(theta, few)
     assert {tuple(value.shape) for value in errors.values()} == {(3,)}
@@ -192,8 +192,8 @@ def test_made_up_tasks_do_what_tasks_do(job: Job, tasks: Tasks) -> None:
     assert not set(made.names) & set(tasks.names)
     drawn = app.sample(made, rng(), job.recipe.batch)
     assert shapes(drawn) == shapes(app.sample(few, rng(), job.recipe.batch))
-    assert shapes(app.observe(made, rng())) == shapes(app.observe(few, rng()))
-    theta = app.encode(app.init_encoder(rng()), app.observe(made, rng()))
+    assert shapes(app.condition(made, rng())) == shapes(app.condition(few, rng()))
+    theta = app.encode(app.init_encoder(rng()), app.condition(made, rng()))
     assert app.loss(theta, drawn, {}).shape == (3,)
     assert app.loss(theta, drawn, {}).isfinite().all()
     again, other = app.augment(few, rng()), app.augment(few, rng(1))

@@ -101,7 +101,7 @@ def test_ctrl_c_at_any_moment_loses_no_step(
     name, job = small_job(kind, job, monkeypatch)
     expected = as_file(run(name, job, tasks), tmp_path / "expected.safetensors")
     path, chance, reached = tmp_path / "start.safetensors", random.Random(kind), [(-1, -1)]
-    loss, errors, calls = job.app.goal, job.app.errors, [0]
+    loss, errors, calls = job.app.outer_loss, job.app.errors, [0]
 
     def interrupting(function: Callable[..., Any]) -> Callable[..., Any]:
         def call(*arguments: Any) -> Any:
@@ -117,7 +117,7 @@ def test_ctrl_c_at_any_moment_loses_no_step(
         calls[0] = chance.randint(2, 5)
         checkpoint = TrainingCheckpoint(path, SETTINGS)
         with monkeypatch.context() as patch:
-            patch.setattr(job.app, "goal", interrupting(loss))
+            patch.setattr(job.app, "outer_loss", interrupting(loss))
             patch.setattr(job.app, "errors", interrupting(errors))
             try:
                 made = run(name, job, tasks, checkpoint)

@@ -170,7 +170,7 @@ def _meta_adam_alpha(app: App, theta: Params, steps: int, first: Adam) -> Params
     for name in ("beta1", "beta2"):
         beta = getattr(first, name)
         alpha[name] = torch.full((steps,), math.log(beta / (1 - beta)))
-    alpha |= {f"loss.{key}": value for key, value in app.shape(steps).items()}
+    alpha |= {f"loss.{key}": value for key, value in app.loss_parameters(steps).items()}
     return {key: value.to(like) for key, value in alpha.items()}
 
 
@@ -190,7 +190,7 @@ def _meta_encoder_alpha(app: App, theta: Params, steps: int, first: Adam) -> Par
 
 def _meta_mean_alpha(app: App, theta: Params, steps: int, first: Adam) -> Params:
     alpha = _meta_encoder_alpha(app, theta, steps, first)
-    return alpha | (averaging(steps, alpha["beta1"]) if app.random else {})
+    return alpha | (averaging(steps, alpha["beta1"]) if not app.deterministic else {})
 
 
 def averaging(steps: int, like: Tensor) -> Params:
@@ -204,7 +204,7 @@ def averaging(steps: int, like: Tensor) -> Params:
 
 def _meta_lgd_alpha(app: App, theta: Params, steps: int, first: Adam) -> Params:
     alpha = _meta_encoder_alpha(app, theta, steps, first)
-    learned = networks(theta, steps, first.rate, wraps=app.wraps)
+    learned = networks(theta, steps, first.rate, periodic=app.periodic)
     return alpha | {key: value.to(alpha["beta1"]) for key, value in learned.items()}
 
 
