@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import platform
 import tempfile
+from collections.abc import Iterator
 from dataclasses import asdict
 from importlib import metadata
 from pathlib import Path
@@ -110,13 +112,23 @@ def threads_of(app: App) -> int:
     return 1 if app.single_threaded else THREADS
 
 
+@contextlib.contextmanager
+def threads(count: int | None) -> Iterator[None]:
+    """Have torch work with so many threads; afterwards with as many as before."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(count or before)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
+
+
 def find_device(name: str, app: App) -> torch.device:
     """The device; auto is CUDA where there is one, but the CPU where the application is single-threaded."""
     if name not in ("auto", "cpu", "cuda"):
         raise BadOption(f"--device '{name}': expected auto, cpu or cuda.")
     if name == "cuda" and not torch.cuda.is_available():
         raise ValueError("--device cuda: PyTorch finds no CUDA device; use --device cpu or install a CUDA build.")
-    torch.set_num_threads(threads_of(app))
     automatic = "cuda" if torch.cuda.is_available() and not app.single_threaded else "cpu"
     return torch.device(automatic if name == "auto" else name)
 

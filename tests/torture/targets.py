@@ -203,8 +203,7 @@ def _read_start(folder: Path, file: Path) -> None:
 
 def _read_records(folder: Path, file: Path) -> None:
     """As a run that goes on, whose table shows all finished tasks."""
-    from metapp.cli.fit import summary
-    from metapp.storage.records import FIT, RunFolder
+    from metapp.storage.records import FIT, RunFolder, summary
 
     records = RunFolder(folder, {"app": "brdf", "steps": 10}, FIT).finished()
     for name, record in records.items():

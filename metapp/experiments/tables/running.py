@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import contextlib
 import time
-from collections.abc import Iterator, Sequence
-
-import torch
+from collections.abc import Sequence
 
 from metapp.experiments.reporter import clock as shown_clock
+from metapp.experiments.session import threads
 from metapp.experiments.tables.subject import Cell
 from metapp.learning.task import Task
 
@@ -38,17 +36,6 @@ def run_cells(cells: Sequence[Cell], *, quiet: bool) -> None:
                     clock.add(cell, now - begin)
                     begin = now
                     tell(f"{cell.title} {record['name']}, cell {i} of {len(planned)}", clock.spent, clock.left())
-
-
-@contextlib.contextmanager
-def threads(count: int | None) -> Iterator[None]:
-    """Have torch work with so many threads; afterwards with as many as before."""
-    before = torch.get_num_threads()
-    torch.set_num_threads(count or before)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(before)
 
 
 class Clock:

@@ -13,7 +13,7 @@ from metapp.apps import presentation_of
 from metapp.experiments.embedded import embedded_exists
 from metapp.experiments.inputs import tasks_to_fit
 from metapp.experiments.reporter import say
-from metapp.experiments.run import fit_tasks, run_path
+from metapp.experiments.run import fit_and_keep, run_path
 from metapp.experiments.session import (
     Options,
     Start,
@@ -172,7 +172,7 @@ class Subject:
         def measure(missing: list[Task]) -> Iterator[Record]:
             assert folder is not None
             assert start is not None
-            return fit_tasks(options, paradigm, start, missing, folder)
+            return fit_and_keep(options, paradigm, start, missing, folder)
 
         steps = paradigm.count(options.job)
         command = self.command("") if name else _fit_command(fit)
