@@ -16,6 +16,7 @@ from data_tools.readers.nbrdf import export, nbrdf_evaluate, read_nbrdf
 from data_tools.synthetic.brdf import synthetic_materials
 from metapp.appearance.geometry import cos_incident
 from metapp.apps.brdf import APP, KNOTS
+from metapp.apps.brdf.presentation import BrdfPresentation
 from metapp.learning.app import stack
 from metapp.learning.task import Batch, Params, Task, Tasks
 
@@ -303,10 +304,10 @@ def test_outputs(theta: Params, materials: list[Task], monkeypatch: pytest.Monke
         seen.append(reflectance)
         return "picture"
 
-    monkeypatch.setattr("metapp.apps.brdf.reference_scene", lambda: "scene")
-    monkeypatch.setattr("metapp.apps.brdf.shade_sphere", shade)
+    monkeypatch.setattr("metapp.apps.brdf.presentation.reference_scene", lambda: "scene")
+    monkeypatch.setattr("metapp.apps.brdf.presentation.shade_sphere", shade)
     one = {key: value[0] for key, value in theta.items()}
-    pictures = APP.outputs(one, materials[0])
+    pictures = BrdfPresentation(APP).outputs(one, materials[0])
     assert pictures["fit"] == "picture"
     assert pictures["reference"] is materials[0].data["render"]
     angles = torch.rand(5, 3)

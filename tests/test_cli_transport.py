@@ -15,10 +15,11 @@ import torch
 from data_tools.readers.transport_task import transport_task
 from data_tools.synthetic.cornell import random_scene
 from data_tools.synthetic.transport import UNITS
+from metapp.appearance.presentation import Fitted
 from metapp.apps.transport import APP, Setup, images
 from metapp.apps.transport.flow import Flow
 from metapp.apps.transport.guide import table_of
-from metapp.learning.app import Fitted
+from metapp.apps.transport.presentation import TransportPresentation
 from metapp.learning.task import Task
 from metapp.storage.shards import ShardWriter
 
@@ -60,8 +61,8 @@ def small(monkeypatch: pytest.MonkeyPatch) -> None:
         setup=Setup(Flow(code=3, hidden=8, bins=4)),
     )
     monkeypatch.setitem(APP.recipes, "quick", recipe)
-    monkeypatch.setattr("metapp.apps.transport.SHOWN", 4)
-    monkeypatch.setattr("metapp.apps.transport.GLANCE", 1)
+    monkeypatch.setattr("metapp.apps.transport.presentation.SHOWN", 4)
+    monkeypatch.setattr("metapp.apps.transport.presentation.GLANCE", 1)
     monkeypatch.setattr(images, "table_of", functools.partial(table_of, places=8, cells=8))
     monkeypatch.setattr(images, "SPP", 64)
     monkeypatch.setattr(images, "REFERENCE_SPP", 16)
@@ -91,8 +92,9 @@ def test_train_fit_and_compare(metapp: Callable, data: Path, tmp_path: Path) -> 
 
 def test_pictures_are_judged_at_equal_paths_and_in_equal_time(scenes: list[Task]) -> None:
     task, app = scenes[0], APP.at(APP.recipes["quick"])
+    shown = TransportPresentation(app)
     theta = {key: value[0] for key, value in app.init(torch.Generator().manual_seed(0), 1).items()}
-    found = app.image_errors({"instant": Fitted(theta, 0.0), "endless": Fitted(theta, 1e9)}, task)
+    found = shown.image_errors({"instant": Fitted(theta, 0.0), "endless": Fitted(theta, 1e9)}, task)
     assert list(found) == ["reference", "regular", "instant", "endless"]
     assert set(found["reference"]) == {"MAPE"}
     measures = {"MAPE", "SMAPE", "DSSIM"}
@@ -105,11 +107,12 @@ def test_pictures_are_judged_at_equal_paths_and_in_equal_time(scenes: list[Task]
     assert found["regular"][images.EQUAL_TIME] == found["regular"]["MAPE"]
     assert images.EQUAL_TIME not in found["endless"]
     assert found["endless"][images.FIXED] > 1e6 * found["instant"][images.FIXED] > 0
-    assert app.image_errors({"instant": Fitted(theta, 0.0)}, task._replace(data={})) == {}
+    assert shown.image_errors({"instant": Fitted(theta, 0.0)}, task._replace(data={})) == {}
 
 
 def test_equal_time_counts_the_samples_that_a_fit_sees(scenes: list[Task], monkeypatch: pytest.MonkeyPatch) -> None:
     task, app = scenes[0], APP.at(APP.recipes["quick"])
+    shown = TransportPresentation(app)
     theta = {key: value[0] for key, value in app.init(torch.Generator().manual_seed(0), 1).items()}
     asked = []
 
@@ -118,7 +121,7 @@ def test_equal_time_counts_the_samples_that_a_fit_sees(scenes: list[Task], monke
         return 1e9
 
     monkeypatch.setattr(images.Studio, "sampling", sampling)
-    found = app.image_errors({"instant": Fitted(theta, 0.0)}, task)
+    found = shown.image_errors({"instant": Fitted(theta, 0.0)}, task)
     assert asked == [(2048, 4)]  # what fits may see, without what is held out
     assert images.EQUAL_TIME not in found["instant"]
     assert found["instant"][images.FIXED] > 1e6

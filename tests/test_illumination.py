@@ -12,6 +12,7 @@ from metapp.appearance.latlong import cosine_transfer, directions, mean_luminanc
 from metapp.appearance.photograph import develop, photograph, shade
 from metapp.apps.illumination import APP, BODY, BODY_GAIN, GLOSSES, QUICK, Illumination, Setup, body_of
 from metapp.apps.illumination.encoder import Encoder, unwrapped
+from metapp.apps.illumination.presentation import IlluminationPresentation
 from metapp.apps.illumination.variants import LAMPS, lit, mixed, regraded, tinted, turned
 from metapp.learning.app import stack
 from metapp.learning.task import Params, Task, Tasks
@@ -258,11 +259,13 @@ def test_the_error_is_of_the_second_scene(app: Illumination, tasks: Tasks, monke
 def test_a_map_goes_out_at_the_scale_it_came_in(rng: Generator) -> None:
     app = APP.at(RECIPE)
     theta = {key: value[0] for key, value in app.init(rng, 1).items()}
-    files = app.files(theta, task_of(lamps(0)))
+    files = IlluminationPresentation(app).files(theta, task_of(lamps(0)))
     fitted = app.radiance_of({key: value[None] for key, value in theta.items()})[0]
-    torch.testing.assert_close(files["map"], 3 * fitted.permute(1, 2, 0))
-    assert files["relit"].shape == (64, 96, 3)
-    assert 0 <= files["relit"].min() < files["relit"].max() <= 1
+    torch.testing.assert_close(files["map"].pixels, 3 * fitted.permute(1, 2, 0))
+    relit = files["relit"].pixels
+    assert relit.shape == (64, 96, 3)
+    assert 0 <= relit.min() < relit.max() <= 1
+    assert {name: picture.kind for name, picture in files.items()} == {"map": "radiance", "relit": "srgb"}
 
 
 @pytest.mark.slow

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 import pytest
@@ -13,7 +12,7 @@ from metapp.learning.app import App
 from metapp.learning.learn import MetaParameters, learn, task_loss
 from metapp.learning.recipe import Adam
 from metapp.learning.rules import RULES, fixed_adam
-from metapp.learning.task import Batch, Params, Task, Tasks
+from metapp.learning.task import Batch, Tasks
 from metapp.paradigms import Job, paradigms
 from metapp.paradigms.quickft import to_alpha
 from tests.paradigms.small import UNLIKE, rng, start_for, untrained
@@ -141,43 +140,6 @@ def test_a_mean_is_over_the_last_of_the_steps_there_are(steps: int, job: Job, ta
 
 
 # What an application makes of tasks
-
-
-@pytest.fixture
-def fitted(job: Job, tasks: Tasks) -> Params:
-    """The parameters of the first task after a few steps, as a run keeps them: without a task axis."""
-    theta = paradigms()["overfit"].fit(job._replace(steps=3), MetaParameters(), tasks.select([0]), rng())
-    return {key: value[0] for key, value in theta.items()}
-
-
-def test_pictures_of_a_fit_and_of_its_reference(app: App, fitted: Params, sources: list[Task]) -> None:
-    pictures = app.outputs(fitted, sources[0])
-    assert list(pictures)[:2] == ["reference", "fit"]
-    assert pictures["fit"].shape == pictures["reference"].shape
-    for name, picture in pictures.items():
-        assert picture.ndim == 3, name
-        assert picture.shape[2] in (3, 4), name
-        assert picture.dtype == torch.float32, name
-        assert picture.isfinite().all(), name
-        assert not picture.requires_grad, name
-    again = app.outputs(fitted, sources[0])
-    assert all(torch.equal(again[name], picture) for name, picture in pictures.items())
-    other = app.outputs(fitted, sources[1])
-    assert not torch.equal(other["reference"], pictures["reference"])
-
-
-def test_files_are_display_values(app: App, fitted: Params, sources: list[Task]) -> None:
-    made = app.files(fitted, sources[0])
-    for name, picture in made.items():
-        assert name.replace("_", "").isalnum(), name
-        assert picture.ndim == 3, name
-        assert picture.shape[2] in (1, 3), name
-        assert picture.isfinite().all(), name
-        if name not in app.heights:
-            assert 0 <= float(picture.min()) <= float(picture.max()) <= (math.inf if name in app.radiance else 1), name
-        assert not picture.requires_grad, name
-    again = app.files(fitted, sources[0])
-    assert all(torch.equal(again[name], picture) for name, picture in made.items())
 
 
 def shapes(batch: Batch) -> dict[str, Any]:
