@@ -33,7 +33,7 @@ WANTED, SEEN = 0.3, 0.3  # and in the outer loss, beside the photograph's
 RIG, JUDGED = (2, 3), (6, 6)  # lights that fits see, and that they are judged under: oblique, mirroring
 DRAWN = (1, 2)  # and those that preparation draws
 SMOOTHED = 0.03  # at first, where learned losses round off |d|
-FINER = 2  # how many times as fine as their maps made-up materials are photographed
+FINER = 2  # how many times as fine as their maps augmented materials are photographed
 INPUTS = 8
 
 
