@@ -21,6 +21,7 @@ from metapp.apps.transport.flow import Flow
 from metapp.apps.transport.guide import table_of
 from metapp.apps.transport.presentation import TransportPresentation
 from metapp.learning.task import Task
+from metapp.rendering import path_render
 from metapp.storage.shards import ShardWriter
 
 SPP_OF_TABLES = images.REFERENCE_SPP
@@ -131,7 +132,7 @@ def test_equal_time_counts_the_samples_that_a_fit_sees(scenes: list[Task], monke
 def test_a_reference_knows_its_own_error(scenes: list[Task], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(images, "REFERENCE_SPP", SPP_OF_TABLES)
     studio = images.Studio(scenes[0].data["scene"].numpy().tobytes(), size=8)
-    told, wanted = studio.reference_error, studio.paths.reference(studio.tracer, 8, 16 * SPP_OF_TABLES, seed=9)
+    told, wanted = studio.reference_error, path_render.reference(studio.tracer, 8, 16 * SPP_OF_TABLES, seed=9)
     found = float(images.mape(studio.reference[None], wanted[None]))
     assert found == pytest.approx(told, rel=0.3)  # as far from the truth as its halves say
     assert studio.sampling(scenes[0].data["samples"]) > 0
@@ -148,9 +149,9 @@ def test_guided_means_are_those_of_the_reference(scenes: list[Task]) -> None:
     table = table_of(flow, theta, places=8, cells=16)
     for task in scenes[:5]:
         studio = images.Studio(task.data["scene"].numpy().tobytes(), size=16)
-        guide = studio.paths.Guide(table.sample, table.density)
-        shots = [studio.paths.render(studio.tracer, 32, 16, seed, guide).mean() for seed in range(12)]
-        means, wanted = torch.stack(shots).double(), float(studio.paths.reference(studio.tracer, 16, 256).mean())
+        guide = path_render.Guide(table.sample, table.density)
+        shots = [path_render.render(studio.tracer, 32, 16, seed, guide).mean() for seed in range(12)]
+        means, wanted = torch.stack(shots).double(), float(path_render.reference(studio.tracer, 16, 256).mean())
         error = float(means.std() / len(means) ** 0.5)
         assert abs(float(means.mean()) - wanted) < 3 * error + 0.003 * wanted, task.name  # the reference's own error
         assert error < 0.05 * wanted
