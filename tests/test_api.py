@@ -58,7 +58,7 @@ def test_options_are_those_of_the_command(network: Path) -> None:
 def test_several_tasks(neural_fits: Callable[[int], Path]) -> None:
     folder = neural_fits(2)
     assert len(api.fit_all("brdf", [folder])) == 2
-    with pytest.raises(ValueError, match="2 tasks, expected one; take metapp.fit_all"):
+    with pytest.raises(ValueError, match=r"2 tasks, expected one; take metapp\.fit_all"):
         api.fit("brdf", folder)
     with pytest.raises(ValueError, match="no such file or folder"):
         api.fit("brdf", folder / "none")

@@ -23,7 +23,10 @@ def command(
     apps: Annotated[
         list[str] | None, typer.Argument(metavar="[APP]...", help="Applications; default: all there are.")
     ] = None,
-    table: Annotated[bool, typer.Option("--table", help="Print the table (the default).")] = True,
+    table: Annotated[
+        bool,
+        typer.Option("--table/--no-table", help="Print the tables, or only write figures and report."),
+    ] = True,
     which: Annotated[str, typer.Option(help=f"Which table: {', '.join((*NAMES, ALL))}.")] = "results",
     format_name: Annotated[str, typer.Option("--format", help=f"One of {', '.join(FORMATS)}.")] = "rich",
     no_run: Annotated[
@@ -90,7 +93,8 @@ def command(
     fill(cells, run=not no_run, quiet=quiet)
     if not quiet and which in ("results", ALL):
         compare(subjects, quiet=quiet)
-    show(tables, subjects, missing, "json" if json else format_name)
+    if table or json:
+        show(tables, subjects, missing, "json" if json else format_name)
     if figures:
         from metapp.experiments.figures import write_figures
 
