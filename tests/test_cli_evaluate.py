@@ -30,7 +30,7 @@ from metapp.experiments import session
 from metapp.experiments.figures import FIGURES
 from metapp.experiments.figures.rates import step_sizes
 from metapp.experiments.report.html import EMBEDDED, Pictures, identifier
-from metapp.experiments.reporter import duration
+from metapp.experiments.reporter import Reporter, duration, reporting
 from metapp.experiments.session import Options, find_device, threads_of
 from metapp.experiments.tables import NAMES, blank, load_table, paper
 from metapp.experiments.tables.ablation import RULE_ALONE, START_ALONE, combined, same_start
@@ -615,11 +615,9 @@ def test_the_time_left_counts_pictures(tmp_path: Path, monkeypatch: pytest.Monke
     now, told = [0.0], []
     monkeypatch.setattr("metapp.experiments.tables.running.time.perf_counter", lambda: now[0])
 
-    @contextlib.contextmanager
-    def progress(quiet: bool) -> Iterator[Any]:
-        yield lambda note, spent, left: told.append((note.partition(",")[0], spent, left))
-
-    monkeypatch.setattr("metapp.experiments.tables.running._progress", progress)
+    class Hears(Reporter):
+        def clock(self) -> Any:
+            return contextlib.nullcontext(lambda note, spent, left: told.append((note.partition(",")[0], spent, left)))
 
     def taking(made: Cell, seconds: float) -> Cell:
         def measure(missing: list[Task]) -> Iterator[dict[str, Any]]:
@@ -631,7 +629,8 @@ def test_the_time_left_counts_pictures(tmp_path: Path, monkeypatch: pytest.Monke
 
     fits = taking(cell("transport fit", tmp_path, ["a", "b"], [], steps=9), 1.0)
     pictures = cell("transport pictures", tmp_path, ["a", "b"], [], steps=0, stage=1)
-    run_cells([fits, taking(pictures._replace(guess=20.0), 30.0)], quiet=True)
+    with reporting(Hears()):
+        run_cells([fits, taking(pictures._replace(guess=20.0), 30.0)], quiet=False)
     assert told == [
         ("transport fit", 0.0, 0.0),
         ("transport fit a", 1.0, pytest.approx(1.0 + 40.0)),
