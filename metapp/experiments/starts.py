@@ -223,8 +223,8 @@ def _encoder(options: Options, name: str, steps: int | None) -> MetaParameters |
     For a data set of the user's own only one trained on its training tasks will do: the one that ships may have seen
     its test tasks.
     """
-    training = options.job.recipe.meta.get(name)
-    if name == "general" or (training and training.start == "random"):
+    recipe = options.job.recipe
+    if name == "general" or (name != "quickft" and recipe.meta_training(name).start == "random"):
         return None
     general = paradigms()["general"]
     usable = trained_path(options, "general").is_file()

@@ -41,22 +41,33 @@ class Basis(Part):
 
     def gradients(self, alpha: Params, grads: Params) -> Params:
         """Gradients in the bases."""
-        return {key: rotate(alpha, key, grad) for key, grad in grads.items()}
+        return {key: _rotated(alpha, key, grad) for key, grad in grads.items()}
 
     def updates(self, alpha: Params, updates: Params) -> Params:
         """Updates back from the bases."""
-        return {key: rotate(alpha, key, update, back=True) for key, update in updates.items()}
+        return {key: _rotated(alpha, key, update, back=True) for key, update in updates.items()}
 
     def gather(self, alpha: Params, grads: Params) -> Params:
-        """Sums of products of the gradients, for each basis."""
-        return second_moments(alpha, grads)
+        """Sums of products of gradients [T, out, in, ...] for each basis, [size, size].
+
+        Each gradient is brought to length 1, so that tasks weigh alike.
+        """
+        moments = {}
+        for name in alpha:
+            axis, _, key = name.partition(".")
+            if axis in EQUATIONS:
+                length = grads[key].flatten(1).norm(dim=1).clamp_min(1e-20)
+                unit = grads[key] / length.reshape(-1, *[1] * (grads[key].ndim - 1))
+                rows = unit.movedim(1 if axis == "out" else 2, 0).flatten(1)
+                moments[name] = rows @ rows.mT
+        return moments
 
     def settle(self, alpha: Params, sums: Params) -> Params:
         """Alpha with its bases turned to the principal axes of gradients."""
         return alpha | {name: torch.linalg.eigh(value).eigenvectors[None] for name, value in sums.items()}
 
 
-def rotate(alpha: Params, key: str, value: Tensor, *, back: bool = False) -> Tensor:
+def _rotated(alpha: Params, key: str, value: Tensor, *, back: bool = False) -> Tensor:
     """A gradient [T, out, in, ...] in the bases that alpha holds for its first two axes, or back from there."""
     for name, equation in EQUATIONS.items():
         if f"{name}.{key}" in alpha:
@@ -64,19 +75,3 @@ def rotate(alpha: Params, key: str, value: Tensor, *, back: bool = False) -> Ten
             terms = equation.format("t" if basis.ndim == 3 else "")  # where there is a task axis
             value = torch.einsum(terms, basis.mT if back else basis, value)
     return value
-
-
-def second_moments(alpha: Params, grads: Params) -> Params:
-    """Sums of products of a step's gradients [T, out, in, ...], for each basis `out.<key>` and `in.<key>` of alpha.
-
-    Each gradient is brought to length 1, so that tasks weigh alike.
-    """
-    moments = {}
-    for name in alpha:
-        axis, _, key = name.partition(".")
-        if axis in EQUATIONS:
-            length = grads[key].flatten(1).norm(dim=1).clamp_min(1e-20)
-            unit = grads[key] / length.reshape(-1, *[1] * (grads[key].ndim - 1))
-            rows = unit.movedim(1 if axis == "out" else 2, 0).flatten(1)
-            moments[name] = rows @ rows.mT
-    return moments

@@ -39,7 +39,7 @@ class LearnedRule(NamedTuple):
         for part in self.parts:
             if reason := part.refusal(app, theta):
                 raise ValueError(
-                    f"rule {self.name}: its part {part.name} does not apply to {app.name}: {reason}; choose a rule "
+                    f"rule '{self.name}': its part {part.name} does not apply to {app.name}: {reason}; choose a rule "
                     "without it."
                 )
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from functools import lru_cache
+from functools import cache
 
 from metapp.learning.rules.average import Average
 from metapp.learning.rules.basis import Basis
@@ -74,14 +74,12 @@ def _expanded(name: str, whole: str) -> set[str]:
         return {name}
     inner = ({**SHORT, **NAMED}).get(name) if "+" not in name else name
     if inner is None:
-        raise ValueError(
-            f"rule '{whole}': '{name}' is not a rule or a part of one, expected one of {', '.join(NAMED)}, or of "
-            f"{', '.join((*SHORT, *PARTS))} with + between them."
-        )
+        known = ", ".join((*NAMED, *SHORT, *PARTS))
+        raise ValueError(f"rule '{whole}': '{name}' is unknown, expected names of these, with + between them: {known}.")
     return {part for each in inner.split("+") for part in _expanded(each, whole)}
 
 
-@lru_cache(maxsize=None)  # one object a rule: compiled steps are found by it
+@cache  # one object a rule: compiled steps are found by it
 def _composed(names: frozenset[str]) -> LearnedRule:
     parts = tuple(part for name, part in PARTS.items() if name in names)
     rule = LearnedRule(_name(names), parts)
