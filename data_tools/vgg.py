@@ -25,12 +25,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import torch
-from safetensors import SafetensorError, safe_open
-from safetensors.torch import load_file, save_file
+from safetensors import SafetensorError
+from safetensors.torch import save
 from torch import Tensor
 
 from metapp.appearance.features import BLOCKS, weights_path
 from metapp.storage.files import PARTIAL, cache_folder, write_atomically
+from metapp.storage.tensors import opened_tensors, read_tensors
 
 # torchvision names a file by the first digits of its SHA-256; of VGG-19's, those are all that is published
 TORCHVISION = {"vgg16": "vgg16-397923af.pth", "vgg19": "vgg19-dcbb9e9d.pth"}
@@ -90,7 +91,7 @@ def provide(which: str, given: Path | None, report: Report) -> tuple[Origin, boo
 def stored(which: str) -> Origin | None:
     """Where the cache's weights came from; None where they are missing or damaged."""
     try:
-        with safe_open(weights_path(which), "pt") as file:
+        with opened_tensors(weights_path(which)) as file:
             found = {key: tuple(file.get_slice(key).get_shape()) for key in file.keys()}  # noqa: SIM118
             notes = file.metadata() or {}
     except (OSError, SafetensorError):
@@ -116,7 +117,7 @@ def store(which: str, weights: Weights, origin: Origin) -> None:
     notes = {"which": which, **origin._asdict()}
     path = weights_path(which)
     try:
-        write_atomically(path, lambda partial: save_file(kept, partial, notes))
+        write_atomically(path, lambda partial: partial.write_bytes(save(kept, notes)))
     except (OSError, SafetensorError) as error:
         raise ValueError(f"{path}: {error}, expected room for 80 MB; set METAPP_CACHE to another folder.") from None
 
@@ -287,10 +288,11 @@ def _forms(which: str) -> str:
 def read_safetensors(path: Path) -> Read:
     """Weights named as in the cache, `conv0.weight`, or as torchvision names them, `features.0.weight`.
 
-    Any are taken; `metapp.appearance.features.describe_features` says of which it does not know that they are ImageNet's.
+    Any are taken; `metapp.appearance.features.describe_features` says of which it does not know that they are
+    ImageNet's.
     """
     try:
-        weights = load_file(path)
+        weights = read_tensors(path)
     except SafetensorError as error:
         raise ValueError(f"{path}: {error}, expected a whole .safetensors file; copy it again.") from None
     with path.open("rb") as file:

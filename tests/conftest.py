@@ -15,7 +15,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from data_tools.formats.nbrdf import SHAPES
+from data_tools.readers.nbrdf import SHAPES
 from metapp.appearance.features import weights_path
 from metapp.appearance.flash import camera_distance
 from metapp.appearance.geometry import above_horizon

@@ -11,8 +11,8 @@ import pytest
 import torch
 from torch import Generator, Tensor
 
-from data_tools.formats.brdf_task import brdf_task
-from data_tools.formats.nbrdf import export, nbrdf_evaluate, read_nbrdf
+from data_tools.readers.brdf_task import brdf_task
+from data_tools.readers.nbrdf import export, nbrdf_evaluate, read_nbrdf
 from data_tools.synthetic.brdf import synthetic_materials
 from metapp.appearance.geometry import cos_incident
 from metapp.apps.brdf import APP, KNOTS

@@ -11,7 +11,7 @@ import OpenImageIO as oiio
 import pytest
 from torch import Generator
 
-from data_tools.formats.brdf_task import brdf_task
+from data_tools.readers.brdf_task import brdf_task
 from data_tools.synthetic.brdf import synthetic_materials
 from metapp.apps import load_app
 from metapp.apps.brdf import APP

@@ -17,7 +17,7 @@ from safetensors.torch import load_file, save_file
 
 from metapp.apps.brdf import APP
 from metapp.cli.console import LONGEST, one_line
-from metapp.cli.fit import warning_of
+from metapp.experiments.fits import warning_of
 from metapp.experiments.session import Start
 from metapp.learning.app import stack
 from metapp.learning.learn import MetaParameters

@@ -12,7 +12,7 @@ import torch
 from data_tools.synthetic import transport as synthetic_transport
 from data_tools.synthetic.transport import COUNTS, cornell_tasks, synthetic_tasks
 from metapp.experiments.embedded import embedded_data, split_counts
-from metapp.rendering.cornell import scene_of
+from metapp.rendering.scene_text import scene_of
 from metapp.storage.manifest import read_manifest
 from metapp.storage.shards import check_shard, read_shard
 from tests.needs_mitsuba import needs_mitsuba
@@ -49,7 +49,7 @@ def test_boxes_are_written_with_their_scenes_beside(metapp: Callable, tmp_path: 
 
 @needs_mitsuba
 def test_a_box_that_was_written_can_be_read(metapp: Callable, tmp_path: Path) -> None:
-    from data_tools.formats.mitsuba_scenes import find, read_task
+    from data_tools.readers.mitsuba_scenes import find, read_task
 
     more = ("--dimensions", "6", "--split", "test")
     assert metapp("data", "cornell", "--count", "1", *FEW, *more, "--out", tmp_path, "-q").code == 0

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from data_tools.formats.nbrdf import SHAPES
+from data_tools.readers.nbrdf import SHAPES
 from metapp.storage.manifest import read_manifest
 from metapp.storage.shards import check_shard, read_shard
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from data_tools.formats.merl import read_merl
+from data_tools.readers.merl import read_merl
 from metapp.experiments.embedded import cache_folder, embedded_data, split_counts
 from metapp.storage.manifest import read_manifest
 from metapp.storage.shards import check_shard, fingerprint

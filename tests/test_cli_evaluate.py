@@ -22,18 +22,19 @@ import torch
 from metapp.appearance.sphere import environment_scene, shade_sphere
 from metapp.apps import load_app
 from metapp.apps.brdf import APP
-from metapp.cli import session
 from metapp.cli.evaluate import find_subjects
+from metapp.cli.show import rich_table
+from metapp.experiments import session
 from metapp.experiments.figures import FIGURES
 from metapp.experiments.figures.rates import step_sizes
 from metapp.experiments.report.html import EMBEDDED, Pictures, identifier
-from metapp.experiments.session import Options, find_device
+from metapp.experiments.reporter import duration
+from metapp.experiments.session import Options, find_device, threads_of
 from metapp.experiments.tables import NAMES, blank, load_table, paper
 from metapp.experiments.tables.ablation import RULE_ALONE, START_ALONE, combined, same_start
 from metapp.experiments.tables.convergence import steps_needed
-from metapp.experiments.tables.formats import rich_table
 from metapp.experiments.tables.image import image_cell
-from metapp.experiments.tables.running import Clock, duration, run_cells
+from metapp.experiments.tables.running import Clock, run_cells
 from metapp.experiments.tables.statistics import (
     Paired,
     apart,
@@ -307,7 +308,7 @@ def test_a_terminal_shows_as_many_columns_as_it_has_room_for(
 ) -> None:
     from rich.console import Console
 
-    monkeypatch.setattr("metapp.experiments.tables.formats.out", Console(width=width))
+    monkeypatch.setattr("metapp.cli.show.out", Console(width=width))
     for name in NAMES:
         table, found = load_table(name), rows(subject, name)
         if not found:
@@ -657,11 +658,11 @@ def test_fits_have_the_threads_of_their_application_whatever_ran_before(tmp_path
         run_cells([with_threads("one", 1), with_threads("three", 3), with_threads("as it is", None)], quiet=True)
         assert found == [("one", 1), ("three", 3), ("as it is", 2)]
         assert torch.get_num_threads() == 2
-        small, large = (load_app(name) for name in ("illumination", "texture"))
-        for order in ((small, large), (large, small), (small, small, large, large)):
-            for app in order:
-                find_device("cpu", app)
-                assert torch.get_num_threads() == (1 if app.small_kernels else session.THREADS)
+        for name, expected in (("illumination", 1), ("texture", session.THREADS)):
+            app = load_app(name)
+            find_device("cpu", app)
+            assert torch.get_num_threads() == 2  # looking for a device changes nothing
+            assert threads_of(app) == expected
     finally:
         torch.set_num_threads(before)
 

@@ -13,7 +13,7 @@ import pytest
 import torch
 from safetensors.torch import load_file, save_file
 
-from data_tools.formats.nbrdf import read_nbrdf
+from data_tools.readers.nbrdf import read_nbrdf
 from metapp.apps.brdf import APP
 from metapp.learning.recipe import Adam, Recipe
 from metapp.storage.records import load_start, read_records

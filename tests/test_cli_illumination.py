@@ -10,7 +10,7 @@ import OpenImageIO as oiio
 import pytest
 import torch
 
-from data_tools.formats.latlong import read_map
+from data_tools.readers.latlong import read_map
 from metapp.appearance.latlong import directions, mean_luminance
 from metapp.appearance.photograph import photograph
 from metapp.apps.illumination import RECIPES, Setup

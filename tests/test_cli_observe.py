@@ -14,19 +14,19 @@ import pytest
 import torch
 from torch import Generator, Tensor
 
-from data_tools.formats.latlong import read_map
-from data_tools.formats.nbrdf import SHAPES
+from data_tools.readers.latlong import read_map
+from data_tools.readers.nbrdf import SHAPES
 from metapp.appearance.colour import tone_map
 from metapp.apps import brdf
 from metapp.apps.brdf import Brdf
-from metapp.cli.fit import summary, table_of
+from metapp.cli.fit import table_of
 from metapp.experiments.starts import shipped_path, start_name
 from metapp.experiments.tables.results import closing
 from metapp.experiments.tables.statistics import bootstrap
 from metapp.learning.app import App
 from metapp.learning.recipe import Recipe
 from metapp.learning.task import Batch, Params, Task, Tasks
-from metapp.storage.records import load_start, read_records
+from metapp.storage.records import load_start, read_records, summary
 
 STEPS = ("--train", "--train-steps", "2", "--quiet")
 

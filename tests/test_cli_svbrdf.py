@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 from torch.nn.functional import interpolate
 
-from data_tools.formats.svbrdf_task import flash_photo
+from data_tools.readers.svbrdf_task import flash_photo
 from metapp.appearance.flash import Maps, normal_from_height, pack, unpack
 from metapp.apps.svbrdf_nonstationary import APP, RECIPES, Setup, field_of
 

@@ -14,7 +14,7 @@ import torch
 from safetensors.numpy import save_file
 from safetensors.torch import load_file
 
-from data_tools.formats.material_maps import read_task
+from data_tools.readers.material_maps import read_task
 from metapp.appearance.colour import srgb_to_linear
 from metapp.appearance.features import BLOCKS, weights_path
 from metapp.appearance.flash import normal_from_height, unpack

@@ -12,14 +12,14 @@ import OpenImageIO as oiio
 import pytest
 import torch
 
-from data_tools.formats.transport_task import transport_task
+from data_tools.readers.transport_task import transport_task
+from data_tools.synthetic.cornell import random_scene
 from data_tools.synthetic.transport import UNITS
 from metapp.apps.transport import APP, Setup, images
 from metapp.apps.transport.flow import Flow
 from metapp.apps.transport.guide import table_of
 from metapp.learning.app import Fitted
 from metapp.learning.task import Task
-from metapp.rendering.cornell import random_scene
 from metapp.storage.shards import ShardWriter
 
 SPP_OF_TABLES = images.REFERENCE_SPP

@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 import torch
 
-from metapp.rendering.cornell import BYTES, random_scene, scene_bytes, scene_of
+from data_tools.synthetic.cornell import random_scene
+from metapp.rendering.scene_text import BYTES, scene_bytes, scene_of
 
 SCENES = [random_scene(seed) for seed in range(200)]
 WALLS = {"floor", "ceiling", "back", "left", "right"}

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import torch
 
+from data_tools.draws import Field, stream
 from data_tools.synthetic.environments.backdrop import open_ground
 from data_tools.synthetic.environments.light import irradiance, render, sun_disc, sunlight, visibility
 from data_tools.synthetic.environments.patterns import BLACK, direction, vector
@@ -27,8 +28,6 @@ from data_tools.synthetic.environments.scene import (
 )
 from data_tools.synthetic.environments.sky import Sky, black_sky, clear_sky, cloudy, sun_irradiance
 from data_tools.synthetic.environments.sources import sources
-from data_tools.synthetic.patterns.fields import Field
-from data_tools.synthetic.stationary.families import stream
 from metapp.appearance.latlong import cosine_transfer, directions, resample, solid_angles
 
 DARK = Backdrop(black_sky(), np.zeros_like, lambda rays: np.ones(rays.shape[1], np.float32))

@@ -9,12 +9,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from data_tools.draws import Field, stream
 from data_tools.synthetic.environments.backdrop import skyline
 from data_tools.synthetic.environments.patterns import direction, glowing, luminance, vector
 from data_tools.synthetic.environments.scene import view
 from data_tools.synthetic.environments.sky import Sky, clear_sky, cloudy, day_sky, night_sky, overcast, sun_irradiance
-from data_tools.synthetic.patterns.fields import Field
-from data_tools.synthetic.stationary.families import stream
 from metapp.appearance.latlong import directions, solid_angles
 
 WHITE = vector(1, 1, 1)

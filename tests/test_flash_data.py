@@ -10,9 +10,9 @@ import OpenImageIO as oiio
 import pytest
 import torch
 
-from data_tools.formats import flash
-from data_tools.formats.flash import Shown, find_shown, shown, split_by_material
-from data_tools.formats.photos import read_photo
+from data_tools.readers import flash
+from data_tools.readers.flash import Shown, find_shown, shown, split_by_material
+from data_tools.readers.photos import read_photo
 
 
 def touch(folder: Path, *names: str) -> None:

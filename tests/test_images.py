@@ -9,8 +9,8 @@ import OpenImageIO as oiio
 import pytest
 import torch
 
-from data_tools.formats import images
-from data_tools.formats.photos import read_photo
+from data_tools.readers import images
+from data_tools.readers.photos import read_photo
 
 
 def photograph(path: Path, seed: int = 0, side: int = 64) -> Path:

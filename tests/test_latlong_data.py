@@ -15,9 +15,9 @@ import pytest
 import torch
 from torch import Tensor
 
-from data_tools.formats import latlong
-from data_tools.formats.latlong import find_maps, map_task, read_map, read_map_task, read_task
-from data_tools.synthetic.stationary.families import stream
+from data_tools.draws import stream
+from data_tools.readers import latlong
+from data_tools.readers.latlong import find_maps, map_task, read_map, read_map_task, read_task
 from metapp.appearance.latlong import mean_luminance, resample, solid_angles, sphere_normals
 
 ACESCG = (0.713, 0.293, 0.165, 0.83, 0.128, 0.044, 0.32168, 0.33767)
@@ -123,7 +123,7 @@ def test_a_map_that_was_stored_upside_down(tmp_path: Path) -> None:
 
 def test_colour_leaves_no_mocks_behind() -> None:
     # in a process of its own: once a library that looks for SciPy is imported, it looks no more
-    lines = "from data_tools import latlong\nlatlong._colour()\nimport torchmetrics.functional.image"
+    lines = "from data_tools.readers import latlong\nlatlong._colour()\nimport torchmetrics.functional.image"
     done = subprocess.run([sys.executable, "-c", lines], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
 

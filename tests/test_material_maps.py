@@ -12,9 +12,9 @@ import pytest
 import torch
 from torch import Tensor
 
-from data_tools.formats import material_maps
-from data_tools.formats.material_maps import find_materials, mixed_slopes, read_task, split_materials
-from data_tools.formats.svbrdf_task import flash_photo
+from data_tools.readers import material_maps
+from data_tools.readers.material_maps import find_materials, mixed_slopes, read_task, split_materials
+from data_tools.readers.svbrdf_task import flash_photo
 from metapp.appearance.colour import linear_to_srgb
 from metapp.appearance.flash import normal_from_height
 

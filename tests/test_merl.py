@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from data_tools.formats.merl import (
+from data_tools.readers.merl import (
     FILE_BYTES,
     SCALE,
     find_merl,

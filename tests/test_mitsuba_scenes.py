@@ -10,10 +10,11 @@ from typing import Any
 import pytest
 import torch
 
-from data_tools.formats.mitsuba_scenes import find, read_scene, read_task, recognises
+from data_tools.readers.mitsuba_scenes import find, read_scene, read_task, recognises
+from data_tools.synthetic.cornell import random_scene
 from metapp.rendering import variant as mitsuba_variant
-from metapp.rendering.cornell import random_scene, scene_of
 from metapp.rendering.path_space import Tracer
+from metapp.rendering.scene_text import scene_of
 from tests.needs_mitsuba import needs_mitsuba
 
 LAMP = '<emitter type="area"><rgb name="radiance" value="4 4 4"/></emitter>'

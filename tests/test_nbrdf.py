@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 import torch
 
-from data_tools.formats.brdf_task import brdf_task
-from data_tools.formats.nbrdf import SHAPES, export, find_nbrdf, nbrdf_evaluate, read_nbrdf, read_task, write_nbrdf
+from data_tools.readers.brdf_task import brdf_task
+from data_tools.readers.nbrdf import SHAPES, export, find_nbrdf, nbrdf_evaluate, read_nbrdf, read_task, write_nbrdf
 from data_tools.synthetic.brdf import synthetic_materials
 from metapp.appearance.geometry import above_horizon, rusinkiewicz_to_directions
 from metapp.apps.brdf import APP

@@ -8,9 +8,10 @@ import pytest
 import torch
 from torch import Tensor
 
-from metapp.rendering.cornell import random_scene, scene_bytes, scene_of
+from data_tools.synthetic.cornell import random_scene
 from metapp.rendering.path_render import Guide, reference, render
 from metapp.rendering.path_space import Tracer
+from metapp.rendering.scene_text import scene_bytes, scene_of
 from tests.needs_mitsuba import needs_mitsuba
 
 pytestmark = needs_mitsuba

@@ -9,7 +9,7 @@ import pytest
 import torch
 from torch import Generator, Tensor
 
-from metapp.rendering.cornell import random_scene
+from data_tools.synthetic.cornell import random_scene
 from metapp.rendering.path_space import IMAGE, Tracer, path_samples
 from metapp.rendering.scene_loading import brightness, load_scene
 from metapp.rendering.variant import load_mitsuba

@@ -18,7 +18,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from data_tools.formats.photos import find_photos, holds_photos, is_photo, read_photo
+from data_tools.readers.photos import find_photos, holds_photos, is_photo, read_photo
 from metapp.appearance.colour import linear_to_srgb, srgb_to_linear
 
 # 32 x 32 px, quality 60, as Photoshop stores inks: red over blue on the left, green on the right
@@ -391,7 +391,7 @@ def test_nothing_is_said_when_python_ends(tmp_path: Path) -> None:
     text(tmp_path / "bad.jpg")
     text(tmp_path / "bad")
     write(tmp_path / "good.png", noise(64, 64))
-    lines = "import sys\nfrom data_tools.formats.photos import find_photos, read_photo\n"
+    lines = "import sys\nfrom data_tools.readers.photos import find_photos, read_photo\n"
     lines += "for file in find_photos([sys.argv[1]])[0]:\n    try:\n        kept = read_photo(file)\n"
     lines += "    except ValueError as error:\n        last = error\n"
     done = subprocess.run([sys.executable, "-c", lines, tmp_path], capture_output=True, text=True, check=True)

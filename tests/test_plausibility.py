@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 import torch
 
-from data_tools.formats.merl import SHAPE, read_task, write_merl_planes
-from data_tools.formats.nbrdf import SHAPES, write_nbrdf
-from data_tools.formats.nbrdf import read_task as read_network
-from data_tools.formats.plausibility import normal_albedo
+from data_tools.readers.merl import SHAPE, read_task, write_merl_planes
+from data_tools.readers.nbrdf import SHAPES, write_nbrdf
+from data_tools.readers.nbrdf import read_task as read_network
+from data_tools.readers.plausibility import normal_albedo
 
 
 def constant_network(folder: Path, reflectance: float) -> Path:

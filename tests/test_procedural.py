@@ -7,20 +7,11 @@ import math
 import numpy as np
 import pytest
 
+from data_tools.draws import Field, stream
 from data_tools.synthetic.patterns.cells import Lattice, isotropic_cells, worley
-from data_tools.synthetic.patterns.fields import (
-    Field,
-    band_noise,
-    blur,
-    fbm,
-    ramp,
-    share_below,
-    slopes,
-    step,
-    texel_centres,
-)
+from data_tools.synthetic.patterns.fields import band_noise, blur, fbm, ramp, share_below, slopes, step, texel_centres
 from data_tools.synthetic.patterns.strokes import strokes
-from data_tools.synthetic.stationary.families import FAMILIES, Maps, stream
+from data_tools.synthetic.stationary.families import FAMILIES, Maps
 
 SIZE = 128
 BOUNDS = {"diffuse": (0.0, 1.0), "specular": (0.02, 0.9), "roughness": (0.05, 1.0)}

@@ -17,11 +17,12 @@ import pytest
 import torch
 from typer.testing import CliRunner
 
-from data_tools.formats.mitsuba_scenes import read_scene, read_task
+from data_tools.readers.mitsuba_scenes import read_scene, read_task
+from data_tools.synthetic.cornell import random_scene
 from metapp.cli.commands import app as cli
-from metapp.rendering.cornell import random_scene, scene_of
 from metapp.rendering.path_space import Tracer
 from metapp.rendering.scene_loading import load_scene
+from metapp.rendering.scene_text import scene_of
 from metapp.rendering.variant import load_mitsuba
 from tests.needs_mitsuba import needs_mitsuba
 
@@ -140,7 +141,7 @@ def test_no_library_in_the_working_folder_is_run(tmp_path: Path, evil: Callable[
         mark = evil(tmp_path, plugin.stem)
     (tmp_path / "room.json").write_text(json.dumps(random_scene(0)))
     lines = (
-        "from pathlib import Path\nfrom data_tools.formats.mitsuba_scenes import read_scene\n"
+        "from pathlib import Path\nfrom data_tools.readers.mitsuba_scenes import read_scene\n"
         "from metapp.rendering.path_render import reference\n"
         "print(reference(read_scene(Path('room.json')), 4, 4).shape)"
     )

@@ -13,9 +13,9 @@ import pytest
 import torch
 from torch import Tensor
 
-from data_tools.formats import strips, svbrdf_inputs
-from data_tools.formats.strips import blend, group_strips, split_strips
-from data_tools.formats.svbrdf_task import encoded, flash_photo
+from data_tools.readers import strips, svbrdf_inputs
+from data_tools.readers.strips import blend, group_strips, split_strips
+from data_tools.readers.svbrdf_task import encoded, flash_photo
 from metapp.appearance.colour import srgb_to_linear
 from metapp.appearance.flash import Maps, normal_from_height, pack, unpack
 

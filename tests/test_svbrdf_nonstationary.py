@@ -12,7 +12,7 @@ import torch
 from torch import Generator, Tensor
 from torch.nn.functional import interpolate, normalize
 
-from data_tools.formats.svbrdf_task import flash_photo, svbrdf_task
+from data_tools.readers.svbrdf_task import flash_photo, svbrdf_task
 from metapp.appearance.colour import linear_to_srgb, srgb_to_linear
 from metapp.appearance.flash import Maps, camera, camera_distance, normal_from_height, pack, positions, render, unpack
 from metapp.apps import svbrdf_nonstationary

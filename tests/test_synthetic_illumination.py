@@ -10,8 +10,8 @@ import pytest
 import torch
 from torch import Tensor
 
+from data_tools.draws import stream
 from data_tools.synthetic.illumination import COUNTS, FAMILIES, UNITS, environment, synthetic_tasks, white_balance
-from data_tools.synthetic.stationary.families import stream
 from metapp.appearance.latlong import luminance, mean_luminance, solid_angles
 from metapp.experiments.embedded import embedded_data
 from metapp.learning.task import Task

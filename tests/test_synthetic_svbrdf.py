@@ -9,7 +9,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from data_tools.synthetic.stationary.families import FAMILIES, stream
+from data_tools.draws import stream
+from data_tools.synthetic.stationary.families import FAMILIES
 from data_tools.synthetic.svbrdf_stationary import COUNTS, FLAT, UNITS, flash_photographs, synthetic_tasks
 from metapp.appearance.flash import flash_position
 from metapp.experiments.embedded import embedded_data

@@ -11,9 +11,9 @@ import pytest
 import torch
 from torch import Tensor
 
+from data_tools.draws import stream
 from data_tools.synthetic.nonstationary.shapes import box, centred, disc, grid, star, text
 from data_tools.synthetic.nonstationary.surface import Surface, covers, distance, finish, lay, softened
-from data_tools.synthetic.stationary.families import stream
 from data_tools.synthetic.svbrdf_nonstationary import COUNTS, FAMILIES, UNITS, held, synthetic_tasks
 from metapp.appearance.colour import linear_to_srgb
 from metapp.appearance.flash import BESIDE_LENS, Maps, camera, positions, render, unpack

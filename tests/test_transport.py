@@ -11,6 +11,7 @@ import pytest
 import torch
 from torch import Generator, Tensor
 
+from data_tools.synthetic.cornell import random_scene
 from metapp.apps.transport import APP, QUICK, Setup, Transport, spline, views
 from metapp.apps.transport.flow import Flow, blobs, interpolated
 from metapp.apps.transport.guide import table_of
@@ -18,7 +19,6 @@ from metapp.learning.app import stack
 from metapp.learning.learn import MetaParameters
 from metapp.learning.task import Params, Task, Tasks
 from metapp.paradigms import Job, paradigms
-from metapp.rendering.cornell import random_scene
 from metapp.rendering.path_space import Tracer
 
 FLOW = Flow(rows=4, columns=4, code=3, hidden=8, bins=5, film_bins=8, blobs=6)

@@ -1,123 +1,66 @@
-"""Photographs of flat materials under a flash beside the lens, as tasks, and which material each one shows.
-
-The flash lights the centre of the picture most: the central square is what counts. What a photograph shows follows
-from where it lies, in this order:
-
-    <split>_<material>_<image>.jpg      such as train_0231_IMG_0785.jpg
-    <split>/<material>/<image>.jpg      as Henzler et al. 2021, "Generative Modelling of BRDF Textures from Flash
-                                        Images", store theirs; their metadata.json says the same
-    <split>/<material>.jpg
-    <material>/<image>.jpg              below the folder that was named
-    <material>.jpg
-
-with "train" or "test" as <split>.
-"""
+"""Flash photographs of flat materials, of which several may show one material."""
 
 from __future__ import annotations
 
-import os
-import re
-from collections.abc import Iterable, Mapping
-from functools import partial
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING
 
-from data_tools.formats.photos import SIZE, find_photos, holds_photos, read_photo
-from metapp.learning.task import Task
-from metapp.storage.shards import split_auto
+from data_tools.formats import AUTO, Conversion, Files, Format, Reader
+from data_tools.formats.images import SIZE
 
-UNITS = {"image": "sRGB, uint8 0..255 [3, height, width], rows from the top; the flash is at the centre"}
+if TYPE_CHECKING:
+    from metapp.learning.task import Task
 
-_SPLITS = ("train", "test")
-_NAME = re.compile(r"(train|test)_([^_]+)_(.+)", re.IGNORECASE)
+HELP = """Convert flash photographs of flat materials.
 
-find = partial(find_photos, expected=("metadata.json",))  # the names that every reader has
-recognises = holds_photos
+Of each the central square is taken, where the flash is, upright, scaled in linear light to --size, and kept as
+8-bit sRGB. All photographs of a material belong to one split. A bad file that was named ends the conversion and
+nothing is written; one found in a folder is skipped with a warning.
 
+The material is told by <split>_<material>_<image>.jpg, by <split>/<material>/<image>.jpg (Henzler et al. 2021),
+or by <material>/<image>.jpg below the folder; any other photograph is of a material of its own.
 
-class Shown(NamedTuple):
-    """What a photograph shows.
-
-    Attributes:
-        name: of the task: the material's, and the image's where a material may have several.
-        material: of which all photographs belong to one split.
-        split: "train" or "test" if its name or folder says so, else "".
-    """
-
-    name: str
-    material: str
-    split: str
+Examples:
+  metapp data flash flash_images --out flash
+  metapp data flash wood.jpg tiles.jpg --split test --out flash
+"""
+SPLIT = (
+    "Where the tasks belong. auto: as names or folders say (train, test), if they say both; else of the sorted "
+    "materials every fifth is for tests."
+)
 
 
-def read_task(path: Path, size: int = SIZE) -> Task:
-    """Turn a flash photograph into a task of so many px a side, named by `shown`.
+def _files() -> Files:
+    from data_tools.readers import flash
 
-    Raises:
-        ValueError: as `data_tools.formats.photos.read_photo`.
-    """
-    return Task(shown(path).name, {"image": read_photo(path, size)})
+    return flash
 
 
-def shown(photo: Path, folder: Path | None = None) -> Shown:
-    """What a photograph shows, by its name and place.
+def _reader(paths: list[Path], split: str, *, size: int) -> Reader:
+    from data_tools.readers import flash
 
-    Args:
-        photo: the file.
-        folder: in which it was found; None if it was named itself.
-    """
-    match = _NAME.fullmatch(photo.stem)
-    if match:
-        split, material, image = match.groups()
-        return Shown(f"{material}_{image}", material, split.lower())
-    absolute = Path(os.path.abspath(photo))  # links are not followed: their own place counts
-    start = Path(os.path.abspath(folder)).parent if folder else Path(absolute.anchor)
-    outer, inner = ("", "", *absolute.relative_to(start).parts[:-1])[-2:]
-    if outer.lower() in _SPLITS:
-        return Shown(f"{inner}_{photo.stem}", inner, outer.lower())
-    if inner.lower() in _SPLITS:
-        return Shown(photo.stem, photo.stem, inner.lower())
-    if outer and folder:
-        return Shown(f"{inner}_{photo.stem}", inner, "")
-    return Shown(photo.stem, photo.stem, "")
+    photos = flash.find_shown(paths)
+    splits = flash.split_by_material(photos) if split == AUTO else {}
+
+    def name(source: Path) -> str:
+        return photos[source.resolve()].name
+
+    def read(source: Path) -> Task:
+        return flash.read_task(source, size)._replace(name=name(source), group=photos[source.resolve()].material)
+
+    def split_of(source: Path) -> str:
+        return splits[source.resolve()]
+
+    notes = {"made_by": "metapp data flash", "size": size}
+    return Reader("svbrdf_stationary", "photograph", flash.UNITS, flash.find, name, read, notes, split_of)
 
 
-def find_shown(paths: Iterable[str | Path]) -> dict[Path, Shown]:
-    """All photographs of files and folders, by their resolved paths, and what each shows.
-
-    A photograph that is found in several ways shows what it does in the outermost folder.
-
-    Raises:
-        ValueError: as `find`.
-    """
-    found: dict[Path, Shown] = {}
-    for path in sorted(map(Path, paths), key=lambda path: (not path.is_dir(), len(path.resolve().parts))):
-        for photo in find([path])[0]:
-            found.setdefault(photo.resolve(), shown(photo, path if path.is_dir() else None))
-    return found
-
-
-def split_by_material(photos: Mapping[Path, Shown]) -> dict[Path, str]:
-    """Split photographs into training and test ones so that those of a material stay together.
-
-    Where all say their split and both occur, that holds; otherwise `metapp.storage.shards.split_auto` decides among materials:
-    of the sorted names, every fifth is a test material.
-
-    Returns:
-        "train" or "test" for each photograph.
-
-    Raises:
-        ValueError: a material with training and test photographs.
-    """
-    stated = {each.split for each in photos.values()}
-    if stated != set(_SPLITS):
-        split = split_auto(each.material for each in photos.values())
-        return {photo: split[each.material] for photo, each in photos.items()}
-    first: dict[str, Path] = {}
-    for photo, each in photos.items():
-        other = first.setdefault(each.material, photo)
-        if photos[other].split != each.split:
-            raise ValueError(
-                f"{other} and {photo}: training and test photograph of the material '{each.material}', expected all "
-                "of a material on one side; rename one, or set --split."
-            )
-    return {photo: each.split for photo, each in photos.items()}
+FORMAT = Format(
+    "flash",
+    "svbrdf_stationary",
+    "flash photos",
+    _files,
+    conversion=Conversion(
+        HELP, _reader, ("FILES...", "Photographs, and folders searched at any depth."), (SIZE,), SPLIT
+    ),
+)

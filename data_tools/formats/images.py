@@ -1,22 +1,43 @@
-"""Photographs of textures as tasks."""
+"""Photographs, such as those of textures: any format of OpenImageIO."""
 
 from __future__ import annotations
 
+import functools
 from pathlib import Path
 
-from data_tools.formats.photos import SIZE, find_photos, holds_photos, read_photo
-from metapp.learning.task import Task
+from data_tools.formats import Conversion, Files, Format, Reader, Setting
 
-UNITS = {"image": "sRGB, uint8 0..255 [3, height, width], rows from the top"}
+HELP = """Convert photographs of textures.
 
-find = find_photos  # the names that every reader has
-recognises = holds_photos
+Any format of OpenImageIO: JPEG, PNG, TIFF, EXR and more. Of each the central square is taken, upright, scaled in
+linear light to --size, and kept as 8-bit sRGB. A bad file that was named ends the conversion and nothing is
+written; one found in a folder is skipped with a warning.
+
+Examples:
+  metapp data images photographs --out textures
+  metapp data images bark.jpg sand.png --split test --size 512 --out textures
+"""
+SIZE = Setting("size", 256, "Side of the pictures.", "PX", low=32, high=4096)
 
 
-def read_task(path: Path, size: int = SIZE) -> Task:
-    """Turn an image file into a texture task of so many px a side, named by the file's stem.
+def _files() -> Files:
+    from data_tools.readers import images
 
-    Raises:
-        ValueError: as `data_tools.formats.photos.read_photo`.
-    """
-    return Task(path.stem, {"image": read_photo(path, size)})
+    return images
+
+
+def _reader(paths: list[Path], split: str, *, size: int) -> Reader:
+    from data_tools.readers import images
+
+    read = functools.partial(images.read_task, size=size)
+    notes = {"made_by": "metapp data images", "size": size}
+    return Reader("texture", "image", images.UNITS, images.find, lambda source: source.stem, read, notes)
+
+
+FORMAT = Format(
+    "images",
+    "texture",
+    "images",
+    _files,
+    conversion=Conversion(HELP, _reader, ("FILES...", "Image files, and folders searched at any depth."), (SIZE,)),
+)

@@ -16,9 +16,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from data_tools.formats.brdf_task import UNITS as UNITS
-from data_tools.formats.brdf_task import brdf_task
-from data_tools.formats.merl import tabulate, write_merl
+from data_tools.readers.brdf_task import UNITS as UNITS
+from data_tools.readers.brdf_task import brdf_task
+from data_tools.readers.merl import tabulate, write_merl
 from data_tools.synthetic.brdf_models import (
     CONDUCTORS,
     Model,

@@ -13,7 +13,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from data_tools.formats import latlong
+from data_tools.draws import Field, Rng, between, chance
+from data_tools.readers import latlong
 from data_tools.synthetic.environments.indoor import apartment, evening, lobby, office, studio, warehouse, workshop
 from data_tools.synthetic.environments.light import render
 from data_tools.synthetic.environments.outdoor import (
@@ -29,7 +30,6 @@ from data_tools.synthetic.environments.outdoor import (
 )
 from data_tools.synthetic.environments.patterns import vector
 from data_tools.synthetic.environments.scene import Scene
-from data_tools.synthetic.patterns.fields import Field, Rng, between, chance
 from data_tools.synthetic.stationary.families import Split, turns
 from metapp.appearance.latlong import solid_angles
 from metapp.learning.task import Task

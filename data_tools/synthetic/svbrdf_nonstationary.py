@@ -14,7 +14,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from data_tools.formats import svbrdf_task
+from data_tools.draws import Rng
+from data_tools.readers import svbrdf_task
 from data_tools.synthetic.nonstationary.built import circuit, cover, inlay, mosaic, planks, plates, tiles
 from data_tools.synthetic.nonstationary.crafted import carpet, label, ornament, stitched
 from data_tools.synthetic.nonstationary.surface import Surface, finish
@@ -28,7 +29,6 @@ from data_tools.synthetic.nonstationary.worn import (
     stains,
     tracks,
 )
-from data_tools.synthetic.patterns.fields import Rng
 from data_tools.synthetic.stationary.families import Split, turns
 from metapp.appearance.flash import ASIDE, BESIDE_LENS, BRIGHTER, HIGHER, camera
 from metapp.learning.task import Task

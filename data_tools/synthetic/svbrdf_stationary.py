@@ -13,8 +13,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from data_tools.formats.flash import UNITS as OF_PHOTOS
-from data_tools.synthetic.patterns.fields import Rng, between, log_between, uniforms
+from data_tools.draws import Rng, between, log_between, uniforms
+from data_tools.readers.flash import UNITS as OF_PHOTOS
 from data_tools.synthetic.stationary import families as procedural
 from data_tools.synthetic.stationary.families import FAMILIES, Split, turns
 from metapp.appearance.flash import Maps, camera, expose, normal_from_height, positions, relightings, render

@@ -7,10 +7,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from data_tools.formats.transport_task import BESIDE, HELD, SAMPLES, UNITS, transport_task
-from data_tools.synthetic.stationary.families import Split, stream, turns
+from data_tools.draws import stream
+from data_tools.readers.transport_task import BESIDE, HELD, SAMPLES, UNITS, transport_task
+from data_tools.synthetic.cornell import draw_scene
+from data_tools.synthetic.stationary.families import Split, turns
 from metapp.learning.task import Task
-from metapp.rendering.cornell import draw_scene
 from metapp.rendering.path_space import DIMENSIONS
 
 __all__ = ["BESIDE", "COUNTS", "UNITS", "cornell_tasks", "synthetic_tasks"]

@@ -8,12 +8,12 @@ from functools import lru_cache
 from pathlib import Path
 
 import torch
-from safetensors import SafetensorError, safe_open
-from safetensors.torch import load_file
+from safetensors import SafetensorError
 from torch import Generator, Tensor, nn
 from torch.nn.functional import avg_pool2d
 
 from metapp.storage.files import cache_folder
+from metapp.storage.tensors import opened_tensors, read_tensors
 
 # channels of the convolutions of each block (Simonyan & Zisserman 2015); blocks are parted by max pooling
 BLOCKS = {
@@ -87,7 +87,7 @@ def describe_features(which: str) -> str:
 def _origin(which: str, path: Path, changed: int) -> str:  # `changed`, its time, is there for the lru_cache
     """What a file's weights are: ImageNet's, by the file they came from or by their own digest, or unknown ones."""
     try:
-        with safe_open(path, "pt") as weights:
+        with opened_tensors(path) as weights:
             digest = (weights.metadata() or {}).get("sha256", "")
     except SafetensorError:
         raise _damaged(which, path) from None
@@ -121,7 +121,7 @@ def _load(which: str, taps: tuple[str, ...], path: str, device: torch.device, dt
 
 def _vgg(which: str, taps: Sequence[str], path: str) -> Features:
     try:
-        weights = load_file(path)
+        weights = read_tensors(path)
     except SafetensorError:
         raise _damaged(which, path) from None
     stages: list[list[nn.Module]] = [[]]

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import importlib
 import pkgutil
+from typing import TYPE_CHECKING
 
-from metapp.learning.app import App
+if TYPE_CHECKING:
+    from metapp.learning.app import App
 
 
 def app_names() -> list[str]:

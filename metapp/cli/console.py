@@ -14,12 +14,14 @@ import threading
 import time
 import warnings
 from collections.abc import Callable, Iterator
-from pathlib import Path
 from typing import Any
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, ProgressColumn, TextColumn, TimeRemainingColumn
 from rich.text import Text
+
+from metapp.experiments import BadOption
+from metapp.experiments.reporter import Bar, Clock, Reporter, duration, reporting
 
 LONGEST = 300  # characters of an error or a warning
 
@@ -58,16 +60,6 @@ class Exit(enum.IntEnum):
     INTERRUPTED = 130
 
 
-def say(message: str) -> None:
-    """A message for a person, on standard error; an error, a warning or a problem is one line of LONGEST characters."""
-    if message.startswith(("error: ", "warning: ", "problem: ")):
-        message = one_line(message)
-    try:
-        err.print(message, markup=False, soft_wrap=True)
-    except OSError:
-        _leave(sys.stderr)
-
-
 def one_line(message: str) -> str:
     """A message without control characters, its long paths cut, then its middle: the ends hold subject and remedy."""
     text = "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in message)
@@ -77,21 +69,10 @@ def one_line(message: str) -> str:
     return text if len(text) <= LONGEST else f"{text[:half]} ... {text[-half:]}"
 
 
-def named(error: Exception, source: Path) -> ValueError:
-    """An error that a reader met, with the file named."""
-    text = str(error) or type(error).__name__
-    return ValueError(text if source.name in text else f"{source}: {text}")
-
-
 def _leave(stream: Any) -> None:
     """Let a stream that cannot be written to lead nowhere, so that Python does not fail at it again when it ends."""
     with contextlib.suppress(OSError, ValueError):
         os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
-
-
-def number(value: float | None, form: str) -> str:
-    """A number as tables print it."""
-    return "-" if value is None else format(value, form)
 
 
 def print_json(document: dict[str, Any]) -> None:
@@ -118,7 +99,8 @@ def run(command: Callable[[], Any]) -> int:
     warnings.showwarning = lambda message, *_, **__: say(f"warning: {message}")
     _end_like_ctrl_c()
     try:
-        code = command()
+        with reporting(TERMINAL):
+            code = command()
         sys.stdout.flush()
     except typer.Exit as error:
         return error.exit_code
@@ -129,6 +111,9 @@ def run(command: Callable[[], Any]) -> int:
             error.message = one_line(str(error.message))
         error.show()
         return Exit.USAGE if isinstance(error, usage_error) else Exit.FAILED
+    except BadOption as error:
+        typer.BadParameter(one_line(str(error))).show()
+        return Exit.USAGE
     except KeyboardInterrupt:
         return _interrupted()
     except BrokenPipeError:
@@ -184,42 +169,93 @@ class _Speed(ProgressColumn):
         return Text(f"{task.speed:.1f}/s" if task.speed else "")
 
 
-@contextlib.contextmanager
-def progress(quiet: bool = False) -> Iterator[Progress]:
-    """A progress bar on standard error, with the time left, the speed and a free `note` field; nothing where quiet."""
-    columns: tuple[ProgressColumn, ...] = (
-        TextColumn("{task.description}"),
-        BarColumn(bar_width=24),
-        MofNCompleteColumn(),
-        TimeRemainingColumn(),
-        _Speed(),
-        TextColumn("{task.fields[note]}", markup=False),
-    )
-    with Progress(*columns, console=err, disable=quiet or not err.is_terminal, transient=True) as bar:
-        yield bar
+class _Bar(Bar):
+    """A row of a progress bar; where there is no terminal, a line now and then."""
 
+    def __init__(self, shown: Progress, title: str, total: int | None, done: int) -> None:
+        self.shown, self.title = shown, title
+        self.row = shown.add_task(title, total=total, completed=done, note="")
 
-@contextlib.contextmanager
-def progress_of_all() -> Iterator[Progress]:
-    """A progress bar over work of unlike parts: its fields `left` and `note` say the time left and what is done."""
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(bar_width=24),
-        TextColumn("{task.fields[left]}", markup=False),
-        TextColumn("{task.fields[note]}", markup=False),
-    )
-    with Progress(*columns, console=err, transient=True) as bar:
-        yield bar
+    def advance(self, note: str = "") -> None:
+        self.shown.update(self.row, advance=1, note=note)
 
+    def name(self, note: str) -> None:
+        self.shown.update(self.row, note=note)
 
-def follow(bar: Progress, row: Any, step: int, steps: int, note: str) -> None:
-    """Show a long job's state: on the bar, or, where there is no terminal, as a line now and then."""
-    bar.update(row, completed=step, total=steps, note=note)
-    now = time.monotonic()
-    if not err.is_terminal and (now - _last_line[0] > LINE_SECONDS or step == steps):
-        _last_line[0] = now
-        say(f"{bar.tasks[row].description}: step {step} of {steps}, {note}")
+    def at(self, done: int, total: int | None, note: str = "") -> None:
+        self.shown.update(self.row, completed=done, total=total, note=note)
+        now = time.monotonic()
+        if not err.is_terminal and (now - _last_line[0] > LINE_SECONDS or done == total):
+            _last_line[0] = now
+            say(f"{self.title}: step {done} of {total}, {note}")
 
 
 LINE_SECONDS = 60.0
 _last_line = [float("-inf")]
+
+
+class Terminal(Reporter):
+    """Messages and progress on standard error."""
+
+    def say(self, message: str) -> None:
+        """Print a message; an error, a warning or a problem is one line of LONGEST characters."""
+        if message.startswith(("error: ", "warning: ", "problem: ")):
+            message = one_line(message)
+        try:
+            err.print(message, markup=False, soft_wrap=True)
+        except OSError:
+            _leave(sys.stderr)
+
+    @contextlib.contextmanager
+    def bar(self, title: str, total: int | None, done: int) -> Iterator[Bar]:
+        """Show a bar with the time left, the speed and a note."""
+        columns: tuple[ProgressColumn, ...] = (
+            TextColumn("{task.description}"),
+            BarColumn(bar_width=24),
+            MofNCompleteColumn(),
+            TimeRemainingColumn(),
+            _Speed(),
+            TextColumn("{task.fields[note]}", markup=False),
+        )
+        with Progress(*columns, console=err, disable=not err.is_terminal, transient=True) as shown:
+            yield _Bar(shown, title, total, done)
+
+    @contextlib.contextmanager
+    def clock(self) -> Iterator[Clock]:
+        """Show a bar on a terminal; elsewhere a line now and then."""
+        if not err.is_terminal:
+            yield _lines()
+            return
+        columns = (
+            TextColumn("{task.description}"),
+            BarColumn(bar_width=24),
+            TextColumn("{task.fields[left]}", markup=False),
+            TextColumn("{task.fields[note]}", markup=False),
+        )
+        with Progress(*columns, console=err, transient=True) as shown:
+            row = shown.add_task("evaluate", total=None, left="", note="")
+
+            def show(note: str, spent: float, left: float) -> None:
+                known = left > 0
+                total, said = (spent + left, f"about {duration(left)} left") if known else (None, "")
+                shown.update(row, completed=spent, total=total, left=said, note=note)
+
+            yield show
+
+
+def _lines() -> Clock:
+    """A line now and then about how far work is."""
+    last = time.monotonic()
+
+    def line(note: str, spent: float, left: float) -> None:
+        nonlocal last
+        if time.monotonic() - last > LINE_SECONDS:
+            last = time.monotonic()
+            rest = f"about {duration(left)} left" if left else "time left not known yet"
+            say(f"evaluate: {note}; {duration(spent)} so far, {rest}")
+
+    return line
+
+
+TERMINAL = Terminal()
+say = TERMINAL.say

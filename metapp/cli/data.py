@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import enum
 import functools
-import importlib
 import inspect
 import shutil
 from collections.abc import Callable, Mapping
@@ -13,12 +12,13 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from metapp.cli.console import Exit, out, print_json, progress, say
-from metapp.cli.data_convert import Json, Out, Quiet, check_folder, flash, images, laval, merl, nbrdf, report
+from data_tools.formats import formats
+from metapp.cli.console import Exit, out, print_json, say
+from metapp.cli.data_convert import Json, Out, Quiet, check_folder, command_of, report
 from metapp.cli.data_cornell import cornell
-from metapp.cli.data_svbrdf import maps, strips
 from metapp.experiments.convert import Converted
 from metapp.experiments.embedded import embedded_apps, embedded_data, embedded_module, split_counts
+from metapp.experiments.reporter import progress
 
 if TYPE_CHECKING:
     from metapp.learning.task import Held
@@ -141,18 +141,19 @@ def _synth_merl(name: str, folder: Path | None, count: int | None, seed: int, qu
         )
     names: dict[str, list[str]] = {}
     folder.mkdir(parents=True, exist_ok=True)
-    with only_writer(folder), progress(quiet) as bar:
-        shown = bar.add_task("MERL files", total=sum(counts.values()), note="")
+    with only_writer(folder), progress("MERL files", sum(counts.values()), quiet=quiet) as bar:
         for split, number in counts.items():
             names[split] = []
             for material in module.write_merl_files(folder / split, split, number, seed):
                 names[split].append(material)
-                bar.update(shown, advance=1, note=material)
+                bar.advance(material)
     return Converted(name, str(folder), names["train"], names["test"], [])
 
 
-for _convert in (merl, nbrdf, images, flash, laval, strips, maps, cornell):
-    _command(_convert)
+for _form in formats():
+    if _form.conversion:
+        _command(command_of(_form, _form.conversion))
+_command(cornell)
 
 
 @_command
@@ -182,8 +183,7 @@ def join(
     every = [task.data for tasks in sets for task in tasks.values()]
     shapes = {key: value.shape for key, value in every[0].items() if all(key in data for data in every)}
     units = {key: unit for key, unit in manifests[0].units.items() if key in shapes}
-    with ShardWriter(folder, name, units, notes) as writer, progress(quiet) as bar:
-        shown = bar.add_task("join", total=len(every), note="")
+    with ShardWriter(folder, name, units, notes) as writer, progress("join", len(every), quiet=quiet) as bar:
         for tasks, manifest in zip(sets, manifests, strict=True):
             for entry in manifest.tasks:
                 data = {key: tasks[entry.name].data[key] for key in shapes}
@@ -194,7 +194,7 @@ def join(
                             "convert all with the same --samples or --size."
                         )
                 writer.add(Task(entry.name, data, entry.group), entry.split, entry.source)
-                bar.update(shown, advance=1, note=entry.name)
+                bar.advance(entry.name)
         train, test = ([e.name for e in writer.entries() if e.split == split] for split in ("train", "test"))
     report(Converted(name, str(folder), train, test, []), quiet, as_json)
 
@@ -282,16 +282,15 @@ def vgg(
       metapp data vgg
       metapp data vgg --which vgg19 --weights vgg19-dcbb9e9d.pth
     """
+    from data_tools.vgg import provide
     from metapp.appearance.features import weights_path
 
-    module = importlib.import_module("data_tools.vgg")
-    with progress(quiet) as bar:
-        row = bar.add_task(which.value, total=None, note="")
+    with progress(which.value, quiet=quiet) as bar:
 
         def show(note: str, done: int, total: int | None) -> None:
-            bar.update(row, completed=done // 10**6, total=total and total // 10**6, note=note)
+            bar.at(done // 10**6, total and total // 10**6, note)
 
-        origin, there = module.provide(which.value, weights, show)
+        origin, there = provide(which.value, weights, show)
     file = weights_path(which.value)
     size = file.stat().st_size
     if not quiet:
@@ -311,12 +310,12 @@ def scene(quiet: Quiet = False, as_json: Json = False) -> None:
 
     Example: metapp data scene
     """
-    module = importlib.import_module("metapp.rendering.second_scene")
-    file = module.matrix_path()
+    from metapp.rendering.second_scene import matrix_path, transfer
+
+    file = matrix_path()
     there = file.is_file()
-    with progress(quiet) as bar:
-        row = bar.add_task("second scene", total=None, note="")
-        module.transfer(report=lambda done, total: bar.update(row, completed=done, total=total))
+    with progress("second scene", quiet=quiet) as bar:
+        transfer(report=bar.at)
     size = file.stat().st_size
     if not quiet:
         say(f"second scene: {'there already' if there else 'done'}: {file}, {size / 1e6:.1f} MB")

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import importlib
 from typing import Annotated
 
 import typer
 
-from metapp.cli.console import progress
 from metapp.cli.data_convert import Json, Out, Quiet, Split, SplitOption, report
 from metapp.experiments.convert import Converted
+from metapp.experiments.reporter import progress
 
 _SAMPLES, _HELD = 32_768, 8_192
 
@@ -40,17 +39,17 @@ def cornell(
       metapp data cornell --count 20 --seed 7 --out boxes
       metapp data cornell --count 4 --samples 288000 --dimensions 6 --split test --out boxes
     """
+    from data_tools.synthetic import transport
     from metapp.storage.shards import ShardWriter
 
     if dimensions % 2:
         raise typer.BadParameter(f"{dimensions}, expected 4 or 6.", param_hint="--dimensions")
-    module = importlib.import_module("data_tools.synthetic.transport")
-    tasks = module.cornell_tasks(count, seed, samples=samples, held=held, dimensions=dimensions)
+    tasks = transport.cornell_tasks(count, seed, samples=samples, held=held, dimensions=dimensions)
     notes = {"made_by": "metapp data cornell", "seed": seed, "count": count, "split": split.value}
-    with ShardWriter(folder, "transport", module.UNITS, notes, module.BESIDE) as writer, progress(quiet) as bar:
-        shown = bar.add_task("Cornell boxes", total=count, note="")
+    shown = progress("Cornell boxes", count, quiet=quiet)
+    with ShardWriter(folder, "transport", transport.UNITS, notes, transport.BESIDE) as writer, shown as bar:
         for task in tasks:
             writer.add(task, split.value)
-            bar.update(shown, advance=1, note=task.name)
+            bar.advance(task.name)
         train, test = ([e.name for e in writer.entries() if e.split == part] for part in ("train", "test"))
     report(Converted("transport", str(folder), train, test, []), quiet, as_json)

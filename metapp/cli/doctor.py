@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import os
 from importlib import metadata
 from typing import Annotated, Any
@@ -62,9 +61,10 @@ def _version(package: str) -> str:
 
 
 def _vgg(which: str) -> str:
+    from data_tools.vgg import stored
     from metapp.appearance.features import weights_path
 
-    origin = importlib.import_module("data_tools.vgg").stored(which)
+    origin = stored(which)
     if origin:
         return f"from {origin.source}"
     if weights_path(which).is_file():
@@ -74,7 +74,9 @@ def _vgg(which: str) -> str:
 
 def _llvm() -> str:
     """The library that scenes are rendered with."""
+    from metapp.rendering.variant import find_llvm
+
     try:
-        return str(importlib.import_module("metapp.rendering.variant").find_llvm())
+        return str(find_llvm())
     except ValueError as error:
         return str(error).removeprefix("libLLVM: ")

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import functools
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from metapp.cli.console import out, print_json, progress, say
+from metapp.cli.console import out, print_json, say
+from metapp.experiments.reporter import progress
 from metapp.experiments.tables import NAMES, Row, Table, blank, load_table
 
 if TYPE_CHECKING:
@@ -125,7 +125,8 @@ def rows_of(table: Table, subject: Subject | Absent) -> list[Row]:
 
 def show(tables: list[Table], subjects: list[Subject], missing: list[Absent], form: str) -> None:
     """Print tables in a format."""
-    from metapp.experiments.tables.formats import csv_of, rich_table, text_table
+    from metapp.cli.show import rich_table
+    from metapp.experiments.tables.formats import csv_of, text_table
 
     about: list[Subject | Absent] = [*subjects, *missing]
     several = len(tables) > 1
@@ -159,8 +160,6 @@ def compare(subjects: list[Subject], *, quiet: bool) -> None:
             name = f"comparison-{subject.label}-{options.recipe}-seed{options.seed}"
             name += f"-{options.app.protocol}" if options.app.protocol else ""
             file = options.out / options.app.name / f"{name}.png"
-            with progress(quiet) as bar:
-                row = bar.add_task(f"pictures of {subject.title}", total=len(subject.tasks[:COMPARED]), note="")
-                tell = functools.partial(bar.advance, row)
-                made = picture_of_table(options.app, subject.tasks, complete, file, tell)
+            with progress(f"pictures of {subject.title}", len(subject.tasks[:COMPARED]), quiet=quiet) as bar:
+                made = picture_of_table(options.app, subject.tasks, complete, file, bar.advance)
             say(f"picture: {made}")

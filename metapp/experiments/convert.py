@@ -2,39 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
-from metapp.cli.console import named, progress, say
-from metapp.storage.files import check_readable
+from data_tools.formats import AUTO, Reader
+from metapp.experiments.reporter import progress, say
+from metapp.storage.files import check_readable, named
 
 if TYPE_CHECKING:
-    from metapp.learning.task import Task
-
-
-class Reader(NamedTuple):
-    """How files of one kind become tasks.
-
-    Attributes:
-        app: the application of the tasks.
-        noun: what one source is called, such as "MERL file".
-        units: of the tasks' tensors, by name.
-        find: paths -> sources, and a line for each file of a folder that is none; ValueError for a bad named path.
-        name: source -> the task's name.
-        read: source -> the task; ValueError where it is damaged.
-        notes: what the manifest should say about the conversion.
-        split_of: source -> its split where "auto" is asked for; None: by the rule of `metapp.storage.shards.split_auto`.
-    """
-
-    app: str
-    noun: str
-    units: Mapping[str, str]
-    find: Callable[[Iterable[Path]], tuple[list[Path], list[str]]]
-    name: Callable[[Path], str]
-    read: Callable[[Path], Task]
-    notes: Mapping[str, Any]
-    split_of: Callable[[Path], str] | None = None
+    pass
 
 
 class Converted(NamedTuple):
@@ -62,16 +39,15 @@ def convert(reader: Reader, paths: Iterable[Path], out: Path, split: str, quiet:
     Raises:
         ValueError: a bad path or named file, a folder without a usable one, two tasks of one name.
     """
-    from metapp.storage.shards import AUTO, ShardWriter
+    from metapp.storage.shards import ShardWriter
 
     sources, skipped = _find(reader, paths)
     bad: dict[Path, list[str]] = {}  # by the folder that was searched
     usable: set[Path] = set()
     with ShardWriter(out, reader.app, reader.units, {**reader.notes, "split": split}) as writer:
-        with progress(quiet) as bar:
-            shown = bar.add_task(f"{reader.noun}s", total=len(sources), note="")
+        with progress(f"{reader.noun}s", len(sources), quiet=quiet) as bar:
             for source, searched in sources.items():
-                bar.update(shown, note=reader.name(source))
+                bar.name(reader.name(source))
                 try:
                     task = reader.read(source)
                 except (ValueError, OSError) as error:
@@ -82,7 +58,7 @@ def convert(reader: Reader, paths: Iterable[Path], out: Path, split: str, quiet:
                     part = reader.split_of(source) if reader.split_of and split == AUTO else split
                     writer.add(task, part, source)
                     usable |= {searched} if searched else set()
-                bar.update(shown, advance=1)
+                bar.advance(reader.name(source))
         empty = [folder for folder in bad if folder not in usable]
         if empty and len(bad[empty[0]]) == 1:
             raise ValueError(bad[empty[0]][0])  # the one thing in it is likely what was meant

@@ -11,19 +11,19 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from metapp.cli.console import progress, say
+from data_tools import synthetic
+from metapp.apps import app_names
+from metapp.experiments.reporter import progress, say
 from metapp.storage.files import cache_folder, locked
 
 VERSION = 1  # a module's own is raised when its draw changes, so that no older set is taken for the new one
 
-_PREFIX = "synthetic_"
 _STALE_SECONDS = 3600.0
 
 
 def embedded_apps() -> list[str]:
-    """The applications that have an embedded set: data_tools holds a module `synthetic_<app>` for each."""
-    modules = pkgutil.iter_modules(importlib.import_module("data_tools").__path__)
-    return sorted(module.name.removeprefix(_PREFIX) for module in modules if module.name.startswith(_PREFIX))
+    """Return the applications that have an embedded set: `data_tools.synthetic` holds a module of their name."""
+    return sorted({module.name for module in pkgutil.iter_modules(synthetic.__path__)} & set(app_names()))
 
 
 def embedded_module(app: str) -> ModuleType:
@@ -34,7 +34,7 @@ def embedded_module(app: str) -> ModuleType:
     """
     if app not in embedded_apps():
         raise ValueError(f"{app}: no embedded data set, expected one of {', '.join(embedded_apps())}.")
-    return importlib.import_module(f"data_tools.{_PREFIX}{app}")
+    return importlib.import_module(f"{synthetic.__name__}.{app}")
 
 
 def split_counts(app: str, count: int | None = None) -> dict[str, int]:
@@ -122,12 +122,12 @@ def _make(app: str, folder: Path, counts: dict[str, int], seed: int, notes: dict
 
     module = embedded_module(app)
     beside = getattr(module, "BESIDE", None)
-    with ShardWriter(folder, app, module.UNITS, notes, beside) as writer, progress(quiet) as bar:
-        shown = bar.add_task(f"{app} data", total=sum(counts.values()), note="")
+    shown = progress(f"{app} data", sum(counts.values()), quiet=quiet)
+    with ShardWriter(folder, app, module.UNITS, notes, beside) as writer, shown as bar:
         for split, count in counts.items():
             for task in module.synthetic_tasks(split, count, seed):
                 writer.add(task, split)
-                bar.update(shown, advance=1, note=task.name)
+                bar.advance(task.name)
 
 
 def _is_finished(folder: Path, app: str, notes: dict[str, Any]) -> bool:

@@ -4,18 +4,17 @@ from __future__ import annotations
 
 import functools
 import hashlib
-import importlib
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from types import ModuleType
 
 import torch
 
-from metapp.cli.console import named, say
+from data_tools.formats import Format, inputs_of
 from metapp.experiments.embedded import embedded_data
+from metapp.experiments.reporter import say
 from metapp.learning.app import App
 from metapp.learning.task import Task
-from metapp.storage.files import check_readable
+from metapp.storage.files import check_readable, named
 from metapp.storage.records import file_name, safe_name
 from metapp.storage.shards import fingerprint, read_shard
 
@@ -64,16 +63,20 @@ def read_input(app: App, path: Path, scene_roots: Sequence[Path] = ()) -> list[T
     if not path.exists():
         raise ValueError(f"{path}: no such file or folder; give existing input files.")
     check_readable(path)
-    modules = [importlib.import_module(f"data_tools.{name}") for name in app.readers]
-    readers = [module for module in modules if module.recognises(path)]
-    if not readers:
-        raise ValueError(f"{path}: not an input of {app.name}, expected {app.inputs}.")
-    return [task for reader in readers for task in _read(reader, path, len(readers) == 1, scene_roots)]
+    known = inputs_of(app.name)
+    fitting = [each for each in known if each.files().recognises(path)]
+    if not fitting:
+        expected = ", ".join(each.inputs for each in known)
+        raise ValueError(f"{path}: not an input of {app.name}, expected {expected}, or a folder of these.")
+    return [task for each in fitting for task in _read(each, path, len(fitting) == 1, scene_roots)]
 
 
-def _read(reader: ModuleType, path: Path, alone: bool, scene_roots: Sequence[Path]) -> list[Task]:
+def _read(form: Format, path: Path, alone: bool, scene_roots: Sequence[Path]) -> list[Task]:
+    reader = form.files()
     sources, skipped = reader.find([path])
-    read = functools.partial(reader.read_task, roots=scene_roots) if scene_roots else reader.read_task
+    read: Callable[[Path], Task] = reader.read_task
+    if scene_roots and form.takes_roots:
+        read = functools.partial(reader.read_task, roots=scene_roots)  # type: ignore[call-arg]  # as takes_roots says
     for line in skipped if alone else ():
         say(f"warning: {line}")
     tasks = []

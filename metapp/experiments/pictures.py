@@ -12,12 +12,11 @@ import torch
 from torch import Tensor
 
 from metapp.appearance.colour import linear_to_srgb, stretched, tone_map
-from metapp.cli.fit import summary
 from metapp.experiments.session import title_of
 from metapp.learning.app import App
 from metapp.learning.task import Task
 from metapp.storage.files import write_atomically
-from metapp.storage.records import file_name, read_theta
+from metapp.storage.records import file_name, read_theta, summary
 
 COMPARED = 20  # tasks in a picture of all paradigms
 

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import contextlib
 import platform
 import tempfile
+from collections.abc import Iterator
 from dataclasses import asdict
 from importlib import metadata
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import torch
-import typer
 
 from metapp.apps import app_names, load_app
+from metapp.experiments import BadOption
 from metapp.learning.app import App
 from metapp.learning.learn import MetaParameters
 from metapp.learning.rules import rule_of
@@ -53,14 +55,14 @@ class Start(NamedTuple):
 def find_app(name: str) -> App:
     """The application, or a usage error that lists those that exist."""
     if name not in app_names():
-        raise typer.BadParameter(f"'{name}' is not an application; expected one of {', '.join(app_names())}.")
+        raise BadOption(f"'{name}' is not an application; expected one of {', '.join(app_names())}.")
     return load_app(name)
 
 
 def check_recipe(name: str, app: App) -> None:
     """A usage error where the application has no such recipe."""
     if name not in app.recipes:
-        raise typer.BadParameter(f"--recipe '{name}': expected one of {', '.join(app.recipes)}.")
+        raise BadOption(f"--recipe '{name}': expected one of {', '.join(app.recipes)}.")
 
 
 def check_rule(name: str, app: App, recipe: str) -> str:
@@ -72,7 +74,7 @@ def check_rule(name: str, app: App, recipe: str) -> str:
         rule = rule_of(name)
         rule.require(app, theta)
     except ValueError as error:
-        raise typer.BadParameter(f"--rule: {error}") from None
+        raise BadOption(f"--rule: {error}") from None
     return rule.name
 
 
@@ -80,7 +82,7 @@ def check_protocol(name: str, app: App) -> None:
     """A usage error where the application has no such protocol."""
     if name and name not in app.protocols:
         expected = f"expects one of {', '.join(app.protocols)}" if app.protocols else "has one protocol; leave it out"
-        raise typer.BadParameter(f"--observe '{name}': {app.name} {expected}.")
+        raise BadOption(f"--observe '{name}': {app.name} {expected}.")
 
 
 def is_first_protocol(app: App) -> bool:
@@ -103,18 +105,35 @@ def title_of(app: App) -> str:
     return f"{app.title} ({app.protocol})" if app.protocol else app.title
 
 
+def caption_of(app: App) -> str:
+    """What a table says about its errors."""
+    seen = {"fits see": app.protocol} if app.protocol else {}
+    conditions = "".join(f"; {key}: {value}" for key, value in (seen | app.conditions()).items())
+    return f"error: {app.measure}{f' x{app.scale:g}' if app.scale != 1 else ''}{conditions}"
+
+
 def threads_of(app: App) -> int:
     """The threads that an application's fits run on, whatever ran before: threads that share small kernels wait."""
     return 1 if app.small_kernels else THREADS
 
 
+@contextlib.contextmanager
+def threads(count: int | None) -> Iterator[None]:
+    """Have torch work with so many threads; afterwards with as many as before."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(count or before)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
+
+
 def find_device(name: str, app: App) -> torch.device:
     """The device; auto is CUDA where there is one, but the CPU where the application's kernels are too small for it."""
     if name not in ("auto", "cpu", "cuda"):
-        raise typer.BadParameter(f"--device '{name}': expected auto, cpu or cuda.")
+        raise BadOption(f"--device '{name}': expected auto, cpu or cuda.")
     if name == "cuda" and not torch.cuda.is_available():
         raise ValueError("--device cuda: PyTorch finds no CUDA device; use --device cpu or install a CUDA build.")
-    torch.set_num_threads(threads_of(app))
     automatic = "cuda" if torch.cuda.is_available() and not app.small_kernels else "cpu"
     return torch.device(automatic if name == "auto" else name)
 

@@ -7,12 +7,12 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
-import typer
 from torch import Generator, get_num_threads
 
-from metapp.cli.console import follow, progress, say
+from metapp.experiments import BadOption
 from metapp.experiments.embedded import embedded_exists
 from metapp.experiments.inputs import data_folder, data_label
+from metapp.experiments.reporter import progress, say
 from metapp.experiments.session import Options, Start, is_first_protocol, make_folder, name_of, observe_of, versions
 from metapp.experiments.start_check import require_fit, require_tuned
 from metapp.learning.app import App, stack
@@ -134,9 +134,9 @@ def train_start(options: Options, paradigm: Paradigm, steps: int | None) -> Path
     """
     needed = paradigm.needs(options.job)
     if needed is None:
-        raise typer.BadParameter(f"--train: {paradigm.name} needs no preparation; leave the option out.")
+        raise BadOption(f"--train: {paradigm.name} needs no preparation; leave the option out.")
     if options.checkpoint:
-        raise typer.BadParameter("--train makes a start of its own; leave --checkpoint out.")
+        raise BadOption("--train makes a start of its own; leave --checkpoint out.")
     name = "quickft" if paradigm.name == "quickft" else needed
     path = trained_path(options, name)
     make_folder(path.parent)
@@ -159,8 +159,7 @@ def train_start(options: Options, paradigm: Paradigm, steps: int | None) -> Path
     remove_partial(path)
     checkpoint = TrainingCheckpoint(path, _settings(options, name, steps, folder, encoder) | info, options.device)
     since = _go_on(checkpoint, training_of(options.job, name, steps))
-    with progress(options.quiet) as bar:
-        row = bar.add_task(f"train {name}", total=None, note="")
+    with progress(f"train {name}", quiet=options.quiet) as bar:
         try:
             prepared = prepare(
                 name,
@@ -169,7 +168,7 @@ def train_start(options: Options, paradigm: Paradigm, steps: int | None) -> Path
                 Generator(options.device).manual_seed(options.seed),
                 encoder=encoder,
                 steps=steps,
-                report=None if options.quiet else lambda i, n, note: follow(bar, row, i, n, note),
+                report=None if options.quiet else bar.at,
                 since=since,
                 keep=checkpoint.keep,
             )

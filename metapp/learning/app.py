@@ -46,11 +46,7 @@ class App(ABC):
     Attributes:
         name: as on the command line.
         title: as in tables.
-        readers: modules of data_tools that turn a user's files into tasks: `recognises(path)` says whether a path is
-            theirs, `find(paths)` lists sources and lines about what was skipped, `read_task(source)` reads one.
-        inputs: what a user's files may be, in words.
         holds: what each task must hold, by the tensor's name.
-        exports: modules of data_tools whose `export(app, theta, path)` writes a fit in another form.
         protocols: what a fit may see, the values of --observe, where there are several; the first is the default.
         protocol: the one of these that is in force; "" where there is none.
         measure: what the error is, in one line.
@@ -70,10 +66,7 @@ class App(ABC):
 
     name: str
     title: str
-    readers: tuple[str, ...]
-    inputs: str
     holds: Mapping[str, Held] = MappingProxyType({})
-    exports: tuple[str, ...] = ()
     protocols: tuple[str, ...] = ()
     protocol: str = ""
     measure: str

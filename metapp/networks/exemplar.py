@@ -48,7 +48,6 @@ class ExemplarApp(App):
     """
 
     setup: Setup
-    inputs = "an image file, or a folder of these"
 
     def __init__(self, setup: Setup) -> None:
         self.setup = setup

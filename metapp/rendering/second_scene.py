@@ -21,12 +21,13 @@ from typing import Any
 
 import torch
 from safetensors import SafetensorError
-from safetensors.torch import load_file, save_file
+from safetensors.torch import save
 from torch import Tensor
 
 from metapp.appearance import latlong
 from metapp.rendering.variant import load_mitsuba
 from metapp.storage.files import cache_folder, write_atomically
+from metapp.storage.tensors import read_tensors
 
 VERSION = 1  # of the scene and its matrix, in the name of the cached file
 HEIGHT, WIDTH = 64, 96  # of the picture, px
@@ -71,7 +72,7 @@ def transfer(height: int = 32, width: int = 64, *, report: Report = lambda done,
     with suppress(OSError, SafetensorError, KeyError):  # not there, or damaged
         return _load(path, path.stat().st_mtime_ns)
     matrix = _build(height, width, report)
-    write_atomically(path, lambda partial: save_file({"matrix": matrix}, partial))
+    write_atomically(path, lambda partial: partial.write_bytes(save({"matrix": matrix})))
     return matrix
 
 
@@ -82,7 +83,7 @@ def matrix_path(height: int = 32, width: int = 64) -> Path:
 
 @functools.lru_cache(maxsize=1)
 def _load(path: Path, changed: int) -> Tensor:
-    return load_file(path)["matrix"]
+    return read_tensors(path)["matrix"]
 
 
 def relight(maps: Tensor, *, height: int = 32, width: int = 64) -> Tensor:

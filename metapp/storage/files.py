@@ -197,3 +197,9 @@ def check_readable(path: Path) -> None:
     """
     if path.exists() and not path.is_file() and not path.is_dir():
         raise ValueError(f"{path}: a pipe or device, expected a file or folder; copy what it gives to a file.")
+
+
+def named(error: Exception, source: Path) -> ValueError:
+    """An error that a reader met, with the file named."""
+    text = str(error) or type(error).__name__
+    return ValueError(text if source.name in text else f"{source}: {text}")

@@ -5,20 +5,23 @@ from __future__ import annotations
 import hashlib
 import json
 import math
+import statistics
 import sys
 import unicodedata
 import warnings
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import torch
-from safetensors import SafetensorError, safe_open
-from safetensors.torch import load_file, save
+from safetensors import SafetensorError
+from safetensors.torch import save
 from torch import Tensor
 
 from metapp.learning.learn import MetaParameters
 from metapp.learning.task import Params
 from metapp.storage.files import append_line, locked, write_atomically
+from metapp.storage.tensors import opened_tensors, read_tensors
 
 SCHEMA = 1
 LONGEST = 100  # bytes of a name; file systems take 255, of which suffixes and temporary names need some
@@ -77,7 +80,7 @@ def load_start(path: Path, device: torch.device | str = "cpu") -> tuple[MetaPara
     if not path.is_file():
         raise ValueError(f"{path}: no such start; give --checkpoint an existing .safetensors file, or train one.")
     try:
-        with safe_open(path, "pt", device=str(device)) as file:
+        with opened_tensors(path, str(device)) as file:
             info = json.loads((file.metadata() or {})["metapp"])
             if not holds(info, START):
                 raise _Misnamed
@@ -190,7 +193,7 @@ def read_theta(folder: Path, task: str) -> dict[str, Tensor]:
     """
     path = _params(folder, task)
     try:
-        return load_file(path)
+        return read_tensors(path)
     except (SafetensorError, OSError) as error:
         raise ValueError(
             f"{path}: fitted parameters not readable ({error}); remove record.jsonl in {folder.name} to fit anew."
@@ -267,3 +270,12 @@ def _marked(safe: str, name: str) -> str:
         return safe
     mark = hashlib.sha256(name.encode(errors="surrogatepass")).hexdigest()[:6]
     return f"{safe.encode()[: LONGEST - 7].decode(errors='ignore')}-{mark}"
+
+
+def summary(records: Sequence[dict[str, Any]]) -> dict[str, float | None]:
+    """Mean error, as the table prints it, of tasks that have one, and median inference time of a task."""
+    errors = [record["error"] for record in records if record["error"] is not None]
+    return {
+        "error": statistics.fmean(errors) if errors else None,
+        "seconds": statistics.median(record["seconds"] for record in records),
+    }

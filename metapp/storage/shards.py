@@ -16,12 +16,13 @@ from types import TracebackType
 from typing import Any
 
 import torch
-from safetensors import SafetensorError, safe_open
+from safetensors import SafetensorError
 from safetensors.torch import save
 
 from metapp.learning.task import Held, Task, problems_of
 from metapp.storage.files import PARTIAL, locked, naming, partial_path, write_atomically
 from metapp.storage.manifest import MANIFEST, SPLITS, SUFFIX, Entry, Manifest, fingerprint, read_manifest, to_json
+from metapp.storage.tensors import read_tensors
 
 __all__ = ["AUTO", "ShardWriter", "check_shard", "fingerprint", "read_manifest", "read_shard", "split_auto"]
 
@@ -302,8 +303,6 @@ def _read_task(folder: Path, entry: Entry) -> Task:
     if not path.resolve().is_relative_to(folder.resolve()):
         raise ValueError(f"{path}: a link that leads out of the data set's folder; copy the file there instead.")
     try:
-        with safe_open(path, framework="pt") as stored:
-            data = {key: stored.get_tensor(key) for key in stored.keys()}  # noqa: SIM118
-            return Task(entry.name, data, entry.group)
+        return Task(entry.name, read_tensors(path), entry.group)
     except (SafetensorError, RuntimeError, TypeError, AttributeError) as error:  # torch's, of types it lacks
         raise ValueError(f"{path}: not readable as safetensors ({error}); convert the data again.") from None

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from safetensors import SafetensorError, safe_open
+from safetensors import SafetensorError
 from safetensors.torch import save
 from torch import Tensor
 
@@ -23,6 +23,7 @@ from metapp.learning.task import Params
 from metapp.paradigms.resuming import Outer, Prepared, Reached
 from metapp.storage.files import remove_partial, write_atomically
 from metapp.storage.records import digest, tensor_digest
+from metapp.storage.tensors import opened_tensors
 
 SECONDS = 60.0  # between two writes; METAPP_CHECKPOINT_SECONDS is another number, for tests
 SCHEMA = 1
@@ -108,7 +109,7 @@ def _digest(document: str, tensors: Params) -> str:
 
 
 def _read(path: Path) -> tuple[dict[str, Any], Params]:
-    with safe_open(path, "pt") as file:
+    with opened_tensors(path) as file:
         metadata = file.metadata() or {}
         tensors = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118  (not a mapping)
     if metadata["digest"] != _digest(metadata["training"], tensors):

@@ -9,8 +9,8 @@ from typing import Any, NamedTuple
 import torch
 from torch import Generator
 
-from data_tools.formats.brdf_task import brdf_task
-from data_tools.formats.svbrdf_task import svbrdf_task
+from data_tools.readers.brdf_task import brdf_task
+from data_tools.readers.svbrdf_task import svbrdf_task
 from data_tools.synthetic.brdf import synthetic_materials
 from metapp.appearance.flash import Maps, normal_from_height, pack
 from metapp.appearance.latlong import directions, mean_luminance

@@ -174,6 +174,7 @@ def names(report: Report, rng: random.Random, data: Path, place: Path, quick: bo
     for name in _NAMES[:: 3 if quick else 1]:
         folder = Path(os.fsdecode(os.fsencode(place) + b"/" + name))
         shutil.copytree(network, folder)
+        commands.run(report, "disk:names", metapp("meta", "texture", "--out", place / "runs", "--", folder), (1,))
         for words in (
             ["meta", "brdf", "--out", place / "runs", "--", folder],
             ["meta", "brdf", "--export", "merl", "--out", place / "runs2", "--", folder],
@@ -181,7 +182,6 @@ def names(report: Report, rng: random.Random, data: Path, place: Path, quick: bo
             ["meta", "brdf", "--data", data, "--out", folder / "out"],
         )[:: 2 if quick else 1]:
             commands.run(report, "disk:names", metapp(*words), (0,) if name.strip() else (0, 1), cwd=place)
-        commands.run(report, "disk:names", metapp("meta", "texture", "--out", place / "runs", "--", folder), (1,))
 
 
 def odd_inputs(report: Report, rng: random.Random, data: Path, place: Path, quick: bool) -> None:

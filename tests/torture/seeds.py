@@ -108,7 +108,7 @@ def material_maps() -> list[Files]:
 
 def networks() -> list[Files]:
     """NBRDF networks."""
-    from data_tools.formats.nbrdf import SHAPES
+    from data_tools.readers.nbrdf import SHAPES
 
     rng = np.random.default_rng(0)
     found = []
@@ -131,7 +131,7 @@ def scenes_xml() -> list[Files]:
 
 def scenes_json() -> list[Files]:
     """Scenes as dictionaries, and XML inside JSON."""
-    from metapp.rendering.cornell import random_scene
+    from data_tools.synthetic.cornell import random_scene
 
     boxes = [json.dumps(random_scene(seed)).encode() for seed in (0, 1)]
     return [*({"box.json": box} for box in boxes), {"box.json": json.dumps({"xml": SCENE}).encode()}]
@@ -139,7 +139,7 @@ def scenes_json() -> list[Files]:
 
 def shards() -> list[Files]:
     """A data set of two BRDF tasks."""
-    from data_tools.formats.brdf_task import UNITS, brdf_task
+    from data_tools.readers.brdf_task import UNITS, brdf_task
     from metapp.storage.shards import ShardWriter
 
     with tempfile.TemporaryDirectory() as folder:

@@ -6,10 +6,10 @@ import math
 
 import numpy as np
 
+from data_tools.draws import Field, Rng, between, log_between, uniforms
 from data_tools.synthetic.environments.patterns import BLACK, look_up, scrambled, vector
 from data_tools.synthetic.environments.scene import Backdrop, Mask
 from data_tools.synthetic.environments.sky import Sky
-from data_tools.synthetic.patterns.fields import Field, Rng, between, log_between, uniforms
 from metapp.appearance.latlong import directions, solid_angles
 
 _GRID = (16, 32)

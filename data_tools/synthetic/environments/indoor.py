@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from data_tools.draws import Rng, between, chance, log_between, pick, whole
 from data_tools.synthetic.environments.backdrop import open_ground, skyline
 from data_tools.synthetic.environments.fittings import (
     WALLS,
@@ -23,7 +24,6 @@ from data_tools.synthetic.environments.fittings import (
 from data_tools.synthetic.environments.patterns import BLACK, glowing, vector
 from data_tools.synthetic.environments.scene import Backdrop, Finish, Scene
 from data_tools.synthetic.environments.sky import Sky, black_sky, day_sky, night_sky, overcast
-from data_tools.synthetic.patterns.fields import Rng, between, chance, log_between, pick, whole
 
 
 def apartment(rng: Rng) -> Scene:

@@ -13,7 +13,8 @@ import numpy as np
 import numpy.typing as npt
 import torch
 
-from data_tools.formats.latlong import HEIGHT, WIDTH
+from data_tools.draws import Field, Ids
+from data_tools.readers.latlong import HEIGHT, WIDTH
 from data_tools.synthetic.environments.patterns import look_up
 from data_tools.synthetic.environments.scene import (
     BEYOND,
@@ -32,7 +33,6 @@ from data_tools.synthetic.environments.scene import (
 from data_tools.synthetic.environments.sky import Sky, from_sun
 from data_tools.synthetic.environments.sources import Sources, sources
 from data_tools.synthetic.environments.surfaces import surfaces
-from data_tools.synthetic.patterns.fields import Field, Ids
 from metapp.appearance.latlong import resample, solid_angles
 
 _Number = TypeVar("_Number", bound=np.generic)

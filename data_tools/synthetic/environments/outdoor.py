@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 
+from data_tools.draws import Rng, between, chance, log_between, whole
 from data_tools.synthetic.environments.patterns import BLACK, glowing, vector
 from data_tools.synthetic.environments.scene import Box, Finish, Lamp, Scene
 from data_tools.synthetic.environments.scenery import (
@@ -23,7 +24,6 @@ from data_tools.synthetic.environments.scenery import (
     yard,
 )
 from data_tools.synthetic.environments.sky import Sky, day_sky, night_sky, overcast
-from data_tools.synthetic.patterns.fields import Rng, between, chance, log_between, whole
 
 
 def meadow(rng: Rng) -> Scene:

@@ -15,10 +15,10 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from data_tools.formats.latlong import HEIGHT, WIDTH
+from data_tools.draws import Field, Ids
+from data_tools.readers.latlong import HEIGHT, WIDTH
 from data_tools.synthetic.environments.patterns import BLACK, look_up, vector
 from data_tools.synthetic.environments.sky import Sky
-from data_tools.synthetic.patterns.fields import Field, Ids
 from metapp.appearance.latlong import directions, solid_angles
 
 SIDES = ("-x", "+x", "floor", "ceiling", "-z", "+z")  # of a room, in the order of their numbers

@@ -6,11 +6,11 @@ import math
 
 import numpy as np
 
+from data_tools.draws import Field, Rng, between, chance, log_between, pick, uniforms, whole
 from data_tools.synthetic.environments.backdrop import open_ground, skyline
 from data_tools.synthetic.environments.patterns import BLACK, direction, vector
 from data_tools.synthetic.environments.scene import Box, Crown, Finish, Scene
 from data_tools.synthetic.environments.sky import Sky
-from data_tools.synthetic.patterns.fields import Field, Rng, between, chance, log_between, pick, uniforms, whole
 from data_tools.synthetic.stationary.maps import Range
 
 _Colours = tuple[tuple[float, float, float], tuple[float, float, float]]  # darkest and lightest albedo

@@ -11,8 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from data_tools.draws import Field, Rng, between, chance, log_between, pick
 from data_tools.synthetic.environments.patterns import BLACK, direction, glowing, look_up, rgb, vector
-from data_tools.synthetic.patterns.fields import Field, Rng, between, chance, log_between, pick, step
+from data_tools.synthetic.patterns.fields import step
 
 # Perez' coefficients A to E: of luminance, of very clear air (turbidity 2) and from 5 on (the CIE's clear sky, type
 # 12); of the chromaticities x and y, slope over turbidity and offset (Preetham, Shirley & Smits 1999).

@@ -7,9 +7,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from data_tools.draws import Field
 from data_tools.synthetic.environments.patterns import luminance
 from data_tools.synthetic.environments.scene import PLANE, Backdrop, Lamp, Scene, Window
-from data_tools.synthetic.patterns.fields import Field
 from metapp.appearance.latlong import directions, solid_angles
 
 _WIDEST = 1.5  # m; larger lamps are cut into parts, at most 3 by 3

@@ -6,9 +6,9 @@ import math
 
 import numpy as np
 
+from data_tools.draws import Field, Ids
 from data_tools.synthetic.environments.patterns import look_up, scrambled
 from data_tools.synthetic.environments.scene import BEYOND, PLANE, Finish, Hits, Mask, Scene
-from data_tools.synthetic.patterns.fields import Field, Ids
 
 _TEXEL_RAD = 0.03  # about how far rays are apart
 _PANE_ALBEDO, _PANE_GLOSS = np.float32(0.03), np.float32(0.12)  # of a facade's windows

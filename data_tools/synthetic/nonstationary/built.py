@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 
+from data_tools.draws import Field, Rng, between, chance, log_between, pick, uniforms, whole
 from data_tools.synthetic.nonstationary.materials import (
     GRAY,
     STONES,
@@ -34,18 +35,7 @@ from data_tools.synthetic.nonstationary.shapes import (
 from data_tools.synthetic.nonstationary.surface import Surface, cloud, lay, overlay, raised, tinted
 from data_tools.synthetic.nonstationary.weather import dirty, rusted, scratched, smudged, stained, weathered, worn_edges
 from data_tools.synthetic.patterns.cells import isotropic_cells
-from data_tools.synthetic.patterns.fields import (
-    Field,
-    Rng,
-    between,
-    chance,
-    log_between,
-    mix,
-    pick,
-    step,
-    uniforms,
-    whole,
-)
+from data_tools.synthetic.patterns.fields import mix, step
 from data_tools.synthetic.stationary.maps import any_colours, flat, palette
 
 _GROUTS = "d8d4cc 8d8880 3c3a38 b8a98f 5a534c"

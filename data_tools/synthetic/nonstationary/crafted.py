@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 
+from data_tools.draws import Field, Rng, between, chance, pick, uniforms, whole
 from data_tools.synthetic.nonstationary.materials import (
     CLOTHS,
     GRAY,
@@ -32,7 +33,7 @@ from data_tools.synthetic.nonstationary.shapes import (
 )
 from data_tools.synthetic.nonstationary.surface import Surface, cloud, covers, lay, overlay, raised, softened, tinted
 from data_tools.synthetic.nonstationary.weather import dirty, scratched, smudged, stained, weathered, worn_edges
-from data_tools.synthetic.patterns.fields import Field, Rng, between, chance, mix, pick, step, uniforms, whole
+from data_tools.synthetic.patterns.fields import mix, step
 from data_tools.synthetic.stationary.maps import any_colours, flat, palette
 
 

@@ -7,20 +7,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from data_tools.draws import Field, Ids, Rng, between, chance, log_between, pick, uniforms
 from data_tools.synthetic.nonstationary.surface import Surface, cloud
 from data_tools.synthetic.patterns.cells import isotropic_cells
-from data_tools.synthetic.patterns.fields import (
-    Field,
-    Ids,
-    Rng,
-    band_noise,
-    between,
-    chance,
-    log_between,
-    pick,
-    texel_centres,
-    uniforms,
-)
+from data_tools.synthetic.patterns.fields import band_noise, texel_centres
 from data_tools.synthetic.stationary.families import FAMILIES
 from data_tools.synthetic.stationary.maps import any_colours, flat, palette, shaded
 

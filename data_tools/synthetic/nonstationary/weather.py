@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 
+from data_tools.draws import Field, Rng, between, chance, log_between, pick, uniforms, whole
 from data_tools.synthetic.nonstationary.materials import plain
 from data_tools.synthetic.nonstationary.shapes import centred
 from data_tools.synthetic.nonstationary.surface import (
@@ -20,20 +21,7 @@ from data_tools.synthetic.nonstationary.surface import (
     tinted,
     towards,
 )
-from data_tools.synthetic.patterns.fields import (
-    Field,
-    Rng,
-    between,
-    chance,
-    log_between,
-    mix,
-    pick,
-    ramp,
-    share_below,
-    step,
-    uniforms,
-    whole,
-)
+from data_tools.synthetic.patterns.fields import mix, ramp, share_below, step
 from data_tools.synthetic.patterns.strokes import strokes
 from data_tools.synthetic.stationary.maps import palette
 

@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 
+from data_tools.draws import Rng, between, chance, log_between, pick, whole
 from data_tools.synthetic.nonstationary.materials import (
     CLOTHS,
     GRAY,
@@ -45,7 +46,7 @@ from data_tools.synthetic.nonstationary.weather import (
     wet,
 )
 from data_tools.synthetic.patterns.cells import isotropic_cells
-from data_tools.synthetic.patterns.fields import Rng, between, chance, log_between, mix, pick, ridges, step, whole
+from data_tools.synthetic.patterns.fields import mix, ridges, step
 
 _EARTHS = "8a6f4d 6b4a32 4e3b2a b5a18a 94826a 5c5349"
 

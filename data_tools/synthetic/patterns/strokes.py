@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from data_tools.synthetic.patterns.fields import Field, Ids, Rng, uniforms
+from data_tools.draws import Field, Ids, Rng, uniforms
 
 
 class Strokes(NamedTuple):

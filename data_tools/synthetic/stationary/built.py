@@ -7,24 +7,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from data_tools.draws import Field, Ids, Rng, between, chance, log_between, pick, uniforms, whole
 from data_tools.synthetic.patterns.cells import Lattice, isotropic_cells
-from data_tools.synthetic.patterns.fields import (
-    Field,
-    Ids,
-    Rng,
-    band_noise,
-    between,
-    chance,
-    fbm,
-    log_between,
-    mix,
-    pick,
-    ramp,
-    step,
-    uniforms,
-    whole,
-    wobble,
-)
+from data_tools.synthetic.patterns.fields import band_noise, fbm, mix, ramp, step, wobble
 from data_tools.synthetic.patterns.strokes import strokes
 from data_tools.synthetic.stationary.maps import Maps, any_colours, flat, material, palette, shaded
 

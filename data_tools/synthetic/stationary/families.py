@@ -8,9 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import Literal
 
-import numpy as np
-
-from data_tools.synthetic.patterns.fields import Rng
+from data_tools.draws import Rng, stream
 from data_tools.synthetic.stationary.built import bricks, metal, shingles, tiles, wood
 from data_tools.synthetic.stationary.maps import Maps as Maps
 from data_tools.synthetic.stationary.nature import camouflage, dots, foliage, grass, rust
@@ -74,8 +72,3 @@ def turns(
         turn, place = divmod(index, len(names))
         name = f"{names[place]}-{'t' if split == 'test' else ''}{index:03d}"
         yield names[place], name, stream(seed, list(counts).index(split), place, turn, *more)
-
-
-def stream(*key: int) -> Rng:
-    """The random numbers of a key, whole numbers >= 0; others for every other key of the same length."""
-    return np.random.Generator(np.random.PCG64(np.random.SeedSequence(key)))

@@ -6,26 +6,9 @@ import math
 
 import numpy as np
 
+from data_tools.draws import Field, Rng, between, chance, log_between, pick, uniforms, whole
 from data_tools.synthetic.patterns.cells import Lattice, isotropic_cells, worley
-from data_tools.synthetic.patterns.fields import (
-    Field,
-    Rng,
-    band_noise,
-    between,
-    blur,
-    chance,
-    fbm,
-    log_between,
-    mix,
-    pick,
-    ramp,
-    ridges,
-    share_below,
-    step,
-    uniforms,
-    whole,
-    wobble,
-)
+from data_tools.synthetic.patterns.fields import band_noise, blur, fbm, mix, ramp, ridges, share_below, step, wobble
 from data_tools.synthetic.patterns.strokes import strokes
 from data_tools.synthetic.stationary.maps import Maps, any_colours, flat, material, palette, shaded
 

@@ -6,25 +6,9 @@ import math
 
 import numpy as np
 
+from data_tools.draws import Field, Rng, between, chance, log_between, pick, uniforms
 from data_tools.synthetic.patterns.cells import isotropic_cells
-from data_tools.synthetic.patterns.fields import (
-    Field,
-    Rng,
-    band_noise,
-    between,
-    blur,
-    chance,
-    fbm,
-    log_between,
-    mix,
-    pick,
-    ramp,
-    ridges,
-    share_below,
-    step,
-    uniforms,
-    wobble,
-)
+from data_tools.synthetic.patterns.fields import band_noise, blur, fbm, mix, ramp, ridges, share_below, step, wobble
 from data_tools.synthetic.stationary.maps import Maps, any_colours, flat, material, palette, shaded
 
 _EARTHS = "8a6f4d c2b280 6b4a32 a0522d 7d7468 b5a18a 4e3b2a cdb79e 94826a 5c5349"

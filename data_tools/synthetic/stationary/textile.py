@@ -6,26 +6,9 @@ import math
 
 import numpy as np
 
+from data_tools.draws import Field, Ids, Rng, between, chance, log_between, pick, uniforms, whole
 from data_tools.synthetic.patterns.cells import Lattice, isotropic_cells
-from data_tools.synthetic.patterns.fields import (
-    Field,
-    Ids,
-    Rng,
-    band_noise,
-    between,
-    chance,
-    fbm,
-    log_between,
-    mix,
-    pick,
-    ramp,
-    ridges,
-    share_below,
-    step,
-    uniforms,
-    whole,
-    wobble,
-)
+from data_tools.synthetic.patterns.fields import band_noise, fbm, mix, ramp, ridges, share_below, step, wobble
 from data_tools.synthetic.stationary.maps import Maps, any_colours, flat, material, palette, shaded
 
 _CLOTHS = "24365c 3b5998 8c2f39 c8b89a e9e4d8 2b2b2b 5e6b4a 7b4b2a a67c52 9a9a9a d4a017 61304b 1f4e4a"

@@ -97,15 +97,12 @@ class Brdf(App):
 
     name = "brdf"
     title = "BRDF"
-    readers = ("nbrdf", "merl")
-    inputs = "a MERL .binary file or a folder with an NBRDF network, or a folder of these"
     holds = {  # noqa: RUF012  (never written to)
         "angles": Held(("N", 3), low=0.0, high=2 * math.pi),
         "reflectance": Held(("N", 3), low=0.0),
         "render": Held(("H", "W", 4)),
         "environment": Held(("h", "w", 4), optional=True),
     }
-    exports = ("nbrdf", "merl")
     measure = "mean |log(1 + f cos theta_i) - log(1 + f' cos theta_i)| on held-out directions"
     image_measure = "the sphere under an environment map (a sky, a sun, two windows), sRGB, over the pixels it touches"
     scale = 100.0

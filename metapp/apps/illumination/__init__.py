@@ -15,7 +15,7 @@ from metapp.appearance.colour import tone_map
 from metapp.appearance.latlong import directions, resample, solid_angles, sphere_normals
 from metapp.appearance.photograph import Camera, Material, develop, photograph, shade
 from metapp.apps.illumination.encoder import Encoder
-from metapp.apps.illumination.surfaces import FACED, MIRRORED, relight, scene, shown, surfaces
+from metapp.apps.illumination.surfaces import FACED, MIRRORED, relight, second_scene, shown, surfaces
 from metapp.apps.illumination.variants import of_mean_1, varied
 from metapp.learning.app import Visible
 from metapp.learning.recipe import AS_PUBLISHED, Adam, Recipe, Training
@@ -121,13 +121,11 @@ class Illumination(CodedApp):
 
     name = "illumination"
     title = "Illumination"
-    readers = ("latlong",)
     holds = {  # noqa: RUF012  (never written to)
         "photos": Held(("K", 3, 64, 64), "uint8"),
         "map": Held((3, "H", "W"), low=0.0, optional=True),
         "scale": Held((), low=0.0, optional=True),
     }
-    inputs = "an HDR map (.exr, .hdr), an LDR photo of a sphere that touches its borders, or a folder of these"
     measure = "mean absolute error of a second scene's picture under the map"
     image_measure = "the second scene under the map; its SSIM after tone mapping"
     of_pictures = {"error": "MAE x100", "relative": "relative MAE", "ssim": "SSIM"}  # noqa: RUF012  (never written to)
@@ -137,7 +135,7 @@ class Illumination(CodedApp):
 
     def prepare(self, task: Task) -> dict[str, Tensor]:
         """`photo` uint8 [3, S, S], and of the map `map` [3, H, W] and `sent`, what surfaces send out under it."""
-        scene().transfer()  # better missed now than after a fit
+        second_scene.transfer()  # better missed now than after a fit
         photo = {"photo": task.data["photos"][0]}
         if "map" in task.data:
             described = self.described(task.data["map"][None].float())

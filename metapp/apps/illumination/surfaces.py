@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import functools
-import importlib
 import math
-from typing import Any
 
 import torch
 from torch import Tensor
@@ -13,6 +11,7 @@ from torch.nn.functional import avg_pool2d, interpolate, normalize
 
 from metapp.appearance.colour import srgb_to_linear, tone_map
 from metapp.appearance.latlong import cosine_transfer, glossy_transfer
+from metapp.rendering import second_scene
 
 FACED, MIRRORED, SHINE = 64, 128, 0.35  # surfaces that the loss looks at: diffuse, glossy and how rough
 
@@ -33,14 +32,9 @@ def _spread(count: int) -> Tensor:
     return torch.stack([radius * phi.sin(), y, -radius * phi.cos()], 1)
 
 
-def scene() -> Any:
-    """The second scene: a module of data_tools."""
-    return importlib.import_module("metapp.rendering.second_scene")
-
-
 def relight(maps: Tensor) -> Tensor:
     """Pictures [T, 3, h, w] of the second scene, linear."""
-    return scene().relight(maps)
+    return second_scene.relight(maps)
 
 
 def shown(maps: Tensor, photo: Tensor) -> Tensor:

@@ -142,12 +142,10 @@ class SvbrdfNonstationary(CodedApp):
 
     name = "svbrdf_nonstationary"
     title = "svBRDF non-stat."
-    readers = ("svbrdf_inputs",)
     holds = {  # noqa: RUF012  (never written to)
         "photo": Held((3, "S", "S"), "uint8"),
         "maps": Held((10, "M", "M"), low=-1.001, high=1.001, optional=True),
     }
-    inputs = "a flash photo of a flat material, a strip, a material's maps, or a folder of these"
     measure = "mean absolute difference of log(radiance + 0.1) under 12 other lights, from elsewhere"
     image_measure = "renderings under 12 other lights: difference of logs, and SSIM at gamma 2.2"
     of_pictures = {"error": "log L1", "ssim": "SSIM"}  # noqa: RUF012  (never written to)

@@ -91,12 +91,10 @@ class SvbrdfStationary(ExemplarApp):
 
     name = "svbrdf_stationary"
     title = "svBRDF stat."
-    readers = ("flash",)
     holds = {  # noqa: RUF012  (never written to)
         "image": Held((3, "S", "S"), "uint8"),
         "relit": Held((3, 3, "R", "R"), "uint8", optional=True),
     }
-    inputs = "a flash photo of a flat material, or a folder of these"
     measure = "relative L1 distance of Gram matrices in 9 windows, mean over windows, taps and generated materials"
     raw = ("roughness", "normal", "height")
     heights = ("height",)

@@ -73,7 +73,6 @@ class Texture(ExemplarApp):
 
     name = "texture"
     title = "Texture"
-    readers = ("images",)
     holds = {"image": Held((3, "S", "S"), "uint8")}  # noqa: RUF012  (never written to)
     measure = "relative L1 distance of Gram matrices, mean over taps and generated textures"
     recipes = {"paper": PAPER, "paper-vgg19": VGG19, "quick": QUICK}  # noqa: RUF012  (never written to)

@@ -83,14 +83,12 @@ class Transport(App):
 
     name = "transport"
     title = "Transport"
-    readers = ("mitsuba_scenes",)
     holds = {  # noqa: RUF012  (never written to)
         "samples": Held(("N", "d"), low=0.0, high=1.0),
         "held": Held(("M", "d"), low=0.0, high=1.0, optional=True),
         "image": Held((3, 32, 32), low=0.0),
         "scene": Held(("L",), "uint8", optional=True),
     }
-    inputs = "a Mitsuba scene (.xml, .json) with a perspective camera, or a folder of these"
     measure = "negative log-likelihood of held-out light paths, on the film and in their first direction"
     radiance = ("guided", "regular")
     image_measure = (

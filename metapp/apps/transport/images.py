@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import importlib
 import time
 from collections.abc import Callable, Mapping
 from typing import NamedTuple
@@ -16,6 +15,8 @@ from metapp.apps.transport.flow import Flow
 from metapp.apps.transport.guide import table_of
 from metapp.learning.app import REFERENCE, Fitted
 from metapp.learning.task import Params, Task
+from metapp.rendering import path_render, path_space
+from metapp.rendering.scene_text import scene_of
 
 SIZE, SPP = 64, 1024  # px of a side, and paths a pixel as in Fischer & Ritschel 2022, table 2
 REGULAR, EQUAL_TIME = "regular", "MAPE, equal time"
@@ -42,38 +43,36 @@ class Studio:
     """
 
     def __init__(self, scene: bytes, size: int = SIZE) -> None:
-        self.paths = importlib.import_module("metapp.rendering.path_render")
-        self.space, cornell = (importlib.import_module(f"data_tools.{name}") for name in ("path_space", "cornell"))
-        self.tracer = self.space.Tracer(cornell.scene_of(torch.frombuffer(bytearray(scene), dtype=torch.uint8)))
+        self.tracer = path_space.Tracer(scene_of(torch.frombuffer(bytearray(scene), dtype=torch.uint8)))
         self.size = size
 
     def regular(self, spp: int, seed: int = 0) -> Shot:
         """A picture by the sampling of materials alone."""
-        return _timed(lambda: self.paths.render(self.tracer, spp, self.size, seed))
+        return _timed(lambda: path_render.render(self.tracer, spp, self.size, seed))
 
     def guided(self, flow: Flow, theta: Params, spp: int, seed: int = 0) -> Shot:
         """A picture guided by a fit, no task axis in theta; the time includes that of making its table."""
 
         def shoot() -> Tensor:
             table = table_of(flow, theta)
-            guide = self.paths.Guide(table.sample, table.density)
-            return self.paths.render(self.tracer, spp, self.size, seed, guide)
+            guide = path_render.Guide(table.sample, table.density)
+            return path_render.render(self.tracer, spp, self.size, seed, guide)
 
         return _timed(shoot)
 
     def sampling(self, samples: Tensor) -> float:
         """Seconds that as many samples [N, d] of the scene take, and with them the picture that General reads."""
         count, dimensions = samples.shape
-        self.space.path_samples(self.tracer, 1, dimensions, Generator())  # the first call compiles
+        path_space.path_samples(self.tracer, 1, dimensions, Generator())  # the first call compiles
         begin = time.perf_counter()
-        self.space.path_samples(self.tracer, count, dimensions, Generator())
+        path_space.path_samples(self.tracer, count, dimensions, Generator())
         return time.perf_counter() - begin
 
     @functools.cached_property
     def halves(self) -> Tensor:
         """The picture itself twice, of half the paths each, with other random numbers: [2, 3, size, size]."""
         spp = max(1, REFERENCE_SPP // 2)
-        return torch.stack([self.paths.reference(self.tracer, self.size, spp, seed) for seed in (1, 2)])
+        return torch.stack([path_render.reference(self.tracer, self.size, spp, seed) for seed in (1, 2)])
 
     @functools.cached_property
     def reference(self) -> Tensor:
@@ -88,7 +87,7 @@ class Studio:
     @functools.cached_property
     def glance(self) -> Tensor:
         """The same with some noise, in an instant."""
-        return self.paths.reference(self.tracer, self.size, 64)
+        return path_render.reference(self.tracer, self.size, 64)
 
     @functools.cached_property
     def baseline(self) -> Shot:

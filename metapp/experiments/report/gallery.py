@@ -5,10 +5,10 @@ from __future__ import annotations
 from html import escape
 from typing import Any
 
-from metapp.cli.console import number
 from metapp.experiments.figures.style import TITLES
 from metapp.experiments.pictures import to_srgb
 from metapp.experiments.report.html import Pictures, anchor, identifier
+from metapp.experiments.reporter import number
 from metapp.experiments.tables.subject import Subject
 from metapp.learning.task import Task
 

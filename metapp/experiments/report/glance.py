@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from html import escape
 
-from metapp.cli.console import number
 from metapp.experiments.figures import draw
 from metapp.experiments.figures.style import TITLES
 from metapp.experiments.report.html import Pictures, anchor, drawn_html
+from metapp.experiments.reporter import number
 from metapp.experiments.tables import Row, blank, paper
 from metapp.experiments.tables.results import budget, result_row
 from metapp.experiments.tables.statistics import apart, carried, paired_of, paired_text, warned

@@ -12,7 +12,7 @@ from collections.abc import Callable
 from importlib import resources
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from metapp.cli.console import number
+from metapp.experiments.reporter import number
 
 if TYPE_CHECKING:
     from metapp.experiments.tables.subject import Cell, Subject

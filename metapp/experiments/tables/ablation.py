@@ -7,8 +7,7 @@ from __future__ import annotations
 
 from dataclasses import asdict
 
-from metapp.cli.fit import caption_of
-from metapp.experiments.session import Start
+from metapp.experiments.session import Start, caption_of
 from metapp.experiments.tables import Row, Table, interval, numbers, words
 from metapp.experiments.tables.results import COMPARED, result_row
 from metapp.experiments.tables.statistics import apart, paired_columns, paired_entries, paired_note, paired_of, warned

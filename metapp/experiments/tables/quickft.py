@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from metapp.cli.console import number
-from metapp.cli.fit import caption_of
+from metapp.experiments.reporter import number
+from metapp.experiments.session import caption_of
 from metapp.experiments.tables import Row, Table, interval, numbers, words
 from metapp.experiments.tables.results import on_threads, result_row
 from metapp.experiments.tables.statistics import apart, change, paired_columns, paired_note, paired_of, verdict, warned

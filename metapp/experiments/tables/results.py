@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from metapp.cli.console import number
-from metapp.cli.fit import caption_of
+from metapp.experiments.reporter import number
+from metapp.experiments.session import caption_of
 from metapp.experiments.tables import Column, Row, Table, interval, numbers, words
 from metapp.experiments.tables.statistics import (
     carried,

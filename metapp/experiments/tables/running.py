@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-import contextlib
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Sequence
 
-import torch
-
-from metapp.cli.console import LINE_SECONDS, err, progress_of_all, say
+from metapp.experiments.reporter import clock as shown_clock
+from metapp.experiments.session import threads
 from metapp.experiments.tables.subject import Cell
 from metapp.learning.task import Task
-
-Told = Callable[[str, float, float], None]  # what was done last, seconds so far, seconds left
 
 
 def distinct(cells: Sequence[Cell]) -> list[Cell]:
@@ -30,7 +26,7 @@ def run_cells(cells: Sequence[Cell], *, quiet: bool) -> None:
     if not planned:
         return
     clock = Clock(planned)
-    with _progress(quiet) as tell:
+    with shown_clock(quiet=quiet) as tell:
         for i, (cell, missing) in enumerate(planned, 1):
             tell(f"{cell.title}, cell {i} of {len(planned)}", clock.spent, clock.left())
             with threads(cell.threads):
@@ -40,17 +36,6 @@ def run_cells(cells: Sequence[Cell], *, quiet: bool) -> None:
                     clock.add(cell, now - begin)
                     begin = now
                     tell(f"{cell.title} {record['name']}, cell {i} of {len(planned)}", clock.spent, clock.left())
-
-
-@contextlib.contextmanager
-def threads(count: int | None) -> Iterator[None]:
-    """Have torch work with so many threads; afterwards with as many as before."""
-    before = torch.get_num_threads()
-    torch.set_num_threads(count or before)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(before)
 
 
 class Clock:
@@ -93,41 +78,3 @@ def _kind(cell: Cell) -> tuple[str, float]:
 
 def _amount(cell: Cell) -> float:
     return 1.0 if cell.guess else cell.steps + 1.0
-
-
-def duration(seconds: float) -> str:
-    """Seconds as a person says them."""
-    if seconds < 90:
-        return f"{seconds:.0f} s"
-    return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"
-
-
-@contextlib.contextmanager
-def _progress(quiet: bool) -> Iterator[Told]:
-    """A bar on a terminal; elsewhere a line now and then; nothing where quiet."""
-    if quiet or not err.is_terminal:
-        last = time.monotonic()
-
-        def line(note: str, spent: float, left: float) -> None:
-            nonlocal last
-            if not quiet and time.monotonic() - last > LINE_SECONDS:
-                last = time.monotonic()
-                rest = f"about {duration(left)} left" if left else "time left not known yet"
-                say(f"evaluate: {note}; {duration(spent)} so far, {rest}")
-
-        yield line
-        return
-    with progress_of_all() as bar:
-        row = bar.add_task("evaluate", total=None, left="", note="")
-
-        def show(note: str, spent: float, left: float) -> None:
-            known = left > 0
-            bar.update(
-                row,
-                completed=spent,
-                total=spent + left if known else None,
-                left=f"about {duration(left)} left" if known else "",
-                note=note,
-            )
-
-        yield show

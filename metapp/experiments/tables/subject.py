@@ -8,10 +8,10 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from typing import Any, NamedTuple
 
-from metapp.cli.console import say
-from metapp.cli.fit import fit_tasks, run_path, summary
 from metapp.experiments.embedded import embedded_exists
 from metapp.experiments.inputs import tasks_to_fit
+from metapp.experiments.reporter import say
+from metapp.experiments.run import fit_and_keep, run_path
 from metapp.experiments.session import (
     Options,
     Start,
@@ -28,7 +28,7 @@ from metapp.experiments.tables.statistics import Paired, paired, statistics_of
 from metapp.learning.app import App
 from metapp.learning.task import Task
 from metapp.paradigms import Paradigm, paradigms
-from metapp.storage.records import FIT, RunFolder
+from metapp.storage.records import FIT, RunFolder, summary
 
 Record = dict[str, Any]
 
@@ -165,7 +165,7 @@ class Subject:
         def measure(missing: list[Task]) -> Iterator[Record]:
             assert folder is not None
             assert start is not None
-            return fit_tasks(options, paradigm, start, missing, folder)
+            return fit_and_keep(options, paradigm, start, missing, folder)
 
         steps = paradigm.count(options.job)
         command = self.command("") if name else _fit_command(fit)

@@ -11,7 +11,7 @@ from collections.abc import Collection, Iterator
 import torch
 from torch import Tensor
 
-from metapp.cli.fit import rng_of
+from metapp.experiments.fits import rng_of
 from metapp.experiments.session import name_of, observe_of, settings_of, threads_of
 from metapp.experiments.tables import paper
 from metapp.experiments.tables.subject import Cell, Fit, Record, Subject

@@ -8,20 +8,15 @@ Matrices are nested lists, row by row.
 from __future__ import annotations
 
 import colorsys
-import json
 import math
 from typing import Any, NamedTuple
 
 import numpy as np
-import torch
-from torch import Tensor
 
-from data_tools.synthetic.patterns.fields import Rng, between, chance, log_between, pick, whole
-from data_tools.synthetic.stationary.families import stream
+from data_tools.draws import Rng, between, chance, log_between, pick, stream, whole
 
 Scene = dict[str, Any]
 
-BYTES = 8192  # of a scene as text: one size, so that sets of tasks can be joined
 MATERIALS = ("diffuse", "glass", "metal")
 METALS = ("Ag", "Al", "Au", "Cr", "Cu")
 
@@ -66,25 +61,6 @@ def draw_scene(rng: Rng) -> Scene:
     for number, ball in enumerate(_balls(rng, whole(rng, 1, 5))):
         scene[f"sphere-{number}"] = _sphere(ball, _material(rng))
     return scene
-
-
-def scene_bytes(scene: Scene) -> Tensor:
-    """A scene as its JSON text, uint8 [L], with blanks at its end up to a multiple of 8192 bytes."""
-    text = json.dumps(scene, allow_nan=False).encode()
-    padded = text.ljust(math.ceil(len(text) / BYTES) * BYTES)
-    return torch.frombuffer(bytearray(padded), dtype=torch.uint8)
-
-
-def scene_of(text: Tensor) -> Scene:
-    """The scene whose JSON text this is, as `scene_bytes` makes it.
-
-    Raises:
-        ValueError: it is no JSON.
-    """
-    try:
-        return json.loads(text.cpu().numpy().tobytes())
-    except (ValueError, RecursionError) as error:
-        raise ValueError(f"a stored scene is no JSON ({error}), expected a dictionary; make the data anew.") from None
 
 
 def _sensor() -> Scene:

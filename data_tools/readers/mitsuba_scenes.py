@@ -7,7 +7,7 @@ import json
 from collections.abc import Iterable
 from pathlib import Path
 
-from data_tools.formats.transport_task import HELD, SAMPLES, transport_task
+from data_tools.readers.transport_task import HELD, SAMPLES, transport_task
 from metapp.learning.task import Task
 from metapp.rendering.path_space import DIMENSIONS
 from metapp.rendering.scene_files import Places, read_text

@@ -19,7 +19,8 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from data_tools.formats.photos import (
+from data_tools.draws import Rng, stream
+from data_tools.readers.photos import (
     check_memory,
     error_of,
     find_photos,
@@ -29,8 +30,6 @@ from data_tools.formats.photos import (
     reason_of,
     turn_upright,
 )
-from data_tools.synthetic.patterns.fields import Rng
-from data_tools.synthetic.stationary.families import stream
 from metapp.appearance.latlong import mean_luminance, resample, sphere_normals
 from metapp.appearance.photograph import photograph
 from metapp.learning.task import Task
@@ -92,8 +91,8 @@ def read_task(path: Path) -> Task:
         the sphere should touch, black outside the disc.
 
     Raises:
-        ValueError: as `read_map` and `data_tools.formats.photos.read_photo`; an LDR picture twice as wide as high; a disc that
-            is black.
+        ValueError: as `read_map` and `data_tools.readers.photos.read_photo`; an LDR picture twice as wide as high; a
+            disc that is black.
     """
     look = _look(path)
     if look.is_hdr:

@@ -26,8 +26,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from data_tools.formats.photos import LINEAR, SIZE, SUFFIXES, central_square, find_photos, read_pixels, resample
-from data_tools.formats.svbrdf_task import UNITS, svbrdf_task, task_name, unit_normals
+from data_tools.readers.photos import LINEAR, SIZE, SUFFIXES, central_square, find_photos, read_pixels, resample
+from data_tools.readers.svbrdf_task import UNITS, svbrdf_task, task_name, unit_normals
 from metapp.appearance.flash import Maps, pack
 from metapp.learning.task import Task
 from metapp.storage.shards import split_auto
@@ -202,8 +202,8 @@ def read_task(source: Path, size: int = SIZE, normals: str = "auto") -> Task:
             could have, up if that is not clear.
 
     Raises:
-        ValueError: as `data_tools.formats.photos.read_pixels`; a map that is missing or there twice, maps of different shapes,
-            NaN, black, normals that are none.
+        ValueError: as `data_tools.readers.photos.read_pixels`; a map that is missing or there twice, maps of different
+            shapes, NaN, black, normals that are none.
     """
     material = material_of(source)
     if material is None:

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterable
 from pathlib import Path
 
-from data_tools.formats import material_maps, strips
-from data_tools.formats.photos import SIZE, check_exists, find_photos, holds_photos, read_photo
-from data_tools.formats.svbrdf_task import UNITS, task_name
+from data_tools.readers import material_maps, strips
+from data_tools.readers.photos import SIZE, check_exists, find_photos, holds_photos, read_photo
+from data_tools.readers.svbrdf_task import UNITS, task_name
 from metapp.learning.task import Task
 
 __all__ = ["UNITS", "find", "read_task", "recognises"]
@@ -22,7 +22,7 @@ def find(paths: Iterable[str | Path]) -> tuple[list[Path], list[str]]:
         The files, each once, and a line for each other file of a folder.
 
     Raises:
-        ValueError: as `data_tools.formats.photos.find_photos`.
+        ValueError: as `data_tools.readers.photos.find_photos`.
     """
     files, skipped = find_photos(paths)
     stands_for: dict[Path, Path] = {}
@@ -37,11 +37,11 @@ def read_task(path: Path, size: int = SIZE) -> Task:
     """Turn a strip, the material that a map belongs to, or else a photograph into a task named by the file.
 
     Returns:
-        As `data_tools.formats.svbrdf_task.svbrdf_task`; of a photograph `photo` alone, uint8 [3, size, size].
+        As `data_tools.readers.svbrdf_task.svbrdf_task`; of a photograph `photo` alone, uint8 [3, size, size].
 
     Raises:
-        ValueError: as the `read_task` of `data_tools.formats.strips` and `data_tools.formats.material_maps`, and as
-            `data_tools.formats.photos.read_photo`.
+        ValueError: as the `read_task` of `data_tools.readers.strips` and `data_tools.readers.material_maps`, and as
+            `data_tools.readers.photos.read_photo`.
     """
     check_exists(path)
     material = material_maps.material_of(path)

@@ -7,8 +7,8 @@ from typing import Any
 from torch import Generator
 
 from metapp.learning.task import Task
-from metapp.rendering.cornell import scene_bytes
 from metapp.rendering.path_space import DIMENSIONS, Tracer, path_samples
+from metapp.rendering.scene_text import scene_bytes
 
 SAMPLES, HELD = 32_768, 8_192
 UNITS = {

@@ -1,0 +1,49 @@
+"""Environment maps in lat-long layout, such as those of the Laval indoor set; and photographs of a sphere."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from data_tools.formats import Conversion, Files, Format, Reader
+
+HELP = """Convert HDR environment maps, such as those of the Laval indoor set.
+
+Any lat-long map (Gardner et al. 2017 publish 2048 x 1024 EXR) with floating-point RGB or gray pixels. It becomes
+linear Rec.709 of 64 x 128 texels, averaged over solid angle, of mean luminance 1 beside the scale it had, and four
+photographs of spheres under it. A bad file that was named ends the conversion and nothing is written; one found in
+a folder is skipped with a warning.
+
+Examples:
+  metapp data laval IndoorHDR --out laval
+  metapp data laval office.exr street.hdr --split test --out maps
+"""
+
+
+def _files() -> Files:
+    from data_tools.readers import latlong
+
+    return latlong
+
+
+def _reader(paths: list[Path], split: str) -> Reader:
+    from data_tools.readers import latlong
+
+    notes = {"made_by": "metapp data laval", "rows": latlong.HEIGHT}
+    return Reader(
+        "illumination",
+        "map",
+        latlong.UNITS,
+        latlong.find_maps,
+        lambda source: source.stem,
+        latlong.read_map_task,
+        notes,
+    )
+
+
+FORMAT = Format(
+    "laval",
+    "illumination",
+    "HDR maps (.exr, .hdr) or LDR photos of a sphere that touches their borders",
+    _files,
+    conversion=Conversion(HELP, _reader, ("FILES...", "HDR maps (.exr, .hdr), and folders searched at any depth.")),
+)

@@ -1,0 +1,123 @@
+"""Photographs of flat materials under a flash beside the lens, as tasks, and which material each one shows.
+
+The flash lights the centre of the picture most: the central square is what counts. What a photograph shows follows
+from where it lies, in this order:
+
+    <split>_<material>_<image>.jpg      such as train_0231_IMG_0785.jpg
+    <split>/<material>/<image>.jpg      as Henzler et al. 2021, "Generative Modelling of BRDF Textures from Flash
+                                        Images", store theirs; their metadata.json says the same
+    <split>/<material>.jpg
+    <material>/<image>.jpg              below the folder that was named
+    <material>.jpg
+
+with "train" or "test" as <split>.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Iterable, Mapping
+from functools import partial
+from pathlib import Path
+from typing import NamedTuple
+
+from data_tools.readers.photos import SIZE, find_photos, holds_photos, read_photo
+from metapp.learning.task import Task
+from metapp.storage.shards import split_auto
+
+UNITS = {"image": "sRGB, uint8 0..255 [3, height, width], rows from the top; the flash is at the centre"}
+
+_SPLITS = ("train", "test")
+_NAME = re.compile(r"(train|test)_([^_]+)_(.+)", re.IGNORECASE)
+
+find = partial(find_photos, expected=("metadata.json",))  # the names that every reader has
+recognises = holds_photos
+
+
+class Shown(NamedTuple):
+    """What a photograph shows.
+
+    Attributes:
+        name: of the task: the material's, and the image's where a material may have several.
+        material: of which all photographs belong to one split.
+        split: "train" or "test" if its name or folder says so, else "".
+    """
+
+    name: str
+    material: str
+    split: str
+
+
+def read_task(path: Path, size: int = SIZE) -> Task:
+    """Turn a flash photograph into a task of so many px a side, named by `shown`.
+
+    Raises:
+        ValueError: as `data_tools.readers.photos.read_photo`.
+    """
+    return Task(shown(path).name, {"image": read_photo(path, size)})
+
+
+def shown(photo: Path, folder: Path | None = None) -> Shown:
+    """What a photograph shows, by its name and place.
+
+    Args:
+        photo: the file.
+        folder: in which it was found; None if it was named itself.
+    """
+    match = _NAME.fullmatch(photo.stem)
+    if match:
+        split, material, image = match.groups()
+        return Shown(f"{material}_{image}", material, split.lower())
+    absolute = Path(os.path.abspath(photo))  # links are not followed: their own place counts
+    start = Path(os.path.abspath(folder)).parent if folder else Path(absolute.anchor)
+    outer, inner = ("", "", *absolute.relative_to(start).parts[:-1])[-2:]
+    if outer.lower() in _SPLITS:
+        return Shown(f"{inner}_{photo.stem}", inner, outer.lower())
+    if inner.lower() in _SPLITS:
+        return Shown(photo.stem, photo.stem, inner.lower())
+    if outer and folder:
+        return Shown(f"{inner}_{photo.stem}", inner, "")
+    return Shown(photo.stem, photo.stem, "")
+
+
+def find_shown(paths: Iterable[str | Path]) -> dict[Path, Shown]:
+    """All photographs of files and folders, by their resolved paths, and what each shows.
+
+    A photograph that is found in several ways shows what it does in the outermost folder.
+
+    Raises:
+        ValueError: as `find`.
+    """
+    found: dict[Path, Shown] = {}
+    for path in sorted(map(Path, paths), key=lambda path: (not path.is_dir(), len(path.resolve().parts))):
+        for photo in find([path])[0]:
+            found.setdefault(photo.resolve(), shown(photo, path if path.is_dir() else None))
+    return found
+
+
+def split_by_material(photos: Mapping[Path, Shown]) -> dict[Path, str]:
+    """Split photographs into training and test ones so that those of a material stay together.
+
+    Where all say their split and both occur, that holds; otherwise `metapp.storage.shards.split_auto` decides among
+    materials: of the sorted names, every fifth is a test material.
+
+    Returns:
+        "train" or "test" for each photograph.
+
+    Raises:
+        ValueError: a material with training and test photographs.
+    """
+    stated = {each.split for each in photos.values()}
+    if stated != set(_SPLITS):
+        split = split_auto(each.material for each in photos.values())
+        return {photo: split[each.material] for photo, each in photos.items()}
+    first: dict[str, Path] = {}
+    for photo, each in photos.items():
+        other = first.setdefault(each.material, photo)
+        if photos[other].split != each.split:
+            raise ValueError(
+                f"{other} and {photo}: training and test photograph of the material '{each.material}', expected all "
+                "of a material on one side; rename one, or set --split."
+            )
+    return {photo: each.split for photo, each in photos.items()}

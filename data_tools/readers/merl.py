@@ -1,0 +1,334 @@
+"""MERL BRDF tables: read, write, evaluate, tabulate.
+
+A file holds 90 x 90 x 180 entries of an isotropic BRDF over (theta_h, theta_d, phi_d) rad, phi_h = 0: three int32
+(90, 90, 180), then all red, all green, all blue values as float64, little-endian, phi_d fastest. In a file, values are
+scaled by 1500, 1500/1.15, 1500/1.66; in a table here they are linear RGB reflectance in 1/sr. theta_h has square-root
+spacing: bin i covers ((i/90)^2, ((i+1)/90)^2) * pi/2; theta_d covers 0..pi/2 and phi_d 0..pi evenly.
+
+An entry is invalid if all its channels are negative (-1 in most files): nothing was measured, mostly since a direction
+is below the horizon. A lone negative channel is noise: it stays in the table and evaluates to 0.
+
+Source: Matusik et al. 2003, "A Data-Driven Reflectance Model", and the reader published with its data.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Mapping
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from data_tools.readers.plausibility import warn_implausible
+from metapp.appearance.geometry import above_horizon
+from metapp.learning.task import Task
+from metapp.storage.files import write_atomically
+
+SHAPE = (90, 90, 180)
+SCALE = np.array([1.0, 1.15, 1.66]) / 1500.0
+FILE_BYTES = 12 + 8 * 3 * math.prod(SHAPE)
+
+_HEADER = np.array(SHAPE, dtype="<i4")
+_MIN_VALID = 0.01  # three quarters of the bins are above the horizon
+_ABOUT = f"{FILE_BYTES:,} (12-byte header + 3x90x90x180 doubles)"
+
+Array = NDArray[np.float64]
+
+
+def find_merl(paths: Iterable[str | Path]) -> tuple[list[Path], list[str]]:
+    """Find MERL files by size and header; values are not looked at.
+
+    Args:
+        paths: files, and folders that are searched with all below them (hidden ones left out).
+
+    Returns:
+        The files, each once, those of a folder sorted; and a line for each other file of a folder, saying why it was
+        skipped.
+
+    Raises:
+        ValueError: a path that does not exist, a named file that is not a MERL table, a folder without any.
+    """
+    files: dict[Path, Path] = {}
+    skipped: list[str] = []
+    for path in map(Path, paths):
+        if not path.is_dir():
+            _check_file(path)
+            files.setdefault(path.resolve(), path)
+            continue
+        before = len(skipped)
+        found = 0
+        for file in sorted(path.rglob("*")):
+            if file.is_dir() or any(part.startswith(".") for part in file.relative_to(path).parts):
+                continue
+            try:
+                _check_file(file)
+            except ValueError as error:
+                skipped.append(str(error))
+            else:
+                files.setdefault(file.resolve(), file)
+                found += 1
+        if not found:
+            # The one thing a folder holds is likely what was meant: say what is wrong with it.
+            if len(skipped) == before + 1:
+                raise ValueError(skipped[before])
+            raise ValueError(f"{path}: no MERL file, expected *.binary files of {_ABOUT}; name their folder.")
+    return list(files.values()), skipped
+
+
+find = find_merl  # the name that every reader has
+
+
+def recognises(path: str | Path) -> bool:
+    """Whether a path is this reader's: a file named .binary or of a MERL file's size, or a folder with one below it."""
+    path = Path(path)
+    if path.is_dir():
+        return any(recognises(file) for file in path.rglob("*") if file.is_file())
+    return path.suffix == ".binary" or (path.is_file() and path.stat().st_size == FILE_BYTES)
+
+
+def export(app: Any, theta: Mapping[str, Tensor], path: Path) -> None:
+    """Write a fitted network of the BRDF application as a MERL file, `path`.binary."""
+    write_merl(path.with_name(f"{path.name}.binary"), tabulate(lambda angles: app.reflectance(theta, angles)))
+
+
+def read_task(path: Path, samples: int = 65_536) -> Task:
+    """Turn a MERL file into a BRDF task of so many samples, named by the file's stem; warns of implausible values.
+
+    Raises:
+        ValueError: as `read_merl`.
+    """
+    from data_tools.readers.brdf_task import brdf_task  # it builds on this module
+
+    table = read_merl(path)
+    task = brdf_task(path.stem, table=table, samples=samples, source=path)
+    warn_implausible(path, task, partial(merl_evaluate, table))
+    return task
+
+
+def read_merl_planes(path: str | Path) -> Array:
+    """Read a file's numbers as they are.
+
+    Returns:
+        [3, 90, 90, 180], in file units (not 1/sr), indexed by channel, theta_h, theta_d, phi_d.
+
+    Raises:
+        ValueError: not a MERL file, an incomplete one, values that are not finite, almost no valid entries.
+    """
+    path = Path(path)
+    _check_file(path)
+    planes = np.fromfile(path, dtype="<f8", offset=12).astype(np.float64, copy=False).reshape(3, *SHAPE)
+    _check_values(planes, str(path))
+    return planes
+
+
+def read_merl(path: str | Path) -> Array:
+    """Read a MERL file.
+
+    Returns:
+        The table [90, 90, 180, 3]: linear RGB reflectance in 1/sr, >= 0; invalid entries negative in all channels. It
+        is a view of planes, as the file has them: interleaving the channels can take longer than reading them.
+
+    Raises:
+        ValueError: as `read_merl_planes`.
+    """
+    planes = read_merl_planes(path)
+    planes *= SCALE[:, None, None, None]
+    return np.moveaxis(planes, 0, -1)
+
+
+def write_merl_planes(path: str | Path, planes: Array) -> None:
+    """Write what `read_merl_planes` read, byte for byte, invalid entries included.
+
+    Args:
+        path: the file; replaced whole or not at all.
+        planes: [3, 90, 90, 180] in file units.
+
+    Raises:
+        ValueError: another shape, values that are not finite, almost no valid entries.
+    """
+    if planes.shape != (3, *SHAPE):
+        raise ValueError(f"{path}: planes {planes.shape}, expected {(3, *SHAPE)} to write.")
+    _check_values(planes, str(path))
+
+    def write(partial: Path) -> None:
+        with partial.open("wb") as stream:
+            stream.write(_HEADER.tobytes())
+            np.ascontiguousarray(planes, dtype="<f8").tofile(stream)
+
+    write_atomically(path, write)
+
+
+def write_merl(path: str | Path, table: Array) -> None:
+    """Write a table in 1/sr as a MERL file.
+
+    Dividing by the scale undoes reading up to the last bit of a double; 0 and invalid entries of -1 are exact. For
+    a copy of a file, byte for byte, use `read_merl_planes` and `write_merl_planes`.
+
+    Args:
+        path: the file; replaced whole or not at all.
+        table: [90, 90, 180, 3], linear RGB reflectance in 1/sr; invalid entries negative in all channels.
+
+    Raises:
+        ValueError: another shape, values that are not finite, almost no valid entries.
+    """
+    if table.shape != (*SHAPE, 3):
+        raise ValueError(f"{path}: table {table.shape}, expected {(*SHAPE, 3)} to write.")
+    write_merl_planes(path, np.stack([table[..., channel] / SCALE[channel] for channel in range(3)]))
+
+
+def merl_valid(table: Array) -> NDArray[np.bool_]:
+    """Which entries [90, 90, 180] of a table [90, 90, 180, 3] are valid: those with a channel that is not negative."""
+    return (table[..., 0] >= 0) | (table[..., 1] >= 0) | (table[..., 2] >= 0)
+
+
+def merl_centres() -> Tensor:
+    """Centres of all bins, where their values are taken to be measured.
+
+    Returns:
+        Angles (theta_h, theta_d, phi_d), float32 [90, 90, 180, 3] rad.
+    """
+    return torch.stack(torch.meshgrid(*(axis.float() for axis in _axes()), indexing="ij"), dim=-1)
+
+
+def merl_index(angles: Tensor) -> Tensor:
+    """The bin that angles fall into.
+
+    Args:
+        angles: (theta_h, theta_d, phi_d), [..., 3] rad; the thetas are clamped to 0..pi/2, and phi_d + pi is phi_d
+            (reciprocity).
+
+    Returns:
+        Flat index phi_d + 180 * (theta_d + 90 * theta_h), int64 [...].
+    """
+    bins = [position.floor().long().clamp(0, size - 1)
+            for position, size in zip(_positions(angles), SHAPE, strict=True)]  # fmt: skip
+    return (bins[0] * SHAPE[1] + bins[1]) * SHAPE[2] + bins[2]
+
+
+def merl_evaluate(table: Array | Tensor, angles: Tensor) -> Tensor:
+    """Interpolate a table between the centres of its bins, linearly in each angle.
+
+    Invalid entries are left out and the rest weighs more; where all eight are invalid the result is 0. phi_d is
+    periodic; beyond the outermost centres of theta_h and theta_d the outermost value holds.
+
+    Args:
+        table: [90, 90, 180, 3], linear RGB in 1/sr; invalid entries negative in all channels. float32 is fastest.
+        angles: (theta_h, theta_d, phi_d), [..., 3] rad.
+
+    Returns:
+        Reflectance [..., 3] in 1/sr, linear RGB, >= 0, of the type of the angles.
+    """
+    flat = torch.as_tensor(table, device=angles.device).reshape(-1, 3)
+    lower, upper, weight = [], [], []
+    for position, size, axis, angle in zip(_positions(angles), SHAPE, _axes(), angles.unbind(-1), strict=True):
+        if size == SHAPE[2]:
+            first = (position - 0.5).floor()
+            weight.append(position - 0.5 - first)
+            lower.append(first.long() % size)
+            upper.append((lower[-1] + 1) % size)
+        else:
+            first = (position - 0.5).floor().long().clamp(0, size - 2)
+            centres = axis.to(angles)
+            weight.append(((angle - centres[first]) / (centres[first + 1] - centres[first])).clamp(0, 1))
+            lower.append(first)
+            upper.append(first + 1)
+    total = angles.new_zeros(angles.shape)
+    weights = angles.new_zeros((*angles.shape[:-1], 1))
+    for corner in range(8):
+        index = torch.zeros_like(lower[0])
+        share = torch.ones_like(weight[0])
+        for dim, size in enumerate(SHAPE):
+            is_upper = corner >> dim & 1
+            index = index * size + (upper[dim] if is_upper else lower[dim])
+            share = share * (weight[dim] if is_upper else 1 - weight[dim])
+        value = flat[index].to(angles.dtype)
+        share = (share * (value >= 0).any(-1)).unsqueeze(-1)
+        total += share * value
+        weights += share
+    return (total / weights.clamp_min(1e-12)).clamp_min(0)
+
+
+def tabulate(evaluate: Callable[[Tensor], Tensor]) -> Array:
+    """Evaluate a BRDF at the centres of all bins.
+
+    Args:
+        evaluate: takes angles (theta_h, theta_d, phi_d), float32 [N, 3] rad, all above the horizon; returns
+            reflectance [N, 3] in 1/sr, linear RGB. Negative values become 0.
+
+    Returns:
+        The table [90, 90, 180, 3]; entries below the horizon are invalid (-1 in file units).
+
+    Raises:
+        ValueError: a result of another shape, or one that is not finite.
+    """
+    table = np.empty((*SHAPE, 3))
+    table[:] = -SCALE
+    # A few theta_h at a time: a network's hidden layers over all bins at once would take hundreds of megabytes.
+    for rows, angles in zip(np.array_split(table, 9), merl_centres().tensor_split(9), strict=True):
+        above = above_horizon(angles)
+        with torch.no_grad():
+            value = evaluate(angles[above])
+        if value.shape != angles[above].shape:
+            raise ValueError(
+                f"evaluate returned {tuple(value.shape)}, expected {tuple(angles[above].shape)}: RGB for each angle."
+            )
+        if not bool(torch.isfinite(value).all()):
+            raise ValueError("evaluate returned NaN or infinite values, expected finite reflectance in 1/sr.")
+        rows[above.numpy()] = value.clamp_min(0).double().cpu().numpy()
+    return table
+
+
+def _axes() -> tuple[Tensor, Tensor, Tensor]:
+    """Centres of the bins along theta_h, theta_d, phi_d: float64 rad."""
+    theta_h, theta_d, phi_d = ((torch.arange(size, dtype=torch.float64) + 0.5) / size for size in SHAPE)
+    return theta_h**2 * (math.pi / 2), theta_d * (math.pi / 2), phi_d * math.pi
+
+
+def _positions(angles: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Positions along the three axes in bins: bin i covers [i, i + 1)."""
+    theta_h, theta_d, phi_d = angles.unbind(-1)
+    return (
+        (theta_h.clamp_min(0) * (2 / math.pi)).sqrt() * SHAPE[0],
+        theta_d * (2 / math.pi * SHAPE[1]),
+        phi_d.remainder(math.pi) * (SHAPE[2] / math.pi),
+    )
+
+
+def _check_file(path: Path) -> None:
+    """Refuse what is not a MERL file by its size and header."""
+    if not path.is_file():
+        found = "a folder" if path.is_dir() else "no such file"
+        raise ValueError(f"{path}: {found}, expected a MERL file; check the path.")
+    size = path.stat().st_size
+    with path.open("rb") as stream:
+        header = np.frombuffer(stream.read(12).ljust(12, b"\0"), dtype="<i4")
+    matches = bool((header == _HEADER).all())
+    if size != FILE_BYTES:
+        remedy = "not a MERL file" if not matches else "the file has something appended, download it again"
+        if matches and size < FILE_BYTES:
+            remedy = "the download is probably incomplete"
+        raise ValueError(f"{path}: {size:,} bytes, expected {_ABOUT}; {remedy}.")
+    if not matches:
+        found = "x".join(map(str, header.tolist()))
+        raise ValueError(f"{path}: header {found}, expected 90x90x180; not a MERL file.")
+
+
+def _check_values(planes: Array, subject: str) -> None:
+    """Refuse planes that no measurement gives."""
+    # The sum is not finite if any value is not; it costs less than looking at each.
+    with np.errstate(invalid="ignore", over="ignore"):
+        total = planes.sum()
+    if not np.isfinite(total) and not np.isfinite(planes).all():
+        count = int((~np.isfinite(planes)).sum())
+        raise ValueError(f"{subject}: {count:,} values are NaN or infinite, expected none; download or make it again.")
+    valid = float(((planes[0] >= 0) | (planes[1] >= 0) | (planes[2] >= 0)).mean())
+    if valid < _MIN_VALID:
+        raise ValueError(
+            f"{subject}: {valid:.2%} of the entries are valid (not negative), expected {_MIN_VALID:.0%} or more; "
+            "not a measured BRDF."
+        )

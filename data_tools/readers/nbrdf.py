@@ -1,0 +1,214 @@
+"""Neural BRDFs of Sztrajman et al. 2021, "Neural BRDF Representation and Importance Sampling": read, write, evaluate.
+
+A network is six `.npy` files, float32: fc1 (6, 21), fc2 (21, 21), fc3 (21, 3), stored [inputs, outputs], and the
+biases b1, b2 (21,), b3 (3,). It reads the half vector (phi_h = 0) and the difference vector, both of unit length;
+hidden layers are ReLU; reflectance = max(exp(out) - 1, 0), linear RGB in 1/sr. A folder holds one network (`fc1.npy`,
+...), or several, each with its name in front (`gold_fc1.npy`, ...).
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.lib import format as npy
+from numpy.typing import NDArray
+from torch import Tensor
+
+from data_tools.readers.brdf_task import brdf_task
+from data_tools.readers.plausibility import warn_implausible
+from metapp.appearance.geometry import half_difference
+from metapp.learning.task import Task
+from metapp.storage.files import write_atomically
+
+SHAPES = {"fc1": (6, 21), "fc2": (21, 21), "fc3": (21, 3), "b1": (21,), "b2": (21,), "b3": (3,)}
+
+_FILE = re.compile(r"(?:(?P<name>.*)_)?(?P<part>fc[123]|b[123])\.npy")
+_EXPECTED = "expected fc1.npy, fc2.npy, fc3.npy, b1.npy, b2.npy, b3.npy"
+
+
+def find_nbrdf(paths: Iterable[str | Path]) -> tuple[list[Path], list[str]]:
+    """Find networks by the names of their files; the files are not opened.
+
+    Args:
+        paths: folders of a network, folders with such folders at any depth (hidden ones left out), or names as this
+            function returns them.
+
+    Returns:
+        What `read_nbrdf` takes, each network once, those of a folder sorted: its folder, or folder/name where the
+        files have a name in front; the last part of either is the network's name. And a line for each network below
+        a folder that was skipped since files of it are missing.
+
+    Raises:
+        ValueError: a path that is neither, a folder without any whole network.
+    """
+    networks: dict[Path, Path] = {}
+    skipped: list[str] = []
+    for path in map(Path, paths):
+        if not path.is_dir():
+            networks.setdefault(path.resolve(), _locate(path)[0])
+            continue
+        groups: dict[Path, set[str]] = {}
+        for file in sorted(path.rglob("*.npy")):
+            match = _FILE.fullmatch(file.name)
+            if match and not any(part.startswith(".") for part in file.relative_to(path).parts):
+                groups.setdefault(file.parent / (match["name"] or ""), set()).add(match["part"])
+        whole = sorted(network for network, parts in groups.items() if len(parts) == len(SHAPES))
+        broken = [_missing(network, groups[network]) for network in sorted(set(groups) - set(whole))]
+        if not whole:
+            raise ValueError(broken[0] if broken else f"{path}: no NBRDF network, {_EXPECTED}; name their folder.")
+        networks.update((network.resolve(), network) for network in whole if network.resolve() not in networks)
+        skipped += broken
+    return list(networks.values()), skipped
+
+
+find = find_nbrdf  # the name that every reader has
+
+
+def recognises(path: str | Path) -> bool:
+    """Whether a path is this reader's: a folder with files named as an NBRDF network's, at any depth."""
+    path = Path(path)
+    return path.is_dir() and any(_FILE.fullmatch(file.name) for file in path.rglob("*.npy"))
+
+
+def export(app: Any, theta: Mapping[str, Tensor], folder: Path) -> None:
+    """Write a fitted network of the BRDF application, w1..w3 [out, in] and b1..b3 [out, 1], as an NBRDF folder."""
+    weights = {f"fc{layer}": theta[f"w{layer}"].T for layer in (1, 2, 3)}
+    write_nbrdf(folder, weights | {f"b{layer}": theta[f"b{layer}"].flatten() for layer in (1, 2, 3)})
+
+
+def read_task(path: Path, samples: int = 65_536) -> Task:
+    """Turn an NBRDF network, as `find_nbrdf` names it, into a BRDF task named by the last part of its path.
+
+    Warns of implausible values.
+
+    Raises:
+        ValueError: as `read_nbrdf`.
+    """
+    evaluate = partial(nbrdf_evaluate, read_nbrdf(path))
+    task = brdf_task(path.resolve().name, evaluate, samples=samples, source=path)
+    warn_implausible(path, task, evaluate)
+    return task
+
+
+def read_nbrdf(folder: str | Path) -> dict[str, NDArray[np.float32]]:
+    """Read a network.
+
+    Args:
+        folder: with the six files; if they have a name in front, it must be the only one, or say folder/name.
+
+    Returns:
+        float32 arrays in C order by the names and of the shapes in `SHAPES`: fc* are [inputs, outputs].
+
+    Raises:
+        ValueError: no such folder, missing files, several networks, another shape or type, values that are not finite.
+    """
+    _, files = _locate(Path(folder))
+    return {part: _read_part(files[part], shape) for part, shape in SHAPES.items()}
+
+
+def write_nbrdf(folder: str | Path, weights: Mapping[str, NDArray[np.floating] | Tensor]) -> None:
+    """Write a network as six C-ordered, little-endian float32 files, each whole or not at all.
+
+    numpy stores a transposed view in Fortran order, which the Mitsuba plugin of the paper reads scrambled: arrays are
+    brought into C order first.
+
+    Args:
+        folder: made if missing.
+        weights: arrays or tensors by the names and of the shapes in `SHAPES`: fc* are [inputs, outputs].
+
+    Raises:
+        ValueError: missing or unknown names, another shape, values that are not finite; nothing is written then.
+    """
+    folder = Path(folder)
+    if set(weights) != set(SHAPES):
+        raise ValueError(f"{folder}: weights {', '.join(sorted(weights)) or 'none'}, expected {', '.join(SHAPES)}.")
+    arrays = {part: _as_array(weights[part]) for part in SHAPES}
+    for part, array in arrays.items():
+        _check_part(array, SHAPES[part], str(folder / f"{part}.npy"))
+    for part, array in arrays.items():
+        write_atomically(folder / f"{part}.npy", partial(_write_part, array))
+
+
+def nbrdf_evaluate(weights: Mapping[str, NDArray[np.floating] | Tensor], angles: Tensor) -> Tensor:
+    """Evaluate a network.
+
+    Args:
+        weights: as `read_nbrdf` returns them.
+        angles: (theta_h, theta_d, phi_d), [..., 3] rad.
+
+    Returns:
+        Reflectance [..., 3] in 1/sr, linear RGB, >= 0.
+    """
+    w = {part: torch.as_tensor(array).to(angles) for part, array in weights.items()}
+    hidden = torch.relu(half_difference(angles) @ w["fc1"] + w["b1"])
+    hidden = torch.relu(hidden @ w["fc2"] + w["b2"])
+    return torch.expm1(hidden @ w["fc3"] + w["b3"]).clamp_min(0)
+
+
+def _locate(path: Path) -> tuple[Path, dict[str, Path]]:
+    """The place of one network, as `find_nbrdf` names it, and its files."""
+    folder, only = (path, None) if path.is_dir() else (path.parent, path.name)
+    if path.is_file() or not folder.is_dir():
+        found = "a file" if path.is_file() else "no such folder"
+        raise ValueError(f"{path}: {found}, {_EXPECTED} in a folder; check the path.")
+    groups: dict[str, dict[str, Path]] = {}
+    for file in sorted(folder.iterdir()):
+        match = _FILE.fullmatch(file.name)
+        if match and file.is_file():  # a pipe would be waited for
+            groups.setdefault(match["name"] or "", {})[match["part"]] = file
+    if only is not None and only not in groups:
+        raise ValueError(f"{path}: no such folder, {_EXPECTED} in it, or {path.name}_fc1.npy, ...; check the path.")
+    if only is None and "" not in groups and len(groups) > 1:
+        names = ", ".join(sorted(groups))
+        raise ValueError(f"{folder}: {len(groups)} networks ({names}), expected one; name it: {folder / min(groups)}.")
+    name = only if only is not None else ("" if "" in groups or not groups else next(iter(groups)))
+    files = groups.get(name, {})
+    if len(files) < len(SHAPES):
+        raise ValueError(_missing(folder / name, set(files)))
+    return folder / name, files
+
+
+def _missing(network: Path, parts: set[str]) -> str:
+    missing = ", ".join(part for part in SHAPES if part not in parts)
+    return f"{network}: no file for {missing}, {_EXPECTED}; the network is incomplete."
+
+
+def _read_part(path: Path, shape: tuple[int, ...]) -> NDArray[np.float32]:
+    try:
+        # Mapped, so that a false header cannot ask for more memory than the file has; refuses objects (pickles).
+        mapped = npy.open_memmap(path, mode="r")
+    except Exception as error:  # numpy lets pass whatever Python's tokenizer raises at a damaged header
+        # it repeats the header, which may be long
+        reason = (str(error) or type(error).__name__).splitlines()[0][:80].rstrip(".")
+        raise ValueError(f"{path}: not a readable .npy file ({reason}), expected float32 {shape}.") from None
+    if mapped.dtype.kind != "f":
+        raise ValueError(f"{path}: values of type {mapped.dtype}, expected float32.")
+    with np.errstate(over="ignore"):  # of a double; the check says it better
+        array = np.array(mapped, dtype=np.float32, order="C")
+    _check_part(array, shape, str(path))
+    return array
+
+
+def _write_part(array: NDArray[np.float32], path: Path) -> None:
+    with path.open("wb") as stream:
+        npy.write_array(stream, array, allow_pickle=False)
+
+
+def _as_array(weights: NDArray[np.floating] | Tensor) -> NDArray[np.float32]:
+    if isinstance(weights, Tensor):
+        weights = weights.detach().cpu().numpy()
+    return np.ascontiguousarray(weights, dtype="<f4")
+
+
+def _check_part(array: NDArray[np.floating], shape: tuple[int, ...], subject: str) -> None:
+    if array.shape != shape:
+        remedy = "; transpose it: weights are stored [inputs, outputs]" if array.shape == shape[::-1] else ""
+        raise ValueError(f"{subject}: shape {array.shape}, expected {shape}{remedy}.")
+    if not np.isfinite(array).all():
+        raise ValueError(f"{subject}: holds NaN or infinite values, expected finite weights.")

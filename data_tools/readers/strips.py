@@ -1,0 +1,257 @@
+"""Strips of Deschaintre et al. 2018, "Single-Image SVBRDF Capture with a Rendering-Aware Deep Network", as tasks.
+
+A strip is an image of five equal squares side by side: flash photograph, normal, diffuse, roughness, specular. Normals
+are 0..1 for -1..1, x right, y up; all else is linear, as is. Names such as `0000001;marbleXbricks;1Xdefault.png` say
+which base materials a strip blends, `marble` and `bricks`, and which preset of each, `1` and `default`.
+
+Their photographs are rendered from as far as 50 degrees take, where the flash is, too, within a quarter of half a side;
+white would have radiance 1.35 right below it. That is measured: under such flashes the maps of 32 strips look like
+their photographs best, 5 % brighter or darker.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from data_tools.readers.photos import (
+    LINEAR,
+    SIZE,
+    Pixels,
+    find_photos,
+    fraction,
+    is_photo,
+    opened,
+    read_pixels,
+    resample,
+)
+from data_tools.readers.svbrdf_task import UNITS as OF_TASKS
+from data_tools.readers.svbrdf_task import encoded, svbrdf_task, task_name, unit_normals
+from metapp.appearance.flash import Maps, pack
+from metapp.learning.task import Task
+
+__all__ = ["UNITS", "find", "group_strips", "is_strip", "read_task", "recognises", "split_strips", "task_name"]
+
+TILES = 5
+WHITE = 1.35  # radiance of white right below the flash
+UNITS = {
+    **OF_TASKS,
+    "photo": "sRGB, uint8 0..255 [3, height, width], rows from the top; the strip's own flash photograph, exposed so "
+    "that white has radiance 1 right below the flash",
+}
+
+_CLIPPED = 0.995
+_DARKEST = 1 / 255  # neither diffuse nor specular above it anywhere: nothing to see
+_FEW = 5  # components; fewer have no fifth to leave for tests
+_CANDIDATES, _WALKS = 256, 4096  # blends that a step chooses from; walks times blends
+
+find = find_photos  # the names that every reader has
+
+
+class Blend(NamedTuple):
+    """What a strip is made of: base materials, and presets of them, `marble;1`."""
+
+    materials: frozenset[str]
+    presets: frozenset[str]
+
+
+class Split(NamedTuple):
+    """How strips are split.
+
+    Attributes:
+        sides: "train" or "test" of each that is kept.
+        left_out: those made of both sides.
+        by: "material" if no base material is on both sides, "preset" if only no preset is.
+    """
+
+    sides: dict[Path, str]
+    left_out: list[Path]
+    by: str
+
+
+def recognises(path: Path) -> bool:
+    """Whether a path is an image file that is five times as wide as high."""
+    if not is_photo(path):
+        return False
+    try:
+        return is_strip(path)
+    except ValueError:
+        return False
+
+
+def is_strip(path: Path) -> bool:
+    """Whether an image is five times as wide as high, within a texel of a tile.
+
+    Raises:
+        ValueError: no such file, no image.
+    """
+    with opened(path) as source:
+        spec = source.spec()
+        return _has_tiles(spec.height, spec.width)
+
+
+def read_task(path: Path, size: int = SIZE, gamma: float = 1.0, white: float = WHITE) -> Task:
+    """Turn a strip into a task with the maps and the photograph that it holds.
+
+    Args:
+        path: the file.
+        size: side of maps and photograph in px; means over areas, smaller tiles are interpolated.
+        gamma: all tiles but the normals are encoded so; 1 is linear, other than files say.
+        white: the radiance that white would have right below the flash; the photograph becomes so much darker, but
+            where it is clipped.
+
+    Raises:
+        ValueError: as `data_tools.readers.photos.read_pixels`; not five squares, NaN, black, normals that are none.
+    """
+    photo, normal, diffuse, roughness, specular = _read_tiles(path, size, gamma, white)
+    if max(float(diffuse.max()), float(specular.max())) < _DARKEST:
+        raise ValueError(f"{path}: diffuse and specular are black, expected a material that reflects; leave it out.")
+    maps = Maps(diffuse, specular, roughness.mean(0, keepdim=True), unit_normals(normal, path))
+    return svbrdf_task(task_name(path.stem), pack(maps), photo=encoded(photo))
+
+
+def _has_tiles(height: int, width: int) -> bool:
+    return abs(width - TILES * height) <= TILES
+
+
+def _read_tiles(path: Path, size: int, gamma: float, white: float) -> list[Tensor]:
+    """The tiles, [3, size, size] in [0, 1]; all but the normals linear; the photograph's white as `read_task` says."""
+    pixels = read_pixels(path)
+    height, width = pixels.values.shape[:2]
+    if not _has_tiles(height, width):
+        count = round(width / height)
+        found = f"{count} tiles" if abs(width - count * height) <= 1 else f"tiles of {width / TILES:g}x{height} px"
+        raise ValueError(
+            f"{path}: {width}x{height} px, {found}, expected {TILES} squares: photo, normal, diffuse, roughness, "
+            "specular; choose strips only."
+        )
+    values = fraction(pixels.values[..., :3])
+    wrong = int((~np.isfinite(values)).sum())
+    if wrong:
+        raise ValueError(f"{path}: {wrong:,} values are NaN or infinite, expected finite ones; export it again.")
+    side = min(height, width // TILES)
+    tiles = []
+    for index in range(TILES):
+        left = min(round(index * width / TILES), width - side)
+        tile = values[:side, left : left + side].clip(0, 1)
+        tile = tile if index == 1 else tile**gamma
+        if index == 0:
+            tile = np.where(tile < _CLIPPED, (tile / white).clip(0, 1), 1)  # who knows how bright what is clipped was
+        shown = Pixels(tile, LINEAR, False)
+        tiles.append(torch.from_numpy(resample(shown, size)).permute(2, 0, 1).float())
+    return tiles
+
+
+def blend(strip: Path) -> Blend:
+    """What a strip is made of, by its name; one that says nothing is made of itself.
+
+    Every capital X parts: a material whose own name holds one is parted, too, always alike, so that no strip seems to
+    share less than it does.
+    """
+    parts = strip.stem.split(";")
+    if len(parts) < 3:
+        return Blend(frozenset([strip.stem]), frozenset([strip.stem]))
+    materials = [each for each in parts[1].split("X") if each] or [strip.stem]
+    presets = parts[2].split("X")
+    if len(presets) != len(materials):  # which belongs to which is not known
+        return Blend(frozenset(materials), frozenset(materials))
+    return Blend(
+        frozenset(materials), frozenset(f"{each};{preset}" for each, preset in zip(materials, presets, strict=True))
+    )
+
+
+def group_strips(strips: Iterable[Path]) -> dict[Path, str]:
+    """What each strip shows, for `Task.group`.
+
+    Of five components of strips that share base materials, or more, a component is a group, called after its first base
+    material. Where there are fewer, validation would have nothing to part: the strips of one blend are a group.
+    """
+    blends = {strip: blend(strip) for strip in strips}
+    components = _components({strip: each.materials for strip, each in blends.items()})
+    if len(set(components.values())) >= _FEW:
+        return components
+    return {strip: " + ".join(sorted(each.presets)) for strip, each in blends.items()}
+
+
+def split_strips(strips: Sequence[Path]) -> Split:
+    """Split strips so that nothing they are made of is on both sides.
+
+    Of five components of strips that share base materials, or more, every fifth is for tests, the largest first in
+    line. Fewer are cut: test materials are chosen so that a fifth of the strips or more are made of them alone, no more
+    than are made of training materials alone, and that fewest are left out, made of both. Where no choice does that,
+    presets are parted so instead of base materials, and where none of these, either, all strips train.
+    """
+    blends = {strip: blend(strip) for strip in strips}
+    materials = {strip: each.materials for strip, each in blends.items()}
+    components = _components(materials)
+    sizes = Counter(components.values())
+    if len(sizes) >= _FEW:
+        in_line = sorted(sizes, key=lambda component: (-sizes[component], component))
+        test_ones = frozenset(in_line[_FEW - 1 :: _FEW])
+        return Split({strip: "test" if components[strip] in test_ones else "train" for strip in strips}, [], "material")
+    for by, made_of in (("material", materials), ("preset", {strip: each.presets for strip, each in blends.items()})):
+        test = _test_side(Counter(made_of.values()))
+        if test:
+            sides = {strip: _side(units, test) for strip, units in made_of.items()}
+            left_out = [strip for strip, side in sides.items() if not side]
+            return Split({strip: side for strip, side in sides.items() if side}, left_out, by)
+    return Split(dict.fromkeys(strips, "train"), [], "material")
+
+
+def _side(units: frozenset[str], test: frozenset[str]) -> str:
+    return "test" if units <= test else "" if units & test else "train"
+
+
+def _components(made_of: Mapping[Path, frozenset[str]]) -> dict[Path, str]:
+    """The first name, as sorted, of all that each strip is connected with by what they share."""
+    above: dict[str, str] = {}
+
+    def root(unit: str) -> str:
+        while above.setdefault(unit, unit) != unit:
+            above[unit] = unit = above[above[unit]]
+        return unit
+
+    for units in made_of.values():
+        roots = sorted(map(root, units))
+        above.update(dict.fromkeys(roots, roots[0]))  # a root is the first of its component
+    return {strip: root(min(units)) for strip, units in made_of.items()}
+
+
+def _test_side(blends: Counter[frozenset[str]]) -> frozenset[str]:
+    """What only test strips may be made of, as `split_strips` says; empty where there is no such choice.
+
+    The test side grows from one blend by the one after which most strips are left; the best state of several walks.
+
+    Args:
+        blends: how many strips are made of the same.
+    """
+    kinds = sorted(blends, key=sorted)
+    units = sorted(frozenset().union(*kinds))
+    member = torch.tensor([[float(unit in kind) for unit in units] for kind in kinds])
+    weight = torch.tensor([float(blends[kind]) for kind in kinds])
+    candidates = member[:: -(-len(kinds) // _CANDIDATES)]
+    best, chosen_best = (0.0, 0.0), torch.zeros(len(units))
+    for start in range(0, len(kinds), -(-len(kinds) // max(_WALKS // len(kinds), 1))):
+        chosen, test, train = member[start], 0.0, weight.sum().item()
+        while test <= train:
+            test, train = (float(each) for each in _kept(member, weight, chosen[None]))
+            if test <= train and test * _FEW >= test + train and (test + train, -test) > best:
+                best, chosen_best = (test + train, -test), chosen
+            after = torch.maximum(chosen, candidates)
+            tests, trains = _kept(member, weight, after)
+            left = torch.where(tests > test, tests + trains, -1)
+            if left.max() < 0:
+                break
+            chosen = after[left.argmax()]
+    return frozenset(unit for unit, is_chosen in zip(units, chosen_best, strict=True) if is_chosen)
+
+
+def _kept(member: Tensor, weight: Tensor, chosen: Tensor) -> tuple[Tensor, Tensor]:
+    """How many strips are made of chosen units alone, and of none of them, for K choices [K, U]; both [K]."""
+    return weight @ (member @ (1 - chosen).T == 0).float(), weight @ (member @ chosen.T == 0).float()

@@ -1,0 +1,90 @@
+"""What long work tells whoever waits for it: messages and progress, through the one reporter that is in force.
+
+The command line puts one in force that prints; a program that calls the Python API hears warnings alone.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import warnings
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager
+from contextvars import ContextVar
+
+Clock = Callable[[str, float, float], None]  # what was done last, seconds so far, seconds left or 0 while unknown
+
+
+class Bar:
+    """The progress of one job; this one shows nothing."""
+
+    def advance(self, note: str = "") -> None:
+        """Count one more as done; `note` names what comes next or came last."""
+
+    def name(self, note: str) -> None:
+        """Show what is worked on."""
+
+    def at(self, done: int, total: int | None, note: str = "") -> None:
+        """Show that so many are done, of so many where that is known."""
+
+
+class Reporter:
+    """Receives messages and progress; this one passes warnings on to Python's `warnings` and drops the rest."""
+
+    def say(self, message: str) -> None:
+        """Tell a person something; errors, warnings and problems begin with that word and a colon."""
+        if message.startswith("warning: "):
+            warnings.warn(message.removeprefix("warning: "), stacklevel=3)
+
+    def bar(self, title: str, total: int | None, done: int) -> AbstractContextManager[Bar]:
+        """Show the progress of a job of `total` parts (None: not known yet), `done` of which are done."""
+        return contextlib.nullcontext(Bar())
+
+    def clock(self) -> AbstractContextManager[Clock]:
+        """Show the time left of work whose parts are unlike each other."""
+        return contextlib.nullcontext(_unseen)
+
+
+def _unseen(note: str, spent: float, left: float) -> None:
+    pass
+
+
+_in_force: ContextVar[Reporter] = ContextVar("reporter", default=Reporter())  # noqa: B039  (it has no state)
+
+
+@contextlib.contextmanager
+def reporting(reporter: Reporter) -> Iterator[None]:
+    """Put a reporter in force."""
+    token = _in_force.set(reporter)
+    try:
+        yield
+    finally:
+        _in_force.reset(token)
+
+
+def say(message: str) -> None:
+    """Tell a person something; see `Reporter.say`."""
+    _in_force.get().say(message)
+
+
+def progress(
+    title: str, total: int | None = None, *, done: int = 0, quiet: bool = False
+) -> AbstractContextManager[Bar]:
+    """Show the progress of a job; see `Reporter.bar`. Nothing where quiet."""
+    return contextlib.nullcontext(Bar()) if quiet else _in_force.get().bar(title, total, done)
+
+
+def clock(*, quiet: bool = False) -> AbstractContextManager[Clock]:
+    """Show the time left; see `Reporter.clock`. Nothing where quiet."""
+    return contextlib.nullcontext(_unseen) if quiet else _in_force.get().clock()
+
+
+def duration(seconds: float) -> str:
+    """Write seconds as a person says them: 12 s, 5 min, 2.5 h."""
+    if seconds < 90:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"
+
+
+def number(value: float | None, form: str) -> str:
+    """Write a number as tables print it, a dash where there is none."""
+    return "-" if value is None else format(value, form)

@@ -1,0 +1,156 @@
+"""Run a paradigm on tasks: fit each, keep its record and parameters, write what it makes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from metapp.experiments.export import export_all
+from metapp.experiments.fits import fit_tasks
+from metapp.experiments.inputs import tasks_to_fit
+from metapp.experiments.pictures import write_files
+from metapp.experiments.reporter import number, progress, say
+from metapp.experiments.session import (
+    Options,
+    Start,
+    make_folder,
+    name_of,
+    observe_of,
+    settings_of,
+    threads,
+    threads_of,
+)
+from metapp.experiments.starts import find_start, train_start
+from metapp.learning.task import Task
+from metapp.paradigms import Paradigm, paradigms
+from metapp.storage.records import FIT, RunFolder, summary
+
+
+class Run(NamedTuple):
+    """Fits of tasks by one paradigm.
+
+    Attributes:
+        options: what was asked for.
+        settings: everything that the figures depend on.
+        label: the data's name.
+        tasks: what was fitted.
+        records: of each, in the same order.
+        folder: where records and parameters are.
+        made: the folder of what fits made for their user; None where nothing.
+    """
+
+    options: Options
+    settings: dict[str, Any]
+    label: str
+    tasks: list[Task]
+    records: list[dict[str, Any]]
+    folder: RunFolder
+    made: Path | None
+
+    def document(self) -> dict[str, Any]:
+        """What --json prints."""
+        app = self.options.app
+        return {
+            "app": app.name,
+            **observe_of(app),
+            "paradigm": self.settings["paradigm"],
+            "rule": self.settings["rule"],
+            "steps": self.settings["steps"],
+            "device": str(self.options.device),
+            "data": self.label,
+            **app.conditions(),
+            **summary(self.records),
+            "tasks": [{key: record[key] for key in ("name", "error", "seconds")} for record in self.records],
+            "out": str(self.folder.path),
+        }
+
+
+def run(
+    options: Options,
+    paradigm_name: str,
+    inputs: list[Path],
+    *,
+    train: bool = False,
+    train_steps: int | None = None,
+    export: str = "",
+    scene_roots: Sequence[Path] = (),
+) -> Run:
+    """Fit tasks and write the run folder.
+
+    Args:
+        options: of all paradigms.
+        paradigm_name: one of the five.
+        inputs: the user's files; none: the test tasks of the data set.
+        train: train the checkpoint on the training tasks first.
+        train_steps: outer steps of that, instead of the recipe's.
+        export: the format that each fit is also written in.
+        scene_roots: folders that files of scenes may come from.
+
+    Raises:
+        ValueError: bad inputs, no checkpoint, a folder that cannot be written to.
+        FloatingPointError: a fit is not finite.
+    """
+    paradigm = paradigms()[paradigm_name]
+    if options.steps == paradigm.steps(options.job.recipe):
+        options = options._replace(steps=None)  # the recipe's own number is the recipe's own run
+    make_folder(options.out)
+    with threads(threads_of(options.app)):
+        tasks, label = tasks_to_fit(options.app, inputs, options.data, options.quiet, scene_roots)
+        if train:
+            train_start(options, paradigm, train_steps)
+        start = find_start(options, paradigm)
+        return _fit(options, paradigm, start, tasks, label, export)
+
+
+def _fit(options: Options, paradigm: Paradigm, start: Start, tasks: list[Task], label: str, export: str) -> Run:
+    settings = settings_of(options, paradigm, start, label)
+    folder = RunFolder(run_path(options, settings, label), settings, FIT)
+    if not options.quiet:
+        what = f"{name_of(options.app)} {paradigm.name}"
+        say(f"{what}: {len(tasks)} tasks, {settings['steps']} steps, start: {start.source}")
+    # a finished run is run anew, one that was cut off is completed
+    again = len(folder.finished()) >= len(tasks)
+    records = run_tasks(options, paradigm, start, tasks, folder, again=again)
+    made = write_files(options.app, tasks, folder.path)
+    if export:
+        export_all(options.app, tasks, folder, export)
+    return Run(options, settings, label, tasks, records, folder, made)
+
+
+def run_path(options: Options, settings: dict[str, Any], label: str) -> Path:
+    """runs/<app>/<paradigm>/<data>-<recipe>-seed<seed>, with rule, steps that are not the recipe's, and protocol."""
+    name = f"{label}-{options.recipe}-seed{options.seed}"
+    if settings["paradigm"] == "meta":
+        name += f"-{settings['rule']}"
+    if options.steps is not None:
+        name += f"-{options.steps}steps"
+    if options.app.protocol:
+        name += f"-{options.app.protocol}"
+    return options.out / options.app.name / settings["paradigm"] / name
+
+
+def run_tasks(
+    options: Options, paradigm: Paradigm, start: Start, tasks: list[Task], folder: RunFolder, *, again: bool = False
+) -> list[dict[str, Any]]:
+    """Fit each task that has no record yet, or all again, with a progress bar; the records of all, in order."""
+    done = {} if again else folder.finished()
+    with progress(paradigm.name, len(tasks), done=len(done), quiet=options.quiet) as bar:
+        missing = [task for task in tasks if task.name not in done]
+        for record in fit_and_keep(options, paradigm, start, missing, folder):
+            done[record["name"]] = record
+            bar.advance(f"{record['name']} {number(record['error'], '.3f')}".removesuffix(" -"))
+    return [done[task.name] for task in tasks]
+
+
+def fit_and_keep(
+    options: Options, paradigm: Paradigm, start: Start, tasks: list[Task], folder: RunFolder
+) -> Iterator[dict[str, Any]]:
+    """Fit tasks and keep the record and the parameters of each as soon as it is done.
+
+    Yields:
+        Their records.
+    """
+    for record, theta in fit_tasks(options, paradigm, start, tasks):
+        folder.add(record, theta)
+        yield record

@@ -1,0 +1,46 @@
+"""Files in folders whose names are no UTF-8 are read as all others."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+import torch
+
+from metapp.learning.learn import MetaParameters
+from metapp.learning.task import Task
+from metapp.storage.records import FIT, RunFolder, load_start, save_start
+from metapp.storage.shards import ShardWriter, read_shard
+from metapp.storage.tensors import read_tensors
+
+VALUES = torch.arange(6.0).reshape(2, 3)
+
+
+@pytest.fixture(params=[b"plain", b"\xff\xfe", "gr\u00fcn \u2708".encode()], ids=["plain", "no UTF-8", "UTF-8"])
+def folder(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
+    path = Path(os.fsdecode(os.fsencode(tmp_path) + b"/" + request.param))
+    path.mkdir()
+    return path
+
+
+def test_parameters(folder: Path) -> None:
+    run = RunFolder(folder / "run", {"steps": 10}, FIT)
+    run.add({"name": "gold", "error": 1.0, "seconds": 0.1}, {"w": VALUES})
+    assert torch.equal(run.theta("gold")["w"], VALUES)
+
+
+def test_starts(folder: Path) -> None:
+    save_start(folder / "a.safetensors", MetaParameters(theta={"w": VALUES}), {"app": "brdf"})
+    assert torch.equal(load_start(folder / "a.safetensors")[0].theta["w"], VALUES)
+
+
+def test_shards(folder: Path) -> None:
+    with ShardWriter(folder / "set", "brdf", {"w": "1"}) as writer:
+        writer.add(Task("gold", {"w": VALUES}), "test")
+    assert torch.equal(read_shard(folder / "set", "test")[0].data["w"], VALUES)
+
+
+def test_a_missing_file(folder: Path) -> None:
+    with pytest.raises(OSError, match="No such file"):
+        read_tensors(folder / "none.safetensors")
