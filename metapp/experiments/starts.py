@@ -40,7 +40,8 @@ def find_start(options: Options, paradigm: Paradigm) -> Start:
     prepared, info = load_start(path, options.device)
     app, name = info.get("app"), info.get("start")
     if (app, name) != (options.app.name, needed):
-        other = app == options.app.name and name in list(options.job.recipe.meta) and paradigm.name == "meta"
+        a_rule = isinstance(name, str) and name not in paradigms()
+        other = app == options.app.name and a_rule and paradigm.name == "meta"
         remedy = f"; add --rule {name}" if other else ""
         raise ValueError(f"{path}: a start of {app} {name}, expected {options.app.name} {needed}{remedy}.")
     _require_protocol(path, options.app, info)
