@@ -39,6 +39,14 @@ def test_the_same_parts_are_the_same_rule(parts: str) -> None:
     assert rule_of("+".join(reversed(parts_of(parts)))) is rule_of(parts)
 
 
+def test_a_rule_has_one_step_whatever_its_hyperparameters() -> None:
+    """Compiled steps are kept by it: else each outer loop would compile anew."""
+    one, other = (rule_of(name).rule({}).step for name in ("adam+curvature", "curvature+adam"))
+    assert one == other
+    assert hash(one) == hash(other)
+    assert one != rule_of("adam").rule({}).step
+
+
 def test_a_composition_that_has_a_name_goes_by_it() -> None:
     assert rule_of("loss+betas+rates").name == "meta-adam"
     assert rule_of("meta-adam+curvature").name == "meta-curvature"
