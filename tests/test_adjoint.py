@@ -26,11 +26,11 @@ def unused(data: Any, rng: Generator) -> Drawn:
     raise AssertionError("batches are given")
 
 
-def parabola(params: Params, batch: Batch, shape: Params) -> Tensor:
+def parabola(params: Params, batch: Batch, learned: Params) -> Tensor:
     """(x - c)^T A (x - c) / 2, times a learned factor where there is one; [T]."""
     away = params["x"] - batch["c"]
     value = 0.5 * (away * (batch["A"] @ away[..., None])[..., 0]).sum(-1)
-    return value * torch.exp(shape["factor"]) if shape else value
+    return value * torch.exp(learned["factor"]) if learned else value
 
 
 PARABOLA, BRDF = Loss(unused, parabola), Loss(unused, APP.loss)
@@ -68,8 +68,8 @@ def unrolled(theta: Params, rule: UpdateRule, batches: Sequence[Batch], loss: Lo
     state = rule.init(theta)
     for i, batch in enumerate(batches):
         alpha = at_step(rule.alpha, i)
-        shape = {key[5:]: value for key, value in alpha.items() if key.startswith("loss.")}
-        total = loss.value(theta, batch, shape).sum()
+        learned = {key[5:]: value for key, value in alpha.items() if key.startswith("loss.")}
+        total = loss.value(theta, batch, learned).sum()
         grads = torch.autograd.grad(total, list(theta.values()), create_graph=order == 2, retain_graph=True)
         theta, state = rule.step(alpha, theta, dict(zip(theta, grads, strict=True)), state)
     return theta
@@ -245,7 +245,7 @@ def test_no_graph_is_kept_between_steps(randn: Callable[..., Tensor]) -> None:
     activations: list[weakref.ref] = []
     alive: list[int] = []
 
-    def value(params: Params, batch: Batch, shape: Params) -> Tensor:
+    def value(params: Params, batch: Batch, learned: Params) -> Tensor:
         alive.append(sum(each() is not None for each in activations))
         hidden = torch.tanh(params["x"][..., None] * batch["c"])
         activations.append(weakref.ref(hidden.untyped_storage()))
@@ -319,9 +319,9 @@ def test_how_often_the_loss_is_evaluated(
     """Order 1 keeps each step's gradient, a constant, instead of computing it anew on the way back."""
     evaluations = []
 
-    def counted(params: Params, batch: Batch, shape: Params) -> Tensor:
+    def counted(params: Params, batch: Batch, learned: Params) -> Tensor:
         evaluations.append(params["x"].shape[0])
-        return parabola(params, batch, shape)
+        return parabola(params, batch, learned)
 
     batch = {"A": symmetric(randn(3, 2, 2)), "c": randn(3, 2)}
     theta = {"x": randn(3, 2).requires_grad_()}
@@ -369,7 +369,9 @@ def test_a_start_that_an_encoder_predicts(order: int, randn: Callable[..., Tenso
         return {"x": torch.tanh(observed["seen"] @ encoder["w"])}
 
     phi = {"alpha.rate.x": 0.1 * randn(STEPS, 3), "encoder.w": randn(4, 3)}
-    lifted = after_learning(PARABOLA, sgd, steps=STEPS, order=order, observe=lambda tasks, rng: observed, encode=encode)
+    lifted = after_learning(
+        PARABOLA, sgd, steps=STEPS, order=order, condition=lambda tasks, rng: observed, encode=encode
+    )
 
     def reference(phi: Params) -> Tensor:
         rule = sgd({"rate.x": phi["alpha.rate.x"][:, None].expand(-1, TASKS, -1)})

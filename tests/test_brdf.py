@@ -16,6 +16,7 @@ from data_tools.readers.nbrdf import export, nbrdf_evaluate, read_nbrdf
 from data_tools.synthetic.brdf import synthetic_materials
 from metapp.appearance.geometry import cos_incident
 from metapp.apps.brdf import APP, KNOTS
+from metapp.apps.brdf.presentation import BrdfPresentation
 from metapp.learning.app import stack
 from metapp.learning.task import Batch, Params, Task, Tasks
 
@@ -96,17 +97,17 @@ def test_errors_by_hand(theta: Params, tasks: Tasks) -> None:
 
 
 def test_smoothing_by_hand(theta: Params, batch: Batch) -> None:
-    shape = {"smoothing": torch.tensor([0.3, 0.1, 0.01, 1.0]).log(), "weights": torch.zeros(4, KNOTS)}
-    smooth = APP.loss(theta, batch, shape)
-    for task, s in enumerate(shape["smoothing"].exp().tolist()):
+    learned = {"smoothing": torch.tensor([0.3, 0.1, 0.01, 1.0]).log(), "weights": torch.zeros(4, KNOTS)}
+    smooth = APP.loss(theta, batch, learned)
+    for task, s in enumerate(learned["smoothing"].exp().tolist()):
         d = distance_by_hand(theta, batch, task, clamp=False)
         np.testing.assert_allclose(float(smooth[task]), (np.sqrt(d * d + s * s) - s).mean(), rtol=1e-4)
     assert (smooth < APP.loss(theta, batch, {})).all()
 
 
 def test_no_smoothing_and_no_weights_give_the_plain_loss(theta: Params, batch: Batch) -> None:
-    shape = {"smoothing": torch.full((4,), math.log(1e-9)), "weights": torch.zeros(4, KNOTS)}
-    torch.testing.assert_close(APP.loss(theta, batch, shape), APP.loss(theta, batch, {}))
+    learned = {"smoothing": torch.full((4,), math.log(1e-9)), "weights": torch.zeros(4, KNOTS)}
+    torch.testing.assert_close(APP.loss(theta, batch, learned), APP.loss(theta, batch, {}))
 
 
 def test_sample_weights_by_hand(theta: Params, batch: Batch, rng: Generator) -> None:
@@ -119,11 +120,11 @@ def test_sample_weights_by_hand(theta: Params, batch: Batch, rng: Generator) -> 
         np.testing.assert_allclose(float(weighted[task]), expected, rtol=1e-4)
 
 
-def test_initial_shape_is_gentle(theta: Params, batch: Batch) -> None:
-    shape = APP.shape(10)
-    assert {key: tuple(value.shape) for key, value in shape.items()} == {"smoothing": (10,), "weights": (10, KNOTS)}
-    torch.testing.assert_close(shape["smoothing"].exp(), torch.full((10,), 0.05))
-    assert not shape["weights"].any()
+def test_initial_loss_parameters_are_gentle(theta: Params, batch: Batch) -> None:
+    learned = APP.loss_parameters(10)
+    assert {key: tuple(value.shape) for key, value in learned.items()} == {"smoothing": (10,), "weights": (10, KNOTS)}
+    torch.testing.assert_close(learned["smoothing"].exp(), torch.full((10,), 0.05))
+    assert not learned["weights"].any()
 
 
 def test_a_network_that_is_too_dark_has_a_gradient(batch: Batch) -> None:
@@ -171,7 +172,7 @@ def test_fits_see_the_first_half_alone(tasks: Tasks, theta: Params, rng: Generat
     hidden, seen = poisoned(tasks, slice(SAMPLES // 2, None)), poisoned(tasks, slice(SAMPLES // 2))
     drawn = APP.sample(hidden, rng, 5000)["target"]
     assert torch.isfinite(drawn).all()
-    assert torch.isfinite(APP.observe(hidden, rng)["target"]).all()
+    assert torch.isfinite(APP.condition(hidden, rng)["target"]).all()
     assert torch.isfinite(APP.errors(theta, seen)["error"]).all()
     assert len(drawn[0].T.unique(dim=0)) > 0.95 * len(tasks.data["target"][0, : SAMPLES // 2].unique(dim=0))
 
@@ -190,7 +191,7 @@ def test_samples_are_of_their_task(tasks: Tasks, rng: Generator) -> None:
 
 
 def test_encoder_does_not_mind_the_order_of_samples(tasks: Tasks, rng: Generator) -> None:
-    encoder, seen = APP.init_encoder(rng), APP.observe(tasks, rng)
+    encoder, seen = APP.init_encoder(rng), APP.condition(tasks, rng)
     shuffled = {key: value[..., torch.randperm(value.shape[-1], generator=rng)] for key, value in seen.items()}
     order = torch.randperm(seen["where"].shape[-1], generator=rng)
     together = {key: value[..., order] for key, value in seen.items()}
@@ -203,10 +204,10 @@ def test_encoder_does_not_mind_the_order_of_samples(tasks: Tasks, rng: Generator
 
 def test_encoder_predicts_networks(tasks: Tasks, rng: Generator) -> None:
     encoder = APP.init_encoder(rng)
-    theta = APP.encode(encoder, APP.observe(tasks, rng))
+    theta = APP.encode(encoder, APP.condition(tasks, rng))
     template = APP.init(rng, 4)
     assert {key: value.shape for key, value in theta.items()} == {key: value.shape for key, value in template.items()}
-    one = APP.encode(encoder, APP.observe(tasks.select([1]), rng))
+    one = APP.encode(encoder, APP.condition(tasks.select([1]), rng))
     assert {value.shape[0] for value in one.values()} == {1}
     start = APP.errors(theta, tasks)["error"]
     assert (start < 3 * APP.errors(template, tasks)["error"].max()).all()
@@ -303,10 +304,10 @@ def test_outputs(theta: Params, materials: list[Task], monkeypatch: pytest.Monke
         seen.append(reflectance)
         return "picture"
 
-    monkeypatch.setattr("metapp.apps.brdf.reference_scene", lambda: "scene")
-    monkeypatch.setattr("metapp.apps.brdf.shade_sphere", shade)
+    monkeypatch.setattr("metapp.apps.brdf.presentation.reference_scene", lambda: "scene")
+    monkeypatch.setattr("metapp.apps.brdf.presentation.shade_sphere", shade)
     one = {key: value[0] for key, value in theta.items()}
-    pictures = APP.outputs(one, materials[0])
+    pictures = BrdfPresentation(APP).outputs(one, materials[0])
     assert pictures["fit"] == "picture"
     assert pictures["reference"] is materials[0].data["render"]
     angles = torch.rand(5, 3)

@@ -19,9 +19,11 @@ import numpy as np
 import pytest
 import torch
 
+from metapp.appearance.presentation import Fitted
 from metapp.appearance.sphere import environment_scene, shade_sphere
 from metapp.apps import load_app
 from metapp.apps.brdf import APP
+from metapp.apps.brdf.presentation import BrdfPresentation
 from metapp.cli.evaluate import find_subjects
 from metapp.cli.show import rich_table
 from metapp.experiments import session
@@ -52,7 +54,7 @@ from metapp.experiments.tables.statistics import (
 from metapp.experiments.tables.storage import size
 from metapp.experiments.tables.subject import Cell, Subject, absent
 from metapp.experiments.tables.trace import FURTHER, PARTS, looks, near, places, project, states_of, trace_cell
-from metapp.learning.app import Fitted, stack
+from metapp.learning.app import stack
 from metapp.learning.task import Task
 from metapp.storage.records import RunFolder, read_records
 
@@ -489,7 +491,7 @@ def test_measures_of_pictures(subject: Subject, monkeypatch: pytest.MonkeyPatch,
         value = 0.94 + 0.01 * int(task.name[1:])  # m0 is below the bound
         return {"regular": {"MAPE": 0.5}, **{name: {"SSIM": value, "MAPE": 0.25} for name in fits}}
 
-    monkeypatch.setattr(type(APP), "image_errors", measured)
+    monkeypatch.setattr(BrdfPresentation, "image_errors", measured)
     shutil.rmtree(image_cell(subject).folder.path)
     run_cells(load_table("image").cells(subject), quiet=True)
     by = {(row["paradigm"], row["measure"]): row for row in rows(subject, "image")}
@@ -517,11 +519,12 @@ def test_the_same_picture_has_an_ssim_of_one(subject: Subject) -> None:
     theta = {key: value[0] for key, value in APP.init(torch.Generator().manual_seed(0), 1).items()}
     picture = shade_sphere(environment_scene(), lambda angles: APP.reflectance(theta, angles))
     same = Task("same", task.data | {"environment": picture})
-    measured = APP.image_errors({"meta": Fitted(theta, 1.0)}, same)
+    image_errors = BrdfPresentation(APP).image_errors
+    measured = image_errors({"meta": Fitted(theta, 1.0)}, same)
     assert measured["meta"]["SSIM"] == pytest.approx(1, abs=1e-5)
-    assert APP.image_errors({"meta": Fitted(theta, 1.0)}, task)["meta"]["SSIM"] < 0.999
+    assert image_errors({"meta": Fitted(theta, 1.0)}, task)["meta"]["SSIM"] < 0.999
     older = Task("older", {key: value for key, value in task.data.items() if key != "environment"})
-    assert APP.image_errors({"meta": Fitted(theta, 1.0)}, older) == {}
+    assert image_errors({"meta": Fitted(theta, 1.0)}, older) == {}
 
 
 # Convergence

@@ -210,15 +210,15 @@ def test_a_folder_is_read_by_every_reader_and_damaged_files_in_it_are_skipped(
 def test_interrupted_training_keeps_its_best_state(
     fit: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    observe, calls = APP.observe, []
+    condition, calls = APP.condition, []
 
     def interrupted(tasks, rng):
         calls.append(1)
         if len(calls) == 8:
             raise KeyboardInterrupt
-        return observe(tasks, rng)
+        return condition(tasks, rng)
 
-    monkeypatch.setattr(APP, "observe", interrupted)
+    monkeypatch.setattr(APP, "condition", interrupted)
     assert fit("general", "--train").code == 130
     assert list((tmp_path / "runs").rglob("general.interrupted.safetensors"))
 

@@ -17,8 +17,10 @@ from torch import Generator, Tensor
 from data_tools.readers.latlong import read_map
 from data_tools.readers.nbrdf import SHAPES
 from metapp.appearance.colour import tone_map
+from metapp.appearance.presentation import Picture
 from metapp.apps import brdf
-from metapp.apps.brdf import Brdf
+from metapp.apps.brdf import Brdf, presentation
+from metapp.apps.brdf.presentation import BrdfPresentation
 from metapp.cli.fit import table_of
 from metapp.experiments.starts import shipped_path, start_name
 from metapp.experiments.tables.results import closing
@@ -35,33 +37,41 @@ class Seen(Brdf):
     """BRDFs of which a photo shows half the light; materials called `unknown...` have no reference."""
 
     protocols = ("reference", "photo")
-    radiance = ("light",)
-    brightest = 3.0
 
-    def at(self, recipe: Recipe, observe: str = "") -> App:
+    def at(self, recipe: Recipe, protocol: str = "") -> App:
         app = copy.copy(self)
-        app.protocol = observe or self.protocols[0]
+        app.protocol = protocol or self.protocols[0]
         return app
 
-    def loss(self, theta: Params, batch: Batch, shape: Params) -> Tensor:
+    def loss(self, theta: Params, batch: Batch, learned: Params) -> Tensor:
         seen = {"reference": 1.0, "photo": 0.5}[self.protocol]
-        return super().loss(theta, batch | {"target": seen * batch["target"]}, shape)
+        return super().loss(theta, batch | {"target": seen * batch["target"]}, learned)
 
-    def goal(self, theta: Params, batch: Batch, shape: Params) -> Tensor:
-        return super().loss(theta, batch, shape)
+    def outer_loss(self, theta: Params, batch: Batch, learned: Params) -> Tensor:
+        return super().loss(theta, batch, learned)
 
     def errors(self, theta: Params, tasks: Tasks) -> dict[str, Tensor]:
         return {} if tasks.picked_names()[0].startswith("unknown") else super().errors(theta, tasks)
+
+
+class Shown(BrdfPresentation):
+    """Their spheres, of unknown materials without a reference, and two files."""
+
+    brightest = 3.0
 
     def outputs(self, theta: Params, task: Task) -> dict[str, Any]:
         pictures = super().outputs(theta, task)
         return {"fit": pictures["fit"]} if task.name.startswith("unknown") else pictures
 
-    def files(self, theta: Params, task: Task) -> dict[str, Tensor]:
-        return {"light": self.light(), "normal": torch.full((4, 4, 3), 0.5)}
+    def files(self, theta: Params, task: Task) -> dict[str, Picture]:
+        return {
+            "light": Picture(light(self.brightest), "radiance"),
+            "normal": Picture(torch.full((4, 4, 3), 0.5), "data"),
+        }
 
-    def light(self) -> Tensor:
-        return torch.linspace(0.1, self.brightest, 64 * 128 * 3).reshape(64, 128, 3)
+
+def light(brightest: float) -> Tensor:
+    return torch.linspace(0.1, brightest, 64 * 128 * 3).reshape(64, 128, 3)
 
 
 @pytest.fixture(autouse=True)
@@ -72,6 +82,7 @@ def app(monkeypatch: pytest.MonkeyPatch) -> Seen:
     quick = replace(quick, steps=2, overfit_steps=3, finetune_steps=3, meta=short, rule="meta-sgd")
     monkeypatch.setitem(Brdf.recipes, "quick", quick)
     monkeypatch.setattr(brdf, "APP", seen)
+    monkeypatch.setattr(presentation, "PRESENTATION", Shown)
     monkeypatch.setattr("metapp.paradigms.training.can_compile", lambda: False)
     return seen
 
@@ -330,16 +341,16 @@ def test_parameters_that_are_not_finite_are_an_error(
 
 @pytest.mark.parametrize(("brightest", "form"), [(1e-7, "float"), (3.0, "half"), (65504.0, "half"), (1e6, "float")])
 def test_radiance_is_kept_as_exr_and_shown_as_png(
-    brightest: float, form: str, app: Seen, metapp: Callable, networks: Path, tmp_path: Path
+    brightest: float, form: str, metapp: Callable, networks: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    app.brightest = brightest
+    monkeypatch.setattr(Shown, "brightest", brightest)
     document = metapp("overfit", "brdf", networks / "m1", "--out", tmp_path / "runs", "--json", "--quiet").document
     made = Path(document["out"]) / "outputs" / "m1"
     assert {file.name for file in made.iterdir()} == {"light.exr", "light.png", "normal.png"}
     spec = oiio.ImageBuf(str(made / "light.exr")).spec()
     assert (str(spec.format), spec.channelnames) == (form, ("R", "G", "B"))
     assert "rec709" in spec.get_string_attribute("oiio:ColorSpace")
-    stored = app.light().half().float() if form == "half" else app.light()
+    stored = light(brightest).half().float() if form == "half" else light(brightest)
     torch.testing.assert_close(read_map(made / "light.exr"), stored.permute(2, 0, 1), rtol=1e-5, atol=1e-6 * brightest)
     shown = oiio.ImageBuf(str(made / "light.png")).get_pixels(oiio.UINT8)
-    assert np.abs(shown - 255 * tone_map(app.light() / app.light().mean()).numpy()).max() <= 0.51
+    assert np.abs(shown - 255 * tone_map(light(brightest) / light(brightest).mean()).numpy()).max() <= 0.51

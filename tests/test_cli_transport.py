@@ -15,11 +15,13 @@ import torch
 from data_tools.readers.transport_task import transport_task
 from data_tools.synthetic.cornell import random_scene
 from data_tools.synthetic.transport import UNITS
+from metapp.appearance.presentation import Fitted
 from metapp.apps.transport import APP, Setup, images
 from metapp.apps.transport.flow import Flow
 from metapp.apps.transport.guide import table_of
-from metapp.learning.app import Fitted
+from metapp.apps.transport.presentation import TransportPresentation
 from metapp.learning.task import Task
+from metapp.rendering import path_render
 from metapp.storage.shards import ShardWriter
 
 SPP_OF_TABLES = images.REFERENCE_SPP
@@ -60,8 +62,8 @@ def small(monkeypatch: pytest.MonkeyPatch) -> None:
         setup=Setup(Flow(code=3, hidden=8, bins=4)),
     )
     monkeypatch.setitem(APP.recipes, "quick", recipe)
-    monkeypatch.setattr("metapp.apps.transport.SHOWN", 4)
-    monkeypatch.setattr("metapp.apps.transport.GLANCE", 1)
+    monkeypatch.setattr("metapp.apps.transport.presentation.SHOWN", 4)
+    monkeypatch.setattr("metapp.apps.transport.presentation.GLANCE", 1)
     monkeypatch.setattr(images, "table_of", functools.partial(table_of, places=8, cells=8))
     monkeypatch.setattr(images, "SPP", 64)
     monkeypatch.setattr(images, "REFERENCE_SPP", 16)
@@ -91,8 +93,9 @@ def test_train_fit_and_compare(metapp: Callable, data: Path, tmp_path: Path) -> 
 
 def test_pictures_are_judged_at_equal_paths_and_in_equal_time(scenes: list[Task]) -> None:
     task, app = scenes[0], APP.at(APP.recipes["quick"])
+    shown = TransportPresentation(app)
     theta = {key: value[0] for key, value in app.init(torch.Generator().manual_seed(0), 1).items()}
-    found = app.image_errors({"instant": Fitted(theta, 0.0), "endless": Fitted(theta, 1e9)}, task)
+    found = shown.image_errors({"instant": Fitted(theta, 0.0), "endless": Fitted(theta, 1e9)}, task)
     assert list(found) == ["reference", "regular", "instant", "endless"]
     assert set(found["reference"]) == {"MAPE"}
     measures = {"MAPE", "SMAPE", "DSSIM"}
@@ -105,11 +108,12 @@ def test_pictures_are_judged_at_equal_paths_and_in_equal_time(scenes: list[Task]
     assert found["regular"][images.EQUAL_TIME] == found["regular"]["MAPE"]
     assert images.EQUAL_TIME not in found["endless"]
     assert found["endless"][images.FIXED] > 1e6 * found["instant"][images.FIXED] > 0
-    assert app.image_errors({"instant": Fitted(theta, 0.0)}, task._replace(data={})) == {}
+    assert shown.image_errors({"instant": Fitted(theta, 0.0)}, task._replace(data={})) == {}
 
 
 def test_equal_time_counts_the_samples_that_a_fit_sees(scenes: list[Task], monkeypatch: pytest.MonkeyPatch) -> None:
     task, app = scenes[0], APP.at(APP.recipes["quick"])
+    shown = TransportPresentation(app)
     theta = {key: value[0] for key, value in app.init(torch.Generator().manual_seed(0), 1).items()}
     asked = []
 
@@ -118,7 +122,7 @@ def test_equal_time_counts_the_samples_that_a_fit_sees(scenes: list[Task], monke
         return 1e9
 
     monkeypatch.setattr(images.Studio, "sampling", sampling)
-    found = app.image_errors({"instant": Fitted(theta, 0.0)}, task)
+    found = shown.image_errors({"instant": Fitted(theta, 0.0)}, task)
     assert asked == [(2048, 4)]  # what fits may see, without what is held out
     assert images.EQUAL_TIME not in found["instant"]
     assert found["instant"][images.FIXED] > 1e6
@@ -128,7 +132,7 @@ def test_equal_time_counts_the_samples_that_a_fit_sees(scenes: list[Task], monke
 def test_a_reference_knows_its_own_error(scenes: list[Task], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(images, "REFERENCE_SPP", SPP_OF_TABLES)
     studio = images.Studio(scenes[0].data["scene"].numpy().tobytes(), size=8)
-    told, wanted = studio.reference_error, studio.paths.reference(studio.tracer, 8, 16 * SPP_OF_TABLES, seed=9)
+    told, wanted = studio.reference_error, path_render.reference(studio.tracer, 8, 16 * SPP_OF_TABLES, seed=9)
     found = float(images.mape(studio.reference[None], wanted[None]))
     assert found == pytest.approx(told, rel=0.3)  # as far from the truth as its halves say
     assert studio.sampling(scenes[0].data["samples"]) > 0
@@ -145,9 +149,9 @@ def test_guided_means_are_those_of_the_reference(scenes: list[Task]) -> None:
     table = table_of(flow, theta, places=8, cells=16)
     for task in scenes[:5]:
         studio = images.Studio(task.data["scene"].numpy().tobytes(), size=16)
-        guide = studio.paths.Guide(table.sample, table.density)
-        shots = [studio.paths.render(studio.tracer, 32, 16, seed, guide).mean() for seed in range(12)]
-        means, wanted = torch.stack(shots).double(), float(studio.paths.reference(studio.tracer, 16, 256).mean())
+        guide = path_render.Guide(table.sample, table.density)
+        shots = [path_render.render(studio.tracer, 32, 16, seed, guide).mean() for seed in range(12)]
+        means, wanted = torch.stack(shots).double(), float(path_render.reference(studio.tracer, 16, 256).mean())
         error = float(means.std() / len(means) ** 0.5)
         assert abs(float(means.mean()) - wanted) < 3 * error + 0.003 * wanted, task.name  # the reference's own error
         assert error < 0.05 * wanted

@@ -12,6 +12,7 @@ from metapp.appearance.latlong import cosine_transfer, directions, mean_luminanc
 from metapp.appearance.photograph import develop, photograph, shade
 from metapp.apps.illumination import APP, BODY, BODY_GAIN, GLOSSES, QUICK, Illumination, Setup, body_of
 from metapp.apps.illumination.encoder import Encoder, unwrapped
+from metapp.apps.illumination.presentation import IlluminationPresentation
 from metapp.apps.illumination.variants import LAMPS, lit, mixed, regraded, tinted, turned
 from metapp.learning.app import stack
 from metapp.learning.task import Params, Task, Tasks
@@ -83,7 +84,7 @@ def test_what_faces_is_looked_up_where_it_faces() -> None:
 
 def test_the_encoder_makes_a_start(app: Illumination, tasks: Tasks, rng: Generator) -> None:
     encoder = app.init_encoder(rng)
-    theta = app.encode(encoder, app.observe(tasks, rng))
+    theta = app.encode(encoder, app.condition(tasks, rng))
     expected = app.init(rng, len(tasks))
     assert {key: value.shape for key, value in theta.items()} == {key: each.shape for key, each in expected.items()}
     assert theta["body"].shape == (4, BODY)
@@ -106,7 +107,7 @@ def test_the_true_map_has_no_loss(app: Illumination, tasks: Tasks, monkeypatch: 
     batch = app.sample(tasks, Generator(), 1)
     assert app.loss(theta, batch, {}).max() < 1e-5
     assert app.errors(theta, tasks)["map"].max() < 1e-5
-    smoothed = app.loss(theta, batch, {key: value[0].expand(4) for key, value in app.shape(1).items()})
+    smoothed = app.loss(theta, batch, {key: value[0].expand(4) for key, value in app.loss_parameters(1).items()})
     assert smoothed.abs().max() < 1e-5
 
 
@@ -144,8 +145,10 @@ def test_protocols_differ_in_what_fits_see(tasks: Tasks) -> None:
         assert not torch.allclose(app.loss(small, {**batch, seen: batch[seen] * 0}, {}), before)
     torch.testing.assert_close(mean_luminance(photo.answer(small)), torch.ones(4))
     brighter = {**small, "out.shift": small["out.shift"] + 1, "body": small["body"] - torch.eye(BODY)[7] / BODY_GAIN}
-    torch.testing.assert_close(photo.goal(brighter, batch, {}), photo.goal(small, batch, {}))  # nobody could tell
-    assert not torch.allclose(reference.goal(brighter, batch, {}), reference.goal(small, batch, {}))
+    torch.testing.assert_close(
+        photo.outer_loss(brighter, batch, {}), photo.outer_loss(small, batch, {})
+    )  # nobody could tell
+    assert not torch.allclose(reference.outer_loss(brighter, batch, {}), reference.outer_loss(small, batch, {}))
 
 
 @pytest.mark.parametrize("protocol", ["reference", "photo"])
@@ -153,14 +156,14 @@ def test_gradients(protocol: str, tasks: Tasks) -> None:
     app = APP.at(RECIPE, protocol)
     theta = {key: value.double() for key, value in app.init(Generator().manual_seed(2), 4).items()}
     batch = {key: value.double() for key, value in app.sample(tasks, Generator(), 1).items()}
-    shape = {key: value[:1].double().expand(4) for key, value in app.shape(1).items()}
+    learned = {key: value[:1].double().expand(4) for key, value in app.loss_parameters(1).items()}
     directed = {key: torch.randn_like(value) for key, value in theta.items()}
     leaves = {key: value.clone().requires_grad_() for key, value in theta.items()}
-    grads = torch.autograd.grad(app.loss(leaves, batch, shape).sum(), list(leaves.values()), materialize_grads=True)
+    grads = torch.autograd.grad(app.loss(leaves, batch, learned).sum(), list(leaves.values()), materialize_grads=True)
     slope = sum(float((grad * directed[key]).sum()) for key, grad in zip(leaves, grads, strict=True))
     step = 1e-6
     ahead, behind = (
-        float(app.loss({key: value + s * directed[key] for key, value in theta.items()}, batch, shape).sum())
+        float(app.loss({key: value + s * directed[key] for key, value in theta.items()}, batch, learned).sum())
         for s in (step, -step)
     )
     assert slope == pytest.approx((ahead - behind) / (2 * step), rel=1e-4)
@@ -256,11 +259,13 @@ def test_the_error_is_of_the_second_scene(app: Illumination, tasks: Tasks, monke
 def test_a_map_goes_out_at_the_scale_it_came_in(rng: Generator) -> None:
     app = APP.at(RECIPE)
     theta = {key: value[0] for key, value in app.init(rng, 1).items()}
-    files = app.files(theta, task_of(lamps(0)))
+    files = IlluminationPresentation(app).files(theta, task_of(lamps(0)))
     fitted = app.radiance_of({key: value[None] for key, value in theta.items()})[0]
-    torch.testing.assert_close(files["map"], 3 * fitted.permute(1, 2, 0))
-    assert files["relit"].shape == (64, 96, 3)
-    assert 0 <= files["relit"].min() < files["relit"].max() <= 1
+    torch.testing.assert_close(files["map"].pixels, 3 * fitted.permute(1, 2, 0))
+    relit = files["relit"].pixels
+    assert relit.shape == (64, 96, 3)
+    assert 0 <= relit.min() < relit.max() <= 1
+    assert {name: picture.kind for name, picture in files.items()} == {"map": "radiance", "relit": "srgb"}
 
 
 @pytest.mark.slow
@@ -278,5 +283,5 @@ def test_sizes_of_the_paper_recipe(rng: Generator) -> None:
     theta = app.init(rng, 1)
     assert app.radiance_of(theta).shape == (1, 3, 64, 128)
     tasks = stack(app, [task_of(lamps(1))])
-    encoded = app.encode(app.init_encoder(rng), app.observe(tasks, rng))
+    encoded = app.encode(app.init_encoder(rng), app.condition(tasks, rng))
     assert {key: value.shape for key, value in encoded.items()} == {key: value.shape for key, value in theta.items()}

@@ -29,7 +29,7 @@ from metapp.learning.task import Batch, Params, Tasks
 NAMES = ("brass", "chalk", "felt", "glass", "paper")
 
 
-def parabola(params: Params, batch: Batch, shape: Params) -> Tensor:
+def parabola(params: Params, batch: Batch, learned: Params) -> Tensor:
     return 0.5 * ((params["x"] - batch["c"]) ** 2).sum(-1)
 
 
@@ -258,13 +258,13 @@ def test_meta_is_learn_over_tasks_after_learning(tasks: Tasks, rng: Generator) -
 
 
 def test_after_encoding(tasks: Tasks, rng: Generator) -> None:
-    def observe(tasks: Tasks, rng: Generator) -> Batch:
+    def condition(tasks: Tasks, rng: Generator) -> Batch:
         return {"seen": tasks.data["c"][tasks.rows]}
 
     def encode(encoder: Params, observed: Any) -> Params:
         return {"x": observed["seen"] @ encoder["w"]}
 
-    loss = over_tasks(after_encoding(EXACT, observe, encode), count=5)
+    loss = over_tasks(after_encoding(EXACT, condition, encode), count=5)
     phi = MetaParameters(encoder={"w": torch.zeros(3, 3).double()}).flat()
     trained = learn(phi, fixed_adam(Adam(0.05, final=0.0), phi, 300), tasks, loss, steps=300, rng=rng)
     torch.testing.assert_close(trained["encoder.w"], torch.eye(3).double(), rtol=0, atol=1e-3)

@@ -224,11 +224,11 @@ def test_a_code_without_variation_is_the_same_everywhere(rng: Generator) -> None
 
 
 def test_a_code_wraps_around_where_it_is_told(rng: Generator) -> None:
-    for wraps in (True, False):
-        field = FIELD._replace(wraps=wraps)
+    for periodic in (True, False):
+        field = FIELD._replace(periodic=periodic)
         theta = blind(rng, 1, field)
         turned = field({**theta, "z": theta["z"].roll(3, -1)}, places(1))
-        assert torch.allclose(turned, field(theta, places(1)).roll(6, -1), atol=1e-5) == wraps
+        assert torch.allclose(turned, field(theta, places(1)).roll(6, -1), atol=1e-5) == periodic
 
 
 def test_a_cell_of_the_code_reaches_its_neighbourhood_only(rng: Generator) -> None:

@@ -19,6 +19,7 @@ from metapp.apps import svbrdf_nonstationary
 from metapp.apps.svbrdf_nonstationary import APP, QUICK, Setup, SvbrdfNonstationary, field_of
 from metapp.apps.svbrdf_nonstationary.encoder import Encoder
 from metapp.apps.svbrdf_nonstationary.maps import pooled
+from metapp.apps.svbrdf_nonstationary.presentation import SvbrdfNonstationaryPresentation
 from metapp.apps.svbrdf_nonstationary.variants import _mixed, _recoloured, _turned, varied
 from metapp.apps.svbrdf_nonstationary.views import (
     FLASH,
@@ -100,7 +101,7 @@ def test_a_field_fitted_at_one_resolution_works_at_others(app: SvbrdfNonstationa
 
 
 def test_the_encoder_makes_a_start(app: SvbrdfNonstationary, tasks: Tasks, rng: Generator) -> None:
-    theta = app.encode(app.init_encoder(rng), app.observe(tasks, rng))
+    theta = app.encode(app.init_encoder(rng), app.condition(tasks, rng))
     expected = app.init(rng, len(tasks))
     assert {key: value.shape for key, value in theta.items()} == {key: each.shape for key, each in expected.items()}
     assert theta["flash"].shape == (4, FLASH)
@@ -271,7 +272,7 @@ def test_variants_show_relief_that_is_finer_than_their_maps(app: SvbrdfNonstatio
 def test_the_true_maps_have_no_loss(app: SvbrdfNonstationary, tasks: Tasks, exact: Params, rng: Generator) -> None:
     batch = app.sample(tasks, rng, 1)
     assert app.loss(exact, batch, {}).max() < 1e-6
-    assert app.goal(exact, batch, {}).max() < 0.01  # the photograph has 8 bits
+    assert app.outer_loss(exact, batch, {}).max() < 0.01  # the photograph has 8 bits
     errors = app.errors(exact, tasks)
     assert errors["ssim"].min() > 0.9999
     assert max(float(value.max()) for key, value in errors.items() if key not in ("ssim", "normal")) < 1e-6
@@ -322,11 +323,12 @@ def test_a_photo_alone_is_no_reference(app: SvbrdfNonstationary) -> None:
 def test_maps_are_written_as_fine_as_the_photo(app: SvbrdfNonstationary) -> None:
     theta = {key: value[0] for key, value in app.init(Generator().manual_seed(0), 1).items()}
     for size, written in ((48, 48), (300, 256)):
-        files = app.files(theta, svbrdf_task("wall", material(0, size)))
+        files = SvbrdfNonstationaryPresentation(app).files(theta, svbrdf_task("wall", material(0, size)))
         assert list(files) == [
             "normal", "diffuse", "roughness", "specular", "lit_from_left", "lit_from_above", "lit_from_aside",
         ]  # fmt: skip
-        for name, picture in files.items():
+        for name, (picture, kind) in files.items():
+            assert kind == ("data" if name in ("normal", "roughness") else "srgb")
             assert picture.shape == (written, written, 1 if name == "roughness" else 3)
             assert float(picture.min()) >= 0
             assert float(picture.max()) <= 1
@@ -335,12 +337,13 @@ def test_maps_are_written_as_fine_as_the_photo(app: SvbrdfNonstationary) -> None
 def test_outputs_stand_beside_each_other(app: SvbrdfNonstationary) -> None:
     theta = {key: value[0] for key, value in app.init(Generator().manual_seed(0), 1).items()}
     task = svbrdf_task("wall", material(0))
-    both = app.outputs(theta, task)
+    outputs = SvbrdfNonstationaryPresentation(app).outputs
+    both = outputs(theta, task)
     assert {name: tuple(each.shape) for name, each in both.items()} == {
         "reference": (64, 128, 3),
         "fit": (64, 128, 3),
     }
-    assert set(app.outputs(theta, Task("wall", {"photo": task.data["photo"]}))) == {"fit"}
+    assert set(outputs(theta, Task("wall", {"photo": task.data["photo"]}))) == {"fit"}
 
 
 def test_pooled_normals_have_unit_length() -> None:

@@ -25,11 +25,13 @@ from metapp.apps.svbrdf_stationary import (
     SvbrdfStationary,
     _grams,
 )
+from metapp.apps.svbrdf_stationary.presentation import SvbrdfStationaryPresentation
 from metapp.learning.app import stack
 from metapp.learning.learn import MetaParameters
 from metapp.learning.task import Params, Task, Tasks
-from metapp.networks.exemplar import JUDGED, TILED, Setup
+from metapp.networks.exemplar import JUDGED, Setup
 from metapp.networks.layers import UNet
+from metapp.networks.presentation import TILED
 from metapp.paradigms import Job, paradigms
 
 SIZE = 32
@@ -260,7 +262,7 @@ def test_the_light_is_where_the_highlight_is(
     theta = app.init(seeded(), 3)
     app.loss(theta, app.sample(tasks.select([1, 2, 0]), seeded(), 2), {})
     app.errors(theta, tasks)
-    app.outputs({key: value[0] for key, value in theta.items()}, sources[1])
+    SvbrdfStationaryPresentation(app).outputs({key: value[0] for key, value in theta.items()}, sources[1])
     for (light, view), expected in zip(used, (lights[[1, 2, 0], None], lights[:, None], lights[1:2]), strict=False):
         torch.testing.assert_close(light, expected)
         assert torch.equal(light, view)
@@ -333,7 +335,8 @@ def test_a_highlight_stays_out_of_the_maps(sources: list[Task], tasks: Tasks) ->
 def test_files_are_the_maps_and_other_lights(sources: list[Task]) -> None:
     app = tiny()
     theta = {key: value[0] for key, value in app.init(seeded(), 1).items()}
-    files = app.files(theta, sources[0])
+    made = SvbrdfStationaryPresentation(app).files(theta, sources[0])
+    files = {name: picture.pixels for name, picture in made.items()}
     names = ["diffuse", "specular", "roughness", "normal", "height"]
     assert list(files) == [*names, *(f"lit_from_{name}" for name in relightings())]
     side = TILED * SIZE
@@ -341,7 +344,8 @@ def test_files_are_the_maps_and_other_lights(sources: list[Task]) -> None:
     assert {name: tuple(picture.shape) for name, picture in files.items()} == {
         name: (side, side, channels.get(name, 3)) for name in files
     }
-    assert app.heights == ("height",)  # of any range: stretched where it is written
+    kinds = {"roughness": "data", "normal": "data", "height": "height"}  # all else are colours
+    assert {name: picture.kind for name, picture in made.items()} == {name: kinds.get(name, "srgb") for name in files}
     torch.testing.assert_close((files["normal"] * 2 - 1).norm(dim=2), torch.ones(side, side))
     # what a user loads as maps is what was rendered
     normal = (files["normal"] * 2 - 1).permute(2, 0, 1)
@@ -359,7 +363,9 @@ def test_files_are_the_maps_and_other_lights(sources: list[Task]) -> None:
 def test_maps_tile(sources: list[Task]) -> None:
     """Also the normals, which look at their neighbours."""
     app = tiny()
-    files = app.files({key: value[0] for key, value in app.init(seeded(), 1).items()}, sources[0])
+    theta = {key: value[0] for key, value in app.init(seeded(), 1).items()}
+    made = SvbrdfStationaryPresentation(app).files(theta, sources[0])
+    files = {name: picture.pixels for name, picture in made.items()}
     for name in ("diffuse", "specular", "roughness", "normal", "height"):
         for axis in (0, 1):
             differences = (files[name] - files[name].roll(1, axis)).abs().movedim(axis, 0).flatten(1).mean(1)[::4]
@@ -370,7 +376,8 @@ def test_the_highlight_moves_with_light_and_viewer(sources: list[Task]) -> None:
     """To where they mirror each other in a flat material."""
     app = tiny()
     theta = {key: value[0] for key, value in flat(app, -3.0, -3.0, -3.0, -2.5, -1.5, 0.0).items()}
-    files = app.files(theta, sources[0])
+    made = SvbrdfStationaryPresentation(app).files(theta, sources[0])
+    files = {name: picture.pixels for name, picture in made.items()}
     assert files["height"].max() == 0
     places = positions(TILED * SIZE, TILED * SIZE).flatten(1)
     found = {}
@@ -407,7 +414,8 @@ def test_references_under_other_lights_are_compared_where_there_are_any(sources:
 
 def test_outputs_show_photo_and_fit_under_its_light(sources: list[Task], tasks: Tasks) -> None:
     app, theta = tiny(), tiny().init(seeded(), 1)
-    outputs = app.outputs({key: value[0] for key, value in theta.items()}, sources[1])
+    shown = SvbrdfStationaryPresentation(app)
+    outputs = shown.outputs({key: value[0] for key, value in theta.items()}, sources[1])
     photo = sources[1].data["image"].float().permute(1, 2, 0) / 255
     torch.testing.assert_close(outputs["reference"], srgb_to_linear(photo))
     assert {tuple(picture.shape) for picture in outputs.values()} == {(SIZE, SIZE, 3)}

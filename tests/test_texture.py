@@ -14,14 +14,16 @@ from torch.nn.functional import interpolate, pad
 from metapp.appearance.colour import srgb_to_linear
 from metapp.appearance.features import RANDOM, gram, load_features, moments
 from metapp.apps.texture import APP, PAPER, QUICK, SMALLEST_CROP, Texture
+from metapp.apps.texture.presentation import TexturePresentation
 from metapp.experiments.starts import shipped_path
 from metapp.learning.app import stack
 from metapp.learning.learn import MetaParameters
 from metapp.learning.recipe import Recipe
 from metapp.learning.task import Params, Task, Tasks
 from metapp.networks import layers as networks
-from metapp.networks.exemplar import JUDGED, TILED, Setup
+from metapp.networks.exemplar import JUDGED, Setup
 from metapp.networks.layers import UNet
+from metapp.networks.presentation import TILED
 from metapp.paradigms import Job, paradigms
 from metapp.storage.records import load_start
 
@@ -251,12 +253,13 @@ def test_gradients_of_the_loss() -> None:
 def test_outputs_and_files(sources: list[Task], tasks: Tasks) -> None:
     app = tiny()
     theta = {key: value[0] for key, value in overfit(app, tasks, 3).items()}
-    outputs, files = app.outputs(theta, sources[0]), app.files(theta, sources[0])
+    shown = TexturePresentation(app)
+    outputs, files = shown.outputs(theta, sources[0]), shown.files(theta, sources[0])
     exemplar = app.exemplar(sources[0].data["image"][None] / 255)[0]
     torch.testing.assert_close(outputs["reference"], srgb_to_linear(exemplar).permute(1, 2, 0))
     assert outputs["fit"].shape == (SIZE, SIZE, 3)
     assert list(files) == ["texture"]
-    assert files["texture"].shape == (TILED * SIZE, TILED * SIZE, 3)
+    assert files["texture"].pixels.shape == (TILED * SIZE, TILED * SIZE, 3)
 
 
 def seams(made: Tensor) -> Tensor:
@@ -296,8 +299,9 @@ def test_textures_tile_at_four_times_the_size(sources: list[Task], tasks: Tasks)
     ratios = torch.stack([seams(made) for made in large(app, theta)])
     assert (ratios > 0.7).all()
     assert (ratios < 1.4).all()
-    one = [app.files({key: value[i] for key, value in theta.items()}, sources[i])["texture"] for i in range(4)]
-    mean = torch.stack([seams(made.permute(2, 0, 1)[None]) for made in one]).mean()  # what the user gets
+    files = TexturePresentation(app).files  # what the user gets
+    one = [files({key: value[i] for key, value in theta.items()}, sources[i])["texture"].pixels for i in range(4)]
+    mean = torch.stack([seams(made.permute(2, 0, 1)[None]) for made in one]).mean()
     assert 0.7 < mean < 1.4
 
 

@@ -294,7 +294,7 @@ def test_overfit_finds_the_lamp_and_where_it_is_from_each_place(app: Transport, 
 
 def test_an_untrained_encoder_says_what_the_picture_says(app: Transport, tasks: Tasks) -> None:
     encoder = app.init_encoder(rng())
-    theta = app.encode(encoder, app.observe(tasks, rng()))
+    theta = app.encode(encoder, app.condition(tasks, rng()))
     expected = app.init(rng(), 4)
     assert {key: value.shape for key, value in theta.items()} == {key: each.shape for key, each in expected.items()}
     each = (torch.arange(8) + 0.5) / 8

@@ -1,4 +1,4 @@
-"""The applications; one is a module here that defines APP, and a further one needs nothing else."""
+"""The applications: one is a package here that defines APP, with a module `presentation` that defines PRESENTATION."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import pkgutil
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from metapp.appearance.presentation import Presentation
     from metapp.learning.app import App
 
 
@@ -24,3 +25,8 @@ def load_app(name: str) -> App:
     if name not in app_names():
         raise ValueError(f"application '{name}': not known, expected one of {', '.join(app_names())}.")
     return importlib.import_module(f"metapp.apps.{name}").APP
+
+
+def presentation_of(app: App) -> Presentation:
+    """What screens and files need of an application, at its setup and under its protocol."""
+    return importlib.import_module(f"metapp.apps.{app.name}.presentation").PRESENTATION(app)

@@ -10,6 +10,7 @@ from typing import Any
 from safetensors.torch import save
 
 from data_tools.formats import exports_of
+from metapp.apps import presentation_of
 from metapp.experiments.export import check_export
 from metapp.experiments.fits import fit_tasks
 from metapp.experiments.inputs import tasks_to_fit
@@ -53,7 +54,7 @@ class Fit:
 
     def pictures(self) -> dict[str, Any]:
         """Return linear RGB pictures [H, W, 3 or 4] of the fit and its reference, by name."""
-        return self.app.outputs(self.parameters, self.task)
+        return presentation_of(self.app).outputs(self.parameters, self.task)
 
     def save(self, path: str | PathLike[str]) -> Path:
         """Write the parameters as safetensors, whole or not at all.

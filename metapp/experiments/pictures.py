@@ -12,6 +12,7 @@ import torch
 from torch import Tensor
 
 from metapp.appearance.colour import linear_to_srgb, stretched, tone_map
+from metapp.apps import presentation_of
 from metapp.experiments.session import title_of
 from metapp.learning.app import App
 from metapp.learning.task import Task
@@ -36,9 +37,9 @@ def picture_of_run(app: App, paradigm: str, tasks: Sequence[Task], records: Sequ
     Returns:
         The file.
     """
-    columns = []
+    columns, outputs = [], presentation_of(app).outputs
     for task, record in list(zip(tasks, records, strict=True))[:20]:
-        columns.append((_shown(app.outputs(_theta(folder, task), task)), f"{task.name}\n{_label(record)}"))
+        columns.append((_shown(outputs(_theta(folder, task), task)), f"{task.name}\n{_label(record)}"))
     mean = summary(records)["error"]
     found = "" if mean is None else f": mean error{_factor(app)} {mean:.3f}"
     return _grid(columns, f"{title_of(app)}, {paradigm}{found}", folder / "pictures.png")
@@ -63,11 +64,11 @@ def picture_of_table(
     Returns:
         The file.
     """
-    columns = []
+    columns, outputs = [], presentation_of(app).outputs
     for i, task in enumerate(tasks[:COMPARED]):
         rows: dict[str, np.ndarray] = {}
         for label, folder, records in runs:
-            pictures = app.outputs(_theta(folder, task), task)
+            pictures = outputs(_theta(folder, task), task)
             rows |= _shown({"reference": pictures["reference"]}) if not rows and "reference" in pictures else {}
             rows[f"{label} {_label(records[i])}".rstrip()] = to_srgb(pictures["fit"])
         columns.append((rows, f"{task.name}\n"))
@@ -82,19 +83,19 @@ def write_files(app: App, tasks: Sequence[Task], folder: Path) -> Path | None:
     Heights h, in texels, are kept as (h - minimum) / (maximum - minimum), of which the texts `height_minimum` and
     `height_maximum` tell. Radiance is kept as <name>.exr, and tone-mapped beside it.
     """
-    written = None
+    written, files = None, presentation_of(app).files
     for task in tasks:
-        for name, picture in app.files(_theta(folder, task), task).items():
+        for name, (pixels, kind) in files(_theta(folder, task), task).items():
             written = folder / "outputs"
             file = written / file_name(task.name) / f"{name}.png"
-            texts = {"encoding": "linear" if name in app.raw else "sRGB"}
-            if name in app.heights:
-                picture, low, high = stretched(picture)
+            texts = {"encoding": "linear" if kind in ("data", "height") else "sRGB"}
+            if kind == "height":
+                pixels, low, high = stretched(pixels)
                 texts |= {"height_minimum": f"{low:.9g}", "height_maximum": f"{high:.9g}", "height_unit": "texels"}
-            if name in app.radiance:
-                write_atomically(file.with_name(f"{name}.exr"), functools.partial(_write_exr, picture))
-                picture = tone_map(picture / picture.mean().clamp_min(1e-20))  # whatever its unit
-            write_atomically(file, functools.partial(_write_png, picture, texts))
+            if kind == "radiance":
+                write_atomically(file.with_name(f"{name}.exr"), functools.partial(_write_exr, pixels))
+                pixels = tone_map(pixels / pixels.mean().clamp_min(1e-20))  # whatever its unit
+            write_atomically(file, functools.partial(_write_png, pixels, texts))
     return written
 
 

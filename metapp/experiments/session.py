@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 import torch
 
-from metapp.apps import app_names, load_app
+from metapp.apps import app_names, load_app, presentation_of
 from metapp.experiments import BadOption
 from metapp.learning.app import App
 from metapp.learning.learn import MetaParameters
@@ -130,19 +130,20 @@ def name_of(app: App) -> str:
 
 def title_of(app: App) -> str:
     """The application's title in tables and pictures, with its protocol, if any."""
-    return f"{app.title} ({app.protocol})" if app.protocol else app.title
+    title = presentation_of(app).title
+    return f"{title} ({app.protocol})" if app.protocol else title
 
 
 def caption_of(app: App) -> str:
     """What a table says about its errors."""
     seen = {"fits see": app.protocol} if app.protocol else {}
     conditions = "".join(f"; {key}: {value}" for key, value in (seen | app.conditions()).items())
-    return f"error: {app.measure}{f' x{app.scale:g}' if app.scale != 1 else ''}{conditions}"
+    return f"error: {presentation_of(app).measure}{f' x{app.scale:g}' if app.scale != 1 else ''}{conditions}"
 
 
 def threads_of(app: App) -> int:
-    """The threads that an application's fits run on, whatever ran before: threads that share small kernels wait."""
-    return 1 if app.small_kernels else THREADS
+    """The threads that an application's fits run on, whatever ran before: threads that share little work wait."""
+    return 1 if app.single_threaded else THREADS
 
 
 @contextlib.contextmanager
@@ -157,12 +158,12 @@ def threads(count: int | None) -> Iterator[None]:
 
 
 def find_device(name: str, app: App) -> torch.device:
-    """The device; auto is CUDA where there is one, but the CPU where the application's kernels are too small for it."""
+    """The device; auto is CUDA where there is one, but the CPU where the application is single-threaded."""
     if name not in ("auto", "cpu", "cuda"):
         raise BadOption(f"--device '{name}': expected auto, cpu or cuda.")
     if name == "cuda" and not torch.cuda.is_available():
         raise ValueError("--device cuda: PyTorch finds no CUDA device; use --device cpu or install a CUDA build.")
-    automatic = "cuda" if torch.cuda.is_available() and not app.small_kernels else "cpu"
+    automatic = "cuda" if torch.cuda.is_available() and not app.single_threaded else "cpu"
     return torch.device(automatic if name == "auto" else name)
 
 

@@ -26,7 +26,7 @@ class Loss(NamedTuple):
 
     Attributes:
         draw: (data, rng) -> Drawn; all randomness is here.
-        value: (params, batch, shape) -> the loss of each task, [T].
+        value: (params, batch, learned) -> the loss of each task, [T]; `learned` are its learned parameters.
         shared: True where all tasks share the parameters (the descent follows the mean over tasks), False where
             each task has its own (it follows the sum, which moves each as if it were alone).
     """
@@ -35,9 +35,9 @@ class Loss(NamedTuple):
     value: Callable[[Params, Any, Params], Tensor]
     shared: bool = False
 
-    def total(self, params: Params, batch: Any, shape: Params) -> tuple[Tensor, Tensor]:
+    def total(self, params: Params, batch: Any, learned: Params) -> tuple[Tensor, Tensor]:
         """The scalar to descend and the detached loss of each task, [T]."""
-        each = self.value(params, batch, shape)
+        each = self.value(params, batch, learned)
         return (each.mean() if self.shared else each.sum()), each.detach()
 
 
@@ -87,8 +87,8 @@ def _compiled_pair(rule_step: Callable, loss: Loss, order: int) -> StepPair:
 
 def _eager_pair(rule_step: Callable, loss: Loss, order: int) -> StepPair:
     def gradient(alpha: Params, theta: Params, batch: Any, *, graph: bool) -> tuple[Params, Tensor]:
-        shape = {key[5:]: value for key, value in alpha.items() if key.startswith("loss.")}
-        total, each = loss.total(theta, batch, shape)
+        learned = {key[5:]: value for key, value in alpha.items() if key.startswith("loss.")}
+        total, each = loss.total(theta, batch, learned)
         grads = torch.autograd.grad(total, list(theta.values()), create_graph=graph, materialize_grads=True)
         return dict(zip(theta, grads, strict=True)), each
 

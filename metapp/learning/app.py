@@ -5,7 +5,6 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType
-from typing import Any, NamedTuple
 
 import torch
 from torch import Generator, Tensor
@@ -14,75 +13,39 @@ from metapp.learning.recipe import Recipe
 from metapp.learning.task import Batch, Held, Params, Task, Tasks
 
 
-class Visible(NamedTuple):
-    """What a fit may see of a task.
-
-    Attributes:
-        samples: how many it draws from; 1 where each step sees all there is.
-        size: bytes of one, as data sets keep it.
-        encoder: samples that General's encoder reads of these.
-    """
-
-    samples: int
-    size: int
-    encoder: int
-
-
-REFERENCE = "reference"  # among measures of pictures: what the references are off by themselves
-
-
-class Fitted(NamedTuple):
-    """A fit of one task: parameters without task axis, and the seconds of inference that it took."""
-
-    theta: Params
-    seconds: float
-
-
 class App(ABC):
     """An application: a network, the samples it is fitted to, and the distance that says how well it fits.
 
-    All methods are batched over tasks: parameters and batches have a leading task axis T.
+    All methods are batched over tasks: parameters and batches have a leading task axis T. What fits look like, and what
+    tables say about errors, is the business of its `metapp.appearance.presentation.Presentation`.
 
     Attributes:
         name: as on the command line.
-        title: as in tables.
         holds: what each task must hold, by the tensor's name.
         protocols: what a fit may see, the values of --observe, where there are several; the first is the default.
         protocol: the one of these that is in force; "" where there is none.
-        measure: what the error is, in one line.
-        scale: factor of a printed error; 100 where the paper prints x100.
-        small_kernels: True where threads and GPUs only slow the network down, fitted to one task.
-        wraps: True where the columns of parameters on a grid, those of three axes, go on at the grid's other edge.
-        logarithmic: True where the error is a logarithm, of any sign: of two, the difference counts, not the ratio.
-        random: False where nothing that a fit sees is drawn at random, so that one fit says what two would.
+        scale: factor of errors in records and tables; 100 where the paper prints x100.
+        single_threaded: True where threads and GPUs only slow down the fit of one task.
+        compiles: True where compiling the inner step pays in training.
+        cheap_fits: True where a search can afford to fit all validation tasks.
+        periodic: True where the columns of parameters on a grid, those of three axes, go on at the grid's other edge.
+        deterministic: True where nothing that a fit sees is drawn at random, so that one fit says what two would.
         recipes: "paper" and "quick".
-        raw: names of those `files` that are linear data and no colours, such as normals; all others are sRGB.
-        heights: names of those raw `files` that are heights in texels, of any range: kept stretched to [0, 1], with
-            both ends as the text of the PNG.
-        radiance: names of those `files` that are linear radiance of any range, kept as EXR.
-        image_measure: what `image_errors` are of, in one line; "" where there are none.
-        image_seconds: that they take a task, about, to tell the time left before any was measured.
     """
 
     name: str
-    title: str
     holds: Mapping[str, Held] = MappingProxyType({})
     protocols: tuple[str, ...] = ()
     protocol: str = ""
-    measure: str
     scale: float = 1.0
-    small_kernels: bool = False
-    wraps: bool = False
-    logarithmic: bool = False
-    random: bool = True
+    single_threaded: bool = False
+    compiles: bool = False
+    cheap_fits: bool = False
+    periodic: bool = False
+    deterministic: bool = False
     recipes: dict[str, Recipe]
-    raw: tuple[str, ...] = ()
-    heights: tuple[str, ...] = ()
-    radiance: tuple[str, ...] = ()
-    image_measure: str = ""
-    image_seconds: float = 0.1
 
-    def at(self, recipe: Recipe, observe: str = "") -> App:
+    def at(self, recipe: Recipe, protocol: str = "") -> App:
         """The application at a recipe's setup, under a protocol, its first one where none is named."""
         return self
 
@@ -103,15 +66,15 @@ class App(ABC):
         """`count` random samples of each task, from the part a fit may see; tensors [T, ...]."""
 
     @abstractmethod
-    def loss(self, theta: Params, batch: Batch, shape: Params) -> Tensor:
-        """The loss of each task, [T]; `shape` holds learned quantities of the loss, {} for the plain one."""
+    def loss(self, theta: Params, batch: Batch, learned: Params) -> Tensor:
+        """The inner loss of each task, [T]; `learned` are its learned parameters, {} for the plain loss."""
 
-    def goal(self, theta: Params, batch: Batch, shape: Params) -> Tensor:
-        """What preparation wants of a fit, [T]: the loss itself, unless training tasks know more than a fit may see."""
-        return self.loss(theta, batch, shape)
+    def outer_loss(self, theta: Params, batch: Batch, learned: Params) -> Tensor:
+        """The outer loss of each fit, [T]: the inner one, unless training tasks know more than a fit may see."""
+        return self.loss(theta, batch, learned)
 
-    def shape(self, steps: int) -> Params:
-        """Initial values [steps, ...] of the quantities of the inner loss that a rule may learn."""
+    def loss_parameters(self, steps: int) -> Params:
+        """Initial values [steps, ...] of the parameters of the inner loss that a rule may learn."""
         return {}
 
     @abstractmethod
@@ -119,15 +82,15 @@ class App(ABC):
         """Random parameters of General's encoder."""
 
     @abstractmethod
-    def observe(self, tasks: Tasks, rng: Generator) -> Batch:
-        """The condition I that General's encoder sees of each task."""
+    def condition(self, tasks: Tasks, rng: Generator) -> Batch:
+        """The condition I that General's encoder reads of each task."""
 
     @abstractmethod
-    def encode(self, encoder: Params, observed: Batch) -> Params:
+    def encode(self, encoder: Params, condition: Batch) -> Params:
         """Network parameters from the condition, one forward pass; tensors [T, ...]."""
 
     def augment(self, tasks: Tasks, rng: Generator) -> Tasks:
-        """Made-up tasks related to these, as many, for training only."""
+        """Data augmentation: as many other tasks, each changed at random, for training only."""
         return tasks
 
     @abstractmethod
@@ -136,31 +99,6 @@ class App(ABC):
 
         Empty where the tasks hold no reference.
         """
-
-    @abstractmethod
-    def outputs(self, theta: Params, task: Task) -> dict[str, Any]:
-        """Linear RGB pictures [H, W, 3 or 4] of one fitted task and its reference, by name (no task axis in theta)."""
-
-    def visible(self, task: Task) -> Visible | None:
-        """How much a fit may see of a task; None where the application does not say."""
-        return None
-
-    def image_errors(self, fits: Mapping[str, Fitted], task: Task) -> dict[str, dict[str, float]]:
-        """Measures of the pictures that fits of a task make, by the fit's name, then by the measure's, such as SSIM.
-
-        There may be further names, of pictures that are made without any fit; REFERENCE is of the references' own
-        error. Of measures whose name begins with SSIM
-        more is better, of others less. Empty where there are none.
-        """
-        return {}
-
-    def files(self, theta: Params, task: Task) -> dict[str, Tensor]:
-        """What a fit makes for its user, by file name: display values [H, W, 1 or 3] in [0, 1], kept as PNG.
-
-        Those named in `raw` are linear data; of these, those in `heights` may have any range. Those named in `radiance`
-        are linear, of any range, and kept as EXR.
-        """
-        return {}
 
 
 def stack(app: App, tasks: Sequence[Task], device: torch.device | str = "cpu") -> Tasks:

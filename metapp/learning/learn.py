@@ -126,9 +126,9 @@ def task_loss(app: App, batch: int) -> Loss:
     return Loss(draw, app.loss)
 
 
-def task_goal(app: App, batch: int) -> Loss:
-    """What preparation wants of fits of an application, on samples of training tasks, [T]."""
-    return task_loss(app, batch)._replace(value=app.goal)
+def task_outer_loss(app: App, batch: int) -> Loss:
+    """The outer loss of an application, on samples of training tasks, [T]."""
+    return task_loss(app, batch)._replace(value=app.outer_loss)
 
 
 Augment = Callable[[Tasks, Generator], Tasks]
@@ -137,7 +137,7 @@ Augment = Callable[[Tasks, Generator], Tasks]
 def over_tasks(loss: Loss, *, count: int, augment: Augment | None = None) -> Loss:
     """Lift a loss on given tasks to the mean over `count` random ones of a set, drawn without replacement.
 
-    `augment` turns the drawn tasks into made-up relatives of theirs before anything is sampled from them.
+    `augment` is applied to the drawn tasks before anything is sampled from them.
     """
 
     def draw(tasks: Tasks, rng: Generator) -> Drawn:
@@ -156,9 +156,9 @@ def after_learning(
     clip: float = float("inf"),
     compiled: bool = False,
     tasks_at_once: int | None = None,
-    observe: Callable[[Any, Generator], Any] | None = None,
+    condition: Callable[[Any, Generator], Any] | None = None,
     encode: Callable[[Params, Any], Params] | None = None,
-    goal: Loss | None = None,
+    outer_loss: Loss | None = None,
 ) -> Loss:
     """Lift a loss on theta to a loss on phi: what is left after learning from phi's start by phi's rule (alg. 3).
 
@@ -170,44 +170,44 @@ def after_learning(
         clip: each task's gradient, over all of phi, is scaled down to this norm.
         compiled: compile the inner step and its adjoint.
         tasks_at_once: walk back for so many tasks at a time, which lowers the memory; None for all.
-        observe, encode: where phi holds an encoder, its condition and forward pass give each task's own start.
-        goal: what is wanted of the final theta, where that is not the loss itself.
+        condition, encode: where phi holds an encoder: what it reads of each task, and the task's start from that.
+        outer_loss: the loss of the final theta, where that is not `loss` itself.
 
     Returns:
         A loss on the flat tree of MetaParameters.
     """
 
-    wanted = goal or loss
+    last_loss = outer_loss or loss
 
     def draw(tasks: Any, rng: Generator) -> Drawn:
         inner = [loss.draw(tasks, rng).batch for _ in range(steps)]
-        last = wanted.draw(tasks, rng)
-        return Drawn(last.names, (inner, last.batch, observe(tasks, rng) if observe else None))
+        last = last_loss.draw(tasks, rng)
+        return Drawn(last.names, (inner, last.batch, condition(tasks, rng) if condition else None))
 
     def value(phi: Params, batch: Any, _: Params) -> Tensor:
-        inner, last, observed = batch
+        inner, last, conditions = batch
         count = next(iter(last.values())).shape[0]
         start = MetaParameters.unflat(phi)
-        theta = encode(start.encoder, observed) if encode else spread(start.theta, count, 0)
+        theta = encode(start.encoder, conditions) if encode else spread(start.theta, count, 0)
         # the mean over tasks has divided each one's gradient by their number
         theta, alpha = clip_per_task(theta, spread(start.alpha, count, 1), clip / count)
         final = learn_through(
             theta, rule(alpha), inner, loss, order=order, compiled=compiled, tasks_at_once=tasks_at_once
         )
-        return wanted.value(final, last, {})
+        return last_loss.value(final, last, {})
 
     return Loss(draw, value)
 
 
-def after_encoding(loss: Loss, observe: Callable[[Any, Generator], Any], encode: Callable) -> Loss:
+def after_encoding(loss: Loss, condition: Callable[[Any, Generator], Any], encode: Callable) -> Loss:
     """Lift a loss on theta to a loss on an encoder, in the flat tree of MetaParameters: General's loss."""
 
     def draw(tasks: Any, rng: Generator) -> Drawn:
         drawn = loss.draw(tasks, rng)
-        return Drawn(drawn.names, (observe(tasks, rng), drawn.batch))
+        return Drawn(drawn.names, (condition(tasks, rng), drawn.batch))
 
-    def value(prepared: Params, batch: Any, shape: Params) -> Tensor:
-        return loss.value(encode(MetaParameters.unflat(prepared).encoder, batch[0]), batch[1], shape)
+    def value(prepared: Params, batch: Any, learned: Params) -> Tensor:
+        return loss.value(encode(MetaParameters.unflat(prepared).encoder, batch[0]), batch[1], learned)
 
     return Loss(draw, value, shared=True)
 

@@ -34,7 +34,7 @@ class Training:
         clip: each task's outer gradient is scaled down to this norm before the mean is taken.
         tasks_at_once: tasks that are walked back together, where memory is short; None for all.
         validate_every: outer steps between two looks at the validation tasks.
-        augment: train on made-up relatives of the tasks.
+        augment: train on augmented tasks.
         start: Meta's first start: "random"; "mean" of General's predictions; "encoder", General's own, which starts
             each task at its prediction and which outer steps, if any, train through the inner ones.
     """

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping
+from collections.abc import Collection
 from typing import Any, ClassVar, Self
 
 import torch
 from torch import Generator, Tensor
 
-from metapp.learning.app import App, Fitted, stack
+from metapp.learning.app import App
 from metapp.learning.recipe import Recipe
-from metapp.learning.task import Batch, Params, Task, Tasks
+from metapp.learning.task import Batch, Params, Tasks
 from metapp.networks.layers import LocalField
 
 
@@ -24,22 +24,22 @@ class CodedApp(App):
     Attributes:
         all_recipes: the recipes of each protocol.
         setup: a recipe's; holds the `field`.
-        of_pictures: which `errors` are of pictures, and what tables of these call them.
     """
 
     all_recipes: ClassVar[dict[str, dict[str, Recipe]]]
     setup: Any
-    of_pictures: ClassVar[dict[str, str]]
     protocols = ("reference", "photo")
-    small_kernels = True
-    random = False
+    single_threaded = True
+    compiles = True
+    cheap_fits = True
+    deterministic = True
 
     def __init__(self, setup: Any, protocol: str) -> None:
         self.setup, self.protocol, self.recipes = setup, protocol, self.all_recipes[protocol]
-        self.wraps = self.field.wraps
+        self.periodic = self.field.periodic
 
-    def at(self, recipe: Recipe, observe: str = "") -> Self:
-        return type(self)(recipe.setup, observe or self.protocols[0])
+    def at(self, recipe: Recipe, protocol: str = "") -> Self:
+        return type(self)(recipe.setup, protocol or self.protocols[0])
 
     @property
     def field(self) -> LocalField:
@@ -49,7 +49,7 @@ class CodedApp(App):
     def init(self, rng: Generator, count: int) -> Params:
         return self.field.init(rng, count)
 
-    def shape(self, steps: int) -> Params:
+    def loss_parameters(self, steps: int) -> Params:
         return {"smoothing": torch.full((steps,), math.log(0.3))}
 
     def init_reader(self, rng: Generator) -> Params:
@@ -65,24 +65,15 @@ class CodedApp(App):
         decoder = decoder_of(self.field.init(rng, 1), ("z",))
         return {f"encoder.{key}": value for key, value in self.init_reader(rng).items()} | decoder
 
-    def observe(self, tasks: Tasks, rng: Generator) -> Batch:
+    def condition(self, tasks: Tasks, rng: Generator) -> Batch:
         return {"photo": tasks.data["photo"][tasks.rows]}
 
-    def encode(self, encoder: Params, observed: Batch) -> Params:
-        return with_decoder(self.read(reader_of(encoder), observed["photo"]), encoder)
+    def encode(self, encoder: Params, condition: Batch) -> Params:
+        return with_decoder(self.read(reader_of(encoder), condition["photo"]), encoder)
 
     def sample(self, tasks: Tasks, rng: Generator, count: int) -> Batch:
         """All there is of each task."""
         return {key: value[tasks.rows] for key, value in tasks.data.items()}
-
-    def image_errors(self, fits: Mapping[str, Fitted], task: Task) -> dict[str, dict[str, float]]:
-        """Those errors that are of pictures; of a task without reference none."""
-        stacked, measured = stack(self, [task]), {}
-        for name, fit in fits.items():
-            if errors := self.errors({key: value[None] for key, value in fit.theta.items()}, stacked):
-                errors["error"] = self.scale * errors["error"]
-                measured[name] = {title: float(errors[key]) for key, title in self.of_pictures.items()}
-        return measured
 
 
 def decoder_of(theta: Params, own: Collection[str]) -> Params:
@@ -109,9 +100,9 @@ def with_decoder(own: Params, encoder: Params) -> Params:
     return own | {key: value.expand(len(own["z"]), *value.shape) for key, value in shared.items()}
 
 
-def norm(difference: Tensor, shape: Params) -> Tensor:
-    """|d|, or sqrt(d^2 + s^2) - s where a rule has learned an s for each task: the loss's `shape`."""
-    if not shape:
+def norm(difference: Tensor, learned: Params) -> Tensor:
+    """|d|, or sqrt(d^2 + s^2) - s where a rule has learned an s for each task: the loss's parameter `smoothing`."""
+    if not learned:
         return difference.abs()
-    s = torch.exp(shape["smoothing"]).reshape(-1, *[1] * (difference.ndim - 1))
+    s = torch.exp(learned["smoothing"]).reshape(-1, *[1] * (difference.ndim - 1))
     return (difference * difference + s * s).sqrt() - s

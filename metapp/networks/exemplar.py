@@ -4,21 +4,20 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, Self
+from typing import Self
 
 import torch
 from torch import Generator, Tensor
 from torch.nn.functional import interpolate, leaky_relu
 
 from metapp.appearance.features import Features, describe_features, load_features
-from metapp.learning.app import App, Visible
+from metapp.learning.app import App
 from metapp.learning.recipe import Recipe
 from metapp.learning.task import Batch, Params, Task, Tasks
 from metapp.networks.coded import decoder_of, with_decoder
 from metapp.networks.layers import UNet
 
 HIDDEN = 128
-TILED = 4
 JUDGED = 4
 
 
@@ -52,7 +51,7 @@ class ExemplarApp(App):
     def __init__(self, setup: Setup) -> None:
         self.setup = setup
 
-    def at(self, recipe: Recipe, observe: str = "") -> Self:
+    def at(self, recipe: Recipe, protocol: str = "") -> Self:
         return type(self)(recipe.setup)
 
     def conditions(self) -> dict[str, str]:
@@ -102,11 +101,11 @@ class ExemplarApp(App):
             encoder[f"mlp{layer}.b"] = torch.zeros(outputs, device=rng.device)
         return encoder
 
-    def observe(self, tasks: Tasks, rng: Generator) -> Batch:
+    def condition(self, tasks: Tasks, rng: Generator) -> Batch:
         return {"summary": tasks.data["summary"][tasks.rows]}
 
-    def encode(self, encoder: Params, observed: Batch) -> Params:
-        x = torch.log(observed["summary"] + 0.01) / 2  # features are heavy-tailed
+    def encode(self, encoder: Params, condition: Batch) -> Params:
+        x = torch.log(condition["summary"] + 0.01) / 2  # features are heavy-tailed
         for layer in (1, 2, 3):
             x = x @ encoder[f"mlp{layer}.w"].T + encoder[f"mlp{layer}.b"]
             x = leaky_relu(x, 0.2) if layer < 3 else x
@@ -131,19 +130,9 @@ class ExemplarApp(App):
         images = images.gather(1, channels.expand(images.shape))
         return tasks.variants(self.describe(images))
 
-    def visible(self, task: Task) -> Visible:
-        """The exemplar, all of it in each step."""
-        return Visible(1, task.data["image"].nbytes, 1)
-
     @torch.no_grad()
     def errors(self, theta: Params, tasks: Tasks) -> dict[str, Tensor]:
         """On textures from noise that no fit has seen, the same for all."""
         rng = Generator(tasks.rows.device).manual_seed(0)
         noise = self.noise(rng, 1, JUDGED).expand(len(tasks), -1, -1, -1, -1)
         return {"error": self.loss(theta, self.sample(tasks, rng, 1) | {"noise": noise}, {})}
-
-    @torch.no_grad()
-    def _made(self, theta: Params, make: Any, times: int) -> Any:
-        one = {key: value[None] for key, value in theta.items()}
-        rng = Generator(theta["z"].device).manual_seed(1)
-        return make(one, self.noise(rng, 1, 1, times))

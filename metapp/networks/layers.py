@@ -135,7 +135,7 @@ class LocalField(NamedTuple):
         hidden: units of a layer.
         layers: sine layers.
         frequency: of the first layer's sines for inputs in [-1, 1], w0.
-        wraps: whether the left edge goes on at the right one.
+        periodic: whether the left edge goes on at the right one.
         gain: of the code; a step of a rate moves it so many times as far as a weight, and it has far to go.
     """
 
@@ -149,7 +149,7 @@ class LocalField(NamedTuple):
     hidden: int = 32
     layers: int = 3
     frequency: float = 12.0
-    wraps: bool = True
+    periodic: bool = True
     gain: float = 30.0
 
     def init(self, rng: Generator, count: int) -> Params:
@@ -193,16 +193,16 @@ class LocalField(NamedTuple):
 @functools.lru_cache(maxsize=8)
 def _interpolation(field: LocalField) -> tuple[Tensor, Tensor]:
     """What each row and column takes of those of the code: [height, rows] and [columns, width]."""
-    down = _linear(field.height, field.rows, wraps=False)
-    return down, _linear(field.width, field.columns, wraps=field.wraps).T.contiguous()
+    down = _linear(field.height, field.rows, periodic=False)
+    return down, _linear(field.width, field.columns, periodic=field.periodic).T.contiguous()
 
 
-def _linear(count: int, cells: int, *, wraps: bool) -> Tensor:
+def _linear(count: int, cells: int, *, periodic: bool) -> Tensor:
     """Linear interpolation at `count` centres between those of `cells`, [count, cells]; around or up to the ends."""
     place = (torch.arange(count) + 0.5) * (cells / count) - 0.5
     first = place.floor().long()
     weights = torch.zeros(count, cells)
     for cell, share in ((first, 1 - (place - first)), (first + 1, place - first)):
-        cell = cell % cells if wraps else cell.clamp(0, cells - 1)
+        cell = cell % cells if periodic else cell.clamp(0, cells - 1)
         weights.scatter_add_(1, cell[:, None], share[:, None])
     return weights

@@ -5,7 +5,7 @@ from __future__ import annotations
 from torch import Generator
 
 from metapp.learning.adjoint import Loss
-from metapp.learning.learn import MetaParameters, after_encoding, over_tasks, task_goal
+from metapp.learning.learn import MetaParameters, after_encoding, over_tasks, task_outer_loss
 from metapp.learning.rules import fixed_adam
 from metapp.learning.task import Params, Tasks
 from metapp.paradigms import Job, Paradigm
@@ -13,14 +13,14 @@ from metapp.paradigms import Job, Paradigm
 
 def start(job: Job, prepared: MetaParameters, tasks: Tasks, rng: Generator) -> Params:
     """theta = encode(I)."""
-    encoded = job.app.encode(prepared.encoder, job.app.observe(tasks, rng))
+    encoded = job.app.encode(prepared.encoder, job.app.condition(tasks, rng))
     return {key: value.detach() for key, value in encoded.items()}
 
 
 def preparation(job: Job, rng: Generator) -> tuple[MetaParameters, Loss]:
     """The untrained encoder and the loss that trains it."""
     app, training = job.app, job.recipe.general
-    loss = after_encoding(task_goal(app, job.recipe.batch), app.observe, app.encode)
+    loss = after_encoding(task_outer_loss(app, job.recipe.batch), app.condition, app.encode)
     augment = app.augment if training.augment else None
     return MetaParameters(encoder=app.init_encoder(rng)), over_tasks(loss, count=training.tasks, augment=augment)
 

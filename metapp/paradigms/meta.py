@@ -8,7 +8,7 @@ import torch
 from torch import Generator
 
 from metapp.learning.adjoint import Loss, UpdateRule
-from metapp.learning.learn import MetaParameters, after_learning, learn, over_tasks, spread, task_goal, task_loss
+from metapp.learning.learn import MetaParameters, after_learning, learn, over_tasks, spread, task_loss, task_outer_loss
 from metapp.learning.recipe import Adam
 from metapp.learning.rules import rule_of
 from metapp.learning.task import Params, Tasks
@@ -39,9 +39,9 @@ def preparation(job: Job, general: MetaParameters, rng: Generator, compiled: boo
         clip=training.clip,
         compiled=compiled,
         tasks_at_once=training.tasks_at_once,
-        observe=app.observe if general.encoder else None,
+        condition=app.condition if general.encoder else None,
         encode=app.encode if general.encoder else None,
-        goal=task_goal(app, recipe.batch),
+        outer_loss=task_outer_loss(app, recipe.batch),
     )
     phi = MetaParameters(theta, rule.alpha(app, random, steps, training.first), general.encoder)
     return phi, over_tasks(learned, count=training.tasks, augment=app.augment if training.augment else None)

@@ -48,7 +48,7 @@ def split_validation(tasks: Tasks) -> tuple[Tasks, Tasks]:
 
 def validation_error(paradigm: Paradigm, job: Job, prepared: MetaParameters, tasks: Tasks) -> float:
     """Mean error of fits of all tasks with fixed seeds, as the table prints it; infinite where a fit diverges."""
-    total, seeds = 0.0, 2 if job.app.random else 1
+    total, seeds = 0.0, 1 if job.app.deterministic else 2
     for seed in range(seeds):
         rng = Generator(tasks.rows.device).manual_seed(seed)
         for some in torch.arange(len(tasks)).split(AT_ONCE):
@@ -100,7 +100,7 @@ def prepare(
         first, loss = general.preparation(job, rng)
     else:
         training, paradigm = job.recipe.meta_training(name), paradigms()["meta"]
-        compiled = job.app.small_kernels and can_compile()
+        compiled = job.app.compiles and can_compile()
         first, loss = meta.preparation(job, _meta_start(job, training, encoder, to_fit, rng), rng, compiled=compiled)
         first = meta.with_gradients(job, first, to_fit, rng)
         if training.tuned:
@@ -127,7 +127,7 @@ def prepare(
 
 def _to_tune_on(job: Job, tasks: Tasks) -> Tasks:
     """All validation tasks where fits are cheap, else up to TUNED_ON of them, evenly spaced."""
-    if job.app.small_kernels:
+    if job.app.cheap_fits:
         return tasks
     count = min(len(tasks), TUNED_ON)
     return tasks.select([i * len(tasks) // count for i in range(count)])

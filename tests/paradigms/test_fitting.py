@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 import pytest
@@ -13,7 +12,7 @@ from metapp.learning.app import App
 from metapp.learning.learn import MetaParameters, learn, task_loss
 from metapp.learning.recipe import Adam
 from metapp.learning.rules import RULES, fixed_adam
-from metapp.learning.task import Batch, Params, Task, Tasks
+from metapp.learning.task import Batch, Tasks
 from metapp.paradigms import Job, paradigms
 from metapp.paradigms.quickft import to_alpha
 from tests.paradigms.small import applicable, rng, start_for, untrained
@@ -35,9 +34,9 @@ def test_a_paradigm_fits(name: str, job: Job, tasks: Tasks) -> None:
     assert all(torch.equal(theta[key], again[key]) for key in theta)
     other = paradigm.fit(job, prepared, few, rng(9))
     # without steps nothing need be random: an encoder may look at all there is
-    if name == "overfit" or (paradigm.count(job) and job.app.random):
+    if name == "overfit" or (paradigm.count(job) and not job.app.deterministic):
         assert not all(torch.equal(theta[key], other[key]) for key in theta)
-    elif not job.app.random:
+    elif job.app.deterministic:
         assert all(torch.equal(theta[key], other[key]) for key in theta)
     errors = job.app.errors(theta, few)
     assert {tuple(value.shape) for value in errors.values()} == {(3,)}
@@ -145,43 +144,6 @@ def test_a_mean_is_over_the_last_of_the_steps_there_are(steps: int, job: Job, ta
 # What an application makes of tasks
 
 
-@pytest.fixture
-def fitted(job: Job, tasks: Tasks) -> Params:
-    """The parameters of the first task after a few steps, as a run keeps them: without a task axis."""
-    theta = paradigms()["overfit"].fit(job._replace(steps=3), MetaParameters(), tasks.select([0]), rng())
-    return {key: value[0] for key, value in theta.items()}
-
-
-def test_pictures_of_a_fit_and_of_its_reference(app: App, fitted: Params, sources: list[Task]) -> None:
-    pictures = app.outputs(fitted, sources[0])
-    assert list(pictures)[:2] == ["reference", "fit"]
-    assert pictures["fit"].shape == pictures["reference"].shape
-    for name, picture in pictures.items():
-        assert picture.ndim == 3, name
-        assert picture.shape[2] in (3, 4), name
-        assert picture.dtype == torch.float32, name
-        assert picture.isfinite().all(), name
-        assert not picture.requires_grad, name
-    again = app.outputs(fitted, sources[0])
-    assert all(torch.equal(again[name], picture) for name, picture in pictures.items())
-    other = app.outputs(fitted, sources[1])
-    assert not torch.equal(other["reference"], pictures["reference"])
-
-
-def test_files_are_display_values(app: App, fitted: Params, sources: list[Task]) -> None:
-    made = app.files(fitted, sources[0])
-    for name, picture in made.items():
-        assert name.replace("_", "").isalnum(), name
-        assert picture.ndim == 3, name
-        assert picture.shape[2] in (1, 3), name
-        assert picture.isfinite().all(), name
-        if name not in app.heights:
-            assert 0 <= float(picture.min()) <= float(picture.max()) <= (math.inf if name in app.radiance else 1), name
-        assert not picture.requires_grad, name
-    again = app.files(fitted, sources[0])
-    assert all(torch.equal(again[name], picture) for name, picture in made.items())
-
-
 def shapes(batch: Batch) -> dict[str, Any]:
     return {key: (value.shape, value.dtype) for key, value in batch.items()}
 
@@ -194,8 +156,8 @@ def test_made_up_tasks_do_what_tasks_do(job: Job, tasks: Tasks) -> None:
     assert not set(made.names) & set(tasks.names)
     drawn = app.sample(made, rng(), job.recipe.batch)
     assert shapes(drawn) == shapes(app.sample(few, rng(), job.recipe.batch))
-    assert shapes(app.observe(made, rng())) == shapes(app.observe(few, rng()))
-    theta = app.encode(app.init_encoder(rng()), app.observe(made, rng()))
+    assert shapes(app.condition(made, rng())) == shapes(app.condition(few, rng()))
+    theta = app.encode(app.init_encoder(rng()), app.condition(made, rng()))
     assert app.loss(theta, drawn, {}).shape == (3,)
     assert app.loss(theta, drawn, {}).isfinite().all()
     again, other = app.augment(few, rng()), app.augment(few, rng(1))

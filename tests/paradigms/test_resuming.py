@@ -15,7 +15,8 @@ import torch
 
 from metapp.learning.learn import MetaParameters
 from metapp.learning.task import Tasks
-from metapp.paradigms import Job, paradigms, prepare
+from metapp.paradigms import Job, paradigms
+from metapp.paradigms import training as prepare
 from metapp.paradigms.resuming import Interrupted, Prepared, Reached
 from metapp.storage.records import save_start
 from metapp.storage.training_checkpoint import TrainingCheckpoint
@@ -102,7 +103,7 @@ def test_ctrl_c_at_any_moment_loses_no_step(
     name, job = small_job(kind, job, monkeypatch)
     expected = as_file(run(name, job, tasks), tmp_path / "expected.safetensors")
     path, chance, reached = tmp_path / "start.safetensors", random.Random(kind), [(-1, -1)]
-    loss, errors, calls = job.app.goal, job.app.errors, [0]
+    loss, errors, calls = job.app.outer_loss, job.app.errors, [0]
 
     def interrupting(function: Callable[..., Any]) -> Callable[..., Any]:
         def call(*arguments: Any) -> Any:
@@ -118,7 +119,7 @@ def test_ctrl_c_at_any_moment_loses_no_step(
         calls[0] = chance.randint(2, 5)
         checkpoint = TrainingCheckpoint(path, SETTINGS)
         with monkeypatch.context() as patch:
-            patch.setattr(job.app, "goal", interrupting(loss))
+            patch.setattr(job.app, "outer_loss", interrupting(loss))
             patch.setattr(job.app, "errors", interrupting(errors))
             try:
                 made = run(name, job, tasks, checkpoint)

@@ -2,26 +2,21 @@
 
 from __future__ import annotations
 
-import functools
 import itertools
 import math
-from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any
 
 import torch
 from torch import Generator, Tensor
 from torch.nn.functional import gelu, layer_norm
 
-from metapp.appearance.colour import linear_to_srgb
 from metapp.appearance.geometry import cos_incident, half_difference
-from metapp.appearance.sphere import environment_scene, reference_scene, shade_sphere
-from metapp.learning.app import App, Fitted, Visible
+from metapp.learning.app import App
 from metapp.learning.recipe import Adam, Recipe, Training
 from metapp.learning.task import Batch, Held, Params, Task, Tasks
 
 WIDTHS = (6, 21, 21, 3)
-OBSERVED = 1024
+CONDITION = 1024  # samples that General's encoder reads
 ENCODER = 128
 KNOTS = 8
 AUGMENTED = 8192
@@ -96,17 +91,16 @@ class Brdf(App):
     """One measured or modelled isotropic material a task."""
 
     name = "brdf"
-    title = "BRDF"
     holds = {  # noqa: RUF012  (never written to)
         "angles": Held(("N", 3), low=0.0, high=2 * math.pi),
         "reflectance": Held(("N", 3), low=0.0),
         "render": Held(("H", "W", 4)),
         "environment": Held(("h", "w", 4), optional=True),
     }
-    measure = "mean |log(1 + f cos theta_i) - log(1 + f' cos theta_i)| on held-out directions"
-    image_measure = "the sphere under an environment map (a sky, a sun, two windows), sRGB, over the pixels it touches"
     scale = 100.0
-    small_kernels = True
+    single_threaded = True
+    compiles = True
+    cheap_fits = True
     recipes = {"paper": PAPER, "quick": QUICK}  # noqa: RUF012  (never written to)
 
     def prepare(self, task: Task) -> dict[str, Tensor]:
@@ -134,7 +128,7 @@ class Brdf(App):
         picked = (tasks.rows[:, None], rows)
         return {key: tasks.data[key][picked].transpose(1, 2).contiguous() for key in ("where", "target")}
 
-    def loss(self, theta: Params, batch: Batch, shape: Params) -> Tensor:
+    def loss(self, theta: Params, batch: Batch, learned: Params) -> Tensor:
         """Mean |log(1 + f cos theta_i) - log(1 + f' cos theta_i)|, [T].
 
         A learned `smoothing` s [T] replaces |d| by sqrt(d^2 + s^2) - s, whose curvature at sign changes autodiff sees;
@@ -143,17 +137,17 @@ class Brdf(App):
         where = batch["where"]
         # without the clamp at 0 a network that is too dark still has a gradient; the clamp only ever helps
         d = torch.log1p(network(theta, where[:, :6]) * where[:, 6:7]) - batch["target"]
-        if not shape:
+        if not learned:
             return d.abs().mean((1, 2))
-        s = torch.exp(shape["smoothing"])[:, None, None]
+        s = torch.exp(learned["smoothing"])[:, None, None]
         norm = ((d * d + s * s).sqrt() - s).mean(1)
         position = torch.arccos(where[:, 2].clamp(-1, 1)) * ((KNOTS - 1) / (math.pi / 2))
         knots = torch.arange(KNOTS, device=d.device, dtype=d.dtype)
         hat = (1 - (position[:, None] - knots[:, None]).abs()).clamp_min(0)
-        weight = torch.exp((shape["weights"][:, None] @ hat)[:, 0])
+        weight = torch.exp((learned["weights"][:, None] @ hat)[:, 0])
         return (norm * weight).mean(1)
 
-    def shape(self, steps: int) -> Params:
+    def loss_parameters(self, steps: int) -> Params:
         return {"smoothing": torch.full((steps,), math.log(0.05)), "weights": torch.zeros(steps, KNOTS)}
 
     def init_encoder(self, rng: Generator) -> Params:
@@ -171,14 +165,14 @@ class Brdf(App):
         encoder["out.b"] = torch.cat([value.flatten() for value in start.values()])
         return encoder
 
-    def observe(self, tasks: Tasks, rng: Generator) -> Batch:
-        return self.sample(tasks, rng, OBSERVED)
+    def condition(self, tasks: Tasks, rng: Generator) -> Batch:
+        return self.sample(tasks, rng, CONDITION)
 
-    def encode(self, encoder: Params, observed: Batch) -> Params:
+    def encode(self, encoder: Params, condition: Batch) -> Params:
         def dense(name: str, x: Tensor) -> Tensor:
             return x @ encoder[f"{name}.w"] + encoder[f"{name}.b"]
 
-        samples = torch.cat([observed["where"], observed["target"]], 1).transpose(1, 2)
+        samples = torch.cat([condition["where"], condition["target"]], 1).transpose(1, 2)
         x = gelu(dense("mid", gelu(dense("in", samples))))
         x = torch.cat([x.mean(1), x.amax(1)], 1)
         x = layer_norm(x, x.shape[-1:])
@@ -218,29 +212,6 @@ class Brdf(App):
         reflectance = network(theta, where[:, :6]).clamp_min(0)
         return {"error": (torch.log1p(reflectance * where[:, 6:7]) - target).abs().mean((1, 2))}
 
-    def image_errors(self, fits: Mapping[str, Fitted], task: Task) -> dict[str, dict[str, float]]:
-        """SSIM of the sphere under the environment map, mean over the pixels that it touches.
-
-        Empty where a data set was made before it had such pictures.
-        """
-        if "environment" not in task.data:
-            return {}
-        # takes half a second to import
-        from torchmetrics.functional.image import structural_similarity_index_measure
-
-        scene, measured = environment_scene(), {}
-        wanted = _display(task.data["environment"])
-        for name, fit in fits.items():
-            found = _display(shade_sphere(scene, functools.partial(self.reflectance, fit.theta)))
-            full = structural_similarity_index_measure(found, wanted, data_range=1.0, return_full_image=True)[1]
-            measured[name] = {"SSIM": float(full[0][:, scene.mask].mean())}
-        return measured
-
-    def visible(self, task: Task) -> Visible:
-        """The first half of the samples, three angles and a colour each."""
-        angles, reflectance = task.data["angles"], task.data["reflectance"]
-        return Visible(len(angles) // 2, angles[0].nbytes + reflectance[0].nbytes, OBSERVED)
-
     def reflectance(self, theta: Params, angles: Tensor) -> Tensor:
         """Evaluate one fitted network.
 
@@ -254,17 +225,6 @@ class Brdf(App):
         inputs = half_difference(angles).reshape(1, -1, 6).transpose(1, 2)
         one = {key: value[None] for key, value in theta.items()}
         return network(one, inputs).clamp_min(0)[0].T.reshape(*angles.shape[:-1], 3)
-
-    def outputs(self, theta: Params, task: Task) -> dict[str, Any]:
-        fit = shade_sphere(reference_scene(), lambda angles: self.reflectance(theta, angles))
-        return {"reference": task.data["render"], "fit": fit}
-
-
-def _display(linear: Tensor) -> Tensor:
-    """Linear RGB on black with coverage, [H, W, 4], as sRGB [1, 3, H, W] on white."""
-    coverage = linear[..., 3:]
-    display = coverage * linear_to_srgb((linear[..., :3] / coverage.clamp_min(1e-6)).clamp(0, 1)) + 1 - coverage
-    return display.permute(2, 0, 1)[None]
 
 
 def _shapes() -> dict[str, tuple[int, int]]:

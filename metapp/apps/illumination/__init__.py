@@ -15,9 +15,8 @@ from metapp.appearance.colour import tone_map
 from metapp.appearance.latlong import directions, resample, solid_angles, sphere_normals
 from metapp.appearance.photograph import Camera, Material, develop, photograph, shade
 from metapp.apps.illumination.encoder import Encoder
-from metapp.apps.illumination.surfaces import FACED, MIRRORED, relight, second_scene, shown, surfaces
+from metapp.apps.illumination.surfaces import FACED, MIRRORED, relight, second_scene, surfaces
 from metapp.apps.illumination.variants import of_mean_1, varied
-from metapp.learning.app import Visible
 from metapp.learning.recipe import AS_PUBLISHED, Adam, Recipe, Training
 from metapp.learning.task import Batch, Held, Params, Task, Tasks
 from metapp.networks.coded import CodedApp, norm
@@ -25,7 +24,7 @@ from metapp.networks.layers import LocalField
 
 DARK = 0.01  # of a map of mean luminance 1: the log of radiance is flat below
 DIM = 0.02  # the same for what surfaces send out
-# weights in the goal, beside what faces the light: of texels, of what mirrors, of the log of both, of the photograph
+# weights in the outer loss, beside what faces the light: of texels, what mirrors, the log of both, the photograph
 TEXELS, MIRRORING, LOGS, SEEN = 0.3, 0.3, 0.2, 0.3
 LIGHT = 0.3  # by how much a texel's own light adds to what it counts in a fit, so that few steps find suns
 BODY = 10  # numbers of a sphere's material and a camera
@@ -120,18 +119,13 @@ class Illumination(CodedApp):
     """
 
     name = "illumination"
-    title = "Illumination"
     holds = {  # noqa: RUF012  (never written to)
         "photos": Held(("K", 3, 64, 64), "uint8"),
         "map": Held((3, "H", "W"), low=0.0, optional=True),
         "scale": Held((), low=0.0, optional=True),
     }
-    measure = "mean absolute error of a second scene's picture under the map"
-    image_measure = "the second scene under the map; its SSIM after tone mapping"
-    of_pictures = {"error": "MAE x100", "relative": "relative MAE", "ssim": "SSIM"}  # noqa: RUF012  (never written to)
     scale = 100.0
     all_recipes = RECIPES
-    radiance = ("map",)
 
     def prepare(self, task: Task) -> dict[str, Tensor]:
         """`photo` uint8 [3, S, S], and of the map `map` [3, H, W] and `sent`, what surfaces send out under it."""
@@ -172,15 +166,15 @@ class Illumination(CodedApp):
         """Maps, of mean luminance 1 where a photograph does not say how bright they are."""
         return maps if self.protocol == "reference" else of_mean_1(maps)
 
-    def loss(self, theta: Params, batch: Batch, shape: Params) -> Tensor:
+    def loss(self, theta: Params, batch: Batch, learned: Params) -> Tensor:
         """Of the map or of the photograph, by the protocol, [T]."""
         maps = self.radiance_of(theta)
         if self.protocol == "photo":
-            return self._photo_loss(theta, maps, batch, shape)
-        light = torch.exp(shape["light"])[:, None, None, None] if shape else LIGHT
-        return self._map_loss(maps, batch, shape, light)
+            return self._photo_loss(theta, maps, batch, learned)
+        light = torch.exp(learned["light"])[:, None, None, None] if learned else LIGHT
+        return self._map_loss(maps, batch, learned, light)
 
-    def goal(self, theta: Params, batch: Batch, shape: Params) -> Tensor:
+    def outer_loss(self, theta: Params, batch: Batch, learned: Params) -> Tensor:
         """Whatever fits see, what is wanted is the map, [T], above all what diffuse surfaces send out under it."""
         maps = self.radiance_of(theta)
         scaled = self._scaled(maps)
@@ -190,17 +184,17 @@ class Illumination(CodedApp):
         faced, mirrored = (each.mean((1, 2)) for each in sent.split((FACED, MIRRORED), 2))
         return faced + MIRRORING * mirrored + LOGS * logs.mean((1, 2)) + TEXELS * texels + SEEN * photo
 
-    def _sent_apart(self, maps: Tensor, target: Tensor, shape: Params) -> tuple[Tensor, Tensor]:
+    def _sent_apart(self, maps: Tensor, target: Tensor, learned: Params) -> tuple[Tensor, Tensor]:
         """How far what surfaces send out is from the target, and its log, [T, 3, S] each."""
         sent = maps.flatten(2) @ self._surfaces(maps).T
-        return norm(sent - target, shape), norm((sent + DIM).log() - (target + DIM).log(), shape)
+        return norm(sent - target, learned), norm((sent + DIM).log() - (target + DIM).log(), learned)
 
-    def _map_loss(self, maps: Tensor, batch: Batch, shape: Params, light: Tensor | float) -> Tensor:
+    def _map_loss(self, maps: Tensor, batch: Batch, learned: Params, light: Tensor | float) -> Tensor:
         """Mean differences, [T]: of the log of radiance over the sphere; of what surfaces send out, and of its log."""
-        sent, logs = self._sent_apart(maps, batch["sent"], shape)
-        return _texels(maps, batch["map"], shape, light) + (sent + logs).mean((1, 2))
+        sent, logs = self._sent_apart(maps, batch["sent"], learned)
+        return _texels(maps, batch["map"], learned, light) + (sent + logs).mean((1, 2))
 
-    def _photo_loss(self, theta: Params, maps: Tensor, batch: Batch, shape: Params) -> Tensor:
+    def _photo_loss(self, theta: Params, maps: Tensor, batch: Batch, learned: Params) -> Tensor:
         """Mean difference of display values; where the photograph clips, only what is darker than it counts."""
         side = batch["photo"].shape[-1]
         target = avg_pool2d(batch["photo"].to(maps) / 255, side // SMALL)
@@ -208,11 +202,11 @@ class Illumination(CodedApp):
         display = develop(shade(maps, material, SMALL, GLOSSES), camera)
         short = target - display
         short = torch.where(target > 0.98, relu(short), short)
-        return norm(short, shape)[..., _inside(side).to(maps.device)].mean((1, 2))
+        return norm(short, learned)[..., _inside(side).to(maps.device)].mean((1, 2))
 
-    def shape(self, steps: int) -> Params:
+    def loss_parameters(self, steps: int) -> Params:
         light = {"light": torch.full((steps,), math.log(LIGHT))} if self.protocol == "reference" else {}
-        return super().shape(steps) | light
+        return super().loss_parameters(steps) | light
 
     def init_reader(self, rng: Generator) -> Params:
         return self.setup.encoder.init(rng)
@@ -226,12 +220,6 @@ class Illumination(CodedApp):
         maps = varied(tasks.data["map"][tasks.rows], rng)
         photos = (photograph(maps, rng, tasks.data["photo"].shape[-1]) * 255).round().to(torch.uint8)
         return tasks.variants({"photo": photos} | self.described(maps))
-
-    def visible(self, task: Task) -> Visible:
-        """The map or the photograph, all of it in each step; General's encoder reads the photograph alone."""
-        if self.protocol == "photo":
-            return Visible(1, task.data["photos"][0].nbytes, 1)
-        return Visible(1, task.data["map"].nbytes, 0)
 
     @torch.no_grad()
     def errors(self, theta: Params, tasks: Tasks) -> dict[str, Tensor]:
@@ -258,33 +246,15 @@ class Illumination(CodedApp):
             "map": logs,
         }
 
-    @torch.no_grad()
-    def outputs(self, theta: Params, task: Task) -> dict[str, Any]:
-        """Map and second scene, tone-mapped, of the reference, beside the photograph, and of the fit."""
-        prepared = {key: value[None] for key, value in self.prepare(task).items()}
-        fit = self.answer({key: value[None] for key, value in theta.items()})
-        both = ({"reference": prepared["map"]} if "map" in prepared else {}) | {"fit": fit}
-        return {name: shown(maps, prepared["photo"]) for name, maps in both.items()}
 
-    @torch.no_grad()
-    def files(self, theta: Params, task: Task) -> dict[str, Tensor]:
-        """The map, at its file's scale, of mean luminance 1 where there was none, and the second scene under it."""
-        maps = self.answer({key: value[None] for key, value in theta.items()})
-        scale = task.data.get("scale", torch.ones(()))
-        return {
-            "map": (maps * scale)[0].permute(1, 2, 0),
-            "relit": tone_map(relight(maps))[0].permute(1, 2, 0),
-        }
-
-
-def _texels(maps: Tensor, target: Tensor, shape: Params, light: Tensor | float) -> Tensor:
+def _texels(maps: Tensor, target: Tensor, learned: Params, light: Tensor | float) -> Tensor:
     """Mean difference of the logs of radiance, [T].
 
     Texels count by their solid angle, and by the target's light, of mean 1, `light` times as much.
     """
     weights = solid_angles(*maps.shape[-2:], dtype=maps.dtype, device=maps.device) / (4 * math.pi)
     weights = weights * (1 + light * target.mean(1, keepdim=True))
-    return (norm((maps + DARK).log() - (target + DARK).log(), shape) * weights).sum((2, 3)).mean(1)
+    return (norm((maps + DARK).log() - (target + DARK).log(), learned) * weights).sum((2, 3)).mean(1)
 
 
 def body_of(body: Tensor) -> tuple[Material, Camera]:

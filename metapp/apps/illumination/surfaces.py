@@ -7,9 +7,8 @@ import math
 
 import torch
 from torch import Tensor
-from torch.nn.functional import avg_pool2d, interpolate, normalize
+from torch.nn.functional import normalize
 
-from metapp.appearance.colour import srgb_to_linear, tone_map
 from metapp.appearance.latlong import cosine_transfer, glossy_transfer
 from metapp.rendering import second_scene
 
@@ -35,15 +34,3 @@ def _spread(count: int) -> Tensor:
 def relight(maps: Tensor) -> Tensor:
     """Pictures [T, 3, h, w] of the second scene, linear."""
     return second_scene.relight(maps)
-
-
-def shown(maps: Tensor, photo: Tensor) -> Tensor:
-    """One linear picture: the map above the second scene, and the photograph in the corner beside that."""
-    lit = tone_map(relight(maps))[0]
-    height, width = lit.shape[1:]
-    across = width // 3
-    whole = interpolate(tone_map(maps), size=(2 * across, 4 * across), mode="nearest")[0]
-    column = torch.ones(3, height, across)
-    column[:, :across] = avg_pool2d(photo.float() / 255, photo.shape[-1] // across)[0, :, :across, :across]
-    pictures = torch.cat([whole, torch.cat([lit, column], 2)], 1)
-    return srgb_to_linear(pictures).permute(1, 2, 0)

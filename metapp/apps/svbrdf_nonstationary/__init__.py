@@ -16,16 +16,11 @@ from metapp.apps.svbrdf_nonstationary.maps import (
     RAW,
     decoded,
     differences,
-    displayed,
     linear,
-    photo_of,
     pooled,
-    relit,
-    sheet,
 )
 from metapp.apps.svbrdf_nonstationary.variants import varied
 from metapp.apps.svbrdf_nonstationary.views import FLASH, flash_of, mirroring_pairs, oblique_pairs, photographed, seen
-from metapp.learning.app import Visible
 from metapp.learning.recipe import AS_PUBLISHED, Adam, Recipe, Training
 from metapp.learning.task import Batch, Held, Params, Task, Tasks
 from metapp.networks.coded import CodedApp, norm
@@ -34,12 +29,11 @@ from metapp.networks.layers import LocalField
 DARK = 0.1  # of white: the log of radiance is flat below
 CLIPPED = 0.95  # of white: what a photograph shows no more
 MAPS = 1.0  # weight of the maps' differences in a fit
-WANTED, SEEN = 0.3, 0.3  # and in the goal, beside the photograph's
+WANTED, SEEN = 0.3, 0.3  # and in the outer loss, beside the photograph's
 RIG, JUDGED = (2, 3), (6, 6)  # lights that fits see, and that they are judged under: oblique, mirroring
 DRAWN = (1, 2)  # and those that preparation draws
 SMOOTHED = 0.03  # at first, where learned losses round off |d|
-LARGEST = 256  # px of the maps that are written
-FINER = 2  # how many times as fine as their maps made-up materials are photographed
+FINER = 2  # how many times as fine as their maps augmented materials are photographed
 INPUTS = 8
 
 
@@ -73,7 +67,7 @@ def field_of(side: int, hidden: int) -> LocalField:
         hidden=hidden,
         layers=2,
         frequency=2.0,
-        wraps=False,
+        periodic=False,
         gain=60.0,
     )
 
@@ -141,21 +135,16 @@ class SvbrdfNonstationary(CodedApp):
     """
 
     name = "svbrdf_nonstationary"
-    title = "svBRDF non-stat."
     holds = {  # noqa: RUF012  (never written to)
         "photo": Held((3, "S", "S"), "uint8"),
         "maps": Held((10, "M", "M"), low=-1.001, high=1.001, optional=True),
     }
-    measure = "mean absolute difference of log(radiance + 0.1) under 12 other lights, from elsewhere"
-    image_measure = "renderings under 12 other lights: difference of logs, and SSIM at gamma 2.2"
-    of_pictures = {"error": "log L1", "ssim": "SSIM"}  # noqa: RUF012  (never written to)
     all_recipes = RECIPES
-    raw = ("normal", "roughness")
 
     def prepare(self, task: Task) -> dict[str, Tensor]:
         """`photo`, linear [3, H, W], and `maps` [10, H, W] with what they look like under RIG lights, `lit`.
 
-        And `fine`, the maps as made-up relatives are photographed.
+        And `fine`, the maps as augmented ones are photographed.
         """
         size = (self.field.height, self.field.width)
         photo = {"photo": adaptive_avg_pool2d(linear(task.data["photo"]), size)}
@@ -185,20 +174,20 @@ class SvbrdfNonstationary(CodedApp):
         return decoded(self.field._replace(height=height, width=width)(theta, seen(photo)))
 
     def sample(self, tasks: Tasks, rng: Generator, count: int) -> Batch:
-        """All there is of each task; `pairs` [T, V, 2, 3] of light and viewer are random, which the goal looks at."""
+        """All there is of each task; `pairs` [T, V, 2, 3] of light and viewer are random, for the outer loss."""
         drawn = {"pairs": draw_pairs(DRAWN, rng, len(tasks))} if "maps" in tasks.data else {}
         shown = {key: value for key, value in tasks.data.items() if key != "fine"}
         return super().sample(replace(tasks, data=shown), rng, count) | drawn
 
-    def loss(self, theta: Params, batch: Batch, shape: Params) -> Tensor:
+    def loss(self, theta: Params, batch: Batch, learned: Params) -> Tensor:
         """Of maps and pictures, or of the photograph, by the protocol, [T]."""
         maps = self.maps_of(theta, batch["photo"])
         if self.protocol == "photo":
-            return self._photo_loss(theta, maps, batch["photo"], shape)
-        pictures = norm(self._logs(maps, batch["rig"]) - batch["lit"], shape)
-        return pictures.mean((1, 2, 3, 4)) + MAPS * self._map_loss(maps, batch["maps"], shape)
+            return self._photo_loss(theta, maps, batch["photo"], learned)
+        pictures = norm(self._logs(maps, batch["rig"]) - batch["lit"], learned)
+        return pictures.mean((1, 2, 3, 4)) + MAPS * self._map_loss(maps, batch["maps"], learned)
 
-    def goal(self, theta: Params, batch: Batch, shape: Params) -> Tensor:
+    def outer_loss(self, theta: Params, batch: Batch, learned: Params) -> Tensor:
         """Whatever fits see, what is wanted are the maps and what they look like under any light, [T]."""
         maps = self.maps_of(theta, batch["photo"])
         wanted = self._logs(unpack(batch["maps"]), batch["pairs"])
@@ -212,18 +201,18 @@ class SvbrdfNonstationary(CodedApp):
         spread = Maps(*(part[:, None] for part in maps))
         return (render(spread, place, pairs[:, :, 0], pairs[:, :, 1]) + DARK).log()
 
-    def _map_loss(self, maps: Maps, target: Tensor, shape: Params) -> Tensor:
+    def _map_loss(self, maps: Maps, target: Tensor, learned: Params) -> Tensor:
         """Sum of the mean differences of maps, [T]; colours as the eye spaces them."""
-        return torch.stack([norm(each, shape).mean((1, 2, 3)) for each in differences(maps, unpack(target))]).sum(0)
+        return torch.stack([norm(each, learned).mean((1, 2, 3)) for each in differences(maps, unpack(target))]).sum(0)
 
-    def _photo_loss(self, theta: Params, maps: Maps, photo: Tensor, shape: Params) -> Tensor:
+    def _photo_loss(self, theta: Params, maps: Maps, photo: Tensor, learned: Params) -> Tensor:
         """Mean difference of logs, [T]; where the photograph clips, only what is darker than it counts."""
         flash = flash_of(self.field.gain * theta["flash"])  # as far to go as the code
         short = (photo + DARK).log() - (photographed(maps, flash) + DARK).log()
         short = torch.where(photo > CLIPPED, relu(short), short)
-        return norm(short, shape).mean((1, 2, 3))
+        return norm(short, learned).mean((1, 2, 3))
 
-    def shape(self, steps: int) -> Params:
+    def loss_parameters(self, steps: int) -> Params:
         return {"smoothing": torch.full((steps,), math.log(SMOOTHED))}
 
     def init_reader(self, rng: Generator) -> Params:
@@ -238,12 +227,6 @@ class SvbrdfNonstationary(CodedApp):
         size = (self.field.height, self.field.width)
         fine, photos = varied(tasks.data["fine"][tasks.rows].float(), rng)
         return tasks.variants({"photo": adaptive_avg_pool2d(photos, size)} | self.described(pooled(fine, size)))
-
-    def visible(self, task: Task) -> Visible:
-        """The maps or the photograph, all of it in each step; General's encoder reads the photograph alone."""
-        if self.protocol == "photo":
-            return Visible(1, task.data["photo"].nbytes, 1)
-        return Visible(1, task.data["maps"].nbytes, 0)
 
     @torch.no_grad()
     def errors(self, theta: Params, tasks: Tasks) -> dict[str, Tensor]:
@@ -270,24 +253,6 @@ class SvbrdfNonstationary(CodedApp):
             "normal": torch.rad2deg(cosine.acos()).mean((1, 2)),
             **{name: part.abs().mean((1, 2, 3)) for name, part in parts.items()},
         }
-
-    @torch.no_grad()
-    def outputs(self, theta: Params, task: Task) -> dict[str, Any]:
-        """Four maps above what they look like under the flash and three other lights, beside those of the fit."""
-        photo = photo_of(task, LARGEST)
-        shown = {"fit": sheet(self.maps_of({key: value[None] for key, value in theta.items()}, photo), photo)}
-        if "maps" in task.data:
-            target = unpack(pooled(task.data["maps"].float(), photo.shape[-2:])[None])
-            shown = {"reference": sheet(target, photo)} | shown
-        return shown
-
-    @torch.no_grad()
-    def files(self, theta: Params, task: Task) -> dict[str, Tensor]:
-        """The maps, as fine as the photograph up to 256 px, and pictures under three other lights."""
-        photo = photo_of(task, LARGEST)
-        maps = self.maps_of({key: value[None] for key, value in theta.items()}, photo)
-        pictures = {f"lit_from_{name}": picture for name, picture in relit(maps).items()}
-        return {name: picture.permute(1, 2, 0) for name, picture in (displayed(maps) | pictures).items()}
 
 
 def draw_pairs(counts: tuple[int, int], rng: Generator, tasks: int) -> Tensor:

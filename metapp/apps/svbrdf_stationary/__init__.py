@@ -4,13 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import replace
-from typing import Any
 
 import torch
 from torch import Generator, Tensor
 from torch.nn.functional import adaptive_avg_pool2d
 
-from metapp.appearance.colour import linear_to_srgb, srgb_to_linear, stretched
 from metapp.appearance.features import amplitudes, channels_of, distance, gram, hann, moments
 from metapp.appearance.flash import (
     Maps,
@@ -24,7 +22,7 @@ from metapp.appearance.flash import (
 )
 from metapp.learning.recipe import AS_PUBLISHED, Adam, Recipe, Training
 from metapp.learning.task import Batch, Held, Params, Task, Tasks
-from metapp.networks.exemplar import JUDGED, TILED, ExemplarApp, Setup
+from metapp.networks.exemplar import JUDGED, ExemplarApp, Setup
 from metapp.networks.layers import UNet
 
 GRID = 3  # windows along a side
@@ -90,14 +88,10 @@ class SvbrdfStationary(ExemplarApp):
     """
 
     name = "svbrdf_stationary"
-    title = "svBRDF stat."
     holds = {  # noqa: RUF012  (never written to)
         "image": Held((3, "S", "S"), "uint8"),
         "relit": Held((3, 3, "R", "R"), "uint8", optional=True),
     }
-    measure = "relative L1 distance of Gram matrices in 9 windows, mean over windows, taps and generated materials"
-    raw = ("roughness", "normal", "height")
-    heights = ("height",)
     recipes = {"paper": PAPER, "quick": QUICK}  # noqa: RUF012  (never written to)
 
     @torch.no_grad()
@@ -108,7 +102,7 @@ class SvbrdfStationary(ExemplarApp):
         [B, 3] where the flash was, `summary`.
         """
         maps = self.features(exemplars)(exemplars)
-        described = {"light": self._light(exemplars), "pooled": adaptive_avg_pool2d(exemplars, POOLED)}
+        described = {"light": self.light_of(exemplars), "pooled": adaptive_avg_pool2d(exemplars, POOLED)}
         for i, each in enumerate(maps):
             described[f"gram{i}"] = _grams(each, range(GRID * GRID))
             described[f"spectrum{i}"] = amplitudes(each)
@@ -117,7 +111,8 @@ class SvbrdfStationary(ExemplarApp):
         described["summary"] = torch.cat([moments(ring) for ring in rings], 1)
         return described
 
-    def _light(self, photos: Tensor) -> Tensor:
+    def light_of(self, photos: Tensor) -> Tensor:
+        """Where the flash of photos [B, 3, h, w] was, [B, 3]."""
         place = flash_position(photos)
         height = camera(dtype=photos.dtype, device=photos.device)[2].expand(len(photos), 1)
         return torch.cat([place.to(photos), height], 1)
@@ -156,7 +151,7 @@ class SvbrdfStationary(ExemplarApp):
             targets[f"gram{i}"] = tasks.data[f"gram{i}"][rows[:, None], windows]
         return targets
 
-    def loss(self, theta: Params, batch: Batch, shape: Params) -> Tensor:
+    def loss(self, theta: Params, batch: Batch, learned: Params) -> Tensor:
         """Distance of Gram matrices in windows, of the features' spectra, and of the pooled pictures, [T]."""
         return torch.stack(list(self._distances(theta, batch).values())).sum(0)
 
@@ -205,38 +200,6 @@ class SvbrdfStationary(ExemplarApp):
             found = [part.unflatten(0, pictures.shape[:2]) for part in grams[0]]
             each.append(distance(found, [part[:, None] for part in grams[1]]).mean((1, 2)))
         return torch.stack(each).mean(0)
-
-    def outputs(self, theta: Params, task: Task) -> dict[str, Any]:
-        """Photo and fit under the photo's light, then maps and relightings as they are displayed."""
-        photo = self.exemplar(task.data["image"][None].float() / 255)
-        light = self._light(photo)
-        maps, _ = self._made(theta, self.maps, 1)
-        fit = self.photograph(Maps(*(part[0] for part in maps)), light, light)
-        pictures = self._pictures(theta, 1)
-        shown = {"reference": photo[0], "fit": fit[0]} | pictures | {"height": stretched(pictures["height"])[0]}
-        return {name: srgb_to_linear(picture).permute(1, 2, 0).expand(-1, -1, 3) for name, picture in shown.items()}
-
-    def files(self, theta: Params, task: Task) -> dict[str, Tensor]:
-        """The maps, four times as high and wide as in training (they tile), and photographs under other lights.
-
-        Diffuse and specular colour (F0) are sRGB, roughness, normal and height (texels) linear.
-        """
-        return {name: picture.permute(1, 2, 0) for name, picture in self._pictures(theta, TILED).items()}
-
-    def _pictures(self, theta: Params, times: int) -> dict[str, Tensor]:
-        """Display values [1 or 3, H, W] of maps, but the height in texels, and of photographs under other lights."""
-        made, heights = self._made(theta, self.maps, times)
-        maps, height = Maps(*(part[0, 0] for part in made)), heights[0, 0]
-        pictures = {
-            "diffuse": linear_to_srgb(maps.diffuse),
-            "specular": linear_to_srgb(maps.specular),
-            "roughness": maps.roughness,
-            "normal": maps.normal * 0.5 + 0.5,
-            "height": height,
-        }
-        for name, (light, view) in relightings(device=height.device).items():
-            pictures[f"lit_from_{name}"] = self.photograph(maps, light, view)
-        return pictures
 
 
 def _ring(maps: Tensor, low: float, high: float) -> Tensor:

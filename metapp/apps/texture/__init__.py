@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
 import torch
 from torch import Generator, Tensor
 
-from metapp.appearance.colour import srgb_to_linear
 from metapp.appearance.features import channels_of, distance, gram, moments
 from metapp.learning.recipe import AS_PUBLISHED, Adam, Recipe, Training
-from metapp.learning.task import Batch, Held, Params, Task, Tasks
-from metapp.networks.exemplar import TILED, ExemplarApp, Setup
+from metapp.learning.task import Batch, Held, Params, Tasks
+from metapp.networks.exemplar import ExemplarApp, Setup
 from metapp.networks.layers import UNet
 
 SMALLEST_CROP = 0.5
@@ -72,9 +70,7 @@ class Texture(ExemplarApp):
     """One exemplar of a stationary texture a task."""
 
     name = "texture"
-    title = "Texture"
     holds = {"image": Held((3, "S", "S"), "uint8")}  # noqa: RUF012  (never written to)
-    measure = "relative L1 distance of Gram matrices, mean over taps and generated textures"
     recipes = {"paper": PAPER, "paper-vgg19": VGG19, "quick": QUICK}  # noqa: RUF012  (never written to)
 
     @torch.no_grad()
@@ -98,7 +94,7 @@ class Texture(ExemplarApp):
     def _targets(self) -> list[str]:
         return [f"gram{i}" for i in range(len(self.setup.taps))]
 
-    def loss(self, theta: Params, batch: Batch, shape: Params) -> Tensor:
+    def loss(self, theta: Params, batch: Batch, learned: Params) -> Tensor:
         """Relative L1 distance of Gram matrices, [T]."""
         images = self.generate(theta, batch["noise"])
         maps = self.features(images)(images.flatten(0, 1))
@@ -112,18 +108,6 @@ class Texture(ExemplarApp):
         side = round(size * (SMALLEST_CROP + (1 - SMALLEST_CROP) * scale))
         x, y = round(left * (size - side)), round(top * (size - side))
         return image[:, y : y + side, x : x + side]
-
-    def outputs(self, theta: Params, task: Task) -> dict[str, Any]:
-        exemplar = self.exemplar(task.data["image"][None].float() / 255)[0]
-        made = self._made(theta, self.generate, 1)[0, 0]
-        return {
-            "reference": srgb_to_linear(exemplar).permute(1, 2, 0),
-            "fit": srgb_to_linear(made).permute(1, 2, 0),
-        }
-
-    def files(self, theta: Params, task: Task) -> dict[str, Tensor]:
-        """The texture, four times as high and wide as in training; it tiles."""
-        return {"texture": self._made(theta, self.generate, TILED)[0, 0].permute(1, 2, 0)}
 
 
 APP = Texture(QUICK.setup)

@@ -2,23 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any
 
 import torch
 from torch import Generator, Tensor
 
 from metapp.apps.transport.encoder import Encoder
 from metapp.apps.transport.flow import Flow
-from metapp.apps.transport.images import image_errors, studio_of
-from metapp.apps.transport.views import picture_of_flow, picture_of_samples
-from metapp.learning.app import App, Fitted, Visible
+from metapp.learning.app import App
 from metapp.learning.recipe import AS_PUBLISHED, Adam, Recipe, Training
 from metapp.learning.task import Batch, Held, Params, Task, Tasks
 from metapp.networks.coded import decoder_of, reader_of, with_decoder
 
-SHOWN, GLANCE = 512, 256  # paths a pixel of the pictures that a run leaves, and of those in its overview
 WANTED = 2048  # samples of a training scene that preparation judges a fit by
 JITTER = 0.1  # of what augmentation adds to the log of a picture
 
@@ -82,27 +77,18 @@ class Transport(App):
     """One scene a task: samples of its light paths in proportion to the luminance that they carry."""
 
     name = "transport"
-    title = "Transport"
     holds = {  # noqa: RUF012  (never written to)
         "samples": Held(("N", "d"), low=0.0, high=1.0),
         "held": Held(("M", "d"), low=0.0, high=1.0, optional=True),
         "image": Held((3, 32, 32), low=0.0),
         "scene": Held(("L",), "uint8", optional=True),
     }
-    measure = "negative log-likelihood of held-out light paths, on the film and in their first direction"
-    radiance = ("guided", "regular")
-    image_measure = (
-        "pictures of 64 px of 1024 paths a pixel, three of four guided, without next-event estimation; equal time "
-        "counts the samples that a fit sees, the fit, its table and the picture"
-    )
-    image_seconds = 20.0
-    logarithmic = True
     recipes = {"paper": PAPER, "quick": QUICK}  # noqa: RUF012  (never written to)
 
     def __init__(self, setup: Setup) -> None:
         self.setup = setup
 
-    def at(self, recipe: Recipe, observe: str = "") -> Transport:
+    def at(self, recipe: Recipe, protocol: str = "") -> Transport:
         return Transport(recipe.setup)
 
     @property
@@ -130,25 +116,25 @@ class Transport(App):
         rows = torch.randint(samples.shape[1], (len(tasks), count), generator=rng, device=rng.device)
         return {"points": samples[tasks.rows[:, None], rows].mT.contiguous()}
 
-    def loss(self, theta: Params, batch: Batch, shape: Params) -> Tensor:
+    def loss(self, theta: Params, batch: Batch, learned: Params) -> Tensor:
         """Mean negative log-likelihood, [T]."""
         film, directions = self.flow.log_density(theta, batch["points"])
         return -(film + directions).mean(1)
 
-    def goal(self, theta: Params, batch: Batch, shape: Params) -> Tensor:
+    def outer_loss(self, theta: Params, batch: Batch, learned: Params) -> Tensor:
         """The same, [T], of as many samples as preparation needs: scenes differ more than samples of one do."""
-        return self.loss(theta, {"points": batch["points"][..., :WANTED]}, shape)
+        return self.loss(theta, {"points": batch["points"][..., :WANTED]}, learned)
 
     def init_encoder(self, rng: Generator) -> Params:
         """The reader of pictures, and the parameters of the flow that all tasks share."""
         decoder = decoder_of(self.flow.init(rng, 1), ("z", "film.x", "film.y"))
         return {f"encoder.{key}": value for key, value in self.setup.encoder.init(rng).items()} | decoder
 
-    def observe(self, tasks: Tasks, rng: Generator) -> Batch:
+    def condition(self, tasks: Tasks, rng: Generator) -> Batch:
         return {"image": tasks.data["image"][tasks.rows]}
 
-    def encode(self, encoder: Params, observed: Batch) -> Params:
-        return with_decoder(self.setup.encoder(reader_of(encoder), observed["image"]), encoder)
+    def encode(self, encoder: Params, condition: Batch) -> Params:
+        return with_decoder(self.setup.encoder(reader_of(encoder), condition["image"]), encoder)
 
     def augment(self, tasks: Tasks, rng: Generator) -> Tasks:
         """The same scenes, some mirrored left to right, their pictures a little noisier.
@@ -167,11 +153,6 @@ class Transport(App):
         samples = torch.where(mirrored & across, turned, samples)
         return tasks.variants({"samples": samples, "image": image})
 
-    def visible(self, task: Task) -> Visible:
-        """All samples but the held-out ones; General's encoder sees none of them, only the picture."""
-        samples = task.data["samples"]
-        return Visible(len(samples), samples[0].nbytes, 0)
-
     @torch.no_grad()
     def errors(self, theta: Params, tasks: Tasks) -> dict[str, Tensor]:
         """Negative log-likelihoods of held-out samples: `error`, and its parts `film` and `directions`."""
@@ -179,33 +160,6 @@ class Transport(App):
             return {}
         film, directions = self.flow.log_density(theta, tasks.data["held"][tasks.rows].mT)
         return {"error": -(film + directions).mean(1), "film": -film.mean(1), "directions": -directions.mean(1)}
-
-    def outputs(self, theta: Params, task: Task) -> dict[str, Any]:
-        """What there is on the film, and the directions at sixteen parts of it, of the samples and of the fit.
-
-        On the film there are the scene's picture and one of GLANCE paths a pixel that the fit guides; where there is no
-        scene, the densities.
-        """
-        seen = found = None
-        if "scene" in task.data:
-            studio = studio_of(task)
-            seen, found = studio.glance, studio.guided(self.flow, theta, GLANCE).picture
-        return {
-            "reference": picture_of_samples(task.data["samples"], seen),
-            "fit": picture_of_flow(self.flow, theta, found),
-        }
-
-    def image_errors(self, fits: Mapping[str, Fitted], task: Task) -> dict[str, dict[str, float]]:
-        """MAPE, SMAPE and DSSIM of pictures that fits guide, at equal paths and in equal time, and of Regular's."""
-        return image_errors(self.flow, fits, task) if "scene" in task.data else {}
-
-    def files(self, theta: Params, task: Task) -> dict[str, Tensor]:
-        """The scene guided by the fit, and without a guide, at SHOWN paths a pixel; nothing where there is no scene."""
-        if "scene" not in task.data:
-            return {}
-        studio = studio_of(task)
-        shots = {"guided": studio.guided(self.flow, theta, SHOWN), "regular": studio.regular(SHOWN)}
-        return {name: shot.picture.permute(1, 2, 0) for name, shot in shots.items()}
 
 
 APP = Transport(QUICK.setup)

@@ -11,9 +11,9 @@ import torch
 from torch import Generator, Tensor
 
 from metapp.appearance.metrics import dssim, mape, smape
+from metapp.appearance.presentation import REFERENCE, Fitted
 from metapp.apps.transport.flow import Flow
 from metapp.apps.transport.guide import table_of
-from metapp.learning.app import REFERENCE, Fitted
 from metapp.learning.task import Params, Task
 from metapp.rendering import path_render, path_space
 from metapp.rendering.scene_text import scene_of

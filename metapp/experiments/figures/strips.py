@@ -20,7 +20,7 @@ def strips(subject: Subject) -> Drawn | None:
         return None
     pictures = []
     for task in tasks:
-        made = [subject.app.outputs(theta, task) for theta in states_of(cell, task).values()]
+        made = [subject.presentation.outputs(theta, task) for theta in states_of(cell, task).values()]
         last = [made[-1]["reference"]] if "reference" in made[-1] else []
         pictures.append([to_srgb(picture) for picture in [*(each["fit"] for each in made), *last]])
     height, width = pictures[0][0].shape[:2]

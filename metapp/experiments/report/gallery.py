@@ -25,14 +25,14 @@ def gallery_html(subject: Subject, pictures: Pictures) -> str:
 
 def _task_html(subject: Subject, task: Task, pictures: Pictures) -> str:
     """The reference and the fits of one task; "" where none was fitted yet."""
-    shown, app = "", subject.app
+    shown = ""
     for name, title in TITLES.items():
         cell = subject.cell(name)
         record = next((each for each in cell.records() if each["name"] == task.name), None)
         if record is None or cell.folder is None:
             continue
         theta = cell.folder.theta(task.name)
-        made = app.outputs(theta, task)
+        made = subject.presentation.outputs(theta, task)
         if not shown and "reference" in made:
             address = pictures.add_array(identifier(*subject.key, task.name, "reference"), to_srgb(made["reference"]))
             alt = escape(f"{task.name}: reference")

@@ -1,15 +1,15 @@
-"""Measures in image space, of pictures that fits make beside the references'; `App.image_errors` says which."""
+"""Measures in image space, of pictures that fits make beside the references: `Presentation.image_errors`."""
 
 from __future__ import annotations
 
 import statistics
 from collections.abc import Iterator
 
+from metapp.appearance.presentation import REFERENCE, Fitted
 from metapp.experiments.session import name_of, threads_of
 from metapp.experiments.tables import Row, Table, interval, numbers, paper, words
 from metapp.experiments.tables.results import budget
 from metapp.experiments.tables.subject import Cell, Record, Subject
-from metapp.learning.app import REFERENCE, Fitted
 from metapp.learning.task import Task
 from metapp.storage.records import OPTIONAL, RunFolder
 
@@ -18,7 +18,7 @@ FORM = {"measures": {...: {...: OPTIONAL}}}  # of a record
 
 def compared(subject: Subject) -> dict[str, Cell]:
     """The fits whose pictures are measured: of every paradigm; none where the application has no such measure."""
-    if not subject.app.image_measure:
+    if not subject.presentation.image_measure:
         return {}
     return {name: subject.cell(name) for name, fit in subject.fits.items() if name == fit.paradigm.name}
 
@@ -31,14 +31,14 @@ def cells(subject: Subject) -> list[Cell]:
 
 def image_cell(subject: Subject) -> Cell:
     """The measures of all paradigms' pictures, a task at a time, since they share its reference."""
-    app, options, fits = subject.app, subject.options, compared(subject)
+    app, options, fits, shown = subject.app, subject.options, compared(subject), subject.presentation
     folders = {name: cell.folder for name, cell in fits.items() if cell.folder}
     folder = None
     if len(folders) == len(fits):
         path = options.out / app.name / "image" / f"{subject.label}-{options.recipe}-seed{options.seed}"
         end = "-".join(filter(None, (options.rule, subject.shortened, app.protocol)))
         keys = {name: each.key for name, each in folders.items()}
-        said = {"app": app.name, "measure": app.image_measure, "fits": keys}
+        said = {"app": app.name, "measure": shown.image_measure, "fits": keys}
         folder = RunFolder(path.with_name(f"{path.name}-{end}"), said, FORM)
 
     def measure(missing: list[Task]) -> Iterator[Record]:
@@ -46,13 +46,13 @@ def image_cell(subject: Subject) -> Cell:
         seconds = {name: {record["name"]: record["seconds"] for record in fits[name].records()} for name in fits}
         for task in missing:
             fitted = {name: Fitted(folders[name].theta(task.name), seconds[name][task.name]) for name in fits}
-            record = {"name": task.name, "error": None, "measures": app.image_errors(fitted, task)}
+            record = {"name": task.name, "error": None, "measures": shown.image_errors(fitted, task)}
             folder.add(record)
             yield record
 
     title = f"{name_of(app)} pictures"
     command, count = subject.command("image"), threads_of(app)
-    return Cell(title, subject.tasks, folder, measure, 0, command, 1, threads=count, guess=app.image_seconds)
+    return Cell(title, subject.tasks, folder, measure, 0, command, 1, threads=count, guess=shown.image_seconds)
 
 
 def rows(subject: Subject) -> list[Row]:
@@ -99,7 +99,7 @@ def notes(subject: Subject, found: list[Row]) -> list[str]:
         for row in found
         if row["paradigm"] == REFERENCE and row["error"] is not None
     ]
-    said = [", ".join([subject.app.image_measure, *own]), *budget(subject)]
+    said = [", ".join([subject.presentation.image_measure, *own]), *budget(subject)]
     said += [
         f"{row['paradigm']}, {row['measure']}: mean of {row['measured']} of {row['tasks']} tasks, the others have none"
         for row in found

@@ -16,7 +16,7 @@ def cells(subject: Subject) -> list[Cell]:
 def rows(subject: Subject) -> list[Row]:
     """For each paradigm, the samples that its encoder and its steps see, at most all there are."""
     found = []
-    visible = subject.app.visible(subject.tasks[0]) if subject.tasks else None
+    visible = subject.presentation.visible(subject.tasks[0]) if subject.tasks else None
     for name, fit in subject.fits.items():
         steps = fit.paradigm.count(fit.options.job)
         drawn = steps * fit.options.job.recipe.batch

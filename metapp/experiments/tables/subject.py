@@ -8,6 +8,8 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from typing import Any, NamedTuple
 
+from metapp.appearance.presentation import Presentation
+from metapp.apps import presentation_of
 from metapp.experiments.embedded import embedded_exists
 from metapp.experiments.inputs import tasks_to_fit
 from metapp.experiments.reporter import say
@@ -103,6 +105,11 @@ class Subject:
     def app(self) -> App:
         """The application under the protocol."""
         return self.options.app
+
+    @functools.cached_property
+    def presentation(self) -> Presentation:
+        """What tables and pictures need of the application."""
+        return presentation_of(self.app)
 
     @property
     def title(self) -> str:
@@ -208,7 +215,7 @@ class Subject:
             {record["name"]: record["error"] for record in cell.records() if record["error"] is not None}
             for cell in (one, other)
         )
-        return paired(ours, theirs, self.groups(one), logarithmic=self.app.logarithmic)
+        return paired(ours, theirs, self.groups(one), logarithmic=self.presentation.logarithmic)
 
     @property
     def is_papers(self) -> bool:

@@ -18,4 +18,4 @@ class LossParameters(Part):
 
     def initial(self, app: App, theta: Params, steps: int, first: Adam) -> Params:
         """As the application has them."""
-        return {f"loss.{key}": value for key, value in app.shape(steps).items()}
+        return {f"loss.{key}": value for key, value in app.loss_parameters(steps).items()}

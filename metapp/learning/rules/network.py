@@ -39,7 +39,7 @@ class Network(Part):
 
     def initial(self, app: App, theta: Params, steps: int, first: Adam) -> Params:
         """Networks that add nothing."""
-        return networks(theta, steps, first.rate, wraps=app.wraps)
+        return networks(theta, steps, first.rate, periodic=app.periodic)
 
     def state(self, alpha: Params, theta: Params) -> Params:
         """Empty memories."""
@@ -56,14 +56,14 @@ class Network(Part):
         return results, memories
 
 
-def networks(theta: Params, steps: int, rate: float, *, wraps: bool) -> Params:
+def networks(theta: Params, steps: int, rate: float, *, periodic: bool) -> Params:
     """Initial weights [K, ...] of a network for each parameter of three axes, [channels, rows, columns].
 
     Args:
         theta: parameters of one task.
         steps: K of the shifts.
         rate: the length of the rule's own steps at first; the networks' moves are measured in it.
-        wraps: whether the grids' columns go on at the other edge.
+        periodic: whether the grids' columns go on at the other edge.
 
     Returns:
         Random inner layers and a last one of zeros: such a network moves nothing and writes nothing down.
@@ -72,7 +72,7 @@ def networks(theta: Params, steps: int, rate: float, *, wraps: bool) -> Params:
     rng = Generator().manual_seed(0)
     for key, value in theta.items():
         if value.ndim == 3:
-            channels, name = len(value), f"{'around' if wraps else 'within'}.{key}"
+            channels, name = len(value), f"{'around' if periodic else 'within'}.{key}"
             for i, inputs in enumerate((3 * channels + 1 + MEMORY, WIDTH)):
                 kernel = torch.randn(1, WIDTH, inputs, 3, 3, generator=rng) * math.sqrt(2 / (9 * inputs))
                 alpha |= {f"{name}.kernel{i}": kernel, f"{name}.shift{i}": torch.zeros(steps, WIDTH, 1, 1)}

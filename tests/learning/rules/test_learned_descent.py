@@ -69,18 +69,18 @@ def test_at_first_it_is_the_rule_it_adds_to(names: tuple[str, str], app: Any, ra
 
 
 def test_networks_of_parameters_on_a_grid(app: Any) -> None:
-    around = networks(one(app), STEPS, 0.1, wraps=True)
+    around = networks(one(app), STEPS, 0.1, periodic=True)
     assert {name.split(".")[1] for name in around} == {"z"}  # the one parameter of three axes
     assert network_of(around, "z") == "around.z"
     assert not network_of(around, "body")
-    within = networks(one(app), STEPS, 0.1, wraps=False)
+    within = networks(one(app), STEPS, 0.1, periodic=False)
     assert network_of(within, "z") == "within.z"
     assert set(within) == {name.replace("around", "within") for name in around}
     for name, value in around.items():
         assert len(value) == (STEPS if "shift" in name else 1), name
     assert not any(value.any() for name, value in around.items() if "2" in name)  # the last layer
     assert no_memory(around, {"z": torch.ones(TASKS, 3, 4, 8)})["memory.z"].shape == (TASKS, MEMORY, 4, 8)
-    assert networks({"kernel": torch.ones(4, 4)}, STEPS, 0.1, wraps=True) == {}
+    assert networks({"kernel": torch.ones(4, 4)}, STEPS, 0.1, periodic=True) == {}
 
 
 @pytest.fixture
@@ -90,26 +90,26 @@ def seen(randn: Callable[..., Tensor]) -> dict[str, Tensor]:
     return seen | {"memory": randn(TASKS, MEMORY, 4, 8)}
 
 
-def network(randn: Callable[..., Tensor], *, wraps: bool) -> Params:
-    alpha = networks({"z": torch.zeros(3, 4, 8)}, 1, 0.1, wraps=wraps)
+def network(randn: Callable[..., Tensor], *, periodic: bool) -> Params:
+    alpha = networks({"z": torch.zeros(3, 4, 8)}, 1, 0.1, periodic=periodic)
     alpha = {key: value.double() + 0.1 * randn(*value.shape) for key, value in alpha.items()}
-    name = "around" if wraps else "within"
+    name = "around" if periodic else "within"
     return alpha | {f"{name}.z.place": torch.zeros(1, *alpha[f"{name}.z.place"].shape[1:]).double()}
 
 
-@pytest.mark.parametrize("wraps", [True, False])
-def test_a_grid_that_wraps_has_no_edge(wraps: bool, seen: dict[str, Tensor], randn: Callable[..., Tensor]) -> None:
+@pytest.mark.parametrize("periodic", [True, False])
+def test_a_periodic_grid_has_no_edge(periodic: bool, seen: dict[str, Tensor], randn: Callable[..., Tensor]) -> None:
     """Turned columns are moved as they were before they were turned; where there is an edge they are not."""
-    alpha = network(randn, wraps=wraps)
+    alpha = network(randn, periodic=periodic)
     own, name = at_step(spread(alpha, TASKS, 1), 0), network_of(alpha, "z")
     turned = move(own, name, **{key: value.roll(3, -1) for key, value in seen.items()})
     for found, expected in zip(turned, move(own, name, **seen), strict=True):
-        assert torch.allclose(found, expected.roll(3, -1)) == wraps
+        assert torch.allclose(found, expected.roll(3, -1)) == periodic
 
 
 def test_the_length_of_a_gradient_is_seen_by_itself(seen: dict[str, Tensor], randn: Callable[..., Tensor]) -> None:
     """A network that does not look at the log of the length is moved alike by gradients of any length."""
-    alpha = network(randn, wraps=True)
+    alpha = network(randn, periodic=True)
     alpha["around.z.kernel0"][:, :, 9] = 0  # after value, gradient and direction
     own = at_step(spread(alpha, TASKS, 1), 0)
     moves = [move(own, "around.z", **seen | {"grad": seen["grad"] * factor})[0] for factor in (1.0, 1e-3, 1e4)]
@@ -118,7 +118,7 @@ def test_the_length_of_a_gradient_is_seen_by_itself(seen: dict[str, Tensor], ran
 
 
 def test_tasks_have_networks_of_their_own(seen: dict[str, Tensor], randn: Callable[..., Tensor]) -> None:
-    both = [at_step(network(randn, wraps=True), 0) for _ in range(TASKS)]
+    both = [at_step(network(randn, periodic=True), 0) for _ in range(TASKS)]
     stacked = {key: torch.stack([each[key] for each in both]) for key in both[0]}
     together = move(stacked, "around.z", **seen)
     for i, alpha in enumerate(both):

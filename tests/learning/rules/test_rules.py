@@ -31,7 +31,7 @@ def test_learned_rules_start_well_formed(rule: str, theta: Params) -> None:
         value += 0  # each has memory of its own, which training may write to
     built = RULES[rule].rule(alpha)
     assert {key for key in built.alpha if key.startswith("loss.")} == (
-        set() if rule == "meta-sgd" else {f"loss.{key}" for key in APP.shape(5)}
+        set() if rule == "meta-sgd" else {f"loss.{key}" for key in APP.loss_parameters(5)}
     )
 
 
@@ -83,14 +83,14 @@ def test_tied_rates_of_each_task_stand_for_themselves(theta: Params, grads: list
 def test_tied_rates_are_few(steps: int, theta: Params) -> None:
     start = one_task(theta)
     weights = sum(value.numel() for value in start.values())
-    shape = sum(value.numel() for value in APP.shape(steps).values())
+    learned = sum(value.numel() for value in APP.loss_parameters(steps).values())
 
     def size(rule: str) -> int:
         return sum(value.numel() for value in RULES[rule].alpha(APP, start, steps, Adam(5e-3, beta2=0.99)).values())
 
     assert size("meta-sgd") == weights
-    assert size("meta-adam-tied") == weights + steps * (len(start) + 2) + shape
-    assert size("meta-adam") == steps * (weights + 2) + shape
+    assert size("meta-adam-tied") == weights + steps * (len(start) + 2) + learned
+    assert size("meta-adam") == steps * (weights + 2) + learned
 
 
 def test_curvature_multiplies_from_both_sides(theta: Params, grads: list[Params]) -> None:

@@ -1,0 +1,96 @@
+"""What screens and files need of an application: its title, what its errors are, pictures and files of its fits."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from typing import Any, Generic, Literal, NamedTuple, TypeVar, get_args
+
+from torch import Tensor
+
+from metapp.learning.app import App
+from metapp.learning.task import Params, Task
+
+Kind = Literal["srgb", "data", "height", "radiance"]
+KINDS: tuple[Kind, ...] = get_args(Kind)
+REFERENCE = "reference"  # among measures of pictures: what the references are off by themselves
+
+
+class Picture(NamedTuple):
+    """A file that a fit makes.
+
+    Attributes:
+        pixels: [H, W, 1 or 3].
+        kind: "srgb": colours, display values in [0, 1], kept as PNG. "data": linear and no colours, such as normals, in
+            [0, 1], kept as PNG. "height": heights in texels, of any range, kept as PNG, stretched to [0, 1], with both
+            ends as texts of the file. "radiance": linear RGB of any range, kept as EXR, and tone-mapped beside it.
+    """
+
+    pixels: Tensor
+    kind: Kind
+
+
+class Visible(NamedTuple):
+    """What a fit may see of a task.
+
+    Attributes:
+        samples: how many it draws from; 1 where each step sees all there is.
+        size: bytes of one, as data sets keep it.
+        encoder: samples that General's encoder reads of these.
+    """
+
+    samples: int
+    size: int
+    encoder: int
+
+
+class Fitted(NamedTuple):
+    """A fit of one task: parameters without task axis, and the seconds of inference that it took."""
+
+    theta: Params
+    seconds: float
+
+
+AnyApp = TypeVar("AnyApp", bound=App)
+
+
+class Presentation(ABC, Generic[AnyApp]):
+    """How an application's fits are shown, named and kept.
+
+    Attributes:
+        app: the application, at a recipe's setup and under a protocol.
+        title: as in tables.
+        measure: what the error is, in one line.
+        logarithmic: True where the error is a logarithm, of any sign: of two, the difference counts, not the ratio.
+        image_measure: what `image_errors` are of, in one line; "" where there are none.
+        image_seconds: that they take a task, about, to tell the time left before any was measured.
+    """
+
+    title: str
+    measure: str
+    logarithmic: bool = False
+    image_measure: str = ""
+    image_seconds: float = 0.1
+
+    def __init__(self, app: AnyApp) -> None:
+        self.app = app
+
+    @abstractmethod
+    def outputs(self, theta: Params, task: Task) -> dict[str, Any]:
+        """Linear RGB pictures [H, W, 3 or 4] of one fitted task and its reference, by name (no task axis in theta)."""
+
+    def files(self, theta: Params, task: Task) -> dict[str, Picture]:
+        """What a fit makes for its user, by the file's name without its ending (no task axis in theta)."""
+        return {}
+
+    def image_errors(self, fits: Mapping[str, Fitted], task: Task) -> dict[str, dict[str, float]]:
+        """Measures of the pictures that fits of a task make, by the fit's name, then by the measure's, such as SSIM.
+
+        There may be further names, of pictures that are made without any fit; REFERENCE is of the references' own
+        error. Of measures whose name begins with SSIM more is better, of others less. Empty where there are none.
+        """
+        return {}
+
+    def visible(self, task: Task) -> Visible | None:
+        """How much a fit may see of a task; None where the application does not say."""
+        return None

@@ -1,0 +1,61 @@
+"""BRDFs on screens: spheres in the light of a lamp and of an environment."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Mapping
+from typing import Any
+
+from torch import Tensor
+
+from metapp.appearance.colour import linear_to_srgb
+from metapp.appearance.presentation import Fitted, Presentation, Visible
+from metapp.appearance.sphere import environment_scene, reference_scene, shade_sphere
+from metapp.apps.brdf import CONDITION, Brdf
+from metapp.learning.task import Params, Task
+
+
+class BrdfPresentation(Presentation[Brdf]):
+    """A sphere of each material; fits are kept as parameters alone."""
+
+    title = "BRDF"
+    measure = "mean |log(1 + f cos theta_i) - log(1 + f' cos theta_i)| on held-out directions"
+    image_measure = "the sphere under an environment map (a sky, a sun, two windows), sRGB, over the pixels it touches"
+
+    def outputs(self, theta: Params, task: Task) -> dict[str, Any]:
+        """The sphere, on black with coverage."""
+        fit = shade_sphere(reference_scene(), functools.partial(self.app.reflectance, theta))
+        return {"reference": task.data["render"], "fit": fit}
+
+    def image_errors(self, fits: Mapping[str, Fitted], task: Task) -> dict[str, dict[str, float]]:
+        """SSIM of the sphere under the environment map, mean over the pixels that it touches.
+
+        Empty where a data set was made before it had such pictures.
+        """
+        if "environment" not in task.data:
+            return {}
+        # takes half a second to import
+        from torchmetrics.functional.image import structural_similarity_index_measure
+
+        scene, measured = environment_scene(), {}
+        wanted = _display(task.data["environment"])
+        for name, fit in fits.items():
+            found = _display(shade_sphere(scene, functools.partial(self.app.reflectance, fit.theta)))
+            full = structural_similarity_index_measure(found, wanted, data_range=1.0, return_full_image=True)[1]
+            measured[name] = {"SSIM": float(full[0][:, scene.mask].mean())}
+        return measured
+
+    def visible(self, task: Task) -> Visible:
+        """The first half of the samples, three angles and a colour each."""
+        angles, reflectance = task.data["angles"], task.data["reflectance"]
+        return Visible(len(angles) // 2, angles[0].nbytes + reflectance[0].nbytes, CONDITION)
+
+
+def _display(linear: Tensor) -> Tensor:
+    """Linear RGB on black with coverage, [H, W, 4], as sRGB [1, 3, H, W] on white."""
+    coverage = linear[..., 3:]
+    display = coverage * linear_to_srgb((linear[..., :3] / coverage.clamp_min(1e-6)).clamp(0, 1)) + 1 - coverage
+    return display.permute(2, 0, 1)[None]
+
+
+PRESENTATION = BrdfPresentation

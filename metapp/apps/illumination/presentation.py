@@ -1,0 +1,64 @@
+"""Illumination on screens and in files: maps, and a second scene lit by them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+from torch import Tensor
+from torch.nn.functional import avg_pool2d, interpolate
+
+from metapp.appearance.colour import srgb_to_linear, tone_map
+from metapp.appearance.presentation import Picture, Visible
+from metapp.apps.illumination import Illumination
+from metapp.apps.illumination.surfaces import relight
+from metapp.learning.task import Params, Task
+from metapp.networks.presentation import CodedPresentation
+
+
+class IlluminationPresentation(CodedPresentation[Illumination]):
+    """The map as radiance, and the second scene under it."""
+
+    title = "Illumination"
+    measure = "mean absolute error of a second scene's picture under the map"
+    image_measure = "the second scene under the map; its SSIM after tone mapping"
+    of_pictures = {"error": "MAE x100", "relative": "relative MAE", "ssim": "SSIM"}  # noqa: RUF012  (never written to)
+
+    @torch.no_grad()
+    def outputs(self, theta: Params, task: Task) -> dict[str, Any]:
+        """Map and second scene, tone-mapped, of the reference, beside the photograph, and of the fit."""
+        prepared = {key: value[None] for key, value in self.app.prepare(task).items()}
+        fit = self.app.answer({key: value[None] for key, value in theta.items()})
+        both = ({"reference": prepared["map"]} if "map" in prepared else {}) | {"fit": fit}
+        return {name: shown(maps, prepared["photo"]) for name, maps in both.items()}
+
+    @torch.no_grad()
+    def files(self, theta: Params, task: Task) -> dict[str, Picture]:
+        """The map, at its file's scale, of mean luminance 1 where there was none, and the second scene under it."""
+        maps = self.app.answer({key: value[None] for key, value in theta.items()})
+        scale = task.data.get("scale", torch.ones(()))
+        return {
+            "map": Picture((maps * scale)[0].permute(1, 2, 0), "radiance"),
+            "relit": Picture(tone_map(relight(maps))[0].permute(1, 2, 0), "srgb"),
+        }
+
+    def visible(self, task: Task) -> Visible:
+        """The map or the photograph, all of it in each step; General's encoder reads the photograph alone."""
+        if self.app.protocol == "photo":
+            return Visible(1, task.data["photos"][0].nbytes, 1)
+        return Visible(1, task.data["map"].nbytes, 0)
+
+
+def shown(maps: Tensor, photo: Tensor) -> Tensor:
+    """One linear picture: the map above the second scene, and the photograph in the corner beside that."""
+    lit = tone_map(relight(maps))[0]
+    height, width = lit.shape[1:]
+    across = width // 3
+    whole = interpolate(tone_map(maps), size=(2 * across, 4 * across), mode="nearest")[0]
+    column = torch.ones(3, height, across)
+    column[:, :across] = avg_pool2d(photo.float() / 255, photo.shape[-1] // across)[0, :, :across, :across]
+    pictures = torch.cat([whole, torch.cat([lit, column], 2)], 1)
+    return srgb_to_linear(pictures).permute(1, 2, 0)
+
+
+PRESENTATION = IlluminationPresentation

@@ -1,0 +1,52 @@
+"""Stationary svBRDFs on screens and in files: maps that tile, and photographs of them under other lights."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from metapp.appearance.colour import linear_to_srgb, srgb_to_linear, stretched
+from metapp.appearance.flash import Maps, relightings
+from metapp.appearance.presentation import Picture
+from metapp.apps.svbrdf_stationary import SvbrdfStationary
+from metapp.learning.task import Params, Task
+from metapp.networks.presentation import TILED, ExemplarPresentation
+
+
+class SvbrdfStationaryPresentation(ExemplarPresentation[SvbrdfStationary]):
+    """Maps of a material like the photographed one, and photographs of them."""
+
+    title = "svBRDF stat."
+    measure = "relative L1 distance of Gram matrices in 9 windows, mean over windows, taps and generated materials"
+
+    def outputs(self, theta: Params, task: Task) -> dict[str, Any]:
+        """Photo and fit under the photo's light, then maps and relightings as they are displayed."""
+        photo = self.app.exemplar(task.data["image"][None].float() / 255)
+        light = self.app.light_of(photo)
+        maps, _ = self.made(theta, self.app.maps, 1)
+        fit = self.app.photograph(Maps(*(part[0] for part in maps)), light, light)
+        pictures = {name: picture.pixels for name, picture in self._pictures(theta, 1).items()}
+        shown = {"reference": photo[0], "fit": fit[0]} | pictures | {"height": stretched(pictures["height"])[0]}
+        return {name: srgb_to_linear(picture).permute(1, 2, 0).expand(-1, -1, 3) for name, picture in shown.items()}
+
+    def files(self, theta: Params, task: Task) -> dict[str, Picture]:
+        """The maps, four times as high and wide as in training (they tile), and photographs under other lights."""
+        pictures = self._pictures(theta, TILED)
+        return {name: Picture(each.pixels.permute(1, 2, 0), each.kind) for name, each in pictures.items()}
+
+    def _pictures(self, theta: Params, times: int) -> dict[str, Picture]:
+        """Maps, specular colour as F0, and photographs of them under other lights; pixels are [1 or 3, H, W] yet."""
+        made, heights = self.made(theta, self.app.maps, times)
+        maps, height = Maps(*(part[0, 0] for part in made)), heights[0, 0]
+        pictures = {
+            "diffuse": Picture(linear_to_srgb(maps.diffuse), "srgb"),
+            "specular": Picture(linear_to_srgb(maps.specular), "srgb"),
+            "roughness": Picture(maps.roughness, "data"),
+            "normal": Picture(maps.normal * 0.5 + 0.5, "data"),
+            "height": Picture(height, "height"),
+        }
+        for name, (light, view) in relightings(device=height.device).items():
+            pictures[f"lit_from_{name}"] = Picture(self.app.photograph(maps, light, view), "srgb")
+        return pictures
+
+
+PRESENTATION = SvbrdfStationaryPresentation

@@ -1,0 +1,54 @@
+"""What presentations share of applications that share their networks."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, ClassVar, TypeVar
+
+import torch
+from torch import Generator
+
+from metapp.appearance.presentation import Fitted, Presentation, Visible
+from metapp.learning.app import stack
+from metapp.learning.task import Params, Task
+from metapp.networks.coded import CodedApp
+from metapp.networks.exemplar import ExemplarApp
+
+TILED = 4  # times as high and wide as in training: what is written
+
+AnyCoded = TypeVar("AnyCoded", bound=CodedApp)
+AnyExemplar = TypeVar("AnyExemplar", bound=ExemplarApp)
+
+
+class CodedPresentation(Presentation[AnyCoded]):
+    """Of applications whose pictures are among what their errors measure.
+
+    Attributes:
+        of_pictures: which `errors` are of pictures, and what tables of these call them.
+    """
+
+    of_pictures: ClassVar[dict[str, str]]
+
+    def image_errors(self, fits: Mapping[str, Fitted], task: Task) -> dict[str, dict[str, float]]:
+        """Those errors that are of pictures; of a task without reference none."""
+        stacked, measured = stack(self.app, [task]), {}
+        for name, fit in fits.items():
+            if errors := self.app.errors({key: value[None] for key, value in fit.theta.items()}, stacked):
+                errors["error"] = self.app.scale * errors["error"]
+                measured[name] = {title: float(errors[key]) for key, title in self.of_pictures.items()}
+        return measured
+
+
+class ExemplarPresentation(Presentation[AnyExemplar]):
+    """Of applications that generate pictures from noise, of any size."""
+
+    def visible(self, task: Task) -> Visible:
+        """The exemplar, all of it in each step."""
+        return Visible(1, task.data["image"].nbytes, 1)
+
+    @torch.no_grad()
+    def made(self, theta: Params, make: Any, times: int) -> Any:
+        """What `make` makes of theta [1, ...] and noise [1, 1, ...], so many times as high and wide as in training."""
+        one = {key: value[None] for key, value in theta.items()}
+        rng = Generator(theta["z"].device).manual_seed(1)
+        return make(one, self.app.noise(rng, 1, 1, times))

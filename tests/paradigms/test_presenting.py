@@ -1,0 +1,108 @@
+"""What every application promises of its presentation: pictures, files with a kind each, measures of pictures."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+
+from metapp.appearance.presentation import KINDS, Fitted, Presentation
+from metapp.apps import app_names, load_app, presentation_of
+from metapp.learning.app import App
+from metapp.learning.learn import MetaParameters
+from metapp.learning.task import Params, Task, Tasks
+from metapp.paradigms import Job, paradigms
+from metapp.storage.records import file_name
+from tests.paradigms.small import rng
+
+
+@pytest.fixture
+def presentation(app: App) -> Presentation:
+    return presentation_of(app)
+
+
+@pytest.fixture
+def fitted(job: Job, tasks: Tasks) -> Params:
+    """The parameters of the first task after a few steps, as a run keeps them: without a task axis."""
+    theta = paradigms()["overfit"].fit(job._replace(steps=3), MetaParameters(), tasks.select([0]), rng())
+    return {key: value[0] for key, value in theta.items()}
+
+
+def test_it_is_of_the_application_as_it_was_placed(app: App, presentation: Presentation) -> None:
+    assert presentation.app is app
+    for recipe in app.recipes.values():
+        for protocol in app.protocols or ("",):
+            assert presentation_of(app.at(recipe, protocol)).app.protocol == protocol
+
+
+def test_what_tables_say_is_one_line_each(presentation: Presentation) -> None:
+    for line in (presentation.title, presentation.measure):
+        assert line
+        assert line == " ".join(line.split())
+    assert presentation.image_measure == " ".join(presentation.image_measure.split())
+    assert presentation.image_seconds > 0
+
+
+def test_titles_differ() -> None:
+    titles = {presentation_of(load_app(name)).title for name in app_names()}
+    assert len(titles) == len(app_names())
+
+
+def test_pictures_of_a_fit_and_of_its_reference(
+    presentation: Presentation, fitted: Params, sources: list[Task]
+) -> None:
+    pictures = presentation.outputs(fitted, sources[0])
+    assert list(pictures)[:2] == ["reference", "fit"]
+    assert pictures["fit"].shape == pictures["reference"].shape
+    for name, picture in pictures.items():
+        assert picture.ndim == 3, name
+        assert picture.shape[2] in (3, 4), name
+        assert picture.dtype == torch.float32, name
+        assert picture.isfinite().all(), name
+        assert not picture.requires_grad, name
+    again = presentation.outputs(fitted, sources[0])
+    assert all(torch.equal(again[name], picture) for name, picture in pictures.items())
+    other = presentation.outputs(fitted, sources[1])
+    assert not torch.equal(other["reference"], pictures["reference"])
+
+
+def test_files_are_what_their_kind_says(presentation: Presentation, fitted: Params, sources: list[Task]) -> None:
+    made = presentation.files(fitted, sources[0])
+    for name, (pixels, kind) in made.items():
+        assert kind in KINDS, name
+        assert pixels.ndim == 3, name
+        assert pixels.shape[2] in {"srgb": (1, 3), "data": (1, 3), "height": (1,), "radiance": (3,)}[kind], name
+        assert pixels.isfinite().all(), name
+        if kind != "height":
+            assert 0 <= float(pixels.min()) <= float(pixels.max()) <= (math.inf if kind == "radiance" else 1), name
+        assert not pixels.requires_grad, name
+    again = presentation.files(fitted, sources[0])
+    assert all(torch.equal(again[name].pixels, picture.pixels) for name, picture in made.items())
+
+
+def test_names_of_files_are_safe(presentation: Presentation, fitted: Params, sources: list[Task]) -> None:
+    """On every file system, also those that do not tell upper from lower case."""
+    for name in presentation.files(fitted, sources[0]):
+        assert name.replace("_", "").isalnum(), name
+        assert name.isascii(), name
+        assert name == file_name(name) == name.lower(), name
+
+
+def test_measures_of_pictures_are_said_where_there_are_any(
+    presentation: Presentation, fitted: Params, sources: list[Task]
+) -> None:
+    measured = presentation.image_errors({"meta": Fitted(fitted, 0.1)}, sources[0])
+    assert presentation.image_measure or not measured
+    for name, measures in measured.items():
+        assert measures, name
+        assert all(math.isfinite(value) for value in measures.values()), name
+        assert all(-1 <= value <= 1 for key, value in measures.items() if key.startswith("SSIM")), name
+
+
+def test_how_much_a_fit_may_see(presentation: Presentation, sources: list[Task]) -> None:
+    visible = presentation.visible(sources[0])
+    if visible:
+        assert visible.samples >= 1
+        assert visible.size > 0
+        assert visible.encoder >= 0
