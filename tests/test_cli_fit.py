@@ -349,3 +349,35 @@ def test_doctor_says_what_there_is(metapp: Callable, cache: Path) -> None:
     assert document["versions"]["torch"] == str(torch.__version__)
     assert document["cache"] == str(cache)
     assert metapp("doctor").out.startswith("versions")
+
+
+# Rules that are composed
+
+
+def test_a_composition_is_trained_and_used(fit: Callable, tmp_path: Path) -> None:
+    """As the recipe's default rule is, and under one name, whatever the order of its parts."""
+    trained = fit("meta", "--rule", "curvature+adam", *STEPS, "--json", "--quiet")
+    assert trained.code == 0, trained.err
+    assert trained.document["rule"] == "adam+curvature"
+    (path,) = (tmp_path / "runs").rglob("adam+curvature.safetensors")
+    start, info = load_start(path)
+    assert info["start"] == "adam+curvature"
+    assert info["training"]["clip"] == APP.recipes["quick"].meta["meta-curvature"].clip
+    assert {"rate", "beta1", "beta2", "left", "right"} == {name.partition(".")[0] for name in start.alpha}
+    again = fit("meta", "--rule", "adam+curvature", "--json", "--quiet").document
+    assert [task["error"] for task in again["tasks"]] == [task["error"] for task in trained.document["tasks"]]
+    assert "adam+curvature" in Path(again["out"]).name
+    refuse(fit("meta", "--checkpoint", path), 1, "expected brdf meta-curvature; add --rule adam+curvature")
+
+
+def test_refuses_rules_that_make_no_sense(metapp: Callable, fit: Callable) -> None:
+    refuse(fit("meta", "--rule", "adam+magic"), 2, "rule 'adam+magic': 'magic' is unknown, expected names")
+    refuse(fit("meta", "--rule", "adam+tied"), 2, "rates and shared for rates, expected one of")
+    refuse(
+        fit("meta", "--rule", "meta-lgd"), 2, "rule 'meta-lgd': its part network does not apply to brdf: no parameter"
+    )
+    refuse(metapp("meta", "illumination", "--rule", "meta-mean"), 2, "its part average does not apply to illumination")
+    refuse(fit("meta", "--rule", "adam+average"), 1, "brdf adam+average, recipe quick: no start", "--train")
+    for rule in ("adam+magic", "meta-lgd"):
+        (line,) = (line for line in fit("meta", "--rule", rule).err.splitlines() if "Error" in line)
+        assert rule in line

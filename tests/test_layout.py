@@ -15,8 +15,9 @@ from typer.testing import CliRunner
 
 from metapp.apps import app_names
 from metapp.cli.commands import app as cli
-from metapp.cli.fit import RULE_NAMES
-from metapp.learning.rules import RULES
+from metapp.cli.fit import PART_NAMES, RULE_NAMES
+from metapp.learning.rules import PARTS, RULES
+from metapp.learning.rules.table import SHORT
 
 ROOT = Path(__file__).parent.parent
 FILES = {
@@ -151,3 +152,4 @@ def test_help_names_all_applications(command: str) -> None:
 
 def test_help_names_all_rules() -> None:
     assert sorted(RULE_NAMES.split(", ")) == sorted(RULES)
+    assert PART_NAMES.split(", ") == [*SHORT, *PARTS]

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from metapp.learning.app import App
 
 RULE_NAMES = "meta-sgd, meta-adam, meta-adam-tied, meta-curvature, meta-encoder, meta-lgd, meta-mean, meta-basis"
+PART_NAMES = "adam, tied, sgd, rates, shared, betas, loss, pace, eps, curvature, network, average, basis"
 APP_HELP = f"Application: {', '.join(app_names())}."
 
 
@@ -43,7 +44,11 @@ def make_command(name: str, summary: str) -> Any:
         ] = None,
         steps: Annotated[int | None, typer.Option(help="Gradient steps instead of the recipe's.", min=0)] = None,
         rule: Annotated[
-            str, typer.Option(help=f"Meta's rule, of those that the recipe trains: {RULE_NAMES}; default: its best.")
+            str,
+            typer.Option(
+                help=f"Meta's rule: {RULE_NAMES}; or parts of rules with + between them, such as "
+                f"adam+curvature+average, of {PART_NAMES}; default: the recipe's best."
+            ),
         ] = "",
         observe: Annotated[
             str,

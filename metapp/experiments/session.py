@@ -17,6 +17,7 @@ from metapp.apps import app_names, load_app, presentation_of
 from metapp.experiments import BadOption
 from metapp.learning.app import App
 from metapp.learning.learn import MetaParameters
+from metapp.learning.rules import rule_of
 from metapp.paradigms import Job, Paradigm
 from metapp.paradigms.quickft import adam_of
 
@@ -93,11 +94,16 @@ def check_recipe(name: str, app: App) -> None:
 
 
 def check_rule(name: str, app: App, recipe: str) -> str:
-    """The rule, the recipe's default where it is empty, or a usage error; recipes may differ by protocol."""
-    known = app.recipes[recipe].meta
-    if name and name not in known:
-        raise BadOption(f"--rule '{name}': {app.name}, recipe {recipe}, expects one of {', '.join(known)}.")
-    return name or app.recipes[recipe].rule
+    """The one name of a rule or composition, the recipe's default where it is empty, or a usage error."""
+    if not name:
+        return app.recipes[recipe].rule
+    theta = {key: value[0] for key, value in app.init(torch.Generator().manual_seed(0), 1).items()}
+    try:
+        rule = rule_of(name)
+        rule.require(app, theta)
+    except ValueError as error:
+        raise BadOption(f"--rule: {error}") from None
+    return rule.name
 
 
 def check_protocol(name: str, app: App) -> None:

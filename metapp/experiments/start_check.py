@@ -8,7 +8,7 @@ from torch import Generator
 
 from metapp.experiments.session import Options
 from metapp.learning.learn import MetaParameters
-from metapp.learning.rules import RULES
+from metapp.learning.rules import rule_of
 from metapp.learning.task import Params
 from metapp.paradigms import Paradigm
 from metapp.paradigms.quickft import TUNED
@@ -23,7 +23,7 @@ def require_fit(path: Path, options: Options, paradigm: Paradigm, prepared: Meta
     app, recipe, rng = options.app, options.job.recipe, Generator().manual_seed(0)
     network = {key: value[0] for key, value in app.init(rng, 1).items()}
     if paradigm.name == "meta":
-        alpha = RULES[options.rule].alpha(app, network, recipe.steps, recipe.meta[options.rule].first)
+        alpha = rule_of(options.rule).alpha(app, network, recipe.steps, recipe.meta_training(options.rule).first)
         _require(path, "alpha", prepared.alpha, alpha, steps=True)
     else:
         _require(path, "alpha", prepared.alpha, {})

@@ -40,7 +40,8 @@ def find_start(options: Options, paradigm: Paradigm) -> Start:
     prepared, info = load_start(path, options.device)
     app, name = info.get("app"), info.get("start")
     if (app, name) != (options.app.name, needed):
-        other = app == options.app.name and name in list(options.job.recipe.meta) and paradigm.name == "meta"
+        a_rule = isinstance(name, str) and name not in paradigms()
+        other = app == options.app.name and a_rule and paradigm.name == "meta"
         remedy = f"; add --rule {name}" if other else ""
         raise ValueError(f"{path}: a start of {app} {name}, expected {options.app.name} {needed}{remedy}.")
     _require_protocol(path, options.app, info)
@@ -222,8 +223,8 @@ def _encoder(options: Options, name: str, steps: int | None) -> MetaParameters |
     For a data set of the user's own only one trained on its training tasks will do: the one that ships may have seen
     its test tasks.
     """
-    training = options.job.recipe.meta.get(name)
-    if name == "general" or (training and training.start == "random"):
+    recipe = options.job.recipe
+    if name == "general" or (name != "quickft" and recipe.meta_training(name).start == "random"):
         return None
     general = paradigms()["general"]
     usable = trained_path(options, "general").is_file()

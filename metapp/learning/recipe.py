@@ -86,3 +86,7 @@ class Recipe:
     meta: dict[str, Training]
     rule: str
     setup: Any = None
+
+    def meta_training(self, rule: str) -> Training:
+        """How a rule's start is trained: as the recipe says, else as that of its default rule."""
+        return self.meta[rule if rule in self.meta else self.rule]

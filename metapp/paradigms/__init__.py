@@ -22,7 +22,7 @@ class Job(NamedTuple):
     Attributes:
         app: the application.
         recipe: its settings.
-        rule: Meta's learned rule, a name in RULES.
+        rule: Meta's learned rule, a name or a composition (`rules.rule_of`).
         steps: gradient steps instead of the recipe's number; None keeps that.
     """
 

@@ -10,7 +10,7 @@ from torch import Generator
 from metapp.learning.adjoint import Loss, UpdateRule
 from metapp.learning.learn import MetaParameters, after_learning, learn, over_tasks, spread, task_loss, task_outer_loss
 from metapp.learning.recipe import Adam
-from metapp.learning.rules import RULES, averaging, principal_axes, second_moments
+from metapp.learning.rules import rule_of
 from metapp.learning.task import Params, Tasks
 from metapp.paradigms import AT_ONCE, Job, Paradigm
 from metapp.paradigms.general import start as general_start
@@ -26,8 +26,8 @@ def preparation(job: Job, general: MetaParameters, rng: Generator, compiled: boo
         rng: of the random start.
         compiled: compile the inner step and its adjoint.
     """
-    app, recipe, rule = job.app, job.recipe, RULES[job.rule]
-    training = recipe.meta[job.rule]
+    app, recipe, rule = job.app, job.recipe, rule_of(job.rule)
+    training = recipe.meta_training(job.rule)
     random = {key: value[0] for key, value in app.init(rng, 1).items()}
     theta = {} if general.encoder else general.theta or random
     steps = META.count(job)
@@ -47,36 +47,38 @@ def preparation(job: Job, general: MetaParameters, rng: Generator, compiled: boo
     return phi, over_tasks(learned, count=training.tasks, augment=app.augment if training.augment else None)
 
 
-def with_bases(job: Job, phi: MetaParameters, tasks: Tasks, rng: Generator) -> MetaParameters:
-    """phi with the bases of its rule, where it has any, taken from the gradients of fits of training tasks."""
-    if not any(name.startswith("out.") for name in phi.alpha):
+def with_gradients(job: Job, phi: MetaParameters, tasks: Tasks, rng: Generator) -> MetaParameters:
+    """phi with what parts of its rule, if any, take from the gradients of fits of training tasks."""
+    learned = rule_of(job.rule)
+    if not learned.settled:
         return phi
     total: Params = {}
-    count = min(len(tasks), BASED_ON)
+    count = min(len(tasks), GATHERED)
     for some in torch.arange(count).split(AT_ONCE):
         part = tasks.select([int(i) * len(tasks) // count for i in some])
         theta = start(job, phi, part, rng)
         rule = META.rule(job, phi, theta, META.count(job))
 
         def recording(alpha: Params, theta: Params, grads: Params, state: Params, step: Any = rule.step) -> Any:
-            for name, value in second_moments(phi.alpha, grads).items():
+            for name, value in learned.gather(phi.alpha, grads).items():
                 total[name] = total.get(name, 0) + value
             return step(alpha, theta, grads, state)
 
         loss = task_loss(job.app, job.recipe.batch)
         learn(theta, rule._replace(step=recording), part, loss, steps=META.count(job), rng=rng)
-    return phi._replace(alpha=principal_axes(phi.alpha, total))
+    return phi._replace(alpha=learned.settle(phi.alpha, total))
 
 
 def with_adam(job: Job, phi: MetaParameters, adam: Adam) -> MetaParameters:
-    """phi with the quantities of its rule as they are at first for this Adam, but for the bases, which it keeps."""
+    """phi with its rule's initial hyperparameters for this Adam, but for those that gradients settled."""
     theta = {key: value[0] for key, value in job.app.init(Generator().manual_seed(0), 1).items()}
-    fresh = RULES[job.rule].alpha(job.app, theta, META.count(job), adam)
-    bases = {name: value for name, value in phi.alpha.items() if name.startswith(("out.", "in."))}
-    return phi._replace(alpha={name: value.to(phi.alpha[name]) for name, value in (fresh | bases).items()})
+    learned = rule_of(job.rule)
+    fresh = learned.alpha(job.app, theta, META.count(job), adam)
+    settled = {name: value for name, value in phi.alpha.items() if name.startswith(learned.settled)}
+    return phi._replace(alpha={name: value.to(phi.alpha[name]) for name, value in (fresh | settled).items()})
 
 
-BASED_ON = 32  # tasks
+GATHERED = 32  # tasks whose gradients are looked at
 
 
 def start(job: Job, prepared: MetaParameters, tasks: Tasks, rng: Generator) -> Params:
@@ -85,11 +87,10 @@ def start(job: Job, prepared: MetaParameters, tasks: Tasks, rng: Generator) -> P
 
 
 def rule(job: Job, prepared: MetaParameters, theta: Params, steps: int) -> UpdateRule:
-    """The learned rule; a mean that it answers with is over the last of these steps, however many they are."""
-    alpha = prepared.alpha
-    if "answer" in alpha:
-        alpha = alpha | averaging(steps, alpha["answer"])
-    return RULES[job.rule].rule(spread(alpha, next(iter(theta.values())).shape[0], 1))
+    """The learned rule, for so many steps."""
+    learned = rule_of(job.rule)
+    alpha = learned.for_steps(prepared.alpha, steps)
+    return learned.rule(spread(alpha, next(iter(theta.values())).shape[0], 1))
 
 
 META = Paradigm(

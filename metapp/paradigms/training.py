@@ -99,10 +99,10 @@ def prepare(
         training, paradigm = job.recipe.general, paradigms()["general"]
         first, loss = general.preparation(job, rng)
     else:
-        training, paradigm = job.recipe.meta[name], paradigms()["meta"]
+        training, paradigm = job.recipe.meta_training(name), paradigms()["meta"]
         compiled = job.app.compiles and can_compile()
         first, loss = meta.preparation(job, _meta_start(job, training, encoder, to_fit, rng), rng, compiled=compiled)
-        first = meta.with_bases(job, first, to_fit, rng)
+        first = meta.with_gradients(job, first, to_fit, rng)
         if training.tuned:
             start_of = functools.partial(meta.with_adam, job, first)
             few, looks = _to_tune_on(job, to_validate), None if training.steps else steps
@@ -301,8 +301,10 @@ def can_compile() -> bool:
 
 def training_of(job: Job, name: str, steps: int | None) -> Training | None:
     """How a start is trained, with outer steps instead of the recipe's; None where there is only a search."""
-    training = job.recipe.general if name == "general" else job.recipe.meta.get(name)
-    if training and training.steps and steps is not None:
+    if name == "quickft":
+        return None
+    training = job.recipe.general if name == "general" else job.recipe.meta_training(name)
+    if training.steps and steps is not None:
         training = replace(training, steps=steps)
     return training
 

@@ -20,15 +20,13 @@ from metapp.apps.transport.flow import Flow
 from metapp.learning.app import App
 from metapp.learning.learn import MetaParameters
 from metapp.learning.recipe import Adam, Recipe, Training
-from metapp.learning.rules import RULES
+from metapp.learning.rules import RULES, rule_of
 from metapp.learning.task import Task
 from metapp.networks.exemplar import Setup
 from metapp.networks.layers import LocalField, UNet
 from metapp.paradigms import Job, Paradigm
 
 COUNT = 12
-# rules that differ in more than the start that recipes give them
-UNLIKE = sorted({rule: name for name, rule in reversed(RULES.items())}.values())
 
 
 class Small(NamedTuple):
@@ -120,7 +118,7 @@ SMALL: dict[str, Small] = {
 
 
 def small_recipe(app: App) -> Recipe:
-    """The quick recipe, with few samples, tasks and steps, and every rule."""
+    """The quick recipe, with few samples, tasks and steps, and every rule that applies."""
     recipe = app.recipes["quick"]
 
     def short(training: Training) -> Training:
@@ -134,9 +132,15 @@ def small_recipe(app: App) -> Recipe:
         overfit_steps=60,
         finetune_steps=20,
         general=short(recipe.general),
-        meta={rule: short(recipe.meta.get(rule, recipe.meta[recipe.rule])) for rule in RULES},
+        meta={rule: short(recipe.meta.get(rule, recipe.meta[recipe.rule])) for rule in applicable(app)},
         setup=SMALL[app.name].setup or recipe.setup,
     )
+
+
+def applicable(app: App) -> list[str]:
+    """The named rules whose parts apply to an application."""
+    theta = {key: value[0] for key, value in app.init(rng(), 1).items()}
+    return [name for name, rule in RULES.items() if not any(part.refusal(app, theta) for part in rule.parts)]
 
 
 def rng(seed: int = 0) -> Generator:
@@ -146,7 +150,7 @@ def rng(seed: int = 0) -> Generator:
 def untrained(job: Job) -> MetaParameters:
     """A start for every paradigm: a random encoder, a random theta_0 and its rule's initial quantities."""
     theta = {key: value[0] for key, value in job.app.init(rng(1), 1).items()}
-    alpha = RULES[job.rule].alpha(job.app, theta, job.recipe.steps, Adam(5e-3, beta2=0.99))
+    alpha = rule_of(job.rule).alpha(job.app, theta, job.recipe.steps, Adam(5e-3, beta2=0.99))
     return MetaParameters(theta, alpha, job.app.init_encoder(rng(2)))
 
 

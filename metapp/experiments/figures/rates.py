@@ -8,7 +8,7 @@ from torch import Tensor
 from metapp.experiments.figures import Drawn
 from metapp.experiments.figures.style import COLOURS, INK, new
 from metapp.experiments.tables.subject import Subject
-from metapp.learning.rules import RULES, sgd
+from metapp.learning.rules import rule_of
 from metapp.learning.task import Params
 
 BINS = 48
@@ -22,7 +22,7 @@ def step_sizes(rule: str, alpha: Params) -> dict[str, np.ndarray]:
         if part == "rate" and value.numel() > 1:
             pace = alpha.get(f"pace.{key}")
             rate = value if pace is None else value + pace.reshape(-1, *[1] * (value.ndim - 1))
-            found[key] = (rate if RULES[rule].rule is sgd else rate.exp()).flatten().double().cpu().numpy()
+            found[key] = (rate if rule_of(rule).has("sgd") else rate.exp()).flatten().double().cpu().numpy()
     return found
 
 

@@ -1,11 +1,11 @@
 """Learned gradient descent: what a convolutional network adds to a rule's steps of a parameter that lies on a grid.
 
-The network sees the parameter, its gradient, Adam's direction and what it wrote down in the steps before, and says
-how the parameter moves beside its rule's own step (Adler & Oektem 2017; Putzky & Welling 2017). It thus learns which
+The network sees the parameter, its gradient, the rule's direction and what it wrote down in the steps before, and says
+how the parameter moves beside the rule's own step (Adler & Oektem 2017; Putzky & Welling 2017). It thus learns which
 changes of its neighbourhood a gradient calls for, where the loss alone leaves that open.
 
-Its quantities stand in a rule's alpha as `around.<parameter>.*` where the grid's columns go on at the other edge, else
-as `within.<parameter>.*`; all but the shifts are shared by all steps.
+Its weights are learned hyperparameters, `around.<parameter>.*` where the grid's columns go on at the other edge, else
+`within.<parameter>.*`; all but the shifts are shared by all steps.
 """
 
 from __future__ import annotations
@@ -16,6 +16,9 @@ import torch
 from torch import Generator, Tensor
 from torch.nn.functional import conv2d, leaky_relu, pad
 
+from metapp.learning.app import App
+from metapp.learning.recipe import Adam
+from metapp.learning.rules.part import Part, Seen
 from metapp.learning.task import Params
 
 WIDTH = 32  # channels of its two inner layers
@@ -24,8 +27,37 @@ REACH = 10  # how many times a step's length the parameter is measured in
 SLOPE = 0.1
 
 
+class Network(Part):
+    """A convolutional network for each parameter of three axes, [channels, rows, columns]."""
+
+    name = "network"
+
+    def refusal(self, app: App, theta: Params) -> str:
+        """It needs a parameter on a grid."""
+        on_grid = any(value.ndim == 3 for value in theta.values())
+        return "" if on_grid else "no parameter lies on a grid, which has three axes"
+
+    def initial(self, app: App, theta: Params, steps: int, first: Adam) -> Params:
+        """Networks that add nothing."""
+        return networks(theta, steps, first.rate, periodic=app.periodic)
+
+    def state(self, alpha: Params, theta: Params) -> Params:
+        """Empty memories."""
+        return no_memory(alpha, theta)
+
+    def moved(self, alpha: Params, moved: Params, seen: Seen, state: Params) -> tuple[Params, Params]:
+        """The parameters and what networks add."""
+        results, memories = dict(moved), {}
+        for key, value in seen.theta.items():
+            if name := network_of(alpha, key):
+                memory = state[f"memory.{key}"]
+                added, written = move(alpha, name, value, seen.grads[key], seen.directions[key], memory)
+                results[key], memories[f"memory.{key}"] = moved[key] + added, written
+        return results, memories
+
+
 def networks(theta: Params, steps: int, rate: float, *, periodic: bool) -> Params:
-    """Initial quantities [K, ...] of a network for each parameter of three axes, [channels, rows, columns].
+    """Initial weights [K, ...] of a network for each parameter of three axes, [channels, rows, columns].
 
     Args:
         theta: parameters of one task.
@@ -73,11 +105,11 @@ def move(
     """What a network adds to a parameter, and its memory after that.
 
     Args:
-        alpha: the quantities of this step, with a task axis.
+        alpha: the hyperparameters of this step, with a task axis.
         name: the network's.
         value: the parameter [T, channels, rows, columns].
         grad: its gradient; the network sees each task's by itself at length 1, and how long it was.
-        direction: Adam's.
+        direction: the rule's own, before any rate.
         memory: what it wrote down before, [T, MEMORY, rows, columns].
     """
     unit = torch.exp(alpha[f"{name}.unit"])[:, None, None, None]

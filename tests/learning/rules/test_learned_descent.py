@@ -1,4 +1,4 @@
-"""Learned gradient descent: at first the rule it adds to, exact derivatives, and what its networks see of a grid."""
+"""The part "network": at first the rule it adds to, exact derivatives, and what its networks see of a grid."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from metapp.learning.adjoint import Loss, at_step, learn_through
 from metapp.learning.app import App
 from metapp.learning.learn import MetaParameters, after_learning, spread
 from metapp.learning.recipe import Adam
-from metapp.learning.rules import RULES
+from metapp.learning.rules import RULES, rule_of
 from metapp.learning.rules.network import MEMORY, move, network_of, networks, no_memory
 from metapp.learning.task import Params
 from metapp.networks.layers import LocalField
@@ -55,12 +55,13 @@ def unused(*_: Any) -> Any:
     raise AssertionError("batches are given")
 
 
-def test_at_first_it_is_the_rule_it_adds_to(app: Any, randn: Callable[..., Tensor]) -> None:
+@pytest.mark.parametrize("names", [("meta-lgd", "meta-encoder"), ("sgd+network", "sgd")])
+def test_at_first_it_is_the_rule_it_adds_to(names: tuple[str, str], app: Any, randn: Callable[..., Tensor]) -> None:
     theta, batches = spread(one(app), TASKS, 0), batches_for(app, randn, STEPS)
     moved = []
-    for name in ("meta-lgd", "meta-encoder"):
-        alpha = RULES[name].alpha(app, one(app), STEPS, FIRST)
-        rule = RULES[name].rule(spread(alpha, TASKS, 1))
+    for name in names:
+        alpha = rule_of(name).alpha(app, one(app), STEPS, FIRST)
+        rule = rule_of(name).rule(spread(alpha, TASKS, 1))
         moved.append(learn_through(theta, rule, batches, Loss(unused, app.loss), order=1))
     for key, value in moved[1].items():
         assert torch.equal(moved[0][key], value), key

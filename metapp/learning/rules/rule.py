@@ -1,0 +1,111 @@
+"""A learned rule: parts, one after the other, as one update rule."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from metapp.learning.adjoint import UpdateRule
+from metapp.learning.app import App
+from metapp.learning.recipe import Adam
+from metapp.learning.rules.part import Part, Seen
+from metapp.learning.task import Params
+
+
+class LearnedRule(NamedTuple):
+    """An update rule whose hyperparameters Meta learns.
+
+    Attributes:
+        name: of the rule or composition.
+        parts: in the order of PARTS.
+    """
+
+    name: str
+    parts: tuple[Part, ...]
+
+    def has(self, part: str) -> bool:
+        """Whether it has a part of this name."""
+        return any(each.name == part for each in self.parts)
+
+    def require(self, app: App, theta: Params) -> None:
+        """Refuse an application that a part does not apply to.
+
+        Args:
+            app: the application.
+            theta: parameters of one task.
+
+        Raises:
+            ValueError: names the part and the reason.
+        """
+        for part in self.parts:
+            if reason := part.refusal(app, theta):
+                raise ValueError(
+                    f"rule '{self.name}': its part {part.name} does not apply to {app.name}: {reason}; choose a rule "
+                    "without it."
+                )
+
+    def alpha(self, app: App, theta: Params, steps: int, first: Adam) -> Params:
+        """Learned hyperparameters [K, ...] before training.
+
+        They make the rule the plain Adam `first` (but for its eps where the rule has none of its own), or SGD of its
+        rate; tail averaging acts on the last step.
+
+        Args:
+            app: the application.
+            theta: parameters of one task.
+            steps: of a fit.
+            first: settings of an Adam.
+
+        Raises:
+            ValueError: a part does not apply to the application.
+        """
+        self.require(app, theta)
+        other = next(iter(theta.values()))
+        parts = (part.initial(app, theta, steps, first) for part in self.parts)
+        return {key: value.to(other) for initial in parts for key, value in initial.items()}
+
+    def rule(self, alpha: Params) -> UpdateRule:
+        """The update rule of learned hyperparameters [K, ...], or [K, T, ...] where each task has its own."""
+
+        def init(theta: Params) -> Params:
+            return {key: value for part in self.parts for key, value in part.state(alpha, theta).items()}
+
+        return UpdateRule(alpha, init, self.step)
+
+    def step(self, alpha: Params, theta: Params, grads: Params, state: Params) -> tuple[Params, Params]:
+        """One step (see `UpdateRule`)."""
+        directions = grads
+        after: Params = {}
+        for part in self.parts:
+            directions = part.gradients(alpha, directions)
+        for part in self.parts:
+            directions, kept = part.directions(alpha, directions, state)
+            after |= kept
+        updates = directions
+        for part in self.parts:
+            updates = part.updates(alpha, updates)
+        moved = {key: value - updates[key] for key, value in theta.items()}
+        for part in self.parts:
+            moved, kept = part.moved(alpha, moved, Seen(theta, grads, directions), state)
+            after |= kept
+        return moved, after
+
+    def for_steps(self, alpha: Params, steps: int) -> Params:
+        """Alpha for a fit of so many steps, whatever it was prepared for."""
+        for part in self.parts:
+            alpha = part.for_steps(alpha, steps)
+        return alpha
+
+    @property
+    def settled(self) -> tuple[str, ...]:
+        """What names of hyperparameters begin with that are taken from gradients of training tasks."""
+        return tuple(prefix for part in self.parts for prefix in part.settled)
+
+    def gather(self, alpha: Params, grads: Params) -> Params:
+        """What parts want to know of the gradients [T, ...] of a step on training tasks; sums are taken of it."""
+        return {key: value for part in self.parts for key, value in part.gather(alpha, grads).items()}
+
+    def settle(self, alpha: Params, sums: Params) -> Params:
+        """Alpha with what these sums say."""
+        for part in self.parts:
+            alpha = part.settle(alpha, sums)
+        return alpha

@@ -1,0 +1,133 @@
+"""Compositions of parts: their names, and what is refused."""
+
+from __future__ import annotations
+
+import itertools
+
+import pytest
+import torch
+from torch import Generator
+
+from metapp.apps import app_names, load_app
+from metapp.learning.app import App
+from metapp.learning.recipe import Adam
+from metapp.learning.rules import PARTS, RULES, rule_of
+from metapp.learning.rules.table import NAMED, SHORT
+from metapp.learning.task import Params
+
+
+def parts_of(name: str) -> list[str]:
+    return [part.name for part in rule_of(name).parts]
+
+
+def one(app: App) -> Params:
+    return {key: value[0] for key, value in app.init(Generator().manual_seed(0), 1).items()}
+
+
+def test_a_composition_has_the_parts_of_all_its_names() -> None:
+    assert parts_of("adam+curvature+average") == ["rates", "betas", "curvature", "average"]
+    assert parts_of("meta-sgd") == parts_of("sgd") == ["sgd"]
+    assert parts_of("tied+betas") == ["shared", "betas", "pace"]
+    assert set(parts_of("meta-curvature+average")) == {*parts_of("meta-curvature"), "average"}
+
+
+@pytest.mark.parametrize("parts", ["adam+curvature+average", "tied+betas+eps", "adam+loss", "sgd+basis"])
+def test_the_same_parts_are_the_same_rule(parts: str) -> None:
+    """In any order, however often: training and compiled steps are found by it."""
+    for order in itertools.permutations(parts.split("+")):
+        assert rule_of("+".join([*order, order[0]])) is rule_of(parts)
+    assert rule_of("+".join(reversed(parts_of(parts)))) is rule_of(parts)
+
+
+def test_a_rule_has_one_step_whatever_its_hyperparameters() -> None:
+    """Compiled steps are kept by it: else each outer loop would compile anew."""
+    one, other = (rule_of(name).rule({}).step for name in ("adam+curvature", "curvature+adam"))
+    assert one == other
+    assert hash(one) == hash(other)
+    assert one != rule_of("adam").rule({}).step
+
+
+def test_a_composition_that_has_a_name_goes_by_it() -> None:
+    assert rule_of("loss+betas+rates").name == "meta-adam"
+    assert rule_of("meta-adam+curvature").name == "meta-curvature"
+    assert rule_of("betas+rates+average+curvature").name == "adam+curvature+average"
+    assert rule_of("sgd+curvature").name == "sgd+curvature"
+
+
+def test_every_name_names_its_own_rule() -> None:
+    for name, rule in RULES.items():
+        assert rule.name == name
+        assert rule_of(name) is rule
+    assert len({rule.parts for rule in RULES.values()}) == len(RULES)
+    assert len({*PARTS, *SHORT, *NAMED}) == len(PARTS) + len(SHORT) + len(NAMED)
+    assert not [name for name in (*PARTS, *SHORT, *NAMED) if "+" in name]
+
+
+@pytest.mark.parametrize("name", ["adam+magic", "meta-magic", "", "adam+", "+", "Adam", "adam + curvature"])
+def test_unknown_names_are_refused(name: str) -> None:
+    wrong = next(each for each in name.split("+") if each not in ("adam", "curvature"))
+    with pytest.raises(
+        ValueError, match=rf"'{wrong}' is unknown, expected names of these.*meta-sgd.*curvature"
+    ) as caught:
+        rule_of(name)
+    assert "\n" not in str(caught.value)
+    assert len(str(caught.value)) < 300
+
+
+@pytest.mark.parametrize(
+    ("name", "line"),
+    [
+        ("betas+curvature", "rule 'betas+curvature': no part for rates, expected one of sgd, rates, shared"),
+        ("adam+sgd", "rule 'adam+sgd': sgd and rates for rates, expected one of sgd, rates, shared"),
+        ("adam+tied", "rates and shared for rates"),
+        ("sgd+eps", "rule 'sgd+eps': eps says nothing by itself, expected betas beside it"),
+        ("sgd+pace", "rule 'sgd+pace': pace says nothing by itself, expected rates or shared beside it"),
+    ],
+)
+def test_parts_that_do_not_go_together_are_refused(name: str, line: str) -> None:
+    with pytest.raises(ValueError, match=line.replace("+", r"\+")):
+        rule_of(name)
+
+
+@pytest.mark.parametrize(
+    ("app", "rule", "part"),
+    [
+        ("brdf", "meta-lgd", "network does not apply to brdf: no parameter lies on a grid"),
+        ("brdf", "sgd+network", "network does not apply to brdf: no parameter lies on a grid"),
+        ("texture", "meta-lgd", "network does not apply to texture: no parameter lies on a grid"),
+        ("illumination", "meta-mean", "average does not apply to illumination: its fits see nothing random"),
+        (
+            "svbrdf_nonstationary",
+            "adam+average",
+            "average does not apply to svbrdf_nonstationary: its fits see nothing",
+        ),
+    ],
+)
+def test_a_part_that_does_not_apply_is_refused_by_name(app: str, rule: str, part: str) -> None:
+    of = load_app(app)
+    with pytest.raises(ValueError, match=f"its part {part}"):
+        rule_of(rule).alpha(of, one(of), 5, Adam(1e-3))
+
+
+@pytest.mark.parametrize("name", ["curvature", "basis"])
+def test_matrices_are_needed(name: str) -> None:
+    app = load_app("brdf")
+    assert PARTS[name].refusal(app, {"w": torch.ones(2, 3)}) == ""
+    assert PARTS[name].refusal(app, {"b": torch.ones(3)}) == "no parameter has two axes"
+    assert bool(PARTS["curvature"].refusal(app, {"kernel": torch.ones(2, 3, 3, 3)}))
+
+
+@pytest.mark.parametrize("name", app_names())
+def test_all_rules_of_recipes_apply(name: str) -> None:
+    for recipe in load_app(name).recipes.values():
+        for observe in load_app(name).protocols or ("",):
+            app = load_app(name).at(recipe, observe)
+            for rule in (*recipe.meta, recipe.rule):
+                RULES[rule].require(app, one(app))
+
+
+def test_recipes_train_other_rules_as_their_default() -> None:
+    recipe = load_app("brdf").recipes["quick"]
+    assert recipe.meta_training("adam+curvature") is recipe.meta[recipe.rule]
+    for rule, training in recipe.meta.items():
+        assert recipe.meta_training(rule) is training

@@ -1,0 +1,108 @@
+"""Rules with nothing learned, against torch.optim."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable
+
+import pytest
+import torch
+from torch import Tensor
+
+from metapp.learning.recipe import Adam, Training
+from metapp.learning.rules import fixed_adam, half_cosine, outer_adam, sgd
+from metapp.learning.task import Params
+from tests.learning.rules.steps import STEPS, assert_same, run
+
+
+def run_torch(optimiser: torch.optim.Optimizer, leaves: Params, grads: list[Params], after: Callable) -> list[Params]:
+    path = []
+    for grad in grads:
+        for key, leaf in leaves.items():
+            leaf.grad = grad[key].clone()
+        optimiser.step()
+        after()
+        path.append({key: leaf.detach().clone() for key, leaf in leaves.items()})
+    return path
+
+
+def copies(theta: Params) -> Params:
+    return {key: value.clone().requires_grad_() for key, value in theta.items()}
+
+
+def test_half_cosine_values() -> None:
+    rates = half_cosine(0.5, 8, final=0.2)
+    assert rates.dtype == torch.float32
+    cosine = [0.5 * (1 + math.cos(math.pi * i / 8)) for i in range(8)]
+    torch.testing.assert_close(rates, torch.tensor([0.5 * (0.2 + 0.8 * each) for each in cosine]))
+    assert rates[0] == 0.5
+    torch.testing.assert_close(rates[4], torch.tensor(0.5 * 0.6))
+    assert (half_cosine(0.5, 8).diff() == 0).all()
+    assert (rates.diff() < 0).all()
+
+
+def test_half_cosine_warm_up() -> None:
+    rates = half_cosine(2.0, 104, final=0.0, warmup=4)
+    torch.testing.assert_close(rates[:5], torch.tensor([0.4, 0.8, 1.2, 1.6, 2.0]))
+    torch.testing.assert_close(rates[54], torch.tensor(1.0))
+    assert (rates > 0).all()
+    assert half_cosine(1.0, 0).shape == (1,)
+    assert torch.isfinite(half_cosine(1.0, 2, warmup=10)).all()
+
+
+@pytest.mark.parametrize(
+    "settings", [Adam(1e-2), Adam(3e-3, 0.5, 0.9, 1e-3), Adam(1e-2, final=0.0), Adam(1e-2, 0.8, 0.99, 1e-8, 0.1)]
+)
+def test_fixed_adam_is_torch_adam(settings: Adam, theta: Params, grads: list[Params]) -> None:
+    leaves = copies(theta)
+    betas = (settings.beta1, settings.beta2)
+    optimiser = torch.optim.Adam(leaves.values(), lr=settings.rate, betas=betas, eps=settings.eps)
+    low = settings.rate * settings.final
+    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, STEPS, eta_min=low)
+    assert_same(
+        run(fixed_adam(settings, theta, STEPS), theta, grads), run_torch(optimiser, leaves, grads, schedule.step)
+    )
+
+
+def test_outer_adam_is_torch_adam_with_l2(theta: Params, grads: list[Params]) -> None:
+    training = Training(STEPS, 1, {"": 1e-3, "w": 1e-2, "w3": 1e-4}, warmup=3, final=0.1, decay=0.3)
+    leaves = copies(theta)
+    rates = {"w1": 1e-2, "w2": 1e-2, "w3": 1e-4}
+    groups = [{"params": [leaf], "lr": rates.get(key, 1e-3)} for key, leaf in leaves.items()]
+    optimiser = torch.optim.Adam(groups, weight_decay=training.decay)
+    schedule = torch.optim.lr_scheduler.LambdaLR(
+        optimiser, lambda i: float(half_cosine(1.0, STEPS, 0.1, 3)[min(i, 11)])
+    )
+    assert_same(run(outer_adam(training, theta), theta, grads), run_torch(optimiser, leaves, grads, schedule.step))
+
+
+def test_sgd_takes_any_sign(theta: Params, grads: list[Params]) -> None:
+    rates = {f"rate.{key}": torch.randn(1, *value.shape, dtype=torch.float64) for key, value in theta.items()}
+    moved = run(sgd(rates), theta, grads[:1])[0]
+    for key, value in theta.items():
+        torch.testing.assert_close(moved[key], value - rates[f"rate.{key}"][0] * grads[0][key])
+
+
+def test_one_rate_for_each_task(theta: Params, grads: list[Params]) -> None:
+    moved = run(sgd({"rate": torch.tensor([[0.0, 2.0]], dtype=torch.float64)}), theta, grads[:1])[0]
+    for key, value in theta.items():
+        assert torch.equal(moved[key][0], value[0])
+        torch.testing.assert_close(moved[key][1], value[1] - 2 * grads[0][key][1])
+
+
+def test_rules_do_not_mix_tasks(theta: Params, grads: list[Params]) -> None:
+    """Tensor by tensor, another task beside it changes nothing."""
+    for rule in (fixed_adam(Adam(1e-2), theta, STEPS), sgd({"rate": torch.full((1,), 0.1, dtype=torch.float64)})):
+        both = run(rule, theta, grads)[-1]
+        for task in (0, 1):
+            own = {key: value[task : task + 1] for key, value in theta.items()}
+            alone = run(rule, own, [{key: value[task : task + 1] for key, value in grad.items()} for grad in grads])[-1]
+            for key, value in alone.items():
+                assert torch.equal(both[key][task : task + 1], value)
+
+
+def test_adam_moves_dead_weights_nowhere(theta: Params) -> None:
+    zero: list[dict[str, Tensor]] = [{key: torch.zeros_like(value) for key, value in theta.items()}] * 3
+    for key, value in run(fixed_adam(dataclasses.replace(Adam(1e-2), beta1=0.5), theta, 3), theta, zero)[-1].items():
+        assert torch.equal(value, theta[key])

@@ -1,0 +1,194 @@
+"""Each part by itself: closed forms, and that it changes nothing before it has learned."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+from torch import Generator
+
+from metapp.apps.brdf import APP
+from metapp.learning.adjoint import at_step
+from metapp.learning.learn import spread
+from metapp.learning.recipe import Adam
+from metapp.learning.rules import META_EPS, PARTS, fixed_adam, rule_of, sgd
+from metapp.learning.rules.average import Average, averaging
+from metapp.learning.rules.basis import Basis
+from metapp.learning.rules.part import Part, Seen
+from metapp.learning.task import Params
+from tests.learning.rules.steps import STEPS, assert_equal, assert_same, one_task, run
+
+FIRST = Adam(5e-3, 0.8, 0.99, eps=1e-3, final=0.1)
+BASIS = Basis()
+
+
+def path_of(name: str, theta: Params, grads: list[Params], changes: Params | None = None) -> list[Params]:
+    """The parameters of one task after each step by a composition, as it is at first but for some changes."""
+    rule, start = rule_of(name), one_task(theta)
+    alpha = rule.alpha(APP, start, len(grads), FIRST) | (changes or {})
+    return run(rule.rule(alpha), start, [one_task(grad) for grad in grads])
+
+
+def test_a_part_that_says_nothing_changes_nothing(theta: Params) -> None:
+    part, alpha = Part(), {"rate": torch.ones(3)}
+    assert part.refusal(APP, theta) == ""
+    assert part.initial(APP, theta, 5, FIRST) == part.state(alpha, theta) == part.gather(alpha, theta) == {}
+    assert part.gradients(alpha, theta) is part.updates(alpha, theta) is theta
+    assert part.directions(alpha, theta, {}) == (theta, {})
+    assert part.moved(alpha, theta, Seen(theta, theta, theta), {}) == (theta, {})
+    assert part.for_steps(alpha, 7) is part.settle(alpha, {}) is alpha
+
+
+@pytest.mark.parametrize(
+    "part", [part for part in PARTS.values() if part.name != "network"], ids=lambda part: part.name
+)
+def test_hyperparameters_are_for_all_steps_or_for_each(part: Part, theta: Params) -> None:
+    for steps in (1, 5):
+        for key, value in part.initial(APP, one_task(theta), steps, FIRST).items():
+            assert len(value) in (1, steps), key
+            value += 0  # of memory of its own, which training may write to
+
+
+# What changes nothing before it has learned
+
+
+@pytest.mark.parametrize("base", ["adam", "tied+betas+eps", "sgd"])
+@pytest.mark.parametrize("part", ["loss", "curvature", "basis"])
+def test_at_first_a_part_changes_nothing(part: str, base: str, theta: Params, grads: list[Params]) -> None:
+    assert_equal(path_of(f"{base}+{part}", theta, grads), path_of(base, theta, grads))
+
+
+@pytest.mark.parametrize("base", ["adam", "sgd"])
+def test_the_average_of_one_step_is_its_result(base: str, theta: Params, grads: list[Params]) -> None:
+    assert_equal(path_of(f"{base}+average", theta, grads[:1]), path_of(base, theta, grads[:1]))
+
+
+@pytest.mark.parametrize("base", ["rates+betas", "shared+pace+betas"])
+def test_rates_and_betas_are_adam(base: str, theta: Params, grads: list[Params]) -> None:
+    settings = Adam(FIRST.rate, FIRST.beta1, FIRST.beta2, META_EPS, FIRST.final)
+    plain = fixed_adam(settings, one_task(theta), STEPS)
+    assert_same(path_of(base, theta, grads), run(plain, one_task(theta), [one_task(grad) for grad in grads]))
+
+
+def test_shared_rates_without_a_pace_stay_at_the_first(theta: Params, grads: list[Params]) -> None:
+    settings = Adam(FIRST.rate, FIRST.beta1, FIRST.beta2, META_EPS)
+    plain = fixed_adam(settings, one_task(theta), STEPS)
+    assert_same(path_of("shared+betas", theta, grads), run(plain, one_task(theta), [one_task(grad) for grad in grads]))
+
+
+# Closed forms
+
+
+def test_signed_rates_are_sgd(theta: Params, grads: list[Params], rng: Generator) -> None:
+    rates = {
+        f"rate.{key}": torch.randn(1, *value.shape, generator=rng).double() for key, value in one_task(theta).items()
+    }
+    plain = run(sgd(rates), one_task(theta), [one_task(grad) for grad in grads])
+    assert_equal(path_of("sgd", theta, grads, rates), plain)
+
+
+def test_without_moments_rates_are_of_the_gradient(theta: Params, grads: list[Params]) -> None:
+    rates = {f"rate.{key}": torch.full((1, *value.shape[1:]), math.log(0.3)).double() for key, value in theta.items()}
+    after = path_of("shared", theta, grads[:1], rates)[0]
+    for key, value in one_task(theta).items():
+        torch.testing.assert_close(after[key], value - 0.3 * grads[0][key][0])
+
+
+def test_betas_may_differ_from_step_to_step(theta: Params, grads: list[Params]) -> None:
+    """Two steps by hand: a moment is a mean with weights that add up to 1 once divided by 1 - beta(1) beta(2)."""
+    (b1, b2), (c1, c2), rate = (0.9, 0.4), (0.99, 0.8), 0.1
+    changes = {
+        "beta1": torch.logit(torch.tensor([b1, b2], dtype=torch.float64)),
+        "beta2": torch.logit(torch.tensor([c1, c2], dtype=torch.float64)),
+    } | {f"rate.{key}": torch.full((1, *value.shape[1:]), math.log(rate)).double() for key, value in theta.items()}
+    first, second = path_of("shared+betas", theta, grads[1:3], changes)
+    for key in theta:
+        g, h = grads[1][key][0], grads[2][key][0]
+        mean = (b2 * (1 - b1) * g + (1 - b2) * h) / (1 - b1 * b2)
+        square = (c2 * (1 - c1) * g * g + (1 - c2) * h * h) / (1 - c1 * c2)
+        torch.testing.assert_close(first[key] - second[key], rate * mean / ((square + 1e-24).sqrt() + META_EPS))
+
+
+def test_eps_divides_small_gradients(theta: Params, grads: list[Params]) -> None:
+    """Adam's first direction is g / (|g| + eps)."""
+    (after,) = path_of("adam+eps", theta, grads[:1], {"eps": torch.tensor([math.log(0.02)], dtype=torch.float64)})
+    for key, value in one_task(theta).items():
+        grad = grads[0][key][0]
+        torch.testing.assert_close(value - after[key], FIRST.rate * grad / (grad.abs() + 0.02), rtol=1e-5, atol=1e-12)
+
+
+def test_curvature_is_of_axes_that_have_more_than_one_entry(theta: Params) -> None:
+    alpha = PARTS["curvature"].initial(APP, one_task(theta), 3, FIRST)
+    assert {key: tuple(value.shape) for key, value in alpha.items() if key.endswith((".w1", ".b1"))} == {
+        "left.w1": (3, 21, 21),
+        "right.w1": (3, 6, 6),
+        "left.b1": (3, 21, 21),
+    }
+
+
+def test_plain_descent_is_the_same_in_all_bases(theta: Params, grads: list[Params], rng: Generator) -> None:
+    """Where all weights have one rate: a turned gradient, turned back, is the gradient."""
+    start = one_task(theta)
+    bases = {
+        key: torch.linalg.qr(torch.randn(value.shape, generator=rng).double()).Q
+        for key, value in BASIS.initial(APP, start, 1, FIRST).items()
+    }
+    for there, plain in zip(path_of("sgd+basis", theta, grads, bases), path_of("sgd", theta, grads), strict=True):
+        for key, value in plain.items():
+            torch.testing.assert_close(there[key], value)
+    turned = path_of("adam+basis", theta, grads, bases)[0]
+    assert not torch.allclose(turned["w2"], path_of("adam", theta, grads)[0]["w2"])  # as Adam's is not
+
+
+@pytest.mark.parametrize("steps", [1, 4, 30])
+def test_averaging_weighs_the_last_steps_alike(steps: int) -> None:
+    """A running mean whose weights are 1, 1/2, 1/3, ... over the last 40 % of the steps."""
+    weights = averaging(steps)
+    count = max(steps - round(0.6 * steps), 1)
+    assert weights["mean"].tolist() == pytest.approx([1.0] * (steps - count) + [1 / (1 + i) for i in range(count)])
+    assert weights["answer"].tolist() == [0.0] * (steps - 1) + [1.0]
+
+
+def test_averaging_is_over_the_last_of_the_steps_of_a_fit() -> None:
+    alpha = Average().for_steps(averaging(20) | {"beta1": torch.ones(20)}, 5)
+    assert alpha.keys() == {"mean", "answer", "beta1"}
+    for key, value in averaging(5).items():
+        assert torch.equal(alpha[key], value)
+    assert len(alpha["beta1"]) == 20
+
+
+def test_a_rule_without_averaging_is_the_same_for_all_numbers_of_steps(theta: Params) -> None:
+    rule = rule_of("meta-curvature")
+    alpha = rule.alpha(APP, one_task(theta), 5, FIRST)
+    assert rule.for_steps(alpha, 9) is alpha
+
+
+# Taken from gradients
+
+
+def test_bases_are_turned_to_the_axes_of_gradients(rng: Generator) -> None:
+    """Gradients that are alike but for a rotation of their rows and columns become diagonal."""
+    rows, columns = (torch.linalg.qr(torch.randn(n, n, generator=rng, dtype=torch.float64)).Q for n in (4, 3))
+    cores = torch.zeros(50, 4, 3).double()
+    for i in range(3):
+        cores[:, i, i] = torch.randn(50, generator=rng).double() * (i + 1)
+    alpha = {"out.w": torch.eye(4).double()[None], "in.w": torch.eye(3).double()[None], "pace.w": torch.zeros(1)}
+    gradients = {"w": rows @ cores @ columns.mT, "b": torch.ones(50, 4)}
+    turned = BASIS.settle(alpha, BASIS.gather(alpha, gradients))
+    assert turned.keys() == alpha.keys()
+    for name in ("out.w", "in.w"):
+        basis = turned[name][0]
+        torch.testing.assert_close(basis @ basis.mT, torch.eye(len(basis)).double())
+    own = spread(turned, 50, 1)
+    inside = BASIS.gradients(at_step(own, 0), gradients)["w"]
+    assert ((inside.abs() > 1e-9).sum((1, 2)) <= 3).all()  # one entry a row and column
+    torch.testing.assert_close(BASIS.updates(at_step(own, 0), {"w": inside})["w"], gradients["w"])
+
+
+def test_second_moments_weigh_tasks_alike(rng: Generator) -> None:
+    alpha = {"out.w": torch.eye(2)[None], "in.w": torch.eye(3)[None]}
+    gradient = torch.randn(5, 2, 3, 3, 3, generator=rng)
+    scaled = gradient * torch.tensor([1e-3, 1.0, 1e3, 5.0, 1e-9]).reshape(-1, 1, 1, 1, 1)
+    assert_same([BASIS.gather(alpha, {"w": gradient})], [BASIS.gather(alpha, {"w": scaled})])
+    assert float(BASIS.gather(alpha, {"w": gradient})["out.w"].trace()) == pytest.approx(5)
