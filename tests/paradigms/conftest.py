@@ -7,7 +7,8 @@ import pytest
 from metapp.apps import app_names, load_app
 from metapp.learning.app import App, stack
 from metapp.learning.task import Task, Tasks
-from metapp.paradigms import Job, prepare
+from metapp.paradigms import Job
+from metapp.paradigms import training as prepare
 from tests.paradigms.small import SMALL, small_recipe
 
 

@@ -13,7 +13,8 @@ import torch
 from metapp.learning.learn import MetaParameters
 from metapp.learning.recipe import Adam
 from metapp.learning.task import Tasks
-from metapp.paradigms import Job, paradigms, prepare
+from metapp.paradigms import Job, paradigms
+from metapp.paradigms import training as prepare
 from metapp.paradigms.training import Interrupted, Prepared, split_validation, tune_quickft, validation_error
 from tests.paradigms.small import UNLIKE, rng, start_for
 

@@ -15,7 +15,8 @@ import torch
 
 from metapp.learning.learn import MetaParameters
 from metapp.learning.task import Tasks
-from metapp.paradigms import Job, paradigms, prepare
+from metapp.paradigms import Job, paradigms
+from metapp.paradigms import training as prepare
 from metapp.paradigms.resuming import Interrupted, Prepared, Reached
 from metapp.storage.records import save_start
 from metapp.storage.training_checkpoint import TrainingCheckpoint

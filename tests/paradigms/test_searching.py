@@ -15,7 +15,8 @@ from metapp.learning.learn import MetaParameters
 from metapp.learning.recipe import Adam
 from metapp.learning.rules import RULES
 from metapp.learning.task import Tasks
-from metapp.paradigms import Job, Paradigm, prepare
+from metapp.paradigms import Job, Paradigm
+from metapp.paradigms import training as prepare
 from metapp.paradigms.quickft import adam_of
 from metapp.paradigms.training import Interrupted, Prepared, tune_quickft
 from tests.paradigms.small import rng
