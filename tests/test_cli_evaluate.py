@@ -22,18 +22,18 @@ import torch
 from metapp.appearance.sphere import environment_scene, shade_sphere
 from metapp.apps import load_app
 from metapp.apps.brdf import APP
-from metapp.cli import session
 from metapp.cli.evaluate import find_subjects
 from metapp.cli.show import rich_table
+from metapp.experiments import session
 from metapp.experiments.figures import FIGURES
 from metapp.experiments.figures.rates import step_sizes
 from metapp.experiments.report.html import EMBEDDED, Pictures, identifier
+from metapp.experiments.reporter import duration
 from metapp.experiments.session import Options, find_device, threads_of
 from metapp.experiments.tables import NAMES, blank, load_table, paper
 from metapp.experiments.tables.ablation import RULE_ALONE, START_ALONE, combined, same_start
 from metapp.experiments.tables.convergence import steps_needed
 from metapp.experiments.tables.image import image_cell
-from metapp.experiments.reporter import duration
 from metapp.experiments.tables.running import Clock, run_cells
 from metapp.experiments.tables.statistics import (
     Paired,
@@ -308,7 +308,7 @@ def test_a_terminal_shows_as_many_columns_as_it_has_room_for(
 ) -> None:
     from rich.console import Console
 
-    monkeypatch.setattr("metapp.experiments.tables.formats.out", Console(width=width))
+    monkeypatch.setattr("metapp.cli.show.out", Console(width=width))
     for name in NAMES:
         table, found = load_table(name), rows(subject, name)
         if not found:
