@@ -18,20 +18,20 @@ def eager(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(prepare, "can_compile", lambda: False)
 
 
-@pytest.fixture(scope="module", params=app_names())
+@pytest.fixture(scope="session", params=app_names())
 def app(request: pytest.FixtureRequest) -> App:
     app = load_app(request.param)
     assert app.name in SMALL, f"{app.name}: no small tasks for its contract; add a line to SMALL."
     return app.at(small_recipe(app))
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def sources(app: App) -> list[Task]:
     """What tasks are before an application prepares them."""
     return SMALL[app.name].tasks()
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def tasks(request: pytest.FixtureRequest, app: App, sources: list[Task]) -> Tasks:
     if app.name == "illumination":
         request.getfixturevalue("shared_scene")

@@ -15,7 +15,7 @@ from data_tools.synthetic.brdf import synthetic_materials
 from metapp.appearance.flash import Maps, normal_from_height, pack
 from metapp.appearance.latlong import directions, mean_luminance
 from metapp.appearance.photograph import photograph
-from metapp.apps import illumination, svbrdf_nonstationary, transport
+from metapp.apps import app_names, illumination, load_app, svbrdf_nonstationary, transport
 from metapp.apps.transport.flow import Flow
 from metapp.learning.app import App
 from metapp.learning.learn import MetaParameters
@@ -29,6 +29,9 @@ from metapp.paradigms import Job, Paradigm
 COUNT = 12
 # rules that differ in more than the start that recipes give them
 UNLIKE = sorted({rule: name for name, rule in reversed(RULES.items())}.values())
+OWN_RULES = {name: load_app(name).recipes["quick"].rule for name in app_names()}
+# each application with its own rule, and each other rule on the fastest application, instead of all with all
+PAIRS = [*OWN_RULES.items(), *(("brdf", rule) for rule in UNLIKE if rule not in OWN_RULES.values())]
 
 
 class Small(NamedTuple):

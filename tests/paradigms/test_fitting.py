@@ -16,7 +16,7 @@ from metapp.learning.rules import RULES, fixed_adam
 from metapp.learning.task import Batch, Params, Task, Tasks
 from metapp.paradigms import Job, paradigms
 from metapp.paradigms.quickft import to_alpha
-from tests.paradigms.small import UNLIKE, rng, start_for, untrained
+from tests.paradigms.small import PAIRS, rng, start_for, untrained
 
 # Fitting
 
@@ -60,7 +60,7 @@ def test_the_five_paradigms(job: Job) -> None:
     assert {paradigm.count(job._replace(steps=7)) for paradigm in table.values()} == {7}
 
 
-@pytest.mark.parametrize("rule", UNLIKE)
+@pytest.mark.parametrize(("app", "rule"), PAIRS, indirect=["app"])
 def test_meta_fits_by_every_rule(rule: str, job: Job, tasks: Tasks) -> None:
     job = job._replace(rule=rule)
     start = start_for(paradigms()["meta"], job)
@@ -124,11 +124,10 @@ def test_quickft_takes_the_tuned_adam(job: Job, tasks: Tasks) -> None:
         torch.testing.assert_close(tuned.alpha[key], value)
 
 
+@pytest.mark.parametrize("app", ["texture"], indirect=True)
 @pytest.mark.parametrize("steps", [5, 30])
 def test_a_mean_is_over_the_last_of_the_steps_there_are(steps: int, job: Job, tasks: Tasks) -> None:
     """A rule that was prepared for fewer or more steps takes no other mean than one prepared for these."""
-    if job.app.name != "texture":
-        pytest.skip("one application will do")
     job = job._replace(rule="meta-mean")
     single = {key: value[0] for key, value in job.app.init(rng(), 1).items()}
     fits = []
