@@ -220,3 +220,13 @@ def neural_fits(tmp_path_factory: pytest.TempPathFactory) -> Callable[[int], Pat
         return folder
 
     return write
+
+
+@pytest.fixture(scope="session")
+def ten_materials(neural_fits: Callable[[int], Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A data set of ten small materials, eight of them for training; for tests to copy, not to write to."""
+    from metapp.cli.commands import app
+
+    folder = tmp_path_factory.mktemp("data") / "materials"
+    app(["data", "nbrdf", str(neural_fits(10)), "--out", str(folder), "--samples", "512"], standalone_mode=False)
+    return folder

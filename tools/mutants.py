@@ -2,6 +2,7 @@
 
     python tools/mutants.py                         a sample of 200 of all files below
     python tools/mutants.py --count 0 adjoint       all mutants of the files whose path contains "adjoint"
+    python tools/mutants.py --minutes 10            as many as 10 minutes allow; each prefix of a sample is a sample
 
 Every mutant runs in a forked process that already has torch, so that one costs what its tests cost.
 """
@@ -179,6 +180,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("words", nargs="*", help="parts of the paths of files to mutate; all without any")
     parser.add_argument("--count", type=int, default=200, help="size of the sample; 0 takes all mutants")
+    parser.add_argument("--minutes", type=float, default=60, help="after which no further mutant is tried")
     parser.add_argument("--seed", type=int, default=0, help="of the sample")
     options = parser.parse_args()
     os.chdir(ROOT)
@@ -189,11 +191,12 @@ def main() -> None:
     tests = sources(options.words)
     every = [mutant for path in tests for mutant in mutants_of(path)]
     count = min(options.count or len(every), len(every))
-    picked = sorted(random.Random(options.seed).sample(every, count), key=lambda mutant: (mutant.path, mutant.line))
     print(f"{count} of {len(every)} mutants, seed {options.seed}", flush=True)
     caught: dict[str, list[bool]] = {}
     began, limits = time.perf_counter(), {}
-    for mutant in picked:
+    for mutant in random.Random(options.seed).sample(every, count):
+        if time.perf_counter() - began > 60 * options.minutes:
+            break
         if mutant.path not in limits:
             passed, seconds = run_tests(tests[mutant.path], None, 3600)
             if not passed:
@@ -203,7 +206,7 @@ def main() -> None:
         caught.setdefault(mutant.path, []).append(not survived)
         if survived:
             print(f"survived  {mutant.path}:{mutant.line}  {mutant.change}", flush=True)
-    for path, each in caught.items():
+    for path, each in sorted(caught.items()):
         print(f"{sum(each):4d} of {len(each):4d} caught  {path}")
     total = [value for each in caught.values() for value in each]
     print(f"{sum(total):4d} of {len(total):4d} caught, {time.perf_counter() - began:.0f} s")
