@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import os
 import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -21,6 +22,10 @@ from metapp.appearance.flash import camera_distance
 from metapp.appearance.geometry import above_horizon
 from metapp.learning.recipe import Recipe, Training
 from metapp.rendering.second_scene import matrix_path
+
+# small networks run many times slower where threads of several workers fight over them; Mitsuba takes its two by itself
+os.environ.setdefault("OMP_NUM_THREADS", "1")  # of the commands that tests start
+torch.set_num_threads(int(os.environ["OMP_NUM_THREADS"]))
 
 
 class Result(NamedTuple):
