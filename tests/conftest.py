@@ -22,6 +22,7 @@ from metapp.appearance.flash import camera_distance
 from metapp.appearance.geometry import above_horizon
 from metapp.learning.recipe import Recipe, Training
 from metapp.rendering.second_scene import matrix_path
+from tests.small_spheres import shrink_spheres
 
 # small networks run many times slower where threads of several workers fight over them; Mitsuba takes its two by itself
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # of the commands that tests start
@@ -233,5 +234,13 @@ def ten_materials(neural_fits: Callable[[int], Path], tmp_path_factory: pytest.T
     from metapp.cli.commands import app
 
     folder = tmp_path_factory.mktemp("data") / "materials"
-    app(["data", "nbrdf", str(neural_fits(10)), "--out", str(folder), "--samples", "512"], standalone_mode=False)
+    with pytest.MonkeyPatch.context() as patch:
+        shrink_spheres(patch)
+        app(["data", "nbrdf", str(neural_fits(10)), "--out", str(folder), "--samples", "512"], standalone_mode=False)
     return folder
+
+
+@pytest.fixture
+def small_spheres(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Pictures of BRDFs of 16 px instead of 96, where what they show does not matter."""
+    shrink_spheres(monkeypatch)

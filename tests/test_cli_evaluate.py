@@ -42,6 +42,7 @@ from metapp.experiments.tables.trace import FURTHER, PARTS, looks, near, places,
 from metapp.learning.app import Fitted, stack
 from metapp.learning.task import Task
 from metapp.storage.records import RunFolder, read_records
+from tests.small_spheres import shrink_spheres
 
 KEYS = {"app", "paradigm", "error", "seconds", "tasks", "low", "high", "paper_error", "paper_seconds"}
 
@@ -84,6 +85,7 @@ def few() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setitem(APP.recipes, "quick", replace(APP.recipes["quick"], overfit_steps=40, finetune_steps=5))
         patch.setattr("metapp.experiments.tables.trace.FURTHER", (2, 4))
+        shrink_spheres(patch)
         yield
 
 

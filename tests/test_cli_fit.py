@@ -20,6 +20,7 @@ from metapp.storage.records import load_start, read_records
 
 FEW = ("--samples", "512")
 STEPS = ("--train", "--train-steps", "3")
+pytestmark = pytest.mark.usefixtures("small_spheres")
 
 
 @pytest.fixture(autouse=True)

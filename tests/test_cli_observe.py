@@ -30,6 +30,7 @@ from metapp.learning.task import Batch, Params, Task, Tasks
 from metapp.storage.records import load_start, read_records, summary
 
 STEPS = ("--train", "--train-steps", "2", "--quiet")
+pytestmark = pytest.mark.usefixtures("small_spheres")
 
 
 class Seen(Brdf):
