@@ -11,7 +11,7 @@ SEEDS ?= 0 1 2
 # small networks run many times slower where threads fight over them
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: help setup demo test test-slow lint types bench bench-photo tables figures report paper torture torture-quick real real-photos \
+.PHONY: help setup demo test test-slow lint types docs bench bench-photo tables figures report paper torture torture-quick real real-photos \
   real-illumination real-svbrdf starts-brdf starts-photos starts-illumination starts-svbrdf \
   starts-transport clean
 
@@ -45,6 +45,16 @@ lint: setup  ## ruff
 
 types: setup  ## mypy
 	$(VENV)/bin/mypy
+
+docs: $(VENV)/.docs  ## the pages of docs/ as a site: site/index.html
+	NO_MKDOCS_2_WARNING=1 $(VENV)/bin/mkdocs build --strict --quiet
+	@! grep -rlE '<(script|img|iframe|source)[^>]* src="https?:|<link[^>]* href="https?:|url\(.?https?:|@import' \
+	  site --include='*.html' --include='*.css' || { echo "docs: these pages load something from elsewhere" >&2; exit 1; }
+	@echo "docs: site/index.html"
+
+$(VENV)/.docs: $(VENV)/.ready
+	$(VENV)/bin/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[docs]'
+	@touch $@
 
 bench: setup  ## speed and memory of learning, as ratios measured side by side
 	$(VENV)/bin/python -m tests.benchmarks.bench_learning
@@ -120,5 +130,5 @@ starts-brdf: setup  ## train the starts that ship: make starts-brdf DATA=<folder
 	bash tools/starts_brdf.sh "$(METAPP)" "$(DATA)" "$(RUNS)"
 
 clean:  ## remove caches and the virtual environment; runs and trained starts stay
-	rm -rf $(VENV) build *.egg-info .pytest_cache .mypy_cache .ruff_cache
+	rm -rf $(VENV) build site *.egg-info .pytest_cache .mypy_cache .ruff_cache
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -1,3 +1,27 @@
-"""metapp: reproduce visual appearance by machine learning; see how the way of training decides speed and quality."""
+"""metapp: reproduce visual appearance by machine learning; see how the way of training decides speed and quality.
 
+import metapp
+
+fit = metapp.fit("brdf", "gold.binary")
+fit.error, fit.seconds, fit.parameters
+fit.save("gold.safetensors")
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from metapp.experiments.api import Fit, fit, fit_all
+
+__all__ = ["Fit", "__version__", "fit", "fit_all"]
 __version__ = "0.1.0"
+
+
+def __getattr__(name: str) -> Any:
+    """Import the API on first use, as torch takes a second or more to load."""
+    if name in ("Fit", "fit", "fit_all"):
+        from metapp.experiments import api
+
+        return getattr(api, name)
+    raise AttributeError(f"module 'metapp' has no attribute '{name}'")

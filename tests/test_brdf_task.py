@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 from data_tools.readers.brdf_task import UNITS, brdf_task
-from data_tools.readers.merl import SCALE, merl_centres, merl_index, merl_valid, tabulate
+from data_tools.readers.merl_table import SCALE, merl_centres, merl_index, merl_valid, tabulate
 from metapp.appearance.geometry import above_horizon
 from metapp.storage.shards import ShardWriter, check_shard
 

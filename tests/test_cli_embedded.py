@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import time
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from typer.testing import CliRunner
 
 from data_tools.readers.merl import read_merl
-from metapp.experiments.embedded import cache_folder, embedded_data, split_counts
+from metapp.cli.commands import app as cli
+from metapp.experiments.embedded import cache_folder, embedded_apps, embedded_data, embedded_module, split_counts
 from metapp.storage.manifest import read_manifest
 from metapp.storage.shards import check_shard, fingerprint
 
@@ -94,3 +97,11 @@ def test_an_unknown_application_is_an_error() -> None:
         embedded_data("glass")
     with pytest.raises(ValueError, match="brdf: 0 tasks, expected 1 or more"):
         embedded_data("brdf", count=0)
+
+
+def test_help_tells_how_many_tasks_a_set_has() -> None:
+    shown = " ".join(CliRunner().invoke(cli, ["data", "synth", "--help"], env={"COLUMNS": "200"}).stdout.split())
+    for app in embedded_apps():
+        counts = embedded_module(app).COUNTS
+        told = shown.partition(f" {app}: ")[2]
+        assert re.match(rf"[^:]*?; {counts['train']:,} \+ {counts['test']}\.", told), app

@@ -262,7 +262,6 @@ def refuse(result, code: int, *parts: str) -> None:
 def test_refuses_wrong_options(metapp: Callable, fit: Callable) -> None:
     refuse(metapp("meta", "brdfs"), 2, "brdfs", "expected one of brdf")
     refuse(fit("meta", "--rule", "meta-magic"), 2, "meta-magic", "meta-sgd")
-    refuse(fit("overfit", "--rule", "meta-sgd"), 2, "--rule")
     refuse(fit("meta", "--recipe", "slow"), 2, "slow", "quick")
     refuse(fit("meta", "--observe", "photo"), 2, "--observe")
     refuse(fit("meta", "--export", "blend"), 2, "blend", "nbrdf")
@@ -271,12 +270,19 @@ def test_refuses_wrong_options(metapp: Callable, fit: Callable) -> None:
     refuse(fit("meta", "--device", "tpu"), 2, "tpu", "cuda")
     refuse(fit("overfit", "--train"), 2, "needs no preparation")
     refuse(fit("meta", "--train-steps", "5"), 2, "--train")
-    refuse(fit("general", "--steps", "5"), 2, "--steps")
-    refuse(fit("overfit", "--checkpoint", "x"), 2, "--checkpoint")
     refuse(fit("overfit", "--seed", "-1"), 2, "--seed")
     refuse(metapp("evaluate", "brdf", "--which", "nothing"), 2, "nothing", "results")
     refuse(metapp("evaluate", "brdf", "--format", "word"), 2, "word", "markdown")
     refuse(metapp("evaluate", "brdf", "--recipe", "slow"), 2, "slow", "quick")
+
+
+def test_general_takes_no_steps_whatever_a_script_says(fit: Callable) -> None:
+    asked, plain = fit("general", "--steps", "5", "--rule", "meta-sgd", "--json"), fit("general", "--json")
+    assert "--steps: general takes none; the option is ignored." in asked.err
+    assert "--rule: only meta has learned rules; the option is ignored." in asked.err
+    assert asked.document["steps"] == 0
+    assert asked.document["out"] == plain.document["out"]
+    assert [task["error"] for task in asked.document["tasks"]] == [task["error"] for task in plain.document["tasks"]]
 
 
 def test_refuses_bad_input_files(fit: Callable, tmp_path: Path) -> None:

@@ -8,19 +8,14 @@ import torch
 
 from data_tools.readers.merl import (
     FILE_BYTES,
-    SCALE,
     find_merl,
-    merl_centres,
-    merl_evaluate,
-    merl_index,
-    merl_valid,
     read_merl,
     read_merl_planes,
     read_task,
-    tabulate,
     write_merl,
     write_merl_planes,
 )
+from data_tools.readers.merl_table import SCALE, merl_centres, merl_evaluate, merl_index, merl_valid, tabulate
 from metapp.appearance.geometry import above_horizon
 
 

@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 import torch
 
-from data_tools.readers.merl import SHAPE, read_task, write_merl_planes
+from data_tools.readers.merl import read_task, write_merl_planes
+from data_tools.readers.merl_table import SHAPE
 from data_tools.readers.nbrdf import SHAPES, write_nbrdf
 from data_tools.readers.nbrdf import read_task as read_network
 from data_tools.readers.plausibility import normal_albedo

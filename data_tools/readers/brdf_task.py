@@ -11,7 +11,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from data_tools.readers.merl import SHAPE, Array, merl_centres, merl_evaluate, merl_index, merl_valid
+from data_tools.readers.merl_table import SHAPE, Array, merl_centres, merl_evaluate, merl_index, merl_valid
 from metapp.appearance.geometry import above_horizon
 from metapp.appearance.sphere import environment_scene, reference_scene, shade_sphere
 from metapp.learning.task import Task

@@ -14,30 +14,25 @@ Source: Matusik et al. 2003, "A Data-Driven Reflectance Model", and the reader p
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
+from data_tools.readers.brdf_task import brdf_task
+from data_tools.readers.merl_table import SCALE, SHAPE, Array, merl_evaluate, tabulate
 from data_tools.readers.plausibility import warn_implausible
-from metapp.appearance.geometry import above_horizon
 from metapp.learning.task import Task
 from metapp.storage.files import write_atomically
 
-SHAPE = (90, 90, 180)
-SCALE = np.array([1.0, 1.15, 1.66]) / 1500.0
 FILE_BYTES = 12 + 8 * 3 * math.prod(SHAPE)
 
 _HEADER = np.array(SHAPE, dtype="<i4")
 _MIN_VALID = 0.01  # three quarters of the bins are above the horizon
 _ABOUT = f"{FILE_BYTES:,} (12-byte header + 3x90x90x180 doubles)"
-
-Array = NDArray[np.float64]
 
 
 def find_merl(paths: Iterable[str | Path]) -> tuple[list[Path], list[str]]:
@@ -102,8 +97,6 @@ def read_task(path: Path, samples: int = 65_536) -> Task:
     Raises:
         ValueError: as `read_merl`.
     """
-    from data_tools.readers.brdf_task import brdf_task  # it builds on this module
-
     table = read_merl(path)
     task = brdf_task(path.stem, table=table, samples=samples, source=path)
     warn_implausible(path, task, partial(merl_evaluate, table))
@@ -179,124 +172,6 @@ def write_merl(path: str | Path, table: Array) -> None:
     if table.shape != (*SHAPE, 3):
         raise ValueError(f"{path}: table {table.shape}, expected {(*SHAPE, 3)} to write.")
     write_merl_planes(path, np.stack([table[..., channel] / SCALE[channel] for channel in range(3)]))
-
-
-def merl_valid(table: Array) -> NDArray[np.bool_]:
-    """Which entries [90, 90, 180] of a table [90, 90, 180, 3] are valid: those with a channel that is not negative."""
-    return (table[..., 0] >= 0) | (table[..., 1] >= 0) | (table[..., 2] >= 0)
-
-
-def merl_centres() -> Tensor:
-    """Centres of all bins, where their values are taken to be measured.
-
-    Returns:
-        Angles (theta_h, theta_d, phi_d), float32 [90, 90, 180, 3] rad.
-    """
-    return torch.stack(torch.meshgrid(*(axis.float() for axis in _axes()), indexing="ij"), dim=-1)
-
-
-def merl_index(angles: Tensor) -> Tensor:
-    """The bin that angles fall into.
-
-    Args:
-        angles: (theta_h, theta_d, phi_d), [..., 3] rad; the thetas are clamped to 0..pi/2, and phi_d + pi is phi_d
-            (reciprocity).
-
-    Returns:
-        Flat index phi_d + 180 * (theta_d + 90 * theta_h), int64 [...].
-    """
-    bins = [position.floor().long().clamp(0, size - 1)
-            for position, size in zip(_positions(angles), SHAPE, strict=True)]  # fmt: skip
-    return (bins[0] * SHAPE[1] + bins[1]) * SHAPE[2] + bins[2]
-
-
-def merl_evaluate(table: Array | Tensor, angles: Tensor) -> Tensor:
-    """Interpolate a table between the centres of its bins, linearly in each angle.
-
-    Invalid entries are left out and the rest weighs more; where all eight are invalid the result is 0. phi_d is
-    periodic; beyond the outermost centres of theta_h and theta_d the outermost value holds.
-
-    Args:
-        table: [90, 90, 180, 3], linear RGB in 1/sr; invalid entries negative in all channels. float32 is fastest.
-        angles: (theta_h, theta_d, phi_d), [..., 3] rad.
-
-    Returns:
-        Reflectance [..., 3] in 1/sr, linear RGB, >= 0, of the type of the angles.
-    """
-    flat = torch.as_tensor(table, device=angles.device).reshape(-1, 3)
-    lower, upper, weight = [], [], []
-    for position, size, axis, angle in zip(_positions(angles), SHAPE, _axes(), angles.unbind(-1), strict=True):
-        if size == SHAPE[2]:
-            first = (position - 0.5).floor()
-            weight.append(position - 0.5 - first)
-            lower.append(first.long() % size)
-            upper.append((lower[-1] + 1) % size)
-        else:
-            first = (position - 0.5).floor().long().clamp(0, size - 2)
-            centres = axis.to(angles)
-            weight.append(((angle - centres[first]) / (centres[first + 1] - centres[first])).clamp(0, 1))
-            lower.append(first)
-            upper.append(first + 1)
-    total = angles.new_zeros(angles.shape)
-    weights = angles.new_zeros((*angles.shape[:-1], 1))
-    for corner in range(8):
-        index = torch.zeros_like(lower[0])
-        share = torch.ones_like(weight[0])
-        for dim, size in enumerate(SHAPE):
-            is_upper = corner >> dim & 1
-            index = index * size + (upper[dim] if is_upper else lower[dim])
-            share = share * (weight[dim] if is_upper else 1 - weight[dim])
-        value = flat[index].to(angles.dtype)
-        share = (share * (value >= 0).any(-1)).unsqueeze(-1)
-        total += share * value
-        weights += share
-    return (total / weights.clamp_min(1e-12)).clamp_min(0)
-
-
-def tabulate(evaluate: Callable[[Tensor], Tensor]) -> Array:
-    """Evaluate a BRDF at the centres of all bins.
-
-    Args:
-        evaluate: takes angles (theta_h, theta_d, phi_d), float32 [N, 3] rad, all above the horizon; returns
-            reflectance [N, 3] in 1/sr, linear RGB. Negative values become 0.
-
-    Returns:
-        The table [90, 90, 180, 3]; entries below the horizon are invalid (-1 in file units).
-
-    Raises:
-        ValueError: a result of another shape, or one that is not finite.
-    """
-    table = np.empty((*SHAPE, 3))
-    table[:] = -SCALE
-    # A few theta_h at a time: a network's hidden layers over all bins at once would take hundreds of megabytes.
-    for rows, angles in zip(np.array_split(table, 9), merl_centres().tensor_split(9), strict=True):
-        above = above_horizon(angles)
-        with torch.no_grad():
-            value = evaluate(angles[above])
-        if value.shape != angles[above].shape:
-            raise ValueError(
-                f"evaluate returned {tuple(value.shape)}, expected {tuple(angles[above].shape)}: RGB for each angle."
-            )
-        if not bool(torch.isfinite(value).all()):
-            raise ValueError("evaluate returned NaN or infinite values, expected finite reflectance in 1/sr.")
-        rows[above.numpy()] = value.clamp_min(0).double().cpu().numpy()
-    return table
-
-
-def _axes() -> tuple[Tensor, Tensor, Tensor]:
-    """Centres of the bins along theta_h, theta_d, phi_d: float64 rad."""
-    theta_h, theta_d, phi_d = ((torch.arange(size, dtype=torch.float64) + 0.5) / size for size in SHAPE)
-    return theta_h**2 * (math.pi / 2), theta_d * (math.pi / 2), phi_d * math.pi
-
-
-def _positions(angles: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Positions along the three axes in bins: bin i covers [i, i + 1)."""
-    theta_h, theta_d, phi_d = angles.unbind(-1)
-    return (
-        (theta_h.clamp_min(0) * (2 / math.pi)).sqrt() * SHAPE[0],
-        theta_d * (2 / math.pi * SHAPE[1]),
-        phi_d.remainder(math.pi) * (SHAPE[2] / math.pi),
-    )
 
 
 def _check_file(path: Path) -> None:

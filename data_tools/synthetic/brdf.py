@@ -18,7 +18,8 @@ from torch import Tensor
 
 from data_tools.readers.brdf_task import UNITS as UNITS
 from data_tools.readers.brdf_task import brdf_task
-from data_tools.readers.merl import tabulate, write_merl
+from data_tools.readers.merl import write_merl
+from data_tools.readers.merl_table import tabulate
 from data_tools.synthetic.brdf_models import (
     CONDUCTORS,
     Model,

@@ -95,7 +95,7 @@ def synth(
     svbrdf_stationary: flash photographs of 16 of these families, with relightings for the tests; 0.2 MB; 120 + 16.
 
     svbrdf_nonstationary: maps of patches of several materials, of 19 families such as inlays, rust, puddles, and their
-    flash photographs; 0.4 MB and 0.03 s each; 400 + 16.
+    flash photographs; 0.4 MB and 0.03 s each; 1,200 + 16.
 
     illumination: HDR environment maps of 16 families, outdoors and in, with photographs of spheres under them; 0.15 MB
     each; 900 + 16.

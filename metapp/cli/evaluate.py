@@ -23,7 +23,10 @@ def command(
     apps: Annotated[
         list[str] | None, typer.Argument(metavar="[APP]...", help="Applications; default: all there are.")
     ] = None,
-    table: Annotated[bool, typer.Option("--table", help="Print the table (the default).")] = True,
+    table: Annotated[
+        bool,
+        typer.Option("--table/--no-table", help="Print the tables, or only write figures and report."),
+    ] = True,
     which: Annotated[str, typer.Option(help=f"Which table: {', '.join((*NAMES, ALL))}.")] = "results",
     format_name: Annotated[str, typer.Option("--format", help=f"One of {', '.join(FORMATS)}.")] = "rich",
     no_run: Annotated[
@@ -58,7 +61,7 @@ def command(
     if format_name not in FORMATS:
         raise typer.BadParameter(f"--format '{format_name}': expected one of {', '.join(FORMATS)}.")
     from metapp.apps import app_names
-    from metapp.experiments.session import Options, check_protocol, check_recipe, check_rule, find_app, find_device
+    from metapp.experiments.session import check_protocol, find_app, options_of
     from metapp.experiments.tables.subject import absent
 
     found = [find_app(name) for name in apps or app_names()]
@@ -66,11 +69,20 @@ def command(
         check_protocol(observe, app)
     planned: list[Options] = []
     for app in found:
-        check_recipe(recipe, app)
         for protocol in (observe,) if observe and app.protocols else app.protocols or ("",):
-            of = app.at(app.recipes[recipe], protocol)
-            chosen, on = check_rule(rule, of, recipe), find_device(device, app)
-            planned.append(Options(of, recipe, chosen, None, data, out_folder, None, seed, on, quiet))
+            planned.append(
+                options_of(
+                    app.name,
+                    observe=protocol,
+                    rule=rule,
+                    recipe=recipe,
+                    data=data,
+                    out=out_folder,
+                    seed=seed,
+                    device=device,
+                    quiet=quiet,
+                )
+            )
     # all starts before the first fit: a missing one should not be found after an hour; applications that nobody named
     # have empty cells where a start is missing
     subjects = find_subjects(planned, run=not no_run, strict=bool(apps) and not no_run, share=overfit_share)
@@ -81,7 +93,8 @@ def command(
     fill(cells, run=not no_run, quiet=quiet)
     if not quiet and which in ("results", ALL):
         compare(subjects, quiet=quiet)
-    show(tables, subjects, missing, "json" if json else format_name)
+    if table or json:
+        show(tables, subjects, missing, "json" if json else format_name)
     if figures:
         from metapp.experiments.figures import write_figures
 

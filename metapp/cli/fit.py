@@ -79,35 +79,33 @@ def make_command(name: str, summary: str) -> Any:
     ) -> None:
         from metapp.experiments.export import check_export
         from metapp.experiments.run import run
-        from metapp.experiments.session import Options, check_protocol, check_recipe, check_rule, find_app, find_device
+        from metapp.experiments.session import options_of
 
-        found = find_app(app)
-        check_protocol(observe, found)
-        check_export(export, found)
-        if train_steps and not train:
-            raise typer.BadParameter("--train-steps: only with --train.")
-        if scene_root and not any(each.takes_roots for each in inputs_of(found.name)):
-            raise typer.BadParameter(f"--scene-root: {found.name} has no scenes, only transport; leave it out.")
-        if rule and name != "meta":
-            raise typer.BadParameter(f"--rule: only meta has learned rules, not {name}.")
-        if steps and name == "general":
-            raise typer.BadParameter("--steps: general takes none; finetune and quickft go on from it.")
-        if checkpoint and name == "overfit":
-            raise typer.BadParameter("--checkpoint: overfit starts at random; leave it out.")
-        check_recipe(recipe, found)
-        placed = found.at(found.recipes[recipe], observe)
-        options = Options(
-            app=placed,
+        options = options_of(
+            app,
+            observe=observe,
+            rule=rule,
             recipe=recipe,
-            rule=check_rule(rule, placed, recipe),
             steps=steps,
             data=data,
             out=out_folder,
             checkpoint=checkpoint,
             seed=seed,
-            device=find_device(device, found),
+            device=device,
             quiet=quiet,
         )
+        check_export(export, options.app)
+        if train_steps and not train:
+            raise typer.BadParameter("--train-steps: only with --train.")
+        if scene_root and not any(each.takes_roots for each in inputs_of(app)):
+            raise typer.BadParameter(f"--scene-root: {app} has no scenes, only transport; leave it out.")
+        for said, unused in (
+            ("--rule: only meta has learned rules", rule and name != "meta"),
+            ("--steps: general takes none", steps and name == "general"),
+            ("--checkpoint: overfit starts at random", checkpoint and name == "overfit"),
+        ):
+            if unused:  # scripts over all paradigms give all the same options
+                say(f"{said}; the option is ignored.")
         done = run(
             options,
             name,

@@ -92,7 +92,7 @@ def run(
         FloatingPointError: a fit is not finite.
     """
     paradigm = paradigms()[paradigm_name]
-    if options.steps == paradigm.steps(options.job.recipe):
+    if paradigm.steps(options.job.recipe) in (options.steps, 0):
         options = options._replace(steps=None)  # the recipe's own number is the recipe's own run
     make_folder(options.out)
     with threads(threads_of(options.app)):

@@ -43,6 +43,34 @@ class Options(NamedTuple):
         return Job(self.app, self.app.recipes[self.recipe], self.rule, self.steps)
 
 
+def options_of(
+    name: str,
+    *,
+    observe: str = "",
+    rule: str = "",
+    recipe: str = "quick",
+    steps: int | None = None,
+    data: Path | None = None,
+    out: Path = Path("runs"),
+    checkpoint: Path | None = None,
+    seed: int = 0,
+    device: str = "auto",
+    quiet: bool = False,
+) -> Options:
+    """Check what was asked for and put the application at its recipe and protocol.
+
+    Raises:
+        BadOption: something that the application does not have.
+        ValueError: no such device.
+    """
+    app = find_app(name)
+    check_protocol(observe, app)
+    check_recipe(recipe, app)
+    placed = app.at(app.recipes[recipe], observe)
+    chosen = check_rule(rule, placed, recipe)
+    return Options(placed, recipe, chosen, steps, data, out, checkpoint, seed, find_device(device, placed), quiet)
+
+
 class Start(NamedTuple):
     """A prepared start, where it came from and a digest of its file ("" where nothing is needed)."""
 

@@ -63,8 +63,9 @@ class Paradigm(NamedTuple):
         return learn(theta, self.rule(job, prepared, theta, steps), tasks, loss, steps=steps, rng=rng)
 
     def count(self, job: Job) -> int:
-        """The number of gradient steps of this job."""
-        return self.steps(job.recipe) if job.steps is None else job.steps
+        """Return the number of gradient steps of this job: 0 for General, whatever was asked for."""
+        usual = self.steps(job.recipe)
+        return usual if job.steps is None or usual == 0 else job.steps
 
 
 def paradigms() -> dict[str, Paradigm]:

@@ -100,7 +100,8 @@ def _merl_file(rng: random.Random, folder: Path) -> Path:
 def _read_merl(folder: Path, file: Path) -> None:
     import numpy as np
 
-    from data_tools.readers.merl import SHAPE, find_merl, read_merl
+    from data_tools.readers.merl import find_merl, read_merl
+    from data_tools.readers.merl_table import SHAPE
 
     find_merl([file])
     table = read_merl(file)

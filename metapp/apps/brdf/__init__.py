@@ -110,7 +110,7 @@ class Brdf(App):
     recipes = {"paper": PAPER, "quick": QUICK}  # noqa: RUF012  (never written to)
 
     def prepare(self, task: Task) -> dict[str, Tensor]:
-        """`samples` [N, 10]: half and difference vector, cos theta_i, log(1 + f cos theta_i)."""
+        """`where` [N, 7]: half and difference vector, cos theta_i; `target` [N, 3]: log(1 + f cos theta_i)."""
         angles, reflectance = task.data["angles"], task.data["reflectance"]
         cos = cos_incident(angles)[:, None]
         return {

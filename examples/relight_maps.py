@@ -1,0 +1,39 @@
+"""Relight the maps that a fit of an svBRDF left: relight_maps.py MAPS PICTURE.png
+
+MAPS is outputs/sign in the run folder of `metapp meta svbrdf_nonstationary sign.jpg --observe photo`: diffuse.png,
+specular.png, roughness.png, normal.png. The picture shows them under a light that moves from left to right.
+"""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import OpenImageIO as oiio
+import torch
+from torch import Tensor
+
+from metapp.appearance.colour import srgb_to_linear
+from metapp.appearance.flash import Maps, camera, expose, positions, render
+
+
+def read(file: Path) -> Tensor:
+    """Values [1, C, H, W] in [0, 1] of a PNG as they are stored."""
+    pixels = np.atleast_3d(oiio.ImageBuf(str(file)).get_pixels(oiio.FLOAT))
+    return torch.from_numpy(pixels).permute(2, 0, 1)[None]
+
+
+folder, picture = map(Path, sys.argv[1:])
+normal = 2 * read(folder / "normal.png") - 1
+maps = Maps(
+    diffuse=srgb_to_linear(read(folder / "diffuse.png")),
+    specular=srgb_to_linear(read(folder / "specular.png")),
+    roughness=read(folder / "roughness.png"),
+    normal=normal / normal.norm(dim=1, keepdim=True),
+)
+places, eye = positions(*normal.shape[-2:]), camera()
+lights = [torch.tensor([x, 0.5, 1.5]) for x in (-1.5, -0.5, 0.5, 1.5)]
+lit = torch.cat([expose(render(maps, places, light, eye))[0] for light in lights], 2)
+image = oiio.ImageBuf((255 * lit.permute(1, 2, 0) + 0.5).byte().contiguous().numpy())
+if not image.write(str(picture), "uint8"):
+    sys.exit(f"{picture}: not written ({image.geterror()})")
+print(f"{picture}: {len(lights)} pictures of {normal.shape[-1]} x {normal.shape[-2]} pixels, side by side")

@@ -1,0 +1,81 @@
+"""The Python API gives what the command line gives."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+import torch
+
+import metapp as api
+from metapp.storage.tensors import read_tensors
+
+
+@pytest.fixture
+def network(neural_fits: Callable[[int], Path]) -> Path:
+    """A folder with one small network."""
+    return next(iter(sorted(neural_fits(1).iterdir())))
+
+
+def test_a_fit_is_that_of_the_command(metapp: Callable, network: Path, tmp_path: Path) -> None:
+    told = metapp("meta", "brdf", network, "--out", tmp_path, "--json", "--quiet").document
+    fit = api.fit("brdf", network)
+    assert (fit.name, fit.error) == (told["tasks"][0]["name"], told["error"])
+    kept = read_tensors(next((Path(told["out"]) / "params").iterdir()))
+    assert kept.keys() == fit.parameters.keys()
+    assert all(torch.equal(kept[key], value) for key, value in fit.parameters.items())
+    assert fit.seconds > 0
+    assert fit.errors["error"] == fit.error
+    assert set(fit.pictures()) == {"reference", "fit"}
+
+
+def test_a_fit_is_saved_and_exported(network: Path, tmp_path: Path) -> None:
+    fit = api.fit("brdf", network, paradigm="general")
+    saved = read_tensors(fit.save(tmp_path / "below" / "a.safetensors"))
+    assert all(torch.equal(saved[key], value) for key, value in fit.parameters.items())
+    fit.export("nbrdf", tmp_path / "again")
+    again = api.fit("brdf", tmp_path / "again", paradigm="general")
+    assert again.name == "again"
+    with pytest.raises(ValueError, match=r"--export 'blend': brdf expects one of merl, nbrdf"):
+        fit.export("blend", tmp_path / "x")
+
+
+def test_options_are_those_of_the_command(network: Path) -> None:
+    one, two = (api.fit("brdf", network, steps=steps, rule="meta-adam") for steps in (1, 2))
+    assert one.error != two.error
+    with pytest.raises(ValueError, match="'brdfs' is not an application; expected one of brdf"):
+        api.fit("brdfs", network)
+    with pytest.raises(ValueError, match="paradigm 'magic': expected one of general"):
+        api.fit("brdf", network, paradigm="magic")
+    with pytest.raises(ValueError, match="--rule 'magic'"):
+        api.fit("brdf", network, rule="magic")
+
+
+def test_several_tasks(neural_fits: Callable[[int], Path]) -> None:
+    folder = neural_fits(2)
+    assert len(api.fit_all("brdf", [folder])) == 2
+    with pytest.raises(ValueError, match=r"2 tasks, expected one; take metapp\.fit_all"):
+        api.fit("brdf", folder)
+    with pytest.raises(ValueError, match="no such file or folder"):
+        api.fit("brdf", folder / "none")
+
+
+def test_nothing_is_printed_and_threads_stay(network: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    before = torch.get_num_threads()
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        api.fit("brdf", network)
+    assert capfd.readouterr() == ("", "")
+    assert torch.get_num_threads() == before
+
+
+def test_the_package_imports_at_once() -> None:
+    lines = "import sys, metapp\nprint({'torch', 'numpy', 'typer', 'rich'} & sys.modules.keys(), metapp.__version__)"
+    done = subprocess.run([sys.executable, "-c", lines], capture_output=True, text=True, check=True)
+    assert done.stdout.startswith("set()")
+    with pytest.raises(AttributeError, match="no attribute 'nothing'"):
+        _ = api.nothing

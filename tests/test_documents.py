@@ -1,0 +1,132 @@
+"""README and docs: links lead somewhere; commands, targets and examples that they name exist."""
+
+from __future__ import annotations
+
+import ast
+import configparser
+import re
+import shlex
+from pathlib import Path
+from typing import Any
+
+import pytest
+import typer
+
+from metapp.cli.commands import app as cli
+from metapp.learning.rules import RULES
+
+ROOT = Path(__file__).parent.parent
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
+LINK = re.compile(r"\]\(([^)\s]+)\)")
+CODE = re.compile(r"`([^`]+)`")
+METAPP = re.compile(r"metapp [a-z]")
+ANY_COMMAND = re.compile(r"metapp (?:data )?<")
+STANDS_FOR = re.compile(r"<[a-z]+>|\.\.\.|\b(?:NAME|APP|DIR)\b")  # what a reader puts in
+
+
+def names(pages: list[Path]) -> list[str]:
+    return [str(page.relative_to(ROOT)) for page in pages]
+
+
+def code_of(page: Path) -> list[str]:
+    """Lines of code blocks and inline code, without comments."""
+    text = page.read_text(encoding="utf-8")
+    blocks = re.findall(r"^```\w*\n(.*?)^```", text, re.DOTALL | re.MULTILINE)
+    prose = re.sub(r"^```.*?^```", "", text, flags=re.DOTALL | re.MULTILINE)
+    inline = [" ".join(code.split()) for code in CODE.findall(prose)]
+    lines = [line for block in blocks for line in block.splitlines()] + inline
+    return [re.sub(r"\s+#.*", "", line).strip() for line in lines]
+
+
+def anchor(heading: str) -> str:
+    """A heading's anchor, as mkdocs makes it."""
+    return re.sub(r"[-\s]+", "-", re.sub(r"[^\w\s-]", "", heading.lower()).strip())
+
+
+def anchors(page: Path) -> set[str]:
+    return {anchor(line.lstrip("#")) for line in page.read_text(encoding="utf-8").splitlines() if line.startswith("#")}
+
+
+@pytest.mark.parametrize("page", PAGES, ids=names(PAGES))
+def test_links_lead_somewhere(page: Path) -> None:
+    for link in LINK.findall(page.read_text(encoding="utf-8")):
+        path, _, part = link.partition("#")
+        if "://" not in link:
+            target = page.parent / path if path else page
+            assert target.exists(), link
+            assert not part or part in anchors(target), link
+
+
+def unknown_in(line: str) -> str:
+    """The first word of a `metapp` command that is no command, no option of it or no rule; "" where all are known."""
+    command: Any = typer.main.get_command(cli)
+    words = shlex.split(line)[1:]
+    while words and hasattr(command, "commands"):
+        if words[0] not in command.commands:
+            return words[0]
+        command = command.commands[words.pop(0)]
+    known = {option for parameter in command.params for option in (*parameter.opts, *parameter.secondary_opts)}
+    known |= {"--help", "-h"}
+    for i, word in enumerate(words):
+        if word.startswith("-") and word not in known:
+            return word
+        if word == "--rule" and "+" not in words[i + 1] and words[i + 1] not in RULES:
+            return words[i + 1]
+    return ""
+
+
+@pytest.mark.parametrize("page", PAGES, ids=names(PAGES))
+def test_commands_exist(page: Path) -> None:
+    for line in code_of(page):
+        if METAPP.match(line) and not ANY_COMMAND.match(line):
+            assert unknown_in(STANDS_FOR.sub("x", line)) == "", line
+
+
+def test_a_command_that_does_not_exist_is_found() -> None:
+    assert unknown_in("metapp fit brdf") == "fit"
+    assert unknown_in("metapp data merl x --colour") == "--colour"
+    assert unknown_in("metapp meta brdf --rule meta-best --train") == "meta-best"
+    assert unknown_in("metapp meta brdf a.binary --rule meta-sgd --json") == ""
+
+
+@pytest.mark.parametrize("page", PAGES, ids=names(PAGES))
+def test_targets_exist(page: Path) -> None:
+    targets = set(re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE))
+    for line in code_of(page):
+        if line.startswith("make "):
+            assert {word for word in line.split()[1:] if "=" not in word} <= targets, line
+
+
+def test_every_page_is_in_the_navigation() -> None:
+    listed = set(re.findall(r": ([\w/-]+\.md)$", (ROOT / "mkdocs.yml").read_text(encoding="utf-8"), re.MULTILINE))
+    assert listed == {str(page.relative_to(ROOT / "docs")) for page in PAGES if page.is_relative_to(ROOT / "docs")}
+
+
+def test_reference_pages_name_packages_that_exist() -> None:
+    for page in (ROOT / "docs" / "api").glob("*.md"):
+        for name in re.findall(r"^::: ([\w.]+)$", page.read_text(encoding="utf-8"), re.MULTILINE):
+            folder = ROOT.joinpath(*name.split("."))
+            assert (folder / "__init__.py").is_file() or folder.with_suffix(".py").is_file(), name
+
+
+def test_readme_is_one_screen_and_has_a_command_of_every_application() -> None:
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    assert len(readme.splitlines()) <= 120
+    for application in (ROOT / "metapp" / "apps").iterdir():
+        if (application / "__init__.py").is_file():
+            assert f"metapp meta {application.name} " in readme
+
+
+def test_examples_are_described_and_parse() -> None:
+    described = (ROOT / "docs" / "api" / "index.md").read_text(encoding="utf-8")
+    for example in (ROOT / "examples").glob("*.py"):
+        assert f"`{example.name} " in described
+        assert f"{example.name} " in (ast.get_docstring(ast.parse(example.read_text(encoding="utf-8"))) or "")
+
+
+def test_what_builds_the_pages_is_pinned() -> None:
+    setup = configparser.ConfigParser()
+    setup.read(ROOT / "setup.cfg")
+    pinned = (ROOT / "constraints.txt").read_text(encoding="utf-8")
+    for requirement in setup["options.extras_require"]["docs"].split():
+        assert f"{requirement.partition('>=')[0]}==" in pinned

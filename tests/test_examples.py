@@ -1,0 +1,49 @@
+"""The scripts in examples/ run."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import OpenImageIO as oiio
+
+EXAMPLES = Path(__file__).parent.parent / "examples"
+
+
+def run(script: str, *arguments: str | Path) -> str:
+    """What an example prints."""
+    done = subprocess.run(
+        [sys.executable, EXAMPLES / script, *arguments], capture_output=True, text=True, check=False, timeout=300
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stderr == ""
+    return done.stdout
+
+
+def test_fit_brdf(neural_fits: Callable[[int], Path], tmp_path: Path) -> None:
+    said = run("fit_brdf.py", next(neural_fits(1).iterdir()), tmp_path / "a.safetensors")
+    assert said.startswith("error x100 ")
+    assert said.count("1/sr") == 3
+    assert said.splitlines()[-1].endswith("675 weights")
+    assert (tmp_path / "a.safetensors").is_file()
+
+
+def test_compare_paradigms(neural_fits: Callable[[int], Path]) -> None:
+    rows = [line.split() for line in run("compare_paradigms.py", next(neural_fits(1).iterdir())).splitlines()[1:]]
+    assert [row[0] for row in rows] == ["general", "quickft", "meta", "finetune", "overfit"]
+    error = {name: float(value) for name, value, _ in rows}
+    assert max(error["finetune"], error["overfit"]) < error["meta"] < error["general"]
+
+
+def test_relight_maps(tmp_path: Path) -> None:
+    values = {"diffuse": (0.5, 0.4, 0.3), "specular": (0.1, 0.1, 0.1), "normal": (0.5, 0.5, 1.0), "roughness": (0.4,)}
+    for name, colour in values.items():
+        pixels = np.broadcast_to(np.array(colour, np.float32), (16, 16, len(colour)))
+        assert oiio.ImageBuf(np.ascontiguousarray(pixels)).write(str(tmp_path / f"{name}.png"), "uint8")
+    assert "4 pictures of 16 x 16 pixels" in run("relight_maps.py", tmp_path, tmp_path / "lit.png")
+    lit = oiio.ImageBuf(str(tmp_path / "lit.png")).get_pixels(oiio.FLOAT)
+    assert lit.shape == (16, 64, 3)
+    assert 0.01 < lit.mean() < 1
