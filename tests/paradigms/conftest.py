@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+
 import pytest
 
 from metapp.apps import app_names, load_app
@@ -25,17 +27,28 @@ def app(request: pytest.FixtureRequest) -> App:
     return app.at(small_recipe(app))
 
 
+@functools.cache  # a fixture is made anew for every test that names its application
+def sources_of(name: str) -> list[Task]:
+    return SMALL[name].tasks()
+
+
+@functools.cache
+def tasks_of(name: str) -> Tasks:
+    app = load_app(name)
+    return stack(app.at(small_recipe(app)), sources_of(name))
+
+
 @pytest.fixture(scope="session")
 def sources(app: App) -> list[Task]:
     """What tasks are before an application prepares them."""
-    return SMALL[app.name].tasks()
+    return sources_of(app.name)
 
 
 @pytest.fixture(scope="session")
-def tasks(request: pytest.FixtureRequest, app: App, sources: list[Task]) -> Tasks:
+def tasks(request: pytest.FixtureRequest, app: App) -> Tasks:
     if app.name == "illumination":
         request.getfixturevalue("shared_scene")
-    return stack(app, sources)
+    return tasks_of(app.name)
 
 
 @pytest.fixture(autouse=True)

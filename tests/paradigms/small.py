@@ -128,7 +128,7 @@ def small_recipe(app: App) -> Recipe:
 
     def short(training: Training) -> Training:
         rates = training.rates if training.steps else {"": 1e-4, "alpha.out.": 0.0, "alpha.in.": 0.0}
-        return replace(training, steps=12, tasks=3, warmup=0, validate_every=4, rates=rates, tuned=False)
+        return replace(training, steps=6, tasks=3, warmup=0, validate_every=2, rates=rates, tuned=False)
 
     return replace(
         recipe,

@@ -148,7 +148,7 @@ def test_training_draws_from_its_own_generator_alone(job: Job, tasks: Tasks) -> 
 @pytest.fixture
 def cut(job: Job, tasks: Tasks, tmp_path: Path) -> Path:
     """A training checkpoint of a General."""
-    checkpoint = Cutting(tmp_path / "general.safetensors", after=7)
+    checkpoint = Cutting(tmp_path / "general.safetensors", after=4)
     with pytest.raises(Cut):
         run("general", job, tasks, checkpoint)
     return checkpoint.path
