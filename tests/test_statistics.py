@@ -118,6 +118,9 @@ def test_errors_that_are_logarithms_are_compared_by_differences() -> None:
 def test_there_is_no_ratio_to_errors_of_zero_and_none_without_common_tasks() -> None:
     assert compared([1.0] * 6, [0.0] * 6) is None
     assert compared([1.0] * 6, [-1.0] * 6) is None
+    one_is_exact = compared([1.0] * 12, [0.0, *[1.0] * 11])
+    assert one_is_exact
+    assert one_is_exact.value == pytest.approx(12 / 11)
     assert paired({"a": 1.0}, {"b": 1.0}, {"a": "a", "b": "b"}, logarithmic=False) is None
     entries = paired_entries("quickft", None)
     assert entries["vs_quickft"] is None
