@@ -496,7 +496,7 @@ def test_the_time_left_counts_pictures(tmp_path: Path, monkeypatch: pytest.Monke
     def progress(quiet: bool) -> Iterator[Any]:
         yield lambda note, spent, left: told.append((note.partition(",")[0], spent, left))
 
-    monkeypatch.setattr("metapp.experiments.tables.running._progress", progress)
+    monkeypatch.setattr("metapp.experiments.tables.running.shown_clock", progress)
 
     def taking(made: Cell, seconds: float) -> Cell:
         def measure(missing: list[Task]) -> Iterator[dict[str, Any]]:

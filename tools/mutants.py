@@ -29,7 +29,7 @@ TESTS = {
     "metapp/learning/adjoint.py": ["adjoint"],
     "metapp/learning/app.py": ["learning", "brdf"],
     "metapp/learning/learn.py": ["learning", "adjoint"],
-    "metapp/learning/task.py": ["learning", "brdf", "shards"],
+    "metapp/learning/task.py": ["task", "learning"],
     "metapp/learning/rules": ["rules", "learned_descent"],
     "metapp/appearance/colour.py": ["colour", "photos"],
     "metapp/appearance/features.py": ["features"],
