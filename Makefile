@@ -11,7 +11,7 @@ SEEDS ?= 0 1 2
 # small networks run many times slower where threads fight over them
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: help setup demo test test-slow lint types docs bench bench-photo tables figures report paper torture torture-quick real real-photos \
+.PHONY: help setup demo test test-slow mutants lint types docs bench bench-photo tables figures report paper torture torture-quick real real-photos \
   real-illumination real-svbrdf starts-brdf starts-photos starts-illumination starts-svbrdf \
   starts-transport clean
 
@@ -27,11 +27,14 @@ $(VENV)/.ready: setup.cfg pyproject.toml constraints.txt tools/setup.sh
 demo: setup  ## fit 20 unseen materials in 10 gradient steps each; table and picture
 	$(METAPP) meta brdf --steps 10 --out $(RUNS)
 
-test: setup  ## the tests on up to four cores, four to nine minutes on two
+test: setup  ## the tests on up to four cores, about five minutes on two
 	$(VENV)/bin/python -m pytest -m "not slow" -n auto --maxprocesses 4 --dist worksteal
 
 test-slow: setup  ## the tests that take minutes each
 	$(VENV)/bin/python -m pytest -m slow -o faulthandler_timeout=3600
+
+mutants: setup  ## changes of the source that no test catches: a sample of 200; an hour, docs/developers/testing.md
+	$(VENV)/bin/python tools/mutants.py
 
 torture: setup  ## attempts to break metapp: mutated files, kills, full disks; under 30 minutes, docs/reliability.md
 	$(VENV)/bin/python -m tests.torture

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import os
 import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -21,6 +22,11 @@ from metapp.appearance.flash import camera_distance
 from metapp.appearance.geometry import above_horizon
 from metapp.learning.recipe import Recipe, Training
 from metapp.rendering.second_scene import matrix_path
+from tests.small_spheres import shrink_spheres
+
+# small networks run many times slower where threads of several workers fight over them; Mitsuba takes its two by itself
+os.environ.setdefault("OMP_NUM_THREADS", "1")  # of the commands that tests start
+torch.set_num_threads(int(os.environ["OMP_NUM_THREADS"]))
 
 
 class Result(NamedTuple):
@@ -220,3 +226,21 @@ def neural_fits(tmp_path_factory: pytest.TempPathFactory) -> Callable[[int], Pat
         return folder
 
     return write
+
+
+@pytest.fixture(scope="session")
+def ten_materials(neural_fits: Callable[[int], Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A data set of ten small materials, eight of them for training; for tests to copy, not to write to."""
+    from metapp.cli.commands import app
+
+    folder = tmp_path_factory.mktemp("data") / "materials"
+    with pytest.MonkeyPatch.context() as patch:
+        shrink_spheres(patch)
+        app(["data", "nbrdf", str(neural_fits(10)), "--out", str(folder), "--samples", "512"], standalone_mode=False)
+    return folder
+
+
+@pytest.fixture
+def small_spheres(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Pictures of BRDFs of 16 px instead of 96, where what they show does not matter."""
+    shrink_spheres(monkeypatch)

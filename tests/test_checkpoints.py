@@ -95,7 +95,7 @@ def test_starts_of_pictures_say_what_they_are(name: str) -> None:
 @pytest.mark.parametrize("name", PICTURES)
 def test_few_steps_beat_none_on_unseen_pictures(name: str) -> None:
     app = load_app(name)
-    module = importlib.import_module(f"data_tools.synthetic_{name}")
+    module = importlib.import_module(f"data_tools.synthetic.{name}")
     tasks = stack(
         app, [task._replace(data={"image": task.data["image"]}) for task in module.synthetic_tasks("test", 8)]
     )
@@ -114,7 +114,7 @@ def test_few_steps_beat_none_on_unseen_pictures(name: str) -> None:
 @pytest.mark.usefixtures("vgg")
 @pytest.mark.parametrize("name", PICTURES)
 def test_a_photo_is_fitted_in_seconds_by_what_ships(name: str, metapp: Callable, tmp_path: Path) -> None:
-    module = importlib.import_module(f"data_tools.synthetic_{name}")
+    module = importlib.import_module(f"data_tools.synthetic.{name}")
     (task,) = module.synthetic_tasks("test", 1)
     photo = np.ascontiguousarray(task.data["image"].permute(1, 2, 0).numpy())
     oiio.ImageBuf(photo).write(str(tmp_path / "wall.png"))
@@ -160,7 +160,7 @@ def test_starts_by_protocol_say_what_they_are(name: str) -> None:
 @pytest.mark.parametrize("name", OBSERVED)
 def test_few_steps_beat_none_on_unseen_tasks(name: str, protocol: str) -> None:
     app, recipe = recipe_of(name, protocol)
-    module = importlib.import_module(f"data_tools.synthetic_{name}")
+    module = importlib.import_module(f"data_tools.synthetic.{name}")
     tasks = stack(app, list(module.synthetic_tasks("test", 16)))
     job = Job(app, recipe, recipe.rule)
     errors, losses = {}, {}

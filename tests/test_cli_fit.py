@@ -20,6 +20,7 @@ from metapp.storage.records import load_start, read_records
 
 FEW = ("--samples", "512")
 STEPS = ("--train", "--train-steps", "3")
+pytestmark = pytest.mark.usefixtures("small_spheres")
 
 
 @pytest.fixture(autouse=True)
@@ -37,10 +38,8 @@ def networks(neural_fits: Callable[[int], Path]) -> Path:
 
 
 @pytest.fixture
-def data(metapp: Callable, networks: Path, tmp_path: Path) -> Path:
-    folder = tmp_path / "materials"
-    assert metapp("data", "nbrdf", networks, "--out", folder, *FEW).code == 0
-    return folder
+def data(ten_materials: Path, tmp_path: Path) -> Path:
+    return shutil.copytree(ten_materials, tmp_path / "materials")
 
 
 @pytest.fixture

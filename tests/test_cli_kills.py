@@ -5,6 +5,7 @@ from __future__ import annotations
 import multiprocessing
 import os
 import random
+import shutil
 import signal
 import subprocess
 import sys
@@ -108,10 +109,9 @@ class Command(NamedTuple):
 
 
 @pytest.fixture
-def command(metapp: Callable, neural_fits: Callable[[int], Path], tmp_path: Path) -> Callable[..., Command]:
-    """Makes a command that trains on ten small networks, whose runs go to a folder of their own."""
-    data = tmp_path / "data"
-    assert metapp("data", "nbrdf", neural_fits(10), "--samples", "512", "--out", data, "--quiet").code == 0
+def command(ten_materials: Path, tmp_path: Path) -> Callable[..., Command]:
+    """Makes a command that trains on ten small materials, whose runs go to a folder of their own."""
+    data = shutil.copytree(ten_materials, tmp_path / "data")
 
     def make(out: str, paradigm: str = "quickft", steps: int = 150) -> Command:
         arguments = (paradigm, "brdf", "--data", data, "--train", "--train-steps", str(steps))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import shutil
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -31,6 +32,7 @@ from metapp.learning.task import Batch, Params, Task, Tasks
 from metapp.storage.records import load_start, read_records, summary
 
 STEPS = ("--train", "--train-steps", "2", "--quiet")
+pytestmark = pytest.mark.usefixtures("small_spheres")
 
 
 class Seen(Brdf):
@@ -99,11 +101,8 @@ def networks(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def data(metapp: Callable, networks: Path, tmp_path: Path) -> Path:
-    folder = tmp_path / "materials"
-    known = [networks / f"m{i}" for i in range(10)]
-    assert metapp("data", "nbrdf", *known, "--out", folder, "--samples", "512").code == 0
-    return folder
+def data(ten_materials: Path, tmp_path: Path) -> Path:
+    return shutil.copytree(ten_materials, tmp_path / "materials")
 
 
 @pytest.fixture

@@ -45,7 +45,7 @@ def photo(path: Path, seed: int = 0, side: int = 40) -> Path:
 
 @pytest.fixture(params=APPS)
 def app(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
-    """The applications, at a size that takes no time."""
+    """The applications, at a size that takes no time, with a search of two looks."""
     loaded = load_app(request.param)
     quick = loaded.recipes["quick"]
     outputs = quick.setup.network.outputs
@@ -54,6 +54,7 @@ def app(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
     general = replace(quick.general, steps=2, tasks=2)
     quick = replace(quick, setup=setup, steps=3, overfit_steps=3, general=general, meta=short)
     monkeypatch.setitem(loaded.recipes, "quick", quick)
+    monkeypatch.setattr("metapp.paradigms.training.SEARCHED", ([{"rate": 0.5}], [{"beta1": 0.3}]))
     return request.param
 
 

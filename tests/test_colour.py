@@ -4,7 +4,17 @@ from __future__ import annotations
 
 import torch
 
-from metapp.appearance.colour import linear_to_srgb, stretched, tone_map
+from metapp.appearance.colour import linear_to_srgb, srgb_to_linear, stretched, tone_map
+
+
+def test_srgb_is_the_standards() -> None:
+    """IEC 61966-2-1: 12.92 times the value up to 0.0031308, a power above, each the inverse of the other."""
+    linear = torch.tensor([0.0, 0.001, 0.003, 0.0031308, 0.2140411, 1.0], dtype=torch.float64)
+    display = torch.tensor([0.0, 0.01292, 0.03876, 0.0404499, 0.5, 1.0], dtype=torch.float64)
+    torch.testing.assert_close(linear_to_srgb(linear), display, atol=1e-6, rtol=0)
+    torch.testing.assert_close(srgb_to_linear(display), linear, atol=1e-6, rtol=0)
+    shades = torch.arange(256, dtype=torch.float64) / 255
+    torch.testing.assert_close(linear_to_srgb(srgb_to_linear(shades)), shades)
 
 
 def test_tone_map_keeps_order_and_any_radiance_displays() -> None:

@@ -12,6 +12,7 @@ from torch import Generator, Tensor
 
 from metapp.apps.brdf import APP
 from metapp.learning.adjoint import Drawn, Loss
+from metapp.learning.app import stack
 from metapp.learning.learn import (
     MetaParameters,
     after_encoding,
@@ -24,7 +25,7 @@ from metapp.learning.learn import (
 )
 from metapp.learning.recipe import Adam
 from metapp.learning.rules import RULES, fixed_adam, sgd
-from metapp.learning.task import Batch, Params, Tasks
+from metapp.learning.task import Batch, Params, Task, Tasks
 
 NAMES = ("brass", "chalk", "felt", "glass", "paper")
 
@@ -57,6 +58,13 @@ def materials(rng: Generator) -> Tasks:
     where = torch.rand(4, 64, 7, generator=rng, dtype=torch.float64)
     target = torch.rand(4, 64, 3, generator=rng, dtype=torch.float64)
     return Tasks(NAMES[:4], {"where": where, "target": target}, torch.arange(4))
+
+
+class Plain(type(APP)):  # type: ignore[misc]
+    """An application that takes tasks as they are."""
+
+    def prepare(self, task: Task) -> Params:
+        return task.data
 
 
 def zeros(tasks: Tasks) -> Params:
@@ -281,6 +289,14 @@ def test_flat_and_unflat_are_inverse() -> None:
     assert all(back.alpha[key] is value for key, value in start.alpha.items())
     assert MetaParameters().flat() == {}
     assert MetaParameters.unflat({}) == MetaParameters()
+
+
+def test_stacked_tasks_keep_what_they_show_together() -> None:
+    """A task without a group is a group of its own."""
+    data = {"angles": torch.rand(8, 3), "reflectance": torch.rand(8, 3)}
+    stacked = stack(Plain(), [Task("a", data, "wood"), Task("b", data, "wood"), Task("c", data)])
+    assert stacked.names == ("a", "b", "c")
+    assert stacked.groups == ("wood", "wood", "c")
 
 
 def test_spread_copies_nothing() -> None:

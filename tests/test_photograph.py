@@ -85,6 +85,19 @@ def test_furnace(roughness: float) -> None:
     torch.testing.assert_close(picture, mask.expand(3, 16, 16).float(), atol=1e-5, rtol=0)
 
 
+@pytest.mark.parametrize("specular", [0.04, 0.5])
+def test_gloss_rises_to_the_rim_by_schlick(specular: float) -> None:
+    """Under light of 1 from everywhere, a black body shows the share of its gloss alone: F + (1 - F) (1 - cos)^5."""
+    normals, mask = sphere_normals(32)
+    picture = shade(torch.ones(3, 64, 128), material(torch.zeros(3), specular, 0.54), 32)
+    expected = (specular + (1 - specular) * (1 - normals[2].double()) ** 5) * mask
+    torch.testing.assert_close(picture.double(), expected.expand(3, -1, -1), atol=1e-5, rtol=0)
+
+
+def test_without_gloss_there_is_none_at_the_rim_either() -> None:
+    assert not shade(torch.ones(3, 64, 128), material(torch.zeros(3), 0.0, 0.54), 32).any()
+
+
 def test_a_quarter_of_the_matrix_is_enough(rng: torch.Generator) -> None:
     light = draw_map(rng)
     normals, mask = sphere_normals(16)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+
 import pytest
 
 from metapp.apps import app_names, load_app
@@ -18,24 +20,35 @@ def eager(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(prepare, "can_compile", lambda: False)
 
 
-@pytest.fixture(scope="module", params=app_names())
+@pytest.fixture(scope="session", params=app_names())
 def app(request: pytest.FixtureRequest) -> App:
     app = load_app(request.param)
     assert app.name in SMALL, f"{app.name}: no small tasks for its contract; add a line to SMALL."
     return app.at(small_recipe(app))
 
 
-@pytest.fixture(scope="module")
+@functools.cache  # a fixture is made anew for every test that names its application
+def sources_of(name: str) -> list[Task]:
+    return SMALL[name].tasks()
+
+
+@functools.cache
+def tasks_of(name: str) -> Tasks:
+    app = load_app(name)
+    return stack(app.at(small_recipe(app)), sources_of(name))
+
+
+@pytest.fixture(scope="session")
 def sources(app: App) -> list[Task]:
     """What tasks are before an application prepares them."""
-    return SMALL[app.name].tasks()
+    return sources_of(app.name)
 
 
-@pytest.fixture(scope="module")
-def tasks(request: pytest.FixtureRequest, app: App, sources: list[Task]) -> Tasks:
+@pytest.fixture(scope="session")
+def tasks(request: pytest.FixtureRequest, app: App) -> Tasks:
     if app.name == "illumination":
         request.getfixturevalue("shared_scene")
-    return stack(app, sources)
+    return tasks_of(app.name)
 
 
 @pytest.fixture(autouse=True)

@@ -15,7 +15,7 @@ from data_tools.synthetic.brdf import synthetic_materials
 from metapp.appearance.flash import Maps, normal_from_height, pack
 from metapp.appearance.latlong import directions, mean_luminance
 from metapp.appearance.photograph import photograph
-from metapp.apps import illumination, svbrdf_nonstationary, transport
+from metapp.apps import app_names, illumination, load_app, svbrdf_nonstationary, transport
 from metapp.apps.transport.flow import Flow
 from metapp.learning.app import App
 from metapp.learning.learn import MetaParameters
@@ -27,6 +27,9 @@ from metapp.networks.layers import LocalField, UNet
 from metapp.paradigms import Job, Paradigm
 
 COUNT = 12
+OWN_RULES = {name: load_app(name).recipes["quick"].rule for name in app_names()}
+# each application with its own rule, and each other rule on the fastest application, instead of all with all
+PAIRS = [*OWN_RULES.items(), *(("brdf", rule) for rule in RULES if rule not in OWN_RULES.values())]
 
 
 class Small(NamedTuple):
@@ -123,7 +126,7 @@ def small_recipe(app: App) -> Recipe:
 
     def short(training: Training) -> Training:
         rates = training.rates if training.steps else {"": 1e-4, "alpha.out.": 0.0, "alpha.in.": 0.0}
-        return replace(training, steps=12, tasks=3, warmup=0, validate_every=4, rates=rates, tuned=False)
+        return replace(training, steps=6, tasks=3, warmup=0, validate_every=2, rates=rates, tuned=False)
 
     return replace(
         recipe,

@@ -15,7 +15,7 @@ from metapp.learning.rules import RULES, fixed_adam
 from metapp.learning.task import Batch, Tasks
 from metapp.paradigms import Job, paradigms
 from metapp.paradigms.quickft import to_alpha
-from tests.paradigms.small import applicable, rng, start_for, untrained
+from tests.paradigms.small import PAIRS, rng, start_for, untrained
 
 # Fitting
 
@@ -60,10 +60,8 @@ def test_the_five_paradigms(job: Job) -> None:
     assert seven == {name: 0 if name == "general" else 7 for name in table}
 
 
-@pytest.mark.parametrize("rule", [*RULES, "adam+curvature", "sgd+loss"])
+@pytest.mark.parametrize(("app", "rule"), [*PAIRS, ("brdf", "adam+curvature"), ("brdf", "sgd+loss")], indirect=["app"])
 def test_meta_fits_by_every_rule(rule: str, job: Job, tasks: Tasks) -> None:
-    if rule in RULES and rule not in applicable(job.app):
-        pytest.skip("a part of it does not apply")
     job = job._replace(rule=rule)
     start = start_for(paradigms()["meta"], job)
     theta = paradigms()["meta"].fit(job, start, tasks.select([0, 1]), rng())
@@ -126,11 +124,10 @@ def test_quickft_takes_the_tuned_adam(job: Job, tasks: Tasks) -> None:
         torch.testing.assert_close(tuned.alpha[key], value)
 
 
+@pytest.mark.parametrize("app", ["texture"], indirect=True)
 @pytest.mark.parametrize("steps", [5, 30])
 def test_a_mean_is_over_the_last_of_the_steps_there_are(steps: int, job: Job, tasks: Tasks) -> None:
     """A rule that was prepared for fewer or more steps takes no other mean than one prepared for these."""
-    if job.app.name != "texture":
-        pytest.skip("one application will do")
     job = job._replace(rule="meta-mean")
     single = {key: value[0] for key, value in job.app.init(rng(), 1).items()}
     fits = []

@@ -20,8 +20,9 @@ from metapp.paradigms import training as prepare
 from metapp.paradigms.resuming import Interrupted, Prepared, Reached
 from metapp.storage.records import save_start
 from metapp.storage.training_checkpoint import TrainingCheckpoint
-from tests.paradigms.small import rng, start_for
+from tests.paradigms.small import OWN_RULES, rng, start_for
 
+ONE_APP = pytest.mark.parametrize("app", ["brdf"], indirect=True)  # what no application changes
 SETTINGS = {"steps": 12, "seed": 3}
 SEARCHED: Any = ([{"rate": 0.5}, {"rate": 2.0}], [{"beta1": 0.3}, {"eps": 1e-3, "rate": 1.2}])
 
@@ -49,9 +50,7 @@ def encoder_for(job: Job) -> MetaParameters:
 
 
 def small_job(kind: str, job: Job, monkeypatch: pytest.MonkeyPatch) -> tuple[str, Job]:
-    """A preparation by name: one of each kind of stages, and of two kinds with each application."""
-    if job.app.name != "brdf" and kind not in ("general", "meta-lgd tuned"):
-        pytest.skip("one application will do")
+    """A preparation by name."""
     monkeypatch.setattr(prepare, "SEARCHED", SEARCHED)
     if kind in ("general", "quickft"):
         return kind, job
@@ -74,10 +73,12 @@ def as_file(prepared: Prepared, path: Path) -> bytes:
     return path.read_bytes()
 
 
-KINDS = ["general", "quickft", "meta-sgd", "meta-lgd", "meta-basis tuned", "meta-lgd tuned"]
+# each kind of stages on the fastest application, and each application's own rule with all stages that there are
+KINDS = [("brdf", kind) for kind in ("general", "quickft", "meta-sgd", "meta-encoder", "meta-basis tuned")]
+OWN_KINDS = [(app, f"{rule} tuned") for app, rule in OWN_RULES.items()]
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize(("app", "kind"), KINDS + OWN_KINDS, indirect=["app"])
 def test_what_was_cut_off_ends_as_if_it_had_not_been(
     kind: str, job: Job, tasks: Tasks, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -85,7 +86,7 @@ def test_what_was_cut_off_ends_as_if_it_had_not_been(
     expected = as_file(run(name, job, tasks), tmp_path / "expected.safetensors")
     path, chance, seen = tmp_path / "start.safetensors", random.Random(kind), [0]
     while True:
-        checkpoint = Cutting(path, after=chance.randint(1, 6))
+        checkpoint = Cutting(path, after=chance.randint(1, 3))
         try:
             made = run(name, job, tasks, checkpoint)
             break
@@ -95,7 +96,11 @@ def test_what_was_cut_off_ends_as_if_it_had_not_been(
     assert as_file(made, path) == expected
 
 
-@pytest.mark.parametrize("kind", ["general", "quickft", "meta-lgd tuned"])
+@pytest.mark.parametrize(
+    ("app", "kind"),
+    [("brdf", "general"), ("brdf", "quickft"), ("brdf", "meta-encoder tuned"), ("illumination", "meta-lgd tuned")],
+    indirect=["app"],
+)
 def test_ctrl_c_at_any_moment_loses_no_step(
     kind: str, job: Job, tasks: Tasks, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -143,15 +148,14 @@ def test_training_draws_from_its_own_generator_alone(job: Job, tasks: Tasks) -> 
 
 @pytest.fixture
 def cut(job: Job, tasks: Tasks, tmp_path: Path) -> Path:
-    """A training checkpoint of a General, of the first application alone."""
-    if job.app.name != "brdf":
-        pytest.skip("one application will do")
-    checkpoint = Cutting(tmp_path / "general.safetensors", after=7)
+    """A training checkpoint of a General."""
+    checkpoint = Cutting(tmp_path / "general.safetensors", after=4)
     with pytest.raises(Cut):
         run("general", job, tasks, checkpoint)
     return checkpoint.path
 
 
+@ONE_APP
 def test_layouts_and_types_are_kept(cut: Path) -> None:
     checkpoint = TrainingCheckpoint(cut.with_name("general.safetensors"), SETTINGS)
     reached = checkpoint.load()
@@ -171,6 +175,7 @@ def test_layouts_and_types_are_kept(cut: Path) -> None:
     assert found["a"].dtype == torch.float64
 
 
+@ONE_APP
 def test_a_checkpoint_of_other_settings_is_put_aside(cut: Path) -> None:
     before = cut.read_bytes()
     other = TrainingCheckpoint(cut.with_name("general.safetensors"), {**SETTINGS, "seed": 4, "more": 1})
@@ -188,6 +193,7 @@ def damaged(raw: bytes) -> list[bytes]:
     return [b"", raw[:100], raw[:-1], raw + b"0", b"{}" * 50, *flipped]
 
 
+@ONE_APP
 def test_a_damaged_checkpoint_is_one_line(cut: Path) -> None:
     raw = cut.read_bytes()
     for each in damaged(raw):
@@ -199,6 +205,7 @@ def test_a_damaged_checkpoint_is_one_line(cut: Path) -> None:
     assert checkpoint.load().outer is not None
 
 
+@ONE_APP
 def test_a_full_disk_ends_no_training(
     cut: Path, job: Job, tasks: Tasks, monkeypatch: pytest.MonkeyPatch, recwarn: pytest.WarningsRecorder
 ) -> None:

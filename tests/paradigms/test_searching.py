@@ -162,14 +162,13 @@ def test_a_search_takes_no_more_looks_than_told(looks: int, search: Callable[...
     assert tuned.validation == min(bowl(each) for each in searching.looked)
 
 
+@pytest.mark.parametrize("app", ["texture"], indirect=True)
 @pytest.mark.parametrize("outer", [0, 2])
 @pytest.mark.parametrize("rule", ["meta-mean", "meta-basis"])
 def test_a_rule_is_tuned_as_quickft_is(
     rule: str, outer: int, job: Job, tasks: Tasks, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Its Adam is searched on validation tasks, in the bases of the training tasks; outer steps go on from there."""
-    if job.app.name != "texture":
-        pytest.skip("one application will do")
     monkeypatch.setattr(prepare, "SEARCHED", ([{"rate": 0.5}, {"rate": 2.0}], [{"beta1": 0.3, "rate": 1.0}]))
     training = replace(job.recipe.meta[rule], start="encoder", tuned=True, steps=outer)
     job = job._replace(rule=rule, recipe=replace(job.recipe, meta={rule: training}))
