@@ -172,8 +172,8 @@ class _Speed(ProgressColumn):
 class _Bar(Bar):
     """A row of a progress bar; where there is no terminal, a line now and then."""
 
-    def __init__(self, shown: Progress, title: str, total: int | None, done: int) -> None:
-        self.shown, self.title = shown, title
+    def __init__(self, shown: Progress, title: str, total: int | None, done: int, long: bool) -> None:
+        self.shown, self.title, self.long = shown, title, long
         self.row = shown.add_task(title, total=total, completed=done, note="")
 
     def advance(self, note: str = "") -> None:
@@ -185,7 +185,7 @@ class _Bar(Bar):
     def at(self, done: int, total: int | None, note: str = "") -> None:
         self.shown.update(self.row, completed=done, total=total, note=note)
         now = time.monotonic()
-        if not err.is_terminal and (now - _last_line[0] > LINE_SECONDS or done == total):
+        if self.long and not err.is_terminal and (now - _last_line[0] > LINE_SECONDS or done == total):
             _last_line[0] = now
             say(f"{self.title}: step {done} of {total}, {note}")
 
@@ -207,7 +207,7 @@ class Terminal(Reporter):
             _leave(sys.stderr)
 
     @contextlib.contextmanager
-    def bar(self, title: str, total: int | None, done: int) -> Iterator[Bar]:
+    def bar(self, title: str, total: int | None, done: int, long: bool) -> Iterator[Bar]:
         """Show a bar with the time left, the speed and a note."""
         columns: tuple[ProgressColumn, ...] = (
             TextColumn("{task.description}"),
@@ -218,7 +218,7 @@ class Terminal(Reporter):
             TextColumn("{task.fields[note]}", markup=False),
         )
         with Progress(*columns, console=err, disable=not err.is_terminal, transient=True) as shown:
-            yield _Bar(shown, title, total, done)
+            yield _Bar(shown, title, total, done, long)
 
     @contextlib.contextmanager
     def clock(self) -> Iterator[Clock]:

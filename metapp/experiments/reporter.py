@@ -35,8 +35,11 @@ class Reporter:
         if message.startswith("warning: "):
             warnings.warn(message.removeprefix("warning: "), stacklevel=3)
 
-    def bar(self, title: str, total: int | None, done: int) -> AbstractContextManager[Bar]:
-        """Show the progress of a job of `total` parts (None: not known yet), `done` of which are done."""
+    def bar(self, title: str, total: int | None, done: int, long: bool) -> AbstractContextManager[Bar]:
+        """Show the progress of a job of `total` parts (None: not known yet), `done` of which are done.
+
+        A `long` one is also said in lines now and then where there is nothing to draw a bar on.
+        """
         return contextlib.nullcontext(Bar())
 
     def clock(self) -> AbstractContextManager[Clock]:
@@ -67,10 +70,10 @@ def say(message: str) -> None:
 
 
 def progress(
-    title: str, total: int | None = None, *, done: int = 0, quiet: bool = False
+    title: str, total: int | None = None, *, done: int = 0, long: bool = False, quiet: bool = False
 ) -> AbstractContextManager[Bar]:
     """Show the progress of a job; see `Reporter.bar`. Nothing where quiet."""
-    return contextlib.nullcontext(Bar()) if quiet else _in_force.get().bar(title, total, done)
+    return contextlib.nullcontext(Bar()) if quiet else _in_force.get().bar(title, total, done, long)
 
 
 def clock(*, quiet: bool = False) -> AbstractContextManager[Clock]:

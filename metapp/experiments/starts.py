@@ -160,7 +160,7 @@ def train_start(options: Options, paradigm: Paradigm, steps: int | None) -> Path
     remove_partial(path)
     checkpoint = TrainingCheckpoint(path, _settings(options, name, steps, folder, encoder) | info, options.device)
     since = _go_on(checkpoint, training_of(options.job, name, steps))
-    with progress(f"train {name}", quiet=options.quiet) as bar:
+    with progress(f"train {name}", long=True, quiet=options.quiet) as bar:
         try:
             prepared = prepare(
                 name,
