@@ -28,7 +28,7 @@ from tests.needs_mitsuba import needs_mitsuba
 
 pytestmark = needs_mitsuba
 
-ROOT = Path(__file__).parent.parent
+ROOT = Path(__file__).parents[2]
 EVIL = '__attribute__((constructor)) static void run(void) { fclose(fopen(MARK, "w")); }'
 LAMP = '<emitter type="area"><rgb name="radiance" value="4 4 4"/></emitter>'
 CAMERA = """<sensor type="perspective"><float name="fov" value="45"/>

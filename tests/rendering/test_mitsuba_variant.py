@@ -103,7 +103,7 @@ def test_a_mitsuba_that_took_an_old_library_is_refused_before_it_can_abort() -> 
         capture_output=True,
         text=True,
         check=True,
-        cwd=Path(__file__).parent.parent,
+        cwd=Path(__file__).parents[2],
         env={**os.environ, VARIABLE: str(old[0])},
     )
     assert "imported before with libLLVM" in done.stdout
@@ -120,7 +120,7 @@ def test_exr_files_are_written_and_read_where_torch_has_one_thread(tmp_path: Pat
         capture_output=True,
         text=True,
         check=True,
-        cwd=Path(__file__).parent.parent,
+        cwd=Path(__file__).parents[2],
         timeout=120,
     )
     assert done.stdout.strip() == "[32, 64]"

@@ -26,7 +26,7 @@ from metapp.learning.task import Task
 from metapp.paradigms import Job, paradigms
 from metapp.storage.records import load_start, read_records, save_start
 
-SHIPPED = Path(__file__).parent.parent / "metapp" / "checkpoints"
+SHIPPED = Path(__file__).parents[2] / "metapp" / "checkpoints"
 
 
 @pytest.fixture(scope="module")
