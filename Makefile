@@ -42,11 +42,12 @@ torture: setup  ## attempts to break metapp: mutated files, kills, full disks; u
 torture-quick: setup  ## the same in 3 minutes
 	$(VENV)/bin/python -m tests.torture --quick
 
-lint: setup  ## ruff
+lint: setup  ## ruff, layers
 	$(VENV)/bin/ruff check .
 	$(VENV)/bin/ruff format --check .
+	$(VENV)/bin/lint-imports --no-cache
 
-types: setup  ## mypy
+types: setup  ## mypy, strict
 	$(VENV)/bin/mypy
 
 docs: $(VENV)/.docs  ## the pages of docs/ as a site: site/index.html

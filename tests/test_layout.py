@@ -108,7 +108,7 @@ def test_nothing_is_unpickled(name: str) -> None:
 
 
 def test_the_weights_of_others_are_unpickled_as_tensors_only() -> None:
-    # Public weights are pickles; tests/readers/test_vgg.py holds that their hashes come first and that classes are refused.
+    # Public weights are pickles; tests/readers/test_vgg.py holds that their hashes come first, classes are refused.
     (unpickler,) = [
         node
         for node in ast.walk(TREES[UNPICKLES])

@@ -319,7 +319,8 @@ def _space(spec: Any) -> str:
         return _PROFILES[profile]
     stated = spec.get_string_attribute("oiio:ColorSpace")
     if stated in (_SRGB, LINEAR) or (stated and oiio.ColorConfig(_CONFIG).getColorSpaceIndex(stated) >= 0):
-        return stated
+        result: str = stated
+        return result
     return LINEAR if str(spec.format) in ("half", "float", "double") else _SRGB
 
 
@@ -367,7 +368,8 @@ def _area(values: Floats, count: int) -> Floats:
     entry = np.minimum(edges.astype(np.int64), length - 1)
     total = np.concatenate([np.zeros((1, *values.shape[1:])), np.cumsum(values, axis=0, dtype=np.float64)])
     at_edges = total[entry] + (edges - entry)[:, None, None] * values[entry]
-    return np.diff(at_edges, axis=0) * (count / length)
+    result: Floats = np.diff(at_edges, axis=0) * (count / length)
+    return result
 
 
 def _linear(pixels: Pixels, rows: slice) -> Floats:
@@ -417,4 +419,5 @@ def _over_mean(linear: Floats, path: Path) -> Floats:
     seen = alpha.sum()
     if seen <= 0:
         raise ValueError(f"{path}: transparent all over, expected a visible picture; leave it out.")
-    return colours + (1 - alpha) * (colours.sum(axis=(0, 1)) / seen)
+    result: Floats = colours + (1 - alpha) * (colours.sum(axis=(0, 1)) / seen)
+    return result

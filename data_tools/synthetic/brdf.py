@@ -74,7 +74,8 @@ class _Draws:
 
     def alpha(self, low: float, high: float) -> float:
         """Roughness, evenly spread over its logarithm."""
-        return low * (high / low) ** self.roughness
+        result: float = low * (high / low) ** self.roughness
+        return result
 
     def kind(self) -> MicrofacetKind:
         return "ggx" if self.chance(0.65) else "beckmann"

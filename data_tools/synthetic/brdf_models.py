@@ -80,7 +80,8 @@ def directional_albedo(model: Model, cos: Tensor, points: int = 48) -> Tensor:
     difference = ((1 + incident * outgoing + sines * phi.cos()) / 2).clamp_min(1e-12).sqrt()
     half = (incident + outgoing) / (2 * difference)
     values = model(Cosines(incident, outgoing, half, difference))
-    return (values * (outgoing * weights[:, None])[..., None]).sum((1, 2)) * (2 * math.pi / points)
+    result: Tensor = (values * (outgoing * weights[:, None])[..., None]).sum((1, 2)) * (2 * math.pi / points)
+    return result
 
 
 def diffuse(albedo: Rgb) -> Model:

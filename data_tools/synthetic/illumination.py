@@ -96,4 +96,5 @@ def white_balance(light: Field, rng: Rng) -> Field:
     kept = min(kept, _STRONGEST_CAST / max(abs(math.log2(mean[0] / mean[2])), 1e-3))
     warmth, green = between(rng, -0.2, 0.3), between(rng, -0.06, 0.06)
     gains = (mean / mean[1]) ** (kept - 1) * vector(2**warmth, 2**green, 2**-warmth)
-    return np.clip(gains, 0.2, 5).astype(np.float32)
+    result: Field = np.clip(gains, 0.2, 5).astype(np.float32)
+    return result

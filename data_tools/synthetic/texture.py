@@ -91,7 +91,8 @@ def _openness(height: Field) -> Field:
     hidden = np.zeros_like(height)
     for texels in (1.5, 5.0):
         hidden += np.clip(blur(height, texels / size) - height, 0, None) / np.float32(texels)
-    return np.exp(np.float32(-1.5) * hidden)
+    result: Field = np.exp(np.float32(-1.5) * hidden)
+    return result
 
 
 def _highlight(maps: Maps, along_x: Field, along_y: Field, sun: tuple[float, float, float]) -> Field:
@@ -101,7 +102,8 @@ def _highlight(maps: Maps, along_x: Field, along_y: Field, sun: tuple[float, flo
     cosine2 = (half[2] - along_x * half[0] - along_y * half[1]) ** 2 / (1 + along_x**2 + along_y**2)
     alpha2 = np.maximum(maps.roughness[0] ** 4, 1e-3)
     density = alpha2 / (math.pi * (cosine2 * (alpha2 - 1) + 1) ** 2)
-    return (maps.specular[0] * np.minimum(density, 5) * (math.pi / 4)).astype(np.float32)
+    result: Field = (maps.specular[0] * np.minimum(density, 5) * (math.pi / 4)).astype(np.float32)
+    return result
 
 
 def _exposed(linear_rgb: Field, rng: Rng) -> npt.NDArray[np.uint8]:
@@ -111,4 +113,5 @@ def _exposed(linear_rgb: Field, rng: Rng) -> npt.NDArray[np.uint8]:
     linear = np.clip(linear_rgb * np.float32(exposure), 0, None)
     linear = np.where(linear < 0.7, linear, 1 - 0.3 * np.exp((0.7 - linear) / np.float32(0.3)))
     srgb = np.where(linear < 0.0031308, 12.92 * linear, 1.055 * linear ** np.float32(1 / 2.4) - 0.055)
-    return np.round(255 * np.clip(srgb, 0, 1)).astype(np.uint8)
+    result: npt.NDArray[np.uint8] = np.round(255 * np.clip(srgb, 0, 1)).astype(np.uint8)
+    return result

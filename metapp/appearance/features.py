@@ -116,7 +116,8 @@ def load_features(which: str, taps: Sequence[str], like: Tensor) -> Features:
 @lru_cache(maxsize=4)
 def _load(which: str, taps: tuple[str, ...], path: str, device: torch.device, dtype: torch.dtype) -> Features:
     features = _vgg(which, taps, path) if path else _random(len(taps))
-    return features.to(device=device, dtype=dtype).to(memory_format=torch.channels_last).eval()  # type: ignore[call-overload]
+    result: Features = features.to(device=device, dtype=dtype).to(memory_format=torch.channels_last).eval()  # type: ignore[call-overload]
+    return result
 
 
 def _vgg(which: str, taps: Sequence[str], path: str) -> Features:

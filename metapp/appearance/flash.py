@@ -70,7 +70,9 @@ def camera(
     return torch.tensor([0.0, 0.0, camera_distance(fov_rad)], dtype=dtype, device=device)
 
 
-def relightings(*, dtype: torch.dtype = torch.float32, device: torch.device | str | None = None) -> dict[str, tuple]:
+def relightings(
+    *, dtype: torch.dtype = torch.float32, device: torch.device | str | None = None
+) -> dict[str, tuple[Tensor, ...]]:
     """Three other (light [3], view [3]) that a material is judged and shown under, by name."""
     eye = camera(dtype=dtype, device=device)
     moves = {

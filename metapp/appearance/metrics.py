@@ -45,7 +45,8 @@ def dssim(pictures: Tensor, references: Tensor) -> Tensor:
     exposure = references.mean((1, 2, 3), keepdim=True).clamp_min(torch.finfo(references.dtype).tiny)
     shown, wanted = tone_map(pictures / exposure), tone_map(references / exposure)
     found: Any = structural_similarity_index_measure(shown, wanted, data_range=1.0, reduction=None)
-    return 1 - found.reshape(-1)
+    result: Tensor = 1 - found.reshape(-1)
+    return result
 
 
 def _floor(references: Tensor) -> Tensor:

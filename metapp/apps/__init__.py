@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import importlib
 import pkgutil
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from metapp.appearance.presentation import Presentation
@@ -24,9 +24,11 @@ def load_app(name: str) -> App:
     """
     if name not in app_names():
         raise ValueError(f"application '{name}': not known, expected one of {', '.join(app_names())}.")
-    return importlib.import_module(f"metapp.apps.{name}").APP
+    result: App = importlib.import_module(f"metapp.apps.{name}").APP
+    return result
 
 
-def presentation_of(app: App) -> Presentation:
+def presentation_of(app: App) -> Presentation[Any]:
     """What screens and files need of an application, at its setup and under its protocol."""
-    return importlib.import_module(f"metapp.apps.{app.name}.presentation").PRESENTATION(app)
+    result: Presentation[Any] = importlib.import_module(f"metapp.apps.{app.name}.presentation").PRESENTATION(app)
+    return result

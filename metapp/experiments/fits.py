@@ -31,7 +31,7 @@ def fit_tasks(
     """
     app, job, device = options.app, options.job, options.device
 
-    def fit_one(task: Any, steps: int | None) -> tuple[dict, float, Any]:
+    def fit_one(task: Any, steps: int | None) -> tuple[Params, float, Any]:
         rng = rng_of(options, task)
         _synchronise(device)
         begin = time.perf_counter()

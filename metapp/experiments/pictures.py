@@ -28,10 +28,13 @@ def to_srgb(linear: Any) -> np.ndarray:
     # composited after encoding, so that the rim stays as smooth as its coverage
     coverage = image[..., 3:] if image.shape[-1] == 4 else np.ones_like(image[..., :1])
     colour = np.clip(image[..., :3] / np.maximum(coverage, 1e-6), 0, 1)
-    return coverage * linear_to_srgb(torch.from_numpy(colour)).numpy() + (1 - coverage)
+    result: np.ndarray = coverage * linear_to_srgb(torch.from_numpy(colour)).numpy() + (1 - coverage)
+    return result
 
 
-def picture_of_run(app: App, paradigm: str, tasks: Sequence[Task], records: Sequence[dict], folder: Path) -> Path:
+def picture_of_run(
+    app: App, paradigm: str, tasks: Sequence[Task], records: Sequence[dict[str, Any]], folder: Path
+) -> Path:
     """Write `pictures.png` into a run's folder: up to 20 tasks, a column each, the reference above the fit.
 
     Returns:
@@ -48,7 +51,7 @@ def picture_of_run(app: App, paradigm: str, tasks: Sequence[Task], records: Sequ
 def picture_of_table(
     app: App,
     tasks: Sequence[Task],
-    runs: Sequence[tuple[str, Path, list[dict]]],
+    runs: Sequence[tuple[str, Path, list[dict[str, Any]]]],
     file: Path,
     tell: Callable[[], None] = lambda: None,
 ) -> Path:

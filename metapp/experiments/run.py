@@ -127,7 +127,8 @@ def run_path(options: Options, settings: dict[str, Any], label: str) -> Path:
         name += f"-{options.steps}steps"
     if options.app.protocol:
         name += f"-{options.app.protocol}"
-    return options.out / options.app.name / settings["paradigm"] / name
+    result: Path = options.out / options.app.name / settings["paradigm"] / name
+    return result
 
 
 def run_tasks(

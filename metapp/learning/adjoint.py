@@ -74,18 +74,18 @@ class StepPair(NamedTuple):
     pullback: Callable[..., tuple[Params, Params, Params]]
 
 
-def step_pair(rule_step: Callable, loss: Loss, order: int, compiled: bool) -> StepPair:
+def step_pair(rule_step: Callable[..., Any], loss: Loss, order: int, compiled: bool) -> StepPair:
     """One step and its vector-Jacobian product; the only two functions that are worth compiling."""
     return _compiled_pair(rule_step, loss, order) if compiled else _eager_pair(rule_step, loss, order)
 
 
 @lru_cache(maxsize=16)  # compiling takes seconds
-def _compiled_pair(rule_step: Callable, loss: Loss, order: int) -> StepPair:
+def _compiled_pair(rule_step: Callable[..., Any], loss: Loss, order: int) -> StepPair:
     eager = _eager_pair(rule_step, loss, order)
     return StepPair(_Compiled(eager.forward), _Compiled(eager.pullback))
 
 
-def _eager_pair(rule_step: Callable, loss: Loss, order: int) -> StepPair:
+def _eager_pair(rule_step: Callable[..., Any], loss: Loss, order: int) -> StepPair:
     def gradient(alpha: Params, theta: Params, batch: Any, *, graph: bool) -> tuple[Params, Tensor]:
         learned = {key[5:]: value for key, value in alpha.items() if key.startswith("loss.")}
         total, each = loss.total(theta, batch, learned)
@@ -118,7 +118,7 @@ def _leaves(params: Params) -> Params:
     return {key: value.detach().requires_grad_() for key, value in params.items()}
 
 
-def _enable_grad(function: Callable) -> Callable:
+def _enable_grad(function: Callable[..., Any]) -> Callable[..., Any]:
     def enabled(*args: Any) -> Any:
         with torch.enable_grad():
             return function(*args)
@@ -126,7 +126,7 @@ def _enable_grad(function: Callable) -> Callable:
     return enabled
 
 
-def _in_slices(pullback: Callable, size: int) -> Callable:
+def _in_slices(pullback: Callable[..., Any], size: int) -> Callable[..., Any]:
     """The same for some tasks at a time, which lowers its memory: tasks do not see each other.
 
     Tensors without axes, as Adam's products of betas at first, belong to all tasks: their pulls add up.
@@ -136,7 +136,8 @@ def _in_slices(pullback: Callable, size: int) -> Callable:
         own = [{key: value[i : i + size] if value.ndim else value for key, value in tree.items()} for tree in trees]
         if i:  # what is pulled from all tasks' tensors must be counted once
             own[-1] = {key: value if value.ndim else torch.zeros_like(value) for key, value in own[-1].items()}
-        return pullback(*own)
+        result: tuple[Params, Params, Params] = pullback(*own)
+        return result
 
     def sliced(*trees: Params) -> tuple[Params, ...]:
         count = next(iter(trees[1].values())).shape[0]
@@ -155,9 +156,9 @@ def _in_slices(pullback: Callable, size: int) -> Callable:
 class _Compiled:
     """Trace a function of flat trees that calls autograd, for the shapes of its first call, and compile the trace."""
 
-    def __init__(self, function: Callable) -> None:
+    def __init__(self, function: Callable[..., Any]) -> None:
         self.function = function
-        self.programs: dict[tuple, tuple[Callable, Any]] = {}
+        self.programs: dict[tuple[Any, ...], tuple[Callable[..., Any], Any]] = {}
 
     def __call__(self, *trees: Params) -> Any:
         # contiguous, as the trace assumes: the key here stands for all that torch would check again at every call
@@ -169,7 +170,7 @@ class _Compiled:
         with torch.no_grad():
             return tree_unflatten(list(program(*leaves)), spec)
 
-    def _compile(self, names: list[list[str]], leaves: list[Tensor]) -> tuple[Callable, Any]:
+    def _compile(self, names: list[list[str]], leaves: list[Tensor]) -> tuple[Callable[..., Any], Any]:
         from torch.fx.experimental.proxy_tensor import make_fx
 
         spec: Any = None
@@ -182,7 +183,7 @@ class _Compiled:
             return outputs
 
         flat(*leaves)  # fills caches, whose making a trace would take for a part of every step
-        table: dict[Any, Callable] = {torch.ops.aten.bmm.default: _narrow_bmm}
+        table: dict[Any, Callable[..., Any]] = {torch.ops.aten.bmm.default: _narrow_bmm}
         program = make_fx(flat, decomposition_table=table)(*[leaf.detach() for leaf in leaves])
         options: Any = {"guard_filter_fn": torch.compiler.skip_all_guards_unsafe}
         return torch.compile(program, options=options), spec
@@ -192,7 +193,8 @@ def _narrow_bmm(left: Tensor, right: Tensor) -> Tensor:
     """A product that is a long sum for few results, as weight gradients are: on CPUs a loop beats the library's."""
     rows, inner, columns = *left.shape[1:], right.shape[2]
     if left.device.type != "cpu" or inner < 8 * max(rows, columns):
-        return NotImplemented
+        result: Tensor = NotImplemented
+        return result
     return (left[:, :, None, :] * right.mT[:, None, :, :]).sum(-1)
 
 
@@ -208,7 +210,7 @@ class _LearnThrough(torch.autograd.Function):
         batches: Sequence[Any],
         keys: Sequence[str],
         *leaves: Any,
-    ):
+    ) -> tuple[Tensor, ...]:
         detached = [leaf.detach() for leaf in leaves]
         theta = dict(zip(keys, detached, strict=False))
         ctx.alpha = dict(zip(rule.alpha, detached[len(keys) :], strict=True))
@@ -223,7 +225,7 @@ class _LearnThrough(torch.autograd.Function):
 
     @staticmethod
     @once_differentiable
-    def backward(ctx: Any, *pulls: Tensor):
+    def backward(ctx: Any, *pulls: Tensor) -> tuple[Any, ...]:
         pull_theta = dict(zip(ctx.taken[0][0], (pull.contiguous() for pull in pulls), strict=True))
         pull_state = {key: torch.zeros_like(value) for key, value in ctx.last_state.items()}
         pull_alpha = {key: torch.zeros_like(value) for key, value in ctx.alpha.items()}
@@ -255,5 +257,6 @@ def learn_through(
     if tasks_at_once:
         steps = steps._replace(pullback=_in_slices(steps.pullback, tasks_at_once))
     keys = list(theta)
-    final = _LearnThrough.apply(steps, order, rule, batches, keys, *theta.values(), *rule.alpha.values())
+    apply: Callable[..., Any] = _LearnThrough.apply
+    final = apply(steps, order, rule, batches, keys, *theta.values(), *rule.alpha.values())
     return dict(zip(keys, final, strict=True))

@@ -199,7 +199,7 @@ def after_learning(
     return Loss(draw, value)
 
 
-def after_encoding(loss: Loss, condition: Callable[[Any, Generator], Any], encode: Callable) -> Loss:
+def after_encoding(loss: Loss, condition: Callable[[Any, Generator], Any], encode: Callable[..., Params]) -> Loss:
     """Lift a loss on theta to a loss on an encoder, in the flat tree of MetaParameters: General's loss."""
 
     def draw(tasks: Any, rng: Generator) -> Drawn:
@@ -229,7 +229,7 @@ class _ClipPerTask(torch.autograd.Function):
         return tuple(tensor.view_as(tensor) for tensor in tensors)
 
     @staticmethod
-    def backward(ctx: Any, *grads: Tensor) -> tuple[Any, ...]:  # type: ignore[override]
+    def backward(ctx: Any, *grads: Tensor) -> tuple[Any, ...]:
         flat = [grad.movedim(axis, 0).flatten(1) for grad, axis in zip(grads, ctx.axes, strict=True)]
         norm = torch.stack([grad.square().sum(1) for grad in flat]).sum(0).sqrt()
         # a task whose gradient overflowed says nothing about the direction: it is left out of the mean
@@ -246,5 +246,6 @@ def clip_per_task(theta: Params, alpha: Params, limit: float) -> tuple[Params, P
     """The same values; on the way back each task's gradient over both trees has at most the norm `limit`."""
     keys = [*theta, *alpha]
     axes = (0,) * len(theta) + (1,) * len(alpha)
-    clipped = dict(zip(keys, _ClipPerTask.apply(limit, axes, *theta.values(), *alpha.values()), strict=True))
+    apply: Callable[..., Any] = _ClipPerTask.apply
+    clipped = dict(zip(keys, apply(limit, axes, *theta.values(), *alpha.values()), strict=True))
     return {key: clipped[key] for key in theta}, {key: clipped[key] for key in alpha}

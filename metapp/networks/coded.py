@@ -44,7 +44,8 @@ class CodedApp(App):
     @property
     def field(self) -> LocalField:
         """The network of one task."""
-        return self.setup.field
+        result: LocalField = self.setup.field
+        return result
 
     def init(self, rng: Generator, count: int) -> Params:
         return self.field.init(rng, count)

@@ -59,7 +59,8 @@ class UNet(NamedTuple):
 
     def channels(self, level: int) -> int:
         """Channels at a level, 0 the finest."""
-        return self.width * min(2**level, 4)
+        result: int = self.width * min(2**level, 4)
+        return result
 
     def layers(self) -> dict[str, tuple[int, int]]:
         """(inputs, outputs) of each 3x3 convolution, in order of use."""
@@ -109,7 +110,8 @@ class UNet(NamedTuple):
             parts = [part.unflatten(1, (tasks, -1)) for part in (above, skips[level])]
             x = self._layer(theta, f"up{level}", torch.cat(parts, 2).flatten(1, 2))
         x = conv2d(x, theta["out.kernel"].flatten(0, 1), theta["out.shift"].flatten(), groups=tasks)
-        return x.unflatten(1, (tasks, self.outputs)).transpose(0, 1)
+        result: Tensor = x.unflatten(1, (tasks, self.outputs)).transpose(0, 1)
+        return result
 
     def _layer(self, theta: Params, name: str, x: Tensor) -> Tensor:
         kernel = theta[f"{name}.kernel"]
@@ -187,7 +189,8 @@ class LocalField(NamedTuple):
             shifted = torch.baddbmm(theta[f"{name}.shift"][..., None], theta[f"{name}.code"], code)
             x = torch.baddbmm(shifted, theta[f"{name}.kernel"], x)
             x = x if name == "out" else x.sin()
-        return x.unflatten(2, (self.height, self.width))
+        result: Tensor = x.unflatten(2, (self.height, self.width))
+        return result
 
 
 @functools.lru_cache(maxsize=8)

@@ -77,7 +77,7 @@ class Tracer:
 
         mi, scene, context = self.mi, self.scene, self.mi.BSDFContext()
 
-        def bounce(ray: Any, weight: Any, found: Any, depth: Any, used: Any, rng: Any, active: Any) -> tuple:
+        def bounce(ray: Any, weight: Any, found: Any, depth: Any, used: Any, rng: Any, active: Any) -> tuple[Any, ...]:
             at = scene.ray_intersect(ray, active)
             found += dr.select(active, weight * at.emitter(scene, active).eval(at, active), 0)
             depth += 1

@@ -27,6 +27,7 @@ def scene_of(text: Tensor) -> Scene:
         ValueError: it is no JSON.
     """
     try:
-        return json.loads(text.cpu().numpy().tobytes())
+        result: Scene = json.loads(text.cpu().numpy().tobytes())
+        return result
     except (ValueError, RecursionError) as error:
         raise ValueError(f"a stored scene is no JSON ({error}), expected a dictionary; make the data anew.") from None

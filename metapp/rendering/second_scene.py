@@ -95,7 +95,8 @@ def relight(maps: Tensor, *, height: int = 32, width: int = 64) -> Tensor:
         width: their columns.
     """
     texels = latlong.resample(maps, height, width).flatten(-2)
-    return (texels @ transfer(height, width).to(maps).T).unflatten(-1, (HEIGHT, WIDTH))
+    result: Tensor = (texels @ transfer(height, width).to(maps).T).unflatten(-1, (HEIGHT, WIDTH))
+    return result
 
 
 def direct(illumination: Tensor, spp: int = 256, *, seed: int = 0) -> Tensor:
@@ -210,7 +211,8 @@ class _Paths:
         lane = dr.arange(mi.UInt32, _ROWS * count)
         pair = self._draws(lane // count, mi.Float(lane % count))
         at, weight = self._first_hit(lane // count, pair()), mi.Float(1)
-        for onwards in (lambda at: at.is_valid(), self._is_glossy):
+        tests: tuple[Callable[[Any], Any], ...] = (lambda at: at.is_valid(), self._is_glossy)
+        for onwards in tests:
             active = onwards(at)
             sample, value = at.bsdf().sample(mi.BSDFContext(), at, pair().x, pair(), active)
             weight *= dr.select(active, value.x, 1)

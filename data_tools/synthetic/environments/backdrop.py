@@ -26,7 +26,8 @@ def sky_irradiance(sky: Sky) -> Field:
     height, width = _GRID
     rays = directions(height, width)[:, : height // 2].flatten(1).numpy()
     angles = solid_angles(height, width)[: height // 2].expand(-1, width).flatten().numpy()
-    return sky.radiance(rays) @ (rays[1] * angles)
+    result: Field = sky.radiance(rays) @ (rays[1] * angles)
+    return result
 
 
 def open_ground(sky: Sky, albedo: Field) -> Backdrop:
@@ -58,18 +59,22 @@ def skyline(rng: Rng, sky: Sky, ground: Field, kind: str, height: float, lit: Fi
     houses, storey = round(log_between(rng, 14, 70)), np.float32(log_between(rng, 0.02, 0.05))
 
     def turn(rays: Field) -> Field:
-        return np.arctan2(rays[2], rays[0]) * np.float32(0.5 / math.pi) + np.float32(0.5)
+        result: Field = np.arctan2(rays[2], rays[0]) * np.float32(0.5 / math.pi) + np.float32(0.5)
+        return result
 
     def hidden(rays: Field) -> Mask:
         angle = turn(rays)
         if kind == "town":
-            return height * (0.25 + 0.75 * scrambled(np.floor(angle * houses), place)) > rays[1]
+            result: Mask = height * (0.25 + 0.75 * scrambled(np.floor(angle * houses), place)) > rays[1]
+            return result
         coarse = look_up("soft", angle, place)
         if kind == "hills":
-            return height * (0.6 + 0.35 * coarse) > rays[1]
+            result = height * (0.6 + 0.35 * coarse) > rays[1]
+            return result
         above = height * (0.75 + 0.25 * coarse + 0.12 * look_up("leaves", angle, place)) - rays[1]
         leaves = look_up("leaves", 3 * angle, rays[1] + np.float32(place))
-        return (above > 0) & (leaves > 1.2 - above * np.float32(7 / height))
+        result = (above > 0) & (leaves > 1.2 - above * np.float32(7 / height))
+        return result
 
     def town(angle: Field, up: Field) -> tuple[Field, Mask]:
         """How light houses are, and which windows are lit, both [N]."""

@@ -70,7 +70,8 @@ def render(scene: Scene, turn_rad: float, supersampling: int = 2) -> Field:
     if gloss.any():
         radiance += _mirrored(radiance, rays, hits.normal, gloss, turn_rad)
     fine = torch.from_numpy(radiance).unflatten(1, (HEIGHT * supersampling, WIDTH * supersampling))
-    return np.maximum(resample(fine, HEIGHT, WIDTH).numpy(), 0)
+    result: Field = np.maximum(resample(fine, HEIGHT, WIDTH).numpy(), 0)
+    return result
 
 
 def sun_disc(sky: Sky, rays: Field, angles: Field) -> Field:
@@ -86,7 +87,8 @@ def sun_disc(sky: Sky, rays: Field, angles: Field) -> Field:
     spacing = math.sqrt(float(angles.max()))
     radius = max(_SUN_RADIUS, 0.75 * spacing)  # no smaller than the grid can hold
     weight = np.clip((radius - from_sun(sky.sun, rays)) / np.float32(spacing) + np.float32(0.5), 0, 1)
-    return sky.sunlight[:, None] * (weight / np.float32(weight @ angles))
+    result: Field = sky.sunlight[:, None] * (weight / np.float32(weight @ angles))
+    return result
 
 
 def _sun_seen(scene: Scene) -> Field:
@@ -96,7 +98,8 @@ def _sun_seen(scene: Scene) -> Field:
     rays /= np.linalg.norm(rays, axis=0)
     hits = cast(scene, rays)
     share = (hits.surface == BEYOND) * scene.backdrop.clearness(rays)
-    return (share * (np.ones_like(rays) if hits.glass is None else hits.glass)).mean(1)
+    result: Field = (share * (np.ones_like(rays) if hits.glass is None else hits.glass)).mean(1)
+    return result
 
 
 def visibility(scene: Scene, place: Field, way: Field, reach: Field | float, soft: float) -> Field:
@@ -237,7 +240,8 @@ def _bounced(scene: Scene, leaving: Field, place: Field, normal: Field, solid: F
         weight /= squared * (squared + area * np.float32(1 / math.pi)) + np.float32(1e-6)
         if scene.is_room:  # all that a place sees is room
             weight *= np.float32(math.pi) / np.maximum(weight.sum(1, keepdims=True), np.float32(0.5))
-        return mean @ weight.T
+        result: Field = mean @ weight.T
+        return result
 
     # In parts that fit into the processor's cache.
     parts = zip(np.split(place, _PARTS, axis=1), np.split(normal, _PARTS, axis=1), strict=True)

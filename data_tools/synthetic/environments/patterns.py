@@ -40,7 +40,8 @@ def rgb(luminances: Field, x: Field, y: Field) -> Field:
     """Linear RGB [3, N] > 0 of luminances and CIE 1931 chromaticities [N]."""
     over_y = luminances / y
     found = _XYZ_TO_RGB @ np.stack([x * over_y, luminances, (1 - x - y) * over_y])
-    return np.maximum(found, np.float32(1e-3) * luminances)
+    result: Field = np.maximum(found, np.float32(1e-3) * luminances)
+    return result
 
 
 def glowing(kelvin: float) -> Field:

@@ -71,7 +71,8 @@ def sun_irradiance(elevation_rad: float, turbidity: float) -> Field:
     molecules = 0.008735 * _WAVELENGTHS_UM**-4.08
     aerosols = _AEROSOL_SHARE * (0.04608 * turbidity - 0.04586) * _WAVELENGTHS_UM**-1.3
     above = min(1.0, max(0.0, elevation_rad / 0.0093 + 0.5))  # share of the disc
-    return (_SOLAR * above * np.exp(-mass * (molecules + aerosols + _OZONE))).astype(np.float32)
+    result: Field = (_SOLAR * above * np.exp(-mass * (molecules + aerosols + _OZONE))).astype(np.float32)
+    return result
 
 
 def clear_sky(sun: Field, turbidity: float) -> Callable[[Field], Field]:
@@ -118,7 +119,8 @@ def day_sky(rng: Rng, elevation_rad: tuple[float, float] = (0.12, 1.25), clear_s
     halo = sunlight * np.float32(glare / (math.tau * width**2))
 
     def radiance(rays: Field) -> Field:
-        return behind(rays) + halo[:, None] * np.exp(from_sun(sun, rays) * np.float32(-1 / width))
+        result: Field = behind(rays) + halo[:, None] * np.exp(from_sun(sun, rays) * np.float32(-1 / width))
+        return result
 
     sky = Sky(sun, sunlight, radiance)
     return sky if chance(rng, clear_share) else cloudy(rng, sky, between(rng, 0.05, 0.75))
@@ -160,7 +162,8 @@ def cloudy(rng: Rng, sky: Sky, cover: float) -> Sky:
         cloud += ambient * (0.55 + 0.45 * thin)
         near = np.exp(np.float32(-0.12) / np.maximum(rays[1], np.float32(0.01)))  # haze hides distant clouds
         clear = sky.radiance(rays)
-        return clear + (cloud - clear) * ((1 - np.exp(-depth * here)) * near)
+        result: Field = clear + (cloud - clear) * ((1 - np.exp(-depth * here)) * near)
+        return result
 
     return Sky(sky.sun, sky.sunlight * np.float32(math.exp(-1.5 * depth * in_front)), radiance)
 
@@ -179,7 +182,8 @@ def overcast(rng: Rng) -> Sky:
         across, along = (rays[axis] / (height + np.float32(0.15)) / size for axis in (0, 2))
         clouds = look_up("cloud", across + first, along + second) * (contrast * height / (height + np.float32(0.25)))
         level = (1 + grade * height) / (1 + grade) * (1 + glow * np.exp(from_sun(sun, rays) * np.float32(-1 / width)))
-        return colour * (level * np.exp(clouds))
+        result: Field = colour * (level * np.exp(clouds))
+        return result
 
     return Sky(sun, BLACK, radiance)
 
@@ -190,7 +194,8 @@ def night_sky(rng: Rng) -> Sky:
     zenith = glowing(log_between(rng, 7000, 16000))[:, None] * np.float32(log_between(rng, 5e-5, 2e-3))
 
     def radiance(rays: Field) -> Field:
-        return zenith + town * np.exp(np.float32(-5) * np.maximum(rays[1], 0))
+        result: Field = zenith + town * np.exp(np.float32(-5) * np.maximum(rays[1], 0))
+        return result
 
     return Sky(vector(0, -1, 0), BLACK, radiance)
 

@@ -65,11 +65,13 @@ def _pattern(finish: Finish, across: Field, along: Field) -> Field:
     """How far a finish goes from its colour to the other, [N] in [0, 1]."""
     across, along = across / np.float32(finish.size), along / np.float32(finish.size)
     if finish.pattern == "tiles":
-        return (np.maximum(np.abs(across % 1 - 0.5), np.abs(along % 1 - 0.5)) > 0.46).astype(np.float32)
+        result: Field = (np.maximum(np.abs(across % 1 - 0.5), np.abs(along % 1 - 0.5)) > 0.46).astype(np.float32)
+        return result
     if finish.pattern == "chequers":
         return ((np.floor(across) + np.floor(along)) % 2).astype(np.float32)
     if finish.pattern == "stripes":
         return (across % 1 > 0.5).astype(np.float32)
     if finish.pattern == "patches":
         return scrambled(np.floor(8 * across) * 1009 + np.floor(8 * along), 0.5)
-    return np.clip(np.float32(0.5) + np.float32(0.3) * look_up(finish.pattern, across, along), 0, 1)
+    result = np.clip(np.float32(0.5) + np.float32(0.3) * look_up(finish.pattern, across, along), 0, 1)
+    return result

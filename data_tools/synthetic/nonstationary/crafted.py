@@ -47,7 +47,8 @@ def frieze(rng: Rng, along: Field, across: Field, period: float) -> Field:
     if kind == "waves":
         return outline(across - 0.5 * np.sin(u * math.tau), 0.2)
     if kind == "leaves":
-        return np.maximum(0.8 - np.abs(across) - np.abs(2.4 * u - 0.5 * np.abs(across)), outline(across, 0.08))
+        result: Field = np.maximum(0.8 - np.abs(across) - np.abs(2.4 * u - 0.5 * np.abs(across)), outline(across, 0.08))
+        return result
     if kind == "meander":
         bars = (
             (0.0, -0.8, 0.5, 0.14),
@@ -56,7 +57,8 @@ def frieze(rng: Rng, along: Field, across: Field, period: float) -> Field:
             (0.3, 0.4, 0.08, 0.5),
             (0.1, 0.0, 0.25, 0.14),
         )
-        return np.maximum.reduce([box(Place(u, across, 1).moved(x, y), w, h) for x, y, w, h in bars])
+        result = np.maximum.reduce([box(Place(u, across, 1).moved(x, y), w, h) for x, y, w, h in bars])
+        return result
     return np.maximum(outline(np.abs(across) - 0.7, 0.12), outline(across, 0.2))
 
 

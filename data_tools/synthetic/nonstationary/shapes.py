@@ -94,13 +94,15 @@ def motif(rng: Rng, place: Place) -> Field:
     if kind == "spiral":
         turns, reach = between(rng, 2.0, 3.5), np.hypot(place.x, place.y)
         arm = (reach * turns - np.arctan2(place.y, place.x) / math.tau) % 1
-        return np.minimum((between(rng, 0.2, 0.32) - np.abs(arm - 0.5)) / turns, 1 - reach)
+        result: Field = np.minimum((between(rng, 0.2, 0.32) - np.abs(arm - 0.5)) / turns, 1 - reach)
+        return result
     if kind == "cross":
         arms = np.maximum(box(place, 0.95, between(rng, 0.12, 0.3)), box(place, between(rng, 0.12, 0.3), 0.95))
         return np.maximum(arms, outline(disc(place, 0.6), 0.1)) if chance(rng, 0.6) else arms
     if kind == "lozenges":
         rhombs = [0.5 - np.abs(place.x - np.float32(0.5 * i)) * 1.2 - np.abs(place.y) * 0.7 for i in (-1, 0, 1)]
-        return np.maximum.reduce(rhombs) / 1.4
+        result = np.maximum.reduce(rhombs) / 1.4
+        return result
     if kind == "rings":
         radius = between(rng, 0.3, 0.6)
         return np.maximum(outline(disc(place, 0.85), 0.1), outline(disc(place, radius), between(rng, 0.05, 0.18)))

@@ -77,7 +77,8 @@ def towards(field: Field, value: float, weight: Field) -> Field:
 def distance(field: Field) -> Field:
     """About how far away a smooth field's zero is, in texels, with its sign [S, S]; right near zero only."""
     along_y, along_x = np.gradient(field)
-    return field / np.maximum(np.hypot(along_x, along_y), 1e-3)
+    result: Field = field / np.maximum(np.hypot(along_x, along_y), 1e-3)
+    return result
 
 
 def cloud(

@@ -75,7 +75,8 @@ class Lattice:
 
     def neighbour(self, columns: int | Ids, rows: int | Ids) -> Ids:
         """Identity [S, S] of the cell that is so many columns and rows further (at most 2)."""
-        return self._identities[self.column + columns - self._origin[0], self.row + rows - self._origin[1]]
+        result: Ids = self._identities[self.column + columns - self._origin[0], self.row + rows - self._origin[1]]
+        return result
 
 
 def _whole_vectors(

@@ -97,12 +97,14 @@ def wobble(rng: Rng, size: int, frequency: float, amount: float) -> tuple[Field,
 
 def ridges(field: Field, width: float) -> Field:
     """Lines where a noise of variance 1 crosses zero: 1 on the line, falling to 0 at about `width` from it."""
-    return np.exp(-((field / np.float32(width)) ** 2))
+    result: Field = np.exp(-((field / np.float32(width)) ** 2))
+    return result
 
 
 def share_below(field: Field) -> Field:
     """A noise of variance 1 mapped to (0, 1), roughly evenly (the logistic nearest to the normal distribution)."""
-    return 1 / (1 + np.exp(np.float32(-1.702) * np.clip(field, -8, 8)))
+    result: Field = 1 / (1 + np.exp(np.float32(-1.702) * np.clip(field, -8, 8)))
+    return result
 
 
 def step(field: Field, low: float | Field, high: float | Field) -> Field:

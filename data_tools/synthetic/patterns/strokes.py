@@ -88,7 +88,8 @@ def _outline(along: Field, pointed: float) -> Field:
         return np.ones_like(along)
     blade = np.sqrt(np.clip(1 - along, 0, 1)) * np.minimum(1, along * 8 + np.float32(0.4))
     leaf = np.sin(np.pi * along ** np.float32(0.8))
-    return (blade if pointed <= 1 else leaf).astype(np.float32)
+    result: Field = (blade if pointed <= 1 else leaf).astype(np.float32)
+    return result
 
 
 def _uppermost(texels: Ids, along: Field, across: Field, size: int) -> Strokes:

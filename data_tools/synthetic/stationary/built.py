@@ -184,7 +184,10 @@ def _rings(rng: Rng, size: int, angle_rad: float) -> Field:
     year = step(ring, 0, between(rng, 0.5, 0.95)) * step(ring, 1.0, 0.95)
     fibre = band_noise(rng, size, log_between(rng, 30, 60), 0.6, stretch * 2, angle_rad)
     pores = step(band_noise(rng, size, log_between(rng, 35, 60), 0.4, stretch * 1.5, angle_rad), 1.2, 2.0)
-    return (2 * year - 1) * np.float32(between(rng, 0.3, 1)) + 0.4 * fibre - pores * np.float32(between(rng, 0, 1.5))
+    result: Field = (
+        (2 * year - 1) * np.float32(between(rng, 0.3, 1)) + 0.4 * fibre - pores * np.float32(between(rng, 0, 1.5))
+    )
+    return result
 
 
 def _planks(rng: Rng, size: int, rows: float, angle_rad: float) -> _Blocks:

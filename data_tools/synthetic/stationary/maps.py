@@ -112,4 +112,5 @@ def flat(colour: Field, size: int) -> Field:
 
 def shaded(diffuse: Field, field: Field, amount: float) -> Field:
     """An albedo made lighter and darker by a field of variance 1; amount 0.1 is barely, 0.5 strongly visible."""
-    return diffuse * np.exp(np.float32(amount) * np.clip(field, -3, 3))
+    result: Field = diffuse * np.exp(np.float32(amount) * np.clip(field, -3, 3))
+    return result

@@ -107,7 +107,8 @@ def gravel(rng: Rng, size: int) -> Maps:
 def _dome(edge: Field, sharp: bool) -> Field:
     """The profile of a stone, 0 .. 1, from the distance to its rim."""
     inside = np.clip(edge / 0.35, 0, 1)
-    return np.minimum(inside * 3, 1) if sharp else np.sqrt(inside * (2 - inside))
+    result: Field = np.minimum(inside * 3, 1) if sharp else np.sqrt(inside * (2 - inside))
+    return result
 
 
 def _stone_colours(rng: Rng, size: int, tone: Field, colours: Field, coarse: float) -> Field:

@@ -15,12 +15,13 @@ from metapp.appearance.colour import tone_map
 from metapp.appearance.latlong import directions, resample, solid_angles, sphere_normals
 from metapp.appearance.photograph import Camera, Material, develop, photograph, shade
 from metapp.apps.illumination.encoder import Encoder
-from metapp.apps.illumination.surfaces import FACED, MIRRORED, relight, second_scene, surfaces
+from metapp.apps.illumination.surfaces import FACED, MIRRORED, relight, surfaces
 from metapp.apps.illumination.variants import of_mean_1, varied
 from metapp.learning.recipe import AS_PUBLISHED, Adam, Recipe, Training
 from metapp.learning.task import Batch, Held, Params, Task, Tasks
 from metapp.networks.coded import CodedApp, norm
 from metapp.networks.layers import LocalField
+from metapp.rendering import second_scene
 
 DARK = 0.01  # of a map of mean luminance 1: the log of radiance is flat below
 DIM = 0.02  # the same for what surfaces send out
@@ -182,7 +183,8 @@ class Illumination(CodedApp):
         texels = _texels(scaled, batch["map"], {}, 0.0)
         photo = self._photo_loss(theta, maps, batch, {})
         faced, mirrored = (each.mean((1, 2)) for each in sent.split((FACED, MIRRORED), 2))
-        return faced + MIRRORING * mirrored + LOGS * logs.mean((1, 2)) + TEXELS * texels + SEEN * photo
+        result: Tensor = faced + MIRRORING * mirrored + LOGS * logs.mean((1, 2)) + TEXELS * texels + SEEN * photo
+        return result
 
     def _sent_apart(self, maps: Tensor, target: Tensor, learned: Params) -> tuple[Tensor, Tensor]:
         """How far what surfaces send out is from the target, and its log, [T, 3, S] each."""
@@ -209,7 +211,8 @@ class Illumination(CodedApp):
         return super().loss_parameters(steps) | light
 
     def init_reader(self, rng: Generator) -> Params:
-        return self.setup.encoder.init(rng)
+        result: Params = self.setup.encoder.init(rng)
+        return result
 
     def read(self, reader: Params, photos: Tensor) -> Params:
         code, body = self.setup.encoder(reader, photos.to(next(iter(reader.values()))) / 255)

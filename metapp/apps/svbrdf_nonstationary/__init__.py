@@ -216,7 +216,8 @@ class SvbrdfNonstationary(CodedApp):
         return {"smoothing": torch.full((steps,), math.log(SMOOTHED))}
 
     def init_reader(self, rng: Generator) -> Params:
-        return self.setup.encoder.init(rng)
+        result: Params = self.setup.encoder.init(rng)
+        return result
 
     def read(self, reader: Params, photos: Tensor) -> Params:
         code, flash = self.setup.encoder(reader, seen(photos))

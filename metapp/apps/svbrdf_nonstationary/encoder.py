@@ -36,7 +36,8 @@ class Encoder(NamedTuple):
 
     def channels(self, level: int) -> int:
         """Channels at a level, 0 the finest."""
-        return self.width * min(2**level, MOST)
+        result: int = self.width * min(2**level, MOST)
+        return result
 
     def init(self, rng: Generator) -> Params:
         """Random parameters."""

@@ -46,12 +46,14 @@ class Table(NamedTuple):
     def _row(self, film: Tensor) -> Tensor:
         side = round(self.masses.shape[0] ** 0.5)
         cell = (film * side).long().clamp(0, side - 1)
-        return cell[:, 1] * side + cell[:, 0]
+        result: Tensor = cell[:, 1] * side + cell[:, 0]
+        return result
 
     def _inside(self, cell: Tensor, uniform: Tensor) -> Tensor:
         side = round(self.masses.shape[1] ** 0.5)
         corner = torch.stack([cell // side, cell % side], 1)
-        return ((corner + uniform) / side).float().clamp_max(spline.BELOW_ONE)
+        result: Tensor = ((corner + uniform) / side).float().clamp_max(spline.BELOW_ONE)
+        return result
 
     def _densities(self, index: Tensor) -> Tensor:
         return self.masses.flatten()[index] * self.masses.shape[1]

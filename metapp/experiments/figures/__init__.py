@@ -40,7 +40,10 @@ def draw(name: str, subject: Subject) -> Drawn | None:
 
     module, function = FIGURES[name].split(".")
     with rc_context(STYLE):
-        return getattr(importlib.import_module(f"metapp.experiments.figures.{module}"), function)(subject)
+        result: Drawn | None = getattr(importlib.import_module(f"metapp.experiments.figures.{module}"), function)(
+            subject
+        )
+        return result
 
 
 def write_figures(subjects: Sequence[Subject], folder: Path) -> list[Path]:

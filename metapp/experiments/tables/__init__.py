@@ -57,7 +57,8 @@ class Table(NamedTuple):
 
 def load_table(name: str) -> Table:
     """The table of that name, one of NAMES."""
-    return importlib.import_module(f"metapp.experiments.tables.{name}").TABLE
+    result: Table = importlib.import_module(f"metapp.experiments.tables.{name}").TABLE
+    return result
 
 
 def numbers(title: str, key: str, form: str) -> Column:
@@ -78,7 +79,8 @@ def interval(title: str = "95 % interval") -> Column:
 @functools.cache
 def paper() -> dict[str, Any]:
     """The paper's figures, with where they stand in it."""
-    return json.loads((resources.files("metapp") / "paper.json").read_text())
+    result: dict[str, Any] = json.loads((resources.files("metapp") / "paper.json").read_text())
+    return result
 
 
 def blank(app: str, paradigm: str, **more: Any) -> Row:

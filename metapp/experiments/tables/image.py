@@ -78,7 +78,8 @@ def measured_row(subject: Subject, name: str, cell: Cell, key: str) -> Row:
     bound, better = told["ssim"]["at_least"], key.startswith("SSIM")  # more of it is
 
     def take(record: Record) -> float | None:
-        return record["measures"].get(name, {}).get(key)
+        result: float | None = record["measures"].get(name, {}).get(key)
+        return result
 
     values = [value for record in cell.records() if (value := take(record)) is not None]
     return subject.row(name, cell, take, measure=key or None) | {

@@ -82,7 +82,8 @@ class Fit(NamedTuple):
 
 def error_in(record: Record) -> float | None:
     """The table's error of a task; None where it holds no reference."""
-    return record["error"]
+    result: float | None = record["error"]
+    return result
 
 
 class Subject:
@@ -107,7 +108,7 @@ class Subject:
         return self.options.app
 
     @functools.cached_property
-    def presentation(self) -> Presentation:
+    def presentation(self) -> Presentation[Any]:
         """What tables and pictures need of the application."""
         return presentation_of(self.app)
 
@@ -240,7 +241,8 @@ class Absent(NamedTuple):
     @property
     def title(self) -> str:
         """As tables call it."""
-        return paper()["titles"][self.name]
+        result: str = paper()["titles"][self.name]
+        return result
 
 
 def absent(names: Sequence[str]) -> list[Absent]:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -91,7 +92,7 @@ def adam_directions(
     return directions, after
 
 
-def _adam_step(eps: float, decay: float = 0.0) -> Callable:
+def _adam_step(eps: float, decay: float = 0.0) -> Callable[..., Any]:
     def step(alpha: Params, theta: Params, grads: Params, state: Params) -> tuple[Params, Params]:
         if decay:
             grads = {key: grad + decay * theta[key] for key, grad in grads.items()}

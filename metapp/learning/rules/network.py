@@ -128,4 +128,5 @@ def _layer(alpha: Params, name: str, i: int, x: Tensor) -> Tensor:
     kernel = alpha[f"{name}.kernel{i}"]
     x = pad(x, (1, 1, 0, 0), mode="circular") if name.startswith("around.") else pad(x, (1, 1, 0, 0))
     x = conv2d(pad(x, (0, 0, 1, 1)).flatten(0, 1)[None], kernel.flatten(0, 1), groups=len(kernel))
-    return x[0].unflatten(0, (len(kernel), -1)) + alpha[f"{name}.shift{i}"]
+    result: Tensor = x[0].unflatten(0, (len(kernel), -1)) + alpha[f"{name}.shift{i}"]
+    return result
