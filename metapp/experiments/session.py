@@ -19,7 +19,6 @@ from metapp.learning.app import App
 from metapp.learning.learn import MetaParameters
 from metapp.learning.rules import rule_of
 from metapp.paradigms import Job, Paradigm
-from metapp.paradigms.quickft import adam_of
 
 THREADS = torch.get_num_threads()  # as the process began
 
@@ -193,11 +192,7 @@ def versions() -> dict[str, str]:
 def settings_of(options: Options, paradigm: Paradigm, start: Start, label: str) -> dict[str, Any]:
     """Everything that a run's figures depend on: what its records carry, and their key."""
     recipe = options.job.recipe
-    adam = None
-    if paradigm.name == "quickft":
-        adam = asdict(adam_of(options.job, start.prepared))
-    elif paradigm.name in ("overfit", "finetune"):
-        adam = asdict(getattr(recipe, paradigm.name))
+    adam = paradigm.adam(options.job, start.prepared)
     return {
         "app": options.app.name,
         **observe_of(options.app),
@@ -205,7 +200,7 @@ def settings_of(options: Options, paradigm: Paradigm, start: Start, label: str) 
         "rule": options.rule if paradigm.name == "meta" else ("adam" if adam else "none"),
         "steps": paradigm.count(options.job),
         "batch": recipe.batch,
-        "adam": adam,
+        "adam": adam and asdict(adam),
         "start": start.digest,
         "data": label,
         "recipe": options.recipe,

@@ -33,9 +33,10 @@ def find_start(options: Options, paradigm: Paradigm) -> Start:
     Raises:
         ValueError: there is none, or it is another application's, paradigm's, protocol's or network's.
     """
-    needed = paradigm.needs(options.job)
-    if needed is None:
+    needs = paradigm.needs(options.job)
+    if not needs:
         return Start(MetaParameters(), "random", "")
+    needed, *tuned = needs
     path = _start_path(options, needed)
     prepared, info = load_start(path, options.device)
     app, name = info.get("app"), info.get("start")
@@ -51,7 +52,9 @@ def find_start(options: Options, paradigm: Paradigm) -> Start:
     if path == shipped_path(options.app.name, start_name(options.app, needed)) and not options.checkpoint:
         note = ", trained on other data, which may hold these tasks" if options.data else ""
         start = start._replace(source=f"the one that ships{note}")
-    return _with_tuning(options, start) if paradigm.name == "quickft" else start
+    for each in tuned:
+        start = _with_tuning(options, start, each)
+    return start
 
 
 def _require_protocol(path: Path, app: App, info: dict[str, Any]) -> None:
@@ -74,22 +77,22 @@ def _require_conditions(path: Path, app: App, prepared: MetaParameters, info: di
             say(f"warning: {path.name} was trained with {then}; here: {now}.")
 
 
-def _with_tuning(options: Options, start: Start) -> Start:
+def _with_tuning(options: Options, start: Start, name: str) -> Start:
     """Put the Adam that was tuned for this very encoder into its start."""
     encoder = tensor_digest(start.prepared.encoder)
-    candidates = [shipped_path(options.app.name, start_name(options.app, "quickft"))]
+    candidates = [shipped_path(options.app.name, start_name(options.app, name))]
     if options.data or embedded_exists(options.app.name):
-        candidates.insert(0, trained_path(options, "quickft"))
+        candidates.insert(0, trained_path(options, name))
     for path in candidates:
         if path.is_file():
             tuned, info = load_start(path)
             if info.get("encoder") == encoder:
                 require_tuned(path, tuned)
                 return Start(start.prepared._replace(alpha=tuned.alpha), f"{start.source}, tuned Adam", digest(path))
-    words = ["metapp", "quickft", options.app.name, "--train"]
+    words = ["metapp", name, options.app.name, "--train"]
     words += ["--observe", options.app.protocol] if options.app.protocol else []
     remedy = shlex.join(words + (["--data", str(options.data)] if options.data else []))
-    say(f"quickft: no Adam was tuned for this encoder, the recipe's is used; {remedy}")
+    say(f"{name}: no Adam was tuned for this encoder, the recipe's is used; {remedy}")
     return start
 
 
@@ -133,12 +136,12 @@ def train_start(options: Options, paradigm: Paradigm, steps: int | None) -> Path
     Returns:
         The file of the start; the one it replaces is kept as `<name>.previous.safetensors`.
     """
-    needed = paradigm.needs(options.job)
-    if needed is None:
+    needs = paradigm.needs(options.job)
+    if not needs:
         raise BadOption(f"--train: {paradigm.name} needs no preparation; leave the option out.")
     if options.checkpoint:
         raise BadOption("--train makes a start of its own; leave --checkpoint out.")
-    name = "quickft" if paradigm.name == "quickft" else needed
+    name = needs[-1]
     path = trained_path(options, name)
     make_folder(path.parent)
     folder = data_folder(options.app, options.data, options.quiet)

@@ -10,7 +10,7 @@ from torch import Generator
 from metapp.learning.adjoint import UpdateRule
 from metapp.learning.app import App
 from metapp.learning.learn import MetaParameters, learn, task_loss
-from metapp.learning.recipe import Recipe
+from metapp.learning.recipe import Adam, Recipe
 from metapp.learning.task import Params, Tasks
 
 AT_ONCE = 8  # tasks that are fitted side by side where memory would grow with a data set
@@ -37,17 +37,20 @@ class Paradigm(NamedTuple):
 
     Attributes:
         name: as on the command line.
-        needs: job -> name of the prepared start that it fits from ("general" or a rule), None for none.
+        needs: job -> names of what must be prepared: what it fits from ("general" or a rule), then what is tuned for
+            that ("quickft"); () for nothing.
         start: (job, prepared, tasks, rng) -> parameters [T, ...] before the first step.
         rule: (job, prepared, start, steps) -> how the steps move them.
         steps: recipe -> number of gradient steps.
+        adam: (job, prepared) -> the plain Adam that it fits by; None where the rule is a learned one, or there is none.
     """
 
     name: str
-    needs: Callable[[Job], str | None]
+    needs: Callable[[Job], tuple[str, ...]]
     start: Callable[[Job, MetaParameters, Tasks, Generator], Params]
     rule: Callable[[Job, MetaParameters, Params, int], UpdateRule]
     steps: Callable[[Recipe], int]
+    adam: Callable[[Job, MetaParameters], Adam | None] = lambda job, prepared: None
 
     def fit(self, job: Job, prepared: MetaParameters, tasks: Tasks, rng: Generator) -> Params:
         """Fit tasks, one or many at once: learn(start(task), rule, task, loss, steps).

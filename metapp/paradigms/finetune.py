@@ -10,4 +10,5 @@ FINETUNE = Paradigm(
     start=start,
     rule=lambda job, prepared, theta, steps: fixed_adam(job.recipe.finetune, theta, steps),
     steps=lambda recipe: recipe.finetune_steps,
+    adam=lambda job, prepared: job.recipe.finetune,
 )

@@ -27,7 +27,7 @@ def preparation(job: Job, rng: Generator) -> tuple[MetaParameters, Loss]:
 
 GENERAL = Paradigm(
     name="general",
-    needs=lambda job: "general",
+    needs=lambda job: ("general",),
     start=start,
     rule=lambda job, prepared, theta, steps: fixed_adam(job.recipe.finetune, theta, steps),
     steps=lambda recipe: 0,

@@ -95,7 +95,7 @@ def rule(job: Job, prepared: MetaParameters, theta: Params, steps: int) -> Updat
 
 META = Paradigm(
     name="meta",
-    needs=lambda job: job.rule,
+    needs=lambda job: (job.rule,),
     start=start,
     rule=rule,
     steps=lambda recipe: recipe.steps,

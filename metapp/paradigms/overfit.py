@@ -5,8 +5,9 @@ from metapp.paradigms import Paradigm
 
 OVERFIT = Paradigm(
     name="overfit",
-    needs=lambda job: None,
+    needs=lambda job: (),
     start=lambda job, prepared, tasks, rng: job.app.init(rng, len(tasks)),
     rule=lambda job, prepared, theta, steps: fixed_adam(job.recipe.overfit, theta, steps),
     steps=lambda recipe: recipe.overfit_steps,
+    adam=lambda job, prepared: job.recipe.overfit,
 )

@@ -31,4 +31,11 @@ def rule(job: Job, prepared: MetaParameters, theta: Params, steps: int) -> Updat
     return fixed_adam(adam_of(job, prepared), theta, steps)
 
 
-QUICKFT = Paradigm(name="quickft", needs=GENERAL.needs, start=start, rule=rule, steps=lambda recipe: recipe.steps)
+QUICKFT = Paradigm(
+    name="quickft",
+    needs=lambda job: (*GENERAL.needs(job), "quickft"),
+    start=start,
+    rule=rule,
+    steps=lambda recipe: recipe.steps,
+    adam=adam_of,
+)

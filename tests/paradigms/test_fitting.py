@@ -47,11 +47,11 @@ def test_the_five_paradigms(job: Job) -> None:
     table = paradigms()
     assert list(table) == ["general", "overfit", "finetune", "quickft", "meta"]
     assert {name: paradigm.needs(job) for name, paradigm in table.items()} == {
-        "general": "general",
-        "overfit": None,
-        "finetune": "general",
-        "quickft": "general",
-        "meta": job.rule,
+        "general": ("general",),
+        "overfit": (),
+        "finetune": ("general",),
+        "quickft": ("general", "quickft"),
+        "meta": (job.rule,),
     }
     recipe = job.recipe
     expected = {"general": 0, "overfit": 60, "finetune": 20, "quickft": recipe.steps, "meta": recipe.steps}

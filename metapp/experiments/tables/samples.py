@@ -5,7 +5,6 @@ from __future__ import annotations
 from metapp.experiments.session import observe_of
 from metapp.experiments.tables import Row, Table, blank, numbers, paper, words
 from metapp.experiments.tables.subject import Cell, Subject
-from metapp.paradigms.general import GENERAL
 
 
 def cells(subject: Subject) -> list[Cell]:
@@ -28,7 +27,7 @@ def rows(subject: Subject) -> list[Row]:
             **dict.fromkeys(("seen", "all", "seen_bytes", "all_bytes", "saved", "paper_saved")),
         }
         if visible:
-            reads = fit.paradigm.needs(fit.options.job) == GENERAL.needs(fit.options.job)
+            reads = "general" in fit.paradigm.needs(fit.options.job)
             reads = reads or bool(fit.start and fit.start.prepared.encoder)
             seen = min(drawn + (visible.encoder if reads else 0), visible.samples)
             row |= {
