@@ -1,0 +1,1 @@
+"""Files and synthetic data as tasks."""

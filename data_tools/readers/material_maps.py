@@ -87,6 +87,7 @@ class Material(NamedTuple):
 
     @property
     def title(self) -> str:
+        """What the material is called: its own name, or its folder's."""
         return self.name or self.folder.resolve().name
 
     @property

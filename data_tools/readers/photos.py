@@ -164,6 +164,11 @@ def _files_below(folder: Path) -> Iterator[Path]:
 
 
 def check_exists(path: Path) -> None:
+    """Refuse a path that is no file.
+
+    Raises:
+        ValueError: it is a folder, or nothing.
+    """
     if not path.is_file():
         found = "a folder" if path.is_dir() else "no such file"
         raise ValueError(f"{path}: {found}, {_EXPECTED}; check the path.")

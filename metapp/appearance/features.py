@@ -58,6 +58,7 @@ class RandomFilters(Features):
     """Random filters with a ReLU, on the image at several scales (Ustyuzhaninov et al. 2017)."""
 
     def forward(self, images: Tensor) -> list[Tensor]:
+        """Feature maps of images [B, 3, H, W], sRGB in [0, 1]: one a scale, each half the size of the last."""
         x = (images - self.mean) / self.deviation
         maps = []
         for stage in self.stages:

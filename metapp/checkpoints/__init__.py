@@ -1,0 +1,1 @@
+"""The checkpoints that ship, a folder and a card for each application."""

@@ -1,0 +1,1 @@
+"""The mathematics of learning: tasks, applications, recipes, learn, its adjoint, update rules."""

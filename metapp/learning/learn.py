@@ -176,7 +176,6 @@ def after_learning(
     Returns:
         A loss on the flat tree of MetaParameters.
     """
-
     last_loss = outer_loss or loss
 
     def draw(tasks: Any, rng: Generator) -> Drawn:

@@ -1,0 +1,1 @@
+"""All that touches the disk: files, shards, records, checkpoints."""

@@ -1,0 +1,1 @@
+"""Environment maps: skies, rooms, scenery and lamps."""

@@ -153,6 +153,7 @@ class Scene:
 
     @property
     def is_room(self) -> bool:
+        """Whether it has walls on all sides."""
         return bool(np.isfinite(self.low).all() and np.isfinite(self.high).all())
 
 

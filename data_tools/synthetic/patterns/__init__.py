@@ -1,0 +1,1 @@
+"""Periodic patterns that materials are made of."""

@@ -34,6 +34,7 @@ def turned(maps: Tensor, rng: Generator) -> Tensor:
 
 
 def tinted(maps: Tensor, rng: Generator) -> Tensor:
+    """Maps [T, 3, H, W], each channel times a random gain of about 15 %."""
     return maps * torch.exp(0.15 * torch.randn(len(maps), 3, 1, 1, generator=rng, device=rng.device))
 
 

@@ -56,6 +56,7 @@ class Setup:
 
 
 def field_of(side: int, hidden: int) -> LocalField:
+    """The network of maps of side x side texels, with so many hidden units."""
     return LocalField(
         side,
         side,
