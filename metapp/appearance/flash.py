@@ -24,8 +24,8 @@ FOV_RAD = math.pi / 4  # a phone held upright, along the shorter side of its pic
 # GGX is narrower than a texel there: half vectors of neighbours differ by 0.003 rad in a map of 256.
 SMOOTHEST = 0.04
 FARTHEST = 0.5  # from the centre of a photo that a flash is looked for
-# How made-up photographs are taken: the share whose flash is beside the lens; how far off the others' are, one standard
-# deviation, in half sides of the patch and in logs; aside as in the strips of Deschaintre et al. 2018.
+# How synthetic photographs are taken: the share whose flash is beside the lens; how far off the others' are, one
+# standard deviation, in half sides of the patch and in logs; aside as in the strips of Deschaintre et al. 2018.
 BESIDE_LENS = 0.3
 ASIDE, HIGHER, BRIGHTER = 0.24, 0.08, 0.06
 

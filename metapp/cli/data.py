@@ -85,7 +85,7 @@ def synth(
     quiet: Quiet = False,
     as_json: Json = False,
 ) -> None:
-    """Draw an embedded data set: made-up tasks, the same on every machine.
+    """Draw an embedded data set: synthetic tasks, the same on every machine.
 
     brdf: isotropic metals, plastics, paints, fabrics and mixtures of them, from physically based reflection models;
     about 1.6 MB and 0.1 s each, or 35 MB as a MERL file; 80 + 20.
@@ -165,7 +165,7 @@ def join(
 ) -> None:
     """Put several data sets into one; training tasks stay training tasks, test tasks stay test tasks.
 
-    What not all tasks hold, such as reference relightings of made-up materials, is left out.
+    What not all tasks hold, such as reference relightings of synthetic materials, is left out.
 
     Example:
       metapp data join synthetic merl --out joint

@@ -1,4 +1,4 @@
-"""One step of learning, and differentiating through many: the adjoint recursion, walked back one step at a time."""
+"""One step of learning, and differentiating through many: the adjoint recursion, one step at a time."""
 
 from __future__ import annotations
 
@@ -42,10 +42,10 @@ class Loss(NamedTuple):
 
 
 class UpdateRule(NamedTuple):
-    """An optimiser as two pure functions and the quantities they use.
+    """An optimiser as two pure functions and their hyperparameters.
 
     Attributes:
-        alpha: quantities by name, [K, ...]: step i uses entry min(i, K - 1), so K = 1 is the same at every step.
+        alpha: hyperparameters by name, [K, ...]: step i uses entry min(i, K - 1), so K = 1 is the same at every step.
             Those named `loss.*` go to the loss instead of the rule.
         init: theta -> state.
         step: (alpha at this step, theta, gradient, state) -> (theta, state).
@@ -57,7 +57,7 @@ class UpdateRule(NamedTuple):
 
 
 def at_step(alpha: Params, i: int) -> Params:
-    """The quantities of step i."""
+    """The hyperparameters of step i."""
     return {key: value[min(i, value.shape[0] - 1)] for key, value in alpha.items()}
 
 
@@ -199,7 +199,7 @@ def _narrow_bmm(left: Tensor, right: Tensor) -> Tensor:
 
 
 class _LearnThrough(torch.autograd.Function):
-    """K steps of learning as one node of the graph: keeps the K states, walks back one recomputed step at a time."""
+    """K steps of learning as one node of the graph: keeps the K states, backpropagates one recomputed at a time."""
 
     @staticmethod
     def forward(

@@ -18,7 +18,7 @@ from metapp.learning.task import Params, Tasks
 
 
 class MetaParameters(NamedTuple):
-    """What a paradigm prepares: phi, a start and the quantities of a rule, for Meta; an encoder for General."""
+    """What a paradigm prepares: phi, an initialisation and a rule's hyperparameters, for Meta; an encoder for General."""
 
     theta: Params = {}  # noqa: RUF012  (never written to)
     alpha: Params = {}  # noqa: RUF012
@@ -169,7 +169,7 @@ def after_learning(
         order: derivative carried through the steps: 1 leaves out second derivatives (FOMAML), 2 is exact (MAML).
         clip: each task's gradient, over all of phi, is scaled down to this norm.
         compiled: compile the inner step and its adjoint.
-        tasks_at_once: walk back for so many tasks at a time, which lowers the memory; None for all.
+        tasks_at_once: backpropagate for so many tasks at a time, which lowers the memory; None for all.
         condition, encode: where phi holds an encoder: what it reads of each task, and the task's start from that.
         outer_loss: the loss of the final theta, where that is not `loss` itself.
 

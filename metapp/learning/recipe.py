@@ -32,7 +32,7 @@ class Training:
         decay: weight decay (L2) of the outer Adam.
         order: derivative carried through the inner steps: 1 (FOMAML) or 2 (MAML); 0 where there are none.
         clip: each task's outer gradient is scaled down to this norm before the mean is taken.
-        tasks_at_once: tasks that are walked back together, where memory is short; None for all.
+        tasks_at_once: tasks that are backpropagated together, where memory is short; None for all.
         validate_every: outer steps between two looks at the validation tasks.
         augment: train on augmented tasks.
         start: Meta's first start: "random"; "mean" of General's predictions; "encoder", General's own, which starts

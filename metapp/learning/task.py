@@ -116,6 +116,6 @@ class Tasks:
         return tuple(self.names[row] for row in self.rows.tolist())
 
     def variants(self, data: dict[str, Tensor]) -> Tasks:
-        """Made-up relatives of the tasks in this view, one of each, in order: tensors [T, ...]."""
+        """Augmented tasks, one of each in this view, in order: tensors [T, ...]."""
         names = tuple(f"variant of {name}" for name in self.picked_names())
         return Tasks(names, data, torch.arange(len(names), device=self.rows.device))

@@ -16,7 +16,7 @@ TUNED = ("rate", "beta1", "beta2", "eps", "final")
 
 
 def to_alpha(settings: Adam) -> Params:
-    """Adam's settings as the quantities that a tuned start stores, scalars."""
+    """Adam's settings as a checkpoint of QuickFT stores them, scalars."""
     return {key: torch.tensor(getattr(settings, key), dtype=torch.float64) for key in TUNED}
 
 

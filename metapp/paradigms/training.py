@@ -241,7 +241,7 @@ def _search(
     since: Reached,
     keep: Keep,
 ) -> Prepared:
-    """The best Adam on validation tasks: one quantity or two at a time, around the best so far."""
+    """The best Adam on validation tasks: a coordinate search, one setting or two at a time."""
     curve: list[tuple[int, float | None, float]] = []
     best, best_adam = Prepared(start_of(first), float("inf"), 0, curve), first
     total = min(1 + sum(len(choices) for choices in SEARCHED), looks or sys.maxsize)

@@ -64,14 +64,12 @@ def test_photographs_become_texture_tasks(metapp: Callable, tmp_path: Path) -> N
 def test_options(metapp: Callable, tmp_path: Path) -> None:
     photo = photograph(tmp_path / "in" / "bark.png")
     out = tmp_path / "out"
-    result = metapp("data", "images", photo, "--out", out, "--app", "texture", "--split", "test", "--size", "64")
+    result = metapp("data", "images", photo, "--out", out, "--split", "test", "--size", "64")
     assert result == (0, "", f"texture: 0 train + 1 test tasks in {out}\n")
     (task,) = read_shard(out, "test", "texture")
     assert task.data["image"].shape == (3, 64, 64)
     assert metapp("data", "images", photo, "--out", tmp_path / "quiet", "--quiet") == (0, "", "")
     for option, value, shown in (
-        ("--app", "music", "'music' reads no images"),
-        ("--app", "brdf", "'brdf' reads no images"),
         ("--size", "31", "greater than or equal to 32"),
         ("--size", "x", "valid integer"),
     ):

@@ -51,7 +51,7 @@ def test_options_are_those_of_the_command(network: Path) -> None:
         api.fit("brdfs", network)
     with pytest.raises(ValueError, match="paradigm 'magic': expected one of general"):
         api.fit("brdf", network, paradigm="magic")
-    with pytest.raises(ValueError, match="--rule 'magic'"):
+    with pytest.raises(ValueError, match="--rule: rule 'magic': 'magic' is unknown"):
         api.fit("brdf", network, rule="magic")
 
 

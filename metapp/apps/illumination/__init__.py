@@ -219,7 +219,7 @@ class Illumination(CodedApp):
         return {"z": code / self.field.gain, "body": body / BODY_GAIN}
 
     def augment(self, tasks: Tasks, rng: Generator) -> Tasks:
-        """Relatives of the maps, and new photographs under them."""
+        """Augmented maps, and new photographs under them."""
         maps = varied(tasks.data["map"][tasks.rows], rng)
         photos = (photograph(maps, rng, tasks.data["photo"].shape[-1]) * 255).round().to(torch.uint8)
         return tasks.variants({"photo": photos} | self.described(maps))

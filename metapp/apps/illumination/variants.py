@@ -1,4 +1,4 @@
-"""Relatives of environment maps, to train on: turned, mirrored, tinted, of another contrast, mixed, with more lamps."""
+"""Data augmentation of environment maps: turned, mirrored, tinted, of another contrast, mixed, with more lamps."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def of_mean_1(maps: Tensor) -> Tensor:
 
 
 def varied(maps: Tensor, rng: Generator) -> Tensor:
-    """Made-up relatives of maps [T, 3, H, W], of mean luminance 1."""
+    """Augmented maps [T, 3, H, W], of mean luminance 1."""
     return of_mean_1(lit(mixed(of_mean_1(regraded(tinted(turned(maps, rng), rng), rng)), rng), rng))
 
 

@@ -1,4 +1,4 @@
-"""Relatives of materials, to train on: turned, mirrored, mixed, recoloured, photographed with another flash."""
+"""Data augmentation of materials: turned, mirrored, mixed, recoloured, photographed with another flash."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ JITTER = (ASIDE / ACROSS, ASIDE / ACROSS, HIGHER / UP, BRIGHTER / BRIGHT)
 
 
 def varied(maps: Tensor, rng: Generator) -> tuple[Tensor, Tensor]:
-    """Made-up relatives of materials [T, 10, S, S] and their photographs, linear [T, 3, S, S], of 8 bits.
+    """Augmented materials [T, 10, S, S] and their photographs, linear [T, 3, S, S], of 8 bits.
 
     Half of them are mixed with their neighbour, evenly or by a smooth mask.
     """
