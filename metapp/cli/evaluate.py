@@ -9,11 +9,11 @@ import typer
 
 from metapp.cli.console import out, print_json, say
 from metapp.experiments.reporter import progress
-from metapp.experiments.tables import NAMES, Row, Table, blank, load_table
+from metapp.experiments.tables import NAMES, Table, load_table
 
 if TYPE_CHECKING:
     from metapp.experiments.session import Options
-    from metapp.experiments.tables.subject import Absent, Cell, Subject
+    from metapp.experiments.tables.subject import Cell, Subject
 
 FORMATS = ("rich", "markdown", "latex", "csv", "json")
 ALL = "all"
@@ -62,7 +62,6 @@ def command(
         raise typer.BadParameter(f"--format '{format_name}': expected one of {', '.join(FORMATS)}.")
     from metapp.apps import app_names
     from metapp.experiments.session import check_protocol, find_app, options_of
-    from metapp.experiments.tables.subject import absent
 
     found = [find_app(name) for name in apps or app_names()]
     for app in [app for app in found if app.protocols] or found:
@@ -86,7 +85,6 @@ def command(
     # all starts before the first fit: a missing one should not be found after an hour; applications that nobody named
     # have empty cells where a start is missing
     subjects = find_subjects(planned, run=not no_run, strict=bool(apps) and not no_run, share=overfit_share)
-    missing = [] if apps or data else absent(app_names())
     tables = [load_table(name) for name in (NAMES if which == ALL else (which,))]
     measured = [load_table(name) for name in NAMES] if figures or report else tables
     cells = [cell for each in measured for subject in subjects for cell in each.cells(subject)]
@@ -94,7 +92,7 @@ def command(
     if not quiet and which in ("results", ALL):
         compare(subjects, quiet=quiet)
     if table or json:
-        show(tables, subjects, missing, "json" if json else format_name)
+        show(tables, subjects, "json" if json else format_name)
     if figures:
         from metapp.experiments.figures import write_figures
 
@@ -103,7 +101,7 @@ def command(
     if report:
         from metapp.experiments.report.page import write_report
 
-        say(f"report: {write_report(subjects, missing, report)}")
+        say(f"report: {write_report(subjects, report)}")
 
 
 def find_subjects(planned: list[Options], *, run: bool, strict: bool, share: float) -> list[Subject]:
@@ -126,24 +124,13 @@ def fill(cells: list[Cell], *, run: bool, quiet: bool) -> None:
             say(f"{cell.title}: {f'{count} of {len(cell.tasks)}' if count else 'all'} tasks missing: {cell.command}")
 
 
-def rows_of(table: Table, subject: Subject | Absent) -> list[Row]:
-    """The rows of one application; of one that is not here, the paper's figures, where the table has any."""
-    from metapp.experiments.tables.subject import Absent
-    from metapp.paradigms import paradigms
-
-    if not isinstance(subject, Absent):
-        return table.rows(subject)
-    return [blank(subject.name, name) for name in paradigms()] if table.name in ("results", "quickft") else []
-
-
-def show(tables: list[Table], subjects: list[Subject], missing: list[Absent], form: str) -> None:
+def show(tables: list[Table], subjects: list[Subject], form: str) -> None:
     """Print tables in a format."""
     from metapp.cli.show import rich_table
     from metapp.experiments.tables.formats import csv_of, text_table
 
-    about: list[Subject | Absent] = [*subjects, *missing]
     several = len(tables) > 1
-    found = {table.name: [(each, rows) for each in about if (rows := rows_of(table, each))] for table in tables}
+    found = {table.name: [(each, rows) for each in subjects if (rows := table.rows(each))] for table in tables}
     if form in ("json", "csv"):
         rows = [row | ({"table": name} if several else {}) for name in found for _, each in found[name] for row in each]
         if form == "csv":

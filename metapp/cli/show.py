@@ -11,12 +11,12 @@ from rich.text import Text
 from metapp.cli.console import out
 from metapp.experiments.tables import Column, Row, Table
 from metapp.experiments.tables.formats import notes_of, title_of
-from metapp.experiments.tables.subject import Absent, Subject
+from metapp.experiments.tables.subject import Subject
 
 FEWEST_COLUMNS = 3  # are shown however narrow the terminal
 
 
-def rich_table(table: Table, subject: Subject | Absent, rows: list[Row]) -> Any:
+def rich_table(table: Table, subject: Subject, rows: list[Row]) -> Any:
     """The table of one application for a terminal."""
     shown = RichTable(title=title_of(table, subject, rows), caption=Text("\n".join(notes_of(table, subject, rows))))
     columns = fitting(table.columns, rows, out.width)

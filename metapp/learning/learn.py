@@ -18,7 +18,7 @@ from metapp.learning.task import Params, Tasks
 
 
 class MetaParameters(NamedTuple):
-    """What a paradigm prepares: phi, an initialisation and a rule's hyperparameters, for Meta; an encoder for General."""
+    """What a paradigm prepares: phi, an initialisation and a rule's hyperparameters; for General an encoder."""
 
     theta: Params = {}  # noqa: RUF012  (never written to)
     alpha: Params = {}  # noqa: RUF012

@@ -39,7 +39,7 @@ from metapp.experiments.tables.image import image_cell
 from metapp.experiments.tables.running import Clock, run_cells
 from metapp.experiments.tables.statistics import carried
 from metapp.experiments.tables.storage import size
-from metapp.experiments.tables.subject import Cell, Subject, absent
+from metapp.experiments.tables.subject import Cell, Subject
 from metapp.experiments.tables.trace import FURTHER, PARTS, looks, near, places, project, states_of, trace_cell
 from metapp.learning.app import stack
 from metapp.learning.task import Task
@@ -547,24 +547,6 @@ def test_fits_have_the_threads_of_their_application_whatever_ran_before(tmp_path
             assert threads_of(app) == expected
     finally:
         torch.set_num_threads(before)
-
-
-def test_an_application_that_is_not_here_has_empty_cells(
-    metapp: Callable, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    monkeypatch.setattr("metapp.apps.app_names", lambda: ["brdf"])
-    missing = [each.name for each in absent(["brdf"])]
-    assert "transport" in missing
-    assert "brdf" not in missing
-    document = metapp("evaluate", "--no-run", "--json", "--out", tmp_path).document
-    rows = {(row["app"], row["paradigm"]): row for row in document["rows"]}
-    assert len(rows) >= 30
-    assert rows["transport", "meta"]["error"] is None
-    assert rows["transport", "meta"]["tasks"] == 0
-    assert rows["transport", "meta"]["paper_error"] == paper()["error"]["transport"]["meta"]
-    shown = metapp("evaluate", "--no-run", "--format", "markdown", "--out", tmp_path).out
-    assert "| transport | meta | - | - |" in shown
-    assert "not here yet" in shown
 
 
 # Figures and the report

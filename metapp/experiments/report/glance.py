@@ -9,20 +9,20 @@ from metapp.experiments.figures import draw
 from metapp.experiments.figures.style import TITLES
 from metapp.experiments.report.html import Pictures, anchor, drawn_html
 from metapp.experiments.reporter import number
-from metapp.experiments.tables import Row, blank, paper
+from metapp.experiments.tables import Row, paper
 from metapp.experiments.tables.results import budget, result_row
 from metapp.experiments.tables.statistics import apart, carried, paired_of, paired_text, warned
-from metapp.experiments.tables.subject import Absent, Subject
+from metapp.experiments.tables.subject import Subject
 
 TIMES = "&times;"
 
 
-def glance(subjects: Sequence[Subject], missing: Sequence[Absent], pictures: Pictures) -> str:
+def glance(subjects: Sequence[Subject], pictures: Pictures) -> str:
     """Cards and the table."""
     cards = "".join(card(subject, pictures) for subject in subjects)
     return (
         f'<section id="glance"><h2>At a glance</h2><div class="cards">{cards}</div>'
-        f"<h3>The paper's table of results</h3>{matrix(subjects, missing)}</section>"
+        f"<h3>The paper's table of results</h3>{matrix(subjects)}</section>"
     )
 
 
@@ -67,17 +67,16 @@ def badge(rows: list[Row]) -> str:
     return f'<span class="badge{kind}">{said}</span> <small>{escape(figures)}</small>'
 
 
-def matrix(subjects: Sequence[Subject], missing: Sequence[Absent]) -> str:
+def matrix(subjects: Sequence[Subject]) -> str:
     """Paradigms by applications: error and seconds, the paper's below in small."""
     titles = paper()["titles"]
-    about: dict[str, Subject | Absent] = {subject.app.name: subject for subject in subjects if subject.is_papers}
-    about |= {each.name: each for each in missing}
+    about: dict[str, Subject] = {subject.app.name: subject for subject in subjects if subject.is_papers}
     names = [*(name for name in titles if name in about), *(name for name in about if name not in titles)]
     top = "".join(f'<th scope="col" colspan="2">{escape(titles.get(name, about[name].title))}</th>' for name in names)
     below = "<th scope='col'>error</th><th scope='col'>seconds</th>" * len(names)
     body = ""
     for paradigm, title in TITLES.items():
-        cells = "".join(_pair(about[name], name, paradigm) for name in names)
+        cells = "".join(_pair(about[name], paradigm) for name in names)
         body += f'<tr class="{paradigm}"><th scope="row" class="left">{title}</th>{cells}</tr>'
     caption = (
         "Mean error over unseen tasks and median seconds of inference; in small type the paper's, of its own data and "
@@ -88,8 +87,8 @@ def matrix(subjects: Sequence[Subject], missing: Sequence[Absent]) -> str:
     return f'<div class="scroll">{table}</div>'
 
 
-def _pair(each: Subject | Absent, app: str, paradigm: str) -> str:
-    row = result_row(each, paradigm) if isinstance(each, Subject) else blank(app, paradigm)
+def _pair(each: Subject, paradigm: str) -> str:
+    row = result_row(each, paradigm)
     ours = (number(row["error"], ".3f"), number(row["seconds"], ".3g"))
     theirs = (number(row["paper_error"], ".3f"), number(row["paper_seconds"], ".3f"))
     return "".join(f"<td>{one}<small>{other}</small></td>" for one, other in zip(ours, theirs, strict=True))

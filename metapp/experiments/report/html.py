@@ -14,7 +14,7 @@ import numpy as np
 from metapp.experiments.figures import Drawn
 from metapp.experiments.tables import Row, Table
 from metapp.experiments.tables.formats import notes_of, title_of
-from metapp.experiments.tables.subject import Absent, Subject
+from metapp.experiments.tables.subject import Subject
 from metapp.storage.files import write_atomically
 
 EMBEDDED = 14_000_000  # bytes of pictures up to which they are part of the page; else they lie beside it
@@ -57,7 +57,7 @@ class Pictures:
         return _TOKEN.sub(address, page)
 
 
-def table_html(table: Table, subject: Subject | Absent, rows: list[Row]) -> str:
+def table_html(table: Table, subject: Subject, rows: list[Row]) -> str:
     """A table with its caption, and notes below."""
     head = "".join(
         f'<th scope="col"{_left(column.left)} aria-sort="none"><button>{escape(column.title)}</button></th>'

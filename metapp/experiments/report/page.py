@@ -18,7 +18,7 @@ from metapp.experiments.report.glance import glance
 from metapp.experiments.report.html import Pictures, anchor, drawn_html, table_html
 from metapp.experiments.session import make_folder, versions
 from metapp.experiments.tables import NAMES, load_table, paper
-from metapp.experiments.tables.subject import Absent, Subject
+from metapp.experiments.tables.subject import Subject
 from metapp.storage.files import write_atomically
 
 HEADINGS = {
@@ -32,7 +32,7 @@ HEADINGS = {
 }
 
 
-def write_report(subjects: Sequence[Subject], missing: Sequence[Absent], folder: Path) -> Path:
+def write_report(subjects: Sequence[Subject], folder: Path) -> Path:
     """Write `index.html`, of what has been measured so far.
 
     Returns:
@@ -47,7 +47,7 @@ def write_report(subjects: Sequence[Subject], missing: Sequence[Absent], folder:
         "style": _text("page.css"),
         "script": _text("page.js"),
         "links": "".join([*links, '<a href="#made">How this was made</a>']),
-        "body": "\n".join([glance(subjects, missing, pictures), *sections, colophon(subjects)]),
+        "body": "\n".join([glance(subjects, pictures), *sections, colophon(subjects)]),
         "records": records.replace("<", "\\u003c"),  # no record can end the script
     }
     page = re.sub(r"\{\{(\w+)\}\}", lambda match: parts[match[1]], _text("page.html"))

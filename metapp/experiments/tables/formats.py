@@ -7,10 +7,10 @@ import io
 from collections.abc import Sequence
 
 from metapp.experiments.tables import Row, Table
-from metapp.experiments.tables.subject import Absent, Subject
+from metapp.experiments.tables.subject import Subject
 
 
-def text_table(table: Table, found: Sequence[tuple[Subject | Absent, list[Row]]], form: str) -> str:
+def text_table(table: Table, found: Sequence[tuple[Subject, list[Row]]], form: str) -> str:
     """The table of all applications as "markdown", "latex" or "csv"."""
     rows = [row for _, each in found for row in each]
     if form == "csv":
@@ -44,14 +44,14 @@ def key_of(row: Row) -> str:
     return f"{row['app']} {row.get('observe', '')}".rstrip()
 
 
-def title_of(table: Table, subject: Subject | Absent, rows: list[Row]) -> str:
+def title_of(table: Table, subject: Subject, rows: list[Row]) -> str:
     """What a table shows, of what and of how many tasks."""
     count = max((row["tasks"] for row in rows), default=0)
-    scale = 1 if isinstance(subject, Absent) else subject.app.scale
+    scale = subject.app.scale
     said = table.title.format(factor=f" x{scale:g}" if scale != 1 else "")
     return f"{subject.title}, {f'{count} unseen tasks: ' if count else ''}{said}"
 
 
-def notes_of(table: Table, subject: Subject | Absent, rows: list[Row]) -> list[str]:
+def notes_of(table: Table, subject: Subject, rows: list[Row]) -> list[str]:
     """What must be said below it."""
-    return ["not here yet; the figures are the paper's"] if isinstance(subject, Absent) else table.notes(subject, rows)
+    return table.notes(subject, rows)

@@ -25,7 +25,7 @@ from metapp.experiments.session import (
     title_of,
 )
 from metapp.experiments.starts import find_start, trained_path
-from metapp.experiments.tables import Row, blank, paper
+from metapp.experiments.tables import Row, blank
 from metapp.experiments.tables.statistics import Paired, paired, statistics_of
 from metapp.learning.app import App
 from metapp.learning.task import Task
@@ -231,23 +231,6 @@ def _remarks(records: Sequence[Record]) -> Row:
         "warnings": sum(bool(record.get("warning")) for record in records),
         "threads": ", ".join(map(str, threads)) or None,
     }
-
-
-class Absent(NamedTuple):
-    """An application of the paper's that is not here yet."""
-
-    name: str
-
-    @property
-    def title(self) -> str:
-        """As tables call it."""
-        result: str = paper()["titles"][self.name]
-        return result
-
-
-def absent(names: Sequence[str]) -> list[Absent]:
-    """The paper's applications that are not among these."""
-    return [Absent(name) for name in paper()["titles"] if name not in names]
 
 
 def _find_fits(options: Options, strict: bool, share: float) -> list[Fit]:
