@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# All five paradigms on real maps, under both protocols, by the starts that ship: real_illumination.sh METAPP DATA RUNS
+# All five paradigms on real maps, under both protocols, by the checkpoints that ship: real_illumination.sh METAPP DATA RUNS
 # Those were trained on drawn maps alone, so that every real one is a test task.
 set -euo pipefail
 metapp=$1 data=$2 runs=$3

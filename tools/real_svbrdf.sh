@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # All five paradigms on real strips and game materials, under both protocols, and flash photos without maps, by the
-# starts that ship: real_svbrdf.sh METAPP DATA RUNS
+# checkpoints that ship: real_svbrdf.sh METAPP DATA RUNS
 # Those were trained on drawn materials alone, so that every real one is a test task.
 set -euo pipefail
 metapp=$1 data=$2 runs=$3

@@ -1,4 +1,4 @@
-"""Copy trained starts to where those that ship lie: ship.py STARTS CHECKPOINTS.
+"""Copy trained checkpoints to where those that ship lie: ship.py STARTS CHECKPOINTS.
 
 Encoders are kept in half precision there, which no error shows and halves their size; starts that name General's by its
 digest name the rounded one.
@@ -14,7 +14,7 @@ from safetensors import safe_open
 from safetensors.torch import save_file
 
 from metapp.learning.task import Params
-from metapp.storage.records import load_start, tensor_digest
+from metapp.storage.records import load_checkpoint, tensor_digest
 
 SKIPPED = (".previous", ".interrupted", ".training", ".aside")
 
@@ -38,7 +38,7 @@ def digests(general: Path) -> dict[str, str]:
     """General's digest as it was trained, and as it ships."""
     if not general.is_file():
         return {}
-    encoder: Params = load_start(general)[0].encoder
+    encoder: Params = load_checkpoint(general)[0].encoder
     return {tensor_digest(encoder): tensor_digest({key: value.half().float() for key, value in encoder.items()})}
 
 

@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Train the BRDF starts that ship: starts_brdf.sh METAPP DATA RUNS
+# Train the BRDF checkpoints that ship: starts_brdf.sh METAPP DATA RUNS
 # on the embedded training set and the 64 training materials of the MERL fits, never on the other 16.
 set -euo pipefail
 metapp=$1 data=$2 runs=$3

@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Train the starts that ship of an application with two protocols, on its embedded set alone:
+# Train the checkpoints that ship of an application with two protocols, on its embedded set alone:
 # starts_observed.sh METAPP RUNS APP
 set -euo pipefail
 metapp=$1 runs=$2 app=$3

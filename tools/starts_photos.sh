@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Train the texture and svBRDF starts that ship, on the embedded sets alone: starts_photos.sh METAPP RUNS
+# Train the texture and svBRDF checkpoints that ship, on the embedded sets alone: starts_photos.sh METAPP RUNS
 set -euo pipefail
 metapp=$1 runs=$2
 rule=meta-basis

@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Train the transport starts that ship, on the embedded scenes alone: starts_transport.sh METAPP RUNS
+# Train the transport checkpoints that ship, on the embedded scenes alone: starts_transport.sh METAPP RUNS
 set -euo pipefail
 metapp=$1 runs=$2
 app=transport

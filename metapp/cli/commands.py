@@ -9,10 +9,10 @@ from metapp.cli.fit import make_command
 
 SUMMARIES = {
     "general": "One forward pass of an encoder that was trained over all tasks; no gradient steps.",
-    "overfit": "Train the network on each task alone, from a random start, until it has converged.",
+    "overfit": "Train the network on each task alone, from a random initialisation, until it has converged.",
     "finetune": "General's result, then about a tenth of Overfit's steps.",
     "quickft": "General's result, then as many Adam steps as Meta takes.",
-    "meta": "A few steps from a learned start by a learned rule.\n\nExample: metapp meta brdf --steps 10",
+    "meta": "A few steps from a learned initialisation by a learned rule.\n\nExample: metapp meta brdf --steps 10",
 }
 
 app = typer.Typer(

@@ -16,7 +16,7 @@ PACKAGES = ("metapp", "torch", "numpy", "mitsuba", "OpenImageIO", "colour-scienc
 def command(
     json: Annotated[bool, typer.Option("--json", help="One JSON object as last line of standard output.")] = False,
 ) -> None:
-    """Say what this installation has: versions, device, compiler, cache, starts that ship, VGG's weights, libLLVM."""
+    """Say what is installed: versions, device, compiler, cache, shipped checkpoints, VGG's weights, libLLVM."""
     found = examine()
     if json:
         print_json(found)
@@ -31,8 +31,8 @@ def examine() -> dict[str, Any]:
     import torch
 
     from metapp.apps import app_names
+    from metapp.experiments.checkpoints import shipped_path
     from metapp.experiments.embedded import embedded_exists
-    from metapp.experiments.starts import shipped_path
     from metapp.paradigms.training import can_compile
     from metapp.storage.files import cache_folder
 

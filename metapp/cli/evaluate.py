@@ -82,8 +82,8 @@ def command(
                     quiet=quiet,
                 )
             )
-    # all starts before the first fit: a missing one should not be found after an hour; applications that nobody named
-    # have empty cells where a start is missing
+    # all checkpoints before the first fit: a missing one should not be found after an hour; applications that nobody
+    # named have empty cells where a checkpoint is missing
     subjects = find_subjects(planned, run=not no_run, strict=bool(apps) and not no_run, share=overfit_share)
     tables = [load_table(name) for name in (NAMES if which == ALL else (which,))]
     measured = [load_table(name) for name in NAMES] if figures or report else tables
@@ -105,7 +105,7 @@ def command(
 
 
 def find_subjects(planned: list[Options], *, run: bool, strict: bool, share: float) -> list[Subject]:
-    """What tables are about, with the starts of all."""
+    """What tables are about, with the checkpoints of all."""
     from metapp.experiments.tables.subject import Subject
 
     return [Subject(options, run=run, strict=strict, share=share) for options in planned]

@@ -54,16 +54,18 @@ def make_command(name: str, summary: str) -> Any:
             str,
             typer.Option(help="What a fit may see, where an application has both: reference (the default) or photo."),
         ] = "",
-        train: Annotated[bool, typer.Option("--train", help="Train the start on the training tasks first.")] = False,
+        train: Annotated[
+            bool, typer.Option("--train", help="Train the checkpoint on the training tasks first.")
+        ] = False,
         train_steps: Annotated[
             int | None, typer.Option(help="Outer training steps instead of the recipe's.", min=1)
         ] = None,
         data: Annotated[Path | None, typer.Option(help="Folder of task shards; default: the embedded set.")] = None,
-        out_folder: Annotated[Path, typer.Option("--out", help="Where runs and trained starts are kept.")] = Path(
+        out_folder: Annotated[Path, typer.Option("--out", help="Where runs and trained checkpoints are kept.")] = Path(
             "runs"
         ),
         checkpoint: Annotated[
-            Path | None, typer.Option(help="Start to use; default: trained here, else shipped.")
+            Path | None, typer.Option(help="Checkpoint to use; default: trained here, else shipped.")
         ] = None,
         recipe: Annotated[str, typer.Option(help="quick or paper; texture: also paper-vgg19.")] = "quick",
         scene_root: Annotated[

@@ -11,11 +11,11 @@ from safetensors.torch import save
 
 from data_tools.formats import exports_of
 from metapp.apps import presentation_of
+from metapp.experiments.checkpoints import find_checkpoint
 from metapp.experiments.export import check_export
 from metapp.experiments.fits import fit_tasks
 from metapp.experiments.inputs import tasks_to_fit
 from metapp.experiments.session import Options, options_of, threads, threads_of
-from metapp.experiments.starts import find_start
 from metapp.learning.app import App
 from metapp.learning.task import Params, Task
 from metapp.paradigms import paradigms
@@ -118,8 +118,8 @@ def fit_all(
     given: Options = options_of(app, quiet=True, **{key: _path(key, value) for key, value in options.items()})
     with threads(threads_of(given.app)):
         tasks, _ = tasks_to_fit(given.app, [Path(each) for each in sources], given.data, quiet=True)
-        start = find_start(given, known[paradigm])
-        done = fit_tasks(given, known[paradigm], start, tasks)
+        checkpoint = find_checkpoint(given, known[paradigm])
+        done = fit_tasks(given, known[paradigm], checkpoint, tasks)
         return [Fit(given.app, task, *made) for task, made in zip(tasks, done, strict=True)]
 
 

@@ -12,14 +12,14 @@ import torch
 from torch import Generator
 
 from metapp.experiments.reporter import say
-from metapp.experiments.session import Options, Start
+from metapp.experiments.session import Checkpoint, Options
 from metapp.learning.app import stack
 from metapp.learning.task import Params, Task, Tasks
 from metapp.paradigms import Job, Paradigm
 
 
 def fit_tasks(
-    options: Options, paradigm: Paradigm, start: Start, tasks: list[Task]
+    options: Options, paradigm: Paradigm, checkpoint: Checkpoint, tasks: list[Task]
 ) -> Iterator[tuple[dict[str, Any], Params]]:
     """Fit tasks, each alone, so that its time is its own.
 
@@ -36,7 +36,7 @@ def fit_tasks(
         _synchronise(device)
         begin = time.perf_counter()
         stacked = stack(app, [task], device)
-        theta = paradigm.fit(job if steps is None else job._replace(steps=steps), start.prepared, stacked, rng)
+        theta = paradigm.fit(job if steps is None else job._replace(steps=steps), checkpoint.prepared, stacked, rng)
         _synchronise(device)
         return theta, time.perf_counter() - begin, stacked
 
@@ -52,28 +52,30 @@ def fit_tasks(
         finite = all(bool(torch.isfinite(value).all()) for value in theta.values())
         if not finite or (errors and not math.isfinite(errors["error"])):
             what = "error is" if finite else "parameters are"
-            raise FloatingPointError(f"{task.name}: the fit's {what} not finite; use another start or fewer steps.")
+            raise FloatingPointError(
+                f"{task.name}: the fit's {what} not finite; use another checkpoint or fewer steps."
+            )
         # sums depend on the number of threads, in their last digits: the record says it, but its key does not, since
         # that is no reason to fit anew
         record = {"name": task.name, "error": None, **errors, "seconds": seconds, "threads": threads}
-        record |= warning_of(paradigm, job, start, stacked, theta, rng_of(options, task))
+        record |= warning_of(paradigm, job, checkpoint, stacked, theta, rng_of(options, task))
         yield record, {key: value[0] for key, value in theta.items()}
 
 
 def warning_of(
-    paradigm: Paradigm, job: Job, start: Start, stacked: Tasks, theta: Params, rng: Generator
+    paradigm: Paradigm, job: Job, checkpoint: Checkpoint, stacked: Tasks, theta: Params, rng: Generator
 ) -> dict[str, str]:
-    """What a record says of a fit that leaves what it sees worse than its start: a learned rule can fail on a task.
+    """What a record says of a fit that is worse on what it sees than its initialisation: learned rules can fail.
 
     Args:
-        paradigm, job, start: what the fit was made by.
+        paradigm, job, checkpoint: what the fit was made by.
         stacked: the one task.
         theta: the fit, [1, ...].
-        rng: as it was at the beginning of the fit, so that the start is the same.
+        rng: as it was at the beginning of the fit, so that the checkpoint is the same.
     """
     if paradigm.count(job) == 0:
         return {}
-    first = paradigm.start(job, start.prepared, stacked, rng)
+    first = paradigm.start(job, checkpoint.prepared, stacked, rng)
     with torch.no_grad():
         batch = job.app.sample(stacked, torch.Generator(rng.device).manual_seed(0), job.recipe.batch)
         before, after = (float(job.app.loss(each, batch, {})[0]) for each in (first, theta))

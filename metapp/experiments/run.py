@@ -6,14 +6,15 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from metapp.experiments.checkpoints import find_checkpoint, train_checkpoint
 from metapp.experiments.export import export_all
 from metapp.experiments.fits import fit_tasks
 from metapp.experiments.inputs import tasks_to_fit
 from metapp.experiments.pictures import write_files
 from metapp.experiments.reporter import number, progress, say
 from metapp.experiments.session import (
+    Checkpoint,
     Options,
-    Start,
     make_folder,
     name_of,
     observe_of,
@@ -21,7 +22,6 @@ from metapp.experiments.session import (
     threads,
     threads_of,
 )
-from metapp.experiments.starts import find_start, train_start
 from metapp.learning.task import Task
 from metapp.paradigms import Paradigm, paradigms
 from metapp.storage.records import FIT, RunFolder, summary
@@ -98,20 +98,22 @@ def run(
     with threads(threads_of(options.app)):
         tasks, label = tasks_to_fit(options.app, inputs, options.data, options.quiet, scene_roots)
         if train:
-            train_start(options, paradigm, train_steps)
-        start = find_start(options, paradigm)
-        return _fit(options, paradigm, start, tasks, label, export)
+            train_checkpoint(options, paradigm, train_steps)
+        checkpoint = find_checkpoint(options, paradigm)
+        return _fit(options, paradigm, checkpoint, tasks, label, export)
 
 
-def _fit(options: Options, paradigm: Paradigm, start: Start, tasks: list[Task], label: str, export: str) -> Run:
-    settings = settings_of(options, paradigm, start, label)
+def _fit(
+    options: Options, paradigm: Paradigm, checkpoint: Checkpoint, tasks: list[Task], label: str, export: str
+) -> Run:
+    settings = settings_of(options, paradigm, checkpoint, label)
     folder = RunFolder(run_path(options, settings, label), settings, FIT)
     if not options.quiet:
         what = f"{name_of(options.app)} {paradigm.name}"
-        say(f"{what}: {len(tasks)} tasks, {settings['steps']} steps, start: {start.source}")
+        say(f"{what}: {len(tasks)} tasks, {settings['steps']} steps, from {checkpoint.source}")
     # a finished run is run anew, one that was cut off is completed
     again = len(folder.finished()) >= len(tasks)
-    records = run_tasks(options, paradigm, start, tasks, folder, again=again)
+    records = run_tasks(options, paradigm, checkpoint, tasks, folder, again=again)
     made = write_files(options.app, tasks, folder.path)
     if export:
         export_all(options.app, tasks, folder, export)
@@ -132,26 +134,32 @@ def run_path(options: Options, settings: dict[str, Any], label: str) -> Path:
 
 
 def run_tasks(
-    options: Options, paradigm: Paradigm, start: Start, tasks: list[Task], folder: RunFolder, *, again: bool = False
+    options: Options,
+    paradigm: Paradigm,
+    checkpoint: Checkpoint,
+    tasks: list[Task],
+    folder: RunFolder,
+    *,
+    again: bool = False,
 ) -> list[dict[str, Any]]:
     """Fit each task that has no record yet, or all again, with a progress bar; the records of all, in order."""
     done = {} if again else folder.finished()
     with progress(paradigm.name, len(tasks), done=len(done), quiet=options.quiet) as bar:
         missing = [task for task in tasks if task.name not in done]
-        for record in fit_and_keep(options, paradigm, start, missing, folder):
+        for record in fit_and_keep(options, paradigm, checkpoint, missing, folder):
             done[record["name"]] = record
             bar.advance(f"{record['name']} {number(record['error'], '.3f')}".removesuffix(" -"))
     return [done[task.name] for task in tasks]
 
 
 def fit_and_keep(
-    options: Options, paradigm: Paradigm, start: Start, tasks: list[Task], folder: RunFolder
+    options: Options, paradigm: Paradigm, checkpoint: Checkpoint, tasks: list[Task], folder: RunFolder
 ) -> Iterator[dict[str, Any]]:
     """Fit tasks and keep the record and the parameters of each as soon as it is done.
 
     Yields:
         Their records.
     """
-    for record, theta in fit_tasks(options, paradigm, start, tasks):
+    for record, theta in fit_tasks(options, paradigm, checkpoint, tasks):
         folder.add(record, theta)
         yield record

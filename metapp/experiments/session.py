@@ -71,8 +71,8 @@ def options_of(
     return Options(placed, recipe, chosen, steps, data, out, checkpoint, seed, find_device(device, placed), quiet)
 
 
-class Start(NamedTuple):
-    """A prepared start, where it came from and a digest of its file ("" where nothing is needed)."""
+class Checkpoint(NamedTuple):
+    """A checkpoint, where it came from and a digest of its file ("" where nothing is needed)."""
 
     prepared: MetaParameters
     source: str
@@ -118,7 +118,7 @@ def is_first_protocol(app: App) -> bool:
 
 
 def observe_of(app: App) -> dict[str, str]:
-    """The protocol as records, rows and headers of starts say it: nothing where there is none."""
+    """The protocol as records, rows and headers of checkpoints say it: nothing where there is none."""
     return {"observe": app.protocol} if app.protocol else {}
 
 
@@ -189,10 +189,10 @@ def versions() -> dict[str, str]:
     }
 
 
-def settings_of(options: Options, paradigm: Paradigm, start: Start, label: str) -> dict[str, Any]:
+def settings_of(options: Options, paradigm: Paradigm, checkpoint: Checkpoint, label: str) -> dict[str, Any]:
     """Everything that a run's figures depend on: what its records carry, and their key."""
     recipe = options.job.recipe
-    adam = paradigm.adam(options.job, start.prepared)
+    adam = paradigm.adam(options.job, checkpoint.prepared)
     return {
         "app": options.app.name,
         **observe_of(options.app),
@@ -201,7 +201,7 @@ def settings_of(options: Options, paradigm: Paradigm, start: Start, label: str) 
         "steps": paradigm.count(options.job),
         "batch": recipe.batch,
         "adam": adam and asdict(adam),
-        "start": start.digest,
+        "start": checkpoint.digest,
         "data": label,
         "recipe": options.recipe,
         "seed": options.seed,

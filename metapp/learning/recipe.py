@@ -55,7 +55,7 @@ class Training:
     start: Literal["random", "mean", "encoder"] = "mean"
 
 
-# Fischer & Ritschel 2022, supplement: first-order MAML with Meta-SGD from a random start, meta-batch 5
+# Fischer & Ritschel 2022, supplement: first-order MAML with Meta-SGD from a random initialisation, meta-batch 5
 AS_PUBLISHED = Training(steps=100_000, tasks=5, rates={"": 1e-4}, first=Adam(1e-3), order=1, clip=10.0, start="random")
 
 

@@ -1,4 +1,4 @@
-"""What runs leave on disk: trained starts, one record a task, fitted parameters."""
+"""What runs leave on disk: trained checkpoints, one record a task, fitted parameters."""
 
 from __future__ import annotations
 
@@ -28,9 +28,9 @@ LONGEST = 100  # bytes of a name; file systems take 255, of which suffixes and t
 FLOATS = (torch.half, torch.float32, torch.float64)
 
 NUMBER, OPTIONAL = int | float, int | float | None
-# what a document must hold, as `holds` reads it: of a fit's record, and of what a start says about itself
+# what a document must hold, as `holds` reads it: of a fit's record, and of what a checkpoint says about itself
 FIT = {"error": OPTIONAL, "seconds": NUMBER}
-START = {"schema": int}
+CHECKPOINT = {"schema": int}
 _RECORD = {"name": str, "key": str, "settings": dict}
 
 
@@ -60,29 +60,29 @@ def holds(value: Any, form: Any) -> bool:
     return not isinstance(value, int | float) or abs(value) <= sys.float_info.max
 
 
-def save_start(path: Path, start: MetaParameters, info: dict[str, Any], previous: Path | None = None) -> None:
-    """Write a prepared start with what it says about itself, as safetensors; `previous` names the one it replaces."""
+def save_checkpoint(path: Path, start: MetaParameters, info: dict[str, Any], previous: Path | None = None) -> None:
+    """Write a checkpoint with what it says about itself, as safetensors; `previous` names the one it replaces."""
     tensors = {key: value.detach().cpu().contiguous().clone() for key, value in start.flat().items()}
     metadata = {"metapp": json.dumps({**info, "schema": SCHEMA})}
     # bytes: save_file writes under a name of its own, which a kill would leave behind
     write_atomically(path, lambda target: target.write_bytes(save(tensors, metadata)), previous)
 
 
-def load_start(path: Path, device: torch.device | str = "cpu") -> tuple[MetaParameters, dict[str, Any]]:
-    """Read a prepared start; what is stored in half precision becomes float32.
+def load_checkpoint(path: Path, device: torch.device | str = "cpu") -> tuple[MetaParameters, dict[str, Any]]:
+    """Read a checkpoint; what is stored in half precision becomes float32.
 
     Returns:
-        The start and what `save_start` was told about it.
+        The checkpoint and what `save_checkpoint` was told about it.
 
     Raises:
-        ValueError: there is no such file, or it is not a start of metapp's.
+        ValueError: there is no such file, or it is not a checkpoint of metapp's.
     """
     if not path.is_file():
-        raise ValueError(f"{path}: no such start; give --checkpoint an existing .safetensors file, or train one.")
+        raise ValueError(f"{path}: no such checkpoint; give --checkpoint an existing .safetensors file, or train one.")
     try:
         with opened_tensors(path, str(device)) as file:
             info = json.loads((file.metadata() or {})["metapp"])
-            if not holds(info, START):
+            if not holds(info, CHECKPOINT):
                 raise _Misnamed
             stored = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118  (not a mapping)
         tensors = {key: value.float() if value.dtype == torch.half else value for key, value in stored.items()}
@@ -93,16 +93,16 @@ def load_start(path: Path, device: torch.device | str = "cpu") -> tuple[MetaPara
         if not all(name.split(".")[0] in MetaParameters._fields and "." in name for name in tensors):
             raise _Misnamed
         if not all(bool(torch.isfinite(value).all()) for value in tensors.values()):
-            raise ValueError(f"{path}: holds NaN or infinite values, expected finite ones; train a start again.")
+            raise ValueError(f"{path}: holds NaN or infinite values, expected finite ones; train one again.")
         return MetaParameters.unflat(tensors), info
     except (SafetensorError, KeyError, RecursionError, json.JSONDecodeError, _Misnamed):
         raise ValueError(
-            f"{path}: not a start that metapp wrote (safetensors with its description); train one with --train."
+            f"{path}: not a checkpoint that metapp wrote (safetensors with its description); train one with --train."
         ) from None
 
 
 class _Misnamed(Exception):
-    """A tensor that is no part of a start."""
+    """A tensor that is no part of a checkpoint."""
 
 
 def digest(document: Any) -> str:

@@ -1,4 +1,4 @@
-"""The training checkpoint: a file beside a start that is being trained, from which the same command goes on.
+"""The training checkpoint: a file beside a checkpoint that is being trained, from which the same command goes on.
 
 Safetensors alone: trees of tensors under `theta.`, `state.` and `best.`, and a JSON document for the rest. On the CPU a
 training that goes on from it ends bit for bit as one that was never cut off.
@@ -36,7 +36,7 @@ class TrainingCheckpoint:
         """Nothing is read or written yet.
 
         Args:
-            start: the file of the start that is trained.
+            start: the file of the checkpoint that is trained.
             settings: everything that the result depends on, JSON-ready.
             device: where tensors go.
         """

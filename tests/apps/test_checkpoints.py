@@ -1,4 +1,4 @@
-"""The starts that ship: they load, belong together, and fit tasks that they have not seen."""
+"""The checkpoints that ship: they load, belong together, and fit tasks that they have not seen."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from data_tools.readers.brdf_task import brdf_task
 from data_tools.synthetic.brdf import synthetic_materials
 from metapp.apps import load_app
 from metapp.apps.brdf import APP
-from metapp.experiments.starts import shipped_path, start_name
+from metapp.experiments.checkpoints import checkpoint_name, shipped_path
 from metapp.learning.app import App, stack
 from metapp.learning.learn import MetaParameters
 from metapp.learning.recipe import Recipe
 from metapp.learning.task import Tasks
 from metapp.paradigms import Job, paradigms
-from metapp.storage.records import load_start, tensor_digest
+from metapp.storage.records import load_checkpoint, tensor_digest
 
 SHIPPED = sorted(shipped_path("brdf", "general").parent.glob("*.safetensors"))
 
@@ -40,12 +40,12 @@ def error_of(paradigm: str, rule: str, prepared: MetaParameters, tasks: Tasks) -
 
 @pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.stem)
 def test_says_what_it_is(path: Path) -> None:
-    _, info = load_start(path)
+    _, info = load_checkpoint(path)
     assert (info["app"], info["start"]) == ("brdf", path.stem)
     assert info["validation_error"] > 0
     assert path.stat().st_size < 2e6
     if path.stem != "general":
-        encoder, _ = load_start(shipped_path("brdf", "general"))
+        encoder, _ = load_checkpoint(shipped_path("brdf", "general"))
         assert info["encoder"] == tensor_digest(encoder.encoder)
 
 
@@ -54,7 +54,7 @@ def test_every_rule_of_the_quick_recipe_ships() -> None:
 
 
 def test_ten_steps_of_the_default_rule_beat_the_other_quick_ways_on_unseen_materials(unseen: Tasks) -> None:
-    starts = {path.stem: load_start(path)[0] for path in SHIPPED}
+    starts = {path.stem: load_checkpoint(path)[0] for path in SHIPPED}
     tuned = starts["general"]._replace(alpha=starts["quickft"].alpha)
     rule = APP.recipes["quick"].rule
     meta = error_of("meta", rule, starts[rule], unseen)
@@ -67,7 +67,7 @@ def test_the_command_finds_them(metapp: Callable, tmp_path: Path) -> None:
     data = tmp_path / "few"
     assert metapp("data", "synth", "brdf", "--count", "5", "--out", data).code == 0
     result = metapp("meta", "brdf", "--data", data, "--out", tmp_path, "--json")
-    assert "the one that ships, trained on other data" in result.err
+    assert "the checkpoint that ships, trained on other data" in result.err
     assert result.document["error"] < 2
 
 
@@ -81,9 +81,9 @@ def test_starts_of_pictures_say_what_they_are(name: str) -> None:
     files = sorted(shipped_path(name, "general").parent.glob("*.safetensors"))
     recipe = load_app(name).recipes["quick"]
     assert {path.stem for path in files} == {"general", "quickft", recipe.rule}
-    encoder = tensor_digest(load_start(shipped_path(name, "general"))[0].encoder)
+    encoder = tensor_digest(load_checkpoint(shipped_path(name, "general"))[0].encoder)
     for path in files:
-        _, info = load_start(path)
+        _, info = load_checkpoint(path)
         assert (info["app"], info["start"], info["recipe"]) == (name, path.stem, "quick")
         assert info["features"] == "VGG-16 features (ImageNet)"
         assert info["data"].startswith(name)  # the embedded set alone
@@ -101,7 +101,7 @@ def test_few_steps_beat_none_on_unseen_pictures(name: str) -> None:
     )
     recipe = app.recipes["quick"]
     job = Job(app, recipe, recipe.rule)
-    starts = {each: load_start(shipped_path(name, each))[0] for each in ("general", "quickft", recipe.rule)}
+    starts = {each: load_checkpoint(shipped_path(name, each))[0] for each in ("general", "quickft", recipe.rule)}
     starts["quickft"] = starts["general"]._replace(alpha=starts["quickft"].alpha)
     errors = {}
     for paradigm, start in (("general", "general"), ("quickft", "quickft"), ("meta", recipe.rule)):
@@ -120,7 +120,7 @@ def test_a_photo_is_fitted_in_seconds_by_what_ships(name: str, metapp: Callable,
     oiio.ImageBuf(photo).write(str(tmp_path / "wall.png"))
     result = metapp("meta", name, tmp_path / "wall.png", "--out", tmp_path / "runs", "--json")
     assert result.code == 0, result.err
-    assert "the one that ships" in result.err
+    assert "the checkpoint that ships" in result.err
     assert result.document["error"] < 0.5
 
 
@@ -142,11 +142,11 @@ def test_starts_by_protocol_say_what_they_are(name: str) -> None:
     expected = {"general"}
     for protocol in PROTOCOLS:
         app, recipe = recipe_of(name, protocol)
-        expected |= {start_name(app, "quickft"), start_name(app, recipe.rule)}
+        expected |= {checkpoint_name(app, "quickft"), checkpoint_name(app, recipe.rule)}
     assert {path.stem for path in files} == expected
-    encoder = tensor_digest(load_start(shipped_path(name, "general"))[0].encoder)
+    encoder = tensor_digest(load_checkpoint(shipped_path(name, "general"))[0].encoder)
     for path in files:
-        _, info = load_start(path)
+        _, info = load_checkpoint(path)
         assert info["app"] == name
         assert info["data"].startswith(name)  # the embedded set alone
         if path.stem != "general":
@@ -164,8 +164,8 @@ def test_few_steps_beat_none_on_unseen_tasks(name: str, protocol: str) -> None:
     tasks = stack(app, list(module.synthetic_tasks("test", 16)))
     job = Job(app, recipe, recipe.rule)
     errors, losses = {}, {}
-    for paradigm, start in (("general", "general"), ("meta", start_name(app, recipe.rule))):
-        prepared = load_start(shipped_path(name, start))[0]
+    for paradigm, start in (("general", "general"), ("meta", checkpoint_name(app, recipe.rule))):
+        prepared = load_checkpoint(shipped_path(name, start))[0]
         theta = paradigms()[paradigm].fit(job, prepared, tasks, Generator().manual_seed(0))
         errors[paradigm] = float(app.errors(theta, tasks)["error"].mean())
         losses[paradigm] = float(app.loss(theta, app.sample(tasks, Generator(), 1), {}).mean())
@@ -186,7 +186,7 @@ def test_a_ball_is_fitted_at_once_by_what_ships(metapp: Callable, tmp_path: Path
         "meta", "illumination", tmp_path / "ball.png", "--observe", "photo", "--out", tmp_path / "runs", "--json"
     )
     assert result.code == 0, result.err
-    assert "the one that ships" in result.err
+    assert "the checkpoint that ships" in result.err
     made = Path(result.document["out"]) / "outputs" / "ball"
     assert {path.name for path in made.iterdir()} == {"map.exr", "map.png", "relit.png"}
 
@@ -199,7 +199,7 @@ def test_a_flash_photo_is_fitted_at_once_by_what_ships(metapp: Callable, tmp_pat
     common = ("--observe", "photo", "--out", tmp_path / "runs", "--json")
     result = metapp("meta", "svbrdf_nonstationary", tmp_path / "wall.png", *common)
     assert result.code == 0, result.err
-    assert "the one that ships" in result.err
+    assert "the checkpoint that ships" in result.err
     made = Path(result.document["out"]) / "outputs" / "wall"
     assert {"normal.png", "diffuse.png", "roughness.png", "specular.png"} <= {path.name for path in made.iterdir()}
 
@@ -211,9 +211,9 @@ def test_starts_of_transport_say_what_they_are() -> None:
     recipe = load_app("transport").recipes["quick"]
     files = sorted(shipped_path("transport", "general").parent.glob("*.safetensors"))
     assert {path.stem for path in files} == {"general", "quickft", recipe.rule}
-    encoder = tensor_digest(load_start(shipped_path("transport", "general"))[0].encoder)
+    encoder = tensor_digest(load_checkpoint(shipped_path("transport", "general"))[0].encoder)
     for path in files:
-        _, info = load_start(path)
+        _, info = load_checkpoint(path)
         assert (info["app"], info["start"]) == ("transport", path.stem)
         assert info["data"].startswith("transport")  # the embedded set alone
         if path.stem != "general":
@@ -228,7 +228,7 @@ def test_few_steps_beat_none_on_unseen_scenes() -> None:
     tasks = stack(app, list(module.synthetic_tasks("test", 2)))
     job, errors = Job(app, recipe, recipe.rule), {}
     for paradigm, start in (("general", "general"), ("meta", recipe.rule)):
-        prepared = load_start(shipped_path("transport", start))[0]
+        prepared = load_checkpoint(shipped_path("transport", start))[0]
         theta = paradigms()[paradigm].fit(job, prepared, tasks, Generator().manual_seed(0))
         errors[paradigm] = app.errors(theta, tasks)
     for part in ("error", "film", "directions"):

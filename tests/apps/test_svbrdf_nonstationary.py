@@ -360,7 +360,7 @@ def test_a_lit_patch_is_what_flash_renders(app: SvbrdfNonstationary, tasks: Task
 
 
 def fitted(steps: int) -> Callable[[SvbrdfNonstationary, Tasks], float]:
-    """The mean error after some Adam steps from a random start."""
+    """The mean error after some Adam steps from a random initialisation."""
     from metapp.learning.learn import learn, task_loss
     from metapp.learning.recipe import Adam
     from metapp.learning.rules import fixed_adam

@@ -15,7 +15,7 @@ from metapp.appearance.colour import srgb_to_linear
 from metapp.appearance.features import RANDOM, gram, load_features, moments
 from metapp.apps.texture import APP, PAPER, QUICK, SMALLEST_CROP, Texture
 from metapp.apps.texture.presentation import TexturePresentation
-from metapp.experiments.starts import shipped_path
+from metapp.experiments.checkpoints import shipped_path
 from metapp.learning.app import stack
 from metapp.learning.learn import MetaParameters
 from metapp.learning.recipe import Recipe
@@ -25,7 +25,7 @@ from metapp.networks.exemplar import JUDGED, Setup
 from metapp.networks.layers import UNet
 from metapp.networks.presentation import TILED
 from metapp.paradigms import Job, paradigms
-from metapp.storage.records import load_start
+from metapp.storage.records import load_checkpoint
 
 SIZE, LEVELS = 32, 3
 TINY = replace(QUICK, setup=Setup(SIZE, SIZE, UNet(8, LEVELS, noise=4, code=8), "vgg16", ("relu1_1", "relu2_1")))
@@ -319,7 +319,7 @@ STARTS = sorted(path.stem for path in shipped_path(APP.name, "general").parent.g
 
 def test_what_starts_that_ship_make_tiles() -> None:
     for name in STARTS:
-        start, _ = load_start(shipped_path(APP.name, name))
+        start, _ = load_checkpoint(shipped_path(APP.name, name))
         theta = start.theta
         if start.encoder:
             theta = {key[8:]: value for key, value in start.encoder.items() if key.startswith("decoder.")}

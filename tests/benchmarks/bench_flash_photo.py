@@ -24,13 +24,13 @@ from metapp.apps.svbrdf_nonstationary import APP, JUDGED, _pairs
 from metapp.apps.svbrdf_nonstationary.maps import RAW, decoded
 from metapp.apps.svbrdf_nonstationary.views import FLASH, seen
 from metapp.cli.console import run
+from metapp.experiments.checkpoints import shipped_path
 from metapp.experiments.inputs import tasks_to_fit
-from metapp.experiments.starts import shipped_path
 from metapp.learning.app import stack
 from metapp.learning.task import Params
 from metapp.paradigms import Job
 from metapp.paradigms.general import GENERAL
-from metapp.storage.records import load_start
+from metapp.storage.records import load_checkpoint
 
 RATES = (1e-3, 3e-3, 1e-2, 3e-2, 1e-1)
 STEPS, LOOKED_AT = 120, 5
@@ -44,7 +44,7 @@ class Bench:
     def __init__(self, data: Path | None) -> None:
         tasks = stack(APP, tasks_to_fit(APP, [], data, quiet=True)[0])
         recipe = APP.recipes["quick"]
-        general, _ = load_start(shipped_path(APP.name, "general"))
+        general, _ = load_checkpoint(shipped_path(APP.name, "general"))
         theta = GENERAL.fit(Job(APP, recipe, recipe.rule), general, tasks, Generator().manual_seed(0))
         self.photo, self.truth = tasks.data["photo"], unpack(tasks.data["maps"])
         self.pairs = _pairs(JUDGED)[None]

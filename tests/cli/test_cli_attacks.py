@@ -18,13 +18,13 @@ from safetensors.torch import load_file, save_file
 from metapp.apps.brdf import APP
 from metapp.cli.console import LONGEST, one_line
 from metapp.experiments.fits import warning_of
-from metapp.experiments.session import Start
+from metapp.experiments.session import Checkpoint
 from metapp.learning.app import stack
 from metapp.learning.learn import MetaParameters
 from metapp.learning.recipe import Adam
 from metapp.learning.task import Task
 from metapp.paradigms import Job, paradigms
-from metapp.storage.records import load_start, read_records, save_start
+from metapp.storage.records import load_checkpoint, read_records, save_checkpoint
 
 SHIPPED = Path(__file__).parents[2] / "metapp" / "checkpoints"
 
@@ -145,11 +145,11 @@ def test_a_second_writer_is_refused_and_a_killed_one_forgotten(metapp: Callable,
 
 def broken(path: Path, **changes: dict) -> Path:
     """The rule meta-sgd's start that ships, with other tensors: None takes one away."""
-    start, info = load_start(SHIPPED / "brdf" / "meta-sgd.safetensors")
+    start, info = load_checkpoint(SHIPPED / "brdf" / "meta-sgd.safetensors")
     parts = {
         name: {k: v for k, v in (getattr(start, name) | new).items() if v is not None} for name, new in changes.items()
     }
-    save_start(path, start._replace(**parts), info)
+    save_checkpoint(path, start._replace(**parts), info)
     return path
 
 
@@ -177,9 +177,9 @@ def test_starts_of_other_rules_or_sizes_are_one_line(
 
 @pytest.mark.parametrize("changes", [{"app": ["brdf"]}, {"app": {"a": 1}}, {"start": ["meta-sgd"]}, {"start": None}])
 def test_odd_descriptions_of_starts_are_one_line(fit: Callable, network: Path, tmp_path: Path, changes: dict) -> None:
-    start, info = load_start(SHIPPED / "brdf" / "meta-sgd.safetensors")
+    start, info = load_checkpoint(SHIPPED / "brdf" / "meta-sgd.safetensors")
     path = tmp_path / "s.safetensors"
-    save_start(path, start, info | changes)
+    save_checkpoint(path, start, info | changes)
     result = fit("meta", network, "--rule", "meta-sgd", "--checkpoint", path)
     assert result.code == 1
     assert is_one_line(result.err)
@@ -307,7 +307,7 @@ def test_a_fit_that_gets_better_is_not_warned_of(network: Path, rng: torch.Gener
     task = Task("gold", {"angles": torch.rand(64, 3, generator=rng), "reflectance": torch.rand(64, 3, generator=rng)})
     stacked, paradigm = stack(APP, [task]), paradigms()["overfit"]
     job = Job(APP, APP.recipes["quick"], "", 50)
-    start = Start(MetaParameters(), "random", "")
+    start = Checkpoint(MetaParameters(), "random", "")
 
     def draws() -> torch.Generator:
         return torch.Generator().manual_seed(1)

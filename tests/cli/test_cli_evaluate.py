@@ -101,7 +101,7 @@ def data(networks: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def done(few: None, data: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with the runs of all tables, the figures and the report, by the starts that ship."""
+    """A folder with the runs of all tables, the figures and the report, by the checkpoints that ship."""
     folder = tmp_path_factory.mktemp("done")
     drawn = ("--report", folder / "report", "--figures", folder / "figures")
     assert call("evaluate", "brdf", "--data", data, "--out", folder / "runs", "--quiet", "--json", *drawn) == 0
@@ -282,7 +282,7 @@ def test_what_is_combined_is_what_it_says(subject: Subject) -> None:
         "ablation-rule",
         "ablation-start",
     }
-    meta, general, quickft = (subject.fits[name].start for name in ("meta", "general", "quickft"))
+    meta, general, quickft = (subject.fits[name].checkpoint for name in ("meta", "general", "quickft"))
     assert meta
     assert general
     assert quickft
@@ -299,11 +299,12 @@ def test_what_is_combined_is_what_it_says(subject: Subject) -> None:
 
 def test_a_start_that_is_generals_is_not_fitted_twice(subject: Subject) -> None:
     meta, general = subject.fits["meta"], subject.fits["general"]
-    assert meta.start
-    assert general.start
-    own = meta.start._replace(prepared=meta.start.prepared._replace(theta={}, encoder=general.start.prepared.encoder))
+    assert meta.checkpoint
+    assert general.checkpoint
+    prepared = meta.checkpoint.prepared._replace(theta={}, encoder=general.checkpoint.prepared.encoder)
+    own = meta.checkpoint._replace(prepared=prepared)
     assert not same_start(subject, "meta")
-    subject.fits["meta"] = meta._replace(start=own)
+    subject.fits["meta"] = meta._replace(checkpoint=own)
     assert same_start(subject, "meta")
     assert [cell for _, _, cell in combined(subject, "meta")] == [subject.cell("meta"), subject.cell("quickft")]
     assert any("General's own" in note for note in load_table("ablation").notes(subject, []))
@@ -320,7 +321,7 @@ def test_a_trace_is_the_fit_itself(subject: Subject) -> None:
             subject.fits[name].paradigm.count(subject.fits[name].options.job)
         }
     assert [row["step"] for row in rows(subject, "convergence")[: len(PARTS)]] == [0, 2, 5, 8, 10]
-    start = subject.fits["meta"].start
+    start = subject.fits["meta"].checkpoint
     assert start
     states = states_of(cell, subject.tasks[0])
     assert list(states) == list(PARTS)

@@ -16,7 +16,7 @@ from safetensors.torch import load_file, save_file
 from data_tools.readers.nbrdf import read_nbrdf
 from metapp.apps.brdf import APP
 from metapp.learning.recipe import Adam, Recipe
-from metapp.storage.records import load_start, read_records
+from metapp.storage.records import load_checkpoint, read_records
 
 FEW = ("--samples", "512")
 STEPS = ("--train", "--train-steps", "3")
@@ -60,7 +60,7 @@ def test_a_fit_prints_a_table_and_leaves_records_parameters_and_a_picture(fit: C
     assert result.code == 0
     assert "m4" in result.out
     assert "mean error" in result.out
-    assert "start: random" in result.err
+    assert "from a random initialisation" in result.err
     (folder,) = (tmp_path / "runs" / "brdf" / "overfit").iterdir()
     records = read_records(folder / "record.jsonl")
     assert [record["name"] for record in records] == ["m4", "m9"]
@@ -186,7 +186,7 @@ def test_meta_on_own_data_starts_from_a_general_of_this_data(fit: Callable, tmp_
 def test_a_start_says_how_it_was_trained(fit: Callable, tmp_path: Path) -> None:
     fit("general", *STEPS)
     (file,) = (tmp_path / "runs").rglob("general.safetensors")
-    _, info = load_start(file)
+    _, info = load_checkpoint(file)
     assert info["training"]["steps"] == 3
     fit("general", *STEPS)
     assert file.with_suffix(".previous.safetensors").is_file()
@@ -299,17 +299,17 @@ def test_refuses_bad_input_files(fit: Callable, tmp_path: Path) -> None:
 
 
 def test_refuses_bad_starts(fit: Callable, tmp_path: Path) -> None:
-    refuse(fit("general", "--checkpoint", tmp_path / "none.safetensors"), 1, "no such start")
+    refuse(fit("general", "--checkpoint", tmp_path / "none.safetensors"), 1, "no such checkpoint")
     broken = tmp_path / "broken.safetensors"
     broken.write_bytes(b"broken")
-    refuse(fit("general", "--checkpoint", broken), 1, "not a start")
+    refuse(fit("general", "--checkpoint", broken), 1, "not a checkpoint")
     foreign = tmp_path / "foreign.safetensors"
     save_file({"x": torch.zeros(2)}, foreign)
-    refuse(fit("general", "--checkpoint", foreign), 1, "not a start")
+    refuse(fit("general", "--checkpoint", foreign), 1, "not a checkpoint")
     fit("general", *STEPS)
     (start,) = (tmp_path / "runs").rglob("general.safetensors")
-    refuse(fit("meta", "--checkpoint", start), 1, "a start of brdf general, expected brdf meta-curvature")
-    refuse(fit("meta", "--recipe", "paper"), 1, "no start", "--train")
+    refuse(fit("meta", "--checkpoint", start), 1, "a checkpoint of brdf general, expected brdf meta-curvature")
+    refuse(fit("meta", "--recipe", "paper"), 1, "no checkpoint", "--train")
 
 
 def test_refuses_bad_data(fit: Callable, metapp: Callable, networks: Path, tmp_path: Path) -> None:
@@ -359,7 +359,7 @@ def test_a_composition_is_trained_and_used(fit: Callable, tmp_path: Path) -> Non
     assert trained.code == 0, trained.err
     assert trained.document["rule"] == "adam+curvature"
     (path,) = (tmp_path / "runs").rglob("adam+curvature.safetensors")
-    start, info = load_start(path)
+    start, info = load_checkpoint(path)
     assert info["start"] == "adam+curvature"
     assert info["training"]["clip"] == APP.recipes["quick"].meta["meta-curvature"].clip
     assert {"rate", "beta1", "beta2", "left", "right"} == {name.partition(".")[0] for name in start.alpha}
@@ -376,7 +376,7 @@ def test_refuses_rules_that_make_no_sense(metapp: Callable, fit: Callable) -> No
         fit("meta", "--rule", "meta-lgd"), 2, "rule 'meta-lgd': its part network does not apply to brdf: no parameter"
     )
     refuse(metapp("meta", "illumination", "--rule", "meta-mean"), 2, "its part average does not apply to illumination")
-    refuse(fit("meta", "--rule", "adam+average"), 1, "brdf adam+average, recipe quick: no start", "--train")
+    refuse(fit("meta", "--rule", "adam+average"), 1, "brdf adam+average, recipe quick: no checkpoint", "--train")
     for rule in ("adam+magic", "meta-lgd"):
         (line,) = (line for line in fit("meta", "--rule", rule).err.splitlines() if "Error" in line)
         assert rule in line

@@ -21,7 +21,7 @@ from metapp.cli import main
 
 # a process that has imported what takes seconds, and from which commands are forked
 FORKS = multiprocessing.get_context("forkserver")
-FORKS.set_forkserver_preload(["torch", "metapp.experiments.starts", "metapp.cli.commands", "metapp.apps.brdf"])
+FORKS.set_forkserver_preload(["torch", "metapp.experiments.checkpoints", "metapp.cli.commands", "metapp.apps.brdf"])
 
 
 def main_of(arguments: list[str], said: Path) -> None:

@@ -23,13 +23,13 @@ from metapp.apps import brdf
 from metapp.apps.brdf import Brdf, presentation
 from metapp.apps.brdf.presentation import BrdfPresentation
 from metapp.cli.fit import table_of
-from metapp.experiments.starts import shipped_path, start_name
+from metapp.experiments.checkpoints import checkpoint_name, shipped_path
 from metapp.experiments.tables.results import closing
 from metapp.experiments.tables.statistics import bootstrap
 from metapp.learning.app import App
 from metapp.learning.recipe import Recipe
 from metapp.learning.task import Batch, Params, Task, Tasks
-from metapp.storage.records import load_start, read_records, summary
+from metapp.storage.records import load_checkpoint, read_records, summary
 
 STEPS = ("--train", "--train-steps", "2", "--quiet")
 pytestmark = pytest.mark.usefixtures("small_spheres")
@@ -150,15 +150,15 @@ def test_protocols_share_general_and_nothing_else(on_data: Callable, tmp_path: P
     (folder,) = (tmp_path / "runs" / "brdf" / "starts").iterdir()
     assert {file.stem for file in folder.iterdir()} == {"general", "meta-sgd-photo"}
     general = folder / "general.safetensors"
-    assert load_start(folder / "meta-sgd-photo.safetensors")[1]["observe"] == "photo"
-    assert "observe" not in load_start(general)[1]
+    assert load_checkpoint(folder / "meta-sgd-photo.safetensors")[1]["observe"] == "photo"
+    assert "observe" not in load_checkpoint(general)[1]
     assert "general.safetensors" in on_data("general", "brdf").err  # under the first protocol
-    before = load_start(general)[0].encoder
+    before = load_checkpoint(general)[0].encoder
     assert on_data("general", "brdf", *STEPS).code == 0
-    assert all(torch.equal(value, before[key]) for key, value in load_start(general)[0].encoder.items())
+    assert all(torch.equal(value, before[key]) for key, value in load_checkpoint(general)[0].encoder.items())
 
     assert on_data("meta", "brdf", *STEPS).code == 0
-    assert load_start(folder / "meta-sgd.safetensors")[1]["observe"] == "reference"
+    assert load_checkpoint(folder / "meta-sgd.safetensors")[1]["observe"] == "reference"
     for observe, name in (("photo", "meta-sgd-photo.safetensors"), ("reference", "meta-sgd.safetensors")):
         assert name in on_data("meta", "brdf", "--observe", observe).err
 
@@ -169,7 +169,7 @@ def test_quickft_is_tuned_per_protocol(on_data: Callable, tmp_path: Path, monkey
     assert on_data("quickft", "brdf", "--observe", "photo", "--train").code == 0
     (file,) = (tmp_path / "runs").rglob("quickft*.safetensors")
     assert file.stem == "quickft-photo"
-    assert load_start(file)[1]["observe"] == "photo"
+    assert load_checkpoint(file)[1]["observe"] == "photo"
     assert "tuned Adam" in on_data("quickft", "brdf", "--observe", "photo").err
     assert "metapp quickft brdf --train --observe reference --data" in on_data("quickft", "brdf").err
 
@@ -191,13 +191,13 @@ def test_only_the_first_protocol_takes_the_starts_without_a_name(app: Seen, on_d
     recipe = app.recipes["quick"]
     for observe, suffix in (("reference", ""), ("photo", "-photo")):
         under = app.at(recipe, observe)
-        assert start_name(under, "general") == "general"
-        assert start_name(under, "meta-basis") == f"meta-basis{suffix}"
-    assert shipped_path("brdf", start_name(app.at(recipe), "general")).is_file()
-    assert "the one that ships" in on_data("meta", "brdf").err
+        assert checkpoint_name(under, "general") == "general"
+        assert checkpoint_name(under, "meta-basis") == f"meta-basis{suffix}"
+    assert shipped_path("brdf", checkpoint_name(app.at(recipe), "general")).is_file()
+    assert "the checkpoint that ships" in on_data("meta", "brdf").err
     missing = on_data("meta", "brdf", "--observe", "photo")
     assert missing.code == 1
-    assert "brdf photo meta-sgd, recipe quick: no start" in missing.err
+    assert "brdf photo meta-sgd, recipe quick: no checkpoint" in missing.err
 
 
 # Tables

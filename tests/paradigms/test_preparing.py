@@ -125,7 +125,7 @@ def test_meta_starts_at_random(job: Job, tasks: Tasks) -> None:
 
 
 def test_meta_goes_on_from_general(job: Job, tasks: Tasks) -> None:
-    """The encoder itself is then trained through the steps, beside the rule, and another start there is none."""
+    """The encoder itself is then trained through the steps, beside the rule, and another checkpoint there is none."""
     encoder, rule = start_for(paradigms()["general"], job), job.recipe.rule
     job = starting_from("encoder", job)
     first = look(rule, job, tasks, encoder=encoder, steps=0).start

@@ -18,7 +18,7 @@ from metapp.learning.task import Tasks
 from metapp.paradigms import Job, paradigms
 from metapp.paradigms import training as prepare
 from metapp.paradigms.resuming import Interrupted, Prepared, Reached
-from metapp.storage.records import save_start
+from metapp.storage.records import save_checkpoint
 from metapp.storage.training_checkpoint import TrainingCheckpoint
 from tests.paradigms.small import OWN_RULES, rng, start_for
 
@@ -69,7 +69,7 @@ def run(name: str, job: Job, tasks: Tasks, checkpoint: TrainingCheckpoint | None
 
 def as_file(prepared: Prepared, path: Path) -> bytes:
     """All of a preparation's result, as its file holds it."""
-    save_start(path, prepared.start, {"curve": prepared.curve, "at": prepared.step, "error": prepared.validation})
+    save_checkpoint(path, prepared.start, {"curve": prepared.curve, "at": prepared.step, "error": prepared.validation})
     return path.read_bytes()
 
 

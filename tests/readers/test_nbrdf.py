@@ -13,10 +13,10 @@ from data_tools.readers.nbrdf import SHAPES, export, find_nbrdf, nbrdf_evaluate,
 from data_tools.synthetic.brdf import synthetic_materials
 from metapp.appearance.geometry import above_horizon, rusinkiewicz_to_directions
 from metapp.apps.brdf import APP
-from metapp.experiments.starts import shipped_path
+from metapp.experiments.checkpoints import shipped_path
 from metapp.learning.app import stack
 from metapp.paradigms import Job, paradigms
-from metapp.storage.records import load_start
+from metapp.storage.records import load_checkpoint
 
 
 def make_weights(seed: int = 0) -> dict[str, np.ndarray]:
@@ -261,7 +261,7 @@ def test_exported_fits_are_as_good_on_both_halves_of_the_circle(tmp_path: Path) 
     tasks = stack(APP, [brdf_task(each.name, each.evaluate) for each in materials])
     rule = APP.recipes["quick"].rule
     job = Job(APP, APP.recipes["quick"], rule)
-    prepared = load_start(shipped_path("brdf", rule))[0]
+    prepared = load_checkpoint(shipped_path("brdf", rule))[0]
     theta = paradigms()["meta"].fit(job, prepared, tasks, torch.Generator().manual_seed(0))
     angles, wi, wo = random_directions(20_000)
     errors = np.empty((len(materials), 2))

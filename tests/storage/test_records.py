@@ -19,10 +19,10 @@ from metapp.storage.records import (
     RunFolder,
     digest,
     file_name,
-    load_start,
+    load_checkpoint,
     read_records,
     safe_name,
-    save_start,
+    save_checkpoint,
 )
 
 START = MetaParameters(
@@ -34,8 +34,8 @@ START = MetaParameters(
 
 def test_start_round_trip(tmp_path: Path) -> None:
     path, info = tmp_path / "new" / "start.safetensors", {"app": "brdf", "training": {"steps": 3}, "curve": [1.5, None]}
-    save_start(path, START, info)
-    start, said = load_start(path)
+    save_checkpoint(path, START, info)
+    start, said = load_checkpoint(path)
     assert said == {**info, "schema": SCHEMA}
     for part, expected in zip(start, START, strict=True):
         assert set(part) == set(expected)
@@ -47,17 +47,17 @@ def test_start_round_trip(tmp_path: Path) -> None:
 
 def test_tensors_that_share_memory(tmp_path: Path) -> None:
     row = torch.arange(3.0)
-    save_start(tmp_path / "s.safetensors", MetaParameters({"a": row.expand(2, 3), "b": row, "c": row[1:]}), {})
-    start, _ = load_start(tmp_path / "s.safetensors")
+    save_checkpoint(tmp_path / "s.safetensors", MetaParameters({"a": row.expand(2, 3), "b": row, "c": row[1:]}), {})
+    start, _ = load_checkpoint(tmp_path / "s.safetensors")
     assert start.theta["a"].tolist() == [[0, 1, 2], [0, 1, 2]]
     assert start.theta["c"].tolist() == [1, 2]
 
 
 def test_no_start(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match=r"none.safetensors: no such start; give --checkpoint"):
-        load_start(tmp_path / "none.safetensors")
-    with pytest.raises(ValueError, match="no such start"):
-        load_start(tmp_path)
+    with pytest.raises(ValueError, match=r"none.safetensors: no such checkpoint; give --checkpoint"):
+        load_checkpoint(tmp_path / "none.safetensors")
+    with pytest.raises(ValueError, match="no such checkpoint"):
+        load_checkpoint(tmp_path)
 
 
 def write(path: Path, tensors: dict[str, torch.Tensor], metadata: dict[str, str] | None) -> None:
@@ -87,18 +87,18 @@ def test_files_that_are_no_starts(
 ) -> None:
     path = tmp_path / "start.safetensors"
     write(path, tensors, metadata)
-    with pytest.raises(ValueError, match=r"start.safetensors: not a start that metapp wrote") as caught:
-        load_start(path)
+    with pytest.raises(ValueError, match=r"start.safetensors: not a checkpoint that metapp wrote") as caught:
+        load_checkpoint(path)
     assert "\n" not in str(caught.value)
 
 
 @pytest.mark.parametrize("keep", [0, 4, 8, 60, -1])
 def test_cut_off_starts(tmp_path: Path, keep: int) -> None:
     path = tmp_path / "start.safetensors"
-    save_start(path, START, {})
+    save_checkpoint(path, START, {})
     path.write_bytes(path.read_bytes()[:keep])
-    with pytest.raises(ValueError, match=r"start.safetensors: not a start that metapp wrote") as caught:
-        load_start(path)
+    with pytest.raises(ValueError, match=r"start.safetensors: not a checkpoint that metapp wrote") as caught:
+        load_checkpoint(path)
     assert "\n" not in str(caught.value)
 
 
@@ -106,15 +106,15 @@ def test_noise_is_no_start(tmp_path: Path) -> None:
     path = tmp_path / "start.safetensors"
     for content in (b"\xff" * 64, b"\x80\x04N.", b'{"schema": 1}', bytes(range(256)) * 4):
         path.write_bytes(content)
-        with pytest.raises(ValueError, match="not a start that metapp wrote"):
-            load_start(path)
+        with pytest.raises(ValueError, match="not a checkpoint that metapp wrote"):
+            load_checkpoint(path)
 
 
 def test_a_newer_schema_says_so(tmp_path: Path) -> None:
     path = tmp_path / "start.safetensors"
     write(path, ONE, {"metapp": json.dumps({"schema": SCHEMA + 1})})
     with pytest.raises(ValueError, match=rf"schema {SCHEMA + 1}, expected at most {SCHEMA}; update metapp"):
-        load_start(path)
+        load_checkpoint(path)
 
 
 def test_digest(tmp_path: Path) -> None:
@@ -390,13 +390,13 @@ def test_good_names_stay() -> None:
 def test_metadata_of_other_forms_are_no_start(tmp_path: Path, info: str) -> None:
     path = tmp_path / "start.safetensors"
     write(path, ONE, {"metapp": info})
-    with pytest.raises(ValueError, match=r"start.safetensors: not a start that metapp wrote"):
-        load_start(path)
+    with pytest.raises(ValueError, match=r"start.safetensors: not a checkpoint that metapp wrote"):
+        load_checkpoint(path)
 
 
 def test_a_start_holds_floats(tmp_path: Path) -> None:
     path = tmp_path / "start.safetensors"
     for dtype in (torch.int64, torch.bool, torch.float8_e4m3fn, torch.complex64):
         write(path, {"theta.x": torch.ones(2).to(dtype)}, GOOD)
-        with pytest.raises(ValueError, match="not a start that metapp wrote"):
-            load_start(path)
+        with pytest.raises(ValueError, match="not a checkpoint that metapp wrote"):
+            load_checkpoint(path)

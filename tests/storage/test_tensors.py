@@ -10,7 +10,7 @@ import torch
 
 from metapp.learning.learn import MetaParameters
 from metapp.learning.task import Task
-from metapp.storage.records import FIT, RunFolder, load_start, save_start
+from metapp.storage.records import FIT, RunFolder, load_checkpoint, save_checkpoint
 from metapp.storage.shards import ShardWriter, read_shard
 from metapp.storage.tensors import read_tensors
 
@@ -31,8 +31,8 @@ def test_parameters(folder: Path) -> None:
 
 
 def test_starts(folder: Path) -> None:
-    save_start(folder / "a.safetensors", MetaParameters(theta={"w": VALUES}), {"app": "brdf"})
-    assert torch.equal(load_start(folder / "a.safetensors")[0].theta["w"], VALUES)
+    save_checkpoint(folder / "a.safetensors", MetaParameters(theta={"w": VALUES}), {"app": "brdf"})
+    assert torch.equal(load_checkpoint(folder / "a.safetensors")[0].theta["w"], VALUES)
 
 
 def test_shards(folder: Path) -> None:

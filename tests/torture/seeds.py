@@ -151,8 +151,8 @@ def shards() -> list[Files]:
 
 
 def starts() -> list[Files]:
-    """The small trained starts that ship."""
-    from metapp.experiments.starts import shipped_path
+    """The small trained checkpoints that ship."""
+    from metapp.experiments.checkpoints import shipped_path
 
     names = ("meta-sgd", "meta-adam")
     return [{f"{name}.safetensors": shipped_path("brdf", name).read_bytes()} for name in names]

@@ -60,7 +60,7 @@ def _safetensors(rng: random.Random, content: bytes) -> bytes:
     length = int.from_bytes(content[:8], "little")
     document = json.loads(content[8 : 8 + length])
     told = document.get("__metadata__", {}).get("metapp")
-    if told and rng.random() < 0.6:  # what a start says about itself
+    if told and rng.random() < 0.6:  # what a checkpoint says about itself
         document["__metadata__"]["metapp"] = mutate_json(rng, json.loads(told))
         header = json.dumps(document).encode()
     else:
@@ -192,13 +192,13 @@ def _read_start(folder: Path, file: Path) -> None:
     import torch
 
     from metapp.apps import load_app
+    from metapp.experiments.checkpoints import find_checkpoint
     from metapp.experiments.session import Options
-    from metapp.experiments.starts import find_start
     from metapp.paradigms import paradigms
 
     app, paradigm = load_app("brdf"), paradigms()["meta"]
     options = Options(app, "quick", file.stem, 1, None, folder, file, 0, torch.device("cpu"), True)
-    start = find_start(options, paradigm)
+    start = find_checkpoint(options, paradigm)
     paradigm.fit(options.job, start.prepared, _small_task(), torch.Generator().manual_seed(0))
 
 

@@ -92,7 +92,7 @@ QUICK_PHOTO = replace(
     meta={"meta-encoder": FROM_PHOTOS},
     rule="meta-encoder",
 )
-# 15 inner steps, first-order MAML with Meta-SGD from a random start, as in Fischer & Ritschel 2022, section 4.1.5
+# 15 inner steps, first-order MAML with Meta-SGD from a random initialisation: Fischer & Ritschel 2022, section 4.1.5
 PAPER = replace(
     QUICK,
     overfit_steps=10_000,

@@ -108,8 +108,8 @@ QUICK_PHOTO = replace(
     meta={"meta-encoder": GENTLE},
     rule="meta-encoder",
 )
-# 15 inner steps on maps of 256 px, first-order MAML with Meta-SGD from a random start, as in Fischer & Ritschel 2022,
-# section 4.1.4
+# 15 inner steps on maps of 256 px, first-order MAML with Meta-SGD from a random initialisation, as in Fischer &
+# Ritschel 2022, section 4.1.4
 PAPER = replace(
     QUICK,
     overfit_steps=10_000,

@@ -60,8 +60,8 @@ QUICK = Recipe(
     rule="meta-lgd",
     setup=Setup(Flow()),
 )
-# 8 inner steps of 10,000 of 288,000 samples, first-order MAML with Meta-SGD from a random start, as in Fischer &
-# Ritschel 2022, section 4.1.6
+# 8 inner steps of 10,000 of 288,000 samples, first-order MAML with Meta-SGD from a random initialisation, as in
+# Fischer & Ritschel 2022, section 4.1.6
 PAPER = replace(
     QUICK,
     batch=10_000,

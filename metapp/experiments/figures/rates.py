@@ -33,7 +33,7 @@ def _rates(alpha: Params) -> list[Tensor]:
 def histogram(subject: Subject) -> Drawn | None:
     """Magnitudes of learned step sizes, layer above layer."""
     fit = subject.fits["meta"]
-    alpha = fit.start.prepared.alpha if fit.start else {}
+    alpha = fit.checkpoint.prepared.alpha if fit.checkpoint else {}
     sizes = step_sizes(fit.options.rule, alpha)
     if not sizes:
         return None

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from dataclasses import asdict
 
-from metapp.experiments.session import Start, caption_of
+from metapp.experiments.session import Checkpoint, caption_of
 from metapp.experiments.tables import Row, Table, interval, numbers, words
 from metapp.experiments.tables.results import COMPARED, result_row
 from metapp.experiments.tables.statistics import apart, paired_columns, paired_entries, paired_note, paired_of, warned
@@ -30,14 +30,14 @@ def learned(subject: Subject) -> list[str]:
 
 
 def combined(subject: Subject, name: str) -> list[tuple[str, str, Cell]]:
-    """Half of a learned rule's row at a time: (start, rule, cell); none where a start is missing.
+    """Half of a learned rule's row at a time: (start, rule, cell); none where a checkpoint is missing.
 
     Args:
         subject: of which application.
         name: the row, "meta" or "meta:<rule>".
     """
     meta, general, quickft = (subject.fits[each] for each in (name, "general", "quickft"))
-    starts = (meta.start, general.start, quickft.start)
+    starts = (meta.checkpoint, general.checkpoint, quickft.checkpoint)
     if any(start is None for start in starts):
         return []
     rule = meta.options.rule
@@ -52,14 +52,14 @@ def combined(subject: Subject, name: str) -> list[tuple[str, str, Cell]]:
     ):
         adam = asdict(adam_of(options.job, tuned)) if paradigm is START_ALONE else None
         settings = {"rule": rule, "adam": adam}
-        fit = Fit(f"ablation {' + '.join(words_of)}", options, paradigm, Start(prepared, "combined", digest))
+        fit = Fit(f"ablation {' + '.join(words_of)}", options, paradigm, Checkpoint(prepared, "combined", digest))
         found.append((*words_of, subject.fit_cell(fit, settings, rule)))
     return found
 
 
 def same_start(subject: Subject, name: str) -> bool:
     """Whether a learned rule starts at General's own prediction."""
-    meta, general = (subject.fits[each].start for each in (name, "general"))
+    meta, general = (subject.fits[each].checkpoint for each in (name, "general"))
     if meta is None or general is None or not meta.prepared.encoder:
         return False
     return tensor_digest(meta.prepared.encoder) == tensor_digest(general.prepared.encoder)
@@ -72,7 +72,7 @@ def cells(subject: Subject) -> list[Cell]:
 
 
 def rows(subject: Subject) -> list[Row]:
-    """Neither, one of the two, and both, for every learned rule that has a start."""
+    """Neither, one of the two, and both, for every learned rule that has a checkpoint."""
     found = [result_row(subject, "quickft") | {"start": "general", "rule": "adam"}]
     for name in learned(subject):
         rule = subject.fits[name].options.rule

@@ -21,7 +21,7 @@ COMPARED = ("quickft", "general")
 
 
 def cells(subject: Subject) -> list[Cell]:
-    """The fits of every paradigm, and of Meta by every rule that has a start."""
+    """The fits of every paradigm, and of Meta by every rule that has a checkpoint."""
     return [subject.cell(name) for name in subject.fits]
 
 

@@ -28,7 +28,7 @@ def rows(subject: Subject) -> list[Row]:
         }
         if visible:
             reads = "general" in fit.paradigm.needs(fit.options.job)
-            reads = reads or bool(fit.start and fit.start.prepared.encoder)
+            reads = reads or bool(fit.checkpoint and fit.checkpoint.prepared.encoder)
             seen = min(drawn + (visible.encoder if reads else 0), visible.samples)
             row |= {
                 "tasks": len(subject.tasks),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from torch import Generator
 
-from metapp.experiments.session import Start, observe_of
+from metapp.experiments.session import Checkpoint, observe_of
 from metapp.experiments.tables import Column, Row, Table, blank, numbers, paper, words
 from metapp.experiments.tables.subject import Cell, Subject
 from metapp.learning.task import Params
@@ -29,7 +29,7 @@ def rows(subject: Subject) -> list[Row]:
     found = []
     for name, fit in subject.fits.items():
         # what takes long is kept; what takes no time is made again from its start
-        once, each = (0, network) if name in ("overfit", "finetune") else (_kept(fit.start), 0)
+        once, each = (0, network) if name in ("overfit", "finetune") else (_kept(fit.checkpoint), 0)
         row = blank(subject.app.name, name, **observe_of(subject.app)) | {
             "paper_error": None,
             "paper_seconds": None,
@@ -47,9 +47,9 @@ def rows(subject: Subject) -> list[Row]:
     return found
 
 
-def _kept(start: Start | None) -> int | None:
-    """Bytes of all that a fit starts from; None where there is no start."""
-    return None if start is None else sum(size(part) for part in start.prepared)
+def _kept(checkpoint: Checkpoint | None) -> int | None:
+    """Bytes of all that a fit starts from; None where there is no checkpoint."""
+    return None if checkpoint is None else sum(size(part) for part in checkpoint.prepared)
 
 
 def notes(subject: Subject, found: list[Row]) -> list[str]:

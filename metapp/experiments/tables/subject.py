@@ -10,13 +10,14 @@ from typing import Any, NamedTuple
 
 from metapp.appearance.presentation import Presentation
 from metapp.apps import presentation_of
+from metapp.experiments.checkpoints import find_checkpoint, trained_path
 from metapp.experiments.embedded import embedded_exists
 from metapp.experiments.inputs import tasks_to_fit
 from metapp.experiments.reporter import say
 from metapp.experiments.run import fit_and_keep, run_path
 from metapp.experiments.session import (
+    Checkpoint,
     Options,
-    Start,
     make_folder,
     name_of,
     observe_of,
@@ -24,7 +25,6 @@ from metapp.experiments.session import (
     threads_of,
     title_of,
 )
-from metapp.experiments.starts import find_start, trained_path
 from metapp.experiments.tables import Row, blank
 from metapp.experiments.tables.statistics import Paired, paired, statistics_of
 from metapp.learning.app import App
@@ -41,7 +41,7 @@ class Cell(NamedTuple):
     Attributes:
         title: for the progress.
         tasks: what it is measured on.
-        folder: where records are kept; None where the start is missing that it needs.
+        folder: where records are kept; None where the checkpoint is missing that it needs.
         measure: missing tasks -> their records, each kept before it is passed on.
         steps: gradient steps a task, about: cells with few come first.
         command: the command that fills it.
@@ -77,7 +77,7 @@ class Fit(NamedTuple):
     name: str
     options: Options
     paradigm: Paradigm
-    start: Start | None
+    checkpoint: Checkpoint | None
 
 
 def error_in(record: Record) -> float | None:
@@ -92,7 +92,7 @@ class Subject:
     Attributes:
         options: of the default row; others differ in rule or steps.
         run: whether cells without records will be run; else they stay empty.
-        strict: whether a start that is missing is an error; else it is said, and its cells stay empty.
+        strict: whether a checkpoint that is missing is an error; else it is said, and its cells stay empty.
         share: of the recipe's steps that Overfit takes here.
         fits: how each row of the results is fitted, by name.
     """
@@ -163,17 +163,17 @@ class Subject:
             settings: what else the figures depend on.
             name: of the run folder, where it is no paradigm's.
         """
-        options, paradigm, start = fit.options, fit.paradigm, fit.start
+        options, paradigm, checkpoint = fit.options, fit.paradigm, fit.checkpoint
         folder = None
-        if start is not None:
-            said = settings_of(options, paradigm, start, self.label) | (settings or {})
+        if checkpoint is not None:
+            said = settings_of(options, paradigm, checkpoint, self.label) | (settings or {})
             path = run_path(options, said, self.label)
             folder = RunFolder(path.with_name(f"{path.name}-{name}") if name else path, said, FIT)
 
         def measure(missing: list[Task]) -> Iterator[Record]:
             assert folder is not None
-            assert start is not None
-            return fit_and_keep(options, paradigm, start, missing, folder)
+            assert checkpoint is not None
+            return fit_and_keep(options, paradigm, checkpoint, missing, folder)
 
         steps = paradigm.count(options.job)
         command = self.command("") if name else _fit_command(fit)
@@ -234,14 +234,14 @@ def _remarks(records: Sequence[Record]) -> Row:
 
 
 def _find_fits(options: Options, strict: bool, share: float) -> list[Fit]:
-    """What the rows of one application are fitted from: the paradigms, then Meta by further rules that have a start.
+    """What one application's rows are fitted from: the paradigms, then Meta by further rules that have a checkpoint.
 
     Raises:
-        ValueError: a start is missing that a row must have, and that is an error.
+        ValueError: a checkpoint is missing that a row must have, and that is an error.
     """
     each = paradigms()
     others = [rule for rule in options.job.recipe.meta if rule != options.rule]
-    if options.data:  # beside starts of this data, none that was trained on other data
+    if options.data:  # beside checkpoints of this data, none that was trained on other data
         others = [rule for rule in others if trained_path(options, rule).is_file()]
     fits: list[Fit] = []
     for name, paradigm in each.items():
@@ -249,7 +249,7 @@ def _find_fits(options: Options, strict: bool, share: float) -> list[Fit]:
         if name == "overfit" and share != 1:
             of = options._replace(steps=max(1, round(share * options.job.recipe.overfit_steps)))
         try:
-            fits.append(Fit(name, of, paradigm, find_start(of, paradigm)))
+            fits.append(Fit(name, of, paradigm, find_checkpoint(of, paradigm)))
         except ValueError as error:
             if strict:
                 raise
@@ -258,7 +258,7 @@ def _find_fits(options: Options, strict: bool, share: float) -> list[Fit]:
     for rule in others:
         with suppress(ValueError):  # nobody trained this rule
             of = options._replace(rule=rule)
-            fits.append(Fit(f"meta:{rule}", of, each["meta"], find_start(of, each["meta"])))
+            fits.append(Fit(f"meta:{rule}", of, each["meta"], find_checkpoint(of, each["meta"])))
     return fits
 
 
@@ -267,7 +267,9 @@ def _fit_command(fit: Fit) -> str:
     options, paradigm = fit.options, fit.paradigm
     words = ["metapp", paradigm.name, options.app.name, *_shared(options)]
     words += ["--steps", str(options.steps)] if options.steps is not None else []
-    words += (["--rule", options.rule] if paradigm.name == "meta" else []) + (["--train"] if fit.start is None else [])
+    words += (["--rule", options.rule] if paradigm.name == "meta" else []) + (
+        ["--train"] if fit.checkpoint is None else []
+    )
     return shlex.join(words)
 
 

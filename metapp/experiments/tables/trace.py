@@ -41,8 +41,8 @@ def trace_cell(subject: Subject) -> Cell:
     options = subject.options
     path = options.out / options.app.name / "trace" / f"{subject.label}-{options.recipe}-seed{options.seed}"
     folder = None
-    if all(fit.start for fit in fits):
-        keys = [digest(settings_of(f.options, f.paradigm, f.start, subject.label)) for f in fits if f.start]
+    if all(fit.checkpoint for fit in fits):
+        keys = [digest(settings_of(f.options, f.paradigm, f.checkpoint, subject.label)) for f in fits if f.checkpoint]
         said = {"app": options.app.name, **observe_of(options.app), "fits": keys, "further": FURTHER, "walked": WALKED}
         end = (path.name, options.rule, subject.shortened, options.app.protocol)
         folder = RunFolder(path.with_name("-".join(filter(None, end))), said, FORM)
@@ -123,17 +123,17 @@ def places(steps: int) -> set[int]:
 
 def descend(fit: Fit, task: Task, stacked: Tasks, wanted: Collection[int]) -> dict[int, Params]:
     """The same fit as the row's, with its parameters [1, ...] after the wanted numbers of steps."""
-    assert fit.start is not None
+    assert fit.checkpoint is not None
     job, paradigm = fit.options.job, fit.paradigm
     rng, steps = rng_of(fit.options, task), paradigm.count(job)
-    theta = paradigm.start(job, fit.start.prepared, stacked, rng)
+    theta = paradigm.start(job, fit.checkpoint.prepared, stacked, rng)
     kept: dict[int, Params] = {}
 
     def watch(step: int, params: Params, value: Tensor) -> None:
         if step in wanted:
             kept[step] = params
 
-    rule = paradigm.rule(job, fit.start.prepared, theta, steps)
+    rule = paradigm.rule(job, fit.checkpoint.prepared, theta, steps)
     loss = task_loss(job.app, job.recipe.batch)
     final = learn(theta, rule, stacked, loss, steps=steps, rng=rng, watch=watch) if steps else theta
     return kept | {steps: final}

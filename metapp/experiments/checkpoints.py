@@ -1,4 +1,4 @@
-"""Starts: find the best there is, or train one on the training tasks of a data set."""
+"""Checkpoints: find the best there is, or train one on the training tasks of a data set."""
 
 from __future__ import annotations
 
@@ -10,11 +10,19 @@ from typing import Any
 from torch import Generator, get_num_threads
 
 from metapp.experiments import BadOption
+from metapp.experiments.checkpoint_check import require_fit, require_tuned
 from metapp.experiments.embedded import embedded_exists
 from metapp.experiments.inputs import data_folder, data_label
 from metapp.experiments.reporter import progress, say
-from metapp.experiments.session import Options, Start, is_first_protocol, make_folder, name_of, observe_of, versions
-from metapp.experiments.start_check import require_fit, require_tuned
+from metapp.experiments.session import (
+    Checkpoint,
+    Options,
+    is_first_protocol,
+    make_folder,
+    name_of,
+    observe_of,
+    versions,
+)
 from metapp.learning.app import App, stack
 from metapp.learning.learn import MetaParameters
 from metapp.learning.recipe import Training
@@ -22,53 +30,53 @@ from metapp.paradigms import Paradigm, paradigms
 from metapp.paradigms.resuming import Interrupted, Prepared, Reached
 from metapp.paradigms.training import describe, prepare, training_of
 from metapp.storage.files import remove_partial
-from metapp.storage.records import digest, load_start, save_start, tensor_digest
+from metapp.storage.records import digest, load_checkpoint, save_checkpoint, tensor_digest
 from metapp.storage.shards import fingerprint, read_shard
 from metapp.storage.training_checkpoint import TrainingCheckpoint
 
 
-def find_start(options: Options, paradigm: Paradigm) -> Start:
-    """The best start there is: --checkpoint, else one trained on this data earlier, else the one that ships.
+def find_checkpoint(options: Options, paradigm: Paradigm) -> Checkpoint:
+    """Find the best checkpoint there is: --checkpoint, else one trained on this data earlier, else the shipped one.
 
     Raises:
         ValueError: there is none, or it is another application's, paradigm's, protocol's or network's.
     """
     needs = paradigm.needs(options.job)
     if not needs:
-        return Start(MetaParameters(), "random", "")
+        return Checkpoint(MetaParameters(), "a random initialisation", "")
     needed, *tuned = needs
-    path = _start_path(options, needed)
-    prepared, info = load_start(path, options.device)
+    path = _checkpoint_path(options, needed)
+    prepared, info = load_checkpoint(path, options.device)
     app, name = info.get("app"), info.get("start")
     if (app, name) != (options.app.name, needed):
         a_rule = isinstance(name, str) and name not in paradigms()
         other = app == options.app.name and a_rule and paradigm.name == "meta"
         remedy = f"; add --rule {name}" if other else ""
-        raise ValueError(f"{path}: a start of {app} {name}, expected {options.app.name} {needed}{remedy}.")
+        raise ValueError(f"{path}: a checkpoint of {app} {name}, expected {options.app.name} {needed}{remedy}.")
     _require_protocol(path, options.app, info)
     _require_conditions(path, options.app, prepared, info)
     require_fit(path, options, paradigm, prepared)
-    start = Start(prepared, str(path), digest(path))
-    if path == shipped_path(options.app.name, start_name(options.app, needed)) and not options.checkpoint:
+    checkpoint = Checkpoint(prepared, str(path), digest(path))
+    if path == shipped_path(options.app.name, checkpoint_name(options.app, needed)) and not options.checkpoint:
         note = ", trained on other data, which may hold these tasks" if options.data else ""
-        start = start._replace(source=f"the one that ships{note}")
+        checkpoint = checkpoint._replace(source=f"the checkpoint that ships{note}")
     for each in tuned:
-        start = _with_tuning(options, start, each)
-    return start
+        checkpoint = _with_tuning(options, checkpoint, each)
+    return checkpoint
 
 
 def _require_protocol(path: Path, app: App, info: dict[str, Any]) -> None:
-    """Refuse a start that learned from what fits may not see now; General, which all protocols share, says none."""
+    """Refuse a checkpoint that learned from what fits may not see now; General's, which all share, says none."""
     then = info.get("observe", app.protocol)
     if then != app.protocol:
         raise ValueError(
-            f"{path}: a start for --observe {then}, expected one for {app.protocol}; give --observe {then} or another "
-            "start."
+            f"{path}: a checkpoint for --observe {then}, expected one for {app.protocol}; give --observe {then} or "
+            "another checkpoint."
         )
 
 
 def _require_conditions(path: Path, app: App, prepared: MetaParameters, info: dict[str, Any]) -> None:
-    """Say that a start was trained with other features than are at hand; refuse one whose encoder reads them."""
+    """Say that a checkpoint was trained with other features than are at hand; refuse one whose encoder reads them."""
     for key, now in app.conditions().items():
         then = info.get(key, now)
         if then != now and prepared.encoder:
@@ -77,70 +85,72 @@ def _require_conditions(path: Path, app: App, prepared: MetaParameters, info: di
             say(f"warning: {path.name} was trained with {then}; here: {now}.")
 
 
-def _with_tuning(options: Options, start: Start, name: str) -> Start:
-    """Put the Adam that was tuned for this very encoder into its start."""
-    encoder = tensor_digest(start.prepared.encoder)
-    candidates = [shipped_path(options.app.name, start_name(options.app, name))]
+def _with_tuning(options: Options, checkpoint: Checkpoint, name: str) -> Checkpoint:
+    """Put the Adam that was tuned for this very encoder into its checkpoint."""
+    encoder = tensor_digest(checkpoint.prepared.encoder)
+    candidates = [shipped_path(options.app.name, checkpoint_name(options.app, name))]
     if options.data or embedded_exists(options.app.name):
         candidates.insert(0, trained_path(options, name))
     for path in candidates:
         if path.is_file():
-            tuned, info = load_start(path)
+            tuned, info = load_checkpoint(path)
             if info.get("encoder") == encoder:
                 require_tuned(path, tuned)
-                return Start(start.prepared._replace(alpha=tuned.alpha), f"{start.source}, tuned Adam", digest(path))
+                return Checkpoint(
+                    checkpoint.prepared._replace(alpha=tuned.alpha), f"{checkpoint.source}, tuned Adam", digest(path)
+                )
     words = ["metapp", name, options.app.name, "--train"]
     words += ["--observe", options.app.protocol] if options.app.protocol else []
     remedy = shlex.join(words + (["--data", str(options.data)] if options.data else []))
     say(f"{name}: no Adam was tuned for this encoder, the recipe's is used; {remedy}")
-    return start
+    return checkpoint
 
 
-def _start_path(options: Options, name: str) -> Path:
+def _checkpoint_path(options: Options, name: str) -> Path:
     if options.checkpoint:
         return options.checkpoint
     if options.data or embedded_exists(options.app.name):
         path = trained_path(options, name)
         if path.is_file():
             return path
-    path = shipped_path(options.app.name, start_name(options.app, name))
-    # the starts that ship were trained by the quick recipe
+    path = shipped_path(options.app.name, checkpoint_name(options.app, name))
+    # the checkpoints that ship were trained by the quick recipe
     if path.is_file() and options.recipe == "quick":
         return path
     raise ValueError(
-        f"{name_of(options.app)} {name}, recipe {options.recipe}: no start, neither trained on this data nor shipped; "
-        "train one with --train."
+        f"{name_of(options.app)} {name}, recipe {options.recipe}: no checkpoint, neither trained on this data nor "
+        "shipped; train one with --train."
     )
 
 
 def trained_path(options: Options, name: str) -> Path:
-    """Where a start that is trained on this data is kept."""
+    """Where a checkpoint that is trained on this data is kept."""
     label = data_label(data_folder(options.app, options.data, options.quiet))
     run = f"{label}-{options.recipe}-seed{options.seed}"
-    return options.out / options.app.name / "starts" / run / f"{start_name(options.app, name)}.safetensors"
+    return options.out / options.app.name / "starts" / run / f"{checkpoint_name(options.app, name)}.safetensors"
 
 
-def start_name(app: App, name: str) -> str:
-    """A start's file name without its suffix: with the protocol, unless it is the first or General's."""
+def checkpoint_name(app: App, name: str) -> str:
+    """A checkpoint's file name without its suffix: with the protocol, unless it is the first or General's."""
     return name if name == "general" or is_first_protocol(app) else f"{name}-{app.protocol}"
 
 
 def shipped_path(app: str, name: str) -> Path:
-    """Where a start that ships with metapp is, by its file name without suffix."""
+    """Where a checkpoint that ships with metapp is, by its file name without suffix."""
     return Path(str(resources.files("metapp.checkpoints"))) / app / f"{name}.safetensors"
 
 
-def train_start(options: Options, paradigm: Paradigm, steps: int | None) -> Path:
+def train_checkpoint(options: Options, paradigm: Paradigm, steps: int | None) -> Path:
     """Train what a paradigm needs on the training tasks and keep it for later runs on this data.
 
     Returns:
-        The file of the start; the one it replaces is kept as `<name>.previous.safetensors`.
+        The file of the checkpoint; the one it replaces is kept as `<name>.previous.safetensors`.
     """
     needs = paradigm.needs(options.job)
     if not needs:
         raise BadOption(f"--train: {paradigm.name} needs no preparation; leave the option out.")
     if options.checkpoint:
-        raise BadOption("--train makes a start of its own; leave --checkpoint out.")
+        raise BadOption("--train makes a checkpoint of its own; leave --checkpoint out.")
     name = needs[-1]
     path = trained_path(options, name)
     make_folder(path.parent)
@@ -157,8 +167,9 @@ def train_start(options: Options, paradigm: Paradigm, steps: int | None) -> Path
     )
 
     def keep(prepared: Prepared, file: Path, previous: Path | None = None) -> None:
-        start = prepared.start._replace(encoder={}) if name == "quickft" else prepared.start  # General's file holds it
-        save_start(file, start, describe(options.job, name, prepared, steps) | info, previous)
+        # General's file holds the encoder that QuickFT is tuned for
+        kept = prepared.start._replace(encoder={}) if name == "quickft" else prepared.start
+        save_checkpoint(file, kept, describe(options.job, name, prepared, steps) | info, previous)
 
     remove_partial(path)
     checkpoint = TrainingCheckpoint(path, _settings(options, name, steps, folder, encoder) | info, options.device)
@@ -192,7 +203,7 @@ def train_start(options: Options, paradigm: Paradigm, steps: int | None) -> Path
 def _settings(
     options: Options, name: str, steps: int | None, folder: Path, encoder: MetaParameters | None
 ) -> dict[str, Any]:
-    """What the result of a training depends on, beside what its start says about itself."""
+    """What the result of a training depends on, beside what its checkpoint says about itself."""
     return {
         "app": options.app.name,
         "start": name,
@@ -223,8 +234,8 @@ def _go_on(checkpoint: TrainingCheckpoint, training: Training | None) -> Reached
 def _encoder(options: Options, name: str, steps: int | None) -> MetaParameters | None:
     """The General that QuickFT is tuned for or that Meta starts from, trained now if this data has none.
 
-    For a data set of the user's own only one trained on its training tasks will do: the one that ships may have seen
-    its test tasks.
+    For a data set of the user's own only one trained on its training tasks will do: the shipped one may have seen its
+    test tasks.
     """
     recipe = options.job.recipe
     if name == "general" or (name != "quickft" and recipe.meta_training(name).start == "random"):
@@ -235,7 +246,7 @@ def _encoder(options: Options, name: str, steps: int | None) -> MetaParameters |
         usable = shipped_path(options.app.name, "general").is_file()
     if not usable:
         say(f"no General that was trained on this data yet: training it first{f', {steps} steps' if steps else ''}.")
-        train_start(options, general, steps)
-    start = find_start(options, general)
-    say(f"General: {start.source}")
-    return start.prepared
+        train_checkpoint(options, general, steps)
+    checkpoint = find_checkpoint(options, general)
+    say(f"General: {checkpoint.source}")
+    return checkpoint.prepared

@@ -1,4 +1,4 @@
-"""Whether a start that a file holds is one of this application's network and rule: anybody may have written it."""
+"""Whether a checkpoint that a file holds is one of this application's network and rule: anybody may have written it."""
 
 from __future__ import annotations
 
@@ -47,8 +47,8 @@ def require_tuned(path: Path, prepared: MetaParameters) -> None:
 
 
 def _require(path: Path, part: str, found: Params, expected: Params, *, steps: bool = False) -> None:
-    """Refuse a part of a start that lacks a tensor or has another; `steps`: the first axis may have any length."""
-    remedy = "give a start of this application, rule and recipe, or train one with --train"
+    """Refuse a part of a checkpoint that lacks a tensor or has another; `steps`: the first axis may have any length."""
+    remedy = "give a checkpoint of this application, rule and recipe, or train one with --train"
     for key in sorted(expected | found, key=lambda key: key not in expected):
         shapes: list[tuple[int | str, ...] | None] = [
             tuple(of[key].shape) if key in of else None for of in (found, expected)
