@@ -153,3 +153,10 @@ def test_help_names_all_applications(command: str) -> None:
 def test_help_names_all_rules() -> None:
     assert sorted(RULE_NAMES.split(", ")) == sorted(RULES)
     assert PART_NAMES.split(", ") == [*SHORT, *PARTS]
+
+
+def test_no_circles_among_files() -> None:
+    graph = {name: {each for each in imports(name) if each in FILES and each != name} for name in FILES}
+    while leaves := {name for name, needed in graph.items() if not needed & graph.keys()}:
+        graph = {name: needed for name, needed in graph.items() if name not in leaves}
+    assert sorted(graph) == []

@@ -9,11 +9,12 @@ import typer
 
 from metapp.cli.console import out, print_json, say
 from metapp.experiments.reporter import progress
-from metapp.experiments.tables import NAMES, Table, load_table
+from metapp.experiments.tables import NAMES, load_table
 
 if TYPE_CHECKING:
     from metapp.experiments.session import Options
     from metapp.experiments.tables.subject import Cell, Subject
+    from metapp.experiments.tables.table import Table
 
 FORMATS = ("rich", "markdown", "latex", "csv", "json")
 ALL = "all"

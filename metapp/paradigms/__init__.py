@@ -1,79 +1,17 @@
-"""Five ways of training, each a start and a rule: `fit` is the same learn for all of them."""
+"""Five ways of training, each an initialisation and a rule."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import NamedTuple
+from metapp.paradigms.finetune import FINETUNE
+from metapp.paradigms.general import GENERAL
+from metapp.paradigms.meta import META
+from metapp.paradigms.overfit import OVERFIT
+from metapp.paradigms.paradigm import Job, Paradigm
+from metapp.paradigms.quickft import QUICKFT
 
-from torch import Generator
-
-from metapp.learning.adjoint import UpdateRule
-from metapp.learning.app import App
-from metapp.learning.learn import MetaParameters, learn, task_loss
-from metapp.learning.recipe import Adam, Recipe
-from metapp.learning.task import Params, Tasks
-
-AT_ONCE = 8  # tasks that are fitted side by side where memory would grow with a data set
-
-
-class Job(NamedTuple):
-    """What is fitted and how.
-
-    Attributes:
-        app: the application.
-        recipe: its settings.
-        rule: Meta's learned rule, a name or a composition (`rules.rule_of`).
-        steps: gradient steps instead of the recipe's number; None keeps that.
-    """
-
-    app: App
-    recipe: Recipe
-    rule: str
-    steps: int | None = None
-
-
-class Paradigm(NamedTuple):
-    """A way of training.
-
-    Attributes:
-        name: as on the command line.
-        needs: job -> names of what must be prepared: what it fits from ("general" or a rule), then what is tuned for
-            that ("quickft"); () for nothing.
-        start: (job, prepared, tasks, rng) -> parameters [T, ...] before the first step.
-        rule: (job, prepared, start, steps) -> how the steps move them.
-        steps: recipe -> number of gradient steps.
-        adam: (job, prepared) -> the plain Adam that it fits by; None where the rule is a learned one, or there is none.
-    """
-
-    name: str
-    needs: Callable[[Job], tuple[str, ...]]
-    start: Callable[[Job, MetaParameters, Tasks, Generator], Params]
-    rule: Callable[[Job, MetaParameters, Params, int], UpdateRule]
-    steps: Callable[[Recipe], int]
-    adam: Callable[[Job, MetaParameters], Adam | None] = lambda job, prepared: None
-
-    def fit(self, job: Job, prepared: MetaParameters, tasks: Tasks, rng: Generator) -> Params:
-        """Fit tasks, one or many at once: learn(start(task), rule, task, loss, steps).
-
-        Returns:
-            The network's parameters for each task, [T, ...].
-        """
-        theta = self.start(job, prepared, tasks, rng)
-        steps = self.count(job)
-        if steps == 0:
-            return theta
-        loss = task_loss(job.app, job.recipe.batch)
-        return learn(theta, self.rule(job, prepared, theta, steps), tasks, loss, steps=steps, rng=rng)
-
-    def count(self, job: Job) -> int:
-        """Return the number of gradient steps of this job: 0 for General, whatever was asked for."""
-        usual = self.steps(job.recipe)
-        return usual if job.steps is None or usual == 0 else job.steps
+__all__ = ["Job", "Paradigm", "paradigms"]
 
 
 def paradigms() -> dict[str, Paradigm]:
-    """All five by name, in the order of the paper's tables."""
-    from metapp.paradigms import finetune, general, meta, overfit, quickft
-
-    each = (general.GENERAL, overfit.OVERFIT, finetune.FINETUNE, quickft.QUICKFT, meta.META)
-    return {paradigm.name: paradigm for paradigm in each}
+    """Return all five by name, in the order of the paper's tables."""
+    return {paradigm.name: paradigm for paradigm in (GENERAL, OVERFIT, FINETUNE, QUICKFT, META)}

@@ -1,8 +1,8 @@
 """Finetune: General's result, then Adam for about a tenth of Overfit's steps."""
 
 from metapp.learning.rules import fixed_adam
-from metapp.paradigms import Paradigm
 from metapp.paradigms.general import GENERAL, start
+from metapp.paradigms.paradigm import Paradigm
 
 FINETUNE = Paradigm(
     name="finetune",

@@ -8,7 +8,7 @@ from metapp.learning.adjoint import Loss
 from metapp.learning.learn import MetaParameters, after_encoding, over_tasks, task_outer_loss
 from metapp.learning.rules import fixed_adam
 from metapp.learning.task import Params, Tasks
-from metapp.paradigms import Job, Paradigm
+from metapp.paradigms.paradigm import Job, Paradigm
 
 
 def start(job: Job, prepared: MetaParameters, tasks: Tasks, rng: Generator) -> Params:

@@ -12,8 +12,8 @@ from metapp.learning.learn import MetaParameters, after_learning, learn, over_ta
 from metapp.learning.recipe import Adam
 from metapp.learning.rules import rule_of
 from metapp.learning.task import Params, Tasks
-from metapp.paradigms import AT_ONCE, Job, Paradigm
 from metapp.paradigms.general import start as general_start
+from metapp.paradigms.paradigm import AT_ONCE, Job, Paradigm
 
 
 def preparation(job: Job, general: MetaParameters, rng: Generator, compiled: bool) -> tuple[MetaParameters, Loss]:

@@ -1,7 +1,7 @@
 """Overfit: a random start, Adam until converged; nothing is prepared."""
 
 from metapp.learning.rules import fixed_adam
-from metapp.paradigms import Paradigm
+from metapp.paradigms.paradigm import Paradigm
 
 OVERFIT = Paradigm(
     name="overfit",

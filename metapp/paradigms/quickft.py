@@ -9,8 +9,8 @@ from metapp.learning.learn import MetaParameters
 from metapp.learning.recipe import Adam
 from metapp.learning.rules import fixed_adam
 from metapp.learning.task import Params
-from metapp.paradigms import Job, Paradigm
 from metapp.paradigms.general import GENERAL, start
+from metapp.paradigms.paradigm import Job, Paradigm
 
 TUNED = ("rate", "beta1", "beta2", "eps", "final")
 

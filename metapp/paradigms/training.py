@@ -18,7 +18,8 @@ from metapp.learning.learn import MetaParameters, Progress, learn
 from metapp.learning.recipe import Adam, Training
 from metapp.learning.rules import outer_adam
 from metapp.learning.task import Params, Tasks
-from metapp.paradigms import AT_ONCE, Job, Paradigm, general, meta, paradigms, quickft
+from metapp.paradigms import general, meta, paradigms, quickft
+from metapp.paradigms.paradigm import AT_ONCE, Job, Paradigm
 from metapp.paradigms.resuming import Interrupted, Keep, Outer, Prepared, Reached, forget
 
 Report = Callable[[int, int, str], None]  # (step, steps, note), for a progress bar

@@ -32,10 +32,11 @@ from metapp.experiments.figures.rates import step_sizes
 from metapp.experiments.report.html import EMBEDDED, Pictures, identifier
 from metapp.experiments.reporter import Reporter, duration, reporting
 from metapp.experiments.session import Options, find_device, threads_of
-from metapp.experiments.tables import NAMES, blank, load_table, paper
+from metapp.experiments.tables import NAMES, load_table
 from metapp.experiments.tables.ablation import RULE_ALONE, START_ALONE, combined, same_start
 from metapp.experiments.tables.convergence import steps_needed
 from metapp.experiments.tables.image import image_cell
+from metapp.experiments.tables.rows import blank, paper
 from metapp.experiments.tables.running import Clock, run_cells
 from metapp.experiments.tables.statistics import carried
 from metapp.experiments.tables.storage import size

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from metapp.experiments.tables import blank
+from metapp.experiments.tables.rows import blank
 from metapp.experiments.tables.statistics import (
     Paired,
     apart,

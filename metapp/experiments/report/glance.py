@@ -9,8 +9,8 @@ from metapp.experiments.figures import draw
 from metapp.experiments.figures.style import TITLES
 from metapp.experiments.report.html import Pictures, anchor, drawn_html
 from metapp.experiments.reporter import number
-from metapp.experiments.tables import Row, paper
 from metapp.experiments.tables.results import budget, result_row
+from metapp.experiments.tables.rows import Row, paper
 from metapp.experiments.tables.statistics import apart, carried, paired_of, paired_text, warned
 from metapp.experiments.tables.subject import Subject
 

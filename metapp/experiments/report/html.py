@@ -12,9 +12,10 @@ from typing import Any
 import numpy as np
 
 from metapp.experiments.figures import Drawn
-from metapp.experiments.tables import Row, Table
 from metapp.experiments.tables.formats import notes_of, title_of
+from metapp.experiments.tables.rows import Row
 from metapp.experiments.tables.subject import Subject
+from metapp.experiments.tables.table import Table
 from metapp.storage.files import write_atomically
 
 EMBEDDED = 14_000_000  # bytes of pictures up to which they are part of the page; else they lie beside it

@@ -17,7 +17,8 @@ from metapp.experiments.report.gallery import gallery_html, records_of, tasks_ht
 from metapp.experiments.report.glance import glance
 from metapp.experiments.report.html import Pictures, anchor, drawn_html, table_html
 from metapp.experiments.session import make_folder, versions
-from metapp.experiments.tables import NAMES, load_table, paper
+from metapp.experiments.tables import NAMES, load_table
+from metapp.experiments.tables.rows import paper
 from metapp.experiments.tables.subject import Subject
 from metapp.storage.files import write_atomically
 

@@ -8,10 +8,11 @@ from __future__ import annotations
 from dataclasses import asdict
 
 from metapp.experiments.session import Checkpoint, caption_of
-from metapp.experiments.tables import Row, Table, interval, numbers, words
 from metapp.experiments.tables.results import COMPARED, result_row
+from metapp.experiments.tables.rows import Row, interval, numbers, words
 from metapp.experiments.tables.statistics import apart, paired_columns, paired_entries, paired_note, paired_of, warned
 from metapp.experiments.tables.subject import Cell, Fit, Subject
+from metapp.experiments.tables.table import Table
 from metapp.learning.learn import MetaParameters
 from metapp.paradigms import Paradigm
 from metapp.paradigms.meta import META

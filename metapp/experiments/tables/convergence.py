@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from metapp.experiments.tables import Row, Table, interval, numbers, paper, words
 from metapp.experiments.tables.results import budget
+from metapp.experiments.tables.rows import Row, interval, numbers, paper, words
 from metapp.experiments.tables.subject import Cell, Record, Subject
+from metapp.experiments.tables.table import Table
 from metapp.experiments.tables.trace import FURTHER, PARTS, TRACED, at, near, trace_cell
 
 Take = Callable[[Record], float | None]

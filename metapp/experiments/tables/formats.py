@@ -6,8 +6,9 @@ import csv
 import io
 from collections.abc import Sequence
 
-from metapp.experiments.tables import Row, Table
+from metapp.experiments.tables.rows import Row
 from metapp.experiments.tables.subject import Subject
+from metapp.experiments.tables.table import Table
 
 
 def text_table(table: Table, found: Sequence[tuple[Subject, list[Row]]], form: str) -> str:

@@ -7,9 +7,10 @@ from collections.abc import Iterator
 
 from metapp.appearance.presentation import REFERENCE, Fitted
 from metapp.experiments.session import name_of, threads_of
-from metapp.experiments.tables import Row, Table, interval, numbers, paper, words
 from metapp.experiments.tables.results import budget
+from metapp.experiments.tables.rows import Row, interval, numbers, paper, words
 from metapp.experiments.tables.subject import Cell, Record, Subject
+from metapp.experiments.tables.table import Table
 from metapp.learning.task import Task
 from metapp.storage.records import OPTIONAL, RunFolder
 

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from metapp.experiments.reporter import number
 from metapp.experiments.session import caption_of
-from metapp.experiments.tables import Row, Table, interval, numbers, words
 from metapp.experiments.tables.results import on_threads, result_row
+from metapp.experiments.tables.rows import Row, interval, numbers, words
 from metapp.experiments.tables.statistics import apart, change, paired_columns, paired_note, paired_of, verdict, warned
 from metapp.experiments.tables.subject import Cell, Subject
+from metapp.experiments.tables.table import Table
 
 COMPARED = ("general", "quickft", "meta")
 

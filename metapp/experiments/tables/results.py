@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from metapp.experiments.reporter import number
 from metapp.experiments.session import caption_of
-from metapp.experiments.tables import Column, Row, Table, interval, numbers, words
+from metapp.experiments.tables.rows import Column, Row, interval, numbers, words
 from metapp.experiments.tables.statistics import (
     carried,
     change,
@@ -15,6 +15,7 @@ from metapp.experiments.tables.statistics import (
     warned,
 )
 from metapp.experiments.tables.subject import Cell, Subject
+from metapp.experiments.tables.table import Table
 from metapp.learning.app import App
 
 COMPARED = ("quickft", "general")

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from metapp.experiments.session import observe_of
-from metapp.experiments.tables import Row, Table, blank, numbers, paper, words
+from metapp.experiments.tables.rows import Row, blank, numbers, paper, words
 from metapp.experiments.tables.subject import Cell, Subject
+from metapp.experiments.tables.table import Table
 
 
 def cells(subject: Subject) -> list[Cell]:

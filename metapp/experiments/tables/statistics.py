@@ -6,7 +6,7 @@ import statistics
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from metapp.experiments.tables import Column, Row
+from metapp.experiments.tables.rows import Column, Row
 
 if TYPE_CHECKING:
     import numpy as np

@@ -5,8 +5,9 @@ from __future__ import annotations
 from torch import Generator
 
 from metapp.experiments.session import Checkpoint, observe_of
-from metapp.experiments.tables import Column, Row, Table, blank, numbers, paper, words
+from metapp.experiments.tables.rows import Column, Row, blank, numbers, paper, words
 from metapp.experiments.tables.subject import Cell, Subject
+from metapp.experiments.tables.table import Table
 from metapp.learning.task import Params
 
 COUNTS = (1, 10, 100, 1000)

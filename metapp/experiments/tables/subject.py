@@ -25,7 +25,7 @@ from metapp.experiments.session import (
     threads_of,
     title_of,
 )
-from metapp.experiments.tables import Row, blank
+from metapp.experiments.tables.rows import Row, blank
 from metapp.experiments.tables.statistics import Paired, paired, statistics_of
 from metapp.learning.app import App
 from metapp.learning.task import Task

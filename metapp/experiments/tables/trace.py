@@ -13,7 +13,7 @@ from torch import Tensor
 
 from metapp.experiments.fits import rng_of
 from metapp.experiments.session import name_of, observe_of, settings_of, threads_of
-from metapp.experiments.tables import paper
+from metapp.experiments.tables.rows import paper
 from metapp.experiments.tables.subject import Cell, Fit, Record, Subject
 from metapp.learning.app import stack
 from metapp.learning.learn import learn, task_loss
