@@ -124,7 +124,7 @@ def _read_with(module: str, key: str | None, side: int, folder: Path, file: Path
     """A reader of pictures."""
     import importlib
 
-    reader = importlib.import_module(f"data_tools.{module}")
+    reader = importlib.import_module(f"data_tools.readers.{module}")
     for source in reader.find([file])[0]:
         finite(reader.read_task(source, side), **({key: (3, side, side)} if key else {}))
 
