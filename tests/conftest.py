@@ -20,7 +20,7 @@ from data_tools.readers.nbrdf import SHAPES
 from metapp.appearance.features import weights_path
 from metapp.appearance.flash import camera_distance
 from metapp.appearance.geometry import above_horizon
-from metapp.learning.recipe import Recipe, Training
+from metapp.learning.recipe import Recipe
 from metapp.rendering.second_scene import matrix_path
 from tests.small_spheres import shrink_spheres
 
@@ -193,9 +193,7 @@ def short_by_protocol(monkeypatch: pytest.MonkeyPatch) -> Callable[[dict[str, di
     """Gives the quick recipes of all protocols another setup and a few steps; without a compiler."""
 
     def shorten(recipes: dict[str, dict[str, Recipe]], setup: Any) -> None:
-        def short(training: Training) -> Training:
-            return replace(training, steps=2, tasks=2, warmup=0, tuned=False)
-
+        few: dict[str, Any] = {"steps": 2, "tasks": 2, "warmup": 0}
         for of_protocol in recipes.values():
             quick = of_protocol["quick"]
             short_one = replace(
@@ -203,8 +201,8 @@ def short_by_protocol(monkeypatch: pytest.MonkeyPatch) -> Callable[[dict[str, di
                 steps=3,
                 overfit_steps=30,
                 finetune_steps=5,
-                general=short(quick.general),
-                meta={name: short(training) for name, training in quick.meta.items()},
+                general=replace(quick.general, **few),
+                meta={name: replace(training, **few, tuned=False) for name, training in quick.meta.items()},
                 setup=setup,
             )
             monkeypatch.setitem(of_protocol, "quick", short_one)

@@ -25,7 +25,7 @@ from metapp.experiments.session import (
 )
 from metapp.learning.app import App, stack
 from metapp.learning.learn import MetaParameters
-from metapp.learning.recipe import Training
+from metapp.learning.recipe import OuterLoop
 from metapp.paradigms import Paradigm, paradigms
 from metapp.paradigms.resuming import Interrupted, Prepared, Reached
 from metapp.paradigms.training import describe, prepare, training_of
@@ -216,7 +216,7 @@ def _settings(
     }
 
 
-def _go_on(checkpoint: TrainingCheckpoint, training: Training | None) -> Reached:
+def _go_on(checkpoint: TrainingCheckpoint, training: OuterLoop | None) -> Reached:
     """How far the same training was when it was cut off, and one line about it."""
     try:
         since = checkpoint.load()

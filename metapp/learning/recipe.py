@@ -18,45 +18,56 @@ class Adam:
 
 
 @dataclass(frozen=True)
-class Training:
-    """How a start is prepared on the training tasks.
+class OuterLoop:
+    """How the outer loop trains a checkpoint on the training tasks.
 
     Attributes:
         steps: outer steps.
         tasks: tasks per outer step.
-        first: the Adam that a learned rule is before training; SGD of this rate for meta-sgd.
         rates: outer Adam's rate by the first part of a parameter's name ("" is the rate of all others).
-        tuned: search that Adam on validation tasks, as QuickFT's, before the outer steps, if any.
         warmup: outer steps of linear warm-up.
         final: the rate's last value over its first, reached by a half cosine.
         decay: weight decay (L2) of the outer Adam.
-        order: derivative carried through the inner steps: 1 (FOMAML) or 2 (MAML); 0 where there are none.
-        clip: each task's outer gradient is scaled down to this norm before the mean is taken.
-        tasks_at_once: tasks that are backpropagated together, where memory is short; None for all.
-        validate_every: outer steps between two looks at the validation tasks.
+        validate_every: outer steps between two validations.
         augment: train on augmented tasks.
-        start: Meta's first start: "random"; "mean" of General's predictions; "encoder", General's own, which starts
-            each task at its prediction and which outer steps, if any, train through the inner ones.
     """
 
     steps: int
     tasks: int
     rates: dict[str, float]
-    first: Adam = Adam(5e-3, beta2=0.99)
-    tuned: bool = False
     warmup: int = 0
     final: float = 1.0
     decay: float = 0.0
+    validate_every: int = 250
+    augment: bool = True
+
+
+@dataclass(frozen=True)
+class MetaTraining(OuterLoop):
+    """The same through the steps of fits: how an initialisation and a rule are learned.
+
+    Attributes:
+        first: the Adam that a learned rule is before training; SGD of this rate for meta-sgd.
+        tuned: search that Adam on validation tasks, as QuickFT's, before the outer steps, if any.
+        order: derivative carried through the inner steps: 1 (FOMAML) or 2 (MAML).
+        clip: each task's outer gradient is scaled down to this norm before the mean is taken.
+        tasks_at_once: tasks that are backpropagated together, where memory is short; None for all.
+        start: the first initialisation: "random"; "mean" of General's predictions; "encoder", General's own, which
+            starts each task at its prediction and which outer steps, if any, train through the inner ones.
+    """
+
+    first: Adam = Adam(5e-3, beta2=0.99)
+    tuned: bool = False
     order: int = 0
     clip: float = float("inf")
     tasks_at_once: int | None = None
-    validate_every: int = 250
-    augment: bool = True
     start: Literal["random", "mean", "encoder"] = "mean"
 
 
 # Fischer & Ritschel 2022, supplement: first-order MAML with Meta-SGD from a random initialisation, meta-batch 5
-AS_PUBLISHED = Training(steps=100_000, tasks=5, rates={"": 1e-4}, first=Adam(1e-3), order=1, clip=10.0, start="random")
+AS_PUBLISHED = MetaTraining(
+    steps=100_000, tasks=5, rates={"": 1e-4}, first=Adam(1e-3), order=1, clip=10.0, start="random"
+)
 
 
 @dataclass(frozen=True)
@@ -82,11 +93,11 @@ class Recipe:
     finetune_steps: int
     finetune: Adam
     quickft: Adam
-    general: Training
-    meta: dict[str, Training]
+    general: OuterLoop
+    meta: dict[str, MetaTraining]
     rule: str
     setup: Any = None
 
-    def meta_training(self, rule: str) -> Training:
+    def meta_training(self, rule: str) -> MetaTraining:
         """How a rule's start is trained: as the recipe says, else as that of its default rule."""
         return self.meta[rule if rule in self.meta else self.rule]

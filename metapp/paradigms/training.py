@@ -1,11 +1,9 @@
-"""Preparation on the training tasks: train a start, keep its best state on validation tasks, tune QuickFT."""
+"""The outer loop: prepare what a paradigm needs on the training tasks, keep the best state on validation tasks."""
 
 from __future__ import annotations
 
 import functools
-import itertools
 import shutil
-import sys
 from collections.abc import Callable
 from dataclasses import asdict, replace
 from typing import Any
@@ -15,51 +13,14 @@ from torch import Generator, Tensor
 
 from metapp.learning.adjoint import Loss
 from metapp.learning.learn import MetaParameters, Progress, learn
-from metapp.learning.recipe import Adam, Training
+from metapp.learning.recipe import MetaTraining, OuterLoop
 from metapp.learning.rules import outer_adam
 from metapp.learning.task import Params, Tasks
-from metapp.paradigms import general, meta, paradigms, quickft
-from metapp.paradigms.paradigm import AT_ONCE, Job, Paradigm
+from metapp.paradigms import general, meta, paradigms
+from metapp.paradigms.paradigm import Job
 from metapp.paradigms.resuming import Interrupted, Keep, Outer, Prepared, Reached, forget
-
-Report = Callable[[int, int, str], None]  # (step, steps, note), for a progress bar
-
-
-def split_validation(tasks: Tasks) -> tuple[Tasks, Tasks]:
-    """(to train on, to validate on): of the groups, sorted by name, every eighth from the fourth on validates.
-
-    Sorting spreads the validation tasks over the families that names begin with.
-
-    Raises:
-        ValueError: fewer than 4 groups.
-    """
-    groups = [(tasks.groups or tasks.names)[row] for row in tasks.rows.tolist()]
-    if len(set(groups)) < 4:
-        raise ValueError(
-            f"training set: {len(tasks)} tasks that show {len(set(groups))} things, expected at least 4 (some are kept "
-            "for validation)."
-        )
-    validating = set(sorted(set(groups))[3::8])
-    rows = range(len(tasks))
-    return (
-        tasks.select([row for row in rows if groups[row] not in validating]),
-        tasks.select([row for row in rows if groups[row] in validating]),
-    )
-
-
-def validation_error(paradigm: Paradigm, job: Job, prepared: MetaParameters, tasks: Tasks) -> float:
-    """Mean error of fits of all tasks with fixed seeds, as the table prints it; infinite where a fit diverges."""
-    total, seeds = 0.0, 1 if job.app.deterministic else 2
-    for seed in range(seeds):
-        rng = Generator(tasks.rows.device).manual_seed(seed)
-        for some in torch.arange(len(tasks)).split(AT_ONCE):
-            part = tasks.select(some)
-            try:
-                theta = paradigm.fit(job, prepared, part, rng)
-            except FloatingPointError:
-                return float("inf")
-            total += float(job.app.errors(theta, part)["error"].sum())
-    return job.app.scale * total / (seeds * len(tasks))
+from metapp.paradigms.tuning import Report, search, to_tune_on, tune_quickft
+from metapp.paradigms.validation import split_validation, validation_error
 
 
 def prepare(
@@ -95,7 +56,7 @@ def prepare(
     to_fit, to_validate = split_validation(tasks)
     if name == "quickft":
         assert encoder is not None
-        return tune_quickft(job, encoder, _to_tune_on(job, to_validate), report, steps, since, keep)
+        return tune_quickft(job, encoder, to_tune_on(job, to_validate), report, steps, since, keep)
     if name == "general":
         training, paradigm = job.recipe.general, paradigms()["general"]
         first, loss = general.preparation(job, rng)
@@ -106,14 +67,14 @@ def prepare(
         first = meta.with_gradients(job, first, to_fit, rng)
         if training.tuned:
             start_of = functools.partial(meta.with_adam, job, first)
-            few, looks = _to_tune_on(job, to_validate), None if training.steps else steps
+            few, looks = to_tune_on(job, to_validate), None if training.steps else steps
 
             def keep_looks(reached: Reached) -> None:
                 nonlocal since
                 since = reached  # the outer steps keep them, too
                 keep(reached)
 
-            found = _search(paradigm, job, training.first, start_of, few, report, looks, since, keep_looks)
+            found = search(paradigm, job, training.first, start_of, few, report, looks, since, keep_looks)
             if not training.steps:
                 return found
             first = found.start
@@ -126,16 +87,8 @@ def prepare(
     return _train(first, loss, training, to_fit, validate, job.app.scale, rng, report, since, keep)
 
 
-def _to_tune_on(job: Job, tasks: Tasks) -> Tasks:
-    """All validation tasks where fits are cheap, else up to TUNED_ON of them, evenly spaced."""
-    if job.app.cheap_fits:
-        return tasks
-    count = min(len(tasks), TUNED_ON)
-    return tasks.select([i * len(tasks) // count for i in range(count)])
-
-
 def _meta_start(
-    job: Job, training: Training, encoder: MetaParameters | None, tasks: Tasks, rng: Generator
+    job: Job, training: MetaTraining, encoder: MetaParameters | None, tasks: Tasks, rng: Generator
 ) -> MetaParameters:
     if encoder is None or training.start == "random":
         return MetaParameters()
@@ -148,7 +101,7 @@ def _meta_start(
 def _train(
     first: MetaParameters,
     loss: Loss,
-    training: Training,
+    training: OuterLoop,
     tasks: Tasks,
     validate: Callable[[Params], float],
     scale: float,
@@ -207,87 +160,6 @@ def _train(
     return best
 
 
-def tune_quickft(
-    job: Job,
-    encoder: MetaParameters,
-    tasks: Tasks,
-    report: Report | None = None,
-    looks: int | None = None,
-    since: Reached = Reached(),  # noqa: B008  (never written to)
-    keep: Keep = forget,
-) -> Prepared:
-    """Search QuickFT's Adam on validation tasks, in so many looks: a win over a badly tuned baseline is no win.
-
-    Returns:
-        A start whose alpha holds Adam's settings, scalars on the CPU, and the encoder that they were tuned for.
-
-    Raises:
-        Interrupted: Ctrl-C; carries the best settings so far.
-    """
-
-    def start_of(adam: Adam) -> MetaParameters:
-        return encoder._replace(alpha=quickft.to_alpha(adam))
-
-    return _search(quickft.QUICKFT, job, job.recipe.quickft, start_of, tasks, report, looks, since, keep)
-
-
-def _search(
-    paradigm: Paradigm,
-    job: Job,
-    first: Adam,
-    start_of: Callable[[Adam], MetaParameters],
-    tasks: Tasks,
-    report: Report | None,
-    looks: int | None,
-    since: Reached,
-    keep: Keep,
-) -> Prepared:
-    """The best Adam on validation tasks: a coordinate search, one setting or two at a time."""
-    curve: list[tuple[int, float | None, float]] = []
-    best, best_adam = Prepared(start_of(first), float("inf"), 0, curve), first
-    total = min(1 + sum(len(choices) for choices in SEARCHED), looks or sys.maxsize)
-    errors: list[float] = []
-
-    def look(adam: Adam) -> None:
-        nonlocal best, best_adam
-        tuned, known = start_of(adam), since.looks[len(errors) :]
-        error = known[0] if known else validation_error(paradigm, job, tuned, tasks)
-        errors.append(error)
-        done = len(errors)
-        if error < best.validation:
-            best, best_adam = Prepared(tuned, error, done, curve), adam
-            curve.append((done, None, error))
-        if known:
-            return
-        keep(Reached(tuple(errors)))
-        if report:
-            report(done, total, f"rate {adam.rate:.1e}, validation {error:.3f}, best {best.validation:.3f}")
-
-    try:
-        look(best_adam)
-        for choices in SEARCHED:
-            around = best_adam
-            for changes in choices[: total - len(errors)]:
-                look(replace(around, **{**changes, "rate": around.rate * changes.get("rate", 1.0)}))
-    except KeyboardInterrupt:
-        raise Interrupted(best) from None
-    return best
-
-
-# What the search tries, one line after the other around the best so far; a rate is a factor of the best's.
-TUNED_ON = 8  # validation tasks, where a fit takes longer than an instant
-SEARCHED: tuple[list[dict[str, float]], ...] = (
-    [{"rate": 2.0**i} for i in (-5, -4, -3, -2, -1, 1, 2, 3, 4, 5)],
-    [
-        {"beta1": beta1, "beta2": beta2}
-        for beta1, beta2 in itertools.product((0.3, 0.5, 0.7, 0.8, 0.9), (0.8, 0.9, 0.97, 0.99, 0.999))
-    ],
-    [{"final": final, "rate": factor} for final, factor in itertools.product((1.0, 0.3, 0.1, 0.0), (1.0, 1.3))],
-    [{"eps": eps, "rate": factor} for eps, factor in itertools.product((1e-8, 1e-6, 1e-4, 1e-3), (0.84, 1.0, 1.19))],
-    [{"rate": 2 ** (i / 8)} for i in (-5, -3, -2, -1, 1, 2, 3, 5)],
-)
-
-
 @functools.cache
 def can_compile() -> bool:
     """torch.compile needs a whole C++ tool chain on the CPU; without one, training is about half as fast, the same."""
@@ -300,7 +172,7 @@ def can_compile() -> bool:
     return True
 
 
-def training_of(job: Job, name: str, steps: int | None) -> Training | None:
+def training_of(job: Job, name: str, steps: int | None) -> OuterLoop | None:
     """How a start is trained, with outer steps instead of the recipe's; None where there is only a search."""
     if name == "quickft":
         return None

@@ -6,6 +6,7 @@ import json
 import shutil
 from collections.abc import Callable
 from dataclasses import replace
+from importlib import metadata
 from pathlib import Path
 
 import numpy as np
@@ -106,7 +107,7 @@ def test_quickft_is_tuned_for_its_encoder(
 ) -> None:
     # a recipe that moves too far, and a search that looks at one other
     monkeypatch.setitem(APP.recipes, "quick", replace(short, quickft=Adam(1.0)))
-    monkeypatch.setattr("metapp.paradigms.training.SEARCHED", ([{"beta1": 0.3, "rate": 1e-7}],))
+    monkeypatch.setattr("metapp.paradigms.tuning.SEARCHED", ([{"beta1": 0.3, "rate": 1e-7}],))
     assert fit("general", *STEPS).code == 0
     assert "no Adam was tuned" in fit("quickft").err
     tuned = fit("quickft", "--train")
@@ -345,7 +346,7 @@ def test_records_hold_valid_json_alone(fit: Callable, tmp_path: Path) -> None:
 
 def test_doctor_says_what_there_is(metapp: Callable, cache: Path) -> None:
     document = metapp("doctor", "--json").document
-    assert document["versions"]["torch"] == str(torch.__version__)
+    assert document["versions"]["torch"] == metadata.version("torch")
     assert document["cache"] == str(cache)
     assert metapp("doctor").out.startswith("versions")
 

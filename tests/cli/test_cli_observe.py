@@ -164,7 +164,7 @@ def test_protocols_share_general_and_nothing_else(on_data: Callable, tmp_path: P
 
 
 def test_quickft_is_tuned_per_protocol(on_data: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("metapp.paradigms.training.SEARCHED", ([{"rate": 0.5}],))
+    monkeypatch.setattr("metapp.paradigms.tuning.SEARCHED", ([{"rate": 0.5}],))
     assert on_data("general", "brdf", *STEPS).code == 0
     assert on_data("quickft", "brdf", "--observe", "photo", "--train").code == 0
     (file,) = (tmp_path / "runs").rglob("quickft*.safetensors")

@@ -6,6 +6,7 @@ import functools
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import OpenImageIO as oiio
@@ -47,9 +48,7 @@ def data(scenes: list[Task], tmp_path: Path) -> Path:
 def small(monkeypatch: pytest.MonkeyPatch) -> None:
     """A small network, a few steps, few paths."""
 
-    def short(training):  # type: ignore[no-untyped-def]
-        return replace(training, steps=2, tasks=2, warmup=0, tuned=False)
-
+    few: dict[str, Any] = {"steps": 2, "tasks": 2, "warmup": 0}
     quick = APP.recipes["quick"]
     recipe = replace(
         quick,
@@ -57,8 +56,8 @@ def small(monkeypatch: pytest.MonkeyPatch) -> None:
         batch=256,
         overfit_steps=30,
         finetune_steps=3,
-        general=short(quick.general),
-        meta={name: short(training) for name, training in quick.meta.items()},
+        general=replace(quick.general, **few),
+        meta={name: replace(training, **few, tuned=False) for name, training in quick.meta.items()},
         setup=Setup(Flow(code=3, hidden=8, bins=4)),
     )
     monkeypatch.setitem(APP.recipes, "quick", recipe)

@@ -19,7 +19,7 @@ from metapp.apps import app_names, illumination, load_app, svbrdf_nonstationary,
 from metapp.apps.transport.flow import Flow
 from metapp.learning.app import App
 from metapp.learning.learn import MetaParameters
-from metapp.learning.recipe import Adam, Recipe, Training
+from metapp.learning.recipe import Adam, MetaTraining, Recipe
 from metapp.learning.rules import RULES, rule_of
 from metapp.learning.task import Task
 from metapp.networks.exemplar import Setup
@@ -124,9 +124,11 @@ def small_recipe(app: App) -> Recipe:
     """The quick recipe, with few samples, tasks and steps, and every rule that applies."""
     recipe = app.recipes["quick"]
 
-    def short(training: Training) -> Training:
+    few: dict[str, Any] = {"steps": 6, "tasks": 3, "warmup": 0, "validate_every": 2}
+
+    def short(training: MetaTraining) -> MetaTraining:
         rates = training.rates if training.steps else {"": 1e-4, "alpha.out.": 0.0, "alpha.in.": 0.0}
-        return replace(training, steps=6, tasks=3, warmup=0, validate_every=2, rates=rates, tuned=False)
+        return replace(training, **few, rates=rates, tuned=False)
 
     return replace(
         recipe,
@@ -134,7 +136,7 @@ def small_recipe(app: App) -> Recipe:
         batch=min(64, recipe.batch),
         overfit_steps=60,
         finetune_steps=20,
-        general=short(recipe.general),
+        general=replace(recipe.general, **few),
         meta={rule: short(recipe.meta.get(rule, recipe.meta[recipe.rule])) for rule in applicable(app)},
         setup=SMALL[app.name].setup or recipe.setup,
     )

@@ -13,7 +13,7 @@ import torch
 from metapp.learning.learn import MetaParameters
 from metapp.learning.recipe import Adam
 from metapp.learning.task import Tasks
-from metapp.paradigms import Job, paradigms
+from metapp.paradigms import Job, paradigms, tuning
 from metapp.paradigms import training as prepare
 from metapp.paradigms.training import Interrupted, Prepared, split_validation, tune_quickft, validation_error
 from tests.paradigms.small import OWN_RULES, PAIRS, rng, start_for
@@ -196,7 +196,7 @@ def test_tuned_quickft_is_no_worse_than_the_recipe(job: Job, tasks: Tasks, monke
     """On the tasks it was tuned on; a strawman is no baseline."""
     job = job._replace(steps=2)
     rates = [{"rate": 2.0**i} for i in (-4, -2, -1, 1, 2, 4)]
-    monkeypatch.setattr(prepare, "SEARCHED", (rates, [{"beta1": 0.5}, {"eps": 1e-3, "rate": 1.2}]))
+    monkeypatch.setattr(tuning, "SEARCHED", (rates, [{"beta1": 0.5}, {"eps": 1e-3, "rate": 1.2}]))
     encoder, validation = start_for(paradigms()["quickft"], job), split_validation(tasks)[1]
     plain = validation_error(paradigms()["quickft"], job, encoder, validation)
     tuned = tune_quickft(job, encoder, validation)

@@ -15,7 +15,7 @@ import torch
 
 from metapp.learning.learn import MetaParameters
 from metapp.learning.task import Tasks
-from metapp.paradigms import Job, paradigms
+from metapp.paradigms import Job, paradigms, tuning
 from metapp.paradigms import training as prepare
 from metapp.paradigms.resuming import Interrupted, Prepared, Reached
 from metapp.storage.records import save_checkpoint
@@ -51,7 +51,7 @@ def encoder_for(job: Job) -> MetaParameters:
 
 def small_job(kind: str, job: Job, monkeypatch: pytest.MonkeyPatch) -> tuple[str, Job]:
     """A preparation by name."""
-    monkeypatch.setattr(prepare, "SEARCHED", SEARCHED)
+    monkeypatch.setattr(tuning, "SEARCHED", SEARCHED)
     if kind in ("general", "quickft"):
         return kind, job
     rule, tuned = (kind.removesuffix(" tuned"), kind.endswith(" tuned"))

@@ -15,7 +15,7 @@ from metapp.learning.learn import MetaParameters
 from metapp.learning.recipe import Adam
 from metapp.learning.rules import RULES
 from metapp.learning.task import Tasks
-from metapp.paradigms import Job, Paradigm
+from metapp.paradigms import Job, Paradigm, tuning
 from metapp.paradigms import training as prepare
 from metapp.paradigms.quickft import adam_of
 from metapp.paradigms.training import Interrupted, Prepared, tune_quickft
@@ -61,7 +61,7 @@ def search(monkeypatch: pytest.MonkeyPatch) -> Callable[..., Search]:
             looked.append(adam_of(job, prepared))
             return error(looked[-1])
 
-        monkeypatch.setattr(prepare, "validation_error", told)
+        monkeypatch.setattr(tuning, "validation_error", told)
         encoder = MetaParameters(encoder={"w": torch.ones(2)})
         return Search(looked, job, lambda **options: tune_quickft(job, encoder, None, **options))  # type: ignore[arg-type]
 
@@ -87,7 +87,7 @@ def test_the_search_goes_on_around_the_best_so_far(search: Callable[..., Search]
     searching = search(first)
     reported: list[tuple[int, int]] = []
     tuned = searching.run(report=lambda step, steps, note: reported.append((step, steps)))
-    looked, lines = searching.looked, [len(line) for line in prepare.SEARCHED]
+    looked, lines = searching.looked, [len(line) for line in tuning.SEARCHED]
     assert looked[0] == first
     assert len(looked) == 1 + sum(lines)
     assert reported == [(i + 1, len(looked)) for i in range(len(looked))]
@@ -148,7 +148,7 @@ def test_searches_look_at_all_validation_tasks_where_fits_are_cheap(
         looked.append(len(tasks))
         return 1.0
 
-    monkeypatch.setattr(prepare, "validation_error", told)
+    monkeypatch.setattr(tuning, "validation_error", told)
     encoder = MetaParameters(encoder={"w": torch.ones(2)})
     prepare.prepare("quickft", job, Tasks(names, {}, torch.arange(240)), rng(), encoder=encoder, steps=3)
     assert looked == [count] * 3
@@ -169,7 +169,7 @@ def test_a_rule_is_tuned_as_quickft_is(
     rule: str, outer: int, job: Job, tasks: Tasks, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Its Adam is searched on validation tasks, in the bases of the training tasks; outer steps go on from there."""
-    monkeypatch.setattr(prepare, "SEARCHED", ([{"rate": 0.5}, {"rate": 2.0}], [{"beta1": 0.3, "rate": 1.0}]))
+    monkeypatch.setattr(tuning, "SEARCHED", ([{"rate": 0.5}, {"rate": 2.0}], [{"beta1": 0.3, "rate": 1.0}]))
     training = replace(job.recipe.meta[rule], start="encoder", tuned=True, steps=outer)
     job = job._replace(rule=rule, recipe=replace(job.recipe, meta={rule: training}))
     encoder = MetaParameters(encoder=job.app.init_encoder(rng()))
@@ -187,7 +187,7 @@ def test_a_rule_is_tuned_as_quickft_is(
 
 
 def test_choices_of_the_search_are_settings_of_adam() -> None:
-    for line in prepare.SEARCHED:
+    for line in tuning.SEARCHED:
         for changes in line:
             adam = replace(Adam(1.0), **changes)
             assert adam.rate > 0

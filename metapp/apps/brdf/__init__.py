@@ -12,7 +12,7 @@ from torch.nn.functional import gelu, layer_norm
 
 from metapp.appearance.geometry import cos_incident, half_difference
 from metapp.learning.app import App
-from metapp.learning.recipe import Adam, Recipe, Training
+from metapp.learning.recipe import Adam, MetaTraining, OuterLoop, Recipe
 from metapp.learning.task import Batch, Held, Params, Task, Tasks
 
 WIDTHS = (6, 21, 21, 3)
@@ -22,7 +22,7 @@ KNOTS = 8
 AUGMENTED = 8192
 # Each task's gradient is scaled to about the same norm before the mean is taken: meta-gradients are heavy-tailed, and a
 # clip of 0.004 gave two thirds of the error that a clip of 1 gave on validation materials.
-LEARNED = Training(
+LEARNED = MetaTraining(
     steps=20_000,
     tasks=4,
     rates={"": 1e-3, "alpha.": 1e-2, "alpha.left": 1e-3, "alpha.right": 1e-3},
@@ -40,7 +40,7 @@ QUICK = Recipe(
     finetune_steps=2_000,
     finetune=Adam(4e-3, final=0.0),
     quickft=Adam(5e-3, final=0.1),
-    general=Training(steps=12_000, tasks=8, rates={"": 1e-3}, warmup=200, final=0.0, validate_every=500),
+    general=OuterLoop(steps=12_000, tasks=8, rates={"": 1e-3}, warmup=200, final=0.0, validate_every=500),
     meta={
         "meta-sgd": replace(LEARNED, first=Adam(0.1), rates={"": 3e-3}),
         "meta-adam": LEARNED,
@@ -55,7 +55,7 @@ PAPER = replace(
     QUICK,
     quickft=Adam(5e-3),
     meta={
-        "meta-sgd": Training(
+        "meta-sgd": MetaTraining(
             steps=100_000,
             tasks=1,
             rates={"": 1e-4},

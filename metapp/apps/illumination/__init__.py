@@ -17,7 +17,7 @@ from metapp.appearance.photograph import Camera, Material, develop, photograph, 
 from metapp.apps.illumination.encoder import Encoder
 from metapp.apps.illumination.surfaces import FACED, MIRRORED, relight, surfaces
 from metapp.apps.illumination.variants import of_mean_1, varied
-from metapp.learning.recipe import AS_PUBLISHED, Adam, Recipe, Training
+from metapp.learning.recipe import AS_PUBLISHED, Adam, MetaTraining, OuterLoop, Recipe
 from metapp.learning.task import Batch, Held, Params, Task, Tasks
 from metapp.networks.coded import CodedApp, norm
 from metapp.networks.layers import LocalField
@@ -51,7 +51,7 @@ class Setup:
 
 
 # exact second order, from General's encoder, which goes on learning through the steps
-LEARNED = Training(
+LEARNED = MetaTraining(
     steps=1500,
     tasks=8,
     rates={"": 1e-4, "alpha.": 5e-3, "alpha.around.": 5e-4},
@@ -71,7 +71,7 @@ QUICK = Recipe(
     finetune_steps=300,
     finetune=Adam(1e-2, final=0.0),
     quickft=Adam(1e-2, beta1=0.6, beta2=0.98, final=0.1),
-    general=Training(steps=9000, tasks=16, rates={"": 1e-3}, warmup=100, final=0.0, validate_every=500),
+    general=OuterLoop(steps=9000, tasks=16, rates={"": 1e-3}, warmup=100, final=0.0, validate_every=500),
     meta={"meta-encoder": LEARNED, "meta-lgd": LEARNED},
     rule="meta-lgd",
     setup=Setup(LocalField(32, 64)),

@@ -21,7 +21,7 @@ from metapp.apps.svbrdf_nonstationary.maps import (
 )
 from metapp.apps.svbrdf_nonstationary.variants import varied
 from metapp.apps.svbrdf_nonstationary.views import FLASH, flash_of, mirroring_pairs, oblique_pairs, photographed, seen
-from metapp.learning.recipe import AS_PUBLISHED, Adam, Recipe, Training
+from metapp.learning.recipe import AS_PUBLISHED, Adam, MetaTraining, OuterLoop, Recipe
 from metapp.learning.task import Batch, Held, Params, Task, Tasks
 from metapp.networks.coded import CodedApp, norm
 from metapp.networks.layers import LocalField
@@ -74,7 +74,7 @@ def field_of(side: int, hidden: int) -> LocalField:
 
 
 # exact second order, from General's encoder, which goes on learning through the steps
-LEARNED = Training(
+LEARNED = MetaTraining(
     steps=600,
     tasks=4,
     rates={"": 5e-5, "alpha.": 5e-3, "alpha.within.": 5e-4},
@@ -94,7 +94,7 @@ QUICK = Recipe(
     finetune_steps=100,
     finetune=Adam(3e-3, final=0.0),
     quickft=Adam(3e-3, beta1=0.6, beta2=0.98, final=0.1),
-    general=Training(steps=24_000, tasks=8, rates={"": 1e-3}, warmup=100, final=0.0, validate_every=1000),
+    general=OuterLoop(steps=24_000, tasks=8, rates={"": 1e-3}, warmup=100, final=0.0, validate_every=1000),
     meta={"meta-encoder": LEARNED, "meta-lgd": LEARNED},
     rule="meta-lgd",
     setup=Setup(field_of(64, 32)),

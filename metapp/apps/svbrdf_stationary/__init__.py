@@ -20,7 +20,7 @@ from metapp.appearance.flash import (
     relightings,
     render,
 )
-from metapp.learning.recipe import AS_PUBLISHED, Adam, Recipe, Training
+from metapp.learning.recipe import AS_PUBLISHED, Adam, MetaTraining, OuterLoop, Recipe
 from metapp.learning.task import Batch, Held, Params, Task, Tasks
 from metapp.networks.exemplar import JUDGED, ExemplarApp, Setup
 from metapp.networks.layers import UNet
@@ -32,7 +32,7 @@ SPECTRUM = 0.3  # the spectra's weight in the loss
 RINGS = ((0.0, 0.2), (0.2, 0.8), (0.8, 3.0))  # squared distances from the centre, of half the photo's side
 RELIEF = 2.0  # texels of height a unit of the network's output
 FALLOFF = 1.0
-LEARNED = Training(
+LEARNED = MetaTraining(
     steps=300,
     tasks=3,
     rates={"": 1e-3, "alpha.": 1e-2},
@@ -44,7 +44,7 @@ LEARNED = Training(
     validate_every=100,
 )
 ENCODED = replace(LEARNED, start="encoder", rates={"": 3e-4, "alpha.": 3e-3})
-TUNED = Training(
+TUNED = MetaTraining(
     steps=0, tasks=0, rates={"": 0.0}, first=Adam(3e-3, beta1=0.5, beta2=0.97, final=0.3), tuned=True, start="encoder"
 )
 QUICK = Recipe(
@@ -55,7 +55,7 @@ QUICK = Recipe(
     finetune_steps=100,
     finetune=Adam(5e-3, beta2=0.99, final=0.0),
     quickft=Adam(3.7e-3, beta1=0.7, beta2=0.99, final=0.3),
-    general=Training(steps=2500, tasks=6, rates={"": 3e-3, "encoder.mlp": 1e-3}, warmup=50, final=0.0),
+    general=OuterLoop(steps=2500, tasks=6, rates={"": 3e-3, "encoder.mlp": 1e-3}, warmup=50, final=0.0),
     meta={
         "meta-sgd": replace(LEARNED, first=Adam(0.1)),
         "meta-adam-tied": LEARNED,

@@ -8,13 +8,13 @@ import torch
 from torch import Generator, Tensor
 
 from metapp.appearance.features import channels_of, distance, gram, moments
-from metapp.learning.recipe import AS_PUBLISHED, Adam, Recipe, Training
+from metapp.learning.recipe import AS_PUBLISHED, Adam, MetaTraining, OuterLoop, Recipe
 from metapp.learning.task import Batch, Held, Params, Tasks
 from metapp.networks.exemplar import ExemplarApp, Setup
 from metapp.networks.layers import UNet
 
 SMALLEST_CROP = 0.5
-LEARNED = Training(
+LEARNED = MetaTraining(
     steps=300,
     tasks=4,
     rates={"": 1e-3, "alpha.": 1e-2},
@@ -26,7 +26,7 @@ LEARNED = Training(
     validate_every=100,
 )
 ENCODED = replace(LEARNED, start="encoder", rates={"": 1e-4, "alpha.": 3e-3})
-TUNED = Training(
+TUNED = MetaTraining(
     steps=0, tasks=0, rates={"": 0.0}, first=Adam(5e-3, beta1=0.5, beta2=0.99, final=0.6), tuned=True, start="encoder"
 )
 QUICK = Recipe(
@@ -37,7 +37,7 @@ QUICK = Recipe(
     finetune_steps=100,
     finetune=Adam(5e-3, beta2=0.99, final=0.0),
     quickft=Adam(3.7e-3, beta1=0.7, beta2=0.99, final=0.3),
-    general=Training(steps=4000, tasks=8, rates={"": 3e-3, "encoder.mlp": 1e-3}, warmup=50, final=0.0),
+    general=OuterLoop(steps=4000, tasks=8, rates={"": 3e-3, "encoder.mlp": 1e-3}, warmup=50, final=0.0),
     meta={
         "meta-sgd": replace(LEARNED, first=Adam(0.1)),
         "meta-adam-tied": LEARNED,

@@ -10,7 +10,7 @@ from torch import Generator, Tensor
 from metapp.apps.transport.encoder import Encoder
 from metapp.apps.transport.flow import Flow
 from metapp.learning.app import App
-from metapp.learning.recipe import AS_PUBLISHED, Adam, Recipe, Training
+from metapp.learning.recipe import AS_PUBLISHED, Adam, MetaTraining, OuterLoop, Recipe
 from metapp.learning.task import Batch, Held, Params, Task, Tasks
 from metapp.networks.coded import decoder_of, reader_of, with_decoder
 
@@ -35,7 +35,7 @@ class Setup:
 
 
 # exact second order, from General's encoder, which goes on learning through the steps
-LEARNED = Training(
+LEARNED = MetaTraining(
     steps=100,
     tasks=3,
     rates={"": 3e-4, "alpha.": 2e-2, "alpha.within.": 3e-3},
@@ -55,7 +55,7 @@ QUICK = Recipe(
     finetune_steps=40,
     finetune=Adam(2e-3, final=0.0),
     quickft=Adam(2e-3, beta1=0.5, beta2=0.8, eps=1e-6, final=0.3),
-    general=Training(steps=1200, tasks=8, rates={"": 2e-3}, warmup=50, final=0.0, decay=1e-4, validate_every=100),
+    general=OuterLoop(steps=1200, tasks=8, rates={"": 2e-3}, warmup=50, final=0.0, decay=1e-4, validate_every=100),
     meta={"meta-encoder": LEARNED, "meta-lgd": LEARNED},
     rule="meta-lgd",
     setup=Setup(Flow()),

@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 from metapp.learning.adjoint import UpdateRule
-from metapp.learning.recipe import Adam, Training
+from metapp.learning.recipe import Adam, OuterLoop
 from metapp.learning.task import Params
 
 
@@ -34,7 +34,7 @@ def fixed_adam(settings: Adam, theta: Params, steps: int) -> UpdateRule:
     return UpdateRule(alpha, adam_state, _adam_step(settings.eps))
 
 
-def outer_adam(training: Training, params: Params) -> UpdateRule:
+def outer_adam(training: OuterLoop, params: Params) -> UpdateRule:
     """Adam for the outer loop: a rate by part of the tree, warm-up, half-cosine decay, weight decay."""
     device = next(iter(params.values())).device
     alpha = {"beta1": _one(0.9, device), "beta2": _one(0.999, device)}

@@ -10,7 +10,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from metapp.learning.recipe import Adam, Training
+from metapp.learning.recipe import Adam, MetaTraining
 from metapp.learning.rules import fixed_adam, half_cosine, outer_adam, sgd
 from metapp.learning.task import Params
 from tests.learning.rules.steps import STEPS, assert_same, run
@@ -66,7 +66,7 @@ def test_fixed_adam_is_torch_adam(settings: Adam, theta: Params, grads: list[Par
 
 
 def test_outer_adam_is_torch_adam_with_l2(theta: Params, grads: list[Params]) -> None:
-    training = Training(STEPS, 1, {"": 1e-3, "w": 1e-2, "w3": 1e-4}, warmup=3, final=0.1, decay=0.3)
+    training = MetaTraining(STEPS, 1, {"": 1e-3, "w": 1e-2, "w3": 1e-4}, warmup=3, final=0.1, decay=0.3)
     leaves = copies(theta)
     rates = {"w1": 1e-2, "w2": 1e-2, "w3": 1e-4}
     groups = [{"params": [leaf], "lr": rates.get(key, 1e-3)} for key, leaf in leaves.items()]

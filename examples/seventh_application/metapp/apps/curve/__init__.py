@@ -9,7 +9,7 @@ from torch import Generator, Tensor
 from torch.nn.functional import gelu
 
 from metapp.learning.app import App
-from metapp.learning.recipe import AS_PUBLISHED, Adam, Recipe, Training
+from metapp.learning.recipe import AS_PUBLISHED, Adam, MetaTraining, OuterLoop, Recipe
 from metapp.learning.task import Batch, Held, Params, Task, Tasks
 
 WIDTH, SAMPLES = 12, 32
@@ -22,8 +22,8 @@ QUICK = Recipe(
     finetune_steps=100,
     finetune=Adam(3e-3, final=0.01),
     quickft=Adam(1e-2),
-    general=Training(steps=500, tasks=4, rates={"": 1e-3}, validate_every=100),
-    meta={"meta-adam": Training(steps=200, tasks=4, rates={"": 1e-3, "alpha.": 1e-2}, order=2, validate_every=50)},
+    general=OuterLoop(steps=500, tasks=4, rates={"": 1e-3}, validate_every=100),
+    meta={"meta-adam": MetaTraining(steps=200, tasks=4, rates={"": 1e-3, "alpha.": 1e-2}, order=2, validate_every=50)},
     rule="meta-adam",
 )
 PAPER = Recipe(**(vars(QUICK) | {"meta": {"meta-sgd": AS_PUBLISHED}, "rule": "meta-sgd"}))

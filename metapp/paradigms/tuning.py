@@ -1,0 +1,107 @@
+"""The search of an Adam on validation tasks: QuickFT's, and what learned rules begin as."""
+
+from __future__ import annotations
+
+import itertools
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+
+from metapp.learning.learn import MetaParameters
+from metapp.learning.recipe import Adam
+from metapp.learning.task import Tasks
+from metapp.paradigms import quickft
+from metapp.paradigms.paradigm import Job, Paradigm
+from metapp.paradigms.resuming import Interrupted, Keep, Prepared, Reached, forget
+from metapp.paradigms.validation import validation_error
+
+Report = Callable[[int, int, str], None]  # (step, steps, note), for a progress bar
+
+
+def tune_quickft(
+    job: Job,
+    encoder: MetaParameters,
+    tasks: Tasks,
+    report: Report | None = None,
+    looks: int | None = None,
+    since: Reached = Reached(),  # noqa: B008  (never written to)
+    keep: Keep = forget,
+) -> Prepared:
+    """Search QuickFT's Adam on validation tasks, in so many looks: a win over a badly tuned baseline is no win.
+
+    Returns:
+        A start whose alpha holds Adam's settings, scalars on the CPU, and the encoder that they were tuned for.
+
+    Raises:
+        Interrupted: Ctrl-C; carries the best settings so far.
+    """
+
+    def start_of(adam: Adam) -> MetaParameters:
+        return encoder._replace(alpha=quickft.to_alpha(adam))
+
+    return search(quickft.QUICKFT, job, job.recipe.quickft, start_of, tasks, report, looks, since, keep)
+
+
+def search(
+    paradigm: Paradigm,
+    job: Job,
+    first: Adam,
+    start_of: Callable[[Adam], MetaParameters],
+    tasks: Tasks,
+    report: Report | None,
+    looks: int | None,
+    since: Reached,
+    keep: Keep,
+) -> Prepared:
+    """The best Adam on validation tasks: a coordinate search, one setting or two at a time."""
+    curve: list[tuple[int, float | None, float]] = []
+    best, best_adam = Prepared(start_of(first), float("inf"), 0, curve), first
+    total = min(1 + sum(len(choices) for choices in SEARCHED), looks or sys.maxsize)
+    errors: list[float] = []
+
+    def look(adam: Adam) -> None:
+        nonlocal best, best_adam
+        tuned, known = start_of(adam), since.looks[len(errors) :]
+        error = known[0] if known else validation_error(paradigm, job, tuned, tasks)
+        errors.append(error)
+        done = len(errors)
+        if error < best.validation:
+            best, best_adam = Prepared(tuned, error, done, curve), adam
+            curve.append((done, None, error))
+        if known:
+            return
+        keep(Reached(tuple(errors)))
+        if report:
+            report(done, total, f"rate {adam.rate:.1e}, validation {error:.3f}, best {best.validation:.3f}")
+
+    try:
+        look(best_adam)
+        for choices in SEARCHED:
+            around = best_adam
+            for changes in choices[: total - len(errors)]:
+                look(replace(around, **{**changes, "rate": around.rate * changes.get("rate", 1.0)}))
+    except KeyboardInterrupt:
+        raise Interrupted(best) from None
+    return best
+
+
+def to_tune_on(job: Job, tasks: Tasks) -> Tasks:
+    """All validation tasks where fits are cheap, else up to TUNED_ON of them, evenly spaced."""
+    if job.app.cheap_fits:
+        return tasks
+    count = min(len(tasks), TUNED_ON)
+    return tasks.select([i * len(tasks) // count for i in range(count)])
+
+
+# What the search tries, one line after the other around the best so far; a rate is a factor of the best's.
+TUNED_ON = 8  # validation tasks, where a fit takes longer than an instant
+SEARCHED: tuple[list[dict[str, float]], ...] = (
+    [{"rate": 2.0**i} for i in (-5, -4, -3, -2, -1, 1, 2, 3, 4, 5)],
+    [
+        {"beta1": beta1, "beta2": beta2}
+        for beta1, beta2 in itertools.product((0.3, 0.5, 0.7, 0.8, 0.9), (0.8, 0.9, 0.97, 0.99, 0.999))
+    ],
+    [{"final": final, "rate": factor} for final, factor in itertools.product((1.0, 0.3, 0.1, 0.0), (1.0, 1.3))],
+    [{"eps": eps, "rate": factor} for eps, factor in itertools.product((1e-8, 1e-6, 1e-4, 1e-3), (0.84, 1.0, 1.19))],
+    [{"rate": 2 ** (i / 8)} for i in (-5, -3, -2, -1, 1, 2, 3, 5)],
+)
