@@ -206,7 +206,7 @@ def short_by_protocol(monkeypatch: pytest.MonkeyPatch) -> Callable[[dict[str, di
                 setup=setup,
             )
             monkeypatch.setitem(of_protocol, "quick", short_one)
-        monkeypatch.setattr("metapp.paradigms.training.can_compile", lambda: False)
+        monkeypatch.setattr("metapp.paradigms.meta.can_compile", lambda: False)
 
     return shorten
 

@@ -33,7 +33,7 @@ def examine() -> dict[str, Any]:
     from metapp.apps import app_names
     from metapp.experiments.checkpoints import shipped_path
     from metapp.experiments.embedded import embedded_exists
-    from metapp.paradigms.training import can_compile
+    from metapp.paradigms.outer_loop import can_compile
     from metapp.storage.files import cache_folder
 
     starts = {

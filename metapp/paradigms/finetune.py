@@ -10,5 +10,6 @@ FINETUNE = Paradigm(
     start=start,
     rule=lambda job, prepared, theta, steps: fixed_adam(job.recipe.finetune, theta, steps),
     steps=lambda recipe: recipe.finetune_steps,
+    prepare=GENERAL.prepare,
     adam=lambda job, prepared: job.recipe.finetune,
 )

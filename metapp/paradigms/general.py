@@ -8,7 +8,9 @@ from metapp.learning.adjoint import Loss
 from metapp.learning.learn import MetaParameters, after_encoding, over_tasks, task_outer_loss
 from metapp.learning.rules import fixed_adam
 from metapp.learning.task import Params, Tasks
-from metapp.paradigms.paradigm import Job, Paradigm
+from metapp.paradigms.outer_loop import train
+from metapp.paradigms.paradigm import Given, Job, Paradigm
+from metapp.paradigms.resuming import Prepared
 
 
 def start(job: Job, prepared: MetaParameters, tasks: Tasks, rng: Generator) -> Params:
@@ -25,10 +27,17 @@ def preparation(job: Job, rng: Generator) -> tuple[MetaParameters, Loss]:
     return MetaParameters(encoder=app.init_encoder(rng)), over_tasks(loss, count=training.tasks, augment=augment)
 
 
+def prepare(job: Job, given: Given) -> Prepared:
+    """Train the encoder."""
+    first, loss = preparation(job, given.rng)
+    return train(GENERAL, job, first, loss, job.recipe.general, given)
+
+
 GENERAL = Paradigm(
     name="general",
     needs=lambda job: ("general",),
     start=start,
     rule=lambda job, prepared, theta, steps: fixed_adam(job.recipe.finetune, theta, steps),
     steps=lambda recipe: 0,
+    prepare=prepare,
 )

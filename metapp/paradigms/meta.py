@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from typing import Any
 
 import torch
@@ -9,11 +10,14 @@ from torch import Generator
 
 from metapp.learning.adjoint import Loss, UpdateRule
 from metapp.learning.learn import MetaParameters, after_learning, learn, over_tasks, spread, task_loss, task_outer_loss
-from metapp.learning.recipe import Adam
+from metapp.learning.recipe import Adam, MetaTraining
 from metapp.learning.rules import rule_of
 from metapp.learning.task import Params, Tasks
 from metapp.paradigms.general import start as general_start
-from metapp.paradigms.paradigm import AT_ONCE, Job, Paradigm
+from metapp.paradigms.outer_loop import can_compile, train
+from metapp.paradigms.paradigm import AT_ONCE, Given, Job, Paradigm
+from metapp.paradigms.resuming import Prepared, Reached
+from metapp.paradigms.tuning import search, to_tune_on
 
 
 def preparation(job: Job, general: MetaParameters, rng: Generator, compiled: bool) -> tuple[MetaParameters, Loss]:
@@ -93,10 +97,50 @@ def rule(job: Job, prepared: MetaParameters, theta: Params, steps: int) -> Updat
     return learned.rule(spread(alpha, next(iter(theta.values())).shape[0], 1))
 
 
+def prepare(job: Job, given: Given) -> Prepared:
+    """Learn the initialisation and the rule, after a search of the Adam that it begins as, if the recipe has one."""
+    training = job.recipe.meta_training(job.rule)
+    general = _from_general(job, training, given)
+    first, loss = preparation(job, general, given.rng, compiled=job.app.compiles and can_compile())
+    first = with_gradients(job, first, given.to_fit, given.rng)
+    if training.tuned:
+        found, given = _searched(job, training, first, given)
+        if not training.steps:
+            return found
+        first = found.start
+    return train(META, job, first, loss, training, given)
+
+
+def _from_general(job: Job, training: MetaTraining, given: Given) -> MetaParameters:
+    """What phi goes on from: General's encoder, the mean of its predictions, or nothing."""
+    if given.encoder is None or training.start == "random":
+        return MetaParameters()
+    if training.start == "encoder":
+        return given.encoder
+    predicted = general_start(job, given.encoder, given.to_fit, given.rng)
+    return MetaParameters({key: value.mean(0) for key, value in predicted.items()})
+
+
+def _searched(job: Job, training: MetaTraining, first: MetaParameters, given: Given) -> tuple[Prepared, Given]:
+    """The best Adam to begin as, and what is given to the outer steps: they keep the search's errors, too."""
+    reached = given.since
+
+    def keep(now: Reached) -> None:
+        nonlocal reached
+        reached = now
+        given.keep(now)
+
+    start_of, few = functools.partial(with_adam, job, first), to_tune_on(job, given.to_validate)
+    looks = None if training.steps else given.steps
+    found = search(META, job, training.first, start_of, few, given.report, looks, given.since, keep)
+    return found, given._replace(since=reached)
+
+
 META = Paradigm(
     name="meta",
     needs=lambda job: (job.rule,),
     start=start,
     rule=rule,
     steps=lambda recipe: recipe.steps,
+    prepare=prepare,
 )

@@ -12,7 +12,9 @@ from metapp.learning.app import App
 from metapp.learning.learn import MetaParameters, learn, task_loss
 from metapp.learning.recipe import Adam, Recipe
 from metapp.learning.task import Params, Tasks
+from metapp.paradigms.resuming import Keep, Prepared, Reached, forget
 
+Report = Callable[[int, int, str], None]  # (step, steps, note), for a progress bar
 AT_ONCE = 8  # tasks that are fitted side by side where memory would grow with a data set
 
 
@@ -32,6 +34,34 @@ class Job(NamedTuple):
     steps: int | None = None
 
 
+class Given(NamedTuple):
+    """What a preparation works on.
+
+    Attributes:
+        to_fit, to_validate: the training tasks, and those of them that validate.
+        rng: of all random draws.
+        encoder: a prepared General; QuickFT tunes on it, Meta starts from it or from the mean of its predictions.
+        steps: outer steps instead of the recipe's; validations where there is only a search.
+        report: called with the progress.
+        since: how far the same preparation was when it was cut off, to go on from.
+        keep: called with how far it is, before each outer step and after each validation of a search.
+    """
+
+    to_fit: Tasks
+    to_validate: Tasks
+    rng: Generator
+    encoder: MetaParameters | None = None
+    steps: int | None = None
+    report: Report | None = None
+    since: Reached = Reached()
+    keep: Keep = forget
+
+
+def nothing(job: Job, given: Given) -> Prepared:
+    """The preparation of a paradigm that needs none."""
+    raise ValueError("nothing to prepare.")
+
+
 class Paradigm(NamedTuple):
     """A way of training.
 
@@ -42,6 +72,7 @@ class Paradigm(NamedTuple):
         start: (job, prepared, tasks, rng) -> parameters [T, ...] before the first step.
         rule: (job, prepared, start, steps) -> how the steps move them.
         steps: recipe -> number of gradient steps.
+        prepare: (job, given) -> the last of what it needs; the others are given.
         adam: (job, prepared) -> the plain Adam that it fits by; None where the rule is a learned one, or there is none.
     """
 
@@ -50,6 +81,7 @@ class Paradigm(NamedTuple):
     start: Callable[[Job, MetaParameters, Tasks, Generator], Params]
     rule: Callable[[Job, MetaParameters, Params, int], UpdateRule]
     steps: Callable[[Recipe], int]
+    prepare: Callable[[Job, Given], Prepared] = nothing
     adam: Callable[[Job, MetaParameters], Adam | None] = lambda job, prepared: None
 
     def fit(self, job: Job, prepared: MetaParameters, tasks: Tasks, rng: Generator) -> Params:

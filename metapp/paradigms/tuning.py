@@ -10,36 +10,9 @@ from dataclasses import replace
 from metapp.learning.learn import MetaParameters
 from metapp.learning.recipe import Adam
 from metapp.learning.task import Tasks
-from metapp.paradigms import quickft
-from metapp.paradigms.paradigm import Job, Paradigm
-from metapp.paradigms.resuming import Interrupted, Keep, Prepared, Reached, forget
+from metapp.paradigms.paradigm import Job, Paradigm, Report
+from metapp.paradigms.resuming import Interrupted, Keep, Prepared, Reached
 from metapp.paradigms.validation import validation_error
-
-Report = Callable[[int, int, str], None]  # (step, steps, note), for a progress bar
-
-
-def tune_quickft(
-    job: Job,
-    encoder: MetaParameters,
-    tasks: Tasks,
-    report: Report | None = None,
-    looks: int | None = None,
-    since: Reached = Reached(),  # noqa: B008  (never written to)
-    keep: Keep = forget,
-) -> Prepared:
-    """Search QuickFT's Adam on validation tasks, in so many looks: a win over a badly tuned baseline is no win.
-
-    Returns:
-        A start whose alpha holds Adam's settings, scalars on the CPU, and the encoder that they were tuned for.
-
-    Raises:
-        Interrupted: Ctrl-C; carries the best settings so far.
-    """
-
-    def start_of(adam: Adam) -> MetaParameters:
-        return encoder._replace(alpha=quickft.to_alpha(adam))
-
-    return search(quickft.QUICKFT, job, job.recipe.quickft, start_of, tasks, report, looks, since, keep)
 
 
 def search(

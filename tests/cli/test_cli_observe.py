@@ -85,7 +85,7 @@ def app(monkeypatch: pytest.MonkeyPatch) -> Seen:
     monkeypatch.setitem(Brdf.recipes, "quick", quick)
     monkeypatch.setattr(brdf, "APP", seen)
     monkeypatch.setattr(presentation, "PRESENTATION", Shown)
-    monkeypatch.setattr("metapp.paradigms.training.can_compile", lambda: False)
+    monkeypatch.setattr("metapp.paradigms.meta.can_compile", lambda: False)
     return seen
 
 

@@ -9,15 +9,14 @@ import pytest
 from metapp.apps import app_names, load_app
 from metapp.learning.app import App, stack
 from metapp.learning.task import Task, Tasks
-from metapp.paradigms import Job
-from metapp.paradigms import training as prepare
+from metapp.paradigms import Job, meta
 from tests.paradigms.small import SMALL, small_recipe
 
 
 @pytest.fixture(autouse=True)
 def eager(monkeypatch: pytest.MonkeyPatch) -> None:
     """Compiling takes longer than these tests."""
-    monkeypatch.setattr(prepare, "can_compile", lambda: False)
+    monkeypatch.setattr(meta, "can_compile", lambda: False)
 
 
 @pytest.fixture(scope="session", params=app_names())

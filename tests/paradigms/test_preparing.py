@@ -13,9 +13,11 @@ import torch
 from metapp.learning.learn import MetaParameters
 from metapp.learning.recipe import Adam
 from metapp.learning.task import Tasks
-from metapp.paradigms import Job, paradigms, tuning
+from metapp.paradigms import Job, outer_loop, paradigms, tuning
 from metapp.paradigms import training as prepare
-from metapp.paradigms.training import Interrupted, Prepared, split_validation, tune_quickft, validation_error
+from metapp.paradigms.quickft import tune_quickft
+from metapp.paradigms.resuming import Interrupted, Prepared
+from metapp.paradigms.validation import split_validation, validation_error
 from tests.paradigms.small import OWN_RULES, PAIRS, rng, start_for
 
 ONE_APP = pytest.mark.parametrize("app", ["brdf"], indirect=True)  # what no application changes
@@ -73,7 +75,7 @@ def test_a_start_that_only_gets_worse_is_kept(
 ) -> None:
     """Iteration 0 is among the states to choose from, and it is not written to afterwards."""
     before, errors = look(name, job, tasks, steps=0), itertools.count(1)
-    monkeypatch.setattr(prepare, "validation_error", lambda *_: float(next(errors)))
+    monkeypatch.setattr(outer_loop, "validation_error", lambda *_: float(next(errors)))
     prepared = look(name, job, tasks)
     assert (prepared.step, prepared.validation) == (0, 1.0)
     assert [error for _, _, error in prepared.curve] == [1.0, 2.0, 3.0, 4.0]
@@ -155,7 +157,7 @@ def test_training_never_sees_a_validation_task(
     for key, value in tasks.data.items():
         own = value.stride(0) != 0  # what all tasks share is no task's
         spoilt[key] = value.float().index_fill(0, rows, math.nan) if own else value
-    monkeypatch.setattr(prepare, "validation_error", lambda *_: 1.0)
+    monkeypatch.setattr(outer_loop, "validation_error", lambda *_: 1.0)
     prepared = look(name, job, Tasks(tasks.names, spoilt, tasks.rows), steps=12)
     assert all(loss is not None and math.isfinite(loss) for _, loss, _ in prepared.curve[1:])
 

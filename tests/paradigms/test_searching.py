@@ -17,8 +17,8 @@ from metapp.learning.rules import RULES
 from metapp.learning.task import Tasks
 from metapp.paradigms import Job, Paradigm, tuning
 from metapp.paradigms import training as prepare
-from metapp.paradigms.quickft import adam_of
-from metapp.paradigms.training import Interrupted, Prepared, tune_quickft
+from metapp.paradigms.quickft import adam_of, tune_quickft
+from metapp.paradigms.resuming import Interrupted, Prepared
 from tests.paradigms.small import rng
 
 # The search of QuickFT's Adam, on errors in closed form
