@@ -39,6 +39,10 @@ class Writer(Protocol):
         """Write the parameters of one fit beside or below `path`, with the format's own suffix."""
 
 
+class FilesAndWriter(Files, Writer, Protocol):
+    """What does both, a module."""
+
+
 class Setting(NamedTuple):
     """An option of a conversion.
 
@@ -138,6 +142,6 @@ def inputs_of(app: str) -> tuple[Format, ...]:
     return tuple(each for each in formats() if each.app == app and each.inputs)
 
 
-def exports_of(app: str) -> dict[str, Format]:
-    """Return the formats that fits of an application can be written in, by name."""
-    return {each.name: each for each in formats() if each.app == app and each.writer}
+def exports_of(app: str) -> dict[str, Callable[[], Writer]]:
+    """Return the writers of the formats that fits of an application can be written in, by name."""
+    return {each.name: each.writer for each in formats() if each.app == app and each.writer}

@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 from pathlib import Path
 
-from data_tools.formats import Conversion, Files, Format, Reader, Setting, Writer
+from data_tools.formats import Conversion, FilesAndWriter, Format, Reader, Setting
 
 HELP = """Convert MERL tables, measured BRDFs.
 
@@ -22,13 +22,7 @@ SAMPLES = Setting(
 )
 
 
-def _files() -> Files:
-    from data_tools.readers import merl
-
-    return merl
-
-
-def _writer() -> Writer:
+def _files() -> FilesAndWriter:
     from data_tools.readers import merl
 
     return merl
@@ -47,6 +41,6 @@ FORMAT = Format(
     "brdf",
     "MERL .binary files",
     _files,
-    _writer,
+    _files,
     Conversion(HELP, _reader, ("FILES...", ".binary files, and folders searched at any depth."), (SAMPLES,)),
 )

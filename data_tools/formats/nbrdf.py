@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 from pathlib import Path
 
-from data_tools.formats import Conversion, Files, Format, Reader, Writer
+from data_tools.formats import Conversion, FilesAndWriter, Format, Reader
 from data_tools.formats.merl import SAMPLES
 
 HELP = """Convert NBRDF networks, BRDFs as small neural networks.
@@ -21,13 +21,7 @@ Examples:
 """
 
 
-def _files() -> Files:
-    from data_tools.readers import nbrdf
-
-    return nbrdf
-
-
-def _writer() -> Writer:
+def _files() -> FilesAndWriter:
     from data_tools.readers import nbrdf
 
     return nbrdf
@@ -48,6 +42,6 @@ FORMAT = Format(
     "brdf",
     "folders with an NBRDF network",
     _files,
-    _writer,
+    _files,
     Conversion(HELP, _reader, ("DIRS...", "Folders of networks, searched at any depth."), (SAMPLES,)),
 )

@@ -21,13 +21,9 @@ PART_NAMES = "adam, tied, sgd, rates, shared, betas, loss, pace, eps, curvature,
 APP_HELP = f"Application: {', '.join(app_names())}."
 
 
-def _inputs() -> str:
-    """What each application takes, for --help."""
-    return "; ".join(f"{app}: {', '.join(each.inputs for each in inputs_of(app))}" for app in app_names())
-
-
-def _exports() -> str:
-    return "; ".join(f"{app}: {' or '.join(exports_of(app))}" for app in app_names() if exports_of(app))
+# of the five commands alike
+INPUTS = "; ".join(f"{app}: {', '.join(each.inputs for each in inputs_of(app))}" for app in app_names())
+EXPORTS = "; ".join(f"{app}: {' or '.join(exports_of(app))}" for app in app_names() if exports_of(app))
 
 
 def make_command(name: str, summary: str) -> Any:
@@ -39,7 +35,7 @@ def make_command(name: str, summary: str) -> Any:
             list[Path] | None,
             typer.Argument(
                 metavar="[INPUT]...",
-                help=f"What to fit: {_inputs()}; or folders of these. Without any, the test tasks of --data.",
+                help=f"What to fit: {INPUTS}; or folders of these. Without any, the test tasks of --data.",
             ),
         ] = None,
         steps: Annotated[int | None, typer.Option(help="Gradient steps instead of the recipe's.", min=0)] = None,
@@ -78,7 +74,7 @@ def make_command(name: str, summary: str) -> Any:
                 "transport. Plugins never do.",
             ),
         ] = None,
-        export: Annotated[str, typer.Option(help=f"Write each fit in another form; {_exports()}.")] = "",
+        export: Annotated[str, typer.Option(help=f"Write each fit in another form; {EXPORTS}.")] = "",
         seed: Annotated[int, typer.Option(help="Seed of all random draws.", min=0, max=2**63 - 1)] = 0,
         device: Annotated[str, typer.Option(help="auto, cpu or cuda.")] = "auto",
         json: Annotated[bool, typer.Option("--json", help="One JSON object as last line of standard output.")] = False,

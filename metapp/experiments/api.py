@@ -73,9 +73,7 @@ class Fit:
             BadOption: fits of this application cannot be written so.
         """
         check_export(form, self.app)
-        writer = exports_of(self.app.name)[form].writer
-        assert writer is not None
-        writer().export(self.app, self.parameters, Path(path))
+        exports_of(self.app.name)[form]().export(self.app, self.parameters, Path(path))
 
 
 def fit(app: str, source: str | PathLike[str], *, paradigm: str = "meta", **options: Any) -> Fit:

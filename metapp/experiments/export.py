@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 from data_tools.formats import exports_of
 from metapp.experiments import BadOption
 from metapp.experiments.reporter import say
@@ -24,15 +22,9 @@ def check_export(name: str, app: App) -> None:
         raise BadOption(f"--export '{name}': {app.name} {expected}.")
 
 
-def export_all(app: App, tasks: list[Task], folder: RunFolder, name: str) -> Path:
-    """Write every fit of a run in a format, under <run>/<format>/.
-
-    Returns:
-        The folder.
-    """
-    writer = exports_of(app.name)[name].writer
-    assert writer is not None
+def export_all(app: App, tasks: list[Task], folder: RunFolder, name: str) -> None:
+    """Write every fit of a run in a format, under <run>/<format>/."""
+    writer = exports_of(app.name)[name]()
     for task in tasks:
-        writer().export(app, folder.theta(task.name), folder.path / name / file_name(task.name))
+        writer.export(app, folder.theta(task.name), folder.path / name / file_name(task.name))
     say(f"{len(tasks)} fits written as {name}: {folder.path / name}")
-    return folder.path / name

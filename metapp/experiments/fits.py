@@ -71,7 +71,7 @@ def warning_of(
         paradigm, job, checkpoint: what the fit was made by.
         stacked: the one task.
         theta: the fit, [1, ...].
-        rng: as it was at the beginning of the fit, so that the checkpoint is the same.
+        rng: as it was at the beginning of the fit, so that the initialisation is the same.
     """
     if paradigm.count(job) == 0:
         return {}

@@ -1,15 +1,22 @@
 """Finetune: General's result, then Adam for about a tenth of Overfit's steps."""
 
-from metapp.learning.rules import fixed_adam
+from metapp.learning.learn import MetaParameters
+from metapp.learning.recipe import Adam
 from metapp.paradigms.general import GENERAL, start
-from metapp.paradigms.paradigm import Paradigm
+from metapp.paradigms.paradigm import Job, Paradigm, by_adam
+
+
+def adam_of(job: Job, prepared: MetaParameters) -> Adam:
+    """Return the recipe's."""
+    return job.recipe.finetune
+
 
 FINETUNE = Paradigm(
     name="finetune",
     needs=GENERAL.needs,
     start=start,
-    rule=lambda job, prepared, theta, steps: fixed_adam(job.recipe.finetune, theta, steps),
+    rule=by_adam(adam_of),
     steps=lambda recipe: recipe.finetune_steps,
     prepare=GENERAL.prepare,
-    adam=lambda job, prepared: job.recipe.finetune,
+    adam=adam_of,
 )

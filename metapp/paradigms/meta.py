@@ -17,7 +17,7 @@ from metapp.paradigms.general import start as general_start
 from metapp.paradigms.outer_loop import can_compile, train
 from metapp.paradigms.paradigm import AT_ONCE, Given, Job, Paradigm
 from metapp.paradigms.resuming import Prepared, Reached
-from metapp.paradigms.tuning import search, to_tune_on
+from metapp.paradigms.tuning import search
 
 
 def preparation(job: Job, general: MetaParameters, rng: Generator, compiled: bool) -> tuple[MetaParameters, Loss]:
@@ -130,9 +130,10 @@ def _searched(job: Job, training: MetaTraining, first: MetaParameters, given: Gi
         reached = now
         given.keep(now)
 
-    start_of, few = functools.partial(with_adam, job, first), to_tune_on(job, given.to_validate)
-    looks = None if training.steps else given.steps
-    found = search(META, job, training.first, start_of, few, given.report, looks, given.since, keep)
+    start_of = functools.partial(with_adam, job, first)
+    # where outer steps follow, their number says nothing about the search
+    searched = given._replace(keep=keep, steps=None if training.steps else given.steps)
+    found = search(META, job, training.first, start_of, searched)
     return found, given._replace(since=reached)
 
 

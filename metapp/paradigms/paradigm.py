@@ -11,6 +11,7 @@ from metapp.learning.adjoint import UpdateRule
 from metapp.learning.app import App
 from metapp.learning.learn import MetaParameters, learn, task_loss
 from metapp.learning.recipe import Adam, Recipe
+from metapp.learning.rules import fixed_adam
 from metapp.learning.task import Params, Tasks
 from metapp.paradigms.resuming import Keep, Prepared, Reached, forget
 
@@ -60,6 +61,14 @@ class Given(NamedTuple):
 def nothing(job: Job, given: Given) -> Prepared:
     """The preparation of a paradigm that needs none."""
     raise ValueError("nothing to prepare.")
+
+
+PlainAdam = Callable[[Job, MetaParameters], Adam]
+
+
+def by_adam(adam: PlainAdam) -> Callable[[Job, MetaParameters, Params, int], UpdateRule]:
+    """Make the rule of a paradigm that fits by a plain Adam."""
+    return lambda job, prepared, theta, steps: fixed_adam(adam(job, prepared), theta, steps)
 
 
 class Paradigm(NamedTuple):

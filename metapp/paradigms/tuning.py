@@ -10,8 +10,8 @@ from dataclasses import replace
 from metapp.learning.learn import MetaParameters
 from metapp.learning.recipe import Adam
 from metapp.learning.task import Tasks
-from metapp.paradigms.paradigm import Job, Paradigm, Report
-from metapp.paradigms.resuming import Interrupted, Keep, Prepared, Reached
+from metapp.paradigms.paradigm import Given, Job, Paradigm
+from metapp.paradigms.resuming import Interrupted, Prepared, Reached
 from metapp.paradigms.validation import validation_error
 
 
@@ -20,21 +20,26 @@ def search(
     job: Job,
     first: Adam,
     start_of: Callable[[Adam], MetaParameters],
-    tasks: Tasks,
-    report: Report | None,
-    looks: int | None,
-    since: Reached,
-    keep: Keep,
+    given: Given,
 ) -> Prepared:
-    """The best Adam on validation tasks: a coordinate search, one setting or two at a time."""
+    """The best Adam on validation tasks: a coordinate search, one setting or two at a time.
+
+    Args:
+        paradigm: whose fits are judged.
+        job: application and recipe.
+        first: where the search begins.
+        start_of: what is fitted from with an Adam.
+        given: validation tasks; `steps` is how many Adams are tried at most.
+    """
+    tasks = to_tune_on(job, given.to_validate)
     curve: list[tuple[int, float | None, float]] = []
     best, best_adam = Prepared(start_of(first), float("inf"), 0, curve), first
-    total = min(1 + sum(len(choices) for choices in SEARCHED), looks or sys.maxsize)
+    total = min(1 + sum(len(choices) for choices in SEARCHED), given.steps or sys.maxsize)
     errors: list[float] = []
 
     def look(adam: Adam) -> None:
         nonlocal best, best_adam
-        tuned, known = start_of(adam), since.looks[len(errors) :]
+        tuned, known = start_of(adam), given.since.looks[len(errors) :]
         error = known[0] if known else validation_error(paradigm, job, tuned, tasks)
         errors.append(error)
         done = len(errors)
@@ -43,9 +48,9 @@ def search(
             curve.append((done, None, error))
         if known:
             return
-        keep(Reached(tuple(errors)))
-        if report:
-            report(done, total, f"rate {adam.rate:.1e}, validation {error:.3f}, best {best.validation:.3f}")
+        given.keep(Reached(tuple(errors)))
+        if given.report:
+            given.report(done, total, f"rate {adam.rate:.1e}, validation {error:.3f}, best {best.validation:.3f}")
 
     try:
         look(best_adam)

@@ -15,7 +15,8 @@ from metapp.learning.recipe import Adam
 from metapp.learning.task import Tasks
 from metapp.paradigms import Job, outer_loop, paradigms, tuning
 from metapp.paradigms import training as prepare
-from metapp.paradigms.quickft import tune_quickft
+from metapp.paradigms.paradigm import Given
+from metapp.paradigms.quickft import QUICKFT
 from metapp.paradigms.resuming import Interrupted, Prepared
 from metapp.paradigms.validation import split_validation, validation_error
 from tests.paradigms.small import OWN_RULES, PAIRS, rng, start_for
@@ -201,7 +202,7 @@ def test_tuned_quickft_is_no_worse_than_the_recipe(job: Job, tasks: Tasks, monke
     monkeypatch.setattr(tuning, "SEARCHED", (rates, [{"beta1": 0.5}, {"eps": 1e-3, "rate": 1.2}]))
     encoder, validation = start_for(paradigms()["quickft"], job), split_validation(tasks)[1]
     plain = validation_error(paradigms()["quickft"], job, encoder, validation)
-    tuned = tune_quickft(job, encoder, validation)
+    tuned = QUICKFT.prepare(job, Given(validation, validation, rng(), encoder))
     assert tuned.validation <= plain
     assert math.isclose(validation_error(paradigms()["quickft"], job, tuned.start, validation), tuned.validation)
     assert set(tuned.start.alpha) == set(asdict(Adam(0.0)))

@@ -17,7 +17,8 @@ from metapp.learning.rules import RULES
 from metapp.learning.task import Tasks
 from metapp.paradigms import Job, Paradigm, tuning
 from metapp.paradigms import training as prepare
-from metapp.paradigms.quickft import adam_of, tune_quickft
+from metapp.paradigms.paradigm import Given
+from metapp.paradigms.quickft import QUICKFT, adam_of
 from metapp.paradigms.resuming import Interrupted, Prepared
 from tests.paradigms.small import rng
 
@@ -63,7 +64,8 @@ def search(monkeypatch: pytest.MonkeyPatch) -> Callable[..., Search]:
 
         monkeypatch.setattr(tuning, "validation_error", told)
         encoder = MetaParameters(encoder={"w": torch.ones(2)})
-        return Search(looked, job, lambda **options: tune_quickft(job, encoder, None, **options))  # type: ignore[arg-type]
+        none: Any = None  # what errors are told without
+        return Search(looked, job, lambda **options: QUICKFT.prepare(job, Given(none, none, rng(), encoder, **options)))
 
     return make
 
@@ -157,7 +159,7 @@ def test_searches_look_at_all_validation_tasks_where_fits_are_cheap(
 @pytest.mark.parametrize("looks", [1, 4, 11, 30])
 def test_a_search_takes_no_more_looks_than_told(looks: int, search: Callable[..., Search]) -> None:
     searching = search(Adam(1e-2))
-    tuned = searching.run(looks=looks)
+    tuned = searching.run(steps=looks)
     assert len(searching.looked) == looks
     assert tuned.validation == min(bowl(each) for each in searching.looked)
 

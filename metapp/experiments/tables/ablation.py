@@ -18,11 +18,10 @@ from metapp.paradigms import Paradigm
 from metapp.paradigms.meta import META
 from metapp.paradigms.meta import start as meta_start
 from metapp.paradigms.quickft import QUICKFT, adam_of
-from metapp.paradigms.quickft import rule as adam_rule
 from metapp.storage.records import tensor_digest
 
 RULE_ALONE = META._replace(name="ablation-rule")
-START_ALONE = Paradigm("ablation-start", META.needs, meta_start, adam_rule, QUICKFT.steps)
+START_ALONE = Paradigm("ablation-start", META.needs, meta_start, QUICKFT.rule, QUICKFT.steps)
 
 
 def learned(subject: Subject) -> list[str]:
