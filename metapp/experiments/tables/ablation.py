@@ -9,7 +9,7 @@ from dataclasses import asdict
 
 from metapp.experiments.session import Checkpoint, caption_of
 from metapp.experiments.tables.results import COMPARED, result_row
-from metapp.experiments.tables.rows import Row, interval, numbers, words
+from metapp.experiments.tables.rows import LAST, Row, numbers, words
 from metapp.experiments.tables.statistics import apart, paired_columns, paired_entries, paired_note, paired_of, warned
 from metapp.experiments.tables.subject import Cell, Fit, Subject
 from metapp.experiments.tables.table import Table
@@ -107,11 +107,7 @@ TABLE = Table(
         words("rule", "rule"),
         numbers("error", "error", ".3f"),
         *paired_columns("quickft"),
-        interval(),
-        numbers("steps", "steps", "d"),
-        numbers("seconds", "seconds", ".4f"),
-        numbers("median", "median", ".3f"),
-        numbers("worst", "worst", ".3f"),
+        *LAST,
     ),
     cells,
     rows,

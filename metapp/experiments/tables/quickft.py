@@ -5,7 +5,7 @@ from __future__ import annotations
 from metapp.experiments.reporter import number
 from metapp.experiments.session import caption_of
 from metapp.experiments.tables.results import on_threads, result_row
-from metapp.experiments.tables.rows import Row, interval, numbers, words
+from metapp.experiments.tables.rows import LAST, Row, numbers, words
 from metapp.experiments.tables.statistics import apart, change, paired_columns, paired_note, paired_of, verdict, warned
 from metapp.experiments.tables.subject import Cell, Subject
 from metapp.experiments.tables.table import Table
@@ -46,11 +46,7 @@ TABLE = Table(
         numbers("error", "error", ".3f"),
         *paired_columns("quickft"),
         numbers("paper error", "paper_error", ".3f"),
-        interval(),
-        numbers("steps", "steps", "d"),
-        numbers("seconds", "seconds", ".4f"),
-        numbers("median", "median", ".3f"),
-        numbers("worst", "worst", ".3f"),
+        *LAST,
     ),
     cells,
     rows,

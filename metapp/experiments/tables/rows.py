@@ -66,3 +66,13 @@ def blank(app: str, paradigm: str, **more: Any) -> Row:
         "paper_seconds": known["seconds"].get(app, {}).get(paradigm),
         **more,
     }
+
+
+# what comes last: how sure, at what cost, how unlike the tasks are
+LAST = (
+    interval(),
+    numbers("steps", "steps", "d"),
+    numbers("seconds", "seconds", ".4f"),
+    numbers("median", "median", ".3f"),
+    numbers("worst", "worst", ".3f"),
+)
