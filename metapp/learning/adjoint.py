@@ -11,7 +11,7 @@ from torch import Generator, Tensor
 from torch.autograd.function import once_differentiable
 from torch.utils._pytree import tree_flatten, tree_unflatten
 
-from metapp.learning.task import Params
+from metapp.learning.task import Linear, Params
 
 
 class Drawn(NamedTuple):
@@ -29,11 +29,13 @@ class Loss(NamedTuple):
         value: (params, batch, learned) -> the loss of each task, [T]; `learned` are its learned parameters.
         shared: True where all tasks share the parameters (the descent follows the mean over tasks), False where
             each task has its own (it follows the sum, which moves each as if it were alone).
+        linear: (params, batch, learned) -> least squares near the loss, where the network is linear in a parameter.
     """
 
     draw: Callable[[Any, Generator], Drawn]
     value: Callable[[Params, Any, Params], Tensor]
     shared: bool = False
+    linear: Callable[[Params, Any, Params], Linear] | None = None
 
     def total(self, params: Params, batch: Any, learned: Params) -> tuple[Tensor, Tensor]:
         """The scalar to descend and the detached loss of each task, [T]."""
@@ -41,19 +43,29 @@ class Loss(NamedTuple):
         return (each.mean() if self.shared else each.sum()), each.detach()
 
 
+def gradient(loss: Loss, theta: Params, batch: Any, learned: Params, *, graph: bool) -> tuple[Params, Tensor]:
+    """The gradient of a loss, and the detached loss of each task, [T]; `graph`: it will be differentiated itself."""
+    theta = theta if graph else _leaves(theta)
+    total, each = loss.total(theta, batch, learned)
+    grads = torch.autograd.grad(total, list(theta.values()), create_graph=graph, materialize_grads=True)
+    return dict(zip(theta, grads, strict=True)), each
+
+
 class UpdateRule(NamedTuple):
-    """An optimiser as two pure functions and their hyperparameters.
+    """An optimiser as pure functions and their hyperparameters.
 
     Attributes:
         alpha: hyperparameters by name, [K, ...]: step i uses entry min(i, K - 1), so K = 1 is the same at every step.
             Those named `loss.*` go to the loss instead of the rule.
         init: theta -> state.
         step: (alpha at this step, theta, gradient, state) -> (theta, state).
+        sees: what a step gets of a batch; the gradient, or something else that stands in its place.
     """
 
     alpha: Params
     init: Callable[[Params], Params]
     step: Callable[[Params, Params, Params, Params], tuple[Params, Params]]
+    sees: Callable[..., tuple[Params, Tensor]] = gradient
 
 
 def at_step(alpha: Params, i: int) -> Params:
@@ -74,35 +86,34 @@ class StepPair(NamedTuple):
     pullback: Callable[..., tuple[Params, Params, Params]]
 
 
-def step_pair(rule_step: Callable[..., Any], loss: Loss, order: int, compiled: bool) -> StepPair:
+def step_pair(rule: UpdateRule, loss: Loss, order: int, compiled: bool) -> StepPair:
     """One step and its vector-Jacobian product; the only two functions that are worth compiling."""
-    return _compiled_pair(rule_step, loss, order) if compiled else _eager_pair(rule_step, loss, order)
+    return (_compiled_pair if compiled else _eager_pair)(rule.step, rule.sees, loss, order)
 
 
 @lru_cache(maxsize=16)  # compiling takes seconds
-def _compiled_pair(rule_step: Callable[..., Any], loss: Loss, order: int) -> StepPair:
-    eager = _eager_pair(rule_step, loss, order)
+def _compiled_pair(rule_step: Callable[..., Any], rule_sees: Callable[..., Any], loss: Loss, order: int) -> StepPair:
+    eager = _eager_pair(rule_step, rule_sees, loss, order)
     return StepPair(_Compiled(eager.forward), _Compiled(eager.pullback))
 
 
-def _eager_pair(rule_step: Callable[..., Any], loss: Loss, order: int) -> StepPair:
-    def gradient(alpha: Params, theta: Params, batch: Any, *, graph: bool) -> tuple[Params, Tensor]:
+def _eager_pair(rule_step: Callable[..., Any], rule_sees: Callable[..., Any], loss: Loss, order: int) -> StepPair:
+    def seen(alpha: Params, theta: Params, batch: Any, *, graph: bool) -> tuple[Params, Tensor]:
         learned = {key[5:]: value for key, value in alpha.items() if key.startswith("loss.")}
-        total, each = loss.total(theta, batch, learned)
-        grads = torch.autograd.grad(total, list(theta.values()), create_graph=graph, materialize_grads=True)
-        return dict(zip(theta, grads, strict=True)), each
+        result: tuple[Params, Tensor] = rule_sees(loss, theta, batch, learned, graph=graph)
+        return result
 
     def forward(alpha: Params, theta: Params, state: Params, batch: Any) -> tuple[Params, Params, Tensor, Params]:
-        theta = _leaves(theta)
-        grads, each = gradient(alpha, theta, batch, graph=False)
-        moved, state = rule_step(alpha, theta, grads, state)
-        return {key: value.detach() for key, value in moved.items()}, state, each, grads
+        grads, each = seen(alpha, theta, batch, graph=False)
+        with torch.no_grad():
+            moved, state = rule_step(alpha, theta, grads, state)
+        return moved, state, each, grads
 
     def pullback(
         alpha: Params, theta: Params, state: Params, needed: Any, pull_theta: Params, pull_state: Params
     ) -> tuple[Params, Params, Params]:
         alpha, theta, state = _leaves(alpha), _leaves(theta), _leaves(state)
-        grads = gradient(alpha, theta, needed, graph=True)[0] if order == 2 else needed
+        grads = seen(alpha, theta, needed, graph=True)[0] if order == 2 else needed
         moved, stated = rule_step(alpha, theta, grads, state)
         outputs = [*moved.values(), *(stated[key] for key in state)]
         pulls = [*(pull_theta[key] for key in moved), *(pull_state[key] for key in state)]
@@ -253,7 +264,7 @@ def learn_through(
     The gradient is the adjoint recursion over the steps: memory is one step's graph and K copies of the parameters
     and of the rule's state. Order 1 treats each step's gradient as a constant (FOMAML); order 2 is exact (MAML).
     """
-    steps = step_pair(rule.step, loss, order, compiled)
+    steps = step_pair(rule, loss, order, compiled)
     if tasks_at_once:
         steps = steps._replace(pullback=_in_slices(steps.pullback, tasks_at_once))
     keys = list(theta)

@@ -10,7 +10,7 @@ import torch
 from torch import Generator, Tensor
 
 from metapp.learning.recipe import Recipe
-from metapp.learning.task import Batch, Held, Params, Task, Tasks
+from metapp.learning.task import Batch, Held, Linear, Params, Task, Tasks
 
 
 class App(ABC):
@@ -30,7 +30,9 @@ class App(ABC):
         cheap_fits: True where a search can afford to fit all validation tasks.
         periodic: True where the columns of parameters on a grid, those of three axes, go on at the grid's other edge.
         deterministic: True where nothing that a fit sees is drawn at random, so that one fit says what two would.
-        recipes: "paper" and "quick".
+        solves: the parameter [C, F] that the network is linear in, where `linear` says how; "" where there is none.
+        own: the parameters that a task does not share with others after General's encoder; () for all.
+        recipes: "paper", "quick", and "full" where a user's own files are fitted by other settings than tables are.
     """
 
     name: str
@@ -43,6 +45,8 @@ class App(ABC):
     cheap_fits: bool = False
     periodic: bool = False
     deterministic: bool = False
+    solves: str = ""
+    own: tuple[str, ...] = ()
     recipes: dict[str, Recipe]
 
     def at(self, recipe: Recipe, protocol: str = "") -> App:
@@ -73,6 +77,10 @@ class App(ABC):
         """The outer loss of each fit, [T]: the inner one, unless training tasks know more than a fit may see."""
         return self.loss(theta, batch, learned)
 
+    def linear(self, theta: Params, batch: Batch, learned: Params) -> Linear:
+        """Least squares near the inner loss, where the network is linear in the parameter `solves`."""
+        raise NotImplementedError
+
     def loss_parameters(self, steps: int) -> Params:
         """Initial values [steps, ...] of the parameters of the inner loss that a rule may learn."""
         return {}
@@ -92,6 +100,10 @@ class App(ABC):
     def augment(self, tasks: Tasks, rng: Generator) -> Tasks:
         """Data augmentation: as many other tasks, each changed at random, for training only."""
         return tasks
+
+    def evaluated(self, theta: Params, task: Task) -> Task:
+        """The task that one fit reproduces without error, for a network that is to learn from another."""
+        raise NotImplementedError
 
     @abstractmethod
     def errors(self, theta: Params, tasks: Tasks) -> dict[str, Tensor]:

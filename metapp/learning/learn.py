@@ -92,7 +92,7 @@ def learn(
     """
     theta = {key: value.detach() for key, value in params.items()}
     first, theta, state = since or Progress(0, theta, rule.init(theta))
-    step = step_pair(rule.step, loss, 1, compiled).forward
+    step = step_pair(rule, loss, 1, compiled).forward
     for i in range(first, steps):
         if keep is not None:
             keep(Progress(i, theta, state))
@@ -123,7 +123,7 @@ def task_loss(app: App, batch: int) -> Loss:
     def draw(tasks: Tasks, rng: Generator) -> Drawn:
         return Drawn(tasks.picked_names(), app.sample(tasks, rng, batch))
 
-    return Loss(draw, app.loss)
+    return Loss(draw, app.loss, linear=app.linear)
 
 
 def task_outer_loss(app: App, batch: int) -> Loss:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 
@@ -53,7 +53,9 @@ class MetaTraining(OuterLoop):
         clip: each task's outer gradient is scaled down to this norm before the mean is taken.
         tasks_at_once: tasks that are backpropagated together, where memory is short; None for all.
         start: the first initialisation: "random"; "mean" of General's predictions; "encoder", General's own, which
-            starts each task at its prediction and which outer steps, if any, train through the inner ones.
+            starts each task at its prediction and which outer steps, if any, train through the inner ones; "untrained",
+            the same for an encoder that nothing has trained before.
+        setup: the application's settings for this rule, such as another network; None for the recipe's.
     """
 
     first: Adam = Adam(5e-3, beta2=0.99)
@@ -61,7 +63,13 @@ class MetaTraining(OuterLoop):
     order: int = 0
     clip: float = float("inf")
     tasks_at_once: int | None = None
-    start: Literal["random", "mean", "encoder"] = "mean"
+    start: Literal["random", "mean", "encoder", "untrained"] = "mean"
+    setup: Any = None
+
+    @property
+    def from_general(self) -> bool:
+        """Whether the first initialisation is made of a prepared General."""
+        return self.start in ("mean", "encoder")
 
 
 # Fischer & Ritschel 2022, supplement: first-order MAML with Meta-SGD from a random initialisation, meta-batch 5
@@ -101,3 +109,8 @@ class Recipe:
     def meta_training(self, rule: str) -> MetaTraining:
         """How a rule's start is trained: as the recipe says, else as that of its default rule."""
         return self.meta[rule if rule in self.meta else self.rule]
+
+    def for_rule(self, rule: str) -> Recipe:
+        """The recipe with the settings that a rule has of its own, if any."""
+        setup = self.meta_training(rule).setup
+        return self if setup is None else replace(self, setup=setup)

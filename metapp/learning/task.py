@@ -28,6 +28,26 @@ class Task(NamedTuple):
     group: str = ""
 
 
+class Linear(NamedTuple):
+    """Weighted least squares near a loss, in a parameter that the network is linear in, W [T, C, F].
+
+    Minimising sum_n weights_n |residual_n - change features_n|^2 over the change of W lowers the loss.
+
+    Attributes:
+        name: the parameter's.
+        features: what W multiplies, [T, F, N].
+        residual: target minus output, before whatever follows the linear layer, [T, C, N].
+        weights: of the samples, [T, N], above 0.
+        losses: of each task, [T].
+    """
+
+    name: str
+    features: Tensor
+    residual: Tensor
+    weights: Tensor
+    losses: Tensor
+
+
 class Held(NamedTuple):
     """What a tensor of a task must be.
 

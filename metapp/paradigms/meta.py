@@ -112,8 +112,10 @@ def prepare(job: Job, given: Given) -> Prepared:
 
 
 def _from_general(job: Job, training: MetaTraining, given: Given) -> MetaParameters:
-    """What phi goes on from: General's encoder, the mean of its predictions, or nothing."""
-    if given.encoder is None or training.start == "random":
+    """What phi goes on from: an encoder, the mean of General's predictions, or nothing."""
+    if training.start == "untrained":
+        return MetaParameters(encoder=job.app.init_encoder(given.rng))
+    if given.encoder is None or not training.from_general:
         return MetaParameters()
     if training.start == "encoder":
         return given.encoder

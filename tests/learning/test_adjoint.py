@@ -17,9 +17,10 @@ from metapp.learning.learn import MetaParameters, after_learning, spread
 from metapp.learning.recipe import Adam
 from metapp.learning.rules import META_EPS, RULES, fixed_adam, sgd
 from metapp.learning.task import Batch, Params
+from tests.paradigms.small import applicable
 
 TASKS, STEPS, SAMPLES = 3, 4, 24
-ON_MATRICES = [name for name, rule in RULES.items() if not rule.has("network")]  # the network needs a grid
+ON_MATRICES = applicable(APP)
 
 
 def unused(data: Any, rng: Generator) -> Drawn:

@@ -26,6 +26,7 @@ from metapp.learning.learn import (
 from metapp.learning.recipe import Adam
 from metapp.learning.rules import RULES, fixed_adam, sgd
 from metapp.learning.task import Batch, Params, Task, Tasks
+from tests.paradigms.small import applicable
 
 NAMES = ("brass", "chalk", "felt", "glass", "paper")
 
@@ -112,7 +113,7 @@ def given(batches: dict[str, list[Batch]]) -> Loss:
     return Loss(draw, APP.loss)
 
 
-@pytest.mark.parametrize("rule", ["adam", *(name for name, rule in RULES.items() if not rule.has("network"))])
+@pytest.mark.parametrize("rule", ["adam", *applicable(APP)])
 def test_tasks_side_by_side_equal_each_alone(rule: str, materials: Tasks, rng: Generator) -> None:
     steps, count = 6, len(materials)
     batches: dict[str, list[Batch]] = {name: [] for name in materials.names}

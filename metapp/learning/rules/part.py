@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
+from metapp.learning.adjoint import gradient
 from metapp.learning.app import App
 from metapp.learning.recipe import Adam
 from metapp.learning.task import Params
@@ -32,7 +34,8 @@ class Part:
 
     Attributes:
         name: in compositions, such as "adam+curvature".
-        is_rate: whether it says how long steps are: of such parts a rule has one.
+        is_rate: whether it says how far parameters move: of such parts a rule has one.
+        sees: what a step gets of a batch (`UpdateRule.sees`).
         beside: names of parts; a rule that has this part must have one of them, if there are any.
         settled: what names of hyperparameters begin with that it takes from gradients of training tasks, before the
             outer loop and before any search of an Adam.
@@ -40,6 +43,7 @@ class Part:
 
     name: str
     is_rate: bool = False
+    sees: Callable[..., Any] = staticmethod(gradient)
     beside: tuple[str, ...] = ()
     settled: tuple[str, ...] = ()
 

@@ -69,7 +69,8 @@ class LearnedRule(NamedTuple):
         def init(theta: Params) -> Params:
             return {key: value for part in self.parts for key, value in part.state(alpha, theta).items()}
 
-        return UpdateRule(alpha, init, self.step)
+        sees = next(part.sees for part in self.parts if part.is_rate)
+        return UpdateRule(alpha, init, self.step, sees)
 
     def step(self, alpha: Params, theta: Params, grads: Params, state: Params) -> tuple[Params, Params]:
         """One step (see `UpdateRule`)."""
@@ -83,7 +84,7 @@ class LearnedRule(NamedTuple):
         updates = directions
         for part in self.parts:
             updates = part.updates(alpha, updates)
-        moved = {key: value - updates[key] for key, value in theta.items()}
+        moved = {key: value - updates[key] if key in updates else value for key, value in theta.items()}
         for part in self.parts:
             moved, kept = part.moved(alpha, moved, Seen(theta, grads, directions), state)
             after |= kept

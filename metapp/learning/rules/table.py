@@ -15,6 +15,7 @@ from metapp.learning.rules.network import Network
 from metapp.learning.rules.part import Part
 from metapp.learning.rules.rates import Paces, Rates, SharedRates, SignedRates
 from metapp.learning.rules.rule import LearnedRule
+from metapp.learning.rules.solve import Solve
 
 # In the order in which they act on a step.
 PARTS: Mapping[str, Part] = {
@@ -23,6 +24,7 @@ PARTS: Mapping[str, Part] = {
         SignedRates(),
         Rates(),
         SharedRates(),
+        Solve(),
         Betas(),
         LossParameters(),
         Paces(),
@@ -54,6 +56,8 @@ NAMED: Mapping[str, str] = {
     "meta-basis": "meta-mean+basis",
     # meta-adam, its step multiplied by learned matrices from both sides
     "meta-curvature": "meta-adam+curvature",
+    # ridge regression in the last layer, on learned features
+    "ridge": "solve+loss",
 }
 
 

@@ -77,8 +77,8 @@ def test_unknown_names_are_refused(name: str) -> None:
 @pytest.mark.parametrize(
     ("name", "line"),
     [
-        ("betas+curvature", "rule 'betas+curvature': no part for rates, expected one of sgd, rates, shared"),
-        ("adam+sgd", "rule 'adam+sgd': sgd and rates for rates, expected one of sgd, rates, shared"),
+        ("betas+curvature", "rule 'betas+curvature': no part for rates, expected one of sgd, rates, shared, solve"),
+        ("adam+sgd", "rule 'adam+sgd': sgd and rates for rates, expected one of sgd, rates, shared, solve"),
         ("adam+tied", "rates and shared for rates"),
         ("sgd+eps", "rule 'sgd+eps': eps says nothing by itself, expected betas beside it"),
         ("sgd+pace", "rule 'sgd+pace': pace says nothing by itself, expected rates or shared beside it"),
@@ -94,6 +94,7 @@ def test_parts_that_do_not_go_together_are_refused(name: str, line: str) -> None
     [
         ("brdf", "meta-lgd", "network does not apply to brdf: no parameter lies on a grid"),
         ("brdf", "sgd+network", "network does not apply to brdf: no parameter lies on a grid"),
+        ("brdf", "ridge", "solve does not apply to brdf: its network is not linear"),
         ("texture", "meta-lgd", "network does not apply to texture: no parameter lies on a grid"),
         ("illumination", "meta-mean", "average does not apply to illumination: its fits see nothing random"),
         (
@@ -123,7 +124,8 @@ def test_all_rules_of_recipes_apply(name: str) -> None:
         for observe in load_app(name).protocols or ("",):
             app = load_app(name).at(recipe, observe)
             for rule in (*recipe.meta, recipe.rule):
-                RULES[rule].require(app, one(app))
+                own = app.at(recipe.for_rule(rule), observe)
+                RULES[rule].require(own, one(own))
 
 
 def test_recipes_train_other_rules_as_their_default() -> None:

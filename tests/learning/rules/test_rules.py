@@ -15,8 +15,9 @@ from metapp.learning.recipe import Adam
 from metapp.learning.rules import META_EPS, RULES, fixed_adam
 from metapp.learning.task import Params
 from tests.learning.rules.steps import STEPS, assert_same, one_task, run
+from tests.paradigms.small import applicable
 
-ON_MATRICES = [name for name, rule in RULES.items() if not rule.has("network")]  # the network needs a grid
+ON_MATRICES = applicable(APP)
 
 
 @pytest.mark.parametrize("rule", ON_MATRICES)

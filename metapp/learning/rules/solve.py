@@ -1,0 +1,88 @@
+"""A closed-form step: recursive least squares for the layer that a network is linear in.
+
+Bertinetto et al. 2019 ("Meta-learning with differentiable closed-form solvers", R2-D2) solve a ridge regression on
+learned features and differentiate through it. Here each step adds its samples' normal equations to those of the steps
+before and solves, so that the result of all steps is a ridge regression on all samples around the initialisation. The
+weights of samples may depend on the parameters so far, as those of a mean absolute error do.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from metapp.learning.adjoint import Loss
+from metapp.learning.app import App
+from metapp.learning.recipe import Adam
+from metapp.learning.rules.part import Part, Seen
+from metapp.learning.task import Params
+
+PENALTY = 1e-3  # before training
+LEAST, GREATEST = 1e-6, 1e2  # bounds of learned penalties
+ROUNDING = 8  # times the precision of a Gram matrix, of its trace: what rounding may take from its eigenvalues
+
+
+def normal_equations(loss: Loss, theta: Params, batch: Any, learned: Params, *, graph: bool) -> tuple[Params, Tensor]:
+    """What a batch says of the linear layer W [T, C, F]: means over samples, and the loss of each task, [T].
+
+    Returns:
+        `gram.<W>` [T, F, F], the products of features, and `moment.<W>` [T, C, F], of residuals with features.
+    """
+    assert loss.linear is not None
+    with torch.set_grad_enabled(graph):
+        linear = loss.linear(theta, batch, learned)
+        weighted = (linear.features * linear.weights[:, None] / linear.weights.shape[1]).mT
+        gram, moment = linear.features @ weighted, linear.residual @ weighted
+    return {f"gram.{linear.name}": gram, f"moment.{linear.name}": moment}, linear.losses.detach()
+
+
+class Solve(Part):
+    """Least squares: `penalty.<W>` [1, F], logs of penalties, and `keep.<W>` [steps], logits of what a step keeps.
+
+    With the normal equations G of a step (Gram matrix) and M (moments of residuals), P = keep P + G and
+    W += M (P + diag(exp(penalty)))^-1. Penalties are at least what rounding may have made of P: longer training lets
+    them fall, and without that bound the factorisation fails.
+    """
+
+    name = "solve"
+    is_rate = True
+    sees = staticmethod(normal_equations)
+
+    def refusal(self, app: App, theta: Params) -> str:
+        """It needs a network that is linear in a parameter."""
+        return "" if app.solves else "its network is not linear in any parameter of one task"
+
+    def initial(self, app: App, theta: Params, steps: int, first: Adam) -> Params:
+        """Penalties of PENALTY for all features, and steps that keep nearly all of the ones before."""
+        name = app.solves
+        return {
+            f"penalty.{name}": theta[name].new_full((1, theta[name].shape[-1]), math.log(PENALTY)),
+            f"keep.{name}": theta[name].new_full((steps,), 3.0),
+        }
+
+    def state(self, alpha: Params, theta: Params) -> Params:
+        """The Gram matrix of all samples so far: none."""
+        names = _names(alpha)
+        return {f"gram.{key}": theta[key].new_zeros(len(theta[key]), *2 * theta[key].shape[-1:]) for key in names}
+
+    def moved(self, alpha: Params, moved: Params, seen: Seen, state: Params) -> tuple[Params, Params]:
+        """W after the solve, and the Gram matrix."""
+        results, after = dict(moved), {}
+        for key in _names(alpha):
+            keep = torch.sigmoid(alpha[f"keep.{key}"])[..., None, None]
+            gram = after[f"gram.{key}"] = keep * state[f"gram.{key}"] + seen.grads[f"gram.{key}"]
+            penalty = torch.exp(alpha[f"penalty.{key}"].clamp(math.log(LEAST), math.log(GREATEST)))
+            trace = gram.diagonal(dim1=-2, dim2=-1).sum(-1, keepdim=True)
+            penalty = penalty + ROUNDING * torch.finfo(gram.dtype).eps * trace
+            # in double precision: features are far from orthogonal
+            factor = torch.linalg.cholesky((gram + torch.diag_embed(penalty)).double())
+            change = torch.cholesky_solve(seen.grads[f"moment.{key}"].double().mT, factor).mT
+            results[key] = moved[key] + change.to(gram.dtype)
+        return results, after
+
+
+def _names(alpha: Params) -> list[str]:
+    return [name.removeprefix("penalty.") for name in alpha if name.startswith("penalty.")]

@@ -1,0 +1,162 @@
+"""Least squares as a rule: closed forms, the derivative through it, what it refuses."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import pytest
+import torch
+from torch import Generator, Tensor
+
+from metapp.learning.adjoint import Drawn, Loss, learn_through
+from metapp.learning.app import App
+from metapp.learning.learn import learn, spread
+from metapp.learning.recipe import Adam
+from metapp.learning.rules import PARTS, rule_of
+from metapp.learning.rules.solve import GREATEST, LEAST
+from metapp.learning.task import Batch, Linear, Params
+
+TASKS, FEATURES, OUTPUTS, SAMPLES, STEPS = 3, 5, 2, 11, 4
+SOLVE = rule_of("solve")
+
+
+class Line(App):
+    """A stand-in for an application whose network is linear in W."""
+
+    name, solves = "line", "W"
+
+
+Line.__abstractmethods__ = frozenset()  # type: ignore[attr-defined]
+
+
+def linear(theta: Params, batch: Batch, learned: Params) -> Linear:
+    features = theta["scale"][:, :, None] * batch["x"]
+    residual = batch["y"] - theta["W"] @ features
+    return Linear("W", features, residual, batch["weights"], residual.abs().mean((1, 2)))
+
+
+def value(theta: Params, batch: Batch, learned: Params) -> Tensor:
+    """Half the weighted sum of squares, whose minimum is the solution."""
+    of = linear(theta, batch, learned)
+    return 0.5 * (of.weights[:, None] * of.residual.square()).mean(2).sum(1)
+
+
+def unused(data: object, rng: Generator) -> Drawn:
+    raise AssertionError("batches are given")
+
+
+LOSS = Loss(unused, value, linear=linear)
+
+
+@pytest.fixture
+def randn() -> Callable[..., Tensor]:
+    rng = Generator().manual_seed(3)
+    return lambda *shape: torch.randn(*shape, generator=rng, dtype=torch.float64)
+
+
+@pytest.fixture
+def theta(randn: Callable[..., Tensor]) -> Params:
+    return {"W": randn(TASKS, OUTPUTS, FEATURES), "scale": randn(TASKS, FEATURES).exp()}
+
+
+@pytest.fixture
+def batches(randn: Callable[..., Tensor]) -> list[Batch]:
+    return [
+        {
+            "x": randn(TASKS, FEATURES, SAMPLES),
+            "y": randn(TASKS, OUTPUTS, SAMPLES),
+            "weights": randn(TASKS, SAMPLES).exp(),
+        }
+        for _ in range(STEPS)
+    ]
+
+
+def alpha_of(theta: Params, keep: float = 40.0) -> Params:
+    """Penalties that differ, of all tasks; `keep` of 40 keeps all samples."""
+    penalty = torch.linspace(-3, 1, FEATURES, dtype=torch.float64)
+    alpha = {"penalty.W": penalty[None], "keep.W": torch.full((STEPS,), keep, dtype=torch.float64)}
+    return spread(alpha, len(theta["W"]), 1)
+
+
+def ridge(theta: Params, batches: list[Batch], penalty: Tensor) -> Tensor:
+    """W of least squares on all samples with penalties around the first W, by augmented rows and numpy's solver."""
+    solved = []
+    for t in range(TASKS):
+        x, y, w = (torch.cat([batch[key][t] for batch in batches], -1) for key in ("x", "y", "weights"))
+        x, root = theta["scale"][t][:, None] * x, (w / SAMPLES).sqrt()
+        rows = torch.cat([(x * root).T, torch.diag(penalty.exp().sqrt())])
+        wanted = torch.cat([((y - theta["W"][t] @ x) * root).T, torch.zeros(FEATURES, OUTPUTS).double()])
+        solved.append(theta["W"][t] + torch.linalg.lstsq(rows, wanted).solution.T)
+    return torch.stack(solved)
+
+
+def test_steps_add_up_to_ridge_regression_on_all_samples(theta: Params, batches: list[Batch]) -> None:
+    alpha = alpha_of(theta)
+    final = learn_through(theta, SOLVE.rule(alpha), batches, LOSS, order=2)
+    torch.testing.assert_close(final["W"], ridge(theta, batches, alpha["penalty.W"][0, 0]))
+    assert torch.equal(final["scale"], theta["scale"])
+
+
+def test_a_step_that_keeps_nothing_solves_for_its_own_samples(theta: Params, batches: list[Batch]) -> None:
+    alpha = alpha_of(theta, keep=-40.0)
+    rule = SOLVE.rule(alpha)
+    before = learn_through(theta, rule, batches[:-1], LOSS, order=2)
+    final = learn_through(theta, rule, batches, LOSS, order=2)
+    torch.testing.assert_close(final["W"], ridge(before, batches[-1:], alpha["penalty.W"][0, 0]))
+
+
+def test_plain_fits_take_the_same_steps(theta: Params, batches: list[Batch]) -> None:
+    given = iter(batches)
+    loss = LOSS._replace(draw=lambda data, rng: Drawn((), next(given)))
+    rule = SOLVE.rule(alpha_of(theta))
+    found = learn(theta, rule, None, loss, steps=STEPS, rng=Generator())
+    assert torch.equal(found["W"], learn_through(theta, rule, batches, LOSS, order=2)["W"])
+
+
+def test_the_gradient_of_the_solution_is_zero(theta: Params, batches: list[Batch]) -> None:
+    """With the least penalty, the solution is where the loss is least."""
+    alpha = alpha_of(theta) | {"penalty.W": torch.full((1, TASKS, FEATURES), -99.0, dtype=torch.float64)}
+    final = learn_through(theta, SOLVE.rule(alpha), batches[:1], LOSS, order=2)
+    w = final["W"].detach().requires_grad_()
+    slope = torch.autograd.grad(value(theta | {"W": w}, batches[0], {}).sum(), w)[0]
+    assert float(slope.abs().max()) < 100 * LEAST
+
+
+def test_derivatives_through_the_solve_are_those_of_finite_differences(theta: Params, batches: list[Batch]) -> None:
+    """In the initialisation, in what features depend on, in penalties and in what is kept."""
+    alpha = {key: value[:, 0] for key, value in alpha_of(theta, keep=0.3).items()}
+
+    def left(w: Tensor, scale: Tensor, penalty: Tensor, keep: Tensor) -> Tensor:
+        rule = SOLVE.rule(spread({"penalty.W": penalty, "keep.W": keep}, TASKS, 1))
+        final = learn_through({"W": w, "scale": scale}, rule, batches, LOSS, order=2)
+        return value(final, batches[0], {})
+
+    given = (theta["W"], theta["scale"], alpha["penalty.W"], alpha["keep.W"])
+    leaves = [each.clone().requires_grad_() for each in given]
+    found = torch.autograd.grad(left(*leaves).sum(), leaves)
+    for i, each in enumerate(given):
+        way, step = torch.linspace(-1, 1, each.numel(), dtype=torch.float64).reshape(each.shape), 1e-5
+        ends = [left(*(g + sign * step * way if i == k else g for k, g in enumerate(given))).sum() for sign in (1, -1)]
+        torch.testing.assert_close((found[i] * way).sum(), (ends[0] - ends[1]) / (2 * step), rtol=1e-6, atol=1e-8)
+
+
+def test_penalties_are_bounded(theta: Params, batches: list[Batch]) -> None:
+    """Training cannot take them to where the solve is ill-conditioned."""
+    for far, bound in ((-99.0, LEAST), (99.0, GREATEST)):
+        ends = []
+        for penalty in (far, torch.tensor(bound, dtype=torch.float64).log().item()):
+            alpha = alpha_of(theta) | {"penalty.W": torch.full((1, TASKS, FEATURES), penalty, dtype=torch.float64)}
+            ends.append(learn_through(theta, SOLVE.rule(alpha), batches, LOSS, order=2)["W"])
+        torch.testing.assert_close(*ends)
+
+
+def test_before_training_all_features_have_one_penalty(theta: Params) -> None:
+    alpha = PARTS["solve"].initial(Line(), {key: each[0] for key, each in theta.items()}, STEPS, Adam(1e-3))
+    assert {key: tuple(each.shape) for key, each in alpha.items()} == {"penalty.W": (1, FEATURES), "keep.W": (STEPS,)}
+    assert len(alpha["penalty.W"].unique()) == 1
+
+
+def test_it_moves_parameters_by_itself() -> None:
+    with pytest.raises(ValueError, match="rates and solve for rates"):
+        rule_of("adam+solve")
+    assert rule_of("solve+loss").name == "ridge"
