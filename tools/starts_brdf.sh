@@ -11,8 +11,8 @@ common=(brdf --data "$runs/data/joint" --out "$runs")
 "$metapp" general "${common[@]}" --train --train-steps 30000
 "$metapp" quickft "${common[@]}" --train
 "$metapp" meta "${common[@]}" --rule meta-curvature --train --train-steps 30000
-for rule in meta-sgd meta-adam; do
+for rule in meta-sgd meta-adam ridge; do
   "$metapp" meta "${common[@]}" --rule "$rule" --train
 done
 folder=$(ls -td "$runs"/brdf/starts/joint-*-quick-seed0 | head -1)
-cp -v "$folder"/{general,quickft,meta-sgd,meta-adam,meta-curvature}.safetensors metapp/checkpoints/brdf/
+cp -v "$folder"/{general,quickft,meta-sgd,meta-adam,meta-curvature,ridge}.safetensors metapp/checkpoints/brdf/

@@ -6,11 +6,11 @@ import functools
 
 import pytest
 
-from metapp.apps import app_names, load_app
+from metapp.apps import load_app
 from metapp.learning.app import App, stack
 from metapp.learning.task import Task, Tasks
 from metapp.paradigms import Job, meta
-from tests.paradigms.small import SMALL, small_recipe
+from tests.paradigms.small import KINDS, SMALL, small_app, small_recipe
 
 
 @pytest.fixture(autouse=True)
@@ -19,11 +19,11 @@ def eager(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(meta, "can_compile", lambda: False)
 
 
-@pytest.fixture(scope="session", params=app_names())
+@pytest.fixture(scope="session", params=KINDS)
 def app(request: pytest.FixtureRequest) -> App:
-    app = load_app(request.param)
+    app = small_app(request.param)
     assert app.name in SMALL, f"{app.name}: no small tasks for its contract; add a line to SMALL."
-    return app.at(small_recipe(app))
+    return app
 
 
 @functools.cache  # a fixture is made anew for every test that names its application

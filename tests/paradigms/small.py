@@ -16,6 +16,8 @@ from metapp.appearance.flash import Maps, normal_from_height, pack
 from metapp.appearance.latlong import directions, mean_luminance
 from metapp.appearance.photograph import photograph
 from metapp.apps import app_names, illumination, load_app, svbrdf_nonstationary, transport
+from metapp.apps.brdf import Brdf
+from metapp.apps.brdf.featured import Featured
 from metapp.apps.transport.flow import Flow
 from metapp.learning.app import App
 from metapp.learning.learn import MetaParameters
@@ -27,7 +29,10 @@ from metapp.networks.layers import LocalField, UNet
 from metapp.paradigms import Job, Paradigm
 
 COUNT = 12
-OWN_RULES = {name: load_app(name).recipes["quick"].rule for name in app_names()}
+# an application that has a second network stands for two
+FEATURED = "brdf, features"
+KINDS = [*app_names(), FEATURED]
+OWN_RULES = {name: load_app(name).recipes["quick"].rule for name in app_names()} | {FEATURED: "ridge"}
 # each application with its own rule, and each other rule on the fastest application, instead of all with all
 PAIRS = [*OWN_RULES.items(), *(("brdf", rule) for rule in RULES if rule not in OWN_RULES.values())]
 
@@ -120,15 +125,24 @@ SMALL: dict[str, Small] = {
 }
 
 
+def small_app(kind: str) -> App:
+    """An application, or its second network, small."""
+    if kind == FEATURED:
+        return Brdf(Featured(width=8, features=5, code=3, encoder=8))
+    app = load_app(kind)
+    return app.at(small_recipe(app))
+
+
 def small_recipe(app: App) -> Recipe:
     """The quick recipe, with few samples, tasks and steps, and every rule that applies."""
     recipe = app.recipes["quick"]
+    setup = app.setup if isinstance(app, Brdf) else SMALL[app.name].setup
 
     few: dict[str, Any] = {"steps": 6, "tasks": 3, "warmup": 0, "validate_every": 2}
 
     def short(training: MetaTraining) -> MetaTraining:
         rates = training.rates if training.steps else {"": 1e-4, "alpha.out.": 0.0, "alpha.in.": 0.0}
-        return replace(training, **few, rates=rates, tuned=False)
+        return replace(training, **few, rates=rates, tuned=False, setup=None)
 
     return replace(
         recipe,
@@ -138,7 +152,8 @@ def small_recipe(app: App) -> Recipe:
         finetune_steps=20,
         general=replace(recipe.general, **few),
         meta={rule: short(recipe.meta.get(rule, recipe.meta[recipe.rule])) for rule in applicable(app)},
-        setup=SMALL[app.name].setup or recipe.setup,
+        setup=setup,
+        rule="ridge" if app.solves else recipe.rule,
     )
 
 

@@ -1,23 +1,21 @@
-"""BRDFs: the NBRDF network of Sztrajman et al. 2021 on half/difference vectors (paper section 4.1.2)."""
+"""BRDFs on half and difference vectors (paper section 4.1.2): the NBRDF network, or one of learned features."""
 
 from __future__ import annotations
 
-import itertools
 import math
 from dataclasses import replace
 
 import torch
 from torch import Generator, Tensor
-from torch.nn.functional import gelu, layer_norm
 
-from metapp.appearance.geometry import cos_incident, half_difference
+from metapp.appearance.geometry import half_difference
+from metapp.apps.brdf import nbrdf
+from metapp.apps.brdf.featured import OWN, Featured, features_of, reflectance_of
 from metapp.learning.app import App
 from metapp.learning.recipe import Adam, MetaTraining, OuterLoop, Recipe
-from metapp.learning.task import Batch, Held, Params, Task, Tasks
+from metapp.learning.task import Batch, Held, Linear, Params, Task, Tasks
 
-WIDTHS = (6, 21, 21, 3)
 CONDITION = 1024  # samples that General's encoder reads
-ENCODER = 128
 KNOTS = 8
 AUGMENTED = 8192
 # Each task's gradient is scaled to about the same norm before the mean is taken: meta-gradients are heavy-tailed, and a
@@ -30,6 +28,19 @@ LEARNED = MetaTraining(
     final=0.01,
     order=2,
     clip=4e-3,
+)
+# with another network: features for all materials, of which each is a linear combination
+RIDGE = MetaTraining(
+    steps=10_000,
+    tasks=4,
+    rates={"": 2e-3, "alpha.": 1e-2},
+    warmup=200,
+    final=0.01,
+    order=2,
+    clip=1e-2,
+    validate_every=500,
+    start="untrained",
+    setup=Featured(),
 )
 
 QUICK = Recipe(
@@ -45,9 +56,13 @@ QUICK = Recipe(
         "meta-sgd": replace(LEARNED, first=Adam(0.1), rates={"": 3e-3}),
         "meta-adam": LEARNED,
         "meta-curvature": LEARNED,
+        "ridge": RIDGE,
     },
     rule="meta-curvature",
 )
+
+# where paradigms need not fit the same network, the rule that is best on validation tasks
+FULL = replace(QUICK, rule="ridge")
 
 # Fischer & Ritschel 2022, section 4.1.2 and supplement: 10 inner steps of 512 samples, MAML with Meta-SGD from
 # alpha = 1e-3, outer Adam at 1e-4 with weight decay 1e-6, a random start
@@ -71,22 +86,6 @@ PAPER = replace(
 )
 
 
-def network(theta: Params, inputs: Tensor) -> Tensor:
-    """Reflectance before the clamp at 0.
-
-    Args:
-        theta: weights w1..w3 [T, out, in] and biases b1..b3 [T, out, 1].
-        inputs: half and difference vectors [T, 6, N].
-
-    Returns:
-        exp(out) - 1, [T, 3, N], linear RGB in 1/sr, above -1.
-    """
-    x = inputs
-    for layer in (1, 2):
-        x = torch.relu(torch.baddbmm(theta[f"b{layer}"], theta[f"w{layer}"], x))
-    return torch.expm1(torch.baddbmm(theta["b3"], theta["w3"], x))
-
-
 class Brdf(App):
     """One measured or modelled isotropic material a task."""
 
@@ -101,25 +100,24 @@ class Brdf(App):
     single_threaded = True
     compiles = True
     cheap_fits = True
-    recipes = {"paper": PAPER, "quick": QUICK}  # noqa: RUF012  (never written to)
+    recipes = {"paper": PAPER, "quick": QUICK, "full": FULL}  # noqa: RUF012  (never written to)
+
+    def __init__(self, setup: Featured | None = None) -> None:
+        self.setup = setup
+        if setup:
+            self.solves, self.own = "last", OWN
+
+    def at(self, recipe: Recipe, protocol: str = "") -> Brdf:
+        """The application with a recipe's network: a `Featured` one, or None for the NBRDF network."""
+        return Brdf(recipe.setup)
 
     def prepare(self, task: Task) -> dict[str, Tensor]:
         """`where` [N, 7]: half and difference vector, cos theta_i; `target` [N, 3]: log(1 + f cos theta_i)."""
-        angles, reflectance = task.data["angles"], task.data["reflectance"]
-        cos = cos_incident(angles)[:, None]
-        return {
-            "where": torch.cat([half_difference(angles), cos], 1).float(),
-            "target": torch.log1p(reflectance * cos).float(),
-        }
+        where = _where(task.data["angles"])
+        return {"where": where.float(), "target": torch.log1p(task.data["reflectance"] * where[:, 6:]).float()}
 
     def init(self, rng: Generator, count: int) -> Params:
-        """Kaiming-normal weights and zero biases."""
-        theta = {}
-        for layer, (inputs, outputs) in enumerate(itertools.pairwise(WIDTHS), 1):
-            noise = torch.randn(count, outputs, inputs, generator=rng, device=rng.device)
-            theta[f"w{layer}"] = noise * math.sqrt((2 if layer < 3 else 1) / inputs)
-            theta[f"b{layer}"] = torch.zeros(count, outputs, 1, device=rng.device)
-        return theta
+        return self.setup.init(rng, count) if self.setup else nbrdf.init(rng, count)
 
     def sample(self, tasks: Tasks, rng: Generator, count: int) -> Batch:
         """`where` [T, 7, count] and `target` [T, 3, count] from the first half of the samples."""
@@ -136,54 +134,39 @@ class Brdf(App):
         """
         where = batch["where"]
         # without the clamp at 0 a network that is too dark still has a gradient; the clamp only ever helps
-        d = torch.log1p(network(theta, where[:, :6]) * where[:, 6:7]) - batch["target"]
+        d = torch.log1p(network(theta, where) * where[:, 6:7]) - batch["target"]
         if not learned:
             return d.abs().mean((1, 2))
         s = torch.exp(learned["smoothing"])[:, None, None]
         norm = ((d * d + s * s).sqrt() - s).mean(1)
-        position = torch.arccos(where[:, 2].clamp(-1, 1)) * ((KNOTS - 1) / (math.pi / 2))
-        knots = torch.arange(KNOTS, device=d.device, dtype=d.dtype)
-        hat = (1 - (position[:, None] - knots[:, None]).abs()).clamp_min(0)
-        weight = torch.exp((learned["weights"][:, None] @ hat)[:, 0])
-        return (norm * weight).mean(1)
+        return (norm * _weights(where, learned) if "weights" in learned else norm).mean(1)
+
+    def linear(self, theta: Params, batch: Batch, learned: Params) -> Linear:
+        """Least squares in log(1 + f), weighted so that it follows the loss (iteratively reweighted least squares)."""
+        where, target = batch["where"], batch["target"]
+        cos = where[:, 6:7]
+        features = features_of(theta, where)
+        residual = torch.log1p(torch.expm1(target) / cos.clamp_min(1e-4)) - torch.bmm(theta["last"], features)
+        # the derivative of log(1 + f cos theta_i) in log(1 + f)
+        slope = 1 - (1 - cos) * torch.exp(-target)
+        d = slope * residual
+        s = torch.exp(learned["smoothing"])[:, None]
+        weights = slope.square().mean(1) / (d.square().mean(1) + s * s).sqrt()
+        return Linear("last", features, residual, weights, d.abs().mean((1, 2)))
 
     def loss_parameters(self, steps: int) -> Params:
-        return {"smoothing": torch.full((steps,), math.log(0.05)), "weights": torch.zeros(steps, KNOTS)}
+        """Smoothing, and for the NBRDF network weights of samples."""
+        weights = {} if self.setup else {"weights": torch.zeros(steps, KNOTS)}
+        return {"smoothing": torch.full((steps,), math.log(0.05))} | weights
 
     def init_encoder(self, rng: Generator) -> Params:
-        """A set encoder: a network on each sample, the mean over samples, a network to all 675 weights."""
-        sizes = {"in": (10, ENCODER), "mid": (ENCODER, ENCODER), "set": (2 * ENCODER, 2 * ENCODER)}
-        weights = sum(rows * columns for rows, columns in _shapes().values())
-        sizes |= {"deep": (2 * ENCODER, 2 * ENCODER), "out": (2 * ENCODER, weights)}
-        encoder = {}
-        for name, (inputs, outputs) in sizes.items():
-            gain = 0.1 if name == "out" else math.sqrt(2)
-            noise = torch.randn(inputs, outputs, generator=rng, device=rng.device)
-            encoder[f"{name}.w"] = noise * gain / math.sqrt(inputs)
-            encoder[f"{name}.b"] = torch.zeros(outputs, device=rng.device)
-        start = self.init(rng, 1)
-        encoder["out.b"] = torch.cat([value.flatten() for value in start.values()])
-        return encoder
+        return self.setup.init_encoder(rng) if self.setup else nbrdf.init_encoder(rng)
 
     def condition(self, tasks: Tasks, rng: Generator) -> Batch:
         return self.sample(tasks, rng, CONDITION)
 
     def encode(self, encoder: Params, condition: Batch) -> Params:
-        def dense(name: str, x: Tensor) -> Tensor:
-            return x @ encoder[f"{name}.w"] + encoder[f"{name}.b"]
-
-        samples = torch.cat([condition["where"], condition["target"]], 1).transpose(1, 2)
-        x = gelu(dense("mid", gelu(dense("in", samples))))
-        x = torch.cat([x.mean(1), x.amax(1)], 1)
-        x = layer_norm(x, x.shape[-1:])
-        x = gelu(dense("set", x))
-        x = x + gelu(dense("deep", layer_norm(x, x.shape[-1:])))
-        flat = dense("out", x)
-        theta, at = {}, 0
-        for name, (rows, columns) in _shapes().items():
-            theta[name] = flat[:, at : at + rows * columns].reshape(-1, rows, columns)
-            at += rows * columns
-        return theta
+        return self.setup.encode(encoder, condition) if self.setup else nbrdf.encode(encoder, condition)
 
     def augment(self, tasks: Tasks, rng: Generator) -> Tasks:
         """Mixtures of two of these materials, channels permuted and scaled, at AUGMENTED samples each.
@@ -209,8 +192,12 @@ class Brdf(App):
         half = tasks.data["where"].shape[1] // 2
         where = tasks.data["where"][tasks.rows, half:].transpose(1, 2)
         target = tasks.data["target"][tasks.rows, half:].transpose(1, 2)
-        reflectance = network(theta, where[:, :6]).clamp_min(0)
+        reflectance = network(theta, where).clamp_min(0)
         return {"error": (torch.log1p(reflectance * where[:, 6:7]) - target).abs().mean((1, 2))}
+
+    def evaluated(self, theta: Params, task: Task) -> Task:
+        """The fit's own reflectance at the task's angles."""
+        return task._replace(data=task.data | {"reflectance": self.reflectance(theta, task.data["angles"])})
 
     def reflectance(self, theta: Params, angles: Tensor) -> Tensor:
         """Evaluate one fitted network.
@@ -222,17 +209,36 @@ class Brdf(App):
         Returns:
             Linear RGB in 1/sr, [..., 3], >= 0.
         """
-        inputs = half_difference(angles).reshape(1, -1, 6).transpose(1, 2)
         one = {key: value[None] for key, value in theta.items()}
-        return network(one, inputs).clamp_min(0)[0].T.reshape(*angles.shape[:-1], 3)
+        return network(one, _where(angles.reshape(-1, 3)).T[None]).clamp_min(0)[0].T.reshape(*angles.shape[:-1], 3)
 
 
-def _shapes() -> dict[str, tuple[int, int]]:
-    """The shape of each parameter of one task."""
-    shapes: dict[str, tuple[int, int]] = {}
-    for layer, (inputs, outputs) in enumerate(itertools.pairwise(WIDTHS), 1):
-        shapes |= {f"w{layer}": (outputs, inputs), f"b{layer}": (outputs, 1)}
-    return shapes
+def _where(angles: Tensor) -> Tensor:
+    """Half vector, difference vector and cos theta_i, [N, 7], of angles [N, 3] in rad."""
+    vectors = half_difference(angles)
+    half_x, _, half_z, x, _, z = vectors.unbind(1)
+    return torch.cat([vectors, (z * half_z - x * half_x)[:, None]], 1)
+
+
+def network(theta: Params, where: Tensor) -> Tensor:
+    """Reflectance before the clamp at 0, by the network that the parameters are of.
+
+    Args:
+        theta: parameters [T, ...].
+        where: half vector, difference vector and cos theta_i, [T, 7, N].
+
+    Returns:
+        [T, 3, N], linear RGB in 1/sr, above -1.
+    """
+    return reflectance_of(theta, where) if "last" in theta else nbrdf.network(theta, where[:, :6])
+
+
+def _weights(where: Tensor, learned: Params) -> Tensor:
+    """Learned weights of samples, [T, N], between knots over theta_h."""
+    position = torch.arccos(where[:, 2].clamp(-1, 1)) * ((KNOTS - 1) / (math.pi / 2))
+    knots = torch.arange(KNOTS, device=where.device, dtype=where.dtype)
+    hat = (1 - (position[:, None] - knots[:, None]).abs()).clamp_min(0)
+    return torch.exp((learned["weights"][:, None] @ hat)[:, 0])
 
 
 APP = Brdf()

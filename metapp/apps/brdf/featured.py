@@ -1,0 +1,95 @@
+"""A network of many weights that all materials share and few that each has: a code and the last, linear layer.
+
+Features of a pair of directions are learned on all training materials; the code scales and shifts their hidden layers
+(FiLM, Perez et al. 2018), and a material is a linear combination of them, which least squares can solve for
+(`metapp.learning.rules.solve`).
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import torch
+from torch import Generator, Tensor
+from torch.nn.functional import silu
+
+from metapp.apps.brdf.samples import read_set, set_encoder
+from metapp.learning.task import Batch, Params
+from metapp.networks.coded import decoder_of, reader_of, with_decoder
+
+INPUTS = 15
+OWN = ("z", "last")  # what a material does not share with others
+
+
+class Featured(NamedTuple):
+    """The network's size.
+
+    Attributes:
+        width: of the two hidden layers.
+        features: learned ones; a constant is one more.
+        code: numbers of the code.
+        encoder: width of the set encoder.
+    """
+
+    width: int = 96
+    features: int = 60
+    code: int = 12
+    encoder: int = 64
+
+    def init(self, rng: Generator, count: int) -> Params:
+        """Random weights, the same for all but for the code: 0."""
+        sizes = {"w1": (self.width, INPUTS), "w2": (self.width, self.width), "w3": (self.features, self.width)}
+        theta = {}
+        for name, (rows, columns) in sizes.items():
+            noise = torch.randn(count, rows, columns, generator=rng, device=rng.device)
+            theta[name] = noise * math.sqrt((2 if name != "w3" else 1) / columns)
+            theta[name.replace("w", "b")] = torch.zeros(count, rows, 1, device=rng.device)
+        for name in ("film1", "film2"):
+            noise = torch.randn(count, 2 * self.width, self.code, generator=rng, device=rng.device)
+            theta[name] = noise * 0.1 / math.sqrt(self.code)
+        theta["z"] = torch.zeros(count, self.code, 1, device=rng.device)
+        return theta | {"last": torch.zeros(count, 3, self.features + 1, device=rng.device)}
+
+    def init_encoder(self, rng: Generator) -> Params:
+        """A set encoder to a code and a last layer, and the weights that all materials share."""
+        numbers = self.code + 3 * (self.features + 1)
+        reader = set_encoder(rng, INPUTS + 3, self.encoder, numbers)
+        return {f"encoder.{key}": value for key, value in reader.items()} | decoder_of(self.init(rng, 1), OWN)
+
+    def encode(self, encoder: Params, condition: Batch) -> Params:
+        """A code and a last layer from samples, beside the shared weights."""
+        samples = torch.cat([inputs_of(condition["where"]), condition["target"]], 1).transpose(1, 2)
+        z, last = read_set(reader_of(encoder), samples).split([self.code, 3 * (self.features + 1)], 1)
+        return with_decoder({"z": z[..., None], "last": last.reshape(len(last), 3, -1)}, encoder)
+
+
+def inputs_of(where: Tensor) -> Tensor:
+    """What the network reads [T, INPUTS, N] of half vector, difference vector and cos theta_i, [T, 7, N].
+
+    Beside these: cos theta_o, logarithms of both cosines, and functions of theta_h in which narrow and broad lobes
+    are equally wide.
+    """
+    half_x, _, half_z, x, y, z, incident = where.unbind(1)
+    outgoing = torch.addcmul(z * half_z, x, half_x)
+    angle = torch.atan2(half_x, half_z)
+    square = angle * angle
+    logs = torch.stack([square + 1e-4, square + 1e-2, incident.clamp_min(1e-3), outgoing.clamp_min(1e-3)], 1).log()
+    more = torch.stack([outgoing, angle.sqrt(), 1 / (1 + 100 * square), x * x - y * y], 1)
+    return torch.cat([where, more, 0.4 * logs + 1], 1)
+
+
+def features_of(theta: Params, where: Tensor) -> Tensor:
+    """Features [T, F, N] of half vector, difference vector and cos theta_i, [T, 7, N]; the last one is 1."""
+    x = inputs_of(where)
+    for layer in (1, 2):
+        gain, shift = (theta[f"film{layer}"] @ theta["z"]).chunk(2, 1)
+        weights, bias = theta[f"w{layer}"] * (1 + gain), theta[f"b{layer}"] * (1 + gain) + shift
+        x = silu(torch.baddbmm(bias, weights, x))
+    x = torch.baddbmm(theta["b3"], theta["w3"], x)
+    return torch.cat([x, torch.ones_like(x[:, :1])], 1)
+
+
+def reflectance_of(theta: Params, where: Tensor) -> Tensor:
+    """Reflectance before the clamp at 0: exp(last layer) - 1, [T, 3, N], linear RGB in 1/sr, above -1."""
+    return torch.expm1(torch.bmm(theta["last"], features_of(theta, where)))

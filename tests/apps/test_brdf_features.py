@@ -1,0 +1,120 @@
+"""The second network of BRDFs: learned features, of which least squares combines a material."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+from torch import Generator
+
+from data_tools.readers.brdf_task import brdf_task
+from metapp.appearance.geometry import cos_incident, half_difference
+from metapp.apps.brdf import Brdf, network
+from metapp.apps.brdf.featured import INPUTS, OWN, Featured, features_of, inputs_of
+from metapp.learning.app import stack
+from metapp.learning.learn import MetaParameters
+from metapp.learning.recipe import Adam
+from metapp.learning.rules import RULES
+from metapp.learning.task import Params, Task, Tasks
+from metapp.paradigms import Job, paradigms
+
+SIZE = Featured(width=12, features=7, code=3, encoder=8)
+APP = Brdf(SIZE)
+RECIPE = Brdf.recipes["full"]
+
+
+@pytest.fixture
+def theta() -> Params:
+    """One network with a material in it that reflects everywhere."""
+    rng = Generator().manual_seed(1)
+    one = APP.init(rng, 1)
+    last = 0.2 * torch.randn(one["last"].shape, generator=rng)
+    last[:, :, -1] = 3
+    return one | {"last": last, "z": torch.randn(1, 3, 1, generator=rng)}
+
+
+@pytest.fixture
+def where() -> torch.Tensor:
+    angles = torch.tensor([math.pi / 2, math.pi / 2, 2 * math.pi]) * torch.rand(
+        500, 3, generator=Generator().manual_seed(2)
+    )
+    return torch.cat([half_difference(angles), cos_incident(angles)[:, None]], 1).T[None]
+
+
+def tasks_of(theta: Params) -> Tasks:
+    one = {key: value[0] for key, value in theta.items()}
+    return stack(APP, [brdf_task("made", lambda angles: APP.reflectance(one, angles), samples=4096)])
+
+
+def test_inputs_are_finite_everywhere(where: torch.Tensor) -> None:
+    """At the pole of half vectors and at the horizon, too, with their derivatives."""
+    edges = torch.tensor([[0.0, 0.0, 1.0, 0.0, 0.0, 1.0, 1.0], [1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0]]).T[None]
+    inputs = inputs_of(torch.cat([where, edges], 2))
+    assert inputs.shape == (1, INPUTS, 502)
+    assert bool(torch.isfinite(inputs).all())
+    assert float(inputs.abs().max()) < 5
+
+
+def test_a_material_is_linear_in_the_last_layer(theta: Params, where: torch.Tensor) -> None:
+    """And the last feature is constant."""
+    assert bool((features_of(theta, where)[:, -1] == 1).all())
+    twice = theta | {"last": 2 * theta["last"]}
+    logs = [torch.log1p(network(each, where)) for each in (theta, twice)]
+    torch.testing.assert_close(2 * logs[0], logs[1], rtol=1e-4, atol=1e-5)
+
+
+def test_the_code_changes_features(theta: Params, where: torch.Tensor) -> None:
+    assert not torch.allclose(features_of(theta, where), features_of(theta | {"z": -theta["z"]}, where))
+
+
+def test_the_encoder_predicts_what_a_task_has_of_its_own(theta: Params) -> None:
+    tasks = tasks_of(theta)
+    encoder = APP.init_encoder(Generator().manual_seed(3))
+    both = Tasks(tasks.names * 2, tasks.data, torch.zeros(2, dtype=torch.long))
+    encoded = APP.encode(encoder, APP.condition(both, Generator().manual_seed(4)))
+    assert {key: value.shape[1:] for key, value in encoded.items()} == {k: v.shape[1:] for k, v in theta.items()}
+    for key, value in encoded.items():
+        assert torch.equal(value[0], value[1]) == (key not in OWN), key
+
+
+def test_ridge_recovers_a_material_that_its_features_span(theta: Params) -> None:
+    """From a last layer of zeros, in five steps of 512 samples."""
+    start = MetaParameters(
+        {key: value[0] for key, value in (theta | {"last": 0 * theta["last"]}).items()},
+        RULES["ridge"].alpha(APP, {key: value[0] for key, value in theta.items()}, 5, Adam(1e-3)),
+    )
+    start.alpha["penalty.last"].fill_(-20.0)
+    tasks = tasks_of(theta)
+    job = Job(APP, RECIPE, "ridge", 5)
+    fit = paradigms()["meta"].fit(job, start, tasks, Generator().manual_seed(5))
+    before = float(APP.errors({key: value[None] for key, value in start.theta.items()}, tasks)["error"])
+    assert float(APP.errors(fit, tasks)["error"]) < 1e-3 * before
+    for key, value in fit.items():
+        assert key == "last" or torch.equal(value, theta[key])
+
+
+def test_weights_follow_the_loss(theta: Params) -> None:
+    """The gradient of the weighted squares is that of the smoothed loss, but for what weights do to three channels.
+
+    Where all channels are the same, it is the same.
+    """
+    theta = {key: value.double() for key, value in theta.items()}
+    theta["last"] = theta["last"][:, :1].expand(-1, 3, -1).clone()
+    tasks = tasks_of({key: value.float() for key, value in theta.items()})
+    batch = {key: value.double() for key, value in APP.sample(tasks, Generator().manual_seed(6), 300).items()}
+    changed = theta | {"last": (theta["last"] + 1e-4).requires_grad_()}
+    learned = {"smoothing": torch.tensor([math.log(0.02)], dtype=torch.float64)}
+    wanted = torch.autograd.grad(APP.loss(changed, batch, learned).sum(), changed["last"])[0]
+    near = APP.linear(changed, batch, learned)
+    found = -(near.residual * near.weights[:, None]) @ near.features.mT / near.weights.shape[1]
+    torch.testing.assert_close(found / 3, wanted, rtol=2e-2, atol=2e-2 * float(wanted.abs().max()))
+
+
+def test_a_fit_is_a_task_that_it_solves(theta: Params) -> None:
+    """What another network is distilled from."""
+    one = {key: value[0] for key, value in theta.items()}
+    other: Task = brdf_task("other", lambda angles: torch.ones(*angles.shape[:-1], 3), samples=256)
+    evaluated = APP.evaluated(one, other)
+    assert float(APP.errors(theta, stack(APP, [evaluated]))["error"]) < 1e-6
+    assert float(APP.errors(theta, stack(APP, [other]))["error"]) > 1e-2
