@@ -119,6 +119,8 @@ class Format(NamedTuple):
         writer: imports and returns what writes fits; None where nothing does.
         conversion: the command that makes data sets of them, if any.
         takes_roots: whether `read_task` takes `roots`, folders that files named in a file may come from.
+        holds: the parameters that a written file holds; a fit of another network is distilled into them first; () for
+            a format that is written from what a fit evaluates to.
     """
 
     name: str
@@ -128,6 +130,7 @@ class Format(NamedTuple):
     writer: Callable[[], Writer] | None = None
     conversion: Conversion | None = None
     takes_roots: bool = False
+    holds: tuple[str, ...] = ()
 
 
 @functools.cache
@@ -142,6 +145,6 @@ def inputs_of(app: str) -> tuple[Format, ...]:
     return tuple(each for each in formats() if each.app == app and each.inputs)
 
 
-def exports_of(app: str) -> dict[str, Callable[[], Writer]]:
-    """Return the writers of the formats that fits of an application can be written in, by name."""
-    return {each.name: each.writer for each in formats() if each.app == app and each.writer}
+def exports_of(app: str) -> dict[str, Format]:
+    """Return the formats that fits of an application can be written in, by name."""
+    return {each.name: each for each in formats() if each.app == app and each.writer}

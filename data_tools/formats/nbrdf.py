@@ -44,4 +44,5 @@ FORMAT = Format(
     _files,
     _files,
     Conversion(HELP, _reader, ("DIRS...", "Folders of networks, searched at any depth."), (SAMPLES,)),
+    holds=("w1", "w2", "w3", "b1", "b2", "b3"),
 )

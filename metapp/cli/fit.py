@@ -16,8 +16,8 @@ if TYPE_CHECKING:
     from metapp.experiments.run import Run
     from metapp.learning.app import App
 
-RULE_NAMES = "meta-sgd, meta-adam, meta-adam-tied, meta-curvature, meta-encoder, meta-lgd, meta-mean, meta-basis"
-PART_NAMES = "adam, tied, sgd, rates, shared, betas, loss, pace, eps, curvature, network, average, basis"
+RULE_NAMES = "meta-sgd, meta-adam, meta-adam-tied, meta-curvature, meta-encoder, meta-lgd, meta-mean, meta-basis, ridge"
+PART_NAMES = "adam, tied, sgd, rates, shared, solve, betas, loss, pace, eps, curvature, network, average, basis"
 APP_HELP = f"Application: {', '.join(app_names())}."
 
 
@@ -63,7 +63,13 @@ def make_command(name: str, summary: str) -> Any:
         checkpoint: Annotated[
             Path | None, typer.Option(help="Checkpoint to use; default: trained here, else shipped.")
         ] = None,
-        recipe: Annotated[str, typer.Option(help="quick or paper; texture: also paper-vgg19.")] = "quick",
+        recipe: Annotated[
+            str,
+            typer.Option(
+                help="quick, full (brdf) or paper; texture: also paper-vgg19; default: full where meta fits files and "
+                "no data, rule or checkpoint is given, else quick."
+            ),
+        ] = "",
         scene_root: Annotated[
             list[Path] | None,
             typer.Option(
@@ -89,6 +95,7 @@ def make_command(name: str, summary: str) -> Any:
             observe=observe,
             rule=rule,
             recipe=recipe,
+            own_files=name == "meta" and bool(inputs) and not train,
             steps=steps,
             data=data,
             out=out_folder,

@@ -9,10 +9,9 @@ from typing import Any
 
 from safetensors.torch import save
 
-from data_tools.formats import exports_of
 from metapp.apps import presentation_of
 from metapp.experiments.checkpoints import find_checkpoint
-from metapp.experiments.export import check_export
+from metapp.experiments.export import check_export, export_fit
 from metapp.experiments.fits import fit_tasks
 from metapp.experiments.inputs import tasks_to_fit
 from metapp.experiments.session import Options, options_of, threads, threads_of
@@ -73,7 +72,7 @@ class Fit:
             BadOption: fits of this application cannot be written so.
         """
         check_export(form, self.app)
-        exports_of(self.app.name)[form]().export(self.app, self.parameters, Path(path))
+        export_fit(self.app, self.task, self.parameters, Path(path), form)
 
 
 def fit(app: str, source: str | PathLike[str], *, paradigm: str = "meta", **options: Any) -> Fit:
@@ -113,7 +112,13 @@ def fit_all(
     known = paradigms()
     if paradigm not in known:
         raise ValueError(f"paradigm '{paradigm}': expected one of {', '.join(known)}.")
-    given: Options = options_of(app, quiet=True, **{key: _path(key, value) for key, value in options.items()})
+    given: Options = options_of(
+        app,
+        quiet=True,
+        own_files=paradigm == "meta" and bool(sources),
+        **{key: _path(key, value) for key, value in options.items()},
+    )
+    given = given.by(known[paradigm])
     with threads(threads_of(given.app)):
         tasks, _ = tasks_to_fit(given.app, [Path(each) for each in sources], given.data, quiet=True)
         checkpoint = find_checkpoint(given, known[paradigm])

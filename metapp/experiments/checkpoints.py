@@ -34,6 +34,8 @@ from metapp.storage.records import digest, load_checkpoint, save_checkpoint, ten
 from metapp.storage.shards import fingerprint, read_shard
 from metapp.storage.training_checkpoint import TrainingCheckpoint
 
+SHIPPED_FOR = ("quick", "full")  # the recipes that the shipped checkpoints were trained by
+
 
 def find_checkpoint(options: Options, paradigm: Paradigm) -> Checkpoint:
     """Find the best checkpoint there is: --checkpoint, else one trained on this data earlier, else the shipped one.
@@ -114,8 +116,7 @@ def _checkpoint_path(options: Options, name: str) -> Path:
         if path.is_file():
             return path
     path = shipped_path(options.app.name, checkpoint_name(options.app, name))
-    # the checkpoints that ship were trained by the quick recipe
-    if path.is_file() and options.recipe == "quick":
+    if path.is_file() and options.recipe in SHIPPED_FOR:
         return path
     raise ValueError(
         f"{name_of(options.app)} {name}, recipe {options.recipe}: no checkpoint, neither trained on this data nor "
@@ -238,11 +239,11 @@ def _encoder(options: Options, name: str, steps: int | None) -> MetaParameters |
     test tasks.
     """
     recipe = options.job.recipe
-    if name == "general" or (name != "quickft" and recipe.meta_training(name).start == "random"):
+    if name == "general" or (name != "quickft" and not recipe.meta_training(name).from_general):
         return None
     general = paradigms()["general"]
     usable = trained_path(options, "general").is_file()
-    if not usable and not options.data and options.recipe == "quick":
+    if not usable and not options.data and options.recipe in SHIPPED_FOR:
         usable = shipped_path(options.app.name, "general").is_file()
     if not usable:
         say(f"no General that was trained on this data yet: training it first{f', {steps} steps' if steps else ''}.")

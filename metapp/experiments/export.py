@@ -2,11 +2,18 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
+from torch import Generator
+
 from data_tools.formats import exports_of
 from metapp.experiments import BadOption
-from metapp.experiments.reporter import say
-from metapp.learning.app import App
-from metapp.learning.task import Task
+from metapp.experiments.checkpoints import find_checkpoint
+from metapp.experiments.reporter import number, say
+from metapp.experiments.session import options_of
+from metapp.learning.app import App, stack
+from metapp.learning.task import Params, Task
+from metapp.paradigms import paradigms
 from metapp.storage.records import RunFolder, file_name
 
 
@@ -24,7 +31,36 @@ def check_export(name: str, app: App) -> None:
 
 def export_all(app: App, tasks: list[Task], folder: RunFolder, name: str) -> None:
     """Write every fit of a run in a format, under <run>/<format>/."""
-    writer = exports_of(app.name)[name]()
     for task in tasks:
-        writer.export(app, folder.theta(task.name), folder.path / name / file_name(task.name))
+        export_fit(app, task, folder.theta(task.name), folder.path / name / file_name(task.name), name)
     say(f"{len(tasks)} fits written as {name}: {folder.path / name}")
+
+
+def export_fit(app: App, task: Task, theta: Params, path: Path, name: str) -> None:
+    """Write one fit in a format; where that holds another network, the fit is distilled into it first."""
+    form = exports_of(app.name)[name]
+    assert form.writer is not None
+    if form.holds and set(theta) != set(form.holds):
+        theta = distilled(app, task, theta)
+    form.writer().export(app, theta, path)
+
+
+def distilled(app: App, task: Task, theta: Params) -> Params:
+    """The application's usual network, fitted by Finetune to what another one evaluates to.
+
+    It sees as many values of the fit as the task has samples, and none of the task's own; what it lost is said.
+
+    Args:
+        app: with the network that the fit is of.
+        task: what was fitted.
+        theta: parameters of one task, without a task axis.
+    """
+    options, finetune = options_of(app.name, quiet=True), paradigms()["finetune"]
+    usual, rng = options.app, Generator().manual_seed(options.seed)
+    taught = stack(usual, [app.evaluated(theta, task)])
+    found = finetune.fit(options.job, find_checkpoint(options, finetune).prepared, taught, rng)
+    fits = (app, {key: value[None] for key, value in theta.items()}), (usual, found)
+    errors = [app.scale * float(of.errors(each, stack(of, [task]))["error"][0]) for of, each in fits]
+    before, after = (number(error, ".3f") for error in errors)
+    say(f"{task.name}: distilled into the network of the format; error {after}, of the fit {before}")
+    return {key: value[0] for key, value in found.items()}

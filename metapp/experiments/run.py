@@ -92,6 +92,7 @@ def run(
         FloatingPointError: a fit is not finite.
     """
     paradigm = paradigms()[paradigm_name]
+    options = options.by(paradigm)
     if paradigm.steps(options.job.recipe) in (options.steps, 0):
         options = options._replace(steps=None)  # the recipe's own number is the recipe's own run
     make_folder(options.out)

@@ -42,13 +42,18 @@ class Options(NamedTuple):
         """What the paradigms work on."""
         return Job(self.app, self.app.recipes[self.recipe], self.rule, self.steps)
 
+    def by(self, paradigm: Paradigm) -> Options:
+        """The same for a paradigm: Meta's rule may have a network of its own."""
+        return self._replace(app=_at_rule(self.app, self.recipe, self.rule)) if paradigm.name == "meta" else self
+
 
 def options_of(
     name: str,
     *,
     observe: str = "",
     rule: str = "",
-    recipe: str = "quick",
+    recipe: str = "",
+    own_files: bool = False,
     steps: int | None = None,
     data: Path | None = None,
     out: Path = Path("runs"),
@@ -59,16 +64,29 @@ def options_of(
 ) -> Options:
     """Check what was asked for and put the application at its recipe and protocol.
 
+    Without a recipe Meta fits a user's own files (`own_files`) by "full", where the application has it and no data,
+    checkpoint or rule is given; all else is by "quick".
+
     Raises:
         BadOption: something that the application does not have.
         ValueError: no such device.
     """
     app = find_app(name)
+    if not recipe:
+        full = own_files and "full" in app.recipes and not (data or checkpoint or rule)
+        recipe = "full" if full else "quick"
     check_protocol(observe, app)
     check_recipe(recipe, app)
     placed = app.at(app.recipes[recipe], observe)
     chosen = check_rule(rule, placed, recipe)
     return Options(placed, recipe, chosen, steps, data, out, checkpoint, seed, find_device(device, placed), quiet)
+
+
+def _at_rule(app: App, recipe: str, rule: str) -> App:
+    """The application at the settings that a rule has of its own, if any."""
+    usual = app.recipes[recipe]
+    of_rule = usual.for_rule(rule)
+    return app if of_rule is usual else app.at(of_rule, app.protocol)
 
 
 class Checkpoint(NamedTuple):
@@ -96,9 +114,10 @@ def check_rule(name: str, app: App, recipe: str) -> str:
     """The one name of a rule or composition, the recipe's default where it is empty, or a usage error."""
     if not name:
         return app.recipes[recipe].rule
-    theta = {key: value[0] for key, value in app.init(torch.Generator().manual_seed(0), 1).items()}
     try:
         rule = rule_of(name)
+        app = _at_rule(app, recipe, rule.name)
+        theta = {key: value[0] for key, value in app.init(torch.Generator().manual_seed(0), 1).items()}
         rule.require(app, theta)
     except ValueError as error:
         raise BadOption(f"--rule: {error}") from None

@@ -245,7 +245,7 @@ def _find_fits(options: Options, strict: bool, share: float) -> list[Fit]:
         others = [rule for rule in others if trained_path(options, rule).is_file()]
     fits: list[Fit] = []
     for name, paradigm in each.items():
-        of = options
+        of = options.by(paradigm)
         if name == "overfit" and share != 1:
             of = options._replace(steps=max(1, round(share * options.job.recipe.overfit_steps)))
         try:
@@ -257,7 +257,7 @@ def _find_fits(options: Options, strict: bool, share: float) -> list[Fit]:
             fits.append(Fit(name, of, paradigm, None))
     for rule in others:
         with suppress(ValueError):  # nobody trained this rule
-            of = options._replace(rule=rule)
+            of = options._replace(rule=rule).by(each["meta"])
             fits.append(Fit(f"meta:{rule}", of, each["meta"], find_checkpoint(of, each["meta"])))
     return fits
 
