@@ -109,7 +109,7 @@ class Brdf(App):
 
     def at(self, recipe: Recipe, protocol: str = "") -> Brdf:
         """The application with a recipe's network: a `Featured` one, or None for the NBRDF network."""
-        return Brdf(recipe.setup)
+        return self if recipe.setup == self.setup else Brdf(recipe.setup)
 
     def prepare(self, task: Task) -> dict[str, Tensor]:
         """`where` [N, 7]: half and difference vector, cos theta_i; `target` [N, 3]: log(1 + f cos theta_i)."""
