@@ -79,7 +79,7 @@ def step_pair(rule_step: Callable[..., Any], loss: Loss, order: int, compiled: b
     return _compiled_pair(rule_step, loss, order) if compiled else _eager_pair(rule_step, loss, order)
 
 
-@lru_cache(maxsize=16)  # compiling takes seconds
+@lru_cache(maxsize=32)  # compiling takes seconds
 def _compiled_pair(rule_step: Callable[..., Any], loss: Loss, order: int) -> StepPair:
     eager = _eager_pair(rule_step, loss, order)
     return StepPair(_Compiled(eager.forward), _Compiled(eager.pullback))
