@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -48,6 +48,9 @@ def command(
         int | None, typer.Option(help="rules: outer steps of each training, 500 unless given.", min=1)
     ] = None,
     seeds: Annotated[int | None, typer.Option(help="rules: seeds of training from --seed on, 3.", min=1)] = None,
+    start: Annotated[
+        str, typer.Option(help="rules: random, mean (of General's predictions) or encoder (General's own); encoder.")
+    ] = "",
     rule: Annotated[
         str, typer.Option(help="Meta's learned rule, default: the recipe's; rules: this one alone, default: all.")
     ] = "",
@@ -71,13 +74,15 @@ def command(
         raise typer.BadParameter(f"--which '{which}': expected one of {', '.join((*NAMES, ALL, *STUDIES))}.")
     if format_name not in FORMATS:
         raise typer.BadParameter(f"--format '{format_name}': expected one of {', '.join(FORMATS)}.")
-    for option, given in (("--steps", steps), ("--train-steps", train_steps), ("--seeds", seeds)):
+    for option, given in (("--steps", steps), ("--train-steps", train_steps), ("--seeds", seeds), ("--start", start)):
         if given and which not in STUDIES:
             raise typer.BadParameter(f"{option}: only with --which {' or '.join(STUDIES)}.")
     from metapp.apps import app_names
     from metapp.experiments.session import check_protocol, find_app, options_of
-    from metapp.experiments.study import Budget
+    from metapp.experiments.study import STARTS, Budget
 
+    if start and start not in STARTS:
+        raise typer.BadParameter(f"--start '{start}': expected one of {', '.join(STARTS)}.")
     found = [find_app(name) for name in apps or app_names()]
     for app in [app for app in found if app.protocols] or found:
         check_protocol(observe, app)
@@ -97,10 +102,9 @@ def command(
                     quiet=quiet,
                 )
             )
-    usual = Budget()
-    budget = Budget(
-        train_steps or usual.outer, tuple(steps or usual.steps), seeds or usual.seeds, (rule,) if rule else ()
-    )
+    asked: dict[str, Any] = {"outer": train_steps, "steps": tuple(steps or ()), "seeds": seeds, "start": start}
+    asked["rules"] = (rule,) if rule else ()
+    budget = Budget(**{key: value for key, value in asked.items() if value})
     strict = bool(apps) and not no_run
     subjects = find_subjects(planned, run=not no_run, strict=strict, share=overfit_share, budget=budget)
     tables = [load_table(name) for name in (NAMES if which == ALL else (which,))]
@@ -145,10 +149,13 @@ def fill(cells: list[Cell], *, run: bool, quiet: bool) -> None:
     if run:
         run_cells(cells, quiet=quiet)
         return
+    groups: dict[str, list[Cell]] = {}
     for cell in {cell.title: cell for cell in cells}.values():
-        count = len(cell.missing())
-        if count or not cell.tasks:
-            say(f"{cell.title}: {f'{count} of {len(cell.tasks)}' if count else 'all'} tasks missing: {cell.command}")
+        groups.setdefault(cell.title.partition(": ")[0], []).append(cell)
+    for title, each in groups.items():
+        count, total = (sum(map(len, lists)) for lists in zip(*((c.missing(), c.tasks) for c in each), strict=True))
+        if count or not total:
+            say(f"{title}: {f'{count} of {total}' if count else 'all'} tasks missing: {each[0].command}")
 
 
 def show(tables: list[Table], subjects: list[Subject], form: str) -> None:

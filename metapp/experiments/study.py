@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 import functools
 from dataclasses import asdict, replace
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, get_args
 
 from torch import Generator
 
@@ -13,11 +13,13 @@ from metapp.experiments.checkpoints import Trained, find_checkpoint, general_of,
 from metapp.experiments.checkpoints import trained_path as path_of
 from metapp.experiments.session import Checkpoint, Options, observe_of, versions
 from metapp.learning.app import App
-from metapp.learning.recipe import MetaTraining, Recipe
+from metapp.learning.recipe import MetaTraining, Recipe, Start
 from metapp.learning.rules import RULES, rule_of
 from metapp.paradigms import Paradigm, paradigms
 from metapp.storage.records import load_checkpoint, tensor_digest
 
+STARTS = get_args(Start)
+ENCODER_RATE = 3e-4  # outer rate of General's encoder where the recipe's own training moves none
 QUICKFT = "quickft"  # the reference line, among the names of rules
 # Beside all named rules, what one part adds to a rule or what its lack does.
 COMPOSED = (
@@ -42,12 +44,14 @@ class Budget(NamedTuple):
         outer: outer steps of each training.
         steps: numbers of gradient steps; each rule is trained for each of them.
         seeds: how many seeds of training and fitting, from the options' own on.
+        start: the first initialisation of all rules. From "encoder", which is QuickFT's too, rules alone differ.
         rules: what is trained; () for all named rules and COMPOSED.
     """
 
     outer: int = 500
     steps: tuple[int, ...] = (5, 10, 20, 40)
     seeds: int = 3
+    start: Start = "encoder"
     rules: tuple[str, ...] = ()
 
 
@@ -86,11 +90,11 @@ def study_rules(options: Options, budget: Budget) -> tuple[list[str], dict[str, 
 def training_for(recipe: Recipe, rule: str) -> MetaTraining:
     """How a rule is trained: as the recipe has it, else as that of its rules whose directions are of the same length.
 
-    Without Adam's moments a direction is the gradient itself: that takes the rates of meta-sgd.
+    Without Adam's moments a direction is the gradient itself: that takes the rates of meta-sgd, or a search of one.
     """
-    if rule not in recipe.meta and "meta-sgd" in recipe.meta and not rule_of(rule).has("betas"):
-        return recipe.meta["meta-sgd"]
-    return recipe.meta_training(rule)
+    if rule in recipe.meta or rule_of(rule).has("betas"):
+        return recipe.meta_training(rule)
+    return recipe.meta.get("meta-sgd") or replace(recipe.meta_training(rule), tuned=True)
 
 
 class Study:
@@ -106,6 +110,7 @@ class Study:
     def __init__(self, options: Options, budget: Budget) -> None:
         self.options, self.budget = options, budget
         self.rules, self.refused = study_rules(options, budget)
+        self._apps: dict[str, App] = {}
 
     def cases(self) -> list[Case]:
         """All trainings: seed by seed, those of few steps first."""
@@ -115,28 +120,35 @@ class Study:
 
     def place(self, case: Case) -> Options:
         """The options of a case: its recipe is the application's for so many steps, under a name of its own."""
-        name = f"{self.options.recipe}-{case.steps}steps"
-        name += "" if case.rule == QUICKFT else f"-{self.budget.outer}outer"
         rule = self.options.rule if case.rule == QUICKFT else case.rule
-        return self.options._replace(app=self._app, recipe=name, rule=rule, seed=case.seed, steps=None, checkpoint=None)
+        app, name = self._app(case.rule), self._recipe_name(case.rule, case.steps)
+        return self.options._replace(app=app, recipe=name, rule=rule, seed=case.seed, steps=None, checkpoint=None)
 
-    @functools.cached_property
-    def _app(self) -> App:
-        """The application with a recipe for each number of steps; one object, so that cases share compiled code."""
-        app, base = copy.copy(self.options.app), self.options.job.recipe
-        app.recipes = {}
-        for steps in self.budget.steps:
-            recipe = replace(base, steps=steps)
-            app.recipes[f"{self.options.recipe}-{steps}steps"] = recipe
-            trainings = {rule: self.training(rule) for rule in self.rules}
-            name = f"{self.options.recipe}-{steps}steps-{self.budget.outer}outer"
-            app.recipes[name] = replace(recipe, meta=recipe.meta | trainings)
-        return app
+    def _recipe_name(self, rule: str, steps: int) -> str:
+        name = f"{self.options.recipe}-{steps}steps"
+        return name if rule == QUICKFT else f"{name}-{self.budget.outer}outer-{self.budget.start}"
+
+    def _app(self, rule: str) -> App:
+        """The application with a recipe for each number of steps; one object a rule, which shares its compiled code."""
+        if rule not in self._apps:
+            app, base = copy.copy(self.options.app), self.options.job.recipe
+            meta = base.meta if rule == QUICKFT else {rule: self.training(rule)}
+            app.recipes = {
+                self._recipe_name(rule, steps): replace(base, steps=steps, meta=meta, rule=next(iter(meta)))
+                for steps in self.budget.steps
+            }
+            self._apps[rule] = app
+        return self._apps[rule]
 
     def training(self, rule: str) -> MetaTraining:
-        """How a rule is trained here: as by its recipe, with so many outer steps, unless that only searches an Adam."""
+        """How a rule is trained here: as by its recipe, but for the start, and with so many outer steps.
+
+        A recipe that searches an Adam alone does so here, too.
+        """
         training = training_for(self.options.job.recipe, rule)
-        return replace(training, steps=self.budget.outer) if training.steps else training
+        if self.budget.start == "encoder" and training.start != "encoder":
+            training = replace(training, rates={"encoder.": ENCODER_RATE} | training.rates)
+        return replace(training, start=self.budget.start, steps=self.budget.outer if training.steps else 0)
 
     @functools.cached_property
     def general(self) -> Checkpoint | None:
@@ -151,6 +163,10 @@ class Study:
             self.general = general_of(self.options)
         return self.general
 
+    @functools.cached_property
+    def _general_digest(self) -> str:
+        return tensor_digest(self.require_general().prepared.encoder)
+
     def settings(self, case: Case, label: str) -> dict[str, Any]:
         """Everything that a training's result depends on, JSON-ready.
 
@@ -159,14 +175,13 @@ class Study:
             label: the data's name.
         """
         options = self.place(case)
-        general = tensor_digest(self.require_general().prepared.encoder)
         return {
             "app": options.app.name,
             **observe_of(options.app),
             "study": case.rule,
             "steps": case.steps,
             "training": None if case.rule == QUICKFT else asdict(self.training(case.rule)),
-            "general": general,
+            "general": self._general_digest,
             "batch": options.job.recipe.batch,
             "data": label,
             "recipe": self.options.recipe,

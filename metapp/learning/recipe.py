@@ -42,6 +42,9 @@ class OuterLoop:
     augment: bool = True
 
 
+Start = Literal["random", "mean", "encoder"]
+
+
 @dataclass(frozen=True)
 class MetaTraining(OuterLoop):
     """The same through the steps of fits: how an initialisation and a rule are learned.
@@ -61,7 +64,7 @@ class MetaTraining(OuterLoop):
     order: int = 0
     clip: float = float("inf")
     tasks_at_once: int | None = None
-    start: Literal["random", "mean", "encoder"] = "mean"
+    start: Start = "mean"
 
 
 # Fischer & Ritschel 2022, supplement: first-order MAML with Meta-SGD from a random initialisation, meta-batch 5

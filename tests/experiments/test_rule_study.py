@@ -224,7 +224,8 @@ def test_rules_without_moments_are_trained_as_the_papers() -> None:
     assert training_for(recipe, "adam+curvature") is recipe.meta["meta-curvature"]
     assert training_for(recipe, "meta-adam") is recipe.meta["meta-adam"]
     no_sgd = load_app("illumination").recipes["quick"]
-    assert training_for(no_sgd, "meta-sgd") is no_sgd.meta[no_sgd.rule]
+    assert training_for(no_sgd, "meta-sgd") == replace(no_sgd.meta[no_sgd.rule], tuned=True)
+    assert training_for(no_sgd, "adam") is no_sgd.meta[no_sgd.rule]
 
 
 def test_cases_of_few_steps_come_first() -> None:

@@ -23,13 +23,18 @@ from metapp.learning.task import Task
 from metapp.storage.records import FIT, NUMBER, OPTIONAL, RunFolder, digest
 
 TRAINED = {"error": OPTIONAL, "seconds": NUMBER, "step": OPTIONAL}  # of a training's record
+STARTS = {
+    "random": "a random initialisation",
+    "mean": "the mean of General's predictions",
+    "encoder": "General's own, which QuickFT starts from, too",
+}
 A_STEP = 5e-3  # seconds of an outer step, for each gradient step, before any was measured
 
 
 def cells(subject: Subject) -> list[Cell]:
     """A training and its fits for each case, one after the other."""
     if not subject.tasks or (not subject.run and subject.study.general is None):
-        return []
+        return [Cell(f"{name_of(subject.app)} rules", [], None, lambda missing: iter(()), 0, _command(subject))]
     found: dict[Any, Cell] = {}  # QuickFT's search is the same for all seeds
     for case in subject.study.cases():
         for cell in (train_cell(subject, case), fit_cell(subject, case)):
@@ -54,15 +59,29 @@ def train_cell(subject: Subject, case: Case) -> Cell:
 
     outer = 0 if case.rule == QUICKFT else study.training(case.rule).steps
     return Cell(
-        f"{name_of(subject.app)} train {case.rule}, {case.steps} steps, seed {said['seed']}",
+        f"{name_of(subject.app)} rules: train {case.rule}, {case.steps} steps, seed {said['seed']}",
         [Task(case.rule, {})],
         folder,
         measure,
         case.steps,
-        subject.command("rules"),
+        _command(subject),
         threads=threads_of(subject.app),
         guess=case.steps * A_STEP * max(outer, 1),
     )
+
+
+def _command(subject: Subject) -> str:
+    """The command of the whole study."""
+    budget = subject.study.budget
+    words = ["--train-steps", str(budget.outer), *(word for each in budget.steps for word in ("--steps", str(each)))]
+    words += [
+        "--seeds",
+        str(budget.seeds),
+        "--start",
+        budget.start,
+        *(word for rule in budget.rules for word in ("--rule", rule)),
+    ]
+    return f"{subject.command('rules')} {' '.join(words)}"
 
 
 def _trained(subject: Subject, case: Case) -> Record:
@@ -99,19 +118,19 @@ def fit_cell(subject: Subject, case: Case) -> Cell:
             say(f"warning: {case.rule}, {case.steps} steps, seed {case.seed}: {error}")
 
     return Cell(
-        f"{name_of(subject.app)} {case.rule}, {case.steps} steps, seed {case.seed}",
+        f"{name_of(subject.app)} rules: {case.rule}, {case.steps} steps, seed {case.seed}",
         subject.tasks,
         folder,
         measure,
         case.steps,
-        subject.command("rules"),
+        _command(subject),
         threads=threads_of(subject.app),
     )
 
 
 def rows(subject: Subject) -> list[Row]:
     """A row for each rule and number of steps that has fits of all tasks, of all seeds that have."""
-    if not cells(subject):
+    if not subject.tasks or (not subject.run and subject.study.general is None):
         return []
     study, found = subject.study, []
     for steps in sorted(set(study.budget.steps)):
@@ -154,6 +173,7 @@ def _row(
         "seconds": statistics.median(record["seconds"] for record in records),
         "train_seconds": statistics.fmean(record["seconds"] for record in trainings),
         "validation": statistics.fmean(record["error"] for record in trainings),
+        "start": subject.study.budget.start,
         "outer": None if rule == QUICKFT else subject.study.training(rule).steps,
         "tasks": len(subject.tasks),
     }
@@ -168,7 +188,7 @@ def notes(subject: Subject, found: list[Row]) -> list[str]:
     budget, usual = study.budget, study.options.job.recipe.meta_training(study.options.rule).steps
     said = [
         f"each rule is trained for {budget.outer:,} outer steps (the recipe: {usual:,}) at each number of steps, from "
-        "the same General; its best state on validation tasks is kept",
+        f"{STARTS[budget.start]}; its best state on validation tasks is kept",
         *(f"{steps} steps: {_winners(found, steps)}" for steps in sorted({row["steps"] for row in found})),
         "seconds: median of a fit; training: mean of one training on this machine, General's not counted; of "
         f"{QUICKFT} the search of its Adam at that number of steps",
