@@ -146,7 +146,7 @@ class Trained(NamedTuple):
     Attributes:
         path: its file; the one it replaces is kept as `<name>.previous.safetensors`.
         prepared: what it holds.
-        seconds: of training, those before it was cut off included.
+        seconds: processor time of training, that before it was cut off included.
     """
 
     path: Path

@@ -45,13 +45,12 @@ class TrainingCheckpoint:
         self.device = device
         self.seconds = _seconds()
         self.reached = Reached()
-        self.written = self.begin = time.monotonic()
-        self.before = 0.0
+        self.written, self.begin, self.before = time.monotonic(), time.process_time(), 0.0
 
     @property
     def spent(self) -> float:
-        """Seconds of this training, those of earlier programs that were cut off included, up to their last write."""
-        return self.before + time.monotonic() - self.begin
+        """Processor seconds of this training, with those of programs that were cut off, up to their last write."""
+        return self.before + time.process_time() - self.begin
 
     def load(self) -> Reached:
         """How far an earlier training of the same settings was; nothing where there is none.

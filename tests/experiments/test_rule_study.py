@@ -289,7 +289,7 @@ def test_tasks_that_a_seed_lacks_do_not_count() -> None:
 
 def test_seconds_of_a_training_outlive_a_kill(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     clock = [100.0]
-    monkeypatch.setattr("metapp.storage.training_checkpoint.time.monotonic", lambda: clock[0])
+    monkeypatch.setattr("metapp.storage.training_checkpoint.time.process_time", lambda: clock[0])
     first = TrainingCheckpoint(tmp_path / "start.safetensors", {})
     clock[0] += 7
     assert first.spent == 7

@@ -86,12 +86,12 @@ def _command(subject: Subject) -> str:
 
 def _trained(subject: Subject, case: Case) -> Record:
     """Train a case; a training that diverges is a result, too."""
-    begin = time.perf_counter()
+    begin = time.process_time()
     try:
         _, prepared, seconds = subject.study.train(case)
     except FloatingPointError as error:
         say(f"warning: {case.rule}, {case.steps} steps, seed {case.seed}: {error}")
-        return {"error": None, "seconds": time.perf_counter() - begin, "step": None}
+        return {"error": None, "seconds": time.process_time() - begin, "step": None}
     return {"error": prepared.validation, "seconds": seconds, "step": prepared.step}
 
 
@@ -190,7 +190,7 @@ def notes(subject: Subject, found: list[Row]) -> list[str]:
         f"each rule is trained for {budget.outer:,} outer steps (the recipe: {usual:,}) at each number of steps, from "
         f"{STARTS[budget.start]}; its best state on validation tasks is kept",
         *(f"{steps} steps: {_winners(found, steps)}" for steps in sorted({row["steps"] for row in found})),
-        "seconds: median of a fit; training: mean of one training on this machine, General's not counted; of "
+        "seconds: median of a fit; training s: mean processor time of one training, General's not counted; of "
         f"{QUICKFT} the search of its Adam at that number of steps",
         "95 % intervals: bootstrap over tasks and over seeds",
         caption_of(subject.app),
