@@ -11,7 +11,7 @@ SEEDS ?= 0 1 2
 # small networks run many times slower where threads fight over them
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: help setup demo test test-slow mutants lint types docs bench bench-photo tables figures report paper torture torture-quick real real-photos \
+.PHONY: help setup demo test test-slow mutants lint types docs bench bench-photo tables rules figures report paper torture torture-quick real real-photos \
   real-illumination real-svbrdf starts-brdf starts-photos starts-illumination starts-svbrdf \
   starts-transport clean
 
@@ -96,6 +96,17 @@ table-samples: setup  ## samples that a fit sees
 
 table-convergence: setup  ## errors along Meta's steps, and how many more bring it to Overfit
 	$(EVALUATE) --which convergence
+
+# every update rule, trained alike; a laptop runs a part of it: make rules OUTER=200 STEPS=10 SEEDS=0
+APPS ?= brdf
+OUTER ?= 500
+STEPS ?= 5 10 20 40
+START ?= encoder
+
+rules: setup  ## the rule study: all update rules by APPS, STEPS, SEEDS after OUTER outer steps, a table and a figure; hours
+	$(METAPP) evaluate $(APPS) --which rules --start $(START) --train-steps $(OUTER) $(STEPS:%=--steps %) \
+	  --seed $(firstword $(SEEDS)) --seeds $(words $(SEEDS)) $(if $(filter file,$(origin DATA)),,--data "$(DATA)") \
+	  --out $(RUNS) --figures $(RUNS)/figures --format markdown
 
 figures: setup  ## all figures as PNG and PDF, in runs/figures
 	$(EVALUATE) --which all --figures $(RUNS)/figures --format markdown

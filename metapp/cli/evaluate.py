@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from metapp.cli.console import out, print_json, say
 from metapp.experiments.reporter import progress
-from metapp.experiments.tables import NAMES, load_table
+from metapp.experiments.tables import NAMES, STUDIES, load_table
 
 if TYPE_CHECKING:
     from metapp.experiments.session import Options
+    from metapp.experiments.study import Budget
     from metapp.experiments.tables.subject import Cell, Subject
     from metapp.experiments.tables.table import Table
 
@@ -28,7 +29,7 @@ def command(
         bool,
         typer.Option("--table/--no-table", help="Print the tables, or only write figures and report."),
     ] = True,
-    which: Annotated[str, typer.Option(help=f"Which table: {', '.join((*NAMES, ALL))}.")] = "results",
+    which: Annotated[str, typer.Option(help=f"Which table: {', '.join((*NAMES, ALL, *STUDIES))}.")] = "results",
     format_name: Annotated[str, typer.Option("--format", help=f"One of {', '.join(FORMATS)}.")] = "rich",
     no_run: Annotated[
         bool, typer.Option("--no-run", help="Print what there is; name the commands for the rest.")
@@ -40,7 +41,19 @@ def command(
     overfit_share: Annotated[
         float, typer.Option(help="Share of the recipe's steps that Overfit takes; tables say so.", min=1e-4, max=1.0)
     ] = 1.0,
-    rule: Annotated[str, typer.Option(help="Meta's learned rule; default: the recipe's.")] = "",
+    steps: Annotated[
+        list[int] | None, typer.Option(help="rules: numbers of gradient steps, 5 10 20 40 unless given.", min=1)
+    ] = None,
+    train_steps: Annotated[
+        int | None, typer.Option(help="rules: outer steps of each training, 500 unless given.", min=1)
+    ] = None,
+    seeds: Annotated[int | None, typer.Option(help="rules: seeds of training from --seed on, 3.", min=1)] = None,
+    start: Annotated[
+        str, typer.Option(help="rules: random, mean (of General's predictions) or encoder (General's own); encoder.")
+    ] = "",
+    rule: Annotated[
+        str, typer.Option(help="Meta's learned rule, default: the recipe's; rules: this one alone, default: all.")
+    ] = "",
     observe: Annotated[
         str,
         typer.Option(help="What fits may see, where an application has both: reference or photo; default: each."),
@@ -57,13 +70,19 @@ def command(
 
     Example: metapp evaluate brdf --which quickft
     """
-    if which not in (*NAMES, ALL):
-        raise typer.BadParameter(f"--which '{which}': expected one of {', '.join((*NAMES, ALL))}.")
+    if which not in (*NAMES, ALL, *STUDIES):
+        raise typer.BadParameter(f"--which '{which}': expected one of {', '.join((*NAMES, ALL, *STUDIES))}.")
     if format_name not in FORMATS:
         raise typer.BadParameter(f"--format '{format_name}': expected one of {', '.join(FORMATS)}.")
+    for option, given in (("--steps", steps), ("--train-steps", train_steps), ("--seeds", seeds), ("--start", start)):
+        if given and which not in STUDIES:
+            raise typer.BadParameter(f"{option}: only with --which {' or '.join(STUDIES)}.")
     from metapp.apps import app_names
     from metapp.experiments.session import check_protocol, find_app, options_of
+    from metapp.experiments.study import STARTS, Budget
 
+    if start and start not in STARTS:
+        raise typer.BadParameter(f"--start '{start}': expected one of {', '.join(STARTS)}.")
     found = [find_app(name) for name in apps or app_names()]
     for app in [app for app in found if app.protocols] or found:
         check_protocol(observe, app)
@@ -83,11 +102,20 @@ def command(
                     quiet=quiet,
                 )
             )
-    # all checkpoints before the first fit: a missing one should not be found after an hour; applications that nobody
-    # named have empty cells where a checkpoint is missing
-    subjects = find_subjects(planned, run=not no_run, strict=bool(apps) and not no_run, share=overfit_share)
+    asked: dict[str, Any] = {"outer": train_steps, "steps": tuple(steps or ()), "seeds": seeds, "start": start}
+    asked["rules"] = (rule,) if rule else ()
+    budget = Budget(**{key: value for key, value in asked.items() if value})
+    strict = bool(apps) and not no_run
+    subjects = find_subjects(planned, run=not no_run, strict=strict, share=overfit_share, budget=budget)
     tables = [load_table(name) for name in (NAMES if which == ALL else (which,))]
-    measured = [load_table(name) for name in NAMES] if figures or report else tables
+    measured = list(tables)
+    if report or (figures and which not in STUDIES):
+        measured += [load_table(name) for name in NAMES if name != which]
+    if any(each.name not in STUDIES for each in measured):
+        # all checkpoints before the first fit: a missing one should not be found after an hour; applications that
+        # nobody named have empty cells where a checkpoint is missing
+        for subject in subjects:
+            subject.find_checkpoints()
     cells = [cell for each in measured for subject in subjects for cell in each.cells(subject)]
     fill(cells, run=not no_run, quiet=quiet)
     if not quiet and which in ("results", ALL):
@@ -95,9 +123,9 @@ def command(
     if table or json:
         show(tables, subjects, "json" if json else format_name)
     if figures:
-        from metapp.experiments.figures import write_figures
+        from metapp.experiments.figures import FIGURES, write_figures
 
-        for file in write_figures(subjects, figures):
+        for file in write_figures(subjects, figures, STUDIES if which in STUDIES else tuple(FIGURES)):
             say(f"figure: {file}")
     if report:
         from metapp.experiments.report.page import write_report
@@ -105,11 +133,13 @@ def command(
         say(f"report: {write_report(subjects, report)}")
 
 
-def find_subjects(planned: list[Options], *, run: bool, strict: bool, share: float) -> list[Subject]:
-    """What tables are about, with the checkpoints of all."""
+def find_subjects(
+    planned: list[Options], *, run: bool, strict: bool, share: float, budget: Budget | None = None
+) -> list[Subject]:
+    """What tables are about."""
     from metapp.experiments.tables.subject import Subject
 
-    return [Subject(options, run=run, strict=strict, share=share) for options in planned]
+    return [Subject(options, run=run, strict=strict, share=share, budget=budget) for options in planned]
 
 
 def fill(cells: list[Cell], *, run: bool, quiet: bool) -> None:
@@ -119,10 +149,13 @@ def fill(cells: list[Cell], *, run: bool, quiet: bool) -> None:
     if run:
         run_cells(cells, quiet=quiet)
         return
+    groups: dict[str, list[Cell]] = {}
     for cell in {cell.title: cell for cell in cells}.values():
-        count = len(cell.missing())
-        if count or not cell.tasks:
-            say(f"{cell.title}: {f'{count} of {len(cell.tasks)}' if count else 'all'} tasks missing: {cell.command}")
+        groups.setdefault(cell.title.partition(": ")[0], []).append(cell)
+    for title, each in groups.items():
+        count, total = (sum(map(len, lists)) for lists in zip(*((c.missing(), c.tasks) for c in each), strict=True))
+        if count or not total:
+            say(f"{title}: {f'{count} of {total}' if count else 'all'} tasks missing: {each[0].command}")
 
 
 def show(tables: list[Table], subjects: list[Subject], form: str) -> None:

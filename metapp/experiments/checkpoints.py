@@ -5,7 +5,7 @@ from __future__ import annotations
 import shlex
 from importlib import resources
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from torch import Generator, get_num_threads
 
@@ -141,11 +141,30 @@ def shipped_path(app: str, name: str) -> Path:
     return Path(str(resources.files("metapp.checkpoints"))) / app / f"{name}.safetensors"
 
 
-def train_checkpoint(options: Options, paradigm: Paradigm, steps: int | None) -> Path:
+class Trained(NamedTuple):
+    """A checkpoint that was trained here.
+
+    Attributes:
+        path: its file; the one it replaces is kept as `<name>.previous.safetensors`.
+        prepared: what it holds.
+        seconds: processor time of training, that before it was cut off included.
+    """
+
+    path: Path
+    prepared: Prepared
+    seconds: float
+
+
+def train_checkpoint(
+    options: Options, paradigm: Paradigm, steps: int | None, general: Checkpoint | None = None
+) -> Trained:
     """Train what a paradigm needs on the training tasks and keep it for later runs on this data.
 
-    Returns:
-        The file of the checkpoint; the one it replaces is kept as `<name>.previous.safetensors`.
+    Args:
+        options: what for.
+        paradigm: whose.
+        steps: outer steps instead of the recipe's.
+        general: the one that it starts from or is tuned for, if it does; None: the one there is, else trained now.
     """
     needs = paradigm.needs(options.job)
     if not needs:
@@ -156,7 +175,7 @@ def train_checkpoint(options: Options, paradigm: Paradigm, steps: int | None) ->
     path = trained_path(options, name)
     make_folder(path.parent)
     folder = data_folder(options.app, options.data, options.quiet)
-    encoder = _encoder(options, name, steps)
+    encoder = (general or general_of(options, steps)).prepared if _needs_general(options, name) else None
     tasks = stack(options.app, read_shard(folder, "train", options.app.name, options.app.holds), options.device)
     say(f"training {name_of(options.app)} {name} on {len(tasks)} tasks of {folder.name}, every eighth for validation")
     info: dict[str, Any] = {"data": data_label(folder), "recipe": options.recipe, "seed": options.seed}
@@ -198,7 +217,7 @@ def train_checkpoint(options: Options, paradigm: Paradigm, steps: int | None) ->
     keep(prepared, path, path.with_suffix(".previous.safetensors"))
     checkpoint.remove()
     say(f"{name}: validation error {prepared.validation:.3f} at step {prepared.step}; kept as {path}")
-    return path
+    return Trained(path, prepared, checkpoint.spent)
 
 
 def _settings(
@@ -232,22 +251,28 @@ def _go_on(checkpoint: TrainingCheckpoint, training: OuterLoop | None) -> Reache
     return since
 
 
-def _encoder(options: Options, name: str, steps: int | None) -> MetaParameters | None:
-    """The General that QuickFT is tuned for or that Meta starts from, trained now if this data has none.
+def _needs_general(options: Options, name: str) -> bool:
+    recipe = options.job.recipe
+    return name == "quickft" or (name != "general" and recipe.meta_training(name).from_general)
+
+
+def has_general(options: Options) -> bool:
+    """Whether there is a General for this data.
 
     For a data set of the user's own only one trained on its training tasks will do: the shipped one may have seen its
     test tasks.
     """
-    recipe = options.job.recipe
-    if name == "general" or (name != "quickft" and not recipe.meta_training(name).from_general):
-        return None
+    if trained_path(options, "general").is_file():
+        return True
+    return not options.data and options.recipe in SHIPPED_FOR and shipped_path(options.app.name, "general").is_file()
+
+
+def general_of(options: Options, steps: int | None = None) -> Checkpoint:
+    """The General that QuickFT is tuned for or that Meta starts from, trained now if this data has none."""
     general = paradigms()["general"]
-    usable = trained_path(options, "general").is_file()
-    if not usable and not options.data and options.recipe in SHIPPED_FOR:
-        usable = shipped_path(options.app.name, "general").is_file()
-    if not usable:
+    if not has_general(options):
         say(f"no General that was trained on this data yet: training it first{f', {steps} steps' if steps else ''}.")
         train_checkpoint(options, general, steps)
     checkpoint = find_checkpoint(options, general)
     say(f"General: {checkpoint.source}")
-    return checkpoint.prepared
+    return checkpoint

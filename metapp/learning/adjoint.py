@@ -91,7 +91,7 @@ def step_pair(rule: UpdateRule, loss: Loss, order: int, compiled: bool) -> StepP
     return (_compiled_pair if compiled else _eager_pair)(rule.step, rule.sees, loss, order)
 
 
-@lru_cache(maxsize=16)  # compiling takes seconds
+@lru_cache(maxsize=32)  # compiling takes seconds
 def _compiled_pair(rule_step: Callable[..., Any], rule_sees: Callable[..., Any], loss: Loss, order: int) -> StepPair:
     eager = _eager_pair(rule_step, rule_sees, loss, order)
     return StepPair(_Compiled(eager.forward), _Compiled(eager.pullback))

@@ -6,6 +6,7 @@ The paper's three algorithms map to three names here: `learn` (alg. 1), a `Loss`
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -119,11 +120,15 @@ def _require_finite(value: Tensor, names: tuple[str, ...], step: int) -> None:
 
 def task_loss(app: App, batch: int) -> Loss:
     """The loss of an application on samples of tasks (alg. 2), [T]."""
+    return _loss_of(app, app.loss, batch)
 
+
+@functools.lru_cache(maxsize=32)  # one object for the same: compiled steps are found by it
+def _loss_of(app: App, value: Callable[[Params, Any, Params], Tensor], batch: int) -> Loss:
     def draw(tasks: Tasks, rng: Generator) -> Drawn:
         return Drawn(tasks.picked_names(), app.sample(tasks, rng, batch))
 
-    return Loss(draw, app.loss, linear=app.linear)
+    return Loss(draw, value, linear=app.linear)
 
 
 def task_outer_loss(app: App, batch: int) -> Loss:

@@ -42,6 +42,9 @@ class OuterLoop:
     augment: bool = True
 
 
+Start = Literal["random", "mean", "encoder", "untrained"]
+
+
 @dataclass(frozen=True)
 class MetaTraining(OuterLoop):
     """The same through the steps of fits: how an initialisation and a rule are learned.
@@ -63,7 +66,7 @@ class MetaTraining(OuterLoop):
     order: int = 0
     clip: float = float("inf")
     tasks_at_once: int | None = None
-    start: Literal["random", "mean", "encoder", "untrained"] = "mean"
+    start: Start = "mean"
     setup: Any = None
 
     @property

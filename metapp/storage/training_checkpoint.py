@@ -45,7 +45,12 @@ class TrainingCheckpoint:
         self.device = device
         self.seconds = _seconds()
         self.reached = Reached()
-        self.written = time.monotonic()
+        self.written, self.begin, self.before = time.monotonic(), time.process_time(), 0.0
+
+    @property
+    def spent(self) -> float:
+        """Processor seconds of this training, with those of programs that were cut off, up to their last write."""
+        return self.before + time.process_time() - self.begin
 
     def load(self) -> Reached:
         """How far an earlier training of the same settings was; nothing where there is none.
@@ -69,7 +74,7 @@ class TrainingCheckpoint:
             raise ValueError(
                 f"{self.path}: a training checkpoint of other settings ({', '.join(unlike)}), put aside as {aside.name}"
             )
-        self.reached = _reached(document, tensors, self.device)
+        self.reached, self.before = _reached(document, tensors, self.device), document.get("spent", 0.0)
         return self.reached
 
     def keep(self, reached: Reached) -> None:
@@ -83,7 +88,7 @@ class TrainingCheckpoint:
         if not self.reached.looks and self.reached.outer is None:
             return
         document, tensors = _document(self.reached)
-        text = json.dumps({"schema": SCHEMA, "settings": self.settings, **document})
+        text = json.dumps({"schema": SCHEMA, "settings": self.settings, "spent": self.spent, **document})
         metadata = {"training": text, "digest": _digest(text, tensors)}
         try:
             write_atomically(self.path, lambda partial: partial.write_bytes(save(tensors, metadata)))

@@ -1,6 +1,6 @@
 """The paper's figures, of any application: functions of a subject that draw, or return None where there is nothing.
 
-A figure is a function in a module here that FIGURES names.
+A figure is a function in a module here that FIGURES names, or STUDIES where it is of a table that trains.
 """
 
 from __future__ import annotations
@@ -23,6 +23,7 @@ FIGURES = {
     "rates": "rates.histogram",
     "strips": "strips.strips",
 }
+STUDIES = {"rules": "rules.forest"}  # of the tables of the same names
 
 
 class Drawn(NamedTuple):
@@ -33,12 +34,12 @@ class Drawn(NamedTuple):
 
 
 def draw(name: str, subject: Subject) -> Drawn | None:
-    """The figure of that name, one of FIGURES; None where nothing was measured yet that it could show."""
+    """The figure of that name, one of FIGURES or STUDIES; None where nothing was measured yet that it could show."""
     from matplotlib import rc_context
 
     from metapp.experiments.figures.style import STYLE
 
-    module, function = FIGURES[name].split(".")
+    module, function = (FIGURES | STUDIES)[name].split(".")
     with rc_context(STYLE):
         result: Drawn | None = getattr(importlib.import_module(f"metapp.experiments.figures.{module}"), function)(
             subject
@@ -46,8 +47,8 @@ def draw(name: str, subject: Subject) -> Drawn | None:
         return result
 
 
-def write_figures(subjects: Sequence[Subject], folder: Path) -> list[Path]:
-    """Write all figures as <app>-<name>.png and .pdf.
+def write_figures(subjects: Sequence[Subject], folder: Path, names: Sequence[str] = tuple(FIGURES)) -> list[Path]:
+    """Write figures as <app>-<name>.png and .pdf.
 
     Returns:
         The PNG files.
@@ -56,7 +57,7 @@ def write_figures(subjects: Sequence[Subject], folder: Path) -> list[Path]:
 
     files = []
     for subject in subjects:
-        for name in FIGURES:
+        for name in names:
             drawn = draw(name, subject)
             if drawn:
                 stem = "-".join(filter(None, (*subject.key, name)))

@@ -1,4 +1,7 @@
-"""The tables of `metapp evaluate`; one is a module here that defines TABLE, a further one needs its name in NAMES."""
+"""The tables of `metapp evaluate`; one is a module here that defines TABLE, a further one needs its name here.
+
+NAMES are those of records of fits by checkpoints that are there, STUDIES those that train for themselves.
+"""
 
 from __future__ import annotations
 
@@ -9,9 +12,10 @@ if TYPE_CHECKING:
     from metapp.experiments.tables.table import Table
 
 NAMES = ("results", "quickft", "image", "ablation", "storage", "samples", "convergence")
+STUDIES = ("rules",)  # hours: no part of "all", nor of the report
 
 
 def load_table(name: str) -> Table:
-    """The table of that name, one of NAMES."""
+    """The table of that name, one of NAMES or STUDIES."""
     result: Table = importlib.import_module(f"metapp.experiments.tables.{name}").TABLE
     return result

@@ -25,6 +25,7 @@ from metapp.experiments.session import (
     threads_of,
     title_of,
 )
+from metapp.experiments.study import Budget, Study
 from metapp.experiments.tables.rows import Row, blank
 from metapp.experiments.tables.statistics import Paired, paired, statistics_of
 from metapp.learning.app import App
@@ -94,13 +95,32 @@ class Subject:
         run: whether cells without records will be run; else they stay empty.
         strict: whether a checkpoint that is missing is an error; else it is said, and its cells stay empty.
         share: of the recipe's steps that Overfit takes here.
-        fits: how each row of the results is fitted, by name.
+        budget: how much the table of rules trains.
     """
 
-    def __init__(self, options: Options, *, run: bool, strict: bool, share: float = 1.0) -> None:
-        self.options, self.run, self.share = options, run, share
-        self.fits = {fit.name: fit for fit in _find_fits(options, strict, share)}
+    def __init__(
+        self, options: Options, *, run: bool, strict: bool, share: float = 1.0, budget: Budget | None = None
+    ) -> None:
+        self.options, self.run, self.strict, self.share, self.budget = options, run, strict, share, budget or Budget()
         self._cells: dict[str, Cell] = {}
+
+    @functools.cached_property
+    def fits(self) -> dict[str, Fit]:
+        """How each row of the results is fitted, by name.
+
+        Raises:
+            ValueError: a checkpoint is missing, and that is an error.
+        """
+        return {fit.name: fit for fit in _find_fits(self.options, self.strict, self.share)}
+
+    def find_checkpoints(self) -> None:
+        """Find all checkpoints now, not at the first row that needs one."""
+        assert self.fits
+
+    @functools.cached_property
+    def study(self) -> Study:
+        """What the table of rules is about."""
+        return Study(self.options, self.budget)
 
     @property
     def app(self) -> App:
@@ -203,7 +223,7 @@ class Subject:
         if not self.is_papers or name.startswith("meta:"):  # the paper's fits see what those of the first protocol see
             row |= {"paper_error": None, "paper_seconds": None}
         return (
-            row | said | {"seconds": seconds, "tasks": len(records), **_remarks(records)} | more | self.app.conditions()
+            row | said | {"seconds": seconds, "tasks": len(records), **remarks(records)} | more | self.app.conditions()
         )
 
     def groups(self, cell: Cell) -> dict[str, str]:
@@ -224,7 +244,7 @@ class Subject:
         return self.app.protocol in ("", *self.app.protocols[:1])
 
 
-def _remarks(records: Sequence[Record]) -> Row:
+def remarks(records: Sequence[Record]) -> Row:
     """How many fits carry a warning, and the threads that they ran on, where records say so."""
     threads = sorted({record["threads"] for record in records if record.get("threads")})
     return {
