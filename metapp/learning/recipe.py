@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -15,6 +16,24 @@ class Adam:
     beta2: float = 0.999
     eps: float = 1e-8
     final: float = 1.0
+
+
+@dataclass(frozen=True)
+class Guard:
+    """Which fits by a learned rule are doubtful, and what they go on by (`guard.learn_guarded`).
+
+    Attributes:
+        adam: what a doubtful fit goes on by from its best iterate, for as many steps again.
+        fall: a fit is doubtful whose visible loss ends above this share of its initialisation's; 1 or less, and 1 where
+            losses may be negative.
+        rise: and one whose loss rises in the second half of the steps above so many times its lowest so far, or in the
+            last step at all; infinite where the losses of different steps do not compare, as other samples or learned
+            loss parameters change them.
+    """
+
+    adam: Adam
+    fall: float = 1.0
+    rise: float = math.inf
 
 
 @dataclass(frozen=True)
@@ -54,6 +73,8 @@ class MetaTraining(OuterLoop):
         tasks_at_once: tasks that are backpropagated together, where memory is short; None for all.
         start: the first initialisation: "random"; "mean" of General's predictions; "encoder", General's own, which
             starts each task at its prediction and which outer steps, if any, train through the inner ones.
+        guard: which fits by the rule are doubtful, by what validation tasks show; None: those that end above their
+            initialisation.
     """
 
     first: Adam = Adam(5e-3, beta2=0.99)
@@ -62,6 +83,7 @@ class MetaTraining(OuterLoop):
     clip: float = float("inf")
     tasks_at_once: int | None = None
     start: Literal["random", "mean", "encoder"] = "mean"
+    guard: Guard | None = None
 
 
 # Fischer & Ritschel 2022, supplement: first-order MAML with Meta-SGD from a random initialisation, meta-batch 5
@@ -101,3 +123,11 @@ class Recipe:
     def meta_training(self, rule: str) -> MetaTraining:
         """How a rule's start is trained: as the recipe says, else as that of its default rule."""
         return self.meta[rule if rule in self.meta else self.rule]
+
+    def guard_of(self, rule: str, steps: int) -> Guard:
+        """Which fits by a rule are doubtful: as the recipe says for its own number of steps.
+
+        Of other rules, and after other steps, those that end above their initialisation, which go on by QuickFT's Adam.
+        """
+        guard = self.meta[rule].guard if rule in self.meta and steps == self.steps else None
+        return guard or Guard(self.quickft)
