@@ -151,10 +151,14 @@ def table_of(app: App, paradigm: str, records: list[dict[str, Any]]) -> Any:
     from rich.text import Text
 
     from metapp.experiments.session import caption_of, title_of
-    from metapp.storage.records import summary
+    from metapp.experiments.tables.statistics import warned
+    from metapp.storage.records import guarded, summary
 
     factor = f" x{app.scale:g}" if app.scale != 1 else ""
-    table = Table(title=f"{title_of(app)}: {paradigm}", show_footer=True, caption=caption_of(app))
+    remarks = warned([{"paradigm": paradigm, "tasks": len(records), "guarded": guarded(records)}])
+    table = Table(
+        title=f"{title_of(app)}: {paradigm}", show_footer=True, caption="\n".join([caption_of(app), *remarks])
+    )
     total = summary(records)
     table.add_column("task", "mean error, median time")
     table.add_column(f"error{factor}", number(total["error"], ".3f"), justify="right")

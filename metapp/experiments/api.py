@@ -32,6 +32,7 @@ class Fit:
         errors: all measures, by name.
         seconds: of inference.
         warning: what is doubtful about the fit; "" for nothing.
+        guarded: whether the guard acted, as the learned rule failed.
     """
 
     def __init__(self, app: App, task: Task, record: dict[str, Any], parameters: Params) -> None:
@@ -39,7 +40,8 @@ class Fit:
         self.error: float | None = record["error"]
         self.seconds: float = record["seconds"]
         self.warning: str = record.get("warning", "")
-        told = ("name", "seconds", "threads", "warning")
+        self.guarded: bool = record.get("guarded", False)
+        told = ("name", "seconds", "threads", "warning", "guarded")
         self.errors = {key: value for key, value in record.items() if key not in told and value is not None}
 
     @property

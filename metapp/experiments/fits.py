@@ -14,6 +14,7 @@ from torch import Generator
 from metapp.experiments.reporter import say
 from metapp.experiments.session import Checkpoint, Options
 from metapp.learning.app import stack
+from metapp.learning.guard import Guarded
 from metapp.learning.task import Params, Task, Tasks
 from metapp.paradigms import Job, Paradigm
 
@@ -31,14 +32,14 @@ def fit_tasks(
     """
     app, job, device = options.app, options.job, options.device
 
-    def fit_one(task: Any, steps: int | None) -> tuple[Params, float, Any]:
+    def fit_one(task: Any, steps: int | None) -> tuple[Guarded, float, Any]:
         rng = rng_of(options, task)
         _synchronise(device)
         begin = time.perf_counter()
         stacked = stack(app, [task], device)
-        theta = paradigm.fit(job if steps is None else job._replace(steps=steps), checkpoint.prepared, stacked, rng)
+        found = paradigm.fitted(job if steps is None else job._replace(steps=steps), checkpoint.prepared, stacked, rng)
         _synchronise(device)
-        return theta, time.perf_counter() - begin, stacked
+        return found, time.perf_counter() - begin, stacked
 
     for task in tasks if app.protocols else ():
         app.prepare(task)  # that one does not hold what a fit may see should not be found after an hour
@@ -46,7 +47,7 @@ def fit_tasks(
         fit_one(task, min(paradigm.count(job), 3))  # warm: first calls load kernels
     threads = torch.get_num_threads()
     for task in tasks:
-        theta, seconds, stacked = fit_one(task, None)
+        (theta, acted), seconds, stacked = fit_one(task, None)
         errors = {key: float(value[0]) for key, value in app.errors(theta, stacked).items()}
         errors |= {key: app.scale * value for key, value in errors.items() if key == "error"}
         finite = all(bool(torch.isfinite(value).all()) for value in theta.values())
@@ -58,6 +59,7 @@ def fit_tasks(
         # sums depend on the number of threads, in their last digits: the record says it, but its key does not, since
         # that is no reason to fit anew
         record = {"name": task.name, "error": None, **errors, "seconds": seconds, "threads": threads}
+        record |= {"guarded": bool(acted[0])} if paradigm.guard(job) else {}
         record |= warning_of(paradigm, job, checkpoint, stacked, theta, rng_of(options, task))
         yield record, {key: value[0] for key, value in theta.items()}
 

@@ -24,7 +24,7 @@ from metapp.experiments.session import (
 )
 from metapp.learning.task import Task
 from metapp.paradigms import Paradigm, paradigms
-from metapp.storage.records import FIT, RunFolder, summary
+from metapp.storage.records import FIT, RunFolder, guarded, summary
 
 
 class Run(NamedTuple):
@@ -61,6 +61,7 @@ class Run(NamedTuple):
             "data": self.label,
             **app.conditions(),
             **summary(self.records),
+            "guarded": guarded(self.records),
             "tasks": [{key: record[key] for key in ("name", "error", "seconds")} for record in self.records],
             "out": str(self.folder.path),
         }

@@ -211,7 +211,7 @@ def versions() -> dict[str, str]:
 def settings_of(options: Options, paradigm: Paradigm, checkpoint: Checkpoint, label: str) -> dict[str, Any]:
     """Everything that a run's figures depend on: what its records carry, and their key."""
     recipe = options.job.recipe
-    adam = paradigm.adam(options.job, checkpoint.prepared)
+    adam, guard = paradigm.adam(options.job, checkpoint.prepared), paradigm.guard(options.job)
     return {
         "app": options.app.name,
         **observe_of(options.app),
@@ -220,6 +220,7 @@ def settings_of(options: Options, paradigm: Paradigm, checkpoint: Checkpoint, la
         "steps": paradigm.count(options.job),
         "batch": recipe.batch,
         "adam": adam and asdict(adam),
+        **({"guard": asdict(guard)} if guard else {}),
         "start": checkpoint.digest,
         "data": label,
         "recipe": options.recipe,

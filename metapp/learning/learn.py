@@ -80,7 +80,8 @@ def learn(
         steps: number of steps.
         rng: source of all random draws.
         watch: called as watch(step, params, loss of each task) before each step's update.
-        check_every: steps between two checks that the loss is finite.
+        check_every: steps between two checks that the loss is finite; the first and the last are checked, too. 0: the
+            first alone.
         compiled: compile the step with torch.compile (worth it from some thousand steps on).
         since: where an earlier descent was cut off, to go on from; `rng` must be in its state of then.
         keep: called with where the descent is, before anything is drawn for the next step.
@@ -99,7 +100,7 @@ def learn(
             keep(Progress(i, theta, state))
         drawn = loss.draw(data, rng)
         moved, state, value, _ = step(at_step(rule.alpha, i), theta, state, drawn.batch)
-        if i % check_every == 0 or i == steps - 1:
+        if i == 0 or (check_every and (i % check_every == 0 or i == steps - 1)):
             _require_finite(value, drawn.names, i)
         if watch is not None:
             watch(i, theta, value)

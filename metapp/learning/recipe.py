@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
@@ -15,6 +16,24 @@ class Adam:
     beta2: float = 0.999
     eps: float = 1e-8
     final: float = 1.0
+
+
+@dataclass(frozen=True)
+class Guard:
+    """Which fits by a learned rule are doubtful, and what they go on by (`guard.learn_guarded`).
+
+    Attributes:
+        adam: what a doubtful fit goes on by from its best iterate, for as many steps again.
+        fall: a fit is doubtful whose visible loss ends above this share of its initialisation's; 1 or less, and 1 where
+            losses may be negative.
+        rise: and one whose loss rises in the second half of the steps above so many times its lowest so far, or in the
+            last step at all; infinite where the losses of different steps do not compare, as other samples or learned
+            loss parameters change them.
+    """
+
+    adam: Adam
+    fall: float = 1.0
+    rise: float = math.inf
 
 
 @dataclass(frozen=True)
@@ -59,6 +78,8 @@ class MetaTraining(OuterLoop):
             starts each task at its prediction and which outer steps, if any, train through the inner ones; "untrained",
             the same for an encoder that nothing has trained before.
         setup: the application's settings for this rule, such as another network; None for the recipe's.
+        guard: which fits by the rule are doubtful, by what validation tasks show; None: those that end above their
+            initialisation.
     """
 
     first: Adam = Adam(5e-3, beta2=0.99)
@@ -68,6 +89,7 @@ class MetaTraining(OuterLoop):
     tasks_at_once: int | None = None
     start: Start = "mean"
     setup: Any = None
+    guard: Guard | None = None
 
     @property
     def from_general(self) -> bool:
@@ -117,3 +139,11 @@ class Recipe:
         """The recipe with the settings that a rule has of its own, if any."""
         setup = self.meta_training(rule).setup
         return self if setup is None else replace(self, setup=setup)
+
+    def guard_of(self, rule: str, steps: int) -> Guard:
+        """Which fits by a rule are doubtful: as the recipe says for its own number of steps.
+
+        Of other rules, and after other steps, those that end above their initialisation, which go on by QuickFT's Adam.
+        """
+        guard = self.meta[rule].guard if rule in self.meta and steps == self.steps else None
+        return guard or Guard(self.quickft)

@@ -10,7 +10,7 @@ from torch import Generator
 
 from metapp.learning.adjoint import Loss, UpdateRule
 from metapp.learning.learn import MetaParameters, after_learning, learn, over_tasks, spread, task_loss, task_outer_loss
-from metapp.learning.recipe import Adam, MetaTraining
+from metapp.learning.recipe import Adam, Guard, MetaTraining
 from metapp.learning.rules import rule_of
 from metapp.learning.task import Params, Tasks
 from metapp.paradigms.general import start as general_start
@@ -97,6 +97,11 @@ def rule(job: Job, prepared: MetaParameters, theta: Params, steps: int) -> Updat
     return learned.rule(spread(alpha, next(iter(theta.values())).shape[0], 1))
 
 
+def guard(job: Job) -> Guard:
+    """Which fits by the job's rule are doubtful, after so many steps."""
+    return job.recipe.guard_of(job.rule, META.count(job))
+
+
 def prepare(job: Job, given: Given) -> Prepared:
     """Learn the initialisation and the rule, after a search of the Adam that it begins as, if the recipe has one."""
     training = job.recipe.meta_training(job.rule)
@@ -146,4 +151,5 @@ META = Paradigm(
     rule=rule,
     steps=lambda recipe: recipe.steps,
     prepare=prepare,
+    guard=guard,
 )

@@ -9,8 +9,9 @@ from torch import Generator
 
 from metapp.learning.adjoint import UpdateRule
 from metapp.learning.app import App
-from metapp.learning.learn import MetaParameters, learn, task_loss
-from metapp.learning.recipe import Adam, Recipe
+from metapp.learning.guard import Guarded, learn_guarded, unguarded
+from metapp.learning.learn import MetaParameters, Watch, learn, task_loss
+from metapp.learning.recipe import Adam, Guard, Recipe
 from metapp.learning.rules import fixed_adam
 from metapp.learning.task import Params, Tasks
 from metapp.paradigms.resuming import Keep, Prepared, Reached, forget
@@ -83,6 +84,7 @@ class Paradigm(NamedTuple):
         steps: recipe -> number of gradient steps.
         prepare: (job, given) -> the last of what it needs; the others are given.
         adam: (job, prepared) -> the plain Adam that it fits by; None where the rule is a learned one, or there is none.
+        guard: job -> what guards its fits; None where the rule is none that was learned.
     """
 
     name: str
@@ -92,19 +94,34 @@ class Paradigm(NamedTuple):
     steps: Callable[[Recipe], int]
     prepare: Callable[[Job, Given], Prepared] = nothing
     adam: Callable[[Job, MetaParameters], Adam | None] = lambda job, prepared: None
+    guard: Callable[[Job], Guard | None] = lambda job: None
 
     def fit(self, job: Job, prepared: MetaParameters, tasks: Tasks, rng: Generator) -> Params:
-        """Fit tasks, one or many at once: learn(start(task), rule, task, loss, steps).
+        """Fit tasks, one or many at once.
 
         Returns:
             The network's parameters for each task, [T, ...].
         """
-        theta = self.start(job, prepared, tasks, rng)
-        steps = self.count(job)
+        return self.fitted(job, prepared, tasks, rng).theta
+
+    def fitted(
+        self, job: Job, prepared: MetaParameters, tasks: Tasks, rng: Generator, watch: Watch | None = None
+    ) -> Guarded:
+        """Fit tasks: learn(start(task), rule, task, loss, steps); and say where the guard of a learned rule acted.
+
+        Args:
+            job, prepared: what fits.
+            tasks: one or many.
+            rng: of all random draws.
+            watch: as of `learn`.
+        """
+        theta, steps, guard = self.start(job, prepared, tasks, rng), self.count(job), self.guard(job)
         if steps == 0:
-            return theta
-        loss = task_loss(job.app, job.recipe.batch)
-        return learn(theta, self.rule(job, prepared, theta, steps), tasks, loss, steps=steps, rng=rng)
+            return unguarded(theta)
+        loss, rule = task_loss(job.app, job.recipe.batch), self.rule(job, prepared, theta, steps)
+        if guard is None:
+            return unguarded(learn(theta, rule, tasks, loss, steps=steps, rng=rng, watch=watch))
+        return learn_guarded(theta, rule, tasks, loss, steps=steps, rng=rng, guard=guard, watch=watch)
 
     def count(self, job: Job) -> int:
         """Return the number of gradient steps of this job: 0 for General, whatever was asked for."""

@@ -279,3 +279,9 @@ def summary(records: Sequence[dict[str, Any]]) -> dict[str, float | None]:
         "error": statistics.fmean(errors) if errors else None,
         "seconds": statistics.median(record["seconds"] for record in records),
     }
+
+
+def guarded(records: Sequence[dict[str, Any]]) -> int | None:
+    """On how many tasks the guard of a learned rule acted; None where fits have none."""
+    found = [record["guarded"] for record in records if "guarded" in record]
+    return sum(map(bool, found)) if found else None

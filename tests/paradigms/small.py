@@ -142,7 +142,8 @@ def small_recipe(app: App) -> Recipe:
 
     def short(training: MetaTraining) -> MetaTraining:
         rates = training.rates if training.steps else {"": 1e-4, "alpha.out.": 0.0, "alpha.in.": 0.0}
-        return replace(training, **few, rates=rates, tuned=False, setup=None)
+        # a guard's shares are of trained rules
+        return replace(training, **few, rates=rates, tuned=False, setup=None, guard=None)
 
     return replace(
         recipe,

@@ -10,8 +10,8 @@ import torch
 from metapp.apps import load_app
 from metapp.learning.app import App
 from metapp.learning.learn import MetaParameters, learn, task_loss
-from metapp.learning.recipe import Adam
-from metapp.learning.rules import RULES, fixed_adam
+from metapp.learning.recipe import Adam, Guard
+from metapp.learning.rules import RULES, fixed_adam, rule_of
 from metapp.learning.task import Batch, Tasks
 from metapp.paradigms import Job, paradigms
 from metapp.paradigms.quickft import to_alpha
@@ -113,6 +113,36 @@ def test_a_fit_is_learn_and_nothing_else(name: str, job: Job, tasks: Tasks) -> N
     expected = learn(theta, rule, tasks, task_loss(job.app, job.recipe.batch), steps=steps, rng=generator)
     for key, value in paradigm.fit(job, prepared, tasks, rng()).items():
         assert torch.equal(value, expected[key])
+
+
+def test_a_rule_that_fails_is_guarded(job: Job, tasks: Tasks) -> None:
+    """With absurd rates no task ends above its initialisation on what it sees, in any application."""
+    app, meta, few = job.app, paradigms()["meta"], tasks.select([0, 1, 2])
+    prepared = start_for(meta, job)
+    alpha = rule_of(job.rule).alpha(app, prepared.theta, job.recipe.steps, Adam(1e4))
+    found = meta.fitted(job, prepared._replace(alpha=alpha), few, rng())
+    assert found.acted.tolist() == [True] * 3
+    first, batch = meta.start(job, prepared, few, rng()), app.sample(few, rng(), job.recipe.batch)
+    assert (app.loss(found.theta, batch, {}) <= app.loss(first, batch, {})).all()
+    assert all(value.isfinite().all() for value in found.theta.values())
+
+
+def test_only_learned_rules_are_guarded(job: Job, tasks: Tasks) -> None:
+    for name, paradigm in paradigms().items():
+        assert (paradigm.guard(job) is not None) == (name == "meta")
+        found = paradigm.fitted(job._replace(steps=2), start_for(paradigm, job), tasks.select([0, 1]), rng())
+        assert found.acted.shape == (2,)
+        assert name == "meta" or not found.acted.any()
+
+
+def test_what_is_doubtful_is_known_of_named_rules_after_their_own_steps(app: App) -> None:
+    recipe = app.recipes["quick"]
+    for rule, training in recipe.meta.items():
+        plain = Guard(recipe.quickft)
+        assert recipe.guard_of(rule, recipe.steps) == (training.guard or plain)
+        assert recipe.guard_of(rule, recipe.steps + 1) == plain
+        assert 0 < recipe.guard_of(rule, recipe.steps).fall <= 1
+    assert recipe.guard_of("sgd+loss", recipe.steps) == Guard(recipe.quickft)
 
 
 def test_quickft_takes_the_tuned_adam(job: Job, tasks: Tasks) -> None:

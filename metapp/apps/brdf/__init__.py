@@ -12,7 +12,7 @@ from metapp.appearance.geometry import half_difference
 from metapp.apps.brdf import nbrdf
 from metapp.apps.brdf.featured import OWN, Featured, features_of, reflectance_of
 from metapp.learning.app import App
-from metapp.learning.recipe import Adam, MetaTraining, OuterLoop, Recipe
+from metapp.learning.recipe import Adam, Guard, MetaTraining, OuterLoop, Recipe
 from metapp.learning.task import Batch, Held, Linear, Params, Task, Tasks
 
 CONDITION = 1024  # samples that General's encoder reads
@@ -42,6 +42,8 @@ RIDGE = MetaTraining(
     start="untrained",
     setup=Featured(),
 )
+# doubtful: what ends at twice the share of its initialisation's loss that any validation material does
+GUARD = Guard(Adam(1e-2, beta1=0.5, beta2=0.9, final=0.1), fall=0.13)
 
 QUICK = Recipe(
     steps=10,
@@ -53,9 +55,9 @@ QUICK = Recipe(
     quickft=Adam(5e-3, final=0.1),
     general=OuterLoop(steps=12_000, tasks=8, rates={"": 1e-3}, warmup=200, final=0.0, validate_every=500),
     meta={
-        "meta-sgd": replace(LEARNED, first=Adam(0.1), rates={"": 3e-3}),
-        "meta-adam": LEARNED,
-        "meta-curvature": LEARNED,
+        "meta-sgd": replace(LEARNED, first=Adam(0.1), rates={"": 3e-3}, guard=replace(GUARD, fall=0.8)),
+        "meta-adam": replace(LEARNED, guard=replace(GUARD, fall=0.25)),
+        "meta-curvature": replace(LEARNED, guard=GUARD),
         "ridge": RIDGE,
     },
     rule="meta-curvature",

@@ -17,7 +17,7 @@ from metapp.appearance.photograph import Camera, Material, develop, photograph, 
 from metapp.apps.illumination.encoder import Encoder
 from metapp.apps.illumination.surfaces import FACED, MIRRORED, relight, surfaces
 from metapp.apps.illumination.variants import of_mean_1, varied
-from metapp.learning.recipe import AS_PUBLISHED, Adam, MetaTraining, OuterLoop, Recipe
+from metapp.learning.recipe import AS_PUBLISHED, Adam, Guard, MetaTraining, OuterLoop, Recipe
 from metapp.learning.task import Batch, Held, Params, Task, Tasks
 from metapp.networks.coded import CodedApp, norm
 from metapp.networks.layers import LocalField
@@ -62,6 +62,9 @@ LEARNED = MetaTraining(
     clip=1.0,
     validate_every=100,
     start="encoder",
+    # doubtful: what ends at twice the share of its initialisation's loss that any validation map does, or overshoots
+    # a sun, whose radiance the late steps are too long for
+    guard=Guard(Adam(2e-3, beta1=0.5, beta2=0.9, eps=1e-6, final=0.1), fall=0.5, rise=2.0),
 )
 QUICK = Recipe(
     steps=15,
@@ -83,6 +86,7 @@ FROM_PHOTOS = replace(
     rates={"": 1e-4, "alpha.": 1e-2},
     first=Adam(1e-3, beta1=0.7, beta2=0.99, eps=1e-3, final=0.1),
     warmup=20,
+    guard=None,  # a lower loss of a photograph need not be a better map
 )
 QUICK_PHOTO = replace(
     QUICK,

@@ -21,7 +21,7 @@ from metapp.apps.svbrdf_nonstationary.maps import (
 )
 from metapp.apps.svbrdf_nonstationary.variants import varied
 from metapp.apps.svbrdf_nonstationary.views import FLASH, flash_of, mirroring_pairs, oblique_pairs, photographed, seen
-from metapp.learning.recipe import AS_PUBLISHED, Adam, MetaTraining, OuterLoop, Recipe
+from metapp.learning.recipe import AS_PUBLISHED, Adam, Guard, MetaTraining, OuterLoop, Recipe
 from metapp.learning.task import Batch, Held, Params, Task, Tasks
 from metapp.networks.coded import CodedApp, norm
 from metapp.networks.layers import LocalField
@@ -85,6 +85,7 @@ LEARNED = MetaTraining(
     clip=1.0,
     validate_every=50,
     start="encoder",
+    guard=Guard(Adam(6e-4, beta1=0.5, beta2=0.9, eps=1e-6, final=0.1), fall=0.4, rise=2.0),
 )
 QUICK = Recipe(
     steps=15,
@@ -100,7 +101,9 @@ QUICK = Recipe(
     setup=Setup(field_of(64, 32)),
 )
 # a photograph says little that General has not read from it: small steps, and hardly any training through them
-GENTLE = replace(LEARNED, steps=50, tasks=8, first=Adam(3e-4, beta1=0.8, beta2=0.8, eps=1e-3), validate_every=25)
+GENTLE = replace(
+    LEARNED, steps=50, tasks=8, first=Adam(3e-4, beta1=0.8, beta2=0.8, eps=1e-3), validate_every=25, guard=None
+)
 QUICK_PHOTO = replace(
     QUICK,
     finetune=Adam(1e-4, final=0.0),

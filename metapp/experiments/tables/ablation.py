@@ -14,13 +14,15 @@ from metapp.experiments.tables.statistics import apart, paired_columns, paired_e
 from metapp.experiments.tables.subject import Cell, Fit, Subject
 from metapp.experiments.tables.table import Table
 from metapp.learning.learn import MetaParameters
+from metapp.learning.recipe import Guard
 from metapp.paradigms import Paradigm
 from metapp.paradigms.meta import META
 from metapp.paradigms.meta import start as meta_start
 from metapp.paradigms.quickft import QUICKFT, adam_of
 from metapp.storage.records import tensor_digest
 
-RULE_ALONE = META._replace(name="ablation-rule")
+# what is doubtful of a rule's fits is known of its own start
+RULE_ALONE = META._replace(name="ablation-rule", guard=lambda job: Guard(job.recipe.quickft))
 START_ALONE = Paradigm("ablation-start", META.needs, meta_start, QUICKFT.rule, QUICKFT.steps)
 
 

@@ -59,6 +59,7 @@ def blank(app: str, paradigm: str, **more: Any) -> Row:
         "seconds": None,
         "tasks": 0,
         "warnings": 0,
+        "guarded": None,
         "threads": None,
         "low": None,
         "high": None,

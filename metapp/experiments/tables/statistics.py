@@ -195,11 +195,16 @@ def verdict(row: Row, other: str = "quickft") -> str:
 
 
 def warned(rows: Sequence[Row]) -> list[str]:
-    """Fits that are no better than where they began."""
+    """Fits that are no better than where they began, and how many the guard of a learned rule kept from that."""
+    remarks = (
+        ("warnings", "{} of {} fits ended above their initialisation's loss"),
+        ("guarded", "the guard acted on {} of {} tasks, which took twice the steps"),
+    )
     return [
-        f"{row['paradigm']}: {row['warnings']} of {row['tasks']} fits ended above their initialisation's loss"
+        f"{row['paradigm']}: {remark.format(row[key], row['tasks'])}"
+        for key, remark in remarks
         for row in rows
-        if row.get("warnings")
+        if row.get(key)
     ]
 
 

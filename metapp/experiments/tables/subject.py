@@ -31,7 +31,7 @@ from metapp.experiments.tables.statistics import Paired, paired, statistics_of
 from metapp.learning.app import App
 from metapp.learning.task import Task
 from metapp.paradigms import Paradigm, paradigms
-from metapp.storage.records import FIT, RunFolder, summary
+from metapp.storage.records import FIT, RunFolder, guarded, summary
 
 Record = dict[str, Any]
 
@@ -245,10 +245,11 @@ class Subject:
 
 
 def remarks(records: Sequence[Record]) -> Row:
-    """How many fits carry a warning, and the threads that they ran on, where records say so."""
+    """How many fits carry a warning, on how many the guard acted, and the threads, where records say so."""
     threads = sorted({record["threads"] for record in records if record.get("threads")})
     return {
         "warnings": sum(bool(record.get("warning")) for record in records),
+        "guarded": guarded(records),
         "threads": ", ".join(map(str, threads)) or None,
     }
 

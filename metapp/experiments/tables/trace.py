@@ -124,19 +124,15 @@ def places(steps: int) -> set[int]:
 def descend(fit: Fit, task: Task, stacked: Tasks, wanted: Collection[int]) -> dict[int, Params]:
     """The same fit as the row's, with its parameters [1, ...] after the wanted numbers of steps."""
     assert fit.checkpoint is not None
-    job, paradigm = fit.options.job, fit.paradigm
-    rng, steps = rng_of(fit.options, task), paradigm.count(job)
-    theta = paradigm.start(job, fit.checkpoint.prepared, stacked, rng)
     kept: dict[int, Params] = {}
 
     def watch(step: int, params: Params, value: Tensor) -> None:
         if step in wanted:
             kept[step] = params
 
-    rule = paradigm.rule(job, fit.checkpoint.prepared, theta, steps)
-    loss = task_loss(job.app, job.recipe.batch)
-    final = learn(theta, rule, stacked, loss, steps=steps, rng=rng, watch=watch) if steps else theta
-    return kept | {steps: final}
+    job, rng = fit.options.job, rng_of(fit.options, task)
+    final = fit.paradigm.fitted(job, fit.checkpoint.prepared, stacked, rng, watch).theta
+    return kept | {fit.paradigm.count(job): final}
 
 
 def error_of(subject: Subject, theta: Params, stacked: Tasks) -> float | None:

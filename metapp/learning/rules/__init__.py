@@ -5,7 +5,7 @@ A `Part` (`part`) says what hyperparameters it learns and what it does at each p
 """
 
 from metapp.learning.rules.betas import META_EPS
-from metapp.learning.rules.descent import fixed_adam, half_cosine, outer_adam, sgd
+from metapp.learning.rules.descent import fixed_adam, half_cosine, like, outer_adam, sgd
 from metapp.learning.rules.part import Part
 from metapp.learning.rules.rule import LearnedRule
 from metapp.learning.rules.table import PARTS, RULES, rule_of
@@ -18,6 +18,7 @@ __all__ = [
     "Part",
     "fixed_adam",
     "half_cosine",
+    "like",
     "outer_adam",
     "rule_of",
     "sgd",

@@ -1,0 +1,234 @@
+"""The guard of learned rules: on parabolas, whose descent is known, and on materials."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import pytest
+import torch
+from torch import Generator, Tensor
+
+from metapp.apps.brdf import APP
+from metapp.learning.adjoint import Drawn, Loss, UpdateRule
+from metapp.learning.guard import Guarded, learn_guarded, unguarded
+from metapp.learning.learn import learn, spread, task_loss
+from metapp.learning.recipe import Adam, Guard
+from metapp.learning.rules import fixed_adam, rule_of, sgd
+from metapp.learning.task import Batch, Params, Tasks
+
+NAMES = ("brass", "chalk", "felt", "glass", "paper")
+ADAM = Adam(0.1, beta1=0.5, beta2=0.9)
+GUARD = Guard(ADAM)
+STEPS = 12
+SLOW, FAST = 0.01, 0.5  # rates of a descent on parabolas of curvature 1
+DIVERGING = 2.5  # each step makes the error 1.5 times as large
+
+
+def parabola(params: Params, batch: Batch, learned: Params) -> Tensor:
+    scale = learned["scale"] if learned else 1.0
+    return scale * 0.5 * ((params["x"] - batch["c"]) ** 2).sum(-1)
+
+
+def draw_exact(tasks: Tasks, rng: Generator) -> Drawn:
+    return Drawn(tasks.picked_names(), {"c": tasks.data["c"][tasks.rows]})
+
+
+def draw_noisy(tasks: Tasks, rng: Generator) -> Drawn:
+    centre = tasks.data["c"][tasks.rows]
+    return Drawn(tasks.picked_names(), {"c": centre + torch.randn(centre.shape, generator=rng, dtype=centre.dtype)})
+
+
+EXACT, NOISY = Loss(draw_exact, parabola), Loss(draw_noisy, parabola)
+
+
+@pytest.fixture
+def tasks(rng: Generator) -> Tasks:
+    centres = torch.randn(len(NAMES), 3, generator=rng, dtype=torch.float64)
+    return Tasks(NAMES, {"c": centres}, torch.arange(len(NAMES)))
+
+
+@pytest.fixture
+def start(rng: Generator) -> Params:
+    return {"x": torch.randn(len(NAMES), 3, generator=rng, dtype=torch.float64)}
+
+
+def rates(*each: float) -> UpdateRule:
+    """A descent of a rate of its own for each task."""
+    return sgd({"rate": torch.tensor([each], dtype=torch.float64)})
+
+
+def at_steps(*each: float) -> UpdateRule:
+    """A descent of a rate of its own for each step, the same for all tasks."""
+    return sgd({"rate": torch.tensor(each, dtype=torch.float64)[:, None].expand(-1, len(NAMES))})
+
+
+def loss_of(theta: Params, tasks: Tasks) -> Tensor:
+    return parabola(theta, {"c": tasks.data["c"][tasks.rows]}, {})
+
+
+def fit(
+    rule: UpdateRule, start: Params, tasks: Tasks, *, loss: Loss = EXACT, guard: Guard = GUARD, **more: Any
+) -> tuple[Guarded, Params]:
+    """A guarded fit, and the rule's own."""
+    rng = Generator().manual_seed(1)
+    found = learn_guarded(start, rule, tasks, loss, steps=STEPS, rng=rng, guard=guard, **more)
+    alone = learn(start, rule, tasks, loss, steps=STEPS, rng=Generator().manual_seed(1), check_every=0)
+    return found, alone
+
+
+def test_no_task_ends_above_its_initialisation(start: Params, tasks: Tasks) -> None:
+    rule = rates(FAST, DIVERGING, FAST, DIVERGING, FAST)
+    found, alone = fit(rule, start, tasks)
+    assert (loss_of(alone, tasks) > loss_of(start, tasks)).tolist() == [False, True, False, True, False]
+    assert found.acted.tolist() == [False, True, False, True, False]
+    assert (loss_of(found.theta, tasks) < loss_of(start, tasks)).all()
+
+
+def test_where_it_does_not_act_nothing_changes(start: Params, tasks: Tasks) -> None:
+    """To the last digit, and so do the draws of what is fitted next."""
+    found, alone = fit(rates(FAST, DIVERGING, FAST, DIVERGING, FAST), start, tasks, loss=NOISY)
+    assert found.acted.tolist() == [False, True, False, True, False]
+    assert torch.equal(found.theta["x"][::2], alone["x"][::2])
+    guarded, plain = Generator().manual_seed(1), Generator().manual_seed(1)
+    rule = rates(*[DIVERGING] * 5)
+    learn_guarded(start, rule, tasks, NOISY, steps=STEPS, rng=guarded, guard=GUARD)
+    learn(start, rule, tasks, NOISY, steps=STEPS, rng=plain)
+    assert torch.equal(guarded.get_state(), plain.get_state())
+
+
+def test_a_fit_that_diverged_goes_on_by_adam_from_its_initialisation(start: Params, tasks: Tasks) -> None:
+    found, _ = fit(rates(*[DIVERGING] * 5), start, tasks)
+    rng = Generator()
+    expected = learn(start, fixed_adam(ADAM, start, STEPS), tasks, EXACT, steps=STEPS, rng=rng)
+    assert torch.equal(found.theta["x"], expected["x"])
+
+
+def test_where_adam_does_not_help_the_initialisation_stays(start: Params, tasks: Tasks) -> None:
+    found, _ = fit(rates(*[DIVERGING] * 5), start, tasks, guard=Guard(Adam(1e3)))
+    assert found.acted.all()
+    assert torch.equal(found.theta["x"], start["x"])
+
+
+@pytest.mark.parametrize("bad", [1e200, math.nan])
+def test_parameters_that_overflow_are_replaced(bad: float, start: Params, tasks: Tasks) -> None:
+    rule = rates(FAST, bad, FAST, FAST, FAST)
+    with pytest.raises(FloatingPointError, match=r"^chalk: "):
+        learn(start, rule, tasks, EXACT, steps=STEPS, rng=Generator())
+    found, alone = fit(rule, start, tasks)
+    assert found.acted.tolist() == [False, True, False, False, False]
+    assert (loss_of(found.theta, tasks) < loss_of(start, tasks)).all()
+    assert torch.equal(found.theta["x"][2:], alone["x"][2:])
+
+
+def test_an_initialisation_that_is_not_finite_is_refused(start: Params, tasks: Tasks) -> None:
+    start["x"][2] = math.nan
+    with pytest.raises(FloatingPointError, match=r"^felt: the loss is not finite at step 0;"):
+        fit(rates(*[FAST] * 5), start, tasks)
+
+
+def test_noise_does_not_trigger_it(start: Params, tasks: Tasks) -> None:
+    """Descents on noisy samples whose losses rise again and again, on which all end lower than they began."""
+    far = {"x": start["x"] + 10}
+    path: list[Tensor] = []
+    found, alone = fit(rates(*[FAST] * 5), far, tasks, loss=NOISY, watch=lambda i, theta, value: path.append(value))
+    assert len(path) == STEPS
+    assert (torch.stack(path).diff(dim=0) > 0).any(0).all()
+    assert not found.acted.any()
+    assert torch.equal(found.theta["x"], alone["x"])
+
+
+def test_a_loss_that_hardly_falls_is_doubtful(start: Params, tasks: Tasks) -> None:
+    """Its share of the initialisation's is (1 - rate)^(2 steps)."""
+    rule, share = rates(*[SLOW] * 5), (1 - SLOW) ** (2 * STEPS)
+    for fall, acts in ((1.0, False), (share + 1e-6, False), (share - 1e-6, True)):
+        found, alone = fit(rule, start, tasks, guard=Guard(ADAM, fall))
+        assert found.acted.tolist() == [acts] * 5
+        assert (loss_of(found.theta, tasks) < loss_of(alone, tasks)).tolist() == [acts] * 5
+
+
+def climb(step: int, factor: float) -> list[float]:
+    """Rates of which that of one step makes the loss `factor` times as large; of all others half as large."""
+    fall = 1 - math.sqrt(0.5)
+    return [1 + math.sqrt(factor) if i == step else fall for i in range(STEPS)]
+
+
+@pytest.mark.parametrize(
+    ("step", "factor", "rise", "acts"),
+    [(7, 3.0, 2.9, True), (7, 3.0, 3.1, False), (7, 3.0, math.inf, False), (3, 3.0, 2.0, False), (5, 3.0, 2.0, True)],
+)
+def test_a_loss_that_rises_late_is_doubtful(
+    step: int, factor: float, rise: float, acts: bool, start: Params, tasks: Tasks
+) -> None:
+    found, alone = fit(at_steps(*climb(step, factor)), start, tasks, guard=Guard(ADAM, rise=rise))
+    expected = factor * 0.5 ** (STEPS - 1) * loss_of(start, tasks)
+    torch.testing.assert_close(loss_of(alone, tasks), expected)
+    if acts:
+        assert (loss_of(found.theta, tasks) <= expected).all()
+        assert found.acted.any()
+    else:
+        assert not found.acted.any()
+        assert torch.equal(found.theta["x"], alone["x"])
+
+
+def test_a_last_step_that_rises_is_doubtful(start: Params, tasks: Tasks) -> None:
+    """Adam that hardly moves leaves the iterate before it."""
+    rule = at_steps(*climb(STEPS - 1, 1.2))
+    still = Adam(1e-30)
+    found, alone = fit(rule, start, tasks, guard=Guard(still, rise=10.0))
+    before = learn(start, rule, tasks, EXACT, steps=STEPS - 1, rng=Generator())
+    assert found.acted.all()
+    assert torch.equal(found.theta["x"], before["x"])
+    found, _ = fit(rule, start, tasks, guard=Guard(still))
+    assert torch.equal(found.theta["x"], alone["x"])
+
+
+def test_learned_loss_parameters_hide_nothing(start: Params, tasks: Tasks) -> None:
+    """What steps descend falls, as its learned scale does, but the loss itself rises; and the other way round."""
+    for rate, scales, acts in ((DIVERGING, (1.0, 1e-30), True), (FAST, (1.0, 1e30), False)):
+        rule = rates(*[rate] * 5)
+        scale = torch.linspace(0, 1, STEPS, dtype=torch.float64)[:, None].expand(-1, 5)
+        scale = scales[0] * (scales[1] / scales[0]) ** scale
+        reweighted = rule._replace(
+            alpha=rule.alpha | {"loss.scale": scale},
+            step=lambda alpha, theta, grads, state, rate=rate: (
+                {"x": theta["x"] - rate * grads["x"] / alpha["loss.scale"][:, None]},
+                state,
+            ),
+        )
+        found, _ = fit(reweighted, start, tasks)
+        assert found.acted.tolist() == [acts] * 5
+
+
+def test_tasks_side_by_side_equal_each_alone(start: Params, tasks: Tasks) -> None:
+    each = (FAST, DIVERGING, SLOW, DIVERGING, 1e200)
+    together, _ = fit(rates(*each), start, tasks, guard=Guard(ADAM, 0.5, 2.0))
+    for i in range(5):
+        alone, _ = fit(rates(each[i]), {"x": start["x"][[i]]}, tasks.select([i]), guard=Guard(ADAM, 0.5, 2.0))
+        assert bool(alone.acted[0]) == bool(together.acted[i])
+        torch.testing.assert_close(together.theta["x"][i], alone.theta["x"][0], rtol=1e-12, atol=0)
+
+
+@pytest.mark.parametrize("rule", ["meta-sgd", "meta-adam", "meta-mean", "adam+curvature+average", "tied+betas"])
+@pytest.mark.parametrize("rate", [1e-3, 1e3])
+def test_every_rule_is_guarded(rule: str, rate: float, rng: Generator) -> None:
+    """Compositions and tail averaging, too: a good rate stays as it is, an absurd one ends below the initialisation."""
+    where, target = torch.rand(4, 2048, 7, generator=rng), torch.rand(4, 2048, 3, generator=rng)
+    materials = Tasks(NAMES[:4], {"where": where, "target": target}, torch.arange(4))
+    theta = APP.init(rng, 4)
+    learned = rule_of(rule)
+    alpha = learned.alpha(APP, {key: value[0] for key, value in theta.items()}, STEPS, Adam(rate))
+    own, loss = learned.rule(spread(alpha, 4, 1)), task_loss(APP, 512)
+    draws = [Generator().manual_seed(2) for _ in range(2)]
+    found = learn_guarded(theta, own, materials, loss, steps=STEPS, rng=draws[0], guard=Guard(Adam(1e-3)))
+    alone = learn(theta, own, materials, loss, steps=STEPS, rng=draws[1], check_every=0)
+    assert found.acted.tolist() == [rate > 1] * 4
+    judged = loss.draw(materials, Generator().manual_seed(2)).batch
+    assert (APP.loss(found.theta, judged, {}) < APP.loss(theta, judged, {})).all()
+    if rate < 1:
+        assert all(torch.equal(found.theta[key], value) for key, value in alone.items())
+
+
+def test_unguarded_fits_say_so() -> None:
+    found = unguarded({"x": torch.ones(3, 2)})
+    assert found.acted.tolist() == [False] * 3
