@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from metapp.experiments.tables.table import Table
 
-NAMES = ("results", "quickft", "image", "ablation", "storage", "samples", "convergence")
+NAMES = ("results", "quickft", "image", "ablation", "storage", "samples", "convergence", "peers")
 
 
 def load_table(name: str) -> Table:
