@@ -20,7 +20,7 @@ from metapp.experiments.inputs import data_folder
 from metapp.experiments.session import Options, versions
 from metapp.learning.app import App, stack
 from metapp.learning.task import Task
-from metapp.peers.peer import Allowed, Peer, Prepared, Training
+from metapp.peers.peer import Allowed, Peer, Prepared, Training, bytes_of
 from metapp.storage.records import NUMBER, OPTIONAL
 from metapp.storage.shards import read_manifest, read_shard
 
@@ -48,8 +48,7 @@ def allowed_for(options: Options) -> Allowed:
     """As many samples as Meta's steps draw, and as many bytes as a task's network has."""
     recipe = options.job.recipe
     theta = options.app.init(Generator().manual_seed(0), 1)
-    size = sum(value.numel() * value.element_size() for value in theta.values())
-    return Allowed(recipe.steps * recipe.batch, size)
+    return Allowed(recipe.steps * recipe.batch, bytes_of(*theta.values()))
 
 
 def peer_versions() -> dict[str, str]:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import statistics
 from collections.abc import Iterator
 
+from torch import Generator
+
 from metapp.experiments.inputs import data_label
 from metapp.experiments.peer_fits import (
     FORM,
@@ -26,7 +28,7 @@ from metapp.experiments.tables.statistics import (
     paired_of,
     paired_text,
 )
-from metapp.experiments.tables.storage import kept
+from metapp.experiments.tables.storage import kept, size
 from metapp.experiments.tables.subject import Cell, Record, Subject
 from metapp.experiments.tables.table import Table
 from metapp.learning.task import Task
@@ -40,8 +42,20 @@ GUESS = 0.3  # seconds of a fit, about
 
 
 def cells(subject: Subject) -> list[Cell]:
-    """The fits of General, QuickFT and Meta, and of the peers."""
-    return [*(subject.cell(name) for name in RUN), *(peer_cell(subject, peer) for peer in peers_of(subject.app))]
+    """The fits of General, QuickFT and Meta, and of the peers that there are training tasks for."""
+    return [*(subject.cell(name) for name in RUN), *(peer_cell(subject, peer) for peer in _able(subject))]
+
+
+def _able(subject: Subject) -> list[Peer]:
+    """The peers that lack no training tasks."""
+    without = _untrained(subject)
+    return [peer for peer in peers_of(subject.app) if peer.name not in without]
+
+
+def _untrained(subject: Subject) -> list[str]:
+    """The peers that need training tasks where there are none."""
+    learning = [peer.name for peer in peers_of(subject.app) if peer.learns]
+    return learning if learning and subject.tasks and training_folder(subject.options) is None else []
 
 
 def peer_cell(subject: Subject, peer: Peer) -> Cell:
@@ -94,16 +108,17 @@ def rows(subject: Subject) -> list[Row]:
 
 def peer_rows(subject: Subject) -> list[Row]:
     """The peers alone."""
-    return [_row_of_peer(subject, peer) for peer in peers_of(subject.app)]
+    return [_row_of_peer(subject, peer) for peer in _able(subject)]
 
 
 def _row_of_paradigm(subject: Subject, name: str) -> Row:
     fit, cell = subject.fits[name], subject.cell(name)
-    network = allowed_for(subject.options).size
-    stored = {"numbers": network // 4, "size": network, "shared": kept(fit.checkpoint), "unreached": 0}
+    theta = subject.app.init(Generator().manual_seed(0), 1)
+    count = sum(value.numel() for value in theta.values())
+    stored = {"numbers": count, "size": size(theta), "shared": kept(fit.checkpoint), "unreached": 0}
     row = subject.row(name, cell, peer=False, matches=False) | stored
     other = subject.paired(cell, subject.cell("meta")) if name != "meta" else None
-    return row | {"paper_error": None, "paper_seconds": None} | paired_entries("meta", other)
+    return row | paired_entries("meta", other)
 
 
 def _row_of_peer(subject: Subject, peer: Peer) -> Row:
@@ -123,7 +138,7 @@ def _row_of_peer(subject: Subject, peer: Peer) -> Row:
 def notes(subject: Subject, found: list[Row]) -> list[str]:
     """Which peers are ahead of Meta, at what cost, what they are and cannot do."""
     by = {row["paradigm"]: row for row in found}
-    peers, meta = peers_of(subject.app), by["meta"]
+    peers, meta = tuple(_able(subject)), by["meta"]
     free = [by[peer.name] for peer in peers if not peer.matches]
     return [
         *(_ahead(row) for row in free if _wins(row)),
@@ -131,7 +146,8 @@ def notes(subject: Subject, found: list[Row]) -> list[str]:
         *(_matched(by[peer.name], meta) for peer in peers if peer.matches and by[peer.name]["tasks"]),
         *_missing(subject, found),
         *_described(peers),
-        f"size: bytes that a task's fit takes; shared: those that all tasks share; {caption_of(subject.app)}",
+        "bytes: of what is kept of a task; shared: of what all tasks share, to be fitted or to be evaluated",
+        caption_of(subject.app),
         *paired_note(found, "meta"),
         *on_threads(found),
         *budget(subject),
@@ -165,9 +181,8 @@ def _behind(found: list[Row]) -> list[str]:
 
 def _matched(row: Row, meta: Row) -> str:
     """How many bytes Meta's error takes."""
-    said = (
-        f"{row['paradigm']}: {row['size']:,.0f} bytes at Meta's error, {row['size'] / meta['size']:.2g} of a network's"
-    )
+    share = row["size"] / meta["size"]
+    said = f"{row['paradigm']}: {row['size']:,.0f} bytes at Meta's error, {share:.2g} of a network's"
     if row["unreached"]:
         said += f"; on {row['unreached']} of {row['tasks']} tasks it does not reach that error with all there are"
     return said
@@ -177,11 +192,9 @@ def _missing(subject: Subject, found: list[Row]) -> list[str]:
     """What has no records, and how to make them."""
     absent = [row["paradigm"] for row in found if not row["tasks"] and not row["peer"]]
     said = [f"no records yet of {', '.join(absent)}; {subject.command('results')} makes them"] if absent else []
-    learning = [peer.name for peer in peers_of(subject.app) if peer.learns]
-    if learning and subject.tasks and training_folder(subject.options) is None:
-        said.append(
-            f"{', '.join(learning)}: no training tasks; metapp data synth {subject.app.name} makes the embedded ones"
-        )
+    if without := _untrained(subject):
+        remedy = f"metapp data synth {subject.app.name} makes the embedded ones"
+        said.append(f"{', '.join(without)}: no training tasks; {remedy}")
     return said
 
 
@@ -203,8 +216,8 @@ TABLE = Table(
         numbers("seconds", "seconds", ".4f"),
         *paired_columns("meta"),
         numbers("numbers", "numbers", ",.0f"),
-        bytes_column("size", "size"),
-        bytes_column("shared", "shared"),
+        bytes_column("bytes", "size"),
+        bytes_column("shared bytes", "shared"),
         interval(),
         numbers("median", "median", ".3f"),
         numbers("worst", "worst", ".3f"),

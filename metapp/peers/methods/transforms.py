@@ -7,6 +7,7 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+from scipy.linalg import cho_factor, cho_solve
 from scipy.special import sph_harm_y
 
 ROOT = math.sqrt(0.5)
@@ -110,26 +111,31 @@ def _together(values: np.ndarray, axis: int) -> np.ndarray:
     return both.reshape(*both.shape[:-2], -1).swapaxes(axis, -1)
 
 
-@functools.lru_cache(maxsize=2)
+@functools.lru_cache(maxsize=64)
 def harmonics(order: int, height: int, width: int) -> np.ndarray:
     """Real spherical harmonics up to an order at the texels' centres of a lat-long map, [H * W, (order + 1)^2].
 
     Orthonormal over the sphere; those of one degree stand together, so that the first columns are those of less.
     """
-    theta = (np.arange(height) + 0.5)[:, None] * (math.pi / height) + np.zeros(width)
-    phi = (np.arange(width) + 0.5) * (math.tau / width) + np.zeros((height, 1))
+    theta = (np.arange(height) + 0.5) * (math.pi / height)
+    phi = (np.arange(width) + 0.5) * (math.tau / width)
     columns = []
     for degree in range(order + 1):
         for m in range(degree + 1):
-            value = sph_harm_y(degree, m, theta.ravel(), phi.ravel())
-            columns += [value.real] if m == 0 else [math.sqrt(2) * value.real, math.sqrt(2) * value.imag]
+            along_theta = sph_harm_y(degree, m, theta, 0.0).real * (math.sqrt(2) if m else 1)
+            waves = (np.cos(m * phi), np.sin(m * phi)) if m else (np.ones(width),)
+            columns += [np.outer(along_theta, wave).ravel() for wave in waves]
     return np.stack(columns, 1)
 
 
 @functools.lru_cache(maxsize=64)
 def projection(order: int, height: int, width: int) -> np.ndarray:
-    """What takes a map [H * W] to its coefficients: least squares, texels weighted by solid angle, [K, H * W]."""
+    """What takes a map [H * W] to its coefficients: least squares, texels weighted by solid angle, [K, H * W].
+
+    Below the order that rows tell apart the normal equations are well-conditioned: 5 at order 31 of 32 rows.
+    """
+    basis = harmonics(order, height, width)
     theta = (np.arange(height) + 0.5) * (math.pi / height)
-    root = np.repeat(np.sqrt(np.sin(theta)), width)
-    found: np.ndarray = np.linalg.pinv(harmonics(order, height, width) * root[:, None], rcond=1e-10) * root
+    weighted = basis * np.repeat(np.sin(theta), width)[:, None]
+    found: np.ndarray = cho_solve(cho_factor(basis.T @ weighted), weighted.T)
     return found
