@@ -70,11 +70,11 @@ bench-photo: setup  ## what a flash photo says beyond what General reads from it
 # on two cores; the tables say that Overfit has fewer steps than the recipe's; OVERFIT=1 takes all of them
 OVERFIT ?= 0.1
 EVALUATE := $(METAPP) evaluate --overfit-share $(OVERFIT) --out $(RUNS)
-TABLES := results quickft image ablation storage samples convergence
+TABLES := results quickft image ablation storage samples convergence peers
 
 .PHONY: $(TABLES:%=table-%)
 
-tables: $(TABLES:%=table-%)  ## all tables on the embedded data, beside the paper's figures: 20 minutes
+tables: $(TABLES:%=table-%)  ## all tables on the embedded data, beside the paper's figures: 25 minutes
 
 table-results: setup  ## error and time of the five paradigms
 	$(EVALUATE) --which results
@@ -96,6 +96,9 @@ table-samples: setup  ## samples that a fit sees
 
 table-convergence: setup  ## errors along Meta's steps, and how many more bring it to Overfit
 	$(EVALUATE) --which convergence
+
+table-peers: setup  ## what else there is: error, time and bytes of methods without a network
+	$(EVALUATE) --which peers
 
 figures: setup  ## all figures as PNG and PDF, in runs/figures
 	$(EVALUATE) --which all --figures $(RUNS)/figures --format markdown

@@ -17,9 +17,10 @@ from torch import Generator
 from metapp.experiments.embedded import embedded_data, embedded_exists
 from metapp.experiments.fits import rng_of
 from metapp.experiments.inputs import data_folder
+from metapp.experiments.pictures import PICTURE
 from metapp.experiments.session import Options, versions
 from metapp.learning.app import App, stack
-from metapp.learning.task import Task
+from metapp.learning.task import Params, Task
 from metapp.peers.peer import Allowed, Peer, Prepared, Training, bytes_of
 from metapp.storage.records import NUMBER, OPTIONAL
 from metapp.storage.shards import read_manifest, read_shard
@@ -58,7 +59,7 @@ def peer_versions() -> dict[str, str]:
 
 def fit_peer(
     options: Options, peer: Peer, training: Training, tasks: Sequence[Task], errors: Mapping[str, float]
-) -> Iterator[dict[str, Any]]:
+) -> Iterator[tuple[dict[str, Any], Params | None]]:
     """Fit a peer to tasks, each alone; the time is from the task's samples to what is kept, warm.
 
     Args:
@@ -69,7 +70,8 @@ def fit_peer(
         errors: of Meta's fits, as tables print them, by the task's name, for peers that match these.
 
     Yields:
-        The record of each task. A peer that matches an error has no time: its search is no fit.
+        The record of each task, and its `picture` where there is one. A peer that matches an error has no time: its
+        search is no fit.
 
     Raises:
         ValueError: it cannot be fitted to these tasks.
@@ -87,7 +89,7 @@ def fit_peer(
 
 def _fit_one(
     options: Options, prepared: Prepared, task: Task, allowed: Allowed, *, timed: bool = True
-) -> dict[str, Any]:
+) -> tuple[dict[str, Any], Params | None]:
     rng, app = rng_of(options, task), options.app
     begin = time.perf_counter()
     stacked = stack(app, [task])
@@ -97,7 +99,7 @@ def _fit_one(
     if errors and not math.isfinite(errors["error"]):
         raise ValueError(f"{task.name}: the error is not finite.")
     errors |= {key: app.scale * value for key, value in errors.items() if key == "error"}
-    return {
+    record = {
         "name": task.name,
         "error": None,
         **errors,
@@ -108,3 +110,4 @@ def _fit_one(
         "reached": fitted.reached,
         "chosen": prepared.chosen,
     }
+    return record, None if fitted.picture is None else {PICTURE: fitted.picture}

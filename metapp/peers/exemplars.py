@@ -5,6 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Generator, Tensor
 
+from metapp.appearance.colour import srgb_to_linear
 from metapp.appearance.features import distance
 from metapp.learning.task import Tasks
 from metapp.networks.exemplar import ExemplarApp
@@ -27,4 +28,10 @@ def nearest_exemplar(training: Training, allowed: Allowed) -> Prepared:
         return torch.cat(found).reshape(len(known), -1).mean(1)
 
     shared = bytes_of(known.data["image"], *(known.data[name] for name in names))
-    return Prepared(nearest(distances, lambda index: pictures[index][None, None]), shared)
+    fit = nearest(distances, lambda index: pictures[index][None, None], lambda index: picture_of(pictures[index]))
+    return Prepared(fit, shared)
+
+
+def picture_of(srgb: Tensor) -> Tensor:
+    """Linear RGB [H, W, 3] of a picture [3, H, W], sRGB in [0, 1]."""
+    return srgb_to_linear(srgb).permute(1, 2, 0)

@@ -50,12 +50,12 @@ def peers(app: App) -> tuple[Peer, ...]:
         title = "the training map whose photograph is nearest (mean absolute difference of display values)"
         return (Peer("nearest", title, "be a map that is not in its set", _nearest),)
     same = "read a map from a photo"
+    sun = f"{same}, nor hold a sun in few"
+    rings = f"{same}, nor show a sun that does not ring"
     found = [
         Codec("haar", "largest Haar wavelets of radiance", same, _texels, HAAR.encode),
-        Codec("dct", "largest cosines (DCT) of radiance", f"{same}, nor hold a sun in few", _texels, COSINES.encode),
-        Codec(
-            "sh", "spherical harmonics, least squares by solid angle", f"{same}, nor hold a sun", _orders, _harmonics
-        ),
+        Codec("dct", "largest cosines (DCT) of radiance", sun, _texels, COSINES.encode),
+        Codec("sh", "spherical harmonics, least squares by solid angle", rings, _orders, _harmonics),
     ]
     halves = Peer("halves", "the map itself, in half precision", same, lambda *_: Prepared(_halves), learns=False)
     return (halves, *(peer for codec in found for peer in both_ways(codec)))

@@ -66,12 +66,14 @@ class Fitted(NamedTuple):
         numbers: that are kept for the task; None where it is a file.
         size: their bytes.
         reached: whether the fit meets what was asked for.
+        picture: what it looks like beside the application's fits, linear RGB [H, W, 3], where it is a picture.
     """
 
     answer: Callable[[], Any]
     numbers: int | None
     size: int
     reached: bool = True
+    picture: Tensor | None = None
 
 
 Fit = Callable[[Tasks, Generator, Allowed], Fitted]  # of one task
@@ -173,17 +175,22 @@ def _at_error(codec: Codec, app: App) -> Fit:
     return fit
 
 
-def nearest(of: Callable[[Tasks, Generator, Allowed], Tensor], answer: Callable[[int], Any]) -> Fit:
+def nearest(
+    of: Callable[[Tasks, Generator, Allowed], Tensor],
+    answer: Callable[[int], Any],
+    picture: Callable[[int], Tensor] | None = None,
+) -> Fit:
     """The training task that is least far from a task.
 
     Args:
         of: distances [M] of a task to all training tasks.
         answer: what the training task of that number would be judged as.
+        picture: what it looks like, as of `Fitted`.
     """
 
     def fit(tasks: Tasks, rng: Generator, allowed: Allowed) -> Fitted:
         index = int(of(tasks, rng, allowed).argmin())
-        return Fitted(functools.partial(answer, index), 1, INDEX)
+        return Fitted(functools.partial(answer, index), 1, INDEX, picture=picture and picture(index))
 
     return fit
 

@@ -12,7 +12,7 @@ from torch import Generator
 from metapp.learning.app import App
 from metapp.learning.task import Tasks
 from metapp.networks.exemplar import JUDGED, ExemplarApp
-from metapp.peers.exemplars import nearest_exemplar
+from metapp.peers.exemplars import nearest_exemplar, picture_of
 from metapp.peers.methods.quilting import quilted, random_patches
 from metapp.peers.peer import Allowed, Fitted, Peer, Prepared, Training
 
@@ -59,6 +59,7 @@ def _copies(make: Make, training: Training, allowed: Allowed) -> Prepared:
         numbers = np.random.default_rng(int(torch.randint(2**31, (), generator=rng)))
         made = [make(exemplar.permute(1, 2, 0).numpy(), numbers) for _ in range(JUDGED)]
         pictures = torch.from_numpy(np.stack(made)).permute(0, 3, 1, 2)[None]
-        return Fitted(lambda: pictures, exemplar.numel(), exemplar.numel())  # a byte each
+        count = exemplar.numel()  # and as many bytes
+        return Fitted(lambda: pictures, count, count, picture=picture_of(pictures[0, 0]))
 
     return Prepared(fit)

@@ -109,7 +109,7 @@ class Histograms(NamedTuple):
 
 def peers(app: App) -> tuple[Peer, ...]:
     """Of scenes."""
-    cannot = "begin from other scenes: it knows the samples alone"
+    cannot = "learn more of other scenes than how much to smooth"
     one = "a hierarchical histogram of the samples, quadtrees of directions in a quadtree of places"
     many = f"the mean of {GRIDS} such on shifted grids, the film's drawn towards the picture that General reads"
     return (

@@ -13,18 +13,19 @@ from rich.console import Console
 from torch import Generator, Tensor
 
 from metapp.apps import app_names, load_app
-from metapp.cli.evaluate import find_subjects
+from metapp.cli.evaluate import compare_peers, find_subjects
 from metapp.cli.show import rich_table
 from metapp.experiments.reporter import Reporter, reporting
 from metapp.experiments.session import options_of
 from metapp.experiments.tables import load_table
-from metapp.experiments.tables.peers import peer_cell, peer_rows
+from metapp.experiments.tables.peers import peer_cell, peer_rows, peers_with_pictures
 from metapp.experiments.tables.running import run_cells
 from metapp.experiments.tables.subject import Subject
 from metapp.learning.app import App, stack
 from metapp.learning.task import Task
 from metapp.peers import peers_of
 from metapp.peers.peer import Allowed, Fitted, Training, nearest
+from metapp.storage.records import RunFolder, read_theta
 from metapp.storage.shards import ShardWriter
 
 PLACED = [(name, protocol) for name in app_names() for protocol in load_app(name).protocols or ("",)]
@@ -126,6 +127,8 @@ def test_its_table_prints_them(
     with (console := Console(width=200, force_terminal=False)).capture() as shown:
         console.print(rich_table(table, subject, table.rows(subject)))
     text = " ".join(shown.get().split())
+    drawn = [name for name, _, _ in peers_with_pictures(subject)]
+    assert drawn == {"texture": ["nearest", "quilting", "patches"], "svbrdf_stationary": ["nearest"]}.get(name, [])
     for peer in peers_of(subject.app):
         assert peer.name in text
         assert peer.matches or peer.cannot in text
@@ -143,6 +146,23 @@ def test_records_are_kept_and_not_made_again(
     run_cells([peer_cell(subject, first)], quiet=True)
     assert peer_cell(subject, first).records() == records
     assert peer_cell(subject, second).records() == []
+
+
+def test_peers_that_are_pictures_are_drawn_beside_metas_fits(subject_of: Callable[[str, str], Subject]) -> None:
+    subject = subject_of("texture", "")
+    theta = {key: value[0] for key, value in subject.app.init(Generator().manual_seed(0), 1).items()}
+    folder = RunFolder(subject.options.out / "meta", {"of": "meta"})
+    for task in subject.tasks:
+        folder.add({"name": task.name, "error": 1.0, "seconds": 1.0}, theta)
+    subject._cells["meta"] = subject.cell("meta")._replace(folder=folder)
+    made = subject.options.out / "texture" / f"peers-{subject.label}-quick.png"
+    compare_peers([subject])
+    assert not made.exists()  # nothing was measured yet
+    run_cells([peer_cell(subject, peer) for peer in peers_of(subject.app)], quiet=True)
+    compare_peers([subject])
+    assert made.read_bytes().startswith(b"\x89PNG")
+    kept = subject.options.out / "texture" / "peers" / "patches" / f"{subject.label}-quick-seed0"
+    assert read_theta(kept, "t6")["picture"].shape == (64, 64, 3)
 
 
 @pytest.mark.parametrize(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import statistics
 from collections.abc import Iterator
+from pathlib import Path
 
 from torch import Generator
 
@@ -87,8 +88,8 @@ def peer_cell(subject: Subject, peer: Peer) -> Cell:
         assert folder is not None
         errors = {record["name"]: record["error"] for record in meta.records()} if peer.matches else {}
         try:
-            for record in fit_peer(options, peer, training_of(app, source), tasks, errors):
-                folder.add(record)
+            for record, picture in fit_peer(options, peer, training_of(app, source), tasks, errors):
+                folder.add(record, picture)
                 yield record
         except ValueError as error:
             say(f"{name_of(app)} {peer.name}: {error}")
@@ -96,6 +97,16 @@ def peer_cell(subject: Subject, peer: Peer) -> Cell:
     title, threads = f"{name_of(app)} {peer.name}", threads_of(app)
     command = subject.command("peers")
     return Cell(title, subject.tasks, folder, measure, 0, command, int(peer.matches), threads=threads, guess=GUESS)
+
+
+def peers_with_pictures(subject: Subject) -> list[tuple[str, Path, list[Record]]]:
+    """Name, folder and records of the peers that are measured and are pictures."""
+    cells = {peer.name: peer_cell(subject, peer) for peer in _able(subject)}
+    return [
+        (name, cell.folder.path, cell.records())
+        for name, cell in cells.items()
+        if cell.folder and subject.tasks and not cell.missing() and cell.folder.params(subject.tasks[0].name).is_file()
+    ]
 
 
 def rows(subject: Subject) -> list[Row]:
