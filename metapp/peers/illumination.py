@@ -108,7 +108,7 @@ def _halves(tasks: Tasks, rng: Generator, allowed: Allowed) -> Fitted:
 
 def _nearest(training: Training, allowed: Allowed) -> Prepared:
     """The set itself is shared."""
-    known: Any = training.stacked.data
+    known: Any = training.holding("map").stacked.data
     photos = known["photo"].float()
 
     def distances(tasks: Tasks, rng: Generator, allowed: Allowed) -> Tensor:

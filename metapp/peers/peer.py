@@ -43,6 +43,17 @@ class Training:
             return self.stacked, self.stacked
         return split_validation(self.stacked)
 
+    def holding(self, tensor: str) -> Training:
+        """Those tasks that hold a tensor which some may lack.
+
+        Raises:
+            ValueError: none does.
+        """
+        kept = [task for task in self.tasks if tensor in task.data]
+        if not kept:
+            raise ValueError(f"{len(self.tasks)} training tasks, none with '{tensor}', which this peer learns from.")
+        return Training(self.app, kept)
+
 
 class Allowed(NamedTuple):
     """What a peer may use, so that it is compared at equal cost.

@@ -117,7 +117,7 @@ def _nearest(training: Training, allowed: Allowed) -> Prepared:
     def logs(photos: Tensor) -> Tensor:
         return (photos + 0.02).log()
 
-    prepared = [app.prepare(task) for task in training.tasks]
+    prepared = [app.prepare(task) for task in training.holding("maps").tasks]
     photos = torch.stack([each["photo"] for each in prepared])
     maps = torch.stack([each["maps"] for each in prepared])
 

@@ -61,7 +61,7 @@ class Histograms(NamedTuple):
 
     def prepare(self, training: Training, allowed: Allowed) -> Prepared:
         """Choose strengths on training scenes."""
-        chosen = self._chosen(training.stacked, allowed.samples)
+        chosen = self._chosen(training.holding("held").stacked, allowed.samples)
 
         def fit(tasks: Tasks, rng: Generator, allowed: Allowed) -> Fitted:
             made = self.made(tasks, rng, allowed.samples)
@@ -122,6 +122,9 @@ PEERS = peers
 
 
 def _held(tasks: Tasks) -> np.ndarray:
+    """The held-out samples [N, 4] of the one scene; none where it has none, which is then not judged."""
+    if "held" not in tasks.data:
+        return np.zeros((0, 4))
     (row,) = tasks.rows.tolist()
     found: np.ndarray = tasks.data["held"][row].double().numpy()
     return found

@@ -15,6 +15,7 @@ from torch import Generator, Tensor
 from metapp.apps import app_names, load_app
 from metapp.cli.evaluate import compare_peers, find_subjects
 from metapp.cli.show import rich_table
+from metapp.experiments.figures import draw
 from metapp.experiments.reporter import Reporter, reporting
 from metapp.experiments.session import options_of
 from metapp.experiments.tables import load_table
@@ -184,6 +185,38 @@ def test_notes_say_who_is_ahead(
         folders[1].add(record)
     table = load_table("peers")
     assert any(said in note for note in table.notes(subject, table.rows(subject)))
+
+
+@pytest.mark.parametrize(
+    ("name", "lacked"), [("illumination", "map"), ("svbrdf_nonstationary", "maps"), ("transport", "held")]
+)
+def test_training_tasks_without_a_reference_are_passed_over(name: str, lacked: str, rng: Generator) -> None:
+    app = placed(name, (load_app(name).protocols or ("",))[-1])
+    whole = [random_task(name, f"t{i}", rng, torch.zeros(0)) for i in range(3)]
+    bare = [Task(task.name, {key: value for key, value in task.data.items() if key != lacked}) for task in whole]
+    assert [task.name for task in Training(app, [*bare[:2], whole[2]]).holding(lacked).tasks] == ["t2"]
+    peer = peers_of(app)[0]
+    with pytest.raises(ValueError, match=f"none with '{lacked}'"):
+        peer.prepare(Training(app, bare), Allowed(64, 1))
+
+
+def test_a_task_without_a_reference_is_fitted_but_not_judged(rng: Generator) -> None:
+    app = placed("transport", "")
+    scenes = [random_task("transport", f"t{i}", rng, torch.zeros(0)) for i in range(3)]
+    prepared = peers_of(app)[0].prepare(Training(app, scenes), Allowed(64, 1))
+    bare = stack(app, [Task("bare", {key: value for key, value in scenes[0].data.items() if key != "held"})])
+    assert app.errors_of(prepared.fit(bare, rng, Allowed(64, 1)).answer(), bare) == {}
+
+
+def test_the_plane_shows_peers(subject_of: Callable[[str, str], Subject]) -> None:
+    subject = subject_of("illumination", "photo")
+    pretend_meta(subject, 5.0)
+    (peer,) = peers_of(subject.app)
+    run_cells([peer_cell(subject, peer)], quiet=True)
+    drawn = draw("plane", subject)
+    assert drawn
+    assert "Meta 5.000 in 1 s" in drawn.caption
+    assert ", nearest " in drawn.caption
 
 
 class Hears(Reporter):

@@ -162,6 +162,8 @@ class Transport(App):
 
     def errors_of(self, answer: tuple[Tensor, Tensor], tasks: Tasks) -> dict[str, Tensor]:
         """Of log q(film) and log q(directions | film), [T, M] each, of held-out samples."""
+        if "held" not in tasks.data:
+            return {}
         film, directions = answer
         return {"error": -(film + directions).mean(1), "film": -film.mean(1), "directions": -directions.mean(1)}
 

@@ -180,13 +180,15 @@ def _ahead(row: Row) -> str:
 
 
 def _behind(found: list[Row]) -> list[str]:
-    """The peers that Meta is ahead of, and those that are level with it."""
+    """The peers that Meta is ahead of, those that are level with it, and those that take more bytes."""
     told = {row["paradigm"]: each for row in found if (each := paired_of(row, "meta"))}
     behind = [name for name, each in told.items() if apart(each) and each.value > each.level]
     level = [name for name, each in told.items() if not apart(each)]
+    large = [f"{row['paradigm']} on {row['unreached']} of {row['tasks']} tasks" for row in found if row["unreached"]]
     return [
         *([f"meta is ahead of {', '.join(behind)}"] if behind else []),
         *([f"no win either way: {', '.join(level)}"] if level else []),
+        *([f"more bytes than a network's: {', '.join(large)}"] if large else []),
     ]
 
 
