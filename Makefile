@@ -70,11 +70,11 @@ bench-photo: setup  ## what a flash photo says beyond what General reads from it
 # on two cores; the tables say that Overfit has fewer steps than the recipe's; OVERFIT=1 takes all of them
 OVERFIT ?= 0.1
 EVALUATE := $(METAPP) evaluate --overfit-share $(OVERFIT) --out $(RUNS)
-TABLES := results quickft image ablation storage samples convergence
+TABLES := results quickft image ablation storage samples convergence peers
 
 .PHONY: $(TABLES:%=table-%)
 
-tables: $(TABLES:%=table-%)  ## all tables on the embedded data, beside the paper's figures: 20 minutes
+tables: $(TABLES:%=table-%)  ## all tables on the embedded data, beside the paper's figures: 25 minutes
 
 table-results: setup  ## error and time of the five paradigms
 	$(EVALUATE) --which results
@@ -107,6 +107,9 @@ rules: setup  ## the rule study: all update rules by APPS, STEPS, SEEDS after OU
 	$(METAPP) evaluate $(APPS) --which rules --start $(START) --train-steps $(OUTER) $(STEPS:%=--steps %) \
 	  --seed $(firstword $(SEEDS)) --seeds $(words $(SEEDS)) $(if $(filter file,$(origin DATA)),,--data "$(DATA)") \
 	  --out $(RUNS) --figures $(RUNS)/figures --format markdown
+
+table-peers: setup  ## what else there is: error, time and bytes of methods without a network
+	$(EVALUATE) --which peers
 
 figures: setup  ## all figures as PNG and PDF, in runs/figures
 	$(EVALUATE) --which all --figures $(RUNS)/figures --format markdown

@@ -75,7 +75,7 @@ def test_layers() -> None:
 def test_modules_are_imported_by_name_only_to_find_what_is_in_a_folder() -> None:
     found = {name for name in FILES for called, _ in calls(name) if called.endswith("import_module")}
     assert found == {"metapp.apps", "data_tools.formats", "metapp.experiments.embedded", "metapp.experiments.tables",
-                     "metapp.experiments.figures"}  # fmt: skip
+                     "metapp.experiments.figures", "metapp.peers"}  # fmt: skip
 
 
 @pytest.mark.parametrize("name", modules("metapp.paradigms"))
@@ -134,7 +134,7 @@ def test_the_walk_sees_what_it_should() -> None:
 @pytest.mark.parametrize("arguments", [[], ["data"]])
 def test_help_answers_at_once(arguments: list[str]) -> None:
     lines = "import sys\nfrom metapp.cli import main\ntry:\n    main()\nfinally:\n"
-    lines += "    print({'torch', 'mitsuba', 'colour', 'matplotlib', 'numpy'} & sys.modules.keys())"
+    lines += "    print({'torch', 'mitsuba', 'colour', 'matplotlib', 'numpy', 'scipy'} & sys.modules.keys())"
     start = time.perf_counter()
     done = subprocess.run(
         [sys.executable, "-c", lines, *arguments, "--help"], capture_output=True, text=True, check=True, cwd=ROOT

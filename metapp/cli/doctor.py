@@ -10,7 +10,18 @@ import typer
 
 from metapp.cli.console import out, print_json
 
-PACKAGES = ("metapp", "torch", "numpy", "mitsuba", "OpenImageIO", "colour-science", "safetensors", "typer", "rich")
+PACKAGES = (
+    "metapp",
+    "torch",
+    "numpy",
+    "scipy",
+    "mitsuba",
+    "OpenImageIO",
+    "colour-science",
+    "safetensors",
+    "typer",
+    "rich",
+)
 
 
 def command(

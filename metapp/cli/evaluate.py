@@ -120,6 +120,8 @@ def command(
     fill(cells, run=not no_run, quiet=quiet)
     if not quiet and which in ("results", ALL):
         compare(subjects, quiet=quiet)
+    if not quiet and which in ("peers", ALL):
+        compare_peers(subjects)
     if table or json:
         show(tables, subjects, "json" if json else format_name)
     if figures:
@@ -197,3 +199,16 @@ def compare(subjects: list[Subject], *, quiet: bool) -> None:
             with progress(f"pictures of {subject.title}", len(subject.tasks[:COMPARED]), quiet=quiet) as bar:
                 made = picture_of_table(options.app, subject.tasks, complete, file, bar.advance)
             say(f"picture: {made}")
+
+
+def compare_peers(subjects: list[Subject]) -> None:
+    """Draw Meta's fits and those of peers that are pictures, side by side, one picture an application."""
+    from metapp.experiments.pictures import picture_of_table
+    from metapp.experiments.tables.peers import peers_with_pictures
+
+    for subject in subjects:
+        meta, drawn = subject.cell("meta"), peers_with_pictures(subject)
+        if meta.folder and drawn and subject.tasks and not meta.missing():
+            runs = [("meta", meta.folder.path, meta.records()), *drawn]
+            file = subject.options.out / subject.app.name / f"peers-{subject.label}-{subject.options.recipe}.png"
+            say(f"picture: {picture_of_table(subject.app, subject.tasks, runs, file)}")

@@ -20,6 +20,7 @@ from metapp.storage.files import write_atomically
 from metapp.storage.records import file_name, read_theta, summary
 
 COMPARED = 20  # tasks in a picture of all paradigms
+PICTURE = "picture"  # what is kept in place of parameters where there are none
 
 
 def to_srgb(linear: Any) -> np.ndarray:
@@ -71,7 +72,8 @@ def picture_of_table(
     for i, task in enumerate(tasks[:COMPARED]):
         rows: dict[str, np.ndarray] = {}
         for label, folder, records in runs:
-            pictures = outputs(_theta(folder, task), task)
+            theta = _theta(folder, task)
+            pictures = {"fit": theta[PICTURE]} if PICTURE in theta else outputs(theta, task)
             rows |= _shown({"reference": pictures["reference"]}) if not rows and "reference" in pictures else {}
             rows[f"{label} {_label(records[i])}".rstrip()] = to_srgb(pictures["fit"])
         columns.append((rows, f"{task.name}\n"))

@@ -5,6 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType
+from typing import Any
 
 import torch
 from torch import Generator, Tensor
@@ -111,6 +112,15 @@ class App(ABC):
 
         Empty where the tasks hold no reference.
         """
+
+    def errors_of(self, answer: Any, tasks: Tasks) -> dict[str, Tensor]:
+        """The same measures of an answer that need not come from the network, as those of `metapp.peers` do not.
+
+        Args:
+            answer: what `errors` makes of parameters before it measures; the application says what that is.
+            tasks: as of `errors`.
+        """
+        raise NotImplementedError
 
 
 def stack(app: App, tasks: Sequence[Task], device: torch.device | str = "cpu") -> Tasks:

@@ -193,9 +193,14 @@ class Brdf(App):
     def errors(self, theta: Params, tasks: Tasks) -> dict[str, Tensor]:
         half = tasks.data["where"].shape[1] // 2
         where = tasks.data["where"][tasks.rows, half:].transpose(1, 2)
+        return self.errors_of(network(theta, where).clamp_min(0), tasks)
+
+    def errors_of(self, answer: Tensor, tasks: Tasks) -> dict[str, Tensor]:
+        """Of reflectance [T, 3, M] at the held-out samples, linear RGB in 1/sr, >= 0."""
+        half = tasks.data["where"].shape[1] // 2
+        cos = tasks.data["where"][tasks.rows, half:, 6:7].transpose(1, 2)
         target = tasks.data["target"][tasks.rows, half:].transpose(1, 2)
-        reflectance = network(theta, where).clamp_min(0)
-        return {"error": (torch.log1p(reflectance * where[:, 6:7]) - target).abs().mean((1, 2))}
+        return {"error": (torch.log1p(answer * cos) - target).abs().mean((1, 2))}
 
     def evaluated(self, theta: Params, task: Task) -> Task:
         """The fit's own reflectance at the task's angles."""

@@ -234,12 +234,16 @@ class Illumination(CodedApp):
 
         And `map`, the mean difference of the maps' logs.
         """
+        return self.errors_of(self.radiance_of(theta), tasks)
+
+    def errors_of(self, answer: Tensor, tasks: Tasks) -> dict[str, Tensor]:
+        """Of maps [T, 3, H, W] of the field's size, linear radiance."""
         if "map" not in tasks.data:
             return {}
         # takes half a second to import
         from torchmetrics.functional.image import structural_similarity_index_measure
 
-        maps, target = self.answer(theta), tasks.data["map"][tasks.rows]
+        maps, target = self._scaled(answer), tasks.data["map"][tasks.rows]
         found, wanted = relight(maps), relight(target)
         error = (found - wanted).abs().mean((1, 2, 3))
         logs = _texels(maps, target, {}, 0.0)

@@ -239,14 +239,17 @@ class SvbrdfNonstationary(CodedApp):
 
         `normal` in degrees, `diffuse`, `roughness`, `specular` as means of differences, colours at gamma 2.2.
         """
+        return self.errors_of(self.maps_of(theta, tasks.data["photo"][tasks.rows]), tasks)
+
+    def errors_of(self, answer: Maps, tasks: Tasks) -> dict[str, Tensor]:
+        """Of maps [T, C, H, W] of the field's size."""
         if "maps" not in tasks.data:
             return {}
         # takes half a second to import
         from torchmetrics.functional.image import structural_similarity_index_measure
 
-        photo, target = tasks.data["photo"][tasks.rows], unpack(tasks.data["maps"][tasks.rows])
-        maps = self.maps_of(theta, photo)
-        pairs = _pairs(JUDGED).to(photo)[None]
+        maps, target = answer, unpack(tasks.data["maps"][tasks.rows])
+        pairs = _pairs(JUDGED).to(target.diffuse)[None]
         found, wanted = self._logs(maps, pairs), self._logs(target, pairs)
         shown, target_shown = (expose((logs.exp() - DARK).flatten(0, 1)) for logs in (found, wanted))
         ssim: Any = structural_similarity_index_measure(shown, target_shown, data_range=1.0, reduction=None)
@@ -254,7 +257,7 @@ class SvbrdfNonstationary(CodedApp):
         parts = dict(zip(("diffuse", "specular", "roughness"), differences(maps, target), strict=False))
         return {
             "error": (found - wanted).abs().mean((1, 2, 3, 4)),
-            "ssim": ssim.reshape(len(photo), -1).mean(1),
+            "ssim": ssim.reshape(len(tasks), -1).mean(1),
             "normal": torch.rad2deg(cosine.acos()).mean((1, 2)),
             **{name: part.abs().mean((1, 2, 3)) for name, part in parts.items()},
         }

@@ -157,7 +157,9 @@ class SvbrdfStationary(ExemplarApp):
 
     def _distances(self, theta: Params, batch: Batch) -> dict[str, Tensor]:
         maps, _ = self.maps(theta, batch["noise"])
-        pictures = self.photograph(maps, batch["light"][:, None], batch["light"][:, None])
+        return self._distances_of(self.photograph(maps, batch["light"][:, None], batch["light"][:, None]), batch)
+
+    def _distances_of(self, pictures: Tensor, batch: Batch) -> dict[str, Tensor]:
         leading = pictures.shape[:2]
         pooled = adaptive_avg_pool2d(pictures.flatten(0, 1), POOLED).unflatten(0, leading)
         windows = batch["windows"][0].tolist()  # the same for all tasks
@@ -180,12 +182,18 @@ class SvbrdfStationary(ExemplarApp):
         """
         rng = Generator(tasks.rows.device).manual_seed(0)
         noise = self.noise(rng, 1, JUDGED).expand(len(tasks), -1, -1, -1, -1)
-        every = torch.arange(GRID * GRID, device=tasks.rows.device).expand(len(tasks), -1)
-        found = self._distances(theta, {"noise": noise, "windows": every} | self._targets(tasks, every))
-        errors = {"error": found["gram"], "spectrum": found["spectrum"] / SPECTRUM, "brightness": found["pooled"]}
+        light = tasks.data["light"][tasks.rows][:, None]
+        errors = self.errors_of(self.photograph(self.maps(theta, noise)[0], light, light), tasks)
         if "relit" in tasks.data:
             errors["relit"] = self._relit(theta, noise, tasks.data["relit"][tasks.rows])
         return errors
+
+    @torch.no_grad()
+    def errors_of(self, answer: Tensor, tasks: Tasks) -> dict[str, Tensor]:
+        """Of photographs [T, B, 3, H, W] of the exemplar's size under its light, sRGB in [0, 1]; without `relit`."""
+        every = torch.arange(GRID * GRID, device=tasks.rows.device).expand(len(tasks), -1)
+        found = self._distances_of(answer, {"windows": every} | self._targets(tasks, every))
+        return {"error": found["gram"], "spectrum": found["spectrum"] / SPECTRUM, "brightness": found["pooled"]}
 
     def _relit(self, theta: Params, noise: Tensor, references: Tensor) -> Tensor:
         maps, _ = self.maps(theta, noise)

@@ -96,10 +96,17 @@ class Texture(ExemplarApp):
 
     def loss(self, theta: Params, batch: Batch, learned: Params) -> Tensor:
         """Relative L1 distance of Gram matrices, [T]."""
-        images = self.generate(theta, batch["noise"])
+        return self._distance(self.generate(theta, batch["noise"]), batch)
+
+    def _distance(self, images: Tensor, batch: Batch) -> Tensor:
         maps = self.features(images)(images.flatten(0, 1))
         found = [gram(each).unflatten(0, images.shape[:2]) for each in maps]
         return distance(found, [batch[key][:, None] for key in self._targets()]).mean(1)
+
+    @torch.no_grad()
+    def errors_of(self, answer: Tensor, tasks: Tasks) -> dict[str, Tensor]:
+        """Of pictures [T, B, 3, H, W] of the exemplar's size, sRGB in [0, 1]."""
+        return {"error": self._distance(answer, {key: tasks.data[key][tasks.rows] for key in self._targets()})}
 
     def crop(self, image: Tensor, rng: Generator) -> Tensor:
         """A square part of the image, at a random place and scale."""

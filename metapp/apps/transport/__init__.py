@@ -158,7 +158,13 @@ class Transport(App):
         """Negative log-likelihoods of held-out samples: `error`, and its parts `film` and `directions`."""
         if "held" not in tasks.data:
             return {}
-        film, directions = self.flow.log_density(theta, tasks.data["held"][tasks.rows].mT)
+        return self.errors_of(self.flow.log_density(theta, tasks.data["held"][tasks.rows].mT), tasks)
+
+    def errors_of(self, answer: tuple[Tensor, Tensor], tasks: Tasks) -> dict[str, Tensor]:
+        """Of log q(film) and log q(directions | film), [T, M] each, of held-out samples."""
+        if "held" not in tasks.data:
+            return {}
+        film, directions = answer
         return {"error": -(film + directions).mean(1), "film": -film.mean(1), "directions": -directions.mean(1)}
 
 

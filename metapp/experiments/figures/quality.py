@@ -5,7 +5,8 @@ from __future__ import annotations
 from matplotlib.ticker import MaxNLocator
 
 from metapp.experiments.figures import Drawn
-from metapp.experiments.figures.style import COLOURS, MARKERS, TITLES, legend, line, new
+from metapp.experiments.figures.style import COLOURS, MARKERS, MUTED, PEER, TITLES, legend, line, new
+from metapp.experiments.tables.peers import peer_rows
 from metapp.experiments.tables.results import result_row
 from metapp.experiments.tables.subject import Subject
 
@@ -13,7 +14,7 @@ OFFSETS = {"meta": (8, 8), "quickft": (6, -13)}  # points; the two often lie clo
 
 
 def plane(subject: Subject) -> Drawn | None:
-    """Mean error with its 95 % interval over median seconds; the ideal is top right, as in the paper."""
+    """Mean error with its 95 % interval over median seconds, peers as crosses; best is top right, as in the paper."""
     rows = {name: result_row(subject, name) for name in COLOURS}
     rows = {name: row for name, row in rows.items() if None not in (row["error"], row["seconds"])}
     if not rows:
@@ -26,6 +27,11 @@ def plane(subject: Subject) -> Drawn | None:
         axis.errorbar(row["seconds"], row["error"], yerr=reach, capsize=2, **look)
         where, away = (row["seconds"], row["error"]), OFFSETS.get(name, (6, 6))
         axis.annotate(TITLES[name], where, away, textcoords="offset points", fontsize=8)
+    others = [row for row in peer_rows(subject) if None not in (row["error"], row["seconds"])]
+    for row in others:
+        axis.plot(row["seconds"], row["error"], PEER, color=MUTED, markersize=5)
+        look = {"fontsize": 6, "color": MUTED, "rotation": -40, "rotation_mode": "anchor"}  # names of neighbours part
+        axis.annotate(row["paradigm"], (row["seconds"], row["error"]), (3, -8), textcoords="offset points", **look)
     axis.set_xscale("log")
     axis.invert_xaxis()
     axis.invert_yaxis()
@@ -33,7 +39,8 @@ def plane(subject: Subject) -> Drawn | None:
     axis.set_xlabel("seconds of inference (faster to the right)")
     axis.set_ylabel(f"error{factor(subject)} (better above)")
     axis.set_title(subject.title)
-    said = ", ".join(f"{TITLES[name]} {row['error']:.3f} in {row['seconds']:.3g} s" for name, row in rows.items())
+    named = [*((TITLES[name], row) for name, row in rows.items()), *((row["paradigm"], row) for row in others)]
+    said = ", ".join(f"{name} {row['error']:.3f} in {row['seconds']:.3g} s" for name, row in named)
     return Drawn(figure, f"{subject.title}: mean error over seconds of inference. {said}.")
 
 

@@ -30,6 +30,7 @@ HEADINGS = {
     "storage": "Storage",
     "samples": "Samples seen",
     "convergence": "Convergence",
+    "peers": "Beside what else there is",
 }
 
 

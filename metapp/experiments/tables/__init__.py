@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from metapp.experiments.tables.table import Table
 
-NAMES = ("results", "quickft", "image", "ablation", "storage", "samples", "convergence")
+NAMES = ("results", "quickft", "image", "ablation", "storage", "samples", "convergence", "peers")
 STUDIES = ("rules",)  # hours: no part of "all", nor of the report
 
 

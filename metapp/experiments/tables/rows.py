@@ -37,6 +37,21 @@ def words(title: str, key: str) -> Column:
     return Column(title, lambda row: "-" if row.get(key) is None else str(row[key]), left=True)
 
 
+def bytes_column(title: str, key: str) -> Column:
+    """A column of bytes, to three digits; a dash where they are not known."""
+
+    def text(row: Row) -> str:
+        value = row[key]
+        if value is None:
+            return "-"
+        for unit, scale in (("GB", 1e9), ("MB", 1e6), ("kB", 1e3)):
+            if value >= scale:
+                return f"{value / scale:.3g} {unit}"
+        return f"{value:.0f} B"
+
+    return Column(title, text)
+
+
 def interval(title: str = "95 % interval") -> Column:
     """The column of intervals, from `low` and `high`."""
     return Column(title, lambda row: "-" if row["low"] is None else f"{row['low']:.3f} .. {row['high']:.3f}")

@@ -5,7 +5,7 @@ from __future__ import annotations
 from torch import Generator
 
 from metapp.experiments.session import Checkpoint, observe_of
-from metapp.experiments.tables.rows import Column, Row, blank, numbers, paper, words
+from metapp.experiments.tables.rows import Row, blank, bytes_column, numbers, paper, words
 from metapp.experiments.tables.subject import Cell, Subject
 from metapp.experiments.tables.table import Table
 from metapp.learning.task import Params
@@ -30,7 +30,7 @@ def rows(subject: Subject) -> list[Row]:
     found = []
     for name, fit in subject.fits.items():
         # what takes long is kept; what takes no time is made again from its start
-        once, each = (0, network) if name in ("overfit", "finetune") else (_kept(fit.checkpoint), 0)
+        once, each = (0, network) if name in ("overfit", "finetune") else (kept(fit.checkpoint), 0)
         row = blank(subject.app.name, name, **observe_of(subject.app)) | {
             "paper_error": None,
             "paper_seconds": None,
@@ -48,7 +48,7 @@ def rows(subject: Subject) -> list[Row]:
     return found
 
 
-def _kept(checkpoint: Checkpoint | None) -> int | None:
+def kept(checkpoint: Checkpoint | None) -> int | None:
     """Bytes of all that a fit starts from; None where there is no checkpoint."""
     return None if checkpoint is None else sum(size(part) for part in checkpoint.prepared)
 
@@ -65,25 +65,12 @@ def notes(subject: Subject, found: list[Row]) -> list[str]:
     ]
 
 
-def _bytes(key: str) -> Column:
-    def text(row: Row) -> str:
-        value = row[key]
-        if value is None:
-            return "-"
-        for unit, scale in (("GB", 1e9), ("MB", 1e6), ("kB", 1e3)):
-            if value >= scale:
-                return f"{value / scale:.3g} {unit}"
-        return f"{value} B"
-
-    return Column(f"m = {key.removeprefix('bytes_')}", text)
-
-
 TABLE = Table(
     "storage",
     "bytes for m exemplars",
     (
         words("paradigm", "paradigm"),
-        *(_bytes(f"bytes_{count}") for count in COUNTS),
+        *(bytes_column(f"m = {count}", f"bytes_{count}") for count in COUNTS),
         numbers("factor", "factor", ".4f"),
         numbers("networks", "networks", ".2f"),
         numbers("pays from", "pays_from", "d"),
