@@ -47,10 +47,14 @@ def training_of(app: App, folder: Path | None) -> Training:
 
 def allowed_for(options: Options) -> Allowed:
     """As many samples as Meta's steps draw, and as many bytes as a task's own parameters have."""
-    recipe, app = options.job.recipe, options.app
+    recipe = options.job.recipe
+    return Allowed(recipe.steps * recipe.batch, bytes_of(*own_parameters(options.app).values()))
+
+
+def own_parameters(app: App) -> Params:
+    """Parameters [1, ...] that a task does not share with others."""
     theta = app.init(Generator().manual_seed(0), 1)
-    own = [value for key, value in theta.items() if not app.own or key in app.own]
-    return Allowed(recipe.steps * recipe.batch, bytes_of(*own))
+    return {key: value for key, value in theta.items() if not app.own or key in app.own}
 
 
 def peer_versions() -> dict[str, str]:

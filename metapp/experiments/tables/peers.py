@@ -6,13 +6,12 @@ import statistics
 from collections.abc import Iterator
 from pathlib import Path
 
-from torch import Generator
-
 from metapp.experiments.inputs import data_label
 from metapp.experiments.peer_fits import (
     FORM,
     allowed_for,
     fit_peer,
+    own_parameters,
     peer_versions,
     training_folder,
     training_of,
@@ -130,7 +129,7 @@ def peer_rows(subject: Subject) -> list[Row]:
 
 def _row_of_paradigm(subject: Subject, name: str) -> Row:
     fit, cell = subject.fits[name], subject.cell(name)
-    theta = subject.app.init(Generator().manual_seed(0), 1)
+    theta = own_parameters(fit.options.app)
     count = sum(value.numel() for value in theta.values())
     stored = {"numbers": count, "size": size(theta), "shared": kept(fit.checkpoint), "unreached": 0}
     row = subject.row(name, cell, peer=False, matches=False) | stored
