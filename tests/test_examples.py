@@ -27,7 +27,7 @@ def test_fit_brdf(neural_fits: Callable[[int], Path], tmp_path: Path) -> None:
     said = run("fit_brdf.py", next(neural_fits(1).iterdir()), tmp_path / "a.safetensors")
     assert said.startswith("error x100 ")
     assert said.count("1/sr") == 3
-    assert said.splitlines()[-1].endswith("675 weights")
+    assert said.splitlines()[-1].endswith("21471 weights")
     assert (tmp_path / "a.safetensors").is_file()
 
 

@@ -76,7 +76,7 @@ def test_json_is_one_object_as_scripts_rely_on_it(fit: Callable) -> None:
     document = result.document
     assert len(result.out.splitlines()) == 1
     keys = ["app", "paradigm", "rule", "steps", "device", "data", "error", "seconds", "tasks", "out"]
-    assert sorted(document) == sorted(keys)
+    assert sorted(document) == sorted([*keys, "guarded"])
     assert (document["app"], document["paradigm"], document["rule"]) == ("brdf", "meta", "meta-sgd")
     assert document["steps"] == 10
     assert sorted(document["tasks"][0]) == ["error", "name", "seconds"]

@@ -250,7 +250,7 @@ def test_a_protocol_that_nothing_named_has_is_refused(metapp: Callable) -> None:
 def test_the_option_reaches_those_that_have_the_protocol(metapp: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
     met: list[tuple[str, str]] = []
 
-    def subjects(planned: list[Any], *, run: bool, strict: bool, share: float) -> list[Any]:
+    def subjects(planned: list[Any], **how: Any) -> list[Any]:
         met.extend((options.app.name, options.app.protocol) for options in planned)
         return []
 

@@ -121,7 +121,8 @@ def test_a_rule_that_fails_is_guarded(job: Job, tasks: Tasks) -> None:
     prepared = start_for(meta, job)
     alpha = rule_of(job.rule).alpha(app, prepared.theta, job.recipe.steps, Adam(1e4))
     found = meta.fitted(job, prepared._replace(alpha=alpha), few, rng())
-    assert found.acted.tolist() == [True] * 3
+    if not rule_of(job.rule).has("solve"):  # which has no rates
+        assert found.acted.tolist() == [True] * 3
     first, batch = meta.start(job, prepared, few, rng()), app.sample(few, rng(), job.recipe.batch)
     assert (app.loss(found.theta, batch, {}) <= app.loss(first, batch, {})).all()
     assert all(value.isfinite().all() for value in found.theta.values())
