@@ -1,0 +1,233 @@
+"""What ships, on inputs that learned rules were not trained for: suns, black, saturated and tiny ones.
+
+The guard's promise: nothing that a fit sees is worse than at its initialisation, nor much worse than by QuickFT.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable, Iterable
+from typing import NamedTuple
+
+import pytest
+import torch
+from torch import Generator, Tensor
+
+from data_tools.draws import stream
+from data_tools.readers.brdf_task import brdf_task
+from data_tools.readers.latlong import map_task
+from data_tools.readers.svbrdf_task import svbrdf_task
+from metapp.appearance.flash import Maps, pack
+from metapp.appearance.latlong import directions, solid_angles, sphere_normals
+from metapp.apps import load_app
+from metapp.experiments.checkpoints import checkpoint_name, shipped_path
+from metapp.learning.app import App, stack
+from metapp.learning.guard import Guarded
+from metapp.learning.learn import MetaParameters
+from metapp.learning.task import Params, Task, Tasks
+from metapp.paradigms import Job, paradigms
+from metapp.storage.records import load_checkpoint
+
+WORSE = 1.2  # than QuickFT's
+
+
+class Found(NamedTuple):
+    """Fits of hard inputs: the initialisation, QuickFT's, the rule's own, and as it is guarded."""
+
+    tasks: Tasks
+    first: Params
+    quickft: Params
+    alone: Params
+    guarded: Guarded
+
+
+def fitted(app: App, sources: Iterable[Task]) -> Found:
+    """Fits by what ships, with the same draws."""
+    recipe, meta, quickft = app.recipes["quick"], paradigms()["meta"], paradigms()["quickft"]
+    job, tasks = Job(app, recipe, recipe.rule), stack(app, list(sources))
+
+    def shipped(name: str) -> MetaParameters:
+        return load_checkpoint(shipped_path(app.name, checkpoint_name(app, name)))[0]
+
+    learned, tuned = shipped(recipe.rule), shipped("general")._replace(alpha=shipped("quickft").alpha)
+    rng = [Generator().manual_seed(0) for _ in range(4)]
+    return Found(
+        tasks,
+        meta.start(job, learned, tasks, rng[0]),
+        quickft.fit(job, tuned, tasks, rng[1]),
+        meta._replace(guard=lambda job: None).fit(job, learned, tasks, rng[2]),
+        meta.fitted(job, learned, tasks, rng[3]),
+    )
+
+
+def visible(app: App, theta: Params, tasks: Tasks) -> Tensor:
+    """The plain loss of what fits see, on other samples than they drew, [T]."""
+    rng, count = Generator().manual_seed(1), app.recipes["quick"].batch
+    batches = [app.sample(tasks, rng, count) for _ in range(1 if app.deterministic else 4)]
+    with torch.no_grad():
+        return torch.stack([app.loss(theta, batch, {}) for batch in batches]).mean(0)
+
+
+def check(app: App, sources: Iterable[Task]) -> Found:
+    found = fitted(app, sources)
+    first, quickft, alone, guarded = (
+        visible(app, theta, found.tasks) for theta in (found.first, found.quickft, found.alone, found.guarded.theta)
+    )
+    names, acted = found.tasks.names, found.guarded.acted
+    above = {
+        name: pair for name, *pair in zip(names, guarded.tolist(), first.tolist(), strict=True) if pair[0] > pair[1]
+    }
+    assert not above, f"above the initialisation: {above}"
+    pairs = zip(names, guarded.tolist(), quickft.tolist(), strict=True)
+    worse = {name: pair for name, *pair in pairs if pair[0] > WORSE * pair[1] + 1e-6}
+    assert not worse, f"worse than QuickFT: {worse}"
+    for key, value in found.alone.items():
+        assert torch.equal(value[~acted], found.guarded.theta[key][~acted])
+    assert (guarded[acted] < alone[acted]).all()
+    return found
+
+
+# BRDFs
+
+
+def ggx(roughness: float, colour: list[float], diffuse: float = 0.0) -> Callable[[Tensor], Tensor]:
+    """A GGX peak [N, 3] without shadowing at half angles, over a diffuse ground."""
+
+    def evaluate(angles: Tensor) -> Tensor:
+        cos2, a2 = angles[:, :1].cos().square(), roughness**2
+        peak = a2 / (math.pi * (cos2 * (a2 - 1) + 1).square())
+        return (diffuse + peak / 4 * torch.tensor(colour, dtype=angles.dtype)).float()
+
+    return evaluate
+
+
+MATERIALS: dict[str, Callable[[Tensor], Tensor]] = {
+    "black": ggx(0.5, [0.0] * 3),
+    "nearly black": ggx(0.5, [0.0] * 3, 1e-6),
+    "white": ggx(0.5, [0.0] * 3, 1 / math.pi),
+    "saturated": ggx(0.5, [0.0] * 3, 10.0),
+    "gold": ggx(0.1, [1.0, 0.8, 0.4]),
+    "mirror": ggx(0.005, [1.0, 0.8, 0.4]),
+    "searchlight": ggx(0.05, [100.0] * 3),
+    "lacquer": ggx(0.005, [0.04] * 3, 0.1 / math.pi),
+    "black lacquer": ggx(0.005, [0.04] * 3, 1e-4),
+}
+
+
+def test_materials() -> None:
+    sources = [brdf_task(name, evaluate, samples=8192) for name, evaluate in MATERIALS.items()]
+    found = check(load_app("brdf"), sources)
+    acted = dict(zip(found.tasks.names, found.guarded.acted.tolist(), strict=True))
+    assert acted["saturated"]
+    assert acted["searchlight"]
+    assert not acted["black"]
+    assert not acted["white"]
+
+
+# Environment maps
+
+
+def map_of(name: str, light: Tensor) -> Task:
+    return map_task(name, light, stream(0))
+
+
+def sun(row: int, column: int, size: int, share: float, ground: Tensor) -> Tensor:
+    """A map [3, 64, 128] with `share` of its light in size x size texels."""
+    angles = solid_angles(64, 128)[:, :1]
+    light = ground / (ground * angles).sum((1, 2)).mean()
+    light[:, row : row + size, column : column + size] = share / (1 - share) / float(angles[row] * size * size)
+    return light
+
+
+def sky() -> Tensor:
+    up = directions(64, 128)[1]
+    return torch.where(up > 0, (0.6 + 0.4 * up) * torch.tensor([0.6, 0.8, 1.0])[:, None, None], 0.15)
+
+
+@pytest.mark.usefixtures("scene")
+def test_suns() -> None:
+    """What a sun's fit ends at is chance: its radiance oscillates. The guard ends that where it sees it."""
+    app = load_app("illumination")
+    places = itertools.product((5, 8, 12, 24), (20, 64), (1, 2))
+    suns = [(row, column, size, share) for (row, column, size), share in zip(places, 8 * (0.97, 0.997), strict=True)]
+    found = check(app, [map_of(f"sun {each}", sun(*each, ground=sky())) for each in suns])
+    quickft, alone, guarded = (
+        app.errors(theta, found.tasks)["error"] for theta in (found.quickft, found.alone, found.guarded.theta)
+    )
+    acted = found.guarded.acted
+    assert acted.sum() >= 3
+    assert guarded[acted].mean() < 0.6 * alone[acted].mean()
+    assert guarded.mean() < 0.7 * quickft.mean()
+    assert guarded.max() < WORSE * quickft.max()
+
+
+@pytest.mark.usefixtures("scene")
+def test_maps() -> None:
+    rng = Generator().manual_seed(0)
+    black, ones = torch.zeros(3, 64, 128), torch.ones(3, 64, 128)
+    lamp, lamps = black.clone(), sky()
+    lamp[:, 20, 40] = 1.0
+    lamps[:, torch.randint(64, (6,), generator=rng), torch.randint(128, (6,), generator=rng)] = 1e4
+    lights = {
+        "black but for a texel": lamp,
+        "constant": ones,
+        "tiny": 1e-6 * sky(),
+        "red": ones * torch.tensor([1.0, 1e-4, 1e-4])[:, None, None],
+        "half black": torch.cat([ones[:, :32], black[:, :32]], 1),
+        "lamps": lamps,
+        "noise": torch.randn(3, 64, 128, generator=rng).mul(3).exp(),
+        "few pixels": torch.rand(3, 2, 4, generator=rng).repeat_interleave(32, 1).repeat_interleave(32, 2),
+    }
+    check(load_app("illumination"), [map_of(name, light) for name, light in lights.items()])
+
+
+def ball(name: str, colour: float, spot: int = 0) -> Task:
+    """A photograph of a sphere of one display value, with a white spot of so many px."""
+    photo = colour * sphere_normals(64)[1].float().expand(3, -1, -1).clone()
+    photo[:, 20 : 20 + spot, 30 : 30 + spot] = 255
+    return Task(name, {"photos": photo.round().to(torch.uint8)[None]})
+
+
+@pytest.mark.usefixtures("scene")
+def test_photographs_of_spheres() -> None:
+    plain = load_app("illumination")
+    app = plain.at(plain.recipes["quick"], "photo")
+    inputs = (
+        ("black", 0, 0),
+        ("nearly black", 1, 0),
+        ("white", 255, 0),
+        ("grey", 128, 0),
+        ("sun", 0, 2),
+        ("day", 80, 4),
+    )
+    check(app, [ball(name, colour, spot) for name, colour, spot in inputs])
+
+
+# Materials that are photographed
+
+
+@pytest.mark.parametrize("protocol", ["reference", "photo"])
+def test_flat_materials(protocol: str) -> None:
+    plain = load_app("svbrdf_nonstationary")
+    app = plain.at(plain.recipes["quick"], protocol)
+
+    def material(name: str, diffuse: float, specular: float, roughness: float) -> Task:
+        flat = torch.ones(1, 128, 128)
+        normal = torch.cat([0 * flat, 0 * flat, flat])
+        maps = Maps(diffuse * flat.expand(3, -1, -1), specular * flat, roughness * flat, normal)
+        return svbrdf_task(name, pack(maps))
+
+    check(app, [material("black", 0, 0, 1), material("white", 1, 0, 1), material("mirror", 0, 1, 0.1)])
+
+
+@pytest.mark.usefixtures("vgg")
+@pytest.mark.parametrize("name", ["texture", pytest.param("svbrdf_stationary", marks=pytest.mark.slow)])
+def test_pictures(name: str) -> None:
+    few = torch.rand(3, 2, 2, generator=Generator().manual_seed(0))
+    images = {
+        "black": torch.zeros(3, 64, 64),
+        "white": torch.ones(3, 64, 64),
+        "few pixels": few.repeat_interleave(32, 1).repeat_interleave(32, 2),
+    }
+    check(load_app(name), [Task(each, {"image": (255 * image).to(torch.uint8)}) for each, image in images.items()])
