@@ -30,8 +30,8 @@ def plane(subject: Subject) -> Drawn | None:
     others = [row for row in peer_rows(subject) if None not in (row["error"], row["seconds"])]
     for row in others:
         axis.plot(row["seconds"], row["error"], PEER, color=MUTED, markersize=5)
-        look = {"fontsize": 6, "color": MUTED, "rotation": -40, "rotation_mode": "anchor"}  # names of neighbours part
-        axis.annotate(row["paradigm"], (row["seconds"], row["error"]), (3, -8), textcoords="offset points", **look)
+        look = {"fontsize": 6, "color": MUTED, "rotation": 40, "rotation_mode": "anchor"}  # names of neighbours part
+        axis.annotate(row["paradigm"], (row["seconds"], row["error"]), (2, 3), textcoords="offset points", **look)
     axis.set_xscale("log")
     axis.invert_xaxis()
     axis.invert_yaxis()

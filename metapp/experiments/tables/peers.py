@@ -5,6 +5,7 @@ from __future__ import annotations
 import statistics
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 from metapp.experiments.inputs import data_label
 from metapp.experiments.peer_fits import (
@@ -67,27 +68,14 @@ def _untrained(subject: Subject) -> list[str]:
 def peer_cell(subject: Subject, peer: Peer) -> Cell:
     """The fits of a peer; those that match Meta's errors come after Meta's."""
     app, options, meta = subject.app, subject.options, subject.cell("meta")
-    missing = not subject.tasks
-    source = training_folder(options) if peer.learns and not missing else None
-    missing = missing or (peer.learns and source is None) or (peer.matches and meta.folder is None)
+    source = training_folder(options) if peer.learns and subject.tasks else None
+    missing = not subject.tasks or (peer.learns and source is None) or (peer.matches and meta.folder is None)
     folder = None
     if not missing:
-        said = {
-            "app": app.name,
-            **observe_of(app),
-            "peer": peer.name,
-            "data": subject.label,
-            "training": source and data_label(source),
-            "allowed": allowed_for(options)._asdict(),
-            "recipe": options.recipe,
-            "seed": options.seed,
-            "versions": peer_versions(),
-            **app.conditions(),
-            **({"meta": meta.folder.key} if peer.matches and meta.folder else {}),
-        }
         name = f"{subject.label}-{options.recipe}-seed{options.seed}"
         name += f"-{app.protocol}" if app.protocol else ""
-        folder = RunFolder(options.out / app.name / "peers" / peer.name / name, said, FORM)
+        path = options.out / app.name / "peers" / peer.name / name
+        folder = RunFolder(path, _settings(subject, peer, source), FORM)
 
     def measure(tasks: list[Task]) -> Iterator[Record]:
         assert folder is not None
@@ -102,6 +90,24 @@ def peer_cell(subject: Subject, peer: Peer) -> Cell:
     title, threads = f"{name_of(app)} {peer.name}", threads_of(app)
     command = subject.command("peers")
     return Cell(title, subject.tasks, folder, measure, 0, command, int(peer.matches), threads=threads, guess=GUESS)
+
+
+def _settings(subject: Subject, peer: Peer, source: Path | None) -> dict[str, Any]:
+    """Everything that a peer's figures depend on; `source`: the data set that it learns from."""
+    app, options, meta = subject.app, subject.options, subject.cell("meta")
+    return {
+        "app": app.name,
+        **observe_of(app),
+        "peer": peer.name,
+        "data": subject.label,
+        "training": source and data_label(source),
+        "allowed": allowed_for(options)._asdict(),
+        "recipe": options.recipe,
+        "seed": options.seed,
+        "versions": peer_versions(),
+        **app.conditions(),
+        **({"meta": meta.folder.key} if peer.matches and meta.folder else {}),
+    }
 
 
 def peers_with_pictures(subject: Subject) -> list[tuple[str, Path, list[Record]]]:
