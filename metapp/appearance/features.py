@@ -44,11 +44,11 @@ class Features(nn.Module):
         self.register_buffer("deviation", torch.tensor(DEVIATION).reshape(3, 1, 1))
         self.requires_grad_(False)
 
-    def forward(self, images: Tensor) -> list[Tensor]:
-        """Images [B, 3, H, W], sRGB in [0, 1], to maps [B, C, H', W'], one a tap."""
+    def forward(self, images: Tensor, taps: int | None = None) -> list[Tensor]:
+        """Images [B, 3, H, W], sRGB in [0, 1], to maps [B, C, H', W'], one a tap, or of the first taps alone."""
         x = ((images - self.mean) / self.deviation).contiguous(memory_format=torch.channels_last)
         maps = []
-        for stage in self.stages:
+        for stage in self.stages[:taps]:
             x = stage(x)
             maps.append(x)
         return maps
@@ -57,11 +57,11 @@ class Features(nn.Module):
 class RandomFilters(Features):
     """Random filters with a ReLU, on the image at several scales (Ustyuzhaninov et al. 2017)."""
 
-    def forward(self, images: Tensor) -> list[Tensor]:
+    def forward(self, images: Tensor, taps: int | None = None) -> list[Tensor]:
         """Feature maps of images [B, 3, H, W], sRGB in [0, 1]: one a scale, each half the size of the last."""
         x = (images - self.mean) / self.deviation
         maps = []
-        for stage in self.stages:
+        for stage in self.stages[:taps]:
             maps.append(stage(x))
             x = avg_pool2d(x, 2)
         return maps

@@ -119,14 +119,16 @@ def test_an_exemplar_is_at_no_distance_from_itself(
 ) -> None:
     app = tiny()
     exemplars = app.exemplar(torch.stack([task.data["image"] for task in sources]) / 255)
-    monkeypatch.setattr(app, "generate", lambda theta, noise: exemplars[:, None].expand(-1, noise.shape[1], -1, -1, -1))
+    monkeypatch.setattr(
+        app, "generate", lambda theta, noise, octave: exemplars[:, None].expand(-1, noise.shape[1], -1, -1, -1)
+    )
     theta = app.init(seeded(), 4)
     assert app.loss(theta, app.sample(tasks, seeded(), 2), {}).max() < 1e-5
     assert app.errors(theta, tasks)["error"].max() < 1e-5
-    monkeypatch.setattr(app, "generate", lambda theta, noise: exemplars.roll(1, 0)[:, None])
+    monkeypatch.setattr(app, "generate", lambda theta, noise, octave: exemplars.roll(1, 0)[:, None])
     assert app.errors(theta, tasks)["error"].min() > 0.3
     # statistics, not pixels
-    monkeypatch.setattr(app, "generate", lambda theta, noise: exemplars.roll((9, 5), (-2, -1))[:, None])
+    monkeypatch.setattr(app, "generate", lambda theta, noise, octave: exemplars.roll((9, 5), (-2, -1))[:, None])
     assert app.errors(theta, tasks)["error"].max() < 0.15
 
 
@@ -168,8 +170,8 @@ def test_the_paper_s_recipe() -> None:
 class Seen(Texture):
     """Keeps exemplars instead of what describes them."""
 
-    def describe(self, exemplars: Tensor) -> dict[str, Tensor]:
-        return {"exemplar": exemplars}
+    def describe(self, exemplars: Tensor, octave: int = 0) -> dict[str, Tensor]:
+        return {"exemplar": exemplars} | {f"gram{i}": exemplars for i in range(self.setup.maps_from(octave))}
 
 
 def variants(image: Tensor, count: int = 40, app: type[Texture] = Seen) -> Tensor:
