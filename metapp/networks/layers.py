@@ -128,10 +128,15 @@ def styled(theta: Params, name: str, x: Tensor) -> Tensor:
     """
     kernel = theta[f"{name}.kernel"]
     x = conv2d(pad(x, (1, 1, 1, 1), mode="circular"), kernel.flatten(0, 1), groups=kernel.shape[0])
+    gain, shift = style_of(theta, name)
+    return leaky_relu(instance_norm(x) * gain + shift, SLOPE)
+
+
+def style_of(theta: Params, name: str) -> tuple[Tensor, Tensor]:
+    """What z makes of a layer's channels: what each is scaled by and shifted to, [T * O, 1, 1] both."""
     style = torch.baddbmm(theta[f"{name}.shift"][..., None], theta[f"{name}.style"], theta["z"][..., None])
     gain, shift = style[..., 0].chunk(2, 1)
-    x = instance_norm(x) * (1 + gain.reshape(-1, 1, 1)) + shift.reshape(-1, 1, 1)
-    return leaky_relu(x, SLOPE)
+    return 1 + gain.reshape(-1, 1, 1), shift.reshape(-1, 1, 1)
 
 
 class LocalField(NamedTuple):

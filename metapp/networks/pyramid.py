@@ -11,6 +11,7 @@ from torch.nn.functional import avg_pool2d, conv2d, interpolate, pad
 
 from metapp.learning.task import Params
 from metapp.networks.layers import styled
+from metapp.networks.strips import ROWS, enlarged_rows, rows_of, styled_by_rows
 
 
 class Pyramid(NamedTuple):
@@ -81,19 +82,30 @@ class Pyramid(NamedTuple):
         pooled = [noise.transpose(0, 1).flatten(1, 2)]
         for _ in range(self.finest + 1, self.levels):
             pooled.append(2 * avg_pool2d(pooled[-1], 2))  # of unit variance again
-        x, made = pooled[-1], None
+        x, made = None, None
         for level in reversed(range(self.finest, self.levels)):
-            if made is not None:
-                # channels of one task lie together, as grouped convolutions want them
-                parts = (enlarged(x), pooled[level - self.finest])
-                x = torch.cat([part.unflatten(1, (tasks, -1)) for part in parts], 2).flatten(1, 2)
-            x = styled(theta, f"draw{level}", styled(theta, f"join{level}", x))
+            x = self._level(theta, level, x, pooled[level - self.finest])
             kernel, shift = theta[f"out{level}.kernel"], theta[f"out{level}.shift"]
             own = conv2d(x, kernel.flatten(0, 1), shift.flatten(), groups=tasks)
             made = own if made is None else enlarged(made) + own
         assert made is not None
         result: Tensor = made.unflatten(1, (tasks, self.outputs)).transpose(0, 1)
         return result
+
+    def _level(self, theta: Params, level: int, above: Tensor | None, noise: Tensor) -> Tensor:
+        """Features of a level [B, T * C, H, W], from those of the level above and noise."""
+        tasks, height = len(theta["z"]), noise.shape[-2]
+        if height > ROWS and not torch.is_grad_enabled() and above is not None:
+            coarse, fine = enlarged_rows(above), rows_of(noise)
+            x = styled_by_rows(theta, f"join{level}", lambda *rows: _joined(coarse(*rows), fine(*rows), tasks), height)
+            return styled_by_rows(theta, f"draw{level}", rows_of(x), height)
+        x = noise if above is None else _joined(enlarged(above), noise, tasks)
+        return styled(theta, f"draw{level}", styled(theta, f"join{level}", x))
+
+
+def _joined(features: Tensor, noise: Tensor, tasks: int) -> Tensor:
+    """Both side by side; channels of one task lie together, as grouped convolutions want them."""
+    return torch.cat([part.unflatten(1, (tasks, -1)) for part in (features, noise)], 2).flatten(1, 2)
 
 
 def enlarged(x: Tensor) -> Tensor:

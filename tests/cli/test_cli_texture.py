@@ -93,7 +93,10 @@ def test_files_of_another_size(app: str, data: Path, metapp: Callable, tmp_path:
     for file in (Path(fitted.document["out"]) / "outputs" / "wall").iterdir():
         spec = oiio.ImageBuf(str(file)).spec()
         assert (spec.height, spec.width) == (32, 48)
-    for size, words in (("33x48", f"--size 33x48: {app} expects multiples of "), ("48", "--size '48': expected HEIGHTx")):
+    for size, words in (
+        ("33x48", f"--size 33x48: {app} expects multiples of "),
+        ("48", "--size '48': expected HEIGHTx"),
+    ):
         refused = metapp(*common, "--size", size)
         assert refused.code == 2
         assert words in refused.err

@@ -10,6 +10,7 @@ from torch import Generator, Tensor
 from torch.nn.functional import avg_pool2d, conv2d
 
 from metapp.learning.task import Params
+from metapp.networks import pyramid, strips
 from metapp.networks.pyramid import Pyramid, enlarged
 
 NETWORK = Pyramid(4, levels=3, noise=2, code=5)
@@ -80,6 +81,16 @@ def test_a_coarse_level_leaves_the_finer_ones_alone(theta: Params, noise: Tensor
     grads = torch.autograd.grad(made, list(leaves.values()), materialize_grads=True)
     for key, grad in zip(leaves, grads, strict=True):
         assert bool(grad.any()) != (key.split(".")[0] in ("join0", "draw0", "out0")), key
+
+
+def test_large_pictures_are_made_by_rows(theta: Params, monkeypatch: pytest.MonkeyPatch, rng: Generator) -> None:
+    """The same to rounding, also where the last rows are fewer."""
+    noise = torch.randn(3, 2, 2, 40, 24, generator=rng, dtype=torch.float64)
+    with torch.no_grad():
+        whole = NETWORK(theta, noise)
+        monkeypatch.setattr(pyramid, "ROWS", 8)
+        monkeypatch.setattr(strips, "ROWS", 16)
+        torch.testing.assert_close(NETWORK(theta, noise), whole)
 
 
 def test_enlarged(rng: Generator) -> None:
