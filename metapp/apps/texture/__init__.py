@@ -50,8 +50,8 @@ QUICK = Recipe(
     setup=Setup(64, 64, UNet(16), "vgg16", ("relu1_1", "relu2_1", "relu3_1")),
 )
 
-# At the size that people use, from coarse to fine: half of the steps at 64 texels, the last fifth at 256. Searches begin
-# where those of the quick recipe ended.
+# At the size that people use, from coarse to fine: half of the steps at 64 texels, the last fifth at 256. Searches
+# begin where those of the quick recipe ended.
 FOUND = Adam(4.4e-3, beta1=0.5, beta2=0.97, final=0.1)
 FULL = replace(
     QUICK,
