@@ -29,6 +29,7 @@ from torch import Tensor
 from data_tools.readers.photos import LINEAR, SIZE, SUFFIXES, central_square, find_photos, read_pixels, resample
 from data_tools.readers.svbrdf_task import UNITS, svbrdf_task, task_name, unit_normals
 from metapp.appearance.flash import Maps, pack
+from metapp.appearance.workflow import DIELECTRIC, from_metallic
 from metapp.learning.task import Task
 from metapp.storage.shards import split_auto
 
@@ -44,8 +45,6 @@ __all__ = [
     "split_materials",
     "task_name",
 ]
-
-DIELECTRIC = 0.04  # reflectance at normal incidence of nearly all that is no metal
 
 _ROLES = {
     "base colour": ("diffuse", "diff", "albedo", "basecolor", "basecolour", "color", "colour", "col"),
@@ -235,8 +234,7 @@ def read_task(source: Path, size: int = SIZE, normals: str = "auto") -> Task:
 def reflectances(colour: Tensor, metallic: Tensor | None, specular: Tensor | None) -> tuple[Tensor, Tensor]:
     """Diffuse and specular [3, H, W] of a linear base colour [3, H, W] and what else there is."""
     if metallic is not None:
-        share = _gray(metallic)
-        return colour * (1 - share), DIELECTRIC * (1 - share) + colour * share
+        return from_metallic(colour, _gray(metallic))
     return colour, torch.full_like(colour, DIELECTRIC) if specular is None else specular
 
 
