@@ -6,6 +6,7 @@ from typing import Any
 
 from metapp.appearance.colour import srgb_to_linear
 from metapp.appearance.presentation import Picture
+from metapp.appearance.surface import Surface
 from metapp.apps.texture import Texture
 from metapp.learning.task import Params, Task
 from metapp.networks.presentation import TILED, ExemplarPresentation
@@ -29,6 +30,10 @@ class TexturePresentation(ExemplarPresentation[Texture]):
     def files(self, theta: Params, task: Task) -> dict[str, Picture]:
         """The texture, four times as high and wide as in training; it tiles."""
         return {"texture": Picture(self.made(theta, self.app.generate, TILED)[0, 0].permute(1, 2, 0), "srgb")}
+
+    def surface(self, theta: Params, task: Task) -> Surface:
+        """The texture as `files` writes it."""
+        return Surface(srgb_to_linear(self.made(theta, self.app.generate, TILED)[0, 0]), True)
 
 
 PRESENTATION = TexturePresentation
