@@ -59,7 +59,7 @@ def fitted_planes(surface: Surface) -> dict[str, Plane]:
     height = (height - height.mean()) / surface.size[1]
     return {
         "diffuse": Plane(maps.diffuse, "srgb", "diffuse albedo"),
-        "specular": Plane(maps.specular, "srgb", "F0, reflectance at normal incidence"),
+        "specular": Plane(maps.specular.expand(3, -1, -1), "srgb", "F0, reflectance at normal incidence"),
         "roughness": Plane(maps.roughness, "linear", "roughness; GGX alpha is its square"),
         "normal_gl": Plane(maps.normal * 0.5 + 0.5, "linear", "normal, 0..1 for -1..1; x right, y up, z out"),
         "height": Plane(height, "linear", "height, up; in texture widths, mean 0"),
