@@ -8,6 +8,7 @@ from pathlib import Path
 from data_tools.readers import material_maps, strips
 from data_tools.readers.photos import SIZE, check_exists, find_photos, holds_photos, read_photo
 from data_tools.readers.svbrdf_task import UNITS, task_name
+from metapp.appearance.flash import FOV_RAD
 from metapp.learning.task import Task
 
 __all__ = ["UNITS", "find", "read_task", "recognises"]
@@ -49,7 +50,7 @@ def read_task(path: Path, size: int = SIZE) -> Task:
         return material_maps.read_task(path, size)
     if strips.is_strip(path):
         return strips.read_task(path, size)
-    return Task(task_name(path.stem), {"photo": read_photo(path, size)})
+    return Task(task_name(path.stem), {"photo": read_photo(path, size, within_rad=FOV_RAD)})
 
 
 def _is_material(material: material_maps.Material) -> bool:
