@@ -14,9 +14,9 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from data_tools.assets.folder import DESCRIPTION, description, write_description
+from data_tools.assets.folder import description, write_description
 from data_tools.assets.pictures import write_plane
-from metapp.appearance.surface import Plane, Surface, all_planes
+from metapp.appearance.surface import DESCRIPTION, Plane, Surface, all_planes
 
 HALF = 0.04  # F0 of Blender's default index of refraction, 1.5, at a level of 0.5
 WIRED = {

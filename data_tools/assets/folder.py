@@ -16,14 +16,13 @@ from pathlib import Path
 from typing import Any
 
 from data_tools.assets.pictures import preview, write_planes
-from metapp.appearance.surface import Surface, all_planes
+from metapp.appearance.surface import DESCRIPTION, Surface, all_planes
 from metapp.appearance.workflow import DIELECTRIC
 from metapp.storage.files import write_atomically
 from metapp.storage.images import write_png
 from metapp.storage.records import finite
 
 SCHEMA = 1
-DESCRIPTION = "material.json"
 WORKFLOWS = {
     "specular": "diffuse and specular are what was fitted: f = diffuse (1 - F0) / pi + D F G / (4 cos_i cos_o), GGX, "
     "separable Smith, Schlick's Fresnel from F0",

@@ -11,6 +11,7 @@ from metapp.appearance.flash import Maps
 from metapp.appearance.relief import height_from_normal, occlusion_from_height
 from metapp.appearance.workflow import to_metallic
 
+DESCRIPTION = "material.json"  # what an asset folder says of its files
 Encoding = Literal["srgb", "linear"]
 
 

@@ -10,9 +10,10 @@ import pytest
 import torch
 
 from data_tools.assets import exr, folder, png16
-from data_tools.readers.material_maps import read_task
+from data_tools.readers import svbrdf_inputs
+from data_tools.readers.material_maps import find, read_task
 from metapp.appearance.colour import linear_to_srgb
-from metapp.appearance.flash import unpack
+from metapp.appearance.flash import Maps, unpack
 from metapp.appearance.relief import occlusion_from_height
 from metapp.appearance.surface import all_planes
 from metapp.appearance.workflow import from_metallic
@@ -98,6 +99,16 @@ def test_the_metallic_roughness_files_are_one_material_with_the_others(asset: Pa
     inside = (base < 0.999).all(0)  # where the base colour is not clamped
     assert (diffuse + specular - total).abs()[:, inside].max() < 1e-4
     assert inside.float().mean() > 0.5
+
+
+def test_our_reader_takes_asset_folders(tmp_path: Path) -> None:
+    """The maps that were fitted are read, not those that were made of them."""
+    folder.write(rock(64), tmp_path / "rock", PROVENANCE)
+    (source,) = find([tmp_path / "rock"])[0]
+    assert svbrdf_inputs.find([tmp_path / "rock"]) == ([source], [])  # no preview or height for a photograph
+    found, maps = unpack(read_task(source, 64).data["maps"].float()), rock(64).maps
+    for name in Maps._fields:
+        assert (getattr(found, name) - getattr(maps, name)).abs().max() < 1e-3, name  # kept as halves
 
 
 def test_our_reader_takes_the_metallic_roughness_files(tmp_path: Path) -> None:
