@@ -8,6 +8,7 @@ from typing import Any, Generic, Literal, NamedTuple, TypeVar, get_args
 
 from torch import Tensor
 
+from metapp.appearance.surface import Surface
 from metapp.learning.app import App
 from metapp.learning.task import Params, Task
 
@@ -88,6 +89,10 @@ class Presentation(ABC, Generic[AnyApp]):
     def files(self, theta: Params, task: Task) -> dict[str, Picture]:
         """What a fit makes for its user, by the file's name without its ending (no task axis in theta)."""
         return {}
+
+    def surface(self, theta: Params, task: Task) -> Surface | None:
+        """The flat surface that a fit is of (no task axis in theta); None of applications that have none."""
+        return None
 
     def image_errors(self, fits: Mapping[str, Fitted], task: Task) -> dict[str, dict[str, float]]:
         """Measures of the pictures that fits of a task make, by the fit's name, then by the measure's, such as SSIM.

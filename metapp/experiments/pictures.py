@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
-from torch import Tensor
 
 from metapp.appearance.colour import linear_to_srgb, stretched, tone_map
 from metapp.apps import presentation_of
@@ -17,7 +15,7 @@ from metapp.experiments.session import title_of
 from metapp.experiments.sheet import Column, write_sheet
 from metapp.learning.app import App
 from metapp.learning.task import Task
-from metapp.storage.files import write_atomically
+from metapp.storage.images import write_exr, write_png
 from metapp.storage.records import file_name, read_theta, summary
 
 COMPARED = 20  # tasks in a picture of all paradigms
@@ -102,37 +100,10 @@ def write_files(app: App, tasks: Sequence[Task], folder: Path, size: tuple[int, 
                 pixels, low, high = stretched(pixels)
                 texts |= {"height_minimum": f"{low:.9g}", "height_maximum": f"{high:.9g}", "height_unit": "texels"}
             if kind == "radiance":
-                write_atomically(file.with_name(f"{name}.exr"), functools.partial(_write_exr, pixels))
+                write_exr(pixels, file.with_name(f"{name}.exr"))
                 pixels = tone_map(pixels / pixels.mean().clamp_min(1e-20))  # whatever its unit
-            write_atomically(file, functools.partial(_write_png, pixels, texts))
+            write_png(pixels, texts, file)
     return written
-
-
-def _write_png(picture: Tensor, texts: dict[str, str], path: Path) -> None:
-    import OpenImageIO as oiio
-
-    pixels = (np.clip(picture.numpy(), 0, 1) * 255 + 0.5).astype(np.uint8)
-    image = oiio.ImageBuf(np.ascontiguousarray(pixels))
-    # whoever honours a PNG's colour space would decode roughness and normals wrongly
-    image.specmod().attribute("oiio:ColorSpace", "data" if texts["encoding"] == "linear" else "sRGB")
-    for key, text in texts.items():
-        image.specmod().attribute(key, text)
-    _write(image, "uint8", path)
-
-
-def _write_exr(radiance: Tensor, path: Path) -> None:
-    import OpenImageIO as oiio
-
-    pixels = np.ascontiguousarray(radiance.numpy(), dtype=np.float32)
-    image = oiio.ImageBuf(pixels)
-    image.specmod().attribute("oiio:ColorSpace", "lin_rec709_scene")
-    fits_half = 1 <= pixels.max() <= np.finfo(np.float16).max  # below, dark parts would lose digits
-    _write(image, "half" if fits_half else "float", path)
-
-
-def _write(image: Any, form: str, path: Path) -> None:
-    if not image.write(str(path), form):
-        raise ValueError(f"{path}: not written ({image.geterror()}); is the disk full?")
 
 
 def _theta(folder: Path, task: Task) -> dict[str, Any]:

@@ -7,6 +7,7 @@ from typing import Any
 from metapp.appearance.colour import linear_to_srgb, srgb_to_linear, stretched
 from metapp.appearance.flash import Maps, relightings
 from metapp.appearance.presentation import Picture
+from metapp.appearance.surface import Surface
 from metapp.apps.svbrdf_stationary import SvbrdfStationary
 from metapp.learning.task import Params, Task
 from metapp.networks.presentation import ExemplarPresentation
@@ -32,6 +33,12 @@ class SvbrdfStationaryPresentation(ExemplarPresentation[SvbrdfStationary]):
         """Maps that tile, of the size asked for, else four times the exemplar's; photographs under other lights."""
         pictures = self._pictures(theta, self.whole())
         return {name: Picture(each.pixels.permute(1, 2, 0), each.kind) for name, each in pictures.items()}
+
+    def surface(self, theta: Params, task: Task) -> Surface:
+        """The maps as `files` writes them."""
+        made, heights = self.made(theta, self.app.maps, self.whole())
+        maps = Maps(*(part[0, 0] for part in made))
+        return Surface(maps.diffuse, True, maps, heights[0, 0])
 
     def _pictures(self, theta: Params, size: tuple[int, int]) -> dict[str, Picture]:
         """Maps, specular colour as F0, and photographs of them under other lights; pixels are [1 or 3, H, W] yet."""

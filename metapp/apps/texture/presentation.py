@@ -10,6 +10,7 @@ import torch
 from metapp.appearance.colour import srgb_to_linear
 from metapp.appearance.features import load_features, sliced_wasserstein
 from metapp.appearance.presentation import Fitted, Picture
+from metapp.appearance.surface import Surface
 from metapp.apps.texture import Texture
 from metapp.learning.task import Params, Task
 from metapp.networks.presentation import ExemplarPresentation
@@ -48,6 +49,10 @@ class TexturePresentation(ExemplarPresentation[Texture]):
     def files(self, theta: Params, task: Task) -> dict[str, Picture]:
         """The texture, of the size asked for, else four times as high and wide as in training; it tiles."""
         return {"texture": Picture(self.made(theta, self.app.generate, self.whole())[0, 0].permute(1, 2, 0), "srgb")}
+
+    def surface(self, theta: Params, task: Task) -> Surface:
+        """The texture as `files` writes it."""
+        return Surface(srgb_to_linear(self.made(theta, self.app.generate, self.whole())[0, 0]), True)
 
 
 PRESENTATION = TexturePresentation
