@@ -131,7 +131,7 @@ def _fit(
     records = run_tasks(options, paradigm, checkpoint, tasks, folder, again=again)
     made = write_files(options.app, tasks, folder.path, size)
     if export:
-        export_all(options.app, tasks, folder, export)
+        export_all(options.app, tasks, folder, export, size)
     return Run(options, settings, label, tasks, records, folder, made)
 
 
