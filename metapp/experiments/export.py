@@ -35,9 +35,7 @@ def check_export(name: str, app: App) -> None:
         raise BadOption(form.missing())
 
 
-def export_all(
-    app: App, tasks: list[Task], folder: RunFolder, name: str, size: tuple[int, int] | None = None
-) -> None:
+def export_all(app: App, tasks: list[Task], folder: RunFolder, name: str, size: tuple[int, int] | None = None) -> None:
     """Write every fit of a run in a form, under <run>/<form>/; surfaces of the application's size, or of this one."""
     for task in tasks:
         path = folder.path / name / file_name(task.name)
