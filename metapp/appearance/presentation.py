@@ -65,6 +65,7 @@ class Presentation(ABC, Generic[AnyApp]):
         logarithmic: True where the error is a logarithm, of any sign: of two, the difference counts, not the ratio.
         image_measure: what `image_errors` are of, in one line; "" where there are none.
         image_seconds: that they take a task, about, to tell the time left before any was measured.
+        size: height and width of `files`, px; None for the application's own choice.
     """
 
     title: str
@@ -72,9 +73,14 @@ class Presentation(ABC, Generic[AnyApp]):
     logarithmic: bool = False
     image_measure: str = ""
     image_seconds: float = 0.1
+    size: tuple[int, int] | None = None
 
     def __init__(self, app: AnyApp) -> None:
         self.app = app
+
+    def refusal(self, height: int, width: int) -> str:
+        """Why `files` cannot be of a size; "" where they can."""
+        return "has files of one size; leave it out"
 
     @abstractmethod
     def outputs(self, theta: Params, task: Task) -> dict[str, Any]:

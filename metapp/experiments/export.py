@@ -35,15 +35,23 @@ def check_export(name: str, app: App) -> None:
         raise BadOption(form.missing())
 
 
-def export_all(app: App, tasks: list[Task], folder: RunFolder, name: str) -> None:
-    """Write every fit of a run in a form, under <run>/<form>/."""
+def export_all(app: App, tasks: list[Task], folder: RunFolder, name: str, size: tuple[int, int] | None = None) -> None:
+    """Write every fit of a run in a form, under <run>/<form>/; assets have the application's own size or this one."""
     for task in tasks:
         path = folder.path / name / file_name(task.name)
-        export_fit(app, task, folder.theta(task.name), path, name, folder.settings)
+        export_fit(app, task, folder.theta(task.name), path, name, folder.settings, size)
     say(f"{len(tasks)} fits written as {name}: {folder.path / name}")
 
 
-def export_fit(app: App, task: Task, theta: Params, path: Path, name: str, settings: Mapping[str, Any]) -> None:
+def export_fit(
+    app: App,
+    task: Task,
+    theta: Params,
+    path: Path,
+    name: str,
+    settings: Mapping[str, Any],
+    size: tuple[int, int] | None = None,
+) -> None:
     """Write one fit in a form; where that holds another network, the fit is distilled into it first.
 
     Args:
@@ -53,10 +61,13 @@ def export_fit(app: App, task: Task, theta: Params, path: Path, name: str, setti
         path: where to, without suffix; its last part names an asset.
         name: of the form.
         settings: what the fit was made by, as records have it: an asset's provenance.
+        size: height and width of an asset's maps in px; None: the application's own.
     """
     form = exports_of(app.name)[name]
     if isinstance(form, Export):
-        surface = presentation_of(app).surface(theta, task)
+        shown = presentation_of(app)
+        shown.size = size
+        surface = shown.surface(theta, task)
         assert surface is not None, f"{app.name} has no surface"
         form.writer().write(surface, path, {"task": task.name, **settings})
         return

@@ -80,16 +80,19 @@ def picture_of_table(
     return _grid(columns, f"{title_of(app)}: mean error{_factor(app)} of each fit beside it", file)
 
 
-def write_files(app: App, tasks: Sequence[Task], folder: Path) -> Path | None:
+def write_files(app: App, tasks: Sequence[Task], folder: Path, size: tuple[int, int] | None = None) -> Path | None:
     """Write what each fit makes for its user, <run>/outputs/<task>/<name>.png, 8 bits; None where nothing.
+
+    It is of the application's own size unless a height and a width are given.
 
     Colours are sRGB; data such as roughness, normals and heights are linear: the PNG's text `encoding` says which.
     Heights h, in texels, are kept as (h - minimum) / (maximum - minimum), of which the texts `height_minimum` and
     `height_maximum` tell. Radiance is kept as <name>.exr, and tone-mapped beside it.
     """
-    written, files = None, presentation_of(app).files
+    written, shown = None, presentation_of(app)
+    shown.size = size
     for task in tasks:
-        for name, (pixels, kind) in files(_theta(folder, task), task).items():
+        for name, (pixels, kind) in shown.files(_theta(folder, task), task).items():
             written = folder / "outputs"
             file = written / file_name(task.name) / f"{name}.png"
             texts = {"encoding": "linear" if kind in ("data", "height") else "sRGB"}

@@ -92,6 +92,23 @@ def test_a_photo_is_fitted_and_what_was_made_is_written(app: str, data: Path, me
     assert len(told["files"]) == {"texture": 1, "svbrdf_stationary": 10}[app]
 
 
+def test_files_of_another_size(app: str, data: Path, metapp: Callable, tmp_path: Path) -> None:
+    wall = photo(tmp_path / "wall.png", 9)
+    common = ("overfit", app, wall, "--data", data, "--out", tmp_path / "runs", "--json")
+    fitted = metapp(*common, "--size", "32x48")
+    assert fitted.code == 0, fitted.err
+    for file in (Path(fitted.document["out"]) / "outputs" / "wall").iterdir():
+        spec = oiio.ImageBuf(str(file)).spec()
+        assert (spec.height, spec.width) == (32, 48)
+    for size, words in (
+        ("33x48", f"--size 33x48: {app} expects multiples of "),
+        ("48", "--size '48': expected HEIGHTx"),
+    ):
+        refused = metapp(*common, "--size", size)
+        assert refused.code == 2
+        assert words in refused.err
+
+
 @pytest.mark.parametrize("app", ["svbrdf_stationary"], indirect=True)
 def test_maps_come_back_from_their_files(app: str, data: Path, metapp: Callable, tmp_path: Path) -> None:
     wall = photo(tmp_path / "wall.png", 9)

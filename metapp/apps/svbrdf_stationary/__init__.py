@@ -9,7 +9,7 @@ import torch
 from torch import Generator, Tensor
 from torch.nn.functional import adaptive_avg_pool2d
 
-from metapp.appearance.features import amplitudes, channels_of, distance, gram, hann, moments
+from metapp.appearance.features import amplitudes, distance, gram, hann, moments
 from metapp.appearance.flash import (
     Maps,
     camera,
@@ -95,21 +95,23 @@ class SvbrdfStationary(ExemplarApp):
     recipes = {"paper": PAPER, "quick": QUICK}  # noqa: RUF012  (never written to)
 
     @torch.no_grad()
-    def describe(self, exemplars: Tensor) -> dict[str, Tensor]:
-        """Of photos [B, 3, h, w].
+    def describe(self, exemplars: Tensor, octave: int = 0) -> dict[str, Tensor]:
+        """Of photos [B, 3, h, w] of the size of an octave.
 
         Gram matrices in all windows `gram0`... [B, N, C, C], spectra `spectrum0`..., `pooled` [B, 3, 8, 8], `light`
         [B, 3] where the flash was, `summary`.
         """
-        maps = self.features(exemplars)(exemplars)
+        maps = self.features(exemplars, octave)
         described = {"light": self.light_of(exemplars), "pooled": adaptive_avg_pool2d(exemplars, POOLED)}
         for i, each in enumerate(maps):
             described[f"gram{i}"] = _grams(each, range(GRID * GRID))
             described[f"spectrum{i}"] = amplitudes(each)
-        # where the light is strong, at medium strength, and weak
-        rings = [[_ring(each, low, high) for each in maps] for low, high in RINGS]
-        described["summary"] = torch.cat([moments(ring) for ring in rings], 1)
-        return described
+        return described | {"summary": self.summary(maps, octave)}
+
+    def summary(self, maps: list[Tensor], octave: int) -> Tensor:
+        """Means and root mean squares of features where the light is strong, at medium strength, and weak."""
+        rings = [[_ring(each, low, high) for each in self.parts(maps, octave)] for low, high in RINGS]
+        return torch.cat([moments(ring) for ring in rings], 1)
 
     def light_of(self, photos: Tensor) -> Tensor:
         """Where the flash of photos [B, 3, h, w] was, [B, 3]."""
@@ -118,7 +120,7 @@ class SvbrdfStationary(ExemplarApp):
         return torch.cat([place.to(photos), height], 1)
 
     def summary_size(self) -> int:
-        return 6 * sum(channels_of(self.setup.features, self.setup.taps))
+        return len(RINGS) * super().summary_size()
 
     def prepare(self, task: Task) -> dict[str, Tensor]:
         """As for all exemplars, and `relit` uint8 [3, 3, S, S] where the task has it."""
@@ -164,7 +166,7 @@ class SvbrdfStationary(ExemplarApp):
         pooled = adaptive_avg_pool2d(pictures.flatten(0, 1), POOLED).unflatten(0, leading)
         windows = batch["windows"][0].tolist()  # the same for all tasks
         grams, spectra = [], []
-        for each in self.features(pictures)(pictures.flatten(0, 1)):
+        for each in self.features(pictures.flatten(0, 1), 0):
             grams.append(_grams(each, windows).unflatten(0, leading))
             spectra.append(amplitudes(each).unflatten(0, leading))
         taps = range(len(grams))
@@ -202,7 +204,7 @@ class SvbrdfStationary(ExemplarApp):
             pictures = self.photograph(maps, light, view)
             target = self.exemplar(references[:, i].float() / 255)
             grams = [
-                [_grams(part, range(GRID * GRID)) for part in self.features(target)(images)]
+                [_grams(part, range(GRID * GRID)) for part in self.features(images, 0)]
                 for images in (pictures.flatten(0, 1), target)
             ]
             found = [part.unflatten(0, pictures.shape[:2]) for part in grams[0]]
