@@ -12,9 +12,9 @@ import torch
 from metapp.appearance.colour import linear_to_srgb, stretched, tone_map
 from metapp.apps import presentation_of
 from metapp.experiments.session import title_of
+from metapp.experiments.sheet import Column, write_sheet
 from metapp.learning.app import App
 from metapp.learning.task import Task
-from metapp.storage.files import write_atomically
 from metapp.storage.images import write_exr, write_png
 from metapp.storage.records import file_name, read_theta, summary
 
@@ -42,10 +42,10 @@ def picture_of_run(
     """
     columns, outputs = [], presentation_of(app).outputs
     for task, record in list(zip(tasks, records, strict=True))[:20]:
-        columns.append((_shown(outputs(_theta(folder, task), task)), f"{task.name}\n{_label(record)}"))
+        columns.append(Column(_shown(outputs(_theta(folder, task), task)), task.name, _label(record)))
     mean = summary(records)["error"]
     found = "" if mean is None else f": mean error{_factor(app)} {mean:.3f}"
-    return _grid(columns, f"{title_of(app)}, {paradigm}{found}", folder / "pictures.png")
+    return write_sheet(columns, f"{title_of(app)}, {paradigm}{found}", folder / "pictures.png")
 
 
 def picture_of_table(
@@ -75,9 +75,9 @@ def picture_of_table(
             pictures = {"fit": theta[PICTURE]} if PICTURE in theta else outputs(theta, task)
             rows |= _shown({"reference": pictures["reference"]}) if not rows and "reference" in pictures else {}
             rows[f"{label} {_label(records[i])}".rstrip()] = to_srgb(pictures["fit"])
-        columns.append((rows, f"{task.name}\n"))
+        columns.append(Column(rows, task.name))
         tell()
-    return _grid(columns, f"{title_of(app)}: mean error{_factor(app)} of each fit beside it", file)
+    return write_sheet(columns, f"{title_of(app)}: mean error{_factor(app)} of each fit below it", file)
 
 
 def write_files(app: App, tasks: Sequence[Task], folder: Path, size: tuple[int, int] | None = None) -> Path | None:
@@ -120,50 +120,3 @@ def _factor(app: App) -> str:
 
 def _shown(pictures: dict[str, Any]) -> dict[str, np.ndarray]:
     return {name: to_srgb(picture) for name, picture in pictures.items()}
-
-
-def _grid(tasks: list[tuple[dict[str, np.ndarray], str]], title: str, path: Path) -> Path:
-    """Columns of display values [H, W, 3] with their rows' names, ten columns beside each other, labels below.
-
-    A name may go on with an error; what a task does not have stays blank.
-    """
-    from matplotlib.figure import Figure
-
-    found = dict.fromkeys(name.partition(" ")[0] for pictures, _ in tasks for name in pictures)
-    names = sorted(found, key=lambda name: name != "reference")  # on top, also where the first task has none
-    columns, height = min(10, len(tasks)), len(names)
-    blocks = -(-len(tasks) // columns)
-    rows, across = next(iter(tasks[0][0].values())).shape[:2]
-    aspect = max(1.0, across / rows)
-    width = 1.25 * aspect**0.6  # wide pictures hold several: more room, and none between their rows
-    size = (max(width * columns + 0.5, 3.5), ((width / aspect + 0.05) * height + 0.2) * blocks + 0.4)
-    figure = Figure(figsize=size, layout="constrained")
-    axes = figure.subplots(height * blocks, columns, squeeze=False)
-    for axis in axes.flat:
-        axis.set_xticks([])
-        axis.set_yticks([])
-        axis.set_frame_on(False)
-    for i, (pictures, label) in enumerate(tasks):
-        block, column = divmod(i, columns)
-        by_name = {name.partition(" ")[0]: (name.partition(" ")[2], picture) for name, picture in pictures.items()}
-        last = ""
-        for k, name in enumerate(names):
-            axis = axes[height * block + k, column]
-            if column == 0:
-                axis.set_ylabel(name, fontsize=7)
-            last, picture = by_name.get(name, ("", None))
-            if picture is not None:
-                axis.imshow(picture)
-            if last and k < height - 1:
-                axis.set_xlabel(last, fontsize=6, labelpad=1)
-        axes[height * block + height - 1, column].set_xlabel(
-            _wrapped(label if not last else f"{label.strip()}\n{last}"), fontsize=6, parse_math=False
-        )
-    figure.suptitle(title, fontsize=9)
-    write_atomically(path, lambda target: figure.savefig(target, dpi=120))
-    return path
-
-
-def _wrapped(label: str) -> str:
-    name, error = label.split("\n")
-    return f"{name if len(name) < 24 else name[:22] + '…'}\n{error}"
