@@ -36,7 +36,7 @@ def check_export(name: str, app: App) -> None:
 
 
 def export_all(app: App, tasks: list[Task], folder: RunFolder, name: str, size: tuple[int, int] | None = None) -> None:
-    """Write every fit of a run in a form, under <run>/<form>/; assets have the application's own size or this one."""
+    """Write every fit of a run in a form, under <run>/<form>/; surfaces of the application's size, or of this one."""
     for task in tasks:
         path = folder.path / name / file_name(task.name)
         export_fit(app, task, folder.theta(task.name), path, name, folder.settings, size)
@@ -61,7 +61,7 @@ def export_fit(
         path: where to, without suffix; its last part names an asset.
         name: of the form.
         settings: what the fit was made by, as records have it: an asset's provenance.
-        size: height and width of an asset's maps in px; None: the application's own.
+        size: of a surface, height and width in texels; None for the application's own choice.
     """
     form = exports_of(app.name)[name]
     if isinstance(form, Export):

@@ -67,6 +67,7 @@ class ExemplarApp(App):
     """
 
     setup: Setup
+    described: tuple[str, ...] = ("gram",)  # what is known of each map of features, by name: gram0, gram1, ...
 
     def __init__(self, setup: Setup) -> None:
         self.setup = setup
@@ -93,7 +94,7 @@ class ExemplarApp(App):
             octave: 0 for the whole size.
 
         Returns:
-            `gram0`... of each map and whatever else an application names by the map's number, and `summary` [B, S].
+            What `described` names of each map, such as `gram0`, and `summary` [B, S].
         """
         raise NotImplementedError
 
@@ -123,7 +124,8 @@ class ExemplarApp(App):
 
     def seen_from(self, data: dict[str, Tensor], octave: int) -> dict[str, Tensor]:
         """The data without what describes octaves finer than this one."""
-        left_out = {f"gram{i}" for i in range(self.setup.maps_from(octave), self.setup.maps_from(0))}
+        finer = range(self.setup.maps_from(octave), self.setup.maps_from(0))
+        left_out = {f"{name}{i}" for name in self.described for i in finer}
         return {key: value for key, value in data.items() if key not in left_out}
 
     def prepare(self, task: Task) -> dict[str, Tensor]:

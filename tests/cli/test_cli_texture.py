@@ -95,13 +95,14 @@ def test_a_photo_is_fitted_and_what_was_made_is_written(app: str, data: Path, me
 def test_files_of_another_size(app: str, data: Path, metapp: Callable, tmp_path: Path) -> None:
     wall = photo(tmp_path / "wall.png", 9)
     common = ("overfit", app, wall, "--data", data, "--out", tmp_path / "runs", "--json")
-    fitted = metapp(*common, "--size", "32x48", "--export", "asset")
+    fitted = metapp(*common, "--size", "32x48", "--export", "png16")
     assert fitted.code == 0, fitted.err
-    for file in (Path(fitted.document["out"]) / "outputs" / "wall").iterdir():
+    run = Path(fitted.document["out"])
+    files = [*(run / "outputs").rglob("*.png"), *(run / "png16").rglob("*.png")]
+    assert {"outputs", "png16"} == {file.relative_to(run).parts[0] for file in files}
+    for file in files:
         spec = oiio.ImageBuf(str(file)).spec()
         assert (spec.height, spec.width) == (32, 48)
-    told = json.loads((Path(fitted.document["out"]) / "asset" / "wall" / "material.json").read_text(encoding="utf-8"))
-    assert (told["size"]["height"], told["size"]["width"]) == (32, 48)
     for size, words in (
         ("33x48", f"--size 33x48: {app} expects multiples of "),
         ("48", "--size '48': expected HEIGHTx"),
