@@ -66,8 +66,8 @@ def make_command(name: str, summary: str) -> Any:
         recipe: Annotated[
             str,
             typer.Option(
-                help="quick, full (brdf) or paper; texture: also paper-vgg19; default: full where meta fits files and "
-                "no data, rule or checkpoint is given, else quick."
+                help="quick, full (brdf, texture, svbrdf_stationary) or paper; texture: also paper-vgg19; default: "
+                "full for files where no data, rule or checkpoint is given and a full one ships, else quick."
             ),
         ] = "",
         scene_root: Annotated[
@@ -103,7 +103,7 @@ def make_command(name: str, summary: str) -> Any:
             observe=observe,
             rule=rule,
             recipe=recipe,
-            own_files=name == "meta" and bool(inputs) and not train,
+            own_files_by=name if inputs and not train else "",
             steps=steps,
             data=data,
             out=out_folder,

@@ -120,7 +120,7 @@ def fit_all(
     given: Options = options_of(
         app,
         quiet=True,
-        own_files=paradigm == "meta" and bool(sources),
+        own_files_by=paradigm if sources else "",
         **{key: _path(key, value) for key, value in options.items()},
     )
     given = given.by(known[paradigm])
