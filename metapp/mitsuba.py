@@ -1,8 +1,9 @@
 """Plugins for Mitsuba 3: `import metapp.mitsuba`, before or after `mi.set_variant`, and scenes may name them.
 
     {"type": "neural_brdf", "filename": "gold.safetensors"}
+    {"type": "neural_svbrdf", "diffuse": TEXTURE, "specular": TEXTURE, "roughness": TEXTURE}
 
-In XML: `<bsdf type="neural_brdf"><string name="filename" value="gold.safetensors"/></bsdf>`. The file is a fit of the
+In XML: `<bsdf type="neural_brdf"><string name="filename" value="gold.safetensors"/></bsdf>`. The file of `neural_brdf` is a fit of the
 BRDF application (`params/<task>.safetensors` of a run, or `Fit.save`), of either network, or a folder with an NBRDF
 network of six .npy files. Variants: llvm_ad_rgb, cuda_ad_rgb.
 """
@@ -29,6 +30,7 @@ with suppress(ValueError):  # none is there: variants of GPUs need none
 
 from metapp.rendering.brdf_network import Material
 from metapp.rendering.brdf_plugin import register
+from metapp.rendering.maps_bsdf import register_maps_bsdf
 
 
 def read_material(path: Path) -> Material:
@@ -68,3 +70,4 @@ def _of_nbrdf(path: Path) -> Params:
 
 
 register(read_material)
+register_maps_bsdf()

@@ -47,3 +47,14 @@ def test_relight_maps(tmp_path: Path) -> None:
     lit = oiio.ImageBuf(str(tmp_path / "lit.png")).get_pixels(oiio.FLOAT)
     assert lit.shape == (16, 64, 3)
     assert 0.01 < lit.mean() < 1
+
+
+def test_photo_to_blender(tmp_path: Path) -> None:
+    y, x = np.mgrid[-1:1:64j, -1:1:64j]
+    pixels = np.stack([np.exp(-2 * (x * x + y * y)) * (0.5 + 0.3 * np.sin(9 * x + i)) for i in range(3)], -1)
+    assert oiio.ImageBuf(np.ascontiguousarray(pixels, np.float32)).write(str(tmp_path / "wall.png"), "uint8")
+    said = run("photo_to_blender.py", tmp_path / "wall.png", tmp_path / "out")
+    assert said.startswith("wall: 256 x 256 texels")
+    assert (tmp_path / "out" / "gltf" / "wall.glb").read_bytes().startswith(b"glTF")
+    assert len(list((tmp_path / "out" / "asset" / "wall").iterdir())) == 12
+    assert len(list((tmp_path / "out" / "blender" / "wall").iterdir())) == 8

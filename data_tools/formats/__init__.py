@@ -1,6 +1,7 @@
-"""The formats of files that tasks come from or fits are written in; one is a module here that defines FORMAT.
+"""The formats of files that tasks come from or fits are written in; one is a module here.
 
-A record says what a format is called, whose tasks it holds, and which settings its conversion takes: help texts and
+It defines FORMAT, or EXPORT where fits of flat surfaces are written for other programs and nothing is read. A record
+says what a format is called, whose tasks it holds, and which settings its conversion takes: help texts and
 commands are made of it. What reads and writes the files is a module of `data_tools.readers`, imported on first use.
 """
 
@@ -8,14 +9,18 @@ from __future__ import annotations
 
 import functools
 import importlib
+import importlib.util
 import pkgutil
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 if TYPE_CHECKING:
+    from metapp.appearance.surface import Surface
     from metapp.learning.task import Params, Task
 
+MATERIALS = ("svbrdf_stationary", "svbrdf_nonstationary")  # applications whose fits are maps of a material
+TEXTURES = ("texture",)
 AUTO = "auto"  # the split by a rule: train and test tasks
 
 
@@ -37,6 +42,13 @@ class Writer(Protocol):
 
     def export(self, app: Any, theta: Params, path: Path, /) -> None:
         """Write the parameters of one fit beside or below `path`, with the format's own suffix."""
+
+
+class AssetWriter(Protocol):
+    """What writes a fitted surface for another program, a module."""
+
+    def write(self, surface: Surface, path: Path, provenance: Mapping[str, Any], /) -> None:
+        """Write a surface as or below `path`, whose last part is its name; the provenance may be told in the file."""
 
 
 class FilesAndWriter(Files, Writer, Protocol):
@@ -133,11 +145,39 @@ class Format(NamedTuple):
     holds: tuple[str, ...] = ()
 
 
+class Export(NamedTuple):
+    """A form that fits of flat surfaces are written in for other programs.
+
+    Attributes:
+        name: the value of --export.
+        apps: the applications whose fits are written in it.
+        writer: imports and returns what writes it.
+        needs: the module and the package of a library that is not always installed; () for none.
+    """
+
+    name: str
+    apps: tuple[str, ...]
+    writer: Callable[[], AssetWriter]
+    needs: tuple[str, str] | tuple[()] = ()
+
+    def missing(self) -> str:
+        """One line about a library that is not installed; "" where nothing is missing."""
+        if not self.needs or importlib.util.find_spec(self.needs[0]):
+            return ""
+        return f'--export {self.name} needs {self.needs[1]}: pip install "metapp[export]"'
+
+
 @functools.cache
-def formats() -> tuple[Format, ...]:
-    """Return all formats, found by listing this folder."""
+def _records() -> tuple[Format | Export, ...]:
+    """All records, found by listing this folder."""
     names = sorted(module.name for module in pkgutil.iter_modules(__path__))
-    return tuple(importlib.import_module(f"{__name__}.{name}").FORMAT for name in names)
+    modules = [importlib.import_module(f"{__name__}.{name}") for name in names]
+    return tuple(getattr(module, "FORMAT", None) or module.EXPORT for module in modules)
+
+
+def formats() -> tuple[Format, ...]:
+    """Return all formats that tasks come from."""
+    return tuple(each for each in _records() if isinstance(each, Format))
 
 
 def inputs_of(app: str) -> tuple[Format, ...]:
@@ -145,6 +185,7 @@ def inputs_of(app: str) -> tuple[Format, ...]:
     return tuple(each for each in formats() if each.app == app and each.inputs)
 
 
-def exports_of(app: str) -> dict[str, Format]:
-    """Return the formats that fits of an application can be written in, by name."""
-    return {each.name: each for each in formats() if each.app == app and each.writer}
+def exports_of(app: str) -> dict[str, Format | Export]:
+    """Return the forms that fits of an application can be written in, by name."""
+    written = {each.name: each for each in formats() if each.app == app and each.writer}
+    return written | {each.name: each for each in _records() if isinstance(each, Export) and app in each.apps}

@@ -1,7 +1,8 @@
 """Photographs of flat materials under a flash beside the lens, as tasks, and which material each one shows.
 
-The flash lights the centre of the picture most: the central square is what counts. What a photograph shows follows
-from where it lies, in this order:
+The flash lights the centre of the picture most: the central square is what counts, and of a camera whose field of view
+is wider than that of fits only what is within theirs, where EXIF or the user says how wide it is. What a photograph
+shows follows from where it lies, in this order:
 
     <split>_<material>_<image>.jpg      such as train_0231_IMG_0785.jpg
     <split>/<material>/<image>.jpg      as Henzler et al. 2021, "Generative Modelling of BRDF Textures from Flash
@@ -23,6 +24,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from data_tools.readers.photos import SIZE, find_photos, holds_photos, read_photo
+from metapp.appearance.flash import FOV_RAD
 from metapp.learning.task import Task
 from metapp.storage.shards import split_auto
 
@@ -49,13 +51,18 @@ class Shown(NamedTuple):
     split: str
 
 
-def read_task(path: Path, size: int = SIZE) -> Task:
-    """Turn a flash photograph into a task of so many px a side, named by `shown`.
+def read_task(path: Path, size: int = SIZE, fov_rad: float = 0.0) -> Task:
+    """Turn a flash photograph into a task, named by `shown`.
+
+    Args:
+        path: the file.
+        size: side in px.
+        fov_rad: the camera's field of view along the shorter side; 0: as EXIF says, else that of fits.
 
     Raises:
         ValueError: as `data_tools.readers.photos.read_photo`.
     """
-    return Task(shown(path).name, {"image": read_photo(path, size)})
+    return Task(shown(path).name, {"image": read_photo(path, size, fov_rad=fov_rad, within_rad=FOV_RAD)})
 
 
 def shown(photo: Path, folder: Path | None = None) -> Shown:

@@ -5,8 +5,8 @@ a folder of the material's name: case does not count, a size at the end neither,
 part words. Colours of integer files are sRGB, all other maps are data.
 
 Several roles say the same thing: roughness = 1 - gloss where there is no roughness, and with a metallic map m
-diffuse = base (1 - m) and specular = 0.04 (1 - m) + base m, a specular map being left aside. Without both, specular is
-0.04.
+diffuse = base (1 - m) and specular = 0.04 (1 - m) + base m, a specular map being left aside, but for a diffuse map
+beside the base colour, as in metapp's asset folders. Without both, specular is 0.04.
 
 Old games keep a colour without any role in its name, `rock.png`, beside `rock_norm.png` and `rock_gloss.png`. Their
 gloss is no smoothness but the strength g of a highlight, in display values. It is converted to the roughness at which a
@@ -29,6 +29,8 @@ from torch import Tensor
 from data_tools.readers.photos import LINEAR, SIZE, SUFFIXES, central_square, find_photos, read_pixels, resample
 from data_tools.readers.svbrdf_task import UNITS, svbrdf_task, task_name, unit_normals
 from metapp.appearance.flash import Maps, pack
+from metapp.appearance.surface import DESCRIPTION
+from metapp.appearance.workflow import DIELECTRIC, from_metallic
 from metapp.learning.task import Task
 from metapp.storage.shards import split_auto
 
@@ -44,8 +46,6 @@ __all__ = [
     "split_materials",
     "task_name",
 ]
-
-DIELECTRIC = 0.04  # reflectance at normal incidence of nearly all that is no metal
 
 _ROLES = {
     "base colour": ("diffuse", "diff", "albedo", "basecolor", "basecolour", "color", "colour", "col"),
@@ -63,6 +63,7 @@ _ROLES = {
     ),
 }  # fmt: skip
 _ROLE = {word: role for role, words in _ROLES.items() for word in words}
+_BODY = ("diffuse", "diff")
 _PLAIN = "plain"  # a colour by its place beside the others
 _NORMALS = ("normal (OpenGL)", "normal", "normal (DirectX)")
 _WORD = re.compile(r"\d+[kK](?![a-z])|[A-Z]+(?![a-z])\d*|[A-Z]?[a-z]+\d*|\d+")
@@ -131,7 +132,7 @@ def find_materials(paths: Iterable[str | Path]) -> tuple[list[Material], list[st
     found: dict[Path, Material] = {}
     skipped: list[str] = []
     for path in map(Path, paths):
-        files, lines = find_photos([path])
+        files, lines = find_photos([path], expected=(DESCRIPTION,))
         if not path.is_dir():
             material = material_of(path)
             if material is None:
@@ -178,6 +179,11 @@ def materials_in(folder: Path) -> tuple[list[Material], list[Path]]:
         elif not maps:
             others.append(file)
     return [Material(folder, names[key], roles[key]) for key in sorted(roles)], others
+
+
+def lies_aside(file: Path) -> bool:
+    """Whether a file's name says that it belongs to a material but is no map of use here: heights, previews."""
+    return _parts(file.stem)[1] == ""
 
 
 def _parts(stem: str) -> tuple[str, str | None]:
@@ -235,8 +241,7 @@ def read_task(source: Path, size: int = SIZE, normals: str = "auto") -> Task:
 def reflectances(colour: Tensor, metallic: Tensor | None, specular: Tensor | None) -> tuple[Tensor, Tensor]:
     """Diffuse and specular [3, H, W] of a linear base colour [3, H, W] and what else there is."""
     if metallic is not None:
-        share = _gray(metallic)
-        return colour * (1 - share), DIELECTRIC * (1 - share) + colour * share
+        return from_metallic(colour, _gray(metallic))
     return colour, torch.full_like(colour, DIELECTRIC) if specular is None else specular
 
 
@@ -285,7 +290,7 @@ def split_materials(materials: Iterable[Material]) -> dict[Path, tuple[str, str]
 
 def _choose(material: Material) -> dict[str, Path]:
     """One file for each role that counts."""
-    roles = dict(material.files)
+    roles = _specular_workflow(material.files)
     found = ", ".join(sorted(file.name for file in material.maps))
     needed = {
         "base colour": ("base colour", _PLAIN),
@@ -305,6 +310,21 @@ def _choose(material: Material) -> dict[str, Path]:
             raise ValueError(f"{material}: {names} for {noun or role}, expected one of them; remove or rename others.")
         chosen[role] = roles[role][0]
     return chosen
+
+
+def _specular_workflow(roles: Mapping[str, tuple[Path, ...]]) -> dict[str, tuple[Path, ...]]:
+    """The maps without those of the metallic workflow where those of both are there, as in our asset folders."""
+    colours = roles.get("base colour", ())
+    diffuse = tuple(file for file in colours if _word(file) in _BODY)
+    if not ("specular" in roles and len(diffuse) == 1 and len(colours) == 2):
+        return dict(roles)
+    return {role: files for role, files in roles.items() if role != "metallic"} | {"base colour": diffuse}
+
+
+def _word(file: Path) -> str:
+    """The last word of a file's name that is no resolution."""
+    words = [word.group().lower() for word in _WORD.finditer(file.stem)]
+    return next((word for word in reversed(words) if not _RESOLUTION.fullmatch(word)), "")
 
 
 def _read(file: Path, size: int, role: str, shapes: dict[str, tuple[int, int]]) -> Tensor:

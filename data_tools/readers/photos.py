@@ -1,7 +1,8 @@
 """Photographs: find image files, and read any of them as a square sRGB picture.
 
-OpenImageIO reads the files. Integers are taken as sRGB and floating-point values (EXR, Radiance HDR) as linear, unless
-the file states another space that OpenImageIO or its ICC profile's name tells, such as Display P3 of many phones.
+OpenImageIO reads the files, pillow-heif those in HEIF. Integers are taken as sRGB and floating-point values (EXR,
+Radiance HDR) as linear, unless the file states another space that OpenImageIO or its ICC profile's name tells, such as
+Display P3 of many phones.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn import functional
 
+from data_tools.readers import heif, lens
 from metapp.appearance.colour import linear_to_srgb, srgb_to_linear
 
 SUFFIXES = (
@@ -56,11 +58,13 @@ class Pixels(NamedTuple):
         values: [height, width, 3], or 4 with alpha last; uint8 or uint16, else float32.
         space: the name OpenColorIO has for the encoding of the first three channels.
         is_premultiplied: these are multiplied by alpha.
+        focal_mm: focal length as of 35 mm film; 0 where the file does not say.
     """
 
     values: Array
     space: str
     is_premultiplied: bool
+    focal_mm: float = 0.0
 
 
 def find_photos(paths: Iterable[str | Path], expected: Collection[str] = ()) -> tuple[list[Path], list[str]]:
@@ -104,7 +108,7 @@ def find_photos(paths: Iterable[str | Path], expected: Collection[str] = ()) -> 
 def is_photo(path: str | Path) -> bool:
     """Whether a file is an image: by its suffix if that is a known one, else by whether OpenImageIO opens it.
 
-    A camera's raw or HEIF file is one too, though reading it may only say that it is to be exported.
+    A camera's raw or a HEIF file is one too, though reading it may only say that it is to be exported.
     """
     path = Path(path)
     return path.is_file() and (path.suffix.lower() in _NAMED or _opens(path))
@@ -116,7 +120,7 @@ def holds_photos(path: str | Path) -> bool:
     return any(file.suffix.lower() in _NAMED for file in _files_below(path)) if path.is_dir() else is_photo(path)
 
 
-def read_photo(path: str | Path, size: int = SIZE) -> Tensor:
+def read_photo(path: str | Path, size: int = SIZE, *, fov_rad: float = 0.0, within_rad: float = 0.0) -> Tensor:
     """Read the central square of an image file.
 
     The picture is turned as its EXIF orientation says. Averages are taken over exact areas and in linear light, so
@@ -125,6 +129,8 @@ def read_photo(path: str | Path, size: int = SIZE) -> Tensor:
 
     Args:
         path: the file; of several pictures in it the first counts.
+        fov_rad: the camera's field of view along the shorter side; 0: as the file's EXIF says, if it does.
+        within_rad: of a camera with a wider field, only what is within this one counts; 0: all of it.
         size: side of the result in px.
 
     Returns:
@@ -135,7 +141,8 @@ def read_photo(path: str | Path, size: int = SIZE) -> Tensor:
             2^28 px; channels other than gray or RGB; NaN; a picture of one colour.
     """
     path = Path(path)
-    pixels = central_square(read_pixels(path))
+    whole = read_pixels(path)
+    pixels = central_square(whole, _share_within(whole, fov_rad, within_rad))
     linear = resample(pixels, size)
     if not np.isfinite(linear).all():
         raise ValueError(f"{path}: holds NaN, expected finite values; export the image again.")
@@ -155,6 +162,13 @@ def read_photo(path: str | Path, size: int = SIZE) -> Tensor:
             "a visible structure; leave it out."
         )
     return torch.from_numpy((srgb * 255).round().astype(np.uint8)).permute(2, 0, 1).contiguous()
+
+
+def _share_within(pixels: Pixels, fov_rad: float, within_rad: float) -> float:
+    """The share of the shorter side that lies within a field of view; 1 where the camera's own is not known."""
+    if not fov_rad and pixels.focal_mm:
+        fov_rad = lens.field_of_view(pixels.focal_mm, *pixels.values.shape[:2])
+    return lens.seen_share(fov_rad, within_rad) if fov_rad and within_rad else 1.0
 
 
 def _files_below(folder: Path) -> Iterator[Path]:
@@ -193,6 +207,8 @@ def silent() -> Iterator[None]:
 
 
 def _opens(path: Path) -> bool:
+    if heif.is_heif(path):
+        return heif.can_read()
     try:
         with silent():
             open_image(path).close()
@@ -257,7 +273,8 @@ def error_of(source: Any) -> str:
 def _to_export(path: Path) -> str:
     """The line about a camera's or phone's own form of pictures."""
     kind = "raw values of a camera" if path.suffix.lower() in _RAW else "a picture in HEIF or AVIF"
-    return f"{path}: {kind}, {_EXPECTED}; export it as JPEG or PNG."
+    remedy = "" if heif.can_read() or not heif.is_heif(path) else f", or read it as it is: {heif.INSTALL}"
+    return f"{path}: {kind}, {_EXPECTED}; export it as JPEG or PNG{remedy}."
 
 
 def reason_of(message: str, path: Path) -> str:
@@ -273,15 +290,18 @@ def read_pixels(path: Path) -> Pixels:
     Raises:
         ValueError: as `read_photo`, but for NaN and a picture of one colour.
     """
+    check_exists(path)
+    if heif.is_heif(path):
+        return _read_heif(path)
     with opened(path) as source:
         spec = source.spec()
-        _check_size(spec, path)
+        _check_size(spec.width, spec.height, path)
         check_memory(spec, path)
         channels = _channels(spec, path)
         kind = str(spec.format)
         values = source.read_image(kind if kind in ("uint8", "uint16") else "float")
         problem = error_of(source)
-        space = _space(spec)
+        space, focal_mm = _space(spec), lens.focal_length(spec)
     if values is None or problem:
         raise ValueError(
             f"{path}: damaged or incomplete ({reason_of(problem, path)}), expected a whole image; copy or download it "
@@ -289,14 +309,26 @@ def read_pixels(path: Path) -> Pixels:
         )
     upright = turn_upright(values, spec.get_int_attribute("Orientation", 1))
     is_premultiplied = not spec.get_int_attribute("oiio:UnassociatedAlpha", 0)
-    return Pixels(upright[..., channels], space, is_premultiplied)
+    return Pixels(upright[..., channels], space, is_premultiplied, focal_mm)
 
 
-def _check_size(spec: Any, path: Path) -> None:
-    found = f"{spec.width}x{spec.height} px"
-    if spec.width * spec.height > _MAX_PIXELS:
+def _read_heif(path: Path) -> Pixels:
+    if not heif.can_read():
+        raise ValueError(_to_export(path))
+    with silent():
+        source = heif.open_heif(path)
+        width, height = source.size
+        _check_size(width, height, path)
+        values, profile = heif.decode(source, path)
+    focal_mm = lens.focal_length_of(source.info.get("exif"))
+    return Pixels(values, _PROFILES.get(profile, _SRGB), False, focal_mm)
+
+
+def _check_size(width: int, height: int, path: Path) -> None:
+    found = f"{width}x{height} px"
+    if width * height > _MAX_PIXELS:
         raise ValueError(f"{path}: {found}, expected {_MAX_PIXELS:,} px or fewer; scale it down.")
-    if min(spec.width, spec.height) < _MIN_SIDE:
+    if min(width, height) < _MIN_SIDE:
         raise ValueError(f"{path}: {found}, expected {_MIN_SIDE} px or more on the short side; take a larger image.")
 
 
@@ -340,10 +372,10 @@ def turn_upright(values: Array, orientation: int) -> Array:
     return values
 
 
-def central_square(pixels: Pixels) -> Pixels:
-    """The middle of a picture, as large as its shorter side."""
+def central_square(pixels: Pixels, share: float = 1.0) -> Pixels:
+    """The middle of a picture, as large as its shorter side, or as such a share of it."""
     height, width = pixels.values.shape[:2]
-    side = min(height, width)
+    side = max(1, round(min(height, width) * share))
     top, left = (height - side) // 2, (width - side) // 2
     return pixels._replace(values=pixels.values[top : top + side, left : left + side])
 

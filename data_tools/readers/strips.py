@@ -20,6 +20,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from data_tools.readers.heif import is_heif
 from data_tools.readers.photos import (
     LINEAR,
     SIZE,
@@ -91,6 +92,8 @@ def is_strip(path: Path) -> bool:
     Raises:
         ValueError: no such file, no image.
     """
+    if is_heif(path):
+        return False  # phones write these
     with opened(path) as source:
         spec = source.spec()
         return _has_tiles(spec.height, spec.width)

@@ -8,6 +8,8 @@ from pathlib import Path
 from data_tools.readers import material_maps, strips
 from data_tools.readers.photos import SIZE, check_exists, find_photos, holds_photos, read_photo
 from data_tools.readers.svbrdf_task import UNITS, task_name
+from metapp.appearance.flash import FOV_RAD
+from metapp.appearance.surface import DESCRIPTION
 from metapp.learning.task import Task
 
 __all__ = ["UNITS", "find", "read_task", "recognises"]
@@ -24,12 +26,13 @@ def find(paths: Iterable[str | Path]) -> tuple[list[Path], list[str]]:
     Raises:
         ValueError: as `data_tools.readers.photos.find_photos`.
     """
-    files, skipped = find_photos(paths)
-    stands_for: dict[Path, Path] = {}
+    files, skipped = find_photos(paths, expected=(DESCRIPTION,))
+    stands_for: dict[Path, Path | None] = {}
     for folder in {file.parent for file in files}:
         for material in filter(_is_material, material_maps.materials_in(folder)[0]):
+            stands_for.update(dict.fromkeys(filter(material_maps.lies_aside, folder.iterdir())))
             stands_for.update(dict.fromkeys(material.maps, material.source))
-    sources = [stands_for.get(file, file) for file in files]
+    sources = [source for file in files if (source := stands_for.get(file, file))]
     return list({source.resolve(): source for source in sources}.values()), skipped
 
 
@@ -49,7 +52,7 @@ def read_task(path: Path, size: int = SIZE) -> Task:
         return material_maps.read_task(path, size)
     if strips.is_strip(path):
         return strips.read_task(path, size)
-    return Task(task_name(path.stem), {"photo": read_photo(path, size)})
+    return Task(task_name(path.stem), {"photo": read_photo(path, size, within_rad=FOV_RAD)})
 
 
 def _is_material(material: material_maps.Material) -> bool:

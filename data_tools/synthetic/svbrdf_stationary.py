@@ -29,17 +29,18 @@ UNITS = {
 # Flat enough to be maps on a plane: without loose grass, leaves, and what is mostly print.
 FLAT = tuple(name for name in FAMILIES if name not in ("grass", "foliage", "stripes", "camouflage"))
 
-_SIZE = 256
+SIZE = 256  # px a side
 _STREAM = 1  # other materials than those of the textures
 
 
-def synthetic_tasks(split: Split, count: int, seed: int = 0) -> Iterator[Task]:
+def synthetic_tasks(split: Split, count: int, seed: int = 0, size: int = SIZE) -> Iterator[Task]:
     """The photographs of one split, one by one.
 
     Args:
         split: "train" or "test"; the same families, other draws.
         count: how many. A larger set begins with the smaller one.
         seed: of all draws, >= 0.
+        size: px a side of the pictures; another size draws other pictures of the same families.
 
     Returns:
         Tasks with unique names such as "bricks-016" ("bricks-t000" in the test split) and `image`, uint8
@@ -50,7 +51,7 @@ def synthetic_tasks(split: Split, count: int, seed: int = 0) -> Iterator[Task]:
         ValueError: for another split, or a negative count or seed.
     """
     for family, name, rng in turns("svBRDFs", FLAT, COUNTS, split, count, seed, _STREAM):
-        image, relit = flash_photographs(FAMILIES[family](rng, _SIZE), rng)
+        image, relit = flash_photographs(FAMILIES[family](rng, size), rng)
         data = {"image": image} | ({"relit": relit} if split == "test" else {})
         yield Task(name, data)
 

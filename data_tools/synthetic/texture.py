@@ -21,17 +21,18 @@ from metapp.learning.task import Task
 UNITS = {"image": "sRGB, 0 .. 255; a photograph from above"}
 COUNTS: dict[Split, int] = {"train": 240, "test": 20}
 
-_SIZE = 256
+SIZE = 256  # px a side
 _SHADOW_STEPS = 12
 
 
-def synthetic_tasks(split: Split, count: int, seed: int = 0) -> Iterator[Task]:
+def synthetic_tasks(split: Split, count: int, seed: int = 0, size: int = SIZE) -> Iterator[Task]:
     """The textures of one split, one by one.
 
     Args:
         split: "train" or "test"; the same families, other draws.
         count: how many. A larger set begins with the smaller one.
         seed: of all draws, >= 0.
+        size: px a side of the pictures; another size draws other pictures of the same families.
 
     Returns:
         Tasks with unique names such as "bricks-013" ("bricks-t013" in the test split) and `image`, uint8
@@ -41,7 +42,7 @@ def synthetic_tasks(split: Split, count: int, seed: int = 0) -> Iterator[Task]:
         ValueError: for another split, or a negative count or seed.
     """
     for family, name, rng in turns("textures", FAMILIES, COUNTS, split, count, seed):
-        image = photograph(FAMILIES[family](rng, _SIZE), rng)
+        image = photograph(FAMILIES[family](rng, size), rng)
         yield Task(name, {"image": torch.from_numpy(image)})
 
 

@@ -44,11 +44,11 @@ class Features(nn.Module):
         self.register_buffer("deviation", torch.tensor(DEVIATION).reshape(3, 1, 1))
         self.requires_grad_(False)
 
-    def forward(self, images: Tensor) -> list[Tensor]:
-        """Images [B, 3, H, W], sRGB in [0, 1], to maps [B, C, H', W'], one a tap."""
+    def forward(self, images: Tensor, taps: int | None = None) -> list[Tensor]:
+        """Images [B, 3, H, W], sRGB in [0, 1], to maps [B, C, H', W'], one a tap, or of the first taps alone."""
         x = ((images - self.mean) / self.deviation).contiguous(memory_format=torch.channels_last)
         maps = []
-        for stage in self.stages:
+        for stage in self.stages[:taps]:
             x = stage(x)
             maps.append(x)
         return maps
@@ -57,11 +57,11 @@ class Features(nn.Module):
 class RandomFilters(Features):
     """Random filters with a ReLU, on the image at several scales (Ustyuzhaninov et al. 2017)."""
 
-    def forward(self, images: Tensor) -> list[Tensor]:
+    def forward(self, images: Tensor, taps: int | None = None) -> list[Tensor]:
         """Feature maps of images [B, 3, H, W], sRGB in [0, 1]: one a scale, each half the size of the last."""
         x = (images - self.mean) / self.deviation
         maps = []
-        for stage in self.stages:
+        for stage in self.stages[:taps]:
             maps.append(stage(x))
             x = avg_pool2d(x, 2)
         return maps
@@ -216,3 +216,25 @@ def distance(found: Sequence[Tensor], target: Sequence[Tensor]) -> Tensor:
         (g - t).abs().sum((-1, -2)) / t.abs().sum((-1, -2)).clamp_min(1e-12) for g, t in zip(found, target, strict=True)
     ]
     return torch.stack(each).mean(0)
+
+
+DIRECTIONS = 64
+
+
+def sliced_wasserstein(found: Tensor, target: Tensor) -> Tensor:
+    """Distance of the distributions of features, places aside, along random directions (Heitz et al. 2021).
+
+    Args:
+        found: feature maps [B, C, H, W].
+        target: those of the exemplar, [1, C, H, W].
+
+    Returns:
+        [B]: mean distance of sorted projections over the target's mean deviation; 0 for equal distributions.
+    """
+    rng = Generator(found.device).manual_seed(0)
+    directions = torch.randn(DIRECTIONS, found.shape[1], generator=rng, device=found.device, dtype=found.dtype)
+    directions = directions / directions.norm(dim=1, keepdim=True)
+    sorted_found, sorted_target = ((directions @ maps.flatten(2)).sort(2).values for maps in (found, target))
+    deviation = (sorted_target - sorted_target.mean(2, keepdim=True)).abs().mean(2)
+    result: Tensor = ((sorted_found - sorted_target).abs().mean(2) / deviation.clamp_min(1e-12)).mean(1)
+    return result

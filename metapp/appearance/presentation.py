@@ -8,6 +8,7 @@ from typing import Any, Generic, Literal, NamedTuple, TypeVar, get_args
 
 from torch import Tensor
 
+from metapp.appearance.surface import Surface
 from metapp.learning.app import App
 from metapp.learning.task import Params, Task
 
@@ -64,6 +65,7 @@ class Presentation(ABC, Generic[AnyApp]):
         logarithmic: True where the error is a logarithm, of any sign: of two, the difference counts, not the ratio.
         image_measure: what `image_errors` are of, in one line; "" where there are none.
         image_seconds: that they take a task, about, to tell the time left before any was measured.
+        size: height and width of `files`, px; None for the application's own choice.
     """
 
     title: str
@@ -71,9 +73,14 @@ class Presentation(ABC, Generic[AnyApp]):
     logarithmic: bool = False
     image_measure: str = ""
     image_seconds: float = 0.1
+    size: tuple[int, int] | None = None
 
     def __init__(self, app: AnyApp) -> None:
         self.app = app
+
+    def refusal(self, height: int, width: int) -> str:
+        """Why `files` cannot be of a size; "" where they can."""
+        return "has files of one size; leave it out"
 
     @abstractmethod
     def outputs(self, theta: Params, task: Task) -> dict[str, Any]:
@@ -82,6 +89,10 @@ class Presentation(ABC, Generic[AnyApp]):
     def files(self, theta: Params, task: Task) -> dict[str, Picture]:
         """What a fit makes for its user, by the file's name without its ending (no task axis in theta)."""
         return {}
+
+    def surface(self, theta: Params, task: Task) -> Surface | None:
+        """The flat surface that a fit is of (no task axis in theta); None of applications that have none."""
+        return None
 
     def image_errors(self, fits: Mapping[str, Fitted], task: Task) -> dict[str, dict[str, float]]:
         """Measures of the pictures that fits of a task make, by the fit's name, then by the measure's, such as SSIM.

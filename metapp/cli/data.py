@@ -79,6 +79,16 @@ def synth(
         ),
     ] = None,
     seed: Annotated[int, typer.Option(min=0, metavar="S", help="Of all random draws.")] = 0,
+    size: Annotated[
+        int | None,
+        typer.Option(
+            min=32,
+            max=4096,
+            metavar="PX",
+            show_default="256",
+            help="Of texture and svbrdf_stationary: pictures of so many px a side.",
+        ),
+    ] = None,
     form: Annotated[
         Form, typer.Option("--as", help="shards: what metapp reads. merl: .binary files in DIR/train and DIR/test.")
     ] = Form.SHARDS,
@@ -116,7 +126,7 @@ def synth(
     else:
         from metapp.storage.manifest import read_manifest
 
-        made = embedded_data(name, seed, count, folder, quiet)
+        made = embedded_data(name, seed, count, folder, quiet, size)
         tasks = read_manifest(made).tasks
         names = {split: [task.name for task in tasks if task.split == split] for split in ("train", "test")}
         done = Converted(name, str(made), names["train"], names["test"], [])

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import os
+import shutil
+import subprocess
+import sysconfig
 from importlib import metadata
 from typing import Annotated, Any
 
@@ -44,7 +47,6 @@ def examine() -> dict[str, Any]:
     from metapp.apps import app_names
     from metapp.experiments.checkpoints import shipped_path
     from metapp.experiments.embedded import embedded_exists
-    from metapp.paradigms.outer_loop import can_compile
     from metapp.storage.files import cache_folder
 
     starts = {
@@ -53,15 +55,23 @@ def examine() -> dict[str, Any]:
     return {
         "versions": {name: _version(name) for name in PACKAGES},
         "device": torch.cuda.get_device_name() if torch.cuda.is_available() else f"CPU, {os.cpu_count()} cores",
-        "compiler": "works"
-        if can_compile()
-        else "none that works: training is half as fast; install g++ and python3-dev",
+        "compiler": _compiler(),
         "cache": str(cache_folder()),
         "data": {app: "made" if embedded_exists(app) else "made on first use" for app in app_names()},
         "starts": {app: ", ".join(names) or "none" for app, names in starts.items()},
         "VGG": {which: _vgg(which) for which in ("vgg16", "vgg19")},
         "libLLVM": _llvm(),
     }
+
+
+def _compiler() -> str:
+    """What torch.compile needs: whether a compiler takes Python's headers and OpenMP, not the seconds of a real one."""
+    name = next(filter(shutil.which, ("g++", "clang++")), "")
+    probe = "#include <Python.h>\n#include <omp.h>\nint main() { return omp_get_max_threads() < 1; }\n"
+    options = ["-x", "c++", "-fopenmp", "-fsyntax-only", f"-I{sysconfig.get_path('include')}", "-"]
+    if name and subprocess.run([name, *options], input=probe, text=True, capture_output=True).returncode == 0:
+        return f"{name}, with Python's headers and OpenMP"
+    return "none that works: training is half as fast; install g++ and python3-dev"
 
 
 def _version(package: str) -> str:

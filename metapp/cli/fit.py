@@ -80,6 +80,14 @@ def make_command(name: str, summary: str) -> Any:
                 "transport. Plugins never do.",
             ),
         ] = None,
+        size: Annotated[
+            str,
+            typer.Option(
+                metavar="HxW",
+                help="px of what fits make: textures and maps of stationary svBRDFs to 4096x4096, illumination to "
+                "1024x2048; default: four times the exemplar's, the map's as it is fitted.",
+            ),
+        ] = "",
         export: Annotated[str, typer.Option(help=f"Write each fit in another form; {EXPORTS}.")] = "",
         seed: Annotated[int, typer.Option(help="Seed of all random draws.", min=0, max=2**63 - 1)] = 0,
         device: Annotated[str, typer.Option(help="auto, cpu or cuda.")] = "auto",
@@ -123,6 +131,7 @@ def make_command(name: str, summary: str) -> Any:
             train=train,
             train_steps=train_steps,
             export=export,
+            size=size,
             scene_roots=scene_root or [],
         )
         if not quiet:

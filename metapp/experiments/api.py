@@ -14,7 +14,7 @@ from metapp.experiments.checkpoints import find_checkpoint
 from metapp.experiments.export import check_export, export_fit
 from metapp.experiments.fits import fit_tasks
 from metapp.experiments.inputs import tasks_to_fit
-from metapp.experiments.session import Options, options_of, threads, threads_of
+from metapp.experiments.session import Options, options_of, settings_of, threads, threads_of
 from metapp.learning.app import App
 from metapp.learning.task import Params, Task
 from metapp.paradigms import paradigms
@@ -33,10 +33,13 @@ class Fit:
         seconds: of inference.
         warning: what is doubtful about the fit; "" for nothing.
         guarded: whether the guard acted, as the learned rule failed.
+        settings: what it was made by, as records have it.
     """
 
-    def __init__(self, app: App, task: Task, record: dict[str, Any], parameters: Params) -> None:
-        self.app, self.task, self.parameters = app, task, parameters
+    def __init__(
+        self, app: App, task: Task, settings: dict[str, Any], record: dict[str, Any], parameters: Params
+    ) -> None:
+        self.app, self.task, self.settings, self.parameters = app, task, settings, parameters
         self.error: float | None = record["error"]
         self.seconds: float = record["seconds"]
         self.warning: str = record.get("warning", "")
@@ -68,13 +71,13 @@ class Fit:
         return Path(path)
 
     def export(self, form: str, path: str | PathLike[str]) -> None:
-        """Write the fit in another format, such as "nbrdf" or "merl" of a BRDF; `path` has no suffix.
+        """Write the fit in another form, such as "merl" of a BRDF or "gltf" of a material; `path` has no suffix.
 
         Raises:
-            BadOption: fits of this application cannot be written so.
+            BadOption: fits of this application cannot be written so, or a library for it is missing.
         """
         check_export(form, self.app)
-        export_fit(self.app, self.task, self.parameters, Path(path), form)
+        export_fit(self.app, self.task, self.parameters, Path(path), form, self.settings)
 
 
 def fit(app: str, source: str | PathLike[str], *, paradigm: str = "meta", **options: Any) -> Fit:
@@ -122,10 +125,11 @@ def fit_all(
     )
     given = given.by(known[paradigm])
     with threads(threads_of(given.app)):
-        tasks, _ = tasks_to_fit(given.app, [Path(each) for each in sources], given.data, quiet=True)
+        tasks, label = tasks_to_fit(given.app, [Path(each) for each in sources], given.data, quiet=True)
         checkpoint = find_checkpoint(given, known[paradigm])
         done = fit_tasks(given, known[paradigm], checkpoint, tasks)
-        return [Fit(given.app, task, *made) for task, made in zip(tasks, done, strict=True)]
+        settings = settings_of(given, known[paradigm], checkpoint, label)
+        return [Fit(given.app, task, settings, *made) for task, made in zip(tasks, done, strict=True)]
 
 
 def _path(key: str, value: Any) -> Any:

@@ -59,7 +59,7 @@ def find_checkpoint(options: Options, paradigm: Paradigm) -> Checkpoint:
     _require_conditions(path, options.app, prepared, info)
     require_fit(path, options, paradigm, prepared)
     checkpoint = Checkpoint(prepared, str(path), digest(path))
-    if path == shipped_path(options.app.name, checkpoint_name(options.app, needed)) and not options.checkpoint:
+    if path == _shipped(options, needed) and not options.checkpoint:
         note = ", trained on other data, which may hold these tasks" if options.data else ""
         checkpoint = checkpoint._replace(source=f"the checkpoint that ships{note}")
     for each in tuned:
@@ -90,7 +90,7 @@ def _require_conditions(path: Path, app: App, prepared: MetaParameters, info: di
 def _with_tuning(options: Options, checkpoint: Checkpoint, name: str) -> Checkpoint:
     """Put the Adam that was tuned for this very encoder into its checkpoint."""
     encoder = tensor_digest(checkpoint.prepared.encoder)
-    candidates = [shipped_path(options.app.name, checkpoint_name(options.app, name))]
+    candidates = [_shipped(options, name)]
     if options.data or embedded_exists(options.app.name):
         candidates.insert(0, trained_path(options, name))
     for path in candidates:
@@ -115,7 +115,7 @@ def _checkpoint_path(options: Options, name: str) -> Path:
         path = trained_path(options, name)
         if path.is_file():
             return path
-    path = shipped_path(options.app.name, checkpoint_name(options.app, name))
+    path = _shipped(options, name)
     if path.is_file() and options.recipe in SHIPPED_FOR:
         return path
     raise ValueError(
@@ -136,9 +136,14 @@ def checkpoint_name(app: App, name: str) -> str:
     return name if name == "general" or is_first_protocol(app) else f"{name}-{app.protocol}"
 
 
-def shipped_path(app: str, name: str) -> Path:
-    """Where a checkpoint that ships with metapp is, by its file name without suffix."""
-    return Path(str(resources.files("metapp.checkpoints"))) / app / f"{name}.safetensors"
+def shipped_path(app: str, name: str, recipe: str = "quick") -> Path:
+    """Where a checkpoint that ships with metapp is, by its file name without suffix; "full" may have a folder."""
+    folder = Path(str(resources.files("metapp.checkpoints"))) / app
+    return (folder / recipe if (folder / recipe).is_dir() else folder) / f"{name}.safetensors"
+
+
+def _shipped(options: Options, name: str) -> Path:
+    return shipped_path(options.app.name, checkpoint_name(options.app, name), options.recipe)
 
 
 class Trained(NamedTuple):
@@ -264,7 +269,7 @@ def has_general(options: Options) -> bool:
     """
     if trained_path(options, "general").is_file():
         return True
-    return not options.data and options.recipe in SHIPPED_FOR and shipped_path(options.app.name, "general").is_file()
+    return not options.data and options.recipe in SHIPPED_FOR and _shipped(options, "general").is_file()
 
 
 def general_of(options: Options, steps: int | None = None) -> Checkpoint:

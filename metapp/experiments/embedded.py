@@ -58,7 +58,12 @@ def split_counts(app: str, count: int | None = None) -> dict[str, int]:
 
 
 def embedded_data(
-    app: str, seed: int = 0, count: int | None = None, out: Path | None = None, quiet: bool = False
+    app: str,
+    seed: int = 0,
+    count: int | None = None,
+    out: Path | None = None,
+    quiet: bool = False,
+    size: int | None = None,
 ) -> Path:
     """The folder of an application's embedded data set, made now if it is not there yet.
 
@@ -69,17 +74,24 @@ def embedded_data(
         out: where to write the set; None is the cache, where a finished set of the same application, seed and count
             is taken as it is.
         quiet: no progress.
+        size: px a side of pictures, where the set can be drawn at several sizes; None is the default.
 
     Raises:
-        ValueError: an application without embedded set, a count below 1, a negative seed, a folder that holds other
-            data.
+        ValueError: an application without embedded set, or of one size; a count below 1, a negative seed, a folder that
+            holds other data.
     """
     counts = split_counts(app, count)
     notes = {"made_by": "metapp data synth", "version": _version(app), "seed": seed, "count": sum(counts.values())}
+    usual = getattr(embedded_module(app), "SIZE", None)
+    if size not in (None, usual):
+        if usual is None:
+            raise ValueError(f"{app}: size {size}, but its embedded set has one size; leave --size out.")
+        notes["size"] = size
     if out is not None:
-        _make(app, out, counts, seed, notes, quiet)
+        _make(app, out, counts, notes, quiet)
         return out
-    folder = cache_folder() / "data" / f"{app}-{notes['count']}-seed{seed}-v{_version(app)}"
+    sized = f"-{size}px" if "size" in notes else ""
+    folder = cache_folder() / "data" / f"{app}-{notes['count']}{sized}-seed{seed}-v{_version(app)}"
     if _is_finished(folder, app, notes):
         return folder
     try:
@@ -94,7 +106,7 @@ def embedded_data(
     work = folder.with_name(f".partial-{os.getpid()}-{folder.name}")
     _remove_stale(folder.parent)
     try:
-        _make(app, work, counts, seed, notes, quiet)
+        _make(app, work, counts, notes, quiet)
         with locked(folder.parent):
             if not _is_finished(folder, app, notes):
                 shutil.rmtree(folder, ignore_errors=True)  # half a set, or a damaged one
@@ -117,15 +129,16 @@ def _default_folder(app: str) -> Path:
     return cache_folder() / "data" / f"{app}-{sum(split_counts(app).values())}-seed0-v{_version(app)}"
 
 
-def _make(app: str, folder: Path, counts: dict[str, int], seed: int, notes: dict[str, Any], quiet: bool) -> None:
+def _make(app: str, folder: Path, counts: dict[str, int], notes: dict[str, Any], quiet: bool) -> None:
     from metapp.storage.shards import ShardWriter
 
     module = embedded_module(app)
     beside = getattr(module, "BESIDE", None)
+    size = {"size": notes["size"]} if "size" in notes else {}
     shown = progress(f"{app} data", sum(counts.values()), quiet=quiet)
     with ShardWriter(folder, app, module.UNITS, notes, beside) as writer, shown as bar:
         for split, count in counts.items():
-            for task in module.synthetic_tasks(split, count, seed):
+            for task in module.synthetic_tasks(split, count, notes["seed"], **size):
                 writer.add(task, split)
                 bar.advance(task.name)
 

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 from torch import Generator
 
-from data_tools.formats import exports_of
+from data_tools.formats import Export, exports_of
+from metapp.apps import presentation_of
 from metapp.experiments import BadOption
 from metapp.experiments.checkpoints import find_checkpoint
 from metapp.experiments.reporter import number, say
@@ -18,27 +21,56 @@ from metapp.storage.records import RunFolder, file_name
 
 
 def check_export(name: str, app: App) -> None:
-    """Refuse a format that fits of an application cannot be written in.
+    """Refuse a form that fits of an application cannot be written in.
 
     Raises:
-        BadOption: it cannot.
+        BadOption: it cannot, or a library for it is missing.
     """
     known = exports_of(app.name)
     if name and name not in known:
         expected = f"expects one of {', '.join(known)}" if known else "has none; leave it out"
         raise BadOption(f"--export '{name}': {app.name} {expected}.")
+    form = known.get(name)
+    if isinstance(form, Export) and form.missing():
+        raise BadOption(form.missing())
 
 
-def export_all(app: App, tasks: list[Task], folder: RunFolder, name: str) -> None:
-    """Write every fit of a run in a format, under <run>/<format>/."""
+def export_all(app: App, tasks: list[Task], folder: RunFolder, name: str, size: tuple[int, int] | None = None) -> None:
+    """Write every fit of a run in a form, under <run>/<form>/; surfaces of the application's size, or of this one."""
     for task in tasks:
-        export_fit(app, task, folder.theta(task.name), folder.path / name / file_name(task.name), name)
+        path = folder.path / name / file_name(task.name)
+        export_fit(app, task, folder.theta(task.name), path, name, folder.settings, size)
     say(f"{len(tasks)} fits written as {name}: {folder.path / name}")
 
 
-def export_fit(app: App, task: Task, theta: Params, path: Path, name: str) -> None:
-    """Write one fit in a format; where that holds another network, the fit is distilled into it first."""
+def export_fit(
+    app: App,
+    task: Task,
+    theta: Params,
+    path: Path,
+    name: str,
+    settings: Mapping[str, Any],
+    size: tuple[int, int] | None = None,
+) -> None:
+    """Write one fit in a form; where that holds another network, the fit is distilled into it first.
+
+    Args:
+        app: of the fit.
+        task: what was fitted.
+        theta: parameters, without a task axis.
+        path: where to, without suffix; its last part names an asset.
+        name: of the form.
+        settings: what the fit was made by, as records have it: an asset's provenance.
+        size: of a surface, height and width in texels; None for the application's own choice.
+    """
     form = exports_of(app.name)[name]
+    if isinstance(form, Export):
+        shown = presentation_of(app)
+        shown.size = size
+        surface = shown.surface(theta, task)
+        assert surface is not None, f"{app.name} has no surface"
+        form.writer().write(surface, path, {"task": task.name, **settings})
+        return
     assert form.writer is not None
     if form.holds and set(theta) != set(form.holds):
         theta = distilled(app, task, theta)

@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
-from torch import Tensor
 
 from metapp.appearance.colour import linear_to_srgb, stretched, tone_map
 from metapp.apps import presentation_of
 from metapp.experiments.session import title_of
+from metapp.experiments.sheet import Column, write_sheet
 from metapp.learning.app import App
 from metapp.learning.task import Task
-from metapp.storage.files import write_atomically
+from metapp.storage.images import write_exr, write_png
 from metapp.storage.records import file_name, read_theta, summary
 
 COMPARED = 20  # tasks in a picture of all paradigms
@@ -43,10 +42,10 @@ def picture_of_run(
     """
     columns, outputs = [], presentation_of(app).outputs
     for task, record in list(zip(tasks, records, strict=True))[:20]:
-        columns.append((_shown(outputs(_theta(folder, task), task)), f"{task.name}\n{_label(record)}"))
+        columns.append(Column(_shown(outputs(_theta(folder, task), task)), task.name, _label(record)))
     mean = summary(records)["error"]
     found = "" if mean is None else f": mean error{_factor(app)} {mean:.3f}"
-    return _grid(columns, f"{title_of(app)}, {paradigm}{found}", folder / "pictures.png")
+    return write_sheet(columns, f"{title_of(app)}, {paradigm}{found}", folder / "pictures.png")
 
 
 def picture_of_table(
@@ -76,21 +75,24 @@ def picture_of_table(
             pictures = {"fit": theta[PICTURE]} if PICTURE in theta else outputs(theta, task)
             rows |= _shown({"reference": pictures["reference"]}) if not rows and "reference" in pictures else {}
             rows[f"{label} {_label(records[i])}".rstrip()] = to_srgb(pictures["fit"])
-        columns.append((rows, f"{task.name}\n"))
+        columns.append(Column(rows, task.name))
         tell()
-    return _grid(columns, f"{title_of(app)}: mean error{_factor(app)} of each fit beside it", file)
+    return write_sheet(columns, f"{title_of(app)}: mean error{_factor(app)} of each fit below it", file)
 
 
-def write_files(app: App, tasks: Sequence[Task], folder: Path) -> Path | None:
+def write_files(app: App, tasks: Sequence[Task], folder: Path, size: tuple[int, int] | None = None) -> Path | None:
     """Write what each fit makes for its user, <run>/outputs/<task>/<name>.png, 8 bits; None where nothing.
+
+    It is of the application's own size unless a height and a width are given.
 
     Colours are sRGB; data such as roughness, normals and heights are linear: the PNG's text `encoding` says which.
     Heights h, in texels, are kept as (h - minimum) / (maximum - minimum), of which the texts `height_minimum` and
     `height_maximum` tell. Radiance is kept as <name>.exr, and tone-mapped beside it.
     """
-    written, files = None, presentation_of(app).files
+    written, shown = None, presentation_of(app)
+    shown.size = size
     for task in tasks:
-        for name, (pixels, kind) in files(_theta(folder, task), task).items():
+        for name, (pixels, kind) in shown.files(_theta(folder, task), task).items():
             written = folder / "outputs"
             file = written / file_name(task.name) / f"{name}.png"
             texts = {"encoding": "linear" if kind in ("data", "height") else "sRGB"}
@@ -98,37 +100,10 @@ def write_files(app: App, tasks: Sequence[Task], folder: Path) -> Path | None:
                 pixels, low, high = stretched(pixels)
                 texts |= {"height_minimum": f"{low:.9g}", "height_maximum": f"{high:.9g}", "height_unit": "texels"}
             if kind == "radiance":
-                write_atomically(file.with_name(f"{name}.exr"), functools.partial(_write_exr, pixels))
+                write_exr(pixels, file.with_name(f"{name}.exr"))
                 pixels = tone_map(pixels / pixels.mean().clamp_min(1e-20))  # whatever its unit
-            write_atomically(file, functools.partial(_write_png, pixels, texts))
+            write_png(pixels, texts, file)
     return written
-
-
-def _write_png(picture: Tensor, texts: dict[str, str], path: Path) -> None:
-    import OpenImageIO as oiio
-
-    pixels = (np.clip(picture.numpy(), 0, 1) * 255 + 0.5).astype(np.uint8)
-    image = oiio.ImageBuf(np.ascontiguousarray(pixels))
-    # whoever honours a PNG's colour space would decode roughness and normals wrongly
-    image.specmod().attribute("oiio:ColorSpace", "data" if texts["encoding"] == "linear" else "sRGB")
-    for key, text in texts.items():
-        image.specmod().attribute(key, text)
-    _write(image, "uint8", path)
-
-
-def _write_exr(radiance: Tensor, path: Path) -> None:
-    import OpenImageIO as oiio
-
-    pixels = np.ascontiguousarray(radiance.numpy(), dtype=np.float32)
-    image = oiio.ImageBuf(pixels)
-    image.specmod().attribute("oiio:ColorSpace", "lin_rec709_scene")
-    fits_half = 1 <= pixels.max() <= np.finfo(np.float16).max  # below, dark parts would lose digits
-    _write(image, "half" if fits_half else "float", path)
-
-
-def _write(image: Any, form: str, path: Path) -> None:
-    if not image.write(str(path), form):
-        raise ValueError(f"{path}: not written ({image.geterror()}); is the disk full?")
 
 
 def _theta(folder: Path, task: Task) -> dict[str, Any]:
@@ -145,50 +120,3 @@ def _factor(app: App) -> str:
 
 def _shown(pictures: dict[str, Any]) -> dict[str, np.ndarray]:
     return {name: to_srgb(picture) for name, picture in pictures.items()}
-
-
-def _grid(tasks: list[tuple[dict[str, np.ndarray], str]], title: str, path: Path) -> Path:
-    """Columns of display values [H, W, 3] with their rows' names, ten columns beside each other, labels below.
-
-    A name may go on with an error; what a task does not have stays blank.
-    """
-    from matplotlib.figure import Figure
-
-    found = dict.fromkeys(name.partition(" ")[0] for pictures, _ in tasks for name in pictures)
-    names = sorted(found, key=lambda name: name != "reference")  # on top, also where the first task has none
-    columns, height = min(10, len(tasks)), len(names)
-    blocks = -(-len(tasks) // columns)
-    rows, across = next(iter(tasks[0][0].values())).shape[:2]
-    aspect = max(1.0, across / rows)
-    width = 1.25 * aspect**0.6  # wide pictures hold several: more room, and none between their rows
-    size = (max(width * columns + 0.5, 3.5), ((width / aspect + 0.05) * height + 0.2) * blocks + 0.4)
-    figure = Figure(figsize=size, layout="constrained")
-    axes = figure.subplots(height * blocks, columns, squeeze=False)
-    for axis in axes.flat:
-        axis.set_xticks([])
-        axis.set_yticks([])
-        axis.set_frame_on(False)
-    for i, (pictures, label) in enumerate(tasks):
-        block, column = divmod(i, columns)
-        by_name = {name.partition(" ")[0]: (name.partition(" ")[2], picture) for name, picture in pictures.items()}
-        last = ""
-        for k, name in enumerate(names):
-            axis = axes[height * block + k, column]
-            if column == 0:
-                axis.set_ylabel(name, fontsize=7)
-            last, picture = by_name.get(name, ("", None))
-            if picture is not None:
-                axis.imshow(picture)
-            if last and k < height - 1:
-                axis.set_xlabel(last, fontsize=6, labelpad=1)
-        axes[height * block + height - 1, column].set_xlabel(
-            _wrapped(label if not last else f"{label.strip()}\n{last}"), fontsize=6, parse_math=False
-        )
-    figure.suptitle(title, fontsize=9)
-    write_atomically(path, lambda target: figure.savefig(target, dpi=120))
-    return path
-
-
-def _wrapped(label: str) -> str:
-    name, error = label.split("\n")
-    return f"{name if len(name) < 24 else name[:22] + '…'}\n{error}"

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from metapp.apps import presentation_of
+from metapp.experiments import BadOption
 from metapp.experiments.checkpoints import find_checkpoint, train_checkpoint
 from metapp.experiments.export import export_all
 from metapp.experiments.fits import fit_tasks
@@ -22,6 +25,7 @@ from metapp.experiments.session import (
     threads,
     threads_of,
 )
+from metapp.learning.app import App
 from metapp.learning.task import Task
 from metapp.paradigms import Paradigm, paradigms
 from metapp.storage.records import FIT, RunFolder, guarded, summary
@@ -75,6 +79,7 @@ def run(
     train: bool = False,
     train_steps: int | None = None,
     export: str = "",
+    size: str = "",
     scene_roots: Sequence[Path] = (),
 ) -> Run:
     """Fit tasks and write the run folder.
@@ -86,6 +91,7 @@ def run(
         train: train the checkpoint on the training tasks first.
         train_steps: outer steps of that, instead of the recipe's.
         export: the format that each fit is also written in.
+        size: of what fits make for their users, "HxW" in px; "" for the application's own choice.
         scene_roots: folders that files of scenes may come from.
 
     Raises:
@@ -94,6 +100,7 @@ def run(
     """
     paradigm = paradigms()[paradigm_name]
     options = options.by(paradigm)
+    sides = check_size(size, options.app)
     if paradigm.steps(options.job.recipe) in (options.steps, 0):
         options = options._replace(steps=None)  # the recipe's own number is the recipe's own run
     make_folder(options.out)
@@ -102,11 +109,17 @@ def run(
         if train:
             train_checkpoint(options, paradigm, train_steps)
         checkpoint = find_checkpoint(options, paradigm)
-        return _fit(options, paradigm, checkpoint, tasks, label, export)
+        return _fit(options, paradigm, checkpoint, tasks, label, export, sides)
 
 
 def _fit(
-    options: Options, paradigm: Paradigm, checkpoint: Checkpoint, tasks: list[Task], label: str, export: str
+    options: Options,
+    paradigm: Paradigm,
+    checkpoint: Checkpoint,
+    tasks: list[Task],
+    label: str,
+    export: str,
+    size: tuple[int, int] | None,
 ) -> Run:
     settings = settings_of(options, paradigm, checkpoint, label)
     folder = RunFolder(run_path(options, settings, label), settings, FIT)
@@ -116,10 +129,27 @@ def _fit(
     # a finished run is run anew, one that was cut off is completed
     again = len(folder.finished()) >= len(tasks)
     records = run_tasks(options, paradigm, checkpoint, tasks, folder, again=again)
-    made = write_files(options.app, tasks, folder.path)
+    made = write_files(options.app, tasks, folder.path, size)
     if export:
-        export_all(options.app, tasks, folder, export)
+        export_all(options.app, tasks, folder, export, size)
     return Run(options, settings, label, tasks, records, folder, made)
+
+
+def check_size(text: str, app: App) -> tuple[int, int] | None:
+    """Height and width of "HxW", in px; None of "".
+
+    Raises:
+        BadOption: no such text, or nothing that the application makes can be of that size.
+    """
+    if not text:
+        return None
+    found = re.fullmatch(r"(\d{1,6})x(\d{1,6})", text)
+    if not found:
+        raise BadOption(f"--size '{text}': expected HEIGHTxWIDTH in px, such as 1024x1024.")
+    height, width = map(int, found.groups())
+    if refusal := presentation_of(app).refusal(height, width):
+        raise BadOption(f"--size {text}: {name_of(app)} {refusal}.")
+    return height, width
 
 
 def run_path(options: Options, settings: dict[str, Any], label: str) -> Path:

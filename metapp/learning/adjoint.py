@@ -21,6 +21,11 @@ class Drawn(NamedTuple):
     batch: Any
 
 
+def _all(data: Any, done: float) -> Any:
+    """All of the data, however far the descent is."""
+    return data
+
+
 class Loss(NamedTuple):
     """Alg. 2 in two halves, so that the random one stays outside of what is differentiated and compiled.
 
@@ -30,12 +35,18 @@ class Loss(NamedTuple):
         shared: True where all tasks share the parameters (the descent follows the mean over tasks), False where
             each task has its own (it follows the sum, which moves each as if it were alone).
         linear: (params, batch, learned) -> least squares near the loss, where the network is linear in a parameter.
+        stage: (data, share of the steps that were taken) -> the data that a step draws from.
     """
 
     draw: Callable[[Any, Generator], Drawn]
     value: Callable[[Params, Any, Params], Tensor]
     shared: bool = False
     linear: Callable[[Params, Any, Params], Linear] | None = None
+    stage: Callable[[Any, float], Any] = _all
+
+    def draw_at(self, data: Any, rng: Generator, step: int, steps: int) -> Drawn:
+        """Draw what one of so many steps sees."""
+        return self.draw(self.stage(data, step / steps), rng)
 
     def total(self, params: Params, batch: Any, learned: Params) -> tuple[Tensor, Tensor]:
         """The scalar to descend and the detached loss of each task, [T]."""

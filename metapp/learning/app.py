@@ -66,6 +66,10 @@ class App(ABC):
     def init(self, rng: Generator, count: int) -> Params:
         """Random network parameters for `count` tasks, each tensor [count, ...]."""
 
+    def stage(self, tasks: Tasks, done: float) -> Tasks:
+        """What a descent sees of tasks after this share of its steps, in [0, 1); here all of them."""
+        return tasks
+
     @abstractmethod
     def sample(self, tasks: Tasks, rng: Generator, count: int) -> Batch:
         """`count` random samples of each task, from the part a fit may see; tensors [T, ...]."""
@@ -147,6 +151,6 @@ def stack(app: App, tasks: Sequence[Task], device: torch.device | str = "cpu") -
 def _stack(tensors: list[Tensor], device: torch.device | str) -> Tensor:
     """Stack, or share one copy where all are the same tensor, as sample positions of a data set often are."""
     first = tensors[0]
-    if len(tensors) > 1 and all(torch.equal(first, other) for other in tensors[1:]):
+    if all(torch.equal(first, other) for other in tensors[1:]):
         return first.to(device).expand(len(tensors), *first.shape)
     return torch.stack(tensors).to(device)

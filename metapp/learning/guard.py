@@ -108,8 +108,8 @@ def learn_guarded(
             return Seen(theta, loss.value(theta, judged, {}).nan_to_num(math.inf, math.inf, math.inf))
 
     last = seen(learn(params, rule, tasks, loss, steps=steps, rng=rng, watch=look, check_every=0))
-    reweighted = any(key.startswith("loss.") for key in rule.alpha)
-    first = seen(params) if reweighted else Seen(params, path.losses[0])
+    comparable = loss.stage(tasks, 0.0) is tasks and not any(key.startswith("loss.") for key in rule.alpha)
+    first = Seen(params, path.losses[0]) if comparable else seen(params)
     candidates, doubtful = [last, first], ~(last.loss <= guard.fall * first.loss)
     if math.isfinite(guard.rise):
         candidates.append(seen(path.before))

@@ -98,7 +98,7 @@ def learn(
     for i in range(first, steps):
         if keep is not None:
             keep(Progress(i, theta, state))
-        drawn = loss.draw(data, rng)
+        drawn = loss.draw_at(data, rng, i, steps)
         moved, state, value, _ = step(at_step(rule.alpha, i), theta, state, drawn.batch)
         if i == 0 or (check_every and (i % check_every == 0 or i == steps - 1)):
             _require_finite(value, drawn.names, i)
@@ -129,7 +129,7 @@ def _loss_of(app: App, value: Callable[[Params, Any, Params], Tensor], batch: in
     def draw(tasks: Tasks, rng: Generator) -> Drawn:
         return Drawn(tasks.picked_names(), app.sample(tasks, rng, batch))
 
-    return Loss(draw, value, linear=app.linear)
+    return Loss(draw, value, linear=app.linear, stage=app.stage)
 
 
 def task_outer_loss(app: App, batch: int) -> Loss:
@@ -150,7 +150,7 @@ def over_tasks(loss: Loss, *, count: int, augment: Augment | None = None) -> Los
         picked = tasks.select(torch.randperm(len(tasks), generator=rng, device=rng.device)[:count])
         return loss.draw(augment(picked, rng) if augment else picked, rng)
 
-    return Loss(draw, loss.value, shared=True)
+    return Loss(draw, loss.value, shared=True, stage=loss.stage)
 
 
 def after_learning(
@@ -185,7 +185,7 @@ def after_learning(
     last_loss = outer_loss or loss
 
     def draw(tasks: Any, rng: Generator) -> Drawn:
-        inner = [loss.draw(tasks, rng).batch for _ in range(steps)]
+        inner = [loss.draw_at(tasks, rng, i, steps).batch for i in range(steps)]
         last = last_loss.draw(tasks, rng)
         return Drawn(last.names, (inner, last.batch, condition(tasks, rng) if condition else None))
 
@@ -214,7 +214,7 @@ def after_encoding(loss: Loss, condition: Callable[[Any, Generator], Any], encod
     def value(prepared: Params, batch: Any, learned: Params) -> Tensor:
         return loss.value(encode(MetaParameters.unflat(prepared).encoder, batch[0]), batch[1], learned)
 
-    return Loss(draw, value, shared=True)
+    return Loss(draw, value, shared=True, stage=loss.stage)
 
 
 def spread(params: Params, count: int, axis: int) -> Params:

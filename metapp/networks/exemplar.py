@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from typing import Self
 
 import torch
 from torch import Generator, Tensor
-from torch.nn.functional import interpolate, leaky_relu
+from torch.nn.functional import avg_pool2d, interpolate, leaky_relu
 
-from metapp.appearance.features import Features, describe_features, load_features
+from metapp.appearance.features import channels_of, describe_features, load_features, moments
 from metapp.learning.app import App
 from metapp.learning.recipe import Recipe
 from metapp.learning.task import Batch, Params, Task, Tasks
 from metapp.networks.coded import decoder_of, with_decoder
 from metapp.networks.layers import UNet
+from metapp.networks.pyramid import Pyramid
 
 HIDDEN = 128
 JUDGED = 4
@@ -30,13 +32,31 @@ class Setup:
         network: the generator.
         features: "vgg16" or "vgg19".
         taps: the layers whose statistics are compared.
+        octaves: sizes at which they are, each half of the one before (Snelgrove 2017); each finer one leaves out the
+            deepest layer of the one below, so that deep layers see large structures at little cost.
+        shares: of its steps up to which a descent sees the coarsest octave alone, the two coarsest, and so on; () where
+            it sees all from the beginning. A `Pyramid` makes small pictures, too.
     """
 
     height: int
     width: int
-    network: UNet
+    network: UNet | Pyramid
     features: str
     taps: tuple[str, ...]
+    octaves: int = 1
+    shares: tuple[float, ...] = ()
+
+    def taps_of(self, octave: int) -> int:
+        """How many layers are compared at an octave, 0 the finest."""
+        return len(self.taps) - (self.octaves - 1 - octave)
+
+    def maps_from(self, octave: int) -> int:
+        """How many maps of features there are from an octave to the coarsest."""
+        return sum(self.taps_of(each) for each in range(octave, self.octaves))
+
+    def at(self, octave: int) -> UNet | Pyramid:
+        """The network that makes pictures of the size of an octave."""
+        return self.network._replace(finest=octave) if isinstance(self.network, Pyramid) else self.network
 
 
 class ExemplarApp(App):
@@ -47,6 +67,7 @@ class ExemplarApp(App):
     """
 
     setup: Setup
+    described: tuple[str, ...] = ("gram",)  # what is known of each map of features, by name: gram0, gram1, ...
 
     def __init__(self, setup: Setup) -> None:
         self.setup = setup
@@ -57,17 +78,55 @@ class ExemplarApp(App):
     def conditions(self) -> dict[str, str]:
         return {"features": describe_features(self.setup.features)}
 
-    def features(self, like: Tensor) -> Features:
-        """The features, on the device and in the precision of a tensor."""
-        return load_features(self.setup.features, self.setup.taps, like)
+    def features(self, images: Tensor, octave: int) -> list[Tensor]:
+        """Features [B, C, H', W'] of images [B, 3, H, W] of the size of an octave, those of the coarsest one first."""
+        features, each = load_features(self.setup.features, self.setup.taps, images), []
+        for coarser in reversed(range(octave, self.setup.octaves)):
+            times = 2 ** (coarser - octave)
+            each += features(avg_pool2d(images, times) if times > 1 else images, self.setup.taps_of(coarser))
+        return each
 
-    def describe(self, exemplars: Tensor) -> dict[str, Tensor]:
-        """All that fitting and encoding need of exemplars [B, 3, h, w], sRGB in [0, 1]; `summary` [B, S] among it."""
+    def describe(self, exemplars: Tensor, octave: int = 0) -> dict[str, Tensor]:
+        """All that fitting and encoding need of exemplars of the size of an octave, those of coarser ones first.
+
+        Args:
+            exemplars: [B, 3, h, w], sRGB in [0, 1].
+            octave: 0 for the whole size.
+
+        Returns:
+            What `described` names of each map, such as `gram0`, and `summary` [B, S].
+        """
         raise NotImplementedError
+
+    def parts(self, maps: list[Tensor], octave: int) -> list[Tensor]:
+        """The maps that a summary has parts of: where finer octaves are not seen, the finest one stands for them."""
+        finest = maps[self.setup.maps_from(octave + 1) :]
+        return maps + [each for finer in reversed(range(octave)) for each in finest[: self.setup.taps_of(finer)]]
+
+    def summary(self, maps: list[Tensor], octave: int) -> Tensor:
+        """What the encoder reads [B, S]: means and root mean squares of features."""
+        return moments(self.parts(maps, octave))
 
     def summary_size(self) -> int:
         """S, the length of the encoder's input."""
-        raise NotImplementedError
+        channels = channels_of(self.setup.features, self.setup.taps)
+        return 2 * sum(sum(channels[: self.setup.taps_of(octave)]) for octave in range(self.setup.octaves))
+
+    def octave(self, data: Mapping[str, Tensor]) -> int:
+        """The finest octave that data of tasks describe, 0 for the whole size."""
+        counts = [self.setup.maps_from(octave) for octave in range(self.setup.octaves)]
+        return counts.index(sum(key.startswith("gram") for key in data))
+
+    def stage(self, tasks: Tasks, done: float) -> Tasks:
+        """From coarse to fine: at first what describes the coarsest octave alone."""
+        coarse = sum(done < share for share in self.setup.shares)
+        return replace(tasks, data=self.seen_from(tasks.data, coarse)) if coarse else tasks
+
+    def seen_from(self, data: dict[str, Tensor], octave: int) -> dict[str, Tensor]:
+        """The data without what describes octaves finer than this one."""
+        finer = range(self.setup.maps_from(octave), self.setup.maps_from(0))
+        left_out = {f"{name}{i}" for name in self.described for i in finer}
+        return {key: value for key, value in data.items() if key not in left_out}
 
     def prepare(self, task: Task) -> dict[str, Tensor]:
         """`image` uint8 [3, S, S], and what describes the exemplar in it."""
@@ -75,20 +134,20 @@ class ExemplarApp(App):
         described = self.describe(self.exemplar(image[None].float() / 255))
         return {"image": image} | {key: value[0] for key, value in described.items()}
 
-    def exemplar(self, images: Tensor) -> Tensor:
-        """The part of square images [B, 3, S, S] that has the recipe's proportions, resampled to its size."""
+    def exemplar(self, images: Tensor, octave: int = 0) -> Tensor:
+        """The part of square images [B, 3, S, S] that has the recipe's proportions, resampled to an octave's size."""
         rows = round(images.shape[-1] * self.setup.height / self.setup.width)
         top = (images.shape[-2] - rows) // 2
-        size = (self.setup.height, self.setup.width)
+        size = (self.setup.height >> octave, self.setup.width >> octave)
         part = images[..., top : top + rows, :]
         return interpolate(part, size=size, mode="area" if part.shape[-2] >= size[0] else "bilinear")
 
     def init(self, rng: Generator, count: int) -> Params:
         return self.setup.network.init(rng, count)
 
-    def noise(self, rng: Generator, tasks: int, count: int, times: int = 1) -> Tensor:
-        """Standard normal [tasks, count, C, h, w], `times` as high and wide as in training."""
-        size = (self.setup.height * times, self.setup.width * times)
+    def noise(self, rng: Generator, tasks: int, count: int, times: int = 1, octave: int = 0) -> Tensor:
+        """Standard normal [tasks, count, C, h, w], `times` as high and wide as the pictures of an octave."""
+        size = (self.setup.height * times >> octave, self.setup.width * times >> octave)
         return torch.randn(tasks, count, self.setup.network.noise, *size, generator=rng, device=rng.device)
 
     def init_encoder(self, rng: Generator) -> Params:
@@ -117,18 +176,18 @@ class ExemplarApp(App):
 
     def augment(self, tasks: Tasks, rng: Generator) -> Tasks:
         """These exemplars cropped, flipped, transposed and with their channels permuted, at random."""
-        count, device = len(tasks), rng.device
+        count, device, octave = len(tasks), rng.device, self.octave(tasks.data)
         exemplars = []
         for row, flip, turn in zip(
             tasks.rows, *torch.rand(2, count, generator=rng, device=device).tolist(), strict=True
         ):
             image = self.crop(tasks.data["image"][row].float() / 255, rng)
             image = image.flip(-1) if flip < 0.5 else image
-            exemplars.append(self.exemplar((image.mT if turn < 0.5 else image)[None]))
+            exemplars.append(self.exemplar((image.mT if turn < 0.5 else image)[None], octave))
         channels = torch.rand(count, 3, generator=rng, device=device).argsort(1)[..., None, None]
         images = torch.cat(exemplars)
         images = images.gather(1, channels.expand(images.shape))
-        return tasks.variants(self.describe(images))
+        return tasks.variants(self.describe(images, octave))
 
     @torch.no_grad()
     def errors(self, theta: Params, tasks: Tasks) -> dict[str, Tensor]:

@@ -102,24 +102,41 @@ class UNet(NamedTuple):
         x = noise.transpose(0, 1).reshape(batch, -1, height, width)
         skips = []
         for level in range(self.levels):
-            x = self._layer(theta, f"down{level}", avg_pool2d(x, 2) if level else x)
+            x = styled(theta, f"down{level}", avg_pool2d(x, 2) if level else x)
             skips.append(x)
         for level in reversed(range(self.levels - 1)):
             above = interpolate(x, scale_factor=2, mode="nearest")
             # channels of one task lie together, as grouped convolutions want them
             parts = [part.unflatten(1, (tasks, -1)) for part in (above, skips[level])]
-            x = self._layer(theta, f"up{level}", torch.cat(parts, 2).flatten(1, 2))
+            x = styled(theta, f"up{level}", torch.cat(parts, 2).flatten(1, 2))
         x = conv2d(x, theta["out.kernel"].flatten(0, 1), theta["out.shift"].flatten(), groups=tasks)
         result: Tensor = x.unflatten(1, (tasks, self.outputs)).transpose(0, 1)
         return result
 
-    def _layer(self, theta: Params, name: str, x: Tensor) -> Tensor:
-        kernel = theta[f"{name}.kernel"]
-        x = conv2d(pad(x, (1, 1, 1, 1), mode="circular"), kernel.flatten(0, 1), groups=kernel.shape[0])
-        style = torch.baddbmm(theta[f"{name}.shift"][..., None], theta[f"{name}.style"], theta["z"][..., None])
-        gain, shift = style[..., 0].chunk(2, 1)
-        x = instance_norm(x) * (1 + gain.reshape(-1, 1, 1)) + shift.reshape(-1, 1, 1)
-        return leaky_relu(x, SLOPE)
+
+def styled(theta: Params, name: str, x: Tensor) -> Tensor:
+    """A 3x3 convolution of maps [B, T * C, H, W] that tile, normalised and styled by z, and leaky ReLUs.
+
+    Args:
+        theta: `<name>.kernel` [T, O, C, 3, 3]; `<name>.style` [T, 2 * O, Z] and `<name>.shift` [T, 2 * O], which make
+            of `z` [T, Z] what each channel is scaled by and shifted to.
+        name: of the layer.
+        x: channels of one task lie together.
+
+    Returns:
+        [B, T * O, H, W].
+    """
+    kernel = theta[f"{name}.kernel"]
+    x = conv2d(pad(x, (1, 1, 1, 1), mode="circular"), kernel.flatten(0, 1), groups=kernel.shape[0])
+    gain, shift = style_of(theta, name)
+    return leaky_relu(instance_norm(x) * gain + shift, SLOPE)
+
+
+def style_of(theta: Params, name: str) -> tuple[Tensor, Tensor]:
+    """What z makes of a layer's channels: what each is scaled by and shifted to, [T * O, 1, 1] both."""
+    style = torch.baddbmm(theta[f"{name}.shift"][..., None], theta[f"{name}.style"], theta["z"][..., None])
+    gain, shift = style[..., 0].chunk(2, 1)
+    return 1 + gain.reshape(-1, 1, 1), shift.reshape(-1, 1, 1)
 
 
 class LocalField(NamedTuple):

@@ -15,6 +15,7 @@ from metapp.networks.coded import CodedApp
 from metapp.networks.exemplar import ExemplarApp
 
 TILED = 4  # times as high and wide as in training: what is written
+LARGEST = 4096  # px
 
 AnyCoded = TypeVar("AnyCoded", bound=CodedApp)
 AnyExemplar = TypeVar("AnyExemplar", bound=ExemplarApp)
@@ -46,9 +47,22 @@ class ExemplarPresentation(Presentation[AnyExemplar]):
         """The exemplar, all of it in each step."""
         return Visible(1, task.data["image"].nbytes, 1)
 
+    def refusal(self, height: int, width: int) -> str:
+        step = 2 ** (self.app.setup.network.levels - 1)
+        fits = all(2 * step <= side <= LARGEST and side % step == 0 for side in (height, width))
+        return "" if fits else f"expects multiples of {step} from {2 * step} to {LARGEST}"
+
     @torch.no_grad()
-    def made(self, theta: Params, make: Any, times: int) -> Any:
-        """What `make` makes of theta [1, ...] and noise [1, 1, ...], so many times as high and wide as in training."""
+    def made(self, theta: Params, make: Any, size: tuple[int, int]) -> Any:
+        """What `make` makes of theta [1, ...] and noise [1, 1, ...] of a size, height and width in px."""
         one = {key: value[None] for key, value in theta.items()}
-        rng = Generator(theta["z"].device).manual_seed(1)
-        return make(one, self.app.noise(rng, 1, 1, times))
+        rng, channels = Generator(theta["z"].device).manual_seed(1), self.app.setup.network.noise
+        return make(one, torch.randn(1, 1, channels, *size, generator=rng, device=rng.device))
+
+    def whole(self) -> tuple[int, int]:
+        """The size of `files`: the one asked for, else TILED times the exemplar's."""
+        return self.size or (TILED * self.app.setup.height, TILED * self.app.setup.width)
+
+    def once(self) -> tuple[int, int]:
+        """The exemplar's size."""
+        return self.app.setup.height, self.app.setup.width

@@ -169,7 +169,7 @@ class RunFolder:
             if theta is not None:
                 tensors = {key: value.detach().cpu().contiguous() for key, value in theta.items()}
                 write_atomically(self.params(record["name"]), lambda target: target.write_bytes(save(tensors)))
-            line = json.dumps(_finite({**record, "key": self.key, "settings": self.settings}), allow_nan=False)
+            line = json.dumps(finite({**record, "key": self.key, "settings": self.settings}), allow_nan=False)
             append_line(self.file, line.encode(), lambda tail: _parsed(tail) is not None)
 
     def params(self, task: str) -> Path:
@@ -231,12 +231,12 @@ def read_records(path: Path, form: dict[str, Any] | None = None) -> list[dict[st
     return list(records.values())
 
 
-def _finite(value: Any) -> Any:
+def finite(value: Any) -> Any:
     """A document with None for every number that is not finite."""
     if isinstance(value, dict):
-        return {key: _finite(each) for key, each in value.items()}
+        return {key: finite(each) for key, each in value.items()}
     if isinstance(value, list | tuple):
-        return [_finite(each) for each in value]
+        return [finite(each) for each in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 

@@ -297,7 +297,7 @@ def test_normals_are_those_of_the_height() -> None:
     app, theta = tiny(), tiny().init(seeded(), 1)
     noise = app.noise(seeded(), 1, 1)
     maps, height = app.maps(theta, noise)
-    assert torch.equal(height, RELIEF * TINY.setup.network(theta, noise)[:, :, 5:])
+    assert torch.equal(height, RELIEF * TINY.setup.width * TINY.setup.network(theta, noise)[:, :, 5:])
     assert torch.equal(maps.normal, normal_from_height(height))
 
 

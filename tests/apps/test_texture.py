@@ -13,6 +13,7 @@ from torch.nn.functional import interpolate, pad
 
 from metapp.appearance.colour import srgb_to_linear
 from metapp.appearance.features import RANDOM, gram, load_features, moments
+from metapp.appearance.presentation import Fitted
 from metapp.apps.texture import APP, PAPER, QUICK, SMALLEST_CROP, Texture
 from metapp.apps.texture.presentation import TexturePresentation
 from metapp.experiments.checkpoints import shipped_path
@@ -119,14 +120,16 @@ def test_an_exemplar_is_at_no_distance_from_itself(
 ) -> None:
     app = tiny()
     exemplars = app.exemplar(torch.stack([task.data["image"] for task in sources]) / 255)
-    monkeypatch.setattr(app, "generate", lambda theta, noise: exemplars[:, None].expand(-1, noise.shape[1], -1, -1, -1))
+    monkeypatch.setattr(
+        app, "generate", lambda theta, noise, octave: exemplars[:, None].expand(-1, noise.shape[1], -1, -1, -1)
+    )
     theta = app.init(seeded(), 4)
     assert app.loss(theta, app.sample(tasks, seeded(), 2), {}).max() < 1e-5
     assert app.errors(theta, tasks)["error"].max() < 1e-5
-    monkeypatch.setattr(app, "generate", lambda theta, noise: exemplars.roll(1, 0)[:, None])
+    monkeypatch.setattr(app, "generate", lambda theta, noise, octave: exemplars.roll(1, 0)[:, None])
     assert app.errors(theta, tasks)["error"].min() > 0.3
     # statistics, not pixels
-    monkeypatch.setattr(app, "generate", lambda theta, noise: exemplars.roll((9, 5), (-2, -1))[:, None])
+    monkeypatch.setattr(app, "generate", lambda theta, noise, octave: exemplars.roll((9, 5), (-2, -1))[:, None])
     assert app.errors(theta, tasks)["error"].max() < 0.15
 
 
@@ -168,8 +171,8 @@ def test_the_paper_s_recipe() -> None:
 class Seen(Texture):
     """Keeps exemplars instead of what describes them."""
 
-    def describe(self, exemplars: Tensor) -> dict[str, Tensor]:
-        return {"exemplar": exemplars}
+    def describe(self, exemplars: Tensor, octave: int = 0) -> dict[str, Tensor]:
+        return {"exemplar": exemplars} | {f"gram{i}": exemplars for i in range(self.setup.maps_from(octave))}
 
 
 def variants(image: Tensor, count: int = 40, app: type[Texture] = Seen) -> Tensor:
@@ -336,3 +339,28 @@ def test_the_noise_and_the_seed_decide_what_is_made(tasks: Tasks) -> None:
     first, again, other = (app(theta, tiny().noise(seeded(seed), 4, 1)) for seed in (0, 0, 1))
     assert torch.equal(first, again)
     assert (first - other).abs().mean() > 0.01
+
+
+def test_another_measure_of_the_same_pictures(
+    sources: list[Task], tasks: Tasks, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Lower for a fit than for what nobody fitted, and 0 for the exemplar itself."""
+    app = tiny()
+    shown = TexturePresentation(app)
+    thetas = {name: overfit(app, tasks, steps) for name, steps in (("a", 1), ("b", 60))}
+    fits = {name: Fitted({key: value[0] for key, value in theta.items()}, 0.0) for name, theta in thetas.items()}
+    measured = {name: each["sliced Wasserstein"] for name, each in shown.image_errors(fits, sources[0]).items()}
+    assert measured["b"] < 0.7 * measured["a"]
+    exemplar = app.exemplar(sources[0].data["image"][None] / 255)
+    monkeypatch.setattr(app, "generate", lambda theta, noise, octave=0: exemplar[None])
+    assert shown.image_errors(fits, sources[0])["b"]["sliced Wasserstein"] < 1e-5
+
+
+def test_files_of_another_size(sources: list[Task]) -> None:
+    shown = TexturePresentation(tiny())
+    theta = {key: value[0] for key, value in tiny().init(seeded(), 1).items()}
+    assert shown.refusal(24, 4096) == ""
+    for height, width in ((22, 24), (24, 22), (4, 24), (24, 5000)):
+        assert shown.refusal(height, width) == "expects multiples of 4 from 8 to 4096"
+    shown.size = (24, 40)
+    assert shown.files(theta, sources[0])["texture"].pixels.shape == (24, 40, 3)

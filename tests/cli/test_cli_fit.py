@@ -351,6 +351,15 @@ def test_doctor_says_what_there_is(metapp: Callable, cache: Path) -> None:
     assert metapp("doctor").out.startswith("versions")
 
 
+def test_doctor_misses_a_compiler(metapp: Callable, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setenv("PATH", str(tmp_path))
+    assert metapp("doctor", "--json").document["compiler"].startswith("none that works")
+    broken = tmp_path / "g++"
+    broken.write_text("#!/bin/sh\nexit 1\n")
+    broken.chmod(0o755)
+    assert metapp("doctor", "--json").document["compiler"].startswith("none that works")
+
+
 # Rules that are composed
 
 

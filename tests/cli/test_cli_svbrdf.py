@@ -12,6 +12,7 @@ import torch
 from torch import Tensor
 from torch.nn.functional import interpolate
 
+from data_tools.formats import exports_of
 from data_tools.readers.svbrdf_task import flash_photo
 from metapp.appearance.flash import Maps, normal_from_height, pack, unpack
 from metapp.apps.svbrdf_nonstationary import APP, RECIPES, Setup, field_of
@@ -77,6 +78,28 @@ def test_a_photo_is_fitted_without_a_reference(metapp: Callable, photo: Path, tm
     assert document["error"] is None
     assert {path.name for path in (Path(document["out"]) / "outputs" / "wall").iterdir()} == MADE
     assert (Path(document["out"]) / "pictures.png").is_file()
+
+
+@pytest.mark.parametrize("kind", [each for each, form in exports_of(APP.name).items() if not form.missing()])
+def test_a_photo_becomes_an_asset(metapp: Callable, photo: Path, tmp_path: Path, kind: str) -> None:
+    common = ("--observe", "photo", "--out", tmp_path / "runs", "--json")
+    result = metapp("overfit", "svbrdf_nonstationary", photo, *common, "--steps", "2", "--export", kind)
+    assert result.code == 0, result.err
+    written = [path for path in (Path(result.document["out"]) / kind).rglob("wall*") if path.is_file()]
+    assert written
+    assert all(path.stat().st_size for path in written)
+    assert f"1 fits written as {kind}" in result.err
+
+
+def test_a_missing_library_is_said_before_anything_is_fitted(
+    metapp: Callable, photo: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    form = exports_of(APP.name)["asset"]._replace(needs=("no_such_module", "no-such-package"))
+    monkeypatch.setattr("metapp.experiments.export.exports_of", lambda app: {"asset": form})
+    result = metapp("overfit", "svbrdf_nonstationary", photo, "--out", tmp_path / "runs", "--export", "asset")
+    assert result.code == 2
+    assert '--export asset needs no-such-package: pip install "metapp[export]"' in result.err
+    assert not (tmp_path / "runs").exists()
 
 
 def test_a_photo_needs_its_protocol(metapp: Callable, photo: Path, tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import json
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -72,7 +73,9 @@ def test_a_photo_is_fitted_and_what_was_made_is_written(app: str, data: Path, me
     trained = metapp("meta", *common, "--rule", "meta-adam-tied", "--train", "--json")
     assert trained.code == 0, trained.err
     wall = photo(tmp_path / "wall.png", 9)
-    fitted = metapp("meta", app, wall, "--rule", "meta-adam-tied", *common[1:], "--json", "--steps", "2")
+    fitted = metapp(
+        "meta", app, wall, "--rule", "meta-adam-tied", *common[1:], "--json", "--steps", "2", "--export", "asset"
+    )
     assert fitted.code == 0, fitted.err
     document = fitted.document
     assert [task["name"] for task in document["tasks"]] == ["wall"]
@@ -83,6 +86,30 @@ def test_a_photo_is_fitted_and_what_was_made_is_written(app: str, data: Path, me
         spec = oiio.ImageBuf(str(file)).spec()
         assert (spec.width, spec.height, str(spec.format)) == (64, 64, "uint8")  # four times the training's
     assert (Path(document["out"]) / "pictures.png").is_file()
+    told = json.loads((Path(document["out"]) / "asset" / "wall" / "material.json").read_text(encoding="utf-8"))
+    assert (told["tiles"], told["size"]["width"]) == (True, 64)
+    assert (told["provenance"]["app"], told["provenance"]["steps"]) == (app, 2)
+    assert len(told["files"]) == {"texture": 1, "svbrdf_stationary": 10}[app]
+
+
+def test_files_of_another_size(app: str, data: Path, metapp: Callable, tmp_path: Path) -> None:
+    wall = photo(tmp_path / "wall.png", 9)
+    common = ("overfit", app, wall, "--data", data, "--out", tmp_path / "runs", "--json")
+    fitted = metapp(*common, "--size", "32x48", "--export", "png16")
+    assert fitted.code == 0, fitted.err
+    run = Path(fitted.document["out"])
+    files = [*(run / "outputs").rglob("*.png"), *(run / "png16").rglob("*.png")]
+    assert {"outputs", "png16"} == {file.relative_to(run).parts[0] for file in files}
+    for file in files:
+        spec = oiio.ImageBuf(str(file)).spec()
+        assert (spec.height, spec.width) == (32, 48)
+    for size, words in (
+        ("33x48", f"--size 33x48: {app} expects multiples of "),
+        ("48", "--size '48': expected HEIGHTx"),
+    ):
+        refused = metapp(*common, "--size", size)
+        assert refused.code == 2
+        assert words in refused.err
 
 
 @pytest.mark.parametrize("app", ["svbrdf_stationary"], indirect=True)

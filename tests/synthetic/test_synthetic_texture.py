@@ -115,3 +115,14 @@ def test_the_embedded_set_has_all_units(tmp_path: Path) -> None:
 def test_impossible_sets_are_errors(arguments: tuple[Any, ...]) -> None:
     with pytest.raises(ValueError, match="expected"):
         next(synthetic_tasks(*arguments))
+
+
+def test_another_size(tmp_path: Path) -> None:
+    large, again = (next(synthetic_tasks("train", 1, size=96)).data["image"] for _ in range(2))
+    assert large.shape == (3, 96, 96)
+    assert torch.equal(large, again)
+    assert not torch.equal(large, next(synthetic_tasks("train", 1, seed=1, size=96)).data["image"])
+    folder = embedded_data("texture", count=2, out=tmp_path / "large", quiet=True, size=64)
+    assert read_manifest(folder).notes["size"] == 64
+    with pytest.raises(ValueError, match=r"^brdf: size 64, but its embedded set has one size; leave --size out\.$"):
+        embedded_data("brdf", count=2, out=tmp_path / "no", quiet=True, size=64)

@@ -67,7 +67,17 @@ def photographs() -> list[Files]:
             (rgb, ".exr", "half"),
             (rgb[..., :1], ".png", "uint8"),
         )
-    ]
+    ] + [{"wood.heic": heif_file(rgb)}]
+
+
+def heif_file(values: Any) -> bytes:
+    """A picture as phones write it, of values [height, width, 3] in [0, 1]."""
+    import pillow_heif
+
+    written = io.BytesIO()
+    pixels = np.ascontiguousarray(255 * values).astype(np.uint8)
+    pillow_heif.from_bytes("RGB", pixels.shape[1::-1], pixels.tobytes()).save(written)
+    return written.getvalue()
 
 
 def flash_photos() -> list[Files]:

@@ -163,6 +163,11 @@ class Illumination(CodedApp):
         towards = directions(field.height, field.width, dtype=z.dtype, device=z.device)
         return field(theta, towards.expand(len(z), -1, -1, -1)).clamp_max(16).exp()
 
+    def sized(self, height: int, width: int) -> Illumination:
+        """The application with maps of another size: its networks can be evaluated anywhere."""
+        setup = replace(self.setup, field=self.field._replace(height=height, width=width))
+        return Illumination(setup, self.protocol)
+
     def answer(self, theta: Params) -> Tensor:
         """The same as they are judged and shown."""
         return self._scaled(self.radiance_of(theta))

@@ -15,6 +15,8 @@ from metapp.apps.illumination.surfaces import relight
 from metapp.learning.task import Params, Task
 from metapp.networks.presentation import CodedPresentation
 
+LARGEST = 1024  # rows of a map
+
 
 class IlluminationPresentation(CodedPresentation[Illumination]):
     """The map as radiance, and the second scene under it."""
@@ -23,6 +25,10 @@ class IlluminationPresentation(CodedPresentation[Illumination]):
     measure = "mean absolute error of a second scene's picture under the map"
     image_measure = "the second scene under the map; its SSIM after tone mapping"
     of_pictures = {"error": "MAE x100", "relative": "relative MAE", "ssim": "SSIM"}  # noqa: RUF012  (never written to)
+
+    def refusal(self, height: int, width: int) -> str:
+        fits = 2 * height == width and 16 <= height <= LARGEST
+        return "" if fits else f"expects a map twice as wide as high, 16x32 to {LARGEST}x{2 * LARGEST}"
 
     @torch.no_grad()
     def outputs(self, theta: Params, task: Task) -> dict[str, Any]:
@@ -35,10 +41,12 @@ class IlluminationPresentation(CodedPresentation[Illumination]):
     @torch.no_grad()
     def files(self, theta: Params, task: Task) -> dict[str, Picture]:
         """The map, at its file's scale, of mean luminance 1 where there was none, and the second scene under it."""
-        maps = self.app.answer({key: value[None] for key, value in theta.items()})
+        one = {key: value[None] for key, value in theta.items()}
+        maps = self.app.answer(one)
+        large = self.app.sized(*self.size).answer(one) if self.size else maps
         scale = task.data.get("scale", torch.ones(()))
         return {
-            "map": Picture((maps * scale)[0].permute(1, 2, 0), "radiance"),
+            "map": Picture((large * scale)[0].permute(1, 2, 0), "radiance"),
             "relit": Picture(tone_map(relight(maps))[0].permute(1, 2, 0), "srgb"),
         }
 

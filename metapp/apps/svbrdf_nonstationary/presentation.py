@@ -6,8 +6,9 @@ from typing import Any
 
 import torch
 
-from metapp.appearance.flash import unpack
+from metapp.appearance.flash import Maps, unpack
 from metapp.appearance.presentation import Kind, Picture, Visible
+from metapp.appearance.surface import Surface
 from metapp.apps.svbrdf_nonstationary import SvbrdfNonstationary
 from metapp.apps.svbrdf_nonstationary.maps import displayed, photo_of, pooled, relit, sheet
 from metapp.learning.task import Params, Task
@@ -44,6 +45,13 @@ class SvbrdfNonstationaryPresentation(CodedPresentation[SvbrdfNonstationary]):
         return {
             name: Picture(picture.permute(1, 2, 0), KIND_OF.get(name, "srgb")) for name, picture in pictures.items()
         }
+
+    @torch.no_grad()
+    def surface(self, theta: Params, task: Task) -> Surface:
+        """The maps as `files` writes them."""
+        photo = photo_of(task, LARGEST)
+        maps = self.app.maps_of({key: value[None] for key, value in theta.items()}, photo)
+        return Surface(maps.diffuse[0], False, Maps(*(part[0] for part in maps)))
 
     def visible(self, task: Task) -> Visible:
         """The maps or the photograph, all of it in each step; General's encoder reads the photograph alone."""

@@ -9,7 +9,7 @@ import torch
 from torch import Generator, Tensor
 from torch.nn.functional import adaptive_avg_pool2d
 
-from metapp.appearance.features import amplitudes, channels_of, distance, gram, hann, moments
+from metapp.appearance.features import amplitudes, distance, gram, hann, moments
 from metapp.appearance.flash import (
     Maps,
     camera,
@@ -24,13 +24,14 @@ from metapp.learning.recipe import AS_PUBLISHED, Adam, MetaTraining, OuterLoop, 
 from metapp.learning.task import Batch, Held, Params, Task, Tasks
 from metapp.networks.exemplar import JUDGED, ExemplarApp, Setup
 from metapp.networks.layers import UNet
+from metapp.networks.pyramid import Pyramid
 
 GRID = 3  # windows along a side
 DRAWN = 3
 POOLED = 8
 SPECTRUM = 0.3  # the spectra's weight in the loss
 RINGS = ((0.0, 0.2), (0.2, 0.8), (0.8, 3.0))  # squared distances from the centre, of half the photo's side
-RELIEF = 2.0  # texels of height a unit of the network's output
+RELIEF = 1 / 32  # widths of the photo a unit of the network's output, as height
 FALLOFF = 1.0
 LEARNED = MetaTraining(
     steps=300,
@@ -67,6 +68,30 @@ QUICK = Recipe(
     setup=Setup(64, 64, UNet(16, outputs=6), "vgg16", ("relu1_1", "relu2_1", "relu3_1")),
 )
 
+# At the size that people use, from coarse to fine. Searches begin where those of the quick recipe ended.
+FOUND = Adam(2.9e-3, beta1=0.3, beta2=0.9, final=0.3)
+FULL = replace(
+    QUICK,
+    quickft=FOUND,
+    general=OuterLoop(
+        steps=2400, tasks=3, rates={"": 3e-3, "encoder.mlp": 1e-3}, warmup=50, final=0.0, validate_every=400
+    ),
+    meta={
+        "meta-encoder": ENCODED,
+        "meta-mean": replace(TUNED, first=FOUND),
+        "meta-basis": replace(TUNED, first=replace(FOUND, beta1=0.5, beta2=0.8)),
+    },
+    setup=Setup(
+        256,
+        256,
+        Pyramid(16, outputs=6),
+        "vgg16",
+        ("relu1_1", "relu2_1", "relu3_1", "relu4_1"),
+        octaves=3,
+        shares=(0.5, 0.8),
+    ),
+)
+
 # Fischer & Ritschel 2022, section 4.1.3 and supplement: 20 inner steps, first-order MAML with Meta-SGD, meta-batch 3,
 # a random start
 PAPER = replace(
@@ -88,28 +113,31 @@ class SvbrdfStationary(ExemplarApp):
     """
 
     name = "svbrdf_stationary"
+    described = ("gram", "spectrum")
     holds = {  # noqa: RUF012  (never written to)
         "image": Held((3, "S", "S"), "uint8"),
         "relit": Held((3, 3, "R", "R"), "uint8", optional=True),
     }
-    recipes = {"paper": PAPER, "quick": QUICK}  # noqa: RUF012  (never written to)
+    recipes = {"paper": PAPER, "quick": QUICK, "full": FULL}  # noqa: RUF012  (never written to)
 
     @torch.no_grad()
-    def describe(self, exemplars: Tensor) -> dict[str, Tensor]:
-        """Of photos [B, 3, h, w].
+    def describe(self, exemplars: Tensor, octave: int = 0) -> dict[str, Tensor]:
+        """Of photos [B, 3, h, w] of the size of an octave.
 
         Gram matrices in all windows `gram0`... [B, N, C, C], spectra `spectrum0`..., `pooled` [B, 3, 8, 8], `light`
         [B, 3] where the flash was, `summary`.
         """
-        maps = self.features(exemplars)(exemplars)
+        maps = self.features(exemplars, octave)
         described = {"light": self.light_of(exemplars), "pooled": adaptive_avg_pool2d(exemplars, POOLED)}
         for i, each in enumerate(maps):
             described[f"gram{i}"] = _grams(each, range(GRID * GRID))
             described[f"spectrum{i}"] = amplitudes(each)
-        # where the light is strong, at medium strength, and weak
-        rings = [[_ring(each, low, high) for each in maps] for low, high in RINGS]
-        described["summary"] = torch.cat([moments(ring) for ring in rings], 1)
-        return described
+        return described | {"summary": self.summary(maps, octave)}
+
+    def summary(self, maps: list[Tensor], octave: int) -> Tensor:
+        """Means and root mean squares of features where the light is strong, at medium strength, and weak."""
+        rings = [[_ring(each, low, high) for each in self.parts(maps, octave)] for low, high in RINGS]
+        return torch.cat([moments(ring) for ring in rings], 1)
 
     def light_of(self, photos: Tensor) -> Tensor:
         """Where the flash of photos [B, 3, h, w] was, [B, 3]."""
@@ -118,19 +146,19 @@ class SvbrdfStationary(ExemplarApp):
         return torch.cat([place.to(photos), height], 1)
 
     def summary_size(self) -> int:
-        return 6 * sum(channels_of(self.setup.features, self.setup.taps))
+        return len(RINGS) * super().summary_size()
 
     def prepare(self, task: Task) -> dict[str, Tensor]:
         """As for all exemplars, and `relit` uint8 [3, 3, S, S] where the task has it."""
         return super().prepare(task) | {key: task.data[key] for key in ("relit",) if key in task.data}
 
-    def maps(self, theta: Params, noise: Tensor) -> tuple[Maps, Tensor]:
+    def maps(self, theta: Params, noise: Tensor, octave: int = 0) -> tuple[Maps, Tensor]:
         """Maps of materials [T, B, ...] from noise [T, B, C, H, W], and their height [T, B, 1, H, W] in texels."""
-        raw = self.setup.network(theta, noise)
+        raw = self.setup.at(octave)(theta, noise)
         diffuse = torch.sigmoid(raw[:, :, :3]) ** 2.2  # about evenly spread for the eye
         specular = torch.sigmoid(raw[:, :, 3:4] - 3)  # about 0.05 at first, as most dielectrics
         roughness = 0.1 + 0.9 * torch.sigmoid(raw[:, :, 4:5])
-        height = RELIEF * raw[:, :, 5:]
+        height = RELIEF * (self.setup.width >> octave) * raw[:, :, 5:]
         return Maps(diffuse, specular, roughness, normal_from_height(height)), height
 
     def photograph(self, maps: Maps, light: Tensor, view: Tensor) -> Tensor:
@@ -141,12 +169,13 @@ class SvbrdfStationary(ExemplarApp):
     def sample(self, tasks: Tasks, rng: Generator, count: int) -> Batch:
         """`noise` for `count` materials of each task, DRAWN of the windows and what is known of the photo there."""
         drawn = torch.randperm(GRID * GRID, generator=rng, device=rng.device)[:DRAWN].expand(len(tasks), -1)
-        return {"noise": self.noise(rng, len(tasks), count), "windows": drawn} | self._targets(tasks, drawn)
+        noise = self.noise(rng, len(tasks), count, octave=self.octave(tasks.data))
+        return {"noise": noise, "windows": drawn} | self._targets(tasks, drawn)
 
     def _targets(self, tasks: Tasks, windows: Tensor) -> Batch:
         rows = tasks.rows
         targets = {key: tasks.data[key][rows] for key in ("light", "pooled")}
-        for i in range(len(self.setup.taps)):
+        for i in range(self.setup.maps_from(self.octave(tasks.data))):
             targets[f"spectrum{i}"] = tasks.data[f"spectrum{i}"][rows]
             targets[f"gram{i}"] = tasks.data[f"gram{i}"][rows[:, None], windows]
         return targets
@@ -156,7 +185,7 @@ class SvbrdfStationary(ExemplarApp):
         return torch.stack(list(self._distances(theta, batch).values())).sum(0)
 
     def _distances(self, theta: Params, batch: Batch) -> dict[str, Tensor]:
-        maps, _ = self.maps(theta, batch["noise"])
+        maps, _ = self.maps(theta, batch["noise"], self.octave(batch))
         return self._distances_of(self.photograph(maps, batch["light"][:, None], batch["light"][:, None]), batch)
 
     def _distances_of(self, pictures: Tensor, batch: Batch) -> dict[str, Tensor]:
@@ -164,7 +193,7 @@ class SvbrdfStationary(ExemplarApp):
         pooled = adaptive_avg_pool2d(pictures.flatten(0, 1), POOLED).unflatten(0, leading)
         windows = batch["windows"][0].tolist()  # the same for all tasks
         grams, spectra = [], []
-        for each in self.features(pictures)(pictures.flatten(0, 1)):
+        for each in self.features(pictures.flatten(0, 1), self.octave(batch)):
             grams.append(_grams(each, windows).unflatten(0, leading))
             spectra.append(amplitudes(each).unflatten(0, leading))
         taps = range(len(grams))
@@ -202,7 +231,7 @@ class SvbrdfStationary(ExemplarApp):
             pictures = self.photograph(maps, light, view)
             target = self.exemplar(references[:, i].float() / 255)
             grams = [
-                [_grams(part, range(GRID * GRID)) for part in self.features(target)(images)]
+                [_grams(part, range(GRID * GRID)) for part in self.features(images, 0)]
                 for images in (pictures.flatten(0, 1), target)
             ]
             found = [part.unflatten(0, pictures.shape[:2]) for part in grams[0]]

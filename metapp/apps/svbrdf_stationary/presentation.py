@@ -7,9 +7,10 @@ from typing import Any
 from metapp.appearance.colour import linear_to_srgb, srgb_to_linear, stretched
 from metapp.appearance.flash import Maps, relightings
 from metapp.appearance.presentation import Picture
+from metapp.appearance.surface import Surface
 from metapp.apps.svbrdf_stationary import SvbrdfStationary
 from metapp.learning.task import Params, Task
-from metapp.networks.presentation import TILED, ExemplarPresentation
+from metapp.networks.presentation import ExemplarPresentation
 
 
 class SvbrdfStationaryPresentation(ExemplarPresentation[SvbrdfStationary]):
@@ -22,20 +23,26 @@ class SvbrdfStationaryPresentation(ExemplarPresentation[SvbrdfStationary]):
         """Photo and fit under the photo's light, then maps and relightings as they are displayed."""
         photo = self.app.exemplar(task.data["image"][None].float() / 255)
         light = self.app.light_of(photo)
-        maps, _ = self.made(theta, self.app.maps, 1)
+        maps, _ = self.made(theta, self.app.maps, self.once())
         fit = self.app.photograph(Maps(*(part[0] for part in maps)), light, light)
-        pictures = {name: picture.pixels for name, picture in self._pictures(theta, 1).items()}
+        pictures = {name: picture.pixels for name, picture in self._pictures(theta, self.once()).items()}
         shown = {"reference": photo[0], "fit": fit[0]} | pictures | {"height": stretched(pictures["height"])[0]}
         return {name: srgb_to_linear(picture).permute(1, 2, 0).expand(-1, -1, 3) for name, picture in shown.items()}
 
     def files(self, theta: Params, task: Task) -> dict[str, Picture]:
-        """The maps, four times as high and wide as in training (they tile), and photographs under other lights."""
-        pictures = self._pictures(theta, TILED)
+        """Maps that tile, of the size asked for, else four times the exemplar's; photographs under other lights."""
+        pictures = self._pictures(theta, self.whole())
         return {name: Picture(each.pixels.permute(1, 2, 0), each.kind) for name, each in pictures.items()}
 
-    def _pictures(self, theta: Params, times: int) -> dict[str, Picture]:
+    def surface(self, theta: Params, task: Task) -> Surface:
+        """The maps as `files` writes them."""
+        made, heights = self.made(theta, self.app.maps, self.whole())
+        maps = Maps(*(part[0, 0] for part in made))
+        return Surface(maps.diffuse, True, maps, heights[0, 0])
+
+    def _pictures(self, theta: Params, size: tuple[int, int]) -> dict[str, Picture]:
         """Maps, specular colour as F0, and photographs of them under other lights; pixels are [1 or 3, H, W] yet."""
-        made, heights = self.made(theta, self.app.maps, times)
+        made, heights = self.made(theta, self.app.maps, size)
         maps, height = Maps(*(part[0, 0] for part in made)), heights[0, 0]
         pictures = {
             "diffuse": Picture(linear_to_srgb(maps.diffuse), "srgb"),

@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
+import torch
+
 from metapp.appearance.colour import srgb_to_linear
-from metapp.appearance.presentation import Picture
+from metapp.appearance.features import load_features, sliced_wasserstein
+from metapp.appearance.presentation import Fitted, Picture
+from metapp.appearance.surface import Surface
 from metapp.apps.texture import Texture
 from metapp.learning.task import Params, Task
-from metapp.networks.presentation import TILED, ExemplarPresentation
+from metapp.networks.presentation import ExemplarPresentation
+
+JUDGING = ("relu2_2", "relu3_3", "relu4_3")  # beside those that fits are compared by
 
 
 class TexturePresentation(ExemplarPresentation[Texture]):
@@ -16,19 +23,36 @@ class TexturePresentation(ExemplarPresentation[Texture]):
 
     title = "Texture"
     measure = "relative L1 distance of Gram matrices, mean over taps and generated textures"
+    image_measure = "sliced Wasserstein distance of features that no fit is compared by, over their deviation"
 
     def outputs(self, theta: Params, task: Task) -> dict[str, Any]:
         """The exemplar and a texture of its size."""
         exemplar = self.app.exemplar(task.data["image"][None].float() / 255)[0]
-        made = self.made(theta, self.app.generate, 1)[0, 0]
+        made = self.made(theta, self.app.generate, self.once())[0, 0]
         return {
             "reference": srgb_to_linear(exemplar).permute(1, 2, 0),
             "fit": srgb_to_linear(made).permute(1, 2, 0),
         }
 
+    @torch.no_grad()
+    def image_errors(self, fits: Mapping[str, Fitted], task: Task) -> dict[str, dict[str, float]]:
+        """Of a texture of the exemplar's size."""
+        exemplar = self.app.exemplar(task.data["image"][None].float() / 255)
+        features = load_features(self.app.setup.features, JUDGING, exemplar)
+        target, measured = features(exemplar), {}
+        for name, fit in fits.items():
+            found = features(self.made(fit.theta, self.app.generate, self.once())[0])
+            each = [sliced_wasserstein(*pair) for pair in zip(found, target, strict=True)]
+            measured[name] = {"sliced Wasserstein": float(torch.stack(each).mean())}
+        return measured
+
     def files(self, theta: Params, task: Task) -> dict[str, Picture]:
-        """The texture, four times as high and wide as in training; it tiles."""
-        return {"texture": Picture(self.made(theta, self.app.generate, TILED)[0, 0].permute(1, 2, 0), "srgb")}
+        """The texture, of the size asked for, else four times as high and wide as in training; it tiles."""
+        return {"texture": Picture(self.made(theta, self.app.generate, self.whole())[0, 0].permute(1, 2, 0), "srgb")}
+
+    def surface(self, theta: Params, task: Task) -> Surface:
+        """The texture as `files` writes it."""
+        return Surface(srgb_to_linear(self.made(theta, self.app.generate, self.whole())[0, 0]), True)
 
 
 PRESENTATION = TexturePresentation

@@ -1,0 +1,126 @@
+"""USD: a square with a UsdPreviewSurface in its specular workflow, which holds F0 as it is; a folder and one .usdz.
+
+Written by usd-core: `pip install "metapp[export]"`. Pictures are PNG of 8 bits, which all of USD's viewers read.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from data_tools.assets.pictures import write_plane
+from metapp.appearance.surface import Surface, all_planes
+from metapp.storage.files import write_atomically
+
+BITS = 8
+TEXTURES = "textures"
+INPUTS = {  # of UsdPreviewSurface: map, output of its texture, type
+    "diffuseColor": ("diffuse", "rgb", "Color3f"),
+    "specularColor": ("specular", "rgb", "Color3f"),
+    "roughness": ("roughness", "r", "Float"),
+    "normal": ("normal_gl", "rgb", "Normal3f"),
+    "occlusion": ("ao", "r", "Float"),
+}
+
+
+def write(surface: Surface, path: Path, provenance: Mapping[str, Any]) -> None:
+    """Write <path>/<name>.usda with its textures, and <path>/<name>.usdz, which holds all."""
+    from pxr import Sdf, UsdUtils
+
+    planes = all_planes(surface)
+    for key, _, _ in INPUTS.values():
+        write_plane(planes[key], path / TEXTURES / f"{path.name}_{key}.png", BITS)
+    text = stage_text(surface, path.name, provenance)
+    layer = path / f"{path.name}.usda"
+    write_atomically(layer, lambda target: target.write_text(text, encoding="utf-8"))
+    package = path / f"{path.name}.usdz"
+    if not UsdUtils.CreateNewARKitUsdzPackage(Sdf.AssetPath(str(layer)), str(package)):
+        raise ValueError(f"{package}: not written by usd-core; is the disk full?")
+
+
+def stage_text(surface: Surface, name: str, provenance: Mapping[str, Any]) -> str:
+    """The layer as text: one prim with the square and its material."""
+    from pxr import Kind, Sdf, Tf, Usd, UsdGeom
+
+    stage = Usd.Stage.CreateInMemory()
+    UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.y)
+    UsdGeom.SetStageMetersPerUnit(stage, 1.0)
+    root = UsdGeom.Xform.Define(stage, f"/{Tf.MakeValidIdentifier(name)}")
+    stage.SetDefaultPrim(root.GetPrim())
+    Usd.ModelAPI(root).SetKind(Kind.Tokens.component)
+    root.GetPrim().SetDocumentation(f"{name}, fitted by metapp: {', '.join(_words(provenance))}")
+    mesh = _quad(stage, root.GetPath().AppendChild("Square"), surface)
+    material = _material(stage, root.GetPath().AppendChild("Material"), name, surface.tiles)
+    _bind(mesh, material)
+    result: str = stage.GetRootLayer().ExportToString()
+    assert Sdf.Layer.CreateAnonymous(".usda").ImportFromString(result)
+    return result
+
+
+def _words(provenance: Mapping[str, Any]) -> list[str]:
+    return [f"{key} {provenance[key]}" for key in ("app", "paradigm", "rule", "start", "recipe") if key in provenance]
+
+
+def _quad(stage: Any, path: Any, surface: Surface) -> Any:
+    """A rectangle of width 1 that faces +z."""
+    from pxr import Gf, Sdf, UsdGeom, Vt
+
+    half = surface.size[0] / surface.size[1] / 2
+    mesh = UsdGeom.Mesh.Define(stage, path)
+    corners = [(-0.5, -half, 0), (0.5, -half, 0), (0.5, half, 0), (-0.5, half, 0)]
+    mesh.CreatePointsAttr(Vt.Vec3fArray([Gf.Vec3f(*corner) for corner in corners]))
+    mesh.CreateExtentAttr(Vt.Vec3fArray([Gf.Vec3f(*corners[0]), Gf.Vec3f(*corners[2])]))
+    mesh.CreateFaceVertexCountsAttr([4])
+    mesh.CreateFaceVertexIndicesAttr([0, 1, 2, 3])
+    mesh.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
+    mesh.CreateNormalsAttr(Vt.Vec3fArray([Gf.Vec3f(0, 0, 1)] * 4))
+    mesh.SetNormalsInterpolation(UsdGeom.Tokens.vertex)
+    places = UsdGeom.PrimvarsAPI(mesh).CreatePrimvar("st", Sdf.ValueTypeNames.TexCoord2fArray, UsdGeom.Tokens.varying)
+    places.Set(Vt.Vec2fArray([Gf.Vec2f(*place) for place in ((0, 0), (1, 0), (1, 1), (0, 1))]))
+    return mesh
+
+
+def _material(stage: Any, path: Any, name: str, tiles: bool) -> Any:
+    from pxr import Sdf, UsdShade
+
+    material = UsdShade.Material.Define(stage, path)
+    shader = UsdShade.Shader.Define(stage, path.AppendChild("Surface"))
+    shader.CreateIdAttr("UsdPreviewSurface")
+    shader.CreateInput("useSpecularWorkflow", Sdf.ValueTypeNames.Int).Set(1)
+    reader = UsdShade.Shader.Define(stage, path.AppendChild("Place"))
+    reader.CreateIdAttr("UsdPrimvarReader_float2")
+    reader.CreateInput("varname", Sdf.ValueTypeNames.String).Set("st")
+    place = reader.CreateOutput("result", Sdf.ValueTypeNames.Float2)
+    for input_, (key, output, kind) in INPUTS.items():
+        texture = _texture(stage, path.AppendChild(key), f"./{TEXTURES}/{name}_{key}.png", key, tiles)
+        texture.CreateInput("st", Sdf.ValueTypeNames.Float2).ConnectToSource(place)
+        source = texture.CreateOutput(
+            output, Sdf.ValueTypeNames.Float3 if output == "rgb" else Sdf.ValueTypeNames.Float
+        )
+        shader.CreateInput(input_, getattr(Sdf.ValueTypeNames, kind)).ConnectToSource(source)
+    out = shader.CreateOutput("surface", Sdf.ValueTypeNames.Token)
+    material.CreateSurfaceOutput().ConnectToSource(out)
+    return material
+
+
+def _texture(stage: Any, path: Any, file: str, key: str, tiles: bool) -> Any:
+    from pxr import Gf, Sdf, UsdShade
+
+    texture = UsdShade.Shader.Define(stage, path)
+    texture.CreateIdAttr("UsdUVTexture")
+    texture.CreateInput("file", Sdf.ValueTypeNames.Asset).Set(Sdf.AssetPath(file))
+    colours = key in ("diffuse", "specular")
+    texture.CreateInput("sourceColorSpace", Sdf.ValueTypeNames.Token).Set("sRGB" if colours else "raw")
+    for axis in ("wrapS", "wrapT"):
+        texture.CreateInput(axis, Sdf.ValueTypeNames.Token).Set("repeat" if tiles else "clamp")
+    if key == "normal_gl":
+        texture.CreateInput("scale", Sdf.ValueTypeNames.Float4).Set(Gf.Vec4f(2, 2, 2, 1))
+        texture.CreateInput("bias", Sdf.ValueTypeNames.Float4).Set(Gf.Vec4f(-1, -1, -1, 0))
+    return texture
+
+
+def _bind(mesh: Any, material: Any) -> None:
+    from pxr import UsdShade
+
+    UsdShade.MaterialBindingAPI.Apply(mesh.GetPrim()).Bind(material)

@@ -1,0 +1,114 @@
+"""Height fields of flat materials: from their normals, and how much of the light from all around reaches each texel.
+
+Heights are in texels and go up, out of the patch; row 0 is the upper edge. Leading axes are free.
+"""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import Tensor
+
+STEEPEST = 0.05  # least z of normals: slopes stay below 20
+AZIMUTHS = 16
+REACH = 0.125  # of the width: how far occlusion looks
+
+
+def height_from_normal(normal: Tensor, *, periodic: bool) -> Tensor:
+    """The height field whose slopes are closest to those of normals, of mean 0, in least squares.
+
+    Frankot and Chellappa, "A Method for Enforcing Integrability in Shape from Shading Algorithms" (1988): each
+    frequency of the height is the projection of both slopes onto its derivatives, which are exact for fields without
+    frequencies above the texels'.
+
+    Args:
+        normal: [..., 3, H, W], z up out of the patch; z below 0.05 counts as 0.05.
+        periodic: whether the left edge goes on at the right one and the upper at the lower one; otherwise the field is
+            mirrored at its edges.
+
+    Returns:
+        [..., 1, H, W] in texels.
+    """
+    x, y, z = normal.double().unbind(-3)
+    z = z.clamp_min(STEEPEST)
+    along_x, along_row = -x / z, y / z  # rows go down, y goes up
+    if not periodic:
+        along_x = _mirrored(along_x, -1)
+        along_row = _mirrored(along_row, -2)
+    rows, columns = along_x.shape[-2:]
+    across, down = _frequencies(columns, normal)[None, :], _frequencies(rows, normal)[:, None]
+    squared = across.square() + down.square()
+    both = across * torch.fft.fft2(along_x) + down * torch.fft.fft2(along_row)
+    spectrum = torch.where(squared > 0, -1j * both / squared.clamp_min(1e-12), 0)
+    whole: Tensor = torch.fft.ifft2(spectrum).real
+    height = whole[..., : normal.shape[-2], : normal.shape[-1]]
+    return (height - height.mean((-2, -1), keepdim=True)).to(normal)[..., None, :, :]
+
+
+def _frequencies(count: int, like: Tensor) -> Tensor:
+    """Radians a texel, [count]; the highest of an even count has no derivative and counts as 0."""
+    frequencies: Tensor = 2 * math.pi * torch.fft.fftfreq(count, dtype=torch.float64, device=like.device)
+    if count % 2 == 0:
+        frequencies[count // 2] = 0
+    return frequencies
+
+
+def _mirrored(slopes: Tensor, odd: int) -> Tensor:
+    """Slopes of a field that is mirrored at its lower and right edges: those along the axis `odd` change their sign."""
+    for axis in (-1, -2):
+        slopes = torch.cat([slopes, slopes.flip(axis) * (-1 if axis == odd else 1)], axis)
+    return slopes
+
+
+def occlusion_from_height(height: Tensor, *, periodic: bool, reach: float = REACH) -> Tensor:
+    """Share of a uniform sky's light that reaches each texel of a height field (ambient occlusion).
+
+    Horizon-based (Max 1988; Bavoil et al. 2008): in AZIMUTHS directions the highest elevation a of what lies within
+    reach; the sky above gives cos(a)^2 of the light that falls on a horizontal texel. A slope's own tilt does not
+    count: texels lie flat.
+
+    Args:
+        height: [..., 1, H, W] in texels.
+        periodic: as in `height_from_normal`; otherwise what lies beyond an edge is as high as the edge.
+        reach: how far is looked, in widths.
+
+    Returns:
+        [..., 1, H, W] in [0, 1]; 1 is open.
+    """
+    farthest = max(1, round(reach * height.shape[-1]))
+    total = torch.zeros_like(height)
+    for i in range(AZIMUTHS):
+        turn = 2 * math.pi * i / AZIMUTHS
+        slope = torch.zeros_like(height)
+        for distance in _distances(farthest):
+            there = _shifted(height, distance * math.cos(turn), distance * math.sin(turn), periodic)
+            slope = torch.maximum(slope, (there - height) / distance)
+        total += 1 / (1 + slope * slope)
+    return total / AZIMUTHS
+
+
+def _distances(farthest: int) -> list[int]:
+    """Every texel at first, then in steps of an eighth of the way."""
+    found = [1]
+    while found[-1] < farthest:
+        found.append(min(farthest, max(found[-1] + 1, math.floor(found[-1] * 1.125))))
+    return found
+
+
+def _shifted(field: Tensor, x: float, rows: float, periodic: bool) -> Tensor:
+    """What a field [..., H, W] is x columns to the right and so many rows below, interpolated between texels."""
+    for offset, axis in ((x, -1), (rows, -2)):
+        whole = math.floor(offset)
+        share = offset - whole
+        near = _moved(field, whole, axis, periodic)
+        field = near if share < 1e-9 else torch.lerp(near, _moved(field, whole + 1, axis, periodic), share)
+    return field
+
+
+def _moved(field: Tensor, count: int, axis: int, periodic: bool) -> Tensor:
+    if periodic:
+        return field.roll(-count, axis)
+    size = field.shape[axis]
+    rows = (torch.arange(size, device=field.device) + count).clamp(0, size - 1)
+    return field.index_select(axis, rows)

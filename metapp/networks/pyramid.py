@@ -1,0 +1,113 @@
+"""A generator of pictures from noise at several scales, each of which makes a picture of its own size."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import torch
+from torch import Generator, Tensor
+from torch.nn.functional import avg_pool2d, conv2d, interpolate, pad
+
+from metapp.learning.task import Params
+from metapp.networks.layers import styled
+from metapp.networks.strips import ROWS, enlarged_rows, rows_of, styled_by_rows
+
+
+class Pyramid(NamedTuple):
+    """Noise-to-image convolutions from coarse to fine with noise at each level (Ulyanov et al. 2016).
+
+    Each level doubles the resolution, adds noise of its own and corrects the enlarged picture of the level above
+    (Karras et al. 2020), so that coarse levels alone make a smaller picture of the same structures. All convolutions
+    pad circularly: what it makes tiles, at any size that `2 ** (levels - 1)` divides.
+
+    Attributes:
+        width: channels of the finest level; each level up doubles them, up to four times as many.
+        levels: resolutions, each half of the one before.
+        noise: channels of the noise at each level.
+        code: length of z.
+        outputs: channels of what it makes.
+        finest: the level whose picture is made, 0 for the whole size.
+    """
+
+    width: int
+    levels: int = 6
+    noise: int = 8
+    code: int = 32
+    outputs: int = 3
+    finest: int = 0
+
+    def channels(self, level: int) -> int:
+        """Channels at a level, 0 the finest; none above the coarsest."""
+        result: int = self.width * min(2**level, 4) if level < self.levels else 0
+        return result
+
+    def layers(self) -> dict[str, tuple[int, int]]:
+        """(inputs, outputs) of each 3x3 convolution, in order of use."""
+        each = {}
+        for level in reversed(range(self.levels)):
+            outputs = self.channels(level)
+            each[f"join{level}"] = (self.channels(level + 1) + self.noise, outputs)
+            each[f"draw{level}"] = (outputs, outputs)
+        return each
+
+    def init(self, rng: Generator, count: int) -> Params:
+        """Random parameters of `count` networks: each tensor [count, ...]."""
+
+        def normal(*shape: int, scale: float) -> Tensor:
+            return torch.randn(count, *shape, generator=rng, device=rng.device) * scale
+
+        theta = {"z": normal(self.code, scale=1.0)}
+        for name, (inputs, outputs) in self.layers().items():
+            theta[f"{name}.kernel"] = normal(outputs, inputs, 3, 3, scale=math.sqrt(2 / (9 * inputs)))
+            theta[f"{name}.style"] = normal(2 * outputs, self.code, scale=0.3 / math.sqrt(self.code))
+            theta[f"{name}.shift"] = torch.zeros(count, 2 * outputs, device=rng.device)
+        for level in range(self.levels):
+            inputs = self.channels(level)
+            theta[f"out{level}.kernel"] = normal(self.outputs, inputs, 1, 1, scale=0.5 / math.sqrt(inputs))
+            theta[f"out{level}.shift"] = torch.zeros(count, self.outputs, device=rng.device)
+        return theta
+
+    def __call__(self, theta: Params, noise: Tensor) -> Tensor:
+        """Maps from noise.
+
+        Args:
+            theta: parameters of T networks, as of `init`.
+            noise: standard normal, [T, B, noise, H, W], of the size of the level `finest`.
+
+        Returns:
+            Values before any range is imposed, [T, B, outputs, H, W].
+        """
+        tasks = len(noise)
+        pooled = [noise.transpose(0, 1).flatten(1, 2)]
+        for _ in range(self.finest + 1, self.levels):
+            pooled.append(2 * avg_pool2d(pooled[-1], 2))  # of unit variance again
+        x, made = None, None
+        for level in reversed(range(self.finest, self.levels)):
+            x = self._level(theta, level, x, pooled[level - self.finest])
+            kernel, shift = theta[f"out{level}.kernel"], theta[f"out{level}.shift"]
+            own = conv2d(x, kernel.flatten(0, 1), shift.flatten(), groups=tasks)
+            made = own if made is None else enlarged(made) + own
+        assert made is not None
+        result: Tensor = made.unflatten(1, (tasks, self.outputs)).transpose(0, 1)
+        return result
+
+    def _level(self, theta: Params, level: int, above: Tensor | None, noise: Tensor) -> Tensor:
+        """Features of a level [B, T * C, H, W], from those of the level above and noise."""
+        tasks, height = len(theta["z"]), noise.shape[-2]
+        if height > ROWS and not torch.is_grad_enabled() and above is not None:
+            coarse, fine = enlarged_rows(above), rows_of(noise)
+            x = styled_by_rows(theta, f"join{level}", lambda *rows: _joined(coarse(*rows), fine(*rows), tasks), height)
+            return styled_by_rows(theta, f"draw{level}", rows_of(x), height)
+        x = noise if above is None else _joined(enlarged(above), noise, tasks)
+        return styled(theta, f"draw{level}", styled(theta, f"join{level}", x))
+
+
+def _joined(features: Tensor, noise: Tensor, tasks: int) -> Tensor:
+    """Both side by side; channels of one task lie together, as grouped convolutions want them."""
+    return torch.cat([part.unflatten(1, (tasks, -1)) for part in (features, noise)], 2).flatten(1, 2)
+
+
+def enlarged(x: Tensor) -> Tensor:
+    """Maps [B, C, H, W] twice as high and wide, interpolated linearly across their edges, [B, C, 2H, 2W]."""
+    return interpolate(pad(x, (1, 1, 1, 1), mode="circular"), scale_factor=2, mode="bilinear")[..., 2:-2, 2:-2]

@@ -1,0 +1,71 @@
+"""Image files, written whole or not at all: PNG of 8 or 16 bits, EXR."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from torch import Tensor
+
+from metapp.storage.files import write_atomically
+
+
+def write_png(pixels: Tensor, texts: Mapping[str, str], path: Path, bits: int = 8) -> None:
+    """Write a picture as PNG.
+
+    Args:
+        pixels: [H, W, 1 or 3]; clamped to [0, 1].
+        texts: kept in the file by their keys; `encoding` is "sRGB" or, of what is no colour, "linear".
+        path: the file.
+        bits: 8 or 16.
+
+    Raises:
+        OSError: it cannot be written; names the folder.
+    """
+    write_atomically(path, functools.partial(_write_png, pixels, texts, bits))
+
+
+def write_exr(pixels: Tensor, path: Path, *, half: bool | None = None) -> None:
+    """Write linear values [H, W, 1 or 3] of any range as EXR: half floats where they are precise enough.
+
+    Args:
+        pixels: what to write.
+        path: the file.
+        half: half floats or not; None: of radiance, where its maximum says that no dark part loses digits.
+
+    Raises:
+        OSError: it cannot be written; names the folder.
+    """
+    write_atomically(path, functools.partial(_write_exr, pixels, half))
+
+
+def _write_png(picture: Tensor, texts: Mapping[str, str], bits: int, path: Path) -> None:
+    import OpenImageIO as oiio
+
+    highest, dtype = 2**bits - 1, np.uint8 if bits == 8 else np.uint16
+    pixels = (np.clip(picture.numpy(), 0, 1) * highest + 0.5).astype(dtype)
+    image = oiio.ImageBuf(np.ascontiguousarray(pixels))
+    # whoever honours a PNG's colour space would decode roughness and normals wrongly
+    image.specmod().attribute("oiio:ColorSpace", "data" if texts["encoding"] == "linear" else "sRGB")
+    for key, text in texts.items():
+        image.specmod().attribute(key, text)
+    _write(image, f"uint{bits}", path)
+
+
+def _write_exr(values: Tensor, half: bool | None, path: Path) -> None:
+    import OpenImageIO as oiio
+
+    pixels = np.ascontiguousarray(values.numpy(), dtype=np.float32)
+    image = oiio.ImageBuf(pixels)
+    image.specmod().attribute("oiio:ColorSpace", "lin_rec709_scene")
+    if half is None:
+        half = bool(1 <= pixels.max() <= np.finfo(np.float16).max)  # below, dark parts would lose digits
+    _write(image, "half" if half else "float", path)
+
+
+def _write(image: Any, form: str, path: Path) -> None:
+    if not image.write(str(path), form):
+        raise ValueError(f"{path}: not written ({image.geterror()}); is the disk full?")

@@ -1,0 +1,104 @@
+"""Heights from normals on surfaces that are known, and occlusion where it has a closed form."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+from torch import Tensor
+
+from metapp.appearance.flash import normal_from_height
+from metapp.appearance.relief import height_from_normal, occlusion_from_height
+
+
+def grid(size: int) -> tuple[Tensor, Tensor]:
+    """x to the right and y up of texels' centres, in texels."""
+    rows, columns = torch.meshgrid(*2 * [torch.arange(size, dtype=torch.float64)], indexing="ij")
+    return columns + 0.5, size - 0.5 - rows
+
+
+def normal_of(along_x: Tensor, along_y: Tensor) -> Tensor:
+    vectors = torch.stack([-along_x, -along_y, torch.ones_like(along_x)])
+    return vectors / vectors.norm(dim=0)
+
+
+def waves(size: int) -> tuple[Tensor, Tensor]:
+    """A field of three waves, not alike along x and y, and its exact normals."""
+    x, y = (2 * math.pi * each / size for each in grid(size))
+    height = 3 * (2 * x).sin() + 2 * (x + 3 * y).cos() + (y + 0.3).sin()
+    scale = 2 * math.pi / size
+    along_x = scale * (6 * (2 * x).cos() - 2 * (x + 3 * y).sin())
+    along_y = scale * (-6 * (x + 3 * y).sin() + (y + 0.3).cos())
+    return height[None], normal_of(along_x, along_y)
+
+
+def test_waves_that_tile_are_found_exactly() -> None:
+    height, normal = waves(48)
+    assert torch.allclose(height_from_normal(normal, periodic=True), height, atol=1e-10)
+
+
+def test_a_hill_in_a_frame_is_found() -> None:
+    size = 64
+    x, y = ((each - size / 2) / (size / 6) for each in grid(size))
+    height = 5 * (-(x * x + 2 * y * y) / 2).exp()
+    normal = normal_of(-x * height / (size / 6), -2 * y * height / (size / 6))
+    found = height_from_normal(normal, periodic=False)[0]
+    assert (found - (height - height.mean())).abs().max() < 0.02  # of 5
+
+
+def test_a_tilted_plane_is_found_where_nothing_tiles() -> None:
+    x, y = grid(32)
+    plane = 0.3 * x - 0.2 * y
+    found = height_from_normal(normal_of(0.3 + 0 * x, -0.2 + 0 * y), periodic=False)[0]
+    assert (found - (plane - plane.mean())).abs().max() < 0.15  # half a texel's step: edges are mirrored
+
+
+@pytest.mark.parametrize("periodic", [True, False])
+def test_normals_of_smooth_heights_lead_back_to_them(periodic: bool) -> None:
+    height, _ = waves(64)
+    normal = normal_from_height(height[None], periodic=periodic)[0]
+    found = height_from_normal(normal, periodic=periodic)
+    assert (found - height).abs().mean() < 0.03 * height.std()
+
+
+def test_axes_may_lead() -> None:
+    normals = torch.stack([waves(16)[1], waves(16)[1].flip(-1)])
+    both = height_from_normal(normals, periodic=True)
+    assert torch.equal(both[1], height_from_normal(normals[1], periodic=True))
+
+
+def test_a_plane_is_open_and_so_is_a_single_peak() -> None:
+    assert torch.equal(occlusion_from_height(torch.zeros(1, 8, 8), periodic=True), torch.ones(1, 8, 8))
+    peak = torch.zeros(1, 33, 33)
+    peak[0, 16, 16] = 10
+    assert occlusion_from_height(peak, periodic=False)[0, 16, 16] == 1
+
+
+@pytest.mark.parametrize("depth", [6.0, 12.0, 24.0])
+def test_the_bottom_of_a_round_pit_sees_what_the_horizon_leaves(depth: float) -> None:
+    size, radius = 65, 12.0
+    x, y = (each - size / 2 for each in grid(size))
+    pit = torch.where(x * x + y * y < radius * radius, -depth, 0.0)[None]
+    seen = float(occlusion_from_height(pit, periodic=False, reach=0.5)[0, size // 2, size // 2])
+    # walls lie between texels, at most one texel nearer or farther
+    low, high = (1 / (1 + (depth / each) ** 2) for each in (radius - 1, radius + 1))
+    assert low < seen < high
+
+
+def test_a_trench_sees_what_its_walls_leave() -> None:
+    size, half, depth = 65, 8.5, 8.5
+    x, _ = grid(size)
+    trench = torch.where((x - size / 2).abs() < half, -depth, 0.0)[None]
+    seen = float(occlusion_from_height(trench, periodic=False, reach=1.0)[0, size // 2, size // 2])
+    turns = torch.linspace(0, 2 * math.pi, 1025)[:-1]
+    exact = float((1 / (1 + (depth / half * turns.cos().abs()) ** 2)).mean())  # along it nothing is in the way
+    assert abs(seen - exact) < 0.03
+
+
+def test_occlusion_goes_on_at_the_other_edge_where_a_field_tiles() -> None:
+    wall = torch.zeros(1, 16, 16)
+    wall[..., 0] = 4
+    tiled = occlusion_from_height(wall, periodic=True)
+    assert torch.allclose(tiled[..., 1], tiled[..., -1])
+    assert occlusion_from_height(wall, periodic=False)[0, 8, -1] == 1

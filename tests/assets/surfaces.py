@@ -1,0 +1,43 @@
+"""Surfaces for tests of exports: every map varies, colours of F0 too."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import OpenImageIO as oiio
+import torch
+from torch import Tensor
+
+from metapp.appearance.colour import srgb_to_linear
+from metapp.appearance.flash import Maps, normal_from_height
+from metapp.appearance.surface import Surface
+
+PROVENANCE = {"task": "rock", "app": "svbrdf_nonstationary", "rise": math.inf, "versions": {"metapp": "0"}}
+
+
+def rock(size: int = 32, *, tiles: bool = True) -> Surface:
+    """Waves that tile, of a metal and of something else, in colours that have nothing to do with each other."""
+    x, y = (2 * math.pi * each / size for each in torch.meshgrid(*2 * [torch.arange(float(size))], indexing="xy"))
+    height = (1.5 * x.sin() + (y + 2 * x).cos())[None]
+    diffuse = torch.stack([0.4 + 0.3 * x.cos(), 0.35 + 0.3 * y.sin(), 0.3 + 0.2 * (x + y).cos()])
+    specular = torch.stack([0.45 + 0.44 * y.cos(), 0.3 + 0.27 * (x - y).sin(), 0.04 + 0.03 * x.sin()])
+    roughness = 0.5 + 0.35 * (2 * y).sin()[None]
+    normal = normal_from_height(height[None], periodic=tiles)[0]
+    return Surface(diffuse, tiles, Maps(diffuse, specular, roughness, normal), height if tiles else None)
+
+
+def texture(size: int = 32) -> Surface:
+    return Surface(rock(size).base, True)
+
+
+def stored(file: Path) -> Tensor:
+    """Values [C, H, W] of an image file as they are stored, integers over their greatest."""
+    pixels = np.atleast_3d(oiio.ImageBuf(str(file)).get_pixels(oiio.FLOAT))
+    return torch.from_numpy(pixels).double().movedim(-1, 0)
+
+
+def linear(file: Path) -> Tensor:
+    """Values [C, H, W] of an image file of sRGB colours, linear."""
+    return srgb_to_linear(stored(file))

@@ -1,0 +1,162 @@
+"""glTF: a whole .glb whose material has the F0 that was fitted, and what Blender makes of it."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import struct
+import subprocess
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from data_tools.assets import blender, gltf
+from metapp.appearance.colour import linear_to_srgb, srgb_to_linear
+from metapp.appearance.surface import all_planes
+from metapp.appearance.workflow import from_metallic
+from tests.assets.surfaces import PROVENANCE, rock, stored
+
+BPY = os.environ.get("METAPP_BPY_PYTHON", "")  # a Python that has bpy: pip install bpy==5.0.1
+COUNTS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
+
+
+def parsed(path: Path) -> tuple[dict[str, Any], bytes]:
+    """The document and the binary part of a .glb, whose chunks are checked."""
+    content = path.read_bytes()
+    magic, version, total = struct.unpack_from("<4sII", content)
+    assert (magic, version, total) == (b"glTF", 2, len(content))
+    parts, at = [], 12
+    for name in (b"JSON", b"BIN\0"):
+        size, kind = struct.unpack_from("<I4s", content, at)
+        assert (kind, size % 4) == (name, 0)
+        parts.append(content[at + 8 : at + 8 + size])
+        at += 8 + size
+    assert at == total
+    return json.loads(parts[0]), parts[1]
+
+
+def values(document: dict[str, Any], binary: bytes, index: int) -> np.ndarray:
+    accessor = document["accessors"][index]
+    view = document["bufferViews"][accessor["bufferView"]]
+    assert view["byteOffset"] % 4 == 0
+    dtype = {5126: "<f4", 5123: "<u2"}[accessor["componentType"]]
+    count = accessor["count"] * COUNTS[accessor["type"]]
+    assert count * np.dtype(dtype).itemsize == view["byteLength"]
+    return np.frombuffer(binary, dtype, count, view["byteOffset"]).reshape(accessor["count"], -1)
+
+
+def picture(document: dict[str, Any], binary: bytes, texture: int, folder: Path) -> torch.Tensor:
+    view = document["bufferViews"][document["images"][document["textures"][texture]["source"]]["bufferView"]]
+    file = folder / f"{texture}.png"
+    file.write_bytes(binary[view["byteOffset"] : view["byteOffset"] + view["byteLength"]])
+    return stored(file)
+
+
+def test_f0_comes_back_as_the_specification_computes_it(tmp_path: Path) -> None:
+    gltf.write(rock(), tmp_path / "rock", PROVENANCE)
+    document, binary = parsed(tmp_path / "rock.glb")
+    extensions = document["materials"][0]["extensions"]
+    specular, index = extensions["KHR_materials_specular"], extensions["KHR_materials_ior"]["ior"]
+    colour = srgb_to_linear(picture(document, binary, specular["specularColorTexture"]["index"], tmp_path))
+    factor = torch.tensor(specular["specularColorFactor"])[:, None, None]
+    f0 = (((index - 1) / (index + 1)) ** 2 * factor * colour).clamp_max(1)
+    assert (linear_to_srgb(f0) - linear_to_srgb(rock().maps.specular)).abs().max() < 1 / 255
+    assert document["materials"][0]["pbrMetallicRoughness"]["metallicFactor"] == 0
+
+
+def test_the_other_maps_come_back(tmp_path: Path) -> None:
+    gltf.write(rock(), tmp_path / "rock", PROVENANCE)
+    document, binary = parsed(tmp_path / "rock.glb")
+    material, maps = document["materials"][0], rock().maps
+    core = material["pbrMetallicRoughness"]
+    diffuse = picture(document, binary, core["baseColorTexture"]["index"], tmp_path)
+    packed = picture(document, binary, core["metallicRoughnessTexture"]["index"], tmp_path)
+    normal = picture(document, binary, material["normalTexture"]["index"], tmp_path)
+    half = 0.5 / 255 + 1e-6
+    assert (diffuse - linear_to_srgb(maps.diffuse)).abs().max() <= half
+    assert (packed[1] - maps.roughness[0]).abs().max() <= half
+    assert (packed[0] - all_planes(rock())["ao"].values[0]).abs().max() <= half
+    assert not packed[2].any()
+    assert (normal - (maps.normal / 2 + 0.5)).abs().max() <= half
+    assert material["occlusionTexture"] == core["metallicRoughnessTexture"]
+
+
+@pytest.mark.parametrize(("tiles", "wrap"), [(True, 10497), (False, 33071)])
+def test_the_rectangle_faces_its_viewer(tmp_path: Path, tiles: bool, wrap: int) -> None:
+    gltf.write(rock(tiles=tiles), tmp_path / "rock", PROVENANCE)
+    document, binary = parsed(tmp_path / "rock.glb")
+    primitive = document["meshes"][0]["primitives"][0]
+    place, normal, tangent, uv = (values(document, binary, i) for i in primitive["attributes"].values())
+    for triangle in values(document, binary, primitive["indices"]).reshape(-1, 3):
+        a, b, c = place[triangle]
+        assert np.cross(b - a, c - a)[2] > 0
+    assert (normal == [0, 0, 1]).all()
+    # u goes right, v down, and the tangent along u: green points up
+    assert np.allclose(uv, np.stack([place[:, 0] + 0.5, 0.5 - place[:, 1]], 1))
+    assert (np.cross(normal, tangent[:, :3]) * tangent[:, 3:] == [0, 1, 0]).all()
+    assert document["accessors"][0]["min"] == place.min(0).tolist()
+    assert document["accessors"][0]["max"] == place.max(0).tolist()
+    assert document["samplers"][0]["wrapS"] == wrap
+
+
+def test_the_provenance_is_inside(tmp_path: Path) -> None:
+    gltf.write(rock(), tmp_path / "rock", PROVENANCE)
+    asset = parsed(tmp_path / "rock.glb")[0]["asset"]
+    assert asset["version"] == "2.0"
+    assert asset["extras"]["provenance"] == PROVENANCE | {"rise": None}
+
+
+def test_blender_s_pictures_have_the_mean_f0_of_dielectrics(tmp_path: Path) -> None:
+    """Of what is no metal, F0 down to 0 and up to 0.08 is kept, but for its hue."""
+    maps = rock().maps
+    surface = rock()._replace(maps=maps._replace(specular=0.08 * maps.specular.clamp_max(0.49)))
+    blender.write(surface, tmp_path / "rock", PROVENANCE)
+    base, metallic, level = (
+        stored(tmp_path / "rock" / f"rock_{name}.png") for name in ("BaseColor", "Metallic", "Specular")
+    )
+    assert not metallic.any()
+    found = 0.08 * level * (1 - metallic) + srgb_to_linear(base) * metallic
+    assert (found - surface.maps.specular.mean(0)).abs().max() < 1 / 65535
+
+
+def test_blender_s_pictures_keep_the_f0_of_metals(tmp_path: Path) -> None:
+    base, metallic = torch.full((3, 8, 8), 0.8), torch.linspace(0, 1, 64).reshape(1, 8, 8)
+    diffuse, specular = from_metallic(base, metallic)
+    maps = rock(8).maps._replace(diffuse=diffuse, specular=specular)
+    blender.write(rock(8)._replace(base=diffuse, maps=maps), tmp_path / "rock", PROVENANCE)
+    read = [stored(tmp_path / "rock" / f"rock_{name}.png") for name in ("BaseColor", "Metallic", "Specular")]
+    found = 0.08 * read[2] * (1 - read[1]) + srgb_to_linear(read[0]) * read[1]
+    assert (found - specular).abs().max() < 1e-3
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not BPY, reason="METAPP_BPY_PYTHON names no Python with bpy (pip install bpy==5.0.1)")
+def test_blender_renders_the_f0_and_wires_the_pictures(tmp_path: Path) -> None:
+    gltf.write(rock(64), tmp_path / "rock", PROVENANCE)
+    blender.write(rock(64), tmp_path / "names" / "rock", PROVENANCE)
+    script = Path(__file__).with_name("blender_check.py")
+    told, seen = tmp_path / "told.json", tmp_path / "f0"
+    arguments = (tmp_path / "rock.glb", tmp_path / "names" / "rock", told, seen)
+    subprocess.run([BPY, script, *arguments], check=True, capture_output=True, timeout=300)
+    found = json.loads(told.read_text(encoding="utf-8"))
+    assert found["wired"] == {
+        "Displacement": "rock_Displacement.png",
+        "Base Color": "rock_BaseColor.png",
+        "Metallic": "rock_Metallic.png",
+        "Specular IOR Level": "rock_Specular.png",
+        "Roughness": "rock_Roughness.png",
+        "Normal": "rock_Normal.png",
+        "Ambient Occlusion": "rock_AO.png",
+    }
+    f0 = rock(64).maps.specular
+    above = stored(tmp_path / "f0-0.exr")[:3]
+    assert (above - f0).abs().max() < 1 / 255
+    aslant = stored(tmp_path / "f0-75.exr")[:3, 32, 32]
+    expected = f0 + (1 - f0) * (1 - math.cos(math.radians(75))) ** 5  # Schlick
+    around = expected[:, 28:36, 28:36].flatten(1)
+    assert (aslant > around.amin(1) - 0.03).all()
+    assert (aslant < around.amax(1) + 0.03).all()

@@ -1,0 +1,89 @@
+"""Scenes for Mitsuba: they load, and light comes back from them as from the maps that were fitted."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from data_tools.assets import mitsuba
+from metapp.appearance.colour import linear_to_srgb
+from metapp.appearance.flash import brdf, camera, expose, positions, relightings, render
+from tests.assets.surfaces import PROVENANCE, rock
+from tests.needs_mitsuba import needs_mitsuba
+
+pytestmark = needs_mitsuba
+SIDE = 32
+
+
+@pytest.fixture(scope="module")
+def mi() -> Any:
+    from metapp.rendering.variant import load_mitsuba
+
+    module = load_mitsuba()
+    from metapp.rendering.maps_bsdf import register_maps_bsdf
+
+    register_maps_bsdf()
+    return module
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("scene") / "rock"
+    mitsuba.write(rock(SIDE), path, PROVENANCE)
+    return path
+
+
+def texels(mi: Any, scene: Any) -> Any:
+    """What rays from straight above hit in the centres of all texels, row by row."""
+    x, y = positions(SIDE, SIDE).flatten(1).numpy()
+    origin = mi.Point3f(mi.Float(x), mi.Float(y), 2.0)
+    return scene.ray_intersect(mi.Ray3f(origin, mi.Vector3f(0, 0, -1)))
+
+
+def plane(values: Any) -> Tensor:
+    return torch.from_numpy(np.array(values)).reshape(-1, SIDE, SIDE)
+
+
+def test_every_texel_reflects_as_it_was_fitted(mi: Any, folder: Path) -> None:
+    scene = mi.load_file(str(folder / "rock.xml"))  # its BSDFs live as long as it
+    si = texels(mi, scene)
+    for towards in ((0.3, 0.4, 0.866), (-0.6, 0.1, 0.79), (0.0, 0.0, 1.0)):
+        wo = torch.tensor(towards) / torch.tensor(towards).norm()
+        found = plane(si.bsdf().eval(mi.BSDFContext(), si, mi.Vector3f(*wo.tolist())))
+        maps, wi = rock(SIDE).maps, torch.tensor([0.0, 0.0, 1.0])
+        every = [each[:, None, None].expand(-1, SIDE, SIDE) for each in (wo, wi)]
+        cosine = (every[0] * maps.normal).sum(0).clamp_min(0)
+        expected = brdf(maps, *every) * cosine
+        # a step of 16 bits turns a normal by up to 5e-5, of a lobe whose alpha is 0.02
+        assert ((found - expected).abs() < 2e-3 * expected + 1e-4).all()
+
+
+def test_f0_comes_back(mi: Any, folder: Path) -> None:
+    si = texels(mi, mi.load_file(str(folder / "rock.xml")))
+    texture = mi.load_dict({"type": "bitmap", "filename": str(folder / "rock_specular.png")})
+    found = plane(texture.eval(si)).clamp(0, 1)
+    assert (linear_to_srgb(found) - linear_to_srgb(rock(SIDE).maps.specular)).abs().max() < 1 / 255
+
+
+def test_the_scene_shows_what_our_renderer_shows(mi: Any, folder: Path) -> None:
+    picture = torch.from_numpy(np.array(mi.render(mi.load_file(str(folder / "rock.xml")), spp=256))).movedim(-1, 0)
+    light = relightings()["left"][0]
+    lit = render(rock(SIDE).maps, positions(SIDE, SIDE), light, camera())
+    assert (expose(picture) - expose(lit)).abs().mean() < 0.02
+
+
+def test_the_builtin_scene_needs_no_plugin(folder: Path) -> None:
+    text = (folder / "rock_builtin.xml").read_text(encoding="utf-8")
+    assert "principled" in text
+    assert "neural_svbrdf" not in text
+
+
+def test_the_builtin_scene_shows_nearly_the_same(mi: Any, folder: Path) -> None:
+    pictures = [mi.render(mi.load_file(str(folder / f"rock{suffix}.xml")), spp=64) for suffix in ("", "_builtin")]
+    own, builtin = (expose(torch.from_numpy(np.array(each))) for each in pictures)
+    assert (own - builtin).abs().mean() < 0.12  # F0 of another hue than the body's is lost

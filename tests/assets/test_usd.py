@@ -1,0 +1,63 @@
+"""USD: a stage that all of usd-core's validators accept and whose material is the one that was fitted."""
+
+from __future__ import annotations
+
+import zipfile
+from pathlib import Path
+
+import pytest
+
+from data_tools.assets import usd
+from metapp.appearance.colour import linear_to_srgb
+from tests.assets.surfaces import PROVENANCE, rock, stored
+
+pxr = pytest.importorskip("pxr", reason='usd-core is not installed: pip install "metapp[export]"')
+from pxr import Usd, UsdShade, UsdValidation  # noqa: E402
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    usd.write(rock(), tmp_path / "3 rock", PROVENANCE)
+    return tmp_path / "3 rock"
+
+
+@pytest.mark.parametrize("suffix", ["usda", "usdz"])
+def test_all_validators_accept_it(folder: Path, suffix: str) -> None:
+    validators = UsdValidation.ValidationRegistry().GetOrLoadAllValidators()
+    assert len(validators) > 20
+    stage = Usd.Stage.Open(str(folder / f"{folder.name}.{suffix}"))
+    found = UsdValidation.ValidationContext(validators).Validate(stage)
+    assert [each.GetErrorAsString() for each in found] == []
+
+
+def test_validators_find_what_is_wrong(folder: Path) -> None:
+    (folder / "textures" / f"{folder.name}_specular.png").unlink()
+    validators = UsdValidation.ValidationRegistry().GetOrLoadAllValidators()
+    stage = Usd.Stage.Open(str(folder / f"{folder.name}.usda"))
+    assert UsdValidation.ValidationContext(validators).Validate(stage)
+
+
+def test_the_specular_workflow_holds_what_was_fitted(folder: Path) -> None:
+    stage = Usd.Stage.Open(str(folder / f"{folder.name}.usda"))
+    material = UsdShade.Material(stage.GetDefaultPrim().GetChild("Material"))
+    shader = UsdShade.Shader(material.ComputeSurfaceSource()[0])
+    assert shader.GetInput("useSpecularWorkflow").Get() == 1
+    maps = rock().maps
+    wanted = {
+        "diffuseColor": (linear_to_srgb(maps.diffuse), "sRGB"),
+        "specularColor": (linear_to_srgb(maps.specular), "sRGB"),
+        "roughness": (maps.roughness, "raw"),
+        "normal": (maps.normal / 2 + 0.5, "raw"),
+    }
+    for name, (values, space) in wanted.items():
+        texture = UsdShade.Shader(shader.GetInput(name).GetConnectedSource()[0].GetPrim())
+        assert texture.GetInput("sourceColorSpace").Get() == space
+        assert texture.GetInput("wrapS").Get() == "repeat"
+        file = Path(texture.GetInput("file").Get().resolvedPath)
+        assert (stored(file) - values).abs().max() <= 0.5 / 255 + 1e-6
+
+
+def test_the_package_holds_everything(folder: Path) -> None:
+    names = zipfile.ZipFile(folder / f"{folder.name}.usdz").namelist()
+    assert sum(name.endswith(".png") for name in names) == 5
+    assert names[0].endswith(".usdc")  # comes first, by the format's specification

@@ -1,0 +1,113 @@
+"""HEIF pictures of phones: upright whatever their orientation, and one line where they cannot be read."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from data_tools.readers import heif
+from data_tools.readers.photos import find_photos, is_photo, read_photo
+from data_tools.readers.svbrdf_inputs import read_task
+from metapp.appearance.colour import linear_to_srgb, srgb_to_linear
+
+pillow_heif = pytest.importorskip("pillow_heif", reason='pillow-heif is not installed: pip install "metapp[heic]"')
+from PIL import Image, ImageCms  # noqa: E402
+
+
+def gradients(height: int = 96, width: int = 48) -> np.ndarray:
+    """A picture whose corners all differ, smooth, so that compression costs little."""
+    y, x = np.mgrid[:height, :width] / max(height, width)
+    return np.uint8(np.stack([40 + 180 * x, 30 + 200 * y, 60 + 90 * (x + y)], -1))
+
+
+def write(path: Path, values: np.ndarray, orientation: int = 1, focal: int = 0, icc: bytes | None = None) -> Path:
+    pillow_heif.register_heif_opener()
+    image = Image.fromarray(values)
+    exif = image.getexif()
+    exif[0x0112] = orientation
+    exif.get_ifd(0x8769)[0xA405] = focal
+    image.save(path, format="HEIF", exif=exif.tobytes(), quality=100, chroma=444, icc_profile=icc)
+    return path
+
+
+def planes(values: np.ndarray) -> torch.Tensor:
+    return torch.from_numpy(values.copy()).permute(2, 0, 1).float()
+
+
+@pytest.mark.parametrize("orientation", range(1, 9))
+def test_pictures_are_upright(tmp_path: Path, orientation: int) -> None:
+    upright = gradients()
+    turn = {
+        1: upright,
+        2: np.fliplr(upright),
+        3: np.rot90(upright, 2),
+        4: np.flipud(upright),
+        5: upright.swapaxes(0, 1),
+        6: np.rot90(upright, 1),
+        7: np.rot90(upright, 2).swapaxes(0, 1),
+        8: np.rot90(upright, -1),
+    }
+    path = write(tmp_path / "a.heic", np.ascontiguousarray(turn[orientation]), orientation)
+    found = read_photo(path, 48).float()
+    assert (found - planes(upright[24:72])).abs().mean() < 2
+
+
+def test_they_are_found_and_fitted_as_photographs(tmp_path: Path) -> None:
+    path = write(tmp_path / "wall.heic", gradients())
+    write(tmp_path / "misnamed.jpg", gradients())  # as some programs save what phones send
+    assert is_photo(path)
+    files, skipped = find_photos([tmp_path])
+    assert sorted(file.name for file in files) == ["misnamed.jpg", "wall.heic"]
+    assert skipped == []
+    assert read_photo(tmp_path / "misnamed.jpg", 48).shape == (3, 48, 48)
+    assert read_task(path, 48).data["photo"].shape == (3, 48, 48)
+
+
+def test_a_display_p3_profile_is_heeded(tmp_path: Path) -> None:
+    values = gradients(64, 64)
+    profile = bytearray(ImageCms.ImageCmsProfile(ImageCms.createProfile("sRGB")).tobytes())
+    named = profile.replace("sRGB built-in".encode("utf-16-be"), "Display P3   ".encode("utf-16-be"))
+    assert named != profile
+    plain = read_photo(write(tmp_path / "a.heic", values), 64).double() / 255
+    wide = read_photo(write(tmp_path / "b.heic", values, icc=bytes(named)), 64).double() / 255
+    matrix = torch.tensor([[1.22494, -0.22494, 0.0], [-0.04206, 1.04206, 0.0], [-0.01964, -0.07864, 1.09827]]).double()
+    expected = linear_to_srgb(torch.einsum("ij,jhw->ihw", matrix, srgb_to_linear(plain)).clamp(0, 1))
+    assert (wide - expected).abs().max() < 2 / 255
+    assert (wide - plain).abs().max() > 3 / 255
+
+
+def test_a_damaged_one_is_one_line(tmp_path: Path) -> None:
+    path = write(tmp_path / "a.heic", gradients())
+    path.write_bytes(path.read_bytes()[:600])
+    with pytest.raises(ValueError, match=r"a\.heic: .*expected a whole one; copy or download it again\.$") as error:
+        read_photo(path)
+    assert "\n" not in str(error.value)
+
+
+def test_a_small_one_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="20x20 px, expected 32 px or more"):
+        read_photo(write(tmp_path / "a.heic", gradients(20, 20)))
+
+
+def test_without_the_library_the_line_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = write(tmp_path / "a.heic", gradients())
+    monkeypatch.setattr(heif, "can_read", lambda: False)
+    with pytest.raises(
+        ValueError, match=r'export it as JPEG or PNG, or read it as it is: pip install "metapp\[heic\]"'
+    ):
+        read_photo(path)
+    with pytest.raises(ValueError, match="a picture in HEIF or AVIF"):
+        find_photos([tmp_path])
+
+
+def test_the_lens_is_read_from_it(tmp_path: Path) -> None:
+    values = gradients(120, 120)
+    path = write(tmp_path / "a.heic", values, focal=20)  # 75 degrees along a square's side
+    share = np.tan(np.radians(22.5)) / (15.2967 / 20)  # half of 43.2666 / sqrt(2) mm
+    side = round(120 * share)
+    cropped = planes(values[(120 - side) // 2 :, (120 - side) // 2 :][:side, :side])
+    found = read_photo(path, side, within_rad=np.radians(45)).float()
+    assert (found - cropped).abs().mean() < 2
