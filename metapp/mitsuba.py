@@ -3,7 +3,7 @@
     {"type": "neural_brdf", "filename": "gold.safetensors"}
     {"type": "neural_svbrdf", "diffuse": TEXTURE, "specular": TEXTURE, "roughness": TEXTURE}
 
-In XML: `<bsdf type="neural_brdf"><string name="filename" value="gold.safetensors"/></bsdf>`. The file of `neural_brdf` is a fit of the
+In XML: `<bsdf type="neural_brdf"><string name="filename" value="gold.safetensors"/></bsdf>`. The file is a fit of the
 BRDF application (`params/<task>.safetensors` of a run, or `Fit.save`), of either network, or a folder with an NBRDF
 network of six .npy files. Variants: llvm_ad_rgb, cuda_ad_rgb.
 """

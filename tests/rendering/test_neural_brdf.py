@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from safetensors.torch import save_file
 from torch import Tensor
 
-from metapp.appearance.geometry import directions_to_rusinkiewicz, rusinkiewicz_to_directions
+from metapp.appearance.geometry import directions_to_full_circle
 from metapp.apps import load_app
 from metapp.apps.brdf import layers_of
 from metapp.storage.tensors import read_tensors
@@ -53,11 +53,7 @@ def seen_from(mi: Any, viewer: Any, count: int) -> Any:
 
 def angles_of(light: NDArray[np.float32], viewer: NDArray[np.float32]) -> Tensor:
     """Half and difference angles [N, 3] over the full circle of phi_d: which of the two is the light counts."""
-    wi, wo = (torch.from_numpy(each.T).double() for each in (light, viewer))
-    angles = directions_to_rusinkiewicz(wi, wo)
-    first, second = (each[:, 2] for each in rusinkiewicz_to_directions(angles))
-    turned = (first - wi[:, 2]).abs() > (second - wi[:, 2]).abs()
-    return angles + torch.tensor([0, 0, math.pi]) * turned[:, None]
+    return directions_to_full_circle(*(torch.from_numpy(each.T).double() for each in (light, viewer)))
 
 
 def reflectance(file: Path, angles: Tensor) -> NDArray[np.float64]:
