@@ -94,6 +94,7 @@ def _add_camera(root: ET.Element, surface: Surface) -> None:
     placed = ET.SubElement(sensor, "transform", name="to_world")
     ET.SubElement(placed, "lookat", origin=f"0, 0, {camera_distance()!r}", target="0, 0, 0", up="0, 1, 0")
     film = ET.SubElement(sensor, "film", type="hdrfilm")
+    ET.SubElement(film, "rfilter", type="box")  # a pixel a texel
     for key, value in zip(("height", "width"), surface.size, strict=True):
         ET.SubElement(film, "integer", name=key, value=str(value))
     ET.SubElement(ET.SubElement(sensor, "sampler", type="independent"), "integer", name="sample_count", value="64")

@@ -108,9 +108,20 @@ def half_difference(angles: Tensor) -> Tensor:
     Returns:
         [..., 6]: half vector (sin theta_h, 0, cos theta_h), then difference vector, each of unit length.
     """
-    theta_h = angles[..., 0]
-    half = torch.stack([theta_h.sin(), torch.zeros_like(theta_h), theta_h.cos()], dim=-1)
-    return torch.cat([half, _difference(angles)], dim=-1)
+    theta_h, theta_d, phi_d = angles.unbind(-1)
+    sine = theta_d.sin()
+    columns: tuple[Tensor | float, ...] = (
+        theta_h.sin(),
+        0.0,
+        theta_h.cos(),
+        sine * phi_d.cos(),
+        sine * phi_d.sin(),
+        theta_d.cos(),
+    )
+    vectors = angles.new_empty(*angles.shape[:-1], 6)  # written in place: to join the columns takes four times as long
+    for i, column in enumerate(columns):
+        vectors[..., i] = column
+    return vectors
 
 
 def cosines(angles: Tensor) -> Cosines:

@@ -9,10 +9,12 @@ import math
 
 import torch
 from torch import Tensor
+from torch.nn.functional import grid_sample, interpolate, pad
 
 STEEPEST = 0.05  # least z of normals: slopes stay below 20
 AZIMUTHS = 16
 REACH = 0.125  # of the width: how far occlusion looks
+FINEST = 512  # texels a side that occlusion is found for: its time grows by the third power
 
 
 def height_from_normal(normal: Tensor, *, periodic: bool) -> Tensor:
@@ -66,7 +68,7 @@ def occlusion_from_height(height: Tensor, *, periodic: bool, reach: float = REAC
 
     Horizon-based (Max 1988; Bavoil et al. 2008): in AZIMUTHS directions the highest elevation a of what lies within
     reach; the sky above gives cos(a)^2 of the light that falls on a horizontal texel. A slope's own tilt does not
-    count: texels lie flat.
+    count: texels lie flat. Of fields larger than FINEST it is that of their means over areas, interpolated.
 
     Args:
         height: [..., 1, H, W] in texels.
@@ -76,6 +78,13 @@ def occlusion_from_height(height: Tensor, *, periodic: bool, reach: float = REAC
     Returns:
         [..., 1, H, W] in [0, 1]; 1 is open.
     """
+    size = height.shape[-2:]
+    coarser = max(size) / FINEST
+    if coarser > 1:
+        few = [max(1, round(side / coarser)) for side in size]
+        pooled = interpolate(height.reshape(-1, 1, *size), size=few, mode="area") / coarser
+        found = occlusion_from_height(pooled, periodic=periodic, reach=reach)
+        return _enlarged(found, size, periodic).reshape(height.shape)
     farthest = max(1, round(reach * height.shape[-1]))
     total = torch.zeros_like(height)
     for i in range(AZIMUTHS):
@@ -86,6 +95,17 @@ def occlusion_from_height(height: Tensor, *, periodic: bool, reach: float = REAC
             slope = torch.maximum(slope, (there - height) / distance)
         total += 1 / (1 + slope * slope)
     return total / AZIMUTHS
+
+
+def _enlarged(field: Tensor, size: tuple[int, ...], periodic: bool) -> Tensor:
+    """A field [B, 1, h, w] at another size, interpolated between its texels, across its edges where it tiles."""
+    wide = pad(field, (1, 1, 1, 1), mode="circular" if periodic else "replicate")
+    down, across = (
+        2 * ((torch.arange(count, dtype=field.dtype, device=field.device) + 0.5) * few / count + 0.5) / (few + 1) - 1
+        for count, few in zip(size, field.shape[-2:], strict=True)
+    )
+    places = torch.stack(torch.meshgrid(across, down, indexing="xy"), -1)
+    return grid_sample(wide, places.expand(len(field), -1, -1, -1), align_corners=True)
 
 
 def _distances(farthest: int) -> list[int]:

@@ -6,22 +6,20 @@ import enum
 import functools
 import inspect
 import shutil
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from data_tools.formats import formats
 from metapp.cli.console import Exit, out, print_json, say
-from metapp.cli.data_convert import Json, Out, Quiet, check_folder, command_of, report
+from metapp.cli.data_convert import Json, Quiet, check_folder, command_of, report
 from metapp.cli.data_cornell import cornell
+from metapp.cli.data_sets import holds_of, join, noisy
 from metapp.experiments.convert import Converted
 from metapp.experiments.embedded import embedded_apps, embedded_data, embedded_module, split_counts
 from metapp.experiments.reporter import progress
-
-if TYPE_CHECKING:
-    from metapp.learning.task import Held
 
 app = typer.Typer(no_args_is_help=True, help="Make data sets from files or by drawing them, and check them.")
 
@@ -164,49 +162,8 @@ for _form in formats():
     if _form.conversion:
         _command(command_of(_form, _form.conversion))
 _command(cornell)
-
-
-@_command
-def join(
-    folders: Annotated[list[Path], typer.Argument(metavar="DIRS...", help="Data sets of one application.")],
-    folder: Out,
-    as_json: Json = False,
-    quiet: Quiet = False,
-) -> None:
-    """Put several data sets into one; training tasks stay training tasks, test tasks stay test tasks.
-
-    What not all tasks hold, such as reference relightings of synthetic materials, is left out.
-
-    Example:
-      metapp data join synthetic merl --out joint
-    """
-    from metapp.learning.task import Task
-    from metapp.storage.manifest import read_manifest
-    from metapp.storage.shards import ShardWriter, read_shard
-
-    manifests = [read_manifest(each) for each in folders]
-    name = manifests[0].app
-    if folder.resolve() in [each.resolve() for each in folders]:
-        raise ValueError(f"{folder}: one of the data sets to join, expected another folder to write to.")
-    notes = {"made_by": "metapp data join", "of": [each.name for each in folders]}
-    sets = [{task.name: task for task in read_shard(each, app=name, holds=_holds(name))} for each in folders]
-    every = [task.data for tasks in sets for task in tasks.values()]
-    shapes = {key: value.shape for key, value in every[0].items() if all(key in data for data in every)}
-    units = {key: unit for key, unit in manifests[0].units.items() if key in shapes}
-    with ShardWriter(folder, name, units, notes) as writer, progress("join", len(every), quiet=quiet) as bar:
-        for tasks, manifest in zip(sets, manifests, strict=True):
-            for entry in manifest.tasks:
-                data = {key: tasks[entry.name].data[key] for key in shapes}
-                for key, shape in shapes.items():
-                    if data[key].shape != shape:
-                        raise ValueError(
-                            f"{entry.name}: {key} {tuple(data[key].shape)}, expected {tuple(shape)} as in the others; "
-                            "convert all with the same --samples or --size."
-                        )
-                writer.add(Task(entry.name, data, entry.group), entry.split, entry.source)
-                bar.advance(entry.name)
-        train, test = ([e.name for e in writer.entries() if e.split == split] for split in ("train", "test"))
-    report(Converted(name, str(folder), train, test, []), quiet, as_json)
+_command(join)
+_command(noisy)
 
 
 @_command
@@ -229,7 +186,7 @@ def check(
     problems = []
     try:
         manifest = read_manifest(folder)
-        problems = check_shard(folder, _holds(manifest.app))
+        problems = check_shard(folder, holds_of(manifest.app))
     except ValueError as error:
         if not as_json:
             raise
@@ -252,17 +209,6 @@ def check(
         out.print(f"{len(problems)} problems" if problems else "no problems", markup=False)
     if problems:
         raise typer.Exit(Exit.FAILED)
-
-
-def _holds(name: str) -> Mapping[str, Held]:
-    """What tasks of an application must hold.
-
-    Raises:
-        ValueError: there is no such application.
-    """
-    from metapp.apps import load_app
-
-    return load_app(name).holds
 
 
 @functools.partial(_command, bare_is_help=False)

@@ -102,3 +102,15 @@ def test_occlusion_goes_on_at_the_other_edge_where_a_field_tiles() -> None:
     tiled = occlusion_from_height(wall, periodic=True)
     assert torch.allclose(tiled[..., 1], tiled[..., -1])
     assert occlusion_from_height(wall, periodic=False)[0, 8, -1] == 1
+
+
+def test_large_fields_are_occluded_as_small_ones() -> None:
+    """Waves of the same shape, four times as large."""
+    small, large = (waves(size)[0].float() * size / 64 for size in (256, 1024))
+    coarse = torch.nn.functional.interpolate(occlusion_from_height(large, periodic=True)[None], (256, 256), mode="area")
+    fine = occlusion_from_height(small, periodic=True)
+    assert (coarse[0] - fine).abs().max() < 0.02
+    assert fine.std() > 0.03
+    edges = occlusion_from_height(large, periodic=True)[0]
+    inner = (edges[:, 1:] - edges[:, :-1]).abs().max()
+    assert (edges[:, 0] - edges[:, -1]).abs().max() <= 1.5 * inner  # no seam

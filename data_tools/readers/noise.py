@@ -1,0 +1,59 @@
+"""What measurements have and neural fits of them have not: noise, outliers, and no samples at grazing angles."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+
+import torch
+from torch import Generator, Tensor
+
+from metapp.appearance.geometry import cosines
+from metapp.learning.task import Task
+
+OUTLIERS = (0.5, 1.0)  # decades that an outlier is off, up or down
+
+
+def as_measured(task: Task, noise: float, outliers: float = 0.0, grazing_rad: float = math.pi / 2) -> Task:
+    """A material of which the half that fits may see is as a gonioreflectometer would have it.
+
+    The held-out half stays as it is, so that errors are those of the material, not of the noise. Samples that are
+    missing are replaced by others of the visible half, drawn at random. The draws depend on the task's name alone.
+
+    Args:
+        task: angles [N, 3] rad and reflectance [N, 3].
+        noise: standard deviation of the logarithm of a channel's factor, such as 0.05 for about 5 %.
+        outliers: share of samples that are off by half a decade to one, all channels alike.
+        grazing_rad: samples are missing whose light or view is further from the normal, in (0, pi / 2].
+
+    Raises:
+        ValueError: no sample of the visible half is left.
+    """
+    half = len(task.data["angles"]) // 2
+    angles, reflectance = (task.data[key].clone() for key in ("angles", "reflectance"))
+    rng = Generator().manual_seed(int.from_bytes(hashlib.sha256(task.name.encode(errors="replace")).digest()[:6]))
+    factor = torch.exp(noise * torch.randn(half, 3, generator=rng))
+    low, high = OUTLIERS
+    decades = (low + (high - low) * torch.rand(half, 1, generator=rng)) * (
+        2 * torch.randint(2, (half, 1), generator=rng) - 1
+    )
+    off = torch.rand(half, 1, generator=rng) < outliers
+    reflectance[:half] *= factor * torch.where(off, 10**decades, 1.0)
+    rows = _seen(angles[:half], grazing_rad)
+    if not len(rows):
+        raise ValueError(
+            f"{task.name}: no sample within {math.degrees(grazing_rad):g} degrees of the normal, expected some; raise "
+            "--grazing."
+        )
+    missing = torch.ones(half, dtype=torch.bool)
+    missing[rows] = False
+    others = rows[torch.randint(len(rows), (int(missing.sum()),), generator=rng)]
+    for data in (angles, reflectance):
+        data[:half][missing] = data[others]
+    return task._replace(data=task.data | {"angles": angles, "reflectance": reflectance})
+
+
+def _seen(angles: Tensor, grazing_rad: float) -> Tensor:
+    """Rows of angles [N, 3] whose light and view are both within this angle of the normal."""
+    found = cosines(angles.double())
+    return (torch.minimum(found.incident, found.outgoing) >= math.cos(grazing_rad) - 1e-12).nonzero()[:, 0]

@@ -1,0 +1,131 @@
+"""The commands of `metapp data` that make data sets of data sets."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from metapp.cli.data_convert import Json, Out, Quiet, report
+from metapp.experiments.convert import Converted
+from metapp.experiments.reporter import progress
+
+if TYPE_CHECKING:
+    from metapp.learning.task import Held, Task
+    from metapp.storage.manifest import Entry
+
+
+def join(
+    folders: Annotated[list[Path], typer.Argument(metavar="DIRS...", help="Data sets of one application.")],
+    folder: Out,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Put several data sets into one; training tasks stay training tasks, test tasks stay test tasks.
+
+    What not all tasks hold, such as reference relightings of synthetic materials, is left out.
+
+    Example:
+      metapp data join synthetic merl --out joint
+    """
+    from metapp.storage.manifest import read_manifest
+    from metapp.storage.shards import read_shard
+
+    manifests = [read_manifest(each) for each in folders]
+    name = manifests[0].app
+    sets = [{task.name: task for task in read_shard(each, app=name, holds=holds_of(name))} for each in folders]
+    every = [task.data for tasks in sets for task in tasks.values()]
+    shapes = {key: value.shape for key, value in every[0].items() if all(key in data for data in every)}
+    units = {key: unit for key, unit in manifests[0].units.items() if key in shapes}
+
+    def shared(task: Task) -> Task:
+        data = {key: task.data[key] for key in shapes}
+        for key, shape in shapes.items():
+            if data[key].shape != shape:
+                raise ValueError(
+                    f"{task.name}: {key} {tuple(data[key].shape)}, expected {tuple(shape)} as in the others; "
+                    "convert all with the same --samples or --size."
+                )
+        return task._replace(data=data)
+
+    pairs = [(entry, tasks[entry.name]) for tasks, each in zip(sets, manifests, strict=True) for entry in each.tasks]
+    notes = {"made_by": "metapp data join", "of": [each.name for each in folders]}
+    report(_written(folder, folders, name, units, notes, pairs, shared, quiet), quiet, as_json)
+
+
+def noisy(
+    source: Annotated[Path, typer.Argument(metavar="DIR", help="Data set of BRDFs.")],
+    folder: Out,
+    noise: Annotated[
+        float, typer.Option(min=0.0, max=1.0, metavar="SD", help="Of the logarithm of a sample's channel; 0.05: 5 %.")
+    ] = 0.05,
+    outliers: Annotated[
+        float, typer.Option(min=0.0, max=0.5, metavar="SHARE", help="Samples that are off by half a decade to one.")
+    ] = 0.0,
+    grazing: Annotated[
+        float, typer.Option(min=1.0, max=90.0, metavar="DEG", help="No samples further than this from the normal.")
+    ] = 90.0,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Make the samples that fits see as measurements are: noisy, with outliers, without grazing angles.
+
+    Held-out samples stay as they are: errors are those of the material.
+
+    Examples:
+      metapp data noisy merl --out merl-5
+      metapp data noisy merl --noise 0.2 --outliers 0.01 --grazing 75 --out merl-20
+    """
+    from data_tools.readers.noise import as_measured
+    from metapp.storage.manifest import read_manifest
+    from metapp.storage.shards import read_shard
+
+    manifest = read_manifest(source)
+    if manifest.app != "brdf":
+        raise ValueError(f"{source}: a data set of {manifest.app}, expected one of brdf, whose samples are measured.")
+    tasks = {task.name: task for task in read_shard(source, app="brdf", holds=holds_of("brdf"))}
+    settings = {"noise": noise, "outliers": outliers, "grazing": grazing}
+    notes = {"made_by": "metapp data noisy", "of": source.name, **settings}
+
+    def measured(task: Task) -> Task:
+        return as_measured(task, noise, outliers, math.radians(grazing))
+
+    pairs = [(entry, tasks[entry.name]) for entry in manifest.tasks]
+    report(_written(folder, [source], "brdf", manifest.units, notes, pairs, measured, quiet), quiet, as_json)
+
+
+def holds_of(name: str) -> Mapping[str, Held]:
+    """What tasks of an application must hold.
+
+    Raises:
+        ValueError: there is no such application.
+    """
+    from metapp.apps import load_app
+
+    return load_app(name).holds
+
+
+def _written(
+    folder: Path,
+    sources: Iterable[Path],
+    name: str,
+    units: Mapping[str, str],
+    notes: Mapping[str, Any],
+    pairs: list[tuple[Entry, Task]],
+    change: Callable[[Task], Task],
+    quiet: bool,
+) -> Converted:
+    """Write tasks that were read from data sets, each changed."""
+    from metapp.storage.shards import ShardWriter
+
+    if folder.resolve() in [each.resolve() for each in sources]:
+        raise ValueError(f"{folder}: one of the data sets to read, expected another folder to write to.")
+    with ShardWriter(folder, name, units, notes) as writer, progress(name, len(pairs), quiet=quiet) as bar:
+        for entry, task in pairs:
+            writer.add(change(task)._replace(group=entry.group), entry.split, entry.source)
+            bar.advance(entry.name)
+        train, test = ([e.name for e in writer.entries() if e.split == split] for split in ("train", "test"))
+    return Converted(name, str(folder), train, test, [])
