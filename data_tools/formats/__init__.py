@@ -127,7 +127,7 @@ class Format(NamedTuple):
         name: of its command and, where fits are written in it, the value of --export.
         app: the application whose tasks its files hold.
         inputs: what the files are, in words, for help and errors; "" where fits do not take them as INPUT.
-        files: imports and returns what reads them.
+        files: imports and returns what reads them; None where nothing does, which has no `inputs` either.
         writer: imports and returns what writes fits; None where nothing does.
         conversion: the command that makes data sets of them, if any.
         takes_roots: whether `read_task` takes `roots`, folders that files named in a file may come from.
@@ -138,7 +138,7 @@ class Format(NamedTuple):
     name: str
     app: str
     inputs: str
-    files: Callable[[], Files]
+    files: Callable[[], Files] | None
     writer: Callable[[], Writer] | None = None
     conversion: Conversion | None = None
     takes_roots: bool = False

@@ -7,12 +7,9 @@ space, from which it is converted. White stays white (Bradford).
 from __future__ import annotations
 
 import hashlib
-import sys
-import warnings
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
-from unittest.mock import NonCallableMock
 
 import numpy as np
 import torch
@@ -20,6 +17,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from data_tools.draws import Rng, stream
+from data_tools.readers.colours import colour_science
 from data_tools.readers.photos import (
     check_memory,
     error_of,
@@ -279,7 +277,7 @@ def _to_rec709(spec: Any, path: Path) -> Tensor:
 
 def _matrix(space: Sequence[float] | str, path: Path) -> Tensor:
     """From a space of colour-science, or xy of red, green, blue and white, to Rec.709, white to white."""
-    colour = _colour()
+    colour = colour_science()
     if isinstance(space, str):
         source = colour.RGB_COLOURSPACES[space]
     else:
@@ -292,23 +290,3 @@ def _matrix(space: Sequence[float] | str, path: Path) -> Tensor:
             f"{path}: chromaticities {shown}, expected three primaries that differ; export the map again."
         ) from None
     return torch.from_numpy(matrix).float()
-
-
-def _colour() -> Any:
-    """colour-science, imported without its warning of a missing SciPy, which nothing here needs.
-
-    It may not see OpenImageIO: what it keeps of it would be reported as leaks when Python ends. The mocks that it
-    leaves in place of SciPy go again: other libraries would take them for the package.
-    """
-    import OpenImageIO as oiio
-
-    sys.modules["OpenImageIO"] = None  # type: ignore[assignment]
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            import colour
-    finally:
-        sys.modules["OpenImageIO"] = oiio
-    for name in [name for name, module in sys.modules.items() if isinstance(module, NonCallableMock)]:
-        del sys.modules[name]
-    return colour

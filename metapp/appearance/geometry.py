@@ -68,6 +68,21 @@ def directions_to_rusinkiewicz(wi: Tensor, wo: Tensor) -> Tensor:
         angles [..., 3] in rad: theta_h and theta_d in [0, pi/2] above the horizon, phi_d in [0, pi): by reciprocity
         (swapping wi and wo adds pi to phi_d) the other half of the circle says the same.
     """
+    theta_h, theta_d, phi_d = _angles(wi, wo)
+    phi_d = torch.where(phi_d < 0, phi_d + math.pi, phi_d)
+    phi_d = torch.where(phi_d >= math.pi, 0.0, phi_d)  # a tiny negative angle rounds up to pi itself
+    return torch.stack([theta_h, theta_d, phi_d], dim=-1)
+
+
+def directions_to_full_circle(wi: Tensor, wo: Tensor) -> Tensor:
+    """As `directions_to_rusinkiewicz`, but with phi_d in [0, 2 pi): which of the two directions is the light counts."""
+    theta_h, theta_d, phi_d = _angles(wi, wo)
+    phi_d = torch.where(phi_d < 0, phi_d + math.tau, phi_d)
+    return torch.stack([theta_h, theta_d, torch.where(phi_d >= math.tau, 0.0, phi_d)], dim=-1)
+
+
+def _angles(wi: Tensor, wo: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """theta_h, theta_d and phi_d, this in (-pi, pi]."""
     total = wi + wo
     x, y, z = total.unbind(-1)
     sine = _length(total[..., :2])  # of theta_h, times the length of `total`, as is z of its cosine
@@ -81,9 +96,7 @@ def directions_to_rusinkiewicz(wi: Tensor, wo: Tensor) -> Tensor:
     difference_x = theta_h.cos() * turned[0] - theta_h.sin() * wi[..., 2]
     differs = difference_x * difference_x + turned[1] * turned[1] > tiny
     phi_d = torch.atan2(torch.where(differs, turned[1], 0.0), torch.where(differs, difference_x, 1.0))
-    phi_d = torch.where(phi_d < 0, phi_d + math.pi, phi_d)
-    phi_d = torch.where(phi_d >= math.pi, 0.0, phi_d)  # a tiny negative angle rounds up to pi itself
-    return torch.stack([theta_h, theta_d, phi_d], dim=-1)
+    return theta_h, theta_d, phi_d
 
 
 def half_difference(angles: Tensor) -> Tensor:

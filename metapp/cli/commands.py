@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import typer
 
-from metapp.cli import data, doctor, evaluate
+from metapp.cli import data, doctor, evaluate, export
 from metapp.cli.fit import make_command
 
 SUMMARIES = {
@@ -24,5 +24,6 @@ app = typer.Typer(
 for name, summary in SUMMARIES.items():
     app.command(name)(make_command(name, summary))
 app.command("evaluate")(evaluate.command)
+app.command("export")(export.command)
 app.command("doctor")(doctor.command)
 app.add_typer(data.app, name="data")

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import torch
 
-from data_tools.formats import Format, inputs_of
+from data_tools.formats import Files, Format, inputs_of
 from metapp.experiments.embedded import embedded_data
 from metapp.experiments.reporter import say
 from metapp.learning.app import App
@@ -64,15 +64,14 @@ def read_input(app: App, path: Path, scene_roots: Sequence[Path] = ()) -> list[T
         raise ValueError(f"{path}: no such file or folder; give existing input files.")
     check_readable(path)
     known = inputs_of(app.name)
-    fitting = [each for each in known if each.files().recognises(path)]
+    fitting = [(each, files) for each in known if each.files and (files := each.files()).recognises(path)]
     if not fitting:
         expected = ", ".join(each.inputs for each in known)
         raise ValueError(f"{path}: not an input of {app.name}, expected {expected}, or a folder of these.")
-    return [task for each in fitting for task in _read(each, path, len(fitting) == 1, scene_roots)]
+    return [task for each, files in fitting for task in _read(each, files, path, len(fitting) == 1, scene_roots)]
 
 
-def _read(form: Format, path: Path, alone: bool, scene_roots: Sequence[Path]) -> list[Task]:
-    reader = form.files()
+def _read(form: Format, reader: Files, path: Path, alone: bool, scene_roots: Sequence[Path]) -> list[Task]:
     sources, skipped = reader.find([path])
     read: Callable[[Path], Task] = reader.read_task
     if scene_roots and form.takes_roots:

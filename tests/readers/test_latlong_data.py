@@ -123,7 +123,9 @@ def test_a_map_that_was_stored_upside_down(tmp_path: Path) -> None:
 
 def test_colour_leaves_no_mocks_behind() -> None:
     # in a process of its own: once a library that looks for SciPy is imported, it looks no more
-    lines = "from data_tools.readers import latlong\nlatlong._colour()\nimport torchmetrics.functional.image"
+    lines = (
+        "from data_tools.readers.colours import colour_science\ncolour_science()\nimport torchmetrics.functional.image"
+    )
     done = subprocess.run([sys.executable, "-c", lines], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
 

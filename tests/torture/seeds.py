@@ -132,6 +132,34 @@ def networks() -> list[Files]:
     return found
 
 
+def rgl_files() -> list[Files]:
+    """A small file of the RGL database: few angles, a coarse grid."""
+    from data_tools.readers.tensor_file import write_tensor_file
+
+    grid, nodes = np.random.default_rng(0).random((1, 3, 4, 4)).astype("f4"), np.float32([0, 0.7, 1.4])
+    fields = {"description": np.frombuffer(b"paint", np.uint8), "phi_i": np.zeros(1, "f4"), "theta_i": nodes,
+              "sigma": np.ones((2, 2), "f4"), "ndf": np.ones((2, 2), "f4"), "vndf": grid + 1, "luminance": grid + 1,
+              "rgb": np.stack([grid] * 3, 2), "jacobian": np.ones(1, np.uint8)}  # fmt: skip
+    with tempfile.TemporaryDirectory() as folder:
+        write_tensor_file(Path(folder) / "x", fields)
+        return [{"paint.bsdf": (Path(folder) / "x").read_bytes()}]
+
+
+def goniometer_files() -> list[Files]:
+    """Tables of a goniometer, in RGB and as spectra."""
+    rng = np.random.default_rng(0)
+    angles = rng.random((80, 4)) * [89, 360, 89, 360]
+    head = "# a comment\ntheta_i_deg,phi_i_deg,theta_o_deg,phi_o_deg,"
+
+    def table(names: list[str], unit: float = 1.0) -> bytes:
+        values = rng.random((len(angles), len(names)))
+        lines = [",".join(f"{each:.5g}" for each in row) for row in np.concatenate([angles * unit, values], 1)]
+        return "\n".join((head + ",".join(names), *lines, "")).encode()
+
+    spectral = table([f"{each}nm" for each in range(400, 701, 50)], np.pi / 180).replace(b"_deg", b"_rad")
+    return [{"paint.csv": table(["r", "g", "b"])}, {"foil.csv": spectral}]
+
+
 def scenes_xml() -> list[Files]:
     """Scenes as XML, alone and with an included file."""
     part = '<scene version="3.0.0"><bsdf type="diffuse" id="other"/></scene>'

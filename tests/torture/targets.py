@@ -120,6 +120,26 @@ def _read_nbrdf(folder: Path, file: Path) -> None:
             finite(nbrdf.read_task(network, samples=64), reflectance=(64, 3))
 
 
+def _read_rgl(folder: Path, file: Path) -> None:
+    import torch
+
+    from data_tools.readers import rgl
+
+    values = rgl.read_rgl(rgl.find([folder])[0][0])(torch.tensor([[0.1, 0.2, 0.3], [0.6, 0.9, 4.0]]))
+    if values.shape != (2, 3) or not bool(values.isfinite().all()):
+        raise BadResult(f"reflectance {values.tolist()}")
+
+
+def _read_gonio(folder: Path, file: Path) -> None:
+    from data_tools.readers import gonio
+
+    angles, reflectance = gonio.read_gonio(file)
+    if angles.shape != reflectance.shape or not bool((angles + reflectance).isfinite().all()):
+        raise BadResult(f"angles {tuple(angles.shape)}, reflectance {tuple(reflectance.shape)}, or not finite")
+    if sum(file.read_bytes()) % 20 == 0:  # its picture costs more than all else
+        finite(gonio.read_task(file), reflectance=None)
+
+
 def _read_with(module: str, key: str | None, side: int, folder: Path, file: Path) -> None:
     """A reader of pictures."""
     import importlib
@@ -222,6 +242,8 @@ def _manifest_alone() -> list[seeds.Files]:
 TARGETS: dict[str, Target] = {
     "merl": Target(lambda: [], _read_merl, _merl_file),
     "nbrdf": Target(seeds.networks, _read_nbrdf),
+    "rgl": Target(seeds.rgl_files, _read_rgl),
+    "gonio": Target(seeds.goniometer_files, _read_gonio),
     "images": Target(seeds.photographs, functools.partial(_read_with, "images", "image", 32)),
     "flash": Target(seeds.flash_photos, functools.partial(_read_with, "flash", "image", 32)),
     "strips": Target(seeds.strips, functools.partial(_read_with, "strips", "photo", 32)),

@@ -10,7 +10,7 @@ from torch import Generator, Tensor
 
 from metapp.appearance.geometry import half_difference
 from metapp.apps.brdf import nbrdf
-from metapp.apps.brdf.featured import OWN, Featured, features_of, reflectance_of
+from metapp.apps.brdf.featured import OWN, Featured, features_of, folded, reflectance_of
 from metapp.learning.app import App
 from metapp.learning.recipe import Adam, Guard, MetaTraining, OuterLoop, Recipe
 from metapp.learning.task import Batch, Held, Linear, Params, Task, Tasks
@@ -248,6 +248,22 @@ def network(theta: Params, where: Tensor) -> Tensor:
         [T, 3, N], linear RGB in 1/sr, above -1.
     """
     return reflectance_of(theta, where) if "last" in theta else nbrdf.network(theta, where[:, :6])
+
+
+def layers_of(theta: Params) -> list[tuple[Tensor, Tensor]]:
+    """One material's network, either one, as plain layers: weights [out, in] and biases [out], float64.
+
+    Args:
+        theta: parameters of one task, without a task axis.
+
+    Returns:
+        Of NBRDF with ReLU between them, on half and difference vector; of a featured network with SiLU, on
+        `metapp.apps.brdf.featured.inputs_of`. They end at log(1 + f).
+    """
+    if "last" in theta:
+        return folded(theta)
+    pairs = ((theta[f"w{layer}"], theta[f"b{layer}"].flatten()) for layer in (1, 2, 3))
+    return [(weights.detach().double(), bias.detach().double()) for weights, bias in pairs]
 
 
 def _weights(where: Tensor, learned: Params) -> Tensor:

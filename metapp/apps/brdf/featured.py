@@ -90,6 +90,26 @@ def features_of(theta: Params, where: Tensor) -> Tensor:
     return torch.cat([x, torch.ones_like(x[:, :1])], 1)
 
 
+def folded(theta: Params) -> list[tuple[Tensor, Tensor]]:
+    """One material's network as three plain layers, the code and the features' own layer multiplied out.
+
+    Args:
+        theta: parameters of one task, without a task axis.
+
+    Returns:
+        Weights [out, in] and biases [out] from `inputs_of` to log(1 + f), hidden ones with SiLU; float64.
+    """
+    theta = {key: value.detach().double() for key, value in theta.items()}
+    layers = []
+    for layer in ("1", "2"):
+        gain, shift = (theta[f"film{layer}"] @ theta["z"]).chunk(2)
+        bias = theta[f"b{layer}"] * (1 + gain) + shift
+        layers.append((theta[f"w{layer}"] * (1 + gain), bias.flatten()))
+    last, constant = theta["last"][:, :-1], theta["last"][:, -1]
+    layers.append((last @ theta["w3"], (last @ theta["b3"]).flatten() + constant))
+    return layers
+
+
 def reflectance_of(theta: Params, where: Tensor) -> Tensor:
     """Reflectance before the clamp at 0: exp(last layer) - 1, [T, 3, N], linear RGB in 1/sr, above -1."""
     return torch.expm1(torch.bmm(theta["last"], features_of(theta, where)))

@@ -1,0 +1,238 @@
+"""Gonioreflectometer measurements as CSV: one pair of directions a row, with its BRDF.
+
+A line of column names, then numbers; lines that begin with # are comments. `theta_i, phi_i` is the light, `theta_o,
+phi_o` the detector, with the unit behind: `theta_i_deg` or `theta_i_rad`; thetas from the normal. The BRDF in 1/sr is
+`r, g, b`, linear RGB, or columns of wavelengths, `400nm, 410nm, ...`, which become linear RGB of the material in D65.
+Columns stand in any order; others are passed over.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+import re
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from scipy.spatial import KDTree
+from torch import Tensor
+
+from data_tools.readers.colours import spectra_to_rgb
+from data_tools.readers.listing import find_by_suffix
+from metapp.appearance.geometry import directions_to_full_circle
+from metapp.appearance.sphere import reference_scene, shade_sphere
+from metapp.learning.task import Task
+
+Array = NDArray[np.float64]
+
+SUFFIX = ".csv"
+ANGLES = ("theta_i", "phi_i", "theta_o", "phi_o")
+UNITS = {"deg": math.pi / 180, "rad": 1.0}
+RGB = ("r", "g", "b")
+LEAST = 64  # pairs of directions
+LARGEST = 1e9  # of a BRDF, in 1/sr
+VISIBLE = (420.0, 680.0)  # nm, that spectra must cover
+NEIGHBOURS = 6  # measurements that a pixel of the picture is made of
+LONGEST = 1 << 28  # bytes of a file
+
+_WAVELENGTH = re.compile(r"(\d{3,4}(?:\.\d+)?)\s*nm")
+
+
+def find(paths: Iterable[str | Path]) -> tuple[list[Path], list[str]]:
+    """Find .csv files; they are not opened.
+
+    Raises:
+        ValueError: a path that is neither such a file nor a folder with some.
+    """
+    return find_by_suffix(paths, SUFFIX, "a .csv file of a goniometer")
+
+
+def recognises(path: str | Path) -> bool:
+    """Whether a path is a .csv file, or a folder with one below it."""
+    path = Path(path)
+    return path.suffix == SUFFIX or (path.is_dir() and any(path.rglob(f"*{SUFFIX}")))
+
+
+def read_task(path: Path) -> Task:
+    """Turn measurements into a BRDF task, named by the file's stem.
+
+    Nothing is resampled: the samples are the measurements, in random order, half of them for fits to see. Those of
+    the same half and difference angles, to 1e-5 rad, are averaged, since a held-out sample must not have been seen;
+    those along the surface are left out. Only the picture interpolates, and there is none under an environment map.
+
+    Returns:
+        angles [N, 3] rad, reflectance [N, 3] in 1/sr, linear RGB, and render [96, 96, 4], float32.
+
+    Raises:
+        ValueError: as `read_gonio`; too few measurements.
+    """
+    angles, reflectance = _distinct(*read_gonio(path))
+    if len(angles) < LEAST:
+        raise ValueError(f"{path}: {len(angles)} pairs of directions, expected {LEAST} or more; measure more.")
+    order = torch.randperm(len(angles), generator=torch.Generator().manual_seed(0))
+    render = shade_sphere(reference_scene(), functools.partial(_near, KDTree(_points(angles)), reflectance)).float()
+    return Task(
+        path.stem, {"angles": angles[order].float(), "reflectance": reflectance[order].float(), "render": render}
+    )
+
+
+class _Rows(NamedTuple):
+    """The numbers of a file.
+
+    Attributes:
+        names: of the columns.
+        numbers: [N, C].
+        lines: in the file, [N].
+    """
+
+    names: list[str]
+    numbers: Array
+    lines: list[int]
+
+    def column(self, name: str) -> Array:
+        """The numbers of a column [N]."""
+        values: Array = self.numbers[:, self.names.index(name)]
+        return values
+
+
+def read_gonio(path: Path) -> tuple[Tensor, Tensor]:
+    """Read a file.
+
+    Returns:
+        Half and difference angles (theta_h, theta_d, phi_d) [N, 3] in rad, phi_d over the full circle, and linear RGB
+        [N, 3] in 1/sr, >= 0, float64, of the rows above the surface.
+
+    Raises:
+        ValueError: no such table: missing columns, rows that are no numbers, negative or huge values, angles beyond
+            their range.
+    """
+    rows = _rows(path)
+    angles = np.stack([_angle(path, rows, name) for name in ANGLES], 1)
+    names, matrix = _colours(path, rows.names)
+    values = np.stack([rows.column(name) for name in names], 1)
+    bad = ~((values >= 0) & (values <= LARGEST))
+    if bad.any():
+        row, column = np.argwhere(bad)[0]
+        raise ValueError(
+            f"{path}: line {rows.lines[row]}: {names[column]} {values[row, column]:.6g}, expected 0 to {LARGEST:g} "
+            "in 1/sr; leave out what was not measured."
+        )
+    above = (angles[:, [0, 2]] < math.radians(89.999)).all(1)
+    light, viewer = (torch.from_numpy(_direction(angles[above, i], angles[above, i + 1])) for i in (0, 2))
+    return directions_to_full_circle(light, viewer), torch.from_numpy((values @ matrix)[above]).clamp_min(0)
+
+
+def _rows(path: Path) -> _Rows:
+    """All rows of a file that are no comments."""
+    if path.stat().st_size > LONGEST:
+        raise ValueError(f"{path}: {path.stat().st_size:,} bytes, expected at most {LONGEST:,}; take fewer rows.")
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except UnicodeDecodeError:
+        raise ValueError(f"{path}: no text in UTF-8, expected a table of numbers as CSV; save it as CSV.") from None
+    lines = [(at, line) for at, line in enumerate(text.split("\n"), 1) if line.strip() and line.lstrip()[0] != "#"]
+    if not lines:
+        raise ValueError(f"{path}: no rows, expected a line of column names and rows of numbers.")
+    names = [name.strip().lower() for name in lines[0][1].split(",")]
+    if len(set(names)) < len(names):
+        twice = next(name for name in names if names.count(name) > 1)
+        raise ValueError(f"{path}: two columns {_shown(twice)}, expected names that differ; rename one.")
+    cells = [_cells(path, at, line, len(names)) for at, line in lines[1:]]
+    return _Rows(names, np.array(cells).reshape(len(cells), len(names)), [at for at, _ in lines[1:]])
+
+
+def _cells(path: Path, at: int, line: str, count: int) -> list[float]:
+    words = line.split(",")
+    if len(words) != count:
+        raise ValueError(f"{path}: line {at}: {len(words)} numbers, expected {count} as column names; put it right.")
+    try:
+        return [float(word) if word.strip() else math.nan for word in words]
+    except ValueError:
+        word = next(word for word in words if not _is_number(word))
+        raise ValueError(f"{path}: line {at}: {_shown(word)}, expected a number; put it right.") from None
+
+
+def _is_number(word: str) -> bool:
+    try:
+        float(word or "0")
+    except ValueError:
+        return False
+    return True
+
+
+def _shown(word: str) -> str:
+    """A word of a file, short and printable, in quotes."""
+    return repr(word.strip()[:30])
+
+
+def _angle(path: Path, rows: _Rows, name: str) -> Array:
+    """One of the angles in rad, [N], thetas in [0, pi/2]."""
+    there = [unit for unit in UNITS if f"{name}_{unit}" in rows.names]
+    if len(there) != 1:
+        found = "both units" if there else ("no unit" if name in rows.names else "no such column")
+        raise ValueError(f"{path}: {name}: {found}, expected the column {name}_deg or {name}_rad.")
+    values, unit = rows.column(f"{name}_{there[0]}"), UNITS[there[0]]
+    low, high = (0.0, math.pi / 2) if name.startswith("theta") else (-2 * math.tau, 2 * math.tau)
+    bad = ~((values * unit >= low - 1e-6) & (values * unit <= high + 1e-6))
+    if bad.any():
+        at = int(bad.argmax())
+        raise ValueError(
+            f"{path}: line {rows.lines[at]}: {name} {values[at]:.6g} {there[0]}, expected {low / unit:.6g} to "
+            f"{high / unit:.6g}; reflection alone can be fitted."
+        )
+    result: Array = values * unit
+    return result
+
+
+def _colours(path: Path, names: Sequence[str]) -> tuple[list[str], Array]:
+    """The columns of the BRDF, and what makes linear RGB of them, [C, 3]."""
+    if all(name in names for name in RGB):
+        return list(RGB), np.eye(3)
+    spectral = {float(found[1]): name for name in names if (found := _WAVELENGTH.fullmatch(name))}
+    if not spectral:
+        missing = next(name for name in RGB if name not in names)
+        raise ValueError(f"{path}: no column {missing}, expected r, g, b, or wavelengths such as 400nm, 410nm, ...")
+    nanometres = np.array(sorted(spectral))
+    if len(nanometres) < 4 or nanometres[0] > VISIBLE[0] or nanometres[-1] < VISIBLE[1]:
+        raise ValueError(
+            f"{path}: {len(nanometres)} wavelengths from {nanometres[0]:g} to {nanometres[-1]:g} nm, expected 4 or "
+            f"more that cover {VISIBLE[0]:g} to {VISIBLE[1]:g} nm."
+        )
+    return [spectral[each] for each in nanometres], spectra_to_rgb(nanometres)
+
+
+def _direction(theta: Array, phi: Array) -> Array:
+    """Unit vectors [N, 3] of spherical angles in rad."""
+    return np.stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)], -1)
+
+
+def _distinct(angles: Tensor, reflectance: Tensor) -> tuple[Tensor, Tensor]:
+    """The same with one mean value where several are of the same angles."""
+    _, inverse, count = torch.unique((angles * 1e5).round(), dim=0, return_inverse=True, return_counts=True)
+
+    def mean(values: Tensor) -> Tensor:
+        total = torch.zeros(len(count), 3, dtype=values.dtype).index_add(0, inverse, values)
+        result: Tensor = total / count[:, None]
+        return result
+
+    return mean(angles), mean(reflectance)
+
+
+def _points(angles: Tensor) -> Array:
+    """Angles as points [N, 4] whose distances say how alike they are: highlights are narrow in theta_h."""
+    theta_h, theta_d, phi_d = angles.double().unbind(-1)
+    turn = 2 * phi_d  # by reciprocity phi_d + pi is phi_d
+    return torch.stack([2 * theta_h.sqrt(), theta_d, theta_d * turn.cos() / 2, theta_d * turn.sin() / 2], -1).numpy()
+
+
+def _near(tree: KDTree, reflectance: Tensor, angles: Tensor) -> Tensor:
+    """Reflectance [M, 3] beside measurements: the mean of log(1 + f) of the nearest, by inverse distance."""
+    distance, index = tree.query(_points(angles), k=NEIGHBOURS)
+    weights = torch.from_numpy(1 / (distance + 1e-3))[..., None]
+    total: Tensor = (reflectance.log1p()[index] * weights).sum(1)
+    result: Tensor = torch.expm1(total / weights.sum(1)).to(angles)
+    return result

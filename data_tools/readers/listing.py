@@ -1,0 +1,40 @@
+"""Files of one suffix, and folders of them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+
+
+def find_by_suffix(paths: Iterable[str | Path], suffix: str, what: str) -> tuple[list[Path], list[str]]:
+    """Find files by their suffix; they are not opened.
+
+    Args:
+        paths: files, and folders that are searched with all below them (hidden ones left out).
+        suffix: with its dot.
+        what: they are, for errors.
+
+    Returns:
+        The files, each once, those of a folder sorted; and no lines, as nothing else is looked at.
+
+    Raises:
+        ValueError: a path that does not exist or has another suffix, a folder without any such file.
+    """
+    files: dict[Path, Path] = {}
+    for path in map(Path, paths):
+        if not path.is_dir():
+            if not path.is_file() or path.suffix != suffix:
+                found = f"a file {path.suffix}" if path.is_file() else "no such file"
+                raise ValueError(f"{path}: {found}, expected {what}; check the path.")
+            files.setdefault(path.resolve(), path)
+            continue
+        below = [file for file in sorted(path.rglob(f"*{suffix}")) if file.is_file() and not _hidden(file, path)]
+        if not below:
+            raise ValueError(f"{path}: no {suffix} file, expected {what}; name its folder.")
+        for file in below:
+            files.setdefault(file.resolve(), file)
+    return list(files.values()), []
+
+
+def _hidden(file: Path, folder: Path) -> bool:
+    return any(part.startswith(".") for part in file.relative_to(folder).parts)

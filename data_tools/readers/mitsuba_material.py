@@ -1,0 +1,64 @@
+"""Scenes of Mitsuba 3 that show a fitted BRDF on a sphere, beside the files that they need.
+
+`<name>.xml` has the BSDF `neural_brdf`, the fit itself: `import metapp.mitsuba` before `mitsuba.load_file`.
+`<name>_builtin.xml` needs nothing but Mitsuba: `measured` on a table of the fit.
+"""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ET
+from collections.abc import Mapping
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from safetensors.torch import save
+from torch import Tensor
+
+from data_tools.readers.rgl_table import write_rgl
+from metapp.storage.files import write_atomically
+
+SUFFIXES = {"neural_brdf": ("", ".safetensors"), "measured": ("_builtin", ".bsdf")}  # of the scene, of its file
+
+
+def export(app: Any, theta: Mapping[str, Tensor], path: Path) -> None:
+    """Write <path>/<name>.xml, <name>_builtin.xml, <name>.safetensors and <name>.bsdf."""
+    tensors = {key: value.detach().cpu().contiguous() for key, value in theta.items()}
+    write_atomically(path / f"{path.name}.safetensors", lambda target: target.write_bytes(save(tensors)))
+    write_rgl(path / f"{path.name}.bsdf", partial(app.reflectance, theta), f"{path.name}: a fit of metapp")
+    for plugin, (suffix, ending) in SUFFIXES.items():
+        content = scene(plugin, path.name, f"{path.name}{ending}")
+        write_atomically(path / f"{path.name}{suffix}.xml", partial(_write, content))
+
+
+def scene(plugin: str, name: str, file: str) -> bytes:
+    """A scene as XML: a sphere with the material, a lamp above it to the left, a dim sky."""
+    root = ET.Element("scene", version="3.0.0")
+    ET.SubElement(root, "integrator", type="path")
+    bsdf = ET.SubElement(root, "bsdf", type=plugin, id=name)
+    ET.SubElement(bsdf, "string", name="filename", value=file)
+    sphere = ET.SubElement(root, "shape", type="sphere")
+    ET.SubElement(sphere, "ref", id=name)
+    camera = ET.SubElement(root, "sensor", type="perspective")
+    ET.SubElement(camera, "float", name="fov", value="30")
+    ET.SubElement(
+        ET.SubElement(camera, "transform", name="to_world"), "lookat", origin="0, 0, 5", target="0, 0, 0", up="0, 1, 0"
+    )
+    film = ET.SubElement(camera, "film", type="hdrfilm")
+    for side in ("width", "height"):
+        ET.SubElement(film, "integer", name=side, value="256")
+    sampler = ET.SubElement(camera, "sampler", type="independent")
+    ET.SubElement(sampler, "integer", name="sample_count", value="64")
+    lamp = ET.SubElement(root, "shape", type="sphere")
+    ET.SubElement(lamp, "point", name="center", x="-4", y="5", z="5")
+    ET.SubElement(lamp, "float", name="radius", value="1")
+    ET.SubElement(ET.SubElement(lamp, "emitter", type="area"), "rgb", name="radiance", value="40, 40, 40")
+    sky = ET.SubElement(root, "emitter", type="constant")
+    ET.SubElement(sky, "rgb", name="radiance", value="0.3, 0.3, 0.3")
+    ET.indent(root)
+    result: bytes = ET.tostring(root, encoding="utf-8", xml_declaration=True)
+    return result + b"\n"
+
+
+def _write(content: bytes, path: Path) -> None:
+    path.write_bytes(content)

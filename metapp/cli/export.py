@@ -1,0 +1,45 @@
+"""`metapp export`: write the fits of a run in another form."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from metapp.cli.console import print_json, say
+from metapp.cli.data_convert import check_folder
+from metapp.cli.fit import EXPORTS
+
+
+def command(
+    run: Annotated[Path, typer.Argument(metavar="RUN", help="A run's folder, or the record.jsonl in it.")],
+    form: Annotated[str, typer.Argument(metavar="KIND", help=f"{EXPORTS}.")],
+    inputs: Annotated[
+        list[Path] | None,
+        typer.Argument(
+            metavar="[INPUT]...",
+            help="What was fitted, for kinds that are made of that, too: nbrdf of a ridge fit, surfaces of flash "
+            "photos. The embedded data set is found by itself.",
+        ),
+    ] = None,
+    data: Annotated[Path | None, typer.Option(help="The data set that was fitted, for the same.")] = None,
+    out_folder: Annotated[
+        Path | None,
+        typer.Option("--out", callback=check_folder, help="Folder to write to; default: RUN/KIND."),
+    ] = None,
+    size: Annotated[str, typer.Option(metavar="HxW", help="px of what is made, as for the paradigms.")] = "",
+    json: Annotated[bool, typer.Option("--json", help="One JSON object as last line of standard output.")] = False,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress bar.")] = False,
+) -> None:
+    """Write every fit of a run in another form, as --export of the paradigms does.
+
+    Example: metapp export runs/brdf/meta/gold-full-seed0-ridge bsdf
+    """
+    from metapp.experiments.export_run import export_run
+
+    done = export_run(run, form, inputs or [], data=data, out=out_folder, size=size, quiet=quiet)
+    if not quiet:
+        say(f"{len(done.tasks)} fits written as {done.form}: {done.out}")
+    if json:
+        print_json(done._asdict())

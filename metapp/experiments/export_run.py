@@ -1,0 +1,100 @@
+"""Write the fits of a run that is over in another form."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from metapp.experiments import BadOption
+from metapp.experiments.embedded import embedded_exists
+from metapp.experiments.export import check_export, export_fit
+from metapp.experiments.inputs import data_folder, data_label, tasks_to_fit
+from metapp.experiments.reporter import progress
+from metapp.experiments.run import check_size
+from metapp.experiments.session import find_app, options_of
+from metapp.learning.app import App
+from metapp.learning.task import Task
+from metapp.paradigms import paradigms
+from metapp.storage.records import FIT, file_name, read_records, read_theta
+
+FORM = {**FIT, "settings": {"app": str, "paradigm": str, "rule": str, "recipe": str, "data": str}}
+
+
+class Exported(NamedTuple):
+    """What was written: the form, its folder, and the names of the fits."""
+
+    form: str
+    out: str
+    tasks: list[str]
+
+
+def export_run(
+    run: Path, form: str, inputs: list[Path], *, data: Path | None, out: Path | None, size: str, quiet: bool
+) -> Exported:
+    """Write every fit of a run.
+
+    Args:
+        run: its folder, or the record file in it.
+        form: as of --export.
+        inputs: what was fitted, for forms that are made of that, too.
+        data: the data set whose test tasks were fitted, for the same.
+        out: folder to write to; None: a folder of the form's name in the run's.
+        size: "HxW" in px, "" for the application's own.
+        quiet: no progress.
+
+    Raises:
+        BadOption: fits of the application cannot be written so, or not of that size.
+        ValueError: no run, damaged records or parameters, or inputs that a form needs and that are not given.
+    """
+    folder = run.parent if run.name == "record.jsonl" else run
+    records = read_records(folder / "record.jsonl", FORM)
+    if not records:
+        found = "no record.jsonl" if folder.is_dir() else "no such folder"
+        raise ValueError(f"{run}: {found} with fits, expected a run's folder, such as runs/brdf/meta/...")
+    apps = {record["settings"]["app"] for record in records}
+    if len(apps) > 1:
+        raise ValueError(f"{run}: fits of {', '.join(sorted(apps))}, expected one application; take one run's folder.")
+    check_export(form, find_app(apps.pop()))
+    target = out or folder / form
+    with progress(form, len(records), quiet=quiet) as bar:
+        tasks: dict[str, dict[str, Task]] = {}
+        for record in records:
+            app, settings, name = _app_of(record["settings"]), record["settings"], record["name"]
+            if settings["data"] not in tasks:
+                tasks[settings["data"]] = _tasks(app, settings["data"], inputs, data)
+            task = tasks[settings["data"]].get(name, Task(name, {}))
+            theta, path = read_theta(folder, name), target / file_name(name)
+            try:
+                export_fit(app, task, theta, path, form, settings, check_size(size, app))
+            except KeyError as missing:
+                if task.data:
+                    raise
+                raise ValueError(
+                    f"{name}: {form} is made of the fit and its input ({missing}), expected both; "
+                    "give what was fitted after the form, or --data."
+                ) from None
+            bar.advance(name)
+    return Exported(form, str(target), [record["name"] for record in records])
+
+
+def _app_of(settings: dict[str, Any]) -> App:
+    """The application as it was at the fit."""
+    meta = settings["paradigm"] == "meta"
+    rule = settings["rule"] if meta else ""
+    try:
+        options = options_of(
+            settings["app"], observe=settings.get("observe", ""), rule=rule, recipe=settings["recipe"], quiet=True
+        )
+    except BadOption as error:
+        raise ValueError(f"{settings['app']}: a fit of other settings than are known ({error})") from None
+    if settings["paradigm"] not in paradigms():
+        raise ValueError(f"paradigm '{settings['paradigm']}': not known, expected {', '.join(paradigms())}; fit again.")
+    return options.by(paradigms()[settings["paradigm"]]).app
+
+
+def _tasks(app: App, label: str, inputs: list[Path], data: Path | None) -> dict[str, Task]:
+    """What was fitted, by name, as far as it can be found: inputs, a data set's test tasks."""
+    embedded = embedded_exists(app.name) and data_label(data_folder(app, None, quiet=True)) == label
+    if not (inputs or data or embedded):
+        return {}
+    return {task.name: task for task in tasks_to_fit(app, inputs, data, quiet=True)[0]}

@@ -1,0 +1,73 @@
+"""Plugins for Mitsuba 3: `import metapp.mitsuba`, before or after `mi.set_variant`, and scenes may name them.
+
+    {"type": "neural_brdf", "filename": "gold.safetensors"}
+    {"type": "neural_svbrdf", "diffuse": TEXTURE, "specular": TEXTURE, "roughness": TEXTURE}
+
+In XML: `<bsdf type="neural_brdf"><string name="filename" value="gold.safetensors"/></bsdf>`. The file is a fit of the
+BRDF application (`params/<task>.safetensors` of a run, or `Fit.save`), of either network, or a folder with an NBRDF
+network of six .npy files. Variants: llvm_ad_rgb, cuda_ad_rgb.
+"""
+
+from __future__ import annotations
+
+import functools
+from contextlib import suppress
+from pathlib import Path
+
+import torch
+from safetensors import SafetensorError
+from torch import Generator
+
+from data_tools.readers.nbrdf import read_nbrdf
+from metapp.apps.brdf import Brdf, layers_of
+from metapp.apps.brdf.featured import Featured
+from metapp.learning.task import Params
+from metapp.rendering.variant import choose_llvm
+from metapp.storage.tensors import read_tensors
+
+with suppress(ValueError):  # none is there: variants of GPUs need none
+    choose_llvm()  # before Mitsuba is imported, as it keeps the one that it finds then
+
+from metapp.rendering.brdf_network import Material
+from metapp.rendering.brdf_plugin import register
+from metapp.rendering.maps_bsdf import register_maps_bsdf
+
+
+def read_material(path: Path) -> Material:
+    """Read the network of a BRDF: a fit's .safetensors file, or an NBRDF folder.
+
+    Raises:
+        ValueError: there is none, or it is damaged.
+    """
+    theta = _parameters(path) if path.is_file() else _of_nbrdf(path)
+    layers = tuple((weights.float().numpy(), bias.float().numpy()) for weights, bias in layers_of(theta))
+    return Material(layers, "last" in theta, functools.partial(Brdf().reflectance, theta))
+
+
+def _parameters(path: Path) -> Params:
+    try:
+        theta = read_tensors(path)
+    except (SafetensorError, OSError) as error:
+        raise ValueError(f"{path}: not readable ({error}), expected the .safetensors file of a BRDF fit.") from None
+    shapes = {key: value.shape for key, value in theta.items()}
+    known = [{key: value[0].shape for key, value in _any(setup).items()} for setup in (None, Featured())]
+    if shapes not in known:
+        found = ", ".join(sorted(theta)) or "none"
+        raise ValueError(f"{path}: tensors {found[:80]}, expected those of a BRDF fit; take a file of its params/.")
+    if not all(bool(value.isfinite().all()) for value in theta.values()):
+        raise ValueError(f"{path}: NaN or infinite values, expected finite parameters; fit again.")
+    return theta
+
+
+def _any(setup: Featured | None) -> Params:
+    return Brdf(setup).init(Generator().manual_seed(0), 1)
+
+
+def _of_nbrdf(path: Path) -> Params:
+    parts = {part: torch.from_numpy(array) for part, array in read_nbrdf(path).items()}
+    weights = {f"w{layer}": parts[f"fc{layer}"].T for layer in (1, 2, 3)}
+    return weights | {f"b{layer}": parts[f"b{layer}"][:, None] for layer in (1, 2, 3)}
+
+
+register(read_material)
+register_maps_bsdf()

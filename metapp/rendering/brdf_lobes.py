@@ -1,0 +1,150 @@
+"""Lobes that light is sampled from: a mixture of cosine and GGX lobes, fitted to a BRDF for each angle of the viewer.
+
+Sampling needs the shape of a BRDF only, and any mixture leaves the result right: what it changes is the noise. So the
+weights are those of least variance.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from metapp.appearance.geometry import directions_to_rusinkiewicz
+
+Array = NDArray[np.float64]
+
+ALPHAS = tuple(float(alpha) for alpha in np.geomspace(0.005, 0.7, 12))  # GGX roughness of the candidates
+LOBES = 2  # of these; the cosine is a further one
+NODES = 24  # angles of the viewer, from the normal to LAST
+LAST = math.radians(89)
+LEAST_COSINE = 0.1  # share of samples: bounds the weight of a sample where no lobe of the fit reaches
+_DRAWS = 128  # directions for each candidate and node
+_ROUNDS = 20
+
+
+class Lobes(NamedTuple):
+    """A mixture for each angle of the viewer.
+
+    Attributes:
+        alphas: GGX roughness [L] of the lobes beside the cosine.
+        shares: [NODES, 1 + L], of the cosine and each lobe, at angles evenly from 0 to LAST; each row sums to 1.
+    """
+
+    alphas: tuple[float, ...]
+    shares: Array
+
+
+class _Draws(NamedTuple):
+    """Directions to judge mixtures by, with weights.
+
+    Attributes:
+        target: f cos theta of the light, mean of RGB, [NODES, S].
+        density: of the draws, [NODES, S].
+        of: densities of the cosine and all candidates at the draws, [1 + A, NODES, S].
+    """
+
+    target: Array
+    density: Array
+    of: Array
+
+
+def fit_lobes(reflectance: Callable[[Tensor], Tensor]) -> Lobes:
+    """Fit a mixture to a BRDF: the lobes that lessen the variance most, one after the other.
+
+    Args:
+        reflectance: linear RGB [..., 3] in 1/sr of angles (theta_h, theta_d, phi_d) [..., 3] in rad.
+    """
+    draws = _draws(reflectance)
+    chosen = [0]
+    for _ in range(LOBES):
+        others = [i for i in range(1, len(draws.of)) if i not in chosen]
+        chosen.append(min(others, key=lambda i: _fitted(draws, [*chosen, i])[1]))
+    shares, _ = _fitted(draws, chosen)
+    shares *= 1 - LEAST_COSINE
+    shares[:, 0] += LEAST_COSINE
+    return Lobes(tuple(ALPHAS[i - 1] for i in chosen[1:]), shares)
+
+
+def _fitted(draws: _Draws, chosen: list[int]) -> tuple[Array, float]:
+    """Shares [NODES, K] of least variance, and the mean log of the second moment over the squared mean.
+
+    The second moment, the sum of target^2 / mixture, is convex in the shares. Multiplying these by the square root of
+    its slopes never increases it and keeps them positive (as in A-optimal design: Silvey, Titterington, Torsney 1978).
+    """
+    of = draws.of[chosen]
+    cost = draws.target**2 / draws.density
+    shares = np.full((len(chosen), len(cost), 1), 1 / len(chosen))
+    for _ in range(_ROUNDS):
+        mixture = (shares * of).sum(0) + 1e-30
+        shares *= np.sqrt((cost / mixture**2 * of).sum(-1, keepdims=True)) + 1e-30
+        shares /= shares.sum(0)
+    second = (cost / ((shares * of).sum(0) + 1e-30)).mean(-1)
+    mean = (draws.target / draws.density).mean(-1)
+    excess = np.log(np.maximum(second, 1e-30) / np.maximum(mean, 1e-15) ** 2)
+    return shares[..., 0].T, float(np.where(mean > 0, excess, 0).mean())
+
+
+def _draws(reflectance: Callable[[Tensor], Tensor]) -> _Draws:
+    """Directions from all candidates in equal parts, and what a BRDF has there."""
+    angles, cosine, of = _directions()
+    with torch.no_grad():
+        value = reflectance(angles).double().mean(-1).numpy()
+    # what a network says beside the horizon may be anything; what is not finite must not decide alone
+    return _Draws(np.nan_to_num(value, posinf=0) * cosine, of.mean(0) + 1e-30, of)
+
+
+@functools.cache
+def _directions() -> tuple[Tensor, Array, Array]:
+    """Directions, the same for every BRDF.
+
+    Returns:
+        Half and difference angles [NODES, S, 3], cosines of the light [NODES, S], 0 below the surface, and densities
+        of the cosine and all candidates [1 + A, NODES, S].
+    """
+    rng = np.random.default_rng(0)
+    theta = np.linspace(0, LAST, NODES)[:, None]
+    viewer = np.stack([np.sin(theta), 0 * theta, np.cos(theta)], -1)
+    u = rng.random((2, 1 + len(ALPHAS), NODES, _DRAWS))
+    radius, turn = np.sqrt(u[0, 0]), 2 * math.pi * u[1, 0]
+    lights = [np.stack([radius * np.cos(turn), radius * np.sin(turn), np.sqrt(1 - u[0, 0])], -1)]
+    for i, alpha in enumerate(ALPHAS, 1):
+        half = _visible_normal(viewer, alpha, u[0, i], u[1, i])
+        lights.append(2 * (viewer * half).sum(-1, keepdims=True) * half - viewer)
+    light = np.concatenate(lights, 1)
+    up = light[..., 2] > 1e-4
+    light = np.where(up[..., None], light, [0.0, 0.0, 1.0])
+    cosine = light[..., 2]
+    of = np.stack([cosine / math.pi, *(_density(viewer, light, alpha) for alpha in ALPHAS)]) * up
+    pair = (torch.from_numpy(np.array(np.broadcast_to(each, light.shape))).float() for each in (light, viewer))
+    return directions_to_rusinkiewicz(*pair), cosine * up, of
+
+
+def _visible_normal(viewer: Array, alpha: float, u: Array, v: Array) -> Array:
+    """Draw a facet that the viewer sees, of GGX roughness alpha (Dupuy and Benyoub 2023: a spherical cap)."""
+    stretched = viewer * [alpha, alpha, 1]
+    stretched /= np.linalg.norm(stretched, axis=-1, keepdims=True)
+    z = (1 - u) * (1 + stretched[..., 2]) - stretched[..., 2]
+    sine, turn = np.sqrt(np.clip(1 - z * z, 0, 1)), 2 * math.pi * v
+    half = (np.stack([sine * np.cos(turn), sine * np.sin(turn), z], -1) + stretched) * [alpha, alpha, 1]
+    result: Array = half / np.linalg.norm(half, axis=-1, keepdims=True)
+    return result
+
+
+def _density(viewer: Array, light: Array, alpha: float) -> Array:
+    """Density of a light drawn by mirroring the viewer at a visible facet: D G1 / (4 cos theta of the viewer)."""
+    half = viewer + light
+    half /= np.linalg.norm(half, axis=-1, keepdims=True)
+    cos2, square = half[..., 2] ** 2, alpha * alpha
+    distribution = square / (math.pi * (cos2 * (square - 1) + 1) ** 2)
+    cosine = viewer[..., 2]
+    # G1 / cosine, finite at grazing angles
+    masking = 2 / (cosine + np.sqrt(square + (1 - square) * cosine**2))
+    result: Array = distribution * masking / 4
+    return result

@@ -1,0 +1,108 @@
+"""`metapp export`: the fits of a run in other forms, which their programs load."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from data_tools.formats import exports_of
+from tests.needs_mitsuba import needs_mitsuba
+
+pytestmark = pytest.mark.usefixtures("small_spheres")
+FILES = {
+    "nbrdf": ["{}/fc1.npy"],
+    "merl": ["{}.binary"],
+    "bsdf": ["{}.bsdf"],
+    "mitsuba": ["{}/{}.xml", "{}/{}_builtin.xml", "{}/{}.safetensors", "{}/{}.bsdf"],
+}
+
+
+@pytest.fixture
+def run(metapp: Callable, neural_fits: Callable[[int], Path], tmp_path: Path) -> Path:
+    """A run of two networks, fitted by Meta's gradient rule."""
+    networks = neural_fits(2)
+    result = metapp("meta", "brdf", networks, "--rule", "meta-adam", "--out", tmp_path / "runs", "--json", "--quiet")
+    return Path(result.document["out"])
+
+
+@pytest.mark.parametrize("kind", exports_of("brdf"))
+def test_every_fit_is_written(metapp: Callable, run: Path, kind: str, tmp_path: Path) -> None:
+    result = metapp("export", run, kind, "--json")
+    assert result.code == 0
+    assert result.document == {"form": kind, "out": str(run / kind), "tasks": ["m0", "m1"]}
+    for name in result.document["tasks"]:
+        for file in FILES[kind]:
+            assert (run / kind / file.format(name, name)).is_file()
+    again = metapp("export", run / "record.jsonl", kind, "--out", tmp_path / "else", "--quiet")
+    assert (again.code, again.out, again.err) == (0, "", "")
+    first = FILES[kind][0].format("m0", "m0")
+    assert (tmp_path / "else" / first).read_bytes() == (run / kind / first).read_bytes()
+
+
+def test_a_ridge_fit_is_distilled_where_its_input_is_given(
+    metapp: Callable, neural_fits: Callable[[int], Path], tmp_path: Path
+) -> None:
+    network = neural_fits(1) / "m0"
+    run = metapp("meta", "brdf", network, "--out", tmp_path, "--json", "--quiet").document["out"]
+    refused = metapp("export", run, "nbrdf")
+    assert refused.code == 1
+    assert "m0: nbrdf is made of the fit and its input" in refused.err
+    done = metapp("export", run, "nbrdf", network)
+    assert done.code == 0
+    assert "distilled" in done.err
+    assert (Path(run) / "nbrdf" / "m0" / "b3.npy").is_file()
+
+
+@needs_mitsuba
+def test_scenes_load_and_show_the_same(metapp: Callable, run: Path) -> None:
+    """In a process of its own, as a user's script; with the fit and with the table that Mitsuba knows."""
+    assert metapp("export", run, "mitsuba").code == 0
+    lines = """
+import json, sys, numpy
+import metapp.mitsuba, mitsuba
+mitsuba.set_variant("llvm_ad_rgb")
+scenes = (mitsuba.load_file(name) for name in sys.argv[1:])
+print(json.dumps([numpy.array(mitsuba.render(scene)).mean((0, 1)).tolist() for scene in scenes]))
+"""
+    scenes = [run / "mitsuba" / "m0" / f"m0{suffix}.xml" for suffix in ("", "_builtin")]
+    done = subprocess.run([sys.executable, "-c", lines, *scenes], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    fit, table = json.loads(done.stdout)
+    np.testing.assert_allclose(fit, table, rtol=0.01)
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "said"),
+    [
+        (("nowhere", "merl"), 1, "nowhere: no such folder with fits, expected a run's folder"),
+        (("RUN", "blend"), 2, "expects one of bsdf, merl, mitsuba, nbrdf"),
+        (("RUN", "gltf"), 2, "expects one of"),
+        (("RUN/..", "merl"), 1, "no record.jsonl with fits"),
+        (("RUN", "merl", "--size", "64x64"), 2, "--size"),
+    ],
+)
+def test_what_cannot_be_written_is_refused(
+    metapp: Callable, run: Path, words: tuple[str, ...], code: int, said: str
+) -> None:
+    result = metapp("export", *(word.replace("RUN", str(run)) for word in words))
+    assert result.code == code
+    assert said in " ".join(result.err.replace("│", " ").split())
+
+
+def test_damaged_parameters_and_strange_records_are_one_line(metapp: Callable, run: Path) -> None:
+    (run / "params" / "m0.safetensors").write_bytes(b"hello")
+    result = metapp("export", run, "merl")
+    assert result.code == 1
+    assert result.err.startswith(f"error: {run / 'params' / 'm0.safetensors'}: fitted parameters not readable")
+    lines = [json.loads(line) for line in (run / "record.jsonl").read_text().splitlines()]
+    lines[0]["settings"]["recipe"] = "other"
+    (run / "record.jsonl").write_text("".join(json.dumps(line) + "\n" for line in lines))
+    result = metapp("export", run, "merl")
+    assert result.code == 1
+    assert "a fit of other settings than are known" in result.err

@@ -1,0 +1,163 @@
+"""Goniometer tables: what is read is what was measured, and whatever is no such table is refused in one line."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from data_tools.readers import gonio
+from data_tools.readers.colours import spectra_to_rgb
+from metapp.appearance.geometry import above_horizon, rusinkiewicz_to_directions
+
+pytestmark = pytest.mark.usefixtures("small_spheres")
+HEAD = "theta_i_deg,phi_i_deg,theta_o_deg,phi_o_deg,r,g,b"
+ROW = "30,0,30,180,0.1,0.2,0.3"
+
+
+def material(angles: Tensor) -> Tensor:
+    """Smooth, coloured, and not reciprocal: phi_d counts over the full circle."""
+    theta_h, _, phi_d = angles.unbind(-1)
+    return (torch.exp(-4 * theta_h) + 0.05 * phi_d)[..., None] * torch.tensor([1.0, 0.6, 0.3], dtype=angles.dtype)
+
+
+def spherical(directions: Tensor) -> tuple[Tensor, Tensor]:
+    return directions[:, 2].clamp(-1, 1).acos(), torch.atan2(directions[:, 1], directions[:, 0])
+
+
+@pytest.fixture
+def angles() -> Tensor:
+    draws = torch.rand(3000, 3, dtype=torch.float64, generator=torch.Generator().manual_seed(0))
+    draws = 0.02 + draws * torch.tensor([1.5, 1.5, 6.2])
+    return draws[above_horizon(draws)]
+
+
+@pytest.fixture
+def write(tmp_path: Path, angles: Tensor) -> Callable[..., Path]:
+    """Writes what a goniometer would measure of the material, from a random side."""
+
+    def table(unit: str = "deg") -> Path:
+        wi, wo = rusinkiewicz_to_directions(angles)
+        turn = torch.rand(len(angles), dtype=torch.float64, generator=torch.Generator().manual_seed(1)) * 6
+        scale = 180 / math.pi if unit == "deg" else 1.0
+        parts = [part for each in (wi, wo) for part in spherical(each)]
+        places = [(part + turn * (i % 2)) * scale for i, part in enumerate(parts)]
+        rows = torch.cat([torch.stack(places, 1), material(angles)], 1)
+        lines = [",".join(f"{value:.12g}" for value in row) for row in rows.tolist()]
+        file = tmp_path / f"paint-{unit}.csv"
+        file.write_text("\n".join(["# measured", HEAD.replace("deg", unit), *lines]))
+        return file
+
+    return table
+
+
+@pytest.mark.parametrize("unit", ["deg", "rad"])
+def test_measurements_come_back(write: Callable[..., Path], angles: Tensor, unit: str) -> None:
+    found, reflectance = gonio.read_gonio(write(unit))
+    torch.testing.assert_close(found, angles, rtol=0, atol=1e-6)
+    torch.testing.assert_close(reflectance, material(angles), rtol=1e-6, atol=1e-8)
+
+
+def test_a_task_holds_each_measurement_once(write: Callable[..., Path], angles: Tensor) -> None:
+    file = write()
+    lines = file.read_text().splitlines()
+    file.write_text("\n".join([*lines, *lines[2:102]]))  # a hundred measured twice
+    task = gonio.read_task(file)
+    assert task.name == "paint-deg"
+    assert task.data["angles"].shape == (len(angles), 3)
+    torch.testing.assert_close(task.data["reflectance"], material(task.data["angles"]), rtol=1e-4, atol=1e-5)
+    assert torch.equal(task.data["angles"], gonio.read_task(file).data["angles"])
+    first = task.data["angles"][: len(angles) // 2, 0]
+    assert abs(float(first.mean() - angles[:, 0].mean())) < 0.05  # in random order
+
+
+def test_the_picture_shows_the_material(write: Callable[..., Path]) -> None:
+    from data_tools.readers.brdf_task import reference_scene
+    from metapp.appearance.sphere import shade_sphere
+
+    render = gonio.read_task(write()).data["render"]
+    half_turn = torch.tensor([0, 0, math.pi])  # pictures know both directions alike: the nearest are of both sides
+    expected = shade_sphere(
+        reference_scene(), lambda angles: (material(angles.double()) + material(angles.double() + half_turn)) / 2
+    )
+    assert float((render[..., 3] - expected[..., 3]).abs().max()) < 1e-6
+    assert float((render - expected).abs().mean()) < 0.15 * float(expected[..., :3].mean())
+
+
+def test_columns_in_any_order_and_comments_and_more_columns(tmp_path: Path) -> None:
+    text = "# made by hand\n b , g, r,theta_o_deg,phi_o_deg,theta_i_deg,phi_i_deg,temperature\n\n# no row\n"
+    (tmp_path / "a.csv").write_text(text + "0.3,0.2,0.1,20,180,40,0,\n")
+    angles, reflectance = gonio.read_gonio(tmp_path / "a.csv")
+    torch.testing.assert_close(reflectance, torch.tensor([[0.1, 0.2, 0.3]], dtype=torch.float64))
+    assert angles[0].tolist() == pytest.approx([math.radians(10), math.radians(30), 0], abs=1e-9)
+
+
+def test_spectra_become_colours(tmp_path: Path) -> None:
+    """White is white, steps of wavelength do not matter, and a long-wave reflector is red."""
+    for step in (5, 10, 20):
+        nanometres = np.arange(380.0, 741, step)
+        matrix = spectra_to_rgb(nanometres)
+        np.testing.assert_allclose(matrix.sum(0), 1, atol=1e-12)
+        red = 1 / (1 + np.exp(-(nanometres - 600) / 15))
+        assert (red @ matrix) == pytest.approx([0.82, 0.06, 0.0], abs=0.08)
+    names = ",".join(f"{each}nm" for each in range(400, 701, 100))
+    (tmp_path / "a.csv").write_text(f"{HEAD[:-6]},{names}\n30,0,30,180,0.2,0.2,0.2,0.2\n")
+    _, reflectance = gonio.read_gonio(tmp_path / "a.csv")
+    torch.testing.assert_close(reflectance, torch.full((1, 3), 0.2, dtype=torch.float64))
+
+
+def test_reflectance_in_d65_is_that_of_colour_science() -> None:
+    from data_tools.readers.colours import colour_science
+
+    colour, nanometres = colour_science(), np.arange(360.0, 831, 5)
+    values = 0.2 + 0.5 * np.exp(-(((nanometres - 530) / 60) ** 2))
+    spectrum = colour.SpectralDistribution(dict(zip(nanometres, values, strict=True)))
+    xyz = colour.sd_to_XYZ(spectrum, illuminant=colour.SDS_ILLUMINANTS["D65"]) / 100
+    expected = colour.RGB_COLOURSPACES["sRGB"].matrix_XYZ_to_RGB @ xyz
+    np.testing.assert_allclose(values @ spectra_to_rgb(nanometres), expected, atol=2e-3)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("", "no rows"),
+        (HEAD.replace("theta_i_deg", "theta_i") + "\n" + ROW, "theta_i: no unit, expected the column theta_i_deg or"),
+        (HEAD.replace(",phi_o_deg", "") + "\n" + ROW[:-4], "phi_o: no such column"),
+        (HEAD.replace(",b", "") + "\n" + ROW[:-4], "no column b, expected r, g, b, or wavelengths"),
+        (HEAD + "\n" + ROW + ",7", "line 2: 8 numbers, expected 7"),
+        (HEAD + "\n" + ROW.replace("0.2", "much"), "line 2: 'much', expected a number"),
+        (HEAD + "\n# c\n" + ROW.replace("0.2", "-0.2"), "line 3: g -0.2, expected 0 to"),
+        (HEAD + "\n" + ROW.replace("0.2", "nan"), "line 2: g nan"),
+        (HEAD + "\n" + ROW.replace("0.2", ""), "line 2: g nan"),
+        (HEAD + "\n" + ROW.replace("30,180", "130,180"), "line 2: theta_o 130 deg, expected 0 to 90"),
+        (HEAD.replace("deg", "rad") + "\n" + ROW, "line 2: theta_i 30 rad, expected 0 to 1.5708"),
+        (HEAD + ",r\n" + ROW + ",1", "two columns 'r'"),
+        (HEAD[:-6] + ",500nm,600nm\n" + ROW[:-4], "2 wavelengths from 500 to 600 nm, expected 4"),
+        (HEAD + "\n" + "\n".join([ROW] * 200), "1 pairs of directions, expected 64 or more"),
+        (b"\xff\xfe\x00", "no text in UTF-8"),
+    ],
+)
+def test_what_is_no_such_table_is_refused_in_one_line(tmp_path: Path, text: str | bytes, words: str) -> None:
+    file = tmp_path / "bad.csv"
+    file.write_bytes(text if isinstance(text, bytes) else text.encode())
+    with pytest.raises(ValueError, match=words.replace("(", r"\(")) as caught:
+        gonio.read_task(file)
+    assert str(caught.value).startswith(f"{file}: ")
+    assert "\n" not in str(caught.value)
+
+
+def test_metapp_fits_and_converts_tables(metapp: Callable, write: Callable[..., Path], tmp_path: Path) -> None:
+    file = write()
+    fitted = metapp("meta", "brdf", file, "--out", tmp_path / "runs", "--json", "--quiet")
+    assert fitted.code == 0
+    assert fitted.document["tasks"][0]["name"] == "paint-deg"
+    assert fitted.document["error"] < 3
+    assert metapp("data", "gonio", file, "--out", tmp_path / "set", "--split", "test").code == 0
+    assert "no problems" in metapp("data", "check", tmp_path / "set").out
+    again = metapp("meta", "brdf", "--recipe", "full", "--data", tmp_path / "set", "--out", tmp_path / "runs", "--json")
+    assert again.document["error"] == pytest.approx(fitted.document["error"])

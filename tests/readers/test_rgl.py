@@ -1,0 +1,140 @@
+"""RGL files: Mitsuba loads what is written and evaluates it as the fit; what is read is what Mitsuba evaluates."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from data_tools.readers import rgl
+from data_tools.readers.rgl_table import LAST_DEGREES, viewer_angles, write_rgl
+from data_tools.readers.tensor_file import read_tensor_file, write_tensor_file
+from metapp.appearance.geometry import cosines, directions_to_full_circle
+from metapp.appearance.reflection import microfacet_lobe
+from tests.needs_mitsuba import needs_mitsuba
+
+
+def glossy(angles: Tensor) -> Tensor:
+    """A GGX lobe of roughness 0.1 on a diffuse body, coloured: [..., 3] in 1/sr."""
+    lobe = microfacet_lobe(cosines(angles.double()), 0.1, lambda cos: 0.04 + 0.96 * (1 - cos) ** 5 * torch.ones(3))
+    return (lobe + torch.tensor([0.1, 0.05, 0.02])).to(angles)
+
+
+@pytest.fixture(scope="module")
+def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("rgl") / "glossy.bsdf"
+    write_rgl(path, glossy, "glossy")
+    return path
+
+
+@pytest.fixture
+def mi() -> Any:
+    from metapp.rendering.variant import load_mitsuba
+
+    return load_mitsuba()
+
+
+def draws(mi: Any, bsdf: Any, degrees: tuple[float, float], count: int = 50_000) -> tuple[Any, Any, Any, Any]:
+    """Viewers within such angles, lights that a BSDF draws for them, and its weights."""
+    import drjit as dr
+
+    numbers = np.random.default_rng(1).random((5, count)).astype(np.float32)
+    theta, phi = np.radians(degrees[0] + (degrees[1] - degrees[0]) * numbers[0]), 2 * np.pi * numbers[1]
+    interaction = dr.zeros(mi.SurfaceInteraction3f, count)
+    interaction.wi = mi.Vector3f(np.array([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)]))
+    drawn, weight = bsdf.sample(mi.BSDFContext(), interaction, mi.Float(numbers[2]), mi.Point2f(numbers[3:]))
+    return interaction, drawn.wo, np.array(drawn.pdf), np.array(weight)
+
+
+@needs_mitsuba
+@pytest.mark.parametrize("degrees", [(0, 30), (30, 60), (60, 80), (80, 89)])
+def test_mitsuba_evaluates_the_table_as_what_was_tabulated(mi: Any, file: Path, degrees: tuple[float, float]) -> None:
+    """The mean within 1 %, over directions that it draws itself; so do the weights of these."""
+    bsdf = mi.load_dict({"type": "measured", "filename": str(file)})
+    interaction, light, density, weight = draws(mi, bsdf, degrees)
+    found = np.array(bsdf.eval(mi.BSDFContext(), interaction, light))
+    pair = (torch.from_numpy(np.array(each).T).double() for each in (light, interaction.wi))
+    up = (density > 0) & (np.array(light.z) > 0)
+    expected = glossy(directions_to_full_circle(*pair)).numpy().T * np.array(light.z) * up
+    density = np.where(up, density, 1)
+    np.testing.assert_allclose((found * up / density).mean(1), (expected / density).mean(1), rtol=0.01)
+    assert (np.abs(found * up - expected) / density).mean() < 0.02 * (expected / density).mean()
+    np.testing.assert_allclose(weight.mean(1), (expected / density).mean(1), rtol=0.02)
+    assert weight.std() < weight.mean() * 0.8
+
+
+def test_nodes_are_denser_at_grazing() -> None:
+    steps = np.diff(viewer_angles())
+    assert (np.diff(steps) < 0).all()
+    assert np.degrees(viewer_angles()[-1]) == pytest.approx(LAST_DEGREES)
+
+
+@needs_mitsuba
+def test_what_is_read_is_what_was_written(file: Path, random_angles: Callable[..., Tensor]) -> None:
+    angles = random_angles(2000)
+    angles = angles[torch.minimum(cosines(angles).incident, cosines(angles).outgoing) > 0.1]
+    found, expected = rgl.read_rgl(file)(angles), glossy(angles)
+    assert found.shape == expected.shape
+    assert float((found - expected).abs().mean() / expected.mean()) < 0.01
+
+
+@needs_mitsuba
+@pytest.mark.usefixtures("small_spheres")
+def test_a_task_of_a_file(file: Path) -> None:
+    task = rgl.read_task(file, samples=256)
+    assert task.name == "glossy"
+    assert task.data["reflectance"].shape == (256, 3)
+    assert rgl.find([file.parent]) == ([file], [])
+    assert rgl.recognises(file.parent)
+
+
+def test_tensor_files_come_back(tmp_path: Path) -> None:
+    arrays = {"a": np.arange(6, dtype=np.float32).reshape(2, 3), "text": np.frombuffer(b"hello", np.uint8)}
+    write_tensor_file(tmp_path / "x", arrays)
+    found = read_tensor_file(tmp_path / "x")
+    assert found.keys() == arrays.keys()
+    for key, array in arrays.items():
+        np.testing.assert_array_equal(found[key], array)
+    content = (tmp_path / "x").read_bytes()
+    for cut in range(len(content)):
+        (tmp_path / "cut").write_bytes(content[:cut])
+        with pytest.raises(ValueError, match=r"cut: .*expected"):
+            read_tensor_file(tmp_path / "cut")
+
+
+@pytest.mark.parametrize(
+    ("name", "change", "words"),
+    [
+        ("rgb", lambda rgb: np.where(rgb > 0, np.nan, rgb).astype("f4"), "rgb has NaN"),
+        ("rgb", lambda rgb: rgb[:, :, :, 1:], "rgb .*expected"),
+        ("luminance", lambda values: -values, "luminance negative"),
+        ("vndf", lambda values: values * 0, "vndf negative or 0"),
+        ("theta_i", lambda values: values[::-1], "not ascending"),
+        ("sigma", lambda values: values.astype("f8"), "sigma of type float64"),
+        ("phi_i", lambda values: np.linspace(0, 1, 8, dtype="f4"), "anisotropic"),
+        ("rgb", None, "field rgb of no axes"),
+    ],
+)
+def test_damaged_files_are_refused_in_one_line(
+    file: Path, tmp_path: Path, name: str, change: Callable[[Any], Any] | None, words: str
+) -> None:
+    fields = read_tensor_file(file)
+    fields = {key: value for key, value in fields.items() if key != name or change}
+    write_tensor_file(tmp_path / "bad.bsdf", fields | ({name: change(fields[name])} if change else {}))
+    with pytest.raises(ValueError, match=words) as caught:
+        rgl.read_rgl(tmp_path / "bad.bsdf")
+    assert str(caught.value).startswith(str(tmp_path / "bad.bsdf"))
+    assert "\n" not in str(caught.value)
+
+
+def test_spectral_files_are_refused(file: Path, tmp_path: Path) -> None:
+    fields = read_tensor_file(file)
+    fields["spectra"] = fields.pop("rgb")
+    write_tensor_file(tmp_path / "a_spec.bsdf", fields)
+    with pytest.raises(ValueError, match=r"spectral, expected RGB; .*_rgb.bsdf"):
+        rgl.read_rgl(tmp_path / "a_spec.bsdf")

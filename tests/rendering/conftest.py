@@ -1,0 +1,49 @@
+"""Fits for the tests of Mitsuba's plugins."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+SYNTHETIC = 10  # materials, two of them to be fitted
+
+
+@pytest.fixture(scope="session")
+def fits(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """Files of fits of a synthetic material, which conserves energy, by network: nbrdf and featured."""
+    import metapp
+    from metapp.cli.commands import app
+    from tests.small_spheres import shrink_spheres
+
+    folder = tmp_path_factory.mktemp("fits")
+    with pytest.MonkeyPatch.context() as patch:
+        shrink_spheres(patch)
+        app(["data", "synth", "brdf", "--count", str(SYNTHETIC), "--out", str(folder / "data")], standalone_mode=False)
+    recipes = {"nbrdf": "quick", "featured": "full"}
+    made = {name: metapp.fit_all("brdf", data=folder / "data", recipe=recipe) for name, recipe in recipes.items()}
+    # the one that is bright everywhere: at the clamp at 0 there are no derivatives to compare
+    bright = [max(each, key=lambda fit: float(fit.task.data["reflectance"].median())) for each in made.values()]
+    return {name: fit.save(folder / f"{name}.safetensors") for name, fit in zip(made, bright, strict=True)}
+
+
+@pytest.fixture
+def mi(fits: dict[str, Path]) -> Iterator[Any]:
+    """Mitsuba with the plugins, in the variant llvm_ad_rgb; as it was afterwards."""
+    import mitsuba
+
+    import metapp.mitsuba  # noqa: F401  (registers the plugins)
+
+    before = mitsuba.variant()
+    mitsuba.set_variant("llvm_ad_rgb")
+    yield mitsuba
+    if before:
+        mitsuba.set_variant(before)
+
+
+@pytest.fixture
+def neural(mi: Any, fits: dict[str, Path]) -> Callable[..., Any]:
+    """Loads the plugin on the fit of a network, with further properties."""
+    return lambda network, **more: mi.load_dict({"type": "neural_brdf", "filename": str(fits[network]), **more})
