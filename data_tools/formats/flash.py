@@ -75,4 +75,5 @@ FORMAT = Format(
     conversion=Conversion(
         HELP, _reader, ("FILES...", "Photographs, and folders searched at any depth."), (SIZE, FOV), SPLIT
     ),
+    takes_fov=True,
 )

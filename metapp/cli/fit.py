@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -80,6 +81,15 @@ def make_command(name: str, summary: str) -> Any:
                 "transport. Plugins never do.",
             ),
         ] = None,
+        fov: Annotated[
+            float,
+            typer.Option(
+                metavar="DEGREES",
+                min=0,
+                max=150,
+                help="The camera's field of view along the shorter side, for flash photos; 0: as EXIF says, else 45.",
+            ),
+        ] = 0,
         size: Annotated[
             str,
             typer.Option(
@@ -95,6 +105,7 @@ def make_command(name: str, summary: str) -> Any:
         quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress bar, no table.")] = False,
     ) -> None:
         from metapp.experiments.export import check_export
+        from metapp.experiments.inputs import Reading
         from metapp.experiments.run import run
         from metapp.experiments.session import options_of
 
@@ -117,6 +128,8 @@ def make_command(name: str, summary: str) -> Any:
             raise typer.BadParameter("--train-steps: only with --train.")
         if scene_root and not any(each.takes_roots for each in inputs_of(app)):
             raise typer.BadParameter(f"--scene-root: {app} has no scenes, only transport; leave it out.")
+        if fov and not any(each.takes_fov for each in inputs_of(app)):
+            raise typer.BadParameter(f"--fov: {app} has no flash photos; leave it out.")
         for said, unused in (
             ("--rule: only meta has learned rules", rule and name != "meta"),
             ("--steps: general takes none", steps and name == "general"),
@@ -132,7 +145,7 @@ def make_command(name: str, summary: str) -> Any:
             train_steps=train_steps,
             export=export,
             size=size,
-            scene_roots=scene_root or [],
+            reading=Reading(scene_root or [], math.radians(fov)),
         )
         if not quiet:
             show(done, table=not json)
