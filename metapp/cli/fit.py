@@ -24,7 +24,15 @@ APP_HELP = f"Application: {', '.join(app_names())}."
 
 # of the five commands alike
 INPUTS = "; ".join(f"{app}: {', '.join(each.inputs for each in inputs_of(app))}" for app in app_names())
-EXPORTS = "; ".join(f"{app}: {' or '.join(exports_of(app))}" for app in app_names() if exports_of(app))
+
+
+def _exports() -> str:
+    """The values of --export, those of applications that have the same ones once."""
+    apps: dict[str, list[str]] = {}
+    for app in app_names():
+        if exports_of(app):
+            apps.setdefault(", ".join(exports_of(app)), []).append(app)
+    return "; ".join(f"{', '.join(names)}: {forms}" for forms, names in apps.items())
 
 
 def make_command(name: str, summary: str) -> Any:
@@ -98,7 +106,7 @@ def make_command(name: str, summary: str) -> Any:
                 "1024x2048; default: four times the exemplar's, the map's as it is fitted.",
             ),
         ] = "",
-        export: Annotated[str, typer.Option(help=f"Write each fit in another form; {EXPORTS}.")] = "",
+        export: Annotated[str, typer.Option(help=f"Write each fit in another form; {_exports()}.")] = "",
         seed: Annotated[int, typer.Option(help="Seed of all random draws.", min=0, max=2**63 - 1)] = 0,
         device: Annotated[str, typer.Option(help="auto, cpu or cuda.")] = "auto",
         json: Annotated[bool, typer.Option("--json", help="One JSON object as last line of standard output.")] = False,
