@@ -1,7 +1,7 @@
 """Copy trained checkpoints to where those that ship lie: ship.py STARTS CHECKPOINTS.
 
-Encoders are kept in half precision there, which no error shows and halves their size; starts that name General's by its
-digest name the rounded one.
+Encoders and long hyperparameters (rates of weights, bases) are kept in half precision there, which no error shows and
+halves their size; starts that name General's by its digest name the rounded one.
 """
 
 import json
@@ -26,12 +26,13 @@ def ship(source: Path, target: Path, rounded: dict[str, str]) -> None:
         info: dict[str, Any] = json.loads(file.metadata()["metapp"])
     if "encoder" in info:
         info["encoder"] = rounded.get(info["encoder"], info["encoder"])
-    tensors = {key: value.half() if _of_encoder(key, value) else value for key, value in tensors.items()}
+    tensors = {key: value.half() if _is_large(key, value) else value for key, value in tensors.items()}
     save_file(tensors, target, {"metapp": json.dumps(info)})
 
 
-def _of_encoder(key: str, value: torch.Tensor) -> bool:
-    return key.startswith("encoder.") and value.dtype == torch.float32
+def _is_large(key: str, value: torch.Tensor) -> bool:
+    long = key.startswith(("alpha.rate.", "alpha.in.", "alpha.out.")) and value.numel() > 64
+    return value.dtype == torch.float32 and (key.startswith("encoder.") or long)
 
 
 def digests(general: Path) -> dict[str, str]:
