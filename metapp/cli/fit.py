@@ -17,7 +17,10 @@ if TYPE_CHECKING:
     from metapp.experiments.run import Run
     from metapp.learning.app import App
 
-RULE_NAMES = "meta-sgd, meta-adam, meta-adam-tied, meta-curvature, meta-encoder, meta-lgd, meta-mean, meta-basis, ridge"
+RULE_NAMES = (
+    "meta-sgd, meta-adam, meta-adam-tied, meta-curvature, meta-encoder, meta-lgd, meta-mean, meta-basis, meta-axes, "
+    "ridge"
+)
 PART_NAMES = "adam, tied, sgd, rates, shared, solve, betas, loss, pace, eps, curvature, network, average, basis"
 APP_HELP = f"Application: {', '.join(app_names())}."
 

@@ -62,8 +62,9 @@ FULL = replace(
     meta={
         "meta-encoder": ENCODED,
         "meta-mean": replace(TUNED, first=FOUND),
-        "meta-basis": replace(TUNED, first=replace(FOUND, beta2=0.8)),
+        "meta-axes": replace(TUNED, first=FOUND),
     },
+    rule="meta-axes",
     setup=Setup(
         256,
         256,

@@ -54,6 +54,8 @@ NAMED: Mapping[str, str] = {
     "meta-lgd": "meta-encoder+network",
     # meta-mean, in the eigenbasis of the training tasks' gradients
     "meta-basis": "meta-mean+basis",
+    # the same without the mean, for descents from coarse to fine, whose last iterates are of several sizes
+    "meta-axes": "meta-encoder+basis",
     # meta-adam, its step multiplied by learned matrices from both sides
     "meta-curvature": "meta-adam+curvature",
     # ridge regression in the last layer, on learned features
