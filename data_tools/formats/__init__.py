@@ -131,6 +131,7 @@ class Format(NamedTuple):
         writer: imports and returns what writes fits; None where nothing does.
         conversion: the command that makes data sets of them, if any.
         takes_roots: whether `read_task` takes `roots`, folders that files named in a file may come from.
+        takes_fov: whether it takes `fov_rad`, the camera's field of view along the shorter side.
         holds: the parameters that a written file holds; a fit of another network is distilled into them first; () for
             a format that is written from what a fit evaluates to.
     """
@@ -142,6 +143,7 @@ class Format(NamedTuple):
     writer: Callable[[], Writer] | None = None
     conversion: Conversion | None = None
     takes_roots: bool = False
+    takes_fov: bool = False
     holds: tuple[str, ...] = ()
 
 

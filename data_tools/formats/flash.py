@@ -63,7 +63,7 @@ def _reader(paths: list[Path], split: str, *, size: int, fov: float) -> Reader:
     def split_of(source: Path) -> str:
         return splits[source.resolve()]
 
-    notes = {"made_by": "metapp data flash", "size": size, "fov": fov}
+    notes = {"made_by": "metapp data flash", "size": size, **({"fov": fov} if fov else {})}
     return Reader("svbrdf_stationary", "photograph", flash.UNITS, flash.find, name, read, notes, split_of)
 
 
@@ -75,4 +75,5 @@ FORMAT = Format(
     conversion=Conversion(
         HELP, _reader, ("FILES...", "Photographs, and folders searched at any depth."), (SIZE, FOV), SPLIT
     ),
+    takes_fov=True,
 )

@@ -36,8 +36,13 @@ def find(paths: Iterable[str | Path]) -> tuple[list[Path], list[str]]:
     return list({source.resolve(): source for source in sources}.values()), skipped
 
 
-def read_task(path: Path, size: int = SIZE) -> Task:
+def read_task(path: Path, size: int = SIZE, fov_rad: float = 0.0) -> Task:
     """Turn a strip, the material that a map belongs to, or else a photograph into a task named by the file.
+
+    Args:
+        path: the file.
+        size: side in px.
+        fov_rad: of a photograph's camera, along the shorter side; 0: as EXIF says, else that of fits.
 
     Returns:
         As `data_tools.readers.svbrdf_task.svbrdf_task`; of a photograph `photo` alone, uint8 [3, size, size].
@@ -52,7 +57,7 @@ def read_task(path: Path, size: int = SIZE) -> Task:
         return material_maps.read_task(path, size)
     if strips.is_strip(path):
         return strips.read_task(path, size)
-    return Task(task_name(path.stem), {"photo": read_photo(path, size, within_rad=FOV_RAD)})
+    return Task(task_name(path.stem), {"photo": read_photo(path, size, fov_rad=fov_rad, within_rad=FOV_RAD)})
 
 
 def _is_material(material: material_maps.Material) -> bool:

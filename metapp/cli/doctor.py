@@ -45,8 +45,8 @@ def examine() -> dict[str, Any]:
     import torch
 
     from metapp.apps import app_names
-    from metapp.experiments.checkpoints import shipped_path
     from metapp.experiments.embedded import embedded_exists
+    from metapp.experiments.shipped import shipped_path
     from metapp.storage.files import cache_folder
 
     starts = {

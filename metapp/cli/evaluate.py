@@ -60,7 +60,9 @@ def command(
     ] = "",
     data: Annotated[Path | None, typer.Option(help="Folder of task shards; default: the embedded set.")] = None,
     out_folder: Annotated[Path, typer.Option("--out", help="Where runs are kept.")] = Path("runs"),
-    recipe: Annotated[str, typer.Option(help="quick, full (brdf) or paper; texture: also paper-vgg19.")] = "quick",
+    recipe: Annotated[
+        str, typer.Option(help="quick, full (brdf, texture, svbrdf_stationary) or paper; texture: also paper-vgg19.")
+    ] = "quick",
     seed: Annotated[int, typer.Option(help="Seed of all random draws.", min=0, max=2**63 - 1)] = 0,
     device: Annotated[str, typer.Option(help="auto, cpu or cuda.")] = "auto",
     json: Annotated[bool, typer.Option("--json", help="One JSON object as last line of standard output.")] = False,

@@ -9,12 +9,12 @@ import typer
 
 from metapp.cli.console import print_json, say
 from metapp.cli.data_convert import check_folder
-from metapp.cli.fit import EXPORTS
+from metapp.cli.fit import exports
 
 
 def command(
     run: Annotated[Path, typer.Argument(metavar="RUN", help="A run's folder, or the record.jsonl in it.")],
-    form: Annotated[str, typer.Argument(metavar="KIND", help=f"{EXPORTS}.")],
+    form: Annotated[str, typer.Argument(metavar="KIND", help=f"{exports()}.")],
     inputs: Annotated[
         list[Path] | None,
         typer.Argument(

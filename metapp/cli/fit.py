@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -23,7 +24,15 @@ APP_HELP = f"Application: {', '.join(app_names())}."
 
 # of the five commands alike
 INPUTS = "; ".join(f"{app}: {', '.join(each.inputs for each in inputs_of(app))}" for app in app_names())
-EXPORTS = "; ".join(f"{app}: {' or '.join(exports_of(app))}" for app in app_names() if exports_of(app))
+
+
+def exports() -> str:
+    """The values of --export, those of applications that have the same ones once."""
+    apps: dict[str, list[str]] = {}
+    for app in app_names():
+        if exports_of(app):
+            apps.setdefault(", ".join(exports_of(app)), []).append(app)
+    return "; ".join(f"{', '.join(names)}: {forms}" for forms, names in apps.items())
 
 
 def make_command(name: str, summary: str) -> Any:
@@ -66,8 +75,8 @@ def make_command(name: str, summary: str) -> Any:
         recipe: Annotated[
             str,
             typer.Option(
-                help="quick, full (brdf) or paper; texture: also paper-vgg19; default: full where meta fits files and "
-                "no data, rule or checkpoint is given, else quick."
+                help="quick, full (brdf, texture, svbrdf_stationary) or paper; texture: also paper-vgg19; default: "
+                "full for files where no data, rule or checkpoint is given and a full one ships, else quick."
             ),
         ] = "",
         scene_root: Annotated[
@@ -80,6 +89,15 @@ def make_command(name: str, summary: str) -> Any:
                 "transport. Plugins never do.",
             ),
         ] = None,
+        fov: Annotated[
+            float,
+            typer.Option(
+                metavar="DEGREES",
+                min=0,
+                max=150,
+                help="The camera's field of view along the shorter side, for flash photos; 0: as EXIF says, else 45.",
+            ),
+        ] = 0,
         size: Annotated[
             str,
             typer.Option(
@@ -88,13 +106,14 @@ def make_command(name: str, summary: str) -> Any:
                 "1024x2048; default: four times the exemplar's, the map's as it is fitted.",
             ),
         ] = "",
-        export: Annotated[str, typer.Option(help=f"Write each fit in another form; {EXPORTS}.")] = "",
+        export: Annotated[str, typer.Option(help=f"Write each fit in another form; {exports()}.")] = "",
         seed: Annotated[int, typer.Option(help="Seed of all random draws.", min=0, max=2**63 - 1)] = 0,
         device: Annotated[str, typer.Option(help="auto, cpu or cuda.")] = "auto",
         json: Annotated[bool, typer.Option("--json", help="One JSON object as last line of standard output.")] = False,
         quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress bar, no table.")] = False,
     ) -> None:
         from metapp.experiments.export import check_export
+        from metapp.experiments.inputs import Reading
         from metapp.experiments.run import run
         from metapp.experiments.session import options_of
 
@@ -103,7 +122,7 @@ def make_command(name: str, summary: str) -> Any:
             observe=observe,
             rule=rule,
             recipe=recipe,
-            own_files=name == "meta" and bool(inputs) and not train,
+            own_files_by=name if inputs and not train else "",
             steps=steps,
             data=data,
             out=out_folder,
@@ -117,6 +136,8 @@ def make_command(name: str, summary: str) -> Any:
             raise typer.BadParameter("--train-steps: only with --train.")
         if scene_root and not any(each.takes_roots for each in inputs_of(app)):
             raise typer.BadParameter(f"--scene-root: {app} has no scenes, only transport; leave it out.")
+        if fov and not any(each.takes_fov for each in inputs_of(app)):
+            raise typer.BadParameter(f"--fov: {app} has no flash photos; leave it out.")
         for said, unused in (
             ("--rule: only meta has learned rules", rule and name != "meta"),
             ("--steps: general takes none", steps and name == "general"),
@@ -132,7 +153,7 @@ def make_command(name: str, summary: str) -> Any:
             train_steps=train_steps,
             export=export,
             size=size,
-            scene_roots=scene_root or [],
+            reading=Reading(scene_root or [], math.radians(fov)),
         )
         if not quiet:
             show(done, table=not json)

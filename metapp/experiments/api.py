@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from os import PathLike
 from pathlib import Path
@@ -13,7 +14,7 @@ from metapp.apps import presentation_of
 from metapp.experiments.checkpoints import find_checkpoint
 from metapp.experiments.export import check_export, export_fit
 from metapp.experiments.fits import fit_tasks
-from metapp.experiments.inputs import tasks_to_fit
+from metapp.experiments.inputs import Reading, tasks_to_fit
 from metapp.experiments.session import Options, options_of, settings_of, threads, threads_of
 from metapp.learning.app import App
 from metapp.learning.task import Params, Task
@@ -99,7 +100,12 @@ def fit(app: str, source: str | PathLike[str], *, paradigm: str = "meta", **opti
 
 
 def fit_all(
-    app: str, sources: Sequence[str | PathLike[str]] = (), *, paradigm: str = "meta", **options: Any
+    app: str,
+    sources: Sequence[str | PathLike[str]] = (),
+    *,
+    paradigm: str = "meta",
+    fov: float = 0.0,
+    **options: Any,
 ) -> list[Fit]:
     """Fit files and folders, or the test tasks of a data set.
 
@@ -107,6 +113,7 @@ def fit_all(
         app: the application.
         sources: files and folders; none: the test tasks of `data`, else of the embedded set.
         paradigm: general, overfit, finetune, quickft or meta.
+        fov: of flash photos, the camera's field of view along the shorter side in degrees; 0: as EXIF says, else 45.
         options: observe, rule, recipe, steps, data, checkpoint, seed, device, as on the command line; `out` is where
             checkpoints that were trained here are looked for.
 
@@ -120,12 +127,14 @@ def fit_all(
     given: Options = options_of(
         app,
         quiet=True,
-        own_files=paradigm == "meta" and bool(sources),
+        own_files_by=paradigm if sources else "",
         **{key: _path(key, value) for key, value in options.items()},
     )
     given = given.by(known[paradigm])
     with threads(threads_of(given.app)):
-        tasks, label = tasks_to_fit(given.app, [Path(each) for each in sources], given.data, quiet=True)
+        tasks, label = tasks_to_fit(
+            given.app, [Path(each) for each in sources], given.data, True, Reading(fov_rad=math.radians(fov))
+        )
         checkpoint = find_checkpoint(given, known[paradigm])
         done = fit_tasks(given, known[paradigm], checkpoint, tasks)
         settings = settings_of(given, known[paradigm], checkpoint, label)

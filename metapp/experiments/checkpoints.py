@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import shlex
-from importlib import resources
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -23,6 +22,7 @@ from metapp.experiments.session import (
     observe_of,
     versions,
 )
+from metapp.experiments.shipped import shipped_path, ships
 from metapp.learning.app import App, stack
 from metapp.learning.learn import MetaParameters
 from metapp.learning.recipe import OuterLoop
@@ -33,8 +33,6 @@ from metapp.storage.files import remove_partial
 from metapp.storage.records import digest, load_checkpoint, save_checkpoint, tensor_digest
 from metapp.storage.shards import fingerprint, read_shard
 from metapp.storage.training_checkpoint import TrainingCheckpoint
-
-SHIPPED_FOR = ("quick", "full")  # the recipes that the shipped checkpoints were trained by
 
 
 def find_checkpoint(options: Options, paradigm: Paradigm) -> Checkpoint:
@@ -116,7 +114,7 @@ def _checkpoint_path(options: Options, name: str) -> Path:
         if path.is_file():
             return path
     path = _shipped(options, name)
-    if path.is_file() and options.recipe in SHIPPED_FOR:
+    if path.is_file() and ships(options.app, options.recipe):
         return path
     raise ValueError(
         f"{name_of(options.app)} {name}, recipe {options.recipe}: no checkpoint, neither trained on this data nor "
@@ -134,12 +132,6 @@ def trained_path(options: Options, name: str) -> Path:
 def checkpoint_name(app: App, name: str) -> str:
     """A checkpoint's file name without its suffix: with the protocol, unless it is the first or General's."""
     return name if name == "general" or is_first_protocol(app) else f"{name}-{app.protocol}"
-
-
-def shipped_path(app: str, name: str, recipe: str = "quick") -> Path:
-    """Where a checkpoint that ships with metapp is, by its file name without suffix; "full" may have a folder."""
-    folder = Path(str(resources.files("metapp.checkpoints"))) / app
-    return (folder / recipe if (folder / recipe).is_dir() else folder) / f"{name}.safetensors"
 
 
 def _shipped(options: Options, name: str) -> Path:
@@ -269,7 +261,7 @@ def has_general(options: Options) -> bool:
     """
     if trained_path(options, "general").is_file():
         return True
-    return not options.data and options.recipe in SHIPPED_FOR and _shipped(options, "general").is_file()
+    return not options.data and ships(options.app, options.recipe) and _shipped(options, "general").is_file()
 
 
 def general_of(options: Options, steps: int | None = None) -> Checkpoint:

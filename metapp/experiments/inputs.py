@@ -6,6 +6,7 @@ import functools
 import hashlib
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import torch
 
@@ -19,6 +20,21 @@ from metapp.storage.records import file_name, safe_name
 from metapp.storage.shards import fingerprint, read_shard
 
 
+class Reading(NamedTuple):
+    """What readers of files should know beside the paths.
+
+    Attributes:
+        roots: folders that files of scenes may come from, beside each scene's own.
+        fov_rad: the field of view of cameras that took flash photos, along the shorter side; 0: as EXIF says.
+    """
+
+    roots: Sequence[Path] = ()
+    fov_rad: float = 0.0
+
+
+AS_FILES_SAY = Reading()
+
+
 def data_folder(app: App, data: Path | None, quiet: bool) -> Path:
     """The folder of task shards: --data, or the embedded set, made on first use."""
     return data or embedded_data(app.name, quiet=quiet)
@@ -30,7 +46,7 @@ def data_label(folder: Path) -> str:
 
 
 def tasks_to_fit(
-    app: App, inputs: list[Path], data: Path | None, quiet: bool, scene_roots: Sequence[Path] = ()
+    app: App, inputs: list[Path], data: Path | None, quiet: bool, reading: Reading = AS_FILES_SAY
 ) -> tuple[list[Task], str]:
     """What to fit, the user's files or the data set's test tasks, and its name in run folders.
 
@@ -39,13 +55,13 @@ def tasks_to_fit(
         inputs: the user's files; none: the data set's test tasks.
         data: folder of the data set; None: the embedded one.
         quiet: no progress.
-        scene_roots: folders that files of scenes may come from, beside each scene's own.
+        reading: what readers should know beside the paths.
 
     Raises:
         ValueError: a path that is missing or no input of the application, a damaged file, no test task.
     """
     if inputs:
-        tasks = distinct([task for path in inputs for task in read_input(app, path, scene_roots)])
+        tasks = distinct([task for path in inputs for task in read_input(app, path, reading)])
         more = f"-and-{len(tasks) - 1}-more" if len(tasks) > 1 else ""
         return tasks, f"{file_name(tasks[0].name)[:40]}{more}-{_content(tasks)}"
     folder = data_folder(app, data, quiet)
@@ -55,7 +71,7 @@ def tasks_to_fit(
     return distinct(tasks), data_label(folder)
 
 
-def read_input(app: App, path: Path, scene_roots: Sequence[Path] = ()) -> list[Task]:
+def read_input(app: App, path: Path, reading: Reading = AS_FILES_SAY) -> list[Task]:
     """The tasks of one path, by every reader that recognises it.
 
     A path that was named must be good; a damaged file that was found in a folder is skipped with a warning.
@@ -68,14 +84,14 @@ def read_input(app: App, path: Path, scene_roots: Sequence[Path] = ()) -> list[T
     if not fitting:
         expected = ", ".join(each.inputs for each in known)
         raise ValueError(f"{path}: not an input of {app.name}, expected {expected}, or a folder of these.")
-    return [task for each, files in fitting for task in _read(each, files, path, len(fitting) == 1, scene_roots)]
+    return [task for each, files in fitting for task in _read(each, files, path, len(fitting) == 1, reading)]
 
 
-def _read(form: Format, reader: Files, path: Path, alone: bool, scene_roots: Sequence[Path]) -> list[Task]:
+def _read(form: Format, reader: Files, path: Path, alone: bool, reading: Reading) -> list[Task]:
     sources, skipped = reader.find([path])
-    read: Callable[[Path], Task] = reader.read_task
-    if scene_roots and form.takes_roots:
-        read = functools.partial(reader.read_task, roots=scene_roots)  # type: ignore[call-arg]  # as takes_roots says
+    known: dict[str, Any] = {"roots": reading.roots} if reading.roots and form.takes_roots else {}
+    known |= {"fov_rad": reading.fov_rad} if reading.fov_rad and form.takes_fov else {}
+    read: Callable[[Path], Task] = functools.partial(reader.read_task, **known)
     for line in skipped if alone else ():
         say(f"warning: {line}")
     tasks = []

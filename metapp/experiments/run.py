@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -12,7 +12,7 @@ from metapp.experiments import BadOption
 from metapp.experiments.checkpoints import find_checkpoint, train_checkpoint
 from metapp.experiments.export import export_all
 from metapp.experiments.fits import fit_tasks
-from metapp.experiments.inputs import tasks_to_fit
+from metapp.experiments.inputs import AS_FILES_SAY, Reading, tasks_to_fit
 from metapp.experiments.pictures import write_files
 from metapp.experiments.reporter import number, progress, say
 from metapp.experiments.session import (
@@ -80,7 +80,7 @@ def run(
     train_steps: int | None = None,
     export: str = "",
     size: str = "",
-    scene_roots: Sequence[Path] = (),
+    reading: Reading = AS_FILES_SAY,
 ) -> Run:
     """Fit tasks and write the run folder.
 
@@ -92,7 +92,7 @@ def run(
         train_steps: outer steps of that, instead of the recipe's.
         export: the format that each fit is also written in.
         size: of what fits make for their users, "HxW" in px; "" for the application's own choice.
-        scene_roots: folders that files of scenes may come from.
+        reading: what readers of files should know beside the paths.
 
     Raises:
         ValueError: bad inputs, no checkpoint, a folder that cannot be written to.
@@ -105,7 +105,7 @@ def run(
         options = options._replace(steps=None)  # the recipe's own number is the recipe's own run
     make_folder(options.out)
     with threads(threads_of(options.app)):
-        tasks, label = tasks_to_fit(options.app, inputs, options.data, options.quiet, scene_roots)
+        tasks, label = tasks_to_fit(options.app, inputs, options.data, options.quiet, reading)
         if train:
             train_checkpoint(options, paradigm, train_steps)
         checkpoint = find_checkpoint(options, paradigm)

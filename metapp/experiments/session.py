@@ -15,6 +15,7 @@ import torch
 
 from metapp.apps import app_names, load_app, presentation_of
 from metapp.experiments import BadOption
+from metapp.experiments.shipped import FULL, QUICK, ships
 from metapp.learning.app import App
 from metapp.learning.learn import MetaParameters
 from metapp.learning.rules import rule_of
@@ -53,7 +54,7 @@ def options_of(
     observe: str = "",
     rule: str = "",
     recipe: str = "",
-    own_files: bool = False,
+    own_files_by: str = "",
     steps: int | None = None,
     data: Path | None = None,
     out: Path = Path("runs"),
@@ -64,8 +65,9 @@ def options_of(
 ) -> Options:
     """Check what was asked for and put the application at its recipe and protocol.
 
-    Without a recipe Meta fits a user's own files (`own_files`) by "full", where the application has it and no data,
-    checkpoint or rule is given; all else is by "quick".
+    Without a recipe a user's own files (by the paradigm `own_files_by`) are fitted by "full", where that ships and no
+    data, checkpoint or rule is given; where it is of the size of "quick", by Meta alone, as its rule is all that
+    differs. All else is by "quick".
 
     Raises:
         BadOption: something that the application does not have.
@@ -73,13 +75,19 @@ def options_of(
     """
     app = find_app(name)
     if not recipe:
-        full = own_files and "full" in app.recipes and not (data or checkpoint or rule)
-        recipe = "full" if full else "quick"
+        own = bool(own_files_by) and not (data or checkpoint or rule)
+        recipe = FULL if own and FULL in app.recipes and _has_own(app, own_files_by) else QUICK
     check_protocol(observe, app)
     check_recipe(recipe, app)
     placed = app.at(app.recipes[recipe], observe)
     chosen = check_rule(rule, placed, recipe)
     return Options(placed, recipe, chosen, steps, data, out, checkpoint, seed, find_device(device, placed), quiet)
+
+
+def _has_own(app: App, paradigm: str) -> bool:
+    """Whether "full" has anything of its own for a paradigm, and ships."""
+    same = app.recipes[FULL].setup == app.recipes[QUICK].setup
+    return ships(app, FULL) and (paradigm == "meta" or not same)
 
 
 def _at_rule(app: App, recipe: str, rule: str) -> App:

@@ -15,7 +15,8 @@ from data_tools.readers.brdf_task import brdf_task
 from data_tools.synthetic.brdf import synthetic_materials
 from metapp.apps import load_app
 from metapp.apps.brdf import APP
-from metapp.experiments.checkpoints import checkpoint_name, shipped_path
+from metapp.experiments.checkpoints import checkpoint_name
+from metapp.experiments.shipped import shipped_path
 from metapp.learning.app import App, stack
 from metapp.learning.learn import MetaParameters
 from metapp.learning.recipe import Recipe

@@ -16,7 +16,7 @@ from metapp.appearance.features import RANDOM, gram, load_features, moments
 from metapp.appearance.presentation import Fitted
 from metapp.apps.texture import APP, PAPER, QUICK, SMALLEST_CROP, Texture
 from metapp.apps.texture.presentation import TexturePresentation
-from metapp.experiments.checkpoints import shipped_path
+from metapp.experiments.shipped import shipped_path
 from metapp.learning.app import stack
 from metapp.learning.learn import MetaParameters
 from metapp.learning.recipe import Recipe

@@ -24,8 +24,8 @@ from metapp.apps.svbrdf_nonstationary import APP, JUDGED, _pairs
 from metapp.apps.svbrdf_nonstationary.maps import RAW, decoded
 from metapp.apps.svbrdf_nonstationary.views import FLASH, seen
 from metapp.cli.console import run
-from metapp.experiments.checkpoints import shipped_path
 from metapp.experiments.inputs import tasks_to_fit
+from metapp.experiments.shipped import shipped_path
 from metapp.learning.app import stack
 from metapp.learning.task import Params
 from metapp.paradigms import Job

@@ -23,7 +23,8 @@ from metapp.apps import brdf
 from metapp.apps.brdf import Brdf, presentation
 from metapp.apps.brdf.presentation import BrdfPresentation
 from metapp.cli.fit import table_of
-from metapp.experiments.checkpoints import checkpoint_name, shipped_path
+from metapp.experiments.checkpoints import checkpoint_name
+from metapp.experiments.shipped import shipped_path
 from metapp.experiments.tables.results import closing
 from metapp.experiments.tables.statistics import bootstrap
 from metapp.learning.app import App

@@ -102,6 +102,17 @@ def test_a_missing_library_is_said_before_anything_is_fitted(
     assert not (tmp_path / "runs").exists()
 
 
+def test_the_field_of_view_that_is_said_counts(metapp: Callable, photo: Path, tmp_path: Path) -> None:
+    common = ("--observe", "photo", "--steps", "1", "--out", tmp_path / "runs", "--json")
+    said = {
+        fov: metapp("overfit", APP.name, photo, *common, "--fov", fov).document["data"] for fov in ("0", "45", "70")
+    }
+    assert said["0"] == said["45"] != said["70"]  # names of data tell their content
+    refused = metapp("overfit", "texture", photo, "--fov", "60", "--out", tmp_path / "runs")
+    assert refused.code == 2
+    assert "--fov: texture has no flash photos; leave it out." in refused.err
+
+
 def test_a_photo_needs_its_protocol(metapp: Callable, photo: Path, tmp_path: Path) -> None:
     result = metapp("overfit", "svbrdf_nonstationary", photo, "--out", tmp_path / "runs")
     assert result.code == 1

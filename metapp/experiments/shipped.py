@@ -1,0 +1,26 @@
+"""Where the checkpoints are that ship with metapp, and for which recipes there are any."""
+
+from __future__ import annotations
+
+from importlib import resources
+from pathlib import Path
+
+from metapp.learning.app import App
+
+QUICK, FULL = "quick", "full"
+
+
+def shipped_path(app: str, name: str, recipe: str = QUICK) -> Path:
+    """Where a checkpoint that ships is, by its file name without suffix; a recipe of another size has a folder."""
+    folder = _folder(app)
+    return (folder / recipe if (folder / recipe).is_dir() else folder) / f"{name}.safetensors"
+
+
+def ships(app: App, recipe: str) -> bool:
+    """Whether checkpoints of a recipe ship: its own, or those of "quick" where it fits the same network."""
+    same = recipe == FULL and app.recipes[FULL].setup == app.recipes[QUICK].setup
+    return recipe == QUICK or same or (_folder(app.name) / recipe).is_dir()
+
+
+def _folder(app: str) -> Path:
+    return Path(str(resources.files("metapp.checkpoints"))) / app
