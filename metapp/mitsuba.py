@@ -6,6 +6,8 @@
 In XML: `<bsdf type="neural_brdf"><string name="filename" value="gold.safetensors"/></bsdf>`. The file is a fit of the
 BRDF application (`params/<task>.safetensors` of a run, or `Fit.save`), of either network, or a folder with an NBRDF
 network of six .npy files. Variants: llvm_ad_rgb, cuda_ad_rgb.
+
+Import it before mitsuba where an old libLLVM is installed beside one that works: mitsuba keeps what it finds first.
 """
 
 from __future__ import annotations

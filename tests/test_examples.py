@@ -10,6 +10,8 @@ from pathlib import Path
 import numpy as np
 import OpenImageIO as oiio
 
+from tests.needs_mitsuba import needs_mitsuba
+
 EXAMPLES = Path(__file__).parent.parent / "examples"
 
 
@@ -47,6 +49,15 @@ def test_relight_maps(tmp_path: Path) -> None:
     lit = oiio.ImageBuf(str(tmp_path / "lit.png")).get_pixels(oiio.FLOAT)
     assert lit.shape == (16, 64, 3)
     assert 0.01 < lit.mean() < 1
+
+
+@needs_mitsuba
+def test_mitsuba_brdf(neural_fits: Callable[[int], Path], tmp_path: Path) -> None:
+    said = run("mitsuba_brdf.py", next(neural_fits(1).iterdir()), tmp_path / "ball.png")
+    assert said.startswith("m0: error x100 ")
+    picture = oiio.ImageBuf(str(tmp_path / "ball.png")).get_pixels(oiio.FLOAT)
+    assert picture.shape[:2] == (256, 256)
+    assert picture[128, 128, :3].max() > 0.02
 
 
 def test_photo_to_blender(tmp_path: Path) -> None:

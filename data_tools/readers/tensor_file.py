@@ -62,6 +62,8 @@ def _field(content: bytes, at: int) -> tuple[str, NDArray[Any], int]:
     if axes > MOST_AXES or kind not in TYPES or not name.isprintable():
         raise _Damaged(f"a field of {axes} axes and type {kind}")
     shape = struct.unpack_from(f"<{axes}Q", content, at + 11)
+    if 0 in shape:  # numpy refuses some of these, in words of its own
+        raise _Damaged(f"a field {name[:20]} without values")
     dtype, count = np.dtype(TYPES[kind]), math.prod(shape)
     if offset + count * dtype.itemsize > len(content):
         raise _Damaged(f"{len(content):,} bytes, too few for the field {name[:20]}")

@@ -40,7 +40,7 @@ def test_a_fit_is_saved_and_exported(network: Path, tmp_path: Path) -> None:
     fit.export("nbrdf", tmp_path / "again")
     again = api.fit("brdf", tmp_path / "again", paradigm="general")
     assert again.name == "again"
-    with pytest.raises(ValueError, match=r"--export 'blend': brdf expects one of merl, nbrdf"):
+    with pytest.raises(ValueError, match=r"--export 'blend': brdf expects one of bsdf, merl, mitsuba, nbrdf"):
         fit.export("blend", tmp_path / "x")
 
 

@@ -107,6 +107,12 @@ def test_tensor_files_come_back(tmp_path: Path) -> None:
             read_tensor_file(tmp_path / "cut")
 
 
+def test_empty_fields_are_refused(tmp_path: Path) -> None:
+    write_tensor_file(tmp_path / "x", {"a": np.zeros((2, 0, 3), np.float32)})
+    with pytest.raises(ValueError, match=r"x: a field a without values, expected a whole tensor file"):
+        read_tensor_file(tmp_path / "x")
+
+
 @pytest.mark.parametrize(
     ("name", "change", "words"),
     [

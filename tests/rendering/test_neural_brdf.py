@@ -194,6 +194,7 @@ def test_it_works_inside_other_bsdfs_and_takes_a_tint(mi: Any, neural: Neural) -
     np.testing.assert_allclose(np.array(both.eval(context, below, -light)), expected, 1e-5, 1e-7)
 
 
+@pytest.mark.slow
 def test_normal_maps_turn_it(mi: Any, neural: Neural) -> None:
     def mapped(normal: list[float]) -> Any:
         pixels = np.broadcast_to(np.float32(normal) / 2 + 0.5, (4, 4, 3))
@@ -255,6 +256,7 @@ def total(layers: list[Tensor], network: str, light: NDArray[np.float32], viewer
     return (torch.expm1(x).clamp_min(0) * torch.from_numpy(light[2])).sum()
 
 
+@pytest.mark.slow
 def test_gradients_of_a_picture(mi: Any, neural: Neural) -> None:
     """By path replay, against finite differences of pictures with the same random numbers."""
     import drjit as dr
