@@ -1,0 +1,63 @@
+"""The checkpoints of recipes of another size that ship: what they say, that they are small, and that steps help."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from torch import Generator
+
+from data_tools.synthetic.texture import synthetic_tasks
+from metapp.apps import app_names, load_app
+from metapp.experiments.shipped import FULL, shipped_path, ships
+from metapp.learning.app import stack
+from metapp.paradigms import Job, paradigms
+from metapp.storage.records import load_checkpoint, tensor_digest
+
+PACKAGE = shipped_path("brdf", "general").parent.parent
+NAMES = [name for name in app_names() if (PACKAGE / name / FULL).is_dir()]
+
+
+def folder(name: str) -> Path:
+    return PACKAGE / name / FULL
+
+
+def test_all_checkpoints_together_are_small() -> None:
+    assert sum(path.stat().st_size for path in PACKAGE.rglob("*.safetensors")) < 25e6
+
+
+def test_recipes_of_another_size_ship_only_where_they_have_a_folder() -> None:
+    for name in app_names():
+        app = load_app(name)
+        if FULL in app.recipes:
+            same = app.recipes[FULL].setup == app.recipes["quick"].setup
+            assert ships(app, FULL) == (same or name in NAMES)
+    assert NAMES == ["texture"]
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_they_say_what_they_are(name: str) -> None:
+    files = sorted(folder(name).glob("*.safetensors"))
+    assert {path.stem for path in files} == {"general", "quickft", load_app(name).recipes[FULL].rule}
+    encoder = tensor_digest(load_checkpoint(shipped_path(name, "general", FULL))[0].encoder)
+    for path in files:
+        _, info = load_checkpoint(path)
+        assert (info["app"], info["start"], info["recipe"]) == (name, path.stem, FULL)
+        assert path.stem == "general" or info["encoder"] == encoder
+
+
+@pytest.mark.usefixtures("vgg")
+@pytest.mark.slow
+def test_few_steps_beat_none_on_unseen_textures() -> None:
+    app = load_app("texture")
+    recipe = app.recipes[FULL]
+    app = app.at(recipe)
+    tasks = stack(app, list(synthetic_tasks("test", 4)))
+    starts = {each: load_checkpoint(shipped_path("texture", each, FULL))[0] for each in ("general", recipe.rule)}
+    errors = {}
+    for paradigm, start in (("general", "general"), ("meta", recipe.rule)):
+        theta = paradigms()[paradigm].fit(
+            Job(app, recipe, recipe.rule), starts[start], tasks, Generator().manual_seed(0)
+        )
+        errors[paradigm] = float(app.errors(theta, tasks)["error"].mean())
+    assert errors["meta"] < 0.85 * errors["general"]
