@@ -55,6 +55,7 @@ def app(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
     general = replace(quick.general, steps=2, tasks=2)
     quick = replace(quick, setup=setup, steps=3, overfit_steps=3, general=general, meta=short)
     monkeypatch.setitem(loaded.recipes, "quick", quick)
+    monkeypatch.delitem(loaded.recipes, "full")
     monkeypatch.setattr("metapp.paradigms.tuning.SEARCHED", ([{"rate": 0.5}], [{"beta1": 0.3}]))
     return request.param
 
