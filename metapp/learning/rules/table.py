@@ -81,7 +81,7 @@ def _expanded(name: str, whole: str) -> set[str]:
     inner = ({**SHORT, **NAMED}).get(name) if "+" not in name else name
     if inner is None:
         known = ", ".join((*NAMED, *SHORT, *PARTS))
-        raise ValueError(f"rule '{whole}': '{name}' is unknown, expected names of these, with + between them: {known}.")
+        raise ValueError(f"rule '{whole}': '{name}' is unknown, expected names of these, joined by +: {known}.")
     return {part for each in inner.split("+") for part in _expanded(each, whole)}
 
 
