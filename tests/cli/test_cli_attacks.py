@@ -144,8 +144,8 @@ def test_a_second_writer_is_refused_and_a_killed_one_forgotten(metapp: Callable,
 
 
 def broken(path: Path, **changes: dict) -> Path:
-    """The rule meta-sgd's start that ships, with other tensors: None takes one away."""
-    start, info = load_checkpoint(SHIPPED / "brdf" / "meta-sgd.safetensors")
+    """The rule meta-adam's start that ships, with other tensors: None takes one away."""
+    start, info = load_checkpoint(SHIPPED / "brdf" / "meta-adam.safetensors")
     parts = {
         name: {k: v for k, v in (getattr(start, name) | new).items() if v is not None} for name, new in changes.items()
     }
@@ -168,7 +168,7 @@ STARTS = {
 def test_starts_of_other_rules_or_sizes_are_one_line(
     fit: Callable, network: Path, tmp_path: Path, changes: dict, said: str
 ) -> None:
-    result = fit("meta", network, "--rule", "meta-sgd", "--checkpoint", broken(tmp_path / "s.safetensors", **changes))
+    result = fit("meta", network, "--rule", "meta-adam", "--checkpoint", broken(tmp_path / "s.safetensors", **changes))
     assert result.code == 1
     assert is_one_line(result.err)
     assert said in result.err

@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from torch import Generator
 
 from metapp.appearance.presentation import Fitted
 from metapp.appearance.sphere import environment_scene, shade_sphere
@@ -31,7 +32,7 @@ from metapp.experiments.figures import FIGURES
 from metapp.experiments.figures.rates import step_sizes
 from metapp.experiments.report.html import EMBEDDED, Pictures, identifier
 from metapp.experiments.reporter import Reporter, duration, reporting
-from metapp.experiments.session import Options, find_device, threads_of
+from metapp.experiments.session import Checkpoint, Options, find_device, threads_of
 from metapp.experiments.tables import NAMES, load_table
 from metapp.experiments.tables.ablation import RULE_ALONE, START_ALONE, combined, same_start
 from metapp.experiments.tables.convergence import steps_needed
@@ -39,10 +40,13 @@ from metapp.experiments.tables.image import image_cell
 from metapp.experiments.tables.rows import blank, paper
 from metapp.experiments.tables.running import Clock, run_cells
 from metapp.experiments.tables.statistics import carried
-from metapp.experiments.tables.storage import size
+from metapp.experiments.tables.storage import kept, size
 from metapp.experiments.tables.subject import Cell, Subject
 from metapp.experiments.tables.trace import FURTHER, PARTS, looks, near, places, project, states_of, trace_cell
 from metapp.learning.app import stack
+from metapp.learning.learn import MetaParameters
+from metapp.learning.recipe import Adam
+from metapp.learning.rules import rule_of
 from metapp.learning.task import Task
 from metapp.storage.records import RunFolder, read_records
 from tests.small_spheres import shrink_spheres
@@ -345,11 +349,12 @@ def test_storage_is_that_of_the_parameters(subject: Subject) -> None:
 
 
 def test_the_papers_rule_stores_two_networks(subject: Subject) -> None:
-    # its compression factor is 2 / m, as the paper has it
-    (of,) = find_subjects([subject.options._replace(rule="meta-sgd", data=None)], run=False, strict=True, share=1.0)
-    meta = {row["paradigm"]: row for row in rows(of, "storage")}["meta"]
-    assert meta["networks"] == paper()["storage"]["meta_networks"]
-    assert meta["factor"] == pytest.approx(paper()["storage"]["factor"])
+    """An initialisation and a rate a weight: its compression factor is 2 / m, as the paper has it."""
+    app = subject.options.app
+    theta = {key: value[0] for key, value in app.init(Generator().manual_seed(0), 1).items()}
+    alpha = rule_of("meta-sgd").alpha(app, theta, 10, Adam(0.1))
+    found = kept(Checkpoint(MetaParameters(theta, alpha), "", ""))
+    assert found == paper()["storage"]["meta_networks"] * size(theta)
 
 
 def test_samples_are_those_that_steps_draw(subject: Subject) -> None:
