@@ -1,4 +1,4 @@
-"""What measurements of reflectance have and models of it have not: noise, outliers, missing samples at grazing angles."""
+"""What measurements of reflectance have and models have not: noise, outliers, missing samples at grazing angles."""
 
 from __future__ import annotations
 

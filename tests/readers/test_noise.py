@@ -8,8 +8,8 @@ import pytest
 import torch
 
 from data_tools.readers.noise import as_measured
-from metapp.appearance.noise import DECADES
 from metapp.appearance.geometry import cosines
+from metapp.appearance.noise import DECADES
 from metapp.learning.task import Task
 
 N = 20_000
