@@ -73,10 +73,9 @@ class Presentation(ABC, Generic[AnyApp]):
     logarithmic: bool = False
     image_measure: str = ""
     image_seconds: float = 0.1
-    size: tuple[int, int] | None = None
 
-    def __init__(self, app: AnyApp) -> None:
-        self.app = app
+    def __init__(self, app: AnyApp, size: tuple[int, int] | None = None) -> None:
+        self.app, self.size = app, size
 
     def refusal(self, height: int, width: int) -> str:
         """Why `files` cannot be of a size; "" where they can."""

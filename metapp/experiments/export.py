@@ -65,9 +65,7 @@ def export_fit(
     """
     form = exports_of(app.name)[name]
     if isinstance(form, Export):
-        shown = presentation_of(app)
-        shown.size = size
-        surface = shown.surface(theta, task)
+        surface = presentation_of(app, size).surface(theta, task)
         assert surface is not None, f"{app.name} has no surface"
         form.writer().write(surface, path, {"task": task.name, **settings})
         return

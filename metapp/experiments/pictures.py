@@ -89,8 +89,7 @@ def write_files(app: App, tasks: Sequence[Task], folder: Path, size: tuple[int, 
     Heights h, in texels, are kept as (h - minimum) / (maximum - minimum), of which the texts `height_minimum` and
     `height_maximum` tell. Radiance is kept as <name>.exr, and tone-mapped beside it.
     """
-    written, shown = None, presentation_of(app)
-    shown.size = size
+    written, shown = None, presentation_of(app, size)
     for task in tasks:
         for name, (pixels, kind) in shown.files(_theta(folder, task), task).items():
             written = folder / "outputs"

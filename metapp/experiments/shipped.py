@@ -18,8 +18,14 @@ def shipped_path(app: str, name: str, recipe: str = QUICK) -> Path:
 
 def ships(app: App, recipe: str) -> bool:
     """Whether checkpoints of a recipe ship: its own, or those of "quick" where it fits the same network."""
-    same = recipe == FULL and app.recipes[FULL].setup == app.recipes[QUICK].setup
+    same = recipe == FULL and full_fits_as_quick(app)
     return recipe == QUICK or same or (_folder(app.name) / recipe).is_dir()
+
+
+def full_fits_as_quick(app: App) -> bool:
+    """Whether "full" is of the size of "quick": then its rule is all that differs."""
+    result: bool = app.recipes[FULL].setup == app.recipes[QUICK].setup
+    return result
 
 
 def _folder(app: str) -> Path:

@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import pytest
 import torch
 from torch import Generator
 
 from metapp.apps.svbrdf_stationary import APP, FULL, SvbrdfStationary
-from metapp.learning.app import stack
-from metapp.learning.task import Task, Tasks
-from metapp.networks.exemplar import Setup
-from metapp.networks.pyramid import Pyramid, enlarged
+from metapp.learning.task import Tasks
+from metapp.networks.pyramid import enlarged
+from tests.apps.octaves import noise_tasks, tiny
 
-TAPS = ("relu1_1", "relu2_1", "relu3_1")
-TINY = replace(FULL, setup=Setup(64, 64, Pyramid(4, 3, code=8, outputs=6), "vgg16", TAPS, octaves=2, shares=(0.5,)))
+TINY = tiny(FULL, 64, 0.5)
 
 
 @pytest.fixture(scope="module")
@@ -25,9 +21,7 @@ def app() -> SvbrdfStationary:
 
 @pytest.fixture(scope="module")
 def tasks(app: SvbrdfStationary) -> Tasks:
-    rng = Generator().manual_seed(0)
-    images = torch.randint(256, (2, 3, 64, 64), generator=rng, dtype=torch.uint8)
-    return stack(app, [Task(f"noise {i}", {"image": image}) for i, image in enumerate(images)])
+    return noise_tasks(app, 2)
 
 
 def test_coarse_stages_leave_out_all_of_the_finest_octave(app: SvbrdfStationary, tasks: Tasks) -> None:
