@@ -132,6 +132,7 @@ class Format(NamedTuple):
         conversion: the command that makes data sets of them, if any.
         takes_roots: whether `read_task` takes `roots`, folders that files named in a file may come from.
         takes_fov: whether it takes `fov_rad`, the camera's field of view along the shorter side.
+        takes_size: whether it takes `size`, px a side or rows of what the file becomes.
         holds: the parameters that a written file holds; a fit of another network is distilled into them first; () for
             a format that is written from what a fit evaluates to.
     """
@@ -144,6 +145,7 @@ class Format(NamedTuple):
     conversion: Conversion | None = None
     takes_roots: bool = False
     takes_fov: bool = False
+    takes_size: bool = False
     holds: tuple[str, ...] = ()
 
 

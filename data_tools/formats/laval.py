@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+import functools
 from pathlib import Path
 
-from data_tools.formats import Conversion, Files, Format, Reader
+from data_tools.formats import Conversion, Files, Format, Reader, Setting
 
 HELP = """Convert HDR environment maps, such as those of the Laval indoor set.
 
 Any lat-long map (Gardner et al. 2017 publish 2048 x 1024 EXR) with floating-point RGB or gray pixels. It becomes
-linear Rec.709 of 64 x 128 texels, averaged over solid angle, of mean luminance 1 beside the scale it had, and four
-photographs of spheres under it. A bad file that was named ends the conversion and nothing is written; one found in
-a folder is skipped with a warning.
+linear Rec.709 of 64 x 128 texels (--size), averaged over solid angle, of mean luminance 1 beside the scale it had, and
+four photographs of spheres under it. A bad file that was named ends the conversion and nothing is written; one found
+in a folder is skipped with a warning.
 
 Examples:
   metapp data laval IndoorHDR --out laval
@@ -25,25 +26,30 @@ def _files() -> Files:
     return latlong
 
 
-def _reader(paths: list[Path], split: str) -> Reader:
+def _reader(paths: list[Path], split: str, *, size: int) -> Reader:
     from data_tools.readers import latlong
 
-    notes = {"made_by": "metapp data laval", "rows": latlong.HEIGHT}
+    notes = {"made_by": "metapp data laval", "rows": size}
     return Reader(
         "illumination",
         "map",
         latlong.UNITS,
         latlong.find_maps,
         lambda source: source.stem,
-        latlong.read_map_task,
+        functools.partial(latlong.read_map_task, size=size),
         notes,
     )
 
+
+ROWS = Setting("size", 64, "Rows of the maps; the recipe full fits 128.", metavar="ROWS", low=32, high=1024)
 
 FORMAT = Format(
     "laval",
     "illumination",
     "HDR maps (.exr, .hdr) or LDR photos of a sphere that touches their borders",
     _files,
-    conversion=Conversion(HELP, _reader, ("FILES...", "HDR maps (.exr, .hdr), and folders searched at any depth.")),
+    conversion=Conversion(
+        HELP, _reader, ("FILES...", "HDR maps (.exr, .hdr), and folders searched at any depth."), (ROWS,)
+    ),
+    takes_size=True,
 )

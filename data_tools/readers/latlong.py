@@ -81,8 +81,12 @@ class _Look(NamedTuple):
         return f"{self.width}x{self.height} px"
 
 
-def read_task(path: Path) -> Task:
+def read_task(path: Path, size: int = HEIGHT) -> Task:
     """Turn an HDR map, or an LDR photograph of a sphere, into a task named by the file's stem.
+
+    Args:
+        path: the file.
+        size: rows of a map.
 
     Returns:
         Of a map, as `map_task`; of a photograph `photos` alone, uint8 [1, 3, 64, 64]: the central square, whose borders
@@ -94,7 +98,7 @@ def read_task(path: Path) -> Task:
     """
     look = _look(path)
     if look.is_hdr:
-        return read_map_task(path)
+        return read_map_task(path, size)
     if look.is_latlong:
         raise ValueError(
             f"{path}: {look} of {look.kind}, {_EXPECTED} or a photograph of a sphere; export the map as HDR, or crop "
@@ -106,29 +110,30 @@ def read_task(path: Path) -> Task:
     return Task(path.stem, {"photos": photo[None]})
 
 
-def read_map_task(path: Path) -> Task:
+def read_map_task(path: Path, size: int = HEIGHT) -> Task:
     """As `read_task`, for maps only; the photographs are the same for the same name.
 
     Raises:
         ValueError: as `read_map`.
     """
-    light = read_map(path)
-    return map_task(path.stem, light, stream(*hashlib.sha256(path.stem.encode()).digest()))
+    light = read_map(path, size)
+    return map_task(path.stem, light, stream(*hashlib.sha256(path.stem.encode()).digest()), size)
 
 
-def map_task(name: str, light: Tensor, rng: Rng) -> Task:
+def map_task(name: str, light: Tensor, rng: Rng, rows: int = HEIGHT) -> Task:
     """A map as a task.
 
     Args:
         name: of the task.
         light: [3, H, W] linear Rec.709 radiance, >= 0, not black.
         rng: of the photographs' materials and cameras.
+        rows: of the task's map.
 
     Returns:
-        `map` [3, 64, 128] of mean luminance 1, `scale` [], the mean luminance before, and `photos` uint8
+        `map` [3, rows, 2 * rows] of mean luminance 1, `scale` [], the mean luminance before, and `photos` uint8
         [4, 3, 64, 64] of spheres under the map.
     """
-    light = resample(light.float(), HEIGHT, WIDTH)
+    light = resample(light.float(), rows, 2 * rows)
     scale = mean_luminance(light)
     light = light / scale
     seeded = torch.Generator().manual_seed(int(rng.integers(2**63)))

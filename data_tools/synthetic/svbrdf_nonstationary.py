@@ -61,27 +61,28 @@ FAMILIES: dict[str, Callable[[Rng, int], Surface]] = {
     "crumpled": crumpled,
 }
 
-_SIZE = 128
+SIZE = 128
 _STREAM = 2  # other materials than those of the textures and of the stationary svBRDFs
 
 
-def synthetic_tasks(split: Split, count: int, seed: int = 0) -> Iterator[Task]:
+def synthetic_tasks(split: Split, count: int, seed: int = 0, size: int = SIZE) -> Iterator[Task]:
     """The patches of one split, one by one.
 
     Args:
         split: "train" or "test"; the same families, other draws.
         count: how many. A larger set begins with the smaller one.
         seed: of all draws, >= 0.
+        size: px a side; another size draws other patches of the same families.
 
     Returns:
         Tasks with unique names such as "inlay-016" ("inlay-t000" in the test split), as `svbrdf_task` makes them:
-        `maps` float16 [10, 128, 128] and `photo` uint8 [3, 128, 128].
+        `maps` float16 [10, size, size] and `photo` uint8 [3, size, size].
 
     Raises:
         ValueError: for another split, or a negative count or seed.
     """
     for family, name, rng in turns("svBRDFs", FAMILIES, COUNTS, split, count, seed, _STREAM):
-        maps = finish(FAMILIES[family](rng, _SIZE))
+        maps = finish(FAMILIES[family](rng, size))
         yield svbrdf_task.svbrdf_task(name, maps, photo=svbrdf_task.flash_photo(maps, *held(rng)))
 
 

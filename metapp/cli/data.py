@@ -83,8 +83,9 @@ def synth(
             min=32,
             max=4096,
             metavar="PX",
-            show_default="256",
-            help="Of texture and svbrdf_stationary: pictures of so many px a side.",
+            show_default="256; 128; 64",
+            help="Of texture, svbrdf_stationary (256) and svbrdf_nonstationary (128): pictures of so many px a side; "
+            "of illumination (64): maps of so many rows.",
         ),
     ] = None,
     form: Annotated[

@@ -4,14 +4,44 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from torch import Generator
+from torch import Generator, Tensor
 
 from metapp.experiments.session import Options
 from metapp.learning.learn import MetaParameters
 from metapp.learning.rules import rule_of
 from metapp.learning.task import Params
+from metapp.networks.layers import regridded
 from metapp.paradigms import Paradigm
 from metapp.paradigms.quickft import TUNED
+
+
+def on_own_grid(options: Options, paradigm: Paradigm, prepared: MetaParameters) -> MetaParameters:
+    """A checkpoint of Meta whose hyperparameters on a grid, [K, channels, rows, columns], are on the application's own.
+
+    They may have been learned on a coarser one: those of another recipe of the same network.
+    """
+    if paradigm.name != "meta":
+        return prepared
+    wanted = _fresh_alpha(options)
+    alpha = {
+        key: regridded(value, *wanted[key].shape[2:], periodic=options.app.periodic)
+        if key in wanted and _is_on_a_grid(value, wanted[key])
+        else value
+        for key, value in prepared.alpha.items()
+    }
+    return prepared._replace(alpha=alpha)
+
+
+def _is_on_a_grid(value: Tensor, wanted: Tensor) -> bool:
+    return value.ndim == wanted.ndim == 4 and value.shape[1] == wanted.shape[1] and min(value.shape) > 0
+
+
+def _fresh_alpha(options: Options) -> Params:
+    """The rule's hyperparameters before training, of the shapes that a checkpoint's must have."""
+    recipe = options.job.recipe
+    network = {key: value[0] for key, value in options.app.init(Generator().manual_seed(0), 1).items()}
+    first = recipe.meta_training(options.rule).first
+    return rule_of(options.rule).alpha(options.app, network, recipe.steps, first)
 
 
 def require_fit(path: Path, options: Options, paradigm: Paradigm, prepared: MetaParameters) -> None:
@@ -20,11 +50,10 @@ def require_fit(path: Path, options: Options, paradigm: Paradigm, prepared: Meta
     Raises:
         ValueError: a tensor is missing or has another shape; names it.
     """
-    app, recipe, rng = options.app, options.job.recipe, Generator().manual_seed(0)
+    app, rng = options.app, Generator().manual_seed(0)
     network = {key: value[0] for key, value in app.init(rng, 1).items()}
     if paradigm.name == "meta":
-        alpha = rule_of(options.rule).alpha(app, network, recipe.steps, recipe.meta_training(options.rule).first)
-        _require(path, "alpha", prepared.alpha, alpha, steps=True)
+        _require(path, "alpha", prepared.alpha, _fresh_alpha(options), steps=True)
     else:
         _require(path, "alpha", prepared.alpha, {})
     if prepared.encoder or paradigm.name != "meta":

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 from torch import Generator, get_num_threads
 
 from metapp.experiments import BadOption
-from metapp.experiments.checkpoint_check import require_fit, require_tuned
+from metapp.experiments.checkpoint_check import on_own_grid, require_fit, require_tuned
 from metapp.experiments.embedded import embedded_exists
 from metapp.experiments.inputs import data_folder, data_label
 from metapp.experiments.reporter import progress, say
@@ -55,6 +55,7 @@ def find_checkpoint(options: Options, paradigm: Paradigm) -> Checkpoint:
         raise ValueError(f"{path}: a checkpoint of {app} {name}, expected {options.app.name} {needed}{remedy}.")
     _require_protocol(path, options.app, info)
     _require_conditions(path, options.app, prepared, info)
+    prepared = on_own_grid(options, paradigm, prepared)
     require_fit(path, options, paradigm, prepared)
     checkpoint = Checkpoint(prepared, str(path), digest(path))
     if path == _shipped(options, needed) and not options.checkpoint:

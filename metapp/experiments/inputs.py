@@ -84,12 +84,14 @@ def read_input(app: App, path: Path, reading: Reading = AS_FILES_SAY) -> list[Ta
     if not fitting:
         expected = ", ".join(each.inputs for each in known)
         raise ValueError(f"{path}: not an input of {app.name}, expected {expected}, or a folder of these.")
-    return [task for each, files in fitting for task in _read(each, files, path, len(fitting) == 1, reading)]
+    alone = len(fitting) == 1
+    return [task for each, files in fitting for task in _read(each, files, path, alone, reading, app.reads)]
 
 
-def _read(form: Format, reader: Files, path: Path, alone: bool, reading: Reading) -> list[Task]:
+def _read(form: Format, reader: Files, path: Path, alone: bool, reading: Reading, size: int) -> list[Task]:
     sources, skipped = reader.find([path])
-    known: dict[str, Any] = {"roots": reading.roots} if reading.roots and form.takes_roots else {}
+    known: dict[str, Any] = {"size": size} if size and form.takes_size else {}
+    known |= {"roots": reading.roots} if reading.roots and form.takes_roots else {}
     known |= {"fov_rad": reading.fov_rad} if reading.fov_rad and form.takes_fov else {}
     read: Callable[[Path], Task] = functools.partial(reader.read_task, **known)
     for line in skipped if alone else ():

@@ -11,9 +11,13 @@ QUICK, FULL = "quick", "full"
 
 
 def shipped_path(app: str, name: str, recipe: str = QUICK) -> Path:
-    """Where a checkpoint that ships is, by its file name without suffix; a recipe of another size has a folder."""
-    folder = _folder(app)
-    return (folder / recipe if (folder / recipe).is_dir() else folder) / f"{name}.safetensors"
+    """Where a checkpoint that ships is, by its file name without suffix.
+
+    A recipe of another size has a folder, for what it does not share with "quick".
+    """
+    folder, file = _folder(app), f"{name}.safetensors"
+    own = folder / recipe / file
+    return own if own.is_file() else folder / file
 
 
 def shipped_names(app: str) -> dict[str, list[str]]:

@@ -31,6 +31,7 @@ class App(ABC):
         cheap_fits: True where a search can afford to fit all validation tasks.
         periodic: True where the columns of parameters on a grid, those of three axes, go on at the grid's other edge.
         deterministic: True where nothing that a fit sees is drawn at random, so that one fit says what two would.
+        reads: px a side, or rows of a map, that a user's files are read at; 0: as their readers do.
         solves: the parameter [C, F] that the network is linear in, where `linear` says how; "" where there is none.
         own: the parameters that a task does not share with others after General's encoder; () for all.
         recipes: "paper", "quick", and "full" where a user's own files are fitted by other settings than tables are.
@@ -46,6 +47,7 @@ class App(ABC):
     cheap_fits: bool = False
     periodic: bool = False
     deterministic: bool = False
+    reads: int = 0
     solves: str = ""
     own: tuple[str, ...] = ()
     recipes: dict[str, Recipe]

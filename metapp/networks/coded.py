@@ -12,14 +12,17 @@ from torch import Generator, Tensor
 from metapp.learning.app import App
 from metapp.learning.recipe import Recipe
 from metapp.learning.task import Batch, Params, Tasks
-from metapp.networks.layers import LocalField
+from metapp.networks.layers import LocalField, regridded
+
+CHEAP = 64 * 64  # texels of a field that a search can afford to fit for all validation tasks
 
 
 class CodedApp(App):
     """A `LocalField` a task, fitted to the thing itself ("reference") or to one photograph of it alone ("photo").
 
     General's encoder makes a task's own parameters, the code z among them, of `photo` [T, 3, S, S]; the field's other
-    parameters are then the same for all tasks. Nothing that a fit sees is drawn at random.
+    parameters are then the same for all tasks. It may read a coarser code than the field has, so that recipes of
+    several sizes share what was trained at the smallest. Nothing that a fit sees is drawn at random.
 
     Attributes:
         all_recipes: the recipes of each protocol.
@@ -31,12 +34,12 @@ class CodedApp(App):
     protocols = ("reference", "photo")
     single_threaded = True
     compiles = True
-    cheap_fits = True
     deterministic = True
 
     def __init__(self, setup: Any, protocol: str) -> None:
         self.setup, self.protocol, self.recipes = setup, protocol, self.all_recipes[protocol]
         self.periodic = self.field.periodic
+        self.cheap_fits = self.field.height * self.field.width <= CHEAP
 
     def at(self, recipe: Recipe, protocol: str = "") -> Self:
         return type(self)(recipe.setup, protocol or self.protocols[0])
@@ -70,7 +73,9 @@ class CodedApp(App):
         return {"photo": tasks.data["photo"][tasks.rows]}
 
     def encode(self, encoder: Params, condition: Batch) -> Params:
-        return with_decoder(self.read(reader_of(encoder), condition["photo"]), encoder)
+        own, field = self.read(reader_of(encoder), condition["photo"]), self.field
+        own["z"] = regridded(own["z"], field.rows, field.columns, periodic=field.periodic)
+        return with_decoder(own, encoder)
 
     def sample(self, tasks: Tasks, rng: Generator, count: int) -> Batch:
         """All there is of each task."""

@@ -228,6 +228,14 @@ class LocalField(NamedTuple):
         return result
 
 
+def regridded(values: Tensor, rows: int, columns: int, *, periodic: bool) -> Tensor:
+    """Values [..., r, c] of a grid on a finer one, [..., rows, columns], linear between the cells' centres."""
+    if values.shape[-2:] == (rows, columns):
+        return values
+    down = _linear(rows, values.shape[-2], periodic=False).to(values)
+    return down @ values @ _linear(columns, values.shape[-1], periodic=periodic).T.to(values)
+
+
 @functools.lru_cache(maxsize=8)
 def _interpolation(field: LocalField) -> tuple[Tensor, Tensor]:
     """What each row and column takes of those of the code: [height, rows] and [columns, width]."""

@@ -45,16 +45,17 @@ _PARTS = 8
 _SHADE = np.float32(0.85)  # share of light that a tree's crown takes away
 
 
-def render(scene: Scene, turn_rad: float, supersampling: int = 2) -> Field:
+def render(scene: Scene, turn_rad: float, supersampling: int = 2, rows: int = HEIGHT) -> Field:
     """The map of a scene.
 
     Args:
         scene: what is around the eye.
         turn_rad: of the eye about the vertical.
-        supersampling: rays per texel, along each side.
+        supersampling: rays per texel of 64 rows, along each side.
+        rows: of the map, up to 64 times that.
 
     Returns:
-        Radiance [3, 64, 128], kcd/m^2.
+        Radiance [3, rows, 2 * rows], kcd/m^2.
     """
     rays, angles = view(supersampling)
     rays = turned(rays, turn_rad)
@@ -70,7 +71,7 @@ def render(scene: Scene, turn_rad: float, supersampling: int = 2) -> Field:
     if gloss.any():
         radiance += _mirrored(radiance, rays, hits.normal, gloss, turn_rad)
     fine = torch.from_numpy(radiance).unflatten(1, (HEIGHT * supersampling, WIDTH * supersampling))
-    result: Field = np.maximum(resample(fine, HEIGHT, WIDTH).numpy(), 0)
+    result: Field = np.maximum(resample(fine, rows, 2 * rows).numpy(), 0)
     return result
 
 

@@ -31,6 +31,7 @@ LIGHT = 0.3  # by how much a texel's own light adds to what it counts in a fit, 
 BODY = 10  # numbers of a sphere's material and a camera
 BODY_GAIN = 100  # of these: few steps at a network's rate find them, else the map takes their part
 GLOSSES = (0.25, 0.42, 0.7)
+READ = 64  # rows of a map that every size can be made of, but for finer ones
 SMALL = 32  # px of the photograph in the loss
 
 
@@ -40,14 +41,16 @@ class Setup:
 
     Attributes:
         field: the network of one map.
+        read: rows and columns of the code that the encoder reads.
     """
 
     field: LocalField
+    read: tuple[int, int] = (16, 32)
 
     @property
     def encoder(self) -> Encoder:
         """The encoder that fits it."""
-        return Encoder(2 * self.field.rows, 2 * self.field.columns, self.field.code, BODY)
+        return Encoder(2 * self.read[0], 2 * self.read[1], self.field.code, BODY)
 
 
 # exact second order, from General's encoder, which goes on learning through the steps
@@ -79,6 +82,8 @@ QUICK = Recipe(
     rule="meta-lgd",
     setup=Setup(LocalField(32, 64)),
 )
+# at the size that people use, in a fifth of the map's numbers: what was learned for 32 x 64 texels, on a finer grid
+FULL = replace(QUICK, setup=Setup(LocalField(128, 256, rows=32, columns=64)))
 # from photographs slowly and for long: the start has much to learn, such as to leave to the steps what they can find
 FROM_PHOTOS = replace(
     LEARNED,
@@ -106,12 +111,13 @@ PAPER = replace(
     setup=Setup(LocalField(64, 128, hidden=64)),
 )
 RECIPES = {
-    "reference": {"paper": PAPER, "quick": QUICK},
+    "reference": {"paper": PAPER, "quick": QUICK, "full": FULL},
     "photo": {
         "paper": replace(
             PAPER, overfit=QUICK_PHOTO.overfit, finetune=QUICK_PHOTO.finetune, quickft=QUICK_PHOTO.quickft
         ),
         "quick": QUICK_PHOTO,
+        "full": replace(QUICK_PHOTO, setup=Setup(LocalField(64, 128))),
     },
 }
 
@@ -131,6 +137,10 @@ class Illumination(CodedApp):
     }
     scale = 100.0
     all_recipes = RECIPES
+
+    def __init__(self, setup: Setup, protocol: str) -> None:
+        super().__init__(setup, protocol)
+        self.reads = self.field.height if self.field.height > READ else 0
 
     def prepare(self, task: Task) -> dict[str, Tensor]:
         """`photo` uint8 [3, S, S], and of the map `map` [3, H, W] and `sent`, what surfaces send out under it."""

@@ -44,10 +44,12 @@ class Setup:
     Attributes:
         field: the network of one material.
         width: channels of the encoder's finest level.
+        read: side of the photograph that the encoder reads, 0 for the field's.
     """
 
     field: LocalField
     width: int = 16
+    read: int = 0
 
     @property
     def encoder(self) -> Encoder:
@@ -100,6 +102,8 @@ QUICK = Recipe(
     rule="meta-lgd",
     setup=Setup(field_of(64, 32)),
 )
+# at the size that people use: the code that is read at 64 texels, and what rules learned there, on a finer grid
+FULL = replace(QUICK, setup=Setup(field_of(128, 32), read=64))
 # a photograph says little that General has not read from it: small steps, and hardly any training through them
 GENTLE = replace(
     LEARNED, steps=50, tasks=8, first=Adam(3e-4, beta1=0.8, beta2=0.8, eps=1e-3), validate_every=25, guard=None
@@ -122,10 +126,11 @@ PAPER = replace(
     setup=Setup(field_of(256, 64), 64),
 )
 RECIPES = {
-    "reference": {"paper": PAPER, "quick": QUICK},
+    "reference": {"paper": PAPER, "quick": QUICK, "full": FULL},
     "photo": {
         "paper": replace(PAPER, finetune=QUICK_PHOTO.finetune, quickft=QUICK_PHOTO.quickft),
         "quick": QUICK_PHOTO,
+        "full": replace(QUICK_PHOTO, setup=FULL.setup),
     },
 }
 
@@ -224,6 +229,7 @@ class SvbrdfNonstationary(CodedApp):
         return result
 
     def read(self, reader: Params, photos: Tensor) -> Params:
+        photos = adaptive_avg_pool2d(photos, self.setup.read or photos.shape[-1])
         code, flash = self.setup.encoder(reader, seen(photos))
         return {"z": code / self.field.gain, "flash": flash / self.field.gain}
 
