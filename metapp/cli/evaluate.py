@@ -61,7 +61,11 @@ def command(
     data: Annotated[Path | None, typer.Option(help="Folder of task shards; default: the embedded set.")] = None,
     out_folder: Annotated[Path, typer.Option("--out", help="Where runs are kept.")] = Path("runs"),
     recipe: Annotated[
-        str, typer.Option(help="quick, full (brdf, texture, svbrdf_stationary) or paper; texture: also paper-vgg19.")
+        str,
+        typer.Option(
+            help="quick, full or paper; texture: also paper-vgg19. Where no APP is named, quick for those that have no "
+            "such recipe."
+        ),
     ] = "quick",
     seed: Annotated[int, typer.Option(help="Seed of all random draws.", min=0, max=2**63 - 1)] = 0,
     device: Annotated[str, typer.Option(help="auto, cpu or cuda.")] = "auto",
@@ -96,7 +100,7 @@ def command(
                     app.name,
                     observe=protocol,
                     rule=rule,
-                    recipe=recipe,
+                    recipe=recipe if apps or recipe in app.recipes else "quick",
                     data=data,
                     out=out_folder,
                     seed=seed,

@@ -74,7 +74,7 @@ def to_tune_on(job: Job, tasks: Tasks) -> Tasks:
 # What the search tries, one line after the other around the best so far; a rate is a factor of the best's.
 TUNED_ON = 8  # validation tasks, where a fit takes longer than an instant
 SEARCHED: tuple[list[dict[str, float]], ...] = (
-    [{"rate": 2.0**i} for i in (-5, -4, -3, -2, -1, 1, 2, 3, 4, 5)],
+    [{"rate": 2.0**i} for i in (-1, 1, -2, 2, -3, 3, -4, 4, -5, 5)],
     [
         {"beta1": beta1, "beta2": beta2}
         for beta1, beta2 in itertools.product((0.3, 0.5, 0.7, 0.8, 0.9), (0.8, 0.9, 0.97, 0.99, 0.999))
