@@ -63,7 +63,7 @@ def command(
     recipe: Annotated[
         str,
         typer.Option(
-            help="quick, full or paper; texture: also paper-vgg19. Where no APP is named, quick for those that have no "
+            help="quick, full or paper; brdf: also measured; texture: also paper-vgg19. Where no APP is named, quick for those that have no "
             "such recipe."
         ),
     ] = "quick",

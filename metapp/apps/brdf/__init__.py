@@ -73,6 +73,8 @@ QUICK = Recipe(
 
 # where paradigms need not fit the same network, the rule that is best on validation tasks
 FULL = replace(QUICK, rule="ridge")
+# for samples that are noisy, or that lack grazing angles, as those of a gonioreflectometer
+MEASURED = replace(FULL, meta={"ridge": replace(RIDGE, setup=Featured(measured=True))})
 
 # Fischer & Ritschel 2022, section 4.1.2 and supplement: 10 inner steps of 512 samples, MAML with Meta-SGD from
 # alpha = 1e-3, outer Adam at 1e-4 with weight decay 1e-6, a random start
@@ -110,7 +112,12 @@ class Brdf(App):
     single_threaded = True
     compiles = True
     cheap_fits = True
-    recipes = {"paper": PAPER, "quick": QUICK, "full": FULL}  # noqa: RUF012  (never written to)
+    recipes = {  # noqa: RUF012  (never written to)
+        "paper": PAPER,
+        "quick": QUICK,
+        "full": FULL,
+        "measured": MEASURED,
+    }
 
     def __init__(self, setup: Featured | None = None) -> None:
         self.setup = setup
@@ -186,9 +193,9 @@ class Brdf(App):
         return self.setup.encode(encoder, condition) if self.setup else nbrdf.encode(encoder, condition)
 
     def augment(self, tasks: Tasks, rng: Generator) -> Tasks:
-        """Mixtures of these materials; the network for a user's own files also learns from what is measured."""
+        """Mixtures of these materials, as measurements have them where the network learns from such."""
         data = mixed(tasks, rng)
-        return tasks.variants(measured(data, rng) if self.setup else data)
+        return tasks.variants(measured(data, rng) if self.setup and self.setup.measured else data)
 
     def errors(self, theta: Params, tasks: Tasks) -> dict[str, Tensor]:
         half = tasks.data["where"].shape[1] // 2

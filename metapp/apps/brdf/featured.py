@@ -30,12 +30,14 @@ class Featured(NamedTuple):
         features: learned ones; a constant is one more.
         code: numbers of the code.
         encoder: width of the set encoder.
+        measured: whether it learns from samples as measurements have them, with noise and gaps.
     """
 
     width: int = 96
     features: int = 60
     code: int = 12
     encoder: int = 64
+    measured: bool = False
 
     def init(self, rng: Generator, count: int) -> Params:
         """Random weights, the same for all but for the code: 0."""

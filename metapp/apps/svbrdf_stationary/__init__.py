@@ -30,6 +30,7 @@ DRAWN = 3
 POOLED = 8
 SPECTRUM = 0.3  # the spectra's weight in the loss
 RINGS = ((0.0, 0.2), (0.2, 0.8), (0.8, 3.0))  # squared distances from the centre, of half the photo's side
+LIKELY = 0.05  # weight in the outer loss of how far specular and roughness are from most materials'
 RELIEF = 1 / 32  # widths of the photo a unit of the network's output, as height
 FALLOFF = 1.0
 LEARNED = MetaTraining(
@@ -67,6 +68,7 @@ QUICK = Recipe(
     setup=Setup(64, 64, UNet(16, outputs=6), "vgg16", ("relu1_1", "relu2_1", "relu3_1")),
 )
 FULL = full_recipe(QUICK, found=Adam(2.9e-3, beta1=0.3, beta2=0.9, final=0.3), tasks=3)
+FULL = replace(FULL, general=replace(FULL.general, steps=1200, rates={"": 1e-3}, validate_every=200))
 
 # Fischer & Ritschel 2022, section 4.1.3 and supplement: 20 inner steps, first-order MAML with Meta-SGD, meta-batch 3,
 # a random start
@@ -158,10 +160,18 @@ class SvbrdfStationary(ExemplarApp):
 
     def loss(self, theta: Params, batch: Batch, learned: Params) -> Tensor:
         """Distance of Gram matrices in windows, of the features' spectra, and of the pooled pictures, [T]."""
-        return torch.stack(list(self._distances(theta, batch).values())).sum(0)
-
-    def _distances(self, theta: Params, batch: Batch) -> dict[str, Tensor]:
         maps, _ = self.maps(theta, batch["noise"], self.octave(batch))
+        return torch.stack(list(self._distances(maps, batch).values())).sum(0)
+
+    def outer_loss(self, theta: Params, batch: Batch, learned: Params) -> Tensor:
+        """The same, and how unlikely the maps are, [T].
+
+        Without it General comes to explain all photographs by one bright, rough, specular surface without colour.
+        """
+        maps, _ = self.maps(theta, batch["noise"], self.octave(batch))
+        return torch.stack(list(self._distances(maps, batch).values())).sum(0) + LIKELY * _unlikely(maps)
+
+    def _distances(self, maps: Maps, batch: Batch) -> dict[str, Tensor]:
         return self._distances_of(self.photograph(maps, batch["light"][:, None], batch["light"][:, None]), batch)
 
     def _distances_of(self, pictures: Tensor, batch: Batch) -> dict[str, Tensor]:
@@ -213,6 +223,12 @@ class SvbrdfStationary(ExemplarApp):
             found = [part.unflatten(0, pictures.shape[:2]) for part in grams[0]]
             each.append(distance(found, [part[:, None] for part in grams[1]]).mean((1, 2)))
         return torch.stack(each).mean(0)
+
+
+def _unlikely(maps: Maps) -> Tensor:
+    """Squares of what the network would have made other than 0 for specular and roughness, [T]."""
+    raw = torch.logit(maps.specular, 1e-4) + 3, torch.logit((maps.roughness - 0.1) / 0.9, 1e-4)
+    return torch.stack([part.square().mean((1, 2, 3, 4)) for part in raw]).sum(0)
 
 
 def _ring(maps: Tensor, low: float, high: float) -> Tensor:
