@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import statistics
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -56,6 +57,13 @@ def make_command(name: str, summary: str) -> Any:
             typer.Option(
                 help=f"Meta's rule: {RULE_NAMES}; or parts of rules with + between them, such as "
                 f"adam+curvature+average, of {PART_NAMES}; default: the recipe's best."
+            ),
+        ] = "",
+        budget: Annotated[
+            str,
+            typer.Option(
+                metavar="TIME",
+                help="Take as many of the steps as fit in this time a task, such as 50ms, 2s or 1.5min, of inference.",
             ),
         ] = "",
         observe: Annotated[
@@ -133,6 +141,7 @@ def make_command(name: str, summary: str) -> Any:
             seed=seed,
             device=device,
             quiet=quiet,
+            budget=budget,
         )
         check_export(export, options.app)
         if train_steps and not train:
@@ -193,9 +202,13 @@ def table_of(app: App, paradigm: str, records: list[dict[str, Any]]) -> Any:
         title=f"{title_of(app)}: {paradigm}", show_footer=True, caption="\n".join([caption_of(app), *remarks])
     )
     total = summary(records)
-    table.add_column("task", "mean error, median time")
+    table.add_column("task", "mean error, median of the rest")
     table.add_column(f"error{factor}", number(total["error"], ".3f"), justify="right")
     table.add_column("seconds", number(total["seconds"], ".4f"), justify="right")
+    steps = [record["steps"] for record in records if "steps" in record]
+    if steps:
+        table.add_column("steps", f"{statistics.median(steps):g}", justify="right")
     for record in records:
-        table.add_row(Text(record["name"]), number(record["error"], ".3f"), f"{record['seconds']:.4f}")
+        shown = [f"{record['steps']}"] if steps else []
+        table.add_row(Text(record["name"]), number(record["error"], ".3f"), f"{record['seconds']:.4f}", *shown)
     return table

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import math
-import time
 from collections.abc import Iterator
 from typing import Any
 
@@ -13,10 +12,16 @@ from torch import Generator
 
 from metapp.experiments.reporter import say
 from metapp.experiments.session import Checkpoint, Options
+from metapp.experiments.timing import Stopwatch, said_time
 from metapp.learning.app import stack
+from metapp.learning.deadline import REMEMBERED, Deadline, Pace, usual
 from metapp.learning.guard import Guarded
 from metapp.learning.task import Params, Task, Tasks
 from metapp.paradigms import Job, Paradigm
+
+WARM = 3  # steps of the fit that loads kernels
+PACED = 8  # steps of those that measure a step: as many as show all stages of a descent from coarse to fine
+PACING = 0.3  # seconds that these take, about; one of them at least
 
 
 def fit_tasks(
@@ -30,24 +35,50 @@ def fit_tasks(
     Yields:
         The record of each, and its parameters without a task axis.
     """
-    app, job, device = options.app, options.job, options.device
-
-    def fit_one(task: Any, steps: int | None) -> tuple[Guarded, float, Any]:
-        rng = rng_of(options, task)
-        _synchronise(device)
-        begin = time.perf_counter()
-        stacked = stack(app, [task], device)
-        found = paradigm.fitted(job if steps is None else job._replace(steps=steps), checkpoint.prepared, stacked, rng)
-        _synchronise(device)
-        return found, time.perf_counter() - begin, stacked
-
+    app = options.app
     for task in tasks if app.protocols else ():
         app.prepare(task)  # that one does not hold what a fit may see should not be found after an hour
+    fitter = Fitter(options, paradigm, checkpoint)
     for task in tasks[:1]:
-        fit_one(task, min(paradigm.count(job), 3))  # warm: first calls load kernels
-    threads = torch.get_num_threads()
+        fitter.warm(task)
     for task in tasks:
-        (theta, acted), seconds, stacked = fit_one(task, None)
+        yield fitter.fit(task)
+    fitter.tell(len(tasks))
+
+
+class Fitter:
+    """Fits tasks by one paradigm and times it.
+
+    Attributes:
+        over: by how many seconds fits were longer than the budget, of those that took steps and of those that did not.
+    """
+
+    def __init__(self, options: Options, paradigm: Paradigm, checkpoint: Checkpoint) -> None:
+        self.options, self.paradigm, self.checkpoint = options, paradigm, checkpoint
+        self.over: dict[bool, list[float]] = {True: [], False: []}
+        self._paces: list[Pace] = []
+
+    def warm(self, task: Task) -> None:
+        """Fit a task for a few steps, as first calls load kernels; for a budget measure how long steps take."""
+        few = min(self.paradigm.count(self.options.job), WARM)
+        self._timed(task, self.options.job._replace(steps=few))
+        if self.options.budget is not None and few:
+            self._measure(task, PACING)
+
+    def _measure(self, task: Task, seconds: float) -> None:
+        """Measure how long steps take, on fits that nothing is kept of; for about so long, and at least on one."""
+        spent = 0.0
+        while not spent or (spent < seconds and len(self._paces) < REMEMBERED):
+            spent += self._timed(task, self.options.job._replace(steps=PACED), math.inf)[1]
+
+    def fit(self, task: Task) -> tuple[dict[str, Any], Params]:
+        """The record of a task, and its parameters without a task axis.
+
+        Raises:
+            FloatingPointError: the fit is not finite.
+        """
+        options, paradigm, job, app = self.options, self.paradigm, self.options.job, self.options.app
+        (theta, acted), seconds, stacked, taken = self._timed(task, job, options.budget)
         errors = {key: float(value[0]) for key, value in app.errors(theta, stacked).items()}
         errors |= {key: app.scale * value for key, value in errors.items() if key == "error"}
         finite = all(bool(torch.isfinite(value).all()) for value in theta.values())
@@ -58,10 +89,41 @@ def fit_tasks(
             )
         # sums depend on the number of threads, in their last digits: the record says it, but its key does not, since
         # that is no reason to fit anew
-        record = {"name": task.name, "error": None, **errors, "seconds": seconds, "threads": threads}
+        record = {"name": task.name, "error": None, **errors, "seconds": seconds, "threads": torch.get_num_threads()}
         record |= {"guarded": bool(acted[0])} if paradigm.guard(job) else {}
-        record |= warning_of(paradigm, job, checkpoint, stacked, theta, rng_of(options, task))
-        yield record, {key: value[0] for key, value in theta.items()}
+        if options.budget is not None:
+            record["steps"] = taken
+            self._judge(seconds, taken)
+            if taken < min(2, paradigm.count(job)):
+                self._measure(task, 0.0)  # a fit of no step does not say whether one would fit now
+        record |= warning_of(paradigm, job, self.checkpoint, stacked, theta, rng_of(options, task))
+        return record, {key: value[0] for key, value in theta.items()}
+
+    def _timed(self, task: Task, job: Job, budget: float | None = None) -> tuple[Guarded, float, Tasks, int]:
+        """A fit, its seconds, the stacked task, and the steps it took; within a budget, whose pace it adds to."""
+        rng = rng_of(self.options, task)
+        clock = Stopwatch(self.options.device)
+        known = usual(self._paces) if self._paces and budget != math.inf else None
+        deadline = None if budget is None else Deadline(budget, clock, known)
+        stacked = stack(self.options.app, [task], self.options.device)
+        found = self.paradigm.fitted(job, self.checkpoint.prepared, stacked, rng, None, deadline)
+        seconds = clock()
+        pace = deadline and deadline.pace()
+        self._paces += [pace] if pace else []
+        return found, seconds, stacked, deadline.taken[0] if deadline else self.paradigm.count(job)
+
+    def _judge(self, seconds: float, taken: int) -> None:
+        over = seconds - (self.options.budget or 0.0)
+        if over > 0:
+            self.over[taken > 0].append(over)
+
+    def tell(self, count: int) -> None:
+        """Say how many fits took longer than the budget, and why."""
+        budget = self.options.budget or 0.0
+        for moved, why in ((False, "even the initialisation took longer"), (True, "slow steps took longer")):
+            if over := self.over[moved]:
+                most = said_time(budget + max(over))
+                say(f"budget: on {len(over)} of {count} tasks {why} than {said_time(budget)}, up to {most}")
 
 
 def warning_of(
@@ -94,8 +156,3 @@ def rng_of(options: Options, task: Task) -> Generator:
         hashlib.sha256(f"{options.seed} {task.name}".encode(errors="surrogatepass")).digest()[:6], "big"
     )
     return Generator(options.device).manual_seed(seed)
-
-
-def _synchronise(device: torch.device) -> None:
-    if device.type == "cuda":
-        torch.cuda.synchronize(device)

@@ -25,6 +25,7 @@ from metapp.experiments.session import (
     threads,
     threads_of,
 )
+from metapp.experiments.timing import said_time
 from metapp.learning.app import App
 from metapp.learning.task import Task
 from metapp.paradigms import Paradigm, paradigms
@@ -54,19 +55,20 @@ class Run(NamedTuple):
 
     def document(self) -> dict[str, Any]:
         """What --json prints."""
-        app = self.options.app
+        app, told = self.options.app, ("name", "error", "seconds", "steps")
         return {
             "app": app.name,
             **observe_of(app),
             "paradigm": self.settings["paradigm"],
             "rule": self.settings["rule"],
             "steps": self.settings["steps"],
+            **({"budget": self.options.budget} if self.options.budget is not None else {}),
             "device": str(self.options.device),
             "data": self.label,
             **app.conditions(),
             **summary(self.records),
             "guarded": guarded(self.records),
-            "tasks": [{key: record[key] for key in ("name", "error", "seconds")} for record in self.records],
+            "tasks": [{key: record[key] for key in told if key in record} for record in self.records],
             "out": str(self.folder.path),
         }
 
@@ -159,6 +161,8 @@ def run_path(options: Options, settings: dict[str, Any], label: str) -> Path:
         name += f"-{settings['rule']}"
     if options.steps is not None:
         name += f"-{options.steps}steps"
+    if options.budget is not None:
+        name += f"-{said_time(options.budget)}"
     if options.app.protocol:
         name += f"-{options.app.protocol}"
     result: Path = options.out / options.app.name / settings["paradigm"] / name

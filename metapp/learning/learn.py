@@ -69,6 +69,7 @@ def learn(
     compiled: bool = False,
     since: Progress | None = None,
     keep: Callable[[Progress], object] | None = None,
+    enough: Callable[[int], bool] | None = None,
 ) -> Params:
     """Descend a loss from a start by a rule (alg. 1).
 
@@ -85,6 +86,7 @@ def learn(
         compiled: compile the step with torch.compile (worth it from some thousand steps on).
         since: where an earlier descent was cut off, to go on from; `rng` must be in its state of then.
         keep: called with where the descent is, before anything is drawn for the next step.
+        enough: asked before each step whether to leave it and the rest out.
 
     Returns:
         The final parameters, detached.
@@ -96,6 +98,8 @@ def learn(
     first, theta, state = since or Progress(0, theta, rule.init(theta))
     step = step_pair(rule, loss, 1, compiled).forward
     for i in range(first, steps):
+        if enough is not None and enough(i):
+            break
         if keep is not None:
             keep(Progress(i, theta, state))
         drawn = loss.draw_at(data, rng, i, steps)

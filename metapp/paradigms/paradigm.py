@@ -9,6 +9,7 @@ from torch import Generator
 
 from metapp.learning.adjoint import UpdateRule
 from metapp.learning.app import App
+from metapp.learning.deadline import Deadline
 from metapp.learning.guard import Guarded, learn_guarded, unguarded
 from metapp.learning.learn import MetaParameters, Watch, learn, task_loss
 from metapp.learning.recipe import Adam, Guard, Recipe
@@ -105,7 +106,13 @@ class Paradigm(NamedTuple):
         return self.fitted(job, prepared, tasks, rng).theta
 
     def fitted(
-        self, job: Job, prepared: MetaParameters, tasks: Tasks, rng: Generator, watch: Watch | None = None
+        self,
+        job: Job,
+        prepared: MetaParameters,
+        tasks: Tasks,
+        rng: Generator,
+        watch: Watch | None = None,
+        deadline: Deadline | None = None,
     ) -> Guarded:
         """Fit tasks: learn(start(task), rule, task, loss, steps); and say where the guard of a learned rule acted.
 
@@ -114,14 +121,21 @@ class Paradigm(NamedTuple):
             tasks: one or many.
             rng: of all random draws.
             watch: as of `learn`.
+            deadline: when to be done: schedules end with the last step that fits.
         """
-        theta, steps, guard = self.start(job, prepared, tasks, rng), self.count(job), self.guard(job)
+        theta = self.start(job, prepared, tasks, rng)
+        if deadline is not None:
+            job = job._replace(steps=deadline.plan(self.count(job)))
+        steps, guard = self.count(job), self.guard(job)
         if steps == 0:
             return unguarded(theta)
         loss, rule = task_loss(job.app, job.recipe.batch), self.rule(job, prepared, theta, steps)
         if guard is None:
-            return unguarded(learn(theta, rule, tasks, loss, steps=steps, rng=rng, watch=watch))
-        return learn_guarded(theta, rule, tasks, loss, steps=steps, rng=rng, guard=guard, watch=watch)
+            enough = deadline.reached if deadline else None
+            return unguarded(learn(theta, rule, tasks, loss, steps=steps, rng=rng, watch=watch, enough=enough))
+        return learn_guarded(
+            theta, rule, tasks, loss, steps=steps, rng=rng, guard=guard, watch=watch, deadline=deadline
+        )
 
     def count(self, job: Job) -> int:
         """Return the number of gradient steps of this job: 0 for General, whatever was asked for."""

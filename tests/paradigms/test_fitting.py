@@ -9,6 +9,7 @@ import torch
 
 from metapp.apps import load_app
 from metapp.learning.app import App
+from metapp.learning.deadline import Deadline, Pace
 from metapp.learning.learn import MetaParameters, learn, task_loss
 from metapp.learning.recipe import Adam, Guard
 from metapp.learning.rules import RULES, fixed_adam, rule_of
@@ -113,6 +114,18 @@ def test_a_fit_is_learn_and_nothing_else(name: str, job: Job, tasks: Tasks) -> N
     expected = learn(theta, rule, tasks, task_loss(job.app, job.recipe.batch), steps=steps, rng=generator)
     for key, value in paradigm.fit(job, prepared, tasks, rng()).items():
         assert torch.equal(value, expected[key])
+
+
+@pytest.mark.parametrize("name", ["general", "finetune", "quickft", "meta"])
+def test_a_fit_by_a_deadline_is_one_of_the_steps_it_planned(name: str, job: Job, tasks: Tasks) -> None:
+    """Schedules end with the last step that fits."""
+    paradigm, few = paradigms()[name], tasks.select([0, 1])
+    deadline = Deadline(2.5, lambda: 0.0, Pace(1.0, 1.0, 0.25))
+    prepared = start_for(paradigm, job)
+    found = paradigm.fitted(job, prepared, few, rng(), deadline=deadline)
+    expected = paradigm.fitted(job._replace(steps=2), prepared, few, rng())
+    assert deadline.taken[0] == (0 if name == "general" else 2)
+    assert all(torch.equal(found.theta[key], value) for key, value in expected.theta.items())
 
 
 def test_a_rule_that_fails_is_guarded(job: Job, tasks: Tasks) -> None:
