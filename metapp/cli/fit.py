@@ -66,6 +66,9 @@ def make_command(name: str, summary: str) -> Any:
                 help="Take as many of the steps as fit in this time a task, such as 50ms, 2s or 1.5min, of inference.",
             ),
         ] = "",
+        watch: Annotated[
+            bool, typer.Option("--watch", help="Rewrite watch.png in the run's folder as steps go by.")
+        ] = False,
         observe: Annotated[
             str,
             typer.Option(help="What a fit may see, where an application has both: reference (the default) or photo."),
@@ -142,6 +145,7 @@ def make_command(name: str, summary: str) -> Any:
             device=device,
             quiet=quiet,
             budget=budget,
+            watch=watch,
         )
         check_export(export, options.app)
         if train_steps and not train:

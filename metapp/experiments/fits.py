@@ -13,6 +13,7 @@ from torch import Generator
 from metapp.experiments.reporter import say
 from metapp.experiments.session import Checkpoint, Options
 from metapp.experiments.timing import Stopwatch, said_time
+from metapp.experiments.watching import Watched
 from metapp.learning.app import stack
 from metapp.learning.deadline import REMEMBERED, Deadline, Pace, usual
 from metapp.learning.guard import Guarded
@@ -25,12 +26,12 @@ PACING = 0.3  # seconds that these take, about; one of them at least
 
 
 def fit_tasks(
-    options: Options, paradigm: Paradigm, checkpoint: Checkpoint, tasks: list[Task]
+    options: Options, paradigm: Paradigm, checkpoint: Checkpoint, tasks: list[Task], watched: Watched | None = None
 ) -> Iterator[tuple[dict[str, Any], Params]]:
     """Fit tasks, each alone, so that its time is its own.
 
     The time is from the task's samples to the final parameters, warm. The error is None where a task holds no
-    reference.
+    reference. Where fits are watched, drawing is not part of their times.
 
     Yields:
         The record of each, and its parameters without a task axis.
@@ -38,11 +39,13 @@ def fit_tasks(
     app = options.app
     for task in tasks if app.protocols else ():
         app.prepare(task)  # that one does not hold what a fit may see should not be found after an hour
-    fitter = Fitter(options, paradigm, checkpoint)
+    fitter = Fitter(options, paradigm, checkpoint, watched)
     for task in tasks[:1]:
         fitter.warm(task)
     for task in tasks:
         yield fitter.fit(task)
+    if watched:
+        watched.finish()
     fitter.tell(len(tasks))
 
 
@@ -53,8 +56,10 @@ class Fitter:
         over: by how many seconds fits were longer than the budget, of those that took steps and of those that did not.
     """
 
-    def __init__(self, options: Options, paradigm: Paradigm, checkpoint: Checkpoint) -> None:
-        self.options, self.paradigm, self.checkpoint = options, paradigm, checkpoint
+    def __init__(
+        self, options: Options, paradigm: Paradigm, checkpoint: Checkpoint, watched: Watched | None = None
+    ) -> None:
+        self.options, self.paradigm, self.checkpoint, self.watched = options, paradigm, checkpoint, watched
         self.over: dict[bool, list[float]] = {True: [], False: []}
         self._paces: list[Pace] = []
 
@@ -78,7 +83,9 @@ class Fitter:
             FloatingPointError: the fit is not finite.
         """
         options, paradigm, job, app = self.options, self.paradigm, self.options.job, self.options.app
-        (theta, acted), seconds, stacked, taken = self._timed(task, job, options.budget)
+        (theta, acted), seconds, stacked, taken = self._timed(task, job, options.budget, self.watched)
+        if self.watched:
+            self.watched.show(task, theta, f"after {taken} steps")
         errors = {key: float(value[0]) for key, value in app.errors(theta, stacked).items()}
         errors |= {key: app.scale * value for key, value in errors.items() if key == "error"}
         finite = all(bool(torch.isfinite(value).all()) for value in theta.values())
@@ -99,14 +106,17 @@ class Fitter:
         record |= warning_of(paradigm, job, self.checkpoint, stacked, theta, rng_of(options, task))
         return record, {key: value[0] for key, value in theta.items()}
 
-    def _timed(self, task: Task, job: Job, budget: float | None = None) -> tuple[Guarded, float, Tasks, int]:
+    def _timed(
+        self, task: Task, job: Job, budget: float | None = None, watched: Watched | None = None
+    ) -> tuple[Guarded, float, Tasks, int]:
         """A fit, its seconds, the stacked task, and the steps it took; within a budget, whose pace it adds to."""
         rng = rng_of(self.options, task)
         clock = Stopwatch(self.options.device)
         known = usual(self._paces) if self._paces and budget != math.inf else None
         deadline = None if budget is None else Deadline(budget, clock, known)
+        watch = watched.of(task, self.paradigm.count(job), clock) if watched else None
         stacked = stack(self.options.app, [task], self.options.device)
-        found = self.paradigm.fitted(job, self.checkpoint.prepared, stacked, rng, None, deadline)
+        found = self.paradigm.fitted(job, self.checkpoint.prepared, stacked, rng, watch, deadline)
         seconds = clock()
         pace = deadline and deadline.pace()
         self._paces += [pace] if pace else []

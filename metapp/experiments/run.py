@@ -26,6 +26,7 @@ from metapp.experiments.session import (
     threads_of,
 )
 from metapp.experiments.timing import said_time
+from metapp.experiments.watching import Watched
 from metapp.learning.app import App
 from metapp.learning.task import Task
 from metapp.paradigms import Paradigm, paradigms
@@ -128,6 +129,8 @@ def _fit(
     if not options.quiet:
         what = f"{name_of(options.app)} {paradigm.name}"
         say(f"{what}: {len(tasks)} tasks, {settings['steps']} steps, from {checkpoint.source}")
+        if options.watch:
+            say(f"watch: {folder.path / 'watch.png'}; the time that it takes to draw is not part of the seconds")
     # a finished run is run anew, one that was cut off is completed
     again = len(folder.finished()) >= len(tasks)
     records = run_tasks(options, paradigm, checkpoint, tasks, folder, again=again)
@@ -196,6 +199,7 @@ def fit_and_keep(
     Yields:
         Their records.
     """
-    for record, theta in fit_tasks(options, paradigm, checkpoint, tasks):
+    watched = Watched(options.app, paradigm.name, folder.path / "watch.png") if options.watch else None
+    for record, theta in fit_tasks(options, paradigm, checkpoint, tasks, watched):
         folder.add(record, theta)
         yield record

@@ -39,6 +39,7 @@ class Options(NamedTuple):
     device: torch.device
     quiet: bool
     budget: float | None = None  # seconds
+    watch: bool = False
 
     @property
     def job(self) -> Job:
@@ -65,6 +66,7 @@ def options_of(
     device: str = "auto",
     quiet: bool = False,
     budget: str = "",
+    watch: bool = False,
 ) -> Options:
     """Check what was asked for and put the application at its recipe and protocol.
 
@@ -85,7 +87,7 @@ def options_of(
     placed = app.at(app.recipes[recipe], observe)
     chosen = check_rule(rule, placed, recipe)
     found, seconds = find_device(device, placed), seconds_of(budget)
-    return Options(placed, recipe, chosen, steps, data, out, checkpoint, seed, found, quiet, seconds)
+    return Options(placed, recipe, chosen, steps, data, out, checkpoint, seed, found, quiet, seconds, watch)
 
 
 def _has_own(app: App, paradigm: str) -> bool:
