@@ -1,10 +1,10 @@
-"""Fit tasks one by one, with their errors and times."""
+"""Fit tasks one by one, or some side by side, with their errors and times."""
 
 from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import torch
@@ -16,6 +16,7 @@ from metapp.experiments.timing import Stopwatch, said_time
 from metapp.experiments.watching import Watched
 from metapp.learning.app import stack
 from metapp.learning.deadline import REMEMBERED, Deadline, Pace, usual
+from metapp.learning.draws import Rng, drawn
 from metapp.learning.guard import Guarded
 from metapp.learning.task import Params, Task, Tasks
 from metapp.paradigms import Job, Paradigm
@@ -43,7 +44,7 @@ def fit_tasks(
     for task in tasks[:1]:
         fitter.warm(task)
     for task in tasks:
-        yield fitter.fit(task)
+        yield from fitter.fit([task])
     if watched:
         watched.finish()
     fitter.tell(len(tasks))
@@ -66,7 +67,7 @@ class Fitter:
     def warm(self, task: Task) -> None:
         """Fit a task for a few steps, as first calls load kernels; for a budget measure how long steps take."""
         few = min(self.paradigm.count(self.options.job), WARM)
-        self._timed(task, self.options.job._replace(steps=few))
+        self._timed([task], self.options.job._replace(steps=few))
         if self.options.budget is not None and few:
             self._measure(task, PACING)
 
@@ -74,48 +75,57 @@ class Fitter:
         """Measure how long steps take, on fits that nothing is kept of; for about so long, and at least on one."""
         spent = 0.0
         while not spent or (spent < seconds and len(self._paces) < REMEMBERED):
-            spent += self._timed(task, self.options.job._replace(steps=PACED), math.inf)[1]
+            spent += self._timed([task], self.options.job._replace(steps=PACED), math.inf)[1]
 
-    def fit(self, task: Task) -> tuple[dict[str, Any], Params]:
-        """The record of a task, and its parameters without a task axis.
+    def fit(self, tasks: Sequence[Task]) -> list[tuple[dict[str, Any], Params]]:
+        """Fit tasks side by side, each as if it were alone; its seconds are its share of those that all took.
+
+        Returns:
+            The record of each task, and its parameters without a task axis.
 
         Raises:
-            FloatingPointError: the fit is not finite.
+            FloatingPointError: a fit is not finite.
+            ValueError: tasks differ in their sizes.
         """
         options, paradigm, job, app = self.options, self.paradigm, self.options.job, self.options.app
-        (theta, acted), seconds, stacked, taken = self._timed(task, job, options.budget, self.watched)
+        (theta, acted), seconds, stacked, taken = self._timed(tasks, job, options.budget, self.watched)
         if self.watched:
-            self.watched.show(task, theta, f"after {taken} steps")
-        errors = {key: float(value[0]) for key, value in app.errors(theta, stacked).items()}
-        errors |= {key: app.scale * value for key, value in errors.items() if key == "error"}
-        finite = all(bool(torch.isfinite(value).all()) for value in theta.values())
-        if not finite or (errors and not math.isfinite(errors["error"])):
-            what = "error is" if finite else "parameters are"
-            raise FloatingPointError(
-                f"{task.name}: the fit's {what} not finite; use another checkpoint or fewer steps."
-            )
-        # sums depend on the number of threads, in their last digits: the record says it, but its key does not, since
-        # that is no reason to fit anew
-        record = {"name": task.name, "error": None, **errors, "seconds": seconds, "threads": torch.get_num_threads()}
-        record |= {"guarded": bool(acted[0])} if paradigm.guard(job) else {}
+            self.watched.show(tasks[0], theta, f"after {taken} steps")
+        measures = app.errors(theta, stacked)
+        alarms = warnings_of(paradigm, job, self.checkpoint, stacked, theta, self._rng(tasks))
+        found = []
+        for i, (task, alarm) in enumerate(zip(tasks, alarms, strict=True)):
+            errors = {key: float(value[i]) for key, value in measures.items()}
+            errors |= {key: app.scale * value for key, value in errors.items() if key == "error"}
+            own = {key: value[i] for key, value in theta.items()}
+            require_finite(task, own, errors)
+            # sums depend on the number of threads, in their last digits: the record says it, but its key does not,
+            # since that is no reason to fit anew
+            record = {"name": task.name, "error": None, **errors, "seconds": seconds / len(tasks)}
+            record["threads"] = torch.get_num_threads()
+            record |= {"guarded": bool(acted[i])} if paradigm.guard(job) else {}
+            record |= {"steps": taken} if options.budget is not None else {}
+            found.append((record | ({"warning": alarm} if alarm else {}), own))
         if options.budget is not None:
-            record["steps"] = taken
             self._judge(seconds, taken)
             if taken < min(2, paradigm.count(job)):
-                self._measure(task, 0.0)  # a fit of no step does not say whether one would fit now
-        record |= warning_of(paradigm, job, self.checkpoint, stacked, theta, rng_of(options, task))
-        return record, {key: value[0] for key, value in theta.items()}
+                self._measure(tasks[0], 0.0)  # a fit of no step does not say whether one would fit now
+        return found
+
+    def _rng(self, tasks: Sequence[Task]) -> Rng:
+        each = tuple(rng_of(self.options, task) for task in tasks)
+        return each if len(each) > 1 else each[0]
 
     def _timed(
-        self, task: Task, job: Job, budget: float | None = None, watched: Watched | None = None
+        self, tasks: Sequence[Task], job: Job, budget: float | None = None, watched: Watched | None = None
     ) -> tuple[Guarded, float, Tasks, int]:
-        """A fit, its seconds, the stacked task, and the steps it took; within a budget, whose pace it adds to."""
-        rng = rng_of(self.options, task)
+        """Fits, their seconds, the stacked tasks, and the steps taken; within a budget, whose pace it adds to."""
+        rng = self._rng(tasks)
         clock = Stopwatch(self.options.device)
         known = usual(self._paces) if self._paces and budget != math.inf else None
         deadline = None if budget is None else Deadline(budget, clock, known)
-        watch = watched.of(task, self.paradigm.count(job), clock) if watched else None
-        stacked = stack(self.options.app, [task], self.options.device)
+        watch = watched.of(tasks[0], self.paradigm.count(job), clock) if watched else None
+        stacked = stack(self.options.app, tasks, self.options.device)
         found = self.paradigm.fitted(job, self.checkpoint.prepared, stacked, rng, watch, deadline)
         seconds = clock()
         pace = deadline and deadline.pace()
@@ -136,28 +146,45 @@ class Fitter:
                 say(f"budget: on {len(over)} of {count} tasks {why} than {said_time(budget)}, up to {most}")
 
 
-def warning_of(
-    paradigm: Paradigm, job: Job, checkpoint: Checkpoint, stacked: Tasks, theta: Params, rng: Generator
-) -> dict[str, str]:
-    """What a record says of a fit that is worse on what it sees than its initialisation: learned rules can fail.
+def require_finite(task: Task, theta: Params, errors: Mapping[str, float]) -> None:
+    """Refuse a fit of a task, parameters without a task axis, that holds NaN or infinite values, or has such an error.
+
+    Raises:
+        FloatingPointError: it does.
+    """
+    finite = all(bool(torch.isfinite(value).all()) for value in theta.values())
+    if not finite or (errors and not math.isfinite(errors["error"])):
+        what = "error is" if finite else "parameters are"
+        raise FloatingPointError(f"{task.name}: the fit's {what} not finite; use another checkpoint or fewer steps.")
+
+
+def warnings_of(
+    paradigm: Paradigm, job: Job, checkpoint: Checkpoint, stacked: Tasks, theta: Params, rng: Rng
+) -> list[str]:
+    """What records say of fits that are worse on what they see than their initialisation: learned rules can fail.
 
     Args:
-        paradigm, job, checkpoint: what the fit was made by.
-        stacked: the one task.
-        theta: the fit, [1, ...].
-        rng: as it was at the beginning of the fit, so that the initialisation is the same.
+        paradigm, job, checkpoint: what the fits were made by.
+        stacked: the tasks.
+        theta: their fits, [T, ...].
+        rng: as it was at the beginning of the fits, so that the initialisations are the same.
+
+    Returns:
+        A line for each task, "" where there is nothing to say.
     """
     if paradigm.count(job) == 0:
-        return {}
+        return [""] * len(stacked)
     first = paradigm.start(job, checkpoint.prepared, stacked, rng)
+    again = tuple(Generator(stacked.rows.device).manual_seed(0) for _ in stacked.names)
     with torch.no_grad():
-        batch = job.app.sample(stacked, torch.Generator(rng.device).manual_seed(0), job.recipe.batch)
-        before, after = (float(job.app.loss(each, batch, {})[0]) for each in (first, theta))
-    if after <= before:
-        return {}
-    warning = f"the visible loss rose from {before:.4g} to {after:.4g}"
-    say(f"warning: {stacked.names[0]}: {warning}; try another rule, more steps or another paradigm.")
-    return {"warning": warning}
+        batch = drawn(lambda some, own: job.app.sample(some, own, job.recipe.batch), stacked, again)
+        before, after = (job.app.loss(each, batch, {}).tolist() for each in (first, theta))
+    lines = []
+    for name, low, high in zip(stacked.names, before, after, strict=True):
+        lines.append("" if high <= low else f"the visible loss rose from {low:.4g} to {high:.4g}")
+        if lines[-1]:
+            say(f"warning: {name}: {lines[-1]}; try another rule, more steps or another paradigm.")
+    return lines
 
 
 def rng_of(options: Options, task: Task) -> Generator:

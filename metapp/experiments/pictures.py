@@ -14,11 +14,12 @@ from metapp.apps import presentation_of
 from metapp.experiments.session import title_of
 from metapp.experiments.sheet import Column, write_sheet
 from metapp.learning.app import App
-from metapp.learning.task import Task
+from metapp.learning.task import Params, Task
 from metapp.storage.images import write_exr, write_png
 from metapp.storage.records import file_name, read_theta, summary
 
 COMPARED = 20  # tasks in a picture of all paradigms
+OUTPUTS = "outputs"  # the folder of what fits make for their users, in a run's
 PICTURE = "picture"  # what is kept in place of parameters where there are none
 
 
@@ -89,21 +90,26 @@ def write_files(app: App, tasks: Sequence[Task], folder: Path, size: tuple[int, 
     Heights h, in texels, are kept as (h - minimum) / (maximum - minimum), of which the texts `height_minimum` and
     `height_maximum` tell. Radiance is kept as <name>.exr, and tone-mapped beside it.
     """
-    written, shown = None, presentation_of(app)
+    written = [write_files_of(app, task, _theta(folder, task), folder, size) for task in tasks]
+    return folder / OUTPUTS if any(written) else None
+
+
+def write_files_of(app: App, task: Task, theta: Params, folder: Path, size: tuple[int, int] | None) -> bool:
+    """Write the files of one fit, parameters without a task axis; whether it has any."""
+    shown = presentation_of(app)
     shown.size = size
-    for task in tasks:
-        for name, (pixels, kind) in shown.files(_theta(folder, task), task).items():
-            written = folder / "outputs"
-            file = written / file_name(task.name) / f"{name}.png"
-            texts = {"encoding": "linear" if kind in ("data", "height") else "sRGB"}
-            if kind == "height":
-                pixels, low, high = stretched(pixels)
-                texts |= {"height_minimum": f"{low:.9g}", "height_maximum": f"{high:.9g}", "height_unit": "texels"}
-            if kind == "radiance":
-                write_exr(pixels, file.with_name(f"{name}.exr"))
-                pixels = tone_map(pixels / pixels.mean().clamp_min(1e-20))  # whatever its unit
-            write_png(pixels, texts, file)
-    return written
+    pictures = shown.files(theta, task)
+    for name, (pixels, kind) in pictures.items():
+        file = folder / OUTPUTS / file_name(task.name) / f"{name}.png"
+        texts = {"encoding": "linear" if kind in ("data", "height") else "sRGB"}
+        if kind == "height":
+            pixels, low, high = stretched(pixels)
+            texts |= {"height_minimum": f"{low:.9g}", "height_maximum": f"{high:.9g}", "height_unit": "texels"}
+        if kind == "radiance":
+            write_exr(pixels, file.with_name(f"{name}.exr"))
+            pixels = tone_map(pixels / pixels.mean().clamp_min(1e-20))  # whatever its unit
+        write_png(pixels, texts, file)
+    return bool(pictures)
 
 
 def _theta(folder: Path, task: Task) -> dict[str, Any]:

@@ -101,18 +101,29 @@ def run(
         ValueError: bad inputs, no checkpoint, a folder that cannot be written to.
         FloatingPointError: a fit is not finite.
     """
-    paradigm = paradigms()[paradigm_name]
-    options = options.by(paradigm)
-    sides = check_size(size, options.app)
-    if paradigm.steps(options.job.recipe) in (options.steps, 0):
-        options = options._replace(steps=None)  # the recipe's own number is the recipe's own run
-    make_folder(options.out)
+    options, paradigm, sides = placed(options, paradigm_name, size)
     with threads(threads_of(options.app)):
         tasks, label = tasks_to_fit(options.app, inputs, options.data, options.quiet, reading)
         if train:
             train_checkpoint(options, paradigm, train_steps)
         checkpoint = find_checkpoint(options, paradigm)
         return _fit(options, paradigm, checkpoint, tasks, label, export, sides)
+
+
+def placed(options: Options, name: str, size: str) -> tuple[Options, Paradigm, tuple[int, int] | None]:
+    """The options of a run by a paradigm, and the size of what its fits make; its folder can be written to.
+
+    Raises:
+        BadOption: no such size.
+        ValueError: a folder that cannot be written to.
+    """
+    paradigm = paradigms()[name]
+    options = options.by(paradigm)
+    sides = check_size(size, options.app)
+    if paradigm.steps(options.job.recipe) in (options.steps, 0):
+        options = options._replace(steps=None)  # the recipe's own number is the recipe's own run
+    make_folder(options.out)
+    return options, paradigm, sides
 
 
 def _fit(

@@ -10,6 +10,7 @@ from torch import Generator
 from metapp.learning.adjoint import UpdateRule
 from metapp.learning.app import App
 from metapp.learning.deadline import Deadline
+from metapp.learning.draws import Rng
 from metapp.learning.guard import Guarded, learn_guarded, unguarded
 from metapp.learning.learn import MetaParameters, Watch, learn, task_loss
 from metapp.learning.recipe import Adam, Guard, Recipe
@@ -90,14 +91,14 @@ class Paradigm(NamedTuple):
 
     name: str
     needs: Callable[[Job], tuple[str, ...]]
-    start: Callable[[Job, MetaParameters, Tasks, Generator], Params]
+    start: Callable[[Job, MetaParameters, Tasks, Rng], Params]
     rule: Callable[[Job, MetaParameters, Params, int], UpdateRule]
     steps: Callable[[Recipe], int]
     prepare: Callable[[Job, Given], Prepared] = nothing
     adam: Callable[[Job, MetaParameters], Adam | None] = lambda job, prepared: None
     guard: Callable[[Job], Guard | None] = lambda job: None
 
-    def fit(self, job: Job, prepared: MetaParameters, tasks: Tasks, rng: Generator) -> Params:
+    def fit(self, job: Job, prepared: MetaParameters, tasks: Tasks, rng: Rng) -> Params:
         """Fit tasks, one or many at once.
 
         Returns:
@@ -110,7 +111,7 @@ class Paradigm(NamedTuple):
         job: Job,
         prepared: MetaParameters,
         tasks: Tasks,
-        rng: Generator,
+        rng: Rng,
         watch: Watch | None = None,
         deadline: Deadline | None = None,
     ) -> Guarded:
@@ -119,7 +120,7 @@ class Paradigm(NamedTuple):
         Args:
             job, prepared: what fits.
             tasks: one or many.
-            rng: of all random draws.
+            rng: of all random draws; one for all tasks, or one for each, which is then fitted as if it were alone.
             watch: as of `learn`.
             deadline: when to be done: schedules end with the last step that fits.
         """

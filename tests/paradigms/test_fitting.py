@@ -116,6 +116,27 @@ def test_a_fit_is_learn_and_nothing_else(name: str, job: Job, tasks: Tasks) -> N
         assert torch.equal(value, expected[key])
 
 
+@pytest.mark.parametrize("name", list(paradigms()))
+def test_fits_side_by_side_are_as_if_each_were_alone(name: str, job: Job, tasks: Tasks) -> None:
+    """With a generator for each task, its fit does not depend on those beside it, to rounding."""
+    paradigm, rows, job = paradigms()[name], [4, 0, 7], job._replace(steps=3)
+    prepared, several = start_for(paradigm, job), tasks.select(rows)
+    together = paradigm.fitted(job, prepared, several, tuple(rng(row) for row in rows))
+    starts = paradigm.start(job, prepared, several, tuple(rng(row) for row in rows))
+    drawn = task_loss(job.app, job.recipe.batch).draw(several, tuple(rng(row) for row in rows)).batch
+    errors = job.app.errors(together.theta, several)["error"]
+    for i, row in enumerate(rows):
+        one = tasks.select([row])
+        for key, value in paradigm.start(job, prepared, one, rng(row)).items():
+            torch.testing.assert_close(starts[key][i : i + 1], value)
+        for key, value in task_loss(job.app, job.recipe.batch).draw(one, rng(row)).batch.items():
+            assert torch.equal(drawn[key][i : i + 1], value)
+        alone = paradigm.fitted(job, prepared, one, rng(row))
+        assert bool(alone.acted[0]) == bool(together.acted[i])
+        # of errors, as Adam turns rounding of a gradient near 0 into a step of any sign
+        torch.testing.assert_close(errors[i : i + 1], job.app.errors(alone.theta, one)["error"], rtol=1e-3, atol=1e-5)
+
+
 @pytest.mark.parametrize("name", ["general", "finetune", "quickft", "meta"])
 def test_a_fit_by_a_deadline_is_one_of_the_steps_it_planned(name: str, job: Job, tasks: Tasks) -> None:
     """Schedules end with the last step that fits."""
