@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import statistics
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -10,11 +11,12 @@ import typer
 
 from data_tools.formats import exports_of, inputs_of
 from metapp.apps import app_names
-from metapp.cli.console import out, print_json, say
+from metapp.cli.console import Exit, one_line, out, print_json, say
 from metapp.experiments.reporter import number
 
 if TYPE_CHECKING:
     from metapp.experiments.run import Run
+    from metapp.experiments.session import Options
     from metapp.learning.app import App
 
 RULE_NAMES = (
@@ -57,6 +59,27 @@ def make_command(name: str, summary: str) -> Any:
                 help=f"Meta's rule: {RULE_NAMES}; or parts of rules with + between them, such as "
                 f"adam+curvature+average, of {PART_NAMES}; default: the recipe's best."
             ),
+        ] = "",
+        budget: Annotated[
+            str,
+            typer.Option(
+                metavar="TIME",
+                help="Take as many of the steps as fit in this time a task, such as 50ms, 2s or 1.5min, of inference.",
+            ),
+        ] = "",
+        watch: Annotated[
+            bool, typer.Option("--watch", help="Rewrite watch.png in the run's folder as steps go by.")
+        ] = False,
+        batch: Annotated[
+            str,
+            typer.Option(
+                metavar="N|auto",
+                help="Fit inputs side by side: N, or what proves quick and fits in the memory. What has been fitted is "
+                "not fitted again, what fails is listed at the end and stops nothing else; writes gallery.html.",
+            ),
+        ] = "",
+        shard: Annotated[
+            str, typer.Option(metavar="I/N", help="Fit every N-th input from the I-th on, of the same run folder.")
         ] = "",
         observe: Annotated[
             str,
@@ -117,7 +140,6 @@ def make_command(name: str, summary: str) -> Any:
     ) -> None:
         from metapp.experiments.export import check_export
         from metapp.experiments.inputs import Reading
-        from metapp.experiments.run import run
         from metapp.experiments.session import options_of
 
         options = options_of(
@@ -133,6 +155,8 @@ def make_command(name: str, summary: str) -> Any:
             seed=seed,
             device=device,
             quiet=quiet,
+            budget=budget,
+            watch=watch,
         )
         check_export(export, options.app)
         if train_steps and not train:
@@ -148,23 +172,57 @@ def make_command(name: str, summary: str) -> Any:
         ):
             if unused:  # scripts over all paradigms give all the same options
                 say(f"{said}; the option is ignored.")
-        done = run(
-            options,
-            name,
-            inputs or [],
-            train=train,
-            train_steps=train_steps,
-            export=export,
-            size=size,
-            reading=Reading(scene_root or [], math.radians(fov)),
-        )
-        if not quiet:
-            show(done, table=not json)
-        if json:
-            print_json(done.document())
+        told: dict[str, Any] = {
+            "train": train,
+            "train_steps": train_steps,
+            "export": export,
+            "size": size,
+            "reading": Reading(scene_root or [], math.radians(fov)),
+        }
+        if batch or shard:
+            fit_many(options, name, inputs or [], batch, shard, told, json=json)
+        else:
+            fit(options, name, inputs or [], told, json=json)
 
     command.__doc__ = summary
     return command
+
+
+def fit(options: Options, name: str, inputs: list[Path], told: dict[str, Any], *, json: bool) -> None:
+    """Fit inputs one by one and show what came of it."""
+    from metapp.experiments.run import run
+
+    done = run(options, name, inputs, **told)
+    if not options.quiet:
+        show(done, table=not json)
+    if json:
+        print_json(done.document())
+
+
+def fit_many(
+    options: Options, name: str, inputs: list[Path], batch: str, shard: str, told: dict[str, Any], *, json: bool
+) -> None:
+    """Fit many inputs, show what came of it and list what failed; then the exit code is 1."""
+    from metapp.experiments import many
+    from metapp.experiments.batch_size import check_batch
+    from metapp.experiments.sources import shard_of
+
+    done = many.fit_many(options, name, inputs, many.Asked(check_batch(batch or "1"), shard_of(shard)), **told)
+    if not options.quiet:
+        records = done.run.records
+        if not json:
+            out.print(table_of(done.run.options.app, name, records, rate=done.tasks_per_second, most=LISTED))
+        say(f"gallery: {done.gallery}\nrecords: {done.run.folder.file}")
+    for failure in done.failures:
+        say(f"failed: {one_line(failure.reason)}")
+    if json:
+        print_json(done.document())
+    if done.failures:
+        say(f"error: {len(done.failures)} of {len(done.failures) + len(done.run.records)} inputs were not fitted.")
+        raise typer.Exit(Exit.FAILED)
+
+
+LISTED = 20  # tasks in the table of many
 
 
 def show(done: Run, *, table: bool) -> None:
@@ -178,8 +236,18 @@ def show(done: Run, *, table: bool) -> None:
     say(f"picture: {picture}\nrecords: {done.folder.file}" + (f"\nmade: {done.made}" if done.made else ""))
 
 
-def table_of(app: App, paradigm: str, records: list[dict[str, Any]]) -> Any:
-    """One line a task, and their mean."""
+def table_of(
+    app: App, paradigm: str, records: list[dict[str, Any]], *, rate: float | None = None, most: int | None = None
+) -> Any:
+    """One line a task, and their mean; of more than `most` those of the largest errors.
+
+    Args:
+        app: the application.
+        paradigm: its name.
+        records: of all tasks.
+        rate: tasks that were fitted in a second, if that is to be said.
+        most: lines, None for all.
+    """
     from rich.table import Table
     from rich.text import Text
 
@@ -189,13 +257,23 @@ def table_of(app: App, paradigm: str, records: list[dict[str, Any]]) -> Any:
 
     factor = f" x{app.scale:g}" if app.scale != 1 else ""
     remarks = warned([{"paradigm": paradigm, "tasks": len(records), "guarded": guarded(records)}])
+    shown_records = records
+    if most is not None and len(records) > most:
+        shown_records = sorted(records, key=lambda record: -(record["error"] or 0.0))[:most]
+        remarks.insert(0, f"{most} of {len(records)} tasks, those of the largest errors")
+    if rate is not None:
+        remarks.insert(0, f"{rate:.4g} tasks/s, reading and pictures included")
     table = Table(
         title=f"{title_of(app)}: {paradigm}", show_footer=True, caption="\n".join([caption_of(app), *remarks])
     )
     total = summary(records)
-    table.add_column("task", "mean error, median time")
+    table.add_column("task", "mean error, median of the rest")
     table.add_column(f"error{factor}", number(total["error"], ".3f"), justify="right")
     table.add_column("seconds", number(total["seconds"], ".4f"), justify="right")
-    for record in records:
-        table.add_row(Text(record["name"]), number(record["error"], ".3f"), f"{record['seconds']:.4f}")
+    steps = [record["steps"] for record in records if "steps" in record]
+    if steps:
+        table.add_column("steps", f"{statistics.median(steps):g}", justify="right")
+    for record in shown_records:
+        shown = [f"{record['steps']}"] if steps else []
+        table.add_row(Text(record["name"]), number(record["error"], ".3f"), f"{record['seconds']:.4f}", *shown)
     return table

@@ -33,6 +33,7 @@ class Fit:
         errors: all measures, by name.
         seconds: of inference.
         warning: what is doubtful about the fit; "" for nothing.
+        steps: of gradient descent.
         guarded: whether the guard acted, as the learned rule failed.
         settings: what it was made by, as records have it.
     """
@@ -45,7 +46,8 @@ class Fit:
         self.seconds: float = record["seconds"]
         self.warning: str = record.get("warning", "")
         self.guarded: bool = record.get("guarded", False)
-        told = ("name", "seconds", "threads", "warning", "guarded")
+        self.steps: int = record.get("steps", settings["steps"])
+        told = ("name", "seconds", "threads", "warning", "guarded", "steps")
         self.errors = {key: value for key, value in record.items() if key not in told and value is not None}
 
     @property
@@ -114,8 +116,8 @@ def fit_all(
         sources: files and folders; none: the test tasks of `data`, else of the embedded set.
         paradigm: general, overfit, finetune, quickft or meta.
         fov: of flash photos, the camera's field of view along the shorter side in degrees; 0: as EXIF says, else 45.
-        options: observe, rule, recipe, steps, data, checkpoint, seed, device, as on the command line; `out` is where
-            checkpoints that were trained here are looked for.
+        options: observe, rule, recipe, steps, budget, data, checkpoint, seed, device, as on the command line; `out` is
+            where checkpoints that were trained here are looked for.
 
     Raises:
         ValueError: a bad file, no checkpoint; an option that the application does not have.

@@ -1,11 +1,10 @@
-"""Fit tasks one by one, with their errors and times."""
+"""Fit tasks one by one, or some side by side, with their errors and times."""
 
 from __future__ import annotations
 
 import hashlib
 import math
-import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import torch
@@ -13,79 +12,179 @@ from torch import Generator
 
 from metapp.experiments.reporter import say
 from metapp.experiments.session import Checkpoint, Options
+from metapp.experiments.timing import Stopwatch, said_time
+from metapp.experiments.watching import Watched
 from metapp.learning.app import stack
+from metapp.learning.deadline import REMEMBERED, Deadline, Pace, usual
+from metapp.learning.draws import Rng, drawn
 from metapp.learning.guard import Guarded
 from metapp.learning.task import Params, Task, Tasks
 from metapp.paradigms import Job, Paradigm
 
+WARM = 3  # steps of the fit that loads kernels
+PACED = 8  # steps of those that measure a step: as many as show all stages of a descent from coarse to fine
+PACING = 0.3  # seconds that these take, about; one of them at least
+
 
 def fit_tasks(
-    options: Options, paradigm: Paradigm, checkpoint: Checkpoint, tasks: list[Task]
+    options: Options, paradigm: Paradigm, checkpoint: Checkpoint, tasks: list[Task], watched: Watched | None = None
 ) -> Iterator[tuple[dict[str, Any], Params]]:
     """Fit tasks, each alone, so that its time is its own.
 
     The time is from the task's samples to the final parameters, warm. The error is None where a task holds no
-    reference.
+    reference. Where fits are watched, drawing is not part of their times.
 
     Yields:
         The record of each, and its parameters without a task axis.
     """
-    app, job, device = options.app, options.job, options.device
-
-    def fit_one(task: Any, steps: int | None) -> tuple[Guarded, float, Any]:
-        rng = rng_of(options, task)
-        _synchronise(device)
-        begin = time.perf_counter()
-        stacked = stack(app, [task], device)
-        found = paradigm.fitted(job if steps is None else job._replace(steps=steps), checkpoint.prepared, stacked, rng)
-        _synchronise(device)
-        return found, time.perf_counter() - begin, stacked
-
+    app = options.app
     for task in tasks if app.protocols else ():
         app.prepare(task)  # that one does not hold what a fit may see should not be found after an hour
+    fitter = Fitter(options, paradigm, checkpoint, watched)
     for task in tasks[:1]:
-        fit_one(task, min(paradigm.count(job), 3))  # warm: first calls load kernels
-    threads = torch.get_num_threads()
+        fitter.warm(task)
     for task in tasks:
-        (theta, acted), seconds, stacked = fit_one(task, None)
-        errors = {key: float(value[0]) for key, value in app.errors(theta, stacked).items()}
-        errors |= {key: app.scale * value for key, value in errors.items() if key == "error"}
-        finite = all(bool(torch.isfinite(value).all()) for value in theta.values())
-        if not finite or (errors and not math.isfinite(errors["error"])):
-            what = "error is" if finite else "parameters are"
-            raise FloatingPointError(
-                f"{task.name}: the fit's {what} not finite; use another checkpoint or fewer steps."
-            )
-        # sums depend on the number of threads, in their last digits: the record says it, but its key does not, since
-        # that is no reason to fit anew
-        record = {"name": task.name, "error": None, **errors, "seconds": seconds, "threads": threads}
-        record |= {"guarded": bool(acted[0])} if paradigm.guard(job) else {}
-        record |= warning_of(paradigm, job, checkpoint, stacked, theta, rng_of(options, task))
-        yield record, {key: value[0] for key, value in theta.items()}
+        yield from fitter.fit([task])
+    if watched:
+        watched.finish()
+    fitter.tell(len(tasks))
 
 
-def warning_of(
-    paradigm: Paradigm, job: Job, checkpoint: Checkpoint, stacked: Tasks, theta: Params, rng: Generator
-) -> dict[str, str]:
-    """What a record says of a fit that is worse on what it sees than its initialisation: learned rules can fail.
+class Fitter:
+    """Fits tasks by one paradigm and times it.
+
+    Attributes:
+        over: by how many seconds fits were longer than the budget, of those that took steps and of those that did not.
+    """
+
+    def __init__(
+        self, options: Options, paradigm: Paradigm, checkpoint: Checkpoint, watched: Watched | None = None
+    ) -> None:
+        self.options, self.paradigm, self.checkpoint, self.watched = options, paradigm, checkpoint, watched
+        self.over: dict[bool, list[float]] = {True: [], False: []}
+        self._paces: list[Pace] = []
+
+    def warm(self, task: Task) -> None:
+        """Fit a task for a few steps, as first calls load kernels; for a budget measure how long steps take."""
+        few = min(self.paradigm.count(self.options.job), WARM)
+        self._timed([task], self.options.job._replace(steps=few))
+        if self.options.budget is not None and few:
+            self._measure(task, PACING)
+
+    def _measure(self, task: Task, seconds: float) -> None:
+        """Measure how long steps take, on fits that nothing is kept of; for about so long, and at least on one."""
+        spent = 0.0
+        while not spent or (spent < seconds and len(self._paces) < REMEMBERED):
+            spent += self._timed([task], self.options.job._replace(steps=PACED), math.inf)[1]
+
+    def fit(self, tasks: Sequence[Task]) -> list[tuple[dict[str, Any], Params]]:
+        """Fit tasks side by side, each as if it were alone; its seconds are its share of those that all took.
+
+        Returns:
+            The record of each task, and its parameters without a task axis.
+
+        Raises:
+            FloatingPointError: a fit is not finite.
+            ValueError: tasks differ in their sizes.
+        """
+        options, paradigm, job, app = self.options, self.paradigm, self.options.job, self.options.app
+        (theta, acted), seconds, stacked, taken = self._timed(tasks, job, options.budget, self.watched)
+        if self.watched:
+            self.watched.show(tasks[0], theta, f"after {taken} steps")
+        measures = app.errors(theta, stacked)
+        alarms = warnings_of(paradigm, job, self.checkpoint, stacked, theta, self._rng(tasks))
+        found = []
+        for i, (task, alarm) in enumerate(zip(tasks, alarms, strict=True)):
+            errors = {key: float(value[i]) for key, value in measures.items()}
+            errors |= {key: app.scale * value for key, value in errors.items() if key == "error"}
+            own = {key: value[i] for key, value in theta.items()}
+            require_finite(task, own, errors)
+            # sums depend on the number of threads, in their last digits: the record says it, but its key does not,
+            # since that is no reason to fit anew
+            record = {"name": task.name, "error": None, **errors, "seconds": seconds / len(tasks)}
+            record["threads"] = torch.get_num_threads()
+            record |= {"guarded": bool(acted[i])} if paradigm.guard(job) else {}
+            record |= {"steps": taken} if options.budget is not None else {}
+            found.append((record | ({"warning": alarm} if alarm else {}), own))
+        if options.budget is not None:
+            self._judge(seconds, taken)
+            if taken < min(2, paradigm.count(job)):
+                self._measure(tasks[0], 0.0)  # a fit of no step does not say whether one would fit now
+        return found
+
+    def _rng(self, tasks: Sequence[Task]) -> Rng:
+        each = tuple(rng_of(self.options, task) for task in tasks)
+        return each if len(each) > 1 else each[0]
+
+    def _timed(
+        self, tasks: Sequence[Task], job: Job, budget: float | None = None, watched: Watched | None = None
+    ) -> tuple[Guarded, float, Tasks, int]:
+        """Fits, their seconds, the stacked tasks, and the steps taken; within a budget, whose pace it adds to."""
+        rng = self._rng(tasks)
+        clock = Stopwatch(self.options.device)
+        known = usual(self._paces) if self._paces and budget != math.inf else None
+        deadline = None if budget is None else Deadline(budget, clock, known)
+        watch = watched.of(tasks[0], self.paradigm.count(job), clock) if watched else None
+        stacked = stack(self.options.app, tasks, self.options.device)
+        found = self.paradigm.fitted(job, self.checkpoint.prepared, stacked, rng, watch, deadline)
+        seconds = clock()
+        pace = deadline and deadline.pace()
+        self._paces += [pace] if pace else []
+        return found, seconds, stacked, deadline.taken[0] if deadline else self.paradigm.count(job)
+
+    def _judge(self, seconds: float, taken: int) -> None:
+        over = seconds - (self.options.budget or 0.0)
+        if over > 0:
+            self.over[taken > 0].append(over)
+
+    def tell(self, count: int) -> None:
+        """Say how many fits took longer than the budget, and why."""
+        budget = self.options.budget or 0.0
+        for moved, why in ((False, "even the initialisation took longer"), (True, "slow steps took longer")):
+            if over := self.over[moved]:
+                most = said_time(budget + max(over))
+                say(f"budget: on {len(over)} of {count} tasks {why} than {said_time(budget)}, up to {most}")
+
+
+def require_finite(task: Task, theta: Params, errors: Mapping[str, float]) -> None:
+    """Refuse a fit of a task, parameters without a task axis, that holds NaN or infinite values, or has such an error.
+
+    Raises:
+        FloatingPointError: it does.
+    """
+    finite = all(bool(torch.isfinite(value).all()) for value in theta.values())
+    if not finite or (errors and not math.isfinite(errors["error"])):
+        what = "error is" if finite else "parameters are"
+        raise FloatingPointError(f"{task.name}: the fit's {what} not finite; use another checkpoint or fewer steps.")
+
+
+def warnings_of(
+    paradigm: Paradigm, job: Job, checkpoint: Checkpoint, stacked: Tasks, theta: Params, rng: Rng
+) -> list[str]:
+    """What records say of fits that are worse on what they see than their initialisation: learned rules can fail.
 
     Args:
-        paradigm, job, checkpoint: what the fit was made by.
-        stacked: the one task.
-        theta: the fit, [1, ...].
-        rng: as it was at the beginning of the fit, so that the initialisation is the same.
+        paradigm, job, checkpoint: what the fits were made by.
+        stacked: the tasks.
+        theta: their fits, [T, ...].
+        rng: as it was at the beginning of the fits, so that the initialisations are the same.
+
+    Returns:
+        A line for each task, "" where there is nothing to say.
     """
     if paradigm.count(job) == 0:
-        return {}
+        return [""] * len(stacked)
     first = paradigm.start(job, checkpoint.prepared, stacked, rng)
+    again = tuple(Generator(stacked.rows.device).manual_seed(0) for _ in stacked.names)
     with torch.no_grad():
-        batch = job.app.sample(stacked, torch.Generator(rng.device).manual_seed(0), job.recipe.batch)
-        before, after = (float(job.app.loss(each, batch, {})[0]) for each in (first, theta))
-    if after <= before:
-        return {}
-    warning = f"the visible loss rose from {before:.4g} to {after:.4g}"
-    say(f"warning: {stacked.names[0]}: {warning}; try another rule, more steps or another paradigm.")
-    return {"warning": warning}
+        batch = drawn(lambda some, own: job.app.sample(some, own, job.recipe.batch), stacked, again)
+        before, after = (job.app.loss(each, batch, {}).tolist() for each in (first, theta))
+    lines = []
+    for name, low, high in zip(stacked.names, before, after, strict=True):
+        lines.append("" if high <= low else f"the visible loss rose from {low:.4g} to {high:.4g}")
+        if lines[-1]:
+            say(f"warning: {name}: {lines[-1]}; try another rule, more steps or another paradigm.")
+    return lines
 
 
 def rng_of(options: Options, task: Task) -> Generator:
@@ -94,8 +193,3 @@ def rng_of(options: Options, task: Task) -> Generator:
         hashlib.sha256(f"{options.seed} {task.name}".encode(errors="surrogatepass")).digest()[:6], "big"
     )
     return Generator(options.device).manual_seed(seed)
-
-
-def _synchronise(device: torch.device) -> None:
-    if device.type == "cuda":
-        torch.cuda.synchronize(device)

@@ -76,6 +76,23 @@ def read_input(app: App, path: Path, reading: Reading = AS_FILES_SAY) -> list[Ta
 
     A path that was named must be good; a damaged file that was found in a folder is skipped with a warning.
     """
+    fitting = readers_of(app, path, reading)
+    return [task for reader in fitting for task in _read(reader, path, len(fitting) == 1)]
+
+
+class FoundReader(NamedTuple):
+    """What finds and reads the files of a path: paths -> (sources, lines about what is none), source -> task."""
+
+    find: Callable[[list[Path]], tuple[list[Path], list[str]]]
+    read: Callable[[Path], Task]
+
+
+def readers_of(app: App, path: Path, reading: Reading = AS_FILES_SAY) -> list[FoundReader]:
+    """Every reader that recognises a path.
+
+    Raises:
+        ValueError: there is no such path, or it is no input of the application.
+    """
     if not path.exists():
         raise ValueError(f"{path}: no such file or folder; give existing input files.")
     check_readable(path)
@@ -84,22 +101,24 @@ def read_input(app: App, path: Path, reading: Reading = AS_FILES_SAY) -> list[Ta
     if not fitting:
         expected = ", ".join(each.inputs for each in known)
         raise ValueError(f"{path}: not an input of {app.name}, expected {expected}, or a folder of these.")
-    alone = len(fitting) == 1
-    return [task for each, files in fitting for task in _read(each, files, path, alone, reading, app.reads)]
+    return [_reader(form, files, reading, app.reads) for form, files in fitting]
 
 
-def _read(form: Format, reader: Files, path: Path, alone: bool, reading: Reading, size: int) -> list[Task]:
-    sources, skipped = reader.find([path])
+def _reader(form: Format, files: Files, reading: Reading, size: int) -> FoundReader:
     known: dict[str, Any] = {"size": size} if size and form.takes_size else {}
     known |= {"roots": reading.roots} if reading.roots and form.takes_roots else {}
     known |= {"fov_rad": reading.fov_rad} if reading.fov_rad and form.takes_fov else {}
-    read: Callable[[Path], Task] = functools.partial(reader.read_task, **known)
+    return FoundReader(files.find, functools.partial(files.read_task, **known))
+
+
+def _read(reader: FoundReader, path: Path, alone: bool) -> list[Task]:
+    sources, skipped = reader.find([path])
     for line in skipped if alone else ():
         say(f"warning: {line}")
     tasks = []
     for source in sources:
         try:
-            tasks.append(read(source))
+            tasks.append(reader.read(source))
         except (ValueError, OSError) as error:
             if len(sources) == 1:
                 raise named(error, source) from None

@@ -20,6 +20,7 @@ from metapp.storage.images import write_exr, write_png
 from metapp.storage.records import file_name, read_theta, summary
 
 COMPARED = 20  # tasks in a picture of all paradigms
+OUTPUTS = "outputs"  # the folder of what fits make for their users, in a run's
 PICTURE = "picture"  # what is kept in place of parameters where there are none
 
 

@@ -26,6 +26,8 @@ from metapp.experiments.session import (
     threads,
     threads_of,
 )
+from metapp.experiments.timing import said_time
+from metapp.experiments.watching import Watched
 from metapp.learning.app import App
 from metapp.learning.task import Task
 from metapp.paradigms import Paradigm, paradigms
@@ -55,19 +57,20 @@ class Run(NamedTuple):
 
     def document(self) -> dict[str, Any]:
         """What --json prints."""
-        app = self.options.app
+        app, told = self.options.app, ("name", "error", "seconds", "steps")
         return {
             "app": app.name,
             **observe_of(app),
             "paradigm": self.settings["paradigm"],
             "rule": self.settings["rule"],
             "steps": self.settings["steps"],
+            **({"budget": self.options.budget} if self.options.budget is not None else {}),
             "device": str(self.options.device),
             "data": self.label,
             **app.conditions(),
             **summary(self.records),
             "guarded": guarded(self.records),
-            "tasks": [{key: record[key] for key in ("name", "error", "seconds")} for record in self.records],
+            "tasks": [{key: record[key] for key in told if key in record} for record in self.records],
             "out": str(self.folder.path),
         }
 
@@ -99,18 +102,29 @@ def run(
         ValueError: bad inputs, no checkpoint, a folder that cannot be written to.
         FloatingPointError: a fit is not finite.
     """
-    paradigm = paradigms()[paradigm_name]
-    options = options.by(paradigm)
-    sides = check_size(size, options.app)
-    if paradigm.steps(options.job.recipe) in (options.steps, 0):
-        options = options._replace(steps=None)  # the recipe's own number is the recipe's own run
-    make_folder(options.out)
+    options, paradigm, sides = placed(options, paradigm_name, size)
     with threads(threads_of(options.app)):
         tasks, label = tasks_to_fit(options.app, inputs, options.data, options.quiet, reading)
         if train:
             train_checkpoint(options, paradigm, train_steps)
         checkpoint = find_checkpoint(options, paradigm)
         return _fit(options, paradigm, checkpoint, tasks, label, export, sides)
+
+
+def placed(options: Options, name: str, size: str) -> tuple[Options, Paradigm, tuple[int, int] | None]:
+    """The options of a run by a paradigm, and the size of what its fits make; its folder can be written to.
+
+    Raises:
+        BadOption: no such size.
+        ValueError: a folder that cannot be written to.
+    """
+    paradigm = paradigms()[name]
+    options = options.by(paradigm)
+    sides = check_size(size, options.app)
+    if paradigm.steps(options.job.recipe) in (options.steps, 0):
+        options = options._replace(steps=None)  # the recipe's own number is the recipe's own run
+    make_folder(options.out)
+    return options, paradigm, sides
 
 
 def _fit(
@@ -127,6 +141,8 @@ def _fit(
     if not options.quiet:
         what = f"{name_of(options.app)} {paradigm.name}"
         say(f"{what}: {len(tasks)} tasks, {settings['steps']} steps, from {checkpoint.source}")
+        if options.watch:
+            say(f"watch: {folder.path / 'watch.png'}; the time that it takes to draw is not part of the seconds")
     # a finished run is run anew, one that was cut off is completed
     again = len(folder.finished()) >= len(tasks)
     records = run_tasks(options, paradigm, checkpoint, tasks, folder, again=again)
@@ -176,6 +192,8 @@ def run_path(options: Options, settings: dict[str, Any], label: str) -> Path:
         name += f"-{settings['rule']}"
     if options.steps is not None:
         name += f"-{options.steps}steps"
+    if options.budget is not None:
+        name += f"-{said_time(options.budget)}"
     if options.app.protocol:
         name += f"-{options.app.protocol}"
     result: Path = options.out / options.app.name / settings["paradigm"] / name
@@ -209,6 +227,7 @@ def fit_and_keep(
     Yields:
         Their records.
     """
-    for record, theta in fit_tasks(options, paradigm, checkpoint, tasks):
+    watched = Watched(options.app, paradigm.name, folder.path / "watch.png") if options.watch else None
+    for record, theta in fit_tasks(options, paradigm, checkpoint, tasks, watched):
         folder.add(record, theta)
         yield record

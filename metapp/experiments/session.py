@@ -16,6 +16,7 @@ import torch
 from metapp.apps import app_names, load_app, presentation_of
 from metapp.experiments import BadOption
 from metapp.experiments.shipped import FULL, QUICK, full_fits_as_quick, ships
+from metapp.experiments.timing import seconds_of
 from metapp.learning.app import App
 from metapp.learning.learn import MetaParameters
 from metapp.learning.rules import rule_of
@@ -37,6 +38,8 @@ class Options(NamedTuple):
     seed: int
     device: torch.device
     quiet: bool
+    budget: float | None = None  # seconds
+    watch: bool = False
 
     @property
     def job(self) -> Job:
@@ -62,6 +65,8 @@ def options_of(
     seed: int = 0,
     device: str = "auto",
     quiet: bool = False,
+    budget: str = "",
+    watch: bool = False,
 ) -> Options:
     """Check what was asked for and put the application at its recipe and protocol.
 
@@ -81,7 +86,8 @@ def options_of(
     check_recipe(recipe, app)
     placed = app.at(app.recipes[recipe], observe)
     chosen = check_rule(rule, placed, recipe)
-    return Options(placed, recipe, chosen, steps, data, out, checkpoint, seed, find_device(device, placed), quiet)
+    found, seconds = find_device(device, placed), seconds_of(budget)
+    return Options(placed, recipe, chosen, steps, data, out, checkpoint, seed, found, quiet, seconds, watch)
 
 
 def _has_own(app: App, paradigm: str) -> bool:
@@ -228,6 +234,7 @@ def settings_of(options: Options, paradigm: Paradigm, checkpoint: Checkpoint, la
         "batch": recipe.batch,
         "adam": adam and asdict(adam),
         **({"guard": asdict(guard)} if guard else {}),
+        **({"budget": options.budget} if options.budget is not None else {}),
         "start": checkpoint.digest,
         "data": label,
         "recipe": options.recipe,

@@ -35,8 +35,10 @@ class Column(NamedTuple):
     error: str = ""
 
 
-def write_sheet(tasks: list[Column], title: str, path: Path) -> Path:
+def write_sheet(tasks: list[Column], title: str, path: Path, side: int = SIDE) -> Path:
     """Draw columns of pictures, COLUMNS beside each other; what a task does not have stays blank.
+
+    A square picture has `side` px.
 
     Returns:
         The file, a PNG.
@@ -45,7 +47,7 @@ def write_sheet(tasks: list[Column], title: str, path: Path) -> Path:
 
     small, large = (ImageFont.load_default(size) for size in (SMALL, LARGE))
     rows = _rows(tasks)
-    height, width = _cell(tasks)
+    height, width = _cell(tasks, side)
     step = height + SMALL + GAP  # an error may stand below each picture
     left = 2 * GAP + max(round(small.getlength(row)) for row in rows)
     columns = min(COLUMNS, len(tasks))
@@ -79,12 +81,12 @@ def _rows(tasks: list[Column]) -> list[str]:
     return sorted(found, key=lambda name: name != "reference")
 
 
-def _cell(tasks: list[Column]) -> tuple[int, int]:
+def _cell(tasks: list[Column], side: int) -> tuple[int, int]:
     """Height and width of all pictures; wide ones hold several: they get more room."""
     rows, across = next(iter(tasks[0].pictures.values())).shape[:2]
     aspect = max(1.0, across / rows)
-    width = SIDE * aspect**0.6
-    return round(width * rows / across if rows <= across else SIDE), round(width)
+    width = side * aspect**0.6
+    return round(width * rows / across if rows <= across else side), round(width)
 
 
 def _shrunk(picture: np.ndarray, height: int, width: int) -> Image:

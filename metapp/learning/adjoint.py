@@ -7,10 +7,11 @@ from functools import lru_cache
 from typing import Any, NamedTuple
 
 import torch
-from torch import Generator, Tensor
+from torch import Tensor
 from torch.autograd.function import once_differentiable
 from torch.utils._pytree import tree_flatten, tree_unflatten
 
+from metapp.learning.draws import Rng
 from metapp.learning.task import Linear, Params
 
 
@@ -30,7 +31,7 @@ class Loss(NamedTuple):
     """Alg. 2 in two halves, so that the random one stays outside of what is differentiated and compiled.
 
     Attributes:
-        draw: (data, rng) -> Drawn; all randomness is here.
+        draw: (data, rng) -> Drawn; all randomness is here; rng is a generator, or one for each task (`draws`).
         value: (params, batch, learned) -> the loss of each task, [T]; `learned` are its learned parameters.
         shared: True where all tasks share the parameters (the descent follows the mean over tasks), False where
             each task has its own (it follows the sum, which moves each as if it were alone).
@@ -38,13 +39,13 @@ class Loss(NamedTuple):
         stage: (data, share of the steps that were taken) -> the data that a step draws from.
     """
 
-    draw: Callable[[Any, Generator], Drawn]
+    draw: Callable[[Any, Any], Drawn]
     value: Callable[[Params, Any, Params], Tensor]
     shared: bool = False
     linear: Callable[[Params, Any, Params], Linear] | None = None
     stage: Callable[[Any, float], Any] = _all
 
-    def draw_at(self, data: Any, rng: Generator, step: int, steps: int) -> Drawn:
+    def draw_at(self, data: Any, rng: Rng, step: int, steps: int) -> Drawn:
         """Draw what one of so many steps sees."""
         return self.draw(self.stage(data, step / steps), rng)
 

@@ -11,9 +11,11 @@ import math
 from typing import NamedTuple
 
 import torch
-from torch import Generator, Tensor
+from torch import Tensor
 
 from metapp.learning.adjoint import Loss, UpdateRule
+from metapp.learning.deadline import Deadline
+from metapp.learning.draws import Rng, copied, picked
 from metapp.learning.learn import Watch, learn
 from metapp.learning.recipe import Adam, Guard
 from metapp.learning.rules import fixed_adam, like
@@ -74,9 +76,10 @@ def learn_guarded(
     loss: Loss,
     *,
     steps: int,
-    rng: Generator,
+    rng: Rng,
     guard: Guard,
     watch: Watch | None = None,
+    deadline: Deadline | None = None,
 ) -> Guarded:
     """Descend by a learned rule; where that fails, go on by Adam, and keep what has the lowest visible loss.
 
@@ -89,14 +92,15 @@ def learn_guarded(
         tasks: T of them.
         loss: what to descend; each task has its own parameters.
         steps: of the rule, and of Adam on doubtful tasks.
-        rng: source of the rule's draws; the guard draws from copies.
+        rng: source of the rule's draws, one for all tasks or one for each; the guard draws from copies.
         guard: which fits are doubtful, and the Adam that these go on by.
         watch: as of `learn`, of the rule's steps.
+        deadline: of all steps, if there is one.
 
     Raises:
         FloatingPointError: the loss of an initialisation is not finite.
     """
-    judged, path = loss.draw(tasks, _copy(rng)).batch, Path(params)
+    judged, path = loss.draw(tasks, copied(rng)).batch, Path(params)
 
     def look(step: int, theta: Params, value: Tensor) -> None:
         path.watch(step, theta, value)
@@ -107,7 +111,11 @@ def learn_guarded(
         with torch.no_grad():
             return Seen(theta, loss.value(theta, judged, {}).nan_to_num(math.inf, math.inf, math.inf))
 
-    last = seen(learn(params, rule, tasks, loss, steps=steps, rng=rng, watch=look, check_every=0))
+    enough = deadline.reached if deadline else None
+    found = learn(params, rule, tasks, loss, steps=steps, rng=rng, watch=look, check_every=0, enough=enough)
+    if not path.losses:  # there was no time for a step
+        return unguarded(params)
+    last = seen(found)
     comparable = loss.stage(tasks, 0.0) is tasks and not any(key.startswith("loss.") for key in rule.alpha)
     first = Seen(params, path.losses[0]) if comparable else seen(params)
     candidates, doubtful = [last, first], ~(last.loss <= guard.fall * first.loss)
@@ -118,16 +126,26 @@ def learn_guarded(
     if not len(rows):
         return Guarded(last.theta, doubtful)
     best = functools.reduce(_lower, candidates)
-    further = _by_adam(guard.adam, best.theta, rows, tasks, loss, steps, _copy(rng))
+    further = _by_adam(guard.adam, best.theta, rows, tasks, loss, steps, picked(copied(rng), rows), deadline)
     best = _lower(best, seen(further))
     return Guarded(best.theta, best.loss < last.loss)
 
 
-def _by_adam(adam: Adam, theta: Params, rows: Tensor, tasks: Tasks, loss: Loss, steps: int, rng: Generator) -> Params:
+def _by_adam(
+    adam: Adam,
+    theta: Params,
+    rows: Tensor,
+    tasks: Tasks,
+    loss: Loss,
+    steps: int,
+    rng: Rng,
+    deadline: Deadline | None,
+) -> Params:
     """Parameters [T, ...] of which those of some tasks, `rows`, went on by a plain Adam."""
-    picked = {key: value[rows] for key, value in theta.items()}
-    rule = fixed_adam(adam, picked, steps)
-    further = learn(picked, rule, tasks.select(rows), loss, steps=steps, rng=rng, check_every=0)
+    some, steps = {key: value[rows] for key, value in theta.items()}, deadline.plan(steps) if deadline else steps
+    rule = fixed_adam(adam, some, steps)
+    enough = deadline.reached if deadline else None
+    further = learn(some, rule, tasks.select(rows), loss, steps=steps, rng=rng, check_every=0, enough=enough)
     return {key: value.index_copy(0, rows, further[key]) for key, value in theta.items()}
 
 
@@ -136,8 +154,3 @@ def _lower(one: Seen, other: Seen) -> Seen:
     wins = other.loss < one.loss
     theta = {key: torch.where(like(wins, value), other.theta[key], value) for key, value in one.theta.items()}
     return Seen(theta, torch.where(wins, other.loss, one.loss))
-
-
-def _copy(rng: Generator) -> Generator:
-    """A generator that goes on as this one, which stays as it is."""
-    return Generator(rng.device).set_state(rng.get_state())

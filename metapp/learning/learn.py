@@ -15,6 +15,7 @@ from torch import Generator, Tensor
 
 from metapp.learning.adjoint import Drawn, Loss, UpdateRule, at_step, learn_through, step_pair
 from metapp.learning.app import App
+from metapp.learning.draws import Rng, drawn
 from metapp.learning.task import Params, Tasks
 
 
@@ -63,12 +64,13 @@ def learn(
     loss: Loss,
     *,
     steps: int,
-    rng: Generator,
+    rng: Rng,
     watch: Watch | None = None,
     check_every: int = 50,
     compiled: bool = False,
     since: Progress | None = None,
     keep: Callable[[Progress], object] | None = None,
+    enough: Callable[[int], bool] | None = None,
 ) -> Params:
     """Descend a loss from a start by a rule (alg. 1).
 
@@ -78,13 +80,14 @@ def learn(
         data: whatever the loss draws from.
         loss: what to descend.
         steps: number of steps.
-        rng: source of all random draws.
+        rng: source of all random draws; one for all tasks, or one for each.
         watch: called as watch(step, params, loss of each task) before each step's update.
         check_every: steps between two checks that the loss is finite; the first and the last are checked, too. 0: the
             first alone.
         compiled: compile the step with torch.compile (worth it from some thousand steps on).
         since: where an earlier descent was cut off, to go on from; `rng` must be in its state of then.
         keep: called with where the descent is, before anything is drawn for the next step.
+        enough: asked before each step whether to leave it and the rest out.
 
     Returns:
         The final parameters, detached.
@@ -96,12 +99,14 @@ def learn(
     first, theta, state = since or Progress(0, theta, rule.init(theta))
     step = step_pair(rule, loss, 1, compiled).forward
     for i in range(first, steps):
+        if enough is not None and enough(i):
+            break
         if keep is not None:
             keep(Progress(i, theta, state))
-        drawn = loss.draw_at(data, rng, i, steps)
-        moved, state, value, _ = step(at_step(rule.alpha, i), theta, state, drawn.batch)
+        seen = loss.draw_at(data, rng, i, steps)
+        moved, state, value, _ = step(at_step(rule.alpha, i), theta, state, seen.batch)
         if i == 0 or (check_every and (i % check_every == 0 or i == steps - 1)):
-            _require_finite(value, drawn.names, i)
+            _require_finite(value, seen.names, i)
         if watch is not None:
             watch(i, theta, value)
         theta = moved
@@ -129,8 +134,8 @@ Draw = Callable[[Tasks, Generator, int], Any]
 
 @functools.lru_cache(maxsize=32)  # one object for the same: compiled steps are found by it
 def _loss_of(app: App, value: Callable[[Params, Any, Params], Tensor], sample: Draw, batch: int) -> Loss:
-    def draw(tasks: Tasks, rng: Generator) -> Drawn:
-        return Drawn(tasks.picked_names(), sample(tasks, rng, batch))
+    def draw(tasks: Tasks, rng: Rng) -> Drawn:
+        return Drawn(tasks.picked_names(), drawn(lambda some, own: sample(some, own, batch), tasks, rng))
 
     return Loss(draw, value, linear=app.linear, stage=app.stage)
 
@@ -211,8 +216,8 @@ def after_encoding(loss: Loss, condition: Callable[[Any, Generator], Any], encod
     """Lift a loss on theta to a loss on an encoder, in the flat tree of MetaParameters: General's loss."""
 
     def draw(tasks: Any, rng: Generator) -> Drawn:
-        drawn = loss.draw(tasks, rng)
-        return Drawn(drawn.names, (condition(tasks, rng), drawn.batch))
+        seen = loss.draw(tasks, rng)
+        return Drawn(seen.names, (condition(tasks, rng), seen.batch))
 
     def value(prepared: Params, batch: Any, learned: Params) -> Tensor:
         return loss.value(encode(MetaParameters.unflat(prepared).encoder, batch[0]), batch[1], learned)

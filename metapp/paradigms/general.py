@@ -5,6 +5,7 @@ from __future__ import annotations
 from torch import Generator
 
 from metapp.learning.adjoint import Loss
+from metapp.learning.draws import Rng, drawn
 from metapp.learning.learn import MetaParameters, after_encoding, over_tasks, task_outer_loss
 from metapp.learning.rules import fixed_adam
 from metapp.learning.task import Params, Tasks
@@ -13,9 +14,9 @@ from metapp.paradigms.paradigm import Given, Job, Paradigm
 from metapp.paradigms.resuming import Prepared
 
 
-def start(job: Job, prepared: MetaParameters, tasks: Tasks, rng: Generator) -> Params:
+def start(job: Job, prepared: MetaParameters, tasks: Tasks, rng: Rng) -> Params:
     """theta = encode(I)."""
-    encoded = job.app.encode(prepared.encoder, job.app.condition(tasks, rng))
+    encoded = job.app.encode(prepared.encoder, drawn(job.app.condition, tasks, rng))
     return {key: value.detach() for key, value in encoded.items()}
 
 

@@ -9,6 +9,7 @@ import torch
 from torch import Generator
 
 from metapp.learning.adjoint import Loss, UpdateRule
+from metapp.learning.draws import Rng
 from metapp.learning.learn import MetaParameters, after_learning, learn, over_tasks, spread, task_loss, task_outer_loss
 from metapp.learning.recipe import Adam, Guard, MetaTraining
 from metapp.learning.rules import rule_of
@@ -85,7 +86,7 @@ def with_adam(job: Job, phi: MetaParameters, adam: Adam) -> MetaParameters:
 GATHERED = 32  # tasks whose gradients are looked at
 
 
-def start(job: Job, prepared: MetaParameters, tasks: Tasks, rng: Generator) -> Params:
+def start(job: Job, prepared: MetaParameters, tasks: Tasks, rng: Rng) -> Params:
     """theta_0, the same for every task; or what an encoder that was trained through the steps says of each."""
     return general_start(job, prepared, tasks, rng) if prepared.encoder else spread(prepared.theta, len(tasks), 0)
 

@@ -1,7 +1,9 @@
 """Overfit: a random start, Adam until converged; nothing is prepared."""
 
+from metapp.learning.draws import Rng, drawn
 from metapp.learning.learn import MetaParameters
 from metapp.learning.recipe import Adam
+from metapp.learning.task import Params, Tasks
 from metapp.paradigms.paradigm import Job, Paradigm, by_adam
 
 
@@ -10,10 +12,15 @@ def adam_of(job: Job, prepared: MetaParameters) -> Adam:
     return job.recipe.overfit
 
 
+def start(job: Job, prepared: MetaParameters, tasks: Tasks, rng: Rng) -> Params:
+    """Return random parameters."""
+    return drawn(lambda some, own: job.app.init(own, len(some)), tasks, rng)
+
+
 OVERFIT = Paradigm(
     name="overfit",
     needs=lambda job: (),
-    start=lambda job, prepared, tasks, rng: job.app.init(rng, len(tasks)),
+    start=start,
     rule=by_adam(adam_of),
     steps=lambda recipe: recipe.overfit_steps,
     adam=adam_of,

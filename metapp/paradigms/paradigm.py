@@ -9,6 +9,8 @@ from torch import Generator
 
 from metapp.learning.adjoint import UpdateRule
 from metapp.learning.app import App
+from metapp.learning.deadline import Deadline
+from metapp.learning.draws import Rng
 from metapp.learning.guard import Guarded, learn_guarded, unguarded
 from metapp.learning.learn import MetaParameters, Watch, learn, task_loss
 from metapp.learning.recipe import Adam, Guard, Recipe
@@ -89,14 +91,14 @@ class Paradigm(NamedTuple):
 
     name: str
     needs: Callable[[Job], tuple[str, ...]]
-    start: Callable[[Job, MetaParameters, Tasks, Generator], Params]
+    start: Callable[[Job, MetaParameters, Tasks, Rng], Params]
     rule: Callable[[Job, MetaParameters, Params, int], UpdateRule]
     steps: Callable[[Recipe], int]
     prepare: Callable[[Job, Given], Prepared] = nothing
     adam: Callable[[Job, MetaParameters], Adam | None] = lambda job, prepared: None
     guard: Callable[[Job], Guard | None] = lambda job: None
 
-    def fit(self, job: Job, prepared: MetaParameters, tasks: Tasks, rng: Generator) -> Params:
+    def fit(self, job: Job, prepared: MetaParameters, tasks: Tasks, rng: Rng) -> Params:
         """Fit tasks, one or many at once.
 
         Returns:
@@ -105,23 +107,36 @@ class Paradigm(NamedTuple):
         return self.fitted(job, prepared, tasks, rng).theta
 
     def fitted(
-        self, job: Job, prepared: MetaParameters, tasks: Tasks, rng: Generator, watch: Watch | None = None
+        self,
+        job: Job,
+        prepared: MetaParameters,
+        tasks: Tasks,
+        rng: Rng,
+        watch: Watch | None = None,
+        deadline: Deadline | None = None,
     ) -> Guarded:
         """Fit tasks: learn(start(task), rule, task, loss, steps); and say where the guard of a learned rule acted.
 
         Args:
             job, prepared: what fits.
             tasks: one or many.
-            rng: of all random draws.
+            rng: of all random draws; one for all tasks, or one for each, which is then fitted as if it were alone.
             watch: as of `learn`.
+            deadline: when to be done: schedules end with the last step that fits.
         """
-        theta, steps, guard = self.start(job, prepared, tasks, rng), self.count(job), self.guard(job)
+        theta = self.start(job, prepared, tasks, rng)
+        if deadline is not None:
+            job = job._replace(steps=deadline.plan(self.count(job)))
+        steps, guard = self.count(job), self.guard(job)
         if steps == 0:
             return unguarded(theta)
         loss, rule = task_loss(job.app, job.recipe.batch), self.rule(job, prepared, theta, steps)
         if guard is None:
-            return unguarded(learn(theta, rule, tasks, loss, steps=steps, rng=rng, watch=watch))
-        return learn_guarded(theta, rule, tasks, loss, steps=steps, rng=rng, guard=guard, watch=watch)
+            enough = deadline.reached if deadline else None
+            return unguarded(learn(theta, rule, tasks, loss, steps=steps, rng=rng, watch=watch, enough=enough))
+        return learn_guarded(
+            theta, rule, tasks, loss, steps=steps, rng=rng, guard=guard, watch=watch, deadline=deadline
+        )
 
     def count(self, job: Job) -> int:
         """Return the number of gradient steps of this job: 0 for General, whatever was asked for."""

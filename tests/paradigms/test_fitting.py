@@ -9,6 +9,7 @@ import torch
 
 from metapp.apps import load_app
 from metapp.learning.app import App
+from metapp.learning.deadline import Deadline, Pace
 from metapp.learning.learn import MetaParameters, learn, task_loss
 from metapp.learning.recipe import Adam, Guard
 from metapp.learning.rules import RULES, fixed_adam, rule_of
@@ -113,6 +114,39 @@ def test_a_fit_is_learn_and_nothing_else(name: str, job: Job, tasks: Tasks) -> N
     expected = learn(theta, rule, tasks, task_loss(job.app, job.recipe.batch), steps=steps, rng=generator)
     for key, value in paradigm.fit(job, prepared, tasks, rng()).items():
         assert torch.equal(value, expected[key])
+
+
+@pytest.mark.parametrize("name", list(paradigms()))
+def test_fits_side_by_side_are_as_if_each_were_alone(name: str, job: Job, tasks: Tasks) -> None:
+    """With a generator for each task, its fit does not depend on those beside it, to rounding."""
+    paradigm, rows, job = paradigms()[name], [4, 0, 7], job._replace(steps=3)
+    prepared, several = start_for(paradigm, job), tasks.select(rows)
+    together = paradigm.fitted(job, prepared, several, tuple(rng(row) for row in rows))
+    starts = paradigm.start(job, prepared, several, tuple(rng(row) for row in rows))
+    drawn = task_loss(job.app, job.recipe.batch).draw(several, tuple(rng(row) for row in rows)).batch
+    errors = job.app.errors(together.theta, several)["error"]
+    for i, row in enumerate(rows):
+        one = tasks.select([row])
+        for key, value in paradigm.start(job, prepared, one, rng(row)).items():
+            torch.testing.assert_close(starts[key][i : i + 1], value)
+        for key, value in task_loss(job.app, job.recipe.batch).draw(one, rng(row)).batch.items():
+            assert torch.equal(drawn[key][i : i + 1], value)
+        alone = paradigm.fitted(job, prepared, one, rng(row))
+        assert bool(alone.acted[0]) == bool(together.acted[i])
+        # of errors, as Adam turns rounding of a gradient near 0 into a step of any sign
+        torch.testing.assert_close(errors[i : i + 1], job.app.errors(alone.theta, one)["error"], rtol=1e-3, atol=1e-5)
+
+
+@pytest.mark.parametrize("name", ["general", "finetune", "quickft", "meta"])
+def test_a_fit_by_a_deadline_is_one_of_the_steps_it_planned(name: str, job: Job, tasks: Tasks) -> None:
+    """Schedules end with the last step that fits."""
+    paradigm, few = paradigms()[name], tasks.select([0, 1])
+    deadline = Deadline(2.5, lambda: 0.0, Pace(1.0, 1.0, 0.25))
+    prepared = start_for(paradigm, job)
+    found = paradigm.fitted(job, prepared, few, rng(), deadline=deadline)
+    expected = paradigm.fitted(job._replace(steps=2), prepared, few, rng())
+    assert deadline.taken[0] == (0 if name == "general" else 2)
+    assert all(torch.equal(found.theta[key], value) for key, value in expected.theta.items())
 
 
 def test_a_rule_that_fails_is_guarded(job: Job, tasks: Tasks) -> None:

@@ -177,10 +177,10 @@ class SvbrdfStationary(ExemplarApp):
     def _distances_of(self, pictures: Tensor, batch: Batch) -> dict[str, Tensor]:
         leading = pictures.shape[:2]
         pooled = adaptive_avg_pool2d(pictures.flatten(0, 1), POOLED).unflatten(0, leading)
-        windows = batch["windows"][0].tolist()  # the same for all tasks
+        windows = batch["windows"].tolist()
         grams, spectra = [], []
         for each in self.features(pictures.flatten(0, 1), self.octave(batch)):
-            grams.append(_grams(each, windows).unflatten(0, leading))
+            grams.append(_grams_of_tasks(each.unflatten(0, leading), windows))
             spectra.append(amplitudes(each).unflatten(0, leading))
         taps = range(len(grams))
         return {
@@ -239,6 +239,14 @@ def _ring(maps: Tensor, low: float, high: float) -> Tensor:
     squared = positions(*maps.shape[-2:], dtype=maps.dtype, device=maps.device).square().sum(0)
     inside = ((squared >= low) & (squared < high)).to(maps)
     return maps * inside / inside.mean().clamp_min(1e-6)
+
+
+def _grams_of_tasks(maps: Tensor, windows: list[list[int]]) -> Tensor:
+    """Gram matrices [T, S, N, C, C] of feature maps [T, S, C, H, W] in the windows of each task."""
+    if all(each == windows[0] for each in windows):  # as where one generator drew them: in one go
+        together: Tensor = _grams(maps.flatten(0, 1), windows[0]).unflatten(0, maps.shape[:2])
+        return together
+    return torch.stack([_grams(own, each) for own, each in zip(maps, windows, strict=True)])
 
 
 def _grams(maps: Tensor, windows: Iterable[int]) -> Tensor:

@@ -1,0 +1,76 @@
+"""Stop a descent at the last step that fits in the time that is left."""
+
+from __future__ import annotations
+
+import statistics
+from collections.abc import Callable
+from typing import NamedTuple
+
+SPARE = 0.1  # of the time that steps may take, left out of a plan: not all steps are as quick as the usual one
+REMEMBERED = 7  # fits that a pace is the median of
+
+
+class Pace(NamedTuple):
+    """How long the parts of a fit take, in seconds.
+
+    Attributes:
+        step: a step, in the mean of a fit.
+        longest: the longest step of a fit.
+        rest: what is neither the initialisation nor a step.
+    """
+
+    step: float
+    longest: float
+    rest: float
+
+
+def usual(paces: list[Pace]) -> Pace:
+    """The median of each part over the last fits."""
+    return Pace(*(statistics.median(each) for each in zip(*paces[-REMEMBERED:], strict=True)))
+
+
+class Deadline:
+    """Plans how many steps fit, so that schedules end with the last one, and stops where they turn out to be slower.
+
+    Attributes:
+        taken: the steps of each descent of the fit: the first is by the rule, a second one by the guard.
+    """
+
+    def __init__(self, seconds: float, clock: Callable[[], float], pace: Pace | None = None) -> None:
+        """Set a deadline.
+
+        Args:
+            seconds: when all must be done, by the clock; infinite to measure a pace.
+            clock: seconds since the fit's input was first seen.
+            pace: of fits like this; None: all steps that are asked for are planned.
+        """
+        self._seconds, self._clock, self._pace = seconds, clock, pace
+        self._begins: list[float] = []
+        self._planned = 0.0
+        self.taken: list[int] = []
+
+    def plan(self, most: int) -> int:
+        """How many of so many steps fit in the time that is left."""
+        self._planned = self._clock()
+        self.taken.append(0)
+        if self._pace is None:
+            return most
+        left = (1 - SPARE) * (self._seconds - self._planned - self._pace.rest)
+        return max(0, min(most, int(left / max(self._pace.step, 1e-9))))
+
+    def reached(self, step: int) -> bool:
+        """Whether one more step would end too late; `learn` asks before each."""
+        now = self._clock()
+        if self._pace and now + max(self._pace.longest, self._pace.step) + self._pace.rest > self._seconds:
+            return True
+        self._begins.append(now)
+        self.taken[-1] += 1
+        return False
+
+    def pace(self) -> Pace | None:
+        """The pace of this fit, which has just ended; None where it does not say what is usual."""
+        if len(self.taken) != 1 or self.taken[0] < 2:
+            return None
+        each = [after - before for before, after in zip(self._begins, self._begins[1:], strict=False)]
+        step = statistics.fmean(each)
+        return Pace(step, max(each), max(0.0, self._clock() - self._planned - self.taken[0] * step))

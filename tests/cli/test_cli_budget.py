@@ -1,0 +1,110 @@
+"""`--budget`: fits stop at the last step that fits; by a clock that each step moves on."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from metapp.apps.brdf import APP
+from metapp.experiments import BadOption
+from metapp.experiments.timing import said_time, seconds_of
+from metapp.storage.records import read_records
+
+pytestmark = pytest.mark.usefixtures("small_spheres")
+PREPARED, STEP = 0.002, 0.010  # seconds
+
+
+@pytest.fixture
+def steps(monkeypatch: pytest.MonkeyPatch) -> Iterator[list[float]]:
+    """A clock that only tasks and steps move on: seconds of each next step, then STEP for ever."""
+    now, times = 0.0, list[float]()
+    sample, prepare = APP.sample, APP.prepare
+
+    def slow_sample(*arguments):
+        nonlocal now
+        now += times.pop(0) if times else STEP
+        return sample(*arguments)
+
+    def slow_prepare(task):
+        nonlocal now
+        now += PREPARED
+        return prepare(task)
+
+    monkeypatch.setitem(APP.recipes, "quick", replace(APP.recipes["quick"], overfit_steps=40))
+    monkeypatch.setattr(APP, "sample", slow_sample)
+    monkeypatch.setattr(APP, "prepare", slow_prepare)
+    monkeypatch.setattr("metapp.experiments.timing.time", type("clock", (), {"perf_counter": lambda: now}))
+    return times
+
+
+@pytest.fixture
+def fit(metapp: Callable, ten_materials: Path, tmp_path: Path) -> Callable:
+    def call(budget: str, *more: str):
+        told = ("--data", ten_materials, "--out", tmp_path / "runs", "--json", *more)
+        return metapp("overfit", "brdf", "--budget", budget, *told)
+
+    return call
+
+
+def test_a_fit_takes_the_steps_that_fit(fit: Callable, steps: list[float], tmp_path: Path) -> None:
+    result = fit("104ms")
+    assert result.code == 0, result.err
+    assert result.document["budget"] == 0.104
+    assert [task["steps"] for task in result.document["tasks"]] == [9, 9]
+    assert result.document["seconds"] == pytest.approx(PREPARED + 9 * STEP)
+    assert "took longer" not in result.err
+    (file,) = (tmp_path / "runs" / "brdf" / "overfit").rglob("record.jsonl")
+    assert file.parent.name.endswith("-104ms")
+    assert [record["steps"] for record in read_records(file)] == [9, 9]
+
+
+def test_no_more_steps_than_asked_for(fit: Callable, steps: list[float]) -> None:
+    assert [task["steps"] for task in fit("2min").document["tasks"]] == [40, 40]
+    assert [task["steps"] for task in fit("2min", "--steps", "3").document["tasks"]] == [3, 3]
+
+
+def test_a_fit_whose_steps_slow_down_stops_before_its_plan(fit: Callable, steps: list[float]) -> None:
+    unmeasured = 3 + 8 * 4  # steps that warm up, and those that measure a pace for 0.3 s
+    steps += [STEP] * unmeasured + [0.03] * 40
+    document = fit("102ms").document
+    assert document["tasks"][0]["steps"] < 9
+    assert all(task["seconds"] <= 0.102 for task in document["tasks"][1:])
+
+
+def test_without_time_for_a_step_the_initialisation_comes_back_and_it_is_said(
+    fit: Callable, steps: list[float]
+) -> None:
+    result = fit("1ms")
+    assert result.code == 0, result.err
+    assert [task["steps"] for task in result.document["tasks"]] == [0, 0]
+    assert "budget: on 2 of 2 tasks even the initialisation took longer than 1ms, up to 2ms" in result.err
+
+
+def test_a_run_without_a_budget_says_nothing_of_it(
+    fit: Callable, metapp: Callable, ten_materials: Path, tmp_path: Path
+):
+    told = ("--data", ten_materials, "--out", tmp_path / "runs", "--json", "--steps", "2")
+    document = metapp("overfit", "brdf", *told).document
+    assert "budget" not in document
+    assert sorted(document["tasks"][0]) == ["error", "name", "seconds"]
+    (file,) = (tmp_path / "runs" / "brdf" / "overfit").rglob("record.jsonl")
+    assert "budget" not in read_records(file)[0]["settings"]
+
+
+@pytest.mark.parametrize(
+    ("text", "seconds"), [("50ms", 0.05), ("2s", 2), ("1.5min", 90), (".5 s", 0.5), ("1h", 3600), ("", None)]
+)
+def test_times_are_read_with_their_unit(text: str, seconds: float | None) -> None:
+    found = seconds_of(text)
+    assert found == (seconds if seconds is None else pytest.approx(seconds))
+    assert found is None or seconds_of(said_time(found)) == pytest.approx(found)
+
+
+@pytest.mark.parametrize("text", ["50", "0s", "-1s", "1 day", "ms", "1e3s", "nan s"])
+def test_refuses_what_is_no_time(text: str, fit: Callable) -> None:
+    with pytest.raises(BadOption, match="expected a time above 0 with its unit"):
+        seconds_of(text)
+    assert fit(text).code == 2
