@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import typer
 
-from metapp.cli import data, doctor, evaluate, export, rerun
+from metapp.cli import compare, data, doctor, evaluate, export, rerun
 from metapp.cli.fit import make_command
 
 SUMMARIES = {
@@ -26,5 +26,6 @@ for name, summary in SUMMARIES.items():
 app.command("evaluate")(evaluate.command)
 app.command("export")(export.command)
 app.command("rerun")(rerun.command)
+app.command("compare")(compare.command)
 app.command("doctor")(doctor.command)
 app.add_typer(data.app, name="data")

@@ -6,8 +6,11 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from metapp.experiments import BadOption
+from metapp.experiments.embedded import embedded_exists
+from metapp.experiments.inputs import Reading, data_folder, data_label, tasks_to_fit
 from metapp.experiments.session import Options, options_of
 from metapp.learning.app import App
+from metapp.learning.task import Task
 from metapp.paradigms import paradigms
 from metapp.storage.records import FIT, read_records
 
@@ -76,3 +79,22 @@ def app_as(settings: dict[str, Any]) -> App:
     if settings["paradigm"] not in paradigms():
         raise ValueError(f"paradigm '{settings['paradigm']}': not known, expected {', '.join(paradigms())}; fit again.")
     return options.by(paradigms()[settings["paradigm"]]).app
+
+
+def tasks_as(record: dict[str, Any], app: App, inputs: list[Path], data: Path | None) -> dict[str, Task]:
+    """What was fitted in a record's run, by name: of what is given, else from where the record says, else embedded.
+
+    Returns:
+        None of them where there is nothing, or not what was fitted.
+    """
+    label, origin = record["settings"]["data"], record.get("origin", {})
+    known = [Path(path) for path in origin.get("inputs", [])]
+    if not (inputs or data):
+        inputs = known if all(path.exists() for path in known) else []
+        data = Path(origin["data"]) if "data" in origin and Path(origin["data"]).is_dir() else None
+    embedded = embedded_exists(app.name) and data_label(data_folder(app, None, quiet=True)) == label
+    if not (inputs or data or embedded):
+        return {}
+    reading = Reading([Path(path) for path in origin.get("roots", [])], origin.get("fov_rad", 0.0))
+    tasks, found = tasks_to_fit(app, inputs, data, True, reading)
+    return {task.name: task for task in tasks} if found == label else {}
