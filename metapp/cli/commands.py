@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import typer
 
-from metapp.cli import data, doctor, evaluate, export
+from metapp.cli import compare, data, doctor, evaluate, export, pack, rerun
 from metapp.cli.fit import make_command
 
 SUMMARIES = {
@@ -25,5 +25,9 @@ for name, summary in SUMMARIES.items():
     app.command(name)(make_command(name, summary))
 app.command("evaluate")(evaluate.command)
 app.command("export")(export.command)
+app.command("pack")(pack.pack_command)
+app.command("unpack")(pack.unpack_command)
+app.command("rerun")(rerun.command)
+app.command("compare")(compare.command)
 app.command("doctor")(doctor.command)
 app.add_typer(data.app, name="data")

@@ -63,8 +63,8 @@ def command(
     recipe: Annotated[
         str,
         typer.Option(
-            help="quick, full or paper; brdf: also measured; texture: also paper-vgg19. Where no APP is named, quick for "
-            "those that have no such recipe."
+            help="quick, full or paper; brdf: also measured; texture: also paper-vgg19. Where no APP is named, "
+            "quick for those that have no such recipe."
         ),
     ] = "quick",
     seed: Annotated[int, typer.Option(help="Seed of all random draws.", min=0, max=2**63 - 1)] = 0,

@@ -3,22 +3,19 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from metapp.apps import presentation_of
-from metapp.experiments import BadOption
 from metapp.experiments.embedded import embedded_exists
 from metapp.experiments.export import check_export, export_fit
 from metapp.experiments.inputs import data_folder, data_label, tasks_to_fit
+from metapp.experiments.recorded import app_as, read_run
 from metapp.experiments.reporter import progress
 from metapp.experiments.run import check_size
-from metapp.experiments.session import find_app, options_of
+from metapp.experiments.session import find_app
 from metapp.learning.app import App
 from metapp.learning.task import Task
-from metapp.paradigms import paradigms
-from metapp.storage.records import FIT, file_name, read_records, read_theta
-
-FORM = {**FIT, "settings": {"app": str, "paradigm": str, "rule": str, "recipe": str, "data": str}}
+from metapp.storage.records import file_name, read_theta
 
 
 class Exported(NamedTuple):
@@ -47,11 +44,7 @@ def export_run(
         BadOption: fits of the application cannot be written so, or not of that size.
         ValueError: no run, damaged records or parameters, or inputs that a form needs and that are not given.
     """
-    folder = run.parent if run.name == "record.jsonl" else run
-    records = read_records(folder / "record.jsonl", FORM)
-    if not records:
-        found = "no record.jsonl" if folder.is_dir() else "no such folder"
-        raise ValueError(f"{run}: {found} with fits, expected a run's folder, such as runs/brdf/meta/...")
+    folder, records = read_run(run)
     apps = {record["settings"]["app"] for record in records}
     if len(apps) > 1:
         raise ValueError(f"{run}: fits of {', '.join(sorted(apps))}, expected one application; take one run's folder.")
@@ -60,7 +53,7 @@ def export_run(
     with progress(form, len(records), quiet=quiet) as bar:
         tasks: dict[str, dict[str, Task]] = {}
         for record in records:
-            app, settings, name = _app_of(record["settings"]), record["settings"], record["name"]
+            app, settings, name = app_as(record["settings"]), record["settings"], record["name"]
             if settings["data"] not in tasks:
                 tasks[settings["data"]] = _tasks(app, settings["data"], inputs, data)
             task = tasks[settings["data"]].get(name, Task(name, {}))
@@ -77,21 +70,6 @@ def export_run(
                 ) from None
             bar.advance(name)
     return Exported(form, str(target), [record["name"] for record in records])
-
-
-def _app_of(settings: dict[str, Any]) -> App:
-    """The application as it was at the fit."""
-    meta = settings["paradigm"] == "meta"
-    rule = settings["rule"] if meta else ""
-    try:
-        options = options_of(
-            settings["app"], observe=settings.get("observe", ""), rule=rule, recipe=settings["recipe"], quiet=True
-        )
-    except BadOption as error:
-        raise ValueError(f"{settings['app']}: a fit of other settings than are known ({error})") from None
-    if settings["paradigm"] not in paradigms():
-        raise ValueError(f"paradigm '{settings['paradigm']}': not known, expected {', '.join(paradigms())}; fit again.")
-    return options.by(paradigms()[settings["paradigm"]]).app
 
 
 def _tasks(app: App, label: str, inputs: list[Path], data: Path | None) -> dict[str, Task]:

@@ -69,16 +69,26 @@ def picture_of_table(
     Returns:
         The file.
     """
-    columns, outputs = [], presentation_of(app).outputs
+    columns = []
     for i, task in enumerate(tasks[:COMPARED]):
-        rows: dict[str, np.ndarray] = {}
-        for label, folder, records in runs:
-            theta = _theta(folder, task)
-            pictures = {"fit": theta[PICTURE]} if PICTURE in theta else outputs(theta, task)
-            rows |= _shown({"reference": pictures["reference"]}) if not rows and "reference" in pictures else {}
-            rows[f"{label} {_label(records[i])}".rstrip()] = to_srgb(pictures["fit"])
-        columns.append(Column(rows, task.name))
+        columns.append(column_of(task, [(label, app, folder, records[i]) for label, folder, records in runs]))
         tell()
+    return write_compared(app, columns, file)
+
+
+def column_of(task: Task, fits: Sequence[tuple[str, App, Path, dict[str, Any]]]) -> Column:
+    """The reference of a task, and its fits below it: (label, application, run folder, record) of each."""
+    rows: dict[str, np.ndarray] = {}
+    for label, app, folder, record in fits:
+        theta = _theta(folder, task)
+        pictures = {"fit": theta[PICTURE]} if PICTURE in theta else presentation_of(app).outputs(theta, task)
+        rows |= _shown({"reference": pictures["reference"]}) if not rows and "reference" in pictures else {}
+        rows[f"{label} {_label(record)}".rstrip()] = to_srgb(pictures["fit"])
+    return Column(rows, task.name)
+
+
+def write_compared(app: App, columns: list[Column], file: Path) -> Path:
+    """Write columns of fits that are compared as one picture."""
     return write_sheet(columns, f"{title_of(app)}: mean error{_factor(app)} of each fit below it", file)
 
 

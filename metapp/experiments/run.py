@@ -14,6 +14,7 @@ from metapp.experiments.checkpoints import find_checkpoint, train_checkpoint
 from metapp.experiments.export import export_fit
 from metapp.experiments.fits import fit_tasks
 from metapp.experiments.inputs import AS_FILES_SAY, Reading, tasks_to_fit
+from metapp.experiments.origin import origin_of
 from metapp.experiments.pictures import write_files
 from metapp.experiments.reporter import number, progress, say
 from metapp.experiments.session import (
@@ -108,7 +109,7 @@ def run(
         if train:
             train_checkpoint(options, paradigm, train_steps)
         checkpoint = find_checkpoint(options, paradigm)
-        return _fit(options, paradigm, checkpoint, tasks, label, export, sides)
+        return _fit(options, paradigm, checkpoint, tasks, label, export, sides, origin_of(options, inputs, reading))
 
 
 def placed(options: Options, name: str, size: str) -> tuple[Options, Paradigm, tuple[int, int] | None]:
@@ -135,9 +136,10 @@ def _fit(
     label: str,
     export: str,
     size: tuple[int, int] | None,
+    origin: dict[str, Any],
 ) -> Run:
     settings = settings_of(options, paradigm, checkpoint, label)
-    folder = RunFolder(run_path(options, settings, label), settings, FIT)
+    folder = RunFolder(run_path(options, settings, label), settings, FIT, origin)
     if not options.quiet:
         what = f"{name_of(options.app)} {paradigm.name}"
         say(f"{what}: {len(tasks)} tasks, {settings['steps']} steps, from {checkpoint.source}")

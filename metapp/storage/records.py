@@ -146,10 +146,18 @@ class RunFolder:
         settings: all that the run's figures depend on.
         form: what its records must hold beside a name, as `holds` reads it; a line that does not is passed over, with a
             warning, and its task counts as missing.
+        origin: what records say beside, such as where inputs were; no figure depends on it.
     """
 
-    def __init__(self, path: Path, settings: dict[str, Any], form: dict[str, Any] | None = None) -> None:
+    def __init__(
+        self,
+        path: Path,
+        settings: dict[str, Any],
+        form: dict[str, Any] | None = None,
+        origin: dict[str, Any] | None = None,
+    ) -> None:
         self.path = path
+        self.origin = {"origin": origin} if origin else {}
         self.settings = settings
         self.key = digest(settings)
         self._form = form or {}
@@ -183,7 +191,8 @@ class RunFolder:
             if theta is not None:
                 tensors = {key: value.detach().cpu().contiguous() for key, value in theta.items()}
                 write_atomically(self.params(record["name"]), lambda target: target.write_bytes(save(tensors)))
-            line = json.dumps(finite({**record, "key": self.key, "settings": self.settings}), allow_nan=False)
+            whole = {**record, "key": self.key, "settings": self.settings, **self.origin}
+            line = json.dumps(finite(whole), allow_nan=False)
             append_line(self.file, line.encode(), lambda tail: _parsed(tail) is not None)
 
     def params(self, task: str) -> Path:

@@ -34,7 +34,7 @@ from metapp.experiments.report.html import EMBEDDED, Pictures, identifier
 from metapp.experiments.reporter import Reporter, duration, reporting
 from metapp.experiments.session import Checkpoint, Options, find_device, threads_of
 from metapp.experiments.tables import NAMES, load_table
-from metapp.experiments.tables.ablation import RULE_ALONE, START_ALONE, combined, same_start
+from metapp.experiments.tables.ablation import RULE_ALONE, START_ALONE, combined, learned, same_start
 from metapp.experiments.tables.convergence import steps_needed
 from metapp.experiments.tables.image import image_cell
 from metapp.experiments.tables.rows import blank, paper
@@ -269,6 +269,12 @@ def subject(data: Path, done: Path) -> Subject:
 
 def rows(subject: Subject, name: str) -> list[dict[str, Any]]:
     return load_table(name).rows(subject)
+
+
+def test_the_ablation_leaves_out_rules_with_a_network_of_their_own() -> None:
+    subject = Subject(session.options_of("brdf", quiet=True), run=False, strict=False)
+    assert "meta:ridge" in subject.fits
+    assert learned(subject) == [name for name in subject.fits if name.startswith("meta") and name != "meta:ridge"]
 
 
 def test_the_ablation_has_four_corners_and_those_of_the_results_among_them(subject: Subject) -> None:

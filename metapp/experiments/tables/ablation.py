@@ -27,8 +27,9 @@ START_ALONE = Paradigm("ablation-start", META.needs, meta_start, QUICKFT.rule, Q
 
 
 def learned(subject: Subject) -> list[str]:
-    """The rows of the results that a learned rule makes."""
-    return [name for name, fit in subject.fits.items() if fit.paradigm.name == "meta"]
+    """The rows of the results that a learned rule makes from the network that General predicts."""
+    meta = {name: fit for name, fit in subject.fits.items() if fit.paradigm.name == "meta"}
+    return [name for name, fit in meta.items() if fit.options.app is subject.app]
 
 
 def combined(subject: Subject, name: str) -> list[tuple[str, str, Cell]]:

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from metapp.experiments.inputs import data_label
+from metapp.experiments.origin import origin_of
 from metapp.experiments.peer_fits import (
     FORM,
     allowed_for,
@@ -75,7 +76,7 @@ def peer_cell(subject: Subject, peer: Peer) -> Cell:
         name = f"{subject.label}-{options.recipe}-seed{options.seed}"
         name += f"-{app.protocol}" if app.protocol else ""
         path = options.out / app.name / "peers" / peer.name / name
-        folder = RunFolder(path, _settings(subject, peer, source), FORM)
+        folder = RunFolder(path, _settings(subject, peer, source), FORM, origin_of(options))
 
     def measure(tasks: list[Task]) -> Iterator[Record]:
         assert folder is not None

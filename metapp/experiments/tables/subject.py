@@ -13,6 +13,7 @@ from metapp.apps import presentation_of
 from metapp.experiments.checkpoints import find_checkpoint, trained_path
 from metapp.experiments.embedded import embedded_exists
 from metapp.experiments.inputs import tasks_to_fit
+from metapp.experiments.origin import origin_of
 from metapp.experiments.reporter import say
 from metapp.experiments.run import fit_and_keep, run_path
 from metapp.experiments.session import (
@@ -188,7 +189,8 @@ class Subject:
         if checkpoint is not None:
             said = settings_of(options, paradigm, checkpoint, self.label) | (settings or {})
             path = run_path(options, said, self.label)
-            folder = RunFolder(path.with_name(f"{path.name}-{name}") if name else path, said, FIT)
+            path = path.with_name(f"{path.name}-{name}") if name else path
+            folder = RunFolder(path, said, FIT, origin_of(options))
 
         def measure(missing: list[Task]) -> Iterator[Record]:
             assert folder is not None

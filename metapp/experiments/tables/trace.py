@@ -12,6 +12,7 @@ import torch
 from torch import Tensor
 
 from metapp.experiments.fits import rng_of
+from metapp.experiments.origin import origin_of
 from metapp.experiments.session import name_of, observe_of, settings_of, threads_of
 from metapp.experiments.tables.rows import paper
 from metapp.experiments.tables.subject import Cell, Fit, Record, Subject
@@ -45,7 +46,7 @@ def trace_cell(subject: Subject) -> Cell:
         keys = [digest(settings_of(f.options, f.paradigm, f.checkpoint, subject.label)) for f in fits if f.checkpoint]
         said = {"app": options.app.name, **observe_of(options.app), "fits": keys, "further": FURTHER, "walked": WALKED}
         end = (path.name, options.rule, subject.shortened, options.app.protocol)
-        folder = RunFolder(path.with_name("-".join(filter(None, end))), said, FORM)
+        folder = RunFolder(path.with_name("-".join(filter(None, end))), said, FORM, origin_of(options))
 
     def measure(missing: list[Task]) -> Iterator[Record]:
         assert folder is not None

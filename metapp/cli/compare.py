@@ -1,0 +1,83 @@
+"""`metapp compare`: two runs side by side."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from metapp.cli.console import out, print_json, say
+from metapp.experiments.reporter import number
+
+if TYPE_CHECKING:
+    from metapp.experiments.compare import Comparison
+
+
+def command(
+    first: Annotated[Path, typer.Argument(metavar="RUN", help="A run's folder, or the record.jsonl in it.")],
+    second: Annotated[Path, typer.Argument(metavar="RUN", help="Another one's, of the same application.")],
+    inputs: Annotated[
+        list[Path] | None,
+        typer.Argument(
+            metavar="[INPUT]...", help="What was fitted, for the picture, where it is not where records say."
+        ),
+    ] = None,
+    task: Annotated[str, typer.Option(metavar="NAME", help="Compare this task alone; default: all in common.")] = "",
+    data: Annotated[Path | None, typer.Option(help="The data set that was fitted, for the same.")] = None,
+    out_file: Annotated[
+        Path | None,
+        typer.Option("--out", dir_okay=False, help="The picture; default: comparison.png in the first RUN."),
+    ] = None,
+    json: Annotated[bool, typer.Option("--json", help="One JSON object as last line of standard output.")] = False,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress bar, no table.")] = False,
+) -> None:
+    """Show two runs side by side: errors and seconds of each task, their ratio with its interval, one picture.
+
+    Example: metapp compare runs/brdf/meta/gold-full-seed0-ridge runs/brdf/finetune/gold-full-seed0
+    """
+    from metapp.experiments.compare import compare, draw
+
+    compared = compare(first, second, task, inputs or [], data)
+    picture = draw(compared, out_file or compared.sides[0].folder / "comparison.png", quiet=quiet)
+    if not (quiet or json):
+        out.print(_table(compared))
+    if not quiet:
+        for note in compared.notes:
+            say(f"note: {note}")
+        say(f"picture: {picture}" if picture else "no picture: what was fitted is not there; give it after the runs.")
+    if json:
+        print_json(compared.document(picture))
+
+
+def _table(compared: Comparison) -> Any:
+    """One line a task, and the means."""
+    from rich.table import Table
+    from rich.text import Text
+
+    from metapp.experiments.session import caption_of, title_of
+    from metapp.experiments.tables.statistics import FEWEST, paired_text
+
+    one, other = compared.sides
+    found, app = compared.found, one.app
+    said = [caption_of(app)]
+    if found:
+        ahead = f"{one.label} has the lower error on {found.ahead} of {found.tasks}"
+        said = [f"error of {one.label} over {other.label}'s: {paired_text(found)}; {ahead}", *said]
+        said[0] += f"; {found.groups} different tasks are too few to call a win" if found.groups < FEWEST else ""
+        if found.kind == "difference":
+            said[0] = said[0].replace(" over ", " minus ")
+    table = Table(title=f"{title_of(app)}: {one.label} and {other.label}", caption="\n".join(said), show_footer=True)
+    table.add_column("task", "mean error, median time")
+    for side in compared.sides:
+        table.add_column(f"error, {side.label}", number(side.mean(), ".3f"), justify="right")
+    table.add_column("ratio", justify="right")
+    for side in compared.sides:
+        table.add_column(f"seconds, {side.label}", f"{side.seconds():.4f}", justify="right")
+    for a, b in zip(one.records, other.records, strict=True):
+        errors = (a["error"], b["error"])
+        both = None not in errors and b["error"] > 0 and found is not None and found.kind == "ratio"
+        ratio = f"{a['error'] / b['error']:.3f}" if both else "-"
+        seconds = (f"{each['seconds']:.4f}" for each in (a, b))
+        table.add_row(Text(a["name"]), *(number(each, ".3f") for each in errors), ratio, *seconds)
+    return table

@@ -1,0 +1,77 @@
+"""`metapp pack` and `metapp unpack`: the fits of a run as one small file, and back."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from metapp.cli.console import print_json, say
+from metapp.experiments.reporter import number
+
+if TYPE_CHECKING:
+    from metapp.experiments.pack import Packed
+
+CHECKPOINT_HELP = "The checkpoint that fits were made by; default: the shipped one."
+
+
+def pack_command(
+    run: Annotated[Path, typer.Argument(metavar="RUN", help="A run's folder, or the record.jsonl in it.")],
+    inputs: Annotated[
+        list[Path] | None,
+        typer.Argument(metavar="[INPUT]...", help="What was fitted, where records do not say where it is."),
+    ] = None,
+    data: Annotated[Path | None, typer.Option(help="The data set that was fitted, for the same.")] = None,
+    out_file: Annotated[
+        Path | None, typer.Option("--out", dir_okay=False, help="File to write; default: fits.pack in RUN.")
+    ] = None,
+    bits: Annotated[
+        int | None,
+        typer.Option(min=2, max=16, help="Of a number; default: as few as let the mean error grow by 1 % at most."),
+    ] = None,
+    checkpoint: Annotated[Path | None, typer.Option(help=CHECKPOINT_HELP)] = None,
+    json: Annotated[bool, typer.Option("--json", help="One JSON object as last line of standard output.")] = False,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress bar, no message.")] = False,
+) -> None:
+    """Write the fits of a run as one small file: their quantised difference from the checkpoint.
+
+    Example: metapp pack runs/brdf/meta/materials-full-seed0-ridge --out materials.pack
+    """
+    from metapp.experiments.pack import pack
+
+    done = pack(run, out_file, bits, inputs or [], data=data, checkpoint=checkpoint, quiet=quiet)
+    _tell(done, done.file, json=json, quiet=quiet)
+
+
+def unpack_command(
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="What metapp pack wrote.")],
+    out_folder: Annotated[
+        Path | None,
+        typer.Option("--out", file_okay=False, help="The run's folder to make; default: as FILE, without its suffix."),
+    ] = None,
+    checkpoint: Annotated[Path | None, typer.Option(help=CHECKPOINT_HELP)] = None,
+    json: Annotated[bool, typer.Option("--json", help="One JSON object as last line of standard output.")] = False,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No message.")] = False,
+) -> None:
+    """Make a run's folder of a pack, for metapp export, metapp compare and import metapp.mitsuba.
+
+    Example: metapp unpack materials.pack --out runs/materials
+    """
+    from metapp.experiments.pack import unpack
+
+    done = unpack(file, out_folder, checkpoint)
+    _tell(done, done.out, json=json, quiet=quiet)
+
+
+def _tell(done: Packed, made: str, *, json: bool, quiet: bool) -> None:
+    """Sizes and errors, and where what was made is."""
+    if not quiet:
+        each = done.size / len(done.tasks)
+        say(f"{len(done.tasks)} fits, {done.bits} bits a number: {done.size:,} bytes, {each:,.0f} a fit")
+        if done.after is not None:
+            before, after = (number(error, ".4g") for error in (done.before, done.after))
+            say(f"mean error {after}, of the fits {before}")
+        say(made)
+    if json:
+        print_json(done._asdict())

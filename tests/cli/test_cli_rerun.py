@@ -1,0 +1,152 @@
+"""`metapp rerun`: rows that agree, rows that do not, and what is said where something has changed since."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from metapp.experiments.rerun import ELSEWHERE, ROUNDING
+from metapp.storage.records import load_checkpoint, read_records, save_checkpoint
+
+pytestmark = pytest.mark.usefixtures("small_spheres")
+
+
+@pytest.fixture
+def networks(neural_fits: Callable[[int], Path], tmp_path: Path) -> Path:
+    """Two networks that a test may change."""
+    source, target = neural_fits(2), tmp_path / "networks"
+    source.rename(target)
+    return target
+
+
+@pytest.fixture
+def run(metapp: Callable, networks: Path, tmp_path: Path) -> Path:
+    """A run of both by Meta's gradient rule."""
+    result = metapp("meta", "brdf", networks, "--rule", "meta-adam", "--out", tmp_path / "runs", "--json", "--quiet")
+    return Path(result.document["out"])
+
+
+def change(run: Path, edit: Callable[[dict[str, Any]], None]) -> None:
+    """Write a run's records anew, each after an edit."""
+    records = read_records(run / "record.jsonl")
+    for record in records:
+        edit(record)
+    (run / "record.jsonl").write_text("".join(json.dumps(record) + "\n" for record in records))
+
+
+def test_rows_agree_to_rounding_and_nothing_is_written(metapp: Callable, run: Path) -> None:
+    before = {path: path.read_bytes() for path in run.rglob("*") if path.is_file()}
+    result = metapp("rerun", run, "--json")
+    assert result.code == 0
+    assert result.document["agrees"]
+    assert [row["name"] for row in result.document["tasks"]] == ["m0", "m1"]
+    for row in result.document["tasks"]:
+        assert row["found"] == row["recorded"]
+        assert (row["difference"], row["tolerance"], row["differs"]) == (0.0, ROUNDING, {})
+    assert {path: path.read_bytes() for path in run.rglob("*") if path.is_file()} == before
+
+
+def test_one_row_is_chosen_by_its_name(metapp: Callable, run: Path) -> None:
+    result = metapp("rerun", run / "record.jsonl", "--task", "m1")
+    assert result.code == 0
+    assert "m1" in result.out
+    assert "m0" not in result.out
+    assert "the figure agrees with the record" in result.err
+    missing = metapp("rerun", run, "--task", "m7")
+    assert missing.code == 1
+    assert "no record of task 'm7', expected one of m0, m1." in missing.err
+
+
+def test_a_figure_that_was_altered_does_not_agree(metapp: Callable, run: Path) -> None:
+    change(run, lambda record: record.update(error=record["error"] * (1.001 if record["name"] == "m1" else 1)))
+    result = metapp("rerun", run, "--json")
+    assert result.code == 1
+    assert [row["agrees"] for row in result.document["tasks"]] == [True, False]
+    assert result.document["tasks"][1]["difference"] == pytest.approx(1 - 1 / 1.001, rel=1e-3)
+    assert "1 of 2 figures do not agree: m1" in result.err
+    assert metapp("rerun", run, "--tolerance", "0.002", "--quiet").code == 0
+
+
+def test_other_versions_and_machines_are_named_and_allowed_for(metapp: Callable, run: Path) -> None:
+    def edit(record: dict[str, Any]) -> None:
+        record["settings"]["versions"]["torch"] = "2.0.0"
+        record["origin"]["machine"] = "another"
+
+    change(run, edit)
+    result = metapp("rerun", run, "--task", "m0", "--json")
+    assert result.code == 0
+    (row,) = result.document["tasks"]
+    assert row["tolerance"] == ELSEWHERE
+    assert row["differs"]["torch"][0] == "2.0.0"
+    assert "note: machine: another then" in result.err
+
+
+def test_it_runs_on_as_many_threads_as_then(metapp: Callable, run: Path) -> None:
+    change(run, lambda record: record.update(threads=2))
+    assert metapp("rerun", run, "--task", "m0", "--json").document["tasks"][0]["differs"] == {}
+
+
+def test_data_that_changed_are_named_with_a_remedy(
+    metapp: Callable, run: Path, networks: Path, neural_fits: Callable[[int], Path]
+) -> None:
+    (networks / "m1").rename(networks / "other")
+    result = metapp("rerun", run)
+    assert result.code == 1
+    (line,) = (each for each in result.err.splitlines() if not each.startswith("warning: "))
+    assert line.startswith("error: m0: data ")
+    assert "as recorded; give what was fitted after RECORD, or --data." in line
+    moved = neural_fits(2)
+    assert metapp("rerun", run, moved, "--quiet").code == 0
+
+
+def test_a_checkpoint_that_changed_is_named_with_a_remedy(metapp: Callable, networks: Path, tmp_path: Path) -> None:
+    from metapp.experiments.shipped import shipped_path
+
+    path = tmp_path / "mine.safetensors"
+    path.write_bytes(shipped_path("brdf", "general").read_bytes())
+    words = ("general", "brdf", networks, "--recipe", "quick", "--checkpoint", path, "--out", tmp_path / "runs")
+    run = metapp(*words, "--json", "--quiet").document["out"]
+    assert metapp("rerun", run, "--quiet").code == 0
+    start, info = load_checkpoint(path)
+    save_checkpoint(path, start, info | {"note": "another"})
+    result = metapp("rerun", run)
+    assert result.code == 1
+    (line,) = (each for each in result.err.splitlines() if not each.startswith("warning: "))
+    assert line.startswith("error: m0: checkpoint ")
+    assert "as recorded; give that file by --checkpoint." in line
+    assert metapp("rerun", run, "--checkpoint", shipped_path("brdf", "general"), "--quiet").code == 0
+
+
+def test_settings_that_changed_are_named(metapp: Callable, run: Path) -> None:
+    change(run, lambda record: record["settings"].update(batch=100))
+    result = metapp("rerun", run)
+    assert result.code == 1
+    assert "error: m0: batch 512, expected 100 as recorded; repeat it by the version of metapp" in result.err
+
+
+def test_a_fit_without_reference_is_judged_by_its_parameters(metapp: Callable, run: Path) -> None:
+    change(run, lambda record: record.update(error=None))
+    result = metapp("rerun", run, "--task", "m0", "--json")
+    assert result.code == 1  # the record has no error, the fit has one
+    assert result.document["tasks"][0]["difference"] is None
+
+
+@pytest.mark.slow
+def test_rows_of_all_tables_are_repeated_or_refused_by_name(
+    metapp: Callable, ten_materials: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "runs"
+    for table in ("results", "ablation", "peers", "convergence"):
+        words = ("--data", ten_materials, "--out", out, "--overfit-share", "0.001", "--which", table)
+        assert metapp("evaluate", "brdf", *words, "--quiet", "--json").code == 0
+    for record in sorted(out.glob("brdf/**/record.jsonl")):
+        result = metapp("rerun", record, "--json")
+        if record.parent.parent.name == "trace":
+            assert "a record of" in result.err
+            continue
+        assert result.code == 0, (record, result.err)
+        assert all(row["found"] == row["recorded"] for row in result.document["tasks"])
