@@ -11,4 +11,11 @@ def _files() -> Files:
     return svbrdf_inputs
 
 
-FORMAT = Format("svbrdf", "svbrdf_nonstationary", "flash photos, strips, a material's maps", _files, takes_fov=True)
+FORMAT = Format(
+    "svbrdf",
+    "svbrdf_nonstationary",
+    "flash photos, strips, a material's maps",
+    _files,
+    takes_fov=True,
+    takes_size=True,
+)

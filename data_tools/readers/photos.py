@@ -120,7 +120,9 @@ def holds_photos(path: str | Path) -> bool:
     return any(file.suffix.lower() in _NAMED for file in _files_below(path)) if path.is_dir() else is_photo(path)
 
 
-def read_photo(path: str | Path, size: int = SIZE, *, fov_rad: float = 0.0, within_rad: float = 0.0) -> Tensor:
+def read_photo(
+    path: str | Path, size: int = SIZE, *, fov_rad: float = 0.0, within_rad: float = 0.0, least: int = 0
+) -> Tensor:
     """Read the central square of an image file.
 
     The picture is turned as its EXIF orientation says. Averages are taken over exact areas and in linear light, so
@@ -132,6 +134,7 @@ def read_photo(path: str | Path, size: int = SIZE, *, fov_rad: float = 0.0, with
         fov_rad: the camera's field of view along the shorter side; 0: as the file's EXIF says, if it does.
         within_rad: of a camera with a wider field, only what is within this one counts; 0: all of it.
         size: side of the result in px.
+        least: what smaller pictures than `size` are enlarged to, if at all; 0: to `size`.
 
     Returns:
         sRGB, uint8 [3, size, size], rows from the top.
@@ -143,7 +146,7 @@ def read_photo(path: str | Path, size: int = SIZE, *, fov_rad: float = 0.0, with
     path = Path(path)
     whole = read_pixels(path)
     pixels = central_square(whole, _share_within(whole, fov_rad, within_rad))
-    linear = resample(pixels, size)
+    linear = resample(pixels, min(size, max(least, len(pixels.values))) if least else size)
     if not np.isfinite(linear).all():
         raise ValueError(f"{path}: holds NaN, expected finite values; export the image again.")
     if linear.shape[-1] == 4:

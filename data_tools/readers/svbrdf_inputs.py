@@ -41,7 +41,7 @@ def read_task(path: Path, size: int = SIZE, fov_rad: float = 0.0) -> Task:
 
     Args:
         path: the file.
-        size: side in px.
+        size: side in px; where it is more than 256, of photographs as fine as that alone.
         fov_rad: of a photograph's camera, along the shorter side; 0: as EXIF says, else that of fits.
 
     Returns:
@@ -54,10 +54,11 @@ def read_task(path: Path, size: int = SIZE, fov_rad: float = 0.0) -> Task:
     check_exists(path)
     material = material_maps.material_of(path)
     if material and _is_material(material):
-        return material_maps.read_task(path, size)
+        return material_maps.read_task(path, min(size, SIZE))
     if strips.is_strip(path):
-        return strips.read_task(path, size)
-    return Task(task_name(path.stem), {"photo": read_photo(path, size, fov_rad=fov_rad, within_rad=FOV_RAD)})
+        return strips.read_task(path, min(size, SIZE))
+    photo = read_photo(path, size, fov_rad=fov_rad, within_rad=FOV_RAD, least=min(size, SIZE))
+    return Task(task_name(path.stem), {"photo": photo})
 
 
 def _is_material(material: material_maps.Material) -> bool:

@@ -35,6 +35,7 @@ DRAWN = (1, 2)  # and those that preparation draws
 SMOOTHED = 0.03  # at first, where learned losses round off |d|
 FINER = 2  # how many times as fine as their maps augmented materials are photographed
 INPUTS = 8
+FINEST = 1024  # px a side of a user's photograph, and of the maps that are written
 
 
 @dataclass(frozen=True)
@@ -149,6 +150,10 @@ class SvbrdfNonstationary(CodedApp):
         "maps": Held((10, "M", "M"), low=-1.001, high=1.001, optional=True),
     }
     all_recipes = RECIPES
+
+    def __init__(self, setup: Setup, protocol: str) -> None:
+        super().__init__(setup, protocol)
+        self.reads = FINEST if setup.read else 0
 
     def prepare(self, task: Task) -> dict[str, Tensor]:
         """`photo`, linear [3, H, W], and `maps` [10, H, W] with what they look like under RIG lights, `lit`.

@@ -9,12 +9,12 @@ import torch
 from metapp.appearance.flash import Maps, unpack
 from metapp.appearance.presentation import Kind, Picture, Visible
 from metapp.appearance.surface import Surface
-from metapp.apps.svbrdf_nonstationary import SvbrdfNonstationary
+from metapp.apps.svbrdf_nonstationary import FINEST, SvbrdfNonstationary
 from metapp.apps.svbrdf_nonstationary.maps import displayed, photo_of, pooled, relit, sheet
 from metapp.learning.task import Params, Task
 from metapp.networks.presentation import CodedPresentation
 
-LARGEST = 256  # px of the maps that are written
+LARGEST = 256  # px of the maps that are shown
 KIND_OF: dict[str, Kind] = {"normal": "data", "roughness": "data"}  # all others are colours
 
 
@@ -38,7 +38,7 @@ class SvbrdfNonstationaryPresentation(CodedPresentation[SvbrdfNonstationary]):
 
     @torch.no_grad()
     def files(self, theta: Params, task: Task) -> dict[str, Picture]:
-        """The maps, as fine as the photograph up to 256 px, and pictures under three other lights."""
+        """The maps, as fine as the photograph up to FINEST px, and pictures under three other lights."""
         maps = self._whole(theta, task)
         pictures = displayed(maps) | {f"lit_from_{name}": picture for name, picture in relit(maps).items()}
         return {
@@ -54,7 +54,7 @@ class SvbrdfNonstationaryPresentation(CodedPresentation[SvbrdfNonstationary]):
     def _whole(self, theta: Params, task: Task) -> Maps:
         """The maps [1, ...] of the size of files."""
         one = {key: value[None] for key, value in theta.items()}
-        return self.kept(theta, task, lambda: self.app.maps_of(one, photo_of(task, LARGEST)))
+        return self.kept(theta, task, lambda: self.app.maps_of(one, photo_of(task, FINEST)))
 
     def visible(self, task: Task) -> Visible:
         """The maps or the photograph, all of it in each step; General's encoder reads the photograph alone."""
