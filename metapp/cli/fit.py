@@ -213,7 +213,8 @@ def fit_many(
         records = done.run.records
         if not json:
             out.print(table_of(done.run.options.app, name, records, rate=done.tasks_per_second, most=LISTED))
-        say(f"gallery: {done.gallery}\nrecords: {done.run.folder.file}")
+        made = f"\nmade: {done.run.made}" if done.run.made else ""
+        say(f"gallery: {done.gallery}\nrecords: {done.run.folder.file}{made}")
     for failure in done.failures:
         say(f"failed: {one_line(failure.reason)}")
     if json:

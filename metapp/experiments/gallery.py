@@ -63,7 +63,7 @@ def write_gallery(app: App, paradigm: str, folder: RunFolder, failures: Sequence
     records = sorted(folder.finished().values(), key=lambda record: (-(record["error"] or 0.0), record["name"]))
     total = summary(records)
     title = escape(f"{title_of(app)}, {paradigm}: {len(records)} fits")
-    mean = f"Mean error {number(total['error'], '.3f')}, median {total['seconds']:.4g} s a fit. "
+    mean = f"Mean {number(total['error'], '.3f')}, median {total['seconds']:.4g} s a fit; "
     listed = "".join(f"<li>{escape(failure.source)}<br><small>{escape(failure.reason)}</small>" for failure in failures)
     failed = f"<h2>{len(failures)} failed</h2><ul>{listed}</ul>" if failures else ""
     page = (

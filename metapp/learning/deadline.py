@@ -7,7 +7,7 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 SPARE = 0.1  # of the time that steps may take, left out of a plan: not all steps are as quick as the usual one
-REMEMBERED = 7  # fits that a pace is the median of
+REMEMBERED = 7  # fits that say what pace is usual
 
 
 class Pace(NamedTuple):
@@ -25,8 +25,9 @@ class Pace(NamedTuple):
 
 
 def usual(paces: list[Pace]) -> Pace:
-    """The median of each part over the last fits."""
-    return Pace(*(statistics.median(each) for each in zip(*paces[-REMEMBERED:], strict=True)))
+    """The median of the last fits, but of the longest steps the longest: a promise is kept by that."""
+    step, longest, rest = zip(*paces[-REMEMBERED:], strict=True)
+    return Pace(statistics.median(step), max(longest), statistics.median(rest))
 
 
 class Deadline:
