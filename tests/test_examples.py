@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
 from collections.abc import Callable
@@ -69,3 +70,28 @@ def test_photo_to_blender(tmp_path: Path) -> None:
     assert (tmp_path / "out" / "gltf" / "wall.glb").read_bytes().startswith(b"glTF")
     assert len(list((tmp_path / "out" / "asset" / "wall").iterdir())) == 12
     assert len(list((tmp_path / "out" / "blender" / "wall").iterdir())) == 8
+
+
+@needs_mitsuba
+def test_mitsuba_scene(neural_fits: Callable[[int], Path], tmp_path: Path) -> None:
+    """At a few pixels: white light from everywhere shows a floor in its colour, and balls on it."""
+    maps = tmp_path / "clay"
+    maps.mkdir()
+    values = {"diffuse": (0.8, 0.2, 0.2), "specular": (0, 0, 0), "normal_gl": (0.5, 0.5, 1.0), "roughness": (0.9,)}
+    for name, colour in values.items():
+        pixels = np.broadcast_to(np.array(colour, np.float32), (4, 4, len(colour)))
+        assert oiio.ImageBuf(np.ascontiguousarray(pixels)).write(str(maps / f"clay_{name}.png"), "uint8")
+    light = oiio.ImageBuf(np.ones((8, 16, 3), np.float32))
+    assert light.write(str(tmp_path / "light.exr"), "float")
+    script = (EXAMPLES / "mitsuba_scene.py").read_text(encoding="utf-8")
+    small = re.sub(r"SIZE, SAMPLES, EXPOSURE = .*", "SIZE, SAMPLES, EXPOSURE = 48, 8, 0.3", script)
+    assert small != script
+    (tmp_path / "small.py").write_text(small, encoding="utf-8")
+    network = next(neural_fits(1).iterdir())
+    said = run(str(tmp_path / "small.py"), maps, tmp_path / "light.exr", tmp_path / "a.png", network, network)
+    assert "48 x 48 px, 8 samples" in said
+    picture = oiio.ImageBuf(str(tmp_path / "a.png")).get_pixels(oiio.FLOAT)
+    assert picture.shape[:2] == (48, 48)
+    floor, ball = picture[44, 24, :3], picture[20, 24, :3]
+    assert floor[0] > 1.5 * floor[1]
+    assert abs(ball[0] / ball[1] - floor[0] / floor[1]) > 0.2

@@ -1,0 +1,78 @@
+"""Render fits of three kinds together with Mitsuba 3: mitsuba_scene.py MAPS LIGHT.exr PICTURE BRDF.safetensors...
+
+MAPS is a folder of `--export mitsuba` of an svBRDF, LIGHT.exr is outputs/<map>/map.exr of a run of illumination, each
+BRDF.safetensors is params/<material>.safetensors of a run of brdf: one to three balls. Fits of the embedded data sets:
+
+    metapp meta svbrdf_nonstationary --export mitsuba
+    metapp meta illumination
+    metapp meta brdf --rule ridge
+"""
+
+import sys
+from pathlib import Path
+
+import metapp.mitsuba  # noqa: F401  (registers the plugins; before mitsuba, as it chooses a libLLVM that works)
+
+# isort: split
+import mitsuba as mi
+import numpy as np
+
+SIZE, SAMPLES, EXPOSURE = 384, 256, 0.33
+PASSES = 8
+BALLS = ((0.0, -0.3, 1.0), (1.2, 0.8, 0.45), (-1.2, 0.75, 0.35))  # x, z, radius
+maps, light, picture, *brdfs = map(Path, sys.argv[1:])
+mi.set_variant("llvm_ad_rgb")
+T = mi.ScalarTransform4f
+
+
+def texture(name: str, *, raw: bool) -> dict[str, object]:
+    """One of the material's maps, side by side on the floor."""
+    file = maps / f"{maps.name}_{name}.png"
+    return {
+        "type": "bitmap",
+        "filename": str(file),
+        "raw": raw,
+        "wrap_mode": "mirror",
+        "to_uv": T().scale([8, 8, 1]),
+    }
+
+
+def ball(place: tuple[float, float, float], file: Path) -> dict[str, object]:
+    """A sphere on the floor, of a fitted BRDF."""
+    x, z, radius = place
+    paint = {"type": "neural_brdf", "filename": str(file)}
+    return {"type": "sphere", "center": [x, radius, z], "radius": radius, "bsdf": paint}
+
+
+material = {
+    "type": "neural_svbrdf",
+    "diffuse": texture("diffuse", raw=False),
+    "specular": texture("specular", raw=False),
+    "roughness": texture("roughness", raw=True),
+}
+floor = {
+    "type": "rectangle",
+    "to_world": T().rotate([1, 0, 0], -90).scale(12),
+    "bsdf": {"type": "normalmap", "normalmap": texture("normal_gl", raw=True), "bsdf": material},
+}
+camera = {
+    "type": "perspective",
+    "fov": 32,
+    "to_world": T().look_at(origin=[0.4, 3.0, 5.4], target=[0.05, 0.72, 0], up=[0, 1, 0]),
+    "film": {"type": "hdrfilm", "width": SIZE, "height": SIZE, "rfilter": {"type": "gaussian"}},
+}
+scene = mi.load_dict(
+    {
+        "type": "scene",
+        "integrator": {"type": "path", "max_depth": 3},
+        "camera": camera,
+        "light": {"type": "envmap", "filename": str(light), "to_world": T().rotate([0, 1, 0], 60)},
+        "floor": floor,
+        **{f"ball{i}": ball(*each) for i, each in enumerate(zip(BALLS, brdfs, strict=False))},
+    }
+)
+# the median of passes leaves out the few paths that meet the sun by way of two glossy balls
+passes = [np.array(mi.render(scene, spp=SAMPLES // PASSES, seed=seed)) for seed in range(PASSES)]
+image = np.median(passes, 0)
+mi.util.write_bitmap(str(picture), mi.TensorXf(image * (EXPOSURE / image.mean())), write_async=False)
+print(f"saved {picture}: {SIZE} x {SIZE} px, {SAMPLES} samples a pixel")
