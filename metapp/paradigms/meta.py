@@ -69,7 +69,7 @@ def with_gradients(job: Job, phi: MetaParameters, tasks: Tasks, rng: Generator) 
             return step(alpha, theta, grads, state)
 
         loss = task_loss(job.app, job.recipe.batch)
-        learn(theta, rule._replace(step=recording), part, loss, steps=META.count(job), rng=rng)
+        learn(theta, rule._replace(step=recording, packing=None), part, loss, steps=META.count(job), rng=rng)
     return phi._replace(alpha=learned.settle(phi.alpha, total))
 
 
