@@ -14,7 +14,7 @@ from metapp.experiments.export import export_all
 from metapp.experiments.fits import fit_tasks
 from metapp.experiments.inputs import AS_FILES_SAY, Reading, tasks_to_fit
 from metapp.experiments.pictures import write_files
-from metapp.experiments.reporter import number, progress, say
+from metapp.experiments.reporter import Reporter, number, progress, reporting, say
 from metapp.experiments.session import (
     Checkpoint,
     Options,
@@ -27,7 +27,7 @@ from metapp.experiments.session import (
 )
 from metapp.learning.app import App
 from metapp.learning.task import Task
-from metapp.paradigms import Paradigm, paradigms
+from metapp.paradigms import Paradigm, paradigms, ranks
 from metapp.storage.records import FIT, RunFolder, guarded, summary
 
 
@@ -107,9 +107,18 @@ def run(
     with threads(threads_of(options.app)):
         tasks, label = tasks_to_fit(options.app, inputs, options.data, options.quiet, reading)
         if train:
-            train_checkpoint(options, paradigm, train_steps)
+            with ranks.joined(options.device):
+                train_checkpoint(options, paradigm, train_steps)
         checkpoint = find_checkpoint(options, paradigm)
         return _fit(options, paradigm, checkpoint, tasks, label, export, sides)
+
+
+def follow(options: Options, paradigm_name: str, train_steps: int | None) -> None:
+    """Train along with rank 0 of `torchrun`, which alone writes and goes on to fit."""
+    paradigm = paradigms()[paradigm_name]
+    options = options.by(paradigm)._replace(quiet=True)
+    with threads(threads_of(options.app)), reporting(Reporter()), ranks.joined(options.device):
+        train_checkpoint(options, paradigm, train_steps)
 
 
 def _fit(

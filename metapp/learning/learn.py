@@ -166,7 +166,7 @@ def after_learning(
     steps: int,
     order: int,
     clip: float = float("inf"),
-    compiled: bool = False,
+    compiled: bool | Callable[[], bool] = False,
     tasks_at_once: int | None = None,
     condition: Callable[[Any, Generator], Any] | None = None,
     encode: Callable[[Params, Any], Params] | None = None,
@@ -180,7 +180,7 @@ def after_learning(
         steps: inner steps.
         order: derivative carried through the steps: 1 leaves out second derivatives (FOMAML), 2 is exact (MAML).
         clip: each task's gradient, over all of phi, is scaled down to this norm.
-        compiled: compile the inner step and its adjoint.
+        compiled: compile the inner step and its adjoint; or what says so when it is asked for the first time.
         tasks_at_once: backpropagate for so many tasks at a time, which lowers the memory; None for all.
         condition, encode: where phi holds an encoder: what it reads of each task, and the task's start from that.
         outer_loss: the loss of the final theta, where that is not `loss` itself.
@@ -208,8 +208,9 @@ def after_learning(
             flat = fused.learn_through(theta["theta"], gathered, inner, loss, order)
             return flat_value(last_loss, fused.layout, flat, last)
         theta, alpha = clip_per_task(theta, spread(start.alpha, count, 1), limit)
+        by_torch = compiled() if callable(compiled) else compiled
         final = learn_through(
-            theta, rule(alpha), inner, loss, order=order, compiled=compiled, tasks_at_once=tasks_at_once
+            theta, rule(alpha), inner, loss, order=order, compiled=by_torch, tasks_at_once=tasks_at_once
         )
         return last_loss.value(final, last, {})
 
