@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 import statistics
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -141,6 +142,7 @@ def make_command(name: str, summary: str) -> Any:
     ) -> None:
         from metapp.experiments.export import check_export
         from metapp.experiments.inputs import Reading
+        from metapp.experiments.run import follow
         from metapp.experiments.session import options_of
 
         options = options_of(
@@ -173,6 +175,8 @@ def make_command(name: str, summary: str) -> Any:
         ):
             if unused:  # scripts over all paradigms give all the same options
                 say(f"{said}; the option is ignored.")
+        if os.environ.get("RANK", "0") != "0":  # of torchrun: rank 0 alone fits
+            return follow(options, name, train_steps) if train else None
         told: dict[str, Any] = {
             "train": train,
             "train_steps": train_steps,

@@ -26,8 +26,8 @@ from metapp.experiments.shipped import shipped_path, ships
 from metapp.learning.app import App, stack
 from metapp.learning.learn import MetaParameters
 from metapp.learning.recipe import OuterLoop
-from metapp.paradigms import Paradigm, paradigms
-from metapp.paradigms.resuming import Interrupted, Prepared, Reached
+from metapp.paradigms import Paradigm, paradigms, ranks
+from metapp.paradigms.resuming import Interrupted, Prepared, Reached, forget
 from metapp.paradigms.training import describe, prepare, training_of
 from metapp.storage.files import remove_partial
 from metapp.storage.records import digest, load_checkpoint, save_checkpoint, tensor_digest
@@ -189,9 +189,16 @@ def train_checkpoint(
         kept = prepared.start._replace(encoder={}) if name == "quickft" else prepared.start
         save_checkpoint(file, kept, describe(options.job, name, prepared, steps) | info, previous)
 
-    remove_partial(path)
+    writes = ranks.number() == 0
+    if writes:
+        remove_partial(path)
+    else:
+        ranks.wait()  # until rank 0 has looked at the file, and put it aside if need be
     checkpoint = TrainingCheckpoint(path, _settings(options, name, steps, folder, encoder) | info, options.device)
     since = _go_on(checkpoint, training_of(options.job, name, steps))
+    if writes:
+        ranks.wait()
+    ranks.wait()  # until all have read it
     with progress(f"train {name}", long=True, quiet=options.quiet) as bar:
         try:
             prepared = prepare(
@@ -203,17 +210,20 @@ def train_checkpoint(
                 steps=steps,
                 report=None if options.quiet else bar.at,
                 since=since,
-                keep=checkpoint.keep,
+                keep=checkpoint.keep if writes else forget,
             )
-        except KeyboardInterrupt as error:
-            checkpoint.write()
-            if isinstance(error, Interrupted) and error.prepared.curve:
+        except (KeyboardInterrupt, ConnectionError) as error:
+            if writes:
+                checkpoint.write()
+            if writes and isinstance(error, Interrupted) and error.prepared.curve:
                 kept = path.with_suffix(".interrupted.safetensors")
                 keep(error.prepared, kept)
                 say(f"validation error {error.prepared.validation:.3f}; to use it as it is: --checkpoint {kept}")
             raise
-    keep(prepared, path, path.with_suffix(".previous.safetensors"))
-    checkpoint.remove()
+    if writes:
+        keep(prepared, path, path.with_suffix(".previous.safetensors"))
+        checkpoint.remove()
+    ranks.wait()  # until the file is there, from which all go on
     say(f"{name}: validation error {prepared.validation:.3f} at step {prepared.step}; kept as {path}")
     return Trained(path, prepared, checkpoint.spent)
 

@@ -16,7 +16,7 @@ from metapp.experiments.fits import fit_tasks
 from metapp.experiments.inputs import AS_FILES_SAY, Reading, tasks_to_fit
 from metapp.experiments.origin import origin_of
 from metapp.experiments.pictures import write_files
-from metapp.experiments.reporter import number, progress, say
+from metapp.experiments.reporter import Reporter, number, progress, reporting, say
 from metapp.experiments.session import (
     Checkpoint,
     Options,
@@ -31,7 +31,7 @@ from metapp.experiments.timing import said_time
 from metapp.experiments.watching import Watched
 from metapp.learning.app import App
 from metapp.learning.task import Task
-from metapp.paradigms import Paradigm, paradigms
+from metapp.paradigms import Paradigm, paradigms, ranks
 from metapp.storage.records import FIT, RunFolder, file_name, guarded, summary
 
 
@@ -107,7 +107,8 @@ def run(
     with threads(threads_of(options.app)):
         tasks, label = tasks_to_fit(options.app, inputs, options.data, options.quiet, reading)
         if train:
-            train_checkpoint(options, paradigm, train_steps)
+            with ranks.joined(options.device):
+                train_checkpoint(options, paradigm, train_steps)
         checkpoint = find_checkpoint(options, paradigm)
         return _fit(options, paradigm, checkpoint, tasks, label, export, sides, origin_of(options, inputs, reading))
 
@@ -126,6 +127,14 @@ def placed(options: Options, name: str, size: str) -> tuple[Options, Paradigm, t
         options = options._replace(steps=None)  # the recipe's own number is the recipe's own run
     make_folder(options.out)
     return options, paradigm, sides
+
+
+def follow(options: Options, paradigm_name: str, train_steps: int | None) -> None:
+    """Train along with rank 0 of `torchrun`, which alone writes and goes on to fit."""
+    paradigm = paradigms()[paradigm_name]
+    options = options.by(paradigm)._replace(quiet=True)
+    with threads(threads_of(options.app)), reporting(Reporter()), ranks.joined(options.device):
+        train_checkpoint(options, paradigm, train_steps)
 
 
 def _fit(

@@ -12,6 +12,7 @@ from torch.autograd.function import once_differentiable
 from torch.utils._pytree import tree_flatten, tree_unflatten
 
 from metapp.learning.draws import Rng
+from metapp.learning.flat import FusedLoss, Packing, no_fused
 from metapp.learning.task import Linear, Params
 
 
@@ -37,6 +38,7 @@ class Loss(NamedTuple):
             each task has its own (it follows the sum, which moves each as if it were alone).
         linear: (params, batch, learned) -> least squares near the loss, where the network is linear in a parameter.
         stage: (data, share of the steps that were taken) -> the data that a step draws from.
+        fused: theta -> the same in C for flat parameters of this layout; None where there is no such form.
     """
 
     draw: Callable[[Any, Any], Drawn]
@@ -44,6 +46,7 @@ class Loss(NamedTuple):
     shared: bool = False
     linear: Callable[[Params, Any, Params], Linear] | None = None
     stage: Callable[[Any, float], Any] = _all
+    fused: Callable[[Params], FusedLoss | None] = no_fused
 
     def draw_at(self, data: Any, rng: Rng, step: int, steps: int) -> Drawn:
         """Draw what one of so many steps sees."""
@@ -72,12 +75,14 @@ class UpdateRule(NamedTuple):
         init: theta -> state.
         step: (alpha at this step, theta, gradient, state) -> (theta, state).
         sees: what a step gets of a batch; the gradient, or something else that stands in its place.
+        packing: how steps in C read alpha; None where there are none.
     """
 
     alpha: Params
     init: Callable[[Params], Params]
     step: Callable[[Params, Params, Params, Params], tuple[Params, Params]]
     sees: Callable[..., tuple[Params, Tensor]] = gradient
+    packing: Packing | None = None
 
 
 def at_step(alpha: Params, i: int) -> Params:
@@ -90,12 +95,14 @@ class StepPair(NamedTuple):
 
     Attributes:
         forward: (alpha, theta, state, batch) -> (theta, state, losses, gradient).
-        pullback: (alpha, theta, state, needed, pull_theta, pull_state) -> pulls of (theta, state, alpha). It needs
-            the batch for order 2, which differentiates the gradient; for order 1 the gradient, which is a constant.
+        pullback: (alpha, theta, state, needed, pull_theta, pull_state) -> pulls of (theta, state, alpha).
+        needed: (batch, gradient) -> what the pullback needs of both: the batch for order 2, which differentiates the
+            gradient; for order 1 the gradient, which is a constant.
     """
 
-    forward: Callable[..., tuple[Params, Params, Tensor, Params]]
+    forward: Callable[..., tuple[Params, Params, Tensor, Any]]
     pullback: Callable[..., tuple[Params, Params, Params]]
+    needed: Callable[[Any, Any], Any]
 
 
 def step_pair(rule: UpdateRule, loss: Loss, order: int, compiled: bool) -> StepPair:
@@ -106,7 +113,7 @@ def step_pair(rule: UpdateRule, loss: Loss, order: int, compiled: bool) -> StepP
 @lru_cache(maxsize=32)  # compiling takes seconds
 def _compiled_pair(rule_step: Callable[..., Any], rule_sees: Callable[..., Any], loss: Loss, order: int) -> StepPair:
     eager = _eager_pair(rule_step, rule_sees, loss, order)
-    return StepPair(_Compiled(eager.forward), _Compiled(eager.pullback))
+    return eager._replace(forward=_Compiled(eager.forward), pullback=_Compiled(eager.pullback))
 
 
 def _eager_pair(rule_step: Callable[..., Any], rule_sees: Callable[..., Any], loss: Loss, order: int) -> StepPair:
@@ -134,7 +141,8 @@ def _eager_pair(rule_step: Callable[..., Any], rule_sees: Callable[..., Any], lo
         grads = iter(torch.autograd.grad([o for o, _ in live], inputs, [p for _, p in live], materialize_grads=True))
         return dict(zip(theta, grads)), dict(zip(state, grads)), dict(zip(alpha, grads))  # noqa: B905
 
-    return StepPair(_enable_grad(forward), _enable_grad(pullback))
+    needed = (lambda batch, grads: batch) if order == 2 else (lambda batch, grads: grads)
+    return StepPair(_enable_grad(forward), _enable_grad(pullback), needed)
 
 
 def _leaves(params: Params) -> Params:
@@ -228,7 +236,6 @@ class _LearnThrough(torch.autograd.Function):
     def forward(
         ctx: Any,
         steps: StepPair,
-        order: int,
         rule: UpdateRule,
         batches: Sequence[Any],
         keys: Sequence[str],
@@ -242,7 +249,7 @@ class _LearnThrough(torch.autograd.Function):
         for i, batch in enumerate(batches):
             before = (theta, state)
             theta, state, _, gradient = steps.forward(at_step(ctx.alpha, i), theta, state, batch)
-            ctx.taken.append((*before, batch if order == 2 else gradient))
+            ctx.taken.append((*before, steps.needed(batch, gradient)))
         ctx.last_state = state
         return tuple(theta[key] for key in keys)
 
@@ -257,8 +264,8 @@ class _LearnThrough(torch.autograd.Function):
                 at_step(ctx.alpha, i), *ctx.taken.pop(), pull_theta, pull_state
             )
             for key, value in pulled.items():
-                pull_alpha[key][min(i, pull_alpha[key].shape[0] - 1)] += value
-        return None, None, None, None, None, *pull_theta.values(), *pull_alpha.values()
+                pull_alpha[key][min(i, pull_alpha[key].shape[0] - 1)].add_(value)
+        return None, None, None, None, *pull_theta.values(), *pull_alpha.values()
 
 
 def learn_through(
@@ -270,16 +277,18 @@ def learn_through(
     order: int,
     compiled: bool = False,
     tasks_at_once: int | None = None,
+    steps: StepPair | None = None,
 ) -> Params:
     """Learn on given batches, differentiably in the start and in the rule's alpha.
 
     The gradient is the adjoint recursion over the steps: memory is one step's graph and K copies of the parameters
     and of the rule's state. Order 1 treats each step's gradient as a constant (FOMAML); order 2 is exact (MAML).
+    `steps` are what takes the steps where that is not `step_pair`.
     """
-    steps = step_pair(rule, loss, order, compiled)
+    steps = steps or step_pair(rule, loss, order, compiled)
     if tasks_at_once:
         steps = steps._replace(pullback=_in_slices(steps.pullback, tasks_at_once))
     keys = list(theta)
     apply: Callable[..., Any] = _LearnThrough.apply
-    final = apply(steps, order, rule, batches, keys, *theta.values(), *rule.alpha.values())
+    final = apply(steps, rule, batches, keys, *theta.values(), *rule.alpha.values())
     return dict(zip(keys, final, strict=True))

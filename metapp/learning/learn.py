@@ -16,6 +16,8 @@ from torch import Generator, Tensor
 from metapp.learning.adjoint import Drawn, Loss, UpdateRule, at_step, learn_through, step_pair
 from metapp.learning.app import App
 from metapp.learning.draws import Rng, drawn
+from metapp.learning.flat import no_fused
+from metapp.learning.fused import flat_value, fuse
 from metapp.learning.task import Params, Tasks
 
 
@@ -96,8 +98,11 @@ def learn(
         FloatingPointError: a loss is not finite; names the tasks and the step.
     """
     theta = {key: value.detach() for key, value in params.items()}
+    fused = None if since or keep else fuse(rule, loss, theta)
+    if fused:
+        theta, rule = {"theta": fused.layout.flat(theta)}, fused.rule(fused.gathered)
     first, theta, state = since or Progress(0, theta, rule.init(theta))
-    step = step_pair(rule, loss, 1, compiled).forward
+    step = (fused.steps(1) if fused else step_pair(rule, loss, 1, compiled)).forward
     for i in range(first, steps):
         if enough is not None and enough(i):
             break
@@ -108,9 +113,9 @@ def learn(
         if i == 0 or (check_every and (i % check_every == 0 or i == steps - 1)):
             _require_finite(value, seen.names, i)
         if watch is not None:
-            watch(i, theta, value)
+            watch(i, fused.layout.tree(theta["theta"]) if fused else theta, value)
         theta = moved
-    return theta
+    return fused.layout.tree(theta["theta"]) if fused else theta
 
 
 def _require_finite(value: Tensor, names: tuple[str, ...], step: int) -> None:
@@ -137,12 +142,13 @@ def _loss_of(app: App, value: Callable[[Params, Any, Params], Tensor], sample: D
     def draw(tasks: Tasks, rng: Rng) -> Drawn:
         return Drawn(tasks.picked_names(), drawn(lambda some, own: sample(some, own, batch), tasks, rng))
 
-    return Loss(draw, value, linear=app.linear, stage=app.stage)
+    return Loss(draw, value, linear=app.linear, stage=app.stage, fused=app.fused)
 
 
 def task_outer_loss(app: App, batch: int) -> Loss:
     """The outer loss of an application, on samples of training tasks, [T]."""
-    return _loss_of(app, app.outer_loss, app.outer_sample, batch)
+    loss = _loss_of(app, app.outer_loss, app.outer_sample, batch)
+    return loss if type(app).outer_loss is App.outer_loss else loss._replace(fused=no_fused)
 
 
 Augment = Callable[[Tasks, Generator], Tasks]
@@ -168,7 +174,7 @@ def after_learning(
     steps: int,
     order: int,
     clip: float = float("inf"),
-    compiled: bool = False,
+    compiled: bool | Callable[[], bool] = False,
     tasks_at_once: int | None = None,
     condition: Callable[[Any, Generator], Any] | None = None,
     encode: Callable[[Params, Any], Params] | None = None,
@@ -182,7 +188,7 @@ def after_learning(
         steps: inner steps.
         order: derivative carried through the steps: 1 leaves out second derivatives (FOMAML), 2 is exact (MAML).
         clip: each task's gradient, over all of phi, is scaled down to this norm.
-        compiled: compile the inner step and its adjoint.
+        compiled: compile the inner step and its adjoint; or what says so when it is asked for the first time.
         tasks_at_once: backpropagate for so many tasks at a time, which lowers the memory; None for all.
         condition, encode: where phi holds an encoder: what it reads of each task, and the task's start from that.
         outer_loss: the loss of the final theta, where that is not `loss` itself.
@@ -203,9 +209,16 @@ def after_learning(
         start = MetaParameters.unflat(phi)
         theta = encode(start.encoder, conditions) if encode else spread(start.theta, count, 0)
         # the mean over tasks has divided each one's gradient by their number
-        theta, alpha = clip_per_task(theta, spread(start.alpha, count, 1), clip / count)
+        limit = clip / count
+        if fused := fuse(rule(spread(start.alpha, 1, 1)), loss, theta):
+            gathered = {key: each.expand(-1, count, *each.shape[2:]) for key, each in fused.gathered.items()}
+            theta, gathered = clip_per_task({"theta": fused.layout.flat(theta)}, gathered, limit)
+            flat = fused.learn_through(theta["theta"], gathered, inner, loss, order)
+            return flat_value(last_loss, fused.layout, flat, last)
+        theta, alpha = clip_per_task(theta, spread(start.alpha, count, 1), limit)
+        by_torch = compiled() if callable(compiled) else compiled
         final = learn_through(
-            theta, rule(alpha), inner, loss, order=order, compiled=compiled, tasks_at_once=tasks_at_once
+            theta, rule(alpha), inner, loss, order=order, compiled=by_torch, tasks_at_once=tasks_at_once
         )
         return last_loss.value(final, last, {})
 
@@ -243,15 +256,19 @@ class _ClipPerTask(torch.autograd.Function):
 
     @staticmethod
     def backward(ctx: Any, *grads: Tensor) -> tuple[Any, ...]:
-        flat = [grad.movedim(axis, 0).flatten(1) for grad, axis in zip(grads, ctx.axes, strict=True)]
-        norm = torch.stack([grad.square().sum(1) for grad in flat]).sum(0).sqrt()
+        norms = []
+        for grad, axis in zip(grads, ctx.axes, strict=True):
+            others = [i for i in range(grad.ndim + 1) if i != axis]
+            norms.append(torch.linalg.vector_norm(grad.unsqueeze(-1), dim=others))
+        norm = torch.linalg.vector_norm(torch.stack(norms), dim=0)
         # a task whose gradient overflowed says nothing about the direction: it is left out of the mean
-        scale = torch.where(torch.isfinite(norm), (ctx.limit / norm.clamp_min(1e-30)).clamp_max(1.0), 0.0)
+        lost = ~torch.isfinite(norm)
+        scale = (ctx.limit / norm.clamp_min(1e-30)).clamp_max(1.0)
         clipped = []
         for grad, axis in zip(grads, ctx.axes, strict=True):
             shape = [1] * grad.ndim
             shape[axis] = -1
-            clipped.append(torch.nan_to_num(grad, 0.0, 0.0, 0.0) * scale.reshape(shape))
+            clipped.append((grad * scale.reshape(shape)).masked_fill_(lost.reshape(shape), 0.0))
         return None, None, *clipped
 
 

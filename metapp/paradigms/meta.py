@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+from collections.abc import Callable
 from typing import Any
 
 import torch
@@ -21,7 +22,9 @@ from metapp.paradigms.resuming import Prepared, Reached
 from metapp.paradigms.tuning import search
 
 
-def preparation(job: Job, general: MetaParameters, rng: Generator, compiled: bool) -> tuple[MetaParameters, Loss]:
+def preparation(
+    job: Job, general: MetaParameters, rng: Generator, compiled: Callable[[], bool]
+) -> tuple[MetaParameters, Loss]:
     """phi before meta-training and the loss that trains it (alg. 3).
 
     Args:
@@ -29,7 +32,7 @@ def preparation(job: Job, general: MetaParameters, rng: Generator, compiled: boo
         general: General's encoder, which the start goes on from; or a start theta without task axis; a random one is
             drawn where both are empty.
         rng: of the random start.
-        compiled: compile the inner step and its adjoint.
+        compiled: whether to compile the inner step and its adjoint where they are not in C.
     """
     app, recipe, rule = job.app, job.recipe, rule_of(job.rule)
     training = recipe.meta_training(job.rule)
@@ -70,7 +73,7 @@ def with_gradients(job: Job, phi: MetaParameters, tasks: Tasks, rng: Generator) 
             return step(alpha, theta, grads, state)
 
         loss = task_loss(job.app, job.recipe.batch)
-        learn(theta, rule._replace(step=recording), part, loss, steps=META.count(job), rng=rng)
+        learn(theta, rule._replace(step=recording, packing=None), part, loss, steps=META.count(job), rng=rng)
     return phi._replace(alpha=learned.settle(phi.alpha, total))
 
 
@@ -107,7 +110,7 @@ def prepare(job: Job, given: Given) -> Prepared:
     """Learn the initialisation and the rule, after a search of the Adam that it begins as, if the recipe has one."""
     training = job.recipe.meta_training(job.rule)
     general = _from_general(job, training, given)
-    first, loss = preparation(job, general, given.rng, compiled=job.app.compiles and can_compile())
+    first, loss = preparation(job, general, given.rng, lambda: job.app.compiles and can_compile())
     first = with_gradients(job, first, given.to_fit, given.rng)
     if training.tuned:
         found, given = _searched(job, training, first, given)

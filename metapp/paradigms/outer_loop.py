@@ -14,6 +14,7 @@ from metapp.learning.learn import MetaParameters, Progress, learn
 from metapp.learning.recipe import OuterLoop
 from metapp.learning.rules import outer_adam
 from metapp.learning.task import Params
+from metapp.paradigms import ranks
 from metapp.paradigms.paradigm import Given, Job, Paradigm
 from metapp.paradigms.resuming import Interrupted, Outer, Prepared
 from metapp.paradigms.validation import validation_error
@@ -70,6 +71,9 @@ def train(
 
     params = first.flat()
     rule = outer_adam(training, params)
+    if ranks.count() > 1:
+        ranks.require(min(training.tasks, len(given.to_fit)))
+        rule = rule._replace(sees=ranks.summed_gradient)
     try:
         final = learn(
             params,

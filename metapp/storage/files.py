@@ -12,14 +12,9 @@ import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+from metapp.native import cache_folder as cache_folder
+
 PARTIAL = ".partial-"  # what the name of an unfinished file begins with
-
-
-def cache_folder() -> Path:
-    """Where files are kept that can be had again: METAPP_CACHE if set, else the user's cache folder of this system."""
-    import platformdirs
-
-    return Path(os.environ.get("METAPP_CACHE") or platformdirs.user_cache_dir("metapp", appauthor=False))
 
 
 def write_atomically(path: str | Path, write: Callable[[Path], object], previous: Path | None = None) -> None:

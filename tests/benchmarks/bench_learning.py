@@ -1,6 +1,7 @@
 """Time and memory of learning, and of differentiating through it, against plain loops; `make bench` runs it.
 
-What is measured: the BRDF network (675 weights), 8 tasks, 10 inner steps of 512 samples, Meta-SGD, one thread.
+What is measured: the BRDF network (675 weights), 8 tasks, 10 inner steps of 512 samples, one thread; Meta-SGD, where
+nothing else is said, and the default rule, meta-curvature. One fit is one task.
 
 - Training: one outer step, the value of `after_learning` and its second-order gradient in phi = {theta_0, alpha}.
 - Adapting: 10 steps from theta_0, no meta-gradient; (a) keeps no graph either.
@@ -8,7 +9,11 @@ What is measured: the BRDF network (675 weights), 8 tasks, 10 inner steps of 512
 Against what: (a) the plain way, written here: task after task, `linear` on [samples, features], an unrolled graph with
 `create_graph=True`; (b) learn2learn's MetaSGD and TorchOpt's differentiable SGD (one fixed rate: its gradient is in
 theta_0 alone), the same network and batches, where they can be imported. All of them see the same samples, drawn
-beforehand; loss and gradient of (a) and of metapp are compared first, in the same run.
+beforehand; loss and gradient of (a) and of metapp are compared first, in the same run; (c) JAX, `vmap` over tasks on
+[features, samples], `scan` over the steps, jitted. (b) and (c) are extras: `pip install metapp[bench]`.
+
+The machine's limit is that of a loop of fused multiply-adds in C, and of these the network's layers need 1764 for a
+gradient's sample.
 
 How: all contestants take turns, round after round, and the median over the rounds counts. Seconds are the process's
 CPU seconds, the same as the clock's where nothing else runs. Compiling happens before the first round and is not
@@ -21,10 +26,15 @@ It counts tensors, whatever the allocator does; scratch memory inside an operato
 
 from __future__ import annotations
 
+import ctypes
+import json
+import platform
 import statistics
+import tempfile
 import time
 import weakref
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 
 import torch
@@ -36,11 +46,14 @@ from torch.utils._pytree import tree_leaves
 from metapp.apps.brdf import APP, network
 from metapp.learning.adjoint import Drawn, Loss
 from metapp.learning.learn import MetaParameters, after_learning, learn, spread
-from metapp.learning.rules import sgd
+from metapp.learning.recipe import Adam
+from metapp.learning.rules import META_EPS, RULES, sgd
 from metapp.learning.task import Batch, Params
+from metapp.native import load
 
 TASKS, STEPS, SAMPLES, RATE = 8, 10, 512, 1e-2
 ROUNDS = 25
+DEFAULT = "meta-curvature"
 
 
 def draw_batch(rng: Generator) -> Batch:
@@ -142,6 +155,79 @@ def torchopt_step(theta: Params, inner: list[list[PlainBatch]], last: list[Plain
     return step
 
 
+def jax_steps(
+    theta: Params, inner: list[list[PlainBatch]], last: list[PlainBatch]
+) -> tuple[Callable[[], Any], Callable[[], Any]] | str:
+    """JAX's second-order outer step and its adapting, or why there are none."""
+    try:
+        import jax
+        import jax.numpy as jnp
+    except Exception as error:
+        return f"JAX: not installed ({type(error).__name__})"
+
+    def stacked(pick: Callable[[PlainBatch], Tensor]) -> Any:
+        return jnp.asarray(torch.stack([torch.stack([pick(b) for b in batches]) for batches in inner]).numpy())
+
+    columns = [lambda b: b[0].T.contiguous(), lambda b: b[1].T.contiguous(), lambda b: b[2].T.contiguous()]
+    batches = tuple(stacked(pick) for pick in columns)
+    final = tuple(jnp.asarray(torch.stack([pick(b) for b in last]).numpy()) for pick in columns)
+    weights = [jnp.asarray(value.numpy()) for value in theta.values()]
+    rates = [jnp.full_like(value, RATE) for value in weights]
+
+    def loss(weights: Any, batch: Any) -> Any:
+        x, cosine, target = batch
+        x = jax.nn.relu(weights[0] @ x + weights[1])
+        x = jax.nn.relu(weights[2] @ x + weights[3])
+        return jnp.abs(jnp.log1p(jnp.expm1(weights[4] @ x + weights[5]) * cosine) - target).mean()
+
+    def adapted(weights: Any, rates: Any, batches: Any) -> Any:
+        def step(weights: Any, batch: Any) -> Any:
+            grads = jax.grad(loss)(weights, batch)
+            return [w - r * g for w, r, g in zip(weights, rates, grads, strict=True)], None
+
+        return jax.lax.scan(step, weights, batches)[0]
+
+    def outer(weights: Any, rates: Any, batches: Any, final: Any) -> Any:
+        each = jax.vmap(lambda batches, final: loss(adapted(weights, rates, batches), final))(batches, final)
+        return each.mean()
+
+    train = jax.jit(jax.value_and_grad(outer, argnums=(0, 1)))
+    adapt = jax.jit(jax.vmap(adapted, in_axes=(None, None, 0)))
+    return (
+        lambda: jax.block_until_ready(train(weights, rates, batches, final)),
+        lambda: jax.block_until_ready(adapt(weights, rates, batches)),
+    )
+
+
+PEAK = """
+#include <time.h>
+typedef float V __attribute__((vector_size(64)));
+double peak(void) {
+  V a[12], x = (V){0} + 0.999f, y = (V){0} + 0.001f;
+  for (int i = 0; i < 12; i++) a[i] = (V){0} + (float)i;
+  clock_t start = clock();
+  long n = 20000000;
+  for (long k = 0; k < n; k++)
+    for (int i = 0; i < 12; i++) a[i] = a[i] * x + y;
+  volatile float kept = 0;
+  for (int i = 0; i < 12; i++) kept += a[i][0];
+  return n * 12 * 32 / 1e9 * CLOCKS_PER_SEC / (clock() - start);
+}
+"""
+
+
+def limit() -> float:
+    """Multiply-adds of this machine's core, in GFLOP/s; NaN without a compiler."""
+    with tempfile.TemporaryDirectory() as folder:
+        source = Path(folder) / "peak.c"
+        source.write_text(PEAK)
+        library = load(source)
+    if library is None:
+        return float("nan")
+    library.peak.restype = ctypes.c_double
+    return float(library.peak())
+
+
 def medians(contestants: dict[str, Callable[[], Any]]) -> dict[str, float]:
     """CPU seconds of each, taking turns."""
     seconds: dict[str, list[float]] = {name: [] for name in contestants}
@@ -159,10 +245,24 @@ def medians(contestants: dict[str, Callable[[], Any]]) -> dict[str, float]:
     return {name: statistics.median(each) for name, each in seconds.items()}
 
 
+HISTORY = Path("docs/results/core.jsonl")
+figures: dict[str, dict[str, float]] = {}
+
+
+def remember(entry: dict[str, Any]) -> None:
+    """Append a run's figures to the history: when, on what, milliseconds."""
+    lines = Path("/proc/cpuinfo").read_text().splitlines() if Path("/proc/cpuinfo").exists() else []
+    cpu = next((line.split(": ")[1] for line in lines if line.startswith("model name")), platform.processor())
+    entry = {"at": time.strftime("%Y-%m-%dT%H:%MZ", time.gmtime()), "cpu": cpu, "torch": torch.__version__, **entry}
+    with HISTORY.open("a") as file:
+        file.write(json.dumps(entry) + "\n")
+
+
 def show(title: str, seconds: dict[str, float], targets: dict[str, float]) -> None:
     """Milliseconds and how many times as fast as the first contestant."""
     print(f"\n{title:44} {'ms':>8} {'times (a)':>10} {'target':>8}")
     first = next(iter(seconds.values()))
+    figures[title] = {name: round(1e3 * value, 3) for name, value in seconds.items()}
     for name, value in seconds.items():
         target = f">= {targets[name]:g}" if name in targets else ""
         print(f"  {name:42} {1e3 * value:8.2f} {first / value:10.2f} {target:>8}")
@@ -177,7 +277,10 @@ def bench_brdf() -> None:
     plain_inner = [[one_task(batch, task) for batch in batches] for task in range(TASKS)]
     plain_last = [one_task(last, task) for task in range(TASKS)]
     supply: list[Iterator[Batch]] = [iter(())]
-    loss = Loss(lambda data, rng: Drawn((), next(supply[0])), APP.loss)
+    by_torch = Loss(lambda data, rng: Drawn((), next(supply[0])), APP.loss)
+    in_c = by_torch._replace(fused=APP.fused)
+    first = Adam(5e-3, beta2=0.99, eps=META_EPS)
+    rules = {"sgd": (sgd, alpha), "default": (RULES[DEFAULT].rule, RULES[DEFAULT].alpha(APP, theta, STEPS, first))}
 
     def plain() -> tuple[Tensor, list[Tensor]]:
         weights = [weight.clone().requires_grad_() for weight in plain_weights(theta)]
@@ -187,8 +290,9 @@ def bench_brdf() -> None:
             total = total + plain_loss(plain_adapt(weights, rates, inner, graph=True), final) / TASKS
         return total.detach(), list(torch.autograd.grad(total, [*weights, *rates]))
 
-    def ours(compiled: bool) -> Callable[[], tuple[Tensor, list[Tensor]]]:
-        lifted = after_learning(loss, sgd, steps=STEPS, order=2, compiled=compiled)
+    def ours(loss: Loss, rule: str = "sgd", compiled: bool = False) -> Callable[[], tuple[Tensor, list[Tensor]]]:
+        make, alpha = rules[rule]
+        lifted = after_learning(loss, make, steps=STEPS, order=2, compiled=compiled)
 
         def step() -> tuple[Tensor, list[Tensor]]:
             phi = {key: value.clone().requires_grad_() for key, value in MetaParameters(theta, alpha).flat().items()}
@@ -197,12 +301,14 @@ def bench_brdf() -> None:
 
         return step
 
-    def adapt(compiled: bool) -> Callable[[], Params]:
-        start, rule = spread(theta, TASKS, 0), sgd(spread(alpha, TASKS, 1))
+    def adapt(loss: Loss, rule: str = "sgd", compiled: bool = False, tasks: int = TASKS) -> Callable[[], Params]:
+        make, alpha = rules[rule]
+        start, made = spread(theta, tasks, 0), make(spread(alpha, tasks, 1))
+        some = [{key: value[:tasks] for key, value in batch.items()} for batch in batches]
 
         def run() -> Params:
-            supply[0] = iter(batches)
-            return learn(start, rule, None, loss, steps=STEPS, rng=rng, compiled=compiled)
+            supply[0] = iter(some)
+            return learn(start, made, None, loss, steps=STEPS, rng=rng, compiled=compiled)
 
         return run
 
@@ -216,15 +322,21 @@ def bench_brdf() -> None:
 
         return run
 
-    (value_a, grads_a), (value, grads) = plain(), ours(False)()
+    (value_a, grads_a), (value, grads) = plain(), ours(in_c)()
     away = max(float((a - b.reshape(a.shape)).norm() / a.norm()) for a, b in zip(grads_a, grads, strict=True))
+    peak, by_jax = limit(), jax_steps(theta, plain_inner, plain_last)
     print(f"\nBRDF network, {TASKS} tasks, {STEPS} steps of {SAMPLES} samples; CPU seconds, one thread")
     print(f"  loss (a) {float(value_a):.7f}, metapp {float(value):.7f}; gradients differ by {away:.0e} of their norm")
-    name = "metapp, compiled"
+    least = 1e3 * TASKS * STEPS * SAMPLES * 2 * 1764 / (peak * 1e9)
+    print(f"  limit of the machine: {peak:.0f} GFLOP/s, adapting not below {least:.2f} ms")
+    name, default = "metapp, SGD", f"metapp, {DEFAULT}"
     contestants: dict[str, Callable[[], Any]] = {
         "(a) plain loop, unrolled": plain,
-        "metapp, eager": ours(False),
-        name: ours(True),
+        "metapp by torch, eager": ours(by_torch),
+        "metapp by torch, compiled": ours(by_torch, compiled=True),
+        f"metapp by torch, eager, {DEFAULT}": ours(by_torch, "default"),
+        name: ours(in_c),
+        default: ours(in_c, "default"),
     }
     for title, library in (("learn2learn MetaSGD", learn2learn_step), ("TorchOpt MetaSGD, one rate", torchopt_step)):
         step = library(theta, plain_inner, plain_last)
@@ -233,14 +345,26 @@ def bench_brdf() -> None:
             continue
         print(f"  (b) {title}: loss {float(step()[0]):.7f}")
         contestants[f"(b) {title}"] = step
-    show("second-order training step", medians(contestants), {name: 4})
+    if isinstance(by_jax, str):
+        print(f"  (c) {by_jax}")
+    else:
+        print(f"  (c) JAX: loss {float(by_jax[0]()[0]):.7f}")
+        contestants["(c) JAX, compiled"] = by_jax[0]
+    show("second-order training step", medians(contestants), {name: 11, default: 8})
     contestants = {
         "(a) plain loop, one by one": plain_one_by_one(False),
         "the same, with the graph that training needs": plain_one_by_one(True),
-        "metapp, eager": adapt(False),
-        name: adapt(True),
+        "metapp by torch, eager": adapt(by_torch),
+        "metapp by torch, compiled": adapt(by_torch, compiled=True),
+        f"metapp by torch, eager, {DEFAULT}": adapt(by_torch, "default"),
+        name: adapt(in_c),
+        default: adapt(in_c, "default"),
+        f"one fit alone, {DEFAULT}": adapt(in_c, "default", tasks=1),
     }
-    show("adapting, no meta-gradient", medians(contestants), {name: 8})
+    if not isinstance(by_jax, str):
+        contestants["(c) JAX, compiled"] = by_jax[1]
+    show("adapting, no meta-gradient", medians(contestants), {name: 11, default: 8})
+    remember({"gflops": round(peak, 1), "ms": figures})
 
 
 # Memory

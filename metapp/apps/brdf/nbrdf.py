@@ -43,7 +43,7 @@ def init(rng: Generator, count: int) -> Params:
 
 def init_encoder(rng: Generator) -> Params:
     """A set encoder to all 675 weights; before training it predicts a random network."""
-    weights = sum(rows * columns for rows, columns in _shapes().values())
+    weights = sum(rows * columns for rows, columns in shapes().values())
     encoder = set_encoder(rng, 10, ENCODER, weights)
     start = init(rng, 1)
     encoder["out.b"] = torch.cat([value.flatten() for value in start.values()])
@@ -54,15 +54,15 @@ def encode(encoder: Params, condition: Batch) -> Params:
     """Predict all weights from samples."""
     flat = read_set(encoder, torch.cat([condition["where"], condition["target"]], 1).transpose(1, 2))
     theta, at = {}, 0
-    for name, (rows, columns) in _shapes().items():
+    for name, (rows, columns) in shapes().items():
         theta[name] = flat[:, at : at + rows * columns].reshape(-1, rows, columns)
         at += rows * columns
     return theta
 
 
-def _shapes() -> dict[str, tuple[int, int]]:
+def shapes() -> dict[str, tuple[int, int]]:
     """The shape of each parameter of one task."""
-    shapes: dict[str, tuple[int, int]] = {}
+    result: dict[str, tuple[int, int]] = {}
     for layer, (inputs, outputs) in enumerate(itertools.pairwise(WIDTHS), 1):
-        shapes |= {f"w{layer}": (outputs, inputs), f"b{layer}": (outputs, 1)}
-    return shapes
+        result |= {f"w{layer}": (outputs, inputs), f"b{layer}": (outputs, 1)}
+    return result

@@ -6,6 +6,7 @@ learned rate are the same thing.
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Callable
 from typing import Any
@@ -14,6 +15,7 @@ import torch
 from torch import Tensor
 
 from metapp.learning.adjoint import UpdateRule
+from metapp.learning.flat import Layout, Packing, own
 from metapp.learning.recipe import Adam, OuterLoop
 from metapp.learning.task import Params
 
@@ -31,7 +33,8 @@ def fixed_adam(settings: Adam, theta: Params, steps: int) -> UpdateRule:
     device = next(iter(theta.values())).device
     rate = half_cosine(settings.rate, steps, settings.final).to(device)
     alpha = {"rate": rate, "beta1": _one(settings.beta1, device), "beta2": _one(settings.beta2, device)}
-    return UpdateRule(alpha, adam_state, _adam_step(settings.eps))
+    packing = Packing(functools.partial(_gathered_adam, settings.eps))
+    return UpdateRule(alpha, adam_state, _adam_step(settings.eps), packing=packing)
 
 
 def outer_adam(training: OuterLoop, params: Params) -> UpdateRule:
@@ -56,11 +59,22 @@ def like(value: Tensor, other: Tensor) -> Tensor:
 
 def sgd(alpha: Params) -> UpdateRule:
     """theta -= alpha * gradient; `alpha` holds "rate" for all or "rate.<parameter>" for each, any sign."""
-    return UpdateRule(alpha, lambda theta: {}, _sgd_step)
+    return UpdateRule(alpha, lambda theta: {}, _sgd_step, packing=Packing(_gathered_rates))
 
 
 def _sgd_step(alpha: Params, theta: Params, grads: Params, state: Params) -> tuple[Params, Params]:
     return {key: theta[key] - _rate(alpha, key, grads[key]) * grads[key] for key in theta}, state
+
+
+def _gathered_rates(alpha: Params, layout: Layout) -> Params:
+    """Rates as steps in C want them."""
+    return {"rate": own(alpha["rate"], 0)[..., None] if "rate" in alpha else layout.hyperparameters(alpha, "rate.")}
+
+
+def _gathered_adam(eps: float, alpha: Params, layout: Layout) -> Params:
+    """Rates, betas and eps as steps in C want them."""
+    betas = [own(alpha[name], 0) for name in ("beta1", "beta2")]
+    return _gathered_rates(alpha, layout) | {"adam": torch.stack([*betas, torch.full_like(betas[0], eps)], -1)}
 
 
 def _rate(alpha: Params, key: str, grad: Tensor) -> Tensor:

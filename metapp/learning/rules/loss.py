@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from metapp.learning.app import App
+from metapp.learning.flat import Layout, own
 from metapp.learning.recipe import Adam
 from metapp.learning.rules.part import Part
 from metapp.learning.task import Params
@@ -19,3 +20,7 @@ class LossParameters(Part):
     def initial(self, app: App, theta: Params, steps: int, first: Adam) -> Params:
         """As the application has them."""
         return {f"loss.{key}": value for key, value in app.loss_parameters(steps).items()}
+
+    def gathered(self, alpha: Params, layout: Layout) -> Params:
+        """As they are, with a task axis, which they always have in a step."""
+        return {key: own(value, value.ndim - 2) for key, value in alpha.items() if key.startswith("loss.")}

@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 
 from metapp.learning.adjoint import gradient
 from metapp.learning.app import App
+from metapp.learning.flat import Layout
 from metapp.learning.recipe import Adam
 from metapp.learning.task import Params
 
@@ -61,6 +62,10 @@ class Part:
             first: settings of an Adam.
         """
         return {}
+
+    def gathered(self, alpha: Params, layout: Layout) -> Params | None:
+        """Its hyperparameters for steps in C (`rule.quantities`), [K, T or 1, ...]; None where it is not in C."""
+        return None
 
     def state(self, alpha: Params, theta: Params) -> Params:
         """What it remembers from step to step, before the first; `theta` has a task axis."""

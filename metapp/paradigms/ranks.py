@@ -1,0 +1,99 @@
+"""Training on many processes, which `torchrun` starts: each has its part of every meta-batch, gradients are summed.
+
+All ranks draw the same tasks and samples from the same seed and take the same outer steps; rank 0 alone writes.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+from collections.abc import Iterator
+from datetime import timedelta
+from typing import Any
+
+import torch
+from torch import Tensor
+from torch import distributed as dist
+from torch.utils._pytree import tree_leaves, tree_map
+
+from metapp.learning.adjoint import Loss, gradient
+from metapp.learning.task import Params
+
+WAITS = timedelta(minutes=30)  # for a rank that is slower, before it counts as lost
+
+
+def number() -> int:
+    """Which rank this process is; 0 where there is one alone."""
+    return int(os.environ.get("RANK", "0"))
+
+
+def count() -> int:
+    """How many ranks `torchrun` has started; 1 without it."""
+    return int(os.environ.get("WORLD_SIZE", "1"))
+
+
+@contextlib.contextmanager
+def joined(device: torch.device) -> Iterator[None]:
+    """Connect the ranks for what is inside: by nccl on GPUs, one each, by gloo on CPUs."""
+    if count() == 1:
+        yield
+        return
+    if device.type == "cuda":
+        torch.cuda.set_device(int(os.environ.get("LOCAL_RANK", "0")))
+    dist.init_process_group("nccl" if device.type == "cuda" else "gloo", timeout=WAITS)
+    try:
+        yield
+    finally:
+        with contextlib.suppress(RuntimeError):  # of ranks that are gone
+            dist.destroy_process_group()
+
+
+def wait() -> None:
+    """Wait until all ranks are here.
+
+    Raises:
+        ConnectionError: one has ended.
+    """
+    if count() > 1:
+        with _lost_ranks():
+            dist.barrier()
+
+
+@contextlib.contextmanager
+def _lost_ranks() -> Iterator[None]:
+    try:
+        yield
+    except RuntimeError as error:
+        raise ConnectionError(
+            f"rank {number()} of {count()}: another rank has ended; the same command goes on from the training "
+            "checkpoint."
+        ) from error
+
+
+def require(tasks: int) -> None:
+    """Refuse more ranks than an outer step has tasks.
+
+    Raises:
+        ValueError: says how many there may be.
+    """
+    if count() > tasks:
+        raise ValueError(f"{count()} ranks: an outer step has {tasks} tasks, expected at most as many ranks.")
+
+
+def summed_gradient(loss: Loss, theta: Params, batch: Any, learned: Params, *, graph: bool) -> tuple[Params, Tensor]:
+    """`adjoint.gradient` of a mean over tasks, each rank's part of them computed there; the same on all ranks."""
+    total = next(leaf for leaf in tree_leaves(batch) if isinstance(leaf, Tensor)).shape[0]
+    rows = range(number(), total, count())
+
+    def part(leaf: Any) -> Any:
+        own = isinstance(leaf, Tensor) and leaf.shape[:1] == (total,)
+        return leaf[rows.start : total : count()] if own else leaf
+
+    grads, own = gradient(loss, theta, tree_map(part, batch), learned, graph=graph)
+    losses = own.new_zeros(total)
+    losses[rows.start : total : count()] = own
+    flat = torch.cat([*(grad.flatten() * (len(rows) / total) for grad in grads.values()), losses])
+    with _lost_ranks():
+        dist.all_reduce(flat)
+    *parts, losses = flat.split([*(grad.numel() for grad in grads.values()), total])
+    return {key: part.view_as(grads[key]) for key, part in zip(grads, parts, strict=True)}, losses

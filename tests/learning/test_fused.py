@@ -1,0 +1,255 @@
+"""Steps in C: against double precision by automatic differentiation, and against steps by torch."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+import torch
+from torch import Generator, Tensor
+
+from metapp import native
+from metapp.apps.brdf import APP, nbrdf_fused
+from metapp.learning import fused
+from metapp.learning.adjoint import Drawn, Loss, UpdateRule
+from metapp.learning.flat import Layout
+from metapp.learning.fused import fuse
+from metapp.learning.learn import MetaParameters, after_learning, learn, spread
+from metapp.learning.recipe import Adam
+from metapp.learning.rules import META_EPS, RULES, fixed_adam, sgd
+from metapp.learning.task import Batch, Params
+
+TASKS, STEPS = 3, 5
+IN_C = ["meta-sgd", "meta-adam", "meta-adam-tied", "meta-encoder", "meta-curvature"]
+EPS = torch.finfo(torch.float32).eps
+needs_compiler = pytest.mark.skipif(native.compiler() is None, reason="steps in C need a C compiler")
+
+
+def loss_of(batches: list[Batch], in_c: bool = True) -> Loss:
+    """The loss on these batches, one after the other."""
+    supply = iter(batches)
+    loss = Loss(lambda data, rng: Drawn((), next(supply)), APP.loss)
+    return loss._replace(fused=APP.fused) if in_c else loss
+
+
+def batch_of(rng: Generator, samples: int, tasks: int = TASKS) -> Batch:
+    """Unit vectors, half vectors above the surface, cosines in (0, 1), targets."""
+    vectors = torch.nn.functional.normalize(torch.randn(tasks, 2, 3, samples, generator=rng), dim=2).flatten(1, 2)
+    vectors[:, 2].abs_()
+    cosine = torch.rand(tasks, 1, samples, generator=rng)
+    target = torch.log1p(torch.rand(tasks, 3, samples, generator=rng))
+    return {"where": torch.cat([vectors, cosine], 1), "target": target}
+
+
+def theta_of(rng: Generator, tasks: int = TASKS) -> Params:
+    theta = APP.init(rng, tasks)
+    return {key: value + 0.1 * torch.randn(value.shape, generator=rng) for key, value in theta.items()}
+
+
+def learned_of(names: tuple[str, ...], rng: Generator) -> Params:
+    smoothing = torch.log(0.02 + 0.1 * torch.rand(TASKS, generator=rng))
+    weights = 0.5 * torch.randn(TASKS, 8, generator=rng)
+    return {key: value for key, value in {"smoothing": smoothing, "weights": weights}.items() if key in names}
+
+
+def double(params: Params) -> Params:
+    return {key: value.double() for key, value in params.items()}
+
+
+def away(actual: Tensor, expected: Tensor) -> float:
+    """The difference, in units of the expected norm."""
+    return float((actual.double() - expected).norm() / expected.norm())
+
+
+@needs_compiler
+@pytest.mark.parametrize("samples", [1, 16, 100, 128, 300, 512])
+@pytest.mark.parametrize("names", [(), ("smoothing",), ("smoothing", "weights")])
+def test_derivatives_in_double_precision(names: tuple[str, ...], samples: int) -> None:
+    rng = Generator().manual_seed(samples)
+    theta, batch, learned = theta_of(rng), batch_of(rng, samples), learned_of(names, rng)
+    layout = Layout.of(theta)
+    flat, along = layout.flat(theta), torch.randn(TASKS, 675, generator=rng)
+    in_c = APP.fused(theta)
+    assert in_c is not None
+    gradient, losses = in_c.gradient(flat, batch, learned)
+    product, pulls = in_c.product(flat, batch, learned, along)
+
+    exact = flat.double().requires_grad_()
+    leaves = {key: value.double().requires_grad_() for key, value in learned.items()}
+    expected = APP.loss(layout.tree(exact), double(batch), leaves)
+    (slope,) = torch.autograd.grad(expected.sum(), exact, create_graph=True)
+    bends = torch.autograd.grad((slope * along.double()).sum(), [exact, *leaves.values()])
+    assert away(losses, expected.detach()) < 10 * EPS
+    assert away(gradient, slope.detach()) < 10 * EPS
+    assert list(pulls) == list(learned)
+    for actual, bend in zip([product, *pulls.values()], bends, strict=True):
+        assert away(actual, bend) < 200 * EPS  # torch in single precision: up to 70
+
+
+@needs_compiler
+def test_tasks_do_not_see_each_other() -> None:
+    rng = Generator().manual_seed(1)
+    theta, batch = theta_of(rng), batch_of(rng, 200)
+    flat = Layout.of(theta).flat(theta)
+    together, _ = nbrdf_fused.gradient(flat, batch, {})
+    for task in range(TASKS):
+        one, _ = nbrdf_fused.gradient(flat[task : task + 1], {k: v[task : task + 1] for k, v in batch.items()}, {})
+        assert torch.equal(one[0], together[task])
+
+
+@needs_compiler
+@pytest.mark.parametrize("bad", [float("nan"), float("inf"), 1e30])
+def test_what_is_not_finite_is_said(bad: float) -> None:
+    rng = Generator().manual_seed(2)
+    theta = theta_of(rng)
+    theta["b3"][1] = bad
+    flat = Layout.of(theta).flat(theta)
+    assert torch.isfinite(nbrdf_fused.gradient(flat, batch_of(rng, 40), {})[1]).tolist() == [True, False, True]
+    loss = loss_of([batch_of(rng, 40)])._replace(draw=lambda data, rng: Drawn(("a", "b", "c"), batch_of(rng, 40)))
+    with pytest.raises(FloatingPointError, match=r"^b: the loss is not finite at step 0"):
+        learn(theta, sgd({"rate": torch.ones(1)}), None, loss, steps=1, rng=rng)
+
+
+def moved(rule: str, rng: Generator) -> Params:
+    """A rule's hyperparameters, away from their first values."""
+    one = {key: value[0] for key, value in theta_of(rng, 1).items()}
+    alpha = RULES[rule].alpha(APP, one, STEPS, Adam(5e-3, beta2=0.99, eps=META_EPS))
+    return {key: value + 0.02 * torch.randn(value.shape, generator=rng) for key, value in alpha.items()}
+
+
+@needs_compiler
+@pytest.mark.parametrize("order", [1, 2])
+@pytest.mark.parametrize("rule", IN_C)
+def test_meta_gradients_are_those_of_torch(rule: str, order: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Rounding moves samples over the kinks of ReLU, which Adam amplifies: by torch these are up to 2e-3 away."""
+    rng = Generator().manual_seed(3)
+    phi = MetaParameters({key: value[0] for key, value in theta_of(rng, 1).items()}, moved(rule, rng)).flat()
+    batches, last = [batch_of(rng, 150) for _ in range(STEPS)], batch_of(rng, 150)
+    steps: list[int] = []
+    monkeypatch.setattr(fused._Step, "__init__", counting(fused._Step.__init__, steps))
+
+    def grads(kind: Callable[[Params], Params], in_c: bool) -> Params:
+        lifted = after_learning(loss_of([], in_c), RULES[rule].rule, steps=STEPS, order=order, clip=0.05)
+        leaves = {key: value.clone().requires_grad_() for key, value in kind(phi).items()}
+        value = lifted.value(leaves, ([kind(batch) for batch in batches], kind(last), None), {}).mean()
+        found = torch.autograd.grad(value, list(leaves.values()), allow_unused=True, materialize_grads=True)
+        return dict(zip(leaves, found, strict=True)) | {"": value.detach()}
+
+    exact = grads(double, False)
+    assert not steps
+    in_c = grads(dict, True)
+    assert len(steps) == 1
+    assert list(in_c) == list(exact)
+    for key, value in exact.items():
+        assert away(in_c[key], value) < 1e-2 if value.any() else not in_c[key].any(), key
+
+
+def counting(function: Callable[..., None], calls: list[int]) -> Callable[..., None]:
+    def counted(*args: object) -> None:
+        calls.append(1)
+        function(*args)
+
+    return counted
+
+
+def rules_of(theta: Params, rng: Generator) -> dict[str, UpdateRule]:
+    tasks = next(iter(theta.values())).shape[0]
+    return {
+        "sgd": sgd({"rate": torch.tensor([0.05, 0.03])}),
+        "sgd by task": sgd({"rate": torch.rand(1, tasks, generator=rng) / 10}),
+        "adam": fixed_adam(Adam(1e-2, beta1=0.8, final=0.1), theta, STEPS),
+        **{name: RULES[name].rule(spread(moved(name, rng), tasks, 1)) for name in IN_C},
+    }
+
+
+@needs_compiler
+@pytest.mark.parametrize("tasks", [1, TASKS])
+@pytest.mark.parametrize("name", ["sgd", "sgd by task", "adam", *IN_C])
+def test_fits_are_those_of_torch(name: str, tasks: int) -> None:
+    rng = Generator().manual_seed(4)
+    theta, batches = theta_of(rng, tasks), [batch_of(rng, 150, tasks) for _ in range(STEPS)]
+    theta = {key: theta[key] for key in sorted(theta)}  # as files have them
+    rule = rules_of(theta, rng)[name]
+    seen: dict[bool, list[Tensor]] = {True: [], False: []}
+    fits = {}
+    for in_c in (True, False):
+        loss = loss_of(batches, in_c)
+        assert (fuse(rule, loss, theta) is not None) is in_c
+
+        def watch(step: int, now: Params, value: Tensor, kept: list[Tensor] = seen[in_c]) -> None:
+            kept.append(torch.cat([value[:, None], *(each.flatten(1) for each in now.values())], 1))
+
+        fits[in_c] = learn(theta, rule, None, loss, steps=STEPS, rng=rng, watch=watch)
+    for here, there in zip(seen[True], seen[False], strict=True):
+        assert away(here, there.double()) < 100 * EPS
+    assert fits[True].keys() == theta.keys()
+    for key, value in fits[False].items():
+        assert fits[True][key].shape == value.shape
+        assert away(fits[True][key], value.double()) < 100 * EPS, key
+
+
+@needs_compiler
+@pytest.mark.parametrize("case", ["mean", "basis", "double precision", "another network", "no packing"])
+def test_what_is_not_in_c_is_left_to_torch(case: str) -> None:
+    rng = Generator().manual_seed(5)
+    theta, rule = theta_of(rng), sgd({"rate": torch.ones(1)})
+    if case in ("mean", "basis"):
+        rule = RULES["meta-mean" if case == "mean" else "meta-axes"].rule(
+            spread(moved("meta-mean" if case == "mean" else "meta-axes", rng), TASKS, 1)
+        )
+    elif case == "double precision":
+        theta = double(theta)
+    elif case == "another network":
+        theta = APP.at(APP.recipes["quick"].for_rule("ridge")).init(rng, TASKS)
+    else:
+        rule = rule._replace(packing=None)
+    assert fuse(rule, loss_of([]), theta) is None
+
+
+# What is compiled
+
+LOAD = """
+from pathlib import Path
+from metapp import native
+from metapp.apps.brdf import nbrdf_fused
+assert (native.load(Path(nbrdf_fused.__file__).with_name("nbrdf.c")) is not None) is {found}
+"""
+
+
+def process(cache: Path, found: bool = True, **environment: str) -> subprocess.Popen[bytes]:
+    """A process that loads the functions of the network, and says whether they were to be had."""
+    command = [sys.executable, "-c", LOAD.format(found=found)]
+    return subprocess.Popen(command, env={**os.environ, "METAPP_CACHE": str(cache), **environment})
+
+
+@needs_compiler
+def test_compiled_once_by_many_processes(tmp_path: Path) -> None:
+    assert [each.wait(120) for each in [process(tmp_path) for _ in range(3)]] == [0, 0, 0]
+    (library,) = (tmp_path / "native").iterdir()
+    made = library.stat()
+    assert process(tmp_path, CC="/nonexistent/cc").wait(120) == 0  # nothing is compiled again
+    assert library.stat() == made or library.stat().st_mtime_ns == made.st_mtime_ns
+
+
+def test_without_a_compiler_or_with_a_broken_one(tmp_path: Path) -> None:
+    for number, compiler in enumerate(("/nonexistent/cc", "false")):
+        cache = tmp_path / str(number)
+        assert process(cache, found=False, CC=compiler).wait(120) == 0
+        assert not list(cache.rglob("*.so"))
+
+
+def test_fits_without_a_compiler(monkeypatch: pytest.MonkeyPatch) -> None:
+    """All goes on by torch, with the same results."""
+    rng = Generator().manual_seed(6)
+    theta, batches = theta_of(rng), [batch_of(rng, 64) for _ in range(STEPS)]
+    rule = fixed_adam(Adam(1e-2), theta, STEPS)
+    here = learn(theta, rule, None, loss_of(batches), steps=STEPS, rng=rng)
+    monkeypatch.setattr(nbrdf_fused, "_library", lambda: None)
+    monkeypatch.setattr(fused, "_library", lambda: None)
+    there = learn(theta, rule, None, loss_of(batches), steps=STEPS, rng=rng)
+    for key, value in there.items():
+        assert away(here[key], value.double()) < 100 * EPS

@@ -1,0 +1,95 @@
+"""Training on two processes: the checkpoint of one; a rank that dies ends the run in one line, which can go on."""
+
+from __future__ import annotations
+
+import json
+import os
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from safetensors import safe_open
+from safetensors.torch import load_file
+
+from metapp.paradigms import ranks
+
+
+def free_port() -> int:
+    with socket.socket() as one:
+        one.bind(("127.0.0.1", 0))
+        return int(one.getsockname()[1])
+
+
+@pytest.fixture
+def train(metapp: Callable[..., Any], tmp_path: Path) -> Callable[..., list[subprocess.Popen[str]]]:
+    """Start the ranks of one training on few small materials: train(ranks, folder, steps)."""
+    data = tmp_path / "data"
+    assert metapp("data", "synth", "brdf", "--count", "12", "--out", data).code == 0
+
+    def start(count: int, out: Path, steps: int, **environment: str) -> list[subprocess.Popen[str]]:
+        command = [sys.executable, "-m", "metapp", "meta", "brdf", "--train", "--train-steps", str(steps)]
+        command += ["--data", str(data), "--out", str(out), "--quiet"]
+        shared = {"MASTER_ADDR": "127.0.0.1", "MASTER_PORT": str(free_port()), "WORLD_SIZE": str(count)}
+        return [
+            subprocess.Popen(
+                command,
+                env={**os.environ, **shared, **environment, "RANK": str(rank), "OMP_NUM_THREADS": "1"},
+                stdout=subprocess.PIPE,
+                stderr=subprocess.PIPE,
+                text=True,
+            )
+            for rank in range(count)
+        ]
+
+    return start
+
+
+def trained(folder: Path) -> dict[str, Path]:
+    return {path.stem: path for path in folder.rglob("starts/*/*.safetensors")}
+
+
+def test_two_ranks_train_what_one_does(train: Callable[..., list[subprocess.Popen[str]]], tmp_path: Path) -> None:
+    for count in (1, 2):
+        for process in train(count, tmp_path / str(count), 4):
+            said, errors = process.communicate(timeout=600)
+            assert process.returncode == 0, errors
+        assert (said, errors) == ("", "") or count == 1
+    one, two = trained(tmp_path / "1"), trained(tmp_path / "2")
+    assert one.keys() == two.keys() == {"general", "meta-curvature"}
+    for name, path in one.items():
+        expected, actual = load_file(path), load_file(two[name])
+        assert expected.keys() == actual.keys()
+        for key, value in expected.items():
+            away = float((actual[key].double() - value.double()).abs().max())
+            assert away < 1e-6 * max(1.0, float(value.abs().max())), (name, key)
+    with safe_open(two["meta-curvature"], "pt") as file:
+        (document,) = (json.loads(text) for text in file.metadata().values() if text.startswith("{"))
+    assert document["best_step"] > 0  # what is compared was trained
+
+
+def test_a_rank_that_dies_ends_the_run(train: Callable[..., list[subprocess.Popen[str]]], tmp_path: Path) -> None:
+    first, second = train(2, tmp_path / "out", 10**6, METAPP_CHECKPOINT_SECONDS="0")
+    until = time.monotonic() + 300
+    while not list(tmp_path.rglob("*.training.safetensors")) and time.monotonic() < until:
+        time.sleep(0.1)
+    second.kill()
+    second.communicate()
+    said, errors = first.communicate(timeout=300)
+    assert first.returncode == 1
+    assert said == ""
+    (line,) = errors.strip().splitlines()[-1:]
+    assert line.startswith("error: rank 0 of 2: another rank has ended")
+    assert "Traceback" not in errors
+    assert list(tmp_path.rglob("*.training.safetensors"))
+
+
+def test_more_ranks_than_tasks(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("WORLD_SIZE", "8")
+    ranks.require(8)
+    with pytest.raises(ValueError, match="8 ranks: an outer step has 4 tasks, expected at most as many ranks"):
+        ranks.require(4)
