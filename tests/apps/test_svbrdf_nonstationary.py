@@ -16,7 +16,7 @@ from data_tools.readers.svbrdf_task import flash_photo, svbrdf_task
 from metapp.appearance.colour import linear_to_srgb, srgb_to_linear
 from metapp.appearance.flash import Maps, camera, camera_distance, normal_from_height, pack, positions, render, unpack
 from metapp.apps import svbrdf_nonstationary
-from metapp.apps.svbrdf_nonstationary import APP, QUICK, Setup, SvbrdfNonstationary, field_of
+from metapp.apps.svbrdf_nonstationary import APP, FINEST, QUICK, Setup, SvbrdfNonstationary, field_of
 from metapp.apps.svbrdf_nonstationary.encoder import Encoder
 from metapp.apps.svbrdf_nonstationary.maps import pooled
 from metapp.apps.svbrdf_nonstationary.presentation import SvbrdfNonstationaryPresentation
@@ -322,7 +322,7 @@ def test_a_photo_alone_is_no_reference(app: SvbrdfNonstationary) -> None:
 
 def test_maps_are_written_as_fine_as_the_photo(app: SvbrdfNonstationary) -> None:
     theta = {key: value[0] for key, value in app.init(Generator().manual_seed(0), 1).items()}
-    for size, written in ((48, 48), (300, 256)):
+    for size, written in ((48, 48), (300, 300), (1040, FINEST)):
         files = SvbrdfNonstationaryPresentation(app).files(theta, svbrdf_task("wall", material(0, size)))
         assert list(files) == [
             "normal", "diffuse", "roughness", "specular", "lit_from_left", "lit_from_above", "lit_from_aside",

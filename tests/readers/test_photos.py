@@ -465,3 +465,10 @@ def test_a_small_file_cannot_ask_for_gigabytes(tmp_path: Path) -> None:
     (tmp_path / "bomb.ppm").write_bytes(b"P6\n16384 16384\n255\n" + bytes(1000))
     with pytest.raises(ValueError, match=r"bomb.ppm: 16384x16384 px of 3 channels in 1,\d+ bytes"):
         read_photo(tmp_path / "bomb.ppm")
+
+
+def test_small_pictures_are_enlarged_only_as_far_as_asked(tmp_path: Path) -> None:
+    for side, read in ((48, 64), (100, 100), (300, 128)):
+        picture = np.arange(side * side * 3, dtype=np.uint32).reshape(side, side, 3) % 251
+        write(tmp_path / "a.png", picture.astype(np.uint8))
+        assert read_photo(tmp_path / "a.png", 128, least=64).shape == (3, read, read)
