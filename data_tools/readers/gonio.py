@@ -13,12 +13,11 @@ import math
 import re
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from scipy.spatial import KDTree
 from torch import Tensor
 
 from data_tools.readers.colours import spectra_to_rgb
@@ -26,6 +25,9 @@ from data_tools.readers.listing import find_by_suffix, has_suffix
 from metapp.appearance.geometry import directions_to_full_circle
 from metapp.appearance.sphere import reference_scene, shade_sphere
 from metapp.learning.task import Task
+
+if TYPE_CHECKING:
+    from scipy.spatial import KDTree
 
 Array = NDArray[np.float64]
 
@@ -69,6 +71,8 @@ def read_task(path: Path) -> Task:
     Raises:
         ValueError: as `read_gonio`; too few measurements.
     """
+    from scipy.spatial import KDTree  # here: every BRDF file is first shown to this reader, whatever it is
+
     angles, reflectance = _distinct(*read_gonio(path))
     if len(angles) < LEAST:
         raise ValueError(f"{path}: {len(angles)} pairs of directions, expected {LEAST} or more; measure more.")
