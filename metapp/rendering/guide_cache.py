@@ -1,0 +1,184 @@
+"""Where light comes from, learned from a render: per voxel, side of a surface and cell of directions.
+
+A place is a voxel and the axis nearest to a surface's normal. In each place there are cells of the hemisphere above the
+surface, all of the same share of it, weighed by the cosine. What is learned is the root of the second moment of what
+paths carry from each cell, the density of least variance (Rath et al. 2020), coarse to fine: cells that few paths took
+lean on those around them.
+
+Directions are drawn from slots, SHARE for each cell, of which one is the cell's own and the others are shared out as
+was learned: one look-up tells a cell and, by how many slots it has, its density, which is never below 1 / SHARE of the
+uniform one.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
+from torch import Tensor
+
+GRID, SIDE, SHARE = 8, 16, 4  # voxels along an axis, cells along a side of the hemisphere, slots for a cell
+AXES = 6
+CELLS = SIDE * SIDE
+SLOTS = SHARE * CELLS
+PLACES = GRID**3 * AXES
+LEAN = 4.0  # paths that the coarser cells count as
+
+_LOW = 0xFFFF  # of a slot: the cell; above, how many slots it has
+
+
+class Spot(NamedTuple):
+    """Points of surfaces in the cache.
+
+    Attributes:
+        place: its number.
+        frame: about the normal, turned alike in all of a place.
+    """
+
+    place: Any
+    frame: Any
+
+
+class GuideCache:
+    """What was learned about one scene, in the variant of Mitsuba that is active.
+
+    Args:
+        mi: Mitsuba, in a variant of Dr.Jit.
+        low, high: corners of the box that voxels fill, [3] each; what is outside belongs to the outermost.
+    """
+
+    def __init__(self, mi: Any, low: Any, high: Any) -> None:
+        import drjit
+
+        self.mi, self.dr = mi, drjit
+        low, high = np.asarray(low, np.float64), np.asarray(high, np.float64)
+        extent = np.maximum(high - low, 1e-6 * max(float((high - low).max()), 1e-6))
+        self.low, self.scale = mi.ScalarPoint3f(low), mi.ScalarVector3f(GRID / extent)
+        # in double precision the order in which threads add makes no difference that matters: pictures can be repeated
+        self.squares = drjit.zeros(mi.Float64, PLACES * CELLS)
+        self.counts = drjit.zeros(mi.Float64, PLACES * CELLS)
+        self.slots = mi.UInt32(drjit.arange(mi.UInt32, PLACES * SLOTS) % CELLS | (SHARE << 16))
+        drjit.eval(self.squares, self.counts, self.slots)
+
+    def spot(self, point: Any, normal: Any) -> Spot:
+        """Where points with these unit normals are."""
+        mi, dr = self.mi, self.dr
+        voxel = mi.Vector3u(dr.clip(mi.Vector3i((point - self.low) * self.scale), 0, GRID - 1))
+        size = dr.abs(normal)
+        along_x = (size.x >= size.y) & (size.x >= size.z)
+        along_y = ~along_x & (size.y >= size.z)
+        on_axis = dr.select(along_x, normal.x, dr.select(along_y, normal.y, normal.z))
+        axis = dr.select(along_x, mi.UInt32(0), dr.select(along_y, mi.UInt32(2), mi.UInt32(4)))
+        axis += dr.select(on_axis < 0, mi.UInt32(1), mi.UInt32(0))
+        # another axis, which is never along the normal
+        across = mi.Vector3f(dr.select(along_y, 1.0, 0.0), dr.select(along_x | along_y, 0.0, 1.0), 0.0)
+        across.z = dr.select(along_x, 1.0, 0.0)
+        tangent = dr.normalize(across - normal * dr.dot(normal, across))
+        place = ((voxel.z * GRID + voxel.y) * GRID + voxel.x) * AXES + axis
+        return Spot(place, mi.Frame3f(tangent, dr.cross(normal, tangent), normal))
+
+    def cell(self, local: Any) -> Any:
+        """The cell of directions in a spot's frame; anything below the surface."""
+        mi, dr = self.mi, self.dr
+        square = mi.warp.uniform_disk_to_square_concentric(mi.Point2f(local.x, local.y))
+        within = dr.clip(mi.Vector2i(square * SIDE), 0, SIDE - 1)
+        return mi.UInt32(within.y * SIDE + within.x)
+
+    def draw(self, place: Any, cell: Any, is_drawn: Any, point: Any, active: Any) -> tuple[Any, Any, Any]:
+        """Draw directions, or tell how densely those in a cell are drawn, by the same look-up.
+
+        Args:
+            place: of spots.
+            cell: of directions, for where none is drawn.
+            is_drawn: where to draw.
+            point: in [0, 1)^2, uniform.
+            active: where to do anything.
+
+        Returns:
+            the cell; the direction in the spot's frame that was drawn in it; and its density over the cosine's.
+        """
+        mi, dr = self.mi, self.dr
+        along = point.x * SLOTS
+        slot = dr.minimum(mi.UInt32(along), SLOTS - 1)
+        found = dr.gather(mi.UInt32, self.slots, place * SLOTS + dr.select(is_drawn, slot, cell), active)
+        cell = dr.select(is_drawn, found & _LOW, cell)
+        corner = mi.Point2f(mi.Float(cell % SIDE), mi.Float(cell // SIDE))
+        place_in = (corner + mi.Point2f(along - mi.Float(slot), point.y)) * (1 / SIDE)
+        return cell, mi.warp.square_to_cosine_hemisphere(place_in), mi.Float(found >> 16) * (1 / SHARE)
+
+    def density(self, place: Any, cell: Any, active: Any) -> Any:
+        """How densely directions in a cell are drawn, over the cosine's density."""
+        dr, mi = self.dr, self.mi
+        found = dr.gather(mi.UInt32, self.slots, place * SLOTS + cell, active)
+        return mi.Float(found >> 16) * (1 / SHARE)
+
+    def add(self, index: Any, density: Any, carried: Any, active: Any) -> None:
+        """Remember what paths carried.
+
+        Args:
+            index: place * CELLS + cell.
+            density: of the direction over the cosine's.
+            carried: luminance that came by it, over the density of its drawing.
+            active: where there was a path.
+        """
+        dr, double = self.dr, self.mi.Float64
+        dr.scatter_reduce(dr.ReduceOp.Add, self.squares, double(carried * carried * density), index, active)
+        dr.scatter_reduce(dr.ReduceOp.Add, self.counts, double(dr.rcp(density)), index, active)
+
+    def learn(self) -> int:
+        """Share the slots out anew by all that was remembered.
+
+        Returns:
+            how many places have been seen.
+        """
+        mi = self.mi
+        sums = (self.squares, self.counts)
+        squares, counts = (torch.from_numpy(each.numpy()).reshape(PLACES, CELLS) for each in sums)
+        seen = (squares.sum(1) > 0).nonzero()[:, 0]
+        if len(seen):
+            table = slots_of(moments(squares[seen], counts[seen]).sqrt())
+            where = (seen[:, None] * SLOTS + torch.arange(SLOTS)).flatten()
+            values, places = (mi.UInt32(each.flatten().int().numpy().view(np.uint32)) for each in (table, where))
+            self.dr.scatter(self.slots, values, places)
+            self.dr.eval(self.slots)
+        return len(seen)
+
+
+def moments(squares: Tensor, counts: Tensor) -> Tensor:
+    """The second moment of what comes from each cell, coarse to fine.
+
+    Args:
+        squares: sums of what came by paths, squared and each over the density of the path, [P, CELLS].
+        counts: sums of one over the same densities: about how many paths uniform directions would have sent there.
+
+    Returns:
+        [P, CELLS], of any scale.
+    """
+    levels = [(squares.unflatten(1, (SIDE, SIDE)), counts.unflatten(1, (SIDE, SIDE)))]
+    while levels[-1][0].shape[-1] > 1:
+        coarser = [each.unflatten(2, (-1, 2)).unflatten(1, (-1, 2)).sum((2, 4)) for each in levels[-1]]
+        levels.append((coarser[0], coarser[1]))
+    found = levels[-1][0] / levels[-1][1].clamp_min(1e-9)
+    for total, count in levels[-2::-1]:
+        around = found.repeat_interleave(2, 1).repeat_interleave(2, 2)
+        found = (total + LEAN * around) / (count + LEAN)
+    return found.flatten(1)
+
+
+def slots_of(weights: Tensor) -> Tensor:
+    """The slots of places by their cells' weights: cell | number of its slots << 16.
+
+    Args:
+        weights: float64 [P, CELLS], not negative, no row all zero.
+
+    Returns:
+        int64 [P, SLOTS]; the first CELLS are the cells in order, the others in proportion to the weights.
+    """
+    free = SLOTS - CELLS
+    ends = (weights.cumsum(1) / weights.sum(1, keepdim=True) * free + 0.5).floor().long()
+    ends[:, -1] = free
+    counts = ends.diff(dim=1, prepend=torch.zeros(len(ends), 1, dtype=torch.long))
+    packed = torch.arange(CELLS) | ((counts + 1) << 16)
+    shared = packed.flatten().repeat_interleave(counts.flatten()).reshape(len(weights), free)
+    return torch.cat([packed, shared], 1)
