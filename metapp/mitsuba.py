@@ -31,7 +31,7 @@ with suppress(ValueError):  # none is there: variants of GPUs need none
     choose_llvm()  # before Mitsuba is imported, as it keeps the one that it finds then
 
 from metapp.rendering.brdf_network import Material
-from metapp.rendering.brdf_plugin import register
+from metapp.rendering.brdf_plugin import register_neural_brdf
 from metapp.rendering.maps_bsdf import register_maps_bsdf
 
 
@@ -71,5 +71,5 @@ def _of_nbrdf(path: Path) -> Params:
     return weights | {f"b{layer}": parts[f"b{layer}"][:, None] for layer in (1, 2, 3)}
 
 
-register(read_material)
+register_neural_brdf(read_material)
 register_maps_bsdf()

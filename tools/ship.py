@@ -13,6 +13,7 @@ import torch
 from safetensors import safe_open
 from safetensors.torch import save_file
 
+from metapp.learning.learn import MetaParameters
 from metapp.learning.task import Params
 from metapp.storage.records import load_checkpoint, tensor_digest
 
@@ -27,6 +28,10 @@ def ship(source: Path, target: Path, rounded: dict[str, str]) -> None:
     if "encoder" in info:
         info["encoder"] = rounded.get(info["encoder"], info["encoder"])
     tensors = {key: value.half() if _is_large(key, value) else value for key, value in tensors.items()}
+    encoder = MetaParameters.unflat(tensors).encoder
+    if source.stem != "general" and encoder and _digest(encoder) in rounded.values():
+        tensors = {key: value for key, value in tensors.items() if not key.startswith("encoder.")}
+        info["general"] = _digest(encoder)
     save_file(tensors, target, {"metapp": json.dumps(info)})
 
 
@@ -35,12 +40,16 @@ def _is_large(key: str, value: torch.Tensor) -> bool:
     return value.dtype == torch.float32 and (key.startswith("encoder.") or long)
 
 
+def _digest(encoder: Params) -> str:
+    return tensor_digest({key: value.float() for key, value in encoder.items()})
+
+
 def digests(general: Path) -> dict[str, str]:
     """General's digest as it was trained, and as it ships."""
     if not general.is_file():
         return {}
     encoder: Params = load_checkpoint(general)[0].encoder
-    return {tensor_digest(encoder): tensor_digest({key: value.half().float() for key, value in encoder.items()})}
+    return {tensor_digest(encoder): _digest({key: value.half() for key, value in encoder.items()})}
 
 
 if __name__ == "__main__":

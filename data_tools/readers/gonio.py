@@ -22,7 +22,7 @@ from scipy.spatial import KDTree
 from torch import Tensor
 
 from data_tools.readers.colours import spectra_to_rgb
-from data_tools.readers.listing import find_by_suffix
+from data_tools.readers.listing import find_by_suffix, has_suffix
 from metapp.appearance.geometry import directions_to_full_circle
 from metapp.appearance.sphere import reference_scene, shade_sphere
 from metapp.learning.task import Task
@@ -53,8 +53,7 @@ def find(paths: Iterable[str | Path]) -> tuple[list[Path], list[str]]:
 
 def recognises(path: str | Path) -> bool:
     """Whether a path is a .csv file, or a folder with one below it."""
-    path = Path(path)
-    return path.suffix == SUFFIX or (path.is_dir() and any(path.rglob(f"*{SUFFIX}")))
+    return has_suffix(path, SUFFIX)
 
 
 def read_task(path: Path) -> Task:

@@ -36,5 +36,11 @@ def find_by_suffix(paths: Iterable[str | Path], suffix: str, what: str) -> tuple
     return list(files.values()), []
 
 
+def has_suffix(path: str | Path, suffix: str) -> bool:
+    """Whether a path has a suffix, with its dot, or is a folder with a file of it below."""
+    path = Path(path)
+    return path.suffix == suffix or (path.is_dir() and any(path.rglob(f"*{suffix}")))
+
+
 def _hidden(file: Path, folder: Path) -> bool:
     return any(part.startswith(".") for part in file.relative_to(folder).parts)

@@ -9,9 +9,8 @@ import torch
 from torch import Generator, Tensor
 
 from metapp.appearance.geometry import cosines
+from metapp.appearance.noise import factors
 from metapp.learning.task import Task
-
-OUTLIERS = (0.5, 1.0)  # decades that an outlier is off, up or down
 
 
 def as_measured(task: Task, noise: float, outliers: float = 0.0, grazing_rad: float = math.pi / 2) -> Task:
@@ -32,13 +31,7 @@ def as_measured(task: Task, noise: float, outliers: float = 0.0, grazing_rad: fl
     half = len(task.data["angles"]) // 2
     angles, reflectance = (task.data[key].clone() for key in ("angles", "reflectance"))
     rng = Generator().manual_seed(int.from_bytes(hashlib.sha256(task.name.encode(errors="replace")).digest()[:6]))
-    factor = torch.exp(noise * torch.randn(half, 3, generator=rng))
-    low, high = OUTLIERS
-    decades = (low + (high - low) * torch.rand(half, 1, generator=rng)) * (
-        2 * torch.randint(2, (half, 1), generator=rng) - 1
-    )
-    off = torch.rand(half, 1, generator=rng) < outliers
-    reflectance[:half] *= factor * torch.where(off, 10**decades, 1.0)
+    reflectance[:half] *= factors(rng, (half,), noise, outliers)
     rows = _seen(angles[:half], grazing_rad)
     if not len(rows):
         raise ValueError(

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from data_tools.readers.brdf_task import brdf_task
-from data_tools.readers.listing import find_by_suffix
+from data_tools.readers.listing import find_by_suffix, has_suffix
 from data_tools.readers.plausibility import warn_implausible
 from data_tools.readers.rgl_table import write_rgl
 from data_tools.readers.tensor_file import read_tensor_file
@@ -51,8 +51,7 @@ def find(paths: Iterable[str | Path]) -> tuple[list[Path], list[str]]:
 
 def recognises(path: str | Path) -> bool:
     """Whether a path is a .bsdf file, or a folder with one below it."""
-    path = Path(path)
-    return path.suffix == SUFFIX or (path.is_dir() and any(path.rglob(f"*{SUFFIX}")))
+    return has_suffix(path, SUFFIX)
 
 
 def export(app: Any, theta: Mapping[str, Tensor], path: Path) -> None:

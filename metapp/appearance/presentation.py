@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, Generic, Literal, NamedTuple, TypeVar, get_args
 
 from torch import Tensor
@@ -53,6 +53,7 @@ class Fitted(NamedTuple):
 
 
 AnyApp = TypeVar("AnyApp", bound=App)
+AnyMade = TypeVar("AnyMade")
 
 
 class Presentation(ABC, Generic[AnyApp]):
@@ -73,10 +74,24 @@ class Presentation(ABC, Generic[AnyApp]):
     logarithmic: bool = False
     image_measure: str = ""
     image_seconds: float = 0.1
-    size: tuple[int, int] | None = None
 
-    def __init__(self, app: AnyApp) -> None:
-        self.app = app
+    def __init__(self, app: AnyApp, size: tuple[int, int] | None = None) -> None:
+        self.app, self.size = app, size
+        self._kept: tuple[Params, Task, Any] | None = None
+
+    def kept(self, theta: Params, task: Task, make: Callable[[], AnyMade]) -> AnyMade:
+        """What `files` and `surface` are both made of, made once where they are asked for the same fit in turn.
+
+        Args:
+            theta: the fit; other mappings and tasks count as others, whatever is in them.
+            task: what was fitted.
+            make: makes it, of `size`.
+        """
+        if self._kept is None or self._kept[0] is not theta or self._kept[1] is not task:
+            self._kept = None  # may be 0.6 GB, which should not lie beside the next fit's
+            self._kept = theta, task, make()
+        made: AnyMade = self._kept[2]
+        return made
 
     def refusal(self, height: int, width: int) -> str:
         """Why `files` cannot be of a size; "" where they can."""

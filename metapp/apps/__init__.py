@@ -28,7 +28,13 @@ def load_app(name: str) -> App:
     return result
 
 
-def presentation_of(app: App) -> Presentation[Any]:
-    """What screens and files need of an application, at its setup and under its protocol."""
-    result: Presentation[Any] = importlib.import_module(f"metapp.apps.{app.name}.presentation").PRESENTATION(app)
+def presentation_of(app: App, size: tuple[int, int] | None = None) -> Presentation[Any]:
+    """What screens and files need of an application, at its setup and under its protocol.
+
+    Args:
+        app: the application.
+        size: of what fits make for their users, height and width in px; None for the application's own choice.
+    """
+    module = importlib.import_module(f"metapp.apps.{app.name}.presentation")
+    result: Presentation[Any] = module.PRESENTATION(app, size)
     return result

@@ -36,7 +36,8 @@ def command(
         print_json(found)
         return
     for name, value in found.items():
-        text = ", ".join(f"{key} {item}" for key, item in value.items()) if isinstance(value, dict) else str(value)
+        told, after = (": ", "; ") if name == "starts" else (" ", ", ")  # starts are lists themselves
+        text = after.join(f"{key}{told}{item}" for key, item in value.items()) if isinstance(value, dict) else value
         out.print(f"{name:<10} {text}", markup=False, soft_wrap=True)
 
 
@@ -46,19 +47,17 @@ def examine() -> dict[str, Any]:
 
     from metapp.apps import app_names
     from metapp.experiments.embedded import embedded_exists
-    from metapp.experiments.shipped import shipped_path
+    from metapp.experiments.shipped import shipped_names
     from metapp.storage.files import cache_folder
 
-    starts = {
-        app: sorted(path.stem for path in shipped_path(app, "x").parent.glob("*.safetensors")) for app in app_names()
-    }
+    starts = {key: names for app in app_names() for key, names in shipped_names(app).items()}
     return {
         "versions": {name: _version(name) for name in PACKAGES},
         "device": torch.cuda.get_device_name() if torch.cuda.is_available() else f"CPU, {os.cpu_count()} cores",
         "compiler": _compiler(),
         "cache": str(cache_folder()),
         "data": {app: "made" if embedded_exists(app) else "made on first use" for app in app_names()},
-        "starts": {app: ", ".join(names) or "none" for app, names in starts.items()},
+        "starts": {key: ", ".join(names) or "none" for key, names in starts.items()},
         "VGG": {which: _vgg(which) for which in ("vgg16", "vgg19")},
         "libLLVM": _llvm(),
     }

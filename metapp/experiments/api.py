@@ -78,7 +78,7 @@ class Fit:
             BadOption: fits of this application cannot be written so, or a library for it is missing.
         """
         check_export(form, self.app)
-        export_fit(self.app, self.task, self.parameters, Path(path), form, self.settings)
+        export_fit(presentation_of(self.app), self.task, self.parameters, Path(path), form, self.settings)
 
 
 def fit(app: str, source: str | PathLike[str], *, paradigm: str = "meta", **options: Any) -> Fit:

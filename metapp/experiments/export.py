@@ -9,7 +9,7 @@ from typing import Any
 from torch import Generator
 
 from data_tools.formats import Export, exports_of
-from metapp.apps import presentation_of
+from metapp.appearance.presentation import Presentation
 from metapp.experiments import BadOption
 from metapp.experiments.checkpoints import find_checkpoint
 from metapp.experiments.reporter import number, say
@@ -17,7 +17,6 @@ from metapp.experiments.session import options_of
 from metapp.learning.app import App, stack
 from metapp.learning.task import Params, Task
 from metapp.paradigms import paradigms
-from metapp.storage.records import RunFolder, file_name
 
 
 def check_export(name: str, app: App) -> None:
@@ -35,38 +34,22 @@ def check_export(name: str, app: App) -> None:
         raise BadOption(form.missing())
 
 
-def export_all(app: App, tasks: list[Task], folder: RunFolder, name: str, size: tuple[int, int] | None = None) -> None:
-    """Write every fit of a run in a form, under <run>/<form>/; surfaces of the application's size, or of this one."""
-    for task in tasks:
-        path = folder.path / name / file_name(task.name)
-        export_fit(app, task, folder.theta(task.name), path, name, folder.settings, size)
-    say(f"{len(tasks)} fits written as {name}: {folder.path / name}")
-
-
 def export_fit(
-    app: App,
-    task: Task,
-    theta: Params,
-    path: Path,
-    name: str,
-    settings: Mapping[str, Any],
-    size: tuple[int, int] | None = None,
+    shown: Presentation[Any], task: Task, theta: Params, path: Path, name: str, settings: Mapping[str, Any]
 ) -> None:
     """Write one fit in a form; where that holds another network, the fit is distilled into it first.
 
     Args:
-        app: of the fit.
+        shown: the presentation of the fit's application, at the size of surfaces.
         task: what was fitted.
         theta: parameters, without a task axis.
         path: where to, without suffix; its last part names an asset.
         name: of the form.
         settings: what the fit was made by, as records have it: an asset's provenance.
-        size: of a surface, height and width in texels; None for the application's own choice.
     """
+    app = shown.app
     form = exports_of(app.name)[name]
     if isinstance(form, Export):
-        shown = presentation_of(app)
-        shown.size = size
         surface = shown.surface(theta, task)
         assert surface is not None, f"{app.name} has no surface"
         form.writer().write(surface, path, {"task": task.name, **settings})

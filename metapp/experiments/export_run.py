@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from metapp.apps import presentation_of
 from metapp.experiments import BadOption
 from metapp.experiments.embedded import embedded_exists
 from metapp.experiments.export import check_export, export_fit
@@ -64,8 +65,9 @@ def export_run(
                 tasks[settings["data"]] = _tasks(app, settings["data"], inputs, data)
             task = tasks[settings["data"]].get(name, Task(name, {}))
             theta, path = read_theta(folder, name), target / file_name(name)
+            shown = presentation_of(app, check_size(size, app))
             try:
-                export_fit(app, task, theta, path, form, settings, check_size(size, app))
+                export_fit(shown, task, theta, path, form, settings)
             except KeyError as missing:
                 if task.data:
                     raise

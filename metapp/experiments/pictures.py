@@ -10,11 +10,12 @@ import numpy as np
 import torch
 
 from metapp.appearance.colour import linear_to_srgb, stretched, tone_map
+from metapp.appearance.presentation import Presentation
 from metapp.apps import presentation_of
 from metapp.experiments.session import title_of
 from metapp.experiments.sheet import Column, write_sheet
 from metapp.learning.app import App
-from metapp.learning.task import Task
+from metapp.learning.task import Params, Task
 from metapp.storage.images import write_exr, write_png
 from metapp.storage.records import file_name, read_theta, summary
 
@@ -80,30 +81,25 @@ def picture_of_table(
     return write_sheet(columns, f"{title_of(app)}: mean error{_factor(app)} of each fit below it", file)
 
 
-def write_files(app: App, tasks: Sequence[Task], folder: Path, size: tuple[int, int] | None = None) -> Path | None:
-    """Write what each fit makes for its user, <run>/outputs/<task>/<name>.png, 8 bits; None where nothing.
-
-    It is of the application's own size unless a height and a width are given.
+def write_files(shown: Presentation[Any], task: Task, theta: Params, folder: Path) -> bool:
+    """Write what a fit makes for its user, <folder>/<task>/<name>.png, 8 bits; False where that is nothing.
 
     Colours are sRGB; data such as roughness, normals and heights are linear: the PNG's text `encoding` says which.
     Heights h, in texels, are kept as (h - minimum) / (maximum - minimum), of which the texts `height_minimum` and
     `height_maximum` tell. Radiance is kept as <name>.exr, and tone-mapped beside it.
     """
-    written, shown = None, presentation_of(app)
-    shown.size = size
-    for task in tasks:
-        for name, (pixels, kind) in shown.files(_theta(folder, task), task).items():
-            written = folder / "outputs"
-            file = written / file_name(task.name) / f"{name}.png"
-            texts = {"encoding": "linear" if kind in ("data", "height") else "sRGB"}
-            if kind == "height":
-                pixels, low, high = stretched(pixels)
-                texts |= {"height_minimum": f"{low:.9g}", "height_maximum": f"{high:.9g}", "height_unit": "texels"}
-            if kind == "radiance":
-                write_exr(pixels, file.with_name(f"{name}.exr"))
-                pixels = tone_map(pixels / pixels.mean().clamp_min(1e-20))  # whatever its unit
-            write_png(pixels, texts, file)
-    return written
+    files = shown.files(theta, task)
+    for name, (pixels, kind) in files.items():
+        file = folder / file_name(task.name) / f"{name}.png"
+        texts = {"encoding": "linear" if kind in ("data", "height") else "sRGB"}
+        if kind == "height":
+            pixels, low, high = stretched(pixels)
+            texts |= {"height_minimum": f"{low:.9g}", "height_maximum": f"{high:.9g}", "height_unit": "texels"}
+        if kind == "radiance":
+            write_exr(pixels, file.with_name(f"{name}.exr"))
+            pixels = tone_map(pixels / pixels.mean().clamp_min(1e-20))  # whatever its unit
+        write_png(pixels, texts, file)
+    return bool(files)
 
 
 def _theta(folder: Path, task: Task) -> dict[str, Any]:

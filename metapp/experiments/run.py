@@ -7,10 +7,11 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from metapp.appearance.presentation import Presentation
 from metapp.apps import presentation_of
 from metapp.experiments import BadOption
 from metapp.experiments.checkpoints import find_checkpoint, train_checkpoint
-from metapp.experiments.export import export_all
+from metapp.experiments.export import export_fit
 from metapp.experiments.fits import fit_tasks
 from metapp.experiments.inputs import AS_FILES_SAY, Reading, tasks_to_fit
 from metapp.experiments.pictures import write_files
@@ -28,7 +29,7 @@ from metapp.experiments.session import (
 from metapp.learning.app import App
 from metapp.learning.task import Task
 from metapp.paradigms import Paradigm, paradigms
-from metapp.storage.records import FIT, RunFolder, guarded, summary
+from metapp.storage.records import FIT, RunFolder, file_name, guarded, summary
 
 
 class Run(NamedTuple):
@@ -129,10 +130,26 @@ def _fit(
     # a finished run is run anew, one that was cut off is completed
     again = len(folder.finished()) >= len(tasks)
     records = run_tasks(options, paradigm, checkpoint, tasks, folder, again=again)
-    made = write_files(options.app, tasks, folder.path, size)
-    if export:
-        export_all(options.app, tasks, folder, export, size)
+    made = _write(presentation_of(options.app, size), tasks, folder, export)
     return Run(options, settings, label, tasks, records, folder, made)
+
+
+def _write(shown: Presentation[Any], tasks: list[Task], folder: RunFolder, export: str) -> Path | None:
+    """Write what fits make for their user, <run>/outputs, and the form of --export, if any, <run>/<form>.
+
+    Returns:
+        The first folder; None where they make nothing.
+    """
+    made = None
+    for task in tasks:
+        theta = folder.theta(task.name)
+        made = folder.path / "outputs" if write_files(shown, task, theta, folder.path / "outputs") else made
+        if export:
+            path = folder.path / export / file_name(task.name)
+            export_fit(shown, task, theta, path, export, folder.settings)
+    if export:
+        say(f"{len(tasks)} fits written as {export}: {folder.path / export}")
+    return made
 
 
 def check_size(text: str, app: App) -> tuple[int, int] | None:

@@ -15,7 +15,7 @@ import torch
 
 from metapp.apps import app_names, load_app, presentation_of
 from metapp.experiments import BadOption
-from metapp.experiments.shipped import FULL, QUICK, ships
+from metapp.experiments.shipped import FULL, QUICK, full_fits_as_quick, ships
 from metapp.learning.app import App
 from metapp.learning.learn import MetaParameters
 from metapp.learning.rules import rule_of
@@ -86,8 +86,7 @@ def options_of(
 
 def _has_own(app: App, paradigm: str) -> bool:
     """Whether "full" has anything of its own for a paradigm, and ships."""
-    same = app.recipes[FULL].setup == app.recipes[QUICK].setup
-    return ships(app, FULL) and (paradigm == "meta" or not same)
+    return ships(app, FULL) and (paradigm == "meta" or not full_fits_as_quick(app))
 
 
 def _at_rule(app: App, recipe: str, rule: str) -> App:

@@ -16,10 +16,23 @@ def shipped_path(app: str, name: str, recipe: str = QUICK) -> Path:
     return (folder / recipe if (folder / recipe).is_dir() else folder) / f"{name}.safetensors"
 
 
+def shipped_names(app: str) -> dict[str, list[str]]:
+    """The checkpoints that ship for an application, by it, and for its recipe of another size, by "<app> full"."""
+    folders = {app: _folder(app), f"{app} {FULL}": _folder(app) / FULL}
+    names = {key: sorted(path.stem for path in folder.glob("*.safetensors")) for key, folder in folders.items()}
+    return {key: found for key, found in names.items() if found or key == app}
+
+
 def ships(app: App, recipe: str) -> bool:
     """Whether checkpoints of a recipe ship: its own, or those of "quick" where it fits the same network."""
-    same = recipe == FULL and app.recipes[FULL].setup == app.recipes[QUICK].setup
+    same = recipe == FULL and full_fits_as_quick(app)
     return recipe == QUICK or same or (_folder(app.name) / recipe).is_dir()
+
+
+def full_fits_as_quick(app: App) -> bool:
+    """Whether "full" is of the size of "quick": then its rule is all that differs."""
+    result: bool = app.recipes[FULL].setup == app.recipes[QUICK].setup
+    return result
 
 
 def _folder(app: str) -> Path:

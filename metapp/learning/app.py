@@ -82,6 +82,10 @@ class App(ABC):
         """The outer loss of each fit, [T]: the inner one, unless training tasks know more than a fit may see."""
         return self.loss(theta, batch, learned)
 
+    def outer_sample(self, tasks: Tasks, rng: Generator, count: int) -> Batch:
+        """`count` samples for the outer loss: drawn as a fit's, unless training tasks know more than a fit may see."""
+        return self.sample(tasks, rng, count)
+
     def linear(self, theta: Params, batch: Batch, learned: Params) -> Linear:
         """Least squares near the inner loss, where the network is linear in the parameter `solves`."""
         raise NotImplementedError

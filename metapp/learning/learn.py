@@ -121,20 +121,23 @@ def _require_finite(value: Tensor, names: tuple[str, ...], step: int) -> None:
 
 def task_loss(app: App, batch: int) -> Loss:
     """The loss of an application on samples of tasks (alg. 2), [T]."""
-    return _loss_of(app, app.loss, batch)
+    return _loss_of(app, app.loss, app.sample, batch)
+
+
+Draw = Callable[[Tasks, Generator, int], Any]
 
 
 @functools.lru_cache(maxsize=32)  # one object for the same: compiled steps are found by it
-def _loss_of(app: App, value: Callable[[Params, Any, Params], Tensor], batch: int) -> Loss:
+def _loss_of(app: App, value: Callable[[Params, Any, Params], Tensor], sample: Draw, batch: int) -> Loss:
     def draw(tasks: Tasks, rng: Generator) -> Drawn:
-        return Drawn(tasks.picked_names(), app.sample(tasks, rng, batch))
+        return Drawn(tasks.picked_names(), sample(tasks, rng, batch))
 
     return Loss(draw, value, linear=app.linear, stage=app.stage)
 
 
 def task_outer_loss(app: App, batch: int) -> Loss:
     """The outer loss of an application, on samples of training tasks, [T]."""
-    return task_loss(app, batch)._replace(value=app.outer_loss)
+    return _loss_of(app, app.outer_loss, app.outer_sample, batch)
 
 
 Augment = Callable[[Tasks, Generator], Tasks]

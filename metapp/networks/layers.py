@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import math
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import torch
@@ -75,16 +76,9 @@ class UNet(NamedTuple):
 
     def init(self, rng: Generator, count: int) -> Params:
         """Random parameters of `count` networks: each tensor [count, ...]."""
-
-        def normal(*shape: int, scale: float) -> Tensor:
-            return torch.randn(count, *shape, generator=rng, device=rng.device) * scale
-
-        theta = {"z": normal(self.code, scale=1.0)}
-        for name, (inputs, outputs) in self.layers().items():
-            theta[f"{name}.kernel"] = normal(outputs, inputs, 3, 3, scale=math.sqrt(2 / (9 * inputs)))
-            theta[f"{name}.style"] = normal(2 * outputs, self.code, scale=0.3 / math.sqrt(self.code))
-            theta[f"{name}.shift"] = torch.zeros(count, 2 * outputs, device=rng.device)
-        theta["out.kernel"] = normal(self.outputs, self.channels(0), 1, 1, scale=math.sqrt(1 / self.channels(0)))
+        theta = init_styled(rng, count, self.code, self.layers())
+        kernel = torch.randn(count, self.outputs, self.channels(0), 1, 1, generator=rng, device=rng.device)
+        theta["out.kernel"] = kernel * math.sqrt(1 / self.channels(0))
         theta["out.shift"] = torch.zeros(count, self.outputs, device=rng.device)
         return theta
 
@@ -112,6 +106,30 @@ class UNet(NamedTuple):
         x = conv2d(x, theta["out.kernel"].flatten(0, 1), theta["out.shift"].flatten(), groups=tasks)
         result: Tensor = x.unflatten(1, (tasks, self.outputs)).transpose(0, 1)
         return result
+
+
+def init_styled(rng: Generator, count: int, code: int, layers: Mapping[str, tuple[int, int]]) -> Params:
+    """Draw random `z` and layers of `styled`.
+
+    Args:
+        rng: draws z first, then the layers in their order.
+        count: networks.
+        code: length of z.
+        layers: (inputs, outputs) of each, by name.
+
+    Returns:
+        `z` [count, code], and of each layer what `styled` says.
+    """
+
+    def normal(*shape: int, scale: float) -> Tensor:
+        return torch.randn(count, *shape, generator=rng, device=rng.device) * scale
+
+    theta = {"z": normal(code, scale=1.0)}
+    for name, (inputs, outputs) in layers.items():
+        theta[f"{name}.kernel"] = normal(outputs, inputs, 3, 3, scale=math.sqrt(2 / (9 * inputs)))
+        theta[f"{name}.style"] = normal(2 * outputs, code, scale=0.3 / math.sqrt(code))
+        theta[f"{name}.shift"] = torch.zeros(count, 2 * outputs, device=rng.device)
+    return theta
 
 
 def styled(theta: Params, name: str, x: Tensor) -> Tensor:

@@ -10,7 +10,7 @@ from torch import Generator, Tensor
 from torch.nn.functional import avg_pool2d, conv2d, interpolate, pad
 
 from metapp.learning.task import Params
-from metapp.networks.layers import styled
+from metapp.networks.layers import init_styled, styled
 from metapp.networks.strips import ROWS, enlarged_rows, rows_of, styled_by_rows
 
 
@@ -53,18 +53,11 @@ class Pyramid(NamedTuple):
 
     def init(self, rng: Generator, count: int) -> Params:
         """Random parameters of `count` networks: each tensor [count, ...]."""
-
-        def normal(*shape: int, scale: float) -> Tensor:
-            return torch.randn(count, *shape, generator=rng, device=rng.device) * scale
-
-        theta = {"z": normal(self.code, scale=1.0)}
-        for name, (inputs, outputs) in self.layers().items():
-            theta[f"{name}.kernel"] = normal(outputs, inputs, 3, 3, scale=math.sqrt(2 / (9 * inputs)))
-            theta[f"{name}.style"] = normal(2 * outputs, self.code, scale=0.3 / math.sqrt(self.code))
-            theta[f"{name}.shift"] = torch.zeros(count, 2 * outputs, device=rng.device)
+        theta = init_styled(rng, count, self.code, self.layers())
         for level in range(self.levels):
             inputs = self.channels(level)
-            theta[f"out{level}.kernel"] = normal(self.outputs, inputs, 1, 1, scale=0.5 / math.sqrt(inputs))
+            kernel = torch.randn(count, self.outputs, inputs, 1, 1, generator=rng, device=rng.device)
+            theta[f"out{level}.kernel"] = kernel * (0.5 / math.sqrt(inputs))
             theta[f"out{level}.shift"] = torch.zeros(count, self.outputs, device=rng.device)
         return theta
 

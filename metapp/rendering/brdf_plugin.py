@@ -10,35 +10,20 @@ import numpy as np
 
 from metapp.rendering.brdf_lobes import LAST, NODES, Lobes, fit_lobes
 from metapp.rendering.brdf_network import Material, Network, dr, mi
+from metapp.rendering.plugins import register_plugin
 
 NAME = "neural_brdf"
-VARIANTS = ("llvm_ad_rgb", "cuda_ad_rgb")
 
 Read = Callable[[Path], Material]
 
 
-def register(read: Read) -> None:
-    """Have Mitsuba know the plugin, in the variant that is active and in all that will be.
+def register_neural_brdf(read: Read) -> None:
+    """Have Mitsuba know the plugin.
 
     Args:
         read: a file or folder to its material; ValueError where it is none.
     """
-    mi.detail.add_variant_callback(lambda _before, _now: _register(read))
-    if mi.variant():
-        _register(read)
-
-
-def _register(read: Read) -> None:
-    if mi.variant() in VARIANTS:
-        mi.register_bsdf(NAME, plugin(read))
-    else:
-        mi.register_bsdf(NAME, _refuse)
-
-
-def _refuse(props: Any) -> Any:
-    raise ValueError(
-        f"{NAME}: variant {mi.variant()}, expected {' or '.join(VARIANTS)}; mi.set_variant('llvm_ad_rgb')."
-    )
+    register_plugin("bsdf", NAME, lambda: plugin(read))
 
 
 class Mixture:

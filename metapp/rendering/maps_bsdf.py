@@ -14,29 +14,17 @@ import drjit as dr
 import mitsuba as mi
 
 from metapp.appearance.flash import SMOOTHEST
+from metapp.rendering.plugins import register_plugin
 
 NAME = "neural_svbrdf"
-VARIANTS = ("llvm_ad_rgb", "cuda_ad_rgb")
 DEFAULTS = {"diffuse": 0.5, "specular": 0.04, "roughness": 0.5}
 BODY, LOBE = 0, 1  # components
 LEAST = 0.1  # share of directions that are drawn for either
 
 
 def register_maps_bsdf() -> None:
-    """Have Mitsuba know the plugin, in the variant that is active and in all that will be."""
-    mi.detail.add_variant_callback(lambda _before, _now: _register())
-    if mi.variant():
-        _register()
-
-
-def _register() -> None:
-    mi.register_bsdf(NAME, plugin() if mi.variant() in VARIANTS else _refuse)
-
-
-def _refuse(props: Any) -> Any:
-    raise ValueError(
-        f"{NAME}: variant {mi.variant()}, expected {' or '.join(VARIANTS)}; mi.set_variant('llvm_ad_rgb')."
-    )
+    """Have Mitsuba know the plugin."""
+    register_plugin("bsdf", NAME, plugin)
 
 
 class Texel:

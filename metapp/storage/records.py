@@ -71,6 +71,8 @@ def save_checkpoint(path: Path, start: MetaParameters, info: dict[str, Any], pre
 def load_checkpoint(path: Path, device: torch.device | str = "cpu") -> tuple[MetaParameters, dict[str, Any]]:
     """Read a checkpoint; what is stored in half precision becomes float32.
 
+    One that names General's encoder by its digest, `general`, takes it from `general.safetensors` beside it.
+
     Returns:
         The checkpoint and what `save_checkpoint` was told about it.
 
@@ -94,11 +96,23 @@ def load_checkpoint(path: Path, device: torch.device | str = "cpu") -> tuple[Met
             raise _Misnamed
         if not all(bool(torch.isfinite(value).all()) for value in tensors.values()):
             raise ValueError(f"{path}: holds NaN or infinite values, expected finite ones; train one again.")
-        return MetaParameters.unflat(tensors), info
+        prepared = MetaParameters.unflat(tensors)
+        return (_with_general(path, prepared, info["general"], device) if "general" in info else prepared), info
     except (SafetensorError, KeyError, RecursionError, json.JSONDecodeError, _Misnamed):
         raise ValueError(
             f"{path}: not a checkpoint that metapp wrote (safetensors with its description); train one with --train."
         ) from None
+
+
+def _with_general(path: Path, prepared: MetaParameters, wanted: str, device: torch.device | str) -> MetaParameters:
+    """The checkpoint with the encoder of the General that it names; General's own names none."""
+    beside = path.with_name("general.safetensors")
+    encoder = load_checkpoint(beside, device)[0].encoder if beside.is_file() and beside != path else {}
+    if tensor_digest(encoder) != wanted:
+        raise ValueError(
+            f"{path}: goes on from General {wanted}, which is not beside it as {beside.name}; keep both in one folder."
+        )
+    return prepared._replace(encoder=encoder)
 
 
 class _Misnamed(Exception):

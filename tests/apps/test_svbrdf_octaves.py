@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from typing import Any
 
 import pytest
 import torch
-from torch import Generator
+from torch import Generator, Tensor
 
 from metapp.apps.svbrdf_stationary import APP, FULL, SvbrdfStationary
-from metapp.learning.app import stack
-from metapp.learning.task import Task, Tasks
-from metapp.networks.exemplar import Setup
-from metapp.networks.pyramid import Pyramid, enlarged
+from metapp.apps.svbrdf_stationary.presentation import SvbrdfStationaryPresentation
+from metapp.learning.task import Params, Task, Tasks
+from metapp.networks.pyramid import enlarged
+from tests.apps.octaves import noise_tasks, tiny
 
-TAPS = ("relu1_1", "relu2_1", "relu3_1")
-TINY = replace(FULL, setup=Setup(64, 64, Pyramid(4, 3, code=8, outputs=6), "vgg16", TAPS, octaves=2, shares=(0.5,)))
+TINY = tiny(FULL, 64, 0.5)
 
 
 @pytest.fixture(scope="module")
@@ -25,9 +24,7 @@ def app() -> SvbrdfStationary:
 
 @pytest.fixture(scope="module")
 def tasks(app: SvbrdfStationary) -> Tasks:
-    rng = Generator().manual_seed(0)
-    images = torch.randint(256, (2, 3, 64, 64), generator=rng, dtype=torch.uint8)
-    return stack(app, [Task(f"noise {i}", {"image": image}) for i, image in enumerate(images)])
+    return noise_tasks(app, 2)
 
 
 def test_coarse_stages_leave_out_all_of_the_finest_octave(app: SvbrdfStationary, tasks: Tasks) -> None:
@@ -64,3 +61,23 @@ def test_relief_keeps_its_slopes(app: SvbrdfStationary) -> None:
 def test_an_exemplar_is_at_no_distance_from_itself(app: SvbrdfStationary, tasks: Tasks) -> None:
     photos = app.exemplar(tasks.data["image"].float() / 255)[:, None]
     assert app.errors_of(photos, tasks)["error"].max() < 1e-5
+
+
+def test_files_and_surface_are_of_the_same_maps_made_once(
+    app: SvbrdfStationary, tasks: Tasks, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    theta = {key: value[0] for key, value in app.init(Generator().manual_seed(0), 1).items()}
+    make, sizes, task = app.maps, [], Task("noise", {})
+
+    def maps(theta: Params, noise: Tensor) -> Any:
+        sizes.append(tuple(noise.shape[-2:]))
+        return make(theta, noise)
+
+    monkeypatch.setattr(app, "maps", maps)
+    shown = SvbrdfStationaryPresentation(app, (32, 48))
+    files, surface = shown.files(theta, task), shown.surface(theta, task)
+    assert sizes == [(32, 48)]
+    assert torch.equal(files["roughness"].pixels.permute(2, 0, 1), surface.maps.roughness)
+    other = shown.surface({**theta, "z": -theta["z"]}, task)
+    assert len(sizes) == 2
+    assert not torch.equal(other.base, surface.base)

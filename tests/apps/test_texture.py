@@ -362,5 +362,5 @@ def test_files_of_another_size(sources: list[Task]) -> None:
     assert shown.refusal(24, 4096) == ""
     for height, width in ((22, 24), (24, 22), (4, 24), (24, 5000)):
         assert shown.refusal(height, width) == "expects multiples of 4 from 8 to 4096"
-    shown.size = (24, 40)
+    shown = TexturePresentation(tiny(), (24, 40))
     assert shown.files(theta, sources[0])["texture"].pixels.shape == (24, 40, 3)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import pytest
 import torch
 from torch import Generator, Tensor
@@ -11,16 +9,13 @@ from torch.nn.functional import avg_pool2d
 
 from metapp.appearance.features import RANDOM, gram, load_features
 from metapp.apps.texture import APP, FULL, Texture
-from metapp.learning.app import stack
 from metapp.learning.learn import MetaParameters, learn, over_tasks, task_loss
 from metapp.learning.rules import sgd
-from metapp.learning.task import Task, Tasks
-from metapp.networks.exemplar import Setup
-from metapp.networks.pyramid import Pyramid
+from metapp.learning.task import Tasks
 from metapp.paradigms import Job, paradigms
+from tests.apps.octaves import TAPS, noise_tasks, tiny
 
-TAPS = ("relu1_1", "relu2_1", "relu3_1")
-TINY = replace(FULL, setup=Setup(32, 32, Pyramid(4, 3, code=8), "vgg16", TAPS, octaves=2, shares=(0.6,)))
+TINY = tiny(FULL, 32, 0.6)
 
 
 @pytest.fixture(scope="module")
@@ -30,9 +25,7 @@ def app() -> Texture:
 
 @pytest.fixture(scope="module")
 def tasks(app: Texture) -> Tasks:
-    rng = Generator().manual_seed(0)
-    images = torch.randint(256, (3, 3, 64, 64), generator=rng, dtype=torch.uint8)
-    return stack(app, [Task(f"noise {i}", {"image": image}) for i, image in enumerate(images)])
+    return noise_tasks(app, 3)
 
 
 def test_the_recipe() -> None:

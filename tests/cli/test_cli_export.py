@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import subprocess
 import sys
 from collections.abc import Callable
@@ -13,6 +14,7 @@ import pytest
 
 from data_tools.formats import exports_of
 from tests.needs_mitsuba import needs_mitsuba
+from tests.small_spheres import shrink_spheres
 
 pytestmark = pytest.mark.usefixtures("small_spheres")
 FILES = {
@@ -23,12 +25,23 @@ FILES = {
 }
 
 
+@pytest.fixture(scope="module")
+def finished(neural_fits: Callable[[int], Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run of two networks, fitted by Meta's gradient rule; for tests to copy, not to write to."""
+    from metapp.cli.commands import app
+
+    folder = tmp_path_factory.mktemp("finished")
+    with pytest.MonkeyPatch.context() as patch:
+        shrink_spheres(patch)
+        words = ["meta", "brdf", neural_fits(2), "--rule", "meta-adam", "--out", folder, "--quiet"]
+        app([str(word) for word in words], standalone_mode=False)
+    (record,) = folder.rglob("record.jsonl")
+    return record.parent
+
+
 @pytest.fixture
-def run(metapp: Callable, neural_fits: Callable[[int], Path], tmp_path: Path) -> Path:
-    """A run of two networks, fitted by Meta's gradient rule."""
-    networks = neural_fits(2)
-    result = metapp("meta", "brdf", networks, "--rule", "meta-adam", "--out", tmp_path / "runs", "--json", "--quiet")
-    return Path(result.document["out"])
+def run(finished: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copytree(finished, tmp_path / "runs" / finished.name))
 
 
 @pytest.mark.parametrize("kind", exports_of("brdf"))

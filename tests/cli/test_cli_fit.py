@@ -348,7 +348,11 @@ def test_doctor_says_what_there_is(metapp: Callable, cache: Path) -> None:
     document = metapp("doctor", "--json").document
     assert document["versions"]["torch"] == metadata.version("torch")
     assert document["cache"] == str(cache)
-    assert metapp("doctor").out.startswith("versions")
+    assert document["starts"]["texture full"] == "general, meta-axes, quickft"
+    assert "brdf full" not in document["starts"]  # of the quick recipe's size, in its folder
+    out = metapp("doctor").out
+    assert out.startswith("versions")
+    assert "; texture full: general, meta-axes, quickft; " in out
 
 
 def test_doctor_misses_a_compiler(metapp: Callable, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

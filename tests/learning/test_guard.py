@@ -10,42 +10,19 @@ import torch
 from torch import Generator, Tensor
 
 from metapp.apps.brdf import APP
-from metapp.learning.adjoint import Drawn, Loss, UpdateRule
+from metapp.learning.adjoint import Loss, UpdateRule
 from metapp.learning.guard import Guarded, learn_guarded, unguarded
 from metapp.learning.learn import learn, spread, task_loss
 from metapp.learning.recipe import Adam, Guard
 from metapp.learning.rules import fixed_adam, rule_of, sgd
-from metapp.learning.task import Batch, Params, Tasks
+from metapp.learning.task import Params, Tasks
+from tests.learning.parabolas import EXACT, NAMES, NOISY, parabola
 
-NAMES = ("brass", "chalk", "felt", "glass", "paper")
 ADAM = Adam(0.1, beta1=0.5, beta2=0.9)
 GUARD = Guard(ADAM)
 STEPS = 12
 SLOW, FAST = 0.01, 0.5  # rates of a descent on parabolas of curvature 1
 DIVERGING = 2.5  # each step makes the error 1.5 times as large
-
-
-def parabola(params: Params, batch: Batch, learned: Params) -> Tensor:
-    scale = learned["scale"] if learned else 1.0
-    return scale * 0.5 * ((params["x"] - batch["c"]) ** 2).sum(-1)
-
-
-def draw_exact(tasks: Tasks, rng: Generator) -> Drawn:
-    return Drawn(tasks.picked_names(), {"c": tasks.data["c"][tasks.rows]})
-
-
-def draw_noisy(tasks: Tasks, rng: Generator) -> Drawn:
-    centre = tasks.data["c"][tasks.rows]
-    return Drawn(tasks.picked_names(), {"c": centre + torch.randn(centre.shape, generator=rng, dtype=centre.dtype)})
-
-
-EXACT, NOISY = Loss(draw_exact, parabola), Loss(draw_noisy, parabola)
-
-
-@pytest.fixture
-def tasks(rng: Generator) -> Tasks:
-    centres = torch.randn(len(NAMES), 3, generator=rng, dtype=torch.float64)
-    return Tasks(NAMES, {"c": centres}, torch.arange(len(NAMES)))
 
 
 @pytest.fixture

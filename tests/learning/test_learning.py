@@ -26,31 +26,8 @@ from metapp.learning.learn import (
 from metapp.learning.recipe import Adam
 from metapp.learning.rules import RULES, fixed_adam, sgd
 from metapp.learning.task import Batch, Params, Task, Tasks
+from tests.learning.parabolas import EXACT, NAMES, NOISY, parabola
 from tests.paradigms.small import applicable
-
-NAMES = ("brass", "chalk", "felt", "glass", "paper")
-
-
-def parabola(params: Params, batch: Batch, learned: Params) -> Tensor:
-    return 0.5 * ((params["x"] - batch["c"]) ** 2).sum(-1)
-
-
-def draw_noisy(tasks: Tasks, rng: Generator) -> Drawn:
-    centre = tasks.data["c"][tasks.rows]
-    return Drawn(tasks.picked_names(), {"c": centre + torch.rand(centre.shape, generator=rng, dtype=centre.dtype)})
-
-
-def draw_exact(tasks: Tasks, rng: Generator) -> Drawn:
-    return Drawn(tasks.picked_names(), {"c": tasks.data["c"][tasks.rows]})
-
-
-EXACT, NOISY = Loss(draw_exact, parabola), Loss(draw_noisy, parabola)
-
-
-@pytest.fixture
-def tasks(rng: Generator) -> Tasks:
-    centres = torch.randn(len(NAMES), 3, generator=rng, dtype=torch.float64)
-    return Tasks(NAMES, {"c": centres}, torch.arange(len(NAMES)))
 
 
 @pytest.fixture

@@ -11,22 +11,9 @@ from torch import Generator, Tensor
 
 from metapp.learning.task import Params
 from metapp.networks.layers import LocalField, UNet
+from tests.networks.precise import double
 
 NETWORK = UNet(4, levels=3, noise=2, code=5)
-
-
-def double(params: Params) -> Params:
-    return {key: value.double() for key, value in params.items()}
-
-
-@pytest.fixture
-def theta(rng: Generator) -> Params:
-    return double(NETWORK.init(rng, 3))
-
-
-@pytest.fixture
-def noise(rng: Generator) -> Tensor:
-    return torch.randn(3, 2, 2, 16, 24, generator=rng, dtype=torch.float64)
 
 
 def one(params: Params, task: int) -> Params:

@@ -12,22 +12,9 @@ from torch.nn.functional import avg_pool2d, conv2d
 from metapp.learning.task import Params
 from metapp.networks import pyramid, strips
 from metapp.networks.pyramid import Pyramid, enlarged
+from tests.networks.precise import double
 
 NETWORK = Pyramid(4, levels=3, noise=2, code=5)
-
-
-def double(params: Params) -> Params:
-    return {key: value.double() for key, value in params.items()}
-
-
-@pytest.fixture
-def theta(rng: Generator) -> Params:
-    return double(NETWORK.init(rng, 3))
-
-
-@pytest.fixture
-def noise(rng: Generator) -> Tensor:
-    return torch.randn(3, 2, 2, 16, 24, generator=rng, dtype=torch.float64)
 
 
 def test_one_level_written_out(rng: Generator) -> None:

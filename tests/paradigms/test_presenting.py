@@ -77,7 +77,7 @@ def test_files_are_what_their_kind_says(presentation: Presentation, fitted: Para
         if kind != "height":
             assert 0 <= float(pixels.min()) <= float(pixels.max()) <= (math.inf if kind == "radiance" else 1), name
         assert not pixels.requires_grad, name
-    again = presentation.files(fitted, sources[0])
+    again = presentation_of(presentation.app).files(fitted, sources[0])
     assert all(torch.equal(again[name].pixels, picture.pixels) for name, picture in made.items())
 
 

@@ -7,8 +7,9 @@ import math
 import pytest
 import torch
 
-from data_tools.readers.noise import OUTLIERS, as_measured
+from data_tools.readers.noise import as_measured
 from metapp.appearance.geometry import cosines
+from metapp.appearance.noise import DECADES
 from metapp.learning.task import Task
 
 N = 20_000
@@ -42,8 +43,8 @@ def test_outliers_are_off_by_half_a_decade_to_one(task: Task) -> None:
     off = decades[:, 0].abs() > 1e-3
     assert float(off.double().mean()) == pytest.approx(0.1, abs=0.01)
     sizes = decades[off].abs()
-    assert sizes.min() > OUTLIERS[0] - 1e-4
-    assert sizes.max() < OUTLIERS[1] + 1e-4
+    assert sizes.min() > DECADES[0] - 1e-4
+    assert sizes.max() < DECADES[1] + 1e-4
     assert float((decades[off, 0] > 0).double().mean()) == pytest.approx(0.5, abs=0.05)
     torch.testing.assert_close(decades[:, 0], decades[:, 1], rtol=0, atol=1e-5)
 

@@ -23,6 +23,7 @@ from metapp.storage.records import (
     read_records,
     safe_name,
     save_checkpoint,
+    tensor_digest,
 )
 
 START = MetaParameters(
@@ -114,6 +115,25 @@ def test_a_newer_schema_says_so(tmp_path: Path) -> None:
     path = tmp_path / "start.safetensors"
     write(path, ONE, {"metapp": json.dumps({"schema": SCHEMA + 1})})
     with pytest.raises(ValueError, match=rf"schema {SCHEMA + 1}, expected at most {SCHEMA}; update metapp"):
+        load_checkpoint(path)
+
+
+def test_a_checkpoint_takes_the_encoder_of_the_general_beside_it(tmp_path: Path) -> None:
+    encoder = {"w": torch.arange(3.0)}
+    save_checkpoint(tmp_path / "general.safetensors", MetaParameters(encoder=encoder), {"app": "brdf"})
+    path, general = tmp_path / "meta.safetensors", tensor_digest(encoder)
+    save_checkpoint(path, MetaParameters(alpha={"rate": torch.ones(1)}), {"general": general})
+    assert torch.equal(load_checkpoint(path)[0].encoder["w"], encoder["w"])
+    save_checkpoint(tmp_path / "general.safetensors", MetaParameters(encoder={"w": torch.zeros(3)}), {})
+    with pytest.raises(ValueError, match=f"meta.safetensors: goes on from General {general}, which is not beside it"):
+        load_checkpoint(path)
+
+
+@pytest.mark.parametrize("named", ["0123456789ab", 7, None, {"a": 1}])
+def test_a_general_cannot_name_itself(tmp_path: Path, named: Any) -> None:
+    path = tmp_path / "general.safetensors"
+    save_checkpoint(path, START, {"general": named})
+    with pytest.raises(ValueError, match="goes on from General"):
         load_checkpoint(path)
 
 

@@ -11,13 +11,13 @@ from torch import Generator, Tensor
 from metapp.appearance.geometry import half_difference
 from metapp.apps.brdf import nbrdf
 from metapp.apps.brdf.featured import OWN, Featured, features_of, folded, reflectance_of
+from metapp.apps.brdf.variants import measured, mixed
 from metapp.learning.app import App
 from metapp.learning.recipe import Adam, Guard, MetaTraining, OuterLoop, Recipe
 from metapp.learning.task import Batch, Held, Linear, Params, Task, Tasks
 
 CONDITION = 1024  # samples that General's encoder reads
 KNOTS = 8
-AUGMENTED = 8192
 # Each task's gradient is scaled to about the same norm before the mean is taken: meta-gradients are heavy-tailed, and a
 # clip of 0.004 gave two thirds of the error that a clip of 1 gave on validation materials.
 LEARNED = MetaTraining(
@@ -131,8 +131,15 @@ class Brdf(App):
 
     def sample(self, tasks: Tasks, rng: Generator, count: int) -> Batch:
         """`where` [T, 7, count] and `target` [T, 3, count] from the first half of the samples."""
+        return self._drawn(tasks, rng, count, 0)
+
+    def outer_sample(self, tasks: Tasks, rng: Generator, count: int) -> Batch:
+        """From the half that fits do not see, which is without noise and complete."""
+        return self._drawn(tasks, rng, count, tasks.data["where"].shape[1] // 2)
+
+    def _drawn(self, tasks: Tasks, rng: Generator, count: int, first: int) -> Batch:
         half = tasks.data["where"].shape[1] // 2
-        rows = torch.randint(half, (len(tasks), count), generator=rng, device=rng.device)
+        rows = first + torch.randint(half, (len(tasks), count), generator=rng, device=rng.device)
         picked = (tasks.rows[:, None], rows)
         return {key: tasks.data[key][picked].transpose(1, 2).contiguous() for key in ("where", "target")}
 
@@ -179,24 +186,9 @@ class Brdf(App):
         return self.setup.encode(encoder, condition) if self.setup else nbrdf.encode(encoder, condition)
 
     def augment(self, tasks: Tasks, rng: Generator) -> Tasks:
-        """Mixtures of two of these materials, channels permuted and scaled, at AUGMENTED samples each.
-
-        Mixing needs both materials at the same angles; where a data set has them at its own for each, they are only
-        permuted and scaled.
-        """
-        count, device = len(tasks), rng.device
-        where, target = tasks.data["where"], tasks.data["target"]
-        columns = torch.randint(where.shape[1], (AUGMENTED,), generator=rng, device=device)
-        mine = torch.expm1(target[tasks.rows[:, None], columns])
-        if where.stride(0) == 0:
-            other = tasks.rows[torch.randint(count, (count, 1), generator=rng, device=device)]
-            share = 2 * torch.rand(count, 1, 1, generator=rng, device=device)
-            mine = torch.lerp(torch.expm1(target[other, columns]), mine, share.clamp(max=1))
-        channels = torch.rand(count, 1, 3, generator=rng, device=device).argsort(-1).expand_as(mine)
-        gain = torch.exp(0.3 * torch.randn(count, 1, 3, generator=rng, device=device))
-        gain = gain * torch.exp(0.3 * torch.randn(count, 1, 1, generator=rng, device=device))
-        data = {"where": where[tasks.rows[:, None], columns], "target": torch.log1p(mine.gather(2, channels) * gain)}
-        return tasks.variants(data)
+        """Mixtures of these materials; the network for a user's own files also learns from what is measured."""
+        data = mixed(tasks, rng)
+        return tasks.variants(measured(data, rng) if self.setup else data)
 
     def errors(self, theta: Params, tasks: Tasks) -> dict[str, Tensor]:
         half = tasks.data["where"].shape[1] // 2

@@ -39,8 +39,7 @@ class SvbrdfNonstationaryPresentation(CodedPresentation[SvbrdfNonstationary]):
     @torch.no_grad()
     def files(self, theta: Params, task: Task) -> dict[str, Picture]:
         """The maps, as fine as the photograph up to 256 px, and pictures under three other lights."""
-        photo = photo_of(task, LARGEST)
-        maps = self.app.maps_of({key: value[None] for key, value in theta.items()}, photo)
+        maps = self._whole(theta, task)
         pictures = displayed(maps) | {f"lit_from_{name}": picture for name, picture in relit(maps).items()}
         return {
             name: Picture(picture.permute(1, 2, 0), KIND_OF.get(name, "srgb")) for name, picture in pictures.items()
@@ -49,9 +48,13 @@ class SvbrdfNonstationaryPresentation(CodedPresentation[SvbrdfNonstationary]):
     @torch.no_grad()
     def surface(self, theta: Params, task: Task) -> Surface:
         """The maps as `files` writes them."""
-        photo = photo_of(task, LARGEST)
-        maps = self.app.maps_of({key: value[None] for key, value in theta.items()}, photo)
+        maps = self._whole(theta, task)
         return Surface(maps.diffuse[0], False, Maps(*(part[0] for part in maps)))
+
+    def _whole(self, theta: Params, task: Task) -> Maps:
+        """The maps [1, ...] of the size of files."""
+        one = {key: value[None] for key, value in theta.items()}
+        return self.kept(theta, task, lambda: self.app.maps_of(one, photo_of(task, LARGEST)))
 
     def visible(self, task: Task) -> Visible:
         """The maps or the photograph, all of it in each step; General's encoder reads the photograph alone."""

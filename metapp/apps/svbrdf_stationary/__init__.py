@@ -22,9 +22,8 @@ from metapp.appearance.flash import (
 )
 from metapp.learning.recipe import AS_PUBLISHED, Adam, MetaTraining, OuterLoop, Recipe
 from metapp.learning.task import Batch, Held, Params, Task, Tasks
-from metapp.networks.exemplar import JUDGED, ExemplarApp, Setup
+from metapp.networks.exemplar import JUDGED, ExemplarApp, Setup, full_recipe
 from metapp.networks.layers import UNet
-from metapp.networks.pyramid import Pyramid
 
 GRID = 3  # windows along a side
 DRAWN = 3
@@ -67,31 +66,7 @@ QUICK = Recipe(
     rule="meta-basis",
     setup=Setup(64, 64, UNet(16, outputs=6), "vgg16", ("relu1_1", "relu2_1", "relu3_1")),
 )
-
-# At the size that people use, from coarse to fine. Searches begin where those of the quick recipe ended.
-FOUND = Adam(2.9e-3, beta1=0.3, beta2=0.9, final=0.3)
-FULL = replace(
-    QUICK,
-    quickft=FOUND,
-    general=OuterLoop(
-        steps=2400, tasks=3, rates={"": 3e-3, "encoder.mlp": 1e-3}, warmup=50, final=0.0, validate_every=400
-    ),
-    meta={
-        "meta-encoder": ENCODED,
-        "meta-mean": replace(TUNED, first=FOUND),
-        "meta-axes": replace(TUNED, first=FOUND),
-    },
-    rule="meta-axes",
-    setup=Setup(
-        256,
-        256,
-        Pyramid(16, outputs=6),
-        "vgg16",
-        ("relu1_1", "relu2_1", "relu3_1", "relu4_1"),
-        octaves=3,
-        shares=(0.5, 0.8),
-    ),
-)
+FULL = full_recipe(QUICK, found=Adam(2.9e-3, beta1=0.3, beta2=0.9, final=0.3), tasks=3)
 
 # Fischer & Ritschel 2022, section 4.1.3 and supplement: 20 inner steps, first-order MAML with Meta-SGD, meta-batch 3,
 # a random start

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
+from torch import Tensor
+
 from metapp.appearance.colour import linear_to_srgb, srgb_to_linear, stretched
 from metapp.appearance.flash import Maps, relightings
 from metapp.appearance.presentation import Picture
@@ -23,27 +25,32 @@ class SvbrdfStationaryPresentation(ExemplarPresentation[SvbrdfStationary]):
         """Photo and fit under the photo's light, then maps and relightings as they are displayed."""
         photo = self.app.exemplar(task.data["image"][None].float() / 255)
         light = self.app.light_of(photo)
-        maps, _ = self.made(theta, self.app.maps, self.once())
-        fit = self.app.photograph(Maps(*(part[0] for part in maps)), light, light)
-        pictures = {name: picture.pixels for name, picture in self._pictures(theta, self.once()).items()}
-        shown = {"reference": photo[0], "fit": fit[0]} | pictures | {"height": stretched(pictures["height"])[0]}
+        maps, height = self._maps(theta, self.once())
+        fit = self.app.photograph(maps, light[0], light[0])
+        pictures = {name: picture.pixels for name, picture in self._pictures(maps, height).items()}
+        shown = {"reference": photo[0], "fit": fit} | pictures | {"height": stretched(pictures["height"])[0]}
         return {name: srgb_to_linear(picture).permute(1, 2, 0).expand(-1, -1, 3) for name, picture in shown.items()}
 
     def files(self, theta: Params, task: Task) -> dict[str, Picture]:
         """Maps that tile, of the size asked for, else four times the exemplar's; photographs under other lights."""
-        pictures = self._pictures(theta, self.whole())
+        pictures = self._pictures(*self._whole(theta, task))
         return {name: Picture(each.pixels.permute(1, 2, 0), each.kind) for name, each in pictures.items()}
 
     def surface(self, theta: Params, task: Task) -> Surface:
         """The maps as `files` writes them."""
-        made, heights = self.made(theta, self.app.maps, self.whole())
-        maps = Maps(*(part[0, 0] for part in made))
-        return Surface(maps.diffuse, True, maps, heights[0, 0])
+        maps, height = self._whole(theta, task)
+        return Surface(maps.diffuse, True, maps, height)
 
-    def _pictures(self, theta: Params, size: tuple[int, int]) -> dict[str, Picture]:
-        """Maps, specular colour as F0, and photographs of them under other lights; pixels are [1 or 3, H, W] yet."""
+    def _whole(self, theta: Params, task: Task) -> tuple[Maps, Tensor]:
+        return self.kept(theta, task, lambda: self._maps(theta, self.whole()))
+
+    def _maps(self, theta: Params, size: tuple[int, int]) -> tuple[Maps, Tensor]:
+        """Maps of one material and their height, without leading axes."""
         made, heights = self.made(theta, self.app.maps, size)
-        maps, height = Maps(*(part[0, 0] for part in made)), heights[0, 0]
+        return Maps(*(part[0, 0] for part in made)), heights[0, 0]
+
+    def _pictures(self, maps: Maps, height: Tensor) -> dict[str, Picture]:
+        """Maps, specular colour as F0, and photographs of them under other lights; pixels are [1 or 3, H, W] yet."""
         pictures = {
             "diffuse": Picture(linear_to_srgb(maps.diffuse), "srgb"),
             "specular": Picture(linear_to_srgb(maps.specular), "srgb"),

@@ -10,9 +10,8 @@ from torch import Generator, Tensor
 from metapp.appearance.features import distance, gram
 from metapp.learning.recipe import AS_PUBLISHED, Adam, MetaTraining, OuterLoop, Recipe
 from metapp.learning.task import Batch, Held, Params, Tasks
-from metapp.networks.exemplar import ExemplarApp, Setup
+from metapp.networks.exemplar import ExemplarApp, Setup, full_recipe
 from metapp.networks.layers import UNet
-from metapp.networks.pyramid import Pyramid
 
 SMALLEST_CROP = 0.5
 LEARNED = MetaTraining(
@@ -49,32 +48,7 @@ QUICK = Recipe(
     rule="meta-basis",
     setup=Setup(64, 64, UNet(16), "vgg16", ("relu1_1", "relu2_1", "relu3_1")),
 )
-
-# At the size that people use, from coarse to fine: half of the steps at 64 texels, the last fifth at 256. Searches
-# begin where those of the quick recipe ended.
-FOUND = Adam(4.4e-3, beta1=0.5, beta2=0.97, final=0.1)
-FULL = replace(
-    QUICK,
-    quickft=FOUND,
-    general=OuterLoop(
-        steps=2400, tasks=4, rates={"": 3e-3, "encoder.mlp": 1e-3}, warmup=50, final=0.0, validate_every=400
-    ),
-    meta={
-        "meta-encoder": ENCODED,
-        "meta-mean": replace(TUNED, first=FOUND),
-        "meta-axes": replace(TUNED, first=FOUND),
-    },
-    rule="meta-axes",
-    setup=Setup(
-        256,
-        256,
-        Pyramid(16),
-        "vgg16",
-        ("relu1_1", "relu2_1", "relu3_1", "relu4_1"),
-        octaves=3,
-        shares=(0.5, 0.8),
-    ),
-)
+FULL = full_recipe(QUICK, found=Adam(4.4e-3, beta1=0.5, beta2=0.97, final=0.1), tasks=4)
 
 # Fischer & Ritschel 2022, section 4.1.1 and supplement: 15 inner steps, first-order MAML with Meta-SGD, meta-batch 5,
 # a random start

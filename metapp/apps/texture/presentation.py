@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 import torch
+from torch import Tensor
 
 from metapp.appearance.colour import srgb_to_linear
 from metapp.appearance.features import load_features, sliced_wasserstein
@@ -48,11 +49,16 @@ class TexturePresentation(ExemplarPresentation[Texture]):
 
     def files(self, theta: Params, task: Task) -> dict[str, Picture]:
         """The texture, of the size asked for, else four times as high and wide as in training; it tiles."""
-        return {"texture": Picture(self.made(theta, self.app.generate, self.whole())[0, 0].permute(1, 2, 0), "srgb")}
+        return {"texture": Picture(self._whole(theta, task).permute(1, 2, 0), "srgb")}
 
     def surface(self, theta: Params, task: Task) -> Surface:
         """The texture as `files` writes it."""
-        return Surface(srgb_to_linear(self.made(theta, self.app.generate, self.whole())[0, 0]), True)
+        return Surface(srgb_to_linear(self._whole(theta, task)), True)
+
+    def _whole(self, theta: Params, task: Task) -> Tensor:
+        """The texture of the size of files, [3, H, W]."""
+        made: Tensor = self.kept(theta, task, lambda: self.made(theta, self.app.generate, self.whole()))
+        return made[0, 0]
 
 
 PRESENTATION = TexturePresentation

@@ -1,0 +1,17 @@
+"""Tasks for the tests of learning."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from torch import Generator
+
+from metapp.learning.task import Tasks
+from tests.learning.parabolas import NAMES
+
+
+@pytest.fixture
+def tasks(rng: Generator) -> Tasks:
+    """Parabolas about five centres, float64."""
+    centres = torch.randn(len(NAMES), 3, generator=rng, dtype=torch.float64)
+    return Tasks(NAMES, {"c": centres}, torch.arange(len(NAMES)))

@@ -1,0 +1,9 @@
+"""Parameters in float64, for comparisons to rounding."""
+
+from __future__ import annotations
+
+from metapp.learning.task import Params
+
+
+def double(params: Params) -> Params:
+    return {key: value.double() for key, value in params.items()}
