@@ -1,9 +1,9 @@
 """Where light comes from, learned from a render: per voxel, side of a surface and cell of directions.
 
 A place is a voxel and the axis nearest to a surface's normal. In each place there are cells of the hemisphere above the
-surface, all of the same share of it, weighed by the cosine. What is learned is the root of the second moment of what
-paths carry from each cell, the density of least variance (Rath et al. 2020), coarse to fine: cells that few paths took
-lean on those around them.
+surface, all of the same share of it, weighed by the cosine. What is learned is the second moment of what paths carry
+from each cell, whose root is the density of least variance (Rath et al. 2020), coarse to fine: cells that few paths
+took lean on those around them.
 
 Directions are drawn from slots, SHARE for each cell, of which one is the cell's own and the others are shared out as
 was learned: one look-up tells a cell and, by how many slots it has, its density, which is never below 1 / SHARE of the
@@ -23,8 +23,10 @@ AXES = 6
 CELLS = SIDE * SIDE
 SLOTS = SHARE * CELLS
 PLACES = GRID**3 * AXES
-LEAN = 4.0  # paths that the coarser cells count as
+LEAN = 16.0  # paths that the coarser cells count as
+POWER = 0.4  # of second moments; the density of least variance is the root, but a few paths make cells too bright
 
+_TINY = 1e-300
 _LOW = 0xFFFF  # of a slot: the cell; above, how many slots it has
 
 
@@ -133,37 +135,61 @@ class GuideCache:
             how many places have been seen.
         """
         mi = self.mi
-        sums = (self.squares, self.counts)
-        squares, counts = (torch.from_numpy(each.numpy()).reshape(PLACES, CELLS) for each in sums)
-        seen = (squares.sum(1) > 0).nonzero()[:, 0]
+        shape = (GRID, GRID, GRID, AXES, SIDE, SIDE)
+        squares, counts = (torch.from_numpy(each.numpy()).reshape(shape) for each in (self.squares, self.counts))
+        known = moments(squares, counts).reshape(PLACES, CELLS) ** POWER
+        seen = ((counts.reshape(PLACES, CELLS).sum(1) > 0) & (known.sum(1) > 0)).nonzero()[:, 0]
         if len(seen):
-            table = slots_of(moments(squares[seen], counts[seen]).sqrt())
             where = (seen[:, None] * SLOTS + torch.arange(SLOTS)).flatten()
-            values, places = (mi.UInt32(each.flatten().int().numpy().view(np.uint32)) for each in (table, where))
+            tables = (slots_of(known[seen]).flatten(), where)
+            values, places = (mi.UInt32(each.int().numpy().view(np.uint32)) for each in tables)
             self.dr.scatter(self.slots, values, places)
             self.dr.eval(self.slots)
         return len(seen)
 
 
 def moments(squares: Tensor, counts: Tensor) -> Tensor:
-    """The second moment of what comes from each cell, coarse to fine.
+    """The second moment of what comes from each cell, coarse to fine, in voxels and in directions.
+
+    A voxel's are those of the eight about it, times a ratio, which is found for the whole hemisphere first, then for
+    quarters of it and so on: where few paths came, it is that of the coarser cells.
 
     Args:
-        squares: sums of what came by paths, squared and each over the density of the path, [P, CELLS].
+        squares: sums of what came by paths, squared and each over the density of the path, float64
+            [N, N, N, axes, SIDE, SIDE], N a power of two.
         counts: sums of one over the same densities: about how many paths uniform directions would have sent there.
 
     Returns:
-        [P, CELLS], of any scale.
+        of the same shape, of any scale.
     """
-    levels = [(squares.unflatten(1, (SIDE, SIDE)), counts.unflatten(1, (SIDE, SIDE)))]
+    if len(squares) == 1:
+        expected = torch.ones_like(squares)
+    else:
+        coarser = moments(*(_in_eights(each) for each in (squares, counts)))
+        expected = coarser.repeat_interleave(2, 0).repeat_interleave(2, 1).repeat_interleave(2, 2)
+    levels = [(squares, counts, expected)]
     while levels[-1][0].shape[-1] > 1:
-        coarser = [each.unflatten(2, (-1, 2)).unflatten(1, (-1, 2)).sum((2, 4)) for each in levels[-1]]
-        levels.append((coarser[0], coarser[1]))
-    found = levels[-1][0] / levels[-1][1].clamp_min(1e-9)
-    for total, count in levels[-2::-1]:
-        around = found.repeat_interleave(2, 1).repeat_interleave(2, 2)
-        found = (total + LEAN * around) / (count + LEAN)
-    return found.flatten(1)
+        total, count, prior = (_in_quarters(each) for each in levels[-1])
+        levels.append((total, count, prior / 4))
+    total, count, prior = levels[-1]
+    lean = LEAN if len(squares) > 1 else 1e-9  # the whole box leans on nothing
+    ratio = (total + lean * prior) / (count + lean) / prior.clamp_min(_TINY)
+    for total, count, prior in levels[-2::-1]:
+        around = ratio.repeat_interleave(2, -1).repeat_interleave(2, -2) * prior
+        ratio = (total + LEAN * around) / (count + LEAN) / prior.clamp_min(_TINY)
+    return ratio * expected
+
+
+def _in_quarters(values: Tensor) -> Tensor:
+    """Sums of two by two cells of directions."""
+    found: Tensor = values.unflatten(-1, (-1, 2)).unflatten(-3, (-1, 2)).sum((-1, -3))
+    return found
+
+
+def _in_eights(values: Tensor) -> Tensor:
+    """Sums of two by two by two voxels."""
+    half = len(values) // 2
+    return values.reshape(half, 2, half, 2, half, 2, *values.shape[3:]).sum((1, 3, 5))
 
 
 def slots_of(weights: Tensor) -> Tensor:

@@ -86,7 +86,7 @@ class PathTracer:
             records: where to note what was chosen, of as many paths as there are rays.
 
         Returns:
-            radiance, and where a ray met something.
+            radiance, and where a ray met something, a sky at least.
         """
         mi, dr = self.mi, self.dr
 
@@ -112,9 +112,9 @@ class PathTracer:
             ray = mi.RayDifferential3f(at.spawn_ray(at.to_world(chosen.wo)))
             return (sampler, ray, depth + 1, light, weight, eta, at, chosen.density, chosen.is_delta, met, onwards)
 
-        nowhere = dr.zeros(mi.SurfaceInteraction3f)
+        nowhere, sky = dr.zeros(mi.SurfaceInteraction3f), mi.Bool(scene.environment() is not None)
         state = (sampler, mi.RayDifferential3f(ray), mi.UInt32(0), mi.Color3f(0), mi.Color3f(1), mi.Float(1),
-                 nowhere, mi.Float(1), mi.Bool(True), mi.Bool(False), mi.Bool(True))  # fmt: skip
+                 nowhere, mi.Float(1), mi.Bool(True), sky, mi.Bool(True))  # fmt: skip
         done = dr.while_loop(state, lambda *state: state[-1], bounce)
         return done[3], done[9]
 

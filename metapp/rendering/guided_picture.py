@@ -5,6 +5,8 @@ Every part is a share of the picture, by weights that do not depend on what was 
 
 from __future__ import annotations
 
+import math
+import time
 from collections.abc import Iterator
 from typing import Any, NamedTuple
 
@@ -16,7 +18,7 @@ from metapp.rendering.guide_cache import GuideCache
 from metapp.rendering.guided_path import PathTracer, Records
 
 FEWEST = 16  # samples a pixel; with fewer there is no time to learn
-FIRST = 2**16  # paths of the first part, of which an eighth of the picture is the most
+FIRST = 2**16  # paths of the first part, of which a tenth of the picture is the most
 LEARNED = 2**21  # paths after which the cache has learned enough
 PLAIN_WEIGHT = 0.5  # of a sample of the first part beside one that the cache guided
 PAYS = 1.0, 0.92  # of the noise without a cache, the most in the first guided part and in later ones, which know more
@@ -53,7 +55,8 @@ def parts_of(spp: int, pixels: int) -> list[Part]:
     """
     if spp < FEWEST:
         return [Part(spp, 1.0, learns=False)]
-    now = max(2, min(spp // 8, -(-FIRST // pixels)))
+    # of powers of two, as Dr.Jit compiles code for other numbers anew
+    now = max(2, 2 ** int(math.log2(max(1, min(spp // 10, -(-FIRST // pixels))))))
     parts, done = [Part(now, PLAIN_WEIGHT, learns=True)], now
     while 3 * (done + 2 * now) <= spp and done * pixels < LEARNED:
         now *= 2
@@ -87,6 +90,7 @@ class GuidedPicture:
 
     Attributes:
         pays: whether the cache lowers the noise by more than it costs, as far as is known.
+        spent: seconds of CPU that each kind of work took, by its name.
     """
 
     def __init__(self, integrator: Any, tracer: PathTracer, scene: Any, sensor: Any, seed: Any) -> None:
@@ -94,6 +98,7 @@ class GuidedPicture:
         self.cache = GuideCache(mi, *_extent(scene, sensor))
         self.block: Any = None
         self.made, self.noise, self.count, self.pays = 0, 0.0, 0, True
+        self.spent: dict[str, float] = {}
         self._bounds = iter(PAYS)
         self._bound = PAYS[0]
 
@@ -102,12 +107,17 @@ class GuidedPicture:
         width, height = self.sensor.film().crop_size()
         guided = self.made > 0 and self.pays
         learns = part.learns and self.pays
-        samples: Any = None
+        begin, samples = time.process_time(), None
         for spp in _waves(part.spp, width * height):
             samples = self._wave(spp, part.weight, guided, learns)
-        if learns:
+        dr.sync_thread()
+        middle = time.process_time()
+        if samples is not None:
             self.cache.learn()
             self._judge(samples.reshape(height, width, -1), guided)
+        name = f"{'guided' if guided else 'regular'} samples{', which are learned from' if learns else ''}"
+        for work, seconds in ((name, middle - begin), ("learning", time.process_time() - middle)):
+            self.spent[work] = self.spent.get(work, 0.0) + seconds
 
     def _judge(self, samples: np.ndarray[Any, Any], guided: bool) -> None:
         """See whether a guided part has less noise than the first one had."""
@@ -123,7 +133,7 @@ class GuidedPicture:
         from mitsuba.python.ad.integrators.common import ADIntegrator
 
         film, own = self.sensor.film(), self.integrator
-        seed = mi.sample_tea_32(mi.UInt32(self.seed), mi.UInt32(self.made))[0]
+        seed = mi.sample_tea_32(mi.UInt(self.seed), mi.UInt(self.made))[0]
         sampler, spp = ADIntegrator.prepare(own, self.sensor, seed, spp, [])
         self.made += 1
         if self.block is None:
@@ -134,9 +144,9 @@ class GuidedPicture:
         dr.eval(light, met, place, weight)
         if records is not None:
             records.teach(self.cache, light)
-        alpha = dr.select(met, mi.Float(share), mi.Float(0))
+        alpha, each = dr.select(met, mi.Float(share), mi.Float(0)), mi.Float(share)
         # of the film's own kind, such as that of spectra
-        ADIntegrator._splat_to_block(self.block, film, place, light * weight * share, share, alpha, [], ray.wavelengths)
+        ADIntegrator._splat_to_block(self.block, film, place, light * weight * share, each, alpha, [], ray.wavelengths)
         dr.eval(self.block.tensor())
         return mi.luminance(light).numpy() if learns else None
 
@@ -151,12 +161,12 @@ def _waves(spp: int, pixels: int) -> Iterator[int]:
 def _extent(scene: Any, sensor: Any) -> tuple[np.ndarray[Any, Any], np.ndarray[Any, Any]]:
     """The box in which most of what the camera sees lies, and most of what is seen from there."""
     index = dr.arange(mi.UInt32, _PROBES**2)
-    state, sequence = mi.sample_tea_32(index, 0)
-    rng = mi.PCG32(initstate=mi.UInt64(state), initseq=mi.UInt64(sequence))
+    sampler: Any = mi.load_dict({"type": "independent"})
+    sampler.seed(0, _PROBES**2)
     film = mi.Point2f(mi.Float(index % _PROBES), mi.Float(index // _PROBES)) / _PROBES
-    ray, _ = sensor.sample_ray(sensor.shutter_open(), rng.next_float32(), film, mi.Point2f(0.5))
+    ray, _ = sensor.sample_ray(sensor.shutter_open(), sampler.next_1d(), film, mi.Point2f(0.5))
     seen = scene.ray_intersect(ray)
-    local = mi.warp.square_to_cosine_hemisphere(mi.Point2f(rng.next_float32(), rng.next_float32()))
+    local = mi.warp.square_to_cosine_hemisphere(sampler.next_2d())
     local.z = dr.select(seen.wi.z < 0, -local.z, local.z)
     beyond = scene.ray_intersect(seen.spawn_ray(seen.to_world(local)), seen.is_valid())
     points = np.concatenate([each.p.numpy()[:, each.is_valid().numpy()] for each in (seen, beyond)], 1)

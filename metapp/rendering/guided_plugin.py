@@ -17,29 +17,15 @@ import mitsuba as mi
 
 from metapp.rendering.guided_path import PathTracer, Settings
 from metapp.rendering.guided_picture import FEWEST, GuidedPicture, parts_of
+from metapp.rendering.plugins import register_plugin
 
 NAME = "guided_path"
-VARIANTS = ("llvm_ad_rgb", "cuda_ad_rgb")
 DEPTH, RR_DEPTH = -1, 5  # as of `path`
 
 
 def register_guided_path() -> None:
     """Have Mitsuba know the plugin, in the variant that is active and in all that will be."""
-    mi.detail.add_variant_callback(lambda _before, _now: _register())
-    if mi.variant():
-        _register()
-
-
-def _register() -> None:
-    mi.register_integrator(NAME, plugin() if mi.variant() in VARIANTS else _without)
-
-
-def _without(props: Any) -> Any:
-    """What a variant gets that has no guide."""
-    if not props.get("emitter_sampling", True):
-        raise ValueError(f"{NAME}: no emitter_sampling in variant {mi.variant()}, expected {' or '.join(VARIANTS)}.")
-    _say(f"variant {mi.variant()}, expected {' or '.join(VARIANTS)}")
-    return _path(props)
+    register_plugin("integrator", NAME, plugin)
 
 
 def _path(props: Any) -> Any:
@@ -50,16 +36,18 @@ def _path(props: Any) -> Any:
 
 def _say(why: str) -> None:
     """Tell, once a reason, that there is no guide."""
-    warnings.warn_explicit(f"{NAME}: {why}; rendered by path.", UserWarning, NAME, 0, registry=_SAID)
+    if why not in _SAID:
+        _SAID.add(why)
+        warnings.warn(f"{NAME}: {why}; rendered by path.", stacklevel=2)
 
 
-_SAID: dict[Any, Any] = {}
+_SAID: set[str] = set()
 
 
 def plugin() -> Any:
     """The class of the plugin in the active variant."""
 
-    class GuidedPath(mi.SamplingIntegrator):  # type: ignore[misc]  # a class of the variant
+    class GuidedPath(mi.SamplingIntegrator):  # a class of the variant
         """Properties: `max_depth` (-1), `rr_depth` (5), `hide_emitters` (false), `emitter_sampling` (true)."""
 
         def __init__(self, props: Any) -> None:
@@ -69,6 +57,7 @@ def plugin() -> Any:
             joins = bool(props.get("emitter_sampling", True))
             if self.hide_emitters and not joins:
                 raise ValueError(f"{NAME}: hide_emitters without emitter_sampling, expected one of them; change it.")
+            self.spent: dict[str, float] = {}  # seconds of CPU of the last picture's parts
             self.tracer = PathTracer(mi, Settings(depth if depth >= 0 else 2**32 - 1, rr_depth, joins))
 
         def render(
@@ -91,6 +80,7 @@ def plugin() -> Any:
                 picture = GuidedPicture(self, self.tracer, scene, sensor, seed)
                 for part in parts_of(spp, int(dr.prod(film.crop_size()))):
                     picture.add(part)
+                self.spent = picture.spent
                 film.put_block(picture.block)
                 if not picture.pays:
                     _say("what was learned does not pay in a scene, whose picture is from then on")
