@@ -135,44 +135,52 @@ class GuideCache:
             how many places have been seen.
         """
         mi = self.mi
-        shape = (GRID, GRID, GRID, AXES, SIDE, SIDE)
-        squares, counts = (torch.from_numpy(each.numpy()).reshape(shape) for each in (self.squares, self.counts))
-        known = moments(squares, counts).reshape(PLACES, CELLS) ** POWER
-        seen = ((counts.reshape(PLACES, CELLS).sum(1) > 0) & (known.sum(1) > 0)).nonzero()[:, 0]
+        sums = (torch.from_numpy(each.numpy()).reshape(PLACES, SIDE, SIDE) for each in (self.squares, self.counts))
+        squares, counts = sums
+        seen = (counts.flatten(1).sum(1) > 0).nonzero()[:, 0]
+        voxels = torch.stack(
+            [seen // AXES // GRID**2, seen // AXES // GRID % GRID, seen // AXES % GRID, seen % AXES], 1
+        )
+        known = moments(squares[seen], counts[seen], voxels).flatten(1) ** POWER
+        bright = known.sum(1) > 0
+        seen = seen[bright]
         if len(seen):
             where = (seen[:, None] * SLOTS + torch.arange(SLOTS)).flatten()
-            tables = (slots_of(known[seen]).flatten(), where)
+            tables = (slots_of(known[bright]).flatten(), where)
             values, places = (mi.UInt32(each.int().numpy().view(np.uint32)) for each in tables)
             self.dr.scatter(self.slots, values, places)
             self.dr.eval(self.slots)
         return len(seen)
 
 
-def moments(squares: Tensor, counts: Tensor) -> Tensor:
+def moments(squares: Tensor, counts: Tensor, voxels: Tensor) -> Tensor:
     """The second moment of what comes from each cell, coarse to fine, in voxels and in directions.
 
     A voxel's are those of the eight about it, times a ratio, which is found for the whole hemisphere first, then for
     quarters of it and so on: where few paths came, it is that of the coarser cells.
 
     Args:
-        squares: sums of what came by paths, squared and each over the density of the path, float64
-            [N, N, N, axes, SIDE, SIDE], N a power of two.
+        squares: sums of what came by paths, squared and each over the density of the path, float64 [P, SIDE, SIDE].
         counts: sums of one over the same densities: about how many paths uniform directions would have sent there.
+        voxels: where each of the P places is, three whole numbers, and its axis, [P, 4].
 
     Returns:
         of the same shape, of any scale.
     """
-    if len(squares) == 1:
+    whole = not bool(voxels[:, :3].any())
+    if whole:
         expected = torch.ones_like(squares)
     else:
-        coarser = moments(*(_in_eights(each) for each in (squares, counts)))
-        expected = coarser.repeat_interleave(2, 0).repeat_interleave(2, 1).repeat_interleave(2, 2)
+        halved = torch.cat([voxels[:, :3] // 2, voxels[:, 3:]], 1)
+        coarse, which = halved.unique(dim=0, return_inverse=True)
+        sums = (each.new_zeros(len(coarse), SIDE, SIDE).index_add_(0, which, each) for each in (squares, counts))
+        expected = moments(*sums, coarse)[which]
     levels = [(squares, counts, expected)]
     while levels[-1][0].shape[-1] > 1:
         total, count, prior = (_in_quarters(each) for each in levels[-1])
         levels.append((total, count, prior / 4))
     total, count, prior = levels[-1]
-    lean = LEAN if len(squares) > 1 else 1e-9  # the whole box leans on nothing
+    lean = 1e-9 if whole else LEAN  # the whole box leans on nothing
     ratio = (total + lean * prior) / (count + lean) / prior.clamp_min(_TINY)
     for total, count, prior in levels[-2::-1]:
         around = ratio.repeat_interleave(2, -1).repeat_interleave(2, -2) * prior
@@ -182,14 +190,8 @@ def moments(squares: Tensor, counts: Tensor) -> Tensor:
 
 def _in_quarters(values: Tensor) -> Tensor:
     """Sums of two by two cells of directions."""
-    found: Tensor = values.unflatten(-1, (-1, 2)).unflatten(-3, (-1, 2)).sum((-1, -3))
-    return found
-
-
-def _in_eights(values: Tensor) -> Tensor:
-    """Sums of two by two by two voxels."""
-    half = len(values) // 2
-    return values.reshape(half, 2, half, 2, half, 2, *values.shape[3:]).sum((1, 3, 5))
+    rows = values[..., ::2, :] + values[..., 1::2, :]
+    return rows[..., ::2] + rows[..., 1::2]
 
 
 def slots_of(weights: Tensor) -> Tensor:

@@ -66,7 +66,7 @@ def parts_of(spp: int, pixels: int) -> list[Part]:
 
 
 def noise_of(luminance: np.ndarray[Any, Any], count: int) -> float:
-    """How far two pictures of as many samples differ, relative to both, in blocks of pixels.
+    """How far two pictures of as many samples differ in blocks of pixels, relative to the sum of both.
 
     Args:
         luminance: of samples, [rows, columns, samples]; the first 2 * count of each pixel are looked at.
@@ -76,8 +76,7 @@ def noise_of(luminance: np.ndarray[Any, Any], count: int) -> float:
     down, across = luminance.shape[0] // rows, luminance.shape[1] // columns
     looked_at = luminance[: down * rows, : across * columns, : 2 * count]
     first, second = looked_at.reshape(down, rows, across, columns, 2, count).mean((1, 3, 5)).transpose(2, 0, 1)
-    both = first + second
-    return float((np.abs(first - second) / np.maximum(both, 1e-3 * both.mean() + 1e-20)).mean())
+    return float(np.abs(first - second).sum() / max((first + second).sum(), 1e-30))
 
 
 class GuidedPicture:

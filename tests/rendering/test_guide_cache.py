@@ -35,36 +35,39 @@ def test_one_bright_cell_gets_all_free_slots() -> None:
     assert int(slots_of(one)[0, 77] >> 16) == SLOTS - CELLS + 1
 
 
+VOXELS = torch.tensor([[x, y, z, axis] for x in (0, 1) for y in (0, 1) for z in (0, 1) for axis in (0, 3)])
+
+
 def test_the_moment_of_even_light_is_even_however_it_was_sampled() -> None:
-    counts = 50 * weights(8 * 2).reshape(2, 2, 2, 2, SIDE, SIDE)
-    found = moments(4.0 * counts, counts)
+    counts = 50 * weights(len(VOXELS)).reshape(-1, SIDE, SIDE)
+    found = moments(4.0 * counts, counts, VOXELS)
     assert torch.allclose(found, torch.full_like(found, 4.0))
 
 
 def test_with_many_paths_the_moments_are_their_means() -> None:
-    expected = 1 + weights(8).reshape(2, 2, 2, 1, SIDE, SIDE)
+    expected = 1 + weights(len(VOXELS)).reshape(-1, SIDE, SIDE)
     counts = torch.full_like(expected, 1e6)
-    assert torch.allclose(moments(expected * counts, counts), expected, rtol=1e-3)
+    assert torch.allclose(moments(expected * counts, counts, VOXELS), expected, rtol=1e-3)
 
 
 def test_cells_without_paths_lean_on_those_around_them() -> None:
-    squares, counts = torch.zeros(2, 1, 1, 1, 1, SIDE, SIDE, dtype=torch.float64)
+    squares, counts = torch.zeros(2, 1, SIDE, SIDE, dtype=torch.float64)
     counts += 1000
-    squares[..., : SIDE // 2, : SIDE // 2] = 1000  # a bright quarter
-    for cell in ((3, 3), (12, 12)):  # one of it and one of the dark ones that nothing is known of
-        squares[..., *cell] = counts[..., *cell] = 0
-    found = moments(squares, counts)[0, 0, 0, 0]
+    squares[:, : SIDE // 2, : SIDE // 2] = 1000  # a bright quarter
+    for row, column in ((3, 3), (12, 12)):  # one of it and one of the dark ones that nothing is known of
+        squares[:, row, column] = counts[:, row, column] = 0
+    found = moments(squares, counts, VOXELS[:1])[0]
     assert float(found[3, 3]) == pytest.approx(1, abs=0.1)
     assert float(found[12, 12]) == pytest.approx(0, abs=0.1)
     assert float(found[5, 5]) == pytest.approx(1, abs=0.1)
 
 
-def test_voxels_without_paths_lean_on_those_about_them() -> None:
-    shape = weights(1).reshape(SIDE, SIDE)
-    counts = torch.full((2, 2, 2, 1, SIDE, SIDE), 1e5, dtype=torch.float64)
-    squares = shape * counts
-    squares[0, 1, 0] = counts[0, 1, 0] = 0
-    assert torch.allclose(moments(squares, counts)[0, 1, 0, 0], shape, rtol=0.05, atol=1e-3)
+def test_voxels_without_paths_lean_on_those_about_them_of_their_side() -> None:
+    shapes = weights(2).reshape(2, SIDE, SIDE)
+    counts = torch.full((len(VOXELS), SIDE, SIDE), 1e5, dtype=torch.float64)
+    squares = shapes.repeat(8, 1, 1) * counts  # one shape on each axis
+    squares[5] = counts[5] = 0
+    assert torch.allclose(moments(squares, counts, VOXELS)[5], shapes[1], rtol=0.05, atol=1e-3)
 
 
 @pytest.fixture(scope="module")
