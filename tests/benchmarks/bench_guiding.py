@@ -52,7 +52,7 @@ class Bench:
         halves = [torch.stack(made[i::2]).mean(0) for i in (0, 1)]
         self.reference = (halves[0] + halves[1]) / 2
         self.own_error = self.error(halves[0])  # a half is as far from the mean as that is from the truth
-        self.speeds = {name: self._speed(joins) for name, joins in METHODS.items()}
+        self.costs = {name: self._first(joins) for name, joins in METHODS.items()}
 
     def error(self, picture: Tensor) -> float:
         """MAPE."""
@@ -60,15 +60,16 @@ class Bench:
 
     def measured(self, name: str, seconds: float, seed: int) -> dict[str, Any]:
         """A picture that takes about so many seconds, as the last one of its kind says."""
-        spp = max(16, round(seconds / self.speeds[name]))
+        fixed, each = self.costs[name]
+        spp = max(16, round((seconds - fixed) / each))
         picture, spent = self._picture(METHODS[name], spp, seed)
-        self.speeds[name] = sum(spent.values()) / spp
+        self.costs[name] = cost(spent, spp)
         return {"error": self.error(picture), "seconds": sum(spent.values()), "spp": spp, "spent": spent}
 
-    def _speed(self, joins: bool | None) -> float:
+    def _first(self, joins: bool | None) -> tuple[float, float]:
         for spp in (64, WARM):
             self._picture(joins, spp, 0)  # compiles
-        return sum(self._picture(joins, WARM, 0)[1].values()) / WARM
+        return cost(self._picture(joins, WARM, 0)[1], WARM)
 
     def _picture(self, joins: bool | None, spp: int, seed: int) -> tuple[Tensor, dict[str, float]]:
         if joins is not None:
@@ -79,13 +80,19 @@ class Bench:
         return picture, {"regular samples": time.process_time() - begin}
 
 
-def measure(size: int, reference: int, times: list[float], seeds: int, file: Path) -> list[dict[str, Any]]:
+def cost(spent: dict[str, float], spp: int) -> tuple[float, float]:
+    """Seconds that do not depend on the samples, and seconds of a sample a pixel."""
+    fixed = sum(seconds for name, seconds in spent.items() if not name.endswith(("samples", "learned from")))
+    return fixed, (sum(spent.values()) - fixed) / spp
+
+
+def measure(options: argparse.Namespace, file: Path) -> list[dict[str, Any]]:
     """Measure all, and keep it, a line each, as soon as it is known."""
     found = []
     with file.open("w", encoding="utf-8") as out:
-        for name, scene in scenes().items():
-            bench = Bench(scene, size, reference)
-            for seconds, method, seed in itertools.product(times, METHODS, range(1, seeds + 1)):
+        for name in options.scenes:
+            bench = Bench(scenes()[name], options.size, options.reference)
+            for seconds, method, seed in itertools.product(options.times, METHODS, range(1, options.seeds + 1)):
                 row = {"scene": name, "method": method, "time": seconds, "seed": seed, "reference": bench.own_error}
                 found.append(row | bench.measured(method, seconds, seed))
                 print(json.dumps(found[-1]), file=out, flush=True)
@@ -146,11 +153,12 @@ def main() -> None:
     parser.add_argument("--reference", type=int, default=8192, help="samples a pixel of the reference")
     parser.add_argument("--times", type=float, nargs="+", default=[1.0, 4.0, 16.0], help="seconds of CPU")
     parser.add_argument("--seeds", type=int, default=3)
+    parser.add_argument("--scenes", nargs="+", default=list(scenes()), choices=list(scenes()))
     parser.add_argument("--out", type=Path, default=Path("runs/guiding"))
     options = parser.parse_args()
     options.out.mkdir(parents=True, exist_ok=True)
     warnings.simplefilter("ignore")
-    rows = measure(options.size, options.reference, options.times, options.seeds, options.out / "guiding.jsonl")
+    rows = measure(options, options.out / "guiding.jsonl")
     print(table(rows))
     figure(rows, options.out / "guiding.png")
 
