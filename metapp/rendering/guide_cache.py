@@ -173,8 +173,10 @@ def moments(squares: Tensor, counts: Tensor, voxels: Tensor) -> Tensor:
     else:
         halved = torch.cat([voxels[:, :3] // 2, voxels[:, 3:]], 1)
         coarse, which = halved.unique(dim=0, return_inverse=True)
-        sums = (each.new_zeros(len(coarse), SIDE, SIDE).index_add_(0, which, each) for each in (squares, counts))
-        expected = moments(*sums, coarse)[which]
+        total, count = (
+            each.new_zeros(len(coarse), SIDE, SIDE).index_add_(0, which, each) for each in (squares, counts)
+        )
+        expected = moments(total, count, coarse)[which]
     levels = [(squares, counts, expected)]
     while levels[-1][0].shape[-1] > 1:
         total, count, prior = (_in_quarters(each) for each in levels[-1])

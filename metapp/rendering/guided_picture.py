@@ -132,7 +132,8 @@ class GuidedPicture:
         from mitsuba.python.ad.integrators.common import ADIntegrator
 
         film, own = self.sensor.film(), self.integrator
-        seed = mi.sample_tea_32(mi.UInt(self.seed), mi.UInt(self.made))[0]
+        mixed: Any = mi.sample_tea_32  # of arrays, too
+        seed = mixed(mi.UInt32(self.seed), mi.UInt32(self.made))[0]
         sampler, spp = ADIntegrator.prepare(own, self.sensor, seed, spp, [])
         self.made += 1
         if self.block is None:

@@ -111,7 +111,7 @@ def test_a_cache_that_is_wrong_about_itself_is_found_out(mi: Any, monkeypatch: p
 
 @pytest.mark.parametrize(("joins", "at_most"), [(True, 0.85), (False, 0.6)])
 def test_there_is_less_noise(mi: Any, monkeypatch: pytest.MonkeyPatch, joins: bool, at_most: float) -> None:
-    scene, noise = loaded(mi, box(2), 64), []
+    scene, noise = loaded(mi, box(101), 64), []
     integrator = mi.load_dict({"type": "guided_path", "emitter_sampling": joins, "max_depth": 5})
     for fewest in (16, 1000):  # samples below which nothing is learned
         monkeypatch.setattr("metapp.rendering.guided_picture.FEWEST", fewest)
