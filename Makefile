@@ -11,7 +11,7 @@ SEEDS ?= 0 1 2
 # small networks run many times slower where threads fight over them
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: help setup demo test test-slow mutants lint types docs bench bench-photo tables rules figures report paper torture torture-quick real real-photos \
+.PHONY: help setup demo test test-slow mutants lint types docs bench bench-photo guiding tables rules figures report paper torture torture-quick real real-photos \
   real-illumination real-svbrdf starts-brdf starts-photos starts-illumination starts-svbrdf \
   starts-transport clean
 
@@ -66,6 +66,10 @@ bench: setup  ## speed and memory of learning, as ratios measured side by side
 # of the embedded data set, unless DATA is given
 bench-photo: setup  ## what a flash photo says beyond what General reads from it; DATA=<data set of svbrdf_nonstationary>
 	$(VENV)/bin/python -m tests.benchmarks.bench_flash_photo $(if $(filter file,$(origin DATA)),,"$(DATA)")
+
+# of 256 px; a shorter one: make guiding GUIDING="--size 64 --reference 4096 --times 0.25 1 4"
+guiding: setup  ## error over seconds of guided and regular paths, a table and a figure in runs/guiding; an hour
+	$(VENV)/bin/python -m tests.benchmarks.bench_guiding --out $(RUNS)/guiding $(GUIDING)
 
 # on two cores; the tables say that Overfit has fewer steps than the recipe's; OVERFIT=1 takes all of them
 OVERFIT ?= 0.1

@@ -2,6 +2,10 @@
 
     {"type": "neural_brdf", "filename": "gold.safetensors"}
     {"type": "neural_svbrdf", "diffuse": TEXTURE, "specular": TEXTURE, "roughness": TEXTURE}
+    {"type": "guided_path", "max_depth": 8}
+
+The last is an integrator: Mitsuba's `path`, which learns where light comes from while it renders; of
+`metapp.rendering.guided_plugin`.
 
 In XML: `<bsdf type="neural_brdf"><string name="filename" value="gold.safetensors"/></bsdf>`. The file is a fit of the
 BRDF application (`params/<task>.safetensors` of a run, or `Fit.save`), of either network, or a folder with an NBRDF
@@ -32,6 +36,7 @@ with suppress(ValueError):  # none is there: variants of GPUs need none
 
 from metapp.rendering.brdf_network import Material
 from metapp.rendering.brdf_plugin import register_neural_brdf
+from metapp.rendering.guided_plugin import register_guided_path
 from metapp.rendering.maps_bsdf import register_maps_bsdf
 
 
@@ -73,3 +78,4 @@ def _of_nbrdf(path: Path) -> Params:
 
 register_neural_brdf(read_material)
 register_maps_bsdf()
+register_guided_path()

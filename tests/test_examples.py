@@ -61,6 +61,20 @@ def test_mitsuba_brdf(neural_fits: Callable[[int], Path], tmp_path: Path) -> Non
     assert picture[128, 128, :3].max() > 0.02
 
 
+@needs_mitsuba
+def test_guided_render(tmp_path: Path) -> None:
+    scene = """<scene version="3.0.0">
+      <sensor type="perspective"><float name="fov" value="40"/>
+        <transform name="to_world"><lookat origin="0,0,5" target="0,0,0" up="0,1,0"/></transform>
+        <film type="hdrfilm"><integer name="width" value="24"/><integer name="height" value="16"/></film></sensor>
+      <shape type="sphere"><bsdf type="diffuse"/></shape>
+      <emitter type="constant"/>
+    </scene>"""
+    (tmp_path / "ball.xml").write_text(scene, encoding="utf-8")
+    assert run("guided_render.py", tmp_path / "ball.xml", tmp_path / "ball.png") == f"saved {tmp_path / 'ball.png'}\n"
+    assert oiio.ImageBuf(str(tmp_path / "ball.png")).get_pixels(oiio.FLOAT).shape[:2] == (16, 24)
+
+
 def test_photo_to_blender(tmp_path: Path) -> None:
     y, x = np.mgrid[-1:1:64j, -1:1:64j]
     pixels = np.stack([np.exp(-2 * (x * x + y * y)) * (0.5 + 0.3 * np.sin(9 * x + i)) for i in range(3)], -1)

@@ -134,12 +134,23 @@ def make_command(name: str, summary: str) -> Any:
                 "1024x2048; default: four times the exemplar's, the map's as it is fitted.",
             ),
         ] = "",
+        render: Annotated[
+            int,
+            typer.Option(
+                metavar="PX",
+                min=0,
+                max=4096,
+                help="Render each scene as well, guided at all bounces, and without a guide in the same time; for "
+                "transport.",
+            ),
+        ] = 0,
         export: Annotated[str, typer.Option(help=f"Write each fit in another form; {exports()}.")] = "",
         seed: Annotated[int, typer.Option(help="Seed of all random draws.", min=0, max=2**63 - 1)] = 0,
         device: Annotated[str, typer.Option(help="auto, cpu or cuda.")] = "auto",
         json: Annotated[bool, typer.Option("--json", help="One JSON object as last line of standard output.")] = False,
         quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress bar, no table.")] = False,
     ) -> None:
+        from metapp.apps import presentation_of
         from metapp.experiments.export import check_export
         from metapp.experiments.inputs import Reading
         from metapp.experiments.run import follow
@@ -166,6 +177,8 @@ def make_command(name: str, summary: str) -> Any:
             raise typer.BadParameter("--train-steps: only with --train.")
         if scene_root and not any(each.takes_roots for each in inputs_of(app)):
             raise typer.BadParameter(f"--scene-root: {app} has no scenes, only transport; leave it out.")
+        if render and not presentation_of(options.app).renders:
+            raise typer.BadParameter(f"--render: {app} has no scenes, only transport; leave it out.")
         if fov and not any(each.takes_fov for each in inputs_of(app)):
             raise typer.BadParameter(f"--fov: {app} has no flash photos; leave it out.")
         for said, unused in (
@@ -184,22 +197,30 @@ def make_command(name: str, summary: str) -> Any:
             "size": size,
             "reading": Reading(scene_root or [], math.radians(fov)),
         }
+        if (batch or shard) and render:
+            raise typer.BadParameter("--render: of scenes one by one; leave --batch and --shard out.")
         if batch or shard:
             fit_many(options, name, inputs or [], batch, shard, told, json=json)
         else:
-            fit(options, name, inputs or [], told, json=json)
+            fit(options, name, inputs or [], told, render=render, json=json)
 
     command.__doc__ = summary
     return command
 
 
-def fit(options: Options, name: str, inputs: list[Path], told: dict[str, Any], *, json: bool) -> None:
-    """Fit inputs one by one and show what came of it."""
+def fit(
+    options: Options, name: str, inputs: list[Path], told: dict[str, Any], *, render: int | None, json: bool
+) -> None:
+    """Fit inputs one by one and show what came of it; of scenes also pictures of so many px."""
+    from metapp.experiments.pictures import write_renders
     from metapp.experiments.run import run
 
     done = run(options, name, inputs, **told)
+    lines = write_renders(done.options.app, done.tasks, done.folder.path / "outputs", render) if render else []
     if not options.quiet:
         show(done, table=not json)
+        for line in lines:
+            say(line)
     if json:
         print_json(done.document())
 

@@ -10,7 +10,7 @@ import numpy as np
 import torch
 
 from metapp.appearance.colour import linear_to_srgb, stretched, tone_map
-from metapp.appearance.presentation import Presentation
+from metapp.appearance.presentation import Picture, Presentation
 from metapp.apps import presentation_of
 from metapp.experiments.session import title_of
 from metapp.experiments.sheet import Column, write_sheet
@@ -100,8 +100,29 @@ def write_files(shown: Presentation[Any], task: Task, theta: Params, folder: Pat
     `height_maximum` tell. Radiance is kept as <name>.exr, and tone-mapped beside it.
     """
     files = shown.files(theta, task)
+    _write(files, folder / file_name(task.name))
+    return bool(files)
+
+
+def write_renders(app: App, tasks: Sequence[Task], folder: Path, side: int) -> list[str]:
+    """Write pictures of the tasks' scenes, <folder>/<task>/<name>.exr and .png, their longer side in px.
+
+    Returns:
+        what to say of them.
+    """
+    shown, lines = presentation_of(app), []
+    for task in tasks:
+        made = shown.rendered(task, side)
+        if made is None:
+            raise ValueError(f"{task.name}: no scene, expected one to render; leave --render out.")
+        _write(made.files, folder / file_name(task.name))
+        lines += [f"{task.name}: {line}" for line in made.lines]
+    return lines
+
+
+def _write(files: dict[str, Picture], folder: Path) -> None:
     for name, (pixels, kind) in files.items():
-        file = folder / file_name(task.name) / f"{name}.png"
+        file = folder / f"{name}.png"
         texts = {"encoding": "linear" if kind in ("data", "height") else "sRGB"}
         if kind == "height":
             pixels, low, high = stretched(pixels)
@@ -110,7 +131,6 @@ def write_files(shown: Presentation[Any], task: Task, theta: Params, folder: Pat
             write_exr(pixels, file.with_name(f"{name}.exr"))
             pixels = tone_map(pixels / pixels.mean().clamp_min(1e-20))  # whatever its unit
         write_png(pixels, texts, file)
-    return bool(files)
 
 
 def _theta(folder: Path, task: Task) -> dict[str, Any]:

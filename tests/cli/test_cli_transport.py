@@ -95,14 +95,17 @@ def test_pictures_are_judged_at_equal_paths_and_in_equal_time(scenes: list[Task]
     shown = TransportPresentation(app)
     theta = {key: value[0] for key, value in app.init(torch.Generator().manual_seed(0), 1).items()}
     found = shown.image_errors({"instant": Fitted(theta, 0.0), "endless": Fitted(theta, 1e9)}, task)
-    assert list(found) == ["reference", "regular", "instant", "endless"]
+    joined = [images.JOINED, images.GUIDED]
+    assert list(found) == ["reference", "regular", *joined, "instant", "endless"]
     assert set(found["reference"]) == {"MAPE"}
     measures = {"MAPE", "SMAPE", "DSSIM"}
     for name, each in list(found.items())[1:]:
         assert set(each) - {images.EQUAL_TIME} == measures | {"time", images.FIXED}
         assert all(0 < value < 2 for key, value in each.items() if key in measures)
         # the start's density is uniform, as Regular's is: the same picture but for noise
-        assert all(each[key] == pytest.approx(found["regular"][key], rel=0.2) for key in measures), name
+        same = all(each[key] == pytest.approx(found["regular"][key], rel=0.2) for key in measures)
+        assert same != (name in joined), name
+        assert each["MAPE"] <= 1.2 * found["regular"]["MAPE"]
         assert each["time"] > 0
     assert found["regular"][images.EQUAL_TIME] == found["regular"]["MAPE"]
     assert images.EQUAL_TIME not in found["endless"]
@@ -154,3 +157,24 @@ def test_guided_means_are_those_of_the_reference(scenes: list[Task]) -> None:
         error = float(means.std() / len(means) ** 0.5)
         assert abs(float(means.mean()) - wanted) < 3 * error + 0.003 * wanted, task.name  # the reference's own error
         assert error < 0.05 * wanted
+
+
+def test_a_scene_is_rendered_with_and_without_a_guide_in_the_same_time(
+    metapp: Callable, data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(images, "RENDERED_SPP", 16)
+    result = metapp("overfit", "transport", "--data", data, "--out", tmp_path / "runs", "--render", "24")
+    assert result.code == 0, result.err
+    folders = list((tmp_path / "runs").rglob("outputs/box-5"))
+    made = [oiio.ImageBuf(str(folders[0] / f"{name}.exr")).get_pixels() for name in ("guided_path", "regular_nee")]
+    assert {picture.shape for picture in made} == {(24, 24, 3)}
+    assert np.mean(made[0]) == pytest.approx(np.mean(made[1]), rel=0.2)
+    assert (folders[0] / "guided_path.png").is_file()
+    assert "guided_path: 16 samples a pixel in" in result.err
+    assert "regular_nee: " in result.err
+
+
+def test_only_scenes_are_rendered(metapp: Callable, tmp_path: Path) -> None:
+    result = metapp("meta", "brdf", "--render", "24", "--out", tmp_path)
+    assert result.code == 2
+    assert "--render: brdf has no scenes, only transport; leave it out." in " ".join(result.err.split())

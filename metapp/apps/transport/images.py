@@ -5,27 +5,30 @@ from __future__ import annotations
 import functools
 import time
 from collections.abc import Callable, Mapping
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 from torch import Generator, Tensor
 
 from metapp.appearance.metrics import dssim, mape, smape
-from metapp.appearance.presentation import REFERENCE, Fitted
+from metapp.appearance.presentation import REFERENCE, Fitted, Picture, Rendered
 from metapp.apps.transport.flow import Flow
 from metapp.apps.transport.guide import table_of
 from metapp.learning.task import Params, Task
-from metapp.rendering import path_render, path_space
+from metapp.rendering import equal_time, path_render, path_space
+from metapp.rendering.guided_plugin import register_guided_path
 from metapp.rendering.scene_text import scene_of
 
 SIZE, SPP = 64, 1024  # px of a side, and paths a pixel as in Fischer & Ritschel 2022, table 2
 REGULAR, EQUAL_TIME = "regular", "MAPE, equal time"
 FIXED = "fixed time"
-REFERENCE_SPP = 2048  # with next-event estimation, in two halves, which tell its own error
+JOINED, GUIDED = "regular + NEE", "guided_path + NEE"  # of Mitsuba alone, as every user has it; of all bounces
+REFERENCE_SPP = 8192  # with next-event estimation, in two halves, which tell its own error
+RENDERED_SPP = 64  # samples a pixel of the pictures of `rendered`
 
 
 class Shot(NamedTuple):
-    """A picture [3, size, size], linear RGB, and the seconds that it took, with all that had to be made for it."""
+    """A picture [3, size, size], linear RGB, and the seconds of CPU that it and all that had to be made for it took."""
 
     picture: Tensor
     seconds: float
@@ -60,13 +63,28 @@ class Studio:
 
         return _timed(shoot)
 
+    def joined(self, spp: int, seed: int = 0) -> Shot:
+        """A picture by Mitsuba's path, which joins surfaces to lights as well."""
+        return self._by({"type": "path"}, spp, seed)
+
+    def guided_path(self, spp: int, seed: int = 0) -> Shot:
+        """The same, guided at all bounces by what it learns while it renders."""
+        register_guided_path()
+        return self._by({"type": "guided_path"}, spp, seed)
+
+    def _by(self, integrator: dict[str, Any], spp: int, seed: int) -> Shot:
+        mi, tracer = self.tracer.mi, self.tracer
+        sensor = equal_time.square_sensor(mi, tracer.scene, self.size)
+        made = mi.load_dict(integrator | {"max_depth": tracer.depth})
+        return _timed(lambda: equal_time.rendered(mi, tracer.scene, made, spp, seed, sensor).permute(2, 0, 1))
+
     def sampling(self, samples: Tensor) -> float:
         """Seconds that as many samples [N, d] of the scene take, and with them the picture that General reads."""
         count, dimensions = samples.shape
         path_space.path_samples(self.tracer, 1, dimensions, Generator())  # the first call compiles
-        begin = time.perf_counter()
+        begin = time.process_time()
         path_space.path_samples(self.tracer, count, dimensions, Generator())
-        return time.perf_counter() - begin
+        return time.process_time() - begin
 
     @functools.cached_property
     def halves(self) -> Tensor:
@@ -102,9 +120,9 @@ class Studio:
 
 
 def _timed(shoot: Callable[[], Tensor]) -> Shot:
-    begin = time.perf_counter()
+    begin = time.process_time()
     picture = shoot()
-    return Shot(picture, time.perf_counter() - begin)
+    return Shot(picture, time.process_time() - begin)
 
 
 def studio_of(task: Task) -> Studio:
@@ -122,7 +140,7 @@ def _studio(scene: bytes) -> Studio:
 
 
 def image_errors(flow: Flow, fits: Mapping[str, Fitted], task: Task) -> dict[str, dict[str, float]]:
-    """Measures of the pictures that fits guide, and of REGULAR's, by the sampling of materials alone.
+    """Measures of the pictures that fits guide, and of REGULAR's, JOINED's and GUIDED's, which have no fit.
 
     Args:
         flow: the network.
@@ -140,6 +158,8 @@ def image_errors(flow: Flow, fits: Mapping[str, Fitted], task: Task) -> dict[str
     found = {
         REFERENCE: {"MAPE": studio.reference_error},
         REGULAR: {**errors, "time": 1.0, FIXED: 0.0, EQUAL_TIME: errors["MAPE"]},
+        JOINED: _joined_errors(studio, studio.joined),
+        GUIDED: _joined_errors(studio, studio.guided_path),
     }
     sampling = studio.sampling(task.data["samples"]) if fits else 0.0
     for i, (name, fit) in enumerate(fits.items()):
@@ -147,6 +167,38 @@ def image_errors(flow: Flow, fits: Mapping[str, Fitted], task: Task) -> dict[str
             studio.guided(flow, fit.theta, 4)  # the first call compiles
         found[name] = _guided_errors(studio, flow, fit, sampling)
     return found
+
+
+def _joined_errors(studio: Studio, shoot: Callable[[int], Shot]) -> dict[str, float]:
+    shoot(min(SPP, 64))  # the first call compiles
+    plain, shot = studio.baseline.seconds, shoot(SPP)
+    found = {**studio.errors(shot.picture), "time": shot.seconds / plain, FIXED: 0.0}
+    spp = int(SPP * plain / shot.seconds)
+    if spp >= 1:
+        found[EQUAL_TIME] = studio.errors(shoot(spp).picture)["MAPE"]
+    return found
+
+
+def rendered(task: Task, side: int) -> Rendered:
+    """The scene of a task by `guided_path`, and by Mitsuba's path in the same time, with next-event estimation both.
+
+    Args:
+        task: holds the `scene`.
+        side: the longer side of the pictures, px.
+    """
+    tracer = path_space.Tracer(scene_of(task.data["scene"].cpu()))
+    register_guided_path()
+    equal_time.resize(tracer.mi, tracer.scene, side)
+    guided = equal_time.guided_picture(tracer.mi, tracer.scene, RENDERED_SPP, tracer.depth)
+    regular = equal_time.regular_picture(tracer.mi, tracer.scene, guided.seconds, RENDERED_SPP, tracer.depth)
+    spent = ", ".join(f"{name} {seconds:.2f} s" for name, seconds in guided.spent.items())
+    return Rendered(
+        {"guided_path": Picture(guided.picture, "radiance"), "regular_nee": Picture(regular.picture, "radiance")},
+        [
+            f"guided_path: {guided.spp} samples a pixel in {guided.seconds:.2f} s of CPU ({spent}), without the fit",
+            f"regular_nee: {regular.spp} samples a pixel in {regular.seconds:.2f} s of CPU",
+        ],
+    )
 
 
 def _guided_errors(studio: Studio, flow: Flow, fit: Fitted, sampling: float) -> dict[str, float]:

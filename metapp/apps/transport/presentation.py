@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from metapp.appearance.presentation import Fitted, Picture, Presentation, Visible
+from metapp.appearance.presentation import Fitted, Picture, Presentation, Rendered, Visible
 from metapp.apps.transport import Transport
-from metapp.apps.transport.images import image_errors, studio_of
+from metapp.apps.transport.images import image_errors, rendered, studio_of
 from metapp.apps.transport.views import picture_of_flow, picture_of_samples
 from metapp.learning.task import Params, Task
 
@@ -21,10 +21,12 @@ class TransportPresentation(Presentation[Transport]):
     measure = "negative log-likelihood of held-out light paths, on the film and in their first direction"
     logarithmic = True
     image_measure = (
-        "pictures of 64 px of 1024 paths a pixel, three of four guided, without next-event estimation; equal time "
-        "counts the samples that a fit sees, the fit, its table and the picture"
+        "pictures of 64 px of 1024 paths a pixel; fits guide three of four paths, without next-event estimation (NEE); "
+        "guided_path guides all bounces and learns while it renders; equal time is that of regular, in seconds of CPU, "
+        "and counts the samples that a fit sees, the fit, its table and the picture"
     )
-    image_seconds = 20.0
+    renders = True
+    image_seconds = 50.0
 
     def outputs(self, theta: Params, task: Task) -> dict[str, Any]:
         """What there is on the film, and the directions at sixteen parts of it, of the samples and of the fit.
@@ -48,6 +50,9 @@ class TransportPresentation(Presentation[Transport]):
         studio = studio_of(task)
         shots = {"guided": studio.guided(self.app.flow, theta, SHOWN), "regular": studio.regular(SHOWN)}
         return {name: Picture(shot.picture.permute(1, 2, 0), "radiance") for name, shot in shots.items()}
+
+    def rendered(self, task: Task, side: int) -> Rendered | None:
+        return rendered(task, side) if "scene" in task.data else None
 
     def image_errors(self, fits: Mapping[str, Fitted], task: Task) -> dict[str, dict[str, float]]:
         """MAPE, SMAPE and DSSIM of pictures that fits guide, at equal paths and in equal time, and of Regular's."""

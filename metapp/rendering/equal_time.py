@@ -1,0 +1,111 @@
+"""Pictures of a scene by `guided_path`, and by `path` in the same time: seconds of CPU, everything counted."""
+
+from __future__ import annotations
+
+import math
+import time
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
+from torch import Tensor
+
+_WAVES = 16  # that a picture in a given time is made of, about
+
+
+class TimedPicture(NamedTuple):
+    """A picture.
+
+    Attributes:
+        picture: linear RGB radiance, [rows, columns, 3].
+        spp: samples a pixel.
+        spent: seconds of CPU by what they were spent on.
+    """
+
+    picture: Tensor
+    spp: int
+    spent: dict[str, float]
+
+    @property
+    def seconds(self) -> float:
+        """All of them."""
+        return sum(self.spent.values())
+
+
+def resize(mi: Any, scene: Any, side: int) -> None:
+    """Give the film of a scene's first sensor another size: so many pixels along its longer side, all of it.
+
+    Args:
+        mi: Mitsuba.
+        scene: loaded.
+        side: px.
+    """
+    values = mi.traverse(scene.sensors()[0])
+    size = scene.sensors()[0].film().size()
+    longer = max(int(size[0]), int(size[1]))
+    values["film.size"] = values["film.crop_size"] = mi.ScalarVector2u([max(1, side * int(n) // longer) for n in size])
+    values["film.crop_offset"] = mi.ScalarPoint2u(0)
+    values.update()
+
+
+def square_sensor(mi: Any, scene: Any, side: int) -> Any:
+    """A sensor that sees the central square of what a scene's first sensor sees, each pixel by itself.
+
+    Args:
+        mi: Mitsuba.
+        scene: loaded; its sensor is a perspective one.
+        side: of the film, px.
+    """
+    sensor = scene.sensors()[0]
+    width, height = (int(n) for n in sensor.film().size())
+    values = mi.traverse(sensor)
+    across = math.tan(math.radians(float(np.array(values["x_fov"]).item())) / 2) * min(width, height) / width
+    film = {"type": "hdrfilm", "width": side, "height": side, "pixel_format": "rgb", "rfilter": {"type": "box"}}
+    to_world = mi.ScalarTransform4f(np.array(values["to_world"].matrix).reshape(4, 4))
+    fov = math.degrees(2 * math.atan(across))
+    return mi.load_dict({"type": "perspective", "fov": fov, "to_world": to_world, "film": film})
+
+
+def guided_picture(mi: Any, scene: Any, spp: int, depth: int, seed: int = 0, *, joins: bool = True) -> TimedPicture:
+    """By `guided_path`, which must be registered.
+
+    Args:
+        mi: Mitsuba.
+        scene: loaded.
+        spp: samples a pixel.
+        depth: edges of the longest path.
+        seed: of all draws.
+        joins: whether surfaces are joined to emitters.
+    """
+    begin = time.process_time()
+    integrator = mi.load_dict({"type": "guided_path", "max_depth": depth, "emitter_sampling": joins})
+    picture = rendered(mi, scene, integrator, spp, seed)
+    spent = dict(integrator.spent)
+    return TimedPicture(picture, spp, spent | {"all else": time.process_time() - begin - sum(spent.values())})
+
+
+def regular_picture(mi: Any, scene: Any, seconds: float, spp: int, depth: int, seed: int = 0) -> TimedPicture:
+    """By `path`, in as many waves as there is time for, one at least.
+
+    Args:
+        mi: Mitsuba.
+        scene: loaded.
+        seconds: of CPU.
+        spp: samples a pixel that there may be time for, about.
+        depth: edges of the longest path.
+        seed: of all draws.
+    """
+    integrator = mi.load_dict({"type": "path", "max_depth": depth})
+    each = max(1, spp // _WAVES)
+    begin, longest, total, waves = time.process_time(), 0.0, torch.zeros(()), 0
+    while not waves or time.process_time() - begin + longest / 2 <= seconds:
+        start = time.process_time()
+        total = total + rendered(mi, scene, integrator, each, seed * 2**16 + waves)
+        waves, longest = waves + 1, time.process_time() - start
+    return TimedPicture(total / waves, each * waves, {"regular samples": time.process_time() - begin})
+
+
+def rendered(mi: Any, scene: Any, integrator: Any, spp: int, seed: int, sensor: Any = 0) -> Tensor:
+    """A picture by any integrator, linear RGB [rows, columns, 3]."""
+    made = mi.render(scene, sensor=sensor, integrator=integrator, spp=spp, seed=seed)
+    return torch.from_numpy(made.numpy())[..., :3].clone()

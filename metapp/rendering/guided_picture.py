@@ -1,0 +1,179 @@
+"""A picture in parts: first as `path` makes it, then guided by what a cache has learned from the parts before.
+
+Every part is a share of the picture, by weights that do not depend on what was drawn: the mean is that of `path`.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from metapp.rendering.guide_cache import GuideCache
+from metapp.rendering.guided_path import PathTracer, Records
+
+FEWEST = 16  # samples a pixel; with fewer there is no time to learn
+FIRST = 2**16  # paths of the first part, of which a tenth of the picture is the most
+LEARNED = 2**21  # paths after which the cache has learned enough
+PLAIN_WEIGHT = 0.5  # of a sample of the first part beside one that the cache guided
+PAYS = 1.0, 0.92  # of the noise without a cache, the most in the first guided part and in later ones, which know more
+BLOCK = 4  # px along a side of the blocks in which noise is compared
+
+_WAVE = 2**22  # paths at a time
+_PROBES = 128  # rays along a side of the film that tell where the scene is
+
+
+class Part(NamedTuple):
+    """A part of a picture.
+
+    Attributes:
+        spp: samples a pixel.
+        weight: of each.
+        learns: whether the cache learns from it.
+    """
+
+    spp: int
+    weight: float
+    learns: bool
+
+
+def parts_of(spp: int, pixels: int) -> list[Part]:
+    """The parts of a picture: each learned from has twice as many samples as the one before, up to a third of all.
+
+    Args:
+        spp: samples a pixel.
+        pixels: of the picture.
+
+    Returns:
+        parts whose samples add up to `spp`; the first is not guided, the last is not learned from. One that is neither
+        where there are fewer samples than FEWEST.
+    """
+    if spp < FEWEST:
+        return [Part(spp, 1.0, learns=False)]
+    # of powers of two, as Dr.Jit compiles code for other numbers anew
+    now = max(2, 2 ** int(math.log2(max(1, min(spp // 10, -(-FIRST // pixels))))))
+    parts, done = [Part(now, PLAIN_WEIGHT, learns=True)], now
+    while 3 * (done + 2 * now) <= spp and done * pixels < LEARNED:
+        now *= 2
+        parts.append(Part(now, 1.0, learns=True))
+        done += now
+    return [*parts, Part(spp - done, 1.0, learns=False)]
+
+
+def noise_of(luminance: np.ndarray[Any, Any], count: int) -> float:
+    """How far two pictures of as many samples differ in blocks of pixels, relative to the sum of both.
+
+    Args:
+        luminance: of samples, [rows, columns, samples]; the first 2 * count of each pixel are looked at.
+        count: samples a pixel of a picture.
+    """
+    rows, columns = (min(BLOCK, length) for length in luminance.shape[:2])
+    down, across = luminance.shape[0] // rows, luminance.shape[1] // columns
+    looked_at = luminance[: down * rows, : across * columns, : 2 * count]
+    first, second = looked_at.reshape(down, rows, across, columns, 2, count).mean((1, 3, 5)).transpose(2, 0, 1)
+    return float(np.abs(first - second).sum() / max((first + second).sum(), 1e-30))
+
+
+class GuidedPicture:
+    """A picture in the making.
+
+    Args:
+        integrator: of Mitsuba, which the picture is for.
+        tracer: of paths.
+        scene, sensor, seed: as of `render` of an integrator.
+
+    Attributes:
+        pays: whether the cache lowers the noise by more than it costs, as far as is known.
+        spent: seconds of CPU that each kind of work took, by its name.
+    """
+
+    def __init__(self, integrator: Any, tracer: PathTracer, scene: Any, sensor: Any, seed: Any) -> None:
+        self.integrator, self.tracer, self.scene, self.sensor, self.seed = integrator, tracer, scene, sensor, seed
+        self.cache = GuideCache(mi, *_extent(scene, sensor))
+        self.block: Any = None
+        self.made, self.noise, self.count, self.pays = 0, 0.0, 0, True
+        self.spent: dict[str, float] = {}
+        self._bounds = iter(PAYS)
+        self._bound = PAYS[0]
+
+    def add(self, part: Part) -> None:
+        """Make a part, and learn from it as long as that pays."""
+        width, height = self.sensor.film().crop_size()
+        guided = self.made > 0 and self.pays
+        learns = part.learns and self.pays
+        begin, samples = time.process_time(), None
+        for spp in _waves(part.spp, width * height):
+            samples = self._wave(spp, part.weight, guided, learns)
+        dr.sync_thread()
+        middle = time.process_time()
+        if samples is not None:
+            self.cache.learn()
+            self._judge(samples.reshape(height, width, -1), guided)
+        name = f"{'guided' if guided else 'regular'} samples{', which are learned from' if learns else ''}"
+        for work, seconds in ((name, middle - begin), ("learning", time.process_time() - middle)):
+            self.spent[work] = self.spent.get(work, 0.0) + seconds
+
+    def _judge(self, samples: np.ndarray[Any, Any], guided: bool) -> None:
+        """See whether a guided part has less noise than the first one had."""
+        if guided:
+            self._bound = next(self._bounds, self._bound)
+            self.pays = noise_of(samples, self.count) < self._bound * self.noise
+        else:
+            self.count = samples.shape[2] // 2
+            self.noise = noise_of(samples, self.count)
+
+    def _wave(self, spp: int, share: float, guided: bool, learns: bool) -> Any:
+        """Add samples to the picture; their luminance where the cache learns from them."""
+        from mitsuba.python.ad.integrators.common import ADIntegrator
+
+        film, own = self.sensor.film(), self.integrator
+        mixed: Any = mi.sample_tea_32  # of arrays, too
+        seed = mixed(mi.UInt32(self.seed), mi.UInt32(self.made))[0]
+        sampler, spp = ADIntegrator.prepare(own, self.sensor, seed, spp, [])
+        self.made += 1
+        if self.block is None:
+            self.block = film.create_block()
+        ray, weight, place = ADIntegrator.sample_rays(own, self.scene, self.sensor, sampler)
+        records = Records(mi, dr.width(place)) if learns else None
+        light, met = self.tracer.trace(self.scene, sampler, ray, self.cache, guided, records)
+        dr.eval(light, met, place, weight)
+        if records is not None:
+            records.teach(self.cache, light)
+        alpha, each = dr.select(met, mi.Float(share), mi.Float(0)), mi.Float(share)
+        # of the film's own kind, such as that of spectra
+        ADIntegrator._splat_to_block(self.block, film, place, light * weight * share, each, alpha, [], ray.wavelengths)
+        dr.eval(self.block.tensor())
+        return mi.luminance(light).numpy() if learns else None
+
+
+def _waves(spp: int, pixels: int) -> Iterator[int]:
+    """The samples a pixel of a part, in as many waves as memory asks for."""
+    most = max(1, _WAVE // pixels)
+    for first in range(0, spp, most):
+        yield min(most, spp - first)
+
+
+def _extent(scene: Any, sensor: Any) -> tuple[np.ndarray[Any, Any], np.ndarray[Any, Any]]:
+    """The box in which most of what the camera sees lies, and most of what is seen from there."""
+    index = dr.arange(mi.UInt32, _PROBES**2)
+    sampler: Any = mi.load_dict({"type": "independent"})
+    sampler.seed(0, _PROBES**2)
+    film = mi.Point2f(mi.Float(index % _PROBES), mi.Float(index // _PROBES)) / _PROBES
+    ray, _ = sensor.sample_ray(sensor.shutter_open(), sampler.next_1d(), film, mi.Point2f(0.5))
+    seen = scene.ray_intersect(ray)
+    local = mi.warp.square_to_cosine_hemisphere(sampler.next_2d())
+    local.z = dr.select(seen.wi.z < 0, -local.z, local.z)
+    beyond = scene.ray_intersect(seen.spawn_ray(seen.to_world(local)), seen.is_valid())
+    points = np.concatenate([each.p.numpy()[:, each.is_valid().numpy()] for each in (seen, beyond)], 1)
+    bounds = scene.bbox()
+    low, high = np.array(bounds.min, np.float64), np.array(bounds.max, np.float64)
+    if not points.size:
+        return low, high
+    first, last = np.percentile(points, (1, 99), axis=1)
+    margin = 0.02 * (last - first)
+    return np.maximum(first - margin, low), np.minimum(last + margin, high)

@@ -1,0 +1,61 @@
+"""Scenes to measure guided paths on: four Cornell boxes, a room lit from behind a baffle, a caustic of glass."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from data_tools.synthetic.cornell import random_scene
+
+Scene = dict[str, Any]
+
+BOXES = (101, 102, 103, 104)  # seeds
+
+
+def scenes() -> dict[str, Scene]:
+    """By name."""
+    return {f"box {seed}": random_scene(seed) for seed in BOXES} | {"baffle": baffle(), "caustic": caustic()}
+
+
+def kind_of(name: str) -> str:
+    """What a scene is counted among: boxes, baffle, caustic."""
+    return "boxes" if name.startswith("box") else name
+
+
+def baffle() -> Scene:
+    """A lamp that shines on the ceiling alone, above a board."""
+    room = _room()
+    room["light"] = _square(0.9, 0.2, down=False) | _shining([25.0, 25.0, 22.0])
+    for name, height, down in (("board", 0.85, True), ("board, above", 0.851, False)):
+        room[name] = _square(height, 0.35, down=down) | {"bsdf": _grey(0.5)}
+    room["ball"] = {"type": "sphere", "center": [0.3, -0.65, 0.1], "radius": 0.35, "bsdf": _grey(0.6)}
+    return room
+
+
+def caustic() -> Scene:
+    """A small lamp over two balls of glass."""
+    room = _room()
+    room["light"] = _square(0.98, 0.08, down=True, at=(0.3, 0.2)) | _shining([150.0, 150.0, 140.0])
+    glass = {"type": "dielectric", "int_ior": 1.5, "ext_ior": 1.0}
+    room["large"] = {"type": "sphere", "center": [0.0, -0.3, 0.0], "radius": 0.4, "bsdf": glass}
+    room["small"] = {"type": "sphere", "center": [-0.6, -0.75, 0.4], "radius": 0.25, "bsdf": glass}
+    return room
+
+
+def _room() -> Scene:
+    kept = ("type", "sensor", "floor", "ceiling", "back", "left", "right")
+    return {key: value for key, value in random_scene(7).items() if key in kept}
+
+
+def _square(height: float, half: float, *, down: bool, at: tuple[float, float] = (0.0, 0.0)) -> Scene:
+    """A level square that faces up or down."""
+    side = -1.0 if down else 1.0
+    matrix = [[half, 0, 0, at[0]], [0, 0, side, height], [0, -side * half, 0, at[1]], [0, 0, 0, 1.0]]
+    return {"type": "rectangle", "to_world": matrix}
+
+
+def _shining(radiance: list[float]) -> Scene:
+    return {"bsdf": _grey(0.0), "emitter": {"type": "area", "radiance": {"type": "rgb", "value": radiance}}}
+
+
+def _grey(value: float) -> Scene:
+    return {"type": "diffuse", "reflectance": {"type": "rgb", "value": [value] * 3}}

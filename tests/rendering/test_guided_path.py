@@ -1,0 +1,222 @@
+"""The integrator guided_path: the mean of Mitsuba's path, less noise, and path itself where it cannot help."""
+
+from __future__ import annotations
+
+import itertools
+import math
+import warnings
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+
+from data_tools.synthetic.cornell import random_scene
+from tests.needs_mitsuba import needs_mitsuba
+from tests.rendering.zoo import LAMPS, zoo
+
+pytestmark = needs_mitsuba
+SIZE, SPP, RUNS = 16, 64, 8
+
+
+@pytest.fixture(scope="module")
+def mi() -> Any:
+    from metapp.rendering.variant import load_mitsuba
+
+    module = load_mitsuba()
+    from metapp.rendering import guided_plugin, maps_bsdf
+
+    guided_plugin.register_guided_path()
+    maps_bsdf.register_maps_bsdf()
+    return module
+
+
+@pytest.fixture(autouse=True)
+def said_nothing() -> Iterator[None]:
+    """Every reason may be told once a test; none is told unless a test expects it."""
+    from metapp.rendering import guided_plugin
+
+    guided_plugin._SAID.clear()
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        yield
+
+
+def loaded(mi: Any, scene: dict[str, Any], size: int = SIZE) -> Any:
+    from metapp.rendering.scene_loading import _matrices
+
+    scene["sensor"]["film"] |= {"width": size, "height": size}
+    return mi.load_dict(_matrices(mi, scene), parallel=False)
+
+
+def box(seed: int) -> dict[str, Any]:
+    return random_scene(seed)
+
+
+def pictures(mi: Any, scene: Any, kind: str, spp: int = SPP, **more: Any) -> np.ndarray[Any, Any]:
+    """Several pictures, [runs, rows, columns, 3], in double precision."""
+    integrator = mi.load_dict({"type": kind, "max_depth": 5, **more})
+    first = 100 if kind == "path" else 0
+    made = [mi.render(scene, integrator=integrator, spp=spp, seed=first + seed) for seed in range(RUNS)]
+    return np.stack([np.array(each, np.float64)[..., :3] for each in made])
+
+
+def deviation(first: np.ndarray[Any, Any], second: np.ndarray[Any, Any]) -> float:
+    """The difference of two means over runs, in standard errors."""
+    means = first.mean((1, 2, 3)), second.mean((1, 2, 3))
+    error = math.sqrt(sum(each.var(ddof=1) for each in means) / RUNS)
+    assert error < 0.03 * means[1].mean()  # or it would say little
+    return float((means[0].mean() - means[1].mean()) / error)
+
+
+@pytest.fixture(autouse=True)
+def always_guided(monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest) -> None:
+    """Small pictures have few blocks to compare noise in."""
+    if "guard" not in request.node.name:
+        from metapp.rendering import guided_picture
+
+        monkeypatch.setattr(guided_picture, "PAYS", (math.inf, math.inf))
+
+
+@pytest.mark.parametrize("joins", [True, False])
+def test_the_mean_is_that_of_path_in_a_box(mi: Any, joins: bool) -> None:
+    scene = loaded(mi, box(1))  # has glass and metal
+    guided, plain = pictures(mi, scene, "guided_path", emitter_sampling=joins), pictures(mi, scene, "path")
+    assert abs(deviation(guided[:, SIZE // 2 :], plain[:, SIZE // 2 :])) < 3
+    assert abs(deviation(guided, plain)) < 3
+
+
+@pytest.mark.parametrize("lamp", LAMPS)
+def test_the_mean_is_that_of_path_for_all_materials_in_all_lights(mi: Any, lamp: str) -> None:
+    scene = zoo()
+    for other in set(LAMPS) - {lamp}:
+        del scene[other]
+    scene = loaded(mi, scene)
+    assert abs(deviation(pictures(mi, scene, "guided_path"), pictures(mi, scene, "path"))) < 3
+
+
+def test_a_cache_that_is_wrong_about_itself_is_found_out(mi: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    from metapp.rendering.guide_cache import GuideCache
+
+    draw = GuideCache.draw
+
+    def bright(*arguments: Any) -> tuple[Any, Any, Any]:
+        cell, local, density = draw(*arguments)
+        return cell, local, 0.8 * density
+
+    monkeypatch.setattr(GuideCache, "draw", bright)
+    scene = loaded(mi, box(1))
+    assert abs(deviation(pictures(mi, scene, "guided_path"), pictures(mi, scene, "path"))) > 5
+
+
+@pytest.mark.parametrize(("joins", "at_most"), [(True, 0.85), (False, 0.6)])
+def test_there_is_less_noise(mi: Any, monkeypatch: pytest.MonkeyPatch, joins: bool, at_most: float) -> None:
+    scene, noise = loaded(mi, box(101), 64), []
+    integrator = mi.load_dict({"type": "guided_path", "emitter_sampling": joins, "max_depth": 5})
+    for fewest in (16, 1000):  # samples below which nothing is learned
+        monkeypatch.setattr("metapp.rendering.guided_picture.FEWEST", fewest)
+        made = [np.array(mi.render(scene, integrator=integrator, spp=256, seed=seed)) for seed in (1, 2)]
+        noise.append(np.mean(np.abs(made[0] - made[1]) / (made[0] + made[1] + 1e-2)))
+    assert noise[0] < at_most * noise[1]
+
+
+def test_a_seed_says_what_a_picture_is(mi: Any) -> None:
+    scene = loaded(mi, box(1))
+    guided = mi.load_dict({"type": "guided_path", "max_depth": 4})
+    first, again, other = (np.array(mi.render(scene, integrator=guided, spp=32, seed=seed)) for seed in (3, 3, 4))
+    assert np.allclose(first, again, rtol=1e-5)
+    assert not np.allclose(first, other, rtol=1e-2)
+
+
+def test_it_works_from_xml_in_films_of_any_size(mi: Any) -> None:
+    scene = mi.load_string("""<scene version="3.0.0">
+      <integrator type="guided_path"><integer name="max_depth" value="4"/></integrator>
+      <sensor type="perspective"><float name="fov" value="40"/>
+        <transform name="to_world"><lookat origin="0,0,4" target="0,0,0" up="0,1,0"/></transform>
+        <sampler type="multijitter"><integer name="sample_count" value="36"/></sampler>
+        <film type="hdrfilm"><string name="pixel_format" value="rgba"/>
+          <integer name="width" value="33"/><integer name="height" value="18"/>
+          <integer name="crop_offset_x" value="2"/><integer name="crop_width" value="21"/></film>
+      </sensor>
+      <shape type="sphere"><bsdf type="diffuse"/></shape>
+      <emitter type="constant"/>
+    </scene>""")
+    picture = np.array(mi.render(scene))
+    assert picture.shape == (18, 21, 4)
+    plain = np.array(mi.render(scene, integrator=mi.load_dict({"type": "path", "max_depth": 4}), spp=400))
+    assert np.abs(picture - plain).mean() < 0.02
+    assert np.array(scene.sensors()[0].film().bitmap()).shape == (18, 21, 4)
+
+
+@pytest.mark.parametrize(
+    ("more", "spp", "why"),
+    [
+        ({"max_depth": 2}, 32, "direct light alone"),
+        ({"hide_emitters": True}, 32, "hide_emitters"),
+        ({}, 4, "4 samples a pixel, expected 16 or more"),
+    ],
+)
+def test_where_it_cannot_help_path_renders_and_it_says_so_once(mi: Any, more: Any, spp: int, why: str) -> None:
+    scene = loaded(mi, box(1))
+    guided, plain = (mi.load_dict({"type": kind, **more}) for kind in ("guided_path", "path"))
+    with pytest.warns(UserWarning, match=f"guided_path: .*{why}.*; rendered by path"):
+        found = mi.render(scene, integrator=guided, spp=spp, seed=1)
+    assert np.array_equal(np.array(found), np.array(mi.render(scene, integrator=plain, spp=spp, seed=1)))
+    mi.render(scene, integrator=guided, spp=spp, seed=1)  # a second warning would be an error
+
+
+def test_within_another_integrator_it_is_path(mi: Any) -> None:
+    scene = loaded(mi, box(1))
+    both = mi.load_dict({"type": "aov", "aovs": "d:depth", "own": {"type": "guided_path", "max_depth": 4}})
+    with pytest.warns(UserWarning, match="another integrator"):
+        assert np.isfinite(np.array(mi.render(scene, integrator=both, spp=16))).all()
+
+
+def test_properties_that_exclude_each_other_are_refused(mi: Any) -> None:
+    with pytest.raises(Exception, match="hide_emitters without emitter_sampling"):
+        mi.load_dict({"type": "guided_path", "hide_emitters": True, "emitter_sampling": False})
+
+
+@pytest.mark.parametrize(("spp", "pixels"), [(16, 16), (17, 65536), (64, 4096), (1000, 65536), (4096, 2**20)])
+def test_the_parts_are_the_picture(mi: Any, spp: int, pixels: int) -> None:
+    from metapp.rendering.guided_picture import parts_of
+
+    *learned, last = parts_of(spp, pixels)
+    assert sum(part.spp for part in (*learned, last)) == spp
+    assert all(part.learns for part in learned)
+    assert not last.learns
+    assert last.spp > spp / 2
+    assert learned[0].spp <= max(2, spp / 10)
+    assert all(after.spp == 2 * before.spp for before, after in itertools.pairwise(learned))
+
+
+def test_noise_is_how_far_two_halves_differ(mi: Any) -> None:
+    from metapp.rendering.guided_picture import noise_of
+
+    rng = np.random.default_rng(0)
+    spread = 0.1
+    samples = (1 + spread * rng.standard_normal((64, 64, 8))).astype(np.float32)
+    expected = spread / math.sqrt(16 * 4) * math.sqrt(2) * math.sqrt(2 / math.pi) / 2
+    assert noise_of(samples, 4) == pytest.approx(expected, rel=0.1)
+    assert noise_of(7 * samples, 4) == pytest.approx(noise_of(samples, 4), rel=1e-4)
+    assert noise_of(np.zeros((8, 8, 8)), 4) == 0
+
+
+def test_the_guard_leaves_a_guide_that_does_not_pay(mi: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    from metapp.rendering.guide_cache import GuideCache
+
+    def wrong(cache: GuideCache) -> int:  # whatever is learned, all paths but the fewest go one way
+        import drjit as dr
+
+        from metapp.rendering.guide_cache import CELLS, PLACES, SHARE, SLOTS
+
+        slot = dr.arange(mi.UInt32, PLACES * SLOTS) % SLOTS
+        own = dr.select(slot % CELLS == 5, 1 + (SHARE - 1) * CELLS, 1)
+        cache.slots = dr.select(slot < CELLS, slot | (own << 16), 5 | ((1 + (SHARE - 1) * CELLS) << 16))
+        return 1
+
+    monkeypatch.setattr(GuideCache, "learn", wrong)
+    scene = loaded(mi, box(2), 32)
+    guided = mi.load_dict({"type": "guided_path", "max_depth": 5})
+    with pytest.warns(UserWarning, match="does not pay"):
+        mi.render(scene, integrator=guided, spp=SPP)
