@@ -1,0 +1,114 @@
+"""Time and memory of a fit against its size; `make bench-size` runs it.
+
+Ten steps of Adam from a random initialisation, one thread, each size in a process of its own: CPU seconds of the steps,
+and by how much input, features and steps raise the process's peak memory. Exponents are of least squares on logarithms:
+1 is linear in texels.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import resource
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from typing import Any
+
+import torch
+from torch import Generator
+
+from metapp.apps import load_app
+from metapp.learning.app import App, stack
+from metapp.learning.learn import learn, task_loss
+from metapp.learning.recipe import Adam
+from metapp.learning.rules import fixed_adam
+from metapp.learning.task import Task
+
+STEPS = 10
+SIZES = {
+    "texture": (128, 256, 512),
+    "svbrdf_stationary": (128, 256, 512),
+    "svbrdf_nonstationary": (64, 128, 256, 512),
+    "illumination": (32, 64, 128, 256),
+}
+
+
+def at_size(name: str, side: int) -> App:
+    """An application by its recipe full, at another size."""
+    app = load_app(name)
+    setup = app.at(app.recipes["full"]).setup  # type: ignore[attr-defined]
+    if name == "illumination":
+        setup = replace(
+            setup, field=setup.field._replace(height=side, width=2 * side, rows=side // 4, columns=side // 2)
+        )
+    elif name == "svbrdf_nonstationary":
+        setup = replace(setup, field=setup.field._replace(height=side, width=side, rows=side, columns=side))
+    else:
+        # from the beginning at all octaves, as the last steps of a fit are
+        setup = replace(setup, height=side, width=side, shares=())
+    return type(app)(setup, app.protocol) if app.protocol else type(app)(setup)  # type: ignore[call-arg]
+
+
+def noise(name: str, side: int) -> Task:
+    """An input of that size; what it shows does not matter to the cost."""
+    rng = Generator().manual_seed(0)
+
+    def uniform(*shape: int) -> Any:
+        return torch.rand(*shape, generator=rng)
+
+    photo = (255 * uniform(3, side, side)).to(torch.uint8)
+    if name == "illumination":
+        photos = (255 * uniform(4, 3, 64, 64)).to(torch.uint8)
+        return Task("noise", {"map": uniform(3, side, 2 * side), "photos": photos})
+    if name == "svbrdf_nonstationary":
+        maps = uniform(10, side, side)
+        maps[:3] = torch.tensor([0.0, 0.0, 1.0])[:, None, None]
+        return Task("noise", {"photo": photo, "maps": maps})
+    return Task("noise", {"image": photo})
+
+
+def measure(name: str, side: int) -> dict[str, float]:
+    """CPU seconds of a step and megabytes, of one size in this process."""
+    torch.set_num_threads(1)
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    app, rng = at_size(name, side), Generator().manual_seed(0)
+    tasks, loss = stack(app, [noise(name, side)]), task_loss(app, 1)
+    theta = app.init(rng, 1)
+    app.loss(theta, app.sample(tasks, rng, 1), {})  # what is computed once for a size
+    begin = time.process_time()
+    learn(theta, fixed_adam(Adam(1e-3), theta, STEPS), tasks, loss, steps=STEPS, rng=rng)
+    seconds = (time.process_time() - begin) / STEPS
+    return {"seconds": seconds, "megabytes": (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) / 1024}
+
+
+def exponent(sizes: list[int], values: list[float]) -> float:
+    """Of the power of the number of texels that values grow with."""
+    x = [2 * math.log(size) for size in sizes]
+    y = [math.log(max(value, 1e-3)) for value in values]
+    mean_x, mean_y = sum(x) / len(x), sum(y) / len(y)
+    products = sum((a - mean_x) * (b - mean_y) for a, b in zip(x, y, strict=True))
+    return products / sum((a - mean_x) ** 2 for a in x)
+
+
+def main() -> None:
+    """Print the table."""
+    print("| application | side | ms a step | MB | exponents of time and memory |\n|---|---|---|---|---|")
+    for name, sizes in SIZES.items():
+        found = []
+        for side in sizes:
+            words = [sys.executable, "-m", "tests.benchmarks.bench_size", name, str(side)]
+            done = subprocess.run(words, check=True, capture_output=True, text=True)
+            found.append(json.loads(done.stdout.splitlines()[-1]))
+        powers = [exponent(list(sizes), [each[key] for each in found]) for key in ("seconds", "megabytes")]
+        for side, each in zip(sizes, found, strict=True):
+            said = " and ".join(f"{power:.2f}" for power in powers) if side == sizes[-1] else ""
+            print(f"| {name} | {side} | {1e3 * each['seconds']:.0f} | {each['megabytes']:.0f} | {said} |", flush=True)
+
+
+if __name__ == "__main__":
+    if len(sys.argv) > 1:
+        print(json.dumps(measure(sys.argv[1], int(sys.argv[2]))))
+    else:
+        main()
