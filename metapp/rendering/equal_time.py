@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import time
+import warnings
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -107,5 +108,7 @@ def regular_picture(mi: Any, scene: Any, seconds: float, spp: int, depth: int, s
 
 def rendered(mi: Any, scene: Any, integrator: Any, spp: int, seed: int, sensor: Any = 0) -> Tensor:
     """A picture by any integrator, linear RGB [rows, columns, 3]."""
-    made = mi.render(scene, sensor=sensor, integrator=integrator, spp=spp, seed=seed)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # where there is no guide: `spent` of a guided picture tells
+        made = mi.render(scene, sensor=sensor, integrator=integrator, spp=spp, seed=seed)
     return torch.from_numpy(made.numpy())[..., :3].clone()

@@ -83,7 +83,7 @@ def plugin() -> Any:
                 self.spent = picture.spent
                 film.put_block(picture.block)
                 if not picture.pays:
-                    _say("what was learned does not pay in a scene, whose picture is from then on")
+                    _say("what was learned of a scene does not lower the noise enough")
                 return film.develop() if develop else mi.TensorXf()
 
         def sample(self, scene: Any, sampler: Any, ray: Any, medium: Any = None, active: Any = True) -> Any:

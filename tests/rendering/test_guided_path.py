@@ -218,5 +218,5 @@ def test_the_guard_leaves_a_guide_that_does_not_pay(mi: Any, monkeypatch: pytest
     monkeypatch.setattr(GuideCache, "learn", wrong)
     scene = loaded(mi, box(2), 32)
     guided = mi.load_dict({"type": "guided_path", "max_depth": 5})
-    with pytest.warns(UserWarning, match="does not pay"):
+    with pytest.warns(UserWarning, match="does not lower the noise enough"):
         mi.render(scene, integrator=guided, spp=SPP)
