@@ -111,3 +111,17 @@ def test_mitsuba_scene(neural_fits: Callable[[int], Path], tmp_path: Path) -> No
     floor, ball = picture[44, 24, :3], picture[20, 24, :3]
     assert floor[0] > 1.5 * floor[1]
     assert abs(ball - floor).max() > 0.1
+
+
+@needs_mitsuba
+def test_ball_to_hdr(tmp_path: Path) -> None:
+    across = np.linspace(-1, 1, 64, dtype=np.float32)
+    x, y = np.meshgrid(across, across)
+    shade = np.where(x * x + y * y < 1, 0.4 - 0.3 * y, 0)  # lit from above
+    pixels = np.ascontiguousarray(np.repeat(shade[..., None], 3, 2).astype(np.float32))
+    assert oiio.ImageBuf(pixels).write(str(tmp_path / "ball.png"), "uint8")
+    said = run("ball_to_hdr.py", tmp_path / "ball.png", tmp_path / "map.exr")
+    assert said.startswith("ball: 256 x 128 texels, fitted in ")
+    made = oiio.ImageBuf(str(tmp_path / "map.exr")).get_pixels(oiio.FLOAT)
+    assert made.shape == (128, 256, 3)
+    assert made[:64].mean() > made[64:].mean() > 0

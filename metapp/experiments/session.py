@@ -84,7 +84,8 @@ def options_of(
         recipe = FULL if own and FULL in app.recipes and _has_own(app, own_files_by) else QUICK
     check_protocol(observe, app)
     check_recipe(recipe, app)
-    placed = app.at(app.recipes[recipe], observe)
+    recipes = app.at(app.recipes[recipe], observe).recipes  # those of the protocol
+    placed = app.at(recipes[recipe], observe)
     chosen = check_rule(rule, placed, recipe)
     found, seconds = find_device(device, placed), seconds_of(budget)
     return Options(placed, recipe, chosen, steps, data, out, checkpoint, seed, found, quiet, seconds, watch)

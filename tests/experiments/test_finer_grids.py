@@ -40,3 +40,9 @@ def test_another_number_of_channels_is_refused(tmp_path: Path) -> None:
     options = options_of("illumination", recipe="full", out=tmp_path, checkpoint=tmp_path / "bad.safetensors")
     with pytest.raises(ValueError, match=r"alpha rate.z is \(steps, 7, 16, 32\), expected \(steps, 8, 32, 64\)"):
         find_checkpoint(options, paradigms()["meta"])
+
+
+@pytest.mark.parametrize(("name", "observe"), APPS)
+def test_recipes_are_those_of_the_protocol(name: str, observe: str) -> None:
+    options = options_of(name, observe=observe, recipe="full")
+    assert options.app.setup == options.job.recipe.setup

@@ -117,7 +117,7 @@ RECIPES = {
             PAPER, overfit=QUICK_PHOTO.overfit, finetune=QUICK_PHOTO.finetune, quickft=QUICK_PHOTO.quickft
         ),
         "quick": QUICK_PHOTO,
-        "full": replace(QUICK_PHOTO, setup=Setup(LocalField(64, 128))),
+        "full": replace(QUICK_PHOTO, setup=FULL.setup),
     },
 }
 

@@ -1,0 +1,20 @@
+"""From one LDR photo of a sphere to an HDR environment map: ball_to_hdr.py PHOTO MAP.exr
+
+PHOTO's central square is the sphere, of any diffuse or glossy material. The map is lat-long, linear Rec.709; a photo
+does not say how bright its light was, so the map has mean luminance 1.
+"""
+
+import sys
+from pathlib import Path
+
+import metapp
+from metapp.storage.images import write_exr
+
+photo, target = map(Path, sys.argv[1:])
+fit = metapp.fit("illumination", photo, observe="photo")
+radiance = fit.app.answer({key: value[None] for key, value in fit.parameters.items()})[0].permute(1, 2, 0)
+write_exr(radiance, target)
+height, width, _ = radiance.shape
+row, column = divmod(int(radiance.sum(2).argmax()), width)
+print(f"{fit.name}: {width} x {height} texels, fitted in {fit.seconds:.2f} s")
+print(f"brightest: {float(radiance.max()):.1f} times the mean, {90 - 180 * (row + 0.5) / height:.0f} degrees up")
