@@ -16,7 +16,7 @@ from torch import Generator, Tensor
 from metapp.learning.adjoint import Drawn, Loss, UpdateRule, at_step, learn_through, step_pair
 from metapp.learning.app import App
 from metapp.learning.draws import Rng, drawn
-from metapp.learning.flat import no_fused
+from metapp.learning.flat import FusedLoss, no_fused
 from metapp.learning.fused import flat_value, fuse
 from metapp.learning.task import Params, Tasks
 
@@ -142,7 +142,13 @@ def _loss_of(app: App, value: Callable[[Params, Any, Params], Tensor], sample: D
     def draw(tasks: Tasks, rng: Rng) -> Drawn:
         return Drawn(tasks.picked_names(), drawn(lambda some, own: sample(some, own, batch), tasks, rng))
 
-    return Loss(draw, value, linear=app.linear, stage=app.stage, fused=app.fused)
+    return Loss(draw, value, linear=app.linear, stage=app.stage, fused=_fused_of(app))
+
+
+def _fused_of(app: App) -> Callable[[Params], FusedLoss | None]:
+    """The application's loss in C; none where a subclass or the object itself has another loss than that is of."""
+    of = {name: next(i for i, each in enumerate(type(app).__mro__) if name in vars(each)) for name in ("loss", "fused")}
+    return no_fused if "loss" in vars(app) or of["loss"] < of["fused"] else app.fused
 
 
 def task_outer_loss(app: App, batch: int) -> Loss:

@@ -32,7 +32,7 @@ def test_recipes_of_another_size_ship_only_where_they_have_a_folder() -> None:
         if FULL in app.recipes:
             same = app.recipes[FULL].setup == app.recipes["quick"].setup
             assert ships(app, FULL) == (same or name in NAMES)
-    assert NAMES == ["illumination", "svbrdf_nonstationary", "svbrdf_stationary", "texture"]
+    assert NAMES == ["illumination", "svbrdf_nonstationary", "texture"]
 
 
 @pytest.mark.parametrize("name", NAMES)

@@ -17,7 +17,7 @@ from safetensors.torch import load_file, save_file
 
 from metapp.apps.brdf import APP
 from metapp.cli.console import LONGEST, one_line
-from metapp.experiments.fits import warning_of
+from metapp.experiments.fits import warnings_of
 from metapp.experiments.session import Checkpoint
 from metapp.learning.app import stack
 from metapp.learning.learn import MetaParameters
@@ -313,6 +313,6 @@ def test_a_fit_that_gets_better_is_not_warned_of(network: Path, rng: torch.Gener
         return torch.Generator().manual_seed(1)
 
     theta = paradigm.fit(job, start.prepared, stacked, draws())
-    assert warning_of(paradigm, job, start, stacked, theta, draws()) == {}
+    assert warnings_of(paradigm, job, start, stacked, theta, draws()) == [""]
     none = job._replace(steps=0)
-    assert warning_of(paradigm, none, start, stacked, theta, draws()) == {}
+    assert warnings_of(paradigm, none, start, stacked, theta, draws()) == [""]

@@ -63,7 +63,7 @@ def test_options(metapp: Callable, tmp_path: Path) -> None:
     assert [entry.split for entry in read_manifest(tmp_path / "one").tasks] == ["test"]
     assert metapp("data", "laval", path, "--out", tmp_path / "two", "--split", "test").code == 0
     assert fingerprint(tmp_path / "one") == fingerprint(tmp_path / "two")
-    for arguments in (("--split", "some"), ("--size", "64")):
+    for arguments in (("--split", "some"), ("--size", "8"), ("--rows", "64")):
         assert metapp("data", "laval", path, "--out", tmp_path / "new", *arguments).code == 2
     assert not (tmp_path / "new").exists()
 

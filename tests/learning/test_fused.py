@@ -181,7 +181,7 @@ def test_fits_are_those_of_torch(name: str, tasks: int) -> None:
         assert (fuse(rule, loss, theta) is not None) is in_c
 
         def watch(step: int, now: Params, value: Tensor, kept: list[Tensor] = seen[in_c]) -> None:
-            kept.append(torch.cat([value[:, None], *(each.flatten(1) for each in now.values())], 1))
+            kept.append(torch.cat([value[:, None], *(now[key].flatten(1) for key in sorted(now))], 1))
 
         fits[in_c] = learn(theta, rule, None, loss, steps=STEPS, rng=rng, watch=watch)
     for here, there in zip(seen[True], seen[False], strict=True):
