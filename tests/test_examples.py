@@ -114,6 +114,7 @@ def test_mitsuba_scene(neural_fits: Callable[[int], Path], tmp_path: Path) -> No
 
 
 @needs_mitsuba
+@pytest.mark.slow
 def test_ball_to_hdr(tmp_path: Path) -> None:
     across = np.linspace(-1, 1, 64, dtype=np.float32)
     x, y = np.meshgrid(across, across)
