@@ -208,9 +208,7 @@ def make_command(name: str, summary: str) -> Any:
     return command
 
 
-def fit(
-    options: Options, name: str, inputs: list[Path], told: dict[str, Any], *, render: int | None, json: bool
-) -> None:
+def fit(options: Options, name: str, inputs: list[Path], told: dict[str, Any], *, render: int, json: bool) -> None:
     """Fit inputs one by one and show what came of it; of scenes also pictures of so many px."""
     from metapp.experiments.pictures import write_renders
     from metapp.experiments.run import run

@@ -64,6 +64,15 @@ def tasks_to_fit(
         tasks = distinct([task for path in inputs for task in read_input(app, path, reading)])
         more = f"-and-{len(tasks) - 1}-more" if len(tasks) > 1 else ""
         return tasks, f"{file_name(tasks[0].name)[:40]}{more}-{_content(tasks)}"
+    return tasks_of_data(app, data, quiet)
+
+
+def tasks_of_data(app: App, data: Path | None, quiet: bool) -> tuple[list[Task], str]:
+    """The test tasks of a data set, None for the embedded one, and its name in run folders.
+
+    Raises:
+        ValueError: it has none.
+    """
     folder = data_folder(app, data, quiet)
     tasks = read_shard(folder, "test", app.name, app.holds)
     if not tasks:

@@ -11,12 +11,11 @@ from pathlib import Path
 from typing import NamedTuple
 
 from metapp.experiments import BadOption
-from metapp.experiments.inputs import AS_FILES_SAY, Reading, data_folder, data_label, distinct, readers_of
+from metapp.experiments.inputs import AS_FILES_SAY, Reading, readers_of, tasks_of_data
 from metapp.experiments.reporter import say
 from metapp.learning.app import App
 from metapp.learning.task import Task
 from metapp.storage.records import file_name, safe_name
-from metapp.storage.shards import read_shard
 
 
 class Source(NamedTuple):
@@ -85,11 +84,8 @@ def sources_of(
         ValueError: a path that is missing or no input of the application; no test task.
     """
     if not inputs:
-        folder = data_folder(app, data, quiet)
-        tasks = distinct(read_shard(folder, "test", app.name, app.holds))
-        if not tasks:
-            raise ValueError(f"{folder}: 0 test tasks, expected some; convert the data again with --split test.")
-        return [Source(task.name, "", "", functools.partial(_same, task)) for task in tasks], data_label(folder)
+        tasks, label = tasks_of_data(app, data, quiet)
+        return [Source(task.name, "", "", functools.partial(_same, task)) for task in tasks], label
     found: dict[str, Callable[[], Task]] = {}
     for path in inputs:
         readers = readers_of(app, path, reading)

@@ -151,7 +151,7 @@ class _Step:
 
     def __init__(self, layout: Layout, loss: FusedLoss, order: int) -> None:
         self.loss, self.order = loss, order
-        self.library: Any = _library()
+        self.functions: Any = _library()
         pairs = [
             (*_matrix(shape), shape[0] > 1, shape[1] > 1) if len(shape) == 2 else (1, math.prod(shape), False, False)
             for _, shape in layout.shapes
@@ -167,7 +167,7 @@ class _Step:
         grads, losses = self.loss.gradient(flat, batch, _learned(alpha))
         moved, after = torch.empty_like(flat), {key: torch.empty_like(value) for key, value in state.items()}
         tree = _alpha(alpha)
-        self.library.step(
+        self.functions.step(
             flat.shape[0], *self.shapes, ctypes.byref(tree), flat.data_ptr(), grads.data_ptr(), _state(state),
             moved.data_ptr(), _state(after),
         )  # fmt: skip
@@ -181,7 +181,7 @@ class _Step:
         by_grads, by_state = torch.empty_like(grads), {key: torch.empty_like(value) for key, value in state.items()}
         sizes = {key: alpha[key].shape[-1] for key in ("adam", "matrices") if key in alpha} | {"rate": grads.shape[1]}
         pulled: Params = {key: grads.new_empty(grads.shape[0], size) for key, size in sizes.items()}
-        self.library.step_back(
+        self.functions.step_back(
             grads.shape[0], *self.shapes, ctypes.byref(tree), grads.data_ptr(),
             _state(state), pull.data_ptr(), _state(pull_state), by_grads.data_ptr(), _state(by_state),
             _reference(_Pulled, pulled),
