@@ -1,8 +1,8 @@
 """The default set of stationary svBRDFs: procedural materials, each in one photograph under the flash of a phone.
 
 Families take turns, so any count of 16 or more holds them all; every draw is another material. Training and test draws
-come from other random streams. A training task holds what a real photograph's would, the picture alone; a test task
-also the same material under other lights, for judging.
+come from other random streams. A training task holds a photograph and, for the outer loss alone, statistics of the maps
+behind it; a test task also the same material under other lights, for judging.
 """
 
 from __future__ import annotations
@@ -12,24 +12,28 @@ from collections.abc import Iterator
 import numpy as np
 import torch
 from torch import Tensor
+from torch.nn.functional import adaptive_avg_pool2d
 
 from data_tools.draws import Rng, between, log_between, uniforms
 from data_tools.readers.flash import UNITS as OF_PHOTOS
 from data_tools.synthetic.stationary import families as procedural
 from data_tools.synthetic.stationary.families import FAMILIES, Split, turns
-from metapp.appearance.flash import Maps, camera, expose, normal_from_height, positions, relightings, render
+from metapp.appearance.flash import Maps, camera, expose, normal_from_height, positions, relightings, render, statistics
 from metapp.learning.task import Task
 
 COUNTS: dict[Split, int] = {"train": 120, "test": 16}
 UNITS = {
     **OF_PHOTOS,
     "relit": "photographs under other lights, sRGB display values 0..255, [3, 3, S, S]; test tasks only",
+    "truth": "statistics of the maps under the photo's exposure, at 256, 128 and 64 px, float32 [3, 2, 6] as of "
+    "metapp.appearance.flash.statistics; training tasks only",
 }
 
 # Flat enough to be maps on a plane: without loose grass, leaves, and what is mostly print.
 FLAT = tuple(name for name in FAMILIES if name not in ("grass", "foliage", "stripes", "camouflage"))
 
 SIZE = 256  # px a side
+JUDGED_AT = (256, 128, 64)
 _STREAM = 1  # other materials than those of the textures
 
 
@@ -44,20 +48,19 @@ def synthetic_tasks(split: Split, count: int, seed: int = 0, size: int = SIZE) -
 
     Returns:
         Tasks with unique names such as "bricks-016" ("bricks-t000" in the test split) and `image`, uint8
-        [3, 256, 256], sRGB; in the test split also `relit`, uint8 [3, 3, 256, 256], the same material and exposure
+        [3, 256, 256], sRGB; in the training split also `truth`, float32 [3, 2, 6], in the test split `relit`, uint8 [3, 3, 256, 256], the same material and exposure
         under `metapp.appearance.flash.relightings`.
 
     Raises:
         ValueError: for another split, or a negative count or seed.
     """
     for family, name, rng in turns("svBRDFs", FLAT, COUNTS, split, count, seed, _STREAM):
-        image, relit = flash_photographs(FAMILIES[family](rng, size), rng)
-        data = {"image": image} | ({"relit": relit} if split == "test" else {})
-        yield Task(name, data)
+        image, relit, truth = flash_photographs(FAMILIES[family](rng, size), rng)
+        yield Task(name, {"image": image} | ({"relit": relit} if split == "test" else {"truth": truth}))
 
 
 @torch.no_grad()
-def flash_photographs(maps: procedural.Maps, rng: Rng) -> tuple[Tensor, Tensor]:
+def flash_photographs(maps: procedural.Maps, rng: Rng) -> tuple[Tensor, Tensor, Tensor]:
     """A photograph of a material by a phone held straight above it, its flash beside the lens, and relightings.
 
     Args:
@@ -66,7 +69,8 @@ def flash_photographs(maps: procedural.Maps, rng: Rng) -> tuple[Tensor, Tensor]:
 
     Returns:
         uint8 [3, S, S], gamma-encoded (2.2): the highlight is about to clip, the rest neither black nor white. And
-        uint8 [3, 3, S, S], the same exposure without noise under `metapp.appearance.flash.relightings`.
+        uint8 [3, 3, S, S], the same exposure without noise under `metapp.appearance.flash.relightings`. And
+        float32 [3, 2, 6], see `UNITS`.
     """
     diffuse, specular, roughness, height = (torch.from_numpy(each) for each in maps)
     size = height.shape[-1]
@@ -86,4 +90,13 @@ def flash_photographs(maps: procedural.Maps, rng: Rng) -> tuple[Tensor, Tensor]:
     noisy = exposed + normal * (noise**2 * exposed + (0.15 * noise) ** 2).sqrt()
     moved = [render(surface, place, *lit, falloff=falloff) * exposure for lit in relightings().values()]
     photo, relit = ((expose(each) * 255).round().to(torch.uint8) for each in (noisy, torch.stack(moved)))
-    return photo, relit
+    return photo, relit, _statistics(surface, exposure)
+
+
+def _statistics(surface: Maps, exposure: float) -> Tensor:
+    """Statistics [3, 2, 6] at 256, 128 and 64 px of the maps that make the same picture at exposure 1."""
+    lit = surface._replace(
+        diffuse=(surface.diffuse * exposure).clamp(0, 1), specular=(surface.specular * exposure).clamp(0, 1)
+    )
+    smaller = (Maps(*(adaptive_avg_pool2d(each, size) for each in lit)) for size in JUDGED_AT)
+    return torch.stack([statistics(each) for each in smaller])

@@ -58,6 +58,23 @@ def unpack(maps: Tensor) -> Maps:
     return Maps(diffuse, specular, roughness, normal)
 
 
+def statistics(maps: Maps) -> Tensor:
+    """What a material's maps are like, without places.
+
+    Args:
+        maps: [B, C, H, W] each; one specular channel, or three of which the mean counts.
+
+    Returns:
+        Means and standard deviations over the patch, [B, 2, 6], of diffuse red, green and blue and of specular, each as
+        a display of gamma 2.2 shows it, of roughness, and of the sine of the angle between normal and patch normal.
+    """
+    specular = maps.specular.mean(-3, keepdim=True)
+    shown = torch.cat([maps.diffuse, specular], -3).clamp(1e-4, 1) ** (1 / 2.2)
+    tilt = (maps.normal[..., :2, :, :].square().sum(-3, keepdim=True) + 1e-6).sqrt()
+    each = torch.cat([shown, maps.roughness, tilt], -3).flatten(-2)
+    return torch.stack([each.mean(-1), (each.var(-1, unbiased=False) + 1e-8).sqrt()], -2)
+
+
 def camera_distance(fov_rad: float = FOV_RAD) -> float:
     """Height from which a camera of this field of view (rad, along the shorter side) sees exactly the patch."""
     return 1 / math.tan(fov_rad / 2)

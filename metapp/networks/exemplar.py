@@ -211,7 +211,11 @@ class ExemplarApp(App):
         channels = torch.rand(count, 3, generator=rng, device=device).argsort(1)[..., None, None]
         images = torch.cat(exemplars)
         images = images.gather(1, channels.expand(images.shape))
-        return tasks.variants(self.describe(images, octave))
+        return tasks.variants(self.describe(images, octave) | self.carried(tasks, channels[..., 0, 0]))
+
+    def carried(self, tasks: Tasks, channels: Tensor) -> dict[str, Tensor]:
+        """What else is known of these exemplars, once their channels are those [T, 3] of before."""
+        return {}
 
     @torch.no_grad()
     def errors(self, theta: Params, tasks: Tasks) -> dict[str, Tensor]:

@@ -19,6 +19,7 @@ from metapp.appearance.flash import (
     positions,
     relightings,
     render,
+    statistics,
 )
 from metapp.learning.recipe import AS_PUBLISHED, Adam, MetaTraining, OuterLoop, Recipe
 from metapp.learning.task import Batch, Held, Params, Task, Tasks
@@ -30,7 +31,9 @@ DRAWN = 3
 POOLED = 8
 SPECTRUM = 0.3  # the spectra's weight in the loss
 RINGS = ((0.0, 0.2), (0.2, 0.8), (0.8, 3.0))  # squared distances from the centre, of half the photo's side
-LIKELY = 0.05  # weight in the outer loss of how far specular and roughness are from most materials'
+TRUTH = 2.0  # weight in the outer loss of how far the maps' statistics are from the truth's
+LIKELY = 0.05  # the same where the truth is unknown, of how far specular and roughness are from most materials'
+WIDEST = 256  # of the pictures that the truth's statistics are known at; then halves
 RELIEF = 1 / 32  # widths of the photo a unit of the network's output, as height
 FALLOFF = 1.0
 LEARNED = MetaTraining(
@@ -95,6 +98,7 @@ class SvbrdfStationary(ExemplarApp):
     holds = {  # noqa: RUF012  (never written to)
         "image": Held((3, "S", "S"), "uint8"),
         "relit": Held((3, 3, "R", "R"), "uint8", optional=True),
+        "truth": Held((3, 2, 6), low=0, high=1, optional=True),
     }
     recipes = {"paper": PAPER, "quick": QUICK, "full": FULL}  # noqa: RUF012  (never written to)
 
@@ -127,8 +131,15 @@ class SvbrdfStationary(ExemplarApp):
         return len(RINGS) * super().summary_size()
 
     def prepare(self, task: Task) -> dict[str, Tensor]:
-        """As for all exemplars, and `relit` uint8 [3, 3, S, S] where the task has it."""
-        return super().prepare(task) | {key: task.data[key] for key in ("relit",) if key in task.data}
+        """As for all exemplars, and what the task has of `relit` uint8 [3, 3, S, S] and `truth` [3, 2, 6]."""
+        return super().prepare(task) | {key: task.data[key] for key in ("relit", "truth") if key in task.data}
+
+    def carried(self, tasks: Tasks, channels: Tensor) -> dict[str, Tensor]:
+        if "truth" not in tasks.data:
+            return {}
+        order = torch.cat([channels, torch.arange(3, 6, device=channels.device).expand(len(channels), -1)], 1)
+        truth = tasks.data["truth"][tasks.rows]
+        return {"truth": truth.gather(-1, order[:, None, None].expand(truth.shape))}
 
     def maps(self, theta: Params, noise: Tensor, octave: int = 0) -> tuple[Maps, Tensor]:
         """Maps of materials [T, B, ...] from noise [T, B, C, H, W], and their height [T, B, 1, H, W] in texels."""
@@ -152,7 +163,7 @@ class SvbrdfStationary(ExemplarApp):
 
     def _targets(self, tasks: Tasks, windows: Tensor) -> Batch:
         rows = tasks.rows
-        targets = {key: tasks.data[key][rows] for key in ("light", "pooled")}
+        targets = {key: tasks.data[key][rows] for key in ("light", "pooled", "truth") if key in tasks.data}
         for i in range(self.setup.maps_from(self.octave(tasks.data))):
             targets[f"spectrum{i}"] = tasks.data[f"spectrum{i}"][rows]
             targets[f"gram{i}"] = tasks.data[f"gram{i}"][rows[:, None], windows]
@@ -164,12 +175,18 @@ class SvbrdfStationary(ExemplarApp):
         return torch.stack(list(self._distances(maps, batch).values())).sum(0)
 
     def outer_loss(self, theta: Params, batch: Batch, learned: Params) -> Tensor:
-        """The same, and how unlikely the maps are, [T].
+        """The same, and how far the maps are from the truth, or how unlikely where that is unknown, [T].
 
-        Without it General comes to explain all photographs by one bright, rough, specular surface without colour.
+        Without it General comes to explain all photographs by one bright, rough, specular surface without colour: one
+        flash photo does not say what is diffuse, what specular and what relief.
         """
-        maps, _ = self.maps(theta, batch["noise"], self.octave(batch))
-        return torch.stack(list(self._distances(maps, batch).values())).sum(0) + LIKELY * _unlikely(maps)
+        octave = self.octave(batch)
+        maps, _ = self.maps(theta, batch["noise"], octave)
+        loss = torch.stack(list(self._distances(maps, batch).values())).sum(0)
+        if "truth" not in batch:
+            return loss + LIKELY * _unlikely(maps)
+        truth = batch["truth"][:, WIDEST.bit_length() - (self.setup.width >> octave).bit_length(), None]
+        return loss + TRUTH * (statistics(maps) - truth).abs().mean((1, 2, 3))
 
     def _distances(self, maps: Maps, batch: Batch) -> dict[str, Tensor]:
         return self._distances_of(self.photograph(maps, batch["light"][:, None], batch["light"][:, None]), batch)
