@@ -31,7 +31,8 @@ DRAWN = 3
 POOLED = 8
 SPECTRUM = 0.3  # the spectra's weight in the loss
 RINGS = ((0.0, 0.2), (0.2, 0.8), (0.8, 3.0))  # squared distances from the centre, of half the photo's side
-TRUTH = 2.0  # weight in the outer loss of how far the maps' statistics are from the truth's
+BRIGHTER = 2.0  # further weight in the outer loss of pooled pictures, which hold the shape of the highlight
+TRUTH = 3.0  # weight in the outer loss of how far the maps' statistics are from the truth's
 LIKELY = 0.05  # the same where the truth is unknown, of how far specular and roughness are from most materials'
 WIDEST = 256  # of the pictures that the truth's statistics are known at; then halves
 RELIEF = 1 / 32  # widths of the photo a unit of the network's output, as height
@@ -71,7 +72,6 @@ QUICK = Recipe(
     setup=Setup(64, 64, UNet(16, outputs=6), "vgg16", ("relu1_1", "relu2_1", "relu3_1")),
 )
 FULL = full_recipe(QUICK, found=Adam(2.9e-3, beta1=0.3, beta2=0.9, final=0.3), tasks=3)
-FULL = replace(FULL, general=replace(FULL.general, steps=1200, rates={"": 1e-3}, validate_every=200))
 
 # Fischer & Ritschel 2022, section 4.1.3 and supplement: 20 inner steps, first-order MAML with Meta-SGD, meta-batch 3,
 # a random start
@@ -182,7 +182,8 @@ class SvbrdfStationary(ExemplarApp):
         """
         octave = self.octave(batch)
         maps, _ = self.maps(theta, batch["noise"], octave)
-        loss = torch.stack(list(self._distances(maps, batch).values())).sum(0)
+        distances = self._distances(maps, batch)
+        loss = torch.stack(list(distances.values())).sum(0) + BRIGHTER * distances["pooled"]
         if "truth" not in batch:
             return loss + LIKELY * _unlikely(maps)
         truth = batch["truth"][:, WIDEST.bit_length() - (self.setup.width >> octave).bit_length(), None]
