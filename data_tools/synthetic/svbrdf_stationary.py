@@ -48,8 +48,8 @@ def synthetic_tasks(split: Split, count: int, seed: int = 0, size: int = SIZE) -
 
     Returns:
         Tasks with unique names such as "bricks-016" ("bricks-t000" in the test split) and `image`, uint8
-        [3, 256, 256], sRGB; in the training split also `truth`, float32 [3, 2, 6], in the test split `relit`, uint8 [3, 3, 256, 256], the same material and exposure
-        under `metapp.appearance.flash.relightings`.
+        [3, 256, 256], sRGB; in the training split also `truth`, float32 [3, 2, 6], in the test split `relit`, uint8
+        [3, 3, 256, 256], the same material and exposure under `metapp.appearance.flash.relightings`.
 
     Raises:
         ValueError: for another split, or a negative count or seed.

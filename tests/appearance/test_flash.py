@@ -20,6 +20,7 @@ from metapp.appearance.flash import (
     normal_from_height,
     positions,
     render,
+    statistics,
 )
 from metapp.appearance.geometry import rusinkiewicz_to_directions
 
@@ -81,6 +82,17 @@ def test_normals_of_a_slope(periodic: bool) -> None:
     expected = torch.tensor([-1.0, 0.5, 1.0], dtype=torch.float64) / 1.5
     inner = normal[:, 1:-1, 1:-1] if periodic else normal
     torch.testing.assert_close(inner, expected[:, None, None].expand_as(inner))
+
+
+def test_statistics_of_halves() -> None:
+    """Half of the patch bright, shiny and level, half dark, dull and tilted by 30 degrees."""
+    bright = flat(1.0, 1.0, 0.9)
+    dark = flat(0.25, 0.25, 0.5, normal=(0.0, -0.5, math.sqrt(0.75)))
+    found = statistics(Maps(*(torch.cat(pair, -1) for pair in zip(bright, dark, strict=True))))
+    low = 0.25 ** (1 / 2.2)
+    shown = ((1 + low) / 2, (1 - low) / 2)
+    expected = torch.tensor([[shown[0]] * 4 + [0.7, 0.25], [shown[1]] * 4 + [0.2, 0.25]], dtype=torch.float64)
+    torch.testing.assert_close(found, expected, rtol=0, atol=1e-3)
 
 
 def test_normals_of_waves_in_any_direction_are_those_of_the_derivative() -> None:

@@ -11,7 +11,7 @@ from torch import Generator, Tensor
 
 from metapp.appearance.colour import linear_to_srgb, srgb_to_linear
 from metapp.appearance.features import RANDOM
-from metapp.appearance.flash import Maps, camera, expose, normal_from_height, positions, relightings, render
+from metapp.appearance.flash import Maps, camera, expose, normal_from_height, positions, relightings, render, statistics
 from metapp.apps import svbrdf_stationary
 from metapp.apps.svbrdf_stationary import (
     APP,
@@ -22,6 +22,7 @@ from metapp.apps.svbrdf_stationary import (
     POOLED,
     QUICK,
     RELIEF,
+    TRUTH,
     SvbrdfStationary,
     _grams,
 )
@@ -410,6 +411,36 @@ def test_references_under_other_lights_are_compared_where_there_are_any(sources:
     assert other["relit"] > 0.1
     assert "relit" not in app.errors(theta, stack(app, sources[:1]))
     assert "relit" not in app.augment(stack(app, [task]), seeded()).data
+
+
+def test_the_outer_loss_knows_the_truth_where_a_task_has_it(sources: list[Task]) -> None:
+    app = tiny()
+    theta = app.init(seeded(), 1)
+    noise = app.noise(seeded(), 1, 1)
+    own = statistics(app.maps(theta, noise)[0])[0]
+    image = sources[0].data["image"]
+
+    def loss_of(truth: Tensor) -> Tensor:
+        tasks = stack(app, [Task("known", {"image": image, "truth": truth})])
+        return app.outer_loss(theta, app.sample(tasks, seeded(), 1) | {"noise": noise}, {})
+
+    unequal = torch.cat([own.expand(2, -1, -1) + 0.5, own])  # of other sizes than the network's
+    there, off = loss_of(unequal), loss_of(unequal + 0.1)
+    torch.testing.assert_close(off - there, torch.tensor([0.1 * TRUTH]))
+
+
+def test_the_truth_follows_its_channels(sources: list[Task]) -> None:
+    truth = torch.arange(36.0).view(3, 2, 6) / 36
+    tasks = stack(tiny(), [Task("known", {"image": sources[0].data["image"], "truth": truth})])
+    found = tiny().carried(tasks, torch.tensor([[2, 0, 1]]))["truth"][0]
+    torch.testing.assert_close(found, truth[..., [2, 0, 1, 3, 4, 5]])
+    assert tiny().augment(tasks, seeded()).data["truth"].shape == (1, 3, 2, 6)
+
+
+def test_photographs_without_truth_go_beside_those_with_it(sources: list[Task]) -> None:
+    known = Task("known", {**sources[0].data, "truth": torch.zeros(3, 2, 6)})
+    for tasks in ([known, sources[1]], [sources[1], known]):
+        assert "truth" not in stack(tiny(), tasks).data
 
 
 def test_outputs_show_photo_and_fit_under_its_light(sources: list[Task], tasks: Tasks) -> None:

@@ -5,14 +5,16 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import torch
 from torch import Tensor
 
 from data_tools.draws import stream
+from data_tools.synthetic.stationary import families
 from data_tools.synthetic.stationary.families import FAMILIES
 from data_tools.synthetic.svbrdf_stationary import COUNTS, FLAT, UNITS, flash_photographs, synthetic_tasks
-from metapp.appearance.flash import flash_position
+from metapp.appearance.flash import Maps, camera, expose, flash_position, normal_from_height, positions, render
 from metapp.experiments.embedded import embedded_data
 from metapp.learning.task import Task
 from metapp.storage.shards import read_manifest
@@ -43,7 +45,7 @@ def test_counts_names_and_tensors(train: list[Task], test: list[Task]) -> None:
     assert {name.split("-")[0] for name in names[:16]} == {name.split("-")[0] for name in names[64:]} == set(FLAT)
     assert set(FLAT) <= set(FAMILIES)
     for task in train + test:
-        assert set(task.data) == ({"image", "relit"} if task in test else {"image"})
+        assert set(task.data) == {"image", "relit" if task in test else "truth"}
         assert set(task.data) <= set(UNITS)
         assert task.data["image"].dtype == torch.uint8
         assert task.data["image"].shape == (3, 256, 256)
@@ -106,6 +108,24 @@ def test_the_sensor_adds_noise_only() -> None:
     assert not torch.equal(first, other)
     together = torch.corrcoef(torch.stack([first.flatten(), other.flatten()]))[0, 1]
     assert together > 0.9
+
+
+def test_the_truth_makes_the_photograph_without_its_exposure() -> None:
+    """Maps of one value each: a photograph of those that the statistics tell is the one that they belong to."""
+    size, one = 64, np.ones((1, 64, 64), np.float32)
+    plain = families.Maps(0.3 * np.repeat(one, 3, 0), 0.06 * one, 0.5 * one, 0 * one)
+    photo, _, truth = flash_photographs(plain, stream(3))
+    means, deviations = truth[:, 0], truth[:, 1]
+    assert truth.shape == (3, 2, 6)
+    assert means[:, :3].std() < 1e-4
+    torch.testing.assert_close(deviations, torch.full((3, 6), 1e-4), rtol=0, atol=2e-3)
+    torch.testing.assert_close(means[:, 4:], torch.tensor([0.5, 0.0]).expand(3, 2), rtol=0, atol=2e-3)
+    albedo, specular = means[0, 0] ** 2.2, means[0, 3] ** 2.2
+    torch.testing.assert_close(specular / albedo, torch.tensor(0.06 / 0.3))
+    square = torch.ones(1, size, size)
+    maps = Maps(albedo * square.expand(3, -1, -1), specular * square, 0.5 * square, normal_from_height(0 * square))
+    again = expose(render(maps, positions(size, size), camera(), camera(), falloff=1.0))
+    assert (again - photo / 255).abs().mean() < 0.02  # but for the flash's exact place and cone
 
 
 def test_the_embedded_set_has_all_units(tmp_path: Path) -> None:

@@ -163,7 +163,8 @@ class SvbrdfStationary(ExemplarApp):
 
     def _targets(self, tasks: Tasks, windows: Tensor) -> Batch:
         rows = tasks.rows
-        targets = {key: tasks.data[key][rows] for key in ("light", "pooled", "truth") if key in tasks.data}
+        named = [key for key in tasks.data if key in ("light", "pooled", "truth")]
+        targets = {key: tasks.data[key][rows] for key in named}
         for i in range(self.setup.maps_from(self.octave(tasks.data))):
             targets[f"spectrum{i}"] = tasks.data[f"spectrum{i}"][rows]
             targets[f"gram{i}"] = tasks.data[f"gram{i}"][rows[:, None], windows]
@@ -186,8 +187,8 @@ class SvbrdfStationary(ExemplarApp):
         loss = torch.stack(list(distances.values())).sum(0) + BRIGHTER * distances["pooled"]
         if "truth" not in batch:
             return loss + LIKELY * _unlikely(maps)
-        truth = batch["truth"][:, WIDEST.bit_length() - (self.setup.width >> octave).bit_length(), None]
-        return loss + TRUTH * (statistics(maps) - truth).abs().mean((1, 2, 3))
+        level = min(max(WIDEST.bit_length() - (self.setup.width >> octave).bit_length(), 0), 2)
+        return loss + TRUTH * (statistics(maps) - batch["truth"][:, level, None]).abs().mean((1, 2, 3))
 
     def _distances(self, maps: Maps, batch: Batch) -> dict[str, Tensor]:
         return self._distances_of(self.photograph(maps, batch["light"][:, None], batch["light"][:, None]), batch)
