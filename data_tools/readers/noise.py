@@ -1,4 +1,4 @@
-"""What measurements have and neural fits of them have not: noise, outliers, and no samples at grazing angles."""
+"""What measurements have and neural fits of them have not: noise, outliers, few samples, and none at grazing angles."""
 
 from __future__ import annotations
 
@@ -13,7 +13,9 @@ from metapp.appearance.noise import factors
 from metapp.learning.task import Task
 
 
-def as_measured(task: Task, noise: float, outliers: float = 0.0, grazing_rad: float = math.pi / 2) -> Task:
+def as_measured(
+    task: Task, noise: float, outliers: float = 0.0, grazing_rad: float = math.pi / 2, samples: int | None = None
+) -> Task:
     """A material of which the half that fits may see is as a gonioreflectometer would have it.
 
     The held-out half stays as it is, so that errors are those of the material, not of the noise. Samples that are
@@ -24,6 +26,7 @@ def as_measured(task: Task, noise: float, outliers: float = 0.0, grazing_rad: fl
         noise: standard deviation of the logarithm of a channel's factor, such as 0.05 for about 5 %.
         outliers: share of samples that are off by half a decade to one, all channels alike.
         grazing_rad: samples are missing whose light or view is further from the normal, in (0, pi / 2].
+        samples: how many are measured, at random, at least 1; None: all.
 
     Raises:
         ValueError: no sample of the visible half is left.
@@ -38,6 +41,8 @@ def as_measured(task: Task, noise: float, outliers: float = 0.0, grazing_rad: fl
             f"{task.name}: no sample within {math.degrees(grazing_rad):g} degrees of the normal, expected some; raise "
             "--grazing."
         )
+    if samples is not None:
+        rows = rows[torch.randperm(len(rows), generator=rng)[:samples]]
     missing = torch.ones(half, dtype=torch.bool)
     missing[rows] = False
     others = rows[torch.randint(len(rows), (int(missing.sum()),), generator=rng)]

@@ -68,16 +68,20 @@ def noisy(
     grazing: Annotated[
         float, typer.Option(min=1.0, max=90.0, metavar="DEG", help="No samples further than this from the normal.")
     ] = 90.0,
+    samples: Annotated[
+        int | None, typer.Option(min=1, metavar="N", help="Only so many samples, at random; default: all.")
+    ] = None,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Make the samples that fits see as measurements are: noisy, with outliers, without grazing angles.
+    """Make the samples that fits see as measurements are: noisy, with outliers, without grazing angles, few.
 
     Held-out samples stay as they are: errors are those of the material.
 
     Examples:
       metapp data noisy merl --out merl-5
       metapp data noisy merl --noise 0.2 --outliers 0.01 --grazing 75 --out merl-20
+      metapp data noisy merl --noise 0 --samples 64 --out merl-64
     """
     from data_tools.readers.noise import as_measured
     from metapp.storage.manifest import read_manifest
@@ -87,11 +91,11 @@ def noisy(
     if manifest.app != "brdf":
         raise ValueError(f"{source}: a data set of {manifest.app}, expected one of brdf, whose samples are measured.")
     tasks = {task.name: task for task in read_shard(source, app="brdf", holds=holds_of("brdf"))}
-    settings = {"noise": noise, "outliers": outliers, "grazing": grazing}
+    settings = {"noise": noise, "outliers": outliers, "grazing": grazing, "samples": samples}
     notes = {"made_by": "metapp data noisy", "of": source.name, **settings}
 
     def measured(task: Task) -> Task:
-        return as_measured(task, noise, outliers, math.radians(grazing))
+        return as_measured(task, noise, outliers, math.radians(grazing), samples)
 
     pairs = [(entry, tasks[entry.name]) for entry in manifest.tasks]
     report(_written(folder, [source], "brdf", manifest.units, notes, pairs, measured, quiet), quiet, as_json)

@@ -141,19 +141,33 @@ class RidgeOf(NamedTuple):
         used = space.components.first(self.kept)
 
         def fit(tasks: Tasks, rng: Generator, allowed: Allowed) -> Fitted:
-            seen = drawn(tasks, rng, allowed.samples)
+            seen = _at(space.where, tasks, drawn(tasks, rng, allowed.samples))
             found = coefficients(space.relative.at(seen.rows), _rows(used, seen.rows), seen, penalty, solves)
             return Fitted(functools.partial(answer, tasks, found), found.numel(), bytes_of(found))
 
         def answer(tasks: Tasks, found: Tensor) -> Tensor:
-            if not torch.equal(_of_one(tasks)[0], space.where):
-                name = tasks.picked_names()[0]
-                raise ValueError(f"{name}: at other angles than the training materials; convert both alike.")
             held = torch.arange(len(space.where) // 2, len(space.where))
             part = _rows(used, held)
             return space.relative.at(held).reflectance(part.axes @ found + part.mean).T[None]
 
         return fit
+
+
+def _at(where: Tensor, tasks: Tasks, seen: Samples) -> Samples:
+    """The samples with their rows among places [N, 7], of which the held-out ones are the same.
+
+    Raises:
+        ValueError: they are at others.
+    """
+    own, half = _of_one(tasks)[0], len(where) // 2
+    if torch.equal(own, where):
+        return seen
+    index = {place.tobytes(): row for row, place in enumerate(where[:half].numpy())}
+    rows = [index.get(place.tobytes(), -1) for place in seen.where.numpy()]
+    if min(rows) < 0 or not torch.equal(own[half:], where[half:]):
+        name = tasks.picked_names()[0]
+        raise ValueError(f"{name}: at other angles than the training materials; convert both alike.")
+    return seen._replace(rows=torch.tensor(rows))
 
 
 def _rows(used: Components, rows: Tensor) -> Components:
@@ -195,7 +209,7 @@ def _nearest(training: Training, allowed: Allowed) -> Prepared:
     targets, where = known.data["target"], known.data["where"]
 
     def distances(tasks: Tasks, rng: Generator, allowed: Allowed) -> Tensor:
-        seen = drawn(tasks, rng, allowed.samples)
+        seen = _at(where[0], tasks, drawn(tasks, rng, allowed.samples))
         return (targets[:, seen.rows] - seen.target).abs().mean((1, 2))
 
     def answer(index: int) -> Tensor:

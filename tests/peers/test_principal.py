@@ -145,6 +145,16 @@ def test_materials_at_other_angles_are_refused(rng: Generator) -> None:
         prepared.fit(other, rng, allowed).answer()
 
 
+def test_fewer_of_the_same_angles_in_any_order_will_do(rng: Generator) -> None:
+    materials, half = random_materials(12, rng), SAMPLES // 2
+    known = stack(APP, materials).data
+    fit = RidgeOf(8, False).fit_in(space_of(known["where"][0], known["target"]), 1e-9, 0)
+    order = torch.cat([torch.randint(half // 4, (half,), generator=rng), torch.arange(half, SAMPLES)])
+    moved = materials[3]._replace(data={key: value[order] for key, value in materials[3].data.items()})
+    one = stack(APP, [moved])
+    assert APP.errors_of(fit(one, rng, Allowed(400, 2700)).answer(), one)["error"].item() < 0.01
+
+
 def test_the_reference_is_bounded_away_from_0(stacked: Tasks) -> None:
     space = space_of(stacked.data["where"][0], stacked.data["target"])
     assert space.relative.weight.min() >= EPSILON

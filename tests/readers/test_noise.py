@@ -38,6 +38,16 @@ def test_noise_is_of_the_visible_half_alone(task: Task) -> None:
     assert torch.equal(logs(task, as_measured(task, 0.0)), torch.zeros(2 * N, 3))
 
 
+def test_few_samples_stand_in_for_all(task: Task) -> None:
+    made = as_measured(task, 0.0, samples=64)
+    seen, held_out = made.data["angles"].split(N)
+    kept = seen.unique(dim=0)
+    assert len(kept) == 64
+    assert torch.isin(kept, task.data["angles"][:N]).all()
+    assert torch.equal(held_out, task.data["angles"][N:])
+    assert len(as_measured(task, 0.0, samples=2 * N).data["angles"][:N].unique(dim=0)) == N
+
+
 def test_outliers_are_off_by_half_a_decade_to_one(task: Task) -> None:
     decades = logs(task, as_measured(task, 0.0, 0.1))[:N] / math.log(10)
     off = decades[:, 0].abs() > 1e-3
