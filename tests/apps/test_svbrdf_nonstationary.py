@@ -275,8 +275,9 @@ def test_the_true_maps_have_no_loss(app: SvbrdfNonstationary, tasks: Tasks, exac
     assert app.outer_loss(exact, batch, {}).max() < 0.01  # the photograph has 8 bits
     errors = app.errors(exact, tasks)
     assert errors["ssim"].min() > 0.9999
-    assert max(float(value.max()) for key, value in errors.items() if key not in ("ssim", "normal")) < 1e-6
+    assert max(float(value.max()) for key, value in errors.items() if key not in ("ssim", "normal", "relief")) < 1e-6
     assert errors["normal"].max() < 0.1
+    torch.testing.assert_close(errors["relief"], torch.ones(len(tasks)), rtol=0, atol=1e-4)
 
 
 def test_a_tilt_is_measured_in_degrees(app: SvbrdfNonstationary, tasks: Tasks, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -376,3 +377,19 @@ def fitted(steps: int) -> Callable[[SvbrdfNonstationary, Tasks], float]:
 
 def test_fits_come_close(app: SvbrdfNonstationary, tasks: Tasks) -> None:
     assert fitted(150)(app, tasks) < 0.25 * fitted(1)(app, tasks)
+
+
+def test_blots_and_relief_are_measured(app: SvbrdfNonstationary, tasks: Tasks) -> None:
+    """Diffuse colours are off in one corner, which alone clips in the photograph; all normals are upright."""
+    maps = unpack(tasks.data["maps"])
+    off = torch.zeros_like(maps.diffuse)
+    off[..., :2, :2] = 1
+    photo = tasks.data["photo"].clamp_max(0.5).clone()
+    photo[..., :2, :2] = 1
+    up = torch.zeros_like(maps.normal)
+    up[:, 2] = 1
+    made = maps._replace(diffuse=torch.where(off > 0, 1.0, maps.diffuse), normal=up)
+    found = app.errors_of(made, replace(tasks, data=tasks.data | {"photo": photo}))
+    torch.testing.assert_close(found["blots"], found["diffuse"] * off[0, 0].numel() / 4)
+    tilt = (1 - maps.normal[:, 2].square()).clamp_min(0).sqrt().mean((1, 2))
+    torch.testing.assert_close(found["relief"], 0.011 / (tilt + 0.01), rtol=0.02, atol=0)

@@ -10,7 +10,7 @@ import torch
 from torch import Generator, Tensor
 from torch.nn.functional import adaptive_avg_pool2d, relu
 
-from metapp.appearance.flash import Maps, expose, positions, render, unpack
+from metapp.appearance.flash import Maps, expose, positions, render, statistics, unpack
 from metapp.apps.svbrdf_nonstationary.encoder import Encoder
 from metapp.apps.svbrdf_nonstationary.maps import (
     RAW,
@@ -28,6 +28,7 @@ from metapp.networks.layers import LocalField
 
 DARK = 0.1  # of white: the log of radiance is flat below
 CLIPPED = 0.95  # of white: what a photograph shows no more
+LEVEL = 0.01  # sine of an angle that hardly shows
 MAPS = 1.0  # weight of the maps' differences in a fit
 WANTED, SEEN = 0.3, 0.3  # and in the outer loss, beside the photograph's
 RIG, JUDGED = (2, 3), (6, 6)  # lights that fits see, and that they are judged under: oblique, mirroring
@@ -248,7 +249,9 @@ class SvbrdfNonstationary(CodedApp):
     def errors(self, theta: Params, tasks: Tasks) -> dict[str, Tensor]:
         """`error` under lights that no fit has seen, `ssim` of these pictures, and how far the maps are off.
 
-        `normal` in degrees, `diffuse`, `roughness`, `specular` as means of differences, colours at gamma 2.2.
+        `normal` in degrees, `diffuse`, `roughness`, `specular` as means of differences, colours at gamma 2.2; `relief`,
+        how steep normals are on average over how steep they should be; `blots`, the difference of diffuse colours where
+        the photo clips, 0 where it does not.
         """
         return self.errors_of(self.maps_of(theta, tasks.data["photo"][tasks.rows]), tasks)
 
@@ -266,10 +269,15 @@ class SvbrdfNonstationary(CodedApp):
         ssim: Any = structural_similarity_index_measure(shown, target_shown, data_range=1.0, reduction=None)
         cosine = (maps.normal * target.normal).sum(1).clamp(-1, 1)
         parts = dict(zip(("diffuse", "specular", "roughness"), differences(maps, target), strict=False))
+        steep = [statistics(each)[:, 0, -1] + LEVEL for each in (maps, target)]
+        clips = (tasks.data["photo"][tasks.rows] > CLIPPED).any(1, keepdim=True)
+        blots = (parts["diffuse"].abs() * clips).mean((1, 2, 3)) / clips.float().mean((1, 2, 3)).clamp_min(1e-6)
         return {
             "error": (found - wanted).abs().mean((1, 2, 3, 4)),
             "ssim": ssim.reshape(len(tasks), -1).mean(1),
             "normal": torch.rad2deg(cosine.acos()).mean((1, 2)),
+            "relief": steep[0] / steep[1],
+            "blots": blots,
             **{name: part.abs().mean((1, 2, 3)) for name, part in parts.items()},
         }
 
