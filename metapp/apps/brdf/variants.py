@@ -11,10 +11,9 @@ from metapp.appearance.noise import factors, standing_in
 from metapp.learning.task import Params, Tasks
 
 SAMPLES = 8192
-# shares of the materials that are noisy, that lack grazing samples and that have few samples; the most noise and
-# outliers, as of `appearance.noise.factors`; the least and greatest angle that is measured; the least samples
-NOISY, CUT, FEW = 1 / 2, 1 / 3, 1 / 2
-LEAST = 32
+# shares of the materials that are noisy and that lack grazing samples; the most noise and outliers, as of
+# `appearance.noise.factors`; the least and greatest angle that is measured
+NOISY, CUT = 1 / 2, 1 / 3
 NOISE, OUTLIERS, MEASURED_RAD = 0.25, 0.02, (math.radians(60), math.radians(85))
 
 
@@ -50,12 +49,7 @@ def measured(data: Params, rng: Generator) -> Params:
     factor = factors(rng, (count, half), NOISE * level, OUTLIERS * level)
     low, high = MEASURED_RAD
     limit = torch.where(uniform() < CUT, torch.cos(low + (high - low) * uniform()), 0.0)[..., 0]
-    lower = _lower_cosine(where[:, :half])
-    kept = torch.where(uniform() < FEW, (LEAST / half) ** uniform(), 1.0)[..., 0]
-    is_seen = (lower >= limit) & (torch.rand(count, half, generator=rng, device=rng.device) < kept)
-    # of a material without any, what is nearest to the normal
-    is_seen |= ~is_seen.any(1, keepdim=True) & (lower == lower.amax(1, keepdim=True))
-    rows = standing_in(rng, is_seen)[..., None]
+    rows = standing_in(rng, _lower_cosine(where[:, :half]) >= limit)[..., None]
     seen = {"where": where[:, :half], "target": torch.log1p(torch.expm1(target[:, :half]) * factor)}
     return {
         key: torch.cat([value.gather(1, rows.expand_as(value)), data[key][:, half:]], 1) for key, value in seen.items()
