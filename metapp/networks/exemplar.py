@@ -36,6 +36,8 @@ class Setup:
             deepest layer of the one below, so that deep layers see large structures at little cost.
         shares: of its steps up to which a descent sees the coarsest octave alone, the two coarsest, and so on; () where
             it sees all from the beginning. A `Pyramid` makes small pictures, too.
+        prior: weight in the loss of how unusual maps are, where an application makes several that one picture does not
+            tell apart.
     """
 
     height: int
@@ -45,6 +47,7 @@ class Setup:
     taps: tuple[str, ...]
     octaves: int = 1
     shares: tuple[float, ...] = ()
+    prior: float = 0.0
 
     def taps_of(self, octave: int) -> int:
         """How many layers are compared at an octave, 0 the finest."""

@@ -33,7 +33,9 @@ SPECTRUM = 0.3  # the spectra's weight in the loss
 RINGS = ((0.0, 0.2), (0.2, 0.8), (0.8, 3.0))  # squared distances from the centre, of half the photo's side
 BRIGHTER = 2.0  # further weight in the outer loss of pooled pictures, which hold the shape of the highlight
 TRUTH = 3.0  # weight in the outer loss of how far the maps' statistics are from the truth's
-LIKELY = 0.05  # the same where the truth is unknown, of how far specular and roughness are from most materials'
+LIKELY = 0.05  # the same where the truth is unknown, of how unusual specular and roughness are
+PRIOR = 0.5  # the same in fits of 256 texels, which else trade diffuse colour for specular one
+OF_ROUGHNESS = 0.4  # varies more between materials than specular does
 WIDEST = 256  # of the pictures that the truth's statistics are known at; then halves
 RELIEF = 1 / 32  # widths of the photo a unit of the network's output, as height
 FALLOFF = 1.0
@@ -72,6 +74,7 @@ QUICK = Recipe(
     setup=Setup(64, 64, UNet(16, outputs=6), "vgg16", ("relu1_1", "relu2_1", "relu3_1")),
 )
 FULL = full_recipe(QUICK, found=Adam(2.9e-3, beta1=0.3, beta2=0.9, final=0.3), tasks=3)
+FULL = replace(FULL, setup=replace(FULL.setup, prior=PRIOR))
 
 # Fischer & Ritschel 2022, section 4.1.3 and supplement: 20 inner steps, first-order MAML with Meta-SGD, meta-batch 3,
 # a random start
@@ -171,12 +174,16 @@ class SvbrdfStationary(ExemplarApp):
         return targets
 
     def loss(self, theta: Params, batch: Batch, learned: Params) -> Tensor:
-        """Distance of Gram matrices in windows, of the features' spectra, and of the pooled pictures, [T]."""
+        """Distance of Gram matrices in windows, of the features' spectra, and of the pooled pictures, [T].
+
+        And how unusual the maps are, by the setup's `prior`.
+        """
         maps, _ = self.maps(theta, batch["noise"], self.octave(batch))
-        return torch.stack(list(self._distances(maps, batch).values())).sum(0)
+        loss = torch.stack(list(self._distances(maps, batch).values())).sum(0)
+        return loss + self.setup.prior * _unusual(maps) if self.setup.prior else loss
 
     def outer_loss(self, theta: Params, batch: Batch, learned: Params) -> Tensor:
-        """The same, and how far the maps are from the truth, or how unlikely where that is unknown, [T].
+        """The same, but how far the maps are from the truth, or how unusual where that is unknown, [T].
 
         Without it General comes to explain all photographs by one bright, rough, specular surface without colour: one
         flash photo does not say what is diffuse, what specular and what relief.
@@ -186,7 +193,7 @@ class SvbrdfStationary(ExemplarApp):
         distances = self._distances(maps, batch)
         loss = torch.stack(list(distances.values())).sum(0) + BRIGHTER * distances["pooled"]
         if "truth" not in batch:
-            return loss + LIKELY * _unlikely(maps)
+            return loss + LIKELY * _unusual(maps)
         level = min(max(WIDEST.bit_length() - (self.setup.width >> octave).bit_length(), 0), 2)
         return loss + TRUTH * (statistics(maps) - batch["truth"][:, level, None]).abs().mean((1, 2, 3))
 
@@ -244,10 +251,11 @@ class SvbrdfStationary(ExemplarApp):
         return torch.stack(each).mean(0)
 
 
-def _unlikely(maps: Maps) -> Tensor:
-    """Squares of what the network would have made other than 0 for specular and roughness, [T]."""
+def _unusual(maps: Maps) -> Tensor:
+    """Mean squares of what the network made other than 0 for specular and, weighted, for roughness, [T]."""
     raw = torch.logit(maps.specular, 1e-4) + 3, torch.logit((maps.roughness - 0.1) / 0.9, 1e-4)
-    return torch.stack([part.square().mean((1, 2, 3, 4)) for part in raw]).sum(0)
+    specular, roughness = (part.square().mean((1, 2, 3, 4)) for part in raw)
+    return specular + OF_ROUGHNESS * roughness
 
 
 def _ring(maps: Tensor, low: float, high: float) -> Tensor:
