@@ -189,26 +189,28 @@ def mitsuba_brdf(mitsuba: Any) -> Callable[[dict[str, Any], Tensor, Tensor], Ten
 
 
 @pytest.fixture
-def short_by_protocol(monkeypatch: pytest.MonkeyPatch) -> Callable[[dict[str, dict[str, Recipe]], Any], None]:
-    """Gives the quick recipes of all protocols another setup and a few steps; without a compiler."""
+def short_by_protocol(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
+    """Gives the recipes "quick" and "full" of all protocols other setups and a few steps; without a compiler."""
 
-    def shorten(recipes: dict[str, dict[str, Recipe]], setup: Any) -> None:
-        few: dict[str, Any] = {"steps": 2, "tasks": 2, "warmup": 0}
+    def shorten(recipes: dict[str, dict[str, Recipe]], quick: Any, full: Any) -> None:
         for of_protocol in recipes.values():
-            quick = of_protocol["quick"]
-            short_one = replace(
-                quick,
-                steps=3,
-                overfit_steps=30,
-                finetune_steps=5,
-                general=replace(quick.general, **few),
-                meta={name: replace(training, **few, tuned=False) for name, training in quick.meta.items()},
-                setup=setup,
-            )
-            monkeypatch.setitem(of_protocol, "quick", short_one)
+            for name, setup in (("quick", quick), ("full", full)):
+                monkeypatch.setitem(of_protocol, name, replace(_short(of_protocol[name]), setup=setup))
         monkeypatch.setattr("metapp.paradigms.meta.can_compile", lambda: False)
 
     return shorten
+
+
+def _short(recipe: Recipe) -> Recipe:
+    few: dict[str, Any] = {"steps": 2, "tasks": 2, "warmup": 0}
+    return replace(
+        recipe,
+        steps=3,
+        overfit_steps=30,
+        finetune_steps=5,
+        general=replace(recipe.general, **few),
+        meta={name: replace(training, **few, tuned=False) for name, training in recipe.meta.items()},
+    )
 
 
 @pytest.fixture(scope="session")

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from metapp.cli.console import out, print_json, say
+from metapp.cli.options import FittedData, Json, RunPath
 from metapp.experiments.reporter import number
 
 if TYPE_CHECKING:
@@ -15,7 +16,7 @@ if TYPE_CHECKING:
 
 
 def command(
-    first: Annotated[Path, typer.Argument(metavar="RUN", help="A run's folder, or the record.jsonl in it.")],
+    first: RunPath,
     second: Annotated[Path, typer.Argument(metavar="RUN", help="Another one's, of the same application.")],
     inputs: Annotated[
         list[Path] | None,
@@ -24,12 +25,12 @@ def command(
         ),
     ] = None,
     task: Annotated[str, typer.Option(metavar="NAME", help="Compare this task alone; default: all in common.")] = "",
-    data: Annotated[Path | None, typer.Option(help="The data set that was fitted, for the same.")] = None,
+    data: FittedData = None,
     out_file: Annotated[
         Path | None,
         typer.Option("--out", dir_okay=False, help="The picture; default: comparison.png in the first RUN."),
     ] = None,
-    json: Annotated[bool, typer.Option("--json", help="One JSON object as last line of standard output.")] = False,
+    json: Json = False,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress bar, no table.")] = False,
 ) -> None:
     """Show two runs side by side: errors and seconds of each task, their ratio with its interval, one picture.

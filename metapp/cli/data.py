@@ -14,9 +14,10 @@ import typer
 
 from data_tools.formats import formats
 from metapp.cli.console import Exit, out, print_json, say
-from metapp.cli.data_convert import Json, Quiet, check_folder, command_of, report
+from metapp.cli.data_convert import Quiet, check_folder, command_of, report
 from metapp.cli.data_cornell import cornell
 from metapp.cli.data_sets import holds_of, join, noisy
+from metapp.cli.options import Json
 from metapp.experiments.convert import Converted
 from metapp.experiments.embedded import embedded_apps, embedded_data, embedded_module, split_counts
 from metapp.experiments.reporter import progress

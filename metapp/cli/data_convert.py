@@ -13,6 +13,7 @@ import typer
 
 from data_tools.formats import Conversion, Format, Setting
 from metapp.cli.console import print_json, say
+from metapp.cli.options import Json
 from metapp.experiments.convert import Converted, convert
 
 
@@ -36,7 +37,6 @@ Out = Annotated[
     Path, typer.Option("--out", "-o", metavar="DIR", callback=check_folder, help="Folder to write to; made if missing.")
 ]
 SplitOption = Annotated[Split, typer.Option("--split", help=Conversion._field_defaults["split_help"])]
-Json = Annotated[bool, typer.Option("--json", help="Print one JSON object as the last line of standard output.")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress and no summary.")]
 
 

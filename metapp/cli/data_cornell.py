@@ -6,7 +6,8 @@ from typing import Annotated
 
 import typer
 
-from metapp.cli.data_convert import Json, Out, Quiet, Split, SplitOption, report
+from metapp.cli.data_convert import Out, Quiet, Split, SplitOption, report
+from metapp.cli.options import Json
 from metapp.experiments.convert import Converted
 from metapp.experiments.reporter import progress
 

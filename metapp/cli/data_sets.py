@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from metapp.cli.data_convert import Json, Out, Quiet, report
+from metapp.cli.data_convert import Out, Quiet, report
+from metapp.cli.options import Json
 from metapp.experiments.convert import Converted
 from metapp.experiments.reporter import progress
 

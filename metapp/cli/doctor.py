@@ -7,11 +7,10 @@ import shutil
 import subprocess
 import sysconfig
 from importlib import metadata
-from typing import Annotated, Any
-
-import typer
+from typing import Any
 
 from metapp.cli.console import out, print_json
+from metapp.cli.options import Json
 
 PACKAGES = (
     "metapp",
@@ -28,7 +27,7 @@ PACKAGES = (
 
 
 def command(
-    json: Annotated[bool, typer.Option("--json", help="One JSON object as last line of standard output.")] = False,
+    json: Json = False,
 ) -> None:
     """Say what is installed: versions, device, compiler, cache, shipped checkpoints, VGG's weights, libLLVM."""
     found = examine()

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from metapp.cli.console import out, print_json, say
+from metapp.cli.options import Json
 from metapp.experiments.reporter import progress
 from metapp.experiments.tables import NAMES, STUDIES, load_table
 
@@ -69,7 +70,7 @@ def command(
     ] = "quick",
     seed: Annotated[int, typer.Option(help="Seed of all random draws.", min=0, max=2**63 - 1)] = 0,
     device: Annotated[str, typer.Option(help="auto, cpu or cuda.")] = "auto",
-    json: Annotated[bool, typer.Option("--json", help="One JSON object as last line of standard output.")] = False,
+    json: Json = False,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress bar.")] = False,
 ) -> None:
     """Print the paper's tables of your data beside the paper's figures; run what has no record yet.

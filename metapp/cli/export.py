@@ -10,10 +10,11 @@ import typer
 from metapp.cli.console import print_json, say
 from metapp.cli.data_convert import check_folder
 from metapp.cli.fit import exports
+from metapp.cli.options import FittedData, Json, RunPath
 
 
 def command(
-    run: Annotated[Path, typer.Argument(metavar="RUN", help="A run's folder, or the record.jsonl in it.")],
+    run: RunPath,
     form: Annotated[str, typer.Argument(metavar="KIND", help=f"{exports()}.")],
     inputs: Annotated[
         list[Path] | None,
@@ -23,13 +24,13 @@ def command(
             "photos. The embedded data set is found by itself.",
         ),
     ] = None,
-    data: Annotated[Path | None, typer.Option(help="The data set that was fitted, for the same.")] = None,
+    data: FittedData = None,
     out_folder: Annotated[
         Path | None,
         typer.Option("--out", callback=check_folder, help="Folder to write to; default: RUN/KIND."),
     ] = None,
     size: Annotated[str, typer.Option(metavar="HxW", help="px of what is made, as for the paradigms.")] = "",
-    json: Annotated[bool, typer.Option("--json", help="One JSON object as last line of standard output.")] = False,
+    json: Json = False,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress bar.")] = False,
 ) -> None:
     """Write every fit of a run in another form, as --export of the paradigms does.

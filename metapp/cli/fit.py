@@ -13,6 +13,7 @@ import typer
 from data_tools.formats import exports_of, inputs_of
 from metapp.apps import app_names
 from metapp.cli.console import Exit, one_line, out, print_json, say
+from metapp.cli.options import Json
 from metapp.experiments.reporter import number
 
 if TYPE_CHECKING:
@@ -147,7 +148,7 @@ def make_command(name: str, summary: str) -> Any:
         export: Annotated[str, typer.Option(help=f"Write each fit in another form; {exports()}.")] = "",
         seed: Annotated[int, typer.Option(help="Seed of all random draws.", min=0, max=2**63 - 1)] = 0,
         device: Annotated[str, typer.Option(help="auto, cpu or cuda.")] = "auto",
-        json: Annotated[bool, typer.Option("--json", help="One JSON object as last line of standard output.")] = False,
+        json: Json = False,
         quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress bar, no table.")] = False,
     ) -> None:
         from metapp.apps import presentation_of

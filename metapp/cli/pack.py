@@ -8,21 +8,22 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from metapp.cli.console import print_json, say
+from metapp.cli.options import FittedData, Json, RunPath
 from metapp.experiments.reporter import number
 
 if TYPE_CHECKING:
     from metapp.experiments.pack import Packed
 
-CHECKPOINT_HELP = "The checkpoint that fits were made by; default: the shipped one."
+MadeBy = Annotated[Path | None, typer.Option(help="The checkpoint that fits were made by; default: the shipped one.")]
 
 
 def pack_command(
-    run: Annotated[Path, typer.Argument(metavar="RUN", help="A run's folder, or the record.jsonl in it.")],
+    run: RunPath,
     inputs: Annotated[
         list[Path] | None,
         typer.Argument(metavar="[INPUT]...", help="What was fitted, where records do not say where it is."),
     ] = None,
-    data: Annotated[Path | None, typer.Option(help="The data set that was fitted, for the same.")] = None,
+    data: FittedData = None,
     out_file: Annotated[
         Path | None, typer.Option("--out", dir_okay=False, help="File to write; default: fits.pack in RUN.")
     ] = None,
@@ -30,8 +31,8 @@ def pack_command(
         int | None,
         typer.Option(min=2, max=16, help="Of a number; default: as few as let the mean error grow by 1 % at most."),
     ] = None,
-    checkpoint: Annotated[Path | None, typer.Option(help=CHECKPOINT_HELP)] = None,
-    json: Annotated[bool, typer.Option("--json", help="One JSON object as last line of standard output.")] = False,
+    checkpoint: MadeBy = None,
+    json: Json = False,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress bar, no message.")] = False,
 ) -> None:
     """Write the fits of a run as one small file: their quantised difference from the checkpoint.
@@ -50,8 +51,8 @@ def unpack_command(
         Path | None,
         typer.Option("--out", file_okay=False, help="The run's folder to make; default: as FILE, without its suffix."),
     ] = None,
-    checkpoint: Annotated[Path | None, typer.Option(help=CHECKPOINT_HELP)] = None,
-    json: Annotated[bool, typer.Option("--json", help="One JSON object as last line of standard output.")] = False,
+    checkpoint: MadeBy = None,
+    json: Json = False,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No message.")] = False,
 ) -> None:
     """Make a run's folder of a pack, for metapp export, metapp compare and import metapp.mitsuba.

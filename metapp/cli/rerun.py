@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from metapp.cli.console import Exit, out, print_json, say
+from metapp.cli.options import FittedData, Json
 from metapp.experiments.reporter import number
 
 if TYPE_CHECKING:
@@ -21,7 +22,7 @@ def command(
         typer.Argument(metavar="[INPUT]...", help="What was fitted, where it is no longer where the record says."),
     ] = None,
     task: Annotated[str, typer.Option(metavar="NAME", help="Repeat this task alone; default: all.")] = "",
-    data: Annotated[Path | None, typer.Option(help="The data set that was fitted, for the same.")] = None,
+    data: FittedData = None,
     checkpoint: Annotated[
         Path | None, typer.Option(help="The checkpoint that was used; default: found as it was then.")
     ] = None,
@@ -33,7 +34,7 @@ def command(
             "versions and threads, 0.01 elsewhere.",
         ),
     ] = None,
-    json: Annotated[bool, typer.Option("--json", help="One JSON object as last line of standard output.")] = False,
+    json: Json = False,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress bar, no table.")] = False,
 ) -> int:
     """Repeat rows of a table from their records and say whether the figures agree; if not, the exit code is 1.

@@ -108,7 +108,7 @@ def compare(first: Path, second: Path, task: str, inputs: list[Path], data: Path
         Side(label, app_as(each), run.folder, [of[name] for name in names])
         for label, each, run, of in zip(_labels(*settings), settings, runs, by_name, strict=True)
     ]
-    known = tasks_as(runs[0].records[-1], sides[0].app, inputs, data)
+    known = tasks_as(runs[0].records, sides[0].app, inputs, data)
     tasks = [known[name] for name in names if name in known]
     groups = {name: (known[name].group if name in known else "") or name for name in names}
     logarithmic = presentation_of(sides[0].app).logarithmic

@@ -17,17 +17,18 @@ from metapp.experiments.export import export_fit
 from metapp.experiments.fits import Fitter
 from metapp.experiments.gallery import write_gallery, write_thumbnail
 from metapp.experiments.inputs import AS_FILES_SAY, Reading
+from metapp.experiments.origin import origin_of
 from metapp.experiments.pictures import OUTPUTS, write_files
 from metapp.experiments.reporter import Bar, number, progress, say
 from metapp.experiments.run import Run, placed, run_path
 from metapp.experiments.session import Options, name_of, settings_of, threads, threads_of
-from metapp.experiments.sources import Shard, Source, sources_of
+from metapp.experiments.sources import SOURCED, Shard, Source, sources_of
 from metapp.experiments.watching import Watched
 from metapp.learning.task import Params, Task
 from metapp.storage.files import named
 from metapp.storage.records import FIT, RunFolder, file_name
 
-FORM = FIT | {"source": str, "stamp": str}
+FORM = FIT | SOURCED
 Fitted = tuple[Source, Task, dict[str, Any], Params]
 
 
@@ -111,7 +112,8 @@ def fit_many(
         # seconds of fits side by side are shares: a run of its own
         settings = settings_of(options, paradigm, checkpoint, label) | {"batched": True}
         path = run_path(options, settings, label)
-        folder = RunFolder(path.with_name(f"{path.name}-batch"), settings, FORM)
+        origin = origin_of(options, inputs, reading)
+        folder = RunFolder(path.with_name(f"{path.name}-batch"), settings, FORM, origin)
         mine = asked.shard.take(sources)
         if not mine:
             first, parts = asked.shard

@@ -100,7 +100,9 @@ def pack(
     options, found = _start_of(settings, str(run), checkpoint)
     names = [record["name"] for record in records]
     thetas = _stacked([read_theta(folder, name) for name in names], names)
-    known = tasks_as(records[0], options.app, inputs, data)
+    known = tasks_as(records, options.app, inputs, data)
+    if 0 < len(known) < len(names):
+        say(f"note: errors of {len(known)} of {len(names)} fits, as what the others saw is not there or has changed.")
     fits = Fits(options.app, thetas, [known.get(name, Task(name, {})) for name in names])
     base = known_of(found.prepared, thetas)
     before = fits.errors(thetas)

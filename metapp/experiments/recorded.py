@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -9,10 +10,11 @@ from metapp.experiments import BadOption
 from metapp.experiments.embedded import embedded_exists
 from metapp.experiments.inputs import Reading, data_folder, data_label, tasks_to_fit
 from metapp.experiments.session import Options, options_of
+from metapp.experiments.sources import SOURCED, source_of, sources_of
 from metapp.learning.app import App
 from metapp.learning.task import Task
 from metapp.paradigms import paradigms
-from metapp.storage.records import FIT, read_records
+from metapp.storage.records import FIT, holds, read_records
 
 FORM = {**FIT, "settings": {"app": str, "paradigm": str, "rule": str, "recipe": str, "data": str}}  # of a fit's record
 
@@ -81,20 +83,35 @@ def app_as(settings: dict[str, Any]) -> App:
     return options.by(paradigms()[settings["paradigm"]]).app
 
 
-def tasks_as(record: dict[str, Any], app: App, inputs: list[Path], data: Path | None) -> dict[str, Task]:
-    """What was fitted in a record's run, by name: of what is given, else from where the record says, else embedded.
+def tasks_as(records: list[dict[str, Any]], app: App, inputs: list[Path], data: Path | None) -> dict[str, Task]:
+    """What was fitted in a run, by name: of what is given, else from where its records say, else embedded.
 
     Returns:
-        None of them where there is nothing, or not what was fitted.
+        Without those that are not there, or not as they were fitted.
     """
-    label, origin = record["settings"]["data"], record.get("origin", {})
-    known = [Path(path) for path in origin.get("inputs", [])]
+    label, origin = records[-1]["settings"]["data"], records[-1].get("origin", {})
+    sourced = [record for record in records if holds(record, SOURCED) and record["stamp"]]
     if not (inputs or data):
-        inputs = known if all(path.exists() for path in known) else []
+        inputs = _existing(origin.get("inputs", [])) or _existing(record["source"] for record in sourced)
         data = Path(origin["data"]) if "data" in origin and Path(origin["data"]).is_dir() else None
+    reading = Reading([Path(path) for path in origin.get("roots", [])], origin.get("fov_rad", 0.0))
+    if sourced:
+        return _of_sources(sourced, app, inputs, reading)
     embedded = embedded_exists(app.name) and data_label(data_folder(app, None, quiet=True)) == label
     if not (inputs or data or embedded):
         return {}
-    reading = Reading([Path(path) for path in origin.get("roots", [])], origin.get("fov_rad", 0.0))
     tasks, found = tasks_to_fit(app, inputs, data, True, reading)
     return {task.name: task for task in tasks} if found == label else {}
+
+
+def _existing(places: Iterable[str]) -> list[Path]:
+    """The paths, where all of them are there; else none."""
+    paths = [Path(place) for place in places]
+    return paths if all(path.exists() for path in paths) else []
+
+
+def _of_sources(records: list[dict[str, Any]], app: App, inputs: list[Path], reading: Reading) -> dict[str, Task]:
+    """Tasks of a run of many inputs, each of which its record knows: the run's name says nothing of their content."""
+    sources = sources_of(app, inputs, None, True, reading)[0] if inputs else []
+    found = {record["name"]: source_of(record, sources) for record in records}
+    return {name: source.task()._replace(name=name) for name, source in found.items() if source}

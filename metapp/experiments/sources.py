@@ -8,7 +8,7 @@ import hashlib
 import re
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from metapp.experiments import BadOption
 from metapp.experiments.inputs import AS_FILES_SAY, Reading, readers_of, tasks_of_data
@@ -16,6 +16,8 @@ from metapp.experiments.reporter import say
 from metapp.learning.app import App
 from metapp.learning.task import Task
 from metapp.storage.records import file_name, safe_name
+
+SOURCED = {"source": str, "stamp": str}  # what a record holds of its source
 
 
 class Source(NamedTuple):
@@ -101,6 +103,14 @@ def sources_of(
     ]
     roots = sorted(str(path.resolve()) for path in inputs)
     return sources, f"{file_name(inputs[0].resolve().name)[:40]}-{_digest(*roots)}"
+
+
+def source_of(record: dict[str, Any], sources: Sequence[Source]) -> Source | None:
+    """The source that a record is of: where it was, else the only one of its name that has not changed since."""
+    was = Path(record["source"])
+    same = [each for each in sources if Path(each.place).name == was.name and each.stamp == record["stamp"]]
+    there = [each for each in same if each.place == str(was)] or same
+    return there[0] if len(there) == 1 else None
 
 
 def _same(task: Task) -> Task:

@@ -95,12 +95,12 @@ def test_a_sphere_of_too_few_pixels_is_an_error() -> None:
 def test_the_environment_lights_a_white_sphere_as_a_fine_sum_over_directions_does() -> None:
     # irradiance of a diffuse surface: the rings of half vectors against a lat-long grid of the same map
     theta, phi = torch.meshgrid(
-        (torch.arange(180, dtype=torch.float64) + 0.5) * math.pi / 180,
-        (torch.arange(360, dtype=torch.float64) + 0.5) * math.tau / 360,
+        (torch.arange(90, dtype=torch.float64) + 0.5) * math.pi / 90,
+        (torch.arange(180, dtype=torch.float64) + 0.5) * math.tau / 180,
         indexing="ij",
     )
     grid = torch.stack([theta.sin() * phi.sin(), theta.cos(), -theta.sin() * phi.cos()], -1).reshape(-1, 3)
-    light = environment(grid) * (theta.sin() * (math.pi / 180) * (math.tau / 360)).reshape(-1, 1)
+    light = environment(grid) * (theta.sin() * (math.pi / 90) * (math.tau / 180)).reshape(-1, 1)
     scene = environment_scene()
     y, x = scene.mask.nonzero().T.double() + 0.5
     normal = torch.stack([x / 24 - 1, 1 - y / 24], -1) / 0.96

@@ -45,7 +45,8 @@ def png(tmp_path: Path) -> Path:
 @pytest.fixture(autouse=True)
 def small(short_by_protocol: Callable) -> None:
     """Other sizes and a few steps."""
-    short_by_protocol(RECIPES, Setup(LocalField(8, 16, rows=4, columns=8, code=3, hidden=8, layers=2)))
+    quick = LocalField(8, 16, rows=4, columns=8, code=3, hidden=8, layers=2)
+    short_by_protocol(RECIPES, Setup(quick), Setup(quick._replace(height=16, width=32)))
 
 
 def test_a_map_is_fitted_and_written(metapp: Callable, exr: Path, tmp_path: Path) -> None:
@@ -53,6 +54,7 @@ def test_a_map_is_fitted_and_written(metapp: Callable, exr: Path, tmp_path: Path
     assert result.code == 0, result.err
     document = result.document
     assert (document["observe"], document["tasks"][0]["name"]) == ("reference", "room")
+    assert "-full-" in document["out"]
     assert 0 < document["error"] < 100
     made = Path(document["out"]) / "outputs" / "room"
     assert {path.name for path in made.iterdir()} == {"map.exr", "map.png", "relit.png"}

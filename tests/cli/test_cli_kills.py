@@ -150,7 +150,7 @@ def test_trainings_that_are_killed_often_go_on(command: Callable[..., Command], 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
 def test_sigterm_acts_like_ctrl_c(command: Callable[..., Command], number: signal.Signals) -> None:
-    stopped = command("stopped")
+    stopped = command("stopped", "general")
     running = stopped.start()
     assert stopped.train_until(running, 0.5)
     os.kill(running.process.pid, number)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 
@@ -57,6 +58,29 @@ def test_a_pack_is_small_and_its_error_grows_by_a_hundredth(
     assert f"{told['size']:,} bytes" in result.err
     fewer = metapp("pack", run, "--out", tmp_path / "b.pack", "--bits", told["bits"] - 1, "--json").document
     assert fewer["after"] - fewer["before"] > GROWTH * fewer["before"]
+
+
+@pytest.mark.parametrize("state", ["there", "moved", "older records", "changed"])
+def test_inputs_of_a_run_of_many_are_found(metapp: Callable, networks: Path, tmp_path: Path, state: str) -> None:
+    """Its records tell each input from others; where it was moved to is said after RUN."""
+    materials = shutil.copytree(networks, tmp_path / "materials")
+    words = ("--recipe", "quick", "--rule", "ridge", "--batch", "2", "--out", tmp_path / "runs", "--json", "--quiet")
+    run = Path(metapp("meta", "brdf", materials, *words).document["out"])
+    records, given = read_records(run / "record.jsonl"), ()
+    if state == "moved":
+        given = (materials.rename(tmp_path / "moved"),)
+    elif state == "older records":
+        lines = [json.dumps({key: value for key, value in each.items() if key != "origin"}) for each in records]
+        (run / "record.jsonl").write_text("\n".join(lines) + "\n")
+    elif state == "changed":
+        shutil.rmtree(materials / "m0")
+        shutil.copytree(materials / "m1", materials / "m0")
+        records = records[1:]
+    result = metapp("pack", run, *given, "--json")
+    assert result.code == 0, result.err
+    assert result.document["before"] == pytest.approx(sum(each["error"] for each in records) / len(records), rel=1e-6)
+    assert result.document["after"] <= (1 + GROWTH) * result.document["before"]
+    assert ("note: errors of 3 of 4 fits" in result.err) == (state == "changed")
 
 
 def test_an_unpacked_run_is_a_run(metapp: Callable, fitted: Callable, tmp_path: Path) -> None:

@@ -51,7 +51,8 @@ def photo(tmp_path: Path) -> Path:
 @pytest.fixture(autouse=True)
 def small(short_by_protocol: Callable) -> None:
     """Other sizes and a few steps."""
-    short_by_protocol(RECIPES, Setup(field_of(16, hidden=8)._replace(code=3), width=2))
+    quick, full = (field_of(side, hidden=8)._replace(code=3) for side in (16, 24))
+    short_by_protocol(RECIPES, Setup(quick, width=2), Setup(full, width=2))
 
 
 def size_of(path: Path) -> tuple[int, int]:
@@ -64,6 +65,7 @@ def test_a_strip_is_fitted_and_its_maps_are_written(metapp: Callable, strip: Pat
     assert result.code == 0, result.err
     document = result.document
     assert (document["observe"], document["tasks"][0]["name"]) == ("reference", "tiles")
+    assert "-full-" in document["out"]
     assert 0 < document["error"] < 2
     made = Path(document["out"]) / "outputs" / "tiles"
     assert {path.name for path in made.iterdir()} == MADE

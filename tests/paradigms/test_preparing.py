@@ -91,13 +91,13 @@ def gain(prepared: Prepared) -> float:
 
 def test_general_learns(job: Job, tasks: Tasks) -> None:
     """Preparing it improves what it is prepared for."""
-    training = replace(job.recipe.general, steps=100, rates={"": 1e-3}, validate_every=50)
+    training = replace(job.recipe.general, steps=50, rates={"": 2e-3}, validate_every=25)
     prepared = look("general", job._replace(recipe=replace(job.recipe, general=training)), tasks)
     assert gain(prepared) > 0.1
 
 
 def test_meta_learns(job: Job, tasks: Tasks) -> None:
-    training = replace(job.recipe.meta["meta-adam"], steps=60, rates={"": 1e-2}, validate_every=30)
+    training = replace(job.recipe.meta["meta-adam"], steps=30, rates={"": 2e-2}, validate_every=15)
     recipe = replace(job.recipe, meta={"meta-adam": training})
     assert gain(look("meta-adam", job._replace(recipe=recipe), tasks)) > 0.1
 

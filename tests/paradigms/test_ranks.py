@@ -10,13 +10,14 @@ import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import pytest
 from safetensors import safe_open
 from safetensors.torch import load_file
 
+from metapp.cli.commands import app
 from metapp.paradigms import ranks
+from tests.small_spheres import shrink_spheres
 
 
 def free_port() -> int:
@@ -25,15 +26,23 @@ def free_port() -> int:
         return int(one.getsockname()[1])
 
 
+@pytest.fixture(scope="module")
+def materials(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A data set of twelve synthetic materials."""
+    folder = tmp_path_factory.mktemp("ranks") / "data"
+    with pytest.MonkeyPatch.context() as patch:
+        shrink_spheres(patch)
+        app(["data", "synth", "brdf", "--count", "12", "--out", str(folder)], standalone_mode=False)
+    return folder
+
+
 @pytest.fixture
-def train(metapp: Callable[..., Any], tmp_path: Path) -> Callable[..., list[subprocess.Popen[str]]]:
+def train(materials: Path) -> Callable[..., list[subprocess.Popen[str]]]:
     """Start the ranks of one training on few small materials: train(ranks, folder, steps)."""
-    data = tmp_path / "data"
-    assert metapp("data", "synth", "brdf", "--count", "12", "--out", data).code == 0
 
     def start(count: int, out: Path, steps: int, **environment: str) -> list[subprocess.Popen[str]]:
         command = [sys.executable, "-m", "metapp", "meta", "brdf", "--train", "--train-steps", str(steps)]
-        command += ["--data", str(data), "--out", str(out), "--quiet"]
+        command += ["--data", str(materials), "--out", str(out), "--quiet"]
         shared = {"MASTER_ADDR": "127.0.0.1", "MASTER_PORT": str(free_port()), "WORLD_SIZE": str(count)}
         return [
             subprocess.Popen(

@@ -72,13 +72,19 @@ def inputs_of(where: Tensor) -> Tensor:
     Beside these: cos theta_o, logarithms of both cosines, and functions of theta_h in which narrow and broad lobes
     are equally wide.
     """
-    half_x, _, half_z, x, y, z, incident = where.unbind(1)
-    outgoing = torch.addcmul(z * half_z, x, half_x)
+    half_x, _, half_z, x, y, _, incident = where.unbind(1)
+    outgoing = outgoing_cosine(where)
     angle = torch.atan2(half_x, half_z)
     square = angle * angle
     logs = torch.stack([square + 1e-4, square + 1e-2, incident.clamp_min(1e-3), outgoing.clamp_min(1e-3)], 1).log()
     more = torch.stack([outgoing, angle.sqrt(), 1 / (1 + 100 * square), x * x - y * y], 1)
     return torch.cat([where, more, 0.4 * logs + 1], 1)
+
+
+def outgoing_cosine(where: Tensor) -> Tensor:
+    """Cos theta_o [T, N] of half vector, difference vector and cos theta_i, [T, 7, N]."""
+    half_x, _, half_z, x, _, z, _ = where.unbind(1)
+    return torch.addcmul(z * half_z, x, half_x)
 
 
 def features_of(theta: Params, where: Tensor) -> Tensor:

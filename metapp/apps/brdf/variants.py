@@ -8,6 +8,7 @@ import torch
 from torch import Generator, Tensor
 
 from metapp.appearance.noise import factors, standing_in
+from metapp.apps.brdf.featured import outgoing_cosine
 from metapp.learning.task import Params, Tasks
 
 SAMPLES = 8192
@@ -49,14 +50,9 @@ def measured(data: Params, rng: Generator) -> Params:
     factor = factors(rng, (count, half), NOISE * level, OUTLIERS * level)
     low, high = MEASURED_RAD
     limit = torch.where(uniform() < CUT, torch.cos(low + (high - low) * uniform()), 0.0)[..., 0]
-    rows = standing_in(rng, _lower_cosine(where[:, :half]) >= limit)[..., None]
+    lower = torch.minimum(where[:, :half, 6], outgoing_cosine(where[:, :half].transpose(1, 2)))
+    rows = standing_in(rng, lower >= limit)[..., None]
     seen = {"where": where[:, :half], "target": torch.log1p(torch.expm1(target[:, :half]) * factor)}
     return {
         key: torch.cat([value.gather(1, rows.expand_as(value)), data[key][:, half:]], 1) for key, value in seen.items()
     }
-
-
-def _lower_cosine(where: Tensor) -> Tensor:
-    """The lower cosine of light and viewer with the normal, [T, N], of half and difference vectors [T, N, 7]."""
-    half_x, _, half_z, x, _, z, incident = where.unbind(2)
-    return torch.minimum(incident, z * half_z + x * half_x)
