@@ -18,8 +18,10 @@ from metapp.apps.svbrdf_stationary import (
     DRAWN,
     FALLOFF,
     GRID,
+    OF_ROUGHNESS,
     PAPER,
     POOLED,
+    PRIOR,
     QUICK,
     RELIEF,
     TRUTH,
@@ -427,6 +429,19 @@ def test_the_outer_loss_knows_the_truth_where_a_task_has_it(sources: list[Task])
     unequal = torch.cat([own.expand(2, -1, -1) + 0.5, own])  # of other sizes than the network's
     there, off = loss_of(unequal), loss_of(unequal + 0.1)
     torch.testing.assert_close(off - there, torch.tensor([0.1 * TRUTH]))
+
+
+def test_a_prior_keeps_maps_usual(sources: list[Task]) -> None:
+    """Maps of one value each: its part of the loss is the mean square of what is off, and quick fits have none."""
+    kept = APP.at(replace(TINY, setup=replace(TINY.setup, prior=2.0)))
+    tasks = stack(kept, sources[:1])
+    found = []
+    for specular, roughness in ((0.0, 0.0), (0.5, 0.0), (0.0, -1.5)):
+        theta = flat(kept, 0.5, -0.5, 0.0, specular, roughness, 0.0)
+        batch = kept.sample(tasks, seeded(), 1)
+        found.append(kept.loss(theta, batch, {}) - tiny().loss(theta, batch, {}))
+    torch.testing.assert_close(torch.cat(found), torch.tensor([0.0, 2 * 0.25, 2 * OF_ROUGHNESS * 2.25]))
+    assert (QUICK.setup.prior, PAPER.setup.prior, APP.recipes["full"].setup.prior) == (0, 0, PRIOR)
 
 
 def test_the_truth_follows_its_channels(sources: list[Task]) -> None:
