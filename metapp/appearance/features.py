@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 import torch
 from safetensors import SafetensorError
@@ -178,10 +179,26 @@ def moments(maps: Sequence[Tensor]) -> Tensor:
     return torch.cat(parts, 1)
 
 
+class _Products(torch.autograd.Function):
+    """Products of channels [B, C, C] of rows [B, N, C], whose gradient is one product, not two and their sum."""
+
+    @staticmethod
+    def forward(ctx: Any, rows: Tensor) -> Tensor:
+        ctx.save_for_backward(rows)
+        return rows.mT @ rows
+
+    @staticmethod
+    def backward(ctx: Any, pull: Tensor) -> Tensor:
+        (rows,) = ctx.saved_tensors
+        result: Tensor = rows @ (pull + pull.mT)
+        return result
+
+
 def gram(maps: Tensor) -> Tensor:
     """Mean products of channels over a picture, [B, C, C], of feature maps [B, C, H, W] (Gatys et al. 2015)."""
-    flat = maps.flatten(2)
-    return flat @ flat.mT / flat.shape[-1]
+    rows = maps.movedim(1, -1).flatten(1, 2)  # as features have them in memory
+    products: Callable[[Tensor], Tensor] = _Products.apply
+    return products(rows) / rows.shape[1]
 
 
 def hann(size: int, like: Tensor) -> Tensor:
