@@ -11,7 +11,7 @@ SEEDS ?= 0 1 2
 # small networks run many times slower where threads fight over them
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: help setup demo test test-slow mutants lint types docs bench bench-size bench-photo guiding tables rules figures report paper torture torture-quick real real-photos \
+.PHONY: help setup demo test test-slow mutants lint types docs bench bench-size bench-growth bench-photo guiding tables rules figures report paper torture torture-quick real real-photos \
   real-illumination real-svbrdf starts-brdf starts-photos starts-illumination starts-svbrdf \
   starts-transport clean
 
@@ -65,6 +65,9 @@ bench: setup  ## speed and memory of learning, as ratios measured side by side
 
 bench-size: setup  ## time and memory of a fit against its size, 2 minutes
 	$(VENV)/bin/python -m tests.benchmarks.bench_size
+
+bench-growth: setup  ## how time and memory grow with steps, tasks and samples, a minute
+	$(VENV)/bin/python -m tests.benchmarks.bench_growth
 
 # of the embedded data set, unless DATA is given
 bench-photo: setup  ## what a flash photo says beyond what General reads from it; DATA=<data set of svbrdf_nonstationary>

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 import torch
 from safetensors import SafetensorError
@@ -13,7 +14,7 @@ from torch import Generator, Tensor, nn
 from torch.nn.functional import avg_pool2d
 
 from metapp.storage.files import cache_folder
-from metapp.storage.tensors import opened_tensors, read_tensors
+from metapp.storage.tensors import opened_tensors
 
 # channels of the convolutions of each block (Simonyan & Zisserman 2015); blocks are parted by max pooling
 BLOCKS = {
@@ -122,31 +123,41 @@ def _load(which: str, taps: tuple[str, ...], path: str, device: torch.device, dt
 
 
 def _vgg(which: str, taps: Sequence[str], path: str) -> Features:
+    stages: list[list[nn.Module]] = [[]]
+    for name, tap, inputs, outputs in _layers(which):
+        if tap.endswith("_1") and name != "conv0":
+            stages[-1].append(nn.MaxPool2d(2))
+        stages[-1] += [_convolution(which, path, name, inputs, outputs), nn.ReLU()]
+        if tap in taps:
+            stages.append([])
+        if len(stages) > len(taps):  # deeper ones are not even read
+            break
+    return Features(describe_features(which), [nn.Sequential(*stage) for stage in stages[:-1]])
+
+
+def _convolution(which: str, path: str, name: str, inputs: int, outputs: int) -> nn.Conv2d:
+    convolution = nn.Conv2d(inputs, outputs, 3, padding=1)
     try:
-        weights = read_tensors(path)
+        with opened_tensors(path) as weights:
+            known = [part for part in ("weight", "bias") if f"{name}.{part}" in weights.keys()]  # noqa: SIM118
+            convolution.load_state_dict({part: weights.get_tensor(f"{name}.{part}") for part in known})
     except SafetensorError:
         raise _damaged(which, path) from None
-    stages: list[list[nn.Module]] = [[]]
-    inputs, layer = 3, 0
+    except RuntimeError:
+        raise ValueError(
+            f"{path}: {name} missing or of another shape, expected {which}; "
+            f"fetch it again: metapp data vgg --which {which}."
+        ) from None
+    return convolution
+
+
+def _layers(which: str) -> Iterator[tuple[str, str, int, int]]:
+    """Convolutions in order: their names in files, those of what follows them, channels that they read and make."""
+    inputs, count = 3, 0
     for block, widths in enumerate(BLOCKS[which], 1):
         for i, outputs in enumerate(widths, 1):
-            convolution = nn.Conv2d(inputs, outputs, 3, padding=1)
-            try:
-                convolution.load_state_dict(
-                    {part: weights[f"conv{layer}.{part}"] for part in ("weight", "bias")}, strict=True
-                )
-            except (KeyError, RuntimeError):
-                raise ValueError(
-                    f"{path}: conv{layer} missing or of another shape, expected {which}; "
-                    f"fetch it again: metapp data vgg --which {which}."
-                ) from None
-            stages[-1] += [convolution, nn.ReLU()]
-            inputs, layer = outputs, layer + 1
-            if f"relu{block}_{i}" in taps:
-                stages.append([])
-        stages[-1].append(nn.MaxPool2d(2))
-    name = describe_features(which)
-    return Features(name, [nn.Sequential(*stage) for stage in stages[: len(taps)]])
+            yield f"conv{count}", f"relu{block}_{i}", inputs, outputs
+            inputs, count = outputs, count + 1
 
 
 RANDOM = 96
@@ -178,10 +189,26 @@ def moments(maps: Sequence[Tensor]) -> Tensor:
     return torch.cat(parts, 1)
 
 
+class _Products(torch.autograd.Function):
+    """Products of channels [B, C, C] of rows [B, N, C], whose gradient is one product, not two and their sum."""
+
+    @staticmethod
+    def forward(ctx: Any, rows: Tensor) -> Tensor:
+        ctx.save_for_backward(rows)
+        return rows.mT @ rows
+
+    @staticmethod
+    def backward(ctx: Any, pull: Tensor) -> Tensor:
+        (rows,) = ctx.saved_tensors
+        result: Tensor = rows @ (pull + pull.mT)
+        return result
+
+
 def gram(maps: Tensor) -> Tensor:
     """Mean products of channels over a picture, [B, C, C], of feature maps [B, C, H, W] (Gatys et al. 2015)."""
-    flat = maps.flatten(2)
-    return flat @ flat.mT / flat.shape[-1]
+    rows = maps.movedim(1, -1).flatten(1, 2)  # as features have them in memory
+    products: Callable[[Tensor], Tensor] = _Products.apply
+    return products(rows) / rows.shape[1]
 
 
 def hann(size: int, like: Tensor) -> Tensor:

@@ -2,15 +2,23 @@
 
 from __future__ import annotations
 
+import contextlib
 import functools
+import hashlib
 import math
 from collections.abc import Callable
+from pathlib import Path
 from typing import NamedTuple
 
 import torch
+from safetensors import SafetensorError
+from safetensors.torch import save
 from torch import Tensor
 
+from metapp.appearance import geometry
 from metapp.appearance.geometry import directions_to_rusinkiewicz, gauss_legendre
+from metapp.storage.files import cache_folder, write_atomically
+from metapp.storage.tensors import opened_tensors
 
 
 class SphereScene(NamedTuple):
@@ -156,13 +164,13 @@ def sphere_scene(
     return SphereScene(*(part.to(device, None if part.dtype == torch.bool else dtype) for part in scene))
 
 
-def shade_sphere(scene: SphereScene, evaluate: Callable[[Tensor], Tensor], *, chunk: int = 65_536) -> Tensor:
+def shade_sphere(scene: SphereScene, evaluate: Callable[[Tensor], Tensor], *, chunk: int = 8192) -> Tensor:
     """A BRDF as a picture of the reference sphere.
 
     Args:
         scene: where the lights are.
         evaluate: BRDF [..., 3] in 1/sr, linear RGB, of angles [..., 3]; called with [<= chunk, 3].
-        chunk: (pixel, light) pairs a call; it bounds the memory.
+        chunk: (pixel, light) pairs a call, few enough that what is computed of them stays near the processor.
 
     Returns:
         [size, size, 4]: linear RGB radiance on black (that is, times coverage: associated alpha, as in EXR), coverage.
@@ -181,15 +189,38 @@ def shade_sphere(scene: SphereScene, evaluate: Callable[[Tensor], Tensor], *, ch
 @functools.cache
 def reference_scene() -> SphereScene:
     """The scene of every BRDF picture: a fit and its reference are shaded in the same one."""
-    return sphere_scene()
+    return _kept("studio", sphere_scene)
 
 
 @functools.cache
 def environment_scene(size: int = 48) -> SphereScene:
     """The same sphere under `environment` alone, 320 directions a pixel, float32; of width and height >= 8."""
+    return _kept(f"environment-{size}", lambda: _environment_scene(size))
+
+
+def _environment_scene(size: int) -> SphereScene:
     mask, coverage, frame = _surface(size)
     wo = frame[:, :, 2]
     wi, solid_angle = _rings(wo, 16, 20)
     light = environment(torch.einsum("pji,plj->pli", frame, wi))
     scene = _exposed(mask, coverage, wi, wo, light * solid_angle[..., None])
     return SphereScene(*(part if part.dtype == torch.bool else part.float() for part in scene))
+
+
+def _kept(name: str, make: Callable[[], SphereScene]) -> SphereScene:
+    """A scene from the cache, where it was made by the same code; else made, and kept there if that can be."""
+    path, maker = cache_folder() / f"sphere-{name}.safetensors", {"maker": _maker()}
+    with contextlib.suppress(OSError, SafetensorError), opened_tensors(path) as stored:
+        if stored.metadata() == maker:
+            return SphereScene(*map(stored.get_tensor, SphereScene._fields))
+    scene = make()
+    tensors = {key: value.contiguous() for key, value in scene._asdict().items()}
+    with contextlib.suppress(OSError):
+        write_atomically(path, lambda partial: partial.write_bytes(save(tensors, maker)))
+    return scene
+
+
+def _maker() -> str:
+    """A digest of the code that scenes are made by, and torch's version."""
+    sources = b"".join(Path(each).read_bytes() for each in (__file__, geometry.__file__))
+    return f"{hashlib.sha256(sources).hexdigest()[:16]} {torch.__version__}"

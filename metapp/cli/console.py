@@ -76,7 +76,7 @@ def _leave(stream: Any) -> None:
 
 
 def print_json(document: dict[str, Any]) -> None:
-    """The last line of standard output, one object.
+    """Write an object as one line of standard output, at once.
 
     Raises:
         ValueError: standard output is closed.
@@ -121,11 +121,7 @@ def run(command: Callable[[], Any]) -> int:
         _leave(sys.stdout)
         return Exit.FAILED
     except Exception as error:
-        if os.environ.get("METAPP_TRACEBACK"):
-            raise
-        foreseen = isinstance(error, ValueError | FloatingPointError | OSError | MemoryError | ImportError)
-        what = str(error) or type(error).__name__
-        say(f"error: {what}" if foreseen else f"error: {type(error).__name__}: {_cut(what)}; {REPORT}")
+        say(f"error: {what_failed(error)}")
         try:
             sys.stdout.flush()
         except OSError:
@@ -134,6 +130,26 @@ def run(command: Callable[[], Any]) -> int:
     if code == Exit.INTERRUPTED:  # typer turns Ctrl-C into this code by itself
         return _interrupted()
     return code if isinstance(code, int) else Exit.DONE
+
+
+def what_failed(error: Exception) -> str:
+    """What to say of an error: what it says itself, if it was foreseen.
+
+    Raises:
+        Exception: the same, where METAPP_TRACEBACK asks for a traceback.
+    """
+    if os.environ.get("METAPP_TRACEBACK"):
+        raise error
+    foreseen = isinstance(error, ValueError | FloatingPointError | OSError | MemoryError | ImportError)
+    what = str(error) or type(error).__name__
+    return what if foreseen else f"{type(error).__name__}: {_cut(what)}; {REPORT}"
+
+
+def lines_of_input() -> Iterator[str]:
+    """Lines of standard input as they come, without their ends; empty ones are left out."""
+    for line in sys.stdin.buffer:
+        if text := os.fsdecode(line.rstrip(b"\r\n")):
+            yield text
 
 
 def _end_like_ctrl_c() -> None:

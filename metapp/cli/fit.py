@@ -4,22 +4,16 @@ from __future__ import annotations
 
 import math
 import os
-import statistics
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
 from data_tools.formats import exports_of, inputs_of
 from metapp.apps import app_names
-from metapp.cli.console import Exit, one_line, out, print_json, say
+from metapp.cli.console import say
+from metapp.cli.fitting import fit, fit_lines, fit_many
 from metapp.cli.options import Json
-from metapp.experiments.reporter import number
-
-if TYPE_CHECKING:
-    from metapp.experiments.run import Run
-    from metapp.experiments.session import Options
-    from metapp.learning.app import App
 
 RULE_NAMES = (
     "meta-sgd, meta-adam, meta-adam-tied, meta-curvature, meta-encoder, meta-lgd, meta-mean, meta-basis, meta-axes, "
@@ -51,7 +45,8 @@ def make_command(name: str, summary: str) -> Any:
             list[Path] | None,
             typer.Argument(
                 metavar="[INPUT]...",
-                help=f"What to fit: {INPUTS}; or folders of these. Without any, the test tasks of --data.",
+                help=f"What to fit: {INPUTS}; or folders of these. Without any, the test tasks of --data. - with "
+                "--json: one a line of standard input, each answered by a line at once.",
             ),
         ] = None,
         steps: Annotated[int | None, typer.Option(help="Gradient steps instead of the recipe's.", min=0)] = None,
@@ -198,108 +193,17 @@ def make_command(name: str, summary: str) -> Any:
             "size": size,
             "reading": Reading(scene_root or [], math.radians(fov)),
         }
+        lines = inputs == [Path("-")]
+        if lines and (not json or batch or shard or render):
+            raise typer.BadParameter("-: give --json, by which lines are answered, no --batch, --shard, --render.")
         if (batch or shard) and render:
             raise typer.BadParameter("--render: of scenes one by one; leave --batch and --shard out.")
-        if batch or shard:
+        if lines:
+            fit_lines(options, name, told)
+        elif batch or shard:
             fit_many(options, name, inputs or [], batch, shard, told, json=json)
         else:
             fit(options, name, inputs or [], told, render=render, json=json)
 
     command.__doc__ = summary
     return command
-
-
-def fit(options: Options, name: str, inputs: list[Path], told: dict[str, Any], *, render: int, json: bool) -> None:
-    """Fit inputs one by one and show what came of it; of scenes also pictures of so many px."""
-    from metapp.experiments.pictures import write_renders
-    from metapp.experiments.run import run
-
-    done = run(options, name, inputs, **told)
-    lines = write_renders(done.options.app, done.tasks, done.folder.path / "outputs", render) if render else []
-    if not options.quiet:
-        show(done, table=not json)
-        for line in lines:
-            say(line)
-    if json:
-        print_json(done.document())
-
-
-def fit_many(
-    options: Options, name: str, inputs: list[Path], batch: str, shard: str, told: dict[str, Any], *, json: bool
-) -> None:
-    """Fit many inputs, show what came of it and list what failed; then the exit code is 1."""
-    from metapp.experiments import many
-    from metapp.experiments.batch_size import check_batch
-    from metapp.experiments.sources import shard_of
-
-    done = many.fit_many(options, name, inputs, many.Asked(check_batch(batch or "1"), shard_of(shard)), **told)
-    if not options.quiet:
-        records = done.run.records
-        if not json:
-            out.print(table_of(done.run.options.app, name, records, rate=done.tasks_per_second, most=LISTED))
-        made = f"\nmade: {done.run.made}" if done.run.made else ""
-        say(f"gallery: {done.gallery}\nrecords: {done.run.folder.file}{made}")
-    for failure in done.failures:
-        say(f"failed: {one_line(failure.reason)}")
-    if json:
-        print_json(done.document())
-    if done.failures:
-        say(f"error: {len(done.failures)} of {len(done.failures) + len(done.run.records)} inputs were not fitted.")
-        raise typer.Exit(Exit.FAILED)
-
-
-LISTED = 20  # tasks in the table of many
-
-
-def show(done: Run, *, table: bool) -> None:
-    """Draw the picture of a run; print its table and say where everything is."""
-    from metapp.experiments.pictures import picture_of_run
-
-    app, paradigm = done.options.app, done.settings["paradigm"]
-    picture = picture_of_run(app, paradigm, done.tasks, done.records, done.folder.path)
-    if table:
-        out.print(table_of(app, paradigm, done.records))
-    say(f"picture: {picture}\nrecords: {done.folder.file}" + (f"\nmade: {done.made}" if done.made else ""))
-
-
-def table_of(
-    app: App, paradigm: str, records: list[dict[str, Any]], *, rate: float | None = None, most: int | None = None
-) -> Any:
-    """One line a task, and their mean; of more than `most` those of the largest errors.
-
-    Args:
-        app: the application.
-        paradigm: its name.
-        records: of all tasks.
-        rate: tasks that were fitted in a second, if that is to be said.
-        most: lines, None for all.
-    """
-    from rich.table import Table
-    from rich.text import Text
-
-    from metapp.experiments.session import caption_of, title_of
-    from metapp.experiments.tables.statistics import warned
-    from metapp.storage.records import guarded, summary
-
-    factor = f" x{app.scale:g}" if app.scale != 1 else ""
-    remarks = warned([{"paradigm": paradigm, "tasks": len(records), "guarded": guarded(records)}])
-    shown_records = records
-    if most is not None and len(records) > most:
-        shown_records = sorted(records, key=lambda record: -(record["error"] or 0.0))[:most]
-        remarks.insert(0, f"{most} of {len(records)} tasks, those of the largest errors")
-    if rate is not None:
-        remarks.insert(0, f"{rate:.4g} tasks/s, reading and pictures included")
-    table = Table(
-        title=f"{title_of(app)}: {paradigm}", show_footer=True, caption="\n".join([caption_of(app), *remarks])
-    )
-    total = summary(records)
-    table.add_column("task", "mean error, median of the rest")
-    table.add_column(f"error{factor}", number(total["error"], ".3f"), justify="right")
-    table.add_column("seconds", number(total["seconds"], ".4f"), justify="right")
-    steps = [record["steps"] for record in records if "steps" in record]
-    if steps:
-        table.add_column("steps", f"{statistics.median(steps):g}", justify="right")
-    for record in shown_records:
-        shown = [f"{record['steps']}"] if steps else []
-        table.add_row(Text(record["name"]), number(record["error"], ".3f"), f"{record['seconds']:.4f}", *shown)
-    return table

@@ -34,20 +34,10 @@ def fit_tasks(
     The time is from the task's samples to the final parameters, warm. The error is None where a task holds no
     reference. Where fits are watched, drawing is not part of their times.
 
-    Yields:
-        The record of each, and its parameters without a task axis.
+    Returns:
+        The record of each, and its parameters without a task axis, as they come.
     """
-    app = options.app
-    for task in tasks if app.protocols else ():
-        app.prepare(task)  # that one does not hold what a fit may see should not be found after an hour
-    fitter = Fitter(options, paradigm, checkpoint, watched)
-    for task in tasks[:1]:
-        fitter.warm(task)
-    for task in tasks:
-        yield from fitter.fit([task])
-    if watched:
-        watched.finish()
-    fitter.tell(len(tasks))
+    return Fitter(options, paradigm, checkpoint, watched).each(tasks)
 
 
 class Fitter:
@@ -63,9 +53,24 @@ class Fitter:
         self.options, self.paradigm, self.checkpoint, self.watched = options, paradigm, checkpoint, watched
         self.over: dict[bool, list[float]] = {True: [], False: []}
         self._paces: list[Pace] = []
+        self._warm = False
+
+    def each(self, tasks: Sequence[Task]) -> Iterator[tuple[dict[str, Any], Params]]:
+        """Fit tasks one by one; see `fit_tasks`."""
+        for task in tasks if self.options.app.protocols else ():
+            self.options.app.prepare(task)  # that one does not hold what a fit may see should not be found after hours
+        for task in tasks:
+            self.warm(task)
+            yield from self.fit([task])
+        if self.watched:
+            self.watched.finish()
+        self.tell(len(tasks))
 
     def warm(self, task: Task) -> None:
-        """Fit a task for a few steps, as first calls load kernels; for a budget measure how long steps take."""
+        """Take a few steps before the first fit, as first calls load kernels; for a budget measure how long."""
+        if self._warm:
+            return
+        self._warm = True
         few = min(self.paradigm.count(self.options.job), WARM)
         self._timed([task], self.options.job._replace(steps=few))
         if self.options.budget is not None and few:
@@ -144,6 +149,7 @@ class Fitter:
             if over := self.over[moved]:
                 most = said_time(budget + max(over))
                 say(f"budget: on {len(over)} of {count} tasks {why} than {said_time(budget)}, up to {most}")
+                over.clear()
 
 
 def require_finite(task: Task, theta: Params, errors: Mapping[str, float]) -> None:

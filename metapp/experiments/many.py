@@ -155,7 +155,6 @@ class _Work:
         self.size = BatchSize(batch, fitter.options.device)
         self.failures: list[Failure] = []
         self.count = 0
-        self._warm = False
 
     def known(self, sources: Sequence[Source]) -> dict[str, dict[str, Any]]:
         """Records of sources that have not changed since, by their places."""
@@ -193,9 +192,7 @@ class _Work:
         """Fits of tasks side by side; where that fails, of each half, so that one that fails is soon alone."""
         tasks = [task for _, task in pairs]
         try:
-            if not self._warm:
-                self.fitter.warm(tasks[0])
-                self._warm = True
+            self.fitter.warm(tasks[0])
             found = self.fitter.fit(tasks)
         except (ValueError, FloatingPointError, MemoryError, RuntimeError) as error:
             if len(pairs) == 1:

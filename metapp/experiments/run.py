@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -12,7 +12,7 @@ from metapp.apps import presentation_of
 from metapp.experiments import BadOption
 from metapp.experiments.checkpoints import find_checkpoint, train_checkpoint
 from metapp.experiments.export import export_fit
-from metapp.experiments.fits import fit_tasks
+from metapp.experiments.fits import Fitter
 from metapp.experiments.inputs import AS_FILES_SAY, Reading, tasks_to_fit
 from metapp.experiments.origin import origin_of
 from metapp.experiments.pictures import write_files
@@ -106,11 +106,45 @@ def run(
     options, paradigm, sides = placed(options, paradigm_name, size)
     with threads(threads_of(options.app)):
         tasks, label = tasks_to_fit(options.app, inputs, options.data, options.quiet, reading)
-        if train:
-            with ranks.joined(options.device):
-                train_checkpoint(options, paradigm, train_steps)
-        checkpoint = find_checkpoint(options, paradigm)
-        return _fit(options, paradigm, checkpoint, tasks, label, export, sides, origin_of(options, inputs, reading))
+        fitter = _fitter(options, paradigm, train, train_steps)
+        return _fit(fitter, tasks, label, export, sides, origin_of(options, inputs, reading))
+
+
+def run_each(
+    options: Options,
+    paradigm_name: str,
+    inputs: Iterable[Path],
+    *,
+    train: bool = False,
+    train_steps: int | None = None,
+    export: str = "",
+    size: str = "",
+    reading: Reading = AS_FILES_SAY,
+) -> Iterator[tuple[Path, Run | Exception]]:
+    """Run a paradigm on each of many inputs as they come, the checkpoint and the kernels loaded once; see `run`.
+
+    Yields:
+        Each input with its run, or with why there is none.
+    """
+    options, paradigm, sides = placed(options, paradigm_name, size)
+    with threads(threads_of(options.app)):
+        fitter = _fitter(options, paradigm, train, train_steps)
+        for path in inputs:
+            done: Run | Exception
+            try:
+                tasks, label = tasks_to_fit(options.app, [path], None, options.quiet, reading)
+                done = _fit(fitter, tasks, label, export, sides, origin_of(options, [path], reading))
+            except Exception as error:  # whatever it is, the next input is not to blame
+                done = error
+            yield path, done
+
+
+def _fitter(options: Options, paradigm: Paradigm, train: bool, train_steps: int | None) -> Fitter:
+    """What fits by the best checkpoint, trained first if that is asked for."""
+    if train:
+        with ranks.joined(options.device):
+            train_checkpoint(options, paradigm, train_steps)
+    return Fitter(options, paradigm, find_checkpoint(options, paradigm))
 
 
 def placed(options: Options, name: str, size: str) -> tuple[Options, Paradigm, tuple[int, int] | None]:
@@ -138,15 +172,9 @@ def follow(options: Options, paradigm_name: str, train_steps: int | None) -> Non
 
 
 def _fit(
-    options: Options,
-    paradigm: Paradigm,
-    checkpoint: Checkpoint,
-    tasks: list[Task],
-    label: str,
-    export: str,
-    size: tuple[int, int] | None,
-    origin: dict[str, Any],
+    fitter: Fitter, tasks: list[Task], label: str, export: str, size: tuple[int, int] | None, origin: dict[str, Any]
 ) -> Run:
+    options, paradigm, checkpoint = fitter.options, fitter.paradigm, fitter.checkpoint
     settings = settings_of(options, paradigm, checkpoint, label)
     folder = RunFolder(run_path(options, settings, label), settings, FIT, origin)
     if not options.quiet:
@@ -156,7 +184,7 @@ def _fit(
             say(f"watch: {folder.path / 'watch.png'}; the time that it takes to draw is not part of the seconds")
     # a finished run is run anew, one that was cut off is completed
     again = len(folder.finished()) >= len(tasks)
-    records = run_tasks(options, paradigm, checkpoint, tasks, folder, again=again)
+    records = run_tasks(fitter, tasks, folder, again=again)
     made = _write(presentation_of(options.app, size), tasks, folder, export)
     return Run(options, settings, label, tasks, records, folder, made)
 
@@ -211,20 +239,13 @@ def run_path(options: Options, settings: dict[str, Any], label: str) -> Path:
     return result
 
 
-def run_tasks(
-    options: Options,
-    paradigm: Paradigm,
-    checkpoint: Checkpoint,
-    tasks: list[Task],
-    folder: RunFolder,
-    *,
-    again: bool = False,
-) -> list[dict[str, Any]]:
+def run_tasks(fitter: Fitter, tasks: list[Task], folder: RunFolder, *, again: bool = False) -> list[dict[str, Any]]:
     """Fit each task that has no record yet, or all again, with a progress bar; the records of all, in order."""
     done = {} if again else folder.finished()
-    with progress(paradigm.name, len(tasks), done=len(done), quiet=options.quiet) as bar:
+    name = fitter.paradigm.name
+    with progress(name, len(tasks), done=len(done), quiet=fitter.options.quiet) as bar:
         missing = [task for task in tasks if task.name not in done]
-        for record in fit_and_keep(options, paradigm, checkpoint, missing, folder):
+        for record in _kept(fitter, missing, folder):
             done[record["name"]] = record
             bar.advance(f"{record['name']} {number(record['error'], '.3f')}".removesuffix(" -"))
     return [done[task.name] for task in tasks]
@@ -238,7 +259,12 @@ def fit_and_keep(
     Yields:
         Their records.
     """
-    watched = Watched(options.app, paradigm.name, folder.path / "watch.png") if options.watch else None
-    for record, theta in fit_tasks(options, paradigm, checkpoint, tasks, watched):
+    return _kept(Fitter(options, paradigm, checkpoint), tasks, folder)
+
+
+def _kept(fitter: Fitter, tasks: list[Task], folder: RunFolder) -> Iterator[dict[str, Any]]:
+    options = fitter.options
+    fitter.watched = Watched(options.app, fitter.paradigm.name, folder.path / "watch.png") if options.watch else None
+    for record, theta in fitter.each(tasks):
         folder.add(record, theta)
         yield record

@@ -9,9 +9,10 @@ from typing import NamedTuple
 
 import torch
 from torch import Generator, Tensor
-from torch.nn.functional import avg_pool2d, conv2d, instance_norm, interpolate, leaky_relu, pad
+from torch.nn.functional import avg_pool2d, conv2d, instance_norm, interpolate, leaky_relu
 
 from metapp.learning.task import Params
+from metapp.networks.tiling import tiled
 
 SLOPE = 0.2
 
@@ -145,7 +146,7 @@ def styled(theta: Params, name: str, x: Tensor) -> Tensor:
         [B, T * O, H, W].
     """
     kernel = theta[f"{name}.kernel"]
-    x = conv2d(pad(x, (1, 1, 1, 1), mode="circular"), kernel.flatten(0, 1), groups=kernel.shape[0])
+    x = conv2d(tiled(x), kernel.flatten(0, 1), groups=kernel.shape[0])
     gain, shift = style_of(theta, name)
     return leaky_relu(instance_norm(x) * gain + shift, SLOPE)
 

@@ -7,11 +7,12 @@ from typing import NamedTuple
 
 import torch
 from torch import Generator, Tensor
-from torch.nn.functional import avg_pool2d, conv2d, interpolate, pad
+from torch.nn.functional import avg_pool2d, conv2d
 
 from metapp.learning.task import Params
 from metapp.networks.layers import init_styled, styled
 from metapp.networks.strips import ROWS, enlarged_rows, rows_of, styled_by_rows
+from metapp.networks.tiling import enlarged
 
 
 class Pyramid(NamedTuple):
@@ -99,8 +100,3 @@ class Pyramid(NamedTuple):
 def _joined(features: Tensor, noise: Tensor, tasks: int) -> Tensor:
     """Both side by side; channels of one task lie together, as grouped convolutions want them."""
     return torch.cat([part.unflatten(1, (tasks, -1)) for part in (features, noise)], 2).flatten(1, 2)
-
-
-def enlarged(x: Tensor) -> Tensor:
-    """Maps [B, C, H, W] twice as high and wide, interpolated linearly across their edges, [B, C, 2H, 2W]."""
-    return interpolate(pad(x, (1, 1, 1, 1), mode="circular"), scale_factor=2, mode="bilinear")[..., 2:-2, 2:-2]

@@ -23,7 +23,7 @@ def rows_of(x: Tensor) -> Rows:
 
 
 def enlarged_rows(x: Tensor) -> Rows:
-    """The rows of maps [B, C, H, W] twice as high and wide, as `pyramid.enlarged`; from an odd one to an odd end."""
+    """The rows of maps [B, C, H, W] twice as high and wide, as `tiling.enlarged`; from an odd one to an odd end."""
 
     def read(first: int, end: int) -> Tensor:
         coarse = rows_of(x)((first - 1) // 2, end // 2 + 1)

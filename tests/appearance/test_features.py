@@ -65,6 +65,16 @@ def test_a_gram_matrix_does_not_know_places(rand: Callable[..., Tensor], rng: Ge
     torch.testing.assert_close(gram(moved), gram(maps))
 
 
+@pytest.mark.parametrize("memory_format", [torch.contiguous_format, torch.channels_last])
+def test_gram_matrices_are_twice_differentiable(
+    memory_format: torch.memory_format, rand: Callable[..., Tensor]
+) -> None:
+    maps = rand(2, 3, 4, 5).contiguous(memory_format=memory_format).requires_grad_()
+    weights = rand(2, 3, 3)  # not symmetric
+    assert torch.autograd.gradcheck(lambda each: gram(each) * weights, (maps,))
+    assert torch.autograd.gradgradcheck(lambda each: gram(each) * weights, (maps,))
+
+
 def test_distances(rand: Callable[..., Tensor]) -> None:
     target = [rand(2, 3, 3), rand(2, 5, 5)]
     assert distance(target, target).tolist() == [0, 0]

@@ -11,7 +11,7 @@ from torch import Generator, Tensor
 from metapp.apps.svbrdf_stationary import APP, FULL, SvbrdfStationary
 from metapp.apps.svbrdf_stationary.presentation import SvbrdfStationaryPresentation
 from metapp.learning.task import Params, Task, Tasks
-from metapp.networks.pyramid import enlarged
+from metapp.networks.tiling import enlarged
 from tests.apps.octaves import noise_tasks, tiny
 
 TINY = tiny(FULL, 64, 0.5)

@@ -22,7 +22,7 @@ from metapp.appearance.presentation import Picture
 from metapp.apps import brdf
 from metapp.apps.brdf import Brdf, presentation
 from metapp.apps.brdf.presentation import BrdfPresentation
-from metapp.cli.fit import table_of
+from metapp.cli.fitting import table_of
 from metapp.experiments.checkpoints import checkpoint_name
 from metapp.experiments.shipped import shipped_path
 from metapp.experiments.tables.results import closing

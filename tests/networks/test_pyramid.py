@@ -11,7 +11,8 @@ from torch.nn.functional import avg_pool2d, conv2d
 
 from metapp.learning.task import Params
 from metapp.networks import pyramid, strips
-from metapp.networks.pyramid import Pyramid, enlarged
+from metapp.networks.pyramid import Pyramid
+from metapp.networks.tiling import enlarged
 from tests.networks.precise import double
 
 NETWORK = Pyramid(4, levels=3, noise=2, code=5)

@@ -1,0 +1,137 @@
+"""How time and memory grow with steps, tasks and samples; `make bench-growth` runs it, on Linux.
+
+The BRDF network by the default rule, meta-curvature, one thread: a fit of 8 tasks in 10 steps of 512 samples, and an
+outer step of second-order training on 4, each with one of these numbers changed. Each is measured in a process of its
+own, forked: CPU milliseconds, the least of three, and by how much the peak of memory rises, samples drawn beforehand.
+Exponents are the slopes of least squares on logarithms: 1 is linear. How cost grows with the size of pictures is in
+`bench_size`.
+"""
+
+from __future__ import annotations
+
+import functools
+import multiprocessing
+import re
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import torch
+from torch import Generator, Tensor
+
+from metapp.apps.brdf import APP, network
+from metapp.learning.adjoint import Drawn, Loss
+from metapp.learning.learn import MetaParameters, after_learning, learn, spread, task_loss
+from metapp.learning.rules import RULES
+from metapp.learning.task import Batch
+
+RULE = RULES["meta-curvature"]
+FIRST = APP.recipes["quick"].meta["meta-curvature"].first
+ROUNDS = 3
+
+
+class Size(NamedTuple):
+    """What is measured at."""
+
+    steps: int = 10
+    tasks: int = 8
+    samples: int = 512
+
+
+STEPS, TASKS, SAMPLES = (4, 8, 16, 32, 64), (1, 4, 16, 64, 256, 1024), (128, 512, 2048, 8192)
+FIT, TRAINED = Size(), Size(tasks=4)
+ROWS: dict[str, list[Size]] = {
+    "fit: steps": [FIT._replace(steps=each) for each in STEPS],
+    "fit: tasks": [FIT._replace(tasks=each) for each in TASKS],
+    "fit: samples": [FIT._replace(samples=each) for each in SAMPLES],
+    "training: steps": [TRAINED._replace(steps=each) for each in STEPS],
+    "training: tasks": [TRAINED._replace(tasks=each) for each in TASKS[:5]],
+    "training: samples": [TRAINED._replace(samples=each) for each in SAMPLES],
+}
+
+
+def draw(size: Size, rng: Generator) -> Batch:
+    """Samples of random materials."""
+    vectors = torch.randn(size.tasks, 2, 3, size.samples, generator=rng)
+    where = (vectors / vectors.norm(dim=2, keepdim=True)).flatten(1, 2)
+    cosine = torch.rand(size.tasks, 1, size.samples, generator=rng)
+    other = APP.init(Generator().manual_seed(1), size.tasks)
+    return {"where": torch.cat([where, cosine], 1), "target": torch.log1p(network(other, where).clamp_min(0) * cosine)}
+
+
+def loss_of(size: Size) -> Loss:
+    """The application's loss on samples that are drawn now, the same at each step."""
+    drawn = Drawn(tuple(map(str, range(size.tasks))), draw(size, Generator().manual_seed(0)))
+    return task_loss(APP, size.samples)._replace(draw=lambda data, rng: drawn)
+
+
+def fit(size: Size, start: MetaParameters, loss: Loss) -> None:
+    """Descend by the rule."""
+    theta, rng = spread(start.theta, size.tasks, 0), Generator().manual_seed(0)
+    learn(theta, RULE.rule(spread(start.alpha, size.tasks, 1)), None, loss, steps=size.steps, rng=rng)
+
+
+def train(size: Size, start: MetaParameters, loss: Loss) -> None:
+    """Take the second-order gradient of an outer step."""
+    phi = {key: value.requires_grad_() for key, value in start.flat().items()}
+    outer = after_learning(loss, RULE.rule, steps=size.steps, order=2, clip=0.1)
+    seen = outer.draw(None, Generator().manual_seed(0))
+    torch.autograd.grad(outer.value(phi, seen.batch, {}).sum(), list(phi.values()), allow_unused=True)
+
+
+def measure(what: Callable[[Size, MetaParameters, Loss], None], size: Size) -> tuple[float, float]:
+    """CPU milliseconds and megabytes of one size, in this process."""
+    start, loss = start_of(size), loss_of(size)
+    Path("/proc/self/clear_refs").write_text("5")  # the peak is what is there now
+    before, times = peak(), []
+    for _ in range(ROUNDS):
+        begin = time.process_time()
+        what(size, start, loss)
+        times.append(time.process_time() - begin)
+    return 1e3 * min(times), peak() - before
+
+
+def start_of(size: Size) -> MetaParameters:
+    """A random initialisation and the rule before any training."""
+    theta = {key: value[0] for key, value in APP.init(Generator().manual_seed(0), 1).items()}
+    return MetaParameters(theta, RULE.alpha(APP, theta, size.steps, FIRST))
+
+
+def peak() -> float:
+    """The peak of this process's memory, MB."""
+    found = re.search(r"VmHWM:\s+(\d+) kB", Path("/proc/self/status").read_text())
+    assert found
+    return int(found[1]) / 1024
+
+
+def exponent(sizes: Sequence[int], values: Sequence[float]) -> float:
+    """Of the power of sizes that values grow with."""
+    x, y = (torch.tensor(each, dtype=torch.float64).log() for each in (list(sizes), [max(v, 1e-3) for v in values]))
+    slope: Tensor = ((x - x.mean()) * (y - y.mean())).sum() / (x - x.mean()).square().sum()
+    return float(slope)
+
+
+def said(value: float) -> str:
+    """Two digits or more."""
+    return f"{value:.0f}" if value >= 10 else f"{value:.1f}"
+
+
+def main() -> None:
+    """Print the table."""
+    torch.set_num_threads(1)
+    fit(FIT, start_of(FIT), loss_of(FIT))  # compiles the steps, once
+    print("| what grows | values | ms | MB | exponents of time and memory |\n|---|---|---|---|---|")
+    with multiprocessing.get_context("fork").Pool(1, maxtasksperchild=1) as pool:
+        for name, sizes in ROWS.items():
+            what, _, grows = name.partition(": ")
+            each = functools.partial(measure, fit if what == "fit" else train)
+            found = [pool.apply(each, (size,)) for size in sizes]
+            numbers = [getattr(size, grows) for size in sizes]
+            powers = [exponent(numbers, values) for values in zip(*found, strict=True)]
+            shown = [", ".join(map(str, numbers)), *(", ".join(map(said, each)) for each in zip(*found, strict=True))]
+            print(f"| {name} | {' | '.join(shown)} | {powers[0]:.2f} and {powers[1]:.2f} |", flush=True)
+
+
+if __name__ == "__main__":
+    main()
