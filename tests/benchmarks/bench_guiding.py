@@ -113,15 +113,24 @@ def cost(spent: dict[str, float], spp: int) -> tuple[float, float]:
 
 def measure(options: argparse.Namespace, file: Path) -> list[dict[str, Any]]:
     """Measure all, and keep it, a line each, as soon as it is known."""
-    found = [json.loads(line) for line in file.read_text("utf-8").splitlines()] if file.exists() else []
+    kept = [json.loads(line) for line in file.read_text("utf-8").splitlines()] if file.exists() else []
+    found = [row for row in kept if row["size"] == options.size]
     with file.open("a", encoding="utf-8") as out:
         for name in options.scenes:
             bench = Bench(name, options)
             for seconds, seed, method in itertools.product(options.times, range(1, options.seeds + 1), options.methods):
-                row = {"scene": name, "method": method, "time": seconds, "seed": seed, "reference": bench.own_error}
+                row = {
+                    "size": options.size,
+                    "scene": name,
+                    "method": method,
+                    "time": seconds,
+                    "seed": seed,
+                    "reference": bench.own_error,
+                }
                 found.append(row | bench.measured(method, seconds, seed))
                 print(json.dumps(found[-1]), file=out, flush=True)
-    return found
+    keys = ("scene", "method", "time", "seed")
+    return list({tuple(row[key] for key in keys): row for row in found}.values())  # the last of each
 
 
 def table(rows: list[dict[str, Any]]) -> str:
