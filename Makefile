@@ -73,7 +73,7 @@ bench-growth: setup  ## how time and memory grow with steps, tasks and samples, 
 bench-photo: setup  ## what a flash photo says beyond what General reads from it; DATA=<data set of svbrdf_nonstationary>
 	$(VENV)/bin/python -m tests.benchmarks.bench_flash_photo $(if $(filter file,$(origin DATA)),,"$(DATA)")
 
-# of 256 px; a shorter one: make guiding GUIDING="--size 64 --reference 4096 --times 0.25 1 4"
+# of 256 px; a shorter one: make guiding GUIDING="--size 64 --reference 4096 --times 0.25 1 4"; rows and references are kept
 guiding: setup  ## error over seconds of guided and regular paths, a table and a figure in runs/guiding; an hour
 	$(VENV)/bin/python -m tests.benchmarks.bench_guiding --out $(RUNS)/guiding $(GUIDING)
 

@@ -81,8 +81,9 @@ def guided_picture(mi: Any, scene: Any, spp: int, depth: int, seed: int = 0, *, 
     begin = time.process_time()
     integrator = mi.load_dict({"type": "guided_path", "max_depth": depth, "emitter_sampling": joins})
     picture = rendered(mi, scene, integrator, spp, seed)
-    spent = dict(integrator.spent)
-    return TimedPicture(picture, spp, spent | {"all else": time.process_time() - begin - sum(spent.values())})
+    spent, all_of_it = dict(integrator.spent), time.process_time() - begin
+    rest = "all else" if spent else "regular samples"  # where `path` rendered instead
+    return TimedPicture(picture, spp, spent | {rest: all_of_it - sum(spent.values())})
 
 
 def regular_picture(mi: Any, scene: Any, seconds: float, spp: int, depth: int, seed: int = 0) -> TimedPicture:

@@ -5,9 +5,9 @@ surface, all of the same share of it, weighed by the cosine. What is learned is 
 from each cell, whose root is the density of least variance (Rath et al. 2020), coarse to fine: cells that few paths
 took lean on those around them.
 
-Directions are drawn from slots, SHARE for each cell, of which one is the cell's own and the others are shared out as
-was learned: one look-up tells a cell and, by how many slots it has, its density, which is never below 1 / SHARE of the
-uniform one.
+A table has a row for each place that many paths met; the others share that of a voxel of twice the side. In a row,
+directions are drawn by the alias method (Walker 1977): a word for each cell says how many of all SLOTS it has, never
+fewer than 1 / SHARE of what would be even, and which other cell is drawn in its place how often.
 """
 
 from __future__ import annotations
@@ -18,16 +18,18 @@ import numpy as np
 import torch
 from torch import Tensor
 
-GRID, SIDE, SHARE = 8, 16, 4  # voxels along an axis, cells along a side of the hemisphere, slots for a cell
+GRID, SIDE = 16, 16  # voxels along an axis, cells along a side of the hemisphere
+SHARE = 16  # a cell's density is at least one in so many of the uniform one
 AXES = 6
-CELLS = SIDE * SIDE
-SLOTS = SHARE * CELLS
+CELLS = SIDE * SIDE  # no more than a byte tells apart
+SLOTS = CELLS * CELLS
 PLACES = GRID**3 * AXES
+OWN = 2048.0  # paths from which on a place has a row of its own
 LEAN = 16.0  # paths that the coarser cells count as
 POWER = 0.4  # of second moments; the density of least variance is the root, but a few paths make cells too bright
 
 _TINY = 1e-300
-_LOW = 0xFFFF  # of a slot: the cell; above, how many slots it has
+_BYTE = 8  # bits; a word is, from below: another cell, the draws of CELLS that are not the other's, slots
 
 
 class Spot(NamedTuple):
@@ -35,10 +37,12 @@ class Spot(NamedTuple):
 
     Attributes:
         place: its number.
+        row: of the table.
         frame: about the normal, turned alike in all of a place.
     """
 
     place: Any
+    row: Any
     frame: Any
 
 
@@ -58,10 +62,11 @@ class GuideCache:
         extent = np.maximum(high - low, 1e-6 * max(float((high - low).max()), 1e-6))
         self.low, self.scale = mi.ScalarPoint3f(low), mi.ScalarVector3f(GRID / extent)
         # in double precision the order in which threads add makes no difference that matters: pictures can be repeated
-        self.squares = drjit.zeros(mi.Float64, PLACES * CELLS)
-        self.counts = drjit.zeros(mi.Float64, PLACES * CELLS)
-        self.slots = mi.UInt32(drjit.arange(mi.UInt32, PLACES * SLOTS) % CELLS | (SHARE << 16))
-        drjit.eval(self.squares, self.counts, self.slots)
+        self.sums = drjit.zeros(mi.Float64, PLACES * CELLS * 2)  # of squares and of counts in turn, to be met together
+        self.rows = drjit.zeros(mi.UInt32, PLACES)  # each place's; the first is of places that nothing is known of
+        self.met = drjit.zeros(mi.UInt32, PLACES)
+        drjit.eval(self.sums, self.rows, self.met)
+        self._tabulate(torch.ones(1, CELLS, dtype=torch.float64))
 
     def spot(self, point: Any, normal: Any) -> Spot:
         """Where points with these unit normals are."""
@@ -78,7 +83,8 @@ class GuideCache:
         across.z = dr.select(along_x, 1.0, 0.0)
         tangent = dr.normalize(across - normal * dr.dot(normal, across))
         place = ((voxel.z * GRID + voxel.y) * GRID + voxel.x) * AXES + axis
-        return Spot(place, mi.Frame3f(tangent, dr.cross(normal, tangent), normal))
+        row = dr.gather(mi.UInt32, self.rows, place)
+        return Spot(place, row, mi.Frame3f(tangent, dr.cross(normal, tangent), normal))
 
     def cell(self, local: Any) -> Any:
         """The cell of directions in a spot's frame; anything below the surface."""
@@ -87,33 +93,33 @@ class GuideCache:
         within = dr.clip(mi.Vector2i(square * SIDE), 0, SIDE - 1)
         return mi.UInt32(within.y * SIDE + within.x)
 
-    def draw(self, place: Any, cell: Any, is_drawn: Any, point: Any, active: Any) -> tuple[Any, Any, Any]:
-        """Draw directions, or tell how densely those in a cell are drawn, by the same look-up.
+    def draw(self, row: Any, point: Any, active: Any) -> tuple[Any, Any]:
+        """Draw directions.
 
         Args:
-            place: of spots.
-            cell: of directions, for where none is drawn.
-            is_drawn: where to draw.
+            row: of spots.
             point: in [0, 1)^2, uniform.
-            active: where to do anything.
+            active: where to draw.
 
         Returns:
-            the cell; the direction in the spot's frame that was drawn in it; and its density over the cosine's.
+            the cell, and the direction in the spot's frame that was drawn in it.
         """
         mi, dr = self.mi, self.dr
-        along = point.x * SLOTS
-        slot = dr.minimum(mi.UInt32(along), SLOTS - 1)
-        found = dr.gather(mi.UInt32, self.slots, place * SLOTS + dr.select(is_drawn, slot, cell), active)
-        cell = dr.select(is_drawn, found & _LOW, cell)
-        corner = mi.Point2f(mi.Float(cell % SIDE), mi.Float(cell // SIDE))
-        place_in = (corner + mi.Point2f(along - mi.Float(slot), point.y)) * (1 / SIDE)
-        return cell, mi.warp.square_to_cosine_hemisphere(place_in), mi.Float(found >> 16) * (1 / SHARE)
+        along = point.x * CELLS
+        first = dr.minimum(mi.UInt32(along), CELLS - 1)
+        word = dr.gather(mi.UInt32, self.words, row * CELLS + first, active)
+        within, own = (along - mi.Float(first)) * CELLS, mi.Float(word >> _BYTE & 0xFF)
+        is_own = within < own
+        cell = dr.select(is_own, first, word & 0xFF)
+        across = dr.select(is_own, within / own, (within - own) / (CELLS - own))
+        inside = mi.Point2f(dr.clip(across, 0, dr.one_minus_epsilon(mi.Float)), point.y)
+        place_in = (mi.Point2f(mi.Float(cell % SIDE), mi.Float(cell // SIDE)) + inside) * (1 / SIDE)
+        return cell, mi.warp.square_to_cosine_hemisphere(place_in)
 
-    def density(self, place: Any, cell: Any, active: Any) -> Any:
+    def density(self, row: Any, cell: Any, active: Any) -> Any:
         """How densely directions in a cell are drawn, over the cosine's density."""
-        dr, mi = self.dr, self.mi
-        found = dr.gather(mi.UInt32, self.slots, place * SLOTS + cell, active)
-        return mi.Float(found >> 16) * (1 / SHARE)
+        word = self.dr.gather(self.mi.UInt32, self.words, row * CELLS + cell, active)
+        return self.mi.Float(word >> 2 * _BYTE) * (CELLS / SLOTS)
 
     def add(self, index: Any, density: Any, carried: Any, active: Any) -> None:
         """Remember what paths carried.
@@ -125,32 +131,55 @@ class GuideCache:
             active: where there was a path.
         """
         dr, double = self.dr, self.mi.Float64
-        dr.scatter_reduce(dr.ReduceOp.Add, self.squares, double(carried * carried * density), index, active)
-        dr.scatter_reduce(dr.ReduceOp.Add, self.counts, double(dr.rcp(density)), index, active)
+        for number, value in enumerate((carried * carried * density, dr.rcp(density))):
+            dr.scatter_reduce(dr.ReduceOp.Add, self.sums, double(value), index * 2 + number, active)
+        dr.scatter(self.met, self.mi.UInt32(1), index // CELLS, active)
 
     def learn(self) -> int:
         """Share the slots out anew by all that was remembered.
 
         Returns:
-            how many places have been seen.
+            how many rows the table has, less the first.
         """
-        mi = self.mi
-        sums = (torch.from_numpy(each.numpy()).reshape(PLACES, SIDE, SIDE) for each in (self.squares, self.counts))
-        squares, counts = sums
-        seen = (counts.flatten(1).sum(1) > 0).nonzero()[:, 0]
-        voxels = torch.stack(
-            [seen // AXES // GRID**2, seen // AXES // GRID % GRID, seen // AXES % GRID, seen % AXES], 1
-        )
-        known = moments(squares[seen], counts[seen], voxels).flatten(1) ** POWER
-        bright = known.sum(1) > 0
-        seen = seen[bright]
-        if len(seen):
-            where = (seen[:, None] * SLOTS + torch.arange(SLOTS)).flatten()
-            tables = (slots_of(known[bright]).flatten(), where)
-            values, places = (mi.UInt32(each.int().numpy().view(np.uint32)) for each in tables)
-            self.dr.scatter(self.slots, values, places)
-            self.dr.eval(self.slots)
-        return len(seen)
+        # most places are in the air: they are left out before their sums are read
+        seen = torch.from_numpy(self.met.numpy().view(np.int32)).nonzero()[:, 0]
+        sums = torch.from_numpy(self.sums.numpy()).reshape(PLACES, SIDE, SIDE, 2)[seen]
+        squares, counts = sums[..., 0].contiguous(), sums[..., 1].contiguous()
+        total, count, coarse, which = _halved(squares, counts, voxels_of(seen))
+        around = moments(total, count, coarse)
+        fine = (counts.flatten(1).sum(1) >= OWN).nonzero()[:, 0]
+        own = refined(squares[fine], counts[fine], around[which[fine]])
+        known = torch.cat([around, own]).flatten(1) ** POWER
+        dark = known.sum(1) == 0
+        self._tabulate(torch.cat([known.new_ones(1, CELLS), torch.where(dark[:, None], 1, known)]))
+        rows = torch.zeros(*3 * (GRID // 2,), AXES, dtype=torch.int32)
+        rows[tuple(coarse.T)] = torch.arange(1, 1 + len(coarse), dtype=torch.int32)
+        for axis in range(3):
+            rows = rows.repeat_interleave(2, axis)
+        rows = rows.flatten()
+        rows[seen[fine]] = torch.arange(1 + len(coarse), 1 + len(known), dtype=torch.int32)
+        self.rows = self.mi.UInt32(rows.numpy().view(np.uint32))
+        return len(known)
+
+    def _tabulate(self, weights: Tensor) -> None:
+        """Make the table, a row for each row of cells' weights."""
+        words = words_of(slots_of(weights).numpy())
+        self.words = self.mi.UInt32(words.flatten())
+        self.dr.eval(self.words)
+
+
+def voxels_of(places: Tensor) -> Tensor:
+    """The three whole numbers of their voxels, and their axes, [P, 4]."""
+    voxel = places // AXES
+    return torch.stack([voxel // GRID**2, voxel // GRID % GRID, voxel % GRID, places % AXES], 1)
+
+
+def _halved(squares: Tensor, counts: Tensor, voxels: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """Sums over voxels of twice the side, where these are, and which one each belongs to."""
+    halved = torch.cat([voxels[:, :3] // 2, voxels[:, 3:]], 1)
+    coarse, which = halved.unique(dim=0, return_inverse=True)
+    total, count = (each.new_zeros(len(coarse), SIDE, SIDE).index_add_(0, which, each) for each in (squares, counts))
+    return total, count, coarse, which
 
 
 def moments(squares: Tensor, counts: Tensor, voxels: Tensor) -> Tensor:
@@ -167,22 +196,25 @@ def moments(squares: Tensor, counts: Tensor, voxels: Tensor) -> Tensor:
     Returns:
         of the same shape, of any scale.
     """
-    whole = not bool(voxels[:, :3].any())
-    if whole:
-        expected = torch.ones_like(squares)
-    else:
-        halved = torch.cat([voxels[:, :3] // 2, voxels[:, 3:]], 1)
-        coarse, which = halved.unique(dim=0, return_inverse=True)
-        total, count = (
-            each.new_zeros(len(coarse), SIDE, SIDE).index_add_(0, which, each) for each in (squares, counts)
-        )
-        expected = moments(total, count, coarse)[which]
+    if not bool(voxels[:, :3].any()):
+        return refined(squares, counts, torch.ones_like(squares), 1e-9)  # the whole box leans on nothing
+    total, count, coarse, which = _halved(squares, counts, voxels)
+    return refined(squares, counts, moments(total, count, coarse)[which])
+
+
+def refined(squares: Tensor, counts: Tensor, expected: Tensor, lean: float = LEAN) -> Tensor:
+    """Second moments of what comes from each cell, where few paths came those that are expected.
+
+    Args:
+        squares, counts: as of `moments`.
+        expected: of the same shape.
+        lean: paths that it counts as for the whole hemisphere.
+    """
     levels = [(squares, counts, expected)]
     while levels[-1][0].shape[-1] > 1:
         total, count, prior = (_in_quarters(each) for each in levels[-1])
         levels.append((total, count, prior / 4))
     total, count, prior = levels[-1]
-    lean = 1e-9 if whole else LEAN  # the whole box leans on nothing
     ratio = (total + lean * prior) / (count + lean) / prior.clamp_min(_TINY)
     for total, count, prior in levels[-2::-1]:
         around = ratio.repeat_interleave(2, -1).repeat_interleave(2, -2) * prior
@@ -197,18 +229,52 @@ def _in_quarters(values: Tensor) -> Tensor:
 
 
 def slots_of(weights: Tensor) -> Tensor:
-    """The slots of places by their cells' weights: cell | number of its slots << 16.
+    """How many slots each cell has.
 
     Args:
         weights: float64 [P, CELLS], not negative, no row all zero.
 
     Returns:
-        int64 [P, SLOTS]; the first CELLS are the cells in order, the others in proportion to the weights.
+        int32 [P, CELLS]: SLOTS / CELLS / SHARE each, and of the others by weight; SLOTS in each row.
     """
-    free = SLOTS - CELLS
-    ends = (weights.cumsum(1) / weights.sum(1, keepdim=True) * free + 0.5).floor().long()
+    least = SLOTS // (CELLS * SHARE)
+    free = SLOTS - CELLS * least
+    ends = (weights.cumsum(1) / weights.sum(1, keepdim=True) * free + 0.5).floor().int()
     ends[:, -1] = free
-    counts = ends.diff(dim=1, prepend=torch.zeros(len(ends), 1, dtype=torch.long))
-    packed = torch.arange(CELLS) | ((counts + 1) << 16)
-    shared = packed.flatten().repeat_interleave(counts.flatten()).reshape(len(weights), free)
-    return torch.cat([packed, shared], 1)
+    return ends.diff(dim=1, prepend=torch.zeros(len(ends), 1, dtype=torch.int32)) + least
+
+
+def words_of(slots: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
+    """A row's words: of each cell another one, how many of CELLS draws are not the other's, and its slots.
+
+    In the order of slots, draws that the poorest cell does not fill are the richest one's, until that has no more to
+    give than it fills itself; then those of the next richest (Huebschle-Schneider and Sanders 2019, in sweeps).
+
+    Args:
+        slots: [P, CELLS], SLOTS in each row.
+
+    Returns:
+        uint32 [P, CELLS].
+    """
+    order = slots.argsort(1).astype(np.int32)
+    known = np.ascontiguousarray(np.take_along_axis(slots, order, 1)).ravel()
+    own, other = (np.zeros(slots.size, np.int32) for _ in range(2))
+    start = np.arange(len(slots)) * CELLS
+    poor, rich = start.copy(), start + CELLS - 1
+    left = known[rich]
+    for _ in range(CELLS - 1):
+        gives = left > CELLS
+        cell, has = np.where(gives, poor, rich), np.where(gives, known[poor], left)
+        own[cell], other[cell] = has, rich - ~gives
+        left = has - CELLS + np.where(gives, left, known[rich - 1])
+        poor += gives
+        rich -= ~gives
+    own[poor], other[poor] = CELLS, poor
+    full = own == CELLS  # a byte is too small: all of them are the other's, which is itself
+    other[full] = full.nonzero()[0]
+    own[full] = 0
+    other = np.take_along_axis(order, (other - start.repeat(CELLS)).reshape(slots.shape), 1)
+    sorted_words = other | own.reshape(slots.shape) << _BYTE | known.reshape(slots.shape) << 2 * _BYTE
+    words = np.empty_like(sorted_words)
+    np.put_along_axis(words, order, sorted_words, 1)
+    return words.view(np.uint32)

@@ -58,7 +58,7 @@ class Records:
         carried = dr.maximum(after, 0) / dr.maximum(weight, 1e-12)
         active = (self.cells > 0) & (density > 0) & dr.isfinite(carried)
         cache.add(self.cells - 1, density, carried, active)
-        dr.eval(cache.squares, cache.counts)
+        dr.eval(cache.sums, cache.met)
 
 
 class PathTracer:
@@ -199,12 +199,11 @@ class Turn:
         rest = (self.draws[0] - self.share) / dr.maximum(1 - self.share, 1e-6)
         rest = dr.clip(rest, 0, dr.one_minus_epsilon(mi.Float))
         asked = self.active & (self.share > 0)
-        cell, local, relative = cache.draw(spot.place, mi.UInt32(0), mi.Bool(True), self.draws[1], asked & of_cache)
+        cell, local = cache.draw(spot.row, self.draws[1], asked & of_cache)
         drawn, weight, wo, value, density, joined = self._asked(at.to_local(spot.frame.to_world(local)), of_cache, rest)
         local = dr.select(of_cache, local, spot.frame.to_local(at.to_world(wo)))
-        own = cache.cell(local)
-        relative = dr.select(of_cache, relative, cache.density(spot.place, own, asked & ~of_cache))
-        cell = dr.select(of_cache, cell, own)
+        cell = dr.select(of_cache, cell, cache.cell(local))
+        relative = cache.density(spot.row, cell, asked)
         is_delta = ~of_cache & mi.has_flag(drawn.sampled_type, mi.BSDFFlags.Delta)
         above = dr.maximum(local.z, 0)
         mixed = dr.lerp(density, relative * above * dr.inv_pi, self.share)
@@ -260,7 +259,7 @@ class Turn:
         """How densely cache and material together draw the emitter's direction."""
         dr = self.dr
         local = spot.frame.to_local(self.aim.d)
-        relative = cache.density(spot.place, cache.cell(local), self.is_joined & (self.share > 0))
+        relative = cache.density(spot.row, cache.cell(local), self.is_joined & (self.share > 0))
         return dr.lerp(density, relative * dr.maximum(local.z, 0) * dr.inv_pi, self.share)
 
     def _joined(self, value: Any, density: Any) -> Any:

@@ -141,8 +141,8 @@ class GuidedPicture:
         ray, weight, place = ADIntegrator.sample_rays(own, self.scene, self.sensor, sampler)
         records = Records(mi, dr.width(place)) if learns else None
         light, met = self.tracer.trace(self.scene, sampler, ray, self.cache, guided, records)
-        dr.eval(light, met, place, weight)
         if records is not None:
+            dr.eval(light, met, place, weight)
             records.teach(self.cache, light)
         alpha, each = dr.select(met, mi.Float(share), mi.Float(0)), mi.Float(share)
         # of the film's own kind, such as that of spectra

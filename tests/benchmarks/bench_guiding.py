@@ -2,7 +2,8 @@
 
 Each picture is made anew for its time, with everything counted: for guided ones also what is learned, for both loading
 of the integrator and the film. The code that Dr.Jit compiles once is not. Times are CPU seconds of the process, so that
-other work on the machine counts little.
+other work on the machine counts little. Errors are of every fourth pixel of every fourth row, as references are dear;
+these are kept in a folder, and rows of earlier runs in the same file stay.
 """
 
 from __future__ import annotations
@@ -30,6 +31,8 @@ from tests.benchmarks.guiding_scenes import kind_of, scenes
 METHODS = {"regular + NEE": None, "guided + NEE": True, "guided": False}
 WARM = 48  # samples a pixel by which code is compiled and speeds are first known
 NEAR = 0.1  # of the seconds
+STEP = 4  # px between those that references are made of
+WAVE = 2**21  # paths at a time
 KINDS = ("boxes", "baffle", "caustic")
 
 
@@ -37,33 +40,51 @@ class Bench:
     """One scene.
 
     Args:
-        scene: as `load_scene` takes it.
-        size: side of the pictures, px.
-        reference: samples a pixel of the reference.
+        name: of the scene.
+        options: of the command line.
     """
 
-    def __init__(self, scene: dict[str, Any], size: int, reference: int) -> None:
-        self.mi, self.scene, _ = load_scene(scene)
-        equal_time.resize(self.mi, self.scene, size)
+    def __init__(self, name: str, options: argparse.Namespace) -> None:
+        self.mi, self.scene, _ = load_scene(scenes()[name])
+        equal_time.resize(self.mi, self.scene, options.size)
         self.path = self.mi.load_dict({"type": "path", "max_depth": DEPTH})
-        waves = 2 * max(1, reference // 1024)
-        made = [
-            equal_time.rendered(self.mi, self.scene, self.path, reference // waves, 10**6 + i) for i in range(waves)
-        ]
-        halves = [torch.stack(made[i::2]).mean(0) for i in (0, 1)]
-        self.reference = (halves[0] + halves[1]) / 2
-        self.own_error = self.error(halves[0])  # a half is as far from the mean as that is from the truth
-        self.costs = {name: self._first(joins) for name, joins in METHODS.items()}
+        file = options.out / f"{name.replace(' ', '-')}-{options.size}-{options.reference}.pt"
+        if not file.exists():
+            torch.save(torch.stack([self._half(options, seed) for seed in (1, 2)]), file)
+        halves = torch.load(file, weights_only=True)
+        self.reference = halves.mean(0)
+        self.own_error = float(mape(halves[:1], self.reference[None]))  # both halves are as far from the mean
+        self.costs = {name: self._first(METHODS[name]) for name in options.methods}
+
+    def _half(self, options: argparse.Namespace, seed: int) -> Tensor:
+        """A picture by `path`, with next-event estimation, of half the reference's samples a pixel."""
+        import drjit as dr
+
+        mi, side = self.mi, options.size // STEP
+        each = WAVE // side**2
+        waves = -(-options.reference // (2 * each))
+        total = torch.zeros(3, side, side)
+        for wave in range(waves):
+            sampler: Any = mi.load_dict({"type": "independent"})
+            sampler.seed(seed * 2**16 + wave, WAVE)
+            index = dr.arange(mi.UInt32, WAVE) // each
+            corner = mi.Point2f(mi.Float(index % side), mi.Float(index // side)) * STEP + STEP // 2
+            film = (corner + sampler.next_2d()) / options.size
+            ray, weight = self.scene.sensors()[0].sample_ray(0, 0, film, mi.Point2f(0.5))
+            light = self.path.sample(self.scene, sampler, mi.RayDifferential3f(ray))[0] * weight
+            total += torch.from_numpy(dr.block_sum(light, each).numpy()).reshape(3, side, side)
+        return total / (each * waves)
 
     def error(self, picture: Tensor) -> float:
-        """MAPE."""
-        return float(mape(picture.permute(2, 0, 1)[None], self.reference.permute(2, 0, 1)[None]))
+        """MAPE of the reference's pixels."""
+        looked_at = picture[STEP // 2 :: STEP, STEP // 2 :: STEP]
+        return float(mape(looked_at.permute(2, 0, 1)[None], self.reference[None]))
 
     def measured(self, name: str, seconds: float, seed: int) -> dict[str, Any]:
         """A picture that takes so many seconds, within NEAR, at the last of three attempts."""
         for _ in range(3):
             fixed, each = self.costs[name]
-            spp = max(16, round((seconds - fixed) / each))
+            spp = max(4, round((seconds - fixed) / each))
             picture, spent = self._picture(METHODS[name], spp, seed)
             self.costs[name] = cost(spent, spp)
             if abs(sum(spent.values()) - seconds) < NEAR * seconds:
@@ -92,15 +113,24 @@ def cost(spent: dict[str, float], spp: int) -> tuple[float, float]:
 
 def measure(options: argparse.Namespace, file: Path) -> list[dict[str, Any]]:
     """Measure all, and keep it, a line each, as soon as it is known."""
-    found = []
-    with file.open("w", encoding="utf-8") as out:
+    kept = [json.loads(line) for line in file.read_text("utf-8").splitlines()] if file.exists() else []
+    found = [row for row in kept if row["size"] == options.size]
+    with file.open("a", encoding="utf-8") as out:
         for name in options.scenes:
-            bench = Bench(scenes()[name], options.size, options.reference)
-            for seconds, method, seed in itertools.product(options.times, METHODS, range(1, options.seeds + 1)):
-                row = {"scene": name, "method": method, "time": seconds, "seed": seed, "reference": bench.own_error}
+            bench = Bench(name, options)
+            for seconds, seed, method in itertools.product(options.times, range(1, options.seeds + 1), options.methods):
+                row = {
+                    "size": options.size,
+                    "scene": name,
+                    "method": method,
+                    "time": seconds,
+                    "seed": seed,
+                    "reference": bench.own_error,
+                }
                 found.append(row | bench.measured(method, seconds, seed))
                 print(json.dumps(found[-1]), file=out, flush=True)
-    return found
+    keys = ("scene", "method", "time", "seed")
+    return list({tuple(row[key] for key in keys): row for row in found}.values())  # the last of each
 
 
 def table(rows: list[dict[str, Any]]) -> str:
@@ -136,6 +166,8 @@ def figure(rows: list[dict[str, Any]], file: Path) -> None:
         for method in METHODS:
             mine = [row for row in rows if kind_of(row["scene"]) == kind and row["method"] == method]
             by_time = [[row for row in mine if row["time"] == seconds] for seconds in sorted({r["time"] for r in mine})]
+            if not mine:
+                continue
             xs, ys = (
                 [statistics.geometric_mean(row[key] for row in each) for each in by_time]
                 for key in ("seconds", "error")
@@ -157,6 +189,7 @@ def main() -> None:
     parser.add_argument("--reference", type=int, default=8192, help="samples a pixel of the reference")
     parser.add_argument("--times", type=float, nargs="+", default=[1.0, 4.0, 16.0], help="seconds of CPU")
     parser.add_argument("--seeds", type=int, default=3)
+    parser.add_argument("--methods", nargs="+", default=list(METHODS), choices=list(METHODS))
     parser.add_argument("--scenes", nargs="+", default=list(scenes()), choices=list(scenes()))
     parser.add_argument("--out", type=Path, default=Path("runs/guiding"))
     options = parser.parse_args()

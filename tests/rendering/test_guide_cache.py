@@ -8,7 +8,19 @@ import numpy as np
 import pytest
 import torch
 
-from metapp.rendering.guide_cache import CELLS, PLACES, SHARE, SIDE, SLOTS, GuideCache, moments, slots_of
+from metapp.rendering.guide_cache import (
+    AXES,
+    CELLS,
+    GRID,
+    PLACES,
+    SHARE,
+    SIDE,
+    SLOTS,
+    GuideCache,
+    moments,
+    slots_of,
+    words_of,
+)
 from tests.needs_mitsuba import needs_mitsuba
 
 
@@ -16,23 +28,33 @@ def weights(places: int) -> torch.Tensor:
     return torch.rand(places, CELLS, generator=torch.Generator().manual_seed(0), dtype=torch.float64) ** 4
 
 
-def test_every_cell_has_a_slot_and_the_others_go_by_weight() -> None:
+LEAST = SLOTS // CELLS // SHARE
+
+
+def test_every_cell_has_slots_and_the_others_go_by_weight() -> None:
     wanted = weights(5)
     slots = slots_of(wanted)
-    assert slots.shape == (5, SLOTS)
-    assert torch.equal(slots[:, :CELLS] & 0xFFFF, torch.arange(CELLS).expand(5, -1))
-    for row, weight in zip(slots, wanted, strict=True):
-        found = torch.bincount(row & 0xFFFF, minlength=CELLS)
-        assert torch.equal(found, row[:CELLS] >> 16)  # what a slot says of its cell
-        assert torch.equal(found[row & 0xFFFF], row >> 16)
-        expected = 1 + weight / weight.sum() * (SLOTS - CELLS)
-        assert float((found - expected).abs().max()) <= 1
+    assert (slots.sum(1) == SLOTS).all()
+    assert int(slots.min()) >= LEAST
+    expected = LEAST + wanted / wanted.sum(1, keepdim=True) * (SLOTS - CELLS * LEAST)
+    assert float((slots - expected).abs().max()) <= 1
 
 
 def test_one_bright_cell_gets_all_free_slots() -> None:
     one = torch.zeros(1, CELLS, dtype=torch.float64)
     one[0, 77] = 1e-30
-    assert int(slots_of(one)[0, 77] >> 16) == SLOTS - CELLS + 1
+    assert int(slots_of(one)[0, 77]) == SLOTS - (CELLS - 1) * LEAST
+
+
+def test_words_draw_each_cell_as_often_as_it_has_slots() -> None:
+    some = torch.cat([weights(50), torch.ones(1, CELLS), torch.eye(CELLS)[7:8]]).double()
+    slots = slots_of(some).numpy()
+    words = words_of(slots).astype(np.int64)
+    assert np.array_equal(words >> 16, slots)
+    own, other = words >> 8 & 0xFF, words & 0xFF
+    drawn = own.copy()
+    np.add.at(drawn, (np.arange(len(slots))[:, None], other), CELLS - own)
+    assert np.array_equal(drawn, slots)
 
 
 VOXELS = torch.tensor([[x, y, z, axis] for x in (0, 1) for y in (0, 1) for z in (0, 1) for axis in (0, 3)])
@@ -79,28 +101,51 @@ def mi() -> Any:
 
 @pytest.fixture(scope="module")
 def cache(mi: Any) -> GuideCache:
-    """One that has learned of weights in its first places."""
+    """One that has learned of weights in its first places, of which the last few were hardly met."""
     made = GuideCache(mi, [-1, -1, -1], [1, 1, 1])
-    known = torch.zeros(2, PLACES, CELLS, dtype=torch.float64)
-    known[0, :7], known[1, :7] = weights(7), 1.0
-    made.squares, made.counts = (mi.Float64(each.flatten().numpy()) for each in known)
-    assert made.learn() == 7
+    known = torch.zeros(PLACES, CELLS, 2, dtype=torch.float64)
+    known[:7, :, 0], known[:7, :, 1] = 1e3 * weights(7), 1e3
+    known[5:7] *= 1e-3
+    met = torch.arange(PLACES) < 7
+    made.sums, made.met = mi.Float64(known.flatten().numpy()), mi.UInt32(met.int().numpy().view(np.uint32))
+    assert made.learn() == 6 + 5  # voxels of twice the side, whose axes are six, and places of their own
     return made
 
 
 @needs_mitsuba
-def test_directions_are_drawn_as_densely_as_it_says(mi: Any, cache: GuideCache) -> None:
+def test_places_that_few_paths_met_share_the_row_of_those_about_them(cache: GuideCache) -> None:
+    rows = cache.rows.numpy()
+    assert len(set(rows[:5])) == 5
+    assert (rows[:5] > 6).all()
+    first, beside, above, beyond = rows[:6], rows[AXES:][:6], rows[GRID**2 * AXES :][:6], rows[2 * AXES :][:6]
+    assert np.array_equal(beside, above)
+    assert sorted(beside) == list(range(1, 7))
+    assert first[5] == beside[5]
+    assert (beyond == 0).all()
+
+
+@needs_mitsuba
+def test_of_nothing_nothing_is_learned(mi: Any) -> None:
+    nothing = GuideCache(mi, [-1, -1, -1], [1, 1, 1])
+    assert nothing.learn() == 0
+    assert (nothing.rows.numpy() == 0).all()
+    assert (nothing.density(mi.UInt32(0), mi.UInt32(5), mi.Bool(True)).numpy() == 1).all()
+
+
+@needs_mitsuba
+@pytest.mark.parametrize("place", [4, 6, 1000])
+def test_directions_are_drawn_as_densely_as_it_says(mi: Any, cache: GuideCache, place: int) -> None:
     count = 200_000
     rng = np.random.default_rng(0)
     point = mi.Point2f(*(mi.Float(each) for each in rng.random((2, count), np.float32)))
-    place, yes = mi.UInt32(np.full(count, 4, np.uint32)), mi.Bool(True)
-    cell, local, density = cache.draw(place, mi.UInt32(0), yes, point, yes)
+    row, yes = mi.UInt32(np.full(count, cache.rows.numpy()[place], np.uint32)), mi.Bool(True)
+    cell, local = cache.draw(row, point, yes)
+    density = cache.density(row, cell, yes)
     assert (cache.cell(local).numpy() == cell.numpy()).mean() > 0.9999  # but on the cells' edges
-    assert np.array_equal(density.numpy(), cache.density(place, cell, yes).numpy())
     cosine = local.numpy()[2]
     assert (cosine >= 0).all()
     every = mi.UInt32(np.arange(CELLS, dtype=np.uint32))
-    shares = cache.density(mi.UInt32(4), every, yes).numpy() / CELLS
+    shares = cache.density(row[0], every, yes).numpy() / CELLS
     assert shares.sum() == pytest.approx(1, abs=1e-6)
     assert shares.min() >= 1 / (SHARE * CELLS) - 1e-9
     found = np.bincount(cell.numpy(), minlength=CELLS)
@@ -108,6 +153,11 @@ def test_directions_are_drawn_as_densely_as_it_says(mi: Any, cache: GuideCache) 
     assert abs(chi_square - (CELLS - 1)) < 5 * np.sqrt(2 * (CELLS - 1))
     # within a cell as the cosine: the mean of 1 / density is the hemisphere
     assert (np.pi / (cosine * density.numpy())).mean() == pytest.approx(2 * np.pi, rel=0.02)
+    # evenly within a cell
+    square = mi.warp.uniform_disk_to_square_concentric(mi.Point2f(local.x, local.y)).numpy() * SIDE
+    for within in square % 1:
+        eighths = np.bincount((within * 8).astype(int), minlength=8)[:8]
+        assert ((eighths - count / 8) ** 2 / (count / 8)).sum() < 7 + 5 * np.sqrt(14)
 
 
 @needs_mitsuba
@@ -122,5 +172,7 @@ def test_places_are_voxels_and_sides(mi: Any, cache: GuideCache) -> None:
     assert np.allclose(frame[2], normals, atol=1e-6)
     axis = np.abs(normals).argmax(0)
     side = 2 * axis + (np.take_along_axis(normals, axis[None], 0)[0] < 0)
-    x, y, z = np.clip(np.floor((points + 1) * 4).astype(int), 0, 7)
-    assert (spot.place.numpy() == ((z * 8 + y) * 8 + x) * 6 + side).mean() > 0.999
+    x, y, z = np.clip(np.floor((points + 1) * GRID / 2).astype(int), 0, GRID - 1)
+    place = ((z * GRID + y) * GRID + x) * AXES + side
+    assert (spot.place.numpy() == place).mean() > 0.999
+    assert np.array_equal(spot.row.numpy(), cache.rows.numpy()[spot.place.numpy()])

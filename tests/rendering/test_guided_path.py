@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import torch
 
 from data_tools.synthetic.cornell import random_scene
 from tests.needs_mitsuba import needs_mitsuba
@@ -98,13 +99,12 @@ def test_the_mean_is_that_of_path_for_all_materials_in_all_lights(mi: Any, lamp:
 def test_a_cache_that_is_wrong_about_itself_is_found_out(mi: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     from metapp.rendering.guide_cache import GuideCache
 
-    draw = GuideCache.draw
+    density = GuideCache.density
 
-    def bright(*arguments: Any) -> tuple[Any, Any, Any]:
-        cell, local, density = draw(*arguments)
-        return cell, local, 0.8 * density
+    def bright(*arguments: Any) -> Any:
+        return 0.8 * density(*arguments)
 
-    monkeypatch.setattr(GuideCache, "draw", bright)
+    monkeypatch.setattr(GuideCache, "density", bright)
     scene = loaded(mi, box(1))
     assert abs(deviation(pictures(mi, scene, "guided_path"), pictures(mi, scene, "path"))) > 5
 
@@ -203,16 +203,10 @@ def test_noise_is_how_far_two_halves_differ(mi: Any) -> None:
 
 
 def test_the_guard_leaves_a_guide_that_does_not_pay(mi: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    from metapp.rendering.guide_cache import GuideCache
+    from metapp.rendering.guide_cache import CELLS, GuideCache
 
     def wrong(cache: GuideCache) -> int:  # whatever is learned, all paths but the fewest go one way
-        import drjit as dr
-
-        from metapp.rendering.guide_cache import CELLS, PLACES, SHARE, SLOTS
-
-        slot = dr.arange(mi.UInt32, PLACES * SLOTS) % SLOTS
-        own = dr.select(slot % CELLS == 5, 1 + (SHARE - 1) * CELLS, 1)
-        cache.slots = dr.select(slot < CELLS, slot | (own << 16), 5 | ((1 + (SHARE - 1) * CELLS) << 16))
+        cache._tabulate(torch.eye(CELLS, dtype=torch.float64)[5:6])
         return 1
 
     monkeypatch.setattr(GuideCache, "learn", wrong)
