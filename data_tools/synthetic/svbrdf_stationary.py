@@ -18,7 +18,17 @@ from data_tools.draws import Rng, between, log_between, uniforms
 from data_tools.readers.flash import UNITS as OF_PHOTOS
 from data_tools.synthetic.stationary import families as procedural
 from data_tools.synthetic.stationary.families import FAMILIES, Split, turns
-from metapp.appearance.flash import Maps, camera, expose, normal_from_height, positions, relightings, render, statistics
+from metapp.appearance.flash import (
+    STATISTICS_AT,
+    Maps,
+    camera,
+    expose,
+    normal_from_height,
+    positions,
+    relightings,
+    render,
+    statistics,
+)
 from metapp.learning.task import Task
 
 COUNTS: dict[Split, int] = {"train": 120, "test": 16}
@@ -33,7 +43,6 @@ UNITS = {
 FLAT = tuple(name for name in FAMILIES if name not in ("grass", "foliage", "stripes", "camouflage"))
 
 SIZE = 256  # px a side
-JUDGED_AT = (256, 128, 64)
 _STREAM = 1  # other materials than those of the textures
 
 
@@ -98,5 +107,5 @@ def _statistics(surface: Maps, exposure: float) -> Tensor:
     lit = surface._replace(
         diffuse=(surface.diffuse * exposure).clamp(0, 1), specular=(surface.specular * exposure).clamp(0, 1)
     )
-    smaller = (Maps(*(adaptive_avg_pool2d(each, size) for each in lit)) for size in JUDGED_AT)
+    smaller = (Maps(*(adaptive_avg_pool2d(each, size) for each in lit)) for size in STATISTICS_AT)
     return torch.stack([statistics(each) for each in smaller])

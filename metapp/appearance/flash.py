@@ -58,6 +58,9 @@ def unpack(maps: Tensor) -> Maps:
     return Maps(diffuse, specular, roughness, normal)
 
 
+STATISTICS_AT = (256, 128, 64)  # px a side of the maps that data sets tell the statistics of
+
+
 def statistics(maps: Maps) -> Tensor:
     """What a material's maps are like, without places.
 

@@ -12,7 +12,6 @@ import torch
 from metapp.apps import presentation_of
 from metapp.experiments import BadOption
 from metapp.experiments.batch_size import BatchSize
-from metapp.experiments.checkpoints import find_checkpoint, train_checkpoint
 from metapp.experiments.export import export_fit
 from metapp.experiments.fits import Fitter
 from metapp.experiments.gallery import write_gallery, write_thumbnail
@@ -20,7 +19,7 @@ from metapp.experiments.inputs import AS_FILES_SAY, Reading
 from metapp.experiments.origin import origin_of
 from metapp.experiments.pictures import OUTPUTS, write_files
 from metapp.experiments.reporter import Bar, number, progress, say
-from metapp.experiments.run import Run, placed, run_path
+from metapp.experiments.run import Run, checkpoint_of, placed, run_path
 from metapp.experiments.session import Options, name_of, settings_of, threads, threads_of
 from metapp.experiments.sources import SOURCED, Shard, Source, sources_of
 from metapp.experiments.watching import Watched
@@ -106,9 +105,7 @@ def fit_many(
     options, paradigm, sides = placed(options, paradigm_name, size)
     with threads(threads_of(options.app)):
         sources, label = sources_of(options.app, inputs, options.data, options.quiet, reading)
-        if train:
-            train_checkpoint(options, paradigm, train_steps)
-        checkpoint = find_checkpoint(options, paradigm)
+        checkpoint = checkpoint_of(options, paradigm, train, train_steps)
         # seconds of fits side by side are shares: a run of its own
         settings = settings_of(options, paradigm, checkpoint, label) | {"batched": True}
         path = run_path(options, settings, label)

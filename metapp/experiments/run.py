@@ -106,7 +106,7 @@ def run(
     options, paradigm, sides = placed(options, paradigm_name, size)
     with threads(threads_of(options.app)):
         tasks, label = tasks_to_fit(options.app, inputs, options.data, options.quiet, reading)
-        fitter = _fitter(options, paradigm, train, train_steps)
+        fitter = Fitter(options, paradigm, checkpoint_of(options, paradigm, train, train_steps))
         return _fit(fitter, tasks, label, export, sides, origin_of(options, inputs, reading))
 
 
@@ -128,7 +128,7 @@ def run_each(
     """
     options, paradigm, sides = placed(options, paradigm_name, size)
     with threads(threads_of(options.app)):
-        fitter = _fitter(options, paradigm, train, train_steps)
+        fitter = Fitter(options, paradigm, checkpoint_of(options, paradigm, train, train_steps))
         for path in inputs:
             done: Run | Exception
             try:
@@ -139,12 +139,12 @@ def run_each(
             yield path, done
 
 
-def _fitter(options: Options, paradigm: Paradigm, train: bool, train_steps: int | None) -> Fitter:
-    """What fits by the best checkpoint, trained first if that is asked for."""
+def checkpoint_of(options: Options, paradigm: Paradigm, train: bool, train_steps: int | None) -> Checkpoint:
+    """The best checkpoint, trained first if that is asked for, together with the other ranks where there are any."""
     if train:
         with ranks.joined(options.device):
             train_checkpoint(options, paradigm, train_steps)
-    return Fitter(options, paradigm, find_checkpoint(options, paradigm))
+    return find_checkpoint(options, paradigm)
 
 
 def placed(options: Options, name: str, size: str) -> tuple[Options, Paradigm, tuple[int, int] | None]:

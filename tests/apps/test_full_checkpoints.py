@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-import importlib
 from pathlib import Path
+from types import ModuleType
 
 import pytest
 from torch import Generator
 
+from data_tools.synthetic import svbrdf_stationary, texture
 from metapp.apps import app_names, load_app
 from metapp.experiments.shipped import FULL, shipped_path, ships
 from metapp.learning.app import stack
@@ -51,12 +52,13 @@ def test_they_say_what_they_are(name: str) -> None:
 
 @pytest.mark.usefixtures("vgg")
 @pytest.mark.slow
-@pytest.mark.parametrize(("name", "least"), [("texture", 0.85), ("svbrdf_stationary", 0.9)])
-def test_few_steps_beat_none_on_unseen_tasks(name: str, least: float) -> None:
+@pytest.mark.parametrize(("synthetic", "least"), [(texture, 0.85), (svbrdf_stationary, 0.9)])
+def test_few_steps_beat_none_on_unseen_tasks(synthetic: ModuleType, least: float) -> None:
+    name = synthetic.__name__.rpartition(".")[2]
     app = load_app(name)
     recipe = app.recipes[FULL]
     app = app.at(recipe)
-    tasks = stack(app, list(importlib.import_module(f"data_tools.synthetic.{name}").synthetic_tasks("test", 4)))
+    tasks = stack(app, list(synthetic.synthetic_tasks("test", 4)))
     starts = {each: load_checkpoint(shipped_path(name, each, FULL))[0] for each in ("general", recipe.rule)}
     errors = {}
     for paradigm, start in (("general", "general"), ("meta", recipe.rule)):

@@ -11,6 +11,7 @@ from torch.nn.functional import adaptive_avg_pool2d
 
 from metapp.appearance.features import amplitudes, distance, gram, hann, moments
 from metapp.appearance.flash import (
+    STATISTICS_AT,
     Maps,
     camera,
     expose,
@@ -36,7 +37,6 @@ TRUTH = 3.0  # weight in the outer loss of how far the maps' statistics are from
 LIKELY = 0.05  # the same where the truth is unknown, of how unusual specular and roughness are
 PRIOR = 0.5  # the same in fits of 256 texels, which else trade diffuse colour for specular one
 OF_ROUGHNESS = 0.4  # varies more between materials than specular does
-WIDEST = 256  # of the pictures that the truth's statistics are known at; then halves
 RELIEF = 1 / 32  # widths of the photo a unit of the network's output, as height
 FALLOFF = 1.0
 LEARNED = MetaTraining(
@@ -194,7 +194,7 @@ class SvbrdfStationary(ExemplarApp):
         loss = torch.stack(list(distances.values())).sum(0) + BRIGHTER * distances["pooled"]
         if "truth" not in batch:
             return loss + LIKELY * _unusual(maps)
-        level = min(max(WIDEST.bit_length() - (self.setup.width >> octave).bit_length(), 0), 2)
+        level = sum(self.setup.width >> octave < size for size in STATISTICS_AT[:-1])
         return loss + TRUTH * (statistics(maps) - batch["truth"][:, level, None]).abs().mean((1, 2, 3))
 
     def _distances(self, maps: Maps, batch: Batch) -> dict[str, Tensor]:
