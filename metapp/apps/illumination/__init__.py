@@ -5,7 +5,6 @@ from __future__ import annotations
 import functools
 import math
 from dataclasses import dataclass, replace
-from typing import Any
 
 import torch
 from torch import Generator, Tensor
@@ -13,6 +12,7 @@ from torch.nn.functional import avg_pool2d, relu, softmax
 
 from metapp.appearance.colour import tone_map
 from metapp.appearance.latlong import directions, resample, solid_angles, sphere_normals
+from metapp.appearance.metrics import ssim
 from metapp.appearance.photograph import Camera, Material, develop, photograph, shade
 from metapp.apps.illumination.encoder import Encoder
 from metapp.apps.illumination.surfaces import FACED, MIRRORED, relight, surfaces
@@ -255,20 +255,14 @@ class Illumination(CodedApp):
         """Of maps [T, 3, H, W] of the field's size, linear radiance."""
         if "map" not in tasks.data:
             return {}
-        # takes half a second to import
-        from torchmetrics.functional.image import structural_similarity_index_measure
-
         maps, target = self._scaled(answer), tasks.data["map"][tasks.rows]
         found, wanted = relight(maps), relight(target)
         error = (found - wanted).abs().mean((1, 2, 3))
         logs = _texels(maps, target, {}, 0.0)
-        ssim: Any = structural_similarity_index_measure(
-            tone_map(found), tone_map(wanted), data_range=1.0, reduction=None
-        )
         return {
             "error": error,
             "relative": error / wanted.mean((1, 2, 3)).clamp_min(1e-6),
-            "ssim": ssim.reshape(-1),
+            "ssim": ssim(tone_map(found), tone_map(wanted)).flatten(1).mean(1),
             "map": logs,
         }
 
