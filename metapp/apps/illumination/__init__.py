@@ -162,7 +162,7 @@ class Illumination(CodedApp):
 
     def _surfaces(self, like: Tensor) -> Tensor:
         """What surfaces send out by a map, [S, H * W]: diffuse ones that face, glossy ones that mirror all around."""
-        return surfaces(self.field.height, self.field.width).to(like)
+        return surfaces(self.field.height, self.field.width, like.device).to(like)
 
     def init(self, rng: Generator, count: int) -> Params:
         return super().init(rng, count) | {"body": torch.zeros(count, BODY, device=rng.device)}
@@ -223,7 +223,7 @@ class Illumination(CodedApp):
         display = develop(shade(maps, material, SMALL, GLOSSES), camera)
         short = target - display
         short = torch.where(target > 0.98, relu(short), short)
-        return norm(short, learned)[..., _inside(side).to(maps.device)].mean((1, 2))
+        return norm(short, learned).flatten(2)[..., _inside(side, maps.device)].mean((1, 2))
 
     def loss_parameters(self, steps: int) -> Params:
         light = {"light": torch.full((steps,), math.log(LIGHT))} if self.protocol == "reference" else {}
@@ -284,9 +284,10 @@ def body_of(body: Tensor) -> tuple[Material, Camera]:
 
 
 @functools.lru_cache(maxsize=4)
-def _inside(side: int) -> Tensor:
-    """Which pixels [SMALL, SMALL] of a photograph of so many px a side show nothing but the sphere."""
-    return avg_pool2d(sphere_normals(side)[1].float()[None], side // SMALL)[0] > 0.999
+def _inside(side: int, device: torch.device) -> Tensor:
+    """Where, row by row, the pixels are of SMALL px a side of a photograph that show nothing but the sphere."""
+    shown = avg_pool2d(sphere_normals(side)[1].float()[None], side // SMALL)[0] > 0.999
+    return shown.flatten().nonzero()[:, 0].to(device)
 
 
 APP = Illumination(QUICK.setup, "reference")

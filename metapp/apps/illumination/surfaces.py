@@ -18,10 +18,10 @@ FACED, MIRRORED, SHINE = 64, 128, 0.35  # surfaces that the loss looks at: diffu
 
 
 @functools.lru_cache(maxsize=4)
-def surfaces(height: int, width: int) -> Tensor:
+def surfaces(height: int, width: int, device: torch.device) -> Tensor:
     """What they send out by a map, [FACED + MIRRORED, height * width]: evenly spread, facing and mirroring."""
     name, sources = f"surfaces-{height}x{width}", (__file__, latlong.__file__, reflection.__file__)
-    return kept(name, sources, lambda: {"sent": _surfaces(height, width)})["sent"]
+    return kept(name, sources, lambda: {"sent": _surfaces(height, width)})["sent"].to(device)
 
 
 def _surfaces(height: int, width: int) -> Tensor:
