@@ -14,11 +14,13 @@ from typing import NamedTuple
 import torch
 from torch import Generator, Tensor
 
+from metapp.appearance import latlong, reflection
 from metapp.appearance.colour import linear_to_srgb, srgb_to_linear
 from metapp.appearance.latlong import cosine_transfer, glossy_transfer, luminance, resample, sphere_normals
+from metapp.storage.kept import kept
 
 ROUGHNESSES = (0.15, 0.19, 0.25, 0.32, 0.42, 0.54, 0.7)  # each needs a matrix of its own
-
+KEPT = 64 * 64  # rows times px from which lobes take a tenth of a second or more: these lie in the cache
 _CHUNK = 16  # pixels at a time: a lobe is looked at in up to 32,768 directions, which then stay in the cache
 
 
@@ -170,5 +172,13 @@ def _diffuse(size: int) -> Tensor:
 def _glossy(size: int, roughness: float) -> Tensor:
     rows = 64 if roughness < 0.22 else 32 if roughness < 0.5 else 16
     samples = math.ceil(math.pi / 2 / rows / roughness**2)
-    parts = _quarter(size).split(_CHUNK)
-    return torch.cat([glossy_transfer(part, roughness, rows, 2 * rows, samples=samples) for part in parts])
+
+    def make() -> dict[str, Tensor]:
+        parts = _quarter(size).split(_CHUNK)
+        lobes = [glossy_transfer(part, roughness, rows, 2 * rows, samples=samples) for part in parts]
+        return {"lobes": torch.cat(lobes)}
+
+    if rows * size < KEPT:
+        return make()["lobes"]
+    sources = (__file__, latlong.__file__, reflection.__file__)
+    return kept(f"lobes-{size}-{roughness:g}", sources, make)["lobes"]

@@ -2,23 +2,17 @@
 
 from __future__ import annotations
 
-import contextlib
 import functools
-import hashlib
 import math
 from collections.abc import Callable
-from pathlib import Path
 from typing import NamedTuple
 
 import torch
-from safetensors import SafetensorError
-from safetensors.torch import save
 from torch import Tensor
 
 from metapp.appearance import geometry
 from metapp.appearance.geometry import directions_to_rusinkiewicz, gauss_legendre
-from metapp.storage.files import cache_folder, write_atomically
-from metapp.storage.tensors import opened_tensors
+from metapp.storage.kept import kept
 
 
 class SphereScene(NamedTuple):
@@ -208,19 +202,5 @@ def _environment_scene(size: int) -> SphereScene:
 
 
 def _kept(name: str, make: Callable[[], SphereScene]) -> SphereScene:
-    """A scene from the cache, where it was made by the same code; else made, and kept there if that can be."""
-    path, maker = cache_folder() / f"sphere-{name}.safetensors", {"maker": _maker()}
-    with contextlib.suppress(OSError, SafetensorError), opened_tensors(path) as stored:
-        if stored.metadata() == maker:
-            return SphereScene(*map(stored.get_tensor, SphereScene._fields))
-    scene = make()
-    tensors = {key: value.contiguous() for key, value in scene._asdict().items()}
-    with contextlib.suppress(OSError):
-        write_atomically(path, lambda partial: partial.write_bytes(save(tensors, maker)))
-    return scene
-
-
-def _maker() -> str:
-    """A digest of the code that scenes are made by, and torch's version."""
-    sources = b"".join(Path(each).read_bytes() for each in (__file__, geometry.__file__))
-    return f"{hashlib.sha256(sources).hexdigest()[:16]} {torch.__version__}"
+    """A scene from the cache, or made now."""
+    return SphereScene(**kept(f"sphere-{name}", (__file__, geometry.__file__), lambda: make()._asdict()))

@@ -11,7 +11,7 @@ import typer
 
 from data_tools.formats import exports_of, inputs_of
 from metapp.apps import app_names
-from metapp.cli.console import say
+from metapp.cli.console import importing, say
 from metapp.cli.fitting import fit, fit_lines, fit_many
 from metapp.cli.options import Json
 
@@ -146,11 +146,12 @@ def make_command(name: str, summary: str) -> Any:
         json: Json = False,
         quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress bar, no table.")] = False,
     ) -> None:
-        from metapp.apps import presentation_of
-        from metapp.experiments.export import check_export
-        from metapp.experiments.inputs import Reading
-        from metapp.experiments.run import follow
-        from metapp.experiments.session import options_of
+        with importing():
+            from metapp.apps import presentation_of
+            from metapp.experiments.export import check_export
+            from metapp.experiments.inputs import Reading
+            from metapp.experiments.run import follow
+            from metapp.experiments.session import options_of
 
         options = options_of(
             app,

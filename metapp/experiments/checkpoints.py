@@ -110,7 +110,7 @@ def _with_tuning(options: Options, checkpoint: Checkpoint, name: str) -> Checkpo
 def _checkpoint_path(options: Options, name: str) -> Path:
     if options.checkpoint:
         return options.checkpoint
-    if options.data or embedded_exists(options.app.name):
+    if options.data or (_starts(options).is_dir() and embedded_exists(options.app.name)):
         path = trained_path(options, name)
         if path.is_file():
             return path
@@ -127,7 +127,12 @@ def trained_path(options: Options, name: str) -> Path:
     """Where a checkpoint that is trained on this data is kept."""
     label = data_label(data_folder(options.app, options.data, options.quiet))
     run = f"{label}-{options.recipe}-seed{options.seed}"
-    return options.out / options.app.name / "starts" / run / f"{checkpoint_name(options.app, name)}.safetensors"
+    return _starts(options) / run / f"{checkpoint_name(options.app, name)}.safetensors"
+
+
+def _starts(options: Options) -> Path:
+    """The folder of checkpoints that were trained for this application, on any data."""
+    return options.out / options.app.name / "starts"
 
 
 def checkpoint_name(app: App, name: str) -> str:

@@ -21,7 +21,7 @@ from metapp.learning.guard import Guarded
 from metapp.learning.task import Params, Task, Tasks
 from metapp.paradigms import Job, Paradigm
 
-WARM = 3  # steps of the fit that loads kernels
+WARM = 1  # steps of the fit that loads kernels: the next one takes at most 2 % longer than after more of them
 PACED = 8  # steps of those that measure a step: as many as show all stages of a descent from coarse to fine
 PACING = 0.3  # seconds that these take, about; one of them at least
 
@@ -67,12 +67,14 @@ class Fitter:
         self.tell(len(tasks))
 
     def warm(self, task: Task) -> None:
-        """Take a few steps before the first fit, as first calls load kernels; for a budget measure how long."""
+        """Take a step before the first fit, as first calls load kernels; for a budget measure how long they are."""
         if self._warm:
             return
         self._warm = True
         few = min(self.paradigm.count(self.options.job), WARM)
-        self._timed([task], self.options.job._replace(steps=few))
+        unguarded = self.paradigm._replace(guard=lambda job: None)  # what a guard looks at takes longer than a step
+        tasks = stack(self.options.app, [task], self.options.device)
+        unguarded.fit(self.options.job._replace(steps=few), self.checkpoint.prepared, tasks, self._rng([task]))
         if self.options.budget is not None and few:
             self._measure(task, PACING)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -133,6 +134,11 @@ class Tasks:
 
     def picked_names(self) -> tuple[str, ...]:
         """The names of the tasks in this view, in order."""
+        return self._picked
+
+    @functools.cached_property
+    def _picked(self) -> tuple[str, ...]:
+        """Read once, as each time is one that a GPU must be waited for."""
         return tuple(self.names[row] for row in self.rows.tolist())
 
     def variants(self, data: dict[str, Tensor]) -> Tasks:

@@ -219,11 +219,11 @@ class LocalField(NamedTuple):
             Values before any range is imposed, [T, outputs, height, width].
         """
         z = self.gain * theta["z"]
-        down, across = (each.to(z) for each in _interpolation(self))
+        down, across = (each.to(z) for each in _interpolation(self, z.device))
         code, x = (down @ z @ across).flatten(2), places.flatten(2)
         for name in (*(f"layer{layer}" for layer in range(self.layers)), "out"):
             shifted = torch.baddbmm(theta[f"{name}.shift"][..., None], theta[f"{name}.code"], code)
-            x = torch.baddbmm(shifted, theta[f"{name}.kernel"], x)
+            x = shifted.baddbmm_(theta[f"{name}.kernel"], x)  # in place: to copy it takes as long as the product
             x = x if name == "out" else x.sin()
         result: Tensor = x.unflatten(2, (self.height, self.width))
         return result
@@ -238,10 +238,11 @@ def regridded(values: Tensor, rows: int, columns: int, *, periodic: bool) -> Ten
 
 
 @functools.lru_cache(maxsize=8)
-def _interpolation(field: LocalField) -> tuple[Tensor, Tensor]:
+def _interpolation(field: LocalField, device: torch.device) -> tuple[Tensor, Tensor]:
     """What each row and column takes of those of the code: [height, rows] and [columns, width]."""
     down = _linear(field.height, field.rows, periodic=False)
-    return down, _linear(field.width, field.columns, periodic=field.periodic).T.contiguous()
+    across = _linear(field.width, field.columns, periodic=field.periodic).T.contiguous()
+    return down.to(device), across.to(device)
 
 
 def _linear(count: int, cells: int, *, periodic: bool) -> Tensor:

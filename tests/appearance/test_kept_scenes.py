@@ -9,6 +9,7 @@ import torch
 
 from metapp.appearance import sphere
 from metapp.appearance.sphere import SphereScene, sphere_scene
+from metapp.storage import kept
 
 SIZE = 8
 
@@ -33,17 +34,17 @@ def test_a_scene_is_made_once(cache: Path) -> None:
 
 def test_a_scene_of_other_code_is_made_anew(monkeypatch: pytest.MonkeyPatch) -> None:
     with monkeypatch.context() as patch:
-        patch.setattr(sphere, "_maker", lambda: "of another version")
+        patch.setattr(kept, "_maker", lambda sources: "of another version")
         sphere._kept("small", lambda: sphere_scene(SIZE + 1))
     assert same(sphere._kept("small", small), small())
     assert same(sphere._kept("small", never), small())
 
 
-@pytest.mark.parametrize("kept", [0, 5, 200, -1])
-def test_a_damaged_file_is_made_anew(kept: int, cache: Path) -> None:
+@pytest.mark.parametrize("end", [0, 5, 200, -1])
+def test_a_damaged_file_is_made_anew(end: int, cache: Path) -> None:
     sphere._kept("small", small)
     path = cache / "sphere-small.safetensors"
-    path.write_bytes(path.read_bytes()[:kept])
+    path.write_bytes(path.read_bytes()[:end])
     assert same(sphere._kept("small", small), small())
     assert same(sphere._kept("small", never), small())
 

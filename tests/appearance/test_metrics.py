@@ -6,7 +6,7 @@ import pytest
 import torch
 from torch import Generator, Tensor
 
-from metapp.appearance.metrics import dssim, mape, smape
+from metapp.appearance.metrics import dssim, mape, smape, ssim
 
 
 @pytest.fixture
@@ -49,3 +49,16 @@ def test_structure_counts_for_dssim(pictures: Tensor) -> None:
     little, much = dssim(pictures + 0.1 * noise, pictures), dssim(pictures + noise, pictures)
     assert (little < much).all()
     assert (dssim(pictures.flip(3), pictures) > 0.5).all()
+
+
+@pytest.mark.parametrize("size", [(3, 48, 40), (1, 33, 64)])
+def test_structural_similarity_is_that_of_a_library(size: tuple[int, int, int]) -> None:
+    from torchmetrics.functional.image import structural_similarity_index_measure
+
+    rng = Generator().manual_seed(2)
+    one, other = torch.rand(2, 4, *size, generator=rng)
+    other = one + 0.3 * other
+    mean, each = structural_similarity_index_measure(one, other, data_range=1.0, reduction=None, return_full_image=True)
+    assert torch.equal(ssim(one, other), each)
+    assert torch.equal(ssim(one, other).flatten(1).mean(1), mean)
+    assert 0 < mean.min() < mean.max() < 1

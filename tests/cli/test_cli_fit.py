@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import shutil
+import subprocess
+import sys
 from collections.abc import Callable
 from dataclasses import replace
 from importlib import metadata
@@ -394,3 +396,18 @@ def test_refuses_rules_that_make_no_sense(metapp: Callable, fit: Callable) -> No
     for rule in ("adam+magic", "meta-lgd"):
         (line,) = (line for line in fit("meta", "--rule", rule).err.splitlines() if "Error" in line)
         assert rule in line
+
+
+def test_a_fit_imports_neither_libraries_of_figures_nor_of_peers_and_ends_quietly() -> None:
+    """Each takes as long to import as most fits; bindings of pictures must not be told of as garbage at the end."""
+    lines = (
+        "import gc, sys",
+        "from metapp.cli.console import importing",
+        "with importing():",
+        "    import metapp.experiments.run",
+        "import metapp.apps.illumination, metapp.apps.svbrdf_nonstationary, metapp.apps.texture, OpenImageIO",
+        "print(gc.isenabled(), gc.get_freeze_count() > 100_000)",
+        "print({'matplotlib', 'scipy', 'torchmetrics', 'mitsuba', 'colour'} & sys.modules.keys())",
+    )
+    done = subprocess.run([sys.executable, "-c", "\n".join(lines)], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout, done.stderr) == (0, "True True\nset()\n", "")

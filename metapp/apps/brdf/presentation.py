@@ -9,6 +9,7 @@ from typing import Any
 from torch import Tensor
 
 from metapp.appearance.colour import linear_to_srgb
+from metapp.appearance.metrics import ssim
 from metapp.appearance.presentation import Fitted, Presentation, Visible
 from metapp.appearance.sphere import environment_scene, reference_scene, shade_sphere
 from metapp.apps.brdf import CONDITION, Brdf
@@ -34,15 +35,11 @@ class BrdfPresentation(Presentation[Brdf]):
         """
         if "environment" not in task.data:
             return {}
-        # takes half a second to import
-        from torchmetrics.functional.image import structural_similarity_index_measure
-
         scene, measured = environment_scene(), {}
         wanted = _display(task.data["environment"])
         for name, fit in fits.items():
             found = _display(shade_sphere(scene, functools.partial(self.app.reflectance, fit.theta)))
-            full = structural_similarity_index_measure(found, wanted, data_range=1.0, return_full_image=True)[1]
-            measured[name] = {"SSIM": float(full[0][:, scene.mask].mean())}
+            measured[name] = {"SSIM": float(ssim(found, wanted)[0][:, scene.mask].mean())}
         return measured
 
     def visible(self, task: Task) -> Visible:

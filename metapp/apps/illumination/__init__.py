@@ -5,7 +5,6 @@ from __future__ import annotations
 import functools
 import math
 from dataclasses import dataclass, replace
-from typing import Any
 
 import torch
 from torch import Generator, Tensor
@@ -13,6 +12,7 @@ from torch.nn.functional import avg_pool2d, relu, softmax
 
 from metapp.appearance.colour import tone_map
 from metapp.appearance.latlong import directions, resample, solid_angles, sphere_normals
+from metapp.appearance.metrics import ssim
 from metapp.appearance.photograph import Camera, Material, develop, photograph, shade
 from metapp.apps.illumination.encoder import Encoder
 from metapp.apps.illumination.surfaces import FACED, MIRRORED, relight, surfaces
@@ -162,7 +162,7 @@ class Illumination(CodedApp):
 
     def _surfaces(self, like: Tensor) -> Tensor:
         """What surfaces send out by a map, [S, H * W]: diffuse ones that face, glossy ones that mirror all around."""
-        return surfaces(self.field.height, self.field.width).to(like)
+        return surfaces(self.field.height, self.field.width, like.device).to(like)
 
     def init(self, rng: Generator, count: int) -> Params:
         return super().init(rng, count) | {"body": torch.zeros(count, BODY, device=rng.device)}
@@ -223,7 +223,7 @@ class Illumination(CodedApp):
         display = develop(shade(maps, material, SMALL, GLOSSES), camera)
         short = target - display
         short = torch.where(target > 0.98, relu(short), short)
-        return norm(short, learned)[..., _inside(side).to(maps.device)].mean((1, 2))
+        return norm(short, learned).flatten(2)[..., _inside(side, maps.device)].mean((1, 2))
 
     def loss_parameters(self, steps: int) -> Params:
         light = {"light": torch.full((steps,), math.log(LIGHT))} if self.protocol == "reference" else {}
@@ -255,20 +255,14 @@ class Illumination(CodedApp):
         """Of maps [T, 3, H, W] of the field's size, linear radiance."""
         if "map" not in tasks.data:
             return {}
-        # takes half a second to import
-        from torchmetrics.functional.image import structural_similarity_index_measure
-
         maps, target = self._scaled(answer), tasks.data["map"][tasks.rows]
         found, wanted = relight(maps), relight(target)
         error = (found - wanted).abs().mean((1, 2, 3))
         logs = _texels(maps, target, {}, 0.0)
-        ssim: Any = structural_similarity_index_measure(
-            tone_map(found), tone_map(wanted), data_range=1.0, reduction=None
-        )
         return {
             "error": error,
             "relative": error / wanted.mean((1, 2, 3)).clamp_min(1e-6),
-            "ssim": ssim.reshape(-1),
+            "ssim": ssim(tone_map(found), tone_map(wanted)).flatten(1).mean(1),
             "map": logs,
         }
 
@@ -290,9 +284,10 @@ def body_of(body: Tensor) -> tuple[Material, Camera]:
 
 
 @functools.lru_cache(maxsize=4)
-def _inside(side: int) -> Tensor:
-    """Which pixels [SMALL, SMALL] of a photograph of so many px a side show nothing but the sphere."""
-    return avg_pool2d(sphere_normals(side)[1].float()[None], side // SMALL)[0] > 0.999
+def _inside(side: int, device: torch.device) -> Tensor:
+    """Where, row by row, the pixels are of SMALL px a side of a photograph that show nothing but the sphere."""
+    shown = avg_pool2d(sphere_normals(side)[1].float()[None], side // SMALL)[0] > 0.999
+    return shown.flatten().nonzero()[:, 0].to(device)
 
 
 APP = Illumination(QUICK.setup, "reference")

@@ -9,18 +9,26 @@ import torch
 from torch import Tensor
 from torch.nn.functional import normalize
 
+from metapp.appearance import latlong, reflection
 from metapp.appearance.latlong import cosine_transfer, glossy_transfer
 from metapp.rendering import second_scene
+from metapp.storage.kept import kept
 
 FACED, MIRRORED, SHINE = 64, 128, 0.35  # surfaces that the loss looks at: diffuse, glossy and how rough
 
 
 @functools.lru_cache(maxsize=4)
-def surfaces(height: int, width: int) -> Tensor:
+def surfaces(height: int, width: int, device: torch.device) -> Tensor:
     """What they send out by a map, [FACED + MIRRORED, height * width]: evenly spread, facing and mirroring."""
+    name, sources = f"surfaces-{height}x{width}", (__file__, latlong.__file__, reflection.__file__)
+    return kept(name, sources, lambda: {"sent": _surfaces(height, width)})["sent"].to(device)
+
+
+def _surfaces(height: int, width: int) -> Tensor:
     middle = normalize(_spread(MIRRORED) + torch.tensor([0.0, 0.0, 1.0]), dim=1)  # between them and the viewer
-    glossy = glossy_transfer(middle, SHINE, height, width, samples=2)
-    return torch.cat([cosine_transfer(_spread(FACED), height, width), glossy])
+    # a few at a time stay near the processor, a third of the time
+    glossy = [glossy_transfer(each, SHINE, height, width, samples=2) for each in middle.split(8)]
+    return torch.cat([cosine_transfer(_spread(FACED), height, width), *glossy])
 
 
 def _spread(count: int) -> Tensor:

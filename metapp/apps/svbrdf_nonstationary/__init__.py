@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Any
 
 import torch
 from torch import Generator, Tensor
 from torch.nn.functional import adaptive_avg_pool2d, relu
 
 from metapp.appearance.flash import Maps, expose, positions, render, statistics, unpack
+from metapp.appearance.metrics import ssim
 from metapp.apps.svbrdf_nonstationary.encoder import Encoder
 from metapp.apps.svbrdf_nonstationary.maps import (
     RAW,
@@ -259,14 +259,10 @@ class SvbrdfNonstationary(CodedApp):
         """Of maps [T, C, H, W] of the field's size."""
         if "maps" not in tasks.data:
             return {}
-        # takes half a second to import
-        from torchmetrics.functional.image import structural_similarity_index_measure
-
         maps, target = answer, unpack(tasks.data["maps"][tasks.rows])
         pairs = _pairs(JUDGED).to(target.diffuse)[None]
         found, wanted = self._logs(maps, pairs), self._logs(target, pairs)
         shown, target_shown = (expose((logs.exp() - DARK).flatten(0, 1)) for logs in (found, wanted))
-        ssim: Any = structural_similarity_index_measure(shown, target_shown, data_range=1.0, reduction=None)
         cosine = (maps.normal * target.normal).sum(1).clamp(-1, 1)
         parts = dict(zip(("diffuse", "specular", "roughness"), differences(maps, target), strict=False))
         steep = [statistics(each)[:, 0, -1] + LEVEL for each in (maps, target)]
@@ -274,7 +270,7 @@ class SvbrdfNonstationary(CodedApp):
         blots = (parts["diffuse"].abs() * clips).mean((1, 2, 3)) / clips.float().mean((1, 2, 3)).clamp_min(1e-6)
         return {
             "error": (found - wanted).abs().mean((1, 2, 3, 4)),
-            "ssim": ssim.reshape(len(tasks), -1).mean(1),
+            "ssim": ssim(shown, target_shown).flatten(1).mean(1).reshape(len(tasks), -1).mean(1),
             "normal": torch.rad2deg(cosine.acos()).mean((1, 2)),
             "relief": steep[0] / steep[1],
             "blots": blots,

@@ -1,0 +1,93 @@
+"""Steps read nothing back: on a GPU each such read would make the program wait for all that was asked for before."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from typing import Any
+
+import pytest
+import torch
+from torch import Tensor
+from torch.utils._python_dispatch import TorchDispatchMode
+
+from metapp.learning import learn as learning
+from metapp.learning.app import stack
+from metapp.learning.learn import learn, task_loss
+from metapp.paradigms import Job, paradigms
+from tests.paradigms.small import KINDS, OWN_RULES, SMALL, rng, small_app, small_recipe, start_for
+
+READS = ("item", "tolist", "cpu", "numpy", "__bool__", "__int__", "__float__", "__index__")
+STEPS = 3
+# stationary svBRDFs cut windows out whose places they draw: the only numbers that a fit reads at each step
+KNOWN = {"svbrdf_stationary": ("tolist",)}
+
+
+class Ops(TorchDispatchMode):
+    """Refuse what waits by itself: numbers that are read, and masks, of which must be counted what they leave."""
+
+    def __torch_dispatch__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
+        name = func.overloadpacket.__name__
+        masks = name in ("index", "index_put", "index_put_") and any(
+            each is not None and each.dtype == torch.bool for each in args[1]
+        )
+        if masks or name in ("_local_scalar_dense", "nonzero", "masked_select", "unique", "_unique2"):
+            raise AssertionError(f"a step waits for {name}")
+        return func(*args, **(kwargs or {}))
+
+
+@contextmanager
+def reading_nothing(allowed: tuple[str, ...] = ()) -> Iterator[list[str]]:
+    """Fail where a number is read back; those that are allowed are counted instead."""
+    seen: list[str] = []
+
+    def refuse(name: str, real: Any) -> Any:
+        def read(*args: Any, **kwargs: Any) -> Any:
+            if name not in allowed:
+                raise AssertionError(f"a step calls Tensor.{name}")
+            seen.append(name)
+            return real(*args, **kwargs)
+
+        return read
+
+    with ExitStack() as stack_, pytest.MonkeyPatch.context() as patch:
+        for name in READS:
+            patch.setattr(Tensor, name, refuse(name, getattr(Tensor, name)))
+        stack_.enter_context(Ops())
+        yield seen
+
+
+@pytest.mark.parametrize("read", [lambda x: x.item(), lambda x: bool(x), lambda x: x[x > 0], lambda x: x.tolist()])
+def test_reads_are_found(read: Any) -> None:
+    with pytest.raises(AssertionError, match="a step"), reading_nothing():
+        read(torch.ones(()))
+
+
+@pytest.mark.parametrize("protocol", ["first", "last"])
+@pytest.mark.parametrize("kind", KINDS)
+def test_steps_of_fits_read_nothing_back(kind: str, protocol: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """But for the check that the first loss is finite."""
+    app = small_app(kind)
+    if protocol == "last":
+        if len(app.protocols) < 2:
+            pytest.skip("one protocol")
+        app = app.at(small_recipe(app), app.protocols[-1])
+    job = Job(app, small_recipe(app), OWN_RULES[kind])
+    meta = paradigms()["meta"]
+    tasks = stack(app, SMALL[app.name].tasks()[:2])
+    prepared = start_for(meta, job)
+    loss = task_loss(app, job.recipe.batch)
+
+    def fit(allowed: tuple[str, ...] | None) -> list[str]:
+        theta = meta.start(job, prepared, tasks, rng())
+        rule, draws = meta.rule(job, prepared, theta, STEPS), rng()
+        if allowed is None:
+            learn(theta, rule, tasks, loss, steps=STEPS, rng=draws, check_every=0)
+            return []
+        with reading_nothing(allowed) as seen:
+            learn(theta, rule, tasks, loss, steps=STEPS, rng=draws, check_every=0)
+        return seen
+
+    fit(None)  # constants are made at their first use
+    monkeypatch.setattr(learning, "_require_finite", lambda *args: None)
+    assert len(fit(KNOWN.get(kind, ()))) == (STEPS if kind in KNOWN else 0)
