@@ -14,7 +14,10 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from metapp.learning.task import Params
 from metapp.rendering.guide_cache import GuideCache
+from metapp.rendering.guide_prior import Prior
+from metapp.rendering.guide_survey import survey
 from metapp.rendering.guided_path import PathTracer, Records
 
 FEWEST = 16  # samples a pixel; with fewer there is no time to learn
@@ -86,18 +89,24 @@ class GuidedPicture:
         integrator: of Mitsuba, which the picture is for.
         tracer: of paths.
         scene, sensor, seed: as of `render` of an integrator.
+        prior: parameters of what the cache expects of a scene; None for a cache that expects nothing.
 
     Attributes:
         pays: whether the cache lowers the noise by more than it costs, as far as is known.
         spent: seconds of CPU that each kind of work took, by its name.
     """
 
-    def __init__(self, integrator: Any, tracer: PathTracer, scene: Any, sensor: Any, seed: Any) -> None:
+    def __init__(
+        self, integrator: Any, tracer: PathTracer, scene: Any, sensor: Any, seed: Any, prior: Params | None = None
+    ) -> None:
+        begin = time.process_time()
         self.integrator, self.tracer, self.scene, self.sensor, self.seed = integrator, tracer, scene, sensor, seed
         self.cache = GuideCache(mi, *_extent(scene, sensor))
+        if prior is not None:
+            self.cache.expects = Prior(prior, survey(tracer, scene, sensor, self.cache, seed))
         self.block: Any = None
         self.made, self.noise, self.count, self.pays = 0, 0.0, 0, True
-        self.spent: dict[str, float] = {}
+        self.spent = {"survey": time.process_time() - begin}
         self._bounds = iter(PAYS)
         self._bound = PAYS[0]
 
