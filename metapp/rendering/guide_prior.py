@@ -1,7 +1,7 @@
 """What a cache expects before paths teach it: a small network that reads what a survey saw.
 
 The network makes of pictures over the cells of directions of one place, [SIDE, SIDE] each, how densely the place should
-send paths there. It knows nothing else of a scene, and is trained on rooms by General (`metapp.apps.transport.guide`).
+send paths there. It knows nothing else of a scene. General trains it on rooms (`metapp.apps.transport.guiding`).
 """
 
 from __future__ import annotations

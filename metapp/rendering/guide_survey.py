@@ -32,12 +32,14 @@ class Seen(NamedTuple):
 
     Attributes:
         rows: of each such place its number here, or -1, [places].
+        voxels: the places, three whole numbers and an axis each, [P, 4].
         features: float32 [P, len(SEEN), SIDE, SIDE]. Over cells of directions: logarithms of the square of what is
             expected to arrive; which part of it emitters send that are met; log(1 + distance); the cosine at what is
             met; and of how many paths it is known what that sends out.
     """
 
     rows: Tensor
+    voxels: Tensor
     features: Tensor
 
     def find(self, voxels: Tensor) -> tuple[Tensor, Tensor]:
@@ -134,15 +136,15 @@ def _seen(records: Survey, light: Any, scene: Any, cache: GuideCache, sampler: A
     places, points = records.one_of_each()
     rows = torch.full((_HALF**3 * AXES,), -1)
     if not len(places):
-        return Seen(rows, torch.zeros(0, len(SEEN), SIDE, SIDE))
-    numbers, which = _number(_halves(places)).unique(return_inverse=True)
-    rows[numbers] = torch.arange(len(numbers))
+        return Seen(rows, torch.zeros(0, 4, dtype=torch.long), torch.zeros(0, len(SEEN), SIDE, SIDE))
+    voxels, which = _halves(places).unique(dim=0, return_inverse=True)
+    rows[_number(voxels)] = torch.arange(len(voxels))
     # a cell's rays start in one or another of the smaller places of each, where a path was
     order, size = which.argsort(stable=True), which.bincount()
-    spread = torch.arange(PROBES * CELLS)[None] * 7 + torch.arange(len(numbers))[:, None] * 3
+    spread = torch.arange(PROBES * CELLS)[None] * 7 + torch.arange(len(voxels))[:, None] * 3
     start = points[order[(size.cumsum(0) - size)[:, None] + spread % size[:, None]]].reshape(-1, PROBES, CELLS)
     sights = _looked(records, start, scene, cache, sampler)
-    return Seen(rows, features(sights, *records.sent(light)))
+    return Seen(rows, voxels, features(sights, *records.sent(light)))
 
 
 def _looked(records: Survey, start: Tensor, scene: Any, cache: GuideCache, sampler: Any) -> Sights:
