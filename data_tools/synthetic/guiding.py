@@ -47,7 +47,7 @@ def guide_tasks(kind: str, seed: int) -> list[Task]:
     for parts in PARTS:
         for spp in parts:
             picture.pays = True  # the guard has no say
-            picture.add(Part(spp, 1.0, learns=True))
+            picture.add(Part(spp, learns=True))
         looks.append(_sums(picture, prior))
     voxels = prior.seen.voxels
     rng = Generator().manual_seed(seed)

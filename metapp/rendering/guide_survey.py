@@ -109,7 +109,7 @@ class Survey(Records):
         return _tensor(self.cells).long()
 
 
-def survey(tracer: PathTracer, scene: Any, sensor: Any, cache: GuideCache, seed: int) -> Seen:
+def survey(tracer: PathTracer, scene: Any, sensor: Any, cache: GuideCache, seed: Any) -> tuple[Seen, Any]:
     """Look at a scene; the cache learns from the paths, too.
 
     Args:
@@ -117,6 +117,9 @@ def survey(tracer: PathTracer, scene: Any, sensor: Any, cache: GuideCache, seed:
         scene, sensor: as of `render` of an integrator.
         cache: of the scene.
         seed: of all draws.
+
+    Returns:
+        what was seen, and the luminance of the paths, [FILM, FILM].
     """
     mi, dr = tracer.mi, tracer.dr
     paths = FILM**2
@@ -129,7 +132,8 @@ def survey(tracer: PathTracer, scene: Any, sensor: Any, cache: GuideCache, seed:
     light, _ = tracer.trace(scene, sampler, mi.RayDifferential3f(ray), cache, False, records)
     dr.eval(light)
     records.teach(cache, light)
-    return _seen(records, light, scene, cache, sampler)
+    luminance = mi.luminance(light).numpy().reshape(FILM, FILM)
+    return _seen(records, light, scene, cache, sampler), luminance
 
 
 def _seen(records: Survey, light: Any, scene: Any, cache: GuideCache, sampler: Any) -> Seen:

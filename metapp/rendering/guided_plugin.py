@@ -3,10 +3,10 @@
     {"type": "guided_path", "max_depth": 8}
 
 Properties: `max_depth`, `rr_depth` and `hide_emitters` as of `path`; `emitter_sampling` (true), whether surfaces are
-joined to emitters as well; and `checkpoint`, the file of the prior that says what a cache expects before paths teach it:
-the one that ships unless given, "none" for none, as without `emitter_sampling`, for which none was trained. The mean is
-that of `path`. Where a guide cannot help, `path` renders instead, and a warning says so once. Choose a libLLVM before
-this module is imported: `metapp.rendering.variant.choose_llvm`.
+joined to emitters as well; and `checkpoint`, the file of the prior, which says what a cache expects before paths teach
+it: the one that ships unless given, "none" for none, as without `emitter_sampling`, for which none was trained. The
+mean is that of `path`. Where a guide cannot help, `path` renders instead, and a warning says so once. Choose a libLLVM
+before this module is imported: `metapp.rendering.variant.choose_llvm`.
 """
 
 from __future__ import annotations
@@ -37,6 +37,11 @@ def _path(props: Any) -> Any:
     """Mitsuba's `path` of the same properties."""
     names = ("max_depth", "rr_depth", "hide_emitters")
     return mi.load_dict({"type": "path", **{name: props[name] for name in names if name in props}})
+
+
+def pixels_of(sensor: Any) -> int:
+    """Of a sensor's film."""
+    return int(dr.prod(sensor.film().crop_size()))
 
 
 def _say(why: str) -> None:
@@ -79,14 +84,14 @@ def plugin() -> Any:
         ) -> Any:
             sensor = scene.sensors()[sensor] if isinstance(sensor, int) else sensor
             spp = spp or sensor.sampler().sample_count()
-            why = self._useless(scene, spp)
+            why = self._useless(scene, spp * pixels_of(sensor))
             if why:
                 _say(why)
                 return self.path.render(scene, sensor, seed, spp, develop, evaluate)
             film = sensor.film()
             with dr.suspend_grad():
                 picture = GuidedPicture(self, self.tracer, scene, sensor, seed, self.prior)
-                for part in parts_of(spp, int(dr.prod(film.crop_size()))):
+                for part in parts_of(spp, pixels_of(sensor)):
                     picture.add(part)
                 self.spent = picture.spent
                 film.put_block(picture.block)
@@ -99,7 +104,7 @@ def plugin() -> Any:
             _say("another integrator asks it for rays, expected to be asked for a picture")
             return self.path.sample(scene, sampler, ray, medium, active)
 
-        def _useless(self, scene: Any, spp: int) -> str:
+        def _useless(self, scene: Any, paths: int) -> str:
             settings = self.tracer.settings
             if settings.joins and settings.max_depth <= 2:
                 return f"max_depth {settings.max_depth} leaves direct light alone, expected 3 or more"
@@ -107,7 +112,8 @@ def plugin() -> Any:
                 return "no surfaces to learn of"
             if self.hide_emitters:
                 return "hide_emitters, which is not guided"
-            return f"{spp} samples a pixel, expected {FEWEST} or more" if settings.joins and spp < FEWEST else ""
+            few = settings.joins and paths < FEWEST
+            return f"{paths:,} paths (samples a pixel times pixels), expected {FEWEST:,} or more" if few else ""
 
         def to_string(self) -> str:
             settings = self.tracer.settings
