@@ -109,7 +109,9 @@ class Survey(Records):
         return _tensor(self.cells).long()
 
 
-def survey(tracer: PathTracer, scene: Any, sensor: Any, cache: GuideCache, seed: Any) -> tuple[Seen, Any]:
+def survey(
+    tracer: PathTracer, scene: Any, sensor: Any, cache: GuideCache, seed: Any, *, looks: bool
+) -> tuple[Seen | None, np.ndarray[Any, Any]]:
     """Look at a scene; the cache learns from the paths, too.
 
     Args:
@@ -117,9 +119,10 @@ def survey(tracer: PathTracer, scene: Any, sensor: Any, cache: GuideCache, seed:
         scene, sensor: as of `render` of an integrator.
         cache: of the scene.
         seed: of all draws.
+        looks: whether to find out what is seen from places.
 
     Returns:
-        what was seen, and the luminance of the paths, [FILM, FILM].
+        what was seen, if asked for, and the luminance of the paths, [FILM, FILM].
     """
     mi, dr = tracer.mi, tracer.dr
     paths = FILM**2
@@ -133,7 +136,7 @@ def survey(tracer: PathTracer, scene: Any, sensor: Any, cache: GuideCache, seed:
     dr.eval(light)
     records.teach(cache, light)
     luminance = mi.luminance(light).numpy().reshape(FILM, FILM)
-    return _seen(records, light, scene, cache, sampler), luminance
+    return _seen(records, light, scene, cache, sampler) if looks else None, luminance
 
 
 def _seen(records: Survey, light: Any, scene: Any, cache: GuideCache, sampler: Any) -> Seen:

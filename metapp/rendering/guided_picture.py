@@ -79,7 +79,7 @@ def noise_of(luminance: np.ndarray[Any, Any]) -> float:
 
 
 def spread(luminance: np.ndarray[Any, Any], side: int) -> np.ndarray[Any, Any]:
-    """Samples of a picture [rows, columns, samples] evenly over the film, [side, side], none twice if there are enough."""
+    """Samples of a picture [rows, columns, samples] evenly over the film, [side, side], none twice if possible."""
     indices, within = [], []
     for length in luminance.shape[:2]:
         place = np.arange(side) * length // side
@@ -110,9 +110,9 @@ class GuidedPicture:
         begin = time.process_time()
         self.integrator, self.tracer, self.scene, self.sensor, self.seed = integrator, tracer, scene, sensor, seed
         self.cache = GuideCache(mi, *_extent(scene, sensor))
-        seen, luminance = survey(tracer, scene, sensor, self.cache, seed)
+        seen, luminance = survey(tracer, scene, sensor, self.cache, seed, looks=prior is not None)
         self.noise = noise_of(luminance)
-        if prior is not None:
+        if prior is not None and seen is not None:
             self.cache.expects = Prior(prior, seen)
         self.cache.learn()
         self.block: Any = None
