@@ -10,6 +10,7 @@ import argparse
 import functools
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -17,19 +18,26 @@ from safetensors.torch import load_file, save_file
 from torch import Generator, Tensor
 
 from data_tools.synthetic.guiding import NAMES, guide_tasks
-from data_tools.synthetic.rooms import KINDS
+from data_tools.synthetic.rooms import KINDS, random_room
 from metapp.apps.transport.guiding import APP, RECIPE
 from metapp.learning.app import stack
 from metapp.learning.learn import MetaParameters
-from metapp.learning.task import Task, Tasks
+from metapp.learning.task import Params, Task, Tasks
 from metapp.paradigms import Job, paradigms
 from metapp.paradigms.paradigm import Given
+from metapp.rendering import equal_time
 from metapp.rendering.guide_prior import init
+from metapp.rendering.guided_path import PathTracer, Settings
+from metapp.rendering.guided_picture import GuidedPicture, parts_of
+from metapp.rendering.guided_plugin import RR_DEPTH
+from metapp.rendering.path_space import DEPTH
+from metapp.rendering.scene_loading import load_scene
 from metapp.storage.files import write_atomically
-from metapp.storage.records import save_checkpoint, tensor_digest
+from metapp.storage.records import load_checkpoint, save_checkpoint
 
 TRAIN, VALIDATE, TEST = 2000, 3000, 4000  # first seeds
 FEW = 4  # rooms of a kind that validate, and that test
+PICTURES = 6  # of a room and method
 
 
 def rooms(folder: Path, first: int, count: int) -> Tasks:
@@ -84,8 +92,38 @@ def compare(found: dict[str, tuple[MetaParameters, str, str]], tasks: Tasks) -> 
         print(f"| {name} | " + " | ".join(cells) + f" | {beside} | {lower} of {len(errors)} |", flush=True)
 
 
+def pictures(theta: Params, size: int, spp: int) -> str:
+    """Noise of pictures with a prior over that without, in as many samples, a line of a table."""
+    ratios = []
+    for seed in range(TEST, TEST + FEW):
+        for kind in KINDS:
+            mi, scene, _ = load_scene(random_room(kind, seed))
+            equal_time.resize(mi, scene, size)
+            noise = [_noise(mi, scene, size, spp, prior) for prior in (theta, None)]
+            ratios.append(noise[0] / noise[1])
+    lower = sum(ratio < 1 for ratio in ratios)
+    return f"| {size} | {spp} | {interval(2 * torch.tensor(ratios).log())} | {lower} of {len(ratios)} |"
+
+
+def _noise(mi: Any, scene: Any, size: int, spp: int, prior: Params | None) -> float:
+    """Mean over pixels of how far pictures of several seeds are from each other, relative to their mean."""
+    tracer, path = PathTracer(mi, Settings(DEPTH, RR_DEPTH)), mi.load_dict({"type": "path"})
+    film = scene.sensors()[0].film()
+    made = []
+    for seed in range(PICTURES):
+        picture = GuidedPicture(path, tracer, scene, scene.sensors()[0], seed, prior)
+        for part in parts_of(spp, size**2):
+            picture.add(part)
+        film.prepare([])
+        film.put_block(picture.block)
+        made.append(torch.from_numpy(film.develop().numpy())[..., :3].mean(2))
+    mean = torch.stack(made).mean(0)
+    halves = zip(made[::2], made[1::2], strict=True)
+    return float(torch.stack([((first - second).abs() / (mean + 1e-3)).mean() for first, second in halves]).mean())
+
+
 def main() -> None:
-    """Train, write, compare."""
+    """Train, write, compare; what is in OUT is not trained again."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("data", type=Path)
     parser.add_argument("out", type=Path)
@@ -107,20 +145,26 @@ def main() -> None:
         def report(step: int, steps: int, note: str, name: str = name) -> None:
             print(f"{name}: {step}/{steps} {note}", file=sys.stderr, flush=True)
 
-        given = Given(training, validating, Generator().manual_seed(0), encoder, report=report)
-        prepared = paradigms()[paradigm].prepare(Job(APP, RECIPE, rule), given)
-        encoder = encoder or prepared.start
-        found[name] = (prepared.start, paradigm, rule)
-        info = {
-            "app": APP.name,
-            "start": name,
-            "recipe": "quick",
-            "data": f"rooms, {options.rooms} of each kind from seed {TRAIN}",
-            "validation_error": prepared.validation,
-            "encoder": tensor_digest(encoder.encoder),
-        }
-        save_checkpoint(options.out / f"{name}.safetensors", prepared.start, info)
+        file = options.out / f"{name}.safetensors"
+        if not file.exists():
+            given = Given(training, validating, Generator().manual_seed(0), encoder, report=report)
+            prepared = paradigms()[paradigm].prepare(Job(APP, RECIPE, rule), given)
+            info = {
+                "app": APP.name,
+                "start": name,
+                "recipe": "quick",
+                "data": f"rooms, {options.rooms} of each kind from seed {TRAIN}",
+                "validation_error": prepared.validation,
+            }
+            save_checkpoint(file, prepared.start, info)
+        start, _ = load_checkpoint(file)
+        encoder = encoder or start
+        found[name] = (start, paradigm, rule)
     compare(found, rooms(options.data, TEST, FEW))
+    print("| px a side | samples a pixel | noise of pictures, over that without a prior | lower in rooms |")
+    print("|---|---|---|---|")
+    for size, spp in ((64, 4), (64, 16), (64, 64), (256, 4), (256, 16), (256, 64)):
+        print(pictures(found["general"][0].encoder, size, spp), flush=True)
 
 
 if __name__ == "__main__":

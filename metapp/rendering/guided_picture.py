@@ -23,7 +23,7 @@ from metapp.rendering.guided_path import PathTracer, Records
 FEWEST = 3 * 2**18  # paths of a picture; with fewer there is no time to learn
 FIRST = 2**18  # paths of the first part, of which a quarter of the picture is the most
 LEARNED = 2**21  # paths after which the cache has learned enough
-PAYS = 1.0, 0.92  # of the noise without a cache, the most in the first part and in later ones, which know more
+PAYS = 1.0  # of the noise without a cache, the most that a part has which a cache guided
 BLOCK = 4  # samples along a side of the blocks in which noise is compared
 
 _WAVE = 2**22  # paths at a time
@@ -118,8 +118,6 @@ class GuidedPicture:
         self.block: Any = None
         self.made, self.pays = 0, True
         self.spent = {"survey": time.process_time() - begin}
-        self._bounds = iter(PAYS)
-        self._bound = PAYS[0]
 
     def add(self, part: Part) -> None:
         """Make a part, and learn from it as long as that pays."""
@@ -132,8 +130,7 @@ class GuidedPicture:
         middle = time.process_time()
         if samples is not None:
             self.cache.learn()
-            self._bound = next(self._bounds, self._bound)
-            self.pays = noise_of(spread(samples.reshape(height, width, -1), FILM)) < self._bound * self.noise
+            self.pays = noise_of(spread(samples.reshape(height, width, -1), FILM)) < PAYS * self.noise
         name = f"{'guided' if guided else 'regular'} samples{', which are learned from' if learns else ''}"
         for work, seconds in ((name, middle - begin), ("learning", time.process_time() - middle)):
             self.spent[work] = self.spent.get(work, 0.0) + seconds

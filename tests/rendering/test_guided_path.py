@@ -76,7 +76,7 @@ def always_guided(monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureReques
     if "guard" not in request.node.name:
         from metapp.rendering import guided_picture
 
-        monkeypatch.setattr(guided_picture, "PAYS", (math.inf, math.inf))
+        monkeypatch.setattr(guided_picture, "PAYS", math.inf)
 
 
 @pytest.fixture(autouse=True)
