@@ -27,7 +27,7 @@ _RADII = (0.18, 0.42)
 _GAP = 0.02  # between things, at least
 
 
-class _Ball(NamedTuple):
+class Ball(NamedTuple):
     """A sphere's place."""
 
     centre: tuple[float, float, float]
@@ -54,16 +54,17 @@ def random_scene(seed: int) -> Scene:
 
 def draw_scene(rng: Rng) -> Scene:
     """The same, from these random numbers."""
-    scene: Scene = {"type": "scene", "sensor": _sensor()}
-    scene |= _walls(_wall_colour(rng), _wall_colour(rng))
+    scene: Scene = {"type": "scene", "sensor": sensor()}
+    scene |= walls(wall_colour(rng), wall_colour(rng))
     scene["mirror"] = _mirror(rng)
     scene["light"] = _light(rng)
-    for number, ball in enumerate(_balls(rng, whole(rng, 1, 5))):
-        scene[f"sphere-{number}"] = _sphere(ball, _material(rng))
+    for number, ball in enumerate(balls(rng, whole(rng, 1, 5))):
+        scene[f"sphere-{number}"] = sphere(ball, material(rng))
     return scene
 
 
-def _sensor() -> Scene:
+def sensor() -> Scene:
+    """A camera in front of the open side, which fills the picture."""
     return {
         "type": "perspective",
         "fov": _FIELD_DEGREES,
@@ -73,14 +74,15 @@ def _sensor() -> Scene:
     }
 
 
-def _walls(left: list[float], right: list[float]) -> Scene:
+def walls(left: list[float], right: list[float]) -> Scene:
+    """Five walls, of which the side walls have these colours, linear RGB."""
     white = [_WHITE] * 3
     return {
-        "floor": _rectangle((0, -1, 0), (1, 0, 0), (0, 0, -1), _diffuse(white)),
-        "ceiling": _rectangle((0, 1, 0), (1, 0, 0), (0, 0, 1), _diffuse(white)),
-        "back": _rectangle((0, 0, -1), (1, 0, 0), (0, 1, 0), _diffuse(white)),
-        "left": _rectangle((-1, 0, 0), (0, 0, -1), (0, 1, 0), _diffuse(left)),
-        "right": _rectangle((1, 0, 0), (0, 0, 1), (0, 1, 0), _diffuse(right)),
+        "floor": rectangle((0, -1, 0), (1, 0, 0), (0, 0, -1), diffuse(white)),
+        "ceiling": rectangle((0, 1, 0), (1, 0, 0), (0, 0, 1), diffuse(white)),
+        "back": rectangle((0, 0, -1), (1, 0, 0), (0, 1, 0), diffuse(white)),
+        "left": rectangle((-1, 0, 0), (0, 0, -1), (0, 1, 0), diffuse(left)),
+        "right": rectangle((1, 0, 0), (0, 0, 1), (0, 1, 0), diffuse(right)),
     }
 
 
@@ -89,8 +91,8 @@ def _mirror(rng: Rng) -> Scene:
     width, height = between(rng, 0.3, 0.6), between(rng, 0.3, 0.6)  # half of them
     reach_y, reach_z = 0.95 - height, 0.95 - width
     centre = (side * 0.99, between(rng, -reach_y, reach_y), between(rng, -reach_z, reach_z))
-    glass = {"type": "conductor", "material": "none", "specular_reflectance": _rgb([0.95] * 3)}
-    return _rectangle(centre, (0, 0, side * width), (0, height, 0), glass)
+    glass = {"type": "conductor", "material": "none", "specular_reflectance": rgb([0.95] * 3)}
+    return rectangle(centre, (0, 0, side * width), (0, height, 0), glass)
 
 
 def _light(rng: Rng) -> Scene:
@@ -99,28 +101,29 @@ def _light(rng: Rng) -> Scene:
     centre = (between(rng, -reach_x, reach_x), 0.99, between(rng, -reach_z, reach_z))
     warmth = between(rng, 0.0, 0.35)
     radiance = _POWER / (4 * width * depth) * np.array([1 + warmth, 1.0, 1 - warmth])
-    lamp = _rectangle(centre, (width, 0, 0), (0, 0, depth), _diffuse([0.0] * 3))
-    return {**lamp, "emitter": {"type": "area", "radiance": _rgb(radiance.tolist())}}
+    lamp = rectangle(centre, (width, 0, 0), (0, 0, depth), diffuse([0.0] * 3))
+    return {**lamp, "emitter": {"type": "area", "radiance": rgb(radiance.tolist())}}
 
 
-def _balls(rng: Rng, count: int) -> list[_Ball]:
+def balls(rng: Rng, count: int) -> list[Ball]:
     """Places inside the box that do not overlap; most stand on the floor, some hover."""
-    balls: list[_Ball] = []
+    balls: list[Ball] = []
     while len(balls) < count:
         radius = between(rng, *_RADII)
         reach = 0.97 - radius
         height = radius - 1 if chance(rng, 0.7) else between(rng, radius - 1 + _GAP, 0.5 - radius)
-        ball = _Ball((between(rng, -reach, reach), height, between(rng, -reach, reach)), radius)
+        ball = Ball((between(rng, -reach, reach), height, between(rng, -reach, reach)), radius)
         if all(math.dist(ball.centre, each.centre) > ball.radius + each.radius + _GAP for each in balls):
             balls.append(ball)
     return balls
 
 
-def _material(rng: Rng) -> Scene:
+def material(rng: Rng) -> Scene:
+    """One of MATERIALS."""
     kind = pick(rng, MATERIALS)
     if kind == "diffuse":
         hue, saturation, value = between(rng, 0, 1), between(rng, 0.1, 0.8), between(rng, 0.3, 0.85)
-        return _diffuse(list(colorsys.hsv_to_rgb(hue, saturation, value)))
+        return diffuse(list(colorsys.hsv_to_rgb(hue, saturation, value)))
     if kind == "glass":
         return {"type": "dielectric", "int_ior": between(rng, 1.35, 1.7), "ext_ior": 1.0}
     return {
@@ -131,18 +134,20 @@ def _material(rng: Rng) -> Scene:
     }
 
 
-def _wall_colour(rng: Rng) -> list[float]:
+def wall_colour(rng: Rng) -> list[float]:
+    """Of a side wall, linear RGB."""
     return list(colorsys.hsv_to_rgb(between(rng, 0, 1), between(rng, 0.6, 0.9), between(rng, 0.55, 0.8)))
 
 
-def _sphere(ball: _Ball, bsdf: Scene) -> Scene:
+def sphere(ball: Ball, bsdf: Scene) -> Scene:
+    """A ball of a material."""
     (x, y, z), r = ball.centre, ball.radius
     # its poles are above and below: where directions are counted from turns evenly all round
     turned = [[r, 0.0, 0.0, x], [0.0, 0.0, r, y], [0.0, -r, 0.0, z], [0.0, 0.0, 0.0, 1.0]]
     return {"type": "sphere", "to_world": turned, "bsdf": bsdf}
 
 
-def _rectangle(centre: Any, right: Any, up: Any, bsdf: Scene) -> Scene:
+def rectangle(centre: Any, right: Any, up: Any, bsdf: Scene) -> Scene:
     """A rectangle from its centre to its sides; it faces where right x up points."""
     right, up = np.array(right, float), np.array(up, float)
     facing = np.cross(right, up)
@@ -151,9 +156,11 @@ def _rectangle(centre: Any, right: Any, up: Any, bsdf: Scene) -> Scene:
     return {"type": "rectangle", "to_world": matrix, "bsdf": bsdf}
 
 
-def _diffuse(reflectance: list[float]) -> Scene:
-    return {"type": "diffuse", "reflectance": _rgb(reflectance)}
+def diffuse(reflectance: list[float]) -> Scene:
+    """A material of this linear RGB."""
+    return {"type": "diffuse", "reflectance": rgb(reflectance)}
 
 
-def _rgb(value: list[float]) -> Scene:
+def rgb(value: list[float]) -> Scene:
+    """A colour as scenes have it."""
     return {"type": "rgb", "value": value}

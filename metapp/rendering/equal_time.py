@@ -67,7 +67,9 @@ def square_sensor(mi: Any, scene: Any, side: int) -> Any:
     return mi.load_dict({"type": "perspective", "fov": fov, "to_world": to_world, "film": film})
 
 
-def guided_picture(mi: Any, scene: Any, spp: int, depth: int, seed: int = 0, *, joins: bool = True) -> TimedPicture:
+def guided_picture(
+    mi: Any, scene: Any, spp: int, depth: int, seed: int = 0, *, joins: bool = True, checkpoint: str = ""
+) -> TimedPicture:
     """By `guided_path`, which must be registered.
 
     Args:
@@ -77,9 +79,11 @@ def guided_picture(mi: Any, scene: Any, spp: int, depth: int, seed: int = 0, *, 
         depth: edges of the longest path.
         seed: of all draws.
         joins: whether surfaces are joined to emitters.
+        checkpoint: of the prior, as of `guided_path`.
     """
     begin = time.process_time()
-    integrator = mi.load_dict({"type": "guided_path", "max_depth": depth, "emitter_sampling": joins})
+    kind = {"type": "guided_path", "max_depth": depth, "emitter_sampling": joins, "checkpoint": checkpoint}
+    integrator = mi.load_dict(kind)
     picture = rendered(mi, scene, integrator, spp, seed)
     spent, all_of_it = dict(integrator.spent), time.process_time() - begin
     rest = "all else" if spent else "regular samples"  # where `path` rendered instead

@@ -12,6 +12,7 @@ fewer than 1 / SHARE of what would be even, and which other cell is drawn in its
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -29,7 +30,11 @@ LEAN = 16.0  # paths that the coarser cells count as
 POWER = 0.4  # of second moments; the density of least variance is the root, but a few paths make cells too bright
 
 _TINY = 1e-300
+_FLOOR = 1e-6  # of the brightest cell
 _BYTE = 8  # bits; a word is, from below: another cell, the draws of CELLS that are not the other's, slots
+
+
+Expects = Callable[[Tensor, Tensor, Tensor], Tensor]
 
 
 class Spot(NamedTuple):
@@ -52,6 +57,9 @@ class GuideCache:
     Args:
         mi: Mitsuba, in a variant of Dr.Jit.
         low, high: corners of the box that voxels fill, [3] each; what is outside belongs to the outermost.
+
+    Attributes:
+        expects: the second moments in voxels of twice the side, as `moments` of their sums, or by what else is known.
     """
 
     def __init__(self, mi: Any, low: Any, high: Any) -> None:
@@ -67,6 +75,7 @@ class GuideCache:
         self.met = drjit.zeros(mi.UInt32, PLACES)
         drjit.eval(self.sums, self.rows, self.met)
         self._tabulate(torch.ones(1, CELLS, dtype=torch.float64))
+        self.expects: Expects = moments
 
     def spot(self, point: Any, normal: Any) -> Spot:
         """Where points with these unit normals are."""
@@ -135,18 +144,22 @@ class GuideCache:
             dr.scatter_reduce(dr.ReduceOp.Add, self.sums, double(value), index * 2 + number, active)
         dr.scatter(self.met, self.mi.UInt32(1), index // CELLS, active)
 
+    def taught(self) -> tuple[Tensor, Tensor, Tensor]:
+        """Places that paths met, [P], and their sums of squares and of counts, float64 [P, SIDE, SIDE]."""
+        # most places are in the air: they are left out before their sums are read
+        seen = torch.from_numpy(self.met.numpy().view(np.int32)).nonzero()[:, 0]
+        sums = torch.from_numpy(self.sums.numpy()).reshape(PLACES, SIDE, SIDE, 2)[seen]
+        return seen, sums[..., 0].contiguous(), sums[..., 1].contiguous()
+
     def learn(self) -> int:
         """Share the slots out anew by all that was remembered.
 
         Returns:
             how many rows the table has, less the first.
         """
-        # most places are in the air: they are left out before their sums are read
-        seen = torch.from_numpy(self.met.numpy().view(np.int32)).nonzero()[:, 0]
-        sums = torch.from_numpy(self.sums.numpy()).reshape(PLACES, SIDE, SIDE, 2)[seen]
-        squares, counts = sums[..., 0].contiguous(), sums[..., 1].contiguous()
-        total, count, coarse, which = _halved(squares, counts, voxels_of(seen))
-        around = moments(total, count, coarse)
+        seen, squares, counts = self.taught()
+        total, count, coarse, which = halved(squares, counts, voxels_of(seen))
+        around = self.expects(total, count, coarse)
         fine = (counts.flatten(1).sum(1) >= OWN).nonzero()[:, 0]
         own = refined(squares[fine], counts[fine], around[which[fine]])
         known = torch.cat([around, own]).flatten(1) ** POWER
@@ -174,7 +187,7 @@ def voxels_of(places: Tensor) -> Tensor:
     return torch.stack([voxel // GRID**2, voxel // GRID % GRID, voxel % GRID, places % AXES], 1)
 
 
-def _halved(squares: Tensor, counts: Tensor, voxels: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+def halved(squares: Tensor, counts: Tensor, voxels: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     """Sums over voxels of twice the side, where these are, and which one each belongs to."""
     halved = torch.cat([voxels[:, :3] // 2, voxels[:, 3:]], 1)
     coarse, which = halved.unique(dim=0, return_inverse=True)
@@ -198,7 +211,7 @@ def moments(squares: Tensor, counts: Tensor, voxels: Tensor) -> Tensor:
     """
     if not bool(voxels[:, :3].any()):
         return refined(squares, counts, torch.ones_like(squares), 1e-9)  # the whole box leans on nothing
-    total, count, coarse, which = _halved(squares, counts, voxels)
+    total, count, coarse, which = halved(squares, counts, voxels)
     return refined(squares, counts, moments(total, count, coarse)[which])
 
 
@@ -220,6 +233,13 @@ def refined(squares: Tensor, counts: Tensor, expected: Tensor, lean: float = LEA
         around = ratio.repeat_interleave(2, -1).repeat_interleave(2, -2) * prior
         ratio = (total + LEAN * around) / (count + LEAN) / prior.clamp_min(_TINY)
     return ratio * expected
+
+
+def relative(values: Tensor) -> Tensor:
+    """Logarithms of values [P, SIDE, SIDE] over their geometric mean in a place, float32."""
+    highest = values.amax((1, 2), keepdim=True)
+    logs = (values / highest.clamp_min(torch.finfo(values.dtype).tiny) + _FLOOR).log()
+    return (logs - logs.mean((1, 2), keepdim=True)).float()
 
 
 def _in_quarters(values: Tensor) -> Tensor:

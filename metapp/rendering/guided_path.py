@@ -30,6 +30,26 @@ class Settings(NamedTuple):
     joins: bool = True
 
 
+class Bounce(NamedTuple):
+    """What is noted of a bounce.
+
+    Attributes:
+        index: place * CELLS + cell.
+        density: of the direction that was drawn, over the cosine's.
+        weight: luminance of the path's weight before it.
+        light: luminance that the path had, with what joined it here; `shone`, without.
+        point, normal: of the surface.
+    """
+
+    index: Any
+    density: Any
+    weight: Any
+    light: Any
+    shone: Any
+    point: Any
+    normal: Any
+
+
 class Records:
     """What the first RECORDED bounces of so many paths chose, to be judged when their ends are known."""
 
@@ -42,10 +62,11 @@ class Records:
         self.numbers = [drjit.zeros(mi.Float, paths * RECORDED) for _ in range(3)]  # density, weight, light so far
         drjit.eval(self.lane, self.cells, self.numbers)
 
-    def put(self, depth: Any, index: Any, numbers: tuple[Any, Any, Any], active: Any) -> None:
-        """Note a bounce: its place * CELLS + cell; the direction's density, the path's weight and its light so far."""
+    def put(self, depth: Any, bounce: Bounce, active: Any) -> None:
+        """Note a bounce."""
         at, active = self.lane * RECORDED + depth, active & (depth < RECORDED)
-        for store, value in zip((self.cells, *self.numbers), (index + 1, *numbers), strict=True):
+        values = (bounce.index + 1, bounce.density, bounce.weight, bounce.light)
+        for store, value in zip((self.cells, *self.numbers), values, strict=True):
             self.dr.scatter(store, value, at, active)
 
     def teach(self, cache: GuideCache, radiance: Any) -> None:
@@ -97,9 +118,10 @@ class PathTracer:
             onwards = active & (depth + 1 < self.settings.max_depth) & at.is_valid()
             turn = Turn(self, scene, sampler, at, at.bsdf(ray), onwards)
             chosen = turn.by_cache(cache) if guided else turn.by_material()
+            shone = mi.luminance(light)
             light += weight * chosen.joined
             if records is not None:
-                turn.note(cache, records, chosen, depth, (mi.luminance(weight), mi.luminance(light)))
+                turn.note(cache, records, chosen, depth, (mi.luminance(weight), mi.luminance(light), shone))
             weight *= chosen.weight
             eta *= chosen.eta
             met |= onwards & ~chosen.is_null
@@ -220,8 +242,8 @@ class Turn:
             (mixed * dr.pi / dr.maximum(above, 1e-6), spot.place, cell),
         )
 
-    def note(self, cache: GuideCache, records: Records, chosen: Chosen, depth: Any, path: tuple[Any, Any]) -> None:
-        """Note where the path went, by its weight and its light so far."""
+    def note(self, cache: GuideCache, records: Records, chosen: Chosen, depth: Any, path: tuple[Any, Any, Any]) -> None:
+        """Note where the path went, by its weight, its light so far and its light before it was joined here."""
         dr = self.dr
         spot = self._spot(cache)
         local = spot.frame.to_local(self.at.to_world(chosen.wo))
@@ -231,7 +253,9 @@ class Turn:
             cache.cell(local),
         )
         active = self.active & (self.share > 0) & ~chosen.is_delta & (local.z > 1e-4)
-        records.put(depth, place * CELLS + cell, (relative, *path), active)
+        weight, light, shone = path
+        bounce = Bounce(place * CELLS + cell, relative, weight, light, shone, self.at.p, spot.frame.n)
+        records.put(depth, bounce, active)
 
     def _asked(self, guided: Any, of_cache: Any, draw: Any) -> tuple[Any, ...]:
         """What the material draws, its value and density in the direction taken and, of a join, in the emitter's."""

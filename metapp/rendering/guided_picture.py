@@ -1,6 +1,6 @@
-"""A picture in parts: first as `path` makes it, then guided by what a cache has learned from the parts before.
+"""A picture in parts, each guided by what a cache has learned from a survey of the scene and from the parts before.
 
-Every part is a share of the picture, by weights that do not depend on what was drawn: the mean is that of `path`.
+Every part is a share of the picture that does not depend on what was drawn: the mean is that of `path`.
 """
 
 from __future__ import annotations
@@ -14,15 +14,17 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from metapp.learning.task import Params
 from metapp.rendering.guide_cache import GuideCache
+from metapp.rendering.guide_prior import Prior
+from metapp.rendering.guide_survey import FILM, survey
 from metapp.rendering.guided_path import PathTracer, Records
 
-FEWEST = 16  # samples a pixel; with fewer there is no time to learn
-FIRST = 2**16  # paths of the first part, of which a tenth of the picture is the most
+FEWEST = 3 * 2**18  # paths of a picture; with fewer there is no time to learn
+FIRST = 2**18  # paths of the first part, of which a quarter of the picture is the most
 LEARNED = 2**21  # paths after which the cache has learned enough
-PLAIN_WEIGHT = 0.5  # of a sample of the first part beside one that the cache guided
-PAYS = 1.0, 0.92  # of the noise without a cache, the most in the first guided part and in later ones, which know more
-BLOCK = 4  # px along a side of the blocks in which noise is compared
+PAYS = 1.0  # of the noise without a cache, the most that a part has which a cache guided
+BLOCK = 4  # samples along a side of the blocks in which noise is compared
 
 _WAVE = 2**22  # paths at a time
 _PROBES = 128  # rays along a side of the film that tell where the scene is
@@ -33,12 +35,10 @@ class Part(NamedTuple):
 
     Attributes:
         spp: samples a pixel.
-        weight: of each.
         learns: whether the cache learns from it.
     """
 
     spp: int
-    weight: float
     learns: bool
 
 
@@ -50,33 +50,44 @@ def parts_of(spp: int, pixels: int) -> list[Part]:
         pixels: of the picture.
 
     Returns:
-        parts whose samples add up to `spp`; the first is not guided, the last is not learned from. One that is neither
-        where there are fewer samples than FEWEST.
+        parts whose samples add up to `spp`; the last is not learned from, and alone where there are fewer than 4.
     """
-    if spp < FEWEST:
-        return [Part(spp, 1.0, learns=False)]
+    if spp < 4:
+        return [Part(spp, learns=False)]
     # of powers of two, as Dr.Jit compiles code for other numbers anew
-    now = max(2, 2 ** int(math.log2(max(1, min(spp // 10, -(-FIRST // pixels))))))
-    parts, done = [Part(now, PLAIN_WEIGHT, learns=True)], now
+    now = 2 ** int(math.log2(max(1, min(spp // 4, -(-FIRST // pixels)))))
+    parts, done = [Part(now, learns=True)], now
     while 3 * (done + 2 * now) <= spp and done * pixels < LEARNED:
         now *= 2
-        parts.append(Part(now, 1.0, learns=True))
+        parts.append(Part(now, learns=True))
         done += now
-    return [*parts, Part(spp - done, 1.0, learns=False)]
+    return [*parts, Part(spp - done, learns=False)]
 
 
-def noise_of(luminance: np.ndarray[Any, Any], count: int) -> float:
-    """How far two pictures of as many samples differ in blocks of pixels, relative to the sum of both.
+def noise_of(luminance: np.ndarray[Any, Any]) -> float:
+    """How far the halves of blocks of samples differ, relative to their sum, on average over blocks.
 
     Args:
-        luminance: of samples, [rows, columns, samples]; the first 2 * count of each pixel are looked at.
-        count: samples a pixel of a picture.
+        luminance: of samples, spread evenly over the film, [side, side].
     """
-    rows, columns = (min(BLOCK, length) for length in luminance.shape[:2])
-    down, across = luminance.shape[0] // rows, luminance.shape[1] // columns
-    looked_at = luminance[: down * rows, : across * columns, : 2 * count]
-    first, second = looked_at.reshape(down, rows, across, columns, 2, count).mean((1, 3, 5)).transpose(2, 0, 1)
-    return float(np.abs(first - second).sum() / max((first + second).sum(), 1e-30))
+    count = len(luminance) // BLOCK
+    blocks = luminance[: count * BLOCK, : count * BLOCK].reshape(count, BLOCK, count, BLOCK).swapaxes(1, 2)
+    own = np.indices((BLOCK, BLOCK)).sum(0) % 2 == 0  # fields of a chessboard
+    first, second = blocks[:, :, own].sum(-1), blocks[:, :, ~own].sum(-1)
+    both = first + second
+    return float((np.abs(first - second)[both > 0] / both[both > 0]).mean()) if both.any() else 0.0
+
+
+def spread(luminance: np.ndarray[Any, Any], side: int) -> np.ndarray[Any, Any]:
+    """Samples of a picture [rows, columns, samples] evenly over the film, [side, side], none twice if possible."""
+    indices, within = [], []
+    for length in luminance.shape[:2]:
+        place = np.arange(side) * length // side
+        indices.append(place)
+        within.append(np.arange(side) - np.searchsorted(place, place))
+    number = within[0][:, None] * (within[1].max() + 1) + within[1][None]
+    picked: np.ndarray[Any, Any] = luminance[indices[0][:, None], indices[1][None], number % luminance.shape[2]]
+    return picked
 
 
 class GuidedPicture:
@@ -86,48 +97,45 @@ class GuidedPicture:
         integrator: of Mitsuba, which the picture is for.
         tracer: of paths.
         scene, sensor, seed: as of `render` of an integrator.
+        prior: parameters of what the cache expects of a scene; None for a cache that expects nothing.
 
     Attributes:
         pays: whether the cache lowers the noise by more than it costs, as far as is known.
         spent: seconds of CPU that each kind of work took, by its name.
     """
 
-    def __init__(self, integrator: Any, tracer: PathTracer, scene: Any, sensor: Any, seed: Any) -> None:
+    def __init__(
+        self, integrator: Any, tracer: PathTracer, scene: Any, sensor: Any, seed: Any, prior: Params | None = None
+    ) -> None:
+        begin = time.process_time()
         self.integrator, self.tracer, self.scene, self.sensor, self.seed = integrator, tracer, scene, sensor, seed
         self.cache = GuideCache(mi, *_extent(scene, sensor))
+        seen, luminance = survey(tracer, scene, sensor, self.cache, seed, looks=prior is not None)
+        self.noise = noise_of(luminance)
+        if prior is not None and seen is not None:
+            self.cache.expects = Prior(prior, seen)
+        self.cache.learn()
         self.block: Any = None
-        self.made, self.noise, self.count, self.pays = 0, 0.0, 0, True
-        self.spent: dict[str, float] = {}
-        self._bounds = iter(PAYS)
-        self._bound = PAYS[0]
+        self.made, self.pays = 0, True
+        self.spent = {"survey": time.process_time() - begin}
 
     def add(self, part: Part) -> None:
         """Make a part, and learn from it as long as that pays."""
         width, height = self.sensor.film().crop_size()
-        guided = self.made > 0 and self.pays
-        learns = part.learns and self.pays
+        guided, learns = self.pays, part.learns and self.pays
         begin, samples = time.process_time(), None
         for spp in _waves(part.spp, width * height):
-            samples = self._wave(spp, part.weight, guided, learns)
+            samples = self._wave(spp, guided, learns)
         dr.sync_thread()
         middle = time.process_time()
         if samples is not None:
             self.cache.learn()
-            self._judge(samples.reshape(height, width, -1), guided)
+            self.pays = noise_of(spread(samples.reshape(height, width, -1), FILM)) < PAYS * self.noise
         name = f"{'guided' if guided else 'regular'} samples{', which are learned from' if learns else ''}"
         for work, seconds in ((name, middle - begin), ("learning", time.process_time() - middle)):
             self.spent[work] = self.spent.get(work, 0.0) + seconds
 
-    def _judge(self, samples: np.ndarray[Any, Any], guided: bool) -> None:
-        """See whether a guided part has less noise than the first one had."""
-        if guided:
-            self._bound = next(self._bounds, self._bound)
-            self.pays = noise_of(samples, self.count) < self._bound * self.noise
-        else:
-            self.count = samples.shape[2] // 2
-            self.noise = noise_of(samples, self.count)
-
-    def _wave(self, spp: int, share: float, guided: bool, learns: bool) -> Any:
+    def _wave(self, spp: int, guided: bool, learns: bool) -> Any:
         """Add samples to the picture; their luminance where the cache learns from them."""
         from mitsuba.python.ad.integrators.common import ADIntegrator
 
@@ -144,9 +152,9 @@ class GuidedPicture:
         if records is not None:
             dr.eval(light, met, place, weight)
             records.teach(self.cache, light)
-        alpha, each = dr.select(met, mi.Float(share), mi.Float(0)), mi.Float(share)
+        alpha = dr.select(met, mi.Float(1), mi.Float(0))
         # of the film's own kind, such as that of spectra
-        ADIntegrator._splat_to_block(self.block, film, place, light * weight * share, each, alpha, [], ray.wavelengths)
+        ADIntegrator._splat_to_block(self.block, film, place, light * weight, mi.Float(1), alpha, [], ray.wavelengths)
         dr.eval(self.block.tensor())
         return mi.luminance(light).numpy() if learns else None
 

@@ -2,24 +2,29 @@
 
     {"type": "guided_path", "max_depth": 8}
 
-Properties: `max_depth`, `rr_depth` and `hide_emitters` as of `path`, and `emitter_sampling` (true), whether surfaces
-are joined to emitters as well. The mean is that of `path`. Where a guide cannot help, `path` renders instead, and a
-warning says so once. Choose a libLLVM before this module is imported: `metapp.rendering.variant.choose_llvm`.
+Properties: `max_depth`, `rr_depth` and `hide_emitters` as of `path`; `emitter_sampling` (true), whether surfaces are
+joined to emitters as well; and `checkpoint`, the file of the prior, which says what a cache expects before paths teach
+it: the one that ships unless given, "none" for none, as without `emitter_sampling`, for which none was trained. The
+mean is that of `path`. Where a guide cannot help, `path` renders instead, and a warning says so once. Choose a libLLVM
+before this module is imported: `metapp.rendering.variant.choose_llvm`.
 """
 
 from __future__ import annotations
 
 import warnings
+from pathlib import Path
 from typing import Any
 
 import drjit as dr
 import mitsuba as mi
 
+from metapp.rendering.guide_prior import read_prior, shipped
 from metapp.rendering.guided_path import PathTracer, Settings
 from metapp.rendering.guided_picture import FEWEST, GuidedPicture, parts_of
 from metapp.rendering.plugins import register_plugin
 
 NAME = "guided_path"
+NO_PRIOR = "none"
 DEPTH, RR_DEPTH = -1, 5  # as of `path`
 
 
@@ -32,6 +37,11 @@ def _path(props: Any) -> Any:
     """Mitsuba's `path` of the same properties."""
     names = ("max_depth", "rr_depth", "hide_emitters")
     return mi.load_dict({"type": "path", **{name: props[name] for name in names if name in props}})
+
+
+def pixels_of(sensor: Any) -> int:
+    """Of a sensor's film."""
+    return int(dr.prod(sensor.film().crop_size()))
 
 
 def _say(why: str) -> None:
@@ -48,7 +58,7 @@ def plugin() -> Any:
     """The class of the plugin in the active variant."""
 
     class GuidedPath(mi.SamplingIntegrator):  # a class of the variant
-        """Properties: `max_depth` (-1), `rr_depth` (5), `hide_emitters` (false), `emitter_sampling` (true)."""
+        """Properties, by default: `max_depth` -1, `rr_depth` 5, `hide_emitters` false, `emitter_sampling` true."""
 
         def __init__(self, props: Any) -> None:
             mi.SamplingIntegrator.__init__(self, props)
@@ -57,6 +67,9 @@ def plugin() -> Any:
             joins = bool(props.get("emitter_sampling", True))
             if self.hide_emitters and not joins:
                 raise ValueError(f"{NAME}: hide_emitters without emitter_sampling, expected one of them; change it.")
+            checkpoint = str(props.get("checkpoint", ""))
+            none = checkpoint == NO_PRIOR or not joins
+            self.prior = None if none else read_prior(Path(checkpoint) if checkpoint else shipped())
             self.spent: dict[str, float] = {}  # seconds of CPU of the last picture's parts
             self.tracer = PathTracer(mi, Settings(depth if depth >= 0 else 2**32 - 1, rr_depth, joins))
 
@@ -71,14 +84,14 @@ def plugin() -> Any:
         ) -> Any:
             sensor = scene.sensors()[sensor] if isinstance(sensor, int) else sensor
             spp = spp or sensor.sampler().sample_count()
-            why = self._useless(scene, spp)
+            why = self._useless(scene, spp * pixels_of(sensor))
             if why:
                 _say(why)
                 return self.path.render(scene, sensor, seed, spp, develop, evaluate)
             film = sensor.film()
             with dr.suspend_grad():
-                picture = GuidedPicture(self, self.tracer, scene, sensor, seed)
-                for part in parts_of(spp, int(dr.prod(film.crop_size()))):
+                picture = GuidedPicture(self, self.tracer, scene, sensor, seed, self.prior)
+                for part in parts_of(spp, pixels_of(sensor)):
                     picture.add(part)
                 self.spent = picture.spent
                 film.put_block(picture.block)
@@ -91,7 +104,7 @@ def plugin() -> Any:
             _say("another integrator asks it for rays, expected to be asked for a picture")
             return self.path.sample(scene, sampler, ray, medium, active)
 
-        def _useless(self, scene: Any, spp: int) -> str:
+        def _useless(self, scene: Any, paths: int) -> str:
             settings = self.tracer.settings
             if settings.joins and settings.max_depth <= 2:
                 return f"max_depth {settings.max_depth} leaves direct light alone, expected 3 or more"
@@ -99,7 +112,8 @@ def plugin() -> Any:
                 return "no surfaces to learn of"
             if self.hide_emitters:
                 return "hide_emitters, which is not guided"
-            return f"{spp} samples a pixel, expected {FEWEST} or more" if settings.joins and spp < FEWEST else ""
+            few = settings.joins and paths < FEWEST
+            return f"{paths:,} paths (samples a pixel times pixels), expected {FEWEST:,} or more" if few else ""
 
         def to_string(self) -> str:
             settings = self.tracer.settings

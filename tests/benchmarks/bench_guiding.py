@@ -28,12 +28,18 @@ from metapp.rendering.path_space import DEPTH
 from metapp.rendering.scene_loading import load_scene
 from tests.benchmarks.guiding_scenes import kind_of, scenes
 
-METHODS = {"regular + NEE": None, "guided + NEE": True, "guided": False}
+# how guided_path is asked for; None is Mitsuba's path
+METHODS: dict[str, dict[str, Any] | None] = {
+    "regular + NEE": None,
+    "guided + NEE": {},
+    "guided + NEE, no prior": {"checkpoint": "none"},
+    "guided": {"joins": False},
+}
 WARM = 48  # samples a pixel by which code is compiled and speeds are first known
 NEAR = 0.1  # of the seconds
 STEP = 4  # px between those that references are made of
 WAVE = 2**21  # paths at a time
-KINDS = ("boxes", "baffle", "caustic")
+KINDS = ("boxes", "mitsuba", "baffle", "caustic")
 
 
 class Bench:
@@ -91,14 +97,14 @@ class Bench:
                 break
         return {"error": self.error(picture), "seconds": sum(spent.values()), "spp": spp, "spent": spent}
 
-    def _first(self, joins: bool | None) -> tuple[float, float]:
+    def _first(self, how: dict[str, Any] | None) -> tuple[float, float]:
         for spp in (64, WARM):
-            self._picture(joins, spp, 0)  # compiles
-        return cost(self._picture(joins, WARM, 0)[1], WARM)
+            self._picture(how, spp, 0)  # compiles
+        return cost(self._picture(how, WARM, 0)[1], WARM)
 
-    def _picture(self, joins: bool | None, spp: int, seed: int) -> tuple[Tensor, dict[str, float]]:
-        if joins is not None:
-            made = equal_time.guided_picture(self.mi, self.scene, spp, DEPTH, seed, joins=joins)
+    def _picture(self, how: dict[str, Any] | None, spp: int, seed: int) -> tuple[Tensor, dict[str, float]]:
+        if how is not None:
+            made = equal_time.guided_picture(self.mi, self.scene, spp, DEPTH, seed, **how)
             return made.picture, made.spent
         begin = time.process_time()
         picture = equal_time.rendered(self.mi, self.scene, self.path, spp, seed)
@@ -161,7 +167,7 @@ def figure(rows: list[dict[str, Any]], file: Path) -> None:
     matplotlib.use("Agg")
     from matplotlib import pyplot
 
-    drawn, panels = pyplot.subplots(1, len(KINDS), figsize=(10, 3.2), sharex=True)
+    drawn, panels = pyplot.subplots(1, len(KINDS), figsize=(12, 3.2), sharex=True)
     for kind, panel in zip(KINDS, panels, strict=True):
         for method in METHODS:
             mine = [row for row in rows if kind_of(row["scene"]) == kind and row["method"] == method]

@@ -1,10 +1,13 @@
-"""Scenes to measure guided paths on: four Cornell boxes, a room lit from behind a baffle, a caustic of glass."""
+"""Scenes to measure guided paths on: Cornell boxes, Mitsuba's own, a room lit from behind a baffle, a glass caustic."""
 
 from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
+
 from data_tools.synthetic.cornell import random_scene
+from metapp.rendering.variant import load_mitsuba
 
 Scene = dict[str, Any]
 
@@ -13,12 +16,26 @@ BOXES = (101, 102, 103, 104)  # seeds
 
 def scenes() -> dict[str, Scene]:
     """By name."""
-    return {f"box {seed}": random_scene(seed) for seed in BOXES} | {"baffle": baffle(), "caustic": caustic()}
+    boxes = {f"box {seed}": random_scene(seed) for seed in BOXES}
+    return boxes | {"mitsuba": mitsuba_box(), "baffle": baffle(), "caustic": caustic()}
 
 
 def kind_of(name: str) -> str:
-    """What a scene is counted among: boxes, baffle, caustic."""
+    """What a scene is counted among: boxes, mitsuba, baffle, caustic."""
     return "boxes" if name.startswith("box") else name
+
+
+def mitsuba_box() -> Scene:
+    """The Cornell box that comes with Mitsuba, with two blocks."""
+    result: Scene = _plain(load_mitsuba().cornell_box())
+    return result
+
+
+def _plain(value: Any) -> Any:
+    """The same with nested lists for matrices."""
+    if isinstance(value, dict):
+        return {key: _plain(each) for key, each in value.items()}
+    return np.array(value.matrix).reshape(4, 4).tolist() if hasattr(value, "matrix") else value
 
 
 def baffle() -> Scene:

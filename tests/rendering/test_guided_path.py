@@ -76,7 +76,13 @@ def always_guided(monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureReques
     if "guard" not in request.node.name:
         from metapp.rendering import guided_picture
 
-        monkeypatch.setattr(guided_picture, "PAYS", (math.inf, math.inf))
+        monkeypatch.setattr(guided_picture, "PAYS", math.inf)
+
+
+@pytest.fixture(autouse=True)
+def guided_from_few_paths_on(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Or pictures of tests are too small."""
+    monkeypatch.setattr("metapp.rendering.guided_plugin.FEWEST", 2**10)
 
 
 @pytest.mark.parametrize("joins", [True, False])
@@ -111,10 +117,13 @@ def test_a_cache_that_is_wrong_about_itself_is_found_out(mi: Any, monkeypatch: p
 
 @pytest.mark.parametrize(("joins", "at_most"), [(True, 0.85), (False, 0.6)])
 def test_there_is_less_noise(mi: Any, monkeypatch: pytest.MonkeyPatch, joins: bool, at_most: float) -> None:
+    from metapp.rendering.guide_cache import GuideCache
+
     scene, noise = loaded(mi, box(101), 64), []
     integrator = mi.load_dict({"type": "guided_path", "emitter_sampling": joins, "max_depth": 5})
-    for fewest in (16, 1000):  # samples below which nothing is learned
-        monkeypatch.setattr("metapp.rendering.guided_picture.FEWEST", fewest)
+    for learns in (True, False):
+        if not learns:
+            monkeypatch.setattr(GuideCache, "learn", lambda cache: 0)
         made = [np.array(mi.render(scene, integrator=integrator, spp=256, seed=seed)) for seed in (1, 2)]
         noise.append(np.mean(np.abs(made[0] - made[1]) / (made[0] + made[1] + 1e-2)))
     assert noise[0] < at_most * noise[1]
@@ -153,7 +162,7 @@ def test_it_works_from_xml_in_films_of_any_size(mi: Any) -> None:
     [
         ({"max_depth": 2}, 32, "direct light alone"),
         ({"hide_emitters": True}, 32, "hide_emitters"),
-        ({}, 4, "4 samples a pixel, expected 16 or more"),
+        ({}, 2, "512 paths .*, expected 1,024 or more"),
     ],
 )
 def test_where_it_cannot_help_path_renders_and_it_says_so_once(mi: Any, more: Any, spp: int, why: str) -> None:
@@ -186,7 +195,7 @@ def test_the_parts_are_the_picture(mi: Any, spp: int, pixels: int) -> None:
     assert all(part.learns for part in learned)
     assert not last.learns
     assert last.spp > spp / 2
-    assert learned[0].spp <= max(2, spp / 10)
+    assert learned[0].spp <= spp / 4
     assert all(after.spp == 2 * before.spp for before, after in itertools.pairwise(learned))
 
 
@@ -194,12 +203,23 @@ def test_noise_is_how_far_two_halves_differ(mi: Any) -> None:
     from metapp.rendering.guided_picture import noise_of
 
     rng = np.random.default_rng(0)
-    spread = 0.1
-    samples = (1 + spread * rng.standard_normal((64, 64, 8))).astype(np.float32)
-    expected = spread / math.sqrt(16 * 4) * math.sqrt(2) * math.sqrt(2 / math.pi) / 2
-    assert noise_of(samples, 4) == pytest.approx(expected, rel=0.1)
-    assert noise_of(7 * samples, 4) == pytest.approx(noise_of(samples, 4), rel=1e-4)
-    assert noise_of(np.zeros((8, 8, 8)), 4) == 0
+    samples = 1 + 0.1 * rng.standard_normal((128, 128))
+    expected = 0.1 / math.sqrt(8) * math.sqrt(2) * math.sqrt(2 / math.pi) / 2
+    assert noise_of(samples) == pytest.approx(expected, rel=0.05)
+    assert noise_of(7 * samples) == pytest.approx(noise_of(samples))
+    assert noise_of(np.zeros((128, 128))) == 0
+
+
+@pytest.mark.parametrize("shape", [(256, 256, 2), (64, 64, 4), (100, 37, 8), (128, 128, 1)])
+def test_samples_are_spread_over_the_film(mi: Any, shape: tuple[int, int, int]) -> None:
+    from metapp.rendering.guided_picture import spread
+
+    numbers = np.arange(math.prod(shape)).reshape(shape)
+    found = spread(numbers, 128)
+    assert found.shape == (128, 128)
+    assert len(np.unique(found)) == 128**2
+    rows = found // (shape[1] * shape[2])
+    assert (np.abs(rows - np.arange(128)[:, None] * shape[0] / 128) <= 1).all()
 
 
 def test_the_guard_leaves_a_guide_that_does_not_pay(mi: Any, monkeypatch: pytest.MonkeyPatch) -> None:
