@@ -24,6 +24,7 @@ from torch import Tensor
 import metapp.mitsuba  # noqa: F401  (registers guided_path)
 from metapp.appearance.metrics import mape
 from metapp.rendering import equal_time
+from metapp.rendering.guided_picture import FEWEST
 from metapp.rendering.path_space import DEPTH
 from metapp.rendering.scene_loading import load_scene
 from tests.benchmarks.guiding_scenes import kind_of, scenes
@@ -52,6 +53,7 @@ class Bench:
 
     def __init__(self, name: str, options: argparse.Namespace) -> None:
         self.mi, self.scene, _ = load_scene(scenes()[name])
+        self.size = options.size
         equal_time.resize(self.mi, self.scene, options.size)
         self.path = self.mi.load_dict({"type": "path", "max_depth": DEPTH})
         file = options.out / f"{name.replace(' ', '-')}-{options.size}-{options.reference}.pt"
@@ -88,9 +90,11 @@ class Bench:
 
     def measured(self, name: str, seconds: float, seed: int) -> dict[str, Any]:
         """A picture that takes so many seconds, within NEAR, at the last of three attempts."""
+        # with fewer samples `path` would render, whose costs say nothing of guided pictures
+        least = -(-FEWEST // self.size**2) if METHODS[name] is not None else 1
         for _ in range(3):
             fixed, each = self.costs[name]
-            spp = max(4, round((seconds - fixed) / each))
+            spp = max(least, round((seconds - fixed) / each))
             picture, spent = self._picture(METHODS[name], spp, seed)
             self.costs[name] = cost(spent, spp)
             if abs(sum(spent.values()) - seconds) < NEAR * seconds:
