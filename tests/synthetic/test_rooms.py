@@ -40,9 +40,10 @@ def test_other_rooms_are_refused() -> None:
 
 
 @needs_mitsuba
-def test_tasks_of_guide_priors_hold_what_they_must() -> None:
+def test_tasks_of_guide_priors_hold_what_they_must(monkeypatch: pytest.MonkeyPatch) -> None:
     from data_tools.synthetic.guiding import NAMES, guide_tasks
 
+    monkeypatch.setattr("data_tools.synthetic.guiding.PARTS", ((4,), (4,), (4,), (8,), (8,)))
     tasks = guide_tasks("board", 1)
     assert [task.name for task in tasks] == [f"board-1-{name}" for name in NAMES]
     assert not [problem for task in tasks for problem in problems_of(task, APP.holds)]
