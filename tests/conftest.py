@@ -20,6 +20,7 @@ from data_tools.readers.nbrdf import SHAPES
 from metapp.appearance.features import weights_path
 from metapp.appearance.flash import camera_distance
 from metapp.appearance.geometry import above_horizon
+from metapp.appearance.precision import FLOAT32
 from metapp.learning.recipe import Recipe
 from metapp.rendering.second_scene import matrix_path
 from tests.small_spheres import shrink_spheres
@@ -27,6 +28,7 @@ from tests.small_spheres import shrink_spheres
 # small networks run many times slower where threads of several workers fight over them; Mitsuba takes its two by itself
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # of the commands that tests start
 torch.set_num_threads(int(os.environ["OMP_NUM_THREADS"]))
+os.environ[FLOAT32] = "1"  # figures are the same on all machines
 
 
 class Result(NamedTuple):

@@ -11,7 +11,7 @@ import torch
 from torch import Generator, Tensor
 from torch.nn.functional import avg_pool2d, interpolate, leaky_relu
 
-from metapp.appearance.features import channels_of, describe_features, load_features, moments
+from metapp.appearance.features import channels_of, describe_features, describe_precision, load_features, moments
 from metapp.learning.app import App
 from metapp.learning.recipe import Adam, OuterLoop, Recipe
 from metapp.learning.task import Batch, Params, Task, Tasks
@@ -105,8 +105,14 @@ class ExemplarApp(App):
     def conditions(self) -> dict[str, str]:
         return {"features": describe_features(self.setup.features)}
 
+    def precision(self, device: torch.device) -> str:
+        return describe_precision(self.setup.features, device)
+
     def features(self, images: Tensor, octave: int) -> list[Tensor]:
-        """Features [B, C, H', W'] of images [B, 3, H, W] of the size of an octave, those of the coarsest one first."""
+        """Features [B, C, H', W'] of images [B, 3, H, W] of the size of an octave, those of the coarsest one first.
+
+        In bfloat16 as `metapp.appearance.precision` says.
+        """
         features, each = load_features(self.setup.features, self.setup.taps, images), []
         for coarser in reversed(range(octave, self.setup.octaves)):
             times = 2 ** (coarser - octave)
