@@ -278,7 +278,7 @@ def gradient_of(pictures: Tensor) -> tuple[list[Tensor], list[Tensor]]:
 
 
 @pytest.fixture
-def with_bfloat16(vgg16: Path, cache: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+def whole_vgg_in_bfloat16(vgg16: Path, cache: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """Made-up weights, and a CPU that is said to be made for bfloat16: torch computes it on any."""
     os.link(vgg16, cache / "vgg16.safetensors")
     monkeypatch.setattr(precision, "has_bfloat16", lambda: True)
@@ -287,7 +287,7 @@ def with_bfloat16(vgg16: Path, cache: Path, monkeypatch: pytest.MonkeyPatch) -> 
     features._load.cache_clear()
 
 
-@pytest.mark.usefixtures("with_bfloat16")
+@pytest.mark.usefixtures("whole_vgg_in_bfloat16")
 def test_statistics_and_gradients_in_bfloat16_are_those_of_float32(
     rng: Generator, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -303,7 +303,7 @@ def test_statistics_and_gradients_in_bfloat16_are_those_of_float32(
         assert (short - long).norm() < much * long.norm()
 
 
-@pytest.mark.usefixtures("with_bfloat16")
+@pytest.mark.usefixtures("whole_vgg_in_bfloat16")
 def test_without_its_instructions_nothing_is_in_bfloat16(rng: Generator, monkeypatch: pytest.MonkeyPatch) -> None:
     """Bit by bit what pictures give that are not descended."""
     pictures = torch.rand(1, 3, 32, 32, generator=rng)
@@ -321,7 +321,7 @@ def test_without_its_instructions_nothing_is_in_bfloat16(rng: Generator, monkeyp
     assert all(torch.equal(one, other) for one, other in zip(maps(), long, strict=True))
 
 
-@pytest.mark.usefixtures("with_bfloat16")
+@pytest.mark.usefixtures("whole_vgg_in_bfloat16")
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
 def test_what_is_judged_is_never_in_bfloat16(dtype: torch.dtype, rng: Generator) -> None:
     pictures = torch.rand(1, 3, 32, 32, generator=rng, dtype=dtype)
