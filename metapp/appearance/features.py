@@ -48,15 +48,16 @@ class Features(nn.Module):
         self.register_buffer("deviation", torch.tensor(DEVIATION).reshape(3, 1, 1))
         self.requires_grad_(False)
 
-    def forward(self, images: Tensor, taps: int | None = None) -> list[Tensor]:
+    def forward(self, images: Tensor, taps: int | None = None, *, reduced: bool = False) -> list[Tensor]:
         """Images [B, 3, H, W], sRGB in [0, 1], to maps [B, C, H', W'], one a tap, or of the first taps alone.
 
-        Maps are in bfloat16 where images are descended and the CPU is made for it: what is judged has no gradient.
+        Where `reduced` precision is asked for and the CPU is made for bfloat16, maps of images that have a gradient are
+        in that: a fit descends these; what is judged has none.
         """
         x = ((images - self.mean) / self.deviation).contiguous(memory_format=torch.channels_last)
         stages = self.stages
-        if images.requires_grad and images.dtype == torch.float32 and in_bfloat16(images.device):
-            x, stages = x.bfloat16(), self._short
+        if reduced and images.requires_grad and images.dtype == torch.float32 and in_bfloat16(images.device):
+            x, stages = x.bfloat16(), self._in_bfloat16
         maps = []
         for stage in stages[:taps]:
             x = stage(x)
@@ -64,7 +65,7 @@ class Features(nn.Module):
         return maps
 
     @cached_property
-    def _short(self) -> nn.ModuleList:
+    def _in_bfloat16(self) -> nn.ModuleList:
         return copy.deepcopy(self.stages).bfloat16()
 
 
@@ -76,7 +77,7 @@ def describe_precision(which: str, device: torch.device) -> str:
 class RandomFilters(Features):
     """Random filters with a ReLU, on the image at several scales (Ustyuzhaninov et al. 2017)."""
 
-    def forward(self, images: Tensor, taps: int | None = None) -> list[Tensor]:
+    def forward(self, images: Tensor, taps: int | None = None, *, reduced: bool = False) -> list[Tensor]:
         """Feature maps of images [B, 3, H, W], sRGB in [0, 1]: one a scale, each half the size of the last."""
         x = (images - self.mean) / self.deviation
         maps = []
@@ -249,10 +250,8 @@ def amplitudes(maps: Tensor) -> Tensor:
     """Root of the power spectrum, summed over channels, [B, H, W // 2 + 1], of feature maps [B, C, H, W].
 
     The picture's mean is taken off and its edges are faded out, so that neither brightness nor the border counts; the
-    power is smoothed a little, since that of one random picture scatters about its expectation. Those of maps in
-    bfloat16 are in float32.
+    power is smoothed a little, since that of one random picture scatters about its expectation.
     """
-    maps = maps.float() if maps.dtype == torch.bfloat16 else maps
     height, width = maps.shape[-2:]
     window = hann(height, maps)[:, None] * hann(width, maps)
     centred = (maps - maps.mean((-1, -2), keepdim=True)) * window

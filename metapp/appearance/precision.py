@@ -1,4 +1,4 @@
-"""Where features are computed in bfloat16: for what a fit descends, on CPUs that are made for it."""
+"""Where reduced precision is bfloat16: on CPUs that are made for it."""
 
 from __future__ import annotations
 
@@ -18,5 +18,5 @@ def has_bfloat16() -> bool:
 
 
 def in_bfloat16(device: torch.device) -> bool:
-    """Whether VGG's features of what is descended on a device are computed in bfloat16; METAPP_FLOAT32=1: never."""
+    """Whether features in reduced precision are computed in bfloat16 on a device; METAPP_FLOAT32=1: never."""
     return device.type == "cpu" and has_bfloat16() and os.environ.get(FLOAT32, "") in ("", "0")

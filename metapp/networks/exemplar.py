@@ -94,6 +94,7 @@ class ExemplarApp(App):
     """
 
     setup: Setup
+    reduced: bool = False  # whether fits see features in reduced precision
     described: tuple[str, ...] = ("gram",)  # what is known of each map of features, by name: gram0, gram1, ...
 
     def __init__(self, setup: Setup) -> None:
@@ -106,17 +107,18 @@ class ExemplarApp(App):
         return {"features": describe_features(self.setup.features)}
 
     def precision(self, device: torch.device) -> str:
-        return describe_precision(self.setup.features, device)
+        return describe_precision(self.setup.features, device) if self.reduced else ""
 
     def features(self, images: Tensor, octave: int) -> list[Tensor]:
         """Features [B, C, H', W'] of images [B, 3, H, W] of the size of an octave, those of the coarsest one first.
 
-        In bfloat16 as `metapp.appearance.precision` says.
+        Those of what a fit descends are in reduced precision where the application's are.
         """
         features, each = load_features(self.setup.features, self.setup.taps, images), []
         for coarser in reversed(range(octave, self.setup.octaves)):
             times = 2 ** (coarser - octave)
-            each += features(avg_pool2d(images, times) if times > 1 else images, self.setup.taps_of(coarser))
+            some = avg_pool2d(images, times) if times > 1 else images
+            each += features(some, self.setup.taps_of(coarser), reduced=self.reduced)
         return each
 
     def describe(self, exemplars: Tensor, octave: int = 0) -> dict[str, Tensor]:

@@ -269,10 +269,10 @@ def test_vgg_is_what_its_paper_lists(
 
 
 def gradient_of(pictures: Tensor) -> tuple[list[Tensor], list[Tensor]]:
-    """Gram matrices and spectra of pictures that are descended, and the gradients of their mean squares, each alone."""
+    """Gram matrices of pictures that are descended, and the gradients of their mean squares, each alone."""
     image = pictures.clone().requires_grad_()
-    maps = load_features("vgg16", TAPS[:3], image)(image)
-    found = [statistic(each) for statistic in (gram, amplitudes) for each in maps]
+    maps = load_features("vgg16", TAPS[:3], image)(image, reduced=True)
+    found = [gram(each) for each in maps]
     slopes = [torch.autograd.grad(each.square().mean(), image, retain_graph=True)[0] for each in found]
     return [each.detach() for each in found], slopes
 
@@ -298,7 +298,7 @@ def test_statistics_and_gradients_in_bfloat16_are_those_of_float32(
     for one, other in zip(found, expected, strict=True):
         assert one.dtype == torch.float32
         assert 0 < (one - other).norm() < 2**-7 * other.norm()  # each of 10 layers rounds by 2^-9
-    allowed = 2 * [2**-4, 2**-4, 2**-2]  # ReLUs near 0 and maxima of nearly equal ones change, more so in deep layers
+    allowed = [2**-4, 2**-4, 2**-2]  # ReLUs near 0 and maxima of nearly equal ones change, more so in deep layers
     for short, long, much in zip(slopes, exact, allowed, strict=True):
         assert (short - long).norm() < much * long.norm()
 
@@ -310,7 +310,7 @@ def test_without_its_instructions_nothing_is_in_bfloat16(rng: Generator, monkeyp
     long = load_features("vgg16", TAPS, pictures)(pictures)
 
     def maps() -> list[Tensor]:
-        return load_features("vgg16", TAPS, pictures)(pictures.clone().requires_grad_())
+        return load_features("vgg16", TAPS, pictures)(pictures.clone().requires_grad_(), reduced=True)
 
     assert {each.dtype for each in maps()} == {torch.bfloat16}
     assert describe_precision("vgg16", torch.device("cpu")) == "VGG in bfloat16"
@@ -326,11 +326,14 @@ def test_without_its_instructions_nothing_is_in_bfloat16(rng: Generator, monkeyp
 def test_what_is_judged_is_never_in_bfloat16(dtype: torch.dtype, rng: Generator) -> None:
     pictures = torch.rand(1, 3, 32, 32, generator=rng, dtype=dtype)
     network = load_features("vgg16", TAPS, pictures)
-    assert {each.dtype for each in network(pictures)} == {dtype}
+    assert {each.dtype for each in network(pictures, reduced=True)} == {dtype}
     with torch.no_grad():
-        assert {each.dtype for each in network(pictures.clone().requires_grad_() * 1)} == {dtype}
-    descended = network(pictures.clone().requires_grad_())
-    assert {each.dtype for each in descended} == {torch.bfloat16 if dtype == torch.float32 else dtype}
+        made = pictures.clone().requires_grad_() * 1
+    assert {each.dtype for each in network(made, reduced=True)} == {dtype}
+    descended = pictures.clone().requires_grad_()
+    assert {each.dtype for each in network(descended)} == {dtype}
+    expected = torch.bfloat16 if dtype == torch.float32 else dtype
+    assert {each.dtype for each in network(descended, reduced=True)} == {expected}
 
 
 @pytest.mark.parametrize("size", [(64, 64), (33, 35), (1, 1)])

@@ -110,6 +110,9 @@ def test_fits_in_bfloat16_are_runs_of_their_own(
         patch.setenv(precision.FLOAT32, "1")
         long = fit("long")
     (one,), (other,) = (read_records(run / "record.jsonl") for run in (short, long))
+    if app == "svbrdf_stationary":  # whose fits gain less by it
+        assert (one["key"], one["error"]) == (other["key"], other["error"])
+        return
     assert one["settings"] == other["settings"] | {"precision": "VGG in bfloat16"}
     assert one["key"] != other["key"]
     assert 0 < abs(one["error"] - other["error"]) < 0.01 * other["error"]

@@ -282,9 +282,8 @@ def _grams(maps: Tensor, windows: Iterable[int]) -> Tensor:
     Windows are half as high and wide as the picture, fade towards their edges, and lie on a grid, overlapping.
     """
     height, width = (size // 2 for size in maps.shape[-2:])
-    exact = maps.new_empty(0, dtype=torch.promote_types(maps.dtype, torch.float32))
-    weights = hann(height, exact)[:, None] * hann(width, exact)
-    root = (weights / weights.mean()).sqrt().to(maps)
+    weights = hann(height, maps)[:, None] * hann(width, maps)
+    root = (weights / weights.mean()).sqrt()
     each = []
     for window in windows:
         top, left = (i * size // (GRID - 1) for i, size in zip(divmod(window, GRID), (height, width), strict=True))
