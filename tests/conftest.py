@@ -14,9 +14,11 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 import torch
+from safetensors.torch import save_file
 from torch import Tensor
 
 from data_tools.readers.nbrdf import SHAPES
+from metapp.appearance import precision
 from metapp.appearance.features import weights_path
 from metapp.appearance.flash import camera_distance
 from metapp.appearance.geometry import above_horizon
@@ -27,6 +29,7 @@ from tests.small_spheres import shrink_spheres
 # small networks run many times slower where threads of several workers fight over them; Mitsuba takes its two by itself
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # of the commands that tests start
 torch.set_num_threads(int(os.environ["OMP_NUM_THREADS"]))
+os.environ[precision.FLOAT32] = "1"  # figures are the same on all machines
 
 
 class Result(NamedTuple):
@@ -75,6 +78,18 @@ def vgg(cache: Path) -> Path:
         pytest.skip("the VGG weights are not there: metapp data vgg fetches them")
     (cache / USER_WEIGHTS.name).symlink_to(USER_WEIGHTS)
     return cache
+
+
+@pytest.fixture
+def with_bfloat16(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """VGG with made-up weights, and a CPU that is said to be made for bfloat16."""
+    rng = torch.Generator().manual_seed(5)
+    shapes = zip(range(3), (64, 64, 128), (3, 64, 64), strict=True)  # up to relu2_1
+    weights = {f"conv{i}.weight": torch.randn(out, of, 3, 3, generator=rng) / (9 * of) ** 0.5 for i, out, of in shapes}
+    biases = {key.replace("weight", "bias"): torch.zeros(len(value)) for key, value in weights.items()}
+    save_file(weights | biases, cache / "vgg16.safetensors")
+    monkeypatch.setattr(precision, "has_bfloat16", lambda: True)
+    monkeypatch.delenv(precision.FLOAT32)
 
 
 @pytest.fixture

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import copy
 import hashlib
+import math
 from collections.abc import Callable, Iterator, Sequence
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +15,7 @@ from safetensors import SafetensorError
 from torch import Generator, Tensor, nn
 from torch.nn.functional import avg_pool2d
 
+from metapp.appearance.precision import in_bfloat16
 from metapp.storage.files import cache_folder
 from metapp.storage.tensors import opened_tensors
 
@@ -45,20 +48,36 @@ class Features(nn.Module):
         self.register_buffer("deviation", torch.tensor(DEVIATION).reshape(3, 1, 1))
         self.requires_grad_(False)
 
-    def forward(self, images: Tensor, taps: int | None = None) -> list[Tensor]:
-        """Images [B, 3, H, W], sRGB in [0, 1], to maps [B, C, H', W'], one a tap, or of the first taps alone."""
+    def forward(self, images: Tensor, taps: int | None = None, *, reduced: bool = False) -> list[Tensor]:
+        """Images [B, 3, H, W], sRGB in [0, 1], to maps [B, C, H', W'], one a tap, or of the first taps alone.
+
+        Where `reduced` precision is asked for and the CPU is made for bfloat16, maps of images that have a gradient are
+        in that: a fit descends these; what is judged has none.
+        """
         x = ((images - self.mean) / self.deviation).contiguous(memory_format=torch.channels_last)
+        stages = self.stages
+        if reduced and images.requires_grad and images.dtype == torch.float32 and in_bfloat16(images.device):
+            x, stages = x.bfloat16(), self._in_bfloat16
         maps = []
-        for stage in self.stages[:taps]:
+        for stage in stages[:taps]:
             x = stage(x)
             maps.append(x)
         return maps
+
+    @cached_property
+    def _in_bfloat16(self) -> nn.ModuleList:
+        return copy.deepcopy(self.stages).bfloat16()
+
+
+def describe_precision(which: str, device: torch.device) -> str:
+    """What fits see features in, where that is not float32, in words; else ""."""
+    return "VGG in bfloat16" if weights_path(which).is_file() and in_bfloat16(device) else ""
 
 
 class RandomFilters(Features):
     """Random filters with a ReLU, on the image at several scales (Ustyuzhaninov et al. 2017)."""
 
-    def forward(self, images: Tensor, taps: int | None = None) -> list[Tensor]:
+    def forward(self, images: Tensor, taps: int | None = None, *, reduced: bool = False) -> list[Tensor]:
         """Feature maps of images [B, 3, H, W], sRGB in [0, 1]: one a scale, each half the size of the last."""
         x = (images - self.mean) / self.deviation
         maps = []
@@ -189,23 +208,34 @@ def moments(maps: Sequence[Tensor]) -> Tensor:
     return torch.cat(parts, 1)
 
 
+PART = 1024
+
+
 class _Products(torch.autograd.Function):
     """Products of channels [B, C, C] of rows [B, N, C], whose gradient is one product, not two and their sum."""
 
     @staticmethod
     def forward(ctx: Any, rows: Tensor) -> Tensor:
         ctx.save_for_backward(rows)
-        return rows.mT @ rows
+        if rows.dtype != torch.bfloat16:
+            return rows.mT @ rows
+        # a product is rounded to bfloat16 at its end: those of parts are added in float32
+        parts = math.gcd(rows.shape[1], max(rows.shape[1] // PART, 1))
+        each: Tensor = rows.unflatten(1, (parts, -1))
+        return (each.mT @ each).float().sum(1)
 
     @staticmethod
     def backward(ctx: Any, pull: Tensor) -> Tensor:
         (rows,) = ctx.saved_tensors
-        result: Tensor = rows @ (pull + pull.mT)
+        result: Tensor = rows @ (pull + pull.mT).to(rows.dtype)
         return result
 
 
 def gram(maps: Tensor) -> Tensor:
-    """Mean products of channels over a picture, [B, C, C], of feature maps [B, C, H, W] (Gatys et al. 2015)."""
+    """Mean products of channels over a picture, [B, C, C], of feature maps [B, C, H, W] (Gatys et al. 2015).
+
+    Those of maps in bfloat16 are in float32.
+    """
     rows = maps.movedim(1, -1).flatten(1, 2)  # as features have them in memory
     products: Callable[[Tensor], Tensor] = _Products.apply
     return products(rows) / rows.shape[1]

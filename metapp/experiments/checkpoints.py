@@ -20,6 +20,7 @@ from metapp.experiments.session import (
     make_folder,
     name_of,
     observe_of,
+    precision_of,
     versions,
 )
 from metapp.experiments.shipped import shipped_path, ships
@@ -185,6 +186,7 @@ def train_checkpoint(
     info |= (
         ({} if name == "general" else observe_of(options.app))
         | options.app.conditions()
+        | precision_of(options.app, options.device)
         | {"versions": versions()}
         | ({"encoder": tensor_digest(encoder.encoder)} if encoder else {})
     )

@@ -159,6 +159,6 @@ def _notes(settings: list[dict[str, Any]], by_name: list[dict[str, Any]], names:
         *(
             f"{key}: {one.get(key)} and {other.get(key)}"
             for key in sorted({*one, *other})
-            if key in ("device", "versions", "features", "observe") and one.get(key) != other.get(key)
+            if key in ("device", "versions", "features", "precision", "observe") and one.get(key) != other.get(key)
         ),
     ]

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import json
 import math
+import os
 import tempfile
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import torch
 
+from metapp.appearance.precision import FLOAT32
 from metapp.experiments.checkpoints import find_checkpoint
 from metapp.experiments.fits import fit_tasks
 from metapp.experiments.inputs import Reading, tasks_to_fit
@@ -29,7 +32,7 @@ FORM = {"key": str, "settings": {"app": str}}
 FIT = {"error": OPTIONAL, "settings": {"data": str, "recipe": str, "seed": int}}
 ROUNDING = 1e-6  # relative: what the same machine, versions and threads may differ by
 ELSEWHERE = 0.01
-AROUND = ("versions", "device")  # settings that figures depend on by rounding, or by the draws of a device
+AROUND = ("versions", "device", "precision")  # settings that figures depend on by rounding, or by a device's draws
 FOUND_BY = {"data": "give what was fitted after RECORD, or --data", "start": "give that file by --checkpoint"}
 TITLES = {"start": "checkpoint"}
 _ALONE = "{}: a record of {}, expected one of a fit; metapp evaluate with another --out makes its table anew."
@@ -110,7 +113,7 @@ def _repeat(folder: Path, records: list[Record], given: Given, scratch: Path) ->
     if not holds(first, FIT):
         raise ValueError(_ALONE.format(first["name"], first["settings"].get("study", "no fit")))
     options = _options(folder, first, given)
-    with threads(first.get("threads") or threads_of(options.app)):
+    with threads(first.get("threads") or threads_of(options.app)), _as_precise(first["settings"]):
         plan = _plan(options, first, given, scratch)
         around = _changed(first, plan.settings)
         around |= _differing({"machine": first.get("origin", {}).get("machine")}, {"machine": machine(options.device)})
@@ -213,8 +216,24 @@ def _changed(record: Record, now: dict[str, Any]) -> dict[str, tuple[Any, Any]]:
         remedy = FOUND_BY.get(key, "repeat it by the version of metapp that made it")
         said = f"{TITLES.get(key, key)} {found}, expected {expected} as recorded"
         raise ValueError(f"{record['name']}: {said}; {remedy}.")
-    device = {key: value for key, value in then.items() if key == "device"}
-    return _differing(then.get("versions", {}), now["versions"]) | _differing(device, now)
+    rest = [{"device": then.get("device"), "precision": "float32"} | each for each in (then, now)]
+    around = [{key: each[key] for key in ("device", "precision")} for each in rest]
+    return _differing(then.get("versions", {}), now["versions"]) | _differing(*around)
+
+
+@contextmanager
+def _as_precise(settings: dict[str, Any]) -> Iterator[None]:
+    """Fit in float32 alone where the recorded fits did; other arithmetic depends on the CPU."""
+    before = os.environ.get(FLOAT32)
+    if "precision" not in settings:
+        os.environ[FLOAT32] = "1"
+    try:
+        yield
+    finally:
+        if before is None:
+            os.environ.pop(FLOAT32, None)
+        else:
+            os.environ[FLOAT32] = before
 
 
 def _compared(

@@ -69,6 +69,7 @@ class Run(NamedTuple):
             "device": str(self.options.device),
             "data": self.label,
             **app.conditions(),
+            **{key: self.settings[key] for key in ("precision",) if key in self.settings},
             **summary(self.records),
             "guarded": guarded(self.records),
             "tasks": [{key: record[key] for key in told if key in record} for record in self.records],

@@ -155,6 +155,12 @@ def observe_of(app: App) -> dict[str, str]:
     return {"observe": app.protocol} if app.protocol else {}
 
 
+def precision_of(app: App, device: torch.device, steps: int = 1) -> dict[str, str]:
+    """What so many steps compute in other than float32, as records and headers of checkpoints say it, if anything."""
+    precision = app.precision(device) if steps else ""
+    return {"precision": precision} if precision else {}
+
+
 def name_of(app: App) -> str:
     """The application's name and its protocol, if any: illumination photo."""
     return f"{app.name} {app.protocol}".rstrip()
@@ -243,4 +249,5 @@ def settings_of(options: Options, paradigm: Paradigm, checkpoint: Checkpoint, la
         "device": str(options.device),
         "versions": versions(),
         **options.app.conditions(),
+        **precision_of(options.app, options.device, paradigm.count(options.job)),
     }

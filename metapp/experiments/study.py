@@ -11,7 +11,7 @@ from torch import Generator
 
 from metapp.experiments.checkpoints import Trained, find_checkpoint, general_of, has_general, train_checkpoint
 from metapp.experiments.checkpoints import trained_path as path_of
-from metapp.experiments.session import Checkpoint, Options, observe_of, versions
+from metapp.experiments.session import Checkpoint, Options, observe_of, precision_of, versions
 from metapp.learning.app import App
 from metapp.learning.recipe import MetaTraining, Recipe, Start
 from metapp.learning.rules import RULES, rule_of
@@ -189,6 +189,7 @@ class Study:
             "device": str(options.device),
             "versions": versions(),
             **options.app.conditions(),
+            **precision_of(options.app, options.device, case.steps),
         }
 
     def train(self, case: Case) -> Trained:

@@ -61,6 +61,10 @@ class App(ABC):
         """What else its errors depend on, by name: part of every record, and said wherever errors are printed."""
         return {}
 
+    def precision(self, device: torch.device) -> str:
+        """What fits on a device compute in other than float32, in words: part of every record; "" where nothing."""
+        return ""
+
     @abstractmethod
     def prepare(self, task: Task) -> dict[str, Tensor]:
         """What fitting needs of a task, computed once: tensors without a task axis."""

@@ -11,7 +11,7 @@ import torch
 from torch import Generator, Tensor
 from torch.nn.functional import avg_pool2d, interpolate, leaky_relu
 
-from metapp.appearance.features import channels_of, describe_features, load_features, moments
+from metapp.appearance.features import channels_of, describe_features, describe_precision, load_features, moments
 from metapp.learning.app import App
 from metapp.learning.recipe import Adam, OuterLoop, Recipe
 from metapp.learning.task import Batch, Params, Task, Tasks
@@ -94,6 +94,7 @@ class ExemplarApp(App):
     """
 
     setup: Setup
+    reduced: bool = False  # whether fits see features in reduced precision
     described: tuple[str, ...] = ("gram",)  # what is known of each map of features, by name: gram0, gram1, ...
 
     def __init__(self, setup: Setup) -> None:
@@ -105,12 +106,19 @@ class ExemplarApp(App):
     def conditions(self) -> dict[str, str]:
         return {"features": describe_features(self.setup.features)}
 
+    def precision(self, device: torch.device) -> str:
+        return describe_precision(self.setup.features, device) if self.reduced else ""
+
     def features(self, images: Tensor, octave: int) -> list[Tensor]:
-        """Features [B, C, H', W'] of images [B, 3, H, W] of the size of an octave, those of the coarsest one first."""
+        """Features [B, C, H', W'] of images [B, 3, H, W] of the size of an octave, those of the coarsest one first.
+
+        Those of what a fit descends are in reduced precision where the application's are.
+        """
         features, each = load_features(self.setup.features, self.setup.taps, images), []
         for coarser in reversed(range(octave, self.setup.octaves)):
             times = 2 ** (coarser - octave)
-            each += features(avg_pool2d(images, times) if times > 1 else images, self.setup.taps_of(coarser))
+            some = avg_pool2d(images, times) if times > 1 else images
+            each += features(some, self.setup.taps_of(coarser), reduced=self.reduced)
         return each
 
     def describe(self, exemplars: Tensor, octave: int = 0) -> dict[str, Tensor]:

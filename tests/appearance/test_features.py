@@ -6,7 +6,7 @@ import hashlib
 import itertools
 import math
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -15,7 +15,7 @@ from safetensors.torch import load_file, save_file
 from torch import Generator, Tensor
 from torch.nn.functional import conv2d, max_pool2d
 
-from metapp.appearance import features
+from metapp.appearance import features, precision
 from metapp.appearance.features import (
     BLOCKS,
     DEVIATION,
@@ -24,6 +24,7 @@ from metapp.appearance.features import (
     amplitudes,
     channels_of,
     describe_features,
+    describe_precision,
     distance,
     gram,
     hann,
@@ -265,6 +266,80 @@ def test_vgg_is_what_its_paper_lists(
     assert describe_features("vgg16") == network.name
     assert "random" in describe_features("vgg19")
     features._load.cache_clear()  # 60 MB each
+
+
+def gradient_of(pictures: Tensor) -> tuple[list[Tensor], list[Tensor]]:
+    """Gram matrices of pictures that are descended, and the gradients of their mean squares, each alone."""
+    image = pictures.clone().requires_grad_()
+    maps = load_features("vgg16", TAPS[:3], image)(image, reduced=True)
+    found = [gram(each) for each in maps]
+    slopes = [torch.autograd.grad(each.square().mean(), image, retain_graph=True)[0] for each in found]
+    return [each.detach() for each in found], slopes
+
+
+@pytest.fixture
+def whole_vgg_in_bfloat16(vgg16: Path, cache: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """Made-up weights, and a CPU that is said to be made for bfloat16: torch computes it on any."""
+    os.link(vgg16, cache / "vgg16.safetensors")
+    monkeypatch.setattr(precision, "has_bfloat16", lambda: True)
+    monkeypatch.delenv(precision.FLOAT32)
+    yield
+    features._load.cache_clear()
+
+
+@pytest.mark.usefixtures("whole_vgg_in_bfloat16")
+def test_statistics_and_gradients_in_bfloat16_are_those_of_float32(
+    rng: Generator, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pictures = torch.rand(2, 3, 64, 64, generator=rng)
+    found, slopes = gradient_of(pictures)
+    monkeypatch.setenv(precision.FLOAT32, "1")
+    expected, exact = gradient_of(pictures)
+    for one, other in zip(found, expected, strict=True):
+        assert one.dtype == torch.float32
+        assert 0 < (one - other).norm() < 2**-7 * other.norm()  # each of 10 layers rounds by 2^-9
+    allowed = [2**-4, 2**-4, 2**-2]  # ReLUs near 0 and maxima of nearly equal ones change, more so in deep layers
+    for short, long, much in zip(slopes, exact, allowed, strict=True):
+        assert (short - long).norm() < much * long.norm()
+
+
+@pytest.mark.usefixtures("whole_vgg_in_bfloat16")
+def test_without_its_instructions_nothing_is_in_bfloat16(rng: Generator, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Bit by bit what pictures give that are not descended."""
+    pictures = torch.rand(1, 3, 32, 32, generator=rng)
+    long = load_features("vgg16", TAPS, pictures)(pictures)
+
+    def maps() -> list[Tensor]:
+        return load_features("vgg16", TAPS, pictures)(pictures.clone().requires_grad_(), reduced=True)
+
+    assert {each.dtype for each in maps()} == {torch.bfloat16}
+    assert describe_precision("vgg16", torch.device("cpu")) == "VGG in bfloat16"
+    assert describe_precision("vgg16", torch.device("cuda")) == ""
+    assert describe_precision("vgg19", torch.device("cpu")) == ""  # random filters
+    monkeypatch.setattr(precision, "has_bfloat16", lambda: False)
+    assert describe_precision("vgg16", torch.device("cpu")) == ""
+    assert all(torch.equal(one, other) for one, other in zip(maps(), long, strict=True))
+
+
+@pytest.mark.usefixtures("whole_vgg_in_bfloat16")
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_what_is_judged_is_never_in_bfloat16(dtype: torch.dtype, rng: Generator) -> None:
+    pictures = torch.rand(1, 3, 32, 32, generator=rng, dtype=dtype)
+    network = load_features("vgg16", TAPS, pictures)
+    assert {each.dtype for each in network(pictures, reduced=True)} == {dtype}
+    with torch.no_grad():
+        made = pictures.clone().requires_grad_() * 1
+    assert {each.dtype for each in network(made, reduced=True)} == {dtype}
+    descended = pictures.clone().requires_grad_()
+    assert {each.dtype for each in network(descended)} == {dtype}
+    expected = torch.bfloat16 if dtype == torch.float32 else dtype
+    assert {each.dtype for each in network(descended, reduced=True)} == {expected}
+
+
+@pytest.mark.parametrize("size", [(64, 64), (33, 35), (1, 1)])
+def test_gram_matrices_of_bfloat16_are_summed_in_float32(size: tuple[int, int], rng: Generator) -> None:
+    maps = torch.rand(2, 5, *size, generator=rng).bfloat16()
+    torch.testing.assert_close(gram(maps).double(), gram(maps.double()), rtol=2**-8, atol=0)
 
 
 def test_weights_are_imagenets_where_they_are_known_to_be(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -10,6 +10,7 @@ import torch
 from torch import Generator, Tensor
 from torch.nn.functional import interpolate, pad
 
+from metapp.appearance import precision
 from metapp.appearance.colour import srgb_to_linear
 from metapp.appearance.features import RANDOM, gram, load_features, moments
 from metapp.appearance.presentation import Fitted
@@ -313,6 +314,23 @@ def test_without_circular_convolutions_textures_do_not_tile(tasks: Tasks, monkey
     ratios = torch.stack([seams(made) for made in large(app, overfit(app, tasks, 80))])
     assert (ratios > 1.4).float().mean() > 0.5
     assert ratios.mean() > 1.6
+
+
+@pytest.mark.usefixtures("with_bfloat16")
+def test_only_what_is_descended_is_seen_in_bfloat16(sources: list[Task], monkeypatch: pytest.MonkeyPatch) -> None:
+    """Targets and errors are the same, bit by bit, wherever a fit ran."""
+    app, found = tiny(), []
+    theta = {key: value.requires_grad_() for key, value in app.init(seeded(), len(sources)).items()}
+    for setting in ("0", "1"):
+        monkeypatch.setenv(precision.FLOAT32, setting)
+        tasks = stack(app, sources)
+        loss = app.loss(theta, app.sample(tasks, seeded(), 1), {})
+        found.append((tasks.data, app.errors(theta, tasks)["error"], loss.detach()))
+    (data, error, short), (same, again, long) = found
+    assert all(torch.equal(data[key], same[key]) for key in data)
+    assert torch.equal(error, again)
+    assert not torch.equal(short, long)
+    torch.testing.assert_close(short, long, rtol=2**-8, atol=0)
 
 
 STARTS = sorted(path.stem for path in shipped_path(APP.name, "general").parent.glob("*.safetensors"))

@@ -16,6 +16,7 @@ from safetensors.numpy import save_file
 from safetensors.torch import load_file
 
 from data_tools.readers.material_maps import read_task
+from metapp.appearance import precision
 from metapp.appearance.colour import srgb_to_linear
 from metapp.appearance.features import BLOCKS, weights_path
 from metapp.appearance.flash import normal_from_height, unpack
@@ -23,6 +24,7 @@ from metapp.apps import load_app, presentation_of
 from metapp.learning.task import Task
 from metapp.networks.exemplar import Setup
 from metapp.networks.layers import UNet
+from metapp.storage.records import read_records
 
 APPS = ("texture", "svbrdf_stationary")
 OUTPUTS = {
@@ -91,6 +93,36 @@ def test_a_photo_is_fitted_and_what_was_made_is_written(app: str, data: Path, me
     assert (told["tiles"], told["size"]["width"]) == (True, 64)
     assert (told["provenance"]["app"], told["provenance"]["steps"]) == (app, 2)
     assert len(told["files"]) == {"texture": 1, "svbrdf_stationary": 10}[app]
+
+
+@pytest.mark.usefixtures("with_bfloat16")
+def test_fits_in_bfloat16_are_runs_of_their_own(
+    app: str, metapp: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """And each is repeated as it was where the CPU can; elsewhere it is said what differs."""
+    wall = photo(tmp_path / "wall.png", 9)
+
+    def fit(out: str) -> Path:
+        return Path(metapp("overfit", app, wall, "--out", tmp_path / out, "--json", "--quiet").document["out"])
+
+    short = fit("short")
+    with monkeypatch.context() as patch:
+        patch.setenv(precision.FLOAT32, "1")
+        long = fit("long")
+    (one,), (other,) = (read_records(run / "record.jsonl") for run in (short, long))
+    if app == "svbrdf_stationary":  # whose fits gain less by it
+        assert (one["key"], one["error"]) == (other["key"], other["error"])
+        return
+    assert one["settings"] == other["settings"] | {"precision": "VGG in bfloat16"}
+    assert one["key"] != other["key"]
+    assert 0 < abs(one["error"] - other["error"]) < 0.01 * other["error"]
+    for run in (short, long):
+        assert metapp("rerun", run, "--json").document["tasks"][0]["difference"] == 0
+    monkeypatch.setattr(precision, "has_bfloat16", lambda: False)
+    again = metapp("rerun", short, "--json")
+    assert again.document["tasks"][0]["differs"] == {"precision": ["VGG in bfloat16", "float32"]}
+    assert "note: precision: VGG in bfloat16 then, float32 now" in again.err
+    assert again.document["tasks"][0]["found"] == other["error"]
 
 
 def test_files_of_another_size(app: str, data: Path, metapp: Callable, tmp_path: Path) -> None:

@@ -71,6 +71,7 @@ class Texture(ExemplarApp):
     """One exemplar of a stationary texture a task."""
 
     name = "texture"
+    reduced = True
     holds = {"image": Held((3, "S", "S"), "uint8")}  # noqa: RUF012  (never written to)
     recipes = {"paper": PAPER, "paper-vgg19": VGG19, "quick": QUICK, "full": FULL}  # noqa: RUF012  (never written to)
 
