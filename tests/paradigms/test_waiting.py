@@ -63,6 +63,7 @@ def test_reads_are_found(read: Any) -> None:
         read(torch.ones(()))
 
 
+@pytest.mark.usefixtures("scene")
 @pytest.mark.parametrize("protocol", ["first", "last"])
 @pytest.mark.parametrize("kind", KINDS)
 def test_steps_of_fits_read_nothing_back(kind: str, protocol: str, monkeypatch: pytest.MonkeyPatch) -> None:
