@@ -184,11 +184,11 @@ def figure(rows: list[dict[str, Any]], file: Path) -> None:
             )
             panel.loglog(xs, ys, marker="o", label=method)
         panel.set_title(kind)
-        panel.set_xlabel("seconds of CPU, everything counted")
+        panel.set_xlabel("seconds of CPU")
         panel.grid(visible=True, which="both", alpha=0.3)
     panels[0].set_ylabel("MAPE")
-    panels[0].legend()
-    drawn.tight_layout()
+    drawn.legend(*panels[0].get_legend_handles_labels(), loc="upper center", ncols=len(METHODS), frameon=False)
+    drawn.tight_layout(rect=(0, 0, 1, 0.93))
     drawn.savefig(file, dpi=120)
 
 
