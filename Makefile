@@ -63,7 +63,7 @@ $(VENV)/.docs: $(VENV)/.ready
 bench: setup  ## speed and memory of learning, as ratios measured side by side
 	$(VENV)/bin/python -m tests.benchmarks.bench_learning
 
-bench-size: setup  ## time and memory of a fit against its size, 2 minutes
+bench-size: setup  ## time and memory of a fit against its size, a table and runs/bench/size.png, 2 minutes
 	$(VENV)/bin/python -m tests.benchmarks.bench_size
 
 bench-growth: setup  ## how time and memory grow with steps, tasks and samples, a minute

@@ -14,6 +14,7 @@ import subprocess
 import sys
 import time
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import torch
@@ -27,6 +28,7 @@ from metapp.learning.rules import fixed_adam
 from metapp.learning.task import Task
 
 STEPS = 10
+FIGURE = Path("runs/bench/size.png")
 SIZES = {
     "texture": (128, 256, 512),
     "svbrdf_stationary": (128, 256, 512),
@@ -92,8 +94,36 @@ def exponent(sizes: list[int], values: list[float]) -> float:
     return products / sum((a - mean_x) ** 2 for a in x)
 
 
+def figure(found: dict[str, list[dict[str, float]]], file: Path) -> None:
+    """Time of a step and memory over texels, both logarithmic, a line an application, beside a linear one."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from matplotlib import pyplot
+
+    drawn, panels = pyplot.subplots(1, 2, figsize=(9, 3.4))
+    for panel, (key, label) in zip(panels, (("seconds", "seconds a step"), ("megabytes", "MB")), strict=True):
+        for name, rows in found.items():
+            panel.loglog([texels(name, side) for side in SIZES[name]], [row[key] for row in rows], "o-", label=name)
+        sides = [texels("texture", side) for side in SIZES["texture"]]
+        start = 0.5 * found["texture"][0][key]
+        panel.loglog(sides, [start * n / sides[0] for n in sides], "k:", label="linear")
+        panel.set_xlabel("texels")
+        panel.set_ylabel(label)
+        panel.grid(visible=True, which="both", alpha=0.3)
+    panels[0].legend(fontsize=8)
+    drawn.tight_layout()
+    drawn.savefig(file, dpi=120)
+
+
+def texels(name: str, side: int) -> int:
+    """How many there are; maps of light are twice as wide as high."""
+    return side * side * (2 if name == "illumination" else 1)
+
+
 def main() -> None:
-    """Print the table."""
+    """Print the table, draw the figure."""
+    rows = {}
     print("| application | side | ms a step | MB | exponents of time and memory |\n|---|---|---|---|---|")
     for name, sizes in SIZES.items():
         found = []
@@ -101,10 +131,14 @@ def main() -> None:
             words = [sys.executable, "-m", "tests.benchmarks.bench_size", name, str(side)]
             done = subprocess.run(words, check=True, capture_output=True, text=True)
             found.append(json.loads(done.stdout.splitlines()[-1]))
+        rows[name] = found
         powers = [exponent(list(sizes), [each[key] for each in found]) for key in ("seconds", "megabytes")]
         for side, each in zip(sizes, found, strict=True):
             said = " and ".join(f"{power:.2f}" for power in powers) if side == sizes[-1] else ""
             print(f"| {name} | {side} | {1e3 * each['seconds']:.0f} | {each['megabytes']:.0f} | {said} |", flush=True)
+    FIGURE.parent.mkdir(parents=True, exist_ok=True)
+    figure(rows, FIGURE)
+    print(f"{FIGURE}: figure")
 
 
 if __name__ == "__main__":

@@ -6,6 +6,7 @@ import itertools
 import math
 import warnings
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,8 @@ import pytest
 import torch
 
 from data_tools.synthetic.cornell import random_scene
+from metapp.learning.learn import MetaParameters
+from metapp.storage.records import save_checkpoint
 from tests.needs_mitsuba import needs_mitsuba
 from tests.rendering.zoo import LAMPS, zoo
 
@@ -184,6 +187,20 @@ def test_within_another_integrator_it_is_path(mi: Any) -> None:
 def test_properties_that_exclude_each_other_are_refused(mi: Any) -> None:
     with pytest.raises(Exception, match="hide_emitters without emitter_sampling"):
         mi.load_dict({"type": "guided_path", "hide_emitters": True, "emitter_sampling": False})
+
+
+def test_the_prior_is_the_file_that_is_named(mi: Any, tmp_path: Path) -> None:
+    def prior(**more: Any) -> Any:
+        return mi.load_dict({"type": "guided_path", **more}).prior
+
+    assert prior(checkpoint="none") is None
+    assert prior(emitter_sampling=False) is None  # it was trained with
+    theta = {key: value + 1 for key, value in prior().items()}
+    save_checkpoint(tmp_path / "own.safetensors", MetaParameters(encoder=theta), {"app": "guiding"})
+    found = prior(checkpoint=str(tmp_path / "own.safetensors"))
+    assert all(torch.equal(found[key], value) for key, value in theta.items())
+    with pytest.raises(Exception, match="none-such.safetensors: no such checkpoint"):
+        prior(checkpoint=str(tmp_path / "none-such.safetensors"))
 
 
 @pytest.mark.parametrize(("spp", "pixels"), [(16, 16), (17, 65536), (64, 4096), (1000, 65536), (4096, 2**20)])
