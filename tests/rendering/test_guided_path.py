@@ -199,7 +199,7 @@ def test_the_prior_is_the_file_that_is_named(mi: Any, tmp_path: Path) -> None:
     save_checkpoint(tmp_path / "own.safetensors", MetaParameters(encoder=theta), {"app": "guiding"})
     found = prior(checkpoint=str(tmp_path / "own.safetensors"))
     assert all(torch.equal(found[key], value) for key, value in theta.items())
-    with pytest.raises(Exception, match="none-such.safetensors: no such checkpoint"):
+    with pytest.raises(Exception, match=r"none-such.safetensors: no such checkpoint"):
         prior(checkpoint=str(tmp_path / "none-such.safetensors"))
 
 
