@@ -15,6 +15,7 @@ from metapp.rendering.guide_cache import halved, moments, voxels_of
 from metapp.rendering.guide_prior import Prior, init, taught
 from metapp.rendering.guided_path import PathTracer, Settings
 from metapp.rendering.guided_picture import GuidedPicture, Part
+from metapp.rendering.guided_plugin import RR_DEPTH
 from metapp.rendering.path_space import DEPTH
 from metapp.rendering.scene_loading import load_scene
 
@@ -39,7 +40,7 @@ def guide_tasks(kind: str, seed: int) -> list[Task]:
     mi, scene, _ = load_scene(random_room(kind, seed))
     equal_time.resize(mi, scene, SIZE)
     path = mi.load_dict({"type": "path", "max_depth": DEPTH})
-    tracer = PathTracer(mi, Settings(DEPTH, 5))
+    tracer = PathTracer(mi, Settings(DEPTH, RR_DEPTH))
     picture = GuidedPicture(path, tracer, scene, scene.sensors()[0], seed, init(Generator()))
     prior = picture.cache.expects
     assert isinstance(prior, Prior)

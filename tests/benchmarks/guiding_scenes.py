@@ -6,10 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from data_tools.synthetic.cornell import random_scene
+from data_tools.synthetic.cornell import Scene, diffuse, random_scene, rectangle, rgb
 from metapp.rendering.variant import load_mitsuba
-
-Scene = dict[str, Any]
 
 BOXES = (101, 102, 103, 104)  # seeds
 
@@ -65,14 +63,12 @@ def _room() -> Scene:
 
 def _square(height: float, half: float, *, down: bool, at: tuple[float, float] = (0.0, 0.0)) -> Scene:
     """A level square that faces up or down."""
-    side = -1.0 if down else 1.0
-    matrix = [[half, 0, 0, at[0]], [0, 0, side, height], [0, -side * half, 0, at[1]], [0, 0, 0, 1.0]]
-    return {"type": "rectangle", "to_world": matrix}
+    return rectangle((at[0], height, at[1]), (half, 0, 0), (0, 0, half if down else -half), _grey(0.0))
 
 
 def _shining(radiance: list[float]) -> Scene:
-    return {"bsdf": _grey(0.0), "emitter": {"type": "area", "radiance": {"type": "rgb", "value": radiance}}}
+    return {"emitter": {"type": "area", "radiance": rgb(radiance)}}
 
 
 def _grey(value: float) -> Scene:
-    return {"type": "diffuse", "reflectance": {"type": "rgb", "value": [value] * 3}}
+    return diffuse([value] * 3)
