@@ -186,7 +186,7 @@ class ExemplarApp(App):
         return torch.randn(tasks, count, self.setup.network.noise, *size, generator=rng, device=rng.device)
 
     def init_encoder(self, rng: Generator) -> Params:
-        encoder = decoder_of(self.init(rng, 1), ("z",))
+        encoder = decoder_of(self.setup.network.init(rng, 1), ("z",))
         sizes = (self.summary_size(), HIDDEN, HIDDEN, self.setup.network.code)
         for layer in (1, 2, 3):
             inputs, outputs = sizes[layer - 1], sizes[layer]

@@ -31,6 +31,8 @@ CLIPPED = 0.95  # of white: what a photograph shows no more
 LEVEL = 0.01  # sine of an angle that hardly shows
 MAPS = 1.0  # weight of the maps' differences in a fit
 WANTED, SEEN = 0.3, 0.3  # and in the outer loss, beside the photograph's
+STEEP, HIDDEN = 0.15, 0.3  # there, of how steep normals are, which a photo hardly shows, and of diffuse where it clips
+CELLS = 8  # a side, in which normals are as steep on average as they should be
 RIG, JUDGED = (2, 3), (6, 6)  # lights that fits see, and that they are judged under: oblique, mirroring
 DRAWN = (1, 2)  # and those that preparation draws
 SMOOTHED = 0.03  # at first, where learned losses round off |d|
@@ -203,12 +205,18 @@ class SvbrdfNonstationary(CodedApp):
         return pictures.mean((1, 2, 3, 4)) + MAPS * self._map_loss(maps, batch["maps"], learned)
 
     def outer_loss(self, theta: Params, batch: Batch, learned: Params) -> Tensor:
-        """Whatever fits see, what is wanted are the maps and what they look like under any light, [T]."""
-        maps = self.maps_of(theta, batch["photo"])
-        wanted = self._logs(unpack(batch["maps"]), batch["pairs"])
-        pictures = (self._logs(maps, batch["pairs"]) - wanted).abs().mean((1, 2, 3, 4))
+        """Whatever fits see, what is wanted are the maps and what they look like under any light, [T].
+
+        How steep normals are counts, too: those with the least mean difference from all that a photo allows are flat.
+        """
+        maps, target = self.maps_of(theta, batch["photo"]), unpack(batch["maps"])
+        pictures = (self._logs(maps, batch["pairs"]) - self._logs(target, batch["pairs"])).abs().mean((1, 2, 3, 4))
         photo = self._photo_loss(theta, maps, batch["photo"], {})
-        return pictures + WANTED * self._map_loss(maps, batch["maps"], {}) + SEEN * photo
+        steep = (_steepness(maps) / _steepness(target)).log().abs().mean((1, 2, 3))
+        hidden = _blots(maps, target, batch["photo"])
+        return (
+            pictures + WANTED * self._map_loss(maps, batch["maps"], {}) + SEEN * photo + STEEP * steep + HIDDEN * hidden
+        )
 
     def _logs(self, maps: Maps, pairs: Tensor) -> Tensor:
         """Log of what maps [T, ...] send out under pairs of light and viewer [T or 1, V, 2, 3]: [T, V, 3, H, W]."""
@@ -266,16 +274,27 @@ class SvbrdfNonstationary(CodedApp):
         cosine = (maps.normal * target.normal).sum(1).clamp(-1, 1)
         parts = dict(zip(("diffuse", "specular", "roughness"), differences(maps, target), strict=False))
         steep = [statistics(each)[:, 0, -1] + LEVEL for each in (maps, target)]
-        clips = (tasks.data["photo"][tasks.rows] > CLIPPED).any(1, keepdim=True)
-        blots = (parts["diffuse"].abs() * clips).mean((1, 2, 3)) / clips.float().mean((1, 2, 3)).clamp_min(1e-6)
         return {
             "error": (found - wanted).abs().mean((1, 2, 3, 4)),
             "ssim": ssim(shown, target_shown).flatten(1).mean(1).reshape(len(tasks), -1).mean(1),
             "normal": torch.rad2deg(cosine.acos()).mean((1, 2)),
             "relief": steep[0] / steep[1],
-            "blots": blots,
+            "blots": _blots(maps, target, tasks.data["photo"][tasks.rows]),
             **{name: part.abs().mean((1, 2, 3)) for name, part in parts.items()},
         }
+
+
+def _steepness(maps: Maps) -> Tensor:
+    """Sines of the angles between normals and the patch's, means in cells and a little more, [T, 1, CELLS, CELLS]."""
+    sine = (maps.normal[:, :2].square().sum(1, keepdim=True) + 1e-6).sqrt()
+    return adaptive_avg_pool2d(sine, CELLS) + 2 * LEVEL
+
+
+def _blots(maps: Maps, target: Maps, photo: Tensor) -> Tensor:
+    """Mean difference of diffuse colours, gamma 2.2, where the photo clips, 0 where it does not, [T]."""
+    clips = (photo > CLIPPED).any(1, keepdim=True).float()
+    apart = differences(maps, target)[0].abs()
+    return (apart * clips).mean((1, 2, 3)) / clips.mean((1, 2, 3)).clamp_min(1e-6)
 
 
 def draw_pairs(counts: tuple[int, int], rng: Generator, tasks: int) -> Tensor:

@@ -35,7 +35,7 @@ RINGS = ((0.0, 0.2), (0.2, 0.8), (0.8, 3.0))  # squared distances from the centr
 BRIGHTER = 2.0  # further weight in the outer loss of pooled pictures, which hold the shape of the highlight
 TRUTH = 3.0  # weight in the outer loss of how far the maps' statistics are from the truth's
 LIKELY = 0.05  # the same where the truth is unknown, of how unusual specular and roughness are
-PRIOR = 0.5  # the same in fits of 256 texels, which else trade diffuse colour for specular one
+PRIOR = 0.5  # in fits of 256 texels, of how far these are from General's, which else take the place of diffuse colour
 OF_ROUGHNESS = 0.4  # varies more between materials than specular does
 RELIEF = 1 / 32  # widths of the photo a unit of the network's output, as height
 FALLOFF = 1.0
@@ -144,6 +144,22 @@ class SvbrdfStationary(ExemplarApp):
         truth = tasks.data["truth"][tasks.rows]
         return {"truth": truth.gather(-1, order[:, None, None].expand(truth.shape))}
 
+    def init(self, rng: Generator, count: int) -> Params:
+        theta = super().init(rng, count)
+        return theta | {"gloss": torch.zeros(count, 2, device=rng.device)} if self.setup.prior else theta
+
+    def encode(self, encoder: Params, condition: Batch) -> Params:
+        """As for all exemplars, and where fits have a prior, `gloss` [T, 2], what General expects of it."""
+        theta = super().encode(encoder, condition)
+        return theta | {"gloss": self._expected(theta)} if self.setup.prior else theta
+
+    @torch.no_grad()
+    def _expected(self, theta: Params) -> Tensor:
+        """Means of specular and roughness [T, 2] as the network makes them, of a small picture from the same noise."""
+        coarsest, rng = self.setup.octaves - 1, Generator(theta["z"].device).manual_seed(0)
+        noise = self.noise(rng, 1, 1, octave=coarsest).expand(len(theta["z"]), -1, -1, -1, -1)
+        return torch.stack([part.mean((1, 2, 3, 4)) for part in _gloss(self.maps(theta, noise, coarsest)[0])], -1)
+
     def maps(self, theta: Params, noise: Tensor, octave: int = 0) -> tuple[Maps, Tensor]:
         """Maps of materials [T, B, ...] from noise [T, B, C, H, W], and their height [T, B, 1, H, W] in texels."""
         raw = self.setup.at(octave)(theta, noise)
@@ -180,7 +196,7 @@ class SvbrdfStationary(ExemplarApp):
         """
         maps, _ = self.maps(theta, batch["noise"], self.octave(batch))
         loss = torch.stack(list(self._distances(maps, batch).values())).sum(0)
-        return loss + self.setup.prior * _unusual(maps) if self.setup.prior else loss
+        return loss + self.setup.prior * _unusual(maps, theta["gloss"]) if self.setup.prior else loss
 
     def outer_loss(self, theta: Params, batch: Batch, learned: Params) -> Tensor:
         """The same, but how far the maps are from the truth, or how unusual where that is unknown, [T].
@@ -193,7 +209,7 @@ class SvbrdfStationary(ExemplarApp):
         distances = self._distances(maps, batch)
         loss = torch.stack(list(distances.values())).sum(0) + BRIGHTER * distances["pooled"]
         if "truth" not in batch:
-            return loss + LIKELY * _unusual(maps)
+            return loss + LIKELY * _unusual(maps, maps.diffuse.new_zeros(len(maps.diffuse), 2))
         level = sum(self.setup.width >> octave < size for size in STATISTICS_AT[:-1])
         return loss + TRUTH * (statistics(maps) - batch["truth"][:, level, None]).abs().mean((1, 2, 3))
 
@@ -251,10 +267,18 @@ class SvbrdfStationary(ExemplarApp):
         return torch.stack(each).mean(0)
 
 
-def _unusual(maps: Maps) -> Tensor:
-    """Mean squares of what the network made other than 0 for specular and, weighted, for roughness, [T]."""
-    raw = torch.logit(maps.specular, 1e-4) + 3, torch.logit((maps.roughness - 0.1) / 0.9, 1e-4)
-    specular, roughness = (part.square().mean((1, 2, 3, 4)) for part in raw)
+def _gloss(maps: Maps) -> tuple[Tensor, Tensor]:
+    """What the network made specular and roughness of, before any range was imposed, [T, B, 1, H, W] each."""
+    return torch.logit(maps.specular, 1e-4) + 3, torch.logit((maps.roughness - 0.1) / 0.9, 1e-4)
+
+
+def _unusual(maps: Maps, expected: Tensor) -> Tensor:
+    """Mean squares of how far specular and, weighted, roughness are from what is expected [T, 2] of them, [T]."""
+    expected = expected.detach() + 0 * expected  # a parameter that no step moves
+    specular, roughness = (
+        (part - mean[:, None, None, None, None]).square().mean((1, 2, 3, 4))
+        for part, mean in zip(_gloss(maps), expected.unbind(1), strict=True)
+    )
     return specular + OF_ROUGHNESS * roughness
 
 
