@@ -41,8 +41,11 @@ def curves(subject: Subject) -> Drawn | None:
 
 
 def trajectories(subject: Subject) -> Drawn | None:
-    """Meta's and Overfit's paths in the plane of most variance of their parameters, a few tasks."""
-    records = trace_cell(subject).records()[:SHOWN]
+    """Meta's and Overfit's paths in the plane of most variance of their parameters, a few tasks.
+
+    None where their networks differ, as those of a rule that solves for the last layer do.
+    """
+    records = [record for record in trace_cell(subject).records() if record["paths"]["meta"]][:SHOWN]
     if not records:
         return None
     figure, axes = new(2.6 * len(records) + 0.4, 2.9, 1, len(records))

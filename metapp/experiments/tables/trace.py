@@ -88,15 +88,13 @@ def trace(subject: Subject, fits: list[Fit], task: Task) -> tuple[Record, Params
             parts = {part: states[at(part, steps)] for part in PARTS}
     wanted = curves["overfit"][-1][1]
     further = climb(subject, task, stacked, parts[1.0], wanted)
-    flat = {name: torch.stack([vector(theta) for theta in walks[name].values()]) for name in ("meta", "overfit")}
-    places_of, explained = project(torch.cat(list(flat.values())))
-    split = len(flat["meta"])
+    paths, explained = paths_of(*(list(walks[name].values()) for name in ("meta", "overfit")))
     record = {
         "name": task.name,
         "error": curves["meta"][-1][1],
         "curves": curves,
         "further": further,
-        "paths": {"meta": places_of[:split].tolist(), "overfit": places_of[split:].tolist()},
+        "paths": paths,
         "explained": explained,
     }
     return record, {f"{part:g}/{key}": value[0] for part, theta in parts.items() for key, value in theta.items()}
@@ -164,6 +162,15 @@ def climb(
 def near(error: float | None, wanted: float) -> bool:
     """Whether an error is at most so much above another as the paper's are in the end."""
     return error is not None and error - wanted <= paper()["further_steps"]["within"] * abs(wanted)
+
+
+def paths_of(meta: list[Params], overfit: list[Params]) -> tuple[dict[str, list[list[float]]], float]:
+    """Both paths in the plane of most variance, and its share; no places where Meta's rule has another network."""
+    meta_states, overfit_states = (torch.stack([vector(theta) for theta in path]) for path in (meta, overfit))
+    if meta_states.shape[1] != overfit_states.shape[1]:
+        return {"meta": [], "overfit": []}, 0.0
+    found, explained = project(torch.cat([meta_states, overfit_states]))
+    return {"meta": found[: len(meta)].tolist(), "overfit": found[len(meta) :].tolist()}, explained
 
 
 def vector(theta: Params) -> Tensor:

@@ -12,7 +12,7 @@ from metapp.experiments.figures.rates import step_sizes
 from metapp.experiments.tables.convergence import steps_needed
 from metapp.experiments.tables.rows import blank, paper
 from metapp.experiments.tables.statistics import carried
-from metapp.experiments.tables.trace import FURTHER, PARTS, looks, near, places, project
+from metapp.experiments.tables.trace import FURTHER, PARTS, looks, near, paths_of, places, project
 
 
 def test_the_papers_figures_have_sources_and_agree_with_each_other() -> None:
@@ -62,6 +62,14 @@ def test_the_plane_of_most_variance_keeps_distances_within_it(rng: torch.Generat
     assert explained == pytest.approx(1)
     noisy = states + 0.5 * torch.randn(9, 50, generator=rng, dtype=torch.float64)
     assert project(noisy)[1] < 0.99
+
+
+def test_networks_of_different_sizes_have_no_common_paths() -> None:
+    small, large = ([{"w": torch.full((1, size), float(i))} for i in range(3)] for size in (4, 6))
+    found, explained = paths_of(small, small)
+    assert len(found["meta"]) == len(found["overfit"]) == 3
+    assert explained == pytest.approx(1)
+    assert paths_of(small, large) == ({"meta": [], "overfit": []}, 0.0)
 
 
 def test_step_sizes_of_rules() -> None:
