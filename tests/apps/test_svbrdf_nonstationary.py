@@ -16,7 +16,7 @@ from data_tools.readers.svbrdf_task import flash_photo, svbrdf_task
 from metapp.appearance.colour import linear_to_srgb, srgb_to_linear
 from metapp.appearance.flash import Maps, camera, camera_distance, normal_from_height, pack, positions, render, unpack
 from metapp.apps import svbrdf_nonstationary
-from metapp.apps.svbrdf_nonstationary import APP, FINEST, QUICK, Setup, SvbrdfNonstationary, field_of
+from metapp.apps.svbrdf_nonstationary import APP, FINEST, HIDDEN, QUICK, STEEP, Setup, SvbrdfNonstationary, field_of
 from metapp.apps.svbrdf_nonstationary.encoder import Encoder
 from metapp.apps.svbrdf_nonstationary.maps import pooled
 from metapp.apps.svbrdf_nonstationary.presentation import SvbrdfNonstationaryPresentation
@@ -393,3 +393,26 @@ def test_blots_and_relief_are_measured(app: SvbrdfNonstationary, tasks: Tasks) -
     torch.testing.assert_close(found["blots"], found["diffuse"] * off[0, 0].numel() / 4)
     tilt = (1 - maps.normal[:, 2].square()).clamp_min(0).sqrt().mean((1, 2))
     torch.testing.assert_close(found["relief"], 0.011 / (tilt + 0.01), rtol=0.02, atol=0)
+
+
+def test_outer_losses_count_flat_normals_and_blots(
+    app: SvbrdfNonstationary, tasks: Tasks, exact: Params, rng: Generator, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Normals are flatter everywhere than they should be; diffuse colours are off, and the photograph clips in part."""
+    half = tasks.data["maps"].clone()
+    half[:, 3:6] = (half[:, 3:6] + 0.2).clamp_max(0.98)
+    half[:, :2] *= 0.1
+    half[:, :3] = normalize(half[:, :3], dim=1)
+    batch = app.sample(tasks, rng, 1)
+    batch["photo"] = batch["photo"].clamp_max(0.9).clone()
+    batch["photo"][..., :4] = 1
+    monkeypatch.setattr(app, "maps_of", lambda theta, photo: unpack(half))
+    whole = app.outer_loss(exact, batch, {})
+    monkeypatch.setattr("metapp.apps.svbrdf_nonstationary.STEEP", 0.0)
+    without_steep = app.outer_loss(exact, batch, {})
+    monkeypatch.setattr("metapp.apps.svbrdf_nonstationary.HIDDEN", 0.0)
+    neither = app.outer_loss(exact, batch, {})
+    assert (whole - without_steep).min() > 0.5 * STEEP  # the log of some three to ten times
+    shades = [(maps[:, 3:6] + 1e-3) ** (1 / 2.2) for maps in (half, batch["maps"])]
+    apart = (shades[0] - shades[1]).abs()[..., :4].mean((1, 2, 3))
+    torch.testing.assert_close(without_steep - neither, HIDDEN * apart)

@@ -30,7 +30,9 @@ from metapp.apps.svbrdf_stationary import (
 )
 from metapp.apps.svbrdf_stationary.presentation import SvbrdfStationaryPresentation
 from metapp.learning.app import stack
-from metapp.learning.learn import MetaParameters
+from metapp.learning.learn import MetaParameters, learn, task_loss
+from metapp.learning.recipe import Adam
+from metapp.learning.rules import fixed_adam
 from metapp.learning.task import Params, Task, Tasks
 from metapp.networks.exemplar import JUDGED, Setup
 from metapp.networks.layers import UNet
@@ -493,3 +495,21 @@ def test_variants_are_photos_with_lights_of_their_own(tasks: Tasks) -> None:
     assert (found[:, 0] > 0.1).any()
     assert (found[:, 0] < -0.1).any()
     torch.testing.assert_close(made.data["pooled"].sum(), tasks.data["pooled"][1].sum(), rtol=1e-3, atol=0)
+
+
+def test_fits_expect_the_gloss_that_general_predicts(sources: list[Task]) -> None:
+    """Uniform maps of any gloss are as expected where General made them, and no step moves what is expected."""
+    kept = APP.at(replace(TINY, setup=replace(TINY.setup, prior=2.0)))
+    tasks, rng = stack(kept, sources[:1]), seeded()
+    predicted = flat(kept, 0.5, -0.5, 0.0, 0.5, -1.5, 0.0)
+    encoder = kept.init_encoder(rng)
+    assert "decoder.gloss" not in encoder
+    encoder |= {f"decoder.{key}": value[0] for key, value in predicted.items() if key not in ("z", "gloss")}
+    theta = kept.encode(encoder, kept.condition(tasks, rng))
+    torch.testing.assert_close(theta["gloss"], torch.tensor([[0.5, -1.5]]))
+    batch = kept.sample(tasks, seeded(), 1)
+    torch.testing.assert_close(kept.loss(theta, batch, {}), tiny().loss(theta, batch, {}))
+    moved = learn(theta, fixed_adam(Adam(0.1), theta, 3), tasks, task_loss(kept, 1), steps=3, rng=rng)
+    assert torch.equal(moved["gloss"], theta["gloss"])
+    assert not torch.equal(moved["out.shift"], theta["out.shift"])
+    assert "gloss" not in tiny().encode(encoder, kept.condition(tasks, rng))

@@ -1,0 +1,62 @@
+"""Draw photographs before and after: photos_figure.py PICTURE APP:PHOTO...
+
+APP is texture, svbrdf_stationary or svbrdf_nonstationary. A column a photo: the photo, Meta by `quick`, and by
+`full`, at the scale of the photo; of materials normals, diffuse colour, roughness, and lit from the left.
+"""
+
+import sys
+from pathlib import Path
+
+import torch
+from torch import Tensor
+from torch.nn.functional import interpolate
+
+import metapp
+from metapp.apps import presentation_of
+
+CELL = 256  # px
+MAPS = ("normal", "diffuse", "roughness", "lit_from_left")
+
+
+def cell(picture: Tensor, side: int = CELL) -> Tensor:
+    """A picture [H, W, 1 or 3] as [3, side, side]."""
+    whole = picture.permute(2, 0, 1).expand(3, -1, -1)[None]
+    return interpolate(whole, size=(side, side), mode="bilinear", antialias=True)[0].clamp(0, 1)
+
+
+def drawn(app: str, photo: Path, recipe: str) -> Tensor:
+    """Meta's fit by a recipe, [3, CELL, CELL]."""
+    observe = {"observe": "photo"} if app == "svbrdf_nonstationary" else {}
+    fit = metapp.fit(app, photo, recipe=recipe, **observe)
+    files = presentation_of(fit.app).files(fit.parameters, fit.task)
+    found = {name: file.pixels for name, file in files.items()}
+    if app != "svbrdf_nonstationary":  # four photos wide and high
+        found = {name: each[: each.shape[0] // 4, : each.shape[1] // 4] for name, each in found.items()}
+    print(f"{photo.name}: {recipe}, {fit.seconds:.1f} s", flush=True)
+    if app == "texture":
+        return cell(found["texture"])
+    parts = [cell(found[name], CELL // 2) for name in MAPS]
+    return torch.cat([torch.cat(parts[:2], 2), torch.cat(parts[2:], 2)], 1)
+
+
+def column(app: str, photo: Path) -> Tensor:
+    """The photo above both fits, [3, 3 CELL, CELL]."""
+    task = metapp.fit(app, photo, paradigm="general", **({"observe": "photo"} if "non" in app else {})).task
+    image = task.data["photo" if "photo" in task.data else "image"].float() / 255
+    return torch.cat([cell(image.permute(1, 2, 0)), *(drawn(app, photo, recipe) for recipe in ("quick", "full"))], 1)
+
+
+def main(picture: Path, named: list[str]) -> None:
+    """Write the picture, PNG or JPEG by its name."""
+    import OpenImageIO as oiio
+
+    columns = [column(app, Path(photo)) for app, _, photo in (each.partition(":") for each in named)]
+    pixels = (torch.cat(columns, 2).permute(1, 2, 0) * 255).round().byte().contiguous().numpy()
+    image = oiio.ImageBuf(pixels)
+    image.specmod().attribute("Compression", "jpeg:85")
+    if not image.write(str(picture)):
+        raise SystemExit(f"{picture}: not written ({image.geterror()}).")
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]), sys.argv[2:])
