@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import math
 import os
@@ -60,12 +61,28 @@ def _shared_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
         yield folder
 
 
+@pytest.fixture(scope="session")
+def _caches(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """Names for the caches of tests: `mktemp` would look at those of all tests before."""
+    folder = tmp_path_factory.mktemp("caches")
+    return (folder / str(i) for i in itertools.count())
+
+
 @pytest.fixture(autouse=True)
-def cache(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> Path:
+def cache(_caches: Iterator[Path], monkeypatch: pytest.MonkeyPatch) -> Path:
     """No test touches the user's cache; each has an empty one of its own."""
-    folder = tmp_path_factory.mktemp("cache")
+    folder = next(_caches)
+    folder.mkdir()
     monkeypatch.setenv("METAPP_CACHE", str(folder))
     return folder
+
+
+@pytest.fixture
+def compiled(cache: Path, _shared_cache: Path) -> None:
+    """For tests that start several processes: C sources are compiled once for all of them."""
+    shared = _shared_cache / "native"
+    shared.mkdir(exist_ok=True)
+    (cache / shared.name).symlink_to(shared)
 
 
 USER_WEIGHTS, USER_MATRIX = weights_path("vgg16"), matrix_path()  # before any test moves the cache

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import runpy
 import subprocess
 import sys
 from collections.abc import Callable
@@ -13,6 +14,8 @@ import OpenImageIO as oiio
 import pytest
 
 from tests.needs_mitsuba import needs_mitsuba
+
+pytestmark = pytest.mark.usefixtures("compiled")
 
 EXAMPLES = Path(__file__).parent.parent / "examples"
 
@@ -27,6 +30,21 @@ def run(script: str, *arguments: str | Path) -> str:
     return done.stdout
 
 
+@pytest.fixture
+def run_here(capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> Callable[..., str]:
+    """As `run`, in this process, which has imported torch already."""
+
+    def call(script: str, *arguments: str | Path) -> str:
+        monkeypatch.setattr(sys, "argv", [script, *map(str, arguments)])
+        capfd.readouterr()
+        runpy.run_path(str(EXAMPLES / script), run_name="__main__")
+        said, warned = capfd.readouterr()
+        assert warned == ""
+        return said
+
+    return call
+
+
 def test_fit_brdf(neural_fits: Callable[[int], Path], tmp_path: Path) -> None:
     said = run("fit_brdf.py", next(neural_fits(1).iterdir()), tmp_path / "a.safetensors")
     assert said.startswith("error x100 ")
@@ -35,19 +53,19 @@ def test_fit_brdf(neural_fits: Callable[[int], Path], tmp_path: Path) -> None:
     assert (tmp_path / "a.safetensors").is_file()
 
 
-def test_compare_paradigms(neural_fits: Callable[[int], Path]) -> None:
-    rows = [line.split() for line in run("compare_paradigms.py", next(neural_fits(1).iterdir())).splitlines()[1:]]
+def test_compare_paradigms(neural_fits: Callable[[int], Path], run_here: Callable[..., str]) -> None:
+    rows = [line.split() for line in run_here("compare_paradigms.py", next(neural_fits(1).iterdir())).splitlines()[1:]]
     assert [row[0] for row in rows] == ["general", "quickft", "meta", "finetune", "overfit"]
     error = {name: float(value) for name, value, _ in rows}
     assert max(error["finetune"], error["overfit"]) < error["meta"] < error["general"]
 
 
-def test_relight_maps(tmp_path: Path) -> None:
+def test_relight_maps(tmp_path: Path, run_here: Callable[..., str]) -> None:
     values = {"diffuse": (0.5, 0.4, 0.3), "specular": (0.1, 0.1, 0.1), "normal": (0.5, 0.5, 1.0), "roughness": (0.4,)}
     for name, colour in values.items():
         pixels = np.broadcast_to(np.array(colour, np.float32), (16, 16, len(colour)))
         assert oiio.ImageBuf(np.ascontiguousarray(pixels)).write(str(tmp_path / f"{name}.png"), "uint8")
-    assert "4 pictures of 16 x 16 pixels" in run("relight_maps.py", tmp_path, tmp_path / "lit.png")
+    assert "4 pictures of 16 x 16 pixels" in run_here("relight_maps.py", tmp_path, tmp_path / "lit.png")
     lit = oiio.ImageBuf(str(tmp_path / "lit.png")).get_pixels(oiio.FLOAT)
     assert lit.shape == (16, 64, 3)
     assert 0.01 < lit.mean() < 1
@@ -77,11 +95,11 @@ def test_guided_render(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert oiio.ImageBuf(str(tmp_path / "ball.png")).get_pixels(oiio.FLOAT).shape[:2] == (16, 24)
 
 
-def test_photo_to_blender(tmp_path: Path) -> None:
+def test_photo_to_blender(tmp_path: Path, run_here: Callable[..., str]) -> None:
     y, x = np.mgrid[-1:1:64j, -1:1:64j]
     pixels = np.stack([np.exp(-2 * (x * x + y * y)) * (0.5 + 0.3 * np.sin(9 * x + i)) for i in range(3)], -1)
     assert oiio.ImageBuf(np.ascontiguousarray(pixels, np.float32)).write(str(tmp_path / "wall.png"), "uint8")
-    said = run("photo_to_blender.py", tmp_path / "wall.png", tmp_path / "out")
+    said = run_here("photo_to_blender.py", tmp_path / "wall.png", tmp_path / "out")
     assert said.startswith("wall: 256 x 256 texels")
     assert (tmp_path / "out" / "gltf" / "wall.glb").read_bytes().startswith(b"glTF")
     assert len(list((tmp_path / "out" / "asset" / "wall").iterdir())) == 12

@@ -41,8 +41,9 @@ def height_from_normal(normal: Tensor, *, periodic: bool) -> Tensor:
     rows, columns = along_x.shape[-2:]
     across, down = _frequencies(columns, normal)[None, :], _frequencies(rows, normal)[:, None]
     squared = across.square() + down.square()
-    both = across * torch.fft.fft2(along_x) + down * torch.fft.fft2(along_row)
-    spectrum = torch.where(squared > 0, -1j * both / squared.clamp_min(1e-12), 0)
+    spectrum = torch.fft.fft2(along_x).mul_(across)  # in place: 0.3 GB of 2048 x 2048 texels, mirrored
+    spectrum += torch.fft.fft2(along_row).mul_(down)
+    spectrum.mul_(-1j).div_(squared.clamp_min(1e-12))  # where both are 0, so is the sum
     whole: Tensor = torch.fft.ifft2(spectrum).real
     height = whole[..., : normal.shape[-2], : normal.shape[-1]]
     return (height - height.mean((-2, -1), keepdim=True)).to(normal)[..., None, :, :]

@@ -218,14 +218,22 @@ class LocalField(NamedTuple):
         Returns:
             Values before any range is imposed, [T, outputs, height, width].
         """
+        return self.decoded(theta, self.code_at(theta, 0, self.height), places)
+
+    def code_at(self, theta: Params, first: int, end: int) -> Tensor:
+        """The code at the texels of some rows, [T, code, end - first, width]."""
         z = self.gain * theta["z"]
         down, across = (each.to(z) for each in _interpolation(self, z.device))
-        code, x = (down @ z @ across).flatten(2), places.flatten(2)
+        return down[first:end] @ z @ across
+
+    def decoded(self, theta: Params, code: Tensor, places: Tensor) -> Tensor:
+        """What is at texels where the code is [T, code, h, w] and `places` [T, inputs, h, w]: [T, outputs, h, w]."""
+        size, code, x = places.shape[2:], code.flatten(2), places.flatten(2)
         for name in (*(f"layer{layer}" for layer in range(self.layers)), "out"):
             shifted = torch.baddbmm(theta[f"{name}.shift"][..., None], theta[f"{name}.code"], code)
             x = shifted.baddbmm_(theta[f"{name}.kernel"], x)  # in place: to copy it takes as long as the product
             x = x if name == "out" else x.sin()
-        result: Tensor = x.unflatten(2, (self.height, self.width))
+        result: Tensor = x.unflatten(2, size)
         return result
 
 

@@ -1,17 +1,18 @@
-"""The layers of a `Pyramid` on pictures too large for the memory that they take: some rows at a time, no gradient."""
+"""Networks on pictures too large for the memory that they take: some rows at a time, no gradient."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 import torch
 from torch import Tensor
 from torch.nn.functional import conv2d, instance_norm, interpolate, leaky_relu, pad
 
 from metapp.learning.task import Params
-from metapp.networks.layers import SLOPE, style_of
+from metapp.networks.layers import SLOPE, LocalField, style_of
 
-ROWS = 256  # at a time; even
+ROWS = 256  # of a `Pyramid` at a time; even
+TEXELS = 2**17  # of what each texel has for itself: 16 MB of 32 channels, which the next rows get again, still mapped
 
 Rows = Callable[[int, int], Tensor]
 """(first, end) -> those rows of maps [B, C, end - first, W] that tile, so that row -1 is the last one."""
@@ -45,3 +46,15 @@ def styled_by_rows(theta: Params, name: str, read: Rows, height: int) -> Tensor:
     for channel, gain, shift in zip(made.split(1, 1), *style_of(theta, name), strict=True):
         channel.copy_(leaky_relu(instance_norm(channel) * gain + shift, SLOPE))
     return made
+
+
+def strips_of(height: int, width: int) -> Iterator[tuple[int, int]]:
+    """(first, end) of rows that are TEXELS together or fewer, from the top."""
+    rows = max(1, TEXELS // width)
+    return ((top, min(top + rows, height)) for top in range(0, height, rows))
+
+
+def field_by_rows(field: LocalField, theta: Params, places: Tensor) -> Iterator[Tensor]:
+    """The rows of what a field makes of places [T, inputs, height, width], [T, outputs, h, width] at a time."""
+    for first, end in strips_of(field.height, field.width):
+        yield field.decoded(theta, field.code_at(theta, first, end), places[..., first:end, :])

@@ -16,9 +16,18 @@ from data_tools.readers.svbrdf_task import flash_photo, svbrdf_task
 from metapp.appearance.colour import linear_to_srgb, srgb_to_linear
 from metapp.appearance.flash import Maps, camera, camera_distance, normal_from_height, pack, positions, render, unpack
 from metapp.apps import svbrdf_nonstationary
-from metapp.apps.svbrdf_nonstationary import APP, FINEST, HIDDEN, QUICK, STEEP, Setup, SvbrdfNonstationary, field_of
+from metapp.apps.svbrdf_nonstationary import (
+    APP,
+    HIDDEN,
+    QUICK,
+    STEEP,
+    Setup,
+    SvbrdfNonstationary,
+    field_of,
+    presentation,
+)
 from metapp.apps.svbrdf_nonstationary.encoder import Encoder
-from metapp.apps.svbrdf_nonstationary.maps import pooled
+from metapp.apps.svbrdf_nonstationary.maps import decoded, fine_maps, pooled, relit
 from metapp.apps.svbrdf_nonstationary.presentation import SvbrdfNonstationaryPresentation
 from metapp.apps.svbrdf_nonstationary.variants import _mixed, _recoloured, _turned, varied
 from metapp.apps.svbrdf_nonstationary.views import (
@@ -31,6 +40,7 @@ from metapp.apps.svbrdf_nonstationary.views import (
 )
 from metapp.learning.app import stack
 from metapp.learning.task import Params, Task, Tasks
+from metapp.networks import strips
 
 SIDE = 16
 RECIPE = replace(QUICK, setup=Setup(field_of(SIDE, hidden=8)._replace(code=3), width=2))
@@ -321,9 +331,10 @@ def test_a_photo_alone_is_no_reference(app: SvbrdfNonstationary) -> None:
     assert photo.errors(photo.init(Generator(), 1), alone) == {}
 
 
-def test_maps_are_written_as_fine_as_the_photo(app: SvbrdfNonstationary) -> None:
+def test_maps_are_written_as_fine_as_the_photo(app: SvbrdfNonstationary, monkeypatch: pytest.MonkeyPatch) -> None:
     theta = {key: value[0] for key, value in app.init(Generator().manual_seed(0), 1).items()}
-    for size, written in ((48, 48), (300, 300), (1040, FINEST)):
+    monkeypatch.setattr(presentation, "FINEST", 300)
+    for size, written in ((48, 48), (300, 300), (320, 300)):
         files = SvbrdfNonstationaryPresentation(app).files(theta, svbrdf_task("wall", material(0, size)))
         assert list(files) == [
             "normal", "diffuse", "roughness", "specular", "lit_from_left", "lit_from_above", "lit_from_aside",
@@ -333,6 +344,19 @@ def test_maps_are_written_as_fine_as_the_photo(app: SvbrdfNonstationary) -> None
             assert picture.shape == (written, written, 1 if name == "roughness" else 3)
             assert float(picture.min()) >= 0
             assert float(picture.max()) <= 1
+
+
+def test_fine_maps_are_made_by_rows(app: SvbrdfNonstationary, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What is seen of a row depends on others, and the last rows are fewer: the same to rounding, at any size."""
+    theta = {key: value.double() for key, value in app.init(Generator().manual_seed(0), 1).items()}
+    photo = torch.rand(1, 3, 150, 150, generator=Generator().manual_seed(1), dtype=torch.float64)
+    field = app.field._replace(height=150, width=150)
+    whole = decoded(field(theta, seen(photo)))
+    pictures = relit(whole)
+    monkeypatch.setattr(strips, "TEXELS", 150 * 64)
+    for found, wanted in zip(fine_maps(field, theta, photo), whole, strict=True):
+        torch.testing.assert_close(found, wanted)
+    assert all(torch.allclose(found, pictures[name]) for name, found in relit(whole).items())
 
 
 def test_outputs_stand_beside_each_other(app: SvbrdfNonstationary) -> None:

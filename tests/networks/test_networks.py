@@ -10,6 +10,7 @@ import torch
 from torch import Generator, Tensor
 
 from metapp.learning.task import Params
+from metapp.networks import strips
 from metapp.networks.layers import LocalField, UNet
 from tests.networks.precise import double
 
@@ -208,6 +209,17 @@ def test_a_code_without_variation_is_the_same_everywhere(rng: Generator) -> None
     made = FIELD(theta, places(2))
     assert made.shape == (2, 3, 8, 16)
     torch.testing.assert_close(made, made[..., :1, :1].expand_as(made))
+
+
+def test_a_large_field_is_made_by_rows(rng: Generator, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The same to rounding, also where the last rows are fewer, and each row where it belongs."""
+    field = FIELD._replace(height=21, width=16)
+    theta, seen = double(field.init(rng, 2)), places(2, field).double()
+    whole = field(theta, seen)
+    monkeypatch.setattr(strips, "TEXELS", 5 * 16)
+    rows = list(strips.field_by_rows(field, theta, seen))
+    assert [part.shape[-2] for part in rows] == [5, 5, 5, 5, 1]
+    torch.testing.assert_close(torch.cat(rows, -2), whole)
 
 
 def test_a_code_wraps_around_where_it_is_told(rng: Generator) -> None:

@@ -38,7 +38,7 @@ DRAWN = (1, 2)  # and those that preparation draws
 SMOOTHED = 0.03  # at first, where learned losses round off |d|
 FINER = 2  # how many times as fine as their maps augmented materials are photographed
 INPUTS = 8
-FINEST = 1024  # px a side of a user's photograph, and of the maps that are written
+FINEST = 2048  # px a side of a user's photograph, and of the maps that are written
 
 
 @dataclass(frozen=True)

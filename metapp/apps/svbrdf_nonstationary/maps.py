@@ -10,7 +10,10 @@ from torch.nn.functional import adaptive_avg_pool2d
 
 from metapp.appearance.colour import linear_to_srgb, srgb_to_linear
 from metapp.appearance.flash import Maps, camera, expose, positions, relightings, render
-from metapp.learning.task import Task
+from metapp.apps.svbrdf_nonstationary.views import seen
+from metapp.learning.task import Params, Task
+from metapp.networks.layers import LocalField
+from metapp.networks.strips import field_by_rows, strips_of
 
 RAW = (2, 3, 1, 3)  # numbers of any size in a place: slopes, diffuse colour, roughness, specular colour
 
@@ -24,6 +27,15 @@ def decoded(raw: Tensor) -> Maps:
         0.05 + 0.95 * torch.sigmoid(roughness),
         of_length_1(torch.cat([slopes, torch.ones_like(roughness)], 1)),
     )
+
+
+def fine_maps(field: LocalField, theta: Params, photo: Tensor) -> Maps:
+    """The maps [T, C, H, W] that a field makes of linear photographs [T, 3, H, W], whose size it has.
+
+    Made by rows: a layer of a field of 2048 x 2048 texels takes 0.5 GB.
+    """
+    parts = [decoded(rows) for rows in field_by_rows(field, theta, seen(photo))]
+    return Maps(*(torch.cat(part, -2) for part in zip(*parts, strict=True)))
 
 
 def linear(photo: Tensor) -> Tensor:
@@ -73,7 +85,16 @@ def relit(maps: Maps) -> dict[str, Tensor]:
     """Display values [3, H, W] of maps [1, ...] under three other lights, by name."""
     place = positions(*maps.diffuse.shape[-2:], dtype=maps.diffuse.dtype, device=maps.diffuse.device)
     pairs = relightings(device=place.device)
-    return {name: expose(render(maps, place, light, view))[0] for name, (light, view) in pairs.items()}
+    return {name: _lit(maps, place, light, view) for name, (light, view) in pairs.items()}
+
+
+def _lit(maps: Maps, place: Tensor, light: Tensor, view: Tensor) -> Tensor:
+    """Display values [3, H, W] of maps [1, ...], by rows."""
+    rows = [
+        expose(render(Maps(*(part[..., first:end, :] for part in maps)), place[:, first:end], light, view))[0]
+        for first, end in strips_of(*place.shape[-2:])
+    ]
+    return torch.cat(rows, 1)
 
 
 def sheet(maps: Maps, photo: Tensor) -> Tensor:

@@ -10,7 +10,7 @@ from metapp.appearance.flash import Maps, unpack
 from metapp.appearance.presentation import Kind, Picture, Visible
 from metapp.appearance.surface import Surface
 from metapp.apps.svbrdf_nonstationary import FINEST, SvbrdfNonstationary
-from metapp.apps.svbrdf_nonstationary.maps import displayed, photo_of, pooled, relit, sheet
+from metapp.apps.svbrdf_nonstationary.maps import displayed, fine_maps, photo_of, pooled, relit, sheet
 from metapp.learning.task import Params, Task
 from metapp.networks.presentation import CodedPresentation
 
@@ -54,7 +54,13 @@ class SvbrdfNonstationaryPresentation(CodedPresentation[SvbrdfNonstationary]):
     def _whole(self, theta: Params, task: Task) -> Maps:
         """The maps [1, ...] of the size of files."""
         one = {key: value[None] for key, value in theta.items()}
-        return self.kept(theta, task, lambda: self.app.maps_of(one, photo_of(task, FINEST)))
+
+        def make() -> Maps:
+            photo = photo_of(task, FINEST)
+            height, width = photo.shape[-2:]
+            return fine_maps(self.app.field._replace(height=height, width=width), one, photo)
+
+        return self.kept(theta, task, make)
 
     def visible(self, task: Task) -> Visible:
         """The maps or the photograph, all of it in each step; General's encoder reads the photograph alone."""

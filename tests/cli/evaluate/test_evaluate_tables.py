@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
+import itertools
+import os
 import signal
-import subprocess
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
+from torch import Tensor
 
+from metapp.apps.brdf import Brdf
 from metapp.cli.show import rich_table
 from metapp.experiments.tables import NAMES, load_table
 from metapp.experiments.tables.subject import Subject
+from metapp.learning.task import Params, Tasks
 from metapp.storage.records import RunFolder, read_records
-from tests.cli.evaluate.subjects import rows
+from tests.cli.evaluate.subjects import call, rows
 
 KEYS = {"app", "paradigm", "error", "seconds", "tasks", "low", "high", "paper_error", "paper_seconds"}
 
@@ -119,32 +122,38 @@ def rows_of(result: Any) -> list[dict[str, Any]]:
     return result.document["rows"]
 
 
-KILLED = """
-import os, signal, sys
-from dataclasses import replace
-from metapp.apps.brdf import APP, Brdf
-APP.recipes["quick"] = replace(APP.recipes["quick"], overfit_steps=40, finetune_steps=5)
-errors, calls = Brdf.errors, []
-def dying(self, theta, tasks):
-    calls.append(1)
-    if len(calls) == int(sys.argv[1]):
-        os.kill(os.getpid(), signal.SIGKILL)
-    return errors(self, theta, tasks)
-Brdf.errors = dying
-from metapp.cli.commands import app
-app(sys.argv[2:], standalone_mode=False)
-"""
+def killed_at(count: int, *arguments: str | Path) -> int:
+    """Exit code of a command in a fork of this process, which kills itself as it finds errors for that time."""
+    child = os.fork()
+    if not child:
+        try:
+            _die_at(count)
+            os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
+            call(*arguments)
+        finally:
+            os._exit(0)
+    return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+
+
+def _die_at(count: int) -> None:
+    calls, found = itertools.count(1), Brdf.errors
+
+    def dying(self: Brdf, theta: Params, tasks: Tasks) -> dict[str, Tensor]:
+        if next(calls) == count:
+            os.kill(os.getpid(), signal.SIGKILL)
+        return found(self, theta, tasks)
+
+    Brdf.errors = dying
 
 
 def test_a_run_that_is_killed_twice_gives_the_table_of_an_unbroken_one(
     evaluate: Callable, done: Path, data: Path, tmp_path: Path
 ) -> None:
     unbroken = evaluate("--json", "--out", done / "runs", "--no-run").document
-    common = ["evaluate", "brdf", "--data", str(data), "--out", str(tmp_path / "broken"), "--quiet"]
+    common = ("evaluate", "brdf", "--data", data, "--out", tmp_path / "broken", "--quiet")
     kept = []
-    for calls in ("5", "7"):
-        done = subprocess.run([sys.executable, "-c", KILLED, calls, *common], capture_output=True, check=False)
-        assert done.returncode == -signal.SIGKILL, done.stderr
+    for count in (5, 7):
+        assert killed_at(count, *common) == -signal.SIGKILL
         kept.append(sum(len(read_records(file)) for file in (tmp_path / "broken").rglob("record.jsonl")))
     assert kept == [4, 10]
     resumed = evaluate("--json", "--out", tmp_path / "broken", "--quiet").document
