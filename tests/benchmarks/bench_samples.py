@@ -145,13 +145,14 @@ def main() -> None:
     training = training_of(app, data_folder(app, data, quiet=True))
     cut = [[as_measured(task, 0.0, samples=count) for task in tasks] for count in COUNTS]
     print(f"{label}: {len(tasks)} test materials, {len(training.tasks)} for components; errors x100\n")
-    print(f"| method | {' | '.join(f'{count:,}' for count in COUNTS)} |\n|{'---|' * (len(COUNTS) + 1)}")
+    head = f"| method | {' | '.join(f'{count:,}' for count in COUNTS)} |\n|{'---|' * (len(COUNTS) + 1)}"
+    print(head)
     found, means = {}, {}
     for way in WAYS:
         found[way] = [errors_of(way, few, data, count, training) for few, count in zip(cut, COUNTS, strict=True)]
         means[way] = [statistics.fmean(errors.values()) for errors in found[way]]
         print(f"| {way.title} | {' | '.join(f'{error:.3f}' for error in means[way])} |", flush=True)
-    print(f"\nover {BESIDE.title}, 95 % interval, tasks with the lower error of all:")
+    print(f"\nover {BESIDE.title}, 95 % interval, tasks with the lower error of all:\n\n{head}")
     for way in WAYS:
         if way != BESIDE:
             print(f"| {way.title} | {' | '.join(ratios(found[way], found[BESIDE]))} |")
