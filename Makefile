@@ -11,7 +11,7 @@ SEEDS ?= 0 1 2
 # small networks run many times slower where threads fight over them
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: help setup demo test test-slow mutants lint types docs bench bench-size bench-growth bench-photo guiding tables rules figures report paper torture torture-quick real real-photos \
+.PHONY: help setup demo test test-slow mutants lint types docs bench bench-size bench-growth bench-samples bench-photo guiding tables rules figures report paper torture torture-quick real real-photos \
   real-illumination real-svbrdf starts-brdf starts-photos starts-illumination starts-svbrdf \
   starts-transport clean
 
@@ -69,7 +69,10 @@ bench-size: setup  ## time and memory of a fit against its size, a table and run
 bench-growth: setup  ## how time and memory grow with steps, tasks and samples, a minute
 	$(VENV)/bin/python -m tests.benchmarks.bench_growth
 
-# of the embedded data set, unless DATA is given
+# these two of the embedded data set, unless DATA is given
+bench-samples: setup  ## errors of BRDF fits against the samples that they see, a table and a figure; DATA=<data set of brdf>
+	$(VENV)/bin/python -m tests.benchmarks.bench_samples $(if $(filter file,$(origin DATA)),,"$(DATA)")
+
 bench-photo: setup  ## what a flash photo says beyond what General reads from it; DATA=<data set of svbrdf_nonstationary>
 	$(VENV)/bin/python -m tests.benchmarks.bench_flash_photo $(if $(filter file,$(origin DATA)),,"$(DATA)")
 

@@ -80,20 +80,18 @@ def _texels(tasks: Tasks) -> int:
 
 
 def _orders(tasks: Tasks) -> int:
-    """Orders that a map's rows tell apart."""
-    return int(_map_of(tasks).shape[1])
+    return transforms.orders(*_map_of(tasks).shape[1:])
 
 
 def _harmonics(tasks: Tasks, order: int) -> Fitted:
     """Coefficients up to an order, as half floats over their largest."""
     radiance = _map_of(tasks)
     _, height, width = radiance.shape
-    found = transforms.projection(order, height, width) @ radiance.reshape(3, -1).T
-    kept = transforms.largest(found.T[:, None], len(found))
+    found = transforms.harmonics(radiance, order)
+    kept = transforms.largest(found[:, None], found.shape[1])
 
     def answer() -> Tensor:
-        made = transforms.harmonics(order, height, width) @ kept.coefficients()[:, 0].T
-        return _answer(made.T.reshape(radiance.shape))
+        return _answer(transforms.from_harmonics(kept.coefficients()[:, 0], height, width))
 
     return Fitted(answer, kept.values.size, transforms.SCALE + transforms.VALUE * kept.values.size)
 

@@ -120,6 +120,22 @@ def test_cosines_are_those_of_the_angles(stacked: Tasks, rng: Generator) -> None
         torch.testing.assert_close(found, expected, atol=1e-6, rtol=1e-5)
 
 
+@pytest.mark.parametrize("weighted", [False, True])
+def test_ridge_of_fewer_samples_than_axes(rng: Generator, weighted: bool) -> None:
+    """Rounding in single precision hides that the system is definite; the answer is that of least squares."""
+    rows = torch.randint(8, (800,), generator=rng)
+    axes, targets = torch.randn(8, 30, generator=rng)[rows], torch.randn(8, 3, generator=rng)[rows]
+    weights = 0.5 + torch.rand(800, 3, generator=rng) if weighted else None
+    deviation, penalty = torch.linspace(2, 0.5, 30), 1e-7
+    found = ridge(axes, targets, weights, deviation, penalty)
+    for channel in range(3):
+        root = weights[:, channel : channel + 1].double().sqrt() if weights is not None else 1.0
+        a = torch.cat([root * axes.double(), torch.diag(math.sqrt(penalty) / deviation.double())])
+        b = torch.cat([root * targets[:, channel : channel + 1].double(), torch.zeros(30, 1, dtype=torch.float64)])
+        wanted = torch.linalg.lstsq(a, b, driver="gelsd").solution[:, 0]
+        torch.testing.assert_close(found[:, channel].double(), wanted, atol=1e-5, rtol=1e-4)
+
+
 def test_the_penalty_is_chosen_on_validation_materials_and_bytes_are_counted(rng: Generator) -> None:
     training = Training(APP, random_materials(12, rng))
     allowed = Allowed(400, 2700)

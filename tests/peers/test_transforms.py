@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 import torch
 from scipy.fft import dctn
+from scipy.special import sph_harm_y
 
 from metapp.appearance.latlong import directions, solid_angles
 from metapp.learning.task import Tasks
 from metapp.peers.illumination import COSINES, HAAR, _harmonics, _orders, _texels
-from metapp.peers.methods.transforms import haar, harmonics, inverse_haar, largest, projection
+from metapp.peers.methods.transforms import from_harmonics, haar, harmonics, inverse_haar, largest, orders
 
 SHAPES = [(3, 32, 64), (1, 16, 16), (2, 1, 8), (1, 64, 4)]
 
@@ -75,18 +76,62 @@ def test_suns_beyond_half_precision_are_kept() -> None:
     np.testing.assert_allclose(largest(bright, 2).coefficients(), bright)
 
 
+def basis_of(order: int, height: int, width: int) -> np.ndarray:
+    """Real spherical harmonics at the texels' centres of a lat-long map, [(order + 1)^2, H, W], by definition."""
+    theta = ((np.arange(height) + 0.5) * (math.pi / height))[:, None]
+    phi = (np.arange(width) + 0.5) * (math.tau / width)
+    found = []
+    for degree in range(order + 1):
+        found.append(sph_harm_y(degree, 0, theta, phi).real)
+        for m in range(1, degree + 1):
+            complex_one = math.sqrt(2) * sph_harm_y(degree, m, theta, phi)
+            found += [complex_one.real, complex_one.imag]
+    return np.stack(found)
+
+
+@pytest.mark.parametrize(("height", "width"), [(8, 16), (9, 18), (9, 12), (5, 31), (7, 11)])
+def test_harmonics_are_those_of_weighted_least_squares(height: int, width: int, numbers: np.random.Generator) -> None:
+    maps = numbers.normal(size=(3, height, width))
+    root = np.sqrt(np.sin((np.arange(height) + 0.5) * (math.pi / height)))[:, None]
+    for order in range(orders(height, width)):
+        basis = basis_of(order, height, width)
+        a, b = ((root * each).reshape(len(each), -1).T for each in (basis, maps))
+        wanted = np.linalg.lstsq(a, b, rcond=None)[0].T
+        found = harmonics(maps, order)
+        np.testing.assert_allclose(found, wanted, atol=1e-13)
+        made = from_harmonics(found, height, width)
+        np.testing.assert_allclose(made, np.tensordot(found, basis, 1), atol=1e-13)
+
+
+@pytest.mark.parametrize(("height", "width", "count"), [(8, 16, 8), (9, 12, 6), (4, 64, 4), (1, 1, 1)])
+def test_texels_tell_so_many_orders_apart(height: int, width: int, count: int) -> None:
+    assert orders(height, width) == count
+    for order in (count - 1, count):
+        columns = basis_of(order, height, width).reshape((order + 1) ** 2, -1)
+        assert (np.linalg.matrix_rank(columns) == len(columns)) == (order < count)
+    with pytest.raises(ValueError, match=f"order {count} .* at most {count - 1}"):
+        harmonics(np.zeros((1, height, width)), count)
+    with pytest.raises(ValueError, match=f"order {count} .* at most {count - 1}"):
+        from_harmonics(np.zeros((1, (count + 1) ** 2)), height, width)
+
+
+def test_harmonics_of_large_maps_have_an_inverse(numbers: np.random.Generator) -> None:
+    wanted = numbers.normal(size=(2, 128**2))
+    np.testing.assert_allclose(harmonics(from_harmonics(wanted, 128, 256), 127), wanted, atol=1e-12)
+
+
 def test_harmonics_are_orthonormal_over_the_sphere() -> None:
     height, width, order = 64, 128, 6
-    basis = harmonics(order, height, width)
+    basis = from_harmonics(np.eye((order + 1) ** 2), height, width).reshape(-1, height * width)
     weights = np.repeat(solid_angles(height, width, dtype=torch.float64).numpy()[:, 0], width)
-    np.testing.assert_allclose(basis.T @ (basis * weights[:, None]), np.eye((order + 1) ** 2), atol=2e-3)
+    np.testing.assert_allclose((basis * weights) @ basis.T, np.eye((order + 1) ** 2), atol=2e-3)
 
 
 def test_harmonics_of_a_low_order_function_are_exact() -> None:
     x, y, z = directions(16, 32, dtype=torch.float64).numpy()
-    wanted = (0.3 + 0.5 * x - y * z + (x * x - z * z)).ravel()  # order 2
+    wanted = (0.3 + 0.5 * x - y * z + (x * x - z * z))[None]  # order 2
     for order, exact in ((1, False), (2, True), (9, True)):
-        found = harmonics(order, 16, 32) @ (projection(order, 16, 32) @ wanted)
+        found = from_harmonics(harmonics(wanted, order), 16, 32)
         assert np.allclose(found, wanted, atol=1e-10) == exact
 
 

@@ -77,6 +77,9 @@ def components(columns: Tensor, count: int) -> Components:
 def ridge(axes: Tensor, targets: Tensor, weights: Tensor | None, deviation: Tensor, penalty: float) -> Tensor:
     """Coefficients [K, C] that fit targets [n, C], drawn towards 0 by how little training tasks vary.
 
+    Products are in double precision where rounding would hide that they are positive definite: of fewer samples than
+    axes and a small penalty.
+
     Args:
         axes: [n, K].
         targets: [n, C].
@@ -90,7 +93,11 @@ def ridge(axes: Tensor, targets: Tensor, weights: Tensor | None, deviation: Tens
         weighted = axes * weights.T[..., None]
         left, right = axes.T @ weighted, weighted.mT @ targets.T[..., None]
     left = left.double() + torch.diag(penalty / deviation.double().square())
-    solved = torch.cholesky_solve(right.double(), torch.linalg.cholesky(left))
+    factor, failed = torch.linalg.cholesky_ex(left, check_errors=axes.dtype == torch.float64)
+    if failed.any():
+        exact = None if weights is None else weights.double()
+        return ridge(axes.double(), targets.double(), exact, deviation, penalty).to(targets)
+    solved = torch.cholesky_solve(right.double(), factor)
     return solved[..., 0].T.to(targets)
 
 

@@ -7,8 +7,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
-from scipy.special import sph_harm_y
+from scipy.linalg import solve_triangular
+from scipy.special import sph_legendre_p_all
 
 ROOT = math.sqrt(0.5)
 SCALE, VALUE = 4, 2  # bytes of a picture's scale, a float, and of a value, half a float
@@ -111,31 +111,105 @@ def _together(values: np.ndarray, axis: int) -> np.ndarray:
     return both.reshape(*both.shape[:-2], -1).swapaxes(axis, -1)
 
 
-@functools.lru_cache(maxsize=64)
-def harmonics(order: int, height: int, width: int) -> np.ndarray:
-    """Real spherical harmonics up to an order at the texels' centres of a lat-long map, [H * W, (order + 1)^2].
+def orders(height: int, width: int) -> int:
+    """How many orders of spherical harmonics, 0 among them, the texels of a lat-long map tell apart.
 
-    Orthonormal over the sphere; those of one degree stand together, so that the first columns are those of less.
+    Rows bound the degree, columns the wave along them: that of width / 2 has no cosine at the texels' centres, and of
+    more is one of less.
+    """
+    return min(height, (width + 1) // 2)
+
+
+def harmonics(maps: np.ndarray, order: int) -> np.ndarray:
+    """Coefficients of lat-long maps [C, H, W] in real spherical harmonics up to an order, [C, (order + 1)^2].
+
+    Least squares, texels weighted by solid angle. Harmonics are orthonormal over the sphere; those of one degree stand
+    together, so that the first are those of less. Columns are evenly spaced and weights are of rows, so that every
+    wave along the columns is a small fit of its own.
+
+    Raises:
+        ValueError: texels do not tell so many orders apart.
+    """
+    channels, height, width = maps.shape
+    _check(order, height, width)
+    # mean of map times exp(i m phi), twice that of waves, whose mean square is 1/2
+    waves = np.fft.rfft(maps, norm="forward")[..., : order + 1].conj() * _turn(order, width)
+    waves[..., 1:] *= 2
+    found = np.empty((channels, (order + 1) ** 2))
+    degrees = np.arange(order + 1)
+    for m, rows in enumerate(_along_theta(height)[: order + 1]):
+        count = order + 1 - m
+        fitted = waves[..., m] @ rows.weighted[:, :count]
+        fitted = solve_triangular(rows.triangle[:count, :count], fitted.T).T
+        # cosines last: 0 has no sines, so that both places are the same
+        found[:, places_of(degrees[m:], -m)] = fitted.imag
+        found[:, places_of(degrees[m:], m)] = fitted.real
+    return found
+
+
+def from_harmonics(coefficients: np.ndarray, height: int, width: int) -> np.ndarray:
+    """Maps [C, H, W] of coefficients [C, (order + 1)^2]; undoes `harmonics` where maps have no higher order.
+
+    Raises:
+        ValueError: texels do not tell so many orders apart.
+    """
+    order = math.isqrt(coefficients.shape[1]) - 1
+    _check(order, height, width)
+    waves = np.zeros((len(coefficients), height, width // 2 + 1), np.complex128)
+    degrees = np.arange(order + 1)
+    for m, rows in enumerate(_along_theta(height)[: order + 1]):
+        cosines, sines = (coefficients[:, places_of(degrees[m:], sign * m)] for sign in (1, -1))
+        along = rows.basis[:, : order + 1 - m].T
+        waves[..., m] = (cosines - 1j * sines) @ along / 2 if m else cosines @ along
+    waves[..., : order + 1] *= _turn(order, width)
+    found: np.ndarray = np.fft.irfft(waves, width, norm="forward")
+    return found
+
+
+def places_of(degrees: np.ndarray, m: int) -> np.ndarray:
+    """Where the harmonics of some degrees stand: cosines of m, sines of -m."""
+    found: np.ndarray = degrees * degrees + (2 * m - 1 if m > 0 else -2 * m)
+    return found
+
+
+def _check(order: int, height: int, width: int) -> None:
+    if order >= (count := orders(height, width)):
+        found = f"Spherical harmonics of order {order} from {height}x{width} texels"
+        raise ValueError(f"{found}, expected at most {count - 1}; take fewer or a larger map.")
+
+
+def _turn(order: int, width: int) -> np.ndarray:
+    """Of each m what turns a wave from the first texel's edge to its centre, [order + 1]."""
+    found: np.ndarray = np.exp(1j * np.arange(order + 1) * (math.pi / width))
+    return found
+
+
+class _Rows(NamedTuple):
+    """Harmonics of one m along the rows of a map, of all degrees that these tell apart.
+
+    Attributes:
+        basis: [H, degrees], from degree m on.
+        weighted: [H, degrees], Q of the QR decomposition of the basis times roots of solid angles, times these roots.
+        triangle: [degrees, degrees], R of it; its first columns fit a lower order.
+    """
+
+    basis: np.ndarray
+    weighted: np.ndarray
+    triangle: np.ndarray
+
+
+@functools.lru_cache(maxsize=4)
+def _along_theta(height: int) -> list[_Rows]:
+    """Of each m.
+
+    Rows tell all these degrees apart well: the weighted bases have condition numbers below 3.
     """
     theta = (np.arange(height) + 0.5) * (math.pi / height)
-    phi = (np.arange(width) + 0.5) * (math.tau / width)
-    columns = []
-    for degree in range(order + 1):
-        for m in range(degree + 1):
-            along_theta = sph_harm_y(degree, m, theta, 0.0).real * (math.sqrt(2) if m else 1)
-            waves = (np.cos(m * phi), np.sin(m * phi)) if m else (np.ones(width),)
-            columns += [np.outer(along_theta, wave).ravel() for wave in waves]
-    return np.stack(columns, 1)
-
-
-@functools.lru_cache(maxsize=64)
-def projection(order: int, height: int, width: int) -> np.ndarray:
-    """What takes a map [H * W] to its coefficients: least squares, texels weighted by solid angle, [K, H * W].
-
-    Below the order that rows tell apart the normal equations are well-conditioned: 5 at order 31 of 32 rows.
-    """
-    basis = harmonics(order, height, width)
-    theta = (np.arange(height) + 0.5) * (math.pi / height)
-    weighted = basis * np.repeat(np.sin(theta), width)[:, None]
-    found: np.ndarray = cho_solve(cho_factor(basis.T @ weighted), weighted.T)
+    root = np.sqrt(np.sin(theta))[:, None]
+    legendre = sph_legendre_p_all(height - 1, height - 1, theta)[0]
+    found = []
+    for m in range(height):
+        basis = legendre[m:, m].T * (math.sqrt(2) if m else 1)
+        orthogonal, triangle = np.linalg.qr(root * basis)
+        found.append(_Rows(basis, root * orthogonal, triangle))
     return found

@@ -1,0 +1,166 @@
+"""Errors of BRDF fits against the number of samples that they see; `make bench-samples` runs it.
+
+The test materials of a data set (the embedded one, or the folder that is named), cut down as `metapp data noisy
+--noise 0 --samples N` does: N samples at random angles, held-out ones as they are. Checkpoints are those that ship;
+components are of the data set's own training materials with all their samples, and their penalties are chosen for N.
+"""
+
+from __future__ import annotations
+
+import math
+import statistics
+import sys
+from pathlib import Path
+from typing import NamedTuple
+
+import torch
+from matplotlib import rc_context
+from matplotlib.axes import Axes
+from matplotlib.ticker import FixedLocator, NullLocator, StrMethodFormatter
+
+from data_tools.readers.noise import as_measured
+from metapp.cli.console import run
+from metapp.experiments.checkpoints import find_checkpoint
+from metapp.experiments.figures.style import COLOURS, MUTED, STYLE, new, save
+from metapp.experiments.fits import fit_tasks, rng_of
+from metapp.experiments.inputs import data_folder, tasks_of_data
+from metapp.experiments.peer_fits import allowed_for, training_of
+from metapp.experiments.session import options_of
+from metapp.experiments.tables.statistics import paired, paired_text
+from metapp.learning.app import stack
+from metapp.learning.task import Task
+from metapp.paradigms import paradigms
+from metapp.peers import peers_of
+from metapp.peers.peer import Training
+
+COUNTS = (64, 256, 1024, 5120)
+FIGURE = Path("runs/bench/samples.png")
+APART = 0.04  # of names beside the figure, as a share of its height
+
+
+class Way(NamedTuple):
+    """A way to fit, by a paradigm's recipe where it has one, else a peer, and how its line looks."""
+
+    title: str
+    name: str
+    recipe: str
+    colour: str
+    dashes: str = "-"
+
+
+WAYS = (
+    Way("meta, ridge", "meta", "full", COLOURS["meta"]),
+    Way("meta, ridge (measured)", "meta", "measured", COLOURS["meta"], "--"),
+    Way("pca_20", "pca_20", "", "#99c7e0"),
+    Way("pca_66w", "pca_66w", "", COLOURS["finetune"]),
+    Way("pca_150w", "pca_150w", "", COLOURS["overfit"]),
+    Way("meta, ten gradient steps", "meta", "quick", COLOURS["meta"], ":"),
+    Way("quickft", "quickft", "quick", COLOURS["quickft"]),
+    Way("general", "general", "quick", COLOURS["general"]),
+    Way("two GGX lobes", "ggx_2", "", MUTED),
+)
+
+BESIDE = WAYS[1]
+Errors = dict[str, float]  # by the task's name
+
+
+def errors_of(way: Way, tasks: list[Task], data: Path | None, count: int, training: Training) -> Errors:
+    """Errors x100 of fits of tasks that have so many samples."""
+    if not way.recipe:
+        return _errors_of_peer(way, tasks, count, training)
+    paradigm = paradigms()[way.name]
+    options = options_of("brdf", recipe=way.recipe, data=data, device="cpu", quiet=True).by(paradigm)
+    fits = fit_tasks(options, paradigm, find_checkpoint(options, paradigm), tasks)
+    return {record["name"]: record["error"] for record, _ in fits}
+
+
+@torch.no_grad()
+def _errors_of_peer(way: Way, tasks: list[Task], count: int, training: Training) -> Errors:
+    options = options_of("brdf", device="cpu", quiet=True)
+    peer = next(each for each in peers_of(options.app) if each.name == way.name)
+    allowed = allowed_for(options)
+    prepared = peer.prepare(training, allowed._replace(samples=min(count, allowed.samples)))
+    errors = {}
+    for task in tasks:
+        stacked = stack(options.app, [task])
+        answer = prepared.fit(stacked, rng_of(options, task), allowed).answer()
+        errors[task.name] = options.app.scale * float(options.app.errors_of(answer, stacked)["error"])
+    return errors
+
+
+def ratios(found: list[Errors], others: list[Errors]) -> list[str]:
+    """Mean errors over those of another way, paired over tasks, with their intervals; on how many tasks it is ahead."""
+    cells = []
+    for one, other in zip(found, others, strict=True):
+        told = paired(one, other, {name: name for name in one}, logarithmic=False)
+        assert told is not None
+        cells.append(f"{paired_text(told)}, {told.ahead}/{told.tasks}")
+    return cells
+
+
+def figure(found: dict[Way, list[float]], file: Path) -> None:
+    """Errors over samples, both logarithmic, a line a way, its name at the line's end."""
+    drawn, axes = new(7.0, 4.4)
+    axis = axes[0, 0]
+    for way, errors in found.items():
+        axis.loglog(COUNTS, errors, way.dashes, marker="o", markersize=4, color=way.colour)
+    axis.xaxis.set_major_locator(FixedLocator(COUNTS))
+    axis.xaxis.set_major_formatter(StrMethodFormatter("{x:,.0f}"))
+    axis.yaxis.set_major_locator(FixedLocator([0.01 * 2**i for i in range(11)]))
+    axis.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
+    axis.yaxis.set_minor_locator(NullLocator())
+    axis.xaxis.set_minor_locator(NullLocator())
+    axis.set_xlabel("samples that a fit sees")
+    axis.set_ylabel("error x100")
+    _name(axis, {way: errors[-1] for way, errors in found.items()})
+    save(drawn, file)
+
+
+def _name(axis: Axes, last: dict[Way, float]) -> None:
+    """Put names right of the lines' ends, so far apart that they can be read."""
+    low, high = axis.get_ylim()
+    places: dict[Way, float] = {}
+    for way, error in sorted(last.items(), key=lambda item: item[1]):
+        place = math.log(error / low) / math.log(high / low)
+        places[way] = max(place, *(each + APART for each in places.values()), 0.0)
+    for way, place in places.items():
+        axis.annotate(
+            f"{way.title}  {last[way]:.3f}",
+            (COUNTS[-1], last[way]),
+            (1.05, place),
+            textcoords="axes fraction",
+            color=way.colour,
+            va="center",
+            fontsize=8,
+            arrowprops={"arrowstyle": "-", "color": way.colour, "linewidth": 0.6, "shrinkB": 3, "relpos": (0, 0.5)},
+        )
+
+
+def main() -> None:
+    """Print the table, draw the figure."""
+    torch.set_num_threads(1)
+    data = Path(sys.argv[1]) if len(sys.argv) > 1 else None
+    app = options_of("brdf").app
+    tasks, label = tasks_of_data(app, data, quiet=True)
+    training = training_of(app, data_folder(app, data, quiet=True))
+    cut = [[as_measured(task, 0.0, samples=count) for task in tasks] for count in COUNTS]
+    print(f"{label}: {len(tasks)} test materials, {len(training.tasks)} for components; errors x100\n")
+    head = f"| method | {' | '.join(f'{count:,}' for count in COUNTS)} |\n|{'---|' * (len(COUNTS) + 1)}"
+    print(head)
+    found, means = {}, {}
+    for way in WAYS:
+        found[way] = [errors_of(way, few, data, count, training) for few, count in zip(cut, COUNTS, strict=True)]
+        means[way] = [statistics.fmean(errors.values()) for errors in found[way]]
+        print(f"| {way.title} | {' | '.join(f'{error:.3f}' for error in means[way])} |", flush=True)
+    print(f"\nover {BESIDE.title}, 95 % interval, tasks with the lower error of all:\n\n{head}")
+    for way in WAYS:
+        if way != BESIDE:
+            print(f"| {way.title} | {' | '.join(ratios(found[way], found[BESIDE]))} |")
+    FIGURE.parent.mkdir(parents=True, exist_ok=True)
+    with rc_context(STYLE):
+        figure(means, FIGURE)
+    print(f"\n{FIGURE}: figure")
+
+
+if __name__ == "__main__":
+    sys.exit(run(main))
