@@ -36,8 +36,8 @@ class Setup:
             deepest layer of the one below, so that deep layers see large structures at little cost.
         shares: of its steps up to which a descent sees the coarsest octave alone, the two coarsest, and so on; () where
             it sees all from the beginning. A `Pyramid` makes small pictures, too.
-        prior: weight in the loss of how unusual maps are, where an application makes several that one picture does not
-            tell apart.
+        prior: weight in the loss of how far maps are from what General expects, where an application makes several
+            that one picture does not tell apart.
     """
 
     height: int
