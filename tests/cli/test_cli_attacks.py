@@ -16,6 +16,7 @@ import torch
 from safetensors.torch import load_file, save_file
 
 from metapp.apps.brdf import APP
+from metapp.cli.commands import app
 from metapp.cli.console import LONGEST, one_line
 from metapp.experiments.fits import warnings_of
 from metapp.experiments.session import Checkpoint
@@ -25,6 +26,9 @@ from metapp.learning.recipe import Adam
 from metapp.learning.task import Task
 from metapp.paradigms import Job, paradigms
 from metapp.storage.records import load_checkpoint, read_records, save_checkpoint
+from tests.small_spheres import shrink_spheres
+
+pytestmark = pytest.mark.usefixtures("small_spheres")
 
 SHIPPED = Path(__file__).parents[2] / "metapp" / "checkpoints"
 
@@ -34,11 +38,20 @@ def network(neural_fits: Callable[[int], Path]) -> Path:
     return neural_fits(1) / "m0"
 
 
-@pytest.fixture
-def data(metapp: Callable, network: Path, tmp_path: Path) -> Path:
-    folder = tmp_path / "set"
-    assert metapp("data", "nbrdf", network, "--out", folder, "--samples", "512", "--split", "test").code == 0
+@pytest.fixture(scope="module")
+def made(network: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A data set of one small material, for tests to copy."""
+    folder = tmp_path_factory.mktemp("attacks") / "set"
+    with pytest.MonkeyPatch.context() as patch:
+        shrink_spheres(patch)
+        words = ["data", "nbrdf", str(network), "--out", str(folder), "--samples", "512", "--split", "test"]
+        app(words, standalone_mode=False)
     return folder
+
+
+@pytest.fixture
+def data(made: Path, tmp_path: Path) -> Path:
+    return shutil.copytree(made, tmp_path / "set")
 
 
 @pytest.fixture
@@ -96,9 +109,9 @@ def test_a_set_of_an_unknown_application_is_one_line(metapp: Callable, data: Pat
 
 
 def test_what_applications_draw_is_what_they_hold(metapp: Callable, tmp_path: Path) -> None:
-    for app in ("texture", "svbrdf_stationary", "svbrdf_nonstationary", "illumination"):
-        assert metapp("data", "synth", app, "--count", "2", "--out", tmp_path / app, "--quiet").code == 0
-        assert metapp("data", "check", tmp_path / app).code == 0
+    for name in ("texture", "svbrdf_stationary", "svbrdf_nonstationary", "illumination"):
+        assert metapp("data", "synth", name, "--count", "2", "--out", tmp_path / name, "--quiet").code == 0
+        assert metapp("data", "check", tmp_path / name).code == 0
 
 
 # Two writers
