@@ -101,7 +101,7 @@ def command(ten_materials: Path, tmp_path: Path) -> Callable[..., Command]:
     """Makes a command that trains on ten small materials, whose runs go to a folder of their own."""
     data = shutil.copytree(ten_materials, tmp_path / "data")
 
-    def make(out: str, paradigm: str = "general", steps: int = 60, wait: float = 0.25) -> Command:
+    def make(out: str, paradigm: str = "general", steps: int = 40, wait: float = 0.25) -> Command:
         arguments = (paradigm, "brdf", "--data", data, "--train", "--train-steps", str(steps))
         return Command(arguments, tmp_path / out, wait)
 
@@ -126,7 +126,7 @@ def kill_often(command: Callable[..., Command], seed: int, count: int, paradigm:
 
 
 def test_killed_trainings_go_on(command: Callable[..., Command]) -> None:
-    kill_often(command, seed=1, count=3, paradigm="quickft", steps=60, wait=0.25)
+    kill_often(command, seed=1, count=3, paradigm="quickft", steps=40, wait=0.25)
 
 
 @pytest.mark.slow
@@ -164,7 +164,7 @@ def small_disk(tmp_path: Path) -> Iterator[Path]:
 
 def test_a_full_disk_is_one_line_and_loses_nothing(command: Callable[..., Command], small_disk: Path) -> None:
     """The start that was there stays, what was trained is in the training checkpoint, and both say where."""
-    trained = command("disk/runs", steps=40)
+    trained = command("disk/runs")
     trained.run()
     before = trained.starts()
     (file,) = (trained.out / each for each in before)
