@@ -241,9 +241,10 @@ def test_messages_are_one_short_line(metapp: Callable, tmp_path: Path) -> None:
 # Streams
 
 
-# one import of torch for all: a fork that ends as a program of its own does, from the end of the file
+# one import of what takes long and looks at no stream; then a fork for each, which ends as a program of its own does
 IN_FORKS = """
-import json, os, sys, torch
+import json, os, sys
+import metapp.apps.brdf, metapp.experiments.convert, metapp.experiments.embedded, rich.progress, torch, typer
 NAMES, (cases, folder, *words) = ("stdin", "stdout", "stderr"), sys.argv[1:]
 codes = []
 for number, (more, streams) in enumerate(json.loads(cases)):
