@@ -6,10 +6,10 @@ import ast
 import configparser
 import re
 import shlex
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import pytest
 import typer
 
 from metapp.cli.commands import app as cli
@@ -19,13 +19,10 @@ ROOT = Path(__file__).parent.parent
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
 LINK = re.compile(r"\]\(([^)\s]+)\)")
 CODE = re.compile(r"`([^`]+)`")
+COMMAND = typer.main.get_command(cli)  # it takes 40 ms to make
 METAPP = re.compile(r"metapp [a-z]")
 ANY_COMMAND = re.compile(r"metapp (?:data )?<")
 STANDS_FOR = re.compile(r"<[a-z]+>|\.\.\.|\b(?:NAME|APP|DIR)\b")  # what a reader puts in
-
-
-def names(pages: list[Path]) -> list[str]:
-    return [str(page.relative_to(ROOT)) for page in pages]
 
 
 def code_of(page: Path) -> list[str]:
@@ -38,6 +35,20 @@ def code_of(page: Path) -> list[str]:
     return [re.sub(r"\s+#.*", "", line).strip() for line in lines]
 
 
+def lines_of_code() -> Iterator[tuple[Path, str]]:
+    """Every page with each of its lines of code."""
+    for page in PAGES:
+        for line in code_of(page):
+            yield page, line
+
+
+def links() -> Iterator[tuple[Path, str]]:
+    """Every page with each of its links."""
+    for page in PAGES:
+        for link in LINK.findall(page.read_text(encoding="utf-8")):
+            yield page, link
+
+
 def anchor(heading: str) -> str:
     """A heading's anchor, as mkdocs makes it."""
     return re.sub(r"[-\s]+", "-", re.sub(r"[^\w\s-]", "", heading.lower()).strip())
@@ -47,19 +58,18 @@ def anchors(page: Path) -> set[str]:
     return {anchor(line.lstrip("#")) for line in page.read_text(encoding="utf-8").splitlines() if line.startswith("#")}
 
 
-@pytest.mark.parametrize("page", PAGES, ids=names(PAGES))
-def test_links_lead_somewhere(page: Path) -> None:
-    for link in LINK.findall(page.read_text(encoding="utf-8")):
+def test_links_lead_somewhere() -> None:
+    for page, link in links():
         path, _, part = link.partition("#")
         if "://" not in link:
             target = page.parent / path if path else page
-            assert target.exists(), link
-            assert not part or part in anchors(target), link
+            assert target.exists(), (page, link)
+            assert not part or part in anchors(target), (page, link)
 
 
 def unknown_in(line: str) -> str:
     """The first word of a `metapp` command that is no command, no option of it or no rule; "" where all are known."""
-    command: Any = typer.main.get_command(cli)
+    command: Any = COMMAND
     words = shlex.split(line)[1:]
     while words and hasattr(command, "commands"):
         if words[0] not in command.commands:
@@ -75,11 +85,10 @@ def unknown_in(line: str) -> str:
     return ""
 
 
-@pytest.mark.parametrize("page", PAGES, ids=names(PAGES))
-def test_commands_exist(page: Path) -> None:
-    for line in code_of(page):
+def test_commands_exist() -> None:
+    for page, line in lines_of_code():
         if METAPP.match(line) and not ANY_COMMAND.match(line):
-            assert unknown_in(STANDS_FOR.sub("x", line)) == "", line
+            assert unknown_in(STANDS_FOR.sub("x", line)) == "", (page, line)
 
 
 def test_a_command_that_does_not_exist_is_found() -> None:
@@ -89,12 +98,11 @@ def test_a_command_that_does_not_exist_is_found() -> None:
     assert unknown_in("metapp meta brdf a.binary --rule meta-sgd --json") == ""
 
 
-@pytest.mark.parametrize("page", PAGES, ids=names(PAGES))
-def test_targets_exist(page: Path) -> None:
+def test_targets_exist() -> None:
     targets = set(re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE))
-    for line in code_of(page):
+    for page, line in lines_of_code():
         if line.startswith("make "):
-            assert {word for word in line.split()[1:] if "=" not in word} <= targets, line
+            assert {word for word in line.split()[1:] if "=" not in word} <= targets, (page, line)
 
 
 def test_every_page_is_in_the_navigation() -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 import runpy
-import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -13,6 +12,7 @@ import numpy as np
 import OpenImageIO as oiio
 import pytest
 
+from tests import forks
 from tests.needs_mitsuba import needs_mitsuba
 
 pytestmark = pytest.mark.usefixtures("compiled")
@@ -20,14 +20,17 @@ pytestmark = pytest.mark.usefixtures("compiled")
 EXAMPLES = Path(__file__).parent.parent / "examples"
 
 
-def run(script: str, *arguments: str | Path) -> str:
-    """What an example prints."""
-    done = subprocess.run(
-        [sys.executable, EXAMPLES / script, *arguments], capture_output=True, text=True, check=False, timeout=300
-    )
-    assert done.returncode == 0, done.stderr
-    assert done.stderr == ""
-    return done.stdout
+@pytest.fixture
+def run(tmp_path: Path) -> Callable[..., str]:
+    """Runs an example in a process that has imported torch alone; what it prints."""
+
+    def call(script: str | Path, *arguments: str | Path) -> str:
+        code, said, warned = forks.run_script(EXAMPLES / script, *arguments, said=tmp_path / "said")
+        assert code == 0, warned
+        assert warned == ""
+        return said
+
+    return call
 
 
 @pytest.fixture
@@ -45,7 +48,7 @@ def run_here(capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch)
     return call
 
 
-def test_fit_brdf(neural_fits: Callable[[int], Path], tmp_path: Path) -> None:
+def test_fit_brdf(neural_fits: Callable[[int], Path], tmp_path: Path, run: Callable[..., str]) -> None:
     said = run("fit_brdf.py", next(neural_fits(1).iterdir()), tmp_path / "a.safetensors")
     assert said.startswith("error x100 ")
     assert said.count("1/sr") == 3
@@ -71,17 +74,29 @@ def test_relight_maps(tmp_path: Path, run_here: Callable[..., str]) -> None:
     assert 0.01 < lit.mean() < 1
 
 
+def smaller(script: str, changes: dict[str, str], folder: Path) -> Path:
+    """An example that draws a small picture: expressions found in it once, and what stands there instead."""
+    text = (EXAMPLES / script).read_text(encoding="utf-8")
+    for found, instead in changes.items():
+        text, count = re.subn(found, instead, text)
+        assert count == 1, found
+    (folder / script).write_text(text, encoding="utf-8")
+    return folder / script
+
+
 @needs_mitsuba
-def test_mitsuba_brdf(neural_fits: Callable[[int], Path], tmp_path: Path) -> None:
-    said = run("mitsuba_brdf.py", next(neural_fits(1).iterdir()), tmp_path / "ball.png")
+def test_mitsuba_brdf(neural_fits: Callable[[int], Path], tmp_path: Path, run: Callable[..., str]) -> None:
+    changes = {r'"width": 256, "height": 256': '"width": 48, "height": 48', r"spp=64": "spp=8"}
+    script = smaller("mitsuba_brdf.py", changes, tmp_path)
+    said = run(script, next(neural_fits(1).iterdir()), tmp_path / "ball.png")
     assert said.startswith("m0: error x100 ")
     picture = oiio.ImageBuf(str(tmp_path / "ball.png")).get_pixels(oiio.FLOAT)
-    assert picture.shape[:2] == (256, 256)
-    assert picture[128, 128, :3].max() > 0.02
+    assert picture.shape[:2] == (48, 48)
+    assert picture[24, 24, :3].max() > 0.02
 
 
 @needs_mitsuba
-def test_guided_render(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_guided_render(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, run: Callable[..., str]) -> None:
     monkeypatch.setenv("PYTHONWARNINGS", "ignore")  # in a small picture of one ball a guide does not pay
     scene = """<scene version="3.0.0">
       <sensor type="perspective"><float name="fov" value="40"/>
@@ -107,7 +122,7 @@ def test_photo_to_blender(tmp_path: Path, run_here: Callable[..., str]) -> None:
 
 
 @needs_mitsuba
-def test_mitsuba_scene(neural_fits: Callable[[int], Path], tmp_path: Path) -> None:
+def test_mitsuba_scene(neural_fits: Callable[[int], Path], tmp_path: Path, run: Callable[..., str]) -> None:
     """At a few pixels: white light from everywhere shows a floor in its colour, and balls on it."""
     maps = tmp_path / "clay"
     maps.mkdir()
@@ -117,12 +132,16 @@ def test_mitsuba_scene(neural_fits: Callable[[int], Path], tmp_path: Path) -> No
         assert oiio.ImageBuf(np.ascontiguousarray(pixels)).write(str(maps / f"clay_{name}.png"), "uint8")
     light = oiio.ImageBuf(np.ones((8, 16, 3), np.float32))
     assert light.write(str(tmp_path / "light.exr"), "float")
-    script = (EXAMPLES / "mitsuba_scene.py").read_text(encoding="utf-8")
-    small = re.sub(r"SIZE, SAMPLES, EXPOSURE = .*", "SIZE, SAMPLES, EXPOSURE = 48, 8, 0.3", script)
-    assert small != script
-    (tmp_path / "small.py").write_text(small, encoding="utf-8")
+    changes = {r"SIZE, SAMPLES, EXPOSURE = .*": "SIZE, SAMPLES, EXPOSURE = 48, 8, 0.3"}
     network = next(neural_fits(1).iterdir())
-    said = run(str(tmp_path / "small.py"), maps, tmp_path / "light.exr", tmp_path / "a.png", network, network)
+    said = run(
+        smaller("mitsuba_scene.py", changes, tmp_path),
+        maps,
+        tmp_path / "light.exr",
+        tmp_path / "a.png",
+        network,
+        network,
+    )
     assert "48 x 48 px, 8 samples" in said
     picture = oiio.ImageBuf(str(tmp_path / "a.png")).get_pixels(oiio.FLOAT)
     assert picture.shape[:2] == (48, 48)
@@ -133,7 +152,7 @@ def test_mitsuba_scene(neural_fits: Callable[[int], Path], tmp_path: Path) -> No
 
 @needs_mitsuba
 @pytest.mark.slow
-def test_ball_to_hdr(tmp_path: Path) -> None:
+def test_ball_to_hdr(tmp_path: Path, run: Callable[..., str]) -> None:
     across = np.linspace(-1, 1, 64, dtype=np.float32)
     x, y = np.meshgrid(across, across)
     shade = np.where(x * x + y * y < 1, 0.4 - 0.3 * y, 0)  # lit from above

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import functools
 import importlib.util
 import os
 import subprocess
@@ -25,15 +26,21 @@ FILES = {
     for package in ("metapp", "data_tools")
     for path in sorted((ROOT / package).rglob("*.py"))
 }
-TREES = {name: ast.parse(path.read_text(encoding="utf-8")) for name, path in FILES.items()}
 
 UNPICKLES = "data_tools.vgg"
 
 
+@functools.cache
+def nodes(name: str) -> list[ast.AST]:
+    """All nodes of a module's source; parsed where tests look at it, not by every process that collects them."""
+    return list(ast.walk(ast.parse(FILES[name].read_text(encoding="utf-8"))))
+
+
+@functools.cache
 def imports(name: str) -> set[str]:
     """Modules of ours that a module imports, anywhere in it, as dotted names."""
     found: set[str] = set()
-    for node in ast.walk(TREES[name]):
+    for node in nodes(name):
         if isinstance(node, ast.Import):
             found |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom):
@@ -50,9 +57,10 @@ def is_in(name: str, *places: str) -> bool:
     return any(name == place or name.startswith(f"{place}.") for place in places)
 
 
+@functools.cache
 def calls(name: str) -> list[tuple[str, ast.Call]]:
     """All calls of a module, with what is called as it is written: `torch.load`."""
-    return [(ast.unparse(node.func), node) for node in ast.walk(TREES[name]) if isinstance(node, ast.Call)]
+    return [(ast.unparse(node.func), node) for node in nodes(name) if isinstance(node, ast.Call)]
 
 
 def modules(*places: str) -> list[str]:
@@ -78,47 +86,49 @@ def test_modules_are_imported_by_name_only_to_find_what_is_in_a_folder() -> None
                      "metapp.experiments.figures", "metapp.peers"}  # fmt: skip
 
 
-@pytest.mark.parametrize("name", modules("metapp.paradigms"))
-def test_paradigms_name_no_application(name: str) -> None:
-    assert not [each for each in imports(name) if is_in(each, "metapp.apps", "data_tools")]
+def test_paradigms_name_no_application() -> None:
     apps = {each.split(".")[2] for each in modules("metapp.apps") if each.count(".") == 2}
-    texts = {node.value for node in ast.walk(TREES[name]) if isinstance(node, ast.Constant)}
-    assert not apps & {text for text in texts if isinstance(text, str)}
+    for name in modules("metapp.paradigms"):
+        assert not [each for each in imports(name) if is_in(each, "metapp.apps", "data_tools")], name
+        texts = {node.value for node in nodes(name) if isinstance(node, ast.Constant)}
+        assert not apps & {text for text in texts if isinstance(text, str)}, name
 
 
-@pytest.mark.parametrize("name", [name for name in FILES if not is_in(name, "metapp.cli")])
-def test_only_the_command_line_prints_or_exits(name: str) -> None:
-    if name != "metapp.__main__":
-        assert not [each for each in imports(name) if is_in(each, "metapp.cli")]
+def test_only_the_command_line_prints_or_exits() -> None:
     talking = {"print", "exit", "quit", "sys.exit", "os._exit", "sys.stdout.write", "sys.stderr.write"}
-    assert not [called for called, _ in calls(name) if called in talking]
+    for name in (each for each in FILES if not is_in(each, "metapp.cli")):
+        if name != "metapp.__main__":
+            assert not [each for each in imports(name) if is_in(each, "metapp.cli")], name
+        assert not [called for called, _ in calls(name) if called in talking], name
 
 
-@pytest.mark.parametrize("name", FILES)
-def test_nothing_is_unpickled(name: str) -> None:
-    forbidden = {"pickle", "cPickle", "dill", "cloudpickle", "joblib", "shelve", "marshal"}
-    forbidden -= {"pickle"} if name == UNPICKLES else set()
-    for node in ast.walk(TREES[name]):
-        if isinstance(node, ast.Import | ast.ImportFrom):
-            imported = [alias.name for alias in node.names] if isinstance(node, ast.Import) else [node.module or ""]
-            assert not forbidden & set(imported)
-    for called, node in calls(name):
-        assert called != "torch.load" or name == UNPICKLES  # numpy's own load refuses pickles unless told otherwise
-        assert not [each for each in node.keywords if each.arg == "allow_pickle" and ast.unparse(each.value) != "False"]
+def test_nothing_is_unpickled() -> None:
+    for name in FILES:
+        forbidden = {"pickle", "cPickle", "dill", "cloudpickle", "joblib", "shelve", "marshal"}
+        forbidden -= {"pickle"} if name == UNPICKLES else set()
+        for node in nodes(name):
+            if isinstance(node, ast.Import | ast.ImportFrom):
+                imported = [alias.name for alias in node.names] if isinstance(node, ast.Import) else [node.module or ""]
+                assert not forbidden & set(imported), name
+        for called, node in calls(name):
+            # numpy's own load refuses pickles unless told otherwise
+            assert called != "torch.load" or name == UNPICKLES, name
+            allowed = [each for each in node.keywords if each.arg == "allow_pickle"]
+            assert not [each for each in allowed if ast.unparse(each.value) != "False"], name
 
 
 def test_the_weights_of_others_are_unpickled_as_tensors_only() -> None:
     # Public weights are pickles; tests/readers/test_vgg.py holds that their hashes come first, classes are refused.
     (unpickler,) = [
         node
-        for node in ast.walk(TREES[UNPICKLES])
+        for node in nodes(UNPICKLES)
         if isinstance(node, ast.ClassDef) and "pickle.Unpickler" in map(ast.unparse, node.bases)
     ]
     assert "find_class" in [each.name for each in unpickler.body if isinstance(each, ast.FunctionDef)]
-    used = {node.attr for node in ast.walk(TREES[UNPICKLES])
+    used = {node.attr for node in nodes(UNPICKLES)
             if isinstance(node, ast.Attribute) and ast.unparse(node.value) == "pickle"}  # fmt: skip
     assert used == {"Unpickler", "UnpicklingError"}
-    imported = [node for node in ast.walk(TREES[UNPICKLES]) if isinstance(node, ast.ImportFrom)]
+    imported = [node for node in nodes(UNPICKLES) if isinstance(node, ast.ImportFrom)]
     assert not [node for node in imported if node.module in ("pickle", "torch.serialization")]
     for called, node in calls(UNPICKLES):
         safe = [ast.unparse(each) for each in node.keywords if each.arg == "weights_only"] == ["weights_only=True"]

@@ -18,6 +18,8 @@ from metapp.experiments.embedded import cache_folder, embedded_apps, embedded_da
 from metapp.storage.manifest import read_manifest
 from metapp.storage.shards import check_shard, fingerprint
 
+pytestmark = pytest.mark.usefixtures("small_spheres")
+
 
 def test_synth_makes_a_set_once(metapp: Callable, cache: Path) -> None:
     result = metapp("data", "synth", "brdf", "--count", "5", "--json")

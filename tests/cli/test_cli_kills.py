@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import multiprocessing
 import os
 import random
 import shutil
 import signal
 import subprocess
-import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import suppress
@@ -17,45 +15,35 @@ from typing import Any, NamedTuple
 
 import pytest
 
-from metapp.cli import main
+from tests import forks
 
-# a process that has imported what takes seconds, and from which commands are forked
-FORKS = multiprocessing.get_context("forkserver")
-FORKS.set_forkserver_preload(["torch", "metapp.experiments.checkpoints", "metapp.cli.commands", "metapp.apps.brdf"])
-
-
-def main_of(arguments: list[str], said: Path) -> None:
-    """The `metapp` command, with its standard error in a file, and a training checkpoint every 0.2 s."""
-    os.environ["METAPP_CHECKPOINT_SECONDS"] = "0.2"
-    os.dup2(os.open(said, os.O_WRONLY | os.O_CREAT | os.O_TRUNC), sys.stderr.fileno())
-    sys.argv = ["metapp", *arguments]
-    main()
+pytestmark = pytest.mark.usefixtures("compiled")
 
 
 class Running(NamedTuple):
     """A command in a process of its own."""
 
     process: Any
-    said: Path
+    said: Path  # a folder
 
     def end(self) -> tuple[int, str]:
         """Its exit code and what it said, once it has ended."""
         self.process.join()
-        return self.process.exitcode, self.said.read_text()
+        return self.process.exitcode, (self.said / forks.ERR).read_text()
 
 
 class Command(NamedTuple):
-    """A command that trains."""
+    """A command that trains, and writes five training checkpoints in the longest time that a kill waits for."""
 
     arguments: tuple[str | Path, ...]
     out: Path
+    wait: float  # s
 
     def start(self) -> Running:
-        said = self.out.with_name(f"{self.out.name}.txt")
+        said = self.out.with_name(f"{self.out.name}-said")
         line = [*map(str, self.arguments), "--out", str(self.out), "--quiet"]
-        running = Running(FORKS.Process(target=main_of, args=(line, said)), said)
-        running.process.start()
-        return running
+        often = {"METAPP_CHECKPOINT_SECONDS": str(self.wait / 5)}
+        return Running(forks.start(forks.metapp, *line, said=said, more=often), said)
 
     def run(self) -> str:
         """To its end; what it says."""
@@ -97,7 +85,7 @@ class Command(NamedTuple):
         killed, lines = 0, []
         while killed < count:
             running = self.start()
-            killed += (alive := self.train_until(running, chance.uniform(0, 1.0)))
+            killed += (alive := self.train_until(running, chance.uniform(0, self.wait)))
             running.process.kill()
             _, said = running.end()
             assert "Traceback" not in said
@@ -113,22 +101,22 @@ def command(ten_materials: Path, tmp_path: Path) -> Callable[..., Command]:
     """Makes a command that trains on ten small materials, whose runs go to a folder of their own."""
     data = shutil.copytree(ten_materials, tmp_path / "data")
 
-    def make(out: str, paradigm: str = "quickft", steps: int = 150) -> Command:
+    def make(out: str, paradigm: str = "general", steps: int = 40, wait: float = 0.25) -> Command:
         arguments = (paradigm, "brdf", "--data", data, "--train", "--train-steps", str(steps))
-        return Command(arguments, tmp_path / out)
+        return Command(arguments, tmp_path / out, wait)
 
     return make
 
 
-def kill_often(command: Callable[..., Command], seed: int, count: int, paradigm: str, steps: int) -> None:
+def kill_often(command: Callable[..., Command], seed: int, count: int, paradigm: str, steps: int, wait: float) -> None:
     """Train General and what goes on from it, kill all of it so often, and compare what is kept."""
-    whole = command("whole", paradigm, steps)
+    whole = command("whole", paradigm, steps, wait)
     whole.run()
     expected, chance = whole.starts(), random.Random(seed)
     assert len(expected) == 2
     total, i = 0, 0
     while total < count:
-        again = command(f"killed-{i}", paradigm, steps)
+        again = command(f"killed-{i}", paradigm, steps, wait)
         killed, lines = again.kill(count - total, chance)
         print(f"seed {seed}, {paradigm} {i}: {killed} kills;", "; ".join(line.split(" (")[0] for line in lines))
         assert again.starts() == expected
@@ -138,21 +126,21 @@ def kill_often(command: Callable[..., Command], seed: int, count: int, paradigm:
 
 
 def test_killed_trainings_go_on(command: Callable[..., Command]) -> None:
-    kill_often(command, seed=1, count=3, paradigm="quickft", steps=200)
+    kill_often(command, seed=1, count=3, paradigm="quickft", steps=40, wait=0.25)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("paradigm", "count"), [("quickft", 20), ("meta", 8)])
 def test_trainings_that_are_killed_often_go_on(command: Callable[..., Command], paradigm: str, count: int) -> None:
     """Meta's steps are compiled where there is a compiler."""
-    kill_often(command, seed=2, count=count, paradigm=paradigm, steps=250)
+    kill_often(command, seed=2, count=count, paradigm=paradigm, steps=250, wait=1.0)
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
 def test_sigterm_acts_like_ctrl_c(command: Callable[..., Command], number: signal.Signals) -> None:
-    stopped = command("stopped", "general")
+    stopped = command("stopped")
     running = stopped.start()
-    assert stopped.train_until(running, 0.5)
+    assert stopped.train_until(running, 0.1)
     os.kill(running.process.pid, number)
     code, said = running.end()
     assert code == 130
@@ -176,7 +164,7 @@ def small_disk(tmp_path: Path) -> Iterator[Path]:
 
 def test_a_full_disk_is_one_line_and_loses_nothing(command: Callable[..., Command], small_disk: Path) -> None:
     """The start that was there stays, what was trained is in the training checkpoint, and both say where."""
-    trained = command("disk/runs", "general", steps=100)
+    trained = command("disk/runs")
     trained.run()
     before = trained.starts()
     (file,) = (trained.out / each for each in before)

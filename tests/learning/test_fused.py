@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import os
-import subprocess
-import sys
 from collections.abc import Callable
+from multiprocessing.context import ForkServerProcess
 from pathlib import Path
 
 import pytest
@@ -22,6 +20,7 @@ from metapp.learning.learn import MetaParameters, after_learning, learn, spread
 from metapp.learning.recipe import Adam
 from metapp.learning.rules import META_EPS, RULES, fixed_adam, sgd
 from metapp.learning.task import Batch, Params
+from tests import forks
 
 TASKS, STEPS = 3, 5
 IN_C = ["meta-sgd", "meta-adam", "meta-adam-tied", "meta-encoder", "meta-curvature"]
@@ -212,33 +211,38 @@ def test_what_is_not_in_c_is_left_to_torch(case: str) -> None:
 
 # What is compiled
 
-LOAD = """
-from pathlib import Path
-from metapp import native
-from metapp.apps.brdf import nbrdf_fused
-assert (native.load(Path(nbrdf_fused.__file__).with_name("nbrdf.c")) is not None) is {found}
-"""
+SOURCE = Path(nbrdf_fused.__file__).with_name("nbrdf.c")
 
 
-def process(cache: Path, found: bool = True, **environment: str) -> subprocess.Popen[bytes]:
-    """A process that loads the functions of the network, and says whether they were to be had."""
-    command = [sys.executable, "-c", LOAD.format(found=found)]
-    return subprocess.Popen(command, env={**os.environ, "METAPP_CACHE": str(cache), **environment})
+def load(found: bool) -> None:
+    assert (native.load(SOURCE) is not None) is found
+
+
+def process(cache: Path, found: bool = True, **environment: str) -> ForkServerProcess:
+    """A process that loads the functions of the network, and fails where they were to be had or not against `found`."""
+    return forks.start(load, found, said=cache / "said", more={"METAPP_CACHE": str(cache), **environment})
+
+
+def codes(*processes: ForkServerProcess) -> list[int | None]:
+    """Exit codes of processes, once all have ended."""
+    for each in processes:
+        each.join(120)
+    return [each.exitcode for each in processes]
 
 
 @needs_compiler
 def test_compiled_once_by_many_processes(tmp_path: Path) -> None:
-    assert [each.wait(120) for each in [process(tmp_path) for _ in range(3)]] == [0, 0, 0]
+    assert codes(*[process(tmp_path) for _ in range(3)]) == [0, 0, 0]
     (library,) = (tmp_path / "native").iterdir()
     made = library.stat()
-    assert process(tmp_path, CC="/nonexistent/cc").wait(120) == 0  # nothing is compiled again
+    assert codes(process(tmp_path, CC="/nonexistent/cc")) == [0]  # nothing is compiled again
     assert library.stat() == made or library.stat().st_mtime_ns == made.st_mtime_ns
 
 
 def test_without_a_compiler_or_with_a_broken_one(tmp_path: Path) -> None:
     for number, compiler in enumerate(("/nonexistent/cc", "false")):
         cache = tmp_path / str(number)
-        assert process(cache, found=False, CC=compiler).wait(120) == 0
+        assert codes(process(cache, found=False, CC=compiler)) == [0]
         assert not list(cache.rglob("*.so"))
 
 

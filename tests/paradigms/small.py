@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, NamedTuple
 
+import pytest
 import torch
 from torch import Generator
 
@@ -27,6 +28,7 @@ from metapp.learning.task import Task
 from metapp.networks.exemplar import Setup
 from metapp.networks.layers import LocalField, UNet
 from metapp.paradigms import Job, Paradigm
+from tests.small_spheres import shrink_spheres
 
 COUNT = 12
 # an application that has a second network stands for two
@@ -45,7 +47,9 @@ class Small(NamedTuple):
 
 
 def brdf_tasks() -> list[Task]:
-    return [brdf_task(each.name, each.evaluate, samples=512) for each in synthetic_materials("train", COUNT)]
+    with pytest.MonkeyPatch.context() as patch:
+        shrink_spheres(patch)
+        return [brdf_task(each.name, each.evaluate, samples=512) for each in synthetic_materials("train", COUNT)]
 
 
 def picture_tasks() -> list[Task]:

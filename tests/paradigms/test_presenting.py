@@ -16,6 +16,8 @@ from metapp.paradigms import Job, paradigms
 from metapp.storage.records import file_name
 from tests.paradigms.small import rng
 
+pytestmark = pytest.mark.usefixtures("small_spheres")  # as in the tasks
+
 
 @pytest.fixture
 def presentation(app: App) -> Presentation:

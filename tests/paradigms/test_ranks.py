@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import json
-import os
 import socket
-import subprocess
-import sys
 import time
 from collections.abc import Callable
+from multiprocessing.context import ForkServerProcess
 from pathlib import Path
+from typing import NamedTuple
 
 import pytest
 from safetensors import safe_open
@@ -17,6 +16,7 @@ from safetensors.torch import load_file
 
 from metapp.cli.commands import app
 from metapp.paradigms import ranks
+from tests import forks
 from tests.small_spheres import shrink_spheres
 
 
@@ -36,24 +36,31 @@ def materials(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+class Rank(NamedTuple):
+    """A process of a training, and the folder of what it says."""
+
+    process: ForkServerProcess
+    said: Path
+
+    def end(self) -> tuple[int | None, str, str]:
+        """Its exit code, standard output and standard error, once it has ended."""
+        self.process.join(600)
+        return self.process.exitcode, (self.said / forks.OUT).read_text(), (self.said / forks.ERR).read_text()
+
+
 @pytest.fixture
-def train(materials: Path) -> Callable[..., list[subprocess.Popen[str]]]:
+def train(materials: Path, compiled: None) -> Callable[..., list[Rank]]:
     """Start the ranks of one training on few small materials: train(ranks, folder, steps)."""
 
-    def start(count: int, out: Path, steps: int, **environment: str) -> list[subprocess.Popen[str]]:
-        command = [sys.executable, "-m", "metapp", "meta", "brdf", "--train", "--train-steps", str(steps)]
+    def start(count: int, out: Path, steps: int, **environment: str) -> list[Rank]:
+        command = ["meta", "brdf", "--train", "--train-steps", str(steps)]
         command += ["--data", str(materials), "--out", str(out), "--quiet"]
         shared = {"MASTER_ADDR": "127.0.0.1", "MASTER_PORT": str(free_port()), "WORLD_SIZE": str(count)}
-        return [
-            subprocess.Popen(
-                command,
-                env={**os.environ, **shared, **environment, "RANK": str(rank), "OMP_NUM_THREADS": "1"},
-                stdout=subprocess.PIPE,
-                stderr=subprocess.PIPE,
-                text=True,
-            )
-            for rank in range(count)
-        ]
+        started = []
+        for rank in range(count):
+            said, own = out.with_name(f"{out.name}-{rank}"), {**shared, **environment, "RANK": str(rank)}
+            started.append(Rank(forks.start(forks.metapp, *command, said=said, more=own), said))
+        return started
 
     return start
 
@@ -62,11 +69,11 @@ def trained(folder: Path) -> dict[str, Path]:
     return {path.stem: path for path in folder.rglob("starts/*/*.safetensors")}
 
 
-def test_two_ranks_train_what_one_does(train: Callable[..., list[subprocess.Popen[str]]], tmp_path: Path) -> None:
+def test_two_ranks_train_what_one_does(train: Callable[..., list[Rank]], tmp_path: Path) -> None:
     for count in (1, 2):
-        for process in train(count, tmp_path / str(count), 4):
-            said, errors = process.communicate(timeout=600)
-            assert process.returncode == 0, errors
+        for rank in train(count, tmp_path / str(count), 4):
+            code, said, errors = rank.end()
+            assert code == 0, errors
         assert (said, errors) == ("", "") or count == 1
     one, two = trained(tmp_path / "1"), trained(tmp_path / "2")
     assert one.keys() == two.keys() == {"general", "meta-curvature"}
@@ -81,15 +88,14 @@ def test_two_ranks_train_what_one_does(train: Callable[..., list[subprocess.Pope
     assert document["best_step"] > 0  # what is compared was trained
 
 
-def test_a_rank_that_dies_ends_the_run(train: Callable[..., list[subprocess.Popen[str]]], tmp_path: Path) -> None:
+def test_a_rank_that_dies_ends_the_run(train: Callable[..., list[Rank]], tmp_path: Path) -> None:
     first, second = train(2, tmp_path / "out", 10**6, METAPP_CHECKPOINT_SECONDS="0")
     until = time.monotonic() + 300
     while not list(tmp_path.rglob("*.training.safetensors")) and time.monotonic() < until:
         time.sleep(0.1)
-    second.kill()
-    second.communicate()
-    said, errors = first.communicate(timeout=300)
-    assert first.returncode == 1
+    second.process.kill()
+    code, said, errors = first.end()
+    assert code == 1
     assert said == ""
     (line,) = errors.strip().splitlines()[-1:]
     assert line.startswith("error: rank 0 of 2: another rank has ended")

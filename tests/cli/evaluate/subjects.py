@@ -21,10 +21,11 @@ from tests.small_spheres import shrink_spheres
 
 @contextlib.contextmanager
 def few_steps() -> Iterator[None]:
-    """Few steps of Overfit and Finetune, and of what comes after Meta."""
+    """Few steps of Overfit and Finetune, and of what comes after Meta; figures of few pixels."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setitem(APP.recipes, "quick", replace(APP.recipes["quick"], overfit_steps=40, finetune_steps=5))
         patch.setattr("metapp.experiments.tables.trace.FURTHER", (2, 4))
+        patch.setattr("metapp.experiments.figures.style.DPI", 40)
         shrink_spheres(patch)
         yield
 
