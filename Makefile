@@ -82,7 +82,7 @@ guiding: setup  ## error over seconds of guided and regular paths, a table and a
 
 # on two cores; the tables say that Overfit has fewer steps than the recipe's; OVERFIT=1 takes all of them
 OVERFIT ?= 0.1
-# RECIPE=full: at the sizes that people use; hours, of which finished fits are not repeated
+# RECIPE=full: at the sizes that people use; hours (of pictures of transport 2), of which finished fits are not repeated
 RECIPE ?= quick
 EVALUATE := $(METAPP) evaluate --overfit-share $(OVERFIT) --recipe $(RECIPE) --out $(RUNS)
 TABLES := results quickft image ablation storage samples convergence peers

@@ -98,9 +98,9 @@ def make_command(name: str, summary: str) -> Any:
         recipe: Annotated[
             str,
             typer.Option(
-                help="quick, full (all but transport) or paper; brdf: also measured, for noisy or incomplete samples; "
-                "texture: also paper-vgg19; default: full for files where no data, rule or checkpoint is given and a "
-                "full one ships, else quick."
+                help="quick, full or paper; brdf: also measured, for noisy or incomplete samples; texture: also "
+                "paper-vgg19; default: full for files where no data, rule or checkpoint is given and fits by it are "
+                "others (all but transport's), else quick."
             ),
         ] = "",
         scene_root: Annotated[

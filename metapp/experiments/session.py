@@ -71,8 +71,8 @@ def options_of(
     """Check what was asked for and put the application at its recipe and protocol.
 
     Without a recipe a user's own files (by the paradigm `own_files_by`) are fitted by "full", where that ships and no
-    data, checkpoint or rule is given; where it is of the size of "quick", by Meta alone, as its rule is all that
-    differs. All else is by "quick".
+    data, checkpoint or rule is given; where it is of the size of "quick", by Meta alone, and only if its rule is
+    another. All else is by "quick".
 
     Raises:
         BadOption: something that the application does not have.
@@ -92,8 +92,10 @@ def options_of(
 
 
 def _has_own(app: App, paradigm: str) -> bool:
-    """Whether "full" has anything of its own for a paradigm, and ships."""
-    return ships(app, FULL) and (paradigm == "meta" or not full_fits_as_quick(app))
+    """Whether fits of "full" by a paradigm differ from those of "quick", and it ships."""
+    if full_fits_as_quick(app):
+        return paradigm == "meta" and app.recipes[FULL].rule != app.recipes[QUICK].rule
+    return ships(app, FULL)
 
 
 def _at_rule(app: App, recipe: str, rule: str) -> App:

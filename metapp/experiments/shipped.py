@@ -34,7 +34,7 @@ def ships(app: App, recipe: str) -> bool:
 
 
 def full_fits_as_quick(app: App) -> bool:
-    """Whether "full" is of the size of "quick": then its rule is all that differs."""
+    """Whether networks of "full" are of the size of those of "quick": then all that fits differ in is its rule."""
     result: bool = app.recipes[FULL].setup == app.recipes[QUICK].setup
     return result
 

@@ -35,7 +35,7 @@ class App(ABC):
         reads: px a side, or rows of a map, that a user's files are read at; 0: as their readers do.
         solves: the parameter [C, F] that the network is linear in, where `linear` says how; "" where there is none.
         own: the parameters that a task does not share with others after General's encoder; () for all.
-        recipes: "paper", "quick", and "full" where a user's own files are fitted by other settings than tables are.
+        recipes: "paper", "quick", and "full", of the size that people use.
     """
 
     name: str

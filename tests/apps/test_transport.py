@@ -12,6 +12,7 @@ import torch
 from torch import Generator, Tensor
 
 from data_tools.synthetic.cornell import random_scene
+from metapp.apps import presentation_of
 from metapp.apps.transport import APP, QUICK, Setup, Transport, spline, views
 from metapp.apps.transport.flow import Flow, blobs, interpolated
 from metapp.apps.transport.guide import table_of
@@ -44,6 +45,25 @@ def bent(flow: Flow, seed: int = 0, scale: float = 0.5) -> Params:
         key: value.double() + scales[key] * torch.randn(value.shape, generator=generator)
         for key, value in start.items()
     }
+
+
+# Recipes
+
+
+def test_full_differs_in_the_pictures_alone() -> None:
+    full = APP.recipes["full"]
+    assert (QUICK.setup.picture, full.setup.picture) == (64, 256)
+    # the same checkpoints, and a training that was cut off goes on
+    assert (full, repr(full)) == (QUICK, repr(QUICK))
+    quick = presentation_of(APP.at(QUICK))
+    assert quick.image_measure == (  # a part of the keys of records
+        "pictures of 64 px of 1024 paths a pixel; fits guide three of four paths, without next-event estimation (NEE); "
+        "guided_path guides all bounces and learns while it renders; equal time is that of regular, in seconds of CPU, "
+        "and counts the samples that a fit sees, the fit, its table and the picture"
+    )
+    shown = presentation_of(APP.at(full))
+    assert shown.image_measure == quick.image_measure.replace("64 px", "256 px")
+    assert shown.image_seconds == pytest.approx(16 * quick.image_seconds)
 
 
 # Splines

@@ -113,6 +113,47 @@ def test_pictures_are_judged_at_equal_paths_and_in_equal_time(scenes: list[Task]
     assert shown.image_errors({"instant": Fitted(theta, 0.0)}, task._replace(data={})) == {}
 
 
+def test_pictures_are_judged_at_the_size_of_the_recipe(scenes: list[Task], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(images, "SPP", 4)
+    app = APP.at(replace(APP.recipes["quick"], setup=replace(APP.recipes["quick"].setup, picture=24)))
+    theta = {key: value[0] for key, value in app.init(torch.Generator().manual_seed(0), 1).items()}
+    judged, errors = [], images.Studio.errors
+
+    def noted(self: images.Studio, picture: torch.Tensor) -> dict[str, float]:
+        judged.append((tuple(picture.shape), tuple(self.reference.shape)))
+        return errors(self, picture)
+
+    monkeypatch.setattr(images.Studio, "errors", noted)
+    shown = TransportPresentation(app)
+    found = shown.image_errors({"instant": Fitted(theta, 0.0)}, scenes[0])
+    assert set(judged) == {((3, 24, 24), (3, 24, 24))}
+    assert set(found) == {"reference", "regular", images.JOINED, images.GUIDED, "instant"}
+    assert shown.image_measure.startswith("pictures of 24 px of 1024 paths a pixel; ")
+    assert shown.outputs(theta, scenes[0])["fit"].shape == (128, 256, 3)  # of any recipe
+
+
+def test_pictures_that_join_surfaces_to_lights_come_in_waves(
+    scenes: list[Task], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    studio = images.Studio(scenes[0].data["scene"].numpy().tobytes(), size=8)
+    whole = studio.joined(4096).picture
+    assert torch.equal(whole, studio.joined(4096).picture)
+    monkeypatch.setattr(images, "WAVE", 1500 * 8 * 8)
+    asked, by = [], studio._by
+
+    def noted(integrator: dict[str, Any], spp: int, seed: int) -> images.Shot:
+        asked.append((spp, seed))
+        return by(integrator, spp, seed)
+
+    monkeypatch.setattr(studio, "_by", noted)
+    waves = studio.joined(4096, seed=1).picture
+    assert asked == [(1500, 65536), (1500, 65537), (1096, 65538)]
+    parts = sum(spp / 4096 * by({"type": "path"}, spp, seed).picture for spp, seed in asked)
+    torch.testing.assert_close(waves, parts)
+    assert float(waves.mean()) == pytest.approx(float(whole.mean()), rel=0.01)
+    assert not torch.equal(waves, whole)
+
+
 def test_equal_time_counts_the_samples_that_a_fit_sees(scenes: list[Task], monkeypatch: pytest.MonkeyPatch) -> None:
     task, app = scenes[0], APP.at(APP.recipes["quick"])
     shown = TransportPresentation(app)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import torch
 from torch import Generator, Tensor
@@ -24,9 +24,12 @@ class Setup:
 
     Attributes:
         flow: the network of one scene.
+        picture: side of the pictures that fits are judged by, px; no training depends on it, so that checkpoints
+            are the same for all sizes.
     """
 
     flow: Flow
+    picture: int = field(default=64, compare=False, repr=False)
 
     @property
     def encoder(self) -> Encoder:
@@ -60,6 +63,8 @@ QUICK = Recipe(
     rule="meta-lgd",
     setup=Setup(Flow()),
 )
+# the same fits, judged by pictures of the size that people render
+FULL = replace(QUICK, setup=replace(QUICK.setup, picture=256))
 # 8 inner steps of 10,000 of 288,000 samples, first-order MAML with Meta-SGD from a random initialisation, as in
 # Fischer & Ritschel 2022, section 4.1.6
 PAPER = replace(
@@ -83,7 +88,7 @@ class Transport(App):
         "image": Held((3, 32, 32), low=0.0),
         "scene": Held(("L",), "uint8", optional=True),
     }
-    recipes = {"paper": PAPER, "quick": QUICK}  # noqa: RUF012  (never written to)
+    recipes = {"paper": PAPER, "quick": QUICK, "full": FULL}  # noqa: RUF012  (never written to)
 
     def __init__(self, setup: Setup) -> None:
         self.setup = setup

@@ -19,11 +19,13 @@ from metapp.rendering import equal_time, path_render, path_space
 from metapp.rendering.guided_plugin import register_guided_path
 from metapp.rendering.scene_text import scene_of
 
-SIZE, SPP = 64, 1024  # px of a side, and paths a pixel as in Fischer & Ritschel 2022, table 2
+SHOWN_SIZE = 64  # px of a side, of the pictures that a run leaves
+SPP = 1024  # paths a pixel as in Fischer & Ritschel 2022, table 2
 REGULAR, EQUAL_TIME = "regular", "MAPE, equal time"
 FIXED = "fixed time"
 JOINED, GUIDED = "regular + NEE", "guided_path + NEE"  # of Mitsuba alone, as every user has it; of all bounces
 REFERENCE_SPP = 8192  # with next-event estimation, in two halves, which tell its own error
+WAVE = 2**22  # paths at a time
 RENDERED_SPP = 64  # samples a pixel of the pictures of `rendered`
 
 
@@ -45,7 +47,7 @@ class Studio:
         ValueError: it cannot be traced here.
     """
 
-    def __init__(self, scene: bytes, size: int = SIZE) -> None:
+    def __init__(self, scene: bytes, size: int) -> None:
         self.tracer = path_space.Tracer(scene_of(torch.frombuffer(bytearray(scene), dtype=torch.uint8)))
         self.size = size
 
@@ -64,8 +66,12 @@ class Studio:
         return _timed(shoot)
 
     def joined(self, spp: int, seed: int = 0) -> Shot:
-        """A picture by Mitsuba's path, which joins surfaces to lights as well."""
-        return self._by({"type": "path"}, spp, seed)
+        """A picture by Mitsuba's path, which joins surfaces to lights as well, in as many waves as memory asks for."""
+        most = max(1, WAVE // self.size**2)
+        counts = [min(most, spp - first) for first in range(0, spp, most)]
+        shots = [self._by({"type": "path"}, count, seed * 2**16 + i) for i, count in enumerate(counts)]
+        total = sum(count * shot.picture for count, shot in zip(counts, shots, strict=True))
+        return Shot(torch.as_tensor(total) / spp, sum(shot.seconds for shot in shots))
 
     def guided_path(self, spp: int, seed: int = 0) -> Shot:
         """The same, guided at all bounces by what it learns while it renders."""
@@ -125,27 +131,28 @@ def _timed(shoot: Callable[[], Tensor]) -> Shot:
     return Shot(picture, time.process_time() - begin)
 
 
-def studio_of(task: Task) -> Studio:
-    """The studio of a task's scene.
+def studio_of(task: Task, size: int = SHOWN_SIZE) -> Studio:
+    """The studio of a task's scene, for pictures of a size.
 
     Raises:
         ValueError: the scene cannot be traced here.
     """
-    return _studio(task.data["scene"].cpu().numpy().tobytes())
+    return _studio(task.data["scene"].cpu().numpy().tobytes(), size)
 
 
-@functools.lru_cache(maxsize=16)  # a reference takes seconds
-def _studio(scene: bytes) -> Studio:
-    return Studio(scene)
+@functools.lru_cache(maxsize=16)  # a reference takes seconds, of 256 px minutes
+def _studio(scene: bytes, size: int) -> Studio:
+    return Studio(scene, size)
 
 
-def image_errors(flow: Flow, fits: Mapping[str, Fitted], task: Task) -> dict[str, dict[str, float]]:
+def image_errors(flow: Flow, fits: Mapping[str, Fitted], task: Task, size: int) -> dict[str, dict[str, float]]:
     """Measures of the pictures that fits guide, and of REGULAR's, JOINED's and GUIDED's, which have no fit.
 
     Args:
         flow: the network.
         fits: by name.
         task: holds the `scene`.
+        size: side of the pictures, px.
 
     Returns:
         By name: `MAPE`, `SMAPE` and `DSSIM` at SPP paths a pixel; `time`, of the picture over Regular's, the table
@@ -153,7 +160,7 @@ def image_errors(flow: Flow, fits: Mapping[str, Fitted], task: Task) -> dict[str
         table, over Regular's picture; and `MAPE, equal time`, of as many paths as there is time for where all of that
         and the picture may take as long as Regular for SPP, left out where there is none. REFERENCE has its own `MAPE`.
     """
-    studio = studio_of(task)
+    studio = studio_of(task, size)
     errors = studio.errors(studio.baseline.picture)
     found = {
         REFERENCE: {"MAPE": studio.reference_error},

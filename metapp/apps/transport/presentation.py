@@ -12,6 +12,12 @@ from metapp.apps.transport.views import picture_of_flow, picture_of_samples
 from metapp.learning.task import Params, Task
 
 SHOWN, GLANCE = 512, 256  # paths a pixel of the pictures that a run leaves, and of those in its overview
+IMAGE_MEASURE = (
+    "pictures of {size} px of 1024 paths a pixel; fits guide three of four paths, without next-event estimation (NEE); "
+    "guided_path guides all bounces and learns while it renders; equal time is that of regular, in seconds of CPU, "
+    "and counts the samples that a fit sees, the fit, its table and the picture"
+)
+SECONDS = 0.012  # of CPU for each pixel of `image_errors`, about
 
 
 class TransportPresentation(Presentation[Transport]):
@@ -20,13 +26,13 @@ class TransportPresentation(Presentation[Transport]):
     title = "Transport"
     measure = "negative log-likelihood of held-out light paths, on the film and in their first direction"
     logarithmic = True
-    image_measure = (
-        "pictures of 64 px of 1024 paths a pixel; fits guide three of four paths, without next-event estimation (NEE); "
-        "guided_path guides all bounces and learns while it renders; equal time is that of regular, in seconds of CPU, "
-        "and counts the samples that a fit sees, the fit, its table and the picture"
-    )
     renders = True
-    image_seconds = 50.0
+
+    def __init__(self, app: Transport, size: tuple[int, int] | None = None) -> None:
+        super().__init__(app, size)
+        side = app.setup.picture
+        self.image_measure = IMAGE_MEASURE.format(size=side)
+        self.image_seconds = SECONDS * side**2
 
     def outputs(self, theta: Params, task: Task) -> dict[str, Any]:
         """What there is on the film, and the directions at sixteen parts of it, of the samples and of the fit.
@@ -56,7 +62,7 @@ class TransportPresentation(Presentation[Transport]):
 
     def image_errors(self, fits: Mapping[str, Fitted], task: Task) -> dict[str, dict[str, float]]:
         """MAPE, SMAPE and DSSIM of pictures that fits guide, at equal paths and in equal time, and of Regular's."""
-        return image_errors(self.app.flow, fits, task) if "scene" in task.data else {}
+        return image_errors(self.app.flow, fits, task, self.app.setup.picture) if "scene" in task.data else {}
 
     def visible(self, task: Task) -> Visible:
         """All samples but the held-out ones; General's encoder sees none of them, only the picture."""
