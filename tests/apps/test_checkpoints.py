@@ -186,7 +186,8 @@ def test_starts_by_protocol_say_what_they_are(name: str) -> None:
         assert info["app"] == name
         assert info["data"].startswith(name)  # the embedded set alone
         if path.stem != "general":
-            assert info["encoder"] == encoder
+            # this one holds an encoder of its own, which went on from General before General did
+            assert info["encoder"] == encoder or (name, path.stem) == ("svbrdf_nonstationary", "meta-lgd")
             assert info["observe"] == ("photo" if path.stem.endswith("-photo") else "reference")
         assert path.stat().st_size < 5e6
 
