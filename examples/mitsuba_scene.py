@@ -17,7 +17,7 @@ import metapp.mitsuba  # noqa: F401  (registers the plugins; before mitsuba, as 
 import drjit as dr
 import mitsuba as mi
 
-SIZE, SAMPLES, EXPOSURE = 384, 256, 0.33
+SIZE, SAMPLES, EXPOSURE = 512, 256, 0.33
 # a rare path from a mirror to the sun outshines its pixel: SAMPLES are taken in passes of a few, and a pass counts for
 # BRIGHTEST times white at most; what is brighter than that in all passes is white in the picture anyway
 PASS, BRIGHTEST = 4, 3.0
