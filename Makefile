@@ -27,7 +27,7 @@ $(VENV)/.ready: setup.cfg pyproject.toml constraints.txt tools/setup.sh
 demo: setup  ## fit 20 unseen materials in 10 gradient steps each; table and picture
 	$(METAPP) meta brdf --steps 10 --out $(RUNS)
 
-test: setup  ## the tests on up to four cores, about five minutes on two
+test: setup  ## the tests on up to four cores, five minutes on two
 	$(VENV)/bin/python -m pytest -m "not slow" -n auto --maxprocesses 4 --dist worksteal
 
 test-slow: setup  ## the tests that take minutes each
