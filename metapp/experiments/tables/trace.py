@@ -72,7 +72,7 @@ def trace(subject: Subject, fits: list[Fit], task: Task) -> tuple[Record, Params
     """One task: errors of each paradigm along its steps, paths, and what further steps bring Meta.
 
     Returns:
-        The record, and Meta's parameters at PARTS of its steps, `<part>.<name>`.
+        The record, and Meta's parameters at PARTS of its steps, as of `named`.
     """
     app, options = subject.app, subject.options
     stacked = stack(app, [task], options.device)
@@ -97,7 +97,15 @@ def trace(subject: Subject, fits: list[Fit], task: Task) -> tuple[Record, Params
         "paths": paths,
         "explained": explained,
     }
-    return record, {f"{part:g}/{key}": value[0] for part, theta in parts.items() for key, value in theta.items()}
+    return record, named(parts)
+
+
+def named(parts: dict[float, Params]) -> Params:
+    """Parameters [1, ...] at PARTS of the steps as `<part>/<name>`, [...] each.
+
+    Each has memory of its own, as files ask for; a rule that solves leaves most parameters as they are.
+    """
+    return {f"{part:g}/{key}": value[0].clone() for part, theta in parts.items() for key, value in theta.items()}
 
 
 def at(part: float, steps: int) -> int:

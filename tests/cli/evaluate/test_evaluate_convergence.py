@@ -7,12 +7,13 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from safetensors.torch import load, save
 
 from metapp.experiments.figures.rates import step_sizes
 from metapp.experiments.tables.convergence import steps_needed
 from metapp.experiments.tables.rows import blank, paper
 from metapp.experiments.tables.statistics import carried
-from metapp.experiments.tables.trace import FURTHER, PARTS, looks, near, paths_of, places, project
+from metapp.experiments.tables.trace import FURTHER, PARTS, looks, named, near, paths_of, places, project
 
 
 def test_the_papers_figures_have_sources_and_agree_with_each_other() -> None:
@@ -70,6 +71,13 @@ def test_networks_of_different_sizes_have_no_common_paths() -> None:
     assert len(found["meta"]) == len(found["overfit"]) == 3
     assert explained == pytest.approx(1)
     assert paths_of(small, large) == ({"meta": [], "overfit": []}, 0.0)
+
+
+def test_parameters_that_no_step_moves_are_saved_for_every_part() -> None:
+    still = torch.ones(1, 3)
+    found = named({0.0: {"w": still}, 0.5: {"w": still, "b": 2 * still}})
+    assert set(load(save(found))) == {"0/w", "0.5/w", "0.5/b"}
+    assert all(value.shape == (3,) for value in found.values())
 
 
 def test_step_sizes_of_rules() -> None:
