@@ -24,16 +24,21 @@ def cell(picture: Tensor, side: int = CELL) -> Tensor:
     return interpolate(whole, size=(side, side), mode="bilinear", antialias=True)[0].clamp(0, 1)
 
 
-def drawn(app: str, photo: Path, recipe: str) -> Tensor:
-    """Meta's fit by a recipe, [3, CELL, CELL]."""
+def fitted(app: str, photo: Path, recipe: str) -> metapp.Fit:
+    """Meta's fit of a photo by a recipe."""
     observe = {"observe": "photo"} if app == "svbrdf_nonstationary" else {}
     fit = metapp.fit(app, photo, recipe=recipe, **observe)
+    print(f"{photo.name}: {recipe}, {fit.seconds:.1f} s", flush=True)
+    return fit
+
+
+def drawn(fit: metapp.Fit) -> Tensor:
+    """What a fit makes, [3, CELL, CELL]."""
     files = presentation_of(fit.app).files(fit.parameters, fit.task)
     found = {name: file.pixels for name, file in files.items()}
-    if app != "svbrdf_nonstationary":  # four photos wide and high
+    if fit.app.name != "svbrdf_nonstationary":  # four photos wide and high
         found = {name: each[: each.shape[0] // 4, : each.shape[1] // 4] for name, each in found.items()}
-    print(f"{photo.name}: {recipe}, {fit.seconds:.1f} s", flush=True)
-    if app == "texture":
+    if fit.app.name == "texture":
         return cell(found["texture"])
     parts = [cell(found[name], CELL // 2) for name in MAPS]
     return torch.cat([torch.cat(parts[:2], 2), torch.cat(parts[2:], 2)], 1)
@@ -41,9 +46,10 @@ def drawn(app: str, photo: Path, recipe: str) -> Tensor:
 
 def column(app: str, photo: Path) -> Tensor:
     """The photo above both fits, [3, 3 CELL, CELL]."""
-    task = metapp.fit(app, photo, paradigm="general", **({"observe": "photo"} if "non" in app else {})).task
-    image = task.data["photo" if "photo" in task.data else "image"].float() / 255
-    return torch.cat([cell(image.permute(1, 2, 0)), *(drawn(app, photo, recipe) for recipe in ("quick", "full"))], 1)
+    fits = [fitted(app, photo, recipe) for recipe in ("quick", "full")]
+    data = fits[-1].task.data
+    image = data["photo" if "photo" in data else "image"].float() / 255
+    return torch.cat([cell(image.permute(1, 2, 0)), *map(drawn, fits)], 1)
 
 
 def main(picture: Path, named: list[str]) -> None:

@@ -73,9 +73,13 @@ def statistics(maps: Maps) -> Tensor:
     """
     specular = maps.specular.mean(-3, keepdim=True)
     shown = torch.cat([maps.diffuse, specular], -3).clamp(1e-4, 1) ** (1 / 2.2)
-    tilt = (maps.normal[..., :2, :, :].square().sum(-3, keepdim=True) + 1e-6).sqrt()
-    each = torch.cat([shown, maps.roughness, tilt], -3).flatten(-2)
+    each = torch.cat([shown, maps.roughness, tilt(maps.normal)], -3).flatten(-2)
     return torch.stack([each.mean(-1), (each.var(-1, unbiased=False) + 1e-8).sqrt()], -2)
+
+
+def tilt(normal: Tensor) -> Tensor:
+    """Sine of the angle between normals [..., 3, H, W] and the patch's, [..., 1, H, W]; 0.001 where it is 0."""
+    return (normal[..., :2, :, :].square().sum(-3, keepdim=True) + 1e-6).sqrt()
 
 
 def camera_distance(fov_rad: float = FOV_RAD) -> float:

@@ -9,7 +9,7 @@ import torch
 from torch import Generator, Tensor
 from torch.nn.functional import adaptive_avg_pool2d, relu
 
-from metapp.appearance.flash import Maps, expose, positions, render, statistics, unpack
+from metapp.appearance.flash import Maps, expose, positions, render, statistics, tilt, unpack
 from metapp.appearance.metrics import ssim
 from metapp.apps.svbrdf_nonstationary.encoder import Encoder
 from metapp.apps.svbrdf_nonstationary.maps import (
@@ -202,7 +202,8 @@ class SvbrdfNonstationary(CodedApp):
         if self.protocol == "photo":
             return self._photo_loss(theta, maps, batch["photo"], learned)
         pictures = norm(self._logs(maps, batch["rig"]) - batch["lit"], learned)
-        return pictures.mean((1, 2, 3, 4)) + MAPS * self._map_loss(maps, batch["maps"], learned)
+        apart = differences(maps, unpack(batch["maps"]))
+        return pictures.mean((1, 2, 3, 4)) + MAPS * _map_loss(apart, learned)
 
     def outer_loss(self, theta: Params, batch: Batch, learned: Params) -> Tensor:
         """Whatever fits see, what is wanted are the maps and what they look like under any light, [T].
@@ -213,20 +214,15 @@ class SvbrdfNonstationary(CodedApp):
         pictures = (self._logs(maps, batch["pairs"]) - self._logs(target, batch["pairs"])).abs().mean((1, 2, 3, 4))
         photo = self._photo_loss(theta, maps, batch["photo"], {})
         steep = (_steepness(maps) / _steepness(target)).log().abs().mean((1, 2, 3))
-        hidden = _blots(maps, target, batch["photo"])
-        return (
-            pictures + WANTED * self._map_loss(maps, batch["maps"], {}) + SEEN * photo + STEEP * steep + HIDDEN * hidden
-        )
+        apart = differences(maps, target)
+        hidden = _blots(apart[0], batch["photo"])
+        return pictures + WANTED * _map_loss(apart, {}) + SEEN * photo + STEEP * steep + HIDDEN * hidden
 
     def _logs(self, maps: Maps, pairs: Tensor) -> Tensor:
         """Log of what maps [T, ...] send out under pairs of light and viewer [T or 1, V, 2, 3]: [T, V, 3, H, W]."""
         place = positions(*maps.diffuse.shape[-2:], dtype=pairs.dtype, device=pairs.device)
         spread = Maps(*(part[:, None] for part in maps))
         return (render(spread, place, pairs[:, :, 0], pairs[:, :, 1]) + DARK).log()
-
-    def _map_loss(self, maps: Maps, target: Tensor, learned: Params) -> Tensor:
-        """Sum of the mean differences of maps, [T]; colours as the eye spaces them."""
-        return torch.stack([norm(each, learned).mean((1, 2, 3)) for each in differences(maps, unpack(target))]).sum(0)
 
     def _photo_loss(self, theta: Params, maps: Maps, photo: Tensor, learned: Params) -> Tensor:
         """Mean difference of logs, [T]; where the photograph clips, only what is darker than it counts."""
@@ -279,22 +275,25 @@ class SvbrdfNonstationary(CodedApp):
             "ssim": ssim(shown, target_shown).flatten(1).mean(1).reshape(len(tasks), -1).mean(1),
             "normal": torch.rad2deg(cosine.acos()).mean((1, 2)),
             "relief": steep[0] / steep[1],
-            "blots": _blots(maps, target, tasks.data["photo"][tasks.rows]),
+            "blots": _blots(parts["diffuse"], tasks.data["photo"][tasks.rows]),
             **{name: part.abs().mean((1, 2, 3)) for name, part in parts.items()},
         }
 
 
+def _map_loss(apart: list[Tensor], learned: Params) -> Tensor:
+    """Sum of the mean differences of maps, as of `differences`, [T]; colours as the eye spaces them."""
+    return torch.stack([norm(each, learned).mean((1, 2, 3)) for each in apart]).sum(0)
+
+
 def _steepness(maps: Maps) -> Tensor:
     """Sines of the angles between normals and the patch's, means in cells and a little more, [T, 1, CELLS, CELLS]."""
-    sine = (maps.normal[:, :2].square().sum(1, keepdim=True) + 1e-6).sqrt()
-    return adaptive_avg_pool2d(sine, CELLS) + 2 * LEVEL
+    return adaptive_avg_pool2d(tilt(maps.normal), CELLS) + 2 * LEVEL
 
 
-def _blots(maps: Maps, target: Maps, photo: Tensor) -> Tensor:
-    """Mean difference of diffuse colours, gamma 2.2, where the photo clips, 0 where it does not, [T]."""
+def _blots(diffuse: Tensor, photo: Tensor) -> Tensor:
+    """Mean of how far diffuse colours are off, as of `differences`, where the photo clips; 0 where it does not, [T]."""
     clips = (photo > CLIPPED).any(1, keepdim=True).float()
-    apart = differences(maps, target)[0].abs()
-    return (apart * clips).mean((1, 2, 3)) / clips.mean((1, 2, 3)).clamp_min(1e-6)
+    return (diffuse.abs() * clips).mean((1, 2, 3)) / clips.mean((1, 2, 3)).clamp_min(1e-6)
 
 
 def draw_pairs(counts: tuple[int, int], rng: Generator, tasks: int) -> Tensor:
