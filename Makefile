@@ -85,7 +85,7 @@ OVERFIT ?= 0.1
 # RECIPE=full: at the sizes that people use; hours (of pictures of transport 2), of which finished fits are not repeated
 RECIPE ?= quick
 EVALUATE := $(METAPP) evaluate --overfit-share $(OVERFIT) --recipe $(RECIPE) --out $(RUNS)
-TABLES := results quickft image ablation storage samples convergence peers
+TABLES := results quickft image ablation storage samples convergence baselines
 
 .PHONY: $(TABLES:%=table-%)
 
@@ -123,8 +123,8 @@ rules: setup  ## the rule study: all update rules by APPS, STEPS, SEEDS after OU
 	  --seed $(firstword $(SEEDS)) --seeds $(words $(SEEDS)) $(if $(filter file,$(origin DATA)),,--data "$(DATA)") \
 	  --out $(RUNS) --figures $(RUNS)/figures --format markdown
 
-table-peers: setup  ## what else there is: error, time and bytes of methods without a network
-	$(EVALUATE) --which peers
+table-baselines: setup  ## what else there is: error, time and bytes of methods without a network
+	$(EVALUATE) --which baselines
 
 figures: setup  ## all figures as PNG and PDF, in runs/figures
 	$(EVALUATE) --which all --figures $(RUNS)/figures --format markdown

@@ -12,7 +12,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from metapp.experiments.api import Fit, fit, fit_all
+    from metapp.runs.api import Fit, fit, fit_all
 
 __all__ = ["Fit", "__version__", "fit", "fit_all"]
 __version__ = "0.1.0"
@@ -21,7 +21,7 @@ __version__ = "0.1.0"
 def __getattr__(name: str) -> Any:
     """Import the API on first use, as torch takes a second or more to load."""
     if name in ("Fit", "fit", "fit_all"):
-        from metapp.experiments import api
+        from metapp.runs import api
 
         return getattr(api, name)
     raise AttributeError(f"module 'metapp' has no attribute '{name}'")

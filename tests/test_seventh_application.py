@@ -20,7 +20,7 @@ metapp.apps.__path__.append(sys.argv[1] + "/metapp/apps")
 data_tools.formats.__path__.append(sys.argv[1] + "/data_tools/formats")
 from metapp.cli.commands import app
 from metapp.cli.console import run
-from metapp.experiments.figures import style
+from metapp.evaluation.figures import style
 style.DPI = 40  # nobody looks at these figures
 for line in sys.stdin:
     words = json.loads(line)

@@ -9,10 +9,10 @@ import typer
 
 from metapp.cli.console import out, print_json, say
 from metapp.cli.options import FittedData, Json, RunPath
-from metapp.experiments.reporter import number
+from metapp.runs.reporter import number
 
 if TYPE_CHECKING:
-    from metapp.experiments.compare import Comparison
+    from metapp.runs.compare import Comparison
 
 
 def command(
@@ -37,7 +37,7 @@ def command(
 
     Example: metapp compare runs/brdf/meta/gold-full-seed0-ridge runs/brdf/finetune/gold-full-seed0
     """
-    from metapp.experiments.compare import compare, draw
+    from metapp.runs.compare import compare, draw
 
     compared = compare(first, second, task, inputs or [], data)
     picture = draw(compared, out_file or compared.sides[0].folder / "comparison.png", quiet=quiet)
@@ -56,8 +56,8 @@ def _table(compared: Comparison) -> Any:
     from rich.table import Table
     from rich.text import Text
 
-    from metapp.experiments.session import caption_of, title_of
-    from metapp.experiments.tables.statistics import FEWEST, paired_text
+    from metapp.evaluation.tables.statistics import FEWEST, paired_text
+    from metapp.runs.session import caption_of, title_of
 
     one, other = compared.sides
     found, app = compared.found, one.app

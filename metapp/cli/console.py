@@ -21,8 +21,8 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, ProgressColumn, TextColumn, TimeRemainingColumn
 from rich.text import Text
 
-from metapp.experiments import BadOption
-from metapp.experiments.reporter import Bar, Clock, Reporter, duration, reporting
+from metapp.runs import BadOption
+from metapp.runs.reporter import Bar, Clock, Reporter, duration, reporting
 
 LONGEST = 300  # characters of an error or a warning
 

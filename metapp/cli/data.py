@@ -18,9 +18,9 @@ from metapp.cli.data_convert import Quiet, check_folder, command_of, report
 from metapp.cli.data_cornell import cornell
 from metapp.cli.data_sets import holds_of, join, noisy
 from metapp.cli.options import Json
-from metapp.experiments.convert import Converted
-from metapp.experiments.embedded import embedded_apps, embedded_data, embedded_module, split_counts
-from metapp.experiments.reporter import progress
+from metapp.runs.convert import Converted
+from metapp.runs.embedded import embedded_apps, embedded_data, embedded_module, split_counts
+from metapp.runs.reporter import progress
 
 app = typer.Typer(no_args_is_help=True, help="Make data sets from files or by drawing them, and check them.")
 

@@ -14,7 +14,7 @@ import typer
 from data_tools.formats import Conversion, Format, Setting
 from metapp.cli.console import print_json, say
 from metapp.cli.options import Json
-from metapp.experiments.convert import Converted, convert
+from metapp.runs.convert import Converted, convert
 
 
 class Split(enum.StrEnum):

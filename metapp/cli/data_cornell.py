@@ -8,8 +8,8 @@ import typer
 
 from metapp.cli.data_convert import Out, Quiet, Split, SplitOption, report
 from metapp.cli.options import Json
-from metapp.experiments.convert import Converted
-from metapp.experiments.reporter import progress
+from metapp.runs.convert import Converted
+from metapp.runs.reporter import progress
 
 _SAMPLES, _HELD = 32_768, 8_192
 

@@ -11,8 +11,8 @@ import typer
 
 from metapp.cli.data_convert import Out, Quiet, report
 from metapp.cli.options import Json
-from metapp.experiments.convert import Converted
-from metapp.experiments.reporter import progress
+from metapp.runs.convert import Converted
+from metapp.runs.reporter import progress
 
 if TYPE_CHECKING:
     from metapp.learning.task import Held, Task

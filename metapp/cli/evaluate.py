@@ -9,14 +9,14 @@ import typer
 
 from metapp.cli.console import out, print_json, say
 from metapp.cli.options import Json
-from metapp.experiments.reporter import progress
-from metapp.experiments.tables import NAMES, STUDIES, load_table
+from metapp.evaluation.tables import NAMES, STUDIES, load_table
+from metapp.runs.reporter import progress
 
 if TYPE_CHECKING:
-    from metapp.experiments.session import Options
-    from metapp.experiments.study import Budget
-    from metapp.experiments.tables.subject import Cell, Subject
-    from metapp.experiments.tables.table import Table
+    from metapp.evaluation.study import Budget
+    from metapp.evaluation.tables.subject import Cell, Subject
+    from metapp.evaluation.tables.table import Table
+    from metapp.runs.session import Options
 
 FORMATS = ("rich", "markdown", "latex", "csv", "json")
 ALL = "all"
@@ -85,8 +85,8 @@ def command(
         if given and which not in STUDIES:
             raise typer.BadParameter(f"{option}: only with --which {' or '.join(STUDIES)}.")
     from metapp.apps import app_names
-    from metapp.experiments.session import check_protocol, find_app, options_of
-    from metapp.experiments.study import STARTS, Budget
+    from metapp.evaluation.study import STARTS, Budget
+    from metapp.runs.session import check_protocol, find_app, options_of
 
     if start and start not in STARTS:
         raise typer.BadParameter(f"--start '{start}': expected one of {', '.join(STARTS)}.")
@@ -127,17 +127,17 @@ def command(
     fill(cells, run=not no_run, quiet=quiet)
     if not quiet and which in ("results", ALL):
         compare(subjects, quiet=quiet)
-    if not quiet and which in ("peers", ALL):
-        compare_peers(subjects)
+    if not quiet and which in ("baselines", ALL):
+        compare_baselines(subjects)
     if table or json:
         show(tables, subjects, "json" if json else format_name)
     if figures:
-        from metapp.experiments.figures import FIGURES, write_figures
+        from metapp.evaluation.figures import FIGURES, write_figures
 
         for file in write_figures(subjects, figures, STUDIES if which in STUDIES else tuple(FIGURES)):
             say(f"figure: {file}")
     if report:
-        from metapp.experiments.report.page import write_report
+        from metapp.evaluation.report.page import write_report
 
         say(f"report: {write_report(subjects, report)}")
 
@@ -146,14 +146,14 @@ def find_subjects(
     planned: list[Options], *, run: bool, strict: bool, share: float, budget: Budget | None = None
 ) -> list[Subject]:
     """What tables are about."""
-    from metapp.experiments.tables.subject import Subject
+    from metapp.evaluation.tables.subject import Subject
 
     return [Subject(options, run=run, strict=strict, share=share, budget=budget) for options in planned]
 
 
 def fill(cells: list[Cell], *, run: bool, quiet: bool) -> None:
     """Measure what cells lack, or name the commands that do."""
-    from metapp.experiments.tables.running import run_cells
+    from metapp.evaluation.tables.running import run_cells
 
     if run:
         run_cells(cells, quiet=quiet)
@@ -170,7 +170,7 @@ def fill(cells: list[Cell], *, run: bool, quiet: bool) -> None:
 def show(tables: list[Table], subjects: list[Subject], form: str) -> None:
     """Print tables in a format."""
     from metapp.cli.show import rich_table
-    from metapp.experiments.tables.formats import csv_of, text_table
+    from metapp.evaluation.tables.formats import csv_of, text_table
 
     several = len(tables) > 1
     found = {table.name: [(each, rows) for each in subjects if (rows := table.rows(each))] for table in tables}
@@ -191,7 +191,7 @@ def show(tables: list[Table], subjects: list[Subject], form: str) -> None:
 
 def compare(subjects: list[Subject], *, quiet: bool) -> None:
     """Draw the fits of all paradigms that are complete, side by side, one picture an application."""
-    from metapp.experiments.pictures import COMPARED, picture_of_table
+    from metapp.runs.pictures import COMPARED, picture_of_table
 
     for subject in subjects:
         options, complete = subject.options, []
@@ -208,14 +208,14 @@ def compare(subjects: list[Subject], *, quiet: bool) -> None:
             say(f"picture: {made}")
 
 
-def compare_peers(subjects: list[Subject]) -> None:
-    """Draw Meta's fits and those of peers that are pictures, side by side, one picture an application."""
-    from metapp.experiments.pictures import picture_of_table
-    from metapp.experiments.tables.peers import peers_with_pictures
+def compare_baselines(subjects: list[Subject]) -> None:
+    """Draw Meta's fits and those of baselines that are pictures, side by side, one picture an application."""
+    from metapp.evaluation.tables.baselines import baselines_with_pictures
+    from metapp.runs.pictures import picture_of_table
 
     for subject in subjects:
-        meta, drawn = subject.cell("meta"), peers_with_pictures(subject)
+        meta, drawn = subject.cell("meta"), baselines_with_pictures(subject)
         if meta.folder and drawn and subject.tasks and not meta.missing():
             runs = [("meta", meta.folder.path, meta.records()), *drawn]
-            file = subject.options.out / subject.app.name / f"peers-{subject.label}-{subject.options.recipe}.png"
+            file = subject.options.out / subject.app.name / f"baselines-{subject.label}-{subject.options.recipe}.png"
             say(f"picture: {picture_of_table(subject.app, subject.tasks, runs, file)}")

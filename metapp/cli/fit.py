@@ -148,10 +148,10 @@ def make_command(name: str, summary: str) -> Any:
     ) -> None:
         with importing():
             from metapp.apps import presentation_of
-            from metapp.experiments.export import check_export
-            from metapp.experiments.inputs import Reading
-            from metapp.experiments.run import follow
-            from metapp.experiments.session import options_of
+            from metapp.runs.export import check_export
+            from metapp.runs.inputs import Reading
+            from metapp.runs.run import follow
+            from metapp.runs.session import options_of
 
         options = options_of(
             app,

@@ -9,18 +9,18 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from metapp.cli.console import Exit, lines_of_input, one_line, out, print_json, say, what_failed
-from metapp.experiments.reporter import number
+from metapp.runs.reporter import number
 
 if TYPE_CHECKING:
-    from metapp.experiments.run import Run
-    from metapp.experiments.session import Options
     from metapp.learning.app import App
+    from metapp.runs.run import Run
+    from metapp.runs.session import Options
 
 
 def fit(options: Options, name: str, inputs: list[Path], told: dict[str, Any], *, render: int, json: bool) -> None:
     """Fit inputs one by one and show what came of it; of scenes also pictures of so many px."""
-    from metapp.experiments.pictures import write_renders
-    from metapp.experiments.run import run
+    from metapp.runs.pictures import write_renders
+    from metapp.runs.run import run
 
     done = run(options, name, inputs, **told)
     lines = write_renders(done.options.app, done.tasks, done.folder.path / "outputs", render) if render else []
@@ -34,7 +34,7 @@ def fit(options: Options, name: str, inputs: list[Path], told: dict[str, Any], *
 
 def fit_lines(options: Options, name: str, told: dict[str, Any]) -> None:
     """Fit each input that a line of standard input names, and answer it by a line; the exit code is 1 if one failed."""
-    from metapp.experiments.run import run_each
+    from metapp.runs.run import run_each
 
     failed = count = 0
     for path, done in run_each(options, name, map(Path, lines_of_input()), **told):
@@ -53,9 +53,9 @@ def fit_many(
     options: Options, name: str, inputs: list[Path], batch: str, shard: str, told: dict[str, Any], *, json: bool
 ) -> None:
     """Fit many inputs, show what came of it and list what failed; then the exit code is 1."""
-    from metapp.experiments import many
-    from metapp.experiments.batch_size import check_batch
-    from metapp.experiments.sources import shard_of
+    from metapp.runs import many
+    from metapp.runs.batch_size import check_batch
+    from metapp.runs.sources import shard_of
 
     done = many.fit_many(options, name, inputs, many.Asked(check_batch(batch or "1"), shard_of(shard)), **told)
     if not options.quiet:
@@ -78,7 +78,7 @@ LISTED = 20  # tasks in the table of many
 
 def show(done: Run, *, table: bool) -> None:
     """Draw the picture of a run; print its table and say where everything is."""
-    from metapp.experiments.pictures import picture_of_run
+    from metapp.runs.pictures import picture_of_run
 
     app, paradigm = done.options.app, done.settings["paradigm"]
     picture = picture_of_run(app, paradigm, done.tasks, done.records, done.folder.path)
@@ -102,8 +102,8 @@ def table_of(
     from rich.table import Table
     from rich.text import Text
 
-    from metapp.experiments.session import caption_of, title_of
-    from metapp.experiments.tables.statistics import warned
+    from metapp.evaluation.tables.statistics import warned
+    from metapp.runs.session import caption_of, title_of
     from metapp.storage.records import guarded, summary
 
     factor = f" x{app.scale:g}" if app.scale != 1 else ""

@@ -9,10 +9,10 @@ import typer
 
 from metapp.cli.console import print_json, say
 from metapp.cli.options import FittedData, Json, RunPath
-from metapp.experiments.reporter import number
+from metapp.runs.reporter import number
 
 if TYPE_CHECKING:
-    from metapp.experiments.pack import Packed
+    from metapp.runs.pack import Packed
 
 MadeBy = Annotated[Path | None, typer.Option(help="The checkpoint that fits were made by; default: the shipped one.")]
 
@@ -39,7 +39,7 @@ def pack_command(
 
     Example: metapp pack runs/brdf/meta/materials-full-seed0-ridge --out materials.pack
     """
-    from metapp.experiments.pack import pack
+    from metapp.runs.pack import pack
 
     done = pack(run, out_file, bits, inputs or [], data=data, checkpoint=checkpoint, quiet=quiet)
     _tell(done, done.file, json=json, quiet=quiet)
@@ -59,7 +59,7 @@ def unpack_command(
 
     Example: metapp unpack materials.pack --out runs/materials
     """
-    from metapp.experiments.pack import unpack
+    from metapp.runs.pack import unpack
 
     done = unpack(file, out_folder, checkpoint)
     _tell(done, done.out, json=json, quiet=quiet)

@@ -9,10 +9,10 @@ import typer
 
 from metapp.cli.console import Exit, out, print_json, say
 from metapp.cli.options import FittedData, Json
-from metapp.experiments.reporter import number
+from metapp.runs.reporter import number
 
 if TYPE_CHECKING:
-    from metapp.experiments.rerun import Repeated
+    from metapp.runs.rerun import Repeated
 
 
 def command(
@@ -41,7 +41,7 @@ def command(
 
     Example: metapp rerun runs/brdf/meta/gold-full-seed0-ridge
     """
-    from metapp.experiments.rerun import Given, rerun
+    from metapp.runs.rerun import Given, rerun
 
     rows = rerun(record, task, Given(inputs or [], data, checkpoint, tolerance), quiet=quiet)
     failed = [row.name for row in rows if not row.agrees]

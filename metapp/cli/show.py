@@ -9,10 +9,10 @@ from rich.table import Table as RichTable
 from rich.text import Text
 
 from metapp.cli.console import out
-from metapp.experiments.tables.formats import notes_of, title_of
-from metapp.experiments.tables.rows import Column, Row
-from metapp.experiments.tables.subject import Subject
-from metapp.experiments.tables.table import Table
+from metapp.evaluation.tables.formats import notes_of, title_of
+from metapp.evaluation.tables.rows import Column, Row
+from metapp.evaluation.tables.subject import Subject
+from metapp.evaluation.tables.table import Table
 
 FEWEST_COLUMNS = 3  # are shown however narrow the terminal
 

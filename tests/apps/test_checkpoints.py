@@ -16,13 +16,13 @@ from data_tools.readers.brdf_task import brdf_task
 from data_tools.synthetic.brdf import synthetic_materials
 from metapp.apps import load_app
 from metapp.apps.brdf import APP
-from metapp.experiments.checkpoints import checkpoint_name
-from metapp.experiments.shipped import shipped_path
 from metapp.learning.app import App, stack
 from metapp.learning.learn import MetaParameters
 from metapp.learning.recipe import Recipe
 from metapp.learning.task import Task, Tasks
 from metapp.paradigms import Job, paradigms
+from metapp.runs.checkpoints import checkpoint_name
+from metapp.runs.shipped import shipped_path
 from metapp.storage.records import load_checkpoint, tensor_digest
 from tests.small_spheres import shrink_spheres
 

@@ -10,9 +10,9 @@ from torch import Generator
 
 from data_tools.synthetic import svbrdf_stationary, texture
 from metapp.apps import app_names, load_app
-from metapp.experiments.shipped import FULL, shipped_path, ships
 from metapp.learning.app import stack
 from metapp.paradigms import Job, paradigms
+from metapp.runs.shipped import FULL, shipped_path, ships
 from metapp.storage.records import load_checkpoint, tensor_digest
 
 PACKAGE = shipped_path("brdf", "general").parent.parent

@@ -21,13 +21,13 @@ from data_tools.readers.svbrdf_task import svbrdf_task
 from metapp.appearance.flash import Maps, pack
 from metapp.appearance.latlong import directions, solid_angles, sphere_normals
 from metapp.apps import load_app
-from metapp.experiments.checkpoints import checkpoint_name
-from metapp.experiments.shipped import shipped_path
 from metapp.learning.app import App, stack
 from metapp.learning.guard import Guarded
 from metapp.learning.learn import MetaParameters
 from metapp.learning.task import Params, Task, Tasks
 from metapp.paradigms import Job, paradigms
+from metapp.runs.checkpoints import checkpoint_name
+from metapp.runs.shipped import shipped_path
 from metapp.storage.records import load_checkpoint
 
 WORSE = 1.2  # than QuickFT's

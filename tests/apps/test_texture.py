@@ -16,7 +16,6 @@ from metapp.appearance.features import RANDOM, gram, load_features, moments
 from metapp.appearance.presentation import Fitted
 from metapp.apps.texture import APP, PAPER, QUICK, SMALLEST_CROP, Texture
 from metapp.apps.texture.presentation import TexturePresentation
-from metapp.experiments.shipped import shipped_path
 from metapp.learning.app import stack
 from metapp.learning.learn import MetaParameters
 from metapp.learning.recipe import Recipe
@@ -26,6 +25,7 @@ from metapp.networks.exemplar import JUDGED, Setup
 from metapp.networks.layers import UNet
 from metapp.networks.presentation import TILED
 from metapp.paradigms import Job, paradigms
+from metapp.runs.shipped import shipped_path
 from metapp.storage.records import load_checkpoint
 
 SIZE, LEVELS = 32, 3

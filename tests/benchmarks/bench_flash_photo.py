@@ -24,12 +24,12 @@ from metapp.apps.svbrdf_nonstationary import APP, JUDGED, _pairs
 from metapp.apps.svbrdf_nonstationary.maps import RAW, decoded
 from metapp.apps.svbrdf_nonstationary.views import FLASH, seen
 from metapp.cli.console import run
-from metapp.experiments.inputs import tasks_to_fit
-from metapp.experiments.shipped import shipped_path
 from metapp.learning.app import stack
 from metapp.learning.task import Params
 from metapp.paradigms import Job
 from metapp.paradigms.general import GENERAL
+from metapp.runs.inputs import tasks_to_fit
+from metapp.runs.shipped import shipped_path
 from metapp.storage.records import load_checkpoint
 
 RATES = (1e-3, 3e-3, 1e-2, 3e-2, 1e-1)

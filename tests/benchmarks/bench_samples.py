@@ -19,19 +19,19 @@ from matplotlib.axes import Axes
 from matplotlib.ticker import FixedLocator, NullLocator, StrMethodFormatter
 
 from data_tools.readers.noise import as_measured
+from metapp.baselines import baselines_of
+from metapp.baselines.baseline import Training
 from metapp.cli.console import run
-from metapp.experiments.checkpoints import find_checkpoint
-from metapp.experiments.figures.style import COLOURS, MUTED, STYLE, new, save
-from metapp.experiments.fits import fit_tasks, rng_of
-from metapp.experiments.inputs import data_folder, tasks_of_data
-from metapp.experiments.peer_fits import allowed_for, training_of
-from metapp.experiments.session import options_of
-from metapp.experiments.tables.statistics import paired, paired_text
+from metapp.evaluation.baseline_fits import allowed_for, training_of
+from metapp.evaluation.figures.style import COLOURS, MUTED, STYLE, new, save
+from metapp.evaluation.tables.statistics import paired, paired_text
 from metapp.learning.app import stack
 from metapp.learning.task import Task
 from metapp.paradigms import paradigms
-from metapp.peers import peers_of
-from metapp.peers.peer import Training
+from metapp.runs.checkpoints import find_checkpoint
+from metapp.runs.fits import fit_tasks, rng_of
+from metapp.runs.inputs import data_folder, tasks_of_data
+from metapp.runs.session import options_of
 
 COUNTS = (64, 256, 1024, 5120)
 FIGURE = Path("runs/bench/samples.png")
@@ -39,7 +39,7 @@ APART = 0.04  # of names beside the figure, as a share of its height
 
 
 class Way(NamedTuple):
-    """A way to fit, by a paradigm's recipe where it has one, else a peer, and how its line looks."""
+    """A way to fit, by a paradigm's recipe where it has one, else a baseline, and how its line looks."""
 
     title: str
     name: str
@@ -67,7 +67,7 @@ Errors = dict[str, float]  # by the task's name
 def errors_of(way: Way, tasks: list[Task], data: Path | None, count: int, training: Training) -> Errors:
     """Errors x100 of fits of tasks that have so many samples."""
     if not way.recipe:
-        return _errors_of_peer(way, tasks, count, training)
+        return _errors_of_baselines(way, tasks, count, training)
     paradigm = paradigms()[way.name]
     options = options_of("brdf", recipe=way.recipe, data=data, device="cpu", quiet=True).by(paradigm)
     fits = fit_tasks(options, paradigm, find_checkpoint(options, paradigm), tasks)
@@ -75,11 +75,11 @@ def errors_of(way: Way, tasks: list[Task], data: Path | None, count: int, traini
 
 
 @torch.no_grad()
-def _errors_of_peer(way: Way, tasks: list[Task], count: int, training: Training) -> Errors:
+def _errors_of_baselines(way: Way, tasks: list[Task], count: int, training: Training) -> Errors:
     options = options_of("brdf", device="cpu", quiet=True)
-    peer = next(each for each in peers_of(options.app) if each.name == way.name)
+    baseline = next(each for each in baselines_of(options.app) if each.name == way.name)
     allowed = allowed_for(options)
-    prepared = peer.prepare(training, allowed._replace(samples=min(count, allowed.samples)))
+    prepared = baseline.prepare(training, allowed._replace(samples=min(count, allowed.samples)))
     errors = {}
     for task in tasks:
         stacked = stack(options.app, [task])

@@ -18,13 +18,13 @@ from safetensors.torch import load_file, save_file
 from metapp.apps.brdf import APP
 from metapp.cli.commands import app
 from metapp.cli.console import LONGEST, one_line
-from metapp.experiments.fits import warnings_of
-from metapp.experiments.session import Checkpoint
 from metapp.learning.app import stack
 from metapp.learning.learn import MetaParameters
 from metapp.learning.recipe import Adam
 from metapp.learning.task import Task
 from metapp.paradigms import Job, paradigms
+from metapp.runs.fits import warnings_of
+from metapp.runs.session import Checkpoint
 from metapp.storage.records import load_checkpoint, read_records, save_checkpoint
 from tests.small_spheres import shrink_spheres
 
@@ -244,7 +244,7 @@ def test_messages_are_one_short_line(metapp: Callable, tmp_path: Path) -> None:
 # one import of what takes long and looks at no stream; then a fork for each, which ends as a program of its own does
 IN_FORKS = """
 import json, os, sys
-import metapp.apps.brdf, metapp.experiments.convert, metapp.experiments.embedded, rich.progress, torch, typer
+import metapp.apps.brdf, metapp.runs.convert, metapp.runs.embedded, rich.progress, torch, typer
 NAMES, (cases, folder, *words) = ("stdin", "stdout", "stderr"), sys.argv[1:]
 codes = []
 for number, (more, streams) in enumerate(json.loads(cases)):

@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 from metapp.apps.brdf import APP
-from metapp.experiments import BadOption
-from metapp.experiments.timing import said_time, seconds_of
+from metapp.runs import BadOption
+from metapp.runs.timing import said_time, seconds_of
 from metapp.storage.records import read_records
 
 pytestmark = pytest.mark.usefixtures("small_spheres")
@@ -36,7 +36,7 @@ def steps(monkeypatch: pytest.MonkeyPatch) -> Iterator[list[float]]:
     monkeypatch.setitem(APP.recipes, "quick", replace(APP.recipes["quick"], overfit_steps=40))
     monkeypatch.setattr(APP, "sample", slow_sample)
     monkeypatch.setattr(APP, "prepare", slow_prepare)
-    monkeypatch.setattr("metapp.experiments.timing.time", type("clock", (), {"perf_counter": lambda: now}))
+    monkeypatch.setattr("metapp.runs.timing.time", type("clock", (), {"perf_counter": lambda: now}))
     return times
 
 

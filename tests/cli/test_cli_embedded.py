@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 
 from data_tools.readers.merl import read_merl
 from metapp.cli.commands import app as cli
-from metapp.experiments.embedded import cache_folder, embedded_apps, embedded_data, embedded_module, split_counts
+from metapp.runs.embedded import cache_folder, embedded_apps, embedded_data, embedded_module, split_counts
 from metapp.storage.manifest import read_manifest
 from metapp.storage.shards import check_shard, fingerprint
 

@@ -398,13 +398,13 @@ def test_refuses_rules_that_make_no_sense(metapp: Callable, fit: Callable) -> No
         assert rule in line
 
 
-def test_a_fit_imports_neither_libraries_of_figures_nor_of_peers_and_ends_quietly() -> None:
+def test_a_fit_imports_neither_libraries_of_figures_nor_of_baselines_and_ends_quietly() -> None:
     """Each takes as long to import as most fits; bindings of pictures must not be told of as garbage at the end."""
     lines = (
         "import gc, sys",
         "from metapp.cli.console import importing",
         "with importing():",
-        "    import metapp.experiments.run",
+        "    import metapp.runs.run",
         "import metapp.apps.illumination, metapp.apps.svbrdf_nonstationary, metapp.apps.texture, OpenImageIO",
         "print(gc.isenabled(), gc.get_freeze_count() > 100_000)",
         "print({'matplotlib', 'scipy', 'torchmetrics', 'mitsuba', 'colour'} & sys.modules.keys())",

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pytest
 
-from metapp.experiments.fits import Fitter
+from metapp.runs.fits import Fitter
 
 
 @pytest.fixture(scope="module")

@@ -10,9 +10,9 @@ from pathlib import Path
 import pytest
 
 from metapp.apps.brdf import APP
-from metapp.experiments import BadOption
-from metapp.experiments.fits import Fitter
-from metapp.experiments.sources import Shard, shard_of
+from metapp.runs import BadOption
+from metapp.runs.fits import Fitter
+from metapp.runs.sources import Shard, shard_of
 from metapp.storage.records import read_records
 
 pytestmark = pytest.mark.usefixtures("small_spheres")

@@ -23,13 +23,13 @@ from metapp.apps import brdf
 from metapp.apps.brdf import Brdf, presentation
 from metapp.apps.brdf.presentation import BrdfPresentation
 from metapp.cli.fitting import table_of
-from metapp.experiments.checkpoints import checkpoint_name
-from metapp.experiments.shipped import shipped_path
-from metapp.experiments.tables.results import closing
-from metapp.experiments.tables.statistics import bootstrap
+from metapp.evaluation.tables.results import closing
+from metapp.evaluation.tables.statistics import bootstrap
 from metapp.learning.app import App
 from metapp.learning.recipe import Recipe
 from metapp.learning.task import Batch, Params, Task, Tasks
+from metapp.runs.checkpoints import checkpoint_name
+from metapp.runs.shipped import shipped_path
 from metapp.storage.records import load_checkpoint, read_records, summary
 
 STEPS = ("--train", "--train-steps", "2", "--quiet")

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from metapp.experiments.rerun import ELSEWHERE, ROUNDING
+from metapp.runs.rerun import ELSEWHERE, ROUNDING
 from metapp.storage.records import load_checkpoint, read_records, save_checkpoint
 
 pytestmark = pytest.mark.usefixtures("small_spheres")
@@ -104,7 +104,7 @@ def test_data_that_changed_are_named_with_a_remedy(
 
 
 def test_a_checkpoint_that_changed_is_named_with_a_remedy(metapp: Callable, networks: Path, tmp_path: Path) -> None:
-    from metapp.experiments.shipped import shipped_path
+    from metapp.runs.shipped import shipped_path
 
     path = tmp_path / "mine.safetensors"
     path.write_bytes(shipped_path("brdf", "general").read_bytes())
@@ -140,7 +140,7 @@ def test_rows_of_all_tables_are_repeated_or_refused_by_name(
     metapp: Callable, ten_materials: Path, tmp_path: Path
 ) -> None:
     out = tmp_path / "runs"
-    for table in ("results", "ablation", "peers", "convergence"):
+    for table in ("results", "ablation", "baselines", "convergence"):
         words = ("--data", ten_materials, "--out", out, "--overfit-share", "0.001", "--which", table)
         assert metapp("evaluate", "brdf", *words, "--quiet", "--json").code == 0
     for record in sorted(out.glob("brdf/**/record.jsonl")):

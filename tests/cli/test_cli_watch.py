@@ -11,9 +11,9 @@ import torch
 from PIL import Image
 
 from metapp.apps.brdf import APP
-from metapp.experiments import watching
-from metapp.experiments.timing import Stopwatch
-from metapp.experiments.watching import Watched
+from metapp.runs import watching
+from metapp.runs.timing import Stopwatch
+from metapp.runs.watching import Watched
 
 pytestmark = pytest.mark.usefixtures("small_spheres")
 
@@ -59,7 +59,7 @@ def test_pictures_come_at_most_so_often_and_the_last_is_drawn(tmp_path: Path, mo
 
 def test_time_of_pictures_does_not_count(monkeypatch: pytest.MonkeyPatch) -> None:
     now = 5.0
-    monkeypatch.setattr("metapp.experiments.timing.time", type("clock", (), {"perf_counter": lambda: now}))
+    monkeypatch.setattr("metapp.runs.timing.time", type("clock", (), {"perf_counter": lambda: now}))
     clock = Stopwatch(torch.device("cpu"))
     now += 1.0
     with clock.paused():

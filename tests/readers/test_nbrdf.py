@@ -13,9 +13,9 @@ from data_tools.readers.nbrdf import SHAPES, export, find_nbrdf, nbrdf_evaluate,
 from data_tools.synthetic.brdf import synthetic_materials
 from metapp.appearance.geometry import above_horizon, rusinkiewicz_to_directions
 from metapp.apps.brdf import APP
-from metapp.experiments.shipped import shipped_path
 from metapp.learning.app import stack
 from metapp.paradigms import Job, paradigms
+from metapp.runs.shipped import shipped_path
 from metapp.storage.records import load_checkpoint
 
 

@@ -13,8 +13,8 @@ from torch import Tensor
 from data_tools.draws import stream
 from data_tools.synthetic.illumination import COUNTS, FAMILIES, UNITS, environment, synthetic_tasks, white_balance
 from metapp.appearance.latlong import luminance, mean_luminance, solid_angles
-from metapp.experiments.embedded import embedded_data
 from metapp.learning.task import Task
+from metapp.runs.embedded import embedded_data
 from metapp.storage.manifest import read_manifest
 
 # Mean of the upper and of the lower half of red, green and blue of three maps.

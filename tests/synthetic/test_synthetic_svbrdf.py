@@ -15,8 +15,8 @@ from data_tools.synthetic.stationary import families
 from data_tools.synthetic.stationary.families import FAMILIES
 from data_tools.synthetic.svbrdf_stationary import COUNTS, FLAT, UNITS, flash_photographs, synthetic_tasks
 from metapp.appearance.flash import Maps, camera, expose, flash_position, normal_from_height, positions, render
-from metapp.experiments.embedded import embedded_data
 from metapp.learning.task import Task
+from metapp.runs.embedded import embedded_data
 from metapp.storage.shards import read_manifest
 
 # Mean red, green and blue of three pictures, 0 .. 255.

@@ -11,8 +11,8 @@ from torch import Tensor
 
 from data_tools.synthetic.stationary.families import FAMILIES
 from data_tools.synthetic.texture import COUNTS, UNITS, synthetic_tasks
-from metapp.experiments.embedded import embedded_data
 from metapp.learning.task import Task
+from metapp.runs.embedded import embedded_data
 from metapp.storage.shards import read_manifest
 
 # Mean red, green and blue of three pictures, 0 .. 255.

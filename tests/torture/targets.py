@@ -178,8 +178,8 @@ def _read_scene(folder: Path, file: Path) -> None:
 
 def _read_shard(folder: Path, file: Path) -> None:
     from metapp.apps import load_app
-    from metapp.experiments.inputs import tasks_to_fit
     from metapp.learning.app import stack
+    from metapp.runs.inputs import tasks_to_fit
     from metapp.storage.shards import check_shard
 
     app = load_app("brdf")
@@ -212,9 +212,9 @@ def _read_start(folder: Path, file: Path) -> None:
     import torch
 
     from metapp.apps import load_app
-    from metapp.experiments.checkpoints import find_checkpoint
-    from metapp.experiments.session import Options
     from metapp.paradigms import paradigms
+    from metapp.runs.checkpoints import find_checkpoint
+    from metapp.runs.session import Options
 
     app, paradigm = load_app("brdf"), paradigms()["meta"]
     options = Options(app, "quick", file.stem, 1, None, folder, file, 0, torch.device("cpu"), True)

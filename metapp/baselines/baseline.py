@@ -1,0 +1,222 @@
+"""What a baseline is: prepared once on training tasks, then fitted to one task at a time."""
+
+from __future__ import annotations
+
+import bisect
+import functools
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import torch
+from torch import Generator, Tensor
+
+from metapp.learning.app import App, stack
+from metapp.learning.task import Task, Tasks
+from metapp.paradigms.validation import split_validation
+
+FEWEST = 4  # groups of training tasks: of fewer none is kept for validation
+INDEX = 4  # bytes of the number of a training task
+
+
+@dataclass(frozen=True, eq=False)
+class Training:
+    """The training tasks that baselines are prepared on.
+
+    Attributes:
+        app: the application.
+        tasks: of the data set, in its order.
+    """
+
+    app: App
+    tasks: Sequence[Task]
+
+    @functools.cached_property
+    def stacked(self) -> Tasks:
+        """All of them, prepared by the application."""
+        return stack(self.app, self.tasks)
+
+    @functools.cached_property
+    def split(self) -> tuple[Tasks, Tasks]:
+        """To learn from and to choose on, as paradigms part them; of fewer than FEWEST groups all are both."""
+        if len({task.group or task.name for task in self.tasks}) < FEWEST:
+            return self.stacked, self.stacked
+        return split_validation(self.stacked)
+
+    def holding(self, tensor: str) -> Training:
+        """Those tasks that hold a tensor which some may lack.
+
+        Raises:
+            ValueError: none does.
+        """
+        kept = [task for task in self.tasks if tensor in task.data]
+        if not kept:
+            raise ValueError(f"{len(self.tasks)} training tasks, none with '{tensor}', which this baseline needs.")
+        return Training(self.app, kept)
+
+
+class Allowed(NamedTuple):
+    """What a baseline may use, so that it is compared at equal cost.
+
+    Attributes:
+        samples: that it may draw, as many as Meta's steps do.
+        size: bytes of a task's network.
+        error: of Meta's fit of the task, as the application has it, unscaled; None where it is not known.
+    """
+
+    samples: int
+    size: int
+    error: float | None = None
+
+
+class Fitted(NamedTuple):
+    """A baseline's fit of a task.
+
+    Attributes:
+        answer: makes what `App.errors_of` judges; not timed, as that of a network is not.
+        numbers: that are kept for the task; None where it is a file.
+        size: their bytes.
+        reached: whether the fit meets what was asked for.
+        picture: what it looks like beside the application's fits, linear RGB [H, W, 3], where it is a picture.
+    """
+
+    answer: Callable[[], Any]
+    numbers: int | None
+    size: int
+    reached: bool = True
+    picture: Tensor | None = None
+
+
+Fit = Callable[[Tasks, Generator, Allowed], Fitted]  # of one task
+
+
+class Prepared(NamedTuple):
+    """A baseline at work.
+
+    Attributes:
+        fit: fits one task.
+        shared: bytes that all tasks share, without which no fit can be evaluated or made.
+        chosen: what validation tasks have chosen.
+    """
+
+    fit: Fit
+    shared: int = 0
+    chosen: dict[str, Any] = {}  # noqa: RUF012  (never written to)
+
+
+class Baseline(NamedTuple):
+    """A method that a reader would use instead.
+
+    Attributes:
+        name: as rows call it.
+        title: what it is, with its source.
+        cannot: what it cannot do that a network can.
+        prepare: (training tasks, what fits may use) -> the baseline at work.
+        learns: whether it needs any.
+        matches: whether it spends as many bytes as Meta's error takes, instead of those of a network.
+    """
+
+    name: str
+    title: str
+    cannot: str
+    prepare: Callable[[Training, Allowed], Prepared]
+    learns: bool = True
+    matches: bool = False
+
+
+class Codec(NamedTuple):
+    """A way to keep a task's data in fewer or more bytes.
+
+    Attributes:
+        name, title, cannot: as of `Baseline`.
+        rungs: task -> how many settings there are, from the smallest to the best.
+        encode: (task, setting) -> its fit.
+    """
+
+    name: str
+    title: str
+    cannot: str
+    rungs: Callable[[Tasks], int]
+    encode: Callable[[Tasks, int], Fitted]
+
+
+def both_ways(codec: Codec) -> tuple[Baseline, Baseline]:
+    """A codec at the bytes of a network, and at Meta's error."""
+    title, cannot = codec.title, codec.cannot
+    return (
+        Baseline(codec.name, title, cannot, lambda training, allowed: Prepared(_at_size(codec)), learns=False),
+        Baseline(
+            f"{codec.name}@meta",
+            f"{title}; as many bytes as Meta's error takes",
+            cannot,
+            lambda training, allowed: Prepared(_at_error(codec, training.app)),
+            learns=False,
+            matches=True,
+        ),
+    )
+
+
+def _at_size(codec: Codec) -> Fit:
+    """The best setting within a network's bytes."""
+
+    def fit(tasks: Tasks, rng: Generator, allowed: Allowed) -> Fitted:
+        places = range(codec.rungs(tasks))
+        best = bisect.bisect_right(places, allowed.size, key=lambda rung: codec.encode(tasks, rung).size) - 1
+        found = codec.encode(tasks, max(best, 0))
+        return found._replace(reached=found.size <= allowed.size)
+
+    return fit
+
+
+def _at_error(codec: Codec, app: App) -> Fit:
+    """The smallest setting with at most Meta's error."""
+
+    def error(tasks: Tasks, fitted: Fitted) -> float:
+        return float(app.errors_of(fitted.answer(), tasks)["error"])
+
+    def fit(tasks: Tasks, rng: Generator, allowed: Allowed) -> Fitted:
+        bound, count = allowed.error, codec.rungs(tasks)
+        if bound is None:
+            raise ValueError(f"{codec.name}: Meta's error of {tasks.picked_names()[0]} is not known; fit it first.")
+        places = range(count)
+        enough = bisect.bisect_left(places, True, key=lambda rung: error(tasks, codec.encode(tasks, rung)) <= bound)
+        found = codec.encode(tasks, min(enough, count - 1))
+        return found._replace(reached=enough < count)
+
+    return fit
+
+
+def nearest(
+    of: Callable[[Tasks, Generator, Allowed], Tensor],
+    answer: Callable[[int], Any],
+    picture: Callable[[int], Tensor] | None = None,
+) -> Fit:
+    """The training task that is least far from a task.
+
+    Args:
+        of: distances [M] of a task to all training tasks.
+        answer: what the training task of that number would be judged as.
+        picture: what it looks like, as of `Fitted`.
+    """
+
+    def fit(tasks: Tasks, rng: Generator, allowed: Allowed) -> Fitted:
+        index = int(of(tasks, rng, allowed).argmin())
+        return Fitted(functools.partial(answer, index), 1, INDEX, picture=picture and picture(index))
+
+    return fit
+
+
+def bytes_of(*tensors: Tensor) -> int:
+    """Bytes of tensors."""
+    return sum(each.numel() * each.element_size() for each in tensors)
+
+
+@torch.no_grad()
+def mean_error(app: App, fit: Fit, tasks: Tasks, allowed: Allowed) -> float:
+    """Mean error of fits of all tasks with fixed seeds, as the application has it, unscaled."""
+    total = 0.0
+    for row in range(len(tasks)):
+        one = tasks.select([row])
+        fitted = fit(one, Generator().manual_seed(row), allowed)
+        total += float(app.errors_of(fitted.answer(), one)["error"])
+    return total / len(tasks)

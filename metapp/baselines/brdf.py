@@ -1,0 +1,219 @@
+"""Baselines of BRDF networks: components of training BRDFs, GGX lobes, the nearest training material."""
+
+from __future__ import annotations
+
+import functools
+import itertools
+from typing import NamedTuple
+
+import torch
+from torch import Generator, Tensor
+
+from metapp.appearance.geometry import Cosines
+from metapp.baselines.baseline import Allowed, Baseline, Fit, Fitted, Prepared, Training, bytes_of, mean_error, nearest
+from metapp.baselines.methods import lobes
+from metapp.baselines.methods.principal import EPSILON, Components, Relative, components, reweighted, ridge
+from metapp.learning.app import App
+from metapp.learning.task import Tasks
+
+COUNTS = (20, 66, 150)  # components; 66 take 198 numbers
+PENALTIES = (1e-12, 1e-10, 1e-9, 1e-8, 1e-7, 1e-6, 1e-4)  # times the number of samples
+SOLVES = (1, 2)  # of a weighted fit
+NAMES = {1: "one GGX lobe", 2: "two GGX lobes"}
+
+
+class Samples(NamedTuple):
+    """What a fit sees.
+
+    Attributes:
+        rows: which of the samples, [n], with repetition.
+        where: half vector, difference vector, cos theta_i, [n, 7].
+        target: log(1 + f cos theta_i), [n, 3].
+    """
+
+    rows: Tensor
+    where: Tensor
+    target: Tensor
+
+    @property
+    def cos(self) -> Tensor:
+        """Of theta_i, [n, 1]."""
+        return self.where[:, 6:]
+
+
+class Space(NamedTuple):
+    """What components are of.
+
+    Attributes:
+        where: the samples' places that all training materials share, [N, 7].
+        relative: the mapping at each.
+        components: of all channels of the training materials.
+    """
+
+    where: Tensor
+    relative: Relative
+    components: Components
+
+
+def baselines(app: App) -> tuple[Baseline, ...]:
+    """Of BRDFs."""
+    cannot = "say anything between the angles of its table, which all training materials must share"
+    published = "ridge on components of log-relative training BRDFs (Nielsen et al. 2015)"
+    found = []
+    for weighted, title in ((False, published), (True, f"{published}, weighted for the table's error")):
+        for count in COUNTS:
+            ridge_of = RidgeOf(count, weighted)
+            found.append(Baseline(f"pca_{count}{'w' if weighted else ''}", title, cannot, ridge_of.prepare))
+    for count, name in NAMES.items():
+        title = f"a Lambertian body and {name}, by least squares on the table's error"
+        lobes_of = functools.partial(_lobes, count)
+        found.append(Baseline(f"ggx_{count}", title, "be more than a sum of such lobes", lobes_of, learns=False))
+    title = "the training material with the least error on the samples"
+    return (*found, Baseline("nearest", title, "be a material that is not in its set", _nearest))
+
+
+BASELINES = baselines
+
+
+def drawn(tasks: Tasks, rng: Generator, count: int) -> Samples:
+    """Random samples of one task's first half, as `Brdf.sample` draws them."""
+    where, target = _of_one(tasks)
+    rows = torch.randint(len(where) // 2, (1, count), generator=rng)[0]
+    return Samples(rows, where[rows], target[rows])
+
+
+def _of_one(tasks: Tasks) -> tuple[Tensor, Tensor]:
+    """Places [N, 7] and targets [N, 3] of the one task."""
+    (row,) = tasks.rows.tolist()
+    return tasks.data["where"][row], tasks.data["target"][row]
+
+
+def cosines_of(where: Tensor) -> Cosines:
+    """Of places [n, 7], in double precision: half vector, difference vector, cos theta_i."""
+    half, difference, incident = (where[:, i].double() for i in (2, 5, 6))
+    return Cosines(incident, 2 * half * difference - incident, half, difference)
+
+
+def space_of(where: Tensor, target: Tensor) -> Space:
+    """The components of training materials: places [N, 7] and targets [M, N, 3]."""
+    columns = (target.expm1() / where[:, 6:].clamp_min(1e-9)).movedim(0, 1).flatten(1)
+    at = cosines_of(where)
+    weight = (at.incident * at.outgoing).clamp_min(EPSILON)[:, None].to(columns)
+    relative = Relative(weight, columns.median(1, keepdim=True).values)
+    return Space(where, relative, components(relative.mapped(columns), max(COUNTS)))
+
+
+@functools.lru_cache(maxsize=2)
+def _space(training: Training, *, whole: bool) -> Space:
+    """The components of all training materials, or of those that do not validate.
+
+    Raises:
+        ValueError: they are not at the same angles.
+    """
+    tasks = training.stacked if whole else training.split[0]
+    where = tasks.data["where"]
+    if where.stride(0):
+        raise ValueError("training materials at angles of their own, expected the same for all; use analytic ones.")
+    return space_of(where[0], tasks.data["target"][tasks.rows])
+
+
+class RidgeOf(NamedTuple):
+    """A number of components, and whether their fit is weighted for the table's error."""
+
+    kept: int
+    weighted: bool
+
+    def prepare(self, training: Training, allowed: Allowed) -> Prepared:
+        """Choose penalty and solves (0: unweighted) on validation materials, then take all."""
+        best = min(itertools.product(PENALTIES, SOLVES if self.weighted else (0,)),
+                   key=functools.partial(self._error, training, allowed))  # fmt: skip
+        space = _space(training, whole=True)
+        used = space.components.first(self.kept)
+        shared = bytes_of(used.mean, used.axes, space.relative.reference)
+        return Prepared(self.fit_in(space, *best), shared, {"penalty": best[0], "solves": best[1]})
+
+    def _error(self, training: Training, allowed: Allowed, setting: tuple[float, int]) -> float:
+        fit = self.fit_in(_space(training, whole=False), *setting)
+        return mean_error(training.app, fit, training.split[1], allowed)
+
+    def fit_in(self, space: Space, penalty: float, solves: int) -> Fit:
+        """Fits of coefficients to a material's samples."""
+        used = space.components.first(self.kept)
+
+        def fit(tasks: Tasks, rng: Generator, allowed: Allowed) -> Fitted:
+            seen = _at(space.where, tasks, drawn(tasks, rng, allowed.samples))
+            found = coefficients(space.relative.at(seen.rows), _rows(used, seen.rows), seen, penalty, solves)
+            return Fitted(functools.partial(answer, tasks, found), found.numel(), bytes_of(found))
+
+        def answer(tasks: Tasks, found: Tensor) -> Tensor:
+            held = torch.arange(len(space.where) // 2, len(space.where))
+            part = _rows(used, held)
+            return space.relative.at(held).reflectance(part.axes @ found + part.mean).T[None]
+
+        return fit
+
+
+def _at(where: Tensor, tasks: Tasks, seen: Samples) -> Samples:
+    """The samples with their rows among places [N, 7], of which the held-out ones are the same.
+
+    Raises:
+        ValueError: they are at others.
+    """
+    own, half = _of_one(tasks)[0], len(where) // 2
+    if torch.equal(own, where):
+        return seen
+    index = {place.tobytes(): row for row, place in enumerate(where[:half].numpy())}
+    rows = [index.get(place.tobytes(), -1) for place in seen.where.numpy()]
+    if min(rows) < 0 or not torch.equal(own[half:], where[half:]):
+        name = tasks.picked_names()[0]
+        raise ValueError(f"{name}: at other angles than the training materials; convert both alike.")
+    return seen._replace(rows=torch.tensor(rows))
+
+
+def _rows(used: Components, rows: Tensor) -> Components:
+    return used._replace(mean=used.mean[rows], axes=used.axes[rows])
+
+
+def coefficients(relative: Relative, used: Components, seen: Samples, penalty: float, solves: int) -> Tensor:
+    """The coefficients [K, 3] of components at samples; without weights where there are no `solves`."""
+    reflectance, cos = seen.target.expm1() / seen.cos, seen.cos
+    mapped = relative.mapped(reflectance) - used.mean
+    penalty = penalty * len(mapped)
+    slope = cos * (reflectance + EPSILON / relative.weight) / seen.target.exp()
+    found = ridge(used.axes, mapped, reweighted(slope, None) if solves else None, used.deviation, penalty)
+    for _ in range(1, solves):
+        again = relative.reflectance(used.axes @ found + used.mean)
+        weights = reweighted(slope, torch.log1p(again * cos) - seen.target)
+        found = ridge(used.axes, mapped, weights, used.deviation, penalty)
+    return found
+
+
+def _lobes(count: int, training: Training, allowed: Allowed) -> Prepared:
+    """GGX lobes: nothing is shared."""
+
+    def fit(tasks: Tasks, rng: Generator, allowed: Allowed) -> Fitted:
+        seen = drawn(tasks, rng, allowed.samples)
+        found = lobes.fit(lobes.Seen(cosines_of(seen.where), seen.target.double()), count).float()
+        return Fitted(functools.partial(answer, tasks, found), found.numel(), bytes_of(found))
+
+    def answer(tasks: Tasks, found: Tensor) -> Tensor:
+        where, _ = _of_one(tasks)
+        return lobes.reflectance(found.double(), cosines_of(where[len(where) // 2 :])).float().T[None]
+
+    return Prepared(fit)
+
+
+def _nearest(training: Training, allowed: Allowed) -> Prepared:
+    """The set itself is shared."""
+    known = training.stacked
+    targets, where = known.data["target"], known.data["where"]
+
+    def distances(tasks: Tasks, rng: Generator, allowed: Allowed) -> Tensor:
+        seen = _at(where[0], tasks, drawn(tasks, rng, allowed.samples))
+        return (targets[:, seen.rows] - seen.target).abs().mean((1, 2))
+
+    def answer(index: int) -> Tensor:
+        half = where.shape[1] // 2
+        return (targets[index, half:].expm1() / where[index, half:, 6:].clamp_min(1e-9)).T[None]
+
+    return Prepared(nearest(distances, answer), bytes_of(where[0], targets))

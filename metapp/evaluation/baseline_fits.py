@@ -1,0 +1,118 @@
+"""Fit baselines to tasks, on the same clock and judged by the same errors as paradigms."""
+
+from __future__ import annotations
+
+import functools
+import math
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import torch
+from threadpoolctl import threadpool_limits
+from torch import Generator
+
+from metapp.baselines.baseline import Allowed, Baseline, Prepared, Training, bytes_of
+from metapp.learning.app import App, stack
+from metapp.learning.task import Params, Task
+from metapp.runs.embedded import embedded_data, embedded_exists
+from metapp.runs.fits import rng_of
+from metapp.runs.inputs import data_folder
+from metapp.runs.pictures import PICTURE
+from metapp.runs.session import Options, versions
+from metapp.storage.records import NUMBER, OPTIONAL
+from metapp.storage.shards import read_manifest, read_shard
+
+FORM = {"error": OPTIONAL, "numbers": OPTIONAL, "size": NUMBER, "shared": NUMBER}  # of a record
+
+
+def training_folder(options: Options) -> Path | None:
+    """The data set whose training tasks baselines are prepared on: the one that is fitted, else the embedded one.
+
+    None where neither has any: the embedded one is not made for this.
+    """
+    app = options.app.name
+    folders = [data_folder(options.app, options.data, options.quiet)] if options.data or embedded_exists(app) else []
+    folders += [embedded_data(app, quiet=options.quiet)] if embedded_exists(app) else []
+    return next((each for each in folders if any(task.split == "train" for task in read_manifest(each).tasks)), None)
+
+
+@functools.lru_cache(maxsize=1)
+def training_of(app: App, folder: Path | None) -> Training:
+    """The training tasks of a data set; no tasks where there is no folder."""
+    return Training(app, read_shard(folder, "train", app.name, app.holds) if folder else [])
+
+
+def allowed_for(options: Options) -> Allowed:
+    """As many samples as Meta's steps draw, and as many bytes as a task's own parameters have."""
+    recipe = options.job.recipe
+    return Allowed(recipe.steps * recipe.batch, bytes_of(*own_parameters(options.app).values()))
+
+
+def own_parameters(app: App) -> Params:
+    """Parameters [1, ...] that a task does not share with others."""
+    theta = app.init(Generator().manual_seed(0), 1)
+    return {key: value for key, value in theta.items() if not app.own or key in app.own}
+
+
+def baseline_versions() -> dict[str, str]:
+    """The versions that a baseline's figures depend on."""
+    return versions() | {"scipy": metadata.version("scipy")}
+
+
+def fit_baselines(
+    options: Options, baseline: Baseline, training: Training, tasks: Sequence[Task], errors: Mapping[str, float]
+) -> Iterator[tuple[dict[str, Any], Params | None]]:
+    """Fit a baseline to tasks, each alone; the time is from the task's samples to what is kept, warm.
+
+    Args:
+        options: of the evaluation.
+        baseline: what is fitted.
+        training: what it is prepared on.
+        tasks: to be fitted.
+        errors: of Meta's fits, as tables print them, by the task's name, for baselines that match these.
+
+    Yields:
+        The record of each task, and its `picture` where there is one. A baseline that matches an error has no time: its
+        search is no fit.
+
+    Raises:
+        ValueError: it cannot be fitted to these tasks.
+    """
+    with threadpool_limits(torch.get_num_threads(), user_api="blas"), torch.no_grad():
+        allowed = allowed_for(options)
+        prepared = baseline.prepare(training, allowed)
+        for i, task in enumerate(tasks):
+            known = errors.get(task.name)
+            allowed = allowed._replace(error=None if known is None else known / options.app.scale)
+            if i == 0 and not baseline.matches:
+                _fit_one(options, prepared, task, allowed)  # warm, as paradigms' fits are
+            yield _fit_one(options, prepared, task, allowed, timed=not baseline.matches)
+
+
+def _fit_one(
+    options: Options, prepared: Prepared, task: Task, allowed: Allowed, *, timed: bool = True
+) -> tuple[dict[str, Any], Params | None]:
+    rng, app = rng_of(options, task), options.app
+    begin = time.perf_counter()
+    stacked = stack(app, [task])
+    fitted = prepared.fit(stacked, rng, allowed)
+    seconds = time.perf_counter() - begin
+    errors = {key: float(value[0]) for key, value in app.errors_of(fitted.answer(), stacked).items()}
+    if errors and not math.isfinite(errors["error"]):
+        raise ValueError(f"{task.name}: the error is not finite.")
+    errors |= {key: app.scale * value for key, value in errors.items() if key == "error"}
+    record = {
+        "name": task.name,
+        "error": None,
+        **errors,
+        **({"seconds": seconds, "threads": torch.get_num_threads()} if timed else {}),
+        "numbers": fitted.numbers,
+        "size": fitted.size,
+        "shared": prepared.shared,
+        "reached": fitted.reached,
+        "chosen": prepared.chosen,
+    }
+    return record, None if fitted.picture is None else {PICTURE: fitted.picture}

@@ -1,0 +1,65 @@
+"""The paper's figures, of any application: functions of a subject that draw, or return None where there is nothing.
+
+A figure is a function in a module here that FIGURES names, or STUDIES where it is of a table that trains.
+"""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from metapp.evaluation.tables.subject import Subject
+
+FIGURES = {
+    "plane": "quality.plane",
+    "ranks": "quality.ranks",
+    "curves": "paths.curves",
+    "trajectories": "paths.trajectories",
+    "rates": "rates.histogram",
+    "strips": "strips.strips",
+}
+STUDIES = {"rules": "rules.forest"}  # of the tables of the same names
+
+
+class Drawn(NamedTuple):
+    """A figure and what it shows, in words, for those who read it or hear it."""
+
+    figure: Figure
+    caption: str
+
+
+def draw(name: str, subject: Subject) -> Drawn | None:
+    """The figure of that name, one of FIGURES or STUDIES; None where nothing was measured yet that it could show."""
+    from matplotlib import rc_context
+
+    from metapp.evaluation.figures.style import STYLE
+
+    module, function = (FIGURES | STUDIES)[name].split(".")
+    with rc_context(STYLE):
+        result: Drawn | None = getattr(importlib.import_module(f"metapp.evaluation.figures.{module}"), function)(
+            subject
+        )
+        return result
+
+
+def write_figures(subjects: Sequence[Subject], folder: Path, names: Sequence[str] = tuple(FIGURES)) -> list[Path]:
+    """Write figures as <app>-<name>.png and .pdf.
+
+    Returns:
+        The PNG files.
+    """
+    from metapp.evaluation.figures.style import save
+
+    files = []
+    for subject in subjects:
+        for name in names:
+            drawn = draw(name, subject)
+            if drawn:
+                stem = "-".join(filter(None, (*subject.key, name)))
+                files += [save(drawn.figure, folder / f"{stem}.png"), save(drawn.figure, folder / f"{stem}.pdf")][:1]
+    return files

@@ -1,0 +1,70 @@
+"""The rule study: errors of all rules over those of a tuned Adam, a panel for each number of steps."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from metapp.evaluation.figures import Drawn
+from metapp.evaluation.figures.style import COLOURS, GRID, INK, new
+from metapp.evaluation.study import QUICKFT
+from metapp.evaluation.tables.rows import Row
+from metapp.evaluation.tables.rules import rows
+from metapp.evaluation.tables.statistics import paired_of
+from metapp.evaluation.tables.subject import Subject
+
+BELOW, ABOVE, LEVEL = COLOURS["overfit"], COLOURS["meta"], "#999999"
+ROW = 0.21  # inches
+
+
+def forest(subject: Subject) -> Drawn | None:
+    """Error over QuickFT's with its 95 % interval; blue where it is below, orange above, grey where chance could be."""
+    found = [row for row in rows(subject) if paired_of(row, QUICKFT)]
+    if not found:
+        return None
+    steps = sorted({row["steps"] for row in found})
+    names = [name for name in subject.study.rules if any(row["rule"] == name for row in found)]
+    figure, axes = new(2.3 * len(steps) + 1.7, ROW * len(names) + 1.1, 1, len(steps))
+    kind = "difference" if subject.presentation.logarithmic else "ratio"
+    for axis, count in zip(axes[0], steps, strict=True):
+        here = {row["rule"]: row for row in found if row["steps"] == count}
+        axis.axvline(0 if kind == "difference" else 1, color=INK, linewidth=1)
+        for i, name in enumerate(names):
+            if name in here:
+                _mark(axis, -i, here[name])
+        if kind == "ratio":
+            _ratios(axis)
+        axis.set_yticks([-i for i in range(len(names))], names if axis is axes[0, 0] else [], fontsize=7)
+        axis.set_ylim(-len(names) + 0.4, 0.6)
+        axis.set_title(f"{count} steps")
+        axis.grid(axis="y", color=GRID, linewidth=0.4)
+    outer = subject.study.budget.outer
+    figure.suptitle(f"{subject.title}: learned rules after {outer:,} outer steps", fontsize=10)
+    figure.supxlabel(f"error over tuned Adam's ({kind}, 95 % interval)", fontsize=8)
+    return Drawn(figure, f"{subject.title}: mean error over that of a tuned Adam after as many steps. {_said(found)}")
+
+
+def _mark(axis: Any, height: float, row: Row) -> None:
+    found = paired_of(row, QUICKFT)
+    assert found is not None
+    colour = LEVEL if not row["apart"] else BELOW if found.value < found.level else ABOVE
+    axis.plot([found.low, found.high], [height, height], color=colour, linewidth=1.4, solid_capstyle="butt")
+    axis.plot(found.value, height, "o", color=colour, markersize=4)
+
+
+def _ratios(axis: Any) -> None:
+    """A logarithmic axis with plain numbers."""
+    from matplotlib.ticker import FixedLocator, FuncFormatter, NullFormatter
+
+    axis.set_xscale("log")
+    axis.xaxis.set_major_locator(FixedLocator([0.25, 0.5, 0.7, 1, 1.5, 2, 3, 5, 10, 20]))
+    axis.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axis.xaxis.set_minor_formatter(NullFormatter())
+    axis.tick_params(axis="x", labelsize=7)
+
+
+def _said(found: list[Row]) -> str:
+    best: dict[int, Row] = {}
+    for row in found:
+        if row["steps"] not in best or row["error"] < best[row["steps"]]["error"]:
+            best[row["steps"]] = row
+    return " ".join(f"{steps} steps: lowest {row['rule']}, {row['error']:.3f}." for steps, row in best.items())

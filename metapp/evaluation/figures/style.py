@@ -1,0 +1,86 @@
+"""How all figures look: colours that the colour-blind tell apart (Okabe & Ito 2008), markers, sizes."""
+
+from __future__ import annotations
+
+import functools
+import io
+from pathlib import Path
+from typing import Any
+
+from matplotlib import rc_context
+from matplotlib.figure import Figure
+
+from metapp.storage.files import write_atomically
+
+COLOURS = {
+    "general": "#E69F00",
+    "overfit": "#0072B2",
+    "finetune": "#56B4E9",
+    "quickft": "#CC79A7",
+    "meta": "#D55E00",
+}
+MARKERS = {"general": "o", "overfit": "s", "finetune": "D", "quickft": "^", "meta": "*"}
+TITLES = {"general": "General", "overfit": "Overfit", "finetune": "Finetune", "quickft": "QuickFT", "meta": "Meta"}
+BASELINE, MUTED = "x", "#666666"
+DPI = 160
+INK, GRID = "#222222", "#d9d9d9"
+STYLE: Any = {
+    "font.size": 9,
+    "axes.titlesize": 10,
+    "axes.labelsize": 9,
+    "axes.edgecolor": INK,
+    "axes.labelcolor": INK,
+    "text.color": INK,
+    "xtick.color": INK,
+    "ytick.color": INK,
+    "xtick.labelsize": 8,
+    "ytick.labelsize": 8,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "grid.color": GRID,
+    "grid.linewidth": 0.6,
+    "axes.axisbelow": True,
+    "legend.frameon": False,
+    "legend.fontsize": 8,
+    "lines.linewidth": 1.6,
+    "pdf.fonttype": 42,  # text stays text
+}
+
+
+def new(width: float, height: float, rows: int = 1, columns: int = 1) -> tuple[Figure, Any]:
+    """A figure of so many inches, and its axes [rows, columns]."""
+    figure = Figure(figsize=(width, height), layout="constrained")
+    return figure, figure.subplots(rows, columns, squeeze=False)
+
+
+def line(name: str) -> dict[str, Any]:
+    """How a paradigm's lines look."""
+    return {
+        "color": COLOURS[name],
+        "marker": MARKERS[name],
+        "markersize": 7 if name == "meta" else 4,
+        "label": TITLES[name],
+    }
+
+
+def legend(figure: Figure) -> None:
+    """What the lines of a figure's first axes are, below it, where it covers none of them."""
+    handles, labels = figure.axes[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=len(labels), columnspacing=1.0, handletextpad=0.4)
+
+
+def png_of(figure: Figure) -> bytes:
+    """A figure as a PNG."""
+    buffer = io.BytesIO()
+    with rc_context(STYLE):
+        figure.savefig(buffer, format="png", dpi=DPI, metadata={"Software": None})
+    return buffer.getvalue()
+
+
+def save(figure: Figure, path: Path) -> Path:
+    """Write a figure; its suffix says as what. The same figure gives the same file."""
+    metadata = {"CreationDate": None} if path.suffix == ".pdf" else {"Software": None}
+    with rc_context(STYLE):
+        write_atomically(path, functools.partial(figure.savefig, dpi=DPI, metadata=metadata))
+    return path

@@ -1,0 +1,204 @@
+"""What fits pass on their way: errors along the steps, parameters at a quarter, a half, three quarters, and paths.
+
+Fits of `run_tasks` are timed, so nothing is measured while they go; here the same fits, of the same draws, are made
+again for a few tasks.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator
+
+import torch
+from torch import Tensor
+
+from metapp.evaluation.tables.rows import paper
+from metapp.evaluation.tables.subject import Cell, Fit, Record, Subject
+from metapp.learning.app import stack
+from metapp.learning.learn import learn, task_loss
+from metapp.learning.rules import fixed_adam
+from metapp.learning.task import Params, Task, Tasks
+from metapp.runs.fits import rng_of
+from metapp.runs.origin import origin_of
+from metapp.runs.session import name_of, observe_of, settings_of, threads_of
+from metapp.storage.records import NUMBER, OPTIONAL, RunFolder, digest
+
+TRACED = 5  # tasks
+PARTS = (0.0, 0.25, 0.5, 0.75, 1.0)
+CURVES = ("overfit", "finetune", "quickft", "meta")
+FURTHER = (8, 16, 32, 65, 130)  # steps after Meta's
+WALKED = 32  # places on a path
+_STEPS, _PLACES = [(NUMBER, OPTIONAL)], [(NUMBER, NUMBER)]
+FORM = {  # of a record
+    "curves": dict.fromkeys(CURVES, _STEPS),
+    "further": _STEPS,
+    "paths": {"meta": _PLACES, "overfit": _PLACES},
+    "explained": NUMBER,
+}
+
+
+def trace_cell(subject: Subject) -> Cell:
+    """Traces of a few tasks."""
+    fits = [subject.fits[name] for name in CURVES]
+    options = subject.options
+    path = options.out / options.app.name / "trace" / f"{subject.label}-{options.recipe}-seed{options.seed}"
+    folder = None
+    if all(fit.checkpoint for fit in fits):
+        keys = [digest(settings_of(f.options, f.paradigm, f.checkpoint, subject.label)) for f in fits if f.checkpoint]
+        said = {"app": options.app.name, **observe_of(options.app), "fits": keys, "further": FURTHER, "walked": WALKED}
+        end = (path.name, options.rule, subject.shortened, options.app.protocol)
+        folder = RunFolder(path.with_name("-".join(filter(None, end))), said, FORM, origin_of(options))
+
+    def measure(missing: list[Task]) -> Iterator[Record]:
+        assert folder is not None
+        for task in missing:
+            record, thetas = trace(subject, fits, task)
+            folder.add(record, thetas)
+            yield record
+
+    steps = sum(fit.paradigm.count(fit.options.job) for fit in fits) + sum(FURTHER)
+    title = f"{name_of(options.app)} trace"
+    return Cell(
+        title,
+        subject.some(TRACED),
+        folder,
+        measure,
+        steps,
+        subject.command("convergence"),
+        threads=threads_of(options.app),
+    )
+
+
+def trace(subject: Subject, fits: list[Fit], task: Task) -> tuple[Record, Params]:
+    """One task: errors of each paradigm along its steps, paths, and what further steps bring Meta.
+
+    Returns:
+        The record, and Meta's parameters at PARTS of its steps, as of `named`.
+    """
+    app, options = subject.app, subject.options
+    stacked = stack(app, [task], options.device)
+    curves: dict[str, list[tuple[int, float | None]]] = {}
+    walks: dict[str, dict[int, Params]] = {}
+    for fit in fits:
+        steps = fit.paradigm.count(fit.options.job)
+        looked, walked = looks(steps), places(steps) if fit.name in ("overfit", "meta") else set()
+        states = descend(fit, task, stacked, looked | walked)
+        curves[fit.name] = [(step, error_of(subject, states[step], stacked)) for step in sorted(looked)]
+        walks[fit.name] = {step: states[step] for step in sorted(walked)}
+        if fit.name == "meta":
+            parts = {part: states[at(part, steps)] for part in PARTS}
+    wanted = curves["overfit"][-1][1]
+    further = climb(subject, task, stacked, parts[1.0], wanted)
+    paths, explained = paths_of(*(list(walks[name].values()) for name in ("meta", "overfit")))
+    record = {
+        "name": task.name,
+        "error": curves["meta"][-1][1],
+        "curves": curves,
+        "further": further,
+        "paths": paths,
+        "explained": explained,
+    }
+    return record, named(parts)
+
+
+def named(parts: dict[float, Params]) -> Params:
+    """Parameters [1, ...] at PARTS of the steps as `<part>/<name>`, [...] each.
+
+    Each has memory of its own, as files ask for; a rule that solves leaves most parameters as they are.
+    """
+    return {f"{part:g}/{key}": value[0].clone() for part, theta in parts.items() for key, value in theta.items()}
+
+
+def at(part: float, steps: int) -> int:
+    """The step at which so much of the steps is done."""
+    return round(part * steps)
+
+
+def looks(steps: int) -> set[int]:
+    """Where errors are measured: at PARTS, and at a quarter of what is left of these, again and again."""
+    found = {at(part, steps) for part in PARTS}
+    early = steps / 16
+    while early >= 1:
+        found.add(round(early))
+        early /= 4
+    return found
+
+
+def places(steps: int) -> set[int]:
+    """Where a path is marked: evenly in the square root of the step, as it moves fastest at first."""
+    return {round(steps * (i / WALKED) ** 2) for i in range(WALKED + 1)}
+
+
+def descend(fit: Fit, task: Task, stacked: Tasks, wanted: Collection[int]) -> dict[int, Params]:
+    """The same fit as the row's, with its parameters [1, ...] after the wanted numbers of steps."""
+    assert fit.checkpoint is not None
+    kept: dict[int, Params] = {}
+
+    def watch(step: int, params: Params, value: Tensor) -> None:
+        if step in wanted:
+            kept[step] = params
+
+    job, rng = fit.options.job, rng_of(fit.options, task)
+    final = fit.paradigm.fitted(job, fit.checkpoint.prepared, stacked, rng, watch).theta
+    return kept | {fit.paradigm.count(job): final}
+
+
+def error_of(subject: Subject, theta: Params, stacked: Tasks) -> float | None:
+    """The table's error; None where the task holds no reference."""
+    errors = subject.app.errors(theta, stacked)
+    return subject.app.scale * float(errors["error"][0]) if errors else None
+
+
+def climb(
+    subject: Subject, task: Task, stacked: Tasks, theta: Params, wanted: float | None
+) -> list[tuple[int, float | None]]:
+    """Errors after further steps by Finetune's Adam from Meta's result, until one is within 1 % of Overfit's.
+
+    Returns:
+        (steps, error); each is a descent of its own, whose rate decays to the end.
+    """
+    job = subject.options.job
+    found: list[tuple[int, float | None]] = [(0, error_of(subject, theta, stacked))]
+    for steps in FURTHER:
+        if wanted is None or near(found[-1][1], wanted):
+            break
+        rng = rng_of(subject.options, task)
+        rule, loss = fixed_adam(job.recipe.finetune, theta, steps), task_loss(job.app, job.recipe.batch)
+        found.append((steps, error_of(subject, learn(theta, rule, stacked, loss, steps=steps, rng=rng), stacked)))
+    return found
+
+
+def near(error: float | None, wanted: float) -> bool:
+    """Whether an error is at most so much above another as the paper's are in the end."""
+    return error is not None and error - wanted <= paper()["further_steps"]["within"] * abs(wanted)
+
+
+def paths_of(meta: list[Params], overfit: list[Params]) -> tuple[dict[str, list[list[float]]], float]:
+    """Both paths in the plane of most variance, and its share; no places where Meta's rule has another network."""
+    meta_states, overfit_states = (torch.stack([vector(theta) for theta in path]) for path in (meta, overfit))
+    if meta_states.shape[1] != overfit_states.shape[1]:
+        return {"meta": [], "overfit": []}, 0.0
+    found, explained = project(torch.cat([meta_states, overfit_states]))
+    return {"meta": found[: len(meta)].tolist(), "overfit": found[len(meta) :].tolist()}, explained
+
+
+def vector(theta: Params) -> Tensor:
+    """Parameters [1, ...] of one task as one vector."""
+    return torch.cat([theta[key].detach().flatten().cpu() for key in sorted(theta)])
+
+
+def project(states: Tensor) -> tuple[Tensor, float]:
+    """States [S, D] in the plane of most variance: places [S, 2], and the share of variance in it."""
+    centred = (states - states.mean(0)).double()
+    values, vectors = torch.linalg.eigh(centred @ centred.T)  # S is far less than D
+    places_of = vectors[:, -2:].flip(1) * values[-2:].flip(0).clamp_min(0).sqrt()
+    return places_of, float(values[-2:].sum() / values.sum().clamp_min(1e-30))
+
+
+def states_of(cell: Cell, task: Task) -> dict[float, Params]:
+    """Meta's parameters at PARTS of its steps, without task axis, from a trace."""
+    assert cell.folder is not None
+    states: dict[float, Params] = {part: {} for part in PARTS}
+    for name, value in cell.folder.theta(task.name).items():
+        part, key = name.split("/", 1)
+        states[float(part)][key] = value
+    return states

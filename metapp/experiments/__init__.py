@@ -1,5 +1,0 @@
-"""Experiments: runs, checkpoints, tables, figures, reports. Nothing here prints, exits or knows typer or rich."""
-
-
-class BadOption(ValueError):
-    """An option or argument that cannot be used as it is given."""

@@ -1,0 +1,164 @@
+"""Two runs of an application side by side: errors and seconds task by task, their paired ratio, one picture."""
+
+from __future__ import annotations
+
+import statistics
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from metapp.apps import presentation_of
+from metapp.evaluation.tables.statistics import Paired, paired
+from metapp.learning.app import App
+from metapp.learning.task import Task
+from metapp.runs.pictures import COMPARED, column_of, write_compared
+from metapp.runs.recorded import app_as, read_run, tasks_as
+from metapp.runs.reporter import progress
+from metapp.runs.session import threads, threads_of
+
+TOLD = ("paradigm", "rule", "recipe", "steps", "observe", "seed", "start")  # what tells runs apart, the clearest first
+
+
+class Side(NamedTuple):
+    """A run that is compared.
+
+    Attributes:
+        label: what tells it from the other, without spaces.
+        app: as it was at the first fit.
+        folder: of the run.
+        records: of the tasks in common, in the same order.
+    """
+
+    label: str
+    app: App
+    folder: Path
+    records: list[dict[str, Any]]
+
+    def errors(self) -> dict[str, float]:
+        """By the task's name, of those that have one."""
+        return {record["name"]: record["error"] for record in self.records if record["error"] is not None}
+
+    def mean(self) -> float | None:
+        """Of the errors; None where there are none."""
+        return statistics.fmean(self.errors().values()) if self.errors() else None
+
+    def seconds(self) -> float:
+        """The median of a fit."""
+        return float(statistics.median(record["seconds"] for record in self.records))
+
+
+class Comparison(NamedTuple):
+    """Two runs on the tasks that they have in common.
+
+    Attributes:
+        sides: the two.
+        tasks: what was fitted, in the order of the records; none where it is not to be had.
+        found: the mean error of the first over that of the second, or their difference; None where there is none.
+        notes: what differs beside the runs' settings and must be known.
+    """
+
+    sides: tuple[Side, Side]
+    tasks: list[Task]
+    found: Paired | None
+    notes: list[str]
+
+    def document(self, picture: Path | None) -> dict[str, Any]:
+        """What --json prints."""
+        one, other = self.sides
+        pairs = zip(one.records, other.records, strict=True)
+        return {
+            "app": one.app.name,
+            "runs": [
+                {"label": side.label, "out": str(side.folder), "error": side.mean(), "seconds": side.seconds()}
+                for side in self.sides
+            ],
+            "compared": self.found and self.found._asdict(),
+            "tasks": [
+                {"name": a["name"], "error": [a["error"], b["error"]], "seconds": [a["seconds"], b["seconds"]]}
+                for a, b in pairs
+            ],
+            "notes": self.notes,
+            "picture": picture and str(picture),
+        }
+
+
+def compare(first: Path, second: Path, task: str, inputs: list[Path], data: Path | None) -> Comparison:
+    """Put two runs side by side.
+
+    Args:
+        first: folder or record file of a run.
+        second: of the other one.
+        task: the one to compare; "" for all in common.
+        inputs: what was fitted, where it is not where records say.
+        data: the data set that was fitted, for the same.
+
+    Raises:
+        ValueError: no runs, of different applications, or without a task in common.
+    """
+    runs = [read_run(path, task=task) for path in (first, second)]
+    settings = [run.records[-1]["settings"] for run in runs]
+    if settings[0]["app"] != settings[1]["app"]:
+        apps = " and ".join(each["app"] for each in settings)
+        raise ValueError(f"{second}: runs of {apps}, expected two of one application; take another run.")
+    by_name = [{record["name"]: record for record in run.records} for run in runs]
+    names = [name for name in by_name[0] if name in by_name[1]]
+    if not names:
+        counts = f"{len(by_name[0])} and {len(by_name[1])} tasks, none in common"
+        raise ValueError(f"{second}: {counts}, expected some; compare runs of the same data.")
+    sides = [
+        Side(label, app_as(each), run.folder, [of[name] for name in names])
+        for label, each, run, of in zip(_labels(*settings), settings, runs, by_name, strict=True)
+    ]
+    known = tasks_as(runs[0].records, sides[0].app, inputs, data)
+    tasks = [known[name] for name in names if name in known]
+    groups = {name: (known[name].group if name in known else "") or name for name in names}
+    logarithmic = presentation_of(sides[0].app).logarithmic
+    found = paired(sides[0].errors(), sides[1].errors(), groups, logarithmic=logarithmic)
+    return Comparison((sides[0], sides[1]), tasks, found, _notes(settings, by_name, names))
+
+
+def draw(compared: Comparison, file: Path, *, quiet: bool) -> Path | None:
+    """Write a picture of up to COMPARED tasks, a column each: the reference, and the fits of both runs below it.
+
+    Returns:
+        The file; None where it is not known what was fitted.
+    """
+    if not compared.tasks:
+        return None
+    records = [{record["name"]: record for record in side.records} for side in compared.sides]
+    shown, app = compared.tasks[:COMPARED], compared.sides[0].app
+    columns = []
+    with progress("picture", len(shown), quiet=quiet) as bar, threads(threads_of(app)):
+        for task in shown:
+            pairs = zip(compared.sides, records, strict=True)
+            columns.append(column_of(task, [(side.label, side.app, side.folder, of[task.name]) for side, of in pairs]))
+            bar.advance(task.name)
+    return write_compared(app, columns, file)
+
+
+def _labels(first: dict[str, Any], second: dict[str, Any]) -> tuple[str, str]:
+    """What tells two runs apart, in a word each; A and B where nothing in TOLD does."""
+    for key in TOLD:
+        if first.get(key) != second.get(key):
+            kind = "" if key in ("paradigm", "rule", "recipe") else f"{key}-"
+            one, other = (f"{kind}{each.get(key)}" for each in (first, second))
+            return one, other
+    return "A", "B"
+
+
+def _notes(settings: list[dict[str, Any]], by_name: list[dict[str, Any]], names: list[str]) -> list[str]:
+    """What must be known beside the labels."""
+    one, other = settings
+    left_out = sum(map(len, by_name)) - 2 * len(names)
+    return [
+        *([f"{left_out} tasks of one run alone are left out"] if left_out else []),
+        *(
+            [f"data {one['data']} and {other['data']}: tasks are the same by name"]
+            if one["data"] != other["data"]
+            else []
+        ),
+        *(
+            f"{key}: {one.get(key)} and {other.get(key)}"
+            for key in sorted({*one, *other})
+            if key in ("device", "versions", "features", "precision", "observe") and one.get(key) != other.get(key)
+        ),
+    ]

@@ -1,0 +1,95 @@
+"""Turning a user's files into a data set: one loop for every kind of file."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+from data_tools.formats import AUTO, Reader
+from metapp.runs.reporter import progress, say
+from metapp.storage.files import check_readable, named
+
+if TYPE_CHECKING:
+    pass
+
+
+class Converted(NamedTuple):
+    """What was written: names by split, and a line for each file that was skipped."""
+
+    app: str
+    out: str
+    train: list[str]
+    test: list[str]
+    skipped: list[str]
+
+
+def convert(reader: Reader, paths: Iterable[Path], out: Path, split: str, quiet: bool = False) -> Converted:
+    """Write the tasks of files and folders to `out`, all or nothing.
+
+    A file that was named must be good; one that was found in a folder may be bad: it is skipped with a warning.
+
+    Args:
+        reader: of this kind of file.
+        paths: files, and folders to search.
+        out: folder of the data set.
+        split: "train", "test" or "auto".
+        quiet: no progress.
+
+    Raises:
+        ValueError: a bad path or named file, a folder without a usable one, two tasks of one name.
+    """
+    from metapp.storage.shards import ShardWriter
+
+    sources, skipped = _find(reader, paths)
+    bad: dict[Path, list[str]] = {}  # by the folder that was searched
+    usable: set[Path] = set()
+    with ShardWriter(out, reader.app, reader.units, {**reader.notes, "split": split}) as writer:
+        with progress(f"{reader.noun}s", len(sources), quiet=quiet) as bar:
+            for source, searched in sources.items():
+                bar.name(reader.name(source))
+                try:
+                    task = reader.read(source)
+                except (ValueError, OSError) as error:
+                    if searched is None:
+                        raise named(error, source) from None
+                    bad.setdefault(searched, []).append(str(named(error, source)))
+                else:
+                    part = reader.split_of(source) if reader.split_of and split == AUTO else split
+                    writer.add(task, part, source)
+                    usable |= {searched} if searched else set()
+                bar.advance(reader.name(source))
+        empty = [folder for folder in bad if folder not in usable]
+        if empty and len(bad[empty[0]]) == 1:
+            raise ValueError(bad[empty[0]][0])  # the one thing in it is likely what was meant
+        skipped += [line for lines in bad.values() for line in lines]
+        for line in skipped:
+            say(f"warning: skipped: {line}")
+        if empty:
+            raise ValueError(f"{empty[0]}: {len(bad[empty[0]])} {reader.noun}s, none usable; expected at least one.")
+        entries = writer.entries()
+    names = {part: [entry.name for entry in entries if entry.split == part] for part in ("train", "test")}
+    return Converted(reader.app, str(out), names["train"], names["test"], skipped)
+
+
+def _find(reader: Reader, paths: Iterable[Path]) -> tuple[dict[Path, Path | None], list[str]]:
+    """All sources, each once, with the folder it was found in (None: it was named), and lines about skipped files."""
+    found: dict[Path, tuple[Path, Path | None]] = {}
+    skipped: list[str] = []
+    for path in paths:
+        check_readable(path)
+        sources, lines = reader.find([path])
+        skipped += lines
+        for source in sources:
+            key = source.resolve()
+            if not path.is_dir() or key not in found:
+                found[key] = (source, path if path.is_dir() else None)
+    names: dict[str, Path] = {}
+    for source, _ in found.values():
+        other = names.setdefault(reader.name(source), source)
+        if other is not source:
+            raise ValueError(
+                f"{other} and {source}: two tasks named '{reader.name(source)}', expected names that differ; "
+                "rename one, or convert them into two folders."
+            )
+    return dict(found.values()), skipped

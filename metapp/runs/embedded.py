@@ -1,0 +1,161 @@
+"""The data sets that metapp makes by itself: on first use, into the user's cache."""
+
+from __future__ import annotations
+
+import importlib
+import os
+import pkgutil
+import shutil
+import time
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+from data_tools import synthetic
+from metapp.apps import app_names
+from metapp.runs.reporter import progress, say
+from metapp.storage.files import cache_folder, locked
+
+VERSION = 1  # a module's own is raised when its draw changes, so that no older set is taken for the new one
+
+_STALE_SECONDS = 3600.0
+
+
+def embedded_apps() -> list[str]:
+    """Return the applications that have an embedded set: `data_tools.synthetic` holds a module of their name."""
+    return sorted({module.name for module in pkgutil.iter_modules(synthetic.__path__)} & set(app_names()))
+
+
+def embedded_module(app: str) -> ModuleType:
+    """The module of data_tools that draws an application's embedded set.
+
+    Raises:
+        ValueError: there is none; the message lists those that exist.
+    """
+    if app not in embedded_apps():
+        raise ValueError(f"{app}: no embedded data set, expected one of {', '.join(embedded_apps())}.")
+    return importlib.import_module(f"{synthetic.__name__}.{app}")
+
+
+def split_counts(app: str, count: int | None = None) -> dict[str, int]:
+    """How many tasks of each split an embedded set has.
+
+    Args:
+        app: the application.
+        count: of both splits, in the proportion of the default set (four to one); two or more give both splits one.
+
+    Raises:
+        ValueError: an unknown application; a count below 1.
+    """
+    default: dict[str, int] = embedded_module(app).COUNTS
+    if count is None:
+        return dict(default)
+    if count < 1:
+        raise ValueError(f"{app}: {count} tasks, expected 1 or more.")
+    test = round(count * default["test"] / sum(default.values()))
+    test = max(test, min(1, count - 1))
+    return {"train": count - test, "test": test}
+
+
+def embedded_data(
+    app: str,
+    seed: int = 0,
+    count: int | None = None,
+    out: Path | None = None,
+    quiet: bool = False,
+    size: int | None = None,
+) -> Path:
+    """The folder of an application's embedded data set, made now if it is not there yet.
+
+    Args:
+        app: the application.
+        seed: of all draws, >= 0.
+        count: how many tasks; None is the default set.
+        out: where to write the set; None is the cache, where a finished set of the same application, seed and count
+            is taken as it is.
+        quiet: no progress.
+        size: px a side of pictures, where the set can be drawn at several sizes; None is the default.
+
+    Raises:
+        ValueError: an application without embedded set, or of one size; a count below 1, a negative seed, a folder that
+            holds other data.
+    """
+    counts = split_counts(app, count)
+    notes = {"made_by": "metapp data synth", "version": _version(app), "seed": seed, "count": sum(counts.values())}
+    usual = getattr(embedded_module(app), "SIZE", None)
+    if size not in (None, usual):
+        if usual is None:
+            raise ValueError(f"{app}: size {size}, but its embedded set has one size; leave --size out.")
+        notes["size"] = size
+    if out is not None:
+        _make(app, out, counts, notes, quiet)
+        return out
+    sized = f"-{size}px" if "size" in notes else ""
+    folder = cache_folder() / "data" / f"{app}-{notes['count']}{sized}-seed{seed}-v{_version(app)}"
+    if _is_finished(folder, app, notes):
+        return folder
+    try:
+        folder.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ValueError(
+            f"{folder.parent}: {error.strerror}, expected a folder that can be written; set METAPP_CACHE to one."
+        ) from None
+    if not quiet:
+        say(f"{app}: making the embedded data set, once: {folder}")
+    # In a folder of its own: another program may be making the same set.
+    work = folder.with_name(f".partial-{os.getpid()}-{folder.name}")
+    _remove_stale(folder.parent)
+    try:
+        _make(app, work, counts, notes, quiet)
+        with locked(folder.parent):
+            if not _is_finished(folder, app, notes):
+                shutil.rmtree(folder, ignore_errors=True)  # half a set, or a damaged one
+                os.replace(work, folder)
+    finally:
+        shutil.rmtree(work, ignore_errors=True)
+    return folder
+
+
+def embedded_exists(app: str) -> bool:
+    """Whether the default embedded set has been made already."""
+    return app in embedded_apps() and (_default_folder(app) / "manifest.json").is_file()
+
+
+def _version(app: str) -> int:
+    return getattr(embedded_module(app), "VERSION", VERSION)
+
+
+def _default_folder(app: str) -> Path:
+    return cache_folder() / "data" / f"{app}-{sum(split_counts(app).values())}-seed0-v{_version(app)}"
+
+
+def _make(app: str, folder: Path, counts: dict[str, int], notes: dict[str, Any], quiet: bool) -> None:
+    from metapp.storage.shards import ShardWriter
+
+    module = embedded_module(app)
+    beside = getattr(module, "BESIDE", None)
+    size = {"size": notes["size"]} if "size" in notes else {}
+    shown = progress(f"{app} data", sum(counts.values()), quiet=quiet)
+    with ShardWriter(folder, app, module.UNITS, notes, beside) as writer, shown as bar:
+        for split, count in counts.items():
+            for task in module.synthetic_tasks(split, count, notes["seed"], **size):
+                writer.add(task, split)
+                bar.advance(task.name)
+
+
+def _is_finished(folder: Path, app: str, notes: dict[str, Any]) -> bool:
+    from metapp.storage.manifest import read_manifest
+
+    try:
+        manifest = read_manifest(folder)
+    except ValueError:
+        return False
+    whole = all((folder / entry.file).is_file() for entry in manifest.tasks)
+    return manifest.app == app and manifest.notes == notes and whole
+
+
+def _remove_stale(parent: Path) -> None:
+    """Remove what programs that were killed left behind."""
+    for path in parent.glob(".partial-*"):
+        if time.time() - path.stat().st_mtime > _STALE_SECONDS:
+            shutil.rmtree(path, ignore_errors=True)

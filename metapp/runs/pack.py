@@ -1,0 +1,249 @@
+"""The fits of a run as one small file: the quantised difference from the checkpoint that whoever reads it has, too.
+
+The paper's client and server share what training has made; what is sent of a fit is its difference from that.
+"""
+
+from __future__ import annotations
+
+import bisect
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import torch
+
+from metapp.learning.app import App, stack
+from metapp.learning.learn import MetaParameters
+from metapp.learning.task import Params, Task
+from metapp.paradigms import paradigms
+from metapp.runs.checkpoints import find_checkpoint
+from metapp.runs.recorded import options_as, read_run, tasks_as
+from metapp.runs.reporter import progress, say
+from metapp.runs.session import Checkpoint, Options
+from metapp.storage.packing import BITS, Pack, Steps, in_steps, read_pack, write_pack
+from metapp.storage.records import FIT, OPTIONAL, RunFolder, holds, read_theta
+
+GROWTH = 0.01  # of the mean error, at most, where the number of bits is chosen
+WITHOUT = 12  # bits where there is no error to choose by
+SETTINGS = {"app": str, "paradigm": str, "rule": str, "recipe": str, "data": str, "start": str}
+ABOUT = {"settings": SETTINGS, "bits": int, "records": [{**FIT, "name": str, "before": OPTIONAL}]}
+
+
+class Packed(NamedTuple):
+    """A pack that was written or read.
+
+    Attributes:
+        file: the pack.
+        out: the run's folder.
+        tasks: names of the fits.
+        bits: of a number, before entropy coding.
+        size: bytes of the file.
+        shared: bytes of the checkpoint, which whoever reads it must have; 0 where nothing is needed of one.
+        before: mean error of the fits; None where there is no reference, or it is not to be had.
+        after: of what the file holds.
+    """
+
+    file: str
+    out: str
+    tasks: list[str]
+    bits: int
+    size: int
+    shared: int
+    before: float | None
+    after: float | None
+
+
+class Fits(NamedTuple):
+    """Fits of one run: their tensors [T, ...], and the tasks, where they have references."""
+
+    app: App
+    thetas: Params
+    tasks: list[Task]
+
+    def errors(self, thetas: Params) -> list[float | None]:
+        """As tables print them, of parameters [T, ...]; None where there is no reference."""
+        found: list[float | None] = []
+        for i, task in enumerate(self.tasks):
+            one = {key: value[i : i + 1] for key, value in thetas.items()}
+            errors = self.app.errors(one, stack(self.app, [task])) if task.data else {}
+            found.append(self.app.scale * float(errors["error"][0]) if errors else None)
+        return found
+
+
+def pack(
+    run: Path,
+    out: Path | None,
+    bits: int | None,
+    inputs: list[Path],
+    *,
+    data: Path | None = None,
+    checkpoint: Path | None = None,
+    quiet: bool = False,
+) -> Packed:
+    """Write the fits of a run as one file.
+
+    Args:
+        run: its folder, or the record file in it.
+        out: the file; None: fits.pack in the folder.
+        bits: of a number; None: as few as let the mean error grow by GROWTH at most.
+        inputs: what was fitted, where records do not say where it is.
+        data: the data set that was fitted, for the same.
+        checkpoint: what was fitted by, where it is none that is found.
+        quiet: no progress.
+
+    Raises:
+        ValueError: no run, records of several, or another checkpoint than that of the fits.
+    """
+    folder, records = read_run(run, {**FIT, "key": str, "settings": SETTINGS})
+    if len({record["key"] for record in records}) > 1:
+        raise ValueError(f"{run}: records of several runs, expected those of one; fit into another --out.")
+    settings = records[0]["settings"]
+    options, found = _start_of(settings, str(run), checkpoint)
+    names = [record["name"] for record in records]
+    thetas = _stacked([read_theta(folder, name) for name in names], names)
+    known = tasks_as(records, options.app, inputs, data)
+    if 0 < len(known) < len(names):
+        say(f"note: errors of {len(known)} of {len(names)} fits, as what the others saw is not there or has changed.")
+    fits = Fits(options.app, thetas, [known.get(name, Task(name, {})) for name in names])
+    base = known_of(found.prepared, thetas)
+    before = fits.errors(thetas)
+    with progress("pack", quiet=quiet) as bar:
+        chosen = bits or _fewest_bits(fits, base, before, bar.name)
+    steps = _in_steps(thetas, base, chosen)
+    after = fits.errors(restored(steps, base))
+    kept = [
+        {"name": name, "error": now, "seconds": record["seconds"], "before": then}
+        for name, record, now, then in zip(names, records, after, before, strict=True)
+    ]
+    file = out or folder / "fits.pack"
+    size = write_pack(file, Pack(names, steps, {"settings": settings, "bits": chosen, "records": kept}))
+    return Packed(str(file), str(folder), names, chosen, size, _size_of(found), _mean(before), _mean(after))
+
+
+def unpack(file: Path, out: Path | None, checkpoint: Path | None) -> Packed:
+    """Make a run's folder of a pack.
+
+    Args:
+        file: what `pack` wrote.
+        out: the folder; None: named as the file, without its suffix.
+        checkpoint: what was fitted by, where it is none that is found.
+
+    Raises:
+        ValueError: a damaged file, or another checkpoint than that of the fits.
+    """
+    names, steps, about = read_pack(file)
+    if not holds(about, ABOUT) or [record["name"] for record in about["records"]] != names:
+        raise ValueError(f"{file}: not what metapp pack writes, expected settings and a record of each fit.")
+    settings, records = about["settings"], about["records"]
+    options, found = _start_of(settings, str(file), checkpoint)
+    base = known_of(found.prepared, {key: each.numbers for key, each in steps.items()})
+    thetas = restored(steps, base)
+    _require_network(file, options.app, thetas)
+    folder = RunFolder(out or file.with_suffix(""), {**settings, "bits": about["bits"]})
+    for i, record in enumerate(records):
+        folder.add(record, {key: value[i] for key, value in thetas.items()})
+    before, after = ([record[key] for record in records] for key in ("before", "error"))
+    size = file.stat().st_size
+    return Packed(str(file), str(folder.path), names, about["bits"], size, _size_of(found), _mean(before), _mean(after))
+
+
+def _require_network(file: Path, app: App, thetas: Params) -> None:
+    """Refuse tensors that are not of the application's network: anybody may have written a pack.
+
+    Raises:
+        ValueError: one is missing, of another shape, or not finite.
+    """
+    network = {key: value.shape[1:] for key, value in app.init(torch.Generator().manual_seed(0), 1).items()}
+    found = {key: value.shape[1:] for key, value in thetas.items()}
+    wrong = sorted(key for key in {*network, *found} if network.get(key) != found.get(key))
+    wrong += [key for key, value in thetas.items() if not bool(value.isfinite().all())]
+    if wrong:
+        raise ValueError(
+            f"{file}: tensor '{wrong[0]}' is not one of {app.name}, expected a fit's; pack the fits again."
+        )
+
+
+def known_of(prepared: MetaParameters, thetas: Params) -> Params:
+    """What is known of a fit without its input: the learned initialisation, or the decoder that all tasks share.
+
+    Args:
+        prepared: the checkpoint.
+        thetas: tensors [T, ...] of the fits.
+
+    Returns:
+        A tensor for each of them: 0 for what an encoder predicts.
+    """
+    decoder = {key.removeprefix("decoder."): value for key, value in prepared.encoder.items()}
+    said = {**decoder, **prepared.theta}
+    return {
+        key: said[key].cpu() if key in said and said[key].shape == value.shape[1:] else torch.zeros(value.shape[1:])
+        for key, value in thetas.items()
+    }
+
+
+def restored(steps: dict[str, Steps] | Any, base: Params) -> Params:
+    """Parameters [T, ...] of differences from what is known."""
+    return {key: base[key] + each.values() for key, each in steps.items()}
+
+
+def _in_steps(thetas: Params, base: Params, bits: int) -> dict[str, Steps]:
+    return {key: in_steps(value - base[key], bits) for key, value in thetas.items()}
+
+
+def _fewest_bits(fits: Fits, base: Params, before: list[float | None], tell: Any) -> int:
+    """As few as let the mean error grow by GROWTH at most; WITHOUT where there is none."""
+    mean = _mean(before)
+    if mean is None:
+        say(
+            "note: no errors to choose bits by, as what was fitted is not there or has no reference; give it after RUN."
+        )
+        return WITHOUT
+
+    def enough(bits: int) -> bool:
+        tell(f"{bits} bits")
+        now = _mean(fits.errors(restored(_in_steps(fits.thetas, base, bits), base)))
+        return now is not None and now - mean <= GROWTH * abs(mean)
+
+    found = bisect.bisect_left(range(BITS[0], BITS[1]), True, key=enough)
+    return BITS[0] + found
+
+
+def _start_of(settings: dict[str, Any], subject: str, path: Path | None) -> tuple[Options, Checkpoint]:
+    """The checkpoint that fits began at.
+
+    Raises:
+        ValueError: it is another one.
+    """
+    if settings["paradigm"] not in paradigms():
+        known = ", ".join(paradigms())
+        raise ValueError(f"{subject}: fits by {settings['paradigm']}, expected one of {known}; fit again.")
+    paradigm = paradigms()[settings["paradigm"]]
+    options = options_as(settings, checkpoint=path if settings["start"] else None, device="cpu").by(paradigm)
+    found = find_checkpoint(options, paradigm)
+    if found.digest != settings["start"]:
+        raise ValueError(
+            f"{subject}: checkpoint {found.digest} ({found.source}), expected {settings['start']}, by which the fits "
+            "were made; give that file by --checkpoint."
+        )
+    return options, found
+
+
+def _stacked(thetas: list[Params], names: list[str]) -> Params:
+    shapes = {key: value.shape for key, value in thetas[0].items()}
+    for name, theta in zip(names, thetas, strict=True):
+        if {key: value.shape for key, value in theta.items()} != shapes:
+            raise ValueError(f"{name}: other tensors than {names[0]}, expected fits of one network; fit again.")
+        if not all(bool(value.isfinite().all()) for value in theta.values()):
+            raise ValueError(f"{name}: NaN or infinite parameters, expected finite ones; fit again.")
+    return {key: torch.stack([theta[key].float() for theta in thetas]) for key in shapes}
+
+
+def _size_of(checkpoint: Checkpoint) -> int:
+    """Bytes of the tensors that packs are differences from."""
+    prepared = checkpoint.prepared
+    decoder = [value for key, value in prepared.encoder.items() if key.startswith("decoder.")]
+    return sum(value.numel() * value.element_size() for value in [*prepared.theta.values(), *decoder])
+
+
+def _mean(errors: list[float | None]) -> float | None:
+    known = [error for error in errors if error is not None]
+    return sum(known) / len(known) if known else None

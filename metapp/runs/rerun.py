@@ -1,0 +1,259 @@
+"""Repeat rows of tables from their records, and say whether the figures agree."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import tempfile
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import torch
+
+from metapp.appearance.precision import FLOAT32
+from metapp.baselines import baselines_of
+from metapp.evaluation.tables import ablation, baselines
+from metapp.evaluation.tables.subject import Cell, Record, Subject
+from metapp.learning.task import Params, Task
+from metapp.paradigms import paradigms
+from metapp.runs.checkpoints import find_checkpoint
+from metapp.runs.fits import fit_tasks
+from metapp.runs.inputs import Reading, tasks_to_fit
+from metapp.runs.origin import machine
+from metapp.runs.recorded import options_as, read_run
+from metapp.runs.reporter import progress
+from metapp.runs.session import Options, settings_of, threads, threads_of
+from metapp.storage.records import OPTIONAL, finite, holds, read_theta
+
+FORM = {"key": str, "settings": {"app": str}}
+FIT = {"error": OPTIONAL, "settings": {"data": str, "recipe": str, "seed": int}}
+ROUNDING = 1e-6  # relative: what the same machine, versions and threads may differ by
+ELSEWHERE = 0.01
+AROUND = ("versions", "device", "precision")  # settings that figures depend on by rounding, or by a device's draws
+FOUND_BY = {"data": "give what was fitted after RECORD, or --data", "start": "give that file by --checkpoint"}
+TITLES = {"start": "checkpoint"}
+_ALONE = "{}: a record of {}, expected one of a fit; metapp evaluate with another --out makes its table anew."
+
+
+class Given(NamedTuple):
+    """What to use in place of what records say: inputs, a data set, a checkpoint, a tolerance."""
+
+    inputs: Sequence[Path] = ()
+    data: Path | None = None
+    checkpoint: Path | None = None
+    tolerance: float | None = None
+
+
+class Repeated(NamedTuple):
+    """A row that was repeated.
+
+    Attributes:
+        name: of the task.
+        recorded: the error then; None where there is no reference.
+        found: the error now.
+        difference: of the two, relative; of the parameters where there is no error.
+        tolerance: up to which they agree.
+        differs: what is not as it was then, (then, now) by name: versions, device, machine, threads.
+        seconds: of inference, (then, now), where they were measured.
+    """
+
+    name: str
+    recorded: float | None
+    found: float | None
+    difference: float
+    tolerance: float
+    differs: dict[str, tuple[Any, Any]]
+    seconds: tuple[float, float] | None
+
+    @property
+    def agrees(self) -> bool:
+        """Whether the figure is the recorded one."""
+        return self.difference <= self.tolerance
+
+
+class Plan(NamedTuple):
+    """What repeats the rows of one run: what its figures depend on now, its tasks, and the fits of some of these."""
+
+    settings: dict[str, Any]
+    tasks: list[Task]
+    fits: Any
+
+
+def rerun(record: Path, task: str, given: Given, *, quiet: bool) -> list[Repeated]:
+    """Repeat the rows of a record file.
+
+    Args:
+        record: the file, or a run's folder.
+        task: the one to repeat; "" for all.
+        given: in place of what records say.
+        quiet: no progress.
+
+    Raises:
+        ValueError: no such record, or its data, checkpoint or settings are not to be had as they were.
+    """
+    folder, records = read_run(record, FORM, task)
+    runs: dict[str, list[Record]] = {}
+    for each in records:
+        runs.setdefault(each["key"], []).append(each)
+    done = []
+    with progress("rerun", len(records), quiet=quiet) as bar, tempfile.TemporaryDirectory() as scratch:
+        for of_run in runs.values():
+            for row in _repeat(folder, of_run, given, Path(scratch)):
+                done.append(row)
+                bar.advance(row.name)
+    return done
+
+
+def _repeat(folder: Path, records: list[Record], given: Given, scratch: Path) -> Iterator[Repeated]:
+    """The rows of one run, which share their settings."""
+    first = records[0]
+    if not holds(first, FIT):
+        raise ValueError(_ALONE.format(first["name"], first["settings"].get("study", "no fit")))
+    options = _options(folder, first, given)
+    with threads(first.get("threads") or threads_of(options.app)), _as_precise(first["settings"]):
+        plan = _plan(options, first, given, scratch)
+        around = _changed(first, plan.settings)
+        around |= _differing({"machine": first.get("origin", {}).get("machine")}, {"machine": machine(options.device)})
+        by_name = {task.name: task for task in plan.tasks}
+        missing = [each["name"] for each in records if each["name"] not in by_name]
+        if missing:
+            raise ValueError(f"{missing[0]}: no such task in {plan.settings['data']}; {FOUND_BY['data']}.")
+        recorded = {each["name"]: each for each in records}
+        for now, theta in plan.fits([by_name[name] for name in recorded]):
+            yield _compared(folder, recorded.pop(now["name"]), now, theta, around, given.tolerance)
+    if recorded:
+        raise ValueError(
+            f"{next(iter(recorded))}: could not be fitted again, expected a figure; see what is said above."
+        )
+
+
+def _options(folder: Path, record: Record, given: Given) -> Options:
+    """The options of a record: as recorded, or as given."""
+    settings, origin = record["settings"], record.get("origin", {})
+    known = {key: Path(origin[key]) for key in ("data", "checkpoint") if key in origin}
+    above = [*folder.resolve().parents, *[Path("runs")] * 4]
+    asked = str(settings.get("device", "cpu")).split(":")[0]
+    return options_as(
+        settings,
+        steps=settings.get("steps") or None,
+        data=given.data or (None if given.inputs or origin.get("inputs") else known.get("data")),
+        checkpoint=given.checkpoint or known.get("checkpoint"),
+        out=above[3 if "baseline" in settings else 2],
+        seed=settings["seed"],
+        device=asked if asked != "cuda" or torch.cuda.is_available() else "cpu",
+    )
+
+
+def _plan(options: Options, record: Record, given: Given, scratch: Path) -> Plan:
+    settings = record["settings"]
+    if settings.get("paradigm") not in paradigms():
+        return _plan_of_table(options, settings, scratch)
+    origin, paradigm = record.get("origin", {}), paradigms()[settings["paradigm"]]
+    options = options.by(paradigm)
+    inputs = list(given.inputs) or ([] if given.data else [Path(path) for path in origin.get("inputs", [])])
+    reading = Reading([Path(path) for path in origin.get("roots", [])], origin.get("fov_rad", 0.0))
+    tasks, label = tasks_to_fit(options.app, inputs, options.data, True, reading)
+    checkpoint = find_checkpoint(options, paradigm)
+    now = settings_of(options, paradigm, checkpoint, label)
+    return Plan(now, tasks, lambda some: fit_tasks(options, paradigm, checkpoint, some))
+
+
+def _plan_of_table(options: Options, settings: dict[str, Any], scratch: Path) -> Plan:
+    """Rows that no paradigm's command makes, from the table's own cells."""
+    subject = Subject(options._replace(steps=None), run=True, strict=False)
+    cell = _cell(subject, settings)
+    folder = cell and cell.folder
+    if cell is None or folder is None:
+        raise ValueError(_ALONE.format(settings["app"], settings.get("paradigm") or settings.get("baseline")))
+
+    def fits(some: list[Task]) -> Iterator[tuple[Record, Params | None]]:
+        folder.path = scratch  # what is measured now is kept nowhere
+        for record in cell.measure(some):
+            name = record["name"]
+            yield record, folder.theta(name) if folder.params(name).is_file() else None
+
+    return Plan(folder.settings, list(cell.tasks), fits)
+
+
+def _cell(subject: Subject, settings: dict[str, Any]) -> Cell | None:
+    """The cell of a table that a record is of: a baseline or half of a learned rule's row."""
+    if "baseline" in settings:
+        known = [baseline for baseline in baselines_of(subject.app) if baseline.name == settings["baseline"]]
+        return baselines.baseline_cell(subject, known[0]) if known else None
+    names = (settings.get("paradigm"), settings.get("rule"))
+    if names[0] not in (ablation.RULE_ALONE.name, ablation.START_ALONE.name):
+        return None
+    halves = [cell for name in ablation.learned(subject) for _, _, cell in ablation.combined(subject, name)]
+    of = {(cell.folder.settings["paradigm"], cell.folder.settings["rule"]): cell for cell in halves if cell.folder}
+    return of.get(names)
+
+
+def _differing(then: dict[str, Any], now: dict[str, Any]) -> dict[str, tuple[Any, Any]]:
+    """What a record says and is not so now."""
+    return {key: (value, now.get(key)) for key, value in then.items() if value is not None and value != now.get(key)}
+
+
+def _read_back(settings: dict[str, Any]) -> dict[str, Any]:
+    """Settings as a record's line holds them."""
+    result: dict[str, Any] = json.loads(json.dumps(finite(settings)))
+    return result
+
+
+def _changed(record: Record, now: dict[str, Any]) -> dict[str, tuple[Any, Any]]:
+    """Versions and devices that differ.
+
+    Raises:
+        ValueError: anything else does, such as the data or the checkpoint; names it, what was expected and found.
+    """
+    then = record["settings"]
+    both = [{key: value for key, value in each.items() if key not in AROUND} for each in (then, _read_back(now))]
+    differing = _differing(*both) | {key: (None, now[key]) for key in both[1].keys() - both[0].keys()}
+    for key in sorted(differing, key=lambda key: (key not in FOUND_BY, key)):
+        expected, found = differing[key]
+        remedy = FOUND_BY.get(key, "repeat it by the version of metapp that made it")
+        said = f"{TITLES.get(key, key)} {found}, expected {expected} as recorded"
+        raise ValueError(f"{record['name']}: {said}; {remedy}.")
+    rest = [{"device": then.get("device"), "precision": "float32"} | each for each in (then, now)]
+    around = [{key: each[key] for key in ("device", "precision")} for each in rest]
+    return _differing(then.get("versions", {}), now["versions"]) | _differing(*around)
+
+
+@contextmanager
+def _as_precise(settings: dict[str, Any]) -> Iterator[None]:
+    """Fit in float32 alone where the recorded fits did; other arithmetic depends on the CPU."""
+    before = os.environ.get(FLOAT32)
+    if "precision" not in settings:
+        os.environ[FLOAT32] = "1"
+    try:
+        yield
+    finally:
+        if before is None:
+            os.environ.pop(FLOAT32, None)
+        else:
+            os.environ[FLOAT32] = before
+
+
+def _compared(
+    folder: Path, then: Record, now: Record, theta: Params | None, around: dict[str, Any], tolerance: float | None
+) -> Repeated:
+    recorded, found = then["error"], now["error"]
+    differs = around | _differing({"threads": then.get("threads")}, now)
+    if recorded is not None and found is not None:
+        difference = abs(found - recorded) / max(abs(recorded), 1e-12)
+    else:
+        difference = _distance(read_theta(folder, then["name"]), theta) if recorded is found is None else math.inf
+    allowed = tolerance if tolerance is not None else ELSEWHERE if differs else ROUNDING
+    seconds = (then["seconds"], now["seconds"]) if "seconds" in then and "seconds" in now else None
+    return Repeated(then["name"], recorded, found, difference, allowed, differs, seconds)
+
+
+def _distance(then: Params, now: Params | None) -> float:
+    """The relative difference of parameters; infinite where they are not of one network."""
+    if now is None or {key: value.shape for key, value in then.items()} != {k: v.shape for k, v in now.items()}:
+        return math.inf
+    square = sum(float((now[key].cpu() - then[key]).double().square().sum()) for key in then)
+    whole = sum(float(value.double().square().sum()) for value in then.values())
+    return math.sqrt(square / max(whole, 1e-30))

@@ -1,0 +1,286 @@
+"""Every application has baselines under each of its protocols, and its table prints them."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from rich.console import Console
+from torch import Generator, Tensor
+
+from metapp.apps import app_names, load_app
+from metapp.baselines import baselines_of
+from metapp.baselines.baseline import Allowed, Fitted, Training, nearest
+from metapp.cli.evaluate import compare_baselines, find_subjects
+from metapp.cli.show import rich_table
+from metapp.evaluation.figures import draw
+from metapp.evaluation.tables import load_table
+from metapp.evaluation.tables.baselines import baseline_cell, baseline_rows, baselines_with_pictures
+from metapp.evaluation.tables.running import run_cells
+from metapp.evaluation.tables.subject import Subject
+from metapp.learning.app import App, stack
+from metapp.learning.task import Task
+from metapp.runs.reporter import Reporter, reporting
+from metapp.runs.session import options_of
+from metapp.storage.records import RunFolder, read_theta
+from metapp.storage.shards import ShardWriter
+
+PLACED = [(name, protocol) for name in app_names() for protocol in load_app(name).protocols or ("",)]
+TRAIN, TEST = 6, 2
+
+
+def placed(name: str, protocol: str) -> App:
+    app = load_app(name)
+    return app.at(app.recipes["quick"], protocol)
+
+
+def random_task(app: str, name: str, rng: Generator, angles: Tensor) -> Task:
+    """A task of little but noise, as small as the application takes it."""
+
+    def uniform(*shape: int) -> Tensor:
+        return torch.rand(*shape, generator=rng)
+
+    def picture(*shape: int) -> Tensor:
+        return (255 * uniform(*shape)).to(torch.uint8)
+
+    if app == "brdf":
+        lobe = torch.exp(-10 * angles[:, :1] ** 2)
+        reflectance = uniform(3) + 2 * uniform(3) * lobe
+        return Task(name, {"angles": angles, "reflectance": reflectance, "render": uniform(8, 8, 4)})
+    if app == "illumination":
+        return Task(name, {"map": uniform(3, 32, 64) + 0.1, "photos": picture(1, 3, 64, 64)})
+    if app == "svbrdf_nonstationary":
+        normal = torch.tensor([0.0, 0.0, 1.0])[:, None, None].expand(3, 64, 64)
+        maps = torch.cat([normal, 0.1 + 0.8 * uniform(7, 64, 64)])
+        return Task(name, {"maps": maps, "photo": picture(3, 64, 64)})
+    if app == "transport":
+        return Task(name, {"samples": uniform(512, 4), "held": uniform(64, 4), "image": uniform(3, 32, 32)})
+    return Task(name, {"image": picture(3, 64, 64)})
+
+
+@pytest.fixture
+def data(tmp_path: Path, rng: Generator) -> Callable[[str], Path]:
+    """Writes a data set of noise."""
+
+    def write(name: str) -> Path:
+        angles, app = 0.6 * torch.rand(256, 3, generator=rng), load_app(name)
+        units = dict.fromkeys((*app.holds, "render"), "any")
+        with ShardWriter(tmp_path / "data", name, units) as writer:
+            for i in range(TRAIN + TEST):
+                writer.add(random_task(name, f"t{i}", rng, angles), "train" if i < TRAIN else "test")
+        return tmp_path / "data"
+
+    return write
+
+
+@pytest.fixture
+def subject_of(data: Callable[[str], Path], tmp_path: Path, scene: Path) -> Callable[[str, str], Subject]:
+    def make(name: str, protocol: str) -> Subject:
+        options = options_of(name, observe=protocol, data=data(name), out=tmp_path / "runs", device="cpu", quiet=True)
+        (found,) = find_subjects([options], run=True, strict=False, share=1.0)
+        return found
+
+    return make
+
+
+@pytest.mark.parametrize(("name", "protocol"), PLACED)
+def test_every_application_has_baselines_that_say_what_they_cannot_do(name: str, protocol: str) -> None:
+    baselines = baselines_of(placed(name, protocol))
+    assert baselines
+    assert len({baseline.name for baseline in baselines}) == len(baselines)
+    for baseline in baselines:
+        assert re.fullmatch(r"[a-z0-9_@]+", baseline.name)
+        assert len(baseline.title) > 10
+        assert len(baseline.cannot) > 10
+
+
+def pretend_meta(subject: Subject, error: float) -> None:
+    """Records of Meta that cost nothing."""
+    folder = subject.cell("meta").folder
+    if folder:
+        for task in subject.tasks:
+            folder.add({"name": task.name, "error": error, "seconds": 1.0, "threads": 1})
+
+
+@pytest.mark.parametrize(("name", "protocol"), PLACED)
+def test_its_table_prints_them(
+    name: str, protocol: str, subject_of: Callable[[str, str], Subject], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("metapp.baselines.brdf.PENALTIES", (1e-6,))  # a choice takes its time
+    subject, table = subject_of(name, protocol), load_table("baselines")
+    assert {row["tasks"] for row in table.rows(subject)} == {0}
+    pretend_meta(subject, 0.2 * subject.app.scale)
+    run_cells([baseline_cell(subject, baseline) for baseline in baselines_of(subject.app)], quiet=True)
+    rows = {row["paradigm"]: row for row in baseline_rows(subject)}
+    for baseline in baselines_of(subject.app):
+        if baseline.matches and subject.cell("meta").folder is None:
+            continue
+        row = rows[baseline.name]
+        assert row["tasks"] == TEST, baseline.name
+        assert row["error"] is not None
+        assert row["size"] > 0
+        assert (row["seconds"] is None) == baseline.matches
+        assert not baseline.learns or name == "transport" or row["shared"] > 0
+    with (console := Console(width=200, force_terminal=False)).capture() as shown:
+        console.print(rich_table(table, subject, table.rows(subject)))
+    text = " ".join(shown.get().split())
+    drawn = [name for name, _, _ in baselines_with_pictures(subject)]
+    assert drawn == {"texture": ["nearest", "quilting", "patches"], "svbrdf_stationary": ["nearest"]}.get(name, [])
+    for baseline in baselines_of(subject.app):
+        assert baseline.name in text
+        assert baseline.matches or baseline.cannot in text
+
+
+def test_records_are_kept_and_not_made_again(
+    subject_of: Callable[[str, str], Subject], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    subject = subject_of("transport", "")
+    first, second = baselines_of(subject.app)
+    run_cells([baseline_cell(subject, first)], quiet=True)
+    records = baseline_cell(subject, first).records()
+    assert [record["name"] for record in records] == [task.name for task in subject.tasks]
+    monkeypatch.setattr("metapp.evaluation.tables.baselines.fit_baselines", lambda *_: pytest.fail("fitted again"))
+    run_cells([baseline_cell(subject, first)], quiet=True)
+    assert baseline_cell(subject, first).records() == records
+    assert baseline_cell(subject, second).records() == []
+
+
+def test_baselines_that_are_pictures_are_drawn_beside_metas_fits(subject_of: Callable[[str, str], Subject]) -> None:
+    subject = subject_of("texture", "")
+    theta = {key: value[0] for key, value in subject.app.init(Generator().manual_seed(0), 1).items()}
+    folder = RunFolder(subject.options.out / "meta", {"of": "meta"})
+    for task in subject.tasks:
+        folder.add({"name": task.name, "error": 1.0, "seconds": 1.0}, theta)
+    subject._cells["meta"] = subject.cell("meta")._replace(folder=folder)
+    made = subject.options.out / "texture" / f"baselines-{subject.label}-quick.png"
+    compare_baselines([subject])
+    assert not made.exists()  # nothing was measured yet
+    run_cells([baseline_cell(subject, baseline) for baseline in baselines_of(subject.app)], quiet=True)
+    compare_baselines([subject])
+    assert made.read_bytes().startswith(b"\x89PNG")
+    kept = subject.options.out / "texture" / "baselines" / "patches" / f"{subject.label}-quick-seed0"
+    assert read_theta(kept, "t6")["picture"].shape == (64, 64, 3)
+
+
+@pytest.mark.parametrize(
+    ("ours", "said"), [(0.9, "ahead on 8 of 8"), (1.1, "meta is ahead of nearest"), (1.0, "no win")]
+)
+def test_notes_say_who_is_ahead(
+    ours: float, said: str, subject_of: Callable[[str, str], Subject], tmp_path: Path, rng: Generator
+) -> None:
+    subject = subject_of("illumination", "photo")
+    subject.tasks.extend(task._replace(name=f"more{i}") for i, task in enumerate(subject.tasks * 3))
+    (baseline,) = baselines_of(subject.app)
+    folders = subject.cell("meta").folder, baseline_cell(subject, baseline).folder
+    assert folders[0]
+    assert folders[1]
+    for i, task in enumerate(subject.tasks):
+        folders[0].add({"name": task.name, "error": 1.0 + i, "seconds": 1.0})
+        error = (1 + i) * (ours if ours != 1 else 0.9 + 0.2 * (i % 2))
+        record = {"name": task.name, "error": error, "seconds": 0.5, "numbers": 1, "size": 4, "shared": 8}
+        folders[1].add(record)
+    table = load_table("baselines")
+    assert any(said in note for note in table.notes(subject, table.rows(subject)))
+
+
+@pytest.mark.parametrize(
+    ("name", "lacked"), [("illumination", "map"), ("svbrdf_nonstationary", "maps"), ("transport", "held")]
+)
+def test_training_tasks_without_a_reference_are_passed_over(name: str, lacked: str, rng: Generator) -> None:
+    app = placed(name, (load_app(name).protocols or ("",))[-1])
+    whole = [random_task(name, f"t{i}", rng, torch.zeros(0)) for i in range(3)]
+    bare = [Task(task.name, {key: value for key, value in task.data.items() if key != lacked}) for task in whole]
+    assert [task.name for task in Training(app, [*bare[:2], whole[2]]).holding(lacked).tasks] == ["t2"]
+    baseline = baselines_of(app)[0]
+    with pytest.raises(ValueError, match=f"none with '{lacked}'"):
+        baseline.prepare(Training(app, bare), Allowed(64, 1))
+
+
+def test_a_task_without_a_reference_is_fitted_but_not_judged(rng: Generator) -> None:
+    app = placed("transport", "")
+    scenes = [random_task("transport", f"t{i}", rng, torch.zeros(0)) for i in range(3)]
+    prepared = baselines_of(app)[0].prepare(Training(app, scenes), Allowed(64, 1))
+    bare = stack(app, [Task("bare", {key: value for key, value in scenes[0].data.items() if key != "held"})])
+    assert app.errors_of(prepared.fit(bare, rng, Allowed(64, 1)).answer(), bare) == {}
+
+
+def test_the_plane_shows_baselines(subject_of: Callable[[str, str], Subject]) -> None:
+    subject = subject_of("illumination", "photo")
+    pretend_meta(subject, 5.0)
+    (baseline,) = baselines_of(subject.app)
+    run_cells([baseline_cell(subject, baseline)], quiet=True)
+    drawn = draw("plane", subject)
+    assert drawn
+    assert "Meta 5.000 in 1 s" in drawn.caption
+    assert ", nearest " in drawn.caption
+
+
+class Hears(Reporter):
+    def __init__(self) -> None:
+        self.said: list[str] = []
+
+    def say(self, message: str) -> None:
+        self.said.append(message)
+
+
+@pytest.fixture
+def heard() -> Iterator[list[str]]:
+    reporter = Hears()
+    with reporting(reporter):
+        yield reporter.said
+
+
+def test_a_baseline_that_cannot_be_fitted_says_so_and_has_no_row_of_figures(
+    subject_of: Callable[[str, str], Subject], heard: list[str]
+) -> None:
+    subject = subject_of("brdf", "")
+    for task in subject.tasks:
+        task.data["angles"] = task.data["angles"] + 0.01
+    pca = baselines_of(subject.app)[0]
+    run_cells([baseline_cell(subject, pca)], quiet=True)
+    assert any("pca_20" in line and "other angles" in line for line in heard)
+    assert {row["paradigm"]: row["tasks"] for row in baseline_rows(subject)}["pca_20"] == 0
+
+
+def test_without_training_tasks_baselines_that_need_them_have_no_cell(
+    subject_of: Callable[[str, str], Subject], data: Callable[[str], Path]
+) -> None:
+    subject = subject_of("brdf", "")
+    manifest = subject.options.data / "manifest.json"  # type: ignore[operator]
+    manifest.write_text(manifest.read_text().replace('"train"', '"test"'))
+    folders = {baseline.name: baseline_cell(subject, baseline).folder for baseline in baselines_of(subject.app)}
+    assert {name for name, folder in folders.items() if folder} == {"ggx_1", "ggx_2"}
+    table = load_table("baselines")
+    assert [cell.title for cell in table.cells(subject)][3:] == ["brdf ggx_1", "brdf ggx_2"]  # nothing is missing
+    notes = table.notes(subject, table.rows(subject))
+    assert any("no training tasks; metapp data synth brdf" in note for note in notes)
+
+
+def test_an_application_without_baselines_has_none() -> None:
+    class Seventh:
+        name = "seventh"
+
+    assert baselines_of(Seventh()) == ()  # type: ignore[arg-type]
+
+
+def test_the_nearest_training_task_of_itself_is_itself(data: Callable[[str], Path], rng: Generator) -> None:
+    """So that its error is 0, under every statistic that baselines compare."""
+    angles = 0.6 * torch.rand(256, 3, generator=rng)
+    for name, protocol in (("brdf", ""), ("texture", ""), ("svbrdf_stationary", "")):
+        app = placed(name, protocol)
+        tasks = [random_task(name, f"t{i}", rng, angles) for i in range(5)]
+        (baseline,) = [baseline for baseline in baselines_of(app) if baseline.name == "nearest"]
+        fitted = baseline.prepare(Training(app, tasks), Allowed(64, 1)).fit(stack(app, tasks[3:4]), rng, Allowed(64, 1))
+        with torch.no_grad():
+            assert app.errors_of(fitted.answer(), stack(app, tasks[3:4]))["error"].item() < 1e-5
+        assert (fitted.numbers, fitted.size) == (1, 4)
+
+
+def test_nearest_takes_the_least_distance(rng: Generator) -> None:
+    fit = nearest(lambda *_: torch.tensor([3.0, 1.0, 2.0]), lambda index: index)
+    found: Fitted = fit(Any, rng, Allowed(1, 1))  # type: ignore[arg-type]
+    assert found.answer() == 1

@@ -1,0 +1,126 @@
+"""Hierarchical histograms: densities that integrate to 1 and come nearer to the true one with more samples."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+
+from metapp.baselines.methods.histogram import Counts, counted, morton, pair, square
+from metapp.baselines.transport import GRIDS, Densities, Histograms, _mean, _prior
+from metapp.learning.task import Tasks
+
+
+@pytest.fixture
+def numbers() -> np.random.Generator:
+    return np.random.default_rng(0)
+
+
+def peaked(numbers: np.random.Generator, count: int) -> np.ndarray:
+    """Places that are denser to the left, and directions that depend on them."""
+    film = numbers.random((count, 2)) ** [2, 1]
+    directions = (0.3 * numbers.random((count, 2)) + 0.7 * film) % 1
+    return np.concatenate([film, directions], 1)
+
+
+def grid(side: int) -> np.ndarray:
+    """The middles of cells of the unit square, [side^2, 2]."""
+    middles = (np.arange(side) + 0.5) / side
+    return np.stack([np.tile(middles, side), np.repeat(middles, side)], 1)
+
+
+def test_cells_nest() -> None:
+    points = grid(32)
+    fine, coarse = morton(points, 4), morton(points, 2)
+    assert np.array_equal(fine >> 4, coarse)
+    assert len(np.unique(fine)) == 256
+
+
+def test_coarser_counts_are_sums(numbers: np.random.Generator) -> None:
+    points = numbers.random((1000, 2))
+    found, expected = counted(morton(points, 5)).coarser(3), counted(morton(points, 2))
+    assert np.array_equal(found.keys, expected.keys)
+    assert np.array_equal(found.counts, expected.counts)
+    assert Counts(np.array([2, 5]), np.array([7, 9])).of(np.array([1, 2, 5, 8])).tolist() == [0, 7, 9, 0]
+
+
+@pytest.mark.parametrize("with_prior", [False, True])
+def test_a_film_histogram_integrates_to_1(numbers: np.random.Generator, with_prior: bool) -> None:
+    prior = numbers.random(16) if with_prior else None
+    prior = prior / prior.sum() if prior is not None else None
+    found = square(peaked(numbers, 300)[:, :2], 4, prior)
+    density = np.exp(found.log_density(grid(16), np.array([5.0, 3, 2, 1])))
+    assert density.mean() == pytest.approx(1)
+    assert density.std() > 0.3
+
+
+@pytest.mark.parametrize("shifted", [False, True])
+def test_directions_integrate_to_1_in_every_place(numbers: np.random.Generator, shifted: bool) -> None:
+    """Cells of a shifted grid do not lie on a grid of 1/64 unless its shifts do."""
+    shifts = numbers.integers(0, 16, 4) / 16 if shifted else None
+    found = pair(peaked(numbers, 2000), 3, 4, shifts)
+    directions = grid(64)
+    for place in ([0.1, 0.2], [0.7, 0.55], [0.99, 0.01]):
+        points = np.concatenate([np.tile(place, (len(directions), 1)), directions], 1)
+        density = np.exp(found.look(points).log_density(np.full((4, 4), 4.0)))
+        assert density.mean() == pytest.approx(1)
+        assert density.std() > 0.3
+
+
+def test_without_strength_shares_are_those_of_the_samples(numbers: np.random.Generator) -> None:
+    points = peaked(numbers, 5000)[:, :2]
+    found = square(points, 1)
+    density = np.exp(found.log_density(grid(2), np.array([1e-12])))
+    shares = np.array([((points * 2).astype(int) == cell).all(1).mean() for cell in ([0, 0], [1, 0], [0, 1], [1, 1])])
+    np.testing.assert_allclose(density, 4 * shares, rtol=1e-9)
+
+
+def test_with_endless_strength_it_is_uniform_or_the_prior(numbers: np.random.Generator) -> None:
+    points = peaked(numbers, 500)
+    assert np.allclose(square(points[:, :2], 3).log_density(grid(8), np.full(3, 1e12)), 0, atol=1e-6)
+    assert np.allclose(pair(points, 2, 3).look(points).log_density(np.full((3, 3), 1e12)), 0, atol=1e-6)
+    image = torch.rand(3, 4, 4, generator=torch.Generator().manual_seed(0))
+    drawn_to = square(points[:, :2], 3, _prior(image)).log_density(grid(4), np.full(3, 1e12))
+    light = np.einsum("chw,c->hw", image.numpy(), [0.2126, 0.7152, 0.0722]).ravel()  # rows down are y, as of samples
+    np.testing.assert_allclose(np.exp(drawn_to), 16 * light / light.sum(), rtol=1e-4)
+
+
+def test_more_samples_come_nearer_to_the_true_density(numbers: np.random.Generator) -> None:
+    held = peaked(numbers, 4000)
+    strengths = np.full((4, 4), 4.0)
+    errors = [-pair(peaked(numbers, n), 3, 4).look(held).log_density(strengths).mean() for n in (200, 2000, 20_000)]
+    assert errors == sorted(errors, reverse=True)
+    assert errors[-1] < -1  # of directions in 0.3^2, -2.4 is the best
+
+
+def test_a_mean_of_grids_is_no_worse_than_its_parts(numbers: np.random.Generator) -> None:
+    """By Jensen's inequality."""
+    points, held = peaked(numbers, 4000), peaked(numbers, 1000)
+    looked = [pair(points, 5, 5, shifts).look(held) for shifts in numbers.random((4, 4))]
+    parts = [_mean([each], (5.0, -1.0, 0.0)).mean() for each in looked]
+    assert _mean(looked, (5.0, -1.0, 0.0)).mean() >= np.mean(parts)
+
+
+def _scene(numbers: np.random.Generator) -> Tasks:
+    samples, held = (torch.from_numpy(peaked(numbers, count)).float()[None] for count in (3000, 500))
+    image = torch.ones(1, 3, 32, 32)
+    return Tasks(("s",), {"samples": samples, "held": held, "image": image}, torch.tensor([0]))
+
+
+def test_samples_are_those_of_the_application(numbers: np.random.Generator) -> None:
+    from metapp.apps.transport import APP
+
+    scene = _scene(numbers)
+    made = Histograms(1, False).made(scene, torch.Generator().manual_seed(4), 512)
+    batch = APP.sample(scene, torch.Generator().manual_seed(4), 512)["points"][0].T.double().numpy()
+    assert np.array_equal(made.film.levels[-1].keys, counted(morton(batch[:, :2], 7)).keys)
+    assert made.samples == len(np.unique(batch, axis=0))
+
+
+def test_what_is_kept_is_the_lesser_of_cells_and_samples(numbers: np.random.Generator) -> None:
+    scene, rng = _scene(numbers), torch.Generator().manual_seed(4)
+    one, many = (Histograms(grids, False).made(scene, rng, 2000) for grids in (1, GRIDS))
+    assert many.kept == (5 * many.samples, 9 * many.samples)
+    crowded = Densities(one.film, one.directions, 10**6)
+    cells = len(one.film.levels[-1].keys) + len(one.directions[0].levels[-1][-1].keys)
+    assert crowded.kept == (2 * cells, 6 * cells)

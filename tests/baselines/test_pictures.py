@@ -1,0 +1,168 @@
+"""Picture files of maps, and pictures of patches."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+from torch import Generator, Tensor
+from torch.nn.functional import interpolate, normalize
+
+from metapp.appearance.flash import Maps, pack
+from metapp.baselines.baseline import Allowed, Baseline, Fitted, Prepared, Training
+from metapp.baselines.methods import codec
+from metapp.baselines.methods.quilting import beyond_cut, block_of, quilted, random_patches
+from metapp.baselines.svbrdf_nonstationary import _settings, baselines, maps_of, sheets
+from metapp.learning.app import App
+from metapp.learning.task import Tasks
+
+
+@pytest.fixture
+def smooth_maps(rng: Generator) -> Maps:
+    def noise(channels: int) -> Tensor:
+        return interpolate(torch.rand(1, channels, 5, 5, generator=rng), size=(32, 32), mode="bicubic").clamp(0.05, 0.9)
+
+    normal = normalize(torch.cat([noise(2) - 0.5, torch.ones(1, 1, 32, 32)], 1), dim=1)
+    return Maps(noise(3), noise(3) * 0.2, noise(1), normal)
+
+
+class Photographed:
+    """An application whose maps are judged by their mean difference."""
+
+    protocol = "reference"
+
+    def errors_of(self, answer: Maps, tasks: Tasks) -> dict[str, Tensor]:
+        return {"error": (pack(Maps(*(each[0] for each in answer)))[None] - tasks.data["maps"]).abs().mean((1, 2, 3))}
+
+
+def fits(maps: Maps, allowed: Allowed) -> dict[str, Fitted]:
+    app: App = Photographed()  # type: ignore[assignment]
+    tasks = Tasks(("a",), {"maps": pack(Maps(*(each[0] for each in maps)))[None]}, torch.tensor([0]))
+    training = Training(app, [])
+    found: list[tuple[Baseline, Prepared]] = [
+        (baseline, baseline.prepare(training, allowed)) for baseline in baselines(app)
+    ]
+    return {baseline.name: prepared.fit(tasks, Generator(), allowed) for baseline, prepared in found}
+
+
+def test_maps_come_back_from_their_pictures(smooth_maps: Maps) -> None:
+    for found, wanted in zip(maps_of(sheets(smooth_maps)), smooth_maps, strict=True):
+        torch.testing.assert_close(found, wanted, atol=1e-5, rtol=1e-4)
+
+
+def test_png_loses_nothing_but_bits() -> None:
+    picture = np.random.default_rng(0).random((16, 48, 3)).astype(np.float32)
+    for bits in (8, 16):
+        found = codec.decoded(codec.png(picture, bits), ".png")
+        assert np.abs(found - picture).max() <= 0.51 / (2**bits - 1)
+    assert codec.decoded(codec.png(picture[..., :1], 8), ".png").shape == (16, 48, 1)
+
+
+def test_a_better_jpeg_is_larger_and_nearer(smooth_maps: Maps) -> None:
+    picture = sheets(smooth_maps).colours
+    files = [codec.jpeg(picture, quality) for quality in (10, 60, 95)]
+    errors = [np.abs(codec.decoded(each, ".jpg") - picture).mean() for each in files]
+    assert [len(each) for each in files] == sorted(len(each) for each in files)
+    assert errors == sorted(errors, reverse=True)
+    assert errors[-1] < 0.01
+
+
+@pytest.mark.parametrize("size", [2000, 4000, 12_000, 10**6])
+def test_the_search_meets_the_budget_of_bytes(smooth_maps: Maps, size: int) -> None:
+    found = fits(smooth_maps, Allowed(1, size, 0.1))
+    for name in ("jpeg", "png"):
+        assert found[name].size <= size
+        assert found[name].reached
+        assert found[name].numbers is None
+
+
+def test_a_larger_budget_is_used(smooth_maps: Maps) -> None:
+    sizes = [
+        {name: each.size for name, each in fits(smooth_maps, Allowed(1, size, 0.1)).items()} for size in (2500, 5000)
+    ]
+    assert all(sizes[0][name] < sizes[1][name] for name in ("jpeg", "png"))
+
+
+def test_no_file_is_small_enough_for_a_byte(smooth_maps: Maps) -> None:
+    found = fits(smooth_maps, Allowed(1, 1, 0.1))
+    assert not found["jpeg"].reached
+    assert not found["png"].reached
+
+
+def test_the_search_meets_an_error_with_the_fewest_bytes(smooth_maps: Maps) -> None:
+    app, tasks = (
+        Photographed(),
+        Tasks(("a",), {"maps": pack(Maps(*(p[0] for p in smooth_maps)))[None]}, torch.tensor([0])),
+    )
+    sizes = {}
+    for bound in (0.05, 0.01):
+        found = fits(smooth_maps, Allowed(1, 10**6, bound))["jpeg@meta"]
+        assert found.reached
+        assert app.errors_of(found.answer(), tasks)["error"].item() <= bound
+        sizes[bound] = found.size
+    assert sizes[0.05] < sizes[0.01]
+    assert not fits(smooth_maps, Allowed(1, 10**6, 1e-9))["jpeg@meta"].reached
+
+
+def test_an_error_that_is_not_known_is_refused(smooth_maps: Maps) -> None:
+    with pytest.raises(ValueError, match="not known"):
+        fits(smooth_maps, Allowed(1, 1000))
+
+
+def test_settings_grow_from_few_texels_to_16_bits() -> None:
+    found = _settings(64)
+    assert found[0].side == 4
+    assert found[-1] == (64, 16)
+    assert found[-2] == (64, 8)
+    assert [each.side for each in found] == sorted(each.side for each in found)
+
+
+# Patches
+
+
+@pytest.fixture
+def exemplar() -> np.ndarray:
+    return np.random.default_rng(1).random((32, 32, 3)).astype(np.float32)
+
+
+@pytest.mark.parametrize("make", [quilted, random_patches])
+def test_pictures_are_made_of_the_exemplars_pixels(make: object, exemplar: np.ndarray) -> None:
+    found = make(exemplar, np.random.default_rng(0))  # type: ignore[operator]
+    assert found.shape == exemplar.shape
+    known = {tuple(each) for each in exemplar.reshape(-1, 3)}
+    assert {tuple(each) for each in found.reshape(-1, 3)} <= known
+    assert not np.array_equal(found, exemplar)
+    other = make(exemplar, np.random.default_rng(1))  # type: ignore[operator]
+    assert not np.array_equal(found, other)
+
+
+def test_patches_are_whole(exemplar: np.ndarray) -> None:
+    block, _ = block_of(exemplar)
+    found = random_patches(exemplar, np.random.default_rng(0))
+    corner = found[:block, :block]
+    places = [(i, j) for i in range(32 - block + 1) for j in range(32 - block + 1)]
+    assert any(np.array_equal(corner, exemplar[i : i + block, j : j + block]) for i, j in places)
+
+
+def test_quilting_hides_seams() -> None:
+    # waves: neighbours in the exemplar differ little, those across a seam of random patches differ much
+    waves = np.sin(np.arange(48) / 3)
+    exemplar = ((waves[:, None] + waves) / 4 + 0.5)[..., None].repeat(3, 2).astype(np.float32)
+
+    def steepest(picture: np.ndarray) -> float:
+        return float(np.abs(np.diff(picture, axis=0)).mean() + np.abs(np.diff(picture, axis=1)).mean())
+
+    seamed = np.mean([steepest(random_patches(exemplar, np.random.default_rng(i))) for i in range(5)])
+    hidden = np.mean([steepest(quilted(exemplar, np.random.default_rng(i))) for i in range(5)])
+    assert steepest(exemplar) * 1.15 > hidden
+    assert hidden < seamed
+
+
+def test_a_cut_is_the_path_of_least_cost() -> None:
+    cost = np.array([[9.0, 1, 9, 9], [9, 9, 1, 9], [9, 1, 9, 9], [1, 9, 9, 9]])
+    assert beyond_cut(cost).tolist() == [
+        [False, True, True, True],
+        [False, False, True, True],
+        [False, True, True, True],
+        [True, True, True, True],
+    ]

@@ -1,0 +1,176 @@
+"""Components of log-relative BRDFs, and ridge on them."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+from torch import Generator
+
+from metapp.apps.brdf import APP
+from metapp.baselines.baseline import Allowed, Training
+from metapp.baselines.brdf import RidgeOf, baselines, coefficients, cosines_of, drawn, space_of
+from metapp.baselines.methods.principal import EPSILON, Components, Relative, components, reweighted, ridge
+from metapp.learning.app import stack
+from metapp.learning.task import Task, Tasks
+
+SAMPLES = 600
+
+
+def random_materials(count: int, rng: Generator, apart: bool = False) -> list[Task]:
+    """Sums of a few smooth lobes at the same angles, or each at its own."""
+
+    def angles() -> torch.Tensor:
+        high = torch.tensor([0.7, 0.7, 2 * math.pi])
+        return torch.rand(SAMPLES, 3, generator=rng) * high
+
+    common, tasks = angles(), []
+    for i in range(count):
+        at = angles() if apart else common
+        body, gloss, width = torch.rand(3, 3, generator=rng).unbind()
+        lobe = torch.exp(-(at[:, :1] ** 2) / (0.05 + width))
+        tasks.append(Task(f"m{i}", {"angles": at, "reflectance": body + 3 * gloss * lobe}))
+    return tasks
+
+
+@pytest.fixture
+def stacked(rng: Generator) -> Tasks:
+    return stack(APP, random_materials(12, rng))
+
+
+def test_the_mapping_has_an_inverse(rng: Generator) -> None:
+    reflectance = torch.rand(50, 4, generator=rng) * 10
+    reflectance[0] = 0
+    relative = Relative(torch.rand(50, 1, generator=rng) + 0.01, torch.rand(50, 1, generator=rng))
+    mapped = relative.mapped(reflectance)
+    torch.testing.assert_close(relative.reflectance(mapped), reflectance, atol=1e-5, rtol=1e-4)
+    assert torch.equal(relative.mapped(relative.reference.expand(-1, 4)), torch.zeros(50, 4))
+
+
+def test_components_are_those_of_the_singular_value_decomposition(rng: Generator) -> None:
+    columns = torch.randn(300, 9, generator=rng, dtype=torch.float64) * torch.linspace(1, 4, 9)
+    found = components(columns, 5)
+    centred = columns - columns.mean(1, keepdim=True)
+    left, values, _ = torch.linalg.svd(centred, full_matrices=False)
+    assert torch.allclose(found.axes.T @ found.axes / 300, torch.eye(5, dtype=torch.float64), atol=1e-9)
+    torch.testing.assert_close(found.deviation, values[:5] / math.sqrt(300 * 9))
+    assert torch.allclose(
+        (left[:, :5].T @ found.axes).abs() / math.sqrt(300), torch.eye(5, dtype=torch.float64), atol=1e-9
+    )
+
+
+def test_as_many_components_as_columns_span_at_most(rng: Generator) -> None:
+    assert components(torch.randn(40, 4, generator=rng, dtype=torch.float64), 20).axes.shape == (40, 3)  # and a mean
+
+
+@pytest.mark.parametrize("solves", [0, 1, 2])
+def test_a_material_in_the_span_is_recovered_exactly(stacked: Tasks, solves: int) -> None:
+    where, target = stacked.data["where"][0].double(), stacked.data["target"].double()
+    space = space_of(where, target)
+    seen = drawn(Tasks(stacked.names, {"where": where.expand(12, -1, -1), "target": target}, torch.tensor([4])),
+                 Generator().manual_seed(0), 400)  # fmt: skip
+    at = Components(space.components.mean[seen.rows], space.components.axes[seen.rows], space.components.deviation)
+    found = coefficients(space.relative.at(seen.rows), at, seen, 1e-14, solves)
+    made = space.relative.reflectance(space.components.axes @ found + space.components.mean)
+    torch.testing.assert_close(torch.log1p(made * where[:, 6:]), target[4], atol=1e-5, rtol=1e-4)
+
+
+def test_ridge_solves_the_penalised_normal_equations(rng: Generator) -> None:
+    axes = torch.randn(80, 6, generator=rng, dtype=torch.float64)
+    targets = torch.randn(80, 3, generator=rng, dtype=torch.float64)
+    weights, deviation = torch.rand(80, 3, generator=rng, dtype=torch.float64), torch.rand(6, generator=rng) + 0.1
+    found = ridge(axes, targets, weights, deviation, 0.7).requires_grad_()
+    cost = (weights * (axes @ found - targets) ** 2).sum() + 0.7 * ((found / deviation[:, None]) ** 2).sum()
+    cost.backward()
+    assert found.grad is not None
+    assert found.grad.abs().max() < 1e-9
+    torch.testing.assert_close(ridge(axes, targets, torch.ones(80, 3, dtype=torch.float64), deviation, 0.7),
+                               ridge(axes, targets, None, deviation, 0.7))  # fmt: skip
+    assert ridge(axes, targets, None, deviation, 1e12).abs().max() < 1e-9
+
+
+def test_reweighting_brings_least_squares_to_the_median(rng: Generator) -> None:
+    values = torch.tensor([0.0, 0.0, 0.0, 10.0], dtype=torch.float64)[:, None]  # median 0, mean 2.5
+    axes, slope = torch.ones(4, 1, dtype=torch.float64), torch.ones(4, 1, dtype=torch.float64)
+    found, deviation = ridge(axes, values, None, torch.ones(1), 1e-9), torch.ones(1)
+    for _ in range(60):
+        found = ridge(axes, values, reweighted(slope, found - values), deviation, 1e-9)
+    assert 0 < found.item() < 0.2 * values.mean().item()
+    assert reweighted(slope, values).mean().item() == pytest.approx(1)
+
+
+def test_samples_are_those_of_the_application(stacked: Tasks) -> None:
+    """In one draw what ten steps draw of one task."""
+    one = stacked.select([3])
+    rng = Generator().manual_seed(5)
+    steps = [APP.sample(one, rng, 64) for _ in range(10)]
+    seen = drawn(one, Generator().manual_seed(5), 640)
+    assert torch.equal(torch.cat([each["where"][0] for each in steps], 1).T, seen.where)
+    assert torch.equal(torch.cat([each["target"][0] for each in steps], 1).T, seen.target)
+    assert seen.rows.max() < SAMPLES // 2
+
+
+def test_cosines_are_those_of_the_angles(stacked: Tasks, rng: Generator) -> None:
+    from metapp.appearance.geometry import cosines
+
+    task = random_materials(1, Generator().manual_seed(3))[0]
+    prepared = APP.prepare(task)
+    for found, expected in zip(cosines_of(prepared["where"]), cosines(task.data["angles"].double()), strict=True):
+        torch.testing.assert_close(found, expected, atol=1e-6, rtol=1e-5)
+
+
+@pytest.mark.parametrize("weighted", [False, True])
+def test_ridge_of_fewer_samples_than_axes(rng: Generator, weighted: bool) -> None:
+    """Rounding in single precision hides that the system is definite; the answer is that of least squares."""
+    rows = torch.randint(8, (800,), generator=rng)
+    axes, targets = torch.randn(8, 30, generator=rng)[rows], torch.randn(8, 3, generator=rng)[rows]
+    weights = 0.5 + torch.rand(800, 3, generator=rng) if weighted else None
+    deviation, penalty = torch.linspace(2, 0.5, 30), 1e-7
+    found = ridge(axes, targets, weights, deviation, penalty)
+    for channel in range(3):
+        root = weights[:, channel : channel + 1].double().sqrt() if weights is not None else 1.0
+        a = torch.cat([root * axes.double(), torch.diag(math.sqrt(penalty) / deviation.double())])
+        b = torch.cat([root * targets[:, channel : channel + 1].double(), torch.zeros(30, 1, dtype=torch.float64)])
+        wanted = torch.linalg.lstsq(a, b, driver="gelsd").solution[:, 0]
+        torch.testing.assert_close(found[:, channel].double(), wanted, atol=1e-5, rtol=1e-4)
+
+
+def test_the_penalty_is_chosen_on_validation_materials_and_bytes_are_counted(rng: Generator) -> None:
+    training = Training(APP, random_materials(12, rng))
+    allowed = Allowed(400, 2700)
+    method = RidgeOf(8, True)
+    prepared = method.prepare(training, allowed)
+    assert set(prepared.chosen) == {"penalty", "solves"}
+    assert prepared.shared == 4 * SAMPLES * (8 + 2)  # components, their mean, and the reference
+    one = training.stacked.select([2])
+    fitted = prepared.fit(one, Generator().manual_seed(0), allowed)
+    assert (fitted.numbers, fitted.size) == (24, 96)
+    assert APP.errors_of(fitted.answer(), one)["error"].item() < 0.01
+    (unweighted,) = [baseline for baseline in baselines(APP) if baseline.name == "pca_20"]
+    assert unweighted.prepare(training, allowed).chosen["solves"] == 0
+
+
+def test_materials_at_other_angles_are_refused(rng: Generator) -> None:
+    allowed = Allowed(100, 2700)
+    with pytest.raises(ValueError, match="angles of their own"):
+        RidgeOf(4, False).prepare(Training(APP, random_materials(8, rng, apart=True)), allowed)
+    prepared = RidgeOf(4, False).prepare(Training(APP, random_materials(8, rng)), allowed)
+    other = stack(APP, random_materials(1, rng))
+    with pytest.raises(ValueError, match="other angles"):
+        prepared.fit(other, rng, allowed).answer()
+
+
+def test_fewer_of_the_same_angles_in_any_order_will_do(rng: Generator) -> None:
+    materials, half = random_materials(12, rng), SAMPLES // 2
+    known = stack(APP, materials).data
+    fit = RidgeOf(8, False).fit_in(space_of(known["where"][0], known["target"]), 1e-9, 0)
+    order = torch.cat([torch.randint(half // 4, (half,), generator=rng), torch.arange(half, SAMPLES)])
+    moved = materials[3]._replace(data={key: value[order] for key, value in materials[3].data.items()})
+    one = stack(APP, [moved])
+    assert APP.errors_of(fit(one, rng, Allowed(400, 2700)).answer(), one)["error"].item() < 0.01
+
+
+def test_the_reference_is_bounded_away_from_0(stacked: Tasks) -> None:
+    space = space_of(stacked.data["where"][0], stacked.data["target"])
+    assert space.relative.weight.min() >= EPSILON

@@ -1,0 +1,50 @@
+"""What tests of `metapp evaluate` share: few steps, commands, and what a table is of."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+
+from metapp.apps.brdf import APP
+from metapp.cli.evaluate import find_subjects
+from metapp.evaluation.tables import load_table
+from metapp.evaluation.tables.subject import Subject
+from metapp.runs.session import Options
+from tests.small_spheres import shrink_spheres
+
+
+@contextlib.contextmanager
+def few_steps() -> Iterator[None]:
+    """Few steps of Overfit and Finetune, and of what comes after Meta; figures of few pixels."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(APP.recipes, "quick", replace(APP.recipes["quick"], overfit_steps=40, finetune_steps=5))
+        patch.setattr("metapp.evaluation.tables.trace.FURTHER", (2, 4))
+        patch.setattr("metapp.evaluation.figures.style.DPI", 40)
+        shrink_spheres(patch)
+        yield
+
+
+def call(*arguments: str | Path) -> int:
+    """`metapp <arguments>`, where no test is to see what it prints."""
+    from metapp.cli import console
+    from metapp.cli.commands import app
+
+    return int(console.run(lambda: app([str(each) for each in arguments], standalone_mode=False)))
+
+
+def subject_of(data: Path, runs: Path) -> Subject:
+    """A data set with all that has been run of it."""
+    of, device = APP.at(APP.recipes["quick"]), torch.device("cpu")
+    options = Options(of, "quick", "meta-curvature", None, data, runs, None, 0, device, True)
+    (found,) = find_subjects([options], run=True, strict=True, share=1.0)
+    return found
+
+
+def rows(subject: Subject, name: str) -> list[dict[str, Any]]:
+    return load_table(name).rows(subject)

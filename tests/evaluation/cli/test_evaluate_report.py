@@ -1,0 +1,113 @@
+"""The report of `metapp evaluate`: one page that needs no network."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+from collections.abc import Callable
+from html.parser import HTMLParser
+from pathlib import Path
+
+import pytest
+import torch
+
+from metapp.evaluation.figures import FIGURES
+from metapp.evaluation.report.html import EMBEDDED, Pictures, identifier
+
+
+class Page(HTMLParser):
+    """What a page holds, as far as it must be right."""
+
+    VOID = frozenset({"meta", "link", "img", "br", "input"})
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.tags: list[tuple[str, dict[str, str | None]]] = []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append((tag, dict(attrs)))
+        if tag not in self.VOID:
+            self.open.append(tag)
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag, tag
+
+    def all(self, tag: str) -> list[dict[str, str | None]]:
+        return [attributes for name, attributes in self.tags if name == tag]
+
+
+def test_the_report_is_one_whole_page_that_needs_no_network(done: Path) -> None:
+    page = done / "report" / "index.html"
+    text = page.read_text()
+    parsed = Page()
+    parsed.feed(text)
+    parsed.close()
+    assert parsed.open == []
+    assert [file.name for file in page.parent.iterdir()] == ["index.html"]
+    assert len(text) < 15_000_000
+    addresses = [value for _, attributes in parsed.tags for key, value in attributes.items() if key in ("src", "href")]
+    assert all(address and address.startswith(("data:", "#")) for address in addresses)
+    assert "http://" not in text
+    assert "https://" not in text
+    assert "@import" not in text
+    images = parsed.all("img")
+    assert len(images) == 6 + 3 * 6  # the figures, and six pictures a task
+    assert all(image["alt"] for image in images)
+    ids = [attributes["id"] for _, attributes in parsed.tags if "id" in attributes]
+    assert len(ids) == len(set(ids))
+    assert {address[1:] for address in addresses if address.startswith("#")} <= set(ids)
+    assert "{{" not in text
+    found = json.loads(text.partition('id="records">')[2].partition("</script>")[0])
+    assert set(found) == {"brdf"}
+    for button in (each for each in parsed.all("button") if each.get("class") == "record"):
+        shown = found["brdf"]["records"][button["data-row"]][button["data-task"]]
+        assert found["brdf"]["settings"][shown["key"]]["paradigm"] == button["data-row"]
+    for expected in ("metapp evaluate brdf --which all", str(torch.__version__), "4555", "95 % interval"):
+        assert expected in text or expected.replace("4555", "4,555") in text
+    figures = {file.name for file in (done / "figures").iterdir()}
+    assert figures == {f"brdf-{name}.{form}" for name in FIGURES for form in ("png", "pdf")}
+    assert (done / "figures" / "brdf-plane.pdf").read_bytes().startswith(b"%PDF")
+
+
+def test_a_report_of_nothing_is_a_page_as_well(evaluate: Callable, tmp_path: Path) -> None:
+    assert evaluate("--no-run", "--report", tmp_path / "report", "--quiet").code == 0
+    parsed = Page()
+    parsed.feed((tmp_path / "report" / "index.html").read_text())
+    assert parsed.open == []
+    assert "not measured yet" in (tmp_path / "report" / "index.html").read_text()
+
+
+def test_pictures_that_are_too_many_lie_beside_the_page(tmp_path: Path) -> None:
+    pictures = Pictures()
+    address = pictures.add("brdf-a", b"\x89PNG" * (EMBEDDED // 4))
+    small = Pictures()
+    assert small.place(small.add("b", b"\x89PNG"), tmp_path).startswith("data:image/png;base64,")
+    assert pictures.place(f'<img src="{address}">', tmp_path) == '<img src="pictures/brdf-a.png">'
+    assert (tmp_path / "pictures" / "brdf-a.png").read_bytes().startswith(b"\x89PNG")
+    assert identifier("svbrdf", "", "a b/ü<>") == "svbrdf-a-b"
+
+
+BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(BROWSER is None, reason="no Chromium here")
+def test_a_browser_shows_the_report_without_an_error(done: Path, tmp_path: Path) -> None:
+    page = tmp_path / "index.html"
+    shot = tmp_path / "shot.png"
+    # sort a table and open a record, as a reader does; what goes wrong is said on standard error
+    acts = "document.querySelector('.sortable th button').click();document.querySelector('.record').click();"
+    acts += "console.log('rows ' + document.querySelector('.sortable tbody').rows.length + ' ' + dialog.open);"
+    page.write_text((done / "report" / "index.html").read_text().replace("</body>", f"<script>{acts}</script></body>"))
+    options = ["--headless", "--no-sandbox", "--disable-gpu", "--enable-logging=stderr", "--window-size=1280,3000"]
+    done = subprocess.run(
+        [str(BROWSER), *options, f"--user-data-dir={tmp_path / 'profile'}", f"--screenshot={shot}", page.as_uri()],
+        capture_output=True, text=True, timeout=240, check=True, env=os.environ | {"HOME": str(tmp_path)},
+    )  # fmt: skip
+    said = [line for line in done.stderr.splitlines() if "CONSOLE" in line]
+    assert len(said) == 1, said
+    assert "rows 5 true" in said[0]
+    assert shot.stat().st_size > 20_000

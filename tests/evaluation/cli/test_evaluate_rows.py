@@ -1,0 +1,186 @@
+"""Rows of the tables beside the results: ablation, trace, storage, samples, pictures."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from torch import Generator
+
+from metapp.appearance.presentation import Fitted
+from metapp.appearance.sphere import environment_scene, shade_sphere
+from metapp.apps.brdf import APP
+from metapp.apps.brdf.presentation import BrdfPresentation
+from metapp.evaluation.tables import load_table
+from metapp.evaluation.tables.ablation import RULE_ALONE, START_ALONE, combined, learned, same_start
+from metapp.evaluation.tables.image import image_cell
+from metapp.evaluation.tables.rows import blank, paper
+from metapp.evaluation.tables.running import run_cells
+from metapp.evaluation.tables.storage import kept, size
+from metapp.evaluation.tables.subject import Subject
+from metapp.evaluation.tables.trace import PARTS, places, states_of, trace_cell
+from metapp.learning.app import stack
+from metapp.learning.learn import MetaParameters
+from metapp.learning.recipe import Adam
+from metapp.learning.rules import rule_of
+from metapp.learning.task import Task
+from metapp.runs import session
+from metapp.runs.session import Checkpoint
+from tests.evaluation.cli.subjects import rows, subject_of
+
+
+def test_the_ablation_leaves_out_rules_with_a_network_of_their_own() -> None:
+    subject = Subject(session.options_of("brdf", quiet=True), run=False, strict=False)
+    assert "meta:ridge" in subject.fits
+    assert learned(subject) == [name for name in subject.fits if name.startswith("meta") and name != "meta:ridge"]
+
+
+def test_the_ablation_has_four_corners_and_those_of_the_results_among_them(subject: Subject) -> None:
+    ablation = {(row["start"], row["rule"]): row["error"] for row in rows(subject, "ablation")}
+    results = {row["paradigm"]: row["error"] for row in rows(subject, "results")}
+    start = "meta (meta-curvature)"
+    assert set(ablation) == {(a, b) for a in ("general", start) for b in ("adam", "meta-curvature")}
+    assert ablation["general", "adam"] == results["quickft"]
+    assert ablation[start, "meta-curvature"] == results["meta"]
+    assert len(set(ablation.values())) == 4
+
+
+def test_what_is_combined_is_what_it_says(subject: Subject) -> None:
+    cells = {rule: cell for _, rule, cell in combined(subject, "meta")}
+    assert {cell.folder.path.parent.name for cell in cells.values() if cell.folder} == {
+        "ablation-rule",
+        "ablation-start",
+    }
+    meta, general, quickft = (subject.fits[name].checkpoint for name in ("meta", "general", "quickft"))
+    assert meta
+    assert general
+    assert quickft
+    tasks, rng = stack(subject.app, subject.tasks), torch.Generator().manual_seed(0)
+    job = subject.options.job
+    ours = START_ALONE.start(job, meta.prepared, tasks, rng)
+    assert all(torch.equal(value[1], meta.prepared.theta[key]) for key, value in ours.items())
+    mixed = general.prepared._replace(alpha=meta.prepared.alpha)
+    theirs = RULE_ALONE.start(job, mixed, tasks, torch.Generator().manual_seed(1))
+    encoded = subject.fits["general"].paradigm.start(job, general.prepared, tasks, torch.Generator().manual_seed(1))
+    assert all(torch.equal(theirs[key], encoded[key]) for key in encoded)
+    assert START_ALONE.count(job) == RULE_ALONE.count(job) == 10
+
+
+def test_a_start_that_is_generals_is_not_fitted_twice(subject: Subject) -> None:
+    meta, general = subject.fits["meta"], subject.fits["general"]
+    assert meta.checkpoint
+    assert general.checkpoint
+    prepared = meta.checkpoint.prepared._replace(theta={}, encoder=general.checkpoint.prepared.encoder)
+    own = meta.checkpoint._replace(prepared=prepared)
+    assert not same_start(subject, "meta")
+    subject.fits["meta"] = meta._replace(checkpoint=own)
+    assert same_start(subject, "meta")
+    assert [cell for _, _, cell in combined(subject, "meta")] == [subject.cell("meta"), subject.cell("quickft")]
+    assert any("General's own" in note for note in load_table("ablation").notes(subject, []))
+
+
+def test_a_trace_is_the_fit_itself(subject: Subject) -> None:
+    cell = trace_cell(subject)
+    for name in ("overfit", "finetune", "quickft", "meta"):
+        last = {record["name"]: record["curves"][name][-1] for record in cell.records()}
+        assert {task: error for task, (_, error) in last.items()} == {
+            record["name"]: pytest.approx(record["error"], rel=1e-6) for record in subject.cell(name).records()
+        }
+        assert {step for step, _ in last.values()} == {
+            subject.fits[name].paradigm.count(subject.fits[name].options.job)
+        }
+    assert [row["step"] for row in rows(subject, "convergence")[: len(PARTS)]] == [0, 2, 5, 8, 10]
+    start = subject.fits["meta"].checkpoint
+    assert start
+    states = states_of(cell, subject.tasks[0])
+    assert list(states) == list(PARTS)
+    assert all(torch.equal(states[0.0][key], value) for key, value in start.prepared.theta.items())
+    record = cell.records()[0]
+    assert len(record["paths"]["overfit"]) == len(places(40))
+    assert 0 < record["explained"] <= 1 + 1e-9
+
+
+def test_storage_is_that_of_the_parameters(subject: Subject) -> None:
+    found = {row["paradigm"]: row for row in rows(subject, "storage")}
+    network = size(subject.app.init(torch.Generator(), 1))
+    assert network == 4 * 675
+    assert found["overfit"]["bytes_100"] == found["finetune"]["bytes_100"] == 100 * network
+    assert found["overfit"]["factor"] == 1
+    for name in ("general", "quickft", "meta"):
+        assert found[name]["bytes_1"] == found[name]["bytes_1000"]
+    meta = found["meta"]
+    assert meta["bytes_1"] <= meta["pays_from"] * network < meta["bytes_1"] + network
+
+
+def test_the_papers_rule_stores_two_networks(subject: Subject) -> None:
+    """An initialisation and a rate a weight: its compression factor is 2 / m, as the paper has it."""
+    app = subject.options.app
+    theta = {key: value[0] for key, value in app.init(Generator().manual_seed(0), 1).items()}
+    alpha = rule_of("meta-sgd").alpha(app, theta, 10, Adam(0.1))
+    found = kept(Checkpoint(MetaParameters(theta, alpha), "", ""))
+    assert found == paper()["storage"]["meta_networks"] * size(theta)
+
+
+def test_samples_are_those_that_steps_draw(subject: Subject) -> None:
+    found = {row["paradigm"]: row for row in rows(subject, "samples")}
+    assert {row["all"] for row in found.values()} == {128}  # half of 256; the rest is held out
+    assert found["overfit"]["saved"] == 0
+    assert found["overfit"]["all_bytes"] == 128 * 6 * 4
+    (task,) = [task for task in subject.tasks if task.name == "m0"]
+    many = {key: value.repeat(128, 1) if value.ndim == 2 else value for key, value in task.data.items()}
+    subject.__dict__["_data"] = ([Task("m0", many)], "many")
+    found = {row["paradigm"]: row for row in rows(subject, "samples")}
+    assert found["meta"]["seen"] == paper()["samples"]["brdf"]["seen"] == 10 * 512
+    assert found["meta"]["saved"] == 1 - 5120 / 16384
+    assert found["quickft"]["seen"] == 10 * 512 + 1024
+    assert found["general"]["seen"] == 1024
+
+
+def test_measures_of_pictures(data: Path, done: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    subject = subject_of(data, shutil.copytree(done / "runs", tmp_path / "runs"))
+
+    def measured(self: Any, fits: Any, task: Task) -> dict[str, dict[str, float]]:
+        assert all(fit.seconds > 0 and fit.theta["w2"].shape == (21, 21) for fit in fits.values())
+        value = 0.94 + 0.01 * int(task.name[1:])  # m0 is below the bound
+        return {"regular": {"MAPE": 0.5}, **{name: {"SSIM": value, "MAPE": 0.25} for name in fits}}
+
+    monkeypatch.setattr(BrdfPresentation, "image_errors", measured)
+    shutil.rmtree(image_cell(subject).folder.path)
+    run_cells(load_table("image").cells(subject), quiet=True)
+    by = {(row["paradigm"], row["measure"]): row for row in rows(subject, "image")}
+    assert by["regular", "MAPE"]["error"] == 0.5
+    assert by["regular", "SSIM"]["error"] is None
+    meta = by["meta", "SSIM"]
+    assert (meta["error"], meta["worst"], meta["share"]) == (pytest.approx(0.95), 0.94, pytest.approx(2 / 3))
+    assert meta["paper_share"] == 0.99
+    assert by["meta", "MAPE"]["share"] is None
+    assert (by["regular", "MAPE"]["measured"], by["regular", "SSIM"]["measured"]) == (3, 0)
+
+
+def row(paradigm: str, error: float | None, seconds: float = 1.0) -> dict[str, Any]:
+    return blank("brdf", paradigm) | {"error": error, "seconds": seconds, "tasks": 8}
+
+
+def test_means_of_some_tasks_alone_say_so(subject: Subject) -> None:
+    found = [
+        row(name, 0.3) | {"measure": "MAPE, equal time", "measured": count, "paper_share": None}
+        for name, count in (("reference", 1), ("general", 8), ("overfit", 0), ("meta", 3))
+    ]
+    notes = [note for note in load_table("image").notes(subject, found) if "others have none" in note]
+    assert notes == ["meta, MAPE, equal time: mean of 3 of 8 tasks, the others have none"]
+
+
+def test_the_same_picture_has_an_ssim_of_one(subject: Subject) -> None:
+    task = subject.tasks[0]
+    theta = {key: value[0] for key, value in APP.init(torch.Generator().manual_seed(0), 1).items()}
+    picture = shade_sphere(environment_scene(), lambda angles: APP.reflectance(theta, angles))
+    same = Task("same", task.data | {"environment": picture})
+    image_errors = BrdfPresentation(APP).image_errors
+    measured = image_errors({"meta": Fitted(theta, 1.0)}, same)
+    assert measured["meta"]["SSIM"] == pytest.approx(1, abs=1e-5)
+    assert image_errors({"meta": Fitted(theta, 1.0)}, task)["meta"]["SSIM"] < 0.999
+    older = Task("older", {key: value for key, value in task.data.items() if key != "environment"})
+    assert image_errors({"meta": Fitted(theta, 1.0)}, older) == {}

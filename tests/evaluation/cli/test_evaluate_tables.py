@@ -1,0 +1,160 @@
+"""Tables of `metapp evaluate`: all rows in every format, what they compare, and runs that were killed."""
+
+from __future__ import annotations
+
+import itertools
+import os
+import signal
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from torch import Tensor
+
+from metapp.apps.brdf import Brdf
+from metapp.cli.show import rich_table
+from metapp.evaluation.tables import NAMES, load_table
+from metapp.evaluation.tables.subject import Subject
+from metapp.learning.task import Params, Tasks
+from metapp.storage.records import RunFolder, read_records
+from tests.evaluation.cli.subjects import call, rows
+
+KEYS = {"app", "paradigm", "error", "seconds", "tasks", "low", "high", "paper_error", "paper_seconds"}
+
+
+def errors(document: dict[str, Any]) -> list[Any]:
+    """What must not depend on how often a run was killed: all but seconds."""
+    return [{key: value for key, value in row.items() if "seconds" not in key} for row in document["rows"]]
+
+
+def test_all_tables_have_all_rows_in_every_format(evaluate: Callable, done: Path) -> None:
+    empty = evaluate("--which", "all", "--no-run", "--json")
+    assert empty.code == 0, empty.err
+    assert all(row["error"] is None for row in empty.document["rows"])
+    assert "brdf trace: 3 of 3 tasks missing: metapp evaluate brdf --which convergence" in empty.err
+    common = ("--out", done / "runs", "--no-run")
+    full = evaluate(*common, "--which", "all", "--json")
+    assert full.code == 0, full.err
+    assert "missing" not in full.err
+    assert full.document["which"] == "all"
+    rows = full.document["rows"]
+    assert {row["table"] for row in rows} == set(NAMES)
+    assert all(set(row) >= KEYS for row in rows)
+    for row in (row for row in rows if row["table"] not in ("storage", "samples")):
+        assert row["low"] <= row["error"] <= row["high"], row
+        assert row["tasks"] == 3
+    for name in NAMES:
+        one = evaluate(*common, "--which", name, "--json").document
+        assert one["which"] == name
+        assert [row | {"table": name} for row in one["rows"]] == [row for row in rows if row["table"] == name]
+    for form, mark in (("rich", "BRDF"), ("markdown", "| --- |"), ("latex", r"\bottomrule"), ("csv", "app,")):
+        shown = evaluate(*common, "--which", "all", "--format", form)
+        assert shown.code == 0, shown.err
+        assert shown.out.count(mark) >= (1 if form == "csv" else len(NAMES))
+
+
+def test_rows_are_compared_with_quickft_and_general_on_the_same_tasks(subject: Subject) -> None:
+    found = {row["paradigm"]: row for row in rows(subject, "results")}
+    ours, theirs = ([record["error"] for record in subject.cell(name).records()] for name in ("meta", "quickft"))
+    meta = found["meta"]
+    assert meta["vs_quickft"] == pytest.approx(sum(ours) / sum(theirs))
+    assert meta["vs_quickft_low"] <= meta["vs_quickft"] <= meta["vs_quickft_high"]
+    assert meta["vs_quickft_ahead"] == sum(a < b for a, b in zip(ours, theirs, strict=True))
+    assert (meta["vs_quickft_tasks"], meta["vs_quickft_groups"], meta["vs_quickft_kind"]) == (3, 3, "ratio")
+    assert found["quickft"]["vs_quickft"] is None
+    assert found["quickft"]["vs_general"] < 1
+    quickft = rows(subject, "quickft")[2]
+    assert quickft["ahead"] == meta["vs_quickft_ahead"]
+    assert quickft["apart"] is None  # too few tasks
+    assert "too few to call a win" in " ".join(load_table("quickft").notes(subject, rows(subject, "quickft")))
+
+
+def test_fits_that_carry_a_warning_are_counted(subject: Subject, evaluate: Callable, tmp_path: Path) -> None:
+    folder = RunFolder(tmp_path / "warned", {})
+    for i, record in enumerate(subject.cell("meta").records()):
+        more = {"threads": 1, **({"warning": "the loss rose"} if i == 1 else {})}
+        folder.add({key: value for key, value in record.items() if key not in ("key", "settings")} | more)
+    subject._cells["meta"] = subject.cell("meta")._replace(folder=folder)
+    for name in ("results", "quickft", "ablation"):
+        found = rows(subject, name)
+        assert [row["warnings"] for row in found] == [int("meta" in (row["paradigm"],)) for row in found]
+        notes = load_table(name).notes(subject, found)
+        assert "meta: 1 of 3 fits ended above their initialisation's loss" in notes
+        assert not any("quickft: " in note and "fits ended" in note for note in notes)
+    assert "threads: 1" in load_table("quickft").notes(subject, rows(subject, "quickft"))
+
+
+@pytest.mark.parametrize("width", [60, 80, 120, 200])
+def test_a_terminal_shows_as_many_columns_as_it_has_room_for(
+    width: int, subject: Subject, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from rich.console import Console
+
+    monkeypatch.setattr("metapp.cli.show.out", Console(width=width))
+    for name in NAMES:
+        table, found = load_table(name), rows(subject, name)
+        if not found:
+            continue
+        console = Console(width=width)
+        with console.capture() as shown:
+            console.print(rich_table(table, subject, found))
+        text = shown.get()
+        assert max(map(len, text.splitlines())) <= width
+        assert "…" not in text
+        if width == 200:
+            assert len(rich_table(table, subject, found).columns) == len(table.columns)
+        for row in found:
+            assert table.columns[0].text(row) in text, name
+
+
+def test_an_overfit_of_fewer_steps_is_said_and_is_another_run(evaluate: Callable, done: Path) -> None:
+    common = ("--out", done / "runs", "--no-run")
+    short = evaluate(*common, "--overfit-share", "0.5")
+    assert "20 of the recipe's 40 steps" in " ".join(short.out.split())
+    assert "--steps 20" in short.err
+    tasks = {row["paradigm"]: row["tasks"] for row in rows_of(evaluate(*common, "--overfit-share", "0.5", "--json"))}
+    assert tasks == {"general": 3, "overfit": 0, "finetune": 3, "quickft": 3, "meta": 3}
+    assert "of the recipe's" not in evaluate(*common).out
+
+
+def rows_of(result: Any) -> list[dict[str, Any]]:
+    return result.document["rows"]
+
+
+def killed_at(count: int, *arguments: str | Path) -> int:
+    """Exit code of a command in a fork of this process, which kills itself as it finds errors for that time."""
+    child = os.fork()
+    if not child:
+        try:
+            _die_at(count)
+            os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
+            call(*arguments)
+        finally:
+            os._exit(0)
+    return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+
+
+def _die_at(count: int) -> None:
+    calls, found = itertools.count(1), Brdf.errors
+
+    def dying(self: Brdf, theta: Params, tasks: Tasks) -> dict[str, Tensor]:
+        if next(calls) == count:
+            os.kill(os.getpid(), signal.SIGKILL)
+        return found(self, theta, tasks)
+
+    Brdf.errors = dying
+
+
+def test_a_run_that_is_killed_twice_gives_the_table_of_an_unbroken_one(
+    evaluate: Callable, done: Path, data: Path, tmp_path: Path
+) -> None:
+    unbroken = evaluate("--json", "--out", done / "runs", "--no-run").document
+    common = ("evaluate", "brdf", "--data", data, "--out", tmp_path / "broken", "--quiet")
+    kept = []
+    for count in (5, 7):
+        assert killed_at(count, *common) == -signal.SIGKILL
+        kept.append(sum(len(read_records(file)) for file in (tmp_path / "broken").rglob("record.jsonl")))
+    assert kept == [4, 10]
+    resumed = evaluate("--json", "--out", tmp_path / "broken", "--quiet").document
+    assert errors(resumed) == errors(unbroken)

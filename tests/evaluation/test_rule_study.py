@@ -1,0 +1,303 @@
+"""The rule study: trainings and fits of all rules from one command, cut off and gone on, and what is said of seeds."""
+
+from __future__ import annotations
+
+import functools
+import shutil
+import statistics
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from rich.console import Console
+
+from metapp.apps import load_app
+from metapp.apps.brdf import APP, Brdf
+from metapp.cli.show import rich_table
+from metapp.evaluation import study as studies
+from metapp.evaluation.figures import draw
+from metapp.evaluation.study import COMPOSED, QUICKFT, Budget, Case, Study, training_for
+from metapp.evaluation.tables import load_table
+from metapp.evaluation.tables.rules import fit_cell, train_cell
+from metapp.evaluation.tables.seeds import mean_of, paired_over_seeds, statistics_of_seeds
+from metapp.evaluation.tables.statistics import paired, statistics_of
+from metapp.evaluation.tables.subject import Subject
+from metapp.learning.recipe import Adam
+from metapp.learning.rules import RULES, rule_of
+from metapp.learning.rules import table as rule_table
+from metapp.paradigms import tuning
+from metapp.runs.session import Options
+from metapp.storage.records import load_checkpoint
+from metapp.storage.training_checkpoint import TrainingCheckpoint
+from tests.small_spheres import shrink_spheres
+
+FEW = ("--train-steps", "2", "--steps", "2", "--steps", "3", "--seeds", "2")
+SEARCHED: Any = ([{"rate": 0.5}, {"rate": 2.0}],)
+
+
+@pytest.fixture(autouse=True)
+def few(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """Small trainings, without a compiler, of three rules beside QuickFT."""
+    quick = APP.recipes["quick"]
+    trainings = {rule: replace(each, tasks=2, warmup=0, validate_every=1) for rule, each in quick.meta.items()}
+    general = replace(quick.general, steps=2, tasks=2, validate_every=1)
+    monkeypatch.setitem(APP.recipes, "quick", replace(quick, general=general, meta=trainings, batch=16))
+    monkeypatch.setattr(Brdf, "compiles", False)
+    monkeypatch.setattr(tuning, "SEARCHED", SEARCHED)
+    monkeypatch.setattr(studies, "RULES", {name: RULES[name] for name in ("meta-sgd", "meta-lgd")})
+    monkeypatch.setattr(studies, "COMPOSED", ("sgd", "sgd+loss", "loss+meta-sgd", "adam"))
+    shrink_spheres(monkeypatch)
+    return
+
+
+@pytest.fixture
+def data(neural_fits: Callable[[int], Path], metapp: Callable, tmp_path: Path) -> Path:
+    folder = tmp_path / "materials"
+    assert metapp("data", "nbrdf", neural_fits(8), "--out", folder, "--samples", "256").code == 0
+    return folder
+
+
+@pytest.fixture
+def evaluate(metapp: Callable, data: Path, tmp_path: Path) -> Callable:
+    def call(*arguments: str | Path, out: str = "runs") -> Any:
+        return metapp("evaluate", "brdf", "--which", "rules", "--data", data, "--out", tmp_path / out, *FEW, *arguments)
+
+    return call
+
+
+def figures(result: Any) -> list[dict[str, Any]]:
+    """All of a table's rows but seconds."""
+    assert result.code == 0, result.err
+    rows = result.document["rows"]
+    return [{key: value for key, value in row.items() if "seconds" not in key} for row in rows]
+
+
+def subject_of(data: Path, out: Path, **budget: Any) -> Subject:
+    options = Options(APP, "quick", "meta-curvature", None, data, out, None, 0, torch.device("cpu"), True)
+    return Subject(
+        options, run=True, strict=False, budget=Budget(**({"outer": 2, "steps": (2, 3), "seeds": 2} | budget))
+    )
+
+
+# From one command
+
+
+def test_one_command_trains_fits_and_says_what_came_of_it(evaluate: Callable, data: Path, tmp_path: Path) -> None:
+    assert figures(evaluate("--no-run", "--json")) == []
+    done = evaluate("--json", "--figures", tmp_path / "figures")
+    rows = {(row["rule"], row["steps"]): row for row in done.document["rows"]}
+    names = ("quickft (tuned Adam)", "meta-sgd", "sgd+loss", "adam")  # each once; meta-lgd does not apply
+    assert list(rows) == [(name, steps) for steps in (2, 3) for name in names]
+    subject = subject_of(data, tmp_path / "runs")
+    for (name, steps), row in rows.items():
+        rule = name.partition(" ")[0]
+        cells = [fit_cell(subject, Case(rule, steps, seed)) for seed in (0, 1)]
+        errors = [[record["error"] for record in cell.records()] for cell in cells]
+        assert row["error"] == pytest.approx(statistics.fmean(errors[0] + errors[1]))
+        assert row["seeds"] == 2
+        assert row["low"] <= row["error"] <= row["high"]
+        assert errors[0] != errors[1]
+        trained = [train_cell(subject, Case(rule, steps, seed)).records()[0] for seed in (0, 1)]
+        assert row["validation"] == pytest.approx(statistics.fmean(each["error"] for each in trained))
+        assert row["train_seconds"] == pytest.approx(statistics.fmean(each["seconds"] for each in trained))
+        if rule == QUICKFT:
+            assert trained[0] == trained[1]  # the search draws nothing: one is enough
+            assert row["vs_quickft"] is None
+        else:
+            assert row["vs_quickft"] == pytest.approx(row["error"] / rows["quickft (tuned Adam)", steps]["error"])
+    assert (tmp_path / "figures" / "brdf-rules.png").is_file()
+    assert [file.name for file in (tmp_path / "figures").glob("*.png")] == ["brdf-rules.png"]
+    said = evaluate("--no-run", "--format", "markdown").out
+    assert "each rule is trained for 2 outer steps (the recipe: 20,000)" in said
+    assert "meta-lgd: does not apply, no parameter lies on a grid" in said
+    assert "not run" not in said
+
+
+def test_each_case_is_trained_through_its_own_number_of_steps(evaluate: Callable, data: Path, tmp_path: Path) -> None:
+    assert evaluate("--quiet", "--json").code == 0
+    study = subject_of(data, tmp_path / "runs").study
+    for steps in (2, 3):
+        prepared, info = load_checkpoint(Path(study.checkpoint(Case("adam", steps, 1)).source))
+        assert len(prepared.alpha["rate.w1"]) == info["inner_steps"] == steps
+        assert (info["seed"], info["training"]["steps"]) == (1, 2)
+        adam = study.checkpoint(Case(QUICKFT, steps, 1))
+        assert set(adam.prepared.alpha) == {"rate", "beta1", "beta2", "eps", "final"}
+        assert adam.prepared.encoder
+
+
+def test_a_study_that_is_cut_off_ends_in_the_table_of_an_unbroken_one(
+    evaluate: Callable, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    unbroken = figures(evaluate("--json", "--quiet"))
+    errors, calls = Brdf.errors, [0]
+
+    def dying(*arguments: Any) -> Any:
+        calls[0] += 1
+        if calls[0] % 40 == 0:
+            raise KeyboardInterrupt
+        return errors(*arguments)
+
+    monkeypatch.setattr(Brdf, "errors", dying)
+    codes = []
+    while 0 not in codes and len(codes) < 40:
+        again = evaluate("--json", "--quiet", out="broken")
+        codes.append(again.code)
+    assert codes[-1] == 0
+    assert set(codes[:-1]) == {130}
+    assert len(codes) > 2
+    assert figures(again) == unbroken
+
+
+def test_a_budget_can_grow(evaluate: Callable) -> None:
+    part = figures(evaluate("--rule", "adam", "--json", "--quiet"))
+    assert [row["rule"] for row in part] == ["quickft (tuned Adam)", "adam"] * 2
+    said = evaluate("--no-run", "--format", "markdown").out
+    assert "2 steps: not run: meta-sgd, sgd+loss" in said
+    whole = figures(evaluate("--json", "--quiet"))
+    assert [row for row in whole if row["rule"] in ("adam", "quickft (tuned Adam)")] == part
+
+
+def test_a_training_that_diverges_is_said_once_and_ends_nothing(
+    evaluate: Callable, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    train, tried = Study.train, []
+
+    def diverging(self: Study, case: Case) -> Any:
+        tried.append(case)
+        if case.rule == "adam":
+            raise FloatingPointError("m0: the loss is not finite at step 1.")
+        return train(self, case)
+
+    monkeypatch.setattr(Study, "train", diverging)
+    rows = figures(evaluate("--json", "--quiet"))
+    assert {row["rule"] for row in rows} == {"quickft (tuned Adam)", "meta-sgd", "sgd+loss"}
+    count = len(tried)
+    shown = evaluate("--format", "markdown", "--quiet")
+    assert len(tried) == count
+    assert "2 steps: training diverged: adam" in shown.out
+
+
+def test_options_of_studies_are_refused_elsewhere(metapp: Callable) -> None:
+    done = metapp("evaluate", "brdf", "--which", "quickft", "--seeds", "2")
+    assert done.code == 2
+    assert "--seeds" in done.err
+    assert "--which rules" in done.err
+
+
+def test_a_terminal_shows_the_rule_and_what_it_came_to(evaluate: Callable, data: Path, tmp_path: Path) -> None:
+    assert evaluate("--quiet", "--json").code == 0
+    subject = subject_of(data, tmp_path / "runs")
+    table, console = load_table("rules"), Console(width=100)
+    with console.capture() as shown:
+        console.print(rich_table(table, subject, table.rows(subject)))
+    assert max(map(len, shown.get().splitlines())) <= 100
+    drawn = draw("rules", subject)
+    assert drawn
+    assert [axis.get_title() for axis in drawn.figure.axes] == ["2 steps", "3 steps"]
+    shutil.rmtree(tmp_path / "runs" / "brdf" / "rules")
+    assert draw("rules", subject) is None
+
+
+# What is studied
+
+
+def test_new_names_of_rules_are_studied(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.undo()
+    options = Options(APP, "quick", "meta-curvature", None, None, Path("runs"), None, 0, torch.device("cpu"), True)
+    rules = Study(options, Budget()).rules
+    assert [rule_of(name).name for name in COMPOSED] == list(COMPOSED)
+    assert set(rules) == ({rule_of(name).name for name in (*RULES, *COMPOSED)}) - {"meta-lgd", "ridge"}
+    # of its own, so that other tests find the rules that there were
+    monkeypatch.setattr(rule_table, "_composed", functools.cache(rule_table._composed.__wrapped__))
+    monkeypatch.setitem(rule_table.NAMED, "meta-new", "rates+betas+eps")
+    monkeypatch.setitem(studies.RULES, "meta-new", rule_of("rates+betas+eps"))  # type: ignore[arg-type]
+    assert "meta-new" in Study(options, Budget()).rules
+
+
+def test_rules_without_moments_are_trained_as_the_papers() -> None:
+    recipe = APP.recipes["quick"]
+    assert training_for(recipe, "sgd+loss") is recipe.meta["meta-sgd"]
+    assert training_for(recipe, "rates+loss").first == Adam(0.1)
+    assert training_for(recipe, "adam+curvature") is recipe.meta["meta-curvature"]
+    assert training_for(recipe, "meta-adam") is recipe.meta["meta-adam"]
+    no_sgd = load_app("illumination").recipes["quick"]
+    assert training_for(no_sgd, "meta-sgd") == replace(no_sgd.meta[no_sgd.rule], tuned=True)
+    assert training_for(no_sgd, "adam") is no_sgd.meta[no_sgd.rule]
+
+
+def test_cases_of_few_steps_come_first() -> None:
+    options = Options(APP, "quick", "meta-curvature", None, None, Path("runs"), None, 4, torch.device("cpu"), True)
+    cases = Study(options, Budget(steps=(9, 2), seeds=2, rules=("adam",))).cases()
+    assert cases == [Case(rule, steps, seed) for seed in (4, 5) for steps in (2, 9) for rule in (QUICKFT, "adam")]
+
+
+# Statistics over seeds
+
+
+def by_name(values: Any) -> dict[str, float]:
+    return {f"t{i}": float(value) for i, value in enumerate(values)}
+
+
+GROUPS = {f"t{i}": f"g{i // 2}" for i in range(400)}
+
+
+def test_one_seed_is_the_paired_bootstrap_over_tasks() -> None:
+    draw = np.random.default_rng(1)
+    one, other = by_name(draw.uniform(1, 2, 30)), by_name(draw.uniform(1, 3, 30))
+    for logarithmic in (False, True):
+        assert paired_over_seeds([one], [other], GROUPS, logarithmic=logarithmic) == pytest.approx(
+            paired(one, other, GROUPS, logarithmic=logarithmic)
+        )
+    groups = [GROUPS[name] for name in one]
+    assert statistics_of_seeds([one], GROUPS) == pytest.approx(statistics_of(list(one.values()), groups))
+
+
+def test_the_interval_covers_seeds_that_differ() -> None:
+    """All tasks alike: what is left is the spread over seeds; of two, a quarter of draws takes either one twice."""
+    found = statistics_of_seeds([by_name([1.0] * 20), by_name([3.0] * 20)], GROUPS)
+    assert (found["error"], found["low"], found["high"]) == (2.0, 1.0, 3.0)
+    many = [by_name([value] * 20) for value in [0.0, 2.0] * 50]
+    found = statistics_of_seeds(many, GROUPS)
+    assert (found["low"] - 1) * len(many) ** 0.5 == pytest.approx(-1.96, abs=0.15)  # the central limit theorem
+    assert (found["high"] - 1) * len(many) ** 0.5 == pytest.approx(1.96, abs=0.15)
+
+
+def test_seeds_of_both_sides_count() -> None:
+    steady, shaky = [by_name([2.0] * 20)] * 3, [by_name([value] * 20) for value in (1.0, 2.0, 3.0)]
+    exact = paired_over_seeds(steady, steady, GROUPS, logarithmic=False)
+    assert exact
+    assert (exact.value, exact.low, exact.high, exact.ahead) == (1.0, 1.0, 1.0, 0)
+    for one, other in ((shaky, steady), (steady, shaky)):
+        found = paired_over_seeds(one, other, GROUPS, logarithmic=True)
+        assert found
+        assert found.value == 0
+        assert found.low < -0.5
+        assert found.high > 0.5
+
+
+def test_tasks_that_a_seed_lacks_do_not_count() -> None:
+    assert mean_of([{"a": 1.0, "b": 2.0}, {"b": 4.0}]) == {"b": 3.0}
+    assert paired_over_seeds([{"a": 1.0}], [{"b": 1.0}], {"a": "a", "b": "b"}, logarithmic=False) is None
+    assert paired_over_seeds([{"a": 1.0}], [{"a": 0.0}], {"a": "a"}, logarithmic=False) is None
+
+
+# Seconds of a training
+
+
+def test_seconds_of_a_training_outlive_a_kill(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    clock = [100.0]
+    monkeypatch.setattr("metapp.storage.training_checkpoint.time.process_time", lambda: clock[0])
+    first = TrainingCheckpoint(tmp_path / "start.safetensors", {})
+    clock[0] += 7
+    assert first.spent == 7
+    first.reached = first.reached._replace(looks=(1.0,))
+    first.write()
+    clock[0] += 1000
+    second = TrainingCheckpoint(tmp_path / "start.safetensors", {})
+    assert second.load().looks == (1.0,)
+    clock[0] += 5
+    assert second.spent == 12

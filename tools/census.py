@@ -1,0 +1,93 @@
+"""Count what a reader must read: lines by layer, long functions, many parameters, large classes, `Any`.
+
+    python tools/census.py            the counts and everything over a limit
+    python tools/census.py metapp     of files under a folder
+
+Lines are physical lines of `.py` files. Members of a class are its own public names: fields, methods, properties.
+"""
+
+from __future__ import annotations
+
+import ast
+import re
+import sys
+from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+ROOT = Path(__file__).resolve().parents[1]
+LINES, PARAMETERS, MEMBERS = 60, 8, 15
+FOLDERS = ("metapp", "data_tools", "tests")
+
+
+class Excess(NamedTuple):
+    """Something over a limit."""
+
+    place: str
+    name: str
+    what: str
+    count: int
+
+
+def layer_of(path: Path) -> str:
+    """The layer that a file counts for: metapp/<folder>, data_tools/<folder> or tests."""
+    parts = path.relative_to(ROOT).parts
+    return parts[0] if parts[0] == "tests" else "/".join(parts[:2]) if len(parts) > 2 else parts[0]
+
+
+def excesses(path: Path) -> Iterator[Excess]:
+    """What of a file is over a limit."""
+    for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+        place = f"{path.relative_to(ROOT)}:{getattr(node, 'lineno', 0)}"
+        if isinstance(node, ast.FunctionDef):
+            lines = (node.end_lineno or 0) - node.lineno + 1
+            arguments = node.args
+            names = [each.arg for each in (*arguments.posonlyargs, *arguments.args, *arguments.kwonlyargs)]
+            count = len([name for name in names if name not in ("self", "cls", "ctx")])
+            if lines > LINES:
+                yield Excess(place, node.name, "lines", lines)
+            if count > PARAMETERS:
+                yield Excess(place, node.name, "parameters", count)
+        if isinstance(node, ast.ClassDef) and (count := len(members(node))) > MEMBERS:
+            yield Excess(place, node.name, "members", count)
+
+
+def members(node: ast.ClassDef) -> set[str]:
+    """The public names that a class body defines, and those that its `__init__` sets."""
+    names: set[str] = set()
+    for each in node.body:
+        if isinstance(each, ast.FunctionDef):
+            names.add(each.name)
+            if each.name == "__init__":
+                names |= set(re.findall(r"self\.(\w+)[^=\n]*=[^=]", ast.unparse(each)))
+        elif isinstance(each, ast.AnnAssign) and isinstance(each.target, ast.Name):
+            names.add(each.target.id)
+        elif isinstance(each, ast.Assign):
+            names |= {target.id for target in each.targets if isinstance(target, ast.Name)}
+    return {name for name in names if not name.startswith("_")}
+
+
+def main() -> None:
+    """Print the counts."""
+    below = ROOT / sys.argv[1] if len(sys.argv) > 1 else ROOT
+    files = [
+        path for folder in FOLDERS for path in sorted((ROOT / folder).rglob("*.py")) if below in (path, *path.parents)
+    ]
+    lines: Counter[str] = Counter()
+    loose: Counter[str] = Counter()
+    for path in files:
+        text = path.read_text("utf-8")
+        lines[layer_of(path)] += text.count("\n")
+        loose[layer_of(path)] += len(re.findall(r"\bAny\b", text))
+    for layer, count in sorted(lines.items()):
+        print(f"{count:7,d} lines {loose[layer]:4d} Any  {layer}")
+    production = {layer: count for layer, count in lines.items() if layer not in ("tests", "data_tools/synthetic")}
+    print(f"{sum(production.values()):7,d} lines {sum(loose[layer] for layer in production):4d} Any  production")
+    found = [each for path in files if path.parts[len(ROOT.parts)] != "tests" for each in excesses(path)]
+    for each in sorted(found, key=lambda each: (each.what, -each.count)):
+        print(f"{each.place}  {each.name}: {each.count} {each.what}")
+
+
+if __name__ == "__main__":
+    main()
