@@ -13,7 +13,7 @@ from metapp.learning.app import App
 from metapp.learning.learn import Watch
 from metapp.learning.task import Params, Task
 from metapp.runs.pictures import to_srgb
-from metapp.runs.session import title_of
+from metapp.runs.naming import title_of
 from metapp.runs.sheet import Column, write_sheet
 from metapp.runs.timing import Stopwatch
 
