@@ -100,9 +100,9 @@ def check_inputs(request: Request, app: App) -> None:
         BadOption: it has none that such an option is about.
     """
     formats = inputs_of(app.name)
-    if request.scene_root and not any(form.takes_roots for form in formats):
+    if request.scene_root and not any("roots" in form.takes for form in formats):
         raise BadOption(f"--scene-root: {app.name} has no scenes, only transport; leave it out.")
     if request.render and not presentation_of(app).renders:
         raise BadOption(f"--render: {app.name} has no scenes, only transport; leave it out.")
-    if request.fov and not any(form.takes_fov for form in formats):
+    if request.fov and not any("fov_rad" in form.takes for form in formats):
         raise BadOption(f"--fov: {app.name} has no flash photos; leave it out.")

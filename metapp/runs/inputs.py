@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 import torch
 
-from data_tools.formats import Files, inputs_of
+from data_tools.formats import inputs_of
 from metapp.learning.app import App
 from metapp.learning.task import Task
 from metapp.runs.embedded import embedded_data
@@ -156,21 +156,16 @@ def _found(app: App, path: Path, request: Request) -> Iterator[tuple[list[Path],
         raise ValueError(f"{path}: no such file or folder; give existing input files.")
     check_readable(path)
     known = inputs_of(app.name)
-    readers: list[tuple[Files, dict[str, Any]]] = []
-    for form in known:
-        if form.files and (files := form.files()).recognises(path):
-            settings: dict[str, Any] = {"size": app.reads} if app.reads and form.takes_size else {}
-            settings |= {"roots": request.scene_root} if request.scene_root and form.takes_roots else {}
-            settings |= {"fov_rad": math.radians(request.fov)} if request.fov and form.takes_fov else {}
-            readers.append((files, settings))
+    readers = [form for form in known if form.recognises(path)]
     if not readers:
         expected = ", ".join(form.inputs for form in known)
         raise ValueError(f"{path}: not an input of {app.name}, expected {expected}, or a folder of these.")
-    for files, settings in readers:
-        places, skipped = files.find([path])
+    for form in readers:
+        places, skipped = form.find([path])
         for line in skipped if len(readers) == 1 else ():
             say(f"warning: {line}")
-        yield places, functools.partial(files.read_task, **settings)
+        read = functools.partial(form.read, size=app.reads, roots=request.scene_root, fov_rad=math.radians(request.fov))
+        yield places, read
 
 
 def _read(path: Path, places: list[Path], read: Callable[[Path], Task]) -> list[Task]:
