@@ -14,6 +14,7 @@ from metapp.appearance.surface import Surface, all_planes
 from metapp.storage.files import write_atomically
 
 BITS = 8
+PROVENANCE = ("app", "paradigm", "rule", "checkpoint", "recipe")
 TEXTURES = "textures"
 INPUTS = {  # of UsdPreviewSurface: map, output of its texture, type
     "diffuseColor": ("diffuse", "rgb", "Color3f"),
@@ -59,7 +60,7 @@ def stage_text(surface: Surface, name: str, provenance: Mapping[str, Any]) -> st
 
 
 def _words(provenance: Mapping[str, Any]) -> list[str]:
-    return [f"{key} {provenance[key]}" for key in ("app", "paradigm", "rule", "start", "recipe") if key in provenance]
+    return [f"{key} {provenance[key]}" for key in PROVENANCE if key in provenance]
 
 
 def _quad(stage: Any, path: Any, surface: Surface) -> Any:

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from metapp.evaluation.study import Budget
     from metapp.evaluation.tables.subject import Cell, Subject
     from metapp.evaluation.tables.table import Table
-    from metapp.runs.session import Options
+    from metapp.runs.plan import Plan
 
 FORMATS = ("rich", "markdown", "latex", "csv", "json")
 ALL = "all"
@@ -168,25 +168,30 @@ def budget_of(given: Evaluation) -> Budget:
     return Budget(**{key: value for key, value in values.items() if value})
 
 
-def plans_of(given: Evaluation) -> list[Options]:
-    """The options of each application under each protocol."""
+def plans_of(given: Evaluation) -> list[Plan]:
+    """The plan of General for each application under each protocol."""
     from metapp.apps import app_names
-    from metapp.runs.session import check_protocol, find_app, options_of
+    from metapp.runs.checks import check_protocol, find_app
+    from metapp.runs.plan import plan
+    from metapp.runs.request import Request
 
     found = [find_app(name) for name in given.apps or app_names()]
     for app in [app for app in found if app.protocols] or found:
         check_protocol(given.observe, app)
     return [
-        options_of(
-            app.name,
-            observe=protocol,
-            rule=given.rule,
-            recipe=given.recipe if given.apps or given.recipe in app.recipes else "quick",
-            data=given.data,
-            out=given.out,
-            seed=given.seed,
-            device=given.device,
-            quiet=given.quiet,
+        plan(
+            Request(
+                app.name,
+                "general",
+                observe=protocol,
+                rule=given.rule,
+                recipe=given.recipe if given.apps or given.recipe in app.recipes else "quick",
+                data=given.data,
+                out=given.out,
+                seed=given.seed,
+                device=given.device,
+                quiet=given.quiet,
+            )
         )
         for app in found
         for protocol in ((given.observe,) if given.observe and app.protocols else app.protocols or ("",))
@@ -194,12 +199,12 @@ def plans_of(given: Evaluation) -> list[Options]:
 
 
 def find_subjects(
-    planned: list[Options], *, run: bool, strict: bool, share: float, budget: Budget | None = None
+    planned: list[Plan], *, run: bool, strict: bool, share: float, budget: Budget | None = None
 ) -> list[Subject]:
     """What tables are about."""
     from metapp.evaluation.tables.subject import Subject
 
-    return [Subject(options, run=run, strict=strict, share=share, budget=budget) for options in planned]
+    return [Subject(plan, run=run, strict=strict, share=share, budget=budget) for plan in planned]
 
 
 def fill(cells: list[Cell], *, run: bool, quiet: bool) -> None:
@@ -245,17 +250,17 @@ def compare(subjects: list[Subject], *, quiet: bool) -> None:
     from metapp.runs.pictures import COMPARED, picture_of_table
 
     for subject in subjects:
-        options, complete = subject.options, []
+        app, request, complete = subject.app, subject.plan.request, []
         for name, fit in subject.fits.items():
             cell = subject.cell(name)
-            if cell.folder and name == fit.paradigm.name and cell.tasks and not cell.missing():
+            if cell.folder and name == fit.plan.paradigm.name and cell.tasks and not cell.missing():
                 complete.append((name, cell.folder.path, cell.records()))
         if complete:
-            name = f"comparison-{subject.label}-{options.recipe}-seed{options.seed}"
-            name += f"-{options.app.protocol}" if options.app.protocol else ""
-            file = options.out / options.app.name / f"{name}.png"
+            name = f"comparison-{subject.label}-{request.recipe}-seed{request.seed}"
+            name += f"-{app.protocol}" if app.protocol else ""
+            file = request.out / app.name / f"{name}.png"
             with progress(f"pictures of {subject.title}", len(subject.tasks[:COMPARED]), quiet=quiet) as bar:
-                made = picture_of_table(options.app, subject.tasks, complete, file, bar.advance)
+                made = picture_of_table(app, subject.tasks, complete, file, bar.advance)
             say(f"picture: {made}")
 
 
@@ -268,5 +273,6 @@ def compare_baselines(subjects: list[Subject]) -> None:
         meta, drawn = subject.cell("meta"), baselines_with_pictures(subject)
         if meta.folder and drawn and subject.tasks and not meta.missing():
             runs = [("meta", meta.folder.path, meta.records()), *drawn]
-            file = subject.options.out / subject.app.name / f"baselines-{subject.label}-{subject.options.recipe}.png"
+            request = subject.plan.request
+            file = request.out / subject.app.name / f"baselines-{subject.label}-{request.recipe}.png"
             say(f"picture: {picture_of_table(subject.app, subject.tasks, runs, file)}")

@@ -54,7 +54,7 @@ def find_checkpoint(plan: Plan) -> Plan:
 
 
 def trained_path(plan: Plan, name: str) -> Path:
-    """Where a checkpoint that is trained on this data is kept; where an earlier version kept it, if it is there alone."""
+    """Where a checkpoint that is trained on this data is kept, or was by an earlier version if it is there alone."""
     label = data_label(data_folder(plan.app, plan.request.data, plan.request.quiet))
     run = f"{label}-{plan.request.recipe}-seed{plan.request.seed}"
     paths = [_of_app(plan) / folder / run / f"{checkpoint_name(plan.app, name)}.safetensors" for folder in FOLDERS]

@@ -24,7 +24,8 @@ def default_recipe(app: App) -> str:
 
 def with_network(app: App, recipe: Recipe, rule: str) -> App:
     """The application with the network of a recipe, or that of a rule which has one of its own."""
-    return app.at(recipe.for_rule(rule) if rule else recipe, app.protocol)
+    of_rule = recipe.for_rule(rule) if rule else recipe
+    return app if of_rule is recipe else app.at(of_rule, app.protocol)
 
 
 def find_app(name: str) -> App:

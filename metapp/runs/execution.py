@@ -214,8 +214,8 @@ def _announce(plan: Plan, folder: RunFolder, total: int, mine: int, known: int) 
     assert plan.checkpoint is not None
     what = f"{name_of(plan.app)} {plan.paradigm.name}: {total} "
     if _is_lazy(plan):
-        index, count = plan.portion
-        what += f"inputs{f', part {index} of {count}: {mine}' if count > 1 else ''}"
+        number, parts = plan.portion
+        what += f"inputs{f', part {number} of {parts}: {mine}' if parts > 1 else ''}"
         what += f"{f', {known} fitted before' if known else ''}; {plan.steps} steps"
     else:
         what += f"tasks, {plan.steps} steps"

@@ -143,7 +143,9 @@ def unpack(file: Path, out: Path | None, checkpoint: Path | None) -> Packed:
         folder.add(record, {key: value[i] for key, value in thetas.items()})
     before, after = ([record[key] for record in records] for key in ("before", "error"))
     size = file.stat().st_size
-    return Packed(str(file), str(folder.path), names, about["bits"], size, _size_of(plan.prepared), _mean(before), _mean(after))
+    return Packed(
+        str(file), str(folder.path), names, about["bits"], size, _size_of(plan.prepared), _mean(before), _mean(after)
+    )
 
 
 def _require_network(file: Path, app: App, thetas: Params) -> None:

@@ -98,11 +98,12 @@ class Plan:
         """The same for another paradigm, rule ("" for the same one) and number of steps, without a checkpoint."""
         rule = rule or self.job.rule
         request = replace(self.request, paradigm=paradigm, rule=rule, steps=steps)
-        app = with_network(self.app, self.job.recipe, rule if paradigm == "meta" else "")
+        app = self.app if self.paradigm.name != "meta" else self.app.at(self.job.recipe, self.app.protocol)
+        app = with_network(app, self.job.recipe, rule if paradigm == "meta" else "")
         return Plan(request, paradigms()[paradigm], Job(app, self.job.recipe, rule, steps), self.device)
 
     def settings(self, label: str) -> dict[str, Any]:
-        """Everything that the figures of a run on data of this name depend on: what its records carry, and their key."""
+        """Everything that figures of a run on data of this name depend on: what its records carry, and their key."""
         job, recipe, app = self.job, self.job.recipe, self.app
         adam, guard = self.paradigm.adam(job, self.prepared), self.paradigm.guard(job)
         assert self.checkpoint is not None
@@ -127,7 +128,7 @@ class Plan:
         }
 
     def path(self, label: str) -> Path:
-        """runs/<app>/<paradigm>/<data>-<recipe>-seed<seed>, with rule, steps that are not the recipe's, and protocol."""
+        """runs/<app>/<paradigm>/<data>-<recipe>-seed<seed>, with rule, protocol, and steps other than the recipe's."""
         request, budget = self.request, self.budget
         name = f"{label}-{request.recipe}-seed{request.seed}"
         if self.paradigm.name == "meta":
@@ -141,7 +142,7 @@ class Plan:
         return request.out / self.app.name / self.paradigm.name / name
 
     def origin(self) -> dict[str, Any]:
-        """What `metapp rerun` needs to find what was fitted: absolute paths, as far as any were given, and the machine."""
+        """What `metapp rerun` needs to find what was fitted: absolute paths as far as given, and the machine."""
         request = self.request
         known: dict[str, Any] = {
             "inputs": [str(path.absolute()) for path in request.inputs],

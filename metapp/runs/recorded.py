@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -53,11 +52,12 @@ def read_run(run: Path, form: dict[str, Any] = FORM, task: str = "") -> Recorded
     return Recorded(folder, [records[names.index(task)]])
 
 
-def plan_as(settings: dict[str, Any], **more: Any) -> Plan:
-    """The plan that a fit was made by, as far as its settings say it.
+def plan_as(settings: dict[str, Any], origin: dict[str, Any] | None = None, **more: Any) -> Plan:
+    """The plan that a fit was made by, as far as its record says it.
 
     Args:
-        settings: of its record.
+        settings: of the record.
+        origin: of the record, for how files were read.
         more: further options, as of `Request`.
 
     Raises:
@@ -70,6 +70,7 @@ def plan_as(settings: dict[str, Any], **more: Any) -> Plan:
         recipe=settings["recipe"],
         observe=settings.get("observe", ""),
         quiet=True,
+        **reading_of(origin or {}),
         **more,
     )
     if request.paradigm not in paradigms():
@@ -100,7 +101,7 @@ def tasks_as(records: list[dict[str, Any]], app: App, inputs: list[Path], data: 
     if not (inputs or data):
         inputs = _existing(origin.get("inputs", [])) or _existing(record["source"] for record in sourced)
         data = Path(origin["data"]) if "data" in origin and Path(origin["data"]).is_dir() else None
-    request = replace(request_as(origin), app=app.name, inputs=inputs, data=data, quiet=True)
+    request = Request(app.name, inputs=inputs, data=data, quiet=True, **reading_of(origin))
     if sourced:
         return _of_sources(sourced, app, request)
     embedded = embedded_exists(app.name) and data_label(data_folder(app, None, quiet=True)) == label
@@ -116,10 +117,10 @@ def _existing(places: Iterable[str]) -> list[Path]:
     return paths if all(path.exists() for path in paths) else []
 
 
-def request_as(origin: dict[str, Any]) -> Request:
-    """What a record's origin says of how files were read."""
+def reading_of(origin: dict[str, Any]) -> dict[str, Any]:
+    """The options of a record's origin that say how files were read."""
     fov = round(math.degrees(origin.get("fov_rad", 0.0)), 9)  # as it was given, so that radians are the same bits
-    return Request("", fov=fov, scene_root=[Path(path) for path in origin.get("roots", [])])
+    return {"fov": fov, "scene_root": [Path(path) for path in origin.get("roots", [])]}
 
 
 def _of_sources(records: list[dict[str, Any]], app: App, request: Request) -> dict[str, Task]:

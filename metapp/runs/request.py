@@ -52,14 +52,14 @@ class Request:
 
 
 class Portion(NamedTuple):
-    """What one machine does of a run: every `count`-th of its tasks from the `index`-th on, both counted from 1."""
+    """What one machine does of a run: every `parts`-th of its tasks from the `number`-th on, both counted from 1."""
 
-    index: int = 1
-    count: int = 1
+    number: int = 1
+    parts: int = 1
 
     def of(self, items: Sequence[Item]) -> list[Item]:
         """The items of this portion."""
-        return list(items[self.index - 1 :: self.count])
+        return list(items[self.number - 1 :: self.parts])
 
 
 def portion_of(text: str) -> Portion:
@@ -70,6 +70,6 @@ def portion_of(text: str) -> Portion:
     """
     found = re.fullmatch(r"(\d{1,6})/(\d{1,6})", text or "1/1")
     portion = Portion(int(found[1]), int(found[2])) if found else Portion(0, 0)
-    if not 1 <= portion.index <= portion.count:
+    if not 1 <= portion.number <= portion.parts:
         raise BadOption(f"--shard '{text}': expected I/N, the I-th of N parts, such as 1/4 to 4/4.")
     return portion

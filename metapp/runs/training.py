@@ -143,9 +143,7 @@ def _about(plan: Plan, name: str, folder: Path, encoder: MetaParameters | None) 
     )
 
 
-def _settings(
-    plan: Plan, name: str, steps: int | None, folder: Path, encoder: MetaParameters | None
-) -> dict[str, Any]:
+def _settings(plan: Plan, name: str, steps: int | None, folder: Path, encoder: MetaParameters | None) -> dict[str, Any]:
     """What the result of a training depends on, beside what its checkpoint says about itself."""
     return {
         "app": plan.app.name,

@@ -5,7 +5,7 @@ Nothing is trained: what is there is combined anew, as (start, rule) of the same
 
 from __future__ import annotations
 
-from dataclasses import asdict
+from dataclasses import asdict, replace
 
 from metapp.evaluation.tables.comparison import paired_columns, paired_entries, paired_note, paired_of, warned
 from metapp.evaluation.tables.results import COMPARED, result_row
@@ -18,7 +18,8 @@ from metapp.paradigms import Paradigm
 from metapp.paradigms.meta import META
 from metapp.paradigms.meta import start as meta_start
 from metapp.paradigms.quickft import QUICKFT, adam_of
-from metapp.runs.session import Checkpoint, caption_of
+from metapp.runs.naming import caption_of
+from metapp.runs.plan import Checkpoint
 from metapp.runs.statistics import apart
 from metapp.storage.records import tensor_digest
 
@@ -29,8 +30,8 @@ START_ALONE = Paradigm("ablation-start", META.needs, meta_start, QUICKFT.rule, Q
 
 def learned(subject: Subject) -> list[str]:
     """The rows of the results that a learned rule makes from the network that General predicts."""
-    meta = {name: fit for name, fit in subject.fits.items() if fit.paradigm.name == "meta"}
-    return [name for name, fit in meta.items() if fit.options.app is subject.app]
+    meta = {name: fit for name, fit in subject.fits.items() if fit.plan.paradigm.name == "meta"}
+    return [name for name, fit in meta.items() if fit.plan.app is subject.app]
 
 
 def combined(subject: Subject, name: str) -> list[tuple[str, str, Cell]]:
@@ -40,30 +41,31 @@ def combined(subject: Subject, name: str) -> list[tuple[str, str, Cell]]:
         subject: of which application.
         name: the row, "meta" or "meta:<rule>".
     """
-    meta, general, quickft = (subject.fits[each] for each in (name, "general", "quickft"))
+    meta, general, quickft = (subject.fits[each].plan for each in (name, "general", "quickft"))
     starts = (meta.checkpoint, general.checkpoint, quickft.checkpoint)
     if any(start is None for start in starts):
         return []
-    rule = meta.options.rule
+    rule = meta.job.rule
     if same_start(subject, name):
         return [("general", rule, subject.cell(name)), (f"meta ({rule})", "adam", subject.cell("quickft"))]
     learnt, encoder, tuned = (start.prepared for start in starts if start)
     digest = "+".join(start.digest for start in starts if start)
-    options, found = meta.options, []
+    found = []
     for paradigm, words_of, prepared in (
         (RULE_ALONE, ("general", rule), MetaParameters(alpha=learnt.alpha, encoder=encoder.encoder)),
         (START_ALONE, (f"meta ({rule})", "adam"), learnt._replace(alpha=tuned.alpha)),
     ):
-        adam = asdict(adam_of(options.job, tuned)) if paradigm is START_ALONE else None
+        adam = asdict(adam_of(meta.job, tuned)) if paradigm is START_ALONE else None
         settings = {"rule": rule, "adam": adam}
-        fit = Fit(f"ablation {' + '.join(words_of)}", options, paradigm, Checkpoint(prepared, "combined", digest))
+        half = replace(meta, paradigm=paradigm, checkpoint=Checkpoint(prepared, "combined", digest))
+        fit = Fit(f"ablation {' + '.join(words_of)}", half)
         found.append((*words_of, subject.fit_cell(fit, settings, rule)))
     return found
 
 
 def same_start(subject: Subject, name: str) -> bool:
     """Whether a learned rule starts at General's own prediction."""
-    meta, general = (subject.fits[each].checkpoint for each in (name, "general"))
+    meta, general = (subject.fits[each].plan.checkpoint for each in (name, "general"))
     if meta is None or general is None or not meta.prepared.encoder:
         return False
     return tensor_digest(meta.prepared.encoder) == tensor_digest(general.prepared.encoder)
@@ -79,8 +81,8 @@ def rows(subject: Subject) -> list[Row]:
     """Neither, one of the two, and both, for every learned rule that has a checkpoint."""
     found = [result_row(subject, "quickft") | {"start": "general", "rule": "adam"}]
     for name in learned(subject):
-        rule = subject.fits[name].options.rule
-        steps = META.count(subject.options.job)
+        rule = subject.fits[name].plan.job.rule
+        steps = META.count(subject.plan.job)
         for start, by, cell in combined(subject, name):
             what = f"{start}+{by}"
             row = subject.row(what, cell, start=start, rule=by, steps=steps) | {"paper_error": None}
@@ -97,7 +99,7 @@ def notes(subject: Subject, found: list[Row]) -> list[str]:
     """What is the same by construction, and what adam is."""
     said = ["adam: QuickFT's, searched on validation tasks for General's start", caption_of(subject.app)]
     for name in learned(subject):
-        rule = subject.fits[name].options.rule
+        rule = subject.fits[name].plan.job.rule
         own = f"{rule}'s start is General's own: rows that differ in it alone are of the same fits"
         said += [own] if same_start(subject, name) else []
     return [*said, *warned(found), *paired_note(found)]

@@ -24,12 +24,12 @@ from metapp.evaluation.tables.rows import Row, bytes_column, interval, numbers, 
 from metapp.evaluation.tables.storage import kept, size
 from metapp.evaluation.tables.subject import Cell, Record, Subject
 from metapp.evaluation.tables.table import Table
-from metapp.learning.task import Task
+from metapp.learning.task import Params, Task
 from metapp.runs.inputs import data_label
-from metapp.runs.origin import origin_of
+from metapp.runs.naming import caption_of, name_of, observe_of
 from metapp.runs.reporter import say
-from metapp.runs.session import caption_of, name_of, observe_of, threads_of
 from metapp.runs.statistics import apart
+from metapp.runs.surroundings import threads_of
 from metapp.storage.records import RunFolder
 
 SHOWN = ("general", "quickft", "meta", "finetune", "overfit")
@@ -45,7 +45,7 @@ def cells(subject: Subject) -> list[Cell]:
 
 def _larger(subject: Subject) -> list[str]:
     """Meta's rules that have a network of their own."""
-    return [name for name, fit in subject.fits.items() if fit.options.app is not subject.app and name not in SHOWN]
+    return [name for name, fit in subject.fits.items() if fit.plan.app is not subject.app and name not in SHOWN]
 
 
 def _able(subject: Subject) -> list[Baseline]:
@@ -57,28 +57,25 @@ def _able(subject: Subject) -> list[Baseline]:
 def _untrained(subject: Subject) -> list[str]:
     """The baselines that need training tasks where there are none."""
     learning = [baseline.name for baseline in baselines_of(subject.app) if baseline.learns]
-    return learning if learning and subject.tasks and training_folder(subject.options) is None else []
+    return learning if learning and subject.tasks and training_folder(subject.plan) is None else []
 
 
 def baseline_cell(subject: Subject, baseline: Baseline) -> Cell:
     """The fits of a baseline; those that match Meta's errors come after Meta's."""
-    app, options, meta = subject.app, subject.options, subject.cell("meta")
-    source = training_folder(options) if baseline.learns and subject.tasks else None
+    app, plan, meta = subject.app, subject.plan, subject.cell("meta")
+    source = training_folder(plan) if baseline.learns and subject.tasks else None
     missing = not subject.tasks or (baseline.learns and source is None) or (baseline.matches and meta.folder is None)
     folder = None
     if not missing:
-        name = f"{subject.label}-{options.recipe}-seed{options.seed}"
+        name = f"{subject.label}-{plan.request.recipe}-seed{plan.request.seed}"
         name += f"-{app.protocol}" if app.protocol else ""
-        path = options.out / app.name / "baselines" / baseline.name / name
-        folder = RunFolder(path, _settings(subject, baseline, source), FORM, origin_of(options))
+        path = plan.request.out / app.name / "baselines" / baseline.name / name
+        folder = RunFolder(path, _settings(subject, baseline, source), FORM, plan.origin())
 
-    def measure(tasks: list[Task]) -> Iterator[Record]:
-        assert folder is not None
+    def measure(tasks: list[Task]) -> Iterator[tuple[Record, Params | None]]:
         errors = {record["name"]: record["error"] for record in meta.records()} if baseline.matches else {}
         try:
-            for record, picture in fit_baselines(options, baseline, training_of(app, source), tasks, errors):
-                folder.add(record, picture)
-                yield record
+            yield from fit_baselines(plan, baseline, training_of(app, source), tasks, errors)
         except ValueError as error:
             say(f"{name_of(app)} {baseline.name}: {error}")
 
@@ -89,16 +86,16 @@ def baseline_cell(subject: Subject, baseline: Baseline) -> Cell:
 
 def _settings(subject: Subject, baseline: Baseline, source: Path | None) -> dict[str, Any]:
     """Everything that a baseline's figures depend on; `source`: the data set that it learns from."""
-    app, options, meta = subject.app, subject.options, subject.cell("meta")
+    app, plan, meta = subject.app, subject.plan, subject.cell("meta")
     return {
         "app": app.name,
         **observe_of(app),
         "baseline": baseline.name,
         "data": subject.label,
         "training": source and data_label(source),
-        "allowed": allowed_for(options)._asdict(),
-        "recipe": options.recipe,
-        "seed": options.seed,
+        "allowed": allowed_for(plan)._asdict(),
+        "recipe": plan.request.recipe,
+        "seed": plan.request.seed,
         "versions": baseline_versions(),
         **app.conditions(),
         **({"meta": meta.folder.key} if baseline.matches and meta.folder else {}),
@@ -130,9 +127,9 @@ def baseline_rows(subject: Subject) -> list[Row]:
 
 def _row_of_paradigm(subject: Subject, name: str) -> Row:
     fit, cell = subject.fits[name], subject.cell(name)
-    theta = own_parameters(fit.options.app)
+    theta = own_parameters(fit.plan.app)
     count = sum(value.numel() for value in theta.values())
-    stored = {"numbers": count, "size": size(theta), "shared": kept(fit.checkpoint), "unreached": 0}
+    stored = {"numbers": count, "size": size(theta), "shared": kept(fit.plan.checkpoint), "unreached": 0}
     row = subject.row(name, cell, baseline=False, matches=False) | stored
     other = subject.paired(cell, subject.cell("meta")) if name != "meta" else None
     return row | paired_entries("meta", other)

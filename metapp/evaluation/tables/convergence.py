@@ -21,7 +21,7 @@ def cells(subject: Subject) -> list[Cell]:
 def rows(subject: Subject) -> list[Row]:
     """Meta's error after each part of its steps, then after further steps, and Overfit's on the same tasks."""
     cell, fits = trace_cell(subject), subject.fits
-    steps = {name: fits[name].paradigm.count(fits[name].options.job) for name in ("meta", "overfit")}
+    steps = {name: fits[name].plan.steps for name in ("meta", "overfit")}
     made = [
         _row(subject, cell, "meta", after("meta", at(part, steps["meta"])), f"{part:.0%}", at(part, steps["meta"]))
         for part in PARTS

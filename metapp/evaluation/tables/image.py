@@ -11,7 +11,8 @@ from metapp.evaluation.tables.rows import Row, interval, numbers, paper, words
 from metapp.evaluation.tables.subject import Cell, Record, Subject
 from metapp.evaluation.tables.table import Table
 from metapp.learning.task import Task
-from metapp.runs.session import name_of, threads_of
+from metapp.runs.naming import name_of
+from metapp.runs.surroundings import threads_of
 from metapp.storage.records import OPTIONAL, RunFolder
 
 FORM = {"measures": {...: {...: OPTIONAL}}}  # of a record
@@ -21,7 +22,7 @@ def compared(subject: Subject) -> dict[str, Cell]:
     """The fits whose pictures are measured: of every paradigm; none where the application has no such measure."""
     if not subject.presentation.image_measure:
         return {}
-    return {name: subject.cell(name) for name, fit in subject.fits.items() if name == fit.paradigm.name}
+    return {name: subject.cell(name) for name, fit in subject.fits.items() if name == fit.plan.paradigm.name}
 
 
 def cells(subject: Subject) -> list[Cell]:
@@ -32,24 +33,22 @@ def cells(subject: Subject) -> list[Cell]:
 
 def image_cell(subject: Subject) -> Cell:
     """The measures of all paradigms' pictures, a task at a time, since they share its reference."""
-    app, options, fits, shown = subject.app, subject.options, compared(subject), subject.presentation
+    app, plan, fits, shown = subject.app, subject.plan, compared(subject), subject.presentation
     folders = {name: cell.folder for name, cell in fits.items() if cell.folder}
     folder = None
     if len(folders) == len(fits):
-        path = options.out / app.name / "image" / f"{subject.label}-{options.recipe}-seed{options.seed}"
-        end = "-".join(filter(None, (options.rule, subject.shortened, app.protocol)))
+        request = plan.request
+        path = request.out / app.name / "image" / f"{subject.label}-{request.recipe}-seed{request.seed}"
+        end = "-".join(filter(None, (plan.job.rule, subject.shortened, app.protocol)))
         keys = {name: each.key for name, each in folders.items()}
         said = {"app": app.name, "measure": shown.image_measure, "fits": keys}
         folder = RunFolder(path.with_name(f"{path.name}-{end}"), said, FORM)
 
-    def measure(missing: list[Task]) -> Iterator[Record]:
-        assert folder is not None
+    def measure(missing: list[Task]) -> Iterator[tuple[Record, None]]:
         seconds = {name: {record["name"]: record["seconds"] for record in fits[name].records()} for name in fits}
         for task in missing:
             fitted = {name: Fitted(folders[name].theta(task.name), seconds[name][task.name]) for name in fits}
-            record = {"name": task.name, "error": None, "measures": shown.image_errors(fitted, task)}
-            folder.add(record)
-            yield record
+            yield {"name": task.name, "error": None, "measures": shown.image_errors(fitted, task)}, None
 
     title = f"{name_of(app)} pictures"
     command, count = subject.command("image"), threads_of(app)

@@ -7,8 +7,8 @@ from metapp.evaluation.tables.results import on_threads, result_row
 from metapp.evaluation.tables.rows import LAST, Row, numbers, words
 from metapp.evaluation.tables.subject import Cell, Subject
 from metapp.evaluation.tables.table import Table
+from metapp.runs.naming import caption_of
 from metapp.runs.reporter import number
-from metapp.runs.session import caption_of
 from metapp.runs.statistics import apart
 
 COMPARED = ("general", "quickft", "meta")

@@ -15,8 +15,8 @@ from metapp.evaluation.tables.rows import Column, Row, interval, numbers, words
 from metapp.evaluation.tables.subject import Cell, Subject
 from metapp.evaluation.tables.table import Table
 from metapp.learning.app import App
+from metapp.runs.naming import caption_of
 from metapp.runs.reporter import number
-from metapp.runs.session import caption_of
 
 COMPARED = ("quickft", "general")
 
@@ -37,8 +37,8 @@ def result_row(subject: Subject, name: str) -> Row:
     row = subject.row(
         name,
         cell,
-        rule=fit.options.rule if fit.paradigm.name == "meta" else None,
-        steps=fit.paradigm.count(fit.options.job),
+        rule=fit.plan.job.rule if fit.plan.paradigm.name == "meta" else None,
+        steps=fit.plan.steps,
     )
     for other in COMPARED:
         row |= paired_entries(other, subject.paired(cell, subject.cell(other)) if other != name else None)
@@ -73,7 +73,7 @@ def budget(subject: Subject) -> list[str]:
     """What is said where Overfit takes fewer steps than the recipe's."""
     if subject.share == 1:
         return []
-    steps, recipe = subject.fits["overfit"].options.steps, subject.options.job.recipe.overfit_steps
+    steps, recipe = subject.fits["overfit"].plan.request.steps, subject.plan.job.recipe.overfit_steps
     changed = "its error and the gap closed are too high, its time and the speed-up too low"
     return [f"overfit: {steps:,} of the recipe's {recipe:,} steps, so {changed}"]
 

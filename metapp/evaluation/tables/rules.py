@@ -5,6 +5,7 @@ from __future__ import annotations
 import statistics
 import time
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from typing import Any
 
 from metapp.evaluation.study import QUICKFT, Case
@@ -14,11 +15,13 @@ from metapp.evaluation.tables.rows import Row, blank, interval, numbers, words
 from metapp.evaluation.tables.subject import Cell, Record, Subject, remarks
 from metapp.evaluation.tables.table import Table
 from metapp.learning.learn import MetaParameters
-from metapp.learning.task import Task
+from metapp.learning.task import Params, Task
+from metapp.runs.fits import fit_tasks
+from metapp.runs.naming import caption_of, name_of, observe_of
+from metapp.runs.plan import Checkpoint
 from metapp.runs.reporter import number, say
-from metapp.runs.run import fit_and_keep, run_path
-from metapp.runs.session import Checkpoint, caption_of, name_of, observe_of, settings_of, threads_of
 from metapp.runs.statistics import Errors, apart, paired, statistics_of
+from metapp.runs.surroundings import threads_of
 from metapp.storage.records import FIT, NUMBER, OPTIONAL, RunFolder, digest
 
 TRAINED = {"error": OPTIONAL, "seconds": NUMBER, "step": OPTIONAL}  # of a training's record
@@ -46,15 +49,13 @@ def train_cell(subject: Subject, case: Case) -> Cell:
     """One training; its record holds its seconds, the validation error and the outer step of that."""
     study = subject.study
     said = study.settings(case, subject.label)
-    path = subject.options.out / subject.app.name / "rules" / f"{subject.label}-{study.place(case).recipe}"
+    path = subject.plan.request.out / subject.app.name / "rules" / f"{subject.label}-{study.place(case).request.recipe}"
     path = path.with_name("-".join(filter(None, (path.name, f"seed{said['seed']}", case.rule, subject.app.protocol))))
     folder = RunFolder(path, said, TRAINED)
 
-    def measure(missing: list[Task]) -> Iterator[Record]:
+    def measure(missing: list[Task]) -> Iterator[tuple[Record, None]]:
         for task in missing:
-            record = {"name": task.name, **_trained(subject, case)}
-            folder.add(record)
-            yield record
+            yield {"name": task.name, **_trained(subject, case)}, None
 
     outer = 0 if case.rule == QUICKFT else study.training(case.rule).steps
     return Cell(
@@ -102,17 +103,18 @@ def _diverged(cell: Cell) -> bool:
 def fit_cell(subject: Subject, case: Case) -> Cell:
     """Fits of all test tasks by what a case has trained."""
     study = subject.study
-    options, trained = study.place(case), digest(study.settings(case, subject.label))
-    said = settings_of(options, case.paradigm, Checkpoint(MetaParameters(), "", trained), subject.label)
+    trained = digest(study.settings(case, subject.label))
+    plan = replace(study.place(case), checkpoint=Checkpoint(MetaParameters(), "", trained))
+    said = plan.settings(subject.label)
     if case.rule == QUICKFT:
         said["adam"] = "searched"
-    folder = RunFolder(run_path(options, said, subject.label), said, FIT)
+    folder = RunFolder(plan.path(subject.label), said, FIT)
 
-    def measure(missing: list[Task]) -> Iterator[Record]:
+    def measure(missing: list[Task]) -> Iterator[tuple[Record, Params]]:
         if _diverged(train_cell(subject, case)):
             return
         try:
-            yield from fit_and_keep(options, case.paradigm, study.checkpoint(case), missing, folder)
+            yield from fit_tasks(replace(plan, checkpoint=study.checkpoint(case)), missing)
         except FloatingPointError as error:
             say(f"warning: {case.rule}, {case.steps} steps, seed {case.seed}: {error}")
 
@@ -184,7 +186,7 @@ def _row(
 def notes(subject: Subject, found: list[Row]) -> list[str]:
     """The budget, who wins at each number of steps, what seconds are, what was not run and what does not apply."""
     study = subject.study
-    budget, usual = study.budget, study.options.job.recipe.meta_training(study.options.rule).steps
+    budget, usual = study.budget, study.plan.job.recipe.meta_training(study.plan.job.rule).steps
     said = [
         f"each rule is trained for {budget.outer:,} outer steps (the recipe: {usual:,}) at each number of steps, from "
         f"{STARTS[budget.start]}; its best state on validation tasks is kept",
@@ -220,7 +222,9 @@ def _not_run(subject: Subject, found: list[Row]) -> list[str]:
     said = []
     for steps in sorted(set(study.budget.steps)):
         missing = [rule for rule in study.rules if (rule, steps) not in there]
-        diverged = [rule for rule in missing if _diverged(train_cell(subject, Case(rule, steps, study.options.seed)))]
+        diverged = [
+            rule for rule in missing if _diverged(train_cell(subject, Case(rule, steps, study.plan.request.seed)))
+        ]
         rest = [rule for rule in missing if rule not in diverged]
         said += [f"{steps} steps: training diverged: {', '.join(diverged)}"] if diverged else []
         said += [f"{steps} steps: not run: {', '.join(rest)}"] if rest else []

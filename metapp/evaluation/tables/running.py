@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from metapp.evaluation.tables.subject import Cell
 from metapp.learning.task import Task
 from metapp.runs.reporter import clock as shown_clock
-from metapp.runs.session import threads
+from metapp.runs.surroundings import threads
 
 
 def distinct(cells: Sequence[Cell]) -> list[Cell]:
@@ -31,7 +31,7 @@ def run_cells(cells: Sequence[Cell], *, quiet: bool) -> None:
             tell(f"{cell.title}, cell {i} of {len(planned)}", clock.spent, clock.left())
             with threads(cell.threads):
                 begin = time.perf_counter()
-                for record in cell.measure(missing):
+                for record in cell.run(missing):
                     now = time.perf_counter()
                     clock.add(cell, now - begin)
                     begin = now

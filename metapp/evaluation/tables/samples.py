@@ -5,7 +5,7 @@ from __future__ import annotations
 from metapp.evaluation.tables.rows import Row, blank, numbers, paper, words
 from metapp.evaluation.tables.subject import Cell, Subject
 from metapp.evaluation.tables.table import Table
-from metapp.runs.session import observe_of
+from metapp.runs.naming import observe_of
 
 
 def cells(subject: Subject) -> list[Cell]:
@@ -18,18 +18,18 @@ def rows(subject: Subject) -> list[Row]:
     found = []
     visible = subject.presentation.visible(subject.tasks[0]) if subject.tasks else None
     for name, fit in subject.fits.items():
-        steps = fit.paradigm.count(fit.options.job)
-        drawn = steps * fit.options.job.recipe.batch
+        steps = fit.plan.steps
+        drawn = steps * fit.plan.job.recipe.batch
         row = blank(subject.app.name, name, **observe_of(subject.app)) | {
             "paper_error": None,
             "paper_seconds": None,
             "steps": steps,
-            "batch": fit.options.job.recipe.batch if steps else None,
+            "batch": fit.plan.job.recipe.batch if steps else None,
             **dict.fromkeys(("seen", "all", "seen_bytes", "all_bytes", "saved", "paper_saved")),
         }
         if visible:
-            reads = "general" in fit.paradigm.needs(fit.options.job)
-            reads = reads or bool(fit.checkpoint and fit.checkpoint.prepared.encoder)
+            reads = "general" in fit.plan.paradigm.needs(fit.plan.job)
+            reads = reads or bool(fit.plan.checkpoint and fit.plan.prepared.encoder)
             seen = min(drawn + (visible.encoder if reads else 0), visible.samples)
             row |= {
                 "tasks": len(subject.tasks),

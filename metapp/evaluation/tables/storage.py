@@ -8,7 +8,8 @@ from metapp.evaluation.tables.rows import Row, blank, bytes_column, numbers, pap
 from metapp.evaluation.tables.subject import Cell, Subject
 from metapp.evaluation.tables.table import Table
 from metapp.learning.task import Params
-from metapp.runs.session import Checkpoint, observe_of
+from metapp.runs.naming import observe_of
+from metapp.runs.plan import Checkpoint
 
 COUNTS = (1, 10, 100, 1000)
 
@@ -30,7 +31,7 @@ def rows(subject: Subject) -> list[Row]:
     found = []
     for name, fit in subject.fits.items():
         # what takes long is kept; what takes no time is made again from its start
-        once, each = (0, network) if name in ("overfit", "finetune") else (kept(fit.checkpoint), 0)
+        once, each = (0, network) if name in ("overfit", "finetune") else (kept(fit.plan.checkpoint), 0)
         row = blank(subject.app.name, name, **observe_of(subject.app)) | {
             "paper_error": None,
             "paper_seconds": None,

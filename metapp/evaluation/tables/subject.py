@@ -13,25 +13,17 @@ from metapp.apps import presentation_of
 from metapp.evaluation.study import Budget, Study
 from metapp.evaluation.tables.rows import Row, blank
 from metapp.learning.app import App
-from metapp.learning.task import Task
-from metapp.paradigms import Paradigm, paradigms
+from metapp.learning.task import Params, Task
+from metapp.paradigms import paradigms
 from metapp.runs.checkpoints import find_checkpoint, trained_path
 from metapp.runs.embedded import embedded_exists
-from metapp.runs.inputs import tasks_to_fit
-from metapp.runs.origin import origin_of
+from metapp.runs.fits import fit_tasks
+from metapp.runs.inputs import tasks_of_data
+from metapp.runs.naming import name_of, observe_of, title_of
+from metapp.runs.plan import Plan
 from metapp.runs.reporter import say
-from metapp.runs.run import fit_and_keep, run_path
-from metapp.runs.session import (
-    Checkpoint,
-    Options,
-    make_folder,
-    name_of,
-    observe_of,
-    settings_of,
-    threads_of,
-    title_of,
-)
 from metapp.runs.statistics import Paired, paired, statistics_of
+from metapp.runs.surroundings import make_folder, threads_of
 from metapp.storage.records import FIT, RunFolder, guarded, summary
 
 Record = dict[str, Any]
@@ -44,7 +36,7 @@ class Cell(NamedTuple):
         title: for the progress.
         tasks: what it is measured on.
         folder: where records are kept; None where the checkpoint is missing that it needs.
-        measure: missing tasks -> their records, each kept before it is passed on.
+        measure: tasks -> the record of each, and what is kept beside it as parameters, if anything.
         steps: gradient steps a task, about: cells with few come first.
         command: the command that fills it.
         stage: cells of a lower stage come first, which this one reads.
@@ -55,7 +47,7 @@ class Cell(NamedTuple):
     title: str
     tasks: Sequence[Task]
     folder: RunFolder | None
-    measure: Callable[[list[Task]], Iterator[Record]]
+    measure: Callable[[list[Task]], Iterator[tuple[Record, Params | None]]]
     steps: int
     command: str
     stage: int = 0
@@ -72,14 +64,19 @@ class Cell(NamedTuple):
         finished = self.folder.finished() if self.folder else {}
         return [task for task in self.tasks if task.name not in finished]
 
+    def run(self, tasks: list[Task]) -> Iterator[Record]:
+        """Measure tasks; each record is kept before it is yielded."""
+        assert self.folder is not None
+        for record, tensors in self.measure(tasks):
+            self.folder.add(record, tensors)
+            yield record
+
 
 class Fit(NamedTuple):
     """What a row of the results is fitted by: `name` is the paradigm's, or meta:<rule> for rules but the default."""
 
     name: str
-    options: Options
-    paradigm: Paradigm
-    checkpoint: Checkpoint | None
+    plan: Plan  # without a checkpoint where that is missing
 
 
 def error_in(record: Record) -> float | None:
@@ -92,7 +89,7 @@ class Subject:
     """An application under a protocol, on a data set.
 
     Attributes:
-        options: of the default row; others differ in rule or steps.
+        plan: of General; others differ in paradigm, rule or steps.
         run: whether cells without records will be run; else they stay empty.
         strict: whether a checkpoint that is missing is an error; else it is said, and its cells stay empty.
         share: of the recipe's steps that Overfit takes here.
@@ -100,9 +97,9 @@ class Subject:
     """
 
     def __init__(
-        self, options: Options, *, run: bool, strict: bool, share: float = 1.0, budget: Budget | None = None
+        self, plan: Plan, *, run: bool, strict: bool, share: float = 1.0, budget: Budget | None = None
     ) -> None:
-        self.options, self.run, self.strict, self.share, self.budget = options, run, strict, share, budget or Budget()
+        self.plan, self.run, self.strict, self.share, self.budget = plan, run, strict, share, budget or Budget()
         self._cells: dict[str, Cell] = {}
 
     @functools.cached_property
@@ -112,7 +109,7 @@ class Subject:
         Raises:
             ValueError: a checkpoint is missing, and that is an error.
         """
-        return {fit.name: fit for fit in _find_fits(self.options, self.strict, self.share)}
+        return {fit.name: fit for fit in _find_fits(self.plan, self.strict, self.share)}
 
     def find_checkpoints(self) -> None:
         """Find all checkpoints now, not at the first row that needs one."""
@@ -121,12 +118,12 @@ class Subject:
     @functools.cached_property
     def study(self) -> Study:
         """What the table of rules is about."""
-        return Study(self.options, self.budget)
+        return Study(self.plan, self.budget)
 
     @property
     def app(self) -> App:
         """The application under the protocol."""
-        return self.options.app
+        return self.plan.app
 
     @functools.cached_property
     def presentation(self) -> Presentation[Any]:
@@ -150,10 +147,11 @@ class Subject:
 
     @functools.cached_property
     def _data(self) -> tuple[list[Task], str]:
-        make_folder(self.options.out)
-        if not self.run and not self.options.data and not embedded_exists(self.app.name):
+        request = self.plan.request
+        make_folder(request.out)
+        if not self.run and not request.data and not embedded_exists(self.app.name):
             return [], "none"  # there are no records of a data set that was never made
-        return tasks_to_fit(self.app, [], self.options.data, self.options.quiet)
+        return tasks_of_data(self.app, request.data, request.quiet)
 
     @property
     def tasks(self) -> list[Task]:
@@ -184,27 +182,19 @@ class Subject:
             settings: what else the figures depend on.
             name: of the run folder, where it is no paradigm's.
         """
-        options, paradigm, checkpoint = fit.options, fit.paradigm, fit.checkpoint
-        folder = None
-        if checkpoint is not None:
-            said = settings_of(options, paradigm, checkpoint, self.label) | (settings or {})
-            path = run_path(options, said, self.label)
+        plan, folder = fit.plan, None
+        if plan.checkpoint is not None:
+            path = plan.path(self.label)
             path = path.with_name(f"{path.name}-{name}") if name else path
-            folder = RunFolder(path, said, FIT, origin_of(options))
+            folder = RunFolder(path, plan.settings(self.label) | (settings or {}), FIT, plan.origin())
 
-        def measure(missing: list[Task]) -> Iterator[Record]:
-            assert folder is not None
-            assert checkpoint is not None
-            return fit_and_keep(options, paradigm, checkpoint, missing, folder)
-
-        steps = paradigm.count(options.job)
         command = self.command("") if name else _fit_command(fit)
         title, threads = f"{name_of(self.app)} {fit.name}", threads_of(self.app)
-        return Cell(title, self.tasks, folder, measure, steps, command, threads=threads)
+        return Cell(title, self.tasks, folder, functools.partial(fit_tasks, plan), plan.steps, command, threads=threads)
 
     def command(self, which: str) -> str:
         """The command that fills a table for this application."""
-        words = ["metapp", "evaluate", self.app.name, *(["--which", which] if which else []), *_shared(self.options)]
+        words = ["metapp", "evaluate", self.app.name, *(["--which", which] if which else []), *_shared(self.plan)]
         return shlex.join([*words, *(["--overfit-share", f"{self.share:g}"] if self.share != 1 else [])])
 
     def row(self, name: str, cell: Cell, take: Callable[[Record], float | None] = error_in, **more: Any) -> Row:
@@ -255,48 +245,45 @@ def remarks(records: Sequence[Record]) -> Row:
     }
 
 
-def _find_fits(options: Options, strict: bool, share: float) -> list[Fit]:
+def _find_fits(base: Plan, strict: bool, share: float) -> list[Fit]:
     """What one application's rows are fitted from: the paradigms, then Meta by further rules that have a checkpoint.
 
     Raises:
         ValueError: a checkpoint is missing that a row must have, and that is an error.
     """
-    each = paradigms()
-    others = [rule for rule in options.job.recipe.meta if rule != options.rule]
-    if options.data:  # beside checkpoints of this data, none that was trained on other data
-        others = [rule for rule in others if trained_path(options, rule).is_file()]
+    recipe = base.job.recipe
+    others = [rule for rule in recipe.meta if rule != base.job.rule]
+    if base.request.data:  # beside checkpoints of this data, none that was trained on other data
+        others = [rule for rule in others if trained_path(base, rule).is_file()]
     fits: list[Fit] = []
-    for name, paradigm in each.items():
-        of = options.by(paradigm)
-        if name == "overfit" and share != 1:
-            of = options._replace(steps=max(1, round(share * options.job.recipe.overfit_steps)))
+    for name in paradigms():
+        fewer = max(1, round(share * recipe.overfit_steps)) if name == "overfit" and share != 1 else None
+        plan = base.by(name, steps=fewer)
         try:
-            fits.append(Fit(name, of, paradigm, find_checkpoint(of, paradigm)))
+            fits.append(Fit(name, find_checkpoint(plan)))
         except ValueError as error:
             if strict:
                 raise
             say(f"{error}")
-            fits.append(Fit(name, of, paradigm, None))
+            fits.append(Fit(name, plan))
     for rule in others:
         with suppress(ValueError):  # nobody trained this rule
-            of = options._replace(rule=rule).by(each["meta"])
-            fits.append(Fit(f"meta:{rule}", of, each["meta"], find_checkpoint(of, each["meta"])))
+            fits.append(Fit(f"meta:{rule}", find_checkpoint(base.by("meta", rule))))
     return fits
 
 
 def _fit_command(fit: Fit) -> str:
     """The command that makes what is missing of a paradigm's fits."""
-    options, paradigm = fit.options, fit.paradigm
-    words = ["metapp", paradigm.name, options.app.name, *_shared(options)]
-    words += ["--steps", str(options.steps)] if options.steps is not None else []
-    words += (["--rule", options.rule] if paradigm.name == "meta" else []) + (
-        ["--train"] if fit.checkpoint is None else []
-    )
-    return shlex.join(words)
+    plan, steps = fit.plan, fit.plan.request.steps
+    words = ["metapp", plan.paradigm.name, plan.app.name, *_shared(plan)]
+    words += ["--steps", str(steps)] if steps is not None else []
+    words += ["--rule", plan.job.rule] if plan.paradigm.name == "meta" else []
+    return shlex.join(words + (["--train"] if plan.checkpoint is None else []))
 
 
-def _shared(options: Options) -> list[str]:
+def _shared(plan: Plan) -> list[str]:
     """The options that commands of one evaluation share."""
-    words = ["--out", str(options.out), "--recipe", options.recipe]
-    words += ["--observe", options.app.protocol] if options.app.protocol else []
-    return words + ["--seed", str(options.seed)] + (["--data", str(options.data)] if options.data else [])
+    request, protocol = plan.request, plan.app.protocol
+    words = ["--out", str(request.out), "--recipe", request.recipe]
+    words += ["--observe", protocol] if protocol else []
+    return words + ["--seed", str(request.seed)] + (["--data", str(request.data)] if request.data else [])

@@ -18,9 +18,9 @@ from metapp.learning.learn import learn, task_loss
 from metapp.learning.rules import fixed_adam
 from metapp.learning.task import Params, Task, Tasks
 from metapp.runs.fits import rng_of
-from metapp.runs.origin import origin_of
-from metapp.runs.session import name_of, observe_of, settings_of, threads_of
-from metapp.storage.records import NUMBER, OPTIONAL, RunFolder, digest
+from metapp.runs.naming import name_of, observe_of
+from metapp.runs.surroundings import threads_of
+from metapp.storage.records import NUMBER, OPTIONAL, RunFolder, key_of
 
 TRACED = 5  # tasks
 PARTS = (0.0, 0.25, 0.5, 0.75, 1.0)
@@ -39,24 +39,21 @@ FORM = {  # of a record
 def trace_cell(subject: Subject) -> Cell:
     """Traces of a few tasks."""
     fits = [subject.fits[name] for name in CURVES]
-    options = subject.options
-    path = options.out / options.app.name / "trace" / f"{subject.label}-{options.recipe}-seed{options.seed}"
+    plan, request = subject.plan, subject.plan.request
+    path = request.out / plan.app.name / "trace" / f"{subject.label}-{request.recipe}-seed{request.seed}"
     folder = None
-    if all(fit.checkpoint for fit in fits):
-        keys = [digest(settings_of(f.options, f.paradigm, f.checkpoint, subject.label)) for f in fits if f.checkpoint]
-        said = {"app": options.app.name, **observe_of(options.app), "fits": keys, "further": FURTHER, "walked": WALKED}
-        end = (path.name, options.rule, subject.shortened, options.app.protocol)
-        folder = RunFolder(path.with_name("-".join(filter(None, end))), said, FORM, origin_of(options))
+    if all(fit.plan.checkpoint for fit in fits):
+        keys = [key_of(fit.plan.settings(subject.label)) for fit in fits]
+        said = {"app": plan.app.name, **observe_of(plan.app), "fits": keys, "further": FURTHER, "walked": WALKED}
+        end = (path.name, plan.job.rule, subject.shortened, plan.app.protocol)
+        folder = RunFolder(path.with_name("-".join(filter(None, end))), said, FORM, plan.origin())
 
-    def measure(missing: list[Task]) -> Iterator[Record]:
-        assert folder is not None
+    def measure(missing: list[Task]) -> Iterator[tuple[Record, Params]]:
         for task in missing:
-            record, thetas = trace(subject, fits, task)
-            folder.add(record, thetas)
-            yield record
+            yield trace(subject, fits, task)
 
-    steps = sum(fit.paradigm.count(fit.options.job) for fit in fits) + sum(FURTHER)
-    title = f"{name_of(options.app)} trace"
+    steps = sum(fit.plan.steps for fit in fits) + sum(FURTHER)
+    title = f"{name_of(plan.app)} trace"
     return Cell(
         title,
         subject.some(TRACED),
@@ -64,7 +61,7 @@ def trace_cell(subject: Subject) -> Cell:
         measure,
         steps,
         subject.command("convergence"),
-        threads=threads_of(options.app),
+        threads=threads_of(plan.app),
     )
 
 
@@ -74,12 +71,12 @@ def trace(subject: Subject, fits: list[Fit], task: Task) -> tuple[Record, Params
     Returns:
         The record, and Meta's parameters at PARTS of its steps, as of `named`.
     """
-    app, options = subject.app, subject.options
-    stacked = stack(app, [task], options.device)
+    app = subject.app
+    stacked = stack(app, [task], subject.plan.device)
     curves: dict[str, list[tuple[int, float | None]]] = {}
     walks: dict[str, dict[int, Params]] = {}
     for fit in fits:
-        steps = fit.paradigm.count(fit.options.job)
+        steps = fit.plan.steps
         looked, walked = looks(steps), places(steps) if fit.name in ("overfit", "meta") else set()
         states = descend(fit, task, stacked, looked | walked)
         curves[fit.name] = [(step, error_of(subject, states[step], stacked)) for step in sorted(looked)]
@@ -130,16 +127,15 @@ def places(steps: int) -> set[int]:
 
 def descend(fit: Fit, task: Task, stacked: Tasks, wanted: Collection[int]) -> dict[int, Params]:
     """The same fit as the row's, with its parameters [1, ...] after the wanted numbers of steps."""
-    assert fit.checkpoint is not None
     kept: dict[int, Params] = {}
 
     def watch(step: int, params: Params, value: Tensor) -> None:
         if step in wanted:
             kept[step] = params
 
-    job, rng = fit.options.job, rng_of(fit.options, task)
-    final = fit.paradigm.fitted(job, fit.checkpoint.prepared, stacked, rng, watch).theta
-    return kept | {fit.paradigm.count(job): final}
+    plan = fit.plan
+    final = plan.paradigm.fitted(plan.job, plan.prepared, stacked, rng_of(plan, task), watch).theta
+    return kept | {plan.steps: final}
 
 
 def error_of(subject: Subject, theta: Params, stacked: Tasks) -> float | None:
@@ -156,12 +152,12 @@ def climb(
     Returns:
         (steps, error); each is a descent of its own, whose rate decays to the end.
     """
-    job = subject.options.job
+    job = subject.plan.job
     found: list[tuple[int, float | None]] = [(0, error_of(subject, theta, stacked))]
     for steps in FURTHER:
         if wanted is None or near(found[-1][1], wanted):
             break
-        rng = rng_of(subject.options, task)
+        rng = rng_of(subject.plan, task)
         rule, loss = fixed_adam(job.recipe.finetune, theta, steps), task_loss(job.app, job.recipe.batch)
         found.append((steps, error_of(subject, learn(theta, rule, stacked, loss, steps=steps, rng=rng), stacked)))
     return found

@@ -10,12 +10,12 @@ from typing import Any
 
 import pytest
 import torch
+from metapp.runs.session import Options
 
 from metapp.apps.brdf import APP
 from metapp.cli.evaluate import find_subjects
 from metapp.evaluation.tables import load_table
 from metapp.evaluation.tables.subject import Subject
-from metapp.runs.session import Options
 from tests.small_spheres import shrink_spheres
 
 

@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 import torch
+from metapp.runs.session import find_device, threads_of
 
 from metapp.apps import load_app
 from metapp.evaluation.tables.running import Clock, run_cells
@@ -16,7 +17,6 @@ from metapp.evaluation.tables.subject import Cell
 from metapp.learning.task import Task
 from metapp.runs import session
 from metapp.runs.reporter import Reporter, duration, reporting
-from metapp.runs.session import find_device, threads_of
 from metapp.storage.records import RunFolder
 
 
