@@ -9,13 +9,13 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import torch
-from metapp.runs.session import Options
 
 from metapp.apps.brdf import APP
 from metapp.cli.evaluate import find_subjects
 from metapp.evaluation.tables import load_table
 from metapp.evaluation.tables.subject import Subject
+from metapp.runs.plan import plan
+from metapp.runs.request import Request
 from tests.small_spheres import shrink_spheres
 
 
@@ -40,9 +40,8 @@ def call(*arguments: str | Path) -> int:
 
 def subject_of(data: Path, runs: Path) -> Subject:
     """A data set with all that has been run of it."""
-    of, device = APP.at(APP.recipes["quick"]), torch.device("cpu")
-    options = Options(of, "quick", "meta-curvature", None, data, runs, None, 0, device, True)
-    (found,) = find_subjects([options], run=True, strict=True, share=1.0)
+    planned = plan(Request("brdf", "general", recipe="quick", data=data, out=runs, device="cpu", quiet=True))
+    (found,) = find_subjects([planned], run=True, strict=True, share=1.0)
     return found
 
 

@@ -9,14 +9,13 @@ from typing import Any
 
 import pytest
 import torch
-from metapp.runs.session import find_device, threads_of
 
 from metapp.apps import load_app
 from metapp.evaluation.tables.running import Clock, run_cells
 from metapp.evaluation.tables.subject import Cell
 from metapp.learning.task import Task
-from metapp.runs import session
 from metapp.runs.reporter import Reporter, duration, reporting
+from metapp.runs.surroundings import find_device, threads_of
 from metapp.storage.records import RunFolder
 
 
@@ -107,7 +106,7 @@ def test_fits_have_the_threads_of_their_application_whatever_ran_before(tmp_path
         run_cells([with_threads("one", 1), with_threads("three", 3), with_threads("as it is", None)], quiet=True)
         assert found == [("one", 1), ("three", 3), ("as it is", 2)]
         assert torch.get_num_threads() == 2
-        for name, expected in (("illumination", 1), ("texture", session.THREADS)):
+        for name, expected in (("illumination", 1), ("texture", None)):
             app = load_app(name)
             find_device("cpu", app)
             assert torch.get_num_threads() == 2  # looking for a device changes nothing
