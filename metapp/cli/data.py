@@ -161,8 +161,8 @@ def _synth_merl(name: str, folder: Path | None, count: int | None, seed: int, qu
 
 
 for _form in formats():
-    if _form.conversion:
-        _command(command_of(_form, _form.conversion))
+    if _form.help:
+        _command(command_of(_form))
 _command(cornell)
 _command(join)
 _command(noisy)
