@@ -18,8 +18,8 @@ import drjit as dr
 import mitsuba as mi
 
 SIZE, SAMPLES, EXPOSURE = 512, 256, 0.33
-# against fireflies (paths from a mirror to the sun): SAMPLES are taken in passes of PASS, each clamped at BRIGHTEST times
-# white; what is brighter than that in all passes is white in the picture anyway
+# against fireflies (paths from a mirror to the sun): SAMPLES are taken in passes of PASS, each clamped at BRIGHTEST
+# times white; what is brighter than that in all passes is white in the picture anyway
 PASS, BRIGHTEST = 4, 3.0
 BALLS = ((0.0, -0.3, 1.0), (1.2, 0.8, 0.45), (-1.2, 0.75, 0.35))  # x, z, radius
 maps, light, picture, *brdfs = map(Path, sys.argv[1:])
