@@ -14,7 +14,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from data_tools.assets.folder import description, write_description
+from data_tools.assets.asset import description, write_description
 from data_tools.assets.pictures import write_plane
 from metapp.appearance.surface import DESCRIPTION, Plane, Surface, all_planes
 

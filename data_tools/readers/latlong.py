@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -17,6 +18,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from data_tools.draws import Rng, stream
+from data_tools.formats import Conversion
 from data_tools.readers.colours import colour_science
 from data_tools.readers.photos import (
     check_memory,
@@ -118,6 +120,12 @@ def read_map_task(path: Path, size: int = HEIGHT) -> Task:
     """
     light = read_map(path, size)
     return map_task(path.stem, light, stream(*hashlib.sha256(path.stem.encode()).digest()), size)
+
+
+def conversion(paths: Iterable[Path], split: str, *, size: int) -> Conversion:
+    """How maps become tasks."""
+    read, notes = partial(read_map_task, size=size), {"made_by": "metapp data laval", "rows": size}
+    return Conversion("illumination", "map", UNITS, find_maps, lambda source: source.stem, read, notes)
 
 
 def map_task(name: str, light: Tensor, rng: Rng, rows: int = HEIGHT) -> Task:

@@ -22,12 +22,14 @@ from typing import Any
 import numpy as np
 from torch import Tensor
 
-from data_tools.readers.brdf_task import brdf_task
+from data_tools.readers import brdf_task
+from data_tools.readers.listing import files_below
 from data_tools.readers.merl_table import SCALE, SHAPE, Array, merl_evaluate, tabulate
 from data_tools.readers.plausibility import warn_implausible
 from metapp.learning.task import Task
 from metapp.storage.files import write_atomically
 
+UNITS = brdf_task.UNITS
 FILE_BYTES = 12 + 8 * 3 * math.prod(SHAPE)
 
 _HEADER = np.array(SHAPE, dtype="<i4")
@@ -35,7 +37,7 @@ _MIN_VALID = 0.01  # three quarters of the bins are above the horizon
 _ABOUT = f"{FILE_BYTES:,} (12-byte header + 3x90x90x180 doubles)"
 
 
-def find_merl(paths: Iterable[str | Path]) -> tuple[list[Path], list[str]]:
+def find(paths: Iterable[str | Path]) -> tuple[list[Path], list[str]]:
     """Find MERL files by size and header; values are not looked at.
 
     Args:
@@ -55,27 +57,16 @@ def find_merl(paths: Iterable[str | Path]) -> tuple[list[Path], list[str]]:
             _check_file(path)
             files.setdefault(path.resolve(), path)
             continue
-        before = len(skipped)
-        found = 0
-        for file in sorted(path.rglob("*")):
-            if file.is_dir() or any(part.startswith(".") for part in file.relative_to(path).parts):
-                continue
-            try:
-                _check_file(file)
-            except ValueError as error:
-                skipped.append(str(error))
-            else:
-                files.setdefault(file.resolve(), file)
-                found += 1
-        if not found:
+        problems = {file: _problem(file) for file in files_below(path)}
+        lines = [line for line in problems.values() if line]
+        if len(lines) == len(problems):
             # The one thing a folder holds is likely what was meant: say what is wrong with it.
-            if len(skipped) == before + 1:
-                raise ValueError(skipped[before])
-            raise ValueError(f"{path}: no MERL file, expected *.binary files of {_ABOUT}; name their folder.")
+            nothing = f"{path}: no MERL file, expected *.binary files of {_ABOUT}; name their folder."
+            raise ValueError(lines[0] if len(lines) == 1 else nothing)
+        for file in (file for file, line in problems.items() if not line):
+            files.setdefault(file.resolve(), file)
+        skipped += lines
     return list(files.values()), skipped
-
-
-find = find_merl  # the name that every reader has
 
 
 def recognises(path: str | Path) -> bool:
@@ -98,7 +89,7 @@ def read_task(path: Path, samples: int = 65_536) -> Task:
         ValueError: as `read_merl`.
     """
     table = read_merl(path)
-    task = brdf_task(path.stem, table=table, samples=samples, source=path)
+    task = brdf_task.brdf_task(path.stem, table, samples=samples, source=path)
     warn_implausible(path, task, partial(merl_evaluate, table))
     return task
 
@@ -176,9 +167,15 @@ def write_merl(path: str | Path, table: Array) -> None:
 
 def _check_file(path: Path) -> None:
     """Refuse what is not a MERL file by its size and header."""
+    if problem := _problem(path):
+        raise ValueError(problem)
+
+
+def _problem(path: Path) -> str:
+    """What is wrong with the size or the header of a file; "" for nothing."""
     if not path.is_file():
         found = "a folder" if path.is_dir() else "no such file"
-        raise ValueError(f"{path}: {found}, expected a MERL file; check the path.")
+        return f"{path}: {found}, expected a MERL file; check the path."
     size = path.stat().st_size
     with path.open("rb") as stream:
         header = np.frombuffer(stream.read(12).ljust(12, b"\0"), dtype="<i4")
@@ -187,10 +184,9 @@ def _check_file(path: Path) -> None:
         remedy = "not a MERL file" if not matches else "the file has something appended, download it again"
         if matches and size < FILE_BYTES:
             remedy = "the download is probably incomplete"
-        raise ValueError(f"{path}: {size:,} bytes, expected {_ABOUT}; {remedy}.")
-    if not matches:
-        found = "x".join(map(str, header.tolist()))
-        raise ValueError(f"{path}: header {found}, expected 90x90x180; not a MERL file.")
+        return f"{path}: {size:,} bytes, expected {_ABOUT}; {remedy}."
+    found = "x".join(map(str, header.tolist()))
+    return "" if matches else f"{path}: header {found}, expected 90x90x180; not a MERL file."
 
 
 def _check_values(planes: Array, subject: str) -> None:

@@ -21,6 +21,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from data_tools.readers import heif, lens
+from data_tools.readers.listing import files_below
 from metapp.appearance.colour import linear_to_srgb, srgb_to_linear
 
 SUFFIXES = (
@@ -90,7 +91,7 @@ def find_photos(paths: Iterable[str | Path], expected: Collection[str] = ()) -> 
             continue
         found = 0
         to_export = []
-        for file in _files_below(path):
+        for file in files_below(path):
             if file.suffix.lower() in SUFFIXES or _opens(file):
                 files.setdefault(file.resolve(), file)
                 found += 1
@@ -117,7 +118,7 @@ def is_photo(path: str | Path) -> bool:
 def holds_photos(path: str | Path) -> bool:
     """Whether a path is an image file, or a folder with one below it, known by its suffix."""
     path = Path(path)
-    return any(file.suffix.lower() in _NAMED for file in _files_below(path)) if path.is_dir() else is_photo(path)
+    return any(file.suffix.lower() in _NAMED for file in files_below(path)) if path.is_dir() else is_photo(path)
 
 
 def read_photo(
@@ -172,12 +173,6 @@ def _share_within(pixels: Pixels, fov_rad: float, within_rad: float) -> float:
     if not fov_rad and pixels.focal_mm:
         fov_rad = lens.field_of_view(pixels.focal_mm, *pixels.values.shape[:2])
     return lens.seen_share(fov_rad, within_rad) if fov_rad and within_rad else 1.0
-
-
-def _files_below(folder: Path) -> Iterator[Path]:
-    for file in sorted(folder.rglob("*")):
-        if file.is_file() and not any(part.startswith(".") for part in file.relative_to(folder).parts):
-            yield file
 
 
 def check_exists(path: Path) -> None:

@@ -5,7 +5,7 @@ Isotropic measurements in RGB, the files `*_rgb.bsdf` of the database: their spe
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -15,7 +15,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from data_tools.readers.brdf_task import brdf_task
+from data_tools.readers import brdf_task
 from data_tools.readers.listing import find_by_suffix, has_suffix
 from data_tools.readers.plausibility import warn_implausible
 from data_tools.readers.rgl_table import write_rgl
@@ -38,20 +38,10 @@ AXES = {
     "rgb": 5,
     "jacobian": 1,
 }
+UNITS = brdf_task.UNITS
 
-
-def find(paths: Iterable[str | Path]) -> tuple[list[Path], list[str]]:
-    """Find .bsdf files; they are not opened.
-
-    Raises:
-        ValueError: a path that is neither such a file nor a folder with some.
-    """
-    return find_by_suffix(paths, SUFFIX, "an RGL .bsdf file")
-
-
-def recognises(path: str | Path) -> bool:
-    """Whether a path is a .bsdf file, or a folder with one below it."""
-    return has_suffix(path, SUFFIX)
+find = partial(find_by_suffix, suffix=SUFFIX, what="an RGL .bsdf file")
+recognises = partial(has_suffix, suffix=SUFFIX)
 
 
 def export(app: Any, theta: Mapping[str, Tensor], path: Path) -> None:
@@ -67,7 +57,7 @@ def read_task(path: Path, samples: int = 65_536) -> Task:
         ValueError: as `read_rgl`.
     """
     evaluate = read_rgl(path)
-    task = brdf_task(path.stem, evaluate, samples=samples, source=path)
+    task = brdf_task.brdf_task(path.stem, evaluate, samples=samples, source=path)
     warn_implausible(path, task, evaluate)
     return task
 

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from metapp.cli.console import out, print_json, say
-from metapp.cli.options import Json
+from metapp.cli.options import Json, takes
 from metapp.evaluation.tables import NAMES, STUDIES, load_table
 from metapp.runs.reporter import progress
 
@@ -20,126 +21,176 @@ if TYPE_CHECKING:
 
 FORMATS = ("rich", "markdown", "latex", "csv", "json")
 ALL = "all"
+WHICH = (*NAMES, ALL, *STUDIES)
 
 
-def command(
+@dataclass(frozen=True)
+class Evaluation:
+    """The options of `metapp evaluate`."""
+
     apps: Annotated[
         list[str] | None, typer.Argument(metavar="[APP]...", help="Applications; default: all there are.")
-    ] = None,
+    ] = None
     table: Annotated[
-        bool,
-        typer.Option("--table/--no-table", help="Print the tables, or only write figures and report."),
-    ] = True,
-    which: Annotated[str, typer.Option(help=f"Which table: {', '.join((*NAMES, ALL, *STUDIES))}.")] = "results",
-    format_name: Annotated[str, typer.Option("--format", help=f"One of {', '.join(FORMATS)}.")] = "rich",
+        bool, typer.Option("--table/--no-table", help="Print the tables, or only write figures and report.")
+    ] = True
+    which: Annotated[str, typer.Option(help=f"Which table: {', '.join(WHICH)}.")] = "results"
+    form: Annotated[str, typer.Option("--format", help=f"One of {', '.join(FORMATS)}.")] = "rich"
     no_run: Annotated[
-        bool, typer.Option("--no-run", help="Print what there is; name the commands for the rest.")
-    ] = False,
-    figures: Annotated[Path | None, typer.Option(help="Draw the figures there, as PNG and PDF.")] = None,
+        bool, typer.Option("--no-run", help="Print what there is, and the commands that make the rest.")
+    ] = False
+    figures: Annotated[Path | None, typer.Option(help="Draw the figures there, as PNG and PDF.")] = None
     report: Annotated[
         Path | None, typer.Option(help="Write one HTML page there: all tables, figures, pictures, records.")
-    ] = None,
+    ] = None
     overfit_share: Annotated[
         float, typer.Option(help="Share of the recipe's steps that Overfit takes; tables say so.", min=1e-4, max=1.0)
-    ] = 1.0,
+    ] = 1.0
     steps: Annotated[
         list[int] | None, typer.Option(help="rules: numbers of gradient steps, 5 10 20 40 unless given.", min=1)
-    ] = None,
+    ] = None
     train_steps: Annotated[
         int | None, typer.Option(help="rules: outer steps of each training, 500 unless given.", min=1)
-    ] = None,
-    seeds: Annotated[int | None, typer.Option(help="rules: seeds of training from --seed on, 3.", min=1)] = None,
-    start: Annotated[
-        str, typer.Option(help="rules: random, mean (of General's predictions) or encoder (General's own); encoder.")
-    ] = "",
+    ] = None
+    seeds: Annotated[int | None, typer.Option(help="rules: seeds of training from --seed on, 3.", min=1)] = None
+    initialisation: Annotated[
+        str,
+        typer.Option(
+            help="rules: what each training begins at: random, mean (of General's predictions) or encoder (General's "
+            "own); encoder."
+        ),
+    ] = ""
+    start: Annotated[str, typer.Option(hidden=True)] = ""  # what --initialisation was called
     rule: Annotated[
         str, typer.Option(help="Meta's learned rule, default: the recipe's; rules: this one alone, default: all.")
-    ] = "",
+    ] = ""
     observe: Annotated[
-        str,
-        typer.Option(help="What fits may see, where an application has both: reference or photo; default: each."),
-    ] = "",
-    data: Annotated[Path | None, typer.Option(help="Folder of task shards; default: the embedded set.")] = None,
-    out_folder: Annotated[Path, typer.Option("--out", help="Where runs are kept.")] = Path("runs"),
+        str, typer.Option(help="What fits may see, where an application has both: reference or photo; default: each.")
+    ] = ""
+    data: Annotated[Path | None, typer.Option(help="Folder of task shards; default: the embedded set.")] = None
+    out: Annotated[Path, typer.Option(help="Where runs are kept.")] = Path("runs")
     recipe: Annotated[
         str,
         typer.Option(
             help="quick, full or paper; brdf: also measured; texture: also paper-vgg19. Where no APP is named, "
             "quick for those that have no such recipe."
         ),
-    ] = "quick",
-    seed: Annotated[int, typer.Option(help="Seed of all random draws.", min=0, max=2**63 - 1)] = 0,
-    device: Annotated[str, typer.Option(help="auto, cpu or cuda.")] = "auto",
-    json: Json = False,
-    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress bar.")] = False,
-) -> None:
+    ] = "quick"
+    seed: Annotated[int, typer.Option(help="Seed of all random draws.", min=0, max=2**63 - 1)] = 0
+    device: Annotated[str, typer.Option(help="auto, cpu or cuda.")] = "auto"
+    json: Json = False
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress bar.")] = False
+
+
+@takes(Evaluation)
+def command(options: Evaluation) -> None:
     """Print the paper's tables of your data beside the paper's figures; run what has no record yet.
 
     Example: metapp evaluate brdf --which quickft
     """
-    if which not in (*NAMES, ALL, *STUDIES):
-        raise typer.BadParameter(f"--which '{which}': expected one of {', '.join((*NAMES, ALL, *STUDIES))}.")
-    if format_name not in FORMATS:
-        raise typer.BadParameter(f"--format '{format_name}': expected one of {', '.join(FORMATS)}.")
-    for option, given in (("--steps", steps), ("--train-steps", train_steps), ("--seeds", seeds), ("--start", start)):
-        if given and which not in STUDIES:
-            raise typer.BadParameter(f"{option}: only with --which {' or '.join(STUDIES)}.")
-    from metapp.apps import app_names
-    from metapp.evaluation.study import STARTS, Budget
-    from metapp.runs.session import check_protocol, find_app, options_of
-
-    if start and start not in STARTS:
-        raise typer.BadParameter(f"--start '{start}': expected one of {', '.join(STARTS)}.")
-    found = [find_app(name) for name in apps or app_names()]
-    for app in [app for app in found if app.protocols] or found:
-        check_protocol(observe, app)
-    planned: list[Options] = []
-    for app in found:
-        for protocol in (observe,) if observe and app.protocols else app.protocols or ("",):
-            planned.append(
-                options_of(
-                    app.name,
-                    observe=protocol,
-                    rule=rule,
-                    recipe=recipe if apps or recipe in app.recipes else "quick",
-                    data=data,
-                    out=out_folder,
-                    seed=seed,
-                    device=device,
-                    quiet=quiet,
-                )
-            )
-    asked: dict[str, Any] = {"outer": train_steps, "steps": tuple(steps or ()), "seeds": seeds, "start": start}
-    asked["rules"] = (rule,) if rule else ()
-    budget = Budget(**{key: value for key, value in asked.items() if value})
-    strict = bool(apps) and not no_run
-    subjects = find_subjects(planned, run=not no_run, strict=strict, share=overfit_share, budget=budget)
+    given = check(options)
+    budget = budget_of(given)
+    planned = plans_of(given)
+    strict = bool(given.apps) and not given.no_run
+    subjects = find_subjects(planned, run=not given.no_run, strict=strict, share=given.overfit_share, budget=budget)
+    which, quiet = given.which, given.quiet
     tables = [load_table(name) for name in (NAMES if which == ALL else (which,))]
     measured = list(tables)
-    if report or (figures and which not in STUDIES):
+    if given.report or (given.figures and which not in STUDIES):
         measured += [load_table(name) for name in NAMES if name != which]
-    if any(each.name not in STUDIES for each in measured):
+    if any(table.name not in STUDIES for table in measured):
         # all checkpoints before the first fit: a missing one should not be found after an hour; applications that
         # nobody named have empty cells where a checkpoint is missing
         for subject in subjects:
             subject.find_checkpoints()
-    cells = [cell for each in measured for subject in subjects for cell in each.cells(subject)]
-    fill(cells, run=not no_run, quiet=quiet)
+    cells = [cell for table in measured for subject in subjects for cell in table.cells(subject)]
+    fill(cells, run=not given.no_run, quiet=quiet)
     if not quiet and which in ("results", ALL):
         compare(subjects, quiet=quiet)
     if not quiet and which in ("baselines", ALL):
         compare_baselines(subjects)
-    if table or json:
-        show(tables, subjects, "json" if json else format_name)
-    if figures:
+    if given.table or given.json:
+        show(tables, subjects, "json" if given.json else given.form)
+    if given.figures:
         from metapp.evaluation.figures import FIGURES, write_figures
 
-        for file in write_figures(subjects, figures, STUDIES if which in STUDIES else tuple(FIGURES)):
+        for file in write_figures(subjects, given.figures, STUDIES if which in STUDIES else tuple(FIGURES)):
             say(f"figure: {file}")
-    if report:
+    if given.report:
         from metapp.evaluation.report.page import write_report
 
-        say(f"report: {write_report(subjects, report)}")
+        say(f"report: {write_report(subjects, given.report)}")
+
+
+def check(given: Evaluation) -> Evaluation:
+    """The options with their older names replaced.
+
+    Raises:
+        BadParameter: there is no such table or format, or an option is of another table.
+    """
+    given = replace(
+        given,
+        which={"peers": "baselines"}.get(given.which, given.which),
+        initialisation=given.initialisation or given.start,
+    )
+    for option, value, known in (("--which", given.which, WHICH), ("--format", given.form, FORMATS)):
+        if value not in known:
+            raise typer.BadParameter(f"{option} '{value}': expected one of {', '.join(known)}.")
+    of_studies: dict[str, object] = {
+        "--steps": given.steps,
+        "--train-steps": given.train_steps,
+        "--seeds": given.seeds,
+        "--initialisation": given.initialisation,
+    }
+    for option, of_study in of_studies.items():
+        if of_study and given.which not in STUDIES:
+            raise typer.BadParameter(f"{option}: only with --which {' or '.join(STUDIES)}.")
+    return given
+
+
+def budget_of(given: Evaluation) -> Budget:
+    """How much the rule study trains.
+
+    Raises:
+        BadParameter: there is no such initialisation.
+    """
+    from metapp.evaluation.study import STARTS, Budget
+
+    if given.initialisation and given.initialisation not in STARTS:
+        raise typer.BadParameter(f"--initialisation '{given.initialisation}': expected one of {', '.join(STARTS)}.")
+    values: dict[str, Any] = {
+        "outer": given.train_steps,
+        "steps": tuple(given.steps or ()),
+        "seeds": given.seeds,
+        "start": given.initialisation,
+        "rules": (given.rule,) if given.rule else (),
+    }
+    return Budget(**{key: value for key, value in values.items() if value})
+
+
+def plans_of(given: Evaluation) -> list[Options]:
+    """The options of each application under each protocol."""
+    from metapp.apps import app_names
+    from metapp.runs.session import check_protocol, find_app, options_of
+
+    found = [find_app(name) for name in given.apps or app_names()]
+    for app in [app for app in found if app.protocols] or found:
+        check_protocol(given.observe, app)
+    return [
+        options_of(
+            app.name,
+            observe=protocol,
+            rule=given.rule,
+            recipe=given.recipe if given.apps or given.recipe in app.recipes else "quick",
+            data=given.data,
+            out=given.out,
+            seed=given.seed,
+            device=given.device,
+            quiet=given.quiet,
+        )
+        for app in found
+        for protocol in ((given.observe,) if given.observe and app.protocols else app.protocols or ("",))
+    ]
 
 
 def find_subjects(

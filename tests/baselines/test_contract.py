@@ -167,7 +167,7 @@ def test_baselines_that_are_pictures_are_drawn_beside_metas_fits(subject_of: Cal
 
 
 @pytest.mark.parametrize(
-    ("ours", "said"), [(0.9, "ahead on 8 of 8"), (1.1, "meta is ahead of nearest"), (1.0, "no win")]
+    ("ours", "said"), [(0.9, "lower on 8 of 8"), (1.1, "a higher error than meta's: nearest"), (1.0, "no win")]
 )
 def test_notes_say_who_is_ahead(
     ours: float, said: str, subject_of: Callable[[str, str], Subject], tmp_path: Path, rng: Generator

@@ -24,12 +24,12 @@ from metapp.apps.brdf import Brdf, presentation
 from metapp.apps.brdf.presentation import BrdfPresentation
 from metapp.cli.fitting import table_of
 from metapp.evaluation.tables.results import closing
-from metapp.evaluation.tables.statistics import bootstrap
 from metapp.learning.app import App
 from metapp.learning.recipe import Recipe
 from metapp.learning.task import Batch, Params, Task, Tasks
 from metapp.runs.checkpoints import checkpoint_name
 from metapp.runs.shipped import shipped_path
+from metapp.runs.statistics import statistics_of
 from metapp.storage.records import load_checkpoint, read_records, summary
 
 STEPS = ("--train", "--train-steps", "2", "--quiet")
@@ -305,7 +305,7 @@ def test_tables_of_tasks_without_reference(app: Seen) -> None:
     assert summary(records) == {"error": 2.0, "seconds": 1.0}
     assert summary(records[:1])["error"] is None
     assert table_of(app, "meta", records).row_count == 2
-    assert bootstrap([2.0], ["b"]) == (2.0, 2.0)
+    assert set(statistics_of([{"b": 2.0}], {"b": "b"}).values()) == {2.0}
 
 
 def test_a_data_set_of_tasks_without_reference_has_a_table(metapp: Callable, networks: Path, tmp_path: Path) -> None:

@@ -8,7 +8,7 @@ import torch
 
 from data_tools.readers.merl import (
     FILE_BYTES,
-    find_merl,
+    find,
     read_merl,
     read_merl_planes,
     read_task,
@@ -202,20 +202,20 @@ def test_find(merl_file: Path, tmp_path: Path) -> None:
     (tmp_path / "brdfs" / "b.binary").symlink_to(merl_file)
     (tmp_path / "readme.txt").write_text("about")
     (tmp_path / ".hidden").write_text("")
-    files, skipped = find_merl([tmp_path, merl_file])
+    files, skipped = find([tmp_path, merl_file])
     assert files == [tmp_path / "brdfs" / "b.binary"]  # the other is the same file
     assert len(skipped) == 1
     assert "readme.txt: 5 bytes" in skipped[0]
     with pytest.raises(ValueError, match="not a MERL file"):
-        find_merl([tmp_path / "readme.txt"])
+        find([tmp_path / "readme.txt"])
     with pytest.raises(ValueError, match="no such file"):
-        find_merl([tmp_path / "none"])
+        find([tmp_path / "none"])
     (tmp_path / "empty").mkdir()
     with pytest.raises(ValueError, match=r"empty: no MERL file, expected \*.binary files"):
-        find_merl([tmp_path / "empty"])
+        find([tmp_path / "empty"])
     (tmp_path / "empty" / "gold.binary").write_bytes(merl_file.read_bytes()[:1000])
     with pytest.raises(ValueError, match=r"gold.binary: 1,000 bytes, .* incomplete"):
-        find_merl([tmp_path / "empty"])
+        find([tmp_path / "empty"])
 
 
 def test_a_task_is_named_by_its_file(merl_file: Path, tmp_path: Path) -> None:

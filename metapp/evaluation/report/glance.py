@@ -8,11 +8,12 @@ from html import escape
 from metapp.evaluation.figures import draw
 from metapp.evaluation.figures.style import TITLES
 from metapp.evaluation.report.html import Pictures, anchor, drawn_html
+from metapp.evaluation.tables.comparison import carried, paired_of, warned
 from metapp.evaluation.tables.results import budget, result_row
 from metapp.evaluation.tables.rows import Row, paper
-from metapp.evaluation.tables.statistics import apart, carried, paired_of, paired_text, warned
 from metapp.evaluation.tables.subject import Subject
 from metapp.runs.reporter import number
+from metapp.runs.statistics import apart
 
 TIMES = "&times;"
 
@@ -50,7 +51,7 @@ def _small(value: float | None, form: str, unit: str = "") -> str:
 
 
 def badge(rows: list[Row]) -> str:
-    """Meta against QuickFT, which takes as many steps: ahead, behind, or not to be told apart."""
+    """Meta against QuickFT, which takes as many steps: a lower error, a higher one, or no win."""
     by = {row["paradigm"]: row for row in rows}
     found = paired_of(by["meta"], "quickft")
     if found is None:
@@ -61,9 +62,9 @@ def badge(rows: list[Row]) -> str:
     elif not won:
         said = "no win over QuickFT"
     else:
-        ahead = found.value < found.level
-        kind, said = (" win", "ahead of QuickFT") if ahead else (" loss", "behind QuickFT")
-    figures = f"{found.kind} of errors {paired_text(found)}, ahead on {found.ahead} of {found.tasks} tasks"
+        lower = found.value < found.level
+        kind, said = (" win", "a lower error than QuickFT") if lower else (" loss", "a higher error than QuickFT")
+    figures = f"{found.kind} of errors {found}, lower on {found.ahead} of {found.tasks} tasks"
     return f'<span class="badge{kind}">{said}</span> <small>{escape(figures)}</small>'
 
 

@@ -7,9 +7,9 @@ from __future__ import annotations
 
 from dataclasses import asdict
 
+from metapp.evaluation.tables.comparison import paired_columns, paired_entries, paired_note, paired_of, warned
 from metapp.evaluation.tables.results import COMPARED, result_row
 from metapp.evaluation.tables.rows import LAST, Row, numbers, words
-from metapp.evaluation.tables.statistics import apart, paired_columns, paired_entries, paired_note, paired_of, warned
 from metapp.evaluation.tables.subject import Cell, Fit, Subject
 from metapp.evaluation.tables.table import Table
 from metapp.learning.learn import MetaParameters
@@ -19,6 +19,7 @@ from metapp.paradigms.meta import META
 from metapp.paradigms.meta import start as meta_start
 from metapp.paradigms.quickft import QUICKFT, adam_of
 from metapp.runs.session import Checkpoint, caption_of
+from metapp.runs.statistics import apart
 from metapp.storage.records import tensor_digest
 
 # what is doubtful of a rule's fits is known of its own start

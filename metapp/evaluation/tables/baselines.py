@@ -18,16 +18,9 @@ from metapp.evaluation.baseline_fits import (
     training_folder,
     training_of,
 )
+from metapp.evaluation.tables.comparison import compared_text, paired_columns, paired_entries, paired_note, paired_of
 from metapp.evaluation.tables.results import budget, on_threads
 from metapp.evaluation.tables.rows import Row, bytes_column, interval, numbers, words
-from metapp.evaluation.tables.statistics import (
-    apart,
-    paired_columns,
-    paired_entries,
-    paired_note,
-    paired_of,
-    paired_text,
-)
 from metapp.evaluation.tables.storage import kept, size
 from metapp.evaluation.tables.subject import Cell, Record, Subject
 from metapp.evaluation.tables.table import Table
@@ -36,6 +29,7 @@ from metapp.runs.inputs import data_label
 from metapp.runs.origin import origin_of
 from metapp.runs.reporter import say
 from metapp.runs.session import caption_of, name_of, observe_of, threads_of
+from metapp.runs.statistics import apart
 from metapp.storage.records import RunFolder
 
 SHOWN = ("general", "quickft", "meta", "finetune", "overfit")
@@ -159,7 +153,7 @@ def _row_of_baselines(subject: Subject, baseline: Baseline) -> Row:
 
 
 def notes(subject: Subject, found: list[Row]) -> list[str]:
-    """Which baselines are ahead of Meta, at what cost, what they are and cannot do."""
+    """Which baselines have a lower error than Meta, at what cost, what they are and cannot do."""
     by = {row["paradigm"]: row for row in found}
     baselines, meta = tuple(_able(subject)), by["meta"]
     free = [by[baseline.name] for baseline in baselines if not baseline.matches]
@@ -182,27 +176,26 @@ def notes(subject: Subject, found: list[Row]) -> list[str]:
 
 
 def _wins(row: Row) -> bool:
-    """Whether a row is ahead of Meta by more than chance."""
+    """Whether a row's error is lower than Meta's by more than chance."""
     found = paired_of(row, "meta")
     return found is not None and bool(apart(found)) and found.value < found.level
 
 
 def _ahead(row: Row) -> str:
-    """By how much a baseline is ahead."""
+    """By how much a baseline's error is lower than Meta's."""
     found = paired_of(row, "meta")
     assert found is not None
-    said = f"error {found.kind} {paired_text(found)} vs meta, ahead on {found.ahead} of {found.tasks}"
-    return f"{row['paradigm']}: {said}"
+    return f"{row['paradigm']}: {compared_text(found, 'meta')}"
 
 
 def _behind(found: list[Row]) -> list[str]:
-    """The baselines that Meta is ahead of, those that are level with it, and those that take more bytes."""
+    """The baselines of a higher error than Meta's, those that are level with it, and those that take more bytes."""
     told = {row["paradigm"]: each for row in found if (each := paired_of(row, "meta"))}
     behind = [name for name, each in told.items() if apart(each) and each.value > each.level]
     level = [name for name, each in told.items() if not apart(each)]
     large = [f"{row['paradigm']} on {row['unreached']} of {row['tasks']} tasks" for row in found if row["unreached"]]
     return [
-        *([f"meta is ahead of {', '.join(behind)}"] if behind else []),
+        *([f"a higher error than meta's: {', '.join(behind)}"] if behind else []),
         *([f"no win either way: {', '.join(level)}"] if level else []),
         *([f"more bytes than a network's: {', '.join(large)}"] if large else []),
     ]

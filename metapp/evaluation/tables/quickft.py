@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from metapp.evaluation.tables.comparison import change, paired_columns, paired_note, paired_of, verdict, warned
 from metapp.evaluation.tables.results import on_threads, result_row
 from metapp.evaluation.tables.rows import LAST, Row, numbers, words
-from metapp.evaluation.tables.statistics import apart, change, paired_columns, paired_note, paired_of, verdict, warned
 from metapp.evaluation.tables.subject import Cell, Subject
 from metapp.evaluation.tables.table import Table
 from metapp.runs.reporter import number
 from metapp.runs.session import caption_of
+from metapp.runs.statistics import apart
 
 COMPARED = ("general", "quickft", "meta")
 

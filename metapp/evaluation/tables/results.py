@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from metapp.evaluation.tables.rows import Column, Row, interval, numbers, words
-from metapp.evaluation.tables.statistics import (
+from metapp.evaluation.tables.comparison import (
     carried,
     change,
     paired_columns,
@@ -12,6 +11,7 @@ from metapp.evaluation.tables.statistics import (
     verdict,
     warned,
 )
+from metapp.evaluation.tables.rows import Column, Row, interval, numbers, words
 from metapp.evaluation.tables.subject import Cell, Subject
 from metapp.evaluation.tables.table import Table
 from metapp.learning.app import App

@@ -5,14 +5,12 @@ from __future__ import annotations
 import statistics
 import time
 from collections.abc import Iterator, Sequence
-from functools import partial
 from typing import Any
 
 from metapp.evaluation.study import QUICKFT, Case
+from metapp.evaluation.tables.comparison import paired_columns, paired_entries, paired_note, paired_of
 from metapp.evaluation.tables.results import on_threads
 from metapp.evaluation.tables.rows import Row, blank, interval, numbers, words
-from metapp.evaluation.tables.seeds import Errors, paired_over_seeds, statistics_of_seeds
-from metapp.evaluation.tables.statistics import apart, paired_columns, paired_entries, paired_note, paired_of
 from metapp.evaluation.tables.subject import Cell, Record, Subject, remarks
 from metapp.evaluation.tables.table import Table
 from metapp.learning.learn import MetaParameters
@@ -20,6 +18,7 @@ from metapp.learning.task import Task
 from metapp.runs.reporter import number, say
 from metapp.runs.run import fit_and_keep, run_path
 from metapp.runs.session import Checkpoint, caption_of, name_of, observe_of, settings_of, threads_of
+from metapp.runs.statistics import Errors, apart, paired, statistics_of
 from metapp.storage.records import FIT, NUMBER, OPTIONAL, RunFolder, digest
 
 TRAINED = {"error": OPTIONAL, "seconds": NUMBER, "step": OPTIONAL}  # of a training's record
@@ -163,7 +162,7 @@ def _row(
     trainings = [train_cell(subject, case).records()[0] for case, _ in done]
     groups, errors = subject.groups(done[0][1]), _errors(done)
     row = blank(subject.app.name, QUICKFT if rule == QUICKFT else "meta", **observe_of(subject.app))
-    row |= statistics_of_seeds(errors, groups) | remarks(records)
+    row |= statistics_of(errors, groups) | remarks(records)
     row |= {
         "paper_error": None,
         "paper_seconds": None,
@@ -177,8 +176,8 @@ def _row(
         "outer": None if rule == QUICKFT else subject.study.training(rule).steps,
         "tasks": len(subject.tasks),
     }
-    compare = partial(paired_over_seeds, groups=groups, logarithmic=subject.presentation.logarithmic)
-    found = compare(errors, reference) if reference else None
+    logarithmic = subject.presentation.logarithmic
+    found = paired(errors, reference, groups, logarithmic=logarithmic) if reference else None
     return row | paired_entries(QUICKFT, found) | {"apart": apart(found)} | subject.app.conditions()
 
 

@@ -12,7 +12,6 @@ from metapp.appearance.presentation import Presentation
 from metapp.apps import presentation_of
 from metapp.evaluation.study import Budget, Study
 from metapp.evaluation.tables.rows import Row, blank
-from metapp.evaluation.tables.statistics import Paired, paired, statistics_of
 from metapp.learning.app import App
 from metapp.learning.task import Task
 from metapp.paradigms import Paradigm, paradigms
@@ -32,6 +31,7 @@ from metapp.runs.session import (
     threads_of,
     title_of,
 )
+from metapp.runs.statistics import Paired, paired, statistics_of
 from metapp.storage.records import FIT, RunFolder, guarded, summary
 
 Record = dict[str, Any]
@@ -218,8 +218,7 @@ class Subject:
         """
         records = cell.records()
         values = {record["name"]: value for record in records if (value := take(record)) is not None}
-        groups = self.groups(cell)
-        said = statistics_of(list(values.values()), [groups[each] for each in values])
+        said = statistics_of([values], self.groups(cell))
         seconds = summary(records)["seconds"] if records and "seconds" in records[0] else None
         row = blank(self.app.name, name, **observe_of(self.app))
         if not self.is_papers or name.startswith("meta:"):  # the paper's fits see what those of the first protocol see
@@ -238,7 +237,7 @@ class Subject:
             {record["name"]: record["error"] for record in cell.records() if record["error"] is not None}
             for cell in (one, other)
         )
-        return paired(ours, theirs, self.groups(one), logarithmic=self.presentation.logarithmic)
+        return paired([ours], [theirs], self.groups(one), logarithmic=self.presentation.logarithmic)
 
     @property
     def is_papers(self) -> bool:

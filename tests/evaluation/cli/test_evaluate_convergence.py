@@ -10,9 +10,9 @@ import torch
 from safetensors.torch import load, save
 
 from metapp.evaluation.figures.rates import step_sizes
+from metapp.evaluation.tables.comparison import carried
 from metapp.evaluation.tables.convergence import steps_needed
 from metapp.evaluation.tables.rows import blank, paper
-from metapp.evaluation.tables.statistics import carried
 from metapp.evaluation.tables.trace import FURTHER, PARTS, looks, named, near, paths_of, places, project
 
 
