@@ -7,24 +7,11 @@ from pathlib import Path
 
 import numpy as np
 
+from metapp.rendering import types as mt
 from metapp.rendering.brdf_lobes import LAST, NODES, Lobes, fit_lobes
 from metapp.rendering.brdf_network import Material, Network
 from metapp.rendering.jit import dr, mi
-from metapp.rendering.plugins import reflection_bsdf, register_plugin
-from metapp.rendering.types import (
-    BsdfContext,
-    Color,
-    Facets,
-    Float,
-    Interaction,
-    Mask,
-    PluginClass,
-    Point2,
-    Properties,
-    TraversalCallback,
-    UInt32,
-    Vector3,
-)
+from metapp.rendering.plugins import LocalReflection, Reflection, reflection_bsdf, register_plugin
 
 NAME = "neural_brdf"
 
@@ -40,7 +27,7 @@ def register_neural_brdf(read: Read) -> None:
     register_plugin("bsdf", NAME, lambda: plugin(read))
 
 
-def plugin(read: Read) -> PluginClass:
+def plugin(read: Read) -> mt.PluginClass:
     """The class of the plugin in the active variant."""
 
     class NeuralBrdf(reflection_bsdf(lambda props: NetworkReflection(props, read))):  # type: ignore[misc]
@@ -49,26 +36,35 @@ def plugin(read: Read) -> PluginClass:
     return NeuralBrdf
 
 
-class NetworkReflection:
+class NetworkReflection(Reflection):
     """A fitted network times a tint.
 
     Parameters: `weights0`, `bias0`, ... of the network, differentiable, and the tint's. Directions are sampled from
     lobes of the network as it was loaded, whatever becomes of its weights: that changes the noise alone.
     """
 
-    def __init__(self, props: Properties, read: Read) -> None:
+    def __init__(self, props: mt.Properties, read: Read) -> None:
         self.path = Path(str(mi.file_resolver().resolve(props["filename"])))
         material = read(self.path)
         self.network, self.mixture = Network(material), Mixture(fit_lobes(material.reflectance))
         self.tint = props.get_texture("tint", 1.0)
         self.components = [mi.BSDFFlags.GlossyReflection | mi.BSDFFlags.FrontSide]
 
-    def at(self, ctx: BsdfContext, si: Interaction, viewer: Vector3, active: Mask) -> LocalNetwork:
-        """The network for a viewer, its tint where `active`."""
-        return LocalNetwork(self, ctx, si, viewer, active)
+    def at(self, ctx: mt.BsdfContext, si: mt.Interaction, viewer: mt.Vector3, active: mt.Mask) -> LocalReflection:
+        """The network for a viewer, sampled by the mixture."""
 
-    def traverse(self, callback: TraversalCallback) -> None:
-        """Names the parameters."""
+        def value(light: mt.Vector3) -> mt.Color:
+            pair = (light, viewer) if ctx.mode == mi.TransportMode.Radiance else (viewer, light)
+            return self.network.reflectance(*pair) * (self.tint.eval(si, active) * light.z)
+
+        return LocalReflection(
+            value,
+            lambda light: self.mixture.density(viewer, light),
+            lambda number, point: (self.mixture.sample(viewer, number, point), mi.UInt32(0)),
+        )
+
+    def traverse(self, callback: mt.TraversalCallback) -> None:
+        """Name the network's and the tint's."""
         for i, (weights, bias) in enumerate(zip(self.network.weights, self.network.biases, strict=True)):
             callback.put(f"weights{i}", weights, mi.ParamFlags.Differentiable)
             callback.put(f"bias{i}", bias, mi.ParamFlags.Differentiable)
@@ -83,29 +79,6 @@ class NetworkReflection:
         return f'NeuralBrdf[filename = "{self.path}", layers = {sizes}-3, tint = {self.tint}]'
 
 
-class LocalNetwork:
-    """A network at points of surfaces, for one viewer of each."""
-
-    def __init__(
-        self, all_of_it: NetworkReflection, ctx: BsdfContext, si: Interaction, viewer: Vector3, active: Mask
-    ) -> None:
-        self.of, self.si, self.viewer, self.active = all_of_it, si, viewer, active
-        self.is_radiance = ctx.mode == mi.TransportMode.Radiance
-
-    def value(self, light: Vector3) -> Color:
-        """The BSDF times the light's cosine."""
-        pair = (light, self.viewer) if self.is_radiance else (self.viewer, light)
-        return self.of.network.reflectance(*pair) * (self.of.tint.eval(self.si, self.active) * light.z)
-
-    def density(self, light: Vector3) -> Float:
-        """Of `sample`, per solid angle."""
-        return self.of.mixture.density(self.viewer, light)
-
-    def sample(self, number: Float, point: Point2) -> tuple[Vector3, UInt32]:
-        """A direction by the mixture, and 0."""
-        return self.of.mixture.sample(self.viewer, number, point), mi.UInt32(0)
-
-
 class Mixture:
     """Lobes in the active variant."""
 
@@ -113,14 +86,14 @@ class Mixture:
         self.alphas = lobes.alphas
         self.shares = [mi.Float(column) for column in lobes.shares.astype(np.float32).T]
 
-    def shares_of(self, viewer: Vector3) -> list[Float]:
+    def shares_of(self, viewer: mt.Vector3) -> list[mt.Float]:
         """The share of each lobe, the cosine first, for a viewer's direction; between nodes linearly."""
         place = dr.minimum(dr.safe_acos(viewer.z) * ((NODES - 1) / LAST), NODES - 1)
         node = mi.UInt32(dr.minimum(place, NODES - 2))
         first, second = ([dr.gather(mi.Float, share, node + i) for share in self.shares] for i in (0, 1))
         return [dr.lerp(a, b, place - node) for a, b in zip(first, second, strict=True)]
 
-    def sample(self, viewer: Vector3, number: Float, point: Point2) -> Vector3:
+    def sample(self, viewer: mt.Vector3, number: mt.Float, point: mt.Point2) -> mt.Vector3:
         """A direction, which may be below the surface, of a number and a point in [0, 1)."""
         shares = self.shares_of(viewer)
         alpha, end = mi.Float(self.alphas[0]), shares[0] + shares[1]
@@ -132,7 +105,7 @@ class Mixture:
         mirrored = dr.select(half.z >= 0, mi.reflect(viewer, half), mi.Vector3f(0, 0, -1))
         return dr.select(number < shares[0], mi.warp.square_to_cosine_hemisphere(point), mirrored)
 
-    def density(self, viewer: Vector3, light: Vector3) -> Float:
+    def density(self, viewer: mt.Vector3, light: mt.Vector3) -> mt.Float:
         """Density of `sample` for directions above the surface, per solid angle."""
         shares = self.shares_of(viewer)
         half = dr.normalize(viewer + light)
@@ -142,5 +115,5 @@ class Mixture:
         return total
 
 
-def _facets(alpha: Float) -> Facets:
+def _facets(alpha: mt.Float) -> mt.Facets:
     return mi.MicrofacetDistribution(mi.MicrofacetType.GGX, alpha, True)

@@ -9,21 +9,9 @@ Mitsuba's own `normalmap`.
 from __future__ import annotations
 
 from metapp.appearance.flash import SMOOTHEST
+from metapp.rendering import types as mt
 from metapp.rendering.jit import dr, mi
-from metapp.rendering.plugins import enabled, reflection_bsdf, register_plugin
-from metapp.rendering.types import (
-    BsdfContext,
-    Color,
-    Float,
-    Interaction,
-    Mask,
-    PluginClass,
-    Point2,
-    Properties,
-    TraversalCallback,
-    UInt32,
-    Vector3,
-)
+from metapp.rendering.plugins import LocalReflection, Reflection, enabled, reflection_bsdf, register_plugin
 
 NAME = "neural_svbrdf"
 DEFAULTS = {"diffuse": 0.5, "specular": 0.04, "roughness": 0.5}
@@ -36,39 +24,37 @@ def register_maps_bsdf() -> None:
     register_plugin("bsdf", NAME, plugin)
 
 
-def plugin() -> PluginClass:
+def plugin() -> mt.PluginClass:
     """The class of the plugin in the active variant."""
 
     class NeuralSvbrdf(reflection_bsdf(MapsReflection)):  # type: ignore[misc]
         """Properties: the textures `diffuse`, `specular` (F0, linear RGB) and `roughness` (GGX alpha is its square)."""
 
-        def eval_diffuse_reflectance(self, si: Interaction, active: Mask = True) -> Color:
+        def eval_diffuse_reflectance(self, si: mt.Interaction, active: mt.Mask = True) -> mt.Color:
             return self.reflection.textures["diffuse"].eval(si, active)
 
     return NeuralSvbrdf
 
 
-class MapsReflection:
+class MapsReflection(Reflection):
     """A Lambertian and a GGX component, with textures for their parameters."""
 
-    def __init__(self, props: Properties) -> None:
+    def __init__(self, props: mt.Properties) -> None:
         self.textures = {key: props.get_texture(key, value) for key, value in DEFAULTS.items()}
         kinds = (mi.BSDFFlags.DiffuseReflection, mi.BSDFFlags.GlossyReflection)
         self.components = [kind | mi.BSDFFlags.FrontSide | mi.BSDFFlags.SpatiallyVarying for kind in kinds]
 
-    def at(self, ctx: BsdfContext, si: Interaction, viewer: Vector3, active: Mask) -> Texel:
-        """The material at points of surfaces, its components as a context asks for them."""
+    def at(self, ctx: mt.BsdfContext, si: mt.Interaction, viewer: mt.Vector3, active: mt.Mask) -> LocalReflection:
+        """The texels at points of surfaces."""
         diffuse, specular = (self.textures[key].eval(si, active) for key in ("diffuse", "specular"))
         roughness = self.textures["roughness"].eval_1(si, active)
-        return Texel(diffuse, specular, roughness, viewer, enabled(ctx, self.components))
+        texel = Texel((diffuse, specular, roughness), viewer, enabled(ctx, self.components))
+        return LocalReflection(texel.value, texel.density, texel.sample)
 
-    def traverse(self, callback: TraversalCallback) -> None:
-        """Names the textures."""
+    def traverse(self, callback: mt.TraversalCallback) -> None:
+        """Name the textures."""
         for key, texture in self.textures.items():
             callback.put(key, texture, mi.ParamFlags.Differentiable)
-
-    def changed(self) -> None:
-        """Nothing depends on the textures."""
 
     def __str__(self) -> str:
         return f"NeuralSvbrdf[{', '.join(f'{key} = {texture}' for key, texture in self.textures.items())}]"
@@ -77,7 +63,8 @@ class MapsReflection:
 class Texel:
     """A material at points of surfaces, for one viewer of each."""
 
-    def __init__(self, diffuse: Color, specular: Color, roughness: Float, viewer: Vector3, wanted: list[bool]) -> None:
+    def __init__(self, maps: tuple[mt.Color, mt.Color, mt.Float], viewer: mt.Vector3, wanted: list[bool]) -> None:
+        diffuse, specular, roughness = maps
         alpha = dr.square(dr.maximum(roughness, SMOOTHEST))
         self.facets = mi.MicrofacetDistribution(mi.MicrofacetType.GGX, alpha, True)
         self.diffuse, self.specular, self.viewer, self.wanted = diffuse, specular, viewer, wanted
@@ -85,7 +72,7 @@ class Texel:
         both = dr.clip(glossy / dr.maximum(glossy + matte, 1e-6), LEAST, 1 - LEAST)
         self.share = both if all(wanted) else mi.Float(1.0 if wanted[SPECULAR] else 0.0)  # of specular directions
 
-    def value(self, light: Vector3) -> Color:
+    def value(self, light: mt.Vector3) -> mt.Color:
         """The BSDF times the light's cosine."""
         half = dr.normalize(self.viewer + light)
         shape = self.facets.eval(half) * self.facets.G(self.viewer, light, half) / (4 * self.viewer.z)
@@ -93,13 +80,13 @@ class Texel:
         diffuse = self.diffuse * (1 - self.specular) * (dr.inv_pi * light.z)
         return mi.Color3f((diffuse if self.wanted[DIFFUSE] else 0) + (specular if self.wanted[SPECULAR] else 0))
 
-    def density(self, light: Vector3) -> Float:
+    def density(self, light: mt.Vector3) -> mt.Float:
         """Of `sample`, per solid angle."""
         half = dr.normalize(self.viewer + light)
         specular = self.facets.pdf(self.viewer, half) / (4 * dr.dot(light, half))
         return dr.lerp(light.z * dr.inv_pi, specular, self.share)
 
-    def sample(self, number: Float, point: Point2) -> tuple[Vector3, UInt32]:
+    def sample(self, number: mt.Float, point: mt.Point2) -> tuple[mt.Vector3, mt.UInt32]:
         """A direction, which may be below the surface, and its component, of a number and a point in [0, 1)."""
         half, _ = self.facets.sample(self.viewer, point)
         is_specular = number < self.share
@@ -107,6 +94,6 @@ class Texel:
         wo = dr.select(is_specular, mi.reflect(self.viewer, half), cosine)
         return wo, dr.select(is_specular, mi.UInt32(SPECULAR), mi.UInt32(DIFFUSE))
 
-    def _fresnel(self, cosine: Float) -> Color:
+    def _fresnel(self, cosine: mt.Float) -> mt.Color:
         """Of Schlick."""
         return self.specular + (1 - self.specular) * dr.power(dr.maximum(1 - cosine, 0), 5)

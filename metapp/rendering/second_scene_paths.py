@@ -15,9 +15,9 @@ import torch
 from torch import Tensor
 
 from metapp.appearance import latlong
+from metapp.rendering import types as mt
 from metapp.rendering.jit import dr, mi
 from metapp.rendering.second_scene import ALPHA, GLOSSY_CENTRE, HEIGHT, MATTE_CENTRE, WIDTH, scene_dict
-from metapp.rendering.types import Float, Interaction, Mask, Point2, Point3, UInt32, Vector3
 
 PIXELS = HEIGHT * WIDTH
 _FLOOR_CELLS, _SPHERE_CELLS = 64, (24, 48)  # patches: a square grid of the floor, rows and columns of the matte sphere
@@ -83,18 +83,18 @@ class Paths:
         places = torch.stack([torch.arange(ROWS).repeat_interleave(count)[ends], patch[ends]])
         return torch.sparse_coo_tensor(places, weights[ends], (ROWS, PATCHES), check_invariants=False).coalesce()
 
-    def _draws(self, stream: UInt32, step: Float) -> Callable[[], Point2]:
+    def _draws(self, stream: mt.UInt32, step: mt.Float) -> Callable[[], mt.Point2]:
         """Pairs of numbers in [0, 1): random for each stream, evenly spread over the steps of one stream."""
         state, sequence = mi.sample_tea_32(stream, 1)  # neighbouring streams of PCG32 would be alike
         rng, strides = mi.PCG32(initstate=state, initseq=sequence), iter(_STRIDES)
 
-        def draw() -> Float:
+        def draw() -> mt.Float:
             value = rng.next_float32() + step * next(strides)
             return value - dr.floor(value)
 
         return lambda: mi.Point2f(draw(), draw())
 
-    def _first_hit(self, row: UInt32, place: Point2) -> Interaction:
+    def _first_hit(self, row: mt.UInt32, place: mt.Point2) -> mt.Interaction:
         """What a row looks at: the scene through a place in its pixel, or a place in its patch, seen from above it."""
         film = (mi.Point2f(row % WIDTH, row // WIDTH) + place) / mi.Point2f(WIDTH, HEIGHT)
         view, _ = self.scene.sensors()[0].sample_ray(0, 0, film, mi.Point2f(0))
@@ -111,7 +111,7 @@ class Paths:
         start = dr.select(is_pixel, view.o, point + 1e-4 * normal)
         return self.scene.ray_intersect(mi.Ray3f(start, dr.select(is_pixel, view.d, -normal)))
 
-    def _patch(self, point: Point3) -> UInt32:
+    def _patch(self, point: mt.Point3) -> mt.UInt32:
         """The patch in which a point of the floor or of the matte sphere lies."""
         place = mi.Point2f(point.x, point.z)
         cell = dr.clip(mi.Point2i((place / (_CLOSE + dr.abs(place)) + 1) * (_FLOOR_CELLS / 2)), 0, _FLOOR_CELLS - 1)
@@ -122,17 +122,17 @@ class Paths:
         on_sphere = dr.clip(row, 0, rows - 1) * columns + dr.clip(column, 0, columns - 1)
         return dr.select(point.y < 1e-4, cell.y * _FLOOR_CELLS + cell.x, _FLOOR_CELLS**2 + on_sphere)
 
-    def _is_glossy(self, si: Interaction) -> Mask:
+    def _is_glossy(self, si: mt.Interaction) -> mt.Mask:
         return si.is_valid() & mi.has_flag(si.bsdf().flags(), mi.BSDFFlags.GlossyReflection)
 
-    def _lit(self, si: Interaction, to_light: Vector3, active: Mask) -> Float:
+    def _lit(self, si: mt.Interaction, to_light: mt.Vector3, active: mt.Mask) -> mt.Float:
         """Radiance of what was hit, in unit light from a direction, per solid angle of the light."""
         value = si.bsdf().eval(mi.BSDFContext(), si, si.to_local(to_light), active).x
         active &= value > 0
         active &= ~self.scene.ray_test(si.spawn_ray(to_light), active)
         return dr.select(active, value, 0)
 
-    def _mirrored(self, si: Interaction, to_light: Vector3, place: Point2) -> Float:
+    def _mirrored(self, si: mt.Interaction, to_light: mt.Vector3, place: mt.Point2) -> mt.Float:
         """The same, of what was hit if it is matte, in light that comes by way of the glossy sphere."""
         centre = mi.Point3f(GLOSSY_CENTRE)
         # The normal that mirrors the light to here lies between both directions; bisection finds it to 0.2 degrees.
@@ -160,7 +160,7 @@ class Paths:
         return dr.select(active, value, 0)
 
 
-def _direction(row: UInt32, column: UInt32, shape: tuple[int, int], place: Point2) -> Vector3:
+def _direction(row: mt.UInt32, column: mt.UInt32, shape: tuple[int, int], place: mt.Point2) -> mt.Vector3:
     """The direction to a place in [0, 1)^2 of a texel: uniform in solid angle where the place is uniform."""
     above, below = (dr.cos((mi.Float(row) + edge) * (dr.pi / shape[0])) for edge in (0, 1))
     y = dr.lerp(above, below, place.y)
