@@ -84,24 +84,27 @@ def command(
     for option, given in (("--steps", steps), ("--train-steps", train_steps), ("--seeds", seeds), ("--start", start)):
         if given and which not in STUDIES:
             raise typer.BadParameter(f"{option}: only with --which {' or '.join(STUDIES)}.")
-    from metapp.apps import app_names
+    from metapp.apps import app_names, protocols_of, recipes_of
     from metapp.evaluation.study import STARTS, Budget
-    from metapp.runs.session import check_protocol, find_app, options_of
+    from metapp.runs.session import check_name, check_protocol, options_of
 
     if start and start not in STARTS:
         raise typer.BadParameter(f"--start '{start}': expected one of {', '.join(STARTS)}.")
-    found = [find_app(name) for name in apps or app_names()]
-    for app in [app for app in found if app.protocols] or found:
-        check_protocol(observe, app)
+    found = apps or app_names()
+    for name in found:
+        check_name(name)
+    for name in [name for name in found if protocols_of(name)] or found:
+        check_protocol(observe, name)
     planned: list[Options] = []
-    for app in found:
-        for protocol in (observe,) if observe and app.protocols else app.protocols or ("",):
+    for name in found:
+        protocols = protocols_of(name)
+        for protocol in (observe,) if observe and protocols else protocols or ("",):
             planned.append(
                 options_of(
-                    app.name,
+                    name,
                     observe=protocol,
                     rule=rule,
-                    recipe=recipe if apps or recipe in app.recipes else "quick",
+                    recipe=recipe if apps or recipe in recipes_of(name) else "quick",
                     data=data,
                     out=out_folder,
                     seed=seed,

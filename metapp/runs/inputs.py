@@ -110,7 +110,7 @@ def readers_of(app: App, path: Path, reading: Reading = AS_FILES_SAY) -> list[Fo
     if not fitting:
         expected = ", ".join(each.inputs for each in known)
         raise ValueError(f"{path}: not an input of {app.name}, expected {expected}, or a folder of these.")
-    return [_reader(form, files, reading, app.reads) for form, files in fitting]
+    return [_reader(form, files, reading, app.traits.reads) for form, files in fitting]
 
 
 def _reader(form: Format, files: Files, reading: Reading, size: int) -> FoundReader:

@@ -16,7 +16,7 @@ from metapp.evaluation.tables.subject import Cell, Subject
 from metapp.evaluation.tables.table import Table
 from metapp.learning.app import App
 from metapp.runs.reporter import number
-from metapp.runs.session import caption_of
+from metapp.runs.session import caption_of, is_first_protocol
 
 COMPARED = ("quickft", "general")
 
@@ -84,7 +84,7 @@ def closing(app: App, found: list[Row]) -> str:
     Under a further protocol Overfit fits less than errors are measured on: Meta is compared with General and QuickFT.
     """
     gap, speed = carried(found, "error", "seconds")
-    if app.protocol not in ("", *app.protocols[:1]):
+    if not is_first_protocol(app):
         floor = f"Overfit sees the {app.protocol} alone and is no floor"
         return f"{_changes(found)}{floor}, speed-up of Meta over it {number(speed, '.0f')}"
     paper_gap, paper_speed = carried(found, "paper_error", "paper_seconds")

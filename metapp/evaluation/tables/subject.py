@@ -25,6 +25,7 @@ from metapp.runs.run import fit_and_keep, run_path
 from metapp.runs.session import (
     Checkpoint,
     Options,
+    is_first_protocol,
     make_folder,
     name_of,
     observe_of,
@@ -243,7 +244,7 @@ class Subject:
     @property
     def is_papers(self) -> bool:
         """Whether fits see what the paper's do."""
-        return self.app.protocol in ("", *self.app.protocols[:1])
+        return is_first_protocol(self.app)
 
 
 def remarks(records: Sequence[Record]) -> Row:
