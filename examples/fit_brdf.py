@@ -1,4 +1,4 @@
-"""Fit a BRDF in ten gradient steps, evaluate the network, save it: fit_brdf.py MATERIAL.binary OUT.safetensors
+"""Fit a BRDF in ten solves, evaluate the network, save it: fit_brdf.py MATERIAL.binary OUT.safetensors
 
 A MERL file to try it on: metapp data synth brdf --count 1 --as merl --out materials
 """

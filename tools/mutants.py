@@ -40,7 +40,7 @@ TESTS = {
     "metapp/appearance/photograph.py": ["photograph"],
     "metapp/appearance/reflection.py": ["reflection"],
     "metapp/appearance/sphere.py": ["sphere"],
-    "metapp/evaluation/tables/statistics.py": ["statistics"],
+    "metapp/runs/statistics.py": ["statistics"],
 }
 COMPARES = {
     ast.Lt: ast.LtE, ast.LtE: ast.Lt, ast.Gt: ast.GtE, ast.GtE: ast.Gt, ast.Eq: ast.NotEq, ast.NotEq: ast.Eq,

@@ -56,15 +56,15 @@ def _table(compared: Comparison) -> Any:
     from rich.table import Table
     from rich.text import Text
 
-    from metapp.evaluation.tables.statistics import FEWEST, paired_text
     from metapp.runs.session import caption_of, title_of
+    from metapp.runs.statistics import FEWEST
 
     one, other = compared.sides
     found, app = compared.found, one.app
     said = [caption_of(app)]
     if found:
         ahead = f"{one.label} has the lower error on {found.ahead} of {found.tasks}"
-        said = [f"error of {one.label} over {other.label}'s: {paired_text(found)}; {ahead}", *said]
+        said = [f"error of {one.label} over {other.label}'s: {found}; {ahead}", *said]
         said[0] += f"; {found.groups} different tasks are too few to call a win" if found.groups < FEWEST else ""
         if found.kind == "difference":
             said[0] = said[0].replace(" over ", " minus ")

@@ -7,13 +7,13 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from metapp.apps import presentation_of
-from metapp.evaluation.tables.statistics import Paired, paired
 from metapp.learning.app import App
 from metapp.learning.task import Task
 from metapp.runs.pictures import COMPARED, column_of, write_compared
 from metapp.runs.recorded import app_as, read_run, tasks_as
 from metapp.runs.reporter import progress
 from metapp.runs.session import threads, threads_of
+from metapp.runs.statistics import Paired, paired
 
 TOLD = ("paradigm", "rule", "recipe", "steps", "observe", "seed", "start")  # what tells runs apart, the clearest first
 
@@ -112,7 +112,7 @@ def compare(first: Path, second: Path, task: str, inputs: list[Path], data: Path
     tasks = [known[name] for name in names if name in known]
     groups = {name: (known[name].group if name in known else "") or name for name in names}
     logarithmic = presentation_of(sides[0].app).logarithmic
-    found = paired(sides[0].errors(), sides[1].errors(), groups, logarithmic=logarithmic)
+    found = paired([sides[0].errors()], [sides[1].errors()], groups, logarithmic=logarithmic)
     return Comparison((sides[0], sides[1]), tasks, found, _notes(settings, by_name, names))
 
 

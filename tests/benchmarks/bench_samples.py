@@ -24,7 +24,6 @@ from metapp.baselines.baseline import Training
 from metapp.cli.console import run
 from metapp.evaluation.baseline_fits import allowed_for, training_of
 from metapp.evaluation.figures.style import COLOURS, MUTED, STYLE, new, save
-from metapp.evaluation.tables.statistics import paired, paired_text
 from metapp.learning.app import stack
 from metapp.learning.task import Task
 from metapp.paradigms import paradigms
@@ -32,6 +31,7 @@ from metapp.runs.checkpoints import find_checkpoint
 from metapp.runs.fits import fit_tasks, rng_of
 from metapp.runs.inputs import data_folder, tasks_of_data
 from metapp.runs.session import options_of
+from metapp.runs.statistics import paired
 
 COUNTS = (64, 256, 1024, 5120)
 FIGURE = Path("runs/bench/samples.png")
@@ -92,9 +92,9 @@ def ratios(found: list[Errors], others: list[Errors]) -> list[str]:
     """Mean errors over those of another way, paired over tasks, with their intervals; on how many tasks it is ahead."""
     cells = []
     for one, other in zip(found, others, strict=True):
-        told = paired(one, other, {name: name for name in one}, logarithmic=False)
+        told = paired([one], [other], {name: name for name in one}, logarithmic=False)
         assert told is not None
-        cells.append(f"{paired_text(told)}, {told.ahead}/{told.tasks}")
+        cells.append(f"{told}, {told.ahead}/{told.tasks}")
     return cells
 
 

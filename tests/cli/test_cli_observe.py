@@ -23,10 +23,10 @@ from metapp.apps.brdf import Brdf, presentation, recipes
 from metapp.apps.brdf.presentation import BrdfPresentation
 from metapp.cli.fitting import table_of
 from metapp.evaluation.tables.results import closing
-from metapp.evaluation.tables.statistics import bootstrap
 from metapp.learning.task import Batch, Params, Task, Tasks
 from metapp.runs.checkpoints import checkpoint_name
 from metapp.runs.shipped import shipped_path
+from metapp.runs.statistics import statistics_of
 from metapp.storage.records import load_checkpoint, read_records, summary
 from tests.quick import app_by
 
@@ -242,11 +242,11 @@ def test_a_protocol_that_nothing_named_has_is_refused(metapp: Callable) -> None:
 def test_the_option_reaches_those_that_have_the_protocol(metapp: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
     met: list[tuple[str, str]] = []
 
-    def subjects(planned: list[Any], **how: Any) -> list[Any]:
-        met.extend((options.app.name, options.app.protocol) for options in planned)
-        return []
+    def fill(tables: list[Any], subjects: list[Any], given: Any) -> None:
+        met.extend((subject.app.name, subject.app.protocol) for subject in subjects)
+        subjects.clear()
 
-    monkeypatch.setattr("metapp.cli.evaluate.find_subjects", subjects)
+    monkeypatch.setattr("metapp.cli.evaluate.fill", fill)
     assert metapp("evaluate", "texture", "brdf", "--observe", "photo", "--json").code == 0
     assert metapp("evaluate", "texture", "brdf", "--json").code == 0
     both = [("brdf", "reference"), ("brdf", "photo")]
@@ -295,7 +295,7 @@ def test_tables_of_tasks_without_reference() -> None:
     assert summary(records) == {"error": 2.0, "seconds": 1.0}
     assert summary(records[:1])["error"] is None
     assert table_of(app_by("brdf"), "meta", records).row_count == 2
-    assert bootstrap([2.0], ["b"]) == (2.0, 2.0)
+    assert set(statistics_of([{"b": 2.0}], {"b": "b"}).values()) == {2.0}
 
 
 def test_a_data_set_of_tasks_without_reference_has_a_table(metapp: Callable, networks: Path, tmp_path: Path) -> None:

@@ -10,7 +10,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 import torch
 from rich.console import Console
@@ -22,11 +21,9 @@ from metapp.cli.show import rich_table
 from metapp.evaluation import study as studies
 from metapp.evaluation.figures import draw
 from metapp.evaluation.study import COMPOSED, QUICKFT, Budget, Case, Study, training_for
+from metapp.evaluation.subject import Subject
 from metapp.evaluation.tables import load_table
 from metapp.evaluation.tables.rules import fit_cell, train_cell
-from metapp.evaluation.tables.seeds import mean_of, paired_over_seeds, statistics_of_seeds
-from metapp.evaluation.tables.statistics import paired, statistics_of
-from metapp.evaluation.tables.subject import Subject
 from metapp.learning.recipe import Adam
 from metapp.learning.rules import RULES, rule_of
 from metapp.learning.rules import table as rule_table
@@ -236,56 +233,6 @@ def test_cases_of_few_steps_come_first() -> None:
     options = Options(APP, "quick", "meta-curvature", None, None, Path("runs"), None, 4, torch.device("cpu"), True)
     cases = Study(options, Budget(steps=(9, 2), seeds=2, rules=("adam",))).cases()
     assert cases == [Case(rule, steps, seed) for seed in (4, 5) for steps in (2, 9) for rule in (QUICKFT, "adam")]
-
-
-# Statistics over seeds
-
-
-def by_name(values: Any) -> dict[str, float]:
-    return {f"t{i}": float(value) for i, value in enumerate(values)}
-
-
-GROUPS = {f"t{i}": f"g{i // 2}" for i in range(400)}
-
-
-def test_one_seed_is_the_paired_bootstrap_over_tasks() -> None:
-    draw = np.random.default_rng(1)
-    one, other = by_name(draw.uniform(1, 2, 30)), by_name(draw.uniform(1, 3, 30))
-    for logarithmic in (False, True):
-        assert paired_over_seeds([one], [other], GROUPS, logarithmic=logarithmic) == pytest.approx(
-            paired(one, other, GROUPS, logarithmic=logarithmic)
-        )
-    groups = [GROUPS[name] for name in one]
-    assert statistics_of_seeds([one], GROUPS) == pytest.approx(statistics_of(list(one.values()), groups))
-
-
-def test_the_interval_covers_seeds_that_differ() -> None:
-    """All tasks alike: what is left is the spread over seeds; of two, a quarter of draws takes either one twice."""
-    found = statistics_of_seeds([by_name([1.0] * 20), by_name([3.0] * 20)], GROUPS)
-    assert (found["error"], found["low"], found["high"]) == (2.0, 1.0, 3.0)
-    many = [by_name([value] * 20) for value in [0.0, 2.0] * 50]
-    found = statistics_of_seeds(many, GROUPS)
-    assert (found["low"] - 1) * len(many) ** 0.5 == pytest.approx(-1.96, abs=0.15)  # the central limit theorem
-    assert (found["high"] - 1) * len(many) ** 0.5 == pytest.approx(1.96, abs=0.15)
-
-
-def test_seeds_of_both_sides_count() -> None:
-    steady, shaky = [by_name([2.0] * 20)] * 3, [by_name([value] * 20) for value in (1.0, 2.0, 3.0)]
-    exact = paired_over_seeds(steady, steady, GROUPS, logarithmic=False)
-    assert exact
-    assert (exact.value, exact.low, exact.high, exact.ahead) == (1.0, 1.0, 1.0, 0)
-    for one, other in ((shaky, steady), (steady, shaky)):
-        found = paired_over_seeds(one, other, GROUPS, logarithmic=True)
-        assert found
-        assert found.value == 0
-        assert found.low < -0.5
-        assert found.high > 0.5
-
-
-def test_tasks_that_a_seed_lacks_do_not_count() -> None:
-    assert mean_of([{"a": 1.0, "b": 2.0}, {"b": 4.0}]) == {"b": 3.0}
-    assert paired_over_seeds([{"a": 1.0}], [{"b": 1.0}], {"a": "a", "b": "b"}, logarithmic=False) is None
-    assert paired_over_seeds([{"a": 1.0}], [{"a": 0.0}], {"a": "a"}, logarithmic=False) is None
 
 
 # Seconds of a training

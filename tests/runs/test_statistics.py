@@ -1,0 +1,138 @@
+"""Statistics over many tasks and seeds: intervals against known distributions, paired comparisons."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+
+from metapp.runs.statistics import Paired, apart, interval_of, mean_of, paired, statistics_of
+
+GROUPS = {f"t{i}": f"g{i // 2}" for i in range(400)}
+HARD = [0.1 * 1.6**i for i in range(12)]  # errors of tasks that differ by a factor of 170
+
+
+def by_name(values: Sequence[float] | np.ndarray) -> dict[str, float]:
+    return {f"t{i}": float(value) for i, value in enumerate(values)}
+
+
+def interval(*seeds: Sequence[float], groups: dict[str, str] | None = None) -> tuple[float, float, float]:
+    errors = [by_name(values) for values in seeds]
+    found = statistics_of(errors, groups or {name: name for name in errors[0]})
+    assert found["low"] is not None
+    assert found["error"] is not None
+    assert found["high"] is not None
+    return found["low"], found["error"], found["high"]
+
+
+def compared(
+    one: Sequence[float], other: Sequence[float], groups: str | None = None, *, logarithmic: bool = False
+) -> Paired | None:
+    names = by_name(one)
+    return paired([names], [by_name(other)], dict(zip(names, groups or names, strict=True)), logarithmic=logarithmic)
+
+
+def some(found: Paired | None) -> Paired:
+    assert found
+    return found
+
+
+def test_statistics_of_tasks() -> None:
+    found = statistics_of([{"a": 1.0, "b": 2.0, "c": 6.0}], {name: name for name in "abc"})
+    assert (found["error"], found["median"], found["worst"]) == (3.0, 2.0, 6.0)
+    low, mean, high = interval([1.0, 2.0, 6.0])
+    assert 1.0 <= low < mean < high <= 6.0
+    assert set(statistics_of([{}], {}).values()) == {None}
+
+
+def test_an_interval_holds_95_percent_of_the_values() -> None:
+    values = np.random.default_rng(0).permutation(np.linspace(0, 1, 2001))
+    assert interval_of(values) == (pytest.approx(0.025), pytest.approx(0.975))
+
+
+@pytest.mark.parametrize("over", ["tasks", "seeds"])
+def test_the_bootstrap_of_many_is_normal(over: str) -> None:
+    """Half the errors 0 and half 2: their mean has a standard error of 1 / sqrt(N), by the central limit theorem."""
+    count = {"tasks": 400, "seeds": 100}[over]
+    seeds = [[0.0, 2.0] * (count // 2)] if over == "tasks" else [[value] * 20 for value in [0.0, 2.0] * (count // 2)]
+    low, _, high = interval(*seeds, groups=None if over == "tasks" else GROUPS)
+    # 4,000 draws place a quantile to 0.04 standard errors, and means come in steps of 0.1
+    assert (low - 1) * count**0.5 == pytest.approx(-1.96, abs=0.15)
+    assert (high - 1) * count**0.5 == pytest.approx(1.96, abs=0.15)
+
+
+def test_the_interval_covers_seeds_that_differ() -> None:
+    """All tasks alike: what is left is the spread over seeds; of two, a quarter of draws takes either one twice."""
+    assert interval([1.0] * 20, [3.0] * 20, groups=GROUPS) == (1.0, 2.0, 3.0)
+
+
+def test_what_is_a_little_better_on_every_task_is_apart_though_intervals_overlap() -> None:
+    ours = [0.95 * error * (1 + 0.02 * (-1) ** i) for i, error in enumerate(HARD)]
+    assert interval(HARD)[0] < interval(ours)[2]  # each one's own intervals overlap by far
+    found = some(compared(ours, HARD))
+    assert (found.kind, found.ahead, found.tasks, found.groups) == ("ratio", 12, 12, 12)
+    assert found.value == pytest.approx(sum(ours) / sum(HARD))
+    assert 0.93 < found.low < found.value < found.high < 0.97
+    assert apart(found) is True
+    assert found == compared(ours, HARD)  # the same draws each time
+    assert some(compared(HARD, ours)).low == pytest.approx(1 / found.high)
+
+
+def test_what_is_better_on_some_tasks_and_worse_on_others_is_not_apart() -> None:
+    found = some(compared([error * (1.5 if i % 2 else 0.6) for i, error in enumerate(HARD)], HARD))
+    assert found.low < 1 < found.high
+    assert apart(found) is False
+    same = some(compared(HARD, HARD))
+    assert (same.value, same.low, same.high, same.ahead, apart(same)) == (1.0, 1.0, 1.0, 0, False)
+
+
+def test_tasks_that_show_the_same_are_drawn_together() -> None:
+    ours = [error * (0.9 if i < 6 else 1.02) for i, error in enumerate([1.0] * 12)]
+    alone, together = (some(compared(ours, [1.0] * 12, groups)) for groups in (None, "aaabbbcccddd"))
+    assert alone.value == together.value
+    assert together.high - together.low > 1.5 * (alone.high - alone.low)
+    assert together.groups == 4
+    assert apart(together) is None
+
+
+def test_errors_that_are_logarithms_are_compared_by_differences() -> None:
+    found = some(compared([-2.5 - 0.1 * i for i in range(8)], [-2.4 - 0.1 * i for i in range(8)], logarithmic=True))
+    assert found.kind == "difference"
+    assert (found.value, found.low, found.high) == (pytest.approx(-0.1),) * 3
+    assert apart(found) is True
+    assert str(found) == "-0.100 [-0.100, -0.100]"
+
+
+def test_there_is_no_ratio_to_errors_of_zero_and_none_without_common_tasks() -> None:
+    assert compared([1.0] * 6, [0.0] * 6) is None
+    assert compared([1.0] * 6, [-1.0] * 6) is None
+    assert some(compared([1.0] * 12, [0.0, *[1.0] * 11])).value == pytest.approx(12 / 11)
+    assert paired([{"a": 1.0}], [{"b": 1.0}], {"a": "a", "b": "b"}, logarithmic=False) is None
+    assert apart(None) is None
+
+
+def test_the_interval_holds_the_truth_about_as_often_as_it_says() -> None:
+    rng = np.random.default_rng(1)
+    hits = 0
+    for _ in range(100):
+        hard = rng.lognormal(0, 1, 40)
+        found = some(compared(list(0.9 * hard * rng.lognormal(-0.02, 0.2, 40)), list(hard)))
+        hits += found.low <= 0.9 <= found.high
+    assert 82 <= hits <= 100
+
+
+def test_seeds_of_both_sides_count() -> None:
+    steady, shaky = [by_name([2.0] * 20)] * 3, [by_name([value] * 20) for value in (1.0, 2.0, 3.0)]
+    exact = some(paired(steady, steady, GROUPS, logarithmic=False))
+    assert (exact.value, exact.low, exact.high, exact.ahead) == (1.0, 1.0, 1.0, 0)
+    for one, other in ((shaky, steady), (steady, shaky)):
+        found = some(paired(one, other, GROUPS, logarithmic=True))
+        assert found.value == 0
+        assert found.low < -0.5
+        assert found.high > 0.5
+
+
+def test_tasks_that_a_seed_lacks_do_not_count() -> None:
+    assert mean_of([{"a": 1.0, "b": 2.0}, {"b": 4.0}]) == {"b": 3.0}
+    assert statistics_of([{"a": 1.0, "b": 2.0}, {"b": 4.0}], {"a": "a", "b": "b"})["error"] == 3.0
