@@ -104,7 +104,8 @@ def half_difference(angles: Tensor) -> Tensor:
     """
     theta_h, theta_d, phi_d = angles.unbind(-1)
     sine = theta_d.sin()
-    half, difference = (theta_h.sin(), 0.0, theta_h.cos()), (sine * phi_d.cos(), sine * phi_d.sin(), theta_d.cos())
+    half: tuple[Tensor | float, ...] = (theta_h.sin(), 0.0, theta_h.cos())
+    difference = (sine * phi_d.cos(), sine * phi_d.sin(), theta_d.cos())
     vectors = angles.new_empty(*angles.shape[:-1], 6)  # written in place: to join the columns takes four times as long
     for i, column in enumerate((*half, *difference)):
         vectors[..., i] = column
