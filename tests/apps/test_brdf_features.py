@@ -12,6 +12,7 @@ from data_tools.readers.brdf_task import brdf_task
 from metapp.appearance.geometry import cosines, half_difference
 from metapp.apps.brdf import Brdf, network
 from metapp.apps.brdf.featured import INPUTS, OWN, Featured, features_of, inputs_of
+from metapp.apps.brdf.recipes import RECIPES
 from metapp.learning.app import stack
 from metapp.learning.learn import MetaParameters
 from metapp.learning.recipe import Adam
@@ -21,7 +22,7 @@ from metapp.paradigms import Job, paradigms
 
 SIZE = Featured(width=12, features=7, code=3, encoder=8)
 APP = Brdf(SIZE)
-RECIPE = Brdf.recipes["full"]
+RECIPE = RECIPES[""]["full"]
 
 
 @pytest.fixture
