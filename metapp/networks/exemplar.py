@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Self
+from typing import ClassVar
 
 import torch
 from torch import Generator, Tensor
@@ -24,7 +24,7 @@ JUDGED = 4
 
 
 @dataclass(frozen=True)
-class Setup:
+class ExemplarSetup:
     """The size of everything.
 
     Attributes:
@@ -82,7 +82,7 @@ def full_recipe(quick: Recipe, *, found: Adam, tasks: int) -> Recipe:
         general=OuterLoop(steps=2400, tasks=tasks, rates=rates, warmup=50, final=0.0, validate_every=400),
         meta={"meta-encoder": quick.meta["meta-encoder"], "meta-mean": tuned, "meta-axes": tuned},
         rule="meta-axes",
-        setup=Setup(256, 256, network, quick.setup.features, taps, octaves=3, shares=(0.5, 0.8)),
+        setup=ExemplarSetup(256, 256, network, quick.setup.features, taps, octaves=3, shares=(0.5, 0.8)),
     )
 
 
@@ -93,15 +93,9 @@ class ExemplarApp(App):
     generator's other parameters are then the same for all tasks.
     """
 
-    setup: Setup
-    reduced: bool = False  # whether fits see features in reduced precision
-    described: tuple[str, ...] = ("gram",)  # what is known of each map of features, by name: gram0, gram1, ...
-
-    def __init__(self, setup: Setup) -> None:
-        self.setup = setup
-
-    def at(self, recipe: Recipe, protocol: str = "") -> Self:
-        return type(self)(recipe.setup)
+    setup: ExemplarSetup
+    reduced: ClassVar[bool] = False  # whether fits see features in reduced precision
+    described: ClassVar[tuple[str, ...]] = ("gram",)  # what is known of each map of features: gram0, gram1, ...
 
     def conditions(self) -> dict[str, str]:
         return {"features": describe_features(self.setup.features)}

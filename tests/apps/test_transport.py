@@ -13,9 +13,10 @@ from torch import Generator, Tensor
 
 from data_tools.synthetic.cornell import random_scene
 from metapp.apps import presentation_of
-from metapp.apps.transport import APP, QUICK, Setup, Transport, spline, views
+from metapp.apps.transport import Transport, TransportSetup, spline, views
 from metapp.apps.transport.flow import Flow, blobs, interpolated
 from metapp.apps.transport.guide import table_of
+from metapp.apps.transport.recipes import FULL, QUICK
 from metapp.learning.app import stack
 from metapp.learning.learn import MetaParameters
 from metapp.learning.task import Params, Task, Tasks
@@ -23,7 +24,7 @@ from metapp.paradigms import Job, paradigms
 from metapp.rendering.path_space import Tracer
 
 FLOW = Flow(rows=4, columns=4, code=3, hidden=8, bins=5, film_bins=8, blobs=6)
-RECIPE = replace(QUICK, setup=Setup(FLOW))
+RECIPE = replace(QUICK, setup=TransportSetup(FLOW))
 
 
 def rng(seed: int = 0) -> Generator:
@@ -51,17 +52,16 @@ def bent(flow: Flow, seed: int = 0, scale: float = 0.5) -> Params:
 
 
 def test_full_differs_in_the_pictures_alone() -> None:
-    full = APP.recipes["full"]
-    assert (QUICK.setup.picture, full.setup.picture) == (64, 256)
+    assert (QUICK.setup.picture, FULL.setup.picture) == (64, 256)
     # the same checkpoints, and a training that was cut off goes on
-    assert (full, repr(full)) == (QUICK, repr(QUICK))
-    quick = presentation_of(APP.at(QUICK))
+    assert (FULL, repr(FULL)) == (QUICK, repr(QUICK))
+    quick = presentation_of(Transport(QUICK.setup))
     assert quick.image_measure == (  # a part of the keys of records
         "pictures of 64 px of 1024 paths a pixel; fits guide three of four paths, without next-event estimation (NEE); "
         "guided_path guides all bounces and learns while it renders; equal time is that of regular, in seconds of CPU, "
         "and counts the samples that a fit sees, the fit, its table and the picture"
     )
-    shown = presentation_of(APP.at(full))
+    shown = presentation_of(Transport(FULL.setup))
     assert shown.image_measure == quick.image_measure.replace("64 px", "256 px")
     assert shown.image_seconds == pytest.approx(16 * quick.image_seconds)
 
@@ -289,7 +289,7 @@ def room(seed: int, count: int = 4096) -> Task:
 
 @pytest.fixture
 def app() -> Transport:
-    return APP.at(RECIPE)
+    return Transport(RECIPE.setup)
 
 
 @pytest.fixture

@@ -27,7 +27,7 @@ FIRST = Adam(5e-3, 0.7, 0.99, eps=1e-3, final=0.1)
 
 @pytest.fixture(scope="module")
 def app() -> App:
-    return illumination.Illumination(illumination.Setup(FIELD), "reference")
+    return illumination.Illumination(illumination.IlluminationSetup(FIELD), "reference")
 
 
 @pytest.fixture
