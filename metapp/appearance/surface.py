@@ -1,4 +1,4 @@
-"""What a fit says of a flat surface, and the maps that other programs want of it."""
+"""The maps of a fitted flat surface, and those that other programs derive from them."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from metapp.appearance.flash import Maps
 from metapp.appearance.relief import height_from_normal, occlusion_from_height
 from metapp.appearance.workflow import to_metallic
 
-DESCRIPTION = "material.json"  # what an asset folder says of its files
+DESCRIPTION = "material.json"  # describes the files of an asset folder
 Encoding = Literal["srgb", "linear"]
 
 
@@ -19,8 +19,8 @@ class Surface(NamedTuple):
     """A flat surface, texel by texel; row 0 is the upper edge. A texture is a base colour alone.
 
     Attributes:
-        base: [3, H, W] linear RGB in [0, 1]: diffuse albedo, or all there is.
-        tiles: whether the left edge goes on at the right one and the upper at the lower one.
+        base: [3, H, W] linear RGB in [0, 1]: diffuse albedo, or the texture.
+        tiles: whether its opposite edges match.
         maps: all maps, without leading axes; None of a texture.
         height: [1, H, W] in texels, where the fit has one.
     """
@@ -51,7 +51,7 @@ class Plane(NamedTuple):
 
 
 def fitted_planes(surface: Surface) -> dict[str, Plane]:
-    """What the fit itself says, by name: heights in texture widths, about a mean of 0."""
+    """The fit's own maps, by name: heights in texture widths, about a mean of 0."""
     if surface.maps is None:
         return {"basecolor": Plane(surface.base, "srgb", "colour")}
     maps, height = surface.maps, surface.height
@@ -68,7 +68,7 @@ def fitted_planes(surface: Surface) -> dict[str, Plane]:
 
 
 def all_planes(surface: Surface) -> dict[str, Plane]:
-    """What the fit says and what follows: maps of the metallic-roughness workflow, occlusion, DirectX normals."""
+    """The fit's own maps and derived ones: the metallic-roughness workflow, occlusion, DirectX normals."""
     planes = fitted_planes(surface)
     if surface.maps is None:
         return planes

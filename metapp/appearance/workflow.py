@@ -15,7 +15,7 @@ DIELECTRIC = 0.04  # reflectance at normal incidence of nearly all that is no me
 
 
 class MetallicRoughness(NamedTuple):
-    """What the workflow keeps of colours.
+    """Colours of the workflow.
 
     Attributes:
         base: [..., 3, H, W] linear RGB in [0, 1].
@@ -34,16 +34,16 @@ def from_metallic(base: Tensor, metallic: Tensor) -> tuple[Tensor, Tensor]:
 def to_metallic(diffuse: Tensor, specular: Tensor) -> MetallicRoughness:
     """The workflow's maps of diffuse and specular colour.
 
-    Eliminating the base colour leaves one quadratic in metallic, c m^2 + (d + s - 2 c) m - (s - c) = 0, which is linear
-    in d and s: it is solved for their means over the channels. The base colour is then d + s - c (1 - m). Both are
-    exact where such maps exist (`from_metallic` inverts them); elsewhere they are clamped to [0, 1]: a specular colour
-    below 0.04 or of another hue than the body's is lost, which is why formats that can hold F0 itself get that.
+    Eliminating the base colour leaves c m^2 + (d + s - 2 c) m - (s - c) = 0, linear in d and s: it is solved for their
+    means over the channels. The base colour is then d + s - c (1 - m). Both are exact where such maps exist
+    (`from_metallic` inverts them); elsewhere they are clamped to [0, 1]: a specular colour below 0.04 or of another hue
+    than the body's is lost, which is why formats that can hold F0 itself get that.
 
     Args:
         diffuse: [..., 3, H, W] linear in [0, 1].
         specular: [..., 1 or 3, H, W], reflectance at normal incidence in [0, 1].
     """
-    d, s = (each.mean(-3, keepdim=True) for each in (diffuse, specular))
+    d, s = diffuse.mean(-3, keepdim=True), specular.mean(-3, keepdim=True)
     linear = d + s - 2 * DIELECTRIC
     root = (linear * linear + 4 * DIELECTRIC * (s - DIELECTRIC)).clamp_min(0).sqrt()
     metallic = ((root - linear) / (2 * DIELECTRIC)).clamp(0, 1)

@@ -9,7 +9,7 @@ import torch
 from torch import Generator
 
 from data_tools.readers.brdf_task import brdf_task
-from metapp.appearance.geometry import cos_incident, half_difference
+from metapp.appearance.geometry import cosines, half_difference
 from metapp.apps.brdf import Brdf, network
 from metapp.apps.brdf.featured import INPUTS, OWN, Featured, features_of, inputs_of
 from metapp.apps.brdf.recipes import RECIPES
@@ -40,7 +40,7 @@ def where() -> torch.Tensor:
     angles = torch.tensor([math.pi / 2, math.pi / 2, 2 * math.pi]) * torch.rand(
         500, 3, generator=Generator().manual_seed(2)
     )
-    return torch.cat([half_difference(angles), cos_incident(angles)[:, None]], 1).T[None]
+    return torch.cat([half_difference(angles), cosines(angles).incident[:, None]], 1).T[None]
 
 
 def tasks_of(theta: Params) -> Tasks:
