@@ -97,12 +97,6 @@ class MetaTraining(OuterLoop):
         return self.initialisation in ("mean", "encoder")
 
 
-# Fischer & Ritschel 2022, supplement: first-order MAML with Meta-SGD from a random initialisation, meta-batch 5
-AS_PUBLISHED = MetaTraining(
-    steps=100_000, tasks=5, rates={"": 1e-4}, first=Adam(1e-3), order=1, clip=10.0, initialisation="random"
-)
-
-
 @dataclass(frozen=True)
 class Recipe:
     """Everything a run may vary, for one application; a record stores the one it used.
@@ -137,3 +131,32 @@ class Recipe:
         A rule that the recipe does not have is trained as its default rule, and has no guard of its own.
         """
         return self.meta[rule] if rule in self.meta else replace(self.meta[self.rule], guard=None)
+
+
+def as_published(recipe: Recipe, setup: Any, *, tasks: int = 5) -> Recipe:
+    """The recipe of Fischer & Ritschel 2022, of all applications but BRDFs.
+
+    Supplement: first-order MAML with Meta-SGD from a random initialisation; Overfit for 10,000 steps.
+
+    Args:
+        recipe: what it is like in all else.
+        setup: the sizes of the paper's network.
+        tasks: the meta-batch.
+    """
+    training = MetaTraining(
+        steps=100_000,
+        tasks=tasks,
+        rates={"": 1e-4},
+        first=Adam(1e-3),
+        order=1,
+        clip=10.0,
+        initialisation="random",
+    )
+    return replace(
+        recipe,
+        overfit_steps=10_000,
+        finetune_steps=1_000,
+        meta={"meta-sgd": training},
+        rule="meta-sgd",
+        setup=setup,
+    )

@@ -13,7 +13,6 @@ from torch.nn.functional import avg_pool2d, interpolate, leaky_relu
 
 from metapp.appearance.features import channels_of, describe_features, describe_precision, load_features, moments
 from metapp.learning.app import App
-from metapp.learning.recipe import Adam, OuterLoop, Recipe
 from metapp.learning.task import Batch, Params, Task, Tasks
 from metapp.networks.coded import decoder_of, with_decoder
 from metapp.networks.layers import UNet
@@ -60,30 +59,6 @@ class ExemplarSetup:
     def at(self, octave: int) -> UNet | Pyramid:
         """The network that makes pictures of the size of an octave."""
         return self.network._replace(finest=octave) if isinstance(self.network, Pyramid) else self.network
-
-
-def full_recipe(quick: Recipe, *, found: Adam, tasks: int) -> Recipe:
-    """Make the recipe of the size that people use, from coarse to fine.
-
-    Half of the steps are at 64 texels, the last fifth at 256.
-
-    Args:
-        quick: what it is like in all else.
-        found: where the quick recipe's search of an Adam ended; searches begin there.
-        tasks: of each outer step of General.
-    """
-    rates = {"": 3e-3, "encoder.mlp": 1e-3}
-    tuned = replace(quick.meta["meta-mean"], first=found)
-    taps = ("relu1_1", "relu2_1", "relu3_1", "relu4_1")
-    network = Pyramid(16, outputs=quick.setup.network.outputs)
-    return replace(
-        quick,
-        quickft=found,
-        general=OuterLoop(steps=2400, tasks=tasks, rates=rates, warmup=50, final=0.0, validate_every=400),
-        meta={"meta-encoder": quick.meta["meta-encoder"], "meta-mean": tuned, "meta-axes": tuned},
-        rule="meta-axes",
-        setup=ExemplarSetup(256, 256, network, quick.setup.features, taps, octaves=3, shares=(0.5, 0.8)),
-    )
 
 
 class ExemplarApp(App):

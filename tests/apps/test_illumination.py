@@ -13,7 +13,7 @@ from metapp.appearance.photograph import develop, photograph, shade
 from metapp.apps.illumination import BODY, BODY_GAIN, GLOSSES, Illumination, IlluminationSetup, body_of
 from metapp.apps.illumination.encoder import Encoder, unwrapped
 from metapp.apps.illumination.presentation import IlluminationPresentation
-from metapp.apps.illumination.recipes import PAPER, QUICK
+from metapp.apps.illumination.recipes import QUICK, RECIPES
 from metapp.apps.illumination.variants import LAMPS, lit, mixed, regraded, tinted, turned
 from metapp.learning.app import stack
 from metapp.learning.task import Params, Task, Tasks
@@ -280,7 +280,7 @@ def test_overfit_finds_the_map(rng: Generator) -> None:
 
 
 def test_sizes_of_the_paper_recipe(rng: Generator) -> None:
-    app = Illumination(PAPER.setup, "reference")
+    app = Illumination(RECIPES["reference"]["paper"].setup, "reference")
     theta = app.init(rng, 1)
     assert app.radiance_of(theta).shape == (1, 3, 64, 128)
     tasks = stack(app, [task_of(lamps(1))])

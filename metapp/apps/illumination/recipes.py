@@ -5,8 +5,9 @@ from __future__ import annotations
 from dataclasses import replace
 
 from metapp.apps.illumination import IlluminationSetup
-from metapp.learning.recipe import AS_PUBLISHED, Adam, Guard, MetaTraining, OuterLoop, Recipe
+from metapp.learning.recipe import Adam, Guard, MetaTraining, OuterLoop, Recipe
 from metapp.networks.layers import LocalField
+from metapp.networks.recipes import by_protocol
 
 # exact second order, from General's encoder, which goes on learning through the steps
 LEARNED = MetaTraining(
@@ -37,8 +38,6 @@ QUICK = Recipe(
     rule="meta-lgd",
     setup=IlluminationSetup(LocalField(32, 64)),
 )
-# at the size that people use, in a fifth of the map's numbers: what was learned for 32 x 64 texels, on a finer grid
-FULL = replace(QUICK, setup=IlluminationSetup(LocalField(128, 256, rows=32, columns=64)))
 # from photographs slowly and for long: the encoder has much to learn, such as to leave to the steps what they can find
 FROM_PHOTOS = replace(
     LEARNED,
@@ -48,7 +47,7 @@ FROM_PHOTOS = replace(
     warmup=20,
     guard=None,  # a lower loss of a photograph need not be a better map
 )
-QUICK_PHOTO = replace(
+PHOTO = replace(
     QUICK,
     overfit=Adam(1e-3, final=0.0),
     finetune=Adam(1e-4, final=0.0),
@@ -56,22 +55,10 @@ QUICK_PHOTO = replace(
     meta={"meta-encoder": FROM_PHOTOS},
     rule="meta-encoder",
 )
-# 15 inner steps, first-order MAML with Meta-SGD from a random initialisation: Fischer & Ritschel 2022, section 4.1.5
-PAPER = replace(
+RECIPES = by_protocol(
     QUICK,
-    overfit_steps=10_000,
-    finetune_steps=1_000,
-    meta={"meta-sgd": AS_PUBLISHED},
-    rule="meta-sgd",
-    setup=IlluminationSetup(LocalField(64, 128, hidden=64)),
+    PHOTO,
+    # at the size that people use, in a fifth of the map's numbers: what was learned for 32 x 64 texels, on a finer grid
+    full=IlluminationSetup(LocalField(128, 256, rows=32, columns=64)),
+    paper=IlluminationSetup(LocalField(64, 128, hidden=64)),  # Fischer & Ritschel 2022, section 4.1.5: 15 inner steps
 )
-RECIPES = {
-    "reference": {"paper": PAPER, "quick": QUICK, "full": FULL},
-    "photo": {
-        "paper": replace(
-            PAPER, overfit=QUICK_PHOTO.overfit, finetune=QUICK_PHOTO.finetune, quickft=QUICK_PHOTO.quickft
-        ),
-        "quick": QUICK_PHOTO,
-        "full": replace(QUICK_PHOTO, setup=FULL.setup),
-    },
-}

@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 
 from metapp.apps.svbrdf_nonstationary import MaterialSetup, field_of
-from metapp.learning.recipe import AS_PUBLISHED, Adam, Guard, MetaTraining, OuterLoop, Recipe
+from metapp.learning.recipe import Adam, Guard, MetaTraining, OuterLoop, Recipe
+from metapp.networks.recipes import by_protocol
 
 # exact second order, from General's encoder, which goes on learning through the steps
 LEARNED = MetaTraining(
@@ -34,34 +35,21 @@ QUICK = Recipe(
     rule="meta-lgd",
     setup=MaterialSetup(field_of(64, 32)),
 )
-# at the size that people use: the code that is read at 64 texels, and what rules learned there, on a finer grid
-FULL = replace(QUICK, setup=MaterialSetup(field_of(128, 32), read=64))
 # a photograph says little that General has not read from it: small steps, and hardly any training through them
 GENTLE = replace(
     LEARNED, steps=50, tasks=8, first=Adam(3e-4, beta1=0.8, beta2=0.8, eps=1e-3), validate_every=25, guard=None
 )
-QUICK_PHOTO = replace(
+PHOTO = replace(
     QUICK,
     finetune=Adam(1e-4, final=0.0),
     quickft=GENTLE.first,
     meta={"meta-encoder": GENTLE},
     rule="meta-encoder",
 )
-# 15 inner steps on maps of 256 px, first-order MAML with Meta-SGD from a random initialisation, as in Fischer &
-# Ritschel 2022, section 4.1.4
-PAPER = replace(
+RECIPES = by_protocol(
     QUICK,
-    overfit_steps=10_000,
-    finetune_steps=1_000,
-    meta={"meta-sgd": AS_PUBLISHED},
-    rule="meta-sgd",
-    setup=MaterialSetup(field_of(256, 64), 64),
+    PHOTO,
+    # at the size that people use: the code that is read at 64 texels, and what rules learned there, on a finer grid
+    full=MaterialSetup(field_of(128, 32), read=64),
+    paper=MaterialSetup(field_of(256, 64), 64),  # Fischer & Ritschel 2022, section 4.1.4: 15 inner steps
 )
-RECIPES = {
-    "reference": {"paper": PAPER, "quick": QUICK, "full": FULL},
-    "photo": {
-        "paper": replace(PAPER, finetune=QUICK_PHOTO.finetune, quickft=QUICK_PHOTO.quickft),
-        "quick": QUICK_PHOTO,
-        "full": replace(QUICK_PHOTO, setup=FULL.setup),
-    },
-}

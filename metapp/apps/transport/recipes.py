@@ -6,7 +6,7 @@ from dataclasses import replace
 
 from metapp.apps.transport import TransportSetup
 from metapp.apps.transport.flow import Flow
-from metapp.learning.recipe import AS_PUBLISHED, Adam, MetaTraining, OuterLoop, Recipe
+from metapp.learning.recipe import Adam, MetaTraining, OuterLoop, Recipe, as_published
 
 # exact second order, from General's encoder, which goes on learning through the steps
 LEARNED = MetaTraining(
@@ -36,15 +36,6 @@ QUICK = Recipe(
 )
 # the same fits, judged by pictures of the size that people render
 FULL = replace(QUICK, setup=replace(QUICK.setup, picture=256))
-# 8 inner steps of 10,000 of 288,000 samples, first-order MAML with Meta-SGD from a random initialisation, as in
-# Fischer & Ritschel 2022, section 4.1.6
-PAPER = replace(
-    QUICK,
-    batch=10_000,
-    overfit_steps=10_000,
-    finetune_steps=1_000,
-    meta={"meta-sgd": AS_PUBLISHED},
-    rule="meta-sgd",
-    setup=TransportSetup(Flow(hidden=64, bins=16)),
-)
+# Fischer & Ritschel 2022, section 4.1.6: 8 inner steps of 10,000 of 288,000 samples
+PAPER = replace(as_published(QUICK, TransportSetup(Flow(hidden=64, bins=16))), batch=10_000)
 RECIPES = {"": {"paper": PAPER, "quick": QUICK, "full": FULL}}

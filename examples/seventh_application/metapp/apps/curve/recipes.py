@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
-from metapp.learning.recipe import AS_PUBLISHED, Adam, MetaTraining, OuterLoop, Recipe
+from metapp.learning.recipe import Adam, MetaTraining, OuterLoop, Recipe, as_published
 
 QUICK = Recipe(
     steps=10,
@@ -18,6 +16,6 @@ QUICK = Recipe(
     meta={"meta-adam": MetaTraining(steps=200, tasks=4, rates={"": 1e-3, "alpha.": 1e-2}, order=2, validate_every=50)},
     rule="meta-adam",
 )
-PAPER = replace(QUICK, meta={"meta-sgd": AS_PUBLISHED}, rule="meta-sgd")
+PAPER = as_published(QUICK, None)
 
 RECIPES = {"": {"paper": PAPER, "quick": QUICK}}
