@@ -102,11 +102,11 @@ def table_of(
     from rich.table import Table
     from rich.text import Text
 
-    from metapp.evaluation.tables.comparison import warned
+    from metapp.evaluation.notes import warned
     from metapp.runs.session import caption_of, title_of
     from metapp.storage.records import guarded, summary
 
-    factor = f" x{app.scale:g}" if app.scale != 1 else ""
+    factor = f" x{app.traits.scale:g}" if app.traits.scale != 1 else ""
     remarks = warned([{"paradigm": paradigm, "tasks": len(records), "guarded": guarded(records)}])
     shown_records = records
     if most is not None and len(records) > most:
