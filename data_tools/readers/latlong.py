@@ -10,7 +10,7 @@ import hashlib
 from collections.abc import Iterable, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import torch
@@ -33,6 +33,9 @@ from data_tools.readers.photos import (
 from metapp.appearance.latlong import mean_luminance, resample, sphere_normals
 from metapp.appearance.photograph import photograph
 from metapp.learning.task import Task
+
+if TYPE_CHECKING:
+    import OpenImageIO as oiio
 
 HEIGHT, WIDTH = 64, 128
 SIZE, COUNT = 64, 4  # px and number of the photographs of a map
@@ -269,7 +272,7 @@ def _check_values(planes: Sequence[NDArray[np.float32]], path: Path) -> None:
         )
 
 
-def _to_rec709(spec: Any, path: Path) -> Tensor:
+def _to_rec709(spec: oiio.ImageSpec, path: Path) -> Tensor:
     """The matrix [3, 3] from a file's linear colours to Rec.709: by its primaries, else by its space's name."""
     import OpenImageIO as oiio
 

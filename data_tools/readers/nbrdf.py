@@ -12,7 +12,7 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
@@ -25,8 +25,11 @@ from data_tools.readers import brdf_task
 from data_tools.readers.listing import files_below
 from data_tools.readers.plausibility import warn_implausible
 from metapp.appearance.geometry import half_difference
-from metapp.learning.task import Task
+from metapp.learning.task import Params, Task
 from metapp.storage.files import write_atomically
+
+if TYPE_CHECKING:
+    from metapp.apps.brdf import Brdf
 
 SHAPES = {"fc1": (6, 21), "fc2": (21, 21), "fc3": (21, 3), "b1": (21,), "b2": (21,), "b3": (3,)}
 
@@ -81,7 +84,7 @@ def conversion(paths: Sequence[Path], split: str, *, samples: int) -> Conversion
     return Conversion("brdf", "NBRDF network", brdf_task.UNITS, find, name, read, notes)
 
 
-def export(app: Any, theta: Mapping[str, Tensor], folder: Path) -> None:
+def export(app: Brdf, theta: Params, folder: Path) -> None:
     """Write a fitted network of the BRDF application, w1..w3 [out, in] and b1..b3 [out, 1], as an NBRDF folder."""
     weights = {f"fc{layer}": theta[f"w{layer}"].T for layer in (1, 2, 3)}
     write_nbrdf(folder, weights | {f"b{layer}": theta[f"b{layer}"].flatten() for layer in (1, 2, 3)})

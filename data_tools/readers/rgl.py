@@ -8,7 +8,8 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
-from typing import Any
+from types import ModuleType
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
@@ -21,8 +22,13 @@ from data_tools.readers.plausibility import warn_implausible
 from data_tools.readers.rgl_table import write_rgl
 from data_tools.readers.tensor_file import read_tensor_file
 from metapp.appearance.geometry import rusinkiewicz_to_directions
-from metapp.learning.task import Task
+from metapp.learning.task import Params, Task
 from metapp.rendering.variant import load_mitsuba
+
+if TYPE_CHECKING:
+    import mitsuba as mi
+
+    from metapp.apps.brdf import Brdf
 
 SUFFIX = ".bsdf"
 LARGEST = 1e9  # of any number; measurements are below 1e6
@@ -44,7 +50,7 @@ find = partial(find_by_suffix, suffix=SUFFIX, what="an RGL .bsdf file")
 recognises = partial(has_suffix, suffix=SUFFIX)
 
 
-def export(app: Any, theta: Mapping[str, Tensor], path: Path) -> None:
+def export(app: Brdf, theta: Params, path: Path) -> None:
     """Write a fitted network of the BRDF application as a file of the RGL database, `path`.bsdf."""
     file = path.with_name(f"{path.name}{SUFFIX}")
     write_rgl(file, partial(app.reflectance, theta), f"{path.name}: a fit of metapp")
@@ -77,7 +83,7 @@ def read_rgl(path: Path) -> Callable[[Tensor], Tensor]:
     return partial(_evaluate, mitsuba, bsdf)
 
 
-def _evaluate(mitsuba: Any, bsdf: Any, angles: Tensor) -> Tensor:
+def _evaluate(mitsuba: ModuleType, bsdf: mi.BSDF, angles: Tensor) -> Tensor:
     import drjit
 
     light, viewer = rusinkiewicz_to_directions(angles.reshape(-1, 3).double())
@@ -87,7 +93,7 @@ def _evaluate(mitsuba: Any, bsdf: Any, angles: Tensor) -> Tensor:
     return (value / light[:, 2:].clamp_min(1e-6)).clamp_min(0).reshape(angles.shape).to(angles)
 
 
-def check(path: Path, fields: Mapping[str, NDArray[Any]]) -> None:
+def check(path: Path, fields: Mapping[str, NDArray[np.number]]) -> None:
     """Refuse what Mitsuba would refuse at length, or not at all.
 
     Raises:
@@ -126,7 +132,7 @@ def _check_shapes(path: Path, shapes: Mapping[str, tuple[int, ...]]) -> None:
         raise ValueError(f"{path}: a grid of one point or none, expected two or more; download it again.")
 
 
-def _check_values(path: Path, fields: Mapping[str, NDArray[Any]]) -> None:
+def _check_values(path: Path, fields: Mapping[str, NDArray[np.number]]) -> None:
     for name in ("theta_i", "phi_i"):
         if (np.diff(fields[name]) <= 0).any():
             raise ValueError(f"{path}: {name} not ascending, expected ascending angles in rad; download it again.")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -11,13 +12,12 @@ import typer
 from metapp.cli.console import out, print_json, say
 from metapp.cli.options import Json, takes
 from metapp.evaluation.tables import NAMES, STUDIES, load_table
-from metapp.runs.reporter import progress
 
 if TYPE_CHECKING:
+    from metapp.evaluation.cell import Cell
+    from metapp.evaluation.rows import Table
     from metapp.evaluation.study import Budget
-    from metapp.evaluation.tables.subject import Cell, Subject
-    from metapp.evaluation.tables.table import Table
-    from metapp.runs.plan import Plan
+    from metapp.evaluation.subject import Subject
 
 FORMATS = ("rich", "markdown", "latex", "csv", "json")
 ALL = "all"
@@ -89,32 +89,18 @@ def command(options: Evaluation) -> None:
     Example: metapp evaluate brdf --which quickft
     """
     given = check(options)
-    budget = budget_of(given)
-    planned = plans_of(given)
-    strict = bool(given.apps) and not given.no_run
-    subjects = find_subjects(planned, run=not given.no_run, strict=strict, share=given.overfit_share, budget=budget)
-    which, quiet = given.which, given.quiet
-    tables = [load_table(name) for name in (NAMES if which == ALL else (which,))]
-    measured = list(tables)
-    if given.report or (given.figures and which not in STUDIES):
-        measured += [load_table(name) for name in NAMES if name != which]
-    if any(table.name not in STUDIES for table in measured):
-        # all checkpoints before the first fit: a missing one should not be found after an hour; applications that
-        # nobody named have empty cells where a checkpoint is missing
-        for subject in subjects:
-            subject.find_checkpoints()
-    cells = [cell for table in measured for subject in subjects for cell in table.cells(subject)]
-    fill(cells, run=not given.no_run, quiet=quiet)
-    if not quiet and which in ("results", ALL):
-        compare(subjects, quiet=quiet)
-    if not quiet and which in ("baselines", ALL):
-        compare_baselines(subjects)
+    subjects = subjects_of(given)
+    names = NAMES if given.which == ALL else (given.which,)
+    drawn = NAMES if given.report or (given.figures and given.which not in STUDIES) else ()
+    fill([load_table(name) for name in dict.fromkeys((*names, *drawn))], subjects, given)
+    if not given.quiet:
+        draw(subjects, names)
     if given.table or given.json:
-        show(tables, subjects, "json" if given.json else given.form)
+        show([load_table(name) for name in names], subjects, "json" if given.json else given.form)
     if given.figures:
         from metapp.evaluation.figures import FIGURES, write_figures
 
-        for file in write_figures(subjects, given.figures, STUDIES if which in STUDIES else tuple(FIGURES)):
+        for file in write_figures(subjects, given.figures, STUDIES if given.which in STUDIES else tuple(FIGURES)):
             say(f"figure: {file}")
     if given.report:
         from metapp.evaluation.report.page import write_report
@@ -168,24 +154,28 @@ def budget_of(given: Evaluation) -> Budget:
     return Budget(**{key: value for key, value in values.items() if value})
 
 
-def plans_of(given: Evaluation) -> list[Plan]:
-    """The plan of General for each application under each protocol."""
-    from metapp.apps import app_names
-    from metapp.runs.checks import check_protocol, find_app
+def subjects_of(given: Evaluation) -> list[Subject]:
+    """Each application under each protocol."""
+    from metapp.apps import app_names, protocols_of, recipes_of
+    from metapp.evaluation.subject import Subject
+    from metapp.runs.checks import check_name, check_protocol
     from metapp.runs.plan import plan
     from metapp.runs.request import Request
 
-    found = [find_app(name) for name in given.apps or app_names()]
-    for app in [app for app in found if app.protocols] or found:
-        check_protocol(given.observe, app)
-    return [
+    budget, run = budget_of(given), not given.no_run
+    names = given.apps or app_names()
+    for name in names:
+        check_name(name)
+    for name in [name for name in names if protocols_of(name)] or names:
+        check_protocol(given.observe, name)
+    planned = [
         plan(
             Request(
-                app.name,
+                name,
                 "general",
                 observe=protocol,
                 rule=given.rule,
-                recipe=given.recipe if given.apps or given.recipe in app.recipes else "quick",
+                recipe=given.recipe if given.apps or given.recipe in recipes_of(name) else "quick",
                 data=given.data,
                 out=given.out,
                 seed=given.seed,
@@ -193,45 +183,52 @@ def plans_of(given: Evaluation) -> list[Plan]:
                 quiet=given.quiet,
             )
         )
-        for app in found
-        for protocol in ((given.observe,) if given.observe and app.protocols else app.protocols or ("",))
+        for name in names
+        for protocol in ((given.observe,) if given.observe and protocols_of(name) else protocols_of(name) or ("",))
     ]
+    strict = bool(given.apps) and run
+    return [Subject(each, run=run, strict=strict, share=given.overfit_share, budget=budget) for each in planned]
 
 
-def find_subjects(
-    planned: list[Plan], *, run: bool, strict: bool, share: float, budget: Budget | None = None
-) -> list[Subject]:
-    """What tables are about."""
-    from metapp.evaluation.tables.subject import Subject
+def fill(tables: list[Table], subjects: list[Subject], given: Evaluation) -> None:
+    """Measure what has no record yet, or name the commands that do."""
+    from metapp.evaluation.cell import run_cells
 
-    return [Subject(plan, run=run, strict=strict, share=share, budget=budget) for plan in planned]
-
-
-def fill(cells: list[Cell], *, run: bool, quiet: bool) -> None:
-    """Measure what cells lack, or name the commands that do."""
-    from metapp.evaluation.tables.running import run_cells
-
-    if run:
-        run_cells(cells, quiet=quiet)
+    if any(table.name not in STUDIES for table in tables):
+        # all checkpoints before the first fit: a missing one should not be found after an hour; applications that
+        # nobody named have empty cells where a checkpoint is missing
+        assert all(subject.fits for subject in subjects)
+    cells = [cell for table in tables for subject in subjects for cell in table.cells(subject)]
+    if not given.no_run:
+        run_cells(cells, quiet=given.quiet)
         return
     groups: dict[str, list[Cell]] = {}
     for cell in {cell.title: cell for cell in cells}.values():
         groups.setdefault(cell.title.partition(": ")[0], []).append(cell)
-    for title, each in groups.items():
-        count, total = (sum(map(len, lists)) for lists in zip(*((c.missing(), c.tasks) for c in each), strict=True))
+    for title, group in groups.items():
+        count, total = (sum(map(len, lists)) for lists in zip(*((c.missing(), c.tasks) for c in group), strict=True))
         if count or not total:
-            say(f"{title}: {f'{count} of {total}' if count else 'all'} tasks missing: {each[0].command}")
+            say(f"{title}: {f'{count} of {total}' if count else 'all'} tasks missing: {group[0].command}")
+
+
+def draw(subjects: list[Subject], names: Sequence[str]) -> None:
+    """Draw fits side by side, as tables of these names compare them."""
+    from metapp.evaluation.pictures import draw_baselines, draw_paradigms
+
+    for name, draw_one in (("results", draw_paradigms), ("baselines", draw_baselines)):
+        for file in filter(None, map(draw_one, subjects) if name in names else ()):
+            say(f"picture: {file}")
 
 
 def show(tables: list[Table], subjects: list[Subject], form: str) -> None:
     """Print tables in a format."""
     from metapp.cli.show import rich_table
-    from metapp.evaluation.tables.formats import csv_of, text_table
+    from metapp.evaluation.formats import csv_of, text_table
 
     several = len(tables) > 1
-    found = {table.name: [(each, rows) for each in subjects if (rows := table.rows(each))] for table in tables}
+    found = {table.name: [(one, rows) for one in subjects if (rows := table.rows(one))] for table in tables}
     if form in ("json", "csv"):
-        rows = [row | ({"table": name} if several else {}) for name in found for _, each in found[name] for row in each]
+        rows = [row | ({"table": name} if several else {}) for name in found for _, some in found[name] for row in some]
         if form == "csv":
             out.print(csv_of(rows), markup=False, soft_wrap=True)
         else:
@@ -243,36 +240,3 @@ def show(tables: list[Table], subjects: list[Subject], form: str) -> None:
                 out.print(rich_table(table, subject, rows))
         else:
             out.print(text_table(table, found[table.name], form), markup=False, soft_wrap=True)
-
-
-def compare(subjects: list[Subject], *, quiet: bool) -> None:
-    """Draw the fits of all paradigms that are complete, side by side, one picture an application."""
-    from metapp.runs.pictures import COMPARED, picture_of_table
-
-    for subject in subjects:
-        app, request, complete = subject.app, subject.plan.request, []
-        for name, fit in subject.fits.items():
-            cell = subject.cell(name)
-            if cell.folder and name == fit.plan.paradigm.name and cell.tasks and not cell.missing():
-                complete.append((name, cell.folder.path, cell.records()))
-        if complete:
-            name = f"comparison-{subject.label}-{request.recipe}-seed{request.seed}"
-            name += f"-{app.protocol}" if app.protocol else ""
-            file = request.out / app.name / f"{name}.png"
-            with progress(f"pictures of {subject.title}", len(subject.tasks[:COMPARED]), quiet=quiet) as bar:
-                made = picture_of_table(app, subject.tasks, complete, file, bar.advance)
-            say(f"picture: {made}")
-
-
-def compare_baselines(subjects: list[Subject]) -> None:
-    """Draw Meta's fits and those of baselines that are pictures, side by side, one picture an application."""
-    from metapp.evaluation.tables.baselines import baselines_with_pictures
-    from metapp.runs.pictures import picture_of_table
-
-    for subject in subjects:
-        meta, drawn = subject.cell("meta"), baselines_with_pictures(subject)
-        if meta.folder and drawn and subject.tasks and not meta.missing():
-            runs = [("meta", meta.folder.path, meta.records()), *drawn]
-            request = subject.plan.request
-            file = request.out / subject.app.name / f"baselines-{subject.label}-{request.recipe}.png"
-            say(f"picture: {picture_of_table(subject.app, subject.tasks, runs, file)}")

@@ -38,7 +38,7 @@ def takes(options: Callable[..., Options]) -> Callable[[Callable[[Options], Resu
             )
             for field in fields(options)  # type: ignore[arg-type]  # a dataclass
         ]
-        command.__doc__, command.__annotations__ = function.__doc__, hints
+        command.__name__, command.__doc__, command.__annotations__ = function.__name__, function.__doc__, hints
         command.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]  # what typer reads
         return command
 

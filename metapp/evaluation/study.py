@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import functools
 from dataclasses import asdict, replace
 from typing import Any, NamedTuple, get_args
@@ -10,7 +9,7 @@ from typing import Any, NamedTuple, get_args
 from torch import Generator
 
 from metapp.learning.app import App
-from metapp.learning.recipe import MetaTraining, Recipe, Start
+from metapp.learning.recipe import Initialisation, MetaTraining, Recipe
 from metapp.learning.rules import RULES, rule_of
 from metapp.paradigms import Job, Paradigm, paradigms
 from metapp.runs.checkpoints import find_checkpoint, has_general, trained_path
@@ -20,7 +19,7 @@ from metapp.runs.surroundings import precision_of, versions
 from metapp.runs.training import Trained, general_of, train_checkpoint
 from metapp.storage.records import load_checkpoint, tensor_digest
 
-STARTS = get_args(Start)
+STARTS = get_args(Initialisation)
 ENCODER_RATE = 3e-4  # outer rate of General's encoder where the recipe's own training moves none
 QUICKFT = "quickft"  # the reference line, among the names of rules
 # Beside all named rules, what one part adds to a rule or what its lack does.
@@ -45,7 +44,7 @@ class Budget(NamedTuple):
     Attributes:
         outer: outer steps of each training.
         steps: numbers of gradient steps; each rule is trained for each of them.
-        seeds: how many seeds of training and fitting, from the options' own on.
+        seeds: how many seeds of training and fitting, from the plan's own on.
         start: the first initialisation of all rules. From "encoder", which is QuickFT's too, rules alone differ.
         rules: what is trained; () for all named rules and COMPOSED.
     """
@@ -53,7 +52,7 @@ class Budget(NamedTuple):
     outer: int = 500
     steps: tuple[int, ...] = (5, 10, 20, 40)
     seeds: int = 3
-    start: Start = "encoder"
+    start: Initialisation = "encoder"
     rules: tuple[str, ...] = ()
 
 
@@ -94,9 +93,10 @@ def training_for(recipe: Recipe, rule: str) -> MetaTraining:
 
     Without Adam's moments a direction is the gradient itself: that takes the rates of meta-sgd, or a search of one.
     """
+    usual = recipe.training(rule if rule in recipe.meta else recipe.rule)
     if rule in recipe.meta or rule_of(rule).has("betas"):
-        return recipe.meta_training(rule)
-    return recipe.meta.get("meta-sgd") or replace(recipe.meta_training(rule), tuned=True)
+        return usual
+    return recipe.meta.get("meta-sgd") or replace(usual, tuned=True)
 
 
 class Study:
@@ -112,7 +112,6 @@ class Study:
     def __init__(self, plan: Plan, budget: Budget) -> None:
         self.plan, self.budget = plan, budget
         self.rules, self.refused = study_rules(plan.app, budget)
-        self._apps: dict[str, App] = {}
 
     def cases(self) -> list[Case]:
         """All trainings: seed by seed, those of few steps first."""
@@ -124,17 +123,18 @@ class Study:
     def place(self, case: Case) -> Plan:
         """The plan of a case: its recipe is the application's for so many steps, under a name of its own."""
         rule = self.plan.job.rule if case.rule == QUICKFT else case.rule
-        if rule not in self._apps:  # one object a rule, which shares its compiled code
-            self._apps[rule] = copy.copy(self.plan.app)
+        name, recipe = self._recipe_name(case.rule, case.steps), self._recipe(case.rule, case.steps)
+        request = replace(self.plan.request, recipe=name, rule=rule, seed=case.seed, steps=None, checkpoint=None)
+        return Plan(request, case.paradigm, Job(self.plan.app, recipe, rule), self.plan.device)
+
+    def _recipe_name(self, rule: str, steps: int) -> str:
+        name = f"{self.plan.request.recipe}-{steps}steps"
+        return name if rule == QUICKFT else f"{name}-{self.budget.outer}outer-{self.budget.start}"
+
+    def _recipe(self, rule: str, steps: int) -> Recipe:
         base = self.plan.job.recipe
-        meta = base.meta if case.rule == QUICKFT else {rule: self.training(rule)}
-        recipe = replace(base, steps=case.steps, meta=meta, rule=next(iter(meta)))
-        request = self.plan.request
-        name = f"{request.recipe}-{case.steps}steps"
-        if case.rule != QUICKFT:
-            name += f"-{self.budget.outer}outer-{self.budget.start}"
-        request = replace(request, recipe=name, rule=rule, seed=case.seed, steps=None, checkpoint=None)
-        return Plan(request, case.paradigm, Job(self._apps[rule], recipe, rule), self.plan.device)
+        meta = base.meta if rule == QUICKFT else {rule: self.training(rule)}
+        return replace(base, steps=steps, meta=meta, rule=next(iter(meta)))
 
     def training(self, rule: str) -> MetaTraining:
         """How a rule is trained here: as by its recipe, but for the start, and with so many outer steps.
@@ -142,9 +142,9 @@ class Study:
         A recipe that searches an Adam alone does so here, too.
         """
         training = training_for(self.plan.job.recipe, rule)
-        if self.budget.start == "encoder" and training.start != "encoder":
+        if self.budget.start == "encoder" and training.initialisation != "encoder":
             training = replace(training, rates={"encoder.": ENCODER_RATE} | training.rates)
-        return replace(training, start=self.budget.start, steps=self.budget.outer if training.steps else 0)
+        return replace(training, initialisation=self.budget.start, steps=self.budget.outer if training.steps else 0)
 
     @functools.cached_property
     def general(self) -> Checkpoint | None:

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from data_tools.formats import AUTO, Conversion
 from metapp.runs.reporter import progress, say
 from metapp.storage.files import check_readable, named
+
+if TYPE_CHECKING:
+    from metapp.storage.manifest import Entry
 
 
 class Converted(NamedTuple):
@@ -19,6 +22,12 @@ class Converted(NamedTuple):
     train: list[str]
     test: list[str]
     skipped: list[str]
+
+
+def converted(app: str, out: Path, entries: Sequence[Entry], skipped: Iterable[str] = ()) -> Converted:
+    """What a data set holds that was written."""
+    names = {split: [entry.name for entry in entries if entry.split == split] for split in ("train", "test")}
+    return Converted(app, str(out), names["train"], names["test"], list(skipped))
 
 
 def convert(conversion: Conversion, paths: Iterable[Path], out: Path, split: str, quiet: bool = False) -> Converted:
@@ -67,8 +76,7 @@ def convert(conversion: Conversion, paths: Iterable[Path], out: Path, split: str
                 f"{empty[0]}: {len(bad[empty[0]])} {conversion.noun}s, none usable; expected at least one."
             )
         entries = writer.entries()
-    names = {part: [entry.name for entry in entries if entry.split == part] for part in ("train", "test")}
-    return Converted(conversion.app, str(out), names["train"], names["test"], skipped)
+    return converted(conversion.app, out, entries, skipped)
 
 
 def _find(conversion: Conversion, paths: Iterable[Path]) -> tuple[dict[Path, Path | None], list[str]]:

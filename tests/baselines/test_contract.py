@@ -12,16 +12,16 @@ import torch
 from rich.console import Console
 from torch import Generator, Tensor
 
-from metapp.apps import app_names, load_app
+from metapp.apps import app_names, class_of, protocols_of
 from metapp.baselines import baselines_of
 from metapp.baselines.baseline import Allowed, Fitted, Training, nearest
-from metapp.cli.evaluate import compare_baselines, find_subjects
+from metapp.cli.evaluate import draw
 from metapp.cli.show import rich_table
-from metapp.evaluation.figures import draw
+from metapp.evaluation.cell import run_cells
+from metapp.evaluation.figures import draw as draw_figure
+from metapp.evaluation.subject import Subject
 from metapp.evaluation.tables import load_table
-from metapp.evaluation.tables.baselines import baseline_cell, baseline_rows, baselines_with_pictures
-from metapp.evaluation.tables.running import run_cells
-from metapp.evaluation.tables.subject import Subject
+from metapp.evaluation.tables.baselines import baseline_cell, baseline_rows, picture_cells
 from metapp.learning.app import App, stack
 from metapp.learning.task import Task
 from metapp.runs.plan import plan
@@ -29,14 +29,14 @@ from metapp.runs.reporter import Reporter, reporting
 from metapp.runs.request import Request
 from metapp.storage.records import RunFolder, read_theta
 from metapp.storage.shards import ShardWriter
+from tests.quick import app_by
 
-PLACED = [(name, protocol) for name in app_names() for protocol in load_app(name).protocols or ("",)]
+PLACED = [(name, protocol) for name in app_names() for protocol in protocols_of(name) or ("",)]
 TRAIN, TEST = 6, 2
 
 
 def placed(name: str, protocol: str) -> App:
-    app = load_app(name)
-    return app.at(app.recipes["quick"], protocol)
+    return app_by(name, protocol=protocol)
 
 
 def random_task(app: str, name: str, rng: Generator, angles: Tensor) -> Task:
@@ -68,7 +68,7 @@ def data(tmp_path: Path, rng: Generator) -> Callable[[str], Path]:
     """Writes a data set of noise."""
 
     def write(name: str) -> Path:
-        angles, app = 0.6 * torch.rand(256, 3, generator=rng), load_app(name)
+        angles, app = 0.6 * torch.rand(256, 3, generator=rng), class_of(name)
         units = dict.fromkeys((*app.holds, "render"), "any")
         with ShardWriter(tmp_path / "data", name, units) as writer:
             for i in range(TRAIN + TEST):
@@ -83,8 +83,7 @@ def subject_of(data: Callable[[str], Path], tmp_path: Path, scene: Path) -> Call
     def make(name: str, protocol: str) -> Subject:
         of_app = {"observe": protocol, "recipe": "quick", "data": data(name), "out": tmp_path / "runs"}
         planned = plan(Request(name, "general", **of_app, device="cpu", quiet=True))
-        (found,) = find_subjects([planned], run=True, strict=False, share=1.0)
-        return found
+        return Subject(planned, run=True, strict=False)
 
     return make
 
@@ -115,7 +114,7 @@ def test_its_table_prints_them(
     monkeypatch.setattr("metapp.baselines.brdf.PENALTIES", (1e-6,))  # a choice takes its time
     subject, table = subject_of(name, protocol), load_table("baselines")
     assert {row["tasks"] for row in table.rows(subject)} == {0}
-    pretend_meta(subject, 0.2 * subject.app.scale)
+    pretend_meta(subject, 0.2 * subject.app.traits.scale)
     run_cells([baseline_cell(subject, baseline) for baseline in baselines_of(subject.app)], quiet=True)
     rows = {row["paradigm"]: row for row in baseline_rows(subject)}
     for baseline in baselines_of(subject.app):
@@ -130,8 +129,10 @@ def test_its_table_prints_them(
     with (console := Console(width=200, force_terminal=False)).capture() as shown:
         console.print(rich_table(table, subject, table.rows(subject)))
     text = " ".join(shown.get().split())
-    drawn = [name for name, _, _ in baselines_with_pictures(subject)]
-    assert drawn == {"texture": ["nearest", "quilting", "patches"], "svbrdf_stationary": ["nearest"]}.get(name, [])
+    assert list(picture_cells(subject)) == {
+        "texture": ["nearest", "quilting", "patches"],
+        "svbrdf_stationary": ["nearest"],
+    }.get(name, [])
     for baseline in baselines_of(subject.app):
         assert baseline.name in text
         assert baseline.matches or baseline.cannot in text
@@ -159,10 +160,10 @@ def test_baselines_that_are_pictures_are_drawn_beside_metas_fits(subject_of: Cal
         folder.add({"name": task.name, "error": 1.0, "seconds": 1.0}, theta)
     subject._cells["meta"] = subject.cell("meta")._replace(folder=folder)
     made = subject.plan.request.out / "texture" / f"baselines-{subject.label}-quick.png"
-    compare_baselines([subject])
+    draw([subject], ["baselines"])
     assert not made.exists()  # nothing was measured yet
     run_cells([baseline_cell(subject, baseline) for baseline in baselines_of(subject.app)], quiet=True)
-    compare_baselines([subject])
+    draw([subject], ["baselines"])
     assert made.read_bytes().startswith(b"\x89PNG")
     kept = subject.plan.request.out / "texture" / "baselines" / "patches" / f"{subject.label}-quick-seed0"
     assert read_theta(kept, "t6")["picture"].shape == (64, 64, 3)
@@ -193,7 +194,7 @@ def test_notes_say_who_is_ahead(
     ("name", "lacked"), [("illumination", "map"), ("svbrdf_nonstationary", "maps"), ("transport", "held")]
 )
 def test_training_tasks_without_a_reference_are_passed_over(name: str, lacked: str, rng: Generator) -> None:
-    app = placed(name, (load_app(name).protocols or ("",))[-1])
+    app = placed(name, (protocols_of(name) or ("",))[-1])
     whole = [random_task(name, f"t{i}", rng, torch.zeros(0)) for i in range(3)]
     bare = [Task(task.name, {key: value for key, value in task.data.items() if key != lacked}) for task in whole]
     assert [task.name for task in Training(app, [*bare[:2], whole[2]]).holding(lacked).tasks] == ["t2"]
@@ -215,7 +216,7 @@ def test_the_plane_shows_baselines(subject_of: Callable[[str, str], Subject]) ->
     pretend_meta(subject, 5.0)
     (baseline,) = baselines_of(subject.app)
     run_cells([baseline_cell(subject, baseline)], quiet=True)
-    drawn = draw("plane", subject)
+    drawn = draw_figure("plane", subject)
     assert drawn
     assert "Meta 5.000 in 1 s" in drawn.caption
     assert ", nearest " in drawn.caption

@@ -10,10 +10,9 @@ from typing import Any
 
 import pytest
 
-from metapp.apps.brdf import APP
-from metapp.cli.evaluate import find_subjects
+from metapp.apps.brdf.recipes import RECIPES
+from metapp.evaluation.subject import Subject
 from metapp.evaluation.tables import load_table
-from metapp.evaluation.tables.subject import Subject
 from metapp.runs.plan import plan
 from metapp.runs.request import Request
 from tests.small_spheres import shrink_spheres
@@ -23,8 +22,8 @@ from tests.small_spheres import shrink_spheres
 def few_steps() -> Iterator[None]:
     """Few steps of Overfit and Finetune, and of what comes after Meta; figures of few pixels."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setitem(APP.recipes, "quick", replace(APP.recipes["quick"], overfit_steps=40, finetune_steps=5))
-        patch.setattr("metapp.evaluation.tables.trace.FURTHER", (2, 4))
+        patch.setitem(RECIPES[""], "quick", replace(RECIPES[""]["quick"], overfit_steps=40, finetune_steps=5))
+        patch.setattr("metapp.evaluation.trace.FURTHER", (2, 4))
         patch.setattr("metapp.evaluation.figures.style.DPI", 40)
         shrink_spheres(patch)
         yield
@@ -41,8 +40,7 @@ def call(*arguments: str | Path) -> int:
 def subject_of(data: Path, runs: Path) -> Subject:
     """A data set with all that has been run of it."""
     planned = plan(Request("brdf", "general", recipe="quick", data=data, out=runs, device="cpu", quiet=True))
-    (found,) = find_subjects([planned], run=True, strict=True, share=1.0)
-    return found
+    return Subject(planned, run=True, strict=True)
 
 
 def rows(subject: Subject, name: str) -> list[dict[str, Any]]:

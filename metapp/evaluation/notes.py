@@ -1,0 +1,92 @@
+"""Notes below tables that several of them share: who wins, what differs from the recipe, what a column shows."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from metapp.evaluation.rows import Row, paired_of
+from metapp.evaluation.subject import Subject
+from metapp.runs.statistics import FEWEST, Paired, apart
+
+
+def paired_note(rows: Sequence[Row], other: str = "quickft") -> list[str]:
+    """What the columns that compare show."""
+    kinds = {found.kind: found.level for row in rows if (found := paired_of(row, other))}
+    return [
+        f"vs {other}: {kind} of mean errors with a 95 % interval (paired bootstrap over tasks); below {level:g} means "
+        "a lower error; lower on: tasks whose error is lower"
+        for kind, level in sorted(kinds.items())
+    ]
+
+
+def change(one: Row, other: Row) -> str:
+    """How far a row's error is from another's, in percent of that: "12 % below"; "" where one is not known."""
+    if one["error"] is None or not other["error"]:
+        return ""
+    percent = 100 * (one["error"] - other["error"]) / abs(other["error"])
+    return f"{abs(percent):.0f} % {'above' if percent > 0 else 'below'}"
+
+
+def compared_text(found: Paired, other: str) -> str:
+    """A comparison in words: error ratio 0.962 [0.952, 0.972] vs quickft, lower on 15 of 20 tasks."""
+    return f"error {found.kind} {found} vs {other}, lower on {found.ahead} of {found.tasks} tasks"
+
+
+def verdict(row: Row, other: str = "quickft") -> str:
+    """Whether a row's method or another wins: the one of the lower error, unless chance could be the reason."""
+    found, one = paired_of(row, other), row["paradigm"]
+    if found is None:
+        return ""
+    text, differ = f"{one}: {compared_text(found, other)}", apart(found)
+    if differ is None:
+        return f"{text}; {found.groups} different tasks, fewer than {FEWEST}, are too few to call a win"
+    if not differ:
+        return f"{text}; no win"
+    return f"{text}; {one if found.value < found.level else other} wins"
+
+
+def warned(rows: Sequence[Row]) -> list[str]:
+    """How many fits end above their initialisation's loss, and on how many tasks the guard of a learned rule acted."""
+    remarks = (
+        ("warnings", "{} of {} fits ended above their initialisation's loss"),
+        ("guarded", "the guard acted on {} of {} tasks, which took twice the steps"),
+    )
+    return [
+        f"{row['paradigm']}: {remark.format(row[key], row['tasks'])}"
+        for key, remark in remarks
+        for row in rows
+        if row.get(key)
+    ]
+
+
+def threads_note(rows: Sequence[Row]) -> list[str]:
+    """The threads that seconds are of, where records say so."""
+    known = list(dict.fromkeys(row["threads"] for row in rows if row["threads"]))
+    if len(known) > 1:
+        text = "; ".join(f"{row['paradigm']} {row['threads']}" for row in rows if row["threads"])
+        return [f"threads: {text}; seconds of different threads do not compare"]
+    return [f"threads: {count}" for count in known]
+
+
+def overfit_note(subject: Subject) -> list[str]:
+    """What is said where Overfit takes fewer steps than the recipe's."""
+    if subject.share == 1:
+        return []
+    steps, recipe = subject.fits["overfit"].steps, subject.plan.job.recipe.overfit_steps
+    changed = "its error and the gap closed are too high, its time and the speed-up too low"
+    return [f"overfit: {steps:,} of the recipe's {recipe:,} steps, so {changed}"]
+
+
+def carried(rows: Sequence[Row], error: str, seconds: str) -> tuple[float | None, float | None]:
+    """The two figures that carry across data sets and machines: Meta's gap closed, and its speed-up over Overfit.
+
+    There is no gap to close where Overfit is no better than General.
+    """
+    by_name = {row["paradigm"]: row for row in rows}
+    general, overfit, meta = (by_name[name] for name in ("general", "overfit", "meta"))
+    gap = speed = None
+    if None not in (general[error], overfit[error], meta[error]) and overfit[error] < general[error]:
+        gap = (general[error] - meta[error]) / (general[error] - overfit[error])
+    if None not in (overfit[seconds], meta[seconds]):
+        speed = overfit[seconds] / meta[seconds]
+    return gap, speed

@@ -1,0 +1,197 @@
+"""What a table is about: an application under a protocol on a data set, and the fits behind its rows."""
+
+from __future__ import annotations
+
+import functools
+import shlex
+from contextlib import suppress
+from typing import Any
+
+from metapp.appearance.presentation import Presentation
+from metapp.apps import presentation_of
+from metapp.evaluation.cell import Cell, Measure
+from metapp.evaluation.study import Budget, Study
+from metapp.learning.app import App
+from metapp.learning.task import Task
+from metapp.paradigms import paradigms
+from metapp.runs.checkpoints import find_checkpoint, trained_path
+from metapp.runs.embedded import embedded_exists
+from metapp.runs.fits import fit_tasks
+from metapp.runs.inputs import tasks_of_data
+from metapp.runs.naming import name_of, title_of
+from metapp.runs.plan import Plan
+from metapp.runs.reporter import say
+from metapp.runs.surroundings import make_folder, threads_of
+from metapp.storage.records import FIT, RunFolder
+
+
+class Subject:
+    """An application under a protocol, on a data set.
+
+    Attributes:
+        plan: of General; rows differ in paradigm, rule or steps.
+        run: whether cells without records will be run; else they stay empty.
+        share: of the recipe's steps that Overfit takes here.
+    """
+
+    def __init__(
+        self, plan: Plan, *, run: bool, strict: bool, share: float = 1.0, budget: Budget | None = None
+    ) -> None:
+        """Look up nothing yet.
+
+        Args:
+            plan, run, share: as the attributes.
+            strict: whether a checkpoint that is missing is an error; else it is said, and its cells stay empty.
+            budget: how much the table of rules trains.
+        """
+        self.plan, self.run, self.share = plan, run, share
+        self._strict, self._budget = strict, budget or Budget()
+        self._cells: dict[str, Cell] = {}
+
+    @functools.cached_property
+    def fits(self) -> dict[str, Plan]:
+        """How each row of the results is fitted: the paradigms, then meta:<rule> for further rules with a checkpoint.
+
+        The plans of paradigms whose checkpoint is missing have none.
+
+        Raises:
+            ValueError: a checkpoint is missing that a row must have, and that is an error.
+        """
+        plan, recipe = self.plan, self.plan.job.recipe
+        fits = {name: self._find(plan.by(name, steps=self._steps(name))) for name in paradigms()}
+        others = [rule for rule in recipe.meta if rule != plan.job.rule]
+        if plan.request.data:  # beside checkpoints of this data, none that was trained on other data
+            others = [rule for rule in others if trained_path(plan, rule).is_file()]
+        for rule in others:
+            with suppress(ValueError):  # nobody trained this rule
+                fits[f"meta:{rule}"] = find_checkpoint(plan.by("meta", rule))
+        return fits
+
+    def _steps(self, name: str) -> int | None:
+        """The steps of a paradigm, where they are not the recipe's."""
+        fewer = name == "overfit" and self.share != 1
+        return max(1, round(self.share * self.plan.job.recipe.overfit_steps)) if fewer else None
+
+    def _find(self, plan: Plan) -> Plan:
+        try:
+            return find_checkpoint(plan)
+        except ValueError as error:
+            if self._strict:
+                raise
+            say(f"{error}")
+            return plan
+
+    @functools.cached_property
+    def study(self) -> Study:
+        """What the table of rules is about."""
+        return Study(self.plan, self._budget)
+
+    @property
+    def app(self) -> App:
+        """The application under the protocol."""
+        return self.plan.app
+
+    @functools.cached_property
+    def presentation(self) -> Presentation[Any]:
+        """What tables and pictures need of the application."""
+        return presentation_of(self.app)
+
+    @property
+    def title(self) -> str:
+        """As tables and pictures call it."""
+        return title_of(self.app)
+
+    @functools.cached_property
+    def _data(self) -> tuple[list[Task], str]:
+        request = self.plan.request
+        make_folder(request.out)
+        if not self.run and not request.data and not embedded_exists(self.app.name):
+            return [], "none"  # there are no records of a data set that was never made
+        return tasks_of_data(self.app, request.data, request.quiet)
+
+    @property
+    def tasks(self) -> list[Task]:
+        """The test tasks; none where nothing is to be run and the embedded set was never made."""
+        return self._data[0]
+
+    @property
+    def label(self) -> str:
+        """The data set's name in run folders."""
+        return self._data[1]
+
+    def cell(self, name: str) -> Cell:
+        """The fits behind a row of the results."""
+        if name not in self._cells:
+            self._cells[name] = self.fit_cell(name, self.fits[name])
+        return self._cells[name]
+
+    def fit_cell(self, title: str, plan: Plan, settings: dict[str, Any] | None = None, name: str = "") -> Cell:
+        """Fits of all tasks as a cell, kept as the command of the paradigm keeps them.
+
+        Args:
+            title: of the row.
+            plan: by what.
+            settings: what else the figures depend on.
+            name: added to the run folder's, where it is no paradigm's own.
+        """
+        command = self.command() if name else _fit_command(plan)
+        if plan.checkpoint is None:
+            return self.make_cell(title, None, _nothing, plan.steps, command=command)
+        path = plan.path(self.label)
+        path = path.with_name(f"{path.name}-{name}") if name else path
+        folder = RunFolder(path, plan.settings(self.label) | (settings or {}), FIT, plan.origin())
+        return self.make_cell(title, folder, functools.partial(fit_tasks, plan), plan.steps, command=command)
+
+    def make_cell(
+        self, title: str, folder: RunFolder | None, measure: Measure, steps: int = 0, *, command: str
+    ) -> Cell:
+        """A cell of all tasks, of the application's threads; other entries by `Cell._replace`."""
+        title = f"{name_of(self.app)} {title}"
+        return Cell(title, self.tasks, folder, measure, steps, command, threads=threads_of(self.app))
+
+    def folder(self, kind: str, settings: dict[str, Any], form: dict[str, Any], *, of_fits: bool = False) -> RunFolder:
+        """Where records are kept: <out>/<app>/<kind>/<data>-<recipe>-seed<seed>, with the protocol.
+
+        Args:
+            kind: of records, a folder.
+            settings: everything that their figures depend on.
+            form: what records hold.
+            of_fits: whether they are of fits of several paradigms: with the rule and Overfit's share.
+        """
+        request = self.plan.request
+        shortened = f"overfit{self.share:g}" if self.share != 1 else ""
+        words = [self.label, request.recipe, f"seed{request.seed}", *([request.rule, shortened] if of_fits else [])]
+        path = request.out / self.app.name / kind / "-".join(filter(None, (*words, self.app.protocol)))
+        return RunFolder(path, settings, form, self.plan.origin())
+
+    def command(self, which: str = "") -> str:
+        """The command that fills a table for this application."""
+        words = ["metapp", "evaluate", self.app.name, *(["--which", which] if which else []), *_shared(self.plan)]
+        return shlex.join([*words, *(["--overfit-share", f"{self.share:g}"] if self.share != 1 else [])])
+
+
+def evenly(tasks: list[Task], count: int) -> list[Task]:
+    """Up to so many of the tasks, evenly spaced."""
+    size = min(count, len(tasks))
+    return [tasks[i * len(tasks) // size] for i in range(size)]
+
+
+def _nothing(tasks: list[Task]) -> Any:
+    return iter(())
+
+
+def _fit_command(plan: Plan) -> str:
+    """The command that makes what is missing of a paradigm's fits."""
+    steps = plan.request.steps
+    words = ["metapp", plan.paradigm.name, plan.app.name, *_shared(plan)]
+    words += ["--steps", str(steps)] if steps is not None else []
+    words += ["--rule", plan.job.rule] if plan.paradigm.name == "meta" else []
+    return shlex.join(words + (["--train"] if plan.checkpoint is None else []))
+
+
+def _shared(plan: Plan) -> list[str]:
+    """The options that commands of one evaluation share."""
+    request, protocol = plan.request, plan.app.protocol
+    words = ["--out", str(request.out), "--recipe", request.recipe]
+    words += ["--observe", protocol] if protocol else []
+    return words + ["--seed", str(request.seed)] + (["--data", str(request.data)] if request.data else [])

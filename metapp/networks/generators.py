@@ -1,0 +1,170 @@
+"""Generators of pictures from noise: a U-Net, and a pyramid whose levels each make a picture of their own size."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import torch
+from torch import Generator, Tensor
+from torch.nn.functional import avg_pool2d, conv2d, interpolate
+
+from metapp.learning.task import Params
+from metapp.networks import layers
+from metapp.networks.layers import enlarged, enlarged_rows, init_styled, rows_of, styled, styled_by_rows
+
+
+class UNet(NamedTuple):
+    """A noise-to-image U-Net with adaptive instance normalisation (Ulyanov et al. 2016; Henzler et al. 2020, 2021).
+
+    All convolutions pad circularly, so that what it makes tiles, at any size that `2 ** (levels - 1)` divides.
+
+    Attributes:
+        width: channels of the finest level; each level down doubles them, up to four times as many.
+        levels: resolutions, each half of the one before.
+        noise: channels of the noise it starts from.
+        code: length of z.
+        outputs: channels of what it makes.
+    """
+
+    width: int
+    levels: int = 4
+    noise: int = 8
+    code: int = 32
+    outputs: int = 3
+
+    def channels(self, level: int) -> int:
+        """Channels at a level, 0 the finest."""
+        result: int = self.width * min(2**level, 4)
+        return result
+
+    def layers(self) -> dict[str, tuple[int, int]]:
+        """(inputs, outputs) of each 3x3 convolution, in order of use."""
+        down = {"down0": (self.noise, self.channels(0))}
+        for level in range(1, self.levels):
+            down[f"down{level}"] = (self.channels(level - 1), self.channels(level))
+        up = {
+            f"up{level}": (self.channels(level + 1) + self.channels(level), self.channels(level))
+            for level in reversed(range(self.levels - 1))
+        }
+        return down | up
+
+    def init(self, rng: Generator, count: int) -> Params:
+        """Random parameters of `count` networks: each tensor [count, ...]."""
+        theta = init_styled(rng, count, self.code, self.layers())
+        kernel = torch.randn(count, self.outputs, self.channels(0), 1, 1, generator=rng, device=rng.device)
+        theta["out.kernel"] = kernel * math.sqrt(1 / self.channels(0))
+        theta["out.shift"] = torch.zeros(count, self.outputs, device=rng.device)
+        return theta
+
+    def __call__(self, theta: Params, noise: Tensor) -> Tensor:
+        """Maps from noise.
+
+        Args:
+            theta: parameters of T networks, as of `init`.
+            noise: standard normal, [T, B, noise, H, W].
+
+        Returns:
+            Values before any range is imposed, [T, B, outputs, H, W].
+        """
+        tasks, batch, _, height, width = noise.shape
+        x = noise.transpose(0, 1).reshape(batch, -1, height, width)
+        skips = []
+        for level in range(self.levels):
+            x = styled(theta, f"down{level}", avg_pool2d(x, 2) if level else x)
+            skips.append(x)
+        for level in reversed(range(self.levels - 1)):
+            above = interpolate(x, scale_factor=2, mode="nearest")
+            # channels of one task lie together, as grouped convolutions want them
+            parts = [part.unflatten(1, (tasks, -1)) for part in (above, skips[level])]
+            x = styled(theta, f"up{level}", torch.cat(parts, 2).flatten(1, 2))
+        x = conv2d(x, theta["out.kernel"].flatten(0, 1), theta["out.shift"].flatten(), groups=tasks)
+        result: Tensor = x.unflatten(1, (tasks, self.outputs)).transpose(0, 1)
+        return result
+
+
+class Pyramid(NamedTuple):
+    """Noise-to-image convolutions from coarse to fine with noise at each level (Ulyanov et al. 2016).
+
+    Each level doubles the resolution, adds noise of its own and corrects the enlarged picture of the level above
+    (Karras et al. 2020), so that coarse levels alone make a smaller picture of the same structures. All convolutions
+    pad circularly: what it makes tiles, at any size that `2 ** (levels - 1)` divides.
+
+    Attributes:
+        width: channels of the finest level; each level up doubles them, up to four times as many.
+        levels: resolutions, each half of the one before.
+        noise: channels of the noise at each level.
+        code: length of z.
+        outputs: channels of what it makes.
+        finest: the level whose picture is made, 0 for the whole size.
+    """
+
+    width: int
+    levels: int = 6
+    noise: int = 8
+    code: int = 32
+    outputs: int = 3
+    finest: int = 0
+
+    def channels(self, level: int) -> int:
+        """Channels at a level, 0 the finest; none above the coarsest."""
+        result: int = self.width * min(2**level, 4) if level < self.levels else 0
+        return result
+
+    def layers(self) -> dict[str, tuple[int, int]]:
+        """(inputs, outputs) of each 3x3 convolution, in order of use."""
+        each = {}
+        for level in reversed(range(self.levels)):
+            outputs = self.channels(level)
+            each[f"join{level}"] = (self.channels(level + 1) + self.noise, outputs)
+            each[f"draw{level}"] = (outputs, outputs)
+        return each
+
+    def init(self, rng: Generator, count: int) -> Params:
+        """Random parameters of `count` networks: each tensor [count, ...]."""
+        theta = init_styled(rng, count, self.code, self.layers())
+        for level in range(self.levels):
+            inputs = self.channels(level)
+            kernel = torch.randn(count, self.outputs, inputs, 1, 1, generator=rng, device=rng.device)
+            theta[f"out{level}.kernel"] = kernel * (0.5 / math.sqrt(inputs))
+            theta[f"out{level}.shift"] = torch.zeros(count, self.outputs, device=rng.device)
+        return theta
+
+    def __call__(self, theta: Params, noise: Tensor) -> Tensor:
+        """Maps from noise.
+
+        Args:
+            theta: parameters of T networks, as of `init`.
+            noise: standard normal, [T, B, noise, H, W], of the size of the level `finest`.
+
+        Returns:
+            Values before any range is imposed, [T, B, outputs, H, W].
+        """
+        tasks = len(noise)
+        pooled = [noise.transpose(0, 1).flatten(1, 2)]
+        for _ in range(self.finest + 1, self.levels):
+            pooled.append(2 * avg_pool2d(pooled[-1], 2))  # of unit variance again
+        x, made = None, None
+        for level in reversed(range(self.finest, self.levels)):
+            x = self._level(theta, level, x, pooled[level - self.finest])
+            kernel, shift = theta[f"out{level}.kernel"], theta[f"out{level}.shift"]
+            own = conv2d(x, kernel.flatten(0, 1), shift.flatten(), groups=tasks)
+            made = own if made is None else enlarged(made) + own
+        assert made is not None
+        result: Tensor = made.unflatten(1, (tasks, self.outputs)).transpose(0, 1)
+        return result
+
+    def _level(self, theta: Params, level: int, above: Tensor | None, noise: Tensor) -> Tensor:
+        """Features of a level [B, T * C, H, W], from those of the level above and noise."""
+        tasks, height = len(theta["z"]), noise.shape[-2]
+        if height > layers.ROWS and not torch.is_grad_enabled() and above is not None:
+            coarse, fine = enlarged_rows(above), rows_of(noise)
+            x = styled_by_rows(theta, f"join{level}", lambda *rows: _joined(coarse(*rows), fine(*rows), tasks), height)
+            return styled_by_rows(theta, f"draw{level}", rows_of(x), height)
+        x = noise if above is None else _joined(enlarged(above), noise, tasks)
+        return styled(theta, f"draw{level}", styled(theta, f"join{level}", x))
+
+
+def _joined(features: Tensor, noise: Tensor, tasks: int) -> Tensor:
+    """Both side by side; channels of one task lie together, as grouped convolutions want them."""
+    return torch.cat([part.unflatten(1, (tasks, -1)) for part in (features, noise)], 2).flatten(1, 2)

@@ -1,0 +1,151 @@
+"""Heights from normals, occlusion in closed form, and the metallic-roughness workflow."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+from torch import Tensor
+
+from metapp.appearance.flash import normal_from_height
+from metapp.appearance.relief import height_from_normal, occlusion_from_height
+from metapp.appearance.surface import DIELECTRIC, from_metallic, to_metallic
+
+
+def grid(size: int) -> tuple[Tensor, Tensor]:
+    """x to the right and y up of texels' centres, in texels."""
+    rows, columns = torch.meshgrid(*2 * [torch.arange(size, dtype=torch.float64)], indexing="ij")
+    return columns + 0.5, size - 0.5 - rows
+
+
+def normal_of(along_x: Tensor, along_y: Tensor) -> Tensor:
+    vectors = torch.stack([-along_x, -along_y, torch.ones_like(along_x)])
+    return vectors / vectors.norm(dim=0)
+
+
+def waves(size: int) -> tuple[Tensor, Tensor]:
+    """A field of three waves, not alike along x and y, and its exact normals."""
+    x, y = (2 * math.pi * each / size for each in grid(size))
+    height = 3 * (2 * x).sin() + 2 * (x + 3 * y).cos() + (y + 0.3).sin()
+    scale = 2 * math.pi / size
+    along_x = scale * (6 * (2 * x).cos() - 2 * (x + 3 * y).sin())
+    along_y = scale * (-6 * (x + 3 * y).sin() + (y + 0.3).cos())
+    return height[None], normal_of(along_x, along_y)
+
+
+def test_waves_that_tile_are_found_exactly() -> None:
+    height, normal = waves(48)
+    assert torch.allclose(height_from_normal(normal, periodic=True), height, atol=1e-10)
+
+
+def test_a_hill_in_a_frame_is_found() -> None:
+    size = 64
+    x, y = ((each - size / 2) / (size / 6) for each in grid(size))
+    height = 5 * (-(x * x + 2 * y * y) / 2).exp()
+    normal = normal_of(-x * height / (size / 6), -2 * y * height / (size / 6))
+    found = height_from_normal(normal, periodic=False)[0]
+    assert (found - (height - height.mean())).abs().max() < 0.02  # of 5
+
+
+def test_a_tilted_plane_is_found_where_nothing_tiles() -> None:
+    x, y = grid(32)
+    plane = 0.3 * x - 0.2 * y
+    found = height_from_normal(normal_of(0.3 + 0 * x, -0.2 + 0 * y), periodic=False)[0]
+    assert (found - (plane - plane.mean())).abs().max() < 0.15  # half a texel's step: edges are mirrored
+
+
+@pytest.mark.parametrize("periodic", [True, False])
+def test_normals_of_smooth_heights_lead_back_to_them(periodic: bool) -> None:
+    height, _ = waves(64)
+    normal = normal_from_height(height[None], periodic=periodic)[0]
+    found = height_from_normal(normal, periodic=periodic)
+    assert (found - height).abs().mean() < 0.03 * height.std()
+
+
+def test_axes_may_lead() -> None:
+    normals = torch.stack([waves(16)[1], waves(16)[1].flip(-1)])
+    both = height_from_normal(normals, periodic=True)
+    assert torch.equal(both[1], height_from_normal(normals[1], periodic=True))
+
+
+def test_a_plane_is_open_and_so_is_a_single_peak() -> None:
+    assert torch.equal(occlusion_from_height(torch.zeros(1, 8, 8), periodic=True), torch.ones(1, 8, 8))
+    peak = torch.zeros(1, 33, 33)
+    peak[0, 16, 16] = 10
+    assert occlusion_from_height(peak, periodic=False)[0, 16, 16] == 1
+
+
+@pytest.mark.parametrize("depth", [6.0, 12.0, 24.0])
+def test_the_bottom_of_a_round_pit_sees_what_the_horizon_leaves(depth: float) -> None:
+    size, radius = 65, 12.0
+    x, y = (each - size / 2 for each in grid(size))
+    pit = torch.where(x * x + y * y < radius * radius, -depth, 0.0)[None]
+    seen = float(occlusion_from_height(pit, periodic=False, reach=0.5)[0, size // 2, size // 2])
+    # walls lie between texels, at most one texel nearer or farther
+    low, high = (1 / (1 + (depth / each) ** 2) for each in (radius - 1, radius + 1))
+    assert low < seen < high
+
+
+def test_a_trench_sees_what_its_walls_leave() -> None:
+    size, half, depth = 65, 8.5, 8.5
+    x, _ = grid(size)
+    trench = torch.where((x - size / 2).abs() < half, -depth, 0.0)[None]
+    seen = float(occlusion_from_height(trench, periodic=False, reach=1.0)[0, size // 2, size // 2])
+    turns = torch.linspace(0, 2 * math.pi, 1025)[:-1]
+    exact = float((1 / (1 + (depth / half * turns.cos().abs()) ** 2)).mean())  # along it nothing is in the way
+    assert abs(seen - exact) < 0.03
+
+
+def test_occlusion_goes_on_at_the_other_edge_where_a_field_tiles() -> None:
+    wall = torch.zeros(1, 16, 16)
+    wall[..., 0] = 4
+    tiled = occlusion_from_height(wall, periodic=True)
+    assert torch.allclose(tiled[..., 1], tiled[..., -1])
+    assert occlusion_from_height(wall, periodic=False)[0, 8, -1] == 1
+
+
+def test_large_fields_are_occluded_as_small_ones() -> None:
+    """Waves of the same shape, four times as large."""
+    small, large = (waves(size)[0].float() * size / 64 for size in (256, 1024))
+    coarse = torch.nn.functional.interpolate(occlusion_from_height(large, periodic=True)[None], (256, 256), mode="area")
+    fine = occlusion_from_height(small, periodic=True)
+    assert (coarse[0] - fine).abs().max() < 0.02
+    assert fine.std() > 0.03
+    edges = occlusion_from_height(large, periodic=True)[0]
+    inner = (edges[:, 1:] - edges[:, :-1]).abs().max()
+    assert (edges[:, 0] - edges[:, -1]).abs().max() <= 1.5 * inner  # no seam
+
+
+def drawn(*shape: int) -> torch.Tensor:
+    return torch.rand(*shape, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
+
+
+def test_it_is_inverted_where_such_maps_exist() -> None:
+    base, metallic = DIELECTRIC + (1 - DIELECTRIC) * drawn(3, 16, 16), drawn(1, 16, 16)
+    found = to_metallic(*from_metallic(base, metallic))
+    assert torch.allclose(found.metallic, metallic, atol=1e-9)
+    assert torch.allclose(found.base, base, atol=1e-9)
+
+
+def test_metals_and_dielectrics_are_what_they_are() -> None:
+    gold, plaster = torch.tensor([1.0, 0.77, 0.34])[:, None, None], torch.full((3, 1, 1), 0.8)
+    dielectric = torch.full((1, 1, 1), DIELECTRIC)
+    assert torch.allclose(to_metallic(torch.zeros(3, 1, 1), gold).metallic, torch.ones(1, 1, 1), atol=1e-4)
+    assert torch.allclose(to_metallic(torch.zeros(3, 1, 1), gold).base, gold, atol=1e-4)
+    assert torch.equal(to_metallic(plaster, dielectric).metallic, torch.zeros(1, 1, 1))
+    assert torch.allclose(to_metallic(plaster, dielectric).base, plaster)
+
+
+def test_what_no_such_material_reflects_stays_in_range() -> None:
+    diffuse, specular = drawn(3, 32, 32), drawn(3, 32, 32).flip(0)
+    for each in to_metallic(diffuse, specular):
+        assert each.isfinite().all()
+        assert each.min() >= 0
+        assert each.max() <= 1
+
+
+def test_all_that_is_reflected_is_kept_where_nothing_clips() -> None:
+    diffuse, specular = 0.4 * drawn(3, 16, 16), DIELECTRIC + 0.4 * drawn(1, 16, 16)
+    again = from_metallic(*to_metallic(diffuse, specular))
+    assert torch.allclose(again[0] + again[1], diffuse + specular, atol=1e-12)

@@ -1,0 +1,53 @@
+"""Comparisons of methods in rows and notes of tables."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from metapp.evaluation.notes import carried, change, paired_note, verdict
+from metapp.evaluation.rows import blank, paired_entries, paired_of
+from metapp.runs.statistics import Paired
+
+
+def row(paradigm: str, error: float | None, seconds: float = 1.0) -> dict[str, Any]:
+    return blank("brdf", paradigm) | {"error": error, "seconds": seconds, "tasks": 8}
+
+
+@pytest.mark.parametrize(
+    ("found", "said"),
+    [
+        (Paired(0.95, 0.94, 0.96, 12, 12, 12, "ratio"), "lower on 12 of 12 tasks; meta wins"),
+        (Paired(1.05, 1.04, 1.06, 0, 12, 12, "ratio"), "lower on 0 of 12 tasks; quickft wins"),
+        (Paired(1.0, 0.9, 1.1, 6, 12, 12, "ratio"), "; no win"),
+        (Paired(-0.1, -0.2, -0.05, 9, 9, 5, "difference"), "meta wins"),
+        (Paired(0.9, 0.8, 0.95, 9, 12, 4, "ratio"), "4 different tasks, fewer than 5, are too few"),
+        (None, ""),
+    ],
+)
+def test_a_verdict_says_who_wins(found: Paired | None, said: str) -> None:
+    compared = row("meta", 1.0) | paired_entries("quickft", found)
+    assert verdict(compared).endswith(said) if said.endswith("win") else said in verdict(compared)
+    assert paired_of(compared, "quickft") == found
+    if found:
+        level = {"ratio": "below 1 means a lower error", "difference": "below 0 means a lower error"}[found.kind]
+        assert level in paired_note([compared])[0]
+        assert paired_entries("quickft", None).keys() == paired_entries("quickft", found).keys()
+    else:
+        assert verdict(compared) == ""
+        assert paired_note([compared]) == []
+
+
+def test_changes_are_of_the_size_of_the_other_error() -> None:
+    assert change(row("meta", 0.75), row("quickft", 1.0)) == "25 % below"
+    assert change(row("meta", -5.0), row("quickft", -4.0)) == "25 % below"  # likelihoods are negative
+    assert change(row("meta", 5.0), row("quickft", 4.0)) == "25 % above"
+    assert change(row("meta", None), row("quickft", 4.0)) == ""
+
+
+def test_there_is_no_gap_to_close_where_overfit_is_no_better() -> None:
+    rows = [row("general", 2.0), row("overfit", 1.0, 30.0), row("meta", 1.25, 2.0)]
+    assert carried(rows, "error", "seconds") == (0.75, 15.0)
+    rows[1] |= {"error": 2.5}
+    assert carried(rows, "error", "seconds") == (None, 15.0)
