@@ -100,7 +100,7 @@ def test_a_missing_library_is_said_before_anything_is_fitted(
     metapp: Callable, photo: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     form = exports_of(APP)["asset"]._replace(needs=("no_such_module", "no-such-package"))
-    monkeypatch.setattr("metapp.runs.export.exports_of", lambda app: {"asset": form})
+    monkeypatch.setattr("metapp.runs.checks.exports_of", lambda app: {"asset": form})
     result = metapp("overfit", "svbrdf_nonstationary", photo, "--out", tmp_path / "runs", "--export", "asset")
     assert result.code == 2
     assert '--export asset needs no-such-package: pip install "metapp[export]"' in result.err
