@@ -10,7 +10,7 @@ from torch import Generator, Tensor
 
 from metapp.learning.app import App, Traits
 from metapp.learning.task import Batch, Params, Tasks
-from metapp.networks.layers import LocalField, regridded
+from metapp.networks.field import LocalField, regridded
 
 CHEAP = 64 * 64  # texels of a field that a search can afford to fit for all validation tasks
 

@@ -15,8 +15,7 @@ from metapp.appearance.features import channels_of, describe_features, describe_
 from metapp.learning.app import App
 from metapp.learning.task import Batch, Params, Task, Tasks
 from metapp.networks.coded import decoder_of, with_decoder
-from metapp.networks.layers import UNet
-from metapp.networks.pyramid import Pyramid
+from metapp.networks.generators import Pyramid, UNet
 
 HIDDEN = 128
 JUDGED = 4

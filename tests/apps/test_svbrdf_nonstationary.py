@@ -39,7 +39,7 @@ from metapp.apps.svbrdf_nonstationary.views import (
 )
 from metapp.learning.app import stack
 from metapp.learning.task import Params, Task, Tasks
-from metapp.networks import strips
+from metapp.networks import field as fields
 
 SIDE = 16
 RECIPE = replace(QUICK, setup=MaterialSetup(field_of(SIDE, hidden=8)._replace(code=3), width=2))
@@ -352,7 +352,7 @@ def test_fine_maps_are_made_by_rows(app: SvbrdfNonstationary, monkeypatch: pytes
     field = app.field._replace(height=150, width=150)
     whole = decoded(field(theta, seen(photo)))
     pictures = relit(whole)
-    monkeypatch.setattr(strips, "TEXELS", 150 * 64)
+    monkeypatch.setattr(fields, "TEXELS", 150 * 64)
     for found, wanted in zip(fine_maps(field, theta, photo), whole, strict=True):
         torch.testing.assert_close(found, wanted)
     assert all(torch.allclose(found, pictures[name]) for name, found in relit(whole).items())

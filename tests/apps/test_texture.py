@@ -23,7 +23,7 @@ from metapp.learning.recipe import Recipe
 from metapp.learning.task import Params, Task, Tasks
 from metapp.networks import layers as networks
 from metapp.networks.exemplar import JUDGED, ExemplarSetup
-from metapp.networks.layers import UNet
+from metapp.networks.generators import UNet
 from metapp.networks.presentation import TILED
 from metapp.paradigms import Job, paradigms
 from metapp.runs.shipped import shipped_path

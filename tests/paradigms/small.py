@@ -29,7 +29,8 @@ from metapp.learning.recipe import Adam, MetaTraining, Recipe
 from metapp.learning.rules import RULES, rule_of
 from metapp.learning.task import Task
 from metapp.networks.exemplar import ExemplarSetup
-from metapp.networks.layers import LocalField, UNet
+from metapp.networks.field import LocalField
+from metapp.networks.generators import UNet
 from metapp.paradigms import Job, Paradigm
 from tests.small_spheres import shrink_spheres
 

@@ -25,7 +25,7 @@ from metapp.apps.svbrdf_nonstationary.views import FLASH, flash_of, mirroring_pa
 from metapp.learning.app import Traits
 from metapp.learning.task import Batch, Held, Params, Task, Tasks
 from metapp.networks.coded import CodedApp, norm
-from metapp.networks.layers import LocalField
+from metapp.networks.field import LocalField
 
 DARK = 0.1  # of white: the log of radiance is flat below
 CLIPPED = 0.95  # of white: what a photograph shows no more
