@@ -33,8 +33,8 @@ UNPICKLES = "data_tools.vgg"
 EXCESSES = {
     "parameters": {"command", "options_of", "learn", "after_learning", "learn_guarded", "prepare", "fit_many"},
     "lines": {"make_command", "command", "train_checkpoint", "train", "plugin"},
-    "members": {"ExemplarApp", "Evaluation", "Brdf", "Illumination", "SvbrdfStationary", "SvbrdfNonstationary", "Format",
-                "App", "Part"},
+    "members": {"ExemplarApp", "Evaluation", "Brdf", "Illumination", "SvbrdfStationary", "SvbrdfNonstationary",
+                "Format", "App", "Part"},
 }  # fmt: skip
 
 
