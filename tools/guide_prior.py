@@ -22,9 +22,10 @@ from data_tools.synthetic.rooms import KINDS, random_room
 from metapp.apps.transport.guiding import APP, RECIPE
 from metapp.learning.app import stack
 from metapp.learning.learn import MetaParameters
+from metapp.learning.progress import Prepared, Progress
 from metapp.learning.task import Params, Task, Tasks
 from metapp.paradigms import Job, paradigms
-from metapp.paradigms.paradigm import Given
+from metapp.paradigms.paradigm import TrainingData
 from metapp.rendering import equal_time
 from metapp.rendering.guide_prior import init
 from metapp.rendering.guided_path import PathTracer, Settings
@@ -122,6 +123,17 @@ def _noise(mi: Any, scene: Any, size: int, spp: int, prior: Params | None) -> fl
     return float(torch.stack([((first - second).abs() / (mean + 1e-3)).mean() for first, second in halves]).mean())
 
 
+def trained(name: str, preparation: Iterator[Progress]) -> Prepared:
+    """The result of a preparation, whose validations are printed."""
+    prepared = None
+    for now in preparation:
+        prepared = now.best
+        if now.note:
+            print(f"{name}: {now.done}/{now.total} {now.note}", file=sys.stderr, flush=True)
+    assert prepared is not None
+    return prepared
+
+
 def main() -> None:
     """Train, write, compare; what is in OUT is not trained again."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -142,13 +154,10 @@ def main() -> None:
         *((rule, "meta", rule) for rule in RECIPE.meta),
     ):
 
-        def report(step: int, steps: int, note: str, name: str = name) -> None:
-            print(f"{name}: {step}/{steps} {note}", file=sys.stderr, flush=True)
-
         file = options.out / f"{name}.safetensors"
         if not file.exists():
-            given = Given(training, validating, Generator().manual_seed(0), encoder, report=report)
-            prepared = paradigms()[paradigm].prepare(Job(APP, RECIPE, rule), given)
+            data = TrainingData(training, validating, Generator().manual_seed(0), encoder)
+            prepared = trained(name, paradigms()[paradigm].prepare(Job(APP, RECIPE, rule), data))
             info = {
                 "app": APP.name,
                 "start": name,
@@ -156,7 +165,7 @@ def main() -> None:
                 "data": f"rooms, {options.rooms} of each kind from seed {TRAIN}",
                 "validation_error": prepared.validation,
             }
-            save_checkpoint(file, prepared.start, info)
+            save_checkpoint(file, prepared.phi, info)
         start, _ = load_checkpoint(file)
         encoder = encoder or start
         found[name] = (start, paradigm, rule)

@@ -10,7 +10,6 @@ from typing import Any
 import torch
 from torch import Generator, Tensor
 
-from metapp.learning.flat import FusedLoss
 from metapp.learning.recipe import Recipe
 from metapp.learning.task import Batch, Held, Linear, Params, Task, Tasks
 
@@ -96,10 +95,6 @@ class App(ABC):
     def linear(self, theta: Params, batch: Batch, learned: Params) -> Linear:
         """Least squares near the inner loss, where the network is linear in the parameter `solves`."""
         raise NotImplementedError
-
-    def fused(self, theta: Params) -> FusedLoss | None:
-        """The inner loss in C, for parameters of these shapes; None where there is none or no compiler for it."""
-        return None
 
     def loss_parameters(self, steps: int) -> Params:
         """Initial values [steps, ...] of the parameters of the inner loss that a rule may learn."""

@@ -9,11 +9,11 @@ import torch
 from torch import Generator, Tensor
 
 from metapp.appearance.geometry import half_difference
-from metapp.apps.brdf import nbrdf, nbrdf_fused
+from metapp.apps.brdf import nbrdf, nbrdf_in_c
 from metapp.apps.brdf.featured import OWN, Featured, features_of, folded, reflectance_of
 from metapp.apps.brdf.variants import measured, mixed
+from metapp.engine import register
 from metapp.learning.app import App
-from metapp.learning.flat import FusedLoss
 from metapp.learning.recipe import Adam, Guard, MetaTraining, OuterLoop, Recipe
 from metapp.learning.task import Batch, Held, Linear, Params, Task, Tasks
 
@@ -179,9 +179,6 @@ class Brdf(App):
         weights = slope.square().mean(1) / (d.square().mean(1) + s * s).sqrt()
         return Linear("last", features, residual, weights, d.abs().mean((1, 2)))
 
-    def fused(self, theta: Params) -> FusedLoss | None:
-        return nbrdf_fused.fused(theta)
-
     def loss_parameters(self, steps: int) -> Params:
         """Smoothing, and for the NBRDF network weights of samples."""
         weights = {} if self.setup else {"weights": torch.zeros(steps, KNOTS)}
@@ -277,4 +274,5 @@ def _weights(where: Tensor, learned: Params) -> Tensor:
     return torch.exp((learned["weights"][:, None] @ hat)[:, 0])
 
 
+register(Brdf.loss, nbrdf_in_c.loss)
 APP = Brdf()

@@ -131,15 +131,9 @@ def places(steps: int) -> set[int]:
 def descend(fit: Fit, task: Task, stacked: Tasks, wanted: Collection[int]) -> dict[int, Params]:
     """The same fit as the row's, with its parameters [1, ...] after the wanted numbers of steps."""
     assert fit.checkpoint is not None
-    kept: dict[int, Params] = {}
-
-    def watch(step: int, params: Params, value: Tensor) -> None:
-        if step in wanted:
-            kept[step] = params
-
     job, rng = fit.options.job, rng_of(fit.options, task)
-    final = fit.paradigm.fitted(job, fit.checkpoint.prepared, stacked, rng, watch).theta
-    return kept | {fit.paradigm.count(job): final}
+    descent = fit.paradigm.descend(job, fit.checkpoint.prepared, stacked, rng)
+    return {now.step: now.theta for now in descent if now.step in wanted}
 
 
 def error_of(subject: Subject, theta: Params, stacked: Tasks) -> float | None:
