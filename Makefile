@@ -12,11 +12,11 @@ SEEDS ?= 0 1 2
 export OMP_NUM_THREADS ?= 1
 
 .PHONY: help setup demo test test-slow mutants lint types docs bench bench-size bench-growth bench-samples bench-photo guiding tables rules figures report paper torture torture-quick real real-photos \
-  real-illumination real-svbrdf starts-brdf starts-photos starts-illumination starts-svbrdf \
-  starts-transport clean
+  real-illumination real-svbrdf checkpoints-brdf checkpoints-photos checkpoints-illumination checkpoints-svbrdf \
+  checkpoints-transport clean
 
 help:  ## list the targets
-	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 18
+	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 26
 
 setup: $(VENV)/.ready  ## make the virtual environment and install metapp, pinned by constraints.txt
 
@@ -24,8 +24,9 @@ $(VENV)/.ready: setup.cfg pyproject.toml constraints.txt tools/setup.sh
 	bash tools/setup.sh "$(PYTHON)" "$(VENV)"
 	@touch $@
 
-demo: setup  ## fit 20 unseen materials in 10 gradient steps each; table and picture
-	$(METAPP) meta brdf --steps 10 --out $(RUNS)
+demo: setup  ## fit 20 unseen materials, by the best rule and in 10 gradient steps; tables and pictures
+	$(METAPP) meta brdf --recipe full --out $(RUNS)
+	$(METAPP) meta brdf --recipe quick --rule meta-curvature --steps 10 --out $(RUNS)
 
 test: setup  ## the tests on up to four cores, five minutes on two
 	$(VENV)/bin/python -m pytest -m "not slow" -n auto --maxprocesses 4 --dist worksteal
@@ -33,10 +34,10 @@ test: setup  ## the tests on up to four cores, five minutes on two
 test-slow: setup  ## the tests that take minutes each
 	$(VENV)/bin/python -m pytest -m slow -o faulthandler_timeout=3600
 
-mutants: setup  ## changes of the source that no test catches: a sample of 200; an hour, docs/developers/testing.md
+mutants: setup  ## mutation testing, a sample of 200 mutants; an hour, docs/developers/testing.md
 	$(VENV)/bin/python tools/mutants.py
 
-torture: setup  ## attempts to break metapp: mutated files, kills, full disks; under 30 minutes, docs/reliability.md
+torture: setup  ## robustness: mutated files, kills, full disks; under 30 minutes, docs/reliability.md
 	$(VENV)/bin/python -m tests.torture
 
 torture-quick: setup  ## the same in 3 minutes
@@ -63,21 +64,21 @@ $(VENV)/.docs: $(VENV)/.ready
 bench: setup  ## speed and memory of learning, as ratios measured side by side
 	$(VENV)/bin/python -m tests.benchmarks.bench_learning
 
-bench-size: setup  ## time and memory of a fit against its size, a table and runs/bench/size.png, 2 minutes
+bench-size: setup  ## time and memory of a fit by size, a table and runs/bench/size.png; 2 minutes
 	$(VENV)/bin/python -m tests.benchmarks.bench_size
 
-bench-growth: setup  ## how time and memory grow with steps, tasks and samples, a minute
+bench-growth: setup  ## growth of time and memory with steps, tasks and samples; a minute
 	$(VENV)/bin/python -m tests.benchmarks.bench_growth
 
 # these two of the embedded data set, unless DATA is given
-bench-samples: setup  ## errors of BRDF fits against the samples that they see, a table and a figure; DATA=<data set of brdf>
+bench-samples: setup  ## errors of BRDF fits by number of samples, a table and a figure; DATA=<data set of brdf>
 	$(VENV)/bin/python -m tests.benchmarks.bench_samples $(if $(filter file,$(origin DATA)),,"$(DATA)")
 
-bench-photo: setup  ## what a flash photo says beyond what General reads from it; DATA=<data set of svbrdf_nonstationary>
+bench-photo: setup  ## what a flash photo holds beyond what General reads from it; DATA=<data set of svbrdf_nonstationary>
 	$(VENV)/bin/python -m tests.benchmarks.bench_flash_photo $(if $(filter file,$(origin DATA)),,"$(DATA)")
 
 # of 256 px; a shorter one: make guiding GUIDING="--size 64 --reference 4096 --times 0.25 1 4"; rows and references are kept
-guiding: setup  ## error over seconds of guided and regular paths, a table and a figure in runs/guiding; an hour
+guiding: setup  ## error over time of guided and regular paths, a table and a figure in runs/guiding; an hour
 	$(VENV)/bin/python -m tests.benchmarks.bench_guiding --out $(RUNS)/guiding $(GUIDING)
 
 # on two cores; the tables say that Overfit has fewer steps than the recipe's; OVERFIT=1 takes all of them
@@ -97,19 +98,19 @@ table-results: setup  ## error and time of the five paradigms
 table-quickft: setup  ## General, QuickFT and Meta after as many steps
 	$(EVALUATE) --which quickft
 
-table-image: setup  ## errors of pictures that fits make
+table-image: setup  ## errors of pictures made from fits
 	$(EVALUATE) --which image
 
-table-ablation: setup  ## learned start and learned rule, each alone, and all rules that ship
+table-ablation: setup  ## learned initialisation and learned rule, each alone, and all rules that ship
 	$(EVALUATE) --which ablation
 
-table-storage: setup  ## bytes for many exemplars
+table-storage: setup  ## bytes stored for many exemplars
 	$(EVALUATE) --which storage
 
-table-samples: setup  ## samples that a fit sees
+table-samples: setup  ## samples that a fit uses
 	$(EVALUATE) --which samples
 
-table-convergence: setup  ## errors along Meta's steps, and how many more bring it to Overfit
+table-convergence: setup  ## errors by Meta's steps, and the steps until it reaches Overfit
 	$(EVALUATE) --which convergence
 
 # every update rule, trained alike; a laptop runs a part of it: make rules OUTER=200 STEPS=10 SEEDS=0
@@ -123,7 +124,7 @@ rules: setup  ## the rule study: all update rules by APPS, STEPS, SEEDS after OU
 	  --seed $(firstword $(SEEDS)) --seeds $(words $(SEEDS)) $(if $(filter file,$(origin DATA)),,--data "$(DATA)") \
 	  --out $(RUNS) --figures $(RUNS)/figures --format markdown
 
-table-baselines: setup  ## what else there is: error, time and bytes of methods without a network
+table-baselines: setup  ## baselines without a network: error, time and bytes
 	$(EVALUATE) --which baselines
 
 figures: setup  ## all figures as PNG and PDF, in runs/figures
@@ -132,7 +133,7 @@ figures: setup  ## all figures as PNG and PDF, in runs/figures
 report: setup  ## all tables, figures, pictures and records as one page: runs/report/index.html
 	$(EVALUATE) --which all --report $(RUNS)/report --format markdown
 
-paper: setup  ## the paper's own recipe, for a machine with a GPU and days: trains all starts, then tables and report
+paper: setup  ## the paper's own recipe, for a machine with a GPU and days: trains everything, then tables and report
 	bash tools/paper.sh "$(METAPP)" "$(RUNS)" $$($(VENV)/bin/python -c 'from metapp.apps import app_names; print(*app_names())')
 
 real: setup  ## real materials: make real DATA=<folder with nbrdf/merl>; trains and prints the five paradigms, 3 seeds
@@ -141,27 +142,27 @@ real: setup  ## real materials: make real DATA=<folder with nbrdf/merl>; trains 
 real-photos: setup  ## real textures and flash photos: make real-photos DATA=<folder with texture, flash_stationary>; hours
 	bash tools/real_photos.sh "$(METAPP)" "$(DATA)" "$(RUNS)" $(firstword $(SEEDS))
 
-real-illumination: setup  ## real maps: make real-illumination DATA=<folder with illumination>; the starts that ship, 10 minutes
+real-illumination: setup  ## real maps: make real-illumination DATA=<folder with illumination>; the checkpoints that ship; 10 minutes
 	bash tools/real_illumination.sh "$(METAPP)" "$(DATA)" "$(RUNS)"
 
 real-svbrdf: setup  ## real materials: make real-svbrdf DATA=<folder with svbrdf_strips, svbrdf_maps, flash_nonstationary>
 	bash tools/real_svbrdf.sh "$(METAPP)" "$(DATA)" "$(RUNS)"
 
-starts-illumination: setup  ## train the starts of illumination that ship, on the embedded maps; two to three hours
-	bash tools/starts_observed.sh "$(METAPP)" "$(RUNS)" illumination
+checkpoints-illumination: setup  ## train the checkpoints of illumination that ship, on the embedded maps; two to three hours
+	bash tools/checkpoints_observed.sh "$(METAPP)" "$(RUNS)" illumination
 
-starts-svbrdf: setup  ## train the starts of non-stationary svBRDFs that ship, on the embedded patches; three hours
-	bash tools/starts_observed.sh "$(METAPP)" "$(RUNS)" svbrdf_nonstationary
+checkpoints-svbrdf: setup  ## train those of non-stationary svBRDFs, on the embedded patches; three hours
+	bash tools/checkpoints_observed.sh "$(METAPP)" "$(RUNS)" svbrdf_nonstationary
 
-starts-transport: setup  ## train the starts of light transport that ship, on the embedded scenes; an hour
-	bash tools/starts_transport.sh "$(METAPP)" "$(RUNS)"
+checkpoints-transport: setup  ## train those of light transport, on the embedded scenes; an hour
+	bash tools/checkpoints_transport.sh "$(METAPP)" "$(RUNS)"
 
-starts-photos: setup  ## train the starts of textures and svBRDFs that ship, on the embedded sets; hours
-	bash tools/starts_photos.sh "$(METAPP)" "$(RUNS)"
+checkpoints-photos: setup  ## train those of textures and stationary svBRDFs, on the embedded sets; hours
+	bash tools/checkpoints_photos.sh "$(METAPP)" "$(RUNS)"
 
-starts-brdf: setup  ## train the starts that ship: make starts-brdf DATA=<folder with nbrdf/merl>
-	bash tools/starts_brdf.sh "$(METAPP)" "$(DATA)" "$(RUNS)"
+checkpoints-brdf: setup  ## train those of BRDFs: make checkpoints-brdf DATA=<folder with nbrdf/merl>
+	bash tools/checkpoints_brdf.sh "$(METAPP)" "$(DATA)" "$(RUNS)"
 
-clean:  ## remove caches and the virtual environment; runs and trained starts stay
+clean:  ## remove caches and the virtual environment; runs and trained checkpoints stay
 	rm -rf $(VENV) build site *.egg-info .pytest_cache .mypy_cache .ruff_cache
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

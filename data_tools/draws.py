@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
-Field = npt.NDArray[np.floating[Any]]  # float32 in all maps
+Field = npt.NDArray[np.floating]  # float32 in all maps
 Ids = npt.NDArray[np.int64]
 Rng = np.random.Generator
 

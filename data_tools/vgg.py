@@ -21,7 +21,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from importlib import metadata
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -235,9 +235,9 @@ def download(url: str, path: Path, expected: str, report: Report) -> None:
         raise _mismatch(url, digest.hexdigest(), expected)
 
 
-def _open(url: str) -> Any:
+def _open(url: str) -> http.client.HTTPResponse:
     # A socket's timeout counts for each of a host's addresses anew, and not at all while a name is looked up.
-    answers: queue.SimpleQueue[Any] = queue.SimpleQueue()
+    answers: queue.SimpleQueue[http.client.HTTPResponse | Exception] = queue.SimpleQueue()
 
     def ask() -> None:
         try:
@@ -361,7 +361,7 @@ def read_ckpt(data: bytes, expected: str, source: str) -> Read:
     return weights, Origin(source, digest)
 
 
-_ARRAY_PARTS: dict[tuple[str, str], Any] = {
+_ARRAY_PARTS: dict[tuple[str, str], object] = {
     ("numpy", "ndarray"): np.ndarray,
     ("numpy", "dtype"): np.dtype,
     # numpy moved the function that arrays are pickled by; an array tells it whatever it is called today
@@ -373,7 +373,7 @@ _ARRAY_PARTS: dict[tuple[str, str], Any] = {
 class ArraysOnly(pickle.Unpickler):
     """Unpickles dicts, lists, numbers, texts and numpy arrays; whatever else a pickle names is an error."""
 
-    def find_class(self, module: str, name: str) -> Any:
+    def find_class(self, module: str, name: str) -> object:
         """What a pickle may call: nothing is imported for it."""
         if (module, name) not in _ARRAY_PARTS:
             raise pickle.UnpicklingError(f"it names {module}.{name}")

@@ -3,9 +3,9 @@
 MAPS is a folder of `--export mitsuba` of an svBRDF, LIGHT.exr is outputs/<map>/map.exr of a run of illumination, each
 BRDF.safetensors is params/<material>.safetensors of a run of brdf: one to three balls. Fits of the embedded data sets:
 
-    metapp meta svbrdf_nonstationary --export mitsuba
-    metapp meta illumination
-    metapp meta brdf --rule ridge
+    metapp meta svbrdf_nonstationary --recipe quick --export mitsuba
+    metapp meta illumination --recipe quick
+    metapp meta brdf
 """
 
 import sys
@@ -18,8 +18,8 @@ import drjit as dr
 import mitsuba as mi
 
 SIZE, SAMPLES, EXPOSURE = 512, 256, 0.33
-# a rare path from a mirror to the sun outshines its pixel: SAMPLES are taken in passes of a few, and a pass counts for
-# BRIGHTEST times white at most; what is brighter than that in all passes is white in the picture anyway
+# against fireflies (paths from a mirror to the sun): SAMPLES are taken in passes of PASS, each clamped at BRIGHTEST
+# times white; what is brighter than that in all passes is white in the picture anyway
 PASS, BRIGHTEST = 4, 3.0
 BALLS = ((0.0, -0.3, 1.0), (1.2, 0.8, 0.45), (-1.2, 0.75, 0.35))  # x, z, radius
 maps, light, picture, *brdfs = map(Path, sys.argv[1:])
@@ -70,12 +70,12 @@ scene = mi.load_dict(
         "camera": camera,
         "light": {"type": "envmap", "filename": str(light), "to_world": T().rotate([0, 1, 0], 60)},
         "floor": floor,
-        **{f"ball{i}": ball(*each) for i, each in enumerate(zip(BALLS, brdfs, strict=False))},
+        **{f"ball{i}": ball(place, file) for i, (place, file) in enumerate(zip(BALLS, brdfs, strict=False))},
     }
 )
 passes = [mi.render(scene, spp=PASS, seed=i) for i in range(SAMPLES // PASS)]
 white = dr.mean(passes[0], axis=None) / EXPOSURE
-image = sum(dr.minimum(each, BRIGHTEST * white) for each in passes)
+image = sum(dr.minimum(radiance, BRIGHTEST * white) for radiance in passes)
 image *= EXPOSURE / dr.mean(image, axis=None)
 mi.util.write_bitmap(str(picture), image, write_async=False)
 print(f"saved {picture}: {SIZE} x {SIZE} px, {SAMPLES} samples a pixel")

@@ -22,6 +22,7 @@ CODE = re.compile(r"`([^`]+)`")
 COMMAND = typer.main.get_command(cli)  # it takes 40 ms to make
 METAPP = re.compile(r"metapp [a-z]")
 ANY_COMMAND = re.compile(r"metapp (?:data )?<")
+PATH = re.compile(r"(?:metapp|data_tools|tests|tools|examples)/[\w./-]+$")
 STANDS_FOR = re.compile(r"<[a-z]+>|\.\.\.|\b(?:NAME|APP|DIR)\b")  # what a reader puts in
 
 
@@ -103,6 +104,12 @@ def test_targets_exist() -> None:
     for page, line in lines_of_code():
         if line.startswith("make "):
             assert {word for word in line.split()[1:] if "=" not in word} <= targets, (page, line)
+
+
+def test_files_exist() -> None:
+    for page, line in lines_of_code():
+        if PATH.match(line) and "notebook" not in page.parts:  # names in the notebook are of its date
+            assert (ROOT / line).exists(), (page, line)
 
 
 def test_every_page_is_in_the_navigation() -> None:

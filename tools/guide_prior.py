@@ -1,7 +1,7 @@
 """Train the guide prior that ships, on random rooms: guide_prior.py DATA OUT [--rooms 40].
 
-DATA keeps what rooms' caches know, 7 s a room; those that are there are not made again. General, QuickFT and Meta are
-trained on it, and compared on rooms that no training saw. OUT gets their checkpoints; `ship.py` makes those that ship.
+DATA keeps the tasks of rooms, 7 s a room; those that are there are not made again. General, QuickFT and Meta are
+trained on them, and compared on rooms of no training. OUT gets their checkpoints; `ship.py` makes those that ship.
 """
 
 from __future__ import annotations
@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import functools
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +20,6 @@ from torch import Generator, Tensor
 
 from data_tools.synthetic.guiding import NAMES, guide_tasks
 from data_tools.synthetic.rooms import KINDS, random_room
-from metapp.apps.transport.guiding import APP, RECIPE
 from metapp.learning.app import stack
 from metapp.learning.learn import MetaParameters
 from metapp.learning.progress import Prepared, Progress
@@ -28,6 +28,7 @@ from metapp.paradigms import Job, paradigms
 from metapp.paradigms.paradigm import TrainingData
 from metapp.rendering import equal_time
 from metapp.rendering.guide_prior import init
+from metapp.rendering.guide_training import APP, RECIPE
 from metapp.rendering.guided_path import PathTracer, Settings
 from metapp.rendering.guided_picture import GuidedPicture, parts_of
 from metapp.rendering.guided_plugin import RR_DEPTH
@@ -40,8 +41,11 @@ TRAIN, VALIDATE, TEST = 2000, 3000, 4000  # first seeds
 FEW = 4  # rooms of a kind that validate, and that test
 PICTURES = 6  # of a room and method
 
+Trained = tuple[MetaParameters, str, str]
+"""With the names of paradigm and rule."""
 
-def rooms(folder: Path, first: int, count: int) -> Tasks:
+
+def room_tasks(folder: Path, first: int, count: int) -> Tasks:
     """Tasks of `count` rooms of each kind, made where they are missing."""
     tasks = []
     for seed in range(first, first + count):
@@ -78,14 +82,14 @@ def interval(differences: Tensor) -> str:
     return f"{float((differences.mean() / 2).exp()):.3f} [{low:.3f}, {high:.3f}]"
 
 
-def compare(found: dict[str, tuple[MetaParameters, str, str]], tasks: Tasks) -> None:
-    """Print a table: noise over that of a cache that expects nothing, by how many paths taught it."""
+def compare(trained: dict[str, Trained], tasks: Tasks) -> None:
+    """Print a table: noise over that of a cache without a prior, by how many paths it has learned from."""
     untrained = MetaParameters(encoder=init(Generator()))
     without = variances(untrained, "general", RECIPE.rule, tasks).reshape(-1, len(NAMES))
-    general = variances(found["general"][0], "general", RECIPE.rule, tasks).reshape(-1, len(NAMES))
+    general = variances(trained["general"][0], "general", RECIPE.rule, tasks).reshape(-1, len(NAMES))
     print("| noise over that without a prior | " + " | ".join(NAMES) + " | over General | lower in rooms |")
     print("|---" * (len(NAMES) + 3) + "|")
-    for name, (prepared, paradigm, rule) in found.items():
+    for name, (prepared, paradigm, rule) in trained.items():
         errors = variances(prepared, paradigm, rule, tasks).reshape(-1, len(NAMES))
         cells = [interval(errors[:, i] - without[:, i]) for i in range(len(NAMES))]
         lower = int((errors < without).all(1).sum())
@@ -108,9 +112,9 @@ def pictures(theta: Params, size: int, spp: int) -> str:
 
 def _noise(mi: Any, scene: Any, size: int, spp: int, prior: Params | None) -> float:
     """Mean over pixels of how far pictures of several seeds are from each other, relative to their mean."""
-    tracer, path = PathTracer(mi, Settings(DEPTH, RR_DEPTH)), mi.load_dict({"type": "path"})
+    tracer, path = PathTracer(Settings(DEPTH, RR_DEPTH)), mi.load_dict({"type": "path"})
     film = scene.sensors()[0].film()
-    made = []
+    made: list[Tensor] = []
     for seed in range(PICTURES):
         picture = GuidedPicture(path, tracer, scene, scene.sensors()[0], seed, prior)
         for part in parts_of(spp, size**2):
@@ -123,7 +127,7 @@ def _noise(mi: Any, scene: Any, size: int, spp: int, prior: Params | None) -> fl
     return float(torch.stack([((first - second).abs() / (mean + 1e-3)).mean() for first, second in halves]).mean())
 
 
-def trained(name: str, preparation: Iterator[Progress]) -> Prepared:
+def prepared_by(name: str, preparation: Iterator[Progress]) -> Prepared:
     """The result of a preparation, whose validations are printed."""
     prepared = None
     for now in preparation:
@@ -132,6 +136,28 @@ def trained(name: str, preparation: Iterator[Progress]) -> Prepared:
             print(f"{name}: {now.done}/{now.total} {now.note}", file=sys.stderr, flush=True)
     assert prepared is not None
     return prepared
+
+
+def train(folder: Path, training: Tasks, validating: Tasks, data: str) -> dict[str, Trained]:
+    """General, QuickFT and Meta by their checkpoints in a folder, trained where these are missing."""
+    trained: dict[str, Trained] = {}
+    encoder = None
+    for name, paradigm in (("general", "general"), ("quickft", "quickft"), *((rule, "meta") for rule in RECIPE.meta)):
+        rule = name if paradigm == "meta" else RECIPE.rule
+
+        def report(step: int, steps: int, note: str, name: str = name) -> None:
+            print(f"{name}: {step}/{steps} {note}", file=sys.stderr, flush=True)
+
+        file = folder / f"{name}.safetensors"
+        if not file.exists():
+            material = TrainingData(training, validating, Generator().manual_seed(0), encoder)
+            prepared = prepared_by(name, paradigms()[paradigm].prepare(Job(APP, RECIPE, rule), material))
+            info = {"app": APP.name, "start": name, "recipe": "quick", "data": data}
+            save_checkpoint(file, prepared.phi, info | {"validation_error": prepared.validation})
+        phi, _ = load_checkpoint(file)
+        encoder = encoder or phi
+        trained[name] = (phi, paradigm, rule)
+    return trained
 
 
 def main() -> None:
@@ -144,36 +170,14 @@ def main() -> None:
     for folder in (options.data, options.out):
         folder.mkdir(parents=True, exist_ok=True)
     torch.set_num_threads(1)
-    validating = rooms(options.data, VALIDATE, FEW)
-    training = rooms(options.data, TRAIN, options.rooms)
-    found: dict[str, tuple[MetaParameters, str, str]] = {}
-    encoder = None
-    for name, paradigm, rule in (
-        ("general", "general", RECIPE.rule),
-        ("quickft", "quickft", RECIPE.rule),
-        *((rule, "meta", rule) for rule in RECIPE.meta),
-    ):
-
-        file = options.out / f"{name}.safetensors"
-        if not file.exists():
-            data = TrainingData(training, validating, Generator().manual_seed(0), encoder)
-            prepared = trained(name, paradigms()[paradigm].prepare(Job(APP, RECIPE, rule), data))
-            info = {
-                "app": APP.name,
-                "start": name,
-                "recipe": "quick",
-                "data": f"rooms, {options.rooms} of each kind from seed {TRAIN}",
-                "validation_error": prepared.validation,
-            }
-            save_checkpoint(file, prepared.phi, info)
-        start, _ = load_checkpoint(file)
-        encoder = encoder or start
-        found[name] = (start, paradigm, rule)
-    compare(found, rooms(options.data, TEST, FEW))
+    validating = room_tasks(options.data, VALIDATE, FEW)
+    training = room_tasks(options.data, TRAIN, options.rooms)
+    trained = train(options.out, training, validating, f"rooms, {options.rooms} of each kind from seed {TRAIN}")
+    compare(trained, room_tasks(options.data, TEST, FEW))
     print("| px a side | samples a pixel | noise of pictures, over that without a prior | lower in rooms |")
     print("|---|---|---|---|")
     for size, spp in ((64, 4), (64, 16), (64, 64), (256, 4), (256, 16), (256, 64)):
-        print(pictures(found["general"][0].encoder, size, spp), flush=True)
+        print(pictures(trained["general"][0].encoder, size, spp), flush=True)
 
 
 if __name__ == "__main__":

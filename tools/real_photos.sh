@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # All five paradigms on real photographs: real_photos.sh METAPP DATA RUNS SEED...
-# Starts are trained on the training photos, every eighth of which validates; each seed prints its table on the test
+# Checkpoints are trained on the training photos, every eighth of which validates; each seed prints its table on the test
 # photos: of the sorted textures every fifth, of the flash photos those of every fifth material.
 set -euo pipefail
 metapp=$1 data=$2 runs=$3
@@ -12,7 +12,7 @@ done
 "$metapp" data flash "$data/flash_stationary" --out "$runs/data/flash"
 for seed in "$@"; do
   for pair in texture:photos svbrdf_stationary:flash; do
-    common=("${pair%:*}" --data "$runs/data/${pair#*:}" --out "$runs" --seed "$seed")
+    common=("${pair%:*}" --recipe quick --data "$runs/data/${pair#*:}" --out "$runs" --seed "$seed")
     "$metapp" general "${common[@]}" --train --quiet
     "$metapp" quickft "${common[@]}" --train --quiet
     "$metapp" meta "${common[@]}" --train --quiet

@@ -1,7 +1,7 @@
-"""Copy trained checkpoints to where those that ship lie: ship.py STARTS CHECKPOINTS.
+"""Copy trained checkpoints to where those that ship lie: ship.py TRAINED CHECKPOINTS.
 
-Encoders and long hyperparameters (rates of weights, bases) are kept in half precision there, which no error shows and
-halves their size; starts that name General's by its digest name the rounded one.
+Encoders and long hyperparameters (rates of weights, bases) are stored in half precision there, which halves their size
+and changes no error; checkpoints that refer to General's encoder by its digest refer to the rounded one.
 """
 
 import json
@@ -21,7 +21,7 @@ SKIPPED = (".previous", ".interrupted", ".training", ".aside")
 
 
 def ship(source: Path, target: Path, rounded: dict[str, str]) -> None:
-    """Copy one start; `rounded` has the digests of encoders before and after rounding."""
+    """Copy one checkpoint; `rounded` has the digests of encoders before and after rounding."""
     with safe_open(source, "pt") as file:
         tensors = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118  (not a mapping)
         info: dict[str, Any] = json.loads(file.metadata()["metapp"])
@@ -56,7 +56,7 @@ if __name__ == "__main__":
     folder, checkpoints = map(Path, sys.argv[1:])
     checkpoints.mkdir(parents=True, exist_ok=True)
     rounded = digests(folder / "general.safetensors")
-    for start in sorted(folder.glob("*.safetensors")):
-        if not start.stem.endswith(SKIPPED):
-            ship(start, checkpoints / start.name, rounded)
-            print(checkpoints / start.name, (checkpoints / start.name).stat().st_size)
+    for source in sorted(folder.glob("*.safetensors")):
+        if not source.stem.endswith(SKIPPED):
+            ship(source, checkpoints / source.name, rounded)
+            print(checkpoints / source.name, (checkpoints / source.name).stat().st_size)

@@ -9,12 +9,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 import torch
 from torch import Tensor
 
-from data_tools.assets.folder import description, write_description
+from data_tools.assets.asset import description, write_description
 from data_tools.assets.pictures import write_plane
 from metapp.appearance.surface import DESCRIPTION, Plane, Surface, all_planes
 
@@ -30,7 +29,7 @@ WIRED = {
 }
 
 
-def write(surface: Surface, path: Path, provenance: Mapping[str, Any]) -> None:
+def write(surface: Surface, path: Path, provenance: Mapping[str, object]) -> None:
     """Write <path>/<name>_<socket>.png and <path>/material.json."""
     planes = all_planes(surface)
     planes["level"] = Plane(

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 from metapp.appearance.surface import Surface, fitted_planes
 from metapp.storage.images import write_exr
@@ -12,7 +11,7 @@ from metapp.storage.images import write_exr
 PRECISE = ("normal_gl", "height")
 
 
-def write(surface: Surface, path: Path, provenance: Mapping[str, Any]) -> None:
+def write(surface: Surface, path: Path, provenance: Mapping[str, object]) -> None:
     """Write <path>/<name>_<map>.exr of the fitted maps, or of a texture's colour; heights in texture widths."""
     for key, plane in fitted_planes(surface).items():
         file = path / f"{path.name}_{key}.exr"

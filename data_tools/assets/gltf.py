@@ -14,7 +14,6 @@ import tempfile
 from collections.abc import Mapping
 from importlib import metadata
 from pathlib import Path
-from typing import Any
 
 import torch
 
@@ -52,13 +51,13 @@ class _Binary:
         return len(self.views) - 1
 
 
-def write(surface: Surface, path: Path, provenance: Mapping[str, Any]) -> None:
+def write(surface: Surface, path: Path, provenance: Mapping[str, object]) -> None:
     """Write <path>.glb."""
     content = glb(surface, path.name, provenance)
     write_atomically(path.with_name(f"{path.name}.glb"), lambda target: target.write_bytes(content))
 
 
-def glb(surface: Surface, name: str, provenance: Mapping[str, Any]) -> bytes:
+def glb(surface: Surface, name: str, provenance: Mapping[str, object]) -> bytes:
     """The bytes of a .glb of a surface."""
     binary = _Binary()
     accessors = _quad(binary, surface)
@@ -90,7 +89,7 @@ def glb(surface: Surface, name: str, provenance: Mapping[str, Any]) -> bytes:
     return _packed(document, bytes(binary.content))
 
 
-def _packed(document: Mapping[str, Any], binary: bytes) -> bytes:
+def _packed(document: Mapping[str, object], binary: bytes) -> bytes:
     """A .glb: a header and two chunks, each of a multiple of four bytes."""
     text = json.dumps(document, separators=(",", ":"), allow_nan=False).encode()
     text += b" " * (-len(text) % 4)
@@ -99,7 +98,7 @@ def _packed(document: Mapping[str, Any], binary: bytes) -> bytes:
     return b"".join([struct.pack("<III", GLB, 2, total), *chunks])
 
 
-def _quad(binary: _Binary, surface: Surface) -> list[dict[str, Any]]:
+def _quad(binary: _Binary, surface: Surface) -> list[dict[str, object]]:
     """A rectangle of width 1 that faces +z, row 0 of the pictures on top; its accessors."""
     aspect = surface.size[0] / surface.size[1]
     corners: list[tuple[float, ...]] = [(x, y * aspect, 0.0) for x, y in CORNERS]
@@ -109,7 +108,7 @@ def _quad(binary: _Binary, surface: Surface) -> list[dict[str, Any]]:
         "VEC4 tangent": [(1.0, 0.0, 0.0, 1.0)] * 4,
         "VEC2 place": [(x + 0.5, 0.5 - y) for x, y in CORNERS],
     }
-    accessors: list[dict[str, Any]] = []
+    accessors: list[dict[str, object]] = []
     for kind, rows in vertices.items():
         part = b"".join(struct.pack(f"<{len(row)}f", *row) for row in rows)
         view = binary.add(part, VERTICES)
@@ -120,7 +119,7 @@ def _quad(binary: _Binary, surface: Surface) -> list[dict[str, Any]]:
     return [*accessors, {"bufferView": view, "componentType": SHORT, "count": 6, "type": "SCALAR"}]
 
 
-def _primitive() -> dict[str, Any]:
+def _primitive() -> dict[str, object]:
     attributes = {"POSITION": 0, "NORMAL": 1, "TANGENT": 2, "TEXCOORD_0": 3}
     return {"attributes": attributes, "indices": 4, "material": 0}
 
@@ -131,7 +130,7 @@ def highest_f0(surface: Surface) -> float:
     return max(float(surface.maps.specular.max()), 1e-4)
 
 
-def _material(name: str, pictures: list[str], highest: float) -> dict[str, Any]:
+def _material(name: str, pictures: list[str], highest: float) -> dict[str, object]:
     texture = {key: {"index": pictures.index(key)} for key in pictures}
     return {
         "name": name,

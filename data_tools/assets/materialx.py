@@ -11,7 +11,6 @@ import math
 import xml.etree.ElementTree as ET
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 from data_tools.assets.pictures import write_planes
 from metapp.appearance.surface import Surface, fitted_planes
@@ -22,7 +21,7 @@ TYPES = {"diffuse": "color3", "specular": "color3", "roughness": "float", "norma
 HIGHEST = 0.9999  # F0; beyond, no index of refraction
 
 
-def write(surface: Surface, path: Path, provenance: Mapping[str, Any]) -> None:
+def write(surface: Surface, path: Path, provenance: Mapping[str, object]) -> None:
     """Write <path>/<name>.mtlx and its pictures."""
     planes = {key: plane for key, plane in fitted_planes(surface).items() if key in TYPES}
     write_planes(planes, path)
@@ -37,7 +36,7 @@ def index_of(f0: float) -> float:
     return (1 + root) / (1 - root)
 
 
-def document(name: str, highest: float, tiles: bool, provenance: Mapping[str, Any]) -> bytes:
+def document(name: str, highest: float, tiles: bool, provenance: Mapping[str, object]) -> bytes:
     """The document: a node graph of pictures and their arithmetic, a surface, a material.
 
     Args:

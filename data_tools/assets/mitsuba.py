@@ -10,7 +10,6 @@ from __future__ import annotations
 import xml.etree.ElementTree as ET
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 from data_tools.assets.pictures import write_planes
 from metapp.appearance.flash import camera_distance
@@ -31,7 +30,7 @@ SUFFIX = {"neural_svbrdf": "", "principled": "_builtin"}
 USED = ("diffuse", "specular", "roughness", "normal_gl", "basecolor", "metallic")
 
 
-def write(surface: Surface, path: Path, provenance: Mapping[str, Any]) -> None:
+def write(surface: Surface, path: Path, provenance: Mapping[str, object]) -> None:
     """Write <path>/<name>.xml, <path>/<name>_builtin.xml and the pictures."""
     planes = all_planes(surface)
     write_planes({key: planes[key] for key in USED}, path)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 from torch import Tensor
 from torch.nn.functional import interpolate
@@ -18,20 +17,17 @@ from metapp.storage.images import write_png
 PREVIEW = 256  # px, of the longer side
 
 
-def write_planes(planes: Mapping[str, Plane], path: Path, bits: int = 16) -> dict[str, dict[str, Any]]:
+def write_planes(planes: Mapping[str, Plane], path: Path, bits: int = 16) -> dict[str, dict[str, object]]:
     """Write maps as PNG, <path>/<name>_<map>.png, `name` being the last part of `path`.
 
     Returns:
         What is to be known of each file, by its name: encoding, meaning; of heights how integers become widths.
     """
-    told: dict[str, dict[str, Any]] = {}
-    for key, plane in planes.items():
-        file = path / f"{path.name}_{key}.png"
-        told[file.name] = write_plane(plane, file, bits, stretch=key == "height")
-    return told
+    files = {key: path / f"{path.name}_{key}.png" for key in planes}
+    return {file.name: write_plane(planes[key], file, bits, stretch=key == "height") for key, file in files.items()}
 
 
-def write_plane(plane: Plane, file: Path, bits: int, *, stretch: bool = False) -> dict[str, Any]:
+def write_plane(plane: Plane, file: Path, bits: int, *, stretch: bool = False) -> dict[str, object]:
     """Write a map as PNG, colours as sRGB; with `stretch` so that its range becomes that of the integers.
 
     Returns:
@@ -39,13 +35,13 @@ def write_plane(plane: Plane, file: Path, bits: int, *, stretch: bool = False) -
     """
     encoding = "sRGB" if plane.encoding == "srgb" else "linear"
     values = linear_to_srgb(plane.values.clamp(0, 1)) if plane.encoding == "srgb" else plane.values
-    told: dict[str, Any] = {"colour_space": encoding, "channels": len(values), "bits": bits, "meaning": plane.meaning}
+    about = {"colour_space": encoding, "channels": len(values), "bits": bits, "meaning": plane.meaning}
     if stretch:
         values, low, high = stretched(values)
-        told |= {"offset": low, "scale": high - low, "unit": "texture widths"}
-    texts = {"encoding": encoding} | {key: f"{told[key]:.9g}" for key in ("offset", "scale") if key in told}
+        about |= {"offset": low, "scale": high - low, "unit": "texture widths"}
+    texts = {"encoding": encoding} | {key: f"{about[key]:.9g}" for key in ("offset", "scale") if key in about}
     write_png(values.movedim(0, -1), texts, file, bits)
-    return told
+    return about
 
 
 def preview(surface: Surface) -> Tensor:

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 from data_tools.assets.pictures import write_planes
 from metapp.appearance.surface import Surface, fitted_planes
 
 
-def write(surface: Surface, path: Path, provenance: Mapping[str, Any]) -> None:
+def write(surface: Surface, path: Path, provenance: Mapping[str, object]) -> None:
     """Write <path>/<name>_<map>.png of the fitted maps, or of a texture's colour."""
     write_planes(fitted_planes(surface), path)

@@ -7,11 +7,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 from data_tools.assets.pictures import write_plane
 from metapp.appearance.surface import Surface, all_planes
 from metapp.storage.files import write_atomically
+
+if TYPE_CHECKING:
+    from pxr import Sdf, Usd, UsdGeom, UsdShade
 
 BITS = 8
 TEXTURES = "textures"
@@ -24,7 +27,7 @@ INPUTS = {  # of UsdPreviewSurface: map, output of its texture, type
 }
 
 
-def write(surface: Surface, path: Path, provenance: Mapping[str, Any]) -> None:
+def write(surface: Surface, path: Path, provenance: Mapping[str, object]) -> None:
     """Write <path>/<name>.usda with its textures, and <path>/<name>.usdz, which holds all."""
     from pxr import Sdf, UsdUtils
 
@@ -39,7 +42,7 @@ def write(surface: Surface, path: Path, provenance: Mapping[str, Any]) -> None:
         raise ValueError(f"{package}: not written by usd-core; is the disk full?")
 
 
-def stage_text(surface: Surface, name: str, provenance: Mapping[str, Any]) -> str:
+def stage_text(surface: Surface, name: str, provenance: Mapping[str, object]) -> str:
     """The layer as text: one prim with the square and its material."""
     from pxr import Kind, Sdf, Tf, Usd, UsdGeom
 
@@ -58,11 +61,11 @@ def stage_text(surface: Surface, name: str, provenance: Mapping[str, Any]) -> st
     return result
 
 
-def _words(provenance: Mapping[str, Any]) -> list[str]:
+def _words(provenance: Mapping[str, object]) -> list[str]:
     return [f"{key} {provenance[key]}" for key in ("app", "paradigm", "rule", "start", "recipe") if key in provenance]
 
 
-def _quad(stage: Any, path: Any, surface: Surface) -> Any:
+def _quad(stage: Usd.Stage, path: Sdf.Path, surface: Surface) -> UsdGeom.Mesh:
     """A rectangle of width 1 that faces +z."""
     from pxr import Gf, Sdf, UsdGeom, Vt
 
@@ -81,7 +84,7 @@ def _quad(stage: Any, path: Any, surface: Surface) -> Any:
     return mesh
 
 
-def _material(stage: Any, path: Any, name: str, tiles: bool) -> Any:
+def _material(stage: Usd.Stage, path: Sdf.Path, name: str, tiles: bool) -> UsdShade.Material:
     from pxr import Sdf, UsdShade
 
     material = UsdShade.Material.Define(stage, path)
@@ -104,7 +107,7 @@ def _material(stage: Any, path: Any, name: str, tiles: bool) -> Any:
     return material
 
 
-def _texture(stage: Any, path: Any, file: str, key: str, tiles: bool) -> Any:
+def _texture(stage: Usd.Stage, path: Sdf.Path, file: str, key: str, tiles: bool) -> UsdShade.Shader:
     from pxr import Gf, Sdf, UsdShade
 
     texture = UsdShade.Shader.Define(stage, path)
@@ -120,7 +123,7 @@ def _texture(stage: Any, path: Any, file: str, key: str, tiles: bool) -> Any:
     return texture
 
 
-def _bind(mesh: Any, material: Any) -> None:
+def _bind(mesh: UsdGeom.Mesh, material: UsdShade.Material) -> None:
     from pxr import UsdShade
 
     UsdShade.MaterialBindingAPI.Apply(mesh.GetPrim()).Bind(material)

@@ -1,8 +1,9 @@
-"""The formats of files that tasks come from or fits are written in; one is a module here.
+"""The formats of files that tasks come from or fits are written in.
 
-It defines FORMAT, or EXPORT where fits of flat surfaces are written for other programs and nothing is read. A record
-says what a format is called, whose tasks it holds, and which settings its conversion takes: help texts and
-commands are made of it. What reads and writes the files is a module of `data_tools.readers`, imported on first use.
+A module here is the record of one, FORMAT: what it is called, whose tasks it holds, which options its conversion takes;
+commands and help texts are made of these. What finds, reads and writes the files is a module of `data_tools.readers`,
+imported on first use. EXPORTS are the forms that fits of flat surfaces are written in and that nothing reads; each is a
+module of `data_tools.assets`.
 """
 
 from __future__ import annotations
@@ -13,19 +14,25 @@ import importlib.util
 import pkgutil
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
+from typing import TYPE_CHECKING, NamedTuple, Protocol, cast
 
 if TYPE_CHECKING:
     from metapp.appearance.surface import Surface
+    from metapp.learning.app import App
     from metapp.learning.task import Params, Task
 
 MATERIALS = ("svbrdf_stationary", "svbrdf_nonstationary")  # applications whose fits are maps of a material
 TEXTURES = ("texture",)
 AUTO = "auto"  # the split by a rule: train and test tasks
+SPLIT = "Where the tasks belong. auto: of the sorted names, every fifth is a test task (80 give 64 + 16)."
 
 
 class Files(Protocol):
-    """What reads the files of a format, a module."""
+    """What finds and reads the files of a format, a module.
+
+    Its `read_task` also takes what `Format.takes` and `Format.settings` name. Where it converts files it has UNITS, of
+    the tasks' tensors by name, and where that takes more than these, `conversion(paths, split, **settings)`.
+    """
 
     def recognises(self, path: Path, /) -> bool:
         """Return whether a path is of this format, or a folder with such files."""
@@ -40,19 +47,15 @@ class Files(Protocol):
 class Writer(Protocol):
     """What writes fits in a format, a module."""
 
-    def export(self, app: Any, theta: Params, path: Path, /) -> None:
+    def export(self, app: App, theta: Params, path: Path, /) -> None:
         """Write the parameters of one fit beside or below `path`, with the format's own suffix."""
 
 
 class AssetWriter(Protocol):
     """What writes a fitted surface for another program, a module."""
 
-    def write(self, surface: Surface, path: Path, provenance: Mapping[str, Any], /) -> None:
-        """Write a surface as or below `path`, whose last part is its name; the provenance may be told in the file."""
-
-
-class FilesAndWriter(Files, Writer, Protocol):
-    """What does both, a module."""
+    def write(self, surface: Surface, path: Path, provenance: Mapping[str, object], /) -> None:
+        """Write a surface as or below `path`, whose last part is its name; the file may state the provenance."""
 
 
 class Setting(NamedTuple):
@@ -76,7 +79,7 @@ class Setting(NamedTuple):
     choices: tuple[str, ...] = ()
 
 
-class Reader(NamedTuple):
+class Conversion(NamedTuple):
     """How the files of one conversion become tasks.
 
     Attributes:
@@ -97,27 +100,9 @@ class Reader(NamedTuple):
     find: Callable[[Iterable[Path]], tuple[list[Path], list[str]]]
     name: Callable[[Path], str]
     read: Callable[[Path], Task]
-    notes: Mapping[str, Any]
+    notes: Mapping[str, object]
     split_of: Callable[[Path], str] | None = None
     remarks: tuple[str, ...] = ()
-
-
-class Conversion(NamedTuple):
-    """What `metapp data NAME` does.
-
-    Attributes:
-        help: of the command; paragraphs and examples.
-        reader: (paths, split, settings by name) -> how to read them.
-        paths: the metavar of its arguments and their help.
-        settings: its own options.
-        split_help: of --split, where files or names tell more than the general rule.
-    """
-
-    help: str
-    reader: Callable[..., Reader]
-    paths: tuple[str, str]
-    settings: tuple[Setting, ...] = ()
-    split_help: str = "Where the tasks belong. auto: of the sorted names, every fifth is a test task (80 give 64 + 16)."
 
 
 class Format(NamedTuple):
@@ -126,43 +111,82 @@ class Format(NamedTuple):
     Attributes:
         name: of its command and, where fits are written in it, the value of --export.
         app: the application whose tasks its files hold.
+        module: of what finds, reads and writes them.
         inputs: what the files are, in words, for help and errors; "" where fits do not take them as INPUT.
-        files: imports and returns what reads them; None where nothing does, which has no `inputs` either.
-        writer: imports and returns what writes fits; None where nothing does.
-        conversion: the command that makes data sets of them, if any.
-        takes_roots: whether `read_task` takes `roots`, folders that files named in a file may come from.
-        takes_fov: whether it takes `fov_rad`, the camera's field of view along the shorter side.
-        takes_size: whether it takes `size`, px a side or rows of what the file becomes.
+        takes: what fits may tell `read_task`: "size", px a side or rows of what the file becomes; "fov_rad", the
+            camera's field of view along the shorter side; "roots", folders that files named in a file may come from.
+        exports: whether fits are written in it.
         holds: the parameters that a written file holds; a fit of another network is distilled into them first; () for
             a format that is written from what a fit evaluates to.
+        noun: what one source is called, such as "MERL file".
+        help: of `metapp data NAME`, paragraphs and examples; "" where files are not converted.
+        paths: the metavar of its arguments and their help.
+        settings: its own options.
+        split_help: of --split, where files or names tell more than the general rule.
     """
 
     name: str
     app: str
-    inputs: str
-    files: Callable[[], Files] | None
-    writer: Callable[[], Writer] | None = None
-    conversion: Conversion | None = None
-    takes_roots: bool = False
-    takes_fov: bool = False
-    takes_size: bool = False
+    module: str
+    inputs: str = ""
+    takes: tuple[str, ...] = ()
+    exports: bool = False
     holds: tuple[str, ...] = ()
+    noun: str = ""
+    help: str = ""
+    paths: tuple[str, str] = ("FILES...", "")
+    settings: tuple[Setting, ...] = ()
+    split_help: str = SPLIT
+
+    def files(self) -> Files:
+        """What finds and reads the files."""
+        return cast(Files, importlib.import_module(self.module))
+
+    def writer(self) -> Writer:
+        """What writes fits."""
+        return cast(Writer, importlib.import_module(self.module))
+
+    def recognises(self, path: Path) -> bool:
+        """Whether a path is of this format, or a folder with such files."""
+        return self.files().recognises(path)
+
+    def find(self, paths: Iterable[Path]) -> tuple[list[Path], list[str]]:
+        """Sources, and a line for each file of a folder that is none; ValueError for a bad path."""
+        return self.files().find(paths)
+
+    def read(self, source: Path, **known: object) -> Task:
+        """Read one source; of what is known beside it (`takes`), what is empty or not taken is left out."""
+        taken = {name: value for name, value in known.items() if value and name in self.takes}
+        read: Callable[..., Task] = self.files().read_task
+        return read(source, **taken)
+
+    def conversion(self, paths: list[Path], split: str, settings: Mapping[str, object]) -> Conversion:
+        """How files become tasks by the command's options; ValueError for bad paths."""
+        files = importlib.import_module(self.module)
+        if hasattr(files, "conversion"):
+            made: Conversion = files.conversion(paths, split, **settings)
+            return made
+        read = functools.partial(files.read_task, **settings)
+        notes = {"made_by": f"metapp data {self.name}", **settings}
+        return Conversion(self.app, self.noun, files.UNITS, files.find, lambda source: source.stem, read, notes)
 
 
 class Export(NamedTuple):
     """A form that fits of flat surfaces are written in for other programs.
 
     Attributes:
-        name: the value of --export.
+        name: the value of --export, and the module of `data_tools.assets`.
         apps: the applications whose fits are written in it.
-        writer: imports and returns what writes it.
         needs: the module and the package of a library that is not always installed; () for none.
     """
 
     name: str
-    apps: tuple[str, ...]
-    writer: Callable[[], AssetWriter]
+    apps: tuple[str, ...] = MATERIALS
     needs: tuple[str, str] | tuple[()] = ()
+
+    def writer(self) -> AssetWriter:
+        """What writes it."""
+        return cast(AssetWriter, importlib.import_module(f"data_tools.assets.{self.name}"))
 
     def missing(self) -> str:
         """One line about a library that is not installed; "" where nothing is missing."""
@@ -171,25 +195,32 @@ class Export(NamedTuple):
         return f'--export {self.name} needs {self.needs[1]}: pip install "metapp[export]"'
 
 
+EXPORTS = (
+    Export("asset", MATERIALS + TEXTURES),
+    Export("blender"),
+    Export("exr", MATERIALS + TEXTURES),
+    Export("gltf"),
+    Export("materialx"),
+    Export("mitsuba"),
+    Export("png16", MATERIALS + TEXTURES),
+    Export("usd", needs=("pxr", "usd-core")),
+)
+
+
 @functools.cache
-def _records() -> tuple[Format | Export, ...]:
-    """All records, found by listing this folder."""
-    names = sorted(module.name for module in pkgutil.iter_modules(__path__))
-    modules = [importlib.import_module(f"{__name__}.{name}") for name in names]
-    return tuple(getattr(module, "FORMAT", None) or module.EXPORT for module in modules)
-
-
 def formats() -> tuple[Format, ...]:
-    """Return all formats that tasks come from."""
-    return tuple(each for each in _records() if isinstance(each, Format))
+    """Return all formats that tasks come from, found by listing this folder."""
+    names = sorted(module.name for module in pkgutil.iter_modules(__path__))
+    found = tuple(importlib.import_module(f"{__name__}.{name}").FORMAT for name in names)
+    return cast(tuple[Format, ...], found)
 
 
 def inputs_of(app: str) -> tuple[Format, ...]:
     """Return the formats that fits of an application take as INPUT."""
-    return tuple(each for each in formats() if each.app == app and each.inputs)
+    return tuple(form for form in formats() if form.app == app and form.inputs)
 
 
 def exports_of(app: str) -> dict[str, Format | Export]:
     """Return the forms that fits of an application can be written in, by name."""
-    written = {each.name: each for each in formats() if each.app == app and each.writer}
-    return written | {each.name: each for each in _records() if isinstance(each, Export) and app in each.apps}
+    written = {form.name: form for form in formats() if form.app == app and form.exports}
+    return written | {form.name: form for form in EXPORTS if app in form.apps}

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import functools
-from pathlib import Path
-
-from data_tools.formats import Conversion, FilesAndWriter, Format, Reader
+from data_tools.formats import Format
 from data_tools.formats.merl import SAMPLES
 
 HELP = """Convert RGL measurements, isotropic BRDFs.
@@ -19,26 +16,14 @@ Examples:
   metapp data bsdf measurements --split test --out rgl
 """
 
-
-def _files() -> FilesAndWriter:
-    from data_tools.readers import rgl
-
-    return rgl
-
-
-def _reader(paths: list[Path], split: str, *, samples: int) -> Reader:
-    from data_tools.readers import brdf_task, rgl
-
-    read = functools.partial(rgl.read_task, samples=samples)
-    notes = {"made_by": "metapp data bsdf", "samples": samples}
-    return Reader("brdf", "RGL file", brdf_task.UNITS, rgl.find, lambda source: source.stem, read, notes)
-
-
 FORMAT = Format(
     "bsdf",
     "brdf",
+    "data_tools.readers.rgl",
     "RGL .bsdf files",
-    _files,
-    _files,
-    Conversion(HELP, _reader, ("FILES...", ".bsdf files, and folders searched at any depth."), (SAMPLES,)),
+    exports=True,
+    noun="RGL file",
+    help=HELP,
+    paths=("FILES...", ".bsdf files, and folders searched at any depth."),
+    settings=(SAMPLES,),
 )

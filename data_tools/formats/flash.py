@@ -2,15 +2,8 @@
 
 from __future__ import annotations
 
-import math
-from pathlib import Path
-from typing import TYPE_CHECKING
-
-from data_tools.formats import AUTO, Conversion, Files, Format, Reader, Setting
+from data_tools.formats import Format, Setting
 from data_tools.formats.images import SIZE
-
-if TYPE_CHECKING:
-    from metapp.learning.task import Task
 
 HELP = """Convert flash photographs of flat materials.
 
@@ -39,41 +32,15 @@ FOV = Setting(
     high=150.0,
 )
 
-
-def _files() -> Files:
-    from data_tools.readers import flash
-
-    return flash
-
-
-def _reader(paths: list[Path], split: str, *, size: int, fov: float) -> Reader:
-    from data_tools.readers import flash
-
-    photos = flash.find_shown(paths)
-    splits = flash.split_by_material(photos) if split == AUTO else {}
-
-    def name(source: Path) -> str:
-        return photos[source.resolve()].name
-
-    def read(source: Path) -> Task:
-        return flash.read_task(source, size, math.radians(fov))._replace(
-            name=name(source), group=photos[source.resolve()].material
-        )
-
-    def split_of(source: Path) -> str:
-        return splits[source.resolve()]
-
-    notes = {"made_by": "metapp data flash", "size": size, **({"fov": fov} if fov else {})}
-    return Reader("svbrdf_stationary", "photograph", flash.UNITS, flash.find, name, read, notes, split_of)
-
-
 FORMAT = Format(
     "flash",
     "svbrdf_stationary",
+    "data_tools.readers.flash",
     "flash photos",
-    _files,
-    conversion=Conversion(
-        HELP, _reader, ("FILES...", "Photographs, and folders searched at any depth."), (SIZE, FOV), SPLIT
-    ),
-    takes_fov=True,
+    takes=("fov_rad",),
+    noun="photograph",
+    help=HELP,
+    paths=("FILES...", "Photographs, and folders searched at any depth."),
+    settings=(SIZE, FOV),
+    split_help=SPLIT,
 )

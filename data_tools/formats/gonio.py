@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
-from data_tools.formats import Conversion, Files, Format, Reader
+from data_tools.formats import Format
 
 HELP = """Convert goniometer measurements, CSV files.
 
@@ -18,25 +16,12 @@ Examples:
   metapp data gonio measurements --split test --out measured
 """
 
-
-def _files() -> Files:
-    from data_tools.readers import gonio
-
-    return gonio
-
-
-def _reader(paths: list[Path], split: str) -> Reader:
-    from data_tools.readers import brdf_task, gonio
-
-    units = {key: unit for key, unit in brdf_task.UNITS.items() if key != "environment"}
-    notes = {"made_by": "metapp data gonio"}
-    return Reader("brdf", "CSV file", units, gonio.find, lambda source: source.stem, gonio.read_task, notes)
-
-
 FORMAT = Format(
     "gonio",
     "brdf",
+    "data_tools.readers.gonio",
     "goniometer .csv files",
-    _files,
-    conversion=Conversion(HELP, _reader, ("FILES...", ".csv files, and folders searched at any depth.")),
+    noun="CSV file",
+    help=HELP,
+    paths=("FILES...", ".csv files, and folders searched at any depth."),
 )

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import functools
-from pathlib import Path
-
-from data_tools.formats import Conversion, Files, Format, Reader, Setting
+from data_tools.formats import Format, Setting
 
 HELP = """Convert photographs of textures.
 
@@ -19,25 +16,13 @@ Examples:
 """
 SIZE = Setting("size", 256, "Side of the pictures.", "PX", low=32, high=4096)
 
-
-def _files() -> Files:
-    from data_tools.readers import images
-
-    return images
-
-
-def _reader(paths: list[Path], split: str, *, size: int) -> Reader:
-    from data_tools.readers import images
-
-    read = functools.partial(images.read_task, size=size)
-    notes = {"made_by": "metapp data images", "size": size}
-    return Reader("texture", "image", images.UNITS, images.find, lambda source: source.stem, read, notes)
-
-
 FORMAT = Format(
     "images",
     "texture",
+    "data_tools.readers.images",
     "images",
-    _files,
-    conversion=Conversion(HELP, _reader, ("FILES...", "Image files, and folders searched at any depth."), (SIZE,)),
+    noun="image",
+    help=HELP,
+    paths=("FILES...", "Image files, and folders searched at any depth."),
+    settings=(SIZE,),
 )

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import functools
-from pathlib import Path
-
-from data_tools.formats import Conversion, Files, Format, Reader, Setting
+from data_tools.formats import Format, Setting
 
 HELP = """Convert HDR environment maps, such as those of the Laval indoor set.
 
@@ -18,38 +15,16 @@ Examples:
   metapp data laval IndoorHDR --out laval
   metapp data laval office.exr street.hdr --split test --out maps
 """
-
-
-def _files() -> Files:
-    from data_tools.readers import latlong
-
-    return latlong
-
-
-def _reader(paths: list[Path], split: str, *, size: int) -> Reader:
-    from data_tools.readers import latlong
-
-    notes = {"made_by": "metapp data laval", "rows": size}
-    return Reader(
-        "illumination",
-        "map",
-        latlong.UNITS,
-        latlong.find_maps,
-        lambda source: source.stem,
-        functools.partial(latlong.read_map_task, size=size),
-        notes,
-    )
-
-
 ROWS = Setting("size", 64, "Rows of the maps; the recipe full fits 128.", metavar="ROWS", low=32, high=1024)
 
 FORMAT = Format(
     "laval",
     "illumination",
+    "data_tools.readers.latlong",
     "HDR maps (.exr, .hdr) or LDR photos of a sphere that touches their borders",
-    _files,
-    conversion=Conversion(
-        HELP, _reader, ("FILES...", "HDR maps (.exr, .hdr), and folders searched at any depth."), (ROWS,)
-    ),
-    takes_size=True,
+    takes=("size",),
+    noun="map",
+    help=HELP,
+    paths=("FILES...", "HDR maps (.exr, .hdr), and folders searched at any depth."),
+    settings=(ROWS,),
 )

@@ -1,15 +1,9 @@
-"""Materials whose maps are separate images."""
+"""Materials whose maps are separate images; fits take them as `svbrdf`."""
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import TYPE_CHECKING
-
-from data_tools.formats import Conversion, Files, Format, Reader, Setting
+from data_tools.formats import Format, Setting
 from data_tools.formats.images import SIZE
-
-if TYPE_CHECKING:
-    from metapp.learning.task import Task
 
 HELP = """Convert materials whose maps are separate images, such as rock_diffuse.png beside rock_normal.png.
 
@@ -36,39 +30,13 @@ NORMALS = Setting(
     choices=("opengl", "directx", "auto"),
 )
 
-
-def _files() -> Files:
-    from data_tools.readers import material_maps
-
-    return material_maps
-
-
-def _reader(paths: list[Path], split: str, *, size: int, normals: str) -> Reader:
-    from data_tools.readers import material_maps
-
-    materials = {each.source.resolve(): each for each in material_maps.find_materials(paths)[0]}
-    sides = material_maps.split_materials(materials.values())
-
-    def name(source: Path) -> str:
-        return material_maps.task_name(materials[source.resolve()].title)
-
-    def read(source: Path) -> Task:
-        return material_maps.read_task(source, size, normals)._replace(group=sides[source.resolve()][1])
-
-    def split_of(source: Path) -> str:
-        return sides[source.resolve()][0]
-
-    notes = {"made_by": "metapp data maps", "size": size, "normals": normals}
-    units, find = material_maps.UNITS, material_maps.find
-    return Reader("svbrdf_nonstationary", "material", units, find, name, read, notes, split_of)
-
-
 FORMAT = Format(
     "maps",
     "svbrdf_nonstationary",
-    "",  # `svbrdf` takes them
-    _files,
-    conversion=Conversion(
-        HELP, _reader, ("FOLDERS...", "Folders of maps, searched at any depth."), (SIZE, NORMALS), SPLIT
-    ),
+    "data_tools.readers.material_maps",
+    noun="material",
+    help=HELP,
+    paths=("FOLDERS...", "Folders of maps, searched at any depth."),
+    settings=(SIZE, NORMALS),
+    split_help=SPLIT,
 )

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import functools
-from pathlib import Path
-
-from data_tools.formats import Conversion, FilesAndWriter, Format, Reader, Setting
+from data_tools.formats import Format, Setting
 
 HELP = """Convert MERL tables, measured BRDFs.
 
@@ -21,26 +18,14 @@ SAMPLES = Setting(
     "samples", 65_536, "Samples (pairs of directions) per material; the first half is for fits to see.", "N", low=2
 )
 
-
-def _files() -> FilesAndWriter:
-    from data_tools.readers import merl
-
-    return merl
-
-
-def _reader(paths: list[Path], split: str, *, samples: int) -> Reader:
-    from data_tools.readers import brdf_task, merl
-
-    read = functools.partial(merl.read_task, samples=samples)
-    notes = {"made_by": "metapp data merl", "samples": samples}
-    return Reader("brdf", "MERL file", brdf_task.UNITS, merl.find_merl, lambda source: source.stem, read, notes)
-
-
 FORMAT = Format(
     "merl",
     "brdf",
+    "data_tools.readers.merl",
     "MERL .binary files",
-    _files,
-    _files,
-    Conversion(HELP, _reader, ("FILES...", ".binary files, and folders searched at any depth."), (SAMPLES,)),
+    exports=True,
+    noun="MERL file",
+    help=HELP,
+    paths=("FILES...", ".binary files, and folders searched at any depth."),
+    settings=(SAMPLES,),
 )

@@ -2,19 +2,12 @@
 
 from __future__ import annotations
 
-from data_tools.formats import Files, Format
-
-
-def _files() -> Files:
-    from data_tools.readers import mitsuba_scenes
-
-    return mitsuba_scenes
-
+from data_tools.formats import Format
 
 FORMAT = Format(
     "mitsuba",
     "transport",
+    "data_tools.readers.mitsuba_scenes",
     "Mitsuba scenes (.xml, .json) with a perspective camera",
-    _files,
-    takes_roots=True,
+    takes=("roots",),
 )

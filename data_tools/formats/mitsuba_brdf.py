@@ -1,14 +1,7 @@
-"""Mitsuba 3 scenes of a fitted BRDF."""
+"""Scenes of Mitsuba 3 that show a fitted BRDF."""
 
 from __future__ import annotations
 
-from data_tools.formats import Format, Writer
+from data_tools.formats import Format
 
-
-def _writer() -> Writer:
-    from data_tools.readers import mitsuba_material
-
-    return mitsuba_material
-
-
-FORMAT = Format("mitsuba", "brdf", "", None, _writer)
+FORMAT = Format("mitsuba", "brdf", "data_tools.readers.mitsuba_material", exports=True)

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import functools
-from pathlib import Path
-
-from data_tools.formats import Conversion, FilesAndWriter, Format, Reader
+from data_tools.formats import Format
 from data_tools.formats.merl import SAMPLES
 
 HELP = """Convert NBRDF networks, BRDFs as small neural networks.
@@ -20,29 +17,15 @@ Examples:
   metapp data nbrdf trained/gold trained/tin --split test --out metals
 """
 
-
-def _files() -> FilesAndWriter:
-    from data_tools.readers import nbrdf
-
-    return nbrdf
-
-
-def _reader(paths: list[Path], split: str, *, samples: int) -> Reader:
-    from data_tools.readers import brdf_task, nbrdf
-
-    read = functools.partial(nbrdf.read_task, samples=samples)
-    notes = {"made_by": "metapp data nbrdf", "samples": samples}
-    return Reader(
-        "brdf", "NBRDF network", brdf_task.UNITS, nbrdf.find_nbrdf, lambda source: source.resolve().name, read, notes
-    )
-
-
 FORMAT = Format(
     "nbrdf",
     "brdf",
+    "data_tools.readers.nbrdf",
     "folders with an NBRDF network",
-    _files,
-    _files,
-    Conversion(HELP, _reader, ("DIRS...", "Folders of networks, searched at any depth."), (SAMPLES,)),
+    exports=True,
     holds=("w1", "w2", "w3", "b1", "b2", "b3"),
+    noun="NBRDF network",
+    help=HELP,
+    paths=("DIRS...", "Folders of networks, searched at any depth."),
+    settings=(SAMPLES,),
 )

@@ -2,20 +2,12 @@
 
 from __future__ import annotations
 
-from data_tools.formats import Files, Format
-
-
-def _files() -> Files:
-    from data_tools.readers import svbrdf_inputs
-
-    return svbrdf_inputs
-
+from data_tools.formats import Format
 
 FORMAT = Format(
     "svbrdf",
     "svbrdf_nonstationary",
+    "data_tools.readers.svbrdf_inputs",
     "flash photos, strips, a material's maps",
-    _files,
-    takes_fov=True,
-    takes_size=True,
+    takes=("size", "fov_rad"),
 )

@@ -25,16 +25,12 @@ UNITS = {
 
 _MAX_DRAWS = 64  # per sample; about 2 suffice for a measured table
 
+Evaluate = Callable[[Tensor], Tensor]  # angles [..., 3] rad -> reflectance [..., 3] in 1/sr, linear RGB
 Keep = Callable[[Tensor], Tensor]  # draws [M, 3] -> indices of those to keep, ascending
 
 
 def brdf_task(
-    name: str,
-    evaluate: Callable[[Tensor], Tensor] | None = None,
-    table: Array | None = None,
-    samples: int = 65536,
-    seed: int = 0,
-    source: str | Path = "",
+    name: str, material: Evaluate | Array, samples: int = 65536, seed: int = 0, source: str | Path = ""
 ) -> Task:
     """Make the task of one material.
 
@@ -51,8 +47,7 @@ def brdf_task(
 
     Args:
         name: of the material.
-        evaluate: reflectance [..., 3] in 1/sr, linear RGB, of angles [..., 3] rad; or
-        table: a MERL table [90, 90, 180, 3], as `read_merl` returns it.
+        material: what evaluates it, or a MERL table [90, 90, 180, 3], as `read_merl` returns it.
         samples: N, 2 or more.
         seed: of the draws.
         source: the file that errors name; the material's name where there is none.
@@ -62,37 +57,33 @@ def brdf_task(
         [96, 96, 4] in the studio and environment [48, 48, 4], linear RGB and coverage in [0, 1]; all float32.
 
     Raises:
-        ValueError: neither or both of evaluate and table; too few samples, or more than the table has valid bins for;
-            reflectance of another shape, or not finite.
+        ValueError: too few samples, or more than the table has valid bins for; reflectance of another shape, or not
+            finite.
     """
     source = source or name
-    if (evaluate is None) == (table is None):
-        found = "neither a function to evaluate nor a table" if table is None else "a function to evaluate and a table"
-        raise ValueError(f"{source}: {found}, expected one of the two.")
     if samples < 2:
         raise ValueError(f"{source}: {samples} samples, expected 2 or more.")
-    shade: Callable[[Tensor], Tensor]
     with torch.no_grad():
-        if table is not None:
-            angles, reflectance = _table_samples(source, table, samples, seed)
+        if isinstance(material, np.ndarray):
+            angles, reflectance = _table_samples(source, material, samples, seed)
             # Interpolation gathers at random: channels side by side and half the bytes are faster.
-            shade = functools.partial(merl_evaluate, torch.from_numpy(table.astype(np.float32, order="C")))
+            evaluate: Evaluate = functools.partial(
+                merl_evaluate, torch.from_numpy(material.astype(np.float32, order="C"))
+            )
         else:
-            assert evaluate is not None
+            evaluate = material
             angles = _analytic_angles(samples, seed).clone()  # tasks must not share what somebody may write to
             reflectance = evaluate(angles).float()
-            shade = evaluate
         if reflectance.shape != angles.shape:
             raise ValueError(
                 f"{source}: reflectance {tuple(reflectance.shape)}, expected {tuple(angles.shape)}: RGB of a sample."
             )
-        render = shade_sphere(reference_scene(), shade).float()
-        environment = shade_sphere(environment_scene(), shade).float()
-    for subject, values in (("samples", reflectance), ("sphere", render), ("sphere", environment)):
+        spheres = {"render": reference_scene(), "environment": environment_scene()}
+        pictures = {key: shade_sphere(scene, evaluate).float() for key, scene in spheres.items()}
+    for subject, values in (("samples", reflectance), *(("sphere", picture) for picture in pictures.values())):
         bad = int((~torch.isfinite(values)).sum())
         if bad:
             raise ValueError(f"{source}: {bad:,} values of the {subject} are NaN or infinite, expected finite ones.")
-    pictures = {"render": render, "environment": environment}
     return Task(name, {"angles": angles, "reflectance": reflectance.clamp_min(0), **pictures})
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 import warnings
-from typing import Any
+from types import ModuleType
 from unittest.mock import NonCallableMock
 
 import numpy as np
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 
-def colour_science() -> Any:
+def colour_science() -> ModuleType:
     """colour-science, imported without its warning of a missing SciPy, which nothing here needs.
 
     It may not see OpenImageIO: what it keeps of it would be reported as leaks when Python ends. The mocks that it

@@ -16,6 +16,7 @@ with "train" or "test" as <split>.
 
 from __future__ import annotations
 
+import math
 import os
 import re
 from collections.abc import Iterable, Mapping
@@ -23,6 +24,7 @@ from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
+from data_tools.formats import AUTO, Conversion
 from data_tools.readers.photos import SIZE, find_photos, holds_photos, read_photo
 from metapp.appearance.flash import FOV_RAD
 from metapp.learning.task import Task
@@ -63,6 +65,25 @@ def read_task(path: Path, size: int = SIZE, fov_rad: float = 0.0) -> Task:
         ValueError: as `data_tools.readers.photos.read_photo`.
     """
     return Task(shown(path).name, {"image": read_photo(path, size, fov_rad=fov_rad, within_rad=FOV_RAD)})
+
+
+def conversion(paths: Iterable[Path], split: str, *, size: int, fov: float) -> Conversion:
+    """How photographs become tasks, all of a material in one split."""
+    photos = find_shown(paths)
+    splits = split_by_material(photos) if split == AUTO else {}
+
+    def name(source: Path) -> str:
+        return photos[source.resolve()].name
+
+    def read(source: Path) -> Task:
+        task = read_task(source, size, math.radians(fov))
+        return task._replace(name=name(source), group=photos[source.resolve()].material)
+
+    def split_of(source: Path) -> str:
+        return splits[source.resolve()]
+
+    notes = {"made_by": "metapp data flash", "size": size, **({"fov": fov} if fov else {})}
+    return Conversion("svbrdf_stationary", "photograph", UNITS, find, name, read, notes, split_of)
 
 
 def shown(photo: Path, folder: Path | None = None) -> Shown:

@@ -11,7 +11,7 @@ from __future__ import annotations
 import functools
 import math
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -20,6 +20,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from data_tools.readers import brdf_task
 from data_tools.readers.colours import spectra_to_rgb
 from data_tools.readers.listing import find_by_suffix, has_suffix
 from metapp.appearance.geometry import directions_to_full_circle
@@ -33,7 +34,8 @@ Array = NDArray[np.float64]
 
 SUFFIX = ".csv"
 ANGLES = ("theta_i", "phi_i", "theta_o", "phi_o")
-UNITS = {"deg": math.pi / 180, "rad": 1.0}
+UNITS = {key: unit for key, unit in brdf_task.UNITS.items() if key != "environment"}
+RADIANS = {"deg": math.pi / 180, "rad": 1.0}
 RGB = ("r", "g", "b")
 LEAST = 64  # pairs of directions
 LARGEST = 1e9  # of a BRDF, in 1/sr
@@ -43,19 +45,8 @@ LONGEST = 1 << 28  # bytes of a file
 
 _WAVELENGTH = re.compile(r"(\d{3,4}(?:\.\d+)?)\s*nm")
 
-
-def find(paths: Iterable[str | Path]) -> tuple[list[Path], list[str]]:
-    """Find .csv files; they are not opened.
-
-    Raises:
-        ValueError: a path that is neither such a file nor a folder with some.
-    """
-    return find_by_suffix(paths, SUFFIX, "a .csv file of a goniometer")
-
-
-def recognises(path: str | Path) -> bool:
-    """Whether a path is a .csv file, or a folder with one below it."""
-    return has_suffix(path, SUFFIX)
+find = functools.partial(find_by_suffix, suffix=SUFFIX, what="a .csv file of a goniometer")
+recognises = functools.partial(has_suffix, suffix=SUFFIX)
 
 
 def read_task(path: Path) -> Task:
@@ -174,11 +165,11 @@ def _shown(word: str) -> str:
 
 def _angle(path: Path, rows: _Rows, name: str) -> Array:
     """One of the angles in rad, [N], thetas in [0, pi/2]."""
-    there = [unit for unit in UNITS if f"{name}_{unit}" in rows.names]
+    there = [unit for unit in RADIANS if f"{name}_{unit}" in rows.names]
     if len(there) != 1:
         found = "both units" if there else ("no unit" if name in rows.names else "no such column")
         raise ValueError(f"{path}: {name}: {found}, expected the column {name}_deg or {name}_rad.")
-    values, unit = rows.column(f"{name}_{there[0]}"), UNITS[there[0]]
+    values, unit = rows.column(f"{name}_{there[0]}"), RADIANS[there[0]]
     low, high = (0.0, math.pi / 2) if name.startswith("theta") else (-2 * math.tau, 2 * math.tau)
     bad = ~((values * unit >= low - 1e-6) & (values * unit <= high + 1e-6))
     if bad.any():

@@ -9,10 +9,13 @@ import contextlib
 import importlib.util
 import io
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from pillow_heif import HeifFile
 
 INSTALL = 'pip install "metapp[heic]"'
 _BRANDS = (b"heic", b"heix", b"heim", b"heis", b"hevc", b"hevx", b"mif1", b"msf1")  # ISO/IEC 23008-12
@@ -46,7 +49,7 @@ def can_read() -> bool:
     return importlib.util.find_spec("pillow_heif") is not None
 
 
-def open_heif(path: Path) -> Any:
+def open_heif(path: Path) -> HeifFile:
     """A picture whose size is known and whose pixels are not decoded yet.
 
     Raises:
@@ -62,7 +65,7 @@ def open_heif(path: Path) -> Any:
         raise ValueError(_damaged(path, error)) from None
 
 
-def decode(source: Any, path: Path) -> Decoded:
+def decode(source: HeifFile, path: Path) -> Decoded:
     """The pixels of what `open_heif` returned.
 
     Raises:

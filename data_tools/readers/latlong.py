@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterable, Sequence
+from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import torch
@@ -17,6 +18,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from data_tools.draws import Rng, stream
+from data_tools.formats import Conversion
 from data_tools.readers.colours import colour_science
 from data_tools.readers.photos import (
     check_memory,
@@ -31,6 +33,9 @@ from data_tools.readers.photos import (
 from metapp.appearance.latlong import mean_luminance, resample, sphere_normals
 from metapp.appearance.photograph import photograph
 from metapp.learning.task import Task
+
+if TYPE_CHECKING:
+    import OpenImageIO as oiio
 
 HEIGHT, WIDTH = 64, 128
 SIZE, COUNT = 64, 4  # px and number of the photographs of a map
@@ -118,6 +123,12 @@ def read_map_task(path: Path, size: int = HEIGHT) -> Task:
     """
     light = read_map(path, size)
     return map_task(path.stem, light, stream(*hashlib.sha256(path.stem.encode()).digest()), size)
+
+
+def conversion(paths: Iterable[Path], split: str, *, size: int) -> Conversion:
+    """How maps become tasks."""
+    read, notes = partial(read_map_task, size=size), {"made_by": "metapp data laval", "rows": size}
+    return Conversion("illumination", "map", UNITS, find_maps, lambda source: source.stem, read, notes)
 
 
 def map_task(name: str, light: Tensor, rng: Rng, rows: int = HEIGHT) -> Task:
@@ -261,7 +272,7 @@ def _check_values(planes: Sequence[NDArray[np.float32]], path: Path) -> None:
         )
 
 
-def _to_rec709(spec: Any, path: Path) -> Tensor:
+def _to_rec709(spec: oiio.ImageSpec, path: Path) -> Tensor:
     """The matrix [3, 3] from a file's linear colours to Rec.709: by its primaries, else by its space's name."""
     import OpenImageIO as oiio
 

@@ -5,13 +5,16 @@ from __future__ import annotations
 import contextlib
 import math
 import warnings
-from typing import Any
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    import OpenImageIO as oiio
 
 FRAME_MM = math.hypot(36, 24)  # the diagonal that focal lengths "in 35 mm film" are of (CIPA DCG-001)
 _FOCAL_TAG, _EXIF_BLOCK = 0xA405, 0x8769
 
 
-def focal_length(spec: Any) -> float:
+def focal_length(spec: oiio.ImageSpec) -> float:
     """The focal length in mm as of 35 mm film, of OpenImageIO's spec of a file; 0 where it does not say."""
     return float(max(0, spec.get_int_attribute("Exif:FocalLengthIn35mmFilm", 0)))
 

@@ -28,7 +28,7 @@ def find_by_suffix(paths: Iterable[str | Path], suffix: str, what: str) -> tuple
                 raise ValueError(f"{path}: {found}, expected {what}; check the path.")
             files.setdefault(path.resolve(), path)
             continue
-        below = [file for file in sorted(path.rglob(f"*{suffix}")) if file.is_file() and not _hidden(file, path)]
+        below = files_below(path, suffix)
         if not below:
             raise ValueError(f"{path}: no {suffix} file, expected {what}; name its folder.")
         for file in below:
@@ -42,5 +42,10 @@ def has_suffix(path: str | Path, suffix: str) -> bool:
     return path.suffix == suffix or (path.is_dir() and any(path.rglob(f"*{suffix}")))
 
 
-def _hidden(file: Path, folder: Path) -> bool:
-    return any(part.startswith(".") for part in file.relative_to(folder).parts)
+def files_below(folder: Path, suffix: str = "") -> list[Path]:
+    """The files of a folder and of those below it, sorted, hidden ones left out."""
+    return [
+        file
+        for file in sorted(folder.rglob(f"*{suffix}"))
+        if file.is_file() and not any(part.startswith(".") for part in file.relative_to(folder).parts)
+    ]

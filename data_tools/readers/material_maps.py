@@ -26,6 +26,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from data_tools.formats import Conversion
 from data_tools.readers.photos import LINEAR, SIZE, SUFFIXES, central_square, find_photos, read_pixels, resample
 from data_tools.readers.svbrdf_task import UNITS, svbrdf_task, task_name, unit_normals
 from metapp.appearance.flash import Maps, pack
@@ -236,6 +237,24 @@ def read_task(source: Path, size: int = SIZE, normals: str = "auto") -> Task:
             f"{material}: diffuse and specular are black, expected a material that reflects; leave it out."
         )
     return svbrdf_task(task_name(material.title), pack(Maps(diffuse, specular, roughness, normal)))
+
+
+def conversion(paths: Iterable[Path], split: str, *, size: int, normals: str) -> Conversion:
+    """How materials become tasks, variants of one in one split."""
+    materials = {material.source.resolve(): material for material in find_materials(paths)[0]}
+    sides = split_materials(materials.values())
+
+    def name(source: Path) -> str:
+        return task_name(materials[source.resolve()].title)
+
+    def read(source: Path) -> Task:
+        return read_task(source, size, normals)._replace(group=sides[source.resolve()][1])
+
+    def split_of(source: Path) -> str:
+        return sides[source.resolve()][0]
+
+    notes = {"made_by": "metapp data maps", "size": size, "normals": normals}
+    return Conversion("svbrdf_nonstationary", "material", UNITS, find, name, read, notes, split_of)
 
 
 def reflectances(colour: Tensor, metallic: Tensor | None, specular: Tensor | None) -> tuple[Tensor, Tensor]:

@@ -14,20 +14,24 @@ Source: Matusik et al. 2003, "A Data-Driven Reflectance Model", and the reader p
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
-from torch import Tensor
 
-from data_tools.readers.brdf_task import brdf_task
-from data_tools.readers.merl_table import SCALE, SHAPE, Array, merl_evaluate, tabulate
+from data_tools.readers import brdf_task
+from data_tools.readers.listing import files_below
+from data_tools.readers.merl_table import SCALE, SHAPE, Array, merl_evaluate, merl_valid, tabulate
 from data_tools.readers.plausibility import warn_implausible
-from metapp.learning.task import Task
+from metapp.learning.task import Params, Task
 from metapp.storage.files import write_atomically
 
+if TYPE_CHECKING:
+    from metapp.apps.brdf import Brdf
+
+UNITS = brdf_task.UNITS
 FILE_BYTES = 12 + 8 * 3 * math.prod(SHAPE)
 
 _HEADER = np.array(SHAPE, dtype="<i4")
@@ -35,7 +39,7 @@ _MIN_VALID = 0.01  # three quarters of the bins are above the horizon
 _ABOUT = f"{FILE_BYTES:,} (12-byte header + 3x90x90x180 doubles)"
 
 
-def find_merl(paths: Iterable[str | Path]) -> tuple[list[Path], list[str]]:
+def find(paths: Iterable[str | Path]) -> tuple[list[Path], list[str]]:
     """Find MERL files by size and header; values are not looked at.
 
     Args:
@@ -55,27 +59,16 @@ def find_merl(paths: Iterable[str | Path]) -> tuple[list[Path], list[str]]:
             _check_file(path)
             files.setdefault(path.resolve(), path)
             continue
-        before = len(skipped)
-        found = 0
-        for file in sorted(path.rglob("*")):
-            if file.is_dir() or any(part.startswith(".") for part in file.relative_to(path).parts):
-                continue
-            try:
-                _check_file(file)
-            except ValueError as error:
-                skipped.append(str(error))
-            else:
-                files.setdefault(file.resolve(), file)
-                found += 1
-        if not found:
+        problems = {file: _problem(file) for file in files_below(path)}
+        lines = [line for line in problems.values() if line]
+        if len(lines) == len(problems):
             # The one thing a folder holds is likely what was meant: say what is wrong with it.
-            if len(skipped) == before + 1:
-                raise ValueError(skipped[before])
-            raise ValueError(f"{path}: no MERL file, expected *.binary files of {_ABOUT}; name their folder.")
+            nothing = f"{path}: no MERL file, expected *.binary files of {_ABOUT}; name their folder."
+            raise ValueError(lines[0] if len(lines) == 1 else nothing)
+        for file in (file for file, line in problems.items() if not line):
+            files.setdefault(file.resolve(), file)
+        skipped += lines
     return list(files.values()), skipped
-
-
-find = find_merl  # the name that every reader has
 
 
 def recognises(path: str | Path) -> bool:
@@ -86,7 +79,7 @@ def recognises(path: str | Path) -> bool:
     return path.suffix == ".binary" or (path.is_file() and path.stat().st_size == FILE_BYTES)
 
 
-def export(app: Any, theta: Mapping[str, Tensor], path: Path) -> None:
+def export(app: Brdf, theta: Params, path: Path) -> None:
     """Write a fitted network of the BRDF application as a MERL file, `path`.binary."""
     write_merl(path.with_name(f"{path.name}.binary"), tabulate(lambda angles: app.reflectance(theta, angles)))
 
@@ -98,25 +91,9 @@ def read_task(path: Path, samples: int = 65_536) -> Task:
         ValueError: as `read_merl`.
     """
     table = read_merl(path)
-    task = brdf_task(path.stem, table=table, samples=samples, source=path)
+    task = brdf_task.brdf_task(path.stem, table, samples=samples, source=path)
     warn_implausible(path, task, partial(merl_evaluate, table))
     return task
-
-
-def read_merl_planes(path: str | Path) -> Array:
-    """Read a file's numbers as they are.
-
-    Returns:
-        [3, 90, 90, 180], in file units (not 1/sr), indexed by channel, theta_h, theta_d, phi_d.
-
-    Raises:
-        ValueError: not a MERL file, an incomplete one, values that are not finite, almost no valid entries.
-    """
-    path = Path(path)
-    _check_file(path)
-    planes = np.fromfile(path, dtype="<f8", offset=12).astype(np.float64, copy=False).reshape(3, *SHAPE)
-    _check_values(planes, str(path))
-    return planes
 
 
 def read_merl(path: str | Path) -> Array:
@@ -127,40 +104,18 @@ def read_merl(path: str | Path) -> Array:
         is a view of planes, as the file has them: interleaving the channels can take longer than reading them.
 
     Raises:
-        ValueError: as `read_merl_planes`.
+        ValueError: not a MERL file, an incomplete one, values that are not finite, almost no valid entries.
     """
-    planes = read_merl_planes(path)
+    path = Path(path)
+    _check_file(path)
+    planes = np.fromfile(path, dtype="<f8", offset=12).astype(np.float64, copy=False).reshape(3, *SHAPE)
+    _check_values(planes, str(path))
     planes *= SCALE[:, None, None, None]
     return np.moveaxis(planes, 0, -1)
 
 
-def write_merl_planes(path: str | Path, planes: Array) -> None:
-    """Write what `read_merl_planes` read, byte for byte, invalid entries included.
-
-    Args:
-        path: the file; replaced whole or not at all.
-        planes: [3, 90, 90, 180] in file units.
-
-    Raises:
-        ValueError: another shape, values that are not finite, almost no valid entries.
-    """
-    if planes.shape != (3, *SHAPE):
-        raise ValueError(f"{path}: planes {planes.shape}, expected {(3, *SHAPE)} to write.")
-    _check_values(planes, str(path))
-
-    def write(partial: Path) -> None:
-        with partial.open("wb") as stream:
-            stream.write(_HEADER.tobytes())
-            np.ascontiguousarray(planes, dtype="<f8").tofile(stream)
-
-    write_atomically(path, write)
-
-
 def write_merl(path: str | Path, table: Array) -> None:
-    """Write a table in 1/sr as a MERL file.
-
-    Dividing by the scale undoes reading up to the last bit of a double; 0 and invalid entries of -1 are exact. For
-    a copy of a file, byte for byte, use `read_merl_planes` and `write_merl_planes`.
+    """Write a table in 1/sr as a MERL file; what was read is the same again up to the last bit of a double.
 
     Args:
         path: the file; replaced whole or not at all.
@@ -171,14 +126,28 @@ def write_merl(path: str | Path, table: Array) -> None:
     """
     if table.shape != (*SHAPE, 3):
         raise ValueError(f"{path}: table {table.shape}, expected {(*SHAPE, 3)} to write.")
-    write_merl_planes(path, np.stack([table[..., channel] / SCALE[channel] for channel in range(3)]))
+    planes = np.stack([table[..., channel] / SCALE[channel] for channel in range(3)])
+    _check_values(planes, str(path))
+
+    def write(partial: Path) -> None:
+        with partial.open("wb") as stream:
+            stream.write(_HEADER.tobytes())
+            planes.astype("<f8", copy=False).tofile(stream)
+
+    write_atomically(path, write)
 
 
 def _check_file(path: Path) -> None:
     """Refuse what is not a MERL file by its size and header."""
+    if problem := _problem(path):
+        raise ValueError(problem)
+
+
+def _problem(path: Path) -> str:
+    """What is wrong with the size or the header of a file; "" for nothing."""
     if not path.is_file():
         found = "a folder" if path.is_dir() else "no such file"
-        raise ValueError(f"{path}: {found}, expected a MERL file; check the path.")
+        return f"{path}: {found}, expected a MERL file; check the path."
     size = path.stat().st_size
     with path.open("rb") as stream:
         header = np.frombuffer(stream.read(12).ljust(12, b"\0"), dtype="<i4")
@@ -187,10 +156,9 @@ def _check_file(path: Path) -> None:
         remedy = "not a MERL file" if not matches else "the file has something appended, download it again"
         if matches and size < FILE_BYTES:
             remedy = "the download is probably incomplete"
-        raise ValueError(f"{path}: {size:,} bytes, expected {_ABOUT}; {remedy}.")
-    if not matches:
-        found = "x".join(map(str, header.tolist()))
-        raise ValueError(f"{path}: header {found}, expected 90x90x180; not a MERL file.")
+        return f"{path}: {size:,} bytes, expected {_ABOUT}; {remedy}."
+    found = "x".join(map(str, header.tolist()))
+    return "" if matches else f"{path}: header {found}, expected 90x90x180; not a MERL file."
 
 
 def _check_values(planes: Array, subject: str) -> None:
@@ -201,7 +169,7 @@ def _check_values(planes: Array, subject: str) -> None:
     if not np.isfinite(total) and not np.isfinite(planes).all():
         count = int((~np.isfinite(planes)).sum())
         raise ValueError(f"{subject}: {count:,} values are NaN or infinite, expected none; download or make it again.")
-    valid = float(((planes[0] >= 0) | (planes[1] >= 0) | (planes[2] >= 0)).mean())
+    valid = float(merl_valid(np.moveaxis(planes, 0, -1)).mean())
     if valid < _MIN_VALID:
         raise ValueError(
             f"{subject}: {valid:.2%} of the entries are valid (not negative), expected {_MIN_VALID:.0%} or more; "

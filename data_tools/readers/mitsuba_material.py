@@ -7,21 +7,23 @@
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
-from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 from safetensors.torch import save
-from torch import Tensor
 
 from data_tools.readers.rgl_table import write_rgl
+from metapp.learning.task import Params
 from metapp.storage.files import write_atomically
+
+if TYPE_CHECKING:
+    from metapp.apps.brdf import Brdf
 
 SUFFIXES = {"neural_brdf": ("", ".safetensors"), "measured": ("_builtin", ".bsdf")}  # of the scene, of its file
 
 
-def export(app: Any, theta: Mapping[str, Tensor], path: Path) -> None:
+def export(app: Brdf, theta: Params, path: Path) -> None:
     """Write <path>/<name>.xml, <name>_builtin.xml, <name>.safetensors and <name>.bsdf."""
     tensors = {key: value.detach().cpu().contiguous() for key, value in theta.items()}
     write_atomically(path / f"{path.name}.safetensors", lambda target: target.write_bytes(save(tensors)))

@@ -9,10 +9,10 @@ hidden layers are ReLU; reflectance = max(exp(out) - 1, 0), linear RGB in 1/sr. 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
@@ -20,11 +20,16 @@ from numpy.lib import format as npy
 from numpy.typing import NDArray
 from torch import Tensor
 
-from data_tools.readers.brdf_task import brdf_task
+from data_tools.formats import Conversion
+from data_tools.readers import brdf_task
+from data_tools.readers.listing import files_below
 from data_tools.readers.plausibility import warn_implausible
 from metapp.appearance.geometry import half_difference
-from metapp.learning.task import Task
+from metapp.learning.task import Params, Task
 from metapp.storage.files import write_atomically
+
+if TYPE_CHECKING:
+    from metapp.apps.brdf import Brdf
 
 SHAPES = {"fc1": (6, 21), "fc2": (21, 21), "fc3": (21, 3), "b1": (21,), "b2": (21,), "b3": (3,)}
 
@@ -32,7 +37,7 @@ _FILE = re.compile(r"(?:(?P<name>.*)_)?(?P<part>fc[123]|b[123])\.npy")
 _EXPECTED = "expected fc1.npy, fc2.npy, fc3.npy, b1.npy, b2.npy, b3.npy"
 
 
-def find_nbrdf(paths: Iterable[str | Path]) -> tuple[list[Path], list[str]]:
+def find(paths: Iterable[str | Path]) -> tuple[list[Path], list[str]]:
     """Find networks by the names of their files; the files are not opened.
 
     Args:
@@ -54,9 +59,8 @@ def find_nbrdf(paths: Iterable[str | Path]) -> tuple[list[Path], list[str]]:
             networks.setdefault(path.resolve(), _locate(path)[0])
             continue
         groups: dict[Path, set[str]] = {}
-        for file in sorted(path.rglob("*.npy")):
-            match = _FILE.fullmatch(file.name)
-            if match and not any(part.startswith(".") for part in file.relative_to(path).parts):
+        for file in files_below(path, ".npy"):
+            if match := _FILE.fullmatch(file.name):
                 groups.setdefault(file.parent / (match["name"] or ""), set()).add(match["part"])
         whole = sorted(network for network, parts in groups.items() if len(parts) == len(SHAPES))
         broken = [_missing(network, groups[network]) for network in sorted(set(groups) - set(whole))]
@@ -67,23 +71,27 @@ def find_nbrdf(paths: Iterable[str | Path]) -> tuple[list[Path], list[str]]:
     return list(networks.values()), skipped
 
 
-find = find_nbrdf  # the name that every reader has
-
-
 def recognises(path: str | Path) -> bool:
     """Whether a path is this reader's: a folder with files named as an NBRDF network's, at any depth."""
     path = Path(path)
     return path.is_dir() and any(_FILE.fullmatch(file.name) for file in path.rglob("*.npy"))
 
 
-def export(app: Any, theta: Mapping[str, Tensor], folder: Path) -> None:
+def conversion(paths: Sequence[Path], split: str, *, samples: int) -> Conversion:
+    """How networks become tasks, each named by its folder or by the name in front of its files."""
+    read, notes = partial(read_task, samples=samples), {"made_by": "metapp data nbrdf", "samples": samples}
+    name = lambda source: source.resolve().name  # noqa: E731
+    return Conversion("brdf", "NBRDF network", brdf_task.UNITS, find, name, read, notes)
+
+
+def export(app: Brdf, theta: Params, folder: Path) -> None:
     """Write a fitted network of the BRDF application, w1..w3 [out, in] and b1..b3 [out, 1], as an NBRDF folder."""
     weights = {f"fc{layer}": theta[f"w{layer}"].T for layer in (1, 2, 3)}
     write_nbrdf(folder, weights | {f"b{layer}": theta[f"b{layer}"].flatten() for layer in (1, 2, 3)})
 
 
 def read_task(path: Path, samples: int = 65_536) -> Task:
-    """Turn an NBRDF network, as `find_nbrdf` names it, into a BRDF task named by the last part of its path.
+    """Turn an NBRDF network, as `find` names it, into a BRDF task named by the last part of its path.
 
     Warns of implausible values.
 
@@ -91,7 +99,7 @@ def read_task(path: Path, samples: int = 65_536) -> Task:
         ValueError: as `read_nbrdf`.
     """
     evaluate = partial(nbrdf_evaluate, read_nbrdf(path))
-    task = brdf_task(path.resolve().name, evaluate, samples=samples, source=path)
+    task = brdf_task.brdf_task(path.resolve().name, evaluate, samples=samples, source=path)
     warn_implausible(path, task, evaluate)
     return task
 
@@ -152,7 +160,7 @@ def nbrdf_evaluate(weights: Mapping[str, NDArray[np.floating] | Tensor], angles:
 
 
 def _locate(path: Path) -> tuple[Path, dict[str, Path]]:
-    """The place of one network, as `find_nbrdf` names it, and its files."""
+    """The place of one network, as `find` names it, and its files."""
     folder, only = (path, None) if path.is_dir() else (path.parent, path.name)
     if path.is_file() or not folder.is_dir():
         found = "a file" if path.is_file() else "no such folder"

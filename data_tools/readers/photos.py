@@ -12,7 +12,8 @@ import os
 import re
 from collections.abc import Collection, Iterable, Iterator
 from pathlib import Path
-from typing import Any, NamedTuple
+from types import ModuleType
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import torch
@@ -21,7 +22,11 @@ from torch import Tensor
 from torch.nn import functional
 
 from data_tools.readers import heif, lens
+from data_tools.readers.listing import files_below
 from metapp.appearance.colour import linear_to_srgb, srgb_to_linear
+
+if TYPE_CHECKING:
+    import OpenImageIO as oiio
 
 SUFFIXES = (
     ".bmp", ".dib", ".dpx", ".exr", ".gif", ".hdr", ".jfif", ".jif", ".jp2", ".jpe", ".jpeg", ".jpg", ".jxl", ".pbm",
@@ -90,7 +95,7 @@ def find_photos(paths: Iterable[str | Path], expected: Collection[str] = ()) -> 
             continue
         found = 0
         to_export = []
-        for file in _files_below(path):
+        for file in files_below(path):
             if file.suffix.lower() in SUFFIXES or _opens(file):
                 files.setdefault(file.resolve(), file)
                 found += 1
@@ -117,7 +122,7 @@ def is_photo(path: str | Path) -> bool:
 def holds_photos(path: str | Path) -> bool:
     """Whether a path is an image file, or a folder with one below it, known by its suffix."""
     path = Path(path)
-    return any(file.suffix.lower() in _NAMED for file in _files_below(path)) if path.is_dir() else is_photo(path)
+    return any(file.suffix.lower() in _NAMED for file in files_below(path)) if path.is_dir() else is_photo(path)
 
 
 def read_photo(
@@ -174,12 +179,6 @@ def _share_within(pixels: Pixels, fov_rad: float, within_rad: float) -> float:
     return lens.seen_share(fov_rad, within_rad) if fov_rad and within_rad else 1.0
 
 
-def _files_below(folder: Path) -> Iterator[Path]:
-    for file in sorted(folder.rglob("*")):
-        if file.is_file() and not any(part.startswith(".") for part in file.relative_to(folder).parts):
-            yield file
-
-
 def check_exists(path: Path) -> None:
     """Refuse a path that is no file.
 
@@ -220,7 +219,7 @@ def _opens(path: Path) -> bool:
     return True
 
 
-def open_image(path: Path) -> Any:
+def open_image(path: Path) -> oiio.ImageInput:
     """An open OpenImageIO.ImageInput that does not multiply colours by alpha."""
     import OpenImageIO as oiio  # its import costs more than a command that reads no image should pay
 
@@ -241,7 +240,7 @@ def open_image(path: Path) -> Any:
 
 
 @contextlib.contextmanager
-def opened(path: Path) -> Iterator[Any]:
+def opened(path: Path) -> Iterator[oiio.ImageInput]:
     """An image file as `open_image` gives it, closed at the end; libraries say nothing meanwhile.
 
     Raises:
@@ -255,7 +254,7 @@ def opened(path: Path) -> Iterator[Any]:
             raise ValueError(f"{path}: holds text that is not UTF-8, {_EXPECTED}; export it again.") from None
 
 
-def check_memory(spec: Any, path: Path) -> None:
+def check_memory(spec: oiio.ImageSpec, path: Path) -> None:
     """Refuse a small file that would take gigabytes: its header is damaged, or made for that."""
     held = spec.image_bytes()
     if held > max(_ALWAYS_BYTES, _MAX_RATIO * path.stat().st_size):
@@ -265,7 +264,7 @@ def check_memory(spec: Any, path: Path) -> None:
         )
 
 
-def error_of(source: Any) -> str:
+def error_of(source: oiio.ImageInput | ModuleType) -> str:
     """What OpenImageIO, or an open file of its, says went wrong; "" for nothing."""
     try:
         return str(source.geterror())
@@ -335,7 +334,7 @@ def _check_size(width: int, height: int, path: Path) -> None:
         raise ValueError(f"{path}: {found}, expected {_MIN_SIDE} px or more on the short side; take a larger image.")
 
 
-def _channels(spec: Any, path: Path) -> list[int]:
+def _channels(spec: oiio.ImageSpec, path: Path) -> list[int]:
     """Indices of red, green, blue (a gray channel three times) and, if there is one, alpha."""
     names = [name.upper() for name in spec.channelnames]
     if spec.get_string_attribute("tiff:ColorSpace") == "CIELAB":
@@ -350,7 +349,7 @@ def _channels(spec: Any, path: Path) -> list[int]:
     return found + ([names.index("A")] if "A" in names and spec.nchannels > 1 else [])
 
 
-def _space(spec: Any) -> str:
+def _space(spec: oiio.ImageSpec) -> str:
     """The encoding of a file's colours."""
     import OpenImageIO as oiio
 

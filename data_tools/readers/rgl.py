@@ -5,24 +5,30 @@ Isotropic measurements in RGB, the files `*_rgb.bsdf` of the database: their spe
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
-from typing import Any
+from types import ModuleType
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from data_tools.readers.brdf_task import brdf_task
+from data_tools.readers import brdf_task
 from data_tools.readers.listing import find_by_suffix, has_suffix
 from data_tools.readers.plausibility import warn_implausible
 from data_tools.readers.rgl_table import write_rgl
 from data_tools.readers.tensor_file import read_tensor_file
 from metapp.appearance.geometry import rusinkiewicz_to_directions
-from metapp.learning.task import Task
+from metapp.learning.task import Params, Task
 from metapp.rendering.variant import load_mitsuba
+
+if TYPE_CHECKING:
+    import mitsuba as mi
+
+    from metapp.apps.brdf import Brdf
 
 SUFFIX = ".bsdf"
 LARGEST = 1e9  # of any number; measurements are below 1e6
@@ -38,23 +44,13 @@ AXES = {
     "rgb": 5,
     "jacobian": 1,
 }
+UNITS = brdf_task.UNITS
+
+find = partial(find_by_suffix, suffix=SUFFIX, what="an RGL .bsdf file")
+recognises = partial(has_suffix, suffix=SUFFIX)
 
 
-def find(paths: Iterable[str | Path]) -> tuple[list[Path], list[str]]:
-    """Find .bsdf files; they are not opened.
-
-    Raises:
-        ValueError: a path that is neither such a file nor a folder with some.
-    """
-    return find_by_suffix(paths, SUFFIX, "an RGL .bsdf file")
-
-
-def recognises(path: str | Path) -> bool:
-    """Whether a path is a .bsdf file, or a folder with one below it."""
-    return has_suffix(path, SUFFIX)
-
-
-def export(app: Any, theta: Mapping[str, Tensor], path: Path) -> None:
+def export(app: Brdf, theta: Params, path: Path) -> None:
     """Write a fitted network of the BRDF application as a file of the RGL database, `path`.bsdf."""
     file = path.with_name(f"{path.name}{SUFFIX}")
     write_rgl(file, partial(app.reflectance, theta), f"{path.name}: a fit of metapp")
@@ -67,7 +63,7 @@ def read_task(path: Path, samples: int = 65_536) -> Task:
         ValueError: as `read_rgl`.
     """
     evaluate = read_rgl(path)
-    task = brdf_task(path.stem, evaluate, samples=samples, source=path)
+    task = brdf_task.brdf_task(path.stem, evaluate, samples=samples, source=path)
     warn_implausible(path, task, evaluate)
     return task
 
@@ -87,7 +83,7 @@ def read_rgl(path: Path) -> Callable[[Tensor], Tensor]:
     return partial(_evaluate, mitsuba, bsdf)
 
 
-def _evaluate(mitsuba: Any, bsdf: Any, angles: Tensor) -> Tensor:
+def _evaluate(mitsuba: ModuleType, bsdf: mi.BSDF, angles: Tensor) -> Tensor:
     import drjit
 
     light, viewer = rusinkiewicz_to_directions(angles.reshape(-1, 3).double())
@@ -97,7 +93,7 @@ def _evaluate(mitsuba: Any, bsdf: Any, angles: Tensor) -> Tensor:
     return (value / light[:, 2:].clamp_min(1e-6)).clamp_min(0).reshape(angles.shape).to(angles)
 
 
-def check(path: Path, fields: Mapping[str, NDArray[Any]]) -> None:
+def check(path: Path, fields: Mapping[str, NDArray[np.number]]) -> None:
     """Refuse what Mitsuba would refuse at length, or not at all.
 
     Raises:
@@ -136,7 +132,7 @@ def _check_shapes(path: Path, shapes: Mapping[str, tuple[int, ...]]) -> None:
         raise ValueError(f"{path}: a grid of one point or none, expected two or more; download it again.")
 
 
-def _check_values(path: Path, fields: Mapping[str, NDArray[Any]]) -> None:
+def _check_values(path: Path, fields: Mapping[str, NDArray[np.number]]) -> None:
     for name in ("theta_i", "phi_i"):
         if (np.diff(fields[name]) <= 0).any():
             raise ValueError(f"{path}: {name} not ascending, expected ascending angles in rad; download it again.")

@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
@@ -62,7 +61,7 @@ def write_rgl(path: str | Path, evaluate: Callable[[Tensor], Tensor], descriptio
     luminance = luminance / np.maximum(np.cos(angles), 1e-3)[:, None, None] * area
     luminance += LEAST_LUMINANCE * luminance.mean((1, 2), keepdims=True) + 1e-12
     ones = np.ones((1, NODES, 2, 2), np.float32)
-    fields: dict[str, NDArray[Any]] = {
+    fields: dict[str, NDArray[np.number]] = {
         "description": np.frombuffer(description.encode() or b" ", np.uint8),
         "phi_i": np.zeros(1, np.float32),
         "theta_i": angles.astype(np.float32),

@@ -20,6 +20,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from data_tools.formats import AUTO, Conversion
 from data_tools.readers.heif import is_heif
 from data_tools.readers.photos import (
     LINEAR,
@@ -117,6 +118,50 @@ def read_task(path: Path, size: int = SIZE, gamma: float = 1.0, white: float = W
         raise ValueError(f"{path}: diffuse and specular are black, expected a material that reflects; leave it out.")
     maps = Maps(diffuse, specular, roughness.mean(0, keepdim=True), unit_normals(normal, path))
     return svbrdf_task(task_name(path.stem), pack(maps), photo=encoded(photo))
+
+
+def conversion(paths: Iterable[Path], split: str, *, size: int, gamma: float, white: float) -> Conversion:
+    """How strips become tasks; with a split by base materials, those that blend both sides are left out."""
+    sources = {source.resolve(): source for source in find(paths)[0]}
+    groups = group_strips(sources)
+    parted = split_strips(list(sources)) if split == AUTO else Split({}, [], "")
+    left_out = set(parted.left_out)
+
+    def find_kept(named: Iterable[Path]) -> tuple[list[Path], list[str]]:
+        found, skipped = find(named)
+        return [source for source in found if source.resolve() not in left_out], skipped
+
+    def read(source: Path) -> Task:
+        return read_task(source, size, gamma, white)._replace(group=groups[source.resolve()])
+
+    def split_of(source: Path) -> str:
+        return parted.sides[source.resolve()]
+
+    notes: dict[str, object] = {"made_by": "metapp data strips", "size": size, "gamma": gamma, "white": white}
+    if split == AUTO:
+        notes |= {"split_by": parted.by, "left_out": len(left_out)}
+    return Conversion(
+        "svbrdf_nonstationary",
+        "strip",
+        UNITS,
+        find_kept,
+        lambda source: task_name(source.stem),
+        read,
+        notes,
+        split_of,
+        _remarks(parted, len(sources)),
+    )
+
+
+def _remarks(parted: Split, count: int) -> tuple[str, ...]:
+    """What a person should know about how strips were split."""
+    lines = []
+    if parted.by == "preset":
+        lines.append("base materials are blended with all others: training and test strips show other presets of them.")
+    if parted.left_out:
+        between = f"{parted.by}s of training with {parted.by}s of tests"
+        lines.append(f"{len(set(parted.left_out))} of {count} strips left out: they blend {between}.")
+    return tuple(lines)
 
 
 def _has_tiles(height: int, width: int) -> bool:

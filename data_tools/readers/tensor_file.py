@@ -10,7 +10,6 @@ import math
 import struct
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +23,7 @@ ALIGNMENT = 8
 MOST_FIELDS, MOST_AXES = 64, 8
 
 
-def read_tensor_file(path: str | Path) -> dict[str, NDArray[Any]]:
+def read_tensor_file(path: str | Path) -> dict[str, NDArray[np.number]]:
     """Read all arrays of a file.
 
     Raises:
@@ -53,7 +52,7 @@ class _Damaged(Exception):
     """A header that the file does not fit."""
 
 
-def _field(content: bytes, at: int) -> tuple[str, NDArray[Any], int]:
+def _field(content: bytes, at: int) -> tuple[str, NDArray[np.number], int]:
     """A field's name and values, and where the next one is."""
     (length,) = struct.unpack_from("<H", content, at)
     name = content[at + 2 : at + 2 + length].decode()
@@ -70,7 +69,7 @@ def _field(content: bytes, at: int) -> tuple[str, NDArray[Any], int]:
     return name, np.frombuffer(content, dtype, count, offset).reshape(shape), at + 11 + 8 * axes
 
 
-def write_tensor_file(path: str | Path, fields: Mapping[str, NDArray[Any]]) -> None:
+def write_tensor_file(path: str | Path, fields: Mapping[str, NDArray[np.number]]) -> None:
     """Write arrays, whole or not at all."""
     kinds = {np.dtype(word): kind for kind, word in TYPES.items()}
     headers = {name: struct.pack("<H", len(name)) + name.encode() for name in fields}

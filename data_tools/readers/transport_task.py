@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from torch import Generator
 
 from metapp.learning.task import Task
 from metapp.rendering.path_space import DIMENSIONS, Tracer, path_samples
+from metapp.rendering.scene_loading import Scene
 from metapp.rendering.scene_text import scene_bytes
 
 SAMPLES, HELD = 32_768, 8_192
@@ -23,7 +22,7 @@ BESIDE = ("scene", ".json")  # is a file beside each shard, too
 
 def transport_task(
     name: str,
-    scene: dict[str, Any],
+    scene: Scene,
     seed: int,
     *,
     samples: int = SAMPLES,

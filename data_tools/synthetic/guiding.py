@@ -1,6 +1,6 @@
 """Tasks of guide priors: what caches of random rooms know after so many paths, and what many more find.
 
-Each room is rendered at 64 px by `guided_path`, whose cache is looked at on the way.
+Each room is rendered at 64 px by `guided_path`, whose cache is read on the way.
 """
 
 from __future__ import annotations
@@ -11,8 +11,8 @@ from torch import Generator, Tensor
 from data_tools.synthetic.rooms import random_room
 from metapp.learning.task import Task
 from metapp.rendering import equal_time
-from metapp.rendering.guide_cache import halved, moments, voxels_of
-from metapp.rendering.guide_prior import Prior, init, taught
+from metapp.rendering.guide_histogram import coarsened, second_moments, voxels_of
+from metapp.rendering.guide_prior import LearnedPrior, histogram_features, init
 from metapp.rendering.guided_path import PathTracer, Settings
 from metapp.rendering.guided_picture import GuidedPicture, Part
 from metapp.rendering.guided_plugin import RR_DEPTH
@@ -20,12 +20,12 @@ from metapp.rendering.path_space import DEPTH
 from metapp.rendering.scene_loading import load_scene
 
 SIZE = 64  # px
-# samples a pixel between looks: after 2^14 paths of the survey, 2^16, 2^17, 2^18, 2^19 and 2^21
+# samples a pixel between readings: after 2^14 paths of the survey, 2^16, 2^17, 2^18, 2^19 and 2^21
 PARTS = ((12,), (16,), (32,), (64,), (128, 256))
 NAMES = ("2^14", "2^16", "2^17", "2^18")
-ROWS = 192  # places of a task, drawn by how many paths met them
+ROWS = 192  # entries of a task, drawn by how many paths visited them
 
-Sums = tuple[Tensor, Tensor]  # of squares and counts in the places that a survey saw, [P, SIDE, SIDE] each
+Sums = tuple[Tensor, Tensor]  # of squares and counts in the entries that were surveyed, [P, SIDE, SIDE] each
 
 
 def guide_tasks(kind: str, seed: int) -> list[Task]:
@@ -40,24 +40,24 @@ def guide_tasks(kind: str, seed: int) -> list[Task]:
     mi, scene, _ = load_scene(random_room(kind, seed))
     equal_time.resize(mi, scene, SIZE)
     path = mi.load_dict({"type": "path", "max_depth": DEPTH})
-    tracer = PathTracer(mi, Settings(DEPTH, RR_DEPTH))
+    tracer = PathTracer(Settings(DEPTH, RR_DEPTH))
     picture = GuidedPicture(path, tracer, scene, scene.sensors()[0], seed, init(Generator()))
-    prior = picture.cache.expects
-    assert isinstance(prior, Prior)
-    looks = [_sums(picture, prior)]
+    prior = picture.cache.prior
+    assert isinstance(prior, LearnedPrior)
+    readings = [_sums(picture, prior)]
     for parts in PARTS:
         for spp in parts:
             picture.pays = True  # the guard has no say
             picture.add(Part(spp, learns=True))
-        looks.append(_sums(picture, prior))
-    voxels = prior.seen.voxels
+        readings.append(_sums(picture, prior))
+    voxels = prior.survey.voxels
     rng = Generator().manual_seed(seed)
-    last = looks[-1]
+    last = readings[-1]
     tasks = []
     for number, name in enumerate(NAMES):
-        now, later = looks[number], looks[number + 1]
-        around = moments(*now, voxels)
-        features = torch.cat([prior.seen.features, taught(*now, around)], 1)
+        now, later = readings[number], readings[number + 1]
+        moments = second_moments(*now, voxels)
+        features = torch.cat([prior.survey.features, histogram_features(*now, moments)], 1)
         visible, truth = ((b[0] - a[0]).clamp_min(0).flatten(1) for a, b in ((now, later), (later, last)))
         usable = ((visible.sum(1) > 0) & (truth.sum(1) > 0)) * last[1].flatten(1).sum(1)
         rows = torch.multinomial(usable, ROWS, replacement=True, generator=rng)
@@ -67,14 +67,14 @@ def guide_tasks(kind: str, seed: int) -> list[Task]:
     return tasks
 
 
-def _sums(picture: GuidedPicture, prior: Prior) -> Sums:
-    """The cache's sums in the places that the survey saw."""
-    seen, squares, counts = picture.cache.taught()
-    total, count, coarse, _ = halved(squares, counts, voxels_of(seen))
-    known, rows = prior.seen.find(coarse)
-    first, second = (each.new_zeros(len(prior.seen.features), *each.shape[1:]) for each in (total, count))
-    first[rows], second[rows] = total[known], count[known]
-    return first, second
+def _sums(picture: GuidedPicture, prior: LearnedPrior) -> Sums:
+    """The cache's sums in the entries that were surveyed."""
+    visited, squares, counts = picture.cache.statistics()
+    total, count, coarse, _ = coarsened(squares, counts, voxels_of(visited))
+    known, rows = prior.survey.lookup(coarse)
+    surveyed = [sums.new_zeros(len(prior.survey.features), *sums.shape[1:]) for sums in (total, count)]
+    surveyed[0][rows], surveyed[1][rows] = total[known], count[known]
+    return surveyed[0], surveyed[1]
 
 
 def _shares(values: Tensor) -> Tensor:

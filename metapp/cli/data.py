@@ -7,6 +7,7 @@ import functools
 import inspect
 import shutil
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
@@ -17,8 +18,8 @@ from metapp.cli.console import Exit, out, print_json, say
 from metapp.cli.data_convert import Quiet, check_folder, command_of, report
 from metapp.cli.data_cornell import cornell
 from metapp.cli.data_sets import holds_of, join, noisy
-from metapp.cli.options import Json
-from metapp.runs.convert import Converted
+from metapp.cli.options import Json, takes
+from metapp.runs.convert import Converted, converted
 from metapp.runs.embedded import embedded_apps, embedded_data, embedded_module, split_counts
 from metapp.runs.reporter import progress
 
@@ -48,15 +49,17 @@ def _command(function: Callable[..., None], bare_is_help: bool = True) -> Callab
     return app.command(no_args_is_help=bare_is_help, help=text)(function)
 
 
-@_command
-def synth(
+@dataclass(frozen=True)
+class Synth:
+    """The arguments and options of `synth`."""
+
     name: Annotated[
         str,
         typer.Argument(
             metavar="APP",
             help="brdf, texture, svbrdf_stationary, svbrdf_nonstationary, illumination or transport.",
         ),
-    ],
+    ]
     folder: Annotated[
         Path | None,
         typer.Option(
@@ -67,7 +70,7 @@ def synth(
             show_default="the user's cache",
             help="Folder to write to; made if missing. All commands look in the cache, which METAPP_CACHE moves.",
         ),
-    ] = None,
+    ] = None
     count: Annotated[
         int | None,
         typer.Option(
@@ -76,8 +79,8 @@ def synth(
             show_default="the default set's",
             help="Tasks in total, of both splits in its proportion.",
         ),
-    ] = None,
-    seed: Annotated[int, typer.Option(min=0, metavar="S", help="Of all random draws.")] = 0,
+    ] = None
+    seed: Annotated[int, typer.Option(min=0, metavar="S", help="Of all random draws.")] = 0
     size: Annotated[
         int | None,
         typer.Option(
@@ -88,13 +91,17 @@ def synth(
             help="Of texture, svbrdf_stationary (256) and svbrdf_nonstationary (128): pictures of so many px a side; "
             "of illumination (64): maps of so many rows.",
         ),
-    ] = None,
+    ] = None
     form: Annotated[
         Form, typer.Option("--as", help="shards: what metapp reads. merl: .binary files in DIR/train and DIR/test.")
-    ] = Form.SHARDS,
-    quiet: Quiet = False,
-    as_json: Json = False,
-) -> None:
+    ] = Form.SHARDS
+    quiet: Quiet = False
+    as_json: Json = False
+
+
+@_command
+@takes(Synth)
+def synth(options: Synth) -> None:
     """Draw an embedded data set: synthetic tasks, the same on every machine.
 
     brdf: isotropic metals, plastics, paints, fabrics and mixtures of them, from physically based reflection models;
@@ -117,31 +124,31 @@ def synth(
       metapp data synth brdf
       metapp data synth brdf --count 10 --seed 1 --as merl --out materials
     """
+    name = options.name
     if name not in embedded_apps():
         raise typer.BadParameter(
             f"'{name}' has no embedded data set, expected one of {', '.join(embedded_apps())}.", param_hint="APP"
         )
-    if form is Form.MERL:
-        done = _synth_merl(name, folder, count, seed, quiet)
+    if options.form is Form.MERL:
+        done = _synth_merl(options)
     else:
         from metapp.storage.manifest import read_manifest
 
-        made = embedded_data(name, seed, count, folder, quiet, size)
-        tasks = read_manifest(made).tasks
-        names = {split: [task.name for task in tasks if task.split == split] for split in ("train", "test")}
-        done = Converted(name, str(made), names["train"], names["test"], [])
-    report(done, quiet, as_json)
+        folder = embedded_data(name, options.seed, options.count, options.folder, options.quiet, options.size)
+        done = converted(name, folder, read_manifest(folder).tasks)
+    report(done, options.quiet, options.as_json)
 
 
-def _synth_merl(name: str, folder: Path | None, count: int | None, seed: int, quiet: bool) -> Converted:
+def _synth_merl(options: Synth) -> Converted:
     from metapp.storage.shards import only_writer
 
+    name, folder = options.name, options.folder
     module = embedded_module(name)
     if not hasattr(module, "write_merl_files"):
         raise typer.BadParameter(f"merl: a format of BRDFs, expected shards for {name}.", param_hint="--as")
     if folder is None:
         raise typer.BadParameter("missing, expected a folder for the MERL files of 35 MB each.", param_hint="--out")
-    counts = split_counts(name, count)
+    counts = split_counts(name, options.count)
     needed = sum(counts.values()) * _MERL_BYTES
     free = shutil.disk_usage(next(part for part in (folder, *folder.absolute().parents) if part.exists())).free
     if free < needed:
@@ -151,18 +158,18 @@ def _synth_merl(name: str, folder: Path | None, count: int | None, seed: int, qu
         )
     names: dict[str, list[str]] = {}
     folder.mkdir(parents=True, exist_ok=True)
-    with only_writer(folder), progress("MERL files", sum(counts.values()), quiet=quiet) as bar:
+    with only_writer(folder), progress("MERL files", sum(counts.values()), quiet=options.quiet) as bar:
         for split, number in counts.items():
             names[split] = []
-            for material in module.write_merl_files(folder / split, split, number, seed):
+            for material in module.write_merl_files(folder / split, split, number, options.seed):
                 names[split].append(material)
                 bar.advance(material)
     return Converted(name, str(folder), names["train"], names["test"], [])
 
 
 for _form in formats():
-    if _form.conversion:
-        _command(command_of(_form, _form.conversion))
+    if _form.help:
+        _command(command_of(_form))
 _command(cornell)
 _command(join)
 _command(noisy)

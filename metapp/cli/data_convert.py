@@ -11,7 +11,7 @@ from typing import Annotated, Any
 
 import typer
 
-from data_tools.formats import Conversion, Format, Setting
+from data_tools.formats import SPLIT, Format, Setting
 from metapp.cli.console import print_json, say
 from metapp.cli.options import Json
 from metapp.runs.convert import Converted, convert
@@ -36,34 +36,34 @@ def check_folder(path: Path | None) -> Path | None:
 Out = Annotated[
     Path, typer.Option("--out", "-o", metavar="DIR", callback=check_folder, help="Folder to write to; made if missing.")
 ]
-SplitOption = Annotated[Split, typer.Option("--split", help=Conversion._field_defaults["split_help"])]
+SplitOption = Annotated[Split, typer.Option("--split", help=SPLIT)]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress and no summary.")]
 
 
-def command_of(form: Format, conversion: Conversion) -> Callable[..., None]:
-    """Make the command that converts files of a format; its options are the conversion's settings."""
+def command_of(form: Format) -> Callable[..., None]:
+    """Make the command that converts files of a format; its options are the format's settings."""
 
     def command(paths: list[Path], folder: Path, split: Split, quiet: bool, as_json: bool, **settings: Any) -> None:
         chosen = {name: value.value if isinstance(value, enum.Enum) else value for name, value in settings.items()}
-        reader = conversion.reader(paths, split.value, **chosen)
-        for line in reader.remarks:
+        conversion = form.conversion(paths, split.value, chosen)
+        for line in conversion.remarks:
             say(f"warning: {line}")
-        report(convert(reader, paths, folder, split.value, quiet), quiet, as_json)
+        report(convert(conversion, paths, folder, split.value, quiet), quiet, as_json)
 
-    metavar, help_text = conversion.paths
-    split_option = Annotated[Split, typer.Option("--split", help=conversion.split_help)]
+    metavar, help_text = form.paths
+    split_option = Annotated[Split, typer.Option("--split", help=form.split_help)]
     keyword = functools.partial(inspect.Parameter, kind=inspect.Parameter.KEYWORD_ONLY)
     parameters = [
         keyword("paths", annotation=Annotated[list[Path], typer.Argument(metavar=metavar, help=help_text)]),
         keyword("folder", annotation=Out),
         keyword("split", annotation=split_option, default=Split.AUTO),
-        *(keyword(each.name, annotation=_option(each), default=each.default) for each in conversion.settings),
+        *(keyword(setting.name, annotation=_option(setting), default=setting.default) for setting in form.settings),
         keyword("quiet", annotation=Quiet, default=False),
         keyword("as_json", annotation=Json, default=False),
     ]
     command.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
-    command.__annotations__ = {each.name: each.annotation for each in parameters}
-    command.__name__, command.__doc__ = form.name, conversion.help
+    command.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
+    command.__name__, command.__doc__ = form.name, form.help
     return command
 
 

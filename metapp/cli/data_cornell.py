@@ -2,34 +2,39 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Annotated
 
 import typer
 
 from metapp.cli.data_convert import Out, Quiet, Split, SplitOption, report
-from metapp.cli.options import Json
-from metapp.runs.convert import Converted
+from metapp.cli.options import Json, takes
+from metapp.runs.convert import converted
 from metapp.runs.reporter import progress
 
-_SAMPLES, _HELD = 32_768, 8_192
 
+@dataclass(frozen=True)
+class Cornell:
+    """The options of `cornell`."""
 
-def cornell(
-    folder: Out,
-    count: Annotated[int, typer.Option(min=1, metavar="N", help="Scenes.")] = 10,
-    seed: Annotated[int, typer.Option(min=0, metavar="S", help="Of all random draws.")] = 0,
-    split: SplitOption = Split.AUTO,
+    folder: Out
+    count: Annotated[int, typer.Option(min=1, metavar="N", help="Scenes.")] = 10
+    seed: Annotated[int, typer.Option(min=0, metavar="S", help="Of all random draws.")] = 0
+    split: SplitOption = Split.AUTO
     samples: Annotated[
         int, typer.Option(min=1, metavar="N", help="Samples per scene for fits to see; the paper has 288,000.")
-    ] = _SAMPLES,
-    held: Annotated[int, typer.Option(min=1, metavar="M", help="Samples per scene for tests alone.")] = _HELD,
+    ] = 32_768
+    held: Annotated[int, typer.Option(min=1, metavar="M", help="Samples per scene for tests alone.")] = 8_192
     dimensions: Annotated[
         int,
         typer.Option(min=4, max=6, metavar="D", help="Of a sample: 4, film and a direction; 6, a second direction."),
-    ] = 4,
-    quiet: Quiet = False,
-    as_json: Json = False,
-) -> None:
+    ] = 4
+    quiet: Quiet = False
+    as_json: Json = False
+
+
+@takes(Cornell)
+def cornell(options: Cornell) -> None:
     """Draw Cornell boxes and trace their light paths.
 
     In each are one to five spheres of diffuse, glass or metal material, a mirror on a side wall and an area light on
@@ -43,14 +48,17 @@ def cornell(
     from data_tools.synthetic import transport
     from metapp.storage.shards import ShardWriter
 
-    if dimensions % 2:
-        raise typer.BadParameter(f"{dimensions}, expected 4 or 6.", param_hint="--dimensions")
-    tasks = transport.cornell_tasks(count, seed, samples=samples, held=held, dimensions=dimensions)
-    notes = {"made_by": "metapp data cornell", "seed": seed, "count": count, "split": split.value}
-    shown = progress("Cornell boxes", count, quiet=quiet)
-    with ShardWriter(folder, "transport", transport.UNITS, notes, transport.BESIDE) as writer, shown as bar:
+    if options.dimensions % 2:
+        raise typer.BadParameter(f"{options.dimensions}, expected 4 or 6.", param_hint="--dimensions")
+    count, seed, split = options.count, options.seed, options.split.value
+    tasks = transport.cornell_tasks(
+        count, seed, samples=options.samples, held=options.held, dimensions=options.dimensions
+    )
+    notes = {"made_by": "metapp data cornell", "seed": seed, "count": count, "split": split}
+    shown = progress("Cornell boxes", count, quiet=options.quiet)
+    with ShardWriter(options.folder, "transport", transport.UNITS, notes, transport.BESIDE) as writer, shown as bar:
         for task in tasks:
-            writer.add(task, split.value)
+            writer.add(task, split)
             bar.advance(task.name)
-        train, test = ([e.name for e in writer.entries() if e.split == part] for part in ("train", "test"))
-    report(Converted("transport", str(folder), train, test, []), quiet, as_json)
+        done = converted("transport", options.folder, writer.entries())
+    report(done, options.quiet, options.as_json)

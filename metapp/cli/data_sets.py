@@ -11,7 +11,7 @@ import typer
 
 from metapp.cli.data_convert import Out, Quiet, report
 from metapp.cli.options import Json
-from metapp.runs.convert import Converted
+from metapp.runs.convert import Converted, converted
 from metapp.runs.reporter import progress
 
 if TYPE_CHECKING:
@@ -132,5 +132,4 @@ def _written(
         for entry, task in pairs:
             writer.add(change(task)._replace(group=entry.group), entry.split, entry.source)
             bar.advance(entry.name)
-        train, test = ([e.name for e in writer.entries() if e.split == split] for split in ("train", "test"))
-    return Converted(name, str(folder), train, test, [])
+        return converted(name, folder, writer.entries())

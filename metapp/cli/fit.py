@@ -172,11 +172,11 @@ def make_command(name: str, summary: str) -> Any:
         check_export(export, options.app)
         if train_steps and not train:
             raise typer.BadParameter("--train-steps: only with --train.")
-        if scene_root and not any(each.takes_roots for each in inputs_of(app)):
+        if scene_root and not any("roots" in form.takes for form in inputs_of(app)):
             raise typer.BadParameter(f"--scene-root: {app} has no scenes, only transport; leave it out.")
         if render and not presentation_of(options.app).renders:
             raise typer.BadParameter(f"--render: {app} has no scenes, only transport; leave it out.")
-        if fov and not any(each.takes_fov for each in inputs_of(app)):
+        if fov and not any("fov_rad" in form.takes for form in inputs_of(app)):
             raise typer.BadParameter(f"--fov: {app} has no flash photos; leave it out.")
         for said, unused in (
             ("--rule: only meta has learned rules", rule and name != "meta"),

@@ -102,7 +102,7 @@ def table_of(
     from rich.table import Table
     from rich.text import Text
 
-    from metapp.evaluation.tables.comparison import warned
+    from metapp.evaluation.notes import warned
     from metapp.runs.session import caption_of, title_of
     from metapp.storage.records import guarded, summary
 

@@ -1,12 +1,45 @@
-"""Arguments and options that several commands have alike."""
+"""Arguments and options: commands made of annotated dataclasses, and what several commands have alike."""
 
 from __future__ import annotations
 
+import inspect
+from collections.abc import Callable
+from dataclasses import MISSING, fields
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any, TypeVar, get_type_hints
 
 import typer
 
 RunPath = Annotated[Path, typer.Argument(metavar="RUN", help="A run's folder, or the record.jsonl in it.")]
 FittedData = Annotated[Path | None, typer.Option(help="The data set that was fitted, for the same.")]
 Json = Annotated[bool, typer.Option("--json", help="One JSON object as last line of standard output.")]
+Options = TypeVar("Options")
+Result = TypeVar("Result")
+
+
+def takes(options: Callable[..., Options]) -> Callable[[Callable[[Options], Result]], Callable[..., Result]]:
+    """Make a command of a function of one object: each field of its dataclass is an argument or option, as annotated.
+
+    Args:
+        options: the dataclass; its fields are annotated by `typer.Argument` and `typer.Option`.
+    """
+
+    def decorate(function: Callable[[Options], Result]) -> Callable[..., Result]:
+        def command(**values: Any) -> Result:
+            return function(options(**values))
+
+        hints = get_type_hints(options, include_extras=True)
+        parameters = [
+            inspect.Parameter(
+                field.name,
+                inspect.Parameter.KEYWORD_ONLY,
+                default=inspect.Parameter.empty if field.default is MISSING else field.default,
+                annotation=hints[field.name],
+            )
+            for field in fields(options)  # type: ignore[arg-type]  # a dataclass
+        ]
+        command.__name__, command.__doc__, command.__annotations__ = function.__name__, function.__doc__, hints
+        command.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]  # what typer reads
+        return command
+
+    return decorate

@@ -9,17 +9,16 @@ from rich.table import Table as RichTable
 from rich.text import Text
 
 from metapp.cli.console import out
-from metapp.evaluation.tables.formats import notes_of, title_of
-from metapp.evaluation.tables.rows import Column, Row
-from metapp.evaluation.tables.subject import Subject
-from metapp.evaluation.tables.table import Table
+from metapp.evaluation.formats import title_of
+from metapp.evaluation.rows import Column, Row, Table
+from metapp.evaluation.subject import Subject
 
 FEWEST_COLUMNS = 3  # are shown however narrow the terminal
 
 
 def rich_table(table: Table, subject: Subject, rows: list[Row]) -> Any:
     """The table of one application for a terminal."""
-    shown = RichTable(title=title_of(table, subject, rows), caption=Text("\n".join(notes_of(table, subject, rows))))
+    shown = RichTable(title=title_of(table, subject, rows), caption=Text("\n".join(table.notes(subject, rows))))
     columns = fitting(table.columns, rows, out.width)
     for column in columns:
         left = column.left

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import socket
 from collections.abc import Iterator
 from datetime import timedelta
 from typing import Any
@@ -40,12 +41,21 @@ def joined(device: torch.device) -> Iterator[None]:
         return
     if device.type == "cuda":
         torch.cuda.set_device(int(os.environ.get("LOCAL_RANK", "0")))
+    elif _on_one_machine() and (loopback := {"lo", "lo0"} & {name for _, name in socket.if_nameindex()}):
+        # gloo warns of a machine that cannot resolve its own name, as in containers
+        os.environ.setdefault("GLOO_SOCKET_IFNAME", loopback.pop())
     dist.init_process_group("nccl" if device.type == "cuda" else "gloo", timeout=WAITS)
     try:
         yield
     finally:
         with contextlib.suppress(RuntimeError):  # of ranks that are gone
             dist.destroy_process_group()
+
+
+def _on_one_machine() -> bool:
+    address = os.environ.get("MASTER_ADDR", "")
+    local = address in ("localhost", "::1") or address.startswith("127.")
+    return local or os.environ.get("LOCAL_WORLD_SIZE") == os.environ["WORLD_SIZE"]
 
 
 def wait() -> None:

@@ -68,7 +68,7 @@ def square_sensor(mi: Any, scene: Any, side: int) -> Any:
 
 
 def guided_picture(
-    mi: Any, scene: Any, spp: int, depth: int, seed: int = 0, *, joins: bool = True, checkpoint: str = ""
+    mi: Any, scene: Any, spp: int, depth: int, seed: int = 0, *, emitter_sampling: bool = True, checkpoint: str = ""
 ) -> TimedPicture:
     """By `guided_path`, which must be registered.
 
@@ -78,11 +78,11 @@ def guided_picture(
         spp: samples a pixel.
         depth: edges of the longest path.
         seed: of all draws.
-        joins: whether surfaces are joined to emitters.
+        emitter_sampling: whether there is next-event estimation.
         checkpoint: of the prior, as of `guided_path`.
     """
     begin = time.process_time()
-    kind = {"type": "guided_path", "max_depth": depth, "emitter_sampling": joins, "checkpoint": checkpoint}
+    kind = {"type": "guided_path", "max_depth": depth, "emitter_sampling": emitter_sampling, "checkpoint": checkpoint}
     integrator = mi.load_dict(kind)
     picture = rendered(mi, scene, integrator, spp, seed)
     spent, all_of_it = dict(integrator.spent), time.process_time() - begin

@@ -1,7 +1,7 @@
-"""What a cache expects before paths teach it: a small network that reads what a survey saw.
+"""The prior of a guide cache: a small network that estimates densities before paths have filled the histograms.
 
-The network makes of pictures over the cells of directions of one place, [SIDE, SIDE] each, how densely the place should
-send paths there. It knows nothing else of a scene. General trains it on rooms (`metapp.apps.transport.guiding`).
+It maps pictures over the bins of directions of one entry, [SIDE, SIDE] each, to how densely paths should be sampled
+there. It knows nothing else of a scene. General trains it on rooms (`metapp.rendering.guide_training`).
 """
 
 from __future__ import annotations
@@ -15,14 +15,14 @@ from torch.nn.functional import conv2d, silu
 
 from metapp.learning.task import Params
 from metapp.networks.layers import add_layer
-from metapp.rendering.guide_cache import CELLS, POWER, SHARE, SIDE, moments, relative
-from metapp.rendering.guide_survey import SEEN, Seen
+from metapp.rendering.guide_features import CHANNELS, SurveyFeatures
+from metapp.rendering.guide_histogram import BINS, DEFENSIVE, POWER, SIDE, log_relative, second_moments
 from metapp.storage.records import load_checkpoint
 
 NAME = "guiding"
-FEATURES = len(SEEN) + 3
+FEATURES = len(CHANNELS) + 3
 HIDDEN = 16
-_KNOWN = len(SEEN)  # the feature that holds what paths taught
+_ESTIMATE = len(CHANNELS)  # the feature that holds the histogram's own estimate
 
 
 def shipped() -> Path:
@@ -44,70 +44,70 @@ def read_prior(path: Path) -> Params:
 
 
 def init(rng: Generator) -> Params:
-    """Parameters that make the network say again what paths taught."""
+    """Parameters by which the network returns the histogram's own estimate."""
     theta: Params = {}
     add_layer(theta, rng, "first", HIDDEN, FEATURES, 3, 3)
     add_layer(theta, rng, "second", HIDDEN, HIDDEN, 3, 3)
     theta["out.kernel"] = torch.zeros(1, HIDDEN, 1, 1)
     theta["past.kernel"] = torch.zeros(1, FEATURES, 1, 1)
-    theta["past.kernel"][0, _KNOWN] = POWER
+    theta["past.kernel"][0, _ESTIMATE] = POWER
     return theta
 
 
 def densities(theta: Params, features: Tensor) -> Tensor:
-    """How densely directions should be drawn.
+    """How densely directions should be sampled.
 
     Args:
         theta: the network's.
-        features: [P, FEATURES, SIDE, SIDE], of any places.
+        features: [P, FEATURES, SIDE, SIDE], of any entries.
 
     Returns:
-        [P, CELLS], of sum 1, each at least 1 / SHARE of the even density.
+        [P, BINS], of sum 1, each at least 1 / DEFENSIVE of the uniform density.
     """
     share = logits(theta, features).softmax(1)
-    return 1 / (SHARE * CELLS) + (1 - 1 / SHARE) * share
+    return 1 / (DEFENSIVE * BINS) + (1 - 1 / DEFENSIVE) * share
 
 
 def logits(theta: Params, features: Tensor) -> Tensor:
-    """Logarithms of the part of the densities that is free, [P, CELLS], to a constant."""
+    """Logarithms of the part of the densities that is free, [P, BINS], to a constant."""
     first = silu(conv2d(features, theta["first.kernel"], theta["first.shift"], padding=1))
     second = silu(conv2d(first, theta["second.kernel"], theta["second.shift"], padding=1) + first)
     return (conv2d(second, theta["out.kernel"]) + conv2d(features, theta["past.kernel"])).flatten(1)
 
 
-def taught(squares: Tensor, counts: Tensor, around: Tensor) -> Tensor:
-    """Features of what paths taught.
+def histogram_features(squares: Tensor, counts: Tensor, moments: Tensor) -> Tensor:
+    """Features of what paths have found.
 
     Args:
-        squares, counts: sums, [P, SIDE, SIDE], as of `guide_cache.moments`.
-        around: second moments that these say, of the same shape.
+        squares, counts: sums, [P, SIDE, SIDE], as of `second_moments`.
+        moments: second moments estimated from these, of the same shape.
 
     Returns:
-        [P, 3, SIDE, SIDE]: their logarithms, how many paths a cell had, how many the place.
+        [P, 3, SIDE, SIDE]: the moments' logarithms, how many paths a bin had, how many the entry.
     """
     paths = counts.flatten(1).sum(1).log1p()[:, None, None].expand_as(counts)
-    return torch.stack([relative(around), 0.3 * counts.log1p().float(), 0.1 * paths.float()], 1)
+    return torch.stack([log_relative(moments), 0.3 * counts.log1p().float(), 0.1 * paths.float()], 1)
 
 
-class Prior:
-    """What is expected in the places of one scene, as `GuideCache.expects` takes it.
+class LearnedPrior:
+    """The expected second moments in one scene, for `GuideCache.prior`.
 
     Args:
         theta: the network's.
-        seen: by the survey.
+        survey: of the scene.
     """
 
-    def __init__(self, theta: Params, seen: Seen) -> None:
-        self.theta, self.seen = theta, seen
+    def __init__(self, theta: Params, survey: SurveyFeatures) -> None:
+        self.theta, self.survey = theta, survey
 
     @torch.no_grad()
     def __call__(self, squares: Tensor, counts: Tensor, voxels: Tensor) -> Tensor:
-        """Second moments, as of `guide_cache.moments`, by what was seen where anything was."""
-        around = moments(squares, counts, voxels)
-        known, rows = self.seen.find(voxels)
-        features = torch.cat([self.seen.features[rows], taught(squares[known], counts[known], around[known])], 1)
+        """Second moments of the arguments of `second_moments`; the network's where the survey has features."""
+        moments = second_moments(squares, counts, voxels)
+        known, rows = self.survey.lookup(voxels)
+        found = histogram_features(squares[known], counts[known], moments[known])
+        features = torch.cat([self.survey.features[rows], found], 1)
         # with channels last it is twice as fast
-        made = logits(self.theta, features.contiguous(memory_format=torch.channels_last))
-        share = made.double().softmax(1)
-        around[known] = (share ** (1 / POWER)).reshape(-1, SIDE, SIDE)
-        return around
+        share = logits(self.theta, features.contiguous(memory_format=torch.channels_last)).double().softmax(1)
+        moments[known] = (share ** (1 / POWER)).reshape(-1, SIDE, SIDE)
+        return moments

@@ -1,6 +1,6 @@
 """A picture in parts, each guided by what a cache has learned from a survey of the scene and from the parts before.
 
-Every part is a share of the picture that does not depend on what was drawn: the mean is that of `path`.
+Every part is a share of the picture that does not depend on what was sampled: the mean is that of `path`.
 """
 
 from __future__ import annotations
@@ -8,17 +8,18 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Iterator
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-import drjit as dr
-import mitsuba as mi
 import numpy as np
+from numpy.typing import NDArray
 
 from metapp.learning.task import Params
 from metapp.rendering.guide_cache import GuideCache
-from metapp.rendering.guide_prior import Prior
+from metapp.rendering.guide_prior import LearnedPrior
 from metapp.rendering.guide_survey import FILM, survey
 from metapp.rendering.guided_path import PathTracer, Records
+from metapp.rendering.jit import dr, mi
+from metapp.rendering.types import ImageBlock, Integrator, Scene, Sensor, UInt32
 
 FEWEST = 3 * 2**18  # paths of a picture; with fewer there is no time to learn
 FIRST = 2**18  # paths of the first part, of which a quarter of the picture is the most
@@ -64,7 +65,7 @@ def parts_of(spp: int, pixels: int) -> list[Part]:
     return [*parts, Part(spp - done, learns=False)]
 
 
-def noise_of(luminance: np.ndarray[Any, Any]) -> float:
+def noise_of(luminance: NDArray[np.float32]) -> float:
     """How far the halves of blocks of samples differ, relative to their sum, on average over blocks.
 
     Args:
@@ -78,7 +79,7 @@ def noise_of(luminance: np.ndarray[Any, Any]) -> float:
     return float((np.abs(first - second)[both > 0] / both[both > 0]).mean()) if both.any() else 0.0
 
 
-def spread(luminance: np.ndarray[Any, Any], side: int) -> np.ndarray[Any, Any]:
+def spread(luminance: NDArray[np.float32], side: int) -> NDArray[np.float32]:
     """Samples of a picture [rows, columns, samples] evenly over the film, [side, side], none twice if possible."""
     indices, within = [], []
     for length in luminance.shape[:2]:
@@ -86,7 +87,7 @@ def spread(luminance: np.ndarray[Any, Any], side: int) -> np.ndarray[Any, Any]:
         indices.append(place)
         within.append(np.arange(side) - np.searchsorted(place, place))
     number = within[0][:, None] * (within[1].max() + 1) + within[1][None]
-    picked: np.ndarray[Any, Any] = luminance[indices[0][:, None], indices[1][None], number % luminance.shape[2]]
+    picked: NDArray[np.float32] = luminance[indices[0][:, None], indices[1][None], number % luminance.shape[2]]
     return picked
 
 
@@ -97,7 +98,7 @@ class GuidedPicture:
         integrator: of Mitsuba, which the picture is for.
         tracer: of paths.
         scene, sensor, seed: as of `render` of an integrator.
-        prior: parameters of what the cache expects of a scene; None for a cache that expects nothing.
+        prior: parameters of the network that is the cache's prior; None for none.
 
     Attributes:
         pays: whether the cache lowers the noise by more than it costs, as far as is known.
@@ -105,17 +106,23 @@ class GuidedPicture:
     """
 
     def __init__(
-        self, integrator: Any, tracer: PathTracer, scene: Any, sensor: Any, seed: Any, prior: Params | None = None
+        self,
+        integrator: Integrator,
+        tracer: PathTracer,
+        scene: Scene,
+        sensor: Sensor,
+        seed: UInt32 | int,
+        prior: Params | None = None,
     ) -> None:
         begin = time.process_time()
         self.integrator, self.tracer, self.scene, self.sensor, self.seed = integrator, tracer, scene, sensor, seed
-        self.cache = GuideCache(mi, *_extent(scene, sensor))
-        seen, luminance = survey(tracer, scene, sensor, self.cache, seed, looks=prior is not None)
+        self.cache = GuideCache(*_extent(scene, sensor))
+        features, luminance = survey(tracer, scene, sensor, self.cache, seed, features=prior is not None)
         self.noise = noise_of(luminance)
-        if prior is not None and seen is not None:
-            self.cache.expects = Prior(prior, seen)
+        if prior is not None and features is not None:
+            self.cache.prior = LearnedPrior(prior, features)
         self.cache.learn()
-        self.block: Any = None
+        self.block: ImageBlock = None
         self.made, self.pays = 0, True
         self.spent = {"survey": time.process_time() - begin}
 
@@ -135,24 +142,22 @@ class GuidedPicture:
         for work, seconds in ((name, middle - begin), ("learning", time.process_time() - middle)):
             self.spent[work] = self.spent.get(work, 0.0) + seconds
 
-    def _wave(self, spp: int, guided: bool, learns: bool) -> Any:
+    def _wave(self, spp: int, guided: bool, learns: bool) -> NDArray[np.float32] | None:
         """Add samples to the picture; their luminance where the cache learns from them."""
         from mitsuba.python.ad.integrators.common import ADIntegrator
 
         film, own = self.sensor.film(), self.integrator
-        mixed: Any = mi.sample_tea_32  # of arrays, too
-        seed = mixed(mi.UInt32(self.seed), mi.UInt32(self.made))[0]
+        seed = mi.sample_tea_32(mi.UInt32(self.seed), mi.UInt32(self.made))[0]
         sampler, spp = ADIntegrator.prepare(own, self.sensor, seed, spp, [])
         self.made += 1
-        if self.block is None:
-            self.block = film.create_block()
+        self.block = self.block or film.create_block()  # of a film that is prepared
         ray, weight, place = ADIntegrator.sample_rays(own, self.scene, self.sensor, sampler)
-        records = Records(mi, dr.width(place)) if learns else None
-        light, met = self.tracer.trace(self.scene, sampler, ray, self.cache, guided, records)
+        records = Records(dr.width(place)) if learns else None
+        light, hits = self.tracer.trace(self.scene, sampler, ray, self.cache, guided, records)
         if records is not None:
-            dr.eval(light, met, place, weight)
-            records.teach(self.cache, light)
-        alpha = dr.select(met, mi.Float(1), mi.Float(0))
+            dr.eval(light, hits, place, weight)
+            records.train(self.cache, light)
+        alpha = dr.select(hits, mi.Float(1), mi.Float(0))
         # of the film's own kind, such as that of spectra
         ADIntegrator._splat_to_block(self.block, film, place, light * weight, mi.Float(1), alpha, [], ray.wavelengths)
         dr.eval(self.block.tensor())
@@ -166,22 +171,22 @@ def _waves(spp: int, pixels: int) -> Iterator[int]:
         yield min(most, spp - first)
 
 
-def _extent(scene: Any, sensor: Any) -> tuple[np.ndarray[Any, Any], np.ndarray[Any, Any]]:
+def _extent(scene: Scene, sensor: Sensor) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """The box in which most of what the camera sees lies, and most of what is seen from there."""
     index = dr.arange(mi.UInt32, _PROBES**2)
-    sampler: Any = mi.load_dict({"type": "independent"})
+    sampler = mi.load_dict({"type": "independent"})
     sampler.seed(0, _PROBES**2)
     film = mi.Point2f(mi.Float(index % _PROBES), mi.Float(index // _PROBES)) / _PROBES
     ray, _ = sensor.sample_ray(sensor.shutter_open(), sampler.next_1d(), film, mi.Point2f(0.5))
-    seen = scene.ray_intersect(ray)
+    first = scene.ray_intersect(ray)
     local = mi.warp.square_to_cosine_hemisphere(sampler.next_2d())
-    local.z = dr.select(seen.wi.z < 0, -local.z, local.z)
-    beyond = scene.ray_intersect(seen.spawn_ray(seen.to_world(local)), seen.is_valid())
-    points = np.concatenate([each.p.numpy()[:, each.is_valid().numpy()] for each in (seen, beyond)], 1)
+    local.z = dr.select(first.wi.z < 0, -local.z, local.z)
+    second = scene.ray_intersect(first.spawn_ray(first.to_world(local)), first.is_valid())
+    points = np.concatenate([si.p.numpy()[:, si.is_valid().numpy()] for si in (first, second)], 1)
     bounds = scene.bbox()
     low, high = np.array(bounds.min, np.float64), np.array(bounds.max, np.float64)
     if not points.size:
         return low, high
-    first, last = np.percentile(points, (1, 99), axis=1)
-    margin = 0.02 * (last - first)
-    return np.maximum(first - margin, low), np.minimum(last + margin, high)
+    lower, upper = np.percentile(points, (1, 99), axis=1)
+    margin = 0.02 * (upper - lower)
+    return np.maximum(lower - margin, low), np.minimum(upper + margin, high)

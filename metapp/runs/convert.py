@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from data_tools.formats import AUTO, Reader
+from data_tools.formats import AUTO, Conversion
 from metapp.runs.reporter import progress, say
 from metapp.storage.files import check_readable, named
 
 if TYPE_CHECKING:
-    pass
+    from metapp.storage.manifest import Entry
 
 
 class Converted(NamedTuple):
@@ -24,13 +24,19 @@ class Converted(NamedTuple):
     skipped: list[str]
 
 
-def convert(reader: Reader, paths: Iterable[Path], out: Path, split: str, quiet: bool = False) -> Converted:
+def converted(app: str, out: Path, entries: Sequence[Entry], skipped: Iterable[str] = ()) -> Converted:
+    """What a data set holds that was written."""
+    names = {split: [entry.name for entry in entries if entry.split == split] for split in ("train", "test")}
+    return Converted(app, str(out), names["train"], names["test"], list(skipped))
+
+
+def convert(conversion: Conversion, paths: Iterable[Path], out: Path, split: str, quiet: bool = False) -> Converted:
     """Write the tasks of files and folders to `out`, all or nothing.
 
     A file that was named must be good; one that was found in a folder may be bad: it is skipped with a warning.
 
     Args:
-        reader: of this kind of file.
+        conversion: of this kind of file.
         paths: files, and folders to search.
         out: folder of the data set.
         split: "train", "test" or "auto".
@@ -41,24 +47,24 @@ def convert(reader: Reader, paths: Iterable[Path], out: Path, split: str, quiet:
     """
     from metapp.storage.shards import ShardWriter
 
-    sources, skipped = _find(reader, paths)
+    sources, skipped = _find(conversion, paths)
     bad: dict[Path, list[str]] = {}  # by the folder that was searched
     usable: set[Path] = set()
-    with ShardWriter(out, reader.app, reader.units, {**reader.notes, "split": split}) as writer:
-        with progress(f"{reader.noun}s", len(sources), quiet=quiet) as bar:
+    with ShardWriter(out, conversion.app, conversion.units, {**conversion.notes, "split": split}) as writer:
+        with progress(f"{conversion.noun}s", len(sources), quiet=quiet) as bar:
             for source, searched in sources.items():
-                bar.name(reader.name(source))
+                bar.name(conversion.name(source))
                 try:
-                    task = reader.read(source)
+                    task = conversion.read(source)
                 except (ValueError, OSError) as error:
                     if searched is None:
                         raise named(error, source) from None
                     bad.setdefault(searched, []).append(str(named(error, source)))
                 else:
-                    part = reader.split_of(source) if reader.split_of and split == AUTO else split
+                    part = conversion.split_of(source) if conversion.split_of and split == AUTO else split
                     writer.add(task, part, source)
                     usable |= {searched} if searched else set()
-                bar.advance(reader.name(source))
+                bar.advance(conversion.name(source))
         empty = [folder for folder in bad if folder not in usable]
         if empty and len(bad[empty[0]]) == 1:
             raise ValueError(bad[empty[0]][0])  # the one thing in it is likely what was meant
@@ -66,19 +72,20 @@ def convert(reader: Reader, paths: Iterable[Path], out: Path, split: str, quiet:
         for line in skipped:
             say(f"warning: skipped: {line}")
         if empty:
-            raise ValueError(f"{empty[0]}: {len(bad[empty[0]])} {reader.noun}s, none usable; expected at least one.")
+            raise ValueError(
+                f"{empty[0]}: {len(bad[empty[0]])} {conversion.noun}s, none usable; expected at least one."
+            )
         entries = writer.entries()
-    names = {part: [entry.name for entry in entries if entry.split == part] for part in ("train", "test")}
-    return Converted(reader.app, str(out), names["train"], names["test"], skipped)
+    return converted(conversion.app, out, entries, skipped)
 
 
-def _find(reader: Reader, paths: Iterable[Path]) -> tuple[dict[Path, Path | None], list[str]]:
+def _find(conversion: Conversion, paths: Iterable[Path]) -> tuple[dict[Path, Path | None], list[str]]:
     """All sources, each once, with the folder it was found in (None: it was named), and lines about skipped files."""
     found: dict[Path, tuple[Path, Path | None]] = {}
     skipped: list[str] = []
     for path in paths:
         check_readable(path)
-        sources, lines = reader.find([path])
+        sources, lines = conversion.find([path])
         skipped += lines
         for source in sources:
             key = source.resolve()
@@ -86,10 +93,10 @@ def _find(reader: Reader, paths: Iterable[Path]) -> tuple[dict[Path, Path | None
                 found[key] = (source, path if path.is_dir() else None)
     names: dict[str, Path] = {}
     for source, _ in found.values():
-        other = names.setdefault(reader.name(source), source)
+        other = names.setdefault(conversion.name(source), source)
         if other is not source:
             raise ValueError(
-                f"{other} and {source}: two tasks named '{reader.name(source)}', expected names that differ; "
+                f"{other} and {source}: two tasks named '{conversion.name(source)}', expected names that differ; "
                 "rename one, or convert them into two folders."
             )
     return dict(found.values()), skipped

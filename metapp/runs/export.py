@@ -54,7 +54,6 @@ def export_fit(
         assert surface is not None, f"{app.name} has no surface"
         form.writer().write(surface, path, {"task": task.name, **settings})
         return
-    assert form.writer is not None
     if form.holds and set(theta) != set(form.holds):
         theta = distilled(app, task, theta)
     form.writer().export(app, theta, path)

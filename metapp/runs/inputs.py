@@ -6,11 +6,11 @@ import functools
 import hashlib
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import torch
 
-from data_tools.formats import Files, Format, inputs_of
+from data_tools.formats import Format, inputs_of
 from metapp.learning.app import App
 from metapp.learning.task import Task
 from metapp.runs.embedded import embedded_data
@@ -106,18 +106,15 @@ def readers_of(app: App, path: Path, reading: Reading = AS_FILES_SAY) -> list[Fo
         raise ValueError(f"{path}: no such file or folder; give existing input files.")
     check_readable(path)
     known = inputs_of(app.name)
-    fitting = [(each, files) for each in known if each.files and (files := each.files()).recognises(path)]
+    fitting = [form for form in known if form.recognises(path)]
     if not fitting:
         expected = ", ".join(each.inputs for each in known)
         raise ValueError(f"{path}: not an input of {app.name}, expected {expected}, or a folder of these.")
-    return [_reader(form, files, reading, app.reads) for form, files in fitting]
+    return [_reader(form, reading, app.reads) for form in fitting]
 
 
-def _reader(form: Format, files: Files, reading: Reading, size: int) -> FoundReader:
-    known: dict[str, Any] = {"size": size} if size and form.takes_size else {}
-    known |= {"roots": reading.roots} if reading.roots and form.takes_roots else {}
-    known |= {"fov_rad": reading.fov_rad} if reading.fov_rad and form.takes_fov else {}
-    return FoundReader(files.find, functools.partial(files.read_task, **known))
+def _reader(form: Format, reading: Reading, size: int) -> FoundReader:
+    return FoundReader(form.find, functools.partial(form.read, size=size, **reading._asdict()))
 
 
 def _read(reader: FoundReader, path: Path, alone: bool) -> list[Task]:

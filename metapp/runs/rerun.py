@@ -5,8 +5,7 @@ from __future__ import annotations
 import json
 import math
 import os
-import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -14,9 +13,6 @@ from typing import Any, NamedTuple
 import torch
 
 from metapp.appearance.precision import FLOAT32
-from metapp.baselines import baselines_of
-from metapp.evaluation.tables import ablation, baselines
-from metapp.evaluation.tables.subject import Cell, Record, Subject
 from metapp.learning.task import Params, Task
 from metapp.paradigms import paradigms
 from metapp.runs.checkpoints import find_checkpoint
@@ -35,6 +31,7 @@ ELSEWHERE = 0.01
 AROUND = ("versions", "device", "precision")  # settings that figures depend on by rounding, or by a device's draws
 FOUND_BY = {"data": "give what was fitted after RECORD, or --data", "start": "give that file by --checkpoint"}
 TITLES = {"start": "checkpoint"}
+Record = dict[str, Any]
 _ALONE = "{}: a record of {}, expected one of a fit; metapp evaluate with another --out makes its table anew."
 
 
@@ -79,16 +76,20 @@ class Plan(NamedTuple):
 
     settings: dict[str, Any]
     tasks: list[Task]
-    fits: Any
+    fits: Callable[[list[Task]], Iterator[tuple[Record, Params | None]]]
 
 
-def rerun(record: Path, task: str, given: Given, *, quiet: bool) -> list[Repeated]:
+OfTable = Callable[[Options, dict[str, Any]], Plan | None]  # options and settings of a record -> what repeats it
+
+
+def rerun(record: Path, task: str, given: Given, of_table: OfTable, *, quiet: bool) -> list[Repeated]:
     """Repeat the rows of a record file.
 
     Args:
         record: the file, or a run's folder.
         task: the one to repeat; "" for all.
         given: in place of what records say.
+        of_table: what repeats rows that no paradigm's command makes; None where there is no such row.
         quiet: no progress.
 
     Raises:
@@ -99,22 +100,22 @@ def rerun(record: Path, task: str, given: Given, *, quiet: bool) -> list[Repeate
     for each in records:
         runs.setdefault(each["key"], []).append(each)
     done = []
-    with progress("rerun", len(records), quiet=quiet) as bar, tempfile.TemporaryDirectory() as scratch:
+    with progress("rerun", len(records), quiet=quiet) as bar:
         for of_run in runs.values():
-            for row in _repeat(folder, of_run, given, Path(scratch)):
+            for row in _repeat(folder, of_run, given, of_table):
                 done.append(row)
                 bar.advance(row.name)
     return done
 
 
-def _repeat(folder: Path, records: list[Record], given: Given, scratch: Path) -> Iterator[Repeated]:
+def _repeat(folder: Path, records: list[Record], given: Given, of_table: OfTable) -> Iterator[Repeated]:
     """The rows of one run, which share their settings."""
     first = records[0]
     if not holds(first, FIT):
         raise ValueError(_ALONE.format(first["name"], first["settings"].get("study", "no fit")))
     options = _options(folder, first, given)
     with threads(first.get("threads") or threads_of(options.app)), _as_precise(first["settings"]):
-        plan = _plan(options, first, given, scratch)
+        plan = _plan(options, first, given, of_table)
         around = _changed(first, plan.settings)
         around |= _differing({"machine": first.get("origin", {}).get("machine")}, {"machine": machine(options.device)})
         by_name = {task.name: task for task in plan.tasks}
@@ -141,16 +142,18 @@ def _options(folder: Path, record: Record, given: Given) -> Options:
         steps=settings.get("steps") or None,
         data=given.data or (None if given.inputs or origin.get("inputs") else known.get("data")),
         checkpoint=given.checkpoint or known.get("checkpoint"),
-        out=above[3 if "baseline" in settings else 2],
+        out=above[3 if "peer" in settings else 2],
         seed=settings["seed"],
         device=asked if asked != "cuda" or torch.cuda.is_available() else "cpu",
     )
 
 
-def _plan(options: Options, record: Record, given: Given, scratch: Path) -> Plan:
+def _plan(options: Options, record: Record, given: Given, of_table: OfTable) -> Plan:
     settings = record["settings"]
     if settings.get("paradigm") not in paradigms():
-        return _plan_of_table(options, settings, scratch)
+        if plan := of_table(options._replace(steps=None), settings):
+            return plan
+        raise ValueError(_ALONE.format(settings["app"], settings.get("paradigm") or settings.get("peer")))
     origin, paradigm = record.get("origin", {}), paradigms()[settings["paradigm"]]
     options = options.by(paradigm)
     inputs = list(given.inputs) or ([] if given.data else [Path(path) for path in origin.get("inputs", [])])
@@ -159,36 +162,6 @@ def _plan(options: Options, record: Record, given: Given, scratch: Path) -> Plan
     checkpoint = find_checkpoint(options, paradigm)
     now = settings_of(options, paradigm, checkpoint, label)
     return Plan(now, tasks, lambda some: fit_tasks(options, paradigm, checkpoint, some))
-
-
-def _plan_of_table(options: Options, settings: dict[str, Any], scratch: Path) -> Plan:
-    """Rows that no paradigm's command makes, from the table's own cells."""
-    subject = Subject(options._replace(steps=None), run=True, strict=False)
-    cell = _cell(subject, settings)
-    folder = cell and cell.folder
-    if cell is None or folder is None:
-        raise ValueError(_ALONE.format(settings["app"], settings.get("paradigm") or settings.get("baseline")))
-
-    def fits(some: list[Task]) -> Iterator[tuple[Record, Params | None]]:
-        folder.path = scratch  # what is measured now is kept nowhere
-        for record in cell.measure(some):
-            name = record["name"]
-            yield record, folder.theta(name) if folder.params(name).is_file() else None
-
-    return Plan(folder.settings, list(cell.tasks), fits)
-
-
-def _cell(subject: Subject, settings: dict[str, Any]) -> Cell | None:
-    """The cell of a table that a record is of: a baseline or half of a learned rule's row."""
-    if "baseline" in settings:
-        known = [baseline for baseline in baselines_of(subject.app) if baseline.name == settings["baseline"]]
-        return baselines.baseline_cell(subject, known[0]) if known else None
-    names = (settings.get("paradigm"), settings.get("rule"))
-    if names[0] not in (ablation.RULE_ALONE.name, ablation.START_ALONE.name):
-        return None
-    halves = [cell for name in ablation.learned(subject) for _, _, cell in ablation.combined(subject, name)]
-    of = {(cell.folder.settings["paradigm"], cell.folder.settings["rule"]): cell for cell in halves if cell.folder}
-    return of.get(names)
 
 
 def _differing(then: dict[str, Any], now: dict[str, Any]) -> dict[str, tuple[Any, Any]]:

@@ -15,13 +15,13 @@ from torch import Generator, Tensor
 from metapp.apps import app_names, load_app
 from metapp.baselines import baselines_of
 from metapp.baselines.baseline import Allowed, Fitted, Training, nearest
-from metapp.cli.evaluate import compare_baselines, find_subjects
+from metapp.cli.evaluate import draw
 from metapp.cli.show import rich_table
-from metapp.evaluation.figures import draw
+from metapp.evaluation.cell import run_cells
+from metapp.evaluation.figures import draw as draw_figure
+from metapp.evaluation.subject import Subject
 from metapp.evaluation.tables import load_table
-from metapp.evaluation.tables.baselines import baseline_cell, baseline_rows, baselines_with_pictures
-from metapp.evaluation.tables.running import run_cells
-from metapp.evaluation.tables.subject import Subject
+from metapp.evaluation.tables.baselines import baseline_cell, baseline_rows, picture_cells
 from metapp.learning.app import App, stack
 from metapp.learning.task import Task
 from metapp.runs.reporter import Reporter, reporting
@@ -81,8 +81,7 @@ def data(tmp_path: Path, rng: Generator) -> Callable[[str], Path]:
 def subject_of(data: Callable[[str], Path], tmp_path: Path, scene: Path) -> Callable[[str, str], Subject]:
     def make(name: str, protocol: str) -> Subject:
         options = options_of(name, observe=protocol, data=data(name), out=tmp_path / "runs", device="cpu", quiet=True)
-        (found,) = find_subjects([options], run=True, strict=False, share=1.0)
-        return found
+        return Subject(options, run=True, strict=False)
 
     return make
 
@@ -128,8 +127,10 @@ def test_its_table_prints_them(
     with (console := Console(width=200, force_terminal=False)).capture() as shown:
         console.print(rich_table(table, subject, table.rows(subject)))
     text = " ".join(shown.get().split())
-    drawn = [name for name, _, _ in baselines_with_pictures(subject)]
-    assert drawn == {"texture": ["nearest", "quilting", "patches"], "svbrdf_stationary": ["nearest"]}.get(name, [])
+    assert list(picture_cells(subject)) == {
+        "texture": ["nearest", "quilting", "patches"],
+        "svbrdf_stationary": ["nearest"],
+    }.get(name, [])
     for baseline in baselines_of(subject.app):
         assert baseline.name in text
         assert baseline.matches or baseline.cannot in text
@@ -157,10 +158,10 @@ def test_baselines_that_are_pictures_are_drawn_beside_metas_fits(subject_of: Cal
         folder.add({"name": task.name, "error": 1.0, "seconds": 1.0}, theta)
     subject._cells["meta"] = subject.cell("meta")._replace(folder=folder)
     made = subject.options.out / "texture" / f"baselines-{subject.label}-quick.png"
-    compare_baselines([subject])
+    draw([subject], ["baselines"])
     assert not made.exists()  # nothing was measured yet
     run_cells([baseline_cell(subject, baseline) for baseline in baselines_of(subject.app)], quiet=True)
-    compare_baselines([subject])
+    draw([subject], ["baselines"])
     assert made.read_bytes().startswith(b"\x89PNG")
     kept = subject.options.out / "texture" / "baselines" / "patches" / f"{subject.label}-quick-seed0"
     assert read_theta(kept, "t6")["picture"].shape == (64, 64, 3)
@@ -213,7 +214,7 @@ def test_the_plane_shows_baselines(subject_of: Callable[[str, str], Subject]) ->
     pretend_meta(subject, 5.0)
     (baseline,) = baselines_of(subject.app)
     run_cells([baseline_cell(subject, baseline)], quiet=True)
-    drawn = draw("plane", subject)
+    drawn = draw_figure("plane", subject)
     assert drawn
     assert "Meta 5.000 in 1 s" in drawn.caption
     assert ", nearest " in drawn.caption

@@ -34,7 +34,7 @@ METHODS: dict[str, dict[str, Any] | None] = {
     "regular + NEE": None,
     "guided + NEE": {},
     "guided + NEE, no prior": {"checkpoint": "none"},
-    "guided": {"joins": False},
+    "guided": {"emitter_sampling": False},
 }
 WARM = 48  # samples a pixel by which code is compiled and speeds are first known
 NEAR = 0.1  # of the seconds

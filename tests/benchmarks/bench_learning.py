@@ -38,6 +38,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
+from metapp.native import load
 from torch import Generator, Tensor
 from torch.nn.functional import avg_pool2d, conv2d, interpolate, linear
 from torch.utils._python_dispatch import TorchDispatchMode
@@ -49,7 +50,6 @@ from metapp.learning.learn import MetaParameters, after_learning, learn, spread
 from metapp.learning.recipe import Adam
 from metapp.learning.rules import META_EPS, RULES, sgd
 from metapp.learning.task import Batch, Params
-from metapp.native import load
 
 TASKS, STEPS, SAMPLES, RATE = 8, 10, 512, 1e-2
 ROUNDS = 25

@@ -20,9 +20,9 @@ from metapp.cli.show import rich_table
 from metapp.evaluation import study as studies
 from metapp.evaluation.figures import draw
 from metapp.evaluation.study import COMPOSED, QUICKFT, Budget, Case, Study, training_for
+from metapp.evaluation.subject import Subject
 from metapp.evaluation.tables import load_table
 from metapp.evaluation.tables.rules import fit_cell, train_cell
-from metapp.evaluation.tables.subject import Subject
 from metapp.learning.recipe import Adam
 from metapp.learning.rules import RULES, rule_of
 from metapp.learning.rules import table as rule_table

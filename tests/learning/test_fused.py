@@ -8,14 +8,14 @@ from pathlib import Path
 
 import pytest
 import torch
+from metapp.learning.flat import Layout
+from metapp.learning.fused import fuse
 from torch import Generator, Tensor
 
 from metapp import native
 from metapp.apps.brdf import APP, nbrdf_fused
 from metapp.learning import fused
 from metapp.learning.adjoint import Drawn, Loss, UpdateRule
-from metapp.learning.flat import Layout
-from metapp.learning.fused import fuse
 from metapp.learning.learn import MetaParameters, after_learning, learn, spread
 from metapp.learning.recipe import Adam
 from metapp.learning.rules import META_EPS, RULES, fixed_adam, sgd

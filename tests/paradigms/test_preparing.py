@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 import torch
+from metapp.paradigms.resuming import Interrupted, Prepared
 
 from metapp.learning.learn import MetaParameters
 from metapp.learning.recipe import Adam
@@ -17,7 +18,6 @@ from metapp.paradigms import Job, outer_loop, paradigms, tuning
 from metapp.paradigms import training as prepare
 from metapp.paradigms.paradigm import Given
 from metapp.paradigms.quickft import QUICKFT
-from metapp.paradigms.resuming import Interrupted, Prepared
 from metapp.paradigms.validation import split_validation, validation_error
 from tests.paradigms.small import OWN_RULES, PAIRS, rng, start_for
 

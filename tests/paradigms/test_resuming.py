@@ -12,12 +12,12 @@ from typing import Any
 
 import pytest
 import torch
+from metapp.paradigms.resuming import Interrupted, Prepared, Reached
 
 from metapp.learning.learn import MetaParameters
 from metapp.learning.task import Tasks
 from metapp.paradigms import Job, paradigms, tuning
 from metapp.paradigms import training as prepare
-from metapp.paradigms.resuming import Interrupted, Prepared, Reached
 from metapp.storage.records import save_checkpoint
 from metapp.storage.training_checkpoint import TrainingCheckpoint
 from tests.paradigms.small import OWN_RULES, rng, start_for

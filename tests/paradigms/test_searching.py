@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 
 import pytest
 import torch
+from metapp.paradigms.resuming import Interrupted, Prepared
 
 from metapp.apps import load_app
 from metapp.learning.learn import MetaParameters
@@ -19,7 +20,6 @@ from metapp.paradigms import Job, Paradigm, tuning
 from metapp.paradigms import training as prepare
 from metapp.paradigms.paradigm import Given
 from metapp.paradigms.quickft import QUICKFT, adam_of
-from metapp.paradigms.resuming import Interrupted, Prepared
 from tests.paradigms.small import rng
 
 # The search of QuickFT's Adam, on errors in closed form

@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from data_tools.readers.brdf_task import brdf_task
-from data_tools.readers.nbrdf import SHAPES, export, find_nbrdf, nbrdf_evaluate, read_nbrdf, read_task, write_nbrdf
+from data_tools.readers.nbrdf import SHAPES, export, find, nbrdf_evaluate, read_nbrdf, read_task, write_nbrdf
 from data_tools.synthetic.brdf import synthetic_materials
 from metapp.appearance.geometry import above_horizon, rusinkiewicz_to_directions
 from metapp.apps.brdf import APP
@@ -94,13 +94,13 @@ def test_evaluate_takes_tensors_and_has_gradients() -> None:
 def test_names_in_front(tmp_path: Path) -> None:
     make_network(tmp_path, "red_felt_", seed=3)
     np.testing.assert_array_equal(read_nbrdf(tmp_path)["fc3"], make_weights(3)["fc3"])
-    assert find_nbrdf([tmp_path]) == ([tmp_path / "red_felt"], [])
+    assert find([tmp_path]) == ([tmp_path / "red_felt"], [])
     make_network(tmp_path, "gold_", seed=4)
     with pytest.raises(ValueError, match=r"2 networks \(gold, red_felt\), expected one; name it: .*gold"):
         read_nbrdf(tmp_path)
-    assert find_nbrdf([tmp_path])[0] == [tmp_path / "gold", tmp_path / "red_felt"]
+    assert find([tmp_path])[0] == [tmp_path / "gold", tmp_path / "red_felt"]
     np.testing.assert_array_equal(read_nbrdf(tmp_path / "gold")["b1"], make_weights(4)["b1"])
-    assert find_nbrdf([tmp_path / "gold"])[0] == [tmp_path / "gold"]
+    assert find([tmp_path / "gold"])[0] == [tmp_path / "gold"]
     make_network(tmp_path, "", seed=5)
     np.testing.assert_array_equal(read_nbrdf(tmp_path)["b1"], make_weights(5)["b1"])
 
@@ -112,25 +112,25 @@ def test_find(tmp_path: Path) -> None:
     (tmp_path / "set" / "broken" / "b2.npy").unlink()
     make_network(tmp_path / "set" / ".hidden")
     (tmp_path / "set" / "notes.txt").write_text("")
-    found, skipped = find_nbrdf([tmp_path, tmp_path / "set" / "gold"])
+    found, skipped = find([tmp_path, tmp_path / "set" / "gold"])
     assert found == [tmp_path / "set" / "gold", tmp_path / "set" / "tin"]
     assert len(skipped) == 1
     assert "broken: no file for b2, expected fc1.npy" in skipped[0]
     with pytest.raises(ValueError, match="broken: no file for b2"):
-        find_nbrdf([tmp_path / "set" / "broken"])
+        find([tmp_path / "set" / "broken"])
     with pytest.raises(ValueError, match="no such folder"):
-        find_nbrdf([tmp_path / "none"])
+        find([tmp_path / "none"])
     with pytest.raises(ValueError, match="a file, expected"):
-        find_nbrdf([tmp_path / "set" / "notes.txt"])
+        find([tmp_path / "set" / "notes.txt"])
     shutil.rmtree(tmp_path / "set")
     with pytest.raises(ValueError, match="no NBRDF network, expected"):
-        find_nbrdf([tmp_path])
+        find([tmp_path])
 
 
 def test_tasks_are_named_by_their_folders(tmp_path: Path) -> None:
     for index, name in enumerate(("gold", "tin")):
         make_network(tmp_path / name, seed=index)
-    gold, tin = map(read_task, find_nbrdf([tmp_path])[0])
+    gold, tin = map(read_task, find([tmp_path])[0])
     assert (gold.name, tin.name) == ("gold", "tin")
     expected = nbrdf_evaluate(make_weights(1), tin.data["angles"])
     torch.testing.assert_close(tin.data["reflectance"], expected)

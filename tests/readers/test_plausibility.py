@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 import torch
 
-from data_tools.readers.merl import read_task, write_merl_planes
-from data_tools.readers.merl_table import SHAPE
+from data_tools.readers.merl import read_task, write_merl
+from data_tools.readers.merl_table import SCALE, SHAPE
 from data_tools.readers.nbrdf import SHAPES, write_nbrdf
 from data_tools.readers.nbrdf import read_task as read_network
 from data_tools.readers.plausibility import normal_albedo
@@ -47,7 +47,7 @@ def test_a_diffuse_surface_is_not_warned_of(tmp_path: Path) -> None:
 
 
 def test_a_merl_file_of_absurd_values_is_warned_of(tmp_path: Path) -> None:
-    write_merl_planes(tmp_path / "gold.binary", np.full((3, *SHAPE), 1e30))
+    write_merl(tmp_path / "gold.binary", 1e30 * np.broadcast_to(SCALE, (*SHAPE, 3)))
     with pytest.warns(UserWarning, match=r"gold.binary: reflectance of up to 1.11e\+27 /sr, expected at most 1e\+06"):
         read_task(tmp_path / "gold.binary", samples=64)
 

@@ -36,11 +36,11 @@ def mi() -> Any:
 
 
 @pytest.fixture(autouse=True)
-def said_nothing() -> Iterator[None]:
-    """Every reason may be told once a test; none is told unless a test expects it."""
+def no_warnings() -> Iterator[None]:
+    """Every reason may be warned of once a test; none is unless a test expects it."""
     from metapp.rendering import guided_plugin
 
-    guided_plugin._SAID.clear()
+    guided_plugin._WARNED.clear()
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         yield
@@ -88,10 +88,13 @@ def guided_from_few_paths_on(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("metapp.rendering.guided_plugin.FEWEST", 2**10)
 
 
-@pytest.mark.parametrize("joins", [True, False])
-def test_the_mean_is_that_of_path_in_a_box(mi: Any, joins: bool) -> None:
+@pytest.mark.parametrize("emitter_sampling", [True, False])
+def test_the_mean_is_that_of_path_in_a_box(mi: Any, emitter_sampling: bool) -> None:
     scene = loaded(mi, box(1))  # has glass and metal
-    guided, plain = pictures(mi, scene, "guided_path", emitter_sampling=joins), pictures(mi, scene, "path")
+    guided, plain = (
+        pictures(mi, scene, "guided_path", emitter_sampling=emitter_sampling),
+        pictures(mi, scene, "path"),
+    )
     assert abs(deviation(guided[:, SIZE // 2 :], plain[:, SIZE // 2 :])) < 3
     assert abs(deviation(guided, plain)) < 3
 
@@ -118,12 +121,12 @@ def test_a_cache_that_is_wrong_about_itself_is_found_out(mi: Any, monkeypatch: p
     assert abs(deviation(pictures(mi, scene, "guided_path"), pictures(mi, scene, "path"))) > 5
 
 
-@pytest.mark.parametrize(("joins", "at_most"), [(True, 0.85), (False, 0.6)])
-def test_there_is_less_noise(mi: Any, monkeypatch: pytest.MonkeyPatch, joins: bool, at_most: float) -> None:
+@pytest.mark.parametrize(("emitter_sampling", "at_most"), [(True, 0.85), (False, 0.6)])
+def test_there_is_less_noise(mi: Any, monkeypatch: pytest.MonkeyPatch, emitter_sampling: bool, at_most: float) -> None:
     from metapp.rendering.guide_cache import GuideCache
 
     scene, noise = loaded(mi, box(101), 64), []
-    integrator = mi.load_dict({"type": "guided_path", "emitter_sampling": joins, "max_depth": 5})
+    integrator = mi.load_dict({"type": "guided_path", "emitter_sampling": emitter_sampling, "max_depth": 5})
     for learns in (True, False):
         if not learns:
             monkeypatch.setattr(GuideCache, "learn", lambda cache: 0)
@@ -240,10 +243,11 @@ def test_samples_are_spread_over_the_film(mi: Any, shape: tuple[int, int, int]) 
 
 
 def test_the_guard_leaves_a_guide_that_does_not_pay(mi: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    from metapp.rendering.guide_cache import CELLS, GuideCache
+    from metapp.rendering.guide_cache import GuideCache
+    from metapp.rendering.guide_histogram import BINS
 
     def wrong(cache: GuideCache) -> int:  # whatever is learned, all paths but the fewest go one way
-        cache._tabulate(torch.eye(CELLS, dtype=torch.float64)[5:6])
+        cache._tabulate(torch.eye(BINS, dtype=torch.float64)[5:6])
         return 1
 
     monkeypatch.setattr(GuideCache, "learn", wrong)

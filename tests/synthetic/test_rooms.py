@@ -9,10 +9,10 @@ import pytest
 import torch
 
 from data_tools.synthetic.rooms import KINDS, random_room
-from metapp.apps.transport.guiding import APP
 from metapp.learning.app import stack
 from metapp.learning.task import Task, problems_of
-from metapp.rendering.guide_cache import CELLS
+from metapp.rendering.guide_histogram import BINS
+from metapp.rendering.guide_training import APP
 from tests.needs_mitsuba import needs_mitsuba
 
 
@@ -53,15 +53,15 @@ def test_tasks_of_guide_priors_hold_what_they_must(monkeypatch: pytest.MonkeyPat
 
 
 def test_even_densities_have_the_loss_of_chance() -> None:
-    """Whatever paths found: the mean of squares over an even density is their sum times the number of cells."""
-    squares = torch.rand(6, CELLS)
+    """Whatever paths found: the mean of squares over an even density is their sum times the number of bins."""
+    squares = torch.rand(6, BINS)
     squares /= squares.sum(1, keepdim=True)
     task = Task("a", {"features": torch.randn(6, 8, 16, 16), "visible": squares, "truth": squares.flip(0)})
     tasks = stack(APP, [task, task])
     rng = torch.Generator().manual_seed(0)
     theta = {key: torch.zeros_like(value) for key, value in APP.init(rng, 2).items()}
     batch = APP.sample(tasks, rng, 4)
-    even = torch.full((2,), math.log(CELLS))
+    even = torch.full((2,), math.log(BINS))
     torch.testing.assert_close(APP.loss(theta, batch, {}), even)
     torch.testing.assert_close(APP.outer_loss(theta, batch, {}), even)
     torch.testing.assert_close(APP.errors(theta, tasks)["error"], even)

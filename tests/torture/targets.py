@@ -100,10 +100,10 @@ def _merl_file(rng: random.Random, folder: Path) -> Path:
 def _read_merl(folder: Path, file: Path) -> None:
     import numpy as np
 
-    from data_tools.readers.merl import find_merl, read_merl
+    from data_tools.readers.merl import find, read_merl
     from data_tools.readers.merl_table import SHAPE
 
-    find_merl([file])
+    find([file])
     table = read_merl(file)
     if table.shape != (*SHAPE, 3) or not np.isfinite(table).all():
         raise BadResult(f"table {table.shape} or not finite")

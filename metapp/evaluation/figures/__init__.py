@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, NamedTuple
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from metapp.evaluation.tables.subject import Subject
+    from metapp.evaluation.subject import Subject
 
 FIGURES = {
     "plane": "quality.plane",
@@ -54,12 +54,14 @@ def write_figures(subjects: Sequence[Subject], folder: Path, names: Sequence[str
         The PNG files.
     """
     from metapp.evaluation.figures.style import save
+    from metapp.runs.session import name_of
 
     files = []
     for subject in subjects:
         for name in names:
             drawn = draw(name, subject)
             if drawn:
-                stem = "-".join(filter(None, (*subject.key, name)))
-                files += [save(drawn.figure, folder / f"{stem}.png"), save(drawn.figure, folder / f"{stem}.pdf")][:1]
+                stem = f"{name_of(subject.app)} {name}".replace(" ", "-")
+                files.append(save(drawn.figure, folder / f"{stem}.png"))
+                save(drawn.figure, folder / f"{stem}.pdf")
     return files

@@ -9,8 +9,8 @@ from matplotlib.ticker import NullLocator
 from metapp.evaluation.figures import Drawn
 from metapp.evaluation.figures.quality import factor
 from metapp.evaluation.figures.style import COLOURS, INK, TITLES, legend, line, new
-from metapp.evaluation.tables.subject import Subject
-from metapp.evaluation.tables.trace import CURVES, trace_cell
+from metapp.evaluation.subject import Subject
+from metapp.evaluation.trace import CURVES, trace_cell
 
 SHOWN = 3  # paths
 

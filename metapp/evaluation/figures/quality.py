@@ -6,9 +6,9 @@ from matplotlib.ticker import MaxNLocator
 
 from metapp.evaluation.figures import Drawn
 from metapp.evaluation.figures.style import BASELINE, COLOURS, MARKERS, MUTED, TITLES, legend, line, new
+from metapp.evaluation.subject import Subject
 from metapp.evaluation.tables.baselines import baseline_rows
 from metapp.evaluation.tables.results import result_row
-from metapp.evaluation.tables.subject import Subject
 
 OFFSETS = {"meta": (8, 8), "quickft": (6, -13)}  # points; the two often lie close
 

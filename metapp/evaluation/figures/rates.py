@@ -7,7 +7,7 @@ from torch import Tensor
 
 from metapp.evaluation.figures import Drawn
 from metapp.evaluation.figures.style import COLOURS, INK, new
-from metapp.evaluation.tables.subject import Subject
+from metapp.evaluation.subject import Subject
 from metapp.learning.rules import rule_of
 from metapp.learning.task import Params
 

@@ -6,11 +6,10 @@ from typing import Any
 
 from metapp.evaluation.figures import Drawn
 from metapp.evaluation.figures.style import COLOURS, GRID, INK, new
+from metapp.evaluation.rows import Row, paired_of
 from metapp.evaluation.study import QUICKFT
-from metapp.evaluation.tables.comparison import paired_of
-from metapp.evaluation.tables.rows import Row
+from metapp.evaluation.subject import Subject
 from metapp.evaluation.tables.rules import rows
-from metapp.evaluation.tables.subject import Subject
 
 BELOW, ABOVE, LEVEL = COLOURS["overfit"], COLOURS["meta"], "#999999"
 ROW = 0.21  # inches

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from metapp.evaluation.figures import Drawn
 from metapp.evaluation.figures.style import new
-from metapp.evaluation.tables.subject import Subject
-from metapp.evaluation.tables.trace import PARTS, states_of, trace_cell
+from metapp.evaluation.subject import Subject
+from metapp.evaluation.trace import PARTS, parts_of, trace_cell
 from metapp.runs.pictures import to_srgb
 
 SHOWN = 4  # tasks
@@ -20,7 +20,7 @@ def strips(subject: Subject) -> Drawn | None:
         return None
     pictures = []
     for task in tasks:
-        made = [subject.presentation.outputs(theta, task) for theta in states_of(cell, task).values()]
+        made = [subject.presentation.outputs(theta, task) for theta in parts_of(cell, task).values()]
         last = [made[-1]["reference"]] if "reference" in made[-1] else []
         pictures.append([to_srgb(picture) for picture in [*(each["fit"] for each in made), *last]])
     height, width = pictures[0][0].shape[:2]

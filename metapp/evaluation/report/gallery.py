@@ -7,10 +7,11 @@ from typing import Any
 
 from metapp.evaluation.figures.style import TITLES
 from metapp.evaluation.report.html import Pictures, anchor, identifier
-from metapp.evaluation.tables.subject import Subject
+from metapp.evaluation.subject import Subject, evenly
 from metapp.learning.task import Task
 from metapp.runs.pictures import to_srgb
 from metapp.runs.reporter import number
+from metapp.runs.session import name_of
 
 SHOWN = 8  # tasks
 Records = dict[str, dict[str, Any]]
@@ -18,7 +19,7 @@ Records = dict[str, dict[str, Any]]
 
 def gallery_html(subject: Subject, pictures: Pictures) -> str:
     """Up to SHOWN tasks, evenly spaced, a row each; a click on a fit shows its record."""
-    rows = [_task_html(subject, task, pictures) for task in subject.some(SHOWN)]
+    rows = [_task_html(subject, task, pictures) for task in evenly(subject.tasks, SHOWN)]
     rows = [row for row in rows if row]
     return f'<div class="gallery">{"".join(rows)}</div>' if rows else ""
 
@@ -34,12 +35,14 @@ def _task_html(subject: Subject, task: Task, pictures: Pictures) -> str:
         theta = cell.folder.theta(task.name)
         made = subject.presentation.outputs(theta, task)
         if not shown and "reference" in made:
-            address = pictures.add_array(identifier(*subject.key, task.name, "reference"), to_srgb(made["reference"]))
+            address = pictures.add_array(
+                identifier(name_of(subject.app), task.name, "reference"), to_srgb(made["reference"])
+            )
             alt = escape(f"{task.name}: reference")
             shown += (
                 f'<figure><img loading="lazy" src="{address}" alt="{alt}"><figcaption>Reference</figcaption></figure>'
             )
-        address = pictures.add_array(identifier(*subject.key, task.name, name), to_srgb(made["fit"]))
+        address = pictures.add_array(identifier(name_of(subject.app), task.name, name), to_srgb(made["fit"]))
         said = f"{number(record['error'], '.3f')}, {record['seconds']:.3g} s"
         alt = escape(f"{task.name}: {title}, error {said}")
         shown += (

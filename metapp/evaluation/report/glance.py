@@ -7,12 +7,13 @@ from html import escape
 
 from metapp.evaluation.figures import draw
 from metapp.evaluation.figures.style import TITLES
+from metapp.evaluation.notes import carried, overfit_note, warned
 from metapp.evaluation.report.html import Pictures, anchor, drawn_html
-from metapp.evaluation.tables.comparison import carried, paired_of, warned
-from metapp.evaluation.tables.results import budget, result_row
-from metapp.evaluation.tables.rows import Row, paper
-from metapp.evaluation.tables.subject import Subject
+from metapp.evaluation.rows import Row, paired_of, paper
+from metapp.evaluation.subject import Subject
+from metapp.evaluation.tables.results import result_row
 from metapp.runs.reporter import number
+from metapp.runs.session import is_first_protocol
 from metapp.runs.statistics import apart
 
 TIMES = "&times;"
@@ -32,9 +33,9 @@ def card(subject: Subject, pictures: Pictures) -> str:
     rows = [result_row(subject, name) for name in TITLES]
     (gap, speed), (paper_gap, paper_speed) = (carried(rows, f"{of}error", f"{of}seconds") for of in ("", "paper_"))
     lines = [f"{_big(speed, ',.0f', TIMES)} as fast as Overfit {_small(paper_speed, ',.0f', TIMES)}"]
-    if subject.is_papers:
+    if is_first_protocol(subject.app):
         lines.insert(0, f"{_big(gap, '.0%')} of the gap closed {_small(paper_gap, '.0%')}")
-    lines += [badge(rows), *(f"<small>{escape(note)}</small>" for note in (*warned(rows), *budget(subject)))]
+    lines += [badge(rows), *(f"<small>{escape(note)}</small>" for note in (*warned(rows), *overfit_note(subject)))]
     drawn = draw("plane", subject)
     picture = drawn_html(drawn, f"{anchor(subject)}-plane", pictures, "plain") if drawn else ""
     said = "".join(f"<li>{line}</li>" for line in lines)
@@ -71,7 +72,7 @@ def badge(rows: list[Row]) -> str:
 def matrix(subjects: Sequence[Subject]) -> str:
     """Paradigms by applications: error and seconds, the paper's below in small."""
     titles = paper()["titles"]
-    about: dict[str, Subject] = {subject.app.name: subject for subject in subjects if subject.is_papers}
+    about: dict[str, Subject] = {subject.app.name: subject for subject in subjects if is_first_protocol(subject.app)}
     names = [*(name for name in titles if name in about), *(name for name in about if name not in titles)]
     top = "".join(f'<th scope="col" colspan="2">{escape(titles.get(name, about[name].title))}</th>' for name in names)
     below = "<th scope='col'>error</th><th scope='col'>seconds</th>" * len(names)

@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 
 from metapp.evaluation.figures import Drawn
-from metapp.evaluation.tables.formats import notes_of, title_of
-from metapp.evaluation.tables.rows import Row
-from metapp.evaluation.tables.subject import Subject
-from metapp.evaluation.tables.table import Table
+from metapp.evaluation.formats import title_of
+from metapp.evaluation.rows import Row, Table
+from metapp.evaluation.subject import Subject
+from metapp.runs.session import name_of
 from metapp.storage.files import write_atomically
 
 EMBEDDED = 14_000_000  # bytes of pictures up to which they are part of the page; else they lie beside it
@@ -70,7 +70,7 @@ def table_html(table: Table, subject: Subject, rows: list[Row]) -> str:
         + "</tr>"
         for row in rows
     )
-    notes = "".join(f"<li>{escape(note)}</li>" for note in notes_of(table, subject, rows))
+    notes = "".join(f"<li>{escape(note)}</li>" for note in table.notes(subject, rows))
     caption = escape(title_of(table, subject, rows))
     return (
         f'<div class="scroll"><table class="sortable"><caption>{caption}</caption><thead><tr>{head}</tr></thead>'
@@ -103,7 +103,7 @@ def drawn_html(drawn: Drawn, name: str, pictures: Pictures, kind: str = "figure"
 
 def anchor(subject: Subject) -> str:
     """The id of an application's section."""
-    return identifier(*subject.key)
+    return identifier(name_of(subject.app))
 
 
 def identifier(*parts: Any) -> str:

@@ -16,9 +16,9 @@ from metapp.evaluation.figures import FIGURES, draw
 from metapp.evaluation.report.gallery import gallery_html, records_of, tasks_html
 from metapp.evaluation.report.glance import glance
 from metapp.evaluation.report.html import Pictures, anchor, drawn_html, table_html
+from metapp.evaluation.rows import paper
+from metapp.evaluation.subject import Subject
 from metapp.evaluation.tables import NAMES, load_table
-from metapp.evaluation.tables.rows import paper
-from metapp.evaluation.tables.subject import Subject
 from metapp.runs.session import make_folder, versions
 from metapp.storage.files import write_atomically
 

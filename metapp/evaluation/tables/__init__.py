@@ -1,6 +1,6 @@
 """The tables of `metapp evaluate`; one is a module here that defines TABLE, a further one needs its name here.
 
-NAMES are those of records of fits by checkpoints that are there, STUDIES those that train for themselves.
+NAMES are those of fits by checkpoints that are there, STUDIES those that train for themselves.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ import importlib
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from metapp.evaluation.tables.table import Table
+    from metapp.evaluation.rows import Table
 
 NAMES = ("results", "quickft", "image", "ablation", "storage", "samples", "convergence", "baselines")
 STUDIES = ("rules",)  # hours: no part of "all", nor of the report

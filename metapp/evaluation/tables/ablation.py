@@ -1,17 +1,30 @@
-"""The paper's ablation: General's start with Meta's learned rule, Meta's start with Adam, both, neither; and all rules.
+"""The paper's ablation: General's initialisation with Meta's rule, Meta's initialisation with Adam, both, neither.
 
-Nothing is trained: what is there is combined anew, as (start, rule) of the same learn.
+Nothing is trained: initialisations and rules that are there are combined anew in the same fit, for all learned rules.
 """
 
 from __future__ import annotations
 
 from dataclasses import asdict
 
-from metapp.evaluation.tables.comparison import paired_columns, paired_entries, paired_note, paired_of, warned
-from metapp.evaluation.tables.results import COMPARED, result_row
-from metapp.evaluation.tables.rows import LAST, Row, numbers, words
-from metapp.evaluation.tables.subject import Cell, Fit, Subject
-from metapp.evaluation.tables.table import Table
+from metapp.evaluation.cell import Cell
+from metapp.evaluation.notes import paired_note, warned
+from metapp.evaluation.rows import (
+    ERROR,
+    INTERVAL,
+    MEDIAN,
+    SECONDS,
+    STEPS,
+    WORST,
+    Row,
+    Table,
+    against,
+    paired_of,
+    row_of,
+    words,
+)
+from metapp.evaluation.subject import Fit, Subject
+from metapp.evaluation.tables.results import COMPARED, COMPARISON, result_row
 from metapp.learning.learn import MetaParameters
 from metapp.learning.recipe import Guard
 from metapp.paradigms import Paradigm
@@ -21,47 +34,57 @@ from metapp.runs.session import Checkpoint, caption_of
 from metapp.runs.statistics import apart
 from metapp.storage.records import tensor_digest
 
-# what is doubtful of a rule's fits is known of its own start
+# which fits by a rule are doubtful is known from its own initialisation alone
 RULE_ALONE = META._replace(name="ablation-rule", guard=lambda job: Guard(job.recipe.quickft))
 START_ALONE = Paradigm("ablation-start", META.needs, META.initialisation, QUICKFT.rule, QUICKFT.steps)
 
 
 def learned(subject: Subject) -> list[str]:
-    """The rows of the results that a learned rule makes from the network that General predicts."""
-    meta = {name: fit for name, fit in subject.fits.items() if fit.paradigm.name == "meta"}
-    return [name for name, fit in meta.items() if fit.options.app is subject.app]
+    """The rows of the results by a learned rule, with the network that General predicts."""
+    return [name for name, fit in subject.fits.items() if fit.paradigm.name == "meta" and fit.app is subject.app]
 
 
 def combined(subject: Subject, name: str) -> list[tuple[str, str, Cell]]:
-    """Half of a learned rule's row at a time: (start, rule, cell); none where a checkpoint is missing.
+    """A learned rule's row with one of its halves replaced: (initialisation, rule, cell) of both.
 
     Args:
         subject: of which application.
         name: the row, "meta" or "meta:<rule>".
+
+    Returns:
+        None where a checkpoint is missing.
     """
     meta, general, quickft = (subject.fits[each] for each in (name, "general", "quickft"))
-    starts = (meta.checkpoint, general.checkpoint, quickft.checkpoint)
-    if any(start is None for start in starts):
+    if meta.checkpoint is None or general.checkpoint is None or quickft.checkpoint is None:
         return []
-    rule = meta.options.rule
-    if same_start(subject, name):
+    rule, adam = meta.job.rule, adam_of(meta.job, quickft.checkpoint.prepared)
+    if same_initialisation(subject, name):
         return [("general", rule, subject.cell(name)), (f"meta ({rule})", "adam", subject.cell("quickft"))]
-    learnt, encoder, tuned = (start.prepared for start in starts if start)
-    digest = "+".join(start.digest for start in starts if start)
-    options, found = meta.options, []
-    for paradigm, words_of, prepared in (
-        (RULE_ALONE, ("general", rule), MetaParameters(alpha=learnt.alpha, encoder=encoder.encoder)),
-        (START_ALONE, (f"meta ({rule})", "adam"), learnt._replace(alpha=tuned.alpha)),
-    ):
-        adam = asdict(adam_of(options.job, tuned)) if paradigm is START_ALONE else None
-        settings = {"rule": rule, "adam": adam}
-        fit = Fit(f"ablation {' + '.join(words_of)}", options, paradigm, Checkpoint(prepared, "combined", digest))
-        found.append((*words_of, subject.fit_cell(fit, settings, rule)))
+    digest = "+".join(fit.checkpoint.digest for fit in (meta, general, quickft) if fit.checkpoint)
+    halves = (
+        (
+            RULE_ALONE,
+            ("general", rule),
+            MetaParameters(alpha=meta.checkpoint.prepared.alpha, encoder=general.checkpoint.prepared.encoder),
+            None,
+        ),
+        (
+            START_ALONE,
+            (f"meta ({rule})", "adam"),
+            meta.checkpoint.prepared._replace(alpha=quickft.checkpoint.prepared.alpha),
+            asdict(adam),
+        ),
+    )
+    found = []
+    for paradigm, (initialisation, by), prepared, settings in halves:
+        checkpoint = Checkpoint(prepared, "combined", digest)
+        fit = Fit(f"ablation {initialisation} + {by}", meta.options, paradigm, checkpoint)
+        found.append((initialisation, by, subject.fit_cell(fit, {"rule": rule, "adam": settings}, rule)))
     return found
 
 
-def same_start(subject: Subject, name: str) -> bool:
-    """Whether a learned rule starts at General's own prediction."""
+def same_initialisation(subject: Subject, name: str) -> bool:
+    """Whether a learned rule begins at General's own prediction."""
     meta, general = (subject.fits[each].checkpoint for each in (name, "general"))
     if meta is None or general is None or not meta.prepared.encoder:
         return False
@@ -78,14 +101,11 @@ def rows(subject: Subject) -> list[Row]:
     """Neither, one of the two, and both, for every learned rule that has a checkpoint."""
     found = [result_row(subject, "quickft") | {"start": "general", "rule": "adam"}]
     for name in learned(subject):
-        rule = subject.fits[name].options.rule
-        steps = META.count(subject.options.job)
+        rule, steps = subject.fits[name].job.rule, subject.fits[name].steps
         for start, by, cell in combined(subject, name):
             what = f"{start}+{by}"
-            row = subject.row(what, cell, start=start, rule=by, steps=steps) | {"paper_error": None}
-            for other in COMPARED:
-                row |= paired_entries(other, subject.paired(cell, subject.cell(other)))
-            found.append(row)
+            entries = {"start": start, "rule": by, "steps": steps, "paper_error": None}
+            found.append(row_of(subject, what, [cell], entries, against=against(subject, what, *COMPARED)))
         found.append(result_row(subject, name) | {"start": f"meta ({rule})", "rule": rule})
     for row in found:
         row["apart"] = apart(paired_of(row, "quickft"))
@@ -94,25 +114,22 @@ def rows(subject: Subject) -> list[Row]:
 
 def notes(subject: Subject, found: list[Row]) -> list[str]:
     """What is the same by construction, and what adam is."""
-    said = ["adam: QuickFT's, searched on validation tasks for General's start", caption_of(subject.app)]
-    for name in learned(subject):
-        rule = subject.fits[name].options.rule
-        own = f"{rule}'s start is General's own: rows that differ in it alone are of the same fits"
-        said += [own] if same_start(subject, name) else []
-    return [*said, *warned(found), *paired_note(found)]
+    lines = ["adam: QuickFT's, searched on validation tasks for General's initialisation", caption_of(subject.app)]
+    lines += [
+        f"{subject.fits[name].job.rule} begins at General's own prediction: rows that differ in the initialisation "
+        "alone are of the same fits"
+        for name in learned(subject)
+        if same_initialisation(subject, name)
+    ]
+    return [*lines, *warned(found), *paired_note(found)]
 
 
+COLUMNS = (words("initialisation", "start"), words("rule", "rule"), ERROR, *COMPARISON)
 TABLE = Table(
     "ablation",
-    "mean error{factor} of starts and rules",
-    (
-        words("start", "start"),
-        words("rule", "rule"),
-        numbers("error", "error", ".3f"),
-        *paired_columns("quickft"),
-        *LAST,
-    ),
-    cells,
+    "mean error{factor} of initialisations and rules",
+    (*COLUMNS, INTERVAL, STEPS, SECONDS, MEDIAN, WORST),
     rows,
     notes,
+    cells,
 )

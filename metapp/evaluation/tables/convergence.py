@@ -2,15 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
-from metapp.evaluation.tables.results import budget
-from metapp.evaluation.tables.rows import Row, interval, numbers, paper, words
-from metapp.evaluation.tables.subject import Cell, Record, Subject
-from metapp.evaluation.tables.table import Table
-from metapp.evaluation.tables.trace import FURTHER, PARTS, TRACED, at, near, trace_cell
-
-Take = Callable[[Record], float | None]
+from metapp.evaluation.cell import Cell, Record
+from metapp.evaluation.notes import overfit_note
+from metapp.evaluation.rows import (
+    ERROR,
+    INTERVAL,
+    MEDIAN,
+    PARADIGM,
+    WORST,
+    Row,
+    Table,
+    Take,
+    numbers,
+    paper,
+    row_of,
+    words,
+)
+from metapp.evaluation.subject import Subject
+from metapp.evaluation.trace import FURTHER, PARTS, TRACED, near, step_at, trace_cell
 
 
 def cells(subject: Subject) -> list[Cell]:
@@ -20,30 +29,27 @@ def cells(subject: Subject) -> list[Cell]:
 
 def rows(subject: Subject) -> list[Row]:
     """Meta's error after each part of its steps, then after further steps, and Overfit's on the same tasks."""
-    cell, fits = trace_cell(subject), subject.fits
-    steps = {name: fits[name].paradigm.count(fits[name].options.job) for name in ("meta", "overfit")}
-    made = [
-        _row(subject, cell, "meta", after("meta", at(part, steps["meta"])), f"{part:.0%}", at(part, steps["meta"]))
-        for part in PARTS
-    ]
-    last = _row(subject, cell, "meta", lambda record: record["further"][-1][1], "further", None)
-    overfit = _row(subject, cell, "overfit", after("overfit", steps["overfit"]), "100%", steps["overfit"])
-    needed = [steps_needed(record) for record in cell.records()]
-    if needed:
+    cell, nothing = trace_cell(subject), {"further": None, "near": None, "paper_further": None}
+
+    def row(paradigm: str, part: str, step: int | None, take: Take) -> Row:
+        entries = {"part": part, "step": step, **nothing}
+        return row_of(subject, paradigm, [cell], entries, take=take, beside_paper=False)
+
+    steps = {name: subject.fits[name].steps for name in ("meta", "overfit")}
+    along = [(part, step_at(part, steps["meta"])) for part in PARTS]
+    found = [row("meta", f"{part:.0%}", step, after("meta", step)) for part, step in along]
+    last = row("meta", "further", None, lambda record: record["further"][-1][1])
+    if needed := [steps_needed(record) for record in cell.records()]:
         middle = sorted(needed, key=lambda value: FURTHER[-1] + 1 if value is None else value)[(len(needed) - 1) // 2]
         last |= {"further": middle, "near": sum(value is not None for value in needed)}
         last["step"] = f"+{middle}" if middle is not None else f"> +{FURTHER[-1]}"
-    return [*made, last | {"paper_further": paper()["further_steps"]["steps"]}, overfit]
-
-
-def _row(subject: Subject, cell: Cell, paradigm: str, take: Take, part: str, step: int | None) -> Row:
-    more = {"part": part, "step": step, "further": None, "near": None, "paper_further": None}
-    return subject.row(paradigm, cell, take, **more) | {"paper_error": None, "paper_seconds": None}
+    last["paper_further"] = paper()["further_steps"]["steps"]
+    return [*found, last, row("overfit", "100%", steps["overfit"], after("overfit", steps["overfit"]))]
 
 
 def after(paradigm: str, step: int) -> Take:
     """The error of a record's paradigm after so many steps."""
-    return lambda record: next((error for at_step, error in record["curves"][paradigm] if at_step == step), None)
+    return lambda record: next((error for count, error in record["curves"][paradigm] if count == step), None)
 
 
 def steps_needed(record: Record) -> int | None:
@@ -55,30 +61,16 @@ def steps_needed(record: Record) -> int | None:
 
 def notes(subject: Subject, found: list[Row]) -> list[str]:
     """What further steps are, how many they are, and in the paper."""
-    told, last = paper()["further_steps"], found[-2]
-    said = [
+    known, last = paper()["further_steps"], found[-2]
+    lines = [
         f"further steps: Finetune's Adam from Meta's result, {', '.join(map(str, FURTHER))} of them; step: the median "
-        f"over tasks of those after which Meta is within {told['within']:.0%} of Overfit",
+        f"over tasks of those after which Meta is within {known['within']:.0%} of Overfit",
     ]
     if last["near"] is not None:
-        said.append(f"{last['near']} of {last['tasks']} tasks come so near (paper: {told['steps']} further steps)")
-    return [*said, *budget(subject), f"traces of up to {TRACED} tasks, evenly spaced"]
+        lines.append(f"{last['near']} of {last['tasks']} tasks come so near (paper: {known['steps']} further steps)")
+    return [*lines, *overfit_note(subject), f"traces of up to {TRACED} tasks, evenly spaced"]
 
 
-TABLE = Table(
-    "convergence",
-    "error{factor} along Meta's steps",
-    (
-        words("paradigm", "paradigm"),
-        words("of its steps", "part"),
-        words("step", "step"),
-        numbers("error", "error", ".3f"),
-        interval(),
-        numbers("paper further steps", "paper_further", "d"),
-        numbers("median", "median", ".3f"),
-        numbers("worst", "worst", ".3f"),
-    ),
-    cells,
-    rows,
-    notes,
-)
+COLUMNS = (PARADIGM, words("of its steps", "part"), words("step", "step"), ERROR, INTERVAL)
+PAPER = numbers("paper further steps", "paper_further", "d")
+TABLE = Table("convergence", "error{factor} along Meta's steps", (*COLUMNS, PAPER, MEDIAN, WORST), rows, notes, cells)

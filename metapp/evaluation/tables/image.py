@@ -6,18 +6,17 @@ import statistics
 from collections.abc import Iterator
 
 from metapp.appearance.presentation import REFERENCE, Fitted
-from metapp.evaluation.tables.results import budget
-from metapp.evaluation.tables.rows import Row, interval, numbers, paper, words
-from metapp.evaluation.tables.subject import Cell, Record, Subject
-from metapp.evaluation.tables.table import Table
+from metapp.evaluation.cell import Cell, Record
+from metapp.evaluation.notes import overfit_note
+from metapp.evaluation.rows import INTERVAL, PARADIGM, WORST, Row, Table, numbers, paper, row_of, values_of, words
+from metapp.evaluation.subject import Subject
 from metapp.learning.task import Task
-from metapp.runs.session import name_of, threads_of
-from metapp.storage.records import OPTIONAL, RunFolder
+from metapp.storage.records import OPTIONAL
 
 FORM = {"measures": {...: {...: OPTIONAL}}}  # of a record
 
 
-def compared(subject: Subject) -> dict[str, Cell]:
+def fits_of(subject: Subject) -> dict[str, Cell]:
     """The fits whose pictures are measured: of every paradigm; none where the application has no such measure."""
     if not subject.presentation.image_measure:
         return {}
@@ -26,108 +25,100 @@ def compared(subject: Subject) -> dict[str, Cell]:
 
 def cells(subject: Subject) -> list[Cell]:
     """The fits, and the measures of their pictures."""
-    fits = compared(subject)
+    fits = fits_of(subject)
     return [*fits.values(), image_cell(subject)] if fits else []
 
 
 def image_cell(subject: Subject) -> Cell:
     """The measures of all paradigms' pictures, a task at a time, since they share its reference."""
-    app, options, fits, shown = subject.app, subject.options, compared(subject), subject.presentation
+    fits, shown = fits_of(subject), subject.presentation
     folders = {name: cell.folder for name, cell in fits.items() if cell.folder}
-    folder = None
-    if len(folders) == len(fits):
-        path = options.out / app.name / "image" / f"{subject.label}-{options.recipe}-seed{options.seed}"
-        end = "-".join(filter(None, (options.rule, subject.shortened, app.protocol)))
-        keys = {name: each.key for name, each in folders.items()}
-        said = {"app": app.name, "measure": shown.image_measure, "fits": keys}
-        folder = RunFolder(path.with_name(f"{path.name}-{end}"), said, FORM)
+    keys = {name: folder.key for name, folder in folders.items()}
+    settings = {"app": subject.app.name, "measure": shown.image_measure, "fits": keys}
+    folder = subject.folder("image", settings, FORM, of_fits=True) if len(folders) == len(fits) else None
 
-    def measure(missing: list[Task]) -> Iterator[Record]:
-        assert folder is not None
+    def measure(tasks: list[Task]) -> Iterator[tuple[Record, None]]:
         seconds = {name: {record["name"]: record["seconds"] for record in fits[name].records()} for name in fits}
-        for task in missing:
+        for task in tasks:
             fitted = {name: Fitted(folders[name].theta(task.name), seconds[name][task.name]) for name in fits}
-            record = {"name": task.name, "error": None, "measures": shown.image_errors(fitted, task)}
-            folder.add(record)
-            yield record
+            yield {"name": task.name, "error": None, "measures": shown.image_errors(fitted, task)}, None
 
-    title = f"{name_of(app)} pictures"
-    command, count = subject.command("image"), threads_of(app)
-    return Cell(title, subject.tasks, folder, measure, 0, command, 1, threads=count, guess=shown.image_seconds)
+    cell = subject.make_cell("pictures", folder, measure, command=subject.command("image"))
+    return cell._replace(stage=1, guess=shown.image_seconds)
 
 
 def rows(subject: Subject) -> list[Row]:
     """A row for each measure of each picture; those that are made without a fit come first."""
-    fits = compared(subject)
+    fits = fits_of(subject)
     if not fits:
         return []
     cell = image_cell(subject)
     measures = [record["measures"] for record in cell.records()]
-    others = dict.fromkeys(name for each in measures for name in each if name not in fits)
-    keys = dict.fromkeys(key for each in measures for of in each.values() for key in of)
+    others = dict.fromkeys(name for by_name in measures for name in by_name if name not in fits)
+    keys = dict.fromkeys(key for by_name in measures for values in by_name.values() for key in values)
     return [
         measured_row(subject, name, cell, key)
         for key in keys or ("",)
         for name in (*others, *fits)
-        if name != REFERENCE or any(key in each[name] for each in measures)
+        if name != REFERENCE or any(key in by_name[name] for by_name in measures)
     ]
 
 
 def measured_row(subject: Subject, name: str, cell: Cell, key: str) -> Row:
     """A row of one measure; "" where nothing was measured yet."""
-    told, app = paper(), subject.app.name
-    bound, better = told["ssim"]["at_least"], key.startswith("SSIM")  # more of it is
+    known, app = paper(), subject.app.name
+    bound, more_is_better = known["ssim"]["at_least"], key.startswith("SSIM")
 
     def take(record: Record) -> float | None:
         result: float | None = record["measures"].get(name, {}).get(key)
         return result
 
-    values = [value for record in cell.records() if (value := take(record)) is not None]
-    return subject.row(name, cell, take, measure=key or None) | {
-        "paper_error": told["image"].get(app, {}).get(key, {}).get(name),
-        "paper_seconds": None,
-        "worst": (min(values) if better else max(values)) if values else None,
-        "share": statistics.fmean(value >= bound for value in values) if better and values else None,
+    row = row_of(subject, name, [cell], {"measure": key or None}, take=take, beside_paper=False)
+    values = list(values_of(cell, take).values())
+    return row | {
+        "paper_error": known["image"].get(app, {}).get(key, {}).get(name),
+        "worst": (min(values) if more_is_better else max(values)) if values else None,
+        "share": statistics.fmean(value >= bound for value in values) if more_is_better and values else None,
         "measured": len(values),
-        "paper_share": told["ssim"]["share"].get(app, {}).get(name) if better else None,
+        "paper_share": known["ssim"]["share"].get(app, {}).get(name) if more_is_better else None,
     }
 
 
 def notes(subject: Subject, found: list[Row]) -> list[str]:
     """What the measures are of."""
-    told = paper()
+    sources = paper()["sources"]
     own = [
         f"the references themselves are off by {row['error']:.3f} {row['measure']}, which all figures of it contain"
         for row in found
         if row["paradigm"] == REFERENCE and row["error"] is not None
     ]
-    said = [", ".join([subject.presentation.image_measure, *own]), *budget(subject)]
-    said += [
+    lines = [", ".join([subject.presentation.image_measure, *own]), *overfit_note(subject)]
+    lines += [
         f"{row['paradigm']}, {row['measure']}: mean of {row['measured']} of {row['tasks']} tasks, the others have none"
         for row in found
         if row["paradigm"] != REFERENCE and 0 < row["measured"] < row["tasks"]
     ]
     if any(row["paper_share"] is not None for row in found):
-        said.append(f"paper: {told['sources']['ssim']}")
-    if subject.app.name in told["image"]:
-        said.append(f"paper: {told['sources']['image']}")
-    return said
+        lines.append(f"paper: {sources['ssim']}")
+    if subject.app.name in paper()["image"]:
+        lines.append(f"paper: {sources['image']}")
+    return lines
 
 
 TABLE = Table(
     "image",
     "measures in image space",
     (
-        words("paradigm", "paradigm"),
+        PARADIGM,
         words("measure", "measure"),
         numbers("mean", "error", ".3f"),
         numbers("paper", "paper_error", ".3f"),
         numbers(f"share >= {paper()['ssim']['at_least']}", "share", ".0%"),
         numbers("paper share", "paper_share", ".0%"),
-        interval(),
-        numbers("worst", "worst", ".3f"),
+        INTERVAL,
+        WORST,
     ),
-    cells,
     rows,
     notes,
+    cells,
 )

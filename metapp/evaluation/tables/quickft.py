@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from metapp.evaluation.tables.comparison import change, paired_columns, paired_note, paired_of, verdict, warned
-from metapp.evaluation.tables.results import on_threads, result_row
-from metapp.evaluation.tables.rows import LAST, Row, numbers, words
-from metapp.evaluation.tables.subject import Cell, Subject
-from metapp.evaluation.tables.table import Table
+from metapp.evaluation.cell import Cell
+from metapp.evaluation.notes import change, paired_note, threads_note, verdict, warned
+from metapp.evaluation.rows import ERROR, INTERVAL, MEDIAN, PARADIGM, SECONDS, STEPS, WORST, Row, Table, paired_of
+from metapp.evaluation.subject import Subject
+from metapp.evaluation.tables.results import COMPARISON, PAPER_ERROR, result_row
 from metapp.runs.reporter import number
 from metapp.runs.session import caption_of
 from metapp.runs.statistics import apart
@@ -20,36 +20,26 @@ def cells(subject: Subject) -> list[Cell]:
 
 
 def rows(subject: Subject) -> list[Row]:
-    """The three, each with how far it is below QuickFT and on how many tasks it is ahead of it."""
+    """The three, each with how far its error is from QuickFT's and on how many tasks it is lower."""
     found = [result_row(subject, name) for name in COMPARED]
+    _, quickft, meta = found
     for row in found:
-        row["against_quickft"] = change(row, found[1]) if row is not found[1] else None
+        row["against_quickft"] = change(row, quickft) if row is not quickft else None
         row["apart"] = apart(paired_of(row, "quickft"))
-    found[2]["ahead"] = found[2]["vs_quickft_ahead"]
+    meta["ahead"] = meta["vs_quickft_ahead"]
     return found
 
 
 def notes(subject: Subject, found: list[Row]) -> list[str]:
     """Who wins, on how many tasks, and in the paper."""
-    by = {row["paradigm"]: row["paper_error"] for row in found}
-    said = [verdict(found[2]), verdict(found[2], "general"), *warned(found)]
-    if None not in (by["meta"], by["quickft"]):
-        said.append(f"paper: meta {number(by['meta'], '.3f')}, quickft {number(by['quickft'], '.3f')}")
-    said += [caption_of(subject.app), "quickft's Adam is searched on validation tasks"]
-    return [*filter(None, said), *paired_note(found), *on_threads(found)]
+    _, quickft, meta = found
+    lines = [verdict(meta), verdict(meta, "general"), *warned(found)]
+    if None not in (meta["paper_error"], quickft["paper_error"]):
+        errors = {row["paradigm"]: number(row["paper_error"], ".3f") for row in (meta, quickft)}
+        lines.append(f"paper: meta {errors['meta']}, quickft {errors['quickft']}")
+    lines += [caption_of(subject.app), "quickft's Adam is searched on validation tasks"]
+    return [*filter(None, lines), *paired_note(found), *threads_note(found)]
 
 
-TABLE = Table(
-    "quickft",
-    "mean error{factor} after as many steps",
-    (
-        words("paradigm", "paradigm"),
-        numbers("error", "error", ".3f"),
-        *paired_columns("quickft"),
-        numbers("paper error", "paper_error", ".3f"),
-        *LAST,
-    ),
-    cells,
-    rows,
-    notes,
-)
+COLUMNS = (PARADIGM, ERROR, *COMPARISON, PAPER_ERROR, INTERVAL, STEPS, SECONDS, MEDIAN, WORST)
+TABLE = Table("quickft", "mean error{factor} after as many steps", COLUMNS, rows, notes, cells)

@@ -2,21 +2,27 @@
 
 from __future__ import annotations
 
-from metapp.evaluation.tables.comparison import (
-    carried,
-    change,
+from metapp.evaluation.cell import Cell
+from metapp.evaluation.notes import carried, change, overfit_note, paired_note, threads_note, verdict, warned
+from metapp.evaluation.rows import (
+    ERROR,
+    INTERVAL,
+    MEDIAN,
+    PARADIGM,
+    SECONDS,
+    STEPS,
+    WORST,
+    Row,
+    Table,
+    against,
+    numbers,
     paired_columns,
-    paired_entries,
-    paired_note,
-    verdict,
-    warned,
+    row_of,
 )
-from metapp.evaluation.tables.rows import Column, Row, interval, numbers, words
-from metapp.evaluation.tables.subject import Cell, Subject
-from metapp.evaluation.tables.table import Table
+from metapp.evaluation.subject import Subject
 from metapp.learning.app import App
 from metapp.runs.reporter import number
-from metapp.runs.session import caption_of
+from metapp.runs.session import caption_of, is_first_protocol
 
 COMPARED = ("quickft", "general")
 
@@ -33,16 +39,10 @@ def rows(subject: Subject) -> list[Row]:
 
 def result_row(subject: Subject, name: str) -> Row:
     """Error and time of one paradigm, or of one of Meta's rules, also beside QuickFT's and General's."""
-    fit, cell = subject.fits[name], subject.cell(name)
-    row = subject.row(
-        name,
-        cell,
-        rule=fit.options.rule if fit.paradigm.name == "meta" else None,
-        steps=fit.paradigm.count(fit.options.job),
-    )
-    for other in COMPARED:
-        row |= paired_entries(other, subject.paired(cell, subject.cell(other)) if other != name else None)
-    return row
+    fit = subject.fits[name]
+    rule = fit.job.rule if fit.paradigm.name == "meta" else None
+    versus = against(subject, name, *COMPARED)
+    return row_of(subject, name, [subject.cell(name)], {"rule": rule, "steps": fit.steps}, against=versus)
 
 
 def notes(subject: Subject, found: list[Row]) -> list[str]:
@@ -54,28 +54,10 @@ def notes(subject: Subject, found: list[Row]) -> list[str]:
         *warned(found),
         f"meta: {meta['rule']}; {caption_of(subject.app)}",
         *paired_note(found),
-        *on_threads(found),
-        *budget(subject),
-        *(["the paper's figures are of its own data and machine"] if subject.is_papers else []),
+        *threads_note(found),
+        *overfit_note(subject),
+        *(["the paper's figures are of its own data and machine"] if is_first_protocol(subject.app) else []),
     ]
-
-
-def on_threads(found: list[Row]) -> list[str]:
-    """The threads that seconds are of, where records say so."""
-    known = list(dict.fromkeys(row["threads"] for row in found if row["threads"]))
-    if len(known) > 1:
-        said = "; ".join(f"{row['paradigm']} {row['threads']}" for row in found if row["threads"])
-        return [f"threads: {said}; seconds of different threads do not compare"]
-    return [f"threads: {each}" for each in known]
-
-
-def budget(subject: Subject) -> list[str]:
-    """What is said where Overfit takes fewer steps than the recipe's."""
-    if subject.share == 1:
-        return []
-    steps, recipe = subject.fits["overfit"].options.steps, subject.options.job.recipe.overfit_steps
-    changed = "its error and the gap closed are too high, its time and the speed-up too low"
-    return [f"overfit: {steps:,} of the recipe's {recipe:,} steps, so {changed}"]
 
 
 def closing(app: App, found: list[Row]) -> str:
@@ -84,9 +66,13 @@ def closing(app: App, found: list[Row]) -> str:
     Under a further protocol Overfit fits less than errors are measured on: Meta is compared with General and QuickFT.
     """
     gap, speed = carried(found, "error", "seconds")
-    if app.protocol not in ("", *app.protocols[:1]):
+    if not is_first_protocol(app):
+        by_name = {row["paradigm"]: row for row in found}
+        others = {"General": by_name["general"], "QuickFT": by_name["quickft"]}
+        changes = [f"{text} {title}'s" for title, row in others.items() if (text := change(by_name["meta"], row))]
+        said = f"Meta's error is {', '.join(changes)}; " if changes else ""
         floor = f"Overfit sees the {app.protocol} alone and is no floor"
-        return f"{_changes(found)}{floor}, speed-up of Meta over it {number(speed, '.0f')}"
+        return f"{said}{floor}, speed-up of Meta over it {number(speed, '.0f')}"
     paper_gap, paper_speed = carried(found, "paper_error", "paper_seconds")
     return (
         f"gap closed {number(gap, '.2f')} (paper {number(paper_gap, '.2f')}), "
@@ -94,24 +80,8 @@ def closing(app: App, found: list[Row]) -> str:
     )
 
 
-def _changes(found: list[Row]) -> str:
-    """How far Meta's error is from General's and QuickFT's, in percent, as far as there are such errors."""
-    by = {row["paradigm"]: row for row in found}
-    others = (("general", "General"), ("quickft", "QuickFT"))
-    said = [f"{change(by['meta'], by[name])} {title}'s" for name, title in others if change(by["meta"], by[name])]
-    return f"Meta's error is {', '.join(said)}; " if said else ""
-
-
-COLUMNS: tuple[Column, ...] = (
-    words("paradigm", "paradigm"),
-    numbers("error", "error", ".3f"),
-    numbers("seconds", "seconds", ".4f"),
-    numbers("paper error", "paper_error", ".3f"),
-    numbers("paper seconds", "paper_seconds", ".3f"),
-    *paired_columns("quickft"),
-    interval(),
-    numbers("steps", "steps", "d"),
-    numbers("median", "median", ".3f"),
-    numbers("worst", "worst", ".3f"),
-)
-TABLE = Table("results", "mean error{factor}, median seconds of inference", COLUMNS, cells, rows, notes)
+PAPER_ERROR = numbers("paper error", "paper_error", ".3f")
+PAPER_SECONDS = numbers("paper seconds", "paper_seconds", ".3f")
+COMPARISON = paired_columns("quickft")
+COLUMNS = (PARADIGM, ERROR, SECONDS, PAPER_ERROR, PAPER_SECONDS, *COMPARISON, INTERVAL, STEPS, MEDIAN, WORST)
+TABLE = Table("results", "mean error{factor}, median seconds of inference", COLUMNS, rows, notes, cells)

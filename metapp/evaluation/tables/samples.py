@@ -2,74 +2,59 @@
 
 from __future__ import annotations
 
-from metapp.evaluation.tables.rows import Row, blank, numbers, paper, words
-from metapp.evaluation.tables.subject import Cell, Subject
-from metapp.evaluation.tables.table import Table
+from metapp.evaluation.rows import PARADIGM, Row, Table, blank, numbers, paper
+from metapp.evaluation.subject import Fit, Subject
 from metapp.runs.session import observe_of
-
-
-def cells(subject: Subject) -> list[Cell]:
-    """Nothing has to be run."""
-    return []
 
 
 def rows(subject: Subject) -> list[Row]:
     """For each paradigm, the samples that its encoder and its steps see, at most all there are."""
-    found = []
-    visible = subject.presentation.visible(subject.tasks[0]) if subject.tasks else None
-    for name, fit in subject.fits.items():
-        steps = fit.paradigm.count(fit.options.job)
-        drawn = steps * fit.options.job.recipe.batch
-        row = blank(subject.app.name, name, **observe_of(subject.app)) | {
-            "paper_error": None,
-            "paper_seconds": None,
-            "steps": steps,
-            "batch": fit.options.job.recipe.batch if steps else None,
-            **dict.fromkeys(("seen", "all", "seen_bytes", "all_bytes", "saved", "paper_saved")),
-        }
-        if visible:
-            reads = "general" in fit.paradigm.needs(fit.options.job)
-            reads = reads or bool(fit.checkpoint and fit.checkpoint.prepared.encoder)
-            seen = min(drawn + (visible.encoder if reads else 0), visible.samples)
-            row |= {
-                "tasks": len(subject.tasks),
-                "seen": seen,
-                "all": visible.samples,
-                "seen_bytes": seen * visible.size,
-                "all_bytes": visible.samples * visible.size,
-                "saved": 1 - seen / visible.samples,
-            }
-        if name == "meta":
+    found = [_row(subject, name, fit) for name, fit in subject.fits.items()]
+    for row in found:
+        if row["paradigm"] == "meta":
             row["paper_saved"] = paper()["samples"].get(subject.app.name, {}).get("saved")
-        found.append(row)
     return found
+
+
+def _row(subject: Subject, name: str, fit: Fit) -> Row:
+    batch = fit.job.recipe.batch
+    row = blank(subject.app.name, name, beside_paper=False, **observe_of(subject.app))
+    row |= {"steps": fit.steps, "batch": batch if fit.steps else None}
+    row |= dict.fromkeys(("seen", "all", "seen_bytes", "all_bytes", "saved", "paper_saved"))
+    visible = subject.presentation.visible(subject.tasks[0]) if subject.tasks else None
+    if visible is None:
+        return row
+    encodes = "general" in fit.paradigm.needs(fit.job) or bool(fit.checkpoint and fit.checkpoint.prepared.encoder)
+    count = min(fit.steps * batch + (visible.encoder if encodes else 0), visible.samples)
+    return row | {
+        "tasks": len(subject.tasks),
+        "seen": count,
+        "all": visible.samples,
+        "seen_bytes": count * visible.size,
+        "all_bytes": visible.samples * visible.size,
+        "saved": 1 - count / visible.samples,
+    }
 
 
 def notes(subject: Subject, found: list[Row]) -> list[str]:
     """What a sample is here, and in the paper."""
     if all(row["seen"] is None for row in found):
-        return ["how much a fit may see of a task is not said, or there are no tasks yet"]
-    said = ["of what fits may see; samples that are drawn twice are sent once, so 'seen' is an upper bound"]
+        return ["how much a fit may see of a task is not known, or there are no tasks yet"]
+    lines = ["of what fits may see; samples that are drawn twice are sent once, so 'seen' is an upper bound"]
     if found[0]["all"] == 1:
-        said.append("each step sees the whole task: nothing to save")
-    told = paper()["samples"].get(subject.app.name)
-    if told:
+        lines.append("each step sees the whole task: nothing to save")
+    if known := paper()["samples"].get(subject.app.name):
         meta = next(row["seen"] for row in found if row["paradigm"] == "meta")
-        said.append(
-            f"paper: meta sees {told['seen']:,} of {told['all']:,}; ours, of so many: saved {_saved(meta, told)}"
-        )
-    return said
-
-
-def _saved(seen: int, told: dict[str, int]) -> str:
-    return f"{1 - min(seen, told['all']) / told['all']:.1%}"
+        saved = f"{1 - min(meta, known['all']) / known['all']:.1%}"
+        lines.append(f"paper: meta sees {known['seen']:,} of {known['all']:,}; ours, of so many: saved {saved}")
+    return lines
 
 
 TABLE = Table(
     "samples",
     "samples and bytes of a task that a fit sees",
     (
-        words("paradigm", "paradigm"),
+        PARADIGM,
         numbers("seen", "seen", ",d"),
         numbers("of", "all", ",d"),
         numbers("saved", "saved", ".1%"),
@@ -79,7 +64,6 @@ TABLE = Table(
         numbers("steps", "steps", ",d"),
         numbers("batch", "batch", ",d"),
     ),
-    cells,
     rows,
     notes,
 )

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from torch import Generator
 
-from metapp.evaluation.tables.rows import Row, blank, bytes_column, numbers, paper, words
-from metapp.evaluation.tables.subject import Cell, Subject
-from metapp.evaluation.tables.table import Table
+from metapp.evaluation.rows import PARADIGM, Row, Table, blank, bytes_column, numbers, paper
+from metapp.evaluation.subject import Subject
 from metapp.learning.task import Params
 from metapp.runs.session import Checkpoint, observe_of
 
@@ -18,9 +17,9 @@ def size(params: Params) -> int:
     return sum(value.numel() * value.element_size() for value in params.values())
 
 
-def cells(subject: Subject) -> list[Cell]:
-    """Nothing has to be run."""
-    return []
+def stored(checkpoint: Checkpoint | None) -> int | None:
+    """Bytes of a checkpoint, from which any fit is made; None where there is none."""
+    return None if checkpoint is None else sum(size(part) for part in checkpoint.prepared)
 
 
 def rows(subject: Subject) -> list[Row]:
@@ -29,16 +28,11 @@ def rows(subject: Subject) -> list[Row]:
     exemplars = paper()["storage"]["exemplars"]
     found = []
     for name, fit in subject.fits.items():
-        # what takes long is kept; what takes no time is made again from its start
-        once, each = (0, network) if name in ("overfit", "finetune") else (kept(fit.checkpoint), 0)
-        row = blank(subject.app.name, name, **observe_of(subject.app)) | {
-            "paper_error": None,
-            "paper_seconds": None,
-            "network_bytes": network,
-            "once_bytes": once,
-            "each_bytes": each,
-            "networks": None if once is None or each else once / network,
-        }
+        # fits that take long are kept; those that take no time are made again from their checkpoint
+        once, each = (0, network) if name in ("overfit", "finetune") else (stored(fit.checkpoint), 0)
+        row = blank(subject.app.name, name, beside_paper=False, **observe_of(subject.app))
+        row |= {"network_bytes": network, "once_bytes": once, "each_bytes": each}
+        row["networks"] = None if once is None or each else once / network
         for count in dict.fromkeys((*COUNTS, exemplars)):
             row[f"bytes_{count}"] = None if once is None else once + count * each
         total = row[f"bytes_{exemplars}"]
@@ -48,20 +42,15 @@ def rows(subject: Subject) -> list[Row]:
     return found
 
 
-def kept(checkpoint: Checkpoint | None) -> int | None:
-    """Bytes of all that a fit starts from; None where there is no checkpoint."""
-    return None if checkpoint is None else sum(size(part) for part in checkpoint.prepared)
-
-
 def notes(subject: Subject, found: list[Row]) -> list[str]:
     """What a factor is, what else is kept, and the paper's."""
-    said = paper()["storage"]
-    count = said["exemplars"]
+    known = paper()["storage"]
+    count = known["exemplars"]
     first = f"one network: {found[0]['network_bytes']:,} bytes; factor: bytes for m = {count} over m networks'"
     return [
-        f"{first}; from m = 'pays from' on a start is smaller than m networks",
-        "what is made again from a start needs the exemplar itself, too, when it is wanted",
-        f"paper: {said['meta_networks']} networks for any m, factor {said['meta_networks']}/m = {said['factor']:g}",
+        f"{first}; from m = 'pays from' on a checkpoint is smaller than m networks",
+        "what is made again from a checkpoint needs the exemplar itself, too, when it is wanted",
+        f"paper: {known['meta_networks']} networks for any m, factor {known['meta_networks']}/m = {known['factor']:g}",
     ]
 
 
@@ -69,13 +58,12 @@ TABLE = Table(
     "storage",
     "bytes for m exemplars",
     (
-        words("paradigm", "paradigm"),
+        PARADIGM,
         *(bytes_column(f"m = {count}", f"bytes_{count}") for count in COUNTS),
         numbers("factor", "factor", ".4f"),
         numbers("networks", "networks", ".2f"),
         numbers("pays from", "pays_from", "d"),
     ),
-    cells,
     rows,
     notes,
 )

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from metapp.evaluation.tables.subject import Subject
+from metapp.evaluation.subject import Subject
 from tests.evaluation.cli.subjects import call, few_steps, subject_of
 
 

@@ -12,9 +12,8 @@ import pytest
 import torch
 
 from metapp.apps.brdf import APP
-from metapp.cli.evaluate import find_subjects
+from metapp.evaluation.subject import Subject
 from metapp.evaluation.tables import load_table
-from metapp.evaluation.tables.subject import Subject
 from metapp.runs.session import Options
 from tests.small_spheres import shrink_spheres
 
@@ -24,7 +23,7 @@ def few_steps() -> Iterator[None]:
     """Few steps of Overfit and Finetune, and of what comes after Meta; figures of few pixels."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setitem(APP.recipes, "quick", replace(APP.recipes["quick"], overfit_steps=40, finetune_steps=5))
-        patch.setattr("metapp.evaluation.tables.trace.FURTHER", (2, 4))
+        patch.setattr("metapp.evaluation.trace.FURTHER", (2, 4))
         patch.setattr("metapp.evaluation.figures.style.DPI", 40)
         shrink_spheres(patch)
         yield
@@ -42,8 +41,7 @@ def subject_of(data: Path, runs: Path) -> Subject:
     """A data set with all that has been run of it."""
     of, device = APP.at(APP.recipes["quick"]), torch.device("cpu")
     options = Options(of, "quick", "meta-curvature", None, data, runs, None, 0, device, True)
-    (found,) = find_subjects([options], run=True, strict=True, share=1.0)
-    return found
+    return Subject(options, run=True, strict=True)
 
 
 def rows(subject: Subject, name: str) -> list[dict[str, Any]]:

@@ -10,10 +10,10 @@ import torch
 from safetensors.torch import load, save
 
 from metapp.evaluation.figures.rates import step_sizes
-from metapp.evaluation.tables.comparison import carried
+from metapp.evaluation.notes import carried
+from metapp.evaluation.rows import blank, paper
 from metapp.evaluation.tables.convergence import steps_needed
-from metapp.evaluation.tables.rows import blank, paper
-from metapp.evaluation.tables.trace import FURTHER, PARTS, looks, named, near, paths_of, places, project
+from metapp.evaluation.trace import FURTHER, PARTS, curve_steps, named, near, path_steps, project, project_paths
 
 
 def test_the_papers_figures_have_sources_and_agree_with_each_other() -> None:
@@ -46,12 +46,12 @@ def test_further_steps_are_counted_until_one_is_near() -> None:
     assert near(-4.5, -4.0)
 
 
-def test_looks_and_places_hold_the_start_and_the_end() -> None:
+def test_curves_and_paths_hold_the_start_and_the_end() -> None:
     for steps in (1, 8, 10, 15, 1000, 20_000):
-        assert {0, steps} <= looks(steps)
-        assert {0, steps} <= places(steps)
-        assert {round(part * steps) for part in PARTS} <= looks(steps)
-        assert max(looks(steps) | places(steps)) == steps
+        assert {0, steps} <= curve_steps(steps)
+        assert {0, steps} <= path_steps(steps)
+        assert {round(part * steps) for part in PARTS} <= curve_steps(steps)
+        assert max(curve_steps(steps) | path_steps(steps)) == steps
 
 
 def test_the_plane_of_most_variance_keeps_distances_within_it(rng: torch.Generator) -> None:
@@ -67,10 +67,10 @@ def test_the_plane_of_most_variance_keeps_distances_within_it(rng: torch.Generat
 
 def test_networks_of_different_sizes_have_no_common_paths() -> None:
     small, large = ([{"w": torch.full((1, size), float(i))} for i in range(3)] for size in (4, 6))
-    found, explained = paths_of(small, small)
+    found, explained = project_paths(small, small)
     assert len(found["meta"]) == len(found["overfit"]) == 3
     assert explained == pytest.approx(1)
-    assert paths_of(small, large) == ({"meta": [], "overfit": []}, 0.0)
+    assert project_paths(small, large) == ({"meta": [], "overfit": []}, 0.0)
 
 
 def test_parameters_that_no_step_moves_are_saved_for_every_part() -> None:

@@ -14,14 +14,14 @@ from metapp.appearance.presentation import Fitted
 from metapp.appearance.sphere import environment_scene, shade_sphere
 from metapp.apps.brdf import APP
 from metapp.apps.brdf.presentation import BrdfPresentation
+from metapp.evaluation.cell import run_cells
+from metapp.evaluation.rows import blank, paper
+from metapp.evaluation.subject import Subject
 from metapp.evaluation.tables import load_table
-from metapp.evaluation.tables.ablation import RULE_ALONE, START_ALONE, combined, learned, same_start
+from metapp.evaluation.tables.ablation import RULE_ALONE, START_ALONE, combined, learned, same_initialisation
 from metapp.evaluation.tables.image import image_cell
-from metapp.evaluation.tables.rows import blank, paper
-from metapp.evaluation.tables.running import run_cells
-from metapp.evaluation.tables.storage import kept, size
-from metapp.evaluation.tables.subject import Subject
-from metapp.evaluation.tables.trace import PARTS, places, states_of, trace_cell
+from metapp.evaluation.tables.storage import size, stored
+from metapp.evaluation.trace import PARTS, parts_of, path_steps, trace_cell
 from metapp.learning.app import stack
 from metapp.learning.learn import MetaParameters
 from metapp.learning.recipe import Adam
@@ -75,9 +75,9 @@ def test_a_start_that_is_generals_is_not_fitted_twice(subject: Subject) -> None:
     assert general.checkpoint
     prepared = meta.checkpoint.prepared._replace(theta={}, encoder=general.checkpoint.prepared.encoder)
     own = meta.checkpoint._replace(prepared=prepared)
-    assert not same_start(subject, "meta")
+    assert not same_initialisation(subject, "meta")
     subject.fits["meta"] = meta._replace(checkpoint=own)
-    assert same_start(subject, "meta")
+    assert same_initialisation(subject, "meta")
     assert [cell for _, _, cell in combined(subject, "meta")] == [subject.cell("meta"), subject.cell("quickft")]
     assert any("General's own" in note for note in load_table("ablation").notes(subject, []))
 
@@ -95,11 +95,11 @@ def test_a_trace_is_the_fit_itself(subject: Subject) -> None:
     assert [row["step"] for row in rows(subject, "convergence")[: len(PARTS)]] == [0, 2, 5, 8, 10]
     start = subject.fits["meta"].checkpoint
     assert start
-    states = states_of(cell, subject.tasks[0])
+    states = parts_of(cell, subject.tasks[0])
     assert list(states) == list(PARTS)
     assert all(torch.equal(states[0.0][key], value) for key, value in start.prepared.theta.items())
     record = cell.records()[0]
-    assert len(record["paths"]["overfit"]) == len(places(40))
+    assert len(record["paths"]["overfit"]) == len(path_steps(40))
     assert 0 < record["explained"] <= 1 + 1e-9
 
 
@@ -120,7 +120,7 @@ def test_the_papers_rule_stores_two_networks(subject: Subject) -> None:
     app = subject.options.app
     theta = {key: value[0] for key, value in app.init(Generator().manual_seed(0), 1).items()}
     alpha = rule_of("meta-sgd").alpha(app, theta, 10, Adam(0.1))
-    found = kept(Checkpoint(MetaParameters(theta, alpha), "", ""))
+    found = stored(Checkpoint(MetaParameters(theta, alpha), "", ""))
     assert found == paper()["storage"]["meta_networks"] * size(theta)
 
 

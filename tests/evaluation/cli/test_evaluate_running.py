@@ -11,9 +11,8 @@ import pytest
 import torch
 
 from metapp.apps import load_app
-from metapp.evaluation.tables.running import Clock, run_cells
-from metapp.evaluation.tables.subject import Cell
-from metapp.learning.task import Task
+from metapp.evaluation.cell import Cell, Clock, Record, run_cells
+from metapp.learning.task import Params, Task
 from metapp.runs import session
 from metapp.runs.reporter import Reporter, duration, reporting
 from metapp.runs.session import find_device, threads_of
@@ -23,11 +22,10 @@ from metapp.storage.records import RunFolder
 def cell(title: str, path: Path, names: list[str], log: list[str], *, steps: int, stage: int = 0) -> Cell:
     folder = RunFolder(path / title.replace(" ", "-"), {"title": title})
 
-    def measure(missing: list[Task]) -> Iterator[dict[str, Any]]:
+    def measure(missing: list[Task]) -> Iterator[tuple[Record, None]]:
         for task in missing:
             log.append(f"{title} {task.name}")
-            folder.add({"name": task.name, "error": 1.0})
-            yield {"name": task.name}
+            yield {"name": task.name, "error": 1.0}, None
 
     return Cell(title, [Task(name, {}) for name in names], folder, measure, steps, f"run {title}", stage)
 
@@ -60,14 +58,14 @@ def test_the_time_left_is_by_gradient_steps(tmp_path: Path) -> None:
 def test_the_time_left_counts_pictures(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """By a clock that stands still but for what a task takes: steps 0.1 s each, pictures 30 s where 20 were guessed."""
     now, told = [0.0], []
-    monkeypatch.setattr("metapp.evaluation.tables.running.time.perf_counter", lambda: now[0])
+    monkeypatch.setattr("metapp.evaluation.cell.time.perf_counter", lambda: now[0])
 
     class Hears(Reporter):
         def clock(self) -> Any:
             return contextlib.nullcontext(lambda note, spent, left: told.append((note.partition(",")[0], spent, left)))
 
     def taking(made: Cell, seconds: float) -> Cell:
-        def measure(missing: list[Task]) -> Iterator[dict[str, Any]]:
+        def measure(missing: list[Task]) -> Iterator[tuple[Record, Params | None]]:
             for each in made.measure(missing):
                 now[0] += seconds
                 yield each
@@ -95,7 +93,7 @@ def test_fits_have_the_threads_of_their_application_whatever_ran_before(tmp_path
     def with_threads(name: str, threads: int | None) -> Cell:
         made = cell(name, tmp_path, ["a"], [], steps=1)
 
-        def measure(missing: list[Task]) -> Iterator[dict[str, Any]]:
+        def measure(missing: list[Task]) -> Iterator[tuple[Record, Params | None]]:
             for each in made.measure(missing):
                 found.append((name, torch.get_num_threads()))
                 yield each

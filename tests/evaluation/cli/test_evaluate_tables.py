@@ -14,8 +14,8 @@ from torch import Tensor
 
 from metapp.apps.brdf import Brdf
 from metapp.cli.show import rich_table
+from metapp.evaluation.subject import Subject
 from metapp.evaluation.tables import NAMES, load_table
-from metapp.evaluation.tables.subject import Subject
 from metapp.learning.task import Params, Tasks
 from metapp.storage.records import RunFolder, read_records
 from tests.evaluation.cli.subjects import call, rows

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from data_tools.formats import Conversion, Files, Format, Reader
+from data_tools.formats import Format
 
 if TYPE_CHECKING:
     from metapp.learning.task import Task
@@ -16,59 +16,44 @@ HELP = """Convert curves, text files of 32 numbers.
 Example:
   metapp data curve curves --out set
 """
+UNITS = {"y": "1"}
 
 
-class _Curves:
-    """Reads the files; larger formats have a module of data_tools.readers for it."""
-
-    def recognises(self, path: Path, /) -> bool:
-        """Return whether a path is a .curve file, or a folder with such files."""
-        return any(path.glob("*.curve")) if path.is_dir() else path.suffix == ".curve"
-
-    def find(self, paths: Iterable[Path], /) -> tuple[list[Path], list[str]]:
-        """Find curves, those of a folder sorted."""
-        return [file for path in paths for file in (sorted(path.glob("*.curve")) if path.is_dir() else [path])], []
-
-    def read_task(self, path: Path, /) -> Task:
-        """Read a curve.
-
-        Raises:
-            ValueError: not 32 numbers.
-        """
-        import torch
-
-        from metapp.learning.task import Task
-
-        try:
-            values = [float(line) for line in path.read_text().split()]
-        except ValueError:
-            raise ValueError(f"{path}: not readable as numbers, expected 32, one a line.") from None
-        if len(values) != 32:
-            raise ValueError(f"{path}: {len(values)} numbers, expected 32; resample the curve.")
-        return Task(path.stem, {"y": torch.tensor(values)})
+def recognises(path: Path) -> bool:
+    """Return whether a path is a .curve file, or a folder with such files."""
+    return any(path.glob("*.curve")) if path.is_dir() else path.suffix == ".curve"
 
 
-def _files() -> Files:
-    return _Curves()
+def find(paths: Iterable[Path]) -> tuple[list[Path], list[str]]:
+    """Find curves, those of a folder sorted."""
+    return [file for path in paths for file in (sorted(path.glob("*.curve")) if path.is_dir() else [path])], []
 
 
-def _reader(paths: list[Path], split: str) -> Reader:
-    curves = _Curves()
-    return Reader(
-        "curve",
-        "curve",
-        {"y": "1"},
-        curves.find,
-        lambda path: path.stem,
-        curves.read_task,
-        {"made_by": "metapp data curve"},
-    )
+def read_task(path: Path) -> Task:
+    """Read a curve.
+
+    Raises:
+        ValueError: not 32 numbers.
+    """
+    import torch
+
+    from metapp.learning.task import Task
+
+    try:
+        values = [float(line) for line in path.read_text().split()]
+    except ValueError:
+        raise ValueError(f"{path}: not readable as numbers, expected 32, one a line.") from None
+    if len(values) != 32:
+        raise ValueError(f"{path}: {len(values)} numbers, expected 32; resample the curve.")
+    return Task(path.stem, {"y": torch.tensor(values)})
 
 
 FORMAT = Format(
     "curve",
     "curve",
+    __name__,  # larger formats have a module of data_tools.readers
     ".curve files of 32 numbers",
-    _files,
-    conversion=Conversion(HELP, _reader, ("FILES...", ".curve files, and folders of them.")),
+    noun="curve",
+    help=HELP,
+    paths=("FILES...", ".curve files, and folders of them."),
 )

@@ -1,10 +1,10 @@
 #!/usr/bin/env bash
-# Train the transport checkpoints that ship, on the embedded scenes alone: starts_transport.sh METAPP RUNS
+# Train the transport checkpoints that ship, on the embedded scenes alone: checkpoints_transport.sh METAPP RUNS
 set -euo pipefail
 metapp=$1 runs=$2
 app=transport
 for paradigm in general quickft meta; do
-  "$metapp" "$paradigm" "$app" --out "$runs" --train
+  "$metapp" "$paradigm" "$app" --recipe quick --out "$runs" --train
 done
 folder=$(ls -td "$runs/$app"/starts/"$app"-*-quick-seed0 | head -1)
 mkdir -p "metapp/checkpoints/$app"

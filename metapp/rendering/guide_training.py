@@ -1,7 +1,7 @@
-"""The prior of guided paths as something to be learned: `metapp.rendering.guide_prior` trained over many rooms.
+"""The prior of guide caches as a learning problem: one network over the caches of many rooms.
 
-A task is what one scene's cache knew after so many paths. The loss is the variance of paths that are drawn by what the
-network makes of it. It is no application of the command line: `tools/guide_prior.py` trains it by the paradigms.
+A task is the state of one scene's cache after so many paths. The loss is the variance of paths that are sampled by the
+network's densities. It is no application of the command line: `tools/guide_prior.py` trains it by the paradigms.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from torch import Generator, Tensor
 from metapp.learning.app import App
 from metapp.learning.recipe import Adam, MetaTraining, OuterLoop, Recipe
 from metapp.learning.task import Batch, Held, Params, Task, Tasks
-from metapp.rendering.guide_cache import CELLS, SIDE
+from metapp.rendering.guide_histogram import BINS, SIDE
 from metapp.rendering.guide_prior import FEATURES, NAME, densities, init
 
 LEARNED = MetaTraining(
@@ -43,18 +43,18 @@ RECIPE = Recipe(
 )
 
 
-class Guide(App):
-    """What one scene's cache knew after so many paths; every row of a tensor is of one place, N of them.
+class PriorProblem(App):
+    """The state of one scene's cache after so many paths; every row of a tensor is of one entry, N of them.
 
-    `features` are what the network reads; `visible` and `truth`, [N, CELLS], the squares that other paths found, a few
-    and many, each row of sum 1.
+    `features` are what the network reads; `visible` and `truth`, [N, BINS], the sums of squares of other paths, of a
+    few and of many, each row of sum 1.
     """
 
     name = NAME
     holds = {  # noqa: RUF012  (never written to)
         "features": Held(("N", FEATURES, SIDE, SIDE)),
-        "visible": Held(("N", CELLS), low=0.0),
-        "truth": Held(("N", CELLS), low=0.0, optional=True),
+        "visible": Held(("N", BINS), low=0.0),
+        "truth": Held(("N", BINS), low=0.0, optional=True),
     }
     recipes = {"quick": RECIPE}  # noqa: RUF012  (never written to)
 
@@ -65,13 +65,13 @@ class Guide(App):
         return _spread(init(rng), count)
 
     def sample(self, tasks: Tasks, rng: Generator, count: int) -> Batch:
-        """`count` places of each task."""
-        places = tasks.data["features"].shape[1]
-        drawn = torch.randint(places, (len(tasks), count), generator=rng, device=rng.device)
+        """`count` entries of each task."""
+        entries = tasks.data["features"].shape[1]
+        drawn = torch.randint(entries, (len(tasks), count), generator=rng, device=rng.device)
         return {key: value[tasks.rows[:, None], drawn].float() for key, value in tasks.data.items()}
 
     def loss(self, theta: Params, batch: Batch, learned: Params) -> Tensor:
-        """Mean over places of the logarithm of the variance of a few paths, [T], to a constant."""
+        """Mean over entries of the logarithm of the variance of a few paths, [T], to a constant."""
         return _variance(theta, batch["features"], batch["visible"]).mean(1)
 
     def outer_loss(self, theta: Params, batch: Batch, learned: Params) -> Tensor:
@@ -79,7 +79,7 @@ class Guide(App):
         return _variance(theta, batch["features"], batch["truth"]).mean(1)
 
     def init_encoder(self, rng: Generator) -> Params:
-        """The network itself: it reads all that is known of a scene."""
+        """The network itself, which all scenes share: its condition is in the features."""
         return init(rng)
 
     def condition(self, tasks: Tasks, rng: Generator) -> Batch:
@@ -90,7 +90,7 @@ class Guide(App):
 
     @torch.no_grad()
     def errors(self, theta: Params, tasks: Tasks) -> dict[str, Tensor]:
-        """`error`: the logarithm of the variance, over all places."""
+        """`error`: the logarithm of the variance, over all entries."""
         rows = {key: tasks.data[key][tasks.rows].float() for key in ("features", "truth")}
         return {"error": _variance(theta, rows["features"], rows["truth"]).mean(1)}
 
@@ -100,11 +100,9 @@ def _spread(theta: Params, count: int) -> Params:
 
 
 def _variance(theta: Params, features: Tensor, squares: Tensor) -> Tensor:
-    """Of tasks [T] and places [N]: the logarithm of the mean square of what paths carry over their density."""
-    made = torch.stack(
-        [densities({key: value[i] for key, value in theta.items()}, features[i]) for i in range(len(features))]
-    )
-    return (squares / made).sum(2).log()
+    """Of tasks [T] and entries [N]: the logarithm of the mean square of what paths carry over their density."""
+    sampled = [densities({key: value[i] for key, value in theta.items()}, one) for i, one in enumerate(features)]
+    return (squares / torch.stack(sampled)).sum(2).log()
 
 
-APP = Guide()
+APP = PriorProblem()

@@ -6,9 +6,8 @@ import csv
 import io
 from collections.abc import Sequence
 
-from metapp.evaluation.tables.rows import Row
-from metapp.evaluation.tables.subject import Subject
-from metapp.evaluation.tables.table import Table
+from metapp.evaluation.rows import Row, Table
+from metapp.evaluation.subject import Subject
 
 
 def text_table(table: Table, found: Sequence[tuple[Subject, list[Row]]], form: str) -> str:
@@ -18,7 +17,7 @@ def text_table(table: Table, found: Sequence[tuple[Subject, list[Row]]], form: s
         return csv_of(rows)
     header = ["app", *(column.title for column in table.columns)]
     body = [[key_of(row), *(column.text(row) for column in table.columns)] for row in rows]
-    notes = [(key_of(each[0]) if each else subject.title, notes_of(table, subject, each)) for subject, each in found]
+    notes = [(key_of(each[0]) if each else subject.title, table.notes(subject, each)) for subject, each in found]
     if form == "markdown":
         lines = [header, ["---"] * len(header), *body]
         said = [line for name, each in notes for line in ("", f"{name}:", "", *(f"- {note}" for note in each))]
@@ -51,8 +50,3 @@ def title_of(table: Table, subject: Subject, rows: list[Row]) -> str:
     scale = subject.app.scale
     said = table.title.format(factor=f" x{scale:g}" if scale != 1 else "")
     return f"{subject.title}, {f'{count} unseen tasks: ' if count else ''}{said}"
-
-
-def notes_of(table: Table, subject: Subject, rows: list[Row]) -> list[str]:
-    """What must be said below it."""
-    return table.notes(subject, rows)

@@ -9,7 +9,8 @@ import OpenImageIO as oiio
 import pytest
 import torch
 
-from data_tools.assets import exr, folder, png16
+from data_tools.assets import asset as assets
+from data_tools.assets import exr, png16
 from data_tools.readers import svbrdf_inputs
 from data_tools.readers.material_maps import find, read_task
 from metapp.appearance.colour import linear_to_srgb
@@ -25,7 +26,7 @@ MAPS = ("basecolor", "diffuse", "specular", "metallic", "roughness", "normal_gl"
 
 @pytest.fixture
 def asset(tmp_path: Path) -> Path:
-    folder.write(rock(), tmp_path / "rock", PROVENANCE)
+    assets.write(rock(), tmp_path / "rock", PROVENANCE)
     return tmp_path / "rock"
 
 
@@ -103,7 +104,7 @@ def test_the_metallic_roughness_files_are_one_material_with_the_others(asset: Pa
 
 def test_our_reader_takes_asset_folders(tmp_path: Path) -> None:
     """The maps that were fitted are read, not those that were made of them."""
-    folder.write(rock(64), tmp_path / "rock", PROVENANCE)
+    assets.write(rock(64), tmp_path / "rock", PROVENANCE)
     (source,) = find([tmp_path / "rock"])[0]
     assert svbrdf_inputs.find([tmp_path / "rock"]) == ([source], [])  # no preview or height for a photograph
     found, maps = unpack(read_task(source, 64).data["maps"].float()), rock(64).maps
@@ -112,7 +113,7 @@ def test_our_reader_takes_asset_folders(tmp_path: Path) -> None:
 
 
 def test_our_reader_takes_the_metallic_roughness_files(tmp_path: Path) -> None:
-    folder.write(rock(64), tmp_path / "rock", PROVENANCE)
+    assets.write(rock(64), tmp_path / "rock", PROVENANCE)
     for name in ("diffuse", "specular", "normal_dx"):
         file(tmp_path / "rock", name).unlink()
     maps = unpack(read_task(file(tmp_path / "rock", "basecolor"), 64).data["maps"].float())
@@ -121,7 +122,7 @@ def test_our_reader_takes_the_metallic_roughness_files(tmp_path: Path) -> None:
 
 
 def test_a_texture_has_a_base_colour_alone(tmp_path: Path) -> None:
-    folder.write(texture(), tmp_path / "rock", PROVENANCE)
+    assets.write(texture(), tmp_path / "rock", PROVENANCE)
     found = {each.name for each in (tmp_path / "rock").iterdir()}
     assert found == {"rock_basecolor.png", "preview.png", "material.json"}
     assert json.loads((tmp_path / "rock" / "material.json").read_text())["kind"] == "texture"

@@ -13,7 +13,6 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 from data_tools.assets.pictures import preview, write_planes
 from metapp.appearance.surface import DESCRIPTION, Surface, all_planes
@@ -31,7 +30,7 @@ WORKFLOWS = {
 }
 
 
-def write(surface: Surface, path: Path, provenance: Mapping[str, Any]) -> None:
+def write(surface: Surface, path: Path, provenance: Mapping[str, object]) -> None:
     """Write the asset folder `path`; `material.json` comes last."""
     files = write_planes(all_planes(surface), path)
     write_png(preview(surface).movedim(0, -1), {"encoding": "sRGB"}, path / "preview.png")
@@ -39,8 +38,8 @@ def write(surface: Surface, path: Path, provenance: Mapping[str, Any]) -> None:
 
 
 def description(
-    surface: Surface, name: str, files: Mapping[str, Mapping[str, Any]], provenance: Mapping[str, Any]
-) -> dict[str, Any]:
+    surface: Surface, name: str, files: Mapping[str, Mapping[str, object]], provenance: Mapping[str, object]
+) -> dict[str, object]:
     """What `material.json` says of a surface and its files."""
     height, width = surface.size
     return {
@@ -57,7 +56,7 @@ def description(
     }
 
 
-def write_description(file: Path, document: Mapping[str, Any]) -> None:
+def write_description(file: Path, document: Mapping[str, object]) -> None:
     """Write a JSON document; numbers that are not finite, which JSON lacks, become null."""
     text = json.dumps(finite(document), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
     write_atomically(file, lambda target: target.write_text(text, encoding="utf-8"))

@@ -1,13 +1,13 @@
 #!/usr/bin/env bash
-# Train the BRDF checkpoints that ship: starts_brdf.sh METAPP DATA RUNS
+# Train the BRDF checkpoints that ship: checkpoints_brdf.sh METAPP DATA RUNS
 # on the embedded training set and the 64 training materials of the MERL fits, never on the other 16.
 set -euo pipefail
 metapp=$1 data=$2 runs=$3
-[ -d "$data/nbrdf/merl" ] || { echo "starts: $data/nbrdf/merl is missing; name it: make starts-brdf DATA=..." >&2; exit 1; }
+[ -d "$data/nbrdf/merl" ] || { echo "checkpoints: $data/nbrdf/merl is missing; name it: make checkpoints-brdf DATA=..." >&2; exit 1; }
 "$metapp" data synth brdf --out "$runs/data/synthetic"
 "$metapp" data nbrdf "$data/nbrdf/merl" --out "$runs/data/nbrdf-merl"
 "$metapp" data join "$runs/data/synthetic" "$runs/data/nbrdf-merl" --out "$runs/data/joint"
-common=(brdf --data "$runs/data/joint" --out "$runs")
+common=(brdf --recipe quick --data "$runs/data/joint" --out "$runs")
 "$metapp" general "${common[@]}" --train --train-steps 30000
 "$metapp" quickft "${common[@]}" --train
 "$metapp" meta "${common[@]}" --rule meta-curvature --train --train-steps 30000

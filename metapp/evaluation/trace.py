@@ -1,6 +1,6 @@
-"""What fits pass on their way: errors along the steps, parameters at a quarter, a half, three quarters, and paths.
+"""Traces of fits: errors along the steps, parameters at a quarter, a half, three quarters, and paths.
 
-Fits of `run_tasks` are timed, so nothing is measured while they go; here the same fits, of the same draws, are made
+The fits of other cells are timed, so nothing is measured during them; here the same fits, of the same draws, are made
 again for a few tasks.
 """
 
@@ -11,22 +11,22 @@ from collections.abc import Collection, Iterator
 import torch
 from torch import Tensor
 
-from metapp.evaluation.tables.rows import paper
-from metapp.evaluation.tables.subject import Cell, Fit, Record, Subject
+from metapp.evaluation.cell import Cell, Record
+from metapp.evaluation.rows import paper
+from metapp.evaluation.subject import Fit, Subject, evenly
 from metapp.learning.app import stack
 from metapp.learning.learn import learn, task_loss
 from metapp.learning.rules import fixed_adam
 from metapp.learning.task import Params, Task, Tasks
 from metapp.runs.fits import rng_of
-from metapp.runs.origin import origin_of
-from metapp.runs.session import name_of, observe_of, settings_of, threads_of
-from metapp.storage.records import NUMBER, OPTIONAL, RunFolder, digest
+from metapp.runs.session import observe_of, settings_of
+from metapp.storage.records import NUMBER, OPTIONAL, digest
 
 TRACED = 5  # tasks
 PARTS = (0.0, 0.25, 0.5, 0.75, 1.0)
 CURVES = ("overfit", "finetune", "quickft", "meta")
 FURTHER = (8, 16, 32, 65, 130)  # steps after Meta's
-WALKED = 32  # places on a path
+WALKED = 32  # steps between the places on a path
 _STEPS, _PLACES = [(NUMBER, OPTIONAL)], [(NUMBER, NUMBER)]
 FORM = {  # of a record
     "curves": dict.fromkeys(CURVES, _STEPS),
@@ -39,33 +39,19 @@ FORM = {  # of a record
 def trace_cell(subject: Subject) -> Cell:
     """Traces of a few tasks."""
     fits = [subject.fits[name] for name in CURVES]
-    options = subject.options
-    path = options.out / options.app.name / "trace" / f"{subject.label}-{options.recipe}-seed{options.seed}"
     folder = None
     if all(fit.checkpoint for fit in fits):
         keys = [digest(settings_of(f.options, f.paradigm, f.checkpoint, subject.label)) for f in fits if f.checkpoint]
-        said = {"app": options.app.name, **observe_of(options.app), "fits": keys, "further": FURTHER, "walked": WALKED}
-        end = (path.name, options.rule, subject.shortened, options.app.protocol)
-        folder = RunFolder(path.with_name("-".join(filter(None, end))), said, FORM, origin_of(options))
+        known = {"app": subject.app.name, **observe_of(subject.app), "fits": keys}
+        settings = known | {"further": FURTHER, "walked": WALKED}
+        folder = subject.folder("trace", settings, FORM, of_fits=True)
 
-    def measure(missing: list[Task]) -> Iterator[Record]:
-        assert folder is not None
-        for task in missing:
-            record, thetas = trace(subject, fits, task)
-            folder.add(record, thetas)
-            yield record
+    def measure(tasks: list[Task]) -> Iterator[tuple[Record, Params]]:
+        return (trace(subject, fits, task) for task in tasks)
 
-    steps = sum(fit.paradigm.count(fit.options.job) for fit in fits) + sum(FURTHER)
-    title = f"{name_of(options.app)} trace"
-    return Cell(
-        title,
-        subject.some(TRACED),
-        folder,
-        measure,
-        steps,
-        subject.command("convergence"),
-        threads=threads_of(options.app),
-    )
+    steps = sum(fit.steps for fit in fits) + sum(FURTHER)
+    cell = subject.make_cell("trace", folder, measure, steps, command=subject.command("convergence"))
+    return cell._replace(tasks=evenly(subject.tasks, TRACED))
 
 
 def trace(subject: Subject, fits: list[Fit], task: Task) -> tuple[Record, Params]:
@@ -74,27 +60,24 @@ def trace(subject: Subject, fits: list[Fit], task: Task) -> tuple[Record, Params
     Returns:
         The record, and Meta's parameters at PARTS of its steps, as of `named`.
     """
-    app, options = subject.app, subject.options
-    stacked = stack(app, [task], options.device)
+    stacked = stack(subject.app, [task], subject.options.device)
     curves: dict[str, list[tuple[int, float | None]]] = {}
-    walks: dict[str, dict[int, Params]] = {}
+    paths: dict[str, list[Params]] = {}
     for fit in fits:
-        steps = fit.paradigm.count(fit.options.job)
-        looked, walked = looks(steps), places(steps) if fit.name in ("overfit", "meta") else set()
-        states = descend(fit, task, stacked, looked | walked)
-        curves[fit.name] = [(step, error_of(subject, states[step], stacked)) for step in sorted(looked)]
-        walks[fit.name] = {step: states[step] for step in sorted(walked)}
+        measured = curve_steps(fit.steps)
+        walked = path_steps(fit.steps) if fit.name in ("overfit", "meta") else set()
+        states = states_of(fit, task, stacked, measured | walked)
+        curves[fit.name] = [(step, error_of(subject, states[step], stacked)) for step in sorted(measured)]
+        paths[fit.name] = [states[step] for step in sorted(walked)]
         if fit.name == "meta":
-            parts = {part: states[at(part, steps)] for part in PARTS}
-    wanted = curves["overfit"][-1][1]
-    further = climb(subject, task, stacked, parts[1.0], wanted)
-    paths, explained = paths_of(*(list(walks[name].values()) for name in ("meta", "overfit")))
+            parts = {part: states[step_at(part, fit.steps)] for part in PARTS}
+    places, explained = project_paths(paths["meta"], paths["overfit"])
     record = {
         "name": task.name,
         "error": curves["meta"][-1][1],
         "curves": curves,
-        "further": further,
-        "paths": paths,
+        "further": further_errors(subject, task, stacked, parts[1.0], curves["overfit"][-1][1]),
+        "paths": places,
         "explained": explained,
     }
     return record, named(parts)
@@ -108,31 +91,31 @@ def named(parts: dict[float, Params]) -> Params:
     return {f"{part:g}/{key}": value[0].clone() for part, theta in parts.items() for key, value in theta.items()}
 
 
-def at(part: float, steps: int) -> int:
+def step_at(part: float, steps: int) -> int:
     """The step at which so much of the steps is done."""
     return round(part * steps)
 
 
-def looks(steps: int) -> set[int]:
+def curve_steps(steps: int) -> set[int]:
     """Where errors are measured: at PARTS, and at a quarter of what is left of these, again and again."""
-    found = {at(part, steps) for part in PARTS}
+    counts = {step_at(part, steps) for part in PARTS}
     early = steps / 16
     while early >= 1:
-        found.add(round(early))
+        counts.add(round(early))
         early /= 4
-    return found
+    return counts
 
 
-def places(steps: int) -> set[int]:
+def path_steps(steps: int) -> set[int]:
     """Where a path is marked: evenly in the square root of the step, as it moves fastest at first."""
     return {round(steps * (i / WALKED) ** 2) for i in range(WALKED + 1)}
 
 
-def descend(fit: Fit, task: Task, stacked: Tasks, wanted: Collection[int]) -> dict[int, Params]:
-    """The same fit as the row's, with its parameters [1, ...] after the wanted numbers of steps."""
+def states_of(fit: Fit, task: Task, stacked: Tasks, wanted: Collection[int]) -> dict[int, Params]:
+    """The same fit as the row's: its parameters [1, ...] after the wanted numbers of steps."""
     assert fit.checkpoint is not None
-    job, rng = fit.options.job, rng_of(fit.options, task)
-    descent = fit.paradigm.descend(job, fit.checkpoint.prepared, stacked, rng)
+    rng = rng_of(fit.options, task)
+    descent = fit.paradigm.descend(fit.job, fit.checkpoint.prepared, stacked, rng)
     return {now.step: now.theta for now in descent if now.step in wanted}
 
 
@@ -142,7 +125,7 @@ def error_of(subject: Subject, theta: Params, stacked: Tasks) -> float | None:
     return subject.app.scale * float(errors["error"][0]) if errors else None
 
 
-def climb(
+def further_errors(
     subject: Subject, task: Task, stacked: Tasks, theta: Params, wanted: float | None
 ) -> list[tuple[int, float | None]]:
     """Errors after further steps by Finetune's Adam from Meta's result, until one is within 1 % of Overfit's.
@@ -151,14 +134,14 @@ def climb(
         (steps, error); each is a descent of its own, whose rate decays to the end.
     """
     job = subject.options.job
-    found: list[tuple[int, float | None]] = [(0, error_of(subject, theta, stacked))]
+    errors: list[tuple[int, float | None]] = [(0, error_of(subject, theta, stacked))]
     for steps in FURTHER:
-        if wanted is None or near(found[-1][1], wanted):
+        if wanted is None or near(errors[-1][1], wanted):
             break
         rng = rng_of(subject.options, task)
         rule, loss = fixed_adam(job.recipe.finetune, theta, steps), task_loss(job.app, job.recipe.batch)
-        found.append((steps, error_of(subject, learn(theta, rule, stacked, loss, steps=steps, rng=rng), stacked)))
-    return found
+        errors.append((steps, error_of(subject, learn(theta, rule, stacked, loss, steps=steps, rng=rng), stacked)))
+    return errors
 
 
 def near(error: float | None, wanted: float) -> bool:
@@ -166,13 +149,13 @@ def near(error: float | None, wanted: float) -> bool:
     return error is not None and error - wanted <= paper()["further_steps"]["within"] * abs(wanted)
 
 
-def paths_of(meta: list[Params], overfit: list[Params]) -> tuple[dict[str, list[list[float]]], float]:
+def project_paths(meta: list[Params], overfit: list[Params]) -> tuple[dict[str, list[list[float]]], float]:
     """Both paths in the plane of most variance, and its share; no places where Meta's rule has another network."""
-    meta_states, overfit_states = (torch.stack([vector(theta) for theta in path]) for path in (meta, overfit))
-    if meta_states.shape[1] != overfit_states.shape[1]:
+    both = [torch.stack([vector(theta) for theta in path]) for path in (meta, overfit)]
+    if both[0].shape[1] != both[1].shape[1]:
         return {"meta": [], "overfit": []}, 0.0
-    found, explained = project(torch.cat([meta_states, overfit_states]))
-    return {"meta": found[: len(meta)].tolist(), "overfit": found[len(meta) :].tolist()}, explained
+    places, explained = project(torch.cat(both))
+    return {"meta": places[: len(meta)].tolist(), "overfit": places[len(meta) :].tolist()}, explained
 
 
 def vector(theta: Params) -> Tensor:
@@ -188,7 +171,7 @@ def project(states: Tensor) -> tuple[Tensor, float]:
     return places_of, float(values[-2:].sum() / values.sum().clamp_min(1e-30))
 
 
-def states_of(cell: Cell, task: Task) -> dict[float, Params]:
+def parts_of(cell: Cell, task: Task) -> dict[float, Params]:
     """Meta's parameters at PARTS of its steps, without task axis, from a trace."""
     assert cell.folder is not None
     states: dict[float, Params] = {part: {} for part in PARTS}

@@ -6,8 +6,8 @@ from typing import Any
 
 import pytest
 
-from metapp.evaluation.tables.comparison import carried, change, paired_entries, paired_note, paired_of, verdict
-from metapp.evaluation.tables.rows import blank
+from metapp.evaluation.notes import carried, change, paired_note, verdict
+from metapp.evaluation.rows import blank, paired_entries, paired_of
 from metapp.runs.statistics import Paired
 
 

@@ -1,12 +1,13 @@
 #!/usr/bin/env bash
 # Train the checkpoints that ship of an application with two protocols, on its embedded set alone:
-# starts_observed.sh METAPP RUNS APP
+# checkpoints_observed.sh METAPP RUNS APP
 set -euo pipefail
 metapp=$1 runs=$2 app=$3
-"$metapp" general "$app" --out "$runs" --train
+common=("$app" --recipe quick --out "$runs" --train)
+"$metapp" general "${common[@]}"
 for observe in reference photo; do
-  "$metapp" quickft "$app" --observe "$observe" --out "$runs" --train
-  "$metapp" meta "$app" --observe "$observe" --out "$runs" --train
+  "$metapp" quickft "${common[@]}" --observe "$observe"
+  "$metapp" meta "${common[@]}" --observe "$observe"
 done
 folder=$(ls -td "$runs/$app"/starts/"$app"-*-quick-seed0 | head -1)
 "$(dirname "$metapp")/python" tools/ship.py "$folder" "metapp/checkpoints/$app"

@@ -1,39 +1,12 @@
-"""Comparisons of methods on the same tasks, as entries, columns and notes of tables."""
+"""Notes below tables that several of them share: who wins, what differs from the recipe, what a column shows."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
-from metapp.evaluation.tables.rows import Column, Row
+from metapp.evaluation.rows import Row, paired_of
+from metapp.evaluation.subject import Subject
 from metapp.runs.statistics import FEWEST, Paired, apart
-
-
-def paired_entries(other: str, found: Paired | None) -> Row:
-    """A comparison as entries of a row: `vs_<other>` and so on, None where there is none."""
-    values = found._asdict() if found else dict.fromkeys(Paired._fields)
-    named = {f"vs_{other}_{key}": value for key, value in values.items() if key != "value"}
-    return {f"vs_{other}": values["value"], **named}
-
-
-def paired_of(row: Row, other: str) -> Paired | None:
-    """The inverse of `paired_entries`."""
-    if row.get(f"vs_{other}") is None:
-        return None
-    return Paired(row[f"vs_{other}"], *(row[f"vs_{other}_{key}"] for key in Paired._fields[1:]))
-
-
-def paired_columns(other: str) -> tuple[Column, Column]:
-    """The columns that compare rows with another method."""
-
-    def text(row: Row) -> str:
-        found = paired_of(row, other)
-        return str(found) if found else "-"
-
-    def lower(row: Row) -> str:
-        found = paired_of(row, other)
-        return f"{found.ahead}/{found.tasks}" if found else "-"
-
-    return Column(f"vs {other}", text), Column("lower on", lower)
 
 
 def paired_note(rows: Sequence[Row], other: str = "quickft") -> list[str]:
@@ -86,7 +59,25 @@ def warned(rows: Sequence[Row]) -> list[str]:
     ]
 
 
-def carried(rows: list[Row], error: str, seconds: str) -> tuple[float | None, float | None]:
+def threads_note(rows: Sequence[Row]) -> list[str]:
+    """The threads that seconds are of, where records say so."""
+    known = list(dict.fromkeys(row["threads"] for row in rows if row["threads"]))
+    if len(known) > 1:
+        text = "; ".join(f"{row['paradigm']} {row['threads']}" for row in rows if row["threads"])
+        return [f"threads: {text}; seconds of different threads do not compare"]
+    return [f"threads: {count}" for count in known]
+
+
+def overfit_note(subject: Subject) -> list[str]:
+    """What is said where Overfit takes fewer steps than the recipe's."""
+    if subject.share == 1:
+        return []
+    steps, recipe = subject.fits["overfit"].steps, subject.options.job.recipe.overfit_steps
+    changed = "its error and the gap closed are too high, its time and the speed-up too low"
+    return [f"overfit: {steps:,} of the recipe's {recipe:,} steps, so {changed}"]
+
+
+def carried(rows: Sequence[Row], error: str, seconds: str) -> tuple[float | None, float | None]:
     """The two figures that carry across data sets and machines: Meta's gap closed, and its speed-up over Overfit.
 
     There is no gap to close where Overfit is no better than General.

@@ -1,0 +1,209 @@
+"""Tables, their columns and rows. Nothing is typed in: figures come from records, the paper's from `paper.json`."""
+
+from __future__ import annotations
+
+import functools
+import json
+import statistics
+from collections.abc import Callable, Mapping, Sequence
+from importlib import resources
+from typing import Any, NamedTuple
+
+from metapp.evaluation.cell import Cell, Record
+from metapp.evaluation.subject import Subject
+from metapp.runs.reporter import number
+from metapp.runs.session import is_first_protocol, observe_of
+from metapp.runs.statistics import Errors, Paired, paired, statistics_of
+from metapp.storage.records import guarded
+
+Row = dict[str, Any]
+Take = Callable[[Record], float | None]  # a measure of a record; None where it has none
+
+
+class Column(NamedTuple):
+    """A column of a table.
+
+    Attributes:
+        title: above it.
+        text: a row as this column shows it.
+        left: align left, as words are.
+    """
+
+    title: str
+    text: Callable[[Row], str]
+    left: bool = False
+
+
+def no_cells(subject: Subject) -> list[Cell]:
+    """Those of a table for which nothing has to be run."""
+    return []
+
+
+class Table(NamedTuple):
+    """One of the paper's tables, for any application.
+
+    Attributes:
+        name: a value of --which.
+        title: what it shows, after the application's title; {factor} stands for the factor of its errors.
+        columns: from left to right, after the application's; a terminal shows as many as it has room for.
+        rows: of what has been measured so far.
+        notes: what must be said below it.
+        cells: what must have been measured.
+    """
+
+    name: str
+    title: str
+    columns: tuple[Column, ...]
+    rows: Callable[[Subject], list[Row]]
+    notes: Callable[[Subject, list[Row]], list[str]]
+    cells: Callable[[Subject], list[Cell]] = no_cells
+
+
+# Columns
+
+
+def numbers(title: str, key: str, form: str) -> Column:
+    """A column of numbers; a dash where there is none."""
+    return Column(title, lambda row: number(row.get(key), form))
+
+
+def words(title: str, key: str) -> Column:
+    """A column of words."""
+    return Column(title, lambda row: "-" if row.get(key) is None else str(row[key]), left=True)
+
+
+def bytes_column(title: str, key: str) -> Column:
+    """A column of bytes, to three digits; a dash where they are not known."""
+
+    def text(row: Row) -> str:
+        value = row[key]
+        if value is None:
+            return "-"
+        for unit, scale in (("GB", 1e9), ("MB", 1e6), ("kB", 1e3)):
+            if value >= scale:
+                return f"{value / scale:.3g} {unit}"
+        return f"{value:.0f} B"
+
+    return Column(title, text)
+
+
+def paired_columns(other: str) -> tuple[Column, Column]:
+    """The columns that compare rows with another method."""
+
+    def text(row: Row) -> str:
+        found = paired_of(row, other)
+        return str(found) if found else "-"
+
+    def lower(row: Row) -> str:
+        found = paired_of(row, other)
+        return f"{found.ahead}/{found.tasks}" if found else "-"
+
+    return Column(f"vs {other}", text), Column("lower on", lower)
+
+
+ERROR, SECONDS = numbers("error", "error", ".3f"), numbers("seconds", "seconds", ".4f")
+STEPS = numbers("steps", "steps", "d")
+MEDIAN, WORST = numbers("median", "median", ".3f"), numbers("worst", "worst", ".3f")
+PARADIGM = words("paradigm", "paradigm")
+INTERVAL = Column("95 % interval", lambda row: "-" if row["low"] is None else f"{row['low']:.3f} .. {row['high']:.3f}")
+
+
+# Rows
+
+
+@functools.cache
+def paper() -> dict[str, Any]:
+    """The paper's figures, with where they stand in it."""
+    result: dict[str, Any] = json.loads((resources.files("metapp") / "paper.json").read_text())
+    return result
+
+
+def blank(app: str, paradigm: str, *, beside_paper: bool = True, **entries: Any) -> Row:
+    """A row of which nothing is known yet but the paper's figures; all rows have these keys."""
+    known = paper() if beside_paper else {"error": {}, "seconds": {}}
+    return {
+        "app": app,
+        "paradigm": paradigm,
+        "error": None,
+        "seconds": None,
+        "tasks": 0,
+        "warnings": 0,
+        "guarded": None,
+        "threads": None,
+        "low": None,
+        "high": None,
+        "paper_error": known["error"].get(app, {}).get(paradigm),
+        "paper_seconds": known["seconds"].get(app, {}).get(paradigm),
+        **entries,
+    }
+
+
+def row_of(
+    subject: Subject,
+    name: str,
+    cells: Sequence[Cell],
+    entries: Row,
+    *,
+    take: Take | None = None,
+    against: Mapping[str, Sequence[Cell]] | None = None,
+    beside_paper: bool = True,
+) -> Row:
+    """A row of what cells have measured, with the statistics of one measure.
+
+    Args:
+        subject: of which application.
+        name: the paradigm, as the row calls it.
+        cells: one of each seed of training.
+        entries: further or other entries.
+        take: the measure; None for the table's error.
+        against: the cells that it is compared with, by name, in the same way; () for a comparison that is None.
+        beside_paper: whether the paper has a figure for it, where fits see what the paper's do.
+    """
+    app, records = subject.app, [record for cell in cells for record in cell.records()]
+    groups = {task.name: task.group or task.name for task in cells[0].tasks}
+    seconds = [record["seconds"] for record in records if "seconds" in record]
+    of_paper = beside_paper and is_first_protocol(app) and not name.startswith("meta:")
+    row = blank(app.name, name, beside_paper=of_paper, **observe_of(app))
+    row |= statistics_of([values_of(cell, take) for cell in cells], groups)
+    row |= {"seconds": statistics.median(seconds) if seconds else None, "tasks": len(cells[0].records())}
+    row |= remarks(records) | entries | app.conditions()
+    logarithmic, ours = subject.presentation.logarithmic, [values_of(cell) for cell in cells]
+    for other, others in (against or {}).items():
+        theirs = [values_of(cell) for cell in others]
+        row |= paired_entries(other, paired(ours, theirs, groups, logarithmic=logarithmic) if theirs else None)
+    return row
+
+
+def values_of(cell: Cell, take: Take | None = None) -> Errors:
+    """A measure of a cell's records, by the task's name, of those that have it; None for the table's error."""
+    take = take or (lambda record: record["error"])
+    return {record["name"]: value for record in cell.records() if (value := take(record)) is not None}
+
+
+def against(subject: Subject, name: str, *others: str) -> dict[str, list[Cell]]:
+    """What a row of that name is compared with: the fits of other rows, but not with itself."""
+    return {other: [subject.cell(other)] if other != name else [] for other in others}
+
+
+def remarks(records: Sequence[Record]) -> Row:
+    """How many fits carry a warning, on how many the guard acted, and the threads, where records say so."""
+    threads = sorted({record["threads"] for record in records if record.get("threads")})
+    return {
+        "warnings": sum(bool(record.get("warning")) for record in records),
+        "guarded": guarded(records),
+        "threads": ", ".join(map(str, threads)) or None,
+    }
+
+
+def paired_entries(other: str, found: Paired | None) -> Row:
+    """A comparison as entries of a row: `vs_<other>` and so on, None where there is none."""
+    values = found._asdict() if found else dict.fromkeys(Paired._fields)
+    named = {f"vs_{other}_{key}": value for key, value in values.items() if key != "value"}
+    return {f"vs_{other}": values["value"], **named}
+
+
+def paired_of(row: Row, other: str) -> Paired | None:
+    """The inverse of `paired_entries`."""
+    if row.get(f"vs_{other}") is None:
+        return None
+    return Paired(row[f"vs_{other}"], *(row[f"vs_{other}_{key}"] for key in Paired._fields[1:]))

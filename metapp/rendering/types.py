@@ -1,0 +1,41 @@
+"""Names for what Dr.Jit and Mitsuba pass around, so that signatures say it; importing them imports neither.
+
+All are `Any`: the classes are other ones in each variant, and no annotation can name the one that is active. Numbers,
+vectors and records hold one entry a path, ray or sample.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+# numbers and masks
+Float = Any
+UInt32 = Any
+Mask = Any
+# vectors: Point2f in [0, 1)^2 unless said otherwise, Point3f, Vector3f, Color3f (linear Rec.709)
+Point2 = Any
+Point3 = Any
+Vector3 = Any
+Color = Any
+Frame = Any
+Tensorf = Any
+# records of Mitsuba: SurfaceInteraction3f, BSDFSample3f, DirectionSample3f, Ray3f or RayDifferential3f
+Interaction = Any
+BsdfSample = Any
+EmitterSample = Any
+Ray = Any
+# objects of Mitsuba
+Mitsuba = Any  # the module, in its variant
+Scene = Any
+Sensor = Any
+Sampler = Any
+ImageBlock = Any
+Integrator = Any
+Bsdf = Any
+BsdfContext = Any
+Texture = Any
+Emitter = Any
+Properties = Any
+TraversalCallback = Any
+RandomStreams = Any  # PCG32
+PluginClass = Any  # a class of the variant
