@@ -38,6 +38,7 @@ class Deadline:
     """Plans how many steps fit, so that schedules end with the last one, and stops where they turn out to be slower.
 
     Attributes:
+        planned: the steps of the descent that was planned last.
         taken: the steps of each descent of the fit: the first is by the rule, a second one by the guard.
     """
 
@@ -56,24 +57,24 @@ class Deadline:
         """
         self._seconds, self._clock, self._pace = seconds, clock, pace
         self._begins: list[float] = []
-        self._begin, self._planned = 0.0, 0
+        self._begin, self.planned = 0.0, 0
         self.taken: list[int] = []
 
     def plan(self, most: int) -> int:
         """How many of so many steps fit in the time that is left."""
-        self._begin, self._planned = self._clock(), most
+        self._begin, self.planned = self._clock(), most
         self.taken.append(0)
         if self._pace:
             left = (1 - SPARE) * (self._seconds - self._begin - self._pace.rest)
-            self._planned = max(0, min(most, int(left / max(self._pace.step, 1e-9))))
-        return self._planned
+            self.planned = max(0, min(most, int(left / max(self._pace.step, 1e-9))))
+        return self.planned
 
     def within(self, descent: Iterator[Step]) -> Iterator[Step]:
         """The descent of the steps that were planned, up to the last one that ends in time."""
         for now in descent:
             self.taken[-1] = now.step
             yield now
-            if now.step < self._planned and self._is_over():
+            if now.step < self.planned and self._is_over():
                 break
 
     def _is_over(self) -> bool:

@@ -8,20 +8,19 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
-from metapp.learning.adjoint import Loss, same
+from metapp.learning.adjoint import TORCH, Engine, Loss, UpdateRule, same
+from metapp.learning.deadline import Deadline
 from metapp.learning.draws import Rng, copied, picked
-from metapp.learning.learn import Step, checked
+from metapp.learning.learn import Step, checked, descend, last
 from metapp.learning.recipe import Guard
-from metapp.learning.rules import like
+from metapp.learning.rules import fixed_adam, like
 from metapp.learning.task import Params, Tasks
-
-Fallback = Callable[[Params, Tasks, Rng], Params]
 
 
 class Iterate(NamedTuple):
@@ -31,48 +30,58 @@ class Iterate(NamedTuple):
     loss: Tensor
 
 
-def guarded(
-    descent: Iterator[Step], tasks: Tasks, loss: Loss, rng: Rng, *, guard: Guard, comparable: bool, fallback: Fallback
+def descend_guarded(
+    params: Params,
+    rule: UpdateRule,
+    tasks: Tasks,
+    loss: Loss,
+    *,
+    rng: Rng,
+    guard: Guard,
+    deadline: Deadline,
+    engine: Engine = TORCH,
 ) -> Iterator[Step]:
     """Descend by a learned rule; where that fails, go on by Adam, and keep what has the lowest visible loss.
 
-    A task's iterates are compared on one batch of all of the data, by the plain loss: neither other samples nor learned
-    loss parameters make one look better. Nothing depends on the data but whether there are doubtful tasks at the end.
+    A task's iterates are compared on one batch, the first step's but of all of the data, by the plain loss: neither
+    other samples nor learned loss parameters make one look better. Nothing depends on the data but whether there are
+    doubtful tasks at the end.
 
     Args:
-        descent: the rule's, not begun.
+        params: the initialisations, [T, ...].
+        rule: the learned rule.
         tasks: T of them.
-        loss: what it descends; each task has its own parameters.
-        rng: source of its draws, one for all tasks or one for each; the guard draws from copies.
-        guard: which fits are doubtful.
-        comparable: whether the first step's loss is the plain one, on a batch of all of the data.
-        fallback: (parameters, tasks, rng) of doubtful fits -> parameters after further steps by a plain Adam.
+        loss: what the rule descends; each task has its own parameters.
+        rng: source of the rule's draws, one for all tasks or one for each; the guard draws from copies.
+        guard: which fits are doubtful, and the Adam that these go on by.
+        deadline: of all steps; it has planned those of the rule, and plans at most as many of Adam.
+        engine: what takes the steps.
 
     Yields:
-        The descent's steps, then one with the parameters that are kept.
+        The rule's steps, then one with the parameters that are kept, unless there was no time for a step.
 
     Raises:
         FloatingPointError: the loss of an initialisation is not finite.
     """
-    judged = loss.draw(tasks, copied(rng), 1.0).batch
+    judged, steps = loss.draw(tasks, copied(rng), 1.0).batch, deadline.planned
 
     def judge(theta: Params) -> Iterate:
         with torch.no_grad():
             return Iterate(theta, loss.value(theta, judged, {}).nan_to_num(math.inf, math.inf, math.inf))
 
-    descent = checked(descent, every=0)
-    first = before = now = next(descent)
+    def descent(theta: Params, rule: UpdateRule, tasks: Tasks, loss: Loss, rng: Rng) -> Iterator[Step]:
+        own = descend(theta, rule, tasks, loss, steps=deadline.planned, rng=rng, engine=engine)
+        return checked(deadline.within(own), every=0)
+
+    before = now = Step(0, params, {})
     losses: list[Tensor] = []
-    yield first
-    for after in descent:
-        assert after.loss is not None
+    for after in descent(params, rule, tasks, loss, rng):
         before, now = now, after
-        losses.append(after.loss)
-        yield now
-    if not losses:  # there was no time for a step
+        losses += [] if after.loss is None else [after.loss]
+        yield after
+    if not losses:
         return
-    final = judge(now.theta)
-    initial = Iterate(first.theta, losses[0]) if comparable else judge(first.theta)
+    final, initial = judge(now.theta), judge(params)
     candidates, doubtful = [final, initial], ~(final.loss <= guard.fall * initial.loss)
     if math.isfinite(guard.rise):
         candidates.append(judge(before.theta))
@@ -83,7 +92,9 @@ def guarded(
         return
     best = functools.reduce(_lower, candidates)
     some = {key: value[rows] for key, value in best.theta.items()}
-    further = fallback(some, tasks.select(rows), picked(copied(rng), rows))
+    adam = fixed_adam(guard.adam, some, deadline.plan(steps))
+    plain = Loss(loss.draw, loss.value)  # Adam follows the gradient, whatever the rule does
+    further = last(descent(some, adam, tasks.select(rows), plain, picked(copied(rng), rows))).theta
     best = _lower(best, judge({key: value.index_copy(0, rows, further[key]) for key, value in best.theta.items()}))
     yield now._replace(packed=best.theta, unpack=same, guarded=best.loss < final.loss)
 

@@ -12,7 +12,7 @@ from metapp.learning.adjoint import Loss, UpdateRule
 from metapp.learning.app import App
 from metapp.learning.deadline import Deadline
 from metapp.learning.draws import Rng
-from metapp.learning.guard import guarded
+from metapp.learning.guard import descend_guarded
 from metapp.learning.learn import MetaParameters, Step, checked, descend, last, task_loss
 from metapp.learning.progress import Progress
 from metapp.learning.recipe import Adam, Guard, Recipe
@@ -132,19 +132,13 @@ class Paradigm(NamedTuple):
             yield Step(0, theta, {})
             return
         rule, loss = self.rule(job, prepared, theta, steps), self.loss(job)
-        descent = deadline.within(descend(theta, rule, tasks, loss, steps=steps, rng=rng, engine=FASTEST))
-        if guard is None:
-            yield from checked(descent)
-            return
-
-        def fallback(some: Params, doubtful: Tasks, rng: Rng) -> Params:
-            further = deadline.plan(steps)
-            adam, plain = fixed_adam(guard.adam, some, further), plain_loss(job)
-            descent = descend(some, adam, doubtful, plain, steps=further, rng=rng, engine=FASTEST)
-            return last(checked(deadline.within(descent), every=0)).theta
-
-        comparable = job.app.stage(tasks, 0.0) is tasks and not any(key.startswith("loss.") for key in rule.alpha)
-        yield from guarded(descent, tasks, loss, rng, guard=guard, comparable=comparable, fallback=fallback)
+        if guard:
+            yield from descend_guarded(
+                theta, rule, tasks, loss, rng=rng, guard=guard, deadline=deadline, engine=FASTEST
+            )
+        else:
+            descent = descend(theta, rule, tasks, loss, steps=steps, rng=rng, engine=FASTEST)
+            yield from checked(deadline.within(descent))
 
     def count(self, job: Job) -> int:
         """Return the number of gradient steps of this job: 0 for General, whatever was asked for."""

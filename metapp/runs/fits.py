@@ -127,7 +127,7 @@ class Fitter:
     def _timed(
         self, tasks: Sequence[Task], job: Job, budget: float | None = None, watched: Watched | None = None
     ) -> tuple[Step, float, Tasks, int]:
-        """Fits at their end, their seconds, the stacked tasks, the steps taken; within a budget, they add to its pace."""
+        """Fits at their end, their seconds, the stacked tasks, the steps taken; a budget learns their pace."""
         rng = self._rng(tasks)
         clock = Stopwatch(self.options.device)
         known = usual(self._paces) if self._paces and budget != math.inf else None

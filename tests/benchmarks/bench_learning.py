@@ -277,7 +277,7 @@ def bench_brdf() -> None:
     plain_inner = [[one_task(batch, task) for batch in batches] for task in range(TASKS)]
     plain_last = [one_task(last, task) for task in range(TASKS)]
     supply: list[Iterator[Batch]] = [iter(())]
-    by_torch = Loss(lambda data, rng: Drawn((), next(supply[0])), APP.loss)
+    by_torch = Loss(lambda data, rng, done: Drawn((), next(supply[0])), APP.loss)
     in_c = by_torch._replace(fused=APP.fused)
     first = Adam(5e-3, beta2=0.99, eps=META_EPS)
     rules = {"sgd": (sgd, alpha), "default": (RULES[DEFAULT].rule, RULES[DEFAULT].alpha(APP, theta, STEPS, first))}
@@ -446,7 +446,7 @@ def bench_memory(tasks: int = 4, steps: int = 3) -> None:
 
     photos = torch.rand(2, tasks, 1, 3, 128, 128, generator=rng)
     batch = {"photo": photos[0], "target": photos[1]}
-    loss = Loss(lambda data, rng: Drawn((), batch), value)
+    loss = Loss(lambda data, rng, done: Drawn((), batch), value)
     weights = sum(each.numel() for each in theta.values())
     print(f"\nU-Net of {weights:,} weights, {tasks} tasks of 128 x 128 pixels, {steps} steps: peak of live tensors")
     peaks = []

@@ -31,7 +31,7 @@ def short(monkeypatch: pytest.MonkeyPatch) -> Recipe:
     """The quick recipe with few steps of Overfit and Finetune, and without a compiler."""
     recipe = replace(APP.recipes["quick"], overfit_steps=30, finetune_steps=5)
     monkeypatch.setitem(APP.recipes, "quick", recipe)
-    monkeypatch.setattr("metapp.paradigms.meta.can_compile", lambda: False)
+    monkeypatch.setattr("metapp.engine.fastest.can_compile", lambda: False)
     return recipe
 
 

@@ -86,7 +86,7 @@ def app(monkeypatch: pytest.MonkeyPatch) -> Seen:
     monkeypatch.setitem(Brdf.recipes, "quick", quick)
     monkeypatch.setattr(brdf, "APP", seen)
     monkeypatch.setattr(presentation, "PRESENTATION", Shown)
-    monkeypatch.setattr("metapp.paradigms.meta.can_compile", lambda: False)
+    monkeypatch.setattr("metapp.engine.fastest.can_compile", lambda: False)
     return seen
 
 
