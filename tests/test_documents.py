@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import configparser
+import importlib
 import re
 import shlex
 from collections.abc import Iterator
@@ -110,6 +111,16 @@ def test_files_exist() -> None:
     for page, line in lines_of_code():
         if PATH.match(line) and "notebook" not in page.parts:  # names in the notebook are of its date
             assert (ROOT / line).exists(), (page, line)
+
+
+def test_python_in_pages_imports_what_exists() -> None:
+    for page in PAGES:
+        for block in re.findall(r"^```python\n(.*?)^```", page.read_text(encoding="utf-8"), re.DOTALL | re.MULTILINE):
+            for node in ast.walk(ast.parse(block)):
+                if isinstance(node, ast.ImportFrom) and (node.module or "").startswith(("metapp", "data_tools")):
+                    module = importlib.import_module(node.module or "")
+                    for alias in node.names:
+                        assert hasattr(module, alias.name), (page, node.module, alias.name)
 
 
 def test_every_page_is_in_the_navigation() -> None:

@@ -156,28 +156,30 @@ def budget_of(given: Evaluation) -> Budget:
 
 def subjects_of(given: Evaluation) -> list[Subject]:
     """Each application under each protocol."""
-    from metapp.apps import app_names
+    from metapp.apps import app_names, protocols_of, recipes_of
     from metapp.evaluation.subject import Subject
-    from metapp.runs.session import check_protocol, find_app, options_of
+    from metapp.runs.session import check_name, check_protocol, options_of
 
     budget, run = budget_of(given), not given.no_run
-    found = [find_app(name) for name in given.apps or app_names()]
-    for app in [app for app in found if app.protocols] or found:
-        check_protocol(given.observe, app)
+    names = given.apps or app_names()
+    for name in names:
+        check_name(name)
+    for name in [name for name in names if protocols_of(name)] or names:
+        check_protocol(given.observe, name)
     planned = [
         options_of(
-            app.name,
+            name,
             observe=protocol,
             rule=given.rule,
-            recipe=given.recipe if given.apps or given.recipe in app.recipes else "quick",
+            recipe=given.recipe if given.apps or given.recipe in recipes_of(name) else "quick",
             data=given.data,
             out=given.out,
             seed=given.seed,
             device=given.device,
             quiet=given.quiet,
         )
-        for app in found
-        for protocol in ((given.observe,) if given.observe and app.protocols else app.protocols or ("",))
+        for name in names
+        for protocol in ((given.observe,) if given.observe and protocols_of(name) else protocols_of(name) or ("",))
     ]
     strict = bool(given.apps) and run
     return [Subject(options, run=run, strict=strict, share=given.overfit_share, budget=budget) for options in planned]

@@ -169,7 +169,7 @@ def make_command(name: str, summary: str) -> Any:
             budget=budget,
             watch=watch,
         )
-        check_export(export, options.app)
+        check_export(export, app)
         if train_steps and not train:
             raise typer.BadParameter("--train-steps: only with --train.")
         if scene_root and not any("roots" in form.takes for form in inputs_of(app)):

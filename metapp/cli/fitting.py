@@ -106,7 +106,7 @@ def table_of(
     from metapp.runs.session import caption_of, title_of
     from metapp.storage.records import guarded, summary
 
-    factor = f" x{app.scale:g}" if app.scale != 1 else ""
+    factor = f" x{app.traits.scale:g}" if app.traits.scale != 1 else ""
     remarks = warned([{"paradigm": paradigm, "tasks": len(records), "guarded": guarded(records)}])
     shown_records = records
     if most is not None and len(records) > most:

@@ -47,6 +47,6 @@ def key_of(row: Row) -> str:
 def title_of(table: Table, subject: Subject, rows: list[Row]) -> str:
     """What a table shows, of what and of how many tasks."""
     count = max((row["tasks"] for row in rows), default=0)
-    scale = subject.app.scale
+    scale = subject.app.traits.scale
     said = table.title.format(factor=f" x{scale:g}" if scale != 1 else "")
     return f"{subject.title}, {f'{count} unseen tasks: ' if count else ''}{said}"

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import copy
 import functools
 from dataclasses import asdict, replace
 from typing import Any, NamedTuple, get_args
 
 from torch import Generator
 
-from metapp.learning.app import App
-from metapp.learning.recipe import MetaTraining, Recipe, Start
+from metapp.learning.recipe import Initialisation, MetaTraining, Recipe
 from metapp.learning.rules import RULES, rule_of
 from metapp.paradigms import Paradigm, paradigms
 from metapp.runs.checkpoints import Trained, find_checkpoint, general_of, has_general, train_checkpoint
@@ -18,7 +16,7 @@ from metapp.runs.checkpoints import trained_path as path_of
 from metapp.runs.session import Checkpoint, Options, observe_of, precision_of, versions
 from metapp.storage.records import load_checkpoint, tensor_digest
 
-STARTS = get_args(Start)
+STARTS = get_args(Initialisation)
 ENCODER_RATE = 3e-4  # outer rate of General's encoder where the recipe's own training moves none
 QUICKFT = "quickft"  # the reference line, among the names of rules
 # Beside all named rules, what one part adds to a rule or what its lack does.
@@ -51,7 +49,7 @@ class Budget(NamedTuple):
     outer: int = 500
     steps: tuple[int, ...] = (5, 10, 20, 40)
     seeds: int = 3
-    start: Start = "encoder"
+    start: Initialisation = "encoder"
     rules: tuple[str, ...] = ()
 
 
@@ -92,9 +90,10 @@ def training_for(recipe: Recipe, rule: str) -> MetaTraining:
 
     Without Adam's moments a direction is the gradient itself: that takes the rates of meta-sgd, or a search of one.
     """
+    usual = recipe.training(rule if rule in recipe.meta else recipe.rule)
     if rule in recipe.meta or rule_of(rule).has("betas"):
-        return recipe.meta_training(rule)
-    return recipe.meta.get("meta-sgd") or replace(recipe.meta_training(rule), tuned=True)
+        return usual
+    return recipe.meta.get("meta-sgd") or replace(usual, tuned=True)
 
 
 class Study:
@@ -110,7 +109,6 @@ class Study:
     def __init__(self, options: Options, budget: Budget) -> None:
         self.options, self.budget = options, budget
         self.rules, self.refused = study_rules(options, budget)
-        self._apps: dict[str, App] = {}
 
     def cases(self) -> list[Case]:
         """All trainings: seed by seed, those of few steps first."""
@@ -121,24 +119,17 @@ class Study:
     def place(self, case: Case) -> Options:
         """The options of a case: its recipe is the application's for so many steps, under a name of its own."""
         rule = self.options.rule if case.rule == QUICKFT else case.rule
-        app, name = self._app(case.rule), self._recipe_name(case.rule, case.steps)
-        return self.options._replace(app=app, recipe=name, rule=rule, seed=case.seed, steps=None, checkpoint=None)
+        name, recipe = self._recipe_name(case.rule, case.steps), self._recipe(case.rule, case.steps)
+        return self.options._replace(recipe=name, own=recipe, rule=rule, seed=case.seed, steps=None, checkpoint=None)
 
     def _recipe_name(self, rule: str, steps: int) -> str:
         name = f"{self.options.recipe}-{steps}steps"
         return name if rule == QUICKFT else f"{name}-{self.budget.outer}outer-{self.budget.start}"
 
-    def _app(self, rule: str) -> App:
-        """The application with a recipe for each number of steps; one object a rule, which shares its compiled code."""
-        if rule not in self._apps:
-            app, base = copy.copy(self.options.app), self.options.job.recipe
-            meta = base.meta if rule == QUICKFT else {rule: self.training(rule)}
-            app.recipes = {
-                self._recipe_name(rule, steps): replace(base, steps=steps, meta=meta, rule=next(iter(meta)))
-                for steps in self.budget.steps
-            }
-            self._apps[rule] = app
-        return self._apps[rule]
+    def _recipe(self, rule: str, steps: int) -> Recipe:
+        base = self.options.job.recipe
+        meta = base.meta if rule == QUICKFT else {rule: self.training(rule)}
+        return replace(base, steps=steps, meta=meta, rule=next(iter(meta)))
 
     def training(self, rule: str) -> MetaTraining:
         """How a rule is trained here: as by its recipe, but for the start, and with so many outer steps.
@@ -146,9 +137,9 @@ class Study:
         A recipe that searches an Adam alone does so here, too.
         """
         training = training_for(self.options.job.recipe, rule)
-        if self.budget.start == "encoder" and training.start != "encoder":
+        if self.budget.start == "encoder" and training.initialisation != "encoder":
             training = replace(training, rates={"encoder.": ENCODER_RATE} | training.rates)
-        return replace(training, start=self.budget.start, steps=self.budget.outer if training.steps else 0)
+        return replace(training, initialisation=self.budget.start, steps=self.budget.outer if training.steps else 0)
 
     @functools.cached_property
     def general(self) -> Checkpoint | None:

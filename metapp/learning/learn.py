@@ -15,7 +15,7 @@ import torch
 from torch import Generator, Tensor
 
 from metapp.learning.adjoint import TORCH, Drawn, Engine, Loss, UpdateRule, at_step, learn_through, same
-from metapp.learning.app import App
+from metapp.learning.app import App, OuterLoss, OuterSample, Staged
 from metapp.learning.draws import Rng, drawn
 from metapp.learning.task import Params, Tasks
 
@@ -167,8 +167,8 @@ def task_loss(app: App, batch: int) -> Loss:
 
 def task_outer_loss(app: App, batch: int) -> Loss:
     """The outer loss of an application, on samples of training tasks, [T]."""
-    outer = getattr(app.outer_loss, "__func__", None) is not App.outer_loss  # or one of the object itself
-    return _loss_of(app, app.outer_loss if outer else app.loss, app.outer_sample, batch)
+    value = app.outer_loss if isinstance(app, OuterLoss) else app.loss
+    return _loss_of(app, value, app.outer_sample if isinstance(app, OuterSample) else app.sample, batch)
 
 
 Draw = Callable[[Tasks, Generator, int], Any]
@@ -179,7 +179,8 @@ def _loss_of(app: App, value: Callable[[Params, Any, Params], Tensor], sample: D
     def draw(tasks: Tasks, rng: Rng, done: float) -> Drawn:
         return Drawn(tasks.picked_names(), drawn(lambda some, own: sample(some, own, batch), tasks, rng))
 
-    return staged(Loss(draw, value), app.stage)
+    loss = Loss(draw, value)
+    return staged(loss, app.stage) if isinstance(app, Staged) else loss
 
 
 def staged(loss: Loss, stage: Callable[[Any, float], Any]) -> Loss:

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from torch import Generator
 
 from metapp.learning.adjoint import Loss
+from metapp.learning.app import Staged
 from metapp.learning.draws import Rng, drawn
 from metapp.learning.learn import Encoding, MetaParameters, after_encoding, over_tasks, staged, task_outer_loss
 from metapp.learning.progress import Progress
@@ -27,7 +28,9 @@ def outer_problem(job: Job, rng: Generator) -> tuple[MetaParameters, Loss]:
     app, training = job.app, job.recipe.general
     loss = after_encoding(task_outer_loss(app, job.recipe.batch), Encoding(app.condition, app.encode))
     augment = app.augment if training.augment else None
-    outer = staged(over_tasks(loss, count=training.tasks, augment=augment), app.stage)
+    outer = over_tasks(loss, count=training.tasks, augment=augment)
+    # staged before tasks are augmented: what is not seen need not be made
+    outer = staged(outer, app.stage) if isinstance(app, Staged) else outer
     return MetaParameters(encoder=app.init_encoder(rng)), outer
 
 

@@ -43,7 +43,7 @@ def outer_problem(job: Job, prepared: MetaParameters, rng: Generator) -> tuple[M
         rng: of the random initialisation.
     """
     app, recipe, rule = job.app, job.recipe, rule_of(job.rule)
-    training = recipe.meta_training(job.rule)
+    training = recipe.training(job.rule)
     random = {key: value[0] for key, value in app.init(rng, 1).items()}
     theta = {} if prepared.encoder else prepared.theta or random
     steps = META.count(job)
@@ -55,7 +55,7 @@ def outer_problem(job: Job, prepared: MetaParameters, rng: Generator) -> tuple[M
         clip=training.clip,
         encoding=Encoding(app.condition, app.encode) if prepared.encoder else None,
         outer_loss=task_outer_loss(app, recipe.batch),
-        engine=Fastest(training.tasks_at_once, compiles=app.compiles),
+        engine=Fastest(training.tasks_at_once, compiles=app.traits.compiles),
     )
     phi = MetaParameters(theta, rule.alpha(app, random, steps, training.first), prepared.encoder)
     return phi, over_tasks(learned, count=training.tasks, augment=app.augment if training.augment else None)
@@ -111,13 +111,17 @@ def loss(job: Job) -> Loss:
 
 
 def guard(job: Job) -> Guard:
-    """Which fits by the job's rule are doubtful, after so many steps."""
-    return job.recipe.guard_of(job.rule, META.count(job))
+    """Which fits by the job's rule are doubtful: as its training says for the recipe's number of steps.
+
+    Of other rules, and after other steps, those that end above their initialisation; QuickFT's Adam is their fallback.
+    """
+    usual = META.count(job) == job.recipe.steps
+    return (usual and job.recipe.training(job.rule).guard) or Guard(job.recipe.quickft)
 
 
 def prepare(job: Job, data: TrainingData) -> Iterator[Progress]:
     """Learn the initialisation and the rule, after a search of the Adam that it begins as, if the recipe has one."""
-    training = job.recipe.meta_training(job.rule)
+    training = job.recipe.training(job.rule)
     first, loss = outer_problem(job, _first(job, training, data), data.rng)
     first = with_gradients(job, first, data.to_fit, data.rng)
     if training.tuned:
@@ -133,11 +137,11 @@ def prepare(job: Job, data: TrainingData) -> Iterator[Progress]:
 
 def _first(job: Job, training: MetaTraining, data: TrainingData) -> MetaParameters:
     """What phi begins with: an encoder, the mean of General's predictions, or nothing."""
-    if training.start == "untrained":
+    if training.initialisation == "untrained":
         return MetaParameters(encoder=job.app.init_encoder(data.rng))
     if data.encoder is None or not training.from_general:
         return MetaParameters()
-    if training.start == "encoder":
+    if training.initialisation == "encoder":
         return data.encoder
     predicted = general.initialisation(job, data.encoder, data.to_fit, data.rng)
     return MetaParameters({key: value.mean(0) for key, value in predicted.items()})

@@ -9,7 +9,7 @@ from torch import Generator, Tensor
 from metapp.learning.learn import MetaParameters
 from metapp.learning.rules import rule_of
 from metapp.learning.task import Params
-from metapp.networks.layers import regridded
+from metapp.networks.field import regridded
 from metapp.paradigms import Paradigm
 from metapp.paradigms.quickft import TUNED
 from metapp.runs.session import Options
@@ -24,7 +24,7 @@ def on_own_grid(options: Options, paradigm: Paradigm, prepared: MetaParameters) 
         return prepared
     wanted = _fresh_alpha(options)
     alpha = {
-        key: regridded(value, *wanted[key].shape[2:], periodic=options.app.periodic)
+        key: regridded(value, *wanted[key].shape[2:], periodic=options.app.traits.periodic)
         if key in wanted and _is_on_a_grid(value, wanted[key])
         else value
         for key, value in prepared.alpha.items()
@@ -40,7 +40,7 @@ def _fresh_alpha(options: Options) -> Params:
     """The rule's hyperparameters before training, of the shapes that a checkpoint's must have."""
     recipe = options.job.recipe
     network = {key: value[0] for key, value in options.app.init(Generator().manual_seed(0), 1).items()}
-    first = recipe.meta_training(options.rule).first
+    first = recipe.training(options.rule).first
     return rule_of(options.rule).alpha(options.app, network, recipe.steps, first)
 
 

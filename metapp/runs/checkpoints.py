@@ -116,7 +116,7 @@ def _checkpoint_path(options: Options, name: str) -> Path:
         if path.is_file():
             return path
     path = _shipped(options, name)
-    if path.is_file() and ships(options.app, options.recipe):
+    if path.is_file() and ships(options.app.name, options.recipe):
         return path
     raise ValueError(
         f"{name_of(options.app)} {name}, recipe {options.recipe}: no checkpoint, neither trained on this data nor "
@@ -266,7 +266,7 @@ def _go_on(checkpoint: TrainingCheckpoint, training: OuterLoop | None) -> Progre
 
 def _needs_general(options: Options, name: str) -> bool:
     recipe = options.job.recipe
-    return name == "quickft" or (name != "general" and recipe.meta_training(name).from_general)
+    return name == "quickft" or (name != "general" and recipe.training(name).from_general)
 
 
 def has_general(options: Options) -> bool:
@@ -277,7 +277,7 @@ def has_general(options: Options) -> bool:
     """
     if trained_path(options, "general").is_file():
         return True
-    return not options.data and ships(options.app, options.recipe) and _shipped(options, "general").is_file()
+    return not options.data and ships(options.app.name, options.recipe) and _shipped(options, "general").is_file()
 
 
 def general_of(options: Options, steps: int | None = None) -> Checkpoint:

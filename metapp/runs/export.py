@@ -10,7 +10,7 @@ from torch import Generator
 
 from data_tools.formats import Export, exports_of
 from metapp.appearance.presentation import Presentation
-from metapp.learning.app import App, stack
+from metapp.learning.app import App, Distilled, stack
 from metapp.learning.task import Params, Task
 from metapp.paradigms import paradigms
 from metapp.runs import BadOption
@@ -19,16 +19,16 @@ from metapp.runs.reporter import number, say
 from metapp.runs.session import options_of
 
 
-def check_export(name: str, app: App) -> None:
+def check_export(name: str, app: str) -> None:
     """Refuse a form that fits of an application cannot be written in.
 
     Raises:
         BadOption: it cannot, or a library for it is missing.
     """
-    known = exports_of(app.name)
+    known = exports_of(app)
     if name and name not in known:
         expected = f"expects one of {', '.join(known)}" if known else "has none; leave it out"
-        raise BadOption(f"--export '{name}': {app.name} {expected}.")
+        raise BadOption(f"--export '{name}': {app} {expected}.")
     form = known.get(name)
     if isinstance(form, Export) and form.missing():
         raise BadOption(form.missing())
@@ -71,10 +71,11 @@ def distilled(app: App, task: Task, theta: Params) -> Params:
     """
     options, finetune = options_of(app.name, quiet=True), paradigms()["finetune"]
     usual, rng = options.app, Generator().manual_seed(options.seed)
+    assert isinstance(app, Distilled), f"{app.name} has one network"
     taught = stack(usual, [app.evaluated(theta, task)])
     found = finetune.fit(options.job, find_checkpoint(options, finetune).prepared, taught, rng)
     fits = (app, {key: value[None] for key, value in theta.items()}), (usual, found)
-    errors = [app.scale * float(of.errors(each, stack(of, [task]))["error"][0]) for of, each in fits]
+    errors = [app.traits.scale * float(of.errors(each, stack(of, [task]))["error"][0]) for of, each in fits]
     before, after = (number(error, ".3f") for error in errors)
     say(f"{task.name}: distilled into the network of the format; error {after}, of the fit {before}")
     return {key: value[0] for key, value in found.items()}

@@ -14,7 +14,7 @@ from metapp.runs.inputs import data_folder, data_label, tasks_to_fit
 from metapp.runs.recorded import app_as, read_run
 from metapp.runs.reporter import progress
 from metapp.runs.run import check_size
-from metapp.runs.session import find_app
+from metapp.runs.session import check_name
 from metapp.storage.records import file_name, read_theta
 
 
@@ -48,7 +48,9 @@ def export_run(
     apps = {record["settings"]["app"] for record in records}
     if len(apps) > 1:
         raise ValueError(f"{run}: fits of {', '.join(sorted(apps))}, expected one application; take one run's folder.")
-    check_export(form, find_app(apps.pop()))
+    (name,) = apps
+    check_name(name)
+    check_export(form, name)
     target = out or folder / form
     with progress(form, len(records), quiet=quiet) as bar:
         tasks: dict[str, dict[str, Task]] = {}

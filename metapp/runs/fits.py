@@ -57,7 +57,7 @@ class Fitter:
 
     def each(self, tasks: Sequence[Task]) -> Iterator[tuple[dict[str, Any], Params]]:
         """Fit tasks one by one; see `fit_tasks`."""
-        for task in tasks if self.options.app.protocols else ():
+        for task in tasks if self.options.app.protocol else ():
             self.options.app.prepare(task)  # that one does not hold what a fit may see should not be found after hours
         for task in tasks:
             self.warm(task)
@@ -104,7 +104,7 @@ class Fitter:
         found = []
         for i, (task, alarm) in enumerate(zip(tasks, alarms, strict=True)):
             errors = {key: float(value[i]) for key, value in measures.items()}
-            errors |= {key: app.scale * value for key, value in errors.items() if key == "error"}
+            errors |= {key: app.traits.scale * value for key, value in errors.items() if key == "error"}
             own = {key: value[i] for key, value in theta.items()}
             require_finite(task, own, errors)
             # sums depend on the number of threads, in their last digits: the record says it, but its key does not,

@@ -110,7 +110,7 @@ def readers_of(app: App, path: Path, reading: Reading = AS_FILES_SAY) -> list[Fo
     if not fitting:
         expected = ", ".join(each.inputs for each in known)
         raise ValueError(f"{path}: not an input of {app.name}, expected {expected}, or a folder of these.")
-    return [_reader(form, reading, app.reads) for form in fitting]
+    return [_reader(form, reading, app.traits.reads) for form in fitting]
 
 
 def _reader(form: Format, reading: Reading, size: int) -> FoundReader:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import platform
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict
 from importlib import metadata
 from pathlib import Path
@@ -13,9 +13,10 @@ from typing import Any, NamedTuple
 
 import torch
 
-from metapp.apps import app_names, load_app, presentation_of
-from metapp.learning.app import App
+from metapp.apps import app_names, app_of, presentation_of, protocols_of, recipes_of
+from metapp.learning.app import App, ReducedPrecision
 from metapp.learning.learn import MetaParameters
+from metapp.learning.recipe import Recipe
 from metapp.learning.rules import rule_of
 from metapp.paradigms import Job, Paradigm
 from metapp.runs import BadOption
@@ -40,15 +41,20 @@ class Options(NamedTuple):
     quiet: bool
     budget: float | None = None  # seconds
     watch: bool = False
+    own: Recipe | None = None  # the recipe, where it is none of the application's
 
     @property
     def job(self) -> Job:
         """What the paradigms work on."""
-        return Job(self.app, self.app.recipes[self.recipe], self.rule, self.steps)
+        recipe = self.own or recipes_of(self.app.name, self.app.protocol)[self.recipe]
+        return Job(self.app, recipe, self.rule, self.steps)
 
     def by(self, paradigm: Paradigm) -> Options:
         """The same for a paradigm: Meta's rule may have a network of its own."""
-        return self._replace(app=_at_rule(self.app, self.recipe, self.rule)) if paradigm.name == "meta" else self
+        recipe = self.job.recipe
+        if paradigm.name != "meta" or recipe.training(self.rule).setup is None:
+            return self
+        return self._replace(app=app_of(self.app.name, recipe, self.app.protocol, rule=self.rule))
 
 
 def options_of(
@@ -78,31 +84,25 @@ def options_of(
         BadOption: something that the application does not have.
         ValueError: no such device.
     """
-    app = find_app(name)
+    check_name(name)
+    check_protocol(observe, name)
+    recipes = recipes_of(name, observe)
     if not recipe:
         own = bool(own_files_by) and not (data or checkpoint or rule)
-        recipe = FULL if own and FULL in app.recipes and _has_own(app, own_files_by) else QUICK
-    check_protocol(observe, app)
-    check_recipe(recipe, app)
-    recipes = app.at(app.recipes[recipe], observe).recipes  # those of the protocol
-    placed = app.at(recipes[recipe], observe)
-    chosen = check_rule(rule, placed, recipe)
-    found, seconds = find_device(device, placed), seconds_of(budget)
-    return Options(placed, recipe, chosen, steps, data, out, checkpoint, seed, found, quiet, seconds, watch)
+        recipe = FULL if own and FULL in recipes and _has_own(name, recipes, own_files_by) else QUICK
+    if recipe not in recipes:
+        raise BadOption(f"--recipe '{recipe}': expected one of {', '.join(recipes)}.")
+    app = app_of(name, recipes[recipe], observe)
+    chosen = check_rule(rule, app, recipes[recipe])
+    found, seconds = find_device(device, app), seconds_of(budget)
+    return Options(app, recipe, chosen, steps, data, out, checkpoint, seed, found, quiet, seconds, watch)
 
 
-def _has_own(app: App, paradigm: str) -> bool:
+def _has_own(name: str, recipes: Mapping[str, Recipe], paradigm: str) -> bool:
     """Whether fits of "full" by a paradigm differ from those of "quick", and it ships."""
-    if full_fits_as_quick(app):
-        return paradigm == "meta" and app.recipes[FULL].rule != app.recipes[QUICK].rule
-    return ships(app, FULL)
-
-
-def _at_rule(app: App, recipe: str, rule: str) -> App:
-    """The application at the settings that a rule has of its own, if any."""
-    usual = app.recipes[recipe]
-    of_rule = usual.for_rule(rule)
-    return app if of_rule is usual else app.at(of_rule, app.protocol)
+    if full_fits_as_quick(name):
+        return paradigm == "meta" and recipes[FULL].rule != recipes[QUICK].rule
+    return ships(name, FULL)
 
 
 class Checkpoint(NamedTuple):
@@ -113,26 +113,19 @@ class Checkpoint(NamedTuple):
     digest: str
 
 
-def find_app(name: str) -> App:
-    """The application, or a usage error that lists those that exist."""
+def check_name(name: str) -> None:
+    """A usage error that lists the applications where there is none of that name."""
     if name not in app_names():
         raise BadOption(f"'{name}' is not an application; expected one of {', '.join(app_names())}.")
-    return load_app(name)
 
 
-def check_recipe(name: str, app: App) -> None:
-    """A usage error where the application has no such recipe."""
-    if name not in app.recipes:
-        raise BadOption(f"--recipe '{name}': expected one of {', '.join(app.recipes)}.")
-
-
-def check_rule(name: str, app: App, recipe: str) -> str:
+def check_rule(name: str, app: App, recipe: Recipe) -> str:
     """The one name of a rule or composition, the recipe's default where it is empty, or a usage error."""
     if not name:
-        return app.recipes[recipe].rule
+        return recipe.rule
     try:
         rule = rule_of(name)
-        app = _at_rule(app, recipe, rule.name)
+        app = app_of(app.name, recipe, app.protocol, rule=rule.name)
         theta = {key: value[0] for key, value in app.init(torch.Generator().manual_seed(0), 1).items()}
         rule.require(app, theta)
     except ValueError as error:
@@ -140,16 +133,17 @@ def check_rule(name: str, app: App, recipe: str) -> str:
     return rule.name
 
 
-def check_protocol(name: str, app: App) -> None:
-    """A usage error where the application has no such protocol."""
-    if name and name not in app.protocols:
-        expected = f"expects one of {', '.join(app.protocols)}" if app.protocols else "has one protocol; leave it out"
-        raise BadOption(f"--observe '{name}': {app.name} {expected}.")
+def check_protocol(protocol: str, name: str) -> None:
+    """A usage error where the application of a name has no such protocol."""
+    known = protocols_of(name)
+    if protocol and protocol not in known:
+        expected = f"expects one of {', '.join(known)}" if known else "has one protocol; leave it out"
+        raise BadOption(f"--observe '{protocol}': {name} {expected}.")
 
 
 def is_first_protocol(app: App) -> bool:
     """Whether the application is under its first protocol, or has no other."""
-    return app.protocol in ("", *app.protocols[:1])
+    return app.protocol in ("", *protocols_of(app.name)[:1])
 
 
 def observe_of(app: App) -> dict[str, str]:
@@ -159,7 +153,7 @@ def observe_of(app: App) -> dict[str, str]:
 
 def precision_of(app: App, device: torch.device, steps: int = 1) -> dict[str, str]:
     """What so many steps compute in other than float32, as records and headers of checkpoints say it, if anything."""
-    precision = app.precision(device) if steps else ""
+    precision = app.precision(device) if steps and isinstance(app, ReducedPrecision) else ""
     return {"precision": precision} if precision else {}
 
 
@@ -178,12 +172,14 @@ def caption_of(app: App) -> str:
     """What a table says about its errors."""
     seen = {"fits see": app.protocol} if app.protocol else {}
     conditions = "".join(f"; {key}: {value}" for key, value in (seen | app.conditions()).items())
-    return f"error: {presentation_of(app).measure}{f' x{app.scale:g}' if app.scale != 1 else ''}{conditions}"
+    return (
+        f"error: {presentation_of(app).measure}{f' x{app.traits.scale:g}' if app.traits.scale != 1 else ''}{conditions}"
+    )
 
 
 def threads_of(app: App) -> int:
     """The threads that an application's fits run on, whatever ran before: threads that share little work wait."""
-    return 1 if app.single_threaded else THREADS
+    return 1 if app.traits.single_threaded else THREADS
 
 
 @contextlib.contextmanager
@@ -203,7 +199,7 @@ def find_device(name: str, app: App) -> torch.device:
         raise BadOption(f"--device '{name}': expected auto, cpu or cuda.")
     if name == "cuda" and not torch.cuda.is_available():
         raise ValueError("--device cuda: PyTorch finds no CUDA device; use --device cpu or install a CUDA build.")
-    automatic = "cuda" if torch.cuda.is_available() and not app.single_threaded else "cpu"
+    automatic = "cuda" if torch.cuda.is_available() and not app.traits.single_threaded else "cpu"
     return torch.device(automatic if name == "auto" else name)
 
 

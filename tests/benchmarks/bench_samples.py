@@ -84,7 +84,7 @@ def _errors_of_baselines(way: Way, tasks: list[Task], count: int, training: Trai
     for task in tasks:
         stacked = stack(options.app, [task])
         answer = prepared.fit(stacked, rng_of(options, task), allowed).answer()
-        errors[task.name] = options.app.scale * float(options.app.errors_of(answer, stacked)["error"])
+        errors[task.name] = options.app.traits.scale * float(options.app.errors_of(answer, stacked)["error"])
     return errors
 
 

@@ -11,7 +11,9 @@ import pytest
 import torch
 from torch import Generator, Tensor
 
-from metapp.apps.brdf import APP, nbrdf_in_c
+from metapp.apps import app_of
+from metapp.apps.brdf import Brdf, nbrdf_in_c
+from metapp.apps.brdf.recipes import RECIPES
 from metapp.engine import FASTEST, compiler, in_c
 from metapp.engine import load as load_library
 from metapp.engine.packing import Layout
@@ -23,6 +25,8 @@ from metapp.learning.rules.descent import sgd_step
 from metapp.learning.rules.solve import NormalEquations
 from metapp.learning.task import Batch, Params
 from tests import forks
+
+APP = Brdf()
 
 TASKS, STEPS = 3, 5
 IN_C = ["meta-sgd", "meta-adam", "meta-adam-tied", "meta-encoder", "meta-curvature"]
@@ -203,7 +207,7 @@ def test_what_is_not_in_c_is_left_to_torch(case: str) -> None:
     elif case == "double precision":
         theta = double(theta)
     elif case == "another network":
-        theta = APP.at(APP.recipes["quick"].for_rule("ridge")).init(rng, TASKS)
+        theta = app_of("brdf", RECIPES[""]["quick"], rule="ridge").init(rng, TASKS)
     elif case == "another step":
         rule = rule._replace(step=lambda *arguments: sgd_step(*arguments))
     loss = loss_of([], registered=case != "another loss")

@@ -11,7 +11,7 @@ import pytest
 import torch
 from torch import Generator, Tensor
 
-from metapp.apps.brdf import APP
+from metapp.apps.brdf import Brdf
 from metapp.engine.compiled import Compiled
 from metapp.learning.adjoint import TORCH, Drawn, Engine, Loss, UpdateRule, at_step, learn_through
 from metapp.learning.learn import Encoding, MetaParameters, after_learning, spread
@@ -19,6 +19,8 @@ from metapp.learning.recipe import Adam
 from metapp.learning.rules import META_EPS, RULES, fixed_adam, sgd
 from metapp.learning.task import Batch, Params
 from tests.paradigms.small import applicable
+
+APP = Brdf()
 
 TASKS, STEPS, SAMPLES = 3, 4, 24
 ON_MATRICES = applicable(APP)

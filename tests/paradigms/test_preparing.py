@@ -105,7 +105,7 @@ def test_meta_learns(job: Job, tasks: Tasks) -> None:
 
 def starting_from(start: str, job: Job) -> Job:
     rule = job.recipe.rule
-    return job._replace(recipe=replace(job.recipe, meta={rule: replace(job.recipe.meta[rule], start=start)}))
+    return job._replace(recipe=replace(job.recipe, meta={rule: replace(job.recipe.meta[rule], initialisation=start)}))
 
 
 def test_meta_starts_from_the_mean_of_general(job: Job, tasks: Tasks) -> None:

@@ -56,7 +56,7 @@ def small_job(kind: str, job: Job, monkeypatch: pytest.MonkeyPatch) -> tuple[str
         return kind, job
     rule, tuned = (kind.removesuffix(" tuned"), kind.endswith(" tuned"))
     rule = rule if rule in job.recipe.meta else "meta-encoder"  # networks are for grids alone
-    training = replace(job.recipe.meta[rule], tuned=tuned, start="encoder" if tuned else "mean")
+    training = replace(job.recipe.meta[rule], tuned=tuned, initialisation="encoder" if tuned else "mean")
     return rule, job._replace(rule=rule, recipe=replace(job.recipe, meta={rule: training}))
 
 
@@ -108,11 +108,12 @@ def test_what_was_cut_off_ends_as_if_it_had_not_been(
 def test_ctrl_c_at_any_moment_loses_no_step(
     kind: str, job: Job, tasks: Tasks, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """In the middle of a step or of a look, as signals come; what is written is of a moment between two."""
+    """In the middle of an outer step or of a validation, as signals come; what is written is of a moment between two."""
     name, job = small_job(kind, job, monkeypatch)
     expected = as_file(run(name, job, tasks), tmp_path / "expected.safetensors")
     path, chance, reached = tmp_path / "start.safetensors", random.Random(kind), [(-1, -1)]
-    loss, errors, calls = job.app.outer_loss, job.app.errors, [0]
+    of = type(job.app)
+    augment, errors, calls = of.augment, of.errors, [0]
 
     def interrupting(function: Callable[..., Any]) -> Callable[..., Any]:
         def call(*arguments: Any) -> Any:
@@ -128,8 +129,8 @@ def test_ctrl_c_at_any_moment_loses_no_step(
         calls[0] = chance.randint(2, 5)
         checkpoint = TrainingCheckpoint(path, SETTINGS)
         with monkeypatch.context() as patch:
-            patch.setattr(job.app, "outer_loss", interrupting(loss))
-            patch.setattr(job.app, "errors", interrupting(errors))
+            patch.setattr(of, "augment", interrupting(augment))
+            patch.setattr(of, "errors", interrupting(errors))
             try:
                 made = run(name, job, tasks, checkpoint)
                 break

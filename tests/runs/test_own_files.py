@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from metapp.apps import app_names, load_app
+from metapp.apps import app_names, recipes_of
 from metapp.runs.session import options_of
 
 NAMES = app_names()
@@ -14,7 +14,7 @@ NAMES = app_names()
 
 @pytest.mark.parametrize("name", NAMES)
 def test_every_application_has_a_full_recipe_that_ships(name: str) -> None:
-    assert {"quick", "full", "paper"} <= set(load_app(name).recipes)
+    assert {"quick", "full", "paper"} <= set(recipes_of(name))
     assert options_of(name, recipe="full").recipe == "full"
 
 

@@ -67,4 +67,4 @@ def ranks(subject: Subject) -> Drawn | None:
 
 def factor(subject: Subject) -> str:
     """The factor of printed errors, as axes say it."""
-    return f" x{subject.app.scale:g}" if subject.app.scale != 1 else ""
+    return f" x{subject.app.traits.scale:g}" if subject.app.traits.scale != 1 else ""

@@ -169,7 +169,7 @@ def _row(subject: Subject, rule: str, steps: int, done: list[tuple[Cell, Cell]],
 def notes(subject: Subject, found: list[Row]) -> list[str]:
     """The budget, who wins at each number of steps, what seconds are, what was not run and what does not apply."""
     study = subject.study
-    budget, usual = study.budget, study.options.job.recipe.meta_training(study.options.rule).steps
+    budget, usual = study.budget, study.options.job.recipe.training(study.options.rule).steps
     return [
         f"each rule is trained for {budget.outer:,} outer steps (the recipe: {usual:,}) at each number of steps, from "
         f"{INITIALISATIONS[budget.start]}; its best state on validation tasks is kept",

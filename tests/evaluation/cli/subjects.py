@@ -11,7 +11,8 @@ from typing import Any
 import pytest
 import torch
 
-from metapp.apps.brdf import APP
+from metapp.apps.brdf import Brdf
+from metapp.apps.brdf.recipes import RECIPES
 from metapp.evaluation.subject import Subject
 from metapp.evaluation.tables import load_table
 from metapp.runs.session import Options
@@ -22,7 +23,7 @@ from tests.small_spheres import shrink_spheres
 def few_steps() -> Iterator[None]:
     """Few steps of Overfit and Finetune, and of what comes after Meta; figures of few pixels."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setitem(APP.recipes, "quick", replace(APP.recipes["quick"], overfit_steps=40, finetune_steps=5))
+        patch.setitem(RECIPES[""], "quick", replace(RECIPES[""]["quick"], overfit_steps=40, finetune_steps=5))
         patch.setattr("metapp.evaluation.trace.FURTHER", (2, 4))
         patch.setattr("metapp.evaluation.figures.style.DPI", 40)
         shrink_spheres(patch)
@@ -39,8 +40,8 @@ def call(*arguments: str | Path) -> int:
 
 def subject_of(data: Path, runs: Path) -> Subject:
     """A data set with all that has been run of it."""
-    of, device = APP.at(APP.recipes["quick"]), torch.device("cpu")
-    options = Options(of, "quick", "meta-curvature", None, data, runs, None, 0, device, True)
+    device = torch.device("cpu")
+    options = Options(Brdf(), "quick", "meta-curvature", None, data, runs, None, 0, device, True)
     return Subject(options, run=True, strict=True)
 
 

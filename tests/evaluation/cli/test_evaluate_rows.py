@@ -12,7 +12,7 @@ from torch import Generator
 
 from metapp.appearance.presentation import Fitted
 from metapp.appearance.sphere import environment_scene, shade_sphere
-from metapp.apps.brdf import APP
+from metapp.apps.brdf import Brdf
 from metapp.apps.brdf.presentation import BrdfPresentation
 from metapp.evaluation.cell import run_cells
 from metapp.evaluation.rows import blank, paper
@@ -30,6 +30,8 @@ from metapp.learning.task import Task
 from metapp.runs import session
 from metapp.runs.session import Checkpoint
 from tests.evaluation.cli.subjects import rows, subject_of
+
+APP = Brdf()
 
 
 def test_the_ablation_leaves_out_rules_with_a_network_of_their_own() -> None:
