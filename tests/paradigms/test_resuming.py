@@ -108,7 +108,7 @@ def test_what_was_cut_off_ends_as_if_it_had_not_been(
 def test_ctrl_c_at_any_moment_loses_no_step(
     kind: str, job: Job, tasks: Tasks, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """In the middle of an outer step or of a validation, as signals come; what is written is of a moment between two."""
+    """In the middle of an outer step or of a validation, as signals come; what is written is of between two."""
     name, job = small_job(kind, job, monkeypatch)
     expected = as_file(run(name, job, tasks), tmp_path / "expected.safetensors")
     path, chance, reached = tmp_path / "start.safetensors", random.Random(kind), [(-1, -1)]
