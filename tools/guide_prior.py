@@ -27,9 +27,8 @@ from metapp.paradigms.paradigm import Given
 from metapp.rendering import equal_time
 from metapp.rendering.guide_prior import init
 from metapp.rendering.guide_training import APP, RECIPE
-from metapp.rendering.guided_path import PathTracer, Settings
-from metapp.rendering.guided_picture import GuidedPicture, parts_of
-from metapp.rendering.guided_plugin import RR_DEPTH
+from metapp.rendering.guided_path import PathTracer
+from metapp.rendering.guided_plugin import RR_DEPTH, GuidedPicture, parts_of
 from metapp.rendering.path_space import DEPTH
 from metapp.rendering.scene_loading import load_scene
 from metapp.storage.files import write_atomically
@@ -110,7 +109,7 @@ def pictures(theta: Params, size: int, spp: int) -> str:
 
 def _noise(mi: Any, scene: Any, size: int, spp: int, prior: Params | None) -> float:
     """Mean over pixels of how far pictures of several seeds are from each other, relative to their mean."""
-    tracer, path = PathTracer(Settings(DEPTH, RR_DEPTH)), mi.load_dict({"type": "path"})
+    tracer, path = PathTracer(DEPTH, RR_DEPTH), mi.load_dict({"type": "path"})
     film = scene.sensors()[0].film()
     made: list[Tensor] = []
     for seed in range(PICTURES):

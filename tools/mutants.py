@@ -36,7 +36,7 @@ TESTS = {
     "metapp/appearance/flash.py": ["flash"],
     "metapp/appearance/geometry.py": ["geometry", "merl", "reflection", "flash"],
     "metapp/appearance/latlong.py": ["latlong"],
-    "metapp/appearance/metrics.py": ["metrics"],
+    "metapp/appearance/metrics.py": ["colour"],
     "metapp/appearance/photograph.py": ["photograph"],
     "metapp/appearance/reflection.py": ["reflection"],
     "metapp/appearance/sphere.py": ["sphere"],

@@ -10,9 +10,8 @@ from pathlib import Path
 from data_tools.readers.transport_task import HELD, SAMPLES, transport_task
 from metapp.learning.task import Task
 from metapp.rendering.path_space import DIMENSIONS
-from metapp.rendering.scene_files import Places, read_text
 from metapp.rendering.scene_loading import checked
-from metapp.rendering.scene_text import SceneDict
+from metapp.rendering.scene_rules import Places, SceneDict, read_text
 from metapp.rendering.variant import load_mitsuba
 from metapp.storage.manifest import MANIFEST
 

@@ -6,7 +6,7 @@ from torch import Generator
 
 from metapp.learning.task import Task
 from metapp.rendering.path_space import DIMENSIONS, Tracer, path_samples
-from metapp.rendering.scene_text import SceneDict, scene_bytes
+from metapp.rendering.scene_rules import SceneDict, scene_bytes
 
 SAMPLES, HELD = 32_768, 8_192
 UNITS = {
