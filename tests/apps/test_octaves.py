@@ -114,8 +114,8 @@ def test_descents_go_from_coarse_to_fine(app: ExemplarApp, tasks: Tasks) -> None
     assert seen == [16, 16, 16, 32, 32]
     seen.clear()
     lifted = over_tasks(task_loss(watched, 1), count=2, augment=watched.augment)
-    lifted.draw_at(tasks, rng, 0, 10)
-    lifted.draw_at(tasks, rng, 9, 10)
+    lifted.draw(tasks, rng, 0.0)
+    lifted.draw(tasks, rng, 0.9)
     assert seen == [16, 32]
 
 
