@@ -31,8 +31,7 @@ from data_tools.readers.image_files import LINEAR, SUFFIXES, read_pixels
 from data_tools.readers.photos import SIZE, central_square, find_photos, resample
 from data_tools.readers.svbrdf_task import UNITS, svbrdf_task, task_name, unit_normals
 from metapp.appearance.flash import Maps, pack
-from metapp.appearance.surface import DESCRIPTION
-from metapp.appearance.workflow import DIELECTRIC, from_metallic
+from metapp.appearance.surface import DESCRIPTION, DIELECTRIC, from_metallic
 from metapp.learning.task import Task
 from metapp.storage.shards import split_auto
 

@@ -11,9 +11,8 @@ from torch import Generator
 
 from metapp.learning.task import Task
 from metapp.rendering.path_space import DIMENSIONS, Tracer, path_samples
-from metapp.rendering.scene_files import Places, read_text
-from metapp.rendering.scene_loading import Scene, checked
-from metapp.rendering.scene_text import scene_bytes
+from metapp.rendering.scene_loading import checked
+from metapp.rendering.scene_rules import Places, SceneDict, read_text, scene_bytes
 from metapp.rendering.variant import load_mitsuba
 from metapp.storage.manifest import MANIFEST
 
@@ -31,7 +30,7 @@ SUFFIXES = (".xml", ".json")
 
 def transport_task(
     name: str,
-    scene: Scene,
+    scene: SceneDict,
     seed: int,
     *,
     samples: int = SAMPLES,
@@ -115,7 +114,7 @@ def read_task(
         raise ValueError(f"{path}: {error}") from None
 
 
-def read_scene(path: Path, roots: Iterable[Path] = ()) -> Scene:
+def read_scene(path: Path, roots: Iterable[Path] = ()) -> SceneDict:
     """The content of a scene file, as `load_scene` takes it, with file names that hold from everywhere.
 
     Args:
@@ -135,7 +134,7 @@ def read_scene(path: Path, roots: Iterable[Path] = ()) -> Scene:
         raise ValueError(f"{path}: {error}") from None
 
 
-def _from_json(text: str) -> Scene:
+def _from_json(text: str) -> SceneDict:
     try:
         scene = json.loads(text)
     except (ValueError, RecursionError) as error:

@@ -7,8 +7,7 @@ from typing import Any
 
 from metapp.learning.recipe import Adam, MetaTraining, OuterLoop, Recipe, as_published
 from metapp.networks.exemplar import ExemplarSetup
-from metapp.networks.layers import UNet
-from metapp.networks.pyramid import Pyramid
+from metapp.networks.generators import Pyramid, UNet
 
 PIXELS = {"": 3e-3, "encoder.mlp": 1e-3}  # General's rates where it learns a generator of pictures
 

@@ -1,16 +1,148 @@
-"""The BSDF `neural_brdf` of Mitsuba 3: a fitted network, sampled by lobes that were fitted to it."""
+"""The BSDF `neural_brdf` of Mitsuba 3: a fitted network, sampled by lobes that were fitted to it.
+
+The network runs in Dr.Jit, in whatever variant is active, and is differentiable in its weights and in the directions.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
+from torch import Tensor
 
+from metapp.rendering import types as mt
 from metapp.rendering.brdf_lobes import LAST, NODES, Lobes, fit_lobes
-from metapp.rendering.brdf_network import Material, Network, dr, mi
-from metapp.rendering.plugins import register_plugin
+from metapp.rendering.jit import dr, mi, nn
+from metapp.rendering.plugins import LocalReflection, Reflection, reflection_bsdf, register_plugin
+from metapp.rendering.types import Color, Float, Vector3
+
+
+class Material(NamedTuple):
+    """A BRDF as a network of two hidden layers.
+
+    Attributes:
+        layers: weights [out, in] and biases [out] of each of the three, float32.
+        featured: whether it reads `metapp.apps.brdf.featured.inputs_of`, with hidden layers x sigmoid(x); else half
+            and difference vector, with ReLU.
+        reflectance: linear RGB [..., 3] in 1/sr, >= 0, of angles (theta_h, theta_d, phi_d) [..., 3] in rad.
+    """
+
+    layers: tuple[tuple[NDArray[np.float32], NDArray[np.float32]], ...]
+    featured: bool
+    reflectance: Callable[[Tensor], Tensor]
+
+
+class Network:
+    """The network of a material, in the active variant.
+
+    Attributes:
+        weights, biases: TensorXf [out, in] and Float [out] of each layer; who changes them says so by `changed`.
+        featured: as of the material.
+    """
+
+    def __init__(self, material: Material) -> None:
+        self.weights = [mi.TensorXf(weights) for weights, _ in material.layers]
+        self.biases = [mi.Float(bias) for _, bias in material.layers]
+        self.featured = material.featured
+        self._constants = [(weights.tolist(), bias.tolist()) for weights, bias in material.layers]
+        self._zero = dr.opaque(mi.UInt32, 0)
+
+    def changed(self) -> None:
+        """Read the weights from memory from now on, several times slower than constants of the kernel."""
+        self._constants = []
+
+    def reflectance(self, light: Vector3, viewer: Vector3) -> Color:
+        """Linear RGB in 1/sr, >= 0 (Color3f), of directions above the surface in its local frame (Vector3f)."""
+        half, difference = half_difference(light, viewer)
+        inputs = [*half, *difference]
+        if self.featured:
+            inputs += features(half, difference, light.z, viewer.z)
+        if self._constants and not dr.grad_enabled(self.weights, self.biases):
+            # a call, though it always goes the same way: evaluated twice in a kernel, a network is compiled once
+            last = dr.switch(self._zero, [self._by_constants, lambda *_: [mi.Float(0)] * 3], *inputs)
+        elif mi.variant().startswith("llvm"):
+            last = self._by_vectors(inputs)
+        else:  # OptiX has cooperative vectors of half precision alone
+            last = self._by_gathers(inputs)
+        return dr.maximum(expm1(mi.Color3f(last)), 0)
+
+    def _active(self, x: Float) -> Float:
+        return x / (1 + dr.exp(-x)) if self.featured else dr.maximum(x, 0)
+
+    def _by_constants(self, *x: Float) -> list[Float]:
+        """The last layer, with the weights as constants of the kernel.
+
+        Reading them from memory, 16 lanes at a time, takes ten times as long as the arithmetic.
+        """
+        return self._unrolled(
+            list(x), lambda layer, row: (self._constants[layer][0][row], self._constants[layer][1][row])
+        )
+
+    def _by_gathers(self, x: list[Float]) -> list[Float]:
+        """The same, differentiable in the weights."""
+
+        def parts(layer: int, row: int) -> tuple[list[Float], Float]:
+            inputs = self.weights[layer].shape[1]
+            index = [mi.UInt32(row * inputs + column) for column in range(inputs)]
+            flat = self.weights[layer].array
+            return [dr.gather(mi.Float, flat, i) for i in index], dr.gather(mi.Float, self.biases[layer], row)
+
+        return self._unrolled(x, parts)
+
+    def _unrolled(self, x: list[Float], parts: Callable[[int, int], tuple[list[Float], Float]]) -> list[Float]:
+        for layer, weights in enumerate(self.weights):
+            rows = []
+            for row in range(weights.shape[0]):
+                factors, bias = parts(layer, row)
+                total = mi.Float(bias)
+                for factor, value in zip(factors, x, strict=True):
+                    total = dr.fma(factor, value, total)
+                rows.append(self._active(total) if layer < len(self.weights) - 1 else total)
+            x = rows
+        return x
+
+    def _by_vectors(self, x: list[Float]) -> list[Float]:
+        """The same by cooperative vectors: such a kernel compiles at once."""
+        for layer, (weights, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
+            if layer:
+                x = [self._active(value) for value in x]
+            x = list(nn.matvec(nn.view(weights), nn.CoopVec(*x), nn.view(bias)))
+        return x
+
+
+def expm1(x: Color) -> Color:
+    """exp(x) - 1, without the cancellation at small values, which dark materials have."""
+    return dr.select(dr.abs(x) < 0.01, x * (1 + x * (0.5 + x / 6)), dr.exp(x) - 1)
+
+
+def half_difference(light: Vector3, viewer: Vector3) -> tuple[Vector3, Vector3]:
+    """Half vector, turned to phi_h = 0, and difference vector of `metapp.appearance.geometry.half_difference`."""
+    total = light + viewer
+    length = dr.norm(total)
+    half = total / length
+    square = half.x * half.x + half.y * half.y
+    azimuthal = square > 0  # where the half vector is the normal any azimuth will do: 0
+    sine = dr.sqrt(dr.select(azimuthal, square, 1))
+    cos_phi, sin_phi = dr.select(azimuthal, half.x / sine, 1), dr.select(azimuthal, half.y / sine, 0)
+    sine = dr.select(azimuthal, sine, 0)
+    x, y = cos_phi * light.x + sin_phi * light.y, cos_phi * light.y - sin_phi * light.x
+    # of the z axis, not half . light: between directions nearly opposite that differs by what rounding does to lengths
+    difference = mi.Vector3f(half.z * x - sine * light.z, y, length / 2)
+    return mi.Vector3f(sine, 0, half.z), difference
+
+
+def features(half: Vector3, difference: Vector3, incident: Float, outgoing: Float) -> list[Float]:
+    """What `metapp.apps.brdf.featured.inputs_of` adds to the vectors, of these and both cosines."""
+    angle = dr.atan2(half.x, half.z)
+    square = angle * angle
+    logs = (square + 1e-4, square + 1e-2, dr.maximum(incident, 1e-3), dr.maximum(outgoing, 1e-3))
+    lying = difference.x * difference.x - difference.y * difference.y
+    more = [incident, outgoing, dr.sqrt(angle), 1 / (1 + 100 * square), lying]
+    return [*more, *(0.4 * dr.log(value) + 1 for value in logs)]
+
 
 NAME = "neural_brdf"
 
@@ -26,33 +158,85 @@ def register_neural_brdf(read: Read) -> None:
     register_plugin("bsdf", NAME, lambda: plugin(read))
 
 
+def plugin(read: Read) -> mt.PluginClass:
+    """The class of the plugin in the active variant."""
+
+    class NeuralBrdf(reflection_bsdf(lambda props: NetworkReflection(props, read))):  # type: ignore[misc]
+        """Properties: `filename`, and a texture `tint` that multiplies (1 without)."""
+
+    return NeuralBrdf
+
+
+class NetworkReflection(Reflection):
+    """A fitted network times a tint.
+
+    Parameters: `weights0`, `bias0`, ... of the network, differentiable, and the tint's. Directions are sampled from
+    lobes of the network as it was loaded, whatever becomes of its weights: that changes the noise alone.
+    """
+
+    def __init__(self, props: mt.Properties, read: Read) -> None:
+        self.path = Path(str(mi.file_resolver().resolve(props["filename"])))
+        material = read(self.path)
+        self.network, self.mixture = Network(material), Mixture(fit_lobes(material.reflectance))
+        self.tint = props.get_texture("tint", 1.0)
+        self.components = [mi.BSDFFlags.GlossyReflection | mi.BSDFFlags.FrontSide]
+
+    def at(self, ctx: mt.BsdfContext, si: mt.Interaction, viewer: mt.Vector3, active: mt.Mask) -> LocalReflection:
+        """The network for a viewer, sampled by the mixture."""
+
+        def value(light: mt.Vector3) -> mt.Color:
+            pair = (light, viewer) if ctx.mode == mi.TransportMode.Radiance else (viewer, light)
+            return self.network.reflectance(*pair) * (self.tint.eval(si, active) * light.z)
+
+        return LocalReflection(
+            value,
+            lambda light: self.mixture.density(viewer, light),
+            lambda number, point: (self.mixture.sample(viewer, number, point), mi.UInt32(0)),
+        )
+
+    def traverse(self, callback: mt.TraversalCallback) -> None:
+        """Name the network's and the tint's."""
+        for i, (weights, bias) in enumerate(zip(self.network.weights, self.network.biases, strict=True)):
+            callback.put(f"weights{i}", weights, mi.ParamFlags.Differentiable)
+            callback.put(f"bias{i}", bias, mi.ParamFlags.Differentiable)
+        callback.put("tint", self.tint, mi.ParamFlags.Differentiable)
+
+    def changed(self) -> None:
+        """Weights are no constants any more."""
+        self.network.changed()
+
+    def __str__(self) -> str:
+        sizes = "-".join(str(weights.shape[1]) for weights in self.network.weights)
+        return f'NeuralBrdf[filename = "{self.path}", layers = {sizes}-3, tint = {self.tint}]'
+
+
 class Mixture:
-    """Lobes in the active variant: draws directions and says how densely."""
+    """Lobes in the active variant."""
 
     def __init__(self, lobes: Lobes) -> None:
         self.alphas = lobes.alphas
         self.shares = [mi.Float(column) for column in lobes.shares.astype(np.float32).T]
 
-    def shares_of(self, viewer: Any) -> list[Any]:
+    def shares_of(self, viewer: mt.Vector3) -> list[mt.Float]:
         """The share of each lobe, the cosine first, for a viewer's direction; between nodes linearly."""
-        at = dr.minimum(dr.safe_acos(viewer.z) * ((NODES - 1) / LAST), NODES - 1)
-        node = mi.UInt32(dr.minimum(at, NODES - 2))
-        first, second = ([dr.gather(mi.Float, each, node + i) for each in self.shares] for i in (0, 1))
-        return [dr.lerp(a, b, at - node) for a, b in zip(first, second, strict=True)]
+        place = dr.minimum(dr.safe_acos(viewer.z) * ((NODES - 1) / LAST), NODES - 1)
+        node = mi.UInt32(dr.minimum(place, NODES - 2))
+        first, second = ([dr.gather(mi.Float, share, node + i) for share in self.shares] for i in (0, 1))
+        return [dr.lerp(a, b, place - node) for a, b in zip(first, second, strict=True)]
 
-    def sample(self, viewer: Any, which: Any, point: Any) -> Any:
-        """Draw a direction, which may be below the surface, by a number and a point in [0, 1)."""
+    def sample(self, viewer: mt.Vector3, number: mt.Float, point: mt.Point2) -> mt.Vector3:
+        """A direction, which may be below the surface, of a number and a point in [0, 1)."""
         shares = self.shares_of(viewer)
-        alpha, at = mi.Float(self.alphas[0]), shares[0] + shares[1]
+        alpha, end = mi.Float(self.alphas[0]), shares[0] + shares[1]
         for share, other in zip(shares[2:], self.alphas[1:], strict=True):
-            alpha = dr.select(which < at, alpha, other)
-            at += share
+            alpha = dr.select(number < end, alpha, other)
+            end += share
         half, _ = _facets(alpha).sample(viewer, point)
         # Mitsuba draws NaN once in a million times, at facets that stand upright; below the surface it counts nothing
         mirrored = dr.select(half.z >= 0, mi.reflect(viewer, half), mi.Vector3f(0, 0, -1))
-        return dr.select(which < shares[0], mi.warp.square_to_cosine_hemisphere(point), mirrored)
+        return dr.select(number < shares[0], mi.warp.square_to_cosine_hemisphere(point), mirrored)
 
-    def density(self, viewer: Any, light: Any) -> Any:
+    def density(self, viewer: mt.Vector3, light: mt.Vector3) -> mt.Float:
         """Density of `sample` for directions above the surface, per solid angle."""
         shares = self.shares_of(viewer)
         half = dr.normalize(viewer + light)
@@ -62,68 +246,5 @@ class Mixture:
         return total
 
 
-def _facets(alpha: Any) -> Any:
+def _facets(alpha: mt.Float) -> mt.Facets:
     return mi.MicrofacetDistribution(mi.MicrofacetType.GGX, alpha, True)
-
-
-def plugin(read: Read) -> Any:
-    """The class of the plugin in the active variant."""
-
-    class NeuralBrdf(mi.BSDF):  # type: ignore[misc]  # a class of the variant
-        """Properties: `filename`, and a texture `tint` that multiplies (1 without).
-
-        Parameters: `weights0`, `bias0`, ... of the network, differentiable, and the tint's. Directions are drawn from
-        lobes of the network as it was loaded, whatever becomes of its weights: that changes the noise alone.
-        """
-
-        def __init__(self, props: Any) -> None:
-            mi.BSDF.__init__(self, props)
-            self.path = Path(str(mi.file_resolver().resolve(props["filename"])))
-            material = read(self.path)
-            self.network, self.mixture = Network(material), Mixture(fit_lobes(material.reflectance))
-            self.tint = props.get_texture("tint", 1.0)
-            self.m_components = [mi.BSDFFlags.GlossyReflection | mi.BSDFFlags.FrontSide]
-            self.m_flags = self.m_components[0]
-
-        def eval(self, ctx: Any, si: Any, wo: Any, active: Any = True) -> Any:
-            return self.eval_pdf(ctx, si, wo, active)[0]
-
-        def pdf(self, ctx: Any, si: Any, wo: Any, active: Any = True) -> Any:
-            active = self._seen(ctx, si, wo, active)
-            return dr.select(active, self.mixture.density(si.wi, wo), 0)
-
-        def eval_pdf(self, ctx: Any, si: Any, wo: Any, active: Any = True) -> Any:
-            active = self._seen(ctx, si, wo, active)
-            # directions below the surface are not what a network was fitted to: the values may be anything
-            pair = [dr.select(active, each, mi.Vector3f(0, 0, 1)) for each in (wo, si.wi)]
-            value = self.network.reflectance(*(pair if ctx.mode == mi.TransportMode.Radiance else reversed(pair)))
-            value *= self.tint.eval(si, active) * wo.z
-            return dr.select(active, value, 0), dr.select(active, self.mixture.density(si.wi, wo), 0)
-
-        def sample(self, ctx: Any, si: Any, sample1: Any, sample2: Any, active: Any = True) -> Any:
-            drawn = dr.zeros(mi.BSDFSample3f)
-            drawn.wo = self.mixture.sample(si.wi, sample1, sample2)
-            value, drawn.pdf = self.eval_pdf(ctx, si, drawn.wo, active)
-            drawn.eta = 1.0
-            drawn.sampled_type = mi.UInt32(+mi.BSDFFlags.GlossyReflection)
-            drawn.sampled_component = mi.UInt32(0)
-            return drawn, dr.select(drawn.pdf > 0, value / drawn.pdf, 0)
-
-        def _seen(self, ctx: Any, si: Any, wo: Any, active: Any) -> Any:
-            wanted = ctx.is_enabled(mi.BSDFFlags.GlossyReflection, 0)
-            return mi.Bool(active) & mi.Bool(wanted) & (si.wi.z > 0) & (wo.z > 0)
-
-        def traverse(self, callback: Any) -> None:
-            for i, (weights, bias) in enumerate(zip(self.network.weights, self.network.biases, strict=True)):
-                callback.put(f"weights{i}", weights, mi.ParamFlags.Differentiable)
-                callback.put(f"bias{i}", bias, mi.ParamFlags.Differentiable)
-            callback.put("tint", self.tint, mi.ParamFlags.Differentiable)
-
-        def parameters_changed(self, keys: Any) -> None:
-            self.network.changed()
-
-        def to_string(self) -> str:
-            sizes = "-".join(str(weights.shape[1]) for weights in self.network.weights)
-            return f'NeuralBrdf[filename = "{self.path}", layers = {sizes}-3, tint = {self.tint}]'
-
-    return NeuralBrdf

@@ -9,7 +9,7 @@ from torch import Generator, Tensor
 from metapp.learning.learn import MetaParameters
 from metapp.learning.rules import rule_of
 from metapp.learning.task import Params
-from metapp.networks.layers import regridded
+from metapp.networks.field import regridded
 from metapp.paradigms import Paradigm
 from metapp.paradigms.quickft import TUNED
 from metapp.runs.session import Options

@@ -11,7 +11,7 @@ from metapp.learning.app import App, stack
 from metapp.learning.recipe import Recipe
 from metapp.learning.task import Task, Tasks
 from metapp.networks.exemplar import ExemplarSetup
-from metapp.networks.pyramid import Pyramid
+from metapp.networks.generators import Pyramid
 
 TAPS = ("relu1_1", "relu2_1", "relu3_1")
 

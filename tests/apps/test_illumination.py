@@ -17,7 +17,7 @@ from metapp.apps.illumination.recipes import QUICK, RECIPES
 from metapp.apps.illumination.variants import LAMPS, lit, mixed, regraded, tinted, turned
 from metapp.learning.app import stack
 from metapp.learning.task import Params, Task, Tasks
-from metapp.networks.layers import LocalField
+from metapp.networks.field import LocalField
 
 pytestmark = pytest.mark.usefixtures("scene")
 FIELD = LocalField(8, 16, rows=4, columns=8, code=3, hidden=8, layers=2)

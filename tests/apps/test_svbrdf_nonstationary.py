@@ -25,21 +25,22 @@ from metapp.apps.svbrdf_nonstationary import (
     presentation,
 )
 from metapp.apps.svbrdf_nonstationary.encoder import Encoder
-from metapp.apps.svbrdf_nonstationary.maps import decoded, fine_maps, pooled, relit
-from metapp.apps.svbrdf_nonstationary.presentation import SvbrdfNonstationaryPresentation
-from metapp.apps.svbrdf_nonstationary.recipes import QUICK
-from metapp.apps.svbrdf_nonstationary.variants import _mixed, _recoloured, _turned, varied
-from metapp.apps.svbrdf_nonstationary.views import (
+from metapp.apps.svbrdf_nonstationary.maps import (
     FLASH,
+    decoded,
     flash_of,
     mirroring_pairs,
     oblique_pairs,
     photographed,
+    pooled,
     seen,
 )
+from metapp.apps.svbrdf_nonstationary.presentation import SvbrdfNonstationaryPresentation, fine_maps, relit
+from metapp.apps.svbrdf_nonstationary.recipes import QUICK
+from metapp.apps.svbrdf_nonstationary.variants import _mixed, _recoloured, _turned, varied
 from metapp.learning.app import stack
 from metapp.learning.task import Params, Task, Tasks
-from metapp.networks import strips
+from metapp.networks import field as fields
 
 SIDE = 16
 RECIPE = replace(QUICK, setup=MaterialSetup(field_of(SIDE, hidden=8)._replace(code=3), width=2))
@@ -352,7 +353,7 @@ def test_fine_maps_are_made_by_rows(app: SvbrdfNonstationary, monkeypatch: pytes
     field = app.field._replace(height=150, width=150)
     whole = decoded(field(theta, seen(photo)))
     pictures = relit(whole)
-    monkeypatch.setattr(strips, "TEXELS", 150 * 64)
+    monkeypatch.setattr(fields, "TEXELS", 150 * 64)
     for found, wanted in zip(fine_maps(field, theta, photo), whole, strict=True):
         torch.testing.assert_close(found, wanted)
     assert all(torch.allclose(found, pictures[name]) for name, found in relit(whole).items())

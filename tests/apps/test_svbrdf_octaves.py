@@ -12,7 +12,7 @@ from metapp.apps.svbrdf_stationary import SvbrdfStationary
 from metapp.apps.svbrdf_stationary.presentation import SvbrdfStationaryPresentation
 from metapp.apps.svbrdf_stationary.recipes import FULL
 from metapp.learning.task import Params, Task, Tasks
-from metapp.networks.tiling import enlarged
+from metapp.networks.layers import enlarged
 from tests.apps.octaves import noise_tasks, tiny
 
 TINY = tiny(FULL, 64, 0.5)

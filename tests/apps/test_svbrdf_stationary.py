@@ -32,7 +32,7 @@ from metapp.learning.recipe import Adam
 from metapp.learning.rules import fixed_adam
 from metapp.learning.task import Params, Task, Tasks
 from metapp.networks.exemplar import JUDGED, ExemplarSetup
-from metapp.networks.layers import UNet
+from metapp.networks.generators import UNet
 from metapp.networks.presentation import TILED
 from metapp.paradigms import Job, paradigms
 

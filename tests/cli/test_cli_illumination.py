@@ -15,7 +15,7 @@ from metapp.appearance.latlong import directions, mean_luminance
 from metapp.appearance.photograph import photograph
 from metapp.apps.illumination import IlluminationSetup
 from metapp.apps.illumination.recipes import RECIPES
-from metapp.networks.layers import LocalField
+from metapp.networks.field import LocalField
 
 pytestmark = pytest.mark.usefixtures("scene")
 

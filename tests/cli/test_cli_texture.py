@@ -23,7 +23,7 @@ from metapp.appearance.flash import normal_from_height, unpack
 from metapp.apps import presentation_of, recipes_of
 from metapp.learning.task import Task
 from metapp.networks.exemplar import ExemplarSetup
-from metapp.networks.layers import UNet
+from metapp.networks.generators import UNet
 from metapp.storage.records import read_records
 from tests.quick import app_by
 

@@ -77,9 +77,7 @@ def deviation(first: np.ndarray[Any, Any], second: np.ndarray[Any, Any]) -> floa
 def always_guided(monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest) -> None:
     """Small pictures have few blocks to compare noise in."""
     if "guard" not in request.node.name:
-        from metapp.rendering import guided_picture
-
-        monkeypatch.setattr(guided_picture, "PAYS", math.inf)
+        monkeypatch.setattr("metapp.rendering.guided_plugin.PAYS", math.inf)
 
 
 @pytest.fixture(autouse=True)
@@ -208,7 +206,7 @@ def test_the_prior_is_the_file_that_is_named(mi: Any, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("spp", "pixels"), [(16, 16), (17, 65536), (64, 4096), (1000, 65536), (4096, 2**20)])
 def test_the_parts_are_the_picture(mi: Any, spp: int, pixels: int) -> None:
-    from metapp.rendering.guided_picture import parts_of
+    from metapp.rendering.guided_plugin import parts_of
 
     *learned, last = parts_of(spp, pixels)
     assert sum(part.spp for part in (*learned, last)) == spp
@@ -220,7 +218,7 @@ def test_the_parts_are_the_picture(mi: Any, spp: int, pixels: int) -> None:
 
 
 def test_noise_is_how_far_two_halves_differ(mi: Any) -> None:
-    from metapp.rendering.guided_picture import noise_of
+    from metapp.rendering.guided_plugin import noise_of
 
     rng = np.random.default_rng(0)
     samples = 1 + 0.1 * rng.standard_normal((128, 128))
@@ -232,7 +230,7 @@ def test_noise_is_how_far_two_halves_differ(mi: Any) -> None:
 
 @pytest.mark.parametrize("shape", [(256, 256, 2), (64, 64, 4), (100, 37, 8), (128, 128, 1)])
 def test_samples_are_spread_over_the_film(mi: Any, shape: tuple[int, int, int]) -> None:
-    from metapp.rendering.guided_picture import spread
+    from metapp.rendering.guided_plugin import spread
 
     numbers = np.arange(math.prod(shape)).reshape(shape)
     found = spread(numbers, 128)

@@ -85,7 +85,10 @@ def test_weights_that_change_are_evaluated_from_memory_alike(mi: Any, neural: Ne
         constant = np.array(bsdf.eval(context, interaction, mi.Vector3f(light)))
         bsdf.parameters_changed([])
         np.testing.assert_allclose(np.array(bsdf.eval(context, interaction, mi.Vector3f(light))), constant, 1e-4, 1e-6)
-    inputs, small = [mi.Float(row) for row in np.random.default_rng(0).random((6, 50))], neural("nbrdf").network
+    inputs, small = (
+        [mi.Float(row) for row in np.random.default_rng(0).random((6, 50))],
+        neural("nbrdf").reflection.network,
+    )
     np.testing.assert_allclose(np.array(small._by_vectors(inputs)), np.array(small._by_gathers(inputs)), 1e-4, 1e-5)
 
 

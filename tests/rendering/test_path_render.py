@@ -9,9 +9,8 @@ import torch
 from torch import Tensor
 
 from data_tools.synthetic.cornell import random_scene
-from metapp.rendering.path_render import Guide, reference, render
-from metapp.rendering.path_space import Tracer
-from metapp.rendering.scene_text import scene_bytes, scene_of
+from metapp.rendering.path_space import Guide, Tracer, reference, render
+from metapp.rendering.scene_rules import scene_bytes, scene_of
 from tests.needs_mitsuba import needs_mitsuba
 
 pytestmark = needs_mitsuba

@@ -59,9 +59,9 @@ def _safetensors(rng: random.Random, content: bytes) -> bytes:
     """The header as JSON with changed values, its length put right."""
     length = int.from_bytes(content[:8], "little")
     document = json.loads(content[8 : 8 + length])
-    told = document.get("__metadata__", {}).get("metapp")
-    if told and rng.random() < 0.6:  # what a checkpoint says about itself
-        document["__metadata__"]["metapp"] = mutate_json(rng, json.loads(told))
+    description = document.get("__metadata__", {}).get("metapp")
+    if description and rng.random() < 0.6:
+        document["__metadata__"]["metapp"] = mutate_json(rng, json.loads(description))
         header = json.dumps(document).encode()
     else:
         header = mutate_json(rng, document).encode("utf-8", "surrogatepass")
@@ -207,7 +207,7 @@ def _small_task() -> Any:
     return stack(Brdf(), [brdf_task("small", lambda angles: angles * 0 + 0.1, samples=64)])
 
 
-def _read_start(folder: Path, file: Path) -> None:
+def _read_checkpoint(folder: Path, file: Path) -> None:
     """As --checkpoint, then one step of a fit."""
     import torch
 
@@ -253,6 +253,6 @@ TARGETS: dict[str, Target] = {
     "scene_json": Target(seeds.scenes_json, _read_scene),
     "shard": Target(seeds.shards, _read_shard),
     "manifest": Target(_manifest_alone, _read_manifest),
-    "start": Target(seeds.starts, _read_start),
+    "checkpoint": Target(seeds.checkpoints, _read_checkpoint),
     "record": Target(seeds.records, _read_records),
 }

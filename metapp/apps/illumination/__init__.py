@@ -21,7 +21,7 @@ from metapp.apps.illumination.variants import of_mean_1, varied
 from metapp.learning.app import Traits
 from metapp.learning.task import Batch, Held, Params, Task, Tasks
 from metapp.networks.coded import CodedApp, norm
-from metapp.networks.layers import LocalField
+from metapp.networks.field import LocalField
 from metapp.rendering import second_scene
 
 DARK = 0.01  # of a map of mean luminance 1: the log of radiance is flat below

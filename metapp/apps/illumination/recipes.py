@@ -6,7 +6,7 @@ from dataclasses import replace
 
 from metapp.apps.illumination import IlluminationSetup
 from metapp.learning.recipe import Adam, Guard, MetaTraining, OuterLoop, Recipe
-from metapp.networks.layers import LocalField
+from metapp.networks.field import LocalField
 from metapp.networks.recipes import by_protocol
 
 # exact second order, from General's encoder, which goes on learning through the steps

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from metapp.learning.recipe import Adam, as_published
 from metapp.networks.exemplar import ExemplarSetup
-from metapp.networks.layers import UNet
+from metapp.networks.generators import UNet
 from metapp.networks.recipes import generator, pixels, pyramid
 
 PRIOR = 0.5  # in fits of 256 texels, of how far these are from General's, which else take the place of diffuse colour

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 from metapp.learning.recipe import Adam, as_published
 from metapp.networks.exemplar import ExemplarSetup
-from metapp.networks.layers import UNet
+from metapp.networks.generators import UNet
 from metapp.networks.recipes import generator, pixels, pyramid
 
 QUICK = generator(

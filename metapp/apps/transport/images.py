@@ -15,9 +15,9 @@ from metapp.appearance.presentation import REFERENCE, Fitted, Picture, Rendered
 from metapp.apps.transport.flow import Flow
 from metapp.apps.transport.guide import table_of
 from metapp.learning.task import Params, Task
-from metapp.rendering import equal_time, path_render, path_space
+from metapp.rendering import equal_time, path_space
 from metapp.rendering.guided_plugin import register_guided_path
-from metapp.rendering.scene_text import scene_of
+from metapp.rendering.scene_rules import scene_of
 
 SHOWN_SIZE = 64  # px of a side, of the pictures that a run leaves
 SPP = 1024  # paths a pixel as in Fischer & Ritschel 2022, table 2
@@ -53,15 +53,15 @@ class Studio:
 
     def regular(self, spp: int, seed: int = 0) -> Shot:
         """A picture by the sampling of materials alone."""
-        return _timed(lambda: path_render.render(self.tracer, spp, self.size, seed))
+        return _timed(lambda: path_space.render(self.tracer, spp, self.size, seed))
 
     def guided(self, flow: Flow, theta: Params, spp: int, seed: int = 0) -> Shot:
         """A picture guided by a fit, no task axis in theta; the time includes that of making its table."""
 
         def shoot() -> Tensor:
             table = table_of(flow, theta)
-            guide = path_render.Guide(table.sample, table.density)
-            return path_render.render(self.tracer, spp, self.size, seed, guide)
+            guide = path_space.Guide(table.sample, table.density)
+            return path_space.render(self.tracer, spp, self.size, seed, guide)
 
         return _timed(shoot)
 
@@ -80,9 +80,9 @@ class Studio:
 
     def _by(self, integrator: dict[str, Any], spp: int, seed: int) -> Shot:
         mi, tracer = self.tracer.mi, self.tracer
-        sensor = equal_time.square_sensor(mi, tracer.scene, self.size)
+        sensor = equal_time.square_sensor(tracer.scene, self.size)
         made = mi.load_dict(integrator | {"max_depth": tracer.depth})
-        return _timed(lambda: equal_time.rendered(mi, tracer.scene, made, spp, seed, sensor).permute(2, 0, 1))
+        return _timed(lambda: equal_time.rendered(tracer.scene, made, spp, seed, sensor).permute(2, 0, 1))
 
     def sampling(self, samples: Tensor) -> float:
         """Seconds that as many samples [N, d] of the scene take, and with them the picture that General reads."""
@@ -96,7 +96,7 @@ class Studio:
     def halves(self) -> Tensor:
         """The picture itself twice, of half the paths each, with other random numbers: [2, 3, size, size]."""
         spp = max(1, REFERENCE_SPP // 2)
-        return torch.stack([path_render.reference(self.tracer, self.size, spp, seed) for seed in (1, 2)])
+        return torch.stack([path_space.reference(self.tracer, self.size, spp, seed) for seed in (1, 2)])
 
     @functools.cached_property
     def reference(self) -> Tensor:
@@ -111,7 +111,7 @@ class Studio:
     @functools.cached_property
     def glance(self) -> Tensor:
         """The same with some noise, in an instant."""
-        return path_render.reference(self.tracer, self.size, 64)
+        return path_space.reference(self.tracer, self.size, 64)
 
     @functools.cached_property
     def baseline(self) -> Shot:
@@ -195,9 +195,9 @@ def rendered(task: Task, side: int) -> Rendered:
     """
     tracer = path_space.Tracer(scene_of(task.data["scene"].cpu()))
     register_guided_path()
-    equal_time.resize(tracer.mi, tracer.scene, side)
-    guided = equal_time.guided_picture(tracer.mi, tracer.scene, RENDERED_SPP, tracer.depth)
-    regular = equal_time.regular_picture(tracer.mi, tracer.scene, guided.seconds, RENDERED_SPP, tracer.depth)
+    equal_time.resize(tracer.scene, side)
+    guided = equal_time.guided_picture(tracer.scene, RENDERED_SPP, tracer.depth)
+    regular = equal_time.regular_picture(tracer.scene, guided.seconds, RENDERED_SPP, tracer.depth)
     spent = ", ".join(f"{name} {seconds:.2f} s" for name, seconds in guided.spent.items())
     return Rendered(
         {"guided_path": Picture(guided.picture, "radiance"), "regular_nee": Picture(regular.picture, "radiance")},
