@@ -114,15 +114,9 @@ def path_steps(steps: int) -> set[int]:
 def states_of(fit: Fit, task: Task, stacked: Tasks, wanted: Collection[int]) -> dict[int, Params]:
     """The same fit as the row's: its parameters [1, ...] after the wanted numbers of steps."""
     assert fit.checkpoint is not None
-    states: dict[int, Params] = {}
-
-    def watch(step: int, params: Params, value: Tensor) -> None:
-        if step in wanted:
-            states[step] = params
-
     rng = rng_of(fit.options, task)
-    final = fit.paradigm.fitted(fit.job, fit.checkpoint.prepared, stacked, rng, watch).theta
-    return states | {fit.steps: final}
+    descent = fit.paradigm.descend(fit.job, fit.checkpoint.prepared, stacked, rng)
+    return {now.step: now.theta for now in descent if now.step in wanted}
 
 
 def error_of(subject: Subject, theta: Params, stacked: Tasks) -> float | None:

@@ -24,7 +24,8 @@ from metapp.appearance import latlong
 from metapp.rendering.scene_rules import box_film
 from metapp.rendering.types import Mitsuba
 from metapp.rendering.variant import load_mitsuba
-from metapp.storage.files import cache_folder, write_atomically
+from metapp.storage.cache import cache_folder
+from metapp.storage.files import write_atomically
 from metapp.storage.tensors import read_tensors
 
 VERSION = 1  # of the scene and its matrix, in the name of the cached file

@@ -10,9 +10,9 @@ from torch import Generator, get_num_threads
 
 from metapp.learning.app import App, stack
 from metapp.learning.learn import MetaParameters
+from metapp.learning.progress import Prepared, Progress
 from metapp.learning.recipe import OuterLoop
 from metapp.paradigms import Paradigm, paradigms, ranks
-from metapp.paradigms.resuming import Interrupted, Prepared, Reached, forget
 from metapp.paradigms.training import describe, prepare, training_of
 from metapp.runs import BadOption
 from metapp.runs.checkpoint_check import on_own_grid, require_fit, require_tuned
@@ -193,7 +193,7 @@ def train_checkpoint(
 
     def keep(prepared: Prepared, file: Path, previous: Path | None = None) -> None:
         # General's file holds the encoder that QuickFT is tuned for
-        kept = prepared.start._replace(encoder={}) if name == "quickft" else prepared.start
+        kept = prepared.phi._replace(encoder={}) if name == "quickft" else prepared.phi
         save_checkpoint(file, kept, describe(options.job, name, prepared, steps) | info, previous)
 
     writes = ranks.number() == 0
@@ -207,26 +207,24 @@ def train_checkpoint(
         ranks.wait()
     ranks.wait()  # until all have read it
     with progress(f"train {name}", long=True, quiet=options.quiet) as bar:
+        rng = Generator(options.device).manual_seed(options.seed)
+        prepared: Prepared | None = None
         try:
-            prepared = prepare(
-                name,
-                options.job,
-                tasks,
-                Generator(options.device).manual_seed(options.seed),
-                encoder=encoder,
-                steps=steps,
-                report=None if options.quiet else bar.at,
-                since=since,
-                keep=checkpoint.keep if writes else forget,
-            )
+            for now in prepare(name, options.job, tasks, rng, encoder=encoder, steps=steps, since=since):
+                prepared = now.best
+                if writes:
+                    checkpoint.keep(now)
+                if now.note:
+                    bar.at(now.done, now.total, now.note)
         except (KeyboardInterrupt, ConnectionError) as error:
             if writes:
                 checkpoint.write()
-            if writes and isinstance(error, Interrupted) and error.prepared.curve:
+            if writes and isinstance(error, KeyboardInterrupt) and prepared and prepared.curve:
                 kept = path.with_suffix(".interrupted.safetensors")
-                keep(error.prepared, kept)
-                say(f"validation error {error.prepared.validation:.3f}; to use it as it is: --checkpoint {kept}")
+                keep(prepared, kept)
+                say(f"validation error {prepared.validation:.3f}; to use it as it is: --checkpoint {kept}")
             raise
+    assert prepared is not None
     if writes:
         keep(prepared, path, path.with_suffix(".previous.safetensors"))
         checkpoint.remove()
@@ -251,18 +249,18 @@ def _settings(
     }
 
 
-def _go_on(checkpoint: TrainingCheckpoint, training: OuterLoop | None) -> Reached:
+def _go_on(checkpoint: TrainingCheckpoint, training: OuterLoop | None) -> Progress:
     """How far the same training was when it was cut off, and one line about it."""
     try:
         since = checkpoint.load()
     except ValueError as error:
         say(f"{error}; training from the beginning")
-        return Reached()
+        return Progress()
     if since.outer and training:
-        steps = f"step {since.outer.progress.step:,} of {training.steps:,}"
+        steps = f"step {since.outer.step:,} of {training.steps:,}"
         say(f"going on from {steps} (training checkpoint {checkpoint.path})")
-    elif since.looks:
-        say(f"going on after {len(since.looks)} looks of the search (training checkpoint {checkpoint.path})")
+    elif since.errors:
+        say(f"going on after {len(since.errors)} looks of the search (training checkpoint {checkpoint.path})")
     return since
 
 

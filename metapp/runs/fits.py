@@ -13,7 +13,7 @@ from torch import Generator
 from metapp.learning.app import stack
 from metapp.learning.deadline import REMEMBERED, Deadline, Pace, usual
 from metapp.learning.draws import Rng, drawn
-from metapp.learning.guard import Guarded
+from metapp.learning.learn import Step, last
 from metapp.learning.task import Params, Task, Tasks
 from metapp.paradigms import Job, Paradigm
 from metapp.runs.reporter import say
@@ -95,7 +95,8 @@ class Fitter:
             ValueError: tasks differ in their sizes.
         """
         options, paradigm, job, app = self.options, self.paradigm, self.options.job, self.options.app
-        (theta, acted), seconds, stacked, taken = self._timed(tasks, job, options.budget, self.watched)
+        fit, seconds, stacked, taken = self._timed(tasks, job, options.budget, self.watched)
+        theta = fit.theta
         if self.watched:
             self.watched.show(tasks[0], theta, f"after {taken} steps")
         measures = app.errors(theta, stacked)
@@ -110,7 +111,7 @@ class Fitter:
             # since that is no reason to fit anew
             record = {"name": task.name, "error": None, **errors, "seconds": seconds / len(tasks)}
             record["threads"] = torch.get_num_threads()
-            record |= {"guarded": bool(acted[i])} if paradigm.guard(job) else {}
+            record |= {"guarded": fit.guarded is not None and bool(fit.guarded[i])} if paradigm.guard(job) else {}
             record |= {"steps": taken} if options.budget is not None else {}
             found.append((record | ({"warning": alarm} if alarm else {}), own))
         if options.budget is not None:
@@ -125,19 +126,21 @@ class Fitter:
 
     def _timed(
         self, tasks: Sequence[Task], job: Job, budget: float | None = None, watched: Watched | None = None
-    ) -> tuple[Guarded, float, Tasks, int]:
-        """Fits, their seconds, the stacked tasks, and the steps taken; within a budget, whose pace it adds to."""
+    ) -> tuple[Step, float, Tasks, int]:
+        """Fits at their end, their seconds, the stacked tasks, the steps taken; a budget learns their pace."""
         rng = self._rng(tasks)
         clock = Stopwatch(self.options.device)
         known = usual(self._paces) if self._paces and budget != math.inf else None
         deadline = None if budget is None else Deadline(budget, clock, known)
-        watch = watched.of(tasks[0], self.paradigm.count(job), clock) if watched else None
         stacked = stack(self.options.app, tasks, self.options.device)
-        found = self.paradigm.fitted(job, self.checkpoint.prepared, stacked, rng, watch, deadline)
+        descent = self.paradigm.descend(job, self.checkpoint.prepared, stacked, rng, deadline)
+        if watched:
+            descent = watched.shown(descent, tasks[0], self.paradigm.count(job), clock)
+        fit = last(descent)
         seconds = clock()
         pace = deadline and deadline.pace()
         self._paces += [pace] if pace else []
-        return found, seconds, stacked, deadline.taken[0] if deadline else self.paradigm.count(job)
+        return fit, seconds, stacked, deadline.taken[0] if deadline else self.paradigm.count(job)
 
     def _judge(self, seconds: float, taken: int) -> None:
         over = seconds - (self.options.budget or 0.0)
@@ -182,7 +185,7 @@ def warnings_of(
     """
     if paradigm.count(job) == 0:
         return [""] * len(stacked)
-    first = paradigm.start(job, checkpoint.prepared, stacked, rng)
+    first = paradigm.initialisation(job, checkpoint.prepared, stacked, rng)
     again = tuple(Generator(stacked.rows.device).manual_seed(0) for _ in stacked.names)
     with torch.no_grad():
         batch = drawn(lambda some, own: job.app.sample(some, own, job.recipe.batch), stacked, again)
