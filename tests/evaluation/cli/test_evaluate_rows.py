@@ -62,11 +62,13 @@ def test_what_is_combined_is_what_it_says(subject: Subject) -> None:
     assert quickft
     tasks, rng = stack(subject.app, subject.tasks), torch.Generator().manual_seed(0)
     job = subject.plan.job
-    ours = START_ALONE.start(job, meta.prepared, tasks, rng)
+    ours = START_ALONE.initialisation(job, meta.prepared, tasks, rng)
     assert all(torch.equal(value[1], meta.prepared.theta[key]) for key, value in ours.items())
     mixed = general.prepared._replace(alpha=meta.prepared.alpha)
-    theirs = RULE_ALONE.start(job, mixed, tasks, torch.Generator().manual_seed(1))
-    encoded = subject.fits["general"].paradigm.start(job, general.prepared, tasks, torch.Generator().manual_seed(1))
+    theirs = RULE_ALONE.initialisation(job, mixed, tasks, torch.Generator().manual_seed(1))
+    encoded = subject.fits["general"].paradigm.initialisation(
+        job, general.prepared, tasks, torch.Generator().manual_seed(1)
+    )
     assert all(torch.equal(theirs[key], encoded[key]) for key in encoded)
     assert START_ALONE.count(job) == RULE_ALONE.count(job) == 10
 

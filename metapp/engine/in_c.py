@@ -1,7 +1,7 @@
 """Steps in C (`step.c`), for small networks whose loss an application has in C, and rules whose parts are there.
 
-What `adjoint` does by automatic differentiation of a tensor for each parameter is the reference, from which results
-differ by rounding. The descent and the adjoint recursion stay the same: a `StepPair` on the tree {"theta": [T, P]}.
+Steps by torch are the reference, from which results differ by rounding. The descent and the adjoint recursion stay the
+same: a `Stepper` on the tree {"theta": [T, P]}.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from __future__ import annotations
 import ctypes
 import functools
 import math
-from collections.abc import Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -17,10 +17,10 @@ import torch
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from metapp.learning.adjoint import Loss, StepPair, UpdateRule, learn_through
-from metapp.learning.flat import FusedLoss, Layout, Packing
+from metapp.engine.compiler import load
+from metapp.engine.packing import Layout, packed
+from metapp.learning.adjoint import Loss, Stepper, UpdateRule, loss_parameters
 from metapp.learning.task import Params
-from metapp.native import load
 
 WIDEST, MOST = 64, 4096  # as in step.c: rows and columns of a parameter, weights of a task
 
@@ -44,58 +44,74 @@ class _State(ctypes.Structure):
     _fields_ = [(name, ctypes.c_void_p) for name in ("m", "v", "products")]
 
 
-class Fused(NamedTuple):
-    """A loss and a rule in C.
+class LossInC(NamedTuple):
+    """A loss of flat parameters theta [T, P], float32, and its derivatives.
 
     Attributes:
-        layout: of theta.
-        loss: of flat parameters.
-        packing: of the rule.
-        gathered: the rule's hyperparameters, as `Packing.gather` gave them.
+        names: of the parameters, in theta's order.
+        gradient: (theta, batch, learned) -> (gradient [T, P], loss of each task [T]).
+        product: (theta, batch, learned, along [T, P]) -> the derivatives of the sum of gradient * along in theta, and
+            in each learned parameter.
     """
 
-    layout: Layout
-    loss: FusedLoss
-    packing: Packing
-    gathered: Params
-
-    def rule(self, gathered: Params) -> UpdateRule:
-        """The rule on {"theta": [T, P]} with these hyperparameters."""
-        alpha = self.packing.quantities(gathered)
-        return UpdateRule(alpha, _first_state if "adam" in alpha else _no_state, _not_by_itself)
-
-    def steps(self, order: int) -> StepPair:
-        """One step and its vector-Jacobian product."""
-        step = _Step(self.layout, self.loss, order)
-        return StepPair(step.forward, step.pullback, step.kept)
-
-    def learn_through(self, theta: Tensor, gathered: Params, batches: Sequence[Any], loss: Loss, order: int) -> Tensor:
-        """`adjoint.learn_through` on theta [T, P], with given hyperparameters."""
-        rule = self.rule(gathered)
-        return learn_through({"theta": theta}, rule, batches, loss, order=order, steps=self.steps(order))["theta"]
+    names: tuple[str, ...]
+    gradient: Callable[[Tensor, Any, Params], tuple[Tensor, Tensor]]
+    product: Callable[[Tensor, Any, Params, Tensor], tuple[Tensor, Params]]
 
 
-def fuse(rule: UpdateRule, loss: Loss, theta: Params) -> Fused | None:
-    """The same in C; None where the loss, a part of the rule, the device or the numbers' type has no such form."""
-    if rule.packing is None or any(v.dtype != torch.float32 or v.device.type != "cpu" for v in theta.values()):
+_LOSSES: dict[Callable[..., Any], Callable[[Params], LossInC | None]] = {}
+
+
+def register(loss: Callable[..., Any], in_c: Callable[[Params], LossInC | None]) -> None:
+    """Say how a loss is computed in C.
+
+    Args:
+        loss: an application's method, which one that overrides it is not.
+        in_c: theta -> the same loss for parameters of these shapes; None where there is none or no compiler for it.
+    """
+    _LOSSES[loss] = in_c
+
+
+def loss_in_c(loss: Loss, theta: Params) -> LossInC | None:
+    """The same in C; None where the loss, the device or the numbers' type has no such form."""
+    in_c = _LOSSES.get(getattr(loss.value, "__func__", loss.value))
+    by_gradient = type(loss).gradient is Loss.gradient
+    if (
+        in_c is None
+        or not by_gradient
+        or any(value.dtype != torch.float32 or value.device.type != "cpu" for value in theta.values())
+    ):
         return None
-    in_c = loss.fused(theta)
-    if in_c is None or _library() is None:
+    return in_c(theta) if _library() is not None else None
+
+
+def stepper(rule: UpdateRule, loss: Loss, theta: Params, order: int) -> Stepper | None:
+    """Steps in C; None where the loss or a part of the rule has no such form."""
+    in_c = loss_in_c(loss, theta)
+    if in_c is None:
         return None
     layout = Layout.of({name: theta[name] for name in in_c.names})
-    if not _fits(layout):
+    alpha = packed(rule.step, rule.alpha, layout) if _fits(layout) else None
+    if alpha is None:
         return None
-    gathered = rule.packing.gather(rule.alpha, layout)
-    return None if gathered is None else Fused(layout, in_c, rule.packing, gathered)
+    step = _Step(layout, in_c, order)
+    return Stepper(
+        {"theta": layout.flat(theta)},
+        alpha,
+        _first_state if "adam" in alpha else _no_state,
+        step.forward,
+        step.backward,
+        step.needed,
+        lambda theta: layout.tree(theta["theta"]),
+    )
 
 
-def flat_value(loss: Loss, layout: Layout, theta: Tensor, batch: Any) -> Tensor:
-    """A loss [T] of flat parameters, differentiable once, in C where there is such a form."""
-    tree = layout.tree(theta)
-    in_c = loss.fused(tree)
+def value(loss: Loss, theta: Params, batch: Any) -> Tensor | None:
+    """A loss [T] in C, differentiable once in theta; None where it has no such form."""
+    in_c = loss_in_c(loss, theta)
     if in_c is None:
-        return loss.value(tree, batch, {})
-    result: Tensor = _Value.apply(in_c, theta, batch)  # type: ignore[no-untyped-call]
+        return None
+    result: Tensor = _Value.apply(in_c, Layout.of({name: theta[name] for name in in_c.names}).flat(theta), batch)  # type: ignore[no-untyped-call]
     return result
 
 
@@ -103,7 +119,7 @@ class _Value(torch.autograd.Function):
     """A loss in C, whose gradient comes with it."""
 
     @staticmethod
-    def forward(ctx: Any, loss: FusedLoss, theta: Tensor, batch: Any) -> Tensor:
+    def forward(ctx: Any, loss: LossInC, theta: Tensor, batch: Any) -> Tensor:
         ctx.gradient, losses = loss.gradient(theta.detach(), batch, {})
         return losses
 
@@ -142,14 +158,10 @@ def _no_state(theta: Params) -> Params:
     return {}
 
 
-def _not_by_itself(*_: Any) -> Any:
-    raise AssertionError("a step in C has its gradient with it")
-
-
 class _Step:
     """Forward and backward of one step in C."""
 
-    def __init__(self, layout: Layout, loss: FusedLoss, order: int) -> None:
+    def __init__(self, layout: Layout, loss: LossInC, order: int) -> None:
         self.loss, self.order = loss, order
         self.functions: Any = _library()
         pairs = [
@@ -158,13 +170,13 @@ class _Step:
         ]
         self.shapes = sum(layout.sizes), len(pairs), (_Shape * len(pairs))(*(_Shape(*pair) for pair in pairs))
 
-    def kept(self, batch: Any, grads: Tensor) -> Any:
+    def needed(self, batch: Any, grads: Tensor) -> Any:
         """The gradient, which is small, and for its derivative the batch."""
         return (batch if self.order == 2 else None, grads)
 
     def forward(self, alpha: Params, theta: Params, state: Params, batch: Any) -> tuple[Params, Params, Tensor, Tensor]:
         flat = theta["theta"].contiguous()
-        grads, losses = self.loss.gradient(flat, batch, _learned(alpha))
+        grads, losses = self.loss.gradient(flat, batch, loss_parameters(alpha))
         moved, after = torch.empty_like(flat), {key: torch.empty_like(value) for key, value in state.items()}
         tree = _alpha(alpha)
         self.functions.step(
@@ -173,10 +185,10 @@ class _Step:
         )  # fmt: skip
         return {"theta": moved}, after, losses, grads
 
-    def pullback(
-        self, alpha: Params, theta: Params, state: Params, kept: Any, pull_theta: Params, pull_state: Params
+    def backward(
+        self, alpha: Params, theta: Params, state: Params, needed: Any, pull_theta: Params, pull_state: Params
     ) -> tuple[Params, Params, Params]:
-        batch, grads = kept
+        batch, grads = needed
         pull, tree = pull_theta["theta"], _alpha(alpha)
         by_grads, by_state = torch.empty_like(grads), {key: torch.empty_like(value) for key, value in state.items()}
         sizes = {key: alpha[key].shape[-1] for key in ("adam", "matrices") if key in alpha} | {"rate": grads.shape[1]}
@@ -187,16 +199,12 @@ class _Step:
             _reference(_Pulled, pulled),
         )  # fmt: skip
         if self.order == 2:
-            learned = _learned(alpha)
+            learned = loss_parameters(alpha)
             product, by_learned = self.loss.product(theta["theta"].contiguous(), batch, learned, by_grads)
             pull = pull + product
             pulled |= {f"loss.{key}": value for key, value in by_learned.items()}
         by_alpha = {key: pulled[key].sum_to_size(alpha[key].shape) for key in pulled}
         return {"theta": pull}, by_state, by_alpha
-
-
-def _learned(alpha: Params) -> Params:
-    return {key[5:]: value for key, value in alpha.items() if key.startswith("loss.")}
 
 
 def _state(state: Params) -> Any:

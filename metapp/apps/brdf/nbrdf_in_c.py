@@ -11,15 +11,14 @@ import torch
 from torch import Tensor
 
 from metapp.apps.brdf import nbrdf
-from metapp.learning.flat import FusedLoss
+from metapp.engine import LossInC, load
 from metapp.learning.task import Batch, Params
-from metapp.native import load
 
 
-def fused(theta: Params) -> FusedLoss | None:
+def loss(theta: Params) -> LossInC | None:
     """The loss for parameters of this network; None for others, or without a compiler."""
     same = {key: tuple(value.shape[1:]) for key, value in theta.items()} == nbrdf.shapes()
-    return FusedLoss(tuple(nbrdf.shapes()), gradient, product) if same and _library() is not None else None
+    return LossInC(tuple(nbrdf.shapes()), gradient, product) if same and _library() is not None else None
 
 
 @functools.cache

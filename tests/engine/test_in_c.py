@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from multiprocessing.context import ForkServerProcess
 from pathlib import Path
 
@@ -10,17 +11,18 @@ import pytest
 import torch
 from torch import Generator, Tensor
 
-from metapp import native
 from metapp.apps import app_of
-from metapp.apps.brdf import Brdf, nbrdf_fused
+from metapp.apps.brdf import Brdf, nbrdf_in_c
 from metapp.apps.brdf.recipes import RECIPES
-from metapp.learning import fused
-from metapp.learning.adjoint import Drawn, Loss, UpdateRule
-from metapp.learning.flat import Layout
-from metapp.learning.fused import fuse
-from metapp.learning.learn import MetaParameters, after_learning, learn, spread
+from metapp.engine import FASTEST, compiler, in_c
+from metapp.engine import load as load_library
+from metapp.engine.packing import Layout
+from metapp.learning.adjoint import TORCH, Drawn, Engine, Loss, UpdateRule
+from metapp.learning.learn import MetaParameters, after_learning, descend, learn, spread
 from metapp.learning.recipe import Adam
 from metapp.learning.rules import META_EPS, RULES, fixed_adam, sgd
+from metapp.learning.rules.descent import sgd_step
+from metapp.learning.rules.solve import NormalEquations
 from metapp.learning.task import Batch, Params
 from tests import forks
 
@@ -29,14 +31,14 @@ APP = Brdf()
 TASKS, STEPS = 3, 5
 IN_C = ["meta-sgd", "meta-adam", "meta-adam-tied", "meta-encoder", "meta-curvature"]
 EPS = torch.finfo(torch.float32).eps
-needs_compiler = pytest.mark.skipif(native.compiler() is None, reason="steps in C need a C compiler")
+needs_compiler = pytest.mark.skipif(compiler() is None, reason="steps in C need a C compiler")
 
 
-def loss_of(batches: list[Batch], in_c: bool = True) -> Loss:
+def loss_of(batches: list[Batch], registered: bool = True) -> Loss:
     """The loss on these batches, one after the other."""
     supply = iter(batches)
-    loss = Loss(lambda data, rng: Drawn((), next(supply)), APP.loss)
-    return loss._replace(fused=APP.fused) if in_c else loss
+    value = APP.loss if registered else lambda theta, batch, learned: APP.loss(theta, batch, learned)
+    return Loss(lambda data, rng, done: Drawn((), next(supply)), value)
 
 
 def batch_of(rng: Generator, samples: int, tasks: int = TASKS) -> Batch:
@@ -76,10 +78,10 @@ def test_derivatives_in_double_precision(names: tuple[str, ...], samples: int) -
     theta, batch, learned = theta_of(rng), batch_of(rng, samples), learned_of(names, rng)
     layout = Layout.of(theta)
     flat, along = layout.flat(theta), torch.randn(TASKS, 675, generator=rng)
-    in_c = APP.fused(theta)
-    assert in_c is not None
-    gradient, losses = in_c.gradient(flat, batch, learned)
-    product, pulls = in_c.product(flat, batch, learned, along)
+    own = nbrdf_in_c.loss(theta)
+    assert own is not None
+    gradient, losses = own.gradient(flat, batch, learned)
+    product, pulls = own.product(flat, batch, learned, along)
 
     exact = flat.double().requires_grad_()
     leaves = {key: value.double().requires_grad_() for key, value in learned.items()}
@@ -98,9 +100,9 @@ def test_tasks_do_not_see_each_other() -> None:
     rng = Generator().manual_seed(1)
     theta, batch = theta_of(rng), batch_of(rng, 200)
     flat = Layout.of(theta).flat(theta)
-    together, _ = nbrdf_fused.gradient(flat, batch, {})
+    together, _ = nbrdf_in_c.gradient(flat, batch, {})
     for task in range(TASKS):
-        one, _ = nbrdf_fused.gradient(flat[task : task + 1], {k: v[task : task + 1] for k, v in batch.items()}, {})
+        one, _ = nbrdf_in_c.gradient(flat[task : task + 1], {k: v[task : task + 1] for k, v in batch.items()}, {})
         assert torch.equal(one[0], together[task])
 
 
@@ -111,10 +113,10 @@ def test_what_is_not_finite_is_said(bad: float) -> None:
     theta = theta_of(rng)
     theta["b3"][1] = bad
     flat = Layout.of(theta).flat(theta)
-    assert torch.isfinite(nbrdf_fused.gradient(flat, batch_of(rng, 40), {})[1]).tolist() == [True, False, True]
-    loss = loss_of([batch_of(rng, 40)])._replace(draw=lambda data, rng: Drawn(("a", "b", "c"), batch_of(rng, 40)))
+    assert torch.isfinite(nbrdf_in_c.gradient(flat, batch_of(rng, 40), {})[1]).tolist() == [True, False, True]
+    loss = replace(loss_of([]), draw=lambda data, rng, done: Drawn(("a", "b", "c"), batch_of(rng, 40)))
     with pytest.raises(FloatingPointError, match=r"^b: the loss is not finite at step 0"):
-        learn(theta, sgd({"rate": torch.ones(1)}), None, loss, steps=1, rng=rng)
+        learn(theta, sgd({"rate": torch.ones(1)}), None, loss, steps=1, rng=rng, engine=FASTEST)
 
 
 def moved(rule: str, rng: Generator) -> Params:
@@ -133,22 +135,22 @@ def test_meta_gradients_are_those_of_torch(rule: str, order: int, monkeypatch: p
     phi = MetaParameters({key: value[0] for key, value in theta_of(rng, 1).items()}, moved(rule, rng)).flat()
     batches, last = [batch_of(rng, 150) for _ in range(STEPS)], batch_of(rng, 150)
     steps: list[int] = []
-    monkeypatch.setattr(fused._Step, "__init__", counting(fused._Step.__init__, steps))
+    monkeypatch.setattr(in_c._Step, "__init__", counting(in_c._Step.__init__, steps))
 
-    def grads(kind: Callable[[Params], Params], in_c: bool) -> Params:
-        lifted = after_learning(loss_of([], in_c), RULES[rule].rule, steps=STEPS, order=order, clip=0.05)
+    def grads(kind: Callable[[Params], Params], engine: Engine) -> Params:
+        lifted = after_learning(loss_of([]), RULES[rule].rule, steps=STEPS, order=order, clip=0.05, engine=engine)
         leaves = {key: value.clone().requires_grad_() for key, value in kind(phi).items()}
         value = lifted.value(leaves, ([kind(batch) for batch in batches], kind(last), None), {}).mean()
-        found = torch.autograd.grad(value, list(leaves.values()), allow_unused=True, materialize_grads=True)
-        return dict(zip(leaves, found, strict=True)) | {"": value.detach()}
+        pulls = torch.autograd.grad(value, list(leaves.values()), allow_unused=True, materialize_grads=True)
+        return dict(zip(leaves, pulls, strict=True)) | {"": value.detach()}
 
-    exact = grads(double, False)
+    exact = grads(double, FASTEST)
     assert not steps
-    in_c = grads(dict, True)
+    found = grads(dict, FASTEST)
     assert len(steps) == 1
-    assert list(in_c) == list(exact)
+    assert list(found) == list(exact)
     for key, value in exact.items():
-        assert away(in_c[key], value) < 1e-2 if value.any() else not in_c[key].any(), key
+        assert away(found[key], value) < 1e-2 if value.any() else not found[key].any(), key
 
 
 def counting(function: Callable[..., None], calls: list[int]) -> Callable[..., None]:
@@ -177,26 +179,24 @@ def test_fits_are_those_of_torch(name: str, tasks: int) -> None:
     theta, batches = theta_of(rng, tasks), [batch_of(rng, 150, tasks) for _ in range(STEPS)]
     theta = {key: theta[key] for key in sorted(theta)}  # as files have them
     rule = rules_of(theta, rng)[name]
-    seen: dict[bool, list[Tensor]] = {True: [], False: []}
-    fits = {}
-    for in_c in (True, False):
-        loss = loss_of(batches, in_c)
-        assert (fuse(rule, loss, theta) is not None) is in_c
-
-        def watch(step: int, now: Params, value: Tensor, kept: list[Tensor] = seen[in_c]) -> None:
-            kept.append(torch.cat([value[:, None], *(now[key].flatten(1) for key in sorted(now))], 1))
-
-        fits[in_c] = learn(theta, rule, None, loss, steps=STEPS, rng=rng, watch=watch)
-    for here, there in zip(seen[True], seen[False], strict=True):
-        assert away(here, there.double()) < 100 * EPS
-    assert fits[True].keys() == theta.keys()
-    for key, value in fits[False].items():
-        assert fits[True][key].shape == value.shape
-        assert away(fits[True][key], value.double()) < 100 * EPS, key
+    assert in_c.stepper(rule, loss_of([]), theta, 1) is not None
+    paths = [
+        descend(theta, rule, None, loss_of(batches), steps=STEPS, rng=rng, engine=engine) for engine in (FASTEST, TORCH)
+    ]
+    for here, there in zip(*paths, strict=True):
+        assert here.theta.keys() == theta.keys()
+        for key, value in there.theta.items():
+            assert here.theta[key].shape == value.shape
+            assert away(here.theta[key], value.double()) < 100 * EPS, (here.step, key)
+        if here.loss is not None:
+            assert there.loss is not None
+            assert away(here.loss, there.loss.double()) < 100 * EPS
 
 
 @needs_compiler
-@pytest.mark.parametrize("case", ["mean", "basis", "double precision", "another network", "no packing"])
+@pytest.mark.parametrize(
+    "case", ["mean", "basis", "double precision", "another network", "another step", "another loss", "normal equations"]
+)
 def test_what_is_not_in_c_is_left_to_torch(case: str) -> None:
     rng = Generator().manual_seed(5)
     theta, rule = theta_of(rng), sgd({"rate": torch.ones(1)})
@@ -208,18 +208,21 @@ def test_what_is_not_in_c_is_left_to_torch(case: str) -> None:
         theta = double(theta)
     elif case == "another network":
         theta = app_of("brdf", RECIPES[""]["quick"], rule="ridge").init(rng, TASKS)
-    else:
-        rule = rule._replace(packing=None)
-    assert fuse(rule, loss_of([]), theta) is None
+    elif case == "another step":
+        rule = rule._replace(step=lambda *arguments: sgd_step(*arguments))
+    loss = loss_of([], registered=case != "another loss")
+    if case == "normal equations":
+        loss = NormalEquations(loss.draw, loss.value, linear=APP.linear)
+    assert in_c.stepper(rule, loss, theta, 1) is None
 
 
 # What is compiled
 
-SOURCE = Path(nbrdf_fused.__file__).with_name("nbrdf.c")
+SOURCE = Path(nbrdf_in_c.__file__).with_name("nbrdf.c")
 
 
 def load(found: bool) -> None:
-    assert (native.load(SOURCE) is not None) is found
+    assert (load_library(SOURCE) is not None) is found
 
 
 def process(cache: Path, found: bool = True, **environment: str) -> ForkServerProcess:
@@ -244,9 +247,9 @@ def test_compiled_once_by_many_processes(tmp_path: Path) -> None:
 
 
 def test_without_a_compiler_or_with_a_broken_one(tmp_path: Path) -> None:
-    for number, compiler in enumerate(("/nonexistent/cc", "false")):
+    for number, command in enumerate(("/nonexistent/cc", "false")):
         cache = tmp_path / str(number)
-        assert codes(process(cache, found=False, CC=compiler)) == [0]
+        assert codes(process(cache, found=False, CC=command)) == [0]
         assert not list(cache.rglob("*.so"))
 
 
@@ -255,9 +258,9 @@ def test_fits_without_a_compiler(monkeypatch: pytest.MonkeyPatch) -> None:
     rng = Generator().manual_seed(6)
     theta, batches = theta_of(rng), [batch_of(rng, 64) for _ in range(STEPS)]
     rule = fixed_adam(Adam(1e-2), theta, STEPS)
-    here = learn(theta, rule, None, loss_of(batches), steps=STEPS, rng=rng)
-    monkeypatch.setattr(nbrdf_fused, "_library", lambda: None)
-    monkeypatch.setattr(fused, "_library", lambda: None)
-    there = learn(theta, rule, None, loss_of(batches), steps=STEPS, rng=rng)
+    here = learn(theta, rule, None, loss_of(batches), steps=STEPS, rng=rng, engine=FASTEST)
+    monkeypatch.setattr(nbrdf_in_c, "_library", lambda: None)
+    monkeypatch.setattr(in_c, "_library", lambda: None)
+    there = learn(theta, rule, None, loss_of(batches), steps=STEPS, rng=rng, engine=FASTEST)
     for key, value in there.items():
         assert away(here[key], value.double()) < 100 * EPS

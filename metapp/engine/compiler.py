@@ -12,6 +12,8 @@ import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from metapp.storage.cache import cache_folder
+
 if TYPE_CHECKING:
     from ctypes import CDLL
 
@@ -21,13 +23,6 @@ FLAGS = (
     *("-fopenmp-simd", "-shared", "-fPIC"),
 )
 SECONDS = 60  # until a compiler is given up
-
-
-def cache_folder() -> Path:
-    """Where files are kept that can be had again: METAPP_CACHE if set, else the user's cache folder of this system."""
-    import platformdirs
-
-    return Path(os.environ.get("METAPP_CACHE") or platformdirs.user_cache_dir("metapp", appauthor=False))
 
 
 @functools.cache
@@ -65,8 +60,8 @@ def _cpu() -> str:
         lines = Path("/proc/cpuinfo").read_text("utf-8").split("\n\n", 1)[0].splitlines()
     except OSError:
         lines = [platform.processor()]
-    said = [line for line in lines if not line.startswith(("cpu MHz", "bogomips", "processor", "core id", "apicid"))]
-    return "\n".join([platform.machine(), *said])
+    lasting = [line for line in lines if not line.startswith(("cpu MHz", "bogomips", "processor", "core id", "apicid"))]
+    return "\n".join([platform.machine(), *lasting])
 
 
 def _compile(source: Path, path: Path) -> None:

@@ -3,7 +3,7 @@
 #include <math.h>
 #include <string.h>
 
-enum { LANES = 16, AT_ONCE = 7, WIDEST = 64, MOST = 4096 };  // the last two as in fused.py
+enum { LANES = 16, AT_ONCE = 7, WIDEST = 64, MOST = 4096 };  // the last two as in in_c.py
 typedef float V __attribute__((vector_size(4 * LANES)));
 
 typedef struct {
