@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -80,7 +81,7 @@ def test_a_start_that_is_generals_is_not_fitted_twice(subject: Subject) -> None:
     prepared = meta.checkpoint.prepared._replace(theta={}, encoder=general.checkpoint.prepared.encoder)
     own = meta.checkpoint._replace(prepared=prepared)
     assert not same_initialisation(subject, "meta")
-    subject.fits["meta"] = meta._replace(checkpoint=own)
+    subject.fits["meta"] = replace(meta, checkpoint=own)
     assert same_initialisation(subject, "meta")
     assert [cell for _, _, cell in combined(subject, "meta")] == [subject.cell("meta"), subject.cell("quickft")]
     assert any("General's own" in note for note in load_table("ablation").notes(subject, []))
@@ -93,7 +94,7 @@ def test_a_trace_is_the_fit_itself(subject: Subject) -> None:
         assert {task: error for task, (_, error) in last.items()} == {
             record["name"]: pytest.approx(record["error"], rel=1e-6) for record in subject.cell(name).records()
         }
-        assert {step for step, _ in last.values()} == {subject.fits[name].plan.steps}
+        assert {step for step, _ in last.values()} == {subject.fits[name].steps}
     assert [row["step"] for row in rows(subject, "convergence")[: len(PARTS)]] == [0, 2, 5, 8, 10]
     start = subject.fits["meta"].checkpoint
     assert start
