@@ -16,11 +16,10 @@ from torch import Tensor
 
 from metapp.learning.adjoint import TORCH, Engine, Loss, UpdateRule, same
 from metapp.learning.deadline import Deadline
-from metapp.learning.draws import Rng, copied, picked
 from metapp.learning.learn import Step, checked, descend, last
 from metapp.learning.recipe import Guard
 from metapp.learning.rules import fixed_adam, like
-from metapp.learning.task import Params, Tasks
+from metapp.learning.task import Params, Rng, Tasks, copied, picked
 
 
 class Iterate(NamedTuple):
