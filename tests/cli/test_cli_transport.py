@@ -13,7 +13,7 @@ import OpenImageIO as oiio
 import pytest
 import torch
 
-from data_tools.readers.transport_task import transport_task
+from data_tools.readers.mitsuba_scenes import transport_task
 from data_tools.synthetic.cornell import random_scene
 from data_tools.synthetic.transport import UNITS
 from metapp.appearance.presentation import Fitted
