@@ -171,6 +171,6 @@ def copied(rng: Rng) -> Rng:
     return tuple(Generator(own.device).set_state(own.get_state()) for own in rng)
 
 
-def picked(rng: Rng, rows: Tensor) -> Rng:
+def picked(rng: Rng, rows: Sequence[int]) -> Rng:
     """The generators of some tasks; one for all stays."""
-    return rng if isinstance(rng, Generator) else tuple(rng[row] for row in rows.tolist())
+    return rng if isinstance(rng, Generator) else tuple(rng[row] for row in rows)
