@@ -26,7 +26,7 @@ from metapp.evaluation.tables import load_table
 from metapp.evaluation.tables.rules import fit_cell, train_cell
 from metapp.learning.recipe import Adam
 from metapp.learning.rules import RULES, rule_of
-from metapp.learning.rules import table as rule_table
+from metapp.learning.rules import rule as rule_table
 from metapp.paradigms import tuning
 from metapp.runs.session import Options
 from metapp.storage.records import load_checkpoint
