@@ -39,6 +39,14 @@ class Evaluation:
     no_run: Annotated[
         bool, typer.Option("--no-run", help="Print what there is, and the commands that make the rest.")
     ] = False
+    shard: Annotated[
+        str,
+        typer.Option(
+            metavar="I/N",
+            help="Run the I-th of N parts of what is missing, on machines that share --out; without it the same "
+            "command prints the table of all parts.",
+        ),
+    ] = ""
     figures: Annotated[Path | None, typer.Option(help="Draw the figures there, as PNG and PDF.")] = None
     report: Annotated[
         Path | None, typer.Option(help="Write one HTML page there: all tables, figures, pictures, records.")
@@ -92,7 +100,11 @@ def command(options: Evaluation) -> None:
     subjects = subjects_of(given)
     names = NAMES if given.which == ALL else (given.which,)
     drawn = NAMES if given.report or (given.figures and given.which not in STUDIES) else ()
-    fill([load_table(name) for name in dict.fromkeys((*names, *drawn))], subjects, given)
+    cells = cells_of([load_table(name) for name in dict.fromkeys((*names, *drawn))], subjects, given)
+    if given.shard:
+        fill_part(cells, given)
+        return
+    fill(cells, given)
     if not given.quiet:
         draw(subjects, names)
     if given.table or given.json:
@@ -128,6 +140,8 @@ def check(given: Evaluation) -> Evaluation:
         "--seeds": given.seeds,
         "--initialisation": given.initialisation,
     }
+    if given.shard and (given.no_run or given.figures or given.report):
+        raise typer.BadParameter("--shard: runs a part and prints no table; leave --no-run, --figures, --report out.")
     for option, of_study in of_studies.items():
         if of_study and given.which not in STUDIES:
             raise typer.BadParameter(f"{option}: only with --which {' or '.join(STUDIES)}.")
@@ -158,40 +172,75 @@ def subjects_of(given: Evaluation) -> list[Subject]:
     """Each application under each protocol."""
     from metapp.apps import app_names
     from metapp.evaluation.subject import Subject
-    from metapp.runs.session import check_protocol, find_app, options_of
+    from metapp.runs.checks import check_protocol, find_app
+    from metapp.runs.plan import plan
+    from metapp.runs.request import Request
 
     budget, run = budget_of(given), not given.no_run
     found = [find_app(name) for name in given.apps or app_names()]
     for app in [app for app in found if app.protocols] or found:
         check_protocol(given.observe, app)
-    planned = [
-        options_of(
-            app.name,
-            observe=protocol,
-            rule=given.rule,
-            recipe=given.recipe if given.apps or given.recipe in app.recipes else "quick",
-            data=given.data,
-            out=given.out,
-            seed=given.seed,
-            device=given.device,
-            quiet=given.quiet,
+    plans = [
+        plan(
+            Request(
+                app.name,
+                "general",  # by the application's own network; rows make the plans of other paradigms of it
+                observe=protocol,
+                rule=given.rule,
+                recipe=given.recipe if given.apps or given.recipe in app.recipes else "quick",
+                data=given.data,
+                out=given.out,
+                seed=given.seed,
+                device=given.device,
+                quiet=given.quiet,
+            )
         )
         for app in found
         for protocol in ((given.observe,) if given.observe and app.protocols else app.protocols or ("",))
     ]
     strict = bool(given.apps) and run
-    return [Subject(options, run=run, strict=strict, share=given.overfit_share, budget=budget) for options in planned]
+    return [Subject(each, run=run, strict=strict, share=given.overfit_share, budget=budget) for each in plans]
 
 
-def fill(tables: list[Table], subjects: list[Subject], given: Evaluation) -> None:
-    """Measure what has no record yet, or name the commands that do."""
-    from metapp.evaluation.cell import run_cells
+def cells_of(tables: list[Table], subjects: list[Subject], given: Evaluation) -> list[Cell]:
+    """What the tables must have measured.
 
+    Raises:
+        ValueError: a checkpoint is missing that was asked for, or the General that parts of a study begin at.
+    """
     if any(table.name not in STUDIES for table in tables):
         # all checkpoints before the first fit: a missing one should not be found after an hour; applications that
         # nobody named have empty cells where a checkpoint is missing
         assert all(subject.fits for subject in subjects)
-    cells = [cell for table in tables for subject in subjects for cell in table.cells(subject)]
+    if given.shard and given.which in STUDIES:
+        for subject in subjects:
+            if subject.study.general is None:
+                remedy = "train it first: metapp general with --train"
+                raise ValueError(f"--shard: {subject.title} has no General yet, which all parts begin at; {remedy}.")
+    return [cell for table in tables for subject in subjects for cell in table.cells(subject)]
+
+
+def fill_part(cells: list[Cell], given: Evaluation) -> None:
+    """Measure one part of what has no record yet; say what was done and what is left."""
+    from metapp.evaluation.cell import distinct, run_cells
+    from metapp.runs.request import portion_of
+
+    made = run_cells(cells, portion_of(given.shard), quiet=given.quiet)
+    cells = distinct(cells)
+    total, missing = sum(len(cell.tasks) for cell in cells), sum(len(cell.missing()) for cell in cells)
+    if not given.quiet:
+        of_all = f"all {total:,} are there, the same command without --shard prints the table"
+        say(
+            f"part {given.shard}: {made:,} records made; {f'{missing:,} of {total:,} are missing' if missing else of_all}"
+        )
+    if given.json:
+        print_json({"which": given.which, "shard": given.shard, "made": made, "missing": missing})
+
+
+def fill(cells: list[Cell], given: Evaluation) -> None:
+    """Measure what has no record yet, or name the commands that do."""
+    from metapp.evaluation.cell import run_cells
+
     if not given.no_run:
         run_cells(cells, quiet=given.quiet)
         return

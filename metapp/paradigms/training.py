@@ -63,7 +63,7 @@ def training_of(job: Job, name: str, steps: int | None) -> OuterLoop | None:
 
 
 def describe(job: Job, name: str, prepared: Prepared, steps: int | None = None) -> dict[str, Any]:
-    """What a start says about itself: JSON-ready.
+    """What a checkpoint says about itself: JSON-ready.
 
     Args:
         job: application and recipe.
@@ -74,7 +74,7 @@ def describe(job: Job, name: str, prepared: Prepared, steps: int | None = None) 
     recipe, training = job.recipe, training_of(job, name, steps)
     return {
         "app": job.app.name,
-        "start": name,
+        "checkpoint": name,
         "inner_steps": recipe.steps,
         "batch": recipe.batch,
         "training": training and asdict(training),

@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 import torch
+from metapp.runs.session import options_of
 from rich.console import Console
 from torch import Generator, Tensor
 
@@ -25,7 +26,6 @@ from metapp.evaluation.tables.baselines import baseline_cell, baseline_rows, pic
 from metapp.learning.app import App, stack
 from metapp.learning.task import Task
 from metapp.runs.reporter import Reporter, reporting
-from metapp.runs.session import options_of
 from metapp.storage.records import RunFolder, read_theta
 from metapp.storage.shards import ShardWriter
 

@@ -17,6 +17,7 @@ import torch
 from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.ticker import FixedLocator, NullLocator, StrMethodFormatter
+from metapp.runs.session import options_of
 
 from data_tools.readers.noise import as_measured
 from metapp.baselines import baselines_of
@@ -30,7 +31,6 @@ from metapp.paradigms import paradigms
 from metapp.runs.checkpoints import find_checkpoint
 from metapp.runs.fits import fit_tasks, rng_of
 from metapp.runs.inputs import data_folder, tasks_of_data
-from metapp.runs.session import options_of
 from metapp.runs.statistics import paired
 
 COUNTS = (64, 256, 1024, 5120)

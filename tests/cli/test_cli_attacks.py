@@ -13,6 +13,7 @@ from pathlib import Path
 
 import pytest
 import torch
+from metapp.runs.session import Checkpoint
 from safetensors.torch import load_file, save_file
 
 from metapp.apps.brdf import APP
@@ -24,7 +25,6 @@ from metapp.learning.recipe import Adam
 from metapp.learning.task import Task
 from metapp.paradigms import Job, paradigms
 from metapp.runs.fits import warnings_of
-from metapp.runs.session import Checkpoint
 from metapp.storage.records import load_checkpoint, read_records, save_checkpoint
 from tests.small_spheres import shrink_spheres
 

@@ -8,11 +8,11 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from metapp.runs.sources import Shard, shard_of
 
 from metapp.apps.brdf import APP
 from metapp.runs import BadOption
 from metapp.runs.fits import Fitter
-from metapp.runs.sources import Shard, shard_of
 from metapp.storage.records import read_records
 
 pytestmark = pytest.mark.usefixtures("small_spheres")

@@ -12,6 +12,7 @@ from typing import Any
 
 import pytest
 import torch
+from metapp.runs.session import Options
 from rich.console import Console
 
 from metapp.apps import load_app
@@ -27,7 +28,6 @@ from metapp.learning.recipe import Adam
 from metapp.learning.rules import RULES, rule_of
 from metapp.learning.rules import table as rule_table
 from metapp.paradigms import tuning
-from metapp.runs.session import Options
 from metapp.storage.records import load_checkpoint
 from metapp.storage.training_checkpoint import TrainingCheckpoint
 from tests.small_spheres import shrink_spheres

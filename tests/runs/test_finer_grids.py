@@ -6,10 +6,10 @@ from pathlib import Path
 
 import pytest
 import torch
+from metapp.runs.session import options_of
 
 from metapp.paradigms import paradigms
 from metapp.runs.checkpoints import find_checkpoint
-from metapp.runs.session import options_of
 from metapp.runs.shipped import shipped_path
 from metapp.storage.records import load_checkpoint, save_checkpoint
 

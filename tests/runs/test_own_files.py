@@ -5,9 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+from metapp.runs.session import options_of
 
 from metapp.apps import app_names, load_app
-from metapp.runs.session import options_of
 
 NAMES = app_names()
 

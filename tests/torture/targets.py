@@ -210,11 +210,11 @@ def _small_task() -> Any:
 def _read_start(folder: Path, file: Path) -> None:
     """As --checkpoint, then one step of a fit."""
     import torch
+    from metapp.runs.session import Options
 
     from metapp.apps import load_app
     from metapp.paradigms import paradigms
     from metapp.runs.checkpoints import find_checkpoint
-    from metapp.runs.session import Options
 
     app, paradigm = load_app("brdf"), paradigms()["meta"]
     options = Options(app, "quick", file.stem, 1, None, folder, file, 0, torch.device("cpu"), True)

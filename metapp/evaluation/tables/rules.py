@@ -5,6 +5,8 @@ from __future__ import annotations
 import statistics
 import time
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
 
 from metapp.evaluation.cell import Cell, Record
 from metapp.evaluation.notes import paired_note, threads_note
@@ -27,9 +29,9 @@ from metapp.evaluation.subject import Subject
 from metapp.learning.learn import MetaParameters
 from metapp.learning.task import Params, Task
 from metapp.runs.fits import fit_tasks
+from metapp.runs.naming import caption_of
+from metapp.runs.plan import Checkpoint
 from metapp.runs.reporter import number, say
-from metapp.runs.run import run_path
-from metapp.runs.session import Checkpoint, caption_of, settings_of
 from metapp.runs.statistics import apart
 from metapp.storage.records import FIT, NUMBER, OPTIONAL, RunFolder, digest
 
@@ -47,11 +49,15 @@ def cells(subject: Subject) -> list[Cell]:
     if _lacks_general(subject):
         none = subject.make_cell("rules", None, lambda tasks: iter(()), command=_command(subject))
         return [none._replace(tasks=[])]
-    found: dict[object, Cell] = {}  # QuickFT's search is the same for all seeds
+    found: dict[Path, Cell] = {}
+    trainings: dict[Path, int] = {}  # QuickFT's search is the same for all seeds
     for case in subject.study.cases():
-        for cell in (train_cell(subject, case), fit_cell(subject, case)):
+        training, fits = train_cell(subject, case), fit_cell(subject, case)
+        assert training.folder is not None
+        number = trainings.setdefault(training.folder.path, len(trainings))
+        for cell in (training, fits):
             assert cell.folder is not None
-            found.setdefault(cell.folder.path, cell._replace(stage=len(found)))
+            found.setdefault(cell.folder.path, cell._replace(stage=len(found), number=number))
     return list(found.values())
 
 
@@ -64,14 +70,15 @@ def train_cell(subject: Subject, case: Case) -> Cell:
     """One training; its record holds its seconds, the validation error and the outer step of that."""
     study = subject.study
     settings = study.settings(case, subject.label)
-    words = [subject.label, study.place(case).recipe, f"seed{settings['seed']}", case.rule, subject.app.protocol]
-    path = subject.options.out / subject.app.name / "rules" / "-".join(filter(None, words))
+    recipe, seed = study.place(case).request.recipe, settings["seed"]
+    words = [subject.label, recipe, f"seed{seed}", case.rule, subject.app.protocol]
+    path = subject.plan.request.out / subject.app.name / "rules" / "-".join(filter(None, words))
 
     def measure(tasks: list[Task]) -> Iterator[tuple[Record, None]]:
         for task in tasks:
             yield {"name": task.name, **_trained(subject, case)}, None
 
-    title = f"rules: train {case.rule}, {case.steps} steps, seed {settings['seed']}"
+    title = f"rules: train {case.rule}, {case.steps} steps, seed {seed}"
     folder = RunFolder(path, settings, TRAINED)
     cell = subject.make_cell(title, folder, measure, case.steps, command=_command(subject))
     outer = 0 if case.rule == QUICKFT else study.training(case.rule).steps
@@ -111,8 +118,9 @@ def _diverged(cell: Cell) -> bool:
 def fit_cell(subject: Subject, case: Case) -> Cell:
     """Fits of all test tasks by what a case has trained."""
     study = subject.study
-    options, trained = study.place(case), digest(study.settings(case, subject.label))
-    settings = settings_of(options, case.paradigm, Checkpoint(MetaParameters(), "", trained), subject.label)
+    trained = Checkpoint(MetaParameters(), "", digest(study.settings(case, subject.label)))
+    plan = replace(study.place(case), checkpoint=trained)
+    settings = plan.settings(subject.label)
     if case.rule == QUICKFT:
         settings["adam"] = "searched"
 
@@ -120,12 +128,12 @@ def fit_cell(subject: Subject, case: Case) -> Cell:
         if _diverged(train_cell(subject, case)):
             return
         try:
-            yield from fit_tasks(options, case.paradigm, study.checkpoint(case), tasks)
+            yield from fit_tasks(replace(plan, checkpoint=study.checkpoint(case)), tasks)
         except FloatingPointError as error:
             say(f"warning: {case.rule}, {case.steps} steps, seed {case.seed}: {error}")
 
     title = f"rules: {case.rule}, {case.steps} steps, seed {case.seed}"
-    folder = RunFolder(run_path(options, settings, subject.label), settings, FIT)
+    folder = RunFolder(plan.path(subject.label), settings, FIT)
     return subject.make_cell(title, folder, measure, case.steps, command=_command(subject))
 
 
@@ -169,7 +177,7 @@ def _row(subject: Subject, rule: str, steps: int, done: list[tuple[Cell, Cell]],
 def notes(subject: Subject, found: list[Row]) -> list[str]:
     """The budget, who wins at each number of steps, what seconds are, what was not run and what does not apply."""
     study = subject.study
-    budget, usual = study.budget, study.options.job.recipe.meta_training(study.options.rule).steps
+    budget, usual = study.budget, study.plan.job.recipe.meta_training(study.plan.job.rule).steps
     return [
         f"each rule is trained for {budget.outer:,} outer steps (the recipe: {usual:,}) at each number of steps, from "
         f"{INITIALISATIONS[budget.start]}; its best state on validation tasks is kept",
@@ -201,10 +209,11 @@ def _winners(found: list[Row], steps: int) -> str:
 def _not_run(subject: Subject, found: list[Row]) -> list[str]:
     """What the budget holds that has no row, as it was not run or diverged."""
     study, there = subject.study, {(row["rule"], row["steps"]) for row in found}
+    seed = study.plan.request.seed
     lines = []
     for steps in sorted(set(study.budget.steps)):
         missing = [rule for rule in study.rules if (rule, steps) not in there]
-        diverged = [rule for rule in missing if _diverged(train_cell(subject, Case(rule, steps, study.options.seed)))]
+        diverged = [rule for rule in missing if _diverged(train_cell(subject, Case(rule, steps, seed)))]
         rest = [rule for rule in missing if rule not in diverged]
         lines += [f"{steps} steps: training diverged: {', '.join(diverged)}"] if diverged else []
         lines += [f"{steps} steps: not run: {', '.join(rest)}"] if rest else []

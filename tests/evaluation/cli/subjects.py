@@ -10,11 +10,11 @@ from typing import Any
 
 import pytest
 import torch
+from metapp.runs.session import Options
 
 from metapp.apps.brdf import APP
 from metapp.evaluation.subject import Subject
 from metapp.evaluation.tables import load_table
-from metapp.runs.session import Options
 from tests.small_spheres import shrink_spheres
 
 

@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 import torch
+from metapp.runs.session import Checkpoint
 from torch import Generator
 
 from metapp.appearance.presentation import Fitted
@@ -28,7 +29,6 @@ from metapp.learning.recipe import Adam
 from metapp.learning.rules import rule_of
 from metapp.learning.task import Task
 from metapp.runs import session
-from metapp.runs.session import Checkpoint
 from tests.evaluation.cli.subjects import rows, subject_of
 
 

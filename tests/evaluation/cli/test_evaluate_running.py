@@ -9,13 +9,13 @@ from typing import Any
 
 import pytest
 import torch
+from metapp.runs.session import find_device, threads_of
 
 from metapp.apps import load_app
 from metapp.evaluation.cell import Cell, Clock, Record, run_cells
 from metapp.learning.task import Params, Task
 from metapp.runs import session
 from metapp.runs.reporter import Reporter, duration, reporting
-from metapp.runs.session import find_device, threads_of
 from metapp.storage.records import RunFolder
 
 
