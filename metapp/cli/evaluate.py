@@ -229,10 +229,10 @@ def fill_part(cells: list[Cell], given: Evaluation) -> None:
     cells = distinct(cells)
     total, missing = sum(len(cell.tasks) for cell in cells), sum(len(cell.missing()) for cell in cells)
     if not given.quiet:
-        of_all = f"all {total:,} are there, the same command without --shard prints the table"
-        say(
-            f"part {given.shard}: {made:,} records made; {f'{missing:,} of {total:,} are missing' if missing else of_all}"
-        )
+        rest = f"{missing:,} of {total:,} are missing"
+        if not missing:
+            rest = f"all {total:,} are there, the same command without --shard prints the table"
+        say(f"part {given.shard}: {made:,} records made; {rest}")
     if given.json:
         print_json({"which": given.which, "shard": given.shard, "made": made, "missing": missing})
 
