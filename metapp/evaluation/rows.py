@@ -101,11 +101,31 @@ def paired_columns(other: str) -> tuple[Column, Column]:
     return Column(f"vs {other}", text), Column("lower on", lower)
 
 
-ERROR, SECONDS = numbers("error", "error", ".3f"), numbers("seconds", "seconds", ".4f")
-STEPS = numbers("steps", "steps", "d")
-MEDIAN, WORST = numbers("median", "median", ".3f"), numbers("worst", "worst", ".3f")
-PARADIGM = words("paradigm", "paradigm")
-INTERVAL = Column("95 % interval", lambda row: "-" if row["low"] is None else f"{row['low']:.3f} .. {row['high']:.3f}")
+COMMON = {
+    "paradigm": words("paradigm", "paradigm"),
+    "rule": words("rule", "rule"),
+    "error": numbers("error", "error", ".3f"),
+    "seconds": numbers("seconds", "seconds", ".4f"),
+    "paper error": numbers("paper error", "paper_error", ".3f"),
+    "paper seconds": numbers("paper seconds", "paper_seconds", ".3f"),
+    "interval": Column(
+        "95 % interval", lambda row: "-" if row["low"] is None else f"{row['low']:.3f} .. {row['high']:.3f}"
+    ),
+    "steps": numbers("steps", "steps", "d"),
+    "median": numbers("median", "median", ".3f"),
+    "worst": numbers("worst", "worst", ".3f"),
+}
+
+
+def columns(*names: str | Column) -> tuple[Column, ...]:
+    """Columns from left to right, those that tables share by name; "vs <row>" are two, which compare with that row."""
+    found: list[Column] = []
+    for name in names:
+        if isinstance(name, Column):
+            found.append(name)
+        else:
+            found += paired_columns(name.removeprefix("vs ")) if name.startswith("vs ") else [COMMON[name]]
+    return tuple(found)
 
 
 # Rows

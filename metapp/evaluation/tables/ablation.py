@@ -9,22 +9,9 @@ from dataclasses import asdict, replace
 
 from metapp.evaluation.cell import Cell
 from metapp.evaluation.notes import paired_note, warned
-from metapp.evaluation.rows import (
-    ERROR,
-    INTERVAL,
-    MEDIAN,
-    SECONDS,
-    STEPS,
-    WORST,
-    Row,
-    Table,
-    against,
-    paired_of,
-    row_of,
-    words,
-)
+from metapp.evaluation.rows import Row, Table, against, columns, paired_of, row_of, words
 from metapp.evaluation.subject import Subject
-from metapp.evaluation.tables.results import COMPARED, COMPARISON, result_row
+from metapp.evaluation.tables.results import COMPARED, result_row
 from metapp.learning.learn import MetaParameters
 from metapp.learning.recipe import Guard
 from metapp.paradigms import Paradigm
@@ -127,12 +114,8 @@ def notes(subject: Subject, found: list[Row]) -> list[str]:
     return [*lines, *warned(found), *paired_note(found)]
 
 
-COLUMNS = (words("initialisation", "start"), words("rule", "rule"), ERROR, *COMPARISON)
-TABLE = Table(
-    "ablation",
-    "mean error{factor} of initialisations and rules",
-    (*COLUMNS, INTERVAL, STEPS, SECONDS, MEDIAN, WORST),
-    rows,
-    notes,
-    cells,
+COLUMNS = columns(
+    words("initialisation", "start"),
+    *("rule", "error", "vs quickft", "interval", "steps", "seconds", "median", "worst"),
 )
+TABLE = Table("ablation", "mean error{factor} of initialisations and rules", COLUMNS, rows, notes, cells)

@@ -20,22 +20,7 @@ from metapp.evaluation.baseline_fits import (
 )
 from metapp.evaluation.cell import Cell, Record
 from metapp.evaluation.notes import compared_text, overfit_note, paired_note, threads_note
-from metapp.evaluation.rows import (
-    ERROR,
-    INTERVAL,
-    MEDIAN,
-    SECONDS,
-    WORST,
-    Row,
-    Table,
-    against,
-    bytes_column,
-    numbers,
-    paired_columns,
-    paired_of,
-    row_of,
-    words,
-)
+from metapp.evaluation.rows import Row, Table, against, bytes_column, columns, numbers, paired_of, row_of, words
 from metapp.evaluation.subject import Subject
 from metapp.evaluation.tables.storage import size, stored
 from metapp.learning.task import Params, Task
@@ -228,22 +213,13 @@ def _described(baselines: list[Baseline]) -> list[str]:
     return [f"{', '.join(names)}: {title}; cannot {cannot}" for (title, cannot), names in named.items()]
 
 
-TABLE = Table(
-    "baselines",
-    "mean error{factor} and what is kept, of paradigms and of methods without a network",
-    (
-        words("method", "paradigm"),
-        ERROR,
-        SECONDS,
-        *paired_columns("meta"),
-        numbers("numbers", "numbers", ",.0f"),
-        bytes_column("bytes", "size"),
-        bytes_column("shared bytes", "shared"),
-        INTERVAL,
-        MEDIAN,
-        WORST,
-    ),
-    rows,
-    notes,
-    cells,
+COLUMNS = columns(
+    words("method", "paradigm"),
+    *("error", "seconds", "vs meta"),
+    numbers("numbers", "numbers", ",.0f"),
+    bytes_column("bytes", "size"),
+    bytes_column("shared bytes", "shared"),
+    *("interval", "median", "worst"),
 )
+TITLE = "mean error{factor} and what is kept, of paradigms and of methods without a network"
+TABLE = Table("baselines", TITLE, COLUMNS, rows, notes, cells)

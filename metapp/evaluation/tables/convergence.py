@@ -4,20 +4,7 @@ from __future__ import annotations
 
 from metapp.evaluation.cell import Cell, Record
 from metapp.evaluation.notes import overfit_note
-from metapp.evaluation.rows import (
-    ERROR,
-    INTERVAL,
-    MEDIAN,
-    PARADIGM,
-    WORST,
-    Row,
-    Table,
-    Take,
-    numbers,
-    paper,
-    row_of,
-    words,
-)
+from metapp.evaluation.rows import Row, Table, Take, columns, numbers, paper, row_of, words
 from metapp.evaluation.subject import Subject
 from metapp.evaluation.trace import FURTHER, PARTS, TRACED, near, step_at, trace_cell
 
@@ -71,6 +58,9 @@ def notes(subject: Subject, found: list[Row]) -> list[str]:
     return [*lines, *overfit_note(subject), f"traces of up to {TRACED} tasks, evenly spaced"]
 
 
-COLUMNS = (PARADIGM, words("of its steps", "part"), words("step", "step"), ERROR, INTERVAL)
-PAPER = numbers("paper further steps", "paper_further", "d")
-TABLE = Table("convergence", "error{factor} along Meta's steps", (*COLUMNS, PAPER, MEDIAN, WORST), rows, notes, cells)
+COLUMNS = columns(
+    "paradigm",
+    *(words("of its steps", "part"), words("step", "step")),
+    *("error", "interval", numbers("paper further steps", "paper_further", "d"), "median", "worst"),
+)
+TABLE = Table("convergence", "error{factor} along Meta's steps", COLUMNS, rows, notes, cells)

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from metapp.appearance.presentation import REFERENCE, Fitted
 from metapp.evaluation.cell import Cell, Record
 from metapp.evaluation.notes import overfit_note
-from metapp.evaluation.rows import INTERVAL, PARADIGM, WORST, Row, Table, numbers, paper, row_of, values_of, words
+from metapp.evaluation.rows import Row, Table, columns, numbers, paper, row_of, values_of, words
 from metapp.evaluation.subject import Subject
 from metapp.learning.task import Task
 from metapp.storage.records import OPTIONAL
@@ -105,20 +105,13 @@ def notes(subject: Subject, found: list[Row]) -> list[str]:
     return lines
 
 
-TABLE = Table(
-    "image",
-    "measures in image space",
-    (
-        PARADIGM,
-        words("measure", "measure"),
-        numbers("mean", "error", ".3f"),
-        numbers("paper", "paper_error", ".3f"),
-        numbers(f"share >= {paper()['ssim']['at_least']}", "share", ".0%"),
-        numbers("paper share", "paper_share", ".0%"),
-        INTERVAL,
-        WORST,
-    ),
-    rows,
-    notes,
-    cells,
+COLUMNS = columns(
+    "paradigm",
+    words("measure", "measure"),
+    numbers("mean", "error", ".3f"),
+    numbers("paper", "paper_error", ".3f"),
+    numbers(f"share >= {paper()['ssim']['at_least']}", "share", ".0%"),
+    numbers("paper share", "paper_share", ".0%"),
+    *("interval", "worst"),
 )
+TABLE = Table("image", "measures in image space", COLUMNS, rows, notes, cells)

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from metapp.evaluation.cell import Cell
 from metapp.evaluation.notes import change, paired_note, threads_note, verdict, warned
-from metapp.evaluation.rows import ERROR, INTERVAL, MEDIAN, PARADIGM, SECONDS, STEPS, WORST, Row, Table, paired_of
+from metapp.evaluation.rows import Row, Table, columns, paired_of
 from metapp.evaluation.subject import Subject
-from metapp.evaluation.tables.results import COMPARISON, PAPER_ERROR, result_row
+from metapp.evaluation.tables.results import result_row
 from metapp.runs.naming import caption_of
 from metapp.runs.reporter import number
 from metapp.runs.statistics import apart
@@ -41,5 +41,7 @@ def notes(subject: Subject, found: list[Row]) -> list[str]:
     return [*filter(None, lines), *paired_note(found), *threads_note(found)]
 
 
-COLUMNS = (PARADIGM, ERROR, *COMPARISON, PAPER_ERROR, INTERVAL, STEPS, SECONDS, MEDIAN, WORST)
+COLUMNS = columns(
+    *("paradigm", "error", "vs quickft", "paper error", "interval", "steps", "seconds", "median", "worst")
+)
 TABLE = Table("quickft", "mean error{factor} after as many steps", COLUMNS, rows, notes, cells)

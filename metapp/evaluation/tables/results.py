@@ -4,21 +4,7 @@ from __future__ import annotations
 
 from metapp.evaluation.cell import Cell
 from metapp.evaluation.notes import carried, change, overfit_note, paired_note, threads_note, verdict, warned
-from metapp.evaluation.rows import (
-    ERROR,
-    INTERVAL,
-    MEDIAN,
-    PARADIGM,
-    SECONDS,
-    STEPS,
-    WORST,
-    Row,
-    Table,
-    against,
-    numbers,
-    paired_columns,
-    row_of,
-)
+from metapp.evaluation.rows import Row, Table, against, columns, row_of
 from metapp.evaluation.subject import Subject
 from metapp.learning.app import App
 from metapp.runs.naming import caption_of, is_first_protocol
@@ -80,8 +66,8 @@ def closing(app: App, found: list[Row]) -> str:
     )
 
 
-PAPER_ERROR = numbers("paper error", "paper_error", ".3f")
-PAPER_SECONDS = numbers("paper seconds", "paper_seconds", ".3f")
-COMPARISON = paired_columns("quickft")
-COLUMNS = (PARADIGM, ERROR, SECONDS, PAPER_ERROR, PAPER_SECONDS, *COMPARISON, INTERVAL, STEPS, MEDIAN, WORST)
+COLUMNS = columns(
+    *("paradigm", "error", "seconds", "paper error", "paper seconds"),
+    *("vs quickft", "interval", "steps", "median", "worst"),
+)
 TABLE = Table("results", "mean error{factor}, median seconds of inference", COLUMNS, rows, notes, cells)

@@ -10,20 +10,7 @@ from pathlib import Path
 
 from metapp.evaluation.cell import Cell, Record
 from metapp.evaluation.notes import paired_note, threads_note
-from metapp.evaluation.rows import (
-    ERROR,
-    INTERVAL,
-    SECONDS,
-    STEPS,
-    WORST,
-    Row,
-    Table,
-    numbers,
-    paired_columns,
-    paired_of,
-    row_of,
-    words,
-)
+from metapp.evaluation.rows import Row, Table, columns, numbers, paired_of, row_of
 from metapp.evaluation.study import QUICKFT, Case
 from metapp.evaluation.subject import Subject
 from metapp.learning.learn import MetaParameters
@@ -220,22 +207,12 @@ def _not_run(subject: Subject, found: list[Row]) -> list[str]:
     return lines
 
 
-TABLE = Table(
-    "rules",
-    "mean error{factor} of update rules after few outer steps",
-    (
-        words("rule", "rule"),
-        STEPS,
-        ERROR,
-        *paired_columns(QUICKFT),
-        SECONDS,
-        numbers("training s", "train_seconds", ".0f"),
-        numbers("seeds", "seeds", "d"),
-        INTERVAL,
-        numbers("validation", "validation", ".3f"),
-        WORST,
-    ),
-    rows,
-    notes,
-    cells,
+COLUMNS = columns(
+    *("rule", "steps", "error", "vs quickft", "seconds"),
+    numbers("training s", "train_seconds", ".0f"),
+    numbers("seeds", "seeds", "d"),
+    "interval",
+    numbers("validation", "validation", ".3f"),
+    "worst",
 )
+TABLE = Table("rules", "mean error{factor} of update rules after few outer steps", COLUMNS, rows, notes, cells)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from metapp.evaluation.rows import PARADIGM, Row, Table, blank, numbers, paper
+from metapp.evaluation.rows import Row, Table, blank, columns, numbers, paper
 from metapp.evaluation.subject import Subject
 from metapp.runs.naming import observe_of
 from metapp.runs.plan import Plan
@@ -51,20 +51,15 @@ def notes(subject: Subject, found: list[Row]) -> list[str]:
     return lines
 
 
-TABLE = Table(
-    "samples",
-    "samples and bytes of a task that a fit sees",
-    (
-        PARADIGM,
-        numbers("seen", "seen", ",d"),
-        numbers("of", "all", ",d"),
-        numbers("saved", "saved", ".1%"),
-        numbers("paper saved", "paper_saved", ".1%"),
-        numbers("bytes seen", "seen_bytes", ",d"),
-        numbers("bytes of all", "all_bytes", ",d"),
-        numbers("steps", "steps", ",d"),
-        numbers("batch", "batch", ",d"),
-    ),
-    rows,
-    notes,
+COLUMNS = columns(
+    "paradigm",
+    numbers("seen", "seen", ",d"),
+    numbers("of", "all", ",d"),
+    numbers("saved", "saved", ".1%"),
+    numbers("paper saved", "paper_saved", ".1%"),
+    numbers("bytes seen", "seen_bytes", ",d"),
+    numbers("bytes of all", "all_bytes", ",d"),
+    numbers("steps", "steps", ",d"),
+    numbers("batch", "batch", ",d"),
 )
+TABLE = Table("samples", "samples and bytes of a task that a fit sees", COLUMNS, rows, notes)

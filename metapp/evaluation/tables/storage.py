@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from torch import Generator
 
-from metapp.evaluation.rows import PARADIGM, Row, Table, blank, bytes_column, numbers, paper
+from metapp.evaluation.rows import Row, Table, blank, bytes_column, columns, numbers, paper
 from metapp.evaluation.subject import Subject
 from metapp.learning.task import Params
 from metapp.runs.naming import observe_of
@@ -55,16 +55,11 @@ def notes(subject: Subject, found: list[Row]) -> list[str]:
     ]
 
 
-TABLE = Table(
-    "storage",
-    "bytes for m exemplars",
-    (
-        PARADIGM,
-        *(bytes_column(f"m = {count}", f"bytes_{count}") for count in COUNTS),
-        numbers("factor", "factor", ".4f"),
-        numbers("networks", "networks", ".2f"),
-        numbers("pays from", "pays_from", "d"),
-    ),
-    rows,
-    notes,
+COLUMNS = columns(
+    "paradigm",
+    *(bytes_column(f"m = {count}", f"bytes_{count}") for count in COUNTS),
+    numbers("factor", "factor", ".4f"),
+    numbers("networks", "networks", ".2f"),
+    numbers("pays from", "pays_from", "d"),
 )
+TABLE = Table("storage", "bytes for m exemplars", COLUMNS, rows, notes)
