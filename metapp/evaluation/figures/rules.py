@@ -39,7 +39,9 @@ def forest(subject: Subject) -> Drawn | None:
     outer = subject.study.budget.outer
     figure.suptitle(f"{subject.title}: learned rules after {outer:,} outer steps", fontsize=10)
     figure.supxlabel(f"error over tuned Adam's ({kind}, 95 % interval)", fontsize=8)
-    return Drawn(figure, f"{subject.title}: mean error over that of a tuned Adam after as many steps. {_said(found)}")
+    return Drawn(
+        figure, f"{subject.title}: mean error over that of a tuned Adam after as many steps. {_in_words(found)}"
+    )
 
 
 def _mark(axis: Any, height: float, row: Row) -> None:
@@ -61,7 +63,7 @@ def _ratios(axis: Any) -> None:
     axis.tick_params(axis="x", labelsize=7)
 
 
-def _said(found: list[Row]) -> str:
+def _in_words(found: list[Row]) -> str:
     best: dict[int, Row] = {}
     for row in found:
         if row["steps"] not in best or row["error"] < best[row["steps"]]["error"]:
