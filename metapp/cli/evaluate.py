@@ -16,7 +16,7 @@ from metapp.evaluation.tables import NAMES, STUDIES, load_table
 if TYPE_CHECKING:
     from metapp.evaluation.cell import Cell
     from metapp.evaluation.rows import Table
-    from metapp.evaluation.study import Budget
+    from metapp.evaluation.study import Design
     from metapp.evaluation.subject import Subject
 
 FORMATS = ("rich", "markdown", "latex", "csv", "json")
@@ -148,13 +148,13 @@ def check(given: Evaluation) -> Evaluation:
     return given
 
 
-def budget_of(given: Evaluation) -> Budget:
-    """How much the rule study trains.
+def design_of(given: Evaluation) -> Design:
+    """What the rule study trains.
 
     Raises:
         BadParameter: there is no such initialisation.
     """
-    from metapp.evaluation.study import STARTS, Budget
+    from metapp.evaluation.study import STARTS, Design
 
     if given.initialisation and given.initialisation not in STARTS:
         raise typer.BadParameter(f"--initialisation '{given.initialisation}': expected one of {', '.join(STARTS)}.")
@@ -162,10 +162,10 @@ def budget_of(given: Evaluation) -> Budget:
         "outer": given.train_steps,
         "steps": tuple(given.steps or ()),
         "seeds": given.seeds,
-        "start": given.initialisation,
+        "initialisation": given.initialisation,
         "rules": (given.rule,) if given.rule else (),
     }
-    return Budget(**{key: value for key, value in values.items() if value})
+    return Design(**{key: value for key, value in values.items() if value})
 
 
 def subjects_of(given: Evaluation) -> list[Subject]:
@@ -176,7 +176,7 @@ def subjects_of(given: Evaluation) -> list[Subject]:
     from metapp.runs.plan import plan
     from metapp.runs.request import Request
 
-    budget, run = budget_of(given), not given.no_run
+    design, run = design_of(given), not given.no_run
     found = [find_app(name) for name in given.apps or app_names()]
     for app in [app for app in found if app.protocols] or found:
         check_protocol(given.observe, app)
@@ -199,7 +199,7 @@ def subjects_of(given: Evaluation) -> list[Subject]:
         for protocol in ((given.observe,) if given.observe and app.protocols else app.protocols or ("",))
     ]
     strict = bool(given.apps) and run
-    return [Subject(each, run=run, strict=strict, share=given.overfit_share, budget=budget) for each in plans]
+    return [Subject(each, run=run, strict=strict, share=given.overfit_share, design=design) for each in plans]
 
 
 def cells_of(tables: list[Table], subjects: list[Subject], given: Evaluation) -> list[Cell]:

@@ -39,21 +39,21 @@ COMPOSED = (
 )
 
 
-class Budget(NamedTuple):
-    """How much a study trains.
+class Design(NamedTuple):
+    """What a study trains.
 
     Attributes:
         outer: outer steps of each training.
         steps: numbers of gradient steps; each rule is trained for each of them.
         seeds: how many seeds of training and fitting, from the options' own on.
-        start: the first initialisation of all rules. From "encoder", which is QuickFT's too, rules alone differ.
+        initialisation: the first one of all rules. With "encoder", which is QuickFT's too, rules alone differ.
         rules: what is trained; () for all named rules and COMPOSED.
     """
 
     outer: int = 500
     steps: tuple[int, ...] = (5, 10, 20, 40)
     seeds: int = 3
-    start: Start = "encoder"
+    initialisation: Start = "encoder"
     rules: tuple[str, ...] = ()
 
 
@@ -76,17 +76,15 @@ class Case(NamedTuple):
         return paradigms()[QUICKFT if self.rule == QUICKFT else "meta"]
 
 
-def study_rules(app: App, budget: Budget) -> tuple[list[str], dict[str, str]]:
+def study_rules(app: App, design: Design) -> tuple[list[str], dict[str, str]]:
     """The rules of a study, and why further ones do not apply to the application, by name."""
     theta = {key: value[0] for key, value in app.init(Generator().manual_seed(0), 1).items()}
-    found, refused = [], {}
-    for name in dict.fromkeys(rule_of(each).name for each in budget.rules or (*RULES, *COMPOSED)):
-        reasons = [reason for part in rule_of(name).parts if (reason := part.refusal(app, theta))]
-        if reasons:
+    refused: dict[str, str] = {}
+    names = dict.fromkeys(rule_of(text).name for text in design.rules or (*RULES, *COMPOSED))
+    for name in names:
+        if reasons := [reason for part in rule_of(name).parts if (reason := part.refusal(app, theta))]:
             refused[name] = reasons[0]
-        else:
-            found.append(name)
-    return found, refused
+    return [name for name in names if name not in refused], refused
 
 
 def training_for(recipe: Recipe, rule: str) -> MetaTraining:
@@ -104,24 +102,24 @@ class Study:
 
     Attributes:
         plan: of the application's own recipe.
-        budget: how much is trained.
+        design: what is trained.
         rules: what is studied.
         refused: why further rules do not apply to the application, by name.
     """
 
-    def __init__(self, plan: Plan, budget: Budget) -> None:
-        self.plan, self.budget = plan, budget
-        self.rules, self.refused = study_rules(plan.app, budget)
+    def __init__(self, plan: Plan, design: Design) -> None:
+        self.plan, self.design = plan, design
+        self.rules, self.refused = study_rules(plan.app, design)
         self._apps: dict[str, App] = {}
 
     def cases(self) -> list[Case]:
         """All trainings: seed by seed, those of few steps first."""
         first = self.plan.request.seed
-        seeds = range(first, first + self.budget.seeds)
-        steps = sorted(set(self.budget.steps))
-        return [Case(rule, each, seed) for seed in seeds for each in steps for rule in (QUICKFT, *self.rules)]
+        seeds = range(first, first + self.design.seeds)
+        counts = sorted(set(self.design.steps))
+        return [Case(rule, steps, seed) for seed in seeds for steps in counts for rule in (QUICKFT, *self.rules)]
 
-    def place(self, case: Case) -> Plan:
+    def plan_of(self, case: Case) -> Plan:
         """The plan of a case: its recipe is the application's for so many steps, under a name of its own."""
         rule = self.plan.job.rule if case.rule == QUICKFT else case.rule
         if rule not in self._apps:  # one object a rule, which shares its compiled code
@@ -132,7 +130,7 @@ class Study:
         request = self.plan.request
         name = f"{request.recipe}-{case.steps}steps"
         if case.rule != QUICKFT:
-            name += f"-{self.budget.outer}outer-{self.budget.start}"
+            name += f"-{self.design.outer}outer-{self.design.initialisation}"
         request = replace(request, recipe=name, rule=rule, seed=case.seed, steps=None, checkpoint=None)
         return Plan(request, case.paradigm, Job(self._apps[rule], recipe, rule), self.plan.device)
 
@@ -142,9 +140,9 @@ class Study:
         A recipe that searches an Adam alone does so here, too.
         """
         training = training_for(self.plan.job.recipe, rule)
-        if self.budget.start == "encoder" and training.start != "encoder":
+        if self.design.initialisation == "encoder" and training.start != "encoder":
             training = replace(training, rates={"encoder.": ENCODER_RATE} | training.rates)
-        return replace(training, start=self.budget.start, steps=self.budget.outer if training.steps else 0)
+        return replace(training, start=self.design.initialisation, steps=self.design.outer if training.steps else 0)
 
     @functools.cached_property
     def general(self) -> Checkpoint | None:
@@ -169,7 +167,7 @@ class Study:
             case: which.
             label: the data's name.
         """
-        plan = self.place(case)
+        plan = self.plan_of(case)
         return {
             "app": plan.app.name,
             **observe_of(plan.app),
@@ -208,4 +206,4 @@ class Study:
 
     def _trained_by(self, case: Case) -> Plan:
         """The plan that a case is trained by: QuickFT's search draws nothing, so that one seed says all."""
-        return self.place(case._replace(seed=self.plan.request.seed) if case.rule == QUICKFT else case)
+        return self.plan_of(case._replace(seed=self.plan.request.seed) if case.rule == QUICKFT else case)

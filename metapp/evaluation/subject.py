@@ -10,7 +10,7 @@ from typing import Any
 from metapp.appearance.presentation import Presentation
 from metapp.apps import presentation_of
 from metapp.evaluation.cell import Cell, Measure
-from metapp.evaluation.study import Budget, Study
+from metapp.evaluation.study import Design, Study
 from metapp.learning.app import App
 from metapp.learning.task import Task
 from metapp.paradigms import paradigms
@@ -35,17 +35,17 @@ class Subject:
     """
 
     def __init__(
-        self, plan: Plan, *, run: bool, strict: bool, share: float = 1.0, budget: Budget | None = None
+        self, plan: Plan, *, run: bool, strict: bool, share: float = 1.0, design: Design | None = None
     ) -> None:
         """Look up nothing yet.
 
         Args:
             plan, run, share: as the attributes.
             strict: whether a checkpoint that is missing is an error; else it is said, and its cells stay empty.
-            budget: how much the table of rules trains.
+            design: what the table of rules trains.
         """
         self.plan, self.run, self.share = plan, run, share
-        self._strict, self._budget = strict, budget or Budget()
+        self._strict, self._design = strict, design or Design()
         self._cells: dict[str, Cell] = {}
 
     @functools.cached_property
@@ -80,7 +80,7 @@ class Subject:
     @functools.cached_property
     def study(self) -> Study:
         """What the table of rules is about."""
-        return Study(self.plan, self._budget)
+        return Study(self.plan, self._design)
 
     @property
     def app(self) -> App:

@@ -20,7 +20,7 @@ from metapp.apps.brdf import APP, Brdf
 from metapp.cli.show import rich_table
 from metapp.evaluation import study as studies
 from metapp.evaluation.figures import draw
-from metapp.evaluation.study import COMPOSED, QUICKFT, Budget, Case, Study, training_for
+from metapp.evaluation.study import COMPOSED, QUICKFT, Case, Design, Study, training_for
 from metapp.evaluation.subject import Subject
 from metapp.evaluation.tables import load_table
 from metapp.evaluation.tables.rules import fit_cell, train_cell
@@ -73,10 +73,10 @@ def figures(result: Any) -> list[dict[str, Any]]:
     return [{key: value for key, value in row.items() if "seconds" not in key} for row in rows]
 
 
-def subject_of(data: Path, out: Path, **budget: Any) -> Subject:
+def subject_of(data: Path, out: Path, **design: Any) -> Subject:
     options = Options(APP, "quick", "meta-curvature", None, data, out, None, 0, torch.device("cpu"), True)
     return Subject(
-        options, run=True, strict=False, budget=Budget(**({"outer": 2, "steps": (2, 3), "seeds": 2} | budget))
+        options, run=True, strict=False, design=Design(**({"outer": 2, "steps": (2, 3), "seeds": 2} | design))
     )
 
 
@@ -149,7 +149,7 @@ def test_a_study_that_is_cut_off_ends_in_the_table_of_an_unbroken_one(
     assert figures(again) == unbroken
 
 
-def test_a_budget_can_grow(evaluate: Callable) -> None:
+def test_a_design_can_grow(evaluate: Callable) -> None:
     part = figures(evaluate("--rule", "adam", "--json", "--quiet"))
     assert [row["rule"] for row in part] == ["quickft (tuned Adam)", "adam"] * 2
     said = evaluate("--no-run", "--format", "markdown").out
@@ -205,14 +205,14 @@ def test_a_terminal_shows_the_rule_and_what_it_came_to(evaluate: Callable, data:
 def test_new_names_of_rules_are_studied(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.undo()
     options = Options(APP, "quick", "meta-curvature", None, None, Path("runs"), None, 0, torch.device("cpu"), True)
-    rules = Study(options, Budget()).rules
+    rules = Study(options, Design()).rules
     assert [rule_of(name).name for name in COMPOSED] == list(COMPOSED)
     assert set(rules) == ({rule_of(name).name for name in (*RULES, *COMPOSED)}) - {"meta-lgd", "ridge"}
     # of its own, so that other tests find the rules that there were
     monkeypatch.setattr(rule_table, "_composed", functools.cache(rule_table._composed.__wrapped__))
     monkeypatch.setitem(rule_table.NAMED, "meta-new", "rates+betas+eps")
     monkeypatch.setitem(studies.RULES, "meta-new", rule_of("rates+betas+eps"))  # type: ignore[arg-type]
-    assert "meta-new" in Study(options, Budget()).rules
+    assert "meta-new" in Study(options, Design()).rules
 
 
 def test_rules_without_moments_are_trained_as_the_papers() -> None:
@@ -228,7 +228,7 @@ def test_rules_without_moments_are_trained_as_the_papers() -> None:
 
 def test_cases_of_few_steps_come_first() -> None:
     options = Options(APP, "quick", "meta-curvature", None, None, Path("runs"), None, 4, torch.device("cpu"), True)
-    cases = Study(options, Budget(steps=(9, 2), seeds=2, rules=("adam",))).cases()
+    cases = Study(options, Design(steps=(9, 2), seeds=2, rules=("adam",))).cases()
     assert cases == [Case(rule, steps, seed) for seed in (4, 5) for steps in (2, 9) for rule in (QUICKFT, "adam")]
 
 

@@ -36,7 +36,7 @@ def forest(subject: Subject) -> Drawn | None:
         axis.set_ylim(-len(names) + 0.4, 0.6)
         axis.set_title(f"{count} steps")
         axis.grid(axis="y", color=GRID, linewidth=0.4)
-    outer = subject.study.budget.outer
+    outer = subject.study.design.outer
     figure.suptitle(f"{subject.title}: learned rules after {outer:,} outer steps", fontsize=10)
     figure.supxlabel(f"error over tuned Adam's ({kind}, 95 % interval)", fontsize=8)
     return Drawn(

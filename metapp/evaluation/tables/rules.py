@@ -57,7 +57,7 @@ def train_cell(subject: Subject, case: Case) -> Cell:
     """One training; its record holds its seconds, the validation error and the outer step of that."""
     study = subject.study
     settings = study.settings(case, subject.label)
-    recipe, seed = study.place(case).request.recipe, settings["seed"]
+    recipe, seed = study.plan_of(case).request.recipe, settings["seed"]
     words = [subject.label, recipe, f"seed{seed}", case.rule, subject.app.protocol]
     path = subject.plan.request.out / subject.app.name / "rules" / "-".join(filter(None, words))
 
@@ -74,13 +74,13 @@ def train_cell(subject: Subject, case: Case) -> Cell:
 
 def _command(subject: Subject) -> str:
     """The command of the whole study."""
-    budget = subject.study.budget
+    design = subject.study.design
     options: dict[str, Sequence[str | int]] = {
-        "--train-steps": [budget.outer],
-        "--steps": budget.steps,
-        "--seeds": [budget.seeds],
-        "--initialisation": [budget.start],
-        "--rule": budget.rules,
+        "--train-steps": [design.outer],
+        "--steps": design.steps,
+        "--seeds": [design.seeds],
+        "--initialisation": [design.initialisation],
+        "--rule": design.rules,
     }
     words = [f"{name} {value}" for name, values in options.items() for value in values]
     return " ".join([subject.command("rules"), *words])
@@ -106,7 +106,7 @@ def fit_cell(subject: Subject, case: Case) -> Cell:
     """Fits of all test tasks by what a case has trained."""
     study = subject.study
     trained = Checkpoint(MetaParameters(), "", digest(study.settings(case, subject.label)))
-    plan = replace(study.place(case), checkpoint=trained)
+    plan = replace(study.plan_of(case), checkpoint=trained)
     settings = plan.settings(subject.label)
     if case.rule == QUICKFT:
         settings["adam"] = "searched"
@@ -129,7 +129,7 @@ def rows(subject: Subject) -> list[Row]:
     if _lacks_general(subject):
         return []
     study, found = subject.study, []
-    for steps in sorted(set(study.budget.steps)):
+    for steps in sorted(set(study.design.steps)):
         reference = [cell for _, cell in _complete(subject, QUICKFT, steps)]
         for rule in (QUICKFT, *study.rules):
             if done := _complete(subject, rule, steps):
@@ -153,7 +153,7 @@ def _row(subject: Subject, rule: str, steps: int, done: list[tuple[Cell, Cell]],
         "seeds": len(done),
         "train_seconds": statistics.fmean(record["seconds"] for record in trainings),
         "validation": statistics.fmean(record["error"] for record in trainings),
-        "start": subject.study.budget.start,
+        "start": subject.study.design.initialisation,
         "outer": None if of_quickft else subject.study.training(rule).steps,
     }
     cells, name = [fits for _, fits in done], QUICKFT if of_quickft else "meta"
@@ -162,12 +162,12 @@ def _row(subject: Subject, rule: str, steps: int, done: list[tuple[Cell, Cell]],
 
 
 def notes(subject: Subject, found: list[Row]) -> list[str]:
-    """The budget, who wins at each number of steps, what seconds are, what was not run and what does not apply."""
+    """The design, who wins at each number of steps, what seconds are, what was not run and what does not apply."""
     study = subject.study
-    budget, usual = study.budget, study.plan.job.recipe.meta_training(study.plan.job.rule).steps
+    design, usual = study.design, study.plan.job.recipe.meta_training(study.plan.job.rule).steps
     return [
-        f"each rule is trained for {budget.outer:,} outer steps (the recipe: {usual:,}) at each number of steps, from "
-        f"{INITIALISATIONS[budget.start]}; its best state on validation tasks is kept",
+        f"each rule is trained for {design.outer:,} outer steps (the recipe: {usual:,}) at each number of steps, from "
+        f"{INITIALISATIONS[design.initialisation]}; its best state on validation tasks is kept",
         *(f"{steps} steps: {_winners(found, steps)}" for steps in sorted({row["steps"] for row in found})),
         "seconds: median of a fit; training s: mean processor time of one training, General's not counted; of "
         f"{QUICKFT} the search of its Adam at that number of steps",
@@ -194,11 +194,11 @@ def _winners(found: list[Row], steps: int) -> str:
 
 
 def _not_run(subject: Subject, found: list[Row]) -> list[str]:
-    """What the budget holds that has no row, as it was not run or diverged."""
+    """What the design holds that has no row, as it was not run or diverged."""
     study, there = subject.study, {(row["rule"], row["steps"]) for row in found}
     seed = study.plan.request.seed
     lines = []
-    for steps in sorted(set(study.budget.steps)):
+    for steps in sorted(set(study.design.steps)):
         missing = [rule for rule in study.rules if (rule, steps) not in there]
         diverged = [rule for rule in missing if _diverged(train_cell(subject, Case(rule, steps, seed)))]
         rest = [rule for rule in missing if rule not in diverged]
