@@ -11,8 +11,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import torch
-from metapp.runs.session import Options
 from rich.console import Console
 
 from metapp.apps import load_app
@@ -28,6 +26,8 @@ from metapp.learning.recipe import Adam
 from metapp.learning.rules import RULES, rule_of
 from metapp.learning.rules import table as rule_table
 from metapp.paradigms import tuning
+from metapp.runs.plan import Plan, plan
+from metapp.runs.request import Request
 from metapp.storage.records import load_checkpoint
 from metapp.storage.training_checkpoint import TrainingCheckpoint
 from tests.small_spheres import shrink_spheres
@@ -73,10 +73,16 @@ def figures(result: Any) -> list[dict[str, Any]]:
     return [{key: value for key, value in row.items() if "seconds" not in key} for row in rows]
 
 
+def plan_of(**options: Any) -> Plan:
+    return plan(Request("brdf", "general", recipe="quick", device="cpu", quiet=True, **options))
+
+
 def subject_of(data: Path, out: Path, **design: Any) -> Subject:
-    options = Options(APP, "quick", "meta-curvature", None, data, out, None, 0, torch.device("cpu"), True)
     return Subject(
-        options, run=True, strict=False, design=Design(**({"outer": 2, "steps": (2, 3), "seeds": 2} | design))
+        plan_of(data=data, out=out),
+        run=True,
+        strict=False,
+        design=Design(**({"outer": 2, "steps": (2, 3), "seeds": 2} | design)),
     )
 
 
@@ -149,6 +155,21 @@ def test_a_study_that_is_cut_off_ends_in_the_table_of_an_unbroken_one(
     assert figures(again) == unbroken
 
 
+def test_parts_train_and_fit_what_one_program_does(
+    evaluate: Callable, metapp: Callable, data: Path, tmp_path: Path
+) -> None:
+    parts = [("--json", "--quiet", "--shard", f"{part}/2") for part in (1, 2)]
+    assert "has no General yet, which all parts begin at" in evaluate(*parts[0]).err
+    general = ("general", "brdf", "--train", "--data", data, "--recipe", "quick", "--quiet")
+    for out in ("runs", "whole"):
+        assert metapp(*general, "--out", tmp_path / out).code == 0
+    unbroken = figures(evaluate("--json", "--quiet", out="whole"))
+    made = [evaluate(*part).document for part in parts]
+    assert [part["missing"] for part in made] == [made[1]["made"], 0]
+    assert min(part["made"] for part in made) > 10
+    assert figures(evaluate("--no-run", "--json")) == unbroken
+
+
 def test_a_design_can_grow(evaluate: Callable) -> None:
     part = figures(evaluate("--rule", "adam", "--json", "--quiet"))
     assert [row["rule"] for row in part] == ["quickft (tuned Adam)", "adam"] * 2
@@ -204,15 +225,15 @@ def test_a_terminal_shows_the_rule_and_what_it_came_to(evaluate: Callable, data:
 
 def test_new_names_of_rules_are_studied(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.undo()
-    options = Options(APP, "quick", "meta-curvature", None, None, Path("runs"), None, 0, torch.device("cpu"), True)
-    rules = Study(options, Design()).rules
+    study = functools.partial(Study, plan_of(), Design())
+    rules = study().rules
     assert [rule_of(name).name for name in COMPOSED] == list(COMPOSED)
     assert set(rules) == ({rule_of(name).name for name in (*RULES, *COMPOSED)}) - {"meta-lgd", "ridge"}
     # of its own, so that other tests find the rules that there were
     monkeypatch.setattr(rule_table, "_composed", functools.cache(rule_table._composed.__wrapped__))
     monkeypatch.setitem(rule_table.NAMED, "meta-new", "rates+betas+eps")
     monkeypatch.setitem(studies.RULES, "meta-new", rule_of("rates+betas+eps"))  # type: ignore[arg-type]
-    assert "meta-new" in Study(options, Design()).rules
+    assert "meta-new" in study().rules
 
 
 def test_rules_without_moments_are_trained_as_the_papers() -> None:
@@ -227,8 +248,7 @@ def test_rules_without_moments_are_trained_as_the_papers() -> None:
 
 
 def test_cases_of_few_steps_come_first() -> None:
-    options = Options(APP, "quick", "meta-curvature", None, None, Path("runs"), None, 4, torch.device("cpu"), True)
-    cases = Study(options, Design(steps=(9, 2), seeds=2, rules=("adam",))).cases()
+    cases = Study(plan_of(seed=4), Design(steps=(9, 2), seeds=2, rules=("adam",))).cases()
     assert cases == [Case(rule, steps, seed) for seed in (4, 5) for steps in (2, 9) for rule in (QUICKFT, "adam")]
 
 

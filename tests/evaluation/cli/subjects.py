@@ -9,12 +9,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import torch
-from metapp.runs.session import Options
 
 from metapp.apps.brdf import APP
 from metapp.evaluation.subject import Subject
 from metapp.evaluation.tables import load_table
+from metapp.runs.plan import plan
+from metapp.runs.request import Request
 from tests.small_spheres import shrink_spheres
 
 
@@ -39,9 +39,8 @@ def call(*arguments: str | Path) -> int:
 
 def subject_of(data: Path, runs: Path) -> Subject:
     """A data set with all that has been run of it."""
-    of, device = APP.at(APP.recipes["quick"]), torch.device("cpu")
-    options = Options(of, "quick", "meta-curvature", None, data, runs, None, 0, device, True)
-    return Subject(options, run=True, strict=True)
+    request = Request("brdf", "general", recipe="quick", data=data, out=runs, device="cpu", quiet=True)
+    return Subject(plan(request), run=True, strict=True)
 
 
 def rows(subject: Subject, name: str) -> list[dict[str, Any]]:
