@@ -91,12 +91,12 @@ def paired_columns(other: str) -> tuple[Column, Column]:
     """The columns that compare rows with another method."""
 
     def text(row: Row) -> str:
-        found = paired_of(row, other)
-        return str(found) if found else "-"
+        pair = paired_of(row, other)
+        return str(pair) if pair else "-"
 
     def lower(row: Row) -> str:
-        found = paired_of(row, other)
-        return f"{found.ahead}/{found.tasks}" if found else "-"
+        pair = paired_of(row, other)
+        return f"{pair.ahead}/{pair.tasks}" if pair else "-"
 
     return Column(f"vs {other}", text), Column("lower on", lower)
 
@@ -119,13 +119,13 @@ COMMON = {
 
 def columns(*names: str | Column) -> tuple[Column, ...]:
     """Columns from left to right, those that tables share by name; "vs <row>" are two, which compare with that row."""
-    found: list[Column] = []
+    result: list[Column] = []
     for name in names:
         if isinstance(name, Column):
-            found.append(name)
+            result.append(name)
         else:
-            found += paired_columns(name.removeprefix("vs ")) if name.startswith("vs ") else [COMMON[name]]
-    return tuple(found)
+            result += paired_columns(name.removeprefix("vs ")) if name.startswith("vs ") else [COMMON[name]]
+    return tuple(result)
 
 
 # Rows
@@ -215,9 +215,9 @@ def remarks(records: Sequence[Record]) -> Row:
     }
 
 
-def paired_entries(other: str, found: Paired | None) -> Row:
+def paired_entries(other: str, pair: Paired | None) -> Row:
     """A comparison as entries of a row: `vs_<other>` and so on, None where there is none."""
-    values = found._asdict() if found else dict.fromkeys(Paired._fields)
+    values = pair._asdict() if pair else dict.fromkeys(Paired._fields)
     named = {f"vs_{other}_{key}": value for key, value in values.items() if key != "value"}
     return {f"vs_{other}": values["value"], **named}
 

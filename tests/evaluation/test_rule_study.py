@@ -1,4 +1,4 @@
-"""The rule study: trainings and fits of all rules from one command, cut off and resumed, and its statistics over seeds."""
+"""The rule study: trainings and fits of all rules from one command, cut off and resumed, in parts."""
 
 from __future__ import annotations
 

@@ -22,7 +22,7 @@ def strips(subject: Subject) -> Drawn | None:
     for task in tasks:
         made = [subject.presentation.outputs(theta, task) for theta in parts_of(cell, task).values()]
         last = [made[-1]["reference"]] if "reference" in made[-1] else []
-        pictures.append([to_srgb(picture) for picture in [*(each["fit"] for each in made), *last]])
+        pictures.append([to_srgb(picture) for picture in [*(outputs["fit"] for outputs in made), *last]])
     height, width = pictures[0][0].shape[:2]
     figure, axes = new(1.25 * 6 + 0.2, (1.25 * height / width + 0.06) * len(tasks) + 0.55, len(tasks), len(PARTS) + 1)
     titles = ["initialisation", *(f"{part:.0%}" for part in PARTS[1:]), "target"]

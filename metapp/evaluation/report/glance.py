@@ -54,16 +54,16 @@ def _small(value: float | None, form: str, unit: str = "") -> str:
 def badge(rows: list[Row]) -> str:
     """Meta against QuickFT, which takes as many steps: a lower error, a higher one, or no win."""
     meta = next(row for row in rows if row["paradigm"] == "meta")
-    found = paired_of(meta, "quickft")
-    if found is None:
+    pair = paired_of(meta, "quickft")
+    if pair is None:
         return '<span class="badge">not measured yet</span>'
     kind, text = "", "no win over QuickFT"
-    if apart(found) is None:
+    if apart(pair) is None:
         text = "too few tasks to call a win over QuickFT"
-    elif apart(found):
-        lower = found.value < found.level
+    elif apart(pair):
+        lower = pair.value < pair.level
         kind, text = (" win", "a lower error than QuickFT") if lower else (" loss", "a higher error than QuickFT")
-    figures = f"{found.kind} of errors {found}, lower on {found.ahead} of {found.tasks} tasks"
+    figures = f"{pair.kind} of errors {pair}, lower on {pair.ahead} of {pair.tasks} tasks"
     return f'<span class="badge{kind}">{text}</span> <small>{escape(figures)}</small>'
 
 

@@ -24,14 +24,14 @@ def rows(subject: Subject) -> list[Row]:
 
     steps = {name: subject.fits[name].steps for name in ("meta", "overfit")}
     along = [(part, step_at(part, steps["meta"])) for part in PARTS]
-    found = [row("meta", f"{part:.0%}", step, after("meta", step)) for part, step in along]
+    all_rows = [row("meta", f"{part:.0%}", step, after("meta", step)) for part, step in along]
     last = row("meta", "further", None, lambda record: record["further"][-1][1])
     if needed := [steps_needed(record) for record in cell.records()]:
         middle = sorted(needed, key=lambda value: FURTHER[-1] + 1 if value is None else value)[(len(needed) - 1) // 2]
         last |= {"further": middle, "near": sum(value is not None for value in needed)}
         last["step"] = f"+{middle}" if middle is not None else f"> +{FURTHER[-1]}"
     last["paper_further"] = paper()["further_steps"]["steps"]
-    return [*found, last, row("overfit", "100%", steps["overfit"], after("overfit", steps["overfit"]))]
+    return [*all_rows, last, row("overfit", "100%", steps["overfit"], after("overfit", steps["overfit"]))]
 
 
 def after(paradigm: str, step: int) -> Take:
@@ -46,9 +46,9 @@ def steps_needed(record: Record) -> int | None:
     return steps if overfit is not None and near(error, overfit) else None
 
 
-def notes(subject: Subject, found: list[Row]) -> list[str]:
+def notes(subject: Subject, all_rows: list[Row]) -> list[str]:
     """What further steps are, how many they are, and in the paper."""
-    known, last = paper()["further_steps"], found[-2]
+    known, last = paper()["further_steps"], all_rows[-2]
     lines = [
         f"further steps: Finetune's Adam from Meta's result, {', '.join(map(str, FURTHER))} of them; step: the median "
         f"over tasks of those after which Meta is within {known['within']:.0%} of Overfit",

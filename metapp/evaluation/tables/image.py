@@ -84,21 +84,21 @@ def measured_row(subject: Subject, name: str, cell: Cell, key: str) -> Row:
     }
 
 
-def notes(subject: Subject, found: list[Row]) -> list[str]:
+def notes(subject: Subject, all_rows: list[Row]) -> list[str]:
     """What the measures are of."""
     sources = paper()["sources"]
     own = [
         f"the references themselves are off by {row['error']:.3f} {row['measure']}, which all figures of it contain"
-        for row in found
+        for row in all_rows
         if row["paradigm"] == REFERENCE and row["error"] is not None
     ]
     lines = [", ".join([subject.presentation.image_measure, *own]), *overfit_note(subject)]
     lines += [
         f"{row['paradigm']}, {row['measure']}: mean of {row['measured']} of {row['tasks']} tasks, the others have none"
-        for row in found
+        for row in all_rows
         if row["paradigm"] != REFERENCE and 0 < row["measured"] < row["tasks"]
     ]
-    if any(row["paper_share"] is not None for row in found):
+    if any(row["paper_share"] is not None for row in all_rows):
         lines.append(f"paper: {sources['ssim']}")
     if subject.app.name in paper()["image"]:
         lines.append(f"paper: {sources['image']}")

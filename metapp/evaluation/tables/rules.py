@@ -36,7 +36,7 @@ def cells(subject: Subject) -> list[Cell]:
     if _lacks_general(subject):
         none = subject.make_cell("rules", None, lambda tasks: iter(()), command=_command(subject))
         return [none._replace(tasks=[])]
-    found: dict[Path, Cell] = {}
+    by_path: dict[Path, Cell] = {}
     trainings: dict[Path, int] = {}  # QuickFT's search is the same for all seeds
     for case in subject.study.cases():
         training, fits = train_cell(subject, case), fit_cell(subject, case)
@@ -44,8 +44,8 @@ def cells(subject: Subject) -> list[Cell]:
         number = trainings.setdefault(training.folder.path, len(trainings))
         for cell in (training, fits):
             assert cell.folder is not None
-            found.setdefault(cell.folder.path, cell._replace(stage=len(found), number=number))
-    return list(found.values())
+            by_path.setdefault(cell.folder.path, cell._replace(stage=len(by_path), number=number))
+    return list(by_path.values())
 
 
 def _lacks_general(subject: Subject) -> bool:
@@ -128,13 +128,13 @@ def rows(subject: Subject) -> list[Row]:
     """A row for each rule and number of steps that has fits of all tasks, of all seeds that have."""
     if _lacks_general(subject):
         return []
-    study, found = subject.study, []
+    study, all_rows = subject.study, []
     for steps in sorted(set(study.design.steps)):
         reference = [cell for _, cell in _complete(subject, QUICKFT, steps)]
         for rule in (QUICKFT, *study.rules):
             if done := _complete(subject, rule, steps):
-                found.append(_row(subject, rule, steps, done, reference if rule != QUICKFT else []))
-    return found
+                all_rows.append(_row(subject, rule, steps, done, reference if rule != QUICKFT else []))
+    return all_rows
 
 
 def _complete(subject: Subject, rule: str, steps: int) -> list[tuple[Cell, Cell]]:
@@ -161,28 +161,28 @@ def _row(subject: Subject, rule: str, steps: int, done: list[tuple[Cell, Cell]],
     return row | {"apart": apart(paired_of(row, QUICKFT))}
 
 
-def notes(subject: Subject, found: list[Row]) -> list[str]:
+def notes(subject: Subject, all_rows: list[Row]) -> list[str]:
     """The design, who wins at each number of steps, what seconds are, what was not run and what does not apply."""
     study = subject.study
     design, usual = study.design, study.plan.job.recipe.meta_training(study.plan.job.rule).steps
     return [
         f"each rule is trained for {design.outer:,} outer steps (the recipe: {usual:,}) at each number of steps, from "
         f"{INITIALISATIONS[design.initialisation]}; its best state on validation tasks is kept",
-        *(f"{steps} steps: {_winners(found, steps)}" for steps in sorted({row["steps"] for row in found})),
+        *(f"{steps} steps: {_winners(all_rows, steps)}" for steps in sorted({row["steps"] for row in all_rows})),
         "seconds: median of a fit; training s: mean processor time of one training, General's not counted; of "
         f"{QUICKFT} the search of its Adam at that number of steps",
         "95 % intervals: bootstrap over tasks and over seeds",
         caption_of(subject.app),
-        *paired_note(found),
-        *threads_note(found),
-        *_not_run(subject, found),
+        *paired_note(all_rows),
+        *threads_note(all_rows),
+        *_not_run(subject, all_rows),
         *(f"{rule}: does not apply, {reason}" for rule, reason in study.refused.items()),
     ]
 
 
-def _winners(found: list[Row], steps: int) -> str:
+def _winners(all_rows: list[Row], steps: int) -> str:
     """The rule of the lowest error, and how many rules are below, level with and above the tuned Adam."""
-    rows_here = [row for row in found if row["steps"] == steps]
+    rows_here = [row for row in all_rows if row["steps"] == steps]
     best = min(rows_here, key=lambda row: row["error"])
     compared = [(row, pair) for row in rows_here if (pair := paired_of(row, QUICKFT))]
     below = sum(bool(row["apart"]) and pair.value < pair.level for row, pair in compared)
@@ -193,9 +193,9 @@ def _winners(found: list[Row], steps: int) -> str:
     )
 
 
-def _not_run(subject: Subject, found: list[Row]) -> list[str]:
+def _not_run(subject: Subject, all_rows: list[Row]) -> list[str]:
     """What the design holds that has no row, as it was not run or diverged."""
-    study, there = subject.study, {(row["rule"], row["steps"]) for row in found}
+    study, there = subject.study, {(row["rule"], row["steps"]) for row in all_rows}
     seed = study.plan.request.seed
     lines = []
     for steps in sorted(set(study.design.steps)):

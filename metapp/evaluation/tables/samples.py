@@ -10,11 +10,11 @@ from metapp.runs.plan import Plan
 
 def rows(subject: Subject) -> list[Row]:
     """For each paradigm, the samples that its encoder and its steps see, at most all there are."""
-    found = [_row(subject, name, fit) for name, fit in subject.fits.items()]
-    for row in found:
+    all_rows = [_row(subject, name, fit) for name, fit in subject.fits.items()]
+    for row in all_rows:
         if row["paradigm"] == "meta":
             row["paper_saved"] = paper()["samples"].get(subject.app.name, {}).get("saved")
-    return found
+    return all_rows
 
 
 def _row(subject: Subject, name: str, fit: Plan) -> Row:
@@ -37,15 +37,15 @@ def _row(subject: Subject, name: str, fit: Plan) -> Row:
     }
 
 
-def notes(subject: Subject, found: list[Row]) -> list[str]:
+def notes(subject: Subject, all_rows: list[Row]) -> list[str]:
     """What a sample is here, and in the paper."""
-    if all(row["seen"] is None for row in found):
+    if all(row["seen"] is None for row in all_rows):
         return ["how much a fit may see of a task is not known, or there are no tasks yet"]
     lines = ["of what fits may see; samples that are drawn twice are sent once, so 'seen' is an upper bound"]
-    if found[0]["all"] == 1:
+    if all_rows[0]["all"] == 1:
         lines.append("each step sees the whole task: nothing to save")
     if known := paper()["samples"].get(subject.app.name):
-        meta = next(row["seen"] for row in found if row["paradigm"] == "meta")
+        meta = next(row["seen"] for row in all_rows if row["paradigm"] == "meta")
         saved = f"{1 - min(meta, known['all']) / known['all']:.1%}"
         lines.append(f"paper: meta sees {known['seen']:,} of {known['all']:,}; ours, of so many: saved {saved}")
     return lines
