@@ -27,7 +27,7 @@ RULE_NAMES = (
     "ridge"
 )
 PART_NAMES = "adam, tied, sgd, rates, shared, solve, betas, loss, pace, eps, curvature, network, average, basis"
-DEFAULT_RECIPE = "default: full, the best rule and size that ships (transport: quick)"
+DEFAULT_RECIPE = "default: full, the best rule and size that ships"
 LINES = "- with --json: one a line of standard input, each answered by a line at once."
 
 # what an option or argument of each field of a Request is; names, types and defaults are the field's

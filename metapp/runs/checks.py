@@ -19,7 +19,7 @@ from metapp.runs.shipped import FULL, QUICK, ships
 
 def default_recipe(app: App) -> str:
     """What a request without a recipe is fitted by: "full", the best rule and size that ships, else "quick"."""
-    return FULL if ships(app, FULL) else QUICK
+    return FULL if FULL in app.recipes and ships(app, FULL) else QUICK
 
 
 def with_network(app: App, recipe: Recipe, rule: str) -> App:

@@ -147,7 +147,7 @@ def test_starts_of_both_protocols(metapp: Callable, tmp_path: Path) -> None:
         for paradigm, steps in (("meta", "2"), ("quickft", "2")):
             result = metapp(paradigm, *common, "--observe", observe, "--train", "--train-steps", steps, "--json")
             assert result.code == 0, result.err
-    (folder,) = (runs / "svbrdf_nonstationary" / "starts").iterdir()
+    (folder,) = (runs / "svbrdf_nonstationary" / "checkpoints").iterdir()
     names = {path.name.removesuffix(".safetensors") for path in folder.glob("*.safetensors")}
     rules = {observe: RECIPES[observe]["quick"].rule for observe in RECIPES}
     assert names == {"general", "quickft", "quickft-photo", rules["reference"], f"{rules['photo']}-photo"}

@@ -88,7 +88,7 @@ def full_again(report: Report, rng: random.Random, data: Path, place: Path, quic
             return
         command = metapp(*kills.CASES["general"].words(data, disk / "out"))
         commands.run(report, "disk:full_again", command, (0,))
-        before = {name: held for name, held in kills.results(disk).items() if "starts" in name}
+        before = {name: held for name, held in kills.results(disk).items() if "checkpoints" in name}
         free = shutil.disk_usage(disk).free
         (disk / "more").write_bytes(bytes(max(free - 40_000, 0)))
         ended = commands.run(report, "disk:full_again", [*command, "--seed", "0"], (0, 1))
