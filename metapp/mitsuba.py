@@ -4,7 +4,7 @@
     {"type": "neural_svbrdf", "diffuse": TEXTURE, "specular": TEXTURE, "roughness": TEXTURE}
     {"type": "guided_path", "max_depth": 8}
 
-The last is an integrator: Mitsuba's `path`, which learns where light comes from while it renders; of
+The last is an integrator: Mitsuba's `path` with path guiding that it learns while it renders; see
 `metapp.rendering.guided_plugin`.
 
 In XML: `<bsdf type="neural_brdf"><string name="filename" value="gold.safetensors"/></bsdf>`. The file is a fit of the
@@ -17,7 +17,6 @@ Import it before mitsuba where an old libLLVM is installed beside one that works
 from __future__ import annotations
 
 import functools
-from contextlib import suppress
 from pathlib import Path
 
 import torch
@@ -28,16 +27,11 @@ from data_tools.readers.nbrdf import read_nbrdf
 from metapp.apps.brdf import Brdf, layers_of
 from metapp.apps.brdf.featured import Featured
 from metapp.learning.task import Params
-from metapp.rendering.variant import choose_llvm
-from metapp.storage.tensors import read_tensors
-
-with suppress(ValueError):  # none is there: variants of GPUs need none
-    choose_llvm()  # before Mitsuba is imported, as it keeps the one that it finds then
-
 from metapp.rendering.brdf_network import Material
 from metapp.rendering.brdf_plugin import register_neural_brdf
 from metapp.rendering.guided_plugin import register_guided_path
 from metapp.rendering.maps_bsdf import register_maps_bsdf
+from metapp.storage.tensors import read_tensors
 
 
 def read_material(path: Path) -> Material:
@@ -46,7 +40,7 @@ def read_material(path: Path) -> Material:
     Raises:
         ValueError: there is none, or it is damaged.
     """
-    theta = _parameters(path) if path.is_file() else _of_nbrdf(path)
+    theta = _parameters(path) if path.is_file() else _from_nbrdf(path)
     layers = tuple((weights.float().numpy(), bias.float().numpy()) for weights, bias in layers_of(theta))
     return Material(layers, "last" in theta, functools.partial(Brdf().reflectance, theta))
 
@@ -57,7 +51,8 @@ def _parameters(path: Path) -> Params:
     except (SafetensorError, OSError) as error:
         raise ValueError(f"{path}: not readable ({error}), expected the .safetensors file of a BRDF fit.") from None
     shapes = {key: value.shape for key, value in theta.items()}
-    known = [{key: value[0].shape for key, value in _any(setup).items()} for setup in (None, Featured())]
+    networks = [Brdf(setup).init(Generator().manual_seed(0), 1) for setup in (None, Featured())]
+    known = [{key: value[0].shape for key, value in network.items()} for network in networks]
     if shapes not in known:
         found = ", ".join(sorted(theta)) or "none"
         raise ValueError(f"{path}: tensors {found[:80]}, expected those of a BRDF fit; take a file of its params/.")
@@ -66,11 +61,7 @@ def _parameters(path: Path) -> Params:
     return theta
 
 
-def _any(setup: Featured | None) -> Params:
-    return Brdf(setup).init(Generator().manual_seed(0), 1)
-
-
-def _of_nbrdf(path: Path) -> Params:
+def _from_nbrdf(path: Path) -> Params:
     parts = {part: torch.from_numpy(array) for part, array in read_nbrdf(path).items()}
     weights = {f"w{layer}": parts[f"fc{layer}"].T for layer in (1, 2, 3)}
     return weights | {f"b{layer}": parts[f"b{layer}"][:, None] for layer in (1, 2, 3)}

@@ -47,6 +47,14 @@ class Result(NamedTuple):
         """The object that --json prints last."""
         return json.loads(self.out.splitlines()[-1])
 
+    @property
+    def refusal(self) -> str:
+        """The one line of a command that could not use its data."""
+        assert (self.code, self.out) == (1, "")
+        (line,) = self.err.splitlines()
+        assert line.startswith("error: ")
+        return line
+
 
 @pytest.fixture(autouse=True)
 def _seed() -> None:

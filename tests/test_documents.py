@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import configparser
+import importlib
 import re
 import shlex
 from collections.abc import Iterator
@@ -22,6 +23,7 @@ CODE = re.compile(r"`([^`]+)`")
 COMMAND = typer.main.get_command(cli)  # it takes 40 ms to make
 METAPP = re.compile(r"metapp [a-z]")
 ANY_COMMAND = re.compile(r"metapp (?:data )?<")
+PATH = re.compile(r"(?:metapp|data_tools|tests|tools|examples)/[\w./-]+$")
 STANDS_FOR = re.compile(r"<[a-z]+>|\.\.\.|\b(?:NAME|APP|DIR)\b")  # what a reader puts in
 
 
@@ -103,6 +105,22 @@ def test_targets_exist() -> None:
     for page, line in lines_of_code():
         if line.startswith("make "):
             assert {word for word in line.split()[1:] if "=" not in word} <= targets, (page, line)
+
+
+def test_files_exist() -> None:
+    for page, line in lines_of_code():
+        if PATH.match(line) and "notebook" not in page.parts:  # names in the notebook are of its date
+            assert (ROOT / line).exists(), (page, line)
+
+
+def test_python_in_pages_imports_what_exists() -> None:
+    for page in PAGES:
+        for block in re.findall(r"^```python\n(.*?)^```", page.read_text(encoding="utf-8"), re.DOTALL | re.MULTILINE):
+            for node in ast.walk(ast.parse(block)):
+                if isinstance(node, ast.ImportFrom) and (node.module or "").startswith(("metapp", "data_tools")):
+                    module = importlib.import_module(node.module or "")
+                    for alias in node.names:
+                        assert hasattr(module, alias.name), (page, node.module, alias.name)
 
 
 def test_every_page_is_in_the_navigation() -> None:

@@ -101,7 +101,7 @@ def pictures(theta: Params, size: int, spp: int) -> str:
     for seed in range(TEST, TEST + FEW):
         for kind in KINDS:
             mi, scene, _ = load_scene(random_room(kind, seed))
-            equal_time.resize(mi, scene, size)
+            equal_time.resize(scene, size)
             noise = [_noise(mi, scene, size, spp, prior) for prior in (theta, None)]
             ratios.append(noise[0] / noise[1])
     lower = sum(ratio < 1 for ratio in ratios)

@@ -15,8 +15,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from data_tools.assets.pictures import preview, write_planes
-from metapp.appearance.surface import DESCRIPTION, Surface, all_planes
-from metapp.appearance.workflow import DIELECTRIC
+from metapp.appearance.surface import DESCRIPTION, DIELECTRIC, Surface, all_planes
 from metapp.storage.files import write_atomically
 from metapp.storage.images import write_png
 from metapp.storage.records import finite

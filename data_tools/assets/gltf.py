@@ -18,8 +18,7 @@ from pathlib import Path
 import torch
 
 from data_tools.assets.pictures import write_plane
-from metapp.appearance.surface import Surface, all_planes
-from metapp.appearance.workflow import DIELECTRIC
+from metapp.appearance.surface import DIELECTRIC, Surface, all_planes
 from metapp.storage.files import write_atomically
 from metapp.storage.records import finite
 

@@ -30,8 +30,7 @@ from data_tools.formats import Conversion
 from data_tools.readers.photos import LINEAR, SIZE, SUFFIXES, central_square, find_photos, read_pixels, resample
 from data_tools.readers.svbrdf_task import UNITS, svbrdf_task, task_name, unit_normals
 from metapp.appearance.flash import Maps, pack
-from metapp.appearance.surface import DESCRIPTION
-from metapp.appearance.workflow import DIELECTRIC, from_metallic
+from metapp.appearance.surface import DESCRIPTION, DIELECTRIC, from_metallic
 from metapp.learning.task import Task
 from metapp.storage.shards import split_auto
 

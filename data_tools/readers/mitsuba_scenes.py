@@ -11,7 +11,8 @@ from data_tools.readers.transport_task import HELD, SAMPLES, transport_task
 from metapp.learning.task import Task
 from metapp.rendering.path_space import DIMENSIONS
 from metapp.rendering.scene_files import Places, read_text
-from metapp.rendering.scene_loading import Scene, checked
+from metapp.rendering.scene_loading import checked
+from metapp.rendering.scene_text import SceneDict
 from metapp.rendering.variant import load_mitsuba
 from metapp.storage.manifest import MANIFEST
 
@@ -73,7 +74,7 @@ def read_task(
         raise ValueError(f"{path}: {error}") from None
 
 
-def read_scene(path: Path, roots: Iterable[Path] = ()) -> Scene:
+def read_scene(path: Path, roots: Iterable[Path] = ()) -> SceneDict:
     """The content of a scene file, as `load_scene` takes it, with file names that hold from everywhere.
 
     Args:
@@ -93,7 +94,7 @@ def read_scene(path: Path, roots: Iterable[Path] = ()) -> Scene:
         raise ValueError(f"{path}: {error}") from None
 
 
-def _from_json(text: str) -> Scene:
+def _from_json(text: str) -> SceneDict:
     try:
         scene = json.loads(text)
     except (ValueError, RecursionError) as error:

@@ -6,8 +6,7 @@ from torch import Generator
 
 from metapp.learning.task import Task
 from metapp.rendering.path_space import DIMENSIONS, Tracer, path_samples
-from metapp.rendering.scene_loading import Scene
-from metapp.rendering.scene_text import scene_bytes
+from metapp.rendering.scene_text import SceneDict, scene_bytes
 
 SAMPLES, HELD = 32_768, 8_192
 UNITS = {
@@ -22,7 +21,7 @@ BESIDE = ("scene", ".json")  # is a file beside each shard, too
 
 def transport_task(
     name: str,
-    scene: Scene,
+    scene: SceneDict,
     seed: int,
     *,
     samples: int = SAMPLES,

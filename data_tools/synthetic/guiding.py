@@ -38,7 +38,7 @@ def guide_tasks(kind: str, seed: int) -> list[Task]:
         ValueError: as `random_room`, or Mitsuba cannot be loaded.
     """
     mi, scene, _ = load_scene(random_room(kind, seed))
-    equal_time.resize(mi, scene, SIZE)
+    equal_time.resize(scene, SIZE)
     path = mi.load_dict({"type": "path", "max_depth": DEPTH})
     tracer = PathTracer(Settings(DEPTH, RR_DEPTH))
     picture = GuidedPicture(path, tracer, scene, scene.sensors()[0], seed, init(Generator()))

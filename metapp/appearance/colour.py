@@ -1,4 +1,4 @@
-"""sRGB encoding (IEC 61966-2-1), both ways, and how values of any range are shown."""
+"""sRGB encoding (IEC 61966-2-1), its inverse, and tone mapping."""
 
 from __future__ import annotations
 
@@ -28,6 +28,6 @@ def tone_map(radiance: Tensor) -> Tensor:
 
 
 def stretched(values: Tensor) -> tuple[Tensor, float, float]:
-    """Values of any shape, their least at 0 and their greatest at 1, and these two; 0 where all are the same."""
+    """Values of any shape mapped linearly to [0, 1], and their least and greatest; 0 where all are the same."""
     low, high = values.amin(), values.amax()
     return (values - low) / torch.where(high > low, high - low, 1), float(low), float(high)

@@ -51,8 +51,8 @@ class Features(nn.Module):
     def forward(self, images: Tensor, taps: int | None = None, *, reduced: bool = False) -> list[Tensor]:
         """Images [B, 3, H, W], sRGB in [0, 1], to maps [B, C, H', W'], one a tap, or of the first taps alone.
 
-        Where `reduced` precision is asked for and the CPU is made for bfloat16, maps of images that have a gradient are
-        in that: a fit descends these; what is judged has none.
+        With `reduced` precision, on CPUs with bfloat16 instructions, maps of images that require a gradient are in
+        bfloat16: those of fits, not those of evaluation.
         """
         x = ((images - self.mean) / self.deviation).contiguous(memory_format=torch.channels_last)
         stages = self.stages
@@ -70,7 +70,7 @@ class Features(nn.Module):
 
 
 def describe_precision(which: str, device: torch.device) -> str:
-    """What fits see features in, where that is not float32, in words; else ""."""
+    """The precision of features in fits, in words; "" for float32."""
     return "VGG in bfloat16" if weights_path(which).is_file() and in_bfloat16(device) else ""
 
 
@@ -88,12 +88,12 @@ class RandomFilters(Features):
 
 
 def weights_path(which: str) -> Path:
-    """Where `metapp data vgg` keeps the weights of "vgg16" or "vgg19"."""
+    """Where `metapp data vgg` stores the weights of "vgg16" or "vgg19"."""
     return cache_folder() / f"{which}.safetensors"
 
 
 def describe_features(which: str) -> str:
-    """What `load_features` would give now, in words.
+    """The features that `load_features` would return now, in words.
 
     Raises:
         ValueError: damaged weights.
@@ -105,8 +105,8 @@ def describe_features(which: str) -> str:
 
 
 @lru_cache(maxsize=4)
-def _origin(which: str, path: Path, changed: int) -> str:  # `changed`, its time, is there for the lru_cache
-    """What a file's weights are: ImageNet's, by the file they came from or by their own digest, or unknown ones."""
+def _origin(which: str, path: Path, changed: int) -> str:  # `changed`, its time, is a key of the lru_cache
+    """Whether a file's weights are ImageNet's, by the digest of their source or their own, or unknown."""
     try:
         with opened_tensors(path) as weights:
             digest = (weights.metadata() or {}).get("sha256", "")
@@ -114,7 +114,7 @@ def _origin(which: str, path: Path, changed: int) -> str:  # `changed`, its time
         raise _damaged(which, path) from None
     if digest[:8] not in KNOWN[which]:
         with path.open("rb") as file:
-            file.seek(8 + int.from_bytes(file.read(8), "little"))  # past the header, which tells the source
+            file.seek(8 + int.from_bytes(file.read(8), "little"))  # past the header, which names the source
             digest = hashlib.file_digest(file, "sha256").hexdigest()
     return "ImageNet" if digest[:8] in KNOWN[which] else f"unknown weights {digest[:8]}"
 
@@ -171,7 +171,7 @@ def _convolution(which: str, path: str, name: str, inputs: int, outputs: int) ->
 
 
 def _layers(which: str) -> Iterator[tuple[str, str, int, int]]:
-    """Convolutions in order: their names in files, those of what follows them, channels that they read and make."""
+    """Convolutions in order: names in files, names of the ReLUs behind them, input and output channels."""
     inputs, count = 3, 0
     for block, widths in enumerate(BLOCKS[which], 1):
         for i, outputs in enumerate(widths, 1):
@@ -179,17 +179,17 @@ def _layers(which: str) -> Iterator[tuple[str, str, int, int]]:
             inputs, count = outputs, count + 1
 
 
-RANDOM = 96
+RANDOM, SIZE = 96, 7  # filters, and their side in px
 
 
-def _random(scales: int, filters: int = RANDOM, size: int = 7) -> Features:
+def _random(scales: int) -> Features:
     rng = Generator().manual_seed(0)
     stages = []
     for _ in range(scales):
-        convolution = nn.Conv2d(3, filters, size, padding=size // 2)
-        # unit response to white noise, biases that put the threshold at many levels
-        convolution.weight.data = torch.randn(filters, 3, size, size, generator=rng) / (3 * size**2) ** 0.5
-        convolution.bias.data = torch.randn(filters, generator=rng) * 0.5  # type: ignore[union-attr]
+        convolution = nn.Conv2d(3, RANDOM, SIZE, padding=SIZE // 2)
+        # unit response to white noise, biases that spread the thresholds
+        convolution.weight.data = torch.randn(RANDOM, 3, SIZE, SIZE, generator=rng) / (3 * SIZE**2) ** 0.5
+        convolution.bias.data = torch.randn(RANDOM, generator=rng) * 0.5  # type: ignore[union-attr]
         stages.append(nn.Sequential(convolution, nn.ReLU()))
     return RandomFilters("random filters", stages)
 
@@ -198,17 +198,16 @@ def channels_of(which: str, taps: Sequence[str]) -> list[int]:
     """Channels of the maps at each tap."""
     if not weights_path(which).is_file():
         return [RANDOM] * len(taps)
-    places = [tap.removeprefix("relu").split("_") for tap in taps]
-    return [BLOCKS[which][int(block) - 1][int(i) - 1] for block, i in places]
+    return [outputs for _, name, _, outputs in _layers(which) if name in taps]
 
 
 def moments(maps: Sequence[Tensor]) -> Tensor:
-    """Means and root mean squares of feature maps [B, C, H, W] over the picture, side by side for all taps, [B, S]."""
-    parts = [part for each in maps for part in (each.mean((2, 3)), each.square().mean((2, 3)).sqrt())]
+    """Means and root mean squares of feature maps [B, C, H, W] over the picture, concatenated for all taps, [B, S]."""
+    parts = [part for tap in maps for part in (tap.mean((2, 3)), tap.square().mean((2, 3)).sqrt())]
     return torch.cat(parts, 1)
 
 
-PART = 1024
+BLOCK = 1024  # rows
 
 
 class _Products(torch.autograd.Function):
@@ -219,10 +218,10 @@ class _Products(torch.autograd.Function):
         ctx.save_for_backward(rows)
         if rows.dtype != torch.bfloat16:
             return rows.mT @ rows
-        # a product is rounded to bfloat16 at its end: those of parts are added in float32
-        parts = math.gcd(rows.shape[1], max(rows.shape[1] // PART, 1))
-        each: Tensor = rows.unflatten(1, (parts, -1))
-        return (each.mT @ each).float().sum(1)
+        # a product is rounded to bfloat16 at its end: those of blocks are added in float32
+        count = math.gcd(rows.shape[1], max(rows.shape[1] // BLOCK, 1))
+        blocks: Tensor = rows.unflatten(1, (count, -1))
+        return (blocks.mT @ blocks).float().sum(1)
 
     @staticmethod
     def backward(ctx: Any, pull: Tensor) -> Tensor:
@@ -232,11 +231,8 @@ class _Products(torch.autograd.Function):
 
 
 def gram(maps: Tensor) -> Tensor:
-    """Mean products of channels over a picture, [B, C, C], of feature maps [B, C, H, W] (Gatys et al. 2015).
-
-    Those of maps in bfloat16 are in float32.
-    """
-    rows = maps.movedim(1, -1).flatten(1, 2)  # as features have them in memory
+    """Gram matrices [B, C, C] of feature maps [B, C, H, W], over pixels (Gatys et al. 2015); float32 of bfloat16."""
+    rows = maps.movedim(1, -1).flatten(1, 2)  # a view: channels are last in memory
     products: Callable[[Tensor], Tensor] = _Products.apply
     return products(rows) / rows.shape[1]
 
@@ -249,8 +245,8 @@ def hann(size: int, like: Tensor) -> Tensor:
 def amplitudes(maps: Tensor) -> Tensor:
     """Root of the power spectrum, summed over channels, [B, H, W // 2 + 1], of feature maps [B, C, H, W].
 
-    The picture's mean is taken off and its edges are faded out, so that neither brightness nor the border counts; the
-    power is smoothed a little, since that of one random picture scatters about its expectation.
+    The mean is subtracted and edges are faded out, so that neither brightness nor the border counts; the power is
+    smoothed, since that of one random picture scatters about its expectation.
     """
     height, width = maps.shape[-2:]
     window = hann(height, maps)[:, None] * hann(width, maps)
@@ -259,39 +255,28 @@ def amplitudes(maps: Tensor) -> Tensor:
     return (avg_pool2d(power, 3, stride=1, padding=1, count_include_pad=False) + 1e-8).sqrt()[:, 0]
 
 
-def distance(found: Sequence[Tensor], target: Sequence[Tensor]) -> Tensor:
-    """Relative L1 distance of Gram matrices or spectra, sum |G - G*| / sum |G*|, the mean over taps.
+def distance(generated: Sequence[Tensor], target: Sequence[Tensor]) -> Tensor:
+    """Relative L1 distance [...] of statistics [..., C, C], one a tap, sum |G - G*| / sum |G*|, the mean over taps.
 
-    Args:
-        found: matrices [..., C, C], one a tap.
-        target: those of the exemplar, of the same shapes.
-
-    Returns:
-        Distances [...]; 0 for equal statistics, 1 for a picture without any features.
+    0 for statistics equal to the target's, 1 for a picture without any features.
     """
-    each = [
-        (g - t).abs().sum((-1, -2)) / t.abs().sum((-1, -2)).clamp_min(1e-12) for g, t in zip(found, target, strict=True)
-    ]
-    return torch.stack(each).mean(0)
+    pairs = zip(generated, target, strict=True)
+    taps = [(g - t).abs().sum((-1, -2)) / t.abs().sum((-1, -2)).clamp_min(1e-12) for g, t in pairs]
+    return torch.stack(taps).mean(0)
 
 
 DIRECTIONS = 64
 
 
-def sliced_wasserstein(found: Tensor, target: Tensor) -> Tensor:
-    """Distance of the distributions of features, places aside, along random directions (Heitz et al. 2021).
+def sliced_wasserstein(maps: Tensor, target: Tensor) -> Tensor:
+    """Distance [B] of the distributions of features over pixels, along random directions (Heitz et al. 2021).
 
-    Args:
-        found: feature maps [B, C, H, W].
-        target: those of the exemplar, [1, C, H, W].
-
-    Returns:
-        [B]: mean distance of sorted projections over the target's mean deviation; 0 for equal distributions.
+    The mean distance of sorted projections over the target's mean deviation, of maps [B, C, H, W] and [1, C, H, W].
     """
-    rng = Generator(found.device).manual_seed(0)
-    directions = torch.randn(DIRECTIONS, found.shape[1], generator=rng, device=found.device, dtype=found.dtype)
+    rng = Generator(maps.device).manual_seed(0)
+    directions = torch.randn(DIRECTIONS, maps.shape[1], generator=rng, device=maps.device, dtype=maps.dtype)
     directions = directions / directions.norm(dim=1, keepdim=True)
-    sorted_found, sorted_target = ((directions @ maps.flatten(2)).sort(2).values for maps in (found, target))
-    deviation = (sorted_target - sorted_target.mean(2, keepdim=True)).abs().mean(2)
-    result: Tensor = ((sorted_found - sorted_target).abs().mean(2) / deviation.clamp_min(1e-12)).mean(1)
+    projected, wanted = ((directions @ features.flatten(2)).sort(2).values for features in (maps, target))
+    deviation = (wanted - wanted.mean(2, keepdim=True)).abs().mean(2)
+    result: Tensor = ((projected - wanted).abs().mean(2) / deviation.clamp_min(1e-12)).mean(1)
     return result

@@ -23,15 +23,16 @@ from metapp.appearance.reflection import fresnel_schlick, microfacet_lobe
 FOV_RAD = math.pi / 4  # a phone held upright, along the shorter side of its picture
 # GGX is narrower than a texel there: half vectors of neighbours differ by 0.003 rad in a map of 256.
 SMOOTHEST = 0.04
-FARTHEST = 0.5  # from the centre of a photo that a flash is looked for
-# How synthetic photographs are taken: the share whose flash is beside the lens; how far off the others' are, one
-# standard deviation, in half sides of the patch and in logs; aside as in the strips of Deschaintre et al. 2018.
+GAMMA = 2.2  # of displays
+FARTHEST = 0.5  # from the centre of a photo that its flash is searched for
+# Synthetic photographs: the share whose flash is beside the lens; standard deviations of the others' offsets, sideways
+# in half sides of the patch, of height and brightness in logs; sideways as in the strips of Deschaintre et al. 2018.
 BESIDE_LENS = 0.3
 ASIDE, HIGHER, BRIGHTER = 0.24, 0.08, 0.06
 
 
 class Maps(NamedTuple):
-    """What a flat material is made of, texel by texel; row 0 is the upper edge.
+    """Maps of a flat material; row 0 is the upper edge.
 
     Attributes:
         diffuse: [B, 3, H, W] linear RGB albedo in [0, 1].
@@ -58,23 +59,19 @@ def unpack(maps: Tensor) -> Maps:
     return Maps(diffuse, specular, roughness, normal)
 
 
-STATISTICS_AT = (256, 128, 64)  # px a side of the maps that data sets tell the statistics of
+STATISTICS_AT = (256, 128, 64)  # px a side of the maps that data sets have the statistics of
 
 
 def statistics(maps: Maps) -> Tensor:
-    """What a material's maps are like, without places.
+    """Means and standard deviations of a material's maps over the patch, [B, 2, 6].
 
-    Args:
-        maps: [B, C, H, W] each; one specular channel, or three of which the mean counts.
-
-    Returns:
-        Means and standard deviations over the patch, [B, 2, 6], of diffuse red, green and blue and of specular, each as
-        a display of gamma 2.2 shows it, of roughness, and of the sine of the angle between normal and patch normal.
+    Channels: diffuse red, green and blue and mean specular, each as a display of gamma 2.2 shows it, roughness, and the
+    sine of the angle between normal and patch normal.
     """
     specular = maps.specular.mean(-3, keepdim=True)
-    shown = torch.cat([maps.diffuse, specular], -3).clamp(1e-4, 1) ** (1 / 2.2)
-    each = torch.cat([shown, maps.roughness, tilt(maps.normal)], -3).flatten(-2)
-    return torch.stack([each.mean(-1), (each.var(-1, unbiased=False) + 1e-8).sqrt()], -2)
+    shown = torch.cat([maps.diffuse, specular], -3).clamp(1e-4, 1) ** (1 / GAMMA)
+    channels = torch.cat([shown, maps.roughness, tilt(maps.normal)], -3).flatten(-2)
+    return torch.stack([channels.mean(-1), (channels.var(-1, unbiased=False) + 1e-8).sqrt()], -2)
 
 
 def tilt(normal: Tensor) -> Tensor:
@@ -82,22 +79,20 @@ def tilt(normal: Tensor) -> Tensor:
     return (normal[..., :2, :, :].square().sum(-3, keepdim=True) + 1e-6).sqrt()
 
 
-def camera_distance(fov_rad: float = FOV_RAD) -> float:
-    """Height from which a camera of this field of view (rad, along the shorter side) sees exactly the patch."""
-    return 1 / math.tan(fov_rad / 2)
+def camera_distance() -> float:
+    """Height from which a camera of field of view FOV_RAD sees exactly the patch."""
+    return 1 / math.tan(FOV_RAD / 2)
 
 
-def camera(
-    fov_rad: float = FOV_RAD, *, dtype: torch.dtype = torch.float32, device: torch.device | str | None = None
-) -> Tensor:
-    """Where the camera is, [3]: above the centre. A flash beside its lens is there, too."""
-    return torch.tensor([0.0, 0.0, camera_distance(fov_rad)], dtype=dtype, device=device)
+def camera(*, dtype: torch.dtype = torch.float32, device: torch.device | str | None = None) -> Tensor:
+    """Position of the camera, [3]: above the centre. A flash beside its lens is there, too."""
+    return torch.tensor([0.0, 0.0, camera_distance()], dtype=dtype, device=device)
 
 
 def relightings(
     *, dtype: torch.dtype = torch.float32, device: torch.device | str | None = None
 ) -> dict[str, tuple[Tensor, ...]]:
-    """Three other (light [3], view [3]) that a material is judged and shown under, by name."""
+    """Three (light [3], view [3]) for evaluation and pictures, by name."""
     eye = camera(dtype=dtype, device=device)
     moves = {
         "left": ((-0.8, 0.0, -0.8), (0.0, 0.0, 0.0)),
@@ -123,7 +118,7 @@ def positions(
 
 
 def _extended(field: Tensor, axis: int, periodic: bool) -> Tensor:
-    """A field with one more texel at either end of an axis: the other end's, or straight on."""
+    """A field padded by a texel at either end of an axis: periodically, or by linear extrapolation."""
     first, last, count = field.narrow(axis, 0, 1), field.narrow(axis, -1, 1), field.shape[axis]
     if periodic:
         return torch.cat([last, field, first], dim=axis)
@@ -132,16 +127,14 @@ def _extended(field: Tensor, axis: int, periodic: bool) -> Tensor:
 
 
 def normal_from_height(height: Tensor, scale: Tensor | float = 1.0, *, periodic: bool = True) -> Tensor:
-    """Normals of a height field, by central differences smoothed across as Scharr's (2000), nearly isotropic.
+    """Normals [B, 3, H, W], z > 0, of a height field, by Scharr's central differences (2000), nearly isotropic.
+
+    A slope that alternates from texel to texel is lost.
 
     Args:
         height: [B, 1, H, W], in texels, up out of the patch; H and W at least 2.
         scale: multiplies the height; a number or [B, 1, 1, 1].
-        periodic: whether the left edge goes on at the right one and the upper at the lower one; otherwise slopes go on
-            straight.
-
-    Returns:
-        [B, 3, H, W], unit length, z > 0. A slope that alternates from texel to texel is not seen.
+        periodic: whether the field tiles; otherwise slopes are extrapolated at edges.
     """
     wide = _extended(_extended(height, -1, periodic), -2, periodic)
     along_x = wide[..., 2:] - wide[..., :-2]
@@ -193,7 +186,6 @@ def render(
     *,
     intensity: Tensor | float = 1.0,
     falloff: Tensor | float = 0.0,
-    distance: float = camera_distance(),
 ) -> Tensor:
     """A material under a point flash: BRDF * cosine * intensity / squared distance, without shadows.
 
@@ -203,10 +195,9 @@ def render(
         light: [3] or [B, 3], where the flash is; z > 0.
         view: [3] or [B, 3], where the viewer is; z > 0.
         intensity: of the flash: a number, [3] or [B, 3] linear RGB, or [B, 1]. With 1 a white Lambertian patch has
-            radiance 1 right below a flash at height `distance`.
-        falloff: the flash fades as this power of the cosine with its axis, which points straight down: 0 is a point
-            that shines evenly, 1 a small flat lamp. A number or [B].
-        distance: the unit of the flash, see there; of the camera of 45 degrees unless told otherwise.
+            radiance 1 right below a flash at the camera's height.
+        falloff: power of the cosine with the flash's axis, which points straight down: 0 is a uniform point light, 1 a
+            small flat lamp. A number or [B].
 
     Returns:
         Linear radiance [B, 3, h, w], >= 0.
@@ -215,35 +206,27 @@ def render(
     wo, _ = _towards(view, positions)
     power = falloff[..., None, None, None] if isinstance(falloff, Tensor) else falloff
     colour = intensity[..., None, None] if isinstance(intensity, Tensor) else intensity
-    irradiance = colour * (math.pi * distance * distance) * wi[..., 2:, :, :] ** power / squared
+    irradiance = colour * (math.pi * camera_distance() * camera_distance()) * wi[..., 2:, :, :] ** power / squared
     cosine = (wi * maps.normal).sum(-3, keepdim=True).clamp_min(0)
     return brdf(maps, wi, wo) * (irradiance * cosine)
 
 
-def expose(radiance: Tensor, gamma: float = 2.2) -> Tensor:
-    """Linear radiance to what a display shows: clamped to [1e-6, 1], then its gamma-th root.
+def expose(radiance: Tensor) -> Tensor:
+    """Linear radiance of any shape, 1 is white, to display values in [0.002, 1]: clamped to [1e-6, 1], gamma 2.2.
 
-    The floor keeps the slope at black finite (850 for 2.2) and is less than half a step of 8 bits. Outside the range
-    the gradient is 0: a pixel that is over-exposed in the photo, too, has nothing to say about how bright it was, but
-    a picture that is over-exposed all over cannot find its way back: start dark enough.
-
-    Args:
-        radiance: any shape, linear, 1 is white.
-        gamma: > 0.
-
-    Returns:
-        The same shape, in [0.002, 1] for 2.2.
+    The floor keeps the slope at black finite (850) and is less than half a step of 8 bits. Outside the range the
+    gradient is 0: a descent must begin dark enough, since a picture that is over-exposed all over has none.
     """
-    return radiance.clamp(1e-6, 1.0) ** (1 / gamma)
+    return radiance.clamp(1e-6, 1.0) ** (1 / GAMMA)
 
 
 @functools.lru_cache(4)  # 15 MB each; the photos of one camera have one shape
-def _rings(rows: int, columns: int) -> tuple[Tensor, Tensor, Tensor]:
-    """Pictures that are round about a centre, for all centres, and at last a slope, which has none; float64.
+def _radial_models(rows: int, columns: int) -> tuple[Tensor, Tensor, Tensor]:
+    """Models of radial brightness about each of K - 1 centres, and at last of a linear slope; float64.
 
     Returns:
-        centres [K, 2], that of the slope 0; an orthonormal basis [K, rows * columns, 3] of the round pictures
-        a + b log(1 + r^2) + c exp(-8 r^2), or of a + b x + c y; and [K, 3], by how much each of the basis falls from
+        centres [K, 2], that of the slope 0; an orthonormal basis [K, rows * columns, 3] of the radial pictures
+        a + b log(1 + r^2) + c exp(-8 r^2), or of a + b x + c y; and [K, 3], by how much each basis picture falls from
         the centre to r = 1, 0 for the slope.
     """
     ticks = torch.arange(-12, 13, dtype=torch.float64) * (FARTHEST / 12)
@@ -264,13 +247,13 @@ def _rings(rows: int, columns: int) -> tuple[Tensor, Tensor, Tensor]:
     return torch.cat([centres, none]), basis, torch.cat([fall, torch.zeros_like(fall[:1])])
 
 
-def _sheen(brightness: Tensor) -> Tensor:
-    """About which point [B, 2] a picture [B, rows, columns] of log brightness is round and falls off.
+def _falloff_centre(brightness: Tensor) -> Tensor:
+    """The centre [B, 2] of the radial fall-off of log brightness [B, rows, columns].
 
-    The mean of a posterior over centres: how well round pictures fit, as if 40 cells were independent (texture makes
-    the errors of neighbours alike), and a prior 0.2 wide, which has the last word where nothing is round.
+    The mean of a posterior over centres: the likelihood counts 40 cells as independent (texture correlates the errors
+    of neighbours), and the prior, 0.2 wide, decides where nothing is radial.
     """
-    centres, basis, fall = (part.to(brightness) for part in _rings(*brightness.shape[-2:]))
+    centres, basis, fall = (part.to(brightness) for part in _radial_models(*brightness.shape[-2:]))
     cells = brightness.flatten(-2)
     cells = cells - cells.mean(-1, keepdim=True)
     parts = torch.einsum("knp,...n->...kp", basis, cells)
@@ -281,7 +264,7 @@ def _sheen(brightness: Tensor) -> Tensor:
 
 
 def _highlight(radiance: Tensor) -> tuple[Tensor, Tensor]:
-    """Centre [B, 2] of the outstandingly bright cells of [B, rows, columns]; [B, 1], whether they are one near spot."""
+    """Centre [B, 2] of the bright outliers among cells [B, rows, columns]; [B, 1], whether these are a central spot."""
     places = positions(*radiance.shape[-2:], dtype=radiance.dtype, device=radiance.device).flatten(1).T
     cells = radiance.flatten(-2)
     apart = cells - cells.median(-1, keepdim=True).values
@@ -297,18 +280,16 @@ def _highlight(radiance: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def flash_position(photo: Tensor) -> Tensor:
-    """Where in the patch a photo is brightest: estimated from its highlight, without one from its fall-off.
+    """The point of the patch below the flash, estimated from a photo's highlight, without one from its fall-off.
 
-    Put both light and view above that point: a highlight is where they mirror each other, and what is behind an
-    off-centre one in a photo is mostly a camera that was not held quite straight.
+    Put both light and view above that point: an off-centre highlight mostly means a camera that was not held straight.
 
     Args:
         photo: [B, 3, H, W] or [3, H, W] as displayed (gamma-encoded), in [0, 1]; 16 pixels or more a side.
 
     Returns:
-        [B, 2], as `positions`, at most 0.5 from the centre, and near it where nothing says otherwise. On renders
-        good to 0.03, to 0.1 under strong texture, to 0.3 where that is coarse and nothing shines. Without useful
-        gradients.
+        [B, 2], as `positions`, at most 0.5 from the centre, and near it where the photo is ambiguous. Errors on
+        renders: 0.03, 0.1 under strong texture, 0.3 where that is coarse and matte. Without useful gradients.
     """
     height, width = photo.shape[-2:]
     cell = min(height, width) / min(32, height, width)
@@ -318,5 +299,5 @@ def flash_position(photo: Tensor) -> Tensor:
         size = round(height / cell), round(width / cell)
         return torch.nn.functional.adaptive_avg_pool2d(picture, size).squeeze(-3)
 
-    highlight, is_clear = _highlight(pooled(luminance**2.2))
-    return torch.where(is_clear, highlight, _sheen((pooled(luminance) + 1 / 255).log()))
+    highlight, is_clear = _highlight(pooled(luminance**GAMMA))
+    return torch.where(is_clear, highlight, _falloff_centre((pooled(luminance) + 1 / 255).log()))

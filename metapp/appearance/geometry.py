@@ -16,7 +16,7 @@ from torch import Tensor
 
 
 class Cosines(NamedTuple):
-    """What an isotropic reflection model needs of a pair of directions; each [...], below zero under the horizon."""
+    """The cosines that isotropic reflection depends on, each [...]; below 0 under the horizon."""
 
     incident: Tensor
     outgoing: Tensor
@@ -31,10 +31,7 @@ def _length(vectors: Tensor) -> Tensor:
 
 def _difference(angles: Tensor) -> Tensor:
     _, theta_d, phi_d = angles.unbind(-1)
-    return torch.stack(
-        [theta_d.sin() * phi_d.cos(), theta_d.sin() * phi_d.sin(), theta_d.cos()],
-        dim=-1,
-    )
+    return torch.stack([theta_d.sin() * phi_d.cos(), theta_d.sin() * phi_d.sin(), theta_d.cos()], dim=-1)
 
 
 def _turn_about_y(vectors: Tensor, cosine: Tensor, sine: Tensor) -> Tensor:
@@ -68,21 +65,16 @@ def directions_to_rusinkiewicz(wi: Tensor, wo: Tensor) -> Tensor:
         angles [..., 3] in rad: theta_h and theta_d in [0, pi/2] above the horizon, phi_d in [0, pi): by reciprocity
         (swapping wi and wo adds pi to phi_d) the other half of the circle says the same.
     """
-    theta_h, theta_d, phi_d = _angles(wi, wo)
-    phi_d = torch.where(phi_d < 0, phi_d + math.pi, phi_d)
-    phi_d = torch.where(phi_d >= math.pi, 0.0, phi_d)  # a tiny negative angle rounds up to pi itself
-    return torch.stack([theta_h, theta_d, phi_d], dim=-1)
+    return _angles(wi, wo, math.pi)
 
 
 def directions_to_full_circle(wi: Tensor, wo: Tensor) -> Tensor:
     """As `directions_to_rusinkiewicz`, but with phi_d in [0, 2 pi): which of the two directions is the light counts."""
-    theta_h, theta_d, phi_d = _angles(wi, wo)
-    phi_d = torch.where(phi_d < 0, phi_d + math.tau, phi_d)
-    return torch.stack([theta_h, theta_d, torch.where(phi_d >= math.tau, 0.0, phi_d)], dim=-1)
+    return _angles(wi, wo, math.tau)
 
 
-def _angles(wi: Tensor, wo: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """theta_h, theta_d and phi_d, this in (-pi, pi]."""
+def _angles(wi: Tensor, wo: Tensor, period: float) -> Tensor:
+    """theta_h, theta_d and phi_d [..., 3], this in [0, period)."""
     total = wi + wo
     x, y, z = total.unbind(-1)
     sine = _length(total[..., :2])  # of theta_h, times the length of `total`, as is z of its cosine
@@ -96,7 +88,9 @@ def _angles(wi: Tensor, wo: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     difference_x = theta_h.cos() * turned[0] - theta_h.sin() * wi[..., 2]
     differs = difference_x * difference_x + turned[1] * turned[1] > tiny
     phi_d = torch.atan2(torch.where(differs, turned[1], 0.0), torch.where(differs, difference_x, 1.0))
-    return theta_h, theta_d, phi_d
+    phi_d = torch.where(phi_d < 0, phi_d + period, phi_d)
+    phi_d = torch.where(phi_d >= period, 0.0, phi_d)  # a tiny negative angle rounds up to the period itself
+    return torch.stack([theta_h, theta_d, phi_d], dim=-1)
 
 
 def half_difference(angles: Tensor) -> Tensor:
@@ -110,16 +104,10 @@ def half_difference(angles: Tensor) -> Tensor:
     """
     theta_h, theta_d, phi_d = angles.unbind(-1)
     sine = theta_d.sin()
-    columns: tuple[Tensor | float, ...] = (
-        theta_h.sin(),
-        0.0,
-        theta_h.cos(),
-        sine * phi_d.cos(),
-        sine * phi_d.sin(),
-        theta_d.cos(),
-    )
+    half: tuple[Tensor | float, ...] = (theta_h.sin(), 0.0, theta_h.cos())
+    difference = (sine * phi_d.cos(), sine * phi_d.sin(), theta_d.cos())
     vectors = angles.new_empty(*angles.shape[:-1], 6)  # written in place: to join the columns takes four times as long
-    for i, column in enumerate(columns):
+    for i, column in enumerate((*half, *difference)):
         vectors[..., i] = column
     return vectors
 
@@ -132,32 +120,15 @@ def cosines(angles: Tensor) -> Cosines:
     return Cosines(common - apart, common + apart, half, difference)
 
 
-def cos_incident(angles: Tensor) -> Tensor:
-    """Cosine of the incident direction with the normal, [...], of angles [..., 3] in rad; below 0 under the horizon."""
-    return cosines(angles).incident
-
-
 def above_horizon(angles: Tensor) -> Tensor:
     """Whether both directions are above the surface: bool [...] of angles [..., 3] in rad."""
-    at = cosines(angles)
-    return (at.incident > 0) & (at.outgoing > 0)
+    incident, outgoing, *_ = cosines(angles)
+    return (incident > 0) & (outgoing > 0)
 
 
-def direction_cosines(wi: Tensor, wo: Tensor, normal: Tensor | None = None) -> Cosines:
-    """The four cosines of two directions [..., 3] of unit length.
-
-    Args:
-        wi: [..., 3], unit length.
-        wo: [..., 3], unit length.
-        normal: [..., 3] in the frame of the directions, unit length; the z axis if there is none.
-
-    Returns:
-        Cosines [...]; shapes broadcast.
-    """
-    total = wi + wo
-    length = _length(total)
-    if normal is None:
-        return Cosines(wi[..., 2], wo[..., 2], total[..., 2] / length, length / 2)
+def direction_cosines(wi: Tensor, wo: Tensor, normal: Tensor) -> Cosines:
+    """The four cosines [...] of two directions at a normal, all [..., 3] of unit length in one frame."""
+    length = _length(wi + wo)
     incident, outgoing = (wi * normal).sum(-1), (wo * normal).sum(-1)
     return Cosines(incident, outgoing, (incident + outgoing) / length, length / 2)
 

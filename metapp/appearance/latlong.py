@@ -53,15 +53,9 @@ def mean_luminance(maps: Tensor) -> Tensor:
 
 
 def resample(maps: Tensor, height: int, width: int) -> Tensor:
-    """Maps of another resolution, smaller or larger: the mean radiance over each new texel's exact area.
+    """Maps [..., 3, H, W] at another resolution, [..., 3, height, width]: the mean over each new texel's exact area.
 
-    Args:
-        maps: [..., 3, H, W] radiance.
-        height: rows of the result.
-        width: its columns.
-
-    Returns:
-        [..., 3, height, width]. Radiance times solid angle, summed over the sphere, stays as it is.
+    Radiance times solid angle, summed over the sphere, stays as it is.
     """
     rows, columns = maps.shape[-2:]
     along_v = _shares(*(-torch.linspace(0, math.pi, n + 1, dtype=torch.float64).cos() for n in (height, rows)))
@@ -76,19 +70,13 @@ def _shares(target: Tensor, source: Tensor) -> Tensor:
     return (upper - lower).clamp_min(0) / target.diff()[:, None]
 
 
-def rotate(maps: Tensor, columns: int) -> Tensor:
-    """Maps [..., H, W] turned about the vertical by so many columns to the right: about +y by -2 pi columns / W."""
-    return maps.roll(columns, dims=-1)
-
-
 def sphere_normals(
     size: int, *, dtype: torch.dtype = torch.float32, device: torch.device | str | None = None
 ) -> tuple[Tensor, Tensor]:
-    """The sphere that touches the borders of a square picture of `size` px.
+    """The sphere that touches the borders of a square picture of `size` px: normals and mask.
 
-    Returns:
-        normals [3, size, size] at the pixels' centres, unit length, z >= 0, outside the disc those of the rim; and
-        which pixels have their centre on the sphere, bool [size, size].
+    Normals [3, size, size] of unit length at the pixels' centres, z >= 0, outside the disc those of the rim; bool
+    [size, size], which pixels have their centre on the sphere.
     """
     centre = (torch.arange(size, dtype=torch.float64) + 0.5) * (2 / size) - 1
     x, y = centre.expand(size, size), -centre[:, None].expand(size, size)
@@ -99,34 +87,24 @@ def sphere_normals(
 
 
 def cosine_transfer(normals: Tensor, height: int, width: int) -> Tensor:
-    """What a white diffuse surface sends out, by map: `cosine_transfer(...) @ maps.flatten(-2).mT` is [..., P, 3].
+    """Light transport from a map [height, width] to white diffuse points with normals [P, 3]: [P, height * width].
 
-    Args:
-        normals: [P, 3], unit length.
-        height: rows of the map.
-        width: its columns.
-
-    Returns:
-        [P, height * width]: max(n . d, 0) * solid angle / pi at the texels' centres, each row scaled by its quadrature
-        error to sum to 1, so that a constant map gives itself.
+    Entries are max(n . d, 0) * solid angle / pi at the texels' centres, rows scaled by their quadrature error to sum to
+    1, so that a constant map gives itself; `cosine_transfer(...) @ maps.flatten(-2).mT` is radiance [..., P, 3].
     """
     to_light, weights = _texels(normals, height, width)
     return _to_one((normals @ to_light).clamp_min(0) * weights)
 
 
 def glossy_transfer(normals: Tensor, roughness: Tensor | float, height: int, width: int, *, samples: int = 1) -> Tensor:
-    """What a rough mirror sends to a viewer at +z, by map: the GGX lobe with separable masking, scaled to lose nothing.
+    """As `cosine_transfer`, of a rough mirror seen from +z: a GGX lobe with separable masking, scaled to lose nothing.
 
     Args:
-        normals: [P, 3], unit length, z > 0; a row of zeros comes of a normal that turns away from the viewer.
+        normals: [P, 3], unit length, z > 0; where z <= 0 the row is 0.
         roughness: in (0, 1]; GGX's alpha is its square.
         height: rows of the map.
         width: its columns.
-        samples: places in a texel, along each side, where the lobe is looked at. Alpha below about
-            pi / (2 height samples) is narrower than what lies between them.
-
-    Returns:
-        [P, height * width], each row sums to 1.
+        samples: of the lobe along each side of a texel. An alpha below about pi / (2 height samples) is undersampled.
     """
     fine = height * samples, width * samples
     to_light, weights = _texels(normals, *fine)

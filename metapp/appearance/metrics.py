@@ -8,27 +8,16 @@ from torch.nn.functional import conv2d, pad
 
 from metapp.appearance.colour import tone_map
 
-DARK = 0.01  # of the reference's mean: what is darker counts as if it were as bright
+DARK = 0.01  # of the reference's mean: the least denominator of relative errors
 
 
 def mape(pictures: Tensor, references: Tensor) -> Tensor:
-    """Mean absolute percentage error, as a share: mean |p - r| / max(r, 1 % of r's mean).
-
-    Args:
-        pictures: linear, [T, C, H, W].
-        references: what they should be, of the same shape.
-
-    Returns:
-        [T].
-    """
+    """Mean absolute percentage error [T], as a share: mean |p - r| / max(r, 1 % of r's mean), linear [T, C, H, W]."""
     return ((pictures - references).abs() / references.clamp_min(_floor(references))).mean((1, 2, 3))
 
 
 def smape(pictures: Tensor, references: Tensor) -> Tensor:
-    """Symmetric mean absolute percentage error, as a share in [0, 2]: mean 2 |p - r| / (p + r), of `mape`'s shapes.
-
-    Pixels where both are darker than 1 % of the reference's mean count as if they were as bright.
-    """
+    """Symmetric mean absolute percentage error [T] in [0, 2]: mean 2 |p - r| / max(p + r, 2 % of r's mean)."""
     total = (pictures.abs() + references.abs()).maximum(2 * _floor(references))
     return (2 * (pictures - references).abs() / total).mean((1, 2, 3))
 
@@ -43,8 +32,8 @@ def dssim(pictures: Tensor, references: Tensor) -> Tensor:
     return 1 - ssim(shown, wanted).flatten(1).mean(1)
 
 
-REACH, SIGMA = 5, 1.5  # px, of the window about each pixel
-STABLE = 0.01**2, 0.03**2  # of brightness and of contrast
+RADIUS, SIGMA = 5, 1.5  # px, of the Gaussian window about each pixel
+C1, C2 = 0.01**2, 0.03**2  # stabilise luminance and contrast
 
 
 def ssim(pictures: Tensor, references: Tensor) -> Tensor:
@@ -55,18 +44,17 @@ def ssim(pictures: Tensor, references: Tensor) -> Tensor:
     Returns:
         [B, C, H, W] in [-1, 1]; the mean over a picture is its SSIM.
     """
-    window = torch.arange(-REACH, REACH + 1, dtype=pictures.dtype, device=pictures.device)
+    window = torch.arange(-RADIUS, RADIUS + 1, dtype=pictures.dtype, device=pictures.device)
     window = torch.exp(-((window / SIGMA) ** 2) / 2)
     window = (window / window.sum())[None]
     kernel = (window.T @ window).expand(pictures.shape[1], 1, -1, -1)
-    a, b = (pad(each, (REACH,) * 4, mode="reflect") for each in (pictures, references))
-    seen = conv2d(torch.cat([a, b, a * a, b * b, a * b]), kernel, groups=pictures.shape[1])
-    mean_a, mean_b, aa, bb, ab = seen.split(len(pictures))
-    squares, product = (mean_a * mean_a, mean_b * mean_b), mean_a * mean_b
-    spread = (aa - squares[0]).clamp_min(0) + (bb - squares[1]).clamp_min(0)
-    c1, c2 = STABLE
-    together = (2 * product + c1) * (2 * (ab - product) + c2)
-    result: Tensor = together / ((squares[0] + squares[1] + c1) * (spread + c2))
+    a, b = (pad(images, (RADIUS,) * 4, mode="reflect") for images in (pictures, references))
+    means = conv2d(torch.cat([a, b, a * a, b * b, a * b]), kernel, groups=pictures.shape[1])
+    mean_a, mean_b, aa, bb, ab = means.split(len(pictures))
+    square_a, square_b, product = mean_a * mean_a, mean_b * mean_b, mean_a * mean_b
+    variances = (aa - square_a).clamp_min(0) + (bb - square_b).clamp_min(0)
+    numerator = (2 * product + C1) * (2 * (ab - product) + C2)
+    result: Tensor = numerator / ((square_a + square_b + C1) * (variances + C2))
     return result
 
 

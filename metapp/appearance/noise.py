@@ -1,15 +1,15 @@
-"""What measurements of reflectance have and models have not: noise, outliers, missing samples at grazing angles."""
+"""Measurement errors of reflectance: noise, outliers, missing samples at grazing angles."""
 
 from __future__ import annotations
 
 import torch
 from torch import Generator, Tensor
 
-DECADES = (0.5, 1.0)  # that an outlier is off, up or down
+DECADES = (0.5, 1.0)  # by which outliers are off, up or down
 
 
 def factors(rng: Generator, shape: tuple[int, ...], noise: Tensor | float, outliers: Tensor | float) -> Tensor:
-    """What measurement multiplies reflectance by, [*shape, 3].
+    """Factors [*shape, 3] by which measured reflectance is off.
 
     Args:
         rng: of all draws.
@@ -28,15 +28,7 @@ def factors(rng: Generator, shape: tuple[int, ...], noise: Tensor | float, outli
     return factor * torch.where(uniform() < outliers, 10**decades, 1.0)
 
 
-def standing_in(rng: Generator, seen: Tensor) -> Tensor:
-    """Which sample stands in for each: itself where it is seen, else one that is, drawn at random.
-
-    Args:
-        rng: of all draws.
-        seen: bool [T, N], at least one of each row.
-
-    Returns:
-        Indices [T, N].
-    """
-    others = torch.multinomial(seen.float(), seen.shape[1], replacement=True, generator=rng)
-    return torch.where(seen, torch.arange(seen.shape[1], device=seen.device), others)
+def standing_in(rng: Generator, valid: Tensor) -> Tensor:
+    """Indices [T, N] that replace missing samples by random valid ones; `valid` is bool [T, N], one or more a row."""
+    others = torch.multinomial(valid.float(), valid.shape[1], replacement=True, generator=rng)
+    return torch.where(valid, torch.arange(valid.shape[1], device=valid.device), others)

@@ -1,7 +1,7 @@
-"""Photographs of spheres: what lat-long maps look like on balls of some material, through some camera.
+"""Photographs of spheres of some material, lit by lat-long maps, through some camera.
 
-A sphere touches its picture's border, is seen from +z, and is lit by the map alone; nothing is around it. Everything
-has a leading axis of T photographs.
+A sphere touches its picture's border, is seen from +z, and is lit by the map alone. Everything has a leading axis of T
+photographs.
 """
 
 from __future__ import annotations
@@ -20,18 +20,17 @@ from metapp.appearance.latlong import cosine_transfer, glossy_transfer, luminanc
 from metapp.storage.kept import kept
 
 ROUGHNESSES = (0.15, 0.19, 0.25, 0.32, 0.42, 0.54, 0.7)  # each needs a matrix of its own
-KEPT = 64 * 64  # rows times px from which lobes take a tenth of a second or more: these lie in the cache
-_CHUNK = 16  # pixels at a time: a lobe is looked at in up to 32,768 directions, which then stay in the cache
+CACHED = 64 * 64  # rows times px from which lobes take a tenth of a second or more: these are kept on disk
+_CHUNK = 16  # pixels at a time: a lobe is sampled in up to 32,768 directions, which then stay in the CPU's cache
 
 
 class Material(NamedTuple):
-    """What spheres are made of.
+    """Materials of spheres: a diffuse body under a gloss.
 
     Attributes:
-        albedo: of the diffuse body, linear RGB [T, 3].
-        specular: share of the light that a gloss on top takes, seen from straight above; it rises to all at the rim
-            (Schlick), [T]. 0 is no gloss.
-        gloss: parts of the gloss by roughness, [T, R]; each row sums to 1.
+        albedo: of the body, linear RGB [T, 3].
+        specular: reflectance F0 of the gloss at normal incidence (Schlick), [T]; 0 is no gloss.
+        gloss: mixture weights of the gloss over roughnesses, [T, R]; each row sums to 1.
     """
 
     albedo: Tensor
@@ -107,9 +106,9 @@ def exposures(radiance: Tensor, level: Tensor) -> Tensor:
         radiance: [T, 3, S, S].
         level: the display values, [T].
     """
-    seen = luminance(radiance)[:, sphere_normals(radiance.shape[-1], device=radiance.device)[1]]
+    pixels = luminance(radiance)[:, sphere_normals(radiance.shape[-1], device=radiance.device)[1]]
     # where less than a tenth of the sphere is lit, a tenth of the mean counts instead
-    bright = torch.maximum(seen.quantile(0.9, 1), seen.mean(1) / 10).clamp_min(torch.finfo(seen.dtype).tiny)
+    bright = torch.maximum(pixels.quantile(0.9, 1), pixels.mean(1) / 10).clamp_min(torch.finfo(pixels.dtype).tiny)
     return srgb_to_linear(level) / bright
 
 
@@ -120,7 +119,7 @@ def shade(maps: Tensor, material: Material, size: int, roughnesses: Sequence[flo
         maps: linear radiance.
         material: of each sphere; the parts of its gloss are of these roughnesses.
         size: side of the pictures, an even number of px.
-        roughnesses: of which each needs a product with a matrix.
+        roughnesses: each costs a product with a matrix.
     """
     normals, mask = sphere_normals(size, dtype=maps.dtype, device=maps.device)
     body = _lit(_diffuse(size), maps) * material.albedo[..., None, None]
@@ -133,7 +132,7 @@ def shade(maps: Tensor, material: Material, size: int, roughnesses: Sequence[flo
 
 def develop(radiance: Tensor, camera: Camera) -> Tensor:
     """Display values of radiance, both [T, 3, S, S]: in [0, 1], and rising above 1 where a sensor would clip."""
-    exposure, gamma, contrast = (each[:, None, None, None] for each in camera)
+    exposure, gamma, contrast = (parameter[:, None, None, None] for parameter in camera)
     linear = radiance * exposure
     display = linear_to_srgb(linear.clamp(0, 1)).clamp_min(0)
     # a power has no derivative at 0
@@ -143,9 +142,9 @@ def develop(radiance: Tensor, camera: Camera) -> Tensor:
 
 
 def _lit(transfer: Tensor, maps: Tensor) -> Tensor:
-    """Pictures [T, 3, S, S] of what maps become by the matrix [(S / 2)^2, 2 n^2] of the upper right quarter.
+    """Pictures [T, 3, S, S] of spheres under maps, by the transfer matrix [(S / 2)^2, 2 n^2] of their upper right.
 
-    Mirrored pixels see what that quarter sees of the mirrored map.
+    The other quarters are that one under mirrored maps.
     """
     rows, half = math.isqrt(transfer.shape[1] // 2), math.isqrt(transfer.shape[0])
     upright = resample(maps, rows, 2 * rows) if maps.shape[-2:] != (rows, 2 * rows) else maps
@@ -178,7 +177,7 @@ def _glossy(size: int, roughness: float) -> Tensor:
         lobes = [glossy_transfer(part, roughness, rows, 2 * rows, samples=samples) for part in parts]
         return {"lobes": torch.cat(lobes)}
 
-    if rows * size < KEPT:
+    if rows * size < CACHED:
         return make()["lobes"]
     sources = (__file__, latlong.__file__, reflection.__file__)
     return kept(f"lobes-{size}-{roughness:g}", sources, make)["lobes"]

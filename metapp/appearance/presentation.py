@@ -1,4 +1,4 @@
-"""What screens and files need of an application: its title, what its errors are, pictures and files of its fits."""
+"""How an application is shown: its title, the meaning of its errors, pictures and files of its fits."""
 
 from __future__ import annotations
 

@@ -13,21 +13,18 @@ from typing import Literal
 import torch
 from torch import Tensor
 
-from metapp.appearance.geometry import Cosines, direction_cosines, gauss_legendre
+from metapp.appearance.geometry import Cosines, gauss_legendre
 
 MicrofacetKind = Literal["ggx", "beckmann"]
 Fresnel = Callable[[Tensor], Tensor]  # cosines [..., 1] -> reflectance [..., C]
 
 
 def fresnel_dielectric(cos: Tensor, eta: Tensor | float) -> Tensor:
-    """Unpolarised reflectance of a smooth dielectric interface (Fresnel), 1 under total internal reflection.
+    """Unpolarised reflectance in [0, 1] of a smooth dielectric interface (Fresnel), 1 under total internal reflection.
 
     Args:
         cos: cosine on the side the light comes from, in [0, 1].
         eta: index of refraction of the other side over this side; below 1 seen from within.
-
-    Returns:
-        Reflectance in [0, 1]; shapes broadcast.
     """
     transmitted_squared = 1 - (1 - cos * cos) / (eta * eta)
     transmitted = transmitted_squared.clamp_min(torch.finfo(cos.dtype).tiny).sqrt()
@@ -37,15 +34,12 @@ def fresnel_dielectric(cos: Tensor, eta: Tensor | float) -> Tensor:
 
 
 def fresnel_conductor(cos: Tensor, eta: Tensor | float, k: Tensor | float) -> Tensor:
-    """Unpolarised reflectance of a smooth conductor of complex index eta + i k, seen from air (Moeller, "Optics").
+    """Unpolarised reflectance in [0, 1] of a smooth conductor of complex index eta + i k (Moeller, "Optics").
 
     Args:
-        cos: cosine with the normal, in [0, 1].
+        cos: cosine with the normal, in [0, 1], on the side of air.
         eta: real part, > 0.
         k: extinction coefficient, >= 0.
-
-    Returns:
-        Reflectance in [0, 1]; shapes broadcast.
     """
     cos_squared = cos * cos
     sin_squared = 1 - cos_squared
@@ -64,28 +58,6 @@ def fresnel_conductor(cos: Tensor, eta: Tensor | float, k: Tensor | float) -> Te
 def fresnel_schlick(cos: Tensor, f0: Tensor | float) -> Tensor:
     """Schlick's approximation (1994) from the reflectance `f0` at normal incidence; shapes broadcast."""
     return f0 + (1 - f0) * (1 - cos).clamp_min(0) ** 5
-
-
-def fresnel_diffuse(eta: Tensor | float) -> Tensor:
-    """Reflectance of a smooth dielectric interface under uniform light, 2 * integral of F(mu) mu, in closed form.
-
-    Args:
-        eta: relative index of refraction, > 0, not 1; below 1 the reflectance seen from within.
-
-    Returns:
-        Reflectance in (0, 1), float64 for a float. Source: Walsh (1926), and from within 1 - (1 - F) / eta^2.
-    """
-    eta = torch.as_tensor(eta, dtype=None if isinstance(eta, Tensor) else torch.float64)
-    n = torch.where(eta < 1, 1 / eta, eta)
-    n2 = n * n
-    outside = (
-        0.5
-        + (n - 1) * (3 * n + 1) / (6 * (n + 1) ** 2)
-        + n2 * (n2 - 1) ** 2 / (n2 + 1) ** 3 * ((n - 1) / (n + 1)).log()
-        - 2 * n**3 * (n2 + 2 * n - 1) / ((n2 + 1) * (n2 * n2 - 1))
-        + 8 * n2 * n2 * (n2 * n2 + 1) / ((n2 + 1) * (n2 * n2 - 1) ** 2) * n.log()
-    )
-    return torch.where(eta < 1, 1 - (1 - outside) / n2, outside)
 
 
 def ggx_distribution(cos_h: Tensor, alpha: Tensor | float) -> Tensor:
@@ -119,15 +91,12 @@ def _masking_over_cosine(cos: Tensor, alpha: Tensor | float, kind: MicrofacetKin
 
 
 def smith_masking(cos: Tensor, alpha: Tensor | float, kind: MicrofacetKind) -> Tensor:
-    """Smith's masking G1, the visible share of the facets; exact for GGX, Walter's rational fit for Beckmann.
+    """Smith's masking G1 in [0, 1], the visible share of the facets; exact for GGX, Walter's fit for Beckmann.
 
     Args:
         cos: cosine of the direction with the macroscopic normal; masked entirely at and below 0.
         alpha: roughness > 0, broadcast.
         kind: "ggx" or "beckmann".
-
-    Returns:
-        Visibility in [0, 1].
     """
     return _masking_over_cosine(cos, alpha, kind) * cos.clamp_min(0)
 
@@ -149,13 +118,6 @@ def microfacet_lobe(at: Cosines, alpha: Tensor | float, fresnel: Fresnel, kind: 
     shape = density * _masking_over_cosine(at.incident, alpha, kind) * _masking_over_cosine(at.outgoing, alpha, kind)
     shape = torch.where((at.incident > 0) & (at.outgoing > 0), shape / 4, 0.0)
     return shape[..., None] * fresnel(at.difference[..., None])
-
-
-def microfacet_reflection(
-    wi: Tensor, wo: Tensor, alpha: Tensor | float, fresnel: Fresnel, kind: MicrofacetKind = "ggx"
-) -> Tensor:
-    """As `microfacet_lobe`, for directions wi and wo [..., 3] of unit length."""
-    return microfacet_lobe(direction_cosines(wi, wo), alpha, fresnel, kind)
 
 
 def _visible_facets(cos: Tensor, alpha: float, kind: MicrofacetKind) -> tuple[Tensor, Tensor, Tensor]:

@@ -1,4 +1,4 @@
-"""Height fields of flat materials: from their normals, and how much of the light from all around reaches each texel.
+"""Height fields of flat materials from their normals, and their ambient occlusion.
 
 Heights are in texels and go up, out of the patch; row 0 is the upper edge. Leading axes are free.
 """
@@ -13,24 +13,19 @@ from torch.nn.functional import grid_sample, interpolate, pad
 
 STEEPEST = 0.05  # least z of normals: slopes stay below 20
 AZIMUTHS = 16
-REACH = 0.125  # of the width: how far occlusion looks
-FINEST = 512  # texels a side that occlusion is found for: its time grows by the third power
+REACH = 0.125  # of the width: radius of occlusion
+FINEST = 512  # texels a side at which occlusion is computed: its time grows by the third power
 
 
 def height_from_normal(normal: Tensor, *, periodic: bool) -> Tensor:
-    """The height field whose slopes are closest to those of normals, of mean 0, in least squares.
+    """The height field [..., 1, H, W] in texels, of mean 0, whose slopes fit those of normals in least squares.
 
     Frankot and Chellappa, "A Method for Enforcing Integrability in Shape from Shading Algorithms" (1988): each
-    frequency of the height is the projection of both slopes onto its derivatives, which are exact for fields without
-    frequencies above the texels'.
+    frequency of the height is the projection of both slopes onto its derivatives; exact for band-limited fields.
 
     Args:
         normal: [..., 3, H, W], z up out of the patch; z below 0.05 counts as 0.05.
-        periodic: whether the left edge goes on at the right one and the upper at the lower one; otherwise the field is
-            mirrored at its edges.
-
-    Returns:
-        [..., 1, H, W] in texels.
+        periodic: whether the field tiles; otherwise it is mirrored at its edges.
     """
     x, y, z = normal.double().unbind(-3)
     z = z.clamp_min(STEEPEST)
@@ -65,27 +60,24 @@ def _mirrored(slopes: Tensor, odd: int) -> Tensor:
 
 
 def occlusion_from_height(height: Tensor, *, periodic: bool, reach: float = REACH) -> Tensor:
-    """Share of a uniform sky's light that reaches each texel of a height field (ambient occlusion).
+    """Ambient occlusion [..., 1, H, W] in [0, 1] of a height field: the share of a uniform sky's light; 1 is open.
 
-    Horizon-based (Max 1988; Bavoil et al. 2008): in AZIMUTHS directions the highest elevation a of what lies within
-    reach; the sky above gives cos(a)^2 of the light that falls on a horizontal texel. A slope's own tilt does not
-    count: texels lie flat. Of fields larger than FINEST it is that of their means over areas, interpolated.
+    Horizon-based (Max 1988; Bavoil et al. 2008): in AZIMUTHS directions the highest elevation a within reach; the sky
+    above gives cos(a)^2 of the light that falls on a horizontal texel. A slope's own tilt does not count: texels lie
+    flat. Fields larger than FINEST are downsampled, and their occlusion is interpolated.
 
     Args:
         height: [..., 1, H, W] in texels.
-        periodic: as in `height_from_normal`; otherwise what lies beyond an edge is as high as the edge.
-        reach: how far is looked, in widths.
-
-    Returns:
-        [..., 1, H, W] in [0, 1]; 1 is open.
+        periodic: whether the field tiles; otherwise its edges go on at their height.
+        reach: radius, in widths.
     """
     size = height.shape[-2:]
     coarser = max(size) / FINEST
     if coarser > 1:
         few = [max(1, round(side / coarser)) for side in size]
         pooled = interpolate(height.reshape(-1, 1, *size), size=few, mode="area") / coarser
-        found = occlusion_from_height(pooled, periodic=periodic, reach=reach)
-        return _enlarged(found, size, periodic).reshape(height.shape)
+        occlusion = occlusion_from_height(pooled, periodic=periodic, reach=reach)
+        return _enlarged(occlusion, size, periodic).reshape(height.shape)
     farthest = max(1, round(reach * height.shape[-1]))
     total = torch.zeros_like(height)
     for i in range(AZIMUTHS):
@@ -110,15 +102,15 @@ def _enlarged(field: Tensor, size: tuple[int, ...], periodic: bool) -> Tensor:
 
 
 def _distances(farthest: int) -> list[int]:
-    """Every texel at first, then in steps of an eighth of the way."""
-    found = [1]
-    while found[-1] < farthest:
-        found.append(min(farthest, max(found[-1] + 1, math.floor(found[-1] * 1.125))))
-    return found
+    """Every texel at first, then in steps of an eighth of the distance."""
+    distances = [1]
+    while distances[-1] < farthest:
+        distances.append(min(farthest, max(distances[-1] + 1, math.floor(distances[-1] * 1.125))))
+    return distances
 
 
 def _shifted(field: Tensor, x: float, rows: float, periodic: bool) -> Tensor:
-    """What a field [..., H, W] is x columns to the right and so many rows below, interpolated between texels."""
+    """A field [..., H, W] sampled x columns to the right and so many rows below, interpolated between texels."""
     for offset, axis in ((x, -1), (rows, -2)):
         whole = math.floor(offset)
         share = offset - whole

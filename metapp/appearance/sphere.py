@@ -1,4 +1,4 @@
-"""A lit sphere: what a BRDF looks like, and the picture by which materials are compared."""
+"""A lit sphere, the picture of a BRDF."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class SphereScene(NamedTuple):
     """A lit sphere seen by an orthographic camera, as (pixel, light) pairs to multiply with a BRDF.
 
     Attributes:
-        mask: [size, size] bool, the pixels the sphere touches; P of them, in row-major order.
+        mask: [size, size] bool, the pixels that the sphere touches; P of them, in row-major order.
         coverage: [size, size] in [0, 1], the share of the pixel that the sphere covers.
         angles: [P, L, 3] in rad, of light (wi) and camera (wo) at the pixel's point.
         weights: [P, L, 3] linear RGB, radiance * cosine * solid angle; zero for lights below the horizon.
@@ -55,10 +55,10 @@ def _studio_lights() -> tuple[Tensor, Tensor]:
 
 
 def _rings(wo: Tensor, rings: int, around: int) -> tuple[Tensor, Tensor]:
-    """Directions all around for each pixel, wi [P, rings * around, 3], and solid angles, of `wo` [P, 3], all local.
+    """Quadrature over light for each pixel: wi [P, rings * around, 3] and solid angles, of `wo` [P, 3], all local.
 
-    Fixed lights would show as dots in polished metal. These lie on rings of half vectors about each pixel's normal,
-    dense towards it, which integrates lobes of any width to a few percent.
+    Half vectors lie on rings about each pixel's normal, dense towards it, which integrates lobes of any width to a few
+    percent; fixed lights would show as dots in polished metal.
     """
     nodes, weights = gauss_legendre(rings)
     narrowest, reach = 0.05, math.asinh(math.pi / 2 / 0.05)
@@ -84,13 +84,13 @@ def _dome(wo: Tensor, up: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def environment(directions: Tensor) -> Tensor:
-    """An environment map that no file is needed for: a sky above a floor, a low sun in haze, two windows.
+    """An analytic environment map: a sky above a floor, a low sun in haze, two windows.
 
     Args:
         directions: unit vectors [..., 3], x right, y up, z to the camera.
 
     Returns:
-        Linear RGB radiance [..., 3], > 0; lobes are as wide as 320 directions a pixel resolve.
+        Linear RGB radiance [..., 3], > 0, so smooth that 320 directions a pixel resolve it.
     """
     colour = directions.new_tensor
     above = torch.sigmoid(12 * directions[..., 1:2])
@@ -115,12 +115,12 @@ def _surface(size: int) -> tuple[Tensor, Tensor, Tensor]:
     radius = (x * x + y * y).sqrt() / 0.96
     coverage = (0.5 + (1 - radius) * 0.96 * size / 2).clamp(0, 1)
     mask = coverage > 0
-    # A pixel on the rim may have its centre outside the disc; it shows the last point inside.
+    # A pixel on the rim may have its centre outside the disc; it takes the last point inside.
     shrink = 0.96 * (radius / 0.995).clamp_min(1)
     normal_x, normal_y = (x / shrink)[mask], (y / shrink)[mask]
     normal = torch.stack([normal_x, normal_y, (1 - normal_x**2 - normal_y**2).sqrt()], dim=-1)
 
-    # An isotropic surface does not mind which tangents; these are never parallel to the normal, which faces the camera.
+    # Any tangents serve isotropic surfaces; these are never parallel to the normal, which faces the camera.
     tangent = torch.nn.functional.normalize(
         torch.stack([normal[:, 2], torch.zeros_like(normal_x), -normal_x], dim=-1), dim=-1
     )
@@ -159,12 +159,12 @@ def sphere_scene(
 
 
 def shade_sphere(scene: SphereScene, evaluate: Callable[[Tensor], Tensor], *, chunk: int = 8192) -> Tensor:
-    """A BRDF as a picture of the reference sphere.
+    """A picture of a sphere of some BRDF.
 
     Args:
-        scene: where the lights are.
+        scene: the geometry and lights.
         evaluate: BRDF [..., 3] in 1/sr, linear RGB, of angles [..., 3]; called with [<= chunk, 3].
-        chunk: (pixel, light) pairs a call, few enough that what is computed of them stays near the processor.
+        chunk: (pixel, light) pairs a call, few enough to stay in the CPU's cache.
 
     Returns:
         [size, size, 4]: linear RGB radiance on black (that is, times coverage: associated alpha, as in EXR), coverage.
@@ -182,7 +182,7 @@ def shade_sphere(scene: SphereScene, evaluate: Callable[[Tensor], Tensor], *, ch
 
 @functools.cache
 def reference_scene() -> SphereScene:
-    """The scene of every BRDF picture: a fit and its reference are shaded in the same one."""
+    """The scene of all BRDF pictures, of fits and references alike."""
     return _kept("studio", sphere_scene)
 
 

@@ -1,4 +1,10 @@
-"""What a fit says of a flat surface, and the maps that other programs want of it."""
+"""The maps of a fitted flat surface, and those of the metallic-roughness workflow of other programs.
+
+In the workflow a texel is a mixture of a dielectric of specular reflectance c = 0.04 and a metal, as in glTF 2.0's core
+materials:
+
+    diffuse = base (1 - metallic)        F0 = c (1 - metallic) + base metallic
+"""
 
 from __future__ import annotations
 
@@ -9,9 +15,9 @@ from torch import Tensor
 
 from metapp.appearance.flash import Maps
 from metapp.appearance.relief import height_from_normal, occlusion_from_height
-from metapp.appearance.workflow import to_metallic
 
-DESCRIPTION = "material.json"  # what an asset folder says of its files
+DIELECTRIC = 0.04  # reflectance at normal incidence of nearly all that is no metal
+DESCRIPTION = "material.json"  # describes the files of an asset folder
 Encoding = Literal["srgb", "linear"]
 
 
@@ -19,8 +25,8 @@ class Surface(NamedTuple):
     """A flat surface, texel by texel; row 0 is the upper edge. A texture is a base colour alone.
 
     Attributes:
-        base: [3, H, W] linear RGB in [0, 1]: diffuse albedo, or all there is.
-        tiles: whether the left edge goes on at the right one and the upper at the lower one.
+        base: [3, H, W] linear RGB in [0, 1]: diffuse albedo, or the texture.
+        tiles: whether its opposite edges match.
         maps: all maps, without leading axes; None of a texture.
         height: [1, H, W] in texels, where the fit has one.
     """
@@ -51,7 +57,7 @@ class Plane(NamedTuple):
 
 
 def fitted_planes(surface: Surface) -> dict[str, Plane]:
-    """What the fit itself says, by name: heights in texture widths, about a mean of 0."""
+    """The fit's own maps, by name: heights in texture widths, about a mean of 0."""
     if surface.maps is None:
         return {"basecolor": Plane(surface.base, "srgb", "colour")}
     maps, height = surface.maps, surface.height
@@ -68,7 +74,7 @@ def fitted_planes(surface: Surface) -> dict[str, Plane]:
 
 
 def all_planes(surface: Surface) -> dict[str, Plane]:
-    """What the fit says and what follows: maps of the metallic-roughness workflow, occlusion, DirectX normals."""
+    """The fit's own maps and derived ones: the metallic-roughness workflow, occlusion, DirectX normals."""
     planes = fitted_planes(surface)
     if surface.maps is None:
         return planes
@@ -83,3 +89,41 @@ def all_planes(surface: Surface) -> dict[str, Plane]:
         "ao": Plane(occlusion, "linear", "ambient occlusion, 1 is open"),
         "orm": Plane(packed, "linear", "red ambient occlusion, green roughness, blue metallic"),
     }
+
+
+class MetallicRoughness(NamedTuple):
+    """Colours of the workflow.
+
+    Attributes:
+        base: [..., 3, H, W] linear RGB in [0, 1].
+        metallic: [..., 1, H, W] in [0, 1].
+    """
+
+    base: Tensor
+    metallic: Tensor
+
+
+def from_metallic(base: Tensor, metallic: Tensor) -> tuple[Tensor, Tensor]:
+    """Diffuse and specular colour [..., 3, H, W] of the workflow's maps."""
+    return base * (1 - metallic), DIELECTRIC * (1 - metallic) + base * metallic
+
+
+def to_metallic(diffuse: Tensor, specular: Tensor) -> MetallicRoughness:
+    """The workflow's maps of diffuse and specular colour.
+
+    Eliminating the base colour leaves c m^2 + (d + s - 2 c) m - (s - c) = 0, linear in d and s: it is solved for their
+    means over the channels. The base colour is then d + s - c (1 - m). Both are exact where such maps exist
+    (`from_metallic` inverts them); elsewhere they are clamped to [0, 1]: a specular colour below 0.04 or of another hue
+    than the body's is lost, which is why formats that can hold F0 itself get that.
+
+    Args:
+        diffuse: [..., 3, H, W] linear in [0, 1].
+        specular: [..., 1 or 3, H, W], reflectance at normal incidence in [0, 1].
+    """
+    d, s = diffuse.mean(-3, keepdim=True), specular.mean(-3, keepdim=True)
+    linear = d + s - 2 * DIELECTRIC
+    root = (linear * linear + 4 * DIELECTRIC * (s - DIELECTRIC)).clamp_min(0).sqrt()
+    metallic = ((root - linear) / (2 * DIELECTRIC)).clamp(0, 1)
+    metallic = metallic.where(s > DIELECTRIC, metallic.new_zeros(()))
+    base = (diffuse + specular - DIELECTRIC * (1 - metallic)).clamp(0, 1)
+    return MetallicRoughness(base, metallic)

@@ -1,7 +1,6 @@
 """Baselines: what a reader would use instead of a network, fitted to what fits see and judged by the same errors.
 
-A module here with the name of an application defines BASELINES, a function of the application; `methods` holds the
-mathematics.
+A module here with the name of an application defines `baselines(app)`; `methods` holds the mathematics.
 """
 
 from __future__ import annotations
@@ -19,5 +18,5 @@ def baselines_of(app: App) -> tuple[Baseline, ...]:
     """The baselines of an application under its protocol; none where nobody wrote any."""
     if app.name not in {module.name for module in pkgutil.iter_modules(__path__)}:
         return ()
-    found: tuple[Baseline, ...] = importlib.import_module(f"metapp.baselines.{app.name}").BASELINES(app)
-    return found
+    baselines: tuple[Baseline, ...] = importlib.import_module(f"metapp.baselines.{app.name}").baselines(app)
+    return baselines

@@ -160,10 +160,10 @@ def _at_size(codec: Codec) -> Fit:
     """The best setting within a network's bytes."""
 
     def fit(tasks: Tasks, rng: Generator, allowed: Allowed) -> Fitted:
-        places = range(codec.rungs(tasks))
-        best = bisect.bisect_right(places, allowed.size, key=lambda rung: codec.encode(tasks, rung).size) - 1
-        found = codec.encode(tasks, max(best, 0))
-        return found._replace(reached=found.size <= allowed.size)
+        rungs = range(codec.rungs(tasks))
+        best = bisect.bisect_right(rungs, allowed.size, key=lambda rung: codec.encode(tasks, rung).size) - 1
+        fitted = codec.encode(tasks, max(best, 0))
+        return fitted._replace(reached=fitted.size <= allowed.size)
 
     return fit
 
@@ -178,10 +178,11 @@ def _at_error(codec: Codec, app: App) -> Fit:
         bound, count = allowed.error, codec.rungs(tasks)
         if bound is None:
             raise ValueError(f"{codec.name}: Meta's error of {tasks.picked_names()[0]} is not known; fit it first.")
-        places = range(count)
-        enough = bisect.bisect_left(places, True, key=lambda rung: error(tasks, codec.encode(tasks, rung)) <= bound)
-        found = codec.encode(tasks, min(enough, count - 1))
-        return found._replace(reached=enough < count)
+        enough = bisect.bisect_left(
+            range(count), True, key=lambda rung: error(tasks, codec.encode(tasks, rung)) <= bound
+        )
+        fitted = codec.encode(tasks, min(enough, count - 1))
+        return fitted._replace(reached=enough < count)
 
     return fit
 
@@ -206,9 +207,31 @@ def nearest(
     return fit
 
 
+def nearest_photo(
+    training: Training, holding: str, answer: Callable[[Tensor], Any], scaled: Callable[[Tensor], Tensor]
+) -> Prepared:
+    """The training task whose photograph is nearest, by the mean absolute difference of scaled values.
+
+    The set itself is shared.
+
+    Args:
+        training: the tasks.
+        holding: the tensor that the answer is made of; tasks without it are left out.
+        answer: such a tensor [1, ...] -> what is judged.
+        scaled: of photographs.
+    """
+    prepared = [training.app.prepare(task) for task in training.holding(holding).tasks]
+    photos, kept = (torch.stack([data[key] for data in prepared]) for key in ("photo", holding))
+
+    def distances(tasks: Tasks, rng: Generator, allowed: Allowed) -> Tensor:
+        return (scaled(photos) - scaled(tasks.data["photo"][tasks.rows])).abs().mean((1, 2, 3))
+
+    return Prepared(nearest(distances, lambda index: answer(kept[index][None])), bytes_of(photos, kept))
+
+
 def bytes_of(*tensors: Tensor) -> int:
     """Bytes of tensors."""
-    return sum(each.numel() * each.element_size() for each in tensors)
+    return sum(tensor.numel() * tensor.element_size() for tensor in tensors)
 
 
 @torch.no_grad()

@@ -59,20 +59,17 @@ def baselines(app: App) -> tuple[Baseline, ...]:
     """Of BRDFs."""
     cannot = "say anything between the angles of its table, which all training materials must share"
     published = "ridge on components of log-relative training BRDFs (Nielsen et al. 2015)"
-    found = []
+    entries = []
     for weighted, title in ((False, published), (True, f"{published}, weighted for the table's error")):
         for count in COUNTS:
             ridge_of = RidgeOf(count, weighted)
-            found.append(Baseline(f"pca_{count}{'w' if weighted else ''}", title, cannot, ridge_of.prepare))
+            entries.append(Baseline(f"pca_{count}{'w' if weighted else ''}", title, cannot, ridge_of.prepare))
     for count, name in NAMES.items():
         title = f"a Lambertian body and {name}, by least squares on the table's error"
         lobes_of = functools.partial(_lobes, count)
-        found.append(Baseline(f"ggx_{count}", title, "be more than a sum of such lobes", lobes_of, learns=False))
+        entries.append(Baseline(f"ggx_{count}", title, "be more than a sum of such lobes", lobes_of, learns=False))
     title = "the training material with the least error on the samples"
-    return (*found, Baseline("nearest", title, "be a material that is not in its set", _nearest))
-
-
-BASELINES = baselines
+    return (*entries, Baseline("nearest", title, "be a material that is not in its set", _nearest))
 
 
 def drawn(tasks: Tasks, rng: Generator, count: int) -> Samples:
@@ -97,8 +94,8 @@ def cosines_of(where: Tensor) -> Cosines:
 def space_of(where: Tensor, target: Tensor) -> Space:
     """The components of training materials: places [N, 7] and targets [M, N, 3]."""
     columns = (target.expm1() / where[:, 6:].clamp_min(1e-9)).movedim(0, 1).flatten(1)
-    at = cosines_of(where)
-    weight = (at.incident * at.outgoing).clamp_min(EPSILON)[:, None].to(columns)
+    cosines = cosines_of(where)
+    weight = (cosines.incident * cosines.outgoing).clamp_min(EPSILON)[:, None].to(columns)
     relative = Relative(weight, columns.median(1, keepdim=True).values)
     return Space(where, relative, components(relative.mapped(columns), max(COUNTS)))
 
@@ -141,19 +138,19 @@ class RidgeOf(NamedTuple):
         used = space.components.first(self.kept)
 
         def fit(tasks: Tasks, rng: Generator, allowed: Allowed) -> Fitted:
-            seen = _at(space.where, tasks, drawn(tasks, rng, allowed.samples))
-            found = coefficients(space.relative.at(seen.rows), _rows(used, seen.rows), seen, penalty, solves)
-            return Fitted(functools.partial(answer, tasks, found), found.numel(), bytes_of(found))
+            samples = _at(space.where, tasks, drawn(tasks, rng, allowed.samples))
+            kept = coefficients(space.relative.at(samples.rows), _rows(used, samples.rows), samples, penalty, solves)
+            return Fitted(functools.partial(answer, tasks, kept), kept.numel(), bytes_of(kept))
 
-        def answer(tasks: Tasks, found: Tensor) -> Tensor:
+        def answer(tasks: Tasks, kept: Tensor) -> Tensor:
             held = torch.arange(len(space.where) // 2, len(space.where))
             part = _rows(used, held)
-            return space.relative.at(held).reflectance(part.axes @ found + part.mean).T[None]
+            return space.relative.at(held).reflectance(part.axes @ kept + part.mean).T[None]
 
         return fit
 
 
-def _at(where: Tensor, tasks: Tasks, seen: Samples) -> Samples:
+def _at(where: Tensor, tasks: Tasks, samples: Samples) -> Samples:
     """The samples with their rows among places [N, 7], of which the held-out ones are the same.
 
     Raises:
@@ -161,44 +158,44 @@ def _at(where: Tensor, tasks: Tasks, seen: Samples) -> Samples:
     """
     own, half = _of_one(tasks)[0], len(where) // 2
     if torch.equal(own, where):
-        return seen
+        return samples
     index = {place.tobytes(): row for row, place in enumerate(where[:half].numpy())}
-    rows = [index.get(place.tobytes(), -1) for place in seen.where.numpy()]
+    rows = [index.get(place.tobytes(), -1) for place in samples.where.numpy()]
     if min(rows) < 0 or not torch.equal(own[half:], where[half:]):
         name = tasks.picked_names()[0]
         raise ValueError(f"{name}: at other angles than the training materials; convert both alike.")
-    return seen._replace(rows=torch.tensor(rows))
+    return samples._replace(rows=torch.tensor(rows))
 
 
 def _rows(used: Components, rows: Tensor) -> Components:
     return used._replace(mean=used.mean[rows], axes=used.axes[rows])
 
 
-def coefficients(relative: Relative, used: Components, seen: Samples, penalty: float, solves: int) -> Tensor:
+def coefficients(relative: Relative, used: Components, samples: Samples, penalty: float, solves: int) -> Tensor:
     """The coefficients [K, 3] of components at samples; without weights where there are no `solves`."""
-    reflectance, cos = seen.target.expm1() / seen.cos, seen.cos
+    reflectance, cos = samples.target.expm1() / samples.cos, samples.cos
     mapped = relative.mapped(reflectance) - used.mean
     penalty = penalty * len(mapped)
-    slope = cos * (reflectance + EPSILON / relative.weight) / seen.target.exp()
-    found = ridge(used.axes, mapped, reweighted(slope, None) if solves else None, used.deviation, penalty)
+    slope = cos * (reflectance + EPSILON / relative.weight) / samples.target.exp()
+    kept = ridge(used.axes, mapped, reweighted(slope, None) if solves else None, used.deviation, penalty)
     for _ in range(1, solves):
-        again = relative.reflectance(used.axes @ found + used.mean)
-        weights = reweighted(slope, torch.log1p(again * cos) - seen.target)
-        found = ridge(used.axes, mapped, weights, used.deviation, penalty)
-    return found
+        again = relative.reflectance(used.axes @ kept + used.mean)
+        weights = reweighted(slope, torch.log1p(again * cos) - samples.target)
+        kept = ridge(used.axes, mapped, weights, used.deviation, penalty)
+    return kept
 
 
 def _lobes(count: int, training: Training, allowed: Allowed) -> Prepared:
     """GGX lobes: nothing is shared."""
 
     def fit(tasks: Tasks, rng: Generator, allowed: Allowed) -> Fitted:
-        seen = drawn(tasks, rng, allowed.samples)
-        found = lobes.fit(lobes.Seen(cosines_of(seen.where), seen.target.double()), count).float()
-        return Fitted(functools.partial(answer, tasks, found), found.numel(), bytes_of(found))
+        samples = drawn(tasks, rng, allowed.samples)
+        numbers = lobes.fit(lobes.Samples(cosines_of(samples.where), samples.target.double()), count).float()
+        return Fitted(functools.partial(answer, tasks, numbers), numbers.numel(), bytes_of(numbers))
 
-    def answer(tasks: Tasks, found: Tensor) -> Tensor:
+    def answer(tasks: Tasks, numbers: Tensor) -> Tensor:
         where, _ = _of_one(tasks)
-        return lobes.reflectance(found.double(), cosines_of(where[len(where) // 2 :])).float().T[None]
+        return lobes.reflectance(numbers.double(), cosines_of(where[len(where) // 2 :])).float().T[None]
 
     return Prepared(fit)
 
@@ -209,8 +206,8 @@ def _nearest(training: Training, allowed: Allowed) -> Prepared:
     targets, where = known.data["target"], known.data["where"]
 
     def distances(tasks: Tasks, rng: Generator, allowed: Allowed) -> Tensor:
-        seen = _at(where[0], tasks, drawn(tasks, rng, allowed.samples))
-        return (targets[:, seen.rows] - seen.target).abs().mean((1, 2))
+        samples = _at(where[0], tasks, drawn(tasks, rng, allowed.samples))
+        return (targets[:, samples.rows] - samples.target).abs().mean((1, 2))
 
     def answer(index: int) -> Tensor:
         half = where.shape[1] // 2

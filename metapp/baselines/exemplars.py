@@ -24,8 +24,8 @@ def nearest_exemplar(training: Training, allowed: Allowed) -> Prepared:
     def distances(tasks: Tasks, rng: Generator, allowed: Allowed) -> Tensor:
         targets = [tasks.data[name][tasks.rows] for name in names]
         parts = torch.arange(len(known)).split(AT_ONCE)
-        found = [distance([known.data[name][rows] for name in names], targets) for rows in parts]
-        return torch.cat(found).reshape(len(known), -1).mean(1)
+        errors = [distance([known.data[name][rows] for name in names], targets) for rows in parts]
+        return torch.cat(errors).reshape(len(known), -1).mean(1)
 
     shared = bytes_of(known.data["image"], *(known.data[name] for name in names))
     fit = nearest(distances, lambda index: pictures[index][None, None], lambda index: picture_of(pictures[index]))

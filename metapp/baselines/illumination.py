@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -12,8 +12,9 @@ from scipy.fft import dctn, idctn
 from torch import Generator, Tensor
 
 from metapp.appearance.latlong import solid_angles
-from metapp.baselines.baseline import Allowed, Baseline, Codec, Fitted, Prepared, Training, both_ways, bytes_of, nearest
+from metapp.baselines.baseline import Allowed, Baseline, Codec, Fitted, Prepared, Training, both_ways, nearest_photo
 from metapp.baselines.methods import transforms
+from metapp.baselines.methods.transforms import Floats
 from metapp.learning.app import App
 from metapp.learning.task import Tasks
 
@@ -24,8 +25,8 @@ EVEN, BY_AREA = 0.0, 0.5
 class Transform(NamedTuple):
     """An orthonormal transform of pictures [C, H, W], and the power of solid angle that weights their texels."""
 
-    forward: Callable[[np.ndarray], np.ndarray]
-    inverse: Callable[[np.ndarray], np.ndarray]
+    forward: Callable[[Floats], Floats]
+    inverse: Callable[[Floats], Floats]
     power: float
 
     def encode(self, tasks: Tasks, rung: int) -> Fitted:
@@ -52,26 +53,22 @@ def baselines(app: App) -> tuple[Baseline, ...]:
     same = "read a map from a photo"
     sun = f"{same}, nor hold a sun in few"
     rings = f"{same}, nor show a sun that does not ring"
-    found = [
+    codecs = [
         Codec("haar", "largest Haar wavelets of radiance", same, _texels, HAAR.encode),
         Codec("dct", "largest cosines (DCT) of radiance", sun, _texels, COSINES.encode),
         Codec("sh", "spherical harmonics, least squares by solid angle", rings, _orders, _harmonics),
     ]
     halves = Baseline("halves", "the map itself, in half precision", same, lambda *_: Prepared(_halves), learns=False)
-    return (halves, *(baseline for codec in found for baseline in both_ways(codec)))
+    return (halves, *(baseline for codec in codecs for baseline in both_ways(codec)))
 
 
-BASELINES = baselines
-
-
-def _map_of(tasks: Tasks) -> np.ndarray:
+def _map_of(tasks: Tasks) -> Floats:
     """The one task's map, [3, H, W]."""
     (row,) = tasks.rows.tolist()
-    found: np.ndarray = tasks.data["map"][row].double().numpy()
-    return found
+    return tasks.data["map"][row].double().numpy()
 
 
-def _answer(radiance: np.ndarray) -> Tensor:
+def _answer(radiance: Floats) -> Tensor:
     return torch.from_numpy(radiance).float()[None]
 
 
@@ -87,8 +84,8 @@ def _harmonics(tasks: Tasks, order: int) -> Fitted:
     """Coefficients up to an order, as half floats over their largest."""
     radiance = _map_of(tasks)
     _, height, width = radiance.shape
-    found = transforms.harmonics(radiance, order)
-    kept = transforms.largest(found[:, None], found.shape[1])
+    coefficients = transforms.harmonics(radiance, order)
+    kept = transforms.largest(coefficients[:, None], coefficients.shape[1])
 
     def answer() -> Tensor:
         return _answer(transforms.from_harmonics(kept.coefficients()[:, 0], height, width))
@@ -105,16 +102,4 @@ def _halves(tasks: Tasks, rng: Generator, allowed: Allowed) -> Fitted:
 
 
 def _nearest(training: Training, allowed: Allowed) -> Prepared:
-    """The set itself is shared."""
-    known: Any = training.holding("map").stacked.data
-    photos = known["photo"].float()
-
-    def distances(tasks: Tasks, rng: Generator, allowed: Allowed) -> Tensor:
-        found: Tensor = (photos - tasks.data["photo"][tasks.rows].float()).abs().mean((1, 2, 3))
-        return found
-
-    def answer(index: int) -> Tensor:
-        found: Tensor = known["map"][index][None]
-        return found
-
-    return Prepared(nearest(distances, answer), bytes_of(known["photo"], known["map"]))
+    return nearest_photo(training, "map", lambda radiance: radiance, Tensor.float)

@@ -11,6 +11,3 @@ def baselines(app: App) -> tuple[Baseline, ...]:
     """Of flash photographs of stationary materials."""
     cannot = "be a material that is not in its set, nor be lit from elsewhere: it is a photograph"
     return (Baseline("nearest", "the training photograph with the least error", cannot, nearest_exemplar),)
-
-
-BASELINES = baselines

@@ -46,9 +46,6 @@ def baselines(app: App) -> tuple[Baseline, ...]:
     )
 
 
-BASELINES = baselines
-
-
 def _copies(make: Make, training: Training, allowed: Allowed) -> Prepared:
     """Pictures of patches of the exemplar; seconds are of as many pictures as are judged."""
     app = training.app

@@ -13,7 +13,7 @@ from torch import Generator, Tensor
 
 from metapp.appearance.latlong import luminance
 from metapp.baselines.baseline import Allowed, Baseline, Fitted, Prepared, Training
-from metapp.baselines.methods.histogram import CELL, Looked, Pair, Square, morton, pair, square
+from metapp.baselines.methods.histogram import CELL, Floats, Looked, Pair, Square, morton, pair, square
 from metapp.learning.app import App
 from metapp.learning.task import Tasks
 
@@ -96,10 +96,10 @@ class Histograms(NamedTuple):
             films.append((made.film, points[:, :2]))
             directions.append([each.look(points) for each in made.directions])
 
-        def film(x: np.ndarray) -> float:
+        def film(x: Floats) -> float:
             return -float(np.mean([each.log_density(points, _film(x)) for each, points in films]))
 
-        def direction(x: np.ndarray) -> float:
+        def direction(x: Floats) -> float:
             return -float(np.mean([_mean(each, x) for each in directions]))
 
         found = (minimize(f, x, method="Nelder-Mead", options={"maxfev": 100}).x
@@ -118,39 +118,34 @@ def baselines(app: App) -> tuple[Baseline, ...]:
     )
 
 
-BASELINES = baselines
-
-
-def _held(tasks: Tasks) -> np.ndarray:
+def _held(tasks: Tasks) -> Floats:
     """The held-out samples [N, 4] of the one scene; none where it has none, which is then not judged."""
     if "held" not in tasks.data:
         return np.zeros((0, 4))
     (row,) = tasks.rows.tolist()
-    found: np.ndarray = tasks.data["held"][row].double().numpy()
-    return found
+    return tasks.data["held"][row].double().numpy()
 
 
-def _prior(image: Tensor) -> np.ndarray:
+def _prior(image: Tensor) -> Floats:
     """The luminance of a picture [3, S, S], S a power of two, as shares of cells in Morton order."""
     light = luminance(image.double()).numpy()
     side = len(light)
     centres = (np.arange(side) + 0.5) / side
     places = np.stack([np.tile(centres, side), np.repeat(centres, side)], 1)  # x across, y down
-    shares: np.ndarray = np.empty(side * side)
+    shares: Floats = np.empty(side * side)
     shares[morton(places, round(np.log2(side)))] = light.ravel() + 1e-6 * light.mean()
     shares /= shares.sum()
     return shares
 
 
-def _film(smoothing: np.ndarray | tuple[float, ...]) -> np.ndarray:
+def _film(smoothing: Floats | tuple[float, ...]) -> Floats:
     first, slope = smoothing
-    found: np.ndarray = np.exp(first + slope * np.arange(FILM))
-    return found
+    return np.asarray(np.exp(first + slope * np.arange(FILM)))
 
 
-def _mean(looked: list[Looked], smoothing: np.ndarray | tuple[float, ...]) -> np.ndarray:
+def _mean(looked: list[Looked], smoothing: Floats | tuple[float, ...]) -> Floats:
     """The log of the mean density of several grids."""
     first, by_place, by_direction = smoothing
     levels = first + by_place * np.arange(PLACES + 1)[:, None] + by_direction * np.arange(DIRECTIONS)
-    found: np.ndarray = logsumexp([each.log_density(np.exp(levels)) for each in looked], axis=0) - np.log(len(looked))
-    return found
+    densities = [counts.log_density(np.exp(levels)) for counts in looked]
+    return np.asarray(logsumexp(densities, axis=0) - np.log(len(looked)))

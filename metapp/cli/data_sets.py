@@ -108,9 +108,9 @@ def holds_of(name: str) -> Mapping[str, Held]:
     Raises:
         ValueError: there is no such application.
     """
-    from metapp.apps import load_app
+    from metapp.apps import class_of
 
-    return load_app(name).holds
+    return class_of(name).holds
 
 
 def _written(

@@ -170,24 +170,26 @@ def design_of(options: Evaluation) -> Design:
 
 def subjects_of(options: Evaluation) -> list[Subject]:
     """Each application under each protocol."""
-    from metapp.apps import app_names
+    from metapp.apps import app_names, protocols_of, recipes_of
     from metapp.evaluation.subject import Subject
-    from metapp.runs.checks import check_protocol, find_app
+    from metapp.runs.checks import check_name, check_protocol
     from metapp.runs.plan import plan
     from metapp.runs.request import Request
 
     design, run = design_of(options), not options.no_run
-    found = [find_app(name) for name in options.apps or app_names()]
-    for app in [app for app in found if app.protocols] or found:
-        check_protocol(options.observe, app)
+    names = options.apps or app_names()
+    for name in names:
+        check_name(name)
+    for name in [name for name in names if protocols_of(name)] or names:
+        check_protocol(options.observe, name)
     plans = [
         plan(
             Request(
-                app.name,
+                name,
                 "general",  # by the application's own network; rows make the plans of other paradigms of it
                 observe=protocol,
                 rule=options.rule,
-                recipe=options.recipe if options.apps or options.recipe in app.recipes else "quick",
+                recipe=options.recipe if options.apps or options.recipe in recipes_of(name) else "quick",
                 data=options.data,
                 out=options.out,
                 seed=options.seed,
@@ -195,8 +197,8 @@ def subjects_of(options: Evaluation) -> list[Subject]:
                 quiet=options.quiet,
             )
         )
-        for app in found
-        for protocol in ((options.observe,) if options.observe and app.protocols else app.protocols or ("",))
+        for name in names
+        for protocol in ((options.observe,) if options.observe and protocols_of(name) else protocols_of(name) or ("",))
     ]
     strict = bool(options.apps) and run
     return [Subject(one, run=run, strict=strict, share=options.overfit_share, design=design) for one in plans]

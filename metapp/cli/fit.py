@@ -106,15 +106,15 @@ def exports() -> str:
 def own_help(name: str) -> dict[str, str]:
     """What help says of arguments and options that differ between applications; of those it lacks, nothing."""
     from metapp.appearance.presentation import Presentation
-    from metapp.apps import load_app, presentation_of
+    from metapp.apps import app_of, presentation_of, protocols_of, recipes_of
 
-    app, takes = load_app(name), {taken for form in inputs_of(name) for taken in form.takes}
-    shown = presentation_of(app)
+    recipes, takes = recipes_of(name), {taken for form in inputs_of(name) for taken in form.takes}
+    shown = presentation_of(app_of(name, next(iter(recipes.values()))))
     forms = ", ".join(form.inputs for form in inputs_of(name))
     found = {
         "inputs": f"What to fit: {forms}; or folders of these; without any, the test tasks of --data. {LINES}",
-        "recipe": f"{', '.join(app.recipes)}; {DEFAULT_RECIPE}.",
-        "observe": OPTIONS["observe"].help if app.protocols else "",
+        "recipe": f"{', '.join(recipes)}; {DEFAULT_RECIPE}.",
+        "observe": OPTIONS["observe"].help if protocols_of(name) else "",
         "export": f"Write each fit in another form: {', '.join(exports_of(name))}." if exports_of(name) else "",
         "size": OPTIONS["size"].help if type(shown).refusal is not Presentation.refusal else "",
         "render": OPTIONS["render"].help if shown.renders else "",

@@ -89,10 +89,9 @@ def table_of(
     from rich.text import Text
 
     from metapp.evaluation.notes import warned
-    from metapp.runs.naming import caption_of, title_of
+    from metapp.runs.naming import caption_of, factor_of, title_of
     from metapp.storage.records import guarded, summary
 
-    factor = f" x{app.scale:g}" if app.scale != 1 else ""
     remarks = warned([{"paradigm": paradigm, "tasks": len(records), "guarded": guarded(records)}])
     listed = records
     if most is not None and len(records) > most:
@@ -105,7 +104,7 @@ def table_of(
     )
     total = summary(records)
     table.add_column("task", "mean error, median of the rest")
-    table.add_column(f"error{factor}", number(total["error"], ".3f"), justify="right")
+    table.add_column(f"error{factor_of(app)}", number(total["error"], ".3f"), justify="right")
     table.add_column("seconds", number(total["seconds"], ".4f"), justify="right")
     steps = [record["steps"] for record in records if "steps" in record]
     if steps:

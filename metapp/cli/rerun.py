@@ -41,7 +41,7 @@ def command(
 
     Example: metapp rerun runs/brdf/meta/gold-full-seed0-ridge
     """
-    from metapp.evaluation.rerun import repeat_of
+    from metapp.evaluation.repeat import repeat_of
     from metapp.runs.rerun import Instead, rerun
 
     rows = rerun(record, task, Instead(inputs or [], data, checkpoint, tolerance), repeat_of, quiet=quiet)

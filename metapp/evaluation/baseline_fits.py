@@ -55,7 +55,7 @@ def allowed_for(plan: Plan) -> Allowed:
 def own_parameters(app: App) -> Params:
     """Parameters [1, ...] that a task does not share with others."""
     theta = app.init(Generator().manual_seed(0), 1)
-    return {key: value for key, value in theta.items() if not app.own or key in app.own}
+    return {key: value for key, value in theta.items() if not app.traits.own or key in app.traits.own}
 
 
 def baseline_versions() -> dict[str, str]:
@@ -87,7 +87,7 @@ def fit_baselines(
         prepared = baseline.prepare(training, allowed)
         for i, task in enumerate(tasks):
             known = errors.get(task.name)
-            allowed = allowed._replace(error=None if known is None else known / plan.app.scale)
+            allowed = allowed._replace(error=None if known is None else known / plan.app.traits.scale)
             if i == 0 and not baseline.matches:
                 _fit_one(plan, prepared, task, allowed)  # warm, as paradigms' fits are
             yield _fit_one(plan, prepared, task, allowed, timed=not baseline.matches)
@@ -104,7 +104,7 @@ def _fit_one(
     errors = {key: float(value[0]) for key, value in app.errors_of(fitted.answer(), stacked).items()}
     if errors and not math.isfinite(errors["error"]):
         raise ValueError(f"{task.name}: the error is not finite.")
-    errors |= {key: app.scale * value for key, value in errors.items() if key == "error"}
+    errors |= {key: app.traits.scale * value for key, value in errors.items() if key == "error"}
     record = {
         "name": task.name,
         "error": None,

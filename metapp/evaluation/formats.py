@@ -8,6 +8,7 @@ from collections.abc import Sequence
 
 from metapp.evaluation.rows import Row, Table
 from metapp.evaluation.subject import Subject
+from metapp.runs.naming import factor_of
 
 
 def text_table(table: Table, by_subject: Sequence[tuple[Subject, list[Row]]], form: str) -> str:
@@ -47,6 +48,5 @@ def key_of(row: Row) -> str:
 def title_of(table: Table, subject: Subject, rows: list[Row]) -> str:
     """What a table shows, of what and of how many tasks."""
     count = max((row["tasks"] for row in rows), default=0)
-    scale = subject.app.scale
-    title = table.title.format(factor=f" x{scale:g}" if scale != 1 else "")
+    title = table.title.format(factor=factor_of(subject.app))
     return f"{subject.title}, {f'{count} unseen tasks: ' if count else ''}{title}"

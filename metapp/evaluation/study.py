@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import functools
 from dataclasses import asdict, replace
 from typing import Any, NamedTuple, get_args
@@ -10,7 +9,7 @@ from typing import Any, NamedTuple, get_args
 from torch import Generator
 
 from metapp.learning.app import App
-from metapp.learning.recipe import MetaTraining, Recipe, Start
+from metapp.learning.recipe import Initialisation, MetaTraining, Recipe
 from metapp.learning.rules import RULES, rule_of
 from metapp.paradigms import Job, Paradigm, paradigms
 from metapp.runs.checkpoints import find_checkpoint, has_general, trained_path
@@ -20,7 +19,7 @@ from metapp.runs.surroundings import precision_of, versions
 from metapp.runs.training import Trained, general_of, train_checkpoint
 from metapp.storage.records import load_checkpoint, tensor_digest
 
-STARTS = get_args(Start)
+STARTS = get_args(Initialisation)
 ENCODER_RATE = 3e-4  # outer rate of General's encoder where the recipe's own training moves none
 QUICKFT = "quickft"  # the reference line, among the names of rules
 # Beside all named rules, what one part adds to a rule or what its lack does.
@@ -53,7 +52,7 @@ class Design(NamedTuple):
     outer: int = 500
     steps: tuple[int, ...] = (5, 10, 20, 40)
     seeds: int = 3
-    initialisation: Start = "encoder"
+    initialisation: Initialisation = "encoder"
     rules: tuple[str, ...] = ()
 
 
@@ -92,9 +91,15 @@ def training_for(recipe: Recipe, rule: str) -> MetaTraining:
 
     Without Adam's moments a direction is the gradient itself: that takes the rates of meta-sgd, or a search of one.
     """
+    usual = recipe.training(rule if rule in recipe.meta else recipe.rule)
     if rule in recipe.meta or rule_of(rule).has("betas"):
-        return recipe.meta_training(rule)
-    return recipe.meta.get("meta-sgd") or replace(recipe.meta_training(rule), tuned=True)
+        return usual
+    return recipe.meta.get("meta-sgd") or replace(usual, tuned=True)
+
+
+def _recorded(training: MetaTraining) -> dict[str, Any]:
+    """A training as records hold it, `initialisation` under its former name, so that earlier records stay its own."""
+    return {"start" if key == "initialisation" else key: value for key, value in asdict(training).items()}
 
 
 class Study:
@@ -110,7 +115,6 @@ class Study:
     def __init__(self, plan: Plan, design: Design) -> None:
         self.plan, self.design = plan, design
         self.rules, self.refused = study_rules(plan.app, design)
-        self._apps: dict[str, App] = {}
 
     def cases(self) -> list[Case]:
         """All trainings: seed by seed, those of few steps first."""
@@ -122,8 +126,6 @@ class Study:
     def plan_of(self, case: Case) -> Plan:
         """The plan of a case: its recipe is the application's for so many steps, under a name of its own."""
         rule = self.plan.job.rule if case.rule == QUICKFT else case.rule
-        if rule not in self._apps:  # one object a rule, which shares its compiled code
-            self._apps[rule] = copy.copy(self.plan.app)
         base = self.plan.job.recipe
         meta = base.meta if case.rule == QUICKFT else {rule: self.training(rule)}
         recipe = replace(base, steps=case.steps, meta=meta, rule=next(iter(meta)))
@@ -132,21 +134,22 @@ class Study:
         if case.rule != QUICKFT:
             name += f"-{self.design.outer}outer-{self.design.initialisation}"
         request = replace(request, recipe=name, rule=rule, seed=case.seed, steps=None, checkpoint=None)
-        return Plan(request, case.paradigm, Job(self._apps[rule], recipe, rule), self.plan.device)
+        return Plan(request, case.paradigm, Job(self.plan.app, recipe, rule), self.plan.device)
 
     def training(self, rule: str) -> MetaTraining:
-        """How a rule is trained here: as by its recipe, but for the start, and with so many outer steps.
+        """How a rule is trained here: as by its recipe, but for the initialisation, and with so many outer steps.
 
         A recipe that searches an Adam alone does so here, too.
         """
         training = training_for(self.plan.job.recipe, rule)
-        if self.design.initialisation == "encoder" and training.start != "encoder":
+        first = self.design.initialisation
+        if first == "encoder" and training.initialisation != "encoder":
             training = replace(training, rates={"encoder.": ENCODER_RATE} | training.rates)
-        return replace(training, start=self.design.initialisation, steps=self.design.outer if training.steps else 0)
+        return replace(training, initialisation=first, steps=self.design.outer if training.steps else 0)
 
     @functools.cached_property
     def general(self) -> Checkpoint | None:
-        """The General that all rules start from and QuickFT is tuned for; None where this data has none yet."""
+        """The General that all rules begin at and QuickFT is tuned for; None where this data has none yet."""
         general = self.plan.by("general")
         return find_checkpoint(general).checkpoint if has_general(general) else None
 
@@ -173,7 +176,7 @@ class Study:
             **observe_of(plan.app),
             "study": case.rule,
             "steps": case.steps,
-            "training": None if case.rule == QUICKFT else asdict(self.training(case.rule)),
+            "training": None if case.rule == QUICKFT else _recorded(self.training(case.rule)),
             "general": self._general_digest,
             "batch": plan.job.recipe.batch,
             "data": label,

@@ -114,20 +114,14 @@ def path_steps(steps: int) -> set[int]:
 
 def states_of(plan: Plan, task: Task, stacked: Tasks, wanted: Collection[int]) -> dict[int, Params]:
     """The same fit as the row's: its parameters [1, ...] after the wanted numbers of steps."""
-    states: dict[int, Params] = {}
-
-    def watch(step: int, params: Params, value: Tensor) -> None:
-        if step in wanted:
-            states[step] = params
-
-    final = plan.paradigm.fitted(plan.job, plan.prepared, stacked, rng_of(plan, task), watch).theta
-    return states | {plan.steps: final}
+    descent = plan.paradigm.descend(plan.job, plan.prepared, stacked, rng_of(plan, task))
+    return {now.step: now.theta for now in descent if now.step in wanted}
 
 
 def error_of(subject: Subject, theta: Params, stacked: Tasks) -> float | None:
     """The table's error; None where the task holds no reference."""
     errors = subject.app.errors(theta, stacked)
-    return subject.app.scale * float(errors["error"][0]) if errors else None
+    return subject.app.traits.scale * float(errors["error"][0]) if errors else None
 
 
 def further_errors(

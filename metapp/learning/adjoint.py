@@ -23,7 +23,7 @@ class Drawn(NamedTuple):
     batch: Any
 
 
-def _all(data: Any, done: float) -> Any:
+def whole(data: Any, done: float) -> Any:
     """All of the data, however far the descent is."""
     return data
 
@@ -45,7 +45,7 @@ class Loss(NamedTuple):
     value: Callable[[Params, Any, Params], Tensor]
     shared: bool = False
     linear: Callable[[Params, Any, Params], Linear] | None = None
-    stage: Callable[[Any, float], Any] = _all
+    stage: Callable[[Any, float], Any] = whole
     fused: Callable[[Params], FusedLoss | None] = no_fused
 
     def draw_at(self, data: Any, rng: Rng, step: int, steps: int) -> Drawn:

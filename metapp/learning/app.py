@@ -4,44 +4,32 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Any
+from typing import Any, ClassVar, Protocol, runtime_checkable
 
 import torch
 from torch import Generator, Tensor
 
 from metapp.learning.flat import FusedLoss
-from metapp.learning.recipe import Recipe
 from metapp.learning.task import Batch, Held, Linear, Params, Task, Tasks
 
 
-class App(ABC):
-    """An application: a network, the samples it is fitted to, and the distance that says how well it fits.
-
-    All methods are batched over tasks: parameters and batches have a leading task axis T. What fits look like, and what
-    tables say about errors, is the business of its `metapp.appearance.presentation.Presentation`.
+@dataclass(frozen=True)
+class Traits:
+    """What others must know of an application at a setup.
 
     Attributes:
-        name: as on the command line.
-        holds: what each task must hold, by the tensor's name.
-        protocols: what a fit may see, the values of --observe, where there are several; the first is the default.
-        protocol: the one of these that is in force; "" where there is none.
         scale: factor of errors in records and tables; 100 where the paper prints x100.
         single_threaded: True where threads and GPUs only slow down the fit of one task.
         compiles: True where compiling the inner step pays in training.
         cheap_fits: True where a search can afford to fit all validation tasks.
         periodic: True where the columns of parameters on a grid, those of three axes, go on at the grid's other edge.
         deterministic: True where nothing that a fit sees is drawn at random, so that one fit says what two would.
-        reads: px a side, or rows of a map, that a user's files are read at; 0: as their readers do.
-        solves: the parameter [C, F] that the network is linear in, where `linear` says how; "" where there is none.
+        reads: px a side, or rows of a map, of the resolution that a user's files are read at; 0: as their readers do.
         own: the parameters that a task does not share with others after General's encoder; () for all.
-        recipes: "paper", "quick", and "full", of the size that people use.
     """
 
-    name: str
-    holds: Mapping[str, Held] = MappingProxyType({})
-    protocols: tuple[str, ...] = ()
-    protocol: str = ""
     scale: float = 1.0
     single_threaded: bool = False
     compiles: bool = False
@@ -49,21 +37,39 @@ class App(ABC):
     periodic: bool = False
     deterministic: bool = False
     reads: int = 0
-    solves: str = ""
     own: tuple[str, ...] = ()
-    recipes: dict[str, Recipe]
 
-    def at(self, recipe: Recipe, protocol: str = "") -> App:
-        """The application at a recipe's setup, under a protocol, its first one where none is named."""
-        return self
+
+@dataclass(frozen=True, eq=False, repr=False)
+class App(ABC):
+    """An application: a network, the samples it is fitted to, and the distance that says how well it fits.
+
+    All methods are batched over tasks: parameters and batches have a leading task axis T. What fits look like, and what
+    tables say about errors, is the business of its `metapp.appearance.presentation.Presentation`; its recipes are a
+    table beside it. What only some applications have are the protocols below: a coarse-to-fine `Staged`, a
+    `LinearLayer`, an `OuterLoss`, an `OuterSample`, a `Distilled` network, `ReducedPrecision`.
+
+    Attributes:
+        setup: the sizes of its network, as a recipe has them; None where it has none.
+        protocol: what a fit may see, one of the values of --observe; "" where there is but one.
+        name: as on the command line.
+        holds: what each task must hold, by the tensor's name.
+        traits: what others must know of it.
+    """
+
+    setup: Any = None
+    protocol: str = ""
+    name: ClassVar[str]
+    holds: ClassVar[Mapping[str, Held]] = MappingProxyType({})
+
+    @property
+    def traits(self) -> Traits:
+        """What others must know of it; a class attribute where the setup changes nothing."""
+        return Traits()
 
     def conditions(self) -> dict[str, str]:
         """What else its errors depend on, by name: part of every record, and said wherever errors are printed."""
         return {}
-
-    def precision(self, device: torch.device) -> str:
-        """What fits on a device compute in other than float32, in words: part of every record; "" where nothing."""
-        return ""
 
     @abstractmethod
     def prepare(self, task: Task) -> dict[str, Tensor]:
@@ -73,10 +79,6 @@ class App(ABC):
     def init(self, rng: Generator, count: int) -> Params:
         """Random network parameters for `count` tasks, each tensor [count, ...]."""
 
-    def stage(self, tasks: Tasks, done: float) -> Tasks:
-        """What a descent sees of tasks after this share of its steps, in [0, 1); here all of them."""
-        return tasks
-
     @abstractmethod
     def sample(self, tasks: Tasks, rng: Generator, count: int) -> Batch:
         """`count` random samples of each task, from the part a fit may see; tensors [T, ...]."""
@@ -84,22 +86,6 @@ class App(ABC):
     @abstractmethod
     def loss(self, theta: Params, batch: Batch, learned: Params) -> Tensor:
         """The inner loss of each task, [T]; `learned` are its learned parameters, {} for the plain loss."""
-
-    def outer_loss(self, theta: Params, batch: Batch, learned: Params) -> Tensor:
-        """The outer loss of each fit, [T]: the inner one, unless training tasks know more than a fit may see."""
-        return self.loss(theta, batch, learned)
-
-    def outer_sample(self, tasks: Tasks, rng: Generator, count: int) -> Batch:
-        """`count` samples for the outer loss: drawn as a fit's, unless training tasks know more than a fit may see."""
-        return self.sample(tasks, rng, count)
-
-    def linear(self, theta: Params, batch: Batch, learned: Params) -> Linear:
-        """Least squares near the inner loss, where the network is linear in the parameter `solves`."""
-        raise NotImplementedError
-
-    def fused(self, theta: Params) -> FusedLoss | None:
-        """The inner loss in C, for parameters of these shapes; None where there is none or no compiler for it."""
-        return None
 
     def loss_parameters(self, steps: int) -> Params:
         """Initial values [steps, ...] of the parameters of the inner loss that a rule may learn."""
@@ -121,10 +107,6 @@ class App(ABC):
         """Data augmentation: as many other tasks, each changed at random, for training only."""
         return tasks
 
-    def evaluated(self, theta: Params, task: Task) -> Task:
-        """The task that one fit reproduces without error, for a network that is to learn from another."""
-        raise NotImplementedError
-
     @abstractmethod
     def errors(self, theta: Params, tasks: Tasks) -> dict[str, Tensor]:
         """Error measures [T] on the part of each task that fits never see; "error" is the table's, unscaled.
@@ -140,6 +122,75 @@ class App(ABC):
             tasks: as of `errors`.
         """
         raise NotImplementedError
+
+
+@runtime_checkable
+class Staged(Protocol):
+    """An application whose fits do not see all from the beginning, such as from coarse to fine."""
+
+    def stage(self, tasks: Tasks, done: float) -> Tasks:
+        """What a descent sees of tasks after this share of its steps, in [0, 1]."""
+
+
+@runtime_checkable
+class LinearLayer(Protocol):
+    """An application whose network is linear in a parameter, at some setups at least.
+
+    Attributes:
+        solves: the parameter [C, F]; "" where it is linear in none at this setup.
+    """
+
+    @property
+    def solves(self) -> str:
+        """Its name."""
+
+    def linear(self, theta: Params, batch: Batch, learned: Params) -> Linear:
+        """Least squares near the inner loss, in the parameter `solves`."""
+
+
+@runtime_checkable
+class OuterLoss(Protocol):
+    """An application whose training tasks know more than a fit may see."""
+
+    def outer_loss(self, theta: Params, batch: Batch, learned: Params) -> Tensor:
+        """The outer loss of each fit, [T]."""
+
+
+@runtime_checkable
+class OuterSample(Protocol):
+    """An application whose outer loss is taken of other samples than a fit's."""
+
+    def outer_sample(self, tasks: Tasks, rng: Generator, count: int) -> Batch:
+        """`count` samples for the outer loss, tensors [T, ...]."""
+
+
+@runtime_checkable
+class Distilled(Protocol):
+    """An application with several networks, of which one may learn from another."""
+
+    def evaluated(self, theta: Params, task: Task) -> Task:
+        """The task that one fit reproduces without error."""
+
+
+@runtime_checkable
+class ReducedPrecision(Protocol):
+    """An application whose fits compute in other than float32 on some devices."""
+
+    def precision(self, device: torch.device) -> str:
+        """What is computed how, in words: part of every record; "" for float32 throughout."""
+
+
+@runtime_checkable
+class FusedApp(Protocol):
+    """An application with a loss in C."""
+
+    def fused(self, theta: Params) -> FusedLoss | None:
+        """The inner loss in C, for parameters of these shapes; None where there is none or no compiler for it."""
+
+
+def linear_in(app: App) -> str:
+    """The parameter that an application's network is linear in; "" where there is none."""
+    return app.solves if isinstance(app, LinearLayer) else ""
 
 
 def stack(app: App, tasks: Sequence[Task], device: torch.device | str = "cpu") -> Tasks:

@@ -13,8 +13,8 @@ from typing import Any, NamedTuple
 import torch
 from torch import Generator, Tensor
 
-from metapp.learning.adjoint import Drawn, Loss, UpdateRule, at_step, learn_through, step_pair
-from metapp.learning.app import App
+from metapp.learning.adjoint import Drawn, Loss, UpdateRule, at_step, learn_through, step_pair, whole
+from metapp.learning.app import App, FusedApp, LinearLayer, OuterLoss, OuterSample, Staged
 from metapp.learning.draws import Rng, drawn
 from metapp.learning.flat import FusedLoss, no_fused
 from metapp.learning.fused import flat_value, fuse
@@ -142,19 +142,25 @@ def _loss_of(app: App, value: Callable[[Params, Any, Params], Tensor], sample: D
     def draw(tasks: Tasks, rng: Rng) -> Drawn:
         return Drawn(tasks.picked_names(), drawn(lambda some, own: sample(some, own, batch), tasks, rng))
 
-    return Loss(draw, value, linear=app.linear, stage=app.stage, fused=_fused_of(app))
+    linear = app.linear if isinstance(app, LinearLayer) else None
+    stage = app.stage if isinstance(app, Staged) else whole
+    return Loss(draw, value, linear=linear, stage=stage, fused=_fused_of(app))
 
 
 def _fused_of(app: App) -> Callable[[Params], FusedLoss | None]:
     """The application's loss in C; none where a subclass or the object itself has another loss than that is of."""
+    if not isinstance(app, FusedApp):
+        return no_fused
     of = {name: next(i for i, each in enumerate(type(app).__mro__) if name in vars(each)) for name in ("loss", "fused")}
-    return no_fused if "loss" in vars(app) or of["loss"] < of["fused"] else app.fused
+    return no_fused if of["loss"] < of["fused"] else app.fused
 
 
 def task_outer_loss(app: App, batch: int) -> Loss:
     """The outer loss of an application, on samples of training tasks, [T]."""
-    loss = _loss_of(app, app.outer_loss, app.outer_sample, batch)
-    return loss if type(app).outer_loss is App.outer_loss else loss._replace(fused=no_fused)
+    sample = app.outer_sample if isinstance(app, OuterSample) else app.sample
+    if not isinstance(app, OuterLoss):
+        return _loss_of(app, app.loss, sample, batch)
+    return _loss_of(app, app.outer_loss, sample, batch)._replace(fused=no_fused)
 
 
 Augment = Callable[[Tasks, Generator], Tasks]

@@ -61,7 +61,7 @@ class OuterLoop:
     augment: bool = True
 
 
-Start = Literal["random", "mean", "encoder", "untrained"]
+Initialisation = Literal["random", "mean", "encoder", "untrained"]
 
 
 @dataclass(frozen=True)
@@ -74,10 +74,10 @@ class MetaTraining(OuterLoop):
         order: derivative carried through the inner steps: 1 (FOMAML) or 2 (MAML).
         clip: each task's outer gradient is scaled down to this norm before the mean is taken.
         tasks_at_once: tasks that are backpropagated together, where memory is short; None for all.
-        start: the first initialisation: "random"; "mean" of General's predictions; "encoder", General's own, which
-            starts each task at its prediction and which outer steps, if any, train through the inner ones; "untrained",
+        initialisation: the first one: "random"; "mean" of General's predictions; "encoder", General's own, which
+            begins each task at its prediction and which outer steps, if any, train through the inner ones; "untrained",
             the same for an encoder that nothing has trained before.
-        setup: the application's settings for this rule, such as another network; None for the recipe's.
+        setup: the sizes of this rule's own network; None for the recipe's.
         guard: which fits by the rule are doubtful, by what validation tasks show; None: those that end above their
             initialisation.
     """
@@ -87,20 +87,14 @@ class MetaTraining(OuterLoop):
     order: int = 0
     clip: float = float("inf")
     tasks_at_once: int | None = None
-    start: Start = "mean"
+    initialisation: Initialisation = "mean"
     setup: Any = None
     guard: Guard | None = None
 
     @property
     def from_general(self) -> bool:
         """Whether the first initialisation is made of a prepared General."""
-        return self.start in ("mean", "encoder")
-
-
-# Fischer & Ritschel 2022, supplement: first-order MAML with Meta-SGD from a random initialisation, meta-batch 5
-AS_PUBLISHED = MetaTraining(
-    steps=100_000, tasks=5, rates={"": 1e-4}, first=Adam(1e-3), order=1, clip=10.0, start="random"
-)
+        return self.initialisation in ("mean", "encoder")
 
 
 @dataclass(frozen=True)
@@ -114,9 +108,9 @@ class Recipe:
         finetune_steps, finetune: the same for Finetune.
         quickft: QuickFT's Adam, tuned on validation tasks.
         general: how General's encoder is trained.
-        meta: how each rule's start is trained, by the rule's name.
+        meta: how each rule's checkpoint is trained, by the rule's name.
         rule: the rule that is best on validation tasks: Meta's default.
-        setup: the application's own settings, such as sizes; None where it has none.
+        setup: the sizes of the application's network; None where it has none.
     """
 
     steps: int
@@ -131,19 +125,38 @@ class Recipe:
     rule: str
     setup: Any = None
 
-    def meta_training(self, rule: str) -> MetaTraining:
-        """How a rule's start is trained: as the recipe says, else as that of its default rule."""
-        return self.meta[rule if rule in self.meta else self.rule]
+    def training(self, rule: str) -> MetaTraining:
+        """How a rule is trained, on which network, and what guards its fits after the recipe's number of steps.
 
-    def for_rule(self, rule: str) -> Recipe:
-        """The recipe with the settings that a rule has of its own, if any."""
-        setup = self.meta_training(rule).setup
-        return self if setup is None else replace(self, setup=setup)
-
-    def guard_of(self, rule: str, steps: int) -> Guard:
-        """Which fits by a rule are doubtful: as the recipe says for its own number of steps.
-
-        Of other rules, and after other steps, those that end above their initialisation, which go on by QuickFT's Adam.
+        A rule that the recipe does not have is trained as its default rule, and has no guard of its own.
         """
-        guard = self.meta[rule].guard if rule in self.meta and steps == self.steps else None
-        return guard or Guard(self.quickft)
+        return self.meta[rule] if rule in self.meta else replace(self.meta[self.rule], guard=None)
+
+
+def as_published(recipe: Recipe, setup: Any, *, tasks: int = 5) -> Recipe:
+    """The recipe of Fischer & Ritschel 2022, of all applications but BRDFs.
+
+    Supplement: first-order MAML with Meta-SGD from a random initialisation; Overfit for 10,000 steps.
+
+    Args:
+        recipe: what it is like in all else.
+        setup: the sizes of the paper's network.
+        tasks: the meta-batch.
+    """
+    training = MetaTraining(
+        steps=100_000,
+        tasks=tasks,
+        rates={"": 1e-4},
+        first=Adam(1e-3),
+        order=1,
+        clip=10.0,
+        initialisation="random",
+    )
+    return replace(
+        recipe,
+        overfit_steps=10_000,
+        finetune_steps=1_000,
+        meta={"meta-sgd": training},
+        rule="meta-sgd",
+        setup=setup,
+    )

@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection
-from typing import Any, ClassVar, Self
 
 import torch
 from torch import Generator, Tensor
 
-from metapp.learning.app import App
-from metapp.learning.recipe import Recipe
+from metapp.learning.app import App, Traits
 from metapp.learning.task import Batch, Params, Tasks
-from metapp.networks.layers import LocalField, regridded
+from metapp.networks.field import LocalField, regridded
 
 CHEAP = 64 * 64  # texels of a field that a search can afford to fit for all validation tasks
 
@@ -25,24 +23,16 @@ class CodedApp(App):
     several sizes share what was trained at the smallest. Nothing that a fit sees is drawn at random.
 
     Attributes:
-        all_recipes: the recipes of each protocol.
-        setup: a recipe's; holds the `field`.
+        setup: holds the `field`.
     """
 
-    all_recipes: ClassVar[dict[str, dict[str, Recipe]]]
-    setup: Any
-    protocols = ("reference", "photo")
-    single_threaded = True
-    compiles = True
-    deterministic = True
-
-    def __init__(self, setup: Any, protocol: str) -> None:
-        self.setup, self.protocol, self.recipes = setup, protocol, self.all_recipes[protocol]
-        self.periodic = self.field.periodic
-        self.cheap_fits = self.field.height * self.field.width <= CHEAP
-
-    def at(self, recipe: Recipe, protocol: str = "") -> Self:
-        return type(self)(recipe.setup, protocol or self.protocols[0])
+    @property
+    def traits(self) -> Traits:
+        field = self.field
+        cheap = field.height * field.width <= CHEAP
+        return Traits(
+            single_threaded=True, compiles=True, deterministic=True, periodic=field.periodic, cheap_fits=cheap
+        )
 
     @property
     def field(self) -> LocalField:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Self
+from typing import ClassVar
 
 import torch
 from torch import Generator, Tensor
@@ -13,18 +13,16 @@ from torch.nn.functional import avg_pool2d, interpolate, leaky_relu
 
 from metapp.appearance.features import channels_of, describe_features, describe_precision, load_features, moments
 from metapp.learning.app import App
-from metapp.learning.recipe import Adam, OuterLoop, Recipe
 from metapp.learning.task import Batch, Params, Task, Tasks
 from metapp.networks.coded import decoder_of, with_decoder
-from metapp.networks.layers import UNet
-from metapp.networks.pyramid import Pyramid
+from metapp.networks.generators import Pyramid, UNet
 
 HIDDEN = 128
 JUDGED = 4
 
 
 @dataclass(frozen=True)
-class Setup:
+class ExemplarSetup:
     """The size of everything.
 
     Attributes:
@@ -62,30 +60,6 @@ class Setup:
         return self.network._replace(finest=octave) if isinstance(self.network, Pyramid) else self.network
 
 
-def full_recipe(quick: Recipe, *, found: Adam, tasks: int) -> Recipe:
-    """Make the recipe of the size that people use, from coarse to fine.
-
-    Half of the steps are at 64 texels, the last fifth at 256.
-
-    Args:
-        quick: what it is like in all else.
-        found: where the quick recipe's search of an Adam ended; searches begin there.
-        tasks: of each outer step of General.
-    """
-    rates = {"": 3e-3, "encoder.mlp": 1e-3}
-    tuned = replace(quick.meta["meta-mean"], first=found)
-    taps = ("relu1_1", "relu2_1", "relu3_1", "relu4_1")
-    network = Pyramid(16, outputs=quick.setup.network.outputs)
-    return replace(
-        quick,
-        quickft=found,
-        general=OuterLoop(steps=2400, tasks=tasks, rates=rates, warmup=50, final=0.0, validate_every=400),
-        meta={"meta-encoder": quick.meta["meta-encoder"], "meta-mean": tuned, "meta-axes": tuned},
-        rule="meta-axes",
-        setup=Setup(256, 256, network, quick.setup.features, taps, octaves=3, shares=(0.5, 0.8)),
-    )
-
-
 class ExemplarApp(App):
     """A generator of pictures from noise, fitted to the statistics of one photograph a task.
 
@@ -93,15 +67,9 @@ class ExemplarApp(App):
     generator's other parameters are then the same for all tasks.
     """
 
-    setup: Setup
-    reduced: bool = False  # whether fits see features in reduced precision
-    described: tuple[str, ...] = ("gram",)  # what is known of each map of features, by name: gram0, gram1, ...
-
-    def __init__(self, setup: Setup) -> None:
-        self.setup = setup
-
-    def at(self, recipe: Recipe, protocol: str = "") -> Self:
-        return type(self)(recipe.setup)
+    setup: ExemplarSetup
+    reduced: ClassVar[bool] = False  # whether fits see features in reduced precision
+    described: ClassVar[tuple[str, ...]] = ("gram",)  # what is known of each map of features: gram0, gram1, ...
 
     def conditions(self) -> dict[str, str]:
         return {"features": describe_features(self.setup.features)}

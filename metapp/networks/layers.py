@@ -1,20 +1,22 @@
-"""Networks that applications share: a generator of pictures from noise, and fields with a code in every place."""
+"""Layers: of encoders; of generators, whose maps tile and whose channels a code styles, all at once or by rows."""
 
 from __future__ import annotations
 
-import functools
 import math
-from collections.abc import Mapping
-from typing import NamedTuple
+from collections.abc import Callable, Mapping
+from typing import Any
 
 import torch
 from torch import Generator, Tensor
-from torch.nn.functional import avg_pool2d, conv2d, instance_norm, interpolate, leaky_relu
+from torch.nn.functional import conv2d, instance_norm, interpolate, leaky_relu, pad
 
 from metapp.learning.task import Params
-from metapp.networks.tiling import tiled
 
 SLOPE = 0.2
+ROWS = 256  # of a `Pyramid` at a time; even
+
+Rows = Callable[[int, int], Tensor]
+"""(first, end) -> those rows of maps [B, C, end - first, W] that tile, so that row -1 is the last one."""
 
 
 def add_layer(
@@ -40,73 +42,55 @@ def dense(params: Params, name: str, x: Tensor) -> Tensor:
     return x @ params[f"{name}.kernel"].T + params[f"{name}.shift"]
 
 
-class UNet(NamedTuple):
-    """A noise-to-image U-Net with adaptive instance normalisation (Ulyanov et al. 2016; Henzler et al. 2020, 2021).
+def convolved(params: Params, name: str, x: Tensor) -> Tensor:
+    """A layer of `add_layer` that reads maps [T, inputs, H, W], of the same size: [T, outputs, H, W]."""
+    kernel = params[f"{name}.kernel"]
+    return conv2d(x, kernel, params[f"{name}.shift"], padding=kernel.shape[-1] // 2)
 
-    All convolutions pad circularly, so that what it makes tiles, at any size that `2 ** (levels - 1)` divides.
 
-    Attributes:
-        width: channels of the finest level; each level down doubles them, up to four times as many.
-        levels: resolutions, each half of the one before.
-        noise: channels of the noise it starts from.
-        code: length of z.
-        outputs: channels of what it makes.
-    """
+# Maps that tile: padded and enlarged across their edges, at the cost of one copy each way. What autograd would record
+# for circular padding is a copy for each edge, whose gradient fills a whole map with zeros.
 
-    width: int
-    levels: int = 4
-    noise: int = 8
-    code: int = 32
-    outputs: int = 3
 
-    def channels(self, level: int) -> int:
-        """Channels at a level, 0 the finest."""
-        result: int = self.width * min(2**level, 4)
-        return result
+class _Tiled(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: Any, x: Tensor) -> Tensor:
+        return pad(x, (1, 1, 1, 1), mode="circular")
 
-    def layers(self) -> dict[str, tuple[int, int]]:
-        """(inputs, outputs) of each 3x3 convolution, in order of use."""
-        down = {"down0": (self.noise, self.channels(0))}
-        for level in range(1, self.levels):
-            down[f"down{level}"] = (self.channels(level - 1), self.channels(level))
-        up = {
-            f"up{level}": (self.channels(level + 1) + self.channels(level), self.channels(level))
-            for level in reversed(range(self.levels - 1))
-        }
-        return down | up
+    @staticmethod
+    def backward(ctx: Any, pull: Tensor) -> Tensor:
+        apply: Callable[[Tensor], Tensor] = _Folded.apply
+        return apply(pull)
 
-    def init(self, rng: Generator, count: int) -> Params:
-        """Random parameters of `count` networks: each tensor [count, ...]."""
-        theta = init_styled(rng, count, self.code, self.layers())
-        kernel = torch.randn(count, self.outputs, self.channels(0), 1, 1, generator=rng, device=rng.device)
-        theta["out.kernel"] = kernel * math.sqrt(1 / self.channels(0))
-        theta["out.shift"] = torch.zeros(count, self.outputs, device=rng.device)
-        return theta
 
-    def __call__(self, theta: Params, noise: Tensor) -> Tensor:
-        """Maps from noise.
+class _Folded(torch.autograd.Function):
+    """The adjoint of padding: what lies outside is added to what it is a copy of."""
 
-        Args:
-            theta: parameters of T networks, as of `init`.
-            noise: standard normal, [T, B, noise, H, W].
+    @staticmethod
+    def forward(ctx: Any, x: Tensor) -> Tensor:
+        rows = x[..., 1:-1, :].clone()
+        rows[..., 0, :] += x[..., -1, :]
+        rows[..., -1, :] += x[..., 0, :]
+        folded = rows[..., 1:-1].contiguous()
+        folded[..., 0] += rows[..., -1]
+        folded[..., -1] += rows[..., 0]
+        return folded
 
-        Returns:
-            Values before any range is imposed, [T, B, outputs, H, W].
-        """
-        tasks, batch, _, height, width = noise.shape
-        x = noise.transpose(0, 1).reshape(batch, -1, height, width)
-        skips = []
-        for level in range(self.levels):
-            x = styled(theta, f"down{level}", avg_pool2d(x, 2) if level else x)
-            skips.append(x)
-        for level in reversed(range(self.levels - 1)):
-            above = interpolate(x, scale_factor=2, mode="nearest")
-            # channels of one task lie together, as grouped convolutions want them
-            parts = [part.unflatten(1, (tasks, -1)) for part in (above, skips[level])]
-            x = styled(theta, f"up{level}", torch.cat(parts, 2).flatten(1, 2))
-        x = conv2d(x, theta["out.kernel"].flatten(0, 1), theta["out.shift"].flatten(), groups=tasks)
-        result: Tensor = x.unflatten(1, (tasks, self.outputs)).transpose(0, 1)
-        return result
+    @staticmethod
+    def backward(ctx: Any, pull: Tensor) -> Tensor:
+        return tiled(pull)
+
+
+def tiled(x: Tensor) -> Tensor:
+    """Maps [..., H, W] with one row and column of the opposite edge around them, [..., H + 2, W + 2]."""
+    apply: Callable[[Tensor], Tensor] = _Tiled.apply
+    return apply(x)
+
+
+def enlarged(x: Tensor) -> Tensor:
+    """Maps [B, C, H, W] twice as high and wide, interpolated linearly across their edges, [B, C, 2H, 2W]."""
+    # cropped by padding, whose gradient is one copy
+    return pad(interpolate(tiled(x), scale_factor=2, mode="bilinear"), (-2, -2, -2, -2))
 
 
 def init_styled(rng: Generator, count: int, code: int, layers: Mapping[str, tuple[int, int]]) -> Params:
@@ -158,107 +142,34 @@ def style_of(theta: Params, name: str) -> tuple[Tensor, Tensor]:
     return 1 + gain.reshape(-1, 1, 1), shift.reshape(-1, 1, 1)
 
 
-class LocalField(NamedTuple):
-    """A SIREN (Sitzmann et al. 2020) whose layers are shifted by a code that varies from place to place.
-
-    The code lies on a grid and is interpolated between its cells: shift modulations as of Dupont et al. 2022, made
-    local as of Mehta et al. 2021. A detail then moves a few entries of the code, not all weights at once, which is why
-    few steps fit it.
-
-    Attributes:
-        height, width: texels of what it makes.
-        inputs, outputs: channels.
-        rows, columns: cells of the code's grid.
-        code: length of the code in a cell.
-        hidden: units of a layer.
-        layers: sine layers.
-        frequency: of the first layer's sines for inputs in [-1, 1], w0.
-        periodic: whether the left edge goes on at the right one.
-        gain: of the code; a step of a rate moves it so many times as far as a weight, and it has far to go.
-    """
-
-    height: int
-    width: int
-    inputs: int = 3
-    outputs: int = 3
-    rows: int = 16
-    columns: int = 32
-    code: int = 8
-    hidden: int = 32
-    layers: int = 3
-    frequency: float = 12.0
-    periodic: bool = True
-    gain: float = 30.0
-
-    def init(self, rng: Generator, count: int) -> Params:
-        """Random parameters of `count` networks: each tensor [count, ...]."""
-
-        def uniform(*shape: int, bound: float) -> Tensor:
-            return (2 * torch.rand(count, *shape, generator=rng, device=rng.device) - 1) * bound
-
-        theta = {"z": uniform(self.code, self.rows, self.columns, bound=0.1 / self.gain)}
-        for layer in range(self.layers):
-            inputs = self.hidden if layer else self.inputs
-            bound = math.sqrt(6 / inputs) if layer else self.frequency / math.sqrt(inputs)
-            theta[f"layer{layer}.kernel"] = uniform(self.hidden, inputs, bound=bound)
-            theta[f"layer{layer}.code"] = uniform(self.hidden, self.code, bound=1.5 / math.sqrt(self.code))
-            theta[f"layer{layer}.shift"] = uniform(self.hidden, bound=0.1 if layer else math.pi)
-        theta["out.kernel"] = uniform(self.outputs, self.hidden, bound=1 / math.sqrt(self.hidden))
-        theta["out.code"] = uniform(self.outputs, self.code, bound=1 / math.sqrt(self.code))
-        theta["out.shift"] = torch.zeros(count, self.outputs, device=rng.device)
-        return theta
-
-    def __call__(self, theta: Params, places: Tensor) -> Tensor:
-        """What is at every texel.
-
-        Args:
-            theta: parameters of T networks, as of `init`.
-            places: what is known of the texels, [T, inputs, height, width].
-
-        Returns:
-            Values before any range is imposed, [T, outputs, height, width].
-        """
-        return self.decoded(theta, self.code_at(theta, 0, self.height), places)
-
-    def code_at(self, theta: Params, first: int, end: int) -> Tensor:
-        """The code at the texels of some rows, [T, code, end - first, width]."""
-        z = self.gain * theta["z"]
-        down, across = (each.to(z) for each in _interpolation(self, z.device))
-        return down[first:end] @ z @ across
-
-    def decoded(self, theta: Params, code: Tensor, places: Tensor) -> Tensor:
-        """What is at texels where the code is [T, code, h, w] and `places` [T, inputs, h, w]: [T, outputs, h, w]."""
-        size, code, x = places.shape[2:], code.flatten(2), places.flatten(2)
-        for name in (*(f"layer{layer}" for layer in range(self.layers)), "out"):
-            shifted = torch.baddbmm(theta[f"{name}.shift"][..., None], theta[f"{name}.code"], code)
-            x = shifted.baddbmm_(theta[f"{name}.kernel"], x)  # in place: to copy it takes as long as the product
-            x = x if name == "out" else x.sin()
-        result: Tensor = x.unflatten(2, size)
-        return result
+# The same of pictures too large for the memory that they take: some rows at a time, no gradient
 
 
-def regridded(values: Tensor, rows: int, columns: int, *, periodic: bool) -> Tensor:
-    """Values [..., r, c] of a grid on a finer one, [..., rows, columns], linear between the cells' centres."""
-    if values.shape[-2:] == (rows, columns):
-        return values
-    down = _linear(rows, values.shape[-2], periodic=False).to(values)
-    return down @ values @ _linear(columns, values.shape[-1], periodic=periodic).T.to(values)
+def rows_of(x: Tensor) -> Rows:
+    """The rows of maps [B, C, H, W]."""
+    return lambda first, end: x[..., torch.arange(first, end, device=x.device) % x.shape[-2], :]
 
 
-@functools.lru_cache(maxsize=8)
-def _interpolation(field: LocalField, device: torch.device) -> tuple[Tensor, Tensor]:
-    """What each row and column takes of those of the code: [height, rows] and [columns, width]."""
-    down = _linear(field.height, field.rows, periodic=False)
-    across = _linear(field.width, field.columns, periodic=field.periodic).T.contiguous()
-    return down.to(device), across.to(device)
+def enlarged_rows(x: Tensor) -> Rows:
+    """The rows of maps [B, C, H, W] twice as high and wide, as `tiling.enlarged`; from an odd one to an odd end."""
+
+    def read(first: int, end: int) -> Tensor:
+        coarse = rows_of(x)((first - 1) // 2, end // 2 + 1)
+        return interpolate(pad(coarse, (1, 1, 0, 0), mode="circular"), scale_factor=2, mode="bilinear")[..., 1:-1, 2:-2]
+
+    return read
 
 
-def _linear(count: int, cells: int, *, periodic: bool) -> Tensor:
-    """Linear interpolation at `count` centres between those of `cells`, [count, cells]; around or up to the ends."""
-    place = (torch.arange(count) + 0.5) * (cells / count) - 0.5
-    first = place.floor().long()
-    weights = torch.zeros(count, cells)
-    for cell, share in ((first, 1 - (place - first)), (first + 1, place - first)):
-        cell = cell % cells if periodic else cell.clamp(0, cells - 1)
-        weights.scatter_add_(1, cell[:, None], share[:, None])
-    return weights
+def styled_by_rows(theta: Params, name: str, read: Rows, height: int) -> Tensor:
+    """`layers.styled` of maps that are `height` high: the same, without a copy of what it reads."""
+    kernel, made = theta[f"{name}.kernel"], None
+    for top in range(0, height, ROWS):
+        end = min(top + ROWS, height)
+        strip = pad(read(top - 1, end + 1), (1, 1, 0, 0), mode="circular")
+        part = conv2d(strip, kernel.flatten(0, 1), groups=kernel.shape[0])
+        made = part.new_empty(*part.shape[:2], height, part.shape[3]) if made is None else made
+        made[..., top:end, :] = part
+    assert made is not None
+    for channel, gain, shift in zip(made.split(1, 1), *style_of(theta, name), strict=True):
+        channel.copy_(leaky_relu(instance_norm(channel) * gain + shift, SLOPE))
+    return made

@@ -35,7 +35,7 @@ class CodedPresentation(Presentation[AnyCoded]):
         stacked, measured = stack(self.app, [task]), {}
         for name, fit in fits.items():
             if errors := self.app.errors({key: value[None] for key, value in fit.theta.items()}, stacked):
-                errors["error"] = self.app.scale * errors["error"]
+                errors["error"] = self.app.traits.scale * errors["error"]
                 measured[name] = {title: float(errors[key]) for key, title in self.of_pictures.items()}
         return measured
 

@@ -35,7 +35,7 @@ def preparation(
         compiled: whether to compile the inner step and its adjoint where they are not in C.
     """
     app, recipe, rule = job.app, job.recipe, rule_of(job.rule)
-    training = recipe.meta_training(job.rule)
+    training = recipe.training(job.rule)
     random = {key: value[0] for key, value in app.init(rng, 1).items()}
     theta = {} if general.encoder else general.theta or random
     steps = META.count(job)
@@ -102,15 +102,19 @@ def rule(job: Job, prepared: MetaParameters, theta: Params, steps: int) -> Updat
 
 
 def guard(job: Job) -> Guard:
-    """Which fits by the job's rule are doubtful, after so many steps."""
-    return job.recipe.guard_of(job.rule, META.count(job))
+    """Which fits by the job's rule are doubtful: as its training says for the recipe's number of steps.
+
+    Of other rules, and after other steps, those that end above their initialisation; QuickFT's Adam is their fallback.
+    """
+    usual = META.count(job) == job.recipe.steps
+    return (usual and job.recipe.training(job.rule).guard) or Guard(job.recipe.quickft)
 
 
 def prepare(job: Job, given: Given) -> Prepared:
     """Learn the initialisation and the rule, after a search of the Adam that it begins as, if the recipe has one."""
-    training = job.recipe.meta_training(job.rule)
+    training = job.recipe.training(job.rule)
     general = _from_general(job, training, given)
-    first, loss = preparation(job, general, given.rng, lambda: job.app.compiles and can_compile())
+    first, loss = preparation(job, general, given.rng, lambda: job.app.traits.compiles and can_compile())
     first = with_gradients(job, first, given.to_fit, given.rng)
     if training.tuned:
         found, given = _searched(job, training, first, given)
@@ -122,11 +126,11 @@ def prepare(job: Job, given: Given) -> Prepared:
 
 def _from_general(job: Job, training: MetaTraining, given: Given) -> MetaParameters:
     """What phi goes on from: an encoder, the mean of General's predictions, or nothing."""
-    if training.start == "untrained":
+    if training.initialisation == "untrained":
         return MetaParameters(encoder=job.app.init_encoder(given.rng))
     if given.encoder is None or not training.from_general:
         return MetaParameters()
-    if training.start == "encoder":
+    if training.initialisation == "encoder":
         return given.encoder
     predicted = general_start(job, given.encoder, given.to_fit, given.rng)
     return MetaParameters({key: value.mean(0) for key, value in predicted.items()})

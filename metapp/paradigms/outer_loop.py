@@ -37,7 +37,7 @@ def train(
         Interrupted: Ctrl-C; carries the best state so far.
         FloatingPointError: the training loss is not finite; names tasks and step.
     """
-    rng, since, scale = given.rng, given.since, job.app.scale
+    rng, since, scale = given.rng, given.since, job.app.traits.scale
     if given.steps is not None:
         training = replace(training, steps=given.steps)
     best = Prepared(first, float("inf"), 0, [])

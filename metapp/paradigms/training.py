@@ -56,7 +56,7 @@ def training_of(job: Job, name: str, steps: int | None) -> OuterLoop | None:
     """How a start is trained, with outer steps instead of the recipe's; None where there is only a search."""
     if name == "quickft":
         return None
-    training = job.recipe.general if name == "general" else job.recipe.meta_training(name)
+    training = job.recipe.general if name == "general" else job.recipe.training(name)
     if training.steps and steps is not None:
         training = replace(training, steps=steps)
     return training

@@ -38,7 +38,7 @@ def validation_error(paradigm: Paradigm, job: Job, prepared: MetaParameters, tas
     Learned rules fit without their guard: the best state is that of the best rule, not that of the best fallback.
     """
     paradigm = paradigm._replace(guard=lambda job: None)
-    total, seeds = 0.0, 1 if job.app.deterministic else 2
+    total, seeds = 0.0, 1 if job.app.traits.deterministic else 2
     for seed in range(seeds):
         rng = Generator(tasks.rows.device).manual_seed(seed)
         for some in torch.arange(len(tasks)).split(AT_ONCE):
@@ -48,4 +48,4 @@ def validation_error(paradigm: Paradigm, job: Job, prepared: MetaParameters, tas
             except FloatingPointError:
                 return float("inf")
             total += float(job.app.errors(theta, part)["error"].sum())
-    return job.app.scale * total / (seeds * len(tasks))
+    return job.app.traits.scale * total / (seeds * len(tasks))

@@ -6,17 +6,14 @@ All of it is differentiable, in the weights and in the directions.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-import drjit
-import mitsuba
 import numpy as np
-from drjit import nn
 from numpy.typing import NDArray
 from torch import Tensor
 
-dr: Any = drjit
-mi: Any = mitsuba
+from metapp.rendering.jit import dr, mi, nn
+from metapp.rendering.types import Color, Float, Vector3
 
 
 class Material(NamedTuple):
@@ -53,7 +50,7 @@ class Network:
         """Read the weights from memory from now on, several times slower than constants of the kernel."""
         self._constants = []
 
-    def reflectance(self, light: Any, viewer: Any) -> Any:
+    def reflectance(self, light: Vector3, viewer: Vector3) -> Color:
         """Linear RGB in 1/sr, >= 0 (Color3f), of directions above the surface in its local frame (Vector3f)."""
         half, difference = half_difference(light, viewer)
         inputs = [*half, *difference]
@@ -68,56 +65,56 @@ class Network:
             last = self._by_gathers(inputs)
         return dr.maximum(expm1(mi.Color3f(last)), 0)
 
-    def _active(self, x: Any) -> Any:
+    def _active(self, x: Float) -> Float:
         return x / (1 + dr.exp(-x)) if self.featured else dr.maximum(x, 0)
 
-    def _by_constants(self, *x: Any) -> list[Any]:
-        """What the exponential is taken of, with the weights as part of the code.
+    def _by_constants(self, *x: Float) -> list[Float]:
+        """The last layer, with the weights as constants of the kernel.
 
-        Calls read memory of a 16 lanes' pointers each, which takes ten times as long as the arithmetic.
+        Reading them from memory, 16 lanes at a time, takes ten times as long as the arithmetic.
         """
         return self._unrolled(
             list(x), lambda layer, row: (self._constants[layer][0][row], self._constants[layer][1][row])
         )
 
-    def _by_gathers(self, x: list[Any]) -> list[Any]:
+    def _by_gathers(self, x: list[Float]) -> list[Float]:
         """The same, differentiable in the weights."""
 
-        def parts(layer: int, row: int) -> tuple[list[Any], Any]:
+        def parts(layer: int, row: int) -> tuple[list[Float], Float]:
             inputs = self.weights[layer].shape[1]
             index = [mi.UInt32(row * inputs + column) for column in range(inputs)]
             flat = self.weights[layer].array
-            return [dr.gather(mi.Float, flat, each) for each in index], dr.gather(mi.Float, self.biases[layer], row)
+            return [dr.gather(mi.Float, flat, i) for i in index], dr.gather(mi.Float, self.biases[layer], row)
 
         return self._unrolled(x, parts)
 
-    def _unrolled(self, x: list[Any], parts: Callable[[int, int], tuple[list[Any], Any]]) -> list[Any]:
+    def _unrolled(self, x: list[Float], parts: Callable[[int, int], tuple[list[Float], Float]]) -> list[Float]:
         for layer, weights in enumerate(self.weights):
             rows = []
             for row in range(weights.shape[0]):
                 factors, bias = parts(layer, row)
                 total = mi.Float(bias)
-                for factor, each in zip(factors, x, strict=True):
-                    total = dr.fma(factor, each, total)
+                for factor, value in zip(factors, x, strict=True):
+                    total = dr.fma(factor, value, total)
                 rows.append(self._active(total) if layer < len(self.weights) - 1 else total)
             x = rows
         return x
 
-    def _by_vectors(self, x: list[Any]) -> list[Any]:
+    def _by_vectors(self, x: list[Float]) -> list[Float]:
         """The same by cooperative vectors: such a kernel compiles at once."""
         for layer, (weights, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
             if layer:
-                x = [self._active(each) for each in x]
+                x = [self._active(value) for value in x]
             x = list(nn.matvec(nn.view(weights), nn.CoopVec(*x), nn.view(bias)))
         return x
 
 
-def expm1(x: Any) -> Any:
+def expm1(x: Color) -> Color:
     """exp(x) - 1, without the cancellation at small values, which dark materials have."""
     return dr.select(dr.abs(x) < 0.01, x * (1 + x * (0.5 + x / 6)), dr.exp(x) - 1)
 
 
-def half_difference(light: Any, viewer: Any) -> tuple[Any, Any]:
+def half_difference(light: Vector3, viewer: Vector3) -> tuple[Vector3, Vector3]:
     """Half vector, turned to phi_h = 0, and difference vector of `metapp.appearance.geometry.half_difference`."""
     total = light + viewer
     length = dr.norm(total)
@@ -133,11 +130,11 @@ def half_difference(light: Any, viewer: Any) -> tuple[Any, Any]:
     return mi.Vector3f(sine, 0, half.z), difference
 
 
-def features(half: Any, difference: Any, incident: Any, outgoing: Any) -> list[Any]:
+def features(half: Vector3, difference: Vector3, incident: Float, outgoing: Float) -> list[Float]:
     """What `metapp.apps.brdf.featured.inputs_of` adds to the vectors, of these and both cosines."""
     angle = dr.atan2(half.x, half.z)
     square = angle * angle
     logs = (square + 1e-4, square + 1e-2, dr.maximum(incident, 1e-3), dr.maximum(outgoing, 1e-3))
     lying = difference.x * difference.x - difference.y * difference.y
     more = [incident, outgoing, dr.sqrt(angle), 1 / (1 + 100 * square), lying]
-    return [*more, *(0.4 * dr.log(each) + 1 for each in logs)]
+    return [*more, *(0.4 * dr.log(value) + 1 for value in logs)]

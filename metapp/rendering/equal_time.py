@@ -5,11 +5,14 @@ from __future__ import annotations
 import math
 import time
 import warnings
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import torch
 from torch import Tensor
+
+from metapp.rendering.jit import mi
+from metapp.rendering.types import Integrator, Scene, Sensor
 
 _WAVES = 16  # that a picture in a given time is made of, about
 
@@ -33,14 +36,8 @@ class TimedPicture(NamedTuple):
         return sum(self.spent.values())
 
 
-def resize(mi: Any, scene: Any, side: int) -> None:
-    """Give the film of a scene's first sensor another size: so many pixels along its longer side, all of it.
-
-    Args:
-        mi: Mitsuba.
-        scene: loaded.
-        side: px.
-    """
+def resize(scene: Scene, side: int) -> None:
+    """Give the film of a scene's first sensor another size: so many pixels along its longer side, all of it."""
     values = mi.traverse(scene.sensors()[0])
     size = scene.sensors()[0].film().size()
     longer = max(int(size[0]), int(size[1]))
@@ -49,12 +46,11 @@ def resize(mi: Any, scene: Any, side: int) -> None:
     values.update()
 
 
-def square_sensor(mi: Any, scene: Any, side: int) -> Any:
-    """A sensor that sees the central square of what a scene's first sensor sees, each pixel by itself.
+def square_sensor(scene: Scene, side: int) -> Sensor:
+    """A sensor that sees the central square of what a scene's first, perspective one sees, each pixel by itself.
 
     Args:
-        mi: Mitsuba.
-        scene: loaded; its sensor is a perspective one.
+        scene: loaded.
         side: of the film, px.
     """
     sensor = scene.sensors()[0]
@@ -68,12 +64,11 @@ def square_sensor(mi: Any, scene: Any, side: int) -> Any:
 
 
 def guided_picture(
-    mi: Any, scene: Any, spp: int, depth: int, seed: int = 0, *, emitter_sampling: bool = True, checkpoint: str = ""
+    scene: Scene, spp: int, depth: int, seed: int = 0, *, emitter_sampling: bool = True, checkpoint: str = ""
 ) -> TimedPicture:
     """By `guided_path`, which must be registered.
 
     Args:
-        mi: Mitsuba.
         scene: loaded.
         spp: samples a pixel.
         depth: edges of the longest path.
@@ -84,17 +79,16 @@ def guided_picture(
     begin = time.process_time()
     kind = {"type": "guided_path", "max_depth": depth, "emitter_sampling": emitter_sampling, "checkpoint": checkpoint}
     integrator = mi.load_dict(kind)
-    picture = rendered(mi, scene, integrator, spp, seed)
-    spent, all_of_it = dict(integrator.spent), time.process_time() - begin
+    picture = rendered(scene, integrator, spp, seed)
+    spent, total = dict(integrator.spent), time.process_time() - begin
     rest = "all else" if spent else "regular samples"  # where `path` rendered instead
-    return TimedPicture(picture, spp, spent | {rest: all_of_it - sum(spent.values())})
+    return TimedPicture(picture, spp, spent | {rest: total - sum(spent.values())})
 
 
-def regular_picture(mi: Any, scene: Any, seconds: float, spp: int, depth: int, seed: int = 0) -> TimedPicture:
+def regular_picture(scene: Scene, seconds: float, spp: int, depth: int, seed: int = 0) -> TimedPicture:
     """By `path`, in as many waves as there is time for, one at least.
 
     Args:
-        mi: Mitsuba.
         scene: loaded.
         seconds: of CPU.
         spp: samples a pixel that there may be time for, about.
@@ -102,18 +96,18 @@ def regular_picture(mi: Any, scene: Any, seconds: float, spp: int, depth: int, s
         seed: of all draws.
     """
     integrator = mi.load_dict({"type": "path", "max_depth": depth})
-    each = max(1, spp // _WAVES)
+    per_wave = max(1, spp // _WAVES)
     begin, longest, total, waves = time.process_time(), 0.0, torch.zeros(()), 0
     while not waves or time.process_time() - begin + longest / 2 <= seconds:
         start = time.process_time()
-        total = total + rendered(mi, scene, integrator, each, seed * 2**16 + waves)
+        total = total + rendered(scene, integrator, per_wave, seed * 2**16 + waves)
         waves, longest = waves + 1, time.process_time() - start
-    return TimedPicture(total / waves, each * waves, {"regular samples": time.process_time() - begin})
+    return TimedPicture(total / waves, per_wave * waves, {"regular samples": time.process_time() - begin})
 
 
-def rendered(mi: Any, scene: Any, integrator: Any, spp: int, seed: int, sensor: Any = 0) -> Tensor:
+def rendered(scene: Scene, integrator: Integrator, spp: int, seed: int, sensor: Sensor | int = 0) -> Tensor:
     """A picture by any integrator, linear RGB [rows, columns, 3]."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # where there is no guide: `spent` of a guided picture tells
-        made = mi.render(scene, sensor=sensor, integrator=integrator, spp=spp, seed=seed)
-    return torch.from_numpy(made.numpy())[..., :3].clone()
+        picture = mi.render(scene, sensor=sensor, integrator=integrator, spp=spp, seed=seed)
+    return torch.from_numpy(picture.numpy())[..., :3].clone()

@@ -14,6 +14,7 @@ import torch
 from numpy.typing import ArrayLike
 from torch import Tensor
 
+from metapp.rendering import types as mt
 from metapp.rendering.guide_histogram import (
     AXES,
     BINS,
@@ -32,7 +33,6 @@ from metapp.rendering.guide_histogram import (
     voxels_of,
 )
 from metapp.rendering.jit import dr, mi
-from metapp.rendering.types import Float, Frame, Mask, Point2, Point3, UInt32, Vector3
 
 FINE_PATHS = 2048.0  # from which an entry has a histogram of its own
 
@@ -46,9 +46,9 @@ class Location(NamedTuple):
         frame: about the normal, turned alike in all of an entry.
     """
 
-    entry: UInt32
-    row: UInt32
-    frame: Frame
+    entry: mt.UInt32
+    row: mt.UInt32
+    frame: mt.Frame
 
 
 class GuideCache:
@@ -73,7 +73,7 @@ class GuideCache:
         self._tabulate(torch.ones(1, BINS, dtype=torch.float64))
         self.prior: MomentPrior = second_moments
 
-    def locate(self, point: Point3, normal: Vector3) -> Location:
+    def locate(self, point: mt.Point3, normal: mt.Vector3) -> Location:
         """Where points with these unit normals are."""
         voxel = mi.Vector3u(dr.clip(mi.Vector3i((point - self.low) * self.scale), 0, GRID - 1))
         size = dr.abs(normal)
@@ -90,13 +90,13 @@ class GuideCache:
         row = dr.gather(mi.UInt32, self.rows, entry)
         return Location(entry, row, mi.Frame3f(tangent, dr.cross(normal, tangent), normal))
 
-    def bin(self, local: Vector3) -> UInt32:
+    def bin(self, local: mt.Vector3) -> mt.UInt32:
         """The bin of directions in a location's frame; any one below the surface."""
         square = mi.warp.uniform_disk_to_square_concentric(mi.Point2f(local.x, local.y))
         within = dr.clip(mi.Vector2i(square * SIDE), 0, SIDE - 1)
         return mi.UInt32(within.y * SIDE + within.x)
 
-    def sample(self, row: UInt32, point: Point2, active: Mask) -> tuple[UInt32, Vector3]:
+    def sample(self, row: mt.UInt32, point: mt.Point2, active: mt.Mask) -> tuple[mt.UInt32, mt.Vector3]:
         """Sample directions by points of the unit square: the bin, and the direction in the location's frame."""
         along = point.x * BINS
         first = dr.minimum(mi.UInt32(along), BINS - 1)
@@ -109,12 +109,12 @@ class GuideCache:
         square = (mi.Point2f(mi.Float(index % SIDE), mi.Float(index // SIDE)) + inside) * (1 / SIDE)
         return index, mi.warp.square_to_cosine_hemisphere(square)
 
-    def density(self, row: UInt32, index: UInt32, active: Mask) -> Float:
+    def density(self, row: mt.UInt32, index: mt.UInt32, active: mt.Mask) -> mt.Float:
         """The density by which directions of a bin are sampled, over the cosine's."""
         word = dr.gather(mi.UInt32, self.words, row * BINS + index, active)
         return mi.Float(word >> 2 * BYTE) * (BINS / SLOTS)
 
-    def add(self, index: UInt32, density: Float, carried: Float, active: Mask) -> None:
+    def add(self, index: mt.UInt32, density: mt.Float, carried: mt.Float, active: mt.Mask) -> None:
         """Add what paths carried.
 
         Args:

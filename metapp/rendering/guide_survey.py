@@ -7,21 +7,21 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from metapp.rendering import types as mt
 from metapp.rendering.guide_cache import GuideCache
 from metapp.rendering.guide_features import CHANNELS, FirstHits, SurveyFeatures, features_of
 from metapp.rendering.guide_histogram import BINS, ENTRIES, SIDE, coarse_voxels, voxels_of
 from metapp.rendering.guided_path import RECORDED, Bounce, PathTracer, Records, mis_weight
 from metapp.rendering.jit import dr, mi
-from metapp.rendering.types import Color, Float, Mask, Ray, Sampler, Scene, Sensor, UInt32
 
 FILM = 128  # paths along a side of the film
 RAYS = 4  # of each bin
 SPECULAR = 6  # mirrors and glass that a ray follows, at most
 _SPACE = 1e-4  # by which rays start off a surface
 
-Hit = tuple[UInt32, Float, Float, Float]
+Hit = tuple[mt.UInt32, mt.Float, mt.Float, mt.Float]
 """The fields of `FirstHits`, in Dr.Jit."""
-Step = tuple[Ray, Hit, UInt32, Sampler, Mask]
+Step = tuple[mt.Ray, Hit, mt.UInt32, mt.Sampler, mt.Mask]
 
 
 class SurveyRecords(Records):
@@ -33,7 +33,7 @@ class SurveyRecords(Records):
         self.unlit = dr.zeros(mi.Float, paths * RECORDED)
         dr.eval(self.points, self.unlit)
 
-    def add(self, depth: UInt32, bounce: Bounce, active: Mask) -> None:
+    def add(self, depth: mt.UInt32, bounce: Bounce, active: mt.Mask) -> None:
         """Record a bounce."""
         super().add(depth, bounce, active)
         slot, active = self.lane * RECORDED + depth, active & (depth < RECORDED)
@@ -42,7 +42,7 @@ class SurveyRecords(Records):
         for store, value in zip((*self.points, self.unlit), values, strict=True):
             dr.scatter(store, value, slot, active)
 
-    def outgoing(self, radiance: Color) -> tuple[Tensor, Tensor]:
+    def outgoing(self, radiance: mt.Color) -> tuple[Tensor, Tensor]:
         """What entries send out but for emission, as sums of luminance and counts of paths, float64 [ENTRIES] each."""
         total = _tensor(mi.luminance(radiance)).repeat_interleave(RECORDED)
         outgoing = (total - _tensor(self.unlit)).clamp_min(0) / _tensor(self.values[1]).clamp_min(1e-12)
@@ -65,7 +65,7 @@ class SurveyRecords(Records):
 
 
 def survey(
-    tracer: PathTracer, scene: Scene, sensor: Sensor, cache: GuideCache, seed: UInt32, *, features: bool
+    tracer: PathTracer, scene: mt.Scene, sensor: mt.Sensor, cache: GuideCache, seed: mt.UInt32, *, features: bool
 ) -> tuple[SurveyFeatures | None, NDArray[np.float32]]:
     """Trace a few paths of a scene, from which the cache learns, too.
 
@@ -94,7 +94,7 @@ def survey(
 
 
 def _features(
-    records: SurveyRecords, light: Color, scene: Scene, cache: GuideCache, sampler: Sampler
+    records: SurveyRecords, light: mt.Color, scene: mt.Scene, cache: GuideCache, sampler: mt.Sampler
 ) -> SurveyFeatures:
     entries, points = records.one_per_entry()
     if not len(entries):
@@ -108,7 +108,9 @@ def _features(
     return SurveyFeatures.of(voxels, features_of(hits, *records.outgoing(light)))
 
 
-def _first_hits(records: SurveyRecords, start: Tensor, scene: Scene, cache: GuideCache, sampler: Sampler) -> FirstHits:
+def _first_hits(
+    records: SurveyRecords, start: Tensor, scene: mt.Scene, cache: GuideCache, sampler: mt.Sampler
+) -> FirstHits:
     """What rays from the points of such indices [P, RAYS, BINS] meet, each in its bin, behind mirrors and glass."""
     count = start.numel()
     index = mi.UInt32(start.flatten().numpy().astype(np.uint32))
@@ -121,7 +123,7 @@ def _first_hits(records: SurveyRecords, start: Tensor, scene: Scene, cache: Guid
     first = dr.zeros(mi.SurfaceInteraction3f, count)
     first.p, first.n, first.sh_frame = point, normal, mi.Frame3f(normal)
 
-    def follow(ray: Ray, hit: Hit, depth: UInt32, sampler: Sampler, active: Mask) -> Step:
+    def follow(ray: mt.Ray, hit: Hit, depth: mt.UInt32, sampler: mt.Sampler, active: mt.Mask) -> Step:
         entry, emitted, distance, cosine = hit
         si = scene.ray_intersect(ray, mi.RayFlags.All, False, active)
         bsdf, valid = si.bsdf(ray), active & si.is_valid()
@@ -149,7 +151,7 @@ def _first_hits(records: SurveyRecords, start: Tensor, scene: Scene, cache: Guid
     return FirstHits(entry.long(), *others)
 
 
-def _tensor(values: Float | UInt32) -> Tensor:
+def _tensor(values: mt.Float | mt.UInt32) -> Tensor:
     """An array of Dr.Jit's; whole numbers are below 2**31."""
     array = values.numpy()
     return torch.from_numpy(array.view(np.int32) if array.dtype == np.uint32 else array)

@@ -27,7 +27,7 @@ LEARNED = MetaTraining(
     order=1,
     clip=1.0,
     validate_every=100,
-    start="encoder",
+    initialisation="encoder",
 )
 RECIPE = Recipe(
     steps=8,
@@ -56,7 +56,6 @@ class PriorProblem(App):
         "visible": Held(("N", BINS), low=0.0),
         "truth": Held(("N", BINS), low=0.0, optional=True),
     }
-    recipes = {"quick": RECIPE}  # noqa: RUF012  (never written to)
 
     def prepare(self, task: Task) -> dict[str, Tensor]:
         return {key: task.data[key] for key in self.holds if key in task.data}

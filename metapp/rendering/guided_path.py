@@ -11,25 +11,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import NamedTuple
 
+from metapp.rendering import types as mt
 from metapp.rendering.guide_cache import GuideCache, Location
 from metapp.rendering.guide_histogram import BINS
 from metapp.rendering.jit import dr, mi
-from metapp.rendering.types import (
-    Bsdf,
-    BsdfSample,
-    Color,
-    EmitterSample,
-    Float,
-    Interaction,
-    Mask,
-    Point2,
-    Point3,
-    Ray,
-    Sampler,
-    Scene,
-    UInt32,
-    Vector3,
-)
 
 RECORDED = 8  # bounces of a path that the cache learns from
 MIXED, GLOSSY = 0.5, 0.25  # share of directions from the cache where surfaces are diffuse and more, or glossy
@@ -60,13 +45,13 @@ class Bounce(NamedTuple):
         point, normal: of the surface.
     """
 
-    index: UInt32
-    density: Float
-    throughput: Float
-    radiance: Float
-    unlit: Float
-    point: Point3
-    normal: Vector3
+    index: mt.UInt32
+    density: mt.Float
+    throughput: mt.Float
+    radiance: mt.Float
+    unlit: mt.Float
+    point: mt.Point3
+    normal: mt.Vector3
 
 
 class Records:
@@ -79,14 +64,14 @@ class Records:
         self.values = [dr.zeros(mi.Float, paths * RECORDED) for _ in range(3)]  # density, throughput, radiance so far
         dr.eval(self.lane, self.indices, self.values)
 
-    def add(self, depth: UInt32, bounce: Bounce, active: Mask) -> None:
+    def add(self, depth: mt.UInt32, bounce: Bounce, active: mt.Mask) -> None:
         """Record a bounce."""
         slot, active = self.lane * RECORDED + depth, active & (depth < RECORDED)
         values = (bounce.index + 1, bounce.density, bounce.throughput, bounce.radiance)
         for store, value in zip((self.indices, *self.values), values, strict=True):
             dr.scatter(store, value, slot, active)
 
-    def train(self, cache: GuideCache, radiance: Color) -> None:
+    def train(self, cache: GuideCache, radiance: mt.Color) -> None:
         """Add all bounces to a cache, by the radiance that the paths have in the end."""
         total = mi.luminance(radiance)
         dr.eval(total, self.indices, self.values)
@@ -108,17 +93,17 @@ class _Paths:
         hits: where a path met something, a sky at least.
     """
 
-    sampler: Sampler
-    ray: Ray
-    depth: UInt32
-    radiance: Color
-    throughput: Color
-    eta: Float
-    origin: Interaction
-    density: Float
-    is_delta: Mask
-    hits: Mask
-    active: Mask
+    sampler: mt.Sampler
+    ray: mt.Ray
+    depth: mt.UInt32
+    radiance: mt.Color
+    throughput: mt.Color
+    eta: mt.Float
+    origin: mt.Interaction
+    density: mt.Float
+    is_delta: mt.Mask
+    hits: mt.Mask
+    active: mt.Mask
 
 
 class PathTracer:
@@ -128,8 +113,14 @@ class PathTracer:
         self.settings = settings
 
     def trace(
-        self, scene: Scene, sampler: Sampler, ray: Ray, cache: GuideCache, guided: bool, records: Records | None
-    ) -> tuple[Color, Mask]:
+        self,
+        scene: mt.Scene,
+        sampler: mt.Sampler,
+        ray: mt.Ray,
+        cache: GuideCache,
+        guided: bool,
+        records: Records | None,
+    ) -> tuple[mt.Color, mt.Mask]:
         """Trace paths.
 
         Args:
@@ -146,13 +137,13 @@ class PathTracer:
             si = scene.ray_intersect(paths.ray, mi.RayFlags.All, paths.depth == 0, paths.active)
             paths.radiance += paths.throughput * self._emitted(scene, si, paths)
             active = paths.active & (paths.depth + 1 < self.settings.max_depth) & si.is_valid()
-            vertex = Vertex(self.settings, scene, paths.sampler, si, si.bsdf(paths.ray), active)
+            vertex = Vertex(self.settings, scene, paths, si, active)
             sample = vertex.by_cache(cache) if guided else vertex.by_bsdf()
             unlit = mi.luminance(paths.radiance)
             paths.radiance += paths.throughput * sample.emitter_radiance
             if records is not None:
                 path = mi.luminance(paths.throughput), mi.luminance(paths.radiance), unlit
-                records.add(paths.depth, *vertex.recorded(cache, sample, path))
+                records.add(paths.depth, *vertex.recorded(cache, sample, *path))
             paths.throughput *= sample.weight
             paths.eta *= sample.eta
             paths.hits |= active & ~sample.is_null
@@ -175,7 +166,7 @@ class PathTracer:
         (paths,) = dr.while_loop((paths,), lambda paths: paths.active, bounce)
         return paths.radiance, paths.hits
 
-    def _emitted(self, scene: Scene, si: Interaction, paths: _Paths) -> Color:
+    def _emitted(self, scene: mt.Scene, si: mt.Interaction, paths: _Paths) -> mt.Color:
         """What the surface or sky that paths met emits, by its MIS weight beside emitter sampling."""
         there = mi.DirectionSample3f(scene, si=si, ref=paths.origin)
         light = there.emitter.eval(si, paths.active)
@@ -185,7 +176,7 @@ class PathTracer:
         return light * mis_weight(paths.density, density)
 
 
-def mis_weight(density: Float, other: Float) -> Float:
+def mis_weight(density: mt.Float, other: mt.Float) -> mt.Float:
     """The power heuristic (Veach & Guibas 1995)."""
     square = dr.square(density)
     weight = square / (square + dr.square(other))
@@ -205,29 +196,28 @@ class Sampled(NamedTuple):
         guide: density over the cosine's, and bin in the cache; None where it was not asked.
     """
 
-    wo: Vector3
-    density: Float
-    weight: Color
-    eta: Float
-    is_delta: Mask
-    is_null: Mask
-    emitter_radiance: Color
-    guide: tuple[Float, UInt32] | None
+    wo: mt.Vector3
+    density: mt.Float
+    weight: mt.Color
+    eta: mt.Float
+    is_delta: mt.Mask
+    is_null: mt.Mask
+    emitter_radiance: mt.Color
+    guide: tuple[mt.Float, mt.UInt32] | None
 
 
-Evaluated = tuple[BsdfSample, Color, Vector3, Color, Float, tuple[Color, Float]]
+Evaluated = tuple[mt.BsdfSample, mt.Color, mt.Vector3, mt.Color, mt.Float, tuple[mt.Color, mt.Float]]
 """The BSDF's sample and weight; the direction taken, value and density there; both in the emitter's direction."""
 
 
 class Vertex:
     """Vertices of paths, where an emitter and the next direction are sampled."""
 
-    def __init__(
-        self, settings: Settings, scene: Scene, sampler: Sampler, si: Interaction, bsdf: Bsdf, active: Mask
-    ) -> None:
-        self.si, self.bsdf, self.active = si, bsdf, active
+    def __init__(self, settings: Settings, scene: mt.Scene, paths: _Paths, si: mt.Interaction, active: mt.Mask) -> None:
+        self.si, self.bsdf, self.active = si, si.bsdf(paths.ray), active
+        sampler = paths.sampler
         flags, kinds = self.bsdf.flags(), mi.BSDFFlags
-        self.emitter: EmitterSample = None
+        self.emitter: mt.EmitterSample = None
         if settings.emitter_sampling:
             scatters = active & mi.has_flag(flags, kinds.Smooth)
             self.emitter, self.emitted = scene.sample_emitter_direction(si, sampler.next_2d(), True, scatters)
@@ -284,26 +274,23 @@ class Vertex:
             (mixture * dr.pi / dr.maximum(cosine, 1e-6), index),
         )
 
-    def recorded(self, cache: GuideCache, sample: Sampled, path: tuple[Float, Float, Float]) -> tuple[Bounce, Mask]:
-        """The bounce as `Records` keep it, and where it counts.
-
-        Args:
-            cache: of the scene.
-            sample: of this vertex.
-            path: luminance of its throughput, of its radiance, and of that without the emitter sampled here.
-        """
+    def recorded(
+        self, cache: GuideCache, sample: Sampled, throughput: mt.Float, radiance: mt.Float, unlit: mt.Float
+    ) -> tuple[Bounce, mt.Mask]:
+        """The bounce as `Records` keep it, of a sample of this vertex, and where it counts."""
         location = self._location(cache)
         local = location.frame.to_local(self.si.to_world(sample.wo))
         density, index = sample.guide or (sample.density * dr.pi / dr.maximum(local.z, 1e-6), cache.bin(local))
-        bounce = Bounce(location.entry * BINS + index, density, *path, self.si.p, location.frame.n)
+        index = location.entry * BINS + index
+        bounce = Bounce(index, density, throughput, radiance, unlit, self.si.p, location.frame.n)
         return bounce, self.active & (self.share > 0) & ~sample.is_delta & (local.z > 1e-4)
 
-    def _evaluated(self, guided: Vector3, of_cache: Mask, draw: Float) -> Evaluated:
+    def _evaluated(self, guided: mt.Vector3, of_cache: mt.Mask, draw: mt.Float) -> Evaluated:
         """Of the cache's direction `guided`, or one of the BSDF."""
         sees_emitter = self.emitter is not None
 
-        def evaluate(bsdf: Bsdf, si: Interaction, guided: Vector3, to_emitter: Vector3, of_cache: Mask, draw: Float,
-                     point: Point2, active: Mask) -> Evaluated:  # fmt: skip
+        def evaluate(bsdf: mt.Bsdf, si: mt.Interaction, guided: mt.Vector3, to_emitter: mt.Vector3,
+                     of_cache: mt.Mask, draw: mt.Float, point: mt.Point2, active: mt.Mask) -> Evaluated:  # fmt: skip
             context = mi.BSDFContext()
             drawn, weight = bsdf.sample(context, si, draw, point, active & ~of_cache)
             wo = dr.select(of_cache, guided, drawn.wo)
@@ -320,13 +307,13 @@ class Vertex:
         normal = self.si.sh_frame.n
         return cache.locate(self.si.p, dr.select(self.si.wi.z < 0, -normal, normal))
 
-    def _mixture_to_emitter(self, cache: GuideCache, location: Location, density: Float) -> Float:
+    def _mixture_to_emitter(self, cache: GuideCache, location: Location, density: mt.Float) -> mt.Float:
         """The density by which cache and BSDF together sample the emitter's direction."""
         local = location.frame.to_local(self.emitter.d)
         relative = cache.density(location.row, cache.bin(local), self.is_lit & (self.share > 0))
         return dr.lerp(density, relative * dr.maximum(local.z, 0) * dr.inv_pi, self.share)
 
-    def _emitter_radiance(self, value: Color, density: Float) -> Color:
+    def _emitter_radiance(self, value: mt.Color, density: mt.Float) -> mt.Color:
         """Light of the sampled emitter, by its MIS weight beside sampling directions of such a density."""
         weight = dr.select(self.emitter.delta, 1, mis_weight(self.emitter.pdf, density))
         return dr.select(self.is_lit, weight * value * self.emitted, 0)

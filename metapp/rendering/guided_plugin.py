@@ -13,24 +13,12 @@ from __future__ import annotations
 import warnings
 from pathlib import Path
 
+from metapp.rendering import types as mt
 from metapp.rendering.guide_prior import read_prior, shipped
 from metapp.rendering.guided_path import PathTracer, Settings
 from metapp.rendering.guided_picture import FEWEST, GuidedPicture, parts_of
 from metapp.rendering.jit import dr, mi
 from metapp.rendering.plugins import register_plugin
-from metapp.rendering.types import (
-    Color,
-    Integrator,
-    Mask,
-    PluginClass,
-    Properties,
-    Ray,
-    Sampler,
-    Scene,
-    Sensor,
-    Tensorf,
-    UInt32,
-)
 
 NAME = "guided_path"
 NO_PRIOR = "none"
@@ -42,13 +30,13 @@ def register_guided_path() -> None:
     register_plugin("integrator", NAME, plugin)
 
 
-def plugin() -> PluginClass:
+def plugin() -> mt.PluginClass:
     """The class of the plugin in the active variant."""
 
     class GuidedPath(mi.SamplingIntegrator):  # type: ignore[misc]  # a class of the variant
         """Properties, by default: `max_depth` -1, `rr_depth` 5, `hide_emitters` false, `emitter_sampling` true."""
 
-        def __init__(self, props: Properties) -> None:
+        def __init__(self, props: mt.Properties) -> None:
             mi.SamplingIntegrator.__init__(self, props)
             self.path = _path(props)  # refuses what is out of range
             settings = _settings(props)
@@ -62,13 +50,13 @@ def plugin() -> PluginClass:
 
         def render(
             self,
-            scene: Scene,
-            sensor: Sensor | int = 0,
-            seed: UInt32 | int = 0,
+            scene: mt.Scene,
+            sensor: mt.Sensor | int = 0,
+            seed: mt.UInt32 | int = 0,
             spp: int = 0,
             develop: bool = True,
             evaluate: bool = True,
-        ) -> Tensorf:
+        ) -> mt.Tensorf:
             sensor = scene.sensors()[sensor] if isinstance(sensor, int) else sensor
             spp, film = spp or sensor.sampler().sample_count(), sensor.film()
             pixels = int(dr.prod(film.crop_size()))
@@ -87,8 +75,8 @@ def plugin() -> PluginClass:
                 return film.develop() if develop else mi.TensorXf()
 
         def sample(
-            self, scene: Scene, sampler: Sampler, ray: Ray, medium: object = None, active: Mask = True
-        ) -> tuple[Color, Mask, list[object]]:
+            self, scene: mt.Scene, sampler: mt.Sampler, ray: mt.Ray, medium: object = None, active: mt.Mask = True
+        ) -> tuple[mt.Color, mt.Mask, list[object]]:
             """As `path` does."""
             _warn("another integrator asks it for rays, expected to be asked for a picture")
             return self.path.sample(scene, sampler, ray, medium, active)  # type: ignore[no-any-return]
@@ -100,19 +88,19 @@ def plugin() -> PluginClass:
     return GuidedPath
 
 
-def _path(props: Properties) -> Integrator:
+def _path(props: mt.Properties) -> mt.Integrator:
     """Mitsuba's `path` of the same properties."""
     names = ("max_depth", "rr_depth", "hide_emitters")
     return mi.load_dict({"type": "path", **{name: props[name] for name in names if name in props}})
 
 
-def _settings(props: Properties) -> Settings:
+def _settings(props: mt.Properties) -> Settings:
     depth = int(props.get("max_depth", DEPTH))
     emitter_sampling = bool(props.get("emitter_sampling", True))
     return Settings(depth if depth >= 0 else 2**32 - 1, int(props.get("rr_depth", RR_DEPTH)), emitter_sampling)
 
 
-def _useless(settings: Settings, scene: Scene, paths: int, *, hides_emitters: bool) -> str:
+def _useless(settings: Settings, scene: mt.Scene, paths: int, *, hides_emitters: bool) -> str:
     """Why a guide cannot help, if so."""
     if settings.emitter_sampling and settings.max_depth <= 2:
         return f"max_depth {settings.max_depth} leaves direct light alone, expected 3 or more"

@@ -1,6 +1,6 @@
 """Dr.Jit and Mitsuba, imported after a fit libLLVM was chosen: Dr.Jit keeps the first one that it finds.
 
-Both are `Any`, since the types of arrays are other ones in each variant, and Mitsuba's stubs mix those of two.
+All are `Any`, since the types of arrays are other ones in each variant, and Mitsuba's stubs mix those of two.
 """
 
 from __future__ import annotations
@@ -14,7 +14,9 @@ with suppress(ValueError):  # none is there: variants of GPUs need none
     choose_llvm()
 
 import drjit
+import drjit.nn
 import mitsuba
 
 dr: Any = drjit
 mi: Any = mitsuba
+nn: Any = drjit.nn

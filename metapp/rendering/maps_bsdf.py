@@ -3,23 +3,20 @@
     {"type": "neural_svbrdf", "diffuse": TEXTURE, "specular": TEXTURE, "roughness": TEXTURE}
 
 The specular texture is F0, in colour, which Mitsuba's `principled` takes as one number only. Normals go around it, as
-Mitsuba's own `normalmap`. Choose a libLLVM before this module is imported: `metapp.rendering.variant.choose_llvm`.
+Mitsuba's own `normalmap`.
 """
 
 from __future__ import annotations
 
-from typing import Any
-
-import drjit as dr
-import mitsuba as mi
-
 from metapp.appearance.flash import SMOOTHEST
-from metapp.rendering.plugins import register_plugin
+from metapp.rendering import types as mt
+from metapp.rendering.jit import dr, mi
+from metapp.rendering.plugins import LocalReflection, Reflection, enabled, reflection_bsdf, register_plugin
 
 NAME = "neural_svbrdf"
 DEFAULTS = {"diffuse": 0.5, "specular": 0.04, "roughness": 0.5}
-BODY, LOBE = 0, 1  # components
-LEAST = 0.1  # share of directions that are drawn for either
+DIFFUSE, SPECULAR = 0, 1  # components
+LEAST = 0.1  # share of directions that are sampled for either
 
 
 def register_maps_bsdf() -> None:
@@ -27,107 +24,76 @@ def register_maps_bsdf() -> None:
     register_plugin("bsdf", NAME, plugin)
 
 
-class Texel:
-    """A material in one place of the active variant, seen from one direction."""
-
-    def __init__(self, diffuse: Any, specular: Any, roughness: Any, viewer: Any) -> None:
-        alpha = dr.square(dr.maximum(roughness, SMOOTHEST))
-        self.facets = mi.MicrofacetDistribution(mi.MicrofacetType.GGX, alpha, True)
-        self.diffuse, self.specular, self.viewer = diffuse, specular, viewer
-        lobe, body = dr.mean(self._fresnel(viewer.z)), dr.mean(diffuse * (1 - specular))
-        self.share = dr.clip(lobe / dr.maximum(lobe + body, 1e-6), LEAST, 1 - LEAST)
-
-    def _fresnel(self, cosine: Any) -> Any:
-        return self.specular + (1 - self.specular) * dr.power(dr.maximum(1 - cosine, 0), 5)
-
-    def body(self, light: Any) -> Any:
-        """The Lambertian part, times the light's cosine."""
-        return self.diffuse * (1 - self.specular) * (dr.inv_pi * light.z)
-
-    def lobe(self, light: Any) -> Any:
-        """The microfacets' part, times the light's cosine."""
-        half = dr.normalize(self.viewer + light)
-        shape = self.facets.eval(half) * self.facets.G(self.viewer, light, half) / (4 * self.viewer.z)
-        return self._fresnel(dr.dot(light, half)) * shape
-
-    def density(self, light: Any, share: Any) -> Any:
-        """Of directions of which such a share is drawn for the lobe, per solid angle."""
-        half = dr.normalize(self.viewer + light)
-        lobe = self.facets.pdf(self.viewer, half) / (4 * dr.dot(light, half))
-        return dr.lerp(light.z * dr.inv_pi, lobe, share)
-
-    def drawn(self, which: Any, point: Any, share: Any) -> Any:
-        """A direction, which may be below the surface, by a number and a point in [0, 1)."""
-        half, _ = self.facets.sample(self.viewer, point)
-        mirrored = mi.reflect(self.viewer, half)
-        return dr.select(which < share, mirrored, mi.warp.square_to_cosine_hemisphere(point))
-
-
-def plugin() -> Any:
+def plugin() -> mt.PluginClass:
     """The class of the plugin in the active variant."""
 
-    class NeuralSvbrdf(mi.BSDF):  # a class of the variant
+    class NeuralSvbrdf(reflection_bsdf(MapsReflection)):  # type: ignore[misc]
         """Properties: the textures `diffuse`, `specular` (F0, linear RGB) and `roughness` (GGX alpha is its square)."""
 
-        def __init__(self, props: Any) -> None:
-            mi.BSDF.__init__(self, props)
-            self.textures = {key: props.get_texture(key, value) for key, value in DEFAULTS.items()}
-            varying = mi.BSDFFlags.FrontSide | mi.BSDFFlags.SpatiallyVarying
-            self.m_components = [mi.BSDFFlags.DiffuseReflection | varying, mi.BSDFFlags.GlossyReflection | varying]
-            self.m_flags = self.m_components[BODY] | self.m_components[LOBE]
-
-        def eval(self, ctx: Any, si: Any, wo: Any, active: Any = True) -> Any:
-            return self.eval_pdf(ctx, si, wo, active)[0]
-
-        def pdf(self, ctx: Any, si: Any, wo: Any, active: Any = True) -> Any:
-            return self.eval_pdf(ctx, si, wo, active)[1]
-
-        def eval_pdf(self, ctx: Any, si: Any, wo: Any, active: Any = True) -> Any:
-            body, lobe = self._wanted(ctx)
-            active = mi.Bool(active) & mi.Bool(body or lobe) & (si.wi.z > 0) & (wo.z > 0)
-            # below the surface, where the values are left out, they should still be finite
-            light, viewer = (dr.select(active, each, mi.Vector3f(0, 0, 1)) for each in (wo, si.wi))
-            texel = self._texel(si, viewer, active)
-            value = (texel.body(light) if body else 0) + (texel.lobe(light) if lobe else 0)
-            density = texel.density(light, self._share(texel, body, lobe))
-            return dr.select(active, mi.Color3f(value), 0), dr.select(active, density, 0)
-
-        def sample(self, ctx: Any, si: Any, sample1: Any, sample2: Any, active: Any = True) -> Any:
-            body, lobe = self._wanted(ctx)
-            active = mi.Bool(active) & mi.Bool(body or lobe) & (si.wi.z > 0)
-            viewer = dr.select(active, si.wi, mi.Vector3f(0, 0, 1))
-            texel = self._texel(si, viewer, active)
-            share = self._share(texel, body, lobe)
-            drawn: Any = dr.zeros(mi.BSDFSample3f)
-            drawn.wo = texel.drawn(sample1, sample2, share)
-            value, drawn.pdf = self.eval_pdf(ctx, si, drawn.wo, active)
-            is_lobe = sample1 < share
-            kinds = (mi.BSDFFlags.GlossyReflection, mi.BSDFFlags.DiffuseReflection)
-            drawn.eta = 1.0
-            drawn.sampled_type = dr.select(is_lobe, *(mi.UInt32(+kind) for kind in kinds))
-            drawn.sampled_component = dr.select(is_lobe, mi.UInt32(LOBE), mi.UInt32(BODY))
-            return drawn, dr.select(drawn.pdf > 0, value / drawn.pdf, 0)
-
-        def eval_diffuse_reflectance(self, si: Any, active: Any = True) -> Any:
-            return self.textures["diffuse"].eval(si, active)
-
-        def _texel(self, si: Any, viewer: Any, active: Any) -> Texel:
-            diffuse, specular = (self.textures[key].eval(si, active) for key in ("diffuse", "specular"))
-            return Texel(diffuse, specular, self.textures["roughness"].eval_1(si, active), viewer)
-
-        def _wanted(self, ctx: Any) -> tuple[bool, bool]:
-            kinds = ((mi.BSDFFlags.DiffuseReflection, BODY), (mi.BSDFFlags.GlossyReflection, LOBE))
-            body, lobe = (bool(ctx.is_enabled(kind, component)) for kind, component in kinds)
-            return body, lobe
-
-        def _share(self, texel: Texel, body: bool, lobe: bool) -> Any:
-            return texel.share if body and lobe else mi.Float(1.0 if lobe else 0.0)
-
-        def traverse(self, callback: Any) -> None:
-            for key, texture in self.textures.items():
-                callback.put(key, texture, mi.ParamFlags.Differentiable)
-
-        def to_string(self) -> str:
-            return f"NeuralSvbrdf[{', '.join(f'{key} = {texture}' for key, texture in self.textures.items())}]"
+        def eval_diffuse_reflectance(self, si: mt.Interaction, active: mt.Mask = True) -> mt.Color:
+            return self.reflection.textures["diffuse"].eval(si, active)
 
     return NeuralSvbrdf
+
+
+class MapsReflection(Reflection):
+    """A Lambertian and a GGX component, with textures for their parameters."""
+
+    def __init__(self, props: mt.Properties) -> None:
+        self.textures = {key: props.get_texture(key, value) for key, value in DEFAULTS.items()}
+        kinds = (mi.BSDFFlags.DiffuseReflection, mi.BSDFFlags.GlossyReflection)
+        self.components = [kind | mi.BSDFFlags.FrontSide | mi.BSDFFlags.SpatiallyVarying for kind in kinds]
+
+    def at(self, ctx: mt.BsdfContext, si: mt.Interaction, viewer: mt.Vector3, active: mt.Mask) -> LocalReflection:
+        """The texels at points of surfaces."""
+        diffuse, specular = (self.textures[key].eval(si, active) for key in ("diffuse", "specular"))
+        roughness = self.textures["roughness"].eval_1(si, active)
+        texel = Texel((diffuse, specular, roughness), viewer, enabled(ctx, self.components))
+        return LocalReflection(texel.value, texel.density, texel.sample)
+
+    def traverse(self, callback: mt.TraversalCallback) -> None:
+        """Name the textures."""
+        for key, texture in self.textures.items():
+            callback.put(key, texture, mi.ParamFlags.Differentiable)
+
+    def __str__(self) -> str:
+        return f"NeuralSvbrdf[{', '.join(f'{key} = {texture}' for key, texture in self.textures.items())}]"
+
+
+class Texel:
+    """A material at points of surfaces, for one viewer of each."""
+
+    def __init__(self, maps: tuple[mt.Color, mt.Color, mt.Float], viewer: mt.Vector3, wanted: list[bool]) -> None:
+        diffuse, specular, roughness = maps
+        alpha = dr.square(dr.maximum(roughness, SMOOTHEST))
+        self.facets = mi.MicrofacetDistribution(mi.MicrofacetType.GGX, alpha, True)
+        self.diffuse, self.specular, self.viewer, self.wanted = diffuse, specular, viewer, wanted
+        glossy, matte = dr.mean(self._fresnel(viewer.z)), dr.mean(diffuse * (1 - specular))
+        both = dr.clip(glossy / dr.maximum(glossy + matte, 1e-6), LEAST, 1 - LEAST)
+        self.share = both if all(wanted) else mi.Float(1.0 if wanted[SPECULAR] else 0.0)  # of specular directions
+
+    def value(self, light: mt.Vector3) -> mt.Color:
+        """The BSDF times the light's cosine."""
+        half = dr.normalize(self.viewer + light)
+        shape = self.facets.eval(half) * self.facets.G(self.viewer, light, half) / (4 * self.viewer.z)
+        specular = self._fresnel(dr.dot(light, half)) * shape
+        diffuse = self.diffuse * (1 - self.specular) * (dr.inv_pi * light.z)
+        return mi.Color3f((diffuse if self.wanted[DIFFUSE] else 0) + (specular if self.wanted[SPECULAR] else 0))
+
+    def density(self, light: mt.Vector3) -> mt.Float:
+        """Of `sample`, per solid angle."""
+        half = dr.normalize(self.viewer + light)
+        specular = self.facets.pdf(self.viewer, half) / (4 * dr.dot(light, half))
+        return dr.lerp(light.z * dr.inv_pi, specular, self.share)
+
+    def sample(self, number: mt.Float, point: mt.Point2) -> tuple[mt.Vector3, mt.UInt32]:
+        """A direction, which may be below the surface, and its component, of a number and a point in [0, 1)."""
+        half, _ = self.facets.sample(self.viewer, point)
+        is_specular = number < self.share
+        cosine = mi.warp.square_to_cosine_hemisphere(point)
+        wo = dr.select(is_specular, mi.reflect(self.viewer, half), cosine)
+        return wo, dr.select(is_specular, mi.UInt32(SPECULAR), mi.UInt32(DIFFUSE))
+
+    def _fresnel(self, cosine: mt.Float) -> mt.Color:
+        """Of Schlick."""
+        return self.specular + (1 - self.specular) * dr.power(dr.maximum(1 - cosine, 0), 5)

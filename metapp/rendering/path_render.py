@@ -1,22 +1,23 @@
 """Pictures of a scene by path tracing: as it is, guided by a density over primary sample space, and for reference.
 
-Places on the film are drawn evenly within each pixel. A guide draws the directions of the first surfaces that scatter
-from its density q(directions | film). One path of four is left to the uniform density, so that the weight
-1 / (1/4 + 3/4 q) of a path is never above 4, whatever the guide leaves out (the balance heuristic of Veach & Guibas
-1995): pictures are unbiased for every density that is positive or zero, and noisier where it is wrong.
+Places on the film are sampled evenly within each pixel. A guide samples the directions at the first surfaces that
+scatter by its density q(directions | film). One path of four is left to the uniform density (defensive sampling), so
+that the weight 1 / (1/4 + 3/4 q) of a path is never above 4 (the balance heuristic of Veach & Guibas 1995): pictures
+are unbiased for every density that is positive or zero, and noisier where it is wrong.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import torch
 from torch import Generator, Tensor
 
 from metapp.rendering.path_space import Tracer
+from metapp.rendering.scene_text import SceneDict
 
-UNIFORM = 4  # every so manieth path is not guided
+UNIFORM = 4  # one path in so many is not guided
 
 _BATCH = 2**18  # paths at a time
 _REFERENCE_SPP = 2048
@@ -34,7 +35,7 @@ class Guide(NamedTuple):
     density: Callable[[Tensor, Tensor], Tensor]
 
 
-def render(scene: dict[str, Any] | Tracer, spp: int, size: int, seed: int = 0, guide: Guide | None = None) -> Tensor:
+def render(scene: SceneDict | Tracer, spp: int, size: int, seed: int = 0, guide: Guide | None = None) -> Tensor:
     """A picture [3, size, size], linear RGB radiance, of so many paths a pixel.
 
     Args:
@@ -50,7 +51,7 @@ def render(scene: dict[str, Any] | Tracer, spp: int, size: int, seed: int = 0, g
     tracer = scene if isinstance(scene, Tracer) else Tracer(scene)
     rng = Generator().manual_seed(seed)
 
-    def carried(film: Tensor, first: int) -> Tensor:
+    def radiance(film: Tensor, first: int) -> Tensor:
         if guide is None:
             return tracer.contributions(film, rng)
         points, weight = _guided(guide, film, first, rng)
@@ -58,11 +59,11 @@ def render(scene: dict[str, Any] | Tracer, spp: int, size: int, seed: int = 0, g
 
     with torch.random.fork_rng(devices=range(torch.cuda.device_count())):
         torch.manual_seed(seed)
-        return _picture(carried, spp, size, rng)
+        return _picture(radiance, spp, size, rng)
 
 
-def reference(scene: dict[str, Any] | Tracer, size: int, spp: int = _REFERENCE_SPP, seed: int = 1) -> Tensor:
-    """The picture that `render` tends to, with less noise: Mitsuba's `path`, which joins surfaces to lights as well.
+def reference(scene: SceneDict | Tracer, size: int, spp: int = _REFERENCE_SPP, seed: int = 1) -> Tensor:
+    """The picture that `render` tends to, with less noise: Mitsuba's `path`, which has next-event estimation.
 
     Args:
         scene: as for `render`.
@@ -77,13 +78,13 @@ def reference(scene: dict[str, Any] | Tracer, size: int, spp: int = _REFERENCE_S
     mi, rng = tracer.mi, Generator().manual_seed(seed)
     integrator = mi.load_dict({"type": "path", "max_depth": tracer.depth, "rr_depth": tracer.depth + 1})
 
-    def carried(film: Tensor, first: int) -> Tensor:
+    def radiance(film: Tensor, first: int) -> Tensor:
         sampler = mi.load_dict({"type": "independent"})
         sampler.seed(int(torch.randint(2**31, (), generator=rng)), len(film))
         place = mi.Point2f(*(mi.Float(column.contiguous().numpy()) for column in film.T))
         return torch.from_numpy(integrator.sample(tracer.scene, sampler, tracer.rays(place))[0].numpy()).T
 
-    return _picture(carried, spp, size, rng)
+    return _picture(radiance, spp, size, rng)
 
 
 def _guided(guide: Guide, film: Tensor, first: int, rng: Generator) -> tuple[Tensor, Tensor]:
@@ -94,14 +95,14 @@ def _guided(guide: Guide, film: Tensor, first: int, rng: Generator) -> tuple[Ten
     points = film.new_empty(len(film), 2 + directions.shape[1])
     points[:, :2] = film
     points[~uniform, 2:], points[uniform, 2:] = directions.detach().to(film), others
-    found = film.new_empty(len(film))
-    found[~uniform] = density.detach().to(film)
-    found[uniform] = guide.density(film[uniform], others).detach().to(film)
-    return points, 1 / (1 / UNIFORM + (1 - 1 / UNIFORM) * found)
+    densities = film.new_empty(len(film))
+    densities[~uniform] = density.detach().to(film)
+    densities[uniform] = guide.density(film[uniform], others).detach().to(film)
+    return points, 1 / (1 / UNIFORM + (1 - 1 / UNIFORM) * densities)
 
 
-def _picture(carried: Callable[[Tensor, int], Tensor], spp: int, size: int, rng: Generator) -> Tensor:
-    """The mean over each pixel of what `carried` says of places on the film, numbered from the second argument on."""
+def _picture(radiance: Callable[[Tensor, int], Tensor], spp: int, size: int, rng: Generator) -> Tensor:
+    """The mean over each pixel of the radiance at places on the film, numbered from its second argument on."""
     if spp < 1 or size < 1:
         raise ValueError(f"picture of {size} px and {spp} paths a pixel, expected 1 or more of both.")
     total = torch.zeros(size * size, 3, dtype=torch.float64)
@@ -111,5 +112,5 @@ def _picture(carried: Callable[[Tensor, int], Tensor], spp: int, size: int, rng:
         pixel = number // spp
         corner = torch.stack([pixel % size, pixel // size], dim=1)
         film = (corner + torch.rand(len(number), 2, generator=rng)) / size
-        total.index_add_(0, pixel, carried(film, first + offset).double())
+        total.index_add_(0, pixel, radiance(film, first + offset).double())
     return (total / spp).T.reshape(3, size, size).float()

@@ -7,12 +7,12 @@ further numbers of a path are drawn within. There is no next-event estimation: a
 
 from __future__ import annotations
 
-from typing import Any
-
 import torch
 from torch import Generator, Tensor
 
 from metapp.rendering.scene_loading import brightness, load_scene
+from metapp.rendering.scene_text import SceneDict
+from metapp.rendering.types import Color, Mask, Point2, RandomStreams, Ray, UInt32
 
 DIMENSIONS = 4  # film, and the direction at the first surface that scatters
 DEPTH = 6  # edges of the longest path
@@ -33,7 +33,7 @@ class Tracer:
         ValueError: as `load_scene`.
     """
 
-    def __init__(self, scene: dict[str, Any], depth: int = DEPTH) -> None:
+    def __init__(self, scene: SceneDict, depth: int = DEPTH) -> None:
         self.mi, self.scene, self.brightest = load_scene(scene)
         self.depth = depth
 
@@ -53,7 +53,7 @@ class Tracer:
         radiance = self._trace(pairs[0], pairs[1:], self.streams(len(points), rng))
         return torch.from_numpy(radiance.numpy()).T.contiguous()
 
-    def streams(self, count: int, rng: Generator) -> Any:
+    def streams(self, count: int, rng: Generator) -> RandomStreams:
         """A Dr.Jit generator of `count` random streams; unlike neighbouring streams of PCG32, they are not alike."""
         import drjit
 
@@ -63,7 +63,7 @@ class Tracer:
         state, sequence = mi.sample_tea_32(lane, drjit.opaque(mi.UInt32, key))  # opaque: else each is compiled anew
         return mi.PCG32(initstate=mi.UInt64(state), initseq=mi.UInt64(sequence))
 
-    def rays(self, film: Any) -> Any:
+    def rays(self, film: Point2) -> Ray:
         """The rays through places on the film, of which the central square counts."""
         mi = self.mi
         sensor = self.scene.sensors()[0]
@@ -72,26 +72,27 @@ class Tracer:
         place = (film - 0.5) * mi.ScalarVector2f(side / width, side / height) + 0.5
         return sensor.sample_ray(0.0, 0.5, place, mi.Point2f(0.5))[0]
 
-    def _trace(self, film: Any, directions: list[Any], rng: Any) -> Any:
+    def _trace(self, film: Point2, directions: list[Point2], rng: RandomStreams) -> Color:
         import drjit as dr
 
         mi, scene, context = self.mi, self.scene, self.mi.BSDFContext()
 
-        def bounce(ray: Any, weight: Any, found: Any, depth: Any, used: Any, rng: Any, active: Any) -> tuple[Any, ...]:
-            at = scene.ray_intersect(ray, active)
-            found += dr.select(active, weight * at.emitter(scene, active).eval(at, active), 0)
+        def bounce(ray: Ray, throughput: Color, radiance: Color, depth: UInt32, used: UInt32, rng: RandomStreams,
+                   active: Mask) -> tuple[Ray, Color, Color, UInt32, UInt32, RandomStreams, Mask]:  # fmt: skip
+            si = scene.ray_intersect(ray, active)
+            radiance += dr.select(active, throughput * si.emitter(scene, active).eval(si, active), 0)
             depth += 1
-            active &= at.is_valid() & (depth < self.depth)
-            bsdf = at.bsdf(ray)
+            active &= si.is_valid() & (depth < self.depth)
+            bsdf = si.bsdf(ray)
             scatters = active & mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth)
             lobe, pair = rng.next_float32(), mi.Point2f(rng.next_float32(), rng.next_float32())
             for number, direction in enumerate(directions):
                 pair = dr.select(used == number, direction, pair)
-            sample, share = bsdf.sample(context, at, lobe, pair, active)
+            sample, weight = bsdf.sample(context, si, lobe, pair, active)
             used += dr.select(scatters, mi.UInt32(1), mi.UInt32(0))
-            weight *= share
-            active &= dr.max(weight) > 0
-            return at.spawn_ray(at.to_world(sample.wo)), weight, found, depth, used, rng, active
+            throughput *= weight
+            active &= dr.max(throughput) > 0
+            return si.spawn_ray(si.to_world(sample.wo)), throughput, radiance, depth, used, rng, active
 
         count = dr.width(film)
         ones = dr.full(mi.Float, 1, count)

@@ -4,13 +4,13 @@ A scene is what Mitsuba's `load_dict` takes, as far as JSON holds it, with matri
 XML document, {"xml": text}.
 
 Mitsuba gets nothing but what was checked here, and no folder of a scene: it would run a library that lies there and
-that the scene names as a plugin. All file names are absolute, and the files lie where the user said.
+that the scene names as a plugin. All file names are absolute, and the files lie in folders that the user named.
 """
 
 from __future__ import annotations
 
 import re
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -19,12 +19,12 @@ from torch import Tensor
 from metapp.appearance.latlong import luminance
 from metapp.rendering.scene_files import Places
 from metapp.rendering.scene_rules import CheckedDict
+from metapp.rendering.scene_text import Json, SceneDict
 from metapp.rendering.scene_xml import checked_xml
+from metapp.rendering.types import Emitter, Mitsuba, Scene
 from metapp.rendering.variant import load_mitsuba
 
-Scene = dict[str, Any]
-
-_LONGEST = 200  # characters of what Mitsuba says
+_LONGEST = 200  # characters of Mitsuba's messages
 
 
 class Loaded(NamedTuple):
@@ -36,12 +36,12 @@ class Loaded(NamedTuple):
         brightest: the greatest luminance that its lights send out; 0 where they do not tell.
     """
 
-    mitsuba: Any
-    scene: Any
+    mitsuba: Mitsuba
+    scene: Scene
     brightest: float
 
 
-def checked(scene: Scene, places: Places, name: str = "") -> Scene:
+def checked(scene: SceneDict, places: Places, name: str = "") -> SceneDict:
     """The same scene, of the same form, with absolute file names, includes and defaults in it.
 
     Args:
@@ -61,8 +61,8 @@ def checked(scene: Scene, places: Places, name: str = "") -> Scene:
     return CheckedDict(places).object(scene)
 
 
-def load_scene(scene: Scene) -> Loaded:
-    """Load a scene whose paths can be traced without joining them to the lights.
+def load_scene(scene: SceneDict) -> Loaded:
+    """Load a scene whose paths can be traced without next-event estimation.
 
     Raises:
         ValueError: no Mitsuba that can render here; no scene that it can load; no light, or one that paths cannot meet;
@@ -89,7 +89,7 @@ def brightness(radiance: Tensor) -> Tensor:
     return luminance(radiance.T[..., None])[:, 0]
 
 
-def _check(mi: Any, scene: Any) -> None:
+def _check(mi: Mitsuba, scene: Scene) -> None:
     if not scene.emitters():
         raise ValueError("no emitter, expected an area light or an environment; add one.")
     for emitter in scene.emitters():
@@ -105,7 +105,7 @@ def _check(mi: Any, scene: Any) -> None:
         raise ValueError(f"a sensor {kind}, expected a perspective one; change its type to 'perspective'.")
 
 
-def _brightest(mi: Any, emitter: Any) -> float:
+def _brightest(mi: Mitsuba, emitter: Emitter) -> float:
     values = mi.traverse(emitter)
     for name in ("radiance.value", "radiance.data", "data"):
         if name in values:
@@ -119,11 +119,11 @@ def _brightest(mi: Any, emitter: Any) -> float:
     return 0.0
 
 
-def _matrices(mi: Any, value: Any) -> Any:
+def _matrices(mi: Mitsuba, value: Json) -> Json:
     """The same with its matrices as Mitsuba wants them."""
     if isinstance(value, dict):
         plain = value.get("type") in ("rgb", "spectrum")
-        return {key: each if plain else _matrices(mi, each) for key, each in value.items()}
+        return {key: part if plain else _matrices(mi, part) for key, part in value.items()}
     if isinstance(value, list) and isinstance(value[0], list):
         return mi.ScalarTransform4f(value) if len(value) == 4 else mi.ScalarTransform3f(value)
     return value

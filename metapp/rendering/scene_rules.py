@@ -6,9 +6,9 @@ import functools
 import importlib.util
 import math
 from pathlib import Path
-from typing import Any
 
 from metapp.rendering.scene_files import Places
+from metapp.rendering.scene_text import Json, SceneDict
 
 DEPTH = 64  # of elements or objects within each other
 PARTS = 200_000  # elements, or values
@@ -84,7 +84,7 @@ class CheckedDict:
     def __init__(self, places: Places) -> None:
         self.places, self.parts = places, 0
 
-    def object(self, scene: dict[Any, Any], depth: int = 0) -> dict[str, Any]:
+    def object(self, scene: SceneDict, depth: int = 0) -> SceneDict:
         """The same with file names absolute.
 
         Raises:
@@ -106,7 +106,7 @@ class CheckedDict:
             check_plugin(kind, set(scene))
         return {key: self._value(key, value, depth, kind) for key, value in scene.items()}
 
-    def _value(self, key: str, value: Any, depth: int, kind: str) -> Any:
+    def _value(self, key: str, value: Json, depth: int, kind: str) -> Json:
         self.parts += 1
         if self.parts > PARTS:
             raise ValueError(f"more than {PARTS:,} values, expected fewer; put meshes in files.")
@@ -125,14 +125,14 @@ class CheckedDict:
             check_samples(key, value)
         return value
 
-    def _check_plain(self, kind: str, scene: dict[str, Any]) -> None:
+    def _check_plain(self, kind: str, scene: SceneDict) -> None:
         """Refuse a colour, spectrum or reference that holds something else than it should."""
         expected = {"rgb": ({"value"},), "ref": ({"id"},), "spectrum": ({"value"}, {"filename"})}[kind]
         found = set(scene) - {"type"}
         value = scene.get("value", 0.0)
         fits = _is_number(value) or (isinstance(value, list) and _is_list(value, kind))
         if found not in expected or not fits:
-            names = " or ".join(next(iter(each)) for each in expected)
+            names = " or ".join(next(iter(keys)) for keys in expected)
             raise ValueError(f"a '{kind}' with {sorted(found)!s:.60}, expected '{names}' of numbers or text.")
 
 
@@ -142,19 +142,19 @@ def _identifier(value: str) -> str:
     return value
 
 
-def _shown(value: Any) -> str:
+def _shown(value: Json) -> str:
     """A value in a message; text of a deeply nested list would need a deep stack."""
     plain = value is None or isinstance(value, str | int | float)
     return repr(value if plain else type(value).__name__)[:40]
 
 
-def _is_number(value: Any) -> bool:
+def _is_number(value: Json) -> bool:
     if isinstance(value, bool) or not isinstance(value, int | float):
         return False
     return abs(value) < 2**63 if isinstance(value, int) else math.isfinite(value)
 
 
-def _is_list(value: Any, kind: str) -> bool:
+def _is_list(value: Json, kind: str) -> bool:
     """Whether a value is three numbers, a matrix of nine or sixteen, or pairs of a spectrum."""
     if not isinstance(value, list) or not value or len(value) > PARTS:
         return False
@@ -163,4 +163,4 @@ def _is_list(value: Any, kind: str) -> bool:
     if all(map(_is_number, value)):
         return len(value) == 3
     square = len(value) in (3, 4) and all(isinstance(row, list) and len(row) == len(value) for row in value)
-    return square and kind != "rgb" and all(_is_number(each) for row in value for each in row)
+    return square and kind != "rgb" and all(_is_number(number) for row in value for number in row)

@@ -4,10 +4,7 @@ All is neutral grey, as the grey and the mirror ball that film sets are lit by: 
 light's. The floor fills the picture and reaches to the horizon, so no pixel shows the map itself, and the lower half of
 a map does nothing. Pictures are linear in the map, which makes the scene a matrix: a thousand maps cost one rendering.
 
-The matrix counts paths by where they leave the scene. The last surface before the light is joined to every texel in
-turn ("next-event estimation"), unless it is the glossy sphere seen from a matte surface: those few paths are found by
-turning the sphere's normal to where it mirrors the texel. Light between matte surfaces goes through patches: rays of
-each pixel and of each patch say which patches they see, and the patches' own rows of the matrix follow by iteration.
+The paths that fill the matrix are of `metapp.rendering.second_scene_paths`.
 """
 
 from __future__ import annotations
@@ -17,7 +14,6 @@ import math
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
 
 import torch
 from safetensors import SafetensorError
@@ -25,6 +21,7 @@ from safetensors.torch import save
 from torch import Tensor
 
 from metapp.appearance import latlong
+from metapp.rendering.types import Mitsuba
 from metapp.rendering.variant import load_mitsuba
 from metapp.storage.files import cache_folder, write_atomically
 from metapp.storage.tensors import read_tensors
@@ -38,14 +35,7 @@ MATTE_CENTRE, GLOSSY_CENTRE = (-1.15, 1.0, 0.0), (1.15, 1.0, 0.0)  # both sphere
 CAMERA, TARGET, FIELD_DEGREES = (0.0, 4.6, 9.0), (0.0, 0.75, 0.1), 32.0  # field of view across the picture
 FINER = 8  # a texel becomes so many, squared, for Mitsuba's `envmap`, which would else blend it with its neighbours
 
-_PIXELS = HEIGHT * WIDTH
-_FLOOR_CELLS, _SPHERE_CELLS = 64, (24, 48)  # patches: a square grid of the floor, rows and columns of the matte sphere
-_PATCHES = _FLOOR_CELLS**2 + _SPHERE_CELLS[0] * _SPHERE_CELLS[1]
-_ROWS = _PIXELS + _PATCHES
-_CLOSE = 3.0  # half of the floor's cells lie within this distance of the middle, along x and along z
 _BOUNCES = 4  # between patches; what is left out is 0.1 % of the light
-# roots of primes: the multiples of each fill the unit interval evenly, and independently of the others
-_STRIDES = [math.sqrt(prime) % 1 for prime in (2, 3, 5, 7, 11, 13, 17, 19, 23, 29)]
 
 Report = Callable[[int, int], object]
 """Called with how many passes are done, and how many there are."""
@@ -104,11 +94,12 @@ def direct(illumination: Tensor, spp: int = 256, *, seed: int = 0) -> Tensor:
     mi = load_mitsuba()
     texels = illumination.repeat_interleave(FINER, -2).repeat_interleave(FINER, -1)
     bitmap = mi.Bitmap(texels.movedim(0, -1).float().cpu().contiguous().numpy())
-    scene = mi.load_dict({**_scene(mi), "light": {"type": "envmap", "bitmap": bitmap}})
+    scene = mi.load_dict({**scene_dict(mi), "light": {"type": "envmap", "bitmap": bitmap}})
     return torch.from_numpy(mi.render(scene, spp=spp, seed=seed).numpy()).movedim(-1, 0)
 
 
-def _scene(mi: Any) -> dict[str, Any]:
+def scene_dict(mi: Mitsuba) -> dict[str, object]:
+    """The scene without a light, with Mitsuba's matrices."""
     frame = mi.ScalarTransform4f()
     return {
         "type": "scene",
@@ -151,165 +142,17 @@ def _scene(mi: Any) -> dict[str, Any]:
 
 def _build(height: int, width: int, report: Report) -> Tensor:
     """The matrix of `transfer`: what the map lights, and what sees patches that are lit."""
-    paths = _Paths()
+    load_mitsuba()
+    from metapp.rendering.second_scene_paths import PIXELS, ROWS, Paths
+
+    paths = Paths()
     passes = math.ceil(SAMPLES / (height // 2 * width))
-    lit = torch.zeros(_ROWS, height // 2 * width)
+    lit = torch.zeros(ROWS, height // 2 * width)
     for number in range(passes):
         lit += paths.to_texels(height, width, number) / passes
         report(number + 1, passes)
-    seen, total = paths.to_patches(), lit
+    from_patches, total = paths.to_patches(), lit
     for _ in range(_BOUNCES):
-        total = lit + torch.sparse.mm(seen, total[_PIXELS:])
-    upper = total[:_PIXELS]
+        total = lit + torch.sparse.mm(from_patches, total[PIXELS:])
+    upper = total[:PIXELS]
     return torch.cat([upper, torch.zeros_like(upper)], dim=1)  # the floor hides all below the horizon
-
-
-class _Paths:
-    """Paths from the rows of the matrix, the pixels and then the patches, back to the light.
-
-    Arrays are Dr.Jit's, one entry a path; `at` is where the paths are on a surface, a SurfaceInteraction3f of Mitsuba.
-    """
-
-    def __init__(self) -> None:
-        import drjit
-
-        self.mi, self.dr = load_mitsuba(), drjit
-        self.scene = self.mi.load_dict(_scene(self.mi))
-
-    def to_texels(self, height: int, width: int, number: int) -> Tensor:
-        """Radiance of the rows by that of the texels above the horizon, which they see or see in the glossy sphere.
-
-        Args:
-            height: rows of the map.
-            width: its columns.
-            number: of the path from each row to each texel that this is.
-
-        Returns:
-            [rows, height / 2 * width].
-        """
-        mi, dr = self.mi, self.dr
-        texels = height // 2 * width
-        lane = dr.arange(mi.UInt32, _ROWS * texels)
-        texel = lane % texels
-        pair = self._draws(lane, dr.opaque(mi.Float, number))  # opaque, or each number would be compiled anew
-        at = self._first_hit(lane // texels, pair())
-        to_light = _direction(mi, dr, texel // width, texel % width, (height, width), pair())
-        radiance = self._lit(at, to_light, at.is_valid()) + self._mirrored(at, to_light, pair())
-        solid_angles = latlong.solid_angles(height, width)[: height // 2].expand(-1, width).flatten()
-        return torch.from_numpy(radiance.numpy()).view(_ROWS, texels) * solid_angles
-
-    def to_patches(self, count: int = 256) -> Tensor:
-        """Radiance of the rows by that of the patches, which they see or see in the glossy sphere.
-
-        Args:
-            count: rays of a row.
-
-        Returns:
-            [rows, patches], sparse.
-        """
-        mi, dr = self.mi, self.dr
-        lane = dr.arange(mi.UInt32, _ROWS * count)
-        pair = self._draws(lane // count, mi.Float(lane % count))
-        at, weight = self._first_hit(lane // count, pair()), mi.Float(1)
-        tests: tuple[Callable[[Any], Any], ...] = (lambda at: at.is_valid(), self._is_glossy)
-        for onwards in tests:
-            active = onwards(at)
-            sample, value = at.bsdf().sample(mi.BSDFContext(), at, pair().x, pair(), active)
-            weight *= dr.select(active, value.x, 1)
-            beyond = self.scene.ray_intersect(at.spawn_ray(at.to_world(sample.wo)), active)
-            at = dr.select(active, beyond, at)
-        weight = dr.select(at.is_valid() & ~self._is_glossy(at), weight / count, 0)
-        found = torch.from_numpy(weight.numpy())
-        patch = torch.from_numpy(self._patch(at.p).numpy().astype("int64"))
-        ends = found > 0
-        places = torch.stack([torch.arange(_ROWS).repeat_interleave(count)[ends], patch[ends]])
-        return torch.sparse_coo_tensor(places, found[ends], (_ROWS, _PATCHES), check_invariants=False).coalesce()
-
-    def _draws(self, stream: Any, step: Any) -> Callable[[], Any]:
-        """Pairs of numbers in [0, 1): random for each stream, evenly spread over the steps of one stream."""
-        mi, dr = self.mi, self.dr
-        state, sequence = mi.sample_tea_32(stream, 1)  # neighbouring streams of PCG32 would be alike
-        rng, strides = mi.PCG32(initstate=state, initseq=sequence), iter(_STRIDES)
-
-        def draw() -> Any:
-            value = rng.next_float32() + step * next(strides)
-            return value - dr.floor(value)
-
-        return lambda: mi.Point2f(draw(), draw())
-
-    def _first_hit(self, row: Any, place: Any) -> Any:
-        """What a row looks at: the scene through a place in its pixel, or a place in its patch, seen from above it."""
-        mi, dr = self.mi, self.dr
-        film = (mi.Point2f(row % WIDTH, row // WIDTH) + place) / mi.Point2f(WIDTH, HEIGHT)
-        view, _ = self.scene.sensors()[0].sample_ray(0, 0, film, mi.Point2f(0))
-        patch = dr.select(row < _PIXELS, 0, row - _PIXELS)
-        on_floor = patch < _FLOOR_CELLS**2
-        cell = mi.Point2f(patch % _FLOOR_CELLS, patch // _FLOOR_CELLS)
-        share = dr.clip((cell + place) * (2 / _FLOOR_CELLS) - 1, -0.995, 0.995)
-        floor = _CLOSE * share / (1 - dr.abs(share))
-        cell = patch - _FLOOR_CELLS**2
-        outwards = _direction(mi, dr, cell // _SPHERE_CELLS[1], cell % _SPHERE_CELLS[1], _SPHERE_CELLS, place)
-        normal = dr.select(on_floor, mi.Vector3f(0, 1, 0), outwards)
-        point = dr.select(on_floor, mi.Point3f(floor.x, 0, floor.y), mi.Point3f(MATTE_CENTRE) + outwards)
-        is_pixel = row < _PIXELS
-        start = dr.select(is_pixel, view.o, point + 1e-4 * normal)
-        return self.scene.ray_intersect(mi.Ray3f(start, dr.select(is_pixel, view.d, -normal)))
-
-    def _patch(self, point: Any) -> Any:
-        """The patch in which a point of the floor or of the matte sphere lies."""
-        mi, dr = self.mi, self.dr
-        place = mi.Point2f(point.x, point.z)
-        cell = dr.clip(mi.Point2i((place / (_CLOSE + dr.abs(place)) + 1) * (_FLOOR_CELLS / 2)), 0, _FLOOR_CELLS - 1)
-        rows, columns = _SPHERE_CELLS
-        outwards = point - mi.Point3f(MATTE_CENTRE)
-        row = mi.Int(dr.safe_acos(outwards.y) * (rows / dr.pi))
-        column = mi.Int(dr.atan2(-outwards.x, outwards.z) * (columns / dr.two_pi) + columns / 2)
-        on_sphere = dr.clip(row, 0, rows - 1) * columns + dr.clip(column, 0, columns - 1)
-        return dr.select(point.y < 1e-4, cell.y * _FLOOR_CELLS + cell.x, _FLOOR_CELLS**2 + on_sphere)
-
-    def _is_glossy(self, at: Any) -> Any:
-        return at.is_valid() & self.mi.has_flag(at.bsdf().flags(), self.mi.BSDFFlags.GlossyReflection)
-
-    def _lit(self, at: Any, to_light: Any, active: Any) -> Any:
-        """Radiance of what was hit, in unit light from a direction, per solid angle of the light."""
-        value = at.bsdf().eval(self.mi.BSDFContext(), at, at.to_local(to_light), active).x
-        active &= value > 0
-        active &= ~self.scene.ray_test(at.spawn_ray(to_light), active)
-        return self.dr.select(active, value, 0)
-
-    def _mirrored(self, at: Any, to_light: Any, place: Any) -> Any:
-        """The same, of what was hit if it is matte, in light that comes by way of the glossy sphere."""
-        mi, dr = self.mi, self.dr
-        centre = mi.Point3f(GLOSSY_CENTRE)
-        # The normal that mirrors the light to here lies between both directions; bisection finds it to 0.2 degrees.
-        lightwards, hitherwards = to_light, dr.normalize(at.p - centre)
-        for _ in range(10):
-            normal = dr.normalize(lightwards + hitherwards)
-            is_lightwards = dr.dot(normal, to_light) > dr.dot(normal, dr.normalize(at.p - centre - normal))
-            lightwards = dr.select(is_lightwards, normal, lightwards)
-            hitherwards = dr.select(is_lightwards, hitherwards, normal)
-        # About it, the microfacets' distribution, narrower from nearby: there the mirror turns the way here along.
-        alpha = ALPHA / (1 + 0.5 / dr.norm(at.p - centre - normal))
-        facets = mi.MicrofacetDistribution(mi.MicrofacetType.GGX, alpha, alpha, False)
-        turned, density = facets.sample(mi.Vector3f(0, 0, 1), place)
-        normal = mi.Frame3f(normal).to_world(turned)
-        way = centre + normal - at.p
-        distance = dr.norm(way)
-        way /= distance
-        cosine = -dr.dot(way, normal)
-        active = at.is_valid() & ~self._is_glossy(at) & (cosine > 0)
-        value = at.bsdf().eval(mi.BSDFContext(), at, at.to_local(way), active).x
-        active &= value > 0
-        there = self.scene.ray_intersect(at.spawn_ray(way), active)
-        active &= self._is_glossy(there)
-        value *= self._lit(there, to_light, active) * cosine / (dr.square(distance) * density)
-        return dr.select(active, value, 0)
-
-
-def _direction(mi: Any, dr: Any, row: Any, column: Any, shape: tuple[int, int], place: Any) -> Any:
-    """The direction to a place in [0, 1)^2 of a texel: uniform in solid angle where the place is uniform."""
-    above, below = (dr.cos((mi.Float(row) + edge) * (dr.pi / shape[0])) for edge in (0, 1))
-    y = dr.lerp(above, below, place.y)
-    sine, cosine = dr.sincos((mi.Float(column) + place.x) * (dr.two_pi / shape[1]))
-    radius = dr.safe_sqrt(1 - y * y)
-    return mi.Vector3f(radius * sine, y, -radius * cosine)

@@ -80,7 +80,7 @@ class Fit:
         Raises:
             BadOption: fits of this application cannot be written so, or a library for it is missing.
         """
-        check_export(form, self.app)
+        check_export(form, self.app.name)
         export_fit(presentation_of(self.app), self.task, self.parameters, Path(path), form, self.settings)
 
 

@@ -9,7 +9,7 @@ from torch import Generator, Tensor
 from metapp.learning.learn import MetaParameters
 from metapp.learning.rules import rule_of
 from metapp.learning.task import Params
-from metapp.networks.layers import regridded
+from metapp.networks.field import regridded
 from metapp.paradigms.quickft import TUNED
 from metapp.runs.plan import Plan
 
@@ -23,7 +23,7 @@ def on_own_grid(plan: Plan, prepared: MetaParameters) -> MetaParameters:
         return prepared
     wanted = _fresh_alpha(plan)
     alpha = {
-        key: regridded(value, *wanted[key].shape[2:], periodic=plan.app.periodic)
+        key: regridded(value, *wanted[key].shape[2:], periodic=plan.app.traits.periodic)
         if key in wanted and _is_on_a_grid(value, wanted[key])
         else value
         for key, value in prepared.alpha.items()
@@ -39,7 +39,7 @@ def _fresh_alpha(plan: Plan) -> Params:
     """The rule's hyperparameters before training, of the shapes that a checkpoint's must have."""
     recipe = plan.job.recipe
     network = {key: value[0] for key, value in plan.app.init(Generator().manual_seed(0), 1).items()}
-    first = recipe.meta_training(plan.job.rule).first
+    first = recipe.training(plan.job.rule).first
     return rule_of(plan.job.rule).alpha(plan.app, network, recipe.steps, first)
 
 

@@ -74,7 +74,7 @@ def has_general(plan: Plan) -> bool:
     """
     if trained_path(plan, "general").is_file():
         return True
-    return not plan.request.data and ships(plan.app, plan.request.recipe) and _shipped(plan, "general").is_file()
+    return not plan.request.data and ships(plan.app.name, plan.request.recipe) and _shipped(plan, "general").is_file()
 
 
 def _of_app(plan: Plan) -> Path:
@@ -133,7 +133,7 @@ def _checkpoint_path(plan: Plan, name: str) -> Path:
         if path.is_file():
             return path
     path = _shipped(plan, name)
-    if path.is_file() and ships(plan.app, request.recipe):
+    if path.is_file() and ships(plan.app.name, request.recipe):
         return path
     raise ValueError(
         f"{name_of(plan.app)} {name}, recipe {request.recipe}: no checkpoint, neither trained on this data nor "

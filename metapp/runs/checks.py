@@ -7,7 +7,7 @@ import re
 import torch
 
 from data_tools.formats import Export, exports_of, inputs_of
-from metapp.apps import app_names, load_app, presentation_of
+from metapp.apps import app_names, app_of, presentation_of, protocols_of, recipes_of
 from metapp.learning.app import App
 from metapp.learning.recipe import Recipe
 from metapp.learning.rules import rule_of
@@ -17,49 +17,37 @@ from metapp.runs.request import Request
 from metapp.runs.shipped import FULL, QUICK, ships
 
 
-def default_recipe(app: App) -> str:
+def default_recipe(app: str) -> str:
     """What a request without a recipe is fitted by: "full", the best rule and size that ships, else "quick"."""
-    return FULL if FULL in app.recipes and ships(app, FULL) else QUICK
+    return FULL if FULL in recipes_of(app) and ships(app, FULL) else QUICK
 
 
-def with_network(app: App, recipe: Recipe, rule: str) -> App:
-    """The application with the network of a recipe, or that of a rule which has one of its own."""
-    of_rule = recipe.for_rule(rule) if rule else recipe
-    return app if of_rule is recipe else app.at(of_rule, app.protocol)
+def check_name(app: str) -> None:
+    """A usage error that lists the applications where there is none of that name."""
+    if app not in app_names():
+        raise BadOption(f"'{app}' is not an application; expected one of {', '.join(app_names())}.")
 
 
-def find_app(name: str) -> App:
-    """The application, or a usage error that lists those that exist."""
-    if name not in app_names():
-        raise BadOption(f"'{name}' is not an application; expected one of {', '.join(app_names())}.")
-    return load_app(name)
+def check_protocol(protocol: str, app: str) -> None:
+    """A usage error where the application of a name has no such protocol."""
+    known = protocols_of(app)
+    if protocol and protocol not in known:
+        expected = f"expects one of {', '.join(known)}" if known else "has one protocol; leave it out"
+        raise BadOption(f"--observe '{protocol}': {app} {expected}.")
 
 
-def check_recipe(name: str, app: App) -> None:
-    """A usage error where the application has no such recipe."""
-    if name not in app.recipes:
-        raise BadOption(f"--recipe '{name}': expected one of {', '.join(app.recipes)}.")
-
-
-def check_rule(name: str, app: App, recipe: Recipe) -> str:
-    """The one name of a rule or composition, the recipe's default where it is empty, or a usage error."""
-    if not name:
+def check_rule(request: Request, recipe: Recipe) -> str:
+    """The one name of a rule or composition, the recipe's default where none is asked for, or a usage error."""
+    if not request.rule:
         return recipe.rule
     try:
-        rule = rule_of(name)
-        app = with_network(app, recipe, rule.name)
+        rule = rule_of(request.rule)
+        app = app_of(request.app, recipe, request.observe, rule=rule.name)
         theta = {key: value[0] for key, value in app.init(torch.Generator().manual_seed(0), 1).items()}
         rule.require(app, theta)
     except ValueError as error:
         raise BadOption(f"--rule: {error}") from None
     return rule.name
-
-
-def check_protocol(name: str, app: App) -> None:
-    """A usage error where the application has no such protocol."""
-    if name and name not in app.protocols:
-        expected = f"expects one of {', '.join(app.protocols)}" if app.protocols else "has one protocol; leave it out"
-        raise BadOption(f"--observe '{name}': {app.name} {expected}.")
 
 
 def check_size(text: str, app: App) -> tuple[int, int] | None:
@@ -79,16 +67,16 @@ def check_size(text: str, app: App) -> tuple[int, int] | None:
     return height, width
 
 
-def check_export(name: str, app: App) -> None:
+def check_export(name: str, app: str) -> None:
     """Refuse a form that fits of an application cannot be written in.
 
     Raises:
         BadOption: it cannot, or a library for it is missing.
     """
-    known = exports_of(app.name)
+    known = exports_of(app)
     if name and name not in known:
         expected = f"expects one of {', '.join(known)}" if known else "has none; leave it out"
-        raise BadOption(f"--export '{name}': {app.name} {expected}.")
+        raise BadOption(f"--export '{name}': {app} {expected}.")
     form = known.get(name)
     if isinstance(form, Export) and form.missing():
         raise BadOption(form.missing())

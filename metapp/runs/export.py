@@ -11,10 +11,10 @@ from torch import Generator
 from data_tools.formats import Export, exports_of
 from metapp.appearance.presentation import Presentation
 from metapp.apps import presentation_of
-from metapp.learning.app import App, stack
+from metapp.learning.app import App, Distilled, stack
 from metapp.learning.task import Params, Task
 from metapp.runs.checkpoints import find_checkpoint
-from metapp.runs.checks import check_export, check_size, find_app
+from metapp.runs.checks import check_export, check_name, check_size
 from metapp.runs.embedded import embedded_exists
 from metapp.runs.inputs import data_folder, data_label, tasks_to_fit
 from metapp.runs.plan import plan
@@ -60,11 +60,12 @@ def distilled(app: App, task: Task, theta: Params) -> Params:
         task: what was fitted.
         theta: parameters of one task, without a task axis.
     """
+    assert isinstance(app, Distilled), f"{app.name} has one network"
     by = find_checkpoint(plan(Request(app.name, "finetune", recipe=QUICK, quiet=True)))
     evaluated = stack(by.app, [app.evaluated(theta, task)])
     fitted = by.paradigm.fit(by.job, by.prepared, evaluated, Generator().manual_seed(by.request.seed))
     before, after = (
-        number(app.scale * float(of.errors(params, stack(of, [task]))["error"][0]), ".3f")
+        number(app.traits.scale * float(of.errors(params, stack(of, [task]))["error"][0]), ".3f")
         for of, params in ((app, {key: value[None] for key, value in theta.items()}), (by.app, fitted))
     )
     say(f"{task.name}: distilled into the network of the format; error {after}, of the fit {before}")
@@ -101,7 +102,9 @@ def export_run(
     apps = {record["settings"]["app"] for record in records}
     if len(apps) > 1:
         raise ValueError(f"{run}: fits of {', '.join(sorted(apps))}, expected one application; take one run's folder.")
-    check_export(form, find_app(apps.pop()))
+    (name,) = apps
+    check_name(name)
+    check_export(form, name)
     target = out or folder / form
     with progress(form, len(records), quiet=quiet) as bar:
         tasks: dict[str, dict[str, Task]] = {}

@@ -71,7 +71,7 @@ class Fitter:
         Raises:
             ValueError: one does not.
         """
-        for task in tasks if self.plan.app.protocols else ():
+        for task in tasks if self.plan.app.protocol else ():
             self.plan.app.prepare(task)
 
     def fit(self, tasks: Sequence[Task]) -> list[Result]:
@@ -91,7 +91,7 @@ class Fitter:
         results = []
         for i, (task, alarm) in enumerate(zip(tasks, alarms, strict=True)):
             errors = {key: float(value[i]) for key, value in measures.items()}
-            errors |= {key: app.scale * value for key, value in errors.items() if key == "error"}
+            errors |= {key: app.traits.scale * value for key, value in errors.items() if key == "error"}
             own = {key: value[i] for key, value in theta.items()}
             require_finite(task, own, errors)
             # sums depend on the number of threads, in their last digits: the record says it, but its key does not,

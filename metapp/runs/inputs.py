@@ -164,7 +164,9 @@ def _found(app: App, path: Path, request: Request) -> Iterator[tuple[list[Path],
         places, skipped = form.find([path])
         for line in skipped if len(readers) == 1 else ():
             say(f"warning: {line}")
-        read = functools.partial(form.read, size=app.reads, roots=request.scene_root, fov_rad=math.radians(request.fov))
+        read = functools.partial(
+            form.read, size=app.traits.reads, roots=request.scene_root, fov_rad=math.radians(request.fov)
+        )
         yield places, read
 
 

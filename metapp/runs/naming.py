@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from metapp.apps import presentation_of
+from metapp.apps import presentation_of, protocols_of
 from metapp.learning.app import App
 
 
 def is_first_protocol(app: App) -> bool:
     """Whether the application is under its first protocol, or has no other."""
-    return app.protocol in ("", *app.protocols[:1])
+    return app.protocol in ("", *protocols_of(app.name)[:1])
 
 
 def observe_of(app: App) -> dict[str, str]:
@@ -31,4 +31,9 @@ def caption_of(app: App) -> str:
     """What a table says about its errors."""
     protocol = {"fits see": app.protocol} if app.protocol else {}
     conditions = "".join(f"; {key}: {value}" for key, value in (protocol | app.conditions()).items())
-    return f"error: {presentation_of(app).measure}{f' x{app.scale:g}' if app.scale != 1 else ''}{conditions}"
+    return f"error: {presentation_of(app).measure}{factor_of(app)}{conditions}"
+
+
+def factor_of(app: App) -> str:
+    """What is said of errors that are printed times a factor: " x100"; "" where it is 1."""
+    return f" x{app.traits.scale:g}" if app.traits.scale != 1 else ""

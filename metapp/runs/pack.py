@@ -65,7 +65,7 @@ class Stack(NamedTuple):
         for i, task in enumerate(self.tasks):
             one = {key: value[i : i + 1] for key, value in thetas.items()}
             errors = self.app.errors(one, stack(self.app, [task])) if task.data else {}
-            found.append(self.app.scale * float(errors["error"][0]) if errors else None)
+            found.append(self.app.traits.scale * float(errors["error"][0]) if errors else None)
         return found
 
 

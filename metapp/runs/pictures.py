@@ -98,7 +98,7 @@ def _label(record: dict[str, Any]) -> str:
 
 
 def _factor(app: App) -> str:
-    return f" x{app.scale:g}" if app.scale != 1 else ""
+    return f" x{app.traits.scale:g}" if app.traits.scale != 1 else ""
 
 
 def _shown(pictures: dict[str, Any]) -> dict[str, np.ndarray]:

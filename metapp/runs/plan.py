@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 
 import torch
 
+from metapp.apps import app_of, recipes_of
 from metapp.learning.app import App
 from metapp.learning.learn import MetaParameters
 from metapp.paradigms import Job, Paradigm, paradigms
@@ -17,13 +18,11 @@ from metapp.runs.batch_size import check_batch
 from metapp.runs.checks import (
     check_export,
     check_inputs,
+    check_name,
     check_protocol,
-    check_recipe,
     check_rule,
     check_size,
     default_recipe,
-    find_app,
-    with_network,
 )
 from metapp.runs.naming import observe_of
 from metapp.runs.request import Portion, Request, portion_of
@@ -98,8 +97,8 @@ class Plan:
         """The same for another paradigm, rule ("" for the same one) and number of steps, without a checkpoint."""
         rule = rule or self.job.rule
         request = replace(self.request, paradigm=paradigm, rule=rule, steps=steps)
-        app = self.app if self.paradigm.name != "meta" else self.app.at(self.job.recipe, self.app.protocol)
-        app = with_network(app, self.job.recipe, rule if paradigm == "meta" else "")
+        app = app_of(self.app.name, self.job.recipe, self.app.protocol, rule=rule if paradigm == "meta" else "")
+        app = self.app if app.setup == self.app.setup else app  # which may hold compiled code
         return Plan(request, paradigms()[paradigm], Job(app, self.job.recipe, rule, steps), self.device)
 
     def settings(self, label: str) -> dict[str, Any]:
@@ -168,17 +167,18 @@ def plan(request: Request) -> Plan:
     known = paradigms()
     if request.paradigm not in known:
         raise ValueError(f"paradigm '{request.paradigm}': expected one of {', '.join(known)}.")
-    paradigm, app = known[request.paradigm], find_app(request.app)
-    name = request.recipe or default_recipe(app)
-    check_protocol(request.observe, app)
-    check_recipe(name, app)
-    recipes = app.at(app.recipes[name], request.observe).recipes  # those of the protocol
+    paradigm = known[request.paradigm]
+    check_name(request.app)
+    check_protocol(request.observe, request.app)
+    recipes = recipes_of(request.app, request.observe)
+    name = request.recipe or default_recipe(request.app)
+    if name not in recipes:
+        raise BadOption(f"--recipe '{name}': expected one of {', '.join(recipes)}.")
     recipe = recipes[name]
-    app = app.at(recipe, request.observe)
-    rule = check_rule(request.rule, app, recipe)
+    rule = check_rule(request, recipe)
+    app = app_of(request.app, recipe, request.observe, rule=rule if paradigm.name == "meta" else "")
     device = find_device(request.device, app)
     steps = None if paradigm.steps(recipe) in (request.steps, 0) else request.steps
-    app = with_network(app, recipe, rule if paradigm.name == "meta" else "")
     request = replace(request, recipe=name, rule=rule, steps=steps)
     done = Plan(request, paradigm, Job(app, recipe, rule, steps), device)
     _check(done)
@@ -198,7 +198,7 @@ def _check(done: Plan) -> None:
         raise BadOption("--train-steps: only with --train.")
     if request.render and (request.batch or request.shard):
         raise BadOption("--render: of scenes one by one; leave --batch and --shard out.")
-    check_export(request.export, done.app)
+    check_export(request.export, request.app)
     check_inputs(request, done.app)
     assert done.batch != 0
     assert done.portion != (0, 0)

@@ -147,7 +147,7 @@ def _plan_of(folder: Path, record: Record, instead: Instead) -> Plan:
         steps=settings.get("steps") or None if a_fit else None,
         data=instead.data or (None if instead.inputs or origin.get("inputs") else known.get("data")),
         checkpoint=instead.checkpoint or known.get("checkpoint"),
-        out=above[3 if "baseline" in settings else 2],
+        out=above[3 if "peer" in settings else 2],
         seed=settings["seed"],
         device=device if device != "cuda" or torch.cuda.is_available() else "cpu",
     )
@@ -160,7 +160,7 @@ def _repeat(plan: Plan, settings: dict[str, Any], tables: Tables) -> Repeat:
         return Repeat(plan.settings(label), tasks, functools.partial(fit_tasks, plan))
     repeat = tables(plan, settings)
     if repeat is None:
-        raise ValueError(_ALONE.format(settings["app"], settings.get("paradigm") or settings.get("baseline")))
+        raise ValueError(_ALONE.format(settings["app"], settings.get("paradigm") or settings.get("peer")))
     return repeat
 
 

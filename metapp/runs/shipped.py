@@ -5,7 +5,7 @@ from __future__ import annotations
 from importlib import resources
 from pathlib import Path
 
-from metapp.learning.app import App
+from metapp.apps import recipes_of
 
 QUICK, FULL = "quick", "full"
 
@@ -27,15 +27,16 @@ def shipped_names(app: str) -> dict[str, list[str]]:
     return {key: found for key, found in names.items() if found or key == app}
 
 
-def ships(app: App, recipe: str) -> bool:
+def ships(app: str, recipe: str) -> bool:
     """Whether checkpoints of a recipe ship: its own, or those of "quick" where it fits the same network."""
     same = recipe == FULL and full_fits_as_quick(app)
-    return recipe == QUICK or same or (_folder(app.name) / recipe).is_dir()
+    return recipe == QUICK or same or (_folder(app) / recipe).is_dir()
 
 
-def full_fits_as_quick(app: App) -> bool:
+def full_fits_as_quick(app: str) -> bool:
     """Whether networks of "full" are of the size of those of "quick": then all that fits differ in is its rule."""
-    result: bool = app.recipes[FULL].setup == app.recipes[QUICK].setup
+    recipes = recipes_of(app)
+    result: bool = recipes[FULL].setup == recipes[QUICK].setup
     return result
 
 

@@ -11,13 +11,13 @@ from pathlib import Path
 
 import torch
 
-from metapp.learning.app import App
+from metapp.learning.app import App, ReducedPrecision
 from metapp.runs import BadOption
 
 
 def threads_of(app: App) -> int | None:
     """The threads of an application's fits: 1 where threads only wait for each other, else None, all there are."""
-    return 1 if app.single_threaded else None
+    return 1 if app.traits.single_threaded else None
 
 
 @contextlib.contextmanager
@@ -37,7 +37,7 @@ def find_device(name: str, app: App) -> torch.device:
         raise BadOption(f"--device '{name}': expected auto, cpu or cuda.")
     if name == "cuda" and not torch.cuda.is_available():
         raise ValueError("--device cuda: PyTorch finds no CUDA device; use --device cpu or install a CUDA build.")
-    automatic = "cuda" if torch.cuda.is_available() and not app.single_threaded else "cpu"
+    automatic = "cuda" if torch.cuda.is_available() and not app.traits.single_threaded else "cpu"
     return torch.device(automatic if name == "auto" else name)
 
 
@@ -59,7 +59,7 @@ def versions() -> dict[str, str]:
 
 def precision_of(app: App, device: torch.device, steps: int = 1) -> dict[str, str]:
     """What so many steps compute in other than float32, as records and headers of checkpoints say it, if anything."""
-    precision = app.precision(device) if steps else ""
+    precision = app.precision(device) if steps and isinstance(app, ReducedPrecision) else ""
     return {"precision": precision} if precision else {}
 
 

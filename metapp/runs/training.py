@@ -128,7 +128,7 @@ def _name_of(plan: Plan) -> str:
 
 
 def _needs_general(plan: Plan, name: str) -> bool:
-    return name == "quickft" or (name != "general" and plan.job.recipe.meta_training(name).from_general)
+    return name == "quickft" or (name != "general" and plan.job.recipe.training(name).from_general)
 
 
 def _about(plan: Plan, name: str, folder: Path, encoder: MetaParameters | None) -> dict[str, Any]:

@@ -1,10 +1,13 @@
-"""How radiance of any range is shown."""
+"""sRGB, tone mapping, and error measures of pictures."""
 
 from __future__ import annotations
 
+import pytest
 import torch
+from torch import Generator, Tensor
 
 from metapp.appearance.colour import linear_to_srgb, srgb_to_linear, stretched, tone_map
+from metapp.appearance.metrics import dssim, mape, smape, ssim
 
 
 def test_srgb_is_the_standards() -> None:
@@ -34,3 +37,58 @@ def test_stretched_values_come_back_and_a_plane_is_black() -> None:
     torch.testing.assert_close(low + shown * (high - low), values)
     shown, low, high = stretched(torch.full((2, 2), -3.0))
     assert (shown.tolist(), low, high) == ([[0, 0], [0, 0]], -3, -3)
+
+
+@pytest.fixture
+def pictures() -> Tensor:
+    return 0.1 + torch.rand(3, 3, 32, 32, generator=Generator().manual_seed(0))
+
+
+@pytest.mark.parametrize("measure", [mape, smape, dssim])
+def test_a_picture_has_no_error_against_itself(measure, pictures: Tensor) -> None:  # type: ignore[no-untyped-def]
+    torch.testing.assert_close(measure(pictures, pictures), torch.zeros(3), atol=1e-5, rtol=0)
+
+
+@pytest.mark.parametrize("measure", [mape, smape, dssim])
+def test_errors_are_of_each_picture_and_of_no_unit(measure, pictures: Tensor) -> None:  # type: ignore[no-untyped-def]
+    wanted = pictures.flip(0) + 0.5
+    each = measure(pictures, wanted)
+    assert each.shape == (3,)
+    assert len(set(each.tolist())) > 1
+    torch.testing.assert_close(measure(pictures[1:2], wanted[1:2]), each[1:2])
+    torch.testing.assert_close(measure(7 * pictures, 7 * wanted), each)
+
+
+def test_what_is_a_fifth_brighter_is_20_percent_off(pictures: Tensor) -> None:
+    torch.testing.assert_close(mape(1.2 * pictures, pictures), torch.full((3,), 0.2))
+    torch.testing.assert_close(smape(1.2 * pictures, pictures), torch.full((3,), 2 * 0.2 / 2.2))
+    torch.testing.assert_close(smape(pictures, 1.2 * pictures), torch.full((3,), 2 * 0.2 / 2.2))
+    torch.testing.assert_close(smape(torch.zeros_like(pictures), pictures), torch.full((3,), 2.0))
+
+
+def test_black_pixels_have_finite_errors(pictures: Tensor) -> None:
+    black = pictures.clone()
+    black[:, :, :4] = 0
+    noisy = black + 1e-4
+    assert mape(noisy, black).max() < 0.05
+    assert smape(noisy, black).max() < 0.05
+
+
+def test_structure_counts_for_dssim(pictures: Tensor) -> None:
+    noise = 0.3 * torch.rand(pictures.shape, generator=Generator().manual_seed(1))
+    little, much = dssim(pictures + 0.1 * noise, pictures), dssim(pictures + noise, pictures)
+    assert (little < much).all()
+    assert (dssim(pictures.flip(3), pictures) > 0.5).all()
+
+
+@pytest.mark.parametrize("size", [(3, 48, 40), (1, 33, 64)])
+def test_structural_similarity_is_that_of_a_library(size: tuple[int, int, int]) -> None:
+    from torchmetrics.functional.image import structural_similarity_index_measure
+
+    rng = Generator().manual_seed(2)
+    one, other = torch.rand(2, 4, *size, generator=rng)
+    other = one + 0.3 * other
+    mean, each = structural_similarity_index_measure(one, other, data_range=1.0, reduction=None, return_full_image=True)
+    assert torch.equal(ssim(one, other), each)
+    assert torch.equal(ssim(one, other).flatten(1).mean(1), mean)
+    assert 0 < mean.min() < mean.max() < 1

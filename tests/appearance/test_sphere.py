@@ -1,17 +1,20 @@
-"""The reference sphere: its lights, its sky and its shading."""
+"""The reference sphere: its lights, its sky, its shading, and its scenes in the cache."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from pathlib import Path
 
 import pytest
 import torch
 from torch import Tensor
 
+from metapp.appearance import sphere
 from metapp.appearance.geometry import above_horizon, cosines
 from metapp.appearance.reflection import MicrofacetKind, fresnel_schlick, microfacet_lobe, rough_reflectance
 from metapp.appearance.sphere import SphereScene, environment, environment_scene, shade_sphere, sphere_scene
+from metapp.storage import kept
 
 KINDS: tuple[MicrofacetKind, ...] = ("ggx", "beckmann")
 ALPHAS = (0.03, 0.1, 0.3, 0.6)
@@ -113,3 +116,58 @@ def test_the_environment_lights_a_white_sphere_as_a_fine_sum_over_directions_doe
     assert (ratio - 1).abs().mean() < 0.05
     assert ratio.amin() > 0.8
     assert ratio.amax() < 1.2
+
+
+SIZE = 8
+
+
+def small() -> SphereScene:
+    return sphere_scene(SIZE)
+
+
+def never() -> SphereScene:
+    pytest.fail("a scene was made that is in the cache")
+
+
+def same(one: SphereScene, other: SphereScene) -> bool:
+    return all(torch.equal(a, b) and a.dtype == b.dtype for a, b in zip(one, other, strict=True))
+
+
+def test_a_scene_is_made_once(cache: Path) -> None:
+    assert same(sphere._kept("small", small), small())
+    assert [path.name for path in cache.iterdir()] == ["sphere-small.safetensors"]
+    assert same(sphere._kept("small", never), small())
+
+
+def test_a_scene_of_other_code_is_made_anew(monkeypatch: pytest.MonkeyPatch) -> None:
+    with monkeypatch.context() as patch:
+        patch.setattr(kept, "_maker", lambda sources: "of another version")
+        sphere._kept("small", lambda: sphere_scene(SIZE + 1))
+    assert same(sphere._kept("small", small), small())
+    assert same(sphere._kept("small", never), small())
+
+
+@pytest.mark.parametrize("end", [0, 5, 200, -1])
+def test_a_damaged_file_is_made_anew(end: int, cache: Path) -> None:
+    sphere._kept("small", small)
+    path = cache / "sphere-small.safetensors"
+    path.write_bytes(path.read_bytes()[:end])
+    assert same(sphere._kept("small", small), small())
+    assert same(sphere._kept("small", never), small())
+
+
+def test_a_cache_that_cannot_be_written_to_is_done_without(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "file").touch()
+    monkeypatch.setenv("METAPP_CACHE", str(tmp_path / "file" / "below"))
+    assert same(sphere._kept("small", small), small())
+
+
+@pytest.mark.parametrize("scene", [sphere.reference_scene, sphere.environment_scene])
+def test_scenes_that_are_kept_are_those_of_every_picture(scene: object, cache: Path) -> None:
+    """However a process came by them."""
+    scene.cache_clear()  # type: ignore[attr-defined]
+    made = scene()  # type: ignore[operator]
+    scene.cache_clear()  # type: ignore[attr-defined]
+    read = scene()  # type: ignore[operator]
+    assert len(list(cache.glob("sphere-*"))) == 1
+    assert same(made, read)

@@ -10,8 +10,8 @@ from torch import Generator
 from metapp.learning.app import App, stack
 from metapp.learning.recipe import Recipe
 from metapp.learning.task import Task, Tasks
-from metapp.networks.exemplar import Setup
-from metapp.networks.pyramid import Pyramid
+from metapp.networks.exemplar import ExemplarSetup
+from metapp.networks.generators import Pyramid
 
 TAPS = ("relu1_1", "relu2_1", "relu3_1")
 
@@ -19,7 +19,7 @@ TAPS = ("relu1_1", "relu2_1", "relu3_1")
 def tiny(full: Recipe, side: int, share: float) -> Recipe:
     """The recipe with a small network: pictures of `side` texels, after a share of the steps at half of that."""
     network = Pyramid(4, 3, code=8, outputs=full.setup.network.outputs)
-    return replace(full, setup=Setup(side, side, network, "vgg16", TAPS, octaves=2, shares=(share,)))
+    return replace(full, setup=ExemplarSetup(side, side, network, "vgg16", TAPS, octaves=2, shares=(share,)))
 
 
 def noise_tasks(app: App, count: int) -> Tasks:

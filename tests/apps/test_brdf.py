@@ -14,11 +14,13 @@ from torch import Generator, Tensor
 from data_tools.readers.brdf_task import brdf_task
 from data_tools.readers.nbrdf import export, nbrdf_evaluate, read_nbrdf
 from data_tools.synthetic.brdf import synthetic_materials
-from metapp.appearance.geometry import cos_incident
-from metapp.apps.brdf import APP, KNOTS
+from metapp.appearance.geometry import cosines
+from metapp.apps.brdf import KNOTS, Brdf
 from metapp.apps.brdf.presentation import BrdfPresentation
 from metapp.learning.app import stack
 from metapp.learning.task import Batch, Params, Task, Tasks
+
+APP = Brdf()
 
 SAMPLES = 512
 
@@ -63,10 +65,10 @@ def distance_by_hand(theta: Params, batch: Batch, task: int, clamp: bool) -> np.
 
 def test_the_data(materials: list[Task], tasks: Tasks) -> None:
     angles, reflectance = materials[1].data["angles"], materials[1].data["reflectance"]
-    torch.testing.assert_close(tasks.data["where"][1, :, 6], cos_incident(angles))
+    torch.testing.assert_close(tasks.data["where"][1, :, 6], cosines(angles).incident)
     torch.testing.assert_close(tasks.data["where"][1, :, 2], angles[:, 0].cos())
     torch.testing.assert_close(tasks.data["where"][1, :, 5], angles[:, 1].cos())
-    weighted = torch.expm1(tasks.data["target"][1]) / cos_incident(angles)[:, None]
+    weighted = torch.expm1(tasks.data["target"][1]) / cosines(angles).incident[:, None]
     torch.testing.assert_close(weighted, reflectance, rtol=1e-3, atol=1e-4)
     assert (tasks.data["where"][..., 6] > 0).all()
     assert tasks.data["where"].stride(0) == 0  # one copy for all materials
@@ -144,7 +146,7 @@ def test_same_as_the_published_network(theta: Params, materials: list[Task], tas
         export(APP, one, tmp_path / material.name)
         published = nbrdf_evaluate(read_nbrdf(tmp_path / material.name), angles)
         torch.testing.assert_close(APP.reflectance(one, angles), published, rtol=1e-5, atol=1e-5)
-        cosine, truth = cos_incident(angles)[held_out, None], material.data["reflectance"][held_out]
+        cosine, truth = cosines(angles).incident[held_out, None], material.data["reflectance"][held_out]
         error = (torch.log1p(published[held_out] * cosine) - torch.log1p(truth * cosine)).abs().mean()
         torch.testing.assert_close(error, errors[task], rtol=1e-4, atol=1e-7)
 

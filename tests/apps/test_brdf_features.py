@@ -9,9 +9,10 @@ import torch
 from torch import Generator
 
 from data_tools.readers.brdf_task import brdf_task
-from metapp.appearance.geometry import cos_incident, half_difference
+from metapp.appearance.geometry import cosines, half_difference
 from metapp.apps.brdf import Brdf, network
 from metapp.apps.brdf.featured import INPUTS, OWN, Featured, features_of, inputs_of
+from metapp.apps.brdf.recipes import RECIPES
 from metapp.learning.app import stack
 from metapp.learning.learn import MetaParameters
 from metapp.learning.recipe import Adam
@@ -21,7 +22,7 @@ from metapp.paradigms import Job, paradigms
 
 SIZE = Featured(width=12, features=7, code=3, encoder=8)
 APP = Brdf(SIZE)
-RECIPE = Brdf.recipes["full"]
+RECIPE = RECIPES[""]["full"]
 
 
 @pytest.fixture
@@ -39,7 +40,7 @@ def where() -> torch.Tensor:
     angles = torch.tensor([math.pi / 2, math.pi / 2, 2 * math.pi]) * torch.rand(
         500, 3, generator=Generator().manual_seed(2)
     )
-    return torch.cat([half_difference(angles), cos_incident(angles)[:, None]], 1).T[None]
+    return torch.cat([half_difference(angles), cosines(angles).incident[:, None]], 1).T[None]
 
 
 def tasks_of(theta: Params) -> Tasks:

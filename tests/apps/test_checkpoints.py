@@ -14,8 +14,9 @@ from torch import Generator, Tensor
 
 from data_tools.readers.brdf_task import brdf_task
 from data_tools.synthetic.brdf import synthetic_materials
-from metapp.apps import load_app
-from metapp.apps.brdf import APP
+from metapp.apps import app_of, recipes_of
+from metapp.apps.brdf import Brdf
+from metapp.apps.brdf.recipes import RECIPES
 from metapp.learning.app import App, stack
 from metapp.learning.learn import MetaParameters
 from metapp.learning.recipe import Recipe
@@ -24,7 +25,10 @@ from metapp.paradigms import Job, paradigms
 from metapp.runs.checkpoints import checkpoint_name
 from metapp.runs.shipped import shipped_path
 from metapp.storage.records import load_checkpoint, tensor_digest
+from tests.quick import app_by
 from tests.small_spheres import shrink_spheres
+
+APP = Brdf()
 
 SHIPPED = sorted(shipped_path("brdf", "general").parent.glob("*.safetensors"))
 
@@ -38,10 +42,10 @@ def unseen() -> Tasks:
 
 
 def error_of(paradigm: str, rule: str, prepared: MetaParameters, tasks: Tasks) -> float:
-    recipe = APP.recipes["quick"]
-    app = APP.at(recipe.for_rule(rule)) if paradigm == "meta" else APP
+    recipe = RECIPES[""]["quick"]
+    app = app_of("brdf", recipe, rule=rule if paradigm == "meta" else "")
     theta = paradigms()[paradigm].fit(Job(app, recipe, rule), prepared, tasks, Generator().manual_seed(0))
-    return app.scale * float(app.errors(theta, tasks)["error"].mean())
+    return app.traits.scale * float(app.errors(theta, tasks)["error"].mean())
 
 
 @pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.stem)
@@ -50,20 +54,20 @@ def test_says_what_it_is(path: Path) -> None:
     assert (info["app"], info["start"]) == ("brdf", path.stem)
     assert info["validation_error"] > 0
     assert path.stat().st_size < 2e6
-    quick = APP.recipes["quick"]
+    quick = RECIPES[""]["quick"]
     if path.stem == "quickft" or (path.stem in quick.meta and quick.meta[path.stem].from_general):
         encoder, _ = load_checkpoint(shipped_path("brdf", "general"))
         assert info["encoder"] == tensor_digest(encoder.encoder)
 
 
 def test_every_rule_of_the_quick_recipe_ships() -> None:
-    assert {path.stem for path in SHIPPED} == {"general", "quickft", *APP.recipes["quick"].meta}
+    assert {path.stem for path in SHIPPED} == {"general", "quickft", *RECIPES[""]["quick"].meta}
 
 
 def test_ten_steps_of_the_default_rule_beat_the_other_quick_ways_on_unseen_materials(unseen: Tasks) -> None:
     starts = {path.stem: load_checkpoint(path)[0] for path in SHIPPED}
     tuned = starts["general"]._replace(alpha=starts["quickft"].alpha)
-    rule = APP.recipes["quick"].rule
+    rule = RECIPES[""]["quick"].rule
     meta = error_of("meta", rule, starts[rule], unseen)
     assert meta < 0.8
     assert meta < error_of("quickft", rule, tuned, unseen)
@@ -88,7 +92,7 @@ PICTURES = ("texture", "svbrdf_stationary")
 @pytest.mark.parametrize("name", PICTURES)
 def test_starts_of_pictures_say_what_they_are(name: str) -> None:
     files = sorted(shipped_path(name, "general").parent.glob("*.safetensors"))
-    recipe = load_app(name).recipes["quick"]
+    recipe = recipes_of(name)["quick"]
     assert {path.stem for path in files} == {"general", "quickft", recipe.rule}
     encoder = tensor_digest(load_checkpoint(shipped_path(name, "general"))[0].encoder)
     for path in files:
@@ -102,12 +106,12 @@ def test_starts_of_pictures_say_what_they_are(name: str) -> None:
 
 def errors_of_pictures(name: str, count: int, paradigm: str) -> tuple[Tensor, Tensor]:
     """Errors [T] of unseen pictures at General's prediction, and after a paradigm's steps, both by what ships."""
-    app = load_app(name)
+    app = app_by(name)
     module = importlib.import_module(f"data_tools.synthetic.{name}")
     tasks = stack(
         app, [task._replace(data={"image": task.data["image"]}) for task in module.synthetic_tasks("test", count)]
     )
-    recipe = app.recipes["quick"]
+    recipe = recipes_of(app.name)["quick"]
     job = Job(app, recipe, recipe.rule)
     starts = {each: load_checkpoint(shipped_path(name, each))[0] for each in ("general", "quickft", recipe.rule)}
     starts["quickft"] = starts["general"]._replace(alpha=starts["quickft"].alpha)
@@ -167,9 +171,7 @@ def tasks_of(name: str) -> list[Task]:
 
 
 def recipe_of(name: str, protocol: str) -> tuple[App, Recipe]:
-    plain = load_app(name)
-    app = plain.at(plain.recipes["quick"], protocol)
-    return app, app.recipes["quick"]
+    return app_by(name, protocol=protocol), recipes_of(name, protocol)["quick"]
 
 
 @pytest.mark.parametrize("name", OBSERVED)
@@ -242,7 +244,7 @@ def test_a_flash_photo_is_fitted_at_once_by_what_ships(metapp: Callable, tmp_pat
 
 
 def test_starts_of_transport_say_what_they_are() -> None:
-    recipe = load_app("transport").recipes["quick"]
+    recipe = recipes_of("transport")["quick"]
     files = sorted(shipped_path("transport", "general").parent.glob("*.safetensors"))
     assert {path.stem for path in files} == {"general", "quickft", recipe.rule}
     encoder = tensor_digest(load_checkpoint(shipped_path("transport", "general"))[0].encoder)
@@ -256,8 +258,8 @@ def test_starts_of_transport_say_what_they_are() -> None:
 
 
 def test_few_steps_beat_none_on_unseen_scenes() -> None:
-    app = load_app("transport")
-    recipe = app.recipes["quick"]
+    app = app_by("transport")
+    recipe = recipes_of(app.name)["quick"]
     module = importlib.import_module("data_tools.synthetic.transport")
     tasks = stack(app, list(module.synthetic_tasks("test", 2)))
     job, errors = Job(app, recipe, recipe.rule), {}

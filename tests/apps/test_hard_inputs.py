@@ -20,7 +20,7 @@ from data_tools.readers.latlong import map_task
 from data_tools.readers.svbrdf_task import svbrdf_task
 from metapp.appearance.flash import Maps, pack
 from metapp.appearance.latlong import directions, solid_angles, sphere_normals
-from metapp.apps import load_app
+from metapp.apps import recipes_of
 from metapp.learning.app import App, stack
 from metapp.learning.guard import Guarded
 from metapp.learning.learn import MetaParameters
@@ -29,6 +29,7 @@ from metapp.paradigms import Job, paradigms
 from metapp.runs.checkpoints import checkpoint_name
 from metapp.runs.shipped import shipped_path
 from metapp.storage.records import load_checkpoint
+from tests.quick import app_by
 
 WORSE = 1.2  # than QuickFT's
 
@@ -45,7 +46,8 @@ class Found(NamedTuple):
 
 def fitted(app: App, sources: Iterable[Task]) -> Found:
     """Fits by what ships, with the same draws."""
-    recipe, meta, quickft = app.recipes["quick"], paradigms()["meta"], paradigms()["quickft"]
+    recipe = recipes_of(app.name, app.protocol)["quick"]
+    meta, quickft = paradigms()["meta"], paradigms()["quickft"]
     job, tasks = Job(app, recipe, recipe.rule), stack(app, list(sources))
 
     def shipped(name: str) -> MetaParameters:
@@ -64,8 +66,8 @@ def fitted(app: App, sources: Iterable[Task]) -> Found:
 
 def visible(app: App, theta: Params, tasks: Tasks) -> Tensor:
     """The plain loss of what fits see, on other samples than they drew, [T]."""
-    rng, count = Generator().manual_seed(1), app.recipes["quick"].batch
-    batches = [app.sample(tasks, rng, count) for _ in range(1 if app.deterministic else 4)]
+    rng, count = Generator().manual_seed(1), recipes_of(app.name)["quick"].batch
+    batches = [app.sample(tasks, rng, count) for _ in range(1 if app.traits.deterministic else 4)]
     with torch.no_grad():
         return torch.stack([app.loss(theta, batch, {}) for batch in batches]).mean(0)
 
@@ -118,7 +120,7 @@ MATERIALS: dict[str, Callable[[Tensor], Tensor]] = {
 
 def test_materials() -> None:
     sources = [brdf_task(name, evaluate, samples=8192) for name, evaluate in MATERIALS.items()]
-    found = check(load_app("brdf"), sources)
+    found = check(app_by("brdf"), sources)
     acted = dict(zip(found.tasks.names, found.guarded.acted.tolist(), strict=True))
     assert acted["saturated"]
     assert acted["searchlight"]
@@ -149,7 +151,7 @@ def sky() -> Tensor:
 @pytest.mark.usefixtures("scene")
 def test_suns() -> None:
     """What a sun's fit ends at is chance: its radiance oscillates. The guard ends that where it sees it."""
-    app = load_app("illumination")
+    app = app_by("illumination")
     places = itertools.product((5, 8, 12, 24), (20, 64), (1, 2))
     suns = [(row, column, size, share) for (row, column, size), share in zip(places, 8 * (0.97, 0.997), strict=True)]
     found = check(app, [map_of(f"sun {each}", sun(*each, ground=sky())) for each in suns])
@@ -180,7 +182,7 @@ def test_maps() -> None:
         "noise": torch.randn(3, 64, 128, generator=rng).mul(3).exp(),
         "few pixels": torch.rand(3, 2, 4, generator=rng).repeat_interleave(32, 1).repeat_interleave(32, 2),
     }
-    check(load_app("illumination"), [map_of(name, light) for name, light in lights.items()])
+    check(app_by("illumination"), [map_of(name, light) for name, light in lights.items()])
 
 
 def ball(name: str, colour: float, spot: int = 0) -> Task:
@@ -192,8 +194,7 @@ def ball(name: str, colour: float, spot: int = 0) -> Task:
 
 @pytest.mark.usefixtures("scene")
 def test_photographs_of_spheres() -> None:
-    plain = load_app("illumination")
-    app = plain.at(plain.recipes["quick"], "photo")
+    app = app_by("illumination", protocol="photo")
     inputs = (
         ("black", 0, 0),
         ("nearly black", 1, 0),
@@ -210,8 +211,7 @@ def test_photographs_of_spheres() -> None:
 
 @pytest.mark.parametrize("protocol", ["reference", "photo"])
 def test_flat_materials(protocol: str) -> None:
-    plain = load_app("svbrdf_nonstationary")
-    app = plain.at(plain.recipes["quick"], protocol)
+    app = app_by("svbrdf_nonstationary", protocol=protocol)
 
     def material(name: str, diffuse: float, specular: float, roughness: float) -> Task:
         flat = torch.ones(1, 128, 128)
@@ -231,4 +231,4 @@ def test_pictures(name: str) -> None:
         "white": torch.ones(3, 64, 64),
         "few pixels": few.repeat_interleave(32, 1).repeat_interleave(32, 2),
     }
-    check(load_app(name), [Task(each, {"image": (255 * image).to(torch.uint8)}) for each, image in images.items()])
+    check(app_by(name), [Task(each, {"image": (255 * image).to(torch.uint8)}) for each, image in images.items()])

@@ -10,17 +10,18 @@ from torch import Generator, Tensor
 
 from metapp.appearance.latlong import cosine_transfer, directions, mean_luminance
 from metapp.appearance.photograph import develop, photograph, shade
-from metapp.apps.illumination import APP, BODY, BODY_GAIN, GLOSSES, QUICK, Illumination, Setup, body_of
+from metapp.apps.illumination import BODY, BODY_GAIN, GLOSSES, Illumination, IlluminationSetup, body_of
 from metapp.apps.illumination.encoder import Encoder, unwrapped
 from metapp.apps.illumination.presentation import IlluminationPresentation
+from metapp.apps.illumination.recipes import QUICK, RECIPES
 from metapp.apps.illumination.variants import LAMPS, lit, mixed, regraded, tinted, turned
 from metapp.learning.app import stack
 from metapp.learning.task import Params, Task, Tasks
-from metapp.networks.layers import LocalField
+from metapp.networks.field import LocalField
 
 pytestmark = pytest.mark.usefixtures("scene")
 FIELD = LocalField(8, 16, rows=4, columns=8, code=3, hidden=8, layers=2)
-RECIPE = replace(QUICK, setup=Setup(FIELD))
+RECIPE = replace(QUICK, setup=IlluminationSetup(FIELD))
 
 
 def lamps(seed: int, height: int = 64) -> Tensor:
@@ -41,7 +42,7 @@ def task_of(light: Tensor, name: str = "lamps") -> Task:
 
 @pytest.fixture
 def app() -> Illumination:
-    return APP.at(RECIPE, "reference")
+    return Illumination(RECIPE.setup, "reference")
 
 
 @pytest.fixture
@@ -114,7 +115,7 @@ def test_the_true_map_has_no_loss(app: Illumination, tasks: Tasks, monkeypatch: 
 def test_the_true_map_sphere_and_camera_look_like_the_photo(
     app: Illumination, tasks: Tasks, monkeypatch: pytest.MonkeyPatch, rng: Generator
 ) -> None:
-    photo = app.at(RECIPE, "photo")
+    photo = Illumination(RECIPE.setup, "photo")
     theta = exact(photo, tasks, monkeypatch) | {"body": 0.5 / BODY_GAIN * torch.randn(4, BODY, generator=rng)}
     material, camera = body_of(BODY_GAIN * theta["body"])
     seen = develop(shade(tasks.data["map"], material, 64, GLOSSES), camera).clamp_max(1)
@@ -125,7 +126,7 @@ def test_the_true_map_sphere_and_camera_look_like_the_photo(
 
 
 def test_what_a_photo_clips_may_be_any_brightness(tasks: Tasks) -> None:
-    photo = APP.at(RECIPE, "photo")
+    photo = Illumination(RECIPE.setup, "photo")
     theta = photo.init(Generator().manual_seed(0), 4)
     batch = {"photo": torch.full((4, 3, 64, 64), 255.0)}
     bright = {**theta, "body": theta["body"] + 12 / BODY_GAIN * torch.eye(BODY)[7]}
@@ -135,8 +136,8 @@ def test_what_a_photo_clips_may_be_any_brightness(tasks: Tasks) -> None:
 
 
 def test_protocols_differ_in_what_fits_see(tasks: Tasks) -> None:
-    small = APP.at(RECIPE).init(Generator().manual_seed(0), 4)
-    reference, photo = APP.at(RECIPE, "reference"), APP.at(RECIPE, "photo")
+    small = Illumination(RECIPE.setup, "reference").init(Generator().manual_seed(0), 4)
+    reference, photo = Illumination(RECIPE.setup, "reference"), Illumination(RECIPE.setup, "photo")
     assert (reference.protocol, photo.protocol) == ("reference", "photo")
     batch = reference.sample(tasks, Generator(), 1)
     for app, seen, unseen in ((reference, "map", "photo"), (photo, "photo", "map")):
@@ -153,7 +154,7 @@ def test_protocols_differ_in_what_fits_see(tasks: Tasks) -> None:
 
 @pytest.mark.parametrize("protocol", ["reference", "photo"])
 def test_gradients(protocol: str, tasks: Tasks) -> None:
-    app = APP.at(RECIPE, protocol)
+    app = Illumination(RECIPE.setup, protocol)
     theta = {key: value.double() for key, value in app.init(Generator().manual_seed(2), 4).items()}
     batch = {key: value.double() for key, value in app.sample(tasks, Generator(), 1).items()}
     learned = {key: value[:1].double().expand(4) for key, value in app.loss_parameters(1).items()}
@@ -170,7 +171,7 @@ def test_gradients(protocol: str, tasks: Tasks) -> None:
 
 
 def test_photographs_alone_have_no_error(rng: Generator) -> None:
-    app = APP.at(RECIPE, "photo")
+    app = Illumination(RECIPE.setup, "photo")
     task = task_of(lamps(0))
     alone = task._replace(data={"photos": task.data["photos"][:1]})
     tasks = stack(app, [alone])
@@ -178,7 +179,7 @@ def test_photographs_alone_have_no_error(rng: Generator) -> None:
     assert app.errors(theta, tasks) == {}
     assert torch.isfinite(app.loss(theta, app.sample(tasks, rng, 1), {})).all()
     with pytest.raises(ValueError, match=r"lamps: a photo of a sphere, expected an HDR map .*--observe photo"):
-        stack(APP.at(RECIPE, "reference"), [alone])
+        stack(Illumination(RECIPE.setup, "reference"), [alone])
 
 
 # Made-up tasks
@@ -257,7 +258,7 @@ def test_the_error_is_of_the_second_scene(app: Illumination, tasks: Tasks, monke
 
 
 def test_a_map_goes_out_at_the_scale_it_came_in(rng: Generator) -> None:
-    app = APP.at(RECIPE)
+    app = Illumination(RECIPE.setup, "reference")
     theta = {key: value[0] for key, value in app.init(rng, 1).items()}
     files = IlluminationPresentation(app).files(theta, task_of(lamps(0)))
     fitted = app.radiance_of({key: value[None] for key, value in theta.items()})[0]
@@ -272,14 +273,14 @@ def test_a_map_goes_out_at_the_scale_it_came_in(rng: Generator) -> None:
 def test_overfit_finds_the_map(rng: Generator) -> None:
     from metapp.paradigms import Job, paradigms
 
-    app = APP.at(QUICK)
+    app = Illumination(QUICK.setup, "reference")
     tasks = stack(app, [task_of(lamps(seed), f"{seed}") for seed in range(2)])
     theta = paradigms()["overfit"].fit(Job(app, QUICK, QUICK.rule), None, tasks, rng)  # type: ignore[arg-type]
     assert app.errors(theta, tasks)["relative"].max() < 0.02
 
 
 def test_sizes_of_the_paper_recipe(rng: Generator) -> None:
-    app = APP.at(APP.recipes["paper"])
+    app = Illumination(RECIPES["reference"]["paper"].setup, "reference")
     theta = app.init(rng, 1)
     assert app.radiance_of(theta).shape == (1, 3, 64, 128)
     tasks = stack(app, [task_of(lamps(1))])

@@ -17,11 +17,9 @@ from metapp.appearance.colour import linear_to_srgb, srgb_to_linear
 from metapp.appearance.flash import Maps, camera, camera_distance, normal_from_height, pack, positions, render, unpack
 from metapp.apps import svbrdf_nonstationary
 from metapp.apps.svbrdf_nonstationary import (
-    APP,
     HIDDEN,
-    QUICK,
     STEEP,
-    Setup,
+    MaterialSetup,
     SvbrdfNonstationary,
     field_of,
     presentation,
@@ -29,6 +27,7 @@ from metapp.apps.svbrdf_nonstationary import (
 from metapp.apps.svbrdf_nonstationary.encoder import Encoder
 from metapp.apps.svbrdf_nonstationary.maps import decoded, fine_maps, pooled, relit
 from metapp.apps.svbrdf_nonstationary.presentation import SvbrdfNonstationaryPresentation
+from metapp.apps.svbrdf_nonstationary.recipes import QUICK
 from metapp.apps.svbrdf_nonstationary.variants import _mixed, _recoloured, _turned, varied
 from metapp.apps.svbrdf_nonstationary.views import (
     FLASH,
@@ -40,10 +39,10 @@ from metapp.apps.svbrdf_nonstationary.views import (
 )
 from metapp.learning.app import stack
 from metapp.learning.task import Params, Task, Tasks
-from metapp.networks import strips
+from metapp.networks import field as fields
 
 SIDE = 16
-RECIPE = replace(QUICK, setup=Setup(field_of(SIDE, hidden=8)._replace(code=3), width=2))
+RECIPE = replace(QUICK, setup=MaterialSetup(field_of(SIDE, hidden=8)._replace(code=3), width=2))
 
 
 def material(seed: int, size: int = 32) -> Tensor:
@@ -56,7 +55,7 @@ def material(seed: int, size: int = 32) -> Tensor:
 
 @pytest.fixture
 def app() -> SvbrdfNonstationary:
-    return APP.at(RECIPE, "reference")
+    return SvbrdfNonstationary(RECIPE.setup, "reference")
 
 
 @pytest.fixture
@@ -69,7 +68,7 @@ def exact(tasks: Tasks, monkeypatch: pytest.MonkeyPatch) -> Params:
     """Parameters whose field gives the tasks' maps."""
     truth = unpack(tasks.data["maps"])
     monkeypatch.setattr(SvbrdfNonstationary, "maps_of", lambda app, theta, photo: truth)
-    return APP.at(RECIPE).init(Generator().manual_seed(0), 4)
+    return SvbrdfNonstationary(RECIPE.setup, "reference").init(Generator().manual_seed(0), 4)
 
 
 # What is seen of a photograph
@@ -183,7 +182,7 @@ def test_gradients_of_the_flash_are_right() -> None:
 
 def test_gradients_of_the_maps_are_right(tasks: Tasks) -> None:
     field = field_of(6, hidden=4)._replace(code=2)
-    app = SvbrdfNonstationary(Setup(field), "photo")
+    app = SvbrdfNonstationary(MaterialSetup(field), "photo")
     theta = {key: value.double().requires_grad_() for key, value in app.init(Generator().manual_seed(0), 1).items()}
     photo = torch.rand(1, 3, 6, 6, generator=Generator().manual_seed(1)).double() * 0.9
 
@@ -302,7 +301,7 @@ def test_a_tilt_is_measured_in_degrees(app: SvbrdfNonstationary, tasks: Tasks, m
 
 
 def test_what_a_photo_clips_may_be_any_brightness(tasks: Tasks, exact: Params) -> None:
-    photo = APP.at(RECIPE, "photo")
+    photo = SvbrdfNonstationary(RECIPE.setup, "photo")
     white = {"photo": torch.ones(4, 3, SIDE, SIDE)}
     brighter = exact | {"flash": torch.tensor([[0.0, 0.0, 0.0, 20.0]]).expand(4, -1)}
     assert photo.loss(brighter, white, {}).max() < 1e-4
@@ -310,7 +309,7 @@ def test_what_a_photo_clips_may_be_any_brightness(tasks: Tasks, exact: Params) -
 
 
 def test_protocols_differ_in_what_fits_see(tasks: Tasks) -> None:
-    reference, photo = APP.at(RECIPE, "reference"), APP.at(RECIPE, "photo")
+    reference, photo = SvbrdfNonstationary(RECIPE.setup, "reference"), SvbrdfNonstationary(RECIPE.setup, "photo")
     theta = reference.init(Generator().manual_seed(0), 4)
     batch = reference.sample(tasks, Generator(), 1)
     for app, changed in ((reference, "maps"), (reference, "lit"), (photo, "photo")):
@@ -326,7 +325,7 @@ def test_a_photo_alone_is_no_reference(app: SvbrdfNonstationary) -> None:
     task = Task("wall", {"photo": flash_photo(material(0))})
     with pytest.raises(ValueError, match=r"wall: a flash photo, expected .* --observe photo"):
         app.prepare(task)
-    photo = APP.at(RECIPE, "photo")
+    photo = SvbrdfNonstationary(RECIPE.setup, "photo")
     alone = stack(photo, [task])
     assert photo.errors(photo.init(Generator(), 1), alone) == {}
 
@@ -353,7 +352,7 @@ def test_fine_maps_are_made_by_rows(app: SvbrdfNonstationary, monkeypatch: pytes
     field = app.field._replace(height=150, width=150)
     whole = decoded(field(theta, seen(photo)))
     pictures = relit(whole)
-    monkeypatch.setattr(strips, "TEXELS", 150 * 64)
+    monkeypatch.setattr(fields, "TEXELS", 150 * 64)
     for found, wanted in zip(fine_maps(field, theta, photo), whole, strict=True):
         torch.testing.assert_close(found, wanted)
     assert all(torch.allclose(found, pictures[name]) for name, found in relit(whole).items())
@@ -430,7 +429,7 @@ def test_outer_losses_count_flat_normals_and_blots(
     batch = app.sample(tasks, rng, 1)
     batch["photo"] = batch["photo"].clamp_max(0.9).clone()
     batch["photo"][..., :4] = 1
-    monkeypatch.setattr(app, "maps_of", lambda theta, photo: unpack(half))
+    monkeypatch.setattr(type(app), "maps_of", staticmethod(lambda theta, photo: unpack(half)))
     whole = app.outer_loss(exact, batch, {})
     monkeypatch.setattr("metapp.apps.svbrdf_nonstationary.STEEP", 0.0)
     without_steep = app.outer_loss(exact, batch, {})

@@ -8,10 +8,11 @@ import pytest
 import torch
 from torch import Generator, Tensor
 
-from metapp.apps.svbrdf_stationary import APP, FULL, SvbrdfStationary
+from metapp.apps.svbrdf_stationary import SvbrdfStationary
 from metapp.apps.svbrdf_stationary.presentation import SvbrdfStationaryPresentation
+from metapp.apps.svbrdf_stationary.recipes import FULL
 from metapp.learning.task import Params, Task, Tasks
-from metapp.networks.tiling import enlarged
+from metapp.networks.layers import enlarged
 from tests.apps.octaves import noise_tasks, tiny
 
 TINY = tiny(FULL, 64, 0.5)
@@ -19,7 +20,7 @@ TINY = tiny(FULL, 64, 0.5)
 
 @pytest.fixture(scope="module")
 def app() -> SvbrdfStationary:
-    return APP.at(TINY)
+    return SvbrdfStationary(TINY.setup)
 
 
 @pytest.fixture(scope="module")
@@ -73,7 +74,7 @@ def test_files_and_surface_are_of_the_same_maps_made_once(
         sizes.append(tuple(noise.shape[-2:]))
         return make(theta, noise)
 
-    monkeypatch.setattr(app, "maps", maps)
+    monkeypatch.setattr(type(app), "maps", staticmethod(maps))
     shown = SvbrdfStationaryPresentation(app, (32, 48))
     files, surface = shown.files(theta, task), shown.surface(theta, task)
     assert sizes == [(32, 48)]

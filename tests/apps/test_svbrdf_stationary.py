@@ -14,38 +14,35 @@ from metapp.appearance.features import RANDOM
 from metapp.appearance.flash import Maps, camera, expose, normal_from_height, positions, relightings, render, statistics
 from metapp.apps import svbrdf_stationary
 from metapp.apps.svbrdf_stationary import (
-    APP,
     DRAWN,
     FALLOFF,
     GRID,
     OF_ROUGHNESS,
-    PAPER,
     POOLED,
-    PRIOR,
-    QUICK,
     RELIEF,
     TRUTH,
     SvbrdfStationary,
     _grams,
 )
 from metapp.apps.svbrdf_stationary.presentation import SvbrdfStationaryPresentation
+from metapp.apps.svbrdf_stationary.recipes import FULL, PAPER, PRIOR, QUICK
 from metapp.learning.app import stack
 from metapp.learning.learn import MetaParameters, learn, task_loss
 from metapp.learning.recipe import Adam
 from metapp.learning.rules import fixed_adam
 from metapp.learning.task import Params, Task, Tasks
-from metapp.networks.exemplar import JUDGED, Setup
-from metapp.networks.layers import UNet
+from metapp.networks.exemplar import JUDGED, ExemplarSetup
+from metapp.networks.generators import UNet
 from metapp.networks.presentation import TILED
 from metapp.paradigms import Job, paradigms
 
 SIZE = 32
-TINY = replace(QUICK, setup=Setup(SIZE, SIZE, UNet(4, 3, noise=4, code=4, outputs=6), "vgg16", ("relu1_1",)))
+TINY = replace(QUICK, setup=ExemplarSetup(SIZE, SIZE, UNet(4, 3, noise=4, code=4, outputs=6), "vgg16", ("relu1_1",)))
 WINDOWS = range(GRID * GRID)
 
 
 def tiny() -> SvbrdfStationary:
-    return APP.at(TINY)
+    return SvbrdfStationary(TINY.setup)
 
 
 def seeded(seed: int = 0) -> Generator:
@@ -213,7 +210,7 @@ def test_gradients_of_maps_and_of_their_photograph() -> None:
     def network(theta: Params, noise: Tensor) -> Tensor:
         return noise
 
-    app = SvbrdfStationary(Setup(16, 16, cast(UNet, network), "vgg16", ("relu1_1",)))
+    app = SvbrdfStationary(ExemplarSetup(16, 16, cast(UNet, network), "vgg16", ("relu1_1",)))
     raw = torch.randn(1, 1, 6, 16, 16, generator=seeded(), dtype=torch.float64) / 2
     light = torch.tensor([0.1, -0.2, 2.4], dtype=torch.float64)
 
@@ -228,7 +225,9 @@ def test_gradients_of_maps_and_of_their_photograph() -> None:
 
 def test_gradients_of_the_loss() -> None:
     """In float64, from the generator's parameters through maps, photograph and features to the distance."""
-    app = SvbrdfStationary(Setup(16, 16, UNet(2, 2, noise=1, code=2, outputs=6), "vgg16", ("relu1_1", "relu2_1")))
+    app = SvbrdfStationary(
+        ExemplarSetup(16, 16, UNet(2, 2, noise=1, code=2, outputs=6), "vgg16", ("relu1_1", "relu2_1"))
+    )
     theta = {key: value.double() for key, value in app.init(seeded(), 2).items()}
     photos = torch.rand(2, 3, 16, 16, generator=seeded(), dtype=torch.float64)
     data = app.describe(photos)
@@ -263,7 +262,7 @@ def test_the_light_is_where_the_highlight_is(
         used.append((light, view))
         return photograph(maps, light, view)
 
-    monkeypatch.setattr(app, "photograph", spied)
+    monkeypatch.setattr(type(app), "photograph", staticmethod(spied))
     theta = app.init(seeded(), 3)
     app.loss(theta, app.sample(tasks.select([1, 2, 0]), seeded(), 2), {})
     app.errors(theta, tasks)
@@ -435,7 +434,7 @@ def test_the_outer_loss_knows_the_truth_where_a_task_has_it(sources: list[Task])
 
 def test_a_prior_keeps_maps_usual(sources: list[Task]) -> None:
     """Maps of one value each: its part of the loss is the mean square of what is off, and quick fits have none."""
-    kept = APP.at(replace(TINY, setup=replace(TINY.setup, prior=2.0)))
+    kept = SvbrdfStationary(replace(TINY.setup, prior=2.0))
     tasks = stack(kept, sources[:1])
     found = []
     for specular, roughness in ((0.0, 0.0), (0.5, 0.0), (0.0, -1.5)):
@@ -443,7 +442,7 @@ def test_a_prior_keeps_maps_usual(sources: list[Task]) -> None:
         batch = kept.sample(tasks, seeded(), 1)
         found.append(kept.loss(theta, batch, {}) - tiny().loss(theta, batch, {}))
     torch.testing.assert_close(torch.cat(found), torch.tensor([0.0, 2 * 0.25, 2 * OF_ROUGHNESS * 2.25]))
-    assert (QUICK.setup.prior, PAPER.setup.prior, APP.recipes["full"].setup.prior) == (0, 0, PRIOR)
+    assert (QUICK.setup.prior, PAPER.setup.prior, FULL.setup.prior) == (0, 0, PRIOR)
 
 
 def test_the_truth_follows_its_channels(sources: list[Task]) -> None:
@@ -477,7 +476,7 @@ def test_the_paper_s_recipe() -> None:
     assert PAPER.steps == 20
     assert PAPER.rule == "meta-sgd"
     assert (PAPER.meta["meta-sgd"].tasks, PAPER.meta["meta-sgd"].order) == (3, 1)
-    app = APP.at(PAPER)
+    app = SvbrdfStationary(PAPER.setup)
     assert app.noise(seeded(), 1, 1).shape == (1, 1, 8, 256, 256)
     photos = torch.rand(1, 3, 256, 256)
     assert torch.equal(app.exemplar(photos), photos)
@@ -499,7 +498,7 @@ def test_variants_are_photos_with_lights_of_their_own(tasks: Tasks) -> None:
 
 def test_fits_expect_the_gloss_that_general_predicts(sources: list[Task]) -> None:
     """Uniform maps of any gloss are as expected where General made them, and no step moves what is expected."""
-    kept = APP.at(replace(TINY, setup=replace(TINY.setup, prior=2.0)))
+    kept = SvbrdfStationary(replace(TINY.setup, prior=2.0))
     tasks, rng = stack(kept, sources[:1]), seeded()
     predicted = flat(kept, 0.5, -0.5, 0.0, 0.5, -1.5, 0.0)
     encoder = kept.init_encoder(rng)

@@ -14,26 +14,29 @@ from metapp.appearance import precision
 from metapp.appearance.colour import srgb_to_linear
 from metapp.appearance.features import RANDOM, gram, load_features, moments
 from metapp.appearance.presentation import Fitted
-from metapp.apps.texture import APP, PAPER, QUICK, SMALLEST_CROP, Texture
+from metapp.apps.texture import SMALLEST_CROP, Texture
 from metapp.apps.texture.presentation import TexturePresentation
+from metapp.apps.texture.recipes import PAPER, QUICK
 from metapp.learning.app import stack
 from metapp.learning.learn import MetaParameters
 from metapp.learning.recipe import Recipe
 from metapp.learning.task import Params, Task, Tasks
 from metapp.networks import layers as networks
-from metapp.networks.exemplar import JUDGED, Setup
-from metapp.networks.layers import UNet
+from metapp.networks.exemplar import JUDGED, ExemplarSetup
+from metapp.networks.generators import UNet
 from metapp.networks.presentation import TILED
 from metapp.paradigms import Job, paradigms
 from metapp.runs.shipped import shipped_path
 from metapp.storage.records import load_checkpoint
 
 SIZE, LEVELS = 32, 3
-TINY = replace(QUICK, setup=Setup(SIZE, SIZE, UNet(8, LEVELS, noise=4, code=8), "vgg16", ("relu1_1", "relu2_1")))
+TINY = replace(
+    QUICK, setup=ExemplarSetup(SIZE, SIZE, UNet(8, LEVELS, noise=4, code=8), "vgg16", ("relu1_1", "relu2_1"))
+)
 
 
 def tiny() -> Texture:
-    return APP.at(TINY)
+    return Texture(TINY.setup)
 
 
 def seeded(seed: int = 0) -> Generator:
@@ -126,10 +129,12 @@ def test_an_exemplar_is_at_no_distance_from_itself(
     theta = app.init(seeded(), 4)
     assert app.loss(theta, app.sample(tasks, seeded(), 2), {}).max() < 1e-5
     assert app.errors(theta, tasks)["error"].max() < 1e-5
-    monkeypatch.setattr(app, "generate", lambda theta, noise, octave: exemplars.roll(1, 0)[:, None])
+    monkeypatch.setattr(type(app), "generate", staticmethod(lambda theta, noise, octave: exemplars.roll(1, 0)[:, None]))
     assert app.errors(theta, tasks)["error"].min() > 0.3
     # statistics, not pixels
-    monkeypatch.setattr(app, "generate", lambda theta, noise, octave: exemplars.roll((9, 5), (-2, -1))[:, None])
+    monkeypatch.setattr(
+        type(app), "generate", staticmethod(lambda theta, noise, octave: exemplars.roll((9, 5), (-2, -1))[:, None])
+    )
     assert app.errors(theta, tasks)["error"].max() < 0.15
 
 
@@ -147,13 +152,13 @@ def test_errors_of_a_task_are_the_same_whatever_is_beside_it(tasks: Tasks) -> No
 
 def test_the_exemplar_has_the_recipe_s_proportions(rng: Generator) -> None:
     """The paper's is 192 rows of 256: the middle of a square picture, none of it stretched."""
-    app, images = APP.at(PAPER), torch.rand(2, 3, 256, 256, generator=rng)
+    app, images = Texture(PAPER.setup), torch.rand(2, 3, 256, 256, generator=rng)
     assert torch.equal(app.exemplar(images), images[:, :, 32:-32])
     large = images.repeat_interleave(2, 2).repeat_interleave(2, 3)
     torch.testing.assert_close(app.exemplar(large), images[:, :, 32:-32])
     assert app.noise(seeded(), 1, 1).shape == (1, 1, 8, 192, 256)
     assert app.noise(seeded(), 1, 1, TILED).shape == (1, 1, 8, 768, 1024)
-    square = APP.exemplar(images)
+    square = Texture(QUICK.setup).exemplar(images)
     torch.testing.assert_close(square, interpolate(images, scale_factor=0.25, mode="area"))
 
 
@@ -161,7 +166,7 @@ def test_the_paper_s_recipe() -> None:
     assert PAPER.steps == 15
     assert PAPER.rule == "meta-sgd"
     assert (PAPER.meta["meta-sgd"].tasks, PAPER.meta["meta-sgd"].order) == (5, 1)
-    sizes = APP.at(PAPER).init(seeded(), 1)
+    sizes = Texture(PAPER.setup).init(seeded(), 1)
     assert 5e5 < sum(value.numel() for value in sizes.values()) < 5e6
 
 
@@ -213,7 +218,7 @@ def test_crops_are_squares_of_at_least_half_the_side() -> None:
     image = torch.stack([at.expand(64, 64), at[:, None].expand(64, 64), torch.zeros(64, 64)])
     rng, sides, corners = seeded(), [], []
     for _ in range(200):
-        part = APP.crop(image, rng)
+        part = Texture(QUICK.setup).crop(image, rng)
         side = part.shape[1]
         assert part.shape == (3, side, side)
         left, top = int(part[0, 0, 0]), int(part[1, 0, 0])
@@ -238,7 +243,7 @@ def test_a_few_steps_lower_the_loss(tasks: Tasks) -> None:
 
 def test_gradients_of_the_loss() -> None:
     """From the generator's parameters to the distance, in float64."""
-    setup = Setup(8, 8, UNet(2, levels=2, noise=1, code=2), "vgg16", ("relu1_1", "relu2_1"))
+    setup = ExemplarSetup(8, 8, UNet(2, levels=2, noise=1, code=2), "vgg16", ("relu1_1", "relu2_1"))
     app = Texture(setup)
     double = {key: value.double() for key, value in app.init(seeded(), 2).items()}
     exemplars = torch.rand(2, 3, 8, 8, generator=seeded(), dtype=torch.float64)
@@ -333,18 +338,18 @@ def test_only_what_is_descended_is_seen_in_bfloat16(sources: list[Task], monkeyp
     torch.testing.assert_close(short, long, rtol=2**-8, atol=0)
 
 
-STARTS = sorted(path.stem for path in shipped_path(APP.name, "general").parent.glob("*.safetensors"))
+STARTS = sorted(path.stem for path in shipped_path("texture", "general").parent.glob("*.safetensors"))
 
 
 def test_what_starts_that_ship_make_tiles() -> None:
     for name in STARTS:
-        start, _ = load_checkpoint(shipped_path(APP.name, name))
+        start, _ = load_checkpoint(shipped_path("texture", name))
         theta = start.theta
         if start.encoder:
             theta = {key[8:]: value for key, value in start.encoder.items() if key.startswith("decoder.")}
             theta["z"] = start.encoder["mlp3.b"]
         if theta:  # that of QuickFT has none of its own
-            ratio = seams(large(APP, {key: value[None] for key, value in theta.items()}, 2)[0])
+            ratio = seams(large(Texture(QUICK.setup), {key: value[None] for key, value in theta.items()}, 2)[0])
             assert (ratio > 0.7).all(), name
             assert (ratio < 1.4).all(), name
 
@@ -368,7 +373,7 @@ def test_another_measure_of_the_same_pictures(
     measured = {name: each["sliced Wasserstein"] for name, each in shown.image_errors(fits, sources[0]).items()}
     assert measured["b"] < 0.7 * measured["a"]
     exemplar = app.exemplar(sources[0].data["image"][None] / 255)
-    monkeypatch.setattr(app, "generate", lambda theta, noise, octave=0: exemplar[None])
+    monkeypatch.setattr(type(app), "generate", staticmethod(lambda theta, noise, octave=0: exemplar[None]))
     assert shown.image_errors(fits, sources[0])["b"]["sliced Wasserstein"] < 1e-5
 
 

@@ -8,7 +8,8 @@ from torch import Generator, Tensor
 from torch.nn.functional import avg_pool2d
 
 from metapp.appearance.features import RANDOM, gram, load_features
-from metapp.apps.texture import APP, FULL, Texture
+from metapp.apps.texture import Texture
+from metapp.apps.texture.recipes import FULL
 from metapp.learning.learn import MetaParameters, learn, over_tasks, task_loss
 from metapp.learning.rules import sgd
 from metapp.learning.task import Tasks
@@ -20,7 +21,7 @@ TINY = tiny(FULL, 32, 0.6)
 
 @pytest.fixture(scope="module")
 def app() -> Texture:
-    return APP.at(TINY)
+    return Texture(TINY.setup)
 
 
 @pytest.fixture(scope="module")

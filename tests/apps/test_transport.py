@@ -13,9 +13,10 @@ from torch import Generator, Tensor
 
 from data_tools.synthetic.cornell import random_scene
 from metapp.apps import presentation_of
-from metapp.apps.transport import APP, QUICK, Setup, Transport, spline, views
+from metapp.apps.transport import Transport, TransportSetup, spline, views
 from metapp.apps.transport.flow import Flow, blobs, interpolated
 from metapp.apps.transport.guide import table_of
+from metapp.apps.transport.recipes import FULL, QUICK
 from metapp.learning.app import stack
 from metapp.learning.learn import MetaParameters
 from metapp.learning.task import Params, Task, Tasks
@@ -23,7 +24,7 @@ from metapp.paradigms import Job, paradigms
 from metapp.rendering.path_space import Tracer
 
 FLOW = Flow(rows=4, columns=4, code=3, hidden=8, bins=5, film_bins=8, blobs=6)
-RECIPE = replace(QUICK, setup=Setup(FLOW))
+RECIPE = replace(QUICK, setup=TransportSetup(FLOW))
 
 
 def rng(seed: int = 0) -> Generator:
@@ -51,17 +52,16 @@ def bent(flow: Flow, seed: int = 0, scale: float = 0.5) -> Params:
 
 
 def test_full_differs_in_the_pictures_alone() -> None:
-    full = APP.recipes["full"]
-    assert (QUICK.setup.picture, full.setup.picture) == (64, 256)
+    assert (QUICK.setup.picture, FULL.setup.picture) == (64, 256)
     # the same checkpoints, and a training that was cut off goes on
-    assert (full, repr(full)) == (QUICK, repr(QUICK))
-    quick = presentation_of(APP.at(QUICK))
+    assert (FULL, repr(FULL)) == (QUICK, repr(QUICK))
+    quick = presentation_of(Transport(QUICK.setup))
     assert quick.image_measure == (  # a part of the keys of records
         "pictures of 64 px of 1024 paths a pixel; fits guide three of four paths, without next-event estimation (NEE); "
         "guided_path guides all bounces and learns while it renders; equal time is that of regular, in seconds of CPU, "
         "and counts the samples that a fit sees, the fit, its table and the picture"
     )
-    shown = presentation_of(APP.at(full))
+    shown = presentation_of(Transport(FULL.setup))
     assert shown.image_measure == quick.image_measure.replace("64 px", "256 px")
     assert shown.image_seconds == pytest.approx(16 * quick.image_seconds)
 
@@ -73,24 +73,15 @@ def test_full_differs_in_the_pictures_alone() -> None:
 def test_a_spline_of_zeros_is_the_identity(bins: int) -> None:
     places = torch.linspace(0, 1, 33, dtype=torch.float64)
     zeros = torch.zeros(spline.size(bins), 1, dtype=torch.float64)
-    torch.testing.assert_close(spline.cumulative(zeros, places), places)
+    torch.testing.assert_close(spline.cumulative(spline.splines_of(zeros), places), places)
     torch.testing.assert_close(spline.log_density(zeros, places), torch.zeros_like(places), atol=1e-9, rtol=0)
-
-
-@pytest.mark.parametrize("bins", [1, 2, 7, 32])
-def test_a_spline_and_its_inverse(bins: int) -> None:
-    many, places = numbers(bins, 400), torch.rand(400, generator=rng(1), dtype=torch.float64)
-    masses = spline.cumulative(many, places)
-    found, log_density = spline.quantile(many, masses)
-    torch.testing.assert_close(found, places, atol=1e-8, rtol=0)
-    torch.testing.assert_close(log_density, spline.log_density(many, places), atol=1e-5, rtol=0)
 
 
 def test_a_spline_goes_up_from_0_to_1() -> None:
     places = torch.linspace(0, 1, 2001, dtype=torch.float64)
     for seed in range(5):
         one = numbers(6, 1, scale=3.0, seed=seed)
-        masses = spline.cumulative(one, places)
+        masses = spline.cumulative(spline.splines_of(one), places)
         assert float(masses[0]) == pytest.approx(0, abs=1e-12)
         assert float(masses[-1]) == pytest.approx(1, abs=1e-12)
         assert (masses.diff() > 0).all()
@@ -99,7 +90,7 @@ def test_a_spline_goes_up_from_0_to_1() -> None:
 def test_the_density_is_the_slope() -> None:
     many = numbers(7, 300)
     places = torch.rand(300, generator=rng(2), dtype=torch.float64).requires_grad_()
-    (slope,) = torch.autograd.grad(spline.cumulative(many, places).sum(), places)
+    (slope,) = torch.autograd.grad(spline.cumulative(spline.splines_of(many), places).sum(), places)
     torch.testing.assert_close(spline.log_density(many, places).exp(), slope)
 
 
@@ -130,9 +121,6 @@ def test_a_flow_is_the_identity_at_first() -> None:
     points = torch.rand(3, 4, 50, generator=rng(1))
     for part in flow.log_density(theta, points):
         torch.testing.assert_close(part, torch.zeros(3, 50), atol=1e-5, rtol=0)
-    drawn, log_density = flow.sample_directions(theta, points[:, :2], points[:, 2:])
-    torch.testing.assert_close(drawn, points[:, 2:], atol=1e-5, rtol=0)
-    torch.testing.assert_close(log_density, torch.zeros(3, 50), atol=1e-5, rtol=0)
 
 
 def middles(count: int) -> Tensor:
@@ -152,30 +140,25 @@ def test_both_densities_integrate_to_1() -> None:
 
 
 @pytest.mark.parametrize("directions", [2, 4])
-def test_the_density_is_the_inverse_of_the_jacobian_of_sampling(directions: int) -> None:
+def test_the_density_is_the_jacobian_of_the_chain(directions: int) -> None:
     flow = FLOW._replace(directions=directions)
     theta = bent(flow, scale=0.2)
 
-    def drawn(uniform: Tensor) -> Tensor:
-        film, _ = flow.sample_film(theta, uniform[None, :2, None])
-        towards, _ = flow.sample_directions(theta, film, uniform[None, 2:, None])
-        return torch.cat([film, towards], 1)[0, :, 0]
+    def uniform(point: Tensor) -> Tensor:
+        """What the chain of splines makes of a point: evenly spread where points have the flow's density."""
+        places = point[None, :, None]
+        trunk = flow.trunk(theta, places[:, 0], places[:, 1])
+        chain = [flow.numbers(theta, i, trunk, places[:, 2 : 2 + i]) for i in range(directions)]
+        chain = [*flow.film(theta, places[:, 0]), *chain]
+        return torch.cat([spline.cumulative(spline.splines_of(each), places[:, i])[0] for i, each in enumerate(chain)])
 
     for seed in range(4):
-        uniform = torch.rand(2 + directions, generator=rng(seed), dtype=torch.float64)
-        jacobian = torch.autograd.functional.jacobian(drawn, uniform)
-        film, towards = flow.log_density(theta, drawn(uniform)[None, :, None])
-        assert float(torch.linalg.det(jacobian).log()) == pytest.approx(-float(film + towards), abs=1e-5)
-
-
-def test_what_is_sampled_has_the_density_that_it_says() -> None:
-    theta = bent(FLOW)
-    uniform = torch.rand(1, 4, 500, generator=rng(1), dtype=torch.float64)
-    film, first = FLOW.sample_film(theta, uniform[:, :2])
-    directions, second = FLOW.sample_directions(theta, film, uniform[:, 2:])
-    expected = FLOW.log_density(theta, torch.cat([film, directions], 1))
-    torch.testing.assert_close(first, expected[0], atol=1e-5, rtol=0)
-    torch.testing.assert_close(second, expected[1], atol=1e-5, rtol=0)
+        point = torch.rand(2 + directions, generator=rng(seed), dtype=torch.float64)
+        jacobian = torch.autograd.functional.jacobian(uniform, point)
+        assert torch.equal(jacobian, jacobian.tril())
+        film, towards = flow.log_density(theta, point[None, :, None])
+        assert float(jacobian[:2, :2].diagonal().log().sum()) == pytest.approx(float(film), abs=1e-5)
+        assert float(jacobian[2:, 2:].diagonal().log().sum()) == pytest.approx(float(towards), abs=1e-5)
 
 
 def test_the_loss_has_the_gradient_of_differences() -> None:
@@ -289,7 +272,7 @@ def room(seed: int, count: int = 4096) -> Task:
 
 @pytest.fixture
 def app() -> Transport:
-    return APP.at(RECIPE)
+    return Transport(RECIPE.setup)
 
 
 @pytest.fixture
@@ -383,10 +366,10 @@ def test_the_tracer_mirrors_scenes_as_variants_do() -> None:
 
 def test_pictures_of_a_flow_and_of_samples_drawn_from_it_agree() -> None:
     theta = bent(FLOW, scale=0.3)
-    uniform = torch.rand(1, 4, 60_000, generator=rng(1), dtype=torch.float64)
-    film, _ = FLOW.sample_film(theta, uniform[:, :2])
-    directions, _ = FLOW.sample_directions(theta, film, uniform[:, 2:])
-    drawn = views.picture_of_samples(torch.cat([film, directions], 1)[0].T.float())
+    points = torch.rand(1, 4, 600_000, generator=rng(1), dtype=torch.float64)
+    density = sum(FLOW.log_density(theta, points)).exp()[0]
+    rows = torch.multinomial(density, 60_000, replacement=True, generator=rng(2))
+    drawn = views.picture_of_samples(points[0, :, rows].T.float())
     fit = views.picture_of_flow(FLOW, {key: value[0].float() for key, value in theta.items()})
     assert fit.shape == drawn.shape == (128, 256, 3)
     assert float((fit - drawn).abs().mean()) < 0.04

@@ -16,8 +16,7 @@ from data_tools.readers.material_maps import find, read_task
 from metapp.appearance.colour import linear_to_srgb
 from metapp.appearance.flash import Maps, unpack
 from metapp.appearance.relief import occlusion_from_height
-from metapp.appearance.surface import all_planes
-from metapp.appearance.workflow import from_metallic
+from metapp.appearance.surface import all_planes, from_metallic
 from tests.assets.surfaces import PROVENANCE, linear, rock, stored, texture
 
 STEP = 1 / 65535

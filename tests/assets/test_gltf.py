@@ -16,8 +16,7 @@ import torch
 
 from data_tools.assets import blender, gltf
 from metapp.appearance.colour import linear_to_srgb, srgb_to_linear
-from metapp.appearance.surface import all_planes
-from metapp.appearance.workflow import from_metallic
+from metapp.appearance.surface import all_planes, from_metallic
 from tests.assets.surfaces import PROVENANCE, rock, stored
 
 BPY = os.environ.get("METAPP_BPY_PYTHON", "")  # a Python that has bpy: pip install bpy==5.0.1

@@ -12,7 +12,7 @@ import torch
 from rich.console import Console
 from torch import Generator, Tensor
 
-from metapp.apps import app_names, load_app
+from metapp.apps import app_names, class_of, protocols_of
 from metapp.baselines import baselines_of
 from metapp.baselines.baseline import Allowed, Fitted, Training, nearest
 from metapp.cli.evaluate import draw
@@ -29,14 +29,14 @@ from metapp.runs.reporter import Reporter, reporting
 from metapp.runs.request import Request
 from metapp.storage.records import RunFolder, read_theta
 from metapp.storage.shards import ShardWriter
+from tests.quick import app_by
 
-PLACED = [(name, protocol) for name in app_names() for protocol in load_app(name).protocols or ("",)]
+PLACED = [(name, protocol) for name in app_names() for protocol in protocols_of(name) or ("",)]
 TRAIN, TEST = 6, 2
 
 
 def placed(name: str, protocol: str) -> App:
-    app = load_app(name)
-    return app.at(app.recipes["quick"], protocol)
+    return app_by(name, protocol=protocol)
 
 
 def random_task(app: str, name: str, rng: Generator, angles: Tensor) -> Task:
@@ -68,7 +68,7 @@ def data(tmp_path: Path, rng: Generator) -> Callable[[str], Path]:
     """Writes a data set of noise."""
 
     def write(name: str) -> Path:
-        angles, app = 0.6 * torch.rand(256, 3, generator=rng), load_app(name)
+        angles, app = 0.6 * torch.rand(256, 3, generator=rng), class_of(name)
         units = dict.fromkeys((*app.holds, "render"), "any")
         with ShardWriter(tmp_path / "data", name, units) as writer:
             for i in range(TRAIN + TEST):
@@ -114,7 +114,7 @@ def test_its_table_prints_them(
     monkeypatch.setattr("metapp.baselines.brdf.PENALTIES", (1e-6,))  # a choice takes its time
     subject, table = subject_of(name, protocol), load_table("baselines")
     assert {row["tasks"] for row in table.rows(subject)} == {0}
-    pretend_meta(subject, 0.2 * subject.app.scale)
+    pretend_meta(subject, 0.2 * subject.app.traits.scale)
     run_cells([baseline_cell(subject, baseline) for baseline in baselines_of(subject.app)], quiet=True)
     rows = {row["paradigm"]: row for row in baseline_rows(subject)}
     for baseline in baselines_of(subject.app):
@@ -159,7 +159,6 @@ def test_baselines_that_are_pictures_are_drawn_beside_metas_fits(subject_of: Cal
     for task in subject.tasks:
         folder.add({"name": task.name, "error": 1.0, "seconds": 1.0}, theta)
     subject._cells["meta"] = subject.cell("meta")._replace(folder=folder)
-    made = subject.options.out / "texture" / f"baselines-{subject.label}-quick.png"
     made = subject.plan.request.out / "texture" / f"baselines-{subject.label}-quick.png"
     draw([subject], ["baselines"])
     assert not made.exists()  # nothing was measured yet
@@ -195,7 +194,7 @@ def test_notes_say_who_is_ahead(
     ("name", "lacked"), [("illumination", "map"), ("svbrdf_nonstationary", "maps"), ("transport", "held")]
 )
 def test_training_tasks_without_a_reference_are_passed_over(name: str, lacked: str, rng: Generator) -> None:
-    app = placed(name, (load_app(name).protocols or ("",))[-1])
+    app = placed(name, (protocols_of(name) or ("",))[-1])
     whole = [random_task(name, f"t{i}", rng, torch.zeros(0)) for i in range(3)]
     bare = [Task(task.name, {key: value for key, value in task.data.items() if key != lacked}) for task in whole]
     assert [task.name for task in Training(app, [*bare[:2], whole[2]]).holding(lacked).tasks] == ["t2"]

@@ -9,6 +9,7 @@ import torch
 from metapp.baselines.methods.histogram import Counts, counted, morton, pair, square
 from metapp.baselines.transport import GRIDS, Densities, Histograms, _mean, _prior
 from metapp.learning.task import Tasks
+from tests.quick import app_by
 
 
 @pytest.fixture
@@ -108,11 +109,9 @@ def _scene(numbers: np.random.Generator) -> Tasks:
 
 
 def test_samples_are_those_of_the_application(numbers: np.random.Generator) -> None:
-    from metapp.apps.transport import APP
-
     scene = _scene(numbers)
     made = Histograms(1, False).made(scene, torch.Generator().manual_seed(4), 512)
-    batch = APP.sample(scene, torch.Generator().manual_seed(4), 512)["points"][0].T.double().numpy()
+    batch = app_by("transport").sample(scene, torch.Generator().manual_seed(4), 512)["points"][0].T.double().numpy()
     assert np.array_equal(made.film.levels[-1].keys, counted(morton(batch[:, :2], 7)).keys)
     assert made.samples == len(np.unique(batch, axis=0))
 

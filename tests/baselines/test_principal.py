@@ -8,12 +8,14 @@ import pytest
 import torch
 from torch import Generator
 
-from metapp.apps.brdf import APP
+from metapp.apps.brdf import Brdf
 from metapp.baselines.baseline import Allowed, Training
 from metapp.baselines.brdf import RidgeOf, baselines, coefficients, cosines_of, drawn, space_of
 from metapp.baselines.methods.principal import EPSILON, Components, Relative, components, reweighted, ridge
 from metapp.learning.app import stack
 from metapp.learning.task import Task, Tasks
+
+APP = Brdf()
 
 SAMPLES = 600
 

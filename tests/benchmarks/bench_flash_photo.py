@@ -20,8 +20,9 @@ import torch
 from torch import Generator, Tensor
 
 from metapp.appearance.flash import Maps, unpack
-from metapp.apps.svbrdf_nonstationary import APP, JUDGED, _pairs
+from metapp.apps.svbrdf_nonstationary import JUDGED, SvbrdfNonstationary, _pairs
 from metapp.apps.svbrdf_nonstationary.maps import RAW, decoded
+from metapp.apps.svbrdf_nonstationary.recipes import QUICK
 from metapp.apps.svbrdf_nonstationary.views import FLASH, seen
 from metapp.cli.console import run
 from metapp.learning.app import stack
@@ -31,6 +32,8 @@ from metapp.paradigms.general import GENERAL
 from metapp.runs.inputs import tasks_of_data
 from metapp.runs.shipped import shipped_path
 from metapp.storage.records import load_checkpoint
+
+APP = SvbrdfNonstationary(QUICK.setup, "reference")
 
 RATES = (1e-3, 3e-3, 1e-2, 3e-2, 1e-1)
 STEPS, LOOKED_AT = 120, 5
@@ -43,9 +46,8 @@ class Bench:
 
     def __init__(self, data: Path | None) -> None:
         tasks = stack(APP, tasks_of_data(APP, data, quiet=True)[0])
-        recipe = APP.recipes["quick"]
         general, _ = load_checkpoint(shipped_path(APP.name, "general"))
-        theta = GENERAL.fit(Job(APP, recipe, recipe.rule), general, tasks, Generator().manual_seed(0))
+        theta = GENERAL.fit(Job(APP, QUICK, QUICK.rule), general, tasks, Generator().manual_seed(0))
         self.photo, self.truth = tasks.data["photo"], unpack(tasks.data["maps"])
         self.pairs = _pairs(JUDGED)[None]
         self.wanted = APP._logs(self.truth, self.pairs)

@@ -20,14 +20,17 @@ from typing import NamedTuple
 import torch
 from torch import Generator, Tensor
 
-from metapp.apps.brdf import APP, network
+from metapp.apps.brdf import Brdf, network
+from metapp.apps.brdf.recipes import RECIPES
 from metapp.learning.adjoint import Drawn, Loss
 from metapp.learning.learn import MetaParameters, after_learning, learn, spread, task_loss
 from metapp.learning.rules import RULES
 from metapp.learning.task import Batch
 
+APP = Brdf()
+
 RULE = RULES["meta-curvature"]
-FIRST = APP.recipes["quick"].meta["meta-curvature"].first
+FIRST = RECIPES[""]["quick"].meta["meta-curvature"].first
 ROUNDS = 3
 
 

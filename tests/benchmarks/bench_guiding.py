@@ -54,7 +54,7 @@ class Bench:
     def __init__(self, name: str, options: argparse.Namespace) -> None:
         self.mi, self.scene, _ = load_scene(scenes()[name])
         self.size = options.size
-        equal_time.resize(self.mi, self.scene, options.size)
+        equal_time.resize(self.scene, options.size)
         self.path = self.mi.load_dict({"type": "path", "max_depth": DEPTH})
         file = options.out / f"{name.replace(' ', '-')}-{options.size}-{options.reference}.pt"
         if not file.exists():
@@ -108,10 +108,10 @@ class Bench:
 
     def _picture(self, how: dict[str, Any] | None, spp: int, seed: int) -> tuple[Tensor, dict[str, float]]:
         if how is not None:
-            made = equal_time.guided_picture(self.mi, self.scene, spp, DEPTH, seed, **how)
+            made = equal_time.guided_picture(self.scene, spp, DEPTH, seed, **how)
             return made.picture, made.spent
         begin = time.process_time()
-        picture = equal_time.rendered(self.mi, self.scene, self.path, spp, seed)
+        picture = equal_time.rendered(self.scene, self.path, spp, seed)
         return picture, {"regular samples": time.process_time() - begin}
 
 

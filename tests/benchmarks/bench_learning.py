@@ -43,13 +43,15 @@ from torch.nn.functional import avg_pool2d, conv2d, interpolate, linear
 from torch.utils._python_dispatch import TorchDispatchMode
 from torch.utils._pytree import tree_leaves
 
-from metapp.apps.brdf import APP, network
+from metapp.apps.brdf import Brdf, network
 from metapp.learning.adjoint import Drawn, Loss
 from metapp.learning.learn import MetaParameters, after_learning, learn, spread
 from metapp.learning.recipe import Adam
 from metapp.learning.rules import META_EPS, RULES, sgd
 from metapp.learning.task import Batch, Params
 from metapp.native import load
+
+APP = Brdf()
 
 TASKS, STEPS, SAMPLES, RATE = 8, 10, 512, 1e-2
 ROUNDS = 25

@@ -75,15 +75,14 @@ def errors_of(way: Way, tasks: list[Task], data: Path | None, count: int, traini
 @torch.no_grad()
 def _errors_of_baselines(way: Way, tasks: list[Task], count: int, training: Training) -> Errors:
     planned = plan(Request("brdf", "general", recipe="quick", device="cpu", quiet=True))
-    app = planned.app
-    baseline = next(baseline for baseline in baselines_of(app) if baseline.name == way.name)
+    baseline = next(each for each in baselines_of(planned.app) if each.name == way.name)
     allowed = allowed_for(planned)
     prepared = baseline.prepare(training, allowed._replace(samples=min(count, allowed.samples)))
     errors = {}
     for task in tasks:
-        stacked = stack(app, [task])
+        stacked = stack(planned.app, [task])
         answer = prepared.fit(stacked, rng_of(planned, task), allowed).answer()
-        errors[task.name] = app.scale * float(app.errors_of(answer, stacked)["error"])
+        errors[task.name] = planned.app.traits.scale * float(planned.app.errors_of(answer, stacked)["error"])
     return errors
 
 

@@ -20,7 +20,7 @@ from typing import Any
 import torch
 from torch import Generator
 
-from metapp.apps import load_app
+from metapp.apps import app_of, recipes_of
 from metapp.learning.app import App, stack
 from metapp.learning.learn import learn, task_loss
 from metapp.learning.recipe import Adam
@@ -39,8 +39,8 @@ SIZES = {
 
 def at_size(name: str, side: int) -> App:
     """An application by its recipe full, at another size."""
-    app = load_app(name)
-    setup = app.at(app.recipes["full"]).setup  # type: ignore[attr-defined]
+    recipe = recipes_of(name)["full"]
+    setup = recipe.setup
     if name == "illumination":
         setup = replace(
             setup, field=setup.field._replace(height=side, width=2 * side, rows=side // 4, columns=side // 2)
@@ -50,7 +50,7 @@ def at_size(name: str, side: int) -> App:
     else:
         # from the beginning at all octaves, as the last steps of a fit are
         setup = replace(setup, height=side, width=side, shares=())
-    return type(app)(setup, app.protocol) if app.protocol else type(app)(setup)  # type: ignore[call-arg]
+    return app_of(name, replace(recipe, setup=setup))
 
 
 def noise(name: str, side: int) -> Task:

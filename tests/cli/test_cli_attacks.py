@@ -15,7 +15,8 @@ import pytest
 import torch
 from safetensors.torch import load_file, save_file
 
-from metapp.apps.brdf import APP
+from metapp.apps.brdf import Brdf
+from metapp.apps.brdf.recipes import RECIPES
 from metapp.cli.commands import app
 from metapp.cli.console import LONGEST, one_line
 from metapp.learning.app import stack
@@ -303,7 +304,7 @@ def test_what_nobody_foresaw_is_one_line_that_asks_for_a_report(
     def fail(*_: object) -> None:
         raise error
 
-    monkeypatch.setattr(APP, "prepare", fail)
+    monkeypatch.setattr(Brdf, "prepare", staticmethod(fail))
     result = fit("overfit", network, "--steps", "2")
     assert result.code == 1
     assert is_one_line(result.err)
@@ -340,7 +341,7 @@ def test_records_say_the_threads(fit: Callable, network: Path, tmp_path: Path) -
 def test_a_fit_that_leaves_what_it_sees_worse_than_its_start_is_told(
     fit: Callable, network: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setitem(APP.recipes, "quick", replace(APP.recipes["quick"], overfit=Adam(1.0)))
+    monkeypatch.setitem(RECIPES[""], "quick", replace(RECIPES[""]["quick"], overfit=Adam(1.0)))
     result = fit("overfit", network, "--steps", "2", "--recipe", "quick")
     assert result.code == 0
     assert "warning: m0: the visible loss rose from" in result.err
@@ -350,7 +351,7 @@ def test_a_fit_that_leaves_what_it_sees_worse_than_its_start_is_told(
 
 def test_a_fit_that_gets_better_is_not_warned_of(network: Path, rng: torch.Generator) -> None:
     task = Task("gold", {"angles": torch.rand(64, 3, generator=rng), "reflectance": torch.rand(64, 3, generator=rng)})
-    stacked, by = stack(APP, [task]), find_checkpoint(plan(Request("brdf", "overfit", recipe="quick", steps=50)))
+    stacked, by = stack(Brdf(), [task]), find_checkpoint(plan(Request("brdf", "overfit", recipe="quick", steps=50)))
 
     def draws() -> torch.Generator:
         return torch.Generator().manual_seed(1)

@@ -8,7 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from metapp.apps.brdf import APP
+from metapp.apps.brdf import Brdf
+from metapp.apps.brdf.recipes import RECIPES
 from metapp.runs import BadOption
 from metapp.runs.timing import said_time, seconds_of
 from metapp.storage.records import read_records
@@ -21,7 +22,7 @@ PREPARED, STEP = 0.002, 0.010  # seconds
 def steps(monkeypatch: pytest.MonkeyPatch) -> Iterator[list[float]]:
     """A clock that only tasks and steps move on: seconds of each next step, then STEP for ever."""
     now, times = 0.0, list[float]()
-    sample, prepare = APP.sample, APP.prepare
+    sample, prepare = Brdf().sample, Brdf().prepare
 
     def slow_sample(*arguments):
         nonlocal now
@@ -33,9 +34,9 @@ def steps(monkeypatch: pytest.MonkeyPatch) -> Iterator[list[float]]:
         now += PREPARED
         return prepare(task)
 
-    monkeypatch.setitem(APP.recipes, "quick", replace(APP.recipes["quick"], overfit_steps=40))
-    monkeypatch.setattr(APP, "sample", slow_sample)
-    monkeypatch.setattr(APP, "prepare", slow_prepare)
+    monkeypatch.setitem(RECIPES[""], "quick", replace(RECIPES[""]["quick"], overfit_steps=40))
+    monkeypatch.setattr(Brdf, "sample", staticmethod(slow_sample))
+    monkeypatch.setattr(Brdf, "prepare", staticmethod(slow_prepare))
     monkeypatch.setattr("metapp.runs.timing.time", type("clock", (), {"perf_counter": lambda: now}))
     return times
 

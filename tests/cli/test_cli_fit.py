@@ -17,7 +17,9 @@ import torch
 from safetensors.torch import load_file, save_file
 
 from data_tools.readers.nbrdf import read_nbrdf
-from metapp.apps.brdf import APP
+from metapp.apps import brdf
+from metapp.apps.brdf import Brdf
+from metapp.apps.brdf.recipes import RECIPES
 from metapp.learning.recipe import Adam, Recipe
 from metapp.storage.records import load_checkpoint, read_records
 
@@ -29,8 +31,8 @@ pytestmark = pytest.mark.usefixtures("small_spheres")
 @pytest.fixture(autouse=True)
 def short(monkeypatch: pytest.MonkeyPatch) -> Recipe:
     """The quick recipe with few steps of Overfit and Finetune, and without a compiler."""
-    recipe = replace(APP.recipes["quick"], overfit_steps=30, finetune_steps=5)
-    monkeypatch.setitem(APP.recipes, "quick", recipe)
+    recipe = replace(RECIPES[""]["quick"], overfit_steps=30, finetune_steps=5)
+    monkeypatch.setitem(RECIPES[""], "quick", recipe)
     monkeypatch.setattr("metapp.paradigms.meta.can_compile", lambda: False)
     return recipe
 
@@ -109,7 +111,7 @@ def test_quickft_is_tuned_for_its_encoder(
     fit: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, short: Recipe
 ) -> None:
     # a recipe that moves too far, and a search that looks at one other
-    monkeypatch.setitem(APP.recipes, "quick", replace(short, quickft=Adam(1.0)))
+    monkeypatch.setitem(RECIPES[""], "quick", replace(short, quickft=Adam(1.0)))
     monkeypatch.setattr("metapp.paradigms.tuning.SEARCHED", ([{"beta1": 0.3, "rate": 1e-7}],))
     assert fit("general", *STEPS).code == 0
     assert "no Adam was tuned" in fit("quickft").err
@@ -145,7 +147,7 @@ def test_an_interrupted_run_keeps_finished_tasks_and_goes_on(
     fit: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     calls = []
-    errors = APP.errors
+    errors = Brdf().errors
 
     def interrupted(theta, tasks):
         calls.append(tasks.names)
@@ -153,7 +155,7 @@ def test_an_interrupted_run_keeps_finished_tasks_and_goes_on(
             raise KeyboardInterrupt
         return errors(theta, tasks)
 
-    monkeypatch.setattr(APP, "errors", interrupted)
+    monkeypatch.setattr(Brdf, "errors", staticmethod(interrupted))
     result = fit("overfit")
     assert result.code == 130
     assert "the same command goes on" in result.err
@@ -176,7 +178,7 @@ def test_a_finished_run_that_is_run_again_and_interrupted_loses_nothing(
     def interrupted(theta, tasks):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(APP, "errors", interrupted)
+    monkeypatch.setattr(Brdf, "errors", staticmethod(interrupted))
     assert fit("overfit").code == 130
     assert file.read_text() == before
 
@@ -213,7 +215,7 @@ def test_a_folder_is_read_by_every_reader_and_damaged_files_in_it_are_skipped(
 def test_interrupted_training_keeps_its_best_state(
     fit: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    condition, calls = APP.condition, []
+    condition, calls = Brdf().condition, []
 
     def interrupted(tasks, rng):
         calls.append(1)
@@ -221,7 +223,7 @@ def test_interrupted_training_keeps_its_best_state(
             raise KeyboardInterrupt
         return condition(tasks, rng)
 
-    monkeypatch.setattr(APP, "condition", interrupted)
+    monkeypatch.setattr(Brdf, "condition", staticmethod(interrupted))
     assert fit("general", "--train").code == 130
     assert list((tmp_path / "runs").rglob("general.interrupted.safetensors"))
 
@@ -328,14 +330,15 @@ def test_refuses_bad_data(fit: Callable, metapp: Callable, networks: Path, tmp_p
 
 
 def test_a_training_that_diverges_names_task_and_step(fit: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
-    loss, calls = APP.loss, []
+    loss, calls = Brdf().loss, []
 
     def exploding(theta, batch, shape):
         calls.append(1)
         value = loss(theta, batch, shape)
         return value * float("nan") if len(calls) > 2 else value
 
-    monkeypatch.setattr(APP, "loss", exploding)
+    # a class of its own, whose loss is not the one in C
+    monkeypatch.setattr(brdf, "APP", type("Exploding", (Brdf,), {"loss": staticmethod(exploding)}))
     result = fit("overfit")
     refuse(result, 1, "m4", "not finite at step")
 
@@ -378,7 +381,7 @@ def test_a_composition_is_trained_and_used(fit: Callable, tmp_path: Path) -> Non
     (path,) = (tmp_path / "runs").rglob("adam+curvature.safetensors")
     start, info = load_checkpoint(path)
     assert info["checkpoint"] == "adam+curvature"
-    assert info["training"]["clip"] == APP.recipes["quick"].meta["meta-curvature"].clip
+    assert info["training"]["clip"] == RECIPES[""]["quick"].meta["meta-curvature"].clip
     assert {"rate", "beta1", "beta2", "left", "right"} == {name.partition(".")[0] for name in start.alpha}
     again = fit("meta", "--rule", "adam+curvature", "--json", "--quiet").document
     assert [task["error"] for task in again["tasks"]] == [task["error"] for task in trained.document["tasks"]]

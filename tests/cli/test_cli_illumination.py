@@ -13,8 +13,9 @@ import torch
 from data_tools.readers.latlong import read_map
 from metapp.appearance.latlong import directions, mean_luminance
 from metapp.appearance.photograph import photograph
-from metapp.apps.illumination import RECIPES, Setup
-from metapp.networks.layers import LocalField
+from metapp.apps.illumination import IlluminationSetup
+from metapp.apps.illumination.recipes import RECIPES
+from metapp.networks.field import LocalField
 
 pytestmark = pytest.mark.usefixtures("scene")
 
@@ -46,7 +47,7 @@ def png(tmp_path: Path) -> Path:
 def small(short_by_protocol: Callable) -> None:
     """Other sizes and a few steps."""
     quick = LocalField(8, 16, rows=4, columns=8, code=3, hidden=8, layers=2)
-    short_by_protocol(RECIPES, Setup(quick), Setup(quick._replace(height=16, width=32)))
+    short_by_protocol(RECIPES, IlluminationSetup(quick), IlluminationSetup(quick._replace(height=16, width=32)))
 
 
 def test_a_map_is_fitted_and_written(metapp: Callable, exr: Path, tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from metapp.apps.brdf import APP
+from metapp.apps.brdf import Brdf
 from metapp.runs import BadOption
 from metapp.runs.fits import Fitter
 from metapp.runs.request import Portion, portion_of
@@ -105,7 +105,7 @@ def test_a_broken_file_stops_no_other(fit: Callable, fitted: list[list[str]], ma
 def test_a_fit_that_fails_is_parted_from_its_batch(
     fit: Callable, fitted: list[list[str]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    measure = APP.errors
+    measure = Brdf().errors
 
     def broken(theta, tasks):
         found = measure(theta, tasks)
@@ -113,7 +113,7 @@ def test_a_fit_that_fails_is_parted_from_its_batch(
         found["error"][bad] = float("nan")
         return found
 
-    monkeypatch.setattr(APP, "errors", broken)
+    monkeypatch.setattr(Brdf, "errors", staticmethod(broken))
     result = fit("--batch", "4")
     assert result.code == 1
     assert sorted(errors(result.document)) == ["m0", "m2", "m3", "m4"]

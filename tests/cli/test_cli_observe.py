@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import shutil
 from collections.abc import Callable
 from dataclasses import replace
@@ -20,17 +19,16 @@ from data_tools.readers.nbrdf import SHAPES
 from metapp.appearance.colour import tone_map
 from metapp.appearance.presentation import Picture
 from metapp.apps import brdf
-from metapp.apps.brdf import Brdf, presentation
+from metapp.apps.brdf import Brdf, presentation, recipes
 from metapp.apps.brdf.presentation import BrdfPresentation
 from metapp.cli.fitting import table_of
 from metapp.evaluation.tables.results import closing
-from metapp.learning.app import App
-from metapp.learning.recipe import Recipe
 from metapp.learning.task import Batch, Params, Task, Tasks
 from metapp.runs.checkpoints import checkpoint_name
 from metapp.runs.shipped import shipped_path
 from metapp.runs.statistics import statistics_of
 from metapp.storage.records import load_checkpoint, read_records, summary
+from tests.quick import app_by
 
 STEPS = ("--train", "--train-steps", "2", "--quiet")
 pytestmark = pytest.mark.usefixtures("small_spheres")
@@ -38,13 +36,6 @@ pytestmark = pytest.mark.usefixtures("small_spheres")
 
 class Seen(Brdf):
     """BRDFs of which a photo shows half the light; materials called `unknown...` have no reference."""
-
-    protocols = ("reference", "photo")
-
-    def at(self, recipe: Recipe, protocol: str = "") -> App:
-        app = copy.copy(self)
-        app.protocol = protocol or self.protocols[0]
-        return app
 
     def loss(self, theta: Params, batch: Batch, learned: Params) -> Tensor:
         seen = {"reference": 1.0, "photo": 0.5}[self.protocol]
@@ -78,16 +69,16 @@ def light(brightest: float) -> Tensor:
 
 
 @pytest.fixture(autouse=True)
-def app(monkeypatch: pytest.MonkeyPatch) -> Seen:
+def seen(monkeypatch: pytest.MonkeyPatch) -> None:
     """In place of BRDFs, with few steps of everything and without a compiler."""
-    seen, quick = Seen(), Brdf.recipes["quick"]
+    quick = recipes.RECIPES[""]["quick"]
     short = {"meta-sgd": replace(quick.meta["meta-sgd"], order=1)}
     quick = replace(quick, steps=2, overfit_steps=3, finetune_steps=3, meta=short, rule="meta-sgd")
-    monkeypatch.setitem(Brdf.recipes, "quick", quick)
-    monkeypatch.setattr(brdf, "APP", seen)
+    table = {**recipes.RECIPES[""], "quick": quick}
+    monkeypatch.setattr(recipes, "RECIPES", {"reference": table, "photo": table})
+    monkeypatch.setattr(brdf, "APP", Seen)
     monkeypatch.setattr(presentation, "PRESENTATION", Shown)
     monkeypatch.setattr("metapp.paradigms.meta.can_compile", lambda: False)
-    return seen
 
 
 @pytest.fixture(scope="module")
@@ -133,7 +124,8 @@ def test_a_fit_says_what_it_saw(on_data: Callable) -> None:
 
 
 def test_an_application_with_one_protocol_says_nothing(on_data: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(brdf, "APP", Brdf())
+    monkeypatch.setattr(brdf, "APP", Brdf)
+    monkeypatch.setattr(recipes, "RECIPES", {"": recipes.RECIPES["photo"]})
     document = on_data("overfit", "brdf", "--json").document
     assert "observe" not in document
     assert document["out"].endswith("-seed0")
@@ -188,13 +180,12 @@ def test_a_start_for_another_protocol_is_refused(on_data: Callable, tmp_path: Pa
         assert on_data("general", "brdf", "--checkpoint", general, "--observe", observe).code == 0
 
 
-def test_only_the_first_protocol_takes_the_starts_without_a_name(app: Seen, on_data: Callable) -> None:
-    recipe = app.recipes["quick"]
+def test_only_the_first_protocol_takes_the_starts_without_a_name(on_data: Callable) -> None:
     for observe, suffix in (("reference", ""), ("photo", "-photo")):
-        under = app.at(recipe, observe)
+        under = app_by("brdf", protocol=observe)
         assert checkpoint_name(under, "general") == "general"
         assert checkpoint_name(under, "meta-basis") == f"meta-basis{suffix}"
-    assert shipped_path("brdf", checkpoint_name(app.at(recipe), "general")).is_file()
+    assert shipped_path("brdf", checkpoint_name(app_by("brdf"), "general")).is_file()
     assert "the checkpoint that ships" in on_data("meta", "brdf").err
     missing = on_data("meta", "brdf", "--observe", "photo")
     assert missing.code == 1
@@ -263,15 +254,14 @@ def test_the_option_reaches_those_that_have_the_protocol(metapp: Callable, monke
     assert met == [("texture", ""), both[1], ("texture", ""), *both]
 
 
-def test_meta_is_compared_where_overfit_is_no_floor(app: Seen) -> None:
+def test_meta_is_compared_where_overfit_is_no_floor() -> None:
     errors = {"general": 1.0, "overfit": 0.5, "quickft": 0.978, "meta": 0.88}
     rows = [
         {"paradigm": name, "error": error, "seconds": 1.0, "paper_error": None, "paper_seconds": None}
         for name, error in errors.items()
     ]
-    recipe = app.recipes["quick"]
-    assert "gap closed 0.24" in closing(app.at(recipe), rows)
-    photo = app.at(recipe, "photo")
+    assert "gap closed 0.24" in closing(app_by("brdf"), rows)
+    photo = app_by("brdf", protocol="photo")
     said = closing(photo, rows)
     assert said.startswith("Meta's error is 12 % below General's, 10 % below QuickFT's; Overfit sees the photo alone")
     assert "gap" not in said
@@ -301,11 +291,11 @@ def test_a_task_without_reference_has_no_error(
     assert " - " in metapp("overfit", *common).out
 
 
-def test_tables_of_tasks_without_reference(app: Seen) -> None:
+def test_tables_of_tasks_without_reference() -> None:
     records = [{"name": name, "error": error, "seconds": 1.0} for name, error in (("a", None), ("b", 2.0))]
     assert summary(records) == {"error": 2.0, "seconds": 1.0}
     assert summary(records[:1])["error"] is None
-    assert table_of(app, "meta", records).row_count == 2
+    assert table_of(app_by("brdf"), "meta", records).row_count == 2
     assert set(statistics_of([{"b": 2.0}], {"b": "b"}).values()) == {2.0}
 
 
@@ -323,9 +313,9 @@ def test_a_data_set_of_tasks_without_reference_has_a_table(metapp: Callable, net
 
 @pytest.mark.parametrize("name", ["m1", "unknown"])
 def test_parameters_that_are_not_finite_are_an_error(
-    name: str, app: Seen, metapp: Callable, networks: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    name: str, metapp: Callable, networks: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    init = app.init
+    init = Seen().init
 
     def infinite(rng: Generator, count: int) -> Params:
         return {key: value / 0 for key, value in init(rng, count).items()}

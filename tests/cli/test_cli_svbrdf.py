@@ -15,11 +15,14 @@ from torch.nn.functional import interpolate
 from data_tools.formats import exports_of
 from data_tools.readers.svbrdf_task import flash_photo
 from metapp.appearance.flash import Maps, normal_from_height, pack, unpack
-from metapp.apps.svbrdf_nonstationary import APP, RECIPES, Setup, field_of
+from metapp.apps.svbrdf_nonstationary import MaterialSetup, field_of
+from metapp.apps.svbrdf_nonstationary.recipes import RECIPES
 
 MADE = {f"{name}.png" for name in ("normal", "diffuse", "roughness", "specular")} | {
     f"lit_from_{side}.png" for side in ("left", "above", "aside")
 }
+
+APP = "svbrdf_nonstationary"
 
 
 def material(size: int = 64) -> Tensor:
@@ -52,7 +55,7 @@ def photo(tmp_path: Path) -> Path:
 def small(short_by_protocol: Callable) -> None:
     """Other sizes and a few steps."""
     quick, full = (field_of(side, hidden=8)._replace(code=3) for side in (16, 24))
-    short_by_protocol(RECIPES, Setup(quick, width=2), Setup(full, width=2))
+    short_by_protocol(RECIPES, MaterialSetup(quick, width=2), MaterialSetup(full, width=2))
 
 
 def size_of(path: Path) -> tuple[int, int]:
@@ -82,7 +85,7 @@ def test_a_photo_is_fitted_without_a_reference(metapp: Callable, photo: Path, tm
     assert (Path(document["out"]) / "pictures.png").is_file()
 
 
-@pytest.mark.parametrize("kind", [each for each, form in exports_of(APP.name).items() if not form.missing()])
+@pytest.mark.parametrize("kind", [each for each, form in exports_of(APP).items() if not form.missing()])
 def test_a_photo_becomes_an_asset(metapp: Callable, photo: Path, tmp_path: Path, kind: str) -> None:
     common = ("--observe", "photo", "--out", tmp_path / "runs", "--json")
     result = metapp("overfit", "svbrdf_nonstationary", photo, *common, "--steps", "2", "--export", kind)
@@ -96,8 +99,8 @@ def test_a_photo_becomes_an_asset(metapp: Callable, photo: Path, tmp_path: Path,
 def test_a_missing_library_is_said_before_anything_is_fitted(
     metapp: Callable, photo: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    form = exports_of(APP.name)["asset"]._replace(needs=("no_such_module", "no-such-package"))
-    monkeypatch.setattr("metapp.runs.export.exports_of", lambda app: {"asset": form})
+    form = exports_of(APP)["asset"]._replace(needs=("no_such_module", "no-such-package"))
+    monkeypatch.setattr("metapp.runs.checks.exports_of", lambda app: {"asset": form})
     result = metapp("overfit", "svbrdf_nonstationary", photo, "--out", tmp_path / "runs", "--export", "asset")
     assert result.code == 2
     assert '--export asset needs no-such-package: pip install "metapp[export]"' in result.err
@@ -106,9 +109,7 @@ def test_a_missing_library_is_said_before_anything_is_fitted(
 
 def test_the_field_of_view_that_is_said_counts(metapp: Callable, photo: Path, tmp_path: Path) -> None:
     common = ("--observe", "photo", "--steps", "1", "--out", tmp_path / "runs", "--json")
-    said = {
-        fov: metapp("overfit", APP.name, photo, *common, "--fov", fov).document["data"] for fov in ("0", "45", "70")
-    }
+    said = {fov: metapp("overfit", APP, photo, *common, "--fov", fov).document["data"] for fov in ("0", "45", "70")}
     assert said["0"] == said["45"] != said["70"]  # names of data tell their content
     refused = metapp("overfit", "texture", photo, "--fov", "60", "--out", tmp_path / "runs")
     assert refused.code == 2
@@ -153,5 +154,5 @@ def test_starts_of_both_protocols(metapp: Callable, tmp_path: Path) -> None:
     assert names == {"general", "quickft", "quickft-photo", rules["reference"], f"{rules['photo']}-photo"}
     result = metapp("evaluate", *common, "--format", "markdown")
     assert result.code == 0, result.err
-    assert f"{APP.name} photo" in result.out
+    assert f"{APP} photo" in result.out
     assert "gap closed" in result.out

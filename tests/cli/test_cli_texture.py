@@ -20,11 +20,12 @@ from metapp.appearance import precision
 from metapp.appearance.colour import srgb_to_linear
 from metapp.appearance.features import BLOCKS, weights_path
 from metapp.appearance.flash import normal_from_height, unpack
-from metapp.apps import load_app, presentation_of
+from metapp.apps import presentation_of, recipes_of
 from metapp.learning.task import Task
-from metapp.networks.exemplar import Setup
-from metapp.networks.layers import UNet
+from metapp.networks.exemplar import ExemplarSetup
+from metapp.networks.generators import UNet
 from metapp.storage.records import read_records
+from tests.quick import app_by
 
 APPS = ("texture", "svbrdf_stationary")
 OUTPUTS = {
@@ -49,15 +50,15 @@ def photo(path: Path, seed: int = 0, side: int = 40) -> Path:
 @pytest.fixture(params=APPS)
 def app(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
     """The applications, at a size that takes no time, with a search of two looks."""
-    loaded = load_app(request.param)
-    quick = loaded.recipes["quick"]
+    recipes = recipes_of(request.param)
+    quick = recipes["quick"]
     outputs = quick.setup.network.outputs
-    setup = Setup(16, 16, UNet(4, levels=2, noise=2, code=4, outputs=outputs), "vgg16", ("relu1_1", "relu2_1"))
+    setup = ExemplarSetup(16, 16, UNet(4, levels=2, noise=2, code=4, outputs=outputs), "vgg16", ("relu1_1", "relu2_1"))
     short = {name: replace(training, steps=2, tasks=2, warmup=0) for name, training in quick.meta.items()}
     general = replace(quick.general, steps=2, tasks=2)
     quick = replace(quick, setup=setup, steps=3, overfit_steps=3, general=general, meta=short)
-    monkeypatch.setitem(loaded.recipes, "quick", quick)
-    monkeypatch.delitem(loaded.recipes, "full")
+    monkeypatch.setitem(recipes, "quick", quick)
+    monkeypatch.delitem(recipes, "full")
     monkeypatch.setattr("metapp.paradigms.tuning.SEARCHED", ([{"rate": 0.5}], [{"beta1": 0.3}]))
     return request.param
 
@@ -151,10 +152,8 @@ def test_maps_come_back_from_their_files(app: str, data: Path, metapp: Callable,
     fitted = metapp("overfit", app, wall, "--data", data, "--out", tmp_path / "runs", "--json")
     assert fitted.code == 0, fitted.err
     made = Path(fitted.document["out"]) / "outputs" / "wall"
-    loaded = load_app(app)
-    placed = loaded.at(loaded.recipes["quick"])
     theta = load_file(Path(fitted.document["out"]) / "params" / "wall.safetensors")
-    files = presentation_of(placed).files(theta, Task("wall", {}))
+    files = presentation_of(app_by(app)).files(theta, Task("wall", {}))
     wanted = {name: torch.movedim(each.pixels, -1, 0) for name, each in files.items()}
     found = unpack(read_task(made / "diffuse.png", 64).data["maps"].float()[None])
     for name, space in (("diffuse", srgb_to_linear), ("specular", srgb_to_linear), ("roughness", torch.clone)):
@@ -175,7 +174,7 @@ def test_maps_come_back_from_their_files(app: str, data: Path, metapp: Callable,
 
 def test_all_paradigms_and_their_table(app: str, data: Path, metapp: Callable, tmp_path: Path) -> None:
     common = (app, "--data", data, "--out", tmp_path / "runs")
-    rule = load_app(app).recipes["quick"].rule
+    rule = recipes_of(app)["quick"].rule
     assert metapp("meta", *common, "--train", "--quiet").code == 0
     table = metapp("evaluate", *common)
     assert table.code == 0, table.err

@@ -17,13 +17,15 @@ from data_tools.readers.transport_task import transport_task
 from data_tools.synthetic.cornell import random_scene
 from data_tools.synthetic.transport import UNITS
 from metapp.appearance.presentation import Fitted
-from metapp.apps.transport import APP, Setup, images
+from metapp.apps.transport import Transport, TransportSetup, images
 from metapp.apps.transport.flow import Flow
 from metapp.apps.transport.guide import table_of
 from metapp.apps.transport.presentation import TransportPresentation
+from metapp.apps.transport.recipes import RECIPES
 from metapp.learning.task import Task
 from metapp.rendering import path_render
 from metapp.storage.shards import ShardWriter
+from tests.quick import app_by
 
 SPP_OF_TABLES = images.REFERENCE_SPP
 PARADIGMS = ("general", "overfit", "finetune", "quickft", "meta")
@@ -49,7 +51,7 @@ def small(monkeypatch: pytest.MonkeyPatch) -> None:
     """A small network, a few steps, few paths."""
 
     few: dict[str, Any] = {"steps": 2, "tasks": 2, "warmup": 0}
-    quick = APP.recipes["quick"]
+    quick = RECIPES[""]["quick"]
     recipe = replace(
         quick,
         steps=2,
@@ -58,9 +60,9 @@ def small(monkeypatch: pytest.MonkeyPatch) -> None:
         finetune_steps=3,
         general=replace(quick.general, **few),
         meta={name: replace(training, **few, tuned=False) for name, training in quick.meta.items()},
-        setup=Setup(Flow(code=3, hidden=8, bins=4)),
+        setup=TransportSetup(Flow(code=3, hidden=8, bins=4)),
     )
-    monkeypatch.setitem(APP.recipes, "quick", recipe)
+    monkeypatch.setitem(RECIPES[""], "quick", recipe)
     monkeypatch.setattr("metapp.apps.transport.presentation.SHOWN", 4)
     monkeypatch.setattr("metapp.apps.transport.presentation.GLANCE", 1)
     monkeypatch.setattr(images, "table_of", functools.partial(table_of, places=8, cells=8))
@@ -91,7 +93,7 @@ def test_train_fit_and_compare(metapp: Callable, data: Path, tmp_path: Path) -> 
 
 
 def test_pictures_are_judged_at_equal_paths_and_in_equal_time(scenes: list[Task]) -> None:
-    task, app = scenes[0], APP.at(APP.recipes["quick"])
+    task, app = scenes[0], app_by("transport")
     shown = TransportPresentation(app)
     theta = {key: value[0] for key, value in app.init(torch.Generator().manual_seed(0), 1).items()}
     found = shown.image_errors({"instant": Fitted(theta, 0.0), "endless": Fitted(theta, 1e9)}, task)
@@ -115,7 +117,7 @@ def test_pictures_are_judged_at_equal_paths_and_in_equal_time(scenes: list[Task]
 
 def test_pictures_are_judged_at_the_size_of_the_recipe(scenes: list[Task], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(images, "SPP", 4)
-    app = APP.at(replace(APP.recipes["quick"], setup=replace(APP.recipes["quick"].setup, picture=24)))
+    app = Transport(replace(RECIPES[""]["quick"].setup, picture=24))
     theta = {key: value[0] for key, value in app.init(torch.Generator().manual_seed(0), 1).items()}
     judged, errors = [], images.Studio.errors
 
@@ -155,7 +157,7 @@ def test_pictures_that_join_surfaces_to_lights_come_in_waves(
 
 
 def test_equal_time_counts_the_samples_that_a_fit_sees(scenes: list[Task], monkeypatch: pytest.MonkeyPatch) -> None:
-    task, app = scenes[0], APP.at(APP.recipes["quick"])
+    task, app = scenes[0], app_by("transport")
     shown = TransportPresentation(app)
     theta = {key: value[0] for key, value in app.init(torch.Generator().manual_seed(0), 1).items()}
     asked = []

@@ -10,10 +10,12 @@ import pytest
 import torch
 from PIL import Image
 
-from metapp.apps.brdf import APP
+from metapp.apps.brdf import Brdf
 from metapp.runs import watching
 from metapp.runs.timing import Stopwatch
 from metapp.runs.watching import Watched
+
+APP = Brdf()
 
 pytestmark = pytest.mark.usefixtures("small_spheres")
 

@@ -13,8 +13,9 @@ from typing import Any
 import pytest
 from rich.console import Console
 
-from metapp.apps import load_app
-from metapp.apps.brdf import APP, Brdf
+from metapp.apps import recipes_of
+from metapp.apps.brdf import Brdf
+from metapp.apps.brdf.recipes import RECIPES
 from metapp.cli.show import rich_table
 from metapp.evaluation import study as studies
 from metapp.evaluation.figures import draw
@@ -32,6 +33,8 @@ from metapp.storage.records import load_checkpoint
 from metapp.storage.training_checkpoint import TrainingCheckpoint
 from tests.small_spheres import shrink_spheres
 
+APP = Brdf()
+
 FEW = ("--train-steps", "2", "--steps", "2", "--steps", "3", "--seeds", "2")
 SEARCHED: Any = ([{"rate": 0.5}, {"rate": 2.0}],)
 
@@ -39,11 +42,11 @@ SEARCHED: Any = ([{"rate": 0.5}, {"rate": 2.0}],)
 @pytest.fixture(autouse=True)
 def few(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """Small trainings, without a compiler, of three rules beside QuickFT."""
-    quick = APP.recipes["quick"]
+    quick = RECIPES[""]["quick"]
     trainings = {rule: replace(each, tasks=2, warmup=0, validate_every=1) for rule, each in quick.meta.items()}
     general = replace(quick.general, steps=2, tasks=2, validate_every=1)
-    monkeypatch.setitem(APP.recipes, "quick", replace(quick, general=general, meta=trainings, batch=16))
-    monkeypatch.setattr(Brdf, "compiles", False)
+    monkeypatch.setitem(RECIPES[""], "quick", replace(quick, general=general, meta=trainings, batch=16))
+    monkeypatch.setattr("metapp.paradigms.meta.can_compile", lambda: False)
     monkeypatch.setattr(tuning, "SEARCHED", SEARCHED)
     monkeypatch.setattr(studies, "RULES", {name: RULES[name] for name in ("meta-sgd", "meta-lgd")})
     monkeypatch.setattr(studies, "COMPOSED", ("sgd", "sgd+loss", "loss+meta-sgd", "adam"))
@@ -220,12 +223,12 @@ def test_new_names_of_rules_are_studied(monkeypatch: pytest.MonkeyPatch) -> None
 
 
 def test_rules_without_moments_are_trained_as_the_papers() -> None:
-    recipe = APP.recipes["quick"]
+    recipe = RECIPES[""]["quick"]
     assert training_for(recipe, "sgd+loss") is recipe.meta["meta-sgd"]
     assert training_for(recipe, "rates+loss").first == Adam(0.1)
     assert training_for(recipe, "adam+curvature") is recipe.meta["meta-curvature"]
     assert training_for(recipe, "meta-adam") is recipe.meta["meta-adam"]
-    no_sgd = load_app("illumination").recipes["quick"]
+    no_sgd = recipes_of("illumination")["quick"]
     assert training_for(no_sgd, "meta-sgd") == replace(no_sgd.meta[no_sgd.rule], tuned=True)
     assert training_for(no_sgd, "adam") is no_sgd.meta[no_sgd.rule]
 

@@ -11,13 +11,15 @@ import pytest
 import torch
 from torch import Generator, Tensor
 
-from metapp.apps.brdf import APP
+from metapp.apps.brdf import Brdf
 from metapp.learning.adjoint import Drawn, Loss, UpdateRule, at_step, learn_through
 from metapp.learning.learn import MetaParameters, after_learning, spread
 from metapp.learning.recipe import Adam
 from metapp.learning.rules import META_EPS, RULES, fixed_adam, sgd
 from metapp.learning.task import Batch, Params
 from tests.paradigms.small import applicable
+
+APP = Brdf()
 
 TASKS, STEPS, SAMPLES = 3, 4, 24
 ON_MATRICES = applicable(APP)

@@ -11,7 +11,9 @@ import torch
 from torch import Generator, Tensor
 
 from metapp import native
-from metapp.apps.brdf import APP, nbrdf_fused
+from metapp.apps import app_of
+from metapp.apps.brdf import Brdf, nbrdf_fused
+from metapp.apps.brdf.recipes import RECIPES
 from metapp.learning import fused
 from metapp.learning.adjoint import Drawn, Loss, UpdateRule
 from metapp.learning.flat import Layout
@@ -21,6 +23,8 @@ from metapp.learning.recipe import Adam
 from metapp.learning.rules import META_EPS, RULES, fixed_adam, sgd
 from metapp.learning.task import Batch, Params
 from tests import forks
+
+APP = Brdf()
 
 TASKS, STEPS = 3, 5
 IN_C = ["meta-sgd", "meta-adam", "meta-adam-tied", "meta-encoder", "meta-curvature"]
@@ -203,7 +207,7 @@ def test_what_is_not_in_c_is_left_to_torch(case: str) -> None:
     elif case == "double precision":
         theta = double(theta)
     elif case == "another network":
-        theta = APP.at(APP.recipes["quick"].for_rule("ridge")).init(rng, TASKS)
+        theta = app_of("brdf", RECIPES[""]["quick"], rule="ridge").init(rng, TASKS)
     else:
         rule = rule._replace(packing=None)
     assert fuse(rule, loss_of([]), theta) is None

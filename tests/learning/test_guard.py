@@ -9,7 +9,7 @@ import pytest
 import torch
 from torch import Generator, Tensor
 
-from metapp.apps.brdf import APP
+from metapp.apps.brdf import Brdf
 from metapp.learning.adjoint import Loss, UpdateRule
 from metapp.learning.guard import Guarded, learn_guarded, unguarded
 from metapp.learning.learn import learn, spread, task_loss
@@ -17,6 +17,8 @@ from metapp.learning.recipe import Adam, Guard
 from metapp.learning.rules import fixed_adam, rule_of, sgd
 from metapp.learning.task import Params, Tasks
 from tests.learning.parabolas import EXACT, NAMES, NOISY, parabola
+
+APP = Brdf()
 
 ADAM = Adam(0.1, beta1=0.5, beta2=0.9)
 GUARD = Guard(ADAM)

@@ -10,7 +10,7 @@ import pytest
 import torch
 from torch import Generator, Tensor
 
-from metapp.apps.brdf import APP
+from metapp.apps.brdf import Brdf
 from metapp.learning.adjoint import Drawn, Loss
 from metapp.learning.app import stack
 from metapp.learning.learn import (
@@ -29,6 +29,8 @@ from metapp.learning.task import Batch, Params, Task, Tasks
 from tests.learning.parabolas import EXACT, NAMES, NOISY, parabola
 from tests.paradigms.small import applicable
 
+APP = Brdf()
+
 
 @pytest.fixture
 def materials(rng: Generator) -> Tasks:
@@ -38,7 +40,7 @@ def materials(rng: Generator) -> Tasks:
     return Tasks(NAMES[:4], {"where": where, "target": target}, torch.arange(4))
 
 
-class Plain(type(APP)):  # type: ignore[misc]
+class Plain(Brdf):
     """An application that takes tasks as they are."""
 
     def prepare(self, task: Task) -> Params:

@@ -6,7 +6,6 @@ import functools
 
 import pytest
 
-from metapp.apps import load_app
 from metapp.learning.app import App, stack
 from metapp.learning.task import Task, Tasks
 from metapp.paradigms import Job, meta
@@ -33,8 +32,7 @@ def sources_of(name: str) -> list[Task]:
 
 @functools.cache
 def tasks_of(name: str) -> Tasks:
-    app = load_app(name)
-    return stack(app.at(small_recipe(app)), sources_of(name))
+    return stack(small_app(name), sources_of(name))
 
 
 @pytest.fixture(scope="session")

@@ -16,17 +16,21 @@ from data_tools.synthetic.brdf import synthetic_materials
 from metapp.appearance.flash import Maps, normal_from_height, pack
 from metapp.appearance.latlong import directions, mean_luminance
 from metapp.appearance.photograph import photograph
-from metapp.apps import app_names, illumination, load_app, svbrdf_nonstationary, transport
+from metapp.apps import app_names, app_of, recipes_of
 from metapp.apps.brdf import Brdf
 from metapp.apps.brdf.featured import Featured
+from metapp.apps.illumination import IlluminationSetup
+from metapp.apps.svbrdf_nonstationary import MaterialSetup, field_of
+from metapp.apps.transport import TransportSetup
 from metapp.apps.transport.flow import Flow
-from metapp.learning.app import App
+from metapp.learning.app import App, linear_in
 from metapp.learning.learn import MetaParameters
 from metapp.learning.recipe import Adam, MetaTraining, Recipe
 from metapp.learning.rules import RULES, rule_of
 from metapp.learning.task import Task
-from metapp.networks.exemplar import Setup
-from metapp.networks.layers import LocalField, UNet
+from metapp.networks.exemplar import ExemplarSetup
+from metapp.networks.field import LocalField
+from metapp.networks.generators import UNet
 from metapp.paradigms import Job, Paradigm
 from tests.small_spheres import shrink_spheres
 
@@ -34,7 +38,7 @@ COUNT = 12
 # an application that has a second network stands for two
 FEATURED = "brdf, features"
 KINDS = [*app_names(), FEATURED]
-OWN_RULES = {name: load_app(name).recipes["quick"].rule for name in app_names()} | {FEATURED: "ridge"}
+OWN_RULES = {name: recipes_of(name)["quick"].rule for name in app_names()} | {FEATURED: "ridge"}
 # each application with its own rule, and each other rule on the fastest application, instead of all with all
 PAIRS = [*OWN_RULES.items(), *(("brdf", rule) for rule in RULES if rule not in OWN_RULES.values())]
 
@@ -107,24 +111,24 @@ def path_tasks() -> list[Task]:
     return tasks
 
 
-def small_setup(outputs: int) -> Setup:
-    return Setup(16, 16, UNet(4, levels=2, noise=2, code=4, outputs=outputs), "vgg16", ("relu1_1",))
+def small_setup(outputs: int) -> ExemplarSetup:
+    return ExemplarSetup(16, 16, UNet(4, levels=2, noise=2, code=4, outputs=outputs), "vgg16", ("relu1_1",))
 
 
 SMALL: dict[str, Small] = {
     "brdf": Small(brdf_tasks),
     "illumination": Small(
-        map_tasks, illumination.Setup(LocalField(8, 16, rows=4, columns=8, code=3, hidden=8, layers=2))
+        map_tasks, IlluminationSetup(LocalField(8, 16, rows=4, columns=8, code=3, hidden=8, layers=2))
     ),
     "svbrdf_nonstationary": Small(
         material_tasks,
-        svbrdf_nonstationary.Setup(svbrdf_nonstationary.field_of(16, hidden=8)._replace(code=3), width=2),
+        MaterialSetup(field_of(16, hidden=8)._replace(code=3), width=2),
     ),
     "svbrdf_stationary": Small(picture_tasks, small_setup(6)),
     "texture": Small(picture_tasks, small_setup(3)),
     "transport": Small(
         path_tasks,
-        transport.Setup(Flow(rows=4, columns=4, code=3, hidden=8, bins=4, film_bins=8, blobs=6)),
+        TransportSetup(Flow(rows=4, columns=4, code=3, hidden=8, bins=4, film_bins=8, blobs=6)),
     ),
 }
 
@@ -133,14 +137,12 @@ def small_app(kind: str) -> App:
     """An application, or its second network, small."""
     if kind == FEATURED:
         return Brdf(Featured(width=8, features=5, code=3, encoder=8))
-    app = load_app(kind)
-    return app.at(small_recipe(app))
+    return app_of(kind, replace(recipes_of(kind)["quick"], setup=SMALL[kind].setup))
 
 
 def small_recipe(app: App) -> Recipe:
     """The quick recipe, with few samples, tasks and steps, and every rule that applies."""
-    recipe = app.recipes["quick"]
-    setup = app.setup if isinstance(app, Brdf) else SMALL[app.name].setup
+    recipe = recipes_of(app.name)["quick"]
 
     few: dict[str, Any] = {"steps": 6, "tasks": 3, "warmup": 0, "validate_every": 2}
 
@@ -157,8 +159,8 @@ def small_recipe(app: App) -> Recipe:
         finetune_steps=20,
         general=replace(recipe.general, **few),
         meta={rule: short(recipe.meta.get(rule, recipe.meta[recipe.rule])) for rule in applicable(app)},
-        setup=setup,
-        rule="ridge" if app.solves else recipe.rule,
+        setup=app.setup,
+        rule="ridge" if linear_in(app) else recipe.rule,
     )
 
 

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import FrozenInstanceError
 from typing import Any
 
 import pytest
 import torch
 
-from metapp.apps import load_app
+from metapp.apps import app_of, recipes_of
 from metapp.learning.app import App
 from metapp.learning.deadline import Deadline, Pace
 from metapp.learning.learn import MetaParameters, learn, task_loss
@@ -35,9 +36,9 @@ def test_a_paradigm_fits(name: str, job: Job, tasks: Tasks) -> None:
     assert all(torch.equal(theta[key], again[key]) for key in theta)
     other = paradigm.fit(job, prepared, few, rng(9))
     # without steps nothing need be random: an encoder may look at all there is
-    if name == "overfit" or (paradigm.count(job) and not job.app.deterministic):
+    if name == "overfit" or (paradigm.count(job) and not job.app.traits.deterministic):
         assert not all(torch.equal(theta[key], other[key]) for key in theta)
-    elif job.app.deterministic:
+    elif job.app.traits.deterministic:
         assert all(torch.equal(theta[key], other[key]) for key in theta)
     errors = job.app.errors(theta, few)
     assert {tuple(value.shape) for value in errors.values()} == {(3,)}
@@ -171,13 +172,14 @@ def test_only_learned_rules_are_guarded(job: Job, tasks: Tasks) -> None:
 
 
 def test_what_is_doubtful_is_known_of_named_rules_after_their_own_steps(app: App) -> None:
-    recipe = app.recipes["quick"]
+    recipe, meta = recipes_of(app.name)["quick"], paradigms()["meta"]
+    plain = Guard(recipe.quickft)
     for rule, training in recipe.meta.items():
-        plain = Guard(recipe.quickft)
-        assert recipe.guard_of(rule, recipe.steps) == (training.guard or plain)
-        assert recipe.guard_of(rule, recipe.steps + 1) == plain
-        assert 0 < recipe.guard_of(rule, recipe.steps).fall <= 1
-    assert recipe.guard_of("sgd+loss", recipe.steps) == Guard(recipe.quickft)
+        job = Job(app, recipe, rule)
+        assert meta.guard(job) == (training.guard or plain)
+        assert meta.guard(job._replace(steps=recipe.steps + 1)) == plain
+        assert 0 < meta.guard(job).fall <= 1
+    assert meta.guard(Job(app, recipe, "sgd+loss")) == plain
 
 
 def test_quickft_takes_the_tuned_adam(job: Job, tasks: Tasks) -> None:
@@ -248,11 +250,13 @@ def test_tasks_beside_each_other_are_independent(job: Job, tasks: Tasks) -> None
 
 
 def test_a_recipe_is_no_part_of_the_application(app: App) -> None:
-    """Its recipes stay what they are at any setup, and what errors depend on is said."""
-    recipes = load_app(app.name).recipes
+    """An application is frozen, and what errors depend on is said, at the setup of every recipe."""
+    recipes = recipes_of(app.name)
     assert {"paper", "quick"} <= set(recipes)
     for recipe in recipes.values():
-        again = load_app(app.name).at(recipe)
-        assert (again.name, again.recipes) == (app.name, recipes)
+        again = app_of(app.name, recipe)
+        assert (again.name, again.setup) == (app.name, recipe.setup)
+        with pytest.raises(FrozenInstanceError):
+            again.setup = None
         assert recipe.rule in recipe.meta
         assert all(isinstance(value, str) and value for value in again.conditions().values())

@@ -8,13 +8,14 @@ import pytest
 import torch
 
 from metapp.appearance.presentation import KINDS, Fitted, Presentation
-from metapp.apps import app_names, load_app, presentation_of
+from metapp.apps import app_names, app_of, presentation_of, protocols_of, recipes_of
 from metapp.learning.app import App
 from metapp.learning.learn import MetaParameters
 from metapp.learning.task import Params, Task, Tasks
 from metapp.paradigms import Job, paradigms
 from metapp.storage.records import file_name
 from tests.paradigms.small import rng
+from tests.quick import app_by
 
 pytestmark = pytest.mark.usefixtures("small_spheres")  # as in the tasks
 
@@ -33,9 +34,9 @@ def fitted(job: Job, tasks: Tasks) -> Params:
 
 def test_it_is_of_the_application_as_it_was_placed(app: App, presentation: Presentation) -> None:
     assert presentation.app is app
-    for recipe in app.recipes.values():
-        for protocol in app.protocols or ("",):
-            assert presentation_of(app.at(recipe, protocol)).app.protocol == protocol
+    for protocol in protocols_of(app.name) or ("",):
+        for recipe in recipes_of(app.name, protocol).values():
+            assert presentation_of(app_of(app.name, recipe, protocol)).app.protocol == protocol
 
 
 def test_what_tables_say_is_one_line_each(presentation: Presentation) -> None:
@@ -47,7 +48,7 @@ def test_what_tables_say_is_one_line_each(presentation: Presentation) -> None:
 
 
 def test_titles_differ() -> None:
-    titles = {presentation_of(load_app(name)).title for name in app_names()}
+    titles = {presentation_of(app_by(name)).title for name in app_names()}
     assert len(titles) == len(app_names())
 
 

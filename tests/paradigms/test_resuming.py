@@ -13,6 +13,7 @@ from typing import Any
 import pytest
 import torch
 
+from metapp.learning.app import OuterLoss
 from metapp.learning.learn import MetaParameters
 from metapp.learning.task import Tasks
 from metapp.paradigms import Job, paradigms, tuning
@@ -56,7 +57,7 @@ def small_job(kind: str, job: Job, monkeypatch: pytest.MonkeyPatch) -> tuple[str
         return kind, job
     rule, tuned = (kind.removesuffix(" tuned"), kind.endswith(" tuned"))
     rule = rule if rule in job.recipe.meta else "meta-encoder"  # networks are for grids alone
-    training = replace(job.recipe.meta[rule], tuned=tuned, start="encoder" if tuned else "mean")
+    training = replace(job.recipe.meta[rule], tuned=tuned, initialisation="encoder" if tuned else "mean")
     return rule, job._replace(rule=rule, recipe=replace(job.recipe, meta={rule: training}))
 
 
@@ -108,7 +109,9 @@ def test_ctrl_c_at_any_moment_loses_no_step(
     name, job = small_job(kind, job, monkeypatch)
     expected = as_file(run(name, job, tasks), tmp_path / "expected.safetensors")
     path, chance, reached = tmp_path / "start.safetensors", random.Random(kind), [(-1, -1)]
-    loss, errors, calls = job.app.outer_loss, job.app.errors, [0]
+    of = type(job.app)
+    of_loss = "outer_loss" if isinstance(job.app, OuterLoss) else "loss"
+    loss, errors, calls = getattr(of, of_loss), of.errors, [0]
 
     def interrupting(function: Callable[..., Any]) -> Callable[..., Any]:
         def call(*arguments: Any) -> Any:
@@ -124,8 +127,8 @@ def test_ctrl_c_at_any_moment_loses_no_step(
         calls[0] = chance.randint(2, 5)
         checkpoint = TrainingCheckpoint(path, SETTINGS)
         with monkeypatch.context() as patch:
-            patch.setattr(job.app, "outer_loss", interrupting(loss))
-            patch.setattr(job.app, "errors", interrupting(errors))
+            patch.setattr(of, of_loss, interrupting(loss))
+            patch.setattr(of, "errors", interrupting(errors))
             try:
                 made = run(name, job, tasks, checkpoint)
                 break

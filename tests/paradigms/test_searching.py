@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import pytest
 import torch
 
-from metapp.apps import load_app
+from metapp.apps import recipes_of
 from metapp.learning.learn import MetaParameters
 from metapp.learning.recipe import Adam
 from metapp.learning.rules import RULES
@@ -21,6 +21,7 @@ from metapp.paradigms.paradigm import Given
 from metapp.paradigms.quickft import QUICKFT, adam_of
 from metapp.paradigms.resuming import Interrupted, Prepared
 from tests.paradigms.small import rng
+from tests.quick import app_by
 
 # The search of QuickFT's Adam, on errors in closed form
 
@@ -53,8 +54,7 @@ def search(monkeypatch: pytest.MonkeyPatch) -> Callable[..., Search]:
     """A search that starts at an Adam and that is told errors in closed form."""
 
     def make(first: Adam, error: Callable[[Adam], float] = bowl) -> Search:
-        app = load_app("brdf")
-        job = Job(app, replace(app.recipes["quick"], quickft=first), "meta-sgd")
+        job = Job(app_by("brdf"), replace(recipes_of("brdf")["quick"], quickft=first), "meta-sgd")
         looked: list[Adam] = []
 
         def told(paradigm: Paradigm, job: Job, prepared: MetaParameters, tasks: Any, seeds: int = 2) -> float:
@@ -141,8 +141,8 @@ def test_an_interrupted_search_carries_the_best_so_far(looks: int, search: Calla
 def test_searches_look_at_all_validation_tasks_where_fits_are_cheap(
     name: str, count: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    app = load_app(name)
-    job = Job(app, app.recipes["quick"], app.recipes["quick"].rule)
+    recipe = recipes_of(name)["quick"]
+    job = Job(app_by(name), recipe, recipe.rule)
     names = tuple(f"{i:03d}" for i in range(240))
     looked: list[int] = []
 
@@ -172,7 +172,7 @@ def test_a_rule_is_tuned_as_quickft_is(
 ) -> None:
     """Its Adam is searched on validation tasks, in the bases of the training tasks; outer steps go on from there."""
     monkeypatch.setattr(tuning, "SEARCHED", ([{"rate": 0.5}, {"rate": 2.0}], [{"beta1": 0.3, "rate": 1.0}]))
-    training = replace(job.recipe.meta[rule], start="encoder", tuned=True, steps=outer)
+    training = replace(job.recipe.meta[rule], initialisation="encoder", tuned=True, steps=outer)
     job = job._replace(rule=rule, recipe=replace(job.recipe, meta={rule: training}))
     encoder = MetaParameters(encoder=job.app.init_encoder(rng()))
     made = prepare.prepare(rule, job, tasks, rng(), encoder=encoder)

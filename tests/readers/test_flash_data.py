@@ -5,14 +5,13 @@ from __future__ import annotations
 import random
 from pathlib import Path
 
-import numpy as np
-import OpenImageIO as oiio
 import pytest
 import torch
 
 from data_tools.readers import flash
 from data_tools.readers.flash import Shown, find_shown, shown, split_by_material
 from data_tools.readers.photos import read_photo
+from tests.pictures import noise, write
 
 
 def touch(folder: Path, *names: str) -> None:
@@ -28,11 +27,7 @@ def splits_of(folder: Path) -> dict[str, str]:
 
 
 def test_a_task_is_named_by_material_and_image(tmp_path: Path) -> None:
-    path = tmp_path / "train_0231_IMG_0785.png"
-    output = oiio.ImageOutput.create(str(path))
-    output.open(str(path), oiio.ImageSpec(60, 40, 3, "uint8"))
-    output.write_image(np.random.default_rng(0).integers(0, 256, (40, 60, 3), dtype=np.uint8))
-    output.close()
+    path = write(tmp_path / "train_0231_IMG_0785.png", noise(40, 60))
     task = flash.read_task(path, 40)
     assert task.name == "0231_IMG_0785"
     assert list(task.data) == list(flash.UNITS) == ["image"]

@@ -12,6 +12,7 @@ from data_tools.readers import heif
 from data_tools.readers.photos import find_photos, is_photo, read_photo
 from data_tools.readers.svbrdf_inputs import read_task
 from metapp.appearance.colour import linear_to_srgb, srgb_to_linear
+from tests.pictures import P3_TO_SRGB, STORED, planes
 
 pillow_heif = pytest.importorskip("pillow_heif", reason='pillow-heif is not installed: pip install "metapp[heic]"')
 from PIL import Image, ImageCms  # noqa: E402
@@ -33,24 +34,10 @@ def write(path: Path, values: np.ndarray, orientation: int = 1, focal: int = 0, 
     return path
 
 
-def planes(values: np.ndarray) -> torch.Tensor:
-    return torch.from_numpy(values.copy()).permute(2, 0, 1).float()
-
-
 @pytest.mark.parametrize("orientation", range(1, 9))
 def test_pictures_are_upright(tmp_path: Path, orientation: int) -> None:
     upright = gradients()
-    turn = {
-        1: upright,
-        2: np.fliplr(upright),
-        3: np.rot90(upright, 2),
-        4: np.flipud(upright),
-        5: upright.swapaxes(0, 1),
-        6: np.rot90(upright, 1),
-        7: np.rot90(upright, 2).swapaxes(0, 1),
-        8: np.rot90(upright, -1),
-    }
-    path = write(tmp_path / "a.heic", np.ascontiguousarray(turn[orientation]), orientation)
+    path = write(tmp_path / "a.heic", np.ascontiguousarray(STORED[orientation](upright)), orientation)
     found = read_photo(path, 48).float()
     assert (found - planes(upright[24:72])).abs().mean() < 2
 
@@ -73,8 +60,7 @@ def test_a_display_p3_profile_is_heeded(tmp_path: Path) -> None:
     assert named != profile
     plain = read_photo(write(tmp_path / "a.heic", values), 64).double() / 255
     wide = read_photo(write(tmp_path / "b.heic", values, icc=bytes(named)), 64).double() / 255
-    matrix = torch.tensor([[1.22494, -0.22494, 0.0], [-0.04206, 1.04206, 0.0], [-0.01964, -0.07864, 1.09827]]).double()
-    expected = linear_to_srgb(torch.einsum("ij,jhw->ihw", matrix, srgb_to_linear(plain)).clamp(0, 1))
+    expected = linear_to_srgb(torch.einsum("ij,jhw->ihw", P3_TO_SRGB, srgb_to_linear(plain)).clamp(0, 1))
     assert (wide - expected).abs().max() < 2 / 255
     assert (wide - plain).abs().max() > 3 / 255
 

@@ -4,22 +4,12 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import numpy as np
-import OpenImageIO as oiio
 import pytest
 import torch
 
 from data_tools.readers import images
 from data_tools.readers.photos import read_photo
-
-
-def photograph(path: Path, seed: int = 0, side: int = 64) -> Path:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    output = oiio.ImageOutput.create(str(path))
-    output.open(str(path), oiio.ImageSpec(side, side, 3, "uint8"))
-    output.write_image(np.random.default_rng(seed).integers(0, 256, (side, side, 3), dtype=np.uint8))
-    output.close()
-    return path
+from tests.pictures import photograph
 
 
 def test_a_task_is_named_by_the_stem_and_holds_one_image(tmp_path: Path) -> None:

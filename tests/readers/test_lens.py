@@ -6,25 +6,19 @@ import math
 from pathlib import Path
 
 import numpy as np
-import OpenImageIO as oiio
 import pytest
 import torch
 
 from data_tools.readers import flash, images, svbrdf_inputs
 from data_tools.readers.lens import field_of_view, focal_length_of, seen_share
+from tests.pictures import write
 
 
 def photo(path: Path, focal: int = 0, height: int = 96, width: int = 128) -> Path:
     """A ramp along both axes, so that every crop is another picture."""
     y, x = np.mgrid[:height, :width]
-    spec = oiio.ImageSpec(width, height, 3, "uint8")
-    if focal:
-        spec.attribute("Exif:FocalLengthIn35mmFilm", "int", focal)
-    output = oiio.ImageOutput.create(str(path))
-    assert output.open(str(path), spec)
-    assert output.write_image(np.uint8(np.stack([x + 40, 2 * y + 20, 100 + 0 * x], -1)))
-    output.close()
-    return path
+    attributes = {"Exif:FocalLengthIn35mmFilm": focal} if focal else {}
+    return write(path, np.uint8(np.stack([x + 40, 2 * y + 20, 100 + 0 * x], -1)), **attributes)
 
 
 @pytest.mark.parametrize(

@@ -12,11 +12,14 @@ from data_tools.readers.brdf_task import brdf_task
 from data_tools.readers.nbrdf import SHAPES, export, find, nbrdf_evaluate, read_nbrdf, read_task, write_nbrdf
 from data_tools.synthetic.brdf import synthetic_materials
 from metapp.appearance.geometry import above_horizon, rusinkiewicz_to_directions
-from metapp.apps.brdf import APP
+from metapp.apps.brdf import Brdf
+from metapp.apps.brdf.recipes import RECIPES
 from metapp.learning.app import stack
 from metapp.paradigms import Job, paradigms
 from metapp.runs.shipped import shipped_path
 from metapp.storage.records import load_checkpoint
+
+APP = Brdf()
 
 
 def make_weights(seed: int = 0) -> dict[str, np.ndarray]:
@@ -259,8 +262,8 @@ def test_the_plugin_sees_what_fits_see(tmp_path: Path) -> None:
 def test_exported_fits_are_as_good_on_both_halves_of_the_circle(tmp_path: Path) -> None:
     materials = synthetic_materials("test")[:8]
     tasks = stack(APP, [brdf_task(each.name, each.evaluate) for each in materials])
-    rule = APP.recipes["quick"].rule
-    job = Job(APP, APP.recipes["quick"], rule)
+    rule = RECIPES[""]["quick"].rule
+    job = Job(APP, RECIPES[""]["quick"], rule)
     prepared = load_checkpoint(shipped_path("brdf", rule))[0]
     theta = paradigms()["meta"].fit(job, prepared, tasks, torch.Generator().manual_seed(0))
     angles, wi, wo = random_directions(20_000)

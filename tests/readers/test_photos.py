@@ -10,16 +10,14 @@ import sys
 import zlib
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-import OpenImageIO as oiio
 import pytest
 import torch
-from torch import Tensor
 
 from data_tools.readers.photos import find_photos, holds_photos, is_photo, read_photo
 from metapp.appearance.colour import linear_to_srgb, srgb_to_linear
+from tests.pictures import P3_TO_SRGB, STORED, check_refused, noise, planes, text, truncated, write
 
 # 32 x 32 px, quality 60, as Photoshop stores inks: red over blue on the left, green on the right
 CMYK = base64.b64decode(
@@ -28,35 +26,11 @@ CMYK = base64.b64decode(
     "AAAAAAAAAP/aAA4EQwBNAFkASwAAPwCnJgmCnADz2vbsQAehEEccADz2vbsQAYyCLYADZXtEwAYyCLYADZXtEwAf/9k="
 )
 
-KINDS = {"uint8": "uint8", "uint16": "uint16", "float32": "float"}
-
-
-def write(path: Path, values: np.ndarray, kind: str = "", **attributes: Any) -> Path:
-    """An image file of values [height, width, channels], stored as they are or as `kind`."""
-    spec = oiio.ImageSpec(values.shape[1], values.shape[0], values.shape[2], kind or KINDS[values.dtype.name])
-    spec.attribute("oiio:UnassociatedAlpha", 1)
-    for name, value in attributes.items():
-        spec.attribute(name, value)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    output = oiio.ImageOutput.create(str(path))
-    assert output.open(str(path), spec)
-    assert output.write_image(np.ascontiguousarray(values))
-    output.close()
-    return path
-
-
-def noise(height: int, width: int, channels: int = 3, seed: int = 0) -> np.ndarray:
-    return np.random.default_rng(seed).integers(0, 256, (height, width, channels), dtype=np.uint8)
-
 
 def smooth(height: int, width: int) -> np.ndarray:
     """A picture that JPEG keeps, uint8 [height, width, 3], without any symmetry."""
     y, x = np.mgrid[:height, :width] / max(height, width)
     return (255 * np.stack([x, y, (x + 2 * y) / 3], axis=-1)).astype(np.uint8)
-
-
-def planes(values: np.ndarray) -> Tensor:
-    return torch.from_numpy(np.ascontiguousarray(values.transpose(2, 0, 1)))
 
 
 def chunk(kind: bytes, data: bytes) -> bytes:
@@ -176,18 +150,7 @@ def test_transparent_parts_get_the_mean_colour_of_the_rest(tmp_path: Path, name:
 @pytest.mark.parametrize("suffix", ["jpg", "png", "tif"])
 def test_pictures_are_turned_upright(tmp_path: Path, orientation: int, suffix: str) -> None:
     upright = smooth(96, 48)
-    # what a camera stores that is held so: the picture is turned back
-    turn: dict[int, Callable[[np.ndarray], np.ndarray]] = {
-        1: lambda values: values,
-        2: np.fliplr,
-        3: lambda values: np.rot90(values, 2),
-        4: np.flipud,
-        5: lambda values: values.swapaxes(0, 1),
-        6: lambda values: np.rot90(values, 1),
-        7: lambda values: np.rot90(values, 2).swapaxes(0, 1),
-        8: lambda values: np.rot90(values, -1),
-    }
-    stored = np.ascontiguousarray(turn[orientation](upright))
+    stored = np.ascontiguousarray(STORED[orientation](upright))
     image = read_photo(write(tmp_path / f"a.{suffix}", stored, Orientation=orientation), 48)
     assert (image.float() - planes(upright[24:72]).float()).abs().mean() < 3
 
@@ -196,8 +159,7 @@ def test_named_colour_spaces_are_converted(tmp_path: Path) -> None:
     values = 96 + noise(48, 48) // 8  # a wider space's colours that sRGB has as well
     as_p3 = read_photo(png(tmp_path / "p3.png", values, profile=profile("Display P3")), 48)
     linear = srgb_to_linear(planes(values).double() / 255)
-    matrix = torch.tensor([[1.22494, -0.22494, 0.0], [-0.04206, 1.04206, 0.0], [-0.01964, -0.07864, 1.09827]])
-    expected = linear_to_srgb(torch.einsum("ij,jhw->ihw", matrix.double(), linear)) * 255
+    expected = linear_to_srgb(torch.einsum("ij,jhw->ihw", P3_TO_SRGB, linear)) * 255
     assert (as_p3 - expected).abs().max() < 0.6
     as_adobe = read_photo(png(tmp_path / "adobe.png", values, profile=profile("Adobe RGB (1998)")), 48)
     assert (as_adobe.int() - planes(values)).abs().max() > 3
@@ -207,12 +169,7 @@ def test_named_colour_spaces_are_converted(tmp_path: Path) -> None:
 
 def test_layers_of_an_exr_file_are_told_by_their_names(tmp_path: Path) -> None:
     values = np.random.default_rng(0).random((48, 48, 4), dtype=np.float32)
-    spec = oiio.ImageSpec(48, 48, 4, "float")
-    spec.channelnames = ("B", "G", "R", "Z")
-    output = oiio.ImageOutput.create(str(tmp_path / "a.exr"))
-    output.open(str(tmp_path / "a.exr"), spec)
-    output.write_image(values)
-    output.close()
+    write(tmp_path / "a.exr", values, names=("B", "G", "R", "Z"))
     expected = linear_to_srgb(planes(values[..., 2::-1])) * 255
     assert (read_photo(tmp_path / "a.exr", 48) - expected).abs().max() < 0.51
 
@@ -266,16 +223,6 @@ def test_reading_twice_gives_the_same(tmp_path: Path) -> None:
 
 
 # What is refused, in one line
-
-
-def truncated(path: Path, keep: float = 0.5) -> Path:
-    os.truncate(path, int(path.stat().st_size * keep))
-    return path
-
-
-def text(path: Path) -> Path:
-    path.write_text("a texture, in words\n")
-    return path
 
 
 def oversized(path: Path) -> Path:
@@ -349,14 +296,7 @@ BAD: dict[str, tuple[Callable[[Path], Path], str]] = {
 def test_what_cannot_be_used_is_one_line(tmp_path: Path, capfd: pytest.CaptureFixture[str], kind: str) -> None:
     make, message = BAD[kind]
     path = make(tmp_path)
-    with pytest.raises(ValueError) as error:  # noqa: PT011  (the message is looked at below)
-        read_photo(path, 48)
-    line = str(error.value)
-    assert line.startswith(f"{path}: ")
-    assert message in line
-    assert line.count(str(path)) == 1
-    assert "\n" not in line
-    assert line.endswith(".")
+    check_refused(lambda path: read_photo(path, 48), path, message)
     assert capfd.readouterr() == ("", "")  # image libraries write to the screen by themselves
 
 

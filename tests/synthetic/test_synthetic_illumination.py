@@ -2,82 +2,33 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import Any
-
-import numpy as np
 import pytest
 import torch
 from torch import Tensor
 
 from data_tools.draws import stream
-from data_tools.synthetic.illumination import COUNTS, FAMILIES, UNITS, environment, synthetic_tasks, white_balance
+from data_tools.synthetic.illumination import FAMILIES, environment, white_balance
 from metapp.appearance.latlong import luminance, mean_luminance, solid_angles
-from metapp.learning.task import Task
-from metapp.runs.embedded import embedded_data
-from metapp.storage.manifest import read_manifest
-
-# Mean of the upper and of the lower half of red, green and blue of three maps.
-EXPECTED = (
-    (1.2468, 0.4939, 1.4069, 0.4491, 1.6428, 0.3528),
-    (2.2516, 0.2897, 1.9984, 0.2339, 1.6686, 0.1976),
-    (1.3883, 0.1651, 1.5073, 0.1827, 1.6945, 0.0962),
-)
+from tests.synthetic.drawn import drawn
 
 
 @pytest.fixture(scope="module")
-def train() -> list[Task]:
-    return list(synthetic_tasks("train", 48))
-
-
-@pytest.fixture(scope="module")
-def test() -> list[Task]:
-    return list(synthetic_tasks("test", COUNTS["test"]))
-
-
-@pytest.fixture(scope="module")
-def light(train: list[Task], test: list[Task]) -> Tensor:
+def light() -> Tensor:
     """[64, 3, 64, 128]."""
-    return torch.stack([task.data["map"] for task in train + test])
+    return torch.stack([task.data["map"] for task in drawn("illumination").tasks])
 
 
-def test_counts_names_and_tensors(train: list[Task], test: list[Task]) -> None:
-    assert COUNTS == {"train": 900, "test": 16}
-    names = [task.name for task in train + test]
-    assert len(set(names)) == len(names) == 64
-    assert names[:2] == ["meadow-000", "apartment-001"]
-    assert names[48] == "meadow-t000"
-    assert {name.split("-")[0] for name in names[:20]} == {name.split("-")[0] for name in names[48:]} == set(FAMILIES)
-    for task in train + test:
-        assert set(task.data) == set(UNITS)
-        assert (task.data["map"].dtype, task.data["map"].shape) == (torch.float32, (3, 64, 128))
-        assert (task.data["photos"].dtype, task.data["photos"].shape) == (torch.uint8, (4, 3, 64, 64))
-        assert (task.data["scale"].dtype, task.data["scale"].shape) == (torch.float32, ())
-
-
-def test_maps_are_finite_lit_everywhere_and_of_mean_luminance_1(light: Tensor, train: list[Task]) -> None:
+def test_maps_are_finite_lit_everywhere_and_of_mean_luminance_1(light: Tensor) -> None:
     assert light.isfinite().all()
     assert light.min() >= 0
     assert (mean_luminance(light) - 1).abs().max() < 1e-4
     assert (luminance(light) > 0).float().mean() > 0.98
-    scales = torch.stack([task.data["scale"] for task in train])  # kcd/m^2: from lamplight to sunlight
+    scales = torch.stack(
+        [task.data["scale"] for task in drawn("illumination").train]
+    )  # kcd/m^2: from lamplight to sunlight
     assert scales.min() > 1e-3
     assert scales.max() < 50
     assert scales.max() > 300 * scales.min()
-
-
-def test_a_larger_set_begins_with_the_smaller_one_and_a_seed_changes_all(train: list[Task]) -> None:
-    for one, two in zip(synthetic_tasks("train", 4), train, strict=False):
-        assert one.name == two.name
-        assert all(torch.equal(one.data[key], two.data[key]) for key in UNITS)
-    for one, two in zip(synthetic_tasks("train", 8, seed=1), train, strict=False):
-        assert (one.data["map"] - two.data["map"]).abs().mean() > 0.1
-
-
-def test_draws_are_the_same_on_every_machine(light: Tensor) -> None:
-    """Whoever changes a draw changes the default data set, and with it every trained start and every table."""
-    found = light[[0, 21, 60]].unflatten(2, (2, 32)).mean((3, 4)).flatten(1)
-    np.testing.assert_allclose(found.numpy(), EXPECTED, rtol=0.01)
 
 
 def test_every_map_is_another_place(light: Tensor) -> None:
@@ -114,8 +65,9 @@ def test_suns_stand_in_all_directions(light: Tensor) -> None:
     assert len((columns // 32).unique()) == 4
 
 
-def test_photos_show_the_map(train: list[Task]) -> None:
+def test_photos_show_the_map() -> None:
     """What lies above is brighter than what lies below in the photos of most maps, as it is in the maps."""
+    train = drawn("illumination").train
     photos = torch.stack([task.data["photos"] for task in train]).float().mean((1, 2))
     light = torch.stack([luminance(task.data["map"]) for task in train])
     above = photos[:, :32].sum((1, 2)) > photos[:, 32:].sum((1, 2))
@@ -137,15 +89,3 @@ def test_families_draw_without_fail(name: str) -> None:
         light = environment(FAMILIES[name], stream(7, seed), supersampling=1)
         assert light.isfinite().all()
         assert mean_luminance(light) > 1e-4
-
-
-def test_the_embedded_set_has_all_units(tmp_path: Path) -> None:
-    manifest = read_manifest(embedded_data("illumination", count=3, out=tmp_path / "maps", quiet=True))
-    assert manifest.units == UNITS
-    assert [entry.split for entry in manifest.tasks].count("test") == 1
-
-
-@pytest.mark.parametrize("arguments", [("validation", 1), ("train", -1), ("test", 5, -2)])
-def test_impossible_sets_are_errors(arguments: tuple[Any, ...]) -> None:
-    with pytest.raises(ValueError, match="expected"):
-        next(synthetic_tasks(*arguments))

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import Any
-
 import numpy as np
 import pytest
 import torch
@@ -13,60 +10,18 @@ from torch import Tensor
 from data_tools.draws import stream
 from data_tools.synthetic.stationary import families
 from data_tools.synthetic.stationary.families import FAMILIES
-from data_tools.synthetic.svbrdf_stationary import COUNTS, FLAT, UNITS, flash_photographs, synthetic_tasks
+from data_tools.synthetic.svbrdf_stationary import flash_photographs
 from metapp.appearance.flash import Maps, camera, expose, flash_position, normal_from_height, positions, render
-from metapp.learning.task import Task
-from metapp.runs.embedded import embedded_data
-from metapp.storage.shards import read_manifest
-
-# Mean red, green and blue of three pictures, 0 .. 255.
-EXPECTED = ((117.12, 107.52, 90.58), (106.62, 105.66, 102.13), (105.63, 110.56, 111.35))
+from tests.synthetic.drawn import drawn, least_distance
 
 
 @pytest.fixture(scope="module")
-def train() -> list[Task]:
-    return list(synthetic_tasks("train", 64))
-
-
-@pytest.fixture(scope="module")
-def test() -> list[Task]:
-    return list(synthetic_tasks("test", COUNTS["test"]))
-
-
-def images(tasks: list[Task]) -> Tensor:
+def pictures() -> Tensor:
     """[N, 3, 256, 256] in [0, 1]."""
-    return torch.stack([task.data["image"] for task in tasks]).float() / 255
+    return drawn("svbrdf_stationary").images()
 
 
-def test_counts_names_and_tensors(train: list[Task], test: list[Task]) -> None:
-    assert COUNTS == {"train": 120, "test": 16}
-    names = [task.name for task in train + test]
-    assert len(set(names)) == len(names) == 80
-    assert {name.split("-")[0] for name in names[:16]} == {name.split("-")[0] for name in names[64:]} == set(FLAT)
-    assert set(FLAT) <= set(FAMILIES)
-    for task in train + test:
-        assert set(task.data) == {"image", "relit" if task in test else "truth"}
-        assert set(task.data) <= set(UNITS)
-        assert task.data["image"].dtype == torch.uint8
-        assert task.data["image"].shape == (3, 256, 256)
-
-
-def test_a_larger_set_begins_with_the_smaller_one_and_a_seed_changes_all(train: list[Task]) -> None:
-    for one, two in zip(synthetic_tasks("train", 16), train, strict=False):
-        assert one.name == two.name
-        assert torch.equal(one.data["image"], two.data["image"])
-    for one, two in zip(synthetic_tasks("train", 16, seed=1), train, strict=False):
-        assert (one.data["image"].float() - two.data["image"].float()).abs().mean() > 2
-
-
-def test_draws_are_the_same_on_every_machine(train: list[Task], test: list[Task]) -> None:
-    """Whoever changes a draw changes the default data set, and with it every trained start and every table."""
-    found = images([train[3], train[40], test[5]]).mean((2, 3)) * 255
-    torch.testing.assert_close(found, torch.tensor(EXPECTED), rtol=0, atol=0.3)
-
-
-def test_exposure_holds_the_highlight(train: list[Task], test: list[Task]) -> None:
-    pictures = images(train + test)
+def test_exposure_holds_the_highlight(pictures: Tensor) -> None:
     means = pictures.mean((1, 2, 3))
     assert means.min() > 0.15
     assert means.max() < 0.75
@@ -75,28 +30,24 @@ def test_exposure_holds_the_highlight(train: list[Task], test: list[Task]) -> No
     assert (peaks > 0.9).float().mean() > 0.3  # shiny ones are about to clip, matt ones are metered by their mean
 
 
-def test_the_flash_is_in_the_middle(train: list[Task], test: list[Task]) -> None:
-    pictures = images(train + test)
+def test_the_flash_is_in_the_middle(pictures: Tensor) -> None:
     middle = pictures[..., 64:192, 64:192].mean((1, 2, 3))
     corners = torch.stack([pictures[..., i : i + 48, j : j + 48].mean((1, 2, 3)) for i in (0, 208) for j in (0, 208)])
     assert (middle > corners.mean(0)).float().mean() > 0.97
     assert flash_position(pictures).norm(dim=1).quantile(0.9) < 0.15
 
 
-def test_opposite_sides_are_alike(train: list[Task], test: list[Task]) -> None:
+def test_opposite_sides_are_alike(pictures: Tensor) -> None:
     """What a stationary material under a central flash has in common with itself: in nine of ten within 0.06."""
-    pictures = images(train + test)
     sides = [pictures[..., :128, :], pictures[..., 128:, :], pictures[..., :128], pictures[..., 128:]]
     top, bottom, left, right = (side.mean((2, 3)) for side in sides)
     apart = torch.maximum((top - bottom).abs(), (left - right).abs()).amax(1)
     assert (apart < 0.06).float().mean() > 0.9
 
 
-def test_every_draw_is_another_material(train: list[Task], test: list[Task]) -> None:
-    small = torch.nn.functional.avg_pool2d(images(train + test), 8).flatten(1)
-    apart = torch.cdist(small, small, p=1).fill_diagonal_(float("inf")) / small.shape[1]
-    assert apart.min() > 0.01
-    means = images(train + test).mean((2, 3))
+def test_every_draw_is_another_material(pictures: Tensor) -> None:
+    assert least_distance(pictures) > 0.01
+    means = pictures.mean((2, 3))
     assert torch.cdist(means, means).mean() > 0.2
 
 
@@ -126,14 +77,3 @@ def test_the_truth_makes_the_photograph_without_its_exposure() -> None:
     maps = Maps(albedo * square.expand(3, -1, -1), specular * square, 0.5 * square, normal_from_height(0 * square))
     again = expose(render(maps, positions(size, size), camera(), camera(), falloff=1.0))
     assert (again - photo / 255).abs().mean() < 0.02  # but for the flash's exact place and cone
-
-
-def test_the_embedded_set_has_all_units(tmp_path: Path) -> None:
-    manifest = read_manifest(embedded_data("svbrdf_stationary", count=4, out=tmp_path / "photos", quiet=True))
-    assert manifest.units == UNITS
-
-
-@pytest.mark.parametrize("arguments", [("validation", 1), ("train", -1), ("test", 5, -2)])
-def test_impossible_sets_are_errors(arguments: tuple[Any, ...]) -> None:
-    with pytest.raises(ValueError, match="expected"):
-        next(synthetic_tasks(*arguments))

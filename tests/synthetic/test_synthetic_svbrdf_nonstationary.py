@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -14,49 +13,23 @@ from torch import Tensor
 from data_tools.draws import stream
 from data_tools.synthetic.nonstationary.shapes import box, centred, disc, grid, star, text
 from data_tools.synthetic.nonstationary.surface import Surface, covers, distance, finish, lay, softened
-from data_tools.synthetic.svbrdf_nonstationary import COUNTS, FAMILIES, UNITS, held, synthetic_tasks
+from data_tools.synthetic.svbrdf_nonstationary import FAMILIES, UNITS, held
 from metapp.appearance.colour import linear_to_srgb
 from metapp.appearance.flash import BESIDE_LENS, Maps, camera, positions, render, unpack
-from metapp.learning.task import Task
 from metapp.storage.manifest import read_manifest
 from metapp.storage.shards import check_shard, read_shard
-
-# Mean normal x, diffuse green, roughness and specular green of three patches.
-EXPECTED = ((-0.0032, 0.1001, 0.4919, 0.3050), (0.0001, 0.0211, 0.4600, 0.5278), (0.0015, 0.0900, 0.6739, 0.0442))
+from tests.synthetic.drawn import drawn, least_distance
 
 
 @pytest.fixture(scope="module")
-def train() -> list[Task]:
-    return list(synthetic_tasks("train", 48))
-
-
-@pytest.fixture(scope="module")
-def test() -> list[Task]:
-    return list(synthetic_tasks("test", COUNTS["test"]))
-
-
-@pytest.fixture(scope="module")
-def maps(train: list[Task], test: list[Task]) -> Maps:
+def maps() -> Maps:
     """Each [64, C, 128, 128]."""
-    return unpack(torch.stack([task.data["maps"] for task in train + test]).float())
+    return unpack(torch.stack([task.data["maps"] for task in drawn("svbrdf_nonstationary").tasks]).float())
 
 
 def metal(maps: Maps) -> Tensor:
     """Where there is metal, [N, 128, 128]."""
     return maps.specular.mean(1) > 0.4
-
-
-def test_counts_names_and_tensors(train: list[Task], test: list[Task]) -> None:
-    assert COUNTS == {"train": 1200, "test": 16}
-    names = [task.name for task in train + test]
-    assert len(set(names)) == len(names) == 64
-    assert names[0] == "inlay-000"
-    assert names[48] == "inlay-t000"
-    assert {name.split("-")[0] for name in names[: len(FAMILIES)]} == set(FAMILIES)
-    for task in train + test:
-        assert set(task.data) == set(UNITS)
-        assert (task.data["maps"].dtype, task.data["maps"].shape) == (torch.float16, (10, 128, 128))
-        assert (task.data["photo"].dtype, task.data["photo"].shape) == (torch.uint8, (3, 128, 128))
 
 
 def test_maps_are_physical(maps: Maps) -> None:
@@ -109,36 +82,19 @@ def test_patches_are_not_stationary_nor_centred(maps: Maps) -> None:
     assert mirrored.min() > 0.1
 
 
-def test_a_larger_set_begins_with_the_smaller_one_and_a_seed_changes_all(train: list[Task]) -> None:
-    for one, two in zip(synthetic_tasks("train", 6), train, strict=False):
-        assert one.name == two.name
-        assert all(torch.equal(one.data[key], two.data[key]) for key in UNITS)
-    for one, two in zip(synthetic_tasks("train", 6, seed=1), train, strict=False):
-        assert (one.data["maps"].float() - two.data["maps"].float()).abs().mean() > 0.02
-
-
 def test_every_patch_is_another_one(maps: Maps) -> None:
-    small = torch.nn.functional.avg_pool2d(torch.cat(maps, 1), 8).flatten(1)
-    apart = torch.cdist(small, small, p=1).fill_diagonal_(float("inf")) / small.shape[1]
-    assert apart.min() > 0.02  # and with that no test patch is a training patch
+    assert least_distance(torch.cat(maps, 1)) > 0.02  # and with that no test patch is a training patch
 
 
-def test_draws_are_the_same_on_every_machine(maps: Maps) -> None:
-    """Whoever changes a draw changes the default data set, and with it every trained start and every table."""
-    channels = (maps.normal[:, 0], maps.diffuse[:, 1], maps.roughness[:, 0], maps.specular[:, 1])
-    found = torch.stack([each.mean((1, 2)) for each in channels], 1)[[4, 21, 60]]
-    torch.testing.assert_close(found, torch.tensor(EXPECTED), rtol=0, atol=0.003)
-
-
-def test_photos_are_neither_dark_nor_burnt_out(train: list[Task], test: list[Task]) -> None:
-    photos = torch.stack([task.data["photo"] for task in train + test]).float() / 255
+def test_photos_are_neither_dark_nor_burnt_out() -> None:
+    photos = torch.stack([task.data["photo"] for task in drawn("svbrdf_nonstationary").tasks]).float() / 255
     assert photos.mean((1, 2, 3)).min() > 0.1
     assert (photos > 0.999).all(1).float().mean((1, 2)).quantile(0.9) < 0.15
 
 
-def test_photos_show_the_maps_under_a_flash_nearby(train: list[Task]) -> None:
+def test_photos_show_the_maps_under_a_flash_nearby() -> None:
     """What the maps look like under one flash each, found by descent, is what the photographs show."""
-    some = train[::4]
+    some = drawn("svbrdf_nonstationary").train[::4]
     maps, photos = (torch.stack([task.data[key] for task in some])[..., ::4, ::4] for key in ("maps", "photo"))
     place, above = positions(128, 128)[..., ::4, ::4], camera()
     beside = linear_to_srgb(render(unpack(maps.float()), place, above, above).clamp(0, 1))
@@ -229,9 +185,3 @@ def test_the_command_writes_the_set(metapp: Callable, tmp_path: Path) -> None:
     assert (manifest.app, manifest.units) == ("svbrdf_nonstationary", UNITS)
     (task,) = read_shard(tmp_path, "test", "svbrdf_nonstationary")
     assert task.name == "inlay-t000"
-
-
-@pytest.mark.parametrize("arguments", [("validation", 1), ("train", -1), ("test", 5, -2)])
-def test_impossible_sets_are_errors(arguments: tuple[Any, ...]) -> None:
-    with pytest.raises(ValueError, match="expected"):
-        next(synthetic_tasks(*arguments))

@@ -44,6 +44,21 @@ def run(report: Report, seed: str, quick: bool, only: list[str], ends: float = f
         shutil.rmtree(place, ignore_errors=True)
 
 
+@contextlib.contextmanager
+def _mounted(report: Report, place: Path, options: str) -> Iterator[bool]:
+    """A tmpfs at a place; False where that is not allowed."""
+    place.mkdir(exist_ok=True)
+    mount = ["mount", "-t", "tmpfs", "-o", options, "tmpfs", place]
+    mounted = subprocess.run(mount, capture_output=True, text=True)
+    if mounted.returncode:
+        report.notice(f"disk: {options} not tried, mounting a tmpfs is not allowed ({mounted.stderr.strip()})")
+    try:
+        yield not mounted.returncode
+    finally:
+        if not mounted.returncode:
+            subprocess.run(["umount", "-l", place], check=True)
+
+
 def full(report: Report, rng: random.Random, data: Path, place: Path, quick: bool) -> None:
     """A disk that is full: one line that names a place on it, and earlier files as they were."""
     for name, own in list(_FULL.items())[:: 3 if quick else 1]:
@@ -53,7 +68,7 @@ def full(report: Report, rng: random.Random, data: Path, place: Path, quick: boo
                     return
                 part, earlier = f"disk:full:{name}", disk / "earlier"
                 earlier.write_bytes(b"kept")
-                command = metapp(*kills.CASES[name].words(data, disk / "out"))
+                command = metapp(*kills.CASES[name](data, disk / "out"))
                 ended = commands.run(report, part, command, (0, 1))
                 repeat = f"{commands.shown(command)}, on a tmpfs with {size} KB"
                 if ended.code == 1 and str(disk) not in ended.error:
@@ -66,29 +81,20 @@ def full(report: Report, rng: random.Random, data: Path, place: Path, quick: boo
 
 @contextlib.contextmanager
 def _small_disk(report: Report, place: Path, size: int) -> Iterator[Path | None]:
-    place.mkdir(exist_ok=True)
-    options = f"size={size + 64}k"
-    mounted = subprocess.run(["mount", "-t", "tmpfs", "-o", options, "tmpfs", place], capture_output=True)
-    if mounted.returncode:
-        report.notice(f"disk:full: not tried, mounting a tmpfs is not allowed ({mounted.stderr.decode().strip()})")
-        yield None
-        return
-    try:
-        filler = place / "filler"
-        filler.write_bytes(bytes(60 * 1024))
-        yield place
-    finally:
-        subprocess.run(["umount", "-l", place], check=True)
+    with _mounted(report, place, f"size={size + 64}k") as allowed:
+        if allowed:
+            (place / "filler").write_bytes(bytes(60 * 1024))
+        yield place if allowed else None
 
 
 def full_again(report: Report, rng: random.Random, data: Path, place: Path, quick: bool) -> None:
-    """A training whose disk is full at the end keeps the start that was there."""
+    """A training whose disk is full at the end keeps the checkpoint that was there."""
     with _small_disk(report, place / "small", 4000) as disk:
         if disk is None:
             return
-        command = metapp(*kills.CASES["general"].words(data, disk / "out"))
+        command = metapp(*kills.CASES["general"](data, disk / "out"))
         commands.run(report, "disk:full_again", command, (0,))
-        before = {name: held for name, held in kills.results(disk).items() if "checkpoints" in name}
+        before = {name: held for name, held in kills.results(disk).items() if name.endswith(".safetensors")}
         free = shutil.disk_usage(disk).free
         (disk / "more").write_bytes(bytes(max(free - 40_000, 0)))
         ended = commands.run(report, "disk:full_again", [*command, "--seed", "0"], (0, 1))
@@ -103,7 +109,7 @@ def two_writers(report: Report, rng: random.Random, data: Path, place: Path, qui
     for name in ("fit", "synth", "general"):
         for turn in range(1 if quick else 4):
             out = place / f"{name}{turn}"
-            command = metapp(*kills.CASES[name].words(data, out))
+            command = metapp(*kills.CASES[name](data, out))
             both = [commands.start(command) for _ in range(2)]
             report.count(f"disk:two_writers:{name}", 2)
             ends = [commands.Ended(p.wait(commands.SECONDS), p.stdout.read().decode("utf-8", "replace"))  # type: ignore[union-attr]
@@ -115,35 +121,27 @@ def two_writers(report: Report, rng: random.Random, data: Path, place: Path, qui
                 report.add(part, "both failed", f"{commands.shown(command)}, twice at once")
             alone = place / f"{name}-alone"
             if not alone.exists():
-                commands.run(report, part, metapp(*kills.CASES[name].words(data, alone)), (0,))
+                commands.run(report, part, metapp(*kills.CASES[name](data, alone)), (0,))
             for fault in kills.differences(kills.results(alone), kills.results(out)):
                 report.add(part, fault, f"{commands.shown(command)}, twice at once")
 
 
 def read_only(report: Report, rng: random.Random, data: Path, place: Path, quick: bool) -> None:
     """A folder that cannot be written to; a file in its place."""
-    disk = place / "locked"
-    disk.mkdir()
-    mounted = subprocess.run(["mount", "-t", "tmpfs", "-o", "ro", "tmpfs", disk], capture_output=True)
-    if mounted.returncode:
-        report.notice("disk:read_only: only a file in place of the folder was tried, mounting is not allowed")
-    (place / "file").write_text("x")
-    try:
+    disk, file = place / "locked", place / "file"
+    file.write_text("x")
+    with _mounted(report, disk, "ro") as allowed:
         for name in list(kills.CASES)[:: 3 if quick else 1]:
-            for out in (*([] if mounted.returncode else [disk / "out"]), place / "file", place / "file" / "below"):
-                ended = commands.run(
-                    report, f"disk:read_only:{name}", metapp(*kills.CASES[name].words(data, out)), (1, 2)
-                )
+            for out in (*([disk / "out"] if allowed else []), file, file / "below"):
+                part = f"disk:read_only:{name}"
+                ended = commands.run(report, part, metapp(*kills.CASES[name](data, out)), (1, 2))
                 if str(out.parent) not in ended.output.replace("\n", "") and ended.code == 1:
-                    report.add(f"disk:read_only:{name}", f"the message names no path: {ended.error!a}", str(out))
-    finally:
-        if not mounted.returncode:
-            subprocess.run(["umount", "-l", disk], check=True)
+                    report.add(part, f"the message names no path: {ended.error!a}", str(out))
 
 
 def no_home(report: Report, rng: random.Random, data: Path, place: Path, quick: bool) -> None:
     """No HOME, one that is not there, one that is a file; the cache in none of them."""
-    fit = kills.CASES["fit"].words(data, place / "runs")
+    fit = kills.CASES["fit"](data, place / "runs")
     draw = ["data", "synth", "brdf", "--count", "2"]  # into the user's cache
     for home, commands_ in ((None, [fit]), ("/proc/none", [fit, draw, ["doctor"]]), ("/dev/null", [draw]), ("", [fit])):
         variables = commands.environment(**({} if home is None else {"HOME": home}))
@@ -156,7 +154,7 @@ def no_home(report: Report, rng: random.Random, data: Path, place: Path, quick: 
 
 def streams(report: Report, rng: random.Random, data: Path, place: Path, quick: bool) -> None:
     """Closed streams and readers that go away."""
-    fit = kills.CASES["fit"].words(data, place / "runs")
+    fit = kills.CASES["fit"](data, place / "runs")
     check = ["data", "check", data, "--json"]
     for words in (fit, check, ["--help"], [*fit, "--json"], ["meta", "nothing"])[: 2 if quick else None]:
         line = shlex.join([sys.executable, "-m", "metapp", *map(str, words)])
@@ -189,24 +187,16 @@ def odd_inputs(report: Report, rng: random.Random, data: Path, place: Path, quic
     os.mkfifo(place / "pipe")
     (place / "loop").symlink_to("loop")
     (place / "empty").mkdir()
-    places = [
-        place / "pipe",
-        Path("/dev/zero"),
-        place / "loop",
-        place / "empty",
-        Path("/dev/null"),
-        Path("/proc/self/mem"),
-    ]
+    devices = Path("/dev/null"), Path("/proc/self/mem")
+    places = [place / "pipe", Path("/dev/zero"), place / "loop", place / "empty", *devices]
     apps = ("transport", "brdf", "texture", "svbrdf_stationary", "svbrdf_nonstationary", "illumination")
     for app in apps[:: 3 if quick else 1]:
         for odd in places[: 2 if quick else None]:
             commands.run(report, "disk:odd_inputs", metapp("meta", app, odd, "--out", place / "runs"), (1, 2))
-    for suffix in (".xml", ".json", ".png", ".exr", ".binary")[:: 2 if quick else 1]:
+    readers = {".xml": "transport", ".json": "transport", ".png": "texture", ".exr": "illumination", ".binary": "brdf"}
+    for suffix, app in list(readers.items())[:: 2 if quick else 1]:
         os.mkfifo(place / f"pipe{suffix}")
         (place / f"zero{suffix}").symlink_to("/dev/zero")
-        app = {".xml": "transport", ".json": "transport", ".binary": "brdf", ".exr": "illumination"}.get(
-            suffix, "texture"
-        )
         for odd in (place / f"pipe{suffix}", place / f"zero{suffix}"):
             commands.run(report, "disk:odd_inputs", metapp("meta", app, odd, "--out", place / "runs"), (1,))
     for option in ("--checkpoint", "--data"):
@@ -221,7 +211,5 @@ def odd_inputs(report: Report, rng: random.Random, data: Path, place: Path, quic
         commands.run(report, "disk:odd_inputs", ["bash", "-c", f"rmdir {gone}; {line}"], cwd=gone)
 
 
-CASES: dict[str, Callable[[Report, random.Random, Path, Path, bool], Any]] = {
-    case.__name__: case
-    for case in (full, full_again, two_writers, read_only, no_home, streams, names, odd_inputs)
-}  # fmt: skip
+_CASES = (full, full_again, two_writers, read_only, no_home, streams, names, odd_inputs)
+CASES: dict[str, Callable[[Report, random.Random, Path, Path, bool], Any]] = {case.__name__: case for case in _CASES}

@@ -12,7 +12,7 @@ import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from tests.torture import commands
 from tests.torture.commands import metapp
@@ -24,21 +24,16 @@ _A_ROW = 5  # kills before a command may end
 _TASKS = "40"  # enough that fits and conversions are seen half done
 
 
-class Case(NamedTuple):
-    """A command: its words after `metapp`, for a data set and a folder to write to."""
-
-    words: Callable[[Path, Path], list[Any]]
-
-
+Case = Callable[[Path, Path], list[Any]]  # words after `metapp`, of a data set and a folder to write to
 CASES: dict[str, Case] = {
-    "fit": Case(lambda data, out: ["meta", "brdf", "--data", data, "--out", out]),
-    "overfit": Case(lambda data, out: ["overfit", "brdf", "--steps", "200", "--data", data, "--out", out]),
-    "export": Case(lambda data, out: ["meta", "brdf", "--export", "nbrdf", "--data", data, "--out", out]),
-    "synth": Case(lambda data, out: ["data", "synth", "brdf", "--count", _TASKS, "--out", out]),
-    "convert": Case(lambda data, out: ["data", "nbrdf", data.parent / "networks", "--samples", "4096", "--out", out]),
-    "general": Case(lambda data, out: [*_train("general", data, out), "--train-steps", "60"]),
-    "meta": Case(lambda data, out: [*_train("meta", data, out), "--rule", "meta-sgd", "--train-steps", "12"]),
-    "evaluate": Case(lambda data, out: ["evaluate", "brdf", "--which", "quickft", "--data", data, "--out", out]),
+    "fit": lambda data, out: ["meta", "brdf", "--data", data, "--out", out],
+    "overfit": lambda data, out: ["overfit", "brdf", "--steps", "200", "--data", data, "--out", out],
+    "export": lambda data, out: ["meta", "brdf", "--export", "nbrdf", "--data", data, "--out", out],
+    "synth": lambda data, out: ["data", "synth", "brdf", "--count", _TASKS, "--out", out],
+    "convert": lambda data, out: ["data", "nbrdf", data.parent / "networks", "--samples", "4096", "--out", out],
+    "general": lambda data, out: [*_train("general", data, out), "--train-steps", "60"],
+    "meta": lambda data, out: [*_train("meta", data, out), "--rule", "meta-sgd", "--train-steps", "12"],
+    "evaluate": lambda data, out: ["evaluate", "brdf", "--which", "quickft", "--data", data, "--out", out],
 }
 
 
@@ -60,26 +55,16 @@ def run(report: Report, seed: str, quick: bool, only: list[str], ends: float = f
     try:
         data = _make_data(report, place)
         chosen = only or list(CASES)[:: 2 if quick else 1]
-        cases = {name: case for name, case in CASES.items() if name in chosen}
+        cases = [name for name in CASES if name in chosen]
         points = QUICK_POINTS if quick else POINTS
         shares = {name: points // len(cases) + (i < points % len(cases)) for i, name in enumerate(cases)}
+
+        def kill(name: str) -> None:
+            rng = random.Random(f"{seed}/kills/{name}")
+            _kill_one(report, rng, name, data, place, shares[name], ends)
+
         with ThreadPoolExecutor(max_workers=2) as pool:
-            waiting = [
-                pool.submit(
-                    _kill_one,
-                    report,
-                    random.Random(f"{seed}/kills/{name}"),
-                    name,
-                    case,
-                    data,
-                    place,
-                    shares[name],
-                    ends,
-                )
-                for name, case in cases.items()
-            ]
-        for done in waiting:
-            done.result()
+            list(pool.map(kill, cases))
     finally:
         shutil.rmtree(place, ignore_errors=True)
 
@@ -93,20 +78,18 @@ def _make_data(report: Report, place: Path) -> Path:
     return data
 
 
-def _kill_one(
-    report: Report, rng: random.Random, name: str, case: Case, data: Path, place: Path, points: int, ends: float
-) -> None:
+def _kill_one(report: Report, rng: random.Random, name: str, data: Path, place: Path, points: int, ends: float) -> None:
     if not points:
         return
-    part = f"kills:{name}"
-    whole = metapp(*case.words(data, place / f"{name}-whole"))
+    part, case = f"kills:{name}", CASES[name]
+    whole = metapp(*case(data, place / f"{name}-whole"))
     began = time.monotonic()
     if commands.run(report, part, whole, (0,)).code:
         return
     seconds = time.monotonic() - began
     expected = results(place / f"{name}-whole")
     out, moments = place / f"{name}-killed", []
-    command = metapp(*case.words(data, out))
+    command = metapp(*case(data, out))
     for point in range(points):
         if time.monotonic() > ends:
             report.notice(f"{part}: {points - point} kill points left out, the time was over")
@@ -140,12 +123,7 @@ def _files_in(out: Path) -> set[str]:
 
 
 def _kill(
-    report: Report,
-    part: str,
-    command: list[Any],
-    moment: float,
-    number: signal.Signals,
-    files: tuple[Path, int] | None = None,
+    report: Report, part: str, command: list[Any], moment: float, number: signal.Signals, files: tuple[Path, int] | None
 ) -> None:
     """Start a command and kill it after some seconds, or as soon as so many files were seen in a folder."""
     report.count(f"{part} (points)")
@@ -168,7 +146,7 @@ def _kill(
 
 
 def results(out: Path) -> dict[str, Any]:
-    """What must not depend on kills: bytes of parameters, starts and data, errors of records."""
+    """What must not depend on kills: bytes of parameters, checkpoints and data, errors of records."""
     found: dict[str, Any] = {}
     for path in sorted(path for path in out.rglob("*") if path.is_file()):
         name = str(path.relative_to(out))

@@ -28,14 +28,11 @@ def mutate_json(rng: random.Random, document: Any) -> str:
     """The text of a document after one to four mutations of its values or structure, and sometimes of its text."""
     for _ in range(rng.choice((1, 1, 2, 4))):
         document = _mutate_value(rng, document, rng.random() < 0.05)
-    text = json.dumps(document)
-    kind = rng.random()
+    text, kind = json.dumps(document), rng.random()
     if kind < 0.1:
         return _of_text(rng, text)
-    if kind < 0.12:
-        depth = rng.choice((200, 2000, 100_000))
-        return text.replace("0", "[" * depth + "]" * depth, 1)
-    return text
+    depth = rng.choice((200, 2000, 100_000)) if kind < 0.12 else 0
+    return text.replace("0", "[" * depth + "]" * depth, 1) if depth else text
 
 
 def mutate_xml(rng: random.Random, text: str) -> str:
@@ -43,17 +40,15 @@ def mutate_xml(rng: random.Random, text: str) -> str:
     root = ElementTree.fromstring(text)
     for _ in range(rng.choice((1, 1, 2, 4))):
         _mutate_element(rng, root)
-    text = _xml_text(root)
-    kind = rng.random()
+    text, kind = _xml_text(root), rng.random()
     if kind < 0.1:
         return _of_text(rng, text)
     if kind < 0.12:
         depth = rng.choice((100, 2000, 50_000))
         return text.replace("<shape", "<shape>" * depth + "</shape>" * depth + "<shape", 1)
     if kind < 0.14:
-        return f'<!DOCTYPE scene [<!ENTITY a "{rng.choice(("diffuse", "x" * 1000))}">]>' + text.replace(
-            "diffuse", "&a;"
-        )
+        entity = f'<!DOCTYPE scene [<!ENTITY a "{rng.choice(("diffuse", "x" * 1000))}">]>'
+        return entity + text.replace("diffuse", "&a;")
     return text
 
 
@@ -131,20 +126,16 @@ _BYTES: tuple[Callable[[random.Random, bytes, Sequence[bytes]], bytes], ...] = (
 
 def odd_value(rng: random.Random) -> Any:
     """A value that a JSON document may have anywhere."""
-    kind = rng.randrange(7)
-    if kind == 0:
-        return rng.choice((None, True, False))
-    if kind == 1:
-        return rng.choice((1, -1)) * rng.choice((*_INTEGERS, 10**40))
-    if kind == 2:
-        return rng.choice(_FLOATS)
-    if kind == 3:
-        return rng.choice(_TEXTS)
-    if kind == 4:
-        return [odd_value(rng) for _ in range(rng.randrange(3))]
-    if kind == 5:
-        return {rng.choice(_TEXTS): odd_value(rng) for _ in range(rng.randrange(3))}
-    return {"type": rng.choice(("scene", "diffuse", "bitmap", 3)), "value": [1, 2]}
+    kinds: tuple[Callable[[], Any], ...] = (
+        lambda: rng.choice((None, True, False)),
+        lambda: rng.choice((1, -1)) * rng.choice((*_INTEGERS, 10**40)),
+        lambda: rng.choice(_FLOATS),
+        lambda: rng.choice(_TEXTS),
+        lambda: [odd_value(rng) for _ in range(rng.randrange(3))],
+        lambda: {rng.choice(_TEXTS): odd_value(rng) for _ in range(rng.randrange(3))},
+        lambda: {"type": rng.choice(("scene", "diffuse", "bitmap", 3)), "value": [1, 2]},
+    )
+    return rng.choice(kinds)()
 
 
 def _mutate_value(rng: random.Random, value: Any, here: bool) -> Any:

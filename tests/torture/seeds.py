@@ -51,23 +51,11 @@ def image_file(values: Any, suffix: str, depth: str = "uint8") -> bytes:
 def photographs() -> list[Files]:
     """Textures and flash photos, in the formats that cameras and programs write."""
     rgb, alpha = picture(40, 48), picture(34, 34, 4, 1)
-    return [
-        {f"wood{suffix}": image_file(values, suffix, depth)}
-        for values, suffix, depth in (
-            (rgb, ".png", "uint8"),
-            (alpha, ".png", "uint16"),
-            (rgb, ".jpg", "uint8"),
-            (rgb, ".tif", "uint8"),
-            (alpha, ".tif", "float"),
-            (rgb, ".bmp", "uint8"),
-            (rgb, ".tga", "uint8"),
-            (rgb, ".gif", "uint8"),
-            (rgb, ".webp", "uint8"),
-            (rgb, ".ppm", "uint8"),
-            (rgb, ".exr", "half"),
-            (rgb[..., :1], ".png", "uint8"),
-        )
-    ] + [{"wood.heic": heif_file(rgb)}]
+    kinds = [(rgb, ".png", "uint8"), (alpha, ".png", "uint16"), (rgb, ".jpg", "uint8"), (rgb, ".tif", "uint8"),
+             (alpha, ".tif", "float"), *((rgb, each, "uint8") for each in (".bmp", ".tga", ".gif", ".webp", ".ppm")),
+             (rgb, ".exr", "half"), (rgb[..., :1], ".png", "uint8")]  # fmt: skip
+    files = [{f"wood{suffix}": image_file(values, suffix, depth)} for values, suffix, depth in kinds]
+    return [*files, {"wood.heic": heif_file(rgb)}]
 
 
 def heif_file(values: Any) -> bytes:
@@ -120,8 +108,7 @@ def networks() -> list[Files]:
     """NBRDF networks."""
     from data_tools.readers.nbrdf import SHAPES
 
-    rng = np.random.default_rng(0)
-    found = []
+    rng, found = np.random.default_rng(0), []
     for prefix, kind in (("", "<f4"), ("gold_", "<f8")):
         files = {}
         for part, shape in SHAPES.items():
@@ -188,7 +175,7 @@ def shards() -> list[Files]:
         return [{file.name: file.read_bytes() for file in sorted(Path(folder).iterdir())}]
 
 
-def starts() -> list[Files]:
+def checkpoints() -> list[Files]:
     """The small trained checkpoints that ship."""
     from metapp.runs.shipped import shipped_path
 

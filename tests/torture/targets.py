@@ -59,9 +59,9 @@ def _safetensors(rng: random.Random, content: bytes) -> bytes:
     """The header as JSON with changed values, its length put right."""
     length = int.from_bytes(content[:8], "little")
     document = json.loads(content[8 : 8 + length])
-    told = document.get("__metadata__", {}).get("metapp")
-    if told and rng.random() < 0.6:  # what a checkpoint says about itself
-        document["__metadata__"]["metapp"] = mutate_json(rng, json.loads(told))
+    description = document.get("__metadata__", {}).get("metapp")
+    if description and rng.random() < 0.6:
+        document["__metadata__"]["metapp"] = mutate_json(rng, json.loads(description))
         header = json.dumps(document).encode()
     else:
         header = mutate_json(rng, document).encode("utf-8", "surrogatepass")
@@ -177,12 +177,12 @@ def _read_scene(folder: Path, file: Path) -> None:
 
 
 def _read_shard(folder: Path, file: Path) -> None:
-    from metapp.apps import load_app
+    from metapp.apps.brdf import Brdf
     from metapp.learning.app import stack
     from metapp.runs.inputs import tasks_of_data
     from metapp.storage.shards import check_shard
 
-    app = load_app("brdf")
+    app = Brdf()
     check_shard(folder)
     tasks = tasks_of_data(app, folder, True)[0]
     for task in tasks:
@@ -201,13 +201,13 @@ def _read_manifest(folder: Path, file: Path) -> None:
 @functools.cache
 def _small_task() -> Any:
     from data_tools.readers.brdf_task import brdf_task
-    from metapp.apps import load_app
+    from metapp.apps.brdf import Brdf
     from metapp.learning.app import stack
 
-    return stack(load_app("brdf"), [brdf_task("small", lambda angles: angles * 0 + 0.1, samples=64)])
+    return stack(Brdf(), [brdf_task("small", lambda angles: angles * 0 + 0.1, samples=64)])
 
 
-def _read_start(folder: Path, file: Path) -> None:
+def _read_checkpoint(folder: Path, file: Path) -> None:
     """As --checkpoint, then one step of a fit."""
     import torch
 
@@ -215,10 +215,8 @@ def _read_start(folder: Path, file: Path) -> None:
     from metapp.runs.plan import plan
     from metapp.runs.request import Request
 
-    request = Request(
-        "brdf", rule=file.stem, recipe="quick", steps=1, checkpoint=file, out=folder, device="cpu", quiet=True
-    )
-    by = find_checkpoint(plan(request))
+    options = {"rule": file.stem, "recipe": "quick", "steps": 1, "checkpoint": file, "out": folder}
+    by = find_checkpoint(plan(Request("brdf", **options, device="cpu", quiet=True)))
     by.paradigm.fit(by.job, by.prepared, _small_task(), torch.Generator().manual_seed(0))
 
 
@@ -253,6 +251,6 @@ TARGETS: dict[str, Target] = {
     "scene_json": Target(seeds.scenes_json, _read_scene),
     "shard": Target(seeds.shards, _read_shard),
     "manifest": Target(_manifest_alone, _read_manifest),
-    "start": Target(seeds.starts, _read_start),
+    "checkpoint": Target(seeds.checkpoints, _read_checkpoint),
     "record": Target(seeds.records, _read_records),
 }

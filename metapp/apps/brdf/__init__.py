@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from typing import ClassVar
 
 import torch
 from torch import Generator, Tensor
@@ -12,122 +12,36 @@ from metapp.appearance.geometry import half_difference
 from metapp.apps.brdf import nbrdf, nbrdf_fused
 from metapp.apps.brdf.featured import OWN, Featured, features_of, folded, reflectance_of
 from metapp.apps.brdf.variants import measured, mixed
-from metapp.learning.app import App
+from metapp.learning.app import App, Traits
 from metapp.learning.flat import FusedLoss
-from metapp.learning.recipe import Adam, Guard, MetaTraining, OuterLoop, Recipe
 from metapp.learning.task import Batch, Held, Linear, Params, Task, Tasks
 
 CONDITION = 1024  # samples that General's encoder reads
 KNOTS = 8
-# Each task's gradient is scaled to about the same norm before the mean is taken: meta-gradients are heavy-tailed, and a
-# clip of 0.004 gave two thirds of the error that a clip of 1 gave on validation materials.
-LEARNED = MetaTraining(
-    steps=20_000,
-    tasks=4,
-    rates={"": 1e-3, "alpha.": 1e-2, "alpha.left": 1e-3, "alpha.right": 1e-3},
-    warmup=200,
-    final=0.01,
-    order=2,
-    clip=4e-3,
-)
-# with another network: features for all materials, of which each is a linear combination
-RIDGE = MetaTraining(
-    steps=10_000,
-    tasks=4,
-    rates={"": 2e-3, "alpha.": 1e-2},
-    warmup=200,
-    final=0.01,
-    order=2,
-    clip=1e-2,
-    validate_every=500,
-    start="untrained",
-    setup=Featured(),
-)
-# doubtful: what ends at twice the share of its initialisation's loss that any validation material does
-GUARD = Guard(Adam(1e-2, beta1=0.5, beta2=0.9, final=0.1), fall=0.13)
-
-QUICK = Recipe(
-    steps=10,
-    batch=512,
-    overfit_steps=20_000,
-    overfit=Adam(1e-2, final=0.0),
-    finetune_steps=2_000,
-    finetune=Adam(4e-3, final=0.0),
-    quickft=Adam(5e-3, final=0.1),
-    general=OuterLoop(steps=12_000, tasks=8, rates={"": 1e-3}, warmup=200, final=0.0, validate_every=500),
-    meta={
-        # from one initialisation for all materials ten signed gradients have too far to go
-        "meta-sgd": replace(
-            LEARNED,
-            steps=10_000,
-            first=Adam(0.1),
-            rates={"": 3e-3, "encoder.": 3e-4},
-            start="encoder",
-            augment=False,
-        ),
-        "meta-adam": replace(LEARNED, guard=replace(GUARD, fall=0.25)),
-        "meta-curvature": replace(LEARNED, guard=GUARD),
-        "ridge": RIDGE,
-    },
-    rule="meta-curvature",
-)
-
-# where paradigms need not fit the same network, the rule that is best on validation tasks
-FULL = replace(QUICK, rule="ridge")
-# for samples that are noisy, or that lack grazing angles, as those of a gonioreflectometer
-MEASURED = replace(FULL, meta={"ridge": replace(RIDGE, setup=Featured(measured=True))})
-
-# Fischer & Ritschel 2022, section 4.1.2 and supplement: 10 inner steps of 512 samples, MAML with Meta-SGD from
-# alpha = 1e-3, outer Adam at 1e-4 with weight decay 1e-6, a random start
-PAPER = replace(
-    QUICK,
-    quickft=Adam(5e-3),
-    meta={
-        "meta-sgd": MetaTraining(
-            steps=100_000,
-            tasks=1,
-            rates={"": 1e-4},
-            first=Adam(1e-3),
-            decay=1e-6,
-            order=2,
-            clip=10.0,
-            augment=False,
-            start="random",
-        )
-    },
-    rule="meta-sgd",
-)
 
 
 class Brdf(App):
     """One measured or modelled isotropic material a task."""
 
     name = "brdf"
-    holds = {  # noqa: RUF012  (never written to)
+    holds: ClassVar = {
         "angles": Held(("N", 3), low=0.0, high=2 * math.pi),
         "reflectance": Held(("N", 3), low=0.0),
         "render": Held(("H", "W", 4)),
         "environment": Held(("h", "w", 4), optional=True),
     }
-    scale = 100.0
-    single_threaded = True
-    compiles = True
-    cheap_fits = True
-    recipes = {  # noqa: RUF012  (never written to)
-        "paper": PAPER,
-        "quick": QUICK,
-        "full": FULL,
-        "measured": MEASURED,
-    }
 
-    def __init__(self, setup: Featured | None = None) -> None:
-        self.setup = setup
-        if setup:
-            self.solves, self.own = "last", OWN
+    setup: Featured | None
 
-    def at(self, recipe: Recipe, protocol: str = "") -> Brdf:
-        """The application with a recipe's network: a `Featured` one, or None for the NBRDF network."""
-        return self if recipe.setup == self.setup else Brdf(recipe.setup)
+    @property
+    def traits(self) -> Traits:
+        own = OWN if self.setup else ()
+        return Traits(scale=100.0, single_threaded=True, compiles=True, cheap_fits=True, own=own)
+
+    @property
+    def solves(self) -> str:
+        """The last layer of the featured network."""
+        return "last" if self.setup else ""
 
     def prepare(self, task: Task) -> dict[str, Tensor]:
         """`where` [N, 7]: half and difference vector, cos theta_i; `target` [N, 3]: log(1 + f cos theta_i)."""
@@ -277,4 +191,4 @@ def _weights(where: Tensor, learned: Params) -> Tensor:
     return torch.exp((learned["weights"][:, None] @ hat)[:, 0])
 
 
-APP = Brdf()
+APP = Brdf

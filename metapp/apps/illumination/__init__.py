@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import math
 from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import torch
 from torch import Generator, Tensor
@@ -17,10 +18,10 @@ from metapp.appearance.photograph import Camera, Material, develop, photograph, 
 from metapp.apps.illumination.encoder import Encoder
 from metapp.apps.illumination.surfaces import FACED, MIRRORED, relight, surfaces
 from metapp.apps.illumination.variants import of_mean_1, varied
-from metapp.learning.recipe import AS_PUBLISHED, Adam, Guard, MetaTraining, OuterLoop, Recipe
+from metapp.learning.app import Traits
 from metapp.learning.task import Batch, Held, Params, Task, Tasks
 from metapp.networks.coded import CodedApp, norm
-from metapp.networks.layers import LocalField
+from metapp.networks.field import LocalField
 from metapp.rendering import second_scene
 
 DARK = 0.01  # of a map of mean luminance 1: the log of radiance is flat below
@@ -36,7 +37,7 @@ SMALL = 32  # px of the photograph in the loss
 
 
 @dataclass(frozen=True)
-class Setup:
+class IlluminationSetup:
     """The size of everything.
 
     Attributes:
@@ -53,75 +54,6 @@ class Setup:
         return Encoder(2 * self.read[0], 2 * self.read[1], self.field.code, BODY)
 
 
-# exact second order, from General's encoder, which goes on learning through the steps
-LEARNED = MetaTraining(
-    steps=1500,
-    tasks=8,
-    rates={"": 1e-4, "alpha.": 5e-3, "alpha.around.": 5e-4},
-    first=Adam(1.2e-2, beta1=0.6, beta2=0.98, eps=1e-4, final=0.1),
-    warmup=50,
-    final=0.01,
-    order=2,
-    clip=1.0,
-    validate_every=100,
-    start="encoder",
-    # doubtful: what ends at twice the share of its initialisation's loss that any validation map does, or overshoots
-    # a sun, whose radiance the late steps are too long for
-    guard=Guard(Adam(2e-3, beta1=0.5, beta2=0.9, eps=1e-6, final=0.1), fall=0.5, rise=2.0),
-)
-QUICK = Recipe(
-    steps=15,
-    batch=1,
-    overfit_steps=3000,
-    overfit=Adam(1e-2, final=0.0),
-    finetune_steps=300,
-    finetune=Adam(1e-2, final=0.0),
-    quickft=Adam(1e-2, beta1=0.6, beta2=0.98, final=0.1),
-    general=OuterLoop(steps=9000, tasks=16, rates={"": 1e-3}, warmup=100, final=0.0, validate_every=500),
-    meta={"meta-encoder": LEARNED, "meta-lgd": LEARNED},
-    rule="meta-lgd",
-    setup=Setup(LocalField(32, 64)),
-)
-# at the size that people use, in a fifth of the map's numbers: what was learned for 32 x 64 texels, on a finer grid
-FULL = replace(QUICK, setup=Setup(LocalField(128, 256, rows=32, columns=64)))
-# from photographs slowly and for long: the start has much to learn, such as to leave to the steps what they can find
-FROM_PHOTOS = replace(
-    LEARNED,
-    steps=3000,
-    rates={"": 1e-4, "alpha.": 1e-2},
-    first=Adam(1e-3, beta1=0.7, beta2=0.99, eps=1e-3, final=0.1),
-    warmup=20,
-    guard=None,  # a lower loss of a photograph need not be a better map
-)
-QUICK_PHOTO = replace(
-    QUICK,
-    overfit=Adam(1e-3, final=0.0),
-    finetune=Adam(1e-4, final=0.0),
-    quickft=Adam(3e-4, beta1=0.7, beta2=0.99, eps=1e-3, final=0.1),
-    meta={"meta-encoder": FROM_PHOTOS},
-    rule="meta-encoder",
-)
-# 15 inner steps, first-order MAML with Meta-SGD from a random initialisation: Fischer & Ritschel 2022, section 4.1.5
-PAPER = replace(
-    QUICK,
-    overfit_steps=10_000,
-    finetune_steps=1_000,
-    meta={"meta-sgd": AS_PUBLISHED},
-    rule="meta-sgd",
-    setup=Setup(LocalField(64, 128, hidden=64)),
-)
-RECIPES = {
-    "reference": {"paper": PAPER, "quick": QUICK, "full": FULL},
-    "photo": {
-        "paper": replace(
-            PAPER, overfit=QUICK_PHOTO.overfit, finetune=QUICK_PHOTO.finetune, quickft=QUICK_PHOTO.quickft
-        ),
-        "quick": QUICK_PHOTO,
-        "full": replace(QUICK_PHOTO, setup=FULL.setup),
-    },
-}
-
-
 class Illumination(CodedApp):
     """One environment map a task, of mean luminance 1.
 
@@ -130,17 +62,17 @@ class Illumination(CodedApp):
     """
 
     name = "illumination"
-    holds = {  # noqa: RUF012  (never written to)
+    holds: ClassVar = {
         "photos": Held(("K", 3, 64, 64), "uint8"),
         "map": Held((3, "H", "W"), low=0.0, optional=True),
         "scale": Held((), low=0.0, optional=True),
     }
-    scale = 100.0
-    all_recipes = RECIPES
+    setup: IlluminationSetup
 
-    def __init__(self, setup: Setup, protocol: str) -> None:
-        super().__init__(setup, protocol)
-        self.reads = self.field.height if self.field.height > READ else 0
+    @property
+    def traits(self) -> Traits:
+        reads = self.field.height if self.field.height > READ else 0
+        return replace(super().traits, scale=100.0, reads=reads)
 
     def prepare(self, task: Task) -> dict[str, Tensor]:
         """`photo` uint8 [3, S, S], and of the map `map` [3, H, W] and `sent`, what surfaces send out under it."""
@@ -175,8 +107,7 @@ class Illumination(CodedApp):
 
     def sized(self, height: int, width: int) -> Illumination:
         """The application with maps of another size: its networks can be evaluated anywhere."""
-        setup = replace(self.setup, field=self.field._replace(height=height, width=width))
-        return Illumination(setup, self.protocol)
+        return replace(self, setup=replace(self.setup, field=self.field._replace(height=height, width=width)))
 
     def answer(self, theta: Params) -> Tensor:
         """The same as they are judged and shown."""
@@ -290,4 +221,4 @@ def _inside(side: int, device: torch.device) -> Tensor:
     return shown.flatten().nonzero()[:, 0].to(device)
 
 
-APP = Illumination(QUICK.setup, "reference")
+APP = Illumination

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import torch
 from torch import Generator, Tensor
@@ -21,10 +22,10 @@ from metapp.apps.svbrdf_nonstationary.maps import (
 )
 from metapp.apps.svbrdf_nonstationary.variants import varied
 from metapp.apps.svbrdf_nonstationary.views import FLASH, flash_of, mirroring_pairs, oblique_pairs, photographed, seen
-from metapp.learning.recipe import AS_PUBLISHED, Adam, Guard, MetaTraining, OuterLoop, Recipe
+from metapp.learning.app import Traits
 from metapp.learning.task import Batch, Held, Params, Task, Tasks
 from metapp.networks.coded import CodedApp, norm
-from metapp.networks.layers import LocalField
+from metapp.networks.field import LocalField
 
 DARK = 0.1  # of white: the log of radiance is flat below
 CLIPPED = 0.95  # of white: what a photograph shows no more
@@ -42,7 +43,7 @@ FINEST = 2048  # px a side of a user's photograph, and of the maps that are writ
 
 
 @dataclass(frozen=True)
-class Setup:
+class MaterialSetup:
     """The size of everything.
 
     Attributes:
@@ -79,66 +80,6 @@ def field_of(side: int, hidden: int) -> LocalField:
     )
 
 
-# exact second order, from General's encoder, which goes on learning through the steps
-LEARNED = MetaTraining(
-    steps=600,
-    tasks=4,
-    rates={"": 5e-5, "alpha.": 5e-3, "alpha.within.": 5e-4},
-    first=Adam(3e-3, beta1=0.5, beta2=0.8, eps=1e-6, final=0.1),
-    warmup=10,
-    final=0.01,
-    order=2,
-    clip=1.0,
-    validate_every=50,
-    start="encoder",
-    guard=Guard(Adam(6e-4, beta1=0.5, beta2=0.9, eps=1e-6, final=0.1), fall=0.4, rise=2.0),
-)
-QUICK = Recipe(
-    steps=15,
-    batch=1,
-    overfit_steps=1000,
-    overfit=Adam(3e-3, beta2=0.99, final=0.0),
-    finetune_steps=100,
-    finetune=Adam(3e-3, final=0.0),
-    quickft=Adam(3e-3, beta1=0.6, beta2=0.98, final=0.1),
-    general=OuterLoop(steps=24_000, tasks=8, rates={"": 1e-3}, warmup=100, final=0.0, validate_every=1000),
-    meta={"meta-encoder": LEARNED, "meta-lgd": LEARNED},
-    rule="meta-lgd",
-    setup=Setup(field_of(64, 32)),
-)
-# at the size that people use: the code that is read at 64 texels, and what rules learned there, on a finer grid
-FULL = replace(QUICK, setup=Setup(field_of(128, 32), read=64))
-# a photograph says little that General has not read from it: small steps, and hardly any training through them
-GENTLE = replace(
-    LEARNED, steps=50, tasks=8, first=Adam(3e-4, beta1=0.8, beta2=0.8, eps=1e-3), validate_every=25, guard=None
-)
-QUICK_PHOTO = replace(
-    QUICK,
-    finetune=Adam(1e-4, final=0.0),
-    quickft=GENTLE.first,
-    meta={"meta-encoder": GENTLE},
-    rule="meta-encoder",
-)
-# 15 inner steps on maps of 256 px, first-order MAML with Meta-SGD from a random initialisation, as in Fischer &
-# Ritschel 2022, section 4.1.4
-PAPER = replace(
-    QUICK,
-    overfit_steps=10_000,
-    finetune_steps=1_000,
-    meta={"meta-sgd": AS_PUBLISHED},
-    rule="meta-sgd",
-    setup=Setup(field_of(256, 64), 64),
-)
-RECIPES = {
-    "reference": {"paper": PAPER, "quick": QUICK, "full": FULL},
-    "photo": {
-        "paper": replace(PAPER, finetune=QUICK_PHOTO.finetune, quickft=QUICK_PHOTO.quickft),
-        "quick": QUICK_PHOTO,
-        "full": replace(QUICK_PHOTO, setup=FULL.setup),
-    },
-}
-
-
 class SvbrdfNonstationary(CodedApp):
     """One flat material a task, photographed from straight above with the flash beside the lens.
 
@@ -148,15 +89,15 @@ class SvbrdfNonstationary(CodedApp):
     """
 
     name = "svbrdf_nonstationary"
-    holds = {  # noqa: RUF012  (never written to)
+    holds: ClassVar = {
         "photo": Held((3, "S", "S"), "uint8"),
         "maps": Held((10, "M", "M"), low=-1.001, high=1.001, optional=True),
     }
-    all_recipes = RECIPES
+    setup: MaterialSetup
 
-    def __init__(self, setup: Setup, protocol: str) -> None:
-        super().__init__(setup, protocol)
-        self.reads = FINEST if setup.read else 0
+    @property
+    def traits(self) -> Traits:
+        return replace(super().traits, reads=FINEST if self.setup.read else 0)
 
     def prepare(self, task: Task) -> dict[str, Tensor]:
         """`photo`, linear [3, H, W], and `maps` [10, H, W] with what they look like under RIG lights, `lit`.
@@ -306,4 +247,4 @@ def _pairs(counts: tuple[int, int]) -> Tensor:
     return draw_pairs(counts, Generator().manual_seed(sum(counts)), 1)[0]
 
 
-APP = SvbrdfNonstationary(QUICK.setup, "reference")
+APP = SvbrdfNonstationary

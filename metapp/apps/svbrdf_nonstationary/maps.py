@@ -12,8 +12,7 @@ from metapp.appearance.colour import linear_to_srgb, srgb_to_linear
 from metapp.appearance.flash import Maps, camera, expose, positions, relightings, render
 from metapp.apps.svbrdf_nonstationary.views import seen
 from metapp.learning.task import Params, Task
-from metapp.networks.layers import LocalField
-from metapp.networks.strips import field_by_rows, strips_of
+from metapp.networks.field import LocalField, field_by_rows, strips_of
 
 RAW = (2, 3, 1, 3)  # numbers of any size in a place: slopes, diffuse colour, roughness, specular colour
 

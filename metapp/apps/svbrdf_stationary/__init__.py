@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import replace
+from typing import ClassVar
 
 import torch
 from torch import Generator, Tensor
@@ -22,10 +22,8 @@ from metapp.appearance.flash import (
     render,
     statistics,
 )
-from metapp.learning.recipe import AS_PUBLISHED, Adam, MetaTraining, OuterLoop, Recipe
 from metapp.learning.task import Batch, Held, Params, Task, Tasks
-from metapp.networks.exemplar import JUDGED, ExemplarApp, Setup, full_recipe
-from metapp.networks.layers import UNet
+from metapp.networks.exemplar import JUDGED, ExemplarApp
 
 GRID = 3  # windows along a side
 DRAWN = 3
@@ -35,57 +33,9 @@ RINGS = ((0.0, 0.2), (0.2, 0.8), (0.8, 3.0))  # squared distances from the centr
 BRIGHTER = 2.0  # further weight in the outer loss of pooled pictures, which hold the shape of the highlight
 TRUTH = 3.0  # weight in the outer loss of how far the maps' statistics are from the truth's
 LIKELY = 0.05  # the same where the truth is unknown, of how unusual specular and roughness are
-PRIOR = 0.5  # in fits of 256 texels, of how far these are from General's, which else take the place of diffuse colour
 OF_ROUGHNESS = 0.4  # varies more between materials than specular does
 RELIEF = 1 / 32  # widths of the photo a unit of the network's output, as height
 FALLOFF = 1.0
-LEARNED = MetaTraining(
-    steps=300,
-    tasks=3,
-    rates={"": 1e-3, "alpha.": 1e-2},
-    first=Adam(3.7e-3, beta1=0.7, beta2=0.99, final=0.3),
-    warmup=20,
-    final=0.01,
-    order=1,
-    clip=1e-2,
-    validate_every=100,
-)
-ENCODED = replace(LEARNED, start="encoder", rates={"": 3e-4, "alpha.": 3e-3})
-TUNED = MetaTraining(
-    steps=0, tasks=0, rates={"": 0.0}, first=Adam(3e-3, beta1=0.5, beta2=0.97, final=0.3), tuned=True, start="encoder"
-)
-QUICK = Recipe(
-    steps=20,
-    batch=1,
-    overfit_steps=1000,
-    overfit=Adam(5e-3, beta2=0.99, final=0.0),
-    finetune_steps=100,
-    finetune=Adam(5e-3, beta2=0.99, final=0.0),
-    quickft=Adam(3.7e-3, beta1=0.7, beta2=0.99, final=0.3),
-    general=OuterLoop(steps=2500, tasks=6, rates={"": 3e-3, "encoder.mlp": 1e-3}, warmup=50, final=0.0),
-    meta={
-        "meta-sgd": replace(LEARNED, first=Adam(0.1)),
-        "meta-adam-tied": LEARNED,
-        "meta-encoder": ENCODED,
-        "meta-mean": TUNED,
-        "meta-basis": TUNED,
-    },
-    rule="meta-basis",
-    setup=Setup(64, 64, UNet(16, outputs=6), "vgg16", ("relu1_1", "relu2_1", "relu3_1")),
-)
-FULL = full_recipe(QUICK, found=Adam(2.9e-3, beta1=0.3, beta2=0.9, final=0.3), tasks=3)
-FULL = replace(FULL, setup=replace(FULL.setup, prior=PRIOR))
-
-# Fischer & Ritschel 2022, section 4.1.3 and supplement: 20 inner steps, first-order MAML with Meta-SGD, meta-batch 3,
-# a random start
-PAPER = replace(
-    QUICK,
-    overfit_steps=10_000,
-    finetune_steps=1_000,
-    meta={"meta-sgd": replace(AS_PUBLISHED, tasks=3)},
-    rule="meta-sgd",
-    setup=Setup(256, 256, UNet(32, outputs=6), "vgg16", ("relu1_2", "relu2_2", "relu3_3", "relu4_3")),
-)
 
 
 class SvbrdfStationary(ExemplarApp):
@@ -98,12 +48,11 @@ class SvbrdfStationary(ExemplarApp):
 
     name = "svbrdf_stationary"
     described = ("gram", "spectrum")
-    holds = {  # noqa: RUF012  (never written to)
+    holds: ClassVar = {
         "image": Held((3, "S", "S"), "uint8"),
         "relit": Held((3, 3, "R", "R"), "uint8", optional=True),
         "truth": Held((3, 2, 6), low=0, high=1, optional=True),
     }
-    recipes = {"paper": PAPER, "quick": QUICK, "full": FULL}  # noqa: RUF012  (never written to)
 
     @torch.no_grad()
     def describe(self, exemplars: Tensor, octave: int = 0) -> dict[str, Tensor]:
@@ -315,4 +264,4 @@ def _grams(maps: Tensor, windows: Iterable[int]) -> Tensor:
     return torch.stack(each, 1)
 
 
-APP = SvbrdfStationary(QUICK.setup)
+APP = SvbrdfStationary

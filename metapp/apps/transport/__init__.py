@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
+from typing import ClassVar
 
 import torch
 from torch import Generator, Tensor
@@ -10,7 +11,6 @@ from torch import Generator, Tensor
 from metapp.apps.transport.encoder import Encoder
 from metapp.apps.transport.flow import Flow
 from metapp.learning.app import App
-from metapp.learning.recipe import AS_PUBLISHED, Adam, MetaTraining, OuterLoop, Recipe
 from metapp.learning.task import Batch, Held, Params, Task, Tasks
 from metapp.networks.coded import decoder_of, reader_of, with_decoder
 
@@ -19,7 +19,7 @@ JITTER = 0.1  # of what augmentation adds to the log of a picture
 
 
 @dataclass(frozen=True)
-class Setup:
+class TransportSetup:
     """The size of everything.
 
     Attributes:
@@ -37,64 +37,17 @@ class Setup:
         return Encoder(self.flow)
 
 
-# exact second order, from General's encoder, which goes on learning through the steps
-LEARNED = MetaTraining(
-    steps=100,
-    tasks=3,
-    rates={"": 3e-4, "alpha.": 2e-2, "alpha.within.": 3e-3},
-    first=Adam(2e-3, beta1=0.5, beta2=0.8, eps=1e-6, final=0.3),
-    warmup=10,
-    final=0.05,
-    order=2,
-    clip=1.0,
-    validate_every=20,
-    start="encoder",
-)
-QUICK = Recipe(
-    steps=8,
-    batch=4096,
-    overfit_steps=400,
-    overfit=Adam(5e-3, final=0.0),
-    finetune_steps=40,
-    finetune=Adam(2e-3, final=0.0),
-    quickft=Adam(2e-3, beta1=0.5, beta2=0.8, eps=1e-6, final=0.3),
-    general=OuterLoop(steps=1200, tasks=8, rates={"": 2e-3}, warmup=50, final=0.0, decay=1e-4, validate_every=100),
-    meta={"meta-encoder": LEARNED, "meta-lgd": LEARNED},
-    rule="meta-lgd",
-    setup=Setup(Flow()),
-)
-# the same fits, judged by pictures of the size that people render
-FULL = replace(QUICK, setup=replace(QUICK.setup, picture=256))
-# 8 inner steps of 10,000 of 288,000 samples, first-order MAML with Meta-SGD from a random initialisation, as in
-# Fischer & Ritschel 2022, section 4.1.6
-PAPER = replace(
-    QUICK,
-    batch=10_000,
-    overfit_steps=10_000,
-    finetune_steps=1_000,
-    meta={"meta-sgd": AS_PUBLISHED},
-    rule="meta-sgd",
-    setup=Setup(Flow(hidden=64, bins=16)),
-)
-
-
 class Transport(App):
     """One scene a task: samples of its light paths in proportion to the luminance that they carry."""
 
     name = "transport"
-    holds = {  # noqa: RUF012  (never written to)
+    holds: ClassVar = {
         "samples": Held(("N", "d"), low=0.0, high=1.0),
         "held": Held(("M", "d"), low=0.0, high=1.0, optional=True),
         "image": Held((3, 32, 32), low=0.0),
         "scene": Held(("L",), "uint8", optional=True),
     }
-    recipes = {"paper": PAPER, "quick": QUICK, "full": FULL}  # noqa: RUF012  (never written to)
-
-    def __init__(self, setup: Setup) -> None:
-        self.setup = setup
-
-    def at(self, recipe: Recipe, protocol: str = "") -> Transport:
-        return Transport(recipe.setup)
+    setup: TransportSetup
 
     @property
     def flow(self) -> Flow:
@@ -173,4 +126,4 @@ class Transport(App):
         return {"error": -(film + directions).mean(1), "film": -film.mean(1), "directions": -directions.mean(1)}
 
 
-APP = Transport(QUICK.setup)
+APP = Transport

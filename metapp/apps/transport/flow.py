@@ -80,7 +80,8 @@ class Flow(NamedTuple):
             log q(film) and log q(directions | film), [T, N] each.
         """
         x, y = points[:, 0], points[:, 1]
-        film = spline.log_density(self.film_x(theta), x) + spline.log_density(self.film_y(theta, x), y)
+        of_x, of_y = self.film(theta, x)
+        film = spline.log_density(of_x, x) + spline.log_density(of_y, y)
         trunk = self.trunk(theta, x, y)
         directions = torch.zeros_like(film)
         for i in range(self.directions):
@@ -88,17 +89,14 @@ class Flow(NamedTuple):
             directions = directions + spline.log_density(numbers, points[:, 2 + i])
         return film, directions
 
-    def film_x(self, theta: Params) -> Tensor:
-        """The numbers [T, 3 K + 1, 1] of the spline of x."""
-        return self.film_gain * theta["film.x"][..., None]
+    def film(self, theta: Params, x: Tensor) -> tuple[Tensor, Tensor]:
+        """The numbers of the splines of x, [T, 3 K + 1, 1], and of y at x [T, N], [T, 3 K + 1, N].
 
-    def film_y(self, theta: Params, x: Tensor) -> Tensor:
-        """The numbers [T, 3 K + 1, N] of the spline of y at x [T, N].
-
-        They are read off a table [T, 3, K, K] of widths, masses and bends, y down and x across; at the lower edge of
-        the film nothing is bent.
+        Those of y are read off a table [T, 3, K, K] of widths, masses and bends, y down and x across; at the lower edge
+        of the film nothing is bent.
         """
-        return self.film_gain * pad(theta["film.y"].flatten(1, 2), (0, 0, 0, 1)) @ blobs(x, self.film_bins)
+        table = self.film_gain * pad(theta["film.y"].flatten(1, 2), (0, 0, 0, 1))
+        return self.film_gain * theta["film.x"][..., None], table @ blobs(x, self.film_bins)
 
     def trunk(self, theta: Params, x: Tensor, y: Tensor) -> Tensor:
         """What all directions' splines see of a place on the film: [T, hidden, N]."""
@@ -112,21 +110,6 @@ class Flow(NamedTuple):
             seen = torch.cat([blobs(before[:, k], self.blobs) for k in range(i)], 1)
             x = torch.baddbmm(x, theta[f"mix{i}.blobs"], seen)
         return torch.baddbmm(theta[f"out{i}.shift"][..., None], theta[f"out{i}.kernel"], silu(x))
-
-    def sample_film(self, theta: Params, uniform: Tensor) -> tuple[Tensor, Tensor]:
-        """Places [T, 2, N] on the film by uniform numbers [T, 2, N], and log q(film), [T, N]."""
-        x, first = spline.quantile(self.film_x(theta), uniform[:, 0])
-        y, second = spline.quantile(self.film_y(theta, x), uniform[:, 1])
-        return torch.stack([x, y], 1), first + second
-
-    def sample_directions(self, theta: Params, film: Tensor, uniform: Tensor) -> tuple[Tensor, Tensor]:
-        """Directions [T, directions, N] at places [T, 2, N] by uniform numbers, and their log densities, [T, N]."""
-        trunk = self.trunk(theta, film[:, 0], film[:, 1])
-        drawn, total = uniform[:, :0], torch.zeros_like(film[:, 0])
-        for i in range(self.directions):
-            place, log_density = spline.quantile(self.numbers(theta, i, trunk, drawn), uniform[:, i])
-            drawn, total = torch.cat([drawn, place[:, None]], 1), total + log_density
-        return drawn, total
 
 
 def blobs(x: Tensor, count: int) -> Tensor:

@@ -80,9 +80,9 @@ class Studio:
 
     def _by(self, integrator: dict[str, Any], spp: int, seed: int) -> Shot:
         mi, tracer = self.tracer.mi, self.tracer
-        sensor = equal_time.square_sensor(mi, tracer.scene, self.size)
+        sensor = equal_time.square_sensor(tracer.scene, self.size)
         made = mi.load_dict(integrator | {"max_depth": tracer.depth})
-        return _timed(lambda: equal_time.rendered(mi, tracer.scene, made, spp, seed, sensor).permute(2, 0, 1))
+        return _timed(lambda: equal_time.rendered(tracer.scene, made, spp, seed, sensor).permute(2, 0, 1))
 
     def sampling(self, samples: Tensor) -> float:
         """Seconds that as many samples [N, d] of the scene take, and with them the picture that General reads."""
@@ -195,9 +195,9 @@ def rendered(task: Task, side: int) -> Rendered:
     """
     tracer = path_space.Tracer(scene_of(task.data["scene"].cpu()))
     register_guided_path()
-    equal_time.resize(tracer.mi, tracer.scene, side)
-    guided = equal_time.guided_picture(tracer.mi, tracer.scene, RENDERED_SPP, tracer.depth)
-    regular = equal_time.regular_picture(tracer.mi, tracer.scene, guided.seconds, RENDERED_SPP, tracer.depth)
+    equal_time.resize(tracer.scene, side)
+    guided = equal_time.guided_picture(tracer.scene, RENDERED_SPP, tracer.depth)
+    regular = equal_time.regular_picture(tracer.scene, guided.seconds, RENDERED_SPP, tracer.depth)
     spent = ", ".join(f"{name} {seconds:.2f} s" for name, seconds in guided.spent.items())
     return Rendered(
         {"guided_path": Picture(guided.picture, "radiance"), "regular_nee": Picture(regular.picture, "radiance")},

@@ -65,11 +65,6 @@ def _at(values: Tensor, index: Tensor) -> Tensor:
     return values.expand(*values.shape[:-1], index.shape[-1]).gather(-2, index).squeeze(-2)
 
 
-def _index(ends: Tensor, places: Tensor) -> Tensor:
-    """Which of the bins with these right ends [..., K, N] a place [..., N] is in, [..., 1, N]."""
-    return (places.unsqueeze(-2) >= ends[..., :-1, :]).sum(-2, keepdim=True)
-
-
 def _bin(splines: Splines, index: Tensor) -> Bin:
     """What is needed of a bin and its neighbours."""
     at = torch.cat([(index - 1).clamp_min(0), index, (index + 1).clamp_max(splines.widths.shape[-2] - 1)], -2)
@@ -92,7 +87,7 @@ def _log_slope(found: Bin, t: Tensor) -> Tensor:
 def _find(splines: Splines, places: Tensor) -> tuple[Bin, Tensor]:
     """The bins that places [..., N] are in, and how far into them, in [0, 1]."""
     ends = splines.widths.cumsum(-2)
-    index = _index(ends.detach(), places)
+    index = (places.unsqueeze(-2) >= ends.detach()[..., :-1, :]).sum(-2, keepdim=True)
     found = _bin(splines, index)
     return found, (1 - (_at(ends, index) - places) / found.width).clamp(0, 1)
 
@@ -111,34 +106,17 @@ def log_density(numbers: Tensor, places: Tensor) -> Tensor:
     return found.log_density + _log_slope(found, t)
 
 
-def cumulative(numbers: Tensor, places: Tensor) -> Tensor:
-    """The splines themselves: the mass left of places in [0, 1], of the shapes of `log_density`."""
-    return _mass_left(splines_of(numbers), places)
-
-
 def shares(numbers: Tensor, cells: int) -> Tensor:
     """The masses of so many cells of the same width, [..., cells, N]."""
     splines, like = splines_of(numbers), numbers[..., 0, :]
-    within = [_mass_left(splines, torch.full_like(like, i / cells)) for i in range(1, cells)]
+    within = [cumulative(splines, torch.full_like(like, i / cells)) for i in range(1, cells)]
     ends = torch.stack([torch.zeros_like(like), *within, torch.ones_like(like)], -2)
     return ends.diff(dim=-2).clamp_min(0)
 
 
-def _mass_left(splines: Splines, places: Tensor) -> Tensor:
+def cumulative(splines: Splines, places: Tensor) -> Tensor:
+    """The splines themselves: the mass left of places in [0, 1], of the shapes of `log_density`."""
     found, t = _find(splines, places)
     both, mass = t * (1 - t), _at(splines.masses, found.which)
     share = (t * t + found.first * both) / (1 + (found.first + found.last - 2) * both)
     return _at(splines.masses.cumsum(-2), found.which) - mass * (1 - share)
-
-
-def quantile(numbers: Tensor, masses: Tensor) -> tuple[Tensor, Tensor]:
-    """The inverse of `cumulative`: where the mass on the left is this, in [0, 1), and the log of the density there."""
-    splines = splines_of(numbers)
-    ends = splines.masses.cumsum(-2)
-    found = _bin(splines, _index(ends, masses))
-    share = (1 - (_at(ends, found.which) - masses) / _at(splines.masses, found.which)).clamp(0, 1)
-    linear = found.first - share * (found.first + found.last - 2)
-    root = (linear * linear + 4 * (1 - linear) * share).clamp_min(0).sqrt()
-    t = (2 * share / (linear + root).clamp_min(1e-12)).clamp(0, 1)
-    places = _at(splines.widths.cumsum(-2), found.which) - found.width * (1 - t)
-    return places.clamp(0, BELOW_ONE), found.log_density + _log_slope(found, t)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import tempfile
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import OpenImageIO as oiio
@@ -27,9 +26,9 @@ def decoded(file: bytes, suffix: str) -> np.ndarray:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder, f"picture{suffix}")
         path.write_bytes(file)
-        found: Any = oiio.ImageBuf(str(path)).get_pixels("float")
-    result: np.ndarray = found
-    return result
+        pixels = oiio.ImageBuf(str(path)).get_pixels("float")
+    assert pixels is not None
+    return pixels
 
 
 def _written(picture: np.ndarray, suffix: str, kind: str, settings: Mapping[str, str | int]) -> bytes:
@@ -38,7 +37,8 @@ def _written(picture: np.ndarray, suffix: str, kind: str, settings: Mapping[str,
         spec.attribute(key, value)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder, f"picture{suffix}")
-        output: Any = oiio.ImageOutput.create(str(path))
+        output = oiio.ImageOutput.create(str(path))
+        assert output is not None, suffix
         done = output.open(str(path), spec) and output.write_image(np.ascontiguousarray(picture, np.float32))
         if not (output.close() and done):
             raise OSError(f"a picture as {suffix}: {output.geterror()}")

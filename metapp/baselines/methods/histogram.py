@@ -11,6 +11,10 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
 
 CELL = 6  # bytes of an occupied cell: 4 of its place, 2 of its count
 
@@ -18,14 +22,13 @@ CELL = 6  # bytes of an occupied cell: 4 of its place, 2 of its count
 class Counts(NamedTuple):
     """Occupied cells, in order, and how many samples are in each."""
 
-    keys: np.ndarray
-    counts: np.ndarray
+    keys: Ints
+    counts: Ints
 
-    def of(self, keys: np.ndarray) -> np.ndarray:
+    def of(self, keys: Ints) -> Ints:
         """The counts of cells, 0 where they are not occupied."""
         places = np.searchsorted(self.keys, keys).clip(max=len(self.keys) - 1)
-        found: np.ndarray = np.where(self.keys[places] == keys, self.counts[places], 0)
-        return found
+        return np.where(self.keys[places] == keys, self.counts[places], 0)
 
     def coarser(self, levels: int) -> Counts:
         """Those of cells so many levels above, whose keys are those of these without their last bits."""
@@ -34,15 +37,15 @@ class Counts(NamedTuple):
         return Counts(keys[first], np.add.reduceat(self.counts, first))
 
 
-def counted(keys: np.ndarray) -> Counts:
+def counted(keys: Ints) -> Counts:
     """Count samples by the cells they are in."""
     return Counts(*np.unique(keys, return_counts=True))
 
 
-def morton(points: np.ndarray, level: int) -> np.ndarray:
+def morton(points: Floats, level: int) -> Ints:
     """Cells of points [N, 2] in [0, 1): those of 4^level, numbered so that a cell's first bits are the one around."""
     x, y = np.minimum((points * 2**level).astype(np.int64), 2**level - 1).T
-    code: np.ndarray = np.zeros_like(x)
+    code: Ints = np.zeros_like(x)
     for bit in range(level):
         code |= (((x >> bit) & 1) << (2 * bit + 1)) | (((y >> bit) & 1) << (2 * bit))
     return code
@@ -57,9 +60,9 @@ class Square(NamedTuple):
     """
 
     levels: tuple[Counts, ...]
-    prior: np.ndarray
+    prior: Floats
 
-    def log_density(self, points: np.ndarray, strengths: np.ndarray) -> np.ndarray:
+    def log_density(self, points: Floats, strengths: Floats) -> Floats:
         """Of points [N, 2]; `strengths` [L] of the shares at each level but the whole."""
         last = len(self.levels) - 1
         code, known = morton(points, last), round(np.log2(len(self.prior)) / 2)
@@ -75,11 +78,11 @@ class Square(NamedTuple):
         return total
 
 
-def square(points: np.ndarray, levels: int, prior: np.ndarray | None = None) -> Square:
+def square(points: Floats, levels: int, prior: Floats | None = None) -> Square:
     """The histogram of points [N, 2]; `prior` as of `Square`, uniform where there is none."""
     finest = counted(morton(points, levels))
-    each = tuple(finest.coarser(levels - level) for level in range(levels + 1))
-    return Square(each, np.ones(1) if prior is None else prior)
+    by_level = tuple(finest.coarser(levels - level) for level in range(levels + 1))
+    return Square(by_level, np.ones(1) if prior is None else prior)
 
 
 class Pair(NamedTuple):
@@ -94,9 +97,9 @@ class Pair(NamedTuple):
     """
 
     levels: tuple[tuple[Counts, ...], ...]
-    shifts: np.ndarray | None
+    shifts: Floats | None
 
-    def look(self, points: np.ndarray) -> Looked:
+    def look(self, points: Floats) -> Looked:
         """What is known about points [N, 4]: place, then direction."""
         places, directions = len(self.levels) - 1, len(self.levels[0]) - 1
         moved = _moved(points, self.shifts)
@@ -116,50 +119,49 @@ class Looked(NamedTuple):
         areas: of their cells within the square, by the level of direction, [D + 1, N].
     """
 
-    counts: np.ndarray
-    areas: np.ndarray
+    counts: Ints
+    areas: Floats
 
-    def log_density(self, strengths: np.ndarray) -> np.ndarray:
+    def log_density(self, strengths: Floats) -> Floats:
         """Of the directions, given the places, [N]; `strengths` [F + 1, D] of shares at each level but the whole."""
         total = np.zeros(self.counts.shape[2])
         for j in range(1, len(self.areas)):
             even = self.areas[j] / self.areas[j - 1]
             share = even
-            for i, each in enumerate(self.counts):
-                share = (each[j] + strengths[i, j - 1] * share) / (each[j - 1] + strengths[i, j - 1])
+            for counts, strength in zip(self.counts, strengths[:, j - 1], strict=True):
+                share = (counts[j] + strength * share) / (counts[j - 1] + strength)
             total += np.log(share / even)
         return total
 
 
-def pair(points: np.ndarray, places: int, directions: int, shifts: np.ndarray | None = None) -> Pair:
+def pair(points: Floats, places: int, directions: int, shifts: Floats | None = None) -> Pair:
     """The histogram of points [N, 4], place, then direction, with so many levels of each."""
     key = _keys(_moved(points, shifts), places, directions)
     finest = [counted(_above(key, places, directions, i, directions)) for i in range(places + 1)]
-    return Pair(tuple(tuple(each.coarser(directions - j) for j in range(directions + 1)) for each in finest), shifts)
+    return Pair(
+        tuple(tuple(counts.coarser(directions - j) for j in range(directions + 1)) for counts in finest), shifts
+    )
 
 
-def _moved(points: np.ndarray, shifts: np.ndarray | None) -> np.ndarray:
+def _moved(points: Floats, shifts: Floats | None) -> Floats:
     return points if shifts is None else (points + shifts) / 2
 
 
-def _keys(moved: np.ndarray, places: int, directions: int) -> np.ndarray:
-    keys: np.ndarray = (morton(moved[:, :2], places) << (2 * directions)) | morton(moved[:, 2:], directions)
-    return keys
+def _keys(moved: Floats, places: int, directions: int) -> Ints:
+    return (morton(moved[:, :2], places) << (2 * directions)) | morton(moved[:, 2:], directions)
 
 
-def _above(key: np.ndarray, places: int, directions: int, i: int, j: int) -> np.ndarray:
+def _above(key: Ints, places: int, directions: int, i: int, j: int) -> Ints:
     """The cells at levels i and j around the finest ones."""
     place, direction = key >> (2 * directions), key & (4**directions - 1)
-    keys: np.ndarray = ((place >> (2 * (places - i))) << (2 * j)) | (direction >> (2 * (directions - j)))
-    return keys
+    return np.asarray(((place >> (2 * (places - i))) << (2 * j)) | (direction >> (2 * (directions - j))))
 
 
-def _areas(moved: np.ndarray, shifts: np.ndarray | None, level: int) -> np.ndarray:
+def _areas(moved: Floats, shifts: Floats | None, level: int) -> Floats:
     """Areas [N], within the unit square, of the cells around points [N, 2] of a moved grid."""
     if shifts is None:
         return np.full(len(moved), 0.25**level)
     count = 2**level
     first = np.minimum(np.floor(moved * count), count - 1) * 2 / count - shifts[2:]
     sides = np.clip(first + 2 / count, 0, 1) - np.clip(first, 0, 1)
-    found: np.ndarray = sides.prod(1)
-    return found
+    return np.asarray(sides.prod(1))

@@ -2,20 +2,22 @@
 
 from __future__ import annotations
 
-import functools
 import math
 from typing import NamedTuple
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from scipy.optimize import least_squares, nnls
 from torch import Tensor
 
 from metapp.appearance.geometry import Cosines
 from metapp.appearance.reflection import fresnel_schlick, microfacet_lobe
 
+Floats = NDArray[np.float64]
+
 LOBE = 5  # numbers of one: log alpha, Schlick's F0, a colour
-STARTS = {1: ((0.03,), (0.12,), (0.4,)), 2: ((0.03, 0.3), (0.1, 0.5))}  # alphas that fits begin at, by lobes
+ALPHAS = {1: ((0.03,), (0.12,), (0.4,)), 2: ((0.03, 0.3), (0.1, 0.5))}  # at which fits begin, by lobes
 FEW = 1024  # samples of the fits that choose where to begin
 NARROWEST, WIDEST = 0.005, 1.5
 SMALL = 0.003  # errors below it count as squares, those above as they are
@@ -23,72 +25,70 @@ STEP = 1e-5  # of log alpha, for its slope: forward differentiation takes ten ti
 ENOUGH = 1e-5  # of change, of numbers and of the cost, to stop at
 
 
-class Seen(NamedTuple):
+class Samples(NamedTuple):
     """Samples in double precision.
 
     Attributes:
-        at: cosines [n].
+        cosines: [n].
         target: log(1 + f cos theta_i), [n, 3].
     """
 
-    at: Cosines
+    cosines: Cosines
     target: Tensor
 
 
-def reflectance(numbers: Tensor, at: Cosines) -> Tensor:
+def reflectance(numbers: Tensor, cosines: Cosines) -> Tensor:
     """BRDF [n, 3] in 1/sr of 3 + 5 L numbers: the body's colour, then for each lobe log alpha, F0 and a colour."""
     body, rest = numbers[:3], numbers[3:].reshape(-1, LOBE)
-    total = (body / math.pi).expand(*at.half.shape, 3)
+    total = (body / math.pi).expand(*cosines.half.shape, 3)
     for lobe in rest.unbind():
-        total = total + (_shape(lobe[0], at) * fresnel_schlick(at.difference, lobe[1]))[:, None] * lobe[2:]
+        total = total + (_shape(lobe[0], cosines) * fresnel_schlick(cosines.difference, lobe[1]))[:, None] * lobe[2:]
     return total
 
 
-def slopes(numbers: Tensor, at: Cosines) -> Tensor:
+def slopes(numbers: Tensor, cosines: Cosines) -> Tensor:
     """Derivatives [n, 3, 3 + 5 L] of `reflectance` by the numbers."""
-    found = torch.zeros(len(at.half), 3, len(numbers), dtype=numbers.dtype)
+    derivatives = torch.zeros(len(cosines.half), 3, len(numbers), dtype=numbers.dtype)
     channels = torch.arange(3)
-    found[:, channels, channels] = 1 / math.pi
+    derivatives[:, channels, channels] = 1 / math.pi
     for i, lobe in enumerate(numbers[3:].reshape(-1, LOBE).unbind()):
         first = 3 + LOBE * i
-        shape = _shape(lobe[0], at)
-        steeper = (_shape(lobe[0] + STEP, at) - _shape(lobe[0] - STEP, at)) / (2 * STEP)
-        fresnel = fresnel_schlick(at.difference, lobe[1])
-        found[:, :, first] = (steeper * fresnel)[:, None] * lobe[2:]
-        found[:, :, first + 1] = (shape * (1 - fresnel_schlick(at.difference, 0.0)))[:, None] * lobe[2:]
-        found[:, channels, first + 2 + channels] = (shape * fresnel)[:, None]
-    return found
+        shape = _shape(lobe[0], cosines)
+        steeper = (_shape(lobe[0] + STEP, cosines) - _shape(lobe[0] - STEP, cosines)) / (2 * STEP)
+        fresnel = fresnel_schlick(cosines.difference, lobe[1])
+        derivatives[:, :, first] = (steeper * fresnel)[:, None] * lobe[2:]
+        derivatives[:, :, first + 1] = (shape * (1 - fresnel_schlick(cosines.difference, 0.0)))[:, None] * lobe[2:]
+        derivatives[:, channels, first + 2 + channels] = (shape * fresnel)[:, None]
+    return derivatives
 
 
-def _shape(log_alpha: Tensor, at: Cosines) -> Tensor:
+def _shape(log_alpha: Tensor, cosines: Cosines) -> Tensor:
     """A lobe [n] that reflects all it gets."""
-    return microfacet_lobe(at, log_alpha.exp(), torch.ones_like)[..., 0]
+    return microfacet_lobe(cosines, log_alpha.exp(), torch.ones_like)[..., 0]
 
 
-def fit(seen: Seen, lobes: int) -> Tensor:
+def fit(samples: Samples, lobes: int) -> Tensor:
     """The numbers of a fit, float64; absolute errors of log(1 + f cos theta_i) count."""
-    few = Seen(Cosines(*(each[:FEW] for each in seen.at)), seen.target[:FEW])
-    tried = [_descend(few, _first(few, alphas)) for alphas in STARTS[lobes]]
-    best = min(tried, key=lambda found: found[1])[0]
-    return torch.from_numpy(_descend(seen, best)[0])
+    few = Samples(Cosines(*(cosine[:FEW] for cosine in samples.cosines)), samples.target[:FEW])
+    fits = [_descend(few, _first(few, alphas)) for alphas in ALPHAS[lobes]]
+    best = min(fits, key=lambda fit: fit[1])[0]
+    return torch.from_numpy(_descend(samples, best)[0])
 
 
-def _descend(seen: Seen, first: np.ndarray) -> tuple[np.ndarray, float]:
+def _descend(samples: Samples, first: Floats) -> tuple[Floats, float]:
     """Numbers after a descent, and their cost."""
-    cos = seen.at.incident[:, None]
+    cos = samples.cosines.incident[:, None]
 
-    def residual(x: np.ndarray) -> np.ndarray:
-        found: np.ndarray = (torch.log1p(reflectance(torch.from_numpy(x), seen.at) * cos) - seen.target).numpy().ravel()
-        return found
+    def residual(x: Floats) -> Floats:
+        return (torch.log1p(reflectance(torch.from_numpy(x), samples.cosines) * cos) - samples.target).numpy().ravel()
 
-    def slopes_of(x: np.ndarray) -> np.ndarray:
+    def slopes_of(x: Floats) -> Floats:
         numbers = torch.from_numpy(x)
-        outer = cos / (1 + reflectance(numbers, seen.at) * cos)
-        found: np.ndarray = (slopes(numbers, seen.at) * outer[..., None]).flatten(0, 1).numpy()
-        return found
+        outer = cos / (1 + reflectance(numbers, samples.cosines) * cos)
+        return (slopes(numbers, samples.cosines) * outer[..., None]).flatten(0, 1).numpy()
 
     low, high = _bounds(len(first))
-    found = least_squares(
+    solution = least_squares(
         residual,
         np.clip(first, low, high),
         jac=slopes_of,
@@ -100,31 +100,27 @@ def _descend(seen: Seen, first: np.ndarray) -> tuple[np.ndarray, float]:
         xtol=ENOUGH,
         max_nfev=60,
     )
-    return found.x, float(found.cost)
+    return solution.x, float(solution.cost)
 
 
-def _bounds(size: int) -> tuple[np.ndarray, np.ndarray]:
+def _bounds(size: int) -> tuple[Floats, Floats]:
     lobe_low, lobe_high = [math.log(NARROWEST), 0.0, *[0.0] * 3], [math.log(WIDEST), 1.0, *[np.inf] * 3]
     lobes = (size - 3) // LOBE
     return np.array([0.0] * 3 + lobe_low * lobes), np.array([np.inf] * 3 + lobe_high * lobes)
 
 
-def _first(seen: Seen, alphas: tuple[float, ...]) -> np.ndarray:
+def _first(samples: Samples, alphas: tuple[float, ...]) -> Floats:
     """Where a descent begins: colours that fit best at these alphas and F0 = 0.04, none below 0."""
-    shapes = [torch.full_like(seen.at.half, 1 / math.pi)]
-    fresnel = fresnel_schlick(seen.at.difference, 0.04)
-    shapes += [_shape(torch.tensor(math.log(alpha), dtype=torch.float64), seen.at) * fresnel for alpha in alphas]
-    cos = seen.at.incident
+    shapes = [torch.full_like(samples.cosines.half, 1 / math.pi)]
+    fresnel = fresnel_schlick(samples.cosines.difference, 0.04)
+    shapes += [
+        _shape(torch.tensor(math.log(alpha), dtype=torch.float64), samples.cosines) * fresnel for alpha in alphas
+    ]
+    cos = samples.cosines.incident
     columns = torch.stack(shapes, 1) * cos[:, None]
-    found = []
-    for target in seen.target.unbind(1):
+    solutions = []
+    for target in samples.target.unbind(1):
         weight = torch.exp(-target)[:, None]  # the slope of the log
-        found.append(nnls((columns * weight).numpy(), (target.expm1() * weight[:, 0]).numpy())[0])
-    colours = np.stack(found, 1) + 1e-4
+        solutions.append(nnls((columns * weight).numpy(), (target.expm1() * weight[:, 0]).numpy())[0])
+    colours = np.stack(solutions, 1) + 1e-4
     return np.concatenate([colours[0], *([math.log(a), 0.04, *c] for a, c in zip(alphas, colours[1:], strict=True))])
-
-
-@functools.cache
-def count(lobes: int) -> int:
-    """How many numbers a material takes."""
-    return 3 + LOBE * lobes

@@ -4,17 +4,21 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import NDArray
+
+Picture = NDArray[np.float32]
+Mask = NDArray[np.bool_]
 
 TOLERANCE = 0.1  # as published: patches whose overlaps differ by so much more than the best one's are as good
 
 
-def block_of(exemplar: np.ndarray) -> tuple[int, int]:
+def block_of(exemplar: Picture) -> tuple[int, int]:
     """Side of a block and of what neighbours share, in px."""
     block = max(2, min(exemplar.shape[:2]) // 4)
     return block, max(1, round(block / 6))
 
 
-def random_patches(exemplar: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+def random_patches(exemplar: Picture, rng: np.random.Generator) -> Picture:
     """A picture of the exemplar's size [H, W, C] of square patches from anywhere in it, side by side."""
     block, _ = block_of(exemplar)
     patches = sliding_window_view(exemplar, (block, block), (0, 1)).transpose(0, 1, 3, 4, 2)
@@ -26,7 +30,7 @@ def random_patches(exemplar: np.ndarray, rng: np.random.Generator) -> np.ndarray
     return result
 
 
-def quilted(exemplar: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+def quilted(exemplar: Picture, rng: np.random.Generator) -> Picture:
     """A picture of the exemplar's size [H, W, C]: patches that agree where they overlap, cut where they agree most."""
     height, width, channels = exemplar.shape
     block, overlap = block_of(exemplar)
@@ -43,7 +47,7 @@ def quilted(exemplar: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     return result[:height, :width]
 
 
-def _shared(block: int, overlap: int, *, above: bool, before: bool) -> np.ndarray:
+def _shared(block: int, overlap: int, *, above: bool, before: bool) -> Mask:
     """Which pixels [block, block] of a block are there already."""
     shared = np.zeros((block, block), bool)
     shared[:overlap] |= above
@@ -51,18 +55,17 @@ def _shared(block: int, overlap: int, *, above: bool, before: bool) -> np.ndarra
     return shared
 
 
-def _chosen(patches: np.ndarray, part: np.ndarray, shared: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+def _chosen(patches: Picture, part: Picture, shared: Mask, rng: np.random.Generator) -> Picture:
     """A patch at random of those that agree with what is there about as well as the best."""
     if not shared.any():
-        found: np.ndarray = patches[rng.integers(len(patches)), rng.integers(patches.shape[1])]
-        return found
+        return np.asarray(patches[rng.integers(len(patches)), rng.integers(patches.shape[1])])
     error = np.square(patches[:, :, shared] - part[shared]).sum((2, 3))
     good = np.argwhere(error <= (1 + TOLERANCE) * error.min())
     i, j = good[rng.integers(len(good))]
     return np.asarray(patches[i, j])
 
 
-def _mask(part: np.ndarray, patch: np.ndarray, overlap: int, *, above: bool, before: bool) -> np.ndarray:
+def _mask(part: Picture, patch: Picture, overlap: int, *, above: bool, before: bool) -> Mask:
     """Which pixels [block, block] the patch takes: those beyond the cuts."""
     differs = np.square(part - patch).sum(2)
     mask = np.ones(differs.shape, bool)
@@ -73,7 +76,7 @@ def _mask(part: np.ndarray, patch: np.ndarray, overlap: int, *, above: bool, bef
     return mask
 
 
-def beyond_cut(cost: np.ndarray) -> np.ndarray:
+def beyond_cut(cost: Picture) -> Mask:
     """Which entries lie on or beyond the path from top to bottom of least total cost, one entry a row, [H, W]."""
     height, width = cost.shape
     total = cost.copy()
@@ -85,4 +88,4 @@ def beyond_cut(cost: np.ndarray) -> np.ndarray:
     for row in range(height - 2, -1, -1):
         low = max(path[row + 1] - 1, 0)
         path[row] = low + total[row, low : path[row + 1] + 2].argmin()
-    return np.asarray(np.arange(width) >= path[:, None])
+    return np.arange(width) >= path[:, None]

@@ -7,8 +7,11 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 from scipy.special import sph_legendre_p_all
+
+Floats = NDArray[np.float64]
 
 ROOT = math.sqrt(0.5)
 SCALE, VALUE = 4, 2  # bytes of a picture's scale, a float, and of a value, half a float
@@ -24,9 +27,9 @@ class Kept(NamedTuple):
         shape: of a plane.
     """
 
-    values: np.ndarray
+    values: NDArray[np.float16]
     scale: float
-    places: np.ndarray
+    places: NDArray[np.int64]
     shape: tuple[int, int]
 
     @property
@@ -40,7 +43,7 @@ class Kept(NamedTuple):
         total = math.prod(self.shape)
         return SCALE + VALUE * self.values.size + min(places_size(total) * self.places.size, -(-total // 8))
 
-    def coefficients(self) -> np.ndarray:
+    def coefficients(self) -> Floats:
         """All of them, [C, H, W]."""
         flat = np.zeros((len(self.values), math.prod(self.shape)))
         flat[:, self.places] = self.values.astype(np.float64) * self.scale
@@ -52,7 +55,7 @@ def places_size(total: int) -> int:
     return 2 if total <= 2**16 else 4
 
 
-def largest(coefficients: np.ndarray, count: int) -> Kept:
+def largest(coefficients: Floats, count: int) -> Kept:
     """The places where coefficients [C, H, W] of all channels together have most energy."""
     channels, *shape = coefficients.shape
     flat = coefficients.reshape(channels, -1)
@@ -61,7 +64,7 @@ def largest(coefficients: np.ndarray, count: int) -> Kept:
     return Kept((flat[:, places] / scale).astype(np.float16), scale, places, (shape[0], shape[1]))
 
 
-def haar(pictures: np.ndarray) -> np.ndarray:
+def haar(pictures: Floats) -> Floats:
     """Haar wavelets of pictures [C, H, W], orthonormal: averages and differences, of averages again and again.
 
     Raises:
@@ -75,7 +78,7 @@ def haar(pictures: np.ndarray) -> np.ndarray:
     return result
 
 
-def inverse_haar(coefficients: np.ndarray) -> np.ndarray:
+def inverse_haar(coefficients: Floats) -> Floats:
     """The inverse of `haar`."""
     result = coefficients.astype(np.float64)
     for height, width in reversed(_levels(*result.shape[-2:])):
@@ -97,14 +100,14 @@ def _levels(height: int, width: int) -> list[tuple[int, int]]:
     return found
 
 
-def _apart(values: np.ndarray, axis: int) -> np.ndarray:
+def _apart(values: Floats, axis: int) -> Floats:
     """Averages, then differences, of neighbours."""
     values = values.swapaxes(axis, -1)
     first, second = values[..., ::2], values[..., 1::2]
     return np.concatenate([(first + second) * ROOT, (first - second) * ROOT], -1).swapaxes(axis, -1)
 
 
-def _together(values: np.ndarray, axis: int) -> np.ndarray:
+def _together(values: Floats, axis: int) -> Floats:
     """The inverse of `_apart`."""
     first, second = np.split(values.swapaxes(axis, -1), 2, -1)
     both = np.stack([(first + second) * ROOT, (first - second) * ROOT], -1)
@@ -120,7 +123,7 @@ def orders(height: int, width: int) -> int:
     return min(height, (width + 1) // 2)
 
 
-def harmonics(maps: np.ndarray, order: int) -> np.ndarray:
+def harmonics(maps: Floats, order: int) -> Floats:
     """Coefficients of lat-long maps [C, H, W] in real spherical harmonics up to an order, [C, (order + 1)^2].
 
     Least squares, texels weighted by solid angle. Harmonics are orthonormal over the sphere; those of one degree stand
@@ -147,7 +150,7 @@ def harmonics(maps: np.ndarray, order: int) -> np.ndarray:
     return found
 
 
-def from_harmonics(coefficients: np.ndarray, height: int, width: int) -> np.ndarray:
+def from_harmonics(coefficients: Floats, height: int, width: int) -> Floats:
     """Maps [C, H, W] of coefficients [C, (order + 1)^2]; undoes `harmonics` where maps have no higher order.
 
     Raises:
@@ -162,14 +165,12 @@ def from_harmonics(coefficients: np.ndarray, height: int, width: int) -> np.ndar
         along = rows.basis[:, : order + 1 - m].T
         waves[..., m] = (cosines - 1j * sines) @ along / 2 if m else cosines @ along
     waves[..., : order + 1] *= _turn(order, width)
-    found: np.ndarray = np.fft.irfft(waves, width, norm="forward")
-    return found
+    return np.fft.irfft(waves, width, norm="forward")
 
 
-def places_of(degrees: np.ndarray, m: int) -> np.ndarray:
+def places_of(degrees: NDArray[np.int64], m: int) -> NDArray[np.int64]:
     """Where the harmonics of some degrees stand: cosines of m, sines of -m."""
-    found: np.ndarray = degrees * degrees + (2 * m - 1 if m > 0 else -2 * m)
-    return found
+    return degrees * degrees + (2 * m - 1 if m > 0 else -2 * m)
 
 
 def _check(order: int, height: int, width: int) -> None:
@@ -178,10 +179,9 @@ def _check(order: int, height: int, width: int) -> None:
         raise ValueError(f"{found}, expected at most {count - 1}; take fewer or a larger map.")
 
 
-def _turn(order: int, width: int) -> np.ndarray:
+def _turn(order: int, width: int) -> NDArray[np.complex128]:
     """Of each m what turns a wave from the first texel's edge to its centre, [order + 1]."""
-    found: np.ndarray = np.exp(1j * np.arange(order + 1) * (math.pi / width))
-    return found
+    return np.asarray(np.exp(1j * np.arange(order + 1) * (math.pi / width)))
 
 
 class _Rows(NamedTuple):
@@ -193,9 +193,9 @@ class _Rows(NamedTuple):
         triangle: [degrees, degrees], R of it; its first columns fit a lower order.
     """
 
-    basis: np.ndarray
-    weighted: np.ndarray
-    triangle: np.ndarray
+    basis: Floats
+    weighted: Floats
+    triangle: Floats
 
 
 @functools.lru_cache(maxsize=4)

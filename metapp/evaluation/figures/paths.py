@@ -7,10 +7,10 @@ import statistics
 from matplotlib.ticker import NullLocator
 
 from metapp.evaluation.figures import Drawn
-from metapp.evaluation.figures.quality import factor
 from metapp.evaluation.figures.style import COLOURS, INK, TITLES, legend, line, new
 from metapp.evaluation.subject import Subject
 from metapp.evaluation.trace import CURVES, trace_cell
+from metapp.runs.naming import factor_of
 
 SHOWN = 3  # paths
 
@@ -33,7 +33,7 @@ def curves(subject: Subject) -> Drawn | None:
         axis.set_yscale("log")
     axis.xaxis.set_minor_locator(NullLocator())
     axis.set_xlabel("gradient steps")
-    axis.set_ylabel(f"error{factor(subject)}")
+    axis.set_ylabel(f"error{factor_of(subject.app)}")
     axis.set_title(subject.title)
     legend(figure)
     errors_said = ", ".join(f"{TITLES[name]} {error:.3f}" for name, error in last.items())

@@ -10,6 +10,7 @@ from metapp.evaluation.rows import values_of
 from metapp.evaluation.subject import Subject
 from metapp.evaluation.tables.baselines import baseline_rows
 from metapp.evaluation.tables.results import result_row
+from metapp.runs.naming import factor_of
 
 OFFSETS = {"meta": (8, 8), "quickft": (6, -13)}  # points; the two often lie close
 
@@ -38,7 +39,7 @@ def plane(subject: Subject) -> Drawn | None:
     axis.invert_yaxis()
     axis.margins(x=0.18, y=0.12)
     axis.set_xlabel("seconds of inference (faster to the right)")
-    axis.set_ylabel(f"error{factor(subject)} (better above)")
+    axis.set_ylabel(f"error{factor_of(subject.app)} (better above)")
     axis.set_title(subject.title)
     named = [*((TITLES[name], row) for name, row in rows.items()), *((row["paradigm"], row) for row in others)]
     figures = ", ".join(f"{name} {row['error']:.3f} in {row['seconds']:.3g} s" for name, row in named)
@@ -59,13 +60,8 @@ def ranks(subject: Subject) -> Drawn | None:
         axis.set_yscale("log")
     axis.xaxis.set_major_locator(MaxNLocator(integer=True))
     axis.set_xlabel("test task, each paradigm's in order of error")
-    axis.set_ylabel(f"error{factor(subject)}")
+    axis.set_ylabel(f"error{factor_of(subject.app)}")
     axis.set_title(subject.title)
     legend(figure)
     worst = ", ".join(f"{TITLES[name]} {errors[-1]:.3f}" for name, errors in by_name.items())
     return Drawn(figure, f"{subject.title}: errors of all test tasks, sorted. Worst: {worst}.")
-
-
-def factor(subject: Subject) -> str:
-    """The factor of printed errors, as in labels of axes."""
-    return f" x{subject.app.scale:g}" if subject.app.scale != 1 else ""

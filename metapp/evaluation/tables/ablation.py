@@ -16,7 +16,6 @@ from metapp.learning.learn import MetaParameters
 from metapp.learning.recipe import Guard
 from metapp.paradigms import Paradigm
 from metapp.paradigms.meta import META
-from metapp.paradigms.meta import start as meta_start
 from metapp.paradigms.quickft import QUICKFT, adam_of
 from metapp.runs.naming import caption_of
 from metapp.runs.plan import Checkpoint
@@ -25,7 +24,7 @@ from metapp.storage.records import tensor_digest
 
 # which fits by a rule are doubtful is known from its own initialisation alone
 RULE_ALONE = META._replace(name="ablation-rule", guard=lambda job: Guard(job.recipe.quickft))
-START_ALONE = Paradigm("ablation-start", META.needs, meta_start, QUICKFT.rule, QUICKFT.steps)
+START_ALONE = Paradigm("ablation-start", META.needs, META.initialisation, QUICKFT.rule, QUICKFT.steps)
 
 
 def learned(subject: Subject) -> list[str]:

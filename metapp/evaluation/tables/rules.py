@@ -164,7 +164,7 @@ def _row(subject: Subject, rule: str, steps: int, done: list[tuple[Cell, Cell]],
 def notes(subject: Subject, all_rows: list[Row]) -> list[str]:
     """The design, who wins at each number of steps, what seconds are, what was not run and what does not apply."""
     study = subject.study
-    design, usual = study.design, study.plan.job.recipe.meta_training(study.plan.job.rule).steps
+    design, usual = study.design, study.plan.job.recipe.training(study.plan.job.rule).steps
     return [
         f"each rule is trained for {design.outer:,} outer steps (the recipe: {usual:,}) at each number of steps, from "
         f"{INITIALISATIONS[design.initialisation]}; its best state on validation tasks is kept",

@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 
 from metapp.learning.adjoint import Loss
-from metapp.learning.app import App
+from metapp.learning.app import App, linear_in
 from metapp.learning.recipe import Adam
 from metapp.learning.rules.part import Part, Seen
 from metapp.learning.task import Params
@@ -53,11 +53,11 @@ class Solve(Part):
 
     def refusal(self, app: App, theta: Params) -> str:
         """It needs a network that is linear in a parameter."""
-        return "" if app.solves else "its network is not linear in any parameter of one task"
+        return "" if linear_in(app) else "its network is not linear in any parameter of one task"
 
     def initial(self, app: App, theta: Params, steps: int, first: Adam) -> Params:
         """Penalties of PENALTY for all features, and steps that keep nearly all of the ones before."""
-        name = app.solves
+        name = linear_in(app)
         return {
             f"penalty.{name}": theta[name].new_full((1, theta[name].shape[-1]), math.log(PENALTY)),
             f"keep.{name}": theta[name].new_full((steps,), 3.0),

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from metapp.apps.brdf import APP
+from metapp.apps.brdf.recipes import RECIPES
 from metapp.evaluation.subject import Subject
 from metapp.evaluation.tables import load_table
 from metapp.runs.plan import plan
@@ -22,7 +22,7 @@ from tests.small_spheres import shrink_spheres
 def few_steps() -> Iterator[None]:
     """Few steps of Overfit and Finetune, and of what comes after Meta; figures of few pixels."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setitem(APP.recipes, "quick", replace(APP.recipes["quick"], overfit_steps=40, finetune_steps=5))
+        patch.setitem(RECIPES[""], "quick", replace(RECIPES[""]["quick"], overfit_steps=40, finetune_steps=5))
         patch.setattr("metapp.evaluation.trace.FURTHER", (2, 4))
         patch.setattr("metapp.evaluation.figures.style.DPI", 40)
         shrink_spheres(patch)
@@ -39,8 +39,8 @@ def call(*arguments: str | Path) -> int:
 
 def subject_of(data: Path, runs: Path) -> Subject:
     """A data set with all that has been run of it."""
-    request = Request("brdf", "general", recipe="quick", data=data, out=runs, device="cpu", quiet=True)
-    return Subject(plan(request), run=True, strict=True)
+    planned = plan(Request("brdf", "general", recipe="quick", data=data, out=runs, device="cpu", quiet=True))
+    return Subject(planned, run=True, strict=True)
 
 
 def rows(subject: Subject, name: str) -> list[dict[str, Any]]:

@@ -13,7 +13,7 @@ from torch import Generator
 
 from metapp.appearance.presentation import Fitted
 from metapp.appearance.sphere import environment_scene, shade_sphere
-from metapp.apps.brdf import APP
+from metapp.apps.brdf import Brdf
 from metapp.apps.brdf.presentation import BrdfPresentation
 from metapp.evaluation.cell import run_cells
 from metapp.evaluation.rows import blank, paper
@@ -31,6 +31,10 @@ from metapp.learning.task import Task
 from metapp.runs.plan import Checkpoint, plan
 from metapp.runs.request import Request
 from tests.evaluation.cli.subjects import rows, subject_of
+
+APP = Brdf()
+
+APP = Brdf()
 
 
 def test_the_ablation_leaves_out_rules_with_a_network_of_their_own() -> None:
@@ -55,10 +59,10 @@ def test_what_is_combined_is_what_it_says(subject: Subject) -> None:
     meta, general = (subject.fits[name].prepared for name in ("meta", "general"))
     tasks, job = stack(subject.app, subject.tasks), subject.fits["meta"].job
     rngs = [torch.Generator().manual_seed(seed) for seed in (0, 1, 1)]
-    ours = START_ALONE.start(job, meta, tasks, rngs[0])
+    ours = START_ALONE.initialisation(job, meta, tasks, rngs[0])
     assert all(torch.equal(value[1], meta.theta[key]) for key, value in ours.items())
-    theirs = RULE_ALONE.start(job, general._replace(alpha=meta.alpha), tasks, rngs[1])
-    encoded = subject.fits["general"].paradigm.start(job, general, tasks, rngs[2])
+    theirs = RULE_ALONE.initialisation(job, general._replace(alpha=meta.alpha), tasks, rngs[1])
+    encoded = subject.fits["general"].paradigm.initialisation(job, general, tasks, rngs[2])
     assert all(torch.equal(theirs[key], encoded[key]) for key in encoded)
     assert START_ALONE.count(job) == RULE_ALONE.count(job) == 10
 

@@ -10,13 +10,13 @@ from typing import Any
 import pytest
 import torch
 
-from metapp.apps import load_app
 from metapp.evaluation.cell import Cell, Clock, Record, run_cells
 from metapp.learning.task import Params, Task
 from metapp.runs.reporter import Reporter, duration, reporting
 from metapp.runs.request import Portion
 from metapp.runs.surroundings import find_device, threads_of
 from metapp.storage.records import RunFolder
+from tests.quick import app_by
 
 
 def cell(title: str, path: Path, names: list[str], log: list[str], *, steps: int, stage: int = 0) -> Cell:
@@ -118,7 +118,7 @@ def test_fits_have_the_threads_of_their_application_whatever_ran_before(tmp_path
         assert found == [("one", 1), ("three", 3), ("as it is", 2)]
         assert torch.get_num_threads() == 2
         for name, expected in (("illumination", 1), ("texture", None)):
-            app = load_app(name)
+            app = app_by(name)
             find_device("cpu", app)
             assert torch.get_num_threads() == 2  # looking for a device changes nothing
             assert threads_of(app) == expected

@@ -6,9 +6,11 @@ import pytest
 import torch
 from torch import Generator
 
-from metapp.apps.brdf import APP
+from metapp.apps.brdf import Brdf
 from metapp.learning.task import Params
 from tests.learning.rules.steps import STEPS
+
+APP = Brdf()
 
 
 @pytest.fixture

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import itertools
+from dataclasses import replace
 
 import pytest
 import torch
 from torch import Generator
 
-from metapp.apps import app_names, load_app
+from metapp.apps import app_names, app_of, protocols_of, recipes_of
 from metapp.learning.app import App
 from metapp.learning.recipe import Adam
 from metapp.learning.rules import PARTS, RULES, rule_of
 from metapp.learning.rules.table import NAMED, SHORT
 from metapp.learning.task import Params
+from tests.quick import app_by
 
 
 def parts_of(name: str) -> list[str]:
@@ -105,14 +107,14 @@ def test_parts_that_do_not_go_together_are_refused(name: str, line: str) -> None
     ],
 )
 def test_a_part_that_does_not_apply_is_refused_by_name(app: str, rule: str, part: str) -> None:
-    of = load_app(app)
+    of = app_by(app)
     with pytest.raises(ValueError, match=f"its part {part}"):
         rule_of(rule).alpha(of, one(of), 5, Adam(1e-3))
 
 
 @pytest.mark.parametrize("name", ["curvature", "basis"])
 def test_matrices_are_needed(name: str) -> None:
-    app = load_app("brdf")
+    app = app_by("brdf")
     assert PARTS[name].refusal(app, {"w": torch.ones(2, 3)}) == ""
     assert PARTS[name].refusal(app, {"b": torch.ones(3)}) == "no parameter has two axes"
     assert bool(PARTS["curvature"].refusal(app, {"kernel": torch.ones(2, 3, 3, 3)}))
@@ -120,16 +122,15 @@ def test_matrices_are_needed(name: str) -> None:
 
 @pytest.mark.parametrize("name", app_names())
 def test_all_rules_of_recipes_apply(name: str) -> None:
-    for recipe in load_app(name).recipes.values():
-        for observe in load_app(name).protocols or ("",):
-            app = load_app(name).at(recipe, observe)
+    for observe in protocols_of(name) or ("",):
+        for recipe in recipes_of(name, observe).values():
             for rule in (*recipe.meta, recipe.rule):
-                own = app.at(recipe.for_rule(rule), observe)
+                own = app_of(name, recipe, observe, rule=rule)
                 RULES[rule].require(own, one(own))
 
 
 def test_recipes_train_other_rules_as_their_default() -> None:
-    recipe = load_app("brdf").recipes["quick"]
-    assert recipe.meta_training("adam+curvature") is recipe.meta[recipe.rule]
+    recipe = recipes_of("brdf")["quick"]
+    assert recipe.training("adam+curvature") == replace(recipe.meta[recipe.rule], guard=None)
     for rule, training in recipe.meta.items():
-        assert recipe.meta_training(rule) is training
+        assert recipe.training(rule) is training

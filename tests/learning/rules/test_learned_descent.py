@@ -18,7 +18,7 @@ from metapp.learning.recipe import Adam
 from metapp.learning.rules import RULES, rule_of
 from metapp.learning.rules.network import MEMORY, move, network_of, networks, no_memory
 from metapp.learning.task import Params
-from metapp.networks.layers import LocalField
+from metapp.networks.field import LocalField
 
 TASKS, STEPS = 2, 3
 FIELD = LocalField(8, 16, rows=4, columns=8, code=3, hidden=6, layers=2)
@@ -27,7 +27,7 @@ FIRST = Adam(5e-3, 0.7, 0.99, eps=1e-3, final=0.1)
 
 @pytest.fixture(scope="module")
 def app() -> App:
-    return illumination.Illumination(illumination.Setup(FIELD), "reference")
+    return illumination.Illumination(illumination.IlluminationSetup(FIELD), "reference")
 
 
 @pytest.fixture

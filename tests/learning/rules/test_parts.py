@@ -8,7 +8,7 @@ import pytest
 import torch
 from torch import Generator
 
-from metapp.apps.brdf import APP
+from metapp.apps.brdf import Brdf
 from metapp.learning.adjoint import at_step
 from metapp.learning.learn import spread
 from metapp.learning.recipe import Adam
@@ -18,6 +18,8 @@ from metapp.learning.rules.basis import Basis
 from metapp.learning.rules.part import Part, Seen
 from metapp.learning.task import Params
 from tests.learning.rules.steps import STEPS, assert_equal, assert_same, one_task, run
+
+APP = Brdf()
 
 FIRST = Adam(5e-3, 0.8, 0.99, eps=1e-3, final=0.1)
 BASIS = Basis()

@@ -9,13 +9,15 @@ import pytest
 import torch
 from torch import Generator
 
-from metapp.apps.brdf import APP
+from metapp.apps.brdf import Brdf
 from metapp.learning.learn import spread
 from metapp.learning.recipe import Adam
 from metapp.learning.rules import META_EPS, RULES, fixed_adam
 from metapp.learning.task import Params
 from tests.learning.rules.steps import STEPS, assert_same, one_task, run
 from tests.paradigms.small import applicable
+
+APP = Brdf()
 
 ON_MATRICES = applicable(APP)
 

@@ -20,19 +20,19 @@ TASKS, FEATURES, OUTPUTS, SAMPLES, STEPS = 3, 5, 2, 11, 4
 SOLVE = rule_of("solve")
 
 
-class Line(App):
-    """A stand-in for an application whose network is linear in W."""
-
-    name, solves = "line", "W"
-
-
-Line.__abstractmethods__ = frozenset()  # type: ignore[attr-defined]
-
-
 def linear(theta: Params, batch: Batch, learned: Params) -> Linear:
     features = theta["scale"][:, :, None] * batch["x"]
     residual = batch["y"] - theta["W"] @ features
     return Linear("W", features, residual, batch["weights"], residual.abs().mean((1, 2)))
+
+
+class Line(App):
+    """A stand-in for an application whose network is linear in W."""
+
+    name, solves, linear = "line", "W", staticmethod(linear)
+
+
+Line.__abstractmethods__ = frozenset()  # type: ignore[attr-defined]
 
 
 def value(theta: Params, batch: Batch, learned: Params) -> Tensor:

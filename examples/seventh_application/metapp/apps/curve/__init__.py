@@ -3,39 +3,25 @@
 from __future__ import annotations
 
 import math
+from types import MappingProxyType
 
 import torch
 from torch import Generator, Tensor
 from torch.nn.functional import gelu
 
-from metapp.learning.app import App
-from metapp.learning.recipe import AS_PUBLISHED, Adam, MetaTraining, OuterLoop, Recipe
+from metapp.learning.app import App, Traits
 from metapp.learning.task import Batch, Held, Params, Task, Tasks
 
 WIDTH, SAMPLES = 12, 32
 SHAPES = {"w1": (WIDTH, 1), "b1": (WIDTH, 1), "w2": (1, WIDTH), "b2": (1, 1)}
-QUICK = Recipe(
-    steps=10,
-    batch=8,
-    overfit_steps=500,
-    overfit=Adam(1e-2, final=0.01),
-    finetune_steps=100,
-    finetune=Adam(3e-3, final=0.01),
-    quickft=Adam(1e-2),
-    general=OuterLoop(steps=500, tasks=4, rates={"": 1e-3}, validate_every=100),
-    meta={"meta-adam": MetaTraining(steps=200, tasks=4, rates={"": 1e-3, "alpha.": 1e-2}, order=2, validate_every=50)},
-    rule="meta-adam",
-)
-PAPER = Recipe(**(vars(QUICK) | {"meta": {"meta-sgd": AS_PUBLISHED}, "rule": "meta-sgd"}))
 
 
 class Curve(App):
     """The application; parameters have a leading task axis T."""
 
     name = "curve"
-    holds = {"y": Held((SAMPLES,), low=-1e3, high=1e3)}  # noqa: RUF012  (never written to)
-    single_threaded = cheap_fits = True
-    recipes = {"paper": PAPER, "quick": QUICK}  # noqa: RUF012
+    holds = MappingProxyType({"y": Held((SAMPLES,), low=-1e3, high=1e3)})
+    traits = Traits(single_threaded=True, cheap_fits=True)
 
     def prepare(self, task: Task) -> dict[str, Tensor]:
         """`x` and `y` [SAMPLES]; even ones are for fits to see, odd ones for tests."""
@@ -81,4 +67,4 @@ class Curve(App):
         return {"error": (self.value(theta, x) - y).abs().mean((1, 2))}
 
 
-APP = Curve()
+APP = Curve

@@ -1,4 +1,4 @@
-"""A generator of pictures from noise at several scales, each of which makes a picture of its own size."""
+"""Generators of pictures from noise: a U-Net, and a pyramid whose levels each make a picture of their own size."""
 
 from __future__ import annotations
 
@@ -7,12 +7,80 @@ from typing import NamedTuple
 
 import torch
 from torch import Generator, Tensor
-from torch.nn.functional import avg_pool2d, conv2d
+from torch.nn.functional import avg_pool2d, conv2d, interpolate
 
 from metapp.learning.task import Params
-from metapp.networks.layers import init_styled, styled
-from metapp.networks.strips import ROWS, enlarged_rows, rows_of, styled_by_rows
-from metapp.networks.tiling import enlarged
+from metapp.networks import layers
+from metapp.networks.layers import enlarged, enlarged_rows, init_styled, rows_of, styled, styled_by_rows
+
+
+class UNet(NamedTuple):
+    """A noise-to-image U-Net with adaptive instance normalisation (Ulyanov et al. 2016; Henzler et al. 2020, 2021).
+
+    All convolutions pad circularly, so that what it makes tiles, at any size that `2 ** (levels - 1)` divides.
+
+    Attributes:
+        width: channels of the finest level; each level down doubles them, up to four times as many.
+        levels: resolutions, each half of the one before.
+        noise: channels of the noise it starts from.
+        code: length of z.
+        outputs: channels of what it makes.
+    """
+
+    width: int
+    levels: int = 4
+    noise: int = 8
+    code: int = 32
+    outputs: int = 3
+
+    def channels(self, level: int) -> int:
+        """Channels at a level, 0 the finest."""
+        result: int = self.width * min(2**level, 4)
+        return result
+
+    def layers(self) -> dict[str, tuple[int, int]]:
+        """(inputs, outputs) of each 3x3 convolution, in order of use."""
+        down = {"down0": (self.noise, self.channels(0))}
+        for level in range(1, self.levels):
+            down[f"down{level}"] = (self.channels(level - 1), self.channels(level))
+        up = {
+            f"up{level}": (self.channels(level + 1) + self.channels(level), self.channels(level))
+            for level in reversed(range(self.levels - 1))
+        }
+        return down | up
+
+    def init(self, rng: Generator, count: int) -> Params:
+        """Random parameters of `count` networks: each tensor [count, ...]."""
+        theta = init_styled(rng, count, self.code, self.layers())
+        kernel = torch.randn(count, self.outputs, self.channels(0), 1, 1, generator=rng, device=rng.device)
+        theta["out.kernel"] = kernel * math.sqrt(1 / self.channels(0))
+        theta["out.shift"] = torch.zeros(count, self.outputs, device=rng.device)
+        return theta
+
+    def __call__(self, theta: Params, noise: Tensor) -> Tensor:
+        """Maps from noise.
+
+        Args:
+            theta: parameters of T networks, as of `init`.
+            noise: standard normal, [T, B, noise, H, W].
+
+        Returns:
+            Values before any range is imposed, [T, B, outputs, H, W].
+        """
+        tasks, batch, _, height, width = noise.shape
+        x = noise.transpose(0, 1).reshape(batch, -1, height, width)
+        skips = []
+        for level in range(self.levels):
+            x = styled(theta, f"down{level}", avg_pool2d(x, 2) if level else x)
+            skips.append(x)
+        for level in reversed(range(self.levels - 1)):
+            above = interpolate(x, scale_factor=2, mode="nearest")
+            # channels of one task lie together, as grouped convolutions want them
+            parts = [part.unflatten(1, (tasks, -1)) for part in (above, skips[level])]
+            x = styled(theta, f"up{level}", torch.cat(parts, 2).flatten(1, 2))
+        x = conv2d(x, theta["out.kernel"].flatten(0, 1), theta["out.shift"].flatten(), groups=tasks)
+        result: Tensor = x.unflatten(1, (tasks, self.outputs)).transpose(0, 1)
+        return result
 
 
 class Pyramid(NamedTuple):
@@ -89,7 +157,7 @@ class Pyramid(NamedTuple):
     def _level(self, theta: Params, level: int, above: Tensor | None, noise: Tensor) -> Tensor:
         """Features of a level [B, T * C, H, W], from those of the level above and noise."""
         tasks, height = len(theta["z"]), noise.shape[-2]
-        if height > ROWS and not torch.is_grad_enabled() and above is not None:
+        if height > layers.ROWS and not torch.is_grad_enabled() and above is not None:
             coarse, fine = enlarged_rows(above), rows_of(noise)
             x = styled_by_rows(theta, f"join{level}", lambda *rows: _joined(coarse(*rows), fine(*rows), tasks), height)
             return styled_by_rows(theta, f"draw{level}", rows_of(x), height)

@@ -1,4 +1,4 @@
-"""Repeat the records that tables alone make: those of baselines, and halves of learned rules."""
+"""Repeat rows of tables that no paradigm's command makes: baselines, and halves of a learned rule's row."""
 
 from __future__ import annotations
 
@@ -13,15 +13,20 @@ from metapp.runs.rerun import Repeat
 
 
 def repeat_of(plan: Plan, settings: dict[str, Any]) -> Repeat | None:
-    """What repeats a record of these settings, from the cells of its table; None where no table has such a cell."""
+    """What measures the row of a record again, kept nowhere; None where no table has such a row.
+
+    Args:
+        plan: that the record was made by, of General.
+        settings: of the record.
+    """
     cell = _cell(Subject(plan, run=True, strict=False), settings)
-    return Repeat(cell.folder.settings, cell.tasks, cell.measure) if cell and cell.folder else None
+    return Repeat(cell.folder.settings, list(cell.tasks), cell.measure) if cell and cell.folder else None
 
 
 def _cell(subject: Subject, settings: dict[str, Any]) -> Cell | None:
     if "peer" in settings:
-        named = [baseline for baseline in baselines_of(subject.app) if baseline.name == settings["peer"]]
-        return baselines.baseline_cell(subject, named[0]) if named else None
+        known = [baseline for baseline in baselines_of(subject.app) if baseline.name == settings["peer"]]
+        return baselines.baseline_cell(subject, known[0]) if known else None
     names = (settings.get("paradigm"), settings.get("rule"))
     if names[0] not in (ablation.RULE_ALONE.name, ablation.START_ALONE.name):
         return None

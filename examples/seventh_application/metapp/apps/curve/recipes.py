@@ -1,0 +1,21 @@
+"""How curves are fitted and what their rules learn."""
+
+from __future__ import annotations
+
+from metapp.learning.recipe import Adam, MetaTraining, OuterLoop, Recipe, as_published
+
+QUICK = Recipe(
+    steps=10,
+    batch=8,
+    overfit_steps=500,
+    overfit=Adam(1e-2, final=0.01),
+    finetune_steps=100,
+    finetune=Adam(3e-3, final=0.01),
+    quickft=Adam(1e-2),
+    general=OuterLoop(steps=500, tasks=4, rates={"": 1e-3}, validate_every=100),
+    meta={"meta-adam": MetaTraining(steps=200, tasks=4, rates={"": 1e-3, "alpha.": 1e-2}, order=2, validate_every=50)},
+    rule="meta-adam",
+)
+PAPER = as_published(QUICK, None)
+
+RECIPES = {"": {"paper": PAPER, "quick": QUICK}}

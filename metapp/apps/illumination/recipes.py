@@ -1,0 +1,64 @@
+"""How environment maps are fitted and what their rules learn."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from metapp.apps.illumination import IlluminationSetup
+from metapp.learning.recipe import Adam, Guard, MetaTraining, OuterLoop, Recipe
+from metapp.networks.field import LocalField
+from metapp.networks.recipes import by_protocol
+
+# exact second order, from General's encoder, which goes on learning through the steps
+LEARNED = MetaTraining(
+    steps=1500,
+    tasks=8,
+    rates={"": 1e-4, "alpha.": 5e-3, "alpha.around.": 5e-4},
+    first=Adam(1.2e-2, beta1=0.6, beta2=0.98, eps=1e-4, final=0.1),
+    warmup=50,
+    final=0.01,
+    order=2,
+    clip=1.0,
+    validate_every=100,
+    initialisation="encoder",
+    # doubtful: what ends at twice the share of its initialisation's loss that any validation map does, or overshoots
+    # a sun, whose radiance the late steps are too long for
+    guard=Guard(Adam(2e-3, beta1=0.5, beta2=0.9, eps=1e-6, final=0.1), fall=0.5, rise=2.0),
+)
+QUICK = Recipe(
+    steps=15,
+    batch=1,
+    overfit_steps=3000,
+    overfit=Adam(1e-2, final=0.0),
+    finetune_steps=300,
+    finetune=Adam(1e-2, final=0.0),
+    quickft=Adam(1e-2, beta1=0.6, beta2=0.98, final=0.1),
+    general=OuterLoop(steps=9000, tasks=16, rates={"": 1e-3}, warmup=100, final=0.0, validate_every=500),
+    meta={"meta-encoder": LEARNED, "meta-lgd": LEARNED},
+    rule="meta-lgd",
+    setup=IlluminationSetup(LocalField(32, 64)),
+)
+# from photographs slowly and for long: the encoder has much to learn, such as to leave to the steps what they can find
+FROM_PHOTOS = replace(
+    LEARNED,
+    steps=3000,
+    rates={"": 1e-4, "alpha.": 1e-2},
+    first=Adam(1e-3, beta1=0.7, beta2=0.99, eps=1e-3, final=0.1),
+    warmup=20,
+    guard=None,  # a lower loss of a photograph need not be a better map
+)
+PHOTO = replace(
+    QUICK,
+    overfit=Adam(1e-3, final=0.0),
+    finetune=Adam(1e-4, final=0.0),
+    quickft=Adam(3e-4, beta1=0.7, beta2=0.99, eps=1e-3, final=0.1),
+    meta={"meta-encoder": FROM_PHOTOS},
+    rule="meta-encoder",
+)
+RECIPES = by_protocol(
+    QUICK,
+    PHOTO,
+    # at the size that people use, in a fifth of the map's numbers: what was learned for 32 x 64 texels, on a finer grid
+    full=IlluminationSetup(LocalField(128, 256, rows=32, columns=64)),
+    paper=IlluminationSetup(LocalField(64, 128, hidden=64)),  # Fischer & Ritschel 2022, section 4.1.5: 15 inner steps
+)

@@ -1,0 +1,55 @@
+"""How non-stationary svBRDFs are fitted and what their rules learn."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from metapp.apps.svbrdf_nonstationary import MaterialSetup, field_of
+from metapp.learning.recipe import Adam, Guard, MetaTraining, OuterLoop, Recipe
+from metapp.networks.recipes import by_protocol
+
+# exact second order, from General's encoder, which goes on learning through the steps
+LEARNED = MetaTraining(
+    steps=600,
+    tasks=4,
+    rates={"": 5e-5, "alpha.": 5e-3, "alpha.within.": 5e-4},
+    first=Adam(3e-3, beta1=0.5, beta2=0.8, eps=1e-6, final=0.1),
+    warmup=10,
+    final=0.01,
+    order=2,
+    clip=1.0,
+    validate_every=50,
+    initialisation="encoder",
+    guard=Guard(Adam(6e-4, beta1=0.5, beta2=0.9, eps=1e-6, final=0.1), fall=0.4, rise=2.0),
+)
+QUICK = Recipe(
+    steps=15,
+    batch=1,
+    overfit_steps=1000,
+    overfit=Adam(3e-3, beta2=0.99, final=0.0),
+    finetune_steps=100,
+    finetune=Adam(3e-3, final=0.0),
+    quickft=Adam(3e-3, beta1=0.6, beta2=0.98, final=0.1),
+    general=OuterLoop(steps=24_000, tasks=8, rates={"": 1e-3}, warmup=100, final=0.0, validate_every=1000),
+    meta={"meta-encoder": LEARNED, "meta-lgd": LEARNED},
+    rule="meta-lgd",
+    setup=MaterialSetup(field_of(64, 32)),
+)
+# a photograph says little that General has not read from it: small steps, and hardly any training through them
+GENTLE = replace(
+    LEARNED, steps=50, tasks=8, first=Adam(3e-4, beta1=0.8, beta2=0.8, eps=1e-3), validate_every=25, guard=None
+)
+PHOTO = replace(
+    QUICK,
+    finetune=Adam(1e-4, final=0.0),
+    quickft=GENTLE.first,
+    meta={"meta-encoder": GENTLE},
+    rule="meta-encoder",
+)
+RECIPES = by_protocol(
+    QUICK,
+    PHOTO,
+    # at the size that people use: the code that is read at 64 texels, and what rules learned there, on a finer grid
+    full=MaterialSetup(field_of(128, 32), read=64),
+    paper=MaterialSetup(field_of(256, 64), 64),  # Fischer & Ritschel 2022, section 4.1.4: 15 inner steps
+)

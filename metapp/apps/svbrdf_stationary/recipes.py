@@ -1,0 +1,26 @@
+"""How stationary svBRDFs are fitted and what their rules learn."""
+
+from __future__ import annotations
+
+from metapp.learning.recipe import Adam, as_published
+from metapp.networks.exemplar import ExemplarSetup
+from metapp.networks.generators import UNet
+from metapp.networks.recipes import generator, pixels, pyramid
+
+PRIOR = 0.5  # in fits of 256 texels, of how far these are from General's, which else take the place of diffuse colour
+QUICK = generator(
+    steps=20,
+    outputs=6,
+    tasks=3,
+    rate=3e-4,
+    searched=Adam(3e-3, beta1=0.5, beta2=0.97, final=0.3),
+    general=pixels(2500, 6),
+)
+FULL = pyramid(QUICK, searched=Adam(2.9e-3, beta1=0.3, beta2=0.9, final=0.3), tasks=3, prior=PRIOR)
+# Fischer & Ritschel 2022, section 4.1.3 and supplement: 20 inner steps, meta-batch 3
+PAPER = as_published(
+    QUICK,
+    ExemplarSetup(256, 256, UNet(32, outputs=6), "vgg16", ("relu1_2", "relu2_2", "relu3_3", "relu4_3")),
+    tasks=3,
+)
+RECIPES = {"": {"paper": PAPER, "quick": QUICK, "full": FULL}}

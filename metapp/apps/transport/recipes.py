@@ -1,0 +1,41 @@
+"""How densities of light paths are fitted and what their rules learn."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from metapp.apps.transport import TransportSetup
+from metapp.apps.transport.flow import Flow
+from metapp.learning.recipe import Adam, MetaTraining, OuterLoop, Recipe, as_published
+
+# exact second order, from General's encoder, which goes on learning through the steps
+LEARNED = MetaTraining(
+    steps=100,
+    tasks=3,
+    rates={"": 3e-4, "alpha.": 2e-2, "alpha.within.": 3e-3},
+    first=Adam(2e-3, beta1=0.5, beta2=0.8, eps=1e-6, final=0.3),
+    warmup=10,
+    final=0.05,
+    order=2,
+    clip=1.0,
+    validate_every=20,
+    initialisation="encoder",
+)
+QUICK = Recipe(
+    steps=8,
+    batch=4096,
+    overfit_steps=400,
+    overfit=Adam(5e-3, final=0.0),
+    finetune_steps=40,
+    finetune=Adam(2e-3, final=0.0),
+    quickft=Adam(2e-3, beta1=0.5, beta2=0.8, eps=1e-6, final=0.3),
+    general=OuterLoop(steps=1200, tasks=8, rates={"": 2e-3}, warmup=50, final=0.0, decay=1e-4, validate_every=100),
+    meta={"meta-encoder": LEARNED, "meta-lgd": LEARNED},
+    rule="meta-lgd",
+    setup=TransportSetup(Flow()),
+)
+# the same fits, judged by pictures of the size that people render
+FULL = replace(QUICK, setup=replace(QUICK.setup, picture=256))
+# Fischer & Ritschel 2022, section 4.1.6: 8 inner steps of 10,000 of 288,000 samples
+PAPER = replace(as_published(QUICK, TransportSetup(Flow(hidden=64, bins=16))), batch=10_000)
+RECIPES = {"": {"paper": PAPER, "quick": QUICK, "full": FULL}}

@@ -1,0 +1,102 @@
+"""What recipes of applications that share their networks have in common."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+from metapp.learning.recipe import Adam, MetaTraining, OuterLoop, Recipe, as_published
+from metapp.networks.exemplar import ExemplarSetup
+from metapp.networks.generators import Pyramid, UNet
+
+PIXELS = {"": 3e-3, "encoder.mlp": 1e-3}  # General's rates where it learns a generator of pictures
+
+
+def generator(*, steps: int, outputs: int, tasks: int, rate: float, searched: Adam, general: OuterLoop) -> Recipe:
+    """The recipe of pictures of 64 texels that are generated from noise.
+
+    Args:
+        steps: gradient steps of a fit.
+        outputs: channels of a picture.
+        tasks: of each outer step of a rule.
+        rate: of General's encoder where rules train it.
+        searched: where the search of the Adam begins that rules are.
+        general: how General's encoder is trained.
+    """
+    first = Adam(3.7e-3, beta1=0.7, beta2=0.99, final=0.3)
+    learned = MetaTraining(
+        steps=300,
+        tasks=tasks,
+        rates={"": 1e-3, "alpha.": 1e-2},
+        first=first,
+        warmup=20,
+        final=0.01,
+        order=1,
+        clip=1e-2,
+        validate_every=100,
+    )
+    tuned = MetaTraining(steps=0, tasks=0, rates={"": 0.0}, first=searched, tuned=True, initialisation="encoder")
+    return Recipe(
+        steps=steps,
+        batch=1,
+        overfit_steps=1000,
+        overfit=Adam(5e-3, beta2=0.99, final=0.0),
+        finetune_steps=100,
+        finetune=Adam(5e-3, beta2=0.99, final=0.0),
+        quickft=first,
+        general=general,
+        meta={
+            "meta-sgd": replace(learned, first=Adam(0.1)),
+            "meta-adam-tied": learned,
+            "meta-encoder": replace(learned, initialisation="encoder", rates={"": rate, "alpha.": 3e-3}),
+            "meta-mean": tuned,
+            "meta-basis": tuned,
+        },
+        rule="meta-basis",
+        setup=ExemplarSetup(64, 64, UNet(16, outputs=outputs), "vgg16", ("relu1_1", "relu2_1", "relu3_1")),
+    )
+
+
+def pixels(steps: int, tasks: int, **more: Any) -> OuterLoop:
+    """How General's encoder is trained beside a generator of pictures."""
+    return OuterLoop(steps=steps, tasks=tasks, rates=PIXELS, warmup=50, final=0.0, **more)
+
+
+def pyramid(quick: Recipe, *, searched: Adam, tasks: int, prior: float = 0.0) -> Recipe:
+    """The recipe of pictures of the size that people use, 256 texels, from coarse to fine.
+
+    Half of the steps are at 64 texels, the last fifth at 256.
+
+    Args:
+        quick: what it is like in all else.
+        searched: where the quick recipe's search of an Adam ended; searches begin there.
+        tasks: of each outer step of General.
+        prior: as of `ExemplarSetup`.
+    """
+    tuned = replace(quick.meta["meta-mean"], first=searched)
+    taps = ("relu1_1", "relu2_1", "relu3_1", "relu4_1")
+    network = Pyramid(16, outputs=quick.setup.network.outputs)
+    return replace(
+        quick,
+        quickft=searched,
+        general=pixels(2400, tasks, validate_every=400),
+        meta={"meta-encoder": quick.meta["meta-encoder"], "meta-mean": tuned, "meta-axes": tuned},
+        rule="meta-axes",
+        setup=ExemplarSetup(256, 256, network, quick.setup.features, taps, octaves=3, shares=(0.5, 0.8), prior=prior),
+    )
+
+
+def by_protocol(quick: Recipe, photo: Recipe, *, full: Any, paper: Any) -> dict[str, dict[str, Recipe]]:
+    """The recipes of an application whose fits see the thing itself, "reference", or one photograph of it, "photo".
+
+    Args:
+        quick: of fits that see the thing itself.
+        photo: of fits of photographs, at the same setup.
+        full, paper: setups of the size that people use and of the paper's.
+    """
+    published = as_published(quick, paper)
+    of_photos = replace(published, overfit=photo.overfit, finetune=photo.finetune, quickft=photo.quickft)
+    return {
+        "reference": {"paper": published, "quick": quick, "full": replace(quick, setup=full)},
+        "photo": {"paper": of_photos, "quick": photo, "full": replace(photo, setup=full)},
+    }

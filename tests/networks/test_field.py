@@ -1,0 +1,104 @@
+"""Fields with a code in every place: what a code reaches, and that a finer grid stands for the same."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from torch import Generator, Tensor
+
+from metapp.appearance.latlong import directions
+from metapp.learning.task import Params
+from metapp.networks import field as fields
+from metapp.networks.field import LocalField, regridded
+from tests.networks.precise import double
+
+FIELD = LocalField(8, 16, rows=4, columns=8, code=3, hidden=8, layers=2)
+
+
+def blind(rng: Generator, count: int, field: LocalField = FIELD) -> Params:
+    """Parameters of networks that see their code alone."""
+    theta = field.init(rng, count)
+    return {key: torch.zeros_like(value) if key.endswith(".kernel") else value for key, value in theta.items()}
+
+
+def places(count: int, field: LocalField = FIELD) -> Tensor:
+    return torch.rand(count, field.inputs, field.height, field.width, generator=Generator().manual_seed(1))
+
+
+def test_a_code_without_variation_is_the_same_everywhere(rng: Generator) -> None:
+    theta = blind(rng, 2) | {"z": torch.randn(2, 3, 1, 1, generator=rng).expand(-1, -1, 4, 8)}
+    made = FIELD(theta, places(2))
+    assert made.shape == (2, 3, 8, 16)
+    torch.testing.assert_close(made, made[..., :1, :1].expand_as(made))
+
+
+def test_a_large_field_is_made_by_rows(rng: Generator, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The same to rounding, also where the last rows are fewer, and each row where it belongs."""
+    field = FIELD._replace(height=21, width=16)
+    theta, seen = double(field.init(rng, 2)), places(2, field).double()
+    whole = field(theta, seen)
+    monkeypatch.setattr(fields, "TEXELS", 5 * 16)
+    rows = list(fields.field_by_rows(field, theta, seen))
+    assert [part.shape[-2] for part in rows] == [5, 5, 5, 5, 1]
+    torch.testing.assert_close(torch.cat(rows, -2), whole)
+
+
+def test_a_code_goes_on_at_the_other_edge_where_it_is_periodic(rng: Generator) -> None:
+    for periodic in (True, False):
+        field = FIELD._replace(periodic=periodic)
+        theta = blind(rng, 1, field)
+        turned = field({**theta, "z": theta["z"].roll(3, -1)}, places(1))
+        assert torch.allclose(turned, field(theta, places(1)).roll(6, -1), atol=1e-5) == periodic
+
+
+def test_a_cell_of_the_code_reaches_its_neighbourhood_only(rng: Generator) -> None:
+    theta = FIELD.init(rng, 1)
+    moved = {**theta, "z": theta["z"].clone()}
+    moved["z"][0, :, 2, 5] += 1
+    rows, columns = (FIELD(moved, places(1)) - FIELD(theta, places(1))).abs().sum((0, 1)).nonzero().T
+    assert set(rows.tolist()) == {3, 4, 5, 6}
+    assert set(columns.tolist()) == {9, 10, 11, 12}
+
+
+def test_fields_beside_each_other_are_independent(rng: Generator) -> None:
+    theta = FIELD.init(rng, 3)
+    alone = FIELD({key: value[1:2] for key, value in theta.items()}, places(3)[1:2])
+    torch.testing.assert_close(FIELD(theta, places(3))[1:2], alone)
+
+
+# A code on a finer grid
+
+
+def test_the_same_grid_is_left_alone(rng: Generator) -> None:
+    values = torch.randn(2, 3, 4, 8, generator=rng)
+    assert regridded(values, 4, 8, periodic=True) is values
+
+
+@pytest.mark.parametrize("periodic", [True, False])
+def test_a_constant_stays_a_constant(*, periodic: bool) -> None:
+    torch.testing.assert_close(
+        regridded(torch.full((1, 2, 3, 5), 0.7), 12, 20, periodic=periodic), torch.full((1, 2, 12, 20), 0.7)
+    )
+
+
+def test_between_centres_it_is_linear() -> None:
+    ramp = torch.arange(4.0).expand(1, 1, 3, 4)
+    fine = regridded(ramp, 3, 8, periodic=False)
+    torch.testing.assert_close(fine[0, 0, 1], torch.tensor([0, 0.25, 0.75, 1.25, 1.75, 2.25, 2.75, 3]))
+
+
+def test_columns_may_go_on_at_the_other_edge(rng: Generator) -> None:
+    values = torch.randn(1, 2, 4, 8, generator=rng)
+    fine, turned = (regridded(each, 8, 16, periodic=True) for each in (values, values.roll(3, -1)))
+    torch.testing.assert_close(fine.roll(6, -1), turned)
+
+
+def test_a_field_makes_nearly_the_same_picture_of_it(rng: Generator) -> None:
+    """To within a tenth of how far it varies, of a code that is smooth."""
+    coarse = LocalField(32, 64, rows=8, columns=16)
+    theta = coarse.init(rng, 1)
+    theta["z"] = regridded(torch.randn(1, 8, 4, 8, generator=rng) / 30, 8, 16, periodic=True)
+    finer = theta | {"z": regridded(theta["z"], 16, 32, periodic=True)}
+    places = directions(32, 64)[None]
+    one, other = coarse(theta, places), coarse._replace(rows=16, columns=32)(finer, places)
+    assert float((one - other).abs().mean()) < 0.1 * float(one.std())

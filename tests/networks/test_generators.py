@@ -1,0 +1,277 @@
+"""Generators of pictures: that they tile, that tasks and pictures beside each other change nothing, how they begin."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable
+
+import pytest
+import torch
+from torch import Generator, Tensor
+from torch.nn.functional import avg_pool2d
+
+from metapp.learning.task import Params
+from metapp.networks import layers
+from metapp.networks.generators import Pyramid, UNet
+from metapp.networks.layers import enlarged, tiled
+from tests.networks.precise import double
+
+UNET, PYRAMID = UNet(4, levels=3, noise=2, code=5), Pyramid(4, levels=3, noise=2, code=5)
+
+
+@pytest.fixture(params=[UNET, PYRAMID], ids=["U-Net", "pyramid"])
+def network(request: pytest.FixtureRequest) -> UNet | Pyramid:
+    return request.param
+
+
+@pytest.fixture
+def theta(network: UNet | Pyramid, rng: Generator) -> Params:
+    return double(network.init(rng, 3))
+
+
+@pytest.fixture
+def noise(rng: Generator) -> Tensor:
+    return torch.randn(3, 2, 2, 16, 24, generator=rng, dtype=torch.float64)
+
+
+def one(params: Params, task: int) -> Params:
+    return {key: value[task : task + 1] for key, value in params.items()}
+
+
+# What they compute
+
+
+def layer(theta: Params, name: str, x: Tensor) -> Tensor:
+    """A styled convolution written out, without a task axis."""
+    kernel = theta[f"{name}.kernel"]
+    y = torch.zeros(kernel.shape[0], *x.shape[1:], dtype=x.dtype)
+    for down, across in itertools.product((-1, 0, 1), repeat=2):
+        y += torch.einsum("oi,ihw->ohw", kernel[:, :, down + 1, across + 1], x.roll((-down, -across), (1, 2)))
+    y = (y - y.mean((1, 2), keepdim=True)) / (y.var((1, 2), keepdim=True, correction=0) + 1e-5).sqrt()
+    gain, shift = (theta[f"{name}.style"] @ theta["z"] + theta[f"{name}.shift"]).chunk(2)
+    y = y * (1 + gain[:, None, None]) + shift[:, None, None]
+    return torch.where(y > 0, y, 0.2 * y)
+
+
+def out(theta: Params, name: str, x: Tensor) -> Tensor:
+    return torch.einsum("oi,ihw->ohw", theta[f"{name}.kernel"][:, :, 0, 0], x) + theta[f"{name}.shift"][:, None, None]
+
+
+def unet_by_hand(theta: Params, noise: Tensor) -> Tensor:
+    """One picture [C, H, W] by a U-Net of two levels."""
+    fine = layer(theta, "down0", noise)
+    coarse = layer(theta, "down1", fine.unflatten(1, (-1, 2)).unflatten(3, (-1, 2)).mean((2, 4)))
+    both = torch.cat([coarse.repeat_interleave(2, 1).repeat_interleave(2, 2), fine])
+    return out(theta, "out", layer(theta, "up0", both))
+
+
+def pyramid_by_hand(theta: Params, noise: Tensor) -> Tensor:
+    """One picture [C, H, W] by a pyramid of one level."""
+    return out(theta, "out0", layer(theta, "draw0", layer(theta, "join0", noise)))
+
+
+@pytest.mark.parametrize(
+    ("network", "by_hand"),
+    [(UNET._replace(levels=2), unet_by_hand), (PYRAMID._replace(levels=1), pyramid_by_hand)],
+    ids=["U-Net", "pyramid"],
+)
+def test_few_levels_written_out(
+    network: UNet | Pyramid, by_hand: Callable[[Params, Tensor], Tensor], rng: Generator
+) -> None:
+    theta = {key: value + 0.1 for key, value in double(network.init(rng, 2)).items()}
+    noise = torch.randn(2, 3, 2, 6, 8, generator=rng, dtype=torch.float64)
+    made = network(theta, noise)
+    for task, picture in itertools.product(range(2), range(3)):
+        own = {key: value[task] for key, value in theta.items()}
+        torch.testing.assert_close(made[task, picture], by_hand(own, noise[task, picture]))
+
+
+@pytest.mark.parametrize("levels", [1, 2, 3, 4])
+def test_what_they_make_moves_with_the_noise_and_round_the_edges(
+    network: UNet | Pyramid, levels: int, rng: Generator
+) -> None:
+    network = network._replace(levels=levels)
+    theta, step = double(network.init(rng, 2)), 2 ** (levels - 1)
+    noise = torch.randn(2, 2, 2, 4 * step, 6 * step, generator=rng, dtype=torch.float64)
+    made = network(theta, noise)
+    for shift in ((step, 0), (0, step), (-2 * step, 3 * step)):
+        torch.testing.assert_close(network(theta, noise.roll(shift, (-2, -1))), made.roll(shift, (-2, -1)))
+    if levels > 1:  # the coarser grids have their places; a network of one level has none
+        assert (network(theta, noise.roll(1, -1)) - made.roll(1, -1)).abs().mean() > 0.05 * made.std()
+
+
+def test_a_unet_does_not_know_the_place(rng: Generator) -> None:
+    """Noise that is alike in every cell of the coarsest grid is treated alike."""
+    noise = torch.randn(3, 1, 2, 4, 4, dtype=torch.float64).repeat(1, 1, 1, 4, 6)
+    made = UNET(double(UNET.init(rng, 3)), noise)
+    torch.testing.assert_close(made, made[..., :4, :4].repeat(1, 1, 1, 4, 6))
+
+
+def test_tasks_and_pictures_are_independent(network: UNet | Pyramid, theta: Params, noise: Tensor) -> None:
+    together = network(theta, noise)
+    torch.testing.assert_close(together, torch.cat([network(one(theta, i), noise[i : i + 1]) for i in range(3)]))
+    torch.testing.assert_close(together, torch.cat([network(theta, noise[:, i : i + 1]) for i in range(2)], 1))
+    other = {key: torch.cat([value[:1], 2 * value[1:] + 1]) for key, value in theta.items()}
+    torch.testing.assert_close(network(other, noise)[0], together[0])
+
+
+def test_a_task_gets_no_gradient_from_another(network: UNet | Pyramid, theta: Params, noise: Tensor) -> None:
+    leaves = {key: value.clone().requires_grad_() for key, value in theta.items()}
+    grads = torch.autograd.grad(network(leaves, noise)[1].square().sum(), list(leaves.values()))
+    for key, grad in zip(leaves, grads, strict=True):
+        assert not grad[[0, 2]].any(), key
+        assert grad[1].any(), key  # and every parameter matters
+
+
+def test_expanded_parameters_do_as_well(network: UNet | Pyramid, theta: Params, noise: Tensor) -> None:
+    """As an initialisation that all tasks share comes."""
+    shared = {key: value[:1].expand(3, *value.shape[1:]) for key, value in theta.items()}
+    copied = {key: value.contiguous() for key, value in shared.items()}
+    assert torch.equal(network(shared, noise), network(copied, noise))
+
+
+def test_the_code_changes_what_is_made(network: UNet | Pyramid, theta: Params, noise: Tensor) -> None:
+    made = network(theta, noise)
+    for z in (theta["z"].flip(1), torch.zeros_like(theta["z"])):
+        assert (made - network(theta | {"z": z}, noise)).abs().mean() > 0.05 * made.std()
+
+
+def test_gradients(network: UNet | Pyramid, rng: Generator) -> None:
+    network = network._replace(width=2, levels=2, noise=1, code=2, outputs=1)
+    theta = double(network.init(rng, 2))
+    noise = torch.randn(2, 1, 1, 4, 4, generator=rng, dtype=torch.float64)
+
+    def made(noise: Tensor, *values: Tensor) -> Tensor:
+        return network(dict(zip(theta, values, strict=True)), noise)
+
+    inputs = tuple(value.clone().requires_grad_() for value in (noise, *theta.values()))
+    assert torch.autograd.gradcheck(made, inputs)
+
+
+@pytest.mark.parametrize("size", [(4, 8), (8, 8), (20, 12), (64, 32)])
+def test_sizes(size: tuple[int, int], rng: Generator) -> None:
+    network = UNet(4, levels=3, noise=3, code=2, outputs=6)
+    assert network(network.init(rng, 2), torch.randn(2, 3, 3, *size, generator=rng)).shape == (2, 3, 6, *size)
+
+
+def test_channels_double_up_to_four_times_the_width() -> None:
+    network = UNet(16, levels=5)
+    assert [network.channels(level) for level in range(5)] == [16, 32, 64, 64, 64]
+    down = {"down0": (8, 16), "down1": (16, 32), "down2": (32, 64), "down3": (64, 64), "down4": (64, 64)}
+    assert network.layers() == down | {"up3": (128, 64), "up2": (128, 64), "up1": (96, 32), "up0": (48, 16)}
+
+
+# The levels of a pyramid
+
+
+@pytest.mark.parametrize("network", [PYRAMID], indirect=True)
+def test_a_coarse_level_makes_what_the_finer_ones_correct(theta: Params, noise: Tensor) -> None:
+    """Without the finest level's own picture, the whole is the enlarged picture of the level above."""
+    silent = theta | {key: torch.zeros_like(theta[key]) for key in ("out0.kernel", "out0.shift")}
+    small = PYRAMID._replace(finest=1)(theta, 2 * avg_pool2d(noise.flatten(0, 1), 2).unflatten(0, (3, 2)))
+    assert small.shape == (3, 2, 3, 8, 12)
+    torch.testing.assert_close(PYRAMID(silent, noise)[0], enlarged(small[0]))
+
+
+@pytest.mark.parametrize("network", [PYRAMID], indirect=True)
+def test_a_coarse_level_leaves_the_finer_ones_alone(theta: Params, noise: Tensor) -> None:
+    leaves = {key: value.requires_grad_() for key, value in theta.items()}
+    made = PYRAMID._replace(finest=1)(leaves, noise).square().sum()
+    grads = torch.autograd.grad(made, list(leaves.values()), materialize_grads=True)
+    for key, grad in zip(leaves, grads, strict=True):
+        assert bool(grad.any()) != (key.split(".")[0] in ("join0", "draw0", "out0")), key
+
+
+@pytest.mark.parametrize("network", [PYRAMID], indirect=True)
+def test_large_pictures_are_made_by_rows(theta: Params, monkeypatch: pytest.MonkeyPatch, rng: Generator) -> None:
+    """The same to rounding, also where the last rows are fewer."""
+    noise = torch.randn(3, 2, 2, 40, 24, generator=rng, dtype=torch.float64)
+    with torch.no_grad():
+        whole = PYRAMID(theta, noise)
+        monkeypatch.setattr(layers, "ROWS", 16)  # of levels of 40 and of 20 rows
+        torch.testing.assert_close(PYRAMID(theta, noise), whole)
+
+
+# How they begin
+
+
+def test_initial_parameters(rng: Generator) -> None:
+    network = UNet(16)
+    theta = network.init(rng, 8)
+    expected = {"z", "out.kernel", "out.shift"}
+    expected |= {f"{name}.{part}" for name in network.layers() for part in ("kernel", "style", "shift")}
+    assert set(theta) == expected
+    assert {value.shape[0] for value in theta.values()} == {8}
+    assert {value.dtype for value in theta.values()} == {torch.float32}
+    scales = {"z": 1.0, "out.kernel": 1 / 4}
+    for name, (inputs, outputs) in network.layers().items():
+        assert theta[f"{name}.kernel"].shape == (8, outputs, inputs, 3, 3)
+        scales |= {f"{name}.kernel": math.sqrt(2 / (9 * inputs)), f"{name}.style": 0.3 / math.sqrt(32)}
+    for key, scale in scales.items():
+        value = theta[key]
+        few = 4 / math.sqrt(value.numel())  # four deviations of a mean of so many draws
+        assert abs(float(value.mean())) < scale * few, key
+        assert float(value.std()) == pytest.approx(scale, rel=few), key
+        assert not torch.equal(value[0], value[1]), key
+    assert not any(theta[key].any() for key in expected - scales.keys())
+
+
+def test_the_same_seed_the_same_network(network: UNet | Pyramid) -> None:
+    first, again, other = (network.init(Generator().manual_seed(seed), 2) for seed in (1, 1, 2))
+    assert all(torch.equal(first[key], again[key]) for key in first)
+    assert not torch.equal(first["z"], other["z"])
+
+
+def test_what_a_unet_makes_at_first_is_neither_flat_nor_extreme(rng: Generator) -> None:
+    network = UNet(16)
+    made = network(network.init(rng, 8), torch.randn(8, 1, 8, 32, 32, generator=rng))
+    spread = made.std((-2, -1))
+    assert spread.min() > 0.1
+    assert spread.mean() < 2
+    assert made.abs().max() < 12
+
+
+# Maps padded and enlarged across their edges
+
+
+@pytest.fixture
+def rand(rng: Generator) -> Callable[..., Tensor]:
+    return lambda *shape: torch.randn(*shape, generator=rng, dtype=torch.float64, requires_grad=True)
+
+
+@pytest.mark.parametrize("size", [(1, 1), (1, 4), (5, 2), (3, 3)])
+def test_padding_continues_on_the_other_side(size: tuple[int, int], rand: Callable[..., Tensor]) -> None:
+    x = rand(2, 3, *size)
+    rows, columns = ((torch.arange(-1, each + 1) % each) for each in size)
+    torch.testing.assert_close(tiled(x), x[..., rows, :][..., columns], rtol=0, atol=0)
+
+
+def test_enlarged(rand: Callable[..., Tensor]) -> None:
+    """Means of neighbours by 3 to 1, also across the edges; the mean of the map stays."""
+    x = rand(1, 2, 4, 6)
+    made = enlarged(x)
+    across = torch.stack([0.25 * x.roll(1, -1) + 0.75 * x, 0.75 * x + 0.25 * x.roll(-1, -1)], -1).flatten(-2)
+    down = torch.stack([0.25 * across.roll(1, -2) + 0.75 * across, 0.75 * across + 0.25 * across.roll(-1, -2)], -2)
+    torch.testing.assert_close(made, down.flatten(-3, -2))
+    torch.testing.assert_close(made.mean((-1, -2)), x.mean((-1, -2)))
+
+
+@pytest.mark.parametrize("size", [(1, 1), (2, 5), (4, 3)])
+@pytest.mark.parametrize("function", [tiled, enlarged])
+def test_derivatives_of_both_orders(
+    function: Callable[[Tensor], Tensor], size: tuple[int, int], rand: Callable[..., Tensor]
+) -> None:
+    x = rand(1, 2, *size)
+    assert torch.autograd.gradcheck(function, (x,))
+    assert torch.autograd.gradgradcheck(lambda each: function(each).sin(), (x,))
+
+
+def test_the_gradient_does_not_depend_on_how_maps_lie_in_memory(rand: Callable[..., Tensor]) -> None:
+    x, weights = rand(2, 3, 4, 5), torch.arange(2 * 3 * 6 * 7, dtype=torch.float64).reshape(2, 3, 6, 7)
+    plain, *others = (
+        torch.autograd.grad((tiled(each) * weights).sum(), x)[0]
+        for each in (x, x.contiguous(memory_format=torch.channels_last), x.transpose(0, 1).contiguous().transpose(0, 1))
+    )
+    for other in others:
+        torch.testing.assert_close(other, plain, rtol=0, atol=0)
