@@ -1,14 +1,16 @@
-"""Count what a reader must read: lines by layer, long functions, many parameters, large classes, `Any`.
+"""Size of the code: lines and `Any` by layer, long functions, many parameters, large classes.
 
     python tools/census.py            the counts and everything over a limit
     python tools/census.py metapp     of files under a folder
 
-Lines are physical lines of `.py` files. Members of a class are its own public names: fields, methods, properties.
+Lines are physical lines of `.py` files. Members of a class are the public names that it adds to those of its bases:
+fields, methods, properties.
 """
 
 from __future__ import annotations
 
 import ast
+import functools
 import re
 import sys
 from collections import Counter
@@ -37,34 +39,46 @@ def layer_of(path: Path) -> str:
 
 
 def excesses(path: Path) -> Iterator[Excess]:
-    """What of a file is over a limit."""
+    """Everything over a limit in a file."""
     for node in ast.walk(ast.parse(path.read_text("utf-8"))):
         place = f"{path.relative_to(ROOT)}:{getattr(node, 'lineno', 0)}"
         if isinstance(node, ast.FunctionDef):
             lines = (node.end_lineno or 0) - node.lineno + 1
-            arguments = node.args
-            names = [each.arg for each in (*arguments.posonlyargs, *arguments.args, *arguments.kwonlyargs)]
-            count = len([name for name in names if name not in ("self", "cls", "ctx")])
+            arguments = (*node.args.posonlyargs, *node.args.args, *node.args.kwonlyargs)
+            parameters = len([argument for argument in arguments if argument.arg not in ("self", "cls", "ctx")])
             if lines > LINES:
                 yield Excess(place, node.name, "lines", lines)
-            if count > PARAMETERS:
-                yield Excess(place, node.name, "parameters", count)
-        if isinstance(node, ast.ClassDef) and (count := len(members(node))) > MEMBERS:
+            if parameters > PARAMETERS:
+                yield Excess(place, node.name, "parameters", parameters)
+        if isinstance(node, ast.ClassDef) and (count := len(members(node) - inherited(node))) > MEMBERS:
             yield Excess(place, node.name, "members", count)
+
+
+@functools.cache
+def classes() -> dict[str, ast.ClassDef]:
+    """The classes of production by name."""
+    files = [path for folder in FOLDERS if folder != "tests" for path in sorted((ROOT / folder).rglob("*.py"))]
+    nodes = [node for path in files for node in ast.walk(ast.parse(path.read_text("utf-8")))]
+    return {node.name: node for node in nodes if isinstance(node, ast.ClassDef)}
+
+
+def inherited(node: ast.ClassDef) -> set[str]:
+    """The public names of a class's bases, of those that are ours."""
+    bases = [classes()[base.id] for base in node.bases if isinstance(base, ast.Name) and base.id in classes()]
+    return {name for base in bases if base is not node for name in members(base) | inherited(base)}
 
 
 def members(node: ast.ClassDef) -> set[str]:
     """The public names that a class body defines, and those that its `__init__` sets."""
     names: set[str] = set()
-    for each in node.body:
-        if isinstance(each, ast.FunctionDef):
-            names.add(each.name)
-            if each.name == "__init__":
-                names |= set(re.findall(r"self\.(\w+)[^=\n]*=[^=]", ast.unparse(each)))
-        elif isinstance(each, ast.AnnAssign) and isinstance(each.target, ast.Name):
-            names.add(each.target.id)
-        elif isinstance(each, ast.Assign):
-            names |= {target.id for target in each.targets if isinstance(target, ast.Name)}
+    for statement in node.body:
+        if isinstance(statement, ast.FunctionDef):
+            names.add(statement.name)
+            if statement.name == "__init__":
+                names |= set(re.findall(r"self\.(\w+)[^=\n]*=[^=]", ast.unparse(statement)))
+        elif isinstance(statement, ast.AnnAssign | ast.Assign):
+            targets = statement.targets if isinstance(statement, ast.Assign) else [statement.target]
+            names |= {target.id for target in targets if isinstance(target, ast.Name)}
     return {name for name in names if not name.startswith("_")}
 
 
@@ -84,9 +98,9 @@ def main() -> None:
         print(f"{count:7,d} lines {loose[layer]:4d} Any  {layer}")
     production = {layer: count for layer, count in lines.items() if layer not in ("tests", "data_tools/synthetic")}
     print(f"{sum(production.values()):7,d} lines {sum(loose[layer] for layer in production):4d} Any  production")
-    found = [each for path in files if path.parts[len(ROOT.parts)] != "tests" for each in excesses(path)]
-    for each in sorted(found, key=lambda each: (each.what, -each.count)):
-        print(f"{each.place}  {each.name}: {each.count} {each.what}")
+    found = [excess for path in files if layer_of(path) != "tests" for excess in excesses(path)]
+    for excess in sorted(found, key=lambda excess: (excess.what, -excess.count)):
+        print(f"{excess.place}  {excess.name}: {excess.count} {excess.what}")
 
 
 if __name__ == "__main__":

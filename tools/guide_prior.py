@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import functools
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -21,15 +22,15 @@ from data_tools.synthetic.guiding import NAMES, guide_tasks
 from data_tools.synthetic.rooms import KINDS, random_room
 from metapp.learning.app import stack
 from metapp.learning.learn import MetaParameters
+from metapp.learning.progress import Prepared, Progress
 from metapp.learning.task import Params, Task, Tasks
 from metapp.paradigms import Job, paradigms
-from metapp.paradigms.paradigm import Given
+from metapp.paradigms.paradigm import TrainingData
 from metapp.rendering import equal_time
 from metapp.rendering.guide_prior import init
 from metapp.rendering.guide_training import APP, RECIPE
-from metapp.rendering.guided_path import PathTracer, Settings
-from metapp.rendering.guided_picture import GuidedPicture, parts_of
-from metapp.rendering.guided_plugin import RR_DEPTH
+from metapp.rendering.guided_path import PathTracer
+from metapp.rendering.guided_plugin import RR_DEPTH, GuidedPicture, parts_of
 from metapp.rendering.path_space import DEPTH
 from metapp.rendering.scene_loading import load_scene
 from metapp.storage.files import write_atomically
@@ -110,7 +111,7 @@ def pictures(theta: Params, size: int, spp: int) -> str:
 
 def _noise(mi: Any, scene: Any, size: int, spp: int, prior: Params | None) -> float:
     """Mean over pixels of how far pictures of several seeds are from each other, relative to their mean."""
-    tracer, path = PathTracer(Settings(DEPTH, RR_DEPTH)), mi.load_dict({"type": "path"})
+    tracer, path = PathTracer(DEPTH, RR_DEPTH), mi.load_dict({"type": "path"})
     film = scene.sensors()[0].film()
     made: list[Tensor] = []
     for seed in range(PICTURES):
@@ -125,6 +126,17 @@ def _noise(mi: Any, scene: Any, size: int, spp: int, prior: Params | None) -> fl
     return float(torch.stack([((first - second).abs() / (mean + 1e-3)).mean() for first, second in halves]).mean())
 
 
+def prepared_by(name: str, preparation: Iterator[Progress]) -> Prepared:
+    """The result of a preparation, whose validations are printed."""
+    prepared = None
+    for now in preparation:
+        prepared = now.best
+        if now.note:
+            print(f"{name}: {now.done}/{now.total} {now.note}", file=sys.stderr, flush=True)
+    assert prepared is not None
+    return prepared
+
+
 def train(folder: Path, training: Tasks, validating: Tasks, data: str) -> dict[str, Trained]:
     """General, QuickFT and Meta by their checkpoints in a folder, trained where these are missing."""
     trained: dict[str, Trained] = {}
@@ -137,10 +149,10 @@ def train(folder: Path, training: Tasks, validating: Tasks, data: str) -> dict[s
 
         file = folder / f"{name}.safetensors"
         if not file.exists():
-            given = Given(training, validating, Generator().manual_seed(0), encoder, report=report)
-            prepared = paradigms()[paradigm].prepare(Job(APP, RECIPE, rule), given)
+            material = TrainingData(training, validating, Generator().manual_seed(0), encoder)
+            prepared = prepared_by(name, paradigms()[paradigm].prepare(Job(APP, RECIPE, rule), material))
             info = {"app": APP.name, "start": name, "recipe": "quick", "data": data}
-            save_checkpoint(file, prepared.start, info | {"validation_error": prepared.validation})
+            save_checkpoint(file, prepared.phi, info | {"validation_error": prepared.validation})
         phi, _ = load_checkpoint(file)
         encoder = encoder or phi
         trained[name] = (phi, paradigm, rule)

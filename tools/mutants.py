@@ -26,6 +26,8 @@ from typing import NamedTuple
 
 ROOT = Path(__file__).resolve().parents[1]
 TESTS = {
+    "metapp/engine/in_c.py": ["in_c"],
+    "metapp/engine/packing.py": ["in_c"],
     "metapp/learning/adjoint.py": ["adjoint"],
     "metapp/learning/app.py": ["learning", "brdf"],
     "metapp/learning/learn.py": ["learning", "adjoint"],
@@ -36,7 +38,7 @@ TESTS = {
     "metapp/appearance/flash.py": ["flash"],
     "metapp/appearance/geometry.py": ["geometry", "merl", "reflection", "flash"],
     "metapp/appearance/latlong.py": ["latlong"],
-    "metapp/appearance/metrics.py": ["metrics"],
+    "metapp/appearance/metrics.py": ["colour"],
     "metapp/appearance/photograph.py": ["photograph"],
     "metapp/appearance/reflection.py": ["reflection"],
     "metapp/appearance/sphere.py": ["sphere"],

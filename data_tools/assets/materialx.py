@@ -22,7 +22,7 @@ TYPES = {"diffuse": "color3", "specular": "color3", "roughness": "float", "norma
 HIGHEST = 0.9999  # F0; beyond, no index of refraction
 
 
-def write(surface: Surface, path: Path, provenance: Mapping[str, object]) -> None:
+def write_materialx(surface: Surface, path: Path, provenance: Mapping[str, object]) -> None:
     """Write <path>/<name>.mtlx and its pictures."""
     planes = {key: plane for key, plane in fitted_planes(surface).items() if key in TYPES}
     write_planes(planes, path)

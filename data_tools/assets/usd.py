@@ -28,7 +28,7 @@ INPUTS = {  # of UsdPreviewSurface: map, output of its texture, type
 }
 
 
-def write(surface: Surface, path: Path, provenance: Mapping[str, object]) -> None:
+def write_usd(surface: Surface, path: Path, provenance: Mapping[str, object]) -> None:
     """Write <path>/<name>.usda with its textures, and <path>/<name>.usdz, which holds all."""
     from pxr import Sdf, UsdUtils
 

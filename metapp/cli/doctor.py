@@ -47,7 +47,7 @@ def examine() -> dict[str, Any]:
     from metapp.apps import app_names
     from metapp.runs.embedded import embedded_exists
     from metapp.runs.shipped import shipped_names
-    from metapp.storage.files import cache_folder
+    from metapp.storage.cache import cache_folder
 
     shipped = {key: names for app in app_names() for key, names in shipped_names(app).items()}
     return {

@@ -56,8 +56,8 @@ class CodedApp(App):
 
     def init_encoder(self, rng: Generator) -> Params:
         """The reader of photographs, and the parameters of the field that all tasks share."""
-        decoder = decoder_of(self.field.init(rng, 1), ("z",))
-        return {f"encoder.{key}": value for key, value in self.init_reader(rng).items()} | decoder
+        field = self.field.init(rng, 1)
+        return encoder_of(self.init_reader(rng), field, ("z",))
 
     def condition(self, tasks: Tasks, rng: Generator) -> Batch:
         return {"photo": tasks.data["photo"][tasks.rows]}
@@ -72,21 +72,20 @@ class CodedApp(App):
         return {key: value[tasks.rows] for key, value in tasks.data.items()}
 
 
-def decoder_of(theta: Params, own: Collection[str]) -> Params:
-    """The part of General's encoder that is the network itself: one task's parameters but for the task's own ones.
+def encoder_of(reader: Params, theta: Params, own: Collection[str]) -> Params:
+    """General's encoder: what reads a task's own parameters from a condition, and what tasks share of the network.
 
     Args:
-        theta: parameters [1, ...].
-        own: names of those that the encoder predicts.
-
-    Returns:
-        The others, without a task axis, as `decoder.<name>`.
+        reader: becomes `encoder.<name>`.
+        theta: the network's parameters [1, ...]; without a task axis they become `decoder.<name>`.
+        own: names of those that the reader predicts, which are left out.
     """
-    return {f"decoder.{key}": value[0] for key, value in theta.items() if key not in own}
+    shared = {f"decoder.{key}": value[0] for key, value in theta.items() if key not in own}
+    return {f"encoder.{key}": value for key, value in reader.items()} | shared
 
 
 def reader_of(encoder: Params) -> Params:
-    """The part of General's encoder that reads what it is shown, `encoder.<name>`, by name."""
+    """The part of General's encoder that reads the condition, `encoder.<name>`, by name."""
     return {key.removeprefix("encoder."): value for key, value in encoder.items() if key.startswith("encoder.")}
 
 

@@ -14,7 +14,7 @@ from torch.nn.functional import avg_pool2d, interpolate, leaky_relu
 from metapp.appearance.features import channels_of, describe_features, describe_precision, load_features, moments
 from metapp.learning.app import App
 from metapp.learning.task import Batch, Params, Task, Tasks
-from metapp.networks.coded import decoder_of, with_decoder
+from metapp.networks.coded import encoder_of, with_decoder
 from metapp.networks.generators import Pyramid, UNet
 
 HIDDEN = 128
@@ -54,6 +54,11 @@ class ExemplarSetup:
     def maps_from(self, octave: int) -> int:
         """How many maps of features there are from an octave to the coarsest."""
         return sum(self.taps_of(each) for each in range(octave, self.octaves))
+
+    def parts(self, maps: list[Tensor], octave: int) -> list[Tensor]:
+        """The maps that a summary has parts of: where finer octaves are not seen, the finest one stands for them."""
+        finest = maps[self.maps_from(octave + 1) :]
+        return maps + [each for finer in reversed(range(octave)) for each in finest[: self.taps_of(finer)]]
 
     def at(self, octave: int) -> UNet | Pyramid:
         """The network that makes pictures of the size of an octave."""
@@ -101,14 +106,9 @@ class ExemplarApp(App):
         """
         raise NotImplementedError
 
-    def parts(self, maps: list[Tensor], octave: int) -> list[Tensor]:
-        """The maps that a summary has parts of: where finer octaves are not seen, the finest one stands for them."""
-        finest = maps[self.setup.maps_from(octave + 1) :]
-        return maps + [each for finer in reversed(range(octave)) for each in finest[: self.setup.taps_of(finer)]]
-
     def summary(self, maps: list[Tensor], octave: int) -> Tensor:
         """What the encoder reads [B, S]: means and root mean squares of features."""
-        return moments(self.parts(maps, octave))
+        return moments(self.setup.parts(maps, octave))
 
     def summary_size(self) -> int:
         """S, the length of the encoder's input."""
@@ -123,13 +123,11 @@ class ExemplarApp(App):
     def stage(self, tasks: Tasks, done: float) -> Tasks:
         """From coarse to fine: at first what describes the coarsest octave alone."""
         coarse = sum(done < share for share in self.setup.shares)
-        return replace(tasks, data=self.seen_from(tasks.data, coarse)) if coarse else tasks
-
-    def seen_from(self, data: dict[str, Tensor], octave: int) -> dict[str, Tensor]:
-        """The data without what describes octaves finer than this one."""
-        finer = range(self.setup.maps_from(octave), self.setup.maps_from(0))
+        if not coarse:
+            return tasks
+        finer = range(self.setup.maps_from(coarse), self.setup.maps_from(0))
         left_out = {f"{name}{i}" for name in self.described for i in finer}
-        return {key: value for key, value in data.items() if key not in left_out}
+        return replace(tasks, data={key: value for key, value in tasks.data.items() if key not in left_out})
 
     def prepare(self, task: Task) -> dict[str, Tensor]:
         """`image` uint8 [3, S, S], and what describes the exemplar in it."""
@@ -148,13 +146,13 @@ class ExemplarApp(App):
     def init(self, rng: Generator, count: int) -> Params:
         return self.setup.network.init(rng, count)
 
-    def noise(self, rng: Generator, tasks: int, count: int, times: int = 1, octave: int = 0) -> Tensor:
-        """Standard normal [tasks, count, C, h, w], `times` as high and wide as the pictures of an octave."""
-        size = (self.setup.height * times >> octave, self.setup.width * times >> octave)
+    def noise(self, rng: Generator, tasks: int, count: int, octave: int = 0) -> Tensor:
+        """Standard normal [tasks, count, C, h, w], as high and wide as the pictures of an octave."""
+        size = (self.setup.height >> octave, self.setup.width >> octave)
         return torch.randn(tasks, count, self.setup.network.noise, *size, generator=rng, device=rng.device)
 
     def init_encoder(self, rng: Generator) -> Params:
-        encoder = decoder_of(self.setup.network.init(rng, 1), ("z",))
+        encoder = encoder_of({}, self.setup.network.init(rng, 1), ("z",))
         sizes = (self.summary_size(), HIDDEN, HIDDEN, self.setup.network.code)
         for layer in (1, 2, 3):
             inputs, outputs = sizes[layer - 1], sizes[layer]

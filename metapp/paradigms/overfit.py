@@ -1,4 +1,4 @@
-"""Overfit: a random start, Adam until converged; nothing is prepared."""
+"""Overfit: a random initialisation, Adam until converged; nothing is prepared."""
 
 from metapp.learning.draws import Rng, drawn
 from metapp.learning.learn import MetaParameters
@@ -12,7 +12,7 @@ def adam_of(job: Job, prepared: MetaParameters) -> Adam:
     return job.recipe.overfit
 
 
-def start(job: Job, prepared: MetaParameters, tasks: Tasks, rng: Rng) -> Params:
+def initialisation(job: Job, prepared: MetaParameters, tasks: Tasks, rng: Rng) -> Params:
     """Return random parameters."""
     return drawn(lambda some, own: job.app.init(own, len(some)), tasks, rng)
 
@@ -20,7 +20,7 @@ def start(job: Job, prepared: MetaParameters, tasks: Tasks, rng: Rng) -> Params:
 OVERFIT = Paradigm(
     name="overfit",
     needs=lambda job: (),
-    start=start,
+    initialisation=initialisation,
     rule=by_adam(adam_of),
     steps=lambda recipe: recipe.overfit_steps,
     adam=adam_of,

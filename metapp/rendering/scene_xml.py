@@ -12,8 +12,16 @@ from typing import NoReturn
 from xml.etree.ElementTree import Element, tostring
 from xml.parsers import expat
 
-from metapp.rendering.scene_files import TEXT_BYTES, Places
-from metapp.rendering.scene_rules import DEPTH, PARTS, TEXT, check_plugin, check_samples, checked_string
+from metapp.rendering.scene_rules import (
+    DEPTH,
+    PARTS,
+    TEXT,
+    TEXT_BYTES,
+    Places,
+    check_plugin,
+    check_samples,
+    checked_string,
+)
 
 _OBJECTS = {"bsdf", "emitter", "film", "integrator", "medium", "phase", "rfilter", "sampler", "sensor", "shape",
             "texture", "volume"}  # fmt: skip

@@ -43,7 +43,7 @@ def export_fit(
     if isinstance(form, Export):
         surface = shown.surface(theta, task)
         assert surface is not None, f"{app.name} has no surface"
-        form.writer().write(surface, path, {"task": task.name, **settings})
+        form.write(surface, path, {"task": task.name, **settings})
         return
     if form.holds and set(theta) != set(form.holds):
         theta = distilled(app, task, theta)

@@ -13,7 +13,7 @@ from torch import Generator
 from metapp.learning.app import stack
 from metapp.learning.deadline import REMEMBERED, Deadline, Pace, usual
 from metapp.learning.draws import Rng, drawn
-from metapp.learning.guard import Guarded
+from metapp.learning.learn import Step, last
 from metapp.learning.task import Params, Task, Tasks
 from metapp.paradigms import Job
 from metapp.runs.plan import Plan
@@ -83,7 +83,8 @@ class Fitter:
         """
         plan, app = self.plan, self.plan.app
         self._warm_up(tasks[0])
-        (theta, acted), seconds, stacked, taken = self._timed(tasks, plan.job, self._budget, self.watched)
+        fit, seconds, stacked, taken = self._timed(tasks, plan.job, self._budget, self.watched)
+        theta = fit.theta
         if self.watched:
             self.watched.show(tasks[0], theta, f"after {taken} steps")
         measures = app.errors(theta, stacked)
@@ -98,7 +99,9 @@ class Fitter:
             # since that is no reason to fit anew
             record = {"name": task.name, "error": None, **errors, "seconds": seconds / len(tasks)}
             record["threads"] = torch.get_num_threads()
-            record |= {"guarded": bool(acted[i])} if plan.paradigm.guard(plan.job) else {}
+            record |= (
+                {"guarded": fit.guarded is not None and bool(fit.guarded[i])} if plan.paradigm.guard(plan.job) else {}
+            )
             record |= {"steps": taken} if self._budget is not None else {}
             results.append(Result(record | ({"warning": alarm} if alarm else {}), own))
         if self._budget is not None:
@@ -143,19 +146,21 @@ class Fitter:
 
     def _timed(
         self, tasks: Sequence[Task], job: Job, budget: float | None = None, watched: Watched | None = None
-    ) -> tuple[Guarded, float, Tasks, int]:
-        """Fits, their seconds, the stacked tasks, and the steps taken; within a budget, whose pace it adds to."""
+    ) -> tuple[Step, float, Tasks, int]:
+        """Fits at their end, their seconds, the stacked tasks, the steps taken; a budget learns their pace."""
         plan, rng, count = self.plan, self._rng(tasks), self.plan.paradigm.count(job)
         clock = Stopwatch(plan.device)
         known = usual(self._paces) if self._paces and budget != math.inf else None
         deadline = None if budget is None else Deadline(budget, clock, known)
-        watch = watched.of(tasks[0], count, clock) if watched else None
         stacked = stack(plan.app, tasks, plan.device)
-        fitted = plan.paradigm.fitted(job, plan.prepared, stacked, rng, watch, deadline)
+        descent = plan.paradigm.descend(job, plan.prepared, stacked, rng, deadline)
+        if watched:
+            descent = watched.shown(descent, tasks[0], count, clock)
+        fit = last(descent)
         seconds = clock()
         pace = deadline and deadline.pace()
         self._paces += [pace] if pace else []
-        return fitted, seconds, stacked, deadline.taken[0] if deadline else count
+        return fit, seconds, stacked, deadline.taken[0] if deadline else count
 
 
 def require_finite(task: Task, theta: Params, errors: Mapping[str, float]) -> None:
@@ -185,7 +190,7 @@ def warnings_of(plan: Plan, stacked: Tasks, theta: Params, rng: Rng) -> list[str
     job = plan.job
     if plan.steps == 0:
         return [""] * len(stacked)
-    first = plan.paradigm.start(job, plan.prepared, stacked, rng)
+    first = plan.paradigm.initialisation(job, plan.prepared, stacked, rng)
     again = tuple(Generator(stacked.rows.device).manual_seed(0) for _ in stacked.names)
     with torch.no_grad():
         batch = drawn(lambda some, own: job.app.sample(some, own, job.recipe.batch), stacked, again)

@@ -10,9 +10,9 @@ from torch import Generator, get_num_threads
 
 from metapp.learning.app import stack
 from metapp.learning.learn import MetaParameters
+from metapp.learning.progress import Prepared, Progress
 from metapp.learning.recipe import OuterLoop
 from metapp.paradigms import paradigms, ranks
-from metapp.paradigms.resuming import Interrupted, Prepared, Reached, forget
 from metapp.paradigms.training import describe, prepare, training_of
 from metapp.runs import BadOption
 from metapp.runs.checkpoints import find_checkpoint, has_general, trained_path
@@ -63,7 +63,7 @@ def train_checkpoint(plan: Plan, steps: int | None, general: Checkpoint | None =
 
     def keep(prepared: Prepared, file: Path, previous: Path | None = None) -> None:
         # General's file holds the encoder that QuickFT is tuned for
-        kept = prepared.start._replace(encoder={}) if name == "quickft" else prepared.start
+        kept = prepared.phi._replace(encoder={}) if name == "quickft" else prepared.phi
         save_checkpoint(file, kept, describe(plan.job, name, prepared, steps) | info, previous)
 
     writes = ranks.number() == 0
@@ -77,26 +77,24 @@ def train_checkpoint(plan: Plan, steps: int | None, general: Checkpoint | None =
         ranks.wait()
     ranks.wait()  # until all have read it
     with progress(f"train {name}", long=True, quiet=request.quiet) as bar:
+        rng = Generator(plan.device).manual_seed(request.seed)
+        prepared: Prepared | None = None
         try:
-            prepared = prepare(
-                name,
-                plan.job,
-                tasks,
-                Generator(plan.device).manual_seed(request.seed),
-                encoder=encoder,
-                steps=steps,
-                report=None if request.quiet else bar.at,
-                since=since,
-                keep=checkpoint.keep if writes else forget,
-            )
+            for now in prepare(name, plan.job, tasks, rng, encoder=encoder, steps=steps, since=since):
+                prepared = now.best
+                if writes:
+                    checkpoint.keep(now)
+                if now.note:
+                    bar.at(now.done, now.total, now.note)
         except (KeyboardInterrupt, ConnectionError) as error:
             if writes:
                 checkpoint.write()
-            if writes and isinstance(error, Interrupted) and error.prepared.curve:
+            if writes and isinstance(error, KeyboardInterrupt) and prepared and prepared.curve:
                 kept = path.with_suffix(".interrupted.safetensors")
-                keep(error.prepared, kept)
-                say(f"validation error {error.prepared.validation:.3f}; to use it as it is: --checkpoint {kept}")
+                keep(prepared, kept)
+                say(f"validation error {prepared.validation:.3f}; to use it as it is: --checkpoint {kept}")
             raise
+    assert prepared is not None
     if writes:
         keep(prepared, path, path.with_suffix(".previous.safetensors"))
         checkpoint.remove()
@@ -157,16 +155,16 @@ def _settings(plan: Plan, name: str, steps: int | None, folder: Path, encoder: M
     }
 
 
-def _go_on(checkpoint: TrainingCheckpoint, training: OuterLoop | None) -> Reached:
+def _go_on(checkpoint: TrainingCheckpoint, training: OuterLoop | None) -> Progress:
     """How far the same training was when it was cut off, and one line about it."""
     try:
         since = checkpoint.load()
     except ValueError as error:
         say(f"{error}; training from the beginning")
-        return Reached()
+        return Progress()
     if since.outer and training:
-        steps = f"step {since.outer.progress.step:,} of {training.steps:,}"
+        steps = f"step {since.outer.step:,} of {training.steps:,}"
         say(f"going on from {steps} (training checkpoint {checkpoint.path})")
-    elif since.looks:
-        say(f"going on after {len(since.looks)} looks of the search (training checkpoint {checkpoint.path})")
+    elif since.errors:
+        say(f"going on after {len(since.errors)} looks of the search (training checkpoint {checkpoint.path})")
     return since

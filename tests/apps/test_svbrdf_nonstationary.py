@@ -25,18 +25,19 @@ from metapp.apps.svbrdf_nonstationary import (
     presentation,
 )
 from metapp.apps.svbrdf_nonstationary.encoder import Encoder
-from metapp.apps.svbrdf_nonstationary.maps import decoded, fine_maps, pooled, relit
-from metapp.apps.svbrdf_nonstationary.presentation import SvbrdfNonstationaryPresentation
-from metapp.apps.svbrdf_nonstationary.recipes import QUICK
-from metapp.apps.svbrdf_nonstationary.variants import _mixed, _recoloured, _turned, varied
-from metapp.apps.svbrdf_nonstationary.views import (
+from metapp.apps.svbrdf_nonstationary.maps import (
     FLASH,
+    decoded,
     flash_of,
     mirroring_pairs,
     oblique_pairs,
     photographed,
+    pooled,
     seen,
 )
+from metapp.apps.svbrdf_nonstationary.presentation import SvbrdfNonstationaryPresentation, fine_maps, relit
+from metapp.apps.svbrdf_nonstationary.recipes import QUICK
+from metapp.apps.svbrdf_nonstationary.variants import _mixed, _recoloured, _turned, varied
 from metapp.learning.app import stack
 from metapp.learning.task import Params, Task, Tasks
 from metapp.networks import field as fields

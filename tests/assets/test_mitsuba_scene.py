@@ -34,7 +34,7 @@ def mi() -> Any:
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("scene") / "rock"
-    mitsuba.write(rock(SIDE), path, PROVENANCE)
+    mitsuba.write_mitsuba(rock(SIDE), path, PROVENANCE)
     return path
 
 

@@ -21,9 +21,8 @@ from torch import Generator, Tensor
 
 from metapp.appearance.flash import Maps, unpack
 from metapp.apps.svbrdf_nonstationary import JUDGED, SvbrdfNonstationary, _pairs
-from metapp.apps.svbrdf_nonstationary.maps import RAW, decoded
+from metapp.apps.svbrdf_nonstationary.maps import FLASH, RAW, decoded, seen
 from metapp.apps.svbrdf_nonstationary.recipes import QUICK
-from metapp.apps.svbrdf_nonstationary.views import FLASH, seen
 from metapp.cli.console import run
 from metapp.learning.app import stack
 from metapp.learning.task import Params

@@ -18,7 +18,7 @@ from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.ticker import FixedLocator, NullLocator, StrMethodFormatter
 
-from data_tools.readers.noise import as_measured
+from data_tools.readers.brdf_task import as_measured
 from metapp.baselines import baselines_of
 from metapp.baselines.baseline import Training
 from metapp.cli.console import run

@@ -8,7 +8,6 @@ and by how much input, features and steps raise the process's peak memory. Expon
 from __future__ import annotations
 
 import json
-import math
 import resource
 import subprocess
 import sys
@@ -18,14 +17,17 @@ from pathlib import Path
 from typing import Any
 
 import torch
+from matplotlib import rc_context
 from torch import Generator
 
 from metapp.apps import app_of, recipes_of
+from metapp.evaluation.figures.style import STYLE, new, save
 from metapp.learning.app import App, stack
 from metapp.learning.learn import learn, task_loss
 from metapp.learning.recipe import Adam
 from metapp.learning.rules import fixed_adam
 from metapp.learning.task import Task
+from tests.benchmarks.bench_growth import exponent
 
 STEPS = 10
 FIGURE = Path("runs/bench/size.png")
@@ -42,9 +44,8 @@ def at_size(name: str, side: int) -> App:
     recipe = recipes_of(name)["full"]
     setup = recipe.setup
     if name == "illumination":
-        setup = replace(
-            setup, field=setup.field._replace(height=side, width=2 * side, rows=side // 4, columns=side // 2)
-        )
+        field = setup.field._replace(height=side, width=2 * side, rows=side // 4, columns=side // 2)
+        setup = replace(setup, field=field)
     elif name == "svbrdf_nonstationary":
         setup = replace(setup, field=setup.field._replace(height=side, width=side, rows=side, columns=side))
     else:
@@ -85,35 +86,19 @@ def measure(name: str, side: int) -> dict[str, float]:
     return {"seconds": seconds, "megabytes": (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) / 1024}
 
 
-def exponent(sizes: list[int], values: list[float]) -> float:
-    """Of the power of the number of texels that values grow with."""
-    x = [2 * math.log(size) for size in sizes]
-    y = [math.log(max(value, 1e-3)) for value in values]
-    mean_x, mean_y = sum(x) / len(x), sum(y) / len(y)
-    products = sum((a - mean_x) * (b - mean_y) for a, b in zip(x, y, strict=True))
-    return products / sum((a - mean_x) ** 2 for a in x)
-
-
 def figure(found: dict[str, list[dict[str, float]]], file: Path) -> None:
     """Time of a step and memory over texels, both logarithmic, a line an application, beside a linear one."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    from matplotlib import pyplot
-
-    drawn, panels = pyplot.subplots(1, 2, figsize=(9, 3.4))
-    for panel, (key, label) in zip(panels, (("seconds", "seconds a step"), ("megabytes", "MB")), strict=True):
+    drawn, panels = new(9, 3.4, columns=2)
+    for panel, (key, label) in zip(panels[0], (("seconds", "seconds a step"), ("megabytes", "MB")), strict=True):
         for name, rows in found.items():
             panel.loglog([texels(name, side) for side in SIZES[name]], [row[key] for row in rows], "o-", label=name)
         sides = [texels("texture", side) for side in SIZES["texture"]]
-        start = 0.5 * found["texture"][0][key]
-        panel.loglog(sides, [start * n / sides[0] for n in sides], "k:", label="linear")
+        least = 0.5 * found["texture"][0][key]
+        panel.loglog(sides, [least * n / sides[0] for n in sides], "k:", label="linear")
         panel.set_xlabel("texels")
         panel.set_ylabel(label)
-        panel.grid(visible=True, which="both", alpha=0.3)
-    panels[0].legend(fontsize=8)
-    drawn.tight_layout()
-    drawn.savefig(file, dpi=120)
+    panels[0, 0].legend()
+    save(drawn, file)
 
 
 def texels(name: str, side: int) -> int:
@@ -132,12 +117,14 @@ def main() -> None:
             done = subprocess.run(words, check=True, capture_output=True, text=True)
             found.append(json.loads(done.stdout.splitlines()[-1]))
         rows[name] = found
-        powers = [exponent(list(sizes), [each[key] for each in found]) for key in ("seconds", "megabytes")]
+        counts = [texels(name, side) for side in sizes]
+        powers = [exponent(counts, [row[key] for row in found]) for key in ("seconds", "megabytes")]
         for side, each in zip(sizes, found, strict=True):
             said = " and ".join(f"{power:.2f}" for power in powers) if side == sizes[-1] else ""
             print(f"| {name} | {side} | {1e3 * each['seconds']:.0f} | {each['megabytes']:.0f} | {said} |", flush=True)
     FIGURE.parent.mkdir(parents=True, exist_ok=True)
-    figure(rows, FIGURE)
+    with rc_context(STYLE):
+        figure(rows, FIGURE)
     print(f"{FIGURE}: figure")
 
 

@@ -14,9 +14,9 @@ import torch
 from torch import Generator, Tensor
 from torch.nn.functional import silu
 
-from metapp.apps.brdf.samples import read_set, set_encoder
+from metapp.apps.brdf.nbrdf import read_set, set_encoder
 from metapp.learning.task import Batch, Params
-from metapp.networks.coded import decoder_of, reader_of, with_decoder
+from metapp.networks.coded import encoder_of, reader_of, with_decoder
 
 INPUTS = 15
 OWN = ("z", "last")  # what a material does not share with others
@@ -57,7 +57,7 @@ class Featured(NamedTuple):
         """A set encoder to a code and a last layer, and the weights that all materials share."""
         numbers = self.code + 3 * (self.features + 1)
         reader = set_encoder(rng, INPUTS + 3, self.encoder, numbers)
-        return {f"encoder.{key}": value for key, value in reader.items()} | decoder_of(self.init(rng, 1), OWN)
+        return encoder_of(reader, self.init(rng, 1), OWN)
 
     def encode(self, encoder: Params, condition: Batch) -> Params:
         """A code and a last layer from samples, beside the shared weights."""

@@ -14,14 +14,19 @@ from metapp.appearance.flash import Maps, expose, positions, render, statistics,
 from metapp.appearance.metrics import ssim
 from metapp.apps.svbrdf_nonstationary.encoder import Encoder
 from metapp.apps.svbrdf_nonstationary.maps import (
+    FLASH,
     RAW,
     decoded,
     differences,
+    flash_of,
     linear,
+    mirroring_pairs,
+    oblique_pairs,
+    photographed,
     pooled,
+    seen,
 )
 from metapp.apps.svbrdf_nonstationary.variants import varied
-from metapp.apps.svbrdf_nonstationary.views import FLASH, flash_of, mirroring_pairs, oblique_pairs, photographed, seen
 from metapp.learning.app import Traits
 from metapp.learning.task import Batch, Held, Params, Task, Tasks
 from metapp.networks.coded import CodedApp, norm

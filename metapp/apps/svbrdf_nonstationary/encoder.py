@@ -10,7 +10,7 @@ from torch import Generator, Tensor
 from torch.nn.functional import adaptive_avg_pool2d, avg_pool2d, conv2d, interpolate, leaky_relu
 
 from metapp.learning.task import Params
-from metapp.networks.layers import add_layer, dense
+from metapp.networks.layers import add_layer, convolved, dense
 
 SLOPE = 0.1
 LOOKED = 4  # cells a side of the coarsest level that the flash is looked for in
@@ -73,10 +73,6 @@ class Encoder(NamedTuple):
 
 def _block(encoder: Params, name: str, x: Tensor) -> Tensor:
     """Two convolutions, the second beside a path around it, which adds what the picture's mean says."""
-    first = leaky_relu(_conv(encoder, f"{name}.first", x), SLOPE)
+    first = leaky_relu(convolved(encoder, f"{name}.first", x), SLOPE)
     mean = dense(encoder, f"{name}.mean", first.mean((2, 3)))
-    return first + leaky_relu(_conv(encoder, f"{name}.second", first) + mean[..., None, None], SLOPE)
-
-
-def _conv(encoder: Params, name: str, x: Tensor) -> Tensor:
-    return conv2d(x, encoder[f"{name}.kernel"], encoder[f"{name}.shift"], padding=1)
+    return first + leaky_relu(convolved(encoder, f"{name}.second", first) + mean[..., None, None], SLOPE)

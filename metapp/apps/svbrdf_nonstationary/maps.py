@@ -1,20 +1,22 @@
-"""Maps of a flat material: as tasks keep them, how far two are apart, and how they are shown."""
+"""Maps of a flat material, how far two are apart, and what is seen of them: from where, by which light and flash."""
 
 from __future__ import annotations
 
-from typing import Any
+import math
+from typing import Any, NamedTuple
 
 import torch
-from torch import Tensor
-from torch.nn.functional import adaptive_avg_pool2d
+from torch import Generator, Tensor
+from torch.nn.functional import adaptive_avg_pool2d, pad
 
-from metapp.appearance.colour import linear_to_srgb, srgb_to_linear
-from metapp.appearance.flash import Maps, camera, expose, positions, relightings, render
-from metapp.apps.svbrdf_nonstationary.views import seen
-from metapp.learning.task import Params, Task
-from metapp.networks.field import LocalField, field_by_rows, strips_of
+from metapp.appearance.colour import srgb_to_linear
+from metapp.appearance.flash import Maps, camera, camera_distance, positions, render
 
 RAW = (2, 3, 1, 3)  # numbers of any size in a place: slopes, diffuse colour, roughness, specular colour
+FLASH = 4  # numbers that describe a flash
+ACROSS, UP, BRIGHT = 0.3, 0.2, 0.3  # and how much one of each is: half sides aside, the log of the height, of the gain
+STEEPEST = 0.4  # cosine with the patch's normal of the most oblique light or view
+STRIDE = 64  # a picture's side over how far apart neighbours are that contrasts are taken of
 
 
 def decoded(raw: Tensor) -> Maps:
@@ -28,24 +30,9 @@ def decoded(raw: Tensor) -> Maps:
     )
 
 
-def fine_maps(field: LocalField, theta: Params, photo: Tensor) -> Maps:
-    """The maps [T, C, H, W] that a field makes of linear photographs [T, 3, H, W], whose size it has.
-
-    Made by rows: a layer of a field of 2048 x 2048 texels takes 0.5 GB.
-    """
-    parts = [decoded(rows) for rows in field_by_rows(field, theta, seen(photo))]
-    return Maps(*(torch.cat(part, -2) for part in zip(*parts, strict=True)))
-
-
 def linear(photo: Tensor) -> Tensor:
     """A photograph as tasks keep it, uint8 sRGB of any shape, in linear RGB."""
     return srgb_to_linear(photo.float() / 255)
-
-
-def photo_of(task: Task, largest: int) -> Tensor:
-    """The photograph, linear [1, 3, S, S], as fine as it is, but no finer than that."""
-    side = min(largest, task.data["photo"].shape[-1])
-    return adaptive_avg_pool2d(linear(task.data["photo"])[None], side)
 
 
 def pooled(maps: Tensor, size: Any) -> Tensor:
@@ -69,38 +56,72 @@ def _shades(colour: Tensor) -> Tensor:
     return (colour + 1e-3) ** (1 / 2.2)
 
 
-def displayed(maps: Maps) -> dict[str, Tensor]:
-    """Maps [1, ...] as images [1 or 3, H, W] in [0, 1]: colours as sRGB, the others as they are."""
-    parts = Maps(*(part[0] for part in maps))
-    return {
-        "normal": parts.normal * 0.5 + 0.5,
-        "diffuse": linear_to_srgb(parts.diffuse),
-        "roughness": parts.roughness,
-        "specular": linear_to_srgb(parts.specular),
-    }
+class Flash(NamedTuple):
+    """A flash beside the lens, and what the camera makes of it.
+
+    Attributes:
+        place: [T, 3].
+        gain: [T, 1], its intensity, as `metapp.appearance.flash.render` has it.
+    """
+
+    place: Tensor
+    gain: Tensor
 
 
-def relit(maps: Maps) -> dict[str, Tensor]:
-    """Display values [3, H, W] of maps [1, ...] under three other lights, by name."""
-    place = positions(*maps.diffuse.shape[-2:], dtype=maps.diffuse.dtype, device=maps.diffuse.device)
-    pairs = relightings(device=place.device)
-    return {name: _lit(maps, place, light, view) for name, (light, view) in pairs.items()}
+def flash_of(flash: Tensor) -> Flash:
+    """Of its description [T, FLASH], any numbers: aside, higher, brighter; zeros say beside the lens, where white is 1.
+
+    How bright white is right below the flash does not depend on its height, since exposure makes up for that.
+    """
+    higher = torch.exp(UP * flash[:, 2:3])
+    place = torch.cat([ACROSS * flash[:, :2], camera_distance() * higher], 1)
+    return Flash(place, torch.exp(BRIGHT * flash[:, 3:4]) * higher * higher)
 
 
-def _lit(maps: Maps, place: Tensor, light: Tensor, view: Tensor) -> Tensor:
-    """Display values [3, H, W] of maps [1, ...], by rows."""
-    rows = [
-        expose(render(Maps(*(part[..., first:end, :] for part in maps)), place[:, first:end], light, view))[0]
-        for first, end in strips_of(*place.shape[-2:])
-    ]
-    return torch.cat(rows, 1)
+def photographed(maps: Maps, flash: Flash) -> Tensor:
+    """Radiance [T, 3, H, W] of maps [T, ...] under a flash, from straight above."""
+    like = maps.diffuse
+    place = positions(*like.shape[-2:], dtype=like.dtype, device=like.device)
+    eye = camera(dtype=like.dtype, device=like.device)
+    return render(maps, place, flash.place, eye, intensity=flash.gain)
 
 
-def sheet(maps: Maps, photo: Tensor) -> Tensor:
-    """One linear picture [H, W, 3]: four maps; below, the photograph's light and three others."""
-    eye = camera(dtype=photo.dtype, device=photo.device)
-    place = positions(*photo.shape[-2:], dtype=photo.dtype, device=photo.device)
-    flash = expose(render(maps, place, eye, eye))[0]
-    above = [part.expand(3, -1, -1) for part in displayed(maps).values()]
-    rows = [torch.cat(row, 2) for row in (above, [flash, *relit(maps).values()])]
-    return srgb_to_linear(torch.cat(rows, 1)).permute(1, 2, 0)
+def oblique_pairs(rng: Generator, shape: tuple[int, ...]) -> Tensor:
+    """Places of a light and of a viewer who know nothing of each other, [*shape, 2, 3]."""
+    return camera_distance() * _directions(rng, (*shape, 2))
+
+
+def mirroring_pairs(rng: Generator, shape: tuple[int, ...]) -> Tensor:
+    """Places of a light and of a viewer who sees it mirrored somewhere in a smooth patch, [*shape, 2, 3]."""
+    centre = 1.6 * torch.rand(*shape, 2, generator=rng, device=rng.device) - 0.8
+    centre = torch.cat([centre, torch.zeros_like(centre[..., :1])], -1)
+    towards = _directions(rng, shape)
+    mirrored = towards * towards.new_tensor([-1.0, -1.0, 1.0])
+    return torch.stack([centre + camera_distance() * each for each in (towards, mirrored)], -2)
+
+
+def _directions(rng: Generator, shape: tuple[int, ...]) -> Tensor:
+    """Unit vectors [*shape, 3], evenly spread in solid angle about the normal, no more oblique than STEEPEST."""
+    z, turn = torch.rand(2, *shape, generator=rng, device=rng.device)
+    z, phi = STEEPEST + (1 - STEEPEST) * z, 2 * math.pi * turn
+    sine = (1 - z * z).sqrt()
+    return torch.stack([sine * phi.cos(), sine * phi.sin(), z], -1)
+
+
+def seen(photo: Tensor) -> Tensor:
+    """What is known of each pixel of linear photographs [T, 3, H, W]: [T, 8, H, W].
+
+    The log of its colour, how brightness differs from and among its neighbours, and where it is. Neighbours are as far
+    apart in the patch whatever the resolution, so that a field that was fitted at one works at others.
+    """
+    logs = (photo + 0.02).log()
+    side = max(1, min(photo.shape[-2:]) // STRIDE)
+    wide = pad(logs.mean(1, keepdim=True), (side, side, side, side), mode="replicate")
+    middle, after = slice(side, -side), slice(2 * side, None)
+    before = slice(None, -2 * side)
+    left, right = wide[..., middle, before], wide[..., middle, after]
+    above, below = wide[..., before, middle], wide[..., after, middle]
+    here = wide[..., middle, middle]
+    contrasts = [right - left, above - below, 4 * here - left - right - above - below]
+    place = positions(*photo.shape[-2:], dtype=photo.dtype, device=photo.device).expand(len(photo), -1, -1, -1)
+    return torch.cat([logs / 1.5 + 1, *contrasts, place], 1)

@@ -8,8 +8,7 @@ from torch.nn.functional import interpolate
 
 from metapp.appearance.colour import linear_to_srgb, srgb_to_linear
 from metapp.appearance.flash import ASIDE, BESIDE_LENS, BRIGHTER, HIGHER, unpack
-from metapp.apps.svbrdf_nonstationary.maps import of_length_1
-from metapp.apps.svbrdf_nonstationary.views import ACROSS, BRIGHT, FLASH, UP, flash_of, photographed
+from metapp.apps.svbrdf_nonstationary.maps import ACROSS, BRIGHT, FLASH, UP, flash_of, of_length_1, photographed
 
 # of the numbers that describe a flash, as drawn materials are photographed
 JITTER = (ASIDE / ACROSS, ASIDE / ACROSS, HIGHER / UP, BRIGHTER / BRIGHT)

@@ -70,7 +70,7 @@ class SvbrdfStationary(ExemplarApp):
 
     def summary(self, maps: list[Tensor], octave: int) -> Tensor:
         """Means and root mean squares of features where the light is strong, at medium strength, and weak."""
-        rings = [[_ring(each, low, high) for each in self.parts(maps, octave)] for low, high in RINGS]
+        rings = [[_ring(each, low, high) for each in self.setup.parts(maps, octave)] for low, high in RINGS]
         return torch.cat([moments(ring) for ring in rings], 1)
 
     def light_of(self, photos: Tensor) -> Tensor:

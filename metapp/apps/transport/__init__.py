@@ -12,7 +12,7 @@ from metapp.apps.transport.encoder import Encoder
 from metapp.apps.transport.flow import Flow
 from metapp.learning.app import App
 from metapp.learning.task import Batch, Held, Params, Task, Tasks
-from metapp.networks.coded import decoder_of, reader_of, with_decoder
+from metapp.networks.coded import encoder_of, reader_of, with_decoder
 
 WANTED = 2048  # samples of a training scene that preparation judges a fit by
 JITTER = 0.1  # of what augmentation adds to the log of a picture
@@ -85,8 +85,8 @@ class Transport(App):
 
     def init_encoder(self, rng: Generator) -> Params:
         """The reader of pictures, and the parameters of the flow that all tasks share."""
-        decoder = decoder_of(self.flow.init(rng, 1), ("z", "film.x", "film.y"))
-        return {f"encoder.{key}": value for key, value in self.setup.encoder.init(rng).items()} | decoder
+        flow = self.flow.init(rng, 1)
+        return encoder_of(self.setup.encoder.init(rng), flow, ("z", "film.x", "film.y"))
 
     def condition(self, tasks: Tasks, rng: Generator) -> Batch:
         return {"image": tasks.data["image"][tasks.rows]}

@@ -12,7 +12,7 @@ from torch.nn.functional import conv2d, leaky_relu
 from metapp.appearance.latlong import luminance
 from metapp.apps.transport.flow import Flow
 from metapp.learning.task import Params
-from metapp.networks.layers import add_layer, dense
+from metapp.networks.layers import add_layer, convolved, dense
 
 SLOPE = 0.1
 DARK = 0.01  # of a picture of mean luminance 1: its log is flat below
@@ -63,15 +63,15 @@ class Encoder(NamedTuple):
         x = torch.cat([logs[:, None], colours[:, ::2], places(images)], 1)
         x = leaky_relu(conv2d(x, encoder["in.kernel"], encoder["in.shift"], stride=2, padding=1), SLOPE)
         grid = places(x)
-        seen = leaky_relu(_convolved(encoder, "look", x), SLOPE)
-        weights = _convolved(encoder, "heads", seen).flatten(2).softmax(2)
+        seen = leaky_relu(convolved(encoder, "look", x), SLOPE)
+        weights = convolved(encoder, "heads", seen).flatten(2).softmax(2)
         found = weights @ torch.cat([seen, grid], 1).flatten(2).mT
         whole = dense(encoder, "whole", found.flatten(1))
         x = seen + whole[..., None, None]
         for i in range(BLOCKS):
-            x = x + leaky_relu(_convolved(encoder, f"block{i}", torch.cat([x, grid], 1)), SLOPE)
-        code = _convolved(encoder, "code", x)
-        return {"z": code / self.flow.gain} | self._film(logs, _convolved(encoder, "film", x))
+            x = x + leaky_relu(convolved(encoder, f"block{i}", torch.cat([x, grid], 1)), SLOPE)
+        code = convolved(encoder, "code", x)
+        return {"z": code / self.flow.gain} | self._film(logs, convolved(encoder, "film", x))
 
     def _film(self, logs: Tensor, corrections: Tensor) -> Params:
         """The film's splines: evenly wide bins that hold what the picture says, [T, rows, columns], and corrections."""
@@ -91,8 +91,3 @@ def places(like: Tensor) -> Tensor:
     y, x = (((torch.arange(n, device=like.device) + 0.5) * (2 / n) - 1).to(like) for n in (rows, columns))
     grid = torch.stack([x.expand(rows, columns), y[:, None].expand(rows, columns)])
     return grid.expand(len(like), -1, -1, -1)
-
-
-def _convolved(encoder: Params, name: str, x: Tensor) -> Tensor:
-    kernel = encoder[f"{name}.kernel"]
-    return conv2d(x, kernel, encoder[f"{name}.shift"], padding=kernel.shape[-1] // 2)

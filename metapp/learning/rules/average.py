@@ -7,7 +7,7 @@ import torch
 from metapp.learning.app import App
 from metapp.learning.recipe import Adam
 from metapp.learning.rules.descent import like
-from metapp.learning.rules.part import Part, Seen
+from metapp.learning.rules.part import Before, Part
 from metapp.learning.task import Params
 
 AVERAGED = 0.4  # of the steps
@@ -31,13 +31,13 @@ class Average(Part):
         # not theta: derivatives are not carried through a state's first values, which the first mean forgets anyway
         return {f"mean.{key}": torch.zeros_like(value) for key, value in theta.items()}
 
-    def moved(self, alpha: Params, moved: Params, seen: Seen, state: Params) -> tuple[Params, Params]:
+    def moved(self, alpha: Params, moved: Params, before: Before, state: Params) -> tuple[Params, Params]:
         """The parameters, or the mean at the last step."""
         means, results = {}, {}
         for key, value in moved.items():
-            before = state[f"mean.{key}"]
-            mean = means[f"mean.{key}"] = torch.lerp(before, value, like(alpha["mean"], before))
-            results[key] = torch.lerp(value, mean, like(alpha["answer"], before))
+            last = state[f"mean.{key}"]
+            mean = means[f"mean.{key}"] = torch.lerp(last, value, like(alpha["mean"], last))
+            results[key] = torch.lerp(value, mean, like(alpha["answer"], last))
         return results, means
 
     def for_steps(self, alpha: Params, steps: int) -> Params:

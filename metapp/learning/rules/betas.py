@@ -7,7 +7,6 @@ import math
 import torch
 
 from metapp.learning.app import App
-from metapp.learning.flat import Layout, own
 from metapp.learning.recipe import Adam
 from metapp.learning.rules.descent import adam_directions, adam_state
 from metapp.learning.rules.part import Part
@@ -25,10 +24,6 @@ class Betas(Part):
         """The betas of `first` at every step."""
         betas = {"beta1": first.beta1, "beta2": first.beta2}
         return {name: torch.full((steps,), math.log(beta / (1 - beta))) for name, beta in betas.items()}
-
-    def gathered(self, alpha: Params, layout: Layout) -> Params:
-        """Their logits."""
-        return {name: own(alpha[name], 0) for name in ("beta1", "beta2")}
 
     def state(self, alpha: Params, theta: Params) -> Params:
         """Both moments, 0."""

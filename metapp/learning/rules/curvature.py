@@ -6,7 +6,6 @@ import torch
 from torch import Tensor
 
 from metapp.learning.app import App
-from metapp.learning.flat import Layout, own
 from metapp.learning.recipe import Adam
 from metapp.learning.rules.part import Part
 from metapp.learning.task import Params
@@ -28,11 +27,6 @@ class Curvature(Part):
             for key, value in theta.items()
             for side, size in _sides(value).items()
         }
-
-    def gathered(self, alpha: Params, layout: Layout) -> Params:
-        """Each parameter's left and right matrix, parameter after parameter."""
-        names = (f"{side}.{key}" for key, _ in layout.shapes for side in ("left", "right"))
-        return {"matrices": torch.cat([own(alpha[name], 2).flatten(2) for name in names if name in alpha], -1)}
 
     def directions(self, alpha: Params, directions: Params, state: Params) -> tuple[Params, Params]:
         """Left matrix times direction times right matrix."""

@@ -7,7 +7,6 @@ import math
 import torch
 
 from metapp.learning.app import App
-from metapp.learning.flat import Layout, own
 from metapp.learning.recipe import Adam
 from metapp.learning.rules.betas import Betas
 from metapp.learning.rules.part import Part
@@ -23,7 +22,3 @@ class Eps(Part):
     def initial(self, app: App, theta: Params, steps: int, first: Adam) -> Params:
         """The eps of `first`."""
         return {"eps": torch.tensor([math.log(first.eps)], dtype=torch.float64)}
-
-    def gathered(self, alpha: Params, layout: Layout) -> Params:
-        """Its logarithm."""
-        return {"eps": own(alpha["eps"], 0)}

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from metapp.learning.app import App
-from metapp.learning.flat import Layout, own
 from metapp.learning.recipe import Adam
 from metapp.learning.rules.part import Part
 from metapp.learning.task import Params
@@ -12,7 +11,7 @@ from metapp.learning.task import Params
 class LossParameters(Part):
     """The loss parameters `loss.<name>` [steps, ...] of an application; none where it has none.
 
-    They go to the inner loss (`adjoint.step_pair`), so that this part says nothing about a step.
+    They go to the inner loss (`adjoint.loss_parameters`), so that this part says nothing about a step.
     """
 
     name = "loss"
@@ -20,7 +19,3 @@ class LossParameters(Part):
     def initial(self, app: App, theta: Params, steps: int, first: Adam) -> Params:
         """As the application has them."""
         return {f"loss.{key}": value for key, value in app.loss_parameters(steps).items()}
-
-    def gathered(self, alpha: Params, layout: Layout) -> Params:
-        """As they are, with a task axis, which they always have in a step."""
-        return {key: own(value, value.ndim - 2) for key, value in alpha.items() if key.startswith("loss.")}

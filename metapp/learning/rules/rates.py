@@ -6,7 +6,6 @@ import torch
 from torch import Tensor
 
 from metapp.learning.app import App
-from metapp.learning.flat import Layout, own
 from metapp.learning.recipe import Adam
 from metapp.learning.rules.descent import half_cosine, like
 from metapp.learning.rules.part import Part
@@ -23,10 +22,6 @@ class SignedRates(Part):
         """The rate of `first` for all."""
         return {f"rate.{key}": torch.full_like(value, first.rate)[None] for key, value in theta.items()}
 
-    def gathered(self, alpha: Params, layout: Layout) -> Params:
-        """Rates side by side."""
-        return {"rate": layout.hyperparameters(alpha, "rate.")}
-
     def updates(self, alpha: Params, updates: Params) -> Params:
         """Rate times update."""
         return {key: alpha[f"rate.{key}"] * update for key, update in updates.items()}
@@ -42,10 +37,6 @@ class Rates(Part):
         """The half cosine of `first` for all."""
         rates = half_cosine(first.rate, steps, first.final).log()
         return {f"rate.{key}": like(rates, value[None]).repeat(1, *value.shape) for key, value in theta.items()}
-
-    def gathered(self, alpha: Params, layout: Layout) -> Params:
-        """Logarithms side by side."""
-        return {"log rate": layout.hyperparameters(alpha, "rate.")}
 
     def updates(self, alpha: Params, updates: Params) -> Params:
         """Rate times update; the logarithms of rate and pace, where there are paces, add up."""
@@ -75,13 +66,6 @@ class Paces(Part):
         """The half cosine of `first`, relative to its first rate."""
         paces = half_cosine(1.0, steps, first.final).log()
         return {f"pace.{key}": paces.clone() for key in theta}
-
-    def gathered(self, alpha: Params, layout: Layout) -> Params:
-        """Logarithms side by side, one for each weight."""
-        paces = [own(alpha[f"pace.{key}"], 0)[..., None] for key, _ in layout.shapes]
-        return {
-            "log pace": torch.cat([pace.expand(-1, -1, n) for pace, n in zip(paces, layout.sizes, strict=True)], -1)
-        }
 
 
 def _logarithm(alpha: Params, key: str) -> Tensor:

@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from dataclasses import dataclass
 
-import torch
-
-from metapp.learning.adjoint import UpdateRule
+from metapp.learning.adjoint import Loss, UpdateRule
 from metapp.learning.app import App
-from metapp.learning.flat import Layout, Packing
 from metapp.learning.recipe import Adam
-from metapp.learning.rules.betas import META_EPS
-from metapp.learning.rules.part import Part, Seen
+from metapp.learning.rules.part import Before, Part
 from metapp.learning.task import Params
 
 
-class LearnedRule(NamedTuple):
+@dataclass(frozen=True)
+class LearnedRule:
     """An update rule whose hyperparameters Meta learns.
 
     Attributes:
@@ -73,16 +70,16 @@ class LearnedRule(NamedTuple):
         def init(theta: Params) -> Params:
             return {key: value for part in self.parts for key, value in part.state(alpha, theta).items()}
 
-        sees = next(part.sees for part in self.parts if part.is_rate)
-        return UpdateRule(alpha, init, self.step, sees, Packing(self.gathered, quantities))
+        return UpdateRule(alpha, init, self)
 
-    def gathered(self, alpha: Params, layout: Layout) -> Params | None:
-        """What all parts gather; None where one is not in C (`Packing`)."""
-        each = [part.gathered(alpha, layout) for part in self.parts]
-        return None if None in each else {key: value for part in each for key, value in (part or {}).items()}
+    def loss(self, app: App, loss: Loss) -> Loss:
+        """The loss that its steps descend, of the application's own."""
+        for part in self.parts:
+            loss = part.loss(app, loss)
+        return loss
 
-    def step(self, alpha: Params, theta: Params, grads: Params, state: Params) -> tuple[Params, Params]:
-        """One step (see `UpdateRule`)."""
+    def __call__(self, alpha: Params, theta: Params, grads: Params, state: Params) -> tuple[Params, Params]:
+        """One step, as `UpdateRule.step`."""
         directions = grads
         after: Params = {}
         for part in self.parts:
@@ -95,7 +92,7 @@ class LearnedRule(NamedTuple):
             updates = part.updates(alpha, updates)
         moved = {key: value - updates[key] if key in updates else value for key, value in theta.items()}
         for part in self.parts:
-            moved, kept = part.moved(alpha, moved, Seen(theta, grads, directions), state)
+            moved, kept = part.moved(alpha, moved, Before(theta, grads, directions), state)
             after |= kept
         return moved, after
 
@@ -119,16 +116,3 @@ class LearnedRule(NamedTuple):
         for part in self.parts:
             alpha = part.settle(alpha, sums)
         return alpha
-
-
-def quantities(gathered: Params) -> Params:
-    """What steps in C read (`Packing.quantities`), of what the parts of a rule gathered."""
-    result = {key: value for key, value in gathered.items() if key in ("rate", "matrices") or key.startswith("loss.")}
-    if "log rate" in gathered:
-        logarithm = gathered["log rate"]
-        result["rate"] = torch.exp(logarithm + gathered["log pace"] if "log pace" in gathered else logarithm)
-    if "beta1" in gathered:
-        betas = [torch.sigmoid(gathered["beta1"]), torch.sigmoid(gathered["beta2"])]
-        eps = torch.exp(gathered["eps"]) if "eps" in gathered else betas[0].new_full((1, 1), META_EPS)
-        result["adam"] = torch.stack([*betas, eps.expand_as(betas[0])], -1)
-    return result
