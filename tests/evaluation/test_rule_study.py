@@ -25,7 +25,7 @@ from metapp.evaluation.tables import load_table
 from metapp.evaluation.tables.rules import fit_cell, train_cell
 from metapp.learning.recipe import Adam
 from metapp.learning.rules import RULES, rule_of
-from metapp.learning.rules import table as rule_table
+from metapp.learning.rules import rule as rule_table
 from metapp.paradigms import tuning
 from metapp.runs.plan import Plan, plan
 from metapp.runs.request import Request
