@@ -92,7 +92,7 @@ class _Reader:
             else:
                 made.append(self._element(child, places, chain, depth + 1))
         if made.tag in _OBJECTS or (made.tag == "spectrum" and "type" in made.attrib):
-            check_plugin(made.get("type", ""), {each.get("name", "") for each in made})
+            check_plugin(made.get("type", ""), {child.get("name", "") for child in made})
         return made
 
     def _attributes(self, source: Element, places: Places) -> dict[str, str]:

@@ -12,7 +12,7 @@ import torch
 from torch import Generator, Tensor
 
 from metapp.apps.brdf import Brdf
-from metapp.engine.compiled import Compiled
+from metapp.engine.fastest import Compiled
 from metapp.learning.adjoint import TORCH, Drawn, Engine, Loss, UpdateRule, at_step, learn_through
 from metapp.learning.learn import Encoding, MetaParameters, after_learning, spread
 from metapp.learning.recipe import Adam

@@ -11,7 +11,7 @@ import torch
 from torch import Generator, Tensor
 
 from metapp.apps import illumination
-from metapp.engine.compiled import Compiled
+from metapp.engine.fastest import Compiled
 from metapp.learning.adjoint import TORCH, Loss, at_step, learn_through
 from metapp.learning.app import App
 from metapp.learning.learn import MetaParameters, after_learning, spread

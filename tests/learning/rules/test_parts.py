@@ -13,9 +13,8 @@ from metapp.learning.adjoint import at_step
 from metapp.learning.learn import spread
 from metapp.learning.recipe import Adam
 from metapp.learning.rules import META_EPS, PARTS, fixed_adam, rule_of, sgd
-from metapp.learning.rules.average import Average, averaging
-from metapp.learning.rules.basis import Basis
 from metapp.learning.rules.part import Before, Part
+from metapp.learning.rules.parts import Average, Basis, averaging
 from metapp.learning.task import Params
 from tests.learning.rules.steps import STEPS, assert_equal, assert_same, one_task, run
 
