@@ -19,7 +19,7 @@ from metapp.apps import app_names
 from metapp.cli.commands import app as cli
 from metapp.cli.fit import PART_NAMES, RULE_NAMES
 from metapp.learning.rules import PARTS, RULES
-from metapp.learning.rules.table import SHORT
+from metapp.learning.rules.rule import SHORT
 
 ROOT = Path(__file__).parent.parent
 FILES = {

@@ -12,9 +12,8 @@ from torch import Generator
 
 from metapp.learning.app import stack
 from metapp.learning.deadline import REMEMBERED, Deadline, Pace, usual
-from metapp.learning.draws import Rng, drawn
 from metapp.learning.learn import Step, last
-from metapp.learning.task import Params, Task, Tasks
+from metapp.learning.task import Params, Rng, Task, Tasks, drawn
 from metapp.paradigms import Job
 from metapp.runs.plan import Plan
 from metapp.runs.reporter import say
