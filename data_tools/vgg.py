@@ -30,7 +30,8 @@ from safetensors.torch import save
 from torch import Tensor
 
 from metapp.appearance.features import BLOCKS, weights_path
-from metapp.storage.files import PARTIAL, cache_folder, write_atomically
+from metapp.storage.cache import cache_folder
+from metapp.storage.files import PARTIAL, write_atomically
 from metapp.storage.tensors import opened_tensors, read_tensors
 
 # torchvision names a file by the first digits of its SHA-256; of VGG-19's, those are all that is published

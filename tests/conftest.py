@@ -253,7 +253,7 @@ def short_by_protocol(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
         for of_protocol in recipes.values():
             for name, setup in (("quick", quick), ("full", full)):
                 monkeypatch.setitem(of_protocol, name, replace(_short(of_protocol[name]), setup=setup))
-        monkeypatch.setattr("metapp.paradigms.meta.can_compile", lambda: False)
+        monkeypatch.setattr("metapp.engine.fastest.can_compile", lambda: False)
 
     return shorten
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import functools
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -21,15 +22,15 @@ from data_tools.synthetic.guiding import NAMES, guide_tasks
 from data_tools.synthetic.rooms import KINDS, random_room
 from metapp.learning.app import stack
 from metapp.learning.learn import MetaParameters
+from metapp.learning.progress import Prepared, Progress
 from metapp.learning.task import Params, Task, Tasks
 from metapp.paradigms import Job, paradigms
-from metapp.paradigms.paradigm import Given
+from metapp.paradigms.paradigm import TrainingData
 from metapp.rendering import equal_time
 from metapp.rendering.guide_prior import init
 from metapp.rendering.guide_training import APP, RECIPE
-from metapp.rendering.guided_path import PathTracer, Settings
-from metapp.rendering.guided_picture import GuidedPicture, parts_of
-from metapp.rendering.guided_plugin import RR_DEPTH
+from metapp.rendering.guided_path import PathTracer
+from metapp.rendering.guided_plugin import RR_DEPTH, GuidedPicture
 from metapp.rendering.path_space import DEPTH
 from metapp.rendering.scene_loading import load_scene
 from metapp.storage.files import write_atomically
@@ -102,27 +103,35 @@ def pictures(theta: Params, size: int, spp: int) -> str:
         for kind in KINDS:
             mi, scene, _ = load_scene(random_room(kind, seed))
             equal_time.resize(scene, size)
-            noise = [_noise(mi, scene, size, spp, prior) for prior in (theta, None)]
+            noise = [_noise(mi, scene, spp, prior) for prior in (theta, None)]
             ratios.append(noise[0] / noise[1])
     lower = sum(ratio < 1 for ratio in ratios)
     return f"| {size} | {spp} | {interval(2 * torch.tensor(ratios).log())} | {lower} of {len(ratios)} |"
 
 
-def _noise(mi: Any, scene: Any, size: int, spp: int, prior: Params | None) -> float:
+def _noise(mi: Any, scene: Any, spp: int, prior: Params | None) -> float:
     """Mean over pixels of how far pictures of several seeds are from each other, relative to their mean."""
-    tracer, path = PathTracer(Settings(DEPTH, RR_DEPTH)), mi.load_dict({"type": "path"})
+    tracer, path = PathTracer(DEPTH, RR_DEPTH), mi.load_dict({"type": "path"})
     film = scene.sensors()[0].film()
     made: list[Tensor] = []
     for seed in range(PICTURES):
         picture = GuidedPicture(path, tracer, scene, scene.sensors()[0], seed, prior)
-        for part in parts_of(spp, size**2):
-            picture.add(part)
-        film.prepare([])
-        film.put_block(picture.block)
+        picture.render(spp)
         made.append(torch.from_numpy(film.develop().numpy())[..., :3].mean(2))
     mean = torch.stack(made).mean(0)
     halves = zip(made[::2], made[1::2], strict=True)
     return float(torch.stack([((first - second).abs() / (mean + 1e-3)).mean() for first, second in halves]).mean())
+
+
+def prepared_by(name: str, preparation: Iterator[Progress]) -> Prepared:
+    """The result of a preparation, whose validations are printed."""
+    prepared = None
+    for now in preparation:
+        prepared = now.best
+        if now.note:
+            print(f"{name}: {now.done}/{now.total} {now.note}", file=sys.stderr, flush=True)
+    assert prepared is not None
+    return prepared
 
 
 def train(folder: Path, training: Tasks, validating: Tasks, data: str) -> dict[str, Trained]:
@@ -137,10 +146,10 @@ def train(folder: Path, training: Tasks, validating: Tasks, data: str) -> dict[s
 
         file = folder / f"{name}.safetensors"
         if not file.exists():
-            given = Given(training, validating, Generator().manual_seed(0), encoder, report=report)
-            prepared = paradigms()[paradigm].prepare(Job(APP, RECIPE, rule), given)
+            material = TrainingData(training, validating, Generator().manual_seed(0), encoder)
+            prepared = prepared_by(name, paradigms()[paradigm].prepare(Job(APP, RECIPE, rule), material))
             info = {"app": APP.name, "start": name, "recipe": "quick", "data": data}
-            save_checkpoint(file, prepared.start, info | {"validation_error": prepared.validation})
+            save_checkpoint(file, prepared.phi, info | {"validation_error": prepared.validation})
         phi, _ = load_checkpoint(file)
         encoder = encoder or phi
         trained[name] = (phi, paradigm, rule)

@@ -1,5 +1,4 @@
-"""Writers of materials and textures for other programs, one module a kind of file.
+"""Writers of materials and textures for other programs.
 
-Each has `write(surface, path, provenance)`: it writes a fitted surface as or below `path`, whose last part is the
-asset's name.
+Each `write_<name>(surface, path, provenance)` writes a fitted surface as or below `path`, whose last part is its name.
 """

@@ -50,7 +50,7 @@ class _Binary:
         return len(self.views) - 1
 
 
-def write(surface: Surface, path: Path, provenance: Mapping[str, object]) -> None:
+def write_gltf(surface: Surface, path: Path, provenance: Mapping[str, object]) -> None:
     """Write <path>.glb."""
     content = glb(surface, path.name, provenance)
     write_atomically(path.with_name(f"{path.name}.glb"), lambda target: target.write_bytes(content))

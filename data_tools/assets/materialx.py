@@ -17,11 +17,12 @@ from metapp.appearance.surface import Surface, fitted_planes
 from metapp.storage.files import write_atomically
 
 VERSION = "1.39"
+PROVENANCE = ("app", "paradigm", "rule", "checkpoint", "recipe")
 TYPES = {"diffuse": "color3", "specular": "color3", "roughness": "float", "normal_gl": "vector3"}
 HIGHEST = 0.9999  # F0; beyond, no index of refraction
 
 
-def write(surface: Surface, path: Path, provenance: Mapping[str, object]) -> None:
+def write_materialx(surface: Surface, path: Path, provenance: Mapping[str, object]) -> None:
     """Write <path>/<name>.mtlx and its pictures."""
     planes = {key: plane for key, plane in fitted_planes(surface).items() if key in TYPES}
     write_planes(planes, path)
@@ -46,7 +47,7 @@ def document(name: str, highest: float, tiles: bool, provenance: Mapping[str, ob
         provenance: told in a comment.
     """
     root = ET.Element("materialx", version=VERSION, colorspace="lin_rec709")
-    words = [f"{key} {provenance[key]}" for key in ("app", "paradigm", "rule", "start", "recipe") if key in provenance]
+    words = [f"{key} {provenance[key]}" for key in PROVENANCE if key in provenance]
     root.append(ET.Comment(f" fitted by metapp: {', '.join(words).replace('--', '- -')} "))
     graph = ET.SubElement(root, "nodegraph", name="maps")
     index = index_of(highest)

@@ -1,20 +1,29 @@
-"""Mitsuba 3: scenes that show the material under a light, beside its pictures, PNG of 16 bits.
+"""Mitsuba 3: scenes that show what was fitted, a flat material or a BRDF, beside the files that they need.
 
-`<name>.xml` has the BSDF `neural_svbrdf`, which shades as what was fitted; it needs `import metapp.mitsuba` before
-`mitsuba.load_file`. `<name>_builtin.xml` needs nothing but Mitsuba: `principled`, the nearest material of the
-metallic-roughness workflow, as its `specular` is one number.
+`<name>.xml` has the BSDF `neural_svbrdf` or `neural_brdf`, which shades as what was fitted; it needs `import
+metapp.mitsuba` before `mitsuba.load_file`. `<name>_builtin.xml` needs nothing but Mitsuba: `principled`, the nearest
+material of the metallic-roughness workflow, as its `specular` is one number; or `measured` on a table of the BRDF.
 """
 
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+from safetensors.torch import save
 
 from data_tools.assets.pictures import write_planes
+from data_tools.readers.rgl import write_rgl
 from metapp.appearance.flash import camera_distance
 from metapp.appearance.surface import Surface, all_planes
+from metapp.learning.task import Params
 from metapp.storage.files import write_atomically
+
+if TYPE_CHECKING:
+    from metapp.apps.brdf import Brdf
 
 VERSION = "3.0.0"
 FOV_DEGREES = 45
@@ -28,22 +37,20 @@ PLUGINS = {  # its textures by name, and other properties
 }
 SUFFIX = {"neural_svbrdf": "", "principled": "_builtin"}
 USED = ("diffuse", "specular", "roughness", "normal_gl", "basecolor", "metallic")
+FILES = {"neural_brdf": ("", ".safetensors"), "measured": ("_builtin", ".bsdf")}  # of the scene, of its file
 
 
-def write(surface: Surface, path: Path, provenance: Mapping[str, object]) -> None:
+def write_mitsuba(surface: Surface, path: Path, provenance: Mapping[str, object]) -> None:
     """Write <path>/<name>.xml, <path>/<name>_builtin.xml and the pictures."""
     planes = all_planes(surface)
     write_planes({key: planes[key] for key in USED}, path)
     for plugin, suffix in SUFFIX.items():
-        content = scene(plugin, path.name, surface)
-        file = path / f"{path.name}{suffix}.xml"
-        write_atomically(file, lambda target, content=content: target.write_bytes(content))  # type: ignore[misc]
+        _write(surface_scene(plugin, path.name, surface), path / f"{path.name}{suffix}.xml")
 
 
-def scene(plugin: str, name: str, surface: Surface) -> bytes:
-    """A scene as XML: the material on a rectangle, seen from straight above, under a lamp to the left."""
-    root = ET.Element("scene", version=VERSION)
-    ET.SubElement(root, "integrator", type="path")
+def surface_scene(plugin: str, name: str, surface: Surface) -> ET.Element:
+    """The material on a rectangle, seen from straight above, under a lamp to the left."""
+    root = _scene()
     _add_material(root, plugin, name, surface.tiles)
     height, width = surface.size
     shape = ET.SubElement(root, "shape", type="rectangle")
@@ -59,9 +66,7 @@ def scene(plugin: str, name: str, surface: Surface) -> bytes:
     far = camera_distance()
     ET.SubElement(lamp, "point", name="position", x="-0.8", y="0", z=repr(far - 0.8))
     ET.SubElement(lamp, "rgb", name="intensity", value=repr(3.1416 * far * far))
-    ET.indent(root)
-    result: bytes = ET.tostring(root, encoding="utf-8", xml_declaration=True)
-    return result + b"\n"
+    return root
 
 
 def _add_material(root: ET.Element, plugin: str, name: str, tiles: bool) -> None:
@@ -97,3 +102,49 @@ def _add_camera(root: ET.Element, surface: Surface) -> None:
     for key, value in zip(("height", "width"), surface.size, strict=True):
         ET.SubElement(film, "integer", name=key, value=str(value))
     ET.SubElement(ET.SubElement(sensor, "sampler", type="independent"), "integer", name="sample_count", value="64")
+
+
+def export(app: Brdf, theta: Params, path: Path) -> None:
+    """Write <path>/<name>.xml, <name>_builtin.xml, <name>.safetensors and <name>.bsdf."""
+    tensors = {key: value.detach().cpu().contiguous() for key, value in theta.items()}
+    write_atomically(path / f"{path.name}.safetensors", lambda target: target.write_bytes(save(tensors)))
+    write_rgl(path / f"{path.name}.bsdf", partial(app.reflectance, theta), f"{path.name}: a fit of metapp")
+    for plugin, (suffix, ending) in FILES.items():
+        _write(brdf_scene(plugin, path.name, f"{path.name}{ending}"), path / f"{path.name}{suffix}.xml")
+
+
+def brdf_scene(plugin: str, name: str, file: str) -> ET.Element:
+    """A sphere with the material, a lamp above it to the left, a dim sky."""
+    root = _scene()
+    bsdf = ET.SubElement(root, "bsdf", type=plugin, id=name)
+    ET.SubElement(bsdf, "string", name="filename", value=file)
+    sphere = ET.SubElement(root, "shape", type="sphere")
+    ET.SubElement(sphere, "ref", id=name)
+    camera = ET.SubElement(root, "sensor", type="perspective")
+    ET.SubElement(camera, "float", name="fov", value="30")
+    ET.SubElement(
+        ET.SubElement(camera, "transform", name="to_world"), "lookat", origin="0, 0, 5", target="0, 0, 0", up="0, 1, 0"
+    )
+    film = ET.SubElement(camera, "film", type="hdrfilm")
+    for side in ("width", "height"):
+        ET.SubElement(film, "integer", name=side, value="256")
+    ET.SubElement(ET.SubElement(camera, "sampler", type="independent"), "integer", name="sample_count", value="64")
+    lamp = ET.SubElement(root, "shape", type="sphere")
+    ET.SubElement(lamp, "point", name="center", x="-4", y="5", z="5")
+    ET.SubElement(lamp, "float", name="radius", value="1")
+    ET.SubElement(ET.SubElement(lamp, "emitter", type="area"), "rgb", name="radiance", value="40, 40, 40")
+    sky = ET.SubElement(root, "emitter", type="constant")
+    ET.SubElement(sky, "rgb", name="radiance", value="0.3, 0.3, 0.3")
+    return root
+
+
+def _scene() -> ET.Element:
+    root = ET.Element("scene", version=VERSION)
+    ET.SubElement(root, "integrator", type="path")
+    return root
+
+
+def _write(scene: ET.Element, path: Path) -> None:
+    ET.indent(scene)
+    content: bytes = ET.tostring(scene, encoding="utf-8", xml_declaration=True)
+    write_atomically(path, lambda target: target.write_bytes(content + b"\n"))

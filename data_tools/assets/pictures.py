@@ -1,20 +1,56 @@
-"""Maps of surfaces as image files, and a small picture of a surface."""
+"""Maps of surfaces as image files: asset folders, folders for Blender, EXR, PNG of 16 bits.
+
+The asset folder has all maps of a surface as PNG of 16 bits, a preview, and `material.json`, which says what they are:
+
+    <name>_basecolor.png  <name>_diffuse.png  <name>_specular.png  <name>_metallic.png  <name>_roughness.png
+    <name>_normal_gl.png  <name>_normal_dx.png  <name>_height.png  <name>_ao.png  <name>_orm.png
+    preview.png  material.json
+
+A texture has a base colour alone. What wants one workflow takes its files: `diffuse` and `specular` hold what was
+fitted; `basecolor` and `metallic` are the nearest material of the metallic-roughness workflow.
+
+For Blender the pictures have the names that Node Wrangler wires to a Principled BSDF: select it, press Ctrl+Shift+T and
+choose all. Node Wrangler knows the metallic workflow; the Specular IOR Level, gray, holds what that leaves of F0, up to
+0.08. Where F0 has a hue of its own, import the glTF file instead: its F0 is exact.
+"""
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Mapping
 from pathlib import Path
 
+import torch
 from torch import Tensor
 from torch.nn.functional import interpolate
 
 from metapp.appearance.colour import linear_to_srgb, stretched
 from metapp.appearance.flash import Maps, expose, positions, relightings, render
-from metapp.appearance.surface import Plane, Surface
-from metapp.storage.images import write_png
+from metapp.appearance.surface import DESCRIPTION, DIELECTRIC, Plane, Surface, all_planes, fitted_planes
+from metapp.storage import images
+from metapp.storage.files import write_atomically
+from metapp.storage.records import finite
 
 PREVIEW = 256  # px, of the longer side
+SCHEMA = 1
+WORKFLOWS = {
+    "specular": "diffuse and specular are what was fitted: f = diffuse (1 - F0) / pi + D F G / (4 cos_i cos_o), GGX, "
+    "separable Smith, Schlick's Fresnel from F0",
+    "metallic-roughness": f"diffuse = basecolor (1 - metallic), F0 = {DIELECTRIC} (1 - metallic) + basecolor metallic, "
+    "solved for the channels' means; F0 of another hue, or below that of dielectrics, is held by specular alone",
+}
+HALF = 0.04  # F0 of Blender's default index of refraction, 1.5, at a level of 0.5
+WIRED = {
+    "BaseColor": "basecolor",
+    "Metallic": "metallic",
+    "Specular": "level",
+    "Roughness": "roughness",
+    "Normal": "normal_gl",
+    "Displacement": "height",
+    "AO": "ao",
+}
+PRECISE = ("normal_gl", "height")
 
 
 def write_planes(planes: Mapping[str, Plane], path: Path, bits: int = 16) -> dict[str, dict[str, object]]:
@@ -40,7 +76,7 @@ def write_plane(plane: Plane, file: Path, bits: int, *, stretch: bool = False) -
         values, low, high = stretched(values)
         about |= {"offset": low, "scale": high - low, "unit": "texture widths"}
     texts = {"encoding": encoding} | {key: f"{about[key]:.9g}" for key in ("offset", "scale") if key in about}
-    write_png(values.movedim(0, -1), texts, file, bits)
+    images.write_png(values.movedim(0, -1), texts, file, bits)
     return about
 
 
@@ -59,3 +95,69 @@ def preview(surface: Surface) -> Tensor:
 
 def _resized(picture: Tensor, size: list[int]) -> Tensor:
     return interpolate(picture[None], size=size, mode="area")[0]
+
+
+def write_asset(surface: Surface, path: Path, provenance: Mapping[str, object]) -> None:
+    """Write the asset folder `path`; `material.json` comes last."""
+    files = write_planes(all_planes(surface), path)
+    images.write_png(preview(surface).movedim(0, -1), {"encoding": "sRGB"}, path / "preview.png")
+    write_description(path / DESCRIPTION, description(surface, path.name, files, provenance))
+
+
+def description(
+    surface: Surface, name: str, files: Mapping[str, Mapping[str, object]], provenance: Mapping[str, object]
+) -> dict[str, object]:
+    """What `material.json` says of a surface and its files."""
+    height, width = surface.size
+    return {
+        "schema": SCHEMA,
+        "name": name,
+        "kind": "texture" if surface.maps is None else "material",
+        "size": {"width": width, "height": height, "unit": "px"},
+        "real_world_size": None,  # of the width, in metres: a photograph alone does not tell
+        "tiles": surface.tiles,
+        "colour_primaries": "Rec. 709",
+        **({} if surface.maps is None else {"workflows": WORKFLOWS}),
+        "files": dict(files),
+        "provenance": dict(provenance),
+    }
+
+
+def write_description(file: Path, document: Mapping[str, object]) -> None:
+    """Write a JSON document; numbers that are not finite, which JSON lacks, become null."""
+    text = json.dumps(finite(document), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+    write_atomically(file, lambda target: target.write_text(text, encoding="utf-8"))
+
+
+def write_blender(surface: Surface, path: Path, provenance: Mapping[str, object]) -> None:
+    """Write <path>/<name>_<socket>.png and <path>/material.json."""
+    planes = all_planes(surface)
+    planes["level"] = Plane(
+        specular_level(surface, planes), "linear", "Specular IOR Level; F0 / 0.08 of what no metal is"
+    )
+    files = {}
+    for socket, key in WIRED.items():
+        file = path / f"{path.name}_{socket}.png"
+        files[file.name] = write_plane(planes[key], file, 16, stretch=key == "height")
+    write_description(path / DESCRIPTION, description(surface, path.name, files, provenance))
+
+
+def specular_level(surface: Surface, planes: Mapping[str, Plane]) -> Tensor:
+    """The level [1, H, W] at which what is no metal makes up the rest of the mean F0; 0.5 of pure metals."""
+    assert surface.maps is not None
+    metallic, base = planes["metallic"].values, planes["basecolor"].values
+    missing = (surface.maps.specular - base * metallic).mean(0, keepdim=True)
+    level = missing / (1 - metallic).clamp_min(1e-6) * (0.5 / HALF)
+    return torch.where(metallic < 1, level.clamp(0, 1), 0.5)
+
+
+def write_exr(surface: Surface, path: Path, provenance: Mapping[str, object]) -> None:
+    """Write <path>/<name>_<map>.exr of the fitted maps, or of a texture's colour; heights in texture widths."""
+    for key, plane in fitted_planes(surface).items():
+        file = path / f"{path.name}_{key}.exr"
+        images.write_exr(plane.values.movedim(0, -1), file, half=key not in PRECISE)
+
+
+def write_png16(surface: Surface, path: Path, provenance: Mapping[str, object]) -> None:
+    """Write <path>/<name>_<map>.png of the fitted maps, or of a texture's colour."""
+    write_planes(fitted_planes(surface), path)

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from pxr import Sdf, Usd, UsdGeom, UsdShade
 
 BITS = 8
+PROVENANCE = ("app", "paradigm", "rule", "checkpoint", "recipe")
 TEXTURES = "textures"
 INPUTS = {  # of UsdPreviewSurface: map, output of its texture, type
     "diffuseColor": ("diffuse", "rgb", "Color3f"),
@@ -27,7 +28,7 @@ INPUTS = {  # of UsdPreviewSurface: map, output of its texture, type
 }
 
 
-def write(surface: Surface, path: Path, provenance: Mapping[str, object]) -> None:
+def write_usd(surface: Surface, path: Path, provenance: Mapping[str, object]) -> None:
     """Write <path>/<name>.usda with its textures, and <path>/<name>.usdz, which holds all."""
     from pxr import Sdf, UsdUtils
 
@@ -62,7 +63,7 @@ def stage_text(surface: Surface, name: str, provenance: Mapping[str, object]) ->
 
 
 def _words(provenance: Mapping[str, object]) -> list[str]:
-    return [f"{key} {provenance[key]}" for key in ("app", "paradigm", "rule", "start", "recipe") if key in provenance]
+    return [f"{key} {provenance[key]}" for key in PROVENANCE if key in provenance]
 
 
 def _quad(stage: Usd.Stage, path: Sdf.Path, surface: Surface) -> UsdGeom.Mesh:

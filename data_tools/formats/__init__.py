@@ -1,9 +1,9 @@
 """The formats of files that tasks come from or fits are written in.
 
-A module here is the record of one, FORMAT: what it is called, whose tasks it holds, which options its conversion takes;
-commands and help texts are made of these. What finds, reads and writes the files is a module of `data_tools.readers`,
-imported on first use. EXPORTS are the forms that fits of flat surfaces are written in and that nothing reads; each is a
-module of `data_tools.assets`.
+Each module here holds records of some, FORMATS: what a format is called, whose tasks it holds, which options its
+conversion takes; commands and help texts are made of these. What finds, reads and writes the files is a module of
+`data_tools.readers`, imported on first use. EXPORTS are the forms that fits of flat surfaces are written in and that
+nothing reads; `data_tools.assets` writes them.
 """
 
 from __future__ import annotations
@@ -30,8 +30,8 @@ SPLIT = "Where the tasks belong. auto: of the sorted names, every fifth is a tes
 class Files(Protocol):
     """What finds and reads the files of a format, a module.
 
-    Its `read_task` also takes what `Format.takes` and `Format.settings` name. Where it converts files it has UNITS, of
-    the tasks' tensors by name, and where that takes more than these, `conversion(paths, split, **settings)`.
+    Its `read_task` also takes what `Format.takes` and the command's settings name. Where it converts files it has
+    UNITS, of the tasks' tensors by name, and where that takes more than these, `conversion(paths, split, **settings)`.
     """
 
     def recognises(self, path: Path, /) -> bool:
@@ -49,13 +49,6 @@ class Writer(Protocol):
 
     def export(self, app: App, theta: Params, path: Path, /) -> None:
         """Write the parameters of one fit beside or below `path`, with the format's own suffix."""
-
-
-class AssetWriter(Protocol):
-    """What writes a fitted surface for another program, a module."""
-
-    def write(self, surface: Surface, path: Path, provenance: Mapping[str, object], /) -> None:
-        """Write a surface as or below `path`, whose last part is its name; the file may state the provenance."""
 
 
 class Setting(NamedTuple):
@@ -105,6 +98,25 @@ class Conversion(NamedTuple):
     remarks: tuple[str, ...] = ()
 
 
+class Command(NamedTuple):
+    """What `metapp data NAME` is.
+
+    Attributes:
+        help: paragraphs and examples.
+        noun: what one source is called, such as "MERL file".
+        metavar, paths: of its arguments, and their help.
+        settings: its own options.
+        split_help: of --split, where files or names tell more than the general rule.
+    """
+
+    help: str
+    noun: str
+    metavar: str
+    paths: str
+    settings: tuple[Setting, ...] = ()
+    split_help: str = SPLIT
+
+
 class Format(NamedTuple):
     """A format of files.
 
@@ -118,11 +130,7 @@ class Format(NamedTuple):
         exports: whether fits are written in it.
         holds: the parameters that a written file holds; a fit of another network is distilled into them first; () for
             a format that is written from what a fit evaluates to.
-        noun: what one source is called, such as "MERL file".
-        help: of `metapp data NAME`, paragraphs and examples; "" where files are not converted.
-        paths: the metavar of its arguments and their help.
-        settings: its own options.
-        split_help: of --split, where files or names tell more than the general rule.
+        command: that converts files, if any.
     """
 
     name: str
@@ -132,11 +140,7 @@ class Format(NamedTuple):
     takes: tuple[str, ...] = ()
     exports: bool = False
     holds: tuple[str, ...] = ()
-    noun: str = ""
-    help: str = ""
-    paths: tuple[str, str] = ("FILES...", "")
-    settings: tuple[Setting, ...] = ()
-    split_help: str = SPLIT
+    command: Command | None = None
 
     def files(self) -> Files:
         """What finds and reads the files."""
@@ -162,31 +166,36 @@ class Format(NamedTuple):
 
     def conversion(self, paths: list[Path], split: str, settings: Mapping[str, object]) -> Conversion:
         """How files become tasks by the command's options; ValueError for bad paths."""
+        assert self.command is not None
         files = importlib.import_module(self.module)
         if hasattr(files, "conversion"):
             made: Conversion = files.conversion(paths, split, **settings)
             return made
         read = functools.partial(files.read_task, **settings)
         notes = {"made_by": f"metapp data {self.name}", **settings}
-        return Conversion(self.app, self.noun, files.UNITS, files.find, lambda source: source.stem, read, notes)
+        return Conversion(self.app, self.command.noun, files.UNITS, files.find, lambda path: path.stem, read, notes)
 
 
 class Export(NamedTuple):
     """A form that fits of flat surfaces are written in for other programs.
 
     Attributes:
-        name: the value of --export, and the module of `data_tools.assets`.
+        name: the value of --export; `write_<name>` is what writes it, of
+        module: of `data_tools.assets`.
         apps: the applications whose fits are written in it.
         needs: the module and the package of a library that is not always installed; () for none.
     """
 
     name: str
+    module: str
     apps: tuple[str, ...] = MATERIALS
     needs: tuple[str, str] | tuple[()] = ()
 
-    def writer(self) -> AssetWriter:
-        """What writes it."""
-        return cast(AssetWriter, importlib.import_module(f"data_tools.assets.{self.name}"))
+    def write(self, surface: Surface, path: Path, provenance: Mapping[str, object]) -> None:
+        """Write a surface as or below `path`, whose last part is its name; the file may state the provenance."""
+        getattr(importlib.import_module(f"data_tools.assets.{self.module}"), f"write_{self.name}")(
+            surface, path, provenance
+        )
 
     def missing(self) -> str:
         """One line about a library that is not installed; "" where nothing is missing."""
@@ -196,23 +205,22 @@ class Export(NamedTuple):
 
 
 EXPORTS = (
-    Export("asset", MATERIALS + TEXTURES),
-    Export("blender"),
-    Export("exr", MATERIALS + TEXTURES),
-    Export("gltf"),
-    Export("materialx"),
-    Export("mitsuba"),
-    Export("png16", MATERIALS + TEXTURES),
-    Export("usd", needs=("pxr", "usd-core")),
+    Export("asset", "pictures", MATERIALS + TEXTURES),
+    Export("blender", "pictures"),
+    Export("exr", "pictures", MATERIALS + TEXTURES),
+    Export("gltf", "gltf"),
+    Export("materialx", "materialx"),
+    Export("mitsuba", "mitsuba"),
+    Export("png16", "pictures", MATERIALS + TEXTURES),
+    Export("usd", "usd", needs=("pxr", "usd-core")),
 )
 
 
 @functools.cache
 def formats() -> tuple[Format, ...]:
-    """Return all formats that tasks come from, found by listing this folder."""
-    names = sorted(module.name for module in pkgutil.iter_modules(__path__))
-    found = tuple(importlib.import_module(f"{__name__}.{name}").FORMAT for name in names)
-    return cast(tuple[Format, ...], found)
+    """Return all formats that tasks come from, by name, found by listing this folder."""
+    modules = [importlib.import_module(f"{__name__}.{module.name}") for module in pkgutil.iter_modules(__path__)]
+    return tuple(sorted((form for module in modules for form in module.FORMATS), key=lambda form: form.name))
 
 
 def inputs_of(app: str) -> tuple[Format, ...]:

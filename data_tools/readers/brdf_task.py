@@ -1,18 +1,21 @@
-"""The samples that every BRDF task is made of, whatever the BRDF comes from."""
+"""The samples that every BRDF task is made of, whatever the BRDF comes from: drawn, checked, made noisy."""
 
 from __future__ import annotations
 
 import functools
+import hashlib
 import math
+import warnings
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import torch
-from torch import Tensor
+from torch import Generator, Tensor
 
 from data_tools.readers.merl_table import SHAPE, Array, merl_centres, merl_evaluate, merl_index, merl_valid
-from metapp.appearance.geometry import above_horizon
+from metapp.appearance.geometry import above_horizon, cosines
+from metapp.appearance.noise import factors
 from metapp.appearance.sphere import environment_scene, reference_scene, shade_sphere
 from metapp.learning.task import Task
 
@@ -27,6 +30,9 @@ _MAX_DRAWS = 64  # per sample; about 2 suffice for a measured table
 
 Evaluate = Callable[[Tensor], Tensor]  # angles [..., 3] rad -> reflectance [..., 3] in 1/sr, linear RGB
 Keep = Callable[[Tensor], Tensor]  # draws [M, 3] -> indices of those to keep, ascending
+HIGHEST = 1e6  # 1/sr; a GGX highlight of alpha 0.001 has 3e5, and published networks reach 4e5 beside the horizon
+REFLECTED = 2.0  # of the light that comes in; of 131 published networks the brightest has 1.1
+_RINGS, _TURNS = 256, 16
 
 
 def brdf_task(
@@ -138,3 +144,83 @@ def _pool(source: str | Path, samples: int, seed: int, keep: Keep) -> Tensor:
 @functools.cache
 def _bins_above_horizon() -> Tensor:
     return above_horizon(merl_centres()).reshape(-1)
+
+
+def warn_implausible(source: Path, task: Task, evaluate: Callable[[Tensor], Tensor]) -> None:
+    """One warning where no material reflects so: nothing, far too bright, or more than comes in.
+
+    Args:
+        source: named in the warning.
+        task: of a BRDF, with its samples.
+        evaluate: reflectance [..., 3] in 1/sr of angles [..., 3] rad.
+    """
+    reflectance = task.data["reflectance"]
+    high = float(reflectance.max())
+    albedo = float(normal_albedo(evaluate).max())
+    if high == 0:
+        found, expected = "reflectance 0 everywhere", "some light reflected"
+    elif high > HIGHEST:
+        found, expected = f"reflectance of up to {high:.3g} /sr", f"at most {HIGHEST:g}"
+    elif albedo > REFLECTED:
+        found, expected = f"{albedo:.3g} times the light that comes in from above is reflected", "at most all of it"
+    else:
+        return
+    warnings.warn(f"{source}: {found}, expected {expected}; is it damaged, or in another unit?", stacklevel=2)
+
+
+def normal_albedo(evaluate: Callable[[Tensor], Tensor]) -> Tensor:
+    """The share of light from straight above that is reflected, linear RGB [3].
+
+    The half vector is in the middle, so theta_h = theta_d = theta_o / 2.
+    """
+    theta = (torch.arange(_RINGS) + 0.5) / _RINGS * (math.pi / 2)
+    phi = (torch.arange(_TURNS) + 0.5) / _TURNS * math.pi
+    half = (theta / 2)[:, None].expand(-1, _TURNS)
+    with torch.no_grad():
+        values = evaluate(torch.stack([half, half, phi.expand(_RINGS, -1)], -1)).double().mean(1)
+    solid_angle = 2 * math.pi * theta.sin() * (math.pi / 2 / _RINGS)
+    return (values * (solid_angle * theta.cos())[:, None]).sum(0)
+
+
+def as_measured(
+    task: Task, noise: float, outliers: float = 0.0, grazing_rad: float = math.pi / 2, samples: int | None = None
+) -> Task:
+    """A material of which the half that fits may see is as a gonioreflectometer would have it.
+
+    The held-out half stays as it is, so that errors are those of the material, not of the noise. Samples that are
+    missing are replaced by others of the visible half, drawn at random. The draws depend on the task's name alone.
+
+    Args:
+        task: angles [N, 3] rad and reflectance [N, 3].
+        noise: standard deviation of the logarithm of a channel's factor, such as 0.05 for about 5 %.
+        outliers: share of samples that are off by half a decade to one, all channels alike.
+        grazing_rad: samples are missing whose light or view is further from the normal, in (0, pi / 2].
+        samples: how many are measured, at random, at least 1; None: all.
+
+    Raises:
+        ValueError: no sample of the visible half is left.
+    """
+    half = len(task.data["angles"]) // 2
+    angles, reflectance = (task.data[key].clone() for key in ("angles", "reflectance"))
+    rng = Generator().manual_seed(int.from_bytes(hashlib.sha256(task.name.encode(errors="replace")).digest()[:6]))
+    reflectance[:half] *= factors(rng, (half,), noise, outliers)
+    rows = _seen(angles[:half], grazing_rad)
+    if not len(rows):
+        raise ValueError(
+            f"{task.name}: no sample within {math.degrees(grazing_rad):g} degrees of the normal, expected some; raise "
+            "--grazing."
+        )
+    if samples is not None:
+        rows = rows[torch.randperm(len(rows), generator=rng)[:samples]]
+    missing = torch.ones(half, dtype=torch.bool)
+    missing[rows] = False
+    others = rows[torch.randint(len(rows), (int(missing.sum()),), generator=rng)]
+    for data in (angles, reflectance):
+        data[:half][missing] = data[others]
+    return task._replace(data=task.data | {"angles": angles, "reflectance": reflectance})
+
+
+def _seen(angles: Tensor, grazing_rad: float) -> Tensor:
+    """Rows of angles [N, 3] whose light and view are both within this angle of the normal."""
+    found = cosines(angles.double())
+    return (torch.minimum(found.incident, found.outgoing) >= math.cos(grazing_rad) - 1e-12).nonzero()[:, 0]

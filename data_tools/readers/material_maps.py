@@ -27,7 +27,8 @@ import torch
 from torch import Tensor
 
 from data_tools.formats import Conversion
-from data_tools.readers.photos import LINEAR, SIZE, SUFFIXES, central_square, find_photos, read_pixels, resample
+from data_tools.readers.image_files import LINEAR, SUFFIXES, read_pixels
+from data_tools.readers.photos import SIZE, central_square, find_photos, resample
 from data_tools.readers.svbrdf_task import UNITS, svbrdf_task, task_name, unit_normals
 from metapp.appearance.flash import Maps, pack
 from metapp.appearance.surface import DESCRIPTION, DIELECTRIC, from_metallic
@@ -209,8 +210,8 @@ def read_task(source: Path, size: int = SIZE, normals: str = "auto") -> Task:
             could have, up if that is not clear.
 
     Raises:
-        ValueError: as `data_tools.readers.photos.read_pixels`; a map that is missing or there twice, maps of different
-            shapes, NaN, black, normals that are none.
+        ValueError: as `read_pixels`; a map that is missing or there twice, maps of different shapes, NaN, black,
+            normals that are none.
     """
     material = material_of(source)
     if material is None:

@@ -22,9 +22,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from data_tools.readers import brdf_task
+from data_tools.readers.brdf_task import warn_implausible
 from data_tools.readers.listing import files_below
 from data_tools.readers.merl_table import SCALE, SHAPE, Array, merl_evaluate, merl_valid, tabulate
-from data_tools.readers.plausibility import warn_implausible
 from metapp.learning.task import Params, Task
 from metapp.storage.files import write_atomically
 

@@ -7,16 +7,56 @@ import json
 from collections.abc import Iterable
 from pathlib import Path
 
-from data_tools.readers.transport_task import HELD, SAMPLES, transport_task
+from torch import Generator
+
 from metapp.learning.task import Task
-from metapp.rendering.path_space import DIMENSIONS
-from metapp.rendering.scene_files import Places, read_text
+from metapp.rendering.path_space import DIMENSIONS, Tracer, path_samples
 from metapp.rendering.scene_loading import checked
-from metapp.rendering.scene_text import SceneDict
+from metapp.rendering.scene_rules import Places, SceneDict, read_text, scene_bytes
 from metapp.rendering.variant import load_mitsuba
 from metapp.storage.manifest import MANIFEST
 
+SAMPLES, HELD = 32_768, 8_192
+UNITS = {
+    "samples": "primary sample space, in [0, 1) [N, d]: film (x right, y down), then two numbers for the direction at "
+    "each of the first surfaces that scatter; in proportion to the luminance carried",
+    "held": "as samples; for tests alone",
+    "image": "linear RGB radiance [3, 32, 32], rows from the top; noisy",
+    "scene": "Mitsuba 3 scene as JSON text, UTF-8, blanks at its end",
+}
+BESIDE = ("scene", ".json")  # is a file beside each shard, too
 SUFFIXES = (".xml", ".json")
+
+
+def transport_task(
+    name: str,
+    scene: SceneDict,
+    seed: int,
+    *,
+    samples: int = SAMPLES,
+    held: int = HELD,
+    dimensions: int = DIMENSIONS,
+) -> Task:
+    """A scene as a task.
+
+    Args:
+        name: of the task.
+        scene: as `metapp.rendering.scene_loading.load_scene` takes it.
+        seed: of all draws.
+        samples: N, for fits to see.
+        held: M, for tests alone.
+        dimensions: d of both, 4 or 6.
+
+    Returns:
+        `samples` [N, d], `held` [M, d] and `image` [3, 32, 32], float32, and `scene`, uint8 [L].
+
+    Raises:
+        ValueError: as `load_scene` and `path_samples`.
+    """
+    rng = Generator().manual_seed(seed)
+    points, image = path_samples(Tracer(scene), samples + held, dimensions, rng)
+    data = {"samples": points[:samples], "held": points[samples:], "image": image, "scene": scene_bytes(scene)}
+    return Task(name, data)
 
 
 def recognises(path: Path) -> bool:

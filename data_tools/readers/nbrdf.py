@@ -22,8 +22,8 @@ from torch import Tensor
 
 from data_tools.formats import Conversion
 from data_tools.readers import brdf_task
+from data_tools.readers.brdf_task import warn_implausible
 from data_tools.readers.listing import files_below
-from data_tools.readers.plausibility import warn_implausible
 from metapp.appearance.geometry import half_difference
 from metapp.learning.task import Params, Task
 from metapp.storage.files import write_atomically

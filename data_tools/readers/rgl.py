@@ -1,10 +1,19 @@
 """Files of the RGL material database (Dupuy and Jakob 2018): read by Mitsuba's `measured` BSDF, and written for it.
 
-Isotropic measurements in RGB, the files `*_rgb.bsdf` of the database: their spectral twins need another variant.
+Isotropic measurements in RGB, the files `*_rgb.bsdf` of the database: their spectral twins need another variant. They
+are tensor files, named arrays: "tensor_file" and a zero byte, the version 1.0, the number of fields; of each field its
+name, number of axes, type, offset in the file and shape; then the values. All little-endian, in C order.
+
+For each angle of the viewer there is a grid over half vectors m, in u = sqrt(2 theta_m / pi), which is dense at the
+normal, and v = phi_m / (2 pi) + 1/2, the azimuth to the viewer's. The database warps it by the visible normals of a
+microfacet model; in files written here that warp is the identity (`vndf` is 1), and `luminance` alone says how Mitsuba
+samples.
 """
 
 from __future__ import annotations
 
+import math
+import struct
 from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
@@ -17,19 +26,27 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from data_tools.readers import brdf_task
+from data_tools.readers.brdf_task import warn_implausible
 from data_tools.readers.listing import find_by_suffix, has_suffix
-from data_tools.readers.plausibility import warn_implausible
-from data_tools.readers.rgl_table import write_rgl
-from data_tools.readers.tensor_file import read_tensor_file
-from metapp.appearance.geometry import rusinkiewicz_to_directions
+from metapp.appearance.geometry import directions_to_full_circle, rusinkiewicz_to_directions
 from metapp.learning.task import Params, Task
 from metapp.rendering.variant import load_mitsuba
+from metapp.storage.files import write_atomically
 
 if TYPE_CHECKING:
     import mitsuba as mi
 
     from metapp.apps.brdf import Brdf
 
+MAGIC = b"tensor_file\0"
+VERSION = (1, 0)
+TYPES = {1: "<u1", 2: "<i1", 3: "<u2", 4: "<i2", 5: "<u4", 6: "<i4", 7: "<u8", 8: "<i8", 9: "<f2", 10: "<f4", 11: "<f8"}
+ALIGNMENT = 8
+MOST_FIELDS, MOST_AXES = 64, 8
+NODES = 40  # angles of the viewer
+GRID = 160  # half vectors along u and v
+LAST_DEGREES = 89.5
+LEAST_LUMINANCE = 1e-3  # of the mean: where a value is 0, directions are drawn all the same
 SUFFIX = ".bsdf"
 LARGEST = 1e9  # of any number; measurements are below 1e6
 # number of axes of each field that `measured` reads
@@ -45,9 +62,140 @@ AXES = {
     "jacobian": 1,
 }
 UNITS = brdf_task.UNITS
-
 find = partial(find_by_suffix, suffix=SUFFIX, what="an RGL .bsdf file")
 recognises = partial(has_suffix, suffix=SUFFIX)
+
+
+def read_tensor_file(path: str | Path) -> dict[str, NDArray[np.number]]:
+    """Read all arrays of a file.
+
+    Raises:
+        ValueError: it is none, is of another version, or is damaged.
+    """
+    content = Path(path).read_bytes()
+    if content[:12] != MAGIC:
+        raise ValueError(f"{path}: no tensor file, expected one that begins with tensor_file; not an RGL measurement.")
+    try:
+        *version, count = struct.unpack_from("<BBI", content, 12)
+        if tuple(version) != VERSION:
+            raise ValueError(f"{path}: version {version[0]}.{version[1]}, expected 1.0; download it again.")
+        if count > MOST_FIELDS:
+            raise _Damaged(f"{count} fields")
+        fields, at = {}, 18
+        for _ in range(count):
+            name, array, at = _field(content, at)
+            fields[name] = array
+    except (struct.error, UnicodeDecodeError, _Damaged) as error:
+        reason = str(error) if isinstance(error, _Damaged) else "a header that is cut off or no text"
+        raise ValueError(f"{path}: {reason}, expected a whole tensor file; download it again.") from None
+    return fields
+
+
+class _Damaged(Exception):
+    """A header that the file does not fit."""
+
+
+def _field(content: bytes, at: int) -> tuple[str, NDArray[np.number], int]:
+    """A field's name and values, and where the next one is."""
+    (length,) = struct.unpack_from("<H", content, at)
+    name = content[at + 2 : at + 2 + length].decode()
+    at += 2 + length
+    axes, kind, offset = struct.unpack_from("<HBQ", content, at)
+    if axes > MOST_AXES or kind not in TYPES or not name.isprintable():
+        raise _Damaged(f"a field of {axes} axes and type {kind}")
+    shape = struct.unpack_from(f"<{axes}Q", content, at + 11)
+    if 0 in shape:  # numpy refuses some of these, in words of its own
+        raise _Damaged(f"a field {name[:20]} without values")
+    dtype, count = np.dtype(TYPES[kind]), math.prod(shape)
+    if offset + count * dtype.itemsize > len(content):
+        raise _Damaged(f"{len(content):,} bytes, too few for the field {name[:20]}")
+    return name, np.frombuffer(content, dtype, count, offset).reshape(shape), at + 11 + 8 * axes
+
+
+def write_tensor_file(path: str | Path, fields: Mapping[str, NDArray[np.number]]) -> None:
+    """Write arrays, whole or not at all."""
+    kinds = {np.dtype(word): kind for kind, word in TYPES.items()}
+    headers = {name: struct.pack("<H", len(name)) + name.encode() for name in fields}
+    offset = 18 + sum(len(headers[name]) + 11 + 8 * array.ndim for name, array in fields.items())
+    head, body = [MAGIC, struct.pack("<BBI", *VERSION, len(fields))], []
+    for name, array in fields.items():
+        pad = -offset % ALIGNMENT
+        head.append(headers[name] + struct.pack("<HBQ", array.ndim, kinds[array.dtype], offset + pad))
+        head.append(struct.pack(f"<{array.ndim}Q", *array.shape))
+        body.append(bytes(pad) + np.ascontiguousarray(array).tobytes())
+        offset += pad + array.nbytes
+    write_atomically(path, lambda target: target.write_bytes(b"".join((*head, *body))))
+
+
+def viewer_angles() -> NDArray[np.float64]:
+    """Angles of the viewer in rad, [NODES], from the normal to LAST_DEGREES and denser there."""
+    rest = 1 - np.linspace(0, 1, NODES)
+    angles: NDArray[np.float64] = math.radians(LAST_DEGREES) * (1 - rest * rest)
+    return angles
+
+
+def half_vectors() -> Tensor:
+    """The grid's half vectors, [GRID (v), GRID (u), 3]."""
+    line = torch.linspace(0, 1, GRID, dtype=torch.float64)
+    v, u = torch.meshgrid(line, line, indexing="ij")
+    theta, phi = u * u * (math.pi / 2), (2 * v - 1) * math.pi
+    return torch.stack([theta.sin() * phi.cos(), theta.sin() * phi.sin(), theta.cos()], -1)
+
+
+def write_rgl(path: str | Path, evaluate: Callable[[Tensor], Tensor], description: str) -> None:
+    """Tabulate a BRDF as a file that `measured` loads in RGB variants, whole or not at all.
+
+    Args:
+        path: the file, 6 MB.
+        evaluate: linear RGB [N, 3] in 1/sr, of angles (theta_h, theta_d, phi_d) [N, 3] in rad.
+        description: kept in the file.
+
+    Raises:
+        ValueError: a value that is not finite.
+    """
+    half, angles = half_vectors(), viewer_angles()
+    tables = np.stack([_table(evaluate, half, float(angle)) for angle in angles])
+    if not np.isfinite(tables).all():
+        raise ValueError(f"{path}: values that are NaN or infinite, expected finite reflectance; fit again.")
+    luminance = tables.mean(1)
+    # densities per area of the grid, so that what counts is the light a cell reflects
+    area = _area(half, angles)
+    luminance = luminance / np.maximum(np.cos(angles), 1e-3)[:, None, None] * area
+    luminance += LEAST_LUMINANCE * luminance.mean((1, 2), keepdims=True) + 1e-12
+    ones = np.ones((1, NODES, 2, 2), np.float32)
+    fields: dict[str, NDArray[np.number]] = {
+        "description": np.frombuffer(description.encode() or b" ", np.uint8),
+        "phi_i": np.zeros(1, np.float32),
+        "theta_i": angles.astype(np.float32),
+        "sigma": np.ones((2, 2), np.float32),
+        "ndf": np.ones((2, 2), np.float32),
+        "vndf": ones,
+        "luminance": luminance[None].astype(np.float32),
+        "rgb": tables[None].astype(np.float32),
+        "jacobian": np.zeros(1, np.uint8),
+    }
+    write_tensor_file(path, fields)
+
+
+def _table(evaluate: Callable[[Tensor], Tensor], half: Tensor, angle: float) -> NDArray[np.float64]:
+    """f cos theta of the light, [3, GRID, GRID], of one viewer at azimuth 0; 0 where the light is below the surface."""
+    viewer = torch.tensor([math.sin(angle), 0.0, math.cos(angle)], dtype=torch.float64)
+    light = 2 * (half @ viewer)[..., None] * half - viewer
+    up = (light[..., 2] > 0) & (half @ viewer > 0)
+    pairs = directions_to_full_circle(light[up], viewer.expand_as(light[up]))
+    values = torch.zeros_like(light)
+    with torch.no_grad():
+        values[up] = evaluate(pairs.float()).double() * light[up][:, 2:]
+    return values.movedim(-1, 0).numpy()
+
+
+def _area(half: Tensor, angles: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Solid angle of lights over area of the grid, but for factors that rows share, [NODES, GRID, GRID]."""
+    line = torch.linspace(0, 1, GRID, dtype=torch.float64)
+    jacobian = line * (1 - half[..., 2] ** 2).sqrt()
+    viewers = torch.tensor(np.stack([np.sin(angles), 0 * angles, np.cos(angles)], -1))
+    cosine = torch.einsum("vuc,nc->nvu", half, viewers).clamp_min(0)
+    return (4 * cosine * jacobian).numpy()
 
 
 def export(app: Brdf, theta: Params, path: Path) -> None:

@@ -21,18 +21,8 @@ import torch
 from torch import Tensor
 
 from data_tools.formats import AUTO, Conversion
-from data_tools.readers.heif import is_heif
-from data_tools.readers.photos import (
-    LINEAR,
-    SIZE,
-    Pixels,
-    find_photos,
-    fraction,
-    is_photo,
-    opened,
-    read_pixels,
-    resample,
-)
+from data_tools.readers.image_files import LINEAR, Pixels, is_heif, opened, read_pixels
+from data_tools.readers.photos import SIZE, find_photos, fraction, is_photo, resample
 from data_tools.readers.svbrdf_task import UNITS as OF_TASKS
 from data_tools.readers.svbrdf_task import encoded, svbrdf_task, task_name, unit_normals
 from metapp.appearance.flash import Maps, pack
@@ -111,7 +101,7 @@ def read_task(path: Path, size: int = SIZE, gamma: float = 1.0, white: float = W
             where it is clipped.
 
     Raises:
-        ValueError: as `data_tools.readers.photos.read_pixels`; not five squares, NaN, black, normals that are none.
+        ValueError: as `read_pixels`; not five squares, NaN, black, normals that are none.
     """
     photo, normal, diffuse, roughness, specular = _read_tiles(path, size, gamma, white)
     if max(float(diffuse.max()), float(specular.max())) < _DARKEST:

@@ -6,7 +6,8 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from data_tools.readers import material_maps, strips
-from data_tools.readers.photos import SIZE, check_exists, find_photos, holds_photos, read_photo
+from data_tools.readers.image_files import check_exists
+from data_tools.readers.photos import SIZE, find_photos, holds_photos, read_photo
 from data_tools.readers.svbrdf_task import UNITS, task_name
 from metapp.appearance.flash import FOV_RAD
 from metapp.appearance.surface import DESCRIPTION

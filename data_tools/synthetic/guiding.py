@@ -13,9 +13,8 @@ from metapp.learning.task import Task
 from metapp.rendering import equal_time
 from metapp.rendering.guide_histogram import coarsened, second_moments, voxels_of
 from metapp.rendering.guide_prior import LearnedPrior, histogram_features, init
-from metapp.rendering.guided_path import PathTracer, Settings
-from metapp.rendering.guided_picture import GuidedPicture, Part
-from metapp.rendering.guided_plugin import RR_DEPTH
+from metapp.rendering.guided_path import PathTracer
+from metapp.rendering.guided_plugin import RR_DEPTH, GuidedPicture
 from metapp.rendering.path_space import DEPTH
 from metapp.rendering.scene_loading import load_scene
 
@@ -40,7 +39,7 @@ def guide_tasks(kind: str, seed: int) -> list[Task]:
     mi, scene, _ = load_scene(random_room(kind, seed))
     equal_time.resize(scene, SIZE)
     path = mi.load_dict({"type": "path", "max_depth": DEPTH})
-    tracer = PathTracer(Settings(DEPTH, RR_DEPTH))
+    tracer = PathTracer(DEPTH, RR_DEPTH)
     picture = GuidedPicture(path, tracer, scene, scene.sensors()[0], seed, init(Generator()))
     prior = picture.cache.prior
     assert isinstance(prior, LearnedPrior)
@@ -48,7 +47,7 @@ def guide_tasks(kind: str, seed: int) -> list[Task]:
     for parts in PARTS:
         for spp in parts:
             picture.pays = True  # the guard has no say
-            picture.add(Part(spp, learns=True))
+            picture.add(spp, learns=True)
         readings.append(_sums(picture, prior))
     voxels = prior.survey.voxels
     rng = Generator().manual_seed(seed)

@@ -1,6 +1,6 @@
 """Baselines: what a reader would use instead of a network, fitted to what fits see and judged by the same errors.
 
-A module here with the name of an application defines `baselines(app)`; `methods` holds the mathematics.
+A module here with the name of an application defines `baselines(app)`.
 """
 
 from __future__ import annotations

@@ -1,25 +1,232 @@
-"""Baselines of illumination networks: coefficients of the map itself; of a photo, the nearest training map."""
+"""Baselines of illumination networks: coefficients of the map itself; of a photo, the nearest training map.
+
+Coefficients are the largest of orthonormal transforms: Haar wavelets, cosines, spherical harmonics.
+"""
 
 from __future__ import annotations
 
 import functools
+import math
 from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from scipy.fft import dctn, idctn
+from scipy.linalg import solve_triangular
+from scipy.special import sph_legendre_p_all
 from torch import Generator, Tensor
 
 from metapp.appearance.latlong import solid_angles
 from metapp.baselines.baseline import Allowed, Baseline, Codec, Fitted, Prepared, Training, both_ways, nearest_photo
-from metapp.baselines.methods import transforms
-from metapp.baselines.methods.transforms import Floats
 from metapp.learning.app import App
 from metapp.learning.task import Tasks
 
+Floats = NDArray[np.float64]
+
+ROOT = math.sqrt(0.5)
+SCALE, VALUE = 4, 2  # bytes of a picture's scale, a float, and of a value, half a float
 # the power of solid angle that texels are weighted by before a transform: least error on training maps
 EVEN, BY_AREA = 0.0, 0.5
+
+
+class Kept(NamedTuple):
+    """Coefficients that are kept, the others 0.
+
+    Attributes:
+        values: [C, K] over the scale, in half precision.
+        scale: the largest.
+        places: in a plane, [K], as `str_` of row-major numbers.
+        shape: of a plane.
+    """
+
+    values: NDArray[np.float16]
+    scale: float
+    places: NDArray[np.int64]
+    shape: tuple[int, int]
+
+    @property
+    def numbers(self) -> int:
+        """Values and places."""
+        return self.values.size + self.places.size
+
+    @property
+    def size(self) -> int:
+        """Bytes: places as a list or as a bit for each there is, whichever is less."""
+        total = math.prod(self.shape)
+        return SCALE + VALUE * self.values.size + min(places_size(total) * self.places.size, -(-total // 8))
+
+    def coefficients(self) -> Floats:
+        """All of them, [C, H, W]."""
+        flat = np.zeros((len(self.values), math.prod(self.shape)))
+        flat[:, self.places] = self.values.astype(np.float64) * self.scale
+        return flat.reshape(-1, *self.shape)
+
+
+def places_size(total: int) -> int:
+    """Bytes of a place among so many."""
+    return 2 if total <= 2**16 else 4
+
+
+def largest(coefficients: Floats, count: int) -> Kept:
+    """The places where coefficients [C, H, W] of all channels together have most energy."""
+    channels, *shape = coefficients.shape
+    flat = coefficients.reshape(channels, -1)
+    places = np.sort(np.argsort(-(flat * flat).sum(0), kind="stable")[:count])
+    scale = float(np.abs(flat).max()) or 1.0
+    return Kept((flat[:, places] / scale).astype(np.float16), scale, places, (shape[0], shape[1]))
+
+
+def haar(pictures: Floats) -> Floats:
+    """Haar wavelets of pictures [C, H, W], orthonormal: averages and differences, of averages again and again.
+
+    Raises:
+        ValueError: a side is no power of two.
+    """
+    result = pictures.astype(np.float64)
+    for height, width in _levels(*result.shape[-2:]):
+        part = result[..., :height, :width]
+        part = _apart(part, -2) if height > 1 else part
+        result[..., :height, :width] = _apart(part, -1) if width > 1 else part
+    return result
+
+
+def inverse_haar(coefficients: Floats) -> Floats:
+    """The inverse of `haar`."""
+    result = coefficients.astype(np.float64)
+    for height, width in reversed(_levels(*result.shape[-2:])):
+        part = result[..., :height, :width]
+        part = _together(part, -1) if width > 1 else part
+        result[..., :height, :width] = _together(part, -2) if height > 1 else part
+    return result
+
+
+def _levels(height: int, width: int) -> list[tuple[int, int]]:
+    """Sides of the averages, from the finest on."""
+    for side in (height, width):
+        if side & (side - 1):
+            raise ValueError(f"Haar wavelets of {height}x{width} texels, expected powers of two; resample first.")
+    found = []
+    while height > 1 or width > 1:
+        found.append((height, width))
+        height, width = max(1, height // 2), max(1, width // 2)
+    return found
+
+
+def _apart(values: Floats, axis: int) -> Floats:
+    """Averages, then differences, of neighbours."""
+    values = values.swapaxes(axis, -1)
+    first, second = values[..., ::2], values[..., 1::2]
+    return np.concatenate([(first + second) * ROOT, (first - second) * ROOT], -1).swapaxes(axis, -1)
+
+
+def _together(values: Floats, axis: int) -> Floats:
+    """The inverse of `_apart`."""
+    first, second = np.split(values.swapaxes(axis, -1), 2, -1)
+    both = np.stack([(first + second) * ROOT, (first - second) * ROOT], -1)
+    return both.reshape(*both.shape[:-2], -1).swapaxes(axis, -1)
+
+
+def orders(height: int, width: int) -> int:
+    """How many orders of spherical harmonics, 0 among them, the texels of a lat-long map tell apart.
+
+    Rows bound the degree, columns the wave along them: that of width / 2 has no cosine at the texels' centres, and of
+    more is one of less.
+    """
+    return min(height, (width + 1) // 2)
+
+
+def harmonics(maps: Floats, order: int) -> Floats:
+    """Coefficients of lat-long maps [C, H, W] in real spherical harmonics up to an order, [C, (order + 1)^2].
+
+    Least squares, texels weighted by solid angle. Harmonics are orthonormal over the sphere; those of one degree stand
+    together, so that the first are those of less. Columns are evenly spaced and weights are of rows, so that every
+    wave along the columns is a small fit of its own.
+
+    Raises:
+        ValueError: texels do not tell so many orders apart.
+    """
+    channels, height, width = maps.shape
+    _check(order, height, width)
+    # mean of map times exp(i m phi), twice that of waves, whose mean square is 1/2
+    waves = np.fft.rfft(maps, norm="forward")[..., : order + 1].conj() * _turn(order, width)
+    waves[..., 1:] *= 2
+    found = np.empty((channels, (order + 1) ** 2))
+    degrees = np.arange(order + 1)
+    for m, rows in enumerate(_along_theta(height)[: order + 1]):
+        count = order + 1 - m
+        fitted = waves[..., m] @ rows.weighted[:, :count]
+        fitted = solve_triangular(rows.triangle[:count, :count], fitted.T).T
+        # cosines last: 0 has no sines, so that both places are the same
+        found[:, places_of(degrees[m:], -m)] = fitted.imag
+        found[:, places_of(degrees[m:], m)] = fitted.real
+    return found
+
+
+def from_harmonics(coefficients: Floats, height: int, width: int) -> Floats:
+    """Maps [C, H, W] of coefficients [C, (order + 1)^2]; undoes `harmonics` where maps have no higher order.
+
+    Raises:
+        ValueError: texels do not tell so many orders apart.
+    """
+    order = math.isqrt(coefficients.shape[1]) - 1
+    _check(order, height, width)
+    waves = np.zeros((len(coefficients), height, width // 2 + 1), np.complex128)
+    degrees = np.arange(order + 1)
+    for m, rows in enumerate(_along_theta(height)[: order + 1]):
+        cosines, sines = (coefficients[:, places_of(degrees[m:], sign * m)] for sign in (1, -1))
+        along = rows.basis[:, : order + 1 - m].T
+        waves[..., m] = (cosines - 1j * sines) @ along / 2 if m else cosines @ along
+    waves[..., : order + 1] *= _turn(order, width)
+    return np.fft.irfft(waves, width, norm="forward")
+
+
+def places_of(degrees: NDArray[np.int64], m: int) -> NDArray[np.int64]:
+    """Where the harmonics of some degrees stand: cosines of m, sines of -m."""
+    return degrees * degrees + (2 * m - 1 if m > 0 else -2 * m)
+
+
+def _check(order: int, height: int, width: int) -> None:
+    if order >= (count := orders(height, width)):
+        found = f"Spherical harmonics of order {order} from {height}x{width} texels"
+        raise ValueError(f"{found}, expected at most {count - 1}; take fewer or a larger map.")
+
+
+def _turn(order: int, width: int) -> NDArray[np.complex128]:
+    """Of each m what turns a wave from the first texel's edge to its centre, [order + 1]."""
+    return np.asarray(np.exp(1j * np.arange(order + 1) * (math.pi / width)))
+
+
+class _Rows(NamedTuple):
+    """Harmonics of one m along the rows of a map, of all degrees that these tell apart.
+
+    Attributes:
+        basis: [H, degrees], from degree m on.
+        weighted: [H, degrees], Q of the QR decomposition of the basis times roots of solid angles, times these roots.
+        triangle: [degrees, degrees], R of it; its first columns fit a lower order.
+    """
+
+    basis: Floats
+    weighted: Floats
+    triangle: Floats
+
+
+@functools.lru_cache(maxsize=4)
+def _along_theta(height: int) -> list[_Rows]:
+    """Of each m.
+
+    Rows tell all these degrees apart well: the weighted bases have condition numbers below 3.
+    """
+    theta = (np.arange(height) + 0.5) * (math.pi / height)
+    root = np.sqrt(np.sin(theta))[:, None]
+    legendre = sph_legendre_p_all(height - 1, height - 1, theta)[0]
+    found = []
+    for m in range(height):
+        basis = legendre[m:, m].T * (math.sqrt(2) if m else 1)
+        orthogonal, triangle = np.linalg.qr(root * basis)
+        found.append(_Rows(basis, root * orthogonal, triangle))
+    return found
 
 
 class Transform(NamedTuple):
@@ -33,11 +240,11 @@ class Transform(NamedTuple):
         """The largest coefficients: one place more a rung."""
         radiance = _map_of(tasks)
         weights = solid_angles(*radiance.shape[-2:]).double().numpy() ** self.power
-        kept = transforms.largest(self.forward(radiance * weights), rung + 1)
+        kept = largest(self.forward(radiance * weights), rung + 1)
         return Fitted(lambda: _answer(self.inverse(kept.coefficients()) / weights), kept.numbers, kept.size)
 
 
-HAAR = Transform(transforms.haar, transforms.inverse_haar, EVEN)
+HAAR = Transform(haar, inverse_haar, EVEN)
 COSINES = Transform(
     functools.partial(dctn, axes=(-2, -1), norm="ortho"),
     functools.partial(idctn, axes=(-2, -1), norm="ortho"),
@@ -77,27 +284,27 @@ def _texels(tasks: Tasks) -> int:
 
 
 def _orders(tasks: Tasks) -> int:
-    return transforms.orders(*_map_of(tasks).shape[1:])
+    return orders(*_map_of(tasks).shape[1:])
 
 
 def _harmonics(tasks: Tasks, order: int) -> Fitted:
     """Coefficients up to an order, as half floats over their largest."""
     radiance = _map_of(tasks)
     _, height, width = radiance.shape
-    coefficients = transforms.harmonics(radiance, order)
-    kept = transforms.largest(coefficients[:, None], coefficients.shape[1])
+    coefficients = harmonics(radiance, order)
+    kept = largest(coefficients[:, None], coefficients.shape[1])
 
     def answer() -> Tensor:
-        return _answer(transforms.from_harmonics(kept.coefficients()[:, 0], height, width))
+        return _answer(from_harmonics(kept.coefficients()[:, 0], height, width))
 
-    return Fitted(answer, kept.values.size, transforms.SCALE + transforms.VALUE * kept.values.size)
+    return Fitted(answer, kept.values.size, SCALE + VALUE * kept.values.size)
 
 
 def _halves(tasks: Tasks, rng: Generator, allowed: Allowed) -> Fitted:
     radiance = _map_of(tasks)
     scale = radiance.max() or 1.0
     kept = (radiance / scale).astype(np.float16)
-    size = transforms.SCALE + kept.nbytes
+    size = SCALE + kept.nbytes
     return Fitted(lambda: _answer(kept.astype(np.float64) * scale), kept.size, size, size <= allowed.size)
 
 

@@ -2,21 +2,58 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import tempfile
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+import OpenImageIO as oiio
 import torch
 from torch.nn.functional import adaptive_avg_pool2d, interpolate, normalize
 
 from metapp.appearance.flash import Maps, unpack
 from metapp.baselines.baseline import Allowed, Baseline, Codec, Fitted, Prepared, Training, both_ways, nearest_photo
-from metapp.baselines.methods import codec
 from metapp.learning.app import App
 from metapp.learning.task import Tasks
 
 GAMMA = 2.2  # colours in files, as the eye spaces them
 SMALLEST = 4  # px of a side
+
+
+def jpeg(picture: np.ndarray, quality: int) -> bytes:
+    """A JPEG of a picture [H, W, 1 or 3] in [0, 1], quality 1 to 100, colours as fine as brightness."""
+    settings = {"Compression": f"jpeg:{quality}", "jpeg:subsampling": "4:4:4"}
+    return _encoded(picture, ".jpg", "uint8", settings)
+
+
+def png(picture: np.ndarray, bits: int) -> bytes:
+    """A PNG of a picture [H, W, 1 or 3] in [0, 1], of 8 or 16 bits, compressed as far as it goes."""
+    return _encoded(picture, ".png", f"uint{bits}", {"png:compressionLevel": 9, "png:filter": 0xF8})
+
+
+def decoded(file: bytes, suffix: str) -> np.ndarray:
+    """The picture [H, W, 1 or 3] of a file, in [0, 1]."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder, f"picture{suffix}")
+        path.write_bytes(file)
+        pixels = oiio.ImageBuf(str(path)).get_pixels("float")
+    assert pixels is not None
+    return pixels
+
+
+def _encoded(picture: np.ndarray, suffix: str, kind: str, settings: Mapping[str, str | int]) -> bytes:
+    spec = oiio.ImageSpec(picture.shape[1], picture.shape[0], picture.shape[2], kind)
+    for key, value in settings.items():
+        spec.attribute(key, value)
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder, f"picture{suffix}")
+        output = oiio.ImageOutput.create(str(path))
+        assert output is not None, suffix
+        done = output.open(str(path), spec) and output.write_image(np.ascontiguousarray(picture, np.float32))
+        if not (output.close() and done):
+            raise OSError(f"a picture as {suffix}: {output.geterror()}")
+        return path.read_bytes()
 
 
 class Sheets(NamedTuple):
@@ -68,7 +105,7 @@ def _maps(tasks: Tasks) -> Maps:
 
 
 def _jpeg(tasks: Tasks, rung: int) -> Fitted:
-    files = [codec.jpeg(sheet, rung + 1) for sheet in sheets(_maps(tasks))]
+    files = [jpeg(sheet, rung + 1) for sheet in sheets(_maps(tasks))]
     return _kept(files, ".jpg", lambda maps: maps)
 
 
@@ -76,7 +113,7 @@ def _kept(files: Sequence[bytes], suffix: str, after: Callable[[Maps], Maps]) ->
     """Both files, and what their maps go through."""
 
     def answer() -> Maps:
-        return after(maps_of(Sheets(*(codec.decoded(file, suffix) for file in files))))
+        return after(maps_of(Sheets(*(decoded(file, suffix) for file in files))))
 
     return Fitted(answer, None, sum(map(len, files)))
 
@@ -96,7 +133,7 @@ def _png(tasks: Tasks, rung: int) -> Fitted:
     full = maps.diffuse.shape[-1]
     side, bits = _settings(full)[rung]
     small = Maps(*(adaptive_avg_pool2d(part, side) for part in maps))
-    return _kept([codec.png(sheet, bits) for sheet in sheets(small)], ".png", lambda maps: _enlarged(maps, full))
+    return _kept([png(sheet, bits) for sheet in sheets(small)], ".png", lambda maps: _enlarged(maps, full))
 
 
 def _enlarged(maps: Maps, side: int) -> Maps:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from metapp.baselines.baseline import Baseline
-from metapp.baselines.exemplars import nearest_exemplar
+from metapp.baselines.texture import nearest_exemplar
 from metapp.learning.app import App
 
 

@@ -168,8 +168,8 @@ def _synth_merl(options: Synth) -> Converted:
 
 
 for _form in formats():
-    if _form.help:
-        _command(command_of(_form))
+    if _form.command:
+        _command(command_of(_form, _form.command))
 _command(cornell)
 _command(join)
 _command(noisy)

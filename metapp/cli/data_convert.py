@@ -11,7 +11,7 @@ from typing import Annotated, Any
 
 import typer
 
-from data_tools.formats import SPLIT, Format, Setting
+from data_tools.formats import SPLIT, Command, Format, Setting
 from metapp.cli.console import print_json, say
 from metapp.cli.options import Json
 from metapp.runs.convert import Converted, convert
@@ -40,8 +40,8 @@ SplitOption = Annotated[Split, typer.Option("--split", help=SPLIT)]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress and no summary.")]
 
 
-def command_of(form: Format) -> Callable[..., None]:
-    """Make the command that converts files of a format; its options are the format's settings."""
+def command_of(form: Format, about: Command) -> Callable[..., None]:
+    """Make the command that converts files of a format; its options are the command's settings."""
 
     def command(paths: list[Path], folder: Path, split: Split, quiet: bool, as_json: bool, **settings: Any) -> None:
         chosen = {name: value.value if isinstance(value, enum.Enum) else value for name, value in settings.items()}
@@ -50,20 +50,19 @@ def command_of(form: Format) -> Callable[..., None]:
             say(f"warning: {line}")
         report(convert(conversion, paths, folder, split.value, quiet), quiet, as_json)
 
-    metavar, help_text = form.paths
-    split_option = Annotated[Split, typer.Option("--split", help=form.split_help)]
+    split_option = Annotated[Split, typer.Option("--split", help=about.split_help)]
     keyword = functools.partial(inspect.Parameter, kind=inspect.Parameter.KEYWORD_ONLY)
     parameters = [
-        keyword("paths", annotation=Annotated[list[Path], typer.Argument(metavar=metavar, help=help_text)]),
+        keyword("paths", annotation=Annotated[list[Path], typer.Argument(metavar=about.metavar, help=about.paths)]),
         keyword("folder", annotation=Out),
         keyword("split", annotation=split_option, default=Split.AUTO),
-        *(keyword(setting.name, annotation=_option(setting), default=setting.default) for setting in form.settings),
+        *(keyword(setting.name, annotation=_option(setting), default=setting.default) for setting in about.settings),
         keyword("quiet", annotation=Quiet, default=False),
         keyword("as_json", annotation=Json, default=False),
     ]
     command.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
     command.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
-    command.__name__, command.__doc__ = form.name, form.help
+    command.__name__, command.__doc__ = form.name, about.help
     return command
 
 

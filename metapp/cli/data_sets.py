@@ -84,7 +84,7 @@ def noisy(
       metapp data noisy merl --noise 0.2 --outliers 0.01 --grazing 75 --out merl-20
       metapp data noisy merl --noise 0 --samples 64 --out merl-64
     """
-    from data_tools.readers.noise import as_measured
+    from data_tools.readers.brdf_task import as_measured
     from metapp.storage.manifest import read_manifest
     from metapp.storage.shards import read_shard
 

@@ -158,7 +158,9 @@ def subjects_of(given: Evaluation) -> list[Subject]:
     """Each application under each protocol."""
     from metapp.apps import app_names, protocols_of, recipes_of
     from metapp.evaluation.subject import Subject
-    from metapp.runs.session import check_name, check_protocol, options_of
+    from metapp.runs.checks import check_name, check_protocol
+    from metapp.runs.plan import plan
+    from metapp.runs.request import Request
 
     budget, run = budget_of(given), not given.no_run
     names = given.apps or app_names()
@@ -167,22 +169,25 @@ def subjects_of(given: Evaluation) -> list[Subject]:
     for name in [name for name in names if protocols_of(name)] or names:
         check_protocol(given.observe, name)
     planned = [
-        options_of(
-            name,
-            observe=protocol,
-            rule=given.rule,
-            recipe=given.recipe if given.apps or given.recipe in recipes_of(name) else "quick",
-            data=given.data,
-            out=given.out,
-            seed=given.seed,
-            device=given.device,
-            quiet=given.quiet,
+        plan(
+            Request(
+                name,
+                "general",
+                observe=protocol,
+                rule=given.rule,
+                recipe=given.recipe if given.apps or given.recipe in recipes_of(name) else "quick",
+                data=given.data,
+                out=given.out,
+                seed=given.seed,
+                device=given.device,
+                quiet=given.quiet,
+            )
         )
         for name in names
         for protocol in ((given.observe,) if given.observe and protocols_of(name) else protocols_of(name) or ("",))
     ]
     strict = bool(given.apps) and run
-    return [Subject(options, run=run, strict=strict, share=given.overfit_share, budget=budget) for options in planned]
+    return [Subject(each, run=run, strict=strict, share=given.overfit_share, budget=budget) for each in planned]
 
 
 def fill(tables: list[Table], subjects: list[Subject], given: Evaluation) -> None:

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 from metapp.learning.task import Params, Task
 from metapp.runs.reporter import clock as shown_clock
-from metapp.runs.session import threads
+from metapp.runs.surroundings import threads
 from metapp.storage.records import RunFolder
 
 Record = dict[str, Any]

@@ -72,7 +72,7 @@ def overfit_note(subject: Subject) -> list[str]:
     """What is said where Overfit takes fewer steps than the recipe's."""
     if subject.share == 1:
         return []
-    steps, recipe = subject.fits["overfit"].steps, subject.options.job.recipe.overfit_steps
+    steps, recipe = subject.fits["overfit"].steps, subject.plan.job.recipe.overfit_steps
     changed = "its error and the gap closed are too high, its time and the speed-up too low"
     return [f"overfit: {steps:,} of the recipe's {recipe:,} steps, so {changed}"]
 

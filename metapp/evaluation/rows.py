@@ -11,8 +11,8 @@ from typing import Any, NamedTuple
 
 from metapp.evaluation.cell import Cell, Record
 from metapp.evaluation.subject import Subject
+from metapp.runs.naming import is_first_protocol, observe_of
 from metapp.runs.reporter import number
-from metapp.runs.session import is_first_protocol, observe_of
 from metapp.runs.statistics import Errors, Paired, paired, statistics_of
 from metapp.storage.records import guarded
 

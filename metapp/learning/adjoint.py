@@ -3,67 +3,53 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from functools import lru_cache
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
 from torch.autograd.function import once_differentiable
-from torch.utils._pytree import tree_flatten, tree_unflatten
 
-from metapp.learning.draws import Rng
-from metapp.learning.flat import FusedLoss, Packing, no_fused
-from metapp.learning.task import Linear, Params
+from metapp.learning.task import Params
 
 
 class Drawn(NamedTuple):
-    """What one step sees: whose samples they are, and the samples."""
+    """A batch, and the names of the tasks whose samples it holds."""
 
     names: tuple[str, ...]
     batch: Any
 
 
-def whole(data: Any, done: float) -> Any:
-    """All of the data, however far the descent is."""
-    return data
-
-
-class Loss(NamedTuple):
+@dataclass(frozen=True)
+class Loss:
     """Alg. 2 in two halves, so that the random one stays outside of what is differentiated and compiled.
 
     Attributes:
-        draw: (data, rng) -> Drawn; all randomness is here; rng is a generator, or one for each task (`draws`).
+        draw: (data, rng, done) -> Drawn; all randomness is here; rng is a generator, or one for each task (`draws`);
+            done is the share of the descent's steps that were taken, in [0, 1]: at 1 all of the data is drawn from.
         value: (params, batch, learned) -> the loss of each task, [T]; `learned` are its learned parameters.
         shared: True where all tasks share the parameters (the descent follows the mean over tasks), False where
             each task has its own (it follows the sum, which moves each as if it were alone).
-        linear: (params, batch, learned) -> least squares near the loss, where the network is linear in a parameter.
-        stage: (data, share of the steps that were taken) -> the data that a step draws from.
-        fused: theta -> the same in C for flat parameters of this layout; None where there is no such form.
     """
 
-    draw: Callable[[Any, Any], Drawn]
+    draw: Callable[[Any, Any, float], Drawn]
     value: Callable[[Params, Any, Params], Tensor]
     shared: bool = False
-    linear: Callable[[Params, Any, Params], Linear] | None = None
-    stage: Callable[[Any, float], Any] = whole
-    fused: Callable[[Params], FusedLoss | None] = no_fused
 
-    def draw_at(self, data: Any, rng: Rng, step: int, steps: int) -> Drawn:
-        """Draw what one of so many steps sees."""
-        return self.draw(self.stage(data, step / steps), rng)
+    def gradient(self, theta: Params, batch: Any, learned: Params, *, graph: bool) -> tuple[Params, Tensor]:
+        """What a step follows, the gradient, and the detached loss of each task, [T].
 
-    def total(self, params: Params, batch: Any, learned: Params) -> tuple[Tensor, Tensor]:
-        """The scalar to descend and the detached loss of each task, [T]."""
-        each = self.value(params, batch, learned)
-        return (each.mean() if self.shared else each.sum()), each.detach()
-
-
-def gradient(loss: Loss, theta: Params, batch: Any, learned: Params, *, graph: bool) -> tuple[Params, Tensor]:
-    """The gradient of a loss, and the detached loss of each task, [T]; `graph`: it will be differentiated itself."""
-    theta = theta if graph else _leaves(theta)
-    total, each = loss.total(theta, batch, learned)
-    grads = torch.autograd.grad(total, list(theta.values()), create_graph=graph, materialize_grads=True)
-    return dict(zip(theta, grads, strict=True)), each
+        Args:
+            theta: parameters.
+            batch: as drawn.
+            learned: the loss's learned parameters.
+            graph: whether the gradient will be differentiated itself.
+        """
+        theta = theta if graph else _leaves(theta)
+        losses = self.value(theta, batch, learned)
+        total = losses.mean() if self.shared else losses.sum()
+        grads = torch.autograd.grad(total, list(theta.values()), create_graph=graph, materialize_grads=True)
+        return dict(zip(theta, grads, strict=True)), losses.detach()
 
 
 class UpdateRule(NamedTuple):
@@ -74,15 +60,11 @@ class UpdateRule(NamedTuple):
             Those named `loss.*` go to the loss instead of the rule.
         init: theta -> state.
         step: (alpha at this step, theta, gradient, state) -> (theta, state).
-        sees: what a step gets of a batch; the gradient, or something else that stands in its place.
-        packing: how steps in C read alpha; None where there are none.
     """
 
     alpha: Params
     init: Callable[[Params], Params]
     step: Callable[[Params, Params, Params, Params], tuple[Params, Params]]
-    sees: Callable[..., tuple[Params, Tensor]] = gradient
-    packing: Packing | None = None
 
 
 def at_step(alpha: Params, i: int) -> Params:
@@ -90,168 +72,150 @@ def at_step(alpha: Params, i: int) -> Params:
     return {key: value[min(i, value.shape[0] - 1)] for key, value in alpha.items()}
 
 
-class StepPair(NamedTuple):
-    """One step and its vector-Jacobian product.
+def loss_parameters(alpha: Params) -> Params:
+    """The learned parameters of the loss among hyperparameters."""
+    return {key[5:]: value for key, value in alpha.items() if key.startswith("loss.")}
+
+
+def same(theta: Params) -> Params:
+    """Parameters as they are."""
+    return theta
+
+
+class Stepper(NamedTuple):
+    """One step of a rule down a loss, and its vector-Jacobian product.
 
     Attributes:
-        forward: (alpha, theta, state, batch) -> (theta, state, losses, gradient).
-        pullback: (alpha, theta, state, needed, pull_theta, pull_state) -> pulls of (theta, state, alpha).
-        needed: (batch, gradient) -> what the pullback needs of both: the batch for order 2, which differentiates the
+        theta: the initialisation, as steps have it; differentiable in what it was made of.
+        alpha: the same of the rule's hyperparameters, [K, ...].
+        init: theta -> state.
+        step: (alpha, theta, state, batch) -> (theta, state, losses, gradient).
+        step_vjp: (alpha, theta, state, needed, pull_theta, pull_state) -> pulls of (theta, state, alpha).
+        needed: (batch, gradient) -> what `step_vjp` needs of both: the batch for order 2, which differentiates the
             gradient; for order 1 the gradient, which is a constant.
+        unpack: theta as steps have it -> theta by parameter, differentiable.
     """
 
-    forward: Callable[..., tuple[Params, Params, Tensor, Any]]
-    pullback: Callable[..., tuple[Params, Params, Params]]
+    theta: Params
+    alpha: Params
+    init: Callable[[Params], Params]
+    step: Callable[[Params, Params, Params, Any], tuple[Params, Params, Tensor, Any]]
+    step_vjp: Callable[..., tuple[Params, Params, Params]]
     needed: Callable[[Any, Any], Any]
+    unpack: Callable[[Params], Params] = same
 
 
-def step_pair(rule: UpdateRule, loss: Loss, order: int, compiled: bool) -> StepPair:
-    """One step and its vector-Jacobian product; the only two functions that are worth compiling."""
-    return (_compiled_pair if compiled else _eager_pair)(rule.step, rule.sees, loss, order)
+StepFunctions = tuple[Callable[..., Any], Callable[..., Any]]
 
 
-@lru_cache(maxsize=32)  # compiling takes seconds
-def _compiled_pair(rule_step: Callable[..., Any], rule_sees: Callable[..., Any], loss: Loss, order: int) -> StepPair:
-    eager = _eager_pair(rule_step, rule_sees, loss, order)
-    return eager._replace(forward=_Compiled(eager.forward), pullback=_Compiled(eager.pullback))
+@dataclass(frozen=True)
+class Engine:
+    """What takes steps: here torch, by automatic differentiation. Others are in `metapp.engine`.
+
+    Attributes:
+        tasks_at_once: tasks whose steps are backpropagated together, where memory is short; None for all.
+    """
+
+    tasks_at_once: int | None = None
+
+    def stepper(self, rule: UpdateRule, loss: Loss, theta: Params, order: int = 1) -> Stepper:
+        """How steps of a rule down a loss are taken from theta, and backpropagated through to an order."""
+        step, step_vjp = self.functions(rule.step, loss, order)
+        if self.tasks_at_once:
+            step_vjp = _in_chunks(step_vjp, self.tasks_at_once)
+        return Stepper(theta, rule.alpha, rule.init, step, step_vjp, _batch_of if order == 2 else _gradient_of)
+
+    def functions(self, step: Callable[..., Any], loss: Loss, order: int) -> StepFunctions:
+        """`step` and `step_vjp` of a Stepper, of a rule's step."""
+        return steps_by_torch(step, loss, order)
+
+    def value(self, loss: Loss, theta: Params, batch: Any) -> Tensor:
+        """A loss [T], differentiable once in theta."""
+        return loss.value(theta, batch, {})
 
 
-def _eager_pair(rule_step: Callable[..., Any], rule_sees: Callable[..., Any], loss: Loss, order: int) -> StepPair:
-    def seen(alpha: Params, theta: Params, batch: Any, *, graph: bool) -> tuple[Params, Tensor]:
-        learned = {key[5:]: value for key, value in alpha.items() if key.startswith("loss.")}
-        result: tuple[Params, Tensor] = rule_sees(loss, theta, batch, learned, graph=graph)
-        return result
+TORCH = Engine()
 
-    def forward(alpha: Params, theta: Params, state: Params, batch: Any) -> tuple[Params, Params, Tensor, Params]:
-        grads, each = seen(alpha, theta, batch, graph=False)
+
+def _batch_of(batch: Any, gradient: Any) -> Any:
+    return batch
+
+
+def _gradient_of(batch: Any, gradient: Any) -> Any:
+    return gradient
+
+
+def steps_by_torch(rule_step: Callable[..., Any], loss: Loss, order: int) -> StepFunctions:
+    """`step` and `step_vjp` of a Stepper; the only two functions that are worth compiling."""
+
+    def step(alpha: Params, theta: Params, state: Params, batch: Any) -> tuple[Params, Params, Tensor, Params]:
+        grads, losses = loss.gradient(theta, batch, loss_parameters(alpha), graph=False)
         with torch.no_grad():
             moved, state = rule_step(alpha, theta, grads, state)
-        return moved, state, each, grads
+        return moved, state, losses, grads
 
-    def pullback(
+    def step_vjp(
         alpha: Params, theta: Params, state: Params, needed: Any, pull_theta: Params, pull_state: Params
     ) -> tuple[Params, Params, Params]:
         alpha, theta, state = _leaves(alpha), _leaves(theta), _leaves(state)
-        grads = seen(alpha, theta, needed, graph=True)[0] if order == 2 else needed
-        moved, stated = rule_step(alpha, theta, grads, state)
-        outputs = [*moved.values(), *(stated[key] for key in state)]
+        grads = loss.gradient(theta, needed, loss_parameters(alpha), graph=True)[0] if order == 2 else needed
+        moved, after = rule_step(alpha, theta, grads, state)
+        outputs = [*moved.values(), *(after[key] for key in state)]
         pulls = [*(pull_theta[key] for key in moved), *(pull_state[key] for key in state)]
         inputs = [*theta.values(), *state.values(), *alpha.values()]
         live = [pair for pair in zip(outputs, pulls, strict=True) if pair[0].requires_grad]
         grads = iter(torch.autograd.grad([o for o, _ in live], inputs, [p for _, p in live], materialize_grads=True))
         return dict(zip(theta, grads)), dict(zip(state, grads)), dict(zip(alpha, grads))  # noqa: B905
 
-    needed = (lambda batch, grads: batch) if order == 2 else (lambda batch, grads: grads)
-    return StepPair(_enable_grad(forward), _enable_grad(pullback), needed)
+    return torch.enable_grad()(step), torch.enable_grad()(step_vjp)
 
 
 def _leaves(params: Params) -> Params:
     return {key: value.detach().requires_grad_() for key, value in params.items()}
 
 
-def _enable_grad(function: Callable[..., Any]) -> Callable[..., Any]:
-    def enabled(*args: Any) -> Any:
-        with torch.enable_grad():
-            return function(*args)
-
-    return enabled
-
-
-def _in_slices(pullback: Callable[..., Any], size: int) -> Callable[..., Any]:
+def _in_chunks(step_vjp: Callable[..., Any], size: int) -> Callable[..., Any]:
     """The same for some tasks at a time, which lowers its memory: tasks do not see each other.
 
     Tensors without axes, as Adam's products of betas at first, belong to all tasks: their pulls add up.
     """
 
-    def part(trees: tuple[Params, ...], i: int) -> tuple[Params, Params, Params]:
+    def chunk(trees: tuple[Params, ...], i: int) -> tuple[Params, Params, Params]:
         own = [{key: value[i : i + size] if value.ndim else value for key, value in tree.items()} for tree in trees]
         if i:  # what is pulled from all tasks' tensors must be counted once
             own[-1] = {key: value if value.ndim else torch.zeros_like(value) for key, value in own[-1].items()}
-        result: tuple[Params, Params, Params] = pullback(*own)
+        result: tuple[Params, Params, Params] = step_vjp(*own)
         return result
 
-    def sliced(*trees: Params) -> tuple[Params, ...]:
+    def chunked(*trees: Params) -> tuple[Params, ...]:
         count = next(iter(trees[1].values())).shape[0]
-        parts = [part(trees, i) for i in range(0, count, size)]
+        chunks = [chunk(trees, i) for i in range(0, count, size)]
         return tuple(
             {
-                key: torch.cat([one[key] for one in each]) if value.ndim else sum(one[key] for one in each)
-                for key, value in each[0].items()
+                key: torch.cat([pull[key] for pull in pulls]) if value.ndim else sum(pull[key] for pull in pulls)
+                for key, value in pulls[0].items()
             }
-            for each in zip(*parts, strict=True)
+            for pulls in zip(*chunks, strict=True)
         )
 
-    return sliced
-
-
-class _Compiled:
-    """Trace a function of flat trees that calls autograd, for the shapes of its first call, and compile the trace."""
-
-    def __init__(self, function: Callable[..., Any]) -> None:
-        self.function = function
-        self.programs: dict[tuple[Any, ...], tuple[Callable[..., Any], Any]] = {}
-
-    def __call__(self, *trees: Params) -> Any:
-        # contiguous, as the trace assumes: the key here stands for all that torch would check again at every call
-        leaves = [value.contiguous() for tree in trees for value in tree.values()]
-        key = (*map(tuple, trees), *((leaf.shape, leaf.dtype, leaf.device) for leaf in leaves))
-        if key not in self.programs:
-            self.programs[key] = self._compile([list(tree) for tree in trees], leaves)
-        program, spec = self.programs[key]
-        with torch.no_grad():
-            return tree_unflatten(list(program(*leaves)), spec)
-
-    def _compile(self, names: list[list[str]], leaves: list[Tensor]) -> tuple[Callable[..., Any], Any]:
-        from torch.fx.experimental.proxy_tensor import make_fx
-
-        spec: Any = None
-
-        def flat(*leaves: Tensor) -> list[Tensor]:
-            nonlocal spec
-            values = iter(leaves)
-            result = self.function(*({name: next(values) for name in tree} for tree in names))
-            outputs, spec = tree_flatten(result)
-            return outputs
-
-        flat(*leaves)  # fills caches, whose making a trace would take for a part of every step
-        table: dict[Any, Callable[..., Any]] = {torch.ops.aten.bmm.default: _narrow_bmm}
-        program = make_fx(flat, decomposition_table=table)(*[leaf.detach() for leaf in leaves])
-        options: Any = {"guard_filter_fn": torch.compiler.skip_all_guards_unsafe}
-        return torch.compile(program, options=options), spec
-
-
-def _narrow_bmm(left: Tensor, right: Tensor) -> Tensor:
-    """A product that is a long sum for few results, as weight gradients are: on CPUs a loop beats the library's."""
-    rows, inner, columns = *left.shape[1:], right.shape[2]
-    if left.device.type != "cpu" or inner < 8 * max(rows, columns):
-        result: Tensor = NotImplemented
-        return result
-    return (left[:, :, None, :] * right.mT[:, None, :, :]).sum(-1)
+    return chunked
 
 
 class _LearnThrough(torch.autograd.Function):
     """K steps of learning as one node of the graph: keeps the K states, backpropagates one recomputed at a time."""
 
     @staticmethod
-    def forward(
-        ctx: Any,
-        steps: StepPair,
-        rule: UpdateRule,
-        batches: Sequence[Any],
-        keys: Sequence[str],
-        *leaves: Any,
-    ) -> tuple[Tensor, ...]:
-        detached = [leaf.detach() for leaf in leaves]
-        theta = dict(zip(keys, detached, strict=False))
-        ctx.alpha = dict(zip(rule.alpha, detached[len(keys) :], strict=True))
-        state = rule.init(theta)
-        ctx.steps, ctx.taken = steps, []
+    def forward(ctx: Any, stepper: Stepper, batches: Sequence[Any], *leaves: Any) -> tuple[Tensor, ...]:
+        values = (leaf.detach() for leaf in leaves)
+        theta, ctx.alpha = ({key: next(values) for key in tree} for tree in (stepper.theta, stepper.alpha))
+        state = stepper.init(theta)
+        ctx.stepper, ctx.taken = stepper, []
         for i, batch in enumerate(batches):
             before = (theta, state)
-            theta, state, _, gradient = steps.forward(at_step(ctx.alpha, i), theta, state, batch)
-            ctx.taken.append((*before, steps.needed(batch, gradient)))
+            theta, state, _, gradient = stepper.step(at_step(ctx.alpha, i), theta, state, batch)
+            ctx.taken.append((*before, stepper.needed(batch, gradient)))
         ctx.last_state = state
-        return tuple(theta[key] for key in keys)
+        return tuple(theta[key] for key in theta)
 
     @staticmethod
     @once_differentiable
@@ -260,35 +224,23 @@ class _LearnThrough(torch.autograd.Function):
         pull_state = {key: torch.zeros_like(value) for key, value in ctx.last_state.items()}
         pull_alpha = {key: torch.zeros_like(value) for key, value in ctx.alpha.items()}
         for i in reversed(range(len(ctx.taken))):
-            pull_theta, pull_state, pulled = ctx.steps.pullback(
+            pull_theta, pull_state, pulled = ctx.stepper.step_vjp(
                 at_step(ctx.alpha, i), *ctx.taken.pop(), pull_theta, pull_state
             )
             for key, value in pulled.items():
                 pull_alpha[key][min(i, pull_alpha[key].shape[0] - 1)].add_(value)
-        return None, None, None, None, *pull_theta.values(), *pull_alpha.values()
+        return None, None, *pull_theta.values(), *pull_alpha.values()
 
 
 def learn_through(
-    theta: Params,
-    rule: UpdateRule,
-    batches: Sequence[Any],
-    loss: Loss,
-    *,
-    order: int,
-    compiled: bool = False,
-    tasks_at_once: int | None = None,
-    steps: StepPair | None = None,
+    theta: Params, rule: UpdateRule, batches: Sequence[Any], loss: Loss, *, order: int, engine: Engine = TORCH
 ) -> Params:
-    """Learn on given batches, differentiably in the start and in the rule's alpha.
+    """Learn on given batches, differentiably in the initialisation and in the rule's alpha.
 
     The gradient is the adjoint recursion over the steps: memory is one step's graph and K copies of the parameters
     and of the rule's state. Order 1 treats each step's gradient as a constant (FOMAML); order 2 is exact (MAML).
-    `steps` are what takes the steps where that is not `step_pair`.
     """
-    steps = steps or step_pair(rule, loss, order, compiled)
-    if tasks_at_once:
-        steps = steps._replace(pullback=_in_slices(steps.pullback, tasks_at_once))
-    keys = list(theta)
+    stepper = engine.stepper(rule, loss, theta, order)
     apply: Callable[..., Any] = _LearnThrough.apply
-    final = apply(steps, rule, batches, keys, *theta.values(), *rule.alpha.values())
-    return dict(zip(keys, final, strict=True))
+    final = apply(stepper, batches, *stepper.theta.values(), *stepper.alpha.values())
+    return stepper.unpack(dict(zip(stepper.theta, final, strict=True)))

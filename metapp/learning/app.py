@@ -11,7 +11,6 @@ from typing import Any, ClassVar, Protocol, runtime_checkable
 import torch
 from torch import Generator, Tensor
 
-from metapp.learning.flat import FusedLoss
 from metapp.learning.task import Batch, Held, Linear, Params, Task, Tasks
 
 
@@ -178,14 +177,6 @@ class ReducedPrecision(Protocol):
 
     def precision(self, device: torch.device) -> str:
         """What is computed how, in words: part of every record; "" for float32 throughout."""
-
-
-@runtime_checkable
-class FusedApp(Protocol):
-    """An application with a loss in C."""
-
-    def fused(self, theta: Params) -> FusedLoss | None:
-        """The inner loss in C, for parameters of these shapes; None where there is none or no compiler for it."""
 
 
 def linear_in(app: App) -> str:

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import math
 import statistics
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Iterator
 from typing import NamedTuple
+
+from metapp.learning.learn import Step
 
 SPARE = 0.1  # of the time that steps may take, left out of a plan: not all steps are as quick as the usual one
 REMEMBERED = 7  # fits that say what pace is usual
@@ -34,44 +38,57 @@ class Deadline:
     """Plans how many steps fit, so that schedules end with the last one, and stops where they turn out to be slower.
 
     Attributes:
+        planned: the steps of the descent that was planned last.
         taken: the steps of each descent of the fit: the first is by the rule, a second one by the guard.
     """
 
-    def __init__(self, seconds: float, clock: Callable[[], float], pace: Pace | None = None) -> None:
+    def __init__(
+        self,
+        seconds: float = math.inf,
+        clock: Callable[[], float] = time.perf_counter,
+        pace: Pace | None = None,
+    ) -> None:
         """Set a deadline.
 
         Args:
-            seconds: when all must be done, by the clock; infinite to measure a pace.
+            seconds: when all must be done, by the clock; infinite where there is no hurry, or to measure a pace.
             clock: seconds since the fit's input was first seen.
             pace: of fits like this; None: all steps that are asked for are planned.
         """
         self._seconds, self._clock, self._pace = seconds, clock, pace
         self._begins: list[float] = []
-        self._planned = 0.0
+        self._begin, self.planned = 0.0, 0
         self.taken: list[int] = []
 
     def plan(self, most: int) -> int:
         """How many of so many steps fit in the time that is left."""
-        self._planned = self._clock()
+        self._begin, self.planned = self._clock(), most
         self.taken.append(0)
-        if self._pace is None:
-            return most
-        left = (1 - SPARE) * (self._seconds - self._planned - self._pace.rest)
-        return max(0, min(most, int(left / max(self._pace.step, 1e-9))))
+        if self._pace:
+            left = (1 - SPARE) * (self._seconds - self._begin - self._pace.rest)
+            self.planned = max(0, min(most, int(left / max(self._pace.step, 1e-9))))
+        return self.planned
 
-    def reached(self, step: int) -> bool:
-        """Whether one more step would end too late; `learn` asks before each."""
+    def within(self, descent: Iterator[Step]) -> Iterator[Step]:
+        """The descent of the steps that were planned, up to the last one that ends in time."""
+        for now in descent:
+            self.taken[-1] = now.step
+            yield now
+            if now.step < self.planned and self._is_over():
+                break
+
+    def _is_over(self) -> bool:
+        """Whether one more step would end too late."""
         now = self._clock()
         if self._pace and now + max(self._pace.longest, self._pace.step) + self._pace.rest > self._seconds:
             return True
         self._begins.append(now)
-        self.taken[-1] += 1
         return False
 
     def pace(self) -> Pace | None:
         """The pace of this fit, which has just ended; None where it does not say what is usual."""
         if len(self.taken) != 1 or self.taken[0] < 2:
             return None
-        each = [after - before for before, after in zip(self._begins, self._begins[1:], strict=False)]
-        step = statistics.fmean(each)
-        return Pace(step, max(each), max(0.0, self._clock() - self._planned - self.taken[0] * step))
+        seconds = [after - before for before, after in zip(self._begins, self._begins[1:], strict=False)]
+        step = statistics.fmean(seconds)
+        return Pace(step, max(seconds), max(0.0, self._clock() - self._begin - self.taken[0] * step))

@@ -7,18 +7,16 @@ The paper's three algorithms map to three names here: `learn` (alg. 1), a `Loss`
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable
-from typing import Any, NamedTuple
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import replace
+from typing import Any, NamedTuple, TypeVar
 
 import torch
 from torch import Generator, Tensor
 
-from metapp.learning.adjoint import Drawn, Loss, UpdateRule, at_step, learn_through, step_pair, whole
-from metapp.learning.app import App, FusedApp, LinearLayer, OuterLoss, OuterSample, Staged
-from metapp.learning.draws import Rng, drawn
-from metapp.learning.flat import FusedLoss, no_fused
-from metapp.learning.fused import flat_value, fuse
-from metapp.learning.task import Params, Tasks
+from metapp.learning.adjoint import TORCH, Drawn, Engine, Loss, UpdateRule, at_step, learn_through, same
+from metapp.learning.app import App, OuterLoss, OuterSample, Staged
+from metapp.learning.task import Params, Rng, Tasks, drawn
 
 
 class MetaParameters(NamedTuple):
@@ -42,24 +40,34 @@ class MetaParameters(NamedTuple):
         return cls(**parts)
 
 
-Watch = Callable[[int, Params, Tensor], None]
-
-
-class Progress(NamedTuple):
-    """Where a descent is, before a step: with the state of its generator, all that the rest depends on.
+class Step(NamedTuple):
+    """Where a descent is, between two steps: with the state of its generator, all that the rest depends on.
 
     Attributes:
-        step: the steps that were taken.
-        theta: the parameters.
-        state: the rule's own.
+        step: steps that were taken.
+        packed: the parameters, as the engine has them.
+        state: the rule's own, as the engine has it.
+        loss: of each task before the last step, [T], detached; None before the first.
+        names: of the tasks that the last step saw.
+        unpack: packed parameters -> parameters by name.
+        guarded: bool [T]: where the guard replaced what the rule gave (`guard`); None where there is no guard.
     """
 
     step: int
-    theta: Params
+    packed: Params
     state: Params
+    loss: Tensor | None = None
+    names: tuple[str, ...] = ()
+    unpack: Callable[[Params], Params] = same
+    guarded: Tensor | None = None
+
+    @property
+    def theta(self) -> Params:
+        """The parameters after so many steps, detached."""
+        return self.unpack(self.packed)
 
 
-def learn(
+def descend(
     params: Params,
     rule: UpdateRule,
     data: Any,
@@ -67,63 +75,85 @@ def learn(
     *,
     steps: int,
     rng: Rng,
-    watch: Watch | None = None,
-    check_every: int = 50,
-    compiled: bool = False,
-    since: Progress | None = None,
-    keep: Callable[[Progress], object] | None = None,
-    enough: Callable[[int], bool] | None = None,
-) -> Params:
-    """Descend a loss from a start by a rule (alg. 1).
+    since: Step | None = None,
+    engine: Engine = TORCH,
+) -> Iterator[Step]:
+    """Descend a loss from an initialisation by a rule (alg. 1), one step at a time.
 
     Args:
-        params: the start; tensors [T, ...] where each task has its own.
+        params: the initialisation; tensors [T, ...] where each task has its own.
         rule: the update rule.
         data: whatever the loss draws from.
         loss: what to descend.
         steps: number of steps.
         rng: source of all random draws; one for all tasks, or one for each.
-        watch: called as watch(step, params, loss of each task) before each step's update.
-        check_every: steps between two checks that the loss is finite; the first and the last are checked, too. 0: the
-            first alone.
-        compiled: compile the step with torch.compile (worth it from some thousand steps on).
-        since: where an earlier descent was cut off, to go on from; `rng` must be in its state of then.
-        keep: called with where the descent is, before anything is drawn for the next step.
-        enough: asked before each step whether to leave it and the rest out.
+        since: where an earlier descent by the same engine was, to go on from; `rng` must be in its state of then.
+        engine: what takes the steps.
 
-    Returns:
-        The final parameters, detached.
+    Yields:
+        Where it is before the first step, and after each; nothing is drawn for a step before it is asked for.
+    """
+    stepper = engine.stepper(rule, loss, {key: value.detach() for key, value in params.items()})
+    first = since or Step(0, stepper.theta, stepper.init(stepper.theta))
+    theta, state = first.packed, first.state
+    yield first._replace(unpack=stepper.unpack)
+    for i in range(first.step, steps):
+        names, batch = loss.draw(data, rng, i / steps)
+        theta, state, losses, _ = stepper.step(at_step(stepper.alpha, i), theta, state, batch)
+        yield Step(i + 1, theta, state, losses, names, stepper.unpack)
+
+
+def checked(descent: Iterator[Step], every: int = 50) -> Iterator[Step]:
+    """The same descent; the losses of some steps, of the first and of the last must be finite.
+
+    Args:
+        descent: what yields each step.
+        every: steps between two checks; 0: the first alone.
 
     Raises:
         FloatingPointError: a loss is not finite; names the tasks and the step.
     """
-    theta = {key: value.detach() for key, value in params.items()}
-    fused = None if since or keep else fuse(rule, loss, theta)
-    if fused:
-        theta, rule = {"theta": fused.layout.flat(theta)}, fused.rule(fused.gathered)
-    first, theta, state = since or Progress(0, theta, rule.init(theta))
-    step = (fused.steps(1) if fused else step_pair(rule, loss, 1, compiled)).forward
-    for i in range(first, steps):
-        if enough is not None and enough(i):
-            break
-        if keep is not None:
-            keep(Progress(i, theta, state))
-        seen = loss.draw_at(data, rng, i, steps)
-        moved, state, value, _ = step(at_step(rule.alpha, i), theta, state, seen.batch)
-        if i == 0 or (check_every and (i % check_every == 0 or i == steps - 1)):
-            _require_finite(value, seen.names, i)
-        if watch is not None:
-            watch(i, fused.layout.tree(theta["theta"]) if fused else theta, value)
-        theta = moved
-    return fused.layout.tree(theta["theta"]) if fused else theta
+    unchecked = None
+    for now in descent:
+        if now.loss is not None:
+            index = now.step - 1
+            unchecked = now if every and index % every else None
+            if index == 0 or (every and unchecked is None):
+                _require_finite(now)
+        yield now
+    if unchecked is not None:
+        _require_finite(unchecked)
 
 
-def _require_finite(value: Tensor, names: tuple[str, ...], step: int) -> None:
-    bad = [name for name, fine in zip(names, torch.isfinite(value).tolist(), strict=False) if not fine]
+def _require_finite(now: Step) -> None:
+    assert now.loss is not None
+    bad = [name for name, fine in zip(now.names, torch.isfinite(now.loss).tolist(), strict=False) if not fine]
     if bad:
         raise FloatingPointError(
-            f"{', '.join(bad[:3])}: the loss is not finite at step {step}; lower the learning rate or clip earlier."
+            f"{', '.join(bad[:3])}: the loss is not finite at step {now.step - 1}; lower the learning rate or clip "
+            "earlier."
         )
+
+
+Item = TypeVar("Item")
+
+
+def last(items: Iterable[Item]) -> Item:
+    """The last of at least one."""
+    for item in items:  # noqa: B007
+        pass
+    return item
+
+
+def learn(
+    params: Params, rule: UpdateRule, data: Any, loss: Loss, *, steps: int, rng: Rng, engine: Engine = TORCH
+) -> Params:
+    """The parameters at the end of a descent (`descend`), detached.
+
+    Raises:
+        FloatingPointError: a loss is not finite; names the tasks and the step.
+    """
+    return last(checked(descend(params, rule, data, loss, steps=steps, rng=rng, engine=engine))).theta
 
 
 # Losses and the combinators that lift them
@@ -134,33 +164,27 @@ def task_loss(app: App, batch: int) -> Loss:
     return _loss_of(app, app.loss, app.sample, batch)
 
 
+def task_outer_loss(app: App, batch: int) -> Loss:
+    """The outer loss of an application, on samples of training tasks, [T]."""
+    value = app.outer_loss if isinstance(app, OuterLoss) else app.loss
+    return _loss_of(app, value, app.outer_sample if isinstance(app, OuterSample) else app.sample, batch)
+
+
 Draw = Callable[[Tasks, Generator, int], Any]
 
 
 @functools.lru_cache(maxsize=32)  # one object for the same: compiled steps are found by it
 def _loss_of(app: App, value: Callable[[Params, Any, Params], Tensor], sample: Draw, batch: int) -> Loss:
-    def draw(tasks: Tasks, rng: Rng) -> Drawn:
+    def draw(tasks: Tasks, rng: Rng, done: float) -> Drawn:
         return Drawn(tasks.picked_names(), drawn(lambda some, own: sample(some, own, batch), tasks, rng))
 
-    linear = app.linear if isinstance(app, LinearLayer) else None
-    stage = app.stage if isinstance(app, Staged) else whole
-    return Loss(draw, value, linear=linear, stage=stage, fused=_fused_of(app))
+    loss = Loss(draw, value)
+    return staged(loss, app.stage) if isinstance(app, Staged) else loss
 
 
-def _fused_of(app: App) -> Callable[[Params], FusedLoss | None]:
-    """The application's loss in C; none where a subclass or the object itself has another loss than that is of."""
-    if not isinstance(app, FusedApp):
-        return no_fused
-    of = {name: next(i for i, each in enumerate(type(app).__mro__) if name in vars(each)) for name in ("loss", "fused")}
-    return no_fused if of["loss"] < of["fused"] else app.fused
-
-
-def task_outer_loss(app: App, batch: int) -> Loss:
-    """The outer loss of an application, on samples of training tasks, [T]."""
-    sample = app.outer_sample if isinstance(app, OuterSample) else app.sample
-    if not isinstance(app, OuterLoss):
-        return _loss_of(app, app.loss, sample, batch)
-    return _loss_of(app, app.outer_loss, sample, batch)._replace(fused=no_fused)
+def staged(loss: Loss, stage: Callable[[Any, float], Any]) -> Loss:
+    """The same loss of a part of the data, (data, done) -> data, that depends on how far a descent is."""
+    return replace(loss, draw=lambda data, rng, done: loss.draw(stage(data, done), rng, done))
 
 
 Augment = Callable[[Tasks, Generator], Tasks]
@@ -172,11 +196,23 @@ def over_tasks(loss: Loss, *, count: int, augment: Augment | None = None) -> Los
     `augment` is applied to the drawn tasks before anything is sampled from them.
     """
 
-    def draw(tasks: Tasks, rng: Generator) -> Drawn:
+    def draw(tasks: Tasks, rng: Generator, done: float) -> Drawn:
         picked = tasks.select(torch.randperm(len(tasks), generator=rng, device=rng.device)[:count])
-        return loss.draw(augment(picked, rng) if augment else picked, rng)
+        return loss.draw(augment(picked, rng) if augment else picked, rng, done)
 
-    return Loss(draw, loss.value, shared=True, stage=loss.stage)
+    return Loss(draw, loss.value, shared=True)
+
+
+class Encoding(NamedTuple):
+    """How an encoder predicts initialisations.
+
+    Attributes:
+        condition: (tasks, rng) -> the condition that it reads of each task.
+        encode: (encoder, condition) -> parameters [T, ...].
+    """
+
+    condition: Callable[[Any, Generator], Any]
+    encode: Callable[[Params, Any], Params]
 
 
 def after_learning(
@@ -186,13 +222,11 @@ def after_learning(
     steps: int,
     order: int,
     clip: float = float("inf"),
-    compiled: bool | Callable[[], bool] = False,
-    tasks_at_once: int | None = None,
-    condition: Callable[[Any, Generator], Any] | None = None,
-    encode: Callable[[Params, Any], Params] | None = None,
+    encoding: Encoding | None = None,
     outer_loss: Loss | None = None,
+    engine: Engine = TORCH,
 ) -> Loss:
-    """Lift a loss on theta to a loss on phi: what is left after learning from phi's start by phi's rule (alg. 3).
+    """Lift a loss on theta to a loss on phi: what is left after learning from phi's theta by phi's rule (alg. 3).
 
     Args:
         loss: the loss that the inner steps descend.
@@ -200,54 +234,44 @@ def after_learning(
         steps: inner steps.
         order: derivative carried through the steps: 1 leaves out second derivatives (FOMAML), 2 is exact (MAML).
         clip: each task's gradient, over all of phi, is scaled down to this norm.
-        compiled: compile the inner step and its adjoint; or what says so when it is asked for the first time.
-        tasks_at_once: backpropagate for so many tasks at a time, which lowers the memory; None for all.
-        condition, encode: where phi holds an encoder: what it reads of each task, and the task's start from that.
+        encoding: where phi holds an encoder, whose predictions are the initialisations.
         outer_loss: the loss of the final theta, where that is not `loss` itself.
+        engine: what takes the inner steps.
 
     Returns:
-        A loss on the flat tree of MetaParameters.
+        A loss on the flat tree of MetaParameters, on all of the data however far the outer loop is.
     """
     last_loss = outer_loss or loss
 
-    def draw(tasks: Any, rng: Generator) -> Drawn:
-        inner = [loss.draw_at(tasks, rng, i, steps).batch for i in range(steps)]
-        last = last_loss.draw(tasks, rng)
-        return Drawn(last.names, (inner, last.batch, condition(tasks, rng) if condition else None))
+    def draw(tasks: Any, rng: Generator, done: float) -> Drawn:
+        inner = [loss.draw(tasks, rng, i / steps).batch for i in range(steps)]
+        outer = last_loss.draw(tasks, rng, 1.0)
+        return Drawn(outer.names, (inner, outer.batch, encoding.condition(tasks, rng) if encoding else None))
 
     def value(phi: Params, batch: Any, _: Params) -> Tensor:
-        inner, last, conditions = batch
-        count = next(iter(last.values())).shape[0]
-        start = MetaParameters.unflat(phi)
-        theta = encode(start.encoder, conditions) if encode else spread(start.theta, count, 0)
+        inner, outer, condition = batch
+        count = next(iter(outer.values())).shape[0]
+        parts = MetaParameters.unflat(phi)
+        theta = encoding.encode(parts.encoder, condition) if encoding else spread(parts.theta, count, 0)
         # the mean over tasks has divided each one's gradient by their number
-        limit = clip / count
-        if fused := fuse(rule(spread(start.alpha, 1, 1)), loss, theta):
-            gathered = {key: each.expand(-1, count, *each.shape[2:]) for key, each in fused.gathered.items()}
-            theta, gathered = clip_per_task({"theta": fused.layout.flat(theta)}, gathered, limit)
-            flat = fused.learn_through(theta["theta"], gathered, inner, loss, order)
-            return flat_value(last_loss, fused.layout, flat, last)
-        theta, alpha = clip_per_task(theta, spread(start.alpha, count, 1), limit)
-        by_torch = compiled() if callable(compiled) else compiled
-        final = learn_through(
-            theta, rule(alpha), inner, loss, order=order, compiled=by_torch, tasks_at_once=tasks_at_once
-        )
-        return last_loss.value(final, last, {})
+        theta, alpha = clip_per_task(theta, spread(parts.alpha, count, 1), clip / count)
+        final = learn_through(theta, rule(alpha), inner, loss, order=order, engine=engine)
+        return engine.value(last_loss, final, outer)
 
     return Loss(draw, value)
 
 
-def after_encoding(loss: Loss, condition: Callable[[Any, Generator], Any], encode: Callable[..., Params]) -> Loss:
+def after_encoding(loss: Loss, encoding: Encoding) -> Loss:
     """Lift a loss on theta to a loss on an encoder, in the flat tree of MetaParameters: General's loss."""
 
-    def draw(tasks: Any, rng: Generator) -> Drawn:
-        seen = loss.draw(tasks, rng)
-        return Drawn(seen.names, (condition(tasks, rng), seen.batch))
+    def draw(tasks: Any, rng: Generator, done: float) -> Drawn:
+        names, batch = loss.draw(tasks, rng, done)
+        return Drawn(names, (encoding.condition(tasks, rng), batch))
 
     def value(prepared: Params, batch: Any, learned: Params) -> Tensor:
-        return loss.value(encode(MetaParameters.unflat(prepared).encoder, batch[0]), batch[1], learned)
+        return loss.value(encoding.encode(MetaParameters.unflat(prepared).encoder, batch[0]), batch[1], learned)
 
-    return Loss(draw, value, shared=True, stage=loss.stage)
+    return Loss(draw, value, shared=True)
 
 
 def spread(params: Params, count: int, axis: int) -> Params:

@@ -2,8 +2,8 @@
 
 from metapp.learning.learn import MetaParameters
 from metapp.learning.recipe import Adam
-from metapp.paradigms.general import GENERAL, start
-from metapp.paradigms.paradigm import Job, Paradigm, by_adam
+from metapp.paradigms.general import GENERAL
+from metapp.paradigms.paradigm import Job, by_adam
 
 
 def adam_of(job: Job, prepared: MetaParameters) -> Adam:
@@ -11,12 +11,9 @@ def adam_of(job: Job, prepared: MetaParameters) -> Adam:
     return job.recipe.finetune
 
 
-FINETUNE = Paradigm(
+FINETUNE = GENERAL._replace(
     name="finetune",
-    needs=GENERAL.needs,
-    start=start,
     rule=by_adam(adam_of),
     steps=lambda recipe: recipe.finetune_steps,
-    prepare=GENERAL.prepare,
     adam=adam_of,
 )

@@ -2,42 +2,47 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 from torch import Generator
 
 from metapp.learning.adjoint import Loss
-from metapp.learning.draws import Rng, drawn
-from metapp.learning.learn import MetaParameters, after_encoding, over_tasks, task_outer_loss
+from metapp.learning.app import Staged
+from metapp.learning.learn import Encoding, MetaParameters, after_encoding, over_tasks, staged, task_outer_loss
+from metapp.learning.progress import Progress
 from metapp.learning.rules import fixed_adam
-from metapp.learning.task import Params, Tasks
+from metapp.learning.task import Params, Rng, Tasks, drawn
 from metapp.paradigms.outer_loop import train
-from metapp.paradigms.paradigm import Given, Job, Paradigm
-from metapp.paradigms.resuming import Prepared
+from metapp.paradigms.paradigm import Job, Paradigm, TrainingData
 
 
-def start(job: Job, prepared: MetaParameters, tasks: Tasks, rng: Rng) -> Params:
+def initialisation(job: Job, prepared: MetaParameters, tasks: Tasks, rng: Rng) -> Params:
     """theta = encode(I)."""
     encoded = job.app.encode(prepared.encoder, drawn(job.app.condition, tasks, rng))
     return {key: value.detach() for key, value in encoded.items()}
 
 
-def preparation(job: Job, rng: Generator) -> tuple[MetaParameters, Loss]:
+def outer_problem(job: Job, rng: Generator) -> tuple[MetaParameters, Loss]:
     """The untrained encoder and the loss that trains it."""
     app, training = job.app, job.recipe.general
-    loss = after_encoding(task_outer_loss(app, job.recipe.batch), app.condition, app.encode)
+    loss = after_encoding(task_outer_loss(app, job.recipe.batch), Encoding(app.condition, app.encode))
     augment = app.augment if training.augment else None
-    return MetaParameters(encoder=app.init_encoder(rng)), over_tasks(loss, count=training.tasks, augment=augment)
+    outer = over_tasks(loss, count=training.tasks, augment=augment)
+    # staged before tasks are augmented: what is not seen need not be made
+    outer = staged(outer, app.stage) if isinstance(app, Staged) else outer
+    return MetaParameters(encoder=app.init_encoder(rng)), outer
 
 
-def prepare(job: Job, given: Given) -> Prepared:
+def prepare(job: Job, data: TrainingData) -> Iterator[Progress]:
     """Train the encoder."""
-    first, loss = preparation(job, given.rng)
-    return train(GENERAL, job, first, loss, job.recipe.general, given)
+    phi, loss = outer_problem(job, data.rng)
+    return train(GENERAL, job, phi, loss, job.recipe.general, data)
 
 
 GENERAL = Paradigm(
     name="general",
     needs=lambda job: ("general",),
-    start=start,
+    initialisation=initialisation,
     rule=lambda job, prepared, theta, steps: fixed_adam(job.recipe.finetune, theta, steps),
     steps=lambda recipe: 0,
     prepare=prepare,

@@ -2,27 +2,24 @@
 
 from __future__ import annotations
 
-import functools
-import shutil
+from collections.abc import Iterator
 from dataclasses import replace
 
 import torch
-from torch import Tensor
 
 from metapp.learning.adjoint import Loss
-from metapp.learning.learn import MetaParameters, Progress, learn
+from metapp.learning.learn import MetaParameters, checked, descend
+from metapp.learning.progress import Prepared, Progress
 from metapp.learning.recipe import OuterLoop
 from metapp.learning.rules import outer_adam
-from metapp.learning.task import Params
 from metapp.paradigms import ranks
-from metapp.paradigms.paradigm import Given, Job, Paradigm
-from metapp.paradigms.resuming import Interrupted, Outer, Prepared
+from metapp.paradigms.paradigm import Job, Paradigm, TrainingData
 from metapp.paradigms.validation import validation_error
 
 
 def train(
-    paradigm: Paradigm, job: Job, first: MetaParameters, loss: Loss, training: OuterLoop, given: Given
-) -> Prepared:
+    paradigm: Paradigm, job: Job, first: MetaParameters, loss: Loss, training: OuterLoop, data: TrainingData
+) -> Iterator[Progress]:
     """Train a checkpoint by the outer loop and keep its best state on the validation tasks.
 
     Args:
@@ -30,76 +27,41 @@ def train(
         job: application and recipe.
         first: phi before the first outer step.
         loss: on phi, in its flat tree.
-        training: settings of the loop; `given.steps` goes before its own.
-        given: tasks, generator, progress.
+        training: settings of the loop; `data.steps` goes before its own.
+        data: tasks, generator, and how far an earlier training was.
+
+    Yields:
+        How far it is, before each outer step and after each validation; at the end there is one.
 
     Raises:
-        Interrupted: Ctrl-C; carries the best state so far.
         FloatingPointError: the training loss is not finite; names tasks and step.
     """
-    rng, since, scale = given.rng, given.since, job.app.traits.scale
-    if given.steps is not None:
-        training = replace(training, steps=given.steps)
-    best = Prepared(first, float("inf"), 0, [])
-    losses: list[Tensor] = []
-    if since.outer:
-        best = since.outer.best._replace(curve=list(since.outer.best.curve))
-        losses = list(since.outer.losses)
-        rng.set_state(since.outer.rng)
-
-    def keep_copy(progress: Progress) -> None:
-        reached = best._replace(curve=list(best.curve))
-        given.keep(since._replace(outer=Outer(progress, rng.get_state(), reached, tuple(losses))))
-
-    def look(step: int, params: Params) -> None:
-        nonlocal best
-        error = validation_error(paradigm, job, MetaParameters.unflat(params), given.to_validate)
-        mean = scale * float(torch.stack(losses).mean()) if losses else None
-        losses.clear()
-        best.curve.append((step, mean, error))
-        if error < best.validation:
-            kept = {key: value.clone() for key, value in params.items()}
-            best = Prepared(MetaParameters.unflat(kept), error, step, best.curve)
-        if given.report:
-            loss_note = "" if mean is None else f"loss {mean:.3f}, "
-            given.report(step, training.steps, f"{loss_note}validation {error:.3f}, best {best.validation:.3f}")
-
-    def watch(step: int, params: Params, value: Tensor) -> None:
-        if step % training.validate_every == 0:
-            look(step, params)
-        losses.append(value.mean())
-
-    params = first.flat()
-    rule = outer_adam(training, params)
+    rng, since = data.rng, data.since
+    if data.steps is not None:
+        training = replace(training, steps=data.steps)
+    best, losses = since.best if since.outer and since.best else Prepared(first), list(since.losses)
+    if since.rng is not None:
+        rng.set_state(since.rng)
     if ranks.count() > 1:
-        ranks.require(min(training.tasks, len(given.to_fit)))
-        rule = rule._replace(sees=ranks.summed_gradient)
-    try:
-        final = learn(
-            params,
-            rule,
-            given.to_fit,
-            loss,
-            steps=training.steps,
-            rng=rng,
-            watch=watch,
-            check_every=1,
-            since=since.outer and since.outer.progress,
-            keep=keep_copy,
-        )
-        look(training.steps, final)
-    except KeyboardInterrupt:
-        raise Interrupted(best) from None
-    return best
-
-
-@functools.cache
-def can_compile() -> bool:
-    """torch.compile needs a whole C++ tool chain on the CPU; without one, training is about half as fast, the same."""
-    if not any(shutil.which(name) for name in ("g++", "clang++")):
-        return False
-    try:
-        torch.compile(lambda x: x.sin() + 1)(torch.ones(8))
-    except Exception:  # whatever a compiler that lacks a part raises
-        return False
-    return True
+        ranks.require(min(training.tasks, len(data.to_fit)))
+        loss = ranks.SummedOverRanks(loss.draw, loss.value, loss.shared)
+    phi = first.flat()
+    rule, steps = outer_adam(training, phi), training.steps
+    descent = descend(phi, rule, data.to_fit, loss, steps=steps, rng=rng, since=since.outer)
+    for now in checked(descent, every=1):
+        losses += [] if now.loss is None else [now.loss.mean()]
+        yield Progress(since.errors, now, rng.get_state(), tuple(losses), best, now.step, steps)
+        if best.curve[-1:] and best.curve[-1][0] == now.step:
+            continue  # it was cut off after this validation
+        if now.step == steps or now.step % training.validate_every == 0:
+            error = validation_error(paradigm, job, MetaParameters.unflat(now.theta), data.to_validate)
+            mean = job.app.traits.scale * float(torch.stack(losses).mean()) if losses else None
+            losses.clear()
+            curve = (*best.curve, (now.step, mean, error))
+            if error < best.validation:
+                phi = {key: value.clone() for key, value in now.theta.items()}
+                best = Prepared(MetaParameters.unflat(phi), error, now.step)
+            best = best._replace(curve=curve)
+            note = f"validation {error:.3f}, best {best.validation:.3f}"
+            note = note if mean is None else f"loss {mean:.3f}, {note}"
+            yield Progress(since.errors, now, rng.get_state(), (), best, now.step, steps, note)

@@ -1,9 +1,8 @@
-"""Overfit: a random start, Adam until converged; nothing is prepared."""
+"""Overfit: a random initialisation, Adam until converged; nothing is prepared."""
 
-from metapp.learning.draws import Rng, drawn
 from metapp.learning.learn import MetaParameters
 from metapp.learning.recipe import Adam
-from metapp.learning.task import Params, Tasks
+from metapp.learning.task import Params, Rng, Tasks, drawn
 from metapp.paradigms.paradigm import Job, Paradigm, by_adam
 
 
@@ -12,7 +11,7 @@ def adam_of(job: Job, prepared: MetaParameters) -> Adam:
     return job.recipe.overfit
 
 
-def start(job: Job, prepared: MetaParameters, tasks: Tasks, rng: Rng) -> Params:
+def initialisation(job: Job, prepared: MetaParameters, tasks: Tasks, rng: Rng) -> Params:
     """Return random parameters."""
     return drawn(lambda some, own: job.app.init(own, len(some)), tasks, rng)
 
@@ -20,7 +19,7 @@ def start(job: Job, prepared: MetaParameters, tasks: Tasks, rng: Rng) -> Params:
 OVERFIT = Paradigm(
     name="overfit",
     needs=lambda job: (),
-    start=start,
+    initialisation=initialisation,
     rule=by_adam(adam_of),
     steps=lambda recipe: recipe.overfit_steps,
     adam=adam_of,

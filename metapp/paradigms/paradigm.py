@@ -1,24 +1,23 @@
-"""What a way of training is: an initialisation and a rule; `fit` is the same learn for all."""
+"""What a way of training is: an initialisation and a rule; `descend` is the same for all."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
 from torch import Generator
 
-from metapp.learning.adjoint import UpdateRule
+from metapp.engine import FASTEST
+from metapp.learning.adjoint import Loss, UpdateRule
 from metapp.learning.app import App
 from metapp.learning.deadline import Deadline
-from metapp.learning.draws import Rng
-from metapp.learning.guard import Guarded, learn_guarded, unguarded
-from metapp.learning.learn import MetaParameters, Watch, learn, task_loss
+from metapp.learning.guard import descend_guarded
+from metapp.learning.learn import MetaParameters, Step, checked, descend, last, task_loss
+from metapp.learning.progress import Progress
 from metapp.learning.recipe import Adam, Guard, Recipe
 from metapp.learning.rules import fixed_adam
-from metapp.learning.task import Params, Tasks
-from metapp.paradigms.resuming import Keep, Prepared, Reached, forget
+from metapp.learning.task import Params, Rng, Tasks
 
-Report = Callable[[int, int, str], None]  # (step, steps, note), for a progress bar
 AT_ONCE = 8  # tasks that are fitted side by side where memory would grow with a data set
 
 
@@ -38,17 +37,15 @@ class Job(NamedTuple):
     steps: int | None = None
 
 
-class Given(NamedTuple):
+class TrainingData(NamedTuple):
     """What a preparation works on.
 
     Attributes:
         to_fit, to_validate: the training tasks, and those of them that validate.
         rng: of all random draws.
-        encoder: a prepared General; QuickFT tunes on it, Meta starts from it or from the mean of its predictions.
+        encoder: a prepared General; QuickFT tunes on it, Meta begins with it or with the mean of its predictions.
         steps: outer steps instead of the recipe's; validations where there is only a search.
-        report: called with the progress.
         since: how far the same preparation was when it was cut off, to go on from.
-        keep: called with how far it is, before each outer step and after each validation of a search.
     """
 
     to_fit: Tasks
@@ -56,14 +53,17 @@ class Given(NamedTuple):
     rng: Generator
     encoder: MetaParameters | None = None
     steps: int | None = None
-    report: Report | None = None
-    since: Reached = Reached()
-    keep: Keep = forget
+    since: Progress = Progress()
 
 
-def nothing(job: Job, given: Given) -> Prepared:
+def nothing(job: Job, data: TrainingData) -> Iterator[Progress]:
     """The preparation of a paradigm that needs none."""
     raise ValueError("nothing to prepare.")
+
+
+def plain_loss(job: Job) -> Loss:
+    """The application's own loss."""
+    return task_loss(job.app, job.recipe.batch)
 
 
 PlainAdam = Callable[[Job, MetaParameters], Adam]
@@ -81,62 +81,63 @@ class Paradigm(NamedTuple):
         name: as on the command line.
         needs: job -> names of what must be prepared: what it fits from ("general" or a rule), then what is tuned for
             that ("quickft"); () for nothing.
-        start: (job, prepared, tasks, rng) -> parameters [T, ...] before the first step.
-        rule: (job, prepared, start, steps) -> how the steps move them.
+        initialisation: (job, prepared, tasks, rng) -> parameters [T, ...] before the first step.
+        rule: (job, prepared, initialisation, steps) -> how the steps move them.
         steps: recipe -> number of gradient steps.
-        prepare: (job, given) -> the last of what it needs; the others are given.
+        prepare: (job, training data) -> how far the preparation is of the last of what it needs, again and again; the
+            others are given.
         adam: (job, prepared) -> the plain Adam that it fits by; None where the rule is a learned one, or there is none.
         guard: job -> what guards its fits; None where the rule is none that was learned.
+        loss: job -> what the steps descend.
     """
 
     name: str
     needs: Callable[[Job], tuple[str, ...]]
-    start: Callable[[Job, MetaParameters, Tasks, Rng], Params]
+    initialisation: Callable[[Job, MetaParameters, Tasks, Rng], Params]
     rule: Callable[[Job, MetaParameters, Params, int], UpdateRule]
     steps: Callable[[Recipe], int]
-    prepare: Callable[[Job, Given], Prepared] = nothing
+    prepare: Callable[[Job, TrainingData], Iterator[Progress]] = nothing
     adam: Callable[[Job, MetaParameters], Adam | None] = lambda job, prepared: None
     guard: Callable[[Job], Guard | None] = lambda job: None
+    loss: Callable[[Job], Loss] = plain_loss
 
     def fit(self, job: Job, prepared: MetaParameters, tasks: Tasks, rng: Rng) -> Params:
-        """Fit tasks, one or many at once.
+        """Fit tasks, one or many at once: the parameters of the network for each task, [T, ...]."""
+        return last(self.descend(job, prepared, tasks, rng)).theta
 
-        Returns:
-            The network's parameters for each task, [T, ...].
-        """
-        return self.fitted(job, prepared, tasks, rng).theta
-
-    def fitted(
-        self,
-        job: Job,
-        prepared: MetaParameters,
-        tasks: Tasks,
-        rng: Rng,
-        watch: Watch | None = None,
-        deadline: Deadline | None = None,
-    ) -> Guarded:
-        """Fit tasks: learn(start(task), rule, task, loss, steps); and say where the guard of a learned rule acted.
+    def descend(
+        self, job: Job, prepared: MetaParameters, tasks: Tasks, rng: Rng, deadline: Deadline | None = None
+    ) -> Iterator[Step]:
+        """Fit tasks, one or many: descend from initialisation(task) by the rule, one step at a time.
 
         Args:
             job, prepared: what fits.
             tasks: one or many.
             rng: of all random draws; one for all tasks, or one for each, which is then fitted as if it were alone.
-            watch: as of `learn`.
             deadline: when to be done: schedules end with the last step that fits.
+
+        Yields:
+            Where the fit is before its first step and after each; a learned rule's guard may add a last one.
+
+        Raises:
+            FloatingPointError: a loss is not finite; names the tasks and the step.
         """
-        theta = self.start(job, prepared, tasks, rng)
-        if deadline is not None:
-            job = job._replace(steps=deadline.plan(self.count(job)))
-        steps, guard = self.count(job), self.guard(job)
+        deadline = deadline or Deadline()
+        theta = self.initialisation(job, prepared, tasks, rng)
+        steps = deadline.plan(self.count(job))
+        job = job._replace(steps=steps)
+        guard = self.guard(job)
         if steps == 0:
-            return unguarded(theta)
-        loss, rule = task_loss(job.app, job.recipe.batch), self.rule(job, prepared, theta, steps)
-        if guard is None:
-            enough = deadline.reached if deadline else None
-            return unguarded(learn(theta, rule, tasks, loss, steps=steps, rng=rng, watch=watch, enough=enough))
-        return learn_guarded(
-            theta, rule, tasks, loss, steps=steps, rng=rng, guard=guard, watch=watch, deadline=deadline
-        )
+            yield Step(0, theta, {})
+            return
+        rule, loss = self.rule(job, prepared, theta, steps), self.loss(job)
+        if guard:
+            yield from descend_guarded(
+                theta, rule, tasks, loss, rng=rng, guard=guard, deadline=deadline, engine=FASTEST
+            )
+        else:
+            descent = descend(theta, rule, tasks, loss, steps=steps, rng=rng, engine=FASTEST)
+            yield from checked(deadline.within(descent))
 
     def count(self, job: Job) -> int:
         """Return the number of gradient steps of this job: 0 for General, whatever was asked for."""

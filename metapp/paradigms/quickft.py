@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import torch
 
 from metapp.learning.learn import MetaParameters
+from metapp.learning.progress import Progress
 from metapp.learning.recipe import Adam
 from metapp.learning.task import Params
-from metapp.paradigms.general import GENERAL, start
-from metapp.paradigms.paradigm import Given, Job, Paradigm, by_adam
-from metapp.paradigms.resuming import Prepared
+from metapp.paradigms.general import GENERAL
+from metapp.paradigms.paradigm import Job, TrainingData, by_adam
 from metapp.paradigms.tuning import search
 
 TUNED = ("rate", "beta1", "beta2", "eps", "final")
@@ -26,24 +28,19 @@ def adam_of(job: Job, prepared: MetaParameters) -> Adam:
     return Adam(**tuned) if tuned else job.recipe.quickft
 
 
-def prepare(job: Job, given: Given) -> Prepared:
+def prepare(job: Job, data: TrainingData) -> Iterator[Progress]:
     """Search QuickFT's Adam on validation tasks: a win over a badly tuned baseline is no win.
 
-    Returns:
-        A checkpoint whose alpha holds Adam's settings, scalars on the CPU, and the encoder that they were tuned for.
-
-    Raises:
-        Interrupted: Ctrl-C; carries the best settings so far.
+    What it prepares: alpha holds Adam's settings, scalars on the CPU, beside the encoder that they were tuned for.
     """
-    encoder = given.encoder
+    encoder = data.encoder
     assert encoder is not None
-    return search(QUICKFT, job, job.recipe.quickft, lambda adam: encoder._replace(alpha=to_alpha(adam)), given)
+    return search(QUICKFT, job, job.recipe.quickft, lambda adam: encoder._replace(alpha=to_alpha(adam)), data)
 
 
-QUICKFT = Paradigm(
+QUICKFT = GENERAL._replace(
     name="quickft",
     needs=lambda job: (*GENERAL.needs(job), "quickft"),
-    start=start,
     rule=by_adam(adam_of),
     steps=lambda recipe: recipe.steps,
     prepare=prepare,

@@ -17,7 +17,7 @@ from torch import Tensor
 from torch import distributed as dist
 from torch.utils._pytree import tree_leaves, tree_map
 
-from metapp.learning.adjoint import Loss, gradient
+from metapp.learning.adjoint import Loss
 from metapp.learning.task import Params
 
 WAITS = timedelta(minutes=30)  # for a rank that is slower, before it counts as lost
@@ -90,20 +90,23 @@ def require(tasks: int) -> None:
         raise ValueError(f"{count()} ranks: an outer step has {tasks} tasks, expected at most as many ranks.")
 
 
-def summed_gradient(loss: Loss, theta: Params, batch: Any, learned: Params, *, graph: bool) -> tuple[Params, Tensor]:
-    """`adjoint.gradient` of a mean over tasks, each rank's part of them computed there; the same on all ranks."""
-    total = next(leaf for leaf in tree_leaves(batch) if isinstance(leaf, Tensor)).shape[0]
-    rows = range(number(), total, count())
+class SummedOverRanks(Loss):
+    """A mean over tasks, each rank's part of which is differentiated there; the same on all ranks."""
 
-    def part(leaf: Any) -> Any:
-        own = isinstance(leaf, Tensor) and leaf.shape[:1] == (total,)
-        return leaf[rows.start : total : count()] if own else leaf
+    def gradient(self, theta: Params, batch: Any, learned: Params, *, graph: bool) -> tuple[Params, Tensor]:
+        """The gradient of all tasks, and the loss of each, [T]."""
+        total = next(leaf for leaf in tree_leaves(batch) if isinstance(leaf, Tensor)).shape[0]
+        rows = range(number(), total, count())
 
-    grads, own = gradient(loss, theta, tree_map(part, batch), learned, graph=graph)
-    losses = own.new_zeros(total)
-    losses[rows.start : total : count()] = own
-    flat = torch.cat([*(grad.flatten() * (len(rows) / total) for grad in grads.values()), losses])
-    with _lost_ranks():
-        dist.all_reduce(flat)
-    *parts, losses = flat.split([*(grad.numel() for grad in grads.values()), total])
-    return {key: part.view_as(grads[key]) for key, part in zip(grads, parts, strict=True)}, losses
+        def part(leaf: Any) -> Any:
+            own = isinstance(leaf, Tensor) and leaf.shape[:1] == (total,)
+            return leaf[rows.start : total : count()] if own else leaf
+
+        grads, own = super().gradient(theta, tree_map(part, batch), learned, graph=graph)
+        losses = own.new_zeros(total)
+        losses[rows.start : total : count()] = own
+        flat = torch.cat([*(grad.flatten() * (len(rows) / total) for grad in grads.values()), losses])
+        with _lost_ranks():
+            dist.all_reduce(flat)
+        *parts, losses = flat.split([*(grad.numel() for grad in grads.values()), total])
+        return {key: part.view_as(grads[key]) for key, part in zip(grads, parts, strict=True)}, losses

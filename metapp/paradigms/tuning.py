@@ -4,63 +4,57 @@ from __future__ import annotations
 
 import itertools
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Generator, Iterator
 from dataclasses import replace
 
 from metapp.learning.learn import MetaParameters
+from metapp.learning.progress import Prepared, Progress
 from metapp.learning.recipe import Adam
 from metapp.learning.task import Tasks
-from metapp.paradigms.paradigm import Given, Job, Paradigm
-from metapp.paradigms.resuming import Interrupted, Prepared, Reached
+from metapp.paradigms.paradigm import Job, Paradigm, TrainingData
 from metapp.paradigms.validation import validation_error
 
 
 def search(
-    paradigm: Paradigm,
-    job: Job,
-    first: Adam,
-    start_of: Callable[[Adam], MetaParameters],
-    given: Given,
-) -> Prepared:
+    paradigm: Paradigm, job: Job, first: Adam, phi_of: Callable[[Adam], MetaParameters], data: TrainingData
+) -> Generator[Progress, None, Progress]:
     """The best Adam on validation tasks: a coordinate search, one setting or two at a time.
 
     Args:
         paradigm: whose fits are judged.
         job: application and recipe.
         first: where the search begins.
-        start_of: what is fitted from with an Adam.
-        given: validation tasks; `steps` is how many Adams are tried at most.
+        phi_of: what is fitted from with an Adam.
+        data: validation tasks; `steps` is how many Adams are tried at most.
+
+    Yields:
+        How far it is after each Adam that no earlier search has tried.
+
+    Returns:
+        How far it is at the end.
     """
-    tasks = to_tune_on(job, given.to_validate)
-    curve: list[tuple[int, float | None, float]] = []
-    best, best_adam = Prepared(start_of(first), float("inf"), 0, curve), first
-    total = min(1 + sum(len(choices) for choices in SEARCHED), given.steps or sys.maxsize)
+    tasks, known = to_tune_on(job, data.to_validate), data.since.errors
+    total = min(1 + sum(len(choices) for choices in SEARCHED), data.steps or sys.maxsize)
+    best, best_adam = Prepared(phi_of(first)), first
     errors: list[float] = []
 
-    def look(adam: Adam) -> None:
-        nonlocal best, best_adam
-        tuned, known = start_of(adam), given.since.looks[len(errors) :]
-        error = known[0] if known else validation_error(paradigm, job, tuned, tasks)
-        errors.append(error)
-        done = len(errors)
-        if error < best.validation:
-            best, best_adam = Prepared(tuned, error, done, curve), adam
-            curve.append((done, None, error))
-        if known:
-            return
-        given.keep(Reached(tuple(errors)))
-        if given.report:
-            given.report(done, total, f"rate {adam.rate:.1e}, validation {error:.3f}, best {best.validation:.3f}")
-
-    try:
-        look(best_adam)
+    def candidates() -> Iterator[Adam]:
+        yield best_adam
         for choices in SEARCHED:
             around = best_adam
             for changes in choices[: total - len(errors)]:
-                look(replace(around, **{**changes, "rate": around.rate * changes.get("rate", 1.0)}))
-    except KeyboardInterrupt:
-        raise Interrupted(best) from None
-    return best
+                yield replace(around, **{**changes, "rate": around.rate * changes.get("rate", 1.0)})
+
+    for adam in candidates():
+        phi, tried = phi_of(adam), len(errors)
+        errors.append(known[tried] if tried < len(known) else validation_error(paradigm, job, phi, tasks))
+        error, done = errors[-1], len(errors)
+        if error < best.validation:
+            best, best_adam = Prepared(phi, error, done, (*best.curve, (done, None, error))), adam
+        if done >= len(known) and not data.since.outer:
+            note = f"rate {adam.rate:.1e}, validation {error:.3f}, best {best.validation:.3f}"
+            yield Progress(tuple(errors), best=best, done=done, total=total, note=note)
+    return Progress(tuple(errors), best=best)
 
 
 def to_tune_on(job: Job, tasks: Tasks) -> Tasks:

@@ -12,6 +12,7 @@ import torch
 from torch import Tensor
 
 from metapp.rendering.jit import mi
+from metapp.rendering.scene_rules import box_film
 from metapp.rendering.types import Integrator, Scene, Sensor
 
 _WAVES = 16  # that a picture in a given time is made of, about
@@ -57,10 +58,9 @@ def square_sensor(scene: Scene, side: int) -> Sensor:
     width, height = (int(n) for n in sensor.film().size())
     values = mi.traverse(sensor)
     across = math.tan(math.radians(float(np.array(values["x_fov"]).item())) / 2) * min(width, height) / width
-    film = {"type": "hdrfilm", "width": side, "height": side, "pixel_format": "rgb", "rfilter": {"type": "box"}}
     to_world = mi.ScalarTransform4f(np.array(values["to_world"].matrix).reshape(4, 4))
     fov = math.degrees(2 * math.atan(across))
-    return mi.load_dict({"type": "perspective", "fov": fov, "to_world": to_world, "film": film})
+    return mi.load_dict({"type": "perspective", "fov": fov, "to_world": to_world, "film": box_film(side, side)})
 
 
 def guided_picture(

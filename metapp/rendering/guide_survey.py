@@ -9,9 +9,9 @@ from torch import Tensor
 
 from metapp.rendering import types as mt
 from metapp.rendering.guide_cache import GuideCache
-from metapp.rendering.guide_features import CHANNELS, FirstHits, SurveyFeatures, features_of
 from metapp.rendering.guide_histogram import BINS, ENTRIES, SIDE, coarse_voxels, voxels_of
-from metapp.rendering.guided_path import RECORDED, Bounce, PathTracer, Records, mis_weight
+from metapp.rendering.guide_prior import CHANNELS, FirstHits, SurveyFeatures, features_of
+from metapp.rendering.guided_path import RECORDED, PathTracer, Records, mis_weight
 from metapp.rendering.jit import dr, mi
 
 FILM = 128  # paths along a side of the film
@@ -27,25 +27,12 @@ Step = tuple[mt.Ray, Hit, mt.UInt32, mt.Sampler, mt.Mask]
 class SurveyRecords(Records):
     """Records that also keep the points of bounces, and the radiance of paths before the emitter sampled there."""
 
-    def __init__(self, paths: int) -> None:
-        super().__init__(paths)
-        self.points = [dr.zeros(mi.Float, paths * RECORDED) for _ in range(6)]
-        self.unlit = dr.zeros(mi.Float, paths * RECORDED)
-        dr.eval(self.points, self.unlit)
-
-    def add(self, depth: mt.UInt32, bounce: Bounce, active: mt.Mask) -> None:
-        """Record a bounce."""
-        super().add(depth, bounce, active)
-        slot, active = self.lane * RECORDED + depth, active & (depth < RECORDED)
-        point, normal = bounce.point, bounce.normal
-        values = (point.x, point.y, point.z, normal.x, normal.y, normal.z, bounce.unlit)
-        for store, value in zip((*self.points, self.unlit), values, strict=True):
-            dr.scatter(store, value, slot, active)
+    numbers = 11
 
     def outgoing(self, radiance: mt.Color) -> tuple[Tensor, Tensor]:
         """What entries send out but for emission, as sums of luminance and counts of paths, float64 [ENTRIES] each."""
         total = _tensor(mi.luminance(radiance)).repeat_interleave(RECORDED)
-        outgoing = (total - _tensor(self.unlit)).clamp_min(0) / _tensor(self.values[1]).clamp_min(1e-12)
+        outgoing = (total - _tensor(self.stores[4])).clamp_min(0) / _tensor(self.stores[2]).clamp_min(1e-12)
         # what the camera sees is left out: other surfaces are met by directions that paths sampled
         later = torch.arange(len(outgoing)) % RECORDED > 0
         counted = ((self._indices() > 0) & outgoing.isfinite() & later).nonzero()[:, 0]
@@ -54,14 +41,14 @@ class SurveyRecords(Records):
         return sums.index_add_(0, entry, outgoing[counted].double()), counts.double()
 
     def one_per_entry(self) -> tuple[Tensor, Tensor]:
-        """The entries that were visited, and the index into `points` of a point in each."""
+        """The entries that were visited, and the index into the stores of a bounce in each."""
         recorded = (self._indices() > 0).nonzero()[:, 0]
         index = torch.full((ENTRIES,), -1).scatter_(0, (self._indices()[recorded] - 1) // BINS, recorded)
         entries = (index >= 0).nonzero()[:, 0]
         return entries, index[entries]
 
     def _indices(self) -> Tensor:
-        return _tensor(self.indices).long()
+        return _tensor(self.stores[0]).long()
 
 
 def survey(
@@ -111,10 +98,10 @@ def _features(
 def _first_hits(
     records: SurveyRecords, start: Tensor, scene: mt.Scene, cache: GuideCache, sampler: mt.Sampler
 ) -> FirstHits:
-    """What rays from the points of such indices [P, RAYS, BINS] meet, each in its bin, behind mirrors and glass."""
+    """What rays from the bounces of such indices [P, RAYS, BINS] meet, each in its bin, behind mirrors and glass."""
     count = start.numel()
     index = mi.UInt32(start.flatten().numpy().astype(np.uint32))
-    x, y, z, *up = (dr.gather(mi.Float, values, index) for values in records.points)
+    x, y, z, *up = (dr.gather(mi.Float, values, index) for values in records.stores[5:])
     point, normal = mi.Point3f(x, y, z), mi.Vector3f(*up)
     bins = dr.arange(mi.UInt32, count) % BINS
     sampler.seed(1, count)

@@ -20,25 +20,11 @@ RECORDED = 8  # bounces of a path that the cache learns from
 MIXED, GLOSSY = 0.5, 0.25  # share of directions from the cache where surfaces are diffuse and more, or glossy
 
 
-class Settings(NamedTuple):
-    """As of Mitsuba's `path`.
-
-    Attributes:
-        max_depth: edges of the longest path.
-        rr_depth: edges from which on paths end by chance (Russian roulette).
-        emitter_sampling: whether there is next-event estimation.
-    """
-
-    max_depth: int
-    rr_depth: int
-    emitter_sampling: bool = True
-
-
 class Bounce(NamedTuple):
-    """What is recorded of a bounce.
+    """What is recorded of a bounce, in this order.
 
     Attributes:
-        index: entry * BINS + bin.
+        index: entry * BINS + bin + 1.
         density: of the sampled direction, over the cosine's.
         throughput: luminance of the path's throughput before it.
         radiance: luminance that the path had, with the emitter sampled here; `unlit`, without.
@@ -55,31 +41,36 @@ class Bounce(NamedTuple):
 
 
 class Records:
-    """The first RECORDED bounces of so many paths, kept until the radiance of these is known."""
+    """The first RECORDED bounces of so many paths, kept until the radiance of these is known.
+
+    Attributes:
+        stores: the first numbers of `Bounce`, each of all paths; 0 where there was no bounce.
+    """
+
+    numbers = 4
 
     def __init__(self, paths: int) -> None:
-        self.paths = paths
-        self.lane = dr.arange(mi.UInt32, paths)
-        self.indices = dr.zeros(mi.UInt32, paths * RECORDED)  # entry * BINS + bin + 1
-        self.values = [dr.zeros(mi.Float, paths * RECORDED) for _ in range(3)]  # density, throughput, radiance so far
-        dr.eval(self.lane, self.indices, self.values)
+        self.paths, self.lane = paths, dr.arange(mi.UInt32, paths)
+        kinds = [mi.UInt32, *[mi.Float] * (self.numbers - 1)]
+        self.stores = [dr.zeros(kind, paths * RECORDED) for kind in kinds]
+        dr.eval(self.lane, self.stores)
 
     def add(self, depth: mt.UInt32, bounce: Bounce, active: mt.Mask) -> None:
         """Record a bounce."""
         slot, active = self.lane * RECORDED + depth, active & (depth < RECORDED)
-        values = (bounce.index + 1, bounce.density, bounce.throughput, bounce.radiance)
-        for store, value in zip((self.indices, *self.values), values, strict=True):
+        values = (*bounce[:5], *bounce.point, *bounce.normal)
+        for store, value in zip(self.stores, values[: self.numbers], strict=True):
             dr.scatter(store, value, slot, active)
 
     def train(self, cache: GuideCache, radiance: mt.Color) -> None:
         """Add all bounces to a cache, by the radiance that the paths have in the end."""
         total = mi.luminance(radiance)
-        dr.eval(total, self.indices, self.values)
-        density, throughput, before = self.values
+        dr.eval(total, self.stores)
+        index, density, throughput, before = self.stores[:4]
         after = dr.gather(mi.Float, total, dr.arange(mi.UInt32, self.paths * RECORDED) // RECORDED) - before
         carried = dr.maximum(after, 0) / dr.maximum(throughput, 1e-12)
-        active = (self.indices > 0) & (density > 0) & dr.isfinite(carried)
-        cache.add(self.indices - 1, density, carried, active)
+        active = (index > 0) & (density > 0) & dr.isfinite(carried)
+        cache.add(index - 1, density, carried, active)
         dr.eval(cache.sums, cache.visited)
 
 
@@ -106,11 +97,18 @@ class _Paths:
     active: mt.Mask
 
 
-class PathTracer:
-    """Traces paths by `Settings`."""
+class PathTracer(NamedTuple):
+    """Traces paths, as Mitsuba's `path`.
 
-    def __init__(self, settings: Settings) -> None:
-        self.settings = settings
+    Attributes:
+        max_depth: edges of the longest path.
+        rr_depth: edges from which on paths end by chance (Russian roulette).
+        emitter_sampling: whether there is next-event estimation.
+    """
+
+    max_depth: int
+    rr_depth: int
+    emitter_sampling: bool = True
 
     def trace(
         self,
@@ -136,8 +134,8 @@ class PathTracer:
         def bounce(paths: _Paths) -> tuple[_Paths]:
             si = scene.ray_intersect(paths.ray, mi.RayFlags.All, paths.depth == 0, paths.active)
             paths.radiance += paths.throughput * self._emitted(scene, si, paths)
-            active = paths.active & (paths.depth + 1 < self.settings.max_depth) & si.is_valid()
-            vertex = Vertex(self.settings, scene, paths, si, active)
+            active = paths.active & (paths.depth + 1 < self.max_depth) & si.is_valid()
+            vertex = Vertex(scene, paths, si, active, emitter_sampling=self.emitter_sampling)
             sample = vertex.by_cache(cache) if guided else vertex.by_bsdf()
             unlit = mi.luminance(paths.radiance)
             paths.radiance += paths.throughput * sample.emitter_radiance
@@ -150,7 +148,7 @@ class PathTracer:
             brightest = dr.max(paths.throughput)
             active &= brightest != 0
             survives = dr.minimum(brightest * dr.square(paths.eta), 0.95)
-            roulette = paths.depth >= self.settings.rr_depth
+            roulette = paths.depth >= self.rr_depth
             paths.throughput = dr.select(roulette, paths.throughput / survives, paths.throughput)
             paths.active = active & (~roulette | (paths.sampler.next_1d(roulette) < survives))
             paths.ray = mi.RayDifferential3f(si.spawn_ray(si.to_world(sample.wo)))
@@ -170,7 +168,7 @@ class PathTracer:
         """What the surface or sky that paths met emits, by its MIS weight beside emitter sampling."""
         there = mi.DirectionSample3f(scene, si=si, ref=paths.origin)
         light = there.emitter.eval(si, paths.active)
-        if not self.settings.emitter_sampling:
+        if not self.emitter_sampling:
             return light
         density = scene.pdf_emitter_direction(paths.origin, there, paths.active & ~paths.is_delta)
         return light * mis_weight(paths.density, density)
@@ -213,12 +211,14 @@ Evaluated = tuple[mt.BsdfSample, mt.Color, mt.Vector3, mt.Color, mt.Float, tuple
 class Vertex:
     """Vertices of paths, where an emitter and the next direction are sampled."""
 
-    def __init__(self, settings: Settings, scene: mt.Scene, paths: _Paths, si: mt.Interaction, active: mt.Mask) -> None:
+    def __init__(
+        self, scene: mt.Scene, paths: _Paths, si: mt.Interaction, active: mt.Mask, *, emitter_sampling: bool
+    ) -> None:
         self.si, self.bsdf, self.active = si, si.bsdf(paths.ray), active
         sampler = paths.sampler
         flags, kinds = self.bsdf.flags(), mi.BSDFFlags
         self.emitter: mt.EmitterSample = None
-        if settings.emitter_sampling:
+        if emitter_sampling:
             scatters = active & mi.has_flag(flags, kinds.Smooth)
             self.emitter, self.emitted = scene.sample_emitter_direction(si, sampler.next_2d(), True, scatters)
             self.is_lit = scatters & (self.emitter.pdf != 0)
@@ -281,7 +281,7 @@ class Vertex:
         location = self._location(cache)
         local = location.frame.to_local(self.si.to_world(sample.wo))
         density, index = sample.guide or (sample.density * dr.pi / dr.maximum(local.z, 1e-6), cache.bin(local))
-        index = location.entry * BINS + index
+        index = location.entry * BINS + index + 1
         bounce = Bounce(index, density, throughput, radiance, unlit, self.si.p, location.frame.n)
         return bounce, self.active & (self.share > 0) & ~sample.is_delta & (local.z > 1e-4)
 

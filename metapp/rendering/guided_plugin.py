@@ -6,19 +6,183 @@ Properties: `max_depth`, `rr_depth` and `hide_emitters` as of `path`; `emitter_s
 next-event estimation; and `checkpoint`, the file of the cache's prior: the one that ships unless given, "none" for
 none, as without `emitter_sampling`, for which none was trained. The mean is that of `path`. Where a guide cannot help,
 `path` renders instead, and a warning says so once.
+
+A picture is rendered in parts, each guided by what a cache has learned from a survey of the scene and from the parts
+before. Every part is a share of the picture that does not depend on what was sampled.
 """
 
 from __future__ import annotations
 
+import math
+import time
 import warnings
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
+
+from metapp.learning.task import Params
 from metapp.rendering import types as mt
-from metapp.rendering.guide_prior import read_prior, shipped
-from metapp.rendering.guided_path import PathTracer, Settings
-from metapp.rendering.guided_picture import FEWEST, GuidedPicture, parts_of
-from metapp.rendering.jit import dr, mi
-from metapp.rendering.plugins import register_plugin
+from metapp.rendering.guide_cache import GuideCache
+from metapp.rendering.guide_prior import LearnedPrior, read_prior, shipped
+from metapp.rendering.guide_survey import FILM, survey
+from metapp.rendering.guided_path import PathTracer, Records
+from metapp.rendering.jit import dr, mi, register_plugin
+
+FEWEST = 3 * 2**18  # paths of a picture; with fewer there is no time to learn
+FIRST = 2**18  # paths of the first part, of which a quarter of the picture is the most
+LEARNED = 2**21  # paths after which the cache has learned enough
+PAYS = 1.0  # of the noise without a cache, the most that a part has which a cache guided
+BLOCK = 4  # samples along a side of the blocks in which noise is compared
+
+_WAVE = 2**22  # paths at a time
+_PROBES = 128  # rays along a side of the film that tell where the scene is
+
+
+def parts_of(spp: int, pixels: int) -> list[int]:
+    """Samples a pixel of the parts of a picture of `spp` in all.
+
+    All but the last are learned from, up to a third of the picture; each has twice as many as the one before. There is
+    but one where there are fewer than 4.
+    """
+    if spp < 4:
+        return [spp]
+    # of powers of two, as Dr.Jit compiles code for other numbers anew
+    parts = [2 ** int(math.log2(max(1, min(spp // 4, -(-FIRST // pixels)))))]
+    while 3 * (sum(parts) + 2 * parts[-1]) <= spp and sum(parts) * pixels < LEARNED:
+        parts.append(2 * parts[-1])
+    return [*parts, spp - sum(parts)]
+
+
+def noise_of(luminance: NDArray[np.float32]) -> float:
+    """How far the halves of blocks of samples differ, relative to their sum, on average over blocks.
+
+    Args:
+        luminance: of samples, spread evenly over the film, [side, side].
+    """
+    count = len(luminance) // BLOCK
+    blocks = luminance[: count * BLOCK, : count * BLOCK].reshape(count, BLOCK, count, BLOCK).swapaxes(1, 2)
+    own = np.indices((BLOCK, BLOCK)).sum(0) % 2 == 0  # fields of a chessboard
+    first, second = blocks[:, :, own].sum(-1), blocks[:, :, ~own].sum(-1)
+    both = first + second
+    return float((np.abs(first - second)[both > 0] / both[both > 0]).mean()) if both.any() else 0.0
+
+
+def spread(luminance: NDArray[np.float32], side: int) -> NDArray[np.float32]:
+    """Samples of a picture [rows, columns, samples] evenly over the film, [side, side], none twice if possible."""
+    indices, within = [], []
+    for length in luminance.shape[:2]:
+        place = np.arange(side) * length // side
+        indices.append(place)
+        within.append(np.arange(side) - np.searchsorted(place, place))
+    number = within[0][:, None] * (within[1].max() + 1) + within[1][None]
+    picked: NDArray[np.float32] = luminance[indices[0][:, None], indices[1][None], number % luminance.shape[2]]
+    return picked
+
+
+class GuidedPicture:
+    """A picture in the making.
+
+    Args:
+        integrator: of Mitsuba, which the picture is for.
+        tracer: of paths.
+        scene, sensor, seed: as of `render` of an integrator.
+        prior: parameters of the network that is the cache's prior; None for none.
+
+    Attributes:
+        pays: whether the cache lowers the noise by more than it costs, as far as is known.
+        spent: seconds of CPU that each kind of work took, by its name.
+    """
+
+    def __init__(
+        self,
+        integrator: mt.Integrator,
+        tracer: PathTracer,
+        scene: mt.Scene,
+        sensor: mt.Sensor,
+        seed: mt.UInt32 | int,
+        prior: Params | None = None,
+    ) -> None:
+        begin = time.process_time()
+        self.integrator, self.tracer, self.scene, self.sensor, self.seed = integrator, tracer, scene, sensor, seed
+        self.cache = GuideCache(*_extent(scene, sensor))
+        features, luminance = survey(tracer, scene, sensor, self.cache, seed, features=prior is not None)
+        self.noise = noise_of(luminance)
+        if prior is not None and features is not None:
+            self.cache.prior = LearnedPrior(prior, features)
+        self.cache.learn()
+        self.block: mt.ImageBlock = None
+        self.made, self.pays = 0, True
+        self.spent = {"survey": time.process_time() - begin}
+
+    def render(self, spp: int) -> None:
+        """Put all parts of so many samples a pixel on the sensor's film."""
+        film = self.sensor.film()
+        *learned, last = parts_of(spp, int(dr.prod(film.crop_size())))
+        for part in learned:
+            self.add(part, learns=True)
+        self.add(last, learns=False)
+        film.put_block(self.block)
+
+    def add(self, spp: int, *, learns: bool) -> None:
+        """Add a part, and learn from it if asked to and as long as that pays."""
+        width, height = self.sensor.film().crop_size()
+        guided, learns = self.pays, learns and self.pays
+        begin, samples = time.process_time(), None
+        wave = max(1, _WAVE // (width * height))
+        for first in range(0, spp, wave):
+            samples = self._wave(min(wave, spp - first), guided, learns)
+        dr.sync_thread()
+        middle = time.process_time()
+        if samples is not None:
+            self.cache.learn()
+            self.pays = noise_of(spread(samples.reshape(height, width, -1), FILM)) < PAYS * self.noise
+        name = f"{'guided' if guided else 'regular'} samples{', which are learned from' if learns else ''}"
+        for work, seconds in ((name, middle - begin), ("learning", time.process_time() - middle)):
+            self.spent[work] = self.spent.get(work, 0.0) + seconds
+
+    def _wave(self, spp: int, guided: bool, learns: bool) -> NDArray[np.float32] | None:
+        """Add samples to the picture; their luminance where the cache learns from them."""
+        from mitsuba.python.ad.integrators.common import ADIntegrator
+
+        film, own = self.sensor.film(), self.integrator
+        seed = mi.sample_tea_32(mi.UInt32(self.seed), mi.UInt32(self.made))[0]
+        sampler, spp = ADIntegrator.prepare(own, self.sensor, seed, spp, [])
+        self.made += 1
+        self.block = self.block or film.create_block()  # of a film that is prepared
+        ray, weight, place = ADIntegrator.sample_rays(own, self.scene, self.sensor, sampler)
+        records = Records(dr.width(place)) if learns else None
+        light, hits = self.tracer.trace(self.scene, sampler, ray, self.cache, guided, records)
+        if records is not None:
+            dr.eval(light, hits, place, weight)
+            records.train(self.cache, light)
+        alpha = dr.select(hits, mi.Float(1), mi.Float(0))
+        # of the film's own kind, such as that of spectra
+        ADIntegrator._splat_to_block(self.block, film, place, light * weight, mi.Float(1), alpha, [], ray.wavelengths)
+        dr.eval(self.block.tensor())
+        return mi.luminance(light).numpy() if learns else None
+
+
+def _extent(scene: mt.Scene, sensor: mt.Sensor) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """The box in which most of what the camera sees lies, and most of what is seen from there."""
+    index = dr.arange(mi.UInt32, _PROBES**2)
+    sampler = mi.load_dict({"type": "independent"})
+    sampler.seed(0, _PROBES**2)
+    film = mi.Point2f(mi.Float(index % _PROBES), mi.Float(index // _PROBES)) / _PROBES
+    ray, _ = sensor.sample_ray(sensor.shutter_open(), sampler.next_1d(), film, mi.Point2f(0.5))
+    first = scene.ray_intersect(ray)
+    local = mi.warp.square_to_cosine_hemisphere(sampler.next_2d())
+    local.z = dr.select(first.wi.z < 0, -local.z, local.z)
+    second = scene.ray_intersect(first.spawn_ray(first.to_world(local)), first.is_valid())
+    points = np.concatenate([si.p.numpy()[:, si.is_valid().numpy()] for si in (first, second)], 1)
+    bounds = scene.bbox()
+    low, high = np.array(bounds.min, np.float64), np.array(bounds.max, np.float64)
+    if not points.size:
+        return low, high
+    lower, upper = np.percentile(points, (1, 99), axis=1)
+    margin = 0.02 * (upper - lower)
+    return np.maximum(lower - margin, low), np.minimum(upper + margin, high)
+
 
 NAME = "guided_path"
 NO_PRIOR = "none"
@@ -39,14 +203,15 @@ def plugin() -> mt.PluginClass:
         def __init__(self, props: mt.Properties) -> None:
             mi.SamplingIntegrator.__init__(self, props)
             self.path = _path(props)  # refuses what is out of range
-            settings = _settings(props)
-            if self.hide_emitters and not settings.emitter_sampling:
+            depth, rr_depth = int(props.get("max_depth", DEPTH)), int(props.get("rr_depth", RR_DEPTH))
+            emitter_sampling = bool(props.get("emitter_sampling", True))
+            if self.hide_emitters and not emitter_sampling:
                 raise ValueError(f"{NAME}: hide_emitters without emitter_sampling, expected one of them; change it.")
             checkpoint = str(props.get("checkpoint", ""))
-            none = checkpoint == NO_PRIOR or not settings.emitter_sampling
+            none = checkpoint == NO_PRIOR or not emitter_sampling
             self.prior = None if none else read_prior(Path(checkpoint) if checkpoint else shipped())
             self.spent: dict[str, float] = {}  # seconds of CPU of the last picture's parts
-            self.tracer = PathTracer(settings)
+            self.tracer = PathTracer(depth if depth >= 0 else 2**32 - 1, rr_depth, emitter_sampling)
 
         def render(
             self,
@@ -59,17 +224,15 @@ def plugin() -> mt.PluginClass:
         ) -> mt.Tensorf:
             sensor = scene.sensors()[sensor] if isinstance(sensor, int) else sensor
             spp, film = spp or sensor.sampler().sample_count(), sensor.film()
-            pixels = int(dr.prod(film.crop_size()))
-            why = _useless(self.tracer.settings, scene, spp * pixels, hides_emitters=self.hide_emitters)
+            paths = spp * int(dr.prod(film.crop_size()))
+            why = _useless(self.tracer, scene, paths, hides_emitters=self.hide_emitters)
             if why:
                 _warn(why)
                 return self.path.render(scene, sensor, seed, spp, develop, evaluate)
             with dr.suspend_grad():
                 picture = GuidedPicture(self, self.tracer, scene, sensor, seed, self.prior)
-                for part in parts_of(spp, pixels):
-                    picture.add(part)
+                picture.render(spp)
                 self.spent = picture.spent
-                film.put_block(picture.block)
                 if not picture.pays:
                     _warn("what was learned of a scene does not lower the noise enough")
                 return film.develop() if develop else mi.TensorXf()
@@ -82,8 +245,7 @@ def plugin() -> mt.PluginClass:
             return self.path.sample(scene, sampler, ray, medium, active)  # type: ignore[no-any-return]
 
         def to_string(self) -> str:
-            settings = self.tracer.settings
-            return f"GuidedPath[max_depth = {settings.max_depth}, rr_depth = {settings.rr_depth}]"
+            return f"GuidedPath[max_depth = {self.tracer.max_depth}, rr_depth = {self.tracer.rr_depth}]"
 
     return GuidedPath
 
@@ -94,21 +256,15 @@ def _path(props: mt.Properties) -> mt.Integrator:
     return mi.load_dict({"type": "path", **{name: props[name] for name in names if name in props}})
 
 
-def _settings(props: mt.Properties) -> Settings:
-    depth = int(props.get("max_depth", DEPTH))
-    emitter_sampling = bool(props.get("emitter_sampling", True))
-    return Settings(depth if depth >= 0 else 2**32 - 1, int(props.get("rr_depth", RR_DEPTH)), emitter_sampling)
-
-
-def _useless(settings: Settings, scene: mt.Scene, paths: int, *, hides_emitters: bool) -> str:
+def _useless(tracer: PathTracer, scene: mt.Scene, paths: int, *, hides_emitters: bool) -> str:
     """Why a guide cannot help, if so."""
-    if settings.emitter_sampling and settings.max_depth <= 2:
-        return f"max_depth {settings.max_depth} leaves direct light alone, expected 3 or more"
+    if tracer.emitter_sampling and tracer.max_depth <= 2:
+        return f"max_depth {tracer.max_depth} leaves direct light alone, expected 3 or more"
     if not scene.bbox().valid():
         return "no surfaces to learn of"
     if hides_emitters:
         return "hide_emitters, which is not guided"
-    few = settings.emitter_sampling and paths < FEWEST
+    few = tracer.emitter_sampling and paths < FEWEST
     return f"{paths:,} paths (samples a pixel times pixels), expected {FEWEST:,} or more" if few else ""
 
 

@@ -17,9 +17,7 @@ import torch
 from torch import Tensor
 
 from metapp.appearance.latlong import luminance
-from metapp.rendering.scene_files import Places
-from metapp.rendering.scene_rules import CheckedDict
-from metapp.rendering.scene_text import Json, SceneDict
+from metapp.rendering.scene_rules import CheckedDict, Json, Places, SceneDict
 from metapp.rendering.scene_xml import checked_xml
 from metapp.rendering.types import Emitter, Mitsuba, Scene
 from metapp.rendering.variant import load_mitsuba

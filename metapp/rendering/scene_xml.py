@@ -12,8 +12,16 @@ from typing import NoReturn
 from xml.etree.ElementTree import Element, tostring
 from xml.parsers import expat
 
-from metapp.rendering.scene_files import TEXT_BYTES, Places
-from metapp.rendering.scene_rules import DEPTH, PARTS, TEXT, check_plugin, check_samples, checked_string
+from metapp.rendering.scene_rules import (
+    DEPTH,
+    PARTS,
+    TEXT,
+    TEXT_BYTES,
+    Places,
+    check_plugin,
+    check_samples,
+    checked_string,
+)
 
 _OBJECTS = {"bsdf", "emitter", "film", "integrator", "medium", "phase", "rfilter", "sampler", "sensor", "shape",
             "texture", "volume"}  # fmt: skip
@@ -84,7 +92,7 @@ class _Reader:
             else:
                 made.append(self._element(child, places, chain, depth + 1))
         if made.tag in _OBJECTS or (made.tag == "spectrum" and "type" in made.attrib):
-            check_plugin(made.get("type", ""), {each.get("name", "") for each in made})
+            check_plugin(made.get("type", ""), {child.get("name", "") for child in made})
         return made
 
     def _attributes(self, source: Element, places: Places) -> dict[str, str]:

@@ -21,9 +21,11 @@ from safetensors.torch import save
 from torch import Tensor
 
 from metapp.appearance import latlong
+from metapp.rendering.scene_rules import box_film
 from metapp.rendering.types import Mitsuba
 from metapp.rendering.variant import load_mitsuba
-from metapp.storage.files import cache_folder, write_atomically
+from metapp.storage.cache import cache_folder
+from metapp.storage.files import write_atomically
 from metapp.storage.tensors import read_tensors
 
 VERSION = 1  # of the scene and its matrix, in the name of the cached file
@@ -101,42 +103,17 @@ def direct(illumination: Tensor, spp: int = 256, *, seed: int = 0) -> Tensor:
 def scene_dict(mi: Mitsuba) -> dict[str, object]:
     """The scene without a light, with Mitsuba's matrices."""
     frame = mi.ScalarTransform4f()
+    pose = frame.look_at(origin=CAMERA, target=TARGET, up=[0, 1, 0])
+    glossy = {"type": "roughconductor", "material": "none", "distribution": "ggx", "alpha": ALPHA,
+              "specular_reflectance": GLOSSY_REFLECTANCE}  # fmt: skip
+    diffuse = {"type": "diffuse", "reflectance": FLOOR_ALBEDO}
     return {
         "type": "scene",
         "integrator": {"type": "path", "max_depth": 16},
-        "sensor": {
-            "type": "perspective",
-            "fov": FIELD_DEGREES,
-            "to_world": frame.look_at(origin=CAMERA, target=TARGET, up=[0, 1, 0]),
-            "film": {
-                "type": "hdrfilm",
-                "width": WIDTH,
-                "height": HEIGHT,
-                "pixel_format": "rgb",
-                "rfilter": {"type": "box"},
-            },
-        },
-        "floor": {
-            "type": "rectangle",
-            "to_world": frame.rotate([1, 0, 0], -90).scale(1000),
-            "bsdf": {"type": "diffuse", "reflectance": FLOOR_ALBEDO},
-        },
-        "matte": {
-            "type": "sphere",
-            "center": MATTE_CENTRE,
-            "bsdf": {"type": "diffuse", "reflectance": MATTE_ALBEDO},
-        },
-        "glossy": {
-            "type": "sphere",
-            "center": GLOSSY_CENTRE,
-            "bsdf": {
-                "type": "roughconductor",
-                "material": "none",
-                "distribution": "ggx",
-                "alpha": ALPHA,
-                "specular_reflectance": GLOSSY_REFLECTANCE,
-            },
-        },
+        "sensor": {"type": "perspective", "fov": FIELD_DEGREES, "to_world": pose, "film": box_film(WIDTH, HEIGHT)},
+        "floor": {"type": "rectangle", "to_world": frame.rotate([1, 0, 0], -90).scale(1000), "bsdf": diffuse},
+        "matte": {"type": "sphere", "center": MATTE_CENTRE, "bsdf": diffuse | {"reflectance": MATTE_ALBEDO}},
+        "glossy": {"type": "sphere", "center": GLOSSY_CENTRE, "bsdf": glossy},
     }
 
 

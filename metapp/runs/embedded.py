@@ -14,7 +14,8 @@ from typing import Any
 from data_tools import synthetic
 from metapp.apps import app_names
 from metapp.runs.reporter import progress, say
-from metapp.storage.files import cache_folder, locked
+from metapp.storage.cache import cache_folder
+from metapp.storage.files import locked
 
 VERSION = 1  # a module's own is raised when its draw changes, so that no older set is taken for the new one
 

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import torch
-from torch import Tensor
 
 from metapp.apps import presentation_of
 from metapp.learning.app import App
-from metapp.learning.learn import Watch
+from metapp.learning.learn import Step
 from metapp.learning.task import Params, Task
+from metapp.runs.naming import title_of
 from metapp.runs.pictures import to_srgb
-from metapp.runs.session import title_of
 from metapp.runs.sheet import Column, write_sheet
 from metapp.runs.timing import Stopwatch
 
@@ -33,14 +33,12 @@ class Watched:
         self._next = 0.0  # on the clock of time.monotonic
         self._last: tuple[Task, Params, str] | None = None  # what was not drawn, as it came too soon
 
-    def of(self, task: Task, steps: int, clock: Stopwatch) -> Watch:
-        """What `learn` is to call on a fit of this task, first of several; drawing pauses the clock."""
-
-        def watch(step: int, theta: Params, loss: Tensor) -> None:
+    def shown(self, descent: Iterator[Step], task: Task, steps: int, clock: Stopwatch) -> Iterator[Step]:
+        """The descent of a fit of this task, first of several, as it is drawn; drawing pauses the clock."""
+        for now in descent:
             with clock.paused():
-                self.show(task, theta, f"step {step} of {steps}")
-
-        return watch
+                self.show(task, now.theta, f"step {now.step} of {steps}")
+            yield now
 
     def show(self, task: Task, theta: Params, when: str) -> None:
         """Draw the first of parameters [T, ...], unless the last picture is too young."""

@@ -12,8 +12,6 @@ import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from metapp.native import cache_folder as cache_folder
-
 PARTIAL = ".partial-"  # what the name of an unfinished file begins with
 
 

@@ -12,7 +12,8 @@ from safetensors import SafetensorError
 from safetensors.torch import save
 from torch import Tensor
 
-from metapp.storage.files import cache_folder, write_atomically
+from metapp.storage.cache import cache_folder
+from metapp.storage.files import write_atomically
 from metapp.storage.tensors import opened_tensors
 
 

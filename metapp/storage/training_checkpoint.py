@@ -18,9 +18,9 @@ from safetensors import SafetensorError
 from safetensors.torch import save
 from torch import Tensor
 
-from metapp.learning.learn import MetaParameters, Progress
+from metapp.learning.learn import MetaParameters, Step
+from metapp.learning.progress import Prepared, Progress
 from metapp.learning.task import Params
-from metapp.paradigms.resuming import Outer, Prepared, Reached
 from metapp.storage.files import remove_partial, write_atomically
 from metapp.storage.records import digest, tensor_digest
 from metapp.storage.tensors import opened_tensors
@@ -32,19 +32,19 @@ SCHEMA = 1
 class TrainingCheckpoint:
     """The file of one training: what was last reached, and when it was last written."""
 
-    def __init__(self, start: Path, settings: dict[str, Any], device: torch.device | str = "cpu") -> None:
+    def __init__(self, checkpoint: Path, settings: dict[str, Any], device: torch.device | str = "cpu") -> None:
         """Nothing is read or written yet.
 
         Args:
-            start: the file of the checkpoint that is trained.
+            checkpoint: the file of the checkpoint that is trained.
             settings: everything that the result depends on, JSON-ready.
             device: where tensors go.
         """
-        self.path = start.with_suffix(".training.safetensors")
+        self.path = checkpoint.with_suffix(".training.safetensors")
         self.settings = json.loads(json.dumps(settings))
         self.device = device
         self.seconds = _seconds()
-        self.reached = Reached()
+        self.progress = Progress()
         self.written, self.begin, self.before = time.monotonic(), time.process_time(), 0.0
 
     @property
@@ -52,7 +52,7 @@ class TrainingCheckpoint:
         """Processor seconds of this training, with those of programs that were cut off, up to their last write."""
         return self.before + time.process_time() - self.begin
 
-    def load(self) -> Reached:
+    def load(self) -> Progress:
         """How far an earlier training of the same settings was; nothing where there is none.
 
         Raises:
@@ -60,7 +60,7 @@ class TrainingCheckpoint:
         """
         remove_partial(self.path)
         if not self.path.is_file():
-            return Reached()
+            return Progress()
         aside = self.path.with_suffix(".aside.safetensors")
         try:
             document, tensors = _read(self.path)
@@ -74,20 +74,20 @@ class TrainingCheckpoint:
             raise ValueError(
                 f"{self.path}: a training checkpoint of other settings ({', '.join(unlike)}), put aside as {aside.name}"
             )
-        self.reached, self.before = _reached(document, tensors, self.device), document.get("spent", 0.0)
-        return self.reached
+        self.progress, self.before = _progress(document, tensors, self.device), document.get("spent", 0.0)
+        return self.progress
 
-    def keep(self, reached: Reached) -> None:
+    def keep(self, progress: Progress) -> None:
         """Take note of how far it is, and write it now and then."""
-        self.reached = reached
+        self.progress = progress
         if time.monotonic() - self.written >= self.seconds:
             self.write()
 
     def write(self) -> None:
         """Write what was reached, if anything; a failure is said, and the last file that was written stays."""
-        if not self.reached.looks and self.reached.outer is None:
+        if not self.progress.errors and self.progress.outer is None:
             return
-        document, tensors = _document(self.reached)
+        document, tensors = _document(self.progress)
         text = json.dumps({"schema": SCHEMA, "settings": self.settings, "spent": self.spent, **document})
         metadata = {"training": text, "digest": _digest(text, tensors)}
         try:
@@ -102,11 +102,11 @@ class TrainingCheckpoint:
 
 
 def _seconds() -> float:
-    told = os.environ.get("METAPP_CHECKPOINT_SECONDS", "")
+    text = os.environ.get("METAPP_CHECKPOINT_SECONDS", "")
     try:
-        return float(told) if told else SECONDS
+        return float(text) if text else SECONDS
     except ValueError:
-        raise ValueError(f"METAPP_CHECKPOINT_SECONDS: '{told}', expected a number of seconds.") from None
+        raise ValueError(f"METAPP_CHECKPOINT_SECONDS: '{text}', expected a number of seconds.") from None
 
 
 def _digest(document: str, tensors: Params) -> str:
@@ -125,17 +125,17 @@ def _read(path: Path) -> tuple[dict[str, Any], Params]:
     return document, tensors
 
 
-def _document(reached: Reached) -> tuple[dict[str, Any], Params]:
+def _document(progress: Progress) -> tuple[dict[str, Any], Params]:
     """What was reached as a JSON document and tensors [...] on the CPU, no two of which share memory."""
-    document: dict[str, Any] = {"looks": reached.looks}
-    if reached.outer is None:
+    document: dict[str, Any] = {"looks": progress.errors}
+    outer, best, losses = progress.outer, progress.best, progress.losses
+    if outer is None or best is None or progress.rng is None:
         return document, {}
-    (step, theta, state), rng, best, losses = reached.outer
-    trees = {"theta": theta, "state": state, "best": best.start.flat()}
+    trees = {"theta": outer.theta, "state": outer.state, "best": best.phi.flat()}
     named = {f"{part}.{key}": value for part, tree in trees.items() for key, value in tree.items()}
-    named |= {"rng": rng} | ({"losses": torch.stack(losses)} if losses else {})
+    named |= {"rng": progress.rng} | ({"losses": torch.stack(losses)} if losses else {})
     document |= {
-        "step": step,
+        "step": outer.step,
         "best": {"validation": best.validation, "step": best.step, "curve": best.curve},
         "strides": {name: value.stride() for name, value in named.items() if not value.is_contiguous()},
         "order": {part: list(tree) for part, tree in trees.items()},
@@ -143,20 +143,20 @@ def _document(reached: Reached) -> tuple[dict[str, Any], Params]:
     return document, {name: value.detach().cpu().contiguous().clone() for name, value in named.items()}
 
 
-def _reached(document: dict[str, Any], tensors: Params, device: torch.device | str) -> Reached:
+def _progress(document: dict[str, Any], tensors: Params, device: torch.device | str) -> Progress:
     """The inverse of `_document`."""
-    looks = tuple(document["looks"])
+    errors = tuple(document["looks"])
     if "step" not in document:
-        return Reached(looks)
+        return Progress(errors)
     strides = document["strides"]
     placed = {name: _laid_out(value, strides.get(name), device) for name, value in tensors.items() if name != "rng"}
     trees = {part: {key: placed[f"{part}.{key}"] for key in keys} for part, keys in document["order"].items()}
-    curve = [(step, loss, error) for step, loss, error in document["best"]["curve"]]
-    start = MetaParameters.unflat(trees["best"])
-    best = Prepared(start, document["best"]["validation"], document["best"]["step"], curve)
+    curve = tuple((step, loss, error) for step, loss, error in document["best"]["curve"])
+    phi = MetaParameters.unflat(trees["best"])
+    best = Prepared(phi, document["best"]["validation"], document["best"]["step"], curve)
     losses = tuple(placed["losses"].unbind()) if "losses" in placed else ()
-    progress = Progress(document["step"], trees["theta"], trees["state"])
-    return Reached(looks, Outer(progress, tensors["rng"].clone(), best, losses))
+    outer = Step(document["step"], trees["theta"], trees["state"])
+    return Progress(errors, outer, tensors["rng"].clone(), losses, best)
 
 
 def _laid_out(value: Tensor, stride: list[int] | None, device: torch.device | str) -> Tensor:

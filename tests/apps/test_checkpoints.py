@@ -1,4 +1,4 @@
-"""The checkpoints that ship: they load, belong together, and fit tasks that they have not seen."""
+"""The checkpoints that ship: they load, belong together, are small, and fit tasks that they have not seen."""
 
 from __future__ import annotations
 
@@ -14,23 +14,103 @@ from torch import Generator, Tensor
 
 from data_tools.readers.brdf_task import brdf_task
 from data_tools.synthetic.brdf import synthetic_materials
-from metapp.apps import app_of, recipes_of
-from metapp.apps.brdf import Brdf
-from metapp.apps.brdf.recipes import RECIPES
+from metapp.apps import app_names, app_of, protocols_of, recipes_of
 from metapp.learning.app import App, stack
 from metapp.learning.learn import MetaParameters
-from metapp.learning.recipe import Recipe
-from metapp.learning.task import Task, Tasks
+from metapp.learning.task import Params, Task, Tasks
 from metapp.paradigms import Job, paradigms
 from metapp.runs.checkpoints import checkpoint_name
-from metapp.runs.shipped import shipped_path
+from metapp.runs.shipped import FULL, QUICK, shipped_path, ships
 from metapp.storage.records import load_checkpoint, tensor_digest
 from tests.quick import app_by
 from tests.small_spheres import shrink_spheres
 
-APP = Brdf()
+PACKAGE = shipped_path("brdf", "general").parent.parent
+FULL_ONES = [name for name in app_names() if (PACKAGE / name / FULL).is_dir()]
+FEATURES = {"texture": "VGG-16 features (ImageNet)", "svbrdf_stationary": "VGG-16 features (ImageNet)"}
+OBSERVED = ("illumination", "svbrdf_nonstationary")
 
-SHIPPED = sorted(shipped_path("brdf", "general").parent.glob("*.safetensors"))
+
+def files_of(name: str, recipe: str) -> dict[str, Path]:
+    """What ships for a recipe, by the file's name without suffix."""
+    folder = PACKAGE / name / (recipe if recipe == FULL else "")
+    return {path.stem: path for path in sorted(folder.glob("*.safetensors"))}
+
+
+def start_of(name: str, each: str, recipe: str = QUICK) -> MetaParameters:
+    return load_checkpoint(shipped_path(name, each, recipe))[0]
+
+
+@functools.cache
+def tasks_of(name: str, count: int) -> list[Task]:
+    """Unseen tasks of an application, the same for all protocols."""
+    return list(importlib.import_module(f"data_tools.synthetic.{name}").synthetic_tasks("test", count))
+
+
+def fitted(
+    app: App, start: MetaParameters, tasks: Tasks, paradigm: str, *, recipe: str = QUICK, rule: str = ""
+) -> Params:
+    """What a paradigm makes of tasks by a checkpoint."""
+    of = recipes_of(app.name, app.protocol)[recipe]
+    return paradigms()[paradigm].fit(Job(app, of, rule or of.rule), start, tasks, Generator().manual_seed(0))
+
+
+# What they are
+
+
+def expected_of(name: str, recipe: str) -> set[str]:
+    """What must ship: General, an Adam and rules; of "full", where rules go to a finer grid, Adams alone."""
+    if recipe == FULL and protocols_of(name):
+        return {checkpoint_name(app_by(name, FULL, each), "quickft") for each in protocols_of(name)}
+    names = {"general"}
+    for protocol in protocols_of(name) or ("",):
+        app, of = app_by(name, recipe, protocol), recipes_of(name, protocol)[recipe]
+        rules = of.meta if name == "brdf" else (of.rule,)
+        names |= {checkpoint_name(app, each) for each in ("quickft", *rules)}
+    return names
+
+
+@pytest.mark.parametrize(
+    ("name", "recipe"), [*((name, QUICK) for name in app_names()), *((name, FULL) for name in FULL_ONES)]
+)
+def test_they_say_what_they_are(name: str, recipe: str) -> None:
+    files = files_of(name, recipe)
+    assert set(files) == expected_of(name, recipe)
+    encoder = tensor_digest(start_of(name, "general", recipe).encoder)
+    for stem, path in files.items():
+        _, info = load_checkpoint(path)
+        assert (info["app"], info["start"], info["recipe"]) == (name, stem.removesuffix("-photo"), recipe), stem
+        assert info.get("features") == FEATURES.get(name), stem
+        assert info["validation_error"] > 0 or name == "transport", stem
+        if recipe == QUICK and name != "brdf":
+            assert info["data"].startswith(name), stem  # the embedded set alone
+        if stem == "general":
+            continue
+        if name in OBSERVED:
+            assert info["observe"] == ("photo" if stem.endswith("-photo") else "reference"), stem
+        rule = recipes_of(name)[recipe].meta.get(stem)
+        # this one holds an encoder of its own, which went on from General before General did
+        if (rule is None or rule.from_general) and (name, stem) != ("svbrdf_nonstationary", "meta-lgd"):
+            assert info["encoder"] == encoder, stem
+
+
+def test_they_are_small() -> None:
+    for name in app_names():
+        for path in files_of(name, QUICK).values():
+            assert path.stat().st_size < {"brdf": 2e6, "transport": 2e6, "svbrdf_nonstationary": 5e6}.get(name, 4e6)
+    assert sum(path.stat().st_size for path in PACKAGE.rglob("*.safetensors")) < 25e6
+
+
+def test_recipes_of_another_size_ship_only_where_they_have_a_folder() -> None:
+    for name in app_names():
+        recipes = recipes_of(name)
+        if FULL in recipes:
+            same = recipes[FULL].setup == recipes[QUICK].setup
+            assert ships(name, FULL) == (same or name in FULL_ONES)
+    assert FULL_ONES == ["illumination", "svbrdf_nonstationary", "svbrdf_stationary", "texture"]
+
+
+# What they fit
 
 
 @pytest.fixture(scope="module")
@@ -38,41 +118,94 @@ def unseen() -> Tasks:
     materials = synthetic_materials("test")[:8]
     with pytest.MonkeyPatch.context() as patch:
         shrink_spheres(patch)
-        return stack(APP, [brdf_task(each.name, each.evaluate, samples=8192) for each in materials])
-
-
-def error_of(paradigm: str, rule: str, prepared: MetaParameters, tasks: Tasks) -> float:
-    recipe = RECIPES[""]["quick"]
-    app = app_of("brdf", recipe, rule=rule if paradigm == "meta" else "")
-    theta = paradigms()[paradigm].fit(Job(app, recipe, rule), prepared, tasks, Generator().manual_seed(0))
-    return app.traits.scale * float(app.errors(theta, tasks)["error"].mean())
-
-
-@pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.stem)
-def test_says_what_it_is(path: Path) -> None:
-    _, info = load_checkpoint(path)
-    assert (info["app"], info["start"]) == ("brdf", path.stem)
-    assert info["validation_error"] > 0
-    assert path.stat().st_size < 2e6
-    quick = RECIPES[""]["quick"]
-    if path.stem == "quickft" or (path.stem in quick.meta and quick.meta[path.stem].from_general):
-        encoder, _ = load_checkpoint(shipped_path("brdf", "general"))
-        assert info["encoder"] == tensor_digest(encoder.encoder)
-
-
-def test_every_rule_of_the_quick_recipe_ships() -> None:
-    assert {path.stem for path in SHIPPED} == {"general", "quickft", *RECIPES[""]["quick"].meta}
+        return stack(app_by("brdf"), [brdf_task(each.name, each.evaluate, samples=8192) for each in materials])
 
 
 def test_ten_steps_of_the_default_rule_beat_the_other_quick_ways_on_unseen_materials(unseen: Tasks) -> None:
-    starts = {path.stem: load_checkpoint(path)[0] for path in SHIPPED}
-    tuned = starts["general"]._replace(alpha=starts["quickft"].alpha)
-    rule = RECIPES[""]["quick"].rule
-    meta = error_of("meta", rule, starts[rule], unseen)
+    recipe = recipes_of("brdf")[QUICK]
+    general = start_of("brdf", "general")
+
+    def error_of(paradigm: str, start: MetaParameters, rule: str = recipe.rule) -> float:
+        app = app_of("brdf", recipe, rule=rule if paradigm == "meta" else "")
+        theta = fitted(app, start, unseen, paradigm, rule=rule)
+        return app.traits.scale * float(app.errors(theta, unseen)["error"].mean())
+
+    meta = error_of("meta", start_of("brdf", recipe.rule))
     assert meta < 0.8
-    assert meta < error_of("quickft", rule, tuned, unseen)
-    assert meta < error_of("general", rule, starts["general"], unseen)
-    assert error_of("meta", "ridge", starts["ridge"], unseen) < 0.2 * meta
+    assert meta < error_of("quickft", general._replace(alpha=start_of("brdf", "quickft").alpha))
+    assert meta < error_of("general", general)
+    assert error_of("meta", start_of("brdf", "ridge"), "ridge") < 0.2 * meta
+
+
+def errors_of_pictures(name: str, count: int, paradigm: str, recipe: str = QUICK) -> tuple[Tensor, Tensor]:
+    """Errors [T] of unseen pictures at General's prediction, and after a paradigm's steps, both by what ships."""
+    app, rule = app_by(name, recipe), recipes_of(name)[recipe].rule
+    tasks = stack(app, [task._replace(data={"image": task.data["image"]}) for task in tasks_of(name, count)])
+    general = start_of(name, "general", recipe)
+    by = start_of(name, rule if paradigm == "meta" else paradigm, recipe)
+    starts = {"general": general, paradigm: by if paradigm == "meta" else general._replace(alpha=by.alpha)}
+    before, after = (
+        app.errors(fitted(app, start, tasks, each, recipe=recipe), tasks)["error"] for each, start in starts.items()
+    )
+    return before, after
+
+
+@pytest.mark.usefixtures("vgg")
+@pytest.mark.parametrize(
+    ("name", "count", "paradigm", "recipe", "share"),
+    [
+        ("texture", 4, "meta", QUICK, 0.8),
+        # errors of these fall less: fewer than eight pictures say too little about the share
+        *(pytest.param("svbrdf_stationary", 8, by, QUICK, 0.8, marks=pytest.mark.slow) for by in ("quickft", "meta")),
+        pytest.param("texture", 4, "quickft", QUICK, 0.8, marks=pytest.mark.slow),
+        pytest.param("texture", 4, "meta", FULL, 0.85, marks=pytest.mark.slow),
+        pytest.param("svbrdf_stationary", 4, "meta", FULL, 0.9, marks=pytest.mark.slow),
+    ],
+)
+def test_few_steps_beat_none_on_unseen_pictures(
+    name: str, count: int, paradigm: str, recipe: str, share: float
+) -> None:
+    general, fits = errors_of_pictures(name, count, paradigm, recipe)
+    assert fits.mean() < share * general.mean()
+
+
+@pytest.mark.usefixtures("vgg")
+def test_few_steps_beat_none_on_each_of_two_stationary_materials() -> None:
+    general, fits = errors_of_pictures("svbrdf_stationary", 2, "meta")
+    assert (fits < general).all()
+
+
+@pytest.mark.usefixtures("scene")
+@pytest.mark.parametrize("protocol", ["reference", "photo"])
+@pytest.mark.parametrize("name", OBSERVED)
+def test_few_steps_beat_none_on_unseen_tasks(name: str, protocol: str) -> None:
+    app, rule = app_by(name, protocol=protocol), recipes_of(name, protocol)[QUICK].rule
+    tasks, errors, losses = stack(app, tasks_of(name, 16)), {}, {}
+    for paradigm, start in (("general", "general"), ("meta", checkpoint_name(app, rule))):
+        theta = fitted(app, start_of(name, start), tasks, paradigm)
+        errors[paradigm] = float(app.errors(theta, tasks)["error"].mean())
+        losses[paradigm] = float(app.loss(theta, app.sample(tasks, Generator(), 1), {}).mean())
+    if protocol == "reference":
+        assert errors["meta"] < 0.25 * errors["general"]
+    else:  # a photograph that is explained better need not mean better maps on so few of them
+        assert losses["meta"] < 0.9 * losses["general"]
+        assert errors["meta"] < 1.2 * errors["general"]
+
+
+def test_few_steps_beat_none_on_unseen_scenes() -> None:
+    app = app_by("transport")
+    tasks = stack(app, tasks_of("transport", 2))
+    rule = recipes_of("transport")[QUICK].rule
+    before, after = (
+        app.errors(fitted(app, start_of("transport", start), tasks, paradigm), tasks)
+        for paradigm, start in (("general", "general"), ("meta", rule))
+    )
+    for part in ("error", "film", "directions"):
+        assert (after[part] < before[part]).all(), part
+    assert after["error"].mean() < before["error"].mean() - 0.08
+
+
+# What commands find
 
 
 @pytest.mark.usefixtures("small_spheres")
@@ -84,189 +217,29 @@ def test_the_command_finds_them(metapp: Callable, tmp_path: Path) -> None:
     assert result.document["error"] < 2
 
 
-# Textures and svBRDFs
-
-PICTURES = ("texture", "svbrdf_stationary")
+PHOTO = ("--observe", "photo")
 
 
-@pytest.mark.parametrize("name", PICTURES)
-def test_starts_of_pictures_say_what_they_are(name: str) -> None:
-    files = sorted(shipped_path(name, "general").parent.glob("*.safetensors"))
-    recipe = recipes_of(name)["quick"]
-    assert {path.stem for path in files} == {"general", "quickft", recipe.rule}
-    encoder = tensor_digest(load_checkpoint(shipped_path(name, "general"))[0].encoder)
-    for path in files:
-        _, info = load_checkpoint(path)
-        assert (info["app"], info["start"], info["recipe"]) == (name, path.stem, "quick")
-        assert info["features"] == "VGG-16 features (ImageNet)"
-        assert info["data"].startswith(name)  # the embedded set alone
-        assert path.stem == "general" or info["encoder"] == encoder
-        assert path.stat().st_size < 4e6
-
-
-def errors_of_pictures(name: str, count: int, paradigm: str) -> tuple[Tensor, Tensor]:
-    """Errors [T] of unseen pictures at General's prediction, and after a paradigm's steps, both by what ships."""
-    app = app_by(name)
-    module = importlib.import_module(f"data_tools.synthetic.{name}")
-    tasks = stack(
-        app, [task._replace(data={"image": task.data["image"]}) for task in module.synthetic_tasks("test", count)]
-    )
-    recipe = recipes_of(app.name)["quick"]
-    job = Job(app, recipe, recipe.rule)
-    starts = {each: load_checkpoint(shipped_path(name, each))[0] for each in ("general", "quickft", recipe.rule)}
-    starts["quickft"] = starts["general"]._replace(alpha=starts["quickft"].alpha)
-
-    def errors(each: str, start: str) -> Tensor:
-        theta = paradigms()[each].fit(job, starts[start], tasks, Generator().manual_seed(0))
-        return app.errors(theta, tasks)["error"]
-
-    return errors("general", "general"), errors(paradigm, recipe.rule if paradigm == "meta" else paradigm)
-
-
-@pytest.mark.usefixtures("vgg")
+@pytest.mark.usefixtures("vgg", "scene")
 @pytest.mark.parametrize(
-    ("name", "count", "paradigm"),
+    ("name", "options", "made", "most"),
     [
-        ("texture", 4, "meta"),
-        # errors of these fall less: fewer than eight pictures say too little about the share
-        *(pytest.param("svbrdf_stationary", 8, each, marks=pytest.mark.slow) for each in ("quickft", "meta")),
-        pytest.param("texture", 4, "quickft", marks=pytest.mark.slow),
+        ("texture", ("--size", "64x64"), {"texture.png"}, 0.5),  # of the files; the fit has the size of the recipe
+        pytest.param("svbrdf_stationary", ("--size", "64x64"), {"height.png"}, 0.5, marks=pytest.mark.slow),
+        ("illumination", PHOTO, {"map.exr", "map.png", "relit.png"}, None),
+        ("svbrdf_nonstationary", PHOTO, {"normal.png", "diffuse.png", "roughness.png", "specular.png"}, None),
     ],
 )
-def test_few_steps_beat_none_on_unseen_pictures(name: str, count: int, paradigm: str) -> None:
-    general, fitted = errors_of_pictures(name, count, paradigm)
-    assert fitted.mean() < 0.8 * general.mean()
-
-
-@pytest.mark.usefixtures("vgg")
-def test_few_steps_beat_none_on_each_of_two_stationary_materials() -> None:
-    general, fitted = errors_of_pictures("svbrdf_stationary", 2, "meta")
-    assert (fitted < general).all()
-
-
-@pytest.mark.usefixtures("vgg")
-@pytest.mark.parametrize("name", ["texture", pytest.param("svbrdf_stationary", marks=pytest.mark.slow)])
-def test_a_photo_is_fitted_in_seconds_by_what_ships(name: str, metapp: Callable, tmp_path: Path) -> None:
-    module = importlib.import_module(f"data_tools.synthetic.{name}")
-    (task,) = module.synthetic_tasks("test", 1)
-    photo = np.ascontiguousarray(task.data["image"].permute(1, 2, 0).numpy())
-    oiio.ImageBuf(photo).write(str(tmp_path / "wall.png"))
-    small = ("--size", "64x64")  # of the files; the fit has the size of the recipe
-    result = metapp("meta", name, tmp_path / "wall.png", *small, "--out", tmp_path / "runs", "--json")
+def test_a_photo_is_fitted_at_once_by_what_ships(
+    name: str, options: tuple[str, ...], made: set[str], most: float | None, metapp: Callable, tmp_path: Path
+) -> None:
+    data = tasks_of(name, 16 if name in OBSERVED else 1)[0].data
+    photo = next(data[key] for key in ("image", "photo", "photos") if key in data)
+    pixels = (photo[0] if photo.ndim == 4 else photo).permute(1, 2, 0).numpy()
+    oiio.ImageBuf(np.ascontiguousarray(pixels)).write(str(tmp_path / "wall.png"))
+    result = metapp("meta", name, tmp_path / "wall.png", *options, "--out", tmp_path / "runs", "--json")
     assert result.code == 0, result.err
     assert "the checkpoint that ships" in result.err
-    assert result.document["error"] < 0.5
-
-
-# What can be fitted to the thing itself, or to a photograph of it alone
-
-OBSERVED = ("illumination", "svbrdf_nonstationary")
-PROTOCOLS = ("reference", "photo")
-
-
-@functools.cache
-def tasks_of(name: str) -> list[Task]:
-    """Unseen tasks of an application, the same for all protocols."""
-    return list(importlib.import_module(f"data_tools.synthetic.{name}").synthetic_tasks("test", 16))
-
-
-def recipe_of(name: str, protocol: str) -> tuple[App, Recipe]:
-    return app_by(name, protocol=protocol), recipes_of(name, protocol)["quick"]
-
-
-@pytest.mark.parametrize("name", OBSERVED)
-def test_starts_by_protocol_say_what_they_are(name: str) -> None:
-    files = sorted(shipped_path(name, "general").parent.glob("*.safetensors"))
-    expected = {"general"}
-    for protocol in PROTOCOLS:
-        app, recipe = recipe_of(name, protocol)
-        expected |= {checkpoint_name(app, "quickft"), checkpoint_name(app, recipe.rule)}
-    assert {path.stem for path in files} == expected
-    encoder = tensor_digest(load_checkpoint(shipped_path(name, "general"))[0].encoder)
-    for path in files:
-        _, info = load_checkpoint(path)
-        assert info["app"] == name
-        assert info["data"].startswith(name)  # the embedded set alone
-        if path.stem != "general":
-            # this one holds an encoder of its own, which went on from General before General did
-            assert info["encoder"] == encoder or (name, path.stem) == ("svbrdf_nonstationary", "meta-lgd")
-            assert info["observe"] == ("photo" if path.stem.endswith("-photo") else "reference")
-        assert path.stat().st_size < 5e6
-
-
-@pytest.mark.usefixtures("scene")
-@pytest.mark.parametrize("protocol", PROTOCOLS)
-@pytest.mark.parametrize("name", OBSERVED)
-def test_few_steps_beat_none_on_unseen_tasks(name: str, protocol: str) -> None:
-    app, recipe = recipe_of(name, protocol)
-    tasks = stack(app, tasks_of(name))
-    job = Job(app, recipe, recipe.rule)
-    errors, losses = {}, {}
-    for paradigm, start in (("general", "general"), ("meta", checkpoint_name(app, recipe.rule))):
-        prepared = load_checkpoint(shipped_path(name, start))[0]
-        theta = paradigms()[paradigm].fit(job, prepared, tasks, Generator().manual_seed(0))
-        errors[paradigm] = float(app.errors(theta, tasks)["error"].mean())
-        losses[paradigm] = float(app.loss(theta, app.sample(tasks, Generator(), 1), {}).mean())
-    if protocol == "reference":
-        assert errors["meta"] < 0.25 * errors["general"]
-    else:  # a photograph that is explained better need not mean better maps on so few of them
-        assert losses["meta"] < 0.9 * losses["general"]
-        assert errors["meta"] < 1.2 * errors["general"]
-
-
-@pytest.mark.usefixtures("scene")
-def test_a_ball_is_fitted_at_once_by_what_ships(metapp: Callable, tmp_path: Path) -> None:
-    task = tasks_of("illumination")[0]
-    photo = np.ascontiguousarray(task.data["photos"][0].permute(1, 2, 0).numpy())
-    oiio.ImageBuf(photo).write(str(tmp_path / "ball.png"))
-    result = metapp(
-        "meta", "illumination", tmp_path / "ball.png", "--observe", "photo", "--out", tmp_path / "runs", "--json"
-    )
-    assert result.code == 0, result.err
-    assert "the checkpoint that ships" in result.err
-    made = Path(result.document["out"]) / "outputs" / "ball"
-    assert {path.name for path in made.iterdir()} == {"map.exr", "map.png", "relit.png"}
-
-
-def test_a_flash_photo_is_fitted_at_once_by_what_ships(metapp: Callable, tmp_path: Path) -> None:
-    task = tasks_of("svbrdf_nonstationary")[0]
-    photo = np.ascontiguousarray(task.data["photo"].permute(1, 2, 0).numpy())
-    oiio.ImageBuf(photo).write(str(tmp_path / "wall.png"))
-    common = ("--observe", "photo", "--out", tmp_path / "runs", "--json")
-    result = metapp("meta", "svbrdf_nonstationary", tmp_path / "wall.png", *common)
-    assert result.code == 0, result.err
-    assert "the checkpoint that ships" in result.err
-    made = Path(result.document["out"]) / "outputs" / "wall"
-    assert {"normal.png", "diffuse.png", "roughness.png", "specular.png"} <= {path.name for path in made.iterdir()}
-
-
-# Light transport
-
-
-def test_starts_of_transport_say_what_they_are() -> None:
-    recipe = recipes_of("transport")["quick"]
-    files = sorted(shipped_path("transport", "general").parent.glob("*.safetensors"))
-    assert {path.stem for path in files} == {"general", "quickft", recipe.rule}
-    encoder = tensor_digest(load_checkpoint(shipped_path("transport", "general"))[0].encoder)
-    for path in files:
-        _, info = load_checkpoint(path)
-        assert (info["app"], info["start"]) == ("transport", path.stem)
-        assert info["data"].startswith("transport")  # the embedded set alone
-        if path.stem != "general":
-            assert info["encoder"] == encoder
-        assert path.stat().st_size < 2e6
-
-
-def test_few_steps_beat_none_on_unseen_scenes() -> None:
-    app = app_by("transport")
-    recipe = recipes_of(app.name)["quick"]
-    module = importlib.import_module("data_tools.synthetic.transport")
-    tasks = stack(app, list(module.synthetic_tasks("test", 2)))
-    job, errors = Job(app, recipe, recipe.rule), {}
-    for paradigm, start in (("general", "general"), ("meta", recipe.rule)):
-        prepared = load_checkpoint(shipped_path("transport", start))[0]
-        theta = paradigms()[paradigm].fit(job, prepared, tasks, Generator().manual_seed(0))
-        errors[paradigm] = app.errors(theta, tasks)
-    for part in ("error", "film", "directions"):
-        assert (errors["meta"][part] < errors["general"][part]).all(), part
-    assert errors["meta"]["error"].mean() < errors["general"]["error"].mean() - 0.08
+    found = {path.name for path in (Path(result.document["out"]) / "outputs" / "wall").iterdir()}
+    assert made == found if name == "illumination" else made <= found
+    assert most is None or result.document["error"] < most

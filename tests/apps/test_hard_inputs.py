@@ -22,8 +22,7 @@ from metapp.appearance.flash import Maps, pack
 from metapp.appearance.latlong import directions, solid_angles, sphere_normals
 from metapp.apps import recipes_of
 from metapp.learning.app import App, stack
-from metapp.learning.guard import Guarded
-from metapp.learning.learn import MetaParameters
+from metapp.learning.learn import MetaParameters, Step, last
 from metapp.learning.task import Params, Task, Tasks
 from metapp.paradigms import Job, paradigms
 from metapp.runs.checkpoints import checkpoint_name
@@ -41,7 +40,7 @@ class Found(NamedTuple):
     first: Params
     quickft: Params
     alone: Params
-    guarded: Guarded
+    guarded: Step
 
 
 def fitted(app: App, sources: Iterable[Task]) -> Found:
@@ -57,10 +56,10 @@ def fitted(app: App, sources: Iterable[Task]) -> Found:
     rng = [Generator().manual_seed(0) for _ in range(4)]
     return Found(
         tasks,
-        meta.start(job, learned, tasks, rng[0]),
+        meta.initialisation(job, learned, tasks, rng[0]),
         quickft.fit(job, tuned, tasks, rng[1]),
         meta._replace(guard=lambda job: None).fit(job, learned, tasks, rng[2]),
-        meta.fitted(job, learned, tasks, rng[3]),
+        last(meta.descend(job, learned, tasks, rng[3])),
     )
 
 
@@ -77,7 +76,7 @@ def check(app: App, sources: Iterable[Task]) -> Found:
     first, quickft, alone, guarded = (
         visible(app, theta, found.tasks) for theta in (found.first, found.quickft, found.alone, found.guarded.theta)
     )
-    names, acted = found.tasks.names, found.guarded.acted
+    names, acted = found.tasks.names, found.guarded.guarded
     above = {
         name: pair for name, *pair in zip(names, guarded.tolist(), first.tolist(), strict=True) if pair[0] > pair[1]
     }
@@ -121,7 +120,7 @@ MATERIALS: dict[str, Callable[[Tensor], Tensor]] = {
 def test_materials() -> None:
     sources = [brdf_task(name, evaluate, samples=8192) for name, evaluate in MATERIALS.items()]
     found = check(app_by("brdf"), sources)
-    acted = dict(zip(found.tasks.names, found.guarded.acted.tolist(), strict=True))
+    acted = dict(zip(found.tasks.names, found.guarded.guarded.tolist(), strict=True))
     assert acted["saturated"]
     assert acted["searchlight"]
     assert not acted["black"]
@@ -158,7 +157,7 @@ def test_suns() -> None:
     quickft, alone, guarded = (
         app.errors(theta, found.tasks)["error"] for theta in (found.quickft, found.alone, found.guarded.theta)
     )
-    acted = found.guarded.acted
+    acted = found.guarded.guarded
     assert acted.sum() >= 3
     assert guarded[acted].mean() < 0.6 * alone[acted].mean()
     assert guarded.mean() < 0.7 * quickft.mean()

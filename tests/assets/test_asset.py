@@ -9,8 +9,7 @@ import OpenImageIO as oiio
 import pytest
 import torch
 
-from data_tools.assets import asset as assets
-from data_tools.assets import exr, png16
+from data_tools.assets import pictures
 from data_tools.readers import svbrdf_inputs
 from data_tools.readers.material_maps import find, read_task
 from metapp.appearance.colour import linear_to_srgb
@@ -25,7 +24,7 @@ MAPS = ("basecolor", "diffuse", "specular", "metallic", "roughness", "normal_gl"
 
 @pytest.fixture
 def asset(tmp_path: Path) -> Path:
-    assets.write(rock(), tmp_path / "rock", PROVENANCE)
+    pictures.write_asset(rock(), tmp_path / "rock", PROVENANCE)
     return tmp_path / "rock"
 
 
@@ -103,7 +102,7 @@ def test_the_metallic_roughness_files_are_one_material_with_the_others(asset: Pa
 
 def test_our_reader_takes_asset_folders(tmp_path: Path) -> None:
     """The maps that were fitted are read, not those that were made of them."""
-    assets.write(rock(64), tmp_path / "rock", PROVENANCE)
+    pictures.write_asset(rock(64), tmp_path / "rock", PROVENANCE)
     (source,) = find([tmp_path / "rock"])[0]
     assert svbrdf_inputs.find([tmp_path / "rock"]) == ([source], [])  # no preview or height for a photograph
     found, maps = unpack(read_task(source, 64).data["maps"].float()), rock(64).maps
@@ -112,7 +111,7 @@ def test_our_reader_takes_asset_folders(tmp_path: Path) -> None:
 
 
 def test_our_reader_takes_the_metallic_roughness_files(tmp_path: Path) -> None:
-    assets.write(rock(64), tmp_path / "rock", PROVENANCE)
+    pictures.write_asset(rock(64), tmp_path / "rock", PROVENANCE)
     for name in ("diffuse", "specular", "normal_dx"):
         file(tmp_path / "rock", name).unlink()
     maps = unpack(read_task(file(tmp_path / "rock", "basecolor"), 64).data["maps"].float())
@@ -121,7 +120,7 @@ def test_our_reader_takes_the_metallic_roughness_files(tmp_path: Path) -> None:
 
 
 def test_a_texture_has_a_base_colour_alone(tmp_path: Path) -> None:
-    assets.write(texture(), tmp_path / "rock", PROVENANCE)
+    pictures.write_asset(texture(), tmp_path / "rock", PROVENANCE)
     found = {each.name for each in (tmp_path / "rock").iterdir()}
     assert found == {"rock_basecolor.png", "preview.png", "material.json"}
     assert json.loads((tmp_path / "rock" / "material.json").read_text())["kind"] == "texture"
@@ -129,7 +128,7 @@ def test_a_texture_has_a_base_colour_alone(tmp_path: Path) -> None:
 
 
 def test_png16_holds_the_fitted_maps_alone(tmp_path: Path) -> None:
-    png16.write(rock(), tmp_path / "rock", PROVENANCE)
+    pictures.write_png16(rock(), tmp_path / "rock", PROVENANCE)
     found = {each.stem.removeprefix("rock_") for each in (tmp_path / "rock").iterdir()}
     assert found == {"diffuse", "specular", "roughness", "normal_gl", "height"}
     height = file(tmp_path / "rock", "height")
@@ -140,7 +139,7 @@ def test_png16_holds_the_fitted_maps_alone(tmp_path: Path) -> None:
 
 
 def test_exr_is_linear(tmp_path: Path) -> None:
-    exr.write(rock(), tmp_path / "rock", PROVENANCE)
+    pictures.write_exr(rock(), tmp_path / "rock", PROVENANCE)
     maps = rock().maps
     where = tmp_path / "rock"
     assert (stored(where / "rock_specular.exr") - maps.specular).abs().max() < 5e-4  # a half's step below 1

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 import torch
 
-from data_tools.assets import blender, gltf
+from data_tools.assets import gltf, pictures
 from metapp.appearance.colour import linear_to_srgb, srgb_to_linear
 from metapp.appearance.surface import all_planes, from_metallic
 from tests.assets.surfaces import PROVENANCE, rock, stored
@@ -56,7 +56,7 @@ def picture(document: dict[str, Any], binary: bytes, texture: int, folder: Path)
 
 
 def test_f0_comes_back_as_the_specification_computes_it(tmp_path: Path) -> None:
-    gltf.write(rock(), tmp_path / "rock", PROVENANCE)
+    gltf.write_gltf(rock(), tmp_path / "rock", PROVENANCE)
     document, binary = parsed(tmp_path / "rock.glb")
     extensions = document["materials"][0]["extensions"]
     specular, index = extensions["KHR_materials_specular"], extensions["KHR_materials_ior"]["ior"]
@@ -68,7 +68,7 @@ def test_f0_comes_back_as_the_specification_computes_it(tmp_path: Path) -> None:
 
 
 def test_the_other_maps_come_back(tmp_path: Path) -> None:
-    gltf.write(rock(), tmp_path / "rock", PROVENANCE)
+    gltf.write_gltf(rock(), tmp_path / "rock", PROVENANCE)
     document, binary = parsed(tmp_path / "rock.glb")
     material, maps = document["materials"][0], rock().maps
     core = material["pbrMetallicRoughness"]
@@ -86,7 +86,7 @@ def test_the_other_maps_come_back(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("tiles", "wrap"), [(True, 10497), (False, 33071)])
 def test_the_rectangle_faces_its_viewer(tmp_path: Path, tiles: bool, wrap: int) -> None:
-    gltf.write(rock(tiles=tiles), tmp_path / "rock", PROVENANCE)
+    gltf.write_gltf(rock(tiles=tiles), tmp_path / "rock", PROVENANCE)
     document, binary = parsed(tmp_path / "rock.glb")
     primitive = document["meshes"][0]["primitives"][0]
     place, normal, tangent, uv = (values(document, binary, i) for i in primitive["attributes"].values())
@@ -103,7 +103,7 @@ def test_the_rectangle_faces_its_viewer(tmp_path: Path, tiles: bool, wrap: int) 
 
 
 def test_the_provenance_is_inside(tmp_path: Path) -> None:
-    gltf.write(rock(), tmp_path / "rock", PROVENANCE)
+    gltf.write_gltf(rock(), tmp_path / "rock", PROVENANCE)
     asset = parsed(tmp_path / "rock.glb")[0]["asset"]
     assert asset["version"] == "2.0"
     assert asset["extras"]["provenance"] == PROVENANCE | {"rise": None}
@@ -113,7 +113,7 @@ def test_blender_s_pictures_have_the_mean_f0_of_dielectrics(tmp_path: Path) -> N
     """Of what is no metal, F0 down to 0 and up to 0.08 is kept, but for its hue."""
     maps = rock().maps
     surface = rock()._replace(maps=maps._replace(specular=0.08 * maps.specular.clamp_max(0.49)))
-    blender.write(surface, tmp_path / "rock", PROVENANCE)
+    pictures.write_blender(surface, tmp_path / "rock", PROVENANCE)
     base, metallic, level = (
         stored(tmp_path / "rock" / f"rock_{name}.png") for name in ("BaseColor", "Metallic", "Specular")
     )
@@ -126,7 +126,7 @@ def test_blender_s_pictures_keep_the_f0_of_metals(tmp_path: Path) -> None:
     base, metallic = torch.full((3, 8, 8), 0.8), torch.linspace(0, 1, 64).reshape(1, 8, 8)
     diffuse, specular = from_metallic(base, metallic)
     maps = rock(8).maps._replace(diffuse=diffuse, specular=specular)
-    blender.write(rock(8)._replace(base=diffuse, maps=maps), tmp_path / "rock", PROVENANCE)
+    pictures.write_blender(rock(8)._replace(base=diffuse, maps=maps), tmp_path / "rock", PROVENANCE)
     read = [stored(tmp_path / "rock" / f"rock_{name}.png") for name in ("BaseColor", "Metallic", "Specular")]
     found = 0.08 * read[2] * (1 - read[1]) + srgb_to_linear(read[0]) * read[1]
     assert (found - specular).abs().max() < 1e-3
@@ -135,8 +135,8 @@ def test_blender_s_pictures_keep_the_f0_of_metals(tmp_path: Path) -> None:
 @pytest.mark.slow
 @pytest.mark.skipif(not BPY, reason="METAPP_BPY_PYTHON names no Python with bpy (pip install bpy==5.0.1)")
 def test_blender_renders_the_f0_and_wires_the_pictures(tmp_path: Path) -> None:
-    gltf.write(rock(64), tmp_path / "rock", PROVENANCE)
-    blender.write(rock(64), tmp_path / "names" / "rock", PROVENANCE)
+    gltf.write_gltf(rock(64), tmp_path / "rock", PROVENANCE)
+    pictures.write_blender(rock(64), tmp_path / "names" / "rock", PROVENANCE)
     script = Path(__file__).with_name("blender_check.py")
     told, seen = tmp_path / "told.json", tmp_path / "f0"
     arguments = (tmp_path / "rock.glb", tmp_path / "names" / "rock", told, seen)

@@ -15,7 +15,7 @@ from tests.assets.surfaces import PROVENANCE, rock, stored
 
 @pytest.fixture
 def file(tmp_path: Path) -> Path:
-    materialx.write(rock(), tmp_path / "rock", PROVENANCE)
+    materialx.write_materialx(rock(), tmp_path / "rock", PROVENANCE)
     return tmp_path / "rock" / "rock.mtlx"
 
 
@@ -60,7 +60,7 @@ def test_files_are_named_relatively_and_are_there(file: Path) -> None:
 
 def test_a_material_without_reflection_has_an_index(tmp_path: Path) -> None:
     black = rock().maps._replace(specular=torch.zeros(1, 32, 32))
-    materialx.write(rock()._replace(maps=black), tmp_path / "rock", PROVENANCE)
+    materialx.write_materialx(rock()._replace(maps=black), tmp_path / "rock", PROVENANCE)
     surface = ET.parse(tmp_path / "rock" / "rock.mtlx").getroot().find("open_pbr_surface")
     assert 1 < float(next(each for each in surface if each.get("name") == "specular_ior").get("value")) < 1.1
 

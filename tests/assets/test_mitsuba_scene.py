@@ -25,7 +25,7 @@ def mi() -> Any:
     from metapp.rendering.variant import load_mitsuba
 
     module = load_mitsuba()
-    from metapp.rendering.maps_bsdf import register_maps_bsdf
+    from metapp.rendering.bsdfs import register_maps_bsdf
 
     register_maps_bsdf()
     return module
@@ -34,7 +34,7 @@ def mi() -> Any:
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("scene") / "rock"
-    mitsuba.write(rock(SIDE), path, PROVENANCE)
+    mitsuba.write_mitsuba(rock(SIDE), path, PROVENANCE)
     return path
 
 

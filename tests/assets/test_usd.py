@@ -17,7 +17,7 @@ from pxr import Usd, UsdShade, UsdValidation  # noqa: E402
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    usd.write(rock(), tmp_path / "3 rock", PROVENANCE)
+    usd.write_usd(rock(), tmp_path / "3 rock", PROVENANCE)
     return tmp_path / "3 rock"
 
 

@@ -6,8 +6,18 @@ import numpy as np
 import pytest
 import torch
 
-from metapp.baselines.methods.histogram import Counts, counted, morton, pair, square
-from metapp.baselines.transport import GRIDS, Densities, Histograms, _mean, _prior
+from metapp.baselines.transport import (
+    GRIDS,
+    Counts,
+    Densities,
+    Histograms,
+    _mean,
+    _prior,
+    counted,
+    morton,
+    pair,
+    square,
+)
 from metapp.learning.task import Tasks
 from tests.quick import app_by
 

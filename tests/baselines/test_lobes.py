@@ -11,7 +11,7 @@ from torch import Tensor
 
 from metapp.appearance.geometry import cosines
 from metapp.appearance.reflection import fresnel_schlick, microfacet_lobe
-from metapp.baselines.methods import lobes
+from metapp.baselines import lobes
 
 
 @pytest.fixture

@@ -9,10 +9,10 @@ from torch import Generator, Tensor
 from torch.nn.functional import interpolate, normalize
 
 from metapp.appearance.flash import Maps, pack
+from metapp.baselines import svbrdf_nonstationary as codec
 from metapp.baselines.baseline import Allowed, Baseline, Fitted, Prepared, Training
-from metapp.baselines.methods import codec
-from metapp.baselines.methods.quilting import beyond_cut, block_of, quilted, random_patches
 from metapp.baselines.svbrdf_nonstationary import _settings, baselines, maps_of, sheets
+from metapp.baselines.texture import beyond_cut, block_of, quilted, random_patches
 from metapp.learning.app import App
 from metapp.learning.task import Tasks
 

@@ -10,8 +10,20 @@ from torch import Generator
 
 from metapp.apps.brdf import Brdf
 from metapp.baselines.baseline import Allowed, Training
-from metapp.baselines.brdf import RidgeOf, baselines, coefficients, cosines_of, drawn, space_of
-from metapp.baselines.methods.principal import EPSILON, Components, Relative, components, reweighted, ridge
+from metapp.baselines.brdf import (
+    EPSILON,
+    Components,
+    Relative,
+    RidgeOf,
+    baselines,
+    coefficients,
+    components,
+    cosines_of,
+    drawn,
+    reweighted,
+    ridge,
+    space_of,
+)
 from metapp.learning.app import stack
 from metapp.learning.task import Task, Tasks
 

@@ -11,8 +11,19 @@ from scipy.fft import dctn
 from scipy.special import sph_harm_y
 
 from metapp.appearance.latlong import directions, solid_angles
-from metapp.baselines.illumination import COSINES, HAAR, _harmonics, _orders, _texels
-from metapp.baselines.methods.transforms import from_harmonics, haar, harmonics, inverse_haar, largest, orders
+from metapp.baselines.illumination import (
+    COSINES,
+    HAAR,
+    _harmonics,
+    _orders,
+    _texels,
+    from_harmonics,
+    haar,
+    harmonics,
+    inverse_haar,
+    largest,
+    orders,
+)
 from metapp.learning.task import Tasks
 
 SHAPES = [(3, 32, 64), (1, 16, 16), (2, 1, 8), (1, 64, 4)]

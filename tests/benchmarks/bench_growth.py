@@ -14,6 +14,7 @@ import multiprocessing
 import re
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -22,6 +23,7 @@ from torch import Generator, Tensor
 
 from metapp.apps.brdf import Brdf, network
 from metapp.apps.brdf.recipes import RECIPES
+from metapp.engine import FASTEST
 from metapp.learning.adjoint import Drawn, Loss
 from metapp.learning.learn import MetaParameters, after_learning, learn, spread, task_loss
 from metapp.learning.rules import RULES
@@ -66,26 +68,26 @@ def draw(size: Size, rng: Generator) -> Batch:
 def loss_of(size: Size) -> Loss:
     """The application's loss on samples that are drawn now, the same at each step."""
     drawn = Drawn(tuple(map(str, range(size.tasks))), draw(size, Generator().manual_seed(0)))
-    return task_loss(APP, size.samples)._replace(draw=lambda data, rng: drawn)
+    return replace(task_loss(APP, size.samples), draw=lambda data, rng, done: drawn)
 
 
 def fit(size: Size, start: MetaParameters, loss: Loss) -> None:
     """Descend by the rule."""
     theta, rng = spread(start.theta, size.tasks, 0), Generator().manual_seed(0)
-    learn(theta, RULE.rule(spread(start.alpha, size.tasks, 1)), None, loss, steps=size.steps, rng=rng)
+    learn(theta, RULE.rule(spread(start.alpha, size.tasks, 1)), None, loss, steps=size.steps, rng=rng, engine=FASTEST)
 
 
 def train(size: Size, start: MetaParameters, loss: Loss) -> None:
     """Take the second-order gradient of an outer step."""
     phi = {key: value.requires_grad_() for key, value in start.flat().items()}
-    outer = after_learning(loss, RULE.rule, steps=size.steps, order=2, clip=0.1)
-    seen = outer.draw(None, Generator().manual_seed(0))
+    outer = after_learning(loss, RULE.rule, steps=size.steps, order=2, clip=0.1, engine=FASTEST)
+    seen = outer.draw(None, Generator().manual_seed(0), 1.0)
     torch.autograd.grad(outer.value(phi, seen.batch, {}).sum(), list(phi.values()), allow_unused=True)
 
 
 def measure(what: Callable[[Size, MetaParameters, Loss], None], size: Size) -> tuple[float, float]:
     """CPU milliseconds and megabytes of one size, in this process."""
-    start, loss = start_of(size), loss_of(size)
+    start, loss = untrained(size), loss_of(size)
     Path("/proc/self/clear_refs").write_text("5")  # the peak is what is there now
     before, times = peak(), []
     for _ in range(ROUNDS):
@@ -95,7 +97,7 @@ def measure(what: Callable[[Size, MetaParameters, Loss], None], size: Size) -> t
     return 1e3 * min(times), peak() - before
 
 
-def start_of(size: Size) -> MetaParameters:
+def untrained(size: Size) -> MetaParameters:
     """A random initialisation and the rule before any training."""
     theta = {key: value[0] for key, value in APP.init(Generator().manual_seed(0), 1).items()}
     return MetaParameters(theta, RULE.alpha(APP, theta, size.steps, FIRST))
@@ -123,7 +125,7 @@ def said(value: float) -> str:
 def main() -> None:
     """Print the table."""
     torch.set_num_threads(1)
-    fit(FIT, start_of(FIT), loss_of(FIT))  # compiles the steps, once
+    fit(FIT, untrained(FIT), loss_of(FIT))  # compiles the steps, once
     print("| what grows | values | ms | MB | exponents of time and memory |\n|---|---|---|---|---|")
     with multiprocessing.get_context("fork").Pool(1, maxtasksperchild=1) as pool:
         for name, sizes in ROWS.items():

@@ -24,7 +24,7 @@ from torch import Tensor
 import metapp.mitsuba  # noqa: F401  (registers guided_path)
 from metapp.appearance.metrics import mape
 from metapp.rendering import equal_time
-from metapp.rendering.guided_picture import FEWEST
+from metapp.rendering.guided_plugin import FEWEST
 from metapp.rendering.path_space import DEPTH
 from metapp.rendering.scene_loading import load_scene
 from tests.benchmarks.guiding_scenes import kind_of, scenes

@@ -44,12 +44,13 @@ from torch.utils._python_dispatch import TorchDispatchMode
 from torch.utils._pytree import tree_leaves
 
 from metapp.apps.brdf import Brdf, network
-from metapp.learning.adjoint import Drawn, Loss
+from metapp.engine import FASTEST, load
+from metapp.engine.fastest import Compiled
+from metapp.learning.adjoint import TORCH, Drawn, Engine, Loss
 from metapp.learning.learn import MetaParameters, after_learning, learn, spread
 from metapp.learning.recipe import Adam
 from metapp.learning.rules import META_EPS, RULES, sgd
 from metapp.learning.task import Batch, Params
-from metapp.native import load
 
 APP = Brdf()
 
@@ -279,8 +280,7 @@ def bench_brdf() -> None:
     plain_inner = [[one_task(batch, task) for batch in batches] for task in range(TASKS)]
     plain_last = [one_task(last, task) for task in range(TASKS)]
     supply: list[Iterator[Batch]] = [iter(())]
-    by_torch = Loss(lambda data, rng: Drawn((), next(supply[0])), APP.loss)
-    in_c = by_torch._replace(fused=APP.fused)
+    loss = Loss(lambda data, rng, done: Drawn((), next(supply[0])), APP.loss)
     first = Adam(5e-3, beta2=0.99, eps=META_EPS)
     rules = {"sgd": (sgd, alpha), "default": (RULES[DEFAULT].rule, RULES[DEFAULT].alpha(APP, theta, STEPS, first))}
 
@@ -292,9 +292,9 @@ def bench_brdf() -> None:
             total = total + plain_loss(plain_adapt(weights, rates, inner, graph=True), final) / TASKS
         return total.detach(), list(torch.autograd.grad(total, [*weights, *rates]))
 
-    def ours(loss: Loss, rule: str = "sgd", compiled: bool = False) -> Callable[[], tuple[Tensor, list[Tensor]]]:
+    def ours(engine: Engine, rule: str = "sgd") -> Callable[[], tuple[Tensor, list[Tensor]]]:
         make, alpha = rules[rule]
-        lifted = after_learning(loss, make, steps=STEPS, order=2, compiled=compiled)
+        lifted = after_learning(loss, make, steps=STEPS, order=2, engine=engine)
 
         def step() -> tuple[Tensor, list[Tensor]]:
             phi = {key: value.clone().requires_grad_() for key, value in MetaParameters(theta, alpha).flat().items()}
@@ -303,14 +303,14 @@ def bench_brdf() -> None:
 
         return step
 
-    def adapt(loss: Loss, rule: str = "sgd", compiled: bool = False, tasks: int = TASKS) -> Callable[[], Params]:
+    def adapt(engine: Engine, rule: str = "sgd", tasks: int = TASKS) -> Callable[[], Params]:
         make, alpha = rules[rule]
         start, made = spread(theta, tasks, 0), make(spread(alpha, tasks, 1))
         some = [{key: value[:tasks] for key, value in batch.items()} for batch in batches]
 
         def run() -> Params:
             supply[0] = iter(some)
-            return learn(start, made, None, loss, steps=STEPS, rng=rng, compiled=compiled)
+            return learn(start, made, None, loss, steps=STEPS, rng=rng, engine=engine)
 
         return run
 
@@ -324,7 +324,7 @@ def bench_brdf() -> None:
 
         return run
 
-    (value_a, grads_a), (value, grads) = plain(), ours(in_c)()
+    (value_a, grads_a), (value, grads) = plain(), ours(FASTEST)()
     away = max(float((a - b.reshape(a.shape)).norm() / a.norm()) for a, b in zip(grads_a, grads, strict=True))
     peak, by_jax = limit(), jax_steps(theta, plain_inner, plain_last)
     print(f"\nBRDF network, {TASKS} tasks, {STEPS} steps of {SAMPLES} samples; CPU seconds, one thread")
@@ -334,11 +334,11 @@ def bench_brdf() -> None:
     name, default = "metapp, SGD", f"metapp, {DEFAULT}"
     contestants: dict[str, Callable[[], Any]] = {
         "(a) plain loop, unrolled": plain,
-        "metapp by torch, eager": ours(by_torch),
-        "metapp by torch, compiled": ours(by_torch, compiled=True),
-        f"metapp by torch, eager, {DEFAULT}": ours(by_torch, "default"),
-        name: ours(in_c),
-        default: ours(in_c, "default"),
+        "metapp by torch, eager": ours(TORCH),
+        "metapp by torch, compiled": ours(Compiled()),
+        f"metapp by torch, eager, {DEFAULT}": ours(TORCH, "default"),
+        name: ours(FASTEST),
+        default: ours(FASTEST, "default"),
     }
     for title, library in (("learn2learn MetaSGD", learn2learn_step), ("TorchOpt MetaSGD, one rate", torchopt_step)):
         step = library(theta, plain_inner, plain_last)
@@ -356,12 +356,12 @@ def bench_brdf() -> None:
     contestants = {
         "(a) plain loop, one by one": plain_one_by_one(False),
         "the same, with the graph that training needs": plain_one_by_one(True),
-        "metapp by torch, eager": adapt(by_torch),
-        "metapp by torch, compiled": adapt(by_torch, compiled=True),
-        f"metapp by torch, eager, {DEFAULT}": adapt(by_torch, "default"),
-        name: adapt(in_c),
-        default: adapt(in_c, "default"),
-        f"one fit alone, {DEFAULT}": adapt(in_c, "default", tasks=1),
+        "metapp by torch, eager": adapt(TORCH),
+        "metapp by torch, compiled": adapt(Compiled()),
+        f"metapp by torch, eager, {DEFAULT}": adapt(TORCH, "default"),
+        name: adapt(FASTEST),
+        default: adapt(FASTEST, "default"),
+        f"one fit alone, {DEFAULT}": adapt(FASTEST, "default", tasks=1),
     }
     if not isinstance(by_jax, str):
         contestants["(c) JAX, compiled"] = by_jax[1]
@@ -448,12 +448,12 @@ def bench_memory(tasks: int = 4, steps: int = 3) -> None:
 
     photos = torch.rand(2, tasks, 1, 3, 128, 128, generator=rng)
     batch = {"photo": photos[0], "target": photos[1]}
-    loss = Loss(lambda data, rng: Drawn((), batch), value)
+    loss = Loss(lambda data, rng, done: Drawn((), batch), value)
     weights = sum(each.numel() for each in theta.values())
     print(f"\nU-Net of {weights:,} weights, {tasks} tasks of 128 x 128 pixels, {steps} steps: peak of live tensors")
     peaks = []
     for order, at_once in ((1, None), (2, None), (1, 1), (2, 1)):
-        lifted = after_learning(loss, sgd, steps=steps, order=order, tasks_at_once=at_once)
+        lifted = after_learning(loss, sgd, steps=steps, order=order, engine=Engine(at_once))
         phi = {key: each.clone().requires_grad_() for key, each in MetaParameters(theta, alpha).flat().items()}
         with LiveBytes() as counter:
             total = lifted.value(phi, ([batch] * steps, batch, None), {}).mean()

@@ -11,7 +11,7 @@ import torch
 
 from data_tools.synthetic import transport as synthetic_transport
 from data_tools.synthetic.transport import COUNTS, cornell_tasks, synthetic_tasks
-from metapp.rendering.scene_text import scene_of
+from metapp.rendering.scene_rules import scene_of
 from metapp.runs.embedded import embedded_data, split_counts
 from metapp.storage.manifest import read_manifest
 from metapp.storage.shards import check_shard, read_shard

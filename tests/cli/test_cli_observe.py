@@ -78,7 +78,7 @@ def seen(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(recipes, "RECIPES", {"reference": table, "photo": table})
     monkeypatch.setattr(brdf, "APP", Seen)
     monkeypatch.setattr(presentation, "PRESENTATION", Shown)
-    monkeypatch.setattr("metapp.paradigms.meta.can_compile", lambda: False)
+    monkeypatch.setattr("metapp.engine.fastest.can_compile", lambda: False)
 
 
 @pytest.fixture(scope="module")
@@ -100,7 +100,7 @@ def data(ten_materials: Path, tmp_path: Path) -> Path:
 @pytest.fixture
 def on_data(metapp: Callable, data: Path, tmp_path: Path) -> Callable:
     """A command on ten small materials, eight of them for training, runs in a folder of this test."""
-    return lambda *arguments: metapp(*arguments, "--data", data, "--out", tmp_path / "runs")
+    return lambda *arguments: metapp(*arguments, "--recipe", "quick", "--data", data, "--out", tmp_path / "runs")
 
 
 # Fits
@@ -140,7 +140,7 @@ def test_an_application_with_one_protocol_says_nothing(on_data: Callable, monkey
 
 def test_protocols_share_general_and_nothing_else(on_data: Callable, tmp_path: Path) -> None:
     assert on_data("meta", "brdf", "--observe", "photo", *STEPS).code == 0
-    (folder,) = (tmp_path / "runs" / "brdf" / "starts").iterdir()
+    (folder,) = (tmp_path / "runs" / "brdf" / "checkpoints").iterdir()
     assert {file.stem for file in folder.iterdir()} == {"general", "meta-sgd-photo"}
     general = folder / "general.safetensors"
     assert load_checkpoint(folder / "meta-sgd-photo.safetensors")[1]["observe"] == "photo"

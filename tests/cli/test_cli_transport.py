@@ -13,7 +13,7 @@ import OpenImageIO as oiio
 import pytest
 import torch
 
-from data_tools.readers.transport_task import transport_task
+from data_tools.readers.mitsuba_scenes import transport_task
 from data_tools.synthetic.cornell import random_scene
 from data_tools.synthetic.transport import UNITS
 from metapp.appearance.presentation import Fitted
@@ -23,7 +23,7 @@ from metapp.apps.transport.guide import table_of
 from metapp.apps.transport.presentation import TransportPresentation
 from metapp.apps.transport.recipes import RECIPES
 from metapp.learning.task import Task
-from metapp.rendering import path_render
+from metapp.rendering import path_space
 from metapp.storage.shards import ShardWriter
 from tests.quick import app_by
 
@@ -177,7 +177,7 @@ def test_equal_time_counts_the_samples_that_a_fit_sees(scenes: list[Task], monke
 def test_a_reference_knows_its_own_error(scenes: list[Task], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(images, "REFERENCE_SPP", SPP_OF_TABLES)
     studio = images.Studio(scenes[0].data["scene"].numpy().tobytes(), size=8)
-    told, wanted = studio.reference_error, path_render.reference(studio.tracer, 8, 16 * SPP_OF_TABLES, seed=9)
+    told, wanted = studio.reference_error, path_space.reference(studio.tracer, 8, 16 * SPP_OF_TABLES, seed=9)
     found = float(images.mape(studio.reference[None], wanted[None]))
     assert found == pytest.approx(told, rel=0.3)  # as far from the truth as its halves say
     assert studio.sampling(scenes[0].data["samples"]) > 0
@@ -194,9 +194,9 @@ def test_guided_means_are_those_of_the_reference(scenes: list[Task]) -> None:
     table = table_of(flow, theta, places=8, cells=16)
     for task in scenes[:5]:
         studio = images.Studio(task.data["scene"].numpy().tobytes(), size=16)
-        guide = path_render.Guide(table.sample, table.density)
-        shots = [path_render.render(studio.tracer, 32, 16, seed, guide).mean() for seed in range(12)]
-        means, wanted = torch.stack(shots).double(), float(path_render.reference(studio.tracer, 16, 256).mean())
+        guide = path_space.Guide(table.sample, table.density)
+        shots = [path_space.render(studio.tracer, 32, 16, seed, guide).mean() for seed in range(12)]
+        means, wanted = torch.stack(shots).double(), float(path_space.reference(studio.tracer, 16, 256).mean())
         error = float(means.std() / len(means) ** 0.5)
         assert abs(float(means.mean()) - wanted) < 3 * error + 0.003 * wanted, task.name  # the reference's own error
         assert error < 0.05 * wanted

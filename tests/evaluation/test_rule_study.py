@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import torch
 from rich.console import Console
 
 from metapp.apps import recipes_of
@@ -26,9 +25,10 @@ from metapp.evaluation.tables import load_table
 from metapp.evaluation.tables.rules import fit_cell, train_cell
 from metapp.learning.recipe import Adam
 from metapp.learning.rules import RULES, rule_of
-from metapp.learning.rules import table as rule_table
+from metapp.learning.rules import rule as rule_table
 from metapp.paradigms import tuning
-from metapp.runs.session import Options
+from metapp.runs.plan import plan
+from metapp.runs.request import Request
 from metapp.storage.records import load_checkpoint
 from metapp.storage.training_checkpoint import TrainingCheckpoint
 from tests.small_spheres import shrink_spheres
@@ -46,7 +46,7 @@ def few(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     trainings = {rule: replace(each, tasks=2, warmup=0, validate_every=1) for rule, each in quick.meta.items()}
     general = replace(quick.general, steps=2, tasks=2, validate_every=1)
     monkeypatch.setitem(RECIPES[""], "quick", replace(quick, general=general, meta=trainings, batch=16))
-    monkeypatch.setattr("metapp.paradigms.meta.can_compile", lambda: False)
+    monkeypatch.setattr("metapp.engine.fastest.can_compile", lambda: False)
     monkeypatch.setattr(tuning, "SEARCHED", SEARCHED)
     monkeypatch.setattr(studies, "RULES", {name: RULES[name] for name in ("meta-sgd", "meta-lgd")})
     monkeypatch.setattr(studies, "COMPOSED", ("sgd", "sgd+loss", "loss+meta-sgd", "adam"))
@@ -77,9 +77,9 @@ def figures(result: Any) -> list[dict[str, Any]]:
 
 
 def subject_of(data: Path, out: Path, **budget: Any) -> Subject:
-    options = Options(APP, "quick", "meta-curvature", None, data, out, None, 0, torch.device("cpu"), True)
+    planned = plan(Request("brdf", "general", recipe="quick", data=data, out=out, device="cpu", quiet=True))
     return Subject(
-        options, run=True, strict=False, budget=Budget(**({"outer": 2, "steps": (2, 3), "seeds": 2} | budget))
+        planned, run=True, strict=False, budget=Budget(**({"outer": 2, "steps": (2, 3), "seeds": 2} | budget))
     )
 
 
@@ -207,15 +207,15 @@ def test_a_terminal_shows_the_rule_and_what_it_came_to(evaluate: Callable, data:
 
 def test_new_names_of_rules_are_studied(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.undo()
-    options = Options(APP, "quick", "meta-curvature", None, None, Path("runs"), None, 0, torch.device("cpu"), True)
-    rules = Study(options, Budget()).rules
+    planned = plan(Request("brdf", "general", recipe="quick", device="cpu", quiet=True))
+    rules = Study(planned, Budget()).rules
     assert [rule_of(name).name for name in COMPOSED] == list(COMPOSED)
     assert set(rules) == ({rule_of(name).name for name in (*RULES, *COMPOSED)}) - {"meta-lgd", "ridge"}
     # of its own, so that other tests find the rules that there were
     monkeypatch.setattr(rule_table, "_composed", functools.cache(rule_table._composed.__wrapped__))
     monkeypatch.setitem(rule_table.NAMED, "meta-new", "rates+betas+eps")
     monkeypatch.setitem(studies.RULES, "meta-new", rule_of("rates+betas+eps"))  # type: ignore[arg-type]
-    assert "meta-new" in Study(options, Budget()).rules
+    assert "meta-new" in Study(planned, Budget()).rules
 
 
 def test_rules_without_moments_are_trained_as_the_papers() -> None:
@@ -230,8 +230,8 @@ def test_rules_without_moments_are_trained_as_the_papers() -> None:
 
 
 def test_cases_of_few_steps_come_first() -> None:
-    options = Options(APP, "quick", "meta-curvature", None, None, Path("runs"), None, 4, torch.device("cpu"), True)
-    cases = Study(options, Budget(steps=(9, 2), seeds=2, rules=("adam",))).cases()
+    planned = plan(Request("brdf", "general", recipe="quick", seed=4, device="cpu", quiet=True))
+    cases = Study(planned, Budget(steps=(9, 2), seeds=2, rules=("adam",))).cases()
     assert cases == [Case(rule, steps, seed) for seed in (4, 5) for steps in (2, 9) for rule in (QUICKFT, "adam")]
 
 

@@ -15,11 +15,11 @@ def parabola(params: Params, batch: Batch, learned: Params) -> Tensor:
     return learned.get("scale", 1.0) * 0.5 * ((params["x"] - batch["c"]) ** 2).sum(-1)
 
 
-def draw_exact(tasks: Tasks, rng: Generator) -> Drawn:
+def draw_exact(tasks: Tasks, rng: Generator, done: float) -> Drawn:
     return Drawn(tasks.picked_names(), {"c": tasks.data["c"][tasks.rows]})
 
 
-def draw_noisy(tasks: Tasks, rng: Generator) -> Drawn:
+def draw_noisy(tasks: Tasks, rng: Generator, done: float) -> Drawn:
     centre = tasks.data["c"][tasks.rows]
     return Drawn(tasks.picked_names(), {"c": centre + torch.randn(centre.shape, generator=rng, dtype=centre.dtype)})
 

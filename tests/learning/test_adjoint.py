@@ -12,8 +12,9 @@ import torch
 from torch import Generator, Tensor
 
 from metapp.apps.brdf import Brdf
-from metapp.learning.adjoint import Drawn, Loss, UpdateRule, at_step, learn_through
-from metapp.learning.learn import MetaParameters, after_learning, spread
+from metapp.engine.fastest import Compiled
+from metapp.learning.adjoint import TORCH, Drawn, Engine, Loss, UpdateRule, at_step, learn_through
+from metapp.learning.learn import Encoding, MetaParameters, after_learning, spread
 from metapp.learning.recipe import Adam
 from metapp.learning.rules import META_EPS, RULES, fixed_adam, sgd
 from metapp.learning.task import Batch, Params
@@ -289,7 +290,7 @@ def brdf_path(rule: str, randn: Callable[..., Tensor], order: int) -> Callable[.
 @pytest.mark.parametrize("rule", ["meta-sgd", "meta-adam-tied"])
 def test_tasks_are_walked_back_in_parts(rule: str, order: int, at_once: int, randn: Callable[..., Tensor]) -> None:
     path = brdf_path(rule, randn, order)
-    value, grads = path({"tasks_at_once": at_once})
+    value, grads = path({"engine": Engine(at_once)})
     expected, expected_grads = path(None)
     torch.testing.assert_close(value, expected)
     assert_same(grads, expected_grads)
@@ -308,7 +309,7 @@ def test_a_rule_that_all_tasks_share(order: int, at_once: int | None, randn: Cal
         rule = adam._replace(alpha=alpha | {"beta1": leaves["beta1"]})
         return descend({"x": leaves["x"]}, rule, batches, PARABOLA, order=order, **options)["x"].square().sum()
 
-    value, grads = value_and_grads(lambda leaves: final(leaves, learn_through, tasks_at_once=at_once), start)
+    value, grads = value_and_grads(lambda leaves: final(leaves, learn_through, engine=Engine(at_once)), start)
     expected, expected_grads = value_and_grads(lambda leaves: final(leaves, unrolled), start)
     torch.testing.assert_close(value, expected)
     assert_same(grads, expected_grads)
@@ -329,7 +330,7 @@ def test_how_often_the_loss_is_evaluated(
     batch = {"A": symmetric(randn(3, 2, 2)), "c": randn(3, 2)}
     theta = {"x": randn(3, 2).requires_grad_()}
     rule = sgd({"rate": torch.full((1, 3), 0.1).double().requires_grad_()})
-    final = learn_through(theta, rule, [batch] * 5, Loss(unused, counted), order=order, tasks_at_once=at_once)
+    final = learn_through(theta, rule, [batch] * 5, Loss(unused, counted), order=order, engine=Engine(at_once))
     assert len(evaluations) == 5
     torch.autograd.grad(final["x"].sum(), [theta["x"], rule.alpha["rate"]])
     assert len(evaluations) == expected
@@ -373,7 +374,7 @@ def test_a_start_that_an_encoder_predicts(order: int, randn: Callable[..., Tenso
 
     phi = {"alpha.rate.x": 0.1 * randn(STEPS, 3), "encoder.w": randn(4, 3)}
     lifted = after_learning(
-        PARABOLA, sgd, steps=STEPS, order=order, condition=lambda tasks, rng: observed, encode=encode
+        PARABOLA, sgd, steps=STEPS, order=order, encoding=Encoding(lambda tasks, rng: observed, encode)
     )
 
     def reference(phi: Params) -> Tensor:
@@ -410,8 +411,8 @@ def test_compiled_same_as_eager(rule: str, order: int, randn: Callable[..., Tens
     phi, last = brdf_phi(rule, randn), brdf_batch(randn)
     batches = [brdf_batch(randn) for _ in range(STEPS)]
     results = []
-    for compiled in (False, True):
-        lifted = after_learning(BRDF, RULES[rule].rule, steps=STEPS, order=order, compiled=compiled)
+    for engine in (TORCH, Compiled()):
+        lifted = after_learning(BRDF, RULES[rule].rule, steps=STEPS, order=order, engine=engine)
         results.append(value_and_grads(lambda phi: lifted.value(phi, (batches, last, None), {}).mean(), phi))  # noqa: B023
     torch.testing.assert_close(results[0][0], results[1][0])
     assert_same(results[1][1], results[0][1])

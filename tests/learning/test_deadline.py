@@ -10,8 +10,8 @@ from torch import Generator
 
 from metapp.learning.adjoint import Drawn, Loss
 from metapp.learning.deadline import Deadline, Pace, usual
-from metapp.learning.guard import Guarded, learn_guarded
-from metapp.learning.learn import learn
+from metapp.learning.guard import descend_guarded
+from metapp.learning.learn import Step, descend, last
 from metapp.learning.recipe import Adam, Guard
 from metapp.learning.rules import sgd
 from metapp.learning.task import Params, Tasks
@@ -27,7 +27,7 @@ class Timed:
         self.now, self.drawn, self.steps = 0.0, 0, steps
         self.loss = Loss(self._draw, lambda theta, batch, learned: 0.5 * theta["x"].square().sum(-1))
 
-    def _draw(self, data: object, rng: Generator) -> Drawn:
+    def _draw(self, data: object, rng: Generator, done: float) -> Drawn:
         self.now += self.steps[min(self.drawn, len(self.steps) - 1)]
         self.drawn += 1
         return Drawn(("one",), {})
@@ -37,15 +37,9 @@ class Timed:
 
     def descend(self, deadline: Deadline, most: int) -> Params:
         rate = {"rate": torch.full((1, 1), 0.5)}
-        return learn(
-            {"x": torch.ones(1, 1)},
-            sgd(rate),
-            None,
-            self.loss,
-            steps=deadline.plan(most),
-            rng=Generator(),
-            enough=deadline.reached,
-        )
+        steps = deadline.plan(most)
+        descent = descend({"x": torch.ones(1, 1)}, sgd(rate), None, self.loss, steps=steps, rng=Generator())
+        return last(deadline.within(descent)).theta
 
 
 @pytest.mark.parametrize("seconds", [0.0, 0.003, 0.02, 0.1, 0.25, 3.0])
@@ -102,7 +96,8 @@ def test_the_guard_goes_on_within_the_same_deadline() -> None:
     clock = Timed(STEP)
     deadline = Deadline(0.1, clock, PACE)
     found = guarded(clock, deadline, 4)
-    assert found.acted.all()
+    assert found.guarded is not None
+    assert found.guarded.all()
     assert deadline.taken[0] == 4
     assert 1 <= deadline.taken[1] <= 4
     assert clock.now <= 0.1
@@ -113,15 +108,15 @@ def test_the_guard_without_time_for_a_step_keeps_the_initialisation() -> None:
     clock = Timed(STEP)
     clock.now = 0.099
     found = guarded(clock, Deadline(0.1, clock, PACE), 4)
-    assert not found.acted.any()
+    assert found.guarded is None
     assert float(found.theta["x"]) == 1.0
 
 
-def guarded(clock: Timed, deadline: Deadline, most: int) -> Guarded:
+def guarded(clock: Timed, deadline: Deadline, most: int) -> Step:
     """A descent that diverges, and what the guard makes of it."""
     rule = sgd({"rate": torch.full((1, 1), 2.5)})
     tasks = Tasks(("one",), {}, torch.arange(1))
     guard = Guard(Adam(0.1))
-    start, steps = {"x": torch.ones(1, 1)}, deadline.plan(most)
-    rng = Generator()
-    return learn_guarded(start, rule, tasks, clock.loss, steps=steps, rng=rng, guard=guard, deadline=deadline)
+    start, rng = {"x": torch.ones(1, 1)}, Generator()
+    deadline.plan(most)
+    return last(descend_guarded(start, rule, tasks, clock.loss, rng=rng, guard=guard, deadline=deadline))

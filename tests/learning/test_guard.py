@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from collections.abc import Iterator
 
 import pytest
 import torch
@@ -11,8 +11,9 @@ from torch import Generator, Tensor
 
 from metapp.apps.brdf import Brdf
 from metapp.learning.adjoint import Loss, UpdateRule
-from metapp.learning.guard import Guarded, learn_guarded, unguarded
-from metapp.learning.learn import learn, spread, task_loss
+from metapp.learning.deadline import Deadline
+from metapp.learning.guard import descend_guarded
+from metapp.learning.learn import Step, descend, last, learn, spread, task_loss
 from metapp.learning.recipe import Adam, Guard
 from metapp.learning.rules import fixed_adam, rule_of, sgd
 from metapp.learning.task import Params, Tasks
@@ -47,31 +48,40 @@ def loss_of(theta: Params, tasks: Tasks) -> Tensor:
 
 
 def fit(
-    rule: UpdateRule, start: Params, tasks: Tasks, *, loss: Loss = EXACT, guard: Guard = GUARD, **more: Any
-) -> tuple[Guarded, Params]:
+    rule: UpdateRule, start: Params, tasks: Tasks, *, loss: Loss = EXACT, guard: Guard = GUARD
+) -> tuple[Step, Params]:
     """A guarded fit, and the rule's own."""
-    rng = Generator().manual_seed(1)
-    found = learn_guarded(start, rule, tasks, loss, steps=STEPS, rng=rng, guard=guard, **more)
-    alone = learn(start, rule, tasks, loss, steps=STEPS, rng=Generator().manual_seed(1), check_every=0)
-    return found, alone
+    path = list(guarded_descent(start, rule, tasks, loss, Generator().manual_seed(1), guard))
+    alone = last(descend(start, rule, tasks, loss, steps=STEPS, rng=Generator().manual_seed(1)))
+    assert [now.step for now in path] == [*range(STEPS + 1), STEPS]
+    assert torch.equal(path[-2].theta["x"], alone.theta["x"]) or alone.theta["x"].isnan().any()
+    return path[-1], alone.theta
+
+
+def guarded_descent(
+    start: Params, rule: UpdateRule, tasks: Tasks, loss: Loss, rng: Generator, guard: Guard
+) -> Iterator[Step]:
+    deadline = Deadline()
+    deadline.plan(STEPS)
+    return descend_guarded(start, rule, tasks, loss, rng=rng, guard=guard, deadline=deadline)
 
 
 def test_no_task_ends_above_its_initialisation(start: Params, tasks: Tasks) -> None:
     rule = rates(FAST, DIVERGING, FAST, DIVERGING, FAST)
     found, alone = fit(rule, start, tasks)
     assert (loss_of(alone, tasks) > loss_of(start, tasks)).tolist() == [False, True, False, True, False]
-    assert found.acted.tolist() == [False, True, False, True, False]
+    assert found.guarded.tolist() == [False, True, False, True, False]
     assert (loss_of(found.theta, tasks) < loss_of(start, tasks)).all()
 
 
 def test_where_it_does_not_act_nothing_changes(start: Params, tasks: Tasks) -> None:
     """To the last digit, and so do the draws of what is fitted next."""
     found, alone = fit(rates(FAST, DIVERGING, FAST, DIVERGING, FAST), start, tasks, loss=NOISY)
-    assert found.acted.tolist() == [False, True, False, True, False]
+    assert found.guarded.tolist() == [False, True, False, True, False]
     assert torch.equal(found.theta["x"][::2], alone["x"][::2])
     guarded, plain = Generator().manual_seed(1), Generator().manual_seed(1)
     rule = rates(*[DIVERGING] * 5)
-    learn_guarded(start, rule, tasks, NOISY, steps=STEPS, rng=guarded, guard=GUARD)
+    last(guarded_descent(start, rule, tasks, NOISY, guarded, GUARD))
     learn(start, rule, tasks, NOISY, steps=STEPS, rng=plain)
     assert torch.equal(guarded.get_state(), plain.get_state())
 
@@ -85,7 +95,7 @@ def test_a_fit_that_diverged_goes_on_by_adam_from_its_initialisation(start: Para
 
 def test_where_adam_does_not_help_the_initialisation_stays(start: Params, tasks: Tasks) -> None:
     found, _ = fit(rates(*[DIVERGING] * 5), start, tasks, guard=Guard(Adam(1e3)))
-    assert found.acted.all()
+    assert found.guarded.all()
     assert torch.equal(found.theta["x"], start["x"])
 
 
@@ -95,7 +105,7 @@ def test_parameters_that_overflow_are_replaced(bad: float, start: Params, tasks:
     with pytest.raises(FloatingPointError, match=r"^chalk: "):
         learn(start, rule, tasks, EXACT, steps=STEPS, rng=Generator())
     found, alone = fit(rule, start, tasks)
-    assert found.acted.tolist() == [False, True, False, False, False]
+    assert found.guarded.tolist() == [False, True, False, False, False]
     assert (loss_of(found.theta, tasks) < loss_of(start, tasks)).all()
     assert torch.equal(found.theta["x"][2:], alone["x"][2:])
 
@@ -109,11 +119,11 @@ def test_an_initialisation_that_is_not_finite_is_refused(start: Params, tasks: T
 def test_noise_does_not_trigger_it(start: Params, tasks: Tasks) -> None:
     """Descents on noisy samples whose losses rise again and again, on which all end lower than they began."""
     far = {"x": start["x"] + 10}
-    path: list[Tensor] = []
-    found, alone = fit(rates(*[FAST] * 5), far, tasks, loss=NOISY, watch=lambda i, theta, value: path.append(value))
-    assert len(path) == STEPS
-    assert (torch.stack(path).diff(dim=0) > 0).any(0).all()
-    assert not found.acted.any()
+    found, alone = fit(rates(*[FAST] * 5), far, tasks, loss=NOISY)
+    descent = descend(far, rates(*[FAST] * 5), tasks, NOISY, steps=STEPS, rng=Generator().manual_seed(1))
+    losses = [now.loss for now in descent if now.loss is not None]
+    assert (torch.stack(losses).diff(dim=0) > 0).any(0).all()
+    assert not found.guarded.any()
     assert torch.equal(found.theta["x"], alone["x"])
 
 
@@ -122,7 +132,7 @@ def test_a_loss_that_hardly_falls_is_doubtful(start: Params, tasks: Tasks) -> No
     rule, share = rates(*[SLOW] * 5), (1 - SLOW) ** (2 * STEPS)
     for fall, acts in ((1.0, False), (share + 1e-6, False), (share - 1e-6, True)):
         found, alone = fit(rule, start, tasks, guard=Guard(ADAM, fall))
-        assert found.acted.tolist() == [acts] * 5
+        assert found.guarded.tolist() == [acts] * 5
         assert (loss_of(found.theta, tasks) < loss_of(alone, tasks)).tolist() == [acts] * 5
 
 
@@ -144,9 +154,9 @@ def test_a_loss_that_rises_late_is_doubtful(
     torch.testing.assert_close(loss_of(alone, tasks), expected)
     if acts:
         assert (loss_of(found.theta, tasks) <= expected).all()
-        assert found.acted.any()
+        assert found.guarded.any()
     else:
-        assert not found.acted.any()
+        assert not found.guarded.any()
         assert torch.equal(found.theta["x"], alone["x"])
 
 
@@ -156,7 +166,7 @@ def test_a_last_step_that_rises_is_doubtful(start: Params, tasks: Tasks) -> None
     still = Adam(1e-30)
     found, alone = fit(rule, start, tasks, guard=Guard(still, rise=10.0))
     before = learn(start, rule, tasks, EXACT, steps=STEPS - 1, rng=Generator())
-    assert found.acted.all()
+    assert found.guarded.all()
     assert torch.equal(found.theta["x"], before["x"])
     found, _ = fit(rule, start, tasks, guard=Guard(still))
     assert torch.equal(found.theta["x"], alone["x"])
@@ -176,7 +186,7 @@ def test_learned_loss_parameters_hide_nothing(start: Params, tasks: Tasks) -> No
             ),
         )
         found, _ = fit(reweighted, start, tasks)
-        assert found.acted.tolist() == [acts] * 5
+        assert found.guarded.tolist() == [acts] * 5
 
 
 def test_tasks_side_by_side_equal_each_alone(start: Params, tasks: Tasks) -> None:
@@ -184,7 +194,7 @@ def test_tasks_side_by_side_equal_each_alone(start: Params, tasks: Tasks) -> Non
     together, _ = fit(rates(*each), start, tasks, guard=Guard(ADAM, 0.5, 2.0))
     for i in range(5):
         alone, _ = fit(rates(each[i]), {"x": start["x"][[i]]}, tasks.select([i]), guard=Guard(ADAM, 0.5, 2.0))
-        assert bool(alone.acted[0]) == bool(together.acted[i])
+        assert bool(alone.guarded[0]) == bool(together.guarded[i])
         torch.testing.assert_close(together.theta["x"][i], alone.theta["x"][0], rtol=1e-12, atol=0)
 
 
@@ -199,15 +209,10 @@ def test_every_rule_is_guarded(rule: str, rate: float, rng: Generator) -> None:
     alpha = learned.alpha(APP, {key: value[0] for key, value in theta.items()}, STEPS, Adam(rate))
     own, loss = learned.rule(spread(alpha, 4, 1)), task_loss(APP, 512)
     draws = [Generator().manual_seed(2) for _ in range(2)]
-    found = learn_guarded(theta, own, materials, loss, steps=STEPS, rng=draws[0], guard=Guard(Adam(1e-3)))
-    alone = learn(theta, own, materials, loss, steps=STEPS, rng=draws[1], check_every=0)
-    assert found.acted.tolist() == [rate > 1] * 4
-    judged = loss.draw(materials, Generator().manual_seed(2)).batch
+    found = last(guarded_descent(theta, own, materials, loss, draws[0], Guard(Adam(1e-3))))
+    alone = last(descend(theta, own, materials, loss, steps=STEPS, rng=draws[1])).theta
+    assert found.guarded.tolist() == [rate > 1] * 4
+    judged = loss.draw(materials, Generator().manual_seed(2), 1.0).batch
     assert (APP.loss(found.theta, judged, {}) < APP.loss(theta, judged, {})).all()
     if rate < 1:
         assert all(torch.equal(found.theta[key], value) for key, value in alone.items())
-
-
-def test_unguarded_fits_say_so() -> None:
-    found = unguarded({"x": torch.ones(3, 2)})
-    assert found.acted.tolist() == [False] * 3

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -14,10 +15,15 @@ from metapp.apps.brdf import Brdf
 from metapp.learning.adjoint import Drawn, Loss
 from metapp.learning.app import stack
 from metapp.learning.learn import (
+    Encoding,
     MetaParameters,
+    Step,
     after_encoding,
     after_learning,
+    checked,
     clip_per_task,
+    descend,
+    last,
     learn,
     over_tasks,
     spread,
@@ -83,7 +89,7 @@ def given(batches: dict[str, list[Batch]]) -> Loss:
     """The BRDF loss on batches that depend on the task and the step alone."""
     step = {"next": 0}
 
-    def draw(tasks: Tasks, rng: Generator) -> Drawn:
+    def draw(tasks: Tasks, rng: Generator, done: float) -> Drawn:
         names, i = tasks.picked_names(), step["next"]
         step["next"] += 1
         picked = [batches[name][i] for name in names]
@@ -131,27 +137,35 @@ def test_same_seed_same_result(materials: Tasks) -> None:
     assert not any(torch.equal(first[key], other[key]) for key in theta)
 
 
-def test_watch_sees_each_step_before_its_update(tasks: Tasks, rng: Generator) -> None:
-    seen: list[tuple[int, Tensor, Tensor]] = []
-    learn(
-        zeros(tasks),
-        sgd(rate(0.5)),
-        tasks,
-        EXACT,
-        steps=3,
-        rng=rng,
-        watch=lambda i, params, value: seen.append((i, params["x"], value)),
-    )
-    assert [i for i, _, _ in seen] == [0, 1, 2]
-    for i, x, value in seen:
-        torch.testing.assert_close(x, (1 - 0.5**i) * tasks.data["c"])
-        torch.testing.assert_close(value, 0.5 * (0.5**i * tasks.data["c"]).square().sum(1))
+def test_a_descent_yields_its_initialisation_and_each_step(tasks: Tasks, rng: Generator) -> None:
+    """With the parameters after so many steps and the loss before the last; nothing is drawn before a step is due."""
+    drawn: list[float] = []
+    loss = replace(EXACT, draw=lambda tasks, rng, done: drawn.append(done) or EXACT.draw(tasks, rng, done))
+    descent = descend(zeros(tasks), sgd(rate(0.5)), tasks, loss, steps=3, rng=rng)
+    for i, now in enumerate(descent):
+        assert drawn == [k / 3 for k in range(i)]
+        assert now.step == i
+        torch.testing.assert_close(now.theta["x"], (1 - 0.5**i) * tasks.data["c"])
+        assert (now.loss is None, now.names) == (i == 0, NAMES if i else ())
+        if now.loss is not None:
+            torch.testing.assert_close(now.loss, 0.5 * (0.5 ** (i - 1) * tasks.data["c"]).square().sum(1))
+    assert len(drawn) == 3
+
+
+def test_a_descent_goes_on_from_any_of_its_steps(tasks: Tasks) -> None:
+    start, rule = zeros(tasks), fixed_adam(Adam(0.1, final=0.0), zeros(tasks), 6)
+    expected = learn(start, rule, tasks, NOISY, steps=6, rng=Generator().manual_seed(1))
+    rng = Generator().manual_seed(1)
+    middle = next(now for now in descend(start, rule, tasks, NOISY, steps=6, rng=rng) if now.step == 4)
+    others = descend({}, rule, tasks, NOISY, steps=6, rng=rng, since=Step(4, middle.theta, middle.state))
+    *_, final = others
+    assert torch.equal(final.theta["x"], expected["x"])
 
 
 def failing(names: tuple[str, ...], at: int, bad: float) -> Loss:
     steps = iter(range(1000))
 
-    def draw(tasks: Tasks, rng: Generator) -> Drawn:
+    def draw(tasks: Tasks, rng: Generator, done: float) -> Drawn:
         i, picked = next(steps), tasks.picked_names()
         values = [bad if i >= at and name in names else 0.0 for name in picked]
         return Drawn(picked, {"c": torch.tensor(values, dtype=torch.float64)[:, None]})
@@ -164,13 +178,13 @@ def test_a_loss_that_is_not_finite_names_task_and_step(bad: float, tasks: Tasks,
     loss = failing(("glass",), 3, bad)
     message = r"^glass: the loss is not finite at step 3; lower the learning rate or clip earlier\.$"
     with pytest.raises(FloatingPointError, match=message):
-        learn(zeros(tasks), sgd(rate(0.1)), tasks, loss, steps=10, rng=rng, check_every=1)
+        last(checked(descend(zeros(tasks), sgd(rate(0.1)), tasks, loss, steps=10, rng=rng), every=1))
 
 
 def test_the_last_step_is_always_checked(tasks: Tasks, rng: Generator) -> None:
     loss = failing(NAMES, 3, math.nan)
     with pytest.raises(FloatingPointError, match=r"^brass, chalk, felt: the loss is not finite at step 9;"):
-        learn(zeros(tasks), sgd(rate(0.1)), tasks, loss, steps=10, rng=rng, check_every=50)
+        learn(zeros(tasks), sgd(rate(0.1)), tasks, loss, steps=10, rng=rng)
 
 
 # Combinators
@@ -178,7 +192,7 @@ def test_the_last_step_is_always_checked(tasks: Tasks, rng: Generator) -> None:
 
 def test_task_loss_draws_what_the_application_samples(materials: Tasks) -> None:
     loss = task_loss(APP, 8)
-    drawn = loss.draw(materials.select([2, 0]), Generator().manual_seed(1))
+    drawn = loss.draw(materials.select([2, 0]), Generator().manual_seed(1), 1.0)
     assert drawn.names == ("felt", "brass")
     expected = APP.sample(materials.select([2, 0]), Generator().manual_seed(1), 8)
     assert all(torch.equal(drawn.batch[key], value) for key, value in expected.items())
@@ -187,24 +201,24 @@ def test_task_loss_draws_what_the_application_samples(materials: Tasks) -> None:
 
 def test_over_tasks_is_the_mean_over_tasks(tasks: Tasks, rng: Generator) -> None:
     loss = over_tasks(EXACT, count=5)
-    drawn = loss.draw(tasks, rng)
-    total, each = loss.total({"x": torch.zeros(3).double()}, drawn.batch, {})
+    drawn = loss.draw(tasks, rng, 1.0)
+    grads, losses = loss.gradient({"x": torch.zeros(3).double()}, drawn.batch, {}, graph=False)
     expected = {name: 0.5 * float(c.square().sum()) for name, c in zip(NAMES, tasks.data["c"], strict=True)}
-    torch.testing.assert_close(each.tolist(), [expected[name] for name in drawn.names])
-    assert math.isclose(float(total), sum(expected.values()) / 5)
+    torch.testing.assert_close(losses.tolist(), [expected[name] for name in drawn.names])
+    torch.testing.assert_close(grads["x"], -tasks.data["c"].mean(0))
 
 
 def test_over_tasks_draws_without_replacement(tasks: Tasks, rng: Generator) -> None:
     loss, counts = over_tasks(EXACT, count=3), dict.fromkeys(NAMES, 0)
     for _ in range(300):
-        names = loss.draw(tasks, rng).names
+        names = loss.draw(tasks, rng, 1.0).names
         assert len(names) == len(set(names)) == 3
         for name in names:
             counts[name] += 1
     assert all(abs(count - 180) < 5 * math.sqrt(300 * 0.6 * 0.4) for count in counts.values())
-    assert sorted(over_tasks(EXACT, count=9).draw(tasks, rng).names) == list(NAMES)  # no more than there are
+    assert sorted(over_tasks(EXACT, count=9).draw(tasks, rng, 1.0).names) == list(NAMES)  # no more than there are
     subset = tasks.select([1, 4])
-    assert {name for _ in range(20) for name in loss.draw(subset, rng).names} == {"chalk", "paper"}
+    assert {name for _ in range(20) for name in loss.draw(subset, rng, 1.0).names} == {"chalk", "paper"}
 
 
 def test_over_tasks_samples_from_the_augmented(tasks: Tasks, rng: Generator) -> None:
@@ -212,7 +226,7 @@ def test_over_tasks_samples_from_the_augmented(tasks: Tasks, rng: Generator) -> 
         names = tuple(f"twice {name}" for name in picked.picked_names())
         return Tasks(names, {"c": 2 * picked.data["c"][picked.rows]}, torch.arange(len(picked)))
 
-    drawn = over_tasks(EXACT, count=2, augment=augment).draw(tasks, rng)
+    drawn = over_tasks(EXACT, count=2, augment=augment).draw(tasks, rng, 1.0)
     for name, c in zip(drawn.names, drawn.batch["c"], strict=True):
         assert torch.equal(c, 2 * tasks.data["c"][NAMES.index(name.removeprefix("twice "))])
 
@@ -220,18 +234,18 @@ def test_over_tasks_samples_from_the_augmented(tasks: Tasks, rng: Generator) -> 
 def test_after_learning_is_the_loss_after_learn(tasks: Tasks) -> None:
     phi = MetaParameters({"x": torch.randn(3, generator=torch.Generator().manual_seed(0)).double()}, rate(0.1)).flat()
     lifted = after_learning(NOISY, sgd, steps=4, order=2)
-    drawn = lifted.draw(tasks, Generator().manual_seed(1))
+    drawn = lifted.draw(tasks, Generator().manual_seed(1), 1.0)
     assert drawn.names == NAMES
     rng = Generator().manual_seed(1)
     final = learn(spread({"x": phi["theta.x"]}, 5, 0), sgd(rate(0.1)), tasks, NOISY, steps=4, rng=rng)
-    last = NOISY.draw(tasks, rng).batch  # other samples than any step has seen
+    last = NOISY.draw(tasks, rng, 1.0).batch  # other samples than any step has seen
     torch.testing.assert_close(lifted.value(phi, drawn.batch, {}), parabola(final, last, {}))
 
 
 def test_after_no_steps_it_is_the_loss_itself(tasks: Tasks, rng: Generator) -> None:
     phi = MetaParameters({"x": torch.randn(3, generator=torch.Generator().manual_seed(0)).double()}, rate(0.1)).flat()
     lifted = after_learning(NOISY, sgd, steps=0, order=2)
-    batch = lifted.draw(tasks, rng).batch
+    batch = lifted.draw(tasks, rng, 1.0).batch
     torch.testing.assert_close(lifted.value(phi, batch, {}), parabola({"x": phi["theta.x"]}, batch[1], {}))
 
 
@@ -239,9 +253,9 @@ def test_meta_is_learn_over_tasks_after_learning(tasks: Tasks, rng: Generator) -
     """Alg. 3: on parabolas of one curvature the best start is the mean and the best rate the curvature's inverse."""
     phi = MetaParameters({"x": torch.randn(3, generator=torch.Generator().manual_seed(0)).double()}, rate(0.1)).flat()
     lifted = over_tasks(after_learning(EXACT, sgd, steps=3, order=2), count=5)
-    start = float(lifted.value(phi, lifted.draw(tasks, rng).batch, {}).mean())
+    start = float(lifted.value(phi, lifted.draw(tasks, rng, 1.0).batch, {}).mean())
     trained = learn(phi, fixed_adam(Adam(0.1, final=0.0), phi, 200), tasks, lifted, steps=200, rng=rng)
-    assert float(lifted.value(trained, lifted.draw(tasks, rng).batch, {}).mean()) < 1e-6 * start
+    assert float(lifted.value(trained, lifted.draw(tasks, rng, 1.0).batch, {}).mean()) < 1e-6 * start
     torch.testing.assert_close(float(trained["alpha.rate"]), 1.0, rtol=0, atol=0.1)
 
 
@@ -252,7 +266,7 @@ def test_after_encoding(tasks: Tasks, rng: Generator) -> None:
     def encode(encoder: Params, observed: Any) -> Params:
         return {"x": observed["seen"] @ encoder["w"]}
 
-    loss = over_tasks(after_encoding(EXACT, condition, encode), count=5)
+    loss = over_tasks(after_encoding(EXACT, Encoding(condition, encode)), count=5)
     phi = MetaParameters(encoder={"w": torch.zeros(3, 3).double()}).flat()
     trained = learn(phi, fixed_adam(Adam(0.05, final=0.0), phi, 300), tasks, loss, steps=300, rng=rng)
     torch.testing.assert_close(trained["encoder.w"], torch.eye(3).double(), rtol=0, atol=1e-3)
@@ -357,8 +371,8 @@ def test_meta_gradient_is_the_mean_of_clipped_ones(tasks: Tasks, rng: Generator)
     def gradient(subset: Tasks, clip: float) -> Tensor:
         loss = over_tasks(after_learning(EXACT, sgd, steps=2, order=2, clip=clip), count=5)
         leaves = {key: value.clone().requires_grad_() for key, value in phi.items()}
-        total, _ = loss.total(leaves, loss.draw(subset, rng).batch, {})
-        return torch.cat([each.flatten() for each in torch.autograd.grad(total, list(leaves.values()))])
+        grads, _ = loss.gradient(leaves, loss.draw(subset, rng, 1.0).batch, {}, graph=False)
+        return torch.cat([grad.flatten() for grad in grads.values()])
 
     # the mean over tasks stands before the clip on the way back: a limit on a task's share of the mean
     limit = 0.2

@@ -6,16 +6,17 @@ import functools
 
 import pytest
 
+from metapp.engine import fastest
 from metapp.learning.app import App, stack
 from metapp.learning.task import Task, Tasks
-from metapp.paradigms import Job, meta
+from metapp.paradigms import Job
 from tests.paradigms.small import KINDS, SMALL, small_app, small_recipe
 
 
 @pytest.fixture(autouse=True)
 def eager(monkeypatch: pytest.MonkeyPatch) -> None:
     """Compiling takes longer than these tests."""
-    monkeypatch.setattr(meta, "can_compile", lambda: False)
+    monkeypatch.setattr(fastest, "can_compile", lambda: False)
 
 
 @pytest.fixture(scope="session", params=KINDS)

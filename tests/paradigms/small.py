@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -24,7 +24,8 @@ from metapp.apps.svbrdf_nonstationary import MaterialSetup, field_of
 from metapp.apps.transport import TransportSetup
 from metapp.apps.transport.flow import Flow
 from metapp.learning.app import App, linear_in
-from metapp.learning.learn import MetaParameters
+from metapp.learning.learn import MetaParameters, last
+from metapp.learning.progress import Prepared, Progress
 from metapp.learning.recipe import Adam, MetaTraining, Recipe
 from metapp.learning.rules import RULES, rule_of
 from metapp.learning.task import Task
@@ -175,13 +176,20 @@ def rng(seed: int = 0) -> Generator:
 
 
 def untrained(job: Job) -> MetaParameters:
-    """A start for every paradigm: a random encoder, a random theta_0 and its rule's initial quantities."""
+    """phi for every paradigm: a random encoder, a random theta_0 and its rule's initial hyperparameters."""
     theta = {key: value[0] for key, value in job.app.init(rng(1), 1).items()}
     alpha = rule_of(job.rule).alpha(job.app, theta, job.recipe.steps, Adam(5e-3, beta2=0.99))
     return MetaParameters(theta, alpha, job.app.init_encoder(rng(2)))
 
 
-def start_for(paradigm: Paradigm, job: Job) -> MetaParameters:
+def result(preparation: Iterable[Progress]) -> Prepared:
+    """The best state at the end of a preparation."""
+    best = last(preparation).best
+    assert best is not None
+    return best
+
+
+def prepared_for(paradigm: Paradigm, job: Job) -> MetaParameters:
     """What its preparation would leave, untrained."""
-    start = untrained(job)
-    return start._replace(encoder={}) if paradigm.name == "meta" else MetaParameters(encoder=start.encoder)
+    phi = untrained(job)
+    return phi._replace(encoder={}) if paradigm.name == "meta" else MetaParameters(encoder=phi.encoder)

@@ -9,15 +9,16 @@ import pytest
 import torch
 
 from metapp.apps import app_of, recipes_of
+from metapp.engine import FASTEST
 from metapp.learning.app import App
 from metapp.learning.deadline import Deadline, Pace
-from metapp.learning.learn import MetaParameters, learn, task_loss
+from metapp.learning.learn import MetaParameters, last, learn, task_loss
 from metapp.learning.recipe import Adam, Guard
 from metapp.learning.rules import RULES, fixed_adam, rule_of
 from metapp.learning.task import Batch, Tasks
 from metapp.paradigms import Job, paradigms
 from metapp.paradigms.quickft import to_alpha
-from tests.paradigms.small import PAIRS, rng, start_for, untrained
+from tests.paradigms.small import PAIRS, prepared_for, rng, untrained
 
 # Fitting
 
@@ -26,7 +27,7 @@ from tests.paradigms.small import PAIRS, rng, start_for, untrained
 def test_a_paradigm_fits(name: str, job: Job, tasks: Tasks) -> None:
     """Parameters of the same network, detached, finite, the same for the same seed; errors for every task."""
     paradigm, few = paradigms()[name], tasks.select([0, 5, 2])
-    prepared = start_for(paradigm, job)
+    prepared = prepared_for(paradigm, job)
     theta = paradigm.fit(job, prepared, few, rng())
     template = job.app.init(rng(), 3)
     assert {key: value.shape for key, value in theta.items()} == {key: value.shape for key, value in template.items()}
@@ -65,7 +66,7 @@ def test_the_five_paradigms(job: Job) -> None:
 @pytest.mark.parametrize(("app", "rule"), [*PAIRS, ("brdf", "adam+curvature"), ("brdf", "sgd+loss")], indirect=["app"])
 def test_meta_fits_by_every_rule(rule: str, job: Job, tasks: Tasks) -> None:
     job = job._replace(rule=rule)
-    start = start_for(paradigms()["meta"], job)
+    start = prepared_for(paradigms()["meta"], job)
     theta = paradigms()["meta"].fit(job, start, tasks.select([0, 1]), rng())
     assert all(torch.isfinite(value).all() for value in theta.values())
     assert not all(torch.equal(value[0], start.theta[key]) for key, value in theta.items())
@@ -83,14 +84,14 @@ def test_overfit_learns(job: Job, tasks: Tasks) -> None:
 
 @pytest.mark.parametrize("name", ["quickft", "finetune"])
 def test_no_steps_from_general_is_general(name: str, job: Job, tasks: Tasks) -> None:
-    prepared = start_for(paradigms()[name], job)
+    prepared = prepared_for(paradigms()[name], job)
     general = paradigms()["general"].fit(job, prepared, tasks, rng())
     for key, value in paradigms()[name].fit(job._replace(steps=0), prepared, tasks, rng()).items():
         assert torch.equal(value, general[key])
 
 
 def test_meta_starts_all_tasks_alike(job: Job, tasks: Tasks) -> None:
-    start = start_for(paradigms()["meta"], job)
+    start = prepared_for(paradigms()["meta"], job)
     theta = paradigms()["meta"].fit(job._replace(steps=0), start, tasks, rng())
     for key, value in start.theta.items():
         assert torch.equal(theta[key], value.expand(len(tasks), *value.shape))
@@ -109,10 +110,10 @@ def test_meta_with_an_encoder_starts_where_general_ends(job: Job, tasks: Tasks) 
 @pytest.mark.parametrize("name", ["finetune", "quickft", "meta"])
 def test_a_fit_is_learn_and_nothing_else(name: str, job: Job, tasks: Tasks) -> None:
     paradigm = paradigms()[name]
-    prepared, generator = start_for(paradigm, job), rng()
-    theta = paradigm.start(job, prepared, tasks, generator)
+    prepared, generator = prepared_for(paradigm, job), rng()
+    theta = paradigm.initialisation(job, prepared, tasks, generator)
     rule, steps = paradigm.rule(job, prepared, theta, paradigm.count(job)), paradigm.count(job)
-    expected = learn(theta, rule, tasks, task_loss(job.app, job.recipe.batch), steps=steps, rng=generator)
+    expected = learn(theta, rule, tasks, paradigm.loss(job), steps=steps, rng=generator, engine=FASTEST)
     for key, value in paradigm.fit(job, prepared, tasks, rng()).items():
         assert torch.equal(value, expected[key])
 
@@ -121,19 +122,22 @@ def test_a_fit_is_learn_and_nothing_else(name: str, job: Job, tasks: Tasks) -> N
 def test_fits_side_by_side_are_as_if_each_were_alone(name: str, job: Job, tasks: Tasks) -> None:
     """With a generator for each task, its fit does not depend on those beside it, to rounding."""
     paradigm, rows, job = paradigms()[name], [4, 0, 7], job._replace(steps=3)
-    prepared, several = start_for(paradigm, job), tasks.select(rows)
-    together = paradigm.fitted(job, prepared, several, tuple(rng(row) for row in rows))
-    starts = paradigm.start(job, prepared, several, tuple(rng(row) for row in rows))
-    drawn = task_loss(job.app, job.recipe.batch).draw(several, tuple(rng(row) for row in rows)).batch
+    prepared, several = prepared_for(paradigm, job), tasks.select(rows)
+    together = last(paradigm.descend(job, prepared, several, tuple(rng(row) for row in rows)))
+    starts = paradigm.initialisation(job, prepared, several, tuple(rng(row) for row in rows))
+    drawn = task_loss(job.app, job.recipe.batch).draw(several, tuple(rng(row) for row in rows), 0.0).batch
     errors = job.app.errors(together.theta, several)["error"]
     for i, row in enumerate(rows):
         one = tasks.select([row])
-        for key, value in paradigm.start(job, prepared, one, rng(row)).items():
+        for key, value in paradigm.initialisation(job, prepared, one, rng(row)).items():
             torch.testing.assert_close(starts[key][i : i + 1], value)
-        for key, value in task_loss(job.app, job.recipe.batch).draw(one, rng(row)).batch.items():
+        for key, value in task_loss(job.app, job.recipe.batch).draw(one, rng(row), 0.0).batch.items():
             assert torch.equal(drawn[key][i : i + 1], value)
-        alone = paradigm.fitted(job, prepared, one, rng(row))
-        assert bool(alone.acted[0]) == bool(together.acted[i])
+        alone = last(paradigm.descend(job, prepared, one, rng(row)))
+        if name == "meta":
+            assert alone.guarded is not None
+            assert together.guarded is not None
+            assert bool(alone.guarded[0]) == bool(together.guarded[i])
         # of errors, as Adam turns rounding of a gradient near 0 into a step of any sign
         torch.testing.assert_close(errors[i : i + 1], job.app.errors(alone.theta, one)["error"], rtol=1e-3, atol=1e-5)
 
@@ -143,9 +147,9 @@ def test_a_fit_by_a_deadline_is_one_of_the_steps_it_planned(name: str, job: Job,
     """Schedules end with the last step that fits."""
     paradigm, few = paradigms()[name], tasks.select([0, 1])
     deadline = Deadline(2.5, lambda: 0.0, Pace(1.0, 1.0, 0.25))
-    prepared = start_for(paradigm, job)
-    found = paradigm.fitted(job, prepared, few, rng(), deadline=deadline)
-    expected = paradigm.fitted(job._replace(steps=2), prepared, few, rng())
+    prepared = prepared_for(paradigm, job)
+    found = last(paradigm.descend(job, prepared, few, rng(), deadline))
+    expected = last(paradigm.descend(job._replace(steps=2), prepared, few, rng()))
     assert deadline.taken[0] == (0 if name == "general" else 2)
     assert all(torch.equal(found.theta[key], value) for key, value in expected.theta.items())
 
@@ -153,12 +157,13 @@ def test_a_fit_by_a_deadline_is_one_of_the_steps_it_planned(name: str, job: Job,
 def test_a_rule_that_fails_is_guarded(job: Job, tasks: Tasks) -> None:
     """With absurd rates no task ends above its initialisation on what it sees, in any application."""
     app, meta, few = job.app, paradigms()["meta"], tasks.select([0, 1, 2])
-    prepared = start_for(meta, job)
+    prepared = prepared_for(meta, job)
     alpha = rule_of(job.rule).alpha(app, prepared.theta, job.recipe.steps, Adam(1e4))
-    found = meta.fitted(job, prepared._replace(alpha=alpha), few, rng())
+    found = last(meta.descend(job, prepared._replace(alpha=alpha), few, rng()))
+    assert found.guarded is not None
     if not rule_of(job.rule).has("solve"):  # which has no rates
-        assert found.acted.tolist() == [True] * 3
-    first, batch = meta.start(job, prepared, few, rng()), app.sample(few, rng(), job.recipe.batch)
+        assert found.guarded.tolist() == [True] * 3
+    first, batch = meta.initialisation(job, prepared, few, rng()), app.sample(few, rng(), job.recipe.batch)
     assert (app.loss(found.theta, batch, {}) <= app.loss(first, batch, {})).all()
     assert all(value.isfinite().all() for value in found.theta.values())
 
@@ -166,9 +171,8 @@ def test_a_rule_that_fails_is_guarded(job: Job, tasks: Tasks) -> None:
 def test_only_learned_rules_are_guarded(job: Job, tasks: Tasks) -> None:
     for name, paradigm in paradigms().items():
         assert (paradigm.guard(job) is not None) == (name == "meta")
-        found = paradigm.fitted(job._replace(steps=2), start_for(paradigm, job), tasks.select([0, 1]), rng())
-        assert found.acted.shape == (2,)
-        assert name == "meta" or not found.acted.any()
+        found = last(paradigm.descend(job._replace(steps=2), prepared_for(paradigm, job), tasks.select([0, 1]), rng()))
+        assert (None if found.guarded is None else found.guarded.shape) == ((2,) if name == "meta" else None)
 
 
 def test_what_is_doubtful_is_known_of_named_rules_after_their_own_steps(app: App) -> None:
@@ -184,7 +188,7 @@ def test_what_is_doubtful_is_known_of_named_rules_after_their_own_steps(app: App
 
 def test_quickft_takes_the_tuned_adam(job: Job, tasks: Tasks) -> None:
     settings = Adam(0.02, 0.7, 0.9, 1e-6, 0.1)
-    prepared = start_for(paradigms()["quickft"], job)._replace(alpha=to_alpha(settings))
+    prepared = prepared_for(paradigms()["quickft"], job)._replace(alpha=to_alpha(settings))
     theta, steps = paradigms()["general"].fit(job, prepared, tasks, rng()), job.recipe.steps
     tuned = paradigms()["quickft"].rule(job, prepared, theta, steps)
     for key, value in fixed_adam(settings, theta, steps).alpha.items():
@@ -198,8 +202,8 @@ def test_a_mean_is_over_the_last_of_the_steps_there_are(steps: int, job: Job, ta
     job = job._replace(rule="meta-mean")
     single = {key: value[0] for key, value in job.app.init(rng(), 1).items()}
     fits = []
-    for prepared_for in (15, steps):
-        alpha = RULES["meta-mean"].alpha(job.app, single, prepared_for, Adam(1e-3))
+    for count in (15, steps):
+        alpha = RULES["meta-mean"].alpha(job.app, single, count, Adam(1e-3))
         start = MetaParameters(single, alpha)
         fits.append(paradigms()["meta"].fit(job._replace(steps=steps), start, tasks.select([0]), rng()))
     for key, value in fits[0].items():

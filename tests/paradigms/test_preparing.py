@@ -11,15 +11,15 @@ import pytest
 import torch
 
 from metapp.learning.learn import MetaParameters
+from metapp.learning.progress import Prepared
 from metapp.learning.recipe import Adam
 from metapp.learning.task import Tasks
 from metapp.paradigms import Job, outer_loop, paradigms, tuning
 from metapp.paradigms import training as prepare
-from metapp.paradigms.paradigm import Given
+from metapp.paradigms.paradigm import TrainingData
 from metapp.paradigms.quickft import QUICKFT
-from metapp.paradigms.resuming import Interrupted, Prepared
 from metapp.paradigms.validation import split_validation, validation_error
-from tests.paradigms.small import OWN_RULES, PAIRS, rng, start_for
+from tests.paradigms.small import OWN_RULES, PAIRS, prepared_for, result, rng
 
 ONE_APP = pytest.mark.parametrize("app", ["brdf"], indirect=True)  # what no application changes
 
@@ -46,7 +46,8 @@ def test_split_keeps_photos_of_one_thing_together() -> None:
 
 
 def look(name: str, job: Job, tasks: Tasks, **options: Any) -> Prepared:
-    return prepare.prepare(name, job if name == "general" else job._replace(rule=name), tasks, rng(3), **options)
+    job = job if name == "general" else job._replace(rule=name)
+    return result(prepare.prepare(name, job, tasks, rng(3), **options))
 
 
 def error_of(name: str, job: Job, start: MetaParameters, tasks: Tasks) -> float:
@@ -64,10 +65,10 @@ def test_the_best_state_is_kept(name: str, job: Job, tasks: Tasks) -> None:
     assert losses[0] is None
     assert all(loss is not None and math.isfinite(loss) for loss in losses[1:])
     validation = split_validation(tasks)[1]
-    assert math.isclose(error_of(name, job, prepared.start, validation), prepared.validation, rel_tol=1e-6)
+    assert math.isclose(error_of(name, job, prepared.phi, validation), prepared.validation, rel_tol=1e-6)
     again = look(name, job, tasks)
     assert again.curve[1:] == prepared.curve[1:]
-    assert all(torch.equal(again.start.flat()[key], value) for key, value in prepared.start.flat().items())
+    assert all(torch.equal(again.phi.flat()[key], value) for key, value in prepared.phi.flat().items())
 
 
 @pytest.mark.parametrize(("app", "name"), [*((app, "general") for app in OWN_RULES), *PAIRS], indirect=["app"])
@@ -80,7 +81,7 @@ def test_a_start_that_only_gets_worse_is_kept(
     prepared = look(name, job, tasks)
     assert (prepared.step, prepared.validation) == (0, 1.0)
     assert [error for _, _, error in prepared.curve] == [1.0, 2.0, 3.0, 4.0]
-    assert all(torch.equal(prepared.start.flat()[key], value) for key, value in before.start.flat().items())
+    assert all(torch.equal(prepared.phi.flat()[key], value) for key, value in before.phi.flat().items())
 
 
 def gain(prepared: Prepared) -> float:
@@ -104,23 +105,23 @@ def test_meta_learns(job: Job, tasks: Tasks) -> None:
 
 def starting_from(start: str, job: Job) -> Job:
     rule = job.recipe.rule
-    return job._replace(recipe=replace(job.recipe, meta={rule: replace(job.recipe.meta[rule], start=start)}))
+    return job._replace(recipe=replace(job.recipe, meta={rule: replace(job.recipe.meta[rule], initialisation=start)}))
 
 
 def test_meta_starts_from_the_mean_of_general(job: Job, tasks: Tasks) -> None:
-    encoder, rule = start_for(paradigms()["general"], job), job.recipe.rule
+    encoder, rule = prepared_for(paradigms()["general"], job), job.recipe.rule
     prepared = look(rule, starting_from("mean", job), tasks, encoder=encoder, steps=0)
-    assert not prepared.start.encoder
+    assert not prepared.phi.encoder
     predicted = paradigms()["general"].fit(job, encoder, split_validation(tasks)[0], rng(3))
     for key, value in predicted.items():
-        torch.testing.assert_close(prepared.start.theta[key], value.mean(0))
+        torch.testing.assert_close(prepared.phi.theta[key], value.mean(0))
 
 
 def test_meta_starts_at_random(job: Job, tasks: Tasks) -> None:
     """Where it is told to, and where there is no General."""
-    encoder, rule = start_for(paradigms()["general"], job), job.recipe.rule
-    told = look(rule, starting_from("random", job), tasks, encoder=encoder, steps=0).start
-    alone = look(rule, starting_from("mean", job), tasks, steps=0).start
+    encoder, rule = prepared_for(paradigms()["general"], job), job.recipe.rule
+    told = look(rule, starting_from("random", job), tasks, encoder=encoder, steps=0).phi
+    alone = look(rule, starting_from("mean", job), tasks, steps=0).phi
     expected = {key: value[0] for key, value in job.app.init(rng(3), 1).items()}
     for start in (told, alone):
         assert not start.encoder
@@ -129,9 +130,9 @@ def test_meta_starts_at_random(job: Job, tasks: Tasks) -> None:
 
 def test_meta_goes_on_from_general(job: Job, tasks: Tasks) -> None:
     """The encoder itself is then trained through the steps, beside the rule, and another checkpoint there is none."""
-    encoder, rule = start_for(paradigms()["general"], job), job.recipe.rule
+    encoder, rule = prepared_for(paradigms()["general"], job), job.recipe.rule
     job = starting_from("encoder", job)
-    first = look(rule, job, tasks, encoder=encoder, steps=0).start
+    first = look(rule, job, tasks, encoder=encoder, steps=0).phi
     assert not first.theta
     assert all(torch.equal(first.encoder[key], value) for key, value in encoder.encoder.items())
     training = replace(job.recipe.meta[rule], steps=20, rates={"": 1e-3}, validate_every=5)
@@ -139,11 +140,11 @@ def test_meta_goes_on_from_general(job: Job, tasks: Tasks) -> None:
     prepared = look(rule, job, tasks, encoder=encoder)
     assert prepared.step > 0
     assert prepared.validation < prepared.curve[0][2]
-    assert not prepared.start.theta
-    assert not all(torch.equal(prepared.start.encoder[key], value) for key, value in encoder.encoder.items())
-    assert not all(torch.equal(prepared.start.alpha[key], value) for key, value in first.alpha.items())
+    assert not prepared.phi.theta
+    assert not all(torch.equal(prepared.phi.encoder[key], value) for key, value in encoder.encoder.items())
+    assert not all(torch.equal(prepared.phi.alpha[key], value) for key, value in first.alpha.items())
     validation = split_validation(tasks)[1]
-    assert math.isclose(error_of(rule, job, prepared.start, validation), prepared.validation, rel_tol=1e-6)
+    assert math.isclose(error_of(rule, job, prepared.phi, validation), prepared.validation, rel_tol=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -165,34 +166,21 @@ def test_training_never_sees_a_validation_task(
 
 @ONE_APP
 @pytest.mark.parametrize("name", ["general", "meta-sgd"])
-def test_interrupted_carries_the_best_state(name: str, job: Job, tasks: Tasks) -> None:
-    whole = look(name, job, tasks)
-
-    def stop(step: int, steps: int, note: str) -> None:
-        assert steps == 6
-        if step >= 4:
-            raise KeyboardInterrupt
-
-    with pytest.raises(Interrupted) as caught:
-        look(name, job, tasks, report=stop)
-    best = caught.value.prepared
-    assert best.curve[1:] == whole.curve[1:3]
-    assert best.validation == min(error for _, _, error in whole.curve[:3])
-    assert best.step in (0, 2, 4)
-    validation = split_validation(tasks)[1]
-    assert math.isclose(error_of(name, job, best.start, validation), best.validation, rel_tol=1e-6)
-
-
-@ONE_APP
-def test_interrupted_at_the_last_look(job: Job, tasks: Tasks) -> None:
-    def stop(step: int, steps: int, note: str) -> None:
-        if step == steps:
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt) as caught:
-        look("general", job, tasks, report=stop)
-    assert isinstance(caught.value, Interrupted)
-    assert math.isfinite(caught.value.prepared.validation)
+def test_each_moment_has_the_best_state_so_far(name: str, job: Job, tasks: Tasks) -> None:
+    """Before each outer step, and after each validation, which alone has a note."""
+    whole, validation = look(name, job, tasks), split_validation(tasks)[1]
+    moments = []
+    for now in prepare.prepare(name, job._replace(rule=name) if name != "general" else job, tasks, rng(3)):
+        assert now.best is not None
+        assert now.best.curve[1:] == whole.curve[1 : len(now.best.curve)]
+        assert now.best.validation == min([math.inf, *(error for _, _, error in now.best.curve)])
+        if now.note:
+            assert (now.done, now.total) == (now.best.curve[-1][0], 6)
+            assert f"best {now.best.validation:.3f}" in now.note
+            error = error_of(name, job, now.best.phi, validation)
+            assert math.isclose(error, now.best.validation, rel_tol=1e-6)
+        moments.append((now.done, bool(now.note)))
+    assert moments == [(step, note) for step in range(7) for note in ((False, True) if step % 2 == 0 else (False,))]
 
 
 def test_tuned_quickft_is_no_worse_than_the_recipe(job: Job, tasks: Tasks, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -200,27 +188,15 @@ def test_tuned_quickft_is_no_worse_than_the_recipe(job: Job, tasks: Tasks, monke
     job = job._replace(steps=2)
     rates = [{"rate": 2.0**i} for i in (-4, -2, -1, 1, 2, 4)]
     monkeypatch.setattr(tuning, "SEARCHED", (rates, [{"beta1": 0.5}, {"eps": 1e-3, "rate": 1.2}]))
-    encoder, validation = start_for(paradigms()["quickft"], job), split_validation(tasks)[1]
+    encoder, validation = prepared_for(paradigms()["quickft"], job), split_validation(tasks)[1]
     plain = validation_error(paradigms()["quickft"], job, encoder, validation)
-    tuned = QUICKFT.prepare(job, Given(validation, validation, rng(), encoder))
+    tuned = result(QUICKFT.prepare(job, TrainingData(validation, validation, rng(), encoder)))
     assert tuned.validation <= plain
-    assert math.isclose(validation_error(paradigms()["quickft"], job, tuned.start, validation), tuned.validation)
-    assert set(tuned.start.alpha) == set(asdict(Adam(0.0)))
-    assert tuned.start.encoder is encoder.encoder
+    assert math.isclose(validation_error(paradigms()["quickft"], job, tuned.phi, validation), tuned.validation)
+    assert set(tuned.phi.alpha) == set(asdict(Adam(0.0)))
+    assert tuned.phi.encoder is encoder.encoder
     errors = [error for _, _, error in tuned.curve]
     assert errors == sorted(errors, reverse=True)
-
-
-@ONE_APP
-def test_interrupted_tuning_carries_the_best_so_far(job: Job, tasks: Tasks) -> None:
-    def stop(step: int, steps: int, note: str) -> None:
-        if step == 3:
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt) as caught:
-        look("quickft", job, tasks, encoder=start_for(paradigms()["quickft"], job), report=stop)
-    assert isinstance(caught.value, Interrupted)
-    assert math.isfinite(caught.value.prepared.validation)
 
 
 @ONE_APP

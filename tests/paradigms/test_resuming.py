@@ -13,15 +13,14 @@ from typing import Any
 import pytest
 import torch
 
-from metapp.learning.app import OuterLoss
 from metapp.learning.learn import MetaParameters
+from metapp.learning.progress import Prepared, Progress
 from metapp.learning.task import Tasks
 from metapp.paradigms import Job, paradigms, tuning
 from metapp.paradigms import training as prepare
-from metapp.paradigms.resuming import Interrupted, Prepared, Reached
 from metapp.storage.records import save_checkpoint
 from metapp.storage.training_checkpoint import TrainingCheckpoint
-from tests.paradigms.small import OWN_RULES, rng, start_for
+from tests.paradigms.small import OWN_RULES, prepared_for, rng
 
 ONE_APP = pytest.mark.parametrize("app", ["brdf"], indirect=True)  # what no application changes
 SETTINGS = {"steps": 12, "seed": 3}
@@ -39,15 +38,15 @@ class Cutting(TrainingCheckpoint):
         super().__init__(start, SETTINGS)
         self.seconds, self.after, self.steps = 0.0, after, []
 
-    def keep(self, reached: Reached) -> None:
-        super().keep(reached)
-        self.steps.append(reached.outer.progress.step if reached.outer else -len(reached.looks))
+    def keep(self, progress: Progress) -> None:
+        super().keep(progress)
+        self.steps.append(progress.outer.step if progress.outer else -len(progress.errors))
         if len(self.steps) >= self.after:
             raise Cut
 
 
 def encoder_for(job: Job) -> MetaParameters:
-    return start_for(paradigms()["quickft"], job)
+    return prepared_for(paradigms()["quickft"], job)
 
 
 def small_job(kind: str, job: Job, monkeypatch: pytest.MonkeyPatch) -> tuple[str, Job]:
@@ -64,13 +63,17 @@ def small_job(kind: str, job: Job, monkeypatch: pytest.MonkeyPatch) -> tuple[str
 def run(name: str, job: Job, tasks: Tasks, checkpoint: TrainingCheckpoint | None = None) -> Prepared:
     options: dict[str, Any] = {"encoder": None if name == "general" else encoder_for(job)}
     if checkpoint is not None:
-        options |= {"since": checkpoint.load(), "keep": checkpoint.keep}
-    return prepare.prepare(name, job, tasks, rng(3), **options)
+        options["since"] = checkpoint.load()
+    for progress in prepare.prepare(name, job, tasks, rng(3), **options):
+        if checkpoint is not None:
+            checkpoint.keep(progress)
+    assert progress.best is not None
+    return progress.best
 
 
 def as_file(prepared: Prepared, path: Path) -> bytes:
     """All of a preparation's result, as its file holds it."""
-    save_checkpoint(path, prepared.start, {"curve": prepared.curve, "at": prepared.step, "error": prepared.validation})
+    save_checkpoint(path, prepared.phi, {"curve": prepared.curve, "at": prepared.step, "error": prepared.validation})
     return path.read_bytes()
 
 
@@ -105,13 +108,12 @@ def test_what_was_cut_off_ends_as_if_it_had_not_been(
 def test_ctrl_c_at_any_moment_loses_no_step(
     kind: str, job: Job, tasks: Tasks, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """In the middle of a step or of a look, as signals come; what is written is of a moment between two."""
+    """In the middle of an outer step or of a validation, as signals come; what is written is of between two."""
     name, job = small_job(kind, job, monkeypatch)
     expected = as_file(run(name, job, tasks), tmp_path / "expected.safetensors")
     path, chance, reached = tmp_path / "start.safetensors", random.Random(kind), [(-1, -1)]
     of = type(job.app)
-    of_loss = "outer_loss" if isinstance(job.app, OuterLoss) else "loss"
-    loss, errors, calls = getattr(of, of_loss), of.errors, [0]
+    augment, errors, calls = of.augment, of.errors, [0]
 
     def interrupting(function: Callable[..., Any]) -> Callable[..., Any]:
         def call(*arguments: Any) -> Any:
@@ -127,15 +129,15 @@ def test_ctrl_c_at_any_moment_loses_no_step(
         calls[0] = chance.randint(2, 5)
         checkpoint = TrainingCheckpoint(path, SETTINGS)
         with monkeypatch.context() as patch:
-            patch.setattr(of, of_loss, interrupting(loss))
+            patch.setattr(of, "augment", interrupting(augment))
             patch.setattr(of, "errors", interrupting(errors))
             try:
                 made = run(name, job, tasks, checkpoint)
                 break
-            except Interrupted:
+            except KeyboardInterrupt:
                 checkpoint.write()
-                now = checkpoint.reached
-                reached.append((len(now.looks), now.outer.progress.step if now.outer else -1))
+                now = checkpoint.progress
+                reached.append((len(now.errors), now.outer.step if now.outer else -1))
     assert as_file(made, path) == expected
     assert len(reached) > 1  # it was cut off
     assert reached == sorted(reached)
@@ -161,17 +163,17 @@ def cut(job: Job, tasks: Tasks, tmp_path: Path) -> Path:
 @ONE_APP
 def test_layouts_and_types_are_kept(cut: Path) -> None:
     checkpoint = TrainingCheckpoint(cut.with_name("general.safetensors"), SETTINGS)
-    reached = checkpoint.load()
-    assert reached.outer is not None
+    progress = checkpoint.load()
+    assert progress.outer is not None
     turned = torch.arange(6.0).reshape(2, 3).T
     theta = {"b": turned, "a": torch.ones(2, dtype=torch.float64)}
-    progress = reached.outer.progress._replace(theta=theta)
-    checkpoint.keep(Reached((0.5, float("inf")), reached.outer._replace(progress=progress)))
+    outer = progress.outer._replace(packed=theta)
+    checkpoint.keep(progress._replace(errors=(0.5, float("inf")), outer=outer))
     checkpoint.write()
     again = checkpoint.load()
-    assert again.looks == (0.5, float("inf"))
+    assert again.errors == (0.5, float("inf"))
     assert again.outer is not None
-    found = again.outer.progress.theta
+    found = again.outer.theta
     assert list(found) == ["b", "a"]
     assert found["b"].stride() == turned.stride()
     assert torch.equal(found["b"], turned)
@@ -185,7 +187,7 @@ def test_a_checkpoint_of_other_settings_is_put_aside(cut: Path) -> None:
     with pytest.raises(ValueError, match=r"other settings \(more, seed\), put aside as general.training.aside"):
         other.load()
     assert cut.with_name("general.training.aside.safetensors").read_bytes() == before
-    assert other.load() == Reached()
+    assert other.load() == Progress()
 
 
 def damaged(raw: bytes) -> list[bytes]:

@@ -12,15 +12,15 @@ import torch
 
 from metapp.apps import recipes_of
 from metapp.learning.learn import MetaParameters
+from metapp.learning.progress import Progress
 from metapp.learning.recipe import Adam
 from metapp.learning.rules import RULES
 from metapp.learning.task import Tasks
 from metapp.paradigms import Job, Paradigm, tuning
 from metapp.paradigms import training as prepare
-from metapp.paradigms.paradigm import Given
+from metapp.paradigms.paradigm import TrainingData
 from metapp.paradigms.quickft import QUICKFT, adam_of
-from metapp.paradigms.resuming import Interrupted, Prepared
-from tests.paradigms.small import rng
+from tests.paradigms.small import result, rng
 from tests.quick import app_by
 
 # The search of QuickFT's Adam, on errors in closed form
@@ -46,7 +46,7 @@ class Search(NamedTuple):
 
     looked: list[Adam]
     job: Job
-    run: Callable[..., Prepared]
+    run: Callable[..., list[Progress]]
 
 
 @pytest.fixture
@@ -65,7 +65,8 @@ def search(monkeypatch: pytest.MonkeyPatch) -> Callable[..., Search]:
         monkeypatch.setattr(tuning, "validation_error", told)
         encoder = MetaParameters(encoder={"w": torch.ones(2)})
         none: Any = None  # what errors are told without
-        return Search(looked, job, lambda **options: QUICKFT.prepare(job, Given(none, none, rng(), encoder, **options)))
+        data = TrainingData(none, none, rng(), encoder)
+        return Search(looked, job, lambda steps=None: list(QUICKFT.prepare(job, data._replace(steps=steps))))
 
     return make
 
@@ -75,8 +76,8 @@ def search(monkeypatch: pytest.MonkeyPatch) -> Callable[..., Search]:
 )
 def test_the_search_finds_the_best_adam(first: Adam, search: Callable[..., Search]) -> None:
     """Also from a rate that is 25 times too small or 20 times too large; the rate to a third of its grid's step."""
-    tuned = search(first).run()
-    found = adam_of(search(first).job, tuned.start)
+    tuned = result(search(first).run())
+    found = adam_of(search(first).job, tuned.phi)
     assert (found.beta1, found.beta2, found.final) == (BEST.beta1, BEST.beta2, BEST.final)
     assert found.eps == pytest.approx(BEST.eps)
     assert abs(math.log2(found.rate / BEST.rate)) < 1 / 6
@@ -87,18 +88,23 @@ def test_the_search_goes_on_around_the_best_so_far(search: Callable[..., Search]
     """One line of choices at a time changes its own quantities, and those before it stay at their best."""
     first = Adam(0.05, 0.9, 0.999, 1e-8, 1.0)
     searching = search(first)
-    reported: list[tuple[int, int]] = []
-    tuned = searching.run(report=lambda step, steps, note: reported.append((step, steps)))
+    path = searching.run()
+    tuned = result(path)
     looked, lines = searching.looked, [len(line) for line in tuning.SEARCHED]
     assert looked[0] == first
     assert len(looked) == 1 + sum(lines)
-    assert reported == [(i + 1, len(looked)) for i in range(len(looked))]
+    for i, now in enumerate(path, 1):
+        assert (now.done, now.total) == (i, len(looked))
+        assert now.errors == tuple(map(bowl, looked[:i]))
+        assert result([now]).validation == min(now.errors)
+        assert adam_of(searching.job, result([now]).phi) == min(looked[:i], key=bowl)
+        assert f"rate {looked[i - 1].rate:.1e}, validation" in now.note
     assert {(each.beta1, each.beta2, each.eps, each.final) for each in looked[1 : 1 + lines[0]]} == {
         (0.9, 0.999, 1e-8, 1.0)
     }
     assert all((each.beta1, each.beta2) == (BEST.beta1, BEST.beta2) for each in looked[1 + sum(lines[:2]) : sum(lines)])
     best = min(looked, key=bowl)
-    assert adam_of(searching.job, tuned.start) == best
+    assert adam_of(searching.job, tuned.phi) == best
     assert looked[tuned.step - 1] == best
     errors = [error for _, _, error in tuned.curve]
     assert errors == sorted(errors, reverse=True)
@@ -109,32 +115,15 @@ def test_the_search_goes_on_around_the_best_so_far(search: Callable[..., Search]
 def test_a_recipe_that_nothing_beats_is_kept(search: Callable[..., Search]) -> None:
     first = Adam(0.0123, 0.77, 0.95, 3e-5, 0.2)
     for error in (lambda adam: 1.0, lambda adam: 0.5 if adam == first else math.inf):
-        tuned = search(first, error).run()
-        assert adam_of(search(first, error).job, tuned.start) == first
+        tuned = result(search(first, error).run())
+        assert adam_of(search(first, error).job, tuned.phi) == first
         assert (tuned.step, len(tuned.curve)) == (1, 1)
 
 
 def test_a_recipe_that_diverges_is_left(search: Callable[..., Search]) -> None:
-    tuned = search(Adam(10.0), lambda adam: bowl(adam) if adam.rate < 3 else math.inf).run()
+    tuned = result(search(Adam(10.0), lambda adam: bowl(adam) if adam.rate < 3 else math.inf).run())
     assert math.isfinite(tuned.validation)
-    assert adam_of(search(Adam(10.0)).job, tuned.start).rate < 3
-
-
-@pytest.mark.parametrize("looks", [1, 7, 60])
-def test_an_interrupted_search_carries_the_best_so_far(looks: int, search: Callable[..., Search]) -> None:
-    searching = search(Adam(1e-2))
-
-    def stop(step: int, steps: int, note: str) -> None:
-        if step == looks:
-            raise KeyboardInterrupt
-
-    with pytest.raises(Interrupted) as caught:
-        searching.run(report=stop)
-    assert len(searching.looked) == looks
-    best = caught.value.prepared
-    assert best.validation == min(bowl(each) for each in searching.looked)
-    assert adam_of(searching.job, best.start) == min(searching.looked, key=bowl)
-    assert best.start.encoder
+    assert adam_of(search(Adam(10.0)).job, tuned.phi).rate < 3
 
 
 @pytest.mark.parametrize(("name", "count"), [("brdf", 30), ("texture", 8), ("svbrdf_stationary", 8)])
@@ -152,14 +141,15 @@ def test_searches_look_at_all_validation_tasks_where_fits_are_cheap(
 
     monkeypatch.setattr(tuning, "validation_error", told)
     encoder = MetaParameters(encoder={"w": torch.ones(2)})
-    prepare.prepare("quickft", job, Tasks(names, {}, torch.arange(240)), rng(), encoder=encoder, steps=3)
+    data = Tasks(names, {}, torch.arange(240))
+    assert len(list(prepare.prepare("quickft", job, data, rng(), encoder=encoder, steps=3))) == 3
     assert looked == [count] * 3
 
 
 @pytest.mark.parametrize("looks", [1, 4, 11, 30])
 def test_a_search_takes_no_more_looks_than_told(looks: int, search: Callable[..., Search]) -> None:
     searching = search(Adam(1e-2))
-    tuned = searching.run(steps=looks)
+    tuned = result(searching.run(looks))
     assert len(searching.looked) == looks
     assert tuned.validation == min(bowl(each) for each in searching.looked)
 
@@ -175,11 +165,11 @@ def test_a_rule_is_tuned_as_quickft_is(
     training = replace(job.recipe.meta[rule], initialisation="encoder", tuned=True, steps=outer)
     job = job._replace(rule=rule, recipe=replace(job.recipe, meta={rule: training}))
     encoder = MetaParameters(encoder=job.app.init_encoder(rng()))
-    made = prepare.prepare(rule, job, tasks, rng(), encoder=encoder)
+    made = result(prepare.prepare(rule, job, tasks, rng(), encoder=encoder))
     plain = RULES[rule].alpha(job.app, {key: v[0] for key, v in job.app.init(rng(), 1).items()}, 3, training.first)
-    assert made.start.alpha.keys() == plain.keys()
-    assert not made.start.theta
-    for name, value in made.start.alpha.items():
+    assert made.phi.alpha.keys() == plain.keys()
+    assert not made.phi.theta
+    for name, value in made.phi.alpha.items():
         if name.startswith(("out.", "in.")):
             torch.testing.assert_close(value @ value.mT, torch.eye(value.shape[-1])[None], atol=1e-4, rtol=0)
             assert value.shape[-1] == 1 or not torch.equal(value, plain[name])

@@ -15,9 +15,9 @@ from torch.utils._python_dispatch import TorchDispatchMode
 from metapp.apps import protocols_of
 from metapp.learning import learn as learning
 from metapp.learning.app import stack
-from metapp.learning.learn import learn, task_loss
+from metapp.learning.learn import checked, descend, last
 from metapp.paradigms import Job, paradigms
-from tests.paradigms.small import KINDS, OWN_RULES, SMALL, rng, small_app, small_recipe, start_for
+from tests.paradigms.small import KINDS, OWN_RULES, SMALL, prepared_for, rng, small_app, small_recipe
 
 READS = ("item", "tolist", "cpu", "numpy", "__bool__", "__int__", "__float__", "__index__")
 STEPS = 3
@@ -78,17 +78,17 @@ def test_steps_of_fits_read_nothing_back(kind: str, protocol: str, monkeypatch: 
     job = Job(app, small_recipe(app), OWN_RULES[kind])
     meta = paradigms()["meta"]
     tasks = stack(app, SMALL[app.name].tasks()[:2])
-    prepared = start_for(meta, job)
-    loss = task_loss(app, job.recipe.batch)
+    prepared = prepared_for(meta, job)
+    loss = meta.loss(job)
 
     def fit(allowed: tuple[str, ...] | None) -> list[str]:
-        theta = meta.start(job, prepared, tasks, rng())
+        theta = meta.initialisation(job, prepared, tasks, rng())
         rule, draws = meta.rule(job, prepared, theta, STEPS), rng()
         if allowed is None:
-            learn(theta, rule, tasks, loss, steps=STEPS, rng=draws, check_every=0)
+            last(checked(descend(theta, rule, tasks, loss, steps=STEPS, rng=draws), every=0))
             return []
         with reading_nothing(allowed) as seen:
-            learn(theta, rule, tasks, loss, steps=STEPS, rng=draws, check_every=0)
+            last(checked(descend(theta, rule, tasks, loss, steps=STEPS, rng=draws), every=0))
         return seen
 
     fit(None)  # constants are made at their first use

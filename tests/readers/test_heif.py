@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from data_tools.readers import heif
+from data_tools.readers import image_files
 from data_tools.readers.photos import find_photos, is_photo, read_photo
 from data_tools.readers.svbrdf_inputs import read_task
 from metapp.appearance.colour import linear_to_srgb, srgb_to_linear
@@ -80,7 +80,7 @@ def test_a_small_one_is_refused(tmp_path: Path) -> None:
 
 def test_without_the_library_the_line_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = write(tmp_path / "a.heic", gradients())
-    monkeypatch.setattr(heif, "can_read", lambda: False)
+    monkeypatch.setattr(image_files, "can_read", lambda: False)
     with pytest.raises(
         ValueError, match=r'export it as JPEG or PNG, or read it as it is: pip install "metapp\[heic\]"'
     ):

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 import torch
 
-from data_tools.readers import flash, images, svbrdf_inputs
-from data_tools.readers.lens import field_of_view, focal_length_of, seen_share
+from data_tools.readers import flash, photos, svbrdf_inputs
+from data_tools.readers.image_files import focal_length_of
+from data_tools.readers.photos import field_of_view, seen_share
 from tests.pictures import write
 
 
@@ -58,9 +59,9 @@ def test_the_user_s_word_counts_more_than_the_file_s(tmp_path: Path) -> None:
 
 def test_without_a_word_about_the_lens_the_whole_square_counts(tmp_path: Path) -> None:
     plain, texture = photo(tmp_path / "a.png"), photo(tmp_path / "b.png", focal=13)
-    whole = images.read_task(plain, 96).data["image"]
+    whole = photos.read_task(plain, 96).data["image"]
     assert torch.equal(flash.read_task(plain, 96).data["image"], whole)
-    assert torch.equal(images.read_task(texture, 96).data["image"], whole)  # no flash, no camera
+    assert torch.equal(photos.read_task(texture, 96).data["image"], whole)  # no flash, no camera
 
 
 @pytest.mark.parametrize("exif", [None, b"", b"Exif\0\0", b"Exif\0\0II*\0\xff\xff\xff\xff", b"nonsense" * 9])

@@ -14,7 +14,7 @@ from data_tools.readers.mitsuba_scenes import find, read_scene, read_task, recog
 from data_tools.synthetic.cornell import random_scene
 from metapp.rendering import variant as mitsuba_variant
 from metapp.rendering.path_space import Tracer
-from metapp.rendering.scene_text import scene_of
+from metapp.rendering.scene_rules import scene_of
 from tests.needs_mitsuba import needs_mitsuba
 
 LAMP = '<emitter type="area"><rgb name="radiance" value="4 4 4"/></emitter>'

@@ -7,7 +7,7 @@ import math
 import pytest
 import torch
 
-from data_tools.readers.noise import as_measured
+from data_tools.readers.brdf_task import as_measured
 from metapp.appearance.geometry import cosines
 from metapp.appearance.noise import DECADES
 from metapp.learning.task import Task

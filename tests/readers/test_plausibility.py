@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 import torch
 
+from data_tools.readers.brdf_task import normal_albedo
 from data_tools.readers.merl import read_task, write_merl
 from data_tools.readers.merl_table import SCALE, SHAPE
 from data_tools.readers.nbrdf import SHAPES, write_nbrdf
 from data_tools.readers.nbrdf import read_task as read_network
-from data_tools.readers.plausibility import normal_albedo
 
 
 def constant_network(folder: Path, reflectance: float) -> Path:

@@ -13,12 +13,16 @@ from torch import Generator
 
 from data_tools.synthetic.rooms import random_room
 from metapp.learning.learn import MetaParameters
-from metapp.rendering.guide_features import CHANNELS, ENTRY_PRIOR_PATHS, FirstHits, SurveyFeatures, features_of
 from metapp.rendering.guide_histogram import AXES, BINS, DEFENSIVE, ENTRIES, GRID, POWER, SIDE, second_moments
 from metapp.rendering.guide_prior import (
+    CHANNELS,
+    ENTRY_PRIOR_PATHS,
     FEATURES,
+    FirstHits,
     LearnedPrior,
+    SurveyFeatures,
     densities,
+    features_of,
     histogram_features,
     init,
     read_prior,
@@ -107,27 +111,23 @@ def test_a_file_of_something_else_is_refused(tmp_path: Path) -> None:
 
 
 def tracer() -> Any:
-    from metapp.rendering.guided_path import PathTracer, Settings
+    from metapp.rendering.guided_path import PathTracer
 
-    return PathTracer(Settings(6, 5))
+    return PathTracer(6, 5)
 
 
 def picture_of(mi: Any, scene: Any, prior: Any, seed: int, spp: int = 16) -> np.ndarray[Any, Any]:
-    from metapp.rendering.guided_picture import GuidedPicture, parts_of
+    from metapp.rendering.guided_plugin import GuidedPicture
 
     sensor, path = scene.sensors()[0], mi.load_dict({"type": "path", "max_depth": 6})
     made = GuidedPicture(path, tracer(), scene, sensor, seed, prior)
-    for part in parts_of(spp, 64**2):
-        made.pays = True
-        made.add(part)
-    film = sensor.film()
-    film.prepare([])
-    film.put_block(made.block)
-    return np.array(film.develop(), np.float64)[..., :3]
+    made.render(spp)
+    return np.array(sensor.film().develop(), np.float64)[..., :3]
 
 
 @needs_mitsuba
-def test_the_prior_that_ships_lowers_the_noise() -> None:
+def test_the_prior_that_ships_lowers_the_noise(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("metapp.rendering.guided_plugin.PAYS", math.inf)
     mi, scene, _ = load_scene(random_room("board", 5000))  # of no training
     noise = []
     for prior in (read_prior(shipped()), None):

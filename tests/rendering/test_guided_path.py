@@ -17,10 +17,10 @@ from data_tools.synthetic.cornell import random_scene
 from metapp.learning.learn import MetaParameters
 from metapp.storage.records import save_checkpoint
 from tests.needs_mitsuba import needs_mitsuba
-from tests.rendering.zoo import LAMPS, zoo
 
 pytestmark = needs_mitsuba
 SIZE, SPP, RUNS = 16, 64, 8
+LAMPS = ("light", "sky", "bulb")
 
 
 @pytest.fixture(scope="module")
@@ -28,10 +28,10 @@ def mi() -> Any:
     from metapp.rendering.variant import load_mitsuba
 
     module = load_mitsuba()
-    from metapp.rendering import guided_plugin, maps_bsdf
+    from metapp.rendering import bsdfs, guided_plugin
 
     guided_plugin.register_guided_path()
-    maps_bsdf.register_maps_bsdf()
+    bsdfs.register_maps_bsdf()
     return module
 
 
@@ -53,8 +53,27 @@ def loaded(mi: Any, scene: dict[str, Any], size: int = SIZE) -> Any:
     return mi.load_dict(_matrices(mi, scene), parallel=False)
 
 
-def box(seed: int) -> dict[str, Any]:
-    return random_scene(seed)
+def zoo() -> dict[str, Any]:
+    """A Cornell box with textured, coated, rough, see-through and masked spheres, a point light and a sky."""
+    scene = {key: value for key, value in random_scene(3).items() if not key.startswith("sphere")}
+    checked = {"type": "checkerboard", "to_uv": [[8.0, 0, 0], [0, 8.0, 0], [0, 0, 1.0]]}
+    bsdfs: list[dict[str, Any]] = [
+        {"type": "twosided", "bsdf": {"type": "diffuse", "reflectance": checked}},
+        {"type": "roughplastic", "alpha": 0.2},
+        {"type": "plastic"},
+        {"type": "principled", "roughness": 0.4, "metallic": 0.3},
+        {"type": "mask", "opacity": 0.5, "bsdf": {"type": "diffuse"}},
+        {"type": "roughconductor", "alpha": 0.3},
+        {"type": "roughdielectric", "alpha": 0.2},
+        {"type": "dielectric"},
+        {"type": "neural_svbrdf", "roughness": 0.4},
+    ]
+    for i, bsdf in enumerate(bsdfs):
+        centre = [0.6 * (i % 3) - 0.6, 0.6 * (i // 3) - 0.7, 0.3 * (i % 2) - 0.2]
+        scene[f"ball{i}"] = {"type": "sphere", "center": centre, "radius": 0.26, "bsdf": bsdf}
+    scene["sky"] = {"type": "constant", "radiance": {"type": "rgb", "value": [0.1, 0.2, 0.3]}}
+    scene["bulb"] = {"type": "point", "position": [0.3, 0.3, 0.8], "intensity": {"type": "rgb", "value": [0.3] * 3}}
+    return scene
 
 
 def pictures(mi: Any, scene: Any, kind: str, spp: int = SPP, **more: Any) -> np.ndarray[Any, Any]:
@@ -77,9 +96,7 @@ def deviation(first: np.ndarray[Any, Any], second: np.ndarray[Any, Any]) -> floa
 def always_guided(monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest) -> None:
     """Small pictures have few blocks to compare noise in."""
     if "guard" not in request.node.name:
-        from metapp.rendering import guided_picture
-
-        monkeypatch.setattr(guided_picture, "PAYS", math.inf)
+        monkeypatch.setattr("metapp.rendering.guided_plugin.PAYS", math.inf)
 
 
 @pytest.fixture(autouse=True)
@@ -89,8 +106,8 @@ def guided_from_few_paths_on(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.parametrize("emitter_sampling", [True, False])
-def test_the_mean_is_that_of_path_in_a_box(mi: Any, emitter_sampling: bool) -> None:
-    scene = loaded(mi, box(1))  # has glass and metal
+def test_the_mean_is_that_of_path_in_a_random_scene(mi: Any, emitter_sampling: bool) -> None:
+    scene = loaded(mi, random_scene(1))  # has glass and metal
     guided, plain = (
         pictures(mi, scene, "guided_path", emitter_sampling=emitter_sampling),
         pictures(mi, scene, "path"),
@@ -117,7 +134,7 @@ def test_a_cache_that_is_wrong_about_itself_is_found_out(mi: Any, monkeypatch: p
         return 0.8 * density(*arguments)
 
     monkeypatch.setattr(GuideCache, "density", bright)
-    scene = loaded(mi, box(1))
+    scene = loaded(mi, random_scene(1))
     assert abs(deviation(pictures(mi, scene, "guided_path"), pictures(mi, scene, "path"))) > 5
 
 
@@ -125,7 +142,7 @@ def test_a_cache_that_is_wrong_about_itself_is_found_out(mi: Any, monkeypatch: p
 def test_there_is_less_noise(mi: Any, monkeypatch: pytest.MonkeyPatch, emitter_sampling: bool, at_most: float) -> None:
     from metapp.rendering.guide_cache import GuideCache
 
-    scene, noise = loaded(mi, box(101), 64), []
+    scene, noise = loaded(mi, random_scene(101), 64), []
     integrator = mi.load_dict({"type": "guided_path", "emitter_sampling": emitter_sampling, "max_depth": 5})
     for learns in (True, False):
         if not learns:
@@ -136,7 +153,7 @@ def test_there_is_less_noise(mi: Any, monkeypatch: pytest.MonkeyPatch, emitter_s
 
 
 def test_a_seed_says_what_a_picture_is(mi: Any) -> None:
-    scene = loaded(mi, box(1))
+    scene = loaded(mi, random_scene(1))
     guided = mi.load_dict({"type": "guided_path", "max_depth": 4})
     first, again, other = (np.array(mi.render(scene, integrator=guided, spp=32, seed=seed)) for seed in (3, 3, 4))
     assert np.allclose(first, again, rtol=1e-5)
@@ -172,7 +189,7 @@ def test_it_works_from_xml_in_films_of_any_size(mi: Any) -> None:
     ],
 )
 def test_where_it_cannot_help_path_renders_and_it_says_so_once(mi: Any, more: Any, spp: int, why: str) -> None:
-    scene = loaded(mi, box(1))
+    scene = loaded(mi, random_scene(1))
     guided, plain = (mi.load_dict({"type": kind, **more}) for kind in ("guided_path", "path"))
     with pytest.warns(UserWarning, match=f"guided_path: .*{why}.*; rendered by path"):
         found = mi.render(scene, integrator=guided, spp=spp, seed=1)
@@ -181,7 +198,7 @@ def test_where_it_cannot_help_path_renders_and_it_says_so_once(mi: Any, more: An
 
 
 def test_within_another_integrator_it_is_path(mi: Any) -> None:
-    scene = loaded(mi, box(1))
+    scene = loaded(mi, random_scene(1))
     both = mi.load_dict({"type": "aov", "aovs": "d:depth", "own": {"type": "guided_path", "max_depth": 4}})
     with pytest.warns(UserWarning, match="another integrator"):
         assert np.isfinite(np.array(mi.render(scene, integrator=both, spp=16))).all()
@@ -208,19 +225,17 @@ def test_the_prior_is_the_file_that_is_named(mi: Any, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("spp", "pixels"), [(16, 16), (17, 65536), (64, 4096), (1000, 65536), (4096, 2**20)])
 def test_the_parts_are_the_picture(mi: Any, spp: int, pixels: int) -> None:
-    from metapp.rendering.guided_picture import parts_of
+    from metapp.rendering.guided_plugin import parts_of
 
     *learned, last = parts_of(spp, pixels)
-    assert sum(part.spp for part in (*learned, last)) == spp
-    assert all(part.learns for part in learned)
-    assert not last.learns
-    assert last.spp > spp / 2
-    assert learned[0].spp <= spp / 4
-    assert all(after.spp == 2 * before.spp for before, after in itertools.pairwise(learned))
+    assert sum(learned) + last == spp
+    assert last > spp / 2
+    assert learned[0] <= spp / 4
+    assert all(after == 2 * before for before, after in itertools.pairwise(learned))
 
 
 def test_noise_is_how_far_two_halves_differ(mi: Any) -> None:
-    from metapp.rendering.guided_picture import noise_of
+    from metapp.rendering.guided_plugin import noise_of
 
     rng = np.random.default_rng(0)
     samples = 1 + 0.1 * rng.standard_normal((128, 128))
@@ -232,7 +247,7 @@ def test_noise_is_how_far_two_halves_differ(mi: Any) -> None:
 
 @pytest.mark.parametrize("shape", [(256, 256, 2), (64, 64, 4), (100, 37, 8), (128, 128, 1)])
 def test_samples_are_spread_over_the_film(mi: Any, shape: tuple[int, int, int]) -> None:
-    from metapp.rendering.guided_picture import spread
+    from metapp.rendering.guided_plugin import spread
 
     numbers = np.arange(math.prod(shape)).reshape(shape)
     found = spread(numbers, 128)
@@ -251,7 +266,7 @@ def test_the_guard_leaves_a_guide_that_does_not_pay(mi: Any, monkeypatch: pytest
         return 1
 
     monkeypatch.setattr(GuideCache, "learn", wrong)
-    scene = loaded(mi, box(2), 32)
+    scene = loaded(mi, random_scene(2), 32)
     guided = mi.load_dict({"type": "guided_path", "max_depth": 5})
     with pytest.warns(UserWarning, match="does not lower the noise enough"):
         mi.render(scene, integrator=guided, spp=SPP)

@@ -12,7 +12,7 @@ import pytest
 import torch
 
 from data_tools.synthetic.cornell import random_scene
-from metapp.rendering.scene_text import BYTES, scene_bytes, scene_of
+from metapp.rendering.scene_rules import BYTES, scene_bytes, scene_of
 
 SCENES = [random_scene(seed) for seed in range(200)]
 WALLS = {"floor", "ceiling", "back", "left", "right"}

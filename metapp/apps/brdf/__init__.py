@@ -9,11 +9,11 @@ import torch
 from torch import Generator, Tensor
 
 from metapp.appearance.geometry import half_difference
-from metapp.apps.brdf import nbrdf, nbrdf_fused
+from metapp.apps.brdf import nbrdf, nbrdf_in_c
 from metapp.apps.brdf.featured import OWN, Featured, features_of, folded, reflectance_of
 from metapp.apps.brdf.variants import measured, mixed
+from metapp.engine import register
 from metapp.learning.app import App, Traits
-from metapp.learning.flat import FusedLoss
 from metapp.learning.task import Batch, Held, Linear, Params, Task, Tasks
 
 CONDITION = 1024  # samples that General's encoder reads
@@ -92,9 +92,6 @@ class Brdf(App):
         s = torch.exp(learned["smoothing"])[:, None]
         weights = slope.square().mean(1) / (d.square().mean(1) + s * s).sqrt()
         return Linear("last", features, residual, weights, d.abs().mean((1, 2)))
-
-    def fused(self, theta: Params) -> FusedLoss | None:
-        return nbrdf_fused.fused(theta)
 
     def loss_parameters(self, steps: int) -> Params:
         """Smoothing, and for the NBRDF network weights of samples."""
@@ -191,4 +188,5 @@ def _weights(where: Tensor, learned: Params) -> Tensor:
     return torch.exp((learned["weights"][:, None] @ hat)[:, 0])
 
 
+register(Brdf.loss, nbrdf_in_c.loss)
 APP = Brdf

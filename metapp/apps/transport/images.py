@@ -15,9 +15,9 @@ from metapp.appearance.presentation import REFERENCE, Fitted, Picture, Rendered
 from metapp.apps.transport.flow import Flow
 from metapp.apps.transport.guide import table_of
 from metapp.learning.task import Params, Task
-from metapp.rendering import equal_time, path_render, path_space
+from metapp.rendering import equal_time, path_space
 from metapp.rendering.guided_plugin import register_guided_path
-from metapp.rendering.scene_text import scene_of
+from metapp.rendering.scene_rules import scene_of
 
 SHOWN_SIZE = 64  # px of a side, of the pictures that a run leaves
 SPP = 1024  # paths a pixel as in Fischer & Ritschel 2022, table 2
@@ -53,15 +53,15 @@ class Studio:
 
     def regular(self, spp: int, seed: int = 0) -> Shot:
         """A picture by the sampling of materials alone."""
-        return _timed(lambda: path_render.render(self.tracer, spp, self.size, seed))
+        return _timed(lambda: path_space.render(self.tracer, spp, self.size, seed))
 
     def guided(self, flow: Flow, theta: Params, spp: int, seed: int = 0) -> Shot:
         """A picture guided by a fit, no task axis in theta; the time includes that of making its table."""
 
         def shoot() -> Tensor:
             table = table_of(flow, theta)
-            guide = path_render.Guide(table.sample, table.density)
-            return path_render.render(self.tracer, spp, self.size, seed, guide)
+            guide = path_space.Guide(table.sample, table.density)
+            return path_space.render(self.tracer, spp, self.size, seed, guide)
 
         return _timed(shoot)
 
@@ -96,7 +96,7 @@ class Studio:
     def halves(self) -> Tensor:
         """The picture itself twice, of half the paths each, with other random numbers: [2, 3, size, size]."""
         spp = max(1, REFERENCE_SPP // 2)
-        return torch.stack([path_render.reference(self.tracer, self.size, spp, seed) for seed in (1, 2)])
+        return torch.stack([path_space.reference(self.tracer, self.size, spp, seed) for seed in (1, 2)])
 
     @functools.cached_property
     def reference(self) -> Tensor:
@@ -111,7 +111,7 @@ class Studio:
     @functools.cached_property
     def glance(self) -> Tensor:
         """The same with some noise, in an instant."""
-        return path_render.reference(self.tracer, self.size, 64)
+        return path_space.reference(self.tracer, self.size, 64)
 
     @functools.cached_property
     def baseline(self) -> Shot:

@@ -9,9 +9,9 @@ from metapp.evaluation.figures.style import TITLES
 from metapp.evaluation.report.html import Pictures, anchor, identifier
 from metapp.evaluation.subject import Subject, evenly
 from metapp.learning.task import Task
+from metapp.runs.naming import name_of
 from metapp.runs.pictures import to_srgb
 from metapp.runs.reporter import number
-from metapp.runs.session import name_of
 
 SHOWN = 8  # tasks
 Records = dict[str, dict[str, Any]]

@@ -12,8 +12,8 @@ from metapp.evaluation.report.html import Pictures, anchor, drawn_html
 from metapp.evaluation.rows import Row, paired_of, paper
 from metapp.evaluation.subject import Subject
 from metapp.evaluation.tables.results import result_row
+from metapp.runs.naming import is_first_protocol
 from metapp.runs.reporter import number
-from metapp.runs.session import is_first_protocol
 from metapp.runs.statistics import apart
 
 TIMES = "&times;"

@@ -15,7 +15,7 @@ from metapp.evaluation.figures import Drawn
 from metapp.evaluation.formats import title_of
 from metapp.evaluation.rows import Row, Table
 from metapp.evaluation.subject import Subject
-from metapp.runs.session import name_of
+from metapp.runs.naming import name_of
 from metapp.storage.files import write_atomically
 
 EMBEDDED = 14_000_000  # bytes of pictures up to which they are part of the page; else they lie beside it

@@ -19,7 +19,7 @@ from metapp.evaluation.report.html import Pictures, anchor, drawn_html, table_ht
 from metapp.evaluation.rows import paper
 from metapp.evaluation.subject import Subject
 from metapp.evaluation.tables import NAMES, load_table
-from metapp.runs.session import make_folder, versions
+from metapp.runs.surroundings import make_folder, versions
 from metapp.storage.files import write_atomically
 
 HEADINGS = {
@@ -103,7 +103,7 @@ def colophon(subjects: Sequence[Subject]) -> str:
         "made": datetime.datetime.now(datetime.UTC).strftime("%Y-%m-%d %H:%M UTC"),
     }
     if subjects:
-        facts |= {"recipe": subjects[0].options.recipe, "seed": str(subjects[0].options.seed)}
+        facts |= {"recipe": subjects[0].plan.request.recipe, "seed": str(subjects[0].plan.request.seed)}
     commands = dict.fromkeys(command for subject in subjects for command in _commands(subject))
     known = paper()
     sources = "".join(f"<li>{escape(key)}: {escape(text)}</li>" for key, text in known["sources"].items())

@@ -5,7 +5,7 @@ Nothing is trained: initialisations and rules that are there are combined anew i
 
 from __future__ import annotations
 
-from dataclasses import asdict
+from dataclasses import asdict, replace
 
 from metapp.evaluation.cell import Cell
 from metapp.evaluation.notes import paired_note, warned
@@ -23,21 +23,21 @@ from metapp.evaluation.rows import (
     row_of,
     words,
 )
-from metapp.evaluation.subject import Fit, Subject
+from metapp.evaluation.subject import Subject
 from metapp.evaluation.tables.results import COMPARED, COMPARISON, result_row
 from metapp.learning.learn import MetaParameters
 from metapp.learning.recipe import Guard
 from metapp.paradigms import Paradigm
 from metapp.paradigms.meta import META
-from metapp.paradigms.meta import start as meta_start
 from metapp.paradigms.quickft import QUICKFT, adam_of
-from metapp.runs.session import Checkpoint, caption_of
+from metapp.runs.naming import caption_of
+from metapp.runs.plan import Checkpoint
 from metapp.runs.statistics import apart
 from metapp.storage.records import tensor_digest
 
 # which fits by a rule are doubtful is known from its own initialisation alone
 RULE_ALONE = META._replace(name="ablation-rule", guard=lambda job: Guard(job.recipe.quickft))
-START_ALONE = Paradigm("ablation-start", META.needs, meta_start, QUICKFT.rule, QUICKFT.steps)
+START_ALONE = Paradigm("ablation-start", META.needs, META.initialisation, QUICKFT.rule, QUICKFT.steps)
 
 
 def learned(subject: Subject) -> list[str]:
@@ -78,9 +78,9 @@ def combined(subject: Subject, name: str) -> list[tuple[str, str, Cell]]:
     )
     found = []
     for paradigm, (initialisation, by), prepared, settings in halves:
-        checkpoint = Checkpoint(prepared, "combined", digest)
-        fit = Fit(f"ablation {initialisation} + {by}", meta.options, paradigm, checkpoint)
-        found.append((initialisation, by, subject.fit_cell(fit, {"rule": rule, "adam": settings}, rule)))
+        half = replace(meta, paradigm=paradigm, checkpoint=Checkpoint(prepared, "combined", digest))
+        title, entries = f"ablation {initialisation} + {by}", {"rule": rule, "adam": settings}
+        found.append((initialisation, by, subject.fit_cell(title, half, entries, rule)))
     return found
 
 

@@ -40,8 +40,8 @@ from metapp.evaluation.subject import Subject
 from metapp.evaluation.tables.storage import size, stored
 from metapp.learning.task import Params, Task
 from metapp.runs.inputs import data_label
+from metapp.runs.naming import caption_of, name_of, observe_of
 from metapp.runs.reporter import say
-from metapp.runs.session import caption_of, name_of, observe_of
 from metapp.runs.statistics import apart
 
 SHOWN = ("general", "quickft", "meta", "finetune", "overfit")
@@ -69,13 +69,13 @@ def _able(subject: Subject) -> list[Baseline]:
 def _untrained(subject: Subject) -> list[str]:
     """The baselines that need training tasks where there are none."""
     learning = [baseline.name for baseline in baselines_of(subject.app) if baseline.learns]
-    return learning if learning and subject.tasks and training_folder(subject.options) is None else []
+    return learning if learning and subject.tasks and training_folder(subject.plan) is None else []
 
 
 def baseline_cell(subject: Subject, baseline: Baseline) -> Cell:
     """The fits of a baseline; those that match Meta's errors come after Meta's."""
-    options, meta = subject.options, subject.cell("meta")
-    source = training_folder(options) if baseline.learns and subject.tasks else None
+    plan, meta = subject.plan, subject.cell("meta")
+    source = training_folder(plan) if baseline.learns and subject.tasks else None
     missing = not subject.tasks or (baseline.learns and source is None) or (baseline.matches and meta.folder is None)
     folder = None
     if not missing:
@@ -86,7 +86,7 @@ def baseline_cell(subject: Subject, baseline: Baseline) -> Cell:
     def measure(tasks: list[Task]) -> Iterator[tuple[Record, Params | None]]:
         errors = {record["name"]: record["error"] for record in meta.records()} if baseline.matches else {}
         try:
-            yield from fit_baselines(options, baseline, training_of(subject.app, source), tasks, errors)
+            yield from fit_baselines(plan, baseline, training_of(subject.app, source), tasks, errors)
         except ValueError as error:
             say(f"{name_of(subject.app)} {baseline.name}: {error}")
 
@@ -96,16 +96,16 @@ def baseline_cell(subject: Subject, baseline: Baseline) -> Cell:
 
 def _settings(subject: Subject, baseline: Baseline, source: Path | None) -> dict[str, Any]:
     """Everything that a baseline's figures depend on; `source`: the data set that it learns from."""
-    app, options, meta = subject.app, subject.options, subject.cell("meta")
+    app, plan, meta = subject.app, subject.plan, subject.cell("meta")
     return {
         "app": app.name,
         **observe_of(app),
         "peer": baseline.name,  # as baselines were called when the first records were kept
         "data": subject.label,
         "training": source and data_label(source),
-        "allowed": allowed_for(options)._asdict(),
-        "recipe": options.recipe,
-        "seed": options.seed,
+        "allowed": allowed_for(plan)._asdict(),
+        "recipe": plan.request.recipe,
+        "seed": plan.request.seed,
         "versions": baseline_versions(),
         **app.conditions(),
         **({"meta": meta.folder.key} if baseline.matches and meta.folder else {}),

@@ -7,8 +7,8 @@ from metapp.evaluation.notes import change, paired_note, threads_note, verdict, 
 from metapp.evaluation.rows import ERROR, INTERVAL, MEDIAN, PARADIGM, SECONDS, STEPS, WORST, Row, Table, paired_of
 from metapp.evaluation.subject import Subject
 from metapp.evaluation.tables.results import COMPARISON, PAPER_ERROR, result_row
+from metapp.runs.naming import caption_of
 from metapp.runs.reporter import number
-from metapp.runs.session import caption_of
 from metapp.runs.statistics import apart
 
 COMPARED = ("general", "quickft", "meta")

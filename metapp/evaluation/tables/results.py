@@ -21,8 +21,8 @@ from metapp.evaluation.rows import (
 )
 from metapp.evaluation.subject import Subject
 from metapp.learning.app import App
+from metapp.runs.naming import caption_of, is_first_protocol
 from metapp.runs.reporter import number
-from metapp.runs.session import caption_of, is_first_protocol
 
 COMPARED = ("quickft", "general")
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import statistics
 import time
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 from metapp.evaluation.cell import Cell, Record
 from metapp.evaluation.notes import paired_note, threads_note
@@ -27,9 +28,9 @@ from metapp.evaluation.subject import Subject
 from metapp.learning.learn import MetaParameters
 from metapp.learning.task import Params, Task
 from metapp.runs.fits import fit_tasks
+from metapp.runs.naming import caption_of
+from metapp.runs.plan import Checkpoint
 from metapp.runs.reporter import number, say
-from metapp.runs.run import run_path
-from metapp.runs.session import Checkpoint, caption_of, settings_of
 from metapp.runs.statistics import apart
 from metapp.storage.records import FIT, NUMBER, OPTIONAL, RunFolder, digest
 
@@ -64,8 +65,14 @@ def train_cell(subject: Subject, case: Case) -> Cell:
     """One training; its record holds its seconds, the validation error and the outer step of that."""
     study = subject.study
     settings = study.settings(case, subject.label)
-    words = [subject.label, study.place(case).recipe, f"seed{settings['seed']}", case.rule, subject.app.protocol]
-    path = subject.options.out / subject.app.name / "rules" / "-".join(filter(None, words))
+    words = [
+        subject.label,
+        study.place(case).request.recipe,
+        f"seed{settings['seed']}",
+        case.rule,
+        subject.app.protocol,
+    ]
+    path = subject.plan.request.out / subject.app.name / "rules" / "-".join(filter(None, words))
 
     def measure(tasks: list[Task]) -> Iterator[tuple[Record, None]]:
         for task in tasks:
@@ -111,8 +118,9 @@ def _diverged(cell: Cell) -> bool:
 def fit_cell(subject: Subject, case: Case) -> Cell:
     """Fits of all test tasks by what a case has trained."""
     study = subject.study
-    options, trained = study.place(case), digest(study.settings(case, subject.label))
-    settings = settings_of(options, case.paradigm, Checkpoint(MetaParameters(), "", trained), subject.label)
+    trained = Checkpoint(MetaParameters(), "", digest(study.settings(case, subject.label)))
+    plan = replace(study.place(case), checkpoint=trained)
+    settings = plan.settings(subject.label)
     if case.rule == QUICKFT:
         settings["adam"] = "searched"
 
@@ -120,12 +128,12 @@ def fit_cell(subject: Subject, case: Case) -> Cell:
         if _diverged(train_cell(subject, case)):
             return
         try:
-            yield from fit_tasks(options, case.paradigm, study.checkpoint(case), tasks)
+            yield from fit_tasks(replace(plan, checkpoint=study.checkpoint(case)), tasks)
         except FloatingPointError as error:
             say(f"warning: {case.rule}, {case.steps} steps, seed {case.seed}: {error}")
 
     title = f"rules: {case.rule}, {case.steps} steps, seed {case.seed}"
-    folder = RunFolder(run_path(options, settings, subject.label), settings, FIT)
+    folder = RunFolder(plan.path(subject.label), settings, FIT)
     return subject.make_cell(title, folder, measure, case.steps, command=_command(subject))
 
 
@@ -169,7 +177,7 @@ def _row(subject: Subject, rule: str, steps: int, done: list[tuple[Cell, Cell]],
 def notes(subject: Subject, found: list[Row]) -> list[str]:
     """The budget, who wins at each number of steps, what seconds are, what was not run and what does not apply."""
     study = subject.study
-    budget, usual = study.budget, study.options.job.recipe.training(study.options.rule).steps
+    budget, usual = study.budget, study.plan.job.recipe.training(study.plan.job.rule).steps
     return [
         f"each rule is trained for {budget.outer:,} outer steps (the recipe: {usual:,}) at each number of steps, from "
         f"{INITIALISATIONS[budget.start]}; its best state on validation tasks is kept",
@@ -204,7 +212,8 @@ def _not_run(subject: Subject, found: list[Row]) -> list[str]:
     lines = []
     for steps in sorted(set(study.budget.steps)):
         missing = [rule for rule in study.rules if (rule, steps) not in there]
-        diverged = [rule for rule in missing if _diverged(train_cell(subject, Case(rule, steps, study.options.seed)))]
+        seed = study.plan.request.seed
+        diverged = [rule for rule in missing if _diverged(train_cell(subject, Case(rule, steps, seed)))]
         rest = [rule for rule in missing if rule not in diverged]
         lines += [f"{steps} steps: training diverged: {', '.join(diverged)}"] if diverged else []
         lines += [f"{steps} steps: not run: {', '.join(rest)}"] if rest else []

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from metapp.evaluation.rows import PARADIGM, Row, Table, blank, numbers, paper
-from metapp.evaluation.subject import Fit, Subject
-from metapp.runs.session import observe_of
+from metapp.evaluation.subject import Subject
+from metapp.runs.naming import observe_of
+from metapp.runs.plan import Plan
 
 
 def rows(subject: Subject) -> list[Row]:
@@ -16,7 +17,7 @@ def rows(subject: Subject) -> list[Row]:
     return found
 
 
-def _row(subject: Subject, name: str, fit: Fit) -> Row:
+def _row(subject: Subject, name: str, fit: Plan) -> Row:
     batch = fit.job.recipe.batch
     row = blank(subject.app.name, name, beside_paper=False, **observe_of(subject.app))
     row |= {"steps": fit.steps, "batch": batch if fit.steps else None}

@@ -7,7 +7,8 @@ from torch import Generator
 from metapp.evaluation.rows import PARADIGM, Row, Table, blank, bytes_column, numbers, paper
 from metapp.evaluation.subject import Subject
 from metapp.learning.task import Params
-from metapp.runs.session import Checkpoint, observe_of
+from metapp.runs.naming import observe_of
+from metapp.runs.plan import Checkpoint
 
 COUNTS = (1, 10, 100, 1000)
 

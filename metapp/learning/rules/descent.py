@@ -6,16 +6,13 @@ learned rate are the same thing.
 
 from __future__ import annotations
 
-import functools
 import math
-from collections.abc import Callable
-from typing import Any
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
 from metapp.learning.adjoint import UpdateRule
-from metapp.learning.flat import Layout, Packing, own
 from metapp.learning.recipe import Adam, OuterLoop
 from metapp.learning.task import Params
 
@@ -33,8 +30,7 @@ def fixed_adam(settings: Adam, theta: Params, steps: int) -> UpdateRule:
     device = next(iter(theta.values())).device
     rate = half_cosine(settings.rate, steps, settings.final).to(device)
     alpha = {"rate": rate, "beta1": _one(settings.beta1, device), "beta2": _one(settings.beta2, device)}
-    packing = Packing(functools.partial(_gathered_adam, settings.eps))
-    return UpdateRule(alpha, adam_state, _adam_step(settings.eps), packing=packing)
+    return UpdateRule(alpha, adam_state, AdamStep(settings.eps))
 
 
 def outer_adam(training: OuterLoop, params: Params) -> UpdateRule:
@@ -45,7 +41,7 @@ def outer_adam(training: OuterLoop, params: Params) -> UpdateRule:
         prefix = max((part for part in training.rates if key.startswith(part)), key=len)
         rates = half_cosine(training.rates[prefix], training.steps, training.final, training.warmup)
         alpha[f"rate.{key}"] = rates.to(device)
-    return UpdateRule(alpha, adam_state, _adam_step(1e-8, training.decay))
+    return UpdateRule(alpha, adam_state, AdamStep(1e-8, training.decay))
 
 
 def _one(value: float, device: torch.device) -> Tensor:
@@ -59,22 +55,12 @@ def like(value: Tensor, other: Tensor) -> Tensor:
 
 def sgd(alpha: Params) -> UpdateRule:
     """theta -= alpha * gradient; `alpha` holds "rate" for all or "rate.<parameter>" for each, any sign."""
-    return UpdateRule(alpha, lambda theta: {}, _sgd_step, packing=Packing(_gathered_rates))
+    return UpdateRule(alpha, lambda theta: {}, sgd_step)
 
 
-def _sgd_step(alpha: Params, theta: Params, grads: Params, state: Params) -> tuple[Params, Params]:
+def sgd_step(alpha: Params, theta: Params, grads: Params, state: Params) -> tuple[Params, Params]:
+    """A step of `sgd`."""
     return {key: theta[key] - _rate(alpha, key, grads[key]) * grads[key] for key in theta}, state
-
-
-def _gathered_rates(alpha: Params, layout: Layout) -> Params:
-    """Rates as steps in C want them."""
-    return {"rate": own(alpha["rate"], 0)[..., None] if "rate" in alpha else layout.hyperparameters(alpha, "rate.")}
-
-
-def _gathered_adam(eps: float, alpha: Params, layout: Layout) -> Params:
-    """Rates, betas and eps as steps in C want them."""
-    betas = [own(alpha[name], 0) for name in ("beta1", "beta2")]
-    return _gathered_rates(alpha, layout) | {"adam": torch.stack([*betas, torch.full_like(betas[0], eps)], -1)}
 
 
 def _rate(alpha: Params, key: str, grad: Tensor) -> Tensor:
@@ -106,11 +92,21 @@ def adam_directions(
     return directions, after
 
 
-def _adam_step(eps: float, decay: float = 0.0) -> Callable[..., Any]:
-    def step(alpha: Params, theta: Params, grads: Params, state: Params) -> tuple[Params, Params]:
-        if decay:
-            grads = {key: grad + decay * theta[key] for key, grad in grads.items()}
-        directions, state = adam_directions(alpha["beta1"], alpha["beta2"], eps, grads, state)
-        return {key: theta[key] - _rate(alpha, key, d) * d for key, d in directions.items()}, state
+@dataclass(frozen=True)
+class AdamStep:
+    """A step of Adam; called as `UpdateRule.step`.
 
-    return step
+    Attributes:
+        eps: added to the root of the second moment.
+        decay: weight decay (L2), added to the gradient.
+    """
+
+    eps: float
+    decay: float = 0.0
+
+    def __call__(self, alpha: Params, theta: Params, grads: Params, state: Params) -> tuple[Params, Params]:
+        """One step."""
+        if self.decay:
+            grads = {key: grad + self.decay * theta[key] for key, grad in grads.items()}
+        directions, state = adam_directions(alpha["beta1"], alpha["beta2"], self.eps, grads, state)
+        return {key: theta[key] - _rate(alpha, key, d) * d for key, d in directions.items()}, state

@@ -18,7 +18,7 @@ from torch.nn.functional import conv2d, leaky_relu, pad
 
 from metapp.learning.app import App
 from metapp.learning.recipe import Adam
-from metapp.learning.rules.part import Part, Seen
+from metapp.learning.rules.part import Before, Part
 from metapp.learning.task import Params
 
 WIDTH = 32  # channels of its two inner layers
@@ -45,13 +45,13 @@ class Network(Part):
         """Empty memories."""
         return no_memory(alpha, theta)
 
-    def moved(self, alpha: Params, moved: Params, seen: Seen, state: Params) -> tuple[Params, Params]:
+    def moved(self, alpha: Params, moved: Params, before: Before, state: Params) -> tuple[Params, Params]:
         """The parameters and what networks add."""
         results, memories = dict(moved), {}
-        for key, value in seen.theta.items():
+        for key, value in before.theta.items():
             if name := network_of(alpha, key):
                 memory = state[f"memory.{key}"]
-                added, written = move(alpha, name, value, seen.grads[key], seen.directions[key], memory)
+                added, written = move(alpha, name, value, before.grads[key], before.directions[key], memory)
                 results[key], memories[f"memory.{key}"] = moved[key] + added, written
         return results, memories
 

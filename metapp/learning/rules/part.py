@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-from metapp.learning.adjoint import gradient
+from metapp.learning.adjoint import Loss
 from metapp.learning.app import App
-from metapp.learning.flat import Layout
 from metapp.learning.recipe import Adam
 from metapp.learning.task import Params
 
 
-class Seen(NamedTuple):
+class Before(NamedTuple):
     """What a step has before it moves: trees of the same names, tensors [T, ...].
 
     Attributes:
@@ -36,7 +34,6 @@ class Part:
     Attributes:
         name: in compositions, such as "adam+curvature".
         is_rate: whether it says how far parameters move: of such parts a rule has one.
-        sees: what a step gets of a batch (`UpdateRule.sees`).
         beside: names of parts; a rule that has this part must have one of them, if there are any.
         settled: what names of hyperparameters begin with that it takes from gradients of training tasks, before the
             outer loop and before any search of an Adam.
@@ -44,7 +41,6 @@ class Part:
 
     name: str
     is_rate: bool = False
-    sees: Callable[..., Any] = staticmethod(gradient)
     beside: tuple[str, ...] = ()
     settled: tuple[str, ...] = ()
 
@@ -63,9 +59,9 @@ class Part:
         """
         return {}
 
-    def gathered(self, alpha: Params, layout: Layout) -> Params | None:
-        """Its hyperparameters for steps in C (`rule.quantities`), [K, T or 1, ...]; None where it is not in C."""
-        return None
+    def loss(self, app: App, loss: Loss) -> Loss:
+        """The loss that steps descend, of the application's own."""
+        return loss
 
     def state(self, alpha: Params, theta: Params) -> Params:
         """What it remembers from step to step, before the first; `theta` has a task axis."""
@@ -83,7 +79,7 @@ class Part:
         """What it makes of the updates, the directions at first; they are subtracted from the parameters."""
         return updates
 
-    def moved(self, alpha: Params, moved: Params, seen: Seen, state: Params) -> tuple[Params, Params]:
+    def moved(self, alpha: Params, moved: Params, before: Before, state: Params) -> tuple[Params, Params]:
         """What it makes of the parameters after the step, and what it remembers."""
         return moved, {}
 

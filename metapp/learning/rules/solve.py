@@ -9,34 +9,41 @@ weights of samples may depend on the parameters so far, as those of a mean absol
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
 from typing import Any
 
 import torch
 from torch import Tensor
 
 from metapp.learning.adjoint import Loss
-from metapp.learning.app import App, linear_in
+from metapp.learning.app import App, LinearLayer, linear_in
 from metapp.learning.recipe import Adam
-from metapp.learning.rules.part import Part, Seen
-from metapp.learning.task import Params
+from metapp.learning.rules.part import Before, Part
+from metapp.learning.task import Linear, Params
 
 PENALTY = 1e-3  # before training
 LEAST, GREATEST = 1e-6, 1e2  # bounds of learned penalties
 ROUNDING = 8  # times the precision of a Gram matrix, of its trace: what rounding may take from its eigenvalues
 
 
-def normal_equations(loss: Loss, theta: Params, batch: Any, learned: Params, *, graph: bool) -> tuple[Params, Tensor]:
-    """What a batch says of the linear layer W [T, C, F]: means over samples, and the loss of each task, [T].
+@dataclass(frozen=True)
+class NormalEquations(Loss):
+    """A loss whose steps see normal equations in place of a gradient, near it and of a linear layer W [T, C, F].
 
-    Returns:
-        `gram.<W>` [T, F, F], the products of features, and `moment.<W>` [T, C, F], of residuals with features.
+    Attributes:
+        linear: (params, batch, learned) -> least squares near the loss.
     """
-    assert loss.linear is not None
-    with torch.set_grad_enabled(graph):
-        linear = loss.linear(theta, batch, learned)
-        weighted = (linear.features * linear.weights[:, None] / linear.weights.shape[1]).mT
-        gram, moment = linear.features @ weighted, linear.residual @ weighted
-    return {f"gram.{linear.name}": gram, f"moment.{linear.name}": moment}, linear.losses.detach()
+
+    linear: Callable[[Params, Any, Params], Linear] = field(kw_only=True)
+
+    def gradient(self, theta: Params, batch: Any, learned: Params, *, graph: bool) -> tuple[Params, Tensor]:
+        """Means over samples: `gram.<W>` [T, F, F], products of features, `moment.<W>` [T, C, F], with residuals."""
+        with torch.set_grad_enabled(graph):
+            linear = self.linear(theta, batch, learned)
+            weighted = (linear.features * linear.weights[:, None] / linear.weights.shape[1]).mT
+            gram, moment = linear.features @ weighted, linear.residual @ weighted
+        return {f"gram.{linear.name}": gram, f"moment.{linear.name}": moment}, linear.losses.detach()
 
 
 class Solve(Part):
@@ -49,7 +56,6 @@ class Solve(Part):
 
     name = "solve"
     is_rate = True
-    sees = staticmethod(normal_equations)
 
     def refusal(self, app: App, theta: Params) -> str:
         """It needs a network that is linear in a parameter."""
@@ -63,23 +69,28 @@ class Solve(Part):
             f"keep.{name}": theta[name].new_full((steps,), 3.0),
         }
 
+    def loss(self, app: App, loss: Loss) -> Loss:
+        """Normal equations of its least squares."""
+        assert isinstance(app, LinearLayer)
+        return NormalEquations(loss.draw, loss.value, loss.shared, linear=app.linear)
+
     def state(self, alpha: Params, theta: Params) -> Params:
         """The Gram matrix of all samples so far: none."""
         names = _names(alpha)
         return {f"gram.{key}": theta[key].new_zeros(len(theta[key]), *2 * theta[key].shape[-1:]) for key in names}
 
-    def moved(self, alpha: Params, moved: Params, seen: Seen, state: Params) -> tuple[Params, Params]:
+    def moved(self, alpha: Params, moved: Params, before: Before, state: Params) -> tuple[Params, Params]:
         """W after the solve, and the Gram matrix."""
         results, after = dict(moved), {}
         for key in _names(alpha):
             keep = torch.sigmoid(alpha[f"keep.{key}"])[..., None, None]
-            gram = after[f"gram.{key}"] = keep * state[f"gram.{key}"] + seen.grads[f"gram.{key}"]
+            gram = after[f"gram.{key}"] = keep * state[f"gram.{key}"] + before.grads[f"gram.{key}"]
             penalty = torch.exp(alpha[f"penalty.{key}"].clamp(math.log(LEAST), math.log(GREATEST)))
             trace = gram.diagonal(dim1=-2, dim2=-1).sum(-1, keepdim=True)
             penalty = penalty + ROUNDING * torch.finfo(gram.dtype).eps * trace
             # in double precision: features are far from orthogonal
             factor = torch.linalg.cholesky((gram + torch.diag_embed(penalty)).double())
-            change = torch.cholesky_solve(seen.grads[f"moment.{key}"].double().mT, factor).mT
+            change = torch.cholesky_solve(before.grads[f"moment.{key}"].double().mT, factor).mT
             results[key] = moved[key] + change.to(gram.dtype)
         return results, after
 

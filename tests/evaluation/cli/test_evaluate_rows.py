@@ -27,15 +27,15 @@ from metapp.learning.learn import MetaParameters
 from metapp.learning.recipe import Adam
 from metapp.learning.rules import rule_of
 from metapp.learning.task import Task
-from metapp.runs import session
-from metapp.runs.session import Checkpoint
+from metapp.runs.plan import Checkpoint, plan
+from metapp.runs.request import Request
 from tests.evaluation.cli.subjects import rows, subject_of
 
 APP = Brdf()
 
 
 def test_the_ablation_leaves_out_rules_with_a_network_of_their_own() -> None:
-    subject = Subject(session.options_of("brdf", quiet=True), run=False, strict=False)
+    subject = Subject(plan(Request("brdf", "general", recipe="quick", quiet=True)), run=False, strict=False)
     assert "meta:ridge" in subject.fits
     assert learned(subject) == [name for name in subject.fits if name.startswith("meta") and name != "meta:ridge"]
 
@@ -61,12 +61,14 @@ def test_what_is_combined_is_what_it_says(subject: Subject) -> None:
     assert general
     assert quickft
     tasks, rng = stack(subject.app, subject.tasks), torch.Generator().manual_seed(0)
-    job = subject.options.job
-    ours = START_ALONE.start(job, meta.prepared, tasks, rng)
+    job = subject.plan.job
+    ours = START_ALONE.initialisation(job, meta.prepared, tasks, rng)
     assert all(torch.equal(value[1], meta.prepared.theta[key]) for key, value in ours.items())
     mixed = general.prepared._replace(alpha=meta.prepared.alpha)
-    theirs = RULE_ALONE.start(job, mixed, tasks, torch.Generator().manual_seed(1))
-    encoded = subject.fits["general"].paradigm.start(job, general.prepared, tasks, torch.Generator().manual_seed(1))
+    theirs = RULE_ALONE.initialisation(job, mixed, tasks, torch.Generator().manual_seed(1))
+    encoded = subject.fits["general"].paradigm.initialisation(
+        job, general.prepared, tasks, torch.Generator().manual_seed(1)
+    )
     assert all(torch.equal(theirs[key], encoded[key]) for key in encoded)
     assert START_ALONE.count(job) == RULE_ALONE.count(job) == 10
 
@@ -91,9 +93,7 @@ def test_a_trace_is_the_fit_itself(subject: Subject) -> None:
         assert {task: error for task, (_, error) in last.items()} == {
             record["name"]: pytest.approx(record["error"], rel=1e-6) for record in subject.cell(name).records()
         }
-        assert {step for step, _ in last.values()} == {
-            subject.fits[name].paradigm.count(subject.fits[name].options.job)
-        }
+        assert {step for step, _ in last.values()} == {subject.fits[name].plan.steps}
     assert [row["step"] for row in rows(subject, "convergence")[: len(PARTS)]] == [0, 2, 5, 8, 10]
     start = subject.fits["meta"].checkpoint
     assert start
@@ -119,7 +119,7 @@ def test_storage_is_that_of_the_parameters(subject: Subject) -> None:
 
 def test_the_papers_rule_stores_two_networks(subject: Subject) -> None:
     """An initialisation and a rate a weight: its compression factor is 2 / m, as the paper has it."""
-    app = subject.options.app
+    app = subject.plan.app
     theta = {key: value[0] for key, value in app.init(Generator().manual_seed(0), 1).items()}
     alpha = rule_of("meta-sgd").alpha(app, theta, 10, Adam(0.1))
     found = stored(Checkpoint(MetaParameters(theta, alpha), "", ""))

@@ -12,9 +12,8 @@ import torch
 
 from metapp.evaluation.cell import Cell, Clock, Record, run_cells
 from metapp.learning.task import Params, Task
-from metapp.runs import session
 from metapp.runs.reporter import Reporter, duration, reporting
-from metapp.runs.session import find_device, threads_of
+from metapp.runs.surroundings import find_device, threads_of
 from metapp.storage.records import RunFolder
 from tests.quick import app_by
 
@@ -105,7 +104,7 @@ def test_fits_have_the_threads_of_their_application_whatever_ran_before(tmp_path
         run_cells([with_threads("one", 1), with_threads("three", 3), with_threads("as it is", None)], quiet=True)
         assert found == [("one", 1), ("three", 3), ("as it is", 2)]
         assert torch.get_num_threads() == 2
-        for name, expected in (("illumination", 1), ("texture", session.THREADS)):
+        for name, expected in (("illumination", 1), ("texture", None)):
             app = app_by(name)
             find_device("cpu", app)
             assert torch.get_num_threads() == 2  # looking for a device changes nothing

@@ -11,7 +11,8 @@ import torch
 from torch import Generator, Tensor
 
 from metapp.apps import illumination
-from metapp.learning.adjoint import Loss, at_step, learn_through
+from metapp.engine.fastest import Compiled
+from metapp.learning.adjoint import TORCH, Loss, at_step, learn_through
 from metapp.learning.app import App
 from metapp.learning.learn import MetaParameters, after_learning, spread
 from metapp.learning.recipe import Adam
@@ -163,12 +164,12 @@ def test_compiled_same_as_eager(app: Any, randn: Callable[..., Tensor]) -> None:
     eager, compiled = (
         gradients(
             mean_of(
-                after_learning(Loss(unused, app.loss), RULES["meta-lgd"].rule, steps=STEPS, order=2, compiled=compiled),
+                after_learning(Loss(unused, app.loss), RULES["meta-lgd"].rule, steps=STEPS, order=2, engine=engine),
                 batches,
             ),
             phi,
         )
-        for compiled in (False, True)
+        for engine in (TORCH, Compiled())
     )
     for key, value in eager.items():
         torch.testing.assert_close(compiled[key], value, rtol=1e-7, atol=1e-12)

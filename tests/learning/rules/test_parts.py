@@ -13,9 +13,8 @@ from metapp.learning.adjoint import at_step
 from metapp.learning.learn import spread
 from metapp.learning.recipe import Adam
 from metapp.learning.rules import META_EPS, PARTS, fixed_adam, rule_of, sgd
-from metapp.learning.rules.average import Average, averaging
-from metapp.learning.rules.basis import Basis
-from metapp.learning.rules.part import Part, Seen
+from metapp.learning.rules.part import Before, Part
+from metapp.learning.rules.parts import Average, Basis, averaging
 from metapp.learning.task import Params
 from tests.learning.rules.steps import STEPS, assert_equal, assert_same, one_task, run
 
@@ -38,7 +37,7 @@ def test_a_part_that_says_nothing_changes_nothing(theta: Params) -> None:
     assert part.initial(APP, theta, 5, FIRST) == part.state(alpha, theta) == part.gather(alpha, theta) == {}
     assert part.gradients(alpha, theta) is part.updates(alpha, theta) is theta
     assert part.directions(alpha, theta, {}) == (theta, {})
-    assert part.moved(alpha, theta, Seen(theta, theta, theta), {}) == (theta, {})
+    assert part.moved(alpha, theta, Before(theta, theta, theta), {}) == (theta, {})
     assert part.for_steps(alpha, 7) is part.settle(alpha, {}) is alpha
 
 

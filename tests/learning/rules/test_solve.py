@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import pytest
 import torch
 from torch import Generator, Tensor
 
-from metapp.learning.adjoint import Drawn, Loss, learn_through
+from metapp.learning.adjoint import Drawn, learn_through
 from metapp.learning.app import App
 from metapp.learning.learn import learn, spread
 from metapp.learning.recipe import Adam
 from metapp.learning.rules import PARTS, rule_of
-from metapp.learning.rules.solve import GREATEST, LEAST
+from metapp.learning.rules.solve import GREATEST, LEAST, NormalEquations
 from metapp.learning.task import Batch, Linear, Params
 
 TASKS, FEATURES, OUTPUTS, SAMPLES, STEPS = 3, 5, 2, 11, 4
@@ -41,11 +42,11 @@ def value(theta: Params, batch: Batch, learned: Params) -> Tensor:
     return 0.5 * (of.weights[:, None] * of.residual.square()).mean(2).sum(1)
 
 
-def unused(data: object, rng: Generator) -> Drawn:
+def unused(data: object, rng: Generator, done: float) -> Drawn:
     raise AssertionError("batches are given")
 
 
-LOSS = Loss(unused, value, linear=linear)
+LOSS = NormalEquations(unused, value, linear=linear)
 
 
 @pytest.fixture
@@ -107,7 +108,7 @@ def test_a_step_that_keeps_nothing_solves_for_its_own_samples(theta: Params, bat
 
 def test_plain_fits_take_the_same_steps(theta: Params, batches: list[Batch]) -> None:
     given = iter(batches)
-    loss = LOSS._replace(draw=lambda data, rng: Drawn((), next(given)))
+    loss = replace(LOSS, draw=lambda data, rng, done: Drawn((), next(given)))
     rule = SOLVE.rule(alpha_of(theta))
     found = learn(theta, rule, None, loss, steps=STEPS, rng=Generator())
     assert torch.equal(found["W"], learn_through(theta, rule, batches, LOSS, order=2)["W"])

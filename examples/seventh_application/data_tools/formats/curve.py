@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from data_tools.formats import Format
+from data_tools.formats import Command, Format
 
 if TYPE_CHECKING:
     from metapp.learning.task import Task
@@ -48,12 +48,12 @@ def read_task(path: Path) -> Task:
     return Task(path.stem, {"y": torch.tensor(values)})
 
 
-FORMAT = Format(
-    "curve",
-    "curve",
-    __name__,  # larger formats have a module of data_tools.readers
-    ".curve files of 32 numbers",
-    noun="curve",
-    help=HELP,
-    paths=("FILES...", ".curve files, and folders of them."),
+FORMATS = (
+    Format(
+        "curve",
+        "curve",
+        __name__,  # larger formats have a module of data_tools.readers
+        ".curve files of 32 numbers",
+        command=Command(HELP, "curve", "FILES...", ".curve files, and folders of them."),
+    ),
 )

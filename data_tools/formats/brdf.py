@@ -1,0 +1,88 @@
+"""Formats of BRDFs."""
+
+from __future__ import annotations
+
+from data_tools.formats import Command, Format, Setting
+
+SAMPLES = Setting(
+    "samples", 65_536, "Samples (pairs of directions) per material; the first half is for fits to see.", "N", low=2
+)
+
+MERL = """Convert MERL tables, measured BRDFs.
+
+A table (Matusik et al. 2003) has 34,992,012 bytes. It becomes samples (angles in rad, reflectance in 1/sr, linear
+RGB) at the centres of measured bins. A bad file that was named ends the conversion and nothing is written; one
+found in a folder is skipped with a warning.
+
+Examples:
+  metapp data merl BRDFDatabase/brdfs --out merl
+  metapp data merl gold.binary steel.binary --split test --out metals
+"""
+NBRDF = """Convert NBRDF networks, BRDFs as small neural networks.
+
+A network (Sztrajman et al. 2021) is a folder with fc1.npy, fc2.npy, fc3.npy, b1.npy, b2.npy, b3.npy. It becomes
+samples (angles in rad, reflectance in 1/sr, linear RGB) above the horizon, named by its folder. Several may share
+a folder, each with its name in front: gold_fc1.npy. A folder without a usable network ends the conversion and
+nothing is written; further bad networks are skipped with a warning.
+
+Examples:
+  metapp data nbrdf trained --out nbrdf
+  metapp data nbrdf trained/gold trained/tin --split test --out metals
+"""
+RGL = """Convert RGL measurements, isotropic BRDFs.
+
+A file of the RGL material database (Dupuy and Jakob 2018) that ends in _rgb.bsdf. Mitsuba evaluates it; it becomes
+samples (angles in rad, reflectance in 1/sr, linear RGB) above the horizon. Anisotropic and spectral files are refused.
+A bad file that was named ends the conversion and nothing is written; one found in a folder is skipped with a warning.
+
+Examples:
+  metapp data bsdf chm_orange_rgb.bsdf --out rgl
+  metapp data bsdf measurements --split test --out rgl
+"""
+GONIO = """Convert goniometer measurements, CSV files.
+
+A line of column names, then a row for each pair of directions: theta_i_deg, phi_i_deg (light), theta_o_deg, phi_o_deg
+(detector), or _rad for radians, and the BRDF in 1/sr as r, g, b (linear RGB) or as wavelengths (400nm, 410nm, ...).
+Lines that begin with # are comments. The measurements themselves are the samples, in random order; a bad file that
+was named ends the conversion and nothing is written; one found in a folder is skipped with a warning.
+
+Examples:
+  metapp data gonio paint.csv --out measured
+  metapp data gonio measurements --split test --out measured
+"""
+
+FORMATS = (
+    Format(
+        "bsdf",
+        "brdf",
+        "data_tools.readers.rgl",
+        "RGL .bsdf files",
+        exports=True,
+        command=Command(RGL, "RGL file", "FILES...", ".bsdf files, and folders searched at any depth.", (SAMPLES,)),
+    ),
+    Format(
+        "gonio",
+        "brdf",
+        "data_tools.readers.gonio",
+        "goniometer .csv files",
+        command=Command(GONIO, "CSV file", "FILES...", ".csv files, and folders searched at any depth."),
+    ),
+    Format(
+        "merl",
+        "brdf",
+        "data_tools.readers.merl",
+        "MERL .binary files",
+        exports=True,
+        command=Command(MERL, "MERL file", "FILES...", ".binary files, and folders searched at any depth.", (SAMPLES,)),
+    ),
+    Format("mitsuba", "brdf", "data_tools.assets.mitsuba", exports=True),
+    Format(
+        "nbrdf",
+        "brdf",
+        "data_tools.readers.nbrdf",
+        "folders with an NBRDF network",
+        exports=True,
+        holds=("w1", "w2", "w3", "b1", "b2", "b3"),
+        command=Command(NBRDF, "NBRDF network", "DIRS...", "Folders of networks, searched at any depth.", (SAMPLES,)),
+    ),
+)

@@ -1,0 +1,152 @@
+"""Formats of photographs and of maps of materials."""
+
+from __future__ import annotations
+
+from data_tools.formats import Command, Format, Setting
+
+SIZE = Setting("size", 256, "Side of the pictures.", "PX", low=32, high=4096)
+FOV = Setting(
+    "fov",
+    0.0,
+    "The camera's field of view along the shorter side; 0: as EXIF says, else 45.",
+    "DEGREES",
+    low=0.0,
+    high=150.0,
+)
+NORMALS = Setting(
+    "normals",
+    "auto",
+    "Where the green of normals points: up (opengl) or down (directx). auto: as names say (gl, dx), else as a height "
+    "field could have it.",
+    choices=("opengl", "directx", "auto"),
+)
+GAMMA = Setting("gamma", 1.0, "How all tiles but the normals are encoded; 1 is linear.", "G", low=0.1, high=10)
+WHITE = Setting(
+    "white",
+    1.35,
+    "How bright white would be right below the flash, 1 where the photographs clip; they are made that much darker. "
+    "The default is that of the published ones.",
+    "W",
+    low=0.01,
+    high=100,
+)
+
+IMAGES = """Convert photographs of textures.
+
+Any format of OpenImageIO: JPEG, PNG, TIFF, EXR and more. Of each the central square is taken, upright, scaled in
+linear light to --size, and kept as 8-bit sRGB. A bad file that was named ends the conversion and nothing is
+written; one found in a folder is skipped with a warning.
+
+Examples:
+  metapp data images photographs --out textures
+  metapp data images bark.jpg sand.png --split test --size 512 --out textures
+"""
+FLASH = """Convert flash photographs of flat materials.
+
+Of each the central square is taken, where the flash is, upright, scaled in linear light to --size, and kept as
+8-bit sRGB. Fits take the camera for one of 45 degrees along the shorter side: of a wider one, as EXIF or --fov tells,
+only the part within 45 degrees is taken. All photographs of a material belong to one split. A bad file that was
+named ends the conversion and nothing is written; one found in a folder is skipped with a warning.
+
+The material is told by <split>_<material>_<image>.jpg, by <split>/<material>/<image>.jpg (Henzler et al. 2021),
+or by <material>/<image>.jpg below the folder; any other photograph is of a material of its own.
+
+Examples:
+  metapp data flash flash_images --out flash
+  metapp data flash wood.jpg tiles.jpg --split test --out flash
+"""
+FLASH_SPLIT = (
+    "Where the tasks belong. auto: as names or folders say (train, test), if they say both; else of the sorted "
+    "materials every fifth is for tests."
+)
+
+MAPS = """Convert materials whose maps are separate images, such as rock_diffuse.png beside rock_normal.png.
+
+Base colour (diffuse, albedo, basecolor, color), normal, roughness or gloss, and, where there are any, specular or
+metallic; any case and format. Colours of 8 or 16 bit are sRGB. Of each map the central square is taken, scaled to
+--size, and the photograph under a flash is rendered. A bad material is skipped with a warning.
+
+A colour without such a word, rock.png beside rock_norm.png and rock_gloss.png, is an old game's: its gloss is how
+strongly a highlight shines, which is converted to a roughness.
+
+Examples:
+  metapp data maps materials --out svbrdf
+  metapp data maps materials/rock --normals directx --split test --out rock
+"""
+MAPS_SPLIT = (
+    "Where the tasks belong. auto: of the sorted names, every fifth is a test task; variants with the same normal map "
+    "stay together."
+)
+
+STRIPS = """Convert strips, images of five squares: flash photograph, normal, diffuse, roughness, specular.
+
+As Deschaintre et al. 2018 publish theirs: linear, normals with y up. Each becomes maps and photograph of --size. A
+bad file that was named ends the conversion and nothing is written; one found in a folder is skipped with a warning.
+
+The base materials are told by <number>;<material>X<material>;<preset>X<preset>.png; any other strip is of a
+material of its own. Where base materials cannot be parted, since all are blended with all, their presets are.
+
+Examples:
+  metapp data strips DeepMaterialsData/trainBlended --out svbrdf
+  metapp data strips strips --gamma 2.2 --white 1 --split test --out svbrdf
+"""
+STRIPS_SPLIT = (
+    "Where the tasks belong. auto: no base material on both sides, a fifth or more for tests; what blends materials of "
+    "both sides is left out."
+)
+
+
+FORMATS = (
+    Format(
+        "flash",
+        "svbrdf_stationary",
+        "data_tools.readers.flash",
+        "flash photos",
+        takes=("fov_rad",),
+        command=Command(
+            FLASH,
+            "photograph",
+            "FILES...",
+            "Photographs, and folders searched at any depth.",
+            (SIZE, FOV),
+            FLASH_SPLIT,
+        ),
+    ),
+    Format(
+        "images",
+        "texture",
+        "data_tools.readers.photos",
+        "images",
+        command=Command(IMAGES, "image", "FILES...", "Image files, and folders searched at any depth.", (SIZE,)),
+    ),
+    Format(
+        "maps",
+        "svbrdf_nonstationary",
+        "data_tools.readers.material_maps",
+        "",  # `svbrdf` takes them
+        command=Command(
+            MAPS, "material", "FOLDERS...", "Folders of maps, searched at any depth.", (SIZE, NORMALS), MAPS_SPLIT
+        ),
+    ),
+    Format(
+        "strips",
+        "svbrdf_nonstationary",
+        "data_tools.readers.strips",
+        "",  # `svbrdf` takes them
+        command=Command(
+            STRIPS,
+            "strip",
+            "FILES...",
+            "Strips, and folders searched at any depth.",
+            (SIZE, GAMMA, WHITE),
+            STRIPS_SPLIT,
+        ),
+    ),
+    Format(
+        "svbrdf",
+        "svbrdf_nonstationary",
+        "data_tools.readers.svbrdf_inputs",
+        "flash photos, strips, a material's maps",
+        takes=("size", "fov_rad"),
+    ),
+)

@@ -1,0 +1,37 @@
+"""Formats of environment maps and of scenes."""
+
+from __future__ import annotations
+
+from data_tools.formats import Command, Format, Setting
+
+ROWS = Setting("size", 64, "Rows of the maps; the recipe full fits 128.", metavar="ROWS", low=32, high=1024)
+
+LAVAL = """Convert HDR environment maps, such as those of the Laval indoor set.
+
+Any lat-long map (Gardner et al. 2017 publish 2048 x 1024 EXR) with floating-point RGB or gray pixels. It becomes
+linear Rec.709 of 64 x 128 texels (--size), averaged over solid angle, of mean luminance 1 beside the scale it had, and
+four photographs of spheres under it. A bad file that was named ends the conversion and nothing is written; one found
+in a folder is skipped with a warning.
+
+Examples:
+  metapp data laval IndoorHDR --out laval
+  metapp data laval office.exr street.hdr --split test --out maps
+"""
+
+FORMATS = (
+    Format(
+        "laval",
+        "illumination",
+        "data_tools.readers.latlong",
+        "HDR maps (.exr, .hdr) or LDR photos of a sphere that touches their borders",
+        takes=("size",),
+        command=Command(LAVAL, "map", "FILES...", "HDR maps (.exr, .hdr), and folders searched at any depth.", (ROWS,)),
+    ),
+    Format(
+        "mitsuba",
+        "transport",
+        "data_tools.readers.mitsuba_scenes",
+        "Mitsuba scenes (.xml, .json) with a perspective camera",
+        takes=("roots",),
+    ),
+)

@@ -1,0 +1,317 @@
+"""Image files: open, check and decode them, upright and as they are encoded.
+
+OpenImageIO reads the files, pillow-heif those in HEIF (.heic), as phones write them: `pip install "metapp[heic]"`.
+libheif turns the picture as the file says and decodes it to 8 bits; AVIF, and files of other encoders, are left out.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import importlib.util
+import io
+import os
+import re
+import warnings
+from collections.abc import Iterator
+from pathlib import Path
+from types import ModuleType
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    import OpenImageIO as oiio
+
+SUFFIXES = (
+    ".bmp", ".dib", ".dpx", ".exr", ".gif", ".hdr", ".jfif", ".jif", ".jp2", ".jpe", ".jpeg", ".jpg", ".jxl", ".pbm",
+    ".pfm", ".pgm", ".png", ".pnm", ".ppm", ".psd", ".rgbe", ".sgi", ".tga", ".tif", ".tiff", ".webp",
+)  # fmt: skip
+# What may open as a TIFF, but as its thumbnail.
+_RAW = (".arw", ".cr2", ".cr3", ".crw", ".dng", ".nef", ".nrw", ".orf", ".pef", ".raf", ".raw", ".rw2", ".srw")
+_HEIF = (".avif", ".heic", ".heif", ".hif")  # few builds of OpenImageIO read these
+NAMED = (*SUFFIXES, *_RAW, *_HEIF)
+EXPECTED = "expected an image file, such as JPEG, PNG, TIFF or EXR"
+
+_MIN_SIDE = 32
+_MAX_PIXELS = 2**28
+_ALWAYS_BYTES, _MAX_RATIO = 2**26, 2000  # zlib packs 1032 to 1
+_REASON = 120  # characters of a library's message
+
+CONFIG = "ocio://default"  # a user's own, which the variable OCIO names, may know other spaces
+SRGB, LINEAR = "srgb_rec709_scene", "lin_rec709_scene"
+_PROFILES = {"Display P3": "srgb_p3d65_scene", "Adobe RGB (1998)": "g22_adobergb_scene"}
+
+INSTALL = 'pip install "metapp[heic]"'
+_BRANDS = (b"heic", b"heix", b"heim", b"heis", b"hevc", b"hevx", b"mif1", b"msf1")  # ISO/IEC 23008-12
+_FOCAL_TAG, _EXIF_BLOCK = 0xA405, 0x8769
+
+Array = NDArray[Any]
+
+
+class Pixels(NamedTuple):
+    """A file's values.
+
+    Attributes:
+        values: [height, width, 3], or 4 with alpha last; uint8 or uint16, else float32.
+        space: the name OpenColorIO has for the encoding of the first three channels.
+        is_premultiplied: these are multiplied by alpha.
+        focal_mm: focal length as of 35 mm film; 0 where the file does not say.
+    """
+
+    values: Array
+    space: str
+    is_premultiplied: bool
+    focal_mm: float = 0.0
+
+
+def check_exists(path: Path) -> None:
+    """Refuse a path that is no file.
+
+    Raises:
+        ValueError: it is a folder, or nothing.
+    """
+    if not path.is_file():
+        found = "a folder" if path.is_dir() else "no such file"
+        raise ValueError(f"{path}: {found}, {EXPECTED}; check the path.")
+
+
+@contextlib.contextmanager
+def silent() -> Iterator[None]:
+    """Keep what libraries such as libpng write to standard error by themselves off the user's screen."""
+    try:
+        kept = os.dup(2)
+    except OSError:  # there is none
+        yield
+        return
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    try:
+        os.dup2(nowhere, 2)
+        yield
+    finally:
+        os.dup2(kept, 2)
+        os.close(kept)
+        os.close(nowhere)
+
+
+def opens(path: Path) -> bool:
+    """Whether a file is an image that can be read, by its content."""
+    if is_heif(path):
+        return can_read()
+    try:
+        with silent():
+            open_image(path).close()
+    except ValueError:
+        return False
+    return True
+
+
+def open_image(path: Path) -> oiio.ImageInput:
+    """An open OpenImageIO.ImageInput that does not multiply colours by alpha."""
+    import OpenImageIO as oiio  # its import costs more than a command that reads no image should pay
+
+    if path.suffix.lower() in _RAW:
+        raise ValueError(to_export(path))
+    wanted = oiio.ImageSpec()
+    wanted.attribute("oiio:UnassociatedAlpha", 1)
+    try:
+        source = oiio.ImageInput.open(str(path), wanted)
+    except (UnicodeError, TypeError):  # which one depends on OpenImageIO's version
+        raise ValueError(f"{str(path)!a}: a name that is not UTF-8, expected one that is; rename it.") from None
+    if source is None:
+        reason = reason_of(error_of(oiio), path)  # also told where it is not shown, else it appears as Python ends
+        if path.suffix.lower() in _HEIF:
+            raise ValueError(to_export(path))
+        raise ValueError(f"{path}: not an image ({reason}), {EXPECTED}; check the file or export it again.")
+    return source
+
+
+@contextlib.contextmanager
+def opened(path: Path) -> Iterator[oiio.ImageInput]:
+    """An image file as `open_image` gives it, closed at the end; libraries say nothing meanwhile.
+
+    Raises:
+        ValueError: no such file, no image, one whose text is not UTF-8.
+    """
+    check_exists(path)
+    with silent(), contextlib.closing(open_image(path)) as source:
+        try:
+            yield source
+        except UnicodeDecodeError:
+            raise ValueError(f"{path}: holds text that is not UTF-8, {EXPECTED}; export it again.") from None
+
+
+def check_memory(spec: oiio.ImageSpec, path: Path) -> None:
+    """Refuse a small file that would take gigabytes: its header is damaged, or made for that."""
+    held = spec.image_bytes()
+    if held > max(_ALWAYS_BYTES, _MAX_RATIO * path.stat().st_size):
+        raise ValueError(
+            f"{path}: {spec.width}x{spec.height} px of {spec.nchannels} channels in {path.stat().st_size:,} bytes, "
+            "expected a whole image; copy or download it again."
+        )
+
+
+def error_of(source: oiio.ImageInput | ModuleType) -> str:
+    """What OpenImageIO, or an open file of its, says went wrong; "" for nothing."""
+    try:
+        return str(source.geterror())
+    except UnicodeDecodeError as error:  # it repeats bytes of the file
+        return error.object.decode("ascii", "replace")
+
+
+def to_export(path: Path) -> str:
+    """The line about a camera's or phone's own form of pictures."""
+    kind = "raw values of a camera" if path.suffix.lower() in _RAW else "a picture in HEIF or AVIF"
+    remedy = "" if can_read() or not is_heif(path) else f", or read it as it is: {INSTALL}"
+    return f"{path}: {kind}, {EXPECTED}; export it as JPEG or PNG{remedy}."
+
+
+def reason_of(message: str, path: Path) -> str:
+    """The first sentence of OpenImageIO's message, without the path, which the line has already."""
+    without = re.sub(rf'( for( file)?)? ?["(]?{re.escape(str(path))}[")]?( is\b)?', "", message)
+    first = next(iter(without.splitlines()), "").partition(". ")[0]
+    return "".join(c if c.isprintable() else "?" for c in first)[:_REASON].strip(" :.") or "unknown reason"
+
+
+def read_pixels(path: Path) -> Pixels:
+    """A whole file, upright, as it is encoded.
+
+    Raises:
+        ValueError: as `read_photo`, but for NaN and a picture of one colour.
+    """
+    check_exists(path)
+    if is_heif(path):
+        return _read_heif(path)
+    with opened(path) as source:
+        spec = source.spec()
+        _check_size(spec.width, spec.height, path)
+        check_memory(spec, path)
+        channels = _channels(spec, path)
+        kind = str(spec.format)
+        values = source.read_image(kind if kind in ("uint8", "uint16") else "float")
+        problem = error_of(source)
+        space = _space(spec)
+        focal_mm = float(max(0, spec.get_int_attribute("Exif:FocalLengthIn35mmFilm", 0)))
+    if values is None or problem:
+        raise ValueError(
+            f"{path}: damaged or incomplete ({reason_of(problem, path)}), expected a whole image; copy or download it "
+            "again."
+        )
+    upright = turn_upright(values, spec.get_int_attribute("Orientation", 1))
+    is_premultiplied = not spec.get_int_attribute("oiio:UnassociatedAlpha", 0)
+    return Pixels(upright[..., channels], space, is_premultiplied, focal_mm)
+
+
+def _read_heif(path: Path) -> Pixels:
+    if not can_read():
+        raise ValueError(to_export(path))
+    import pillow_heif
+
+    try:
+        with silent():
+            source = pillow_heif.open_heif(path)
+        width, height = source.size
+    except Exception as error:  # whatever libheif says
+        raise ValueError(_damaged(path, error)) from None
+    _check_size(width, height, path)
+    if source.mode not in ("RGB", "RGBA"):
+        raise ValueError(f"{path}: a HEIF picture of mode {source.mode}, expected RGB; export it as JPEG or PNG.")
+    try:
+        with silent():
+            values = np.asarray(source)
+    except Exception as error:
+        raise ValueError(_damaged(path, error)) from None
+    space = _PROFILES.get(_description(source.info.get("icc_profile")), SRGB)
+    return Pixels(values, space, False, focal_length_of(source.info.get("exif")))
+
+
+def _check_size(width: int, height: int, path: Path) -> None:
+    found = f"{width}x{height} px"
+    if width * height > _MAX_PIXELS:
+        raise ValueError(f"{path}: {found}, expected {_MAX_PIXELS:,} px or fewer; scale it down.")
+    if min(width, height) < _MIN_SIDE:
+        raise ValueError(f"{path}: {found}, expected {_MIN_SIDE} px or more on the short side; take a larger image.")
+
+
+def _channels(spec: oiio.ImageSpec, path: Path) -> list[int]:
+    """Indices of red, green, blue (a gray channel three times) and, if there is one, alpha."""
+    names = [name.upper() for name in spec.channelnames]
+    if spec.get_string_attribute("tiff:ColorSpace") == "CIELAB":
+        names = ["L*", "a*", "b*"]  # called R, G, B
+    if {"R", "G", "B"} <= set(names):
+        found = [names.index(name) for name in "RGB"]
+    elif spec.nchannels == 1 or (spec.nchannels == 2 and "A" in names):
+        found = [next(index for index, name in enumerate(names) if name != "A" or spec.nchannels == 1)] * 3
+    else:
+        shown = ", ".join(name if name.isprintable() else ascii(name) for name in names[:8])
+        raise ValueError(f"{path}: channels {shown}, expected R, G, B or a gray one; export it as RGB.")
+    return found + ([names.index("A")] if "A" in names and spec.nchannels > 1 else [])
+
+
+def _space(spec: oiio.ImageSpec) -> str:
+    """The encoding of a file's colours."""
+    import OpenImageIO as oiio
+
+    profile = spec.get_string_attribute("ICCProfile:profile_description")
+    if profile in _PROFILES:
+        return _PROFILES[profile]
+    stated = spec.get_string_attribute("oiio:ColorSpace")
+    if stated in (SRGB, LINEAR) or (stated and oiio.ColorConfig(CONFIG).getColorSpaceIndex(stated) >= 0):
+        result: str = stated
+        return result
+    return LINEAR if str(spec.format) in ("half", "float", "double") else SRGB
+
+
+def turn_upright(values: Array, orientation: int) -> Array:
+    """Turn [height, width, ...] as EXIF's orientation 1 to 8 says; anything else counts as 1."""
+    if orientation in (5, 6, 7, 8):
+        values = values.swapaxes(0, 1)
+    if orientation in (3, 4, 7, 8):
+        values = values[::-1]
+    if orientation in (2, 3, 6, 7):
+        values = values[:, ::-1]
+    return values
+
+
+def is_heif(path: Path) -> bool:
+    """Whether a file begins as HEIF pictures do, whatever its name."""
+    try:
+        with path.open("rb") as stream:
+            start = stream.read(12)
+    except OSError:
+        return False
+    return start[4:8] == b"ftyp" and start[8:12] in _BRANDS
+
+
+def can_read() -> bool:
+    """Whether pillow-heif is installed."""
+    return importlib.util.find_spec("pillow_heif") is not None
+
+
+def _damaged(path: Path, error: Exception) -> str:
+    reason = (str(error) or type(error).__name__).splitlines()[0][:80].replace(str(path), "").strip(" :.")
+    return f"{path}: a HEIF picture that cannot be decoded ({reason}), expected a whole one; copy or download it again."
+
+
+def _description(profile: bytes | None) -> str:
+    """What an ICC profile calls itself; "" where it is damaged."""
+    from PIL import ImageCms
+
+    with contextlib.suppress(ImageCms.PyCMSError, OSError, TypeError):
+        if profile:
+            return str(ImageCms.getProfileDescription(ImageCms.ImageCmsProfile(io.BytesIO(profile)))).strip()
+    return ""
+
+
+def focal_length_of(exif: bytes | None) -> float:
+    """The same of an EXIF block, as HEIF files hold it."""
+    from PIL import Image
+
+    found = Image.Exif()
+    with (
+        contextlib.suppress(Exception),
+        warnings.catch_warnings(action="ignore"),
+    ):  # Pillow's reader of TIFF raises whatever a damaged block makes of it
+        found.load(exif or b"")
+        return float(max(0, int(found.get_ifd(_EXIF_BLOCK).get(_FOCAL_TAG, 0))))
+    return 0.0

@@ -1,0 +1,67 @@
+"""The loss of the NBRDF network in C (`nbrdf.c`): `Brdf.loss` and its derivatives, for flat parameters [T, 675]."""
+
+from __future__ import annotations
+
+import ctypes
+import functools
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from metapp.apps.brdf import nbrdf
+from metapp.engine import LossInC, load
+from metapp.learning.task import Batch, Params
+
+
+def loss(theta: Params) -> LossInC | None:
+    """The loss for parameters of this network; None for others, or without a compiler."""
+    same = {key: tuple(value.shape[1:]) for key, value in theta.items()} == nbrdf.shapes()
+    return LossInC(tuple(nbrdf.shapes()), gradient, product) if same and _library() is not None else None
+
+
+@functools.cache
+def _library() -> Any:
+    library = load(Path(__file__).with_name("nbrdf.c"))
+    if library is not None:
+        count, pointer = ctypes.c_int, ctypes.c_void_p
+        read: list[Any] = [count, count, pointer, pointer, pointer, *[pointer, count] * 2]
+        library.nbrdf_gradient.argtypes = [*read, *[pointer] * 2]
+        library.nbrdf_product.argtypes = [*read, *[pointer] * 4]
+    return library
+
+
+def gradient(theta: Tensor, batch: Batch, learned: Params) -> tuple[Tensor, Tensor]:
+    """Gradient [T, 675] and loss [T]."""
+    result, losses = torch.empty_like(theta), theta.new_empty(theta.shape[0])
+    dense = _dense(theta, batch)
+    _library().nbrdf_gradient(*_read(dense, learned), result.data_ptr(), losses.data_ptr())
+    return result, losses
+
+
+def product(theta: Tensor, batch: Batch, learned: Params, along: Tensor) -> tuple[Tensor, Params]:
+    """Derivatives of the sum of gradient * along in theta [T, 675] and in the learned parameters."""
+    dense, result, along = _dense(theta, batch), torch.empty_like(theta), along.contiguous()
+    pulled = {key: theta.new_empty(theta.shape[0], *value.shape[1:]) for key, value in learned.items()}
+    pulls = [pulled[key].data_ptr() if key in pulled else None for key in ("smoothing", "weights")]
+    _library().nbrdf_product(*_read(dense, learned), along.data_ptr(), result.data_ptr(), *pulls)
+    return result, pulled
+
+
+def _dense(theta: Tensor, batch: Batch) -> list[Tensor]:
+    """theta, where and target without gaps."""
+    where, target = batch["where"], batch["target"]
+    assert where.shape[0] == target.shape[0] == theta.shape[0], "a batch has as many tasks as theta"
+    return [theta.contiguous(), where.float().contiguous(), target.float().contiguous()]
+
+
+def _read(dense: list[Tensor], learned: Params) -> list[int | None]:
+    """What both functions read, in their order; `dense` and `learned` must live until they have."""
+    tasks, _, samples = dense[1].shape
+    arguments: list[int | None] = [tasks, samples, *(tensor.data_ptr() for tensor in dense)]
+    for key in ("smoothing", "weights"):
+        value = learned.get(key)
+        stride = 0 if value is None or value.shape[0] == 1 else value.stride(0)
+        arguments += [None if value is None else value.data_ptr(), stride]
+    return arguments

@@ -1,0 +1,86 @@
+"""Small C sources of ours: compiled once for a source and a CPU, kept in the cache folder, loaded through ctypes.
+
+All of them are optional. Where there is no compiler, whoever asks for one computes with torch instead.
+"""
+
+from __future__ import annotations
+
+import functools
+import os
+import shutil
+import tempfile
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from metapp.storage.cache import cache_folder
+
+if TYPE_CHECKING:
+    from ctypes import CDLL
+
+# no -ffast-math: what it saves here is lost in noise, and it changes results and hides NaN
+FLAGS = (
+    *("-std=gnu11", "-O3", "-march=native", "-ffp-contract=fast", "-fno-math-errno", "-fno-trapping-math"),
+    *("-fopenmp-simd", "-shared", "-fPIC"),
+)
+SECONDS = 60  # until a compiler is given up
+
+
+@functools.cache
+def load(source: Path) -> CDLL | None:
+    """The functions of a C source; None where it can neither be found compiled nor be compiled."""
+    import ctypes
+
+    try:
+        path = cache_folder() / "native" / f"{source.stem}-{_key(source)}.so"
+        if not path.exists():
+            _compile(source, path)
+        return ctypes.CDLL(str(path))
+    except OSError:  # no compiler, a broken one, a folder that cannot be written, a file of another machine
+        return None
+
+
+def compiler() -> str | None:
+    """The C compiler: CC if set, else the first of the usual names that there is."""
+    names = [os.environ["CC"]] if os.environ.get("CC") else ["cc", "gcc", "clang"]
+    return next((path for path in map(shutil.which, names) if path), None)
+
+
+def _key(source: Path) -> str:
+    """What a compiled source depends on: itself, the options, the CPU."""
+    import hashlib
+
+    return hashlib.sha256("\0".join((source.read_text("utf-8"), *FLAGS, _cpu())).encode()).hexdigest()[:24]
+
+
+def _cpu() -> str:
+    """The CPU and what it can do, as the system says it."""
+    import platform
+
+    try:
+        lines = Path("/proc/cpuinfo").read_text("utf-8").split("\n\n", 1)[0].splitlines()
+    except OSError:
+        lines = [platform.processor()]
+    lasting = [line for line in lines if not line.startswith(("cpu MHz", "bogomips", "processor", "core id", "apicid"))]
+    return "\n".join([platform.machine(), *lasting])
+
+
+def _compile(source: Path, path: Path) -> None:
+    """Compile a source, in one go with all who do so at the same time: the last one's file stays.
+
+    Raises:
+        OSError: there is no compiler, or it fails.
+    """
+    import subprocess
+
+    command = compiler()
+    if command is None:
+        raise FileNotFoundError("no C compiler")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(dir=path.parent, prefix=".partial-") as folder:
+        result = Path(folder) / path.name
+        arguments = [command, *FLAGS, str(source), "-o", str(result), "-lm"]
+        try:
+            subprocess.run(arguments, check=True, capture_output=True, timeout=SECONDS)
+        except subprocess.SubprocessError as error:
+            raise OSError(f"{command}: does not compile {source.name}") from error
+        os.replace(result, path)

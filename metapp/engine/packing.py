@@ -1,0 +1,140 @@
+"""What steps in C read: flat parameters theta [T, P], and a rule's hyperparameters in few tensors.
+
+All of it is differentiable, so that gradients of packed tensors go back to each parameter and hyperparameter.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple
+
+import torch
+from torch import Tensor
+
+from metapp.learning.rules import META_EPS, LearnedRule, Part
+from metapp.learning.rules.descent import AdamStep, sgd_step
+from metapp.learning.rules.parts import (
+    Betas,
+    Curvature,
+    Eps,
+    LossParameters,
+    Paces,
+    Rates,
+    SharedRates,
+    SignedRates,
+)
+from metapp.learning.task import Params
+
+
+class Layout(NamedTuple):
+    """The order and the shapes of one task's parameters in a flat theta."""
+
+    shapes: tuple[tuple[str, tuple[int, ...]], ...]
+
+    @classmethod
+    def of(cls, theta: Params) -> Layout:
+        """The layout of parameters [T, ...]."""
+        return cls(tuple((key, tuple(value.shape[1:])) for key, value in theta.items()))
+
+    @property
+    def sizes(self) -> list[int]:
+        """How many numbers each parameter has."""
+        return [math.prod(shape) for _, shape in self.shapes]
+
+    def flat(self, theta: Params) -> Tensor:
+        """Parameters [T, ...] side by side, [T, P]."""
+        return torch.cat([theta[key].flatten(1) for key, _ in self.shapes], 1)
+
+    def tree(self, flat: Tensor) -> Params:
+        """The inverse of `flat`; views."""
+        parts = flat.split(self.sizes, 1)
+        return {key: part.view(-1, *shape) for (key, shape), part in zip(self.shapes, parts, strict=True)}
+
+    def weights(self, alpha: Params, prefix: str) -> Tensor:
+        """One number for each weight, `<prefix><parameter>` [K, ...] or [K, T, ...]: [K, T or 1, P]."""
+        return torch.cat([_by_task(alpha[prefix + key], len(shape)).flatten(2) for key, shape in self.shapes], -1)
+
+
+def packed(step: Callable[..., Any], alpha: Params, layout: Layout) -> Params | None:
+    """A rule's hyperparameters as steps in C read them.
+
+    Args:
+        step: of the rule.
+        alpha: its hyperparameters [K, ...], or [K, T, ...] where each task has its own.
+        layout: of theta.
+
+    Returns:
+        "rate" [K, T or 1, P or 1]; where the rule has them, "adam" [K, T or 1, 3], both betas and eps; "matrices"
+        [K, T or 1, M], each parameter's left and right one, in order; "loss.<name>". None where the rule does more
+        than a step in C can.
+    """
+    if isinstance(step, LearnedRule):
+        parts = [PACKED.get(type(part)) for part in step.parts]
+        if None in parts:
+            return None
+        return {key: value for part in parts if part for key, value in part(alpha, layout).items()}
+    if step is sgd_step:
+        return _rates(alpha, layout)
+    if isinstance(step, AdamStep) and not step.decay:
+        beta1, beta2 = (_by_task(alpha[name], 0) for name in ("beta1", "beta2"))
+        return _rates(alpha, layout) | {"adam": torch.stack([beta1, beta2, torch.full_like(beta1, step.eps)], -1)}
+    return None
+
+
+def _by_task(value: Tensor, axes: int) -> Tensor:
+    """A hyperparameter of so many axes, [K, ...] or [K, T, ...], as [K, T, ...], T being 1 where tasks share it."""
+    if value.ndim == axes + 1:
+        return value.unsqueeze(1)
+    return value if value.requires_grad or value.stride(1) else value[:, :1]
+
+
+def _rates(alpha: Params, layout: Layout) -> Params:
+    """One for all, or one for each weight."""
+    one = "rate" in alpha
+    return {"rate": _by_task(alpha["rate"], 0)[..., None] if one else layout.weights(alpha, "rate.")}
+
+
+def _exp_rates(alpha: Params, layout: Layout) -> Params:
+    """Rates of their logarithms and, where there are any, of those of paces, one for each parameter."""
+    logarithms = layout.weights(alpha, "rate.")
+    if any(key.startswith("pace.") for key in alpha):
+        paces = [_by_task(alpha[f"pace.{key}"], 0)[..., None] for key, _ in layout.shapes]
+        logarithms = logarithms + torch.cat(
+            [pace.expand(-1, -1, size) for pace, size in zip(paces, layout.sizes, strict=True)], -1
+        )
+    return {"rate": torch.exp(logarithms)}
+
+
+def _betas(alpha: Params, layout: Layout) -> Params:
+    betas = [torch.sigmoid(_by_task(alpha[name], 0)) for name in ("beta1", "beta2")]
+    eps = torch.exp(_by_task(alpha["eps"], 0)) if "eps" in alpha else betas[0].new_full((1, 1), META_EPS)
+    return {"adam": torch.stack([*betas, eps.expand_as(betas[0])], -1)}
+
+
+def _matrices(alpha: Params, layout: Layout) -> Params:
+    names = (f"{side}.{key}" for key, _ in layout.shapes for side in ("left", "right"))
+    return {"matrices": torch.cat([_by_task(alpha[name], 2).flatten(2) for name in names if name in alpha], -1)}
+
+
+def _loss_parameters(alpha: Params, layout: Layout) -> Params:
+    """As they are, with a task axis, which they always have in a step."""
+    return {key: _by_task(value, value.ndim - 2) for key, value in alpha.items() if key.startswith("loss.")}
+
+
+def _with_another(alpha: Params, layout: Layout) -> Params:
+    """What another part's tensor holds."""
+    return {}
+
+
+# The parts that a step in C can take; they read each other's hyperparameters as those of torch's steps do.
+PACKED: Mapping[type[Part], Callable[[Params, Layout], Params]] = {
+    SignedRates: _rates,
+    Rates: _exp_rates,
+    SharedRates: _exp_rates,
+    Paces: _with_another,
+    Betas: _betas,
+    Eps: _with_another,
+    Curvature: _matrices,
+    LossParameters: _loss_parameters,
+}

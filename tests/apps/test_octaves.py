@@ -1,0 +1,171 @@
+"""Pictures at several octaves: what is compared at each, that descents go from coarse to fine, that relief is kept."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import pytest
+import torch
+from torch import Generator, Tensor
+from torch.nn.functional import avg_pool2d
+
+from metapp.appearance.features import RANDOM, gram, load_features
+from metapp.apps import app_of, recipes_of
+from metapp.apps.svbrdf_stationary.presentation import SvbrdfStationaryPresentation
+from metapp.apps.texture import Texture
+from metapp.learning.app import stack
+from metapp.learning.learn import MetaParameters, learn, over_tasks, task_loss
+from metapp.learning.recipe import Recipe
+from metapp.learning.rules import sgd
+from metapp.learning.task import Params, Task, Tasks
+from metapp.networks.exemplar import ExemplarApp, ExemplarSetup
+from metapp.networks.generators import Pyramid
+from metapp.networks.layers import enlarged
+from metapp.paradigms import Job, paradigms
+
+TAPS = ("relu1_1", "relu2_1", "relu3_1")
+SHARE = 0.6  # of the steps at half the size
+
+
+def tiny(name: str) -> Recipe:
+    """The recipe full with a small network, of two octaves."""
+    full, side = recipes_of(name)["full"], {"texture": 32, "svbrdf_stationary": 64}[name]
+    network = Pyramid(4, 3, code=8, outputs=full.setup.network.outputs)
+    return replace(full, setup=ExemplarSetup(side, side, network, "vgg16", TAPS, octaves=2, shares=(SHARE,)))
+
+
+@pytest.fixture(scope="module", params=["texture", "svbrdf_stationary"])
+def app(request: pytest.FixtureRequest) -> ExemplarApp:
+    return app_of(request.param, tiny(request.param))  # type: ignore[return-value]
+
+
+TEXTURE, MATERIAL = (pytest.mark.parametrize("app", [each], indirect=True) for each in ("texture", "svbrdf_stationary"))
+
+
+@pytest.fixture(scope="module")
+def tasks(app: ExemplarApp) -> Tasks:
+    """Exemplars of white noise, the same each time."""
+    images = torch.randint(256, (3, 3, 64, 64), generator=Generator().manual_seed(0), dtype=torch.uint8)
+    return stack(app, [Task(f"noise {i}", {"image": image}) for i, image in enumerate(images)])
+
+
+def test_the_recipe() -> None:
+    """At 64 texels four layers are compared, at 128 three, at 256 two."""
+    setup = recipes_of("texture")["full"].setup
+    assert [setup.taps_of(octave) for octave in (0, 1, 2)] == [2, 3, 4]
+    assert [setup.maps_from(octave) for octave in (0, 1, 2)] == [9, 7, 4]
+    assert (setup.height, setup.width, setup.taps[-1]) == (256, 256, "relu4_1")
+
+
+@TEXTURE
+def test_what_is_compared(app: ExemplarApp, tasks: Tasks) -> None:
+    """Three layers of the picture of half the size, then two of the whole."""
+    image = app.exemplar(tasks.data["image"][:1].float() / 255)
+    features = load_features("vgg16", TAPS, image)
+    maps = features(avg_pool2d(image, 2)) + features(image)[:2]
+    assert len(maps) == 5
+    for i, each in enumerate(maps):
+        torch.testing.assert_close(tasks.data[f"gram{i}"][:1], gram(each))
+    assert tasks.data["summary"].shape == (3, 2 * 5 * RANDOM) == (3, app.summary_size())
+
+
+def test_an_exemplar_is_at_no_distance_from_itself(app: ExemplarApp, tasks: Tasks) -> None:
+    images = app.exemplar(tasks.data["image"].float() / 255)[:, None]
+    assert app.errors_of(images, tasks)["error"].max() < 1e-5
+    assert app.errors_of(images.roll(1, 0), tasks)["error"].min() > 1e-3
+
+
+def test_coarse_stages_leave_out_all_of_the_finest_octave(app: ExemplarApp, tasks: Tasks) -> None:
+    coarse = app.stage(tasks, SHARE - 0.01).data
+    assert app.stage(tasks, SHARE) is tasks
+    for name in app.described:
+        assert sorted(key for key in coarse if key.startswith(name)) == [f"{name}{i}" for i in range(3)]
+        assert sorted(key for key in tasks.data if key.startswith(name)) == [f"{name}{i}" for i in range(5)]
+    assert (app.octave(coarse), app.octave(tasks.data)) == (1, 0)
+
+
+def test_a_coarse_loss_leaves_the_finest_level_alone(app: ExemplarApp, tasks: Tasks) -> None:
+    rng = Generator().manual_seed(0)
+    theta = {key: value.requires_grad_() for key, value in app.init(rng, 3).items()}
+    moved: list[set[str]] = []
+    for done in (0.0, 0.9):
+        loss = app.loss(theta, app.sample(app.stage(tasks, done), rng, 1), {})
+        assert loss.shape == (3,)
+        grads = torch.autograd.grad(loss.sum(), list(theta.values()), materialize_grads=True)
+        moved.append({key.split(".")[0] for key, grad in zip(theta, grads, strict=True) if grad.any()})
+    assert moved[0] == {"z", "join2", "draw2", "out2", "join1", "draw1", "out1"}
+    assert moved[1] - moved[0] == {"join0", "draw0", "out0"}
+
+
+@TEXTURE
+def test_descents_go_from_coarse_to_fine(app: ExemplarApp, tasks: Tasks) -> None:
+    rng, seen = Generator().manual_seed(0), []
+
+    class Watched(Texture):
+        def sample(self, tasks: Tasks, rng: Generator, count: int) -> dict[str, Tensor]:
+            batch = super().sample(tasks, rng, count)
+            seen.append(batch["noise"].shape[-1])
+            return batch
+
+    watched = Watched(app.setup)
+    theta, rule = watched.init(rng, 3), sgd(dict.fromkeys(("rate",), torch.zeros(1)))
+    learn(theta, rule, tasks, task_loss(watched, 1), steps=5, rng=rng)
+    assert seen == [16, 16, 16, 32, 32]
+    seen.clear()
+    lifted = over_tasks(task_loss(watched, 1), count=2, augment=watched.augment)
+    lifted.draw(tasks, rng, 0.0)
+    lifted.draw(tasks, rng, 0.9)
+    assert seen == [16, 32]
+
+
+@TEXTURE
+def test_summaries_of_coarse_exemplars_are_as_long(app: ExemplarApp, tasks: Tasks) -> None:
+    """The finest octave that is seen stands for those that are not."""
+    images = avg_pool2d(app.exemplar(tasks.data["image"].float() / 255), 2)
+    described = app.describe(images, octave=1)
+    coarse, finer = described["summary"].split([2 * 3 * RANDOM, 2 * 2 * RANDOM], 1)
+    assert torch.equal(finer, coarse[:, : 2 * 2 * RANDOM])
+    torch.testing.assert_close(coarse, tasks.data["summary"][:, : 2 * 3 * RANDOM])
+    assert app.octave(described) == 1
+
+
+@TEXTURE
+def test_a_few_steps_lower_the_error(app: ExemplarApp, tasks: Tasks) -> None:
+    recipe, errors = tiny("texture"), []
+    for steps in (1, 40):
+        job = Job(app, recipe, recipe.rule, steps)
+        theta = paradigms()["overfit"].fit(job, MetaParameters(), tasks, Generator().manual_seed(0))
+        errors.append(app.errors(theta, tasks)["error"].mean())
+    assert errors[1] < 0.6 * errors[0]
+
+
+@MATERIAL
+def test_relief_keeps_its_slopes(app: Any) -> None:
+    """Half as many texels a side, half as many texels of height."""
+    rng = Generator().manual_seed(0)
+    theta = app.init(rng, 1)
+    silent = theta | {key: torch.zeros_like(theta[key]) for key in ("out0.kernel", "out0.shift")}
+    noise = torch.randn(1, 1, 8, 64, 64, generator=rng)
+    small = avg_pool2d(noise[0], 2)[None] * 2
+    height, low = app.maps(silent, noise)[1], app.maps(silent, small, 1)[1]
+    torch.testing.assert_close(height[0], 2 * enlarged(low[0]))
+
+
+@MATERIAL
+def test_files_and_surface_are_of_the_same_maps_made_once(app: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    theta = {key: value[0] for key, value in app.init(Generator().manual_seed(0), 1).items()}
+    make, sizes, task = app.maps, [], Task("noise", {})
+
+    def maps(theta: Params, noise: Tensor) -> Any:
+        sizes.append(tuple(noise.shape[-2:]))
+        return make(theta, noise)
+
+    monkeypatch.setattr(type(app), "maps", staticmethod(maps))
+    shown = SvbrdfStationaryPresentation(app, (32, 48))
+    files, surface = shown.files(theta, task), shown.surface(theta, task)
+    assert sizes == [(32, 48)]
+    assert torch.equal(files["roughness"].pixels.permute(2, 0, 1), surface.maps.roughness)
+    other = shown.surface({**theta, "z": -theta["z"]}, task)
+    assert len(sizes) == 2
+    assert not torch.equal(other.base, surface.base)

@@ -1,0 +1,266 @@
+"""Steps in C: against double precision by automatic differentiation, and against steps by torch."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from multiprocessing.context import ForkServerProcess
+from pathlib import Path
+
+import pytest
+import torch
+from torch import Generator, Tensor
+
+from metapp.apps import app_of
+from metapp.apps.brdf import Brdf, nbrdf_in_c
+from metapp.apps.brdf.recipes import RECIPES
+from metapp.engine import FASTEST, compiler, in_c
+from metapp.engine import load as load_library
+from metapp.engine.packing import Layout
+from metapp.learning.adjoint import TORCH, Drawn, Engine, Loss, UpdateRule
+from metapp.learning.learn import MetaParameters, after_learning, descend, learn, spread
+from metapp.learning.recipe import Adam
+from metapp.learning.rules import META_EPS, RULES, fixed_adam, sgd
+from metapp.learning.rules.descent import sgd_step
+from metapp.learning.rules.solve import NormalEquations
+from metapp.learning.task import Batch, Params
+from tests import forks
+
+APP = Brdf()
+
+TASKS, STEPS = 3, 5
+IN_C = ["meta-sgd", "meta-adam", "meta-adam-tied", "meta-encoder", "meta-curvature"]
+EPS = torch.finfo(torch.float32).eps
+needs_compiler = pytest.mark.skipif(compiler() is None, reason="steps in C need a C compiler")
+
+
+def loss_of(batches: list[Batch], registered: bool = True) -> Loss:
+    """The loss on these batches, one after the other."""
+    supply = iter(batches)
+    value = APP.loss if registered else lambda theta, batch, learned: APP.loss(theta, batch, learned)
+    return Loss(lambda data, rng, done: Drawn((), next(supply)), value)
+
+
+def batch_of(rng: Generator, samples: int, tasks: int = TASKS) -> Batch:
+    """Unit vectors, half vectors above the surface, cosines in (0, 1), targets."""
+    vectors = torch.nn.functional.normalize(torch.randn(tasks, 2, 3, samples, generator=rng), dim=2).flatten(1, 2)
+    vectors[:, 2].abs_()
+    cosine = torch.rand(tasks, 1, samples, generator=rng)
+    target = torch.log1p(torch.rand(tasks, 3, samples, generator=rng))
+    return {"where": torch.cat([vectors, cosine], 1), "target": target}
+
+
+def theta_of(rng: Generator, tasks: int = TASKS) -> Params:
+    theta = APP.init(rng, tasks)
+    return {key: value + 0.1 * torch.randn(value.shape, generator=rng) for key, value in theta.items()}
+
+
+def learned_of(names: tuple[str, ...], rng: Generator) -> Params:
+    smoothing = torch.log(0.02 + 0.1 * torch.rand(TASKS, generator=rng))
+    weights = 0.5 * torch.randn(TASKS, 8, generator=rng)
+    return {key: value for key, value in {"smoothing": smoothing, "weights": weights}.items() if key in names}
+
+
+def double(params: Params) -> Params:
+    return {key: value.double() for key, value in params.items()}
+
+
+def away(actual: Tensor, expected: Tensor) -> float:
+    """The difference, in units of the expected norm."""
+    return float((actual.double() - expected).norm() / expected.norm())
+
+
+@needs_compiler
+@pytest.mark.parametrize("samples", [1, 16, 100, 128, 300, 512])
+@pytest.mark.parametrize("names", [(), ("smoothing",), ("smoothing", "weights")])
+def test_derivatives_in_double_precision(names: tuple[str, ...], samples: int) -> None:
+    rng = Generator().manual_seed(samples)
+    theta, batch, learned = theta_of(rng), batch_of(rng, samples), learned_of(names, rng)
+    layout = Layout.of(theta)
+    flat, along = layout.flat(theta), torch.randn(TASKS, 675, generator=rng)
+    own = nbrdf_in_c.loss(theta)
+    assert own is not None
+    gradient, losses = own.gradient(flat, batch, learned)
+    product, pulls = own.product(flat, batch, learned, along)
+
+    exact = flat.double().requires_grad_()
+    leaves = {key: value.double().requires_grad_() for key, value in learned.items()}
+    expected = APP.loss(layout.tree(exact), double(batch), leaves)
+    (slope,) = torch.autograd.grad(expected.sum(), exact, create_graph=True)
+    bends = torch.autograd.grad((slope * along.double()).sum(), [exact, *leaves.values()])
+    assert away(losses, expected.detach()) < 10 * EPS
+    assert away(gradient, slope.detach()) < 10 * EPS
+    assert list(pulls) == list(learned)
+    for actual, bend in zip([product, *pulls.values()], bends, strict=True):
+        assert away(actual, bend) < 200 * EPS  # torch in single precision: up to 70
+
+
+@needs_compiler
+def test_tasks_do_not_see_each_other() -> None:
+    rng = Generator().manual_seed(1)
+    theta, batch = theta_of(rng), batch_of(rng, 200)
+    flat = Layout.of(theta).flat(theta)
+    together, _ = nbrdf_in_c.gradient(flat, batch, {})
+    for task in range(TASKS):
+        one, _ = nbrdf_in_c.gradient(flat[task : task + 1], {k: v[task : task + 1] for k, v in batch.items()}, {})
+        assert torch.equal(one[0], together[task])
+
+
+@needs_compiler
+@pytest.mark.parametrize("bad", [float("nan"), float("inf"), 1e30])
+def test_what_is_not_finite_is_said(bad: float) -> None:
+    rng = Generator().manual_seed(2)
+    theta = theta_of(rng)
+    theta["b3"][1] = bad
+    flat = Layout.of(theta).flat(theta)
+    assert torch.isfinite(nbrdf_in_c.gradient(flat, batch_of(rng, 40), {})[1]).tolist() == [True, False, True]
+    loss = replace(loss_of([]), draw=lambda data, rng, done: Drawn(("a", "b", "c"), batch_of(rng, 40)))
+    with pytest.raises(FloatingPointError, match=r"^b: the loss is not finite at step 0"):
+        learn(theta, sgd({"rate": torch.ones(1)}), None, loss, steps=1, rng=rng, engine=FASTEST)
+
+
+def moved(rule: str, rng: Generator) -> Params:
+    """A rule's hyperparameters, away from their first values."""
+    one = {key: value[0] for key, value in theta_of(rng, 1).items()}
+    alpha = RULES[rule].alpha(APP, one, STEPS, Adam(5e-3, beta2=0.99, eps=META_EPS))
+    return {key: value + 0.02 * torch.randn(value.shape, generator=rng) for key, value in alpha.items()}
+
+
+@needs_compiler
+@pytest.mark.parametrize("order", [1, 2])
+@pytest.mark.parametrize("rule", IN_C)
+def test_meta_gradients_are_those_of_torch(rule: str, order: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Rounding moves samples over the kinks of ReLU, which Adam amplifies: by torch these are up to 2e-3 away."""
+    rng = Generator().manual_seed(3)
+    phi = MetaParameters({key: value[0] for key, value in theta_of(rng, 1).items()}, moved(rule, rng)).flat()
+    batches, last = [batch_of(rng, 150) for _ in range(STEPS)], batch_of(rng, 150)
+    steps: list[int] = []
+    monkeypatch.setattr(in_c._Step, "__init__", counting(in_c._Step.__init__, steps))
+
+    def grads(kind: Callable[[Params], Params], engine: Engine) -> Params:
+        lifted = after_learning(loss_of([]), RULES[rule].rule, steps=STEPS, order=order, clip=0.05, engine=engine)
+        leaves = {key: value.clone().requires_grad_() for key, value in kind(phi).items()}
+        value = lifted.value(leaves, ([kind(batch) for batch in batches], kind(last), None), {}).mean()
+        pulls = torch.autograd.grad(value, list(leaves.values()), allow_unused=True, materialize_grads=True)
+        return dict(zip(leaves, pulls, strict=True)) | {"": value.detach()}
+
+    exact = grads(double, FASTEST)
+    assert not steps
+    found = grads(dict, FASTEST)
+    assert len(steps) == 1
+    assert list(found) == list(exact)
+    for key, value in exact.items():
+        assert away(found[key], value) < 1e-2 if value.any() else not found[key].any(), key
+
+
+def counting(function: Callable[..., None], calls: list[int]) -> Callable[..., None]:
+    def counted(*args: object) -> None:
+        calls.append(1)
+        function(*args)
+
+    return counted
+
+
+def rules_of(theta: Params, rng: Generator) -> dict[str, UpdateRule]:
+    tasks = next(iter(theta.values())).shape[0]
+    return {
+        "sgd": sgd({"rate": torch.tensor([0.05, 0.03])}),
+        "sgd by task": sgd({"rate": torch.rand(1, tasks, generator=rng) / 10}),
+        "adam": fixed_adam(Adam(1e-2, beta1=0.8, final=0.1), theta, STEPS),
+        **{name: RULES[name].rule(spread(moved(name, rng), tasks, 1)) for name in IN_C},
+    }
+
+
+@needs_compiler
+@pytest.mark.parametrize("tasks", [1, TASKS])
+@pytest.mark.parametrize("name", ["sgd", "sgd by task", "adam", *IN_C])
+def test_fits_are_those_of_torch(name: str, tasks: int) -> None:
+    rng = Generator().manual_seed(4)
+    theta, batches = theta_of(rng, tasks), [batch_of(rng, 150, tasks) for _ in range(STEPS)]
+    theta = {key: theta[key] for key in sorted(theta)}  # as files have them
+    rule = rules_of(theta, rng)[name]
+    assert in_c.stepper(rule, loss_of([]), theta, 1) is not None
+    paths = [
+        descend(theta, rule, None, loss_of(batches), steps=STEPS, rng=rng, engine=engine) for engine in (FASTEST, TORCH)
+    ]
+    for here, there in zip(*paths, strict=True):
+        assert here.theta.keys() == theta.keys()
+        for key, value in there.theta.items():
+            assert here.theta[key].shape == value.shape
+            assert away(here.theta[key], value.double()) < 100 * EPS, (here.step, key)
+        if here.loss is not None:
+            assert there.loss is not None
+            assert away(here.loss, there.loss.double()) < 100 * EPS
+
+
+@needs_compiler
+@pytest.mark.parametrize(
+    "case", ["mean", "basis", "double precision", "another network", "another step", "another loss", "normal equations"]
+)
+def test_what_is_not_in_c_is_left_to_torch(case: str) -> None:
+    rng = Generator().manual_seed(5)
+    theta, rule = theta_of(rng), sgd({"rate": torch.ones(1)})
+    if case in ("mean", "basis"):
+        rule = RULES["meta-mean" if case == "mean" else "meta-axes"].rule(
+            spread(moved("meta-mean" if case == "mean" else "meta-axes", rng), TASKS, 1)
+        )
+    elif case == "double precision":
+        theta = double(theta)
+    elif case == "another network":
+        theta = app_of("brdf", RECIPES[""]["quick"], rule="ridge").init(rng, TASKS)
+    elif case == "another step":
+        rule = rule._replace(step=lambda *arguments: sgd_step(*arguments))
+    loss = loss_of([], registered=case != "another loss")
+    if case == "normal equations":
+        loss = NormalEquations(loss.draw, loss.value, linear=APP.linear)
+    assert in_c.stepper(rule, loss, theta, 1) is None
+
+
+# What is compiled
+
+SOURCE = Path(nbrdf_in_c.__file__).with_name("nbrdf.c")
+
+
+def load(found: bool) -> None:
+    assert (load_library(SOURCE) is not None) is found
+
+
+def process(cache: Path, found: bool = True, **environment: str) -> ForkServerProcess:
+    """A process that loads the functions of the network, and fails where they were to be had or not against `found`."""
+    return forks.start(load, found, said=cache / "said", more={"METAPP_CACHE": str(cache), **environment})
+
+
+def codes(*processes: ForkServerProcess) -> list[int | None]:
+    """Exit codes of processes, once all have ended."""
+    for each in processes:
+        each.join(120)
+    return [each.exitcode for each in processes]
+
+
+@needs_compiler
+def test_compiled_once_by_many_processes(tmp_path: Path) -> None:
+    assert codes(*[process(tmp_path) for _ in range(3)]) == [0, 0, 0]
+    (library,) = (tmp_path / "native").iterdir()
+    made = library.stat()
+    assert codes(process(tmp_path, CC="/nonexistent/cc")) == [0]  # nothing is compiled again
+    assert library.stat() == made or library.stat().st_mtime_ns == made.st_mtime_ns
+
+
+def test_without_a_compiler_or_with_a_broken_one(tmp_path: Path) -> None:
+    for number, command in enumerate(("/nonexistent/cc", "false")):
+        cache = tmp_path / str(number)
+        assert codes(process(cache, found=False, CC=command)) == [0]
+        assert not list(cache.rglob("*.so"))
+
+
+def test_fits_without_a_compiler(monkeypatch: pytest.MonkeyPatch) -> None:
+    """All goes on by torch, with the same results."""
+    rng = Generator().manual_seed(6)
+    theta, batches = theta_of(rng), [batch_of(rng, 64) for _ in range(STEPS)]
+    rule = fixed_adam(Adam(1e-2), theta, STEPS)
+    here = learn(theta, rule, None, loss_of(batches), steps=STEPS, rng=rng, engine=FASTEST)
+    monkeypatch.setattr(nbrdf_in_c, "_library", lambda: None)
+    monkeypatch.setattr(in_c, "_library", lambda: None)
+    there = learn(theta, rule, None, loss_of(batches), steps=STEPS, rng=rng, engine=FASTEST)
+    for key, value in there.items():
+        assert away(here[key], value.double()) < 100 * EPS

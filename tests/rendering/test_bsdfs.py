@@ -1,0 +1,415 @@
+"""BSDFs of fits in Mitsuba: its own tests of a BSDF, and our evaluation of the same network and maps."""
+
+from __future__ import annotations
+
+import math
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from numpy.typing import NDArray
+from safetensors.torch import save_file
+from torch import Tensor
+
+from metapp.appearance.flash import Maps, brdf
+from metapp.appearance.geometry import directions_to_full_circle
+from metapp.apps.brdf import Brdf, layers_of
+from metapp.storage.tensors import read_tensors
+from tests.needs_mitsuba import needs_mitsuba
+
+pytestmark = needs_mitsuba
+
+NETWORKS = ("nbrdf", "featured")
+ANGLES = (0, 30, 60, 80, 88)  # degrees
+MATERIALS = {  # of maps: diffuse, specular, roughness
+    "plaster": ((0.7, 0.6, 0.5), (0.04, 0.04, 0.04), 0.8),
+    "gold": ((0.02, 0.01, 0.0), (1.0, 0.77, 0.34), 0.3),
+    "odd": ((0.1, 0.4, 0.6), (0.6, 0.05, 0.3), 0.35),
+    "glossy": ((0.1, 0.4, 0.6), (0.6, 0.05, 0.3), 0.12),
+}
+Neural = Callable[..., Any]
+
+
+@pytest.fixture
+def bsdf(mi: Any, neural: Neural, request: pytest.FixtureRequest) -> Any:
+    """A network or maps, by name."""
+    return neural(request.param) if request.param in NETWORKS else of_maps(mi, request.param)
+
+
+def of_maps(mi: Any, name: str) -> Any:
+    diffuse, specular, roughness = MATERIALS[name]
+    colours = {
+        key: {"type": "rgb", "value": list(value)} for key, value in (("diffuse", diffuse), ("specular", specular))
+    }
+    return mi.load_dict({"type": "neural_svbrdf", **colours, "roughness": roughness})
+
+
+def directions(count: int, seed: int = 0) -> NDArray[np.float32]:
+    """Unit vectors above the surface, [3, count]."""
+    vectors = np.random.default_rng(seed).standard_normal((3, count))
+    vectors[2] = abs(vectors[2])
+    return (vectors / np.linalg.norm(vectors, axis=0)).astype(np.float32)
+
+
+def tilted(degrees: float) -> list[float]:
+    """A direction so far from the normal."""
+    angle = math.radians(degrees)
+    return [0.6 * math.sin(angle), 0.8 * math.sin(angle), math.cos(angle)]
+
+
+def seen_from(mi: Any, viewer: Any, count: int) -> Any:
+    import drjit as dr
+
+    interaction = dr.zeros(mi.SurfaceInteraction3f, count)
+    interaction.wi = mi.Vector3f(viewer)
+    dr.make_opaque(interaction.wi)  # no part of the kernel, which is then compiled once for all directions
+    return interaction
+
+
+def angles_of(light: NDArray[np.float32], viewer: NDArray[np.float32]) -> Tensor:
+    """Half and difference angles [N, 3] over the full circle of phi_d: which of the two is the light counts."""
+    return directions_to_full_circle(*(torch.from_numpy(each.T).double() for each in (light, viewer)))
+
+
+def reflectance(file: Path, angles: Tensor) -> NDArray[np.float64]:
+    """Ours, in double precision, [3, N]."""
+    theta = {key: value.double() for key, value in read_tensors(file).items()}
+    return Brdf().reflectance(theta, angles).numpy().T
+
+
+@pytest.mark.parametrize("network", NETWORKS)
+def test_it_evaluates_to_what_ours_does(mi: Any, neural: Neural, fits: dict[str, Path], network: str) -> None:
+    light, viewer = directions(20_000, 1), directions(20_000, 2)
+    near = viewer * [[-1], [-1], [1]] + 0.01 * directions(20_000, 3)  # beside the mirror direction
+    light[:, ::2] = (near / np.linalg.norm(near, axis=0)).astype(np.float32)[:, ::2]
+    bsdf, interaction = neural(network), seen_from(mi, viewer, light.shape[1])
+    for mode, pair in ((mi.TransportMode.Radiance, (light, viewer)), (mi.TransportMode.Importance, (viewer, light))):
+        expected = reflectance(fits[network], angles_of(*pair)) * light[2]
+        found = np.array(bsdf.eval(mi.BSDFContext(mode), interaction, mi.Vector3f(light)))
+        error = np.max(np.abs(found - expected) / (1 + np.abs(expected)), axis=0)
+        # in the last degree before the horizon directions of single precision say no more about their angles
+        assert error[np.minimum(light[2], viewer[2]) > 0.02].max() < 1e-5
+        assert error.max() < 2e-4
+    assert expected.max() > 1
+
+
+def test_weights_that_change_are_evaluated_from_memory_alike(mi: Any, neural: Neural) -> None:
+    light, viewer = directions(1000, 1), directions(1000, 2)
+    interaction, context = seen_from(mi, viewer, 1000), mi.BSDFContext()
+    for network in NETWORKS:
+        bsdf = neural(network)
+        constant = np.array(bsdf.eval(context, interaction, mi.Vector3f(light)))
+        bsdf.parameters_changed([])
+        np.testing.assert_allclose(np.array(bsdf.eval(context, interaction, mi.Vector3f(light))), constant, 1e-4, 1e-6)
+    inputs, small = (
+        [mi.Float(row) for row in np.random.default_rng(0).random((6, 50))],
+        neural("nbrdf").reflection.network,
+    )
+    np.testing.assert_allclose(np.array(small._by_vectors(inputs)), np.array(small._by_gathers(inputs)), 1e-4, 1e-5)
+
+
+@pytest.mark.parametrize("bsdf", ["nbrdf", "odd"], indirect=True)
+def test_below_the_surface_there_is_nothing(mi: Any, bsdf: Any) -> None:
+    context, up, down = mi.BSDFContext(), tilted(30), [0.6, 0, -0.8]
+    for viewer, light in ((up, down), (down, up), (down, down)):
+        value, density = bsdf.eval_pdf(context, seen_from(mi, viewer, 1), mi.Vector3f(light))
+        assert np.array(value).max() == 0
+        assert density[0] == 0
+    context.type_mask = int(mi.BSDFFlags.Null)
+    assert bsdf.pdf(context, seen_from(mi, up, 1), mi.Vector3f(up))[0] == 0
+
+
+@pytest.mark.parametrize(
+    "bsdf", [*NETWORKS, "plaster", "gold", "odd"], indirect=True
+)  # glossy: too narrow for the grid
+@pytest.mark.parametrize("degrees", ANGLES)
+def test_directions_are_sampled_as_densely_as_it_says(
+    mi: Any, bsdf: Any, degrees: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Mitsuba's own test; BSDFAdapter leaves out draws of weight 0, which our clamp at 0 makes."""
+    import drjit as dr
+
+    monkeypatch.chdir(tmp_path)  # where a failure writes its data
+    context = mi.BSDFContext()
+
+    def draw(numbers: Any) -> Any:
+        drawn, _ = bsdf.sample(context, seen_from(mi, tilted(degrees), len(numbers[0])), numbers[0],
+                               mi.Point2f(numbers[1], numbers[2]))  # fmt: skip
+        is_drawn = drawn.pdf > 0
+        return dr.select(is_drawn, drawn.wo, mi.Vector3f(0, 0, -1)), mi.Float(is_drawn)
+
+    def density(light: Any) -> Any:
+        return bsdf.pdf(context, seen_from(mi, tilted(degrees), len(light.x)), light)
+
+    test = mi.chi2.ChiSquareTest(mi.chi2.SphericalDomain(), draw, density, sample_dim=3, sample_count=500_000, ires=32)
+    assert test.run(), test.messages
+
+
+@pytest.mark.parametrize("bsdf", [*NETWORKS, *MATERIALS], indirect=True)
+@pytest.mark.parametrize("degrees", ANGLES)
+def test_weights_of_samples(mi: Any, bsdf: Any, degrees: float, request: pytest.FixtureRequest) -> None:
+    """Value over density; little noise; and their mean, the albedo, is at most 1, of maps from above."""
+    count = 40_000
+    numbers = np.random.default_rng(5).random((3, count)).astype(np.float32)
+    context, interaction = mi.BSDFContext(), seen_from(mi, tilted(degrees), count)
+    drawn, weight = bsdf.sample(context, interaction, mi.Float(numbers[0]), mi.Point2f(numbers[1:]))
+    value, density = bsdf.eval_pdf(context, interaction, drawn.wo)
+    value, density, weight = np.array(value), np.array(density), np.array(weight)
+    np.testing.assert_allclose(density, np.array(bsdf.pdf(context, interaction, drawn.wo)), 1e-6)
+    np.testing.assert_allclose(density, np.array(drawn.pdf), 1e-6)
+    np.testing.assert_allclose(weight * density, value, 1e-5, 1e-8)
+    assert weight.std() < 1.5 * weight.mean()
+    name = request.node.callspec.params["bsdf"]
+    if name in NETWORKS:
+        assert 0.01 < weight.mean() <= 1
+    elif degrees == 0:
+        diffuse, specular, _ = (np.array(part) for part in MATERIALS[name])
+        assert (weight.mean(1) < 1.005).all()
+        assert (weight.mean(1) > 0.8 * (diffuse * (1 - specular) + specular)).all()
+
+
+def test_lobes_follow_the_material() -> None:
+    """The roughness of a GGX lobe is found, and sampling by it has less noise than by the cosine."""
+    from metapp.appearance.geometry import cosines
+    from metapp.appearance.reflection import microfacet_lobe
+    from metapp.rendering.brdf_lobes import ALPHAS, LEAST_COSINE, fit_lobes
+
+    alpha = ALPHAS[4]
+    lobes = fit_lobes(lambda angles: microfacet_lobe(cosines(angles), alpha, lambda cos: cos * 0 + torch.ones(3)))
+    np.testing.assert_allclose(lobes.shares.sum(1), 1)
+    assert lobes.shares[:, 0].min() >= LEAST_COSINE
+    assert lobes.shares[:-2, 1 + lobes.alphas.index(alpha)].min() > 0.6
+    flat = fit_lobes(lambda angles: angles * 0 + 0.2)
+    assert flat.shares[:-4, 0].min() > 0.9
+
+
+def test_a_black_material_has_lobes_all_the_same() -> None:
+    from metapp.rendering.brdf_lobes import fit_lobes
+
+    assert np.isfinite(fit_lobes(lambda angles: angles * 0).shares).all()
+
+
+def lit(mi: Any, bsdf: Any, integrator: str = "path", size: int = 16) -> Any:
+    """A sphere in white light from everywhere."""
+    pose = mi.ScalarTransform4f().look_at(origin=[0, 0, 5], target=[0, 0, 0], up=[0, 1, 0])
+    film = {"type": "hdrfilm", "width": size, "height": size, "rfilter": {"type": "box"}, "pixel_format": "rgb"}
+    sensor = {"type": "perspective", "fov": 20, "to_world": pose, "film": film, "sampler": {"type": "independent"}}
+    floor = {"type": "rectangle", "to_world": mi.ScalarTransform4f().translate([0, 0, -9]), "bsdf": {"type": "diffuse"}}
+    shapes = {"sphere": {"type": "sphere", "bsdf": bsdf}, "floor": floor}
+    return mi.load_dict(
+        {"type": "scene", "integrator": {"type": integrator}, "sensor": sensor, "light": {"type": "constant"}, **shapes}
+    )
+
+
+@pytest.mark.parametrize("network", NETWORKS)
+def test_a_furnace_stays_below_white(mi: Any, neural: Neural, network: str) -> None:
+    picture = np.array(mi.render(lit(mi, neural(network)), spp=256))
+    assert np.isfinite(picture).all()
+    assert picture[4:12, 4:12].max() < 1.02  # noise
+    assert picture[4:12, 4:12].min() > 0.005
+
+
+def test_it_works_inside_other_bsdfs_and_takes_a_tint(mi: Any, neural: Neural) -> None:
+    half = {"type": "rgb", "value": [0.5, 0.25, 1.0]}
+    plain, tinted = neural("nbrdf"), neural("nbrdf", tint=half)
+    light, viewer = mi.Vector3f(directions(500, 1)), directions(500, 2)
+    context, interaction = mi.BSDFContext(), seen_from(mi, viewer, 500)
+    expected = np.array(plain.eval(context, interaction, light))
+    np.testing.assert_allclose(
+        np.array(tinted.eval(context, interaction, light)), expected * [[0.5], [0.25], [1]], 1e-5
+    )
+    both = mi.load_dict({"type": "twosided", "inner": plain})
+    below = seen_from(mi, -viewer, 500)
+    np.testing.assert_allclose(np.array(both.eval(context, below, -light)), expected, 1e-5, 1e-7)
+
+
+@pytest.mark.slow
+def test_normal_maps_turn_it(mi: Any, neural: Neural) -> None:
+    def mapped(normal: list[float]) -> Any:
+        pixels = np.broadcast_to(np.float32(normal) / 2 + 0.5, (4, 4, 3))
+        texture = {"type": "bitmap", "raw": True, "bitmap": mi.Bitmap(np.ascontiguousarray(pixels))}
+        return {"type": "normalmap", "normalmap": texture, "inner": neural("nbrdf")}
+
+    plain, flat, turned = (
+        np.array(mi.render(lit(mi, bsdf), spp=64))
+        for bsdf in (neural("nbrdf"), mapped([0, 0, 1]), mapped([0.6, 0, 0.8]))
+    )
+    np.testing.assert_allclose(flat[4:12, 4:12], plain[4:12, 4:12], atol=0.02)
+    assert np.isfinite(turned).all()
+    assert abs(turned - plain)[4:12, 4:12].max() > 0.01
+
+
+@pytest.mark.parametrize("network", NETWORKS)
+def test_gradients_of_values_are_those_of_ours(mi: Any, neural: Neural, fits: dict[str, Path], network: str) -> None:
+    """Against finite differences of the plain layers in double precision."""
+    import drjit as dr
+
+    light, viewer = directions(300, 1), directions(300, 2)
+    values = reflectance(fits[network], angles_of(light, viewer)).min(0)
+    smooth = (values > 1e-4) & (np.minimum(light[2], viewer[2]) > 0.05)  # away from the clamp at 0
+    bsdf, light, viewer = neural(network), light[:, smooth], viewer[:, smooth]
+    assert len(light[0]) > 100
+    parameters = mi.traverse(bsdf)
+    keys = [f"{part}{layer}" for layer in range(3) for part in ("weights", "bias")]
+    for key in keys:
+        dr.enable_grad(parameters[key])
+    value = bsdf.eval(mi.BSDFContext(), seen_from(mi, viewer, len(light[0])), mi.Vector3f(light))
+    dr.backward(dr.sum(value, axis=None))
+    layers = [part for pair in layers_of(read_tensors(fits[network])) for part in pair]
+    for part in layers:
+        part.requires_grad_()
+    total(layers, network, light, viewer).backward()  # type: ignore[no-untyped-call]
+    for key, part in zip(keys, layers, strict=True):
+        found, step = dr.grad(parameters[key]).numpy(), 1e-6
+        assert part.grad is not None
+        at = tuple(int(i) for i in np.unravel_index(int(part.grad.abs().argmax()), part.shape))
+        moved = [[each.detach().clone() for each in layers] for _ in range(2)]
+        for sign, each in zip((1, -1), moved, strict=True):
+            each[keys.index(key)][at] += sign * step
+        first, second = (float(total(each, network, light, viewer)) for each in moved)
+        assert found[at] == pytest.approx((first - second) / (2 * step), rel=1e-3)
+        np.testing.assert_allclose(found, part.grad.numpy(), rtol=1e-3, atol=1e-4 * float(part.grad.abs().max()))
+
+
+def total(layers: list[Tensor], network: str, light: NDArray[np.float32], viewer: NDArray[np.float32]) -> Tensor:
+    """The sum of f cos theta over directions and channels, by plain layers."""
+    from metapp.apps.brdf import _where
+    from metapp.apps.brdf.featured import inputs_of
+
+    where = _where(angles_of(light, viewer)).T[None]
+    x = (inputs_of(where) if network == "featured" else where[:, :6])[0]
+    for layer in range(3):
+        x = layers[2 * layer] @ x + layers[2 * layer + 1][:, None]
+        if layer < 2:
+            x = torch.nn.functional.silu(x) if network == "featured" else x.relu()
+    return (torch.expm1(x).clamp_min(0) * torch.from_numpy(light[2])).sum()
+
+
+@pytest.mark.slow
+def test_gradients_of_a_picture(mi: Any, neural: Neural) -> None:
+    """By path replay, against finite differences of pictures with the same random numbers."""
+    import drjit as dr
+
+    scene = lit(mi, neural("nbrdf"), "prb", 8)
+    parameters = mi.traverse(scene)
+    key = next(key for key in parameters.keys() if key.endswith("bias2"))  # noqa: SIM118  (not a mapping)
+    before = mi.Float(parameters[key])
+    dr.enable_grad(parameters[key])
+    parameters.update()
+    picture = mi.render(scene, parameters, spp=256, seed=3)
+    dr.backward(dr.mean(picture, axis=None))
+    gradient = dr.grad(parameters[key]).numpy()
+
+    def mean(step: float) -> float:
+        parameters[key] = before + mi.Float(step, 0, 0)
+        parameters.update()
+        return float(np.array(mi.render(scene, spp=256, seed=3), dtype=np.float64).mean())
+
+    assert gradient[0] == pytest.approx((mean(0.01) - mean(-0.01)) / 0.02, rel=0.02)
+
+
+def test_xml_finds_files_beside_it(mi: Any, fits: dict[str, Path], tmp_path: Path) -> None:
+    (tmp_path / "gold.safetensors").write_bytes(fits["nbrdf"].read_bytes())
+    (tmp_path / "scene.xml").write_text(
+        '<scene version="3.0.0"><shape type="sphere"><bsdf type="neural_brdf">'
+        '<string name="filename" value="gold.safetensors"/></bsdf></shape></scene>'
+    )
+    bsdf = mi.load_file(str(tmp_path / "scene.xml")).shapes()[0].bsdf()
+    assert str(bsdf).startswith(f'NeuralBrdf[filename = "{tmp_path / "gold.safetensors"}", layers = 6-21-21-3')
+
+
+def test_a_folder_of_arrays_is_the_same_network(mi: Any, neural: Neural, fits: dict[str, Path], tmp_path: Path) -> None:
+    from data_tools.readers import nbrdf
+
+    nbrdf.export(Brdf(), read_tensors(fits["nbrdf"]), tmp_path / "gold")
+    folder = mi.load_dict({"type": "neural_brdf", "filename": str(tmp_path / "gold")})
+    arguments = mi.BSDFContext(), seen_from(mi, directions(100, 1), 100), mi.Vector3f(directions(100, 2))
+    np.testing.assert_array_equal(np.array(folder.eval(*arguments)), np.array(neural("nbrdf").eval(*arguments)))
+
+
+def test_files_that_are_no_fit_are_refused_in_one_line(mi: Any, fits: dict[str, Path], tmp_path: Path) -> None:
+    whole = read_tensors(fits["nbrdf"])
+    save_file({"map": torch.zeros(3)}, tmp_path / "other.safetensors")
+    save_file(whole | {"w1": torch.full_like(whole["w1"], math.nan)}, tmp_path / "nan.safetensors")
+    (tmp_path / "text.safetensors").write_text("hello")
+    for name, words in (
+        ("other.safetensors", "tensors map, expected those of a BRDF fit"),
+        ("nan.safetensors", "NaN or infinite values"),
+        ("text.safetensors", "expected the .safetensors file of a BRDF fit"),
+        ("nowhere", "no such"),
+    ):
+        with pytest.raises(RuntimeError, match="failed to instantiate") as caught:
+            mi.load_dict({"type": "neural_brdf", "filename": str(tmp_path / name)})
+        last = str(caught.value).splitlines()[-1]
+        assert last.startswith("ValueError: ")
+        assert words in last
+
+
+def test_other_variants_are_refused_in_one_line(mi: Any, fits: dict[str, Path]) -> None:
+    for variant in ("scalar_rgb", "llvm_ad_spectral"):
+        mi.set_variant(variant)
+        with pytest.raises(RuntimeError, match=rf"variant {variant}, expected llvm_ad_rgb or cuda_ad_rgb"):
+            mi.load_dict({"type": "neural_brdf", "filename": str(fits["nbrdf"])})
+
+
+@pytest.mark.parametrize("order", ["import metapp.mitsuba", "mi.set_variant('llvm_ad_rgb')"])
+def test_the_import_may_come_before_or_after_the_variant(fits: dict[str, Path], order: str) -> None:
+    first, second = order, "mi.set_variant('llvm_ad_rgb')" if "import" in order else "import metapp.mitsuba"
+    start = "from metapp.rendering.variant import choose_llvm; choose_llvm(); import mitsuba as mi"
+    use = f"print(mi.load_dict({{'type': 'neural_brdf', 'filename': {str(fits['nbrdf'])!r}}}))"
+    lines = "\n".join((start, first, second, "mi.set_variant('scalar_rgb')", "mi.set_variant('llvm_ad_rgb')", use))
+    done = subprocess.run([sys.executable, "-c", lines], capture_output=True, text=True, check=False)
+    assert done.stdout.startswith("NeuralBrdf["), done.stderr
+
+
+# Maps
+
+
+@pytest.mark.parametrize("bsdf", MATERIALS, indirect=True)
+def test_maps_reflect_what_is_fitted(mi: Any, bsdf: Any, request: pytest.FixtureRequest) -> None:
+    light, viewer = directions(2048, 1), directions(2048, 2)
+    parts = (*MATERIALS[request.node.callspec.params["bsdf"]], (0, 0, 1))
+    maps = Maps(*(torch.tensor(part).double().reshape(-1, 1, 1) for part in parts))
+    expected = brdf(maps, *(torch.from_numpy(vectors).double()[:, None] for vectors in (light, viewer)))[:, 0]
+    found = np.array(bsdf.eval(mi.BSDFContext(), seen_from(mi, viewer, 2048), mi.Vector3f(light)))
+    expected = expected * torch.from_numpy(light[2])
+    # single precision: at the peak of a narrow lobe the half vector's rounding counts
+    torch.testing.assert_close(torch.from_numpy(found), expected.float(), rtol=5e-4, atol=1e-5)
+
+
+def test_components_add_up(mi: Any) -> None:
+    bsdf, interaction, light = (
+        of_maps(mi, "odd"),
+        seen_from(mi, directions(256, 1), 256),
+        mi.Vector3f(directions(256, 2)),
+    )
+    parts = []
+    for component in (0, 1):
+        context = mi.BSDFContext()
+        context.component = component
+        parts.append(np.array(bsdf.eval(context, interaction, light)))
+    assert np.allclose(sum(parts), np.array(bsdf.eval(mi.BSDFContext(), interaction, light)), rtol=1e-5)
+
+
+def test_maps_have_gradients(mi: Any) -> None:
+    import drjit as dr
+
+    bsdf, interaction, light = of_maps(mi, "odd"), seen_from(mi, directions(32, 1), 32), mi.Vector3f(directions(32, 2))
+    params, key = mi.traverse(bsdf), "roughness.value"
+
+    def total(roughness: float | None = None) -> Any:
+        if roughness is not None:
+            params[key] = mi.Float(roughness)
+        params.update()
+        return dr.sum(dr.mean(bsdf.eval(mi.BSDFContext(), interaction, light)))
+
+    dr.enable_grad(params[key])
+    dr.backward(total())
+    slope = float(dr.grad(params[key])[0])
+    low, high = (float(total(0.35 + step)[0]) for step in (-1e-3, 1e-3))
+    assert slope == pytest.approx((high - low) / 2e-3, rel=2e-2)
