@@ -37,7 +37,7 @@ def training_folder(plan: Plan) -> Path | None:
     app, data, quiet = plan.app.name, plan.request.data, plan.request.quiet
     folders = [data_folder(plan.app, data, quiet)] if data or embedded_exists(app) else []
     folders += [embedded_data(app, quiet=quiet)] if embedded_exists(app) else []
-    return next((each for each in folders if any(task.split == "train" for task in read_manifest(each).tasks)), None)
+    return next((path for path in folders if any(task.split == "train" for task in read_manifest(path).tasks)), None)
 
 
 @functools.lru_cache(maxsize=1)

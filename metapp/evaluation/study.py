@@ -38,21 +38,21 @@ COMPOSED = (
 )
 
 
-class Budget(NamedTuple):
-    """How much a study trains.
+class Design(NamedTuple):
+    """What a study trains.
 
     Attributes:
         outer: outer steps of each training.
         steps: numbers of gradient steps; each rule is trained for each of them.
-        seeds: how many seeds of training and fitting, from the plan's own on.
-        start: the first initialisation of all rules. From "encoder", which is QuickFT's too, rules alone differ.
+        seeds: how many seeds of training and fitting, from the options' own on.
+        initialisation: the first one of all rules. With "encoder", which is QuickFT's too, rules alone differ.
         rules: what is trained; () for all named rules and COMPOSED.
     """
 
     outer: int = 500
     steps: tuple[int, ...] = (5, 10, 20, 40)
     seeds: int = 3
-    start: Initialisation = "encoder"
+    initialisation: Initialisation = "encoder"
     rules: tuple[str, ...] = ()
 
 
@@ -75,17 +75,15 @@ class Case(NamedTuple):
         return paradigms()[QUICKFT if self.rule == QUICKFT else "meta"]
 
 
-def study_rules(app: App, budget: Budget) -> tuple[list[str], dict[str, str]]:
+def study_rules(app: App, design: Design) -> tuple[list[str], dict[str, str]]:
     """The rules of a study, and why further ones do not apply to the application, by name."""
     theta = {key: value[0] for key, value in app.init(Generator().manual_seed(0), 1).items()}
-    found, refused = [], {}
-    for name in dict.fromkeys(rule_of(each).name for each in budget.rules or (*RULES, *COMPOSED)):
-        reasons = [reason for part in rule_of(name).parts if (reason := part.refusal(app, theta))]
-        if reasons:
+    refused: dict[str, str] = {}
+    names = dict.fromkeys(rule_of(text).name for text in design.rules or (*RULES, *COMPOSED))
+    for name in names:
+        if reasons := [reason for part in rule_of(name).parts if (reason := part.refusal(app, theta))]:
             refused[name] = reasons[0]
-        else:
-            found.append(name)
-    return found, refused
+    return [name for name in names if name not in refused], refused
 
 
 def training_for(recipe: Recipe, rule: str) -> MetaTraining:
@@ -99,56 +97,59 @@ def training_for(recipe: Recipe, rule: str) -> MetaTraining:
     return recipe.meta.get("meta-sgd") or replace(usual, tuned=True)
 
 
+def _recorded(training: MetaTraining) -> dict[str, Any]:
+    """A training as records hold it, `initialisation` under its former name, so that earlier records stay its own."""
+    return {"start" if key == "initialisation" else key: value for key, value in asdict(training).items()}
+
+
 class Study:
     """A study of one application on one data set.
 
     Attributes:
         plan: of the application's own recipe.
-        budget: how much is trained.
+        design: what is trained.
         rules: what is studied.
         refused: why further rules do not apply to the application, by name.
     """
 
-    def __init__(self, plan: Plan, budget: Budget) -> None:
-        self.plan, self.budget = plan, budget
-        self.rules, self.refused = study_rules(plan.app, budget)
+    def __init__(self, plan: Plan, design: Design) -> None:
+        self.plan, self.design = plan, design
+        self.rules, self.refused = study_rules(plan.app, design)
 
     def cases(self) -> list[Case]:
         """All trainings: seed by seed, those of few steps first."""
         first = self.plan.request.seed
-        seeds = range(first, first + self.budget.seeds)
-        steps = sorted(set(self.budget.steps))
-        return [Case(rule, each, seed) for seed in seeds for each in steps for rule in (QUICKFT, *self.rules)]
+        seeds = range(first, first + self.design.seeds)
+        counts = sorted(set(self.design.steps))
+        return [Case(rule, steps, seed) for seed in seeds for steps in counts for rule in (QUICKFT, *self.rules)]
 
-    def place(self, case: Case) -> Plan:
+    def plan_of(self, case: Case) -> Plan:
         """The plan of a case: its recipe is the application's for so many steps, under a name of its own."""
         rule = self.plan.job.rule if case.rule == QUICKFT else case.rule
-        name, recipe = self._recipe_name(case.rule, case.steps), self._recipe(case.rule, case.steps)
-        request = replace(self.plan.request, recipe=name, rule=rule, seed=case.seed, steps=None, checkpoint=None)
+        base = self.plan.job.recipe
+        meta = base.meta if case.rule == QUICKFT else {rule: self.training(rule)}
+        recipe = replace(base, steps=case.steps, meta=meta, rule=next(iter(meta)))
+        request = self.plan.request
+        name = f"{request.recipe}-{case.steps}steps"
+        if case.rule != QUICKFT:
+            name += f"-{self.design.outer}outer-{self.design.initialisation}"
+        request = replace(request, recipe=name, rule=rule, seed=case.seed, steps=None, checkpoint=None)
         return Plan(request, case.paradigm, Job(self.plan.app, recipe, rule), self.plan.device)
 
-    def _recipe_name(self, rule: str, steps: int) -> str:
-        name = f"{self.plan.request.recipe}-{steps}steps"
-        return name if rule == QUICKFT else f"{name}-{self.budget.outer}outer-{self.budget.start}"
-
-    def _recipe(self, rule: str, steps: int) -> Recipe:
-        base = self.plan.job.recipe
-        meta = base.meta if rule == QUICKFT else {rule: self.training(rule)}
-        return replace(base, steps=steps, meta=meta, rule=next(iter(meta)))
-
     def training(self, rule: str) -> MetaTraining:
-        """How a rule is trained here: as by its recipe, but for the start, and with so many outer steps.
+        """How a rule is trained here: as by its recipe, but for the initialisation, and with so many outer steps.
 
         A recipe that searches an Adam alone does so here, too.
         """
         training = training_for(self.plan.job.recipe, rule)
-        if self.budget.start == "encoder" and training.initialisation != "encoder":
+        first = self.design.initialisation
+        if first == "encoder" and training.initialisation != "encoder":
             training = replace(training, rates={"encoder.": ENCODER_RATE} | training.rates)
-        return replace(training, initialisation=self.budget.start, steps=self.budget.outer if training.steps else 0)
+        return replace(training, initialisation=first, steps=self.design.outer if training.steps else 0)
 
     @functools.cached_property
     def general(self) -> Checkpoint | None:
-        """The General that all rules start from and QuickFT is tuned for; None where this data has none yet."""
+        """The General that all rules begin at and QuickFT is tuned for; None where this data has none yet."""
         general = self.plan.by("general")
         return find_checkpoint(general).checkpoint if has_general(general) else None
 
@@ -169,13 +170,13 @@ class Study:
             case: which.
             label: the data's name.
         """
-        plan = self.place(case)
+        plan = self.plan_of(case)
         return {
             "app": plan.app.name,
             **observe_of(plan.app),
             "study": case.rule,
             "steps": case.steps,
-            "training": None if case.rule == QUICKFT else asdict(self.training(case.rule)),
+            "training": None if case.rule == QUICKFT else _recorded(self.training(case.rule)),
             "general": self._general_digest,
             "batch": plan.job.recipe.batch,
             "data": label,
@@ -208,4 +209,4 @@ class Study:
 
     def _trained_by(self, case: Case) -> Plan:
         """The plan that a case is trained by: QuickFT's search draws nothing, so that one seed says all."""
-        return self.place(case._replace(seed=self.plan.request.seed) if case.rule == QUICKFT else case)
+        return self.plan_of(case._replace(seed=self.plan.request.seed) if case.rule == QUICKFT else case)

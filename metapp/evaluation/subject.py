@@ -10,7 +10,7 @@ from typing import Any
 from metapp.appearance.presentation import Presentation
 from metapp.apps import presentation_of
 from metapp.evaluation.cell import Cell, Measure
-from metapp.evaluation.study import Budget, Study
+from metapp.evaluation.study import Design, Study
 from metapp.learning.app import App
 from metapp.learning.task import Task
 from metapp.paradigms import paradigms
@@ -29,50 +29,46 @@ class Subject:
     """An application under a protocol, on a data set.
 
     Attributes:
-        plan: of General; rows differ in paradigm, rule or steps.
+        plan: of the application's own network; rows differ in paradigm, rule or steps.
         run: whether cells without records will be run; else they stay empty.
         share: of the recipe's steps that Overfit takes here.
     """
 
     def __init__(
-        self, plan: Plan, *, run: bool, strict: bool, share: float = 1.0, budget: Budget | None = None
+        self, plan: Plan, *, run: bool, strict: bool, share: float = 1.0, design: Design | None = None
     ) -> None:
         """Look up nothing yet.
 
         Args:
             plan, run, share: as the attributes.
             strict: whether a checkpoint that is missing is an error; else it is said, and its cells stay empty.
-            budget: how much the table of rules trains.
+            design: what the table of rules trains.
         """
         self.plan, self.run, self.share = plan, run, share
-        self._strict, self._budget = strict, budget or Budget()
+        self._strict, self._design = strict, design or Design()
         self._cells: dict[str, Cell] = {}
 
     @functools.cached_property
     def fits(self) -> dict[str, Plan]:
         """How each row of the results is fitted: the paradigms, then meta:<rule> for further rules with a checkpoint.
 
-        The plans of paradigms whose checkpoint is missing have none.
-
         Raises:
             ValueError: a checkpoint is missing that a row must have, and that is an error.
         """
-        plan, recipe = self.plan, self.plan.job.recipe
-        fits = {name: self._find(plan.by(name, steps=self._steps(name))) for name in paradigms()}
-        others = [rule for rule in recipe.meta if rule != plan.job.rule]
-        if plan.request.data:  # beside checkpoints of this data, none that was trained on other data
-            others = [rule for rule in others if trained_path(plan, rule).is_file()]
+        fits = {name: self._found(name) for name in paradigms()}
+        others = [rule for rule in self.plan.job.recipe.meta if rule != self.plan.job.rule]
+        if self.plan.request.data:  # beside checkpoints of this data, none that was trained on other data
+            others = [rule for rule in others if trained_path(self.plan, rule).is_file()]
         for rule in others:
             with suppress(ValueError):  # nobody trained this rule
-                fits[f"meta:{rule}"] = find_checkpoint(plan.by("meta", rule))
+                fits[f"meta:{rule}"] = find_checkpoint(self.plan.by("meta", rule))
         return fits
 
-    def _steps(self, name: str) -> int | None:
-        """The steps of a paradigm, where they are not the recipe's."""
-        fewer = name == "overfit" and self.share != 1
-        return max(1, round(self.share * self.plan.job.recipe.overfit_steps)) if fewer else None
-
-    def _find(self, plan: Plan) -> Plan:
+    def _found(self, paradigm: str) -> Plan:
+        """The plan of a paradigm with its checkpoint; without one where it is missing, and that is no error."""
+        short = paradigm == "overfit" and self.share != 1
+        steps = max(1, round(self.share * self.plan.job.recipe.overfit_steps)) if short else None
+        plan = self.plan.by(paradigm, steps=steps)
         try:
             return find_checkpoint(plan)
         except ValueError as error:
@@ -84,7 +80,7 @@ class Subject:
     @functools.cached_property
     def study(self) -> Study:
         """What the table of rules is about."""
-        return Study(self.plan, self._budget)
+        return Study(self.plan, self._design)
 
     @property
     def app(self) -> App:
@@ -129,17 +125,17 @@ class Subject:
         """Fits of all tasks as a cell, kept as the command of the paradigm keeps them.
 
         Args:
-            title: of the row.
-            plan: by what.
+            title: for the progress.
+            plan: how tasks are fitted.
             settings: what else the figures depend on.
             name: added to the run folder's, where it is no paradigm's own.
         """
+        folder = None
+        if plan.checkpoint is not None:
+            path = plan.path(self.label)
+            path = path.with_name(f"{path.name}-{name}") if name else path
+            folder = RunFolder(path, plan.settings(self.label) | (settings or {}), FIT, plan.origin())
         command = self.command() if name else _fit_command(plan)
-        if plan.checkpoint is None:
-            return self.make_cell(title, None, _nothing, plan.steps, command=command)
-        path = plan.path(self.label)
-        path = path.with_name(f"{path.name}-{name}") if name else path
-        folder = RunFolder(path, plan.settings(self.label) | (settings or {}), FIT, plan.origin())
         return self.make_cell(title, folder, functools.partial(fit_tasks, plan), plan.steps, command=command)
 
     def make_cell(
@@ -158,9 +154,9 @@ class Subject:
             form: what records hold.
             of_fits: whether they are of fits of several paradigms: with the rule and Overfit's share.
         """
-        request = self.plan.request
+        request, job = self.plan.request, self.plan.job
         shortened = f"overfit{self.share:g}" if self.share != 1 else ""
-        words = [self.label, request.recipe, f"seed{request.seed}", *([request.rule, shortened] if of_fits else [])]
+        words = [self.label, request.recipe, f"seed{request.seed}", *([job.rule, shortened] if of_fits else [])]
         path = request.out / self.app.name / kind / "-".join(filter(None, (*words, self.app.protocol)))
         return RunFolder(path, settings, form, self.plan.origin())
 
@@ -176,16 +172,12 @@ def evenly(tasks: list[Task], count: int) -> list[Task]:
     return [tasks[i * len(tasks) // size] for i in range(size)]
 
 
-def _nothing(tasks: list[Task]) -> Any:
-    return iter(())
-
-
 def _fit_command(plan: Plan) -> str:
     """The command that makes what is missing of a paradigm's fits."""
-    steps = plan.request.steps
-    words = ["metapp", plan.paradigm.name, plan.app.name, *_shared(plan)]
-    words += ["--steps", str(steps)] if steps is not None else []
-    words += ["--rule", plan.job.rule] if plan.paradigm.name == "meta" else []
+    request = plan.request
+    words = ["metapp", request.paradigm, plan.app.name, *_shared(plan)]
+    words += ["--steps", str(request.steps)] if request.steps is not None else []
+    words += ["--rule", request.rule] if request.paradigm == "meta" else []
     return shlex.join(words + (["--train"] if plan.checkpoint is None else []))
 
 

@@ -6,7 +6,7 @@ again for a few tasks.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Mapping
 
 import torch
 from torch import Tensor
@@ -41,8 +41,8 @@ def trace_cell(subject: Subject) -> Cell:
     """Traces of a few tasks."""
     fits = {name: subject.fits[name] for name in CURVES}
     folder = None
-    if all(plan.checkpoint for plan in fits.values()):
-        keys = [key_of(plan.settings(subject.label)) for plan in fits.values()]
+    if all(fit.checkpoint for fit in fits.values()):
+        keys = [key_of(fit.settings(subject.label)) for fit in fits.values()]
         known = {"app": subject.app.name, **observe_of(subject.app), "fits": keys}
         settings = known | {"further": FURTHER, "walked": WALKED}
         folder = subject.folder("trace", settings, FORM, of_fits=True)
@@ -50,12 +50,12 @@ def trace_cell(subject: Subject) -> Cell:
     def measure(tasks: list[Task]) -> Iterator[tuple[Record, Params]]:
         return (trace(subject, fits, task) for task in tasks)
 
-    steps = sum(plan.steps for plan in fits.values()) + sum(FURTHER)
+    steps = sum(fit.steps for fit in fits.values()) + sum(FURTHER)
     cell = subject.make_cell("trace", folder, measure, steps, command=subject.command("convergence"))
     return cell._replace(tasks=evenly(subject.tasks, TRACED))
 
 
-def trace(subject: Subject, fits: dict[str, Plan], task: Task) -> tuple[Record, Params]:
+def trace(subject: Subject, fits: Mapping[str, Plan], task: Task) -> tuple[Record, Params]:
     """One task: errors of each paradigm along its steps, paths, and what further steps bring Meta.
 
     Returns:
@@ -64,14 +64,14 @@ def trace(subject: Subject, fits: dict[str, Plan], task: Task) -> tuple[Record, 
     stacked = stack(subject.app, [task], subject.plan.device)
     curves: dict[str, list[tuple[int, float | None]]] = {}
     paths: dict[str, list[Params]] = {}
-    for name, plan in fits.items():
-        measured = curve_steps(plan.steps)
-        walked = path_steps(plan.steps) if name in ("overfit", "meta") else set()
-        states = states_of(plan, task, stacked, measured | walked)
+    for name, fit in fits.items():
+        measured = curve_steps(fit.steps)
+        walked = path_steps(fit.steps) if name in ("overfit", "meta") else set()
+        states = states_of(fit, task, stacked, measured | walked)
         curves[name] = [(step, error_of(subject, states[step], stacked)) for step in sorted(measured)]
         paths[name] = [states[step] for step in sorted(walked)]
         if name == "meta":
-            parts = {part: states[step_at(part, plan.steps)] for part in PARTS}
+            parts = {part: states[step_at(part, fit.steps)] for part in PARTS}
     places, explained = project_paths(paths["meta"], paths["overfit"])
     record = {
         "name": task.name,

@@ -242,11 +242,12 @@ def test_a_protocol_that_nothing_named_has_is_refused(metapp: Callable) -> None:
 def test_the_option_reaches_those_that_have_the_protocol(metapp: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
     met: list[tuple[str, str]] = []
 
-    def fill(tables: list[Any], subjects: list[Any], given: Any) -> None:
+    def cells_of(tables: list[Any], subjects: list[Any], options: Any) -> list[Any]:
         met.extend((subject.app.name, subject.app.protocol) for subject in subjects)
         subjects.clear()
+        return []
 
-    monkeypatch.setattr("metapp.cli.evaluate.fill", fill)
+    monkeypatch.setattr("metapp.cli.evaluate.cells_of", cells_of)
     assert metapp("evaluate", "texture", "brdf", "--observe", "photo", "--json").code == 0
     assert metapp("evaluate", "texture", "brdf", "--json").code == 0
     both = [("brdf", "reference"), ("brdf", "photo")]
