@@ -106,7 +106,7 @@ def guided_from_few_paths_on(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.parametrize("emitter_sampling", [True, False])
-def test_the_mean_is_that_of_path_in_a_random_scene(mi: Any, emitter_sampling: bool) -> None:
+def test_the_mean_is_that_of_path_in_a_box(mi: Any, emitter_sampling: bool) -> None:
     scene = loaded(mi, random_scene(1))  # has glass and metal
     guided, plain = (
         pictures(mi, scene, "guided_path", emitter_sampling=emitter_sampling),
