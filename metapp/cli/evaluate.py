@@ -113,7 +113,7 @@ def command(options: Evaluation) -> None:
     if options.figures:
         from metapp.evaluation.figures import FIGURES, write_figures
 
-        for file in write_figures(subjects, options.figures, STUDIES if options.which in STUDIES else tuple(FIGURES)):
+        for file in write_figures(subjects, options.figures, STUDIES if options.which in STUDIES else FIGURES):
             say(f"figure: {file}")
     if options.report:
         from metapp.evaluation.report.page import write_report
