@@ -50,6 +50,11 @@ class Request:
     device: str = "auto"
     quiet: bool = False
 
+    @property
+    def lazy(self) -> bool:
+        """Whether inputs are read when their turn comes, and what fails stops nothing: with --batch or --shard."""
+        return bool(self.batch or self.shard)
+
 
 class Portion(NamedTuple):
     """What one machine does of a run: every `parts`-th of its tasks from the `number`-th on, both counted from 1."""
