@@ -16,10 +16,10 @@ from metapp.paradigms import ranks
 from metapp.runs.batch_size import BatchSize, check_batch
 from metapp.runs.checkpoints import find_checkpoint
 from metapp.runs.fits import Fitter, Result
-from metapp.runs.gallery import write_gallery, write_thumbnail
 from metapp.runs.inputs import SOURCED, Source, sources_of, sources_to_fit, tasks_to_fit
 from metapp.runs.naming import name_of, observe_of
 from metapp.runs.outputs import OUTPUTS, write_fit
+from metapp.runs.pictures import write_gallery, write_thumbnail
 from metapp.runs.plan import Plan
 from metapp.runs.reporter import Reporter, number, progress, reporting, say
 from metapp.runs.request import portion_of
