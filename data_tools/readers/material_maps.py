@@ -18,7 +18,8 @@ from __future__ import annotations
 import hashlib
 import math
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -26,7 +27,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from data_tools.formats import Conversion
+from data_tools.formats import Conversion, Label
 from data_tools.readers.image_files import LINEAR, SUFFIXES, read_pixels
 from data_tools.readers.photos import SIZE, central_square, find_photos, resample
 from data_tools.readers.svbrdf_task import UNITS, svbrdf_task, task_name, unit_normals
@@ -241,20 +242,12 @@ def read_task(source: Path, size: int = SIZE, normals: str = "auto") -> Task:
 
 def conversion(paths: Iterable[Path], split: str, *, size: int, normals: str) -> Conversion:
     """How materials become tasks, variants of one in one split."""
-    materials = {material.source.resolve(): material for material in find_materials(paths)[0]}
-    sides = split_materials(materials.values())
-
-    def name(source: Path) -> str:
-        return task_name(materials[source.resolve()].title)
-
-    def read(source: Path) -> Task:
-        return read_task(source, size, normals)._replace(group=sides[source.resolve()][1])
-
-    def split_of(source: Path) -> str:
-        return sides[source.resolve()][0]
-
+    labels = split_materials(find_materials(paths)[0])
+    read = partial(read_task, size=size, normals=normals)
     notes = {"made_by": "metapp data maps", "size": size, "normals": normals}
-    return Conversion("svbrdf_nonstationary", "material", UNITS, find, name, read, notes, split_of)
+    return Conversion(
+        "svbrdf_nonstationary", "material", UNITS, find, read, notes, lambda source: labels[source.resolve()]
+    )
 
 
 def reflectances(colour: Tensor, metallic: Tensor | None, specular: Tensor | None) -> tuple[Tensor, Tensor]:
@@ -291,20 +284,21 @@ def mixed_slopes(normal: Tensor) -> float:
     return 2 * float((along_x * along_y).sum()) / total if total > 0 else 0.0
 
 
-def split_materials(materials: Iterable[Material]) -> dict[Path, tuple[str, str]]:
-    """Split and group of each material, by its file that stands for all.
+def split_materials(materials: Sequence[Material]) -> dict[Path, Label]:
+    """Name, group and split of each material, by its file that stands for all.
 
     Materials with the very same file of normals are variants and belong together. Of the sorted groups, every fifth is
     for tests.
     """
-    groups: dict[Path, str] = {}
-    first: dict[str, str] = {}
+    labels: dict[Path, Label] = {}
+    groups: dict[str, str] = {}
     for material in materials:
         files = next((material.files[role] for role in _NORMALS if role in material.files), (material.source,))
         digest = hashlib.sha256(files[0].read_bytes()).hexdigest()
-        groups[material.source.resolve()] = first.setdefault(digest, material.title)
+        group = groups.setdefault(digest, material.title)
+        labels[material.source.resolve()] = Label(task_name(material.title), group)
     splits = split_auto(groups.values())
-    return {source: (splits[group], group) for source, group in groups.items()}
+    return {source: label._replace(split=splits[label.group]) for source, label in labels.items()}
 
 
 def _choose(material: Material) -> dict[str, Path]:

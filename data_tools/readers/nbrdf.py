@@ -20,7 +20,7 @@ from numpy.lib import format as npy
 from numpy.typing import NDArray
 from torch import Tensor
 
-from data_tools.formats import Conversion
+from data_tools.formats import Conversion, Label
 from data_tools.readers import brdf_task
 from data_tools.readers.brdf_task import warn_implausible
 from data_tools.readers.listing import files_below
@@ -80,8 +80,8 @@ def recognises(path: str | Path) -> bool:
 def conversion(paths: Sequence[Path], split: str, *, samples: int) -> Conversion:
     """How networks become tasks, each named by its folder or by the name in front of its files."""
     read, notes = partial(read_task, samples=samples), {"made_by": "metapp data nbrdf", "samples": samples}
-    name = lambda source: source.resolve().name  # noqa: E731
-    return Conversion("brdf", "NBRDF network", brdf_task.UNITS, find, name, read, notes)
+    label = lambda source: Label(source.resolve().name)  # noqa: E731
+    return Conversion("brdf", "NBRDF network", brdf_task.UNITS, find, read, notes, label)
 
 
 def export(app: Brdf, theta: Params, folder: Path) -> None:

@@ -8,8 +8,9 @@ from pathlib import Path
 import pytest
 import torch
 
+from data_tools.formats import Label
 from data_tools.readers import flash
-from data_tools.readers.flash import Shown, find_shown, shown, split_by_material
+from data_tools.readers.flash import find_shown, shown, split_by_material
 from data_tools.readers.photos import read_photo
 from tests.pictures import noise, write
 
@@ -22,8 +23,7 @@ def touch(folder: Path, *names: str) -> None:
 
 def splits_of(folder: Path) -> dict[str, str]:
     """The split of each photograph of a folder, by the name of its task."""
-    photos = find_shown([folder])
-    return {photos[photo].name: split for photo, split in split_by_material(photos).items()}
+    return {label.name: label.split for label in split_by_material(find_shown([folder])).values()}
 
 
 def test_a_task_is_named_by_material_and_image(tmp_path: Path) -> None:
@@ -40,14 +40,14 @@ def test_a_task_is_named_by_material_and_image(tmp_path: Path) -> None:
 
 def test_the_material_follows_from_name_and_place(tmp_path: Path) -> None:
     told = {
-        "train_0231_IMG_0785.jpg": Shown("0231_IMG_0785", "0231", "train"),
-        "deep/Test_gold_a.jpg": Shown("gold_a", "gold", "test"),
-        "test/0280/IMG_0786.JPG": Shown("0280_IMG_0786", "0280", "test"),
-        "Train/tin.jpg": Shown("tin", "tin", "train"),
-        "wood/IMG_1.jpg": Shown("wood_IMG_1", "wood", ""),
-        "box/wood/IMG_1.jpg": Shown("wood_IMG_1", "wood", ""),
-        "stone.jpg": Shown("stone", "stone", ""),
-        "test_stone.jpg": Shown("test_stone", "test_stone", ""),
+        "train_0231_IMG_0785.jpg": Label("0231_IMG_0785", "0231", "train"),
+        "deep/Test_gold_a.jpg": Label("gold_a", "gold", "test"),
+        "test/0280/IMG_0786.JPG": Label("0280_IMG_0786", "0280", "test"),
+        "Train/tin.jpg": Label("tin", "tin", "train"),
+        "wood/IMG_1.jpg": Label("wood_IMG_1", "wood", ""),
+        "box/wood/IMG_1.jpg": Label("wood_IMG_1", "wood", ""),
+        "stone.jpg": Label("stone", "stone", ""),
+        "test_stone.jpg": Label("test_stone", "test_stone", ""),
     }
     for name, expected in told.items():
         assert shown(tmp_path / name, tmp_path) == expected
@@ -55,12 +55,12 @@ def test_the_material_follows_from_name_and_place(tmp_path: Path) -> None:
 
 def test_what_lies_above_the_named_folder_says_nothing(tmp_path: Path) -> None:
     folder = tmp_path / "test" / "photographs"
-    assert shown(folder / "a.jpg", folder) == Shown("a", "a", "")
-    assert shown(folder / "wood" / "a.jpg", folder) == Shown("wood_a", "wood", "")
+    assert shown(folder / "a.jpg", folder) == Label("a", "a", "")
+    assert shown(folder / "wood" / "a.jpg", folder) == Label("wood_a", "wood", "")
     # but the folder itself does, and so does the place of a file that was named
-    assert shown(tmp_path / "test" / "gold" / "a.jpg", tmp_path / "test") == Shown("gold_a", "gold", "test")
-    assert shown(tmp_path / "test" / "gold" / "a.jpg") == Shown("gold_a", "gold", "test")
-    assert shown(tmp_path / "photographs" / "a.jpg") == Shown("a", "a", "")
+    assert shown(tmp_path / "test" / "gold" / "a.jpg", tmp_path / "test") == Label("gold_a", "gold", "test")
+    assert shown(tmp_path / "test" / "gold" / "a.jpg") == Label("gold_a", "gold", "test")
+    assert shown(tmp_path / "photographs" / "a.jpg") == Label("a", "a", "")
 
 
 def test_relative_paths_tell_the_same(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -110,7 +110,7 @@ def test_a_material_on_both_sides_is_refused(tmp_path: Path) -> None:
 def test_a_photograph_found_twice_shows_one_material(tmp_path: Path) -> None:
     touch(tmp_path, "wood/a.jpg", "wood/b.jpg")
     for paths in ([tmp_path, tmp_path / "wood", tmp_path / "wood/a.jpg"], [tmp_path / "wood/a.jpg", tmp_path]):
-        assert [each.material for each in find_shown(paths).values()] == ["wood", "wood"]
+        assert [each.group for each in find_shown(paths).values()] == ["wood", "wood"]
 
 
 def test_bad_paths_are_refused(tmp_path: Path) -> None:
