@@ -222,16 +222,23 @@ def read_task(source: Path, size: int = SIZE, normals: str = "auto") -> Task:
     maps = {role: _read(file, size, role, shapes) for role, file in chosen.items()}
     _check_shapes(material, chosen, shapes)
     colour = maps["base colour"] if "base colour" in maps else maps[_PLAIN]
-    diffuse, specular = reflectances(colour, maps.get("metallic"), maps.get("specular"))
+    if "metallic" in maps:
+        diffuse, specular = from_metallic(colour, _gray(maps["metallic"]))
+    else:
+        diffuse, specular = colour, maps.get("specular", torch.full_like(colour, DIELECTRIC))
     if "roughness" in maps:
         roughness = _gray(maps["roughness"])
-    elif _PLAIN in maps:
-        roughness = roughness_of_highlight(_gray(maps["gloss"]))
+    elif _PLAIN in maps:  # that of a GGX lobe whose peak is as bright
+        roughness = (DIELECTRIC / 4 / _gray(maps["gloss"]).clamp_min(1e-6)).sqrt().sqrt().clamp_max(1)
     else:
         roughness = 1 - _gray(maps["gloss"])
     role = next(role for role in _NORMALS if role in maps)
     normal = unit_normals(maps[role], chosen[role])
-    if is_green_down(normal, role, normals):
+    if normals == "auto" and role == "normal":
+        is_down = mixed_slopes(normal) < -_IS_CLEAR
+    else:
+        is_down = normals == "directx" or (normals == "auto" and role == "normal (DirectX)")
+    if is_down:
         normal = normal * normal.new_tensor([1, -1, 1])[:, None, None]
     if not max(float(diffuse.max()), float(specular.max())) > 0:
         raise ValueError(
@@ -248,27 +255,6 @@ def conversion(paths: Iterable[Path], split: str, *, size: int, normals: str) ->
     return Conversion(
         "svbrdf_nonstationary", "material", UNITS, find, read, notes, lambda source: labels[source.resolve()]
     )
-
-
-def reflectances(colour: Tensor, metallic: Tensor | None, specular: Tensor | None) -> tuple[Tensor, Tensor]:
-    """Diffuse and specular [3, H, W] of a linear base colour [3, H, W] and what else there is."""
-    if metallic is not None:
-        return from_metallic(colour, _gray(metallic))
-    return colour, torch.full_like(colour, DIELECTRIC) if specular is None else specular
-
-
-def roughness_of_highlight(strength: Tensor) -> Tensor:
-    """The roughness at which a GGX lobe of specular 0.04 peaks at this radiance, that of white paper being 1."""
-    return (DIELECTRIC / 4 / strength.clamp_min(1e-6)).sqrt().sqrt().clamp_max(1)
-
-
-def is_green_down(normal: Tensor, role: str, stated: str = "auto") -> bool:
-    """Whether y of normals [3, H, W] points down: as stated, as the role says, or by what a height field could have."""
-    if stated != "auto":
-        return stated == "directx"
-    if role != "normal":
-        return role == "normal (DirectX)"
-    return mixed_slopes(normal) < -_IS_CLEAR
 
 
 def mixed_slopes(normal: Tensor) -> float:
@@ -327,17 +313,16 @@ def _choose(material: Material) -> dict[str, Path]:
 
 def _specular_workflow(roles: Mapping[str, tuple[Path, ...]]) -> dict[str, tuple[Path, ...]]:
     """The maps without those of the metallic workflow where those of both are there, as in our asset folders."""
+
+    def last_word(file: Path) -> str:
+        words = [word.group() for word in _WORD.finditer(file.stem) if not _RESOLUTION.fullmatch(word.group())]
+        return words[-1].lower() if words else ""
+
     colours = roles.get("base colour", ())
-    diffuse = tuple(file for file in colours if _word(file) in _BODY)
+    diffuse = tuple(file for file in colours if last_word(file) in _BODY)
     if not ("specular" in roles and len(diffuse) == 1 and len(colours) == 2):
         return dict(roles)
     return {role: files for role, files in roles.items() if role != "metallic"} | {"base colour": diffuse}
-
-
-def _word(file: Path) -> str:
-    """The last word of a file's name that is no resolution."""
-    words = [word.group().lower() for word in _WORD.finditer(file.stem)]
-    return next((word for word in reversed(words) if not _RESOLUTION.fullmatch(word)), "")
 
 
 def _read(file: Path, size: int, role: str, shapes: dict[str, tuple[int, int]]) -> Tensor:

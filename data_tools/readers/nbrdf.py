@@ -136,11 +136,19 @@ def write_nbrdf(folder: str | Path, weights: Mapping[str, NDArray[np.floating] |
     folder = Path(folder)
     if set(weights) != set(SHAPES):
         raise ValueError(f"{folder}: weights {', '.join(sorted(weights)) or 'none'}, expected {', '.join(SHAPES)}.")
-    arrays = {part: _as_array(weights[part]) for part in SHAPES}
+    plain = {
+        part: value.detach().cpu().numpy() if isinstance(value, Tensor) else value for part, value in weights.items()
+    }
+    arrays = {part: np.ascontiguousarray(plain[part], "<f4") for part in SHAPES}
     for part, array in arrays.items():
         _check_part(array, SHAPES[part], str(folder / f"{part}.npy"))
+
+    def write(array: NDArray[np.float32], path: Path) -> None:
+        with path.open("wb") as stream:
+            npy.write_array(stream, array, allow_pickle=False)
+
     for part, array in arrays.items():
-        write_atomically(folder / f"{part}.npy", partial(_write_part, array))
+        write_atomically(folder / f"{part}.npy", partial(write, array))
 
 
 def nbrdf_evaluate(weights: Mapping[str, NDArray[np.floating] | Tensor], angles: Tensor) -> Tensor:
@@ -201,17 +209,6 @@ def _read_part(path: Path, shape: tuple[int, ...]) -> NDArray[np.float32]:
         array = np.array(mapped, dtype=np.float32, order="C")
     _check_part(array, shape, str(path))
     return array
-
-
-def _write_part(array: NDArray[np.float32], path: Path) -> None:
-    with path.open("wb") as stream:
-        npy.write_array(stream, array, allow_pickle=False)
-
-
-def _as_array(weights: NDArray[np.floating] | Tensor) -> NDArray[np.float32]:
-    if isinstance(weights, Tensor):
-        weights = weights.detach().cpu().numpy()
-    return np.ascontiguousarray(weights, dtype="<f4")
 
 
 def _check_part(array: NDArray[np.floating], shape: tuple[int, ...], subject: str) -> None:

@@ -227,14 +227,12 @@ def split_strips(strips: Sequence[Path]) -> Split:
     for by, made_of in (("material", materials), ("preset", {strip: each.presets for strip, each in blends.items()})):
         test = _test_side(Counter(made_of.values()))
         if test:
-            sides = {strip: _side(units, test) for strip, units in made_of.items()}
-            left_out = [strip for strip, side in sides.items() if not side]
-            return Split({strip: side for strip, side in sides.items() if side}, left_out, by)
+            sides = {strip: "test" if units <= test else "train" for strip, units in made_of.items()}
+            left_out = [strip for strip, units in made_of.items() if units & test and not units <= test]
+            for strip in left_out:
+                del sides[strip]
+            return Split(sides, left_out, by)
     return Split(dict.fromkeys(strips, "train"), [], "material")
-
-
-def _side(units: frozenset[str], test: frozenset[str]) -> str:
-    return "test" if units <= test else "" if units & test else "train"
 
 
 def _components(made_of: Mapping[Path, frozenset[str]]) -> dict[Path, str]:
