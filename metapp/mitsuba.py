@@ -28,8 +28,8 @@ from metapp.apps.brdf import Brdf, layers_of
 from metapp.apps.brdf.featured import Featured
 from metapp.learning.task import Params
 from metapp.rendering.brdf_plugin import Material, register_neural_brdf
+from metapp.rendering.bsdfs import register_maps_bsdf
 from metapp.rendering.guided_plugin import register_guided_path
-from metapp.rendering.maps_bsdf import register_maps_bsdf
 from metapp.storage.tensors import read_tensors
 
 

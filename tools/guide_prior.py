@@ -30,7 +30,7 @@ from metapp.rendering import equal_time
 from metapp.rendering.guide_prior import init
 from metapp.rendering.guide_training import APP, RECIPE
 from metapp.rendering.guided_path import PathTracer
-from metapp.rendering.guided_plugin import RR_DEPTH, GuidedPicture, parts_of
+from metapp.rendering.guided_plugin import RR_DEPTH, GuidedPicture
 from metapp.rendering.path_space import DEPTH
 from metapp.rendering.scene_loading import load_scene
 from metapp.storage.files import write_atomically
@@ -103,23 +103,20 @@ def pictures(theta: Params, size: int, spp: int) -> str:
         for kind in KINDS:
             mi, scene, _ = load_scene(random_room(kind, seed))
             equal_time.resize(scene, size)
-            noise = [_noise(mi, scene, size, spp, prior) for prior in (theta, None)]
+            noise = [_noise(mi, scene, spp, prior) for prior in (theta, None)]
             ratios.append(noise[0] / noise[1])
     lower = sum(ratio < 1 for ratio in ratios)
     return f"| {size} | {spp} | {interval(2 * torch.tensor(ratios).log())} | {lower} of {len(ratios)} |"
 
 
-def _noise(mi: Any, scene: Any, size: int, spp: int, prior: Params | None) -> float:
+def _noise(mi: Any, scene: Any, spp: int, prior: Params | None) -> float:
     """Mean over pixels of how far pictures of several seeds are from each other, relative to their mean."""
     tracer, path = PathTracer(DEPTH, RR_DEPTH), mi.load_dict({"type": "path"})
     film = scene.sensors()[0].film()
     made: list[Tensor] = []
     for seed in range(PICTURES):
         picture = GuidedPicture(path, tracer, scene, scene.sensors()[0], seed, prior)
-        for part in parts_of(spp, size**2):
-            picture.add(part)
-        film.prepare([])
-        film.put_block(picture.block)
+        picture.render(spp)
         made.append(torch.from_numpy(film.develop().numpy())[..., :3].mean(2))
     mean = torch.stack(made).mean(0)
     halves = zip(made[::2], made[1::2], strict=True)

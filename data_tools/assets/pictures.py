@@ -165,5 +165,5 @@ def write_png16(surface: Surface, path: Path, provenance: Mapping[str, object]) 
 
 def fitted_by(provenance: Mapping[str, object]) -> str:
     """A fit's provenance in a few words."""
-    keys = ("app", "paradigm", "rule", "start", "checkpoint", "recipe")
+    keys = ("app", "paradigm", "rule", "checkpoint", "recipe")
     return ", ".join(f"{key} {provenance[key]}" for key in keys if key in provenance)

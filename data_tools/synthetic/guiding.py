@@ -14,7 +14,7 @@ from metapp.rendering import equal_time
 from metapp.rendering.guide_histogram import coarsened, second_moments, voxels_of
 from metapp.rendering.guide_prior import LearnedPrior, histogram_features, init
 from metapp.rendering.guided_path import PathTracer
-from metapp.rendering.guided_plugin import RR_DEPTH, GuidedPicture, Part
+from metapp.rendering.guided_plugin import RR_DEPTH, GuidedPicture
 from metapp.rendering.path_space import DEPTH
 from metapp.rendering.scene_loading import load_scene
 
@@ -47,7 +47,7 @@ def guide_tasks(kind: str, seed: int) -> list[Task]:
     for parts in PARTS:
         for spp in parts:
             picture.pays = True  # the guard has no say
-            picture.add(Part(spp, learns=True))
+            picture.add(spp, learns=True)
         readings.append(_sums(picture, prior))
     voxels = prior.survey.voxels
     rng = Generator().manual_seed(seed)

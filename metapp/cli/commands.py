@@ -5,7 +5,7 @@ from __future__ import annotations
 import typer
 
 from metapp.cli import compare, data, doctor, evaluate, export, pack, rerun
-from metapp.cli.fit import make_command
+from metapp.cli.fit import FitCommand, make_command
 
 SUMMARIES = {
     "general": "One forward pass of an encoder that was trained over all tasks; no gradient steps.",
@@ -22,7 +22,7 @@ app = typer.Typer(
     help="Reproduce visual appearance by machine learning: five training paradigms, one way of learning.",
 )
 for name, summary in SUMMARIES.items():
-    app.command(name)(make_command(name, summary))
+    app.command(name, cls=FitCommand)(make_command(name, summary))
 app.command("evaluate")(evaluate.command)
 app.command("export")(export.command)
 app.command("pack")(pack.pack_command)

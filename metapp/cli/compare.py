@@ -56,7 +56,7 @@ def _table(compared: Comparison) -> Any:
     from rich.table import Table
     from rich.text import Text
 
-    from metapp.runs.session import caption_of, title_of
+    from metapp.runs.naming import caption_of, title_of
     from metapp.runs.statistics import FEWEST
 
     one, other = compared.sides

@@ -35,9 +35,9 @@ def command(
         print_json(found)
         return
     for name, value in found.items():
-        told, after = (": ", "; ") if name == "starts" else (" ", ", ")  # starts are lists themselves
+        told, after = (": ", "; ") if name == "checkpoints" else (" ", ", ")  # these are lists
         text = after.join(f"{key}{told}{item}" for key, item in value.items()) if isinstance(value, dict) else value
-        out.print(f"{name:<10} {text}", markup=False, soft_wrap=True)
+        out.print(f"{name:<11} {text}", markup=False, soft_wrap=True)
 
 
 def examine() -> dict[str, Any]:
@@ -49,14 +49,14 @@ def examine() -> dict[str, Any]:
     from metapp.runs.shipped import shipped_names
     from metapp.storage.cache import cache_folder
 
-    starts = {key: names for app in app_names() for key, names in shipped_names(app).items()}
+    shipped = {key: names for app in app_names() for key, names in shipped_names(app).items()}
     return {
         "versions": {name: _version(name) for name in PACKAGES},
         "device": torch.cuda.get_device_name() if torch.cuda.is_available() else f"CPU, {os.cpu_count()} cores",
         "compiler": _compiler(),
         "cache": str(cache_folder()),
         "data": {app: "made" if embedded_exists(app) else "made on first use" for app in app_names()},
-        "starts": {key: ", ".join(names) or "none" for key, names in starts.items()},
+        "checkpoints": {key: ", ".join(names) or "none" for key, names in shipped.items()},
         "VGG": {which: _vgg(which) for which in ("vgg16", "vgg19")},
         "libLLVM": _llvm(),
     }

@@ -16,7 +16,7 @@ from metapp.evaluation.tables import NAMES, STUDIES, load_table
 if TYPE_CHECKING:
     from metapp.evaluation.cell import Cell
     from metapp.evaluation.rows import Table
-    from metapp.evaluation.study import Budget
+    from metapp.evaluation.study import Design
     from metapp.evaluation.subject import Subject
 
 FORMATS = ("rich", "markdown", "latex", "csv", "json")
@@ -39,6 +39,14 @@ class Evaluation:
     no_run: Annotated[
         bool, typer.Option("--no-run", help="Print what there is, and the commands that make the rest.")
     ] = False
+    shard: Annotated[
+        str,
+        typer.Option(
+            metavar="I/N",
+            help="Run the I-th of N parts of what is missing, on machines that share --out; without it the same "
+            "command prints the table of all parts.",
+        ),
+    ] = ""
     figures: Annotated[Path | None, typer.Option(help="Draw the figures there, as PNG and PDF.")] = None
     report: Annotated[
         Path | None, typer.Option(help="Write one HTML page there: all tables, figures, pictures, records.")
@@ -88,114 +96,155 @@ def command(options: Evaluation) -> None:
 
     Example: metapp evaluate brdf --which quickft
     """
-    given = check(options)
-    subjects = subjects_of(given)
-    names = NAMES if given.which == ALL else (given.which,)
-    drawn = NAMES if given.report or (given.figures and given.which not in STUDIES) else ()
-    fill([load_table(name) for name in dict.fromkeys((*names, *drawn))], subjects, given)
-    if not given.quiet:
+    options = check(options)
+    subjects = subjects_of(options)
+    names = NAMES if options.which == ALL else (options.which,)
+    drawn = NAMES if options.report or (options.figures and options.which not in STUDIES) else ()
+    cells = cells_of([load_table(name) for name in dict.fromkeys((*names, *drawn))], subjects, options)
+    if options.shard:
+        fill_part(cells, options)
+        return
+    fill(cells, options)
+    if not options.quiet:
         draw(subjects, names)
-    if given.table or given.json:
-        show([load_table(name) for name in names], subjects, "json" if given.json else given.form)
-    if given.figures:
+    if options.table or options.json:
+        show([load_table(name) for name in names], subjects, "json" if options.json else options.form)
+    if options.figures:
         from metapp.evaluation.figures import FIGURES, write_figures
 
-        for file in write_figures(subjects, given.figures, STUDIES if given.which in STUDIES else tuple(FIGURES)):
+        for file in write_figures(subjects, options.figures, STUDIES if options.which in STUDIES else tuple(FIGURES)):
             say(f"figure: {file}")
-    if given.report:
+    if options.report:
         from metapp.evaluation.report.page import write_report
 
-        say(f"report: {write_report(subjects, given.report)}")
+        say(f"report: {write_report(subjects, options.report)}")
 
 
-def check(given: Evaluation) -> Evaluation:
+def check(options: Evaluation) -> Evaluation:
     """The options with their older names replaced.
 
     Raises:
         BadParameter: there is no such table or format, or an option is of another table.
     """
-    given = replace(
-        given,
-        which={"peers": "baselines"}.get(given.which, given.which),
-        initialisation=given.initialisation or given.start,
+    options = replace(
+        options,
+        which={"peers": "baselines"}.get(options.which, options.which),
+        initialisation=options.initialisation or options.start,
     )
-    for option, value, known in (("--which", given.which, WHICH), ("--format", given.form, FORMATS)):
+    for option, value, known in (("--which", options.which, WHICH), ("--format", options.form, FORMATS)):
         if value not in known:
             raise typer.BadParameter(f"{option} '{value}': expected one of {', '.join(known)}.")
     of_studies: dict[str, object] = {
-        "--steps": given.steps,
-        "--train-steps": given.train_steps,
-        "--seeds": given.seeds,
-        "--initialisation": given.initialisation,
+        "--steps": options.steps,
+        "--train-steps": options.train_steps,
+        "--seeds": options.seeds,
+        "--initialisation": options.initialisation,
     }
+    if options.shard and (options.no_run or options.figures or options.report):
+        raise typer.BadParameter("--shard: runs a part and prints no table; leave --no-run, --figures, --report out.")
     for option, of_study in of_studies.items():
-        if of_study and given.which not in STUDIES:
+        if of_study and options.which not in STUDIES:
             raise typer.BadParameter(f"{option}: only with --which {' or '.join(STUDIES)}.")
-    return given
+    return options
 
 
-def budget_of(given: Evaluation) -> Budget:
-    """How much the rule study trains.
+def design_of(options: Evaluation) -> Design:
+    """What the rule study trains.
 
     Raises:
         BadParameter: there is no such initialisation.
     """
-    from metapp.evaluation.study import STARTS, Budget
+    from metapp.evaluation.study import STARTS, Design
 
-    if given.initialisation and given.initialisation not in STARTS:
-        raise typer.BadParameter(f"--initialisation '{given.initialisation}': expected one of {', '.join(STARTS)}.")
+    if options.initialisation and options.initialisation not in STARTS:
+        raise typer.BadParameter(f"--initialisation '{options.initialisation}': expected one of {', '.join(STARTS)}.")
     values: dict[str, Any] = {
-        "outer": given.train_steps,
-        "steps": tuple(given.steps or ()),
-        "seeds": given.seeds,
-        "start": given.initialisation,
-        "rules": (given.rule,) if given.rule else (),
+        "outer": options.train_steps,
+        "steps": tuple(options.steps or ()),
+        "seeds": options.seeds,
+        "initialisation": options.initialisation,
+        "rules": (options.rule,) if options.rule else (),
     }
-    return Budget(**{key: value for key, value in values.items() if value})
+    return Design(**{key: value for key, value in values.items() if value})
 
 
-def subjects_of(given: Evaluation) -> list[Subject]:
+def subjects_of(options: Evaluation) -> list[Subject]:
     """Each application under each protocol."""
     from metapp.apps import app_names, protocols_of, recipes_of
     from metapp.evaluation.subject import Subject
-    from metapp.runs.session import check_name, check_protocol, options_of
+    from metapp.runs.checks import check_name, check_protocol
+    from metapp.runs.plan import plan
+    from metapp.runs.request import Request
 
-    budget, run = budget_of(given), not given.no_run
-    names = given.apps or app_names()
+    design, run = design_of(options), not options.no_run
+    names = options.apps or app_names()
     for name in names:
         check_name(name)
     for name in [name for name in names if protocols_of(name)] or names:
-        check_protocol(given.observe, name)
-    planned = [
-        options_of(
-            name,
-            observe=protocol,
-            rule=given.rule,
-            recipe=given.recipe if given.apps or given.recipe in recipes_of(name) else "quick",
-            data=given.data,
-            out=given.out,
-            seed=given.seed,
-            device=given.device,
-            quiet=given.quiet,
+        check_protocol(options.observe, name)
+    plans = [
+        plan(
+            Request(
+                name,
+                "general",  # by the application's own network; rows make the plans of other paradigms of it
+                observe=protocol,
+                rule=options.rule,
+                recipe=options.recipe if options.apps or options.recipe in recipes_of(name) else "quick",
+                data=options.data,
+                out=options.out,
+                seed=options.seed,
+                device=options.device,
+                quiet=options.quiet,
+            )
         )
         for name in names
-        for protocol in ((given.observe,) if given.observe and protocols_of(name) else protocols_of(name) or ("",))
+        for protocol in ((options.observe,) if options.observe and protocols_of(name) else protocols_of(name) or ("",))
     ]
-    strict = bool(given.apps) and run
-    return [Subject(options, run=run, strict=strict, share=given.overfit_share, budget=budget) for options in planned]
+    strict = bool(options.apps) and run
+    return [Subject(one, run=run, strict=strict, share=options.overfit_share, design=design) for one in plans]
 
 
-def fill(tables: list[Table], subjects: list[Subject], given: Evaluation) -> None:
-    """Measure what has no record yet, or name the commands that do."""
-    from metapp.evaluation.cell import run_cells
+def cells_of(tables: list[Table], subjects: list[Subject], options: Evaluation) -> list[Cell]:
+    """What the tables must have measured.
 
+    Raises:
+        ValueError: a checkpoint is missing that was asked for, or the General that parts of a study begin at.
+    """
     if any(table.name not in STUDIES for table in tables):
         # all checkpoints before the first fit: a missing one should not be found after an hour; applications that
         # nobody named have empty cells where a checkpoint is missing
         assert all(subject.fits for subject in subjects)
-    cells = [cell for table in tables for subject in subjects for cell in table.cells(subject)]
-    if not given.no_run:
-        run_cells(cells, quiet=given.quiet)
+    if options.shard and options.which in STUDIES:
+        for subject in subjects:
+            if subject.study.general is None:
+                remedy = "train it first: metapp general with --train"
+                raise ValueError(f"--shard: {subject.title} has no General yet, which all parts begin at; {remedy}.")
+    return [cell for table in tables for subject in subjects for cell in table.cells(subject)]
+
+
+def fill_part(cells: list[Cell], options: Evaluation) -> None:
+    """Measure one part of what has no record yet; say what was done and what is left."""
+    from metapp.evaluation.cell import distinct, run_cells
+    from metapp.runs.request import portion_of
+
+    made = run_cells(cells, portion_of(options.shard), quiet=options.quiet)
+    cells = distinct(cells)
+    total, missing = sum(len(cell.tasks) for cell in cells), sum(len(cell.missing()) for cell in cells)
+    if not options.quiet:
+        rest = f"{missing:,} of {total:,} are missing"
+        if not missing:
+            rest = f"all {total:,} are there, the same command without --shard prints the table"
+        say(f"part {options.shard}: {made:,} records made; {rest}")
+    if options.json:
+        print_json({"which": options.which, "shard": options.shard, "made": made, "missing": missing})
+
+
+def fill(cells: list[Cell], options: Evaluation) -> None:
+    """Measure what has no record yet, or name the commands that do."""
+    from metapp.evaluation.cell import run_cells
+
+    if not options.no_run:
+        run_cells(cells, quiet=options.quiet)
         return
     groups: dict[str, list[Cell]] = {}
     for cell in {cell.title: cell for cell in cells}.values():

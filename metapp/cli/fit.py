@@ -2,29 +2,96 @@
 
 from __future__ import annotations
 
-import math
-import os
+import copy
+import inspect
+from collections.abc import Callable
+from dataclasses import fields
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
 
 import typer
+from typer.core import TyperCommand
 
 from data_tools.formats import exports_of, inputs_of
 from metapp.apps import app_names
 from metapp.cli.console import importing, say
-from metapp.cli.fitting import fit, fit_lines, fit_many
+from metapp.cli.fitting import fit
 from metapp.cli.options import Json
+from metapp.runs.request import Request
+
+if TYPE_CHECKING:
+    from typer._click import Context, HelpFormatter
 
 RULE_NAMES = (
     "meta-sgd, meta-adam, meta-adam-tied, meta-curvature, meta-encoder, meta-lgd, meta-mean, meta-basis, meta-axes, "
     "ridge"
 )
 PART_NAMES = "adam, tied, sgd, rates, shared, solve, betas, loss, pace, eps, curvature, network, average, basis"
-APP_HELP = f"Application: {', '.join(app_names())}."
+DEFAULT_RECIPE = "default: full, the best rule and size that ships"
+LINES = "- with --json: one a line of standard input, each answered by a line at once."
 
-
-# of the five commands alike
-INPUTS = "; ".join(f"{app}: {', '.join(each.inputs for each in inputs_of(app))}" for app in app_names())
+# what an option or argument of each field of a Request is; names, types and defaults are the field's
+OPTIONS: dict[str, Any] = {
+    "app": typer.Argument(
+        metavar="APP",
+        help=f"Application: {', '.join(app_names())}; with its name --help shows its inputs and its own options.",
+    ),
+    "inputs": typer.Argument(
+        metavar="[INPUT]...",
+        help=f"What to fit: files of APP or folders of these; without any, the test tasks of --data. {LINES}",
+    ),
+    "steps": typer.Option(help="Gradient steps instead of the recipe's.", min=0),
+    "rule": typer.Option(
+        help=f"Meta's rule: {RULE_NAMES}; or parts of rules with + between them, such as adam+curvature+average, of "
+        f"{PART_NAMES}; default: the recipe's best."
+    ),
+    "recipe": typer.Option(help=f"quick, full or paper; an application may have others; {DEFAULT_RECIPE}."),
+    "observe": typer.Option(help="What a fit may see: reference (the default) or photo."),
+    "budget": typer.Option(
+        metavar="TIME",
+        help="Take as many of the steps as fit in this time a task, such as 50ms, 2s or 1.5min, of inference.",
+    ),
+    "train": typer.Option("--train", help="Train the checkpoint on the training tasks first."),
+    "train_steps": typer.Option(help="Outer training steps instead of the recipe's.", min=1),
+    "checkpoint": typer.Option(help="Checkpoint to use; default: trained here, else shipped."),
+    "data": typer.Option(help="Folder of task shards; default: the embedded set."),
+    "out": typer.Option(help="Where runs and trained checkpoints are kept."),
+    "batch": typer.Option(
+        metavar="N|auto",
+        help="Fit inputs side by side: N, or what proves quick and fits in the memory. What has been fitted is not "
+        "fitted again, what fails is listed at the end and stops nothing else; writes gallery.html.",
+    ),
+    "shard": typer.Option(metavar="I/N", help="Fit every N-th input from the I-th on, of the same run folder."),
+    "watch": typer.Option("--watch", help="Rewrite watch.png in the run's folder as steps go by."),
+    "export": typer.Option(help="Write each fit in another form."),
+    "size": typer.Option(
+        metavar="HxW",
+        help="px of what fits make: textures and maps of stationary svBRDFs to 4096x4096, illumination to 1024x2048; "
+        "default: four times the exemplar's, the map's as it is fitted.",
+    ),
+    "render": typer.Option(
+        metavar="PX",
+        min=0,
+        max=4096,
+        help="Render each scene as well, guided at all bounces, and without a guide in the same time.",
+    ),
+    "fov": typer.Option(
+        metavar="DEGREES",
+        min=0,
+        max=150,
+        help="The camera's field of view along the shorter side, for flash photos; 0: as EXIF says, else 45.",
+    ),
+    "scene_root": typer.Option(
+        metavar="DIR",
+        exists=True,
+        file_okay=False,
+        help="A folder beside a scene's own that its meshes, bitmaps, spectra and includes may come from; no plugins.",
+    ),
+    "seed": typer.Option(help="Seed of all random draws.", min=0, max=2**63 - 1),
+    "device": typer.Option(help="auto, cpu or cuda."),
+    "quiet": typer.Option("--quiet", "-q", help="No progress bar, no table."),
+}
+OWN = ("observe", "export", "size", "render", "fov", "scene_root")  # options that some applications have
 
 
 def exports() -> str:
@@ -36,175 +103,79 @@ def exports() -> str:
     return "; ".join(f"{', '.join(names)}: {forms}" for forms, names in apps.items())
 
 
-def make_command(name: str, summary: str) -> Any:
+def own_help(name: str) -> dict[str, str]:
+    """What help says of arguments and options that differ between applications; of those it lacks, nothing."""
+    from metapp.appearance.presentation import Presentation
+    from metapp.apps import app_of, presentation_of, protocols_of, recipes_of
+
+    recipes, takes = recipes_of(name), {taken for form in inputs_of(name) for taken in form.takes}
+    shown = presentation_of(app_of(name, next(iter(recipes.values()))))
+    forms = ", ".join(form.inputs for form in inputs_of(name))
+    found = {
+        "inputs": f"What to fit: {forms}; or folders of these; without any, the test tasks of --data. {LINES}",
+        "recipe": f"{', '.join(recipes)}; {DEFAULT_RECIPE}.",
+        "observe": OPTIONS["observe"].help if protocols_of(name) else "",
+        "export": f"Write each fit in another form: {', '.join(exports_of(name))}." if exports_of(name) else "",
+        "size": OPTIONS["size"].help if type(shown).refusal is not Presentation.refusal else "",
+        "render": OPTIONS["render"].help if shown.renders else "",
+        "fov": OPTIONS["fov"].help if "fov_rad" in takes else "",
+        "scene_root": OPTIONS["scene_root"].help if "roots" in takes else "",
+    }
+    return {key: text for key, text in found.items() if text}
+
+
+class FitCommand(TyperCommand):
+    """A command whose help shows the options of the application that is named, or those that all have."""
+
+    def parse_args(self, ctx: Context, args: list[str]) -> list[str]:
+        """Note the application before --help is answered."""
+        ctx.meta[__name__] = next((word for word in args if word in app_names()), "")
+        return super().parse_args(ctx, args)
+
+    def format_help(self, ctx: Context, formatter: HelpFormatter) -> None:
+        """Write the help of the command as if it had these options alone."""
+        name = ctx.meta.get(__name__, "")
+        texts = own_help(name) if name else {}
+        command = copy.copy(self)
+        command.params = [copy.copy(param) for param in self.params if param.name not in OWN or param.name in texts]
+        for param in command.params:
+            if param.name in texts:
+                param.help = texts[param.name]  # type: ignore[attr-defined]  # of typer's arguments and options
+        TyperCommand.format_help(command, ctx, formatter)
+
+
+def make_command(name: str, summary: str) -> Callable[..., None]:
     """The command of one paradigm; they differ in name and help only."""
 
-    def command(
-        app: Annotated[str, typer.Argument(metavar="APP", help=APP_HELP)],
-        inputs: Annotated[
-            list[Path] | None,
-            typer.Argument(
-                metavar="[INPUT]...",
-                help=f"What to fit: {INPUTS}; or folders of these. Without any, the test tasks of --data. - with "
-                "--json: one a line of standard input, each answered by a line at once.",
-            ),
-        ] = None,
-        steps: Annotated[int | None, typer.Option(help="Gradient steps instead of the recipe's.", min=0)] = None,
-        rule: Annotated[
-            str,
-            typer.Option(
-                help=f"Meta's rule: {RULE_NAMES}; or parts of rules with + between them, such as "
-                f"adam+curvature+average, of {PART_NAMES}; default: the recipe's best."
-            ),
-        ] = "",
-        budget: Annotated[
-            str,
-            typer.Option(
-                metavar="TIME",
-                help="Take as many of the steps as fit in this time a task, such as 50ms, 2s or 1.5min, of inference.",
-            ),
-        ] = "",
-        watch: Annotated[
-            bool, typer.Option("--watch", help="Rewrite watch.png in the run's folder as steps go by.")
-        ] = False,
-        batch: Annotated[
-            str,
-            typer.Option(
-                metavar="N|auto",
-                help="Fit inputs side by side: N, or what proves quick and fits in the memory. What has been fitted is "
-                "not fitted again, what fails is listed at the end and stops nothing else; writes gallery.html.",
-            ),
-        ] = "",
-        shard: Annotated[
-            str, typer.Option(metavar="I/N", help="Fit every N-th input from the I-th on, of the same run folder.")
-        ] = "",
-        observe: Annotated[
-            str,
-            typer.Option(help="What a fit may see, where an application has both: reference (the default) or photo."),
-        ] = "",
-        train: Annotated[
-            bool, typer.Option("--train", help="Train the checkpoint on the training tasks first.")
-        ] = False,
-        train_steps: Annotated[
-            int | None, typer.Option(help="Outer training steps instead of the recipe's.", min=1)
-        ] = None,
-        data: Annotated[Path | None, typer.Option(help="Folder of task shards; default: the embedded set.")] = None,
-        out_folder: Annotated[Path, typer.Option("--out", help="Where runs and trained checkpoints are kept.")] = Path(
-            "runs"
-        ),
-        checkpoint: Annotated[
-            Path | None, typer.Option(help="Checkpoint to use; default: trained here, else shipped.")
-        ] = None,
-        recipe: Annotated[
-            str,
-            typer.Option(
-                help="quick, full or paper; brdf: also measured, for noisy or incomplete samples; texture: also "
-                "paper-vgg19; default: full for files where no data, rule or checkpoint is given and fits by it are "
-                "others (all but transport's), else quick."
-            ),
-        ] = "",
-        scene_root: Annotated[
-            list[Path] | None,
-            typer.Option(
-                metavar="DIR",
-                exists=True,
-                file_okay=False,
-                help="A folder beside a scene's own that its meshes, bitmaps, spectra and includes may come from; for "
-                "transport. Plugins never do.",
-            ),
-        ] = None,
-        fov: Annotated[
-            float,
-            typer.Option(
-                metavar="DEGREES",
-                min=0,
-                max=150,
-                help="The camera's field of view along the shorter side, for flash photos; 0: as EXIF says, else 45.",
-            ),
-        ] = 0,
-        size: Annotated[
-            str,
-            typer.Option(
-                metavar="HxW",
-                help="px of what fits make: textures and maps of stationary svBRDFs to 4096x4096, illumination to "
-                "1024x2048; default: four times the exemplar's, the map's as it is fitted.",
-            ),
-        ] = "",
-        render: Annotated[
-            int,
-            typer.Option(
-                metavar="PX",
-                min=0,
-                max=4096,
-                help="Render each scene as well, guided at all bounces, and without a guide in the same time; for "
-                "transport.",
-            ),
-        ] = 0,
-        export: Annotated[str, typer.Option(help=f"Write each fit in another form; {exports()}.")] = "",
-        seed: Annotated[int, typer.Option(help="Seed of all random draws.", min=0, max=2**63 - 1)] = 0,
-        device: Annotated[str, typer.Option(help="auto, cpu or cuda.")] = "auto",
-        json: Json = False,
-        quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress bar, no table.")] = False,
-    ) -> None:
+    def command(json: bool, **options: Any) -> None:
         with importing():
-            from metapp.apps import presentation_of
-            from metapp.runs.export import check_export
-            from metapp.runs.inputs import Reading
-            from metapp.runs.run import follow
-            from metapp.runs.session import options_of
-
-        options = options_of(
-            app,
-            observe=observe,
-            rule=rule,
-            recipe=recipe,
-            own_files_by=name if inputs and not train else "",
-            steps=steps,
-            data=data,
-            out=out_folder,
-            checkpoint=checkpoint,
-            seed=seed,
-            device=device,
-            quiet=quiet,
-            budget=budget,
-            watch=watch,
-        )
-        check_export(export, app)
-        if train_steps and not train:
-            raise typer.BadParameter("--train-steps: only with --train.")
-        if scene_root and not any("roots" in form.takes for form in inputs_of(app)):
-            raise typer.BadParameter(f"--scene-root: {app} has no scenes, only transport; leave it out.")
-        if render and not presentation_of(options.app).renders:
-            raise typer.BadParameter(f"--render: {app} has no scenes, only transport; leave it out.")
-        if fov and not any("fov_rad" in form.takes for form in inputs_of(app)):
-            raise typer.BadParameter(f"--fov: {app} has no flash photos; leave it out.")
-        for said, unused in (
-            ("--rule: only meta has learned rules", rule and name != "meta"),
-            ("--steps: general takes none", steps and name == "general"),
-            ("--checkpoint: overfit starts at random", checkpoint and name == "overfit"),
+            from metapp.runs.plan import plan
+        request = Request(paradigm=name, **{key: value for key, value in options.items() if value is not None})
+        lines = request.inputs == [Path("-")]
+        if lines and (not json or request.batch or request.shard or request.render):
+            raise typer.BadParameter("-: give --json, by which lines are answered, no --batch, --shard, --render.")
+        planned = plan(request)
+        for remark, unused in (
+            ("--rule: only meta has learned rules", request.rule and name != "meta"),
+            ("--steps: general takes none", request.steps and name == "general"),
+            ("--checkpoint: overfit begins at random", request.checkpoint and name == "overfit"),
         ):
             if unused:  # scripts over all paradigms give all the same options
-                say(f"{said}; the option is ignored.")
-        if os.environ.get("RANK", "0") != "0":  # of torchrun: rank 0 alone fits
-            return follow(options, name, train_steps) if train else None
-        told: dict[str, Any] = {
-            "train": train,
-            "train_steps": train_steps,
-            "export": export,
-            "size": size,
-            "reading": Reading(scene_root or [], math.radians(fov)),
-        }
-        lines = inputs == [Path("-")]
-        if lines and (not json or batch or shard or render):
-            raise typer.BadParameter("-: give --json, by which lines are answered, no --batch, --shard, --render.")
-        if (batch or shard) and render:
-            raise typer.BadParameter("--render: of scenes one by one; leave --batch and --shard out.")
-        if lines:
-            fit_lines(options, name, told)
-        elif batch or shard:
-            fit_many(options, name, inputs or [], batch, shard, told, json=json)
-        else:
-            fit(options, name, inputs or [], told, render=render, json=json)
+                say(f"{remark}; the option is ignored.")
+        fit(planned, lines=lines, json=json)
 
+    hints = get_type_hints(Request)
+    parameters = []
+    for field in fields(Request):
+        if field.name in OPTIONS:
+            several = field.name in ("inputs", "scene_root")
+            kind: Any = list[Path] | None if several else hints[field.name]
+            annotation = Annotated[kind, OPTIONS[field.name]]
+            default = None if several else inspect.Parameter.empty if field.name == "app" else field.default
+            keyword = inspect.Parameter.KEYWORD_ONLY
+            parameters.append(inspect.Parameter(field.name, keyword, default=default, annotation=annotation))
+    parameters.append(inspect.Parameter("json", inspect.Parameter.KEYWORD_ONLY, default=False, annotation=Json))
+    command.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]  # what typer reads
+    command.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
     command.__doc__ = summary
     return command

@@ -1,8 +1,9 @@
-"""Fit inputs and show what came of it: one by one, many, or as lines of standard input name them."""
+"""Execute a plan and show what came of it, for each run that it makes."""
 
 from __future__ import annotations
 
 import statistics
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,84 +13,69 @@ from metapp.cli.console import Exit, lines_of_input, one_line, out, print_json, 
 from metapp.runs.reporter import number
 
 if TYPE_CHECKING:
+    from rich.table import Table
+
     from metapp.learning.app import App
-    from metapp.runs.run import Run
-    from metapp.runs.session import Options
+    from metapp.runs.execution import Run
+    from metapp.runs.plan import Plan
+
+LISTED = 20  # tasks in the table of a run that lists what failed
 
 
-def fit(options: Options, name: str, inputs: list[Path], told: dict[str, Any], *, render: int, json: bool) -> None:
-    """Fit inputs one by one and show what came of it; of scenes also pictures of so many px."""
-    from metapp.runs.pictures import write_renders
-    from metapp.runs.run import run
+def fit(plan: Plan, *, lines: bool, json: bool) -> None:
+    """Fit what a plan asks for, or what lines of standard input name; the exit code is 1 if something was not fitted.
 
-    done = run(options, name, inputs, **told)
-    lines = write_renders(done.options.app, done.tasks, done.folder.path / "outputs", render) if render else []
-    if not options.quiet:
-        show(done, table=not json)
-        for line in lines:
-            say(line)
-    if json:
-        print_json(done.document())
+    Args:
+        plan: what to do.
+        lines: each line of standard input is a run, answered by a line.
+        json: print an object in place of tables.
+    """
+    from metapp.runs.execution import Failure, execute
 
-
-def fit_lines(options: Options, name: str, told: dict[str, Any]) -> None:
-    """Fit each input that a line of standard input names, and answer it by a line; the exit code is 1 if one failed."""
-    from metapp.runs.run import run_each
-
-    failed = count = 0
-    for path, done in run_each(options, name, map(Path, lines_of_input()), **told):
-        count += 1
-        if isinstance(done, Exception):
-            failed += 1
-            print_json({"input": str(path), "failure": one_line(what_failed(done))})
+    failed = total = 0
+    for done in execute(plan, map(Path, lines_of_input()) if lines else None):
+        if isinstance(done, Failure):
+            failed, total = failed + 1, total + 1
+            print_json({"input": done.source, "failure": one_line(what_failed(done.error))})
+            continue
+        failed, total = failed + len(done.failures), total + (1 if lines else len(done.failures) + len(done.records))
+        if lines:
+            print_json({"input": str(done.plan.request.inputs[0])} | done.document())
         else:
-            print_json({"input": str(path)} | done.document())
+            _show(done, json=json)
     if failed:
-        say(f"error: {failed} of {count} inputs were not fitted.")
+        say(f"error: {failed} of {total} inputs were not fitted.")
         raise typer.Exit(Exit.FAILED)
 
 
-def fit_many(
-    options: Options, name: str, inputs: list[Path], batch: str, shard: str, told: dict[str, Any], *, json: bool
-) -> None:
-    """Fit many inputs, show what came of it and list what failed; then the exit code is 1."""
-    from metapp.runs import many
-    from metapp.runs.batch_size import check_batch
-    from metapp.runs.sources import shard_of
-
-    done = many.fit_many(options, name, inputs, many.Asked(check_batch(batch or "1"), shard_of(shard)), **told)
-    if not options.quiet:
-        records = done.run.records
-        if not json:
-            out.print(table_of(done.run.options.app, name, records, rate=done.tasks_per_second, most=LISTED))
-        made = f"\nmade: {done.run.made}" if done.run.made else ""
-        say(f"gallery: {done.gallery}\nrecords: {done.run.folder.file}{made}")
-    for failure in done.failures:
-        say(f"failed: {one_line(failure.reason)}")
-    if json:
-        print_json(done.document())
-    if done.failures:
-        say(f"error: {len(done.failures)} of {len(done.failures) + len(done.run.records)} inputs were not fitted.")
-        raise typer.Exit(Exit.FAILED)
-
-
-LISTED = 20  # tasks in the table of many
-
-
-def show(done: Run, *, table: bool) -> None:
-    """Draw the picture of a run; print its table and say where everything is."""
+def _show(run: Run, *, json: bool) -> None:
+    """Draw the picture of a run; print its table, or its object, and say where everything is and what failed."""
+    from metapp.runs.outputs import OUTPUTS, write_renders
     from metapp.runs.pictures import picture_of_run
 
-    app, paradigm = done.options.app, done.settings["paradigm"]
-    picture = picture_of_run(app, paradigm, done.tasks, done.records, done.folder.path)
-    if table:
-        out.print(table_of(app, paradigm, done.records))
-    say(f"picture: {picture}\nrecords: {done.folder.file}" + (f"\nmade: {done.made}" if done.made else ""))
+    plan, paradigm = run.plan, run.plan.paradigm.name
+    side = plan.request.render
+    remarks = write_renders(plan.app, run.tasks, run.folder.path / OUTPUTS, side) if side else []
+    if not plan.request.quiet:
+        where = f"gallery: {run.gallery}"
+        if not run.gallery:
+            where = f"picture: {picture_of_run(plan.app, paradigm, run.tasks, run.records, run.folder.path)}"
+        if not json:
+            most = LISTED if run.gallery else None
+            rate = run.tasks_per_second if run.gallery else None
+            out.print(table_of(plan.app, paradigm, run.records, rate=rate, most=most))
+        say(f"{where}\nrecords: {run.folder.file}" + (f"\nmade: {run.made}" if run.made else ""))
+        for line in remarks:
+            say(line)
+    for failure in run.failures:
+        say(f"failed: {one_line(failure.reason)}")
+    if json:
+        print_json(run.document())
 
 
 def table_of(
-    app: App, paradigm: str, records: list[dict[str, Any]], *, rate: float | None = None, most: int | None = None
-) -> Any:
+    app: App, paradigm: str, records: Sequence[dict[str, Any]], *, rate: float | None = None, most: int | None = None
+) -> Table:
     """One line a task, and their mean; of more than `most` those of the largest errors.
 
     Args:
@@ -103,14 +89,13 @@ def table_of(
     from rich.text import Text
 
     from metapp.evaluation.notes import warned
-    from metapp.runs.session import caption_of, title_of
+    from metapp.runs.naming import caption_of, factor_of, title_of
     from metapp.storage.records import guarded, summary
 
-    factor = f" x{app.traits.scale:g}" if app.traits.scale != 1 else ""
     remarks = warned([{"paradigm": paradigm, "tasks": len(records), "guarded": guarded(records)}])
-    shown_records = records
+    listed = records
     if most is not None and len(records) > most:
-        shown_records = sorted(records, key=lambda record: -(record["error"] or 0.0))[:most]
+        listed = sorted(records, key=lambda record: -(record["error"] or 0.0))[:most]
         remarks.insert(0, f"{most} of {len(records)} tasks, those of the largest errors")
     if rate is not None:
         remarks.insert(0, f"{rate:.4g} tasks/s, reading and pictures included")
@@ -119,12 +104,12 @@ def table_of(
     )
     total = summary(records)
     table.add_column("task", "mean error, median of the rest")
-    table.add_column(f"error{factor}", number(total["error"], ".3f"), justify="right")
+    table.add_column(f"error{factor_of(app)}", number(total["error"], ".3f"), justify="right")
     table.add_column("seconds", number(total["seconds"], ".4f"), justify="right")
     steps = [record["steps"] for record in records if "steps" in record]
     if steps:
         table.add_column("steps", f"{statistics.median(steps):g}", justify="right")
-    for record in shown_records:
-        shown = [f"{record['steps']}"] if steps else []
-        table.add_row(Text(record["name"]), number(record["error"], ".3f"), f"{record['seconds']:.4f}", *shown)
+    for record in listed:
+        taken = [f"{record['steps']}"] if steps else []
+        table.add_row(Text(record["name"]), number(record["error"], ".3f"), f"{record['seconds']:.4f}", *taken)
     return table

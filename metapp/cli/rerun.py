@@ -41,10 +41,10 @@ def command(
 
     Example: metapp rerun runs/brdf/meta/gold-full-seed0-ridge
     """
-    from metapp.evaluation.repeat import plan_of
-    from metapp.runs.rerun import Given, rerun
+    from metapp.evaluation.repeat import repeat_of
+    from metapp.runs.rerun import Instead, rerun
 
-    rows = rerun(record, task, Given(inputs or [], data, checkpoint, tolerance), plan_of, quiet=quiet)
+    rows = rerun(record, task, Instead(inputs or [], data, checkpoint, tolerance), repeat_of, quiet=quiet)
     failed = [row.name for row in rows if not row.agrees]
     if not (quiet or json):
         out.print(_table(rows))

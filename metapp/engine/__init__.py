@@ -1,7 +1,7 @@
 """Engines: how steps of a descent are taken, faster than by torch alone.
 
 `learning` says what a step and its vector-Jacobian product are; here both are computed in C where a loss and a rule are
-known (`in_c`, `packing`), else by torch, compiled where that pays (`compiled`). No other part knows of it.
+known (`in_c`, `packing`), else by torch, compiled where that pays. No other part knows of it.
 """
 
 from metapp.engine.compiler import compiler, load

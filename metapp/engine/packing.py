@@ -13,12 +13,17 @@ import torch
 from torch import Tensor
 
 from metapp.learning.rules import META_EPS, LearnedRule, Part
-from metapp.learning.rules.betas import Betas
-from metapp.learning.rules.curvature import Curvature
 from metapp.learning.rules.descent import AdamStep, sgd_step
-from metapp.learning.rules.eps import Eps
-from metapp.learning.rules.loss import LossParameters
-from metapp.learning.rules.rates import Paces, Rates, SharedRates, SignedRates
+from metapp.learning.rules.parts import (
+    Betas,
+    Curvature,
+    Eps,
+    LossParameters,
+    Paces,
+    Rates,
+    SharedRates,
+    SignedRates,
+)
 from metapp.learning.task import Params
 
 

@@ -21,22 +21,23 @@ from metapp.runs.embedded import embedded_data, embedded_exists
 from metapp.runs.fits import rng_of
 from metapp.runs.inputs import data_folder
 from metapp.runs.pictures import PICTURE
-from metapp.runs.session import Options, versions
+from metapp.runs.plan import Plan
+from metapp.runs.surroundings import versions
 from metapp.storage.records import NUMBER, OPTIONAL
 from metapp.storage.shards import read_manifest, read_shard
 
 FORM = {"error": OPTIONAL, "numbers": OPTIONAL, "size": NUMBER, "shared": NUMBER}  # of a record
 
 
-def training_folder(options: Options) -> Path | None:
+def training_folder(plan: Plan) -> Path | None:
     """The data set whose training tasks baselines are prepared on: the one that is fitted, else the embedded one.
 
     None where neither has any: the embedded one is not made for this.
     """
-    app = options.app.name
-    folders = [data_folder(options.app, options.data, options.quiet)] if options.data or embedded_exists(app) else []
-    folders += [embedded_data(app, quiet=options.quiet)] if embedded_exists(app) else []
-    return next((each for each in folders if any(task.split == "train" for task in read_manifest(each).tasks)), None)
+    app, data, quiet = plan.app.name, plan.request.data, plan.request.quiet
+    folders = [data_folder(plan.app, data, quiet)] if data or embedded_exists(app) else []
+    folders += [embedded_data(app, quiet=quiet)] if embedded_exists(app) else []
+    return next((path for path in folders if any(task.split == "train" for task in read_manifest(path).tasks)), None)
 
 
 @functools.lru_cache(maxsize=1)
@@ -45,10 +46,10 @@ def training_of(app: App, folder: Path | None) -> Training:
     return Training(app, read_shard(folder, "train", app.name, app.holds) if folder else [])
 
 
-def allowed_for(options: Options) -> Allowed:
+def allowed_for(plan: Plan) -> Allowed:
     """As many samples as Meta's steps draw, and as many bytes as a task's own parameters have."""
-    recipe = options.job.recipe
-    return Allowed(recipe.steps * recipe.batch, bytes_of(*own_parameters(options.app).values()))
+    recipe = plan.job.recipe
+    return Allowed(recipe.steps * recipe.batch, bytes_of(*own_parameters(plan.app).values()))
 
 
 def own_parameters(app: App) -> Params:
@@ -63,12 +64,12 @@ def baseline_versions() -> dict[str, str]:
 
 
 def fit_baselines(
-    options: Options, baseline: Baseline, training: Training, tasks: Sequence[Task], errors: Mapping[str, float]
+    plan: Plan, baseline: Baseline, training: Training, tasks: Sequence[Task], errors: Mapping[str, float]
 ) -> Iterator[tuple[dict[str, Any], Params | None]]:
     """Fit a baseline to tasks, each alone; the time is from the task's samples to what is kept, warm.
 
     Args:
-        options: of the evaluation.
+        plan: of the evaluation.
         baseline: what is fitted.
         training: what it is prepared on.
         tasks: to be fitted.
@@ -82,20 +83,20 @@ def fit_baselines(
         ValueError: it cannot be fitted to these tasks.
     """
     with threadpool_limits(torch.get_num_threads(), user_api="blas"), torch.no_grad():
-        allowed = allowed_for(options)
+        allowed = allowed_for(plan)
         prepared = baseline.prepare(training, allowed)
         for i, task in enumerate(tasks):
             known = errors.get(task.name)
-            allowed = allowed._replace(error=None if known is None else known / options.app.traits.scale)
+            allowed = allowed._replace(error=None if known is None else known / plan.app.traits.scale)
             if i == 0 and not baseline.matches:
-                _fit_one(options, prepared, task, allowed)  # warm, as paradigms' fits are
-            yield _fit_one(options, prepared, task, allowed, timed=not baseline.matches)
+                _fit_one(plan, prepared, task, allowed)  # warm, as paradigms' fits are
+            yield _fit_one(plan, prepared, task, allowed, timed=not baseline.matches)
 
 
 def _fit_one(
-    options: Options, prepared: Prepared, task: Task, allowed: Allowed, *, timed: bool = True
+    plan: Plan, prepared: Prepared, task: Task, allowed: Allowed, *, timed: bool = True
 ) -> tuple[dict[str, Any], Params | None]:
-    rng, app = rng_of(options, task), options.app
+    rng, app = rng_of(plan, task), plan.app
     begin = time.perf_counter()
     stacked = stack(app, [task])
     fitted = prepared.fit(stacked, rng, allowed)

@@ -8,9 +8,11 @@ from typing import Any, NamedTuple
 
 from metapp.learning.task import Params, Task
 from metapp.runs.reporter import clock as shown_clock
-from metapp.runs.session import threads
+from metapp.runs.request import Portion
+from metapp.runs.surroundings import threads
 from metapp.storage.records import RunFolder
 
+WHOLE = Portion()
 Record = dict[str, Any]
 Measure = Callable[[list[Task]], Iterator[tuple[Record, Params | None]]]
 
@@ -28,6 +30,7 @@ class Cell(NamedTuple):
         stage: cells of a lower stage come first, which this one reads.
         threads: that torch works with meanwhile; None: as many as it does.
         guess: seconds that a task takes beside its steps, about, before any was measured.
+        number: of a cell whose tasks one program must measure alone, among such cells; None: they may be divided.
     """
 
     title: str
@@ -39,16 +42,21 @@ class Cell(NamedTuple):
     stage: int = 0
     threads: int | None = None
     guess: float = 0.0
+    number: int | None = None
 
     def records(self) -> list[Record]:
         """The records there are, in the order of the tasks."""
         finished = self.folder.finished() if self.folder else {}
         return [finished[task.name] for task in self.tasks if task.name in finished]
 
-    def missing(self) -> list[Task]:
-        """The tasks that have no record yet."""
+    def missing(self, portion: Portion = WHOLE) -> list[Task]:
+        """The tasks of a portion that have no record yet."""
         finished = self.folder.finished() if self.folder else {}
-        return [task for task in self.tasks if task.name not in finished]
+        if self.number is None:
+            tasks = portion.of(self.tasks)
+        else:
+            tasks = list(self.tasks) if self.number % portion.parts == portion.number - 1 else []
+        return [task for task in tasks if task.name not in finished]
 
     def run(self, tasks: list[Task]) -> Iterator[Record]:
         """Measure tasks; each record is kept before it is yielded."""
@@ -63,15 +71,20 @@ def distinct(cells: Sequence[Cell]) -> list[Cell]:
     return list({cell.folder.path: cell for cell in cells if cell.folder}.values())
 
 
-def run_cells(cells: Sequence[Cell], *, quiet: bool) -> None:
+def run_cells(cells: Sequence[Cell], portion: Portion = WHOLE, *, quiet: bool) -> int:
     """Measure what is missing; a killed run goes on at the first task without a record.
 
     Within a stage cells of few steps come first: the time left is soon known, and most of a table is soon there.
+    Programs that run different portions at the same time measure nothing twice, and none needs another's records.
+
+    Returns:
+        The number of records that were made.
     """
-    planned = [(cell, cell.missing()) for cell in sorted(distinct(cells), key=lambda cell: (cell.stage, cell.steps))]
-    planned = [(cell, missing) for cell, missing in planned if missing]
+    ordered = sorted(distinct(cells), key=lambda cell: (cell.stage, cell.steps))
+    planned = [(cell, missing) for cell in ordered if (missing := cell.missing(portion))]
     if not planned:
-        return
+        return 0
+    count = 0
     clock = Clock(planned)
     with shown_clock(quiet=quiet) as show:
         for i, (cell, missing) in enumerate(planned, 1):
@@ -81,8 +94,9 @@ def run_cells(cells: Sequence[Cell], *, quiet: bool) -> None:
                 for record in cell.run(missing):
                     now = time.perf_counter()
                     clock.add(cell, now - begin)
-                    begin = now
+                    begin, count = now, count + 1
                     show(f"{cell.title} {record['name']}, cell {i} of {len(planned)}", clock.spent, clock.left())
+    return count
 
 
 class Clock:

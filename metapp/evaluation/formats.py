@@ -8,26 +8,27 @@ from collections.abc import Sequence
 
 from metapp.evaluation.rows import Row, Table
 from metapp.evaluation.subject import Subject
+from metapp.runs.naming import factor_of
 
 
-def text_table(table: Table, found: Sequence[tuple[Subject, list[Row]]], form: str) -> str:
+def text_table(table: Table, by_subject: Sequence[tuple[Subject, list[Row]]], form: str) -> str:
     """The table of all applications as "markdown", "latex" or "csv"."""
-    rows = [row for _, each in found for row in each]
+    rows = [row for _, rows in by_subject for row in rows]
     if form == "csv":
         return csv_of(rows)
     header = ["app", *(column.title for column in table.columns)]
     body = [[key_of(row), *(column.text(row) for column in table.columns)] for row in rows]
-    notes = [(key_of(each[0]) if each else subject.title, table.notes(subject, each)) for subject, each in found]
+    notes = [(key_of(rows[0]) if rows else subject.title, table.notes(subject, rows)) for subject, rows in by_subject]
     if form == "markdown":
-        lines = [header, ["---"] * len(header), *body]
-        said = [line for name, each in notes for line in ("", f"{name}:", "", *(f"- {note}" for note in each))]
-        return "\n".join([*("| " + " | ".join(line) + " |" for line in lines), *said])
+        grid = [header, ["---"] * len(header), *body]
+        below = [line for name, lines in notes for line in ("", f"{name}:", "", *(f"- {note}" for note in lines))]
+        return "\n".join([*("| " + " | ".join(line) + " |" for line in grid), *below])
     escape = str.maketrans({"_": r"\_", "%": r"\%", "&": r"\&", "#": r"\#"})
     tex = [" & ".join(text.translate(escape) for text in line) + r" \\" for line in (header, *body)]
     align = "l" + "".join("l" if column.left else "r" for column in table.columns)
-    said = [f"% {name}: {note}" for name, each in notes for note in each]
+    below = [f"% {name}: {note}" for name, lines in notes for note in lines]
     top = [rf"\begin{{tabular}}{{{align}}}", r"\toprule", tex[0], r"\midrule"]
-    return "\n".join([*top, *tex[1:], r"\bottomrule", r"\end{tabular}", *said])
+    return "\n".join([*top, *tex[1:], r"\bottomrule", r"\end{tabular}", *below])
 
 
 def csv_of(rows: Sequence[Row]) -> str:
@@ -47,6 +48,5 @@ def key_of(row: Row) -> str:
 def title_of(table: Table, subject: Subject, rows: list[Row]) -> str:
     """What a table shows, of what and of how many tasks."""
     count = max((row["tasks"] for row in rows), default=0)
-    scale = subject.app.traits.scale
-    said = table.title.format(factor=f" x{scale:g}" if scale != 1 else "")
-    return f"{subject.title}, {f'{count} unseen tasks: ' if count else ''}{said}"
+    title = table.title.format(factor=factor_of(subject.app))
+    return f"{subject.title}, {f'{count} unseen tasks: ' if count else ''}{title}"

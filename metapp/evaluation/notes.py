@@ -11,7 +11,7 @@ from metapp.runs.statistics import FEWEST, Paired, apart
 
 def paired_note(rows: Sequence[Row], other: str = "quickft") -> list[str]:
     """What the columns that compare show."""
-    kinds = {found.kind: found.level for row in rows if (found := paired_of(row, other))}
+    kinds = {pair.kind: pair.level for row in rows if (pair := paired_of(row, other))}
     return [
         f"vs {other}: {kind} of mean errors with a 95 % interval (paired bootstrap over tasks); below {level:g} means "
         "a lower error; lower on: tasks whose error is lower"
@@ -27,22 +27,22 @@ def change(one: Row, other: Row) -> str:
     return f"{abs(percent):.0f} % {'above' if percent > 0 else 'below'}"
 
 
-def compared_text(found: Paired, other: str) -> str:
+def compared_text(pair: Paired, other: str) -> str:
     """A comparison in words: error ratio 0.962 [0.952, 0.972] vs quickft, lower on 15 of 20 tasks."""
-    return f"error {found.kind} {found} vs {other}, lower on {found.ahead} of {found.tasks} tasks"
+    return f"error {pair.kind} {pair} vs {other}, lower on {pair.ahead} of {pair.tasks} tasks"
 
 
 def verdict(row: Row, other: str = "quickft") -> str:
     """Whether a row's method or another wins: the one of the lower error, unless chance could be the reason."""
-    found, one = paired_of(row, other), row["paradigm"]
-    if found is None:
+    pair, one = paired_of(row, other), row["paradigm"]
+    if pair is None:
         return ""
-    text, differ = f"{one}: {compared_text(found, other)}", apart(found)
+    text, differ = f"{one}: {compared_text(pair, other)}", apart(pair)
     if differ is None:
-        return f"{text}; {found.groups} different tasks, fewer than {FEWEST}, are too few to call a win"
+        return f"{text}; {pair.groups} different tasks, fewer than {FEWEST}, are too few to call a win"
     if not differ:
         return f"{text}; no win"
-    return f"{text}; {one if found.value < found.level else other} wins"
+    return f"{text}; {one if pair.value < pair.level else other} wins"
 
 
 def warned(rows: Sequence[Row]) -> list[str]:
@@ -72,7 +72,7 @@ def overfit_note(subject: Subject) -> list[str]:
     """What is said where Overfit takes fewer steps than the recipe's."""
     if subject.share == 1:
         return []
-    steps, recipe = subject.fits["overfit"].steps, subject.options.job.recipe.overfit_steps
+    steps, recipe = subject.fits["overfit"].steps, subject.plan.job.recipe.overfit_steps
     changed = "its error and the gap closed are too high, its time and the speed-up too low"
     return [f"overfit: {steps:,} of the recipe's {recipe:,} steps, so {changed}"]
 

@@ -28,12 +28,12 @@ def _complete(cell: Cell) -> bool:
 
 
 def _draw(subject: Subject, cells: dict[str, Cell], kind: str) -> Path | None:
-    options, app = subject.options, subject.app
-    words = [kind, subject.label, options.recipe]
-    words += [f"seed{options.seed}", *filter(None, [app.protocol])] if kind == "comparison" else []
+    request, app = subject.plan.request, subject.app
+    words = [kind, subject.label, request.recipe]
+    words += [f"seed{request.seed}", *filter(None, [app.protocol])] if kind == "comparison" else []
     runs = [(name, cell.folder.path, cell.records()) for name, cell in cells.items() if cell.folder]
     if not runs:
         return None
-    file = options.out / app.name / f"{'-'.join(words)}.png"
-    with progress(f"pictures of {subject.title}", len(subject.tasks[:COMPARED]), quiet=options.quiet) as bar:
+    file = request.out / app.name / f"{'-'.join(words)}.png"
+    with progress(f"pictures of {subject.title}", len(subject.tasks[:COMPARED]), quiet=request.quiet) as bar:
         return picture_of_table(app, subject.tasks, runs, file, bar.advance)

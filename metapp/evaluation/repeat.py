@@ -8,19 +8,19 @@ from metapp.baselines import baselines_of
 from metapp.evaluation.cell import Cell
 from metapp.evaluation.subject import Subject
 from metapp.evaluation.tables import ablation, baselines
-from metapp.runs.rerun import Plan
-from metapp.runs.session import Options
+from metapp.runs.plan import Plan
+from metapp.runs.rerun import Repeat
 
 
-def plan_of(options: Options, settings: dict[str, Any]) -> Plan | None:
+def repeat_of(plan: Plan, settings: dict[str, Any]) -> Repeat | None:
     """What measures the row of a record again, kept nowhere; None where no table has such a row.
 
     Args:
-        options: that the record was made by.
+        plan: that the record was made by, of General.
         settings: of the record.
     """
-    cell = _cell(Subject(options, run=True, strict=False), settings)
-    return Plan(cell.folder.settings, list(cell.tasks), cell.measure) if cell and cell.folder else None
+    cell = _cell(Subject(plan, run=True, strict=False), settings)
+    return Repeat(cell.folder.settings, list(cell.tasks), cell.measure) if cell and cell.folder else None
 
 
 def _cell(subject: Subject, settings: dict[str, Any]) -> Cell | None:

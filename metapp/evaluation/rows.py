@@ -11,8 +11,8 @@ from typing import Any, NamedTuple
 
 from metapp.evaluation.cell import Cell, Record
 from metapp.evaluation.subject import Subject
+from metapp.runs.naming import is_first_protocol, observe_of
 from metapp.runs.reporter import number
-from metapp.runs.session import is_first_protocol, observe_of
 from metapp.runs.statistics import Errors, Paired, paired, statistics_of
 from metapp.storage.records import guarded
 
@@ -91,21 +91,41 @@ def paired_columns(other: str) -> tuple[Column, Column]:
     """The columns that compare rows with another method."""
 
     def text(row: Row) -> str:
-        found = paired_of(row, other)
-        return str(found) if found else "-"
+        pair = paired_of(row, other)
+        return str(pair) if pair else "-"
 
     def lower(row: Row) -> str:
-        found = paired_of(row, other)
-        return f"{found.ahead}/{found.tasks}" if found else "-"
+        pair = paired_of(row, other)
+        return f"{pair.ahead}/{pair.tasks}" if pair else "-"
 
     return Column(f"vs {other}", text), Column("lower on", lower)
 
 
-ERROR, SECONDS = numbers("error", "error", ".3f"), numbers("seconds", "seconds", ".4f")
-STEPS = numbers("steps", "steps", "d")
-MEDIAN, WORST = numbers("median", "median", ".3f"), numbers("worst", "worst", ".3f")
-PARADIGM = words("paradigm", "paradigm")
-INTERVAL = Column("95 % interval", lambda row: "-" if row["low"] is None else f"{row['low']:.3f} .. {row['high']:.3f}")
+COMMON = {
+    "paradigm": words("paradigm", "paradigm"),
+    "rule": words("rule", "rule"),
+    "error": numbers("error", "error", ".3f"),
+    "seconds": numbers("seconds", "seconds", ".4f"),
+    "paper error": numbers("paper error", "paper_error", ".3f"),
+    "paper seconds": numbers("paper seconds", "paper_seconds", ".3f"),
+    "interval": Column(
+        "95 % interval", lambda row: "-" if row["low"] is None else f"{row['low']:.3f} .. {row['high']:.3f}"
+    ),
+    "steps": numbers("steps", "steps", "d"),
+    "median": numbers("median", "median", ".3f"),
+    "worst": numbers("worst", "worst", ".3f"),
+}
+
+
+def columns(*names: str | Column) -> tuple[Column, ...]:
+    """Columns from left to right, those that tables share by name; "vs <row>" are two, which compare with that row."""
+    result: list[Column] = []
+    for name in names:
+        if isinstance(name, Column):
+            result.append(name)
+        else:
+            result += paired_columns(name.removeprefix("vs ")) if name.startswith("vs ") else [COMMON[name]]
+    return tuple(result)
 
 
 # Rows
@@ -195,9 +215,9 @@ def remarks(records: Sequence[Record]) -> Row:
     }
 
 
-def paired_entries(other: str, found: Paired | None) -> Row:
+def paired_entries(other: str, pair: Paired | None) -> Row:
     """A comparison as entries of a row: `vs_<other>` and so on, None where there is none."""
-    values = found._asdict() if found else dict.fromkeys(Paired._fields)
+    values = pair._asdict() if pair else dict.fromkeys(Paired._fields)
     named = {f"vs_{other}_{key}": value for key, value in values.items() if key != "value"}
     return {f"vs_{other}": values["value"], **named}
 

@@ -8,12 +8,15 @@ from typing import Any, NamedTuple, get_args
 
 from torch import Generator
 
+from metapp.learning.app import App
 from metapp.learning.recipe import Initialisation, MetaTraining, Recipe
 from metapp.learning.rules import RULES, rule_of
-from metapp.paradigms import Paradigm, paradigms
-from metapp.runs.checkpoints import Trained, find_checkpoint, general_of, has_general, train_checkpoint
-from metapp.runs.checkpoints import trained_path as path_of
-from metapp.runs.session import Checkpoint, Options, observe_of, precision_of, versions
+from metapp.paradigms import Job, Paradigm, paradigms
+from metapp.runs.checkpoints import find_checkpoint, has_general, trained_path
+from metapp.runs.naming import observe_of
+from metapp.runs.plan import Checkpoint, Plan
+from metapp.runs.surroundings import precision_of, versions
+from metapp.runs.training import Trained, general_of, train_checkpoint
 from metapp.storage.records import load_checkpoint, tensor_digest
 
 STARTS = get_args(Initialisation)
@@ -35,21 +38,21 @@ COMPOSED = (
 )
 
 
-class Budget(NamedTuple):
-    """How much a study trains.
+class Design(NamedTuple):
+    """What a study trains.
 
     Attributes:
         outer: outer steps of each training.
         steps: numbers of gradient steps; each rule is trained for each of them.
         seeds: how many seeds of training and fitting, from the options' own on.
-        start: the first initialisation of all rules. From "encoder", which is QuickFT's too, rules alone differ.
+        initialisation: the first one of all rules. With "encoder", which is QuickFT's too, rules alone differ.
         rules: what is trained; () for all named rules and COMPOSED.
     """
 
     outer: int = 500
     steps: tuple[int, ...] = (5, 10, 20, 40)
     seeds: int = 3
-    start: Initialisation = "encoder"
+    initialisation: Initialisation = "encoder"
     rules: tuple[str, ...] = ()
 
 
@@ -72,17 +75,15 @@ class Case(NamedTuple):
         return paradigms()[QUICKFT if self.rule == QUICKFT else "meta"]
 
 
-def study_rules(options: Options, budget: Budget) -> tuple[list[str], dict[str, str]]:
+def study_rules(app: App, design: Design) -> tuple[list[str], dict[str, str]]:
     """The rules of a study, and why further ones do not apply to the application, by name."""
-    theta = {key: value[0] for key, value in options.app.init(Generator().manual_seed(0), 1).items()}
-    found, refused = [], {}
-    for name in dict.fromkeys(rule_of(each).name for each in budget.rules or (*RULES, *COMPOSED)):
-        reasons = [reason for part in rule_of(name).parts if (reason := part.refusal(options.app, theta))]
-        if reasons:
+    theta = {key: value[0] for key, value in app.init(Generator().manual_seed(0), 1).items()}
+    refused: dict[str, str] = {}
+    names = dict.fromkeys(rule_of(text).name for text in design.rules or (*RULES, *COMPOSED))
+    for name in names:
+        if reasons := [reason for part in rule_of(name).parts if (reason := part.refusal(app, theta))]:
             refused[name] = reasons[0]
-        else:
-            found.append(name)
-    return found, refused
+    return [name for name in names if name not in refused], refused
 
 
 def training_for(recipe: Recipe, rule: str) -> MetaTraining:
@@ -96,62 +97,66 @@ def training_for(recipe: Recipe, rule: str) -> MetaTraining:
     return recipe.meta.get("meta-sgd") or replace(usual, tuned=True)
 
 
+def _recorded(training: MetaTraining) -> dict[str, Any]:
+    """A training as records hold it, `initialisation` under its former name, so that earlier records stay its own."""
+    return {"start" if key == "initialisation" else key: value for key, value in asdict(training).items()}
+
+
 class Study:
     """A study of one application on one data set.
 
     Attributes:
-        options: of the application's own recipe.
-        budget: how much is trained.
+        plan: of the application's own recipe.
+        design: what is trained.
         rules: what is studied.
         refused: why further rules do not apply to the application, by name.
     """
 
-    def __init__(self, options: Options, budget: Budget) -> None:
-        self.options, self.budget = options, budget
-        self.rules, self.refused = study_rules(options, budget)
+    def __init__(self, plan: Plan, design: Design) -> None:
+        self.plan, self.design = plan, design
+        self.rules, self.refused = study_rules(plan.app, design)
 
     def cases(self) -> list[Case]:
         """All trainings: seed by seed, those of few steps first."""
-        seeds = range(self.options.seed, self.options.seed + self.budget.seeds)
-        steps = sorted(set(self.budget.steps))
-        return [Case(rule, each, seed) for seed in seeds for each in steps for rule in (QUICKFT, *self.rules)]
+        first = self.plan.request.seed
+        seeds = range(first, first + self.design.seeds)
+        counts = sorted(set(self.design.steps))
+        return [Case(rule, steps, seed) for seed in seeds for steps in counts for rule in (QUICKFT, *self.rules)]
 
-    def place(self, case: Case) -> Options:
-        """The options of a case: its recipe is the application's for so many steps, under a name of its own."""
-        rule = self.options.rule if case.rule == QUICKFT else case.rule
-        name, recipe = self._recipe_name(case.rule, case.steps), self._recipe(case.rule, case.steps)
-        return self.options._replace(recipe=name, own=recipe, rule=rule, seed=case.seed, steps=None, checkpoint=None)
-
-    def _recipe_name(self, rule: str, steps: int) -> str:
-        name = f"{self.options.recipe}-{steps}steps"
-        return name if rule == QUICKFT else f"{name}-{self.budget.outer}outer-{self.budget.start}"
-
-    def _recipe(self, rule: str, steps: int) -> Recipe:
-        base = self.options.job.recipe
-        meta = base.meta if rule == QUICKFT else {rule: self.training(rule)}
-        return replace(base, steps=steps, meta=meta, rule=next(iter(meta)))
+    def plan_of(self, case: Case) -> Plan:
+        """The plan of a case: its recipe is the application's for so many steps, under a name of its own."""
+        rule = self.plan.job.rule if case.rule == QUICKFT else case.rule
+        base = self.plan.job.recipe
+        meta = base.meta if case.rule == QUICKFT else {rule: self.training(rule)}
+        recipe = replace(base, steps=case.steps, meta=meta, rule=next(iter(meta)))
+        request = self.plan.request
+        name = f"{request.recipe}-{case.steps}steps"
+        if case.rule != QUICKFT:
+            name += f"-{self.design.outer}outer-{self.design.initialisation}"
+        request = replace(request, recipe=name, rule=rule, seed=case.seed, steps=None, checkpoint=None)
+        return Plan(request, case.paradigm, Job(self.plan.app, recipe, rule), self.plan.device)
 
     def training(self, rule: str) -> MetaTraining:
-        """How a rule is trained here: as by its recipe, but for the start, and with so many outer steps.
+        """How a rule is trained here: as by its recipe, but for the initialisation, and with so many outer steps.
 
         A recipe that searches an Adam alone does so here, too.
         """
-        training = training_for(self.options.job.recipe, rule)
-        if self.budget.start == "encoder" and training.initialisation != "encoder":
+        training = training_for(self.plan.job.recipe, rule)
+        first = self.design.initialisation
+        if first == "encoder" and training.initialisation != "encoder":
             training = replace(training, rates={"encoder.": ENCODER_RATE} | training.rates)
-        return replace(training, initialisation=self.budget.start, steps=self.budget.outer if training.steps else 0)
+        return replace(training, initialisation=first, steps=self.design.outer if training.steps else 0)
 
     @functools.cached_property
     def general(self) -> Checkpoint | None:
-        """The General that all rules start from and QuickFT is tuned for; None where this data has none yet."""
-        if not has_general(self.options):
-            return None
-        return find_checkpoint(self.options, paradigms()["general"])
+        """The General that all rules begin at and QuickFT is tuned for; None where this data has none yet."""
+        general = self.plan.by("general")
+        return find_checkpoint(general).checkpoint if has_general(general) else None
 
     def require_general(self) -> Checkpoint:
         """General, trained now if this data has none."""
         if self.general is None:
-            self.general = general_of(self.options)
+            self.general = general_of(self.plan)
         return self.general
 
     @functools.cached_property
@@ -165,27 +170,27 @@ class Study:
             case: which.
             label: the data's name.
         """
-        options = self.place(case)
+        plan = self.plan_of(case)
         return {
-            "app": options.app.name,
-            **observe_of(options.app),
+            "app": plan.app.name,
+            **observe_of(plan.app),
             "study": case.rule,
             "steps": case.steps,
-            "training": None if case.rule == QUICKFT else asdict(self.training(case.rule)),
+            "training": None if case.rule == QUICKFT else _recorded(self.training(case.rule)),
             "general": self._general_digest,
-            "batch": options.job.recipe.batch,
+            "batch": plan.job.recipe.batch,
             "data": label,
-            "recipe": self.options.recipe,
-            "seed": self.options.seed if case.rule == QUICKFT else case.seed,
-            "device": str(options.device),
+            "recipe": self.plan.request.recipe,
+            "seed": self.plan.request.seed if case.rule == QUICKFT else case.seed,
+            "device": str(plan.device),
             "versions": versions(),
-            **options.app.conditions(),
-            **precision_of(options.app, options.device, case.steps),
+            **plan.app.conditions(),
+            **precision_of(plan.app, plan.device, case.steps),
         }
 
     def train(self, case: Case) -> Trained:
         """Train a case's rule, or search its QuickFT."""
-        return train_checkpoint(self._trained_by(case), case.paradigm, None, self.require_general())
+        return train_checkpoint(self._trained_by(case), None, self.require_general())
 
     def checkpoint(self, case: Case) -> Checkpoint:
         """What a case fits by.
@@ -193,14 +198,15 @@ class Study:
         Raises:
             ValueError: it was not trained yet.
         """
-        options = self._trained_by(case)
+        plan = self._trained_by(case)
         if case.rule != QUICKFT:
-            return find_checkpoint(options, case.paradigm)
-        path = path_of(options, QUICKFT)
-        general = self.require_general()
-        prepared = general.prepared._replace(alpha=load_checkpoint(path, options.device)[0].alpha)
-        return Checkpoint(prepared, str(path), "")
+            found = find_checkpoint(plan).checkpoint
+            assert found is not None
+            return found
+        path = trained_path(plan, QUICKFT)
+        alpha = load_checkpoint(path, plan.device)[0].alpha
+        return Checkpoint(self.require_general().prepared._replace(alpha=alpha), str(path), "")
 
-    def _trained_by(self, case: Case) -> Options:
-        """The options that a case is trained by: QuickFT's search draws nothing, so that one seed says all."""
-        return self.place(case._replace(seed=self.options.seed) if case.rule == QUICKFT else case)
+    def _trained_by(self, case: Case) -> Plan:
+        """The plan that a case is trained by: QuickFT's search draws nothing, so that one seed says all."""
+        return self.plan_of(case._replace(seed=self.plan.request.seed) if case.rule == QUICKFT else case)

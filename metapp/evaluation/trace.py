@@ -6,21 +6,22 @@ again for a few tasks.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Mapping
 
 import torch
 from torch import Tensor
 
 from metapp.evaluation.cell import Cell, Record
 from metapp.evaluation.rows import paper
-from metapp.evaluation.subject import Fit, Subject, evenly
+from metapp.evaluation.subject import Subject, evenly
 from metapp.learning.app import stack
 from metapp.learning.learn import learn, task_loss
 from metapp.learning.rules import fixed_adam
 from metapp.learning.task import Params, Task, Tasks
 from metapp.runs.fits import rng_of
-from metapp.runs.session import observe_of, settings_of
-from metapp.storage.records import NUMBER, OPTIONAL, digest
+from metapp.runs.naming import observe_of
+from metapp.runs.plan import Plan
+from metapp.storage.records import NUMBER, OPTIONAL, key_of
 
 TRACED = 5  # tasks
 PARTS = (0.0, 0.25, 0.5, 0.75, 1.0)
@@ -38,10 +39,10 @@ FORM = {  # of a record
 
 def trace_cell(subject: Subject) -> Cell:
     """Traces of a few tasks."""
-    fits = [subject.fits[name] for name in CURVES]
+    fits = {name: subject.fits[name] for name in CURVES}
     folder = None
-    if all(fit.checkpoint for fit in fits):
-        keys = [digest(settings_of(f.options, f.paradigm, f.checkpoint, subject.label)) for f in fits if f.checkpoint]
+    if all(fit.checkpoint for fit in fits.values()):
+        keys = [key_of(fit.settings(subject.label)) for fit in fits.values()]
         known = {"app": subject.app.name, **observe_of(subject.app), "fits": keys}
         settings = known | {"further": FURTHER, "walked": WALKED}
         folder = subject.folder("trace", settings, FORM, of_fits=True)
@@ -49,27 +50,27 @@ def trace_cell(subject: Subject) -> Cell:
     def measure(tasks: list[Task]) -> Iterator[tuple[Record, Params]]:
         return (trace(subject, fits, task) for task in tasks)
 
-    steps = sum(fit.steps for fit in fits) + sum(FURTHER)
+    steps = sum(fit.steps for fit in fits.values()) + sum(FURTHER)
     cell = subject.make_cell("trace", folder, measure, steps, command=subject.command("convergence"))
     return cell._replace(tasks=evenly(subject.tasks, TRACED))
 
 
-def trace(subject: Subject, fits: list[Fit], task: Task) -> tuple[Record, Params]:
+def trace(subject: Subject, fits: Mapping[str, Plan], task: Task) -> tuple[Record, Params]:
     """One task: errors of each paradigm along its steps, paths, and what further steps bring Meta.
 
     Returns:
         The record, and Meta's parameters at PARTS of its steps, as of `named`.
     """
-    stacked = stack(subject.app, [task], subject.options.device)
+    stacked = stack(subject.app, [task], subject.plan.device)
     curves: dict[str, list[tuple[int, float | None]]] = {}
     paths: dict[str, list[Params]] = {}
-    for fit in fits:
+    for name, fit in fits.items():
         measured = curve_steps(fit.steps)
-        walked = path_steps(fit.steps) if fit.name in ("overfit", "meta") else set()
+        walked = path_steps(fit.steps) if name in ("overfit", "meta") else set()
         states = states_of(fit, task, stacked, measured | walked)
-        curves[fit.name] = [(step, error_of(subject, states[step], stacked)) for step in sorted(measured)]
-        paths[fit.name] = [states[step] for step in sorted(walked)]
-        if fit.name == "meta":
+        curves[name] = [(step, error_of(subject, states[step], stacked)) for step in sorted(measured)]
+        paths[name] = [states[step] for step in sorted(walked)]
+        if name == "meta":
             parts = {part: states[step_at(part, fit.steps)] for part in PARTS}
     places, explained = project_paths(paths["meta"], paths["overfit"])
     record = {
@@ -111,11 +112,9 @@ def path_steps(steps: int) -> set[int]:
     return {round(steps * (i / WALKED) ** 2) for i in range(WALKED + 1)}
 
 
-def states_of(fit: Fit, task: Task, stacked: Tasks, wanted: Collection[int]) -> dict[int, Params]:
+def states_of(plan: Plan, task: Task, stacked: Tasks, wanted: Collection[int]) -> dict[int, Params]:
     """The same fit as the row's: its parameters [1, ...] after the wanted numbers of steps."""
-    assert fit.checkpoint is not None
-    rng = rng_of(fit.options, task)
-    descent = fit.paradigm.descend(fit.job, fit.checkpoint.prepared, stacked, rng)
+    descent = plan.paradigm.descend(plan.job, plan.prepared, stacked, rng_of(plan, task))
     return {now.step: now.theta for now in descent if now.step in wanted}
 
 
@@ -133,12 +132,12 @@ def further_errors(
     Returns:
         (steps, error); each is a descent of its own, whose rate decays to the end.
     """
-    job = subject.options.job
+    job = subject.plan.job
     errors: list[tuple[int, float | None]] = [(0, error_of(subject, theta, stacked))]
     for steps in FURTHER:
         if wanted is None or near(errors[-1][1], wanted):
             break
-        rng = rng_of(subject.options, task)
+        rng = rng_of(subject.plan, task)
         rule, loss = fixed_adam(job.recipe.finetune, theta, steps), task_loss(job.app, job.recipe.batch)
         errors.append((steps, error_of(subject, learn(theta, rule, stacked, loss, steps=steps, rng=rng), stacked)))
     return errors

@@ -9,18 +9,17 @@ from __future__ import annotations
 import functools
 import math
 from collections.abc import Iterator
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
 
 from metapp.learning.adjoint import TORCH, Engine, Loss, UpdateRule, same
 from metapp.learning.deadline import Deadline
-from metapp.learning.draws import Rng, copied, picked
 from metapp.learning.learn import Step, checked, descend, last
 from metapp.learning.recipe import Guard
 from metapp.learning.rules import fixed_adam, like
-from metapp.learning.task import Params, Tasks
+from metapp.learning.task import Params, Rng, Tasks, copied, picked
 
 
 class Iterate(NamedTuple):
@@ -43,9 +42,8 @@ def descend_guarded(
 ) -> Iterator[Step]:
     """Descend by a learned rule; where that fails, go on by Adam, and keep what has the lowest visible loss.
 
-    A task's iterates are compared on one batch, the first step's but of all of the data, by the plain loss: neither
-    other samples nor learned loss parameters make one look better. Nothing depends on the data but whether there are
-    doubtful tasks at the end.
+    A task's iterates are compared on one batch, as the first step's but of all of the data, by the plain loss: neither
+    other samples nor learned loss parameters make one look better.
 
     Args:
         params: the initialisations, [T, ...].
@@ -63,40 +61,39 @@ def descend_guarded(
     Raises:
         FloatingPointError: the loss of an initialisation is not finite.
     """
-    judged, steps = loss.draw(tasks, copied(rng), 1.0).batch, deadline.planned
-
-    def judge(theta: Params) -> Iterate:
-        with torch.no_grad():
-            return Iterate(theta, loss.value(theta, judged, {}).nan_to_num(math.inf, math.inf, math.inf))
+    judge = functools.partial(_judged, loss, loss.draw(tasks, copied(rng), 1.0).batch)
+    before, now, steps = Step(0, params, {}), Step(0, params, {}), deadline.planned
+    losses: list[Tensor] = []
 
     def descent(theta: Params, rule: UpdateRule, tasks: Tasks, loss: Loss, rng: Rng) -> Iterator[Step]:
         own = descend(theta, rule, tasks, loss, steps=deadline.planned, rng=rng, engine=engine)
         return checked(deadline.within(own), every=0)
 
-    before = now = Step(0, params, {})
-    losses: list[Tensor] = []
     for after in descent(params, rule, tasks, loss, rng):
         before, now = now, after
         losses += [] if after.loss is None else [after.loss]
         yield after
     if not losses:
         return
-    final, initial = judge(now.theta), judge(params)
-    candidates, doubtful = [final, initial], ~(final.loss <= guard.fall * initial.loss)
+    candidates = [judge(now.theta), judge(params)]
+    doubtful = ~(candidates[0].loss <= guard.fall * candidates[1].loss)
     if math.isfinite(guard.rise):
         candidates.append(judge(before.theta))
-        doubtful |= rises(losses, guard.rise) | (candidates[-1].loss < final.loss)
-    rows = doubtful.nonzero()[:, 0]
-    if not len(rows):
-        yield now._replace(guarded=doubtful)
-        return
-    best = functools.reduce(_lower, candidates)
-    some = {key: value[rows] for key, value in best.theta.items()}
-    adam = fixed_adam(guard.adam, some, deadline.plan(steps))
-    plain = Loss(loss.draw, loss.value)  # Adam follows the gradient, whatever the rule does
-    further = last(descent(some, adam, tasks.select(rows), plain, picked(copied(rng), rows))).theta
-    best = _lower(best, judge({key: value.index_copy(0, rows, further[key]) for key, value in best.theta.items()}))
-    yield now._replace(packed=best.theta, unpack=same, guarded=best.loss < final.loss)
+        doubtful |= rises(losses, guard.rise) | (candidates[2].loss < candidates[0].loss)
+    if rows := doubtful.nonzero()[:, 0].tolist():
+        best = functools.reduce(_lower, candidates)
+        some = {key: value[rows] for key, value in best.theta.items()}
+        adam = fixed_adam(guard.adam, some, deadline.plan(steps))
+        plain = Loss(loss.draw, loss.value)  # Adam follows the gradient, whatever the rule does
+        further = last(descent(some, adam, tasks.select(rows), plain, picked(copied(rng), rows))).theta
+        best = _lower(best, judge({k: value.index_put((doubtful,), further[k]) for k, value in best.theta.items()}))
+        now, doubtful = now._replace(packed=best.theta, unpack=same), best.loss < candidates[0].loss
+    yield now._replace(guarded=doubtful)
+
+
+def _judged(loss: Loss, batch: Any, theta: Params) -> Iterate:
+    with torch.no_grad():
+        return Iterate(theta, loss.value(theta, batch, {}).nan_to_num(math.inf, math.inf, math.inf))
 
 
 def rises(losses: list[Tensor], factor: float) -> Tensor:

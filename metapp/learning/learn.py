@@ -16,8 +16,7 @@ from torch import Generator, Tensor
 
 from metapp.learning.adjoint import TORCH, Drawn, Engine, Loss, UpdateRule, at_step, learn_through, same
 from metapp.learning.app import App, OuterLoss, OuterSample, Staged
-from metapp.learning.draws import Rng, drawn
-from metapp.learning.task import Params, Tasks
+from metapp.learning.task import Params, Rng, Tasks, drawn
 
 
 class MetaParameters(NamedTuple):

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal, NamedTuple
 
 import torch
-from torch import Tensor
+from torch import Generator, Tensor
 
 Params = dict[str, Tensor]
 Batch = dict[str, Tensor]
@@ -145,3 +145,32 @@ class Tasks:
         """Augmented tasks, one of each in this view, in order: tensors [T, ...]."""
         names = tuple(f"variant of {name}" for name in self.picked_names())
         return Tasks(names, data, torch.arange(len(names), device=self.rows.device))
+
+
+Rng = Generator | tuple[Generator, ...]
+
+
+def drawn(draw: Callable[[Tasks, Generator], Params], tasks: Tasks, rng: Rng) -> Params:
+    """What is drawn for tasks, tensors [T, ...].
+
+    Args:
+        draw: (tasks, generator) -> tensors [T, ...].
+        tasks: T of them.
+        rng: one generator for all, or one for each: then what a task gets does not depend on those beside it.
+    """
+    if isinstance(rng, Generator):
+        return draw(tasks, rng)
+    each = [draw(tasks.select([i]), own) for i, own in enumerate(rng)]
+    return {key: torch.cat([one[key] for one in each]) for key in each[0]}
+
+
+def copied(rng: Rng) -> Rng:
+    """Generators that go on as these, which stay as they are."""
+    if isinstance(rng, Generator):
+        return Generator(rng.device).set_state(rng.get_state())
+    return tuple(Generator(own.device).set_state(own.get_state()) for own in rng)
+
+
+def picked(rng: Rng, rows: Sequence[int]) -> Rng:
+    """The generators of some tasks; one for all stays."""
+    return rng if isinstance(rng, Generator) else tuple(rng[row] for row in rows)

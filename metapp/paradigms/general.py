@@ -8,11 +8,10 @@ from torch import Generator
 
 from metapp.learning.adjoint import Loss
 from metapp.learning.app import Staged
-from metapp.learning.draws import Rng, drawn
 from metapp.learning.learn import Encoding, MetaParameters, after_encoding, over_tasks, staged, task_outer_loss
 from metapp.learning.progress import Progress
 from metapp.learning.rules import fixed_adam
-from metapp.learning.task import Params, Tasks
+from metapp.learning.task import Params, Rng, Tasks, drawn
 from metapp.paradigms.outer_loop import train
 from metapp.paradigms.paradigm import Job, Paradigm, TrainingData
 

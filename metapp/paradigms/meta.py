@@ -11,7 +11,6 @@ from torch import Generator
 
 from metapp.engine import Fastest
 from metapp.learning.adjoint import Loss, UpdateRule
-from metapp.learning.draws import Rng
 from metapp.learning.learn import (
     Encoding,
     MetaParameters,
@@ -24,7 +23,7 @@ from metapp.learning.learn import (
 from metapp.learning.progress import Progress
 from metapp.learning.recipe import Adam, Guard, MetaTraining
 from metapp.learning.rules import rule_of
-from metapp.learning.task import Params, Tasks
+from metapp.learning.task import Params, Rng, Tasks
 from metapp.paradigms import general
 from metapp.paradigms.outer_loop import train
 from metapp.paradigms.paradigm import AT_ONCE, Job, Paradigm, TrainingData, plain_loss

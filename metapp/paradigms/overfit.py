@@ -1,9 +1,8 @@
 """Overfit: a random initialisation, Adam until converged; nothing is prepared."""
 
-from metapp.learning.draws import Rng, drawn
 from metapp.learning.learn import MetaParameters
 from metapp.learning.recipe import Adam
-from metapp.learning.task import Params, Tasks
+from metapp.learning.task import Params, Rng, Tasks, drawn
 from metapp.paradigms.paradigm import Job, Paradigm, by_adam
 
 

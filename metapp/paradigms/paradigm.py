@@ -11,13 +11,12 @@ from metapp.engine import FASTEST
 from metapp.learning.adjoint import Loss, UpdateRule
 from metapp.learning.app import App
 from metapp.learning.deadline import Deadline
-from metapp.learning.draws import Rng
 from metapp.learning.guard import descend_guarded
 from metapp.learning.learn import MetaParameters, Step, checked, descend, last, task_loss
 from metapp.learning.progress import Progress
 from metapp.learning.recipe import Adam, Guard, Recipe
 from metapp.learning.rules import fixed_adam
-from metapp.learning.task import Params, Tasks
+from metapp.learning.task import Params, Rng, Tasks
 
 AT_ONCE = 8  # tasks that are fitted side by side where memory would grow with a data set
 

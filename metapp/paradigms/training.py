@@ -73,7 +73,7 @@ def describe(job: Job, name: str, prepared: Prepared, steps: int | None = None) 
     recipe, training = job.recipe, training_of(job, name, steps)
     return {
         "app": job.app.name,
-        "start": name,
+        "checkpoint": name,
         "inner_steps": recipe.steps,
         "batch": recipe.batch,
         "training": training and asdict(training),

@@ -1,7 +1,6 @@
-"""Lobes that light is sampled from: a mixture of cosine and GGX lobes, fitted to a BRDF for each angle of the viewer.
+"""Importance sampling of a BRDF by a mixture of cosine and GGX lobes, fitted for each angle of the viewer.
 
-Sampling needs the shape of a BRDF only, and any mixture leaves the result right: what it changes is the noise. So the
-weights are those of least variance.
+Any mixture leaves the mean right and changes the noise alone. So the weights are those of least variance.
 """
 
 from __future__ import annotations
@@ -24,7 +23,7 @@ ALPHAS = tuple(float(alpha) for alpha in np.geomspace(0.005, 0.7, 12))  # GGX ro
 LOBES = 2  # of these; the cosine is a further one
 NODES = 24  # angles of the viewer, from the normal to LAST
 LAST = math.radians(89)
-LEAST_COSINE = 0.1  # share of samples: bounds the weight of a sample where no lobe of the fit reaches
+LEAST_COSINE = 0.1  # share of the cosine: bounds the weight of a sample where no lobe of the fit reaches
 _DRAWS = 128  # directions for each candidate and node
 _ROUNDS = 20
 
@@ -42,21 +41,21 @@ class Lobes(NamedTuple):
 
 
 class _Draws(NamedTuple):
-    """Directions to judge mixtures by, with weights.
+    """Directions that mixtures are fitted to.
 
     Attributes:
         target: f cos theta of the light, mean of RGB, [NODES, S].
         density: of the draws, [NODES, S].
-        of: densities of the cosine and all candidates at the draws, [1 + A, NODES, S].
+        lobes: densities of the cosine and all candidates at the draws, [1 + A, NODES, S].
     """
 
     target: Array
     density: Array
-    of: Array
+    lobes: Array
 
 
 def fit_lobes(reflectance: Callable[[Tensor], Tensor]) -> Lobes:
-    """Fit a mixture to a BRDF: the lobes that lessen the variance most, one after the other.
+    """Fit a mixture to a BRDF, greedily: the lobes that lower the variance most, one after the other.
 
     Args:
         reflectance: linear RGB [..., 3] in 1/sr of angles (theta_h, theta_d, phi_d) [..., 3] in rad.
@@ -64,7 +63,7 @@ def fit_lobes(reflectance: Callable[[Tensor], Tensor]) -> Lobes:
     draws = _draws(reflectance)
     chosen = [0]
     for _ in range(LOBES):
-        others = [i for i in range(1, len(draws.of)) if i not in chosen]
+        others = [i for i in range(1, len(draws.lobes)) if i not in chosen]
         chosen.append(min(others, key=lambda i: _fitted(draws, [*chosen, i])[1]))
     shares, _ = _fitted(draws, chosen)
     shares *= 1 - LEAST_COSINE
@@ -78,26 +77,26 @@ def _fitted(draws: _Draws, chosen: list[int]) -> tuple[Array, float]:
     The second moment, the sum of target^2 / mixture, is convex in the shares. Multiplying these by the square root of
     its slopes never increases it and keeps them positive (as in A-optimal design: Silvey, Titterington, Torsney 1978).
     """
-    of = draws.of[chosen]
+    lobes = draws.lobes[chosen]
     cost = draws.target**2 / draws.density
     shares = np.full((len(chosen), len(cost), 1), 1 / len(chosen))
     for _ in range(_ROUNDS):
-        mixture = (shares * of).sum(0) + 1e-30
-        shares *= np.sqrt((cost / mixture**2 * of).sum(-1, keepdims=True)) + 1e-30
+        mixture = (shares * lobes).sum(0) + 1e-30
+        shares *= np.sqrt((cost / mixture**2 * lobes).sum(-1, keepdims=True)) + 1e-30
         shares /= shares.sum(0)
-    second = (cost / ((shares * of).sum(0) + 1e-30)).mean(-1)
+    second = (cost / ((shares * lobes).sum(0) + 1e-30)).mean(-1)
     mean = (draws.target / draws.density).mean(-1)
     excess = np.log(np.maximum(second, 1e-30) / np.maximum(mean, 1e-15) ** 2)
     return shares[..., 0].T, float(np.where(mean > 0, excess, 0).mean())
 
 
 def _draws(reflectance: Callable[[Tensor], Tensor]) -> _Draws:
-    """Directions from all candidates in equal parts, and what a BRDF has there."""
-    angles, cosine, of = _directions()
+    """Directions of all candidates in equal parts, and a BRDF's values there."""
+    angles, cosine, lobes = _directions()
     with torch.no_grad():
         value = reflectance(angles).double().mean(-1).numpy()
-    # what a network says beside the horizon may be anything; what is not finite must not decide alone
-    return _Draws(np.nan_to_num(value, posinf=0) * cosine, of.mean(0) + 1e-30, of)
+    # a network's values beside the horizon may be infinite, which must not decide alone
+    return _Draws(np.nan_to_num(value, posinf=0) * cosine, lobes.mean(0) + 1e-30, lobes)
 
 
 @functools.cache
@@ -112,8 +111,8 @@ def _directions() -> tuple[Tensor, Array, Array]:
     theta = np.linspace(0, LAST, NODES)[:, None]
     viewer = np.stack([np.sin(theta), 0 * theta, np.cos(theta)], -1)
     u = rng.random((2, 1 + len(ALPHAS), NODES, _DRAWS))
-    radius, turn = np.sqrt(u[0, 0]), 2 * math.pi * u[1, 0]
-    lights = [np.stack([radius * np.cos(turn), radius * np.sin(turn), np.sqrt(1 - u[0, 0])], -1)]
+    radius, azimuth = np.sqrt(u[0, 0]), 2 * math.pi * u[1, 0]
+    lights = [np.stack([radius * np.cos(azimuth), radius * np.sin(azimuth), np.sqrt(1 - u[0, 0])], -1)]
     for i, alpha in enumerate(ALPHAS, 1):
         half = _visible_normal(viewer, alpha, u[0, i], u[1, i])
         lights.append(2 * (viewer * half).sum(-1, keepdims=True) * half - viewer)
@@ -121,18 +120,18 @@ def _directions() -> tuple[Tensor, Array, Array]:
     up = light[..., 2] > 1e-4
     light = np.where(up[..., None], light, [0.0, 0.0, 1.0])
     cosine = light[..., 2]
-    of = np.stack([cosine / math.pi, *(_density(viewer, light, alpha) for alpha in ALPHAS)]) * up
-    pair = (torch.from_numpy(np.array(np.broadcast_to(each, light.shape))).float() for each in (light, viewer))
-    return directions_to_rusinkiewicz(*pair), cosine * up, of
+    lobes = np.stack([cosine / math.pi, *(_density(viewer, light, alpha) for alpha in ALPHAS)]) * up
+    pair = (torch.from_numpy(np.array(np.broadcast_to(v, light.shape))).float() for v in (light, viewer))
+    return directions_to_rusinkiewicz(*pair), cosine * up, lobes
 
 
 def _visible_normal(viewer: Array, alpha: float, u: Array, v: Array) -> Array:
-    """Draw a facet that the viewer sees, of GGX roughness alpha (Dupuy and Benyoub 2023: a spherical cap)."""
+    """Normals of facets that the viewer sees, of GGX roughness alpha (Dupuy and Benyoub 2023: a spherical cap)."""
     stretched = viewer * [alpha, alpha, 1]
     stretched /= np.linalg.norm(stretched, axis=-1, keepdims=True)
     z = (1 - u) * (1 + stretched[..., 2]) - stretched[..., 2]
-    sine, turn = np.sqrt(np.clip(1 - z * z, 0, 1)), 2 * math.pi * v
-    half = (np.stack([sine * np.cos(turn), sine * np.sin(turn), z], -1) + stretched) * [alpha, alpha, 1]
+    sine, azimuth = np.sqrt(np.clip(1 - z * z, 0, 1)), 2 * math.pi * v
+    half = (np.stack([sine * np.cos(azimuth), sine * np.sin(azimuth), z], -1) + stretched) * [alpha, alpha, 1]
     result: Array = half / np.linalg.norm(half, axis=-1, keepdims=True)
     return result
 

@@ -16,9 +16,7 @@ from __future__ import annotations
 import math
 import time
 import warnings
-from collections.abc import Iterator
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,8 +27,7 @@ from metapp.rendering.guide_cache import GuideCache
 from metapp.rendering.guide_prior import LearnedPrior, read_prior, shipped
 from metapp.rendering.guide_survey import FILM, survey
 from metapp.rendering.guided_path import PathTracer, Records
-from metapp.rendering.jit import dr, mi
-from metapp.rendering.plugins import register_plugin
+from metapp.rendering.jit import dr, mi, register_plugin
 
 FEWEST = 3 * 2**18  # paths of a picture; with fewer there is no time to learn
 FIRST = 2**18  # paths of the first part, of which a quarter of the picture is the most
@@ -42,46 +39,23 @@ _WAVE = 2**22  # paths at a time
 _PROBES = 128  # rays along a side of the film that tell where the scene is
 
 
-class Part(NamedTuple):
-    """A part of a picture.
+def parts_of(spp: int, pixels: int) -> list[int]:
+    """Samples a pixel of the parts of a picture of `spp` in all.
 
-    Attributes:
-        spp: samples a pixel.
-        learns: whether the cache learns from it.
-    """
-
-    spp: int
-    learns: bool
-
-
-def parts_of(spp: int, pixels: int) -> list[Part]:
-    """The parts of a picture: each learned from has twice as many samples as the one before, up to a third of all.
-
-    Args:
-        spp: samples a pixel.
-        pixels: of the picture.
-
-    Returns:
-        parts whose samples add up to `spp`; the last is not learned from, and alone where there are fewer than 4.
+    All but the last are learned from, up to a third of the picture; each has twice as many as the one before. There is
+    but one where there are fewer than 4.
     """
     if spp < 4:
-        return [Part(spp, learns=False)]
+        return [spp]
     # of powers of two, as Dr.Jit compiles code for other numbers anew
-    now = 2 ** int(math.log2(max(1, min(spp // 4, -(-FIRST // pixels)))))
-    parts, done = [Part(now, learns=True)], now
-    while 3 * (done + 2 * now) <= spp and done * pixels < LEARNED:
-        now *= 2
-        parts.append(Part(now, learns=True))
-        done += now
-    return [*parts, Part(spp - done, learns=False)]
+    parts = [2 ** int(math.log2(max(1, min(spp // 4, -(-FIRST // pixels)))))]
+    while 3 * (sum(parts) + 2 * parts[-1]) <= spp and sum(parts) * pixels < LEARNED:
+        parts.append(2 * parts[-1])
+    return [*parts, spp - sum(parts)]
 
 
 def noise_of(luminance: NDArray[np.float32]) -> float:
-    """How far the halves of blocks of samples differ, relative to their sum, on average over blocks.
-
-    Args:
-        luminance: of samples, spread evenly over the film, [side, side].
-    """
+    """How far halves of blocks of samples [side, side] over the film differ, relative to their sum, on average."""
     count = len(luminance) // BLOCK
     blocks = luminance[: count * BLOCK, : count * BLOCK].reshape(count, BLOCK, count, BLOCK).swapaxes(1, 2)
     own = np.indices((BLOCK, BLOCK)).sum(0) % 2 == 0  # fields of a chessboard
@@ -137,13 +111,23 @@ class GuidedPicture:
         self.made, self.pays = 0, True
         self.spent = {"survey": time.process_time() - begin}
 
-    def add(self, part: Part) -> None:
-        """Make a part, and learn from it as long as that pays."""
+    def render(self, spp: int) -> None:
+        """Put all parts of so many samples a pixel on the sensor's film."""
+        film = self.sensor.film()
+        *learned, last = parts_of(spp, int(dr.prod(film.crop_size())))
+        for part in learned:
+            self.add(part, learns=True)
+        self.add(last, learns=False)
+        film.put_block(self.block)
+
+    def add(self, spp: int, *, learns: bool) -> None:
+        """Add a part, and learn from it if asked to and as long as that pays."""
         width, height = self.sensor.film().crop_size()
-        guided, learns = self.pays, part.learns and self.pays
+        guided, learns = self.pays, learns and self.pays
         begin, samples = time.process_time(), None
-        for spp in _waves(part.spp, width * height):
-            samples = self._wave(spp, guided, learns)
+        wave = max(1, _WAVE // (width * height))
+        for first in range(0, spp, wave):
+            samples = self._wave(min(wave, spp - first), guided, learns)
         dr.sync_thread()
         middle = time.process_time()
         if samples is not None:
@@ -173,13 +157,6 @@ class GuidedPicture:
         ADIntegrator._splat_to_block(self.block, film, place, light * weight, mi.Float(1), alpha, [], ray.wavelengths)
         dr.eval(self.block.tensor())
         return mi.luminance(light).numpy() if learns else None
-
-
-def _waves(spp: int, pixels: int) -> Iterator[int]:
-    """The samples a pixel of a part, in as many waves as memory asks for."""
-    most = max(1, _WAVE // pixels)
-    for first in range(0, spp, most):
-        yield min(most, spp - first)
 
 
 def _extent(scene: mt.Scene, sensor: mt.Sensor) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -243,17 +220,15 @@ def plugin() -> mt.PluginClass:
         ) -> mt.Tensorf:
             sensor = scene.sensors()[sensor] if isinstance(sensor, int) else sensor
             spp, film = spp or sensor.sampler().sample_count(), sensor.film()
-            pixels = int(dr.prod(film.crop_size()))
-            why = _useless(self.tracer, scene, spp * pixels, hides_emitters=self.hide_emitters)
+            paths = spp * int(dr.prod(film.crop_size()))
+            why = _useless(self.tracer, scene, paths, hides_emitters=self.hide_emitters)
             if why:
                 _warn(why)
                 return self.path.render(scene, sensor, seed, spp, develop, evaluate)
             with dr.suspend_grad():
                 picture = GuidedPicture(self, self.tracer, scene, sensor, seed, self.prior)
-                for part in parts_of(spp, pixels):
-                    picture.add(part)
+                picture.render(spp)
                 self.spent = picture.spent
-                film.put_block(picture.block)
                 if not picture.pays:
                     _warn("what was learned of a scene does not lower the noise enough")
                 return film.develop() if develop else mi.TensorXf()

@@ -106,9 +106,9 @@ class Tracer:
 
         count = dr.width(film)
         ones = dr.full(mi.Float, 1, count)
-        start = (self.rays(film), mi.Color3f(ones), mi.Color3f(0 * ones), mi.UInt32(0), mi.UInt32(0), rng,
+        state = (self.rays(film), mi.Color3f(ones), mi.Color3f(0 * ones), mi.UInt32(0), mi.UInt32(0), rng,
                  dr.full(mi.Bool, True, count))  # fmt: skip
-        return dr.while_loop(start, lambda *state: state[-1], bounce)[2]
+        return dr.while_loop(state, lambda *state: state[-1], bounce)[2]
 
 
 def path_samples(tracer: Tracer, count: int, dimensions: int, rng: Generator) -> tuple[Tensor, Tensor]:
@@ -139,12 +139,12 @@ def path_samples(tracer: Tracer, count: int, dimensions: int, rng: Generator) ->
         bright = brightness(carried)
         highest = float(bright.max())
         if highest > bound:
-            kept = [each[torch.rand(len(each), generator=rng) < bound / highest] for each in kept]
+            kept = [part[torch.rand(len(part), generator=rng) < bound / highest] for part in kept]
             bound = highest
         kept.append(points[torch.rand(_BATCH, generator=rng) * bound < bright])
         pixel = (points[:, 1] * IMAGE).long() * IMAGE + (points[:, 0] * IMAGE).long()
         hits += torch.bincount(pixel, minlength=IMAGE**2)
-        total += torch.stack([torch.bincount(pixel, each.double(), IMAGE**2) for each in carried.T])
+        total += torch.stack([torch.bincount(pixel, channel.double(), IMAGE**2) for channel in carried.T])
         traced, have = traced + _BATCH, sum(map(len, kept))
         if have < _RAREST * traced:
             raise ValueError(

@@ -104,9 +104,9 @@ class Places(NamedTuple):
         if "\0" in name or len(name) > 1024:
             raise ValueError(f"a name of a {what}, {name[:40]!r}, expected one of up to 1024 characters, without NUL.")
         folders = (Path("/"),) if os.path.isabs(name) else self.search
-        found = next((path for path in (folder / name for folder in folders) if os.path.lexists(path)), None)
+        first = next((path for path in (folder / name for folder in folders) if os.path.lexists(path)), None)
         try:
-            path = found.resolve(strict=True) if found else None
+            path = first.resolve(strict=True) if first else None
         except (OSError, RuntimeError):  # a link to nowhere or to itself
             path = None
         if path is None:

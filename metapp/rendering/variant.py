@@ -9,7 +9,8 @@ import sys
 from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
+
+from metapp.rendering.types import Mitsuba
 
 OLDEST = 19  # 15 and 16 abort the process at the first render, which no `except` can catch; 14 is refused
 VARIABLE = "DRJIT_LIBLLVM_PATH"  # where Dr.Jit, below Mitsuba, looks for the library
@@ -20,7 +21,7 @@ _PLACES = ("/usr/lib/*-linux-gnu", "/usr/lib/llvm-*/lib", "/usr/lib64", "/usr/li
            "/usr/local/lib", "/opt/homebrew/opt/llvm*/lib")  # fmt: skip
 
 
-def load_mitsuba() -> Any:
+def load_mitsuba() -> Mitsuba:
     """Import Mitsuba: in the variant cuda_ad_rgb where torch has a GPU, else in llvm_ad_rgb with as many threads.
 
     There are two threads at least, also where torch has one.
@@ -53,7 +54,7 @@ def load_mitsuba() -> Any:
     return mitsuba
 
 
-def _own_plugins_only(mitsuba: Any) -> None:
+def _own_plugins_only(mitsuba: Mitsuba) -> None:
     """Have Mitsuba load plugins, native code, from its own folder alone: it would look in the working folder first."""
     places = mitsuba.FileResolver()
     places.clear()
@@ -87,8 +88,7 @@ def find_llvm() -> Path:
         if version is not None and version >= OLDEST:
             return path
         unfit.append(f"{path} (version {version or 'unknown'})")
-    found = ", ".join(unfit) or "none"
-    raise ValueError(f"libLLVM: found {found}, expected {OLDEST} or newer for Mitsuba; {REMEDY}.")
+    raise ValueError(f"libLLVM: found {', '.join(unfit) or 'none'}, expected {OLDEST} or newer for Mitsuba; {REMEDY}.")
 
 
 def llvm_version(path: Path) -> int | None:
@@ -107,12 +107,12 @@ def llvm_version(path: Path) -> int | None:
 def _candidates() -> Iterator[Path]:
     if os.environ.get(VARIABLE):
         yield Path(os.environ[VARIABLE])
-    here = Path(sys.prefix) / "lib"
-    seen: set[Path] = set()
-    for folder in (_own_folder(), here, *(each for place in _PLACES for each in sorted(Path("/").glob(place[1:])))):
+    system = (folder for place in _PLACES for folder in sorted(Path("/").glob(place[1:])))
+    yielded: set[Path] = set()
+    for folder in (_own_folder(), Path(sys.prefix) / "lib", *system):
         for path in sorted(folder.glob("libLLVM[-.]*")):
-            if path.resolve() not in seen:
-                seen.add(path.resolve())
+            if path.resolve() not in yielded:
+                yielded.add(path.resolve())
                 yield path
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from os import PathLike
 from pathlib import Path
@@ -13,12 +12,14 @@ from safetensors.torch import save
 from metapp.apps import presentation_of
 from metapp.learning.app import App
 from metapp.learning.task import Params, Task
-from metapp.paradigms import paradigms
 from metapp.runs.checkpoints import find_checkpoint
-from metapp.runs.export import check_export, export_fit
+from metapp.runs.checks import check_export
+from metapp.runs.export import export_fit
 from metapp.runs.fits import fit_tasks
-from metapp.runs.inputs import Reading, tasks_to_fit
-from metapp.runs.session import Options, options_of, settings_of, threads, threads_of
+from metapp.runs.inputs import tasks_to_fit
+from metapp.runs.plan import plan
+from metapp.runs.request import Request
+from metapp.runs.surroundings import threads, threads_of
 from metapp.storage.files import write_atomically
 
 
@@ -47,8 +48,8 @@ class Fit:
         self.warning: str = record.get("warning", "")
         self.guarded: bool = record.get("guarded", False)
         self.steps: int = record.get("steps", settings["steps"])
-        told = ("name", "seconds", "threads", "warning", "guarded", "steps")
-        self.errors = {key: value for key, value in record.items() if key not in told and value is not None}
+        fields = ("name", "seconds", "threads", "warning", "guarded", "steps")
+        self.errors = {key: value for key, value in record.items() if key not in fields and value is not None}
 
     @property
     def name(self) -> str:
@@ -123,25 +124,14 @@ def fit_all(
         ValueError: a bad file, no checkpoint; an option that the application does not have.
         FloatingPointError: a fit is not finite.
     """
-    known = paradigms()
-    if paradigm not in known:
-        raise ValueError(f"paradigm '{paradigm}': expected one of {', '.join(known)}.")
-    given: Options = options_of(
-        app,
-        quiet=True,
-        own_files_by=paradigm if sources else "",
-        **{key: _path(key, value) for key, value in options.items()},
-    )
-    given = given.by(known[paradigm])
-    with threads(threads_of(given.app)):
-        tasks, label = tasks_to_fit(
-            given.app, [Path(each) for each in sources], given.data, True, Reading(fov_rad=math.radians(fov))
-        )
-        checkpoint = find_checkpoint(given, known[paradigm])
-        done = fit_tasks(given, known[paradigm], checkpoint, tasks)
-        settings = settings_of(given, known[paradigm], checkpoint, label)
-        return [Fit(given.app, task, settings, *made) for task, made in zip(tasks, done, strict=True)]
-
-
-def _path(key: str, value: Any) -> Any:
-    return Path(value) if key in ("data", "out", "checkpoint") and value is not None else value
+    for key in ("data", "out", "checkpoint"):
+        if options.get(key) is not None:
+            options[key] = Path(options[key])
+    inputs = [Path(source) for source in sources]
+    planned = plan(Request(app, paradigm, inputs, fov=fov, quiet=True, **options))
+    with threads(threads_of(planned.app)):
+        tasks, label = tasks_to_fit(planned.app, planned.request)
+        planned = find_checkpoint(planned)
+        settings = planned.settings(label)
+        results = fit_tasks(planned, tasks)
+        return [Fit(planned.app, task, settings, *result) for task, result in zip(tasks, results, strict=True)]

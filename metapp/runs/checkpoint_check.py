@@ -10,21 +10,20 @@ from metapp.learning.learn import MetaParameters
 from metapp.learning.rules import rule_of
 from metapp.learning.task import Params
 from metapp.networks.field import regridded
-from metapp.paradigms import Paradigm
 from metapp.paradigms.quickft import TUNED
-from metapp.runs.session import Options
+from metapp.runs.plan import Plan
 
 
-def on_own_grid(options: Options, paradigm: Paradigm, prepared: MetaParameters) -> MetaParameters:
+def on_own_grid(plan: Plan, prepared: MetaParameters) -> MetaParameters:
     """A checkpoint of Meta whose hyperparameters on a grid, [K, channels, rows, columns], are on the application's own.
 
     They may have been learned on a coarser one: those of another recipe of the same network.
     """
-    if paradigm.name != "meta":
+    if plan.paradigm.name != "meta":
         return prepared
-    wanted = _fresh_alpha(options)
+    wanted = _fresh_alpha(plan)
     alpha = {
-        key: regridded(value, *wanted[key].shape[2:], periodic=options.app.traits.periodic)
+        key: regridded(value, *wanted[key].shape[2:], periodic=plan.app.traits.periodic)
         if key in wanted and _is_on_a_grid(value, wanted[key])
         else value
         for key, value in prepared.alpha.items()
@@ -36,27 +35,27 @@ def _is_on_a_grid(value: Tensor, wanted: Tensor) -> bool:
     return value.ndim == wanted.ndim == 4 and value.shape[1] == wanted.shape[1] and min(value.shape) > 0
 
 
-def _fresh_alpha(options: Options) -> Params:
+def _fresh_alpha(plan: Plan) -> Params:
     """The rule's hyperparameters before training, of the shapes that a checkpoint's must have."""
-    recipe = options.job.recipe
-    network = {key: value[0] for key, value in options.app.init(Generator().manual_seed(0), 1).items()}
-    first = recipe.training(options.rule).first
-    return rule_of(options.rule).alpha(options.app, network, recipe.steps, first)
+    recipe = plan.job.recipe
+    network = {key: value[0] for key, value in plan.app.init(Generator().manual_seed(0), 1).items()}
+    first = recipe.training(plan.job.rule).first
+    return rule_of(plan.job.rule).alpha(plan.app, network, recipe.steps, first)
 
 
-def require_fit(path: Path, options: Options, paradigm: Paradigm, prepared: MetaParameters) -> None:
+def require_fit(path: Path, plan: Plan, prepared: MetaParameters) -> None:
     """Refuse tensors that are not this application's, or not this rule's.
 
     Raises:
         ValueError: a tensor is missing or has another shape; names it.
     """
-    app, rng = options.app, Generator().manual_seed(0)
+    app, rng = plan.app, Generator().manual_seed(0)
     network = {key: value[0] for key, value in app.init(rng, 1).items()}
-    if paradigm.name == "meta":
-        _require(path, "alpha", prepared.alpha, _fresh_alpha(options), steps=True)
+    if plan.paradigm.name == "meta":
+        _require(path, "alpha", prepared.alpha, _fresh_alpha(plan), steps=True)
     else:
         _require(path, "alpha", prepared.alpha, {})
-    if prepared.encoder or paradigm.name != "meta":
+    if prepared.encoder or plan.paradigm.name != "meta":
         _require(path, "encoder", prepared.encoder, app.init_encoder(rng))
     else:
         _require(path, "theta", prepared.theta, network)

@@ -12,10 +12,18 @@ from metapp.learning.task import Task
 from metapp.runs.pictures import COMPARED, column_of, write_compared
 from metapp.runs.recorded import app_as, read_run, tasks_as
 from metapp.runs.reporter import progress
-from metapp.runs.session import threads, threads_of
 from metapp.runs.statistics import Paired, paired
+from metapp.runs.surroundings import threads, threads_of
 
-TOLD = ("paradigm", "rule", "recipe", "steps", "observe", "seed", "start")  # what tells runs apart, the clearest first
+TOLD = (
+    "paradigm",
+    "rule",
+    "recipe",
+    "steps",
+    "observe",
+    "seed",
+    "checkpoint",
+)  # what tells runs apart, the clearest first
 
 
 class Side(NamedTuple):

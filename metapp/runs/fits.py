@@ -5,19 +5,18 @@ from __future__ import annotations
 import hashlib
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import torch
 from torch import Generator
 
 from metapp.learning.app import stack
 from metapp.learning.deadline import REMEMBERED, Deadline, Pace, usual
-from metapp.learning.draws import Rng, drawn
 from metapp.learning.learn import Step, last
-from metapp.learning.task import Params, Task, Tasks
-from metapp.paradigms import Job, Paradigm
+from metapp.learning.task import Params, Rng, Task, Tasks, drawn
+from metapp.paradigms import Job
+from metapp.runs.plan import Plan
 from metapp.runs.reporter import say
-from metapp.runs.session import Checkpoint, Options
 from metapp.runs.timing import Stopwatch, said_time
 from metapp.runs.watching import Watched
 
@@ -26,82 +25,70 @@ PACED = 8  # steps of those that measure a step: as many as show all stages of a
 PACING = 0.3  # seconds that these take, about; one of them at least
 
 
-def fit_tasks(
-    options: Options, paradigm: Paradigm, checkpoint: Checkpoint, tasks: list[Task], watched: Watched | None = None
-) -> Iterator[tuple[dict[str, Any], Params]]:
+class Result(NamedTuple):
+    """What a fit of a task gives: its record, and its parameters without a task axis."""
+
+    record: dict[str, Any]
+    theta: Params
+
+
+def fit_tasks(plan: Plan, tasks: Sequence[Task], watched: Watched | None = None) -> Iterator[Result]:
     """Fit tasks, each alone, so that its time is its own.
 
     The time is from the task's samples to the final parameters, warm. The error is None where a task holds no
     reference. Where fits are watched, drawing is not part of their times.
 
-    Returns:
-        The record of each, and its parameters without a task axis, as they come.
+    Yields:
+        Each fit as it comes.
     """
-    return Fitter(options, paradigm, checkpoint, watched).each(tasks)
+    fitter = Fitter(plan, watched)
+    fitter.check(tasks)
+    for task in tasks:
+        yield from fitter.fit([task])
+    fitter.finish(len(tasks))
 
 
 class Fitter:
-    """Fits tasks by one paradigm and times it.
+    """Fits tasks by a plan and times it; the first fit comes after a warm-up.
 
     Attributes:
+        plan: with a checkpoint.
+        watched: the picture that is redrawn as steps go by, if any.
         over: by how many seconds fits were longer than the budget, of those that took steps and of those that did not.
     """
 
-    def __init__(
-        self, options: Options, paradigm: Paradigm, checkpoint: Checkpoint, watched: Watched | None = None
-    ) -> None:
-        self.options, self.paradigm, self.checkpoint, self.watched = options, paradigm, checkpoint, watched
+    def __init__(self, plan: Plan, watched: Watched | None = None) -> None:
+        self.plan, self.watched = plan, watched
         self.over: dict[bool, list[float]] = {True: [], False: []}
+        self._budget = plan.budget
         self._paces: list[Pace] = []
         self._warm = False
 
-    def each(self, tasks: Sequence[Task]) -> Iterator[tuple[dict[str, Any], Params]]:
-        """Fit tasks one by one; see `fit_tasks`."""
-        for task in tasks if self.options.app.protocol else ():
-            self.options.app.prepare(task)  # that one does not hold what a fit may see should not be found after hours
-        for task in tasks:
-            self.warm(task)
-            yield from self.fit([task])
-        if self.watched:
-            self.watched.finish()
-        self.tell(len(tasks))
+    def check(self, tasks: Sequence[Task]) -> None:
+        """Refuse tasks that do not hold what a fit may see: that should not be found after hours.
 
-    def warm(self, task: Task) -> None:
-        """Take a step before the first fit, as first calls load kernels; for a budget measure how long they are."""
-        if self._warm:
-            return
-        self._warm = True
-        few = min(self.paradigm.count(self.options.job), WARM)
-        unguarded = self.paradigm._replace(guard=lambda job: None)  # what a guard looks at takes longer than a step
-        tasks = stack(self.options.app, [task], self.options.device)
-        unguarded.fit(self.options.job._replace(steps=few), self.checkpoint.prepared, tasks, self._rng([task]))
-        if self.options.budget is not None and few:
-            self._measure(task, PACING)
+        Raises:
+            ValueError: one does not.
+        """
+        for task in tasks if self.plan.app.protocol else ():
+            self.plan.app.prepare(task)
 
-    def _measure(self, task: Task, seconds: float) -> None:
-        """Measure how long steps take, on fits that nothing is kept of; for about so long, and at least on one."""
-        spent = 0.0
-        while not spent or (spent < seconds and len(self._paces) < REMEMBERED):
-            spent += self._timed([task], self.options.job._replace(steps=PACED), math.inf)[1]
-
-    def fit(self, tasks: Sequence[Task]) -> list[tuple[dict[str, Any], Params]]:
+    def fit(self, tasks: Sequence[Task]) -> list[Result]:
         """Fit tasks side by side, each as if it were alone; its seconds are its share of those that all took.
-
-        Returns:
-            The record of each task, and its parameters without a task axis.
 
         Raises:
             FloatingPointError: a fit is not finite.
             ValueError: tasks differ in their sizes.
         """
-        options, paradigm, job, app = self.options, self.paradigm, self.options.job, self.options.app
-        fit, seconds, stacked, taken = self._timed(tasks, job, options.budget, self.watched)
+        plan, app = self.plan, self.plan.app
+        self._warm_up(tasks[0])
+        fit, seconds, stacked, taken = self._timed(tasks, plan.job, self._budget, self.watched)
         theta = fit.theta
         if self.watched:
             self.watched.show(tasks[0], theta, f"after {taken} steps")
         measures = app.errors(theta, stacked)
-        alarms = warnings_of(paradigm, job, self.checkpoint, stacked, theta, self._rng(tasks))
-        found = []
+        alarms = warnings_of(plan, stacked, theta, self._rng(tasks))
+        results = []
         for i, (task, alarm) in enumerate(zip(tasks, alarms, strict=True)):
             errors = {key: float(value[i]) for key, value in measures.items()}
             errors |= {key: app.traits.scale * value for key, value in errors.items() if key == "error"}
@@ -111,50 +98,68 @@ class Fitter:
             # since that is no reason to fit anew
             record = {"name": task.name, "error": None, **errors, "seconds": seconds / len(tasks)}
             record["threads"] = torch.get_num_threads()
-            record |= {"guarded": fit.guarded is not None and bool(fit.guarded[i])} if paradigm.guard(job) else {}
-            record |= {"steps": taken} if options.budget is not None else {}
-            found.append((record | ({"warning": alarm} if alarm else {}), own))
-        if options.budget is not None:
-            self._judge(seconds, taken)
-            if taken < min(2, paradigm.count(job)):
+            record |= (
+                {"guarded": fit.guarded is not None and bool(fit.guarded[i])} if plan.paradigm.guard(plan.job) else {}
+            )
+            record |= {"steps": taken} if self._budget is not None else {}
+            results.append(Result(record | ({"warning": alarm} if alarm else {}), own))
+        if self._budget is not None:
+            if seconds > self._budget:
+                self.over[taken > 0].append(seconds - self._budget)
+            if taken < min(2, plan.steps):
                 self._measure(tasks[0], 0.0)  # a fit of no step does not say whether one would fit now
-        return found
+        return results
 
-    def _rng(self, tasks: Sequence[Task]) -> Rng:
-        each = tuple(rng_of(self.options, task) for task in tasks)
-        return each if len(each) > 1 else each[0]
-
-    def _timed(
-        self, tasks: Sequence[Task], job: Job, budget: float | None = None, watched: Watched | None = None
-    ) -> tuple[Step, float, Tasks, int]:
-        """Fits at their end, their seconds, the stacked tasks, the steps taken; a budget learns their pace."""
-        rng = self._rng(tasks)
-        clock = Stopwatch(self.options.device)
-        known = usual(self._paces) if self._paces and budget != math.inf else None
-        deadline = None if budget is None else Deadline(budget, clock, known)
-        stacked = stack(self.options.app, tasks, self.options.device)
-        descent = self.paradigm.descend(job, self.checkpoint.prepared, stacked, rng, deadline)
-        if watched:
-            descent = watched.shown(descent, tasks[0], self.paradigm.count(job), clock)
-        fit = last(descent)
-        seconds = clock()
-        pace = deadline and deadline.pace()
-        self._paces += [pace] if pace else []
-        return fit, seconds, stacked, deadline.taken[0] if deadline else self.paradigm.count(job)
-
-    def _judge(self, seconds: float, taken: int) -> None:
-        over = seconds - (self.options.budget or 0.0)
-        if over > 0:
-            self.over[taken > 0].append(over)
-
-    def tell(self, count: int) -> None:
-        """Say how many fits took longer than the budget, and why."""
-        budget = self.options.budget or 0.0
+    def finish(self, count: int) -> None:
+        """Draw what was not drawn yet; say how many of so many fits took longer than the budget, and why."""
+        if self.watched:
+            self.watched.finish()
+        budget = self._budget or 0.0
         for moved, why in ((False, "even the initialisation took longer"), (True, "slow steps took longer")):
             if over := self.over[moved]:
                 most = said_time(budget + max(over))
                 say(f"budget: on {len(over)} of {count} tasks {why} than {said_time(budget)}, up to {most}")
                 over.clear()
+
+    def _warm_up(self, task: Task) -> None:
+        """Take a step before the first fit, as first calls load kernels; for a budget measure how long they are."""
+        if self._warm:
+            return
+        self._warm = True
+        plan, few = self.plan, min(self.plan.steps, WARM)
+        unguarded = plan.paradigm._replace(guard=lambda job: None)  # what a guard looks at takes longer than a step
+        tasks = stack(plan.app, [task], plan.device)
+        unguarded.fit(plan.job._replace(steps=few), plan.prepared, tasks, self._rng([task]))
+        if self._budget is not None and few:
+            self._measure(task, PACING)
+
+    def _measure(self, task: Task, seconds: float) -> None:
+        """Measure how long steps take, on fits that nothing is kept of; for about so long, and at least on one."""
+        spent = 0.0
+        while not spent or (spent < seconds and len(self._paces) < REMEMBERED):
+            spent += self._timed([task], self.plan.job._replace(steps=PACED), math.inf)[1]
+
+    def _rng(self, tasks: Sequence[Task]) -> Rng:
+        rngs = tuple(rng_of(self.plan, task) for task in tasks)
+        return rngs if len(rngs) > 1 else rngs[0]
+
+    def _timed(
+        self, tasks: Sequence[Task], job: Job, budget: float | None = None, watched: Watched | None = None
+    ) -> tuple[Step, float, Tasks, int]:
+        """Fits at their end, their seconds, the stacked tasks, the steps taken; a budget learns their pace."""
+        plan, rng, count = self.plan, self._rng(tasks), self.plan.paradigm.count(job)
+        clock = Stopwatch(plan.device)
+        known = usual(self._paces) if self._paces and budget != math.inf else None
+        deadline = None if budget is None else Deadline(budget, clock, known)
+        stacked = stack(plan.app, tasks, plan.device)
+        descent = plan.paradigm.descend(job, plan.prepared, stacked, rng, deadline)
+        if watched:
+            descent = watched.shown(descent, tasks[0], count, clock)
+        fit = last(descent)
+        seconds = clock()
+        pace = deadline and deadline.pace()
+        self._paces += [pace] if pace else []
+        return fit, seconds, stacked, deadline.taken[0] if deadline else count
 
 
 def require_finite(task: Task, theta: Params, errors: Mapping[str, float]) -> None:
@@ -169,13 +174,11 @@ def require_finite(task: Task, theta: Params, errors: Mapping[str, float]) -> No
         raise FloatingPointError(f"{task.name}: the fit's {what} not finite; use another checkpoint or fewer steps.")
 
 
-def warnings_of(
-    paradigm: Paradigm, job: Job, checkpoint: Checkpoint, stacked: Tasks, theta: Params, rng: Rng
-) -> list[str]:
+def warnings_of(plan: Plan, stacked: Tasks, theta: Params, rng: Rng) -> list[str]:
     """What records say of fits that are worse on what they see than their initialisation: learned rules can fail.
 
     Args:
-        paradigm, job, checkpoint: what the fits were made by.
+        plan: what the fits were made by.
         stacked: the tasks.
         theta: their fits, [T, ...].
         rng: as it was at the beginning of the fits, so that the initialisations are the same.
@@ -183,13 +186,14 @@ def warnings_of(
     Returns:
         A line for each task, "" where there is nothing to say.
     """
-    if paradigm.count(job) == 0:
+    job = plan.job
+    if plan.steps == 0:
         return [""] * len(stacked)
-    first = paradigm.initialisation(job, checkpoint.prepared, stacked, rng)
+    first = plan.paradigm.initialisation(job, plan.prepared, stacked, rng)
     again = tuple(Generator(stacked.rows.device).manual_seed(0) for _ in stacked.names)
     with torch.no_grad():
         batch = drawn(lambda some, own: job.app.sample(some, own, job.recipe.batch), stacked, again)
-        before, after = (job.app.loss(each, batch, {}).tolist() for each in (first, theta))
+        before, after = (job.app.loss(params, batch, {}).tolist() for params in (first, theta))
     lines = []
     for name, low, high in zip(stacked.names, before, after, strict=True):
         lines.append("" if high <= low else f"the visible loss rose from {low:.4g} to {high:.4g}")
@@ -198,9 +202,8 @@ def warnings_of(
     return lines
 
 
-def rng_of(options: Options, task: Task) -> Generator:
+def rng_of(plan: Plan, task: Task) -> Generator:
     """The source of a fit's draws: it depends on the task's name alone, whatever is fitted beside it."""
-    seed = int.from_bytes(
-        hashlib.sha256(f"{options.seed} {task.name}".encode(errors="surrogatepass")).digest()[:6], "big"
-    )
-    return Generator(options.device).manual_seed(seed)
+    text = f"{plan.request.seed} {task.name}"
+    seed = int.from_bytes(hashlib.sha256(text.encode(errors="surrogatepass")).digest()[:6], "big")
+    return Generator(plan.device).manual_seed(seed)

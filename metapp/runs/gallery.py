@@ -13,9 +13,9 @@ import numpy as np
 from metapp.apps import presentation_of
 from metapp.learning.app import App
 from metapp.learning.task import Params, Task
+from metapp.runs.naming import caption_of, title_of
 from metapp.runs.pictures import to_srgb
 from metapp.runs.reporter import number
-from metapp.runs.session import caption_of, title_of
 from metapp.storage.files import write_atomically
 from metapp.storage.records import RunFolder, file_name, summary
 

@@ -2,37 +2,53 @@
 
 from __future__ import annotations
 
+import collections
 import functools
 import hashlib
-from collections.abc import Callable, Sequence
+import math
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 
-from data_tools.formats import Format, inputs_of
+from data_tools.formats import inputs_of
 from metapp.learning.app import App
 from metapp.learning.task import Task
 from metapp.runs.embedded import embedded_data
 from metapp.runs.reporter import say
+from metapp.runs.request import Request
 from metapp.storage.files import check_readable, named
 from metapp.storage.records import file_name, safe_name
 from metapp.storage.shards import fingerprint, read_shard
 
+SOURCED = {"source": str, "stamp": str}  # what a record of a run of many inputs holds of its source
 
-class Reading(NamedTuple):
-    """What readers of files should know beside the paths.
+
+class Source(NamedTuple):
+    """Something to fit, read when its turn comes.
 
     Attributes:
-        roots: folders that files of scenes may come from, beside each scene's own.
-        fov_rad: the field of view of cameras that took flash photos, along the shorter side; 0: as EXIF says.
+        place: its path, or its name in a data set: what records know it by.
+        read: -> the task; ValueError or OSError where it is damaged.
+        stamp: changes when the file does; "" in a data set, whose content is part of the run's name.
+        mark: what its task's name needs to be its own in a run, "" where nothing.
     """
 
-    roots: Sequence[Path] = ()
-    fov_rad: float = 0.0
+    place: str
+    read: Callable[[], Task]
+    stamp: str = ""
+    mark: str = ""
 
+    def task(self) -> Task:
+        """Read it.
 
-AS_FILES_SAY = Reading()
+        Raises:
+            ValueError: it is damaged.
+            OSError: it cannot be read.
+        """
+        task = self.read()
+        return task._replace(name=safe_name(task.name) + self.mark)
 
 
 def data_folder(app: App, data: Path | None, quiet: bool) -> Path:
@@ -43,28 +59,6 @@ def data_folder(app: App, data: Path | None, quiet: bool) -> Path:
 def data_label(folder: Path) -> str:
     """A data set's name in run folders: its folder's name and a digest of its content."""
     return f"{safe_name(folder.resolve().name)}-{fingerprint(folder)[:6]}"
-
-
-def tasks_to_fit(
-    app: App, inputs: list[Path], data: Path | None, quiet: bool, reading: Reading = AS_FILES_SAY
-) -> tuple[list[Task], str]:
-    """What to fit, the user's files or the data set's test tasks, and its name in run folders.
-
-    Args:
-        app: the application.
-        inputs: the user's files; none: the data set's test tasks.
-        data: folder of the data set; None: the embedded one.
-        quiet: no progress.
-        reading: what readers should know beside the paths.
-
-    Raises:
-        ValueError: a path that is missing or no input of the application, a damaged file, no test task.
-    """
-    if inputs:
-        tasks = distinct([task for path in inputs for task in read_input(app, path, reading)])
-        more = f"-and-{len(tasks) - 1}-more" if len(tasks) > 1 else ""
-        return tasks, f"{file_name(tasks[0].name)[:40]}{more}-{_content(tasks)}"
-    return tasks_of_data(app, data, quiet)
 
 
 def tasks_of_data(app: App, data: Path | None, quiet: bool) -> tuple[list[Task], str]:
@@ -80,24 +74,80 @@ def tasks_of_data(app: App, data: Path | None, quiet: bool) -> tuple[list[Task],
     return distinct(tasks), data_label(folder)
 
 
-def read_input(app: App, path: Path, reading: Reading = AS_FILES_SAY) -> list[Task]:
-    """The tasks of one path, by every reader that recognises it.
+def tasks_to_fit(app: App, request: Request) -> tuple[list[Task], str]:
+    """What a request is to fit, its files or its data set's test tasks, and the name of that in run folders.
 
     A path that was named must be good; a damaged file that was found in a folder is skipped with a warning.
+
+    Raises:
+        ValueError: a path that is missing or no input of the application, a damaged file, no test task.
     """
-    fitting = readers_of(app, path, reading)
-    return [task for reader in fitting for task in _read(reader, path, len(fitting) == 1)]
+    if not request.inputs:
+        return tasks_of_data(app, request.data, request.quiet)
+    tasks: list[Task] = []
+    for path in request.inputs:
+        for places, read in _found(app, path, request):
+            tasks += _read(path, places, read)
+    tasks = distinct(tasks)
+    more = f"-and-{len(tasks) - 1}-more" if len(tasks) > 1 else ""
+    return tasks, f"{file_name(tasks[0].name)[:40]}{more}-{_content(tasks)}"
 
 
-class FoundReader(NamedTuple):
-    """What finds and reads the files of a path: paths -> (sources, lines about what is none), source -> task."""
+def sources_to_fit(app: App, request: Request) -> tuple[list[Source], str]:
+    """The same as sources, sorted; of files nothing is read yet, and their name says nothing of their content.
 
-    find: Callable[[list[Path]], tuple[list[Path], list[str]]]
-    read: Callable[[Path], Task]
+    Raises:
+        ValueError: a path that is missing or no input of the application; no test task.
+    """
+    if not request.inputs:
+        tasks, label = tasks_of_data(app, request.data, request.quiet)
+        return sources_of(tasks), label
+    readers: dict[str, Callable[[], Task]] = {}
+    for path in request.inputs:
+        for places, read in _found(app, path, request):
+            readers |= {str(place.resolve()): functools.partial(read, place) for place in places}
+    stems = collections.Counter(map(_stem, readers))
+    sources = [
+        Source(place, read, _stamp(Path(place)), "" if stems[_stem(place)] == 1 else f"-{_digest(place)}")
+        for place, read in sorted(readers.items(), key=lambda item: item[0])
+    ]
+    roots = sorted(str(path.resolve()) for path in request.inputs)
+    return sources, f"{file_name(request.inputs[0].resolve().name)[:40]}-{_digest(*roots)}"
 
 
-def readers_of(app: App, path: Path, reading: Reading = AS_FILES_SAY) -> list[FoundReader]:
-    """Every reader that recognises a path.
+def sources_of(tasks: Sequence[Task]) -> list[Source]:
+    """Tasks that are read already."""
+    return [Source(task.name, functools.partial(_same, task)) for task in tasks]
+
+
+def source_of(record: dict[str, Any], sources: Sequence[Source]) -> Source | None:
+    """The source that a record is of: where it was, else the only one of its name that has not changed since."""
+    place = Path(record["source"])
+    same = [source for source in sources if Path(source.place).name == place.name and source.stamp == record["stamp"]]
+    there = [source for source in same if source.place == str(place)] or same
+    return there[0] if len(there) == 1 else None
+
+
+def distinct(tasks: list[Task]) -> list[Task]:
+    """The same tasks, their names made safe and short; where names repeat, later ones are numbered, and it is said."""
+    tasks = [task._replace(name=safe_name(task.name)) for task in tasks]
+    first: set[str] = {task.name for task in tasks}
+    taken: set[str] = set()
+    renamed = []
+    for task in tasks:
+        name, i = task.name, 2
+        if name in taken:
+            while f"{task.name}-{i}" in first | taken:
+                i += 1
+            name = f"{task.name}-{i}"
+            say(f"warning: a second {task.name} is called {name}")
+        taken.add(name)
+        renamed.append(task._replace(name=name))
+    return renamed
+
+
+def _found(app: App, path: Path, request: Request) -> Iterator[tuple[list[Path], Callable[[Path], Task]]]:
+    """What each reader that recognises a path finds there, and how it reads one of these.
 
     Raises:
         ValueError: there is no such path, or it is no input of the application.
@@ -106,50 +156,36 @@ def readers_of(app: App, path: Path, reading: Reading = AS_FILES_SAY) -> list[Fo
         raise ValueError(f"{path}: no such file or folder; give existing input files.")
     check_readable(path)
     known = inputs_of(app.name)
-    fitting = [form for form in known if form.recognises(path)]
-    if not fitting:
-        expected = ", ".join(each.inputs for each in known)
+    readers = [form for form in known if form.recognises(path)]
+    if not readers:
+        expected = ", ".join(form.inputs for form in known)
         raise ValueError(f"{path}: not an input of {app.name}, expected {expected}, or a folder of these.")
-    return [_reader(form, reading, app.traits.reads) for form in fitting]
+    for form in readers:
+        places, skipped = form.find([path])
+        for line in skipped if len(readers) == 1 else ():
+            say(f"warning: {line}")
+        read = functools.partial(
+            form.read, size=app.traits.reads, roots=request.scene_root, fov_rad=math.radians(request.fov)
+        )
+        yield places, read
 
 
-def _reader(form: Format, reading: Reading, size: int) -> FoundReader:
-    return FoundReader(form.find, functools.partial(form.read, size=size, **reading._asdict()))
-
-
-def _read(reader: FoundReader, path: Path, alone: bool) -> list[Task]:
-    sources, skipped = reader.find([path])
-    for line in skipped if alone else ():
-        say(f"warning: {line}")
+def _read(path: Path, places: list[Path], read: Callable[[Path], Task]) -> list[Task]:
     tasks = []
-    for source in sources:
+    for place in places:
         try:
-            tasks.append(reader.read(source))
+            tasks.append(read(place))
         except (ValueError, OSError) as error:
-            if len(sources) == 1:
-                raise named(error, source) from None
-            say(f"warning: skipped {named(error, source)}")
+            if len(places) == 1:
+                raise named(error, place) from None
+            say(f"warning: skipped {named(error, place)}")
     if not tasks:
-        raise ValueError(f"{path}: none of the {len(sources)} found could be read.")
+        raise ValueError(f"{path}: none of the {len(places)} found could be read.")
     return tasks
 
 
-def distinct(tasks: list[Task]) -> list[Task]:
-    """The same tasks, their names made safe and short; where names repeat, later ones are numbered, and it is said."""
-    tasks = [task._replace(name=safe_name(task.name)) for task in tasks]
-    taken: set[str] = {task.name for task in tasks}
-    seen: set[str] = set()
-    renamed = []
-    for task in tasks:
-        name, i = task.name, 2
-        if name in seen:
-            while f"{task.name}-{i}" in taken | seen:
-                i += 1
-            name = f"{task.name}-{i}"
-            say(f"warning: a second {task.name} is called {name}")
-        seen.add(name)
-        renamed.append(task._replace(name=name))
-    return renamed
+def _same(task: Task) -> Task:
+    return task
 
 
 def _content(tasks: list[Task]) -> str:
@@ -160,3 +196,20 @@ def _content(tasks: list[Task]) -> str:
         for key in sorted(task.data):
             total.update(task.data[key].detach().contiguous().flatten().view(torch.uint8).numpy().tobytes())
     return total.hexdigest()[:6]
+
+
+def _stem(place: str) -> str:
+    path = Path(place)
+    return path.stem if path.is_file() else path.name
+
+
+def _digest(*texts: str) -> str:
+    return hashlib.sha256("\n".join(texts).encode(errors="surrogatepass")).hexdigest()[:6]
+
+
+def _stamp(path: Path) -> str:
+    """Sizes and times of a file, or of the files that a folder holds; of a name in a folder, those of that."""
+    folder = path if path.is_dir() else path.parent
+    files = [path] if path.is_file() else sorted(file for file in folder.iterdir() if file.is_file())
+    states = [(file.name, file.stat()) for file in files]
+    return _digest(*(f"{name} {state.st_size} {state.st_mtime_ns}" for name, state in states))

@@ -16,15 +16,15 @@ from metapp.learning.learn import MetaParameters
 from metapp.learning.task import Params, Task
 from metapp.paradigms import paradigms
 from metapp.runs.checkpoints import find_checkpoint
-from metapp.runs.recorded import options_as, read_run, tasks_as
+from metapp.runs.plan import Plan
+from metapp.runs.recorded import plan_as, read_run, tasks_as
 from metapp.runs.reporter import progress, say
-from metapp.runs.session import Checkpoint, Options
 from metapp.storage.packing import BITS, Pack, Steps, in_steps, read_pack, write_pack
 from metapp.storage.records import FIT, OPTIONAL, RunFolder, holds, read_theta
 
 GROWTH = 0.01  # of the mean error, at most, where the number of bits is chosen
 WITHOUT = 12  # bits where there is no error to choose by
-SETTINGS = {"app": str, "paradigm": str, "rule": str, "recipe": str, "data": str, "start": str}
+SETTINGS = {"app": str, "paradigm": str, "rule": str, "recipe": str, "data": str, "checkpoint": str}
 ABOUT = {"settings": SETTINGS, "bits": int, "records": [{**FIT, "name": str, "before": OPTIONAL}]}
 
 
@@ -52,7 +52,7 @@ class Packed(NamedTuple):
     after: float | None
 
 
-class Fits(NamedTuple):
+class Stack(NamedTuple):
     """Fits of one run: their tensors [T, ...], and the tasks, where they have references."""
 
     app: App
@@ -94,17 +94,17 @@ def pack(
         ValueError: no run, records of several, or another checkpoint than that of the fits.
     """
     folder, records = read_run(run, {**FIT, "key": str, "settings": SETTINGS})
-    if len({record["key"] for record in records}) > 1:
+    if any(record["settings"] != records[0]["settings"] for record in records):
         raise ValueError(f"{run}: records of several runs, expected those of one; fit into another --out.")
     settings = records[0]["settings"]
-    options, found = _start_of(settings, str(run), checkpoint)
+    plan = _plan_of(settings, str(run), checkpoint)
     names = [record["name"] for record in records]
     thetas = _stacked([read_theta(folder, name) for name in names], names)
-    known = tasks_as(records, options.app, inputs, data)
+    known = tasks_as(records, plan.app, inputs, data)
     if 0 < len(known) < len(names):
         say(f"note: errors of {len(known)} of {len(names)} fits, as what the others saw is not there or has changed.")
-    fits = Fits(options.app, thetas, [known.get(name, Task(name, {})) for name in names])
-    base = known_of(found.prepared, thetas)
+    fits = Stack(plan.app, thetas, [known.get(name, Task(name, {})) for name in names])
+    base = known_of(plan.prepared, thetas)
     before = fits.errors(thetas)
     with progress("pack", quiet=quiet) as bar:
         chosen = bits or _fewest_bits(fits, base, before, bar.name)
@@ -116,7 +116,7 @@ def pack(
     ]
     file = out or folder / "fits.pack"
     size = write_pack(file, Pack(names, steps, {"settings": settings, "bits": chosen, "records": kept}))
-    return Packed(str(file), str(folder), names, chosen, size, _size_of(found), _mean(before), _mean(after))
+    return Packed(str(file), str(folder), names, chosen, size, _size_of(plan.prepared), _mean(before), _mean(after))
 
 
 def unpack(file: Path, out: Path | None, checkpoint: Path | None) -> Packed:
@@ -134,16 +134,18 @@ def unpack(file: Path, out: Path | None, checkpoint: Path | None) -> Packed:
     if not holds(about, ABOUT) or [record["name"] for record in about["records"]] != names:
         raise ValueError(f"{file}: not what metapp pack writes, expected settings and a record of each fit.")
     settings, records = about["settings"], about["records"]
-    options, found = _start_of(settings, str(file), checkpoint)
-    base = known_of(found.prepared, {key: each.numbers for key, each in steps.items()})
+    plan = _plan_of(settings, str(file), checkpoint)
+    base = known_of(plan.prepared, {key: each.numbers for key, each in steps.items()})
     thetas = restored(steps, base)
-    _require_network(file, options.app, thetas)
+    _require_network(file, plan.app, thetas)
     folder = RunFolder(out or file.with_suffix(""), {**settings, "bits": about["bits"]})
     for i, record in enumerate(records):
         folder.add(record, {key: value[i] for key, value in thetas.items()})
     before, after = ([record[key] for record in records] for key in ("before", "error"))
     size = file.stat().st_size
-    return Packed(str(file), str(folder.path), names, about["bits"], size, _size_of(found), _mean(before), _mean(after))
+    return Packed(
+        str(file), str(folder.path), names, about["bits"], size, _size_of(plan.prepared), _mean(before), _mean(after)
+    )
 
 
 def _require_network(file: Path, app: App, thetas: Params) -> None:
@@ -189,7 +191,7 @@ def _in_steps(thetas: Params, base: Params, bits: int) -> dict[str, Steps]:
     return {key: in_steps(value - base[key], bits) for key, value in thetas.items()}
 
 
-def _fewest_bits(fits: Fits, base: Params, before: list[float | None], tell: Any) -> int:
+def _fewest_bits(fits: Stack, base: Params, before: list[float | None], tell: Any) -> int:
     """As few as let the mean error grow by GROWTH at most; WITHOUT where there is none."""
     mean = _mean(before)
     if mean is None:
@@ -207,8 +209,8 @@ def _fewest_bits(fits: Fits, base: Params, before: list[float | None], tell: Any
     return BITS[0] + found
 
 
-def _start_of(settings: dict[str, Any], subject: str, path: Path | None) -> tuple[Options, Checkpoint]:
-    """The checkpoint that fits began at.
+def _plan_of(settings: dict[str, Any], subject: str, path: Path | None) -> Plan:
+    """The plan of fits, with the checkpoint that they began at.
 
     Raises:
         ValueError: it is another one.
@@ -216,15 +218,15 @@ def _start_of(settings: dict[str, Any], subject: str, path: Path | None) -> tupl
     if settings["paradigm"] not in paradigms():
         known = ", ".join(paradigms())
         raise ValueError(f"{subject}: fits by {settings['paradigm']}, expected one of {known}; fit again.")
-    paradigm = paradigms()[settings["paradigm"]]
-    options = options_as(settings, checkpoint=path if settings["start"] else None, device="cpu").by(paradigm)
-    found = find_checkpoint(options, paradigm)
-    if found.digest != settings["start"]:
+    digest = settings["checkpoint"]
+    plan = find_checkpoint(plan_as(settings, checkpoint=path if digest else None, device="cpu"))
+    assert plan.checkpoint is not None
+    if plan.checkpoint.digest != digest:
         raise ValueError(
-            f"{subject}: checkpoint {found.digest} ({found.source}), expected {settings['start']}, by which the fits "
-            "were made; give that file by --checkpoint."
+            f"{subject}: checkpoint {plan.checkpoint.digest} ({plan.checkpoint.source}), expected {digest}, by which "
+            "the fits were made; give that file by --checkpoint."
         )
-    return options, found
+    return plan
 
 
 def _stacked(thetas: list[Params], names: list[str]) -> Params:
@@ -237,9 +239,8 @@ def _stacked(thetas: list[Params], names: list[str]) -> Params:
     return {key: torch.stack([theta[key].float() for theta in thetas]) for key in shapes}
 
 
-def _size_of(checkpoint: Checkpoint) -> int:
+def _size_of(prepared: MetaParameters) -> int:
     """Bytes of the tensors that packs are differences from."""
-    prepared = checkpoint.prepared
     decoder = [value for key, value in prepared.encoder.items() if key.startswith("decoder.")]
     return sum(value.numel() * value.element_size() for value in [*prepared.theta.values(), *decoder])
 

@@ -9,18 +9,15 @@ from typing import Any
 import numpy as np
 import torch
 
-from metapp.appearance.colour import linear_to_srgb, stretched, tone_map
-from metapp.appearance.presentation import Picture, Presentation
+from metapp.appearance.colour import linear_to_srgb
 from metapp.apps import presentation_of
 from metapp.learning.app import App
-from metapp.learning.task import Params, Task
-from metapp.runs.session import title_of
+from metapp.learning.task import Task
+from metapp.runs.naming import title_of
 from metapp.runs.sheet import Column, write_sheet
-from metapp.storage.images import write_exr, write_png
-from metapp.storage.records import file_name, read_theta, summary
+from metapp.storage.records import read_theta, summary
 
 COMPARED = 20  # tasks in a picture of all paradigms
-OUTPUTS = "outputs"  # the folder of what fits make for their users, in a run's
 PICTURE = "picture"  # what is kept in place of parameters where there are none
 
 
@@ -90,47 +87,6 @@ def column_of(task: Task, fits: Sequence[tuple[str, App, Path, dict[str, Any]]])
 def write_compared(app: App, columns: list[Column], file: Path) -> Path:
     """Write columns of fits that are compared as one picture."""
     return write_sheet(columns, f"{title_of(app)}: mean error{_factor(app)} of each fit below it", file)
-
-
-def write_files(shown: Presentation[Any], task: Task, theta: Params, folder: Path) -> bool:
-    """Write what a fit makes for its user, <folder>/<task>/<name>.png, 8 bits; False where that is nothing.
-
-    Colours are sRGB; data such as roughness, normals and heights are linear: the PNG's text `encoding` says which.
-    Heights h, in texels, are kept as (h - minimum) / (maximum - minimum), of which the texts `height_minimum` and
-    `height_maximum` tell. Radiance is kept as <name>.exr, and tone-mapped beside it.
-    """
-    files = shown.files(theta, task)
-    _write(files, folder / file_name(task.name))
-    return bool(files)
-
-
-def write_renders(app: App, tasks: Sequence[Task], folder: Path, side: int) -> list[str]:
-    """Write pictures of the tasks' scenes, <folder>/<task>/<name>.exr and .png, their longer side in px.
-
-    Returns:
-        what to say of them.
-    """
-    shown, lines = presentation_of(app), []
-    for task in tasks:
-        made = shown.rendered(task, side)
-        if made is None:
-            raise ValueError(f"{task.name}: no scene, expected one to render; leave --render out.")
-        _write(made.files, folder / file_name(task.name))
-        lines += [f"{task.name}: {line}" for line in made.lines]
-    return lines
-
-
-def _write(files: dict[str, Picture], folder: Path) -> None:
-    for name, (pixels, kind) in files.items():
-        file = folder / f"{name}.png"
-        texts = {"encoding": "linear" if kind in ("data", "height") else "sRGB"}
-        if kind == "height":
-            pixels, low, high = stretched(pixels)
-            texts |= {"height_minimum": f"{low:.9g}", "height_maximum": f"{high:.9g}", "height_unit": "texels"}
-        if kind == "radiance":
-            write_exr(pixels, file.with_name(f"{name}.exr"))
-            pixels = tone_map(pixels / pixels.mean().clamp_min(1e-20))  # whatever its unit
-        write_png(pixels, texts, file)
 
 
 def _theta(folder: Path, task: Task) -> dict[str, Any]:

@@ -1,7 +1,8 @@
-"""Runs that are over: their records, and the options that these were made by."""
+"""Runs that are over: their records, and the plans that these were made by."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -11,9 +12,9 @@ from metapp.learning.task import Task
 from metapp.paradigms import paradigms
 from metapp.runs import BadOption
 from metapp.runs.embedded import embedded_exists
-from metapp.runs.inputs import Reading, data_folder, data_label, tasks_to_fit
-from metapp.runs.session import Options, options_of
-from metapp.runs.sources import SOURCED, source_of, sources_of
+from metapp.runs.inputs import SOURCED, data_folder, data_label, source_of, sources_to_fit, tasks_to_fit
+from metapp.runs.plan import Plan, plan
+from metapp.runs.request import Request
 from metapp.storage.records import FIT, holds, read_records
 
 FORM = {**FIT, "settings": {"app": str, "paradigm": str, "rule": str, "recipe": str, "data": str}}  # of a fit's record
@@ -51,22 +52,31 @@ def read_run(run: Path, form: dict[str, Any] = FORM, task: str = "") -> Recorded
     return Recorded(folder, [records[names.index(task)]])
 
 
-def options_as(settings: dict[str, Any], **more: Any) -> Options:
-    """The options that a fit was made by, as far as its settings say them; `more` are of `options_of`.
+def plan_as(settings: dict[str, Any], origin: dict[str, Any] | None = None, **more: Any) -> Plan:
+    """The plan that a fit was made by, as far as its record says it.
+
+    Args:
+        settings: of the record.
+        origin: of the record, for how files were read.
+        more: further options, as of `Request`.
 
     Raises:
         ValueError: settings that are not known here.
     """
-    rule = settings["rule"] if settings.get("paradigm") == "meta" else ""
+    request = Request(
+        settings["app"],
+        settings.get("paradigm", "meta"),
+        rule=settings["rule"] if settings.get("paradigm") == "meta" else "",
+        recipe=settings["recipe"],
+        observe=settings.get("observe", ""),
+        quiet=True,
+        **reading_of(origin or {}),
+        **more,
+    )
+    if request.paradigm not in paradigms():
+        raise ValueError(f"paradigm '{request.paradigm}': not known, expected {', '.join(paradigms())}; fit again.")
     try:
-        return options_of(
-            settings["app"],
-            observe=settings.get("observe", ""),
-            rule=rule,
-            recipe=settings["recipe"],
-            quiet=True,
-            **more,
-        )
+        return plan(request)
     except BadOption as error:
         raise ValueError(f"{settings['app']}: a fit of other settings than are known ({error})") from None
 
@@ -77,10 +87,7 @@ def app_as(settings: dict[str, Any]) -> App:
     Raises:
         ValueError: settings that are not known here.
     """
-    options = options_as(settings)
-    if settings["paradigm"] not in paradigms():
-        raise ValueError(f"paradigm '{settings['paradigm']}': not known, expected {', '.join(paradigms())}; fit again.")
-    return options.by(paradigms()[settings["paradigm"]]).app
+    return plan_as(settings).app
 
 
 def tasks_as(records: list[dict[str, Any]], app: App, inputs: list[Path], data: Path | None) -> dict[str, Task]:
@@ -94,14 +101,14 @@ def tasks_as(records: list[dict[str, Any]], app: App, inputs: list[Path], data: 
     if not (inputs or data):
         inputs = _existing(origin.get("inputs", [])) or _existing(record["source"] for record in sourced)
         data = Path(origin["data"]) if "data" in origin and Path(origin["data"]).is_dir() else None
-    reading = Reading([Path(path) for path in origin.get("roots", [])], origin.get("fov_rad", 0.0))
+    request = Request(app.name, inputs=inputs, data=data, quiet=True, **reading_of(origin))
     if sourced:
-        return _of_sources(sourced, app, inputs, reading)
+        return _of_sources(sourced, app, request)
     embedded = embedded_exists(app.name) and data_label(data_folder(app, None, quiet=True)) == label
     if not (inputs or data or embedded):
         return {}
-    tasks, found = tasks_to_fit(app, inputs, data, True, reading)
-    return {task.name: task for task in tasks} if found == label else {}
+    tasks, now = tasks_to_fit(app, request)
+    return {task.name: task for task in tasks} if now == label else {}
 
 
 def _existing(places: Iterable[str]) -> list[Path]:
@@ -110,8 +117,14 @@ def _existing(places: Iterable[str]) -> list[Path]:
     return paths if all(path.exists() for path in paths) else []
 
 
-def _of_sources(records: list[dict[str, Any]], app: App, inputs: list[Path], reading: Reading) -> dict[str, Task]:
+def reading_of(origin: dict[str, Any]) -> dict[str, Any]:
+    """The options of a record's origin that say how files were read."""
+    fov = round(math.degrees(origin.get("fov_rad", 0.0)), 9)  # as it was given, so that radians are the same bits
+    return {"fov": fov, "scene_root": [Path(path) for path in origin.get("roots", [])]}
+
+
+def _of_sources(records: list[dict[str, Any]], app: App, request: Request) -> dict[str, Task]:
     """Tasks of a run of many inputs, each of which its record knows: the run's name says nothing of their content."""
-    sources = sources_of(app, inputs, None, True, reading)[0] if inputs else []
-    found = {record["name"]: source_of(record, sources) for record in records}
-    return {name: source.task()._replace(name=name) for name, source in found.items() if source}
+    sources = sources_to_fit(app, request)[0] if request.inputs else []
+    by_name = {record["name"]: source_of(record, sources) for record in records}
+    return {name: source.task()._replace(name=name) for name, source in by_name.items() if source}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import json
 import math
 import os
@@ -17,25 +18,25 @@ from metapp.learning.task import Params, Task
 from metapp.paradigms import paradigms
 from metapp.runs.checkpoints import find_checkpoint
 from metapp.runs.fits import fit_tasks
-from metapp.runs.inputs import Reading, tasks_to_fit
-from metapp.runs.origin import machine
-from metapp.runs.recorded import options_as, read_run
+from metapp.runs.inputs import tasks_to_fit
+from metapp.runs.plan import Plan
+from metapp.runs.recorded import plan_as, read_run
 from metapp.runs.reporter import progress
-from metapp.runs.session import Options, settings_of, threads, threads_of
+from metapp.runs.surroundings import machine, threads, threads_of
 from metapp.storage.records import OPTIONAL, finite, holds, read_theta
+
+Record = dict[str, Any]
 
 FORM = {"key": str, "settings": {"app": str}}
 FIT = {"error": OPTIONAL, "settings": {"data": str, "recipe": str, "seed": int}}
 ROUNDING = 1e-6  # relative: what the same machine, versions and threads may differ by
 ELSEWHERE = 0.01
 AROUND = ("versions", "device", "precision")  # settings that figures depend on by rounding, or by a device's draws
-FOUND_BY = {"data": "give what was fitted after RECORD, or --data", "start": "give that file by --checkpoint"}
-TITLES = {"start": "checkpoint"}
-Record = dict[str, Any]
+FOUND_BY = {"data": "give what was fitted after RECORD, or --data", "checkpoint": "give that file by --checkpoint"}
 _ALONE = "{}: a record of {}, expected one of a fit; metapp evaluate with another --out makes its table anew."
 
 
-class Given(NamedTuple):
+class Instead(NamedTuple):
     """What to use in place of what records say: inputs, a data set, a checkpoint, a tolerance."""
 
     inputs: Sequence[Path] = ()
@@ -71,25 +72,25 @@ class Repeated(NamedTuple):
         return self.difference <= self.tolerance
 
 
-class Plan(NamedTuple):
-    """What repeats the rows of one run: what its figures depend on now, its tasks, and the fits of some of these."""
+class Repeat(NamedTuple):
+    """What repeats the records of one run: what its figures depend on now, its tasks, and tasks -> their fits."""
 
     settings: dict[str, Any]
-    tasks: list[Task]
-    fits: Callable[[list[Task]], Iterator[tuple[Record, Params | None]]]
+    tasks: Sequence[Task]
+    fit: Callable[[list[Task]], Iterator[tuple[Record, Params | None]]]
 
 
-OfTable = Callable[[Options, dict[str, Any]], Plan | None]  # options and settings of a record -> what repeats it
+Tables = Callable[[Plan, dict[str, Any]], Repeat | None]  # what repeats a record that a table alone makes, if anything
 
 
-def rerun(record: Path, task: str, given: Given, of_table: OfTable, *, quiet: bool) -> list[Repeated]:
-    """Repeat the rows of a record file.
+def rerun(record: Path, task: str, instead: Instead, tables: Tables, *, quiet: bool) -> list[Repeated]:
+    """Repeat the records of a file; what is measured now is kept nowhere.
 
     Args:
         record: the file, or a run's folder.
         task: the one to repeat; "" for all.
-        given: in place of what records say.
-        of_table: what repeats rows that no paradigm's command makes; None where there is no such row.
+        instead: what to use in place of what records say.
+        tables: a plan and a record's settings -> what repeats it, where no paradigm's command made it.
         quiet: no progress.
 
     Raises:
@@ -97,71 +98,70 @@ def rerun(record: Path, task: str, given: Given, of_table: OfTable, *, quiet: bo
     """
     folder, records = read_run(record, FORM, task)
     runs: dict[str, list[Record]] = {}
-    for each in records:
-        runs.setdefault(each["key"], []).append(each)
+    for line in records:
+        runs.setdefault(line["key"], []).append(line)
     done = []
     with progress("rerun", len(records), quiet=quiet) as bar:
         for of_run in runs.values():
-            for row in _repeat(folder, of_run, given, of_table):
+            for row in _repeated(folder, of_run, instead, tables):
                 done.append(row)
                 bar.advance(row.name)
     return done
 
 
-def _repeat(folder: Path, records: list[Record], given: Given, of_table: OfTable) -> Iterator[Repeated]:
+def _repeated(folder: Path, records: list[Record], instead: Instead, tables: Tables) -> Iterator[Repeated]:
     """The rows of one run, which share their settings."""
     first = records[0]
     if not holds(first, FIT):
         raise ValueError(_ALONE.format(first["name"], first["settings"].get("study", "no fit")))
-    options = _options(folder, first, given)
-    with threads(first.get("threads") or threads_of(options.app)), _as_precise(first["settings"]):
-        plan = _plan(options, first, given, of_table)
-        around = _changed(first, plan.settings)
-        around |= _differing({"machine": first.get("origin", {}).get("machine")}, {"machine": machine(options.device)})
-        by_name = {task.name: task for task in plan.tasks}
-        missing = [each["name"] for each in records if each["name"] not in by_name]
+    plan = _plan_of(folder, first, instead)
+    with threads(first.get("threads") or threads_of(plan.app)), _as_precise(first["settings"]):
+        repeat = _repeat(plan, first["settings"], tables)
+        around = _changed(first, repeat.settings)
+        around |= _differing({"machine": first.get("origin", {}).get("machine")}, {"machine": machine(plan.device)})
+        by_name = {task.name: task for task in repeat.tasks}
+        recorded = {record["name"]: record for record in records}
+        missing = [name for name in recorded if name not in by_name]
         if missing:
-            raise ValueError(f"{missing[0]}: no such task in {plan.settings['data']}; {FOUND_BY['data']}.")
-        recorded = {each["name"]: each for each in records}
-        for now, theta in plan.fits([by_name[name] for name in recorded]):
-            yield _compared(folder, recorded.pop(now["name"]), now, theta, around, given.tolerance)
+            raise ValueError(f"{missing[0]}: no such task in {repeat.settings['data']}; {FOUND_BY['data']}.")
+        for now, theta in repeat.fit([by_name[name] for name in recorded]):
+            yield _compared(folder, recorded.pop(now["name"]), now, theta, around, instead.tolerance)
     if recorded:
         raise ValueError(
             f"{next(iter(recorded))}: could not be fitted again, expected a figure; see what is said above."
         )
 
 
-def _options(folder: Path, record: Record, given: Given) -> Options:
-    """The options of a record: as recorded, or as given."""
+def _plan_of(folder: Path, record: Record, instead: Instead) -> Plan:
+    """The plan of a record, with what is used instead; of a row that a table alone makes, that of General."""
     settings, origin = record["settings"], record.get("origin", {})
+    a_fit = settings.get("paradigm") in paradigms()
     known = {key: Path(origin[key]) for key in ("data", "checkpoint") if key in origin}
+    inputs = list(instead.inputs) or ([] if instead.data else [Path(path) for path in origin.get("inputs", [])])
     above = [*folder.resolve().parents, *[Path("runs")] * 4]
-    asked = str(settings.get("device", "cpu")).split(":")[0]
-    return options_as(
-        settings,
-        steps=settings.get("steps") or None,
-        data=given.data or (None if given.inputs or origin.get("inputs") else known.get("data")),
-        checkpoint=given.checkpoint or known.get("checkpoint"),
+    device = str(settings.get("device", "cpu")).split(":")[0]
+    return plan_as(
+        settings if a_fit else settings | {"paradigm": "general"},
+        origin,
+        inputs=inputs if a_fit else (),
+        steps=settings.get("steps") or None if a_fit else None,
+        data=instead.data or (None if instead.inputs or origin.get("inputs") else known.get("data")),
+        checkpoint=instead.checkpoint or known.get("checkpoint"),
         out=above[3 if "peer" in settings else 2],
         seed=settings["seed"],
-        device=asked if asked != "cuda" or torch.cuda.is_available() else "cpu",
+        device=device if device != "cuda" or torch.cuda.is_available() else "cpu",
     )
 
 
-def _plan(options: Options, record: Record, given: Given, of_table: OfTable) -> Plan:
-    settings = record["settings"]
-    if settings.get("paradigm") not in paradigms():
-        if plan := of_table(options._replace(steps=None), settings):
-            return plan
+def _repeat(plan: Plan, settings: dict[str, Any], tables: Tables) -> Repeat:
+    if settings.get("paradigm") in paradigms():
+        tasks, label = tasks_to_fit(plan.app, plan.request)
+        plan = find_checkpoint(plan)
+        return Repeat(plan.settings(label), tasks, functools.partial(fit_tasks, plan))
+    repeat = tables(plan, settings)
+    if repeat is None:
         raise ValueError(_ALONE.format(settings["app"], settings.get("paradigm") or settings.get("peer")))
-    origin, paradigm = record.get("origin", {}), paradigms()[settings["paradigm"]]
-    options = options.by(paradigm)
-    inputs = list(given.inputs) or ([] if given.data else [Path(path) for path in origin.get("inputs", [])])
-    reading = Reading([Path(path) for path in origin.get("roots", [])], origin.get("fov_rad", 0.0))
-    tasks, label = tasks_to_fit(options.app, inputs, options.data, True, reading)
-    checkpoint = find_checkpoint(options, paradigm)
-    now = settings_of(options, paradigm, checkpoint, label)
-    return Plan(now, tasks, lambda some: fit_tasks(options, paradigm, checkpoint, some))
+    return repeat
 
 
 def _differing(then: dict[str, Any], now: dict[str, Any]) -> dict[str, tuple[Any, Any]]:
@@ -187,8 +187,8 @@ def _changed(record: Record, now: dict[str, Any]) -> dict[str, tuple[Any, Any]]:
     for key in sorted(differing, key=lambda key: (key not in FOUND_BY, key)):
         expected, found = differing[key]
         remedy = FOUND_BY.get(key, "repeat it by the version of metapp that made it")
-        said = f"{TITLES.get(key, key)} {found}, expected {expected} as recorded"
-        raise ValueError(f"{record['name']}: {said}; {remedy}.")
+        difference = f"{key} {found}, expected {expected} as recorded"
+        raise ValueError(f"{record['name']}: {difference}; {remedy}.")
     rest = [{"device": then.get("device"), "precision": "float32"} | each for each in (then, now)]
     around = [{key: each[key] for key in ("device", "precision")} for each in rest]
     return _differing(then.get("versions", {}), now["versions"]) | _differing(*around)

@@ -12,8 +12,8 @@ from metapp.apps import presentation_of
 from metapp.learning.app import App
 from metapp.learning.learn import Step
 from metapp.learning.task import Params, Task
+from metapp.runs.naming import title_of
 from metapp.runs.pictures import to_srgb
-from metapp.runs.session import title_of
 from metapp.runs.sheet import Column, write_sheet
 from metapp.runs.timing import Stopwatch
 

@@ -9,7 +9,7 @@ import statistics
 import sys
 import unicodedata
 import warnings
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -96,6 +96,8 @@ def load_checkpoint(path: Path, device: torch.device | str = "cpu") -> tuple[Met
             raise _Misnamed
         if not all(bool(torch.isfinite(value).all()) for value in tensors.values()):
             raise ValueError(f"{path}: holds NaN or infinite values, expected finite ones; train one again.")
+        if "start" in info:
+            info["checkpoint"] = info.pop("start")  # as earlier versions and files that ship call it
         prepared = MetaParameters.unflat(tensors)
         return (_with_general(path, prepared, info["general"], device) if "general" in info else prepared), info
     except (SafetensorError, KeyError, RecursionError, json.JSONDecodeError, _Misnamed):
@@ -123,6 +125,11 @@ def digest(document: Any) -> str:
     """12 hex digits that change with a JSON-ready document, or with a file's bytes where a path is given."""
     raw = document.read_bytes() if isinstance(document, Path) else json.dumps(document, sort_keys=True).encode()
     return hashlib.sha256(raw).hexdigest()[:12]
+
+
+def key_of(settings: Mapping[str, Any]) -> str:
+    """The key of a run's records; `checkpoint` counts under its former name, so that earlier records stay its own."""
+    return digest({"start" if name == "checkpoint" else name: value for name, value in settings.items()})
 
 
 def tensor_digest(params: Params) -> str:
@@ -159,7 +166,7 @@ class RunFolder:
         self.path = path
         self.origin = {"origin": origin} if origin else {}
         self.settings = settings
-        self.key = digest(settings)
+        self.key = key_of(settings)
         self._form = form or {}
         self._read: tuple[Any, dict[str, dict[str, Any]]] = (None, {})
 
@@ -241,6 +248,9 @@ def read_records(path: Path, form: dict[str, Any] | None = None) -> list[dict[st
     lines = path.read_bytes().split(b"\n") if path.is_file() else []
     for number, line in enumerate(lines, 1):
         record = _parsed(line)
+        settings = record.get("settings") if isinstance(record, dict) else None
+        if isinstance(settings, dict) and "start" in settings:
+            settings["checkpoint"] = settings.pop("start")  # as earlier versions call it
         if holds(record, {"name": str, **(form or {})}):
             records.pop(record["name"], None)
             records[record["name"]] = record

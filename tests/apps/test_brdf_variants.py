@@ -9,9 +9,8 @@ import torch
 from torch import Generator, Tensor
 
 from metapp.appearance.geometry import cosines, half_difference
-from metapp.apps.brdf import Brdf
+from metapp.apps.brdf import MEASURED_RAD, NOISE, Brdf, measured
 from metapp.apps.brdf.featured import Featured
-from metapp.apps.brdf.variants import MEASURED_RAD, NOISE, measured
 from metapp.learning.task import Params, Tasks
 
 APP = Brdf()

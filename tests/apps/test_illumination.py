@@ -10,11 +10,23 @@ from torch import Generator, Tensor
 
 from metapp.appearance.latlong import cosine_transfer, directions, mean_luminance
 from metapp.appearance.photograph import develop, photograph, shade
-from metapp.apps.illumination import BODY, BODY_GAIN, GLOSSES, Illumination, IlluminationSetup, body_of
+from metapp.apps.illumination import (
+    BODY,
+    BODY_GAIN,
+    GLOSSES,
+    LAMPS,
+    Illumination,
+    IlluminationSetup,
+    body_of,
+    lit,
+    mixed,
+    regraded,
+    tinted,
+    turned,
+)
 from metapp.apps.illumination.encoder import Encoder, unwrapped
 from metapp.apps.illumination.presentation import IlluminationPresentation
 from metapp.apps.illumination.recipes import QUICK, RECIPES
-from metapp.apps.illumination.variants import LAMPS, lit, mixed, regraded, tinted, turned
 from metapp.learning.app import stack
 from metapp.learning.task import Params, Task, Tasks
 from metapp.networks.field import LocalField

@@ -161,7 +161,7 @@ def test_files_and_surface_are_of_the_same_maps_made_once(app: Any, monkeypatch:
         sizes.append(tuple(noise.shape[-2:]))
         return make(theta, noise)
 
-    monkeypatch.setattr(type(app), "maps", staticmethod(maps))
+    monkeypatch.setattr(app, "maps", maps)
     shown = SvbrdfStationaryPresentation(app, (32, 48))
     files, surface = shown.files(theta, task), shown.surface(theta, task)
     assert sizes == [(32, 48)]

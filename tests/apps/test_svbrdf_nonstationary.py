@@ -27,6 +27,9 @@ from metapp.apps.svbrdf_nonstationary import (
 from metapp.apps.svbrdf_nonstationary.encoder import Encoder
 from metapp.apps.svbrdf_nonstationary.maps import (
     FLASH,
+    _mixed,
+    _recoloured,
+    _turned,
     decoded,
     flash_of,
     mirroring_pairs,
@@ -34,10 +37,10 @@ from metapp.apps.svbrdf_nonstationary.maps import (
     photographed,
     pooled,
     seen,
+    varied,
 )
 from metapp.apps.svbrdf_nonstationary.presentation import SvbrdfNonstationaryPresentation, fine_maps, relit
 from metapp.apps.svbrdf_nonstationary.recipes import QUICK
-from metapp.apps.svbrdf_nonstationary.variants import _mixed, _recoloured, _turned, varied
 from metapp.learning.app import stack
 from metapp.learning.task import Params, Task, Tasks
 from metapp.networks import field as fields
@@ -430,7 +433,7 @@ def test_outer_losses_count_flat_normals_and_blots(
     batch = app.sample(tasks, rng, 1)
     batch["photo"] = batch["photo"].clamp_max(0.9).clone()
     batch["photo"][..., :4] = 1
-    monkeypatch.setattr(type(app), "maps_of", staticmethod(lambda theta, photo: unpack(half)))
+    monkeypatch.setattr(app, "maps_of", lambda theta, photo: unpack(half))
     whole = app.outer_loss(exact, batch, {})
     monkeypatch.setattr("metapp.apps.svbrdf_nonstationary.STEEP", 0.0)
     without_steep = app.outer_loss(exact, batch, {})

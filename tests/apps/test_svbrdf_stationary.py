@@ -262,7 +262,7 @@ def test_the_light_is_where_the_highlight_is(
         used.append((light, view))
         return photograph(maps, light, view)
 
-    monkeypatch.setattr(type(app), "photograph", staticmethod(spied))
+    monkeypatch.setattr(app, "photograph", spied)
     theta = app.init(seeded(), 3)
     app.loss(theta, app.sample(tasks.select([1, 2, 0]), seeded(), 2), {})
     app.errors(theta, tasks)

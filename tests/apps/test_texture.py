@@ -129,12 +129,10 @@ def test_an_exemplar_is_at_no_distance_from_itself(
     theta = app.init(seeded(), 4)
     assert app.loss(theta, app.sample(tasks, seeded(), 2), {}).max() < 1e-5
     assert app.errors(theta, tasks)["error"].max() < 1e-5
-    monkeypatch.setattr(type(app), "generate", staticmethod(lambda theta, noise, octave: exemplars.roll(1, 0)[:, None]))
+    monkeypatch.setattr(app, "generate", lambda theta, noise, octave: exemplars.roll(1, 0)[:, None])
     assert app.errors(theta, tasks)["error"].min() > 0.3
     # statistics, not pixels
-    monkeypatch.setattr(
-        type(app), "generate", staticmethod(lambda theta, noise, octave: exemplars.roll((9, 5), (-2, -1))[:, None])
-    )
+    monkeypatch.setattr(app, "generate", lambda theta, noise, octave: exemplars.roll((9, 5), (-2, -1))[:, None])
     assert app.errors(theta, tasks)["error"].max() < 0.15
 
 
@@ -374,7 +372,7 @@ def test_another_measure_of_the_same_pictures(
     measured = {name: each["sliced Wasserstein"] for name, each in shown.image_errors(fits, sources[0]).items()}
     assert measured["b"] < 0.7 * measured["a"]
     exemplar = app.exemplar(sources[0].data["image"][None] / 255)
-    monkeypatch.setattr(type(app), "generate", staticmethod(lambda theta, noise, octave=0: exemplar[None]))
+    monkeypatch.setattr(app, "generate", lambda theta, noise, octave=0: exemplar[None])
     assert shown.image_errors(fits, sources[0])["b"]["sliced Wasserstein"] < 1e-5
 
 

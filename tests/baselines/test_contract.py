@@ -24,8 +24,9 @@ from metapp.evaluation.tables import load_table
 from metapp.evaluation.tables.baselines import baseline_cell, baseline_rows, picture_cells
 from metapp.learning.app import App, stack
 from metapp.learning.task import Task
+from metapp.runs.plan import plan
 from metapp.runs.reporter import Reporter, reporting
-from metapp.runs.session import options_of
+from metapp.runs.request import Request
 from metapp.storage.records import RunFolder, read_theta
 from metapp.storage.shards import ShardWriter
 from tests.quick import app_by
@@ -80,8 +81,9 @@ def data(tmp_path: Path, rng: Generator) -> Callable[[str], Path]:
 @pytest.fixture
 def subject_of(data: Callable[[str], Path], tmp_path: Path, scene: Path) -> Callable[[str, str], Subject]:
     def make(name: str, protocol: str) -> Subject:
-        options = options_of(name, observe=protocol, data=data(name), out=tmp_path / "runs", device="cpu", quiet=True)
-        return Subject(options, run=True, strict=False)
+        of_app = {"observe": protocol, "recipe": "quick", "data": data(name), "out": tmp_path / "runs"}
+        planned = plan(Request(name, "general", **of_app, device="cpu", quiet=True))
+        return Subject(planned, run=True, strict=False)
 
     return make
 
@@ -153,17 +155,17 @@ def test_records_are_kept_and_not_made_again(
 def test_baselines_that_are_pictures_are_drawn_beside_metas_fits(subject_of: Callable[[str, str], Subject]) -> None:
     subject = subject_of("texture", "")
     theta = {key: value[0] for key, value in subject.app.init(Generator().manual_seed(0), 1).items()}
-    folder = RunFolder(subject.options.out / "meta", {"of": "meta"})
+    folder = RunFolder(subject.plan.request.out / "meta", {"of": "meta"})
     for task in subject.tasks:
         folder.add({"name": task.name, "error": 1.0, "seconds": 1.0}, theta)
     subject._cells["meta"] = subject.cell("meta")._replace(folder=folder)
-    made = subject.options.out / "texture" / f"baselines-{subject.label}-quick.png"
+    made = subject.plan.request.out / "texture" / f"baselines-{subject.label}-quick.png"
     draw([subject], ["baselines"])
     assert not made.exists()  # nothing was measured yet
     run_cells([baseline_cell(subject, baseline) for baseline in baselines_of(subject.app)], quiet=True)
     draw([subject], ["baselines"])
     assert made.read_bytes().startswith(b"\x89PNG")
-    kept = subject.options.out / "texture" / "baselines" / "patches" / f"{subject.label}-quick-seed0"
+    kept = subject.plan.request.out / "texture" / "baselines" / "patches" / f"{subject.label}-quick-seed0"
     assert read_theta(kept, "t6")["picture"].shape == (64, 64, 3)
 
 
@@ -251,7 +253,7 @@ def test_without_training_tasks_baselines_that_need_them_have_no_cell(
     subject_of: Callable[[str, str], Subject], data: Callable[[str], Path]
 ) -> None:
     subject = subject_of("brdf", "")
-    manifest = subject.options.data / "manifest.json"  # type: ignore[operator]
+    manifest = subject.plan.request.data / "manifest.json"  # type: ignore[operator]
     manifest.write_text(manifest.read_text().replace('"train"', '"test"'))
     folders = {baseline.name: baseline_cell(subject, baseline).folder for baseline in baselines_of(subject.app)}
     assert {name for name, folder in folders.items() if folder} == {"ggx_1", "ggx_2"}

@@ -28,7 +28,7 @@ from metapp.learning.app import stack
 from metapp.learning.task import Params
 from metapp.paradigms import Job
 from metapp.paradigms.general import GENERAL
-from metapp.runs.inputs import tasks_to_fit
+from metapp.runs.inputs import tasks_of_data
 from metapp.runs.shipped import shipped_path
 from metapp.storage.records import load_checkpoint
 
@@ -44,7 +44,7 @@ class Bench:
     """The tasks, what General makes of them, and what is true of them."""
 
     def __init__(self, data: Path | None) -> None:
-        tasks = stack(APP, tasks_to_fit(APP, [], data, quiet=True)[0])
+        tasks = stack(APP, tasks_of_data(APP, data, quiet=True)[0])
         general, _ = load_checkpoint(shipped_path(APP.name, "general"))
         theta = GENERAL.fit(Job(APP, QUICK, QUICK.rule), general, tasks, Generator().manual_seed(0))
         self.photo, self.truth = tasks.data["photo"], unpack(tasks.data["maps"])

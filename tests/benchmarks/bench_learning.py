@@ -45,7 +45,7 @@ from torch.utils._pytree import tree_leaves
 
 from metapp.apps.brdf import Brdf, network
 from metapp.engine import FASTEST, load
-from metapp.engine.compiled import Compiled
+from metapp.engine.fastest import Compiled
 from metapp.learning.adjoint import TORCH, Drawn, Engine, Loss
 from metapp.learning.learn import MetaParameters, after_learning, learn, spread
 from metapp.learning.recipe import Adam

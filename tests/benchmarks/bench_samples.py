@@ -26,11 +26,11 @@ from metapp.evaluation.baseline_fits import allowed_for, training_of
 from metapp.evaluation.figures.style import COLOURS, MUTED, STYLE, new, save
 from metapp.learning.app import stack
 from metapp.learning.task import Task
-from metapp.paradigms import paradigms
 from metapp.runs.checkpoints import find_checkpoint
 from metapp.runs.fits import fit_tasks, rng_of
 from metapp.runs.inputs import data_folder, tasks_of_data
-from metapp.runs.session import options_of
+from metapp.runs.plan import plan
+from metapp.runs.request import Request
 from metapp.runs.statistics import paired
 
 COUNTS = (64, 256, 1024, 5120)
@@ -68,23 +68,21 @@ def errors_of(way: Way, tasks: list[Task], data: Path | None, count: int, traini
     """Errors x100 of fits of tasks that have so many samples."""
     if not way.recipe:
         return _errors_of_baselines(way, tasks, count, training)
-    paradigm = paradigms()[way.name]
-    options = options_of("brdf", recipe=way.recipe, data=data, device="cpu", quiet=True).by(paradigm)
-    fits = fit_tasks(options, paradigm, find_checkpoint(options, paradigm), tasks)
-    return {record["name"]: record["error"] for record, _ in fits}
+    planned = plan(Request("brdf", way.name, recipe=way.recipe, data=data, device="cpu", quiet=True))
+    return {record["name"]: record["error"] for record, _ in fit_tasks(find_checkpoint(planned), tasks)}
 
 
 @torch.no_grad()
 def _errors_of_baselines(way: Way, tasks: list[Task], count: int, training: Training) -> Errors:
-    options = options_of("brdf", device="cpu", quiet=True)
-    baseline = next(each for each in baselines_of(options.app) if each.name == way.name)
-    allowed = allowed_for(options)
+    planned = plan(Request("brdf", "general", recipe="quick", device="cpu", quiet=True))
+    baseline = next(each for each in baselines_of(planned.app) if each.name == way.name)
+    allowed = allowed_for(planned)
     prepared = baseline.prepare(training, allowed._replace(samples=min(count, allowed.samples)))
     errors = {}
     for task in tasks:
-        stacked = stack(options.app, [task])
-        answer = prepared.fit(stacked, rng_of(options, task), allowed).answer()
-        errors[task.name] = options.app.traits.scale * float(options.app.errors_of(answer, stacked)["error"])
+        stacked = stack(planned.app, [task])
+        answer = prepared.fit(stacked, rng_of(planned, task), allowed).answer()
+        errors[task.name] = planned.app.traits.scale * float(planned.app.errors_of(answer, stacked)["error"])
     return errors
 
 
@@ -140,7 +138,7 @@ def main() -> None:
     """Print the table, draw the figure."""
     torch.set_num_threads(1)
     data = Path(sys.argv[1]) if len(sys.argv) > 1 else None
-    app = options_of("brdf").app
+    app = plan(Request("brdf", "general", recipe="quick")).app
     tasks, label = tasks_of_data(app, data, quiet=True)
     training = training_of(app, data_folder(app, data, quiet=True))
     cut = [[as_measured(task, 0.0, samples=count) for task in tasks] for count in COUNTS]

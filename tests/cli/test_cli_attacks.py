@@ -20,12 +20,12 @@ from metapp.apps.brdf.recipes import RECIPES
 from metapp.cli.commands import app
 from metapp.cli.console import LONGEST, one_line
 from metapp.learning.app import stack
-from metapp.learning.learn import MetaParameters
 from metapp.learning.recipe import Adam
 from metapp.learning.task import Task
-from metapp.paradigms import Job, paradigms
+from metapp.runs.checkpoints import find_checkpoint
 from metapp.runs.fits import warnings_of
-from metapp.runs.session import Checkpoint
+from metapp.runs.plan import plan
+from metapp.runs.request import Request
 from metapp.storage.records import load_checkpoint, read_records, save_checkpoint
 from tests.small_spheres import shrink_spheres
 
@@ -342,7 +342,7 @@ def test_a_fit_that_leaves_what_it_sees_worse_than_its_start_is_told(
     fit: Callable, network: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(RECIPES[""], "quick", replace(RECIPES[""]["quick"], overfit=Adam(1.0)))
-    result = fit("overfit", network, "--steps", "2")
+    result = fit("overfit", network, "--steps", "2", "--recipe", "quick")
     assert result.code == 0
     assert "warning: m0: the visible loss rose from" in result.err
     (file,) = (tmp_path / "runs").rglob("record.jsonl")
@@ -351,14 +351,11 @@ def test_a_fit_that_leaves_what_it_sees_worse_than_its_start_is_told(
 
 def test_a_fit_that_gets_better_is_not_warned_of(network: Path, rng: torch.Generator) -> None:
     task = Task("gold", {"angles": torch.rand(64, 3, generator=rng), "reflectance": torch.rand(64, 3, generator=rng)})
-    stacked, paradigm = stack(Brdf(), [task]), paradigms()["overfit"]
-    job = Job(Brdf(), RECIPES[""]["quick"], "", 50)
-    start = Checkpoint(MetaParameters(), "random", "")
+    stacked, by = stack(Brdf(), [task]), find_checkpoint(plan(Request("brdf", "overfit", recipe="quick", steps=50)))
 
     def draws() -> torch.Generator:
         return torch.Generator().manual_seed(1)
 
-    theta = paradigm.fit(job, start.prepared, stacked, draws())
-    assert warnings_of(paradigm, job, start, stacked, theta, draws()) == [""]
-    none = job._replace(steps=0)
-    assert warnings_of(paradigm, none, start, stacked, theta, draws()) == [""]
+    theta = by.paradigm.fit(by.job, by.prepared, stacked, draws())
+    assert warnings_of(by, stacked, theta, draws()) == [""]
+    assert warnings_of(replace(by, job=by.job._replace(steps=0)), stacked, theta, draws()) == [""]

@@ -44,7 +44,7 @@ def steps(monkeypatch: pytest.MonkeyPatch) -> Iterator[list[float]]:
 @pytest.fixture
 def fit(metapp: Callable, ten_materials: Path, tmp_path: Path) -> Callable:
     def call(budget: str, *more: str):
-        told = ("--data", ten_materials, "--out", tmp_path / "runs", "--json", *more)
+        told = ("--recipe", "quick", "--data", ten_materials, "--out", tmp_path / "runs", "--json", *more)
         return metapp("overfit", "brdf", "--budget", budget, *told)
 
     return call
@@ -87,7 +87,7 @@ def test_without_time_for_a_step_the_initialisation_comes_back_and_it_is_said(
 def test_a_run_without_a_budget_says_nothing_of_it(
     fit: Callable, metapp: Callable, ten_materials: Path, tmp_path: Path
 ):
-    told = ("--data", ten_materials, "--out", tmp_path / "runs", "--json", "--steps", "2")
+    told = ("--recipe", "quick", "--data", ten_materials, "--out", tmp_path / "runs", "--json", "--steps", "2")
     document = metapp("overfit", "brdf", *told).document
     assert "budget" not in document
     assert sorted(document["tasks"][0]) == ["error", "name", "seconds"]

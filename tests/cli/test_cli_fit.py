@@ -52,7 +52,8 @@ def fit(metapp: Callable, data: Path, tmp_path: Path) -> Callable:
     """`metapp PARADIGM brdf` on ten small materials, eight of them for training, runs in a folder of this test."""
 
     def call(paradigm: str, *arguments: str | Path, data: Path = data):
-        return metapp(paradigm, "brdf", *arguments, "--data", data, "--out", tmp_path / "runs")
+        named = () if "--recipe" in arguments else ("--recipe", "quick")
+        return metapp(paradigm, "brdf", *arguments, *named, "--data", data, "--out", tmp_path / "runs")
 
     return call
 
@@ -100,7 +101,7 @@ def test_the_same_seed_gives_the_same_errors_whatever_is_fitted_beside(fit: Call
 def test_a_start_trained_on_this_data_is_found_again_and_said(fit: Callable) -> None:
     trained = fit("general", *STEPS, "--json")
     again = fit("general", "--json")
-    assert "starts" in again.err
+    assert "checkpoints" in again.err
     assert "general.safetensors" in again.err
     assert again.document["tasks"][0]["error"] == trained.document["tasks"][0]["error"]
     assert fit("finetune", "--json").document["steps"] == 5
@@ -123,7 +124,7 @@ def test_quickft_is_tuned_for_its_encoder(
 
 def test_a_named_checkpoint_is_used(fit: Callable, tmp_path: Path) -> None:
     fit("general", *STEPS)
-    (start,) = (tmp_path / "runs" / "brdf" / "starts").rglob("general.safetensors")
+    (start,) = (tmp_path / "runs" / "brdf" / "checkpoints").rglob("general.safetensors")
     moved = start.rename(tmp_path / "mine.safetensors")
     result = fit("general", "--checkpoint", moved)
     assert result.code == 0
@@ -185,7 +186,7 @@ def test_a_finished_run_that_is_run_again_and_interrupted_loses_nothing(
 def test_meta_on_own_data_starts_from_a_general_of_this_data(fit: Callable, tmp_path: Path) -> None:
     result = fit("meta", *STEPS)
     assert "no General that was trained on this data yet" in result.err
-    assert list((tmp_path / "runs" / "brdf" / "starts").rglob("general.safetensors"))
+    assert list((tmp_path / "runs" / "brdf" / "checkpoints").rglob("general.safetensors"))
 
 
 def test_a_start_says_how_it_was_trained(fit: Callable, tmp_path: Path) -> None:
@@ -353,8 +354,8 @@ def test_doctor_says_what_there_is(metapp: Callable, cache: Path) -> None:
     document = metapp("doctor", "--json").document
     assert document["versions"]["torch"] == metadata.version("torch")
     assert document["cache"] == str(cache)
-    assert document["starts"]["texture full"] == "general, meta-axes, quickft"
-    assert "brdf full" not in document["starts"]  # of the quick recipe's size, in its folder
+    assert document["checkpoints"]["texture full"] == "general, meta-axes, quickft"
+    assert "brdf full" not in document["checkpoints"]  # of the quick recipe's size, in its folder
     out = metapp("doctor").out
     assert out.startswith("versions")
     assert "; texture full: general, meta-axes, quickft; " in out
@@ -379,7 +380,7 @@ def test_a_composition_is_trained_and_used(fit: Callable, tmp_path: Path) -> Non
     assert trained.document["rule"] == "adam+curvature"
     (path,) = (tmp_path / "runs").rglob("adam+curvature.safetensors")
     start, info = load_checkpoint(path)
-    assert info["start"] == "adam+curvature"
+    assert info["checkpoint"] == "adam+curvature"
     assert info["training"]["clip"] == RECIPES[""]["quick"].meta["meta-curvature"].clip
     assert {"rate", "beta1", "beta2", "left", "right"} == {name.partition(".")[0] for name in start.alpha}
     again = fit("meta", "--rule", "adam+curvature", "--json", "--quiet").document
@@ -407,7 +408,7 @@ def test_a_fit_imports_neither_libraries_of_figures_nor_of_baselines_and_ends_qu
         "import gc, sys",
         "from metapp.cli.console import importing",
         "with importing():",
-        "    import metapp.runs.run",
+        "    import metapp.runs.execution",
         "import metapp.apps.illumination, metapp.apps.svbrdf_nonstationary, metapp.apps.texture, OpenImageIO",
         "print(gc.isenabled(), gc.get_freeze_count() > 100_000)",
         "print({'matplotlib', 'scipy', 'torchmetrics', 'mitsuba', 'colour'} & sys.modules.keys())",

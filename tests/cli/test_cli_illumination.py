@@ -135,7 +135,7 @@ def test_starts_of_both_protocols(metapp: Callable, tmp_path: Path) -> None:
         assert result.code == 0, result.err
         result = metapp("quickft", *common, "--observe", observe, "--train", "--train-steps", "2", "--json")
         assert result.code == 0, result.err
-    (folder,) = (runs / "illumination" / "starts").iterdir()
+    (folder,) = (runs / "illumination" / "checkpoints").iterdir()
     rules = {observe: RECIPES[observe]["quick"].rule for observe in ("reference", "photo")}
     names = {path.name.removesuffix(".safetensors") for path in folder.glob("*.safetensors")}
     assert names == {"general", "quickft", "quickft-photo", rules["reference"], f"{rules['photo']}-photo"}

@@ -55,7 +55,7 @@ class Command(NamedTuple):
         """The files of starts, whatever else is there."""
         return {
             str(path.relative_to(self.out)): path.read_bytes()
-            for path in self.out.rglob("starts/**/*.safetensors")
+            for path in self.out.rglob("checkpoints/**/*.safetensors")
             if path.suffixes == [".safetensors"]
         }
 

@@ -12,7 +12,7 @@ import pytest
 from metapp.apps.brdf import Brdf
 from metapp.runs import BadOption
 from metapp.runs.fits import Fitter
-from metapp.runs.sources import Shard, shard_of
+from metapp.runs.request import Portion, portion_of
 from metapp.storage.records import read_records
 
 pytestmark = pytest.mark.usefixtures("small_spheres")
@@ -171,14 +171,14 @@ def test_names_that_repeat_in_other_folders_are_kept_apart(fit: Callable, materi
 @pytest.mark.parametrize("text", ["0/2", "3/2", "1", "1/0", "a/b", "-1/2", "1/2/3"])
 def test_refuses_shards_that_do_not_exist(text: str, fit: Callable) -> None:
     with pytest.raises(BadOption, match="expected I/N"):
-        shard_of(text)
+        portion_of(text)
     assert fit("--shard", text).code == 2
 
 
 def test_shards_are_a_partition() -> None:
-    parts = [Shard(i, 3).take(list(range(10))) for i in (1, 2, 3)]
+    parts = [Portion(i, 3).of(range(10)) for i in (1, 2, 3)]
     assert sorted(itertools.chain(*parts)) == list(range(10))
-    assert shard_of("") == Shard(1, 1)
+    assert portion_of("") == Portion(1, 1)
 
 
 def test_refuses_a_budget_side_by_side(fit: Callable) -> None:

@@ -100,7 +100,7 @@ def data(ten_materials: Path, tmp_path: Path) -> Path:
 @pytest.fixture
 def on_data(metapp: Callable, data: Path, tmp_path: Path) -> Callable:
     """A command on ten small materials, eight of them for training, runs in a folder of this test."""
-    return lambda *arguments: metapp(*arguments, "--data", data, "--out", tmp_path / "runs")
+    return lambda *arguments: metapp(*arguments, "--recipe", "quick", "--data", data, "--out", tmp_path / "runs")
 
 
 # Fits
@@ -140,7 +140,7 @@ def test_an_application_with_one_protocol_says_nothing(on_data: Callable, monkey
 
 def test_protocols_share_general_and_nothing_else(on_data: Callable, tmp_path: Path) -> None:
     assert on_data("meta", "brdf", "--observe", "photo", *STEPS).code == 0
-    (folder,) = (tmp_path / "runs" / "brdf" / "starts").iterdir()
+    (folder,) = (tmp_path / "runs" / "brdf" / "checkpoints").iterdir()
     assert {file.stem for file in folder.iterdir()} == {"general", "meta-sgd-photo"}
     general = folder / "general.safetensors"
     assert load_checkpoint(folder / "meta-sgd-photo.safetensors")[1]["observe"] == "photo"
@@ -242,11 +242,12 @@ def test_a_protocol_that_nothing_named_has_is_refused(metapp: Callable) -> None:
 def test_the_option_reaches_those_that_have_the_protocol(metapp: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
     met: list[tuple[str, str]] = []
 
-    def fill(tables: list[Any], subjects: list[Any], given: Any) -> None:
+    def cells_of(tables: list[Any], subjects: list[Any], options: Any) -> list[Any]:
         met.extend((subject.app.name, subject.app.protocol) for subject in subjects)
         subjects.clear()
+        return []
 
-    monkeypatch.setattr("metapp.cli.evaluate.fill", fill)
+    monkeypatch.setattr("metapp.cli.evaluate.cells_of", cells_of)
     assert metapp("evaluate", "texture", "brdf", "--observe", "photo", "--json").code == 0
     assert metapp("evaluate", "texture", "brdf", "--json").code == 0
     both = [("brdf", "reference"), ("brdf", "photo")]

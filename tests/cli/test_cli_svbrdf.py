@@ -100,7 +100,7 @@ def test_a_missing_library_is_said_before_anything_is_fitted(
     metapp: Callable, photo: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     form = exports_of(APP)["asset"]._replace(needs=("no_such_module", "no-such-package"))
-    monkeypatch.setattr("metapp.runs.export.exports_of", lambda app: {"asset": form})
+    monkeypatch.setattr("metapp.runs.checks.exports_of", lambda app: {"asset": form})
     result = metapp("overfit", "svbrdf_nonstationary", photo, "--out", tmp_path / "runs", "--export", "asset")
     assert result.code == 2
     assert '--export asset needs no-such-package: pip install "metapp[export]"' in result.err
@@ -148,7 +148,7 @@ def test_starts_of_both_protocols(metapp: Callable, tmp_path: Path) -> None:
         for paradigm, steps in (("meta", "2"), ("quickft", "2")):
             result = metapp(paradigm, *common, "--observe", observe, "--train", "--train-steps", steps, "--json")
             assert result.code == 0, result.err
-    (folder,) = (runs / "svbrdf_nonstationary" / "starts").iterdir()
+    (folder,) = (runs / "svbrdf_nonstationary" / "checkpoints").iterdir()
     names = {path.name.removesuffix(".safetensors") for path in folder.glob("*.safetensors")}
     rules = {observe: RECIPES[observe]["quick"].rule for observe in RECIPES}
     assert names == {"general", "quickft", "quickft-photo", rules["reference"], f"{rules['photo']}-photo"}

@@ -11,6 +11,8 @@ import torch
 from PIL import Image
 
 from metapp.apps.brdf import Brdf
+from metapp.learning.learn import Step
+from metapp.learning.task import Task
 from metapp.runs import watching
 from metapp.runs.timing import Stopwatch
 from metapp.runs.watching import Watched
@@ -47,9 +49,8 @@ def test_pictures_come_at_most_so_often_and_the_last_is_drawn(tmp_path: Path, mo
     monkeypatch.setattr(watching, "write_sheet", lambda tasks, title, *_: drawn.append((now, title)))
     monkeypatch.setattr(watching, "presentation_of", lambda app: type("none", (), {"outputs": lambda *_: {}}))
     watched = Watched(APP, "meta", tmp_path / "watch.png")
-    watch = watched.of(type("task", (), {"name": "gold"}), 40, Stopwatch(torch.device("cpu")))
-    for step in range(40):
-        watch(step, {}, torch.zeros(1))
+    descent = (Step(step, {}, {}) for step in range(40))
+    for _ in watched.shown(descent, Task("gold", {}), 40, Stopwatch(torch.device("cpu"))):
         now += 0.03
     times = [time for time, _ in drawn]
     assert len(times) == 5

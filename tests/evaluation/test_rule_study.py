@@ -1,4 +1,4 @@
-"""The rule study: trainings and fits of all rules from one command, cut off and gone on, and what is said of seeds."""
+"""The rule study: trainings and fits of all rules from one command, cut off and resumed, in parts."""
 
 from __future__ import annotations
 
@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import torch
 from rich.console import Console
 
 from metapp.apps import recipes_of
@@ -20,15 +19,16 @@ from metapp.apps.brdf.recipes import RECIPES
 from metapp.cli.show import rich_table
 from metapp.evaluation import study as studies
 from metapp.evaluation.figures import draw
-from metapp.evaluation.study import COMPOSED, QUICKFT, Budget, Case, Study, training_for
+from metapp.evaluation.study import COMPOSED, QUICKFT, Case, Design, Study, training_for
 from metapp.evaluation.subject import Subject
 from metapp.evaluation.tables import load_table
 from metapp.evaluation.tables.rules import fit_cell, train_cell
 from metapp.learning.recipe import Adam
 from metapp.learning.rules import RULES, rule_of
-from metapp.learning.rules import table as rule_table
+from metapp.learning.rules import rule as rule_table
 from metapp.paradigms import tuning
-from metapp.runs.session import Options
+from metapp.runs.plan import Plan, plan
+from metapp.runs.request import Request
 from metapp.storage.records import load_checkpoint
 from metapp.storage.training_checkpoint import TrainingCheckpoint
 from tests.small_spheres import shrink_spheres
@@ -76,11 +76,12 @@ def figures(result: Any) -> list[dict[str, Any]]:
     return [{key: value for key, value in row.items() if "seconds" not in key} for row in rows]
 
 
-def subject_of(data: Path, out: Path, **budget: Any) -> Subject:
-    options = Options(APP, "quick", "meta-curvature", None, data, out, None, 0, torch.device("cpu"), True)
-    return Subject(
-        options, run=True, strict=False, budget=Budget(**({"outer": 2, "steps": (2, 3), "seeds": 2} | budget))
-    )
+def plan_of(**options: Any) -> Plan:
+    return plan(Request("brdf", "general", recipe="quick", device="cpu", quiet=True, **options))
+
+
+def subject_of(data: Path, out: Path) -> Subject:
+    return Subject(plan_of(data=data, out=out), run=True, strict=False, design=Design(2, (2, 3), 2))
 
 
 # From one command
@@ -109,24 +110,27 @@ def test_one_command_trains_fits_and_says_what_came_of_it(evaluate: Callable, da
             assert row["vs_quickft"] is None
         else:
             assert row["vs_quickft"] == pytest.approx(row["error"] / rows["quickft (tuned Adam)", steps]["error"])
-    assert (tmp_path / "figures" / "brdf-rules.png").is_file()
     assert [file.name for file in (tmp_path / "figures").glob("*.png")] == ["brdf-rules.png"]
-    said = evaluate("--no-run", "--format", "markdown").out
-    assert "each rule is trained for 2 outer steps (the recipe: 20,000)" in said
-    assert "meta-lgd: does not apply, no parameter lies on a grid" in said
-    assert "not run" not in said
-
-
-def test_each_case_is_trained_through_its_own_number_of_steps(evaluate: Callable, data: Path, tmp_path: Path) -> None:
-    assert evaluate("--quiet", "--json").code == 0
-    study = subject_of(data, tmp_path / "runs").study
-    for steps in (2, 3):
-        prepared, info = load_checkpoint(Path(study.checkpoint(Case("adam", steps, 1)).source))
+    text = evaluate("--no-run", "--format", "markdown").out
+    for note in ("trained for 2 outer steps (the recipe: 20,000)", "meta-lgd: does not apply, no parameter lies on"):
+        assert note in text
+    assert "not run" not in text
+    for steps in (2, 3):  # each case is trained through its own number of steps
+        prepared, info = load_checkpoint(Path(subject.study.checkpoint(Case("adam", steps, 1)).source))
         assert len(prepared.alpha["rate.w1"]) == info["inner_steps"] == steps
         assert (info["seed"], info["training"]["steps"]) == (1, 2)
-        adam = study.checkpoint(Case(QUICKFT, steps, 1))
-        assert set(adam.prepared.alpha) == {"rate", "beta1", "beta2", "eps", "final"}
-        assert adam.prepared.encoder
+        adam = subject.study.checkpoint(Case(QUICKFT, steps, 1)).prepared
+        assert adam.encoder
+        assert set(adam.alpha) == {"rate", "beta1", "beta2", "eps", "final"}
+    table, console = load_table("rules"), Console(width=100)
+    with console.capture() as shown:
+        console.print(rich_table(table, subject, table.rows(subject)))
+    assert max(map(len, shown.get().splitlines())) <= 100
+    drawn = draw("rules", subject)
+    assert drawn
+    assert [axis.get_title() for axis in drawn.figure.axes] == ["2 steps", "3 steps"]
+    shutil.rmtree(tmp_path / "runs" / "brdf" / "rules")
+    assert draw("rules", subject) is None
 
 
 def test_a_study_that_is_cut_off_ends_in_the_table_of_an_unbroken_one(
@@ -152,7 +156,22 @@ def test_a_study_that_is_cut_off_ends_in_the_table_of_an_unbroken_one(
     assert figures(again) == unbroken
 
 
-def test_a_budget_can_grow(evaluate: Callable) -> None:
+def test_parts_train_and_fit_what_one_program_does(
+    evaluate: Callable, metapp: Callable, data: Path, tmp_path: Path
+) -> None:
+    parts = [("--json", "--quiet", "--shard", f"{part}/2") for part in (1, 2)]
+    assert "has no General yet, which all parts begin at" in evaluate(*parts[0]).err
+    general = ("general", "brdf", "--train", "--data", data, "--recipe", "quick", "--quiet")
+    for out in ("runs", "whole"):
+        assert metapp(*general, "--out", tmp_path / out).code == 0
+    unbroken = figures(evaluate("--json", "--quiet", out="whole"))
+    made = [evaluate(*part).document for part in parts]
+    assert [part["missing"] for part in made] == [made[1]["made"], 0]
+    assert min(part["made"] for part in made) > 10
+    assert figures(evaluate("--no-run", "--json")) == unbroken
+
+
+def test_a_design_can_grow(evaluate: Callable) -> None:
     part = figures(evaluate("--rule", "adam", "--json", "--quiet"))
     assert [row["rule"] for row in part] == ["quickft (tuned Adam)", "adam"] * 2
     said = evaluate("--no-run", "--format", "markdown").out
@@ -184,22 +203,7 @@ def test_a_training_that_diverges_is_said_once_and_ends_nothing(
 def test_options_of_studies_are_refused_elsewhere(metapp: Callable) -> None:
     done = metapp("evaluate", "brdf", "--which", "quickft", "--seeds", "2")
     assert done.code == 2
-    assert "--seeds" in done.err
-    assert "--which rules" in done.err
-
-
-def test_a_terminal_shows_the_rule_and_what_it_came_to(evaluate: Callable, data: Path, tmp_path: Path) -> None:
-    assert evaluate("--quiet", "--json").code == 0
-    subject = subject_of(data, tmp_path / "runs")
-    table, console = load_table("rules"), Console(width=100)
-    with console.capture() as shown:
-        console.print(rich_table(table, subject, table.rows(subject)))
-    assert max(map(len, shown.get().splitlines())) <= 100
-    drawn = draw("rules", subject)
-    assert drawn
-    assert [axis.get_title() for axis in drawn.figure.axes] == ["2 steps", "3 steps"]
-    shutil.rmtree(tmp_path / "runs" / "brdf" / "rules")
-    assert draw("rules", subject) is None
+    assert "--seeds: only with --which rules" in " ".join(done.err.replace("│", "").split())
 
 
 # What is studied
@@ -207,15 +211,15 @@ def test_a_terminal_shows_the_rule_and_what_it_came_to(evaluate: Callable, data:
 
 def test_new_names_of_rules_are_studied(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.undo()
-    options = Options(APP, "quick", "meta-curvature", None, None, Path("runs"), None, 0, torch.device("cpu"), True)
-    rules = Study(options, Budget()).rules
+    study = functools.partial(Study, plan_of(), Design())
+    rules = study().rules
     assert [rule_of(name).name for name in COMPOSED] == list(COMPOSED)
     assert set(rules) == ({rule_of(name).name for name in (*RULES, *COMPOSED)}) - {"meta-lgd", "ridge"}
     # of its own, so that other tests find the rules that there were
     monkeypatch.setattr(rule_table, "_composed", functools.cache(rule_table._composed.__wrapped__))
     monkeypatch.setitem(rule_table.NAMED, "meta-new", "rates+betas+eps")
     monkeypatch.setitem(studies.RULES, "meta-new", rule_of("rates+betas+eps"))  # type: ignore[arg-type]
-    assert "meta-new" in Study(options, Budget()).rules
+    assert "meta-new" in study().rules
 
 
 def test_rules_without_moments_are_trained_as_the_papers() -> None:
@@ -230,8 +234,7 @@ def test_rules_without_moments_are_trained_as_the_papers() -> None:
 
 
 def test_cases_of_few_steps_come_first() -> None:
-    options = Options(APP, "quick", "meta-curvature", None, None, Path("runs"), None, 4, torch.device("cpu"), True)
-    cases = Study(options, Budget(steps=(9, 2), seeds=2, rules=("adam",))).cases()
+    cases = Study(plan_of(seed=4), Design(steps=(9, 2), seeds=2, rules=("adam",))).cases()
     assert cases == [Case(rule, steps, seed) for seed in (4, 5) for steps in (2, 9) for rule in (QUICKFT, "adam")]
 
 

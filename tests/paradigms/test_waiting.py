@@ -15,7 +15,7 @@ from torch.utils._python_dispatch import TorchDispatchMode
 from metapp.apps import protocols_of
 from metapp.learning import learn as learning
 from metapp.learning.app import stack
-from metapp.learning.learn import checked, descend, last, task_loss
+from metapp.learning.learn import checked, descend, last
 from metapp.paradigms import Job, paradigms
 from tests.paradigms.small import KINDS, OWN_RULES, SMALL, prepared_for, rng, small_app, small_recipe
 
@@ -79,7 +79,7 @@ def test_steps_of_fits_read_nothing_back(kind: str, protocol: str, monkeypatch: 
     meta = paradigms()["meta"]
     tasks = stack(app, SMALL[app.name].tasks()[:2])
     prepared = prepared_for(meta, job)
-    loss = task_loss(app, job.recipe.batch)
+    loss = meta.loss(job)
 
     def fit(allowed: tuple[str, ...] | None) -> list[str]:
         theta = meta.initialisation(job, prepared, tasks, rng())

@@ -117,21 +117,17 @@ def tracer() -> Any:
 
 
 def picture_of(mi: Any, scene: Any, prior: Any, seed: int, spp: int = 16) -> np.ndarray[Any, Any]:
-    from metapp.rendering.guided_plugin import GuidedPicture, parts_of
+    from metapp.rendering.guided_plugin import GuidedPicture
 
     sensor, path = scene.sensors()[0], mi.load_dict({"type": "path", "max_depth": 6})
     made = GuidedPicture(path, tracer(), scene, sensor, seed, prior)
-    for part in parts_of(spp, 64**2):
-        made.pays = True
-        made.add(part)
-    film = sensor.film()
-    film.prepare([])
-    film.put_block(made.block)
-    return np.array(film.develop(), np.float64)[..., :3]
+    made.render(spp)
+    return np.array(sensor.film().develop(), np.float64)[..., :3]
 
 
 @needs_mitsuba
-def test_the_prior_that_ships_lowers_the_noise() -> None:
+def test_the_prior_that_ships_lowers_the_noise(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("metapp.rendering.guided_plugin.PAYS", math.inf)
     mi, scene, _ = load_scene(random_room("board", 5000))  # of no training
     noise = []
     for prior in (read_prior(shipped()), None):

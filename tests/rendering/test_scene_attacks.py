@@ -15,10 +15,10 @@ from typing import Any
 
 import pytest
 import torch
-from typer.testing import CliRunner
 
 from data_tools.readers.mitsuba_scenes import read_scene, read_task
 from data_tools.synthetic.cornell import random_scene
+from metapp.cli import console
 from metapp.cli.commands import app as cli
 from metapp.rendering.path_space import Tracer
 from metapp.rendering.scene_loading import load_scene
@@ -425,9 +425,7 @@ def test_files_come_from_a_folder_that_the_user_names(tmp_path: Path, evil: Call
     assert not mark.exists()
 
 
-def test_only_transport_has_scenes(tmp_path: Path) -> None:
-    done = CliRunner().invoke(cli, ["meta", "brdf", "--scene-root", str(tmp_path)], env={"COLUMNS": "200"})
-    assert done.exit_code == 2
-    assert "--scene-root: brdf has no scenes" in done.output
-    missing = CliRunner().invoke(cli, ["meta", "transport", "--scene-root", str(tmp_path / "none")])
-    assert missing.exit_code == 2
+def test_only_transport_has_scenes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for app, folder, words in (("brdf", tmp_path, "brdf has no scenes"), ("transport", tmp_path / "none", "none")):
+        assert console.run(lambda a=app, f=folder: cli(["meta", a, "--scene-root", str(f)], standalone_mode=False)) == 2
+        assert words in capsys.readouterr().err

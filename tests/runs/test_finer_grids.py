@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 import torch
 
-from metapp.paradigms import paradigms
 from metapp.runs.checkpoints import find_checkpoint
-from metapp.runs.session import options_of
+from metapp.runs.plan import plan
+from metapp.runs.request import Request
 from metapp.runs.shipped import shipped_path
 from metapp.storage.records import load_checkpoint, save_checkpoint
 
@@ -23,11 +23,11 @@ APPS = [
 
 @pytest.mark.parametrize(("name", "observe"), APPS)
 def test_meta_starts_from_what_quick_learned(name: str, observe: str, tmp_path: Path) -> None:
-    options = options_of(name, observe=observe, recipe="full", out=tmp_path)
-    prepared = find_checkpoint(options, paradigms()["meta"]).prepared
-    field = options.app.setup.field
+    planned = plan(Request(name, observe=observe, recipe="full", out=tmp_path))
+    prepared = find_checkpoint(planned).prepared
+    field = planned.app.setup.field
     assert prepared.alpha["rate.z"].shape[-2:] == (field.rows, field.columns)
-    file = f"{options.rule}{'-photo' if observe == 'photo' else ''}"
+    file = f"{planned.job.rule}{'-photo' if observe == 'photo' else ''}"
     learned = load_checkpoint(shipped_path(name, file))[0].alpha
     assert float(prepared.alpha["rate.z"].mean()) == pytest.approx(float(learned["rate.z"].mean()), rel=1e-4)
     assert all(torch.equal(prepared.alpha[key], learned[key]) for key in learned if learned[key].ndim < 4)
@@ -37,12 +37,12 @@ def test_another_number_of_channels_is_refused(tmp_path: Path) -> None:
     start, info = load_checkpoint(shipped_path("illumination", "meta-lgd"))
     bad = start._replace(alpha=start.alpha | {"rate.z": torch.zeros(1, 7, 16, 32)})
     save_checkpoint(tmp_path / "bad.safetensors", bad, info)
-    options = options_of("illumination", recipe="full", out=tmp_path, checkpoint=tmp_path / "bad.safetensors")
+    request = Request("illumination", recipe="full", out=tmp_path, checkpoint=tmp_path / "bad.safetensors")
     with pytest.raises(ValueError, match=r"alpha rate.z is \(steps, 7, 16, 32\), expected \(steps, 8, 32, 64\)"):
-        find_checkpoint(options, paradigms()["meta"])
+        find_checkpoint(plan(request))
 
 
 @pytest.mark.parametrize(("name", "observe"), APPS)
 def test_recipes_are_those_of_the_protocol(name: str, observe: str) -> None:
-    options = options_of(name, observe=observe, recipe="full")
-    assert options.app.setup == options.job.recipe.setup
+    planned = plan(Request(name, observe=observe, recipe="full"))
+    assert planned.app.setup == planned.job.recipe.setup

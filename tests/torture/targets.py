@@ -179,12 +179,12 @@ def _read_scene(folder: Path, file: Path) -> None:
 def _read_shard(folder: Path, file: Path) -> None:
     from metapp.apps.brdf import Brdf
     from metapp.learning.app import stack
-    from metapp.runs.inputs import tasks_to_fit
+    from metapp.runs.inputs import tasks_of_data
     from metapp.storage.shards import check_shard
 
     app = Brdf()
     check_shard(folder)
-    tasks = tasks_to_fit(app, [], folder, True)[0]
+    tasks = tasks_of_data(app, folder, True)[0]
     for task in tasks:
         # the picture of the environment is optional
         finite(task, **({"environment": (48, 48, 4)} if "environment" in task.data else {}))
@@ -211,15 +211,13 @@ def _read_checkpoint(folder: Path, file: Path) -> None:
     """As --checkpoint, then one step of a fit."""
     import torch
 
-    from metapp.apps.brdf import Brdf
-    from metapp.paradigms import paradigms
     from metapp.runs.checkpoints import find_checkpoint
-    from metapp.runs.session import Options
+    from metapp.runs.plan import plan
+    from metapp.runs.request import Request
 
-    app, paradigm = Brdf(), paradigms()["meta"]
-    options = Options(app, "quick", file.stem, 1, None, folder, file, 0, torch.device("cpu"), True)
-    start = find_checkpoint(options, paradigm)
-    paradigm.fit(options.job, start.prepared, _small_task(), torch.Generator().manual_seed(0))
+    options = {"rule": file.stem, "recipe": "quick", "steps": 1, "checkpoint": file, "out": folder}
+    by = find_checkpoint(plan(Request("brdf", **options, device="cpu", quiet=True)))
+    by.paradigm.fit(by.job, by.prepared, _small_task(), torch.Generator().manual_seed(0))
 
 
 def _read_records(folder: Path, file: Path) -> None:

@@ -25,8 +25,8 @@ from metapp.apps.svbrdf_nonstationary.maps import (
     photographed,
     pooled,
     seen,
+    varied,
 )
-from metapp.apps.svbrdf_nonstationary.variants import varied
 from metapp.learning.app import Traits
 from metapp.learning.task import Batch, Held, Params, Task, Tasks
 from metapp.networks.coded import CodedApp, norm

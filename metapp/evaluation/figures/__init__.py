@@ -54,7 +54,7 @@ def write_figures(subjects: Sequence[Subject], folder: Path, names: Sequence[str
         The PNG files.
     """
     from metapp.evaluation.figures.style import save
-    from metapp.runs.session import name_of
+    from metapp.runs.naming import name_of
 
     files = []
     for subject in subjects:

@@ -1,4 +1,4 @@
-"""Fits on their way: errors along the steps, and paths through the space of parameters."""
+"""Errors of fits along the steps, and their paths through the space of parameters."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ import statistics
 from matplotlib.ticker import NullLocator
 
 from metapp.evaluation.figures import Drawn
-from metapp.evaluation.figures.quality import factor
 from metapp.evaluation.figures.style import COLOURS, INK, TITLES, legend, line, new
 from metapp.evaluation.subject import Subject
 from metapp.evaluation.trace import CURVES, trace_cell
+from metapp.runs.naming import factor_of
 
 SHOWN = 3  # paths
 
@@ -33,17 +33,18 @@ def curves(subject: Subject) -> Drawn | None:
         axis.set_yscale("log")
     axis.xaxis.set_minor_locator(NullLocator())
     axis.set_xlabel("gradient steps")
-    axis.set_ylabel(f"error{factor(subject)}")
+    axis.set_ylabel(f"error{factor_of(subject.app)}")
     axis.set_title(subject.title)
     legend(figure)
-    said = ", ".join(f"{TITLES[name]} {error:.3f}" for name, error in last.items())
-    return Drawn(figure, f"{subject.title}: error along the steps, mean over {len(records)} tasks. In the end: {said}.")
+    errors_said = ", ".join(f"{TITLES[name]} {error:.3f}" for name, error in last.items())
+    caption = f"{subject.title}: error along the steps, mean over {len(records)} tasks. In the end: {errors_said}."
+    return Drawn(figure, caption)
 
 
 def trajectories(subject: Subject) -> Drawn | None:
     """Meta's and Overfit's paths in the plane of most variance of their parameters, a few tasks.
 
-    None where their networks differ, as those of a rule that solves for the last layer do.
+    None where their networks differ, as they do where a rule solves for the last layer.
     """
     records = [record for record in trace_cell(subject).records() if record["paths"]["meta"]][:SHOWN]
     if not records:
@@ -60,7 +61,7 @@ def trajectories(subject: Subject) -> Drawn | None:
         name = record["name"] if len(record["name"]) < 26 else record["name"][:24] + "…"
         axis.set_title(f"{name}\n{record['explained']:.0%} of the variance", fontsize=8, parse_math=False)
     legend(figure)
-    figure.suptitle(f"{subject.title}: from the start (ring) to the result (star)", fontsize=10)
+    figure.suptitle(f"{subject.title}: from the initialisation (ring) to the result (star)", fontsize=10)
     tasks = ", ".join(record["name"] for record in records)
     return Drawn(
         figure, f"{subject.title}: paths of Meta and Overfit through parameter space, in two principal axes: {tasks}."

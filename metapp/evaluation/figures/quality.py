@@ -6,9 +6,11 @@ from matplotlib.ticker import MaxNLocator
 
 from metapp.evaluation.figures import Drawn
 from metapp.evaluation.figures.style import BASELINE, COLOURS, MARKERS, MUTED, TITLES, legend, line, new
+from metapp.evaluation.rows import values_of
 from metapp.evaluation.subject import Subject
 from metapp.evaluation.tables.baselines import baseline_rows
 from metapp.evaluation.tables.results import result_row
+from metapp.runs.naming import factor_of
 
 OFFSETS = {"meta": (8, 8), "quickft": (6, -13)}  # points; the two often lie close
 
@@ -37,34 +39,29 @@ def plane(subject: Subject) -> Drawn | None:
     axis.invert_yaxis()
     axis.margins(x=0.18, y=0.12)
     axis.set_xlabel("seconds of inference (faster to the right)")
-    axis.set_ylabel(f"error{factor(subject)} (better above)")
+    axis.set_ylabel(f"error{factor_of(subject.app)} (better above)")
     axis.set_title(subject.title)
     named = [*((TITLES[name], row) for name, row in rows.items()), *((row["paradigm"], row) for row in others)]
-    said = ", ".join(f"{name} {row['error']:.3f} in {row['seconds']:.3g} s" for name, row in named)
-    return Drawn(figure, f"{subject.title}: mean error over seconds of inference. {said}.")
+    figures = ", ".join(f"{name} {row['error']:.3f} in {row['seconds']:.3g} s" for name, row in named)
+    return Drawn(figure, f"{subject.title}: mean error over seconds of inference. {figures}.")
 
 
 def ranks(subject: Subject) -> Drawn | None:
     """Errors of the test tasks, each paradigm's sorted by itself."""
-    found = {name: [r["error"] for r in subject.cell(name).records() if r["error"] is not None] for name in COLOURS}
-    found = {name: sorted(errors) for name, errors in found.items() if errors}
-    if not found:
+    by_name = {name: sorted(values_of(subject.cell(name)).values()) for name in COLOURS}
+    by_name = {name: errors for name, errors in by_name.items() if errors}
+    if not by_name:
         return None
     figure, axes = new(4.0, 3.2)
     axis = axes[0, 0]
-    for name, errors in found.items():
+    for name, errors in by_name.items():
         axis.plot(range(1, len(errors) + 1), errors, **line(name))
-    if min(min(errors) for errors in found.values()) > 0:
+    if min(min(errors) for errors in by_name.values()) > 0:
         axis.set_yscale("log")
     axis.xaxis.set_major_locator(MaxNLocator(integer=True))
     axis.set_xlabel("test task, each paradigm's in order of error")
-    axis.set_ylabel(f"error{factor(subject)}")
+    axis.set_ylabel(f"error{factor_of(subject.app)}")
     axis.set_title(subject.title)
     legend(figure)
-    worst = ", ".join(f"{TITLES[name]} {errors[-1]:.3f}" for name, errors in found.items())
+    worst = ", ".join(f"{TITLES[name]} {errors[-1]:.3f}" for name, errors in by_name.items())
     return Drawn(figure, f"{subject.title}: errors of all test tasks, sorted. Worst: {worst}.")
-
-
-def factor(subject: Subject) -> str:
-    """The factor of printed errors, as axes say it."""
-    return f" x{subject.app.traits.scale:g}" if subject.app.traits.scale != 1 else ""

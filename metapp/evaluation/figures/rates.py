@@ -1,4 +1,4 @@
-"""What Meta has learned of step sizes: a histogram for each layer."""
+"""The step sizes that Meta has learned: a histogram for each layer."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ BINS = 48
 
 def step_sizes(rule: str, alpha: Params) -> dict[str, np.ndarray]:
     """Step sizes of each parameter tensor, over its entries and all steps; of any sign where the rule is SGD."""
-    found = {}
+    sizes = {}
     for name, value in alpha.items():
         part, _, key = name.partition(".")
         if part == "rate" and value.numel() > 1:
             pace = alpha.get(f"pace.{key}")
             rate = value if pace is None else value + pace.reshape(-1, *[1] * (value.ndim - 1))
-            found[key] = (rate if rule_of(rule).has("sgd") else rate.exp()).flatten().double().cpu().numpy()
-    return found
+            sizes[key] = (rate if rule_of(rule).has("sgd") else rate.exp()).flatten().double().cpu().numpy()
+    return sizes
 
 
 def _rates(alpha: Params) -> list[Tensor]:
@@ -33,8 +33,8 @@ def _rates(alpha: Params) -> list[Tensor]:
 def histogram(subject: Subject) -> Drawn | None:
     """Magnitudes of learned step sizes, layer above layer."""
     fit = subject.fits["meta"]
-    alpha = fit.checkpoint.prepared.alpha if fit.checkpoint else {}
-    sizes = step_sizes(fit.options.rule, alpha)
+    alpha = fit.prepared.alpha if fit.checkpoint else {}
+    sizes = step_sizes(fit.job.rule, alpha)
     if not sizes:
         return None
     logs = {key: np.log10(np.abs(values[values != 0])) for key, values in sizes.items()}
@@ -50,11 +50,11 @@ def histogram(subject: Subject) -> Drawn | None:
         axis.step(edges[:-1], heights, where="post", color=INK, linewidth=0.5)
     axis.set_yticks([-i for i in range(len(logs))], list(logs), fontsize=7)
     axis.set_xlabel("learned step size, power of ten")
-    axis.set_title(f"{subject.title}: {fit.options.rule}")
+    axis.set_title(f"{subject.title}: {fit.job.rule}")
     negative = {key: float((values < 0).mean()) for key, values in sizes.items()}
-    said = f"; negative: {np.mean(list(negative.values())):.0%}" if any(negative.values()) else ""
+    more = f"; negative: {np.mean(list(negative.values())):.0%}" if any(negative.values()) else ""
     middle = np.median(np.concatenate(list(logs.values())))
-    if all(len(np.unique(each.flatten(1)[0].numpy())) == 1 for each in _rates(alpha)):
-        said += "; the same for all weights, as its Adam was searched"
-    what = f"step sizes that {fit.options.rule} has learned, a row a layer; median {10**middle:.1e}{said}"
+    if all(len(np.unique(rates.flatten(1)[0].numpy())) == 1 for rates in _rates(alpha)):
+        more += "; the same for all weights, as its Adam was searched"
+    what = f"step sizes that {fit.job.rule} has learned, a row a layer; median {10**middle:.1e}{more}"
     return Drawn(figure, f"{subject.title}: {what}.")

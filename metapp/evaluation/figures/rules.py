@@ -17,15 +17,15 @@ ROW = 0.21  # inches
 
 def forest(subject: Subject) -> Drawn | None:
     """Error over QuickFT's with its 95 % interval; blue where it is below, orange above, grey where chance could be."""
-    found = [row for row in rows(subject) if paired_of(row, QUICKFT)]
-    if not found:
+    compared = [row for row in rows(subject) if paired_of(row, QUICKFT)]
+    if not compared:
         return None
-    steps = sorted({row["steps"] for row in found})
-    names = [name for name in subject.study.rules if any(row["rule"] == name for row in found)]
+    steps = sorted({row["steps"] for row in compared})
+    names = [name for name in subject.study.rules if any(row["rule"] == name for row in compared)]
     figure, axes = new(2.3 * len(steps) + 1.7, ROW * len(names) + 1.1, 1, len(steps))
     kind = "difference" if subject.presentation.logarithmic else "ratio"
     for axis, count in zip(axes[0], steps, strict=True):
-        here = {row["rule"]: row for row in found if row["steps"] == count}
+        here = {row["rule"]: row for row in compared if row["steps"] == count}
         axis.axvline(0 if kind == "difference" else 1, color=INK, linewidth=1)
         for i, name in enumerate(names):
             if name in here:
@@ -36,18 +36,20 @@ def forest(subject: Subject) -> Drawn | None:
         axis.set_ylim(-len(names) + 0.4, 0.6)
         axis.set_title(f"{count} steps")
         axis.grid(axis="y", color=GRID, linewidth=0.4)
-    outer = subject.study.budget.outer
+    outer = subject.study.design.outer
     figure.suptitle(f"{subject.title}: learned rules after {outer:,} outer steps", fontsize=10)
     figure.supxlabel(f"error over tuned Adam's ({kind}, 95 % interval)", fontsize=8)
-    return Drawn(figure, f"{subject.title}: mean error over that of a tuned Adam after as many steps. {_said(found)}")
+    return Drawn(
+        figure, f"{subject.title}: mean error over that of a tuned Adam after as many steps. {_in_words(compared)}"
+    )
 
 
 def _mark(axis: Any, height: float, row: Row) -> None:
-    found = paired_of(row, QUICKFT)
-    assert found is not None
-    colour = LEVEL if not row["apart"] else BELOW if found.value < found.level else ABOVE
-    axis.plot([found.low, found.high], [height, height], color=colour, linewidth=1.4, solid_capstyle="butt")
-    axis.plot(found.value, height, "o", color=colour, markersize=4)
+    pair = paired_of(row, QUICKFT)
+    assert pair is not None
+    colour = LEVEL if not row["apart"] else BELOW if pair.value < pair.level else ABOVE
+    axis.plot([pair.low, pair.high], [height, height], color=colour, linewidth=1.4, solid_capstyle="butt")
+    axis.plot(pair.value, height, "o", color=colour, markersize=4)
 
 
 def _ratios(axis: Any) -> None:
@@ -61,9 +63,9 @@ def _ratios(axis: Any) -> None:
     axis.tick_params(axis="x", labelsize=7)
 
 
-def _said(found: list[Row]) -> str:
+def _in_words(compared: list[Row]) -> str:
     best: dict[int, Row] = {}
-    for row in found:
+    for row in compared:
         if row["steps"] not in best or row["error"] < best[row["steps"]]["error"]:
             best[row["steps"]] = row
     return " ".join(f"{steps} steps: lowest {row['rule']}, {row['error']:.3f}." for steps, row in best.items())

@@ -1,4 +1,4 @@
-"""Convergence strips: what a fit shows at its start, on its way, in the end, and what it should show."""
+"""Convergence strips: pictures of a fit at its initialisation, along its steps and at the end, beside the target."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ SHOWN = 4  # tasks
 
 
 def strips(subject: Subject) -> Drawn | None:
-    """A strip a task: start, 25, 50, 75, 100 % of Meta's steps, target."""
+    """A strip a task: initialisation, 25, 50, 75, 100 % of Meta's steps, target."""
     cell = trace_cell(subject)
     finished = {record["name"] for record in cell.records()}
     tasks = [task for task in cell.tasks if task.name in finished][:SHOWN]
@@ -22,10 +22,10 @@ def strips(subject: Subject) -> Drawn | None:
     for task in tasks:
         made = [subject.presentation.outputs(theta, task) for theta in parts_of(cell, task).values()]
         last = [made[-1]["reference"]] if "reference" in made[-1] else []
-        pictures.append([to_srgb(picture) for picture in [*(each["fit"] for each in made), *last]])
+        pictures.append([to_srgb(picture) for picture in [*(outputs["fit"] for outputs in made), *last]])
     height, width = pictures[0][0].shape[:2]
     figure, axes = new(1.25 * 6 + 0.2, (1.25 * height / width + 0.06) * len(tasks) + 0.55, len(tasks), len(PARTS) + 1)
-    titles = ["start", *(f"{part:.0%}" for part in PARTS[1:]), "target"]
+    titles = ["initialisation", *(f"{part:.0%}" for part in PARTS[1:]), "target"]
     for axis in axes.flat:
         axis.set_axis_off()
     for row, strip in zip(axes, pictures, strict=True):
@@ -36,5 +36,5 @@ def strips(subject: Subject) -> Drawn | None:
     figure.suptitle(f"{subject.title}: along Meta's steps", fontsize=10)
     names = ", ".join(task.name for task in tasks)
     return Drawn(
-        figure, f"{subject.title}: pictures at the start, 25, 50, 75 and 100 % of Meta's steps, and targets: {names}."
+        figure, f"{subject.title}: pictures after 0, 25, 50, 75 and 100 % of Meta's steps, and targets: {names}."
     )

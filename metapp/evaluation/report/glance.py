@@ -12,8 +12,8 @@ from metapp.evaluation.report.html import Pictures, anchor, drawn_html
 from metapp.evaluation.rows import Row, paired_of, paper
 from metapp.evaluation.subject import Subject
 from metapp.evaluation.tables.results import result_row
+from metapp.runs.naming import is_first_protocol
 from metapp.runs.reporter import number
-from metapp.runs.session import is_first_protocol
 from metapp.runs.statistics import apart
 
 TIMES = "&times;"
@@ -29,7 +29,7 @@ def glance(subjects: Sequence[Subject], pictures: Pictures) -> str:
 
 
 def card(subject: Subject, pictures: Pictures) -> str:
-    """What matters of one application: the quality-speed plane, the figures that carry, and whether Meta wins."""
+    """One application: the quality-speed plane, the gap closed, the speed-up, and whether Meta wins."""
     rows = [result_row(subject, name) for name in TITLES]
     (gap, speed), (paper_gap, paper_speed) = (carried(rows, f"{of}error", f"{of}seconds") for of in ("", "paper_"))
     lines = [f"{_big(speed, ',.0f', TIMES)} as fast as Overfit {_small(paper_speed, ',.0f', TIMES)}"]
@@ -38,9 +38,9 @@ def card(subject: Subject, pictures: Pictures) -> str:
     lines += [badge(rows), *(f"<small>{escape(note)}</small>" for note in (*warned(rows), *overfit_note(subject)))]
     drawn = draw("plane", subject)
     picture = drawn_html(drawn, f"{anchor(subject)}-plane", pictures, "plain") if drawn else ""
-    said = "".join(f"<li>{line}</li>" for line in lines)
+    items = "".join(f"<li>{line}</li>" for line in lines)
     link = f'<a href="#{anchor(subject)}">{escape(subject.title)}</a>'
-    return f"<article><h3>{link}</h3>{picture}<ul>{said}</ul></article>"
+    return f"<article><h3>{link}</h3>{picture}<ul>{items}</ul></article>"
 
 
 def _big(value: float | None, form: str, unit: str = "") -> str:
@@ -53,32 +53,30 @@ def _small(value: float | None, form: str, unit: str = "") -> str:
 
 def badge(rows: list[Row]) -> str:
     """Meta against QuickFT, which takes as many steps: a lower error, a higher one, or no win."""
-    by = {row["paradigm"]: row for row in rows}
-    found = paired_of(by["meta"], "quickft")
-    if found is None:
+    meta = next(row for row in rows if row["paradigm"] == "meta")
+    pair = paired_of(meta, "quickft")
+    if pair is None:
         return '<span class="badge">not measured yet</span>'
-    kind, won = "", apart(found)
-    if won is None:
-        said = "too few tasks to call a win over QuickFT"
-    elif not won:
-        said = "no win over QuickFT"
-    else:
-        lower = found.value < found.level
-        kind, said = (" win", "a lower error than QuickFT") if lower else (" loss", "a higher error than QuickFT")
-    figures = f"{found.kind} of errors {found}, lower on {found.ahead} of {found.tasks} tasks"
-    return f'<span class="badge{kind}">{said}</span> <small>{escape(figures)}</small>'
+    kind, text = "", "no win over QuickFT"
+    if apart(pair) is None:
+        text = "too few tasks to call a win over QuickFT"
+    elif apart(pair):
+        lower = pair.value < pair.level
+        kind, text = (" win", "a lower error than QuickFT") if lower else (" loss", "a higher error than QuickFT")
+    figures = f"{pair.kind} of errors {pair}, lower on {pair.ahead} of {pair.tasks} tasks"
+    return f'<span class="badge{kind}">{text}</span> <small>{escape(figures)}</small>'
 
 
 def matrix(subjects: Sequence[Subject]) -> str:
     """Paradigms by applications: error and seconds, the paper's below in small."""
     titles = paper()["titles"]
-    about: dict[str, Subject] = {subject.app.name: subject for subject in subjects if is_first_protocol(subject.app)}
-    names = [*(name for name in titles if name in about), *(name for name in about if name not in titles)]
-    top = "".join(f'<th scope="col" colspan="2">{escape(titles.get(name, about[name].title))}</th>' for name in names)
+    by_name: dict[str, Subject] = {subject.app.name: subject for subject in subjects if is_first_protocol(subject.app)}
+    names = [*(name for name in titles if name in by_name), *(name for name in by_name if name not in titles)]
+    top = "".join(f'<th scope="col" colspan="2">{escape(titles.get(name, by_name[name].title))}</th>' for name in names)
     below = "<th scope='col'>error</th><th scope='col'>seconds</th>" * len(names)
     body = ""
     for paradigm, title in TITLES.items():
-        cells = "".join(_pair(about[name], paradigm) for name in names)
+        cells = "".join(_pair(by_name[name], paradigm) for name in names)
         body += f'<tr class="{paradigm}"><th scope="row" class="left">{title}</th>{cells}</tr>'
     caption = (
         "Mean error over unseen tasks and median seconds of inference; in small type the paper's, of its own data and "
@@ -89,8 +87,8 @@ def matrix(subjects: Sequence[Subject]) -> str:
     return f'<div class="scroll">{table}</div>'
 
 
-def _pair(each: Subject, paradigm: str) -> str:
-    row = result_row(each, paradigm)
+def _pair(subject: Subject, paradigm: str) -> str:
+    row = result_row(subject, paradigm)
     ours = (number(row["error"], ".3f"), number(row["seconds"], ".3g"))
     theirs = (number(row["paper_error"], ".3f"), number(row["paper_seconds"], ".3f"))
     return "".join(f"<td>{one}<small>{other}</small></td>" for one, other in zip(ours, theirs, strict=True))

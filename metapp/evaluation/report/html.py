@@ -5,9 +5,9 @@ from __future__ import annotations
 import base64
 import io
 import re
+from collections.abc import Sequence
 from html import escape
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -15,7 +15,7 @@ from metapp.evaluation.figures import Drawn
 from metapp.evaluation.formats import title_of
 from metapp.evaluation.rows import Row, Table
 from metapp.evaluation.subject import Subject
-from metapp.runs.session import name_of
+from metapp.runs.naming import name_of
 from metapp.storage.files import write_atomically
 
 EMBEDDED = 14_000_000  # bytes of pictures up to which they are part of the page; else they lie beside it
@@ -58,47 +58,57 @@ class Pictures:
         return _TOKEN.sub(address, page)
 
 
+def sortable_html(
+    head: Sequence[tuple[str, bool]], body: Sequence[Sequence[str]], caption: str = "", classes: Sequence[str] = ()
+) -> str:
+    """A table that can be sorted.
+
+    Args:
+        head: title of each column, and whether it is aligned left.
+        body: the cells of each row; the first one names it.
+        caption: above it.
+        classes: of each row, if any.
+    """
+    left = [' class="left"' if aligned else "" for _, aligned in head]
+    titles = "".join(
+        f'<th scope="col"{css} aria-sort="none"><button>{escape(title)}</button></th>'
+        for (title, _), css in zip(head, left, strict=True)
+    )
+    rows = []
+    for i, cells in enumerate(body):
+        css = f' class="{escape(classes[i])}"' if classes else ""
+        first, *rest = (f"{align}>{escape(text)}" for align, text in zip(left, cells, strict=True))
+        rows.append(f'<tr{css}><th scope="row"{first}</th>' + "".join(f"<td{cell}</td>" for cell in rest) + "</tr>")
+    top = f"<caption>{escape(caption)}</caption>" if caption else ""
+    table = f'<table class="sortable">{top}<thead><tr>{titles}</tr></thead><tbody>{"".join(rows)}</tbody></table>'
+    return f'<div class="scroll">{table}</div>'
+
+
 def table_html(table: Table, subject: Subject, rows: list[Row]) -> str:
     """A table with its caption, and notes below."""
-    head = "".join(
-        f'<th scope="col"{_left(column.left)} aria-sort="none"><button>{escape(column.title)}</button></th>'
-        for column in table.columns
-    )
-    body = "".join(
-        f'<tr class="{escape(str(row["paradigm"]).partition(":")[0])}">'
-        + "".join(_cell(i, column.text(row), column.left) for i, column in enumerate(table.columns))
-        + "</tr>"
-        for row in rows
-    )
+    head = [(column.title, column.left) for column in table.columns]
+    body = [[column.text(row) for column in table.columns] for row in rows]
+    classes = [str(row["paradigm"]).partition(":")[0] for row in rows]
     notes = "".join(f"<li>{escape(note)}</li>" for note in table.notes(subject, rows))
-    caption = escape(title_of(table, subject, rows))
-    return (
-        f'<div class="scroll"><table class="sortable"><caption>{caption}</caption><thead><tr>{head}</tr></thead>'
-        f'<tbody>{body}</tbody></table></div><ul class="notes">{notes}</ul>'
-    )
+    return sortable_html(head, body, title_of(table, subject, rows), classes) + f'<ul class="notes">{notes}</ul>'
 
 
-def _cell(i: int, text: str, left: bool) -> str:
-    tag = 'th scope="row"' if i == 0 else "td"
-    return f"<{tag}{_left(left)}>{escape(text)}</{tag.partition(' ')[0]}>"
+def details_html(summary: str, content: str) -> str:
+    """Something that is shown at a click."""
+    return f"<details><summary>{escape(summary)}</summary>{content}</details>"
 
 
-def _left(left: bool) -> str:
-    return ' class="left"' if left else ""
-
-
-def figure_html(address: str, caption: str, kind: str = "figure") -> str:
-    """A figure; its caption is what it says to those who do not see it."""
-    said = escape(caption)
-    image = f'<img loading="lazy" src="{address}" alt="{said}">'
-    return f'<figure class="{kind}">{image}<figcaption>{said}</figcaption></figure>'
+def image_html(address: str, text: str) -> str:
+    """A picture, and what it is to those who do not see it."""
+    return f'<img loading="lazy" src="{address}" alt="{escape(text)}">'
 
 
 def drawn_html(drawn: Drawn, name: str, pictures: Pictures, kind: str = "figure") -> str:
-    """A figure that was drawn."""
+    """A figure that was drawn, with its caption."""
     from metapp.evaluation.figures.style import png_of
 
-    return figure_html(pictures.add(name, png_of(drawn.figure)), drawn.caption, kind)
+    image = image_html(pictures.add(name, png_of(drawn.figure)), drawn.caption)
+    return f'<figure class="{kind}">{image}<figcaption>{escape(drawn.caption)}</figcaption></figure>'
 
 
 def anchor(subject: Subject) -> str:
@@ -106,6 +116,6 @@ def anchor(subject: Subject) -> str:
     return identifier(name_of(subject.app))
 
 
-def identifier(*parts: Any) -> str:
+def identifier(*parts: str) -> str:
     """A name that may be an id or part of a file's name."""
-    return re.sub(r"[^A-Za-z0-9_-]+", "-", "-".join(str(part) for part in parts if str(part))).strip("-")
+    return re.sub(r"[^A-Za-z0-9_-]+", "-", "-".join(filter(None, parts))).strip("-")

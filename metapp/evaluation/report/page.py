@@ -19,18 +19,18 @@ from metapp.evaluation.report.html import Pictures, anchor, drawn_html, table_ht
 from metapp.evaluation.rows import paper
 from metapp.evaluation.subject import Subject
 from metapp.evaluation.tables import NAMES, load_table
-from metapp.runs.session import make_folder, versions
+from metapp.runs.surroundings import make_folder, versions
 from metapp.storage.files import write_atomically
 
 HEADINGS = {
     "results": "Error and time",
     "quickft": "Against as many steps of fine-tuning",
     "image": "In image space",
-    "ablation": "Ablation: start and rule",
+    "ablation": "Ablation: initialisation and rule",
     "storage": "Storage",
     "samples": "Samples seen",
     "convergence": "Convergence",
-    "baselines": "Beside what else there is",
+    "baselines": "Methods without a network",
 }
 
 
@@ -66,20 +66,20 @@ def _text(name: str) -> str:
 def section(subject: Subject, pictures: Pictures) -> str:
     """All there is of one application."""
     name = anchor(subject)
-    figures = {each: draw(each, subject) for each in FIGURES if each != "plane"}
-    drawn = {each: drawn_html(d, f"{name}-{each}", pictures, _kind(each)) for each, d in figures.items() if d}
+    figures = {kind: draw(kind, subject) for kind in FIGURES if kind != "plane"}
+    drawn = {kind: drawn_html(d, f"{name}-{kind}", pictures, _kind(kind)) for kind, d in figures.items() if d}
     strips = drawn.pop("strips", "")
     gallery = gallery_html(subject, pictures)
-    asked = "The reference beside five results; a click shows the record behind one."
+    hint = "The reference beside five results; a click shows the record behind one."
     return "\n".join(
         [
             f'<section id="{name}"><h2>{escape(subject.title)}</h2>',
             _table("results", subject),
             f'<div class="figures">{"".join(drawn.values())}</div>' if drawn else "",
-            f"<h3>On the way</h3>{strips}" if strips else "",
-            f"<h3>Gallery</h3><p>{asked}</p>{gallery}" if gallery else "",
+            f"<h3>Along the steps</h3>{strips}" if strips else "",
+            f"<h3>Gallery</h3><p>{hint}</p>{gallery}" if gallery else "",
             tasks_html(subject),
-            *(_table(each, subject) for each in NAMES[1:]),
+            *(_table(table, subject) for table in NAMES[1:]),
             "</section>",
         ]
     )
@@ -103,7 +103,7 @@ def colophon(subjects: Sequence[Subject]) -> str:
         "made": datetime.datetime.now(datetime.UTC).strftime("%Y-%m-%d %H:%M UTC"),
     }
     if subjects:
-        facts |= {"recipe": subjects[0].options.recipe, "seed": str(subjects[0].options.seed)}
+        facts |= {"recipe": subjects[0].plan.request.recipe, "seed": str(subjects[0].plan.request.seed)}
     commands = dict.fromkeys(command for subject in subjects for command in _commands(subject))
     known = paper()
     sources = "".join(f"<li>{escape(key)}: {escape(text)}</li>" for key, text in known["sources"].items())

@@ -5,32 +5,20 @@ Nothing is trained: initialisations and rules that are there are combined anew i
 
 from __future__ import annotations
 
-from dataclasses import asdict
+from dataclasses import asdict, replace
 
 from metapp.evaluation.cell import Cell
 from metapp.evaluation.notes import paired_note, warned
-from metapp.evaluation.rows import (
-    ERROR,
-    INTERVAL,
-    MEDIAN,
-    SECONDS,
-    STEPS,
-    WORST,
-    Row,
-    Table,
-    against,
-    paired_of,
-    row_of,
-    words,
-)
-from metapp.evaluation.subject import Fit, Subject
-from metapp.evaluation.tables.results import COMPARED, COMPARISON, result_row
+from metapp.evaluation.rows import Row, Table, against, columns, paired_of, row_of, words
+from metapp.evaluation.subject import Subject
+from metapp.evaluation.tables.results import COMPARED, result_row
 from metapp.learning.learn import MetaParameters
 from metapp.learning.recipe import Guard
 from metapp.paradigms import Paradigm
 from metapp.paradigms.meta import META
 from metapp.paradigms.quickft import QUICKFT, adam_of
-from metapp.runs.session import Checkpoint, caption_of
+from metapp.runs.naming import caption_of
+from metapp.runs.plan import Checkpoint
 from metapp.runs.statistics import apart
 from metapp.storage.records import tensor_digest
 
@@ -54,14 +42,14 @@ def combined(subject: Subject, name: str) -> list[tuple[str, str, Cell]]:
     Returns:
         None where a checkpoint is missing.
     """
-    meta, general, quickft = (subject.fits[each] for each in (name, "general", "quickft"))
+    meta, general, quickft = (subject.fits[row] for row in (name, "general", "quickft"))
     if meta.checkpoint is None or general.checkpoint is None or quickft.checkpoint is None:
         return []
     rule, adam = meta.job.rule, adam_of(meta.job, quickft.checkpoint.prepared)
     if same_initialisation(subject, name):
         return [("general", rule, subject.cell(name)), (f"meta ({rule})", "adam", subject.cell("quickft"))]
     digest = "+".join(fit.checkpoint.digest for fit in (meta, general, quickft) if fit.checkpoint)
-    halves = (
+    combinations = (
         (
             RULE_ALONE,
             ("general", rule),
@@ -75,17 +63,18 @@ def combined(subject: Subject, name: str) -> list[tuple[str, str, Cell]]:
             asdict(adam),
         ),
     )
-    found = []
-    for paradigm, (initialisation, by), prepared, settings in halves:
+    halves = []
+    for paradigm, (initialisation, by), prepared, settings in combinations:
         checkpoint = Checkpoint(prepared, "combined", digest)
-        fit = Fit(f"ablation {initialisation} + {by}", meta.options, paradigm, checkpoint)
-        found.append((initialisation, by, subject.fit_cell(fit, {"rule": rule, "adam": settings}, rule)))
-    return found
+        plan = replace(meta, paradigm=paradigm, checkpoint=checkpoint)
+        cell = subject.fit_cell(f"ablation {initialisation} + {by}", plan, {"rule": rule, "adam": settings}, rule)
+        halves.append((initialisation, by, cell))
+    return halves
 
 
 def same_initialisation(subject: Subject, name: str) -> bool:
     """Whether a learned rule begins at General's own prediction."""
-    meta, general = (subject.fits[each].checkpoint for each in (name, "general"))
+    meta, general = (subject.fits[row].checkpoint for row in (name, "general"))
     if meta is None or general is None or not meta.prepared.encoder:
         return False
     return tensor_digest(meta.prepared.encoder) == tensor_digest(general.prepared.encoder)
@@ -99,20 +88,20 @@ def cells(subject: Subject) -> list[Cell]:
 
 def rows(subject: Subject) -> list[Row]:
     """Neither, one of the two, and both, for every learned rule that has a checkpoint."""
-    found = [result_row(subject, "quickft") | {"start": "general", "rule": "adam"}]
+    all_rows = [result_row(subject, "quickft") | {"start": "general", "rule": "adam"}]
     for name in learned(subject):
         rule, steps = subject.fits[name].job.rule, subject.fits[name].steps
         for start, by, cell in combined(subject, name):
             what = f"{start}+{by}"
             entries = {"start": start, "rule": by, "steps": steps, "paper_error": None}
-            found.append(row_of(subject, what, [cell], entries, against=against(subject, what, *COMPARED)))
-        found.append(result_row(subject, name) | {"start": f"meta ({rule})", "rule": rule})
-    for row in found:
+            all_rows.append(row_of(subject, what, [cell], entries, against=against(subject, what, *COMPARED)))
+        all_rows.append(result_row(subject, name) | {"start": f"meta ({rule})", "rule": rule})
+    for row in all_rows:
         row["apart"] = apart(paired_of(row, "quickft"))
-    return found
+    return all_rows
 
 
-def notes(subject: Subject, found: list[Row]) -> list[str]:
+def notes(subject: Subject, all_rows: list[Row]) -> list[str]:
     """What is the same by construction, and what adam is."""
     lines = ["adam: QuickFT's, searched on validation tasks for General's initialisation", caption_of(subject.app)]
     lines += [
@@ -121,15 +110,11 @@ def notes(subject: Subject, found: list[Row]) -> list[str]:
         for name in learned(subject)
         if same_initialisation(subject, name)
     ]
-    return [*lines, *warned(found), *paired_note(found)]
+    return [*lines, *warned(all_rows), *paired_note(all_rows)]
 
 
-COLUMNS = (words("initialisation", "start"), words("rule", "rule"), ERROR, *COMPARISON)
-TABLE = Table(
-    "ablation",
-    "mean error{factor} of initialisations and rules",
-    (*COLUMNS, INTERVAL, STEPS, SECONDS, MEDIAN, WORST),
-    rows,
-    notes,
-    cells,
+COLUMNS = columns(
+    words("initialisation", "start"),
+    *("rule", "error", "vs quickft", "interval", "steps", "seconds", "median", "worst"),
 )
+TABLE = Table("ablation", "mean error{factor} of initialisations and rules", COLUMNS, rows, notes, cells)

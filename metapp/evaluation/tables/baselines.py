@@ -20,28 +20,13 @@ from metapp.evaluation.baseline_fits import (
 )
 from metapp.evaluation.cell import Cell, Record
 from metapp.evaluation.notes import compared_text, overfit_note, paired_note, threads_note
-from metapp.evaluation.rows import (
-    ERROR,
-    INTERVAL,
-    MEDIAN,
-    SECONDS,
-    WORST,
-    Row,
-    Table,
-    against,
-    bytes_column,
-    numbers,
-    paired_columns,
-    paired_of,
-    row_of,
-    words,
-)
+from metapp.evaluation.rows import Row, Table, against, bytes_column, columns, numbers, paired_of, row_of, words
 from metapp.evaluation.subject import Subject
 from metapp.evaluation.tables.storage import size, stored
 from metapp.learning.task import Params, Task
 from metapp.runs.inputs import data_label
+from metapp.runs.naming import caption_of, name_of, observe_of
 from metapp.runs.reporter import say
-from metapp.runs.session import caption_of, name_of, observe_of
 from metapp.runs.statistics import apart
 
 SHOWN = ("general", "quickft", "meta", "finetune", "overfit")
@@ -69,13 +54,13 @@ def _able(subject: Subject) -> list[Baseline]:
 def _untrained(subject: Subject) -> list[str]:
     """The baselines that need training tasks where there are none."""
     learning = [baseline.name for baseline in baselines_of(subject.app) if baseline.learns]
-    return learning if learning and subject.tasks and training_folder(subject.options) is None else []
+    return learning if learning and subject.tasks and training_folder(subject.plan) is None else []
 
 
 def baseline_cell(subject: Subject, baseline: Baseline) -> Cell:
     """The fits of a baseline; those that match Meta's errors come after Meta's."""
-    options, meta = subject.options, subject.cell("meta")
-    source = training_folder(options) if baseline.learns and subject.tasks else None
+    plan, meta = subject.plan, subject.cell("meta")
+    source = training_folder(plan) if baseline.learns and subject.tasks else None
     missing = not subject.tasks or (baseline.learns and source is None) or (baseline.matches and meta.folder is None)
     folder = None
     if not missing:
@@ -86,7 +71,7 @@ def baseline_cell(subject: Subject, baseline: Baseline) -> Cell:
     def measure(tasks: list[Task]) -> Iterator[tuple[Record, Params | None]]:
         errors = {record["name"]: record["error"] for record in meta.records()} if baseline.matches else {}
         try:
-            yield from fit_baselines(options, baseline, training_of(subject.app, source), tasks, errors)
+            yield from fit_baselines(plan, baseline, training_of(subject.app, source), tasks, errors)
         except ValueError as error:
             say(f"{name_of(subject.app)} {baseline.name}: {error}")
 
@@ -96,16 +81,16 @@ def baseline_cell(subject: Subject, baseline: Baseline) -> Cell:
 
 def _settings(subject: Subject, baseline: Baseline, source: Path | None) -> dict[str, Any]:
     """Everything that a baseline's figures depend on; `source`: the data set that it learns from."""
-    app, options, meta = subject.app, subject.options, subject.cell("meta")
+    app, request, meta = subject.app, subject.plan.request, subject.cell("meta")
     return {
         "app": app.name,
         **observe_of(app),
         "peer": baseline.name,  # as baselines were called when the first records were kept
         "data": subject.label,
         "training": source and data_label(source),
-        "allowed": allowed_for(options)._asdict(),
-        "recipe": options.recipe,
-        "seed": options.seed,
+        "allowed": allowed_for(subject.plan)._asdict(),
+        "recipe": request.recipe,
+        "seed": request.seed,
         "versions": baseline_versions(),
         **app.conditions(),
         **({"meta": meta.folder.key} if baseline.matches and meta.folder else {}),
@@ -164,9 +149,9 @@ def _row_of_baseline(subject: Subject, baseline: Baseline) -> Row:
     return row_of(subject, baseline.name, [cell], entries, against=against(subject, baseline.name, "meta"))
 
 
-def notes(subject: Subject, found: list[Row]) -> list[str]:
+def notes(subject: Subject, all_rows: list[Row]) -> list[str]:
     """Which baselines have a lower error than Meta, at what cost, what they are and cannot do."""
-    by_name = {row["paradigm"]: row for row in found}
+    by_name = {row["paradigm"]: row for row in all_rows}
     baselines = _able(subject)
     return [
         *_compared([by_name[baseline.name] for baseline in baselines if not baseline.matches]),
@@ -175,23 +160,23 @@ def notes(subject: Subject, found: list[Row]) -> list[str]:
             for baseline in baselines
             if baseline.matches and by_name[baseline.name]["tasks"]
         ),
-        *_missing(subject, found),
+        *_missing(subject, all_rows),
         *_described(baselines),
         "bytes: of what is kept of a task; shared: of what all tasks share, to be fitted or to be evaluated",
         caption_of(subject.app),
-        *paired_note(found, "meta"),
-        *threads_note(found),
+        *paired_note(all_rows, "meta"),
+        *threads_note(all_rows),
         *overfit_note(subject),
     ]
 
 
-def _compared(found: list[Row]) -> list[str]:
+def _compared(all_rows: list[Row]) -> list[str]:
     """The baselines of a lower error than Meta's, of a higher one, those not told apart, and those of more bytes."""
-    pairs = {row["paradigm"]: pair for row in found if (pair := paired_of(row, "meta"))}
+    pairs = {row["paradigm"]: pair for row in all_rows if (pair := paired_of(row, "meta"))}
     lower = [name for name, pair in pairs.items() if apart(pair) and pair.value < pair.level]
     higher = [name for name, pair in pairs.items() if apart(pair) and pair.value > pair.level]
     level = [name for name, pair in pairs.items() if not apart(pair)]
-    large = [f"{row['paradigm']} on {row['unreached']} of {row['tasks']} tasks" for row in found if row["unreached"]]
+    large = [f"{row['paradigm']} on {row['unreached']} of {row['tasks']} tasks" for row in all_rows if row["unreached"]]
     return [
         *(f"{name}: {compared_text(pairs[name], 'meta')}" for name in lower),
         *([f"a higher error than meta's: {', '.join(higher)}"] if higher else []),
@@ -203,20 +188,20 @@ def _compared(found: list[Row]) -> list[str]:
 def _matched(row: Row, meta: Row) -> str:
     """How many bytes Meta's error takes."""
     share = row["size"] / meta["size"]
-    said = f"{row['paradigm']}: {row['size']:,.0f} bytes at Meta's error, {share:.2g} of a network's"
+    text = f"{row['paradigm']}: {row['size']:,.0f} bytes at Meta's error, {share:.2g} of a network's"
     if row["unreached"]:
-        said += f"; on {row['unreached']} of {row['tasks']} tasks it does not reach that error with all there are"
-    return said
+        text += f"; on {row['unreached']} of {row['tasks']} tasks it does not reach that error with all there are"
+    return text
 
 
-def _missing(subject: Subject, found: list[Row]) -> list[str]:
+def _missing(subject: Subject, all_rows: list[Row]) -> list[str]:
     """What has no records, and how to make them."""
-    absent = [row["paradigm"] for row in found if not row["tasks"] and not row["peer"]]
-    said = [f"no records yet of {', '.join(absent)}; {subject.command('results')} makes them"] if absent else []
+    absent = [row["paradigm"] for row in all_rows if not row["tasks"] and not row["peer"]]
+    lines = [f"no records yet of {', '.join(absent)}; {subject.command('results')} makes them"] if absent else []
     if without := _untrained(subject):
         remedy = f"metapp data synth {subject.app.name} makes the embedded ones"
-        said.append(f"{', '.join(without)}: no training tasks; {remedy}")
-    return said
+        lines.append(f"{', '.join(without)}: no training tasks; {remedy}")
+    return lines
 
 
 def _described(baselines: list[Baseline]) -> list[str]:
@@ -228,22 +213,13 @@ def _described(baselines: list[Baseline]) -> list[str]:
     return [f"{', '.join(names)}: {title}; cannot {cannot}" for (title, cannot), names in named.items()]
 
 
-TABLE = Table(
-    "baselines",
-    "mean error{factor} and what is kept, of paradigms and of methods without a network",
-    (
-        words("method", "paradigm"),
-        ERROR,
-        SECONDS,
-        *paired_columns("meta"),
-        numbers("numbers", "numbers", ",.0f"),
-        bytes_column("bytes", "size"),
-        bytes_column("shared bytes", "shared"),
-        INTERVAL,
-        MEDIAN,
-        WORST,
-    ),
-    rows,
-    notes,
-    cells,
+COLUMNS = columns(
+    words("method", "paradigm"),
+    *("error", "seconds", "vs meta"),
+    numbers("numbers", "numbers", ",.0f"),
+    bytes_column("bytes", "size"),
+    bytes_column("shared bytes", "shared"),
+    *("interval", "median", "worst"),
 )
+TITLE = "mean error{factor} and what is kept, of paradigms and of methods without a network"
+TABLE = Table("baselines", TITLE, COLUMNS, rows, notes, cells)

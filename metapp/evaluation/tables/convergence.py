@@ -4,20 +4,7 @@ from __future__ import annotations
 
 from metapp.evaluation.cell import Cell, Record
 from metapp.evaluation.notes import overfit_note
-from metapp.evaluation.rows import (
-    ERROR,
-    INTERVAL,
-    MEDIAN,
-    PARADIGM,
-    WORST,
-    Row,
-    Table,
-    Take,
-    numbers,
-    paper,
-    row_of,
-    words,
-)
+from metapp.evaluation.rows import Row, Table, Take, columns, numbers, paper, row_of, words
 from metapp.evaluation.subject import Subject
 from metapp.evaluation.trace import FURTHER, PARTS, TRACED, near, step_at, trace_cell
 
@@ -37,14 +24,14 @@ def rows(subject: Subject) -> list[Row]:
 
     steps = {name: subject.fits[name].steps for name in ("meta", "overfit")}
     along = [(part, step_at(part, steps["meta"])) for part in PARTS]
-    found = [row("meta", f"{part:.0%}", step, after("meta", step)) for part, step in along]
+    all_rows = [row("meta", f"{part:.0%}", step, after("meta", step)) for part, step in along]
     last = row("meta", "further", None, lambda record: record["further"][-1][1])
     if needed := [steps_needed(record) for record in cell.records()]:
         middle = sorted(needed, key=lambda value: FURTHER[-1] + 1 if value is None else value)[(len(needed) - 1) // 2]
         last |= {"further": middle, "near": sum(value is not None for value in needed)}
         last["step"] = f"+{middle}" if middle is not None else f"> +{FURTHER[-1]}"
     last["paper_further"] = paper()["further_steps"]["steps"]
-    return [*found, last, row("overfit", "100%", steps["overfit"], after("overfit", steps["overfit"]))]
+    return [*all_rows, last, row("overfit", "100%", steps["overfit"], after("overfit", steps["overfit"]))]
 
 
 def after(paradigm: str, step: int) -> Take:
@@ -59,9 +46,9 @@ def steps_needed(record: Record) -> int | None:
     return steps if overfit is not None and near(error, overfit) else None
 
 
-def notes(subject: Subject, found: list[Row]) -> list[str]:
+def notes(subject: Subject, all_rows: list[Row]) -> list[str]:
     """What further steps are, how many they are, and in the paper."""
-    known, last = paper()["further_steps"], found[-2]
+    known, last = paper()["further_steps"], all_rows[-2]
     lines = [
         f"further steps: Finetune's Adam from Meta's result, {', '.join(map(str, FURTHER))} of them; step: the median "
         f"over tasks of those after which Meta is within {known['within']:.0%} of Overfit",
@@ -71,6 +58,9 @@ def notes(subject: Subject, found: list[Row]) -> list[str]:
     return [*lines, *overfit_note(subject), f"traces of up to {TRACED} tasks, evenly spaced"]
 
 
-COLUMNS = (PARADIGM, words("of its steps", "part"), words("step", "step"), ERROR, INTERVAL)
-PAPER = numbers("paper further steps", "paper_further", "d")
-TABLE = Table("convergence", "error{factor} along Meta's steps", (*COLUMNS, PAPER, MEDIAN, WORST), rows, notes, cells)
+COLUMNS = columns(
+    "paradigm",
+    *(words("of its steps", "part"), words("step", "step")),
+    *("error", "interval", numbers("paper further steps", "paper_further", "d"), "median", "worst"),
+)
+TABLE = Table("convergence", "error{factor} along Meta's steps", COLUMNS, rows, notes, cells)

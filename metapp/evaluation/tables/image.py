@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from metapp.appearance.presentation import REFERENCE, Fitted
 from metapp.evaluation.cell import Cell, Record
 from metapp.evaluation.notes import overfit_note
-from metapp.evaluation.rows import INTERVAL, PARADIGM, WORST, Row, Table, numbers, paper, row_of, values_of, words
+from metapp.evaluation.rows import Row, Table, columns, numbers, paper, row_of, values_of, words
 from metapp.evaluation.subject import Subject
 from metapp.learning.task import Task
 from metapp.storage.records import OPTIONAL
@@ -84,41 +84,34 @@ def measured_row(subject: Subject, name: str, cell: Cell, key: str) -> Row:
     }
 
 
-def notes(subject: Subject, found: list[Row]) -> list[str]:
+def notes(subject: Subject, all_rows: list[Row]) -> list[str]:
     """What the measures are of."""
     sources = paper()["sources"]
     own = [
         f"the references themselves are off by {row['error']:.3f} {row['measure']}, which all figures of it contain"
-        for row in found
+        for row in all_rows
         if row["paradigm"] == REFERENCE and row["error"] is not None
     ]
     lines = [", ".join([subject.presentation.image_measure, *own]), *overfit_note(subject)]
     lines += [
         f"{row['paradigm']}, {row['measure']}: mean of {row['measured']} of {row['tasks']} tasks, the others have none"
-        for row in found
+        for row in all_rows
         if row["paradigm"] != REFERENCE and 0 < row["measured"] < row["tasks"]
     ]
-    if any(row["paper_share"] is not None for row in found):
+    if any(row["paper_share"] is not None for row in all_rows):
         lines.append(f"paper: {sources['ssim']}")
     if subject.app.name in paper()["image"]:
         lines.append(f"paper: {sources['image']}")
     return lines
 
 
-TABLE = Table(
-    "image",
-    "measures in image space",
-    (
-        PARADIGM,
-        words("measure", "measure"),
-        numbers("mean", "error", ".3f"),
-        numbers("paper", "paper_error", ".3f"),
-        numbers(f"share >= {paper()['ssim']['at_least']}", "share", ".0%"),
-        numbers("paper share", "paper_share", ".0%"),
-        INTERVAL,
-        WORST,
-    ),
-    rows,
-    notes,
-    cells,
+COLUMNS = columns(
+    "paradigm",
+    words("measure", "measure"),
+    numbers("mean", "error", ".3f"),
+    numbers("paper", "paper_error", ".3f"),
+    numbers(f"share >= {paper()['ssim']['at_least']}", "share", ".0%"),
+    numbers("paper share", "paper_share", ".0%"),
+    *("interval", "worst"),
 )
+TABLE = Table("image", "measures in image space", COLUMNS, rows, notes, cells)

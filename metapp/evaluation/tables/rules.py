@@ -5,31 +5,20 @@ from __future__ import annotations
 import statistics
 import time
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
 
 from metapp.evaluation.cell import Cell, Record
 from metapp.evaluation.notes import paired_note, threads_note
-from metapp.evaluation.rows import (
-    ERROR,
-    INTERVAL,
-    SECONDS,
-    STEPS,
-    WORST,
-    Row,
-    Table,
-    numbers,
-    paired_columns,
-    paired_of,
-    row_of,
-    words,
-)
+from metapp.evaluation.rows import Row, Table, columns, numbers, paired_of, row_of
 from metapp.evaluation.study import QUICKFT, Case
 from metapp.evaluation.subject import Subject
 from metapp.learning.learn import MetaParameters
 from metapp.learning.task import Params, Task
 from metapp.runs.fits import fit_tasks
+from metapp.runs.naming import caption_of
+from metapp.runs.plan import Checkpoint
 from metapp.runs.reporter import number, say
-from metapp.runs.run import run_path
-from metapp.runs.session import Checkpoint, caption_of, settings_of
 from metapp.runs.statistics import apart
 from metapp.storage.records import FIT, NUMBER, OPTIONAL, RunFolder, digest
 
@@ -47,12 +36,16 @@ def cells(subject: Subject) -> list[Cell]:
     if _lacks_general(subject):
         none = subject.make_cell("rules", None, lambda tasks: iter(()), command=_command(subject))
         return [none._replace(tasks=[])]
-    found: dict[object, Cell] = {}  # QuickFT's search is the same for all seeds
+    by_path: dict[Path, Cell] = {}
+    trainings: dict[Path, int] = {}  # QuickFT's search is the same for all seeds
     for case in subject.study.cases():
-        for cell in (train_cell(subject, case), fit_cell(subject, case)):
+        training, fits = train_cell(subject, case), fit_cell(subject, case)
+        assert training.folder is not None
+        number = trainings.setdefault(training.folder.path, len(trainings))
+        for cell in (training, fits):
             assert cell.folder is not None
-            found.setdefault(cell.folder.path, cell._replace(stage=len(found)))
-    return list(found.values())
+            by_path.setdefault(cell.folder.path, cell._replace(stage=len(by_path), number=number))
+    return list(by_path.values())
 
 
 def _lacks_general(subject: Subject) -> bool:
@@ -64,14 +57,15 @@ def train_cell(subject: Subject, case: Case) -> Cell:
     """One training; its record holds its seconds, the validation error and the outer step of that."""
     study = subject.study
     settings = study.settings(case, subject.label)
-    words = [subject.label, study.place(case).recipe, f"seed{settings['seed']}", case.rule, subject.app.protocol]
-    path = subject.options.out / subject.app.name / "rules" / "-".join(filter(None, words))
+    recipe, seed = study.plan_of(case).request.recipe, settings["seed"]
+    words = [subject.label, recipe, f"seed{seed}", case.rule, subject.app.protocol]
+    path = subject.plan.request.out / subject.app.name / "rules" / "-".join(filter(None, words))
 
     def measure(tasks: list[Task]) -> Iterator[tuple[Record, None]]:
         for task in tasks:
             yield {"name": task.name, **_trained(subject, case)}, None
 
-    title = f"rules: train {case.rule}, {case.steps} steps, seed {settings['seed']}"
+    title = f"rules: train {case.rule}, {case.steps} steps, seed {seed}"
     folder = RunFolder(path, settings, TRAINED)
     cell = subject.make_cell(title, folder, measure, case.steps, command=_command(subject))
     outer = 0 if case.rule == QUICKFT else study.training(case.rule).steps
@@ -80,13 +74,13 @@ def train_cell(subject: Subject, case: Case) -> Cell:
 
 def _command(subject: Subject) -> str:
     """The command of the whole study."""
-    budget = subject.study.budget
+    design = subject.study.design
     options: dict[str, Sequence[str | int]] = {
-        "--train-steps": [budget.outer],
-        "--steps": budget.steps,
-        "--seeds": [budget.seeds],
-        "--initialisation": [budget.start],
-        "--rule": budget.rules,
+        "--train-steps": [design.outer],
+        "--steps": design.steps,
+        "--seeds": [design.seeds],
+        "--initialisation": [design.initialisation],
+        "--rule": design.rules,
     }
     words = [f"{name} {value}" for name, values in options.items() for value in values]
     return " ".join([subject.command("rules"), *words])
@@ -111,8 +105,9 @@ def _diverged(cell: Cell) -> bool:
 def fit_cell(subject: Subject, case: Case) -> Cell:
     """Fits of all test tasks by what a case has trained."""
     study = subject.study
-    options, trained = study.place(case), digest(study.settings(case, subject.label))
-    settings = settings_of(options, case.paradigm, Checkpoint(MetaParameters(), "", trained), subject.label)
+    trained = Checkpoint(MetaParameters(), "", digest(study.settings(case, subject.label)))
+    plan = replace(study.plan_of(case), checkpoint=trained)
+    settings = plan.settings(subject.label)
     if case.rule == QUICKFT:
         settings["adam"] = "searched"
 
@@ -120,12 +115,12 @@ def fit_cell(subject: Subject, case: Case) -> Cell:
         if _diverged(train_cell(subject, case)):
             return
         try:
-            yield from fit_tasks(options, case.paradigm, study.checkpoint(case), tasks)
+            yield from fit_tasks(replace(plan, checkpoint=study.checkpoint(case)), tasks)
         except FloatingPointError as error:
             say(f"warning: {case.rule}, {case.steps} steps, seed {case.seed}: {error}")
 
     title = f"rules: {case.rule}, {case.steps} steps, seed {case.seed}"
-    folder = RunFolder(run_path(options, settings, subject.label), settings, FIT)
+    folder = RunFolder(plan.path(subject.label), settings, FIT)
     return subject.make_cell(title, folder, measure, case.steps, command=_command(subject))
 
 
@@ -133,13 +128,13 @@ def rows(subject: Subject) -> list[Row]:
     """A row for each rule and number of steps that has fits of all tasks, of all seeds that have."""
     if _lacks_general(subject):
         return []
-    study, found = subject.study, []
-    for steps in sorted(set(study.budget.steps)):
+    study, all_rows = subject.study, []
+    for steps in sorted(set(study.design.steps)):
         reference = [cell for _, cell in _complete(subject, QUICKFT, steps)]
         for rule in (QUICKFT, *study.rules):
             if done := _complete(subject, rule, steps):
-                found.append(_row(subject, rule, steps, done, reference if rule != QUICKFT else []))
-    return found
+                all_rows.append(_row(subject, rule, steps, done, reference if rule != QUICKFT else []))
+    return all_rows
 
 
 def _complete(subject: Subject, rule: str, steps: int) -> list[tuple[Cell, Cell]]:
@@ -158,7 +153,7 @@ def _row(subject: Subject, rule: str, steps: int, done: list[tuple[Cell, Cell]],
         "seeds": len(done),
         "train_seconds": statistics.fmean(record["seconds"] for record in trainings),
         "validation": statistics.fmean(record["error"] for record in trainings),
-        "start": subject.study.budget.start,
+        "start": subject.study.design.initialisation,
         "outer": None if of_quickft else subject.study.training(rule).steps,
     }
     cells, name = [fits for _, fits in done], QUICKFT if of_quickft else "meta"
@@ -166,28 +161,28 @@ def _row(subject: Subject, rule: str, steps: int, done: list[tuple[Cell, Cell]],
     return row | {"apart": apart(paired_of(row, QUICKFT))}
 
 
-def notes(subject: Subject, found: list[Row]) -> list[str]:
-    """The budget, who wins at each number of steps, what seconds are, what was not run and what does not apply."""
+def notes(subject: Subject, all_rows: list[Row]) -> list[str]:
+    """The design, who wins at each number of steps, what seconds are, what was not run and what does not apply."""
     study = subject.study
-    budget, usual = study.budget, study.options.job.recipe.training(study.options.rule).steps
+    design, usual = study.design, study.plan.job.recipe.training(study.plan.job.rule).steps
     return [
-        f"each rule is trained for {budget.outer:,} outer steps (the recipe: {usual:,}) at each number of steps, from "
-        f"{INITIALISATIONS[budget.start]}; its best state on validation tasks is kept",
-        *(f"{steps} steps: {_winners(found, steps)}" for steps in sorted({row["steps"] for row in found})),
+        f"each rule is trained for {design.outer:,} outer steps (the recipe: {usual:,}) at each number of steps, from "
+        f"{INITIALISATIONS[design.initialisation]}; its best state on validation tasks is kept",
+        *(f"{steps} steps: {_winners(all_rows, steps)}" for steps in sorted({row["steps"] for row in all_rows})),
         "seconds: median of a fit; training s: mean processor time of one training, General's not counted; of "
         f"{QUICKFT} the search of its Adam at that number of steps",
         "95 % intervals: bootstrap over tasks and over seeds",
         caption_of(subject.app),
-        *paired_note(found),
-        *threads_note(found),
-        *_not_run(subject, found),
+        *paired_note(all_rows),
+        *threads_note(all_rows),
+        *_not_run(subject, all_rows),
         *(f"{rule}: does not apply, {reason}" for rule, reason in study.refused.items()),
     ]
 
 
-def _winners(found: list[Row], steps: int) -> str:
+def _winners(all_rows: list[Row], steps: int) -> str:
     """The rule of the lowest error, and how many rules are below, level with and above the tuned Adam."""
-    rows_here = [row for row in found if row["steps"] == steps]
+    rows_here = [row for row in all_rows if row["steps"] == steps]
     best = min(rows_here, key=lambda row: row["error"])
     compared = [(row, pair) for row in rows_here if (pair := paired_of(row, QUICKFT))]
     below = sum(bool(row["apart"]) and pair.value < pair.level for row, pair in compared)
@@ -198,35 +193,26 @@ def _winners(found: list[Row], steps: int) -> str:
     )
 
 
-def _not_run(subject: Subject, found: list[Row]) -> list[str]:
-    """What the budget holds that has no row, as it was not run or diverged."""
-    study, there = subject.study, {(row["rule"], row["steps"]) for row in found}
+def _not_run(subject: Subject, all_rows: list[Row]) -> list[str]:
+    """What the design holds that has no row, as it was not run or diverged."""
+    study, there = subject.study, {(row["rule"], row["steps"]) for row in all_rows}
+    seed = study.plan.request.seed
     lines = []
-    for steps in sorted(set(study.budget.steps)):
+    for steps in sorted(set(study.design.steps)):
         missing = [rule for rule in study.rules if (rule, steps) not in there]
-        diverged = [rule for rule in missing if _diverged(train_cell(subject, Case(rule, steps, study.options.seed)))]
+        diverged = [rule for rule in missing if _diverged(train_cell(subject, Case(rule, steps, seed)))]
         rest = [rule for rule in missing if rule not in diverged]
         lines += [f"{steps} steps: training diverged: {', '.join(diverged)}"] if diverged else []
         lines += [f"{steps} steps: not run: {', '.join(rest)}"] if rest else []
     return lines
 
 
-TABLE = Table(
-    "rules",
-    "mean error{factor} of update rules after few outer steps",
-    (
-        words("rule", "rule"),
-        STEPS,
-        ERROR,
-        *paired_columns(QUICKFT),
-        SECONDS,
-        numbers("training s", "train_seconds", ".0f"),
-        numbers("seeds", "seeds", "d"),
-        INTERVAL,
-        numbers("validation", "validation", ".3f"),
-        WORST,
-    ),
-    rows,
-    notes,
-    cells,
+COLUMNS = columns(
+    *("rule", "steps", "error", "vs quickft", "seconds"),
+    numbers("training s", "train_seconds", ".0f"),
+    numbers("seeds", "seeds", "d"),
+    "interval",
+    numbers("validation", "validation", ".3f"),
+    "worst",
 )
+TABLE = Table("rules", "mean error{factor} of update rules after few outer steps", COLUMNS, rows, notes, cells)

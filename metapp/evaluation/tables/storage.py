@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from torch import Generator
 
-from metapp.evaluation.rows import PARADIGM, Row, Table, blank, bytes_column, numbers, paper
+from metapp.evaluation.rows import Row, Table, blank, bytes_column, columns, numbers, paper
 from metapp.evaluation.subject import Subject
 from metapp.learning.task import Params
-from metapp.runs.session import Checkpoint, observe_of
+from metapp.runs.naming import observe_of
+from metapp.runs.plan import Checkpoint
 
 COUNTS = (1, 10, 100, 1000)
 
@@ -26,7 +27,7 @@ def rows(subject: Subject) -> list[Row]:
     """What each paradigm must keep: networks of all exemplars, or what makes any of them when it is needed."""
     network = size(subject.app.init(Generator().manual_seed(0), 1))
     exemplars = paper()["storage"]["exemplars"]
-    found = []
+    all_rows = []
     for name, fit in subject.fits.items():
         # fits that take long are kept; those that take no time are made again from their checkpoint
         once, each = (0, network) if name in ("overfit", "finetune") else (stored(fit.checkpoint), 0)
@@ -38,15 +39,15 @@ def rows(subject: Subject) -> list[Row]:
         total = row[f"bytes_{exemplars}"]
         row["factor"] = total / (exemplars * network) if total else None
         row["pays_from"] = -(-once // network) if once else None
-        found.append(row)
-    return found
+        all_rows.append(row)
+    return all_rows
 
 
-def notes(subject: Subject, found: list[Row]) -> list[str]:
+def notes(subject: Subject, all_rows: list[Row]) -> list[str]:
     """What a factor is, what else is kept, and the paper's."""
     known = paper()["storage"]
     count = known["exemplars"]
-    first = f"one network: {found[0]['network_bytes']:,} bytes; factor: bytes for m = {count} over m networks'"
+    first = f"one network: {all_rows[0]['network_bytes']:,} bytes; factor: bytes for m = {count} over m networks'"
     return [
         f"{first}; from m = 'pays from' on a checkpoint is smaller than m networks",
         "what is made again from a checkpoint needs the exemplar itself, too, when it is wanted",
@@ -54,16 +55,11 @@ def notes(subject: Subject, found: list[Row]) -> list[str]:
     ]
 
 
-TABLE = Table(
-    "storage",
-    "bytes for m exemplars",
-    (
-        PARADIGM,
-        *(bytes_column(f"m = {count}", f"bytes_{count}") for count in COUNTS),
-        numbers("factor", "factor", ".4f"),
-        numbers("networks", "networks", ".2f"),
-        numbers("pays from", "pays_from", "d"),
-    ),
-    rows,
-    notes,
+COLUMNS = columns(
+    "paradigm",
+    *(bytes_column(f"m = {count}", f"bytes_{count}") for count in COUNTS),
+    numbers("factor", "factor", ".4f"),
+    numbers("networks", "networks", ".2f"),
+    numbers("pays from", "pays_from", "d"),
 )
+TABLE = Table("storage", "bytes for m exemplars", COLUMNS, rows, notes)

@@ -1,14 +1,14 @@
 """Update rules: plain ones (`descent`), and learned ones, which are made of parts.
 
-A `Part` (`part`) says what hyperparameters it learns and what it does at each point of a step; a `LearnedRule`
-(`rule`) passes a step through its parts; `table` names the parts, the rules that are in use, and composes further ones.
+A `Part` (`part`) says what hyperparameters it learns and what it does at each point of a step; a `LearnedRule` (`rule`)
+passes a step through its parts. The parts are in `parts`, `network` and `solve`; `rule` names them and the rules that
+are in use, and composes further ones.
 """
 
-from metapp.learning.rules.betas import META_EPS
 from metapp.learning.rules.descent import fixed_adam, half_cosine, like, outer_adam, sgd
 from metapp.learning.rules.part import Part
-from metapp.learning.rules.rule import LearnedRule
-from metapp.learning.rules.table import PARTS, RULES, rule_of
+from metapp.learning.rules.parts import META_EPS
+from metapp.learning.rules.rule import PARTS, RULES, LearnedRule, rule_of
 
 __all__ = [
     "META_EPS",

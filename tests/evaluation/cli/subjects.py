@@ -9,13 +9,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import torch
 
-from metapp.apps.brdf import Brdf
 from metapp.apps.brdf.recipes import RECIPES
 from metapp.evaluation.subject import Subject
 from metapp.evaluation.tables import load_table
-from metapp.runs.session import Options
+from metapp.runs.plan import plan
+from metapp.runs.request import Request
 from tests.small_spheres import shrink_spheres
 
 
@@ -40,9 +39,8 @@ def call(*arguments: str | Path) -> int:
 
 def subject_of(data: Path, runs: Path) -> Subject:
     """A data set with all that has been run of it."""
-    device = torch.device("cpu")
-    options = Options(Brdf(), "quick", "meta-curvature", None, data, runs, None, 0, device, True)
-    return Subject(options, run=True, strict=True)
+    planned = plan(Request("brdf", "general", recipe="quick", data=data, out=runs, device="cpu", quiet=True))
+    return Subject(planned, run=True, strict=True)
 
 
 def rows(subject: Subject, name: str) -> list[dict[str, Any]]:

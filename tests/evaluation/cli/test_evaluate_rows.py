@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -21,21 +22,23 @@ from metapp.evaluation.tables import load_table
 from metapp.evaluation.tables.ablation import RULE_ALONE, START_ALONE, combined, learned, same_initialisation
 from metapp.evaluation.tables.image import image_cell
 from metapp.evaluation.tables.storage import size, stored
-from metapp.evaluation.trace import PARTS, parts_of, path_steps, trace_cell
+from metapp.evaluation.trace import CURVES, PARTS, parts_of, path_steps, trace_cell
 from metapp.learning.app import stack
 from metapp.learning.learn import MetaParameters
 from metapp.learning.recipe import Adam
 from metapp.learning.rules import rule_of
 from metapp.learning.task import Task
-from metapp.runs import session
-from metapp.runs.session import Checkpoint
+from metapp.runs.plan import Checkpoint, plan
+from metapp.runs.request import Request
 from tests.evaluation.cli.subjects import rows, subject_of
+
+APP = Brdf()
 
 APP = Brdf()
 
 
 def test_the_ablation_leaves_out_rules_with_a_network_of_their_own() -> None:
-    subject = Subject(session.options_of("brdf", quiet=True), run=False, strict=False)
+    subject = Subject(plan(Request("brdf", "general", recipe="quick", quiet=True)), run=False, strict=False)
     assert "meta:ridge" in subject.fits
     assert learned(subject) == [name for name in subject.fits if name.startswith("meta") and name != "meta:ridge"]
 
@@ -51,34 +54,24 @@ def test_the_ablation_has_four_corners_and_those_of_the_results_among_them(subje
 
 
 def test_what_is_combined_is_what_it_says(subject: Subject) -> None:
-    cells = {rule: cell for _, rule, cell in combined(subject, "meta")}
-    assert {cell.folder.path.parent.name for cell in cells.values() if cell.folder} == {
-        "ablation-rule",
-        "ablation-start",
-    }
-    meta, general, quickft = (subject.fits[name].checkpoint for name in ("meta", "general", "quickft"))
-    assert meta
-    assert general
-    assert quickft
-    tasks, rng = stack(subject.app, subject.tasks), torch.Generator().manual_seed(0)
-    job = subject.options.job
-    ours = START_ALONE.start(job, meta.prepared, tasks, rng)
-    assert all(torch.equal(value[1], meta.prepared.theta[key]) for key, value in ours.items())
-    mixed = general.prepared._replace(alpha=meta.prepared.alpha)
-    theirs = RULE_ALONE.start(job, mixed, tasks, torch.Generator().manual_seed(1))
-    encoded = subject.fits["general"].paradigm.start(job, general.prepared, tasks, torch.Generator().manual_seed(1))
+    folders = [cell.folder for _, _, cell in combined(subject, "meta")]
+    assert {folder.path.parent.name for folder in folders if folder} == {"ablation-rule", "ablation-start"}
+    meta, general = (subject.fits[name].prepared for name in ("meta", "general"))
+    tasks, job = stack(subject.app, subject.tasks), subject.fits["meta"].job
+    rngs = [torch.Generator().manual_seed(seed) for seed in (0, 1, 1)]
+    ours = START_ALONE.initialisation(job, meta, tasks, rngs[0])
+    assert all(torch.equal(value[1], meta.theta[key]) for key, value in ours.items())
+    theirs = RULE_ALONE.initialisation(job, general._replace(alpha=meta.alpha), tasks, rngs[1])
+    encoded = subject.fits["general"].paradigm.initialisation(job, general, tasks, rngs[2])
     assert all(torch.equal(theirs[key], encoded[key]) for key in encoded)
     assert START_ALONE.count(job) == RULE_ALONE.count(job) == 10
 
 
-def test_a_start_that_is_generals_is_not_fitted_twice(subject: Subject) -> None:
-    meta, general = subject.fits["meta"], subject.fits["general"]
-    assert meta.checkpoint
-    assert general.checkpoint
-    prepared = meta.checkpoint.prepared._replace(theta={}, encoder=general.checkpoint.prepared.encoder)
-    own = meta.checkpoint._replace(prepared=prepared)
+def test_an_initialisation_that_is_generals_is_not_fitted_twice(subject: Subject) -> None:
+    meta, encoder = subject.fits["meta"], subject.fits["general"].prepared.encoder
     assert not same_initialisation(subject, "meta")
-    subject.fits["meta"] = meta._replace(checkpoint=own)
+    own = Checkpoint(meta.prepared._replace(theta={}, encoder=encoder), "", "")
+    subject.fits["meta"] = replace(meta, checkpoint=own)
     assert same_initialisation(subject, "meta")
     assert [cell for _, _, cell in combined(subject, "meta")] == [subject.cell("meta"), subject.cell("quickft")]
     assert any("General's own" in note for note in load_table("ablation").notes(subject, []))
@@ -86,20 +79,16 @@ def test_a_start_that_is_generals_is_not_fitted_twice(subject: Subject) -> None:
 
 def test_a_trace_is_the_fit_itself(subject: Subject) -> None:
     cell = trace_cell(subject)
-    for name in ("overfit", "finetune", "quickft", "meta"):
+    for name in CURVES:
         last = {record["name"]: record["curves"][name][-1] for record in cell.records()}
-        assert {task: error for task, (_, error) in last.items()} == {
-            record["name"]: pytest.approx(record["error"], rel=1e-6) for record in subject.cell(name).records()
-        }
-        assert {step for step, _ in last.values()} == {
-            subject.fits[name].paradigm.count(subject.fits[name].options.job)
-        }
+        errors = {record["name"]: pytest.approx(record["error"], rel=1e-6) for record in subject.cell(name).records()}
+        assert {task: error for task, (_, error) in last.items()} == errors
+        assert {step for step, _ in last.values()} == {subject.fits[name].steps}
     assert [row["step"] for row in rows(subject, "convergence")[: len(PARTS)]] == [0, 2, 5, 8, 10]
-    start = subject.fits["meta"].checkpoint
-    assert start
     states = parts_of(cell, subject.tasks[0])
     assert list(states) == list(PARTS)
-    assert all(torch.equal(states[0.0][key], value) for key, value in start.prepared.theta.items())
+    theta = subject.fits["meta"].prepared.theta
+    assert all(torch.equal(states[0.0][key], value) for key, value in theta.items())
     record = cell.records()[0]
     assert len(record["paths"]["overfit"]) == len(path_steps(40))
     assert 0 < record["explained"] <= 1 + 1e-9
@@ -119,7 +108,7 @@ def test_storage_is_that_of_the_parameters(subject: Subject) -> None:
 
 def test_the_papers_rule_stores_two_networks(subject: Subject) -> None:
     """An initialisation and a rate a weight: its compression factor is 2 / m, as the paper has it."""
-    app = subject.options.app
+    app = subject.app
     theta = {key: value[0] for key, value in app.init(Generator().manual_seed(0), 1).items()}
     alpha = rule_of("meta-sgd").alpha(app, theta, 10, Adam(0.1))
     found = stored(Checkpoint(MetaParameters(theta, alpha), "", ""))

@@ -12,9 +12,9 @@ import torch
 
 from metapp.evaluation.cell import Cell, Clock, Record, run_cells
 from metapp.learning.task import Params, Task
-from metapp.runs import session
 from metapp.runs.reporter import Reporter, duration, reporting
-from metapp.runs.session import find_device, threads_of
+from metapp.runs.request import Portion
+from metapp.runs.surroundings import find_device, threads_of
 from metapp.storage.records import RunFolder
 from tests.quick import app_by
 
@@ -41,6 +41,18 @@ def test_cells_run_once_by_stage_and_steps(tmp_path: Path) -> None:
     assert log == ["brdf short a", "brdf long b", "brdf late a"]
     run_cells([late, long, short], quiet=True)
     assert len(log) == 3
+
+
+def test_portions_are_disjoint_and_whole_cells_stay_whole(tmp_path: Path) -> None:
+    log: list[str] = []
+    divided = cell("brdf divided", tmp_path, list("abcde"), log, steps=1)
+    whole = [cell(f"brdf whole{i}", tmp_path, ["x", "y"], log, steps=1)._replace(number=i) for i in range(3)]
+    counts = [run_cells([divided, *whole], Portion(part, 2), quiet=True) for part in (1, 2)]
+    assert counts == [3 + 4, 2 + 2]
+    first, second = log[:7], log[7:]
+    assert first == [*(f"brdf divided {name}" for name in "ace"), *(f"brdf whole{i} {n}" for i in (0, 2) for n in "xy")]
+    assert second == ["brdf divided b", "brdf divided d", "brdf whole1 x", "brdf whole1 y"]
+    assert run_cells([divided, *whole], quiet=True) == 0
 
 
 def test_the_time_left_is_by_gradient_steps(tmp_path: Path) -> None:
@@ -105,7 +117,7 @@ def test_fits_have_the_threads_of_their_application_whatever_ran_before(tmp_path
         run_cells([with_threads("one", 1), with_threads("three", 3), with_threads("as it is", None)], quiet=True)
         assert found == [("one", 1), ("three", 3), ("as it is", 2)]
         assert torch.get_num_threads() == 2
-        for name, expected in (("illumination", 1), ("texture", session.THREADS)):
+        for name, expected in (("illumination", 1), ("texture", None)):
             app = app_by(name)
             find_device("cpu", app)
             assert torch.get_num_threads() == 2  # looking for a device changes nothing

@@ -118,6 +118,33 @@ def test_an_overfit_of_fewer_steps_is_said_and_is_another_run(evaluate: Callable
     assert "of the recipe's" not in evaluate(*common).out
 
 
+def test_parts_make_the_records_of_one_program(evaluate: Callable, done: Path, tmp_path: Path) -> None:
+    """All tables in two parts: the same records, the same tables; each part by itself, nothing twice."""
+
+    def records(runs: Path) -> dict[tuple[str, str], dict[str, Any]]:
+        timed = ("seconds", "threads", "origin")
+        return {
+            (str(file.parent.relative_to(runs)), record["name"]): {
+                key: value for key, value in record.items() if key not in timed
+            }
+            for file in runs.rglob("record.jsonl")
+            for record in read_records(file)
+        }
+
+    second = evaluate("--which", "all", "--shard", "2/2", "--quiet", "--json")
+    assert second.code == 0, second.err
+    of_second = records(tmp_path / "runs")
+    assert second.document == {"which": "all", "shard": "2/2", "made": len(of_second), "missing": 2 * len(of_second)}
+    first = evaluate("--which", "all", "--shard", "1/2")
+    assert f"part 1/2: {2 * len(of_second)} records made; all {3 * len(of_second)} are there" in first.err
+    assert first.out == ""
+    assert records(tmp_path / "runs") == records(done / "runs")
+    lines = [line for file in (tmp_path / "runs").rglob("record.jsonl") for line in file.read_text().splitlines()]
+    assert len(lines) == 3 * len(of_second)
+    for refused in (("--shard", "3/2"), ("--shard", "1/2", "--no-run"), ("--shard", "1/2", "--report", tmp_path)):
+        assert evaluate(*refused).code == 2
+
+
 def rows_of(result: Any) -> list[dict[str, Any]]:
     return result.document["rows"]
 

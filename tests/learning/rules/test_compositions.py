@@ -13,7 +13,7 @@ from metapp.apps import app_names, app_of, protocols_of, recipes_of
 from metapp.learning.app import App
 from metapp.learning.recipe import Adam
 from metapp.learning.rules import PARTS, RULES, rule_of
-from metapp.learning.rules.table import NAMED, SHORT
+from metapp.learning.rules.rule import NAMED, SHORT
 from metapp.learning.task import Params
 from tests.quick import app_by
 

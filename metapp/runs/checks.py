@@ -1,0 +1,97 @@
+"""Whether an application has what was asked for; what it lacks is a usage error that lists what it has."""
+
+from __future__ import annotations
+
+import re
+
+import torch
+
+from data_tools.formats import Export, exports_of, inputs_of
+from metapp.apps import app_names, app_of, presentation_of, protocols_of, recipes_of
+from metapp.learning.app import App
+from metapp.learning.recipe import Recipe
+from metapp.learning.rules import rule_of
+from metapp.runs import BadOption
+from metapp.runs.naming import name_of
+from metapp.runs.request import Request
+from metapp.runs.shipped import FULL, QUICK, ships
+
+
+def default_recipe(app: str) -> str:
+    """What a request without a recipe is fitted by: "full", the best rule and size that ships, else "quick"."""
+    return FULL if FULL in recipes_of(app) and ships(app, FULL) else QUICK
+
+
+def check_name(app: str) -> None:
+    """A usage error that lists the applications where there is none of that name."""
+    if app not in app_names():
+        raise BadOption(f"'{app}' is not an application; expected one of {', '.join(app_names())}.")
+
+
+def check_protocol(protocol: str, app: str) -> None:
+    """A usage error where the application of a name has no such protocol."""
+    known = protocols_of(app)
+    if protocol and protocol not in known:
+        expected = f"expects one of {', '.join(known)}" if known else "has one protocol; leave it out"
+        raise BadOption(f"--observe '{protocol}': {app} {expected}.")
+
+
+def check_rule(request: Request, recipe: Recipe) -> str:
+    """The one name of a rule or composition, the recipe's default where none is asked for, or a usage error."""
+    if not request.rule:
+        return recipe.rule
+    try:
+        rule = rule_of(request.rule)
+        app = app_of(request.app, recipe, request.observe, rule=rule.name)
+        theta = {key: value[0] for key, value in app.init(torch.Generator().manual_seed(0), 1).items()}
+        rule.require(app, theta)
+    except ValueError as error:
+        raise BadOption(f"--rule: {error}") from None
+    return rule.name
+
+
+def check_size(text: str, app: App) -> tuple[int, int] | None:
+    """Height and width of "HxW", in px; None of "".
+
+    Raises:
+        BadOption: no such text, or nothing that the application makes can be of that size.
+    """
+    if not text:
+        return None
+    found = re.fullmatch(r"(\d{1,6})x(\d{1,6})", text)
+    if not found:
+        raise BadOption(f"--size '{text}': expected HEIGHTxWIDTH in px, such as 1024x1024.")
+    height, width = map(int, found.groups())
+    if refusal := presentation_of(app).refusal(height, width):
+        raise BadOption(f"--size {text}: {name_of(app)} {refusal}.")
+    return height, width
+
+
+def check_export(name: str, app: str) -> None:
+    """Refuse a form that fits of an application cannot be written in.
+
+    Raises:
+        BadOption: it cannot, or a library for it is missing.
+    """
+    known = exports_of(app)
+    if name and name not in known:
+        expected = f"expects one of {', '.join(known)}" if known else "has none; leave it out"
+        raise BadOption(f"--export '{name}': {app} {expected}.")
+    form = known.get(name)
+    if isinstance(form, Export) and form.missing():
+        raise BadOption(form.missing())
+
+
+def check_inputs(request: Request, app: App) -> None:
+    """Refuse options about inputs of another kind than the application's.
+
+    Raises:
+        BadOption: it has none that such an option is about.
+    """
+    formats = inputs_of(app.name)
+    if request.scene_root and not any("roots" in form.takes for form in formats):
+        raise BadOption(f"--scene-root: {app.name} has no scenes, only transport; leave it out.")
+    if request.render and not presentation_of(app).renders:
+        raise BadOption(f"--render: {app.name} has no scenes, only transport; leave it out.")
+    if request.fov and not any("fov_rad" in form.takes for form in formats):
+        raise BadOption(f"--fov: {app.name} has no flash photos; leave it out.")

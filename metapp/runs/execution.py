@@ -1,0 +1,318 @@
+"""Execute a plan: one loop for files, data sets, lines of standard input, batches, shards and ranks."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import torch
+
+from metapp.apps import presentation_of
+from metapp.learning.task import Task
+from metapp.paradigms import ranks
+from metapp.runs.batch_size import BatchSize
+from metapp.runs.checkpoints import find_checkpoint
+from metapp.runs.fits import Fitter, Result
+from metapp.runs.gallery import write_gallery, write_thumbnail
+from metapp.runs.inputs import SOURCED, Source, sources_of, sources_to_fit, tasks_to_fit
+from metapp.runs.naming import name_of, observe_of
+from metapp.runs.outputs import OUTPUTS, write_fit
+from metapp.runs.plan import Plan
+from metapp.runs.reporter import Reporter, number, progress, reporting, say
+from metapp.runs.surroundings import make_folder, threads, threads_of
+from metapp.runs.training import train_checkpoint
+from metapp.runs.watching import Watched
+from metapp.storage.files import named
+from metapp.storage.records import FIT, RunFolder, guarded, summary
+
+Record = dict[str, Any]
+
+
+class Failure(NamedTuple):
+    """A source that was not fitted, and why."""
+
+    source: str
+    error: Exception
+
+    @property
+    def reason(self) -> str:
+        """The error, with the source named."""
+        return str(named(self.error, Path(self.source)))
+
+
+class Run(NamedTuple):
+    """Fits by a plan, and where they are.
+
+    Attributes:
+        plan: with its checkpoint.
+        label: the data's name.
+        tasks: what was fitted; () where inputs are read when their turn comes.
+        records: of all fits, those of earlier calls among them.
+        folder: where records and parameters are.
+        made: the folder of what fits made for their user; None where nothing.
+        failures: what was not fitted.
+        tasks_per_second: of what was fitted now, all that takes time counted: reading, fitting, keeping, pictures; None
+            where there was nothing left to fit.
+        gallery: the page of all fits of the folder, of inputs that are read when their turn comes.
+    """
+
+    plan: Plan
+    label: str
+    tasks: Sequence[Task]
+    records: list[Record]
+    folder: RunFolder
+    made: Path | None
+    failures: list[Failure]
+    tasks_per_second: float | None
+    gallery: Path | None
+
+    def document(self) -> dict[str, Any]:
+        """What --json prints."""
+        plan, settings = self.plan, self.folder.settings
+        fields = ("name", "error", "seconds", "steps")
+        document = {
+            "app": plan.app.name,
+            **observe_of(plan.app),
+            "paradigm": settings["paradigm"],
+            "rule": settings["rule"],
+            "steps": settings["steps"],
+            **({"budget": plan.budget} if plan.budget is not None else {}),
+            "device": str(plan.device),
+            "data": self.label,
+            **plan.app.conditions(),
+            **{key: settings[key] for key in ("precision",) if key in settings},
+            **summary(self.records),
+            "guarded": guarded(self.records),
+            "tasks": [{key: record[key] for key in fields if key in record} for record in self.records],
+            "out": str(self.folder.path),
+        }
+        if self.gallery:
+            failures = [{"source": failure.source, "reason": failure.reason} for failure in self.failures]
+            document |= {"tasks_per_second": self.tasks_per_second, "gallery": str(self.gallery), "failures": failures}
+        return document
+
+
+def execute(plan: Plan, lines: Iterable[Path] | None = None) -> Iterator[Run | Failure]:
+    """Train the checkpoint, if that is asked for, then fit all inputs as one run, or each line as a run of its own.
+
+    Of several ranks only the first one fits.
+
+    Args:
+        plan: what to do.
+        lines: inputs as they come, instead of those of the request; what fails does not stop the others.
+
+    Yields:
+        Each run when it is done.
+
+    Raises:
+        ValueError: bad inputs, no checkpoint, a folder that cannot be written to; nothing could be fitted.
+        FloatingPointError: a fit is not finite.
+    """
+    if ranks.number() > 0:
+        if plan.request.train:
+            with reporting(Reporter()):
+                prepared(replace(plan, request=replace(plan.request, quiet=True)))
+        return
+    make_folder(plan.request.out)
+    fitter = None if lines is None else Fitter(prepared(plan))  # a missing checkpoint is said before the first line
+    for inputs in [plan.request.inputs] if lines is None else ((path,) for path in lines):
+        done: Run | Failure
+        try:
+            one = replace(plan, request=replace(plan.request, inputs=inputs))
+            with threads(threads_of(plan.app)):
+                sources, label = _sources(one)
+                fitter = fitter or Fitter(prepared(plan))
+                fitter.plan = replace(one, checkpoint=fitter.plan.checkpoint)
+                done = _run(fitter, sources, label)
+        except Exception as error:  # whatever it is, the next line is not to blame
+            if lines is None:
+                raise
+            done = Failure(str(inputs[0]), error)
+        yield done
+
+
+def prepared(plan: Plan) -> Plan:
+    """The plan with the best checkpoint, trained first if that is asked for, by all ranks together."""
+    with threads(threads_of(plan.app)):
+        if plan.request.train:
+            with ranks.joined(plan.device):
+                train_checkpoint(plan, plan.request.train_steps)
+        return find_checkpoint(plan) if ranks.number() == 0 else plan
+
+
+def fit_and_keep(plan: Plan, tasks: Sequence[Task], folder: RunFolder) -> Iterator[Record]:
+    """Fit tasks and keep the record and the parameters of each as soon as it is done.
+
+    Yields:
+        Their records.
+
+    Raises:
+        FloatingPointError: a fit is not finite.
+    """
+    for done in _Loop(Fitter(plan), folder).fit(sources_of(tasks)):
+        assert not isinstance(done, Failure)
+        yield done
+
+
+def _is_lazy(plan: Plan) -> bool:
+    """Whether inputs are read when their turn comes, and what fails stops nothing: with --batch or --shard."""
+    return bool(plan.request.batch or plan.request.shard)
+
+
+def _sources(plan: Plan) -> tuple[list[Source], str]:
+    if _is_lazy(plan):
+        return sources_to_fit(plan.app, plan.request)
+    tasks, label = tasks_to_fit(plan.app, plan.request)
+    return sources_of(tasks), label
+
+
+def _run(fitter: Fitter, sources: list[Source], label: str) -> Run:
+    """Fit the sources that have no record yet, or all anew where all have one and are fitted one by one."""
+    plan, request, lazy = fitter.plan, fitter.plan.request, _is_lazy(fitter.plan)
+    folder = _lazy_folder(plan, label) if lazy else plan.folder(label)
+    mine = plan.portion.of(sources)
+    if not mine:
+        few = f"none of {len(sources)} inputs, expected some; take {len(sources)} parts at most"
+        raise ValueError(f"--shard {request.shard}: {few}.")
+    loop = _Loop(fitter, folder, lazy=lazy)
+    known = loop.known(mine)
+    if not lazy and len(known) == len(mine):
+        known = {}  # a finished run is run anew, one that was cut off is completed
+    if not request.quiet:
+        _announce(plan, folder, len(sources), len(mine), len(known) if lazy else 0)
+    begin = time.perf_counter()
+    with progress(plan.paradigm.name, len(mine), done=len(known), quiet=request.quiet) as bar:
+        for done in loop.fit([source for source in mine if source.place not in known]):
+            if isinstance(done, Failure):
+                bar.advance(f"failed: {Path(done.source).name}")
+            else:
+                bar.advance(f"{done['name']} {number(done['error'], '.3f')}".removesuffix(" -"))
+    rate = loop.count / (time.perf_counter() - begin) if loop.count else None
+    records = loop.known(mine)
+    if not records:
+        raise ValueError(f"none of {len(mine)} inputs could be fitted; the first: {loop.failures[0].reason}")
+    tasks = () if lazy else [source.task() for source in mine]
+    for task in tasks:
+        write_fit(loop.presentation, folder, task, folder.theta(task.name), request.export)
+    if request.export and tasks:
+        say(f"{len(tasks)} fits written as {request.export}: {folder.path / request.export}")
+    made = folder.path / OUTPUTS if (folder.path / OUTPUTS).is_dir() else None
+    gallery = write_gallery(plan.app, plan.paradigm.name, folder, loop.failures) if lazy else None
+    return Run(plan, label, tasks, list(records.values()), folder, made, loop.failures, rate, gallery)
+
+
+def _lazy_folder(plan: Plan, label: str) -> RunFolder:
+    """The folder of inputs that are read when their turn comes: seconds of fits side by side are shares of a run's."""
+    path, settings = plan.path(label), plan.settings(label) | {"batched": True}
+    return RunFolder(path.with_name(f"{path.name}-batch"), settings, FIT | SOURCED, plan.origin())
+
+
+def _announce(plan: Plan, folder: RunFolder, total: int, mine: int, known: int) -> None:
+    assert plan.checkpoint is not None
+    what = f"{name_of(plan.app)} {plan.paradigm.name}: {total} "
+    if _is_lazy(plan):
+        number, parts = plan.portion
+        what += f"inputs{f', part {number} of {parts}: {mine}' if parts > 1 else ''}"
+        what += f"{f', {known} fitted before' if known else ''}; {plan.steps} steps"
+    else:
+        what += f"tasks, {plan.steps} steps"
+    say(f"{what}, from {plan.checkpoint.source}")
+    if plan.request.watch:
+        say(f"watch: {folder.path / 'watch.png'}; the time that it takes to draw is not part of the seconds")
+
+
+class _Loop:
+    """Reads, fits and keeps sources, batch by batch.
+
+    Attributes:
+        count: how many were fitted.
+        failures: what was not; only of a lazy loop, else what fails is raised.
+    """
+
+    def __init__(self, fitter: Fitter, folder: RunFolder, *, lazy: bool = False) -> None:
+        plan = fitter.plan
+        file = folder.path / "watch.png"
+        fitter.watched = Watched(plan.app, plan.paradigm.name, file) if plan.request.watch else None
+        self.fitter, self.folder, self.lazy = fitter, folder, lazy
+        self.presentation = presentation_of(plan.app, plan.size)
+        self.size = BatchSize(plan.batch, plan.device)
+        self.failures: list[Failure] = []
+        self.count = 0
+
+    def known(self, sources: Sequence[Source]) -> dict[str, Record]:
+        """Records of sources that have not changed since, by their places."""
+        finished = self.folder.finished()
+        if self.lazy:
+            finished = {record["source"]: record for record in finished.values()}
+        stamps = {place: record.get("stamp", "") for place, record in finished.items()}
+        return {source.place: finished[source.place] for source in sources if stamps.get(source.place) == source.stamp}
+
+    def fit(self, sources: Sequence[Source]) -> Iterator[Record | Failure]:
+        """Fit sources and keep each fit; what has a record is whole."""
+        if not self.lazy:
+            self.fitter.check([source.task() for source in sources])
+        first = 0
+        while first < len(sources):
+            some, first = sources[first : first + self.size.now], first + self.size.now
+            failed = len(self.failures)
+            for group in alike(self._read(some)):
+                yield from self._fitted(group)
+            yield from self.failures[failed:]
+        self.fitter.finish(self.count)
+
+    def _fail(self, source: Source, error: Exception) -> None:
+        if not self.lazy:
+            raise error
+        self.failures.append(Failure(source.place, error))
+
+    def _read(self, sources: Sequence[Source]) -> Iterator[tuple[Source, Task]]:
+        for source in sources:
+            try:
+                yield source, source.task()
+            except (ValueError, OSError) as error:
+                self._fail(source, error)
+
+    def _fitted(self, pairs: list[tuple[Source, Task]]) -> Iterator[Record]:
+        """Fits of tasks side by side; where that fails, of each half, so that one that fails is soon alone."""
+        try:
+            results = self.fitter.fit([task for _, task in pairs])
+        except (ValueError, FloatingPointError, MemoryError, RuntimeError) as error:
+            if len(pairs) == 1:
+                return self._fail(pairs[0][0], error)
+            if not isinstance(error, ValueError | FloatingPointError):
+                self.size.failed()
+            middle = len(pairs) // 2
+            yield from self._fitted(pairs[:middle])
+            yield from self._fitted(pairs[middle:])
+            return
+        self.size.told(len(pairs), sum(result.record["seconds"] for result in results))
+        for (source, task), result in zip(pairs, results, strict=True):
+            try:
+                yield self._keep(source, task, result, len(pairs))
+            except ValueError as error:
+                self._fail(source, error)
+
+    def _keep(self, source: Source, task: Task, result: Result, beside: int) -> Record:
+        """Write all that a fit makes, then its record."""
+        record, theta = result
+        if self.lazy:
+            theta = {key: value.detach().cpu() for key, value in theta.items()}
+            with torch.no_grad():
+                write_thumbnail(self.fitter.plan.app, task, theta, self.folder.path)
+                write_fit(self.presentation, self.folder, task, theta, self.fitter.plan.request.export)
+            record = record | {"batch": beside, "source": source.place, "stamp": source.stamp}
+        self.folder.add(record, theta)
+        self.count += 1
+        return record
+
+
+def alike(pairs: Iterable[tuple[Source, Task]]) -> list[list[tuple[Source, Task]]]:
+    """Groups of tasks whose tensors are of the same sizes, which can be fitted side by side."""
+    groups: dict[Any, list[tuple[Source, Task]]] = {}
+    for source, task in pairs:
+        sizes = tuple((key, task.data[key].shape) for key in sorted(task.data))
+        groups.setdefault(sizes, []).append((source, task))
+    return list(groups.values())

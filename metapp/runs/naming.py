@@ -1,0 +1,39 @@
+"""How records, messages, tables and pictures call an application under its protocol."""
+
+from __future__ import annotations
+
+from metapp.apps import presentation_of, protocols_of
+from metapp.learning.app import App
+
+
+def is_first_protocol(app: App) -> bool:
+    """Whether the application is under its first protocol, or has no other."""
+    return app.protocol in ("", *protocols_of(app.name)[:1])
+
+
+def observe_of(app: App) -> dict[str, str]:
+    """The protocol as records, rows and headers of checkpoints say it: nothing where there is none."""
+    return {"observe": app.protocol} if app.protocol else {}
+
+
+def name_of(app: App) -> str:
+    """The application's name and its protocol, if any: illumination photo."""
+    return f"{app.name} {app.protocol}".rstrip()
+
+
+def title_of(app: App) -> str:
+    """The application's title in tables and pictures, with its protocol, if any."""
+    title = presentation_of(app).title
+    return f"{title} ({app.protocol})" if app.protocol else title
+
+
+def caption_of(app: App) -> str:
+    """What a table says about its errors."""
+    protocol = {"fits see": app.protocol} if app.protocol else {}
+    conditions = "".join(f"; {key}: {value}" for key, value in (protocol | app.conditions()).items())
+    return f"error: {presentation_of(app).measure}{factor_of(app)}{conditions}"
+
+
+def factor_of(app: App) -> str:
+    """What is said of errors that are printed times a factor: " x100"; "" where it is 1."""
+    return f" x{app.traits.scale:g}" if app.traits.scale != 1 else ""

@@ -1,0 +1,205 @@
+"""From a request to a plan: the application, its recipe, rule and steps, the paradigm, the device, the run's folder."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import torch
+
+from metapp.apps import app_of, recipes_of
+from metapp.learning.app import App
+from metapp.learning.learn import MetaParameters
+from metapp.paradigms import Job, Paradigm, paradigms
+from metapp.runs import BadOption
+from metapp.runs.batch_size import check_batch
+from metapp.runs.checks import (
+    check_export,
+    check_inputs,
+    check_name,
+    check_protocol,
+    check_rule,
+    check_size,
+    default_recipe,
+)
+from metapp.runs.naming import observe_of
+from metapp.runs.request import Portion, Request, portion_of
+from metapp.runs.surroundings import find_device, machine, precision_of, versions
+from metapp.runs.timing import said_time, seconds_of
+from metapp.storage.records import FIT, RunFolder
+
+
+class Checkpoint(NamedTuple):
+    """A checkpoint, where it came from and a digest of its file ("" where nothing is needed)."""
+
+    prepared: MetaParameters
+    source: str
+    digest: str
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What a request comes to.
+
+    Attributes:
+        request: as it was made, with recipe and rule by their names, and steps None where they are the recipe's own.
+        paradigm: what fits.
+        job: application, recipe, rule and steps that it works on.
+        device: what it works with.
+        checkpoint: what fits begin at; None until `checkpoints.find_checkpoint` has found it.
+    """
+
+    request: Request
+    paradigm: Paradigm
+    job: Job
+    device: torch.device
+    checkpoint: Checkpoint | None = None
+
+    @property
+    def app(self) -> App:
+        """The application under its protocol, with the network of the recipe and of the rule."""
+        return self.job.app
+
+    @property
+    def steps(self) -> int:
+        """Gradient steps of a fit."""
+        return self.paradigm.count(self.job)
+
+    @property
+    def prepared(self) -> MetaParameters:
+        """The parameters of the checkpoint, which must have been found."""
+        assert self.checkpoint is not None
+        return self.checkpoint.prepared
+
+    @property
+    def budget(self) -> float | None:
+        """Seconds that a fit may take; None: as many as its steps do."""
+        return seconds_of(self.request.budget)
+
+    @property
+    def batch(self) -> int | None:
+        """Fits side by side; None: as many as prove to be quick."""
+        return check_batch(self.request.batch or "1")
+
+    @property
+    def portion(self) -> Portion:
+        """Which of the inputs this program fits."""
+        return portion_of(self.request.shard)
+
+    @property
+    def size(self) -> tuple[int, int] | None:
+        """Height and width in px of what fits make for their users; None for the application's own choice."""
+        return check_size(self.request.size, self.app)
+
+    def by(self, paradigm: str, rule: str = "", steps: int | None = None) -> Plan:
+        """The same for another paradigm, rule ("" for the same one) and number of steps, without a checkpoint."""
+        rule = rule or self.job.rule
+        request = replace(self.request, paradigm=paradigm, rule=rule, steps=steps)
+        app = app_of(self.app.name, self.job.recipe, self.app.protocol, rule=rule if paradigm == "meta" else "")
+        app = self.app if app.setup == self.app.setup else app  # which may hold compiled code
+        return Plan(request, paradigms()[paradigm], Job(app, self.job.recipe, rule, steps), self.device)
+
+    def settings(self, label: str) -> dict[str, Any]:
+        """Everything that figures of a run on data of this name depend on: what its records carry, and their key."""
+        job, recipe, app = self.job, self.job.recipe, self.app
+        adam, guard = self.paradigm.adam(job, self.prepared), self.paradigm.guard(job)
+        assert self.checkpoint is not None
+        return {
+            "app": app.name,
+            **observe_of(app),
+            "paradigm": self.paradigm.name,
+            "rule": job.rule if self.paradigm.name == "meta" else ("adam" if adam else "none"),
+            "steps": self.steps,
+            "batch": recipe.batch,
+            "adam": adam and asdict(adam),
+            **({"guard": asdict(guard)} if guard else {}),
+            **({"budget": self.budget} if self.budget is not None else {}),
+            "checkpoint": self.checkpoint.digest,
+            "data": label,
+            "recipe": self.request.recipe,
+            "seed": self.request.seed,
+            "device": str(self.device),
+            "versions": versions(),
+            **app.conditions(),
+            **precision_of(app, self.device, self.steps),
+        }
+
+    def path(self, label: str) -> Path:
+        """runs/<app>/<paradigm>/<data>-<recipe>-seed<seed>, with rule, protocol, and steps other than the recipe's."""
+        request, budget = self.request, self.budget
+        name = f"{label}-{request.recipe}-seed{request.seed}"
+        if self.paradigm.name == "meta":
+            name += f"-{self.job.rule}"
+        if request.steps is not None:
+            name += f"-{request.steps}steps"
+        if budget is not None:
+            name += f"-{said_time(budget)}"
+        if self.app.protocol:
+            name += f"-{self.app.protocol}"
+        return request.out / self.app.name / self.paradigm.name / name
+
+    def origin(self) -> dict[str, Any]:
+        """What `metapp rerun` needs to find what was fitted: absolute paths as far as given, and the machine."""
+        request = self.request
+        known: dict[str, Any] = {
+            "inputs": [str(path.absolute()) for path in request.inputs],
+            "roots": [str(path.absolute()) for path in request.scene_root],
+            "fov_rad": math.radians(request.fov),
+            "data": request.data and str(request.data.absolute()),
+            "checkpoint": request.checkpoint and str(request.checkpoint.absolute()),
+        }
+        return {"machine": machine(self.device)} | {key: value for key, value in known.items() if value}
+
+    def folder(self, label: str) -> RunFolder:
+        """The run's folder, for fits of data of this name one by one."""
+        return RunFolder(self.path(label), self.settings(label), FIT, self.origin())
+
+
+def plan(request: Request) -> Plan:
+    """Check what was asked for and look up what it names; no file is read or written.
+
+    Raises:
+        BadOption: something that the application does not have, or options that exclude each other.
+        ValueError: no such device or paradigm.
+    """
+    known = paradigms()
+    if request.paradigm not in known:
+        raise ValueError(f"paradigm '{request.paradigm}': expected one of {', '.join(known)}.")
+    paradigm = known[request.paradigm]
+    check_name(request.app)
+    check_protocol(request.observe, request.app)
+    recipes = recipes_of(request.app, request.observe)
+    name = request.recipe or default_recipe(request.app)
+    if name not in recipes:
+        raise BadOption(f"--recipe '{name}': expected one of {', '.join(recipes)}.")
+    recipe = recipes[name]
+    rule = check_rule(request, recipe)
+    app = app_of(request.app, recipe, request.observe, rule=rule if paradigm.name == "meta" else "")
+    device = find_device(request.device, app)
+    steps = None if paradigm.steps(recipe) in (request.steps, 0) else request.steps
+    request = replace(request, recipe=name, rule=rule, steps=steps)
+    done = Plan(request, paradigm, Job(app, recipe, rule, steps), device)
+    _check(done)
+    return done
+
+
+def _check(done: Plan) -> None:
+    """Refuse values of options that are no good, and options that exclude each other.
+
+    Raises:
+        BadOption: there is such a one.
+    """
+    request = done.request
+    if done.budget is not None and done.batch != 1:
+        raise BadOption("--budget: the time of one fit; fits side by side have none, leave --batch out or give 1.")
+    if request.train_steps and not request.train:
+        raise BadOption("--train-steps: only with --train.")
+    if request.render and (request.batch or request.shard):
+        raise BadOption("--render: of scenes one by one; leave --batch and --shard out.")
+    check_export(request.export, request.app)
+    check_inputs(request, done.app)
+    assert done.batch != 0
+    assert done.portion != (0, 0)
+    assert done.size != (0, 0)

@@ -1,0 +1,75 @@
+"""What a user asks of a fit: every option, as it was given; nothing is looked up, and nothing large is imported."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple, TypeVar
+
+from metapp.runs import BadOption
+
+Item = TypeVar("Item")
+
+
+@dataclass(frozen=True)
+class Request:
+    """The options of a fit; those of the command line have the same names, and --help says what each means.
+
+    Attributes:
+        app: name of the application.
+        paradigm: general, overfit, finetune, quickft or meta.
+        inputs: files and folders; none: the test tasks of the data set.
+        fov: of flash photos, the camera's field of view along the shorter side in degrees; 0: as EXIF says, else 45.
+        quiet: no progress, no messages but warnings.
+    """
+
+    app: str
+    paradigm: str = "meta"
+    inputs: Sequence[Path] = ()
+    steps: int | None = None
+    rule: str = ""
+    recipe: str = ""
+    observe: str = ""
+    budget: str = ""
+    train: bool = False
+    train_steps: int | None = None
+    checkpoint: Path | None = None
+    data: Path | None = None
+    out: Path = Path("runs")
+    batch: str = ""
+    shard: str = ""
+    watch: bool = False
+    export: str = ""
+    size: str = ""
+    render: int = 0
+    fov: float = 0.0
+    scene_root: Sequence[Path] = ()
+    seed: int = 0
+    device: str = "auto"
+    quiet: bool = False
+
+
+class Portion(NamedTuple):
+    """What one machine does of a run: every `parts`-th of its tasks from the `number`-th on, both counted from 1."""
+
+    number: int = 1
+    parts: int = 1
+
+    def of(self, items: Sequence[Item]) -> list[Item]:
+        """The items of this portion."""
+        return list(items[self.number - 1 :: self.parts])
+
+
+def portion_of(text: str) -> Portion:
+    """Read I/N; all of "".
+
+    Raises:
+        BadOption: it is no such text, or there is no such portion.
+    """
+    found = re.fullmatch(r"(\d{1,6})/(\d{1,6})", text or "1/1")
+    portion = Portion(int(found[1]), int(found[2])) if found else Portion(0, 0)
+    if not 1 <= portion.number <= portion.parts:
+        raise BadOption(f"--shard '{text}': expected I/N, the I-th of N parts, such as 1/4 to 4/4.")
+    return portion

@@ -1,0 +1,77 @@
+"""What a figure depends on beside its settings: device, threads, versions; and whether results can be written."""
+
+from __future__ import annotations
+
+import contextlib
+import platform
+import tempfile
+from collections.abc import Iterator
+from importlib import metadata
+from pathlib import Path
+
+import torch
+
+from metapp.learning.app import App, ReducedPrecision
+from metapp.runs import BadOption
+
+
+def threads_of(app: App) -> int | None:
+    """The threads of an application's fits: 1 where threads only wait for each other, else None, all there are."""
+    return 1 if app.traits.single_threaded else None
+
+
+@contextlib.contextmanager
+def threads(count: int | None) -> Iterator[None]:
+    """Have torch work with so many threads, None for as many as it does; afterwards with as many as before."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(count or before)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
+
+
+def find_device(name: str, app: App) -> torch.device:
+    """The device; auto is CUDA where there is one, but the CPU where the application is single-threaded."""
+    if name not in ("auto", "cpu", "cuda"):
+        raise BadOption(f"--device '{name}': expected auto, cpu or cuda.")
+    if name == "cuda" and not torch.cuda.is_available():
+        raise ValueError("--device cuda: PyTorch finds no CUDA device; use --device cpu or install a CUDA build.")
+    automatic = "cuda" if torch.cuda.is_available() and not app.traits.single_threaded else "cpu"
+    return torch.device(automatic if name == "auto" else name)
+
+
+def machine(device: torch.device) -> str:
+    """What arithmetic ran on: the GPU's name, or the processor's architecture and vector instructions."""
+    if device.type == "cuda":
+        return str(torch.cuda.get_device_name(device))
+    return f"{platform.machine()} {torch.backends.cpu.get_cpu_capability()}"
+
+
+def versions() -> dict[str, str]:
+    """The versions that a figure depends on."""
+    return {
+        "metapp": metadata.version("metapp"),
+        "torch": str(torch.__version__),
+        "python": platform.python_version(),
+    }
+
+
+def precision_of(app: App, device: torch.device, steps: int = 1) -> dict[str, str]:
+    """What so many steps compute in other than float32, as records and headers of checkpoints say it, if anything."""
+    precision = app.precision(device) if steps and isinstance(app, ReducedPrecision) else ""
+    return {"precision": precision} if precision else {}
+
+
+def make_folder(folder: Path) -> None:
+    """Make a folder to write to, before any work is done.
+
+    Raises:
+        ValueError: it cannot be made or written to.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):  # nameless, as other runs may write there, too
+            pass
+    except OSError as error:
+        raise ValueError(f"--out {folder}: cannot be written to ({error.strerror}); choose another folder.") from None

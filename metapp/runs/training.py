@@ -1,0 +1,170 @@
+"""Train a checkpoint on the training tasks of a data set, and keep it for later runs on this data."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from torch import Generator, get_num_threads
+
+from metapp.learning.app import stack
+from metapp.learning.learn import MetaParameters
+from metapp.learning.progress import Prepared, Progress
+from metapp.learning.recipe import OuterLoop
+from metapp.paradigms import paradigms, ranks
+from metapp.paradigms.training import describe, prepare, training_of
+from metapp.runs import BadOption
+from metapp.runs.checkpoints import find_checkpoint, has_general, trained_path
+from metapp.runs.inputs import data_folder, data_label
+from metapp.runs.naming import name_of, observe_of
+from metapp.runs.plan import Checkpoint, Plan
+from metapp.runs.reporter import progress, say
+from metapp.runs.surroundings import make_folder, precision_of, versions
+from metapp.storage.files import remove_partial
+from metapp.storage.records import digest, save_checkpoint, tensor_digest
+from metapp.storage.shards import fingerprint, read_shard
+from metapp.storage.training_checkpoint import TrainingCheckpoint
+
+
+class Trained(NamedTuple):
+    """A checkpoint that was trained here.
+
+    Attributes:
+        path: its file; the one it replaces is kept as `<name>.previous.safetensors`.
+        prepared: what it holds.
+        seconds: processor time of training, that before it was cut off included.
+    """
+
+    path: Path
+    prepared: Prepared
+    seconds: float
+
+
+def train_checkpoint(plan: Plan, steps: int | None, general: Checkpoint | None = None) -> Trained:
+    """Train what the paradigm of a plan needs, together with the other ranks where there are any.
+
+    Args:
+        plan: what for.
+        steps: outer steps instead of the recipe's.
+        general: the one that training goes on from or tunes for, if it does; None: the one there is, else trained now.
+
+    Raises:
+        BadOption: there is nothing to train, or a checkpoint was given.
+    """
+    name, app, request = _name_of(plan), plan.app, plan.request
+    path = trained_path(plan, name)
+    make_folder(path.parent)
+    folder = data_folder(app, request.data, request.quiet)
+    encoder = (general or general_of(plan, steps)).prepared if _needs_general(plan, name) else None
+    tasks = stack(app, read_shard(folder, "train", app.name, app.holds), plan.device)
+    say(f"training {name_of(app)} {name} on {len(tasks)} tasks of {folder.name}, every eighth for validation")
+    info = _about(plan, name, folder, encoder)
+
+    def keep(prepared: Prepared, file: Path, previous: Path | None = None) -> None:
+        # General's file holds the encoder that QuickFT is tuned for
+        kept = prepared.phi._replace(encoder={}) if name == "quickft" else prepared.phi
+        save_checkpoint(file, kept, describe(plan.job, name, prepared, steps) | info, previous)
+
+    writes = ranks.number() == 0
+    if writes:
+        remove_partial(path)
+    else:
+        ranks.wait()  # until rank 0 has looked at the file, and put it aside if need be
+    checkpoint = TrainingCheckpoint(path, _settings(plan, name, steps, folder, encoder) | info, plan.device)
+    since = _go_on(checkpoint, training_of(plan.job, name, steps))
+    if writes:
+        ranks.wait()
+    ranks.wait()  # until all have read it
+    with progress(f"train {name}", long=True, quiet=request.quiet) as bar:
+        rng = Generator(plan.device).manual_seed(request.seed)
+        prepared: Prepared | None = None
+        try:
+            for now in prepare(name, plan.job, tasks, rng, encoder=encoder, steps=steps, since=since):
+                prepared = now.best
+                if writes:
+                    checkpoint.keep(now)
+                if now.note:
+                    bar.at(now.done, now.total, now.note)
+        except (KeyboardInterrupt, ConnectionError) as error:
+            if writes:
+                checkpoint.write()
+            if writes and isinstance(error, KeyboardInterrupt) and prepared and prepared.curve:
+                kept = path.with_suffix(".interrupted.safetensors")
+                keep(prepared, kept)
+                say(f"validation error {prepared.validation:.3f}; to use it as it is: --checkpoint {kept}")
+            raise
+    assert prepared is not None
+    if writes:
+        keep(prepared, path, path.with_suffix(".previous.safetensors"))
+        checkpoint.remove()
+    ranks.wait()  # until the file is there, from which all go on
+    say(f"{name}: validation error {prepared.validation:.3f} at step {prepared.step}; kept as {path}")
+    return Trained(path, prepared, checkpoint.spent)
+
+
+def general_of(plan: Plan, steps: int | None = None) -> Checkpoint:
+    """The General that QuickFT is tuned for or that Meta's training begins at, trained now if this data has none."""
+    plan = replace(plan, paradigm=paradigms()["general"])
+    if not has_general(plan):
+        say(f"no General that was trained on this data yet: training it first{f', {steps} steps' if steps else ''}.")
+        train_checkpoint(plan, steps)
+    checkpoint = find_checkpoint(plan).checkpoint
+    assert checkpoint is not None
+    say(f"General: {checkpoint.source}")
+    return checkpoint
+
+
+def _name_of(plan: Plan) -> str:
+    """What is trained: the last of what the paradigm needs."""
+    needs = plan.paradigm.needs(plan.job)
+    if not needs:
+        raise BadOption(f"--train: {plan.paradigm.name} needs no preparation; leave the option out.")
+    if plan.request.checkpoint:
+        raise BadOption("--train makes a checkpoint of its own; leave --checkpoint out.")
+    return needs[-1]
+
+
+def _needs_general(plan: Plan, name: str) -> bool:
+    return name == "quickft" or (name != "general" and plan.job.recipe.training(name).from_general)
+
+
+def _about(plan: Plan, name: str, folder: Path, encoder: MetaParameters | None) -> dict[str, Any]:
+    """What the header of a checkpoint says of what it was trained on, beside how."""
+    return (
+        {"data": data_label(folder), "recipe": plan.request.recipe, "seed": plan.request.seed}
+        | ({} if name == "general" else observe_of(plan.app))
+        | plan.app.conditions()
+        | precision_of(plan.app, plan.device)
+        | {"versions": versions()}
+        | ({"encoder": tensor_digest(encoder.encoder)} if encoder else {})
+    )
+
+
+def _settings(plan: Plan, name: str, steps: int | None, folder: Path, encoder: MetaParameters | None) -> dict[str, Any]:
+    """What the result of a training depends on, beside what its checkpoint says about itself."""
+    return {
+        "app": plan.app.name,
+        "checkpoint": name,
+        "steps": steps,
+        "settings of the recipe": digest(repr(plan.job.recipe)),
+        "content of the data": fingerprint(folder),
+        "General": encoder and tensor_digest(encoder.flat()),
+        "device": str(plan.device),
+        "threads": get_num_threads(),
+    }
+
+
+def _go_on(checkpoint: TrainingCheckpoint, training: OuterLoop | None) -> Progress:
+    """How far the same training was when it was cut off, and one line about it."""
+    try:
+        since = checkpoint.load()
+    except ValueError as error:
+        say(f"{error}; training from the beginning")
+        return Progress()
+    if since.outer and training:
+        steps = f"step {since.outer.step:,} of {training.steps:,}"
+        say(f"going on from {steps} (training checkpoint {checkpoint.path})")
+    elif since.errors:
+        say(f"going on after {len(since.errors)} looks of the search (training checkpoint {checkpoint.path})")
+    return since
