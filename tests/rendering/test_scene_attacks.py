@@ -49,7 +49,7 @@ def in_json(part: Any, **more: Any) -> str:
 def evil(tmp_path: Path) -> Callable[[Path, str], Path]:
     """Puts a library that leaves a mark when it is loaded into a folder's `plugins`; returns the mark's path."""
     if not shutil.which("gcc"):
-        pytest.skip("no gcc")
+        pytest.skip("gcc builds the library: apt-get install gcc libc6-dev")
     source, library, mark = tmp_path / "evil.c", tmp_path / "evil.so", tmp_path / "mark"
     source.write_text(f'#include <stdio.h>\n#define MARK "{mark}"\n{EVIL}\n')
     subprocess.run(["gcc", "-shared", "-fPIC", "-o", library, source], check=True)
