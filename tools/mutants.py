@@ -32,7 +32,7 @@ TESTS = {
     "metapp/learning/app.py": ["learning", "brdf"],
     "metapp/learning/learn.py": ["learning", "adjoint"],
     "metapp/learning/task.py": ["task", "learning"],
-    "metapp/learning/rules": ["rules", "parts", "compositions", "descent", "learned_descent"],
+    "metapp/learning/rules": ["parts", "compositions", "descent", "learned_descent", "solve"],
     "metapp/appearance/colour.py": ["colour", "photos"],
     "metapp/appearance/features.py": ["features"],
     "metapp/appearance/flash.py": ["flash"],

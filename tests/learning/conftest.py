@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import pytest
 import torch
-from torch import Generator
+from torch import Generator, Tensor
 
 from metapp.learning.task import Tasks
 from tests.learning.parabolas import NAMES
@@ -15,3 +17,10 @@ def tasks(rng: Generator) -> Tasks:
     """Parabolas about five centres, float64."""
     centres = torch.randn(len(NAMES), 3, generator=rng, dtype=torch.float64)
     return Tasks(NAMES, {"c": centres}, torch.arange(len(NAMES)))
+
+
+@pytest.fixture
+def randn() -> Callable[..., Tensor]:
+    """Draws standard normal float64 of a shape."""
+    rng = Generator().manual_seed(5)
+    return lambda *shape: torch.randn(*shape, generator=rng, dtype=torch.float64)

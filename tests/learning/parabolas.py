@@ -25,3 +25,8 @@ def draw_noisy(tasks: Tasks, rng: Generator, done: float) -> Drawn:
 
 
 EXACT, NOISY = Loss(draw_exact, parabola), Loss(draw_noisy, parabola)
+
+
+def unused(data: object, rng: Generator, done: float) -> Drawn:
+    """Draws nothing: batches are given."""
+    raise AssertionError

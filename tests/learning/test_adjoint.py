@@ -13,21 +13,18 @@ from torch import Generator, Tensor
 
 from metapp.apps.brdf import Brdf
 from metapp.engine.fastest import Compiled
-from metapp.learning.adjoint import TORCH, Drawn, Engine, Loss, UpdateRule, at_step, learn_through
+from metapp.learning.adjoint import TORCH, Engine, Loss, UpdateRule, at_step, learn_through
 from metapp.learning.learn import Encoding, MetaParameters, after_learning, spread
 from metapp.learning.recipe import Adam
 from metapp.learning.rules import META_EPS, RULES, fixed_adam, sgd
 from metapp.learning.task import Batch, Params
+from tests.learning.parabolas import unused
 from tests.paradigms.small import applicable
 
 APP = Brdf()
 
 TASKS, STEPS, SAMPLES = 3, 4, 24
 ON_MATRICES = applicable(APP)
-
-
-def unused(data: Any, rng: Generator) -> Drawn:
-    raise AssertionError("batches are given")
 
 
 def parabola(params: Params, batch: Batch, learned: Params) -> Tensor:
@@ -38,12 +35,6 @@ def parabola(params: Params, batch: Batch, learned: Params) -> Tensor:
 
 
 PARABOLA, BRDF = Loss(unused, parabola), Loss(unused, APP.loss)
-
-
-@pytest.fixture
-def randn() -> Callable[..., Tensor]:
-    rng = Generator().manual_seed(5)
-    return lambda *shape: torch.randn(*shape, generator=rng, dtype=torch.float64)
 
 
 def symmetric(matrices: Tensor) -> Tensor:

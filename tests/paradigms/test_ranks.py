@@ -14,10 +14,9 @@ import pytest
 from safetensors import safe_open
 from safetensors.torch import load_file
 
-from metapp.cli.commands import app
 from metapp.paradigms import ranks
 from tests import forks
-from tests.small_spheres import shrink_spheres
+from tests.small_spheres import run_small
 
 
 def free_port() -> int:
@@ -30,9 +29,7 @@ def free_port() -> int:
 def materials(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A data set of twelve synthetic materials."""
     folder = tmp_path_factory.mktemp("ranks") / "data"
-    with pytest.MonkeyPatch.context() as patch:
-        shrink_spheres(patch)
-        app(["data", "synth", "brdf", "--count", "12", "--out", str(folder)], standalone_mode=False)
+    run_small("data", "synth", "brdf", "--count", 12, "--out", folder)
     return folder
 
 

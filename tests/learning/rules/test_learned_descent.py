@@ -20,6 +20,7 @@ from metapp.learning.rules import RULES, rule_of
 from metapp.learning.rules.network import MEMORY, move, network_of, networks, no_memory
 from metapp.learning.task import Params
 from metapp.networks.field import LocalField
+from tests.learning.parabolas import unused
 
 TASKS, STEPS = 2, 3
 FIELD = LocalField(8, 16, rows=4, columns=8, code=3, hidden=6, layers=2)
@@ -29,12 +30,6 @@ FIRST = Adam(5e-3, 0.7, 0.99, eps=1e-3, final=0.1)
 @pytest.fixture(scope="module")
 def app() -> App:
     return illumination.Illumination(illumination.IlluminationSetup(FIELD), "reference")
-
-
-@pytest.fixture
-def randn() -> Callable[..., Tensor]:
-    rng = Generator().manual_seed(3)
-    return lambda *shape: torch.randn(*shape, generator=rng, dtype=torch.float64)
 
 
 def one(app: App) -> Params:
@@ -50,10 +45,6 @@ def phi_of(app: App, randn: Callable[..., Tensor]) -> Params:
     theta = one(app)
     alpha = RULES["meta-lgd"].alpha(app, theta, STEPS, FIRST)
     return MetaParameters(theta, {key: value + 0.05 * randn(*value.shape) for key, value in alpha.items()}).flat()
-
-
-def unused(*_: Any) -> Any:
-    raise AssertionError("batches are given")
 
 
 @pytest.mark.parametrize("names", [("meta-lgd", "meta-encoder"), ("sgd+network", "sgd")])

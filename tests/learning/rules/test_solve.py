@@ -16,6 +16,7 @@ from metapp.learning.recipe import Adam
 from metapp.learning.rules import PARTS, rule_of
 from metapp.learning.rules.solve import GREATEST, LEAST, NormalEquations
 from metapp.learning.task import Batch, Linear, Params
+from tests.learning.parabolas import unused
 
 TASKS, FEATURES, OUTPUTS, SAMPLES, STEPS = 3, 5, 2, 11, 4
 SOLVE = rule_of("solve")
@@ -42,17 +43,7 @@ def value(theta: Params, batch: Batch, learned: Params) -> Tensor:
     return 0.5 * (of.weights[:, None] * of.residual.square()).mean(2).sum(1)
 
 
-def unused(data: object, rng: Generator, done: float) -> Drawn:
-    raise AssertionError("batches are given")
-
-
 LOSS = NormalEquations(unused, value, linear=linear)
-
-
-@pytest.fixture
-def randn() -> Callable[..., Tensor]:
-    rng = Generator().manual_seed(3)
-    return lambda *shape: torch.randn(*shape, generator=rng, dtype=torch.float64)
 
 
 @pytest.fixture
