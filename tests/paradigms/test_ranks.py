@@ -66,7 +66,7 @@ def train(materials: Path, compiled: None) -> Callable[..., list[Rank]]:
 
 
 def trained(folder: Path) -> dict[str, Path]:
-    return {path.stem: path for path in folder.rglob("starts/*/*.safetensors")}
+    return {path.stem: path for path in folder.rglob("checkpoints/*/*.safetensors")}
 
 
 def test_two_ranks_train_what_one_does(train: Callable[..., list[Rank]], tmp_path: Path) -> None:
