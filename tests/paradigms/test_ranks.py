@@ -53,7 +53,7 @@ def train(materials: Path, compiled: None) -> Callable[..., list[Rank]]:
     """Start the ranks of one training on few small materials: train(ranks, folder, steps)."""
 
     def start(count: int, out: Path, steps: int, **environment: str) -> list[Rank]:
-        command = ["meta", "brdf", "--train", "--train-steps", str(steps)]
+        command = ["meta", "brdf", "--train", "--recipe", "quick", "--train-steps", str(steps)]
         command += ["--data", str(materials), "--out", str(out), "--quiet"]
         shared = {"MASTER_ADDR": "127.0.0.1", "MASTER_PORT": str(free_port()), "WORLD_SIZE": str(count)}
         started = []
