@@ -26,7 +26,7 @@ from metapp.appearance.flash import camera_distance
 from metapp.appearance.geometry import above_horizon
 from metapp.learning.recipe import Recipe
 from metapp.rendering.second_scene import matrix_path
-from tests.small_spheres import shrink_spheres
+from tests.small_spheres import run_small, shrink_spheres
 
 # small networks run many times slower where threads of several workers fight over them; Mitsuba takes its two by itself
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # of the commands that tests start
@@ -288,12 +288,8 @@ def neural_fits(tmp_path_factory: pytest.TempPathFactory) -> Callable[[int], Pat
 @pytest.fixture(scope="session")
 def ten_materials(neural_fits: Callable[[int], Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A data set of ten small materials, eight of them for training; for tests to copy, not to write to."""
-    from metapp.cli.commands import app
-
     folder = tmp_path_factory.mktemp("data") / "materials"
-    with pytest.MonkeyPatch.context() as patch:
-        shrink_spheres(patch)
-        app(["data", "nbrdf", str(neural_fits(10)), "--out", str(folder), "--samples", "512"], standalone_mode=False)
+    run_small("data", "nbrdf", neural_fits(10), "--out", folder, "--samples", "512")
     return folder
 
 

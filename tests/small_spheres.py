@@ -1,6 +1,7 @@
 """Pictures of BRDFs that cost nothing, for tests of what happens around them."""
 
 import functools
+import warnings
 
 import pytest
 
@@ -12,3 +13,13 @@ def shrink_spheres(patch: pytest.MonkeyPatch) -> None:
     small = functools.cache(functools.partial(sphere_scene, 16))
     for module in ("metapp.apps.brdf.presentation", "data_tools.readers.brdf_task", "data_tools.readers.gonio"):
         patch.setattr(f"{module}.reference_scene", small)
+
+
+def run_small(*words: object) -> None:
+    """Run `metapp` for a fixture, at 16 px; its random networks reflect too much, of which nobody need be warned."""
+    from metapp.cli.commands import app
+
+    with pytest.MonkeyPatch.context() as patch, warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        shrink_spheres(patch)
+        app([str(word) for word in words], standalone_mode=False)

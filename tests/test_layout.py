@@ -90,7 +90,7 @@ def test_layers() -> None:
 def test_modules_are_imported_by_name_only_to_find_what_is_in_a_folder() -> None:
     found = {name for name in FILES for called, _ in calls(name) if called.endswith("import_module")}
     assert found == {"metapp.apps", "data_tools.formats", "metapp.runs.embedded", "metapp.evaluation.tables",
-                     "metapp.evaluation.figures", "metapp.baselines"}  # fmt: skip
+                     "metapp.baselines"}  # fmt: skip
 
 
 def test_paradigms_name_no_application() -> None:

@@ -32,6 +32,7 @@ VERTICES, INDICES = 34962, 34963
 GLB, JSON, BINARY = 0x46546C67, 0x4E4F534A, 0x004E4942
 CORNERS = ((-0.5, 0.5), (-0.5, -0.5), (0.5, -0.5), (0.5, 0.5))  # from the upper left one, counter-clockwise
 TRIANGLES = (0, 1, 2, 0, 2, 3)
+ATTRIBUTES = {"POSITION": 0, "NORMAL": 1, "TANGENT": 2, "TEXCOORD_0": 3}  # accessors; 4 is that of indices
 
 
 class _Binary:
@@ -76,7 +77,7 @@ def glb(surface: Surface, name: str, provenance: Mapping[str, object]) -> bytes:
         "scene": 0,
         "scenes": [{"nodes": [0]}],
         "nodes": [{"name": name, "mesh": 0}],
-        "meshes": [{"name": name, "primitives": [_primitive()]}],
+        "meshes": [{"name": name, "primitives": [{"attributes": ATTRIBUTES, "indices": 4, "material": 0}]}],
         "materials": [_material(name, list(pictures), highest_f0(surface))],
         "textures": [{"source": i, "sampler": 0} for i in range(len(images))],
         "samplers": [{"magFilter": LINEAR, "minFilter": MIPMAPS, "wrapS": wrap, "wrapT": wrap}],
@@ -116,11 +117,6 @@ def _quad(binary: _Binary, surface: Surface) -> list[dict[str, object]]:
     accessors[0] |= {"min": low, "max": high}
     view = binary.add(struct.pack("<6H", *TRIANGLES), INDICES)
     return [*accessors, {"bufferView": view, "componentType": SHORT, "count": 6, "type": "SCALAR"}]
-
-
-def _primitive() -> dict[str, object]:
-    attributes = {"POSITION": 0, "NORMAL": 1, "TANGENT": 2, "TEXCOORD_0": 3}
-    return {"attributes": attributes, "indices": 4, "material": 0}
 
 
 def highest_f0(surface: Surface) -> float:

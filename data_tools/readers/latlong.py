@@ -120,7 +120,7 @@ def read_map_task(path: Path, size: int = HEIGHT) -> Task:
 def conversion(paths: Iterable[Path], split: str, *, size: int) -> Conversion:
     """How maps become tasks."""
     read, notes = partial(read_map_task, size=size), {"made_by": "metapp data laval", "rows": size}
-    return Conversion("illumination", "map", UNITS, find_maps, lambda source: source.stem, read, notes)
+    return Conversion("illumination", "map", UNITS, find_maps, read, notes)
 
 
 def map_task(name: str, light: Tensor, rng: Rng, rows: int = HEIGHT) -> Task:

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -20,7 +21,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from data_tools.formats import AUTO, Conversion
+from data_tools.formats import AUTO, Conversion, Label
 from data_tools.readers.image_files import LINEAR, Pixels, is_heif, opened, read_pixels
 from data_tools.readers.photos import SIZE, find_photos, fraction, is_photo, resample
 from data_tools.readers.svbrdf_task import UNITS as OF_TASKS
@@ -112,35 +113,25 @@ def read_task(path: Path, size: int = SIZE, gamma: float = 1.0, white: float = W
 
 def conversion(paths: Iterable[Path], split: str, *, size: int, gamma: float, white: float) -> Conversion:
     """How strips become tasks; with a split by base materials, those that blend both sides are left out."""
-    sources = {source.resolve(): source for source in find(paths)[0]}
+    sources = [source.resolve() for source in find(paths)[0]]
     groups = group_strips(sources)
-    parted = split_strips(list(sources)) if split == AUTO else Split({}, [], "")
+    parted = split_strips(sources) if split == AUTO else Split({}, [], "")
     left_out = set(parted.left_out)
 
     def find_kept(named: Iterable[Path]) -> tuple[list[Path], list[str]]:
         found, skipped = find(named)
         return [source for source in found if source.resolve() not in left_out], skipped
 
-    def read(source: Path) -> Task:
-        return read_task(source, size, gamma, white)._replace(group=groups[source.resolve()])
+    def label(source: Path) -> Label:
+        place = source.resolve()
+        return Label(task_name(source.stem), groups[place], parted.sides.get(place, ""))
 
-    def split_of(source: Path) -> str:
-        return parted.sides[source.resolve()]
-
+    read = partial(read_task, size=size, gamma=gamma, white=white)
     notes: dict[str, object] = {"made_by": "metapp data strips", "size": size, "gamma": gamma, "white": white}
     if split == AUTO:
-        notes |= {"split_by": parted.by, "left_out": len(left_out)}
-    return Conversion(
-        "svbrdf_nonstationary",
-        "strip",
-        UNITS,
-        find_kept,
-        lambda source: task_name(source.stem),
-        read,
-        notes,
-        split_of,
-        _remarks(parted, len(sources)),
-    )
+        notes |= {"split_by": parted.by, "left_out": len(parted.left_out)}
+    remarks = _remarks(parted, len(sources))
+    return Conversion("svbrdf_nonstationary", "strip", UNITS, find_kept, read, notes, label, remarks)
 
 
 def _remarks(parted: Split, count: int) -> tuple[str, ...]:
@@ -150,7 +141,7 @@ def _remarks(parted: Split, count: int) -> tuple[str, ...]:
         lines.append("base materials are blended with all others: training and test strips show other presets of them.")
     if parted.left_out:
         between = f"{parted.by}s of training with {parted.by}s of tests"
-        lines.append(f"{len(set(parted.left_out))} of {count} strips left out: they blend {between}.")
+        lines.append(f"{len(parted.left_out)} of {count} strips left out: they blend {between}.")
     return tuple(lines)
 
 
@@ -236,14 +227,12 @@ def split_strips(strips: Sequence[Path]) -> Split:
     for by, made_of in (("material", materials), ("preset", {strip: each.presets for strip, each in blends.items()})):
         test = _test_side(Counter(made_of.values()))
         if test:
-            sides = {strip: _side(units, test) for strip, units in made_of.items()}
-            left_out = [strip for strip, side in sides.items() if not side]
-            return Split({strip: side for strip, side in sides.items() if side}, left_out, by)
+            sides = {strip: "test" if units <= test else "train" for strip, units in made_of.items()}
+            left_out = [strip for strip, units in made_of.items() if units & test and not units <= test]
+            for strip in left_out:
+                del sides[strip]
+            return Split(sides, left_out, by)
     return Split(dict.fromkeys(strips, "train"), [], "material")
-
-
-def _side(units: frozenset[str], test: frozenset[str]) -> str:
-    return "test" if units <= test else "" if units & test else "train"
 
 
 def _components(made_of: Mapping[Path, frozenset[str]]) -> dict[Path, str]:

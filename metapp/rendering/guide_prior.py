@@ -66,11 +66,7 @@ class SurveyFeatures(NamedTuple):
         return cls(rows, voxels, features)
 
     def lookup(self, voxels: Tensor) -> tuple[Tensor, Tensor]:
-        """Which of such voxels were surveyed, as an index into them [K], and their rows [K].
-
-        Args:
-            voxels: of twice the side, as of `voxels_of`, [P, 4].
-        """
+        """The index of those of such coarse voxels [P, 4] that were surveyed, [K], and their rows [K]."""
         row = self.rows[_index(voxels)]
         known = (row >= 0).nonzero()[:, 0]
         return known, row[known]
@@ -162,11 +158,7 @@ def init(rng: Generator) -> Params:
 
 
 def densities(theta: Params, features: Tensor) -> Tensor:
-    """How densely directions should be sampled.
-
-    Args:
-        theta: the network's.
-        features: [P, FEATURES, SIDE, SIDE], of any entries.
+    """How densely directions should be sampled by features [P, FEATURES, SIDE, SIDE] of any entries.
 
     Returns:
         [P, BINS], of sum 1, each at least 1 / DEFENSIVE of the uniform density.
@@ -183,11 +175,7 @@ def logits(theta: Params, features: Tensor) -> Tensor:
 
 
 def histogram_features(squares: Tensor, counts: Tensor, moments: Tensor) -> Tensor:
-    """Features of what paths have found.
-
-    Args:
-        squares, counts: sums, [P, SIDE, SIDE], as of `second_moments`.
-        moments: second moments estimated from these, of the same shape.
+    """Features of the arguments of `second_moments` and its result, [P, SIDE, SIDE] each.
 
     Returns:
         [P, 3, SIDE, SIDE]: the moments' logarithms, how many paths a bin had, how many the entry.
@@ -197,12 +185,7 @@ def histogram_features(squares: Tensor, counts: Tensor, moments: Tensor) -> Tens
 
 
 class LearnedPrior:
-    """The expected second moments in one scene, for `GuideCache.prior`.
-
-    Args:
-        theta: the network's.
-        survey: of the scene.
-    """
+    """The expected second moments in a scene that was surveyed, for `GuideCache.prior`."""
 
     def __init__(self, theta: Params, survey: SurveyFeatures) -> None:
         self.theta, self.survey = theta, survey

@@ -55,11 +55,7 @@ def parts_of(spp: int, pixels: int) -> list[int]:
 
 
 def noise_of(luminance: NDArray[np.float32]) -> float:
-    """How far the halves of blocks of samples differ, relative to their sum, on average over blocks.
-
-    Args:
-        luminance: of samples, spread evenly over the film, [side, side].
-    """
+    """How far halves of blocks of samples [side, side] over the film differ, relative to their sum, on average."""
     count = len(luminance) // BLOCK
     blocks = luminance[: count * BLOCK, : count * BLOCK].reshape(count, BLOCK, count, BLOCK).swapaxes(1, 2)
     own = np.indices((BLOCK, BLOCK)).sum(0) % 2 == 0  # fields of a chessboard

@@ -40,13 +40,8 @@ class Paths:
     def to_texels(self, height: int, width: int, number: int) -> Tensor:
         """Radiance of the rows by that of the texels above the horizon, which they see or see in the glossy sphere.
 
-        Args:
-            height: rows of the map.
-            width: its columns.
-            number: of the path from each row to each texel that this is.
-
         Returns:
-            [rows, height / 2 * width].
+            [rows, height / 2 * width], by the path of such a number from each row to each texel of the map.
         """
         texels = height // 2 * width
         lane = dr.arange(mi.UInt32, ROWS * texels)
@@ -59,10 +54,7 @@ class Paths:
         return torch.from_numpy(radiance.numpy()).view(ROWS, texels) * solid_angles
 
     def to_patches(self, count: int = 256) -> Tensor:
-        """Radiance of the rows by that of the patches, which they see or see in the glossy sphere.
-
-        Args:
-            count: rays of a row.
+        """Radiance of the rows by that of the patches, which they see or see in the glossy sphere, by rays of a row.
 
         Returns:
             [rows, patches], sparse.

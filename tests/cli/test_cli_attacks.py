@@ -17,7 +17,6 @@ from safetensors.torch import load_file, save_file
 
 from metapp.apps.brdf import Brdf
 from metapp.apps.brdf.recipes import RECIPES
-from metapp.cli.commands import app
 from metapp.cli.console import LONGEST, one_line
 from metapp.learning.app import stack
 from metapp.learning.recipe import Adam
@@ -27,7 +26,7 @@ from metapp.runs.fits import warnings_of
 from metapp.runs.plan import plan
 from metapp.runs.request import Request
 from metapp.storage.records import load_checkpoint, read_records, save_checkpoint
-from tests.small_spheres import shrink_spheres
+from tests.small_spheres import run_small
 
 pytestmark = pytest.mark.usefixtures("small_spheres")
 
@@ -43,10 +42,7 @@ def network(neural_fits: Callable[[int], Path]) -> Path:
 def made(network: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A data set of one small material, for tests to copy."""
     folder = tmp_path_factory.mktemp("attacks") / "set"
-    with pytest.MonkeyPatch.context() as patch:
-        shrink_spheres(patch)
-        words = ["data", "nbrdf", str(network), "--out", str(folder), "--samples", "512", "--split", "test"]
-        app(words, standalone_mode=False)
+    run_small("data", "nbrdf", network, "--out", folder, "--samples", "512", "--split", "test")
     return folder
 
 

@@ -14,7 +14,7 @@ import pytest
 
 from data_tools.formats import exports_of
 from tests.needs_mitsuba import needs_mitsuba
-from tests.small_spheres import shrink_spheres
+from tests.small_spheres import run_small
 
 pytestmark = pytest.mark.usefixtures("small_spheres")
 FILES = {
@@ -28,13 +28,8 @@ FILES = {
 @pytest.fixture(scope="module")
 def finished(neural_fits: Callable[[int], Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A run of two networks, fitted by Meta's gradient rule; for tests to copy, not to write to."""
-    from metapp.cli.commands import app
-
     folder = tmp_path_factory.mktemp("finished")
-    with pytest.MonkeyPatch.context() as patch:
-        shrink_spheres(patch)
-        words = ["meta", "brdf", neural_fits(2), "--rule", "meta-adam", "--out", folder, "--quiet"]
-        app([str(word) for word in words], standalone_mode=False)
+    run_small("meta", "brdf", neural_fits(2), "--rule", "meta-adam", "--out", folder, "--quiet")
     (record,) = folder.rglob("record.jsonl")
     return record.parent
 

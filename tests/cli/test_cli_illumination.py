@@ -129,7 +129,7 @@ def test_bad_maps_end_in_one_line(kind: str, metapp: Callable, tmp_path: Path) -
 def test_starts_of_both_protocols(metapp: Callable, tmp_path: Path) -> None:
     data, runs = tmp_path / "few", tmp_path / "runs"
     assert metapp("data", "synth", "illumination", "--count", "20", "--out", data).code == 0
-    common = ("illumination", "--data", data, "--out", runs)
+    common = ("illumination", "--recipe", "quick", "--data", data, "--out", runs)
     for observe in ("reference", "photo"):
         result = metapp("meta", *common, "--observe", observe, "--train", "--json")
         assert result.code == 0, result.err

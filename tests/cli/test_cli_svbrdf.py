@@ -143,7 +143,7 @@ def test_a_damaged_picture_ends_in_one_line(metapp: Callable, tmp_path: Path) ->
 def test_starts_of_both_protocols(metapp: Callable, tmp_path: Path) -> None:
     data, runs = tmp_path / "few", tmp_path / "runs"
     assert metapp("data", "synth", "svbrdf_nonstationary", "--count", "20", "--out", data).code == 0
-    common = ("svbrdf_nonstationary", "--data", data, "--out", runs)
+    common = ("svbrdf_nonstationary", "--recipe", "quick", "--data", data, "--out", runs)
     for observe in ("reference", "photo"):
         for paradigm, steps in (("meta", "2"), ("quickft", "2")):
             result = metapp(paradigm, *common, "--observe", observe, "--train", "--train-steps", steps, "--json")

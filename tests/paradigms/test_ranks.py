@@ -14,10 +14,9 @@ import pytest
 from safetensors import safe_open
 from safetensors.torch import load_file
 
-from metapp.cli.commands import app
 from metapp.paradigms import ranks
 from tests import forks
-from tests.small_spheres import shrink_spheres
+from tests.small_spheres import run_small
 
 
 def free_port() -> int:
@@ -30,9 +29,7 @@ def free_port() -> int:
 def materials(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A data set of twelve synthetic materials."""
     folder = tmp_path_factory.mktemp("ranks") / "data"
-    with pytest.MonkeyPatch.context() as patch:
-        shrink_spheres(patch)
-        app(["data", "synth", "brdf", "--count", "12", "--out", str(folder)], standalone_mode=False)
+    run_small("data", "synth", "brdf", "--count", 12, "--out", folder)
     return folder
 
 
@@ -53,7 +50,7 @@ def train(materials: Path, compiled: None) -> Callable[..., list[Rank]]:
     """Start the ranks of one training on few small materials: train(ranks, folder, steps)."""
 
     def start(count: int, out: Path, steps: int, **environment: str) -> list[Rank]:
-        command = ["meta", "brdf", "--train", "--recipe", "quick", "--train-steps", str(steps)]
+        command = ["meta", "brdf", "--recipe", "quick", "--train", "--train-steps", str(steps)]
         command += ["--data", str(materials), "--out", str(out), "--quiet"]
         shared = {"MASTER_ADDR": "127.0.0.1", "MASTER_PORT": str(free_port()), "WORLD_SIZE": str(count)}
         started = []

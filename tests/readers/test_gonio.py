@@ -114,10 +114,11 @@ def test_spectra_become_colours(tmp_path: Path) -> None:
 def test_reflectance_in_d65_is_that_of_colour_science() -> None:
     from data_tools.readers.colours import colour_science
 
-    colour, nanometres = colour_science(), np.arange(360.0, 831, 5)
+    colour, nanometres = colour_science(), np.arange(360.0, 781, 5)
     values = 0.2 + 0.5 * np.exp(-(((nanometres - 530) / 60) ** 2))
     spectrum = colour.SpectralDistribution(dict(zip(nanometres, values, strict=True)))
-    xyz = colour.sd_to_XYZ(spectrum, illuminant=colour.SDS_ILLUMINANTS["D65"]) / 100
+    tables = (colour.MSDS_CMFS["CIE 1931 2 Degree Standard Observer"], colour.SDS_ILLUMINANTS["D65"])
+    xyz = colour.sd_to_XYZ(spectrum, *(table.copy().align(colour.SpectralShape(360, 780, 5)) for table in tables)) / 100
     expected = colour.RGB_COLOURSPACES["sRGB"].matrix_XYZ_to_RGB @ xyz
     np.testing.assert_allclose(values @ spectra_to_rgb(nanometres), expected, atol=2e-3)
 

@@ -133,7 +133,8 @@ def test_find(tmp_path: Path) -> None:
 def test_tasks_are_named_by_their_folders(tmp_path: Path) -> None:
     for index, name in enumerate(("gold", "tin")):
         make_network(tmp_path / name, seed=index)
-    gold, tin = map(read_task, find([tmp_path])[0])
+    with pytest.warns(UserWarning, match="times the light that comes in from above"):
+        gold, tin = map(read_task, find([tmp_path])[0])
     assert (gold.name, tin.name) == ("gold", "tin")
     expected = nbrdf_evaluate(make_weights(1), tin.data["angles"])
     torch.testing.assert_close(tin.data["reflectance"], expected)

@@ -15,13 +15,10 @@ SYNTHETIC = 10  # materials, two of them to be fitted
 def fits(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     """Files of fits of a synthetic material, which conserves energy, by network: nbrdf and featured."""
     import metapp
-    from metapp.cli.commands import app
-    from tests.small_spheres import shrink_spheres
+    from tests.small_spheres import run_small
 
     folder = tmp_path_factory.mktemp("fits")
-    with pytest.MonkeyPatch.context() as patch:
-        shrink_spheres(patch)
-        app(["data", "synth", "brdf", "--count", str(SYNTHETIC), "--out", str(folder / "data")], standalone_mode=False)
+    run_small("data", "synth", "brdf", "--count", SYNTHETIC, "--out", folder / "data")
     recipes = {"nbrdf": "quick", "featured": "full"}
     made = {name: metapp.fit_all("brdf", data=folder / "data", recipe=recipe) for name, recipe in recipes.items()}
     # the one that is bright everywhere: at the clamp at 0 there are no derivatives to compare
@@ -30,7 +27,7 @@ def fits(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
 
 
 @pytest.fixture
-def mi(fits: dict[str, Path]) -> Iterator[Any]:
+def mi() -> Iterator[Any]:
     """Mitsuba with the plugins, in the variant llvm_ad_rgb; as it was afterwards."""
     import mitsuba
 

@@ -55,6 +55,7 @@ def test_options_are_those_of_the_command(network: Path) -> None:
         api.fit("brdf", network, rule="magic")
 
 
+@pytest.mark.filterwarnings("ignore:.* times the light that comes in")  # random networks
 def test_several_tasks(neural_fits: Callable[[int], Path]) -> None:
     folder = neural_fits(2)
     assert len(api.fit_all("brdf", [folder])) == 2

@@ -1,11 +1,10 @@
 """The paper's figures, of any application: functions of a subject that draw, or return None where there is nothing.
 
-A figure is a function in a module here that FIGURES names, or STUDIES where it is of a table that trains.
+A figure is a function in `drawing` that FIGURES names, or STUDIES where it is of a table that trains.
 """
 
 from __future__ import annotations
 
-import importlib
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
@@ -15,15 +14,8 @@ if TYPE_CHECKING:
 
     from metapp.evaluation.subject import Subject
 
-FIGURES = {
-    "plane": "quality.plane",
-    "ranks": "quality.ranks",
-    "curves": "paths.curves",
-    "trajectories": "paths.trajectories",
-    "rates": "rates.histogram",
-    "strips": "strips.strips",
-}
-STUDIES = {"rules": "rules.forest"}  # of the tables of the same names
+FIGURES = ("plane", "ranks", "curves", "trajectories", "rates", "strips")
+STUDIES = ("rules",)  # of the tables of the same names
 
 
 class Drawn(NamedTuple):
@@ -37,17 +29,15 @@ def draw(name: str, subject: Subject) -> Drawn | None:
     """The figure of that name, one of FIGURES or STUDIES; None where nothing was measured yet that it could show."""
     from matplotlib import rc_context
 
+    from metapp.evaluation.figures import drawing
     from metapp.evaluation.figures.style import STYLE
 
-    module, function = (FIGURES | STUDIES)[name].split(".")
     with rc_context(STYLE):
-        result: Drawn | None = getattr(importlib.import_module(f"metapp.evaluation.figures.{module}"), function)(
-            subject
-        )
+        result: Drawn | None = getattr(drawing, name)(subject)
         return result
 
 
-def write_figures(subjects: Sequence[Subject], folder: Path, names: Sequence[str] = tuple(FIGURES)) -> list[Path]:
+def write_figures(subjects: Sequence[Subject], folder: Path, names: Sequence[str] = FIGURES) -> list[Path]:
     """Write figures as <app>-<name>.png and .pdf.
 
     Returns:

@@ -1,4 +1,4 @@
-"""The page as a whole: what it says first, a section for each application, and how it was made."""
+"""The page: a card for each application and the paper's table, a section and a gallery for each, how it was made."""
 
 from __future__ import annotations
 
@@ -11,17 +11,35 @@ from collections.abc import Sequence
 from html import escape
 from importlib import resources
 from pathlib import Path
+from typing import Any
 
 from metapp.evaluation.figures import FIGURES, draw
-from metapp.evaluation.report.gallery import gallery_html, records_of, tasks_html
-from metapp.evaluation.report.glance import glance
-from metapp.evaluation.report.html import Pictures, anchor, drawn_html, table_html
-from metapp.evaluation.rows import paper
-from metapp.evaluation.subject import Subject
+from metapp.evaluation.figures.style import TITLES
+from metapp.evaluation.notes import carried, overfit_note, warned
+from metapp.evaluation.report.html import (
+    Pictures,
+    anchor,
+    details_html,
+    drawn_html,
+    identifier,
+    image_html,
+    sortable_html,
+    table_html,
+)
+from metapp.evaluation.rows import Row, paired_of, paper, values_of
+from metapp.evaluation.subject import Subject, evenly
 from metapp.evaluation.tables import NAMES, load_table
+from metapp.evaluation.tables.results import result_row
+from metapp.learning.task import Task
+from metapp.runs.naming import is_first_protocol, name_of
+from metapp.runs.pictures import to_srgb
+from metapp.runs.reporter import number
+from metapp.runs.statistics import apart
 from metapp.runs.surroundings import make_folder, versions
 from metapp.storage.files import write_atomically
 
+TASKS = 8  # of a gallery
+TIMES = "&times;"
 HEADINGS = {
     "results": "Error and time",
     "quickft": "Against as many steps of fine-tuning",
@@ -122,3 +140,139 @@ def _facts(facts: dict[str, str]) -> str:
 
 def _commands(subject: Subject) -> list[str]:
     return [subject.command("all"), *(subject.cell(name).command for name in subject.fits)]
+
+
+# What the report says first
+
+
+def glance(subjects: Sequence[Subject], pictures: Pictures) -> str:
+    """Cards and the table."""
+    cards = "".join(card(subject, pictures) for subject in subjects)
+    return (
+        f'<section id="glance"><h2>At a glance</h2><div class="cards">{cards}</div>'
+        f"<h3>The paper's table of results</h3>{matrix(subjects)}</section>"
+    )
+
+
+def card(subject: Subject, pictures: Pictures) -> str:
+    """One application: the quality-speed plane, the gap closed, the speed-up, and whether Meta wins."""
+    rows = [result_row(subject, name) for name in TITLES]
+    (gap, speed), (paper_gap, paper_speed) = (carried(rows, f"{of}error", f"{of}seconds") for of in ("", "paper_"))
+    lines = [f"{_big(speed, ',.0f', TIMES)} as fast as Overfit {_small(paper_speed, ',.0f', TIMES)}"]
+    if is_first_protocol(subject.app):
+        lines.insert(0, f"{_big(gap, '.0%')} of the gap closed {_small(paper_gap, '.0%')}")
+    lines += [badge(rows), *(f"<small>{escape(note)}</small>" for note in (*warned(rows), *overfit_note(subject)))]
+    drawn = draw("plane", subject)
+    picture = drawn_html(drawn, f"{anchor(subject)}-plane", pictures, "plain") if drawn else ""
+    items = "".join(f"<li>{line}</li>" for line in lines)
+    link = f'<a href="#{anchor(subject)}">{escape(subject.title)}</a>'
+    return f"<article><h3>{link}</h3>{picture}<ul>{items}</ul></article>"
+
+
+def _big(value: float | None, form: str, unit: str = "") -> str:
+    return f"<b>{number(value, form)}{unit if value is not None else ''}</b>"
+
+
+def _small(value: float | None, form: str, unit: str = "") -> str:
+    return f"<small>(paper {number(value, form)}{unit})</small>" if value is not None else ""
+
+
+def badge(rows: list[Row]) -> str:
+    """Meta against QuickFT, which takes as many steps: a lower error, a higher one, or no win."""
+    meta = next(row for row in rows if row["paradigm"] == "meta")
+    pair = paired_of(meta, "quickft")
+    if pair is None:
+        return '<span class="badge">not measured yet</span>'
+    kind, text = "", "no win over QuickFT"
+    if apart(pair) is None:
+        text = "too few tasks to call a win over QuickFT"
+    elif apart(pair):
+        lower = pair.value < pair.level
+        kind, text = (" win", "a lower error than QuickFT") if lower else (" loss", "a higher error than QuickFT")
+    figures = f"{pair.kind} of errors {pair}, lower on {pair.ahead} of {pair.tasks} tasks"
+    return f'<span class="badge{kind}">{text}</span> <small>{escape(figures)}</small>'
+
+
+def matrix(subjects: Sequence[Subject]) -> str:
+    """Paradigms by applications: error and seconds, the paper's below in small."""
+    titles = paper()["titles"]
+    by_name: dict[str, Subject] = {subject.app.name: subject for subject in subjects if is_first_protocol(subject.app)}
+    names = [*(name for name in titles if name in by_name), *(name for name in by_name if name not in titles)]
+    top = "".join(f'<th scope="col" colspan="2">{escape(titles.get(name, by_name[name].title))}</th>' for name in names)
+    below = "<th scope='col'>error</th><th scope='col'>seconds</th>" * len(names)
+    body = ""
+    for paradigm, title in TITLES.items():
+        cells = "".join(_pair(by_name[name], paradigm) for name in names)
+        body += f'<tr class="{paradigm}"><th scope="row" class="left">{title}</th>{cells}</tr>'
+    caption = (
+        "Mean error over unseen tasks and median seconds of inference; in small type the paper's, of its own data and "
+        "machine. A dash: not measured here yet."
+    )
+    head = f"<thead><tr><td></td>{top}</tr><tr><td></td>{below}</tr></thead>"
+    table = f'<table class="matrix"><caption>{caption}</caption>{head}<tbody>{body}</tbody></table>'
+    return f'<div class="scroll">{table}</div>'
+
+
+def _pair(subject: Subject, paradigm: str) -> str:
+    row = result_row(subject, paradigm)
+    ours = (number(row["error"], ".3f"), number(row["seconds"], ".3g"))
+    theirs = (number(row["paper_error"], ".3f"), number(row["paper_seconds"], ".3f"))
+    return "".join(f"<td>{one}<small>{other}</small></td>" for one, other in zip(ours, theirs, strict=True))
+
+
+# The gallery: the reference beside the fit of every paradigm, each with the record behind it
+
+
+def gallery_html(subject: Subject, pictures: Pictures) -> str:
+    """Up to TASKS tasks, evenly spaced, a row each; a click on a fit shows its record."""
+    rows = [_task_html(subject, task, pictures) for task in evenly(subject.tasks, TASKS)]
+    return f'<div class="gallery">{"".join(rows)}</div>' if any(rows) else ""
+
+
+def _task_html(subject: Subject, task: Task, pictures: Pictures) -> str:
+    """The reference and the fits of one task; "" where none was fitted yet."""
+    shown: list[str] = []
+    for name, title in TITLES.items():
+        cell = subject.cell(name)
+        record = next((record for record in cell.records() if record["name"] == task.name), None)
+        if record is None or cell.folder is None:
+            continue
+        made = subject.presentation.outputs(cell.folder.theta(task.name), task)
+        key = (name_of(subject.app), task.name)
+        if not shown and "reference" in made:
+            address = pictures.add_array(identifier(*key, "reference"), to_srgb(made["reference"]))
+            image = image_html(address, f"{task.name}: reference")
+            shown.append(f"<figure>{image}<figcaption>Reference</figcaption></figure>")
+        address = pictures.add_array(identifier(*key, name), to_srgb(made["fit"]))
+        result = f"{number(record['error'], '.3f')}, {record['seconds']:.3g} s"
+        image = image_html(address, f"{task.name}: {title}, error {result}")
+        button = f'data-of="{anchor(subject)}" data-row="{name}" data-task="{escape(task.name)}"'
+        shown.append(
+            f'<figure class="{name}"><button class="record" {button}>{image}</button>'
+            f"<figcaption><b>{title}</b> {escape(result)}</figcaption></figure>"
+        )
+    row = f'<div class="row">{"".join(shown)}</div>'
+    return f'<div class="task"><h4>{escape(task.name)}</h4>{row}</div>' if shown else ""
+
+
+def records_of(subject: Subject) -> dict[str, Any]:
+    """All records of the fits, by row and task, and the settings that each run's share, once."""
+    rows: dict[str, dict[str, Any]] = {}
+    settings: dict[str, Any] = {}
+    for name in subject.fits:
+        for record in subject.cell(name).records():
+            settings[record["key"]] = record["settings"]
+            rows.setdefault(name, {})[record["name"]] = {k: v for k, v in record.items() if k != "settings"}
+    return {"records": rows, "settings": settings}
+
+
+def tasks_html(subject: Subject) -> str:
+    """The error of every task by every paradigm, which can be sorted."""
+    errors = {name: values_of(subject.cell(name)) for name in subject.fits if subject.cell(name).records()}
+    if not errors:
+        return ""
+    body = [
+        [task.name, *(number(of_row.get(task.name), ".3f") for of_row in errors.values())] for task in subject.tasks
+    ]
+    table = sortable_html([("task", True), *((name, False) for name in errors)], body)
+    return details_html(f"Errors of all {len(subject.tasks)} tasks", table)

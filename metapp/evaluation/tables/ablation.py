@@ -117,4 +117,4 @@ COLUMNS = columns(
     words("initialisation", "start"),
     *("rule", "error", "vs quickft", "interval", "steps", "seconds", "median", "worst"),
 )
-TABLE = Table("ablation", "mean error{factor} of initialisations and rules", COLUMNS, rows, notes, cells)
+ABLATION = Table("ablation", "mean error{factor} of initialisations and rules", COLUMNS, rows, notes, cells)

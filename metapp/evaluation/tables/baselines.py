@@ -222,4 +222,4 @@ COLUMNS = columns(
     *("interval", "median", "worst"),
 )
 TITLE = "mean error{factor} and what is kept, of paradigms and of methods without a network"
-TABLE = Table("baselines", TITLE, COLUMNS, rows, notes, cells)
+BASELINES = Table("baselines", TITLE, COLUMNS, rows, notes, cells)

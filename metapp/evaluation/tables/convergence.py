@@ -1,12 +1,184 @@
-"""The paper's convergence: errors along Meta's steps, and how many further ones bring it within 1 % of Overfit."""
+"""The paper's convergence: traces of fits along their steps, and further steps that bring Meta within 1 % of Overfit.
+
+The fits of other cells are timed, so nothing is measured during them; here the same fits, of the same draws, are made
+again for a few tasks.
+"""
 
 from __future__ import annotations
+
+from collections.abc import Collection, Iterator, Mapping
+
+import torch
+from torch import Tensor
 
 from metapp.evaluation.cell import Cell, Record
 from metapp.evaluation.notes import overfit_note
 from metapp.evaluation.rows import Row, Table, Take, columns, numbers, paper, row_of, words
-from metapp.evaluation.subject import Subject
-from metapp.evaluation.trace import FURTHER, PARTS, TRACED, near, step_at, trace_cell
+from metapp.evaluation.subject import Subject, evenly
+from metapp.learning.app import stack
+from metapp.learning.learn import learn, task_loss
+from metapp.learning.rules import fixed_adam
+from metapp.learning.task import Params, Task, Tasks
+from metapp.runs.fits import rng_of
+from metapp.runs.naming import observe_of
+from metapp.runs.plan import Plan
+from metapp.storage.records import NUMBER, OPTIONAL, key_of
+
+TRACED = 5  # tasks
+PARTS = (0.0, 0.25, 0.5, 0.75, 1.0)
+CURVES = ("overfit", "finetune", "quickft", "meta")
+FURTHER = (8, 16, 32, 65, 130)  # steps after Meta's
+WALKED = 32  # steps between the places on a path
+_STEPS, _PLACES = [(NUMBER, OPTIONAL)], [(NUMBER, NUMBER)]
+FORM = {  # of a record
+    "curves": dict.fromkeys(CURVES, _STEPS),
+    "further": _STEPS,
+    "paths": {"meta": _PLACES, "overfit": _PLACES},
+    "explained": NUMBER,
+}
+
+
+def trace_cell(subject: Subject) -> Cell:
+    """Traces of a few tasks."""
+    fits = {name: subject.fits[name] for name in CURVES}
+    folder = None
+    if all(fit.checkpoint for fit in fits.values()):
+        keys = [key_of(fit.settings(subject.label)) for fit in fits.values()]
+        known = {"app": subject.app.name, **observe_of(subject.app), "fits": keys}
+        settings = known | {"further": FURTHER, "walked": WALKED}
+        folder = subject.folder("trace", settings, FORM, of_fits=True)
+
+    def measure(tasks: list[Task]) -> Iterator[tuple[Record, Params]]:
+        return (trace(subject, fits, task) for task in tasks)
+
+    steps = sum(fit.steps for fit in fits.values()) + sum(FURTHER)
+    cell = subject.make_cell("trace", folder, measure, steps, command=subject.command("convergence"))
+    return cell._replace(tasks=evenly(subject.tasks, TRACED))
+
+
+def trace(subject: Subject, fits: Mapping[str, Plan], task: Task) -> tuple[Record, Params]:
+    """One task: errors of each paradigm along its steps, paths, and what further steps bring Meta.
+
+    Returns:
+        The record, and Meta's parameters at PARTS of its steps, as of `named`.
+    """
+    stacked = stack(subject.app, [task], subject.plan.device)
+    curves: dict[str, list[tuple[int, float | None]]] = {}
+    paths: dict[str, list[Params]] = {}
+    for name, fit in fits.items():
+        measured = curve_steps(fit.steps)
+        walked = path_steps(fit.steps) if name in ("overfit", "meta") else set()
+        states = states_of(fit, task, stacked, measured | walked)
+        curves[name] = [(step, error_of(subject, states[step], stacked)) for step in sorted(measured)]
+        paths[name] = [states[step] for step in sorted(walked)]
+        if name == "meta":
+            parts = {part: states[step_at(part, fit.steps)] for part in PARTS}
+    places, explained = project_paths(paths["meta"], paths["overfit"])
+    record = {
+        "name": task.name,
+        "error": curves["meta"][-1][1],
+        "curves": curves,
+        "further": further_errors(subject, task, stacked, parts[1.0], curves["overfit"][-1][1]),
+        "paths": places,
+        "explained": explained,
+    }
+    return record, named(parts)
+
+
+def named(parts: dict[float, Params]) -> Params:
+    """Parameters [1, ...] at PARTS of the steps as `<part>/<name>`, [...] each.
+
+    Each has memory of its own, as files ask for; a rule that solves leaves most parameters as they are.
+    """
+    return {f"{part:g}/{key}": value[0].clone() for part, theta in parts.items() for key, value in theta.items()}
+
+
+def step_at(part: float, steps: int) -> int:
+    """The step at which so much of the steps is done."""
+    return round(part * steps)
+
+
+def curve_steps(steps: int) -> set[int]:
+    """Where errors are measured: at PARTS, and at a quarter of what is left of these, again and again."""
+    counts = {step_at(part, steps) for part in PARTS}
+    early = steps / 16
+    while early >= 1:
+        counts.add(round(early))
+        early /= 4
+    return counts
+
+
+def path_steps(steps: int) -> set[int]:
+    """Where a path is marked: evenly in the square root of the step, as it moves fastest at first."""
+    return {round(steps * (i / WALKED) ** 2) for i in range(WALKED + 1)}
+
+
+def states_of(plan: Plan, task: Task, stacked: Tasks, wanted: Collection[int]) -> dict[int, Params]:
+    """The same fit as the row's: its parameters [1, ...] after the wanted numbers of steps."""
+    descent = plan.paradigm.descend(plan.job, plan.prepared, stacked, rng_of(plan, task))
+    return {now.step: now.theta for now in descent if now.step in wanted}
+
+
+def error_of(subject: Subject, theta: Params, stacked: Tasks) -> float | None:
+    """The table's error; None where the task holds no reference."""
+    errors = subject.app.errors(theta, stacked)
+    return subject.app.traits.scale * float(errors["error"][0]) if errors else None
+
+
+def further_errors(
+    subject: Subject, task: Task, stacked: Tasks, theta: Params, wanted: float | None
+) -> list[tuple[int, float | None]]:
+    """Errors after further steps by Finetune's Adam from Meta's result, until one is within 1 % of Overfit's.
+
+    Returns:
+        (steps, error); each is a descent of its own, whose rate decays to the end.
+    """
+    job = subject.plan.job
+    errors: list[tuple[int, float | None]] = [(0, error_of(subject, theta, stacked))]
+    for steps in FURTHER:
+        if wanted is None or near(errors[-1][1], wanted):
+            break
+        rng = rng_of(subject.plan, task)
+        rule, loss = fixed_adam(job.recipe.finetune, theta, steps), task_loss(job.app, job.recipe.batch)
+        errors.append((steps, error_of(subject, learn(theta, rule, stacked, loss, steps=steps, rng=rng), stacked)))
+    return errors
+
+
+def near(error: float | None, wanted: float) -> bool:
+    """Whether an error is at most so much above another as the paper's are in the end."""
+    return error is not None and error - wanted <= paper()["further_steps"]["within"] * abs(wanted)
+
+
+def project_paths(meta: list[Params], overfit: list[Params]) -> tuple[dict[str, list[list[float]]], float]:
+    """Both paths in the plane of most variance, and its share; no places where Meta's rule has another network."""
+    both = [torch.stack([vector(theta) for theta in path]) for path in (meta, overfit)]
+    if both[0].shape[1] != both[1].shape[1]:
+        return {"meta": [], "overfit": []}, 0.0
+    places, explained = project(torch.cat(both))
+    return {"meta": places[: len(meta)].tolist(), "overfit": places[len(meta) :].tolist()}, explained
+
+
+def vector(theta: Params) -> Tensor:
+    """Parameters [1, ...] of one task as one vector."""
+    return torch.cat([theta[key].detach().flatten().cpu() for key in sorted(theta)])
+
+
+def project(states: Tensor) -> tuple[Tensor, float]:
+    """States [S, D] in the plane of most variance: places [S, 2], and the share of variance in it."""
+    centred = (states - states.mean(0)).double()
+    values, vectors = torch.linalg.eigh(centred @ centred.T)  # S is far less than D
+    places_of = vectors[:, -2:].flip(1) * values[-2:].flip(0).clamp_min(0).sqrt()
+    return places_of, float(values[-2:].sum() / values.sum().clamp_min(1e-30))
+
+
+def parts_of(cell: Cell, task: Task) -> dict[float, Params]:
+    """Meta's parameters at PARTS of its steps, without task axis, from a trace."""
+    assert cell.folder is not None
+    states: dict[float, Params] = {part: {} for part in PARTS}
+    for name, value in cell.folder.theta(task.name).items():
+        part, key = name.split("/", 1)
+        states[float(part)][key] = value
+    return states
 
 
 def cells(subject: Subject) -> list[Cell]:
@@ -63,4 +235,4 @@ COLUMNS = columns(
     *(words("of its steps", "part"), words("step", "step")),
     *("error", "interval", numbers("paper further steps", "paper_further", "d"), "median", "worst"),
 )
-TABLE = Table("convergence", "error{factor} along Meta's steps", COLUMNS, rows, notes, cells)
+CONVERGENCE = Table("convergence", "error{factor} along Meta's steps", COLUMNS, rows, notes, cells)

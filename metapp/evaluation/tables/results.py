@@ -1,16 +1,18 @@
-"""The paper's main table: error and time of every paradigm, and the two figures that carry across data and machines."""
+"""The paper's main table, error and time of every paradigm, and that of General, QuickFT and Meta at equal steps."""
 
 from __future__ import annotations
 
 from metapp.evaluation.cell import Cell
 from metapp.evaluation.notes import carried, change, overfit_note, paired_note, threads_note, verdict, warned
-from metapp.evaluation.rows import Row, Table, against, columns, row_of
+from metapp.evaluation.rows import Row, Table, against, columns, paired_of, row_of
 from metapp.evaluation.subject import Subject
 from metapp.learning.app import App
 from metapp.runs.naming import caption_of, is_first_protocol
 from metapp.runs.reporter import number
+from metapp.runs.statistics import apart
 
 COMPARED = ("quickft", "general")
+EQUAL = ("general", "quickft", "meta")  # rows of the table of equal steps
 
 
 def cells(subject: Subject) -> list[Cell]:
@@ -66,8 +68,41 @@ def closing(app: App, all_rows: list[Row]) -> str:
     )
 
 
+def equal_cells(subject: Subject) -> list[Cell]:
+    """General's, QuickFT's and Meta's fits."""
+    return [subject.cell(name) for name in EQUAL]
+
+
+def equal_rows(subject: Subject) -> list[Row]:
+    """The three, each with how far its error is from QuickFT's and on how many tasks it is lower."""
+    all_rows = [result_row(subject, name) for name in EQUAL]
+    _, quickft, meta = all_rows
+    for row in all_rows:
+        row["against_quickft"] = change(row, quickft) if row is not quickft else None
+        row["apart"] = apart(paired_of(row, "quickft"))
+    meta["ahead"] = meta["vs_quickft_ahead"]
+    return all_rows
+
+
+def equal_notes(subject: Subject, all_rows: list[Row]) -> list[str]:
+    """Who wins, on how many tasks, and in the paper."""
+    _, quickft, meta = all_rows
+    lines = [verdict(meta), verdict(meta, "general"), *warned(all_rows)]
+    if None not in (meta["paper_error"], quickft["paper_error"]):
+        errors = {row["paradigm"]: number(row["paper_error"], ".3f") for row in (meta, quickft)}
+        lines.append(f"paper: meta {errors['meta']}, quickft {errors['quickft']}")
+    lines += [caption_of(subject.app), "quickft's Adam is searched on validation tasks"]
+    return [*filter(None, lines), *paired_note(all_rows), *threads_note(all_rows)]
+
+
 COLUMNS = columns(
     *("paradigm", "error", "seconds", "paper error", "paper seconds"),
     *("vs quickft", "interval", "steps", "median", "worst"),
 )
-TABLE = Table("results", "mean error{factor}, median seconds of inference", COLUMNS, rows, notes, cells)
+RESULTS = Table("results", "mean error{factor}, median seconds of inference", COLUMNS, rows, notes, cells)
+EQUAL_COLUMNS = columns(
+    *("paradigm", "error", "vs quickft", "paper error", "interval", "steps", "seconds", "median", "worst")
+)
+QUICKFT = Table(
+    "quickft", "mean error{factor} after as many steps", EQUAL_COLUMNS, equal_rows, equal_notes, equal_cells
+)

@@ -215,4 +215,4 @@ COLUMNS = columns(
     numbers("validation", "validation", ".3f"),
     "worst",
 )
-TABLE = Table("rules", "mean error{factor} of update rules after few outer steps", COLUMNS, rows, notes, cells)
+RULES = Table("rules", "mean error{factor} of update rules after few outer steps", COLUMNS, rows, notes, cells)

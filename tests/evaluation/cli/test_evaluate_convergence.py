@@ -9,11 +9,20 @@ import pytest
 import torch
 from safetensors.torch import load, save
 
-from metapp.evaluation.figures.rates import step_sizes
+from metapp.evaluation.figures.drawing import step_sizes
 from metapp.evaluation.notes import carried
 from metapp.evaluation.rows import blank, paper
-from metapp.evaluation.tables.convergence import steps_needed
-from metapp.evaluation.trace import FURTHER, PARTS, curve_steps, named, near, path_steps, project, project_paths
+from metapp.evaluation.tables.convergence import (
+    FURTHER,
+    PARTS,
+    curve_steps,
+    named,
+    near,
+    path_steps,
+    project,
+    project_paths,
+    steps_needed,
+)
 
 
 def test_the_papers_figures_have_sources_and_agree_with_each_other() -> None:

@@ -20,9 +20,9 @@ from metapp.evaluation.rows import blank, paper
 from metapp.evaluation.subject import Subject
 from metapp.evaluation.tables import load_table
 from metapp.evaluation.tables.ablation import RULE_ALONE, START_ALONE, combined, learned, same_initialisation
+from metapp.evaluation.tables.convergence import CURVES, PARTS, parts_of, path_steps, trace_cell
 from metapp.evaluation.tables.image import image_cell
 from metapp.evaluation.tables.storage import size, stored
-from metapp.evaluation.trace import CURVES, PARTS, parts_of, path_steps, trace_cell
 from metapp.learning.app import stack
 from metapp.learning.learn import MetaParameters
 from metapp.learning.recipe import Adam
