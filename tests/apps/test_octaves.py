@@ -58,6 +58,22 @@ def test_the_recipe() -> None:
     assert (setup.height, setup.width, setup.taps[-1]) == (256, 256, "relu4_1")
 
 
+@pytest.mark.parametrize(
+    ("name", "steps", "tasks", "size"), [("texture", 15, 5, (192, 256)), ("svbrdf_stationary", 20, 3, (256, 256))]
+)
+def test_the_papers_recipes(name: str, steps: int, tasks: int, size: tuple[int, int]) -> None:
+    recipe = recipes_of(name)["paper"]
+    training = recipe.meta["meta-sgd"]
+    assert (recipe.steps, recipe.rule, training.tasks, training.order) == (steps, "meta-sgd", tasks, 1)
+    rng = Generator().manual_seed(0)
+    app: Any = app_of(name, recipe)
+    assert app.noise(rng, 1, 1).shape == (1, 1, 8, *size)
+    assert 5e5 < sum(value.numel() for value in app.init(rng, 1).values()) < 5e6
+    photos = torch.rand(1, 3, 256, 256, generator=rng)
+    rows = (256 - size[0]) // 2
+    assert torch.equal(app.exemplar(photos), photos[:, :, rows : 256 - rows])
+
+
 @TEXTURE
 def test_what_is_compared(app: ExemplarApp, tasks: Tasks) -> None:
     """Three layers of the picture of half the size, then two of the whole."""
