@@ -152,10 +152,10 @@ def _encoded(surface: Surface) -> dict[str, bytes]:
     no_metal = planes["orm"].values * torch.tensor([1.0, 1.0, 0.0])[:, None, None]
     planes["orm"] = planes["orm"]._replace(values=no_metal)
     planes["specular"] = planes["specular"]._replace(values=planes["specular"].values / highest_f0(surface))
-    found = {}
+    pictures = {}
     with tempfile.TemporaryDirectory() as folder:
         for key in PICTURES:
             file = Path(folder) / f"{key}.png"
             write_plane(planes[key], file, BITS)
-            found[key] = file.read_bytes()
-    return found
+            pictures[key] = file.read_bytes()
+    return pictures

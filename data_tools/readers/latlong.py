@@ -293,7 +293,7 @@ def _matrix(space: Sequence[float] | str, path: Path) -> Tensor:
     try:
         matrix = colour.matrix_RGB_to_RGB(source, colour.RGB_COLOURSPACES["ITU-R BT.709"], "Bradford")
     except np.linalg.LinAlgError:
-        shown = ", ".join(f"{each:.3g}" for each in source.primaries.flat)
+        shown = ", ".join(f"{number:.3g}" for number in source.primaries.flat)
         raise ValueError(
             f"{path}: chromaticities {shown}, expected three primaries that differ; export the map again."
         ) from None

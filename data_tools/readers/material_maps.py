@@ -112,7 +112,7 @@ def recognises(path: Path) -> bool:
     path = Path(path)
     if not path.is_dir():
         return path.is_file() and material_of(path) is not None
-    folders = (path, *(each for each in path.rglob("*") if each.is_dir()))
+    folders = (path, *(below for below in path.rglob("*") if below.is_dir()))
     return any(materials_in(folder)[0] for folder in folders)
 
 
@@ -155,7 +155,7 @@ def find_materials(paths: Iterable[str | Path]) -> tuple[list[Material], list[st
 def material_of(file: Path) -> Material | None:
     """The material that a map belongs to."""
     materials = materials_in(file.parent)[0]
-    return next((each for each in materials if any(file.name == map_.name for map_ in each.maps)), None)
+    return next((material for material in materials if file.name in [map_.name for map_ in material.maps]), None)
 
 
 def materials_in(folder: Path) -> tuple[list[Material], list[Path]]:
@@ -344,8 +344,8 @@ def _check_shapes(material: Material, files: Mapping[str, Path], shapes: Mapping
     ratios = {role: math.log(width / height) for role, (height, width) in shapes.items()}
     low, high = min(ratios, key=ratios.__getitem__), max(ratios, key=ratios.__getitem__)
     if ratios[high] - ratios[low] > _SAME_SHAPE:
-        told = " and ".join(f"{files[role].name} {shapes[role][1]}x{shapes[role][0]} px" for role in (high, low))
-        raise ValueError(f"{material}: {told}, expected maps of one shape; crop or scale them alike.")
+        differ = " and ".join(f"{files[role].name} {shapes[role][1]}x{shapes[role][0]} px" for role in (high, low))
+        raise ValueError(f"{material}: {differ}, expected maps of one shape; crop or scale them alike.")
 
 
 def _gray(values: Tensor) -> Tensor:

@@ -257,8 +257,8 @@ def _converted(values: Floats, space: str) -> Floats:
 def _over_mean(linear: Floats, path: Path) -> Floats:
     """Put premultiplied colours over their own mean: [.., 4] to [.., 3]."""
     colours, alpha = linear[..., :3], linear[..., 3:]
-    seen = alpha.sum()
-    if seen <= 0:
+    visible = alpha.sum()
+    if visible <= 0:
         raise ValueError(f"{path}: transparent all over, expected a visible picture; leave it out.")
-    result: Floats = colours + (1 - alpha) * (colours.sum(axis=(0, 1)) / seen)
+    result: Floats = colours + (1 - alpha) * (colours.sum(axis=(0, 1)) / visible)
     return result

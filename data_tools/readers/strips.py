@@ -186,12 +186,13 @@ def blend(strip: Path) -> Blend:
     parts = strip.stem.split(";")
     if len(parts) < 3:
         return Blend(frozenset([strip.stem]), frozenset([strip.stem]))
-    materials = [each for each in parts[1].split("X") if each] or [strip.stem]
+    materials = [material for material in parts[1].split("X") if material] or [strip.stem]
     presets = parts[2].split("X")
     if len(presets) != len(materials):  # which belongs to which is not known
         return Blend(frozenset(materials), frozenset(materials))
     return Blend(
-        frozenset(materials), frozenset(f"{each};{preset}" for each, preset in zip(materials, presets, strict=True))
+        frozenset(materials),
+        frozenset(f"{material};{preset}" for material, preset in zip(materials, presets, strict=True)),
     )
 
 
@@ -202,10 +203,10 @@ def group_strips(strips: Iterable[Path]) -> dict[Path, str]:
     material. Where there are fewer, validation would have nothing to part: the strips of one blend are a group.
     """
     blends = {strip: blend(strip) for strip in strips}
-    components = _components({strip: each.materials for strip, each in blends.items()})
+    components = _components({strip: made_of.materials for strip, made_of in blends.items()})
     if len(set(components.values())) >= _FEW:
         return components
-    return {strip: " + ".join(sorted(each.presets)) for strip, each in blends.items()}
+    return {strip: " + ".join(sorted(made_of.presets)) for strip, made_of in blends.items()}
 
 
 def split_strips(strips: Sequence[Path]) -> Split:
@@ -217,14 +218,15 @@ def split_strips(strips: Sequence[Path]) -> Split:
     presets are parted so instead of base materials, and where none of these, either, all strips train.
     """
     blends = {strip: blend(strip) for strip in strips}
-    materials = {strip: each.materials for strip, each in blends.items()}
+    materials = {strip: made_of.materials for strip, made_of in blends.items()}
+    presets = {strip: made_of.presets for strip, made_of in blends.items()}
     components = _components(materials)
     sizes = Counter(components.values())
     if len(sizes) >= _FEW:
         in_line = sorted(sizes, key=lambda component: (-sizes[component], component))
         test_ones = frozenset(in_line[_FEW - 1 :: _FEW])
         return Split({strip: "test" if components[strip] in test_ones else "train" for strip in strips}, [], "material")
-    for by, made_of in (("material", materials), ("preset", {strip: each.presets for strip, each in blends.items()})):
+    for by, made_of in (("material", materials), ("preset", presets)):
         test = _test_side(Counter(made_of.values()))
         if test:
             sides = {strip: "test" if units <= test else "train" for strip, units in made_of.items()}
@@ -267,7 +269,7 @@ def _test_side(blends: Counter[frozenset[str]]) -> frozenset[str]:
     for start in range(0, len(kinds), -(-len(kinds) // max(_WALKS // len(kinds), 1))):
         chosen, test, train = member[start], 0.0, weight.sum().item()
         while test <= train:
-            test, train = (float(each) for each in _kept(member, weight, chosen[None]))
+            test, train = (float(count) for count in _kept(member, weight, chosen[None]))
             if test <= train and test * _FEW >= test + train and (test + train, -test) > best:
                 best, chosen_best = (test + train, -test), chosen
             after = torch.maximum(chosen, candidates)
