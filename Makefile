@@ -24,9 +24,10 @@ $(VENV)/.ready: setup.cfg pyproject.toml constraints.txt tools/setup.sh
 	bash tools/setup.sh "$(PYTHON)" "$(VENV)"
 	@touch $@
 
-demo: setup  ## fit 20 unseen materials, by the best rule and in 10 gradient steps; tables and pictures
-	$(METAPP) meta brdf --recipe full --out $(RUNS)
-	$(METAPP) meta brdf --recipe quick --rule meta-curvature --steps 10 --out $(RUNS)
+demo: setup  ## fit 20 unseen materials by the best rule and in 10 gradient steps; one table and picture of both
+	$(METAPP) meta brdf --quiet --out $(RUNS)
+	$(METAPP) meta brdf --rule meta-curvature --steps 10 --quiet --out $(RUNS)
+	$(METAPP) compare $(foreach rule,ridge meta-curvature,$$(ls -td $(RUNS)/brdf/meta/brdf-*-full-seed0-$(rule) | head -1))
 
 test: setup  ## the tests on up to four cores, five minutes on two
 	$(VENV)/bin/python -m pytest -m "not slow" -n auto --maxprocesses 4 --dist worksteal
@@ -117,10 +118,10 @@ table-convergence: setup  ## errors by Meta's steps, and the steps until it reac
 APPS ?= brdf
 OUTER ?= 500
 STEPS ?= 5 10 20 40
-START ?= encoder
+INITIALISATION ?= encoder
 
 rules: setup  ## the rule study: all update rules by APPS, STEPS, SEEDS after OUTER outer steps, a table and a figure; hours
-	$(METAPP) evaluate $(APPS) --which rules --start $(START) --train-steps $(OUTER) $(STEPS:%=--steps %) \
+	$(METAPP) evaluate $(APPS) --which rules --initialisation $(INITIALISATION) --train-steps $(OUTER) $(STEPS:%=--steps %) \
 	  --seed $(firstword $(SEEDS)) --seeds $(words $(SEEDS)) $(if $(filter file,$(origin DATA)),,--data "$(DATA)") \
 	  --out $(RUNS) --figures $(RUNS)/figures --format markdown
 

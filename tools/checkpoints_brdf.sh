@@ -14,5 +14,5 @@ common=(brdf --recipe quick --data "$runs/data/joint" --out "$runs")
 for rule in meta-sgd meta-adam ridge; do
   "$metapp" meta "${common[@]}" --rule "$rule" --train
 done
-folder=$(ls -td "$runs"/brdf/starts/joint-*-quick-seed0 | head -1)
+folder=$(ls -td "$runs"/brdf/checkpoints/joint-*-quick-seed0 | head -1)
 cp -v "$folder"/{general,quickft,meta-sgd,meta-adam,meta-curvature,ridge}.safetensors metapp/checkpoints/brdf/

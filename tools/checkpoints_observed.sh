@@ -9,5 +9,5 @@ for observe in reference photo; do
   "$metapp" quickft "${common[@]}" --observe "$observe"
   "$metapp" meta "${common[@]}" --observe "$observe"
 done
-folder=$(ls -td "$runs/$app"/starts/"$app"-*-quick-seed0 | head -1)
+folder=$(ls -td "$runs/$app"/checkpoints/"$app"-*-quick-seed0 | head -1)
 "$(dirname "$metapp")/python" tools/ship.py "$folder" "metapp/checkpoints/$app"

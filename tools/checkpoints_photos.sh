@@ -8,7 +8,7 @@ for app in texture svbrdf_stationary; do
   "$metapp" general "${common[@]}"
   "$metapp" quickft "${common[@]}"
   "$metapp" meta "${common[@]}" --rule "$rule"
-  folder=$(ls -td "$runs/$app"/starts/"$app"-*-quick-seed0 | head -1)
+  folder=$(ls -td "$runs/$app"/checkpoints/"$app"-*-quick-seed0 | head -1)
   mkdir -p "metapp/checkpoints/$app"
   cp -v "$folder"/{general,quickft,"$rule"}.safetensors "metapp/checkpoints/$app/"
 done

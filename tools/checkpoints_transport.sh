@@ -6,7 +6,7 @@ app=transport
 for paradigm in general quickft meta; do
   "$metapp" "$paradigm" "$app" --recipe quick --out "$runs" --train
 done
-folder=$(ls -td "$runs/$app"/starts/"$app"-*-quick-seed0 | head -1)
+folder=$(ls -td "$runs/$app"/checkpoints/"$app"-*-quick-seed0 | head -1)
 mkdir -p "metapp/checkpoints/$app"
 find "$folder" -name '*.safetensors' ! -name '*.previous.*' ! -name '*.interrupted.*' ! -name '*.training.*' \
   -exec cp -v {} "metapp/checkpoints/$app/" \;

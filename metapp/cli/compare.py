@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from metapp.cli.console import out, print_json, say
+from metapp.cli.console import out, print_json
 from metapp.cli.options import FittedData, Json, RunPath
-from metapp.runs.reporter import number
+from metapp.runs.reporter import number, say
 
 if TYPE_CHECKING:
     from metapp.runs.compare import Comparison
@@ -42,7 +42,7 @@ def command(
     compared = compare(first, second, task, inputs or [], data)
     picture = draw(compared, out_file or compared.sides[0].folder / "comparison.png", quiet=quiet)
     if not (quiet or json):
-        out.print(_table(compared))
+        out().print(_table(compared))
     if not quiet:
         for note in compared.notes:
             say(f"note: {note}")

@@ -27,6 +27,10 @@ from metapp.runs.reporter import Bar, Clock, Reporter, duration, reporting
 LONGEST = 300  # characters of an error or a warning
 
 
+class _Closed(io.TextIOWrapper):
+    """A standard stream that was closed when the program began: what is written to it leads nowhere."""
+
+
 def open_streams() -> None:
     """Give closed standard streams a place to go (`metapp ... >&-`), and let no character of a name stop a line.
 
@@ -38,18 +42,15 @@ def open_streams() -> None:
         except OSError:
             os.dup2(os.open(os.devnull, os.O_RDWR), descriptor)
         if getattr(sys, name) is None:
-            setattr(sys, name, open(os.devnull, "w" if descriptor else "r"))  # noqa: SIM115  (for the whole run)
-            _closed.add(name)
+            setattr(sys, name, _Closed(open(os.devnull, "r+b")))  # noqa: SIM115  (for the whole run)
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
 
 
-_closed: set[str] = set()  # names of the standard streams that were closed when the program began
-open_streams()
-# a pipe has no width of its own
-out = Console(highlight=False, width=None if sys.stdout.isatty() else 120)
-err = Console(stderr=True, highlight=False)
+def out() -> Console:
+    """Standard output, for tables; a pipe has no width of its own."""
+    return Console(highlight=False, width=None if sys.stdout.isatty() else 120)
 
 
 class Exit(enum.IntEnum):
@@ -96,7 +97,7 @@ def print_json(document: dict[str, Any]) -> None:
     Raises:
         ValueError: standard output is closed.
     """
-    if "stdout" in _closed:
+    if isinstance(sys.stdout, _Closed):
         raise ValueError("standard output: closed, expected an open one for --json; what was made is kept.")
     sys.stdout.write(json.dumps(document, allow_nan=False, default=float) + "\n")
     sys.stdout.flush()
@@ -106,21 +107,23 @@ def run(command: Callable[[], Any]) -> int:
     """Run a command; an error of the user's or of the data is one line on standard error, never a traceback."""
     import typer
 
+    open_streams()
+    terminal = Terminal()
     # typer carries click inside from 0.2x on, so its classes are reached through those that typer exports
     usage_error, click_error = typer.BadParameter.__mro__[1:3]
     # only our own warnings are for the user
     warnings.simplefilter("ignore")
     warnings.filterwarnings("default", module=r"(metapp|data_tools)\b")
-    warnings.showwarning = lambda message, *_, **__: say(f"warning: {message}")
+    warnings.showwarning = lambda message, *_, **__: terminal.say(f"warning: {message}")
     _end_like_ctrl_c()
     try:
-        with reporting(TERMINAL):
+        with reporting(terminal):
             code = command()
         sys.stdout.flush()
     except typer.Exit as error:
         return error.exit_code
     except typer.Abort:
-        return _interrupted()
+        return _interrupted(terminal)
     except click_error as error:  # type: ignore[misc]  # a class, found at run time
         if hasattr(error, "message"):
             error.message = one_line(str(error.message))
@@ -130,20 +133,20 @@ def run(command: Callable[[], Any]) -> int:
         typer.BadParameter(one_line(str(error))).show()
         return Exit.USAGE
     except KeyboardInterrupt:
-        return _interrupted()
+        return _interrupted(terminal)
     except BrokenPipeError:
         # a reader such as `head` went away: say nothing, also not when Python flushes at exit
         _leave(sys.stdout)
         return Exit.FAILED
     except Exception as error:
-        say(f"error: {what_failed(error)}")
+        terminal.say(f"error: {what_failed(error)}")
         try:
             sys.stdout.flush()
         except OSError:
             _leave(sys.stdout)  # it is full
         return Exit.FAILED
     if code == Exit.INTERRUPTED:  # typer turns Ctrl-C into this code by itself
-        return _interrupted()
+        return _interrupted(terminal)
     return code if isinstance(code, int) else Exit.DONE
 
 
@@ -185,8 +188,8 @@ def _cut(message: str) -> str:
     return message if len(message) < 150 else f"{message[:147]}..."
 
 
-def _interrupted() -> int:
-    say(
+def _interrupted(terminal: Terminal) -> int:
+    terminal.say(
         "interrupted; the same command goes on with training where it was and with fits that are not finished; "
         "conversions start over."
     )
@@ -203,8 +206,8 @@ class _Speed(ProgressColumn):
 class _Bar(Bar):
     """A row of a progress bar; where there is no terminal, a line now and then."""
 
-    def __init__(self, shown: Progress, title: str, total: int | None, done: int, long: bool) -> None:
-        self.shown, self.title, self.long = shown, title, long
+    def __init__(self, shown: Progress, lines: _Lines | None, title: str, total: int | None, done: int) -> None:
+        self.shown, self.lines, self.title = shown, lines, title
         self.row = shown.add_task(title, total=total, completed=done, note="")
 
     def advance(self, note: str = "") -> None:
@@ -215,25 +218,42 @@ class _Bar(Bar):
 
     def at(self, done: int, total: int | None, note: str = "") -> None:
         self.shown.update(self.row, completed=done, total=total, note=note)
-        now = time.monotonic()
-        if self.long and not err.is_terminal and (now - _last_line[0] > LINE_SECONDS or done == total):
-            _last_line[0] = now
-            say(f"{self.title}: step {done} of {total}, {note}")
+        if self.lines and (self.lines.due() or done == total):
+            self.lines.say(f"{self.title}: step {done} of {total}, {note}")
+
+
+class _Lines:
+    """Lines about long work, now and then."""
+
+    def __init__(self, say: Callable[[str], None], last: float) -> None:
+        self._say, self._last = say, last
+
+    def due(self) -> bool:
+        """Whether the last line is old enough."""
+        return time.monotonic() - self._last > LINE_SECONDS
+
+    def say(self, line: str) -> None:
+        """Print a line."""
+        self._last = time.monotonic()
+        self._say(line)
 
 
 LINE_SECONDS = 60.0
-_last_line = [float("-inf")]
 
 
 class Terminal(Reporter):
     """Messages and progress on standard error."""
+
+    def __init__(self) -> None:
+        self._console = Console(stderr=True, highlight=False)
+        self._steps = _Lines(self.say, float("-inf"))
 
     def say(self, message: str) -> None:
         """Print a message; an error, a warning or a problem is one line of LONGEST characters."""
         if message.startswith(("error: ", "warning: ", "problem: ")):
             message = one_line(message)
         try:
-            err.print(message, markup=False, soft_wrap=True)
+            self._console.print(message, markup=False, soft_wrap=True)
         except OSError:
             _leave(sys.stderr)
 
@@ -248,14 +268,22 @@ class Terminal(Reporter):
             _Speed(),
             TextColumn("{task.fields[note]}", markup=False),
         )
-        with Progress(*columns, console=err, disable=not err.is_terminal, transient=True) as shown:
-            yield _Bar(shown, title, total, done, long)
+        console = self._console
+        with Progress(*columns, console=console, disable=not console.is_terminal, transient=True) as shown:
+            yield _Bar(shown, self._steps if long and not console.is_terminal else None, title, total, done)
 
     @contextlib.contextmanager
     def clock(self) -> Iterator[Clock]:
         """Show a bar on a terminal; elsewhere a line now and then."""
-        if not err.is_terminal:
-            yield _lines()
+        if not self._console.is_terminal:
+            lines = _Lines(self.say, time.monotonic())
+
+            def line(note: str, spent: float, left: float) -> None:
+                if lines.due():
+                    rest = f"about {duration(left)} left" if left else "time left not known yet"
+                    lines.say(f"evaluate: {note}; {duration(spent)} so far, {rest}")
+
+            yield line
             return
         columns = (
             TextColumn("{task.description}"),
@@ -263,30 +291,11 @@ class Terminal(Reporter):
             TextColumn("{task.fields[left]}", markup=False),
             TextColumn("{task.fields[note]}", markup=False),
         )
-        with Progress(*columns, console=err, transient=True) as shown:
+        with Progress(*columns, console=self._console, transient=True) as shown:
             row = shown.add_task("evaluate", total=None, left="", note="")
 
             def show(note: str, spent: float, left: float) -> None:
-                known = left > 0
-                total, said = (spent + left, f"about {duration(left)} left") if known else (None, "")
-                shown.update(row, completed=spent, total=total, left=said, note=note)
+                total, rest = (spent + left, f"about {duration(left)} left") if left > 0 else (None, "")
+                shown.update(row, completed=spent, total=total, left=rest, note=note)
 
             yield show
-
-
-def _lines() -> Clock:
-    """A line now and then about how far work is."""
-    last = time.monotonic()
-
-    def line(note: str, spent: float, left: float) -> None:
-        nonlocal last
-        if time.monotonic() - last > LINE_SECONDS:
-            last = time.monotonic()
-            rest = f"about {duration(left)} left" if left else "time left not known yet"
-            say(f"evaluate: {note}; {duration(spent)} so far, {rest}")
-
-    return line
-
-
-TERMINAL = Terminal()
-say = TERMINAL.say

@@ -14,14 +14,14 @@ from typing import Annotated
 import typer
 
 from data_tools.formats import formats
-from metapp.cli.console import Exit, out, print_json, say
+from metapp.cli.console import Exit, out, print_json
 from metapp.cli.data_convert import Quiet, check_folder, command_of, report
 from metapp.cli.data_cornell import cornell
 from metapp.cli.data_sets import holds_of, join, noisy
 from metapp.cli.options import Json, takes
 from metapp.runs.convert import Converted, converted
 from metapp.runs.embedded import embedded_apps, embedded_data, embedded_module, split_counts
-from metapp.runs.reporter import progress
+from metapp.runs.reporter import progress, say
 
 app = typer.Typer(no_args_is_help=True, help="Make data sets from files or by drawing them, and check them.")
 
@@ -212,10 +212,10 @@ def check(
             f"{folder}: {manifest.app}, {counts['train']} train + {counts['test']} test tasks, {size / 1e6:,.1f} MB"
         ]
         lines += [f"  {key}: {unit}" for key, unit in manifest.units.items()]
-        out.print("\n".join(lines), markup=False, soft_wrap=True)
+        out().print("\n".join(lines), markup=False, soft_wrap=True)
         for problem in problems:
             say(f"problem: {problem}")
-        out.print(f"{len(problems)} problems" if problems else "no problems", markup=False)
+        out().print(f"{len(problems)} problems" if problems else "no problems", markup=False)
     if problems:
         raise typer.Exit(Exit.FAILED)
 

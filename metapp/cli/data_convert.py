@@ -12,9 +12,10 @@ from typing import Annotated, Any
 import typer
 
 from data_tools.formats import SPLIT, Command, Format, Setting
-from metapp.cli.console import print_json, say
+from metapp.cli.console import print_json
 from metapp.cli.options import Json
 from metapp.runs.convert import Converted, convert
+from metapp.runs.reporter import say
 
 
 class Split(enum.StrEnum):

@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from metapp.cli.console import out, print_json, say
+from metapp.cli.console import out, print_json
 from metapp.cli.options import Json, takes
 from metapp.evaluation.tables import NAMES, STUDIES, load_table
+from metapp.runs.reporter import say
 
 if TYPE_CHECKING:
     from metapp.evaluation.cell import Cell
@@ -274,13 +275,13 @@ def show(tables: list[Table], subjects: list[Subject], form: str) -> None:
     if form in ("json", "csv"):
         rows = [row | ({"table": name} if several else {}) for name in found for _, some in found[name] for row in some]
         if form == "csv":
-            out.print(csv_of(rows), markup=False, soft_wrap=True)
+            out().print(csv_of(rows), markup=False, soft_wrap=True)
         else:
             print_json({"which": ALL if several else tables[0].name, "rows": rows})
         return
     for table in tables:
         if form == "rich":
             for subject, rows in found[table.name]:
-                out.print(rich_table(table, subject, rows))
+                out().print(rich_table(table, subject, rows))
         else:
-            out.print(text_table(table, found[table.name], form), markup=False, soft_wrap=True)
+            out().print(text_table(table, found[table.name], form), markup=False, soft_wrap=True)

@@ -7,10 +7,11 @@ from typing import Annotated
 
 import typer
 
-from metapp.cli.console import print_json, say
+from metapp.cli.console import print_json
 from metapp.cli.data_convert import check_folder
 from metapp.cli.fit import exports
 from metapp.cli.options import FittedData, Json, RunPath
+from metapp.runs.reporter import say
 
 
 def command(

@@ -14,9 +14,10 @@ from typer.core import TyperCommand
 
 from data_tools.formats import exports_of, inputs_of
 from metapp.apps import app_names
-from metapp.cli.console import importing, say
+from metapp.cli.console import importing
 from metapp.cli.fitting import fit
 from metapp.cli.options import Json
+from metapp.runs.reporter import say
 from metapp.runs.request import Request
 
 if TYPE_CHECKING:

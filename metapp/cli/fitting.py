@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from metapp.cli.console import Exit, lines_of_input, one_line, out, print_json, say, what_failed
-from metapp.runs.reporter import number
+from metapp.cli.console import Exit, lines_of_input, one_line, out, print_json, what_failed
+from metapp.runs.reporter import number, say
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -63,7 +63,7 @@ def _show(run: Run, *, json: bool) -> None:
         if not json:
             most = LISTED if run.gallery else None
             rate = run.tasks_per_second if run.gallery else None
-            out.print(table_of(plan.app, paradigm, run.records, rate=rate, most=most))
+            out().print(table_of(plan.app, paradigm, run.records, rate=rate, most=most))
         say(f"{where}\nrecords: {run.folder.file}" + (f"\nmade: {run.made}" if run.made else ""))
         for line in remarks:
             say(line)

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from metapp.cli.console import print_json, say
+from metapp.cli.console import print_json
 from metapp.cli.options import FittedData, Json, RunPath
-from metapp.runs.reporter import number
+from metapp.runs.reporter import number, say
 
 if TYPE_CHECKING:
     from metapp.runs.pack import Packed

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from metapp.cli.console import Exit, out, print_json, say
+from metapp.cli.console import Exit, out, print_json
 from metapp.cli.options import FittedData, Json
-from metapp.runs.reporter import number
+from metapp.runs.reporter import number, say
 
 if TYPE_CHECKING:
     from metapp.runs.rerun import Repeated
@@ -47,7 +47,7 @@ def command(
     rows = rerun(record, task, Instead(inputs or [], data, checkpoint, tolerance), repeat_of, quiet=quiet)
     failed = [row.name for row in rows if not row.agrees]
     if not (quiet or json):
-        out.print(_table(rows))
+        out().print(_table(rows))
     if not quiet:
         _say_conditions(rows)
         if failed:

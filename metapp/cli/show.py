@@ -19,7 +19,7 @@ FEWEST_COLUMNS = 3  # are shown however narrow the terminal
 def rich_table(table: Table, subject: Subject, rows: list[Row]) -> Any:
     """The table of one application for a terminal."""
     shown = RichTable(title=title_of(table, subject, rows), caption=Text("\n".join(table.notes(subject, rows))))
-    columns = fitting(table.columns, rows, out.width)
+    columns = fitting(table.columns, rows, out().width)
     for column in columns:
         left = column.left
         shown.add_column("\n".join(heading(column)), justify="left" if left else "right", no_wrap=not left)

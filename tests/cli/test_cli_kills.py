@@ -102,7 +102,7 @@ def command(ten_materials: Path, tmp_path: Path) -> Callable[..., Command]:
     data = shutil.copytree(ten_materials, tmp_path / "data")
 
     def make(out: str, paradigm: str = "general", steps: int = 40, wait: float = 0.25) -> Command:
-        arguments = (paradigm, "brdf", "--data", data, "--train", "--train-steps", str(steps))
+        arguments = (paradigm, "brdf", "--recipe", "quick", "--data", data, "--train", "--train-steps", str(steps))
         return Command(arguments, tmp_path / out, wait)
 
     return make
