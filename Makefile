@@ -118,10 +118,10 @@ table-convergence: setup  ## errors by Meta's steps, and the steps until it reac
 APPS ?= brdf
 OUTER ?= 500
 STEPS ?= 5 10 20 40
-START ?= encoder
+INITIALISATION ?= encoder
 
 rules: setup  ## the rule study: all update rules by APPS, STEPS, SEEDS after OUTER outer steps, a table and a figure; hours
-	$(METAPP) evaluate $(APPS) --which rules --start $(START) --train-steps $(OUTER) $(STEPS:%=--steps %) \
+	$(METAPP) evaluate $(APPS) --which rules --initialisation $(INITIALISATION) --train-steps $(OUTER) $(STEPS:%=--steps %) \
 	  --seed $(firstword $(SEEDS)) --seeds $(words $(SEEDS)) $(if $(filter file,$(origin DATA)),,--data "$(DATA)") \
 	  --out $(RUNS) --figures $(RUNS)/figures --format markdown
 

@@ -32,6 +32,7 @@ VERTICES, INDICES = 34962, 34963
 GLB, JSON, BINARY = 0x46546C67, 0x4E4F534A, 0x004E4942
 CORNERS = ((-0.5, 0.5), (-0.5, -0.5), (0.5, -0.5), (0.5, 0.5))  # from the upper left one, counter-clockwise
 TRIANGLES = (0, 1, 2, 0, 2, 3)
+ATTRIBUTES = {"POSITION": 0, "NORMAL": 1, "TANGENT": 2, "TEXCOORD_0": 3}  # accessors; 4 is that of indices
 
 
 class _Binary:
@@ -76,7 +77,7 @@ def glb(surface: Surface, name: str, provenance: Mapping[str, object]) -> bytes:
         "scene": 0,
         "scenes": [{"nodes": [0]}],
         "nodes": [{"name": name, "mesh": 0}],
-        "meshes": [{"name": name, "primitives": [_primitive()]}],
+        "meshes": [{"name": name, "primitives": [{"attributes": ATTRIBUTES, "indices": 4, "material": 0}]}],
         "materials": [_material(name, list(pictures), highest_f0(surface))],
         "textures": [{"source": i, "sampler": 0} for i in range(len(images))],
         "samplers": [{"magFilter": LINEAR, "minFilter": MIPMAPS, "wrapS": wrap, "wrapT": wrap}],
@@ -118,11 +119,6 @@ def _quad(binary: _Binary, surface: Surface) -> list[dict[str, object]]:
     return [*accessors, {"bufferView": view, "componentType": SHORT, "count": 6, "type": "SCALAR"}]
 
 
-def _primitive() -> dict[str, object]:
-    attributes = {"POSITION": 0, "NORMAL": 1, "TANGENT": 2, "TEXCOORD_0": 3}
-    return {"attributes": attributes, "indices": 4, "material": 0}
-
-
 def highest_f0(surface: Surface) -> float:
     """The greatest F0 of all texels and channels; 1 of the picture that is written."""
     assert surface.maps is not None
@@ -156,10 +152,10 @@ def _encoded(surface: Surface) -> dict[str, bytes]:
     no_metal = planes["orm"].values * torch.tensor([1.0, 1.0, 0.0])[:, None, None]
     planes["orm"] = planes["orm"]._replace(values=no_metal)
     planes["specular"] = planes["specular"]._replace(values=planes["specular"].values / highest_f0(surface))
-    found = {}
+    pictures = {}
     with tempfile.TemporaryDirectory() as folder:
         for key in PICTURES:
             file = Path(folder) / f"{key}.png"
             write_plane(planes[key], file, BITS)
-            found[key] = file.read_bytes()
-    return found
+            pictures[key] = file.read_bytes()
+    return pictures

@@ -12,12 +12,11 @@ import xml.etree.ElementTree as ET
 from collections.abc import Mapping
 from pathlib import Path
 
-from data_tools.assets.pictures import write_planes
+from data_tools.assets.pictures import fitted_by, write_planes
 from metapp.appearance.surface import Surface, fitted_planes
 from metapp.storage.files import write_atomically
 
 VERSION = "1.39"
-PROVENANCE = ("app", "paradigm", "rule", "checkpoint", "recipe")
 TYPES = {"diffuse": "color3", "specular": "color3", "roughness": "float", "normal_gl": "vector3"}
 HIGHEST = 0.9999  # F0; beyond, no index of refraction
 
@@ -47,8 +46,7 @@ def document(name: str, highest: float, tiles: bool, provenance: Mapping[str, ob
         provenance: told in a comment.
     """
     root = ET.Element("materialx", version=VERSION, colorspace="lin_rec709")
-    words = [f"{key} {provenance[key]}" for key in PROVENANCE if key in provenance]
-    root.append(ET.Comment(f" fitted by metapp: {', '.join(words).replace('--', '- -')} "))
+    root.append(ET.Comment(f" fitted by metapp: {fitted_by(provenance).replace('--', '- -')} "))
     graph = ET.SubElement(root, "nodegraph", name="maps")
     index = index_of(highest)
     reflectance = ((index - 1) / (index + 1)) ** 2

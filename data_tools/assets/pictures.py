@@ -161,3 +161,9 @@ def write_exr(surface: Surface, path: Path, provenance: Mapping[str, object]) ->
 def write_png16(surface: Surface, path: Path, provenance: Mapping[str, object]) -> None:
     """Write <path>/<name>_<map>.png of the fitted maps, or of a texture's colour."""
     write_planes(fitted_planes(surface), path)
+
+
+def fitted_by(provenance: Mapping[str, object]) -> str:
+    """A fit's provenance in a few words."""
+    keys = ("app", "paradigm", "rule", "checkpoint", "recipe")
+    return ", ".join(f"{key} {provenance[key]}" for key in keys if key in provenance)

@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from data_tools.assets.pictures import write_plane
+from data_tools.assets.pictures import fitted_by, write_plane
 from metapp.appearance.surface import Surface, all_planes
 from metapp.storage.files import write_atomically
 
@@ -17,7 +17,6 @@ if TYPE_CHECKING:
     from pxr import Sdf, Usd, UsdGeom, UsdShade
 
 BITS = 8
-PROVENANCE = ("app", "paradigm", "rule", "checkpoint", "recipe")
 TEXTURES = "textures"
 INPUTS = {  # of UsdPreviewSurface: map, output of its texture, type
     "diffuseColor": ("diffuse", "rgb", "Color3f"),
@@ -45,7 +44,7 @@ def write_usd(surface: Surface, path: Path, provenance: Mapping[str, object]) ->
 
 def stage_text(surface: Surface, name: str, provenance: Mapping[str, object]) -> str:
     """The layer as text: one prim with the square and its material."""
-    from pxr import Kind, Sdf, Tf, Usd, UsdGeom
+    from pxr import Kind, Sdf, Tf, Usd, UsdGeom, UsdShade
 
     stage = Usd.Stage.CreateInMemory()
     UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.y)
@@ -53,17 +52,13 @@ def stage_text(surface: Surface, name: str, provenance: Mapping[str, object]) ->
     root = UsdGeom.Xform.Define(stage, f"/{Tf.MakeValidIdentifier(name)}")
     stage.SetDefaultPrim(root.GetPrim())
     Usd.ModelAPI(root).SetKind(Kind.Tokens.component)
-    root.GetPrim().SetDocumentation(f"{name}, fitted by metapp: {', '.join(_words(provenance))}")
+    root.GetPrim().SetDocumentation(f"{name}, fitted by metapp: {fitted_by(provenance)}")
     mesh = _quad(stage, root.GetPath().AppendChild("Square"), surface)
     material = _material(stage, root.GetPath().AppendChild("Material"), name, surface.tiles)
-    _bind(mesh, material)
+    UsdShade.MaterialBindingAPI.Apply(mesh.GetPrim()).Bind(material)
     result: str = stage.GetRootLayer().ExportToString()
     assert Sdf.Layer.CreateAnonymous(".usda").ImportFromString(result)
     return result
-
-
-def _words(provenance: Mapping[str, object]) -> list[str]:
-    return [f"{key} {provenance[key]}" for key in PROVENANCE if key in provenance]
 
 
 def _quad(stage: Usd.Stage, path: Sdf.Path, surface: Surface) -> UsdGeom.Mesh:
@@ -122,9 +117,3 @@ def _texture(stage: Usd.Stage, path: Sdf.Path, file: str, key: str, tiles: bool)
         texture.CreateInput("scale", Sdf.ValueTypeNames.Float4).Set(Gf.Vec4f(2, 2, 2, 1))
         texture.CreateInput("bias", Sdf.ValueTypeNames.Float4).Set(Gf.Vec4f(-1, -1, -1, 0))
     return texture
-
-
-def _bind(mesh: UsdGeom.Mesh, material: UsdShade.Material) -> None:
-    from pxr import UsdShade
-
-    UsdShade.MaterialBindingAPI.Apply(mesh.GetPrim()).Bind(material)

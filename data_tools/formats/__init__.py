@@ -72,6 +72,22 @@ class Setting(NamedTuple):
     choices: tuple[str, ...] = ()
 
 
+class Label(NamedTuple):
+    """What a task is called, of which group it is (tasks that show the same), and its split where AUTO is asked for.
+
+    "" for no group; a split of "" is that of the rule of `metapp.storage.shards.split_auto`.
+    """
+
+    name: str
+    group: str = ""
+    split: str = ""
+
+
+def label_of_stem(source: Path) -> Label:
+    """A task that is named by its file's stem."""
+    return Label(source.stem)
+
+
 class Conversion(NamedTuple):
     """How the files of one conversion become tasks.
 
@@ -80,10 +96,9 @@ class Conversion(NamedTuple):
         noun: what one source is called, such as "MERL file".
         units: of the tasks' tensors, by name.
         find: paths -> sources, and a line for each file of a folder that is none; ValueError for a bad named path.
-        name: source -> the task's name.
         read: source -> the task; ValueError where it is damaged.
         notes: what the manifest should say about the conversion.
-        split_of: source -> its split where AUTO is asked for; None: by the rule of `metapp.storage.shards.split_auto`.
+        label: source -> the task's name, group and split.
         remarks: what a person should know about the split.
     """
 
@@ -91,10 +106,9 @@ class Conversion(NamedTuple):
     noun: str
     units: Mapping[str, str]
     find: Callable[[Iterable[Path]], tuple[list[Path], list[str]]]
-    name: Callable[[Path], str]
     read: Callable[[Path], Task]
     notes: Mapping[str, object]
-    split_of: Callable[[Path], str] | None = None
+    label: Callable[[Path], Label] = label_of_stem
     remarks: tuple[str, ...] = ()
 
 
@@ -173,7 +187,7 @@ class Format(NamedTuple):
             return made
         read = functools.partial(files.read_task, **settings)
         notes = {"made_by": f"metapp data {self.name}", **settings}
-        return Conversion(self.app, self.command.noun, files.UNITS, files.find, lambda path: path.stem, read, notes)
+        return Conversion(self.app, self.command.noun, files.UNITS, files.find, read, notes)
 
 
 class Export(NamedTuple):

@@ -204,7 +204,8 @@ def as_measured(
     angles, reflectance = (task.data[key].clone() for key in ("angles", "reflectance"))
     rng = Generator().manual_seed(int.from_bytes(hashlib.sha256(task.name.encode(errors="replace")).digest()[:6]))
     reflectance[:half] *= factors(rng, (half,), noise, outliers)
-    rows = _seen(angles[:half], grazing_rad)
+    near = cosines(angles[:half].double())
+    rows = (torch.minimum(near.incident, near.outgoing) >= math.cos(grazing_rad) - 1e-12).nonzero()[:, 0]
     if not len(rows):
         raise ValueError(
             f"{task.name}: no sample within {math.degrees(grazing_rad):g} degrees of the normal, expected some; raise "
@@ -218,9 +219,3 @@ def as_measured(
     for data in (angles, reflectance):
         data[:half][missing] = data[others]
     return task._replace(data=task.data | {"angles": angles, "reflectance": reflectance})
-
-
-def _seen(angles: Tensor, grazing_rad: float) -> Tensor:
-    """Rows of angles [N, 3] whose light and view are both within this angle of the normal."""
-    found = cosines(angles.double())
-    return (torch.minimum(found.incident, found.outgoing) >= math.cos(grazing_rad) - 1e-12).nonzero()[:, 0]

@@ -22,9 +22,8 @@ import re
 from collections.abc import Iterable, Mapping
 from functools import partial
 from pathlib import Path
-from typing import NamedTuple
 
-from data_tools.formats import AUTO, Conversion
+from data_tools.formats import AUTO, Conversion, Label
 from data_tools.readers.photos import SIZE, find_photos, holds_photos, read_photo
 from metapp.appearance.flash import FOV_RAD
 from metapp.learning.task import Task
@@ -37,20 +36,6 @@ _NAME = re.compile(r"(train|test)_([^_]+)_(.+)", re.IGNORECASE)
 
 find = partial(find_photos, expected=("metadata.json",))  # the names that every reader has
 recognises = holds_photos
-
-
-class Shown(NamedTuple):
-    """What a photograph shows.
-
-    Attributes:
-        name: of the task: the material's, and the image's where a material may have several.
-        material: of which all photographs belong to one split.
-        split: "train" or "test" if its name or folder says so, else "".
-    """
-
-    name: str
-    material: str
-    split: str
 
 
 def read_task(path: Path, size: int = SIZE, fov_rad: float = 0.0) -> Task:
@@ -70,24 +55,17 @@ def read_task(path: Path, size: int = SIZE, fov_rad: float = 0.0) -> Task:
 def conversion(paths: Iterable[Path], split: str, *, size: int, fov: float) -> Conversion:
     """How photographs become tasks, all of a material in one split."""
     photos = find_shown(paths)
-    splits = split_by_material(photos) if split == AUTO else {}
-
-    def name(source: Path) -> str:
-        return photos[source.resolve()].name
-
-    def read(source: Path) -> Task:
-        task = read_task(source, size, math.radians(fov))
-        return task._replace(name=name(source), group=photos[source.resolve()].material)
-
-    def split_of(source: Path) -> str:
-        return splits[source.resolve()]
-
+    if split == AUTO:
+        photos = split_by_material(photos)
+    read = partial(read_task, size=size, fov_rad=math.radians(fov))
     notes = {"made_by": "metapp data flash", "size": size, **({"fov": fov} if fov else {})}
-    return Conversion("svbrdf_stationary", "photograph", UNITS, find, name, read, notes, split_of)
+    return Conversion(
+        "svbrdf_stationary", "photograph", UNITS, find, read, notes, lambda source: photos[source.resolve()]
+    )
 
 
-def shown(photo: Path, folder: Path | None = None) -> Shown:
-    """What a photograph shows, by its name and place.
+def shown(photo: Path, folder: Path | None = None) -> Label:
+    """What a photograph shows, by its name and place: its group is the material, its split what is stated, "" for none.
 
     Args:
         photo: the file.
@@ -96,20 +74,20 @@ def shown(photo: Path, folder: Path | None = None) -> Shown:
     match = _NAME.fullmatch(photo.stem)
     if match:
         split, material, image = match.groups()
-        return Shown(f"{material}_{image}", material, split.lower())
+        return Label(f"{material}_{image}", material, split.lower())
     absolute = Path(os.path.abspath(photo))  # links are not followed: their own place counts
     start = Path(os.path.abspath(folder)).parent if folder else Path(absolute.anchor)
     outer, inner = ("", "", *absolute.relative_to(start).parts[:-1])[-2:]
     if outer.lower() in _SPLITS:
-        return Shown(f"{inner}_{photo.stem}", inner, outer.lower())
+        return Label(f"{inner}_{photo.stem}", inner, outer.lower())
     if inner.lower() in _SPLITS:
-        return Shown(photo.stem, photo.stem, inner.lower())
+        return Label(photo.stem, photo.stem, inner.lower())
     if outer and folder:
-        return Shown(f"{inner}_{photo.stem}", inner, "")
-    return Shown(photo.stem, photo.stem, "")
+        return Label(f"{inner}_{photo.stem}", inner, "")
+    return Label(photo.stem, photo.stem, "")
 
 
-def find_shown(paths: Iterable[str | Path]) -> dict[Path, Shown]:
+def find_shown(paths: Iterable[str | Path]) -> dict[Path, Label]:
     """All photographs of files and folders, by their resolved paths, and what each shows.
 
     A photograph that is found in several ways shows what it does in the outermost folder.
@@ -117,35 +95,34 @@ def find_shown(paths: Iterable[str | Path]) -> dict[Path, Shown]:
     Raises:
         ValueError: as `find`.
     """
-    found: dict[Path, Shown] = {}
+    found: dict[Path, Label] = {}
     for path in sorted(map(Path, paths), key=lambda path: (not path.is_dir(), len(path.resolve().parts))):
         for photo in find([path])[0]:
             found.setdefault(photo.resolve(), shown(photo, path if path.is_dir() else None))
     return found
 
 
-def split_by_material(photos: Mapping[Path, Shown]) -> dict[Path, str]:
+def split_by_material(photos: Mapping[Path, Label]) -> dict[Path, Label]:
     """Split photographs into training and test ones so that those of a material stay together.
 
     Where all say their split and both occur, that holds; otherwise `metapp.storage.shards.split_auto` decides among
     materials: of the sorted names, every fifth is a test material.
 
     Returns:
-        "train" or "test" for each photograph.
+        The same with a split each, "train" or "test".
 
     Raises:
         ValueError: a material with training and test photographs.
     """
-    stated = {each.split for each in photos.values()}
-    if stated != set(_SPLITS):
-        split = split_auto(each.material for each in photos.values())
-        return {photo: split[each.material] for photo, each in photos.items()}
+    if {label.split for label in photos.values()} != set(_SPLITS):
+        split = split_auto(label.group for label in photos.values())
+        return {photo: label._replace(split=split[label.group]) for photo, label in photos.items()}
     first: dict[str, Path] = {}
-    for photo, each in photos.items():
-        other = first.setdefault(each.material, photo)
-        if photos[other].split != each.split:
+    for photo, label in photos.items():
+        other = first.setdefault(label.group, photo)
+        if photos[other].split != label.split:
             raise ValueError(
-                f"{other} and {photo}: training and test photograph of the material '{each.material}', expected all "
+                f"{other} and {photo}: training and test photograph of the material '{label.group}', expected all "
                 "of a material on one side; rename one, or set --split."
             )
-    return {photo: each.split for photo, each in photos.items()}
+    return dict(photos)

@@ -173,9 +173,9 @@ def _angle(path: Path, rows: _Rows, name: str) -> Array:
     low, high = (0.0, math.pi / 2) if name.startswith("theta") else (-2 * math.tau, 2 * math.tau)
     bad = ~((values * unit >= low - 1e-6) & (values * unit <= high + 1e-6))
     if bad.any():
-        at = int(bad.argmax())
+        row = int(bad.argmax())
         raise ValueError(
-            f"{path}: line {rows.lines[at]}: {name} {values[at]:.6g} {there[0]}, expected {low / unit:.6g} to "
+            f"{path}: line {rows.lines[row]}: {name} {values[row]:.6g} {there[0]}, expected {low / unit:.6g} to "
             f"{high / unit:.6g}; reflection alone can be fitted."
         )
     result: Array = values * unit
@@ -196,7 +196,7 @@ def _colours(path: Path, names: Sequence[str]) -> tuple[list[str], Array]:
             f"{path}: {len(nanometres)} wavelengths from {nanometres[0]:g} to {nanometres[-1]:g} nm, expected 4 or "
             f"more that cover {VISIBLE[0]:g} to {VISIBLE[1]:g} nm."
         )
-    return [spectral[each] for each in nanometres], spectra_to_rgb(nanometres)
+    return [spectral[wavelength] for wavelength in nanometres], spectra_to_rgb(nanometres)
 
 
 def _direction(theta: Array, phi: Array) -> Array:

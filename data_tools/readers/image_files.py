@@ -239,13 +239,13 @@ def _channels(spec: oiio.ImageSpec, path: Path) -> list[int]:
     if spec.get_string_attribute("tiff:ColorSpace") == "CIELAB":
         names = ["L*", "a*", "b*"]  # called R, G, B
     if {"R", "G", "B"} <= set(names):
-        found = [names.index(name) for name in "RGB"]
+        colours = [names.index(name) for name in "RGB"]
     elif spec.nchannels == 1 or (spec.nchannels == 2 and "A" in names):
-        found = [next(index for index, name in enumerate(names) if name != "A" or spec.nchannels == 1)] * 3
+        colours = [next(index for index, name in enumerate(names) if name != "A" or spec.nchannels == 1)] * 3
     else:
         shown = ", ".join(name if name.isprintable() else ascii(name) for name in names[:8])
         raise ValueError(f"{path}: channels {shown}, expected R, G, B or a gray one; export it as RGB.")
-    return found + ([names.index("A")] if "A" in names and spec.nchannels > 1 else [])
+    return colours + ([names.index("A")] if "A" in names and spec.nchannels > 1 else [])
 
 
 def _space(spec: oiio.ImageSpec) -> str:
@@ -307,11 +307,11 @@ def focal_length_of(exif: bytes | None) -> float:
     """The same of an EXIF block, as HEIF files hold it."""
     from PIL import Image
 
-    found = Image.Exif()
+    parsed = Image.Exif()
     with (
         contextlib.suppress(Exception),
         warnings.catch_warnings(action="ignore"),
     ):  # Pillow's reader of TIFF raises whatever a damaged block makes of it
-        found.load(exif or b"")
-        return float(max(0, int(found.get_ifd(_EXIF_BLOCK).get(_FOCAL_TAG, 0))))
+        parsed.load(exif or b"")
+        return float(max(0, int(parsed.get_ifd(_EXIF_BLOCK).get(_FOCAL_TAG, 0))))
     return 0.0

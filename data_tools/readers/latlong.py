@@ -120,7 +120,7 @@ def read_map_task(path: Path, size: int = HEIGHT) -> Task:
 def conversion(paths: Iterable[Path], split: str, *, size: int) -> Conversion:
     """How maps become tasks."""
     read, notes = partial(read_map_task, size=size), {"made_by": "metapp data laval", "rows": size}
-    return Conversion("illumination", "map", UNITS, find_maps, lambda source: source.stem, read, notes)
+    return Conversion("illumination", "map", UNITS, find_maps, read, notes)
 
 
 def map_task(name: str, light: Tensor, rng: Rng, rows: int = HEIGHT) -> Task:
@@ -293,7 +293,7 @@ def _matrix(space: Sequence[float] | str, path: Path) -> Tensor:
     try:
         matrix = colour.matrix_RGB_to_RGB(source, colour.RGB_COLOURSPACES["ITU-R BT.709"], "Bradford")
     except np.linalg.LinAlgError:
-        shown = ", ".join(f"{each:.3g}" for each in source.primaries.flat)
+        shown = ", ".join(f"{number:.3g}" for number in source.primaries.flat)
         raise ValueError(
             f"{path}: chromaticities {shown}, expected three primaries that differ; export the map again."
         ) from None

@@ -18,7 +18,8 @@ from __future__ import annotations
 import hashlib
 import math
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -26,7 +27,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from data_tools.formats import Conversion
+from data_tools.formats import Conversion, Label
 from data_tools.readers.image_files import LINEAR, SUFFIXES, read_pixels
 from data_tools.readers.photos import SIZE, central_square, find_photos, resample
 from data_tools.readers.svbrdf_task import UNITS, svbrdf_task, task_name, unit_normals
@@ -111,7 +112,7 @@ def recognises(path: Path) -> bool:
     path = Path(path)
     if not path.is_dir():
         return path.is_file() and material_of(path) is not None
-    folders = (path, *(each for each in path.rglob("*") if each.is_dir()))
+    folders = (path, *(below for below in path.rglob("*") if below.is_dir()))
     return any(materials_in(folder)[0] for folder in folders)
 
 
@@ -154,7 +155,7 @@ def find_materials(paths: Iterable[str | Path]) -> tuple[list[Material], list[st
 def material_of(file: Path) -> Material | None:
     """The material that a map belongs to."""
     materials = materials_in(file.parent)[0]
-    return next((each for each in materials if any(file.name == map_.name for map_ in each.maps)), None)
+    return next((material for material in materials if file.name in [map_.name for map_ in material.maps]), None)
 
 
 def materials_in(folder: Path) -> tuple[list[Material], list[Path]]:
@@ -221,16 +222,23 @@ def read_task(source: Path, size: int = SIZE, normals: str = "auto") -> Task:
     maps = {role: _read(file, size, role, shapes) for role, file in chosen.items()}
     _check_shapes(material, chosen, shapes)
     colour = maps["base colour"] if "base colour" in maps else maps[_PLAIN]
-    diffuse, specular = reflectances(colour, maps.get("metallic"), maps.get("specular"))
+    if "metallic" in maps:
+        diffuse, specular = from_metallic(colour, _gray(maps["metallic"]))
+    else:
+        diffuse, specular = colour, maps.get("specular", torch.full_like(colour, DIELECTRIC))
     if "roughness" in maps:
         roughness = _gray(maps["roughness"])
-    elif _PLAIN in maps:
-        roughness = roughness_of_highlight(_gray(maps["gloss"]))
+    elif _PLAIN in maps:  # that of a GGX lobe whose peak is as bright
+        roughness = (DIELECTRIC / 4 / _gray(maps["gloss"]).clamp_min(1e-6)).sqrt().sqrt().clamp_max(1)
     else:
         roughness = 1 - _gray(maps["gloss"])
     role = next(role for role in _NORMALS if role in maps)
     normal = unit_normals(maps[role], chosen[role])
-    if is_green_down(normal, role, normals):
+    if normals == "auto" and role == "normal":
+        is_down = mixed_slopes(normal) < -_IS_CLEAR
+    else:
+        is_down = normals == "directx" or (normals == "auto" and role == "normal (DirectX)")
+    if is_down:
         normal = normal * normal.new_tensor([1, -1, 1])[:, None, None]
     if not max(float(diffuse.max()), float(specular.max())) > 0:
         raise ValueError(
@@ -241,41 +249,12 @@ def read_task(source: Path, size: int = SIZE, normals: str = "auto") -> Task:
 
 def conversion(paths: Iterable[Path], split: str, *, size: int, normals: str) -> Conversion:
     """How materials become tasks, variants of one in one split."""
-    materials = {material.source.resolve(): material for material in find_materials(paths)[0]}
-    sides = split_materials(materials.values())
-
-    def name(source: Path) -> str:
-        return task_name(materials[source.resolve()].title)
-
-    def read(source: Path) -> Task:
-        return read_task(source, size, normals)._replace(group=sides[source.resolve()][1])
-
-    def split_of(source: Path) -> str:
-        return sides[source.resolve()][0]
-
+    labels = split_materials(find_materials(paths)[0])
+    read = partial(read_task, size=size, normals=normals)
     notes = {"made_by": "metapp data maps", "size": size, "normals": normals}
-    return Conversion("svbrdf_nonstationary", "material", UNITS, find, name, read, notes, split_of)
-
-
-def reflectances(colour: Tensor, metallic: Tensor | None, specular: Tensor | None) -> tuple[Tensor, Tensor]:
-    """Diffuse and specular [3, H, W] of a linear base colour [3, H, W] and what else there is."""
-    if metallic is not None:
-        return from_metallic(colour, _gray(metallic))
-    return colour, torch.full_like(colour, DIELECTRIC) if specular is None else specular
-
-
-def roughness_of_highlight(strength: Tensor) -> Tensor:
-    """The roughness at which a GGX lobe of specular 0.04 peaks at this radiance, that of white paper being 1."""
-    return (DIELECTRIC / 4 / strength.clamp_min(1e-6)).sqrt().sqrt().clamp_max(1)
-
-
-def is_green_down(normal: Tensor, role: str, stated: str = "auto") -> bool:
-    """Whether y of normals [3, H, W] points down: as stated, as the role says, or by what a height field could have."""
-    if stated != "auto":
-        return stated == "directx"
-    if role != "normal":
-        return role == "normal (DirectX)"
-    return mixed_slopes(normal) < -_IS_CLEAR
+    return Conversion(
+        "svbrdf_nonstationary", "material", UNITS, find, read, notes, lambda source: labels[source.resolve()]
+    )
 
 
 def mixed_slopes(normal: Tensor) -> float:
@@ -291,20 +270,21 @@ def mixed_slopes(normal: Tensor) -> float:
     return 2 * float((along_x * along_y).sum()) / total if total > 0 else 0.0
 
 
-def split_materials(materials: Iterable[Material]) -> dict[Path, tuple[str, str]]:
-    """Split and group of each material, by its file that stands for all.
+def split_materials(materials: Sequence[Material]) -> dict[Path, Label]:
+    """Name, group and split of each material, by its file that stands for all.
 
     Materials with the very same file of normals are variants and belong together. Of the sorted groups, every fifth is
     for tests.
     """
-    groups: dict[Path, str] = {}
-    first: dict[str, str] = {}
+    labels: dict[Path, Label] = {}
+    groups: dict[str, str] = {}
     for material in materials:
         files = next((material.files[role] for role in _NORMALS if role in material.files), (material.source,))
         digest = hashlib.sha256(files[0].read_bytes()).hexdigest()
-        groups[material.source.resolve()] = first.setdefault(digest, material.title)
+        group = groups.setdefault(digest, material.title)
+        labels[material.source.resolve()] = Label(task_name(material.title), group)
     splits = split_auto(groups.values())
-    return {source: (splits[group], group) for source, group in groups.items()}
+    return {source: label._replace(split=splits[label.group]) for source, label in labels.items()}
 
 
 def _choose(material: Material) -> dict[str, Path]:
@@ -333,17 +313,16 @@ def _choose(material: Material) -> dict[str, Path]:
 
 def _specular_workflow(roles: Mapping[str, tuple[Path, ...]]) -> dict[str, tuple[Path, ...]]:
     """The maps without those of the metallic workflow where those of both are there, as in our asset folders."""
+
+    def last_word(file: Path) -> str:
+        words = [word.group() for word in _WORD.finditer(file.stem) if not _RESOLUTION.fullmatch(word.group())]
+        return words[-1].lower() if words else ""
+
     colours = roles.get("base colour", ())
-    diffuse = tuple(file for file in colours if _word(file) in _BODY)
+    diffuse = tuple(file for file in colours if last_word(file) in _BODY)
     if not ("specular" in roles and len(diffuse) == 1 and len(colours) == 2):
         return dict(roles)
     return {role: files for role, files in roles.items() if role != "metallic"} | {"base colour": diffuse}
-
-
-def _word(file: Path) -> str:
-    """The last word of a file's name that is no resolution."""
-    words = [word.group().lower() for word in _WORD.finditer(file.stem)]
-    return next((word for word in reversed(words) if not _RESOLUTION.fullmatch(word)), "")
 
 
 def _read(file: Path, size: int, role: str, shapes: dict[str, tuple[int, int]]) -> Tensor:
@@ -365,8 +344,8 @@ def _check_shapes(material: Material, files: Mapping[str, Path], shapes: Mapping
     ratios = {role: math.log(width / height) for role, (height, width) in shapes.items()}
     low, high = min(ratios, key=ratios.__getitem__), max(ratios, key=ratios.__getitem__)
     if ratios[high] - ratios[low] > _SAME_SHAPE:
-        told = " and ".join(f"{files[role].name} {shapes[role][1]}x{shapes[role][0]} px" for role in (high, low))
-        raise ValueError(f"{material}: {told}, expected maps of one shape; crop or scale them alike.")
+        differ = " and ".join(f"{files[role].name} {shapes[role][1]}x{shapes[role][0]} px" for role in (high, low))
+        raise ValueError(f"{material}: {differ}, expected maps of one shape; crop or scale them alike.")
 
 
 def _gray(values: Tensor) -> Tensor:

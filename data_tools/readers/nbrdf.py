@@ -20,7 +20,7 @@ from numpy.lib import format as npy
 from numpy.typing import NDArray
 from torch import Tensor
 
-from data_tools.formats import Conversion
+from data_tools.formats import Conversion, Label
 from data_tools.readers import brdf_task
 from data_tools.readers.brdf_task import warn_implausible
 from data_tools.readers.listing import files_below
@@ -80,8 +80,8 @@ def recognises(path: str | Path) -> bool:
 def conversion(paths: Sequence[Path], split: str, *, samples: int) -> Conversion:
     """How networks become tasks, each named by its folder or by the name in front of its files."""
     read, notes = partial(read_task, samples=samples), {"made_by": "metapp data nbrdf", "samples": samples}
-    name = lambda source: source.resolve().name  # noqa: E731
-    return Conversion("brdf", "NBRDF network", brdf_task.UNITS, find, name, read, notes)
+    label = lambda source: Label(source.resolve().name)  # noqa: E731
+    return Conversion("brdf", "NBRDF network", brdf_task.UNITS, find, read, notes, label)
 
 
 def export(app: Brdf, theta: Params, folder: Path) -> None:
@@ -136,11 +136,19 @@ def write_nbrdf(folder: str | Path, weights: Mapping[str, NDArray[np.floating] |
     folder = Path(folder)
     if set(weights) != set(SHAPES):
         raise ValueError(f"{folder}: weights {', '.join(sorted(weights)) or 'none'}, expected {', '.join(SHAPES)}.")
-    arrays = {part: _as_array(weights[part]) for part in SHAPES}
+    plain = {
+        part: value.detach().cpu().numpy() if isinstance(value, Tensor) else value for part, value in weights.items()
+    }
+    arrays = {part: np.ascontiguousarray(plain[part], "<f4") for part in SHAPES}
     for part, array in arrays.items():
         _check_part(array, SHAPES[part], str(folder / f"{part}.npy"))
+
+    def write(array: NDArray[np.float32], path: Path) -> None:
+        with path.open("wb") as stream:
+            npy.write_array(stream, array, allow_pickle=False)
+
     for part, array in arrays.items():
-        write_atomically(folder / f"{part}.npy", partial(_write_part, array))
+        write_atomically(folder / f"{part}.npy", partial(write, array))
 
 
 def nbrdf_evaluate(weights: Mapping[str, NDArray[np.floating] | Tensor], angles: Tensor) -> Tensor:
@@ -201,17 +209,6 @@ def _read_part(path: Path, shape: tuple[int, ...]) -> NDArray[np.float32]:
         array = np.array(mapped, dtype=np.float32, order="C")
     _check_part(array, shape, str(path))
     return array
-
-
-def _write_part(array: NDArray[np.float32], path: Path) -> None:
-    with path.open("wb") as stream:
-        npy.write_array(stream, array, allow_pickle=False)
-
-
-def _as_array(weights: NDArray[np.floating] | Tensor) -> NDArray[np.float32]:
-    if isinstance(weights, Tensor):
-        weights = weights.detach().cpu().numpy()
-    return np.ascontiguousarray(weights, dtype="<f4")
 
 
 def _check_part(array: NDArray[np.floating], shape: tuple[int, ...], subject: str) -> None:

@@ -136,7 +136,9 @@ def read_photo(
     """
     path = Path(path)
     whole = read_pixels(path)
-    pixels = central_square(whole, _share_within(whole, fov_rad, within_rad))
+    if not fov_rad and whole.focal_mm:
+        fov_rad = field_of_view(whole.focal_mm, *whole.values.shape[:2])
+    pixels = central_square(whole, seen_share(fov_rad, within_rad) if fov_rad and within_rad else 1.0)
     linear = resample(pixels, min(size, max(least, len(pixels.values))) if least else size)
     if not np.isfinite(linear).all():
         raise ValueError(f"{path}: holds NaN, expected finite values; export the image again.")
@@ -156,13 +158,6 @@ def read_photo(
             "a visible structure; leave it out."
         )
     return torch.from_numpy((srgb * 255).round().astype(np.uint8)).permute(2, 0, 1).contiguous()
-
-
-def _share_within(pixels: Pixels, fov_rad: float, within_rad: float) -> float:
-    """The share of the shorter side that lies within a field of view; 1 where the camera's own is not known."""
-    if not fov_rad and pixels.focal_mm:
-        fov_rad = field_of_view(pixels.focal_mm, *pixels.values.shape[:2])
-    return seen_share(fov_rad, within_rad) if fov_rad and within_rad else 1.0
 
 
 def field_of_view(focal_mm: float, height: int, width: int) -> float:
@@ -262,8 +257,8 @@ def _converted(values: Floats, space: str) -> Floats:
 def _over_mean(linear: Floats, path: Path) -> Floats:
     """Put premultiplied colours over their own mean: [.., 4] to [.., 3]."""
     colours, alpha = linear[..., :3], linear[..., 3:]
-    seen = alpha.sum()
-    if seen <= 0:
+    visible = alpha.sum()
+    if visible <= 0:
         raise ValueError(f"{path}: transparent all over, expected a visible picture; leave it out.")
-    result: Floats = colours + (1 - alpha) * (colours.sum(axis=(0, 1)) / seen)
+    result: Floats = colours + (1 - alpha) * (colours.sum(axis=(0, 1)) / visible)
     return result

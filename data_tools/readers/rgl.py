@@ -81,9 +81,9 @@ def read_tensor_file(path: str | Path) -> dict[str, NDArray[np.number]]:
             raise ValueError(f"{path}: version {version[0]}.{version[1]}, expected 1.0; download it again.")
         if count > MOST_FIELDS:
             raise _Damaged(f"{count} fields")
-        fields, at = {}, 18
+        fields, start = {}, 18
         for _ in range(count):
-            name, array, at = _field(content, at)
+            name, array, start = _field(content, start)
             fields[name] = array
     except (struct.error, UnicodeDecodeError, _Damaged) as error:
         reason = str(error) if isinstance(error, _Damaged) else "a header that is cut off or no text"
@@ -236,7 +236,7 @@ def _evaluate(mitsuba: ModuleType, bsdf: mi.BSDF, angles: Tensor) -> Tensor:
 
     light, viewer = rusinkiewicz_to_directions(angles.reshape(-1, 3).double())
     interaction = drjit.zeros(mitsuba.SurfaceInteraction3f, len(light))
-    interaction.wi, outward = (mitsuba.Vector3f(each.T.float().numpy()) for each in (viewer, light))
+    interaction.wi, outward = (mitsuba.Vector3f(direction.T.float().numpy()) for direction in (viewer, light))
     value = torch.from_numpy(np.array(bsdf.eval(mitsuba.BSDFContext(), interaction, outward))).T
     return (value / light[:, 2:].clamp_min(1e-6)).clamp_min(0).reshape(angles.shape).to(angles)
 

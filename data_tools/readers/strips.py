@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -20,7 +21,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from data_tools.formats import AUTO, Conversion
+from data_tools.formats import AUTO, Conversion, Label
 from data_tools.readers.image_files import LINEAR, Pixels, is_heif, opened, read_pixels
 from data_tools.readers.photos import SIZE, find_photos, fraction, is_photo, resample
 from data_tools.readers.svbrdf_task import UNITS as OF_TASKS
@@ -112,35 +113,25 @@ def read_task(path: Path, size: int = SIZE, gamma: float = 1.0, white: float = W
 
 def conversion(paths: Iterable[Path], split: str, *, size: int, gamma: float, white: float) -> Conversion:
     """How strips become tasks; with a split by base materials, those that blend both sides are left out."""
-    sources = {source.resolve(): source for source in find(paths)[0]}
+    sources = [source.resolve() for source in find(paths)[0]]
     groups = group_strips(sources)
-    parted = split_strips(list(sources)) if split == AUTO else Split({}, [], "")
+    parted = split_strips(sources) if split == AUTO else Split({}, [], "")
     left_out = set(parted.left_out)
 
     def find_kept(named: Iterable[Path]) -> tuple[list[Path], list[str]]:
         found, skipped = find(named)
         return [source for source in found if source.resolve() not in left_out], skipped
 
-    def read(source: Path) -> Task:
-        return read_task(source, size, gamma, white)._replace(group=groups[source.resolve()])
+    def label(source: Path) -> Label:
+        place = source.resolve()
+        return Label(task_name(source.stem), groups[place], parted.sides.get(place, ""))
 
-    def split_of(source: Path) -> str:
-        return parted.sides[source.resolve()]
-
+    read = partial(read_task, size=size, gamma=gamma, white=white)
     notes: dict[str, object] = {"made_by": "metapp data strips", "size": size, "gamma": gamma, "white": white}
     if split == AUTO:
-        notes |= {"split_by": parted.by, "left_out": len(left_out)}
-    return Conversion(
-        "svbrdf_nonstationary",
-        "strip",
-        UNITS,
-        find_kept,
-        lambda source: task_name(source.stem),
-        read,
-        notes,
-        split_of,
-        _remarks(parted, len(sources)),
-    )
+        notes |= {"split_by": parted.by, "left_out": len(parted.left_out)}
+    remarks = _remarks(parted, len(sources))
+    return Conversion("svbrdf_nonstationary", "strip", UNITS, find_kept, read, notes, label, remarks)
 
 
 def _remarks(parted: Split, count: int) -> tuple[str, ...]:
@@ -150,7 +141,7 @@ def _remarks(parted: Split, count: int) -> tuple[str, ...]:
         lines.append("base materials are blended with all others: training and test strips show other presets of them.")
     if parted.left_out:
         between = f"{parted.by}s of training with {parted.by}s of tests"
-        lines.append(f"{len(set(parted.left_out))} of {count} strips left out: they blend {between}.")
+        lines.append(f"{len(parted.left_out)} of {count} strips left out: they blend {between}.")
     return tuple(lines)
 
 
@@ -195,12 +186,13 @@ def blend(strip: Path) -> Blend:
     parts = strip.stem.split(";")
     if len(parts) < 3:
         return Blend(frozenset([strip.stem]), frozenset([strip.stem]))
-    materials = [each for each in parts[1].split("X") if each] or [strip.stem]
+    materials = [material for material in parts[1].split("X") if material] or [strip.stem]
     presets = parts[2].split("X")
     if len(presets) != len(materials):  # which belongs to which is not known
         return Blend(frozenset(materials), frozenset(materials))
     return Blend(
-        frozenset(materials), frozenset(f"{each};{preset}" for each, preset in zip(materials, presets, strict=True))
+        frozenset(materials),
+        frozenset(f"{material};{preset}" for material, preset in zip(materials, presets, strict=True)),
     )
 
 
@@ -211,10 +203,10 @@ def group_strips(strips: Iterable[Path]) -> dict[Path, str]:
     material. Where there are fewer, validation would have nothing to part: the strips of one blend are a group.
     """
     blends = {strip: blend(strip) for strip in strips}
-    components = _components({strip: each.materials for strip, each in blends.items()})
+    components = _components({strip: made_of.materials for strip, made_of in blends.items()})
     if len(set(components.values())) >= _FEW:
         return components
-    return {strip: " + ".join(sorted(each.presets)) for strip, each in blends.items()}
+    return {strip: " + ".join(sorted(made_of.presets)) for strip, made_of in blends.items()}
 
 
 def split_strips(strips: Sequence[Path]) -> Split:
@@ -226,24 +218,23 @@ def split_strips(strips: Sequence[Path]) -> Split:
     presets are parted so instead of base materials, and where none of these, either, all strips train.
     """
     blends = {strip: blend(strip) for strip in strips}
-    materials = {strip: each.materials for strip, each in blends.items()}
+    materials = {strip: made_of.materials for strip, made_of in blends.items()}
+    presets = {strip: made_of.presets for strip, made_of in blends.items()}
     components = _components(materials)
     sizes = Counter(components.values())
     if len(sizes) >= _FEW:
         in_line = sorted(sizes, key=lambda component: (-sizes[component], component))
         test_ones = frozenset(in_line[_FEW - 1 :: _FEW])
         return Split({strip: "test" if components[strip] in test_ones else "train" for strip in strips}, [], "material")
-    for by, made_of in (("material", materials), ("preset", {strip: each.presets for strip, each in blends.items()})):
+    for by, made_of in (("material", materials), ("preset", presets)):
         test = _test_side(Counter(made_of.values()))
         if test:
-            sides = {strip: _side(units, test) for strip, units in made_of.items()}
-            left_out = [strip for strip, side in sides.items() if not side]
-            return Split({strip: side for strip, side in sides.items() if side}, left_out, by)
+            sides = {strip: "test" if units <= test else "train" for strip, units in made_of.items()}
+            left_out = [strip for strip, units in made_of.items() if units & test and not units <= test]
+            for strip in left_out:
+                del sides[strip]
+            return Split(sides, left_out, by)
     return Split(dict.fromkeys(strips, "train"), [], "material")
-
-
-def _side(units: frozenset[str], test: frozenset[str]) -> str:
-    return "test" if units <= test else "" if units & test else "train"
 
 
 def _components(made_of: Mapping[Path, frozenset[str]]) -> dict[Path, str]:
@@ -278,7 +269,7 @@ def _test_side(blends: Counter[frozenset[str]]) -> frozenset[str]:
     for start in range(0, len(kinds), -(-len(kinds) // max(_WALKS // len(kinds), 1))):
         chosen, test, train = member[start], 0.0, weight.sum().item()
         while test <= train:
-            test, train = (float(each) for each in _kept(member, weight, chosen[None]))
+            test, train = (float(count) for count in _kept(member, weight, chosen[None]))
             if test <= train and test * _FEW >= test + train and (test + train, -test) > best:
                 best, chosen_best = (test + train, -test), chosen
             after = torch.maximum(chosen, candidates)

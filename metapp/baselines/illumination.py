@@ -37,7 +37,7 @@ class Kept(NamedTuple):
     Attributes:
         values: [C, K] over the scale, in half precision.
         scale: the largest.
-        places: in a plane, [K], as `str_` of row-major numbers.
+        places: in a plane, [K], row-major.
         shape: of a plane.
     """
 
@@ -55,18 +55,14 @@ class Kept(NamedTuple):
     def size(self) -> int:
         """Bytes: places as a list or as a bit for each there is, whichever is less."""
         total = math.prod(self.shape)
-        return SCALE + VALUE * self.values.size + min(places_size(total) * self.places.size, -(-total // 8))
+        place = 2 if total <= 2**16 else 4
+        return SCALE + VALUE * self.values.size + min(place * self.places.size, -(-total // 8))
 
     def coefficients(self) -> Floats:
         """All of them, [C, H, W]."""
         flat = np.zeros((len(self.values), math.prod(self.shape)))
         flat[:, self.places] = self.values.astype(np.float64) * self.scale
         return flat.reshape(-1, *self.shape)
-
-
-def places_size(total: int) -> int:
-    """Bytes of a place among so many."""
-    return 2 if total <= 2**16 else 4
 
 
 def largest(coefficients: Floats, count: int) -> Kept:

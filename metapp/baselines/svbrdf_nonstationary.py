@@ -76,8 +76,12 @@ def baselines(app: App) -> tuple[Baseline, ...]:
         title = "the training material whose photograph is nearest (mean absolute difference of logs)"
         return (Baseline("nearest", title, "be a material that is not in its set", _nearest),)
     cannot = "read maps from a photo"
+
+    def as_jpeg(tasks: Tasks, rung: int) -> Fitted:
+        return _kept([jpeg(sheet, rung + 1) for sheet in sheets(_maps(tasks))], ".jpg", lambda maps: maps)
+
     codecs = [
-        Codec("jpeg", "JPEGs of the maps, of the quality that fits", cannot, lambda _: 100, _jpeg),
+        Codec("jpeg", "JPEGs of the maps, of the quality that fits", cannot, lambda _: 100, as_jpeg),
         Codec("png", "PNGs of the maps, with fewer bits, then fewer texels, until they fit", cannot, _count, _png),
     ]
     return tuple(baseline for way in codecs for baseline in both_ways(way))
@@ -102,11 +106,6 @@ def maps_of(pictures: Sheets) -> Maps:
 
 def _maps(tasks: Tasks) -> Maps:
     return unpack(tasks.data["maps"][tasks.rows])
-
-
-def _jpeg(tasks: Tasks, rung: int) -> Fitted:
-    files = [jpeg(sheet, rung + 1) for sheet in sheets(_maps(tasks))]
-    return _kept(files, ".jpg", lambda maps: maps)
 
 
 def _kept(files: Sequence[bytes], suffix: str, after: Callable[[Maps], Maps]) -> Fitted:

@@ -202,7 +202,7 @@ class Densities(NamedTuple):
     @property
     def kept(self) -> tuple[int, int]:
         """Numbers and bytes that it takes to keep it: the finest cells, or the samples where these are fewer bytes."""
-        cells = len(self.film.levels[-1].keys) + sum(len(each.levels[-1][-1].keys) for each in self.directions)
+        cells = len(self.film.levels[-1].keys) + sum(len(grid.levels[-1][-1].keys) for grid in self.directions)
         as_cells, as_samples = (2 * cells, CELL * cells), (5 * self.samples, SAMPLE * self.samples)
         return min(as_cells, as_samples, key=lambda kept: kept[1])
 
@@ -229,10 +229,10 @@ class Histograms(NamedTuple):
         def answer(tasks: Tasks, made: Densities) -> tuple[Tensor, Tensor]:
             points = _held(tasks)
             film = made.film.log_density(points[:, :2], _film(chosen.film))
-            directions = _mean([each.look(points) for each in made.directions], chosen.directions)
+            directions = _mean([grid.look(points) for grid in made.directions], chosen.directions)
             return torch.from_numpy(film)[None].float(), torch.from_numpy(directions)[None].float()
 
-        return Prepared(fit, chosen={"smoothing": [[round(x, 3) for x in each] for each in chosen]})
+        return Prepared(fit, chosen={"smoothing": [[round(x, 3) for x in strengths] for strengths in chosen]})
 
     def made(self, tasks: Tasks, rng: Generator, count: int) -> Densities:
         """The densities of one scene's samples, as `Transport.sample` draws them."""
@@ -242,7 +242,7 @@ class Histograms(NamedTuple):
         prior = _prior(tasks.data["image"][row]) if self.picture else None
         film = square(drawn[:, :2], FILM, prior)
         shifts = np.random.default_rng(0).random((self.grids, 4)) if self.grids > 1 else [None]
-        several = tuple(pair(drawn, PLACES, DIRECTIONS, each) for each in shifts)
+        several = tuple(pair(drawn, PLACES, DIRECTIONS, shift) for shift in shifts)
         return Densities(film, several, len(np.unique(drawn, axis=0)))
 
     def _chosen(self, known: Tasks, count: int) -> Smoothing:
@@ -253,17 +253,17 @@ class Histograms(NamedTuple):
             one = known.select([scene])
             made, points = self.made(one, Generator().manual_seed(scene), count), _held(one)[:POINTS]
             films.append((made.film, points[:, :2]))
-            directions.append([each.look(points) for each in made.directions])
+            directions.append([grid.look(points) for grid in made.directions])
 
         def film(x: Floats) -> float:
-            return -float(np.mean([each.log_density(points, _film(x)) for each, points in films]))
+            return -float(np.mean([square.log_density(points, _film(x)) for square, points in films]))
 
         def direction(x: Floats) -> float:
-            return -float(np.mean([_mean(each, x) for each in directions]))
+            return -float(np.mean([_mean(grids, x) for grids in directions]))
 
         found = (minimize(f, x, method="Nelder-Mead", options={"maxfev": 100}).x
                  for f, x in zip((film, direction), FIRST, strict=True))  # fmt: skip
-        return Smoothing(*(tuple(each.tolist()) for each in found))
+        return Smoothing(*(tuple(strengths.tolist()) for strengths in found))
 
 
 def baselines(app: App) -> tuple[Baseline, ...]:

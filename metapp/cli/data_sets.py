@@ -35,9 +35,9 @@ def join(
     from metapp.storage.manifest import read_manifest
     from metapp.storage.shards import read_shard
 
-    manifests = [read_manifest(each) for each in folders]
+    manifests = [read_manifest(source) for source in folders]
     name = manifests[0].app
-    sets = [{task.name: task for task in read_shard(each, app=name, holds=holds_of(name))} for each in folders]
+    sets = [{task.name: task for task in read_shard(source, app=name, holds=holds_of(name))} for source in folders]
     every = [task.data for tasks in sets for task in tasks.values()]
     shapes = {key: value.shape for key, value in every[0].items() if all(key in data for data in every)}
     units = {key: unit for key, unit in manifests[0].units.items() if key in shapes}
@@ -52,8 +52,10 @@ def join(
                 )
         return task._replace(data=data)
 
-    pairs = [(entry, tasks[entry.name]) for tasks, each in zip(sets, manifests, strict=True) for entry in each.tasks]
-    notes = {"made_by": "metapp data join", "of": [each.name for each in folders]}
+    pairs = [
+        (entry, tasks[entry.name]) for tasks, manifest in zip(sets, manifests, strict=True) for entry in manifest.tasks
+    ]
+    notes = {"made_by": "metapp data join", "of": [source.name for source in folders]}
     report(_written(folder, folders, name, units, notes, pairs, shared, quiet), quiet, as_json)
 
 
@@ -126,7 +128,7 @@ def _written(
     """Write tasks that were read from data sets, each changed."""
     from metapp.storage.shards import ShardWriter
 
-    if folder.resolve() in [each.resolve() for each in sources]:
+    if folder.resolve() in [source.resolve() for source in sources]:
         raise ValueError(f"{folder}: one of the data sets to read, expected another folder to write to.")
     with ShardWriter(folder, name, units, notes) as writer, progress(name, len(pairs), quiet=quiet) as bar:
         for entry, task in pairs:

@@ -67,7 +67,7 @@ class App(ABC):
         return Traits()
 
     def conditions(self) -> dict[str, str]:
-        """What else its errors depend on, by name: part of every record, and said wherever errors are printed."""
+        """What else its errors depend on, by name: part of every record and caption."""
         return {}
 
     @abstractmethod

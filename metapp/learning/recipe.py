@@ -20,10 +20,10 @@ class Adam:
 
 @dataclass(frozen=True)
 class Guard:
-    """Which fits by a learned rule are doubtful, and what they go on by (`guard.learn_guarded`).
+    """Which fits by a learned rule are doubtful, and the Adam used as fallback (`metapp.learning.guard`).
 
     Attributes:
-        adam: what a doubtful fit goes on by from its best iterate, for as many steps again.
+        adam: the fallback, which continues a doubtful fit from its best iterate for as many steps again.
         fall: a fit is doubtful whose visible loss ends above this share of its initialisation's; 1 or less, and 1 where
             losses may be negative.
         rise: and one whose loss rises in the second half of the steps above so many times its lowest so far, or in the
@@ -93,7 +93,7 @@ class MetaTraining(OuterLoop):
 
     @property
     def from_general(self) -> bool:
-        """Whether the first initialisation is made of a prepared General."""
+        """Whether the first initialisation comes from a prepared General."""
         return self.initialisation in ("mean", "encoder")
 
 

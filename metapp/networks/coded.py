@@ -51,7 +51,7 @@ class CodedApp(App):
         raise NotImplementedError
 
     def read(self, reader: Params, photos: Tensor) -> Params:
-        """A task's own parameters, [T, ...] each, from what is seen of it."""
+        """A task's own parameters, [T, ...] each, from its photograph."""
         raise NotImplementedError
 
     def init_encoder(self, rng: Generator) -> Params:

@@ -196,7 +196,7 @@ class ExemplarApp(App):
 
     @torch.no_grad()
     def errors(self, theta: Params, tasks: Tasks) -> dict[str, Tensor]:
-        """On textures from noise that no fit has seen, the same for all."""
+        """On pictures from noise that no fit draws, the same for all."""
         rng = Generator(tasks.rows.device).manual_seed(0)
         noise = self.noise(rng, 1, JUDGED).expand(len(tasks), -1, -1, -1, -1)
         return {"error": self.loss(theta, self.sample(tasks, rng, 1) | {"noise": noise}, {})}

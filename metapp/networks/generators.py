@@ -22,7 +22,7 @@ class UNet(NamedTuple):
     Attributes:
         width: channels of the finest level; each level down doubles them, up to four times as many.
         levels: resolutions, each half of the one before.
-        noise: channels of the noise it starts from.
+        noise: channels of its input noise.
         code: length of z.
         outputs: channels of what it makes.
     """
@@ -96,7 +96,7 @@ class Pyramid(NamedTuple):
         noise: channels of the noise at each level.
         code: length of z.
         outputs: channels of what it makes.
-        finest: the level whose picture is made, 0 for the whole size.
+        finest: the level whose picture it makes, 0 for the whole size.
     """
 
     width: int
@@ -144,14 +144,14 @@ class Pyramid(NamedTuple):
         pooled = [noise.transpose(0, 1).flatten(1, 2)]
         for _ in range(self.finest + 1, self.levels):
             pooled.append(2 * avg_pool2d(pooled[-1], 2))  # of unit variance again
-        x, made = None, None
+        x, picture = None, None
         for level in reversed(range(self.finest, self.levels)):
             x = self._level(theta, level, x, pooled[level - self.finest])
             kernel, shift = theta[f"out{level}.kernel"], theta[f"out{level}.shift"]
             own = conv2d(x, kernel.flatten(0, 1), shift.flatten(), groups=tasks)
-            made = own if made is None else enlarged(made) + own
-        assert made is not None
-        result: Tensor = made.unflatten(1, (tasks, self.outputs)).transpose(0, 1)
+            picture = own if picture is None else enlarged(picture) + own
+        assert picture is not None
+        result: Tensor = picture.unflatten(1, (tasks, self.outputs)).transpose(0, 1)
         return result
 
     def _level(self, theta: Params, level: int, above: Tensor | None, noise: Tensor) -> Tensor:

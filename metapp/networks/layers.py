@@ -162,14 +162,14 @@ def enlarged_rows(x: Tensor) -> Rows:
 
 def styled_by_rows(theta: Params, name: str, read: Rows, height: int) -> Tensor:
     """`layers.styled` of maps that are `height` high: the same, without a copy of what it reads."""
-    kernel, made = theta[f"{name}.kernel"], None
+    kernel, result = theta[f"{name}.kernel"], None
     for top in range(0, height, ROWS):
         end = min(top + ROWS, height)
         strip = pad(read(top - 1, end + 1), (1, 1, 0, 0), mode="circular")
         part = conv2d(strip, kernel.flatten(0, 1), groups=kernel.shape[0])
-        made = part.new_empty(*part.shape[:2], height, part.shape[3]) if made is None else made
-        made[..., top:end, :] = part
-    assert made is not None
-    for channel, gain, shift in zip(made.split(1, 1), *style_of(theta, name), strict=True):
+        result = part.new_empty(*part.shape[:2], height, part.shape[3]) if result is None else result
+        result[..., top:end, :] = part
+    assert result is not None
+    for channel, gain, shift in zip(result.split(1, 1), *style_of(theta, name), strict=True):
         channel.copy_(leaky_relu(instance_norm(channel) * gain + shift, SLOPE))
-    return made
+    return result

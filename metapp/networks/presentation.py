@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any, ClassVar, TypeVar
+from collections.abc import Callable, Mapping
+from typing import ClassVar, TypeVar
 
 import torch
-from torch import Generator
+from torch import Generator, Tensor
 
 from metapp.appearance.presentation import Fitted, Presentation, Visible
 from metapp.learning.app import stack
@@ -17,6 +17,7 @@ from metapp.networks.exemplar import ExemplarApp
 TILED = 4  # times as high and wide as in training: what is written
 LARGEST = 4096  # px
 
+T = TypeVar("T")
 AnyCoded = TypeVar("AnyCoded", bound=CodedApp)
 AnyExemplar = TypeVar("AnyExemplar", bound=ExemplarApp)
 
@@ -53,7 +54,7 @@ class ExemplarPresentation(Presentation[AnyExemplar]):
         return "" if fits else f"expects multiples of {step} from {2 * step} to {LARGEST}"
 
     @torch.no_grad()
-    def made(self, theta: Params, make: Any, size: tuple[int, int]) -> Any:
+    def generated(self, theta: Params, make: Callable[[Params, Tensor], T], size: tuple[int, int]) -> T:
         """What `make` makes of theta [1, ...] and noise [1, 1, ...] of a size, height and width in px."""
         one = {key: value[None] for key, value in theta.items()}
         rng, channels = Generator(theta["z"].device).manual_seed(1), self.app.setup.network.noise

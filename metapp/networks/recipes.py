@@ -57,9 +57,9 @@ def generator(*, steps: int, outputs: int, tasks: int, rate: float, searched: Ad
     )
 
 
-def pixels(steps: int, tasks: int, **more: Any) -> OuterLoop:
+def pixels(steps: int, tasks: int, validate_every: int = 250) -> OuterLoop:
     """How General's encoder is trained beside a generator of pictures."""
-    return OuterLoop(steps=steps, tasks=tasks, rates=PIXELS, warmup=50, final=0.0, **more)
+    return OuterLoop(steps=steps, tasks=tasks, rates=PIXELS, warmup=50, final=0.0, validate_every=validate_every)
 
 
 def pyramid(quick: Recipe, *, searched: Adam, tasks: int, prior: float = 0.0) -> Recipe:

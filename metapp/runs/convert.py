@@ -53,7 +53,8 @@ def convert(conversion: Conversion, paths: Iterable[Path], out: Path, split: str
     with ShardWriter(out, conversion.app, conversion.units, {**conversion.notes, "split": split}) as writer:
         with progress(f"{conversion.noun}s", len(sources), quiet=quiet) as bar:
             for source, searched in sources.items():
-                bar.name(conversion.name(source))
+                label = conversion.label(source)
+                bar.name(label.name)
                 try:
                     task = conversion.read(source)
                 except (ValueError, OSError) as error:
@@ -61,10 +62,10 @@ def convert(conversion: Conversion, paths: Iterable[Path], out: Path, split: str
                         raise named(error, source) from None
                     bad.setdefault(searched, []).append(str(named(error, source)))
                 else:
-                    part = conversion.split_of(source) if conversion.split_of and split == AUTO else split
-                    writer.add(task, part, source)
+                    part = label.split if label.split and split == AUTO else split
+                    writer.add(task._replace(name=label.name, group=label.group), part, source)
                     usable |= {searched} if searched else set()
-                bar.advance(conversion.name(source))
+                bar.advance(label.name)
         empty = [folder for folder in bad if folder not in usable]
         if empty and len(bad[empty[0]]) == 1:
             raise ValueError(bad[empty[0]][0])  # the one thing in it is likely what was meant
@@ -93,10 +94,11 @@ def _find(conversion: Conversion, paths: Iterable[Path]) -> tuple[dict[Path, Pat
                 found[key] = (source, path if path.is_dir() else None)
     names: dict[str, Path] = {}
     for source, _ in found.values():
-        other = names.setdefault(conversion.name(source), source)
+        name = conversion.label(source).name
+        other = names.setdefault(name, source)
         if other is not source:
             raise ValueError(
-                f"{other} and {source}: two tasks named '{conversion.name(source)}', expected names that differ; "
+                f"{other} and {source}: two tasks named '{name}', expected names that differ; "
                 "rename one, or convert them into two folders."
             )
     return dict(found.values()), skipped

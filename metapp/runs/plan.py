@@ -25,9 +25,8 @@ from metapp.runs.checks import (
     default_recipe,
 )
 from metapp.runs.naming import observe_of
-from metapp.runs.request import Request, portion_of
+from metapp.runs.request import Request, portion_of, said_time, seconds_of
 from metapp.runs.surroundings import find_device, machine, precision_of, versions
-from metapp.runs.timing import said_time, seconds_of
 
 
 class Checkpoint(NamedTuple):

@@ -208,11 +208,8 @@ def test_encoder_predicts_networks(tasks: Tasks, rng: Generator) -> None:
     encoder = APP.init_encoder(rng)
     theta = APP.encode(encoder, APP.condition(tasks, rng))
     template = APP.init(rng, 4)
-    assert {key: value.shape for key, value in theta.items()} == {key: value.shape for key, value in template.items()}
-    one = APP.encode(encoder, APP.condition(tasks.select([1]), rng))
-    assert {value.shape[0] for value in one.values()} == {1}
-    start = APP.errors(theta, tasks)["error"]
-    assert (start < 3 * APP.errors(template, tasks)["error"].max()).all()
+    errors = APP.errors(theta, tasks)["error"]
+    assert (errors < 3 * APP.errors(template, tasks)["error"].max()).all()
 
 
 # Made-up materials
@@ -233,22 +230,11 @@ def sources(made: Tasks, tasks: Tasks) -> Tensor:
     return torch.cdist(made.data["where"][0].double(), tasks.data["where"][0].double()).argmin(1)
 
 
-def test_made_up_materials_are_tasks(tasks: Tasks, rng: Generator) -> None:
-    picked = tasks.select([3, 1])
-    made = APP.augment(picked, rng)
-    assert len(made) == 2
-    assert made.names == tuple(f"variant of {name}" for name in picked.picked_names())
-    assert all(torch.isfinite(value).all() for value in made.data.values())
-    assert (made.data["target"] >= 0).all()
-    drawn = APP.sample(made, rng, 16)
-    assert drawn["where"].shape == (2, 7, 16)
-    assert not torch.equal(APP.augment(picked, rng).data["target"], made.data["target"])
-
-
 def test_a_made_up_material_is_one_material(tasks: Tasks, rng: Generator) -> None:
     """Each channel is one channel of the source times one factor, at every sample."""
     own = apart(tasks)
     made = APP.augment(own, rng)
+    assert (made.data["target"] >= 0).all()
     before, after = weighted(own)[:, sources(made, own)], weighted(made)
     permuted = 0
     for task in range(4):

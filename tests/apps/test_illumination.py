@@ -95,12 +95,8 @@ def test_what_faces_is_looked_up_where_it_faces() -> None:
     assert (seen - towards)[:2, front].abs().max() < 0.05
 
 
-def test_the_encoder_makes_a_start(app: Illumination, tasks: Tasks, rng: Generator) -> None:
-    encoder = app.init_encoder(rng)
-    theta = app.encode(encoder, app.condition(tasks, rng))
-    expected = app.init(rng, len(tasks))
-    assert {key: value.shape for key, value in theta.items()} == {key: each.shape for key, each in expected.items()}
-    assert theta["body"].shape == (4, BODY)
+def test_the_encoder_makes_a_code_of_each_photo(app: Illumination, tasks: Tasks, rng: Generator) -> None:
+    theta = app.encode(app.init_encoder(rng), app.condition(tasks, rng))
     assert not torch.equal(theta["z"][0], theta["z"][1])
     assert torch.equal(theta["layer0.kernel"][0], theta["layer0.kernel"][1])
 
@@ -170,16 +166,11 @@ def test_gradients(protocol: str, tasks: Tasks) -> None:
     theta = {key: value.double() for key, value in app.init(Generator().manual_seed(2), 4).items()}
     batch = {key: value.double() for key, value in app.sample(tasks, Generator(), 1).items()}
     learned = {key: value[:1].double().expand(4) for key, value in app.loss_parameters(1).items()}
-    directed = {key: torch.randn_like(value) for key, value in theta.items()}
-    leaves = {key: value.clone().requires_grad_() for key, value in theta.items()}
-    grads = torch.autograd.grad(app.loss(leaves, batch, learned).sum(), list(leaves.values()), materialize_grads=True)
-    slope = sum(float((grad * directed[key]).sum()) for key, grad in zip(leaves, grads, strict=True))
-    step = 1e-6
-    ahead, behind = (
-        float(app.loss({key: value + s * directed[key] for key, value in theta.items()}, batch, learned).sum())
-        for s in (step, -step)
-    )
-    assert slope == pytest.approx((ahead - behind) / (2 * step), rel=1e-4)
+
+    def loss(*values: Tensor) -> Tensor:
+        return app.loss(dict(zip(theta, values, strict=True)), batch, learned)
+
+    assert torch.autograd.gradcheck(loss, tuple(value.requires_grad_() for value in theta.values()), fast_mode=True)
 
 
 def test_photographs_alone_have_no_error(rng: Generator) -> None:
@@ -199,7 +190,6 @@ def test_photographs_alone_have_no_error(rng: Generator) -> None:
 
 def test_turned_maps_have_the_light_of_the_map(app: Illumination, tasks: Tasks, rng: Generator) -> None:
     made = app.augment(tasks, rng)
-    assert made.data.keys() == tasks.data.keys()
     torch.testing.assert_close(mean_luminance(made.data["map"]), torch.ones(4), atol=2e-3, rtol=0)
     assert not torch.equal(made.data["photo"], tasks.data["photo"])
 

@@ -223,28 +223,6 @@ def test_gradients_of_maps_and_of_their_photograph() -> None:
     assert torch.autograd.gradcheck(photograph, (raw.requires_grad_(),), fast_mode=True)
 
 
-def test_gradients_of_the_loss() -> None:
-    """In float64, from the generator's parameters through maps, photograph and features to the distance."""
-    app = SvbrdfStationary(
-        ExemplarSetup(16, 16, UNet(2, 2, noise=1, code=2, outputs=6), "vgg16", ("relu1_1", "relu2_1"))
-    )
-    theta = {key: value.double() for key, value in app.init(seeded(), 2).items()}
-    photos = torch.rand(2, 3, 16, 16, generator=seeded(), dtype=torch.float64)
-    data = app.describe(photos)
-    assert {value.dtype for value in data.values()} == {torch.float64}
-    batch = app.sample(Tasks(("a", "b"), data, torch.arange(2)), seeded(), 1)
-    batch["noise"] = batch["noise"].double()
-
-    def loss(*values: Tensor) -> Tensor:
-        return app.loss(dict(zip(theta, values, strict=True)), batch, {})
-
-    leaves = tuple(value.clone().requires_grad_() for value in theta.values())
-    assert loss(*leaves).dtype == torch.float64
-    assert torch.autograd.gradcheck(loss, leaves, fast_mode=True)
-    grads = torch.autograd.grad(loss(*leaves).sum(), leaves)
-    assert all(grad.abs().max() > 0 for grad in grads)
-
-
 # The light
 
 
@@ -364,12 +342,15 @@ def test_files_are_the_maps_and_other_lights(sources: list[Task]) -> None:
         torch.testing.assert_close(files[f"lit_from_{name}"], shown, rtol=0, atol=2e-3)
 
 
+def pixels_of(app: SvbrdfStationary, theta: Params, task: Task) -> dict[str, Tensor]:
+    return {name: picture.pixels for name, picture in SvbrdfStationaryPresentation(app).files(theta, task).items()}
+
+
 def test_maps_tile(sources: list[Task]) -> None:
     """Also the normals, which look at their neighbours."""
     app = tiny()
     theta = {key: value[0] for key, value in app.init(seeded(), 1).items()}
-    made = SvbrdfStationaryPresentation(app).files(theta, sources[0])
-    files = {name: picture.pixels for name, picture in made.items()}
+    files = pixels_of(app, theta, sources[0])
     for name in ("diffuse", "specular", "roughness", "normal", "height"):
         for axis in (0, 1):
             differences = (files[name] - files[name].roll(1, axis)).abs().movedim(axis, 0).flatten(1).mean(1)[::4]
@@ -380,8 +361,7 @@ def test_the_highlight_moves_with_light_and_viewer(sources: list[Task]) -> None:
     """To where they mirror each other in a flat material."""
     app = tiny()
     theta = {key: value[0] for key, value in flat(app, -3.0, -3.0, -3.0, -2.5, -1.5, 0.0).items()}
-    made = SvbrdfStationaryPresentation(app).files(theta, sources[0])
-    files = {name: picture.pixels for name, picture in made.items()}
+    files = pixels_of(app, theta, sources[0])
     assert files["height"].max() == 0
     places = positions(TILED * SIZE, TILED * SIZE).flatten(1)
     found = {}
@@ -470,16 +450,6 @@ def test_outputs_show_photo_and_fit_under_its_light(sources: list[Task], tasks: 
     light = tasks.data["light"][1]
     fit = app.photograph(maps, light, light)[0, 0].permute(1, 2, 0)
     torch.testing.assert_close(linear_to_srgb(outputs["fit"]), fit, rtol=0, atol=1e-4)
-
-
-def test_the_paper_s_recipe() -> None:
-    assert PAPER.steps == 20
-    assert PAPER.rule == "meta-sgd"
-    assert (PAPER.meta["meta-sgd"].tasks, PAPER.meta["meta-sgd"].order) == (3, 1)
-    app = SvbrdfStationary(PAPER.setup)
-    assert app.noise(seeded(), 1, 1).shape == (1, 1, 8, 256, 256)
-    photos = torch.rand(1, 3, 256, 256)
-    assert torch.equal(app.exemplar(photos), photos)
 
 
 def test_variants_are_photos_with_lights_of_their_own(tasks: Tasks) -> None:

@@ -21,7 +21,7 @@ from torch import Generator, Tensor
 
 from metapp.appearance.flash import Maps, unpack
 from metapp.apps.svbrdf_nonstationary import JUDGED, SvbrdfNonstationary, _pairs
-from metapp.apps.svbrdf_nonstationary.maps import FLASH, RAW, decoded, seen
+from metapp.apps.svbrdf_nonstationary.maps import FLASH, RAW, decoded, inputs_of
 from metapp.apps.svbrdf_nonstationary.recipes import QUICK
 from metapp.cli.console import run
 from metapp.learning.app import stack
@@ -50,7 +50,7 @@ class Bench:
         self.photo, self.truth = tasks.data["photo"], unpack(tasks.data["maps"])
         self.pairs = _pairs(JUDGED)[None]
         self.wanted = APP._logs(self.truth, self.pairs)
-        self.raw = APP.field(theta, seen(self.photo)).detach()
+        self.raw = APP.field(theta, inputs_of(self.photo)).detach()
         self.flash = {"flash": theta["flash"].detach()}
 
     def error(self, maps: Maps) -> float:

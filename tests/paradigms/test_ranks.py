@@ -50,7 +50,7 @@ def train(materials: Path, compiled: None) -> Callable[..., list[Rank]]:
     """Start the ranks of one training on few small materials: train(ranks, folder, steps)."""
 
     def start(count: int, out: Path, steps: int, **environment: str) -> list[Rank]:
-        command = ["meta", "brdf", "--train", "--train-steps", str(steps)]
+        command = ["meta", "brdf", "--recipe", "quick", "--train", "--train-steps", str(steps)]
         command += ["--data", str(materials), "--out", str(out), "--quiet"]
         shared = {"MASTER_ADDR": "127.0.0.1", "MASTER_PORT": str(free_port()), "WORLD_SIZE": str(count)}
         started = []
@@ -63,7 +63,7 @@ def train(materials: Path, compiled: None) -> Callable[..., list[Rank]]:
 
 
 def trained(folder: Path) -> dict[str, Path]:
-    return {path.stem: path for path in folder.rglob("starts/*/*.safetensors")}
+    return {path.stem: path for path in folder.rglob("checkpoints/*/*.safetensors")}
 
 
 def test_two_ranks_train_what_one_does(train: Callable[..., list[Rank]], tmp_path: Path) -> None:

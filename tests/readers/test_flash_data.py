@@ -1,17 +1,21 @@
-"""Flash photographs: which material each shows, and that no material is on both sides of a split."""
+"""Photographs as tasks: the field of view that EXIF tells, which material each shows, and how these are split."""
 
 from __future__ import annotations
 
+import math
 import random
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 
-from data_tools.readers import flash
-from data_tools.readers.flash import Shown, find_shown, shown, split_by_material
-from data_tools.readers.photos import read_photo
-from tests.pictures import noise, write
+from data_tools.formats import Label
+from data_tools.readers import flash, photos, svbrdf_inputs
+from data_tools.readers.flash import find_shown, shown, split_by_material
+from data_tools.readers.image_files import focal_length_of
+from data_tools.readers.photos import field_of_view, read_photo, seen_share
+from tests.pictures import noise, photograph, write
 
 
 def touch(folder: Path, *names: str) -> None:
@@ -22,8 +26,7 @@ def touch(folder: Path, *names: str) -> None:
 
 def splits_of(folder: Path) -> dict[str, str]:
     """The split of each photograph of a folder, by the name of its task."""
-    photos = find_shown([folder])
-    return {photos[photo].name: split for photo, split in split_by_material(photos).items()}
+    return {label.name: label.split for label in split_by_material(find_shown([folder])).values()}
 
 
 def test_a_task_is_named_by_material_and_image(tmp_path: Path) -> None:
@@ -40,14 +43,14 @@ def test_a_task_is_named_by_material_and_image(tmp_path: Path) -> None:
 
 def test_the_material_follows_from_name_and_place(tmp_path: Path) -> None:
     told = {
-        "train_0231_IMG_0785.jpg": Shown("0231_IMG_0785", "0231", "train"),
-        "deep/Test_gold_a.jpg": Shown("gold_a", "gold", "test"),
-        "test/0280/IMG_0786.JPG": Shown("0280_IMG_0786", "0280", "test"),
-        "Train/tin.jpg": Shown("tin", "tin", "train"),
-        "wood/IMG_1.jpg": Shown("wood_IMG_1", "wood", ""),
-        "box/wood/IMG_1.jpg": Shown("wood_IMG_1", "wood", ""),
-        "stone.jpg": Shown("stone", "stone", ""),
-        "test_stone.jpg": Shown("test_stone", "test_stone", ""),
+        "train_0231_IMG_0785.jpg": Label("0231_IMG_0785", "0231", "train"),
+        "deep/Test_gold_a.jpg": Label("gold_a", "gold", "test"),
+        "test/0280/IMG_0786.JPG": Label("0280_IMG_0786", "0280", "test"),
+        "Train/tin.jpg": Label("tin", "tin", "train"),
+        "wood/IMG_1.jpg": Label("wood_IMG_1", "wood", ""),
+        "box/wood/IMG_1.jpg": Label("wood_IMG_1", "wood", ""),
+        "stone.jpg": Label("stone", "stone", ""),
+        "test_stone.jpg": Label("test_stone", "test_stone", ""),
     }
     for name, expected in told.items():
         assert shown(tmp_path / name, tmp_path) == expected
@@ -55,12 +58,12 @@ def test_the_material_follows_from_name_and_place(tmp_path: Path) -> None:
 
 def test_what_lies_above_the_named_folder_says_nothing(tmp_path: Path) -> None:
     folder = tmp_path / "test" / "photographs"
-    assert shown(folder / "a.jpg", folder) == Shown("a", "a", "")
-    assert shown(folder / "wood" / "a.jpg", folder) == Shown("wood_a", "wood", "")
+    assert shown(folder / "a.jpg", folder) == Label("a", "a", "")
+    assert shown(folder / "wood" / "a.jpg", folder) == Label("wood_a", "wood", "")
     # but the folder itself does, and so does the place of a file that was named
-    assert shown(tmp_path / "test" / "gold" / "a.jpg", tmp_path / "test") == Shown("gold_a", "gold", "test")
-    assert shown(tmp_path / "test" / "gold" / "a.jpg") == Shown("gold_a", "gold", "test")
-    assert shown(tmp_path / "photographs" / "a.jpg") == Shown("a", "a", "")
+    assert shown(tmp_path / "test" / "gold" / "a.jpg", tmp_path / "test") == Label("gold_a", "gold", "test")
+    assert shown(tmp_path / "test" / "gold" / "a.jpg") == Label("gold_a", "gold", "test")
+    assert shown(tmp_path / "photographs" / "a.jpg") == Label("a", "a", "")
 
 
 def test_relative_paths_tell_the_same(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -110,7 +113,7 @@ def test_a_material_on_both_sides_is_refused(tmp_path: Path) -> None:
 def test_a_photograph_found_twice_shows_one_material(tmp_path: Path) -> None:
     touch(tmp_path, "wood/a.jpg", "wood/b.jpg")
     for paths in ([tmp_path, tmp_path / "wood", tmp_path / "wood/a.jpg"], [tmp_path / "wood/a.jpg", tmp_path]):
-        assert [each.material for each in find_shown(paths).values()] == ["wood", "wood"]
+        assert [each.group for each in find_shown(paths).values()] == ["wood", "wood"]
 
 
 def test_bad_paths_are_refused(tmp_path: Path) -> None:
@@ -118,3 +121,90 @@ def test_bad_paths_are_refused(tmp_path: Path) -> None:
         find_shown([tmp_path])
     with pytest.raises(ValueError, match=r"none.jpg: no such file"):
         find_shown([tmp_path / "none.jpg"])
+
+
+def test_a_task_is_named_by_the_stem_and_holds_one_image(tmp_path: Path) -> None:
+    path = photograph(tmp_path / "old bark.v2.png")
+    task = photos.read_task(path)
+    assert task.name == "old bark.v2"
+    assert list(task.data) == list(photos.UNITS) == ["image"]
+    assert task.data["image"].shape == (3, 256, 256)
+    assert task.data["image"].dtype == torch.uint8
+    assert torch.equal(task.data["image"], read_photo(path))
+    assert photos.read_task(path, 40).data["image"].shape == (3, 40, 40)
+
+
+def test_images_and_folders_of_them_are_recognised(tmp_path: Path) -> None:
+    photograph(tmp_path / "deep" / "er" / "a.JPEG")
+    (tmp_path / "empty").mkdir()
+    (tmp_path / "notes.txt").write_text("about")
+    (tmp_path / "broken.jpg").write_text("about")
+    for name in ("", "deep", "deep/er/a.JPEG", "broken.jpg"):
+        assert photos.recognises(tmp_path / name)
+    for name in ("empty", "notes.txt", "missing.png"):
+        assert not photos.recognises(tmp_path / name)
+
+
+def test_what_is_found_can_be_read(tmp_path: Path) -> None:
+    for name in ("b.png", "a.tif", "sub/c.png"):
+        photograph(tmp_path / name)
+    (tmp_path / "notes.txt").write_text("about")
+    sources, skipped = photos.find([tmp_path])
+    assert [photos.read_task(source, 32).name for source in sources] == ["a", "b", "c"]
+    assert len(skipped) == 1
+    with pytest.raises(ValueError, match=r"notes.txt: not an image"):
+        photos.read_task(photos.find([tmp_path / "notes.txt"])[0][0])
+
+
+def photo(path: Path, focal: int = 0, height: int = 96, width: int = 128) -> Path:
+    """A ramp along both axes, so that every crop is another picture."""
+    y, x = np.mgrid[:height, :width]
+    attributes = {"Exif:FocalLengthIn35mmFilm": focal} if focal else {}
+    return write(path, np.uint8(np.stack([x + 40, 2 * y + 20, 100 + 0 * x], -1)), **attributes)
+
+
+@pytest.mark.parametrize(
+    ("focal", "height", "width", "degrees"),
+    [(50, 24, 36, 26.99), (24, 36, 24, 53.13), (26, 3024, 4032, 53.07), (13, 3024, 4032, 89.91)],
+)
+def test_fields_of_view_of_known_lenses(focal: float, height: int, width: int, degrees: float) -> None:
+    """50 mm and 24 mm on film, 24 mm along the shorter side; a phone's main and wide lens, of pictures 4:3."""
+    assert math.degrees(field_of_view(focal, height, width)) == pytest.approx(degrees, abs=0.05)
+
+
+def test_a_narrower_camera_sees_the_middle() -> None:
+    assert seen_share(math.radians(90), math.radians(45)) == pytest.approx(math.tan(math.radians(22.5)))
+    assert seen_share(math.radians(45), math.radians(45)) == pytest.approx(1)
+    assert seen_share(math.radians(30), math.radians(45)) == 1  # nothing can be added
+
+
+@pytest.mark.parametrize("suffix", ["jpg", "tif", "png"])
+def test_of_a_wide_lens_fits_see_what_their_camera_does(tmp_path: Path, suffix: str) -> None:
+    path = photo(tmp_path / f"a.{suffix}", focal=26)
+    share = math.tan(math.radians(22.5)) / math.tan(field_of_view(26, 96, 128) / 2)
+    side = round(96 * share)
+    assert 76 < side < 82
+    found = flash.read_task(path, side).data["image"].float()
+    low = (128 - side) // 2 + 40
+    assert (found[0].mean() - (low + (side - 1) / 2)).abs() < 1
+    assert (found[0, side // 2, -1] - found[0, side // 2, 0] - (side - 1)).abs() < 3
+    assert torch.equal(svbrdf_inputs.read_task(path, side).data["photo"].float(), found)
+
+
+def test_the_user_s_word_counts_more_than_the_file_s(tmp_path: Path) -> None:
+    wide, plain = photo(tmp_path / "a.png", focal=26), photo(tmp_path / "b.png")
+    said = [flash.read_task(path, 64, math.radians(70)).data["image"] for path in (wide, plain)]
+    assert torch.equal(*said)
+    assert not torch.equal(said[0], flash.read_task(wide, 64).data["image"])
+
+
+def test_without_a_word_about_the_lens_the_whole_square_counts(tmp_path: Path) -> None:
+    plain, texture = photo(tmp_path / "a.png"), photo(tmp_path / "b.png", focal=13)
+    whole = photos.read_task(plain, 96).data["image"]
+    assert torch.equal(flash.read_task(plain, 96).data["image"], whole)
+    assert torch.equal(photos.read_task(texture, 96).data["image"], whole)  # no flash, no camera
+
+
+@pytest.mark.parametrize("exif", [None, b"", b"Exif\0\0", b"Exif\0\0II*\0\xff\xff\xff\xff", b"nonsense" * 9])
+def test_damaged_exif_says_nothing(exif: bytes | None) -> None:
+    assert focal_length_of(exif) == 0

@@ -178,8 +178,8 @@ def test_variants_with_the_same_normals_stay_together(tmp_path: Path) -> None:
             write(path / "normal.png", torch.tensor([0.5 + 0.02 * index, 0.5, 1.0]))
     sides = split_materials(find_materials([tmp_path])[0])
     assert len(sides) == 20
-    assert {group for side, group in sides.values() if side == "test"} == {"m4a", "m9a"}
-    assert [side for side, _ in sides.values()].count("test") == 4
+    assert {label.group for label in sides.values() if label.split == "test"} == {"m4a", "m9a"}
+    assert [label.split for label in sides.values()].count("test") == 4
 
 
 # Normals

@@ -27,7 +27,7 @@ def fits(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
 
 
 @pytest.fixture
-def mi(fits: dict[str, Path]) -> Iterator[Any]:
+def mi() -> Iterator[Any]:
     """Mitsuba with the plugins, in the variant llvm_ad_rgb; as it was afterwards."""
     import mitsuba
 

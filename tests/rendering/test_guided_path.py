@@ -23,27 +23,21 @@ SIZE, SPP, RUNS = 16, 64, 8
 LAMPS = ("light", "sky", "bulb")
 
 
-@pytest.fixture(scope="module")
-def mi() -> Any:
-    from metapp.rendering.variant import load_mitsuba
-
-    module = load_mitsuba()
-    from metapp.rendering import bsdfs, guided_plugin
-
-    guided_plugin.register_guided_path()
-    bsdfs.register_maps_bsdf()
-    return module
-
-
 @pytest.fixture(autouse=True)
-def no_warnings() -> Iterator[None]:
-    """Every reason may be warned of once a test; none is unless a test expects it."""
+def plugin(mi: Any, monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest) -> Iterator[Any]:
+    """The module, for small pictures: guided from few paths on, unless it is about the guard whatever the noise.
+
+    Every reason may be warned of once a test; none is unless a test expects it.
+    """
     from metapp.rendering import guided_plugin
 
     guided_plugin._WARNED.clear()
+    monkeypatch.setattr(guided_plugin, "FEWEST", 2**10)
+    if "guard" not in request.node.name:
+        monkeypatch.setattr(guided_plugin, "PAYS", math.inf)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        yield
+        yield guided_plugin
 
 
 def loaded(mi: Any, scene: dict[str, Any], size: int = SIZE) -> Any:
@@ -92,26 +86,11 @@ def deviation(first: np.ndarray[Any, Any], second: np.ndarray[Any, Any]) -> floa
     return float((means[0].mean() - means[1].mean()) / error)
 
 
-@pytest.fixture(autouse=True)
-def always_guided(monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest) -> None:
-    """Small pictures have few blocks to compare noise in."""
-    if "guard" not in request.node.name:
-        monkeypatch.setattr("metapp.rendering.guided_plugin.PAYS", math.inf)
-
-
-@pytest.fixture(autouse=True)
-def guided_from_few_paths_on(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Or pictures of tests are too small."""
-    monkeypatch.setattr("metapp.rendering.guided_plugin.FEWEST", 2**10)
-
-
 @pytest.mark.parametrize("emitter_sampling", [True, False])
 def test_the_mean_is_that_of_path_in_a_box(mi: Any, emitter_sampling: bool) -> None:
     scene = loaded(mi, random_scene(1))  # has glass and metal
-    guided, plain = (
-        pictures(mi, scene, "guided_path", emitter_sampling=emitter_sampling),
-        pictures(mi, scene, "path"),
-    )
+    guided = pictures(mi, scene, "guided_path", emitter_sampling=emitter_sampling)
+    plain = pictures(mi, scene, "path")
     assert abs(deviation(guided[:, SIZE // 2 :], plain[:, SIZE // 2 :])) < 3
     assert abs(deviation(guided, plain)) < 3
 
@@ -129,11 +108,7 @@ def test_a_cache_that_is_wrong_about_itself_is_found_out(mi: Any, monkeypatch: p
     from metapp.rendering.guide_cache import GuideCache
 
     density = GuideCache.density
-
-    def bright(*arguments: Any) -> Any:
-        return 0.8 * density(*arguments)
-
-    monkeypatch.setattr(GuideCache, "density", bright)
+    monkeypatch.setattr(GuideCache, "density", lambda *arguments: 0.8 * density(*arguments))
     scene = loaded(mi, random_scene(1))
     assert abs(deviation(pictures(mi, scene, "guided_path"), pictures(mi, scene, "path"))) > 5
 
@@ -197,14 +172,11 @@ def test_where_it_cannot_help_path_renders_and_it_says_so_once(mi: Any, more: An
     mi.render(scene, integrator=guided, spp=spp, seed=1)  # a second warning would be an error
 
 
-def test_within_another_integrator_it_is_path(mi: Any) -> None:
+def test_within_another_integrator_it_is_path_and_some_properties_exclude_each_other(mi: Any) -> None:
     scene = loaded(mi, random_scene(1))
     both = mi.load_dict({"type": "aov", "aovs": "d:depth", "own": {"type": "guided_path", "max_depth": 4}})
     with pytest.warns(UserWarning, match="another integrator"):
         assert np.isfinite(np.array(mi.render(scene, integrator=both, spp=16))).all()
-
-
-def test_properties_that_exclude_each_other_are_refused(mi: Any) -> None:
     with pytest.raises(Exception, match="hide_emitters without emitter_sampling"):
         mi.load_dict({"type": "guided_path", "hide_emitters": True, "emitter_sampling": False})
 
@@ -224,33 +196,27 @@ def test_the_prior_is_the_file_that_is_named(mi: Any, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("spp", "pixels"), [(16, 16), (17, 65536), (64, 4096), (1000, 65536), (4096, 2**20)])
-def test_the_parts_are_the_picture(mi: Any, spp: int, pixels: int) -> None:
-    from metapp.rendering.guided_plugin import parts_of
-
-    *learned, last = parts_of(spp, pixels)
+def test_the_parts_are_the_picture(plugin: Any, spp: int, pixels: int) -> None:
+    *learned, last = plugin.parts_of(spp, pixels)
     assert sum(learned) + last == spp
     assert last > spp / 2
     assert learned[0] <= spp / 4
     assert all(after == 2 * before for before, after in itertools.pairwise(learned))
 
 
-def test_noise_is_how_far_two_halves_differ(mi: Any) -> None:
-    from metapp.rendering.guided_plugin import noise_of
-
+def test_noise_is_how_far_two_halves_differ(plugin: Any) -> None:
     rng = np.random.default_rng(0)
     samples = 1 + 0.1 * rng.standard_normal((128, 128))
     expected = 0.1 / math.sqrt(8) * math.sqrt(2) * math.sqrt(2 / math.pi) / 2
-    assert noise_of(samples) == pytest.approx(expected, rel=0.05)
-    assert noise_of(7 * samples) == pytest.approx(noise_of(samples))
-    assert noise_of(np.zeros((128, 128))) == 0
+    assert plugin.noise_of(samples) == pytest.approx(expected, rel=0.05)
+    assert plugin.noise_of(7 * samples) == pytest.approx(plugin.noise_of(samples))
+    assert plugin.noise_of(np.zeros((128, 128))) == 0
 
 
 @pytest.mark.parametrize("shape", [(256, 256, 2), (64, 64, 4), (100, 37, 8), (128, 128, 1)])
-def test_samples_are_spread_over_the_film(mi: Any, shape: tuple[int, int, int]) -> None:
-    from metapp.rendering.guided_plugin import spread
-
+def test_samples_are_spread_over_the_film(plugin: Any, shape: tuple[int, int, int]) -> None:
     numbers = np.arange(math.prod(shape)).reshape(shape)
-    found = spread(numbers, 128)
+    found = plugin.spread(numbers, 128)
     assert found.shape == (128, 128)
     assert len(np.unique(found)) == 128**2
     rows = found // (shape[1] * shape[2])
@@ -261,11 +227,9 @@ def test_the_guard_leaves_a_guide_that_does_not_pay(mi: Any, monkeypatch: pytest
     from metapp.rendering.guide_cache import GuideCache
     from metapp.rendering.guide_histogram import BINS
 
-    def wrong(cache: GuideCache) -> int:  # whatever is learned, all paths but the fewest go one way
-        cache._tabulate(torch.eye(BINS, dtype=torch.float64)[5:6])
-        return 1
-
-    monkeypatch.setattr(GuideCache, "learn", wrong)
+    # whatever is learned, all paths but the fewest go one way
+    one = torch.eye(BINS, dtype=torch.float64)[5:6]
+    monkeypatch.setattr(GuideCache, "learn", lambda cache: cache._tabulate(one))
     scene = loaded(mi, random_scene(2), 32)
     guided = mi.load_dict({"type": "guided_path", "max_depth": 5})
     with pytest.warns(UserWarning, match="does not lower the noise enough"):

@@ -230,10 +230,9 @@ def measured(data: Params, rng: Generator) -> Params:
     limit = torch.where(uniform() < CUT, torch.cos(low + (high - low) * uniform()), 0.0)[..., 0]
     lower = torch.minimum(where[:, :half, 6], outgoing_cosine(where[:, :half].transpose(1, 2)))
     rows = standing_in(rng, lower >= limit)[..., None]
-    seen = {"where": where[:, :half], "target": torch.log1p(torch.expm1(target[:, :half]) * factor)}
-    return {
-        key: torch.cat([value.gather(1, rows.expand_as(value)), data[key][:, half:]], 1) for key, value in seen.items()
-    }
+    visible = {"where": where[:, :half], "target": torch.log1p(torch.expm1(target[:, :half]) * factor)}
+    kept = {key: value.gather(1, rows.expand_as(value)) for key, value in visible.items()}
+    return {key: torch.cat([value, data[key][:, half:]], 1) for key, value in kept.items()}
 
 
 register(Brdf.loss, nbrdf_in_c.loss)

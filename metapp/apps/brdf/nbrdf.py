@@ -45,8 +45,8 @@ def init_encoder(rng: Generator) -> Params:
     """A set encoder to all 675 weights; before training it predicts a random network."""
     weights = sum(rows * columns for rows, columns in shapes().values())
     encoder = set_encoder(rng, 10, ENCODER, weights)
-    start = init(rng, 1)
-    encoder["out.b"] = torch.cat([value.flatten() for value in start.values()])
+    network = init(rng, 1)
+    encoder["out.b"] = torch.cat([value.flatten() for value in network.values()])
     return encoder
 
 

@@ -36,10 +36,10 @@ class BrdfPresentation(Presentation[Brdf]):
         if "environment" not in task.data:
             return {}
         scene, measured = environment_scene(), {}
-        wanted = _display(task.data["environment"])
+        reference = _display(task.data["environment"])
         for name, fit in fits.items():
-            found = _display(shade_sphere(scene, functools.partial(self.app.reflectance, fit.theta)))
-            measured[name] = {"SSIM": float(ssim(found, wanted)[0][:, scene.mask].mean())}
+            picture = _display(shade_sphere(scene, functools.partial(self.app.reflectance, fit.theta)))
+            measured[name] = {"SSIM": float(ssim(picture, reference)[0][:, scene.mask].mean())}
         return measured
 
     def visible(self, task: Task) -> Visible:

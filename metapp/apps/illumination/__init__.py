@@ -128,7 +128,7 @@ class Illumination(CodedApp):
         return self._map_loss(maps, batch, learned, light)
 
     def outer_loss(self, theta: Params, batch: Batch, learned: Params) -> Tensor:
-        """Whatever fits see, what is wanted is the map, [T], above all what diffuse surfaces send out under it."""
+        """Of the map, whatever fits see, [T]: above all of what diffuse surfaces send out under it."""
         maps = self.radiance_of(theta)
         scaled = self._scaled(maps)
         sent, logs = self._sent_apart(scaled, batch["sent"], {})
@@ -189,13 +189,13 @@ class Illumination(CodedApp):
         if "map" not in tasks.data:
             return {}
         maps, target = self._scaled(answer), tasks.data["map"][tasks.rows]
-        found, wanted = relight(maps), relight(target)
-        error = (found - wanted).abs().mean((1, 2, 3))
+        pictures, references = relight(maps), relight(target)
+        error = (pictures - references).abs().mean((1, 2, 3))
         logs = _texels(maps, target, {}, 0.0)
         return {
             "error": error,
-            "relative": error / wanted.mean((1, 2, 3)).clamp_min(1e-6),
-            "ssim": ssim(tone_map(found), tone_map(wanted)).flatten(1).mean(1),
+            "relative": error / references.mean((1, 2, 3)).clamp_min(1e-6),
+            "ssim": ssim(tone_map(pictures), tone_map(references)).flatten(1).mean(1),
             "map": logs,
         }
 

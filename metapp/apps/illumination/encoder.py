@@ -15,7 +15,7 @@ from metapp.networks.layers import add_layer, dense
 
 SLOPE = 0.1
 DIRECT = ((3, 24), (24, 48), (48, 64), (64, 96))  # channels of the layers that look at the photograph as it is
-OUTLINE = 32  # what is said of the photograph as a whole
+OUTLINE = 32  # numbers that describe the photograph as a whole
 AROUND = 64  # channels on the sphere of directions
 STRIDES = (1, 2, 4, 8, 1)  # how far apart the texels are that its layers look at, so that all see all around
 

@@ -19,12 +19,12 @@ from metapp.apps.svbrdf_nonstationary.maps import (
     decoded,
     differences,
     flash_of,
+    inputs_of,
     linear,
     mirroring_pairs,
     oblique_pairs,
     photographed,
     pooled,
-    seen,
     varied,
 )
 from metapp.learning.app import Traits
@@ -134,7 +134,7 @@ class SvbrdfNonstationary(CodedApp):
     def maps_of(self, theta: Params, photo: Tensor) -> Maps:
         """The fitted maps [T, C, h, w] of photographs [T, 3, h, w], at the photographs' resolution."""
         height, width = photo.shape[-2:]
-        return decoded(self.field._replace(height=height, width=width)(theta, seen(photo)))
+        return decoded(self.field._replace(height=height, width=width)(theta, inputs_of(photo)))
 
     def sample(self, tasks: Tasks, rng: Generator, count: int) -> Batch:
         """All there is of each task; `pairs` [T, V, 2, 3] of light and viewer are random, for the outer loss."""
@@ -152,7 +152,7 @@ class SvbrdfNonstationary(CodedApp):
         return pictures.mean((1, 2, 3, 4)) + MAPS * _map_loss(apart, learned)
 
     def outer_loss(self, theta: Params, batch: Batch, learned: Params) -> Tensor:
-        """Whatever fits see, what is wanted are the maps and what they look like under any light, [T].
+        """Of the maps and what they look like under any light, whatever fits see, [T].
 
         How steep normals are counts, too: those with the least mean difference from all that a photo allows are flat.
         """
@@ -186,7 +186,7 @@ class SvbrdfNonstationary(CodedApp):
 
     def read(self, reader: Params, photos: Tensor) -> Params:
         photos = adaptive_avg_pool2d(photos, self.setup.read or photos.shape[-1])
-        code, flash = self.setup.encoder(reader, seen(photos))
+        code, flash = self.setup.encoder(reader, inputs_of(photos))
         return {"z": code / self.field.gain, "flash": flash / self.field.gain}
 
     def augment(self, tasks: Tasks, rng: Generator) -> Tasks:
@@ -211,13 +211,13 @@ class SvbrdfNonstationary(CodedApp):
             return {}
         maps, target = answer, unpack(tasks.data["maps"][tasks.rows])
         pairs = _pairs(JUDGED).to(target.diffuse)[None]
-        found, wanted = self._logs(maps, pairs), self._logs(target, pairs)
-        shown, target_shown = (expose((logs.exp() - DARK).flatten(0, 1)) for logs in (found, wanted))
+        logs, references = self._logs(maps, pairs), self._logs(target, pairs)
+        shown, target_shown = (expose((each.exp() - DARK).flatten(0, 1)) for each in (logs, references))
         cosine = (maps.normal * target.normal).sum(1).clamp(-1, 1)
         parts = dict(zip(("diffuse", "specular", "roughness"), differences(maps, target), strict=False))
         steep = [statistics(each)[:, 0, -1] + LEVEL for each in (maps, target)]
         return {
-            "error": (found - wanted).abs().mean((1, 2, 3, 4)),
+            "error": (logs - references).abs().mean((1, 2, 3, 4)),
             "ssim": ssim(shown, target_shown).flatten(1).mean(1).reshape(len(tasks), -1).mean(1),
             "normal": torch.rad2deg(cosine.acos()).mean((1, 2)),
             "relief": steep[0] / steep[1],

@@ -58,9 +58,9 @@ class Encoder(NamedTuple):
         layer("flash", self.flash, self.channels(self.levels - 1) * LOOKED**2, gain=0.1)
         return encoder
 
-    def __call__(self, encoder: Params, seen: Tensor) -> tuple[Tensor, Tensor]:
-        """The code [T, code, H, W] and the flash [T, flash] of what is seen, [T, inputs, H, W]."""
-        x, skips = seen.contiguous(memory_format=torch.channels_last), []
+    def __call__(self, encoder: Params, inputs: Tensor) -> tuple[Tensor, Tensor]:
+        """The code [T, code, H, W] and the flash [T, flash] of what is known of the pixels, [T, inputs, H, W]."""
+        x, skips = inputs.contiguous(memory_format=torch.channels_last), []
         for level in range(self.levels):
             x = _block(encoder, f"down{level}", avg_pool2d(x, 2) if level else x)
             skips.append(x)

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from collections.abc import Sequence
+from typing import NamedTuple
 
 import torch
 from torch import Generator, Tensor
@@ -48,9 +49,9 @@ def linear(photo: Tensor) -> Tensor:
     return srgb_to_linear(photo.float() / 255)
 
 
-def pooled(maps: Tensor, size: Any) -> Tensor:
+def pooled(maps: Tensor, size: Sequence[int]) -> Tensor:
     """Maps [..., 10, H, W] at another size, normals of unit length."""
-    normal, rest = adaptive_avg_pool2d(maps, tuple(size)).split((3, 7), -3)
+    normal, rest = adaptive_avg_pool2d(maps, (size[0], size[1])).split((3, 7), -3)
     return torch.cat([of_length_1(normal), rest], -3)
 
 
@@ -121,7 +122,7 @@ def _directions(rng: Generator, shape: tuple[int, ...]) -> Tensor:
     return torch.stack([sine * phi.cos(), sine * phi.sin(), z], -1)
 
 
-def seen(photo: Tensor) -> Tensor:
+def inputs_of(photo: Tensor) -> Tensor:
     """What is known of each pixel of linear photographs [T, 3, H, W]: [T, 8, H, W].
 
     The log of its colour, how brightness differs from and among its neighbours, and where it is. Neighbours are as far

@@ -13,7 +13,7 @@ from metapp.appearance.flash import Maps, camera, expose, positions, relightings
 from metapp.appearance.presentation import Kind, Picture, Visible
 from metapp.appearance.surface import Surface
 from metapp.apps.svbrdf_nonstationary import FINEST, SvbrdfNonstationary
-from metapp.apps.svbrdf_nonstationary.maps import decoded, linear, pooled, seen
+from metapp.apps.svbrdf_nonstationary.maps import decoded, inputs_of, linear, pooled
 from metapp.learning.task import Params, Task
 from metapp.networks.field import LocalField, field_by_rows, strips_of
 from metapp.networks.presentation import CodedPresentation
@@ -78,7 +78,7 @@ def fine_maps(field: LocalField, theta: Params, photo: Tensor) -> Maps:
 
     Made by rows: a layer of a field of 2048 x 2048 texels takes 0.5 GB.
     """
-    parts = [decoded(rows) for rows in field_by_rows(field, theta, seen(photo))]
+    parts = [decoded(rows) for rows in field_by_rows(field, theta, inputs_of(photo))]
     return Maps(*(torch.cat(part, -2) for part in zip(*parts, strict=True)))
 
 

@@ -198,12 +198,16 @@ class SvbrdfStationary(ExemplarApp):
     def errors_of(self, answer: Tensor, tasks: Tasks) -> dict[str, Tensor]:
         """Of photographs [T, B, 3, H, W] of the exemplar's size under its light, sRGB in [0, 1]; without `relit`."""
         every = torch.arange(GRID * GRID, device=tasks.rows.device).expand(len(tasks), -1)
-        found = self._distances_of(answer, {"windows": every} | self._targets(tasks, every))
-        return {"error": found["gram"], "spectrum": found["spectrum"] / SPECTRUM, "brightness": found["pooled"]}
+        distances = self._distances_of(answer, {"windows": every} | self._targets(tasks, every))
+        return {
+            "error": distances["gram"],
+            "spectrum": distances["spectrum"] / SPECTRUM,
+            "brightness": distances["pooled"],
+        }
 
     def _relit(self, theta: Params, noise: Tensor, references: Tensor) -> Tensor:
         maps, _ = self.maps(theta, noise)
-        each = []
+        errors = []
         for i, (light, view) in enumerate(relightings(device=noise.device).values()):
             pictures = self.photograph(maps, light, view)
             target = self.exemplar(references[:, i].float() / 255)
@@ -211,9 +215,9 @@ class SvbrdfStationary(ExemplarApp):
                 [_grams(part, range(GRID * GRID)) for part in self.features(images, 0)]
                 for images in (pictures.flatten(0, 1), target)
             ]
-            found = [part.unflatten(0, pictures.shape[:2]) for part in grams[0]]
-            each.append(distance(found, [part[:, None] for part in grams[1]]).mean((1, 2)))
-        return torch.stack(each).mean(0)
+            own = [part.unflatten(0, pictures.shape[:2]) for part in grams[0]]
+            errors.append(distance(own, [part[:, None] for part in grams[1]]).mean((1, 2)))
+        return torch.stack(errors).mean(0)
 
 
 def _gloss(maps: Maps) -> tuple[Tensor, Tensor]:

@@ -46,8 +46,8 @@ class SvbrdfStationaryPresentation(ExemplarPresentation[SvbrdfStationary]):
 
     def _maps(self, theta: Params, size: tuple[int, int]) -> tuple[Maps, Tensor]:
         """Maps of one material and their height, without leading axes."""
-        made, heights = self.made(theta, self.app.maps, size)
-        return Maps(*(part[0, 0] for part in made)), heights[0, 0]
+        maps, heights = self.generated(theta, self.app.maps, size)
+        return Maps(*(part[0, 0] for part in maps)), heights[0, 0]
 
     def _pictures(self, maps: Maps, height: Tensor) -> dict[str, Picture]:
         """Maps, specular colour as F0, and photographs of them under other lights; pixels are [1 or 3, H, W] yet."""

@@ -45,8 +45,8 @@ class Texture(ExemplarApp):
 
     def _distance(self, images: Tensor, batch: Batch) -> Tensor:
         maps = self.features(images.flatten(0, 1), self.octave(batch))
-        found = [gram(each).unflatten(0, images.shape[:2]) for each in maps]
-        return distance(found, [batch[f"gram{i}"][:, None] for i in range(len(maps))]).mean(1)
+        grams = [gram(each).unflatten(0, images.shape[:2]) for each in maps]
+        return distance(grams, [batch[f"gram{i}"][:, None] for i in range(len(maps))]).mean(1)
 
     @torch.no_grad()
     def errors_of(self, answer: Tensor, tasks: Tasks) -> dict[str, Tensor]:

@@ -29,10 +29,10 @@ class TexturePresentation(ExemplarPresentation[Texture]):
     def outputs(self, theta: Params, task: Task) -> dict[str, Any]:
         """The exemplar and a texture of its size."""
         exemplar = self.app.exemplar(task.data["image"][None].float() / 255)[0]
-        made = self.made(theta, self.app.generate, self.once())[0, 0]
+        texture = self.generated(theta, self.app.generate, self.once())[0, 0]
         return {
             "reference": srgb_to_linear(exemplar).permute(1, 2, 0),
-            "fit": srgb_to_linear(made).permute(1, 2, 0),
+            "fit": srgb_to_linear(texture).permute(1, 2, 0),
         }
 
     @torch.no_grad()
@@ -42,9 +42,9 @@ class TexturePresentation(ExemplarPresentation[Texture]):
         features = load_features(self.app.setup.features, JUDGING, exemplar)
         target, measured = features(exemplar), {}
         for name, fit in fits.items():
-            found = features(self.made(fit.theta, self.app.generate, self.once())[0])
-            each = [sliced_wasserstein(*pair) for pair in zip(found, target, strict=True)]
-            measured[name] = {"sliced Wasserstein": float(torch.stack(each).mean())}
+            maps = features(self.generated(fit.theta, self.app.generate, self.once())[0])
+            distances = [sliced_wasserstein(*pair) for pair in zip(maps, target, strict=True)]
+            measured[name] = {"sliced Wasserstein": float(torch.stack(distances).mean())}
         return measured
 
     def files(self, theta: Params, task: Task) -> dict[str, Picture]:
@@ -57,8 +57,8 @@ class TexturePresentation(ExemplarPresentation[Texture]):
 
     def _whole(self, theta: Params, task: Task) -> Tensor:
         """The texture of the size of files, [3, H, W]."""
-        made: Tensor = self.kept(theta, task, lambda: self.made(theta, self.app.generate, self.whole()))
-        return made[0, 0]
+        textures: Tensor = self.kept(theta, task, lambda: self.generated(theta, self.app.generate, self.whole()))
+        return textures[0, 0]
 
 
 PRESENTATION = TexturePresentation

@@ -60,9 +60,9 @@ class Transport(App):
         Raises:
             ValueError: the samples have another number of coordinates than the network.
         """
-        found, expected = task.data["samples"].shape[1], 2 + self.flow.directions
-        if found != expected:
-            raise ValueError(f"{task.name}: samples of {found} coordinates, expected {expected}; make the data anew.")
+        count, expected = task.data["samples"].shape[1], 2 + self.flow.directions
+        if count != expected:
+            raise ValueError(f"{task.name}: samples of {count} coordinates, expected {expected}; make the data anew.")
         return {key: task.data[key].float() for key in ("samples", "held", "image") if key in task.data}
 
     def init(self, rng: Generator, count: int) -> Params:

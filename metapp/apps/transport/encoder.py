@@ -20,12 +20,12 @@ BLOCKS = 3
 
 
 class Encoder(NamedTuple):
-    """Convolutions on the film, told of the whole picture by what a few learned weightings of its places find.
+    """Convolutions on the film that also read the whole picture, pooled by a few learned attention maps.
 
     Attributes:
         flow: what it is for; its grid has half as many rows and columns as the picture.
         channels: of the convolutions.
-        heads: weightings of places.
+        heads: attention maps.
     """
 
     flow: Flow
@@ -33,7 +33,7 @@ class Encoder(NamedTuple):
     heads: int = 8
 
     def init(self, rng: Generator) -> Params:
-        """Random parameters; the flow's directions start almost uniform, and its film as the picture is."""
+        """Random parameters; at first the flow's directions are almost uniform and its film is the picture."""
         encoder: Params = {}
         layer = functools.partial(add_layer, encoder, rng)
 
@@ -63,11 +63,11 @@ class Encoder(NamedTuple):
         x = torch.cat([logs[:, None], colours[:, ::2], places(images)], 1)
         x = leaky_relu(conv2d(x, encoder["in.kernel"], encoder["in.shift"], stride=2, padding=1), SLOPE)
         grid = places(x)
-        seen = leaky_relu(convolved(encoder, "look", x), SLOPE)
-        weights = convolved(encoder, "heads", seen).flatten(2).softmax(2)
-        found = weights @ torch.cat([seen, grid], 1).flatten(2).mT
-        whole = dense(encoder, "whole", found.flatten(1))
-        x = seen + whole[..., None, None]
+        features = leaky_relu(convolved(encoder, "look", x), SLOPE)
+        weights = convolved(encoder, "heads", features).flatten(2).softmax(2)
+        pooled = weights @ torch.cat([features, grid], 1).flatten(2).mT
+        whole = dense(encoder, "whole", pooled.flatten(1))
+        x = features + whole[..., None, None]
         for i in range(BLOCKS):
             x = x + leaky_relu(convolved(encoder, f"block{i}", torch.cat([x, grid], 1)), SLOPE)
         code = convolved(encoder, "code", x)
@@ -78,10 +78,10 @@ class Encoder(NamedTuple):
         if logs.shape[-1] != self.flow.film_bins:
             raise ValueError(f"picture: {logs.shape[-1]} px a side, expected {self.flow.film_bins}, the film's bins.")
         fine = corrections.repeat_interleave(2, 2).repeat_interleave(2, 3)
-        told = torch.stack([torch.zeros_like(logs), logs, torch.zeros_like(logs)], 1)
+        of_picture = torch.stack([torch.zeros_like(logs), logs, torch.zeros_like(logs)], 1)
         widths, masses, bends = fine[:, 3:].mean(2).unbind(1)
         shares = logs.exp().sum(1).log() + masses
-        numbers = {"film.x": torch.cat([widths, shares, bends, bends[:, -1:]], 1), "film.y": told + fine[:, :3]}
+        numbers = {"film.x": torch.cat([widths, shares, bends, bends[:, -1:]], 1), "film.y": of_picture + fine[:, :3]}
         return {key: value / self.flow.film_gain for key, value in numbers.items()}
 
 

@@ -14,7 +14,7 @@ from metapp.learning.task import Params
 
 
 class Flow(NamedTuple):
-    """A chain of rational-quadratic splines, one a coordinate, each told by the coordinates before it.
+    """A chain of rational-quadratic splines, one a coordinate, each conditioned on the coordinates before it.
 
     The film's x has a spline of its own; the numbers of its y's are read, linearly, off a table with x. Those of the
     directions' come from a network of two layers that sees a code at the place on the film, interpolated on a grid as
@@ -107,8 +107,8 @@ class Flow(NamedTuple):
         """The numbers [T, 3 K + 1, N] of the spline of direction i, given those before it, [T, i, N]."""
         x = torch.baddbmm(theta[f"mix{i}.shift"][..., None], theta[f"mix{i}.kernel"], trunk)
         if i:
-            seen = torch.cat([blobs(before[:, k], self.blobs) for k in range(i)], 1)
-            x = torch.baddbmm(x, theta[f"mix{i}.blobs"], seen)
+            encoded = torch.cat([blobs(before[:, k], self.blobs) for k in range(i)], 1)
+            x = torch.baddbmm(x, theta[f"mix{i}.blobs"], encoded)
         return torch.baddbmm(theta[f"out{i}.shift"][..., None], theta[f"out{i}.kernel"], silu(x))
 
 

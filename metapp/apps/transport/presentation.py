@@ -47,13 +47,13 @@ class TransportPresentation(Presentation[Transport]):
         On the film there are the scene's picture and one of GLANCE paths a pixel that the fit guides; where there is no
         scene, the densities.
         """
-        seen = found = None
+        reference = guided = None
         if "scene" in task.data:
             studio = studio_of(task)
-            seen, found = studio.glance, studio.guided(self.app.flow, theta, GLANCE).picture
+            reference, guided = studio.glance, studio.guided(self.app.flow, theta, GLANCE).picture
         return {
-            "reference": picture_of_samples(task.data["samples"], seen),
-            "fit": picture_of_flow(self.app.flow, theta, found),
+            "reference": picture_of_samples(task.data["samples"], reference),
+            "fit": picture_of_flow(self.app.flow, theta, guided),
         }
 
     def files(self, theta: Params, task: Task) -> dict[str, Picture]:
@@ -80,10 +80,10 @@ class TransportPresentation(Presentation[Transport]):
 def picture_of_samples(samples: Tensor, scene: Tensor | None = None) -> Tensor:
     """Histograms of samples [N, 4 or more], as `picture` shows densities, or the scene's picture and one histogram."""
     film, parts, cells = ((samples * n).long().clamp_max(n - 1) for n in (FILM, PARTS, CELLS))
-    seen = torch.bincount(film[:, 1] * FILM + film[:, 0], minlength=FILM**2).float()
+    on_film = torch.bincount(film[:, 1] * FILM + film[:, 0], minlength=FILM**2).float().reshape(1, FILM, FILM)
     index = ((parts[:, 1] * PARTS + parts[:, 0]) * CELLS + cells[:, 2]) * CELLS + cells[:, 3]
-    found = torch.bincount(index, minlength=(PARTS * CELLS) ** 2).float()
-    return picture(seen.reshape(1, FILM, FILM) if scene is None else scene, found.reshape(PARTS, PARTS, CELLS, CELLS))
+    towards = torch.bincount(index, minlength=(PARTS * CELLS) ** 2).float()
+    return picture(on_film if scene is None else scene, towards.reshape(PARTS, PARTS, CELLS, CELLS))
 
 
 @torch.no_grad()
@@ -108,8 +108,8 @@ def picture(film: Tensor, directions: Tensor) -> Tensor:
             own, the first coordinate to the right and the second down.
     """
     side = PARTS * EACH
-    seen = film / film.mean().clamp_min(1e-20)
-    left = _enlarged(seen.permute(1, 2, 0), side // film.shape[1]).expand(-1, -1, 3)
+    scaled = film / film.mean().clamp_min(1e-20)
+    left = _enlarged(scaled.permute(1, 2, 0), side // film.shape[1]).expand(-1, -1, 3)
     parts = directions / directions.mean((2, 3), keepdim=True).clamp_min(1e-20)
     right = _enlarged(0.5 * parts.permute(0, 3, 1, 2).reshape(PARTS * CELLS, PARTS * CELLS, 1), EACH // CELLS)
     right[::EACH], right[:, ::EACH] = 4.0, 4.0  # lines between the parts

@@ -77,19 +77,19 @@ def _bin(splines: Splines, index: Tensor) -> Bin:
     return Bin(index, widths[..., 1, :], middle.squeeze(-2), ends[..., 0, :], ends[..., 1, :])
 
 
-def _log_slope(found: Bin, t: Tensor) -> Tensor:
+def _log_slope(cell: Bin, t: Tensor) -> Tensor:
     """The log of the density over the bin's mean, at a share t of its width."""
     both, rest = t * (1 - t), 1 - t
-    top = found.last * t * t + 2 * both + found.first * rest * rest
-    return top.log() - 2 * torch.log1p((found.first + found.last - 2) * both)
+    top = cell.last * t * t + 2 * both + cell.first * rest * rest
+    return top.log() - 2 * torch.log1p((cell.first + cell.last - 2) * both)
 
 
 def _find(splines: Splines, places: Tensor) -> tuple[Bin, Tensor]:
     """The bins that places [..., N] are in, and how far into them, in [0, 1]."""
     ends = splines.widths.cumsum(-2)
     index = (places.unsqueeze(-2) >= ends.detach()[..., :-1, :]).sum(-2, keepdim=True)
-    found = _bin(splines, index)
-    return found, (1 - (_at(ends, index) - places) / found.width).clamp(0, 1)
+    cell = _bin(splines, index)
+    return cell, (1 - (_at(ends, index) - places) / cell.width).clamp(0, 1)
 
 
 def log_density(numbers: Tensor, places: Tensor) -> Tensor:
@@ -102,8 +102,8 @@ def log_density(numbers: Tensor, places: Tensor) -> Tensor:
     Returns:
         [..., N].
     """
-    found, t = _find(splines_of(numbers), places)
-    return found.log_density + _log_slope(found, t)
+    cell, t = _find(splines_of(numbers), places)
+    return cell.log_density + _log_slope(cell, t)
 
 
 def shares(numbers: Tensor, cells: int) -> Tensor:
@@ -116,7 +116,7 @@ def shares(numbers: Tensor, cells: int) -> Tensor:
 
 def cumulative(splines: Splines, places: Tensor) -> Tensor:
     """The splines themselves: the mass left of places in [0, 1], of the shapes of `log_density`."""
-    found, t = _find(splines, places)
-    both, mass = t * (1 - t), _at(splines.masses, found.which)
-    share = (t * t + found.first * both) / (1 + (found.first + found.last - 2) * both)
-    return _at(splines.masses.cumsum(-2), found.which) - mass * (1 - share)
+    cell, t = _find(splines, places)
+    both, mass = t * (1 - t), _at(splines.masses, cell.which)
+    share = (t * t + cell.first * both) / (1 + (cell.first + cell.last - 2) * both)
+    return _at(splines.masses.cumsum(-2), cell.which) - mass * (1 - share)

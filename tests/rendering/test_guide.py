@@ -1,4 +1,4 @@
-"""The prior of guide caches: the untrained network, the survey that it reads, and that the one that ships helps."""
+"""Path guiding: the cache samples as densely as it says and learns where light comes from, and its prior helps."""
 
 from __future__ import annotations
 
@@ -13,7 +13,19 @@ from torch import Generator
 
 from data_tools.synthetic.rooms import random_room
 from metapp.learning.learn import MetaParameters
-from metapp.rendering.guide_histogram import AXES, BINS, DEFENSIVE, ENTRIES, GRID, POWER, SIDE, second_moments
+from metapp.rendering.guide_histogram import (
+    AXES,
+    BINS,
+    DEFENSIVE,
+    ENTRIES,
+    GRID,
+    POWER,
+    SIDE,
+    SLOTS,
+    alias_words,
+    quantised,
+    second_moments,
+)
 from metapp.rendering.guide_prior import (
     CHANNELS,
     ENTRY_PRIOR_PATHS,
@@ -29,11 +41,167 @@ from metapp.rendering.guide_prior import (
     shipped,
 )
 from metapp.rendering.scene_loading import load_scene
+from metapp.rendering.variant import load_mitsuba
 from metapp.storage.records import save_checkpoint
 from tests.needs_mitsuba import needs_mitsuba
 
 HALF = GRID // 2
 HITS = (1, 4, BINS)
+LEAST = SLOTS // BINS // DEFENSIVE
+VOXELS = torch.tensor([[x, y, z, axis] for x in (0, 1) for y in (0, 1) for z in (0, 1) for axis in (0, 3)])
+
+
+def weights(rows: int) -> torch.Tensor:
+    return torch.rand(rows, BINS, generator=torch.Generator().manual_seed(0), dtype=torch.float64) ** 4
+
+
+def test_every_bin_has_slots_and_the_others_go_by_weight() -> None:
+    wanted = weights(5)
+    slots = quantised(wanted)
+    assert (slots.sum(1) == SLOTS).all()
+    assert int(slots.min()) >= LEAST
+    expected = LEAST + wanted / wanted.sum(1, keepdim=True) * (SLOTS - BINS * LEAST)
+    assert float((slots - expected).abs().max()) <= 1
+    one = torch.zeros(1, BINS, dtype=torch.float64)
+    one[0, 77] = 1e-30
+    assert int(quantised(one)[0, 77]) == SLOTS - (BINS - 1) * LEAST
+
+
+def test_words_draw_each_bin_as_often_as_it_has_slots() -> None:
+    some = torch.cat([weights(50), torch.ones(1, BINS), torch.eye(BINS)[7:8]]).double()
+    slots = quantised(some).numpy()
+    words = alias_words(slots).astype(np.int64)
+    assert np.array_equal(words >> 16, slots)
+    own, other = words >> 8 & 0xFF, words & 0xFF
+    drawn = own.copy()
+    np.add.at(drawn, (np.arange(len(slots))[:, None], other), BINS - own)
+    assert np.array_equal(drawn, slots)
+
+
+def test_with_many_paths_moments_are_means_however_they_were_sampled() -> None:
+    counts = 50 * weights(len(VOXELS)).reshape(-1, SIDE, SIDE)
+    even = second_moments(4.0 * counts, counts, VOXELS)
+    assert torch.allclose(even, torch.full_like(even, 4.0))
+    expected = 1 + weights(len(VOXELS)).reshape(-1, SIDE, SIDE)
+    counts = torch.full_like(expected, 1e6)
+    assert torch.allclose(second_moments(expected * counts, counts, VOXELS), expected, rtol=1e-3)
+
+
+def test_bins_without_paths_get_the_moment_of_those_around_them() -> None:
+    squares, counts = torch.zeros(2, 1, SIDE, SIDE, dtype=torch.float64)
+    counts += 1000
+    squares[:, : SIDE // 2, : SIDE // 2] = 1000  # a bright quarter
+    for row, column in ((3, 3), (12, 12)):  # one of it and one of the dark ones that nothing is known of
+        squares[:, row, column] = counts[:, row, column] = 0
+    moments = second_moments(squares, counts, VOXELS[:1])[0]
+    assert [float(moments[at]) for at in ((3, 3), (12, 12), (5, 5))] == pytest.approx([1, 0, 1], abs=0.1)
+
+
+def test_voxels_without_paths_get_the_moments_of_those_around_them_of_their_axis() -> None:
+    shapes = weights(2).reshape(2, SIDE, SIDE)
+    counts = torch.full((len(VOXELS), SIDE, SIDE), 1e5, dtype=torch.float64)
+    squares = shapes.repeat(8, 1, 1) * counts  # one shape on each axis
+    squares[5] = counts[5] = 0
+    assert torch.allclose(second_moments(squares, counts, VOXELS)[5], shapes[1], rtol=0.05, atol=1e-3)
+
+
+def empty() -> Any:
+    from metapp.rendering.guide_cache import GuideCache
+
+    return GuideCache([-1, -1, -1], [1, 1, 1])
+
+
+@pytest.fixture(scope="module")
+def cache() -> Any:
+    """One that has learned of weights in its first entries, of which the last few were hardly visited."""
+    mi, made = load_mitsuba(), empty()
+    sums = torch.zeros(ENTRIES, BINS, 2, dtype=torch.float64)
+    sums[:7, :, 0], sums[:7, :, 1] = 1e3 * weights(7), 1e3
+    sums[5:7] *= 1e-3
+    visited = torch.arange(ENTRIES) < 7
+    made.sums, made.visited = mi.Float64(sums.flatten().numpy()), mi.UInt32(visited.int().numpy().view(np.uint32))
+    assert made.learn() == 6 + 5  # voxels of twice the side, whose axes are six, and entries of their own
+    return made
+
+
+@needs_mitsuba
+def test_what_is_added_is_the_second_moment_and_the_count_of_uniform_paths(mi: Any) -> None:
+    made = empty()
+    for _ in range(2):
+        made.add(mi.UInt32([5 * BINS + 3, 9]), mi.Float([4, 1]), mi.Float([3, 7]), mi.Bool([True, False]))
+    visited, squares, counts = made.statistics()
+    assert visited.tolist() == [5]
+    assert (float(squares[0, 0, 3]), float(counts[0, 0, 3])) == (2 * 3**2 * 4, 2 / 4)
+    assert (float(squares.sum()), float(counts.sum())) == (72, 0.5)
+
+
+@needs_mitsuba
+def test_entries_of_few_paths_share_the_row_of_those_around_them(cache: Any) -> None:
+    rows = cache.rows.numpy()
+    assert len(set(rows[:5])) == 5
+    assert (rows[:5] > 6).all()
+    first, beside, above, beyond = rows[:6], rows[AXES:][:6], rows[GRID**2 * AXES :][:6], rows[2 * AXES :][:6]
+    assert np.array_equal(beside, above)
+    assert sorted(beside) == list(range(1, 7))
+    assert first[5] == beside[5]
+    assert (beyond == 0).all()
+
+
+@needs_mitsuba
+def test_of_nothing_nothing_is_learned(mi: Any) -> None:
+    nothing = empty()
+    assert nothing.learn() == 0
+    assert (nothing.rows.numpy() == 0).all()
+    assert (nothing.density(mi.UInt32(0), mi.UInt32(5), mi.Bool(True)).numpy() == 1).all()
+
+
+@needs_mitsuba
+@pytest.mark.parametrize("entry", [4, 6, 1000])
+def test_directions_are_sampled_as_densely_as_it_says(mi: Any, cache: Any, entry: int) -> None:
+    count = 200_000
+    rng = np.random.default_rng(0)
+    point = mi.Point2f(rng.random((2, count), np.float32))
+    row, yes = mi.UInt32(np.full(count, cache.rows.numpy()[entry], np.uint32)), mi.Bool(True)
+    index, local = cache.sample(row, point, yes)
+    density = cache.density(row, index, yes)
+    assert (cache.bin(local).numpy() == index.numpy()).mean() > 0.9999  # but on the bins' edges
+    cosine = local.numpy()[2]
+    assert (cosine >= 0).all()
+    every = mi.UInt32(np.arange(BINS, dtype=np.uint32))
+    shares = cache.density(row[0], every, yes).numpy() / BINS
+    assert shares.sum() == pytest.approx(1, abs=1e-6)
+    assert shares.min() >= 1 / (DEFENSIVE * BINS) - 1e-9
+    found = np.bincount(index.numpy(), minlength=BINS)
+    chi_square = ((found - count * shares) ** 2 / (count * shares)).sum()
+    assert abs(chi_square - (BINS - 1)) < 5 * np.sqrt(2 * (BINS - 1))
+    # within a bin as the cosine: the mean of 1 / density is the hemisphere
+    assert (np.pi / (cosine * density.numpy())).mean() == pytest.approx(2 * np.pi, rel=0.02)
+    # evenly within a bin
+    square = mi.warp.uniform_disk_to_square_concentric(mi.Point2f(local.x, local.y)).numpy() * SIDE
+    for within in square % 1:
+        eighths = np.bincount((within * 8).astype(int), minlength=8)[:8]
+        assert ((eighths - count / 8) ** 2 / (count / 8)).sum() < 7 + 5 * np.sqrt(14)
+
+
+@needs_mitsuba
+def test_entries_are_voxels_and_sides(mi: Any, cache: Any) -> None:
+    rng = np.random.default_rng(1)
+    points, normals = rng.uniform(-1.2, 1.2, (2, 3, 5000)).astype(np.float32)
+    normals /= np.linalg.norm(normals, axis=0)
+    location = cache.locate(mi.Point3f(points), mi.Vector3f(normals))
+    frame = np.stack([each.numpy() for each in (location.frame.s, location.frame.t, location.frame.n)])
+    assert np.allclose(np.einsum("ikn,jkn->ijn", frame, frame), np.eye(3)[..., None], atol=1e-5)
+    assert np.allclose(np.linalg.det(frame.transpose(2, 0, 1)), 1, atol=1e-5)
+    assert np.allclose(frame[2], normals, atol=1e-6)
+    axis = np.abs(normals).argmax(0)
+    side = 2 * axis + (np.take_along_axis(normals, axis[None], 0)[0] < 0)
+    x, y, z = np.clip(np.floor((points + 1) * GRID / 2).astype(int), 0, GRID - 1)
+    entry = ((z * GRID + y) * GRID + x) * AXES + side
+    assert (location.entry.numpy() == entry).mean() > 0.999
+    assert np.array_equal(location.row.numpy(), cache.rows.numpy()[location.entry.numpy()])
+
+
+# The prior
 
 
 def drawn(*shape: int) -> torch.Tensor:
