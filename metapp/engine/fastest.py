@@ -13,7 +13,16 @@ from torch import Tensor
 from torch.utils._pytree import tree_flatten, tree_unflatten
 
 from metapp.engine import in_c
-from metapp.learning.adjoint import Engine, Loss, StepFunctions, Stepper, UpdateRule, steps_by_torch
+from metapp.learning.adjoint import (
+    BackwardStep,
+    Engine,
+    ForwardStep,
+    Loss,
+    RuleStep,
+    Stepper,
+    UpdateRule,
+    steps_by_torch,
+)
 from metapp.learning.task import Params
 
 
@@ -49,7 +58,7 @@ FASTEST = Fastest()
 class Compiled(Engine):
     """Steps by torch.compile, for the shapes of their first call: about twice as fast, after seconds of compiling."""
 
-    def functions(self, step: Callable[..., Any], loss: Loss, order: int) -> StepFunctions:
+    def functions(self, step: RuleStep, loss: Loss, order: int) -> tuple[ForwardStep, BackwardStep]:
         """The same as torch's; one object for the same rule, loss and order."""
         return _compiled(step, loss, order)
 
@@ -67,7 +76,7 @@ def can_compile() -> bool:
 
 
 @functools.lru_cache(maxsize=32)  # compiling takes seconds
-def _compiled(rule_step: Callable[..., Any], loss: Loss, order: int) -> tuple[_Program, _Program]:
+def _compiled(rule_step: RuleStep, loss: Loss, order: int) -> tuple[_Program, _Program]:
     step, step_vjp = steps_by_torch(rule_step, loss, order)
     return _Program(step), _Program(step_vjp)
 

@@ -7,11 +7,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
+from metapp.learning.adjoint import RuleStep
 from metapp.learning.rules import META_EPS, LearnedRule, Part
 from metapp.learning.rules.descent import AdamStep, sgd_step
 from metapp.learning.rules.parts import (
@@ -56,7 +57,7 @@ class Layout(NamedTuple):
         return torch.cat([_by_task(alpha[prefix + key], len(shape)).flatten(2) for key, shape in self.shapes], -1)
 
 
-def packed(step: Callable[..., Any], alpha: Params, layout: Layout) -> Params | None:
+def packed(step: RuleStep, alpha: Params, layout: Layout) -> Params | None:
     """A rule's hyperparameters as steps in C read them.
 
     Args:

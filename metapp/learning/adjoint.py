@@ -12,6 +12,10 @@ from torch.autograd.function import once_differentiable
 
 from metapp.learning.task import Params
 
+RuleStep = Callable[[Params, Params, Params, Params], tuple[Params, Params]]
+ForwardStep = Callable[[Params, Params, Params, Any], tuple[Params, Params, Tensor, Any]]
+BackwardStep = Callable[[Params, Params, Params, Any, Params, Params], tuple[Params, Params, Params]]
+
 
 class Drawn(NamedTuple):
     """A batch, and the names of the tasks whose samples it holds."""
@@ -64,7 +68,7 @@ class UpdateRule(NamedTuple):
 
     alpha: Params
     init: Callable[[Params], Params]
-    step: Callable[[Params, Params, Params, Params], tuple[Params, Params]]
+    step: RuleStep
 
 
 def at_step(alpha: Params, i: int) -> Params:
@@ -99,13 +103,10 @@ class Stepper(NamedTuple):
     theta: Params
     alpha: Params
     init: Callable[[Params], Params]
-    step: Callable[[Params, Params, Params, Any], tuple[Params, Params, Tensor, Any]]
-    step_vjp: Callable[..., tuple[Params, Params, Params]]
+    step: ForwardStep
+    step_vjp: BackwardStep
     needed: Callable[[Any, Any], Any]
     unpack: Callable[[Params], Params] = same
-
-
-StepFunctions = tuple[Callable[..., Any], Callable[..., Any]]
 
 
 @dataclass(frozen=True)
@@ -125,7 +126,7 @@ class Engine:
             step_vjp = _in_chunks(step_vjp, self.tasks_at_once)
         return Stepper(theta, rule.alpha, rule.init, step, step_vjp, _batch_of if order == 2 else _gradient_of)
 
-    def functions(self, step: Callable[..., Any], loss: Loss, order: int) -> StepFunctions:
+    def functions(self, step: RuleStep, loss: Loss, order: int) -> tuple[ForwardStep, BackwardStep]:
         """`step` and `step_vjp` of a Stepper, of a rule's step."""
         return steps_by_torch(step, loss, order)
 
@@ -145,7 +146,7 @@ def _gradient_of(batch: Any, gradient: Any) -> Any:
     return gradient
 
 
-def steps_by_torch(rule_step: Callable[..., Any], loss: Loss, order: int) -> StepFunctions:
+def steps_by_torch(rule_step: RuleStep, loss: Loss, order: int) -> tuple[ForwardStep, BackwardStep]:
     """`step` and `step_vjp` of a Stepper; the only two functions that are worth compiling."""
 
     def step(alpha: Params, theta: Params, state: Params, batch: Any) -> tuple[Params, Params, Tensor, Params]:
@@ -174,29 +175,30 @@ def _leaves(params: Params) -> Params:
     return {key: value.detach().requires_grad_() for key, value in params.items()}
 
 
-def _in_chunks(step_vjp: Callable[..., Any], size: int) -> Callable[..., Any]:
+def _in_chunks(step_vjp: BackwardStep, size: int) -> BackwardStep:
     """The same for some tasks at a time, which lowers its memory: tasks do not see each other.
 
     Tensors without axes, as Adam's products of betas at first, belong to all tasks: their pulls add up.
     """
 
-    def chunk(trees: tuple[Params, ...], i: int) -> tuple[Params, Params, Params]:
+    def chunk(trees: Sequence[Params], i: int) -> tuple[Params, Params, Params]:
         own = [{key: value[i : i + size] if value.ndim else value for key, value in tree.items()} for tree in trees]
         if i:  # what is pulled from all tasks' tensors must be counted once
             own[-1] = {key: value if value.ndim else torch.zeros_like(value) for key, value in own[-1].items()}
-        result: tuple[Params, Params, Params] = step_vjp(*own)
-        return result
+        return step_vjp(*own)
 
-    def chunked(*trees: Params) -> tuple[Params, ...]:
+    def whole(pulls: Sequence[Params]) -> Params:
+        return {
+            key: torch.cat([pull[key] for pull in pulls])
+            if value.ndim
+            else sum((p[key] for p in pulls), torch.zeros_like(value))
+            for key, value in pulls[0].items()
+        }
+
+    def chunked(*trees: Params) -> tuple[Params, Params, Params]:
         count = next(iter(trees[1].values())).shape[0]
-        chunks = [chunk(trees, i) for i in range(0, count, size)]
-        return tuple(
-            {
-                key: torch.cat([pull[key] for pull in pulls]) if value.ndim else sum(pull[key] for pull in pulls)
-                for key, value in pulls[0].items()
-            }
-            for pulls in zip(*chunks, strict=True)
-        )
+        theta, state, alpha = zip(*(chunk(trees, i) for i in range(0, count, size)), strict=True)
+        return whole(theta), whole(state), whole(alpha)
 
     return chunked
 

@@ -223,28 +223,6 @@ def test_gradients_of_maps_and_of_their_photograph() -> None:
     assert torch.autograd.gradcheck(photograph, (raw.requires_grad_(),), fast_mode=True)
 
 
-def test_gradients_of_the_loss() -> None:
-    """In float64, from the generator's parameters through maps, photograph and features to the distance."""
-    app = SvbrdfStationary(
-        ExemplarSetup(16, 16, UNet(2, 2, noise=1, code=2, outputs=6), "vgg16", ("relu1_1", "relu2_1"))
-    )
-    theta = {key: value.double() for key, value in app.init(seeded(), 2).items()}
-    photos = torch.rand(2, 3, 16, 16, generator=seeded(), dtype=torch.float64)
-    data = app.describe(photos)
-    assert {value.dtype for value in data.values()} == {torch.float64}
-    batch = app.sample(Tasks(("a", "b"), data, torch.arange(2)), seeded(), 1)
-    batch["noise"] = batch["noise"].double()
-
-    def loss(*values: Tensor) -> Tensor:
-        return app.loss(dict(zip(theta, values, strict=True)), batch, {})
-
-    leaves = tuple(value.clone().requires_grad_() for value in theta.values())
-    assert loss(*leaves).dtype == torch.float64
-    assert torch.autograd.gradcheck(loss, leaves, fast_mode=True)
-    grads = torch.autograd.grad(loss(*leaves).sum(), leaves)
-    assert all(grad.abs().max() > 0 for grad in grads)
-
-
 # The light
 
 

@@ -221,23 +221,6 @@ def test_crops_are_squares_of_at_least_half_the_side() -> None:
 # Fitting, and what fits make
 
 
-def test_gradients_of_the_loss() -> None:
-    """From the generator's parameters to the distance, in float64."""
-    setup = ExemplarSetup(8, 8, UNet(2, levels=2, noise=1, code=2), "vgg16", ("relu1_1", "relu2_1"))
-    app = Texture(setup)
-    double = {key: value.double() for key, value in app.init(seeded(), 2).items()}
-    exemplars = torch.rand(2, 3, 8, 8, generator=seeded(), dtype=torch.float64)
-    noise = torch.randn(2, 2, 1, 8, 8, generator=seeded(), dtype=torch.float64)
-    batch = {"noise": noise} | app.describe(exemplars)
-
-    def loss(*values: Tensor) -> Tensor:
-        return app.loss(dict(zip(double, values, strict=True)), batch, {})
-
-    leaves = tuple(value.clone().requires_grad_() for value in double.values())
-    assert loss(*leaves).dtype == torch.float64
-    assert torch.autograd.gradcheck(loss, leaves, fast_mode=True)
-
-
 def test_outputs_and_files(sources: list[Task], tasks: Tasks) -> None:
     app = tiny()
     theta = {key: value[0] for key, value in overfit(app, tasks, 3).items()}

@@ -97,8 +97,8 @@ def test_pictures_are_judged_at_equal_paths_and_in_equal_time(scenes: list[Task]
     shown = TransportPresentation(app)
     theta = {key: value[0] for key, value in app.init(torch.Generator().manual_seed(0), 1).items()}
     found = shown.image_errors({"instant": Fitted(theta, 0.0), "endless": Fitted(theta, 1e9)}, task)
-    joined = [images.JOINED, images.GUIDED]
-    assert list(found) == ["reference", "regular", *joined, "instant", "endless"]
+    with_nee = [images.REGULAR_NEE, images.GUIDED_NEE]
+    assert list(found) == ["reference", "regular", *with_nee, "instant", "endless"]
     assert set(found["reference"]) == {"MAPE"}
     measures = {"MAPE", "SMAPE", "DSSIM"}
     for name, each in list(found.items())[1:]:
@@ -106,7 +106,7 @@ def test_pictures_are_judged_at_equal_paths_and_in_equal_time(scenes: list[Task]
         assert all(0 < value < 2 for key, value in each.items() if key in measures)
         # the start's density is uniform, as Regular's is: the same picture but for noise
         same = all(each[key] == pytest.approx(found["regular"][key], rel=0.2) for key in measures)
-        assert same != (name in joined), name
+        assert same != (name in with_nee), name
         assert each["MAPE"] <= 1.2 * found["regular"]["MAPE"]
         assert each["time"] > 0
     assert found["regular"][images.EQUAL_TIME] == found["regular"]["MAPE"]
@@ -129,17 +129,15 @@ def test_pictures_are_judged_at_the_size_of_the_recipe(scenes: list[Task], monke
     shown = TransportPresentation(app)
     found = shown.image_errors({"instant": Fitted(theta, 0.0)}, scenes[0])
     assert set(judged) == {((3, 24, 24), (3, 24, 24))}
-    assert set(found) == {"reference", "regular", images.JOINED, images.GUIDED, "instant"}
+    assert set(found) == {"reference", "regular", images.REGULAR_NEE, images.GUIDED_NEE, "instant"}
     assert shown.image_measure.startswith("pictures of 24 px of 1024 paths a pixel; ")
     assert shown.outputs(theta, scenes[0])["fit"].shape == (128, 256, 3)  # of any recipe
 
 
-def test_pictures_that_join_surfaces_to_lights_come_in_waves(
-    scenes: list[Task], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_pictures_with_nee_come_in_waves(scenes: list[Task], monkeypatch: pytest.MonkeyPatch) -> None:
     studio = images.Studio(scenes[0].data["scene"].numpy().tobytes(), size=8)
-    whole = studio.joined(4096).picture
-    assert torch.equal(whole, studio.joined(4096).picture)
+    whole = studio.path(4096).picture
+    assert torch.equal(whole, studio.path(4096).picture)
     monkeypatch.setattr(images, "WAVE", 1500 * 8 * 8)
     asked, by = [], studio._by
 
@@ -148,7 +146,7 @@ def test_pictures_that_join_surfaces_to_lights_come_in_waves(
         return by(integrator, spp, seed)
 
     monkeypatch.setattr(studio, "_by", noted)
-    waves = studio.joined(4096, seed=1).picture
+    waves = studio.path(4096, seed=1).picture
     assert asked == [(1500, 65536), (1500, 65537), (1096, 65538)]
     parts = sum(spp / 4096 * by({"type": "path"}, spp, seed).picture for spp, seed in asked)
     torch.testing.assert_close(waves, parts)

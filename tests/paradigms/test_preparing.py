@@ -202,9 +202,9 @@ def test_tuned_quickft_is_no_worse_than_the_recipe(job: Job, tasks: Tasks, monke
 @ONE_APP
 def test_a_preparation_says_how_it_came_about(job: Job, tasks: Tasks) -> None:
     prepared = look("general", job, tasks, steps=4)
-    said = prepare.describe(job, "general", prepared)
-    assert said["app"] == job.app.name
-    assert said["start"] == "general"
-    assert said["validation_error"] == prepared.validation
-    assert said["best_step"] == prepared.step
-    assert said["training"] == asdict(job.recipe.general)
+    header = prepare.describe(job, "general", prepared)
+    assert header["app"] == job.app.name
+    assert header["checkpoint"] == "general"
+    assert header["validation_error"] == prepared.validation
+    assert header["best_step"] == prepared.step
+    assert header["training"] == asdict(job.recipe.general)

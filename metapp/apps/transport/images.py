@@ -23,7 +23,7 @@ SHOWN_SIZE = 64  # px of a side, of the pictures that a run leaves
 SPP = 1024  # paths a pixel as in Fischer & Ritschel 2022, table 2
 REGULAR, EQUAL_TIME = "regular", "MAPE, equal time"
 FIXED = "fixed time"
-JOINED, GUIDED = "regular + NEE", "guided_path + NEE"  # of Mitsuba alone, as every user has it; of all bounces
+REGULAR_NEE, GUIDED_NEE = "regular + NEE", "guided_path + NEE"  # Mitsuba's path; guided at all bounces
 REFERENCE_SPP = 8192  # with next-event estimation, in two halves, which tell its own error
 WAVE = 2**22  # paths at a time
 RENDERED_SPP = 64  # samples a pixel of the pictures of `rendered`
@@ -65,8 +65,8 @@ class Studio:
 
         return _timed(shoot)
 
-    def joined(self, spp: int, seed: int = 0) -> Shot:
-        """A picture by Mitsuba's path, which joins surfaces to lights as well, in as many waves as memory asks for."""
+    def path(self, spp: int, seed: int = 0) -> Shot:
+        """A picture by Mitsuba's path, with next-event estimation, in as many waves as memory asks for."""
         most = max(1, WAVE // self.size**2)
         counts = [min(most, spp - first) for first in range(0, spp, most)]
         shots = [self._by({"type": "path"}, count, seed * 2**16 + i) for i, count in enumerate(counts)]
@@ -74,7 +74,7 @@ class Studio:
         return Shot(torch.as_tensor(total) / spp, sum(shot.seconds for shot in shots))
 
     def guided_path(self, spp: int, seed: int = 0) -> Shot:
-        """The same, guided at all bounces by what it learns while it renders."""
+        """The same, guided at all bounces by the cache that it learns while it renders."""
         register_guided_path()
         return self._by({"type": "guided_path"}, spp, seed)
 
@@ -146,7 +146,7 @@ def _studio(scene: bytes, size: int) -> Studio:
 
 
 def image_errors(flow: Flow, fits: Mapping[str, Fitted], task: Task, size: int) -> dict[str, dict[str, float]]:
-    """Measures of the pictures that fits guide, and of REGULAR's, JOINED's and GUIDED's, which have no fit.
+    """Measures of the pictures that fits guide, and of REGULAR, REGULAR_NEE and GUIDED_NEE, which have no fit.
 
     Args:
         flow: the network.
@@ -161,29 +161,34 @@ def image_errors(flow: Flow, fits: Mapping[str, Fitted], task: Task, size: int) 
         and the picture may take as long as Regular for SPP, left out where there is none. REFERENCE has its own `MAPE`.
     """
     studio = studio_of(task, size)
-    errors = studio.errors(studio.baseline.picture)
-    found = {
+    regular = studio.errors(studio.baseline.picture)
+    errors = {
         REFERENCE: {"MAPE": studio.reference_error},
-        REGULAR: {**errors, "time": 1.0, FIXED: 0.0, EQUAL_TIME: errors["MAPE"]},
-        JOINED: _joined_errors(studio, studio.joined),
-        GUIDED: _joined_errors(studio, studio.guided_path),
+        REGULAR: {**regular, "time": 1.0, FIXED: 0.0, EQUAL_TIME: regular["MAPE"]},
     }
+    for name, shoot in ((REGULAR_NEE, studio.path), (GUIDED_NEE, studio.guided_path)):
+        shoot(min(SPP, 64), 0)  # the first call compiles
+        errors[name] = _errors(studio, shoot)
     sampling = studio.sampling(task.data["samples"]) if fits else 0.0
     for i, (name, fit) in enumerate(fits.items()):
         if not i:
             studio.guided(flow, fit.theta, 4)  # the first call compiles
-        found[name] = _guided_errors(studio, flow, fit, sampling)
-    return found
+        table = studio.guided(flow, fit.theta, 1).seconds
+        shoot = functools.partial(studio.guided, flow, fit.theta)
+        errors[name] = _errors(studio, shoot, fixed=sampling + fit.seconds + table, table=table, seed=1)
+    return errors
 
 
-def _joined_errors(studio: Studio, shoot: Callable[[int], Shot]) -> dict[str, float]:
-    shoot(min(SPP, 64))  # the first call compiles
-    plain, shot = studio.baseline.seconds, shoot(SPP)
-    found = {**studio.errors(shot.picture), "time": shot.seconds / plain, FIXED: 0.0}
-    spp = int(SPP * plain / shot.seconds)
+def _errors(
+    studio: Studio, shoot: Callable[[int, int], Shot], *, fixed: float = 0.0, table: float = 0.0, seed: int = 0
+) -> dict[str, float]:
+    """Measures of the pictures of `image_errors`; `shoot` takes paths a pixel and a seed, `seed` that of equal time."""
+    plain, shot = studio.baseline.seconds, shoot(SPP, 0)
+    errors = {**studio.errors(shot.picture), "time": shot.seconds / plain, FIXED: fixed / plain}
+    spp = int(SPP * (plain - fixed) / max(shot.seconds - table, 1e-9))
     if spp >= 1:
-        found[EQUAL_TIME] = studio.errors(shoot(spp).picture)["MAPE"]
-    return found
+        errors[EQUAL_TIME] = studio.errors(shoot(spp, seed).picture)["MAPE"]
+    return errors
 
 
 def rendered(task: Task, side: int) -> Rendered:
@@ -206,13 +211,3 @@ def rendered(task: Task, side: int) -> Rendered:
             f"regular_nee: {regular.spp} samples a pixel in {regular.seconds:.2f} s of CPU",
         ],
     )
-
-
-def _guided_errors(studio: Studio, flow: Flow, fit: Fitted, sampling: float) -> dict[str, float]:
-    table, shot = studio.guided(flow, fit.theta, 1).seconds, studio.guided(flow, fit.theta, SPP)
-    plain, fixed = studio.baseline.seconds, sampling + fit.seconds + table
-    found = {**studio.errors(shot.picture), "time": shot.seconds / plain, FIXED: fixed / plain}
-    spp = int(SPP * (plain - fixed) / max(shot.seconds - table, 1e-9))
-    if spp >= 1:
-        found[EQUAL_TIME] = studio.errors(studio.guided(flow, fit.theta, spp, seed=1).picture)["MAPE"]
-    return found

@@ -1,8 +1,8 @@
 """Learned gradient descent: what a convolutional network adds to a rule's steps of a parameter that lies on a grid.
 
-The network sees the parameter, its gradient, the rule's direction and what it wrote down in the steps before, and says
-how the parameter moves beside the rule's own step (Adler & Oektem 2017; Putzky & Welling 2017). It thus learns which
-changes of its neighbourhood a gradient calls for, where the loss alone leaves that open.
+The network reads the parameter, its gradient, the rule's direction and a memory of its own from the steps before. Its
+output is added to the rule's own step (Adler & Oektem 2017; Putzky & Welling 2017). It thus learns which changes of
+its neighbourhood a gradient calls for, where the loss alone leaves that open.
 
 Its weights are learned hyperparameters, `around.<parameter>.*` where the grid's columns go on at the other edge, else
 `within.<parameter>.*`; all but the shifts are shared by all steps.
@@ -22,7 +22,7 @@ from metapp.learning.rules.part import Before, Part
 from metapp.learning.task import Params
 
 WIDTH = 32  # channels of its two inner layers
-MEMORY = 16  # channels that it passes on to its next step
+MEMORY = 16  # channels of what it remembers from step to step
 REACH = 10  # how many times a step's length the parameter is measured in
 SLOPE = 0.1
 
@@ -66,7 +66,7 @@ def networks(theta: Params, steps: int, rate: float, *, periodic: bool) -> Param
         periodic: whether the grids' columns go on at the other edge.
 
     Returns:
-        Random inner layers and a last one of zeros: such a network moves nothing and writes nothing down.
+        Random inner layers and a last one of zeros: such a network adds nothing and leaves its memory empty.
     """
     alpha: Params = {}
     rng = Generator().manual_seed(0)
@@ -91,7 +91,7 @@ def network_of(alpha: Params, key: str) -> str:
 
 
 def no_memory(alpha: Params, theta: Params) -> Params:
-    """The part of a rule's state that networks write to, `memory.<parameter>` [T, MEMORY, rows, columns]; empty."""
+    """Empty memories of networks in a rule's state, `memory.<parameter>` [T, MEMORY, rows, columns]."""
     return {
         f"memory.{key}": value.new_zeros(len(value), MEMORY, *value.shape[2:])
         for key, value in theta.items()
@@ -108,9 +108,9 @@ def move(
         alpha: the hyperparameters of this step, with a task axis.
         name: the network's.
         value: the parameter [T, channels, rows, columns].
-        grad: its gradient; the network sees each task's by itself at length 1, and how long it was.
+        grad: its gradient; the network reads each task's at length 1, and the logarithm of its length.
         direction: the rule's own, before any rate.
-        memory: what it wrote down before, [T, MEMORY, rows, columns].
+        memory: its own from the steps before, [T, MEMORY, rows, columns].
     """
     unit = torch.exp(alpha[f"{name}.unit"])[:, None, None, None]
     size = (grad.square().mean((1, 2, 3), keepdim=True) + 1e-24).sqrt()
@@ -129,5 +129,5 @@ def _layer(alpha: Params, name: str, i: int, x: Tensor) -> Tensor:
     x = pad(x, (1, 1, 0, 0), mode="circular") if around else x
     # task by task: of groups of such numbers of channels the library makes slow work
     pairs = zip(x.split(1), alpha[f"{name}.kernel{i}"], strict=True)
-    found = torch.cat([conv2d(one, kernel, padding=(1, 0 if around else 1)) for one, kernel in pairs])
-    return found + alpha[f"{name}.shift{i}"]
+    convolved = torch.cat([conv2d(one, kernel, padding=(1, 0 if around else 1)) for one, kernel in pairs])
+    return convolved + alpha[f"{name}.shift{i}"]

@@ -1,0 +1,251 @@
+"""`metapp ... illumination` and `metapp ... svbrdf_nonstationary` end to end, on references and on photographs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import OpenImageIO as oiio
+import pytest
+import torch
+from torch import Tensor
+from torch.nn.functional import interpolate
+
+from data_tools.formats import exports_of
+from data_tools.readers.latlong import read_map
+from data_tools.readers.svbrdf_task import flash_photo
+from metapp.appearance.flash import Maps, normal_from_height, pack, unpack
+from metapp.appearance.latlong import directions, mean_luminance
+from metapp.appearance.photograph import photograph
+from metapp.apps.illumination import IlluminationSetup
+from metapp.apps.illumination import recipes as illumination
+from metapp.apps.svbrdf_nonstationary import MaterialSetup, field_of
+from metapp.apps.svbrdf_nonstationary import recipes as svbrdf
+from metapp.networks.field import LocalField
+from tests.pictures import write_planes
+
+SVBRDF = "svbrdf_nonstationary"
+RECIPES = {"illumination": illumination.RECIPES, SVBRDF: svbrdf.RECIPES}
+
+
+class Inputs(NamedTuple):
+    """What an application is given, and what it says and makes.
+
+    Attributes:
+        reference: a file of an HDR map, or a strip.
+        photo: of a sphere, or under a flash.
+        files: that a fit makes.
+        refusal: of the photo where fits see references.
+    """
+
+    reference: Callable[[Path], Path]
+    photo: Callable[[Path], Path]
+    files: set[str]
+    refusal: str
+
+
+def lamp() -> Tensor:
+    """A map [3, 32, 64] of mean luminance 5 with one lamp."""
+    light = 0.2 + (20 * (directions(32, 64)[1] - 0.9)).exp() * torch.tensor([1.0, 0.8, 0.6])[:, None, None]
+    return 5 * light / mean_luminance(light)
+
+
+def ball(folder: Path) -> Path:
+    (photo,) = photograph(lamp()[None], torch.Generator().manual_seed(0))
+    return write_planes(folder / "photo.png", photo)
+
+
+def material(size: int = 64) -> Tensor:
+    coarse = torch.rand(1, 8, 4, 4, generator=torch.Generator().manual_seed(0))
+    smooth = interpolate(coarse, (size, size), mode="bilinear")[0]
+    return pack(Maps(0.7 * smooth[1:4], 0.3 * smooth[4:7], 0.3 + 0.5 * smooth[7:], normal_from_height(4 * smooth[:1])))
+
+
+def flash(folder: Path) -> Path:
+    return write_planes(folder / "photo.png", flash_photo(material(80)) / 255)
+
+
+def strip(folder: Path) -> Path:
+    maps = unpack(material())
+    photo = flash_photo(material()).float() / 255
+    tiles = [photo, maps.normal / 2 + 0.5, maps.diffuse, maps.roughness.expand(3, -1, -1), maps.specular]
+    return write_planes(folder / "reference.png", torch.cat(tiles, 2).clamp(0, 1))
+
+
+MADE = {f"{name}.png" for name in ("normal", "diffuse", "roughness", "specular")}
+MADE |= {f"lit_from_{side}.png" for side in ("left", "above", "aside")}
+APPS = {
+    "illumination": Inputs(
+        lambda folder: write_planes(folder / "reference.exr", lamp(), "float"), ball,
+        {"map.exr", "map.png", "relit.png"},
+        "photo: a photo of a sphere, expected an HDR map where fits see the map itself; give an",
+    ),
+    SVBRDF: Inputs(
+        strip, flash, MADE,
+        "photo: a flash photo, expected a material's maps where fits see them; give a strip or its maps",
+    ),
+}  # fmt: skip
+
+
+@pytest.fixture(params=APPS)
+def app(request: pytest.FixtureRequest) -> str:
+    return str(request.param)
+
+
+@pytest.fixture
+def reference(app: str, tmp_path: Path) -> Path:
+    return APPS[app].reference(tmp_path / "in")
+
+
+@pytest.fixture
+def photo(app: str, tmp_path: Path) -> Path:
+    return APPS[app].photo(tmp_path / "in")
+
+
+@pytest.fixture(autouse=True)
+def small(scene: Path, short_by_protocol: Callable) -> None:
+    """Other sizes and a few steps."""
+    local = LocalField(8, 16, rows=4, columns=8, code=3, hidden=8, layers=2)
+    setups = [IlluminationSetup(field) for field in (local, local._replace(height=16, width=32))]
+    short_by_protocol(RECIPES["illumination"], *setups)
+    fields = (field_of(side, hidden=8)._replace(code=3) for side in (16, 24))
+    short_by_protocol(RECIPES[SVBRDF], *(MaterialSetup(field, width=2) for field in fields))
+
+
+def luminance_of(path: Path) -> float:
+    """Mean luminance of a map, of four times the rows: readers refuse maps of so few."""
+    pixels = np.asarray(oiio.ImageBuf(str(path)).get_pixels(oiio.FLOAT)).repeat(4, 0).repeat(4, 1)
+    large = write_planes(path.with_name("large.exr"), torch.from_numpy(pixels).permute(2, 0, 1), "float")
+    return float(mean_luminance(read_map(large, 8)))
+
+
+def test_a_reference_is_fitted_and_written(app: str, metapp: Callable, reference: Path, tmp_path: Path) -> None:
+    result = metapp("overfit", app, reference, "--out", tmp_path / "runs", "--json")
+    assert result.code == 0, result.err
+    document = result.document
+    assert (document["observe"], document["tasks"][0]["name"]) == ("reference", "reference")
+    assert "-full-" in document["out"]
+    assert 0 < document["error"] < (100 if app == "illumination" else 2)
+    made = Path(document["out"]) / "outputs" / "reference"
+    assert {path.name for path in made.iterdir()} == APPS[app].files
+    if app == "illumination":
+        assert luminance_of(made / "map.exr") == pytest.approx(float(mean_luminance(read_map(reference, 8))), rel=0.5)
+    else:
+        specs = [oiio.ImageBuf(str(path)).spec() for path in made.iterdir()]
+        assert {(spec.width, spec.height) for spec in specs} == {(256, 256)}  # readers scale to it
+
+
+def test_a_photo_is_fitted_without_a_reference(app: str, metapp: Callable, photo: Path, tmp_path: Path) -> None:
+    result = metapp("overfit", app, photo, "--observe", "photo", "--out", tmp_path / "runs", "--json")
+    assert result.code == 0, result.err
+    document = result.document
+    assert (document["observe"], document["error"], document["tasks"][0]["error"]) == ("photo", None, None)
+    made = Path(document["out"]) / "outputs" / "photo"
+    assert {path.name for path in made.iterdir()} == APPS[app].files
+    assert (Path(document["out"]) / "pictures.png").is_file()
+    if app == "illumination":
+        assert luminance_of(made / "map.exr") == pytest.approx(1, rel=0.01)
+
+
+def test_a_photo_needs_its_protocol(app: str, metapp: Callable, photo: Path, reference: Path, tmp_path: Path) -> None:
+    """Alone, and among references before the first fit."""
+    for inputs in ((photo,), (reference, photo)):
+        result = metapp("overfit", app, *inputs, "--out", tmp_path / "runs")
+        assert result.code == 1
+        assert APPS[app].refusal in result.err
+        assert len(result.err.strip().splitlines()) <= 2
+        assert not any(path.read_text().strip() for path in (tmp_path / "runs").rglob("record.jsonl"))
+
+
+def test_a_folder_of_references_and_photos(
+    app: str, metapp: Callable, reference: Path, photo: Path, tmp_path: Path
+) -> None:
+    arguments = ("overfit", app, photo.parent, "--observe", "photo", "--out", tmp_path / "runs", "--json")
+    document = metapp(*arguments).document
+    errors = {task["name"]: task["error"] for task in document["tasks"]}
+    assert errors["photo"] is None
+    assert document["error"] == pytest.approx(errors["reference"])
+
+
+@pytest.mark.parametrize("kind", ["nan", "square", "negative", "damaged"])
+def test_bad_inputs_end_in_one_line(kind: str, metapp: Callable, tmp_path: Path) -> None:
+    light, app, more = lamp(), "illumination", ()
+    if kind == "nan":
+        light[0, 3, 4] = np.nan
+    elif kind == "negative":
+        light[:, :16] *= -1
+    elif kind == "square":
+        light = light[:, :, :32]
+    bad = write_planes(tmp_path / "bad.exr", light, "float")
+    if kind == "damaged":
+        bad, app, more = tmp_path / "bad.png", SVBRDF, ("--observe", "photo")
+        bad.write_bytes(b"\x89PNG\r\n\x1a\n nothing")
+    result = metapp("meta", app, bad, *more, "--out", tmp_path / "runs")
+    assert result.code == 1
+    assert bad.name in result.err
+    assert "Traceback" not in result.err
+
+
+def test_checkpoints_of_both_protocols(app: str, metapp: Callable, tmp_path: Path) -> None:
+    data, runs = tmp_path / "few", tmp_path / "runs"
+    assert metapp("data", "synth", app, "--count", "20", "--out", data).code == 0
+    common = (app, "--recipe", "quick", "--data", data, "--out", runs)
+    for observe in ("reference", "photo"):
+        for paradigm in ("meta", "quickft"):
+            result = metapp(paradigm, *common, "--observe", observe, "--train", "--train-steps", "2", "--json")
+            assert result.code == 0, result.err
+    (folder,) = (runs / app / "checkpoints").iterdir()
+    rules = {observe: recipes["quick"].rule for observe, recipes in RECIPES[app].items()}
+    names = {path.name.removesuffix(".safetensors") for path in folder.glob("*.safetensors")}
+    assert names == {"general", "quickft", "quickft-photo", rules["reference"], f"{rules['photo']}-photo"}
+    result = metapp("evaluate", *common, "--format", "markdown")
+    assert result.code == 0, result.err
+    assert f"{app} photo" in result.out
+    assert "gap closed" in result.out
+    assert "is no floor" in result.out or app == SVBRDF
+
+
+# Materials alone
+
+
+@pytest.mark.parametrize("app", [SVBRDF], indirect=True)
+@pytest.mark.parametrize("kind", [kind for kind, form in exports_of(SVBRDF).items() if not form.missing()])
+def test_a_photo_becomes_an_asset(app: str, metapp: Callable, photo: Path, tmp_path: Path, kind: str) -> None:
+    common = ("--observe", "photo", "--out", tmp_path / "runs", "--json")
+    result = metapp("overfit", app, photo, *common, "--steps", "2", "--export", kind)
+    assert result.code == 0, result.err
+    written = [path for path in (Path(result.document["out"]) / kind).rglob("photo*") if path.is_file()]
+    assert written
+    assert all(path.stat().st_size for path in written)
+    assert f"1 fits written as {kind}" in result.err
+
+
+@pytest.mark.parametrize("app", [SVBRDF], indirect=True)
+def test_a_missing_library_is_named_before_anything_is_fitted(
+    app: str, metapp: Callable, photo: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    form = exports_of(app)["asset"]._replace(needs=("no_such_module", "no-such-package"))
+    monkeypatch.setattr("metapp.runs.checks.exports_of", lambda app: {"asset": form})
+    result = metapp("overfit", app, photo, "--out", tmp_path / "runs", "--export", "asset")
+    assert result.code == 2
+    assert '--export asset needs no-such-package: pip install "metapp[export]"' in result.err
+    assert not (tmp_path / "runs").exists()
+
+
+@pytest.mark.parametrize("app", [SVBRDF], indirect=True)
+def test_the_field_of_view_counts(app: str, metapp: Callable, photo: Path, tmp_path: Path) -> None:
+    common = ("--observe", "photo", "--steps", "1", "--out", tmp_path / "runs", "--json")
+    data = {fov: metapp("overfit", app, photo, *common, "--fov", fov).document["data"] for fov in ("0", "45", "70")}
+    assert data["0"] == data["45"] != data["70"]  # names of data tell their content
+    refused = metapp("overfit", "texture", photo, "--fov", "60", "--out", tmp_path / "runs")
+    assert refused.code == 2
+    assert "--fov: texture has no flash photos; leave it out." in refused.err
+
+
+def test_the_second_scene_is_built_once(metapp: Callable, scene: Path) -> None:
+    document = metapp("data", "scene", "--json").document
+    assert document["there_already"]
+    assert Path(document["path"]).parent == scene
+    assert document["bytes"] > 4e7
