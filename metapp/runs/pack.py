@@ -20,7 +20,7 @@ from metapp.runs.plan import Plan
 from metapp.runs.recorded import plan_as, read_run, tasks_as
 from metapp.runs.reporter import progress, say
 from metapp.storage.packing import BITS, Pack, Steps, in_steps, read_pack, write_pack
-from metapp.storage.records import FIT, OPTIONAL, RunFolder, holds, read_theta
+from metapp.storage.records import FIT, OPTIONAL, RunFolder, holds, read_theta, renamed
 
 GROWTH = 0.01  # of the mean error, at most, where the number of bits is chosen
 WITHOUT = 12  # bits where there is no error to choose by
@@ -131,6 +131,8 @@ def unpack(file: Path, out: Path | None, checkpoint: Path | None) -> Packed:
         ValueError: a damaged file, or another checkpoint than that of the fits.
     """
     names, steps, about = read_pack(file)
+    if isinstance(about.get("settings"), dict):
+        about["settings"] = renamed(about["settings"])
     if not holds(about, ABOUT) or [record["name"] for record in about["records"]] != names:
         raise ValueError(f"{file}: not what metapp pack writes, expected settings and a record of each fit.")
     settings, records = about["settings"], about["records"]

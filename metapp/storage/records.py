@@ -96,9 +96,7 @@ def load_checkpoint(path: Path, device: torch.device | str = "cpu") -> tuple[Met
             raise _Misnamed
         if not all(bool(torch.isfinite(value).all()) for value in tensors.values()):
             raise ValueError(f"{path}: holds NaN or infinite values, expected finite ones; train one again.")
-        if "start" in info:
-            info["checkpoint"] = info.pop("start")  # as earlier versions and files that ship call it
-        prepared = MetaParameters.unflat(tensors)
+        info, prepared = renamed(info), MetaParameters.unflat(tensors)
         return (_with_general(path, prepared, info["general"], device) if "general" in info else prepared), info
     except (SafetensorError, KeyError, RecursionError, json.JSONDecodeError, _Misnamed):
         raise ValueError(
@@ -125,6 +123,11 @@ def digest(document: Any) -> str:
     """12 hex digits that change with a JSON-ready document, or with a file's bytes where a path is given."""
     raw = document.read_bytes() if isinstance(document, Path) else json.dumps(document, sort_keys=True).encode()
     return hashlib.sha256(raw).hexdigest()[:12]
+
+
+def renamed(settings: dict[str, Any]) -> dict[str, Any]:
+    """Settings or a header with today's names: earlier versions, and files that ship, say `start` for `checkpoint`."""
+    return {"checkpoint" if name == "start" else name: value for name, value in settings.items()}
 
 
 def key_of(settings: Mapping[str, Any]) -> str:
@@ -248,9 +251,8 @@ def read_records(path: Path, form: dict[str, Any] | None = None) -> list[dict[st
     lines = path.read_bytes().split(b"\n") if path.is_file() else []
     for number, line in enumerate(lines, 1):
         record = _parsed(line)
-        settings = record.get("settings") if isinstance(record, dict) else None
-        if isinstance(settings, dict) and "start" in settings:
-            settings["checkpoint"] = settings.pop("start")  # as earlier versions call it
+        if isinstance(record, dict) and isinstance(record.get("settings"), dict):
+            record["settings"] = renamed(record["settings"])
         if holds(record, {"name": str, **(form or {})}):
             records.pop(record["name"], None)
             records[record["name"]] = record
