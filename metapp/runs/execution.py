@@ -6,7 +6,7 @@ import time
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import torch
 
@@ -26,10 +26,9 @@ from metapp.runs.request import portion_of
 from metapp.runs.surroundings import make_folder, threads, threads_of
 from metapp.runs.training import train_checkpoint
 from metapp.runs.watching import Watched
+from metapp.storage import Document
 from metapp.storage.files import named
 from metapp.storage.records import FIT, RunFolder, guarded, summary
-
-Record = dict[str, Any]
 
 
 class Failure(NamedTuple):
@@ -63,14 +62,14 @@ class Run(NamedTuple):
     plan: Plan
     label: str
     tasks: Sequence[Task]
-    records: list[Record]
+    records: list[Document]
     folder: RunFolder
     made: Path | None
     failures: list[Failure]
     tasks_per_second: float | None
     gallery: Path | None
 
-    def document(self) -> dict[str, Any]:
+    def document(self) -> Document:
         """What --json prints."""
         plan, settings = self.plan, self.folder.settings
         fields = ("name", "error", "seconds", "steps")
@@ -144,7 +143,7 @@ def prepared(plan: Plan) -> Plan:
         return find_checkpoint(plan) if ranks.number() == 0 else plan
 
 
-def fit_and_keep(plan: Plan, tasks: Sequence[Task], folder: RunFolder) -> Iterator[Record]:
+def fit_and_keep(plan: Plan, tasks: Sequence[Task], folder: RunFolder) -> Iterator[Document]:
     """Fit tasks and keep the record and the parameters of each as soon as it is done.
 
     Yields:
@@ -195,7 +194,10 @@ def _run(fitter: Fitter, sources: list[Source], label: str) -> Run:
     if request.export and tasks:
         say(f"{len(tasks)} fits written as {request.export}: {folder.path / request.export}")
     made = folder.path / OUTPUTS if (folder.path / OUTPUTS).is_dir() else None
-    gallery = write_gallery(plan.app, plan.paradigm.name, folder, loop.failures) if lazy else None
+    gallery = None
+    if lazy:
+        failures = [(failure.source, failure.reason) for failure in loop.failures]
+        gallery = write_gallery(plan.app, plan.paradigm.name, folder, failures)
     return Run(plan, label, tasks, list(records.values()), folder, made, loop.failures, rate, gallery)
 
 
@@ -239,7 +241,7 @@ class _Loop:
         self.failures: list[Failure] = []
         self.count = 0
 
-    def known(self, sources: Sequence[Source]) -> dict[str, Record]:
+    def known(self, sources: Sequence[Source]) -> dict[str, Document]:
         """Records of sources that have not changed since, by their places."""
         finished = self.folder.finished()
         if self.lazy:
@@ -247,7 +249,7 @@ class _Loop:
         stamps = {place: record.get("stamp", "") for place, record in finished.items()}
         return {source.place: finished[source.place] for source in sources if stamps.get(source.place) == source.stamp}
 
-    def fit(self, sources: Sequence[Source]) -> Iterator[Record | Failure]:
+    def fit(self, sources: Sequence[Source]) -> Iterator[Document | Failure]:
         """Fit sources and keep each fit; what has a record is whole."""
         if not self.lazy:
             self.fitter.check([source.task() for source in sources])
@@ -272,7 +274,7 @@ class _Loop:
             except (ValueError, OSError) as error:
                 self._fail(source, error)
 
-    def _fitted(self, pairs: list[tuple[Source, Task]]) -> Iterator[Record]:
+    def _fitted(self, pairs: list[tuple[Source, Task]]) -> Iterator[Document]:
         """Fits of tasks side by side; where that fails, of each half, so that one that fails is soon alone."""
         try:
             results = self.fitter.fit([task for _, task in pairs])
@@ -292,7 +294,7 @@ class _Loop:
             except ValueError as error:
                 self._fail(source, error)
 
-    def _keep(self, source: Source, task: Task, result: Result, beside: int) -> Record:
+    def _keep(self, source: Source, task: Task, result: Result, beside: int) -> Document:
         """Write all that a fit makes, then its record."""
         record, theta = result
         if self.lazy:
@@ -308,7 +310,7 @@ class _Loop:
 
 def alike(pairs: Iterable[tuple[Source, Task]]) -> list[list[tuple[Source, Task]]]:
     """Groups of tasks whose tensors are of the same sizes, which can be fitted side by side."""
-    groups: dict[Any, list[tuple[Source, Task]]] = {}
+    groups: dict[tuple[tuple[str, torch.Size], ...], list[tuple[Source, Task]]] = {}
     for source, task in pairs:
         sizes = tuple((key, task.data[key].shape) for key in sorted(task.data))
         groups.setdefault(sizes, []).append((source, task))

@@ -9,7 +9,7 @@ import statistics
 import sys
 import unicodedata
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +20,7 @@ from torch import Tensor
 
 from metapp.learning.learn import MetaParameters
 from metapp.learning.task import Params
+from metapp.storage import Document
 from metapp.storage.files import append_line, locked, write_atomically
 from metapp.storage.tensors import opened_tensors, read_tensors
 
@@ -60,7 +61,7 @@ def holds(value: Any, form: Any) -> bool:
     return not isinstance(value, int | float) or abs(value) <= sys.float_info.max
 
 
-def save_checkpoint(path: Path, start: MetaParameters, info: dict[str, Any], previous: Path | None = None) -> None:
+def save_checkpoint(path: Path, start: MetaParameters, info: Document, previous: Path | None = None) -> None:
     """Write a checkpoint with what it says about itself, as safetensors; `previous` names the one it replaces."""
     tensors = {key: value.detach().cpu().contiguous().clone() for key, value in start.flat().items()}
     metadata = {"metapp": json.dumps({**info, "schema": SCHEMA})}
@@ -68,7 +69,7 @@ def save_checkpoint(path: Path, start: MetaParameters, info: dict[str, Any], pre
     write_atomically(path, lambda target: target.write_bytes(save(tensors, metadata)), previous)
 
 
-def load_checkpoint(path: Path, device: torch.device | str = "cpu") -> tuple[MetaParameters, dict[str, Any]]:
+def load_checkpoint(path: Path, device: torch.device | str = "cpu") -> tuple[MetaParameters, Document]:
     """Read a checkpoint; what is stored in half precision becomes float32.
 
     One that names General's encoder by its digest, `general`, takes it from `general.safetensors` beside it.
@@ -125,12 +126,12 @@ def digest(document: Any) -> str:
     return hashlib.sha256(raw).hexdigest()[:12]
 
 
-def renamed(settings: dict[str, Any]) -> dict[str, Any]:
+def renamed(settings: Document) -> Document:
     """Settings or a header with today's names: earlier versions, and files that ship, say `start` for `checkpoint`."""
     return {"checkpoint" if name == "start" else name: value for name, value in settings.items()}
 
 
-def key_of(settings: Mapping[str, Any]) -> str:
+def key_of(settings: Document) -> str:
     """The key of a run's records; `checkpoint` counts under its former name, so that earlier records stay its own."""
     return digest({"start" if name == "checkpoint" else name: value for name, value in settings.items()})
 
@@ -162,23 +163,23 @@ class RunFolder:
     def __init__(
         self,
         path: Path,
-        settings: dict[str, Any],
-        form: dict[str, Any] | None = None,
-        origin: dict[str, Any] | None = None,
+        settings: Document,
+        form: Document | None = None,
+        origin: Document | None = None,
     ) -> None:
         self.path = path
         self.origin = {"origin": origin} if origin else {}
         self.settings = settings
         self.key = key_of(settings)
         self._form = form or {}
-        self._read: tuple[Any, dict[str, dict[str, Any]]] = (None, {})
+        self._read: tuple[Any, dict[str, Document]] = (None, {})
 
     @property
     def file(self) -> Path:
         """The record file."""
         return self.path / "record.jsonl"
 
-    def finished(self) -> dict[str, dict[str, Any]]:
+    def finished(self) -> dict[str, Document]:
         """Records of this run's key, by task; the file is read again only where it has changed."""
         state = self.file.stat() if self.file.is_file() else None
         stamp = state and (state.st_ino, state.st_size, state.st_mtime_ns)
@@ -188,7 +189,7 @@ class RunFolder:
             self._read = (stamp, found)
         return dict(self._read[1])
 
-    def add(self, record: dict[str, Any], theta: dict[str, Tensor] | None = None) -> None:
+    def add(self, record: Document, theta: dict[str, Tensor] | None = None) -> None:
         """Keep a finished task; its parameters, if it has any, first, so that a record's are always there.
 
         Numbers that are not finite, which JSON lacks, become None.
@@ -237,7 +238,7 @@ def _params(folder: Path, task: str) -> Path:
     return folder / "params" / f"{file_name(task)}.safetensors"
 
 
-def read_records(path: Path, form: dict[str, Any] | None = None) -> list[dict[str, Any]]:
+def read_records(path: Path, form: Document | None = None) -> list[Document]:
     """The records of a file, each task's last one; an absent file counts as empty.
 
     A line that is no record is passed over with a warning; a last one that was cut off without.
@@ -246,7 +247,7 @@ def read_records(path: Path, form: dict[str, Any] | None = None) -> list[dict[st
         path: the file.
         form: what they must hold, as `holds` reads it; a name at least.
     """
-    records: dict[str, dict[str, Any]] = {}
+    records: dict[str, Document] = {}
     bad = []
     lines = path.read_bytes().split(b"\n") if path.is_file() else []
     for number, line in enumerate(lines, 1):
@@ -307,7 +308,7 @@ def _marked(safe: str, name: str) -> str:
     return f"{safe.encode()[: LONGEST - 7].decode(errors='ignore')}-{mark}"
 
 
-def summary(records: Sequence[dict[str, Any]]) -> dict[str, float | None]:
+def summary(records: Sequence[Document]) -> dict[str, float | None]:
     """Mean error, as the table prints it, of tasks that have one, and median inference time of a task."""
     errors = [record["error"] for record in records if record["error"] is not None]
     return {
@@ -316,7 +317,7 @@ def summary(records: Sequence[dict[str, Any]]) -> dict[str, float | None]:
     }
 
 
-def guarded(records: Sequence[dict[str, Any]]) -> int | None:
+def guarded(records: Sequence[Document]) -> int | None:
     """On how many tasks the guard of a learned rule acted; None where fits have none."""
     found = [record["guarded"] for record in records if "guarded" in record]
     return sum(map(bool, found)) if found else None
