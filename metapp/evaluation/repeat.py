@@ -28,7 +28,7 @@ def _cell(subject: Subject, settings: dict[str, Any]) -> Cell | None:
         known = [baseline for baseline in baselines_of(subject.app) if baseline.name == settings["peer"]]
         return baselines.baseline_cell(subject, known[0]) if known else None
     names = (settings.get("paradigm"), settings.get("rule"))
-    if names[0] not in (ablation.RULE_ALONE.name, ablation.START_ALONE.name):
+    if names[0] not in (ablation.RULE_ALONE.name, ablation.INITIALISATION_ALONE.name):
         return None
     halves = [cell for name in ablation.learned(subject) for _, _, cell in ablation.combined(subject, name)]
     of = {(cell.folder.settings["paradigm"], cell.folder.settings["rule"]): cell for cell in halves if cell.folder}

@@ -143,20 +143,6 @@ def prepared(plan: Plan) -> Plan:
         return find_checkpoint(plan) if ranks.number() == 0 else plan
 
 
-def fit_and_keep(plan: Plan, tasks: Sequence[Task], folder: RunFolder) -> Iterator[Record]:
-    """Fit tasks and keep the record and the parameters of each as soon as it is done.
-
-    Yields:
-        Their records.
-
-    Raises:
-        FloatingPointError: a fit is not finite.
-    """
-    for done in _Loop(Fitter(plan), folder).fit(sources_of(tasks)):
-        assert not isinstance(done, Failure)
-        yield done
-
-
 def _is_lazy(plan: Plan) -> bool:
     """Whether inputs are read when their turn comes, and what fails stops nothing: with --batch or --shard."""
     return bool(plan.request.batch or plan.request.shard)
