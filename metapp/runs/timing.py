@@ -1,13 +1,8 @@
-"""The clock of fits: from the first sight of the input to the final parameters, and nothing else."""
+"""Times as people write them."""
 
 from __future__ import annotations
 
-import contextlib
 import re
-import time
-from collections.abc import Iterator
-
-import torch
 
 from metapp.runs import BadOption
 
@@ -33,29 +28,3 @@ def said_time(seconds: float) -> str:
     """A time as `seconds_of` reads it: 50ms, 2s, 1.5min."""
     unit = max((unit for unit in UNITS if UNITS[unit] <= max(seconds, 1e-3)), key=UNITS.__getitem__)
     return f"{seconds / UNITS[unit]:.4g}{unit}"
-
-
-class Stopwatch:
-    """Seconds since it was made, without those of pauses; it waits for what the device has not done yet."""
-
-    def __init__(self, device: torch.device) -> None:
-        self._device = device
-        self._begin = self._now()
-
-    def __call__(self) -> float:
-        """Seconds so far."""
-        return self._now() - self._begin
-
-    @contextlib.contextmanager
-    def paused(self) -> Iterator[None]:
-        """What is done meanwhile does not count."""
-        begin = self._now()
-        try:
-            yield
-        finally:
-            self._begin += self._now() - begin
-
-    def _now(self) -> float:
-        if self._device.type == "cuda":
-            torch.cuda.synchronize(self._device)
-        return time.perf_counter()
