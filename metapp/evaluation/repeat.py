@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from metapp.baselines import baselines_of
 from metapp.evaluation.cell import Cell
 from metapp.evaluation.subject import Subject
 from metapp.evaluation.tables import ablation, baselines
 from metapp.runs.plan import Plan
 from metapp.runs.rerun import Repeat
+from metapp.storage.records import Record
 
 
-def repeat_of(plan: Plan, settings: dict[str, Any]) -> Repeat | None:
+def repeat_of(plan: Plan, settings: Record) -> Repeat | None:
     """What measures the row of a record again, kept nowhere; None where no table has such a row.
 
     Args:
@@ -23,7 +22,7 @@ def repeat_of(plan: Plan, settings: dict[str, Any]) -> Repeat | None:
     return Repeat(cell.folder.settings, list(cell.tasks), cell.measure) if cell and cell.folder else None
 
 
-def _cell(subject: Subject, settings: dict[str, Any]) -> Cell | None:
+def _cell(subject: Subject, settings: Record) -> Cell | None:
     if "peer" in settings:
         known = [baseline for baseline in baselines_of(subject.app) if baseline.name == settings["peer"]]
         return baselines.baseline_cell(subject, known[0]) if known else None

@@ -26,9 +26,7 @@ from metapp.runs.surroundings import make_folder, threads, threads_of
 from metapp.runs.training import train_checkpoint
 from metapp.runs.watching import Watched
 from metapp.storage.files import named
-from metapp.storage.records import FIT, RunFolder, guarded, summary
-
-Record = dict[str, Any]
+from metapp.storage.records import FIT, Record, RunFolder, guarded, summary
 
 
 class Failure(NamedTuple):
