@@ -268,7 +268,7 @@ def draw(subjects: list[Subject], names: Sequence[str]) -> None:
 def show(tables: list[Table], subjects: list[Subject], form: str) -> None:
     """Print tables in a format."""
     from metapp.cli.show import rich_table
-    from metapp.evaluation.formats import csv_of, text_table
+    from metapp.evaluation.notes import csv_of, text_table
 
     several = len(tables) > 1
     found = {table.name: [(one, rows) for one in subjects if (rows := table.rows(one))] for table in tables}

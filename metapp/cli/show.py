@@ -9,7 +9,7 @@ from rich.table import Table as RichTable
 from rich.text import Text
 
 from metapp.cli.console import out
-from metapp.evaluation.formats import title_of
+from metapp.evaluation.notes import title_of
 from metapp.evaluation.rows import Column, Row, Table
 from metapp.evaluation.subject import Subject
 

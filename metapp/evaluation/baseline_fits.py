@@ -6,7 +6,6 @@ import functools
 import math
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from importlib import metadata
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +21,6 @@ from metapp.runs.fits import rng_of
 from metapp.runs.inputs import data_folder
 from metapp.runs.pictures import PICTURE
 from metapp.runs.plan import Plan
-from metapp.runs.surroundings import versions
 from metapp.storage.records import NUMBER, OPTIONAL
 from metapp.storage.shards import read_manifest, read_shard
 
@@ -56,11 +54,6 @@ def own_parameters(app: App) -> Params:
     """Parameters [1, ...] that a task does not share with others."""
     theta = app.init(Generator().manual_seed(0), 1)
     return {key: value for key, value in theta.items() if not app.traits.own or key in app.traits.own}
-
-
-def baseline_versions() -> dict[str, str]:
-    """The versions that a baseline's figures depend on."""
-    return versions() | {"scipy": metadata.version("scipy")}
 
 
 def fit_baselines(

@@ -8,10 +8,9 @@ from typing import Any, NamedTuple, get_args
 
 from torch import Generator
 
-from metapp.learning.app import App
 from metapp.learning.recipe import Initialisation, MetaTraining, Recipe
 from metapp.learning.rules import RULES, rule_of
-from metapp.paradigms import Job, Paradigm, paradigms
+from metapp.paradigms import Job, paradigms
 from metapp.runs.checkpoints import find_checkpoint, has_general, trained_path
 from metapp.runs.naming import observe_of
 from metapp.runs.plan import Checkpoint, Plan
@@ -44,7 +43,7 @@ class Design(NamedTuple):
     Attributes:
         outer: outer steps of each training.
         steps: numbers of gradient steps; each rule is trained for each of them.
-        seeds: how many seeds of training and fitting, from the options' own on.
+        seeds: how many seeds of training and fitting, from the plan's own on.
         initialisation: the first one of all rules. With "encoder", which is QuickFT's too, rules alone differ.
         rules: what is trained; () for all named rules and COMPOSED.
     """
@@ -69,22 +68,6 @@ class Case(NamedTuple):
     steps: int
     seed: int
 
-    @property
-    def paradigm(self) -> Paradigm:
-        """What fits."""
-        return paradigms()[QUICKFT if self.rule == QUICKFT else "meta"]
-
-
-def study_rules(app: App, design: Design) -> tuple[list[str], dict[str, str]]:
-    """The rules of a study, and why further ones do not apply to the application, by name."""
-    theta = {key: value[0] for key, value in app.init(Generator().manual_seed(0), 1).items()}
-    refused: dict[str, str] = {}
-    names = dict.fromkeys(rule_of(text).name for text in design.rules or (*RULES, *COMPOSED))
-    for name in names:
-        if reasons := [reason for part in rule_of(name).parts if (reason := part.refusal(app, theta))]:
-            refused[name] = reasons[0]
-    return [name for name in names if name not in refused], refused
-
 
 def training_for(recipe: Recipe, rule: str) -> MetaTraining:
     """How a rule is trained: as the recipe has it, else as that of its rules whose directions are of the same length.
@@ -95,11 +78,6 @@ def training_for(recipe: Recipe, rule: str) -> MetaTraining:
     if rule in recipe.meta or rule_of(rule).has("betas"):
         return usual
     return recipe.meta.get("meta-sgd") or replace(usual, tuned=True)
-
-
-def _recorded(training: MetaTraining) -> dict[str, Any]:
-    """A training as records hold it, `initialisation` under its former name, so that earlier records stay its own."""
-    return {"start" if key == "initialisation" else key: value for key, value in asdict(training).items()}
 
 
 class Study:
@@ -114,7 +92,11 @@ class Study:
 
     def __init__(self, plan: Plan, design: Design) -> None:
         self.plan, self.design = plan, design
-        self.rules, self.refused = study_rules(plan.app, design)
+        theta = {key: value[0] for key, value in plan.app.init(Generator().manual_seed(0), 1).items()}
+        names = dict.fromkeys(rule_of(text).name for text in design.rules or (*RULES, *COMPOSED))
+        reasons = {name: [part.refusal(plan.app, theta) for part in rule_of(name).parts] for name in names}
+        self.refused = {name: next(filter(None, some)) for name, some in reasons.items() if any(some)}
+        self.rules = [name for name in names if name not in self.refused]
 
     def cases(self) -> list[Case]:
         """All trainings: seed by seed, those of few steps first."""
@@ -134,7 +116,8 @@ class Study:
         if case.rule != QUICKFT:
             name += f"-{self.design.outer}outer-{self.design.initialisation}"
         request = replace(request, recipe=name, rule=rule, seed=case.seed, steps=None, checkpoint=None)
-        return Plan(request, case.paradigm, Job(self.plan.app, recipe, rule), self.plan.device)
+        paradigm = paradigms()[QUICKFT if case.rule == QUICKFT else "meta"]
+        return Plan(request, paradigm, Job(self.plan.app, recipe, rule), self.plan.device)
 
     def training(self, rule: str) -> MetaTraining:
         """How a rule is trained here: as by its recipe, but for the initialisation, and with so many outer steps.
@@ -170,18 +153,21 @@ class Study:
             case: which.
             label: the data's name.
         """
-        plan = self.plan_of(case)
+        plan, quickft = self.plan_of(case), case.rule == QUICKFT
+        training = None if quickft else asdict(self.training(case.rule))
+        if training:  # as earlier records call it, so that these stay its own
+            training["start"] = training.pop("initialisation")
         return {
             "app": plan.app.name,
             **observe_of(plan.app),
             "study": case.rule,
             "steps": case.steps,
-            "training": None if case.rule == QUICKFT else _recorded(self.training(case.rule)),
+            "training": training,
             "general": self._general_digest,
             "batch": plan.job.recipe.batch,
             "data": label,
             "recipe": self.plan.request.recipe,
-            "seed": self.plan.request.seed if case.rule == QUICKFT else case.seed,
+            "seed": self.plan.request.seed if quickft else case.seed,
             "device": str(plan.device),
             "versions": versions(),
             **plan.app.conditions(),

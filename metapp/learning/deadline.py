@@ -1,17 +1,46 @@
-"""Stop a descent at the last step that fits in the time that is left."""
+"""The time of a fit: its clock, its pace, and a deadline that stops it at the last step that fits."""
 
 from __future__ import annotations
 
+import contextlib
 import math
 import statistics
 import time
 from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
+import torch
+
 from metapp.learning.learn import Step
 
 SPARE = 0.1  # of the time that steps may take, left out of a plan: not all steps are as quick as the usual one
 REMEMBERED = 7  # fits that say what pace is usual
+
+
+class Stopwatch:
+    """The clock of a fit: seconds since it was made, without pauses; it waits for what the device has not done yet."""
+
+    def __init__(self, device: torch.device) -> None:
+        self._device = device
+        self._begin = self._now()
+
+    def __call__(self) -> float:
+        """Seconds so far."""
+        return self._now() - self._begin
+
+    @contextlib.contextmanager
+    def paused(self) -> Iterator[None]:
+        """What is done meanwhile does not count."""
+        begin = self._now()
+        try:
+            yield
+        finally:
+            self._begin += self._now() - begin
+
+    def _now(self) -> float:
+        if self._device.type == "cuda":
+            torch.cuda.synchronize(self._device)
+        return time.perf_counter()
 
 
 class Pace(NamedTuple):

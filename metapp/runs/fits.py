@@ -11,13 +11,13 @@ import torch
 from torch import Generator
 
 from metapp.learning.app import stack
-from metapp.learning.deadline import REMEMBERED, Deadline, Pace, usual
+from metapp.learning.deadline import REMEMBERED, Deadline, Pace, Stopwatch, usual
 from metapp.learning.learn import Step, last
 from metapp.learning.task import Params, Rng, Task, Tasks, drawn
 from metapp.paradigms import Job
 from metapp.runs.plan import Plan
 from metapp.runs.reporter import say
-from metapp.runs.timing import Stopwatch, said_time
+from metapp.runs.request import said_time
 from metapp.runs.watching import Watched
 
 WARM = 1  # steps of the fit that loads kernels: the next one takes at most 2 % longer than after more of them

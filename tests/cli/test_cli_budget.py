@@ -11,7 +11,7 @@ import pytest
 from metapp.apps.brdf import Brdf
 from metapp.apps.brdf.recipes import RECIPES
 from metapp.runs import BadOption
-from metapp.runs.timing import said_time, seconds_of
+from metapp.runs.request import said_time, seconds_of
 from metapp.storage.records import read_records
 
 pytestmark = pytest.mark.usefixtures("small_spheres")
@@ -37,7 +37,7 @@ def steps(monkeypatch: pytest.MonkeyPatch) -> Iterator[list[float]]:
     monkeypatch.setitem(RECIPES[""], "quick", replace(RECIPES[""]["quick"], overfit_steps=40))
     monkeypatch.setattr(Brdf, "sample", staticmethod(slow_sample))
     monkeypatch.setattr(Brdf, "prepare", staticmethod(slow_prepare))
-    monkeypatch.setattr("metapp.runs.timing.time", type("clock", (), {"perf_counter": lambda: now}))
+    monkeypatch.setattr("metapp.learning.deadline.time", type("clock", (), {"perf_counter": lambda: now}))
     return times
 
 

@@ -11,10 +11,10 @@ import torch
 from PIL import Image
 
 from metapp.apps.brdf import Brdf
+from metapp.learning.deadline import Stopwatch
 from metapp.learning.learn import Step
 from metapp.learning.task import Task
 from metapp.runs import watching
-from metapp.runs.timing import Stopwatch
 from metapp.runs.watching import Watched
 
 APP = Brdf()
@@ -62,7 +62,7 @@ def test_pictures_come_at_most_so_often_and_the_last_is_drawn(tmp_path: Path, mo
 
 def test_time_of_pictures_does_not_count(monkeypatch: pytest.MonkeyPatch) -> None:
     now = 5.0
-    monkeypatch.setattr("metapp.runs.timing.time", type("clock", (), {"perf_counter": lambda: now}))
+    monkeypatch.setattr("metapp.learning.deadline.time", type("clock", (), {"perf_counter": lambda: now}))
     clock = Stopwatch(torch.device("cpu"))
     now += 1.0
     with clock.paused():

@@ -31,7 +31,7 @@ APP = Brdf()
 TASKS, STEPS = 3, 5
 IN_C = ["meta-sgd", "meta-adam", "meta-adam-tied", "meta-encoder", "meta-curvature"]
 EPS = torch.finfo(torch.float32).eps
-needs_compiler = pytest.mark.skipif(compiler() is None, reason="steps in C need a C compiler")
+needs_compiler = pytest.mark.skipif(compiler() is None, reason="needs a C compiler: apt-get install gcc libc6-dev")
 
 
 def loss_of(batches: list[Batch], registered: bool = True) -> Loss:

@@ -395,7 +395,7 @@ def test_a_second_walk_back_is_refused_or_right(randn: Callable[..., Tensor]) ->
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(not (shutil.which("g++") or shutil.which("clang++")), reason="torch.compile needs a C++ compiler")
+@pytest.mark.skipif(not (shutil.which("g++") or shutil.which("clang++")), reason="torch.compile needs g++")
 @pytest.mark.parametrize("order", [1, 2])
 @pytest.mark.parametrize("rule", ON_MATRICES)
 def test_compiled_same_as_eager(rule: str, order: int, randn: Callable[..., Tensor]) -> None:

@@ -94,7 +94,7 @@ def test_a_mitsuba_that_took_an_old_library_is_refused_before_it_can_abort() -> 
     except ValueError as error:
         pytest.skip(str(error))
     if not old:
-        pytest.skip("no old libLLVM here")
+        pytest.skip("no libLLVM here that is too old for Mitsuba")
     lines = "import mitsuba\nfrom metapp.rendering.variant import *\nimport os\ndel os.environ[VARIABLE]\n"
     lines += f"os.environ[VARIABLE] = {str(find_llvm())!r}\n"
     lines += "try:\n    load_mitsuba()\nexcept ValueError as error:\n    print(error)"

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from metapp.evaluation.figures import Drawn
-from metapp.evaluation.formats import title_of
+from metapp.evaluation.notes import title_of
 from metapp.evaluation.rows import Row, Table
 from metapp.evaluation.subject import Subject
 from metapp.runs.naming import name_of

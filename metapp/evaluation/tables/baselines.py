@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import statistics
 from collections.abc import Iterator
+from importlib import metadata
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,6 @@ from metapp.baselines.baseline import Baseline
 from metapp.evaluation.baseline_fits import (
     FORM,
     allowed_for,
-    baseline_versions,
     fit_baselines,
     own_parameters,
     training_folder,
@@ -28,6 +28,7 @@ from metapp.runs.inputs import data_label
 from metapp.runs.naming import caption_of, name_of, observe_of
 from metapp.runs.reporter import say
 from metapp.runs.statistics import apart
+from metapp.runs.surroundings import versions
 
 SHOWN = ("general", "quickft", "meta", "finetune", "overfit")
 RUN = SHOWN[:3]  # the others take long and stand here where there are records of them
@@ -47,14 +48,10 @@ def _larger(subject: Subject) -> list[str]:
 
 def _able(subject: Subject) -> list[Baseline]:
     """The baselines that lack no training tasks."""
-    without = _untrained(subject)
-    return [baseline for baseline in baselines_of(subject.app) if baseline.name not in without]
-
-
-def _untrained(subject: Subject) -> list[str]:
-    """The baselines that need training tasks where there are none."""
-    learning = [baseline.name for baseline in baselines_of(subject.app) if baseline.learns]
-    return learning if learning and subject.tasks and training_folder(subject.plan) is None else []
+    known = baselines_of(subject.app)
+    if subject.tasks and any(baseline.learns for baseline in known) and training_folder(subject.plan) is None:
+        return [baseline for baseline in known if not baseline.learns]
+    return list(known)
 
 
 def baseline_cell(subject: Subject, baseline: Baseline) -> Cell:
@@ -91,7 +88,7 @@ def _settings(subject: Subject, baseline: Baseline, source: Path | None) -> dict
         "allowed": allowed_for(subject.plan)._asdict(),
         "recipe": request.recipe,
         "seed": request.seed,
-        "versions": baseline_versions(),
+        "versions": versions() | {"scipy": metadata.version("scipy")},
         **app.conditions(),
         **({"meta": meta.folder.key} if baseline.matches and meta.folder else {}),
     }
@@ -198,7 +195,8 @@ def _missing(subject: Subject, all_rows: list[Row]) -> list[str]:
     """What has no records, and how to make them."""
     absent = [row["paradigm"] for row in all_rows if not row["tasks"] and not row["peer"]]
     lines = [f"no records yet of {', '.join(absent)}; {subject.command('results')} makes them"] if absent else []
-    if without := _untrained(subject):
+    able = _able(subject)
+    if without := [baseline.name for baseline in baselines_of(subject.app) if baseline not in able]:
         remedy = f"metapp data synth {subject.app.name} makes the embedded ones"
         lines.append(f"{', '.join(without)}: no training tasks; {remedy}")
     return lines

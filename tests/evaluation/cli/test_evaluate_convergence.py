@@ -67,18 +67,14 @@ def test_the_plane_of_most_variance_keeps_distances_within_it(rng: torch.Generat
     basis = torch.linalg.qr(torch.randn(50, 2, generator=rng, dtype=torch.float64))[0]
     flat = torch.randn(9, 2, generator=rng, dtype=torch.float64)
     states = flat @ basis.T + 3
-    found, explained = project(states)
-    torch.testing.assert_close(torch.cdist(found, found), torch.cdist(flat, flat))
+    places, explained = project(states)
+    torch.testing.assert_close(torch.cdist(places, places), torch.cdist(flat, flat))
     assert explained == pytest.approx(1)
-    noisy = states + 0.5 * torch.randn(9, 50, generator=rng, dtype=torch.float64)
-    assert project(noisy)[1] < 0.99
-
-
-def test_networks_of_different_sizes_have_no_common_paths() -> None:
+    assert project(states + 0.5 * torch.randn(9, 50, generator=rng, dtype=torch.float64))[1] < 0.99
+    # networks of different sizes have no common paths
     small, large = ([{"w": torch.full((1, size), float(i))} for i in range(3)] for size in (4, 6))
-    found, explained = project_paths(small, small)
-    assert len(found["meta"]) == len(found["overfit"]) == 3
-    assert explained == pytest.approx(1)
+    paths, explained = project_paths(small, small)
+    assert (len(paths["meta"]), len(paths["overfit"]), explained) == (3, 3, pytest.approx(1))
     assert project_paths(small, large) == ({"meta": [], "overfit": []}, 0.0)
 
 

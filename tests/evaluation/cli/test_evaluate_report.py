@@ -94,7 +94,7 @@ BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(BROWSER is None, reason="no Chromium here")
+@pytest.mark.skipif(BROWSER is None, reason="a browser draws the page: apt-get install chromium")
 def test_a_browser_shows_the_report_without_an_error(done: Path, tmp_path: Path) -> None:
     page = tmp_path / "index.html"
     shot = tmp_path / "shot.png"

@@ -14,6 +14,7 @@ from torch import Tensor
 
 from metapp.apps.brdf import Brdf
 from metapp.cli.show import rich_table
+from metapp.evaluation.rows import paired_of
 from metapp.evaluation.subject import Subject
 from metapp.evaluation.tables import NAMES, load_table
 from metapp.learning.task import Params, Tasks
@@ -57,15 +58,15 @@ def test_all_tables_have_all_rows_in_every_format(evaluate: Callable, done: Path
 def test_rows_are_compared_with_quickft_and_general_on_the_same_tasks(subject: Subject) -> None:
     found = {row["paradigm"]: row for row in rows(subject, "results")}
     ours, theirs = ([record["error"] for record in subject.cell(name).records()] for name in ("meta", "quickft"))
-    meta = found["meta"]
-    assert meta["vs_quickft"] == pytest.approx(sum(ours) / sum(theirs))
-    assert meta["vs_quickft_low"] <= meta["vs_quickft"] <= meta["vs_quickft_high"]
-    assert meta["vs_quickft_ahead"] == sum(a < b for a, b in zip(ours, theirs, strict=True))
-    assert (meta["vs_quickft_tasks"], meta["vs_quickft_groups"], meta["vs_quickft_kind"]) == (3, 3, "ratio")
+    pair = paired_of(found["meta"], "quickft")
+    assert pair
+    assert pair.low <= pair.value <= pair.high
+    assert pair.value == pytest.approx(sum(ours) / sum(theirs))
+    assert pair[3:] == (sum(a < b for a, b in zip(ours, theirs, strict=True)), 3, 3, "ratio")
     assert found["quickft"]["vs_quickft"] is None
     assert found["quickft"]["vs_general"] < 1
     quickft = rows(subject, "quickft")[2]
-    assert quickft["ahead"] == meta["vs_quickft_ahead"]
+    assert quickft["ahead"] == found["meta"]["vs_quickft_ahead"] == pair.ahead
     assert quickft["apart"] is None  # too few tasks
     assert "too few to call a win" in " ".join(load_table("quickft").notes(subject, rows(subject, "quickft")))
 
@@ -113,7 +114,9 @@ def test_an_overfit_of_fewer_steps_is_said_and_is_another_run(evaluate: Callable
     short = evaluate(*common, "--overfit-share", "0.5")
     assert "20 of the recipe's 40 steps" in " ".join(short.out.split())
     assert "--steps 20" in short.err
-    tasks = {row["paradigm"]: row["tasks"] for row in rows_of(evaluate(*common, "--overfit-share", "0.5", "--json"))}
+    tasks = {
+        row["paradigm"]: row["tasks"] for row in evaluate(*common, "--overfit-share", "0.5", "--json").document["rows"]
+    }
     assert tasks == {"general": 3, "overfit": 0, "finetune": 3, "quickft": 3, "meta": 3}
     assert "of the recipe's" not in evaluate(*common).out
 
@@ -143,10 +146,6 @@ def test_parts_make_the_records_of_one_program(evaluate: Callable, done: Path, t
     assert len(lines) == 3 * len(of_second)
     for refused in (("--shard", "3/2"), ("--shard", "1/2", "--no-run"), ("--shard", "1/2", "--report", tmp_path)):
         assert evaluate(*refused).code == 2
-
-
-def rows_of(result: Any) -> list[dict[str, Any]]:
-    return result.document["rows"]
 
 
 def killed_at(count: int, *arguments: str | Path) -> int:

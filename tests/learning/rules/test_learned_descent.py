@@ -149,7 +149,7 @@ def test_finite_differences(app: Any, randn: Callable[..., Tensor]) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(not (shutil.which("g++") or shutil.which("clang++")), reason="torch.compile needs a C++ compiler")
+@pytest.mark.skipif(not (shutil.which("g++") or shutil.which("clang++")), reason="torch.compile needs g++")
 def test_compiled_same_as_eager(app: Any, randn: Callable[..., Tensor]) -> None:
     phi, batches = phi_of(app, randn), batches_for(app, randn, STEPS + 1)
     eager, compiled = (
