@@ -23,19 +23,18 @@ _MIN_HEIGHT = 0.3  # mean z of normals; a picture of middle brightness has 0
 _LOWEST = 0.02  # z of a normal: what points into the surface cannot be seen
 
 
-def svbrdf_task(name: str, maps: Tensor, *, photo: Tensor | None = None, group: str = "") -> Task:
+def svbrdf_task(name: str, maps: Tensor, *, photo: Tensor | None = None) -> Task:
     """A material as a task.
 
     Args:
         name: of the task.
         maps: [10, S, S], as `metapp.appearance.flash.pack` gives them.
         photo: uint8 [3, S, S]; rendered from the maps where there is none.
-        group: what it shows, where several tasks show the same.
 
     Returns:
         `maps` float16 [10, S, S] and `photo` uint8 [3, S, S].
     """
-    return Task(name, {"maps": maps.half(), "photo": flash_photo(maps) if photo is None else photo}, group)
+    return Task(name, {"maps": maps.half(), "photo": flash_photo(maps) if photo is None else photo})
 
 
 def flash_photo(maps: Tensor, flash: Tensor | None = None, intensity: float = 1.0) -> Tensor:

@@ -124,67 +124,44 @@ class Baseline(NamedTuple):
     matches: bool = False
 
 
-class Codec(NamedTuple):
-    """A way to keep a task's data in fewer or more bytes.
+def both_ways(
+    name: str, title: str, cannot: str, rungs: Callable[[Tasks], int], encode: Callable[[Tasks, int], Fitted]
+) -> tuple[Baseline, Baseline]:
+    """A way to keep a task's data in fewer or more bytes: at the bytes of a network, and at Meta's error.
 
-    Attributes:
+    Args:
         name, title, cannot: as of `Baseline`.
         rungs: task -> how many settings there are, from the smallest to the best.
         encode: (task, setting) -> its fit.
     """
 
-    name: str
-    title: str
-    cannot: str
-    rungs: Callable[[Tasks], int]
-    encode: Callable[[Tasks, int], Fitted]
-
-
-def both_ways(codec: Codec) -> tuple[Baseline, Baseline]:
-    """A codec at the bytes of a network, and at Meta's error."""
-    title, cannot = codec.title, codec.cannot
-    return (
-        Baseline(codec.name, title, cannot, lambda training, allowed: Prepared(_at_size(codec)), learns=False),
-        Baseline(
-            f"{codec.name}@meta",
-            f"{title}; as many bytes as Meta's error takes",
-            cannot,
-            lambda training, allowed: Prepared(_at_error(codec, training.app)),
-            learns=False,
-            matches=True,
-        ),
-    )
-
-
-def _at_size(codec: Codec) -> Fit:
-    """The best setting within a network's bytes."""
-
-    def fit(tasks: Tasks, rng: Generator, allowed: Allowed) -> Fitted:
-        rungs = range(codec.rungs(tasks))
-        best = bisect.bisect_right(rungs, allowed.size, key=lambda rung: codec.encode(tasks, rung).size) - 1
-        fitted = codec.encode(tasks, max(best, 0))
+    def at_size(tasks: Tasks, rng: Generator, allowed: Allowed) -> Fitted:
+        """The best setting within a network's bytes."""
+        settings = range(rungs(tasks))
+        best = bisect.bisect_right(settings, allowed.size, key=lambda rung: encode(tasks, rung).size) - 1
+        fitted = encode(tasks, max(best, 0))
         return fitted._replace(reached=fitted.size <= allowed.size)
 
-    return fit
-
-
-def _at_error(codec: Codec, app: App) -> Fit:
-    """The smallest setting with at most Meta's error."""
-
-    def error(tasks: Tasks, fitted: Fitted) -> float:
-        return float(app.errors_of(fitted.answer(), tasks)["error"])
-
-    def fit(tasks: Tasks, rng: Generator, allowed: Allowed) -> Fitted:
-        bound, count = allowed.error, codec.rungs(tasks)
+    def at_error(app: App, tasks: Tasks, rng: Generator, allowed: Allowed) -> Fitted:
+        """The smallest setting with at most Meta's error."""
+        bound, count = allowed.error, rungs(tasks)
         if bound is None:
-            raise ValueError(f"{codec.name}: Meta's error of {tasks.picked_names()[0]} is not known; fit it first.")
-        enough = bisect.bisect_left(
-            range(count), True, key=lambda rung: error(tasks, codec.encode(tasks, rung)) <= bound
-        )
-        fitted = codec.encode(tasks, min(enough, count - 1))
-        return fitted._replace(reached=enough < count)
+            raise ValueError(f"{name}: Meta's error of {tasks.picked_names()[0]} is not known; fit it first.")
 
-    return fit
+        def is_enough(rung: int) -> bool:
+            return float(app.errors_of(encode(tasks, rung).answer(), tasks)["error"]) <= bound
+
+        enough = bisect.bisect_left(range(count), True, key=is_enough)
+        return encode(tasks, min(enough, count - 1))._replace(reached=enough < count)
+
+    def at_metas(training: Training, allowed: Allowed) -> Prepared:
+        return Prepared(functools.partial(at_error, training.app))
+
+    same = f"{title}; as many bytes as Meta's error takes"
+    return (
+        Baseline(name, title, cannot, lambda training, allowed: Prepared(at_size), learns=False),
+        Baseline(f"{name}@meta", same, cannot, at_metas, learns=False, matches=True),
+    )
 
 
 def nearest(

@@ -6,6 +6,7 @@ Coefficients are the largest of orthonormal transforms: Haar wavelets, cosines, 
 from __future__ import annotations
 
 import functools
+import itertools
 import math
 from collections.abc import Callable
 from typing import NamedTuple
@@ -19,7 +20,7 @@ from scipy.special import sph_legendre_p_all
 from torch import Generator, Tensor
 
 from metapp.appearance.latlong import solid_angles
-from metapp.baselines.baseline import Allowed, Baseline, Codec, Fitted, Prepared, Training, both_ways, nearest_photo
+from metapp.baselines.baseline import Allowed, Baseline, Fitted, Prepared, Training, both_ways, nearest_photo
 from metapp.learning.app import App
 from metapp.learning.task import Tasks
 
@@ -257,12 +258,12 @@ def baselines(app: App) -> tuple[Baseline, ...]:
     sun = f"{same}, nor hold a sun in few"
     rings = f"{same}, nor show a sun that does not ring"
     codecs = [
-        Codec("haar", "largest Haar wavelets of radiance", same, _texels, HAAR.encode),
-        Codec("dct", "largest cosines (DCT) of radiance", sun, _texels, COSINES.encode),
-        Codec("sh", "spherical harmonics, least squares by solid angle", rings, _orders, _harmonics),
+        both_ways("haar", "largest Haar wavelets of radiance", same, _texels, HAAR.encode),
+        both_ways("dct", "largest cosines (DCT) of radiance", sun, _texels, COSINES.encode),
+        both_ways("sh", "spherical harmonics, least squares by solid angle", rings, _orders, _harmonics),
     ]
     halves = Baseline("halves", "the map itself, in half precision", same, lambda *_: Prepared(_halves), learns=False)
-    return (halves, *(baseline for codec in codecs for baseline in both_ways(codec)))
+    return (halves, *itertools.chain(*codecs))
 
 
 def _map_of(tasks: Tasks) -> Floats:

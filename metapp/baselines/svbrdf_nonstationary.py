@@ -13,7 +13,7 @@ import torch
 from torch.nn.functional import adaptive_avg_pool2d, interpolate, normalize
 
 from metapp.appearance.flash import Maps, unpack
-from metapp.baselines.baseline import Allowed, Baseline, Codec, Fitted, Prepared, Training, both_ways, nearest_photo
+from metapp.baselines.baseline import Allowed, Baseline, Fitted, Prepared, Training, both_ways, nearest_photo
 from metapp.learning.app import App
 from metapp.learning.task import Tasks
 
@@ -80,11 +80,10 @@ def baselines(app: App) -> tuple[Baseline, ...]:
     def as_jpeg(tasks: Tasks, rung: int) -> Fitted:
         return _kept([jpeg(sheet, rung + 1) for sheet in sheets(_maps(tasks))], ".jpg", lambda maps: maps)
 
-    codecs = [
-        Codec("jpeg", "JPEGs of the maps, of the quality that fits", cannot, lambda _: 100, as_jpeg),
-        Codec("png", "PNGs of the maps, with fewer bits, then fewer texels, until they fit", cannot, _count, _png),
-    ]
-    return tuple(baseline for way in codecs for baseline in both_ways(way))
+    return (
+        *both_ways("jpeg", "JPEGs of the maps, of the quality that fits", cannot, lambda _: 100, as_jpeg),
+        *both_ways("png", "PNGs of the maps, with fewer bits, then fewer texels, until they fit", cannot, _count, _png),
+    )
 
 
 def sheets(maps: Maps) -> Sheets:

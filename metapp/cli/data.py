@@ -16,8 +16,7 @@ import typer
 from data_tools.formats import formats
 from metapp.cli.console import Exit, out, print_json
 from metapp.cli.data_convert import Quiet, check_folder, command_of, report
-from metapp.cli.data_cornell import cornell
-from metapp.cli.data_sets import holds_of, join, noisy
+from metapp.cli.data_sets import cornell, holds_of, join, noisy
 from metapp.cli.options import Json, takes
 from metapp.runs.convert import Converted, converted
 from metapp.runs.embedded import embedded_apps, embedded_data, embedded_module, split_counts

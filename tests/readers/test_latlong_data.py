@@ -17,7 +17,7 @@ from data_tools.draws import stream
 from data_tools.readers import latlong
 from data_tools.readers.latlong import find_maps, map_task, read_map, read_map_task, read_task
 from metapp.appearance.latlong import mean_luminance, resample, solid_angles, sphere_normals
-from tests.pictures import check_refused, planes, text, truncated, write
+from tests.pictures import check_refused, planes, truncated, write
 
 ACESCG = (0.713, 0.293, 0.165, 0.83, 0.128, 0.044, 0.32168, 0.33767)
 REC709_D50 = (0.64845, 0.33088, 0.32119, 0.59789, 0.1559, 0.06606, 0.34571, 0.35854)  # adapted
@@ -272,10 +272,6 @@ BAD: dict[str, tuple[Callable[[Path], Path], str]] = {
     "encoded": (stated(oiio_ColorSpace="sRGB"), "colours in 'srgb_rec709_scene', expected a linear space"),
     "no primaries": (stated(chromaticities=(0.0,) * 8), "chromaticities 0, 0, 0, 0, 0, 0, expected three primaries"),
     "truncated exr": (lambda folder: truncated(write(folder / "a.exr", radiance())), "a.exr: damaged or incomplete ("),
-    "truncated hdr": (lambda folder: truncated(write(folder / "a.hdr", radiance())), "a.hdr: damaged or incomplete ("),
-    "text": (lambda folder: text(folder / "a.exr"), "a.exr: not an image ("),
-    "missing": (lambda folder: folder / "a.exr", "a.exr: no such file"),
-    "folder": (lambda folder: folder, "a folder, expected"),
 }
 
 

