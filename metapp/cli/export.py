@@ -38,7 +38,7 @@ def command(
 
     Example: metapp export runs/brdf/meta/gold-full-seed0-ridge bsdf
     """
-    from metapp.runs.export import export_run
+    from metapp.runs.outputs import export_run
 
     done = export_run(run, form, inputs or [], data=data, out=out_folder, size=size, quiet=quiet)
     if not quiet:

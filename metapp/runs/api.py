@@ -14,9 +14,9 @@ from metapp.learning.app import App
 from metapp.learning.task import Params, Task
 from metapp.runs.checkpoints import find_checkpoint
 from metapp.runs.checks import check_export
-from metapp.runs.export import export_fit
 from metapp.runs.fits import fit_tasks
 from metapp.runs.inputs import tasks_to_fit
+from metapp.runs.outputs import export_fit
 from metapp.runs.plan import plan
 from metapp.runs.request import Request
 from metapp.runs.surroundings import threads, threads_of

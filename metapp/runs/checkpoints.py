@@ -1,4 +1,4 @@
-"""Checkpoints: find the best there is, among those that were trained here and those that ship."""
+"""Checkpoints: find the best there is, trained here or shipped, and check what it holds."""
 
 from __future__ import annotations
 
@@ -7,16 +7,21 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from torch import Generator, Tensor
+
 from metapp.learning.app import App
 from metapp.learning.learn import MetaParameters
+from metapp.learning.rules import rule_of
+from metapp.learning.task import Params
+from metapp.networks.field import regridded
 from metapp.paradigms import paradigms
-from metapp.runs.checkpoint_check import on_own_grid, require_fit, require_tuned
+from metapp.paradigms.quickft import TUNED
+from metapp.runs.checks import shipped_path, ships
 from metapp.runs.embedded import embedded_exists
 from metapp.runs.inputs import data_folder, data_label
 from metapp.runs.naming import is_first_protocol, name_of
 from metapp.runs.plan import Checkpoint, Plan
 from metapp.runs.reporter import say
-from metapp.runs.shipped import shipped_path, ships
 from metapp.storage.records import digest, load_checkpoint, tensor_digest
 
 FOLDERS = ("checkpoints", "starts")  # of what was trained for an application; the second one by earlier versions
@@ -143,3 +148,81 @@ def _checkpoint_path(plan: Plan, name: str) -> Path:
 
 def _shipped(plan: Plan, name: str) -> Path:
     return shipped_path(plan.app.name, checkpoint_name(plan.app, name), plan.request.recipe)
+
+
+def on_own_grid(plan: Plan, prepared: MetaParameters) -> MetaParameters:
+    """A checkpoint of Meta whose hyperparameters on a grid, [K, channels, rows, columns], are on the application's own.
+
+    They may have been learned on a coarser one: those of another recipe of the same network.
+    """
+    if plan.paradigm.name != "meta":
+        return prepared
+    wanted = _fresh_alpha(plan)
+    alpha = {
+        key: regridded(value, *wanted[key].shape[2:], periodic=plan.app.traits.periodic)
+        if key in wanted and _is_on_a_grid(value, wanted[key])
+        else value
+        for key, value in prepared.alpha.items()
+    }
+    return prepared._replace(alpha=alpha)
+
+
+def _is_on_a_grid(value: Tensor, wanted: Tensor) -> bool:
+    return value.ndim == wanted.ndim == 4 and value.shape[1] == wanted.shape[1] and min(value.shape) > 0
+
+
+def _fresh_alpha(plan: Plan) -> Params:
+    """The rule's hyperparameters before training, of the shapes that a checkpoint's must have."""
+    recipe = plan.job.recipe
+    network = {key: value[0] for key, value in plan.app.init(Generator().manual_seed(0), 1).items()}
+    first = recipe.training(plan.job.rule).first
+    return rule_of(plan.job.rule).alpha(plan.app, network, recipe.steps, first)
+
+
+def require_fit(path: Path, plan: Plan, prepared: MetaParameters) -> None:
+    """Refuse tensors that are not this application's, or not this rule's.
+
+    Raises:
+        ValueError: a tensor is missing or has another shape; names it.
+    """
+    app, rng = plan.app, Generator().manual_seed(0)
+    network = {key: value[0] for key, value in app.init(rng, 1).items()}
+    if plan.paradigm.name == "meta":
+        _require(path, "alpha", prepared.alpha, _fresh_alpha(plan), steps=True)
+    else:
+        _require(path, "alpha", prepared.alpha, {})
+    if prepared.encoder or plan.paradigm.name != "meta":
+        _require(path, "encoder", prepared.encoder, app.init_encoder(rng))
+    else:
+        _require(path, "theta", prepared.theta, network)
+
+
+def require_tuned(path: Path, prepared: MetaParameters) -> None:
+    """Refuse what are not the settings of one Adam.
+
+    Raises:
+        ValueError: one is missing, or no number.
+    """
+    if set(prepared.alpha) != set(TUNED) or any(value.numel() != 1 for value in prepared.alpha.values()):
+        raise ValueError(
+            f"{path}: holds {', '.join(sorted(prepared.alpha)) or 'no settings'}, expected one number each for "
+            f"{', '.join(TUNED)}; tune again with metapp quickft --train."
+        )
+
+
+def _require(path: Path, part: str, found: Params, expected: Params, *, steps: bool = False) -> None:
+    """Refuse a part of a checkpoint that lacks a tensor or has another; `steps`: the first axis may have any length."""
+    remedy = "give a checkpoint of this application, rule and recipe, or train one with --train"
+    for key in sorted(expected | found, key=lambda key: key not in expected):
+        shapes: list[tuple[int | str, ...] | None] = [
+            tuple(of[key].shape) if key in of else None for of in (found, expected)
+        ]
+        if steps and all(shapes):
+            shapes = [shape and ("steps", *shape[1:]) for shape in shapes]
+        if shapes[0] != shapes[1]:
+            has, wants = (_said(shape) for shape in shapes)
+            raise ValueError(f"{path}: {part} {key} is {has}, expected {wants}; {remedy}.")
+
+
+def _said(shape: tuple[int | str, ...] | None) -> str:
+    return "missing" if shape is None else f"({', '.join(map(str, shape))})"

@@ -13,22 +13,21 @@ import torch
 from metapp.apps import presentation_of
 from metapp.learning.task import Task
 from metapp.paradigms import ranks
-from metapp.runs.batch_size import BatchSize
+from metapp.runs.batch_size import BatchSize, check_batch
 from metapp.runs.checkpoints import find_checkpoint
 from metapp.runs.fits import Fitter, Result
-from metapp.runs.gallery import write_gallery, write_thumbnail
 from metapp.runs.inputs import SOURCED, Source, sources_of, sources_to_fit, tasks_to_fit
 from metapp.runs.naming import name_of, observe_of
 from metapp.runs.outputs import OUTPUTS, write_fit
+from metapp.runs.pictures import write_gallery, write_thumbnail
 from metapp.runs.plan import Plan
 from metapp.runs.reporter import Reporter, number, progress, reporting, say
+from metapp.runs.request import portion_of
 from metapp.runs.surroundings import make_folder, threads, threads_of
 from metapp.runs.training import train_checkpoint
 from metapp.runs.watching import Watched
 from metapp.storage.files import named
-from metapp.storage.records import FIT, RunFolder, guarded, summary
-
-Record = dict[str, Any]
+from metapp.storage.records import FIT, Record, RunFolder, guarded, summary
 
 
 class Failure(NamedTuple):
@@ -143,27 +142,8 @@ def prepared(plan: Plan) -> Plan:
         return find_checkpoint(plan) if ranks.number() == 0 else plan
 
 
-def fit_and_keep(plan: Plan, tasks: Sequence[Task], folder: RunFolder) -> Iterator[Record]:
-    """Fit tasks and keep the record and the parameters of each as soon as it is done.
-
-    Yields:
-        Their records.
-
-    Raises:
-        FloatingPointError: a fit is not finite.
-    """
-    for done in _Loop(Fitter(plan), folder).fit(sources_of(tasks)):
-        assert not isinstance(done, Failure)
-        yield done
-
-
-def _is_lazy(plan: Plan) -> bool:
-    """Whether inputs are read when their turn comes, and what fails stops nothing: with --batch or --shard."""
-    return bool(plan.request.batch or plan.request.shard)
-
-
 def _sources(plan: Plan) -> tuple[list[Source], str]:
-    if _is_lazy(plan):
+    if plan.request.lazy:
         return sources_to_fit(plan.app, plan.request)
     tasks, label = tasks_to_fit(plan.app, plan.request)
     return sources_of(tasks), label
@@ -171,9 +151,8 @@ def _sources(plan: Plan) -> tuple[list[Source], str]:
 
 def _run(fitter: Fitter, sources: list[Source], label: str) -> Run:
     """Fit the sources that have no record yet, or all anew where all have one and are fitted one by one."""
-    plan, request, lazy = fitter.plan, fitter.plan.request, _is_lazy(fitter.plan)
-    folder = _lazy_folder(plan, label) if lazy else plan.folder(label)
-    mine = plan.portion.of(sources)
+    plan, request, lazy = fitter.plan, fitter.plan.request, fitter.plan.request.lazy
+    folder, mine = _folder(plan, label), portion_of(request.shard).of(sources)
     if not mine:
         few = f"none of {len(sources)} inputs, expected some; take {len(sources)} parts at most"
         raise ValueError(f"--shard {request.shard}: {few}.")
@@ -204,17 +183,19 @@ def _run(fitter: Fitter, sources: list[Source], label: str) -> Run:
     return Run(plan, label, tasks, list(records.values()), folder, made, loop.failures, rate, gallery)
 
 
-def _lazy_folder(plan: Plan, label: str) -> RunFolder:
-    """The folder of inputs that are read when their turn comes: seconds of fits side by side are shares of a run's."""
-    path, settings = plan.path(label), plan.settings(label) | {"batched": True}
-    return RunFolder(path.with_name(f"{path.name}-batch"), settings, FIT | SOURCED, plan.origin())
+def _folder(plan: Plan, label: str) -> RunFolder:
+    """The folder of a run; seconds of fits side by side are shares: those have one of their own."""
+    path, settings, form = plan.path(label), plan.settings(label), FIT
+    if plan.request.lazy:
+        path, settings, form = path.with_name(f"{path.name}-batch"), settings | {"batched": True}, FIT | SOURCED
+    return RunFolder(path, settings, form, plan.origin())
 
 
 def _announce(plan: Plan, folder: RunFolder, total: int, mine: int, known: int) -> None:
     assert plan.checkpoint is not None
     what = f"{name_of(plan.app)} {plan.paradigm.name}: {total} "
-    if _is_lazy(plan):
-        number, parts = plan.portion
+    if plan.request.lazy:
+        number, parts = portion_of(plan.request.shard)
         what += f"inputs{f', part {number} of {parts}: {mine}' if parts > 1 else ''}"
         what += f"{f', {known} fitted before' if known else ''}; {plan.steps} steps"
     else:
@@ -238,7 +219,7 @@ class _Loop:
         fitter.watched = Watched(plan.app, plan.paradigm.name, file) if plan.request.watch else None
         self.fitter, self.folder, self.lazy = fitter, folder, lazy
         self.presentation = presentation_of(plan.app, plan.size)
-        self.size = BatchSize(plan.batch, plan.device)
+        self.size = BatchSize(check_batch(plan.request.batch or "1"), plan.device)
         self.failures: list[Failure] = []
         self.count = 0
 

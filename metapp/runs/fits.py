@@ -17,7 +17,7 @@ from metapp.learning.task import Params, Rng, Task, Tasks, drawn
 from metapp.paradigms import Job
 from metapp.runs.plan import Plan
 from metapp.runs.reporter import say
-from metapp.runs.timing import said_time
+from metapp.runs.request import said_time
 from metapp.runs.watching import Watched
 
 WARM = 1  # steps of the fit that loads kernels: the next one takes at most 2 % longer than after more of them

@@ -1,19 +1,29 @@
-"""What a fit makes for its user, in a run's folder: pictures and maps, renders of its scene, other formats."""
+"""What a fit makes for its user: pictures and maps, renders of its scene, other formats; of one fit or of a run."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
+from torch import Generator
+
+from data_tools.formats import Export, exports_of
 from metapp.appearance.colour import stretched, tone_map
 from metapp.appearance.presentation import Picture, Presentation
 from metapp.apps import presentation_of
-from metapp.learning.app import App
+from metapp.learning.app import App, Distilled, stack
 from metapp.learning.task import Params, Task
-from metapp.runs.export import export_fit
+from metapp.runs.checkpoints import find_checkpoint
+from metapp.runs.checks import QUICK, check_export, check_name, check_size
+from metapp.runs.embedded import embedded_exists
+from metapp.runs.inputs import data_folder, data_label, tasks_to_fit
+from metapp.runs.plan import plan
+from metapp.runs.recorded import app_as, read_run
+from metapp.runs.reporter import number, progress, say
+from metapp.runs.request import Request
 from metapp.storage.images import write_exr, write_png
-from metapp.storage.records import RunFolder, file_name
+from metapp.storage.records import RunFolder, file_name, read_theta
 
 OUTPUTS = "outputs"  # the folder of pictures and maps, in a run's
 
@@ -62,3 +72,114 @@ def _write(files: dict[str, Picture], folder: Path) -> None:
             write_exr(pixels, file.with_name(f"{name}.exr"))
             pixels = tone_map(pixels / pixels.mean().clamp_min(1e-20))  # whatever its unit
         write_png(pixels, texts, file)
+
+
+def export_fit(
+    shown: Presentation[Any], task: Task, theta: Params, path: Path, name: str, settings: Mapping[str, Any]
+) -> None:
+    """Write one fit in a form; where that holds another network, the fit is distilled into it first.
+
+    Args:
+        shown: the presentation of the fit's application, at the size of surfaces.
+        task: what was fitted.
+        theta: parameters, without a task axis.
+        path: where to, without suffix; its last part names an asset.
+        name: of the form.
+        settings: what the fit was made by, as records have it: an asset's provenance.
+    """
+    app = shown.app
+    form = exports_of(app.name)[name]
+    if isinstance(form, Export):
+        surface = shown.surface(theta, task)
+        assert surface is not None, f"{app.name} has no surface"
+        form.write(surface, path, {"task": task.name, **settings})
+        return
+    if form.holds and set(theta) != set(form.holds):
+        theta = distilled(app, task, theta)
+    form.writer().export(app, theta, path)
+
+
+def distilled(app: App, task: Task, theta: Params) -> Params:
+    """The application's usual network, fitted by Finetune to what another one evaluates to.
+
+    It sees as many values of the fit as the task has samples, and none of the task's own; what it lost is said.
+
+    Args:
+        app: with the network that the fit is of.
+        task: what was fitted.
+        theta: parameters of one task, without a task axis.
+    """
+    assert isinstance(app, Distilled), f"{app.name} has one network"
+    by = find_checkpoint(plan(Request(app.name, "finetune", recipe=QUICK, quiet=True)))
+    evaluated = stack(by.app, [app.evaluated(theta, task)])
+    fitted = by.paradigm.fit(by.job, by.prepared, evaluated, Generator().manual_seed(by.request.seed))
+    before, after = (
+        number(app.traits.scale * float(of.errors(params, stack(of, [task]))["error"][0]), ".3f")
+        for of, params in ((app, {key: value[None] for key, value in theta.items()}), (by.app, fitted))
+    )
+    say(f"{task.name}: distilled into the network of the format; error {after}, of the fit {before}")
+    return {key: value[0] for key, value in fitted.items()}
+
+
+class Exported(NamedTuple):
+    """What was written: the form, its folder, and the names of the fits."""
+
+    form: str
+    out: str
+    tasks: list[str]
+
+
+def export_run(
+    run: Path, form: str, inputs: list[Path], *, data: Path | None, out: Path | None, size: str, quiet: bool
+) -> Exported:
+    """Write every fit of a run.
+
+    Args:
+        run: its folder, or the record file in it.
+        form: as of --export.
+        inputs: what was fitted, for forms that are made of that, too.
+        data: the data set whose test tasks were fitted, for the same.
+        out: folder to write to; None: a folder of the form's name in the run's.
+        size: "HxW" in px, "" for the application's own.
+        quiet: no progress.
+
+    Raises:
+        BadOption: fits of the application cannot be written so, or not of that size.
+        ValueError: no run, damaged records or parameters, or inputs that a form needs and that are not given.
+    """
+    folder, records = read_run(run)
+    apps = {record["settings"]["app"] for record in records}
+    if len(apps) > 1:
+        raise ValueError(f"{run}: fits of {', '.join(sorted(apps))}, expected one application; take one run's folder.")
+    (name,) = apps
+    check_name(name)
+    check_export(form, name)
+    target = out or folder / form
+    with progress(form, len(records), quiet=quiet) as bar:
+        tasks: dict[str, dict[str, Task]] = {}
+        for record in records:
+            app, settings, name = app_as(record["settings"]), record["settings"], record["name"]
+            if settings["data"] not in tasks:
+                tasks[settings["data"]] = _tasks(app, settings["data"], inputs, data)
+            task = tasks[settings["data"]].get(name, Task(name, {}))
+            theta, path = read_theta(folder, name), target / file_name(name)
+            shown = presentation_of(app, check_size(size, app))
+            try:
+                export_fit(shown, task, theta, path, form, settings)
+            except KeyError as missing:
+                if task.data:
+                    raise
+                raise ValueError(
+                    f"{name}: {form} is made of the fit and its input ({missing}), expected both; "
+                    "give what was fitted after the form, or --data."
+                ) from None
+            bar.advance(name)
+    return Exported(form, str(target), [record["name"] for record in records])
+
+
+def _tasks(app: App, label: str, inputs: list[Path], data: Path | None) -> dict[str, Task]:
+    """What was fitted, by name, as far as it can be found: inputs, a data set's test tasks."""
+    embedded = embedded_exists(app.name) and data_label(data_folder(app, None, quiet=True)) == label
+    if not (inputs or data or embedded):
+        return {}
+    return {task.name: task for task in tasks_to_fit(app, Request(app.name, inputs=inputs, data=data, quiet=True))[0]}

@@ -1,10 +1,15 @@
-"""Pictures of runs: reference beside fit, with the error under each."""
+"""Pictures of runs: contact sheets of references and fits with their errors, thumbnails, and the page of many fits.
+
+Pillow draws sheets: matplotlib, which figures are made by, takes longer to import than most fits.
+"""
 
 from __future__ import annotations
 
+import io
 from collections.abc import Callable, Sequence
+from html import escape
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import torch
@@ -12,10 +17,104 @@ import torch
 from metapp.appearance.colour import linear_to_srgb
 from metapp.apps import presentation_of
 from metapp.learning.app import App
-from metapp.learning.task import Task
-from metapp.runs.naming import title_of
-from metapp.runs.sheet import Column, write_sheet
-from metapp.storage.records import read_theta, summary
+from metapp.learning.task import Params, Task
+from metapp.runs.naming import caption_of, factor_of, title_of
+from metapp.runs.reporter import number
+from metapp.storage.files import write_atomically
+from metapp.storage.records import RunFolder, file_name, read_theta, summary
+
+if TYPE_CHECKING:
+    from PIL.Image import Image
+
+COLUMNS = 10
+SIDE = 150  # px, of a square picture
+GAP = 6
+SMALL, LARGE = 11, 15  # px, of letters
+
+
+class Column(NamedTuple):
+    """A task.
+
+    Attributes:
+        pictures: display values [H, W, 3] in [0, 1] by the row's name, which may go on with an error after a space.
+        name: of the task.
+        error: below the last picture, where the row's name does not say it.
+    """
+
+    pictures: dict[str, np.ndarray]
+    name: str
+    error: str = ""
+
+
+def write_sheet(tasks: list[Column], title: str, path: Path, side: int = SIDE) -> Path:
+    """Draw columns of pictures, COLUMNS beside each other; what a task does not have stays blank.
+
+    A square picture has `side` px.
+
+    Returns:
+        The file, a PNG.
+    """
+    from PIL import Image, ImageDraw, ImageFont
+
+    small, large = (ImageFont.load_default(size) for size in (SMALL, LARGE))
+    rows = _rows(tasks)
+    height, width = _cell(tasks, side)
+    step = height + SMALL + GAP  # an error may stand below each picture
+    left = 2 * GAP + max(round(small.getlength(row)) for row in rows)
+    columns = min(COLUMNS, len(tasks))
+    block = step * len(rows) + 2 * (SMALL + GAP)
+    top = LARGE + 3 * GAP
+    whole = max(left + columns * (width + GAP), round(large.getlength(title)) + 2 * GAP)
+    sheet = Image.new("RGB", (whole, top + block * -(-len(tasks) // COLUMNS)), "white")
+    draw = ImageDraw.Draw(sheet)
+    draw.text((whole / 2, GAP), title, "black", large, "ma")
+    for i, task in enumerate(tasks):
+        x, y = left + i % COLUMNS * (width + GAP), top + i // COLUMNS * block
+        middle = x + width / 2
+        for name, picture in task.pictures.items():
+            row, _, error = name.partition(" ")
+            at = y + rows.index(row) * step
+            sheet.paste(_shrunk(picture, height, width), (x, at))
+            draw.text((middle, at + height + 2), error, "black", small, "ma")
+        if i % COLUMNS == 0:
+            for k, row in enumerate(rows):
+                draw.text((GAP, y + k * step + height / 2), row, "black", small, "lm")
+        below = y + step * len(rows) - (SMALL + 2 if task.error else 0)
+        for line, text in enumerate(filter(None, (task.error, _short(task.name, width, small)))):
+            draw.text((middle, below + line * (SMALL + 4)), text, "black", small, "ma")
+    write_atomically(path, lambda target: sheet.save(target, "PNG"))
+    return path
+
+
+def _rows(tasks: list[Column]) -> list[str]:
+    """The names of all rows in order, the reference on top, also where the first task has none."""
+    found = dict.fromkeys(name.partition(" ")[0] for task in tasks for name in task.pictures)
+    return sorted(found, key=lambda name: name != "reference")
+
+
+def _cell(tasks: list[Column], side: int) -> tuple[int, int]:
+    """Height and width of all pictures; wide ones hold several: they get more room."""
+    rows, across = next(iter(tasks[0].pictures.values())).shape[:2]
+    aspect = max(1.0, across / rows)
+    width = side * aspect**0.6
+    return round(width * rows / across if rows <= across else side), round(width)
+
+
+def _shrunk(picture: np.ndarray, height: int, width: int) -> Image:
+    from PIL import Image
+
+    pixels = (np.clip(picture, 0, 1) * 255 + 0.5).astype(np.uint8)
+    return Image.fromarray(pixels).resize((width, height), Image.Resampling.BICUBIC)
+
+
+def _short(name: str, width: int, font: object) -> str:
+    """The beginning of a name that is too long for its column."""
+    length = font.getlength  # type: ignore[attr-defined]
+    if length(name) <= width:
+        return name
+    kept = next(end for end in range(len(name), 0, -1) if end == 1 or length(name[:end] + "…") <= width)
+    return name[:kept] + "…"
+
 
 COMPARED = 20  # tasks in a picture of all paradigms
 PICTURE = "picture"  # what is kept in place of parameters where there are none
@@ -41,9 +140,9 @@ def picture_of_run(
     """
     columns, outputs = [], presentation_of(app).outputs
     for task, record in list(zip(tasks, records, strict=True))[:20]:
-        columns.append(Column(_shown(outputs(_theta(folder, task), task)), task.name, _label(record)))
+        columns.append(Column(_shown(outputs(read_theta(folder, task.name), task)), task.name, _label(record)))
     mean = summary(records)["error"]
-    found = "" if mean is None else f": mean error{_factor(app)} {mean:.3f}"
+    found = "" if mean is None else f": mean error{factor_of(app)} {mean:.3f}"
     return write_sheet(columns, f"{title_of(app)}, {paradigm}{found}", folder / "pictures.png")
 
 
@@ -77,7 +176,7 @@ def column_of(task: Task, fits: Sequence[tuple[str, App, Path, dict[str, Any]]])
     """The reference of a task, and its fits below it: (label, application, run folder, record) of each."""
     rows: dict[str, np.ndarray] = {}
     for label, app, folder, record in fits:
-        theta = _theta(folder, task)
+        theta = read_theta(folder, task.name)
         pictures = {"fit": theta[PICTURE]} if PICTURE in theta else presentation_of(app).outputs(theta, task)
         rows |= _shown({"reference": pictures["reference"]}) if not rows and "reference" in pictures else {}
         rows[f"{label} {_label(record)}".rstrip()] = to_srgb(pictures["fit"])
@@ -86,20 +185,80 @@ def column_of(task: Task, fits: Sequence[tuple[str, App, Path, dict[str, Any]]])
 
 def write_compared(app: App, columns: list[Column], file: Path) -> Path:
     """Write columns of fits that are compared as one picture."""
-    return write_sheet(columns, f"{title_of(app)}: mean error{_factor(app)} of each fit below it", file)
-
-
-def _theta(folder: Path, task: Task) -> dict[str, Any]:
-    return read_theta(folder, task.name)
+    return write_sheet(columns, f"{title_of(app)}: mean error{factor_of(app)} of each fit below it", file)
 
 
 def _label(record: dict[str, Any]) -> str:
     return "" if record["error"] is None else f"{record['error']:.3f}"
 
 
-def _factor(app: App) -> str:
-    return f" x{app.traits.scale:g}" if app.traits.scale != 1 else ""
-
-
 def _shown(pictures: dict[str, Any]) -> dict[str, np.ndarray]:
     return {name: to_srgb(picture) for name, picture in pictures.items()}
+
+
+THUMBNAIL = 128  # px, the height of a picture
+FOLDER = "thumbnails"
+STYLE = """
+body { margin: 2rem; font: 15px/1.5 system-ui, sans-serif; color: #1d1d1f; background: #fbfbfa; }
+main { display: grid; grid-template-columns: repeat(auto-fill, minmax(17rem, 1fr)); gap: 1rem; }
+figure { margin: 0; padding: .6rem; background: #fff; border: 1px solid #e3e3e0; border-radius: 8px; }
+img { max-width: 100%; height: auto; display: block; margin: auto; }
+figcaption { font-size: .85rem; overflow-wrap: anywhere; } small, p { color: #5c5f66; }
+"""
+
+
+def write_thumbnail(app: App, task: Task, theta: Params, folder: Path) -> None:
+    """Write the picture of a fit, parameters without a task axis, into a run's folder: reference left, fit right."""
+    from PIL import Image
+
+    shown = []
+    for linear in presentation_of(app).outputs(theta, task).values():
+        image = Image.fromarray((np.clip(to_srgb(linear), 0, 1) * 255 + 0.5).astype(np.uint8))
+        shown.append(
+            image.resize((max(1, round(THUMBNAIL * image.width / image.height)), THUMBNAIL), Image.Resampling.BICUBIC)
+        )
+    strip = Image.new("RGB", (sum(image.width for image in shown) + 4 * (len(shown) - 1), THUMBNAIL), "white")
+    left = 0
+    for image in shown:
+        strip.paste(image, (left, 0))
+        left += image.width + 4
+    buffer = io.BytesIO()
+    strip.save(buffer, "PNG")
+    write_atomically(folder / FOLDER / f"{file_name(task.name)}.png", lambda file: file.write_bytes(buffer.getvalue()))
+
+
+def write_gallery(app: App, paradigm: str, folder: RunFolder, failures: Sequence[Any]) -> Path:
+    """Write `gallery.html` of all fits of a run's folder, whichever machine made them, those of large errors first.
+
+    Args:
+        app: the application.
+        paradigm: its name.
+        folder: the run's.
+        failures: what this program could not fit, with `source` and `reason`.
+
+    Returns:
+        The file.
+    """
+    records = sorted(folder.finished().values(), key=lambda record: (-(record["error"] or 0.0), record["name"]))
+    total = summary(records)
+    title = escape(f"{title_of(app)}, {paradigm}: {len(records)} fits")
+    mean = f"Mean {number(total['error'], '.3f')}, median {total['seconds']:.4g} s a fit; "
+    listed = "".join(f"<li>{escape(failure.source)}<br><small>{escape(failure.reason)}</small>" for failure in failures)
+    failed = f"<h2>{len(failures)} failed</h2><ul>{listed}</ul>" if failures else ""
+    page = (
+        f"<!doctype html><html lang='en'><meta charset='utf-8'><title>{title}</title><style>{STYLE}</style>"
+        f"<h1>{title}</h1><p>{escape(mean + caption_of(app))}. Reference left, fit right; large errors first.</p>"
+        f"{failed}<main>{''.join(_figure(record) for record in records)}</main></html>"
+    )
+    file = folder.path / "gallery.html"
+    write_atomically(file, lambda partial: partial.write_text(page, encoding="utf-8", errors="backslashreplace"))
+    return file
+
+
+def _figure(record: dict[str, Any]) -> str:
+    name = escape(record["name"])
+    error = "" if record["error"] is None else f"error {record['error']:.3f}, "
+    warning = f"<br><small>warning: {escape(record['warning'])}</small>" if record.get("warning") else ""
+    image = f"<img loading='lazy' src='{FOLDER}/{escape(file_name(record['name']))}.png' alt='{name}'>"
+    told = f"{name}<br><small>{error}{record['seconds']:.3g} s</small>{warning}"
+    return f"<figure>{image}<figcaption>{told}</figcaption></figure>"

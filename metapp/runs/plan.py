@@ -25,10 +25,8 @@ from metapp.runs.checks import (
     default_recipe,
 )
 from metapp.runs.naming import observe_of
-from metapp.runs.request import Portion, Request, portion_of
+from metapp.runs.request import Request, portion_of, said_time, seconds_of
 from metapp.runs.surroundings import find_device, machine, precision_of, versions
-from metapp.runs.timing import said_time, seconds_of
-from metapp.storage.records import FIT, RunFolder
 
 
 class Checkpoint(NamedTuple):
@@ -48,6 +46,8 @@ class Plan:
         paradigm: what fits.
         job: application, recipe, rule and steps that it works on.
         device: what it works with.
+        budget: seconds that a fit may take; None: as many as its steps do.
+        size: height and width in px of what fits make for their users; None for the application's own choice.
         checkpoint: what fits begin at; None until `checkpoints.find_checkpoint` has found it.
     """
 
@@ -55,6 +55,8 @@ class Plan:
     paradigm: Paradigm
     job: Job
     device: torch.device
+    budget: float | None = None
+    size: tuple[int, int] | None = None
     checkpoint: Checkpoint | None = None
 
     @property
@@ -73,33 +75,14 @@ class Plan:
         assert self.checkpoint is not None
         return self.checkpoint.prepared
 
-    @property
-    def budget(self) -> float | None:
-        """Seconds that a fit may take; None: as many as its steps do."""
-        return seconds_of(self.request.budget)
-
-    @property
-    def batch(self) -> int | None:
-        """Fits side by side; None: as many as prove to be quick."""
-        return check_batch(self.request.batch or "1")
-
-    @property
-    def portion(self) -> Portion:
-        """Which of the inputs this program fits."""
-        return portion_of(self.request.shard)
-
-    @property
-    def size(self) -> tuple[int, int] | None:
-        """Height and width in px of what fits make for their users; None for the application's own choice."""
-        return check_size(self.request.size, self.app)
-
     def by(self, paradigm: str, rule: str = "", steps: int | None = None) -> Plan:
         """The same for another paradigm, rule ("" for the same one) and number of steps, without a checkpoint."""
         rule = rule or self.job.rule
         request = replace(self.request, paradigm=paradigm, rule=rule, steps=steps)
         app = app_of(self.app.name, self.job.recipe, self.app.protocol, rule=rule if paradigm == "meta" else "")
         app = self.app if app.setup == self.app.setup else app  # which may hold compiled code
-        return Plan(request, paradigms()[paradigm], Job(app, self.job.recipe, rule, steps), self.device)
+        job = Job(app, self.job.recipe, rule, steps)
+        return replace(self, request=request, paradigm=paradigms()[paradigm], job=job, checkpoint=None)
 
     def settings(self, label: str) -> dict[str, Any]:
         """Everything that figures of a run on data of this name depend on: what its records carry, and their key."""
@@ -128,14 +111,14 @@ class Plan:
 
     def path(self, label: str) -> Path:
         """runs/<app>/<paradigm>/<data>-<recipe>-seed<seed>, with rule, protocol, and steps other than the recipe's."""
-        request, budget = self.request, self.budget
+        request = self.request
         name = f"{label}-{request.recipe}-seed{request.seed}"
         if self.paradigm.name == "meta":
             name += f"-{self.job.rule}"
         if request.steps is not None:
             name += f"-{request.steps}steps"
-        if budget is not None:
-            name += f"-{said_time(budget)}"
+        if self.budget is not None:
+            name += f"-{said_time(self.budget)}"
         if self.app.protocol:
             name += f"-{self.app.protocol}"
         return request.out / self.app.name / self.paradigm.name / name
@@ -151,10 +134,6 @@ class Plan:
             "checkpoint": request.checkpoint and str(request.checkpoint.absolute()),
         }
         return {"machine": machine(self.device)} | {key: value for key, value in known.items() if value}
-
-    def folder(self, label: str) -> RunFolder:
-        """The run's folder, for fits of data of this name one by one."""
-        return RunFolder(self.path(label), self.settings(label), FIT, self.origin())
 
 
 def plan(request: Request) -> Plan:
@@ -180,26 +159,23 @@ def plan(request: Request) -> Plan:
     device = find_device(request.device, app)
     steps = None if paradigm.steps(recipe) in (request.steps, 0) else request.steps
     request = replace(request, recipe=name, rule=rule, steps=steps)
-    done = Plan(request, paradigm, Job(app, recipe, rule, steps), device)
-    _check(done)
-    return done
+    _check(request, app)
+    budget, size = seconds_of(request.budget), check_size(request.size, app)
+    return Plan(request, paradigm, Job(app, recipe, rule, steps), device, budget, size)
 
 
-def _check(done: Plan) -> None:
-    """Refuse values of options that are no good, and options that exclude each other.
+def _check(request: Request, app: App) -> None:
+    """Refuse options of what the application does not have, and those that exclude each other.
 
     Raises:
         BadOption: there is such a one.
     """
-    request = done.request
-    if done.budget is not None and done.batch != 1:
+    portion_of(request.shard)
+    if check_batch(request.batch or "1") != 1 and request.budget:
         raise BadOption("--budget: the time of one fit; fits side by side have none, leave --batch out or give 1.")
     if request.train_steps and not request.train:
         raise BadOption("--train-steps: only with --train.")
-    if request.render and (request.batch or request.shard):
+    if request.render and request.lazy:
         raise BadOption("--render: of scenes one by one; leave --batch and --shard out.")
     check_export(request.export, request.app)
-    check_inputs(request, done.app)
-    assert done.batch != 0
-    assert done.portion != (0, 0)
-    assert done.size != (0, 0)
+    check_inputs(request, app)

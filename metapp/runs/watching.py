@@ -14,8 +14,7 @@ from metapp.learning.deadline import Stopwatch
 from metapp.learning.learn import Step
 from metapp.learning.task import Params, Task
 from metapp.runs.naming import title_of
-from metapp.runs.pictures import to_srgb
-from metapp.runs.sheet import Column, write_sheet
+from metapp.runs.pictures import Column, to_srgb, write_sheet
 
 EVERY = 0.25  # seconds between two pictures at least, and as long as one takes to draw
 SIDE = 300  # px

@@ -20,7 +20,7 @@ from metapp.learning.learn import MetaParameters
 from metapp.learning.task import Params, Task, Tasks
 from metapp.paradigms import Job, paradigms
 from metapp.runs.checkpoints import checkpoint_name
-from metapp.runs.shipped import FULL, QUICK, shipped_path, ships
+from metapp.runs.checks import FULL, QUICK, shipped_path, ships
 from metapp.storage.records import load_checkpoint, tensor_digest
 from tests.quick import app_by
 from tests.small_spheres import shrink_spheres

@@ -11,7 +11,7 @@ import pytest
 from metapp.apps.brdf import Brdf
 from metapp.apps.brdf.recipes import RECIPES
 from metapp.runs import BadOption
-from metapp.runs.timing import said_time, seconds_of
+from metapp.runs.request import said_time, seconds_of
 from metapp.storage.records import read_records
 
 pytestmark = pytest.mark.usefixtures("small_spheres")

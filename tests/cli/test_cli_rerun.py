@@ -104,7 +104,7 @@ def test_data_that_changed_are_named_with_a_remedy(
 
 
 def test_a_checkpoint_that_changed_is_named_with_a_remedy(metapp: Callable, networks: Path, tmp_path: Path) -> None:
-    from metapp.runs.shipped import shipped_path
+    from metapp.runs.checks import shipped_path
 
     path = tmp_path / "mine.safetensors"
     path.write_bytes(shipped_path("brdf", "general").read_bytes())

@@ -9,9 +9,9 @@ import pytest
 
 from metapp.apps import app_names, recipes_of
 from metapp.cli.fit import OPTIONS
+from metapp.runs.checks import ships
 from metapp.runs.plan import plan
 from metapp.runs.request import Request
-from metapp.runs.shipped import ships
 
 
 @pytest.mark.parametrize("name", app_names())
