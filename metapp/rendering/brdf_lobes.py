@@ -40,63 +40,48 @@ class Lobes(NamedTuple):
     shares: Array
 
 
-class _Draws(NamedTuple):
-    """Directions that mixtures are fitted to.
-
-    Attributes:
-        target: f cos theta of the light, mean of RGB, [NODES, S].
-        density: of the draws, [NODES, S].
-        lobes: densities of the cosine and all candidates at the draws, [1 + A, NODES, S].
-    """
-
-    target: Array
-    density: Array
-    lobes: Array
-
-
 def fit_lobes(reflectance: Callable[[Tensor], Tensor]) -> Lobes:
     """Fit a mixture to a BRDF, greedily: the lobes that lower the variance most, one after the other.
 
     Args:
         reflectance: linear RGB [..., 3] in 1/sr of angles (theta_h, theta_d, phi_d) [..., 3] in rad.
     """
-    draws = _draws(reflectance)
+    angles, cosine, densities = _directions()
+    with torch.no_grad():
+        value = reflectance(angles).double().mean(-1).numpy()
+    # a network's values beside the horizon may be infinite, which must not decide alone
+    target, drawn = np.nan_to_num(value, posinf=0) * cosine, densities.mean(0) + 1e-30
     chosen = [0]
     for _ in range(LOBES):
-        others = [i for i in range(1, len(draws.lobes)) if i not in chosen]
-        chosen.append(min(others, key=lambda i: _fitted(draws, [*chosen, i])[1]))
-    shares, _ = _fitted(draws, chosen)
+        others = [i for i in range(1, len(densities)) if i not in chosen]
+        chosen.append(min(others, key=lambda i: _fitted(target, drawn, densities[[*chosen, i]])[1]))
+    shares, _ = _fitted(target, drawn, densities[chosen])
     shares *= 1 - LEAST_COSINE
     shares[:, 0] += LEAST_COSINE
     return Lobes(tuple(ALPHAS[i - 1] for i in chosen[1:]), shares)
 
 
-def _fitted(draws: _Draws, chosen: list[int]) -> tuple[Array, float]:
+def _fitted(target: Array, drawn: Array, lobes: Array) -> tuple[Array, float]:
     """Shares [NODES, K] of least variance, and the mean log of the second moment over the squared mean.
 
     The second moment, the sum of target^2 / mixture, is convex in the shares. Multiplying these by the square root of
     its slopes never increases it and keeps them positive (as in A-optimal design: Silvey, Titterington, Torsney 1978).
+
+    Args:
+        target: f cos theta of the light, mean of RGB, at S directions of each node, [NODES, S].
+        drawn: density of these directions, [NODES, S].
+        lobes: densities of K lobes there, [K, NODES, S].
     """
-    lobes = draws.lobes[chosen]
-    cost = draws.target**2 / draws.density
-    shares = np.full((len(chosen), len(cost), 1), 1 / len(chosen))
+    cost = target**2 / drawn
+    shares = np.full((len(lobes), len(cost), 1), 1 / len(lobes))
     for _ in range(_ROUNDS):
         mixture = (shares * lobes).sum(0) + 1e-30
         shares *= np.sqrt((cost / mixture**2 * lobes).sum(-1, keepdims=True)) + 1e-30
         shares /= shares.sum(0)
     second = (cost / ((shares * lobes).sum(0) + 1e-30)).mean(-1)
-    mean = (draws.target / draws.density).mean(-1)
+    mean = (target / drawn).mean(-1)
     excess = np.log(np.maximum(second, 1e-30) / np.maximum(mean, 1e-15) ** 2)
     return shares[..., 0].T, float(np.where(mean > 0, excess, 0).mean())
-
-
-def _draws(reflectance: Callable[[Tensor], Tensor]) -> _Draws:
-    """Directions of all candidates in equal parts, and a BRDF's values there."""
-    angles, cosine, lobes = _directions()
-    with torch.no_grad():
-        value = reflectance(angles).double().mean(-1).numpy()
-    # a network's values beside the horizon may be infinite, which must not decide alone
-    return _Draws(np.nan_to_num(value, posinf=0) * cosine, lobes.mean(0) + 1e-30, lobes)
 
 
 @functools.cache

@@ -83,8 +83,7 @@ def reflection_bsdf(make: Callable[[mt.Properties], Reflection]) -> mt.PluginCla
             self.m_flags = functools.reduce(operator.or_, self.m_components)
 
         def eval(self, ctx: mt.BsdfContext, si: mt.Interaction, wo: mt.Vector3, active: mt.Mask = True) -> mt.Color:
-            local, light, active = self._local(ctx, si, wo, active)
-            return dr.select(active, local.value(light), 0)
+            return self.eval_pdf(ctx, si, wo, active)[0]
 
         def pdf(self, ctx: mt.BsdfContext, si: mt.Interaction, wo: mt.Vector3, active: mt.Mask = True) -> mt.Float:
             local, light, active = self._local(ctx, si, wo, active)

@@ -12,66 +12,11 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from metapp.rendering import types as mt
-from metapp.rendering.guide_cache import GuideCache, Location
+from metapp.rendering.guide_cache import Bounce, GuideCache, Location, Records
 from metapp.rendering.guide_histogram import BINS
 from metapp.rendering.jit import dr, mi
 
-RECORDED = 8  # bounces of a path that the cache learns from
 MIXED, GLOSSY = 0.5, 0.25  # share of directions from the cache where surfaces are diffuse and more, or glossy
-
-
-class Bounce(NamedTuple):
-    """What is recorded of a bounce, in this order.
-
-    Attributes:
-        index: entry * BINS + bin + 1.
-        density: of the sampled direction, over the cosine's.
-        throughput: luminance of the path's throughput before it.
-        radiance: luminance that the path had, with the emitter sampled here; `unlit`, without.
-        point, normal: of the surface.
-    """
-
-    index: mt.UInt32
-    density: mt.Float
-    throughput: mt.Float
-    radiance: mt.Float
-    unlit: mt.Float
-    point: mt.Point3
-    normal: mt.Vector3
-
-
-class Records:
-    """The first RECORDED bounces of so many paths, kept until the radiance of these is known.
-
-    Attributes:
-        stores: the first numbers of `Bounce`, each of all paths; 0 where there was no bounce.
-    """
-
-    numbers = 4
-
-    def __init__(self, paths: int) -> None:
-        self.paths, self.lane = paths, dr.arange(mi.UInt32, paths)
-        kinds = [mi.UInt32, *[mi.Float] * (self.numbers - 1)]
-        self.stores = [dr.zeros(kind, paths * RECORDED) for kind in kinds]
-        dr.eval(self.lane, self.stores)
-
-    def add(self, depth: mt.UInt32, bounce: Bounce, active: mt.Mask) -> None:
-        """Record a bounce."""
-        slot, active = self.lane * RECORDED + depth, active & (depth < RECORDED)
-        values = (*bounce[:5], *bounce.point, *bounce.normal)
-        for store, value in zip(self.stores, values[: self.numbers], strict=True):
-            dr.scatter(store, value, slot, active)
-
-    def train(self, cache: GuideCache, radiance: mt.Color) -> None:
-        """Add all bounces to a cache, by the radiance that the paths have in the end."""
-        total = mi.luminance(radiance)
-        dr.eval(total, self.stores)
-        index, density, throughput, before = self.stores[:4]
-        after = dr.gather(mi.Float, total, dr.arange(mi.UInt32, self.paths * RECORDED) // RECORDED) - before
-        carried = dr.maximum(after, 0) / dr.maximum(throughput, 1e-12)
-        active = (index > 0) & (density > 0) & dr.isfinite(carried)
-        cache.add(index - 1, density, carried, active)
-        dr.eval(cache.sums, cache.visited)
 
 
 @dataclass

@@ -23,10 +23,10 @@ from numpy.typing import NDArray
 
 from metapp.learning.task import Params
 from metapp.rendering import types as mt
-from metapp.rendering.guide_cache import GuideCache
+from metapp.rendering.guide_cache import GuideCache, Records
 from metapp.rendering.guide_prior import LearnedPrior, read_prior, shipped
 from metapp.rendering.guide_survey import FILM, survey
-from metapp.rendering.guided_path import PathTracer, Records
+from metapp.rendering.guided_path import PathTracer
 from metapp.rendering.jit import dr, mi, register_plugin
 
 FEWEST = 3 * 2**18  # paths of a picture; with fewer there is no time to learn

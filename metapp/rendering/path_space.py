@@ -112,10 +112,10 @@ class Tracer:
 
 
 def path_samples(tracer: Tracer, count: int, dimensions: int, rng: Generator) -> tuple[Tensor, Tensor]:
-    """Points of primary sample space in proportion to the luminance of what their paths carry, by rejection.
+    """Points of primary sample space in proportion to the luminance of their paths, by rejection.
 
-    A path is kept with a probability of its luminance over the lights' greatest, which none exceeds where surfaces give
-    back no more light than they get. Should one do so, the bound is raised to it and what was kept before is thinned.
+    A path is kept with a probability of its luminance over the lights' greatest, which none exceeds where surfaces
+    conserve energy. Should one do so, the bound is raised to it and what was kept before is thinned.
 
     Args:
         tracer: of the scene.

@@ -143,20 +143,6 @@ def prepared(plan: Plan) -> Plan:
         return find_checkpoint(plan) if ranks.number() == 0 else plan
 
 
-def fit_and_keep(plan: Plan, tasks: Sequence[Task], folder: RunFolder) -> Iterator[Document]:
-    """Fit tasks and keep the record and the parameters of each as soon as it is done.
-
-    Yields:
-        Their records.
-
-    Raises:
-        FloatingPointError: a fit is not finite.
-    """
-    for done in _Loop(Fitter(plan), folder).fit(sources_of(tasks)):
-        assert not isinstance(done, Failure)
-        yield done
-
-
 def _sources(plan: Plan) -> tuple[list[Source], str]:
     if plan.request.lazy:
         return sources_to_fit(plan.app, plan.request)

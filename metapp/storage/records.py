@@ -24,6 +24,7 @@ from metapp.storage import Document
 from metapp.storage.files import append_line, locked, write_atomically
 from metapp.storage.tensors import opened_tensors, read_tensors
 
+Record = Document  # of a task, a line of record.jsonl
 SCHEMA = 1
 LONGEST = 100  # bytes of a name; file systems take 255, of which suffixes and temporary names need some
 FLOATS = (torch.half, torch.float32, torch.float64)
