@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, cast
 
 import typer
 
@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from metapp.evaluation.rows import Table
     from metapp.evaluation.study import Design
     from metapp.evaluation.subject import Subject
+    from metapp.learning.recipe import Initialisation
 
 FORMATS = ("rich", "markdown", "latex", "csv", "json")
 ALL = "all"
@@ -155,18 +156,18 @@ def design_of(options: Evaluation) -> Design:
     Raises:
         BadParameter: there is no such initialisation.
     """
-    from metapp.evaluation.study import STARTS, Design
+    from metapp.evaluation.study import INITIALISATIONS, Design
 
-    if options.initialisation and options.initialisation not in STARTS:
-        raise typer.BadParameter(f"--initialisation '{options.initialisation}': expected one of {', '.join(STARTS)}.")
-    values: dict[str, Any] = {
-        "outer": options.train_steps,
-        "steps": tuple(options.steps or ()),
-        "seeds": options.seeds,
-        "initialisation": options.initialisation,
-        "rules": (options.rule,) if options.rule else (),
-    }
-    return Design(**{key: value for key, value in values.items() if value})
+    if (name := options.initialisation) and name not in INITIALISATIONS:
+        raise typer.BadParameter(f"--initialisation '{name}': expected one of {', '.join(INITIALISATIONS)}.")
+    default = Design()
+    return Design(
+        options.train_steps or default.outer,
+        tuple(options.steps or default.steps),
+        options.seeds or default.seeds,
+        cast("Initialisation", name or default.initialisation),
+        (options.rule,) if options.rule else (),
+    )
 
 
 def subjects_of(options: Evaluation) -> list[Subject]:

@@ -7,7 +7,6 @@ import math
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 import torch
 from threadpoolctl import threadpool_limits
@@ -21,7 +20,7 @@ from metapp.runs.fits import rng_of
 from metapp.runs.inputs import data_folder
 from metapp.runs.pictures import PICTURE
 from metapp.runs.plan import Plan
-from metapp.storage.records import NUMBER, OPTIONAL
+from metapp.storage.records import NUMBER, OPTIONAL, Record
 from metapp.storage.shards import read_manifest, read_shard
 
 FORM = {"error": OPTIONAL, "numbers": OPTIONAL, "size": NUMBER, "shared": NUMBER}  # of a record
@@ -58,7 +57,7 @@ def own_parameters(app: App) -> Params:
 
 def fit_baselines(
     plan: Plan, baseline: Baseline, training: Training, tasks: Sequence[Task], errors: Mapping[str, float]
-) -> Iterator[tuple[dict[str, Any], Params | None]]:
+) -> Iterator[tuple[Record, Params | None]]:
     """Fit a baseline to tasks, each alone; the time is from the task's samples to what is kept, warm.
 
     Args:
@@ -88,7 +87,7 @@ def fit_baselines(
 
 def _fit_one(
     plan: Plan, prepared: Prepared, task: Task, allowed: Allowed, *, timed: bool = True
-) -> tuple[dict[str, Any], Params | None]:
+) -> tuple[Record, Params | None]:
     rng, app = rng_of(plan, task), plan.app
     begin = time.perf_counter()
     stacked = stack(app, [task])

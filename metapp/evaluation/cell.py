@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from metapp.learning.task import Params, Task
 from metapp.runs.reporter import clock as shown_clock
 from metapp.runs.request import Portion
 from metapp.runs.surroundings import threads
-from metapp.storage.records import RunFolder
+from metapp.storage.records import Record, RunFolder
 
 WHOLE = Portion()
-Record = dict[str, Any]
 Measure = Callable[[list[Task]], Iterator[tuple[Record, Params | None]]]
 
 

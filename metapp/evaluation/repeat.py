@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from metapp.baselines import baselines_of
 from metapp.evaluation.cell import Cell
 from metapp.evaluation.subject import Subject
 from metapp.evaluation.tables import ablation, baselines
 from metapp.runs.plan import Plan
 from metapp.runs.rerun import Repeat
+from metapp.storage.records import Record
 
 
-def repeat_of(plan: Plan, settings: dict[str, Any]) -> Repeat | None:
+def repeat_of(plan: Plan, settings: Record) -> Repeat | None:
     """What measures the row of a record again, kept nowhere; None where no table has such a row.
 
     Args:
@@ -23,12 +22,12 @@ def repeat_of(plan: Plan, settings: dict[str, Any]) -> Repeat | None:
     return Repeat(cell.folder.settings, list(cell.tasks), cell.measure) if cell and cell.folder else None
 
 
-def _cell(subject: Subject, settings: dict[str, Any]) -> Cell | None:
+def _cell(subject: Subject, settings: Record) -> Cell | None:
     if "peer" in settings:
         known = [baseline for baseline in baselines_of(subject.app) if baseline.name == settings["peer"]]
         return baselines.baseline_cell(subject, known[0]) if known else None
     names = (settings.get("paradigm"), settings.get("rule"))
-    if names[0] not in (ablation.RULE_ALONE.name, ablation.START_ALONE.name):
+    if names[0] not in (ablation.RULE_ALONE.name, ablation.INITIALISATION_ALONE.name):
         return None
     halves = [cell for name in ablation.learned(subject) for _, _, cell in ablation.combined(subject, name)]
     of = {(cell.folder.settings["paradigm"], cell.folder.settings["rule"]): cell for cell in halves if cell.folder}

@@ -9,12 +9,12 @@ from collections.abc import Callable, Mapping, Sequence
 from importlib import resources
 from typing import Any, NamedTuple
 
-from metapp.evaluation.cell import Cell, Record
+from metapp.evaluation.cell import Cell
 from metapp.evaluation.subject import Subject
 from metapp.runs.naming import is_first_protocol, observe_of
 from metapp.runs.reporter import number
 from metapp.runs.statistics import Errors, Paired, paired, statistics_of
-from metapp.storage.records import guarded
+from metapp.storage.records import Record, guarded
 
 Row = dict[str, Any]
 Take = Callable[[Record], float | None]  # a measure of a record; None where it has none

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 from dataclasses import asdict, replace
-from typing import Any, NamedTuple, get_args
+from typing import NamedTuple, get_args
 
 from torch import Generator
 
@@ -16,9 +16,9 @@ from metapp.runs.naming import observe_of
 from metapp.runs.plan import Checkpoint, Plan
 from metapp.runs.surroundings import precision_of, versions
 from metapp.runs.training import Trained, general_of, train_checkpoint
-from metapp.storage.records import load_checkpoint, tensor_digest
+from metapp.storage.records import Record, load_checkpoint, tensor_digest
 
-STARTS = get_args(Initialisation)
+INITIALISATIONS = get_args(Initialisation)
 ENCODER_RATE = 3e-4  # outer rate of General's encoder where the recipe's own training moves none
 QUICKFT = "quickft"  # the reference line, among the names of rules
 # Beside all named rules, what one part adds to a rule or what its lack does.
@@ -146,7 +146,7 @@ class Study:
     def _general_digest(self) -> str:
         return tensor_digest(self.require_general().prepared.encoder)
 
-    def settings(self, case: Case, label: str) -> dict[str, Any]:
+    def settings(self, case: Case, label: str) -> Record:
         """Everything that a training's result depends on, JSON-ready.
 
         Args:

@@ -22,7 +22,7 @@ from metapp.runs.naming import name_of, title_of
 from metapp.runs.plan import Plan
 from metapp.runs.reporter import say
 from metapp.runs.surroundings import make_folder, threads_of
-from metapp.storage.records import FIT, RunFolder
+from metapp.storage.records import FIT, Record, RunFolder
 
 
 class Subject:
@@ -121,7 +121,7 @@ class Subject:
             self._cells[name] = self.fit_cell(name, self.fits[name])
         return self._cells[name]
 
-    def fit_cell(self, title: str, plan: Plan, settings: dict[str, Any] | None = None, name: str = "") -> Cell:
+    def fit_cell(self, title: str, plan: Plan, settings: Record | None = None, name: str = "") -> Cell:
         """Fits of all tasks as a cell, kept as the command of the paradigm keeps them.
 
         Args:
@@ -145,7 +145,7 @@ class Subject:
         title = f"{name_of(self.app)} {title}"
         return Cell(title, self.tasks, folder, measure, steps, command, threads=threads_of(self.app))
 
-    def folder(self, kind: str, settings: dict[str, Any], form: dict[str, Any], *, of_fits: bool = False) -> RunFolder:
+    def folder(self, kind: str, settings: Record, form: Record, *, of_fits: bool = False) -> RunFolder:
         """Where records are kept: <out>/<app>/<kind>/<data>-<recipe>-seed<seed>, with the protocol.
 
         Args:

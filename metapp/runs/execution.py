@@ -27,9 +27,7 @@ from metapp.runs.surroundings import make_folder, threads, threads_of
 from metapp.runs.training import train_checkpoint
 from metapp.runs.watching import Watched
 from metapp.storage.files import named
-from metapp.storage.records import FIT, RunFolder, guarded, summary
-
-Record = dict[str, Any]
+from metapp.storage.records import FIT, Record, RunFolder, guarded, summary
 
 
 class Failure(NamedTuple):
@@ -142,20 +140,6 @@ def prepared(plan: Plan) -> Plan:
             with ranks.joined(plan.device):
                 train_checkpoint(plan, plan.request.train_steps)
         return find_checkpoint(plan) if ranks.number() == 0 else plan
-
-
-def fit_and_keep(plan: Plan, tasks: Sequence[Task], folder: RunFolder) -> Iterator[Record]:
-    """Fit tasks and keep the record and the parameters of each as soon as it is done.
-
-    Yields:
-        Their records.
-
-    Raises:
-        FloatingPointError: a fit is not finite.
-    """
-    for done in _Loop(Fitter(plan), folder).fit(sources_of(tasks)):
-        assert not isinstance(done, Failure)
-        yield done
 
 
 def _sources(plan: Plan) -> tuple[list[Source], str]:

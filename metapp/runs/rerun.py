@@ -23,9 +23,7 @@ from metapp.runs.plan import Plan
 from metapp.runs.recorded import plan_as, read_run
 from metapp.runs.reporter import progress
 from metapp.runs.surroundings import machine, threads, threads_of
-from metapp.storage.records import OPTIONAL, finite, holds, read_theta
-
-Record = dict[str, Any]
+from metapp.storage.records import OPTIONAL, Record, finite, holds, read_theta
 
 FORM = {"key": str, "settings": {"app": str}}
 FIT = {"error": OPTIONAL, "settings": {"data": str, "recipe": str, "seed": int}}

@@ -23,6 +23,7 @@ from metapp.learning.task import Params
 from metapp.storage.files import append_line, locked, write_atomically
 from metapp.storage.tensors import opened_tensors, read_tensors
 
+Record = dict[str, Any]  # a JSON object: what is known of a fitted task, or the settings of a run
 SCHEMA = 1
 LONGEST = 100  # bytes of a name; file systems take 255, of which suffixes and temporary names need some
 FLOATS = (torch.half, torch.float32, torch.float64)

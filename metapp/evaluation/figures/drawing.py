@@ -6,11 +6,11 @@ import statistics
 from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, FuncFormatter, MaxNLocator, NullFormatter, NullLocator
 from torch import Tensor
 
-from metapp.evaluation.figures import Drawn
 from metapp.evaluation.figures.style import (
     BASELINE,
     COLOURS,
@@ -19,6 +19,7 @@ from metapp.evaluation.figures.style import (
     MARKERS,
     MUTED,
     TITLES,
+    Drawn,
     legend,
     line,
     new,
@@ -42,7 +43,7 @@ BELOW, ABOVE, LEVEL = COLOURS["overfit"], COLOURS["meta"], "#999999"
 ROW = 0.21  # inches of a rule
 
 
-def _one_panel(subject: Subject, width: float, height: float) -> tuple[Figure, Any]:
+def _one_panel(subject: Subject, width: float, height: float) -> tuple[Figure, Axes]:
     figure, axes = new(width, height)
     axes[0, 0].set_title(subject.title)
     return figure, axes[0, 0]
@@ -57,14 +58,14 @@ def plane(subject: Subject) -> Drawn | None:
     figure, axis = _one_panel(subject, 4.0, 3.0)
     for name, row in rows.items():
         reach = [[row["error"] - row["low"]], [row["high"] - row["error"]]]
-        look = {"fmt": MARKERS[name], "color": COLOURS[name], "markersize": 12 if name == "meta" else 7}
-        axis.errorbar(row["seconds"], row["error"], yerr=reach, capsize=2, **look)
-        where, away = (row["seconds"], row["error"]), OFFSETS.get(name, (6, 6))
-        axis.annotate(TITLES[name], where, away, textcoords="offset points", fontsize=8)
+        size, place = 12 if name == "meta" else 7, (row["seconds"], row["error"])
+        axis.errorbar(*place, yerr=reach, capsize=2, fmt=MARKERS[name], color=COLOURS[name], markersize=size)
+        axis.annotate(TITLES[name], place, OFFSETS.get(name, (6, 6)), textcoords="offset points", fontsize=8)
     others = [row for row in baseline_rows(subject) if None not in (row["error"], row["seconds"])]
     for row in others:
         axis.plot(row["seconds"], row["error"], BASELINE, color=MUTED, markersize=5)
-        look = {"fontsize": 6, "color": MUTED, "rotation": 40, "rotation_mode": "anchor"}  # names of neighbours part
+        # turned, so that names of neighbours part
+        look: dict[str, Any] = {"fontsize": 6, "color": MUTED, "rotation": 40, "rotation_mode": "anchor"}
         axis.annotate(row["paradigm"], (row["seconds"], row["error"]), (2, 3), textcoords="offset points", **look)
     axis.set_xscale("log")
     axis.invert_xaxis()
@@ -250,7 +251,7 @@ def rules(subject: Subject) -> Drawn | None:
     )
 
 
-def _mark(axis: Any, height: float, row: Row) -> None:
+def _mark(axis: Axes, height: float, row: Row) -> None:
     pair = paired_of(row, QUICKFT)
     assert pair is not None
     colour = LEVEL if not row["apart"] else BELOW if pair.value < pair.level else ABOVE
@@ -258,7 +259,7 @@ def _mark(axis: Any, height: float, row: Row) -> None:
     axis.plot(pair.value, height, "o", color=colour, markersize=4)
 
 
-def _ratios(axis: Any) -> None:
+def _ratios(axis: Axes) -> None:
     """A logarithmic axis with plain numbers."""
     axis.set_xscale("log")
     axis.xaxis.set_major_locator(FixedLocator([0.25, 0.5, 0.7, 1, 1.5, 2, 3, 5, 10, 20]))

@@ -11,7 +11,6 @@ from collections.abc import Sequence
 from html import escape
 from importlib import resources
 from pathlib import Path
-from typing import Any
 
 from metapp.evaluation.figures import FIGURES, draw
 from metapp.evaluation.figures.style import TITLES
@@ -37,6 +36,7 @@ from metapp.runs.reporter import number
 from metapp.runs.statistics import apart
 from metapp.runs.surroundings import make_folder, versions
 from metapp.storage.files import write_atomically
+from metapp.storage.records import Record
 
 TASKS = 8  # of a gallery
 TIMES = "&times;"
@@ -255,10 +255,10 @@ def _task_html(subject: Subject, task: Task, pictures: Pictures) -> str:
     return f'<div class="task"><h4>{escape(task.name)}</h4>{row}</div>' if shown else ""
 
 
-def records_of(subject: Subject) -> dict[str, Any]:
+def records_of(subject: Subject) -> Record:
     """All records of the fits, by row and task, and the settings that each run's share, once."""
-    rows: dict[str, dict[str, Any]] = {}
-    settings: dict[str, Any] = {}
+    rows: dict[str, Record] = {}
+    settings: Record = {}
     for name in subject.fits:
         for record in subject.cell(name).records():
             settings[record["key"]] = record["settings"]

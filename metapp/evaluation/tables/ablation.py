@@ -24,7 +24,7 @@ from metapp.storage.records import tensor_digest
 
 # which fits by a rule are doubtful is known from its own initialisation alone
 RULE_ALONE = META._replace(name="ablation-rule", guard=lambda job: Guard(job.recipe.quickft))
-START_ALONE = Paradigm("ablation-start", META.needs, META.initialisation, QUICKFT.rule, QUICKFT.steps)
+INITIALISATION_ALONE = Paradigm("ablation-start", META.needs, META.initialisation, QUICKFT.rule, QUICKFT.steps)
 
 
 def learned(subject: Subject) -> list[str]:
@@ -57,7 +57,7 @@ def combined(subject: Subject, name: str) -> list[tuple[str, str, Cell]]:
             None,
         ),
         (
-            START_ALONE,
+            INITIALISATION_ALONE,
             (f"meta ({rule})", "adam"),
             meta.checkpoint.prepared._replace(alpha=quickft.checkpoint.prepared.alpha),
             asdict(adam),

@@ -6,7 +6,6 @@ import statistics
 from collections.abc import Iterator
 from importlib import metadata
 from pathlib import Path
-from typing import Any
 
 from metapp.baselines import baselines_of
 from metapp.baselines.baseline import Baseline
@@ -18,7 +17,7 @@ from metapp.evaluation.baseline_fits import (
     training_folder,
     training_of,
 )
-from metapp.evaluation.cell import Cell, Record
+from metapp.evaluation.cell import Cell
 from metapp.evaluation.notes import compared_text, overfit_note, paired_note, threads_note
 from metapp.evaluation.rows import Row, Table, against, bytes_column, columns, numbers, paired_of, row_of, words
 from metapp.evaluation.subject import Subject
@@ -29,6 +28,7 @@ from metapp.runs.naming import caption_of, name_of, observe_of
 from metapp.runs.reporter import say
 from metapp.runs.statistics import apart
 from metapp.runs.surroundings import versions
+from metapp.storage.records import Record
 
 SHOWN = ("general", "quickft", "meta", "finetune", "overfit")
 RUN = SHOWN[:3]  # the others take long and stand here where there are records of them
@@ -76,7 +76,7 @@ def baseline_cell(subject: Subject, baseline: Baseline) -> Cell:
     return cell._replace(stage=int(baseline.matches), guess=GUESS)
 
 
-def _settings(subject: Subject, baseline: Baseline, source: Path | None) -> dict[str, Any]:
+def _settings(subject: Subject, baseline: Baseline, source: Path | None) -> Record:
     """Everything that a baseline's figures depend on; `source`: the data set that it learns from."""
     app, request, meta = subject.app, subject.plan.request, subject.cell("meta")
     return {

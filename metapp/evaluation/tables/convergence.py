@@ -11,7 +11,7 @@ from collections.abc import Collection, Iterator, Mapping
 import torch
 from torch import Tensor
 
-from metapp.evaluation.cell import Cell, Record
+from metapp.evaluation.cell import Cell
 from metapp.evaluation.notes import overfit_note
 from metapp.evaluation.rows import Row, Table, Take, columns, numbers, paper, row_of, words
 from metapp.evaluation.subject import Subject, evenly
@@ -22,7 +22,7 @@ from metapp.learning.task import Params, Task, Tasks
 from metapp.runs.fits import rng_of
 from metapp.runs.naming import observe_of
 from metapp.runs.plan import Plan
-from metapp.storage.records import NUMBER, OPTIONAL, key_of
+from metapp.storage.records import NUMBER, OPTIONAL, Record, key_of
 
 TRACED = 5  # tasks
 PARTS = (0.0, 0.25, 0.5, 0.75, 1.0)

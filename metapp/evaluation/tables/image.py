@@ -6,12 +6,12 @@ import statistics
 from collections.abc import Iterator
 
 from metapp.appearance.presentation import REFERENCE, Fitted
-from metapp.evaluation.cell import Cell, Record
+from metapp.evaluation.cell import Cell
 from metapp.evaluation.notes import overfit_note
 from metapp.evaluation.rows import Row, Table, columns, numbers, paper, row_of, values_of, words
 from metapp.evaluation.subject import Subject
 from metapp.learning.task import Task
-from metapp.storage.records import OPTIONAL
+from metapp.storage.records import OPTIONAL, Record
 
 FORM = {"measures": {...: {...: OPTIONAL}}}  # of a record
 

@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from metapp.evaluation.cell import Cell, Record
+from metapp.evaluation.cell import Cell
 from metapp.evaluation.notes import paired_note, threads_note
 from metapp.evaluation.rows import Row, Table, columns, numbers, paired_of, row_of
 from metapp.evaluation.study import QUICKFT, Case
@@ -20,7 +20,7 @@ from metapp.runs.naming import caption_of
 from metapp.runs.plan import Checkpoint
 from metapp.runs.reporter import number, say
 from metapp.runs.statistics import apart
-from metapp.storage.records import FIT, NUMBER, OPTIONAL, RunFolder, digest
+from metapp.storage.records import FIT, NUMBER, OPTIONAL, Record, RunFolder, digest
 
 TRAINED = {"error": OPTIONAL, "seconds": NUMBER, "step": OPTIONAL}  # of a training's record
 INITIALISATIONS = {

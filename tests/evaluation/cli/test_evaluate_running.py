@@ -10,12 +10,12 @@ from typing import Any
 import pytest
 import torch
 
-from metapp.evaluation.cell import Cell, Clock, Record, run_cells
+from metapp.evaluation.cell import Cell, Clock, run_cells
 from metapp.learning.task import Task
 from metapp.runs.reporter import Reporter, duration, reporting
 from metapp.runs.request import Portion
 from metapp.runs.surroundings import find_device, threads_of
-from metapp.storage.records import RunFolder
+from metapp.storage.records import Record, RunFolder
 from tests.quick import app_by
 
 Make = Callable[..., Cell]
