@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from metapp.evaluation.figures import Drawn
+from metapp.evaluation.figures.style import Drawn
 from metapp.evaluation.notes import title_of
 from metapp.evaluation.rows import Row, Table
 from metapp.evaluation.subject import Subject
