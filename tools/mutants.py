@@ -48,7 +48,7 @@ TESTS = {
     "metapp/rendering/scene_rules.py": ["scene_attacks"],
     "metapp/baselines/brdf.py": ["brdf_baselines"],
     "metapp/baselines/lobes.py": ["brdf_baselines"],
-    "metapp/baselines/texture.py": ["histogram"],
+    "metapp/baselines/transport.py": ["histogram"],
     "metapp/runs/statistics.py": ["statistics"],
 }
 COMPARES = {
