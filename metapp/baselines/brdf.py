@@ -39,10 +39,6 @@ class Relative(NamedTuple):
     weight: Tensor
     reference: Tensor
 
-    def at(self, rows: Tensor) -> Relative:
-        """At some of the directions."""
-        return Relative(self.weight[rows], self.reference[rows])
-
     def mapped(self, reflectance: Tensor) -> Tensor:
         """Of reflectance [N, C] in 1/sr."""
         return torch.log((reflectance * self.weight + EPSILON) / (self.reference * self.weight + EPSILON))
@@ -165,6 +161,16 @@ class Space(NamedTuple):
     relative: Relative
     components: Components
 
+    def at(self, rows: Tensor) -> Space:
+        """At some of the places."""
+        relative = Relative(self.relative.weight[rows], self.relative.reference[rows])
+        components = self.components._replace(mean=self.components.mean[rows], axes=self.components.axes[rows])
+        return Space(self.where[rows], relative, components)
+
+    def reflectance(self, coefficients: Tensor) -> Tensor:
+        """Of coefficients [K, C], [N, C] in 1/sr."""
+        return self.relative.reflectance(self.components.axes @ coefficients + self.components.mean)
+
 
 def baselines(app: App) -> tuple[Baseline, ...]:
     """Of BRDFs."""
@@ -246,17 +252,16 @@ class RidgeOf(NamedTuple):
 
     def fit_in(self, space: Space, penalty: float, solves: int) -> Fit:
         """Fits of coefficients to a material's samples."""
-        used = space.components.first(self.kept)
+        space = space._replace(components=space.components.first(self.kept))
 
         def fit(tasks: Tasks, rng: Generator, allowed: Allowed) -> Fitted:
             samples = _at(space.where, tasks, drawn(tasks, rng, allowed.samples))
-            kept = coefficients(space.relative.at(samples.rows), _rows(used, samples.rows), samples, penalty, solves)
+            kept = coefficients(space.at(samples.rows), samples, penalty, solves)
             return Fitted(functools.partial(answer, tasks, kept), kept.numel(), bytes_of(kept))
 
         def answer(tasks: Tasks, kept: Tensor) -> Tensor:
             held = torch.arange(len(space.where) // 2, len(space.where))
-            part = _rows(used, held)
-            return space.relative.at(held).reflectance(part.axes @ kept + part.mean).T[None]
+            return space.at(held).reflectance(kept).T[None]
 
         return fit
 
@@ -278,20 +283,16 @@ def _at(where: Tensor, tasks: Tasks, samples: Samples) -> Samples:
     return samples._replace(rows=torch.tensor(rows))
 
 
-def _rows(used: Components, rows: Tensor) -> Components:
-    return used._replace(mean=used.mean[rows], axes=used.axes[rows])
-
-
-def coefficients(relative: Relative, used: Components, samples: Samples, penalty: float, solves: int) -> Tensor:
-    """The coefficients [K, 3] of components at samples; without weights where there are no `solves`."""
+def coefficients(space: Space, samples: Samples, penalty: float, solves: int) -> Tensor:
+    """The coefficients [K, 3] of components, of a space at samples; without weights where there are no `solves`."""
+    relative, used = space.relative, space.components
     reflectance, cos = samples.target.expm1() / samples.cos, samples.cos
     mapped = relative.mapped(reflectance) - used.mean
     penalty = penalty * len(mapped)
     slope = cos * (reflectance + EPSILON / relative.weight) / samples.target.exp()
     kept = ridge(used.axes, mapped, reweighted(slope, None) if solves else None, used.deviation, penalty)
     for _ in range(1, solves):
-        again = relative.reflectance(used.axes @ kept + used.mean)
-        weights = reweighted(slope, torch.log1p(again * cos) - samples.target)
+        weights = reweighted(slope, torch.log1p(space.reflectance(kept) * cos) - samples.target)
         kept = ridge(used.axes, mapped, weights, used.deviation, penalty)
     return kept
 

@@ -16,7 +16,6 @@ from metapp.baselines import lobes
 from metapp.baselines.baseline import Allowed, Training
 from metapp.baselines.brdf import (
     EPSILON,
-    Components,
     Relative,
     RidgeOf,
     baselines,
@@ -88,9 +87,7 @@ def test_a_material_in_the_span_is_recovered_exactly(stacked: Tasks, solves: int
     space = space_of(where, target)
     seen = drawn(Tasks(stacked.names, {"where": where.expand(12, -1, -1), "target": target}, torch.tensor([4])),
                  Generator().manual_seed(0), 400)  # fmt: skip
-    at = Components(space.components.mean[seen.rows], space.components.axes[seen.rows], space.components.deviation)
-    found = coefficients(space.relative.at(seen.rows), at, seen, 1e-14, solves)
-    made = space.relative.reflectance(space.components.axes @ found + space.components.mean)
+    made = space.reflectance(coefficients(space.at(seen.rows), seen, 1e-14, solves))
     torch.testing.assert_close(torch.log1p(made * where[:, 6:]), target[4], atol=1e-5, rtol=1e-4)
 
 

@@ -82,27 +82,17 @@ def test_overfit_learns(job: Job, tasks: Tasks) -> None:
     assert after.mean() < 0.5 * before.mean()
 
 
-@pytest.mark.parametrize("name", ["quickft", "finetune"])
-def test_no_steps_from_general_is_general(name: str, job: Job, tasks: Tasks) -> None:
-    prepared = prepared_for(paradigms()[name], job)
-    general = paradigms()["general"].fit(job, prepared, tasks, rng())
-    for key, value in paradigms()[name].fit(job._replace(steps=0), prepared, tasks, rng()).items():
-        assert torch.equal(value, general[key])
-
-
-def test_meta_starts_all_tasks_alike(job: Job, tasks: Tasks) -> None:
-    start = prepared_for(paradigms()["meta"], job)
-    theta = paradigms()["meta"].fit(job._replace(steps=0), start, tasks, rng())
-    for key, value in start.theta.items():
-        assert torch.equal(theta[key], value.expand(len(tasks), *value.shape))
-
-
-def test_meta_with_an_encoder_starts_where_general_ends(job: Job, tasks: Tasks) -> None:
-    start = untrained(job)._replace(theta={})
-    theta = paradigms()["meta"].fit(job._replace(steps=0), start, tasks, rng())
-    general = paradigms()["general"].fit(job, start, tasks, rng())
-    assert all(torch.equal(theta[key], value) for key, value in general.items())
-    moved = paradigms()["meta"].fit(job, start, tasks, rng())
+def test_without_steps_a_fit_is_its_initialisation(job: Job, tasks: Tasks) -> None:
+    """That is General's prediction, of Meta, too, where an encoder was trained through its steps, else theta_0."""
+    table, phi, none = paradigms(), untrained(job), job._replace(steps=0)
+    general = table["general"].fit(job, phi, tasks, rng())
+    coded = phi._replace(theta={})
+    fits = [(table[name].fit(none, coded, tasks, rng()), general) for name in ("finetune", "quickft", "meta")]
+    theta_0 = {key: value.expand(len(tasks), *value.shape) for key, value in phi.theta.items()}
+    fits.append((table["meta"].fit(none, phi._replace(encoder={}), tasks, rng()), theta_0))
+    for theta, expected in fits:
+        assert all(torch.equal(theta[key], value) for key, value in expected.items())
+    moved = table["meta"].fit(job, coded, tasks, rng())
     assert all(value.isfinite().all() for value in moved.values())
     assert not all(torch.equal(moved[key], value) for key, value in general.items())
 

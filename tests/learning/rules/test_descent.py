@@ -91,17 +91,6 @@ def test_one_rate_for_each_task(theta: Params, grads: list[Params]) -> None:
         torch.testing.assert_close(moved[key][1], value[1] - 2 * grads[0][key][1])
 
 
-def test_rules_do_not_mix_tasks(theta: Params, grads: list[Params]) -> None:
-    """Tensor by tensor, another task beside it changes nothing."""
-    for rule in (fixed_adam(Adam(1e-2), theta, STEPS), sgd({"rate": torch.full((1,), 0.1, dtype=torch.float64)})):
-        both = run(rule, theta, grads)[-1]
-        for task in (0, 1):
-            own = {key: value[task : task + 1] for key, value in theta.items()}
-            alone = run(rule, own, [{key: value[task : task + 1] for key, value in grad.items()} for grad in grads])[-1]
-            for key, value in alone.items():
-                assert torch.equal(both[key][task : task + 1], value)
-
-
 def test_adam_moves_dead_weights_nowhere(theta: Params) -> None:
     zero: list[dict[str, Tensor]] = [{key: torch.zeros_like(value) for key, value in theta.items()}] * 3
     for key, value in run(fixed_adam(dataclasses.replace(Adam(1e-2), beta1=0.5), theta, 3), theta, zero)[-1].items():

@@ -231,33 +231,6 @@ def test_tied_rates_are_adam_s_where_its_rates_are_alike(theta: Params, grads: l
     torch.testing.assert_close(paced[3]["w2"] - paced[2]["w2"], 3 * (path[3]["w2"] - path[2]["w2"]))
 
 
-def test_tied_rates_of_each_task_stand_for_themselves(theta: Params, grads: list[Params]) -> None:
-    alpha = RULES["meta-adam-tied"].alpha(APP, one_task(theta), STEPS, Adam(5e-3, beta2=0.99))
-    for key in theta:
-        alpha[f"pace.{key}"] = torch.linspace(-1, 1, STEPS).double()
-    both = run(RULES["meta-adam-tied"].rule(spread(alpha, 2, 1)), theta, grads)[-1]
-    for task in (0, 1):
-        start, own = ({key: value[task] for key, value in tree.items()} for tree in (theta, grads[0]))
-        single = [{key: grad[key][task] for key in own} for grad in grads]
-        alone = run(RULES["meta-adam-tied"].rule(alpha), start, single)[-1]
-        for key, value in alone.items():
-            torch.testing.assert_close(both[key][task], value)
-
-
-@pytest.mark.parametrize("steps", [1, 15])
-def test_tied_rates_are_few(steps: int, theta: Params) -> None:
-    start = one_task(theta)
-    weights = sum(value.numel() for value in start.values())
-    learned = sum(value.numel() for value in APP.loss_parameters(steps).values())
-
-    def size(rule: str) -> int:
-        return sum(value.numel() for value in RULES[rule].alpha(APP, start, steps, Adam(5e-3, beta2=0.99)).values())
-
-    assert size("meta-sgd") == weights
-    assert size("meta-adam-tied") == weights + steps * (len(start) + 2) + learned
-    assert size("meta-adam") == steps * (weights + 2) + learned
-
-
 def test_curvature_multiplies_from_both_sides(theta: Params, grads: list[Params]) -> None:
     start, rng = one_task(theta), Generator().manual_seed(0)
     alpha = RULES["meta-curvature"].alpha(APP, start, STEPS, Adam(5e-3, beta2=0.99))
