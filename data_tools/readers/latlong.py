@@ -98,8 +98,8 @@ def read_task(path: Path, size: int = HEIGHT) -> Task:
         return read_map_task(path, size)
     if header.is_latlong:
         raise ValueError(
-            f"{path}: {header} of {header.kind}, {_EXPECTED} or a photograph of a sphere; export the map as HDR, or crop "
-            "the photograph to the sphere."
+            f"{path}: {header} of {header.kind}, {_EXPECTED} or a photograph of a sphere; export the map as HDR, or "
+            "crop the photograph to the sphere."
         )
     photo = read_photo(path, SIZE) * sphere_normals(SIZE)[1]
     if not photo.any():

@@ -5,7 +5,6 @@ from __future__ import annotations
 import shlex
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 from torch import Generator, Tensor
 
@@ -22,6 +21,7 @@ from metapp.runs.inputs import data_folder, data_label
 from metapp.runs.naming import is_first_protocol, name_of
 from metapp.runs.plan import Checkpoint, Plan
 from metapp.runs.reporter import say
+from metapp.storage import Document
 from metapp.storage.records import digest, load_checkpoint, tensor_digest
 
 FOLDERS = ("checkpoints", "starts")  # of what was trained for an application; the second one by earlier versions
@@ -87,7 +87,7 @@ def _of_app(plan: Plan) -> Path:
     return plan.request.out / plan.app.name
 
 
-def _require_protocol(path: Path, app: App, info: dict[str, Any]) -> None:
+def _require_protocol(path: Path, app: App, info: Document) -> None:
     """Refuse a checkpoint that learned from what fits may not see now; General's, which all share, says none."""
     then = info.get("observe", app.protocol)
     if then != app.protocol:
@@ -97,7 +97,7 @@ def _require_protocol(path: Path, app: App, info: dict[str, Any]) -> None:
         )
 
 
-def _require_conditions(path: Path, app: App, prepared: MetaParameters, info: dict[str, Any]) -> None:
+def _require_conditions(path: Path, app: App, prepared: MetaParameters, info: Document) -> None:
     """Say that a checkpoint was trained with other features than are at hand; refuse one whose encoder reads them."""
     for key, now in app.conditions().items():
         then = info.get(key, now)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import torch
 from torch import Generator
@@ -19,6 +19,7 @@ from metapp.runs.plan import Plan
 from metapp.runs.reporter import say
 from metapp.runs.request import said_time
 from metapp.runs.watching import Watched
+from metapp.storage import Document
 
 WARM = 1  # steps of the fit that loads kernels: the next one takes at most 2 % longer than after more of them
 PACED = 8  # steps of those that measure a step: as many as show all stages of a descent from coarse to fine
@@ -28,7 +29,7 @@ PACING = 0.3  # seconds that these take, about; one of them at least
 class Result(NamedTuple):
     """What a fit of a task gives: its record, and its parameters without a task axis."""
 
-    record: dict[str, Any]
+    record: Document
     theta: Params
 
 
