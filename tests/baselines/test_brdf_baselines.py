@@ -196,8 +196,8 @@ def at(random_angles: Callable[..., Tensor]) -> lobes.Cosines:
     return cosines(random_angles(3000))
 
 
-def seen(numbers: Tensor, at: lobes.Cosines) -> lobes.Samples:
-    return lobes.Samples(at, torch.log1p(lobes.reflectance(numbers, at) * at.incident[:, None]))
+def seen(numbers: Tensor, at: lobes.Cosines) -> lobes.CosineSamples:
+    return lobes.CosineSamples(at, torch.log1p(lobes.reflectance(numbers, at) * at.incident[:, None]))
 
 
 def test_a_lobe_is_that_of_the_microfacet_model(at: lobes.Cosines) -> None:
@@ -232,7 +232,7 @@ def test_two_lobes_fit_their_own_material(at: lobes.Cosines) -> None:
 
 
 def test_a_fit_is_a_brdf(at: lobes.Cosines, rng: torch.Generator) -> None:
-    target = lobes.Samples(at, torch.rand(len(at.half), 3, generator=rng, dtype=torch.float64))
+    target = lobes.CosineSamples(at, torch.rand(len(at.half), 3, generator=rng, dtype=torch.float64))
     found = lobes.fit(target, 1)
     assert len(found) == 3 + lobes.LOBE == 8
     assert lobes.reflectance(found, at).min() >= 0
