@@ -33,7 +33,7 @@ UNPICKLES = "data_tools.vgg"
 EXCESSES: dict[str, set[str]] = {
     "lines": set(),
     "parameters": set(),
-    "members": {"App", "Evaluation", "Plan", "Request"},
+    "members": {"App", "Evaluation", "Request"},
 }
 
 

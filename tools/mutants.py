@@ -42,6 +42,13 @@ TESTS = {
     "metapp/appearance/photograph.py": ["photograph"],
     "metapp/appearance/reflection.py": ["reflection"],
     "metapp/appearance/sphere.py": ["sphere"],
+    "metapp/appearance/surface.py": ["surface"],
+    "metapp/rendering/guide_cache.py": ["guide"],
+    "metapp/rendering/guide_histogram.py": ["guide"],
+    "metapp/rendering/scene_rules.py": ["scene_attacks"],
+    "metapp/baselines/brdf.py": ["brdf_baselines"],
+    "metapp/baselines/lobes.py": ["brdf_baselines"],
+    "metapp/baselines/transport.py": ["histogram"],
     "metapp/runs/statistics.py": ["statistics"],
 }
 COMPARES = {

@@ -143,19 +143,13 @@ def _cells(path: Path, at: int, line: str, count: int) -> list[float]:
     words = line.split(",")
     if len(words) != count:
         raise ValueError(f"{path}: line {at}: {len(words)} numbers, expected {count} as column names; put it right.")
-    try:
-        return [float(word) if word.strip() else math.nan for word in words]
-    except ValueError:
-        word = next(word for word in words if not _is_number(word))
-        raise ValueError(f"{path}: line {at}: {_shown(word)}, expected a number; put it right.") from None
-
-
-def _is_number(word: str) -> bool:
-    try:
-        float(word or "0")
-    except ValueError:
-        return False
-    return True
+    cells = []
+    for word in words:
+        try:
+            cells.append(float(word) if word.strip() else math.nan)
+        except ValueError:
+            raise ValueError(f"{path}: line {at}: {_shown(word)}, expected a number; put it right.") from None
+    return cells
 
 
 def _shown(word: str) -> str:

@@ -59,8 +59,8 @@ find = find_photos  # the names that every reader has
 recognises = holds_photos
 
 
-class _Look(NamedTuple):
-    """What a file says of its pixels."""
+class _Header(NamedTuple):
+    """Type and size of a file's pixels."""
 
     kind: str
     width: int
@@ -93,13 +93,13 @@ def read_task(path: Path, size: int = HEIGHT) -> Task:
         ValueError: as `read_map` and `data_tools.readers.photos.read_photo`; an LDR picture twice as wide as high; a
             disc that is black.
     """
-    look = _look(path)
-    if look.is_hdr:
+    header = _header(path)
+    if header.is_hdr:
         return read_map_task(path, size)
-    if look.is_latlong:
+    if header.is_latlong:
         raise ValueError(
-            f"{path}: {look} of {look.kind}, {_EXPECTED} or a photograph of a sphere; export the map as HDR, or crop "
-            "the photograph to the sphere."
+            f"{path}: {header} of {header.kind}, {_EXPECTED} or a photograph of a sphere; export the map as HDR, or "
+            "crop the photograph to the sphere."
         )
     photo = read_photo(path, SIZE) * sphere_normals(SIZE)[1]
     if not photo.any():
@@ -183,19 +183,19 @@ def read_map(path: str | Path, height: int = HEIGHT) -> Tensor:
             px; channels other than RGB or Y; no linear space; NaN, infinite or negative values; a black map.
     """
     path = Path(path)
-    look = _look(path)
-    if not look.is_hdr:
+    header = _header(path)
+    if not header.is_hdr:
         raise ValueError(
-            f"{path}: an LDR image ({look.kind}), {_EXPECTED}; a photograph of a sphere is for fits with --observe "
+            f"{path}: an LDR image ({header.kind}), {_EXPECTED}; a photograph of a sphere is for fits with --observe "
             "photo."
         )
-    if not look.is_latlong:
+    if not header.is_latlong:
         raise ValueError(
-            f"{path}: {look}, expected a lat-long map, twice as wide as high; a photograph of a sphere should be PNG "
+            f"{path}: {header}, expected a lat-long map, twice as wide as high; a photograph of a sphere should be PNG "
             "or JPEG."
         )
-    if look.height < _MIN_HEIGHT or look.width * look.height > _MAX_PIXELS:
-        raise ValueError(f"{path}: {look}, expected {_MIN_HEIGHT} rows or more and {_MAX_PIXELS:,} px or fewer.")
+    if header.height < _MIN_HEIGHT or header.width * header.height > _MAX_PIXELS:
+        raise ValueError(f"{path}: {header}, expected {_MIN_HEIGHT} rows or more and {_MAX_PIXELS:,} px or fewer.")
     planes, to_rec709 = _read(path)
     _check_values(planes, path)
     stored = [resample(torch.from_numpy(np.ascontiguousarray(plane)), height, 2 * height) for plane in planes]
@@ -205,10 +205,10 @@ def read_map(path: str | Path, height: int = HEIGHT) -> Tensor:
     return light
 
 
-def _look(path: Path) -> _Look:
+def _header(path: Path) -> _Header:
     with opened(path) as source:
         spec = source.spec()
-        return _Look(str(spec.format), spec.width, spec.height)
+        return _Header(str(spec.format), spec.width, spec.height)
 
 
 def _read(path: Path) -> tuple[list[NDArray[np.float32]], Tensor]:

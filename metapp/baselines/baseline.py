@@ -69,7 +69,7 @@ class Allowed(NamedTuple):
     error: float | None = None
 
 
-class Fitted(NamedTuple):
+class BaselineFit(NamedTuple):
     """A baseline's fit of a task.
 
     Attributes:
@@ -87,10 +87,10 @@ class Fitted(NamedTuple):
     picture: Tensor | None = None
 
 
-Fit = Callable[[Tasks, Generator, Allowed], Fitted]  # of one task
+FitTask = Callable[[Tasks, Generator, Allowed], BaselineFit]  # of one task
 
 
-class Prepared(NamedTuple):
+class PreparedBaseline(NamedTuple):
     """A baseline at work.
 
     Attributes:
@@ -99,7 +99,7 @@ class Prepared(NamedTuple):
         chosen: what validation tasks have chosen.
     """
 
-    fit: Fit
+    fit: FitTask
     shared: int = 0
     chosen: dict[str, Any] = {}  # noqa: RUF012  (never written to)
 
@@ -119,13 +119,13 @@ class Baseline(NamedTuple):
     name: str
     title: str
     cannot: str
-    prepare: Callable[[Training, Allowed], Prepared]
+    prepare: Callable[[Training, Allowed], PreparedBaseline]
     learns: bool = True
     matches: bool = False
 
 
 def both_ways(
-    name: str, title: str, cannot: str, rungs: Callable[[Tasks], int], encode: Callable[[Tasks, int], Fitted]
+    name: str, title: str, cannot: str, rungs: Callable[[Tasks], int], encode: Callable[[Tasks, int], BaselineFit]
 ) -> tuple[Baseline, Baseline]:
     """A way to keep a task's data in fewer or more bytes: at the bytes of a network, and at Meta's error.
 
@@ -135,14 +135,14 @@ def both_ways(
         encode: (task, setting) -> its fit.
     """
 
-    def at_size(tasks: Tasks, rng: Generator, allowed: Allowed) -> Fitted:
+    def at_size(tasks: Tasks, rng: Generator, allowed: Allowed) -> BaselineFit:
         """The best setting within a network's bytes."""
         settings = range(rungs(tasks))
         best = bisect.bisect_right(settings, allowed.size, key=lambda rung: encode(tasks, rung).size) - 1
         fitted = encode(tasks, max(best, 0))
         return fitted._replace(reached=fitted.size <= allowed.size)
 
-    def at_error(app: App, tasks: Tasks, rng: Generator, allowed: Allowed) -> Fitted:
+    def at_error(app: App, tasks: Tasks, rng: Generator, allowed: Allowed) -> BaselineFit:
         """The smallest setting with at most Meta's error."""
         bound, count = allowed.error, rungs(tasks)
         if bound is None:
@@ -154,12 +154,12 @@ def both_ways(
         enough = bisect.bisect_left(range(count), True, key=is_enough)
         return encode(tasks, min(enough, count - 1))._replace(reached=enough < count)
 
-    def at_metas(training: Training, allowed: Allowed) -> Prepared:
-        return Prepared(functools.partial(at_error, training.app))
+    def at_metas(training: Training, allowed: Allowed) -> PreparedBaseline:
+        return PreparedBaseline(functools.partial(at_error, training.app))
 
     same = f"{title}; as many bytes as Meta's error takes"
     return (
-        Baseline(name, title, cannot, lambda training, allowed: Prepared(at_size), learns=False),
+        Baseline(name, title, cannot, lambda training, allowed: PreparedBaseline(at_size), learns=False),
         Baseline(f"{name}@meta", same, cannot, at_metas, learns=False, matches=True),
     )
 
@@ -168,25 +168,25 @@ def nearest(
     of: Callable[[Tasks, Generator, Allowed], Tensor],
     answer: Callable[[int], Any],
     picture: Callable[[int], Tensor] | None = None,
-) -> Fit:
+) -> FitTask:
     """The training task that is least far from a task.
 
     Args:
         of: distances [M] of a task to all training tasks.
         answer: what the training task of that number would be judged as.
-        picture: what it looks like, as of `Fitted`.
+        picture: what it looks like, as of `BaselineFit`.
     """
 
-    def fit(tasks: Tasks, rng: Generator, allowed: Allowed) -> Fitted:
+    def fit(tasks: Tasks, rng: Generator, allowed: Allowed) -> BaselineFit:
         index = int(of(tasks, rng, allowed).argmin())
-        return Fitted(functools.partial(answer, index), 1, INDEX, picture=picture and picture(index))
+        return BaselineFit(functools.partial(answer, index), 1, INDEX, picture=picture and picture(index))
 
     return fit
 
 
 def nearest_photo(
     training: Training, holding: str, answer: Callable[[Tensor], Any], scaled: Callable[[Tensor], Tensor]
-) -> Prepared:
+) -> PreparedBaseline:
     """The training task whose photograph is nearest, by the mean absolute difference of scaled values.
 
     The set itself is shared.
@@ -203,7 +203,7 @@ def nearest_photo(
     def distances(tasks: Tasks, rng: Generator, allowed: Allowed) -> Tensor:
         return (scaled(photos) - scaled(tasks.data["photo"][tasks.rows])).abs().mean((1, 2, 3))
 
-    return Prepared(nearest(distances, lambda index: answer(kept[index][None])), bytes_of(photos, kept))
+    return PreparedBaseline(nearest(distances, lambda index: answer(kept[index][None])), bytes_of(photos, kept))
 
 
 def bytes_of(*tensors: Tensor) -> int:
@@ -212,7 +212,7 @@ def bytes_of(*tensors: Tensor) -> int:
 
 
 @torch.no_grad()
-def mean_error(app: App, fit: Fit, tasks: Tasks, allowed: Allowed) -> float:
+def mean_error(app: App, fit: FitTask, tasks: Tasks, allowed: Allowed) -> float:
     """Mean error of fits of all tasks with fixed seeds, as the application has it, unscaled."""
     total = 0.0
     for row in range(len(tasks)):

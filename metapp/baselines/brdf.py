@@ -15,7 +15,17 @@ from torch import Generator, Tensor
 
 from metapp.appearance.geometry import Cosines
 from metapp.baselines import lobes
-from metapp.baselines.baseline import Allowed, Baseline, Fit, Fitted, Prepared, Training, bytes_of, mean_error, nearest
+from metapp.baselines.baseline import (
+    Allowed,
+    Baseline,
+    BaselineFit,
+    FitTask,
+    PreparedBaseline,
+    Training,
+    bytes_of,
+    mean_error,
+    nearest,
+)
 from metapp.learning.app import App
 from metapp.learning.task import Tasks
 
@@ -38,10 +48,6 @@ class Relative(NamedTuple):
 
     weight: Tensor
     reference: Tensor
-
-    def at(self, rows: Tensor) -> Relative:
-        """At some of the directions."""
-        return Relative(self.weight[rows], self.reference[rows])
 
     def mapped(self, reflectance: Tensor) -> Tensor:
         """Of reflectance [N, C] in 1/sr."""
@@ -165,6 +171,16 @@ class Space(NamedTuple):
     relative: Relative
     components: Components
 
+    def at(self, rows: Tensor) -> Space:
+        """At some of the places."""
+        relative = Relative(self.relative.weight[rows], self.relative.reference[rows])
+        components = self.components._replace(mean=self.components.mean[rows], axes=self.components.axes[rows])
+        return Space(self.where[rows], relative, components)
+
+    def reflectance(self, coefficients: Tensor) -> Tensor:
+        """Of coefficients [K, C], [N, C] in 1/sr."""
+        return self.relative.reflectance(self.components.axes @ coefficients + self.components.mean)
+
 
 def baselines(app: App) -> tuple[Baseline, ...]:
     """Of BRDFs."""
@@ -231,32 +247,31 @@ class RidgeOf(NamedTuple):
     kept: int
     weighted: bool
 
-    def prepare(self, training: Training, allowed: Allowed) -> Prepared:
+    def prepare(self, training: Training, allowed: Allowed) -> PreparedBaseline:
         """Choose penalty and solves (0: unweighted) on validation materials, then take all."""
         best = min(itertools.product(PENALTIES, SOLVES if self.weighted else (0,)),
                    key=functools.partial(self._error, training, allowed))  # fmt: skip
         space = _space(training, whole=True)
         used = space.components.first(self.kept)
         shared = bytes_of(used.mean, used.axes, space.relative.reference)
-        return Prepared(self.fit_in(space, *best), shared, {"penalty": best[0], "solves": best[1]})
+        return PreparedBaseline(self.fit_in(space, *best), shared, {"penalty": best[0], "solves": best[1]})
 
     def _error(self, training: Training, allowed: Allowed, setting: tuple[float, int]) -> float:
         fit = self.fit_in(_space(training, whole=False), *setting)
         return mean_error(training.app, fit, training.split[1], allowed)
 
-    def fit_in(self, space: Space, penalty: float, solves: int) -> Fit:
+    def fit_in(self, space: Space, penalty: float, solves: int) -> FitTask:
         """Fits of coefficients to a material's samples."""
-        used = space.components.first(self.kept)
+        space = space._replace(components=space.components.first(self.kept))
 
-        def fit(tasks: Tasks, rng: Generator, allowed: Allowed) -> Fitted:
+        def fit(tasks: Tasks, rng: Generator, allowed: Allowed) -> BaselineFit:
             samples = _at(space.where, tasks, drawn(tasks, rng, allowed.samples))
-            kept = coefficients(space.relative.at(samples.rows), _rows(used, samples.rows), samples, penalty, solves)
-            return Fitted(functools.partial(answer, tasks, kept), kept.numel(), bytes_of(kept))
+            kept = coefficients(space.at(samples.rows), samples, penalty, solves)
+            return BaselineFit(functools.partial(answer, tasks, kept), kept.numel(), bytes_of(kept))
 
         def answer(tasks: Tasks, kept: Tensor) -> Tensor:
             held = torch.arange(len(space.where) // 2, len(space.where))
-            part = _rows(used, held)
-            return space.relative.at(held).reflectance(part.axes @ kept + part.mean).T[None]
+            return space.at(held).reflectance(kept).T[None]
 
         return fit
 
@@ -278,40 +293,36 @@ def _at(where: Tensor, tasks: Tasks, samples: Samples) -> Samples:
     return samples._replace(rows=torch.tensor(rows))
 
 
-def _rows(used: Components, rows: Tensor) -> Components:
-    return used._replace(mean=used.mean[rows], axes=used.axes[rows])
-
-
-def coefficients(relative: Relative, used: Components, samples: Samples, penalty: float, solves: int) -> Tensor:
-    """The coefficients [K, 3] of components at samples; without weights where there are no `solves`."""
+def coefficients(space: Space, samples: Samples, penalty: float, solves: int) -> Tensor:
+    """The coefficients [K, 3] of components, of a space at samples; without weights where there are no `solves`."""
+    relative, used = space.relative, space.components
     reflectance, cos = samples.target.expm1() / samples.cos, samples.cos
     mapped = relative.mapped(reflectance) - used.mean
     penalty = penalty * len(mapped)
     slope = cos * (reflectance + EPSILON / relative.weight) / samples.target.exp()
     kept = ridge(used.axes, mapped, reweighted(slope, None) if solves else None, used.deviation, penalty)
     for _ in range(1, solves):
-        again = relative.reflectance(used.axes @ kept + used.mean)
-        weights = reweighted(slope, torch.log1p(again * cos) - samples.target)
+        weights = reweighted(slope, torch.log1p(space.reflectance(kept) * cos) - samples.target)
         kept = ridge(used.axes, mapped, weights, used.deviation, penalty)
     return kept
 
 
-def _lobes(count: int, training: Training, allowed: Allowed) -> Prepared:
+def _lobes(count: int, training: Training, allowed: Allowed) -> PreparedBaseline:
     """GGX lobes: nothing is shared."""
 
-    def fit(tasks: Tasks, rng: Generator, allowed: Allowed) -> Fitted:
+    def fit(tasks: Tasks, rng: Generator, allowed: Allowed) -> BaselineFit:
         samples = drawn(tasks, rng, allowed.samples)
-        numbers = lobes.fit(lobes.Samples(cosines_of(samples.where), samples.target.double()), count).float()
-        return Fitted(functools.partial(answer, tasks, numbers), numbers.numel(), bytes_of(numbers))
+        numbers = lobes.fit(lobes.CosineSamples(cosines_of(samples.where), samples.target.double()), count).float()
+        return BaselineFit(functools.partial(answer, tasks, numbers), numbers.numel(), bytes_of(numbers))
 
     def answer(tasks: Tasks, numbers: Tensor) -> Tensor:
         where, _ = _of_one(tasks)
         return lobes.reflectance(numbers.double(), cosines_of(where[len(where) // 2 :])).float().T[None]
 
-    return Prepared(fit)
+    return PreparedBaseline(fit)
 
 
-def _nearest(training: Training, allowed: Allowed) -> Prepared:
+def _nearest(training: Training, allowed: Allowed) -> PreparedBaseline:
     """The set itself is shared."""
     known = training.stacked
     targets, where = known.data["target"], known.data["where"]
@@ -324,4 +335,4 @@ def _nearest(training: Training, allowed: Allowed) -> Prepared:
         half = where.shape[1] // 2
         return (targets[index, half:].expm1() / where[index, half:, 6:].clamp_min(1e-9)).T[None]
 
-    return Prepared(nearest(distances, answer), bytes_of(where[0], targets))
+    return PreparedBaseline(nearest(distances, answer), bytes_of(where[0], targets))

@@ -20,7 +20,15 @@ from scipy.special import sph_legendre_p_all
 from torch import Generator, Tensor
 
 from metapp.appearance.latlong import solid_angles
-from metapp.baselines.baseline import Allowed, Baseline, Fitted, Prepared, Training, both_ways, nearest_photo
+from metapp.baselines.baseline import (
+    Allowed,
+    Baseline,
+    BaselineFit,
+    PreparedBaseline,
+    Training,
+    both_ways,
+    nearest_photo,
+)
 from metapp.learning.app import App
 from metapp.learning.task import Tasks
 
@@ -233,12 +241,12 @@ class Transform(NamedTuple):
     inverse: Callable[[Floats], Floats]
     power: float
 
-    def encode(self, tasks: Tasks, rung: int) -> Fitted:
+    def encode(self, tasks: Tasks, rung: int) -> BaselineFit:
         """The largest coefficients: one place more a rung."""
         radiance = _map_of(tasks)
         weights = solid_angles(*radiance.shape[-2:]).double().numpy() ** self.power
         kept = largest(self.forward(radiance * weights), rung + 1)
-        return Fitted(lambda: _answer(self.inverse(kept.coefficients()) / weights), kept.numbers, kept.size)
+        return BaselineFit(lambda: _answer(self.inverse(kept.coefficients()) / weights), kept.numbers, kept.size)
 
 
 HAAR = Transform(haar, inverse_haar, EVEN)
@@ -262,7 +270,9 @@ def baselines(app: App) -> tuple[Baseline, ...]:
         both_ways("dct", "largest cosines (DCT) of radiance", sun, _texels, COSINES.encode),
         both_ways("sh", "spherical harmonics, least squares by solid angle", rings, _orders, _harmonics),
     ]
-    halves = Baseline("halves", "the map itself, in half precision", same, lambda *_: Prepared(_halves), learns=False)
+    halves = Baseline(
+        "halves", "the map itself, in half precision", same, lambda *_: PreparedBaseline(_halves), learns=False
+    )
     return (halves, *itertools.chain(*codecs))
 
 
@@ -284,7 +294,7 @@ def _orders(tasks: Tasks) -> int:
     return orders(*_map_of(tasks).shape[1:])
 
 
-def _harmonics(tasks: Tasks, order: int) -> Fitted:
+def _harmonics(tasks: Tasks, order: int) -> BaselineFit:
     """Coefficients up to an order, as half floats over their largest."""
     radiance = _map_of(tasks)
     _, height, width = radiance.shape
@@ -294,16 +304,16 @@ def _harmonics(tasks: Tasks, order: int) -> Fitted:
     def answer() -> Tensor:
         return _answer(from_harmonics(kept.coefficients()[:, 0], height, width))
 
-    return Fitted(answer, kept.values.size, SCALE + VALUE * kept.values.size)
+    return BaselineFit(answer, kept.values.size, SCALE + VALUE * kept.values.size)
 
 
-def _halves(tasks: Tasks, rng: Generator, allowed: Allowed) -> Fitted:
+def _halves(tasks: Tasks, rng: Generator, allowed: Allowed) -> BaselineFit:
     radiance = _map_of(tasks)
     scale = radiance.max() or 1.0
     kept = (radiance / scale).astype(np.float16)
     size = SCALE + kept.nbytes
-    return Fitted(lambda: _answer(kept.astype(np.float64) * scale), kept.size, size, size <= allowed.size)
+    return BaselineFit(lambda: _answer(kept.astype(np.float64) * scale), kept.size, size, size <= allowed.size)
 
 
-def _nearest(training: Training, allowed: Allowed) -> Prepared:
+def _nearest(training: Training, allowed: Allowed) -> PreparedBaseline:
     return nearest_photo(training, "map", lambda radiance: radiance, Tensor.float)

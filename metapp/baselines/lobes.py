@@ -25,7 +25,7 @@ STEP = 1e-5  # of log alpha, for its slope: forward differentiation takes ten ti
 ENOUGH = 1e-5  # of change, of numbers and of the cost, to stop at
 
 
-class Samples(NamedTuple):
+class CosineSamples(NamedTuple):
     """Samples in double precision.
 
     Attributes:
@@ -67,15 +67,15 @@ def _shape(log_alpha: Tensor, cosines: Cosines) -> Tensor:
     return microfacet_lobe(cosines, log_alpha.exp(), torch.ones_like)[..., 0]
 
 
-def fit(samples: Samples, lobes: int) -> Tensor:
+def fit(samples: CosineSamples, lobes: int) -> Tensor:
     """The numbers of a fit, float64; absolute errors of log(1 + f cos theta_i) count."""
-    few = Samples(Cosines(*(cosine[:FEW] for cosine in samples.cosines)), samples.target[:FEW])
+    few = CosineSamples(Cosines(*(cosine[:FEW] for cosine in samples.cosines)), samples.target[:FEW])
     fits = [_descend(few, _first(few, alphas)) for alphas in ALPHAS[lobes]]
     best = min(fits, key=lambda fit: fit[1])[0]
     return torch.from_numpy(_descend(samples, best)[0])
 
 
-def _descend(samples: Samples, first: Floats) -> tuple[Floats, float]:
+def _descend(samples: CosineSamples, first: Floats) -> tuple[Floats, float]:
     """Numbers after a descent, and their cost."""
     cos = samples.cosines.incident[:, None]
 
@@ -109,7 +109,7 @@ def _bounds(size: int) -> tuple[Floats, Floats]:
     return np.array([0.0] * 3 + lobe_low * lobes), np.array([np.inf] * 3 + lobe_high * lobes)
 
 
-def _first(samples: Samples, alphas: tuple[float, ...]) -> Floats:
+def _first(samples: CosineSamples, alphas: tuple[float, ...]) -> Floats:
     """Where a descent begins: colours that fit best at these alphas and F0 = 0.04, none below 0."""
     shapes = [torch.full_like(samples.cosines.half, 1 / math.pi)]
     fresnel = fresnel_schlick(samples.cosines.difference, 0.04)

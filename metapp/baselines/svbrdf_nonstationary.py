@@ -13,7 +13,15 @@ import torch
 from torch.nn.functional import adaptive_avg_pool2d, interpolate, normalize
 
 from metapp.appearance.flash import Maps, unpack
-from metapp.baselines.baseline import Allowed, Baseline, Fitted, Prepared, Training, both_ways, nearest_photo
+from metapp.baselines.baseline import (
+    Allowed,
+    Baseline,
+    BaselineFit,
+    PreparedBaseline,
+    Training,
+    both_ways,
+    nearest_photo,
+)
 from metapp.learning.app import App
 from metapp.learning.task import Tasks
 
@@ -63,7 +71,7 @@ class Sheets(NamedTuple):
     shapes: np.ndarray
 
 
-class Setting(NamedTuple):
+class PngSetting(NamedTuple):
     """Texels of a side, and bits a channel, of a PNG."""
 
     side: int
@@ -77,7 +85,7 @@ def baselines(app: App) -> tuple[Baseline, ...]:
         return (Baseline("nearest", title, "be a material that is not in its set", _nearest),)
     cannot = "read maps from a photo"
 
-    def as_jpeg(tasks: Tasks, rung: int) -> Fitted:
+    def as_jpeg(tasks: Tasks, rung: int) -> BaselineFit:
         return _kept([jpeg(sheet, rung + 1) for sheet in sheets(_maps(tasks))], ".jpg", lambda maps: maps)
 
     return (
@@ -107,26 +115,26 @@ def _maps(tasks: Tasks) -> Maps:
     return unpack(tasks.data["maps"][tasks.rows])
 
 
-def _kept(files: Sequence[bytes], suffix: str, after: Callable[[Maps], Maps]) -> Fitted:
+def _kept(files: Sequence[bytes], suffix: str, after: Callable[[Maps], Maps]) -> BaselineFit:
     """Both files, and what their maps go through."""
 
     def answer() -> Maps:
         return after(maps_of(Sheets(*(decoded(file, suffix) for file in files))))
 
-    return Fitted(answer, None, sum(map(len, files)))
+    return BaselineFit(answer, None, sum(map(len, files)))
 
 
-def _settings(side: int) -> list[Setting]:
+def _settings(side: int) -> list[PngSetting]:
     """Those of PNGs of maps of so many texels a side: more texels, then more bits."""
     sides = {round(side * 2 ** (-i / 4)) for i in range(64)}
-    return [*(Setting(fewer, 8) for fewer in sorted(sides) if fewer >= SMALLEST), Setting(side, 16)]
+    return [*(PngSetting(fewer, 8) for fewer in sorted(sides) if fewer >= SMALLEST), PngSetting(side, 16)]
 
 
 def _count(tasks: Tasks) -> int:
     return len(_settings(_maps(tasks).diffuse.shape[-1]))
 
 
-def _png(tasks: Tasks, rung: int) -> Fitted:
+def _png(tasks: Tasks, rung: int) -> BaselineFit:
     maps = _maps(tasks)
     full = maps.diffuse.shape[-1]
     side, bits = _settings(full)[rung]
@@ -140,5 +148,5 @@ def _enlarged(maps: Maps, side: int) -> Maps:
     return wide._replace(normal=normalize(wide.normal, dim=1))
 
 
-def _nearest(training: Training, allowed: Allowed) -> Prepared:
+def _nearest(training: Training, allowed: Allowed) -> PreparedBaseline:
     return nearest_photo(training, "maps", unpack, lambda photos: (photos + 0.02).log())

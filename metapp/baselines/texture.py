@@ -16,7 +16,7 @@ from torch import Generator, Tensor
 
 from metapp.appearance.colour import srgb_to_linear
 from metapp.appearance.features import distance
-from metapp.baselines.baseline import Allowed, Baseline, Fitted, Prepared, Training, bytes_of, nearest
+from metapp.baselines.baseline import Allowed, Baseline, BaselineFit, PreparedBaseline, Training, bytes_of, nearest
 from metapp.learning.app import App
 from metapp.learning.task import Tasks
 from metapp.networks.exemplar import JUDGED, ExemplarApp
@@ -28,7 +28,7 @@ TOLERANCE = 0.1  # as published: patches whose overlaps differ by so much more t
 Make = Callable[[np.ndarray, np.random.Generator], np.ndarray]
 
 
-def nearest_exemplar(training: Training, allowed: Allowed) -> Prepared:
+def nearest_exemplar(training: Training, allowed: Allowed) -> PreparedBaseline:
     """The training exemplar with the least error; the set itself is shared, its pictures and their Gram matrices."""
     assert isinstance(training.app, ExemplarApp)
     known = training.stacked
@@ -43,7 +43,7 @@ def nearest_exemplar(training: Training, allowed: Allowed) -> Prepared:
 
     shared = bytes_of(known.data["image"], *(known.data[name] for name in names))
     fit = nearest(distances, lambda index: pictures[index][None, None], lambda index: picture_of(pictures[index]))
-    return Prepared(fit, shared)
+    return PreparedBaseline(fit, shared)
 
 
 def picture_of(srgb: Tensor) -> Tensor:
@@ -157,17 +157,17 @@ def baselines(app: App) -> tuple[Baseline, ...]:
     )
 
 
-def _copies(make: Make, training: Training, allowed: Allowed) -> Prepared:
+def _copies(make: Make, training: Training, allowed: Allowed) -> PreparedBaseline:
     """Pictures of patches of the exemplar; seconds are of as many pictures as are judged."""
     app = training.app
     assert isinstance(app, ExemplarApp)
 
-    def fit(tasks: Tasks, rng: Generator, allowed: Allowed) -> Fitted:
+    def fit(tasks: Tasks, rng: Generator, allowed: Allowed) -> BaselineFit:
         exemplar = app.exemplar(tasks.data["image"][tasks.rows].float() / 255)[0]
         numbers = np.random.default_rng(int(torch.randint(2**31, (), generator=rng)))
         made = [make(exemplar.permute(1, 2, 0).numpy(), numbers) for _ in range(JUDGED)]
         pictures = torch.from_numpy(np.stack(made)).permute(0, 3, 1, 2)[None]
         count = exemplar.numel()  # and as many bytes
-        return Fitted(lambda: pictures, count, count, picture=picture_of(pictures[0, 0]))
+        return BaselineFit(lambda: pictures, count, count, picture=picture_of(pictures[0, 0]))
 
-    return Prepared(fit)
+    return PreparedBaseline(fit)

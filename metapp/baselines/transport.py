@@ -20,7 +20,7 @@ from scipy.special import logsumexp
 from torch import Generator, Tensor
 
 from metapp.appearance.latlong import luminance
-from metapp.baselines.baseline import Allowed, Baseline, Fitted, Prepared, Training
+from metapp.baselines.baseline import Allowed, Baseline, BaselineFit, PreparedBaseline, Training
 from metapp.learning.app import App
 from metapp.learning.task import Tasks
 
@@ -116,7 +116,7 @@ class Pair(NamedTuple):
     levels: tuple[tuple[Counts, ...], ...]
     shifts: Floats | None
 
-    def look(self, points: Floats) -> Looked:
+    def counts_at(self, points: Floats) -> PointCounts:
         """What is known about points [N, 4]: place, then direction."""
         places, directions = len(self.levels) - 1, len(self.levels[0]) - 1
         moved = _moved(points, self.shifts)
@@ -125,10 +125,10 @@ class Pair(NamedTuple):
             np.stack([counts.of(_above(key, places, directions, i, j)) for j, counts in enumerate(of)])
             for i, of in enumerate(self.levels)
         ])  # fmt: skip
-        return Looked(counts, np.stack([_areas(moved[:, 2:], self.shifts, j) for j in range(directions + 1)]))
+        return PointCounts(counts, np.stack([_areas(moved[:, 2:], self.shifts, j) for j in range(directions + 1)]))
 
 
-class Looked(NamedTuple):
+class PointCounts(NamedTuple):
     """What a density knows about points.
 
     Attributes:
@@ -218,21 +218,21 @@ class Histograms(NamedTuple):
     grids: int
     picture: bool
 
-    def prepare(self, training: Training, allowed: Allowed) -> Prepared:
+    def prepare(self, training: Training, allowed: Allowed) -> PreparedBaseline:
         """Choose strengths on training scenes."""
         chosen = self._chosen(training.holding("held").stacked, allowed.samples)
 
-        def fit(tasks: Tasks, rng: Generator, allowed: Allowed) -> Fitted:
+        def fit(tasks: Tasks, rng: Generator, allowed: Allowed) -> BaselineFit:
             made = self.made(tasks, rng, allowed.samples)
-            return Fitted(functools.partial(answer, tasks, made), *made.kept)
+            return BaselineFit(functools.partial(answer, tasks, made), *made.kept)
 
         def answer(tasks: Tasks, made: Densities) -> tuple[Tensor, Tensor]:
             points = _held(tasks)
             film = made.film.log_density(points[:, :2], _film(chosen.film))
-            directions = _mean([grid.look(points) for grid in made.directions], chosen.directions)
+            directions = _mean([grid.counts_at(points) for grid in made.directions], chosen.directions)
             return torch.from_numpy(film)[None].float(), torch.from_numpy(directions)[None].float()
 
-        return Prepared(fit, chosen={"smoothing": [[round(x, 3) for x in strengths] for strengths in chosen]})
+        return PreparedBaseline(fit, chosen={"smoothing": [[round(x, 3) for x in strengths] for strengths in chosen]})
 
     def made(self, tasks: Tasks, rng: Generator, count: int) -> Densities:
         """The densities of one scene's samples, as `Transport.sample` draws them."""
@@ -253,7 +253,7 @@ class Histograms(NamedTuple):
             one = known.select([scene])
             made, points = self.made(one, Generator().manual_seed(scene), count), _held(one)[:POINTS]
             films.append((made.film, points[:, :2]))
-            directions.append([grid.look(points) for grid in made.directions])
+            directions.append([grid.counts_at(points) for grid in made.directions])
 
         def film(x: Floats) -> float:
             return -float(np.mean([square.log_density(points, _film(x)) for square, points in films]))
@@ -302,9 +302,9 @@ def _film(smoothing: Floats | tuple[float, ...]) -> Floats:
     return np.asarray(np.exp(first + slope * np.arange(FILM)))
 
 
-def _mean(looked: list[Looked], smoothing: Floats | tuple[float, ...]) -> Floats:
+def _mean(grids: list[PointCounts], smoothing: Floats | tuple[float, ...]) -> Floats:
     """The log of the mean density of several grids."""
     first, by_place, by_direction = smoothing
     levels = first + by_place * np.arange(PLACES + 1)[:, None] + by_direction * np.arange(DIRECTIONS)
-    densities = [counts.log_density(np.exp(levels)) for counts in looked]
-    return np.asarray(logsumexp(densities, axis=0) - np.log(len(looked)))
+    densities = [counts.log_density(np.exp(levels)) for counts in grids]
+    return np.asarray(logsumexp(densities, axis=0) - np.log(len(grids)))

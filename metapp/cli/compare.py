@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -12,6 +12,8 @@ from metapp.cli.options import FittedData, Json, RunPath
 from metapp.runs.reporter import number, say
 
 if TYPE_CHECKING:
+    from rich.table import Table
+
     from metapp.runs.compare import Comparison
 
 
@@ -51,7 +53,7 @@ def command(
         print_json(compared.document(picture))
 
 
-def _table(compared: Comparison) -> Any:
+def _table(compared: Comparison) -> Table:
     """One line a task, and the means."""
     from rich.table import Table
     from rich.text import Text
@@ -60,7 +62,7 @@ def _table(compared: Comparison) -> Any:
     from metapp.runs.statistics import FEWEST
 
     one, other = compared.sides
-    found, app = compared.found, one.app
+    found, app = compared.ratio, one.app
     said = [caption_of(app)]
     if found:
         ahead = f"{one.label} has the lower error on {found.ahead} of {found.tasks}"

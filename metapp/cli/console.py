@@ -15,14 +15,15 @@ import threading
 import time
 import warnings
 from collections.abc import Callable, Iterator
-from typing import Any
+from typing import IO
 
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, ProgressColumn, TextColumn, TimeRemainingColumn
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, ProgressColumn, Task, TextColumn, TimeRemainingColumn
 from rich.text import Text
 
 from metapp.runs import BadOption
 from metapp.runs.reporter import Bar, Clock, Reporter, duration, reporting
+from metapp.storage import Document
 
 LONGEST = 300  # characters of an error or a warning
 
@@ -71,7 +72,7 @@ def one_line(message: str) -> str:
     return text if len(text) <= LONGEST else f"{text[:half]} ... {text[-half:]}"
 
 
-def _leave(stream: Any) -> None:
+def _leave(stream: IO[str]) -> None:
     """Let a stream that cannot be written to lead nowhere, so that Python does not fail at it again when it ends."""
     with contextlib.suppress(OSError, ValueError):
         os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
@@ -91,7 +92,7 @@ def importing() -> Iterator[None]:
         gc.enable()
 
 
-def print_json(document: dict[str, Any]) -> None:
+def print_json(document: Document) -> None:
     """Write an object as one line of standard output, at once.
 
     Raises:
@@ -103,7 +104,7 @@ def print_json(document: dict[str, Any]) -> None:
     sys.stdout.flush()
 
 
-def run(command: Callable[[], Any]) -> int:
+def run(command: Callable[[], object]) -> int:
     """Run a command; an error of the user's or of the data is one line on standard error, never a traceback."""
     import typer
 
@@ -173,7 +174,7 @@ def lines_of_input() -> Iterator[str]:
 def _end_like_ctrl_c() -> None:
     """SIGTERM, by which clusters and systems end a program, keeps what Ctrl-C keeps."""
 
-    def stop(*_: Any) -> None:
+    def stop(*_: object) -> None:
         raise KeyboardInterrupt
 
     if threading.current_thread() is threading.main_thread():
@@ -199,7 +200,7 @@ def _interrupted(terminal: Terminal) -> int:
 class _Speed(ProgressColumn):
     """Steps a second."""
 
-    def render(self, task: Any) -> Text:
+    def render(self, task: Task) -> Text:
         return Text(f"{task.speed:.1f}/s" if task.speed else "")
 
 

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import enum
-import functools
-import inspect
 from collections.abc import Callable
+from dataclasses import field, make_dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -13,7 +12,7 @@ import typer
 
 from data_tools.formats import SPLIT, Command, Format, Setting
 from metapp.cli.console import print_json
-from metapp.cli.options import Json
+from metapp.cli.options import Json, takes
 from metapp.runs.convert import Converted, convert
 from metapp.runs.reporter import say
 
@@ -44,35 +43,32 @@ Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress and no s
 def command_of(form: Format, about: Command) -> Callable[..., None]:
     """Make the command that converts files of a format; its options are the command's settings."""
 
-    def command(paths: list[Path], folder: Path, split: Split, quiet: bool, as_json: bool, **settings: Any) -> None:
-        chosen = {name: value.value if isinstance(value, enum.Enum) else value for name, value in settings.items()}
-        conversion = form.conversion(paths, split.value, chosen)
+    def command(options: Any) -> None:
+        settings = {setting.name: getattr(options, setting.name) for setting in about.settings}
+        settings = {name: value.value if isinstance(value, enum.Enum) else value for name, value in settings.items()}
+        conversion = form.conversion(options.paths, options.split.value, settings)
         for line in conversion.remarks:
             say(f"warning: {line}")
-        report(convert(conversion, paths, folder, split.value, quiet), quiet, as_json)
+        done = convert(conversion, options.paths, options.folder, options.split.value, options.quiet)
+        report(done, options.quiet, options.as_json)
 
-    split_option = Annotated[Split, typer.Option("--split", help=about.split_help)]
-    keyword = functools.partial(inspect.Parameter, kind=inspect.Parameter.KEYWORD_ONLY)
-    parameters = [
-        keyword("paths", annotation=Annotated[list[Path], typer.Argument(metavar=about.metavar, help=about.paths)]),
-        keyword("folder", annotation=Out),
-        keyword("split", annotation=split_option, default=Split.AUTO),
-        *(keyword(setting.name, annotation=_option(setting), default=setting.default) for setting in about.settings),
-        keyword("quiet", annotation=Quiet, default=False),
-        keyword("as_json", annotation=Json, default=False),
-    ]
-    command.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
-    command.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
     command.__name__, command.__doc__ = form.name, about.help
-    return command
-
-
-def _option(setting: Setting) -> Any:
-    choices: Any = enum.StrEnum("Choice", list(setting.choices))  # type: ignore[misc]  # made at run time
-    kind: Any = choices if setting.choices else type(setting.default)
-    return Annotated[
-        kind, typer.Option(min=setting.low, max=setting.high, metavar=setting.metavar or None, help=setting.help)
+    options: list[tuple[str, object] | tuple[str, object, object]] = [
+        ("paths", Annotated[list[Path], typer.Argument(metavar=about.metavar, help=about.paths)]),
+        ("folder", Out),
+        ("split", Annotated[Split, typer.Option("--split", help=about.split_help)], field(default=Split.AUTO)),
+        *((setting.name, _option(setting), field(default=setting.default)) for setting in about.settings),
+        ("quiet", Quiet, field(default=False)),
+        ("as_json", Json, field(default=False)),
     ]
+    return takes(make_dataclass(form.name, options))(command)
+
+
+def _option(setting: Setting) -> object:
+    choices = enum.StrEnum("Choice", list(setting.choices)) if setting.choices else None
+    metavar = setting.metavar or None
+    option = typer.Option(min=setting.low, max=setting.high, metavar=metavar, help=setting.help)
+    return Annotated[choices or type(setting.default), option]
 
 
 def report(done: Converted, quiet: bool, as_json: bool) -> None:

@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -172,7 +172,7 @@ def _written(
     sources: Iterable[Path],
     name: str,
     units: Mapping[str, str],
-    notes: Mapping[str, Any],
+    notes: Mapping[str, object],
     pairs: list[tuple[Entry, Task]],
     change: Callable[[Task], Task],
     quiet: bool,

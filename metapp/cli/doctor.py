@@ -7,10 +7,10 @@ import shutil
 import subprocess
 import sysconfig
 from importlib import metadata
-from typing import Any
 
 from metapp.cli.console import out, print_json
 from metapp.cli.options import Json
+from metapp.storage import Document
 
 PACKAGES = (
     "metapp",
@@ -40,7 +40,7 @@ def command(
         out().print(f"{name:<11} {text}", markup=False, soft_wrap=True)
 
 
-def examine() -> dict[str, Any]:
+def examine() -> Document:
     """What `doctor` prints, by subject."""
     import torch
 

@@ -19,6 +19,7 @@ from metapp.cli.fitting import fit
 from metapp.cli.options import Json
 from metapp.runs.reporter import say
 from metapp.runs.request import Request
+from metapp.storage import Document
 
 if TYPE_CHECKING:
     from typer._click import Context, HelpFormatter
@@ -32,7 +33,7 @@ DEFAULT_RECIPE = "default: full, the best rule and size that ships"
 LINES = "- with --json: one a line of standard input, each answered by a line at once."
 
 # what an option or argument of each field of a Request is; names, types and defaults are the field's
-OPTIONS: dict[str, Any] = {
+OPTIONS: Document = {
     "app": typer.Argument(
         metavar="APP",
         help=f"Application: {', '.join(app_names())}; with its name --help shows its inputs and its own options.",

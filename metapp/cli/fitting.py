@@ -5,12 +5,13 @@ from __future__ import annotations
 import statistics
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import typer
 
 from metapp.cli.console import Exit, lines_of_input, one_line, out, print_json, what_failed
 from metapp.runs.reporter import number, say
+from metapp.storage import Document
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -74,7 +75,7 @@ def _show(run: Run, *, json: bool) -> None:
 
 
 def table_of(
-    app: App, paradigm: str, records: Sequence[dict[str, Any]], *, rate: float | None = None, most: int | None = None
+    app: App, paradigm: str, records: Sequence[Document], *, rate: float | None = None, most: int | None = None
 ) -> Table:
     """One line a task, and their mean; of more than `most` those of the largest errors.
 

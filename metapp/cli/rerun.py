@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from metapp.cli.console import Exit, out, print_json
 from metapp.cli.options import FittedData, Json
 from metapp.runs.reporter import number, say
+from metapp.storage import Document
 
 if TYPE_CHECKING:
+    from rich.table import Table
+
     from metapp.runs.rerun import Repeated
 
 
@@ -59,7 +62,7 @@ def command(
     return Exit.FAILED if failed else Exit.DONE
 
 
-def _document(row: Repeated) -> dict[str, Any]:
+def _document(row: Repeated) -> Document:
     difference = row.difference if row.difference < float("inf") else None
     return row._asdict() | {"difference": difference, "agrees": row.agrees}
 
@@ -71,7 +74,7 @@ def _say_conditions(rows: list[Repeated]) -> None:
         say(f"note: {each}")
 
 
-def _table(rows: list[Repeated]) -> Any:
+def _table(rows: list[Repeated]) -> Table:
     """One line a task: errors, their difference and how much of it is rounding, seconds."""
     from rich.table import Table
     from rich.text import Text

@@ -12,7 +12,7 @@ import torch
 from threadpoolctl import threadpool_limits
 from torch import Generator
 
-from metapp.baselines.baseline import Allowed, Baseline, Prepared, Training, bytes_of
+from metapp.baselines.baseline import Allowed, Baseline, PreparedBaseline, Training, bytes_of
 from metapp.learning.app import App, stack
 from metapp.learning.task import Params, Task
 from metapp.runs.embedded import embedded_data, embedded_exists
@@ -86,7 +86,7 @@ def fit_baselines(
 
 
 def _fit_one(
-    plan: Plan, prepared: Prepared, task: Task, allowed: Allowed, *, timed: bool = True
+    plan: Plan, prepared: PreparedBaseline, task: Task, allowed: Allowed, *, timed: bool = True
 ) -> tuple[Record, Params | None]:
     rng, app = rng_of(plan, task), plan.app
     begin = time.perf_counter()

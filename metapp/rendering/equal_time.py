@@ -1,4 +1,7 @@
-"""Pictures of a scene by `guided_path`, and by `path` in the same time: seconds of CPU, everything counted."""
+"""Pictures of a scene by `guided_path`, and by `path` in the same time: seconds of CPU, everything counted.
+
+Scenes are loaded; `spp` are samples a pixel, `depth` edges of the longest path, `seed` is of all draws.
+"""
 
 from __future__ import annotations
 
@@ -48,12 +51,7 @@ def resize(scene: Scene, side: int) -> None:
 
 
 def square_sensor(scene: Scene, side: int) -> Sensor:
-    """A sensor that sees the central square of what a scene's first, perspective one sees, each pixel by itself.
-
-    Args:
-        scene: loaded.
-        side: of the film, px.
-    """
+    """A sensor, `side` px wide, that sees the central square of what a scene's first, perspective one sees."""
     sensor = scene.sensors()[0]
     width, height = (int(n) for n in sensor.film().size())
     values = mi.traverse(sensor)
@@ -66,16 +64,7 @@ def square_sensor(scene: Scene, side: int) -> Sensor:
 def guided_picture(
     scene: Scene, spp: int, depth: int, seed: int = 0, *, emitter_sampling: bool = True, checkpoint: str = ""
 ) -> TimedPicture:
-    """By `guided_path`, which must be registered.
-
-    Args:
-        scene: loaded.
-        spp: samples a pixel.
-        depth: edges of the longest path.
-        seed: of all draws.
-        emitter_sampling: whether there is next-event estimation.
-        checkpoint: of the prior, as of `guided_path`.
-    """
+    """By `guided_path`, which must be registered, with properties of it."""
     begin = time.process_time()
     kind = {"type": "guided_path", "max_depth": depth, "emitter_sampling": emitter_sampling, "checkpoint": checkpoint}
     integrator = mi.load_dict(kind)
@@ -86,15 +75,7 @@ def guided_picture(
 
 
 def regular_picture(scene: Scene, seconds: float, spp: int, depth: int, seed: int = 0) -> TimedPicture:
-    """By `path`, in as many waves as there is time for, one at least.
-
-    Args:
-        scene: loaded.
-        seconds: of CPU.
-        spp: samples a pixel that there may be time for, about.
-        depth: edges of the longest path.
-        seed: of all draws.
-    """
+    """By `path`, in as many waves as there are seconds of CPU for, one at least, of `spp` about in all."""
     integrator = mi.load_dict({"type": "path", "max_depth": depth})
     per_wave = max(1, spp // _WAVES)
     begin, longest, total, waves = time.process_time(), 0.0, torch.zeros(()), 0

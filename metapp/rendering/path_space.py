@@ -197,14 +197,7 @@ def render(scene: SceneDict | Tracer, spp: int, size: int, seed: int = 0, guide:
 def reference(scene: SceneDict | Tracer, size: int, spp: int = _REFERENCE_SPP, seed: int = 1) -> Tensor:
     """The picture that `render` tends to, with less noise: Mitsuba's `path`, which has next-event estimation.
 
-    Args:
-        scene: as for `render`.
-        size: side of the picture, px; 64 take 7 s on one core.
-        spp: paths a pixel.
-        seed: of all draws.
-
-    Returns:
-        [3, size, size], linear RGB radiance.
+    Arguments and result are those of `render`; 64 px take 7 s on one core.
     """
     tracer = scene if isinstance(scene, Tracer) else Tracer(scene)
     mi, rng = tracer.mi, Generator().manual_seed(seed)

@@ -21,20 +21,14 @@ from safetensors.torch import save
 from torch import Tensor
 
 from metapp.appearance import latlong
-from metapp.rendering.scene_rules import box_film
-from metapp.rendering.types import Mitsuba
+from metapp.rendering.second_scene_geometry import HEIGHT, WIDTH, scene_dict
 from metapp.rendering.variant import load_mitsuba
 from metapp.storage.cache import cache_folder
 from metapp.storage.files import write_atomically
 from metapp.storage.tensors import read_tensors
 
 VERSION = 1  # of the scene and its matrix, in the name of the cached file
-HEIGHT, WIDTH = 64, 96  # of the picture, px
 SAMPLES = 16384  # paths from each pixel to the light, spread over the texels
-FLOOR_ALBEDO, MATTE_ALBEDO, GLOSSY_REFLECTANCE = 0.5, 0.7, 0.9
-ALPHA = 0.12  # of the glossy sphere, GGX
-MATTE_CENTRE, GLOSSY_CENTRE = (-1.15, 1.0, 0.0), (1.15, 1.0, 0.0)  # both spheres have radius 1; y = 0 is the floor
-CAMERA, TARGET, FIELD_DEGREES = (0.0, 4.6, 9.0), (0.0, 0.75, 0.1), 32.0  # field of view across the picture
 FINER = 8  # a texel becomes so many, squared, for Mitsuba's `envmap`, which would else blend it with its neighbours
 
 _BOUNCES = 4  # between patches; what is left out is 0.1 % of the light
@@ -98,23 +92,6 @@ def direct(illumination: Tensor, spp: int = 256, *, seed: int = 0) -> Tensor:
     bitmap = mi.Bitmap(texels.movedim(0, -1).float().cpu().contiguous().numpy())
     scene = mi.load_dict({**scene_dict(mi), "light": {"type": "envmap", "bitmap": bitmap}})
     return torch.from_numpy(mi.render(scene, spp=spp, seed=seed).numpy()).movedim(-1, 0)
-
-
-def scene_dict(mi: Mitsuba) -> dict[str, object]:
-    """The scene without a light, with Mitsuba's matrices."""
-    frame = mi.ScalarTransform4f()
-    pose = frame.look_at(origin=CAMERA, target=TARGET, up=[0, 1, 0])
-    glossy = {"type": "roughconductor", "material": "none", "distribution": "ggx", "alpha": ALPHA,
-              "specular_reflectance": GLOSSY_REFLECTANCE}  # fmt: skip
-    diffuse = {"type": "diffuse", "reflectance": FLOOR_ALBEDO}
-    return {
-        "type": "scene",
-        "integrator": {"type": "path", "max_depth": 16},
-        "sensor": {"type": "perspective", "fov": FIELD_DEGREES, "to_world": pose, "film": box_film(WIDTH, HEIGHT)},
-        "floor": {"type": "rectangle", "to_world": frame.rotate([1, 0, 0], -90).scale(1000), "bsdf": diffuse},
-        "matte": {"type": "sphere", "center": MATTE_CENTRE, "bsdf": diffuse | {"reflectance": MATTE_ALBEDO}},
-        "glossy": {"type": "sphere", "center": GLOSSY_CENTRE, "bsdf": glossy},
-    }
 
 
 def _build(height: int, width: int, report: Report) -> Tensor:

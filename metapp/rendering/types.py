@@ -35,7 +35,6 @@ Bsdf = Any
 BsdfContext = Any
 BsdfFlags = Any
 Facets = Any  # MicrofacetDistribution
-Texture = Any
 Emitter = Any
 Properties = Any
 TraversalCallback = Any

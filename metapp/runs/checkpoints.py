@@ -5,7 +5,6 @@ from __future__ import annotations
 import shlex
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 from torch import Generator, Tensor
 
@@ -22,6 +21,7 @@ from metapp.runs.inputs import data_folder, data_label
 from metapp.runs.naming import is_first_protocol, name_of
 from metapp.runs.plan import Checkpoint, Plan
 from metapp.runs.reporter import say
+from metapp.storage import Document
 from metapp.storage.records import digest, load_checkpoint, tensor_digest
 
 FOLDERS = ("checkpoints", "starts")  # of what was trained for an application; the second one by earlier versions
@@ -87,7 +87,7 @@ def _of_app(plan: Plan) -> Path:
     return plan.request.out / plan.app.name
 
 
-def _require_protocol(path: Path, app: App, info: dict[str, Any]) -> None:
+def _require_protocol(path: Path, app: App, info: Document) -> None:
     """Refuse a checkpoint that learned from what fits may not see now; General's, which all share, says none."""
     then = info.get("observe", app.protocol)
     if then != app.protocol:
@@ -97,7 +97,7 @@ def _require_protocol(path: Path, app: App, info: dict[str, Any]) -> None:
         )
 
 
-def _require_conditions(path: Path, app: App, prepared: MetaParameters, info: dict[str, Any]) -> None:
+def _require_conditions(path: Path, app: App, prepared: MetaParameters, info: Document) -> None:
     """Say that a checkpoint was trained with other features than are at hand; refuse one whose encoder reads them."""
     for key, now in app.conditions().items():
         then = info.get(key, now)
@@ -220,9 +220,9 @@ def _require(path: Path, part: str, found: Params, expected: Params, *, steps: b
         if steps and all(shapes):
             shapes = [shape and ("steps", *shape[1:]) for shape in shapes]
         if shapes[0] != shapes[1]:
-            has, wants = (_said(shape) for shape in shapes)
+            has, wants = (_shape_text(shape) for shape in shapes)
             raise ValueError(f"{path}: {part} {key} is {has}, expected {wants}; {remedy}.")
 
 
-def _said(shape: tuple[int | str, ...] | None) -> str:
+def _shape_text(shape: tuple[int | str, ...] | None) -> str:
     return "missing" if shape is None else f"({', '.join(map(str, shape))})"

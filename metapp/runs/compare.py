@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import statistics
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from metapp.apps import presentation_of
 from metapp.learning.app import App
@@ -14,6 +14,7 @@ from metapp.runs.recorded import app_as, read_run, tasks_as
 from metapp.runs.reporter import progress
 from metapp.runs.statistics import Paired, paired
 from metapp.runs.surroundings import threads, threads_of
+from metapp.storage import Document
 
 TOLD = (
     "paradigm",
@@ -39,7 +40,7 @@ class Side(NamedTuple):
     label: str
     app: App
     folder: Path
-    records: list[dict[str, Any]]
+    records: list[Document]
 
     def errors(self) -> dict[str, float]:
         """By the task's name, of those that have one."""
@@ -60,16 +61,16 @@ class Comparison(NamedTuple):
     Attributes:
         sides: the two.
         tasks: what was fitted, in the order of the records; none where it is not to be had.
-        found: the mean error of the first over that of the second, or their difference; None where there is none.
+        ratio: the mean error of the first over that of the second, or their difference; None where there is none.
         notes: what differs beside the runs' settings and must be known.
     """
 
     sides: tuple[Side, Side]
     tasks: list[Task]
-    found: Paired | None
+    ratio: Paired | None
     notes: list[str]
 
-    def document(self, picture: Path | None) -> dict[str, Any]:
+    def document(self, picture: Path | None) -> Document:
         """What --json prints."""
         one, other = self.sides
         pairs = zip(one.records, other.records, strict=True)
@@ -79,7 +80,7 @@ class Comparison(NamedTuple):
                 {"label": side.label, "out": str(side.folder), "error": side.mean(), "seconds": side.seconds()}
                 for side in self.sides
             ],
-            "compared": self.found and self.found._asdict(),
+            "compared": self.ratio and self.ratio._asdict(),
             "tasks": [
                 {"name": a["name"], "error": [a["error"], b["error"]], "seconds": [a["seconds"], b["seconds"]]}
                 for a, b in pairs
@@ -143,7 +144,7 @@ def draw(compared: Comparison, file: Path, *, quiet: bool) -> Path | None:
     return write_compared(app, columns, file)
 
 
-def _labels(first: dict[str, Any], second: dict[str, Any]) -> tuple[str, str]:
+def _labels(first: Document, second: Document) -> tuple[str, str]:
     """What tells two runs apart, in a word each; A and B where nothing in TOLD does."""
     for key in TOLD:
         if first.get(key) != second.get(key):
@@ -153,7 +154,7 @@ def _labels(first: dict[str, Any], second: dict[str, Any]) -> tuple[str, str]:
     return "A", "B"
 
 
-def _notes(settings: list[dict[str, Any]], by_name: list[dict[str, Any]], names: list[str]) -> list[str]:
+def _notes(settings: list[Document], by_name: list[Document], names: list[str]) -> list[str]:
     """What must be known beside the labels."""
     one, other = settings
     left_out = sum(map(len, by_name)) - 2 * len(names)

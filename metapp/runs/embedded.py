@@ -9,11 +9,11 @@ import shutil
 import time
 from pathlib import Path
 from types import ModuleType
-from typing import Any
 
 from data_tools import synthetic
 from metapp.apps import app_names
 from metapp.runs.reporter import progress, say
+from metapp.storage import Document
 from metapp.storage.cache import cache_folder
 from metapp.storage.files import locked
 
@@ -130,7 +130,7 @@ def _default_folder(app: str) -> Path:
     return cache_folder() / "data" / f"{app}-{sum(split_counts(app).values())}-seed0-v{_version(app)}"
 
 
-def _make(app: str, folder: Path, counts: dict[str, int], notes: dict[str, Any], quiet: bool) -> None:
+def _make(app: str, folder: Path, counts: dict[str, int], notes: Document, quiet: bool) -> None:
     from metapp.storage.shards import ShardWriter
 
     module = embedded_module(app)
@@ -144,7 +144,7 @@ def _make(app: str, folder: Path, counts: dict[str, int], notes: dict[str, Any],
                 bar.advance(task.name)
 
 
-def _is_finished(folder: Path, app: str, notes: dict[str, Any]) -> bool:
+def _is_finished(folder: Path, app: str, notes: Document) -> bool:
     from metapp.storage.manifest import read_manifest
 
     try:

@@ -6,14 +6,14 @@ import time
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import torch
 
 from metapp.apps import presentation_of
 from metapp.learning.task import Task
 from metapp.paradigms import ranks
-from metapp.runs.batch_size import BatchSize, check_batch
+from metapp.runs.batch_size import BatchSize, alike, check_batch
 from metapp.runs.checkpoints import find_checkpoint
 from metapp.runs.fits import Fitter, Result
 from metapp.runs.inputs import SOURCED, Source, sources_of, sources_to_fit, tasks_to_fit
@@ -26,8 +26,9 @@ from metapp.runs.request import portion_of
 from metapp.runs.surroundings import make_folder, threads, threads_of
 from metapp.runs.training import train_checkpoint
 from metapp.runs.watching import Watched
+from metapp.storage import Document
 from metapp.storage.files import named
-from metapp.storage.records import FIT, Record, RunFolder, guarded, summary
+from metapp.storage.records import FIT, RunFolder, guarded, summary
 
 
 class Failure(NamedTuple):
@@ -61,14 +62,14 @@ class Run(NamedTuple):
     plan: Plan
     label: str
     tasks: Sequence[Task]
-    records: list[Record]
+    records: list[Document]
     folder: RunFolder
     made: Path | None
     failures: list[Failure]
     tasks_per_second: float | None
     gallery: Path | None
 
-    def document(self) -> dict[str, Any]:
+    def document(self) -> Document:
         """What --json prints."""
         plan, settings = self.plan, self.folder.settings
         fields = ("name", "error", "seconds", "steps")
@@ -113,17 +114,17 @@ def execute(plan: Plan, lines: Iterable[Path] | None = None) -> Iterator[Run | F
     if ranks.number() > 0:
         if plan.request.train:
             with reporting(Reporter()):
-                prepared(replace(plan, request=replace(plan.request, quiet=True)))
+                with_checkpoint(replace(plan, request=replace(plan.request, quiet=True)))
         return
     make_folder(plan.request.out)
-    fitter = None if lines is None else Fitter(prepared(plan))  # a missing checkpoint is said before the first line
+    fitter = None if lines is None else Fitter(with_checkpoint(plan))  # said before the first line if missing
     for inputs in [plan.request.inputs] if lines is None else ((path,) for path in lines):
         done: Run | Failure
         try:
             one = replace(plan, request=replace(plan.request, inputs=inputs))
             with threads(threads_of(plan.app)):
                 sources, label = _sources(one)
-                fitter = fitter or Fitter(prepared(plan))
+                fitter = fitter or Fitter(with_checkpoint(plan))
                 fitter.plan = replace(one, checkpoint=fitter.plan.checkpoint)
                 done = _run(fitter, sources, label)
         except Exception as error:  # whatever it is, the next line is not to blame
@@ -133,7 +134,7 @@ def execute(plan: Plan, lines: Iterable[Path] | None = None) -> Iterator[Run | F
         yield done
 
 
-def prepared(plan: Plan) -> Plan:
+def with_checkpoint(plan: Plan) -> Plan:
     """The plan with the best checkpoint, trained first if that is asked for, by all ranks together."""
     with threads(threads_of(plan.app)):
         if plan.request.train:
@@ -179,7 +180,10 @@ def _run(fitter: Fitter, sources: list[Source], label: str) -> Run:
     if request.export and tasks:
         say(f"{len(tasks)} fits written as {request.export}: {folder.path / request.export}")
     made = folder.path / OUTPUTS if (folder.path / OUTPUTS).is_dir() else None
-    gallery = write_gallery(plan.app, plan.paradigm.name, folder, loop.failures) if lazy else None
+    gallery = None
+    if lazy:
+        failures = [(failure.source, failure.reason) for failure in loop.failures]
+        gallery = write_gallery(plan.app, plan.paradigm.name, folder, failures)
     return Run(plan, label, tasks, list(records.values()), folder, made, loop.failures, rate, gallery)
 
 
@@ -223,7 +227,7 @@ class _Loop:
         self.failures: list[Failure] = []
         self.count = 0
 
-    def known(self, sources: Sequence[Source]) -> dict[str, Record]:
+    def known(self, sources: Sequence[Source]) -> dict[str, Document]:
         """Records of sources that have not changed since, by their places."""
         finished = self.folder.finished()
         if self.lazy:
@@ -231,7 +235,7 @@ class _Loop:
         stamps = {place: record.get("stamp", "") for place, record in finished.items()}
         return {source.place: finished[source.place] for source in sources if stamps.get(source.place) == source.stamp}
 
-    def fit(self, sources: Sequence[Source]) -> Iterator[Record | Failure]:
+    def fit(self, sources: Sequence[Source]) -> Iterator[Document | Failure]:
         """Fit sources and keep each fit; what has a record is whole."""
         if not self.lazy:
             self.fitter.check([source.task() for source in sources])
@@ -256,7 +260,7 @@ class _Loop:
             except (ValueError, OSError) as error:
                 self._fail(source, error)
 
-    def _fitted(self, pairs: list[tuple[Source, Task]]) -> Iterator[Record]:
+    def _fitted(self, pairs: list[tuple[Source, Task]]) -> Iterator[Document]:
         """Fits of tasks side by side; where that fails, of each half, so that one that fails is soon alone."""
         try:
             results = self.fitter.fit([task for _, task in pairs])
@@ -269,14 +273,14 @@ class _Loop:
             yield from self._fitted(pairs[:middle])
             yield from self._fitted(pairs[middle:])
             return
-        self.size.told(len(pairs), sum(result.record["seconds"] for result in results))
+        self.size.note(len(pairs), sum(result.record["seconds"] for result in results))
         for (source, task), result in zip(pairs, results, strict=True):
             try:
                 yield self._keep(source, task, result, len(pairs))
             except ValueError as error:
                 self._fail(source, error)
 
-    def _keep(self, source: Source, task: Task, result: Result, beside: int) -> Record:
+    def _keep(self, source: Source, task: Task, result: Result, beside: int) -> Document:
         """Write all that a fit makes, then its record."""
         record, theta = result
         if self.lazy:
@@ -288,12 +292,3 @@ class _Loop:
         self.folder.add(record, theta)
         self.count += 1
         return record
-
-
-def alike(pairs: Iterable[tuple[Source, Task]]) -> list[list[tuple[Source, Task]]]:
-    """Groups of tasks whose tensors are of the same sizes, which can be fitted side by side."""
-    groups: dict[Any, list[tuple[Source, Task]]] = {}
-    for source, task in pairs:
-        sizes = tuple((key, task.data[key].shape) for key in sorted(task.data))
-        groups.setdefault(sizes, []).append((source, task))
-    return list(groups.values())

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import torch
 from torch import Generator
@@ -17,8 +17,9 @@ from metapp.learning.task import Params, Rng, Task, Tasks, drawn
 from metapp.paradigms import Job
 from metapp.runs.plan import Plan
 from metapp.runs.reporter import say
-from metapp.runs.request import said_time
+from metapp.runs.request import time_text
 from metapp.runs.watching import Watched
+from metapp.storage import Document
 
 WARM = 1  # steps of the fit that loads kernels: the next one takes at most 2 % longer than after more of them
 PACED = 8  # steps of those that measure a step: as many as show all stages of a descent from coarse to fine
@@ -28,7 +29,7 @@ PACING = 0.3  # seconds that these take, about; one of them at least
 class Result(NamedTuple):
     """What a fit of a task gives: its record, and its parameters without a task axis."""
 
-    record: dict[str, Any]
+    record: Document
     theta: Params
 
 
@@ -117,8 +118,8 @@ class Fitter:
         budget = self._budget or 0.0
         for moved, why in ((False, "even the initialisation took longer"), (True, "slow steps took longer")):
             if over := self.over[moved]:
-                most = said_time(budget + max(over))
-                say(f"budget: on {len(over)} of {count} tasks {why} than {said_time(budget)}, up to {most}")
+                most = time_text(budget + max(over))
+                say(f"budget: on {len(over)} of {count} tasks {why} than {time_text(budget)}, up to {most}")
                 over.clear()
 
     def _warm_up(self, task: Task) -> None:

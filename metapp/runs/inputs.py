@@ -8,7 +8,7 @@ import hashlib
 import math
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import torch
 
@@ -18,6 +18,7 @@ from metapp.learning.task import Task
 from metapp.runs.embedded import embedded_data
 from metapp.runs.reporter import say
 from metapp.runs.request import Request
+from metapp.storage import Document
 from metapp.storage.files import check_readable, named
 from metapp.storage.records import file_name, safe_name
 from metapp.storage.shards import fingerprint, read_shard
@@ -120,7 +121,7 @@ def sources_of(tasks: Sequence[Task]) -> list[Source]:
     return [Source(task.name, functools.partial(_same, task)) for task in tasks]
 
 
-def source_of(record: dict[str, Any], sources: Sequence[Source]) -> Source | None:
+def source_of(record: Document, sources: Sequence[Source]) -> Source | None:
     """The source that a record is of: where it was, else the only one of its name that has not changed since."""
     place = Path(record["source"])
     same = [source for source in sources if Path(source.place).name == place.name and source.stamp == record["stamp"]]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -22,6 +22,7 @@ from metapp.runs.plan import plan
 from metapp.runs.recorded import app_as, read_run
 from metapp.runs.reporter import number, progress, say
 from metapp.runs.request import Request
+from metapp.storage import Document
 from metapp.storage.images import write_exr, write_png
 from metapp.storage.records import RunFolder, file_name, read_theta
 
@@ -74,9 +75,7 @@ def _write(files: dict[str, Picture], folder: Path) -> None:
         write_png(pixels, texts, file)
 
 
-def export_fit(
-    shown: Presentation[Any], task: Task, theta: Params, path: Path, name: str, settings: Mapping[str, Any]
-) -> None:
+def export_fit(shown: Presentation[Any], task: Task, theta: Params, path: Path, name: str, settings: Document) -> None:
     """Write one fit in a form; where that holds another network, the fit is distilled into it first.
 
     Args:

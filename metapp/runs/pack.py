@@ -6,8 +6,9 @@ The paper's client and server share what training has made; what is sent of a fi
 from __future__ import annotations
 
 import bisect
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import torch
 
@@ -19,8 +20,9 @@ from metapp.runs.checkpoints import find_checkpoint
 from metapp.runs.plan import Plan
 from metapp.runs.recorded import plan_as, read_run, tasks_as
 from metapp.runs.reporter import progress, say
+from metapp.storage import Document
 from metapp.storage.packing import BITS, Pack, Steps, in_steps, read_pack, write_pack
-from metapp.storage.records import FIT, OPTIONAL, RunFolder, holds, read_theta
+from metapp.storage.records import FIT, OPTIONAL, RunFolder, holds, read_theta, renamed
 
 GROWTH = 0.01  # of the mean error, at most, where the number of bits is chosen
 WITHOUT = 12  # bits where there is no error to choose by
@@ -131,6 +133,8 @@ def unpack(file: Path, out: Path | None, checkpoint: Path | None) -> Packed:
         ValueError: a damaged file, or another checkpoint than that of the fits.
     """
     names, steps, about = read_pack(file)
+    if isinstance(about.get("settings"), dict):
+        about["settings"] = renamed(about["settings"])
     if not holds(about, ABOUT) or [record["name"] for record in about["records"]] != names:
         raise ValueError(f"{file}: not what metapp pack writes, expected settings and a record of each fit.")
     settings, records = about["settings"], about["records"]
@@ -182,7 +186,7 @@ def known_of(prepared: MetaParameters, thetas: Params) -> Params:
     }
 
 
-def restored(steps: dict[str, Steps] | Any, base: Params) -> Params:
+def restored(steps: Mapping[str, Steps], base: Params) -> Params:
     """Parameters [T, ...] of differences from what is known."""
     return {key: base[key] + each.values() for key, each in steps.items()}
 
@@ -191,7 +195,7 @@ def _in_steps(thetas: Params, base: Params, bits: int) -> dict[str, Steps]:
     return {key: in_steps(value - base[key], bits) for key, value in thetas.items()}
 
 
-def _fewest_bits(fits: Stack, base: Params, before: list[float | None], tell: Any) -> int:
+def _fewest_bits(fits: Stack, base: Params, before: list[float | None], tell: Callable[[str], None]) -> int:
     """As few as let the mean error grow by GROWTH at most; WITHOUT where there is none."""
     mean = _mean(before)
     if mean is None:
@@ -209,7 +213,7 @@ def _fewest_bits(fits: Stack, base: Params, before: list[float | None], tell: An
     return BITS[0] + found
 
 
-def _plan_of(settings: dict[str, Any], subject: str, path: Path | None) -> Plan:
+def _plan_of(settings: Document, subject: str, path: Path | None) -> Plan:
     """The plan of fits, with the checkpoint that they began at.
 
     Raises:

@@ -6,13 +6,14 @@ Pillow draws sheets: matplotlib, which figures are made by, takes longer to impo
 from __future__ import annotations
 
 import io
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from html import escape
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import torch
+from torch import Tensor
 
 from metapp.appearance.colour import linear_to_srgb
 from metapp.apps import presentation_of
@@ -20,6 +21,7 @@ from metapp.learning.app import App
 from metapp.learning.task import Params, Task
 from metapp.runs.naming import caption_of, factor_of, title_of
 from metapp.runs.reporter import number
+from metapp.storage import Document
 from metapp.storage.files import write_atomically
 from metapp.storage.records import RunFolder, file_name, read_theta, summary
 
@@ -120,7 +122,7 @@ COMPARED = 20  # tasks in a picture of all paradigms
 PICTURE = "picture"  # what is kept in place of parameters where there are none
 
 
-def to_srgb(linear: Any) -> np.ndarray:
+def to_srgb(linear: Tensor | np.ndarray) -> np.ndarray:
     """Linear RGB [H, W, 3] or, on black with coverage, [H, W, 4] to sRGB on white, in [0, 1] (IEC 61966-2-1)."""
     image = np.asarray(linear, dtype=np.float64)
     # composited after encoding, so that the rim stays as smooth as its coverage
@@ -130,9 +132,7 @@ def to_srgb(linear: Any) -> np.ndarray:
     return result
 
 
-def picture_of_run(
-    app: App, paradigm: str, tasks: Sequence[Task], records: Sequence[dict[str, Any]], folder: Path
-) -> Path:
+def picture_of_run(app: App, paradigm: str, tasks: Sequence[Task], records: Sequence[Document], folder: Path) -> Path:
     """Write `pictures.png` into a run's folder: up to 20 tasks, a column each, the reference above the fit.
 
     Returns:
@@ -149,7 +149,7 @@ def picture_of_run(
 def picture_of_table(
     app: App,
     tasks: Sequence[Task],
-    runs: Sequence[tuple[str, Path, list[dict[str, Any]]]],
+    runs: Sequence[tuple[str, Path, list[Document]]],
     file: Path,
     tell: Callable[[], None] = lambda: None,
 ) -> Path:
@@ -172,7 +172,7 @@ def picture_of_table(
     return write_compared(app, columns, file)
 
 
-def column_of(task: Task, fits: Sequence[tuple[str, App, Path, dict[str, Any]]]) -> Column:
+def column_of(task: Task, fits: Sequence[tuple[str, App, Path, Document]]) -> Column:
     """The reference of a task, and its fits below it: (label, application, run folder, record) of each."""
     rows: dict[str, np.ndarray] = {}
     for label, app, folder, record in fits:
@@ -188,11 +188,11 @@ def write_compared(app: App, columns: list[Column], file: Path) -> Path:
     return write_sheet(columns, f"{title_of(app)}: mean error{factor_of(app)} of each fit below it", file)
 
 
-def _label(record: dict[str, Any]) -> str:
+def _label(record: Document) -> str:
     return "" if record["error"] is None else f"{record['error']:.3f}"
 
 
-def _shown(pictures: dict[str, Any]) -> dict[str, np.ndarray]:
+def _shown(pictures: Mapping[str, Tensor | np.ndarray]) -> dict[str, np.ndarray]:
     return {name: to_srgb(picture) for name, picture in pictures.items()}
 
 
@@ -227,14 +227,14 @@ def write_thumbnail(app: App, task: Task, theta: Params, folder: Path) -> None:
     write_atomically(folder / FOLDER / f"{file_name(task.name)}.png", lambda file: file.write_bytes(buffer.getvalue()))
 
 
-def write_gallery(app: App, paradigm: str, folder: RunFolder, failures: Sequence[Any]) -> Path:
+def write_gallery(app: App, paradigm: str, folder: RunFolder, failures: Sequence[tuple[str, str]]) -> Path:
     """Write `gallery.html` of all fits of a run's folder, whichever machine made them, those of large errors first.
 
     Args:
         app: the application.
         paradigm: its name.
         folder: the run's.
-        failures: what this program could not fit, with `source` and `reason`.
+        failures: what this program could not fit, and why.
 
     Returns:
         The file.
@@ -243,7 +243,7 @@ def write_gallery(app: App, paradigm: str, folder: RunFolder, failures: Sequence
     total = summary(records)
     title = escape(f"{title_of(app)}, {paradigm}: {len(records)} fits")
     mean = f"Mean {number(total['error'], '.3f')}, median {total['seconds']:.4g} s a fit; "
-    listed = "".join(f"<li>{escape(failure.source)}<br><small>{escape(failure.reason)}</small>" for failure in failures)
+    listed = "".join(f"<li>{escape(source)}<br><small>{escape(reason)}</small>" for source, reason in failures)
     failed = f"<h2>{len(failures)} failed</h2><ul>{listed}</ul>" if failures else ""
     page = (
         f"<!doctype html><html lang='en'><meta charset='utf-8'><title>{title}</title><style>{STYLE}</style>"
@@ -255,7 +255,7 @@ def write_gallery(app: App, paradigm: str, folder: RunFolder, failures: Sequence
     return file
 
 
-def _figure(record: dict[str, Any]) -> str:
+def _figure(record: Document) -> str:
     name = escape(record["name"])
     error = "" if record["error"] is None else f"error {record['error']:.3f}, "
     warning = f"<br><small>warning: {escape(record['warning'])}</small>" if record.get("warning") else ""

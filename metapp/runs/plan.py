@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import torch
 
@@ -25,8 +25,9 @@ from metapp.runs.checks import (
     default_recipe,
 )
 from metapp.runs.naming import observe_of
-from metapp.runs.request import Request, portion_of, said_time, seconds_of
+from metapp.runs.request import Request, portion_of, seconds_of, time_text
 from metapp.runs.surroundings import find_device, machine, precision_of, versions
+from metapp.storage import Document
 
 
 class Checkpoint(NamedTuple):
@@ -84,7 +85,7 @@ class Plan:
         job = Job(app, self.job.recipe, rule, steps)
         return replace(self, request=request, paradigm=paradigms()[paradigm], job=job, checkpoint=None)
 
-    def settings(self, label: str) -> dict[str, Any]:
+    def settings(self, label: str) -> Document:
         """Everything that figures of a run on data of this name depend on: what its records carry, and their key."""
         job, recipe, app = self.job, self.job.recipe, self.app
         adam, guard = self.paradigm.adam(job, self.prepared), self.paradigm.guard(job)
@@ -118,15 +119,15 @@ class Plan:
         if request.steps is not None:
             name += f"-{request.steps}steps"
         if self.budget is not None:
-            name += f"-{said_time(self.budget)}"
+            name += f"-{time_text(self.budget)}"
         if self.app.protocol:
             name += f"-{self.app.protocol}"
         return request.out / self.app.name / self.paradigm.name / name
 
-    def origin(self) -> dict[str, Any]:
+    def origin(self) -> Document:
         """What `metapp rerun` needs to find what was fitted: absolute paths as far as given, and the machine."""
         request = self.request
-        known: dict[str, Any] = {
+        known: Document = {
             "inputs": [str(path.absolute()) for path in request.inputs],
             "roots": [str(path.absolute()) for path in request.scene_root],
             "fov_rad": math.radians(request.fov),

@@ -15,6 +15,7 @@ from metapp.runs.embedded import embedded_exists
 from metapp.runs.inputs import SOURCED, data_folder, data_label, source_of, sources_to_fit, tasks_to_fit
 from metapp.runs.plan import Plan, plan
 from metapp.runs.request import Request
+from metapp.storage import Document
 from metapp.storage.records import FIT, holds, read_records
 
 FORM = {**FIT, "settings": {"app": str, "paradigm": str, "rule": str, "recipe": str, "data": str}}  # of a fit's record
@@ -24,10 +25,10 @@ class Recorded(NamedTuple):
     """A run's folder, and its records of fits."""
 
     folder: Path
-    records: list[dict[str, Any]]
+    records: list[Document]
 
 
-def read_run(run: Path, form: dict[str, Any] = FORM, task: str = "") -> Recorded:
+def read_run(run: Path, form: Document = FORM, task: str = "") -> Recorded:
     """The records of a run.
 
     Args:
@@ -52,7 +53,7 @@ def read_run(run: Path, form: dict[str, Any] = FORM, task: str = "") -> Recorded
     return Recorded(folder, [records[names.index(task)]])
 
 
-def plan_as(settings: dict[str, Any], origin: dict[str, Any] | None = None, **more: Any) -> Plan:
+def plan_as(settings: Document, origin: Document | None = None, **more: Any) -> Plan:
     """The plan that a fit was made by, as far as its record says it.
 
     Args:
@@ -81,7 +82,7 @@ def plan_as(settings: dict[str, Any], origin: dict[str, Any] | None = None, **mo
         raise ValueError(f"{settings['app']}: a fit of other settings than are known ({error})") from None
 
 
-def app_as(settings: dict[str, Any]) -> App:
+def app_as(settings: Document) -> App:
     """The application as it was at the fit.
 
     Raises:
@@ -90,7 +91,7 @@ def app_as(settings: dict[str, Any]) -> App:
     return plan_as(settings).app
 
 
-def tasks_as(records: list[dict[str, Any]], app: App, inputs: list[Path], data: Path | None) -> dict[str, Task]:
+def tasks_as(records: list[Document], app: App, inputs: list[Path], data: Path | None) -> dict[str, Task]:
     """What was fitted in a run, by name: of what is given, else from where its records say, else embedded.
 
     Returns:
@@ -117,13 +118,13 @@ def _existing(places: Iterable[str]) -> list[Path]:
     return paths if all(path.exists() for path in paths) else []
 
 
-def reading_of(origin: dict[str, Any]) -> dict[str, Any]:
+def reading_of(origin: Document) -> Document:
     """The options of a record's origin that say how files were read."""
     fov = round(math.degrees(origin.get("fov_rad", 0.0)), 9)  # as it was given, so that radians are the same bits
     return {"fov": fov, "scene_root": [Path(path) for path in origin.get("roots", [])]}
 
 
-def _of_sources(records: list[dict[str, Any]], app: App, request: Request) -> dict[str, Task]:
+def _of_sources(records: list[Document], app: App, request: Request) -> dict[str, Task]:
     """Tasks of a run of many inputs, each of which its record knows: the run's name says nothing of their content."""
     sources = sources_to_fit(app, request)[0] if request.inputs else []
     by_name = {record["name"]: source_of(record, sources) for record in records}

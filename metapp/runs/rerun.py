@@ -23,7 +23,8 @@ from metapp.runs.plan import Plan
 from metapp.runs.recorded import plan_as, read_run
 from metapp.runs.reporter import progress
 from metapp.runs.surroundings import machine, threads, threads_of
-from metapp.storage.records import OPTIONAL, Record, finite, holds, read_theta
+from metapp.storage import Document
+from metapp.storage.records import OPTIONAL, finite, holds, read_theta
 
 FORM = {"key": str, "settings": {"app": str}}
 FIT = {"error": OPTIONAL, "settings": {"data": str, "recipe": str, "seed": int}}
@@ -73,12 +74,12 @@ class Repeated(NamedTuple):
 class Repeat(NamedTuple):
     """What repeats the records of one run: what its figures depend on now, its tasks, and tasks -> their fits."""
 
-    settings: dict[str, Any]
+    settings: Document
     tasks: Sequence[Task]
-    fit: Callable[[list[Task]], Iterator[tuple[Record, Params | None]]]
+    fit: Callable[[list[Task]], Iterator[tuple[Document, Params | None]]]
 
 
-Tables = Callable[[Plan, dict[str, Any]], Repeat | None]  # what repeats a record that a table alone makes, if anything
+Tables = Callable[[Plan, Document], Repeat | None]  # what repeats a record that a table alone makes, if anything
 
 
 def rerun(record: Path, task: str, instead: Instead, tables: Tables, *, quiet: bool) -> list[Repeated]:
@@ -95,7 +96,7 @@ def rerun(record: Path, task: str, instead: Instead, tables: Tables, *, quiet: b
         ValueError: no such record, or its data, checkpoint or settings are not to be had as they were.
     """
     folder, records = read_run(record, FORM, task)
-    runs: dict[str, list[Record]] = {}
+    runs: dict[str, list[Document]] = {}
     for line in records:
         runs.setdefault(line["key"], []).append(line)
     done = []
@@ -107,7 +108,7 @@ def rerun(record: Path, task: str, instead: Instead, tables: Tables, *, quiet: b
     return done
 
 
-def _repeated(folder: Path, records: list[Record], instead: Instead, tables: Tables) -> Iterator[Repeated]:
+def _repeated(folder: Path, records: list[Document], instead: Instead, tables: Tables) -> Iterator[Repeated]:
     """The rows of one run, which share their settings."""
     first = records[0]
     if not holds(first, FIT):
@@ -130,7 +131,7 @@ def _repeated(folder: Path, records: list[Record], instead: Instead, tables: Tab
         )
 
 
-def _plan_of(folder: Path, record: Record, instead: Instead) -> Plan:
+def _plan_of(folder: Path, record: Document, instead: Instead) -> Plan:
     """The plan of a record, with what is used instead; of a row that a table alone makes, that of General."""
     settings, origin = record["settings"], record.get("origin", {})
     a_fit = settings.get("paradigm") in paradigms()
@@ -151,7 +152,7 @@ def _plan_of(folder: Path, record: Record, instead: Instead) -> Plan:
     )
 
 
-def _repeat(plan: Plan, settings: dict[str, Any], tables: Tables) -> Repeat:
+def _repeat(plan: Plan, settings: Document, tables: Tables) -> Repeat:
     if settings.get("paradigm") in paradigms():
         tasks, label = tasks_to_fit(plan.app, plan.request)
         plan = find_checkpoint(plan)
@@ -162,18 +163,18 @@ def _repeat(plan: Plan, settings: dict[str, Any], tables: Tables) -> Repeat:
     return repeat
 
 
-def _differing(then: dict[str, Any], now: dict[str, Any]) -> dict[str, tuple[Any, Any]]:
+def _differing(then: Document, now: Document) -> dict[str, tuple[Any, Any]]:
     """What a record says and is not so now."""
     return {key: (value, now.get(key)) for key, value in then.items() if value is not None and value != now.get(key)}
 
 
-def _read_back(settings: dict[str, Any]) -> dict[str, Any]:
+def _read_back(settings: Document) -> Document:
     """Settings as a record's line holds them."""
-    result: dict[str, Any] = json.loads(json.dumps(finite(settings)))
+    result: Document = json.loads(json.dumps(finite(settings)))
     return result
 
 
-def _changed(record: Record, now: dict[str, Any]) -> dict[str, tuple[Any, Any]]:
+def _changed(record: Document, now: Document) -> dict[str, tuple[Any, Any]]:
     """Versions and devices that differ.
 
     Raises:
@@ -193,7 +194,7 @@ def _changed(record: Record, now: dict[str, Any]) -> dict[str, tuple[Any, Any]]:
 
 
 @contextmanager
-def _as_precise(settings: dict[str, Any]) -> Iterator[None]:
+def _as_precise(settings: Document) -> Iterator[None]:
     """Fit in float32 alone where the recorded fits did; other arithmetic depends on the CPU."""
     before = os.environ.get(FLOAT32)
     if "precision" not in settings:
@@ -208,7 +209,7 @@ def _as_precise(settings: dict[str, Any]) -> Iterator[None]:
 
 
 def _compared(
-    folder: Path, then: Record, now: Record, theta: Params | None, around: dict[str, Any], tolerance: float | None
+    folder: Path, then: Document, now: Document, theta: Params | None, around: Document, tolerance: float | None
 ) -> Repeated:
     recorded, found = then["error"], now["error"]
     differs = around | _differing({"threads": then.get("threads")}, now)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from torch import Generator, get_num_threads
 
@@ -21,6 +21,7 @@ from metapp.runs.naming import name_of, observe_of
 from metapp.runs.plan import Checkpoint, Plan
 from metapp.runs.reporter import progress, say
 from metapp.runs.surroundings import make_folder, precision_of, versions
+from metapp.storage import Document
 from metapp.storage.files import remove_partial
 from metapp.storage.records import digest, save_checkpoint, tensor_digest
 from metapp.storage.shards import fingerprint, read_shard
@@ -129,7 +130,7 @@ def _needs_general(plan: Plan, name: str) -> bool:
     return name == "quickft" or (name != "general" and plan.job.recipe.training(name).from_general)
 
 
-def _about(plan: Plan, name: str, folder: Path, encoder: MetaParameters | None) -> dict[str, Any]:
+def _about(plan: Plan, name: str, folder: Path, encoder: MetaParameters | None) -> Document:
     """What the header of a checkpoint says of what it was trained on, beside how."""
     return (
         {"data": data_label(folder), "recipe": plan.request.recipe, "seed": plan.request.seed}
@@ -141,7 +142,7 @@ def _about(plan: Plan, name: str, folder: Path, encoder: MetaParameters | None) 
     )
 
 
-def _settings(plan: Plan, name: str, steps: int | None, folder: Path, encoder: MetaParameters | None) -> dict[str, Any]:
+def _settings(plan: Plan, name: str, steps: int | None, folder: Path, encoder: MetaParameters | None) -> Document:
     """What the result of a training depends on, beside what its checkpoint says about itself."""
     return {
         "app": plan.app.name,

@@ -5,12 +5,15 @@ from __future__ import annotations
 import functools
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from torch import Tensor
 
 from metapp.storage.files import write_atomically
+
+if TYPE_CHECKING:
+    import OpenImageIO as oiio
 
 
 def write_png(pixels: Tensor, texts: Mapping[str, str], path: Path, bits: int = 8) -> None:
@@ -66,6 +69,6 @@ def _write_exr(values: Tensor, half: bool | None, path: Path) -> None:
     _write(image, "half" if half else "float", path)
 
 
-def _write(image: Any, form: str, path: Path) -> None:
+def _write(image: oiio.ImageBuf, form: str, path: Path) -> None:
     if not image.write(str(path), form):
         raise ValueError(f"{path}: not written ({image.geterror()}); is the disk full?")

@@ -8,6 +8,8 @@ import re
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from metapp.storage import Document
+
 SCHEMA = 1
 MANIFEST = "manifest.json"
 SPLITS = ("train", "test")
@@ -51,7 +53,7 @@ class Manifest(NamedTuple):
     app: str
     tasks: tuple[Entry, ...]
     units: dict[str, str]
-    notes: dict[str, Any]
+    notes: Document
     schema: int = SCHEMA
 
 

@@ -12,12 +12,13 @@ import math
 import struct
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import torch
 from torch import Tensor
 
+from metapp.storage import Document
 from metapp.storage.files import check_readable, write_atomically
 from metapp.storage.records import holds
 
@@ -49,7 +50,7 @@ class Pack(NamedTuple):
 
     tasks: list[str]
     tensors: Mapping[str, Steps]
-    about: dict[str, Any]
+    about: Document
 
 
 def in_steps(values: Tensor, bits: int) -> Steps:
@@ -123,9 +124,9 @@ def _unfolded(path: Path) -> bytes:
 _DAMAGED = "{}: damaged or cut off, expected a whole file that metapp pack wrote; pack the fits again."
 
 
-def _header(path: Path, text: bytes) -> dict[str, Any]:
+def _header(path: Path, text: bytes) -> Document:
     try:
-        head: dict[str, Any] = json.loads(text)
+        head: Document = json.loads(text)
     except (ValueError, RecursionError):
         raise ValueError(_DAMAGED.format(path)) from None
     if not holds(head, FORM) or not head["tasks"] or len(set(head["tasks"])) < len(head["tasks"]):

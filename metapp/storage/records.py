@@ -9,7 +9,7 @@ import statistics
 import sys
 import unicodedata
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -20,10 +20,11 @@ from torch import Tensor
 
 from metapp.learning.learn import MetaParameters
 from metapp.learning.task import Params
+from metapp.storage import Document
 from metapp.storage.files import append_line, locked, write_atomically
 from metapp.storage.tensors import opened_tensors, read_tensors
 
-Record = dict[str, Any]  # a JSON object: what is known of a fitted task, or the settings of a run
+Record = Document  # of a task, a line of record.jsonl
 SCHEMA = 1
 LONGEST = 100  # bytes of a name; file systems take 255, of which suffixes and temporary names need some
 FLOATS = (torch.half, torch.float32, torch.float64)
@@ -61,7 +62,7 @@ def holds(value: Any, form: Any) -> bool:
     return not isinstance(value, int | float) or abs(value) <= sys.float_info.max
 
 
-def save_checkpoint(path: Path, start: MetaParameters, info: dict[str, Any], previous: Path | None = None) -> None:
+def save_checkpoint(path: Path, start: MetaParameters, info: Document, previous: Path | None = None) -> None:
     """Write a checkpoint with what it says about itself, as safetensors; `previous` names the one it replaces."""
     tensors = {key: value.detach().cpu().contiguous().clone() for key, value in start.flat().items()}
     metadata = {"metapp": json.dumps({**info, "schema": SCHEMA})}
@@ -69,7 +70,7 @@ def save_checkpoint(path: Path, start: MetaParameters, info: dict[str, Any], pre
     write_atomically(path, lambda target: target.write_bytes(save(tensors, metadata)), previous)
 
 
-def load_checkpoint(path: Path, device: torch.device | str = "cpu") -> tuple[MetaParameters, dict[str, Any]]:
+def load_checkpoint(path: Path, device: torch.device | str = "cpu") -> tuple[MetaParameters, Document]:
     """Read a checkpoint; what is stored in half precision becomes float32.
 
     One that names General's encoder by its digest, `general`, takes it from `general.safetensors` beside it.
@@ -97,9 +98,7 @@ def load_checkpoint(path: Path, device: torch.device | str = "cpu") -> tuple[Met
             raise _Misnamed
         if not all(bool(torch.isfinite(value).all()) for value in tensors.values()):
             raise ValueError(f"{path}: holds NaN or infinite values, expected finite ones; train one again.")
-        if "start" in info:
-            info["checkpoint"] = info.pop("start")  # as earlier versions and files that ship call it
-        prepared = MetaParameters.unflat(tensors)
+        info, prepared = renamed(info), MetaParameters.unflat(tensors)
         return (_with_general(path, prepared, info["general"], device) if "general" in info else prepared), info
     except (SafetensorError, KeyError, RecursionError, json.JSONDecodeError, _Misnamed):
         raise ValueError(
@@ -128,7 +127,12 @@ def digest(document: Any) -> str:
     return hashlib.sha256(raw).hexdigest()[:12]
 
 
-def key_of(settings: Mapping[str, Any]) -> str:
+def renamed(settings: Document) -> Document:
+    """Settings or a header with today's names: earlier versions, and files that ship, say `start` for `checkpoint`."""
+    return {"checkpoint" if name == "start" else name: value for name, value in settings.items()}
+
+
+def key_of(settings: Document) -> str:
     """The key of a run's records; `checkpoint` counts under its former name, so that earlier records stay its own."""
     return digest({"start" if name == "checkpoint" else name: value for name, value in settings.items()})
 
@@ -160,23 +164,23 @@ class RunFolder:
     def __init__(
         self,
         path: Path,
-        settings: dict[str, Any],
-        form: dict[str, Any] | None = None,
-        origin: dict[str, Any] | None = None,
+        settings: Document,
+        form: Document | None = None,
+        origin: Document | None = None,
     ) -> None:
         self.path = path
         self.origin = {"origin": origin} if origin else {}
         self.settings = settings
         self.key = key_of(settings)
         self._form = form or {}
-        self._read: tuple[Any, dict[str, dict[str, Any]]] = (None, {})
+        self._read: tuple[Any, dict[str, Document]] = (None, {})
 
     @property
     def file(self) -> Path:
         """The record file."""
         return self.path / "record.jsonl"
 
-    def finished(self) -> dict[str, dict[str, Any]]:
+    def finished(self) -> dict[str, Document]:
         """Records of this run's key, by task; the file is read again only where it has changed."""
         state = self.file.stat() if self.file.is_file() else None
         stamp = state and (state.st_ino, state.st_size, state.st_mtime_ns)
@@ -186,7 +190,7 @@ class RunFolder:
             self._read = (stamp, found)
         return dict(self._read[1])
 
-    def add(self, record: dict[str, Any], theta: dict[str, Tensor] | None = None) -> None:
+    def add(self, record: Document, theta: dict[str, Tensor] | None = None) -> None:
         """Keep a finished task; its parameters, if it has any, first, so that a record's are always there.
 
         Numbers that are not finite, which JSON lacks, become None.
@@ -235,7 +239,7 @@ def _params(folder: Path, task: str) -> Path:
     return folder / "params" / f"{file_name(task)}.safetensors"
 
 
-def read_records(path: Path, form: dict[str, Any] | None = None) -> list[dict[str, Any]]:
+def read_records(path: Path, form: Document | None = None) -> list[Document]:
     """The records of a file, each task's last one; an absent file counts as empty.
 
     A line that is no record is passed over with a warning; a last one that was cut off without.
@@ -244,14 +248,13 @@ def read_records(path: Path, form: dict[str, Any] | None = None) -> list[dict[st
         path: the file.
         form: what they must hold, as `holds` reads it; a name at least.
     """
-    records: dict[str, dict[str, Any]] = {}
+    records: dict[str, Document] = {}
     bad = []
     lines = path.read_bytes().split(b"\n") if path.is_file() else []
     for number, line in enumerate(lines, 1):
         record = _parsed(line)
-        settings = record.get("settings") if isinstance(record, dict) else None
-        if isinstance(settings, dict) and "start" in settings:
-            settings["checkpoint"] = settings.pop("start")  # as earlier versions call it
+        if isinstance(record, dict) and isinstance(record.get("settings"), dict):
+            record["settings"] = renamed(record["settings"])
         if holds(record, {"name": str, **(form or {})}):
             records.pop(record["name"], None)
             records[record["name"]] = record
@@ -306,7 +309,7 @@ def _marked(safe: str, name: str) -> str:
     return f"{safe.encode()[: LONGEST - 7].decode(errors='ignore')}-{mark}"
 
 
-def summary(records: Sequence[dict[str, Any]]) -> dict[str, float | None]:
+def summary(records: Sequence[Document]) -> dict[str, float | None]:
     """Mean error, as the table prints it, of tasks that have one, and median inference time of a task."""
     errors = [record["error"] for record in records if record["error"] is not None]
     return {
@@ -315,7 +318,7 @@ def summary(records: Sequence[dict[str, Any]]) -> dict[str, float | None]:
     }
 
 
-def guarded(records: Sequence[dict[str, Any]]) -> int | None:
+def guarded(records: Sequence[Document]) -> int | None:
     """On how many tasks the guard of a learned rule acted; None where fits have none."""
     found = [record["guarded"] for record in records if "guarded" in record]
     return sum(map(bool, found)) if found else None

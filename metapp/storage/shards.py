@@ -13,7 +13,6 @@ import re
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from types import TracebackType
-from typing import Any
 
 import torch
 from safetensors import SafetensorError
@@ -64,7 +63,7 @@ class ShardWriter:
         folder: str | Path,
         app: str,
         units: Mapping[str, str],
-        notes: Mapping[str, Any] | None = None,
+        notes: Mapping[str, object] | None = None,
         beside: tuple[str, str] | None = None,
     ) -> None:
         self.folder = Path(folder)

@@ -16,7 +16,6 @@ from metapp.baselines import lobes
 from metapp.baselines.baseline import Allowed, Training
 from metapp.baselines.brdf import (
     EPSILON,
-    Components,
     Relative,
     RidgeOf,
     baselines,
@@ -88,9 +87,7 @@ def test_a_material_in_the_span_is_recovered_exactly(stacked: Tasks, solves: int
     space = space_of(where, target)
     seen = drawn(Tasks(stacked.names, {"where": where.expand(12, -1, -1), "target": target}, torch.tensor([4])),
                  Generator().manual_seed(0), 400)  # fmt: skip
-    at = Components(space.components.mean[seen.rows], space.components.axes[seen.rows], space.components.deviation)
-    found = coefficients(space.relative.at(seen.rows), at, seen, 1e-14, solves)
-    made = space.relative.reflectance(space.components.axes @ found + space.components.mean)
+    made = space.reflectance(coefficients(space.at(seen.rows), seen, 1e-14, solves))
     torch.testing.assert_close(torch.log1p(made * where[:, 6:]), target[4], atol=1e-5, rtol=1e-4)
 
 
@@ -199,8 +196,8 @@ def at(random_angles: Callable[..., Tensor]) -> lobes.Cosines:
     return cosines(random_angles(3000))
 
 
-def seen(numbers: Tensor, at: lobes.Cosines) -> lobes.Samples:
-    return lobes.Samples(at, torch.log1p(lobes.reflectance(numbers, at) * at.incident[:, None]))
+def seen(numbers: Tensor, at: lobes.Cosines) -> lobes.CosineSamples:
+    return lobes.CosineSamples(at, torch.log1p(lobes.reflectance(numbers, at) * at.incident[:, None]))
 
 
 def test_a_lobe_is_that_of_the_microfacet_model(at: lobes.Cosines) -> None:
@@ -235,7 +232,7 @@ def test_two_lobes_fit_their_own_material(at: lobes.Cosines) -> None:
 
 
 def test_a_fit_is_a_brdf(at: lobes.Cosines, rng: torch.Generator) -> None:
-    target = lobes.Samples(at, torch.rand(len(at.half), 3, generator=rng, dtype=torch.float64))
+    target = lobes.CosineSamples(at, torch.rand(len(at.half), 3, generator=rng, dtype=torch.float64))
     found = lobes.fit(target, 1)
     assert len(found) == 3 + lobes.LOBE == 8
     assert lobes.reflectance(found, at).min() >= 0

@@ -14,7 +14,7 @@ from torch import Generator, Tensor
 
 from metapp.apps import app_names, class_of, protocols_of
 from metapp.baselines import baselines_of
-from metapp.baselines.baseline import Allowed, Fitted, Training, nearest
+from metapp.baselines.baseline import Allowed, BaselineFit, Training, nearest
 from metapp.cli.evaluate import draw
 from metapp.cli.show import rich_table
 from metapp.evaluation.cell import run_cells
@@ -288,5 +288,5 @@ def test_the_nearest_training_task_of_itself_is_itself(data: Callable[[str], Pat
 
 def test_nearest_takes_the_least_distance(rng: Generator) -> None:
     fit = nearest(lambda *_: torch.tensor([3.0, 1.0, 2.0]), lambda index: index)
-    found: Fitted = fit(Any, rng, Allowed(1, 1))  # type: ignore[arg-type]
+    found: BaselineFit = fit(Any, rng, Allowed(1, 1))  # type: ignore[arg-type]
     assert found.answer() == 1

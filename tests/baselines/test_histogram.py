@@ -73,7 +73,7 @@ def test_directions_integrate_to_1_in_every_place(numbers: np.random.Generator, 
     directions = grid(64)
     for place in ([0.1, 0.2], [0.7, 0.55], [0.99, 0.01]):
         points = np.concatenate([np.tile(place, (len(directions), 1)), directions], 1)
-        density = np.exp(found.look(points).log_density(np.full((4, 4), 4.0)))
+        density = np.exp(found.counts_at(points).log_density(np.full((4, 4), 4.0)))
         assert density.mean() == pytest.approx(1)
         assert density.std() > 0.3
 
@@ -89,7 +89,7 @@ def test_without_strength_shares_are_those_of_the_samples(numbers: np.random.Gen
 def test_with_endless_strength_it_is_uniform_or_the_prior(numbers: np.random.Generator) -> None:
     points = peaked(numbers, 500)
     assert np.allclose(square(points[:, :2], 3).log_density(grid(8), np.full(3, 1e12)), 0, atol=1e-6)
-    assert np.allclose(pair(points, 2, 3).look(points).log_density(np.full((3, 3), 1e12)), 0, atol=1e-6)
+    assert np.allclose(pair(points, 2, 3).counts_at(points).log_density(np.full((3, 3), 1e12)), 0, atol=1e-6)
     image = torch.rand(3, 4, 4, generator=torch.Generator().manual_seed(0))
     drawn_to = square(points[:, :2], 3, _prior(image)).log_density(grid(4), np.full(3, 1e12))
     light = np.einsum("chw,c->hw", image.numpy(), [0.2126, 0.7152, 0.0722]).ravel()  # rows down are y, as of samples
@@ -99,7 +99,9 @@ def test_with_endless_strength_it_is_uniform_or_the_prior(numbers: np.random.Gen
 def test_more_samples_come_nearer_to_the_true_density(numbers: np.random.Generator) -> None:
     held = peaked(numbers, 4000)
     strengths = np.full((4, 4), 4.0)
-    errors = [-pair(peaked(numbers, n), 3, 4).look(held).log_density(strengths).mean() for n in (200, 2000, 20_000)]
+    errors = [
+        -pair(peaked(numbers, n), 3, 4).counts_at(held).log_density(strengths).mean() for n in (200, 2000, 20_000)
+    ]
     assert errors == sorted(errors, reverse=True)
     assert errors[-1] < -1  # of directions in 0.3^2, -2.4 is the best
 
@@ -107,7 +109,7 @@ def test_more_samples_come_nearer_to_the_true_density(numbers: np.random.Generat
 def test_a_mean_of_grids_is_no_worse_than_its_parts(numbers: np.random.Generator) -> None:
     """By Jensen's inequality."""
     points, held = peaked(numbers, 4000), peaked(numbers, 1000)
-    looked = [pair(points, 5, 5, shifts).look(held) for shifts in numbers.random((4, 4))]
+    looked = [pair(points, 5, 5, shifts).counts_at(held) for shifts in numbers.random((4, 4))]
     parts = [_mean([each], (5.0, -1.0, 0.0)).mean() for each in looked]
     assert _mean(looked, (5.0, -1.0, 0.0)).mean() >= np.mean(parts)
 

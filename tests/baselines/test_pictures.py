@@ -10,7 +10,7 @@ from torch.nn.functional import interpolate, normalize
 
 from metapp.appearance.flash import Maps, pack
 from metapp.baselines import svbrdf_nonstationary as codec
-from metapp.baselines.baseline import Allowed, Baseline, Fitted, Prepared, Training
+from metapp.baselines.baseline import Allowed, Baseline, BaselineFit, PreparedBaseline, Training
 from metapp.baselines.svbrdf_nonstationary import _settings, baselines, maps_of, sheets
 from metapp.baselines.texture import beyond_cut, block_of, quilted, random_patches
 from metapp.learning.app import App
@@ -35,11 +35,11 @@ class Photographed:
         return {"error": (pack(Maps(*(each[0] for each in answer)))[None] - tasks.data["maps"]).abs().mean((1, 2, 3))}
 
 
-def fits(maps: Maps, allowed: Allowed) -> dict[str, Fitted]:
+def fits(maps: Maps, allowed: Allowed) -> dict[str, BaselineFit]:
     app: App = Photographed()  # type: ignore[assignment]
     tasks = Tasks(("a",), {"maps": pack(Maps(*(each[0] for each in maps)))[None]}, torch.tensor([0]))
     training = Training(app, [])
-    found: list[tuple[Baseline, Prepared]] = [
+    found: list[tuple[Baseline, PreparedBaseline]] = [
         (baseline, baseline.prepare(training, allowed)) for baseline in baselines(app)
     ]
     return {baseline.name: prepared.fit(tasks, Generator(), allowed) for baseline, prepared in found}

@@ -29,7 +29,7 @@ from metapp.rendering.path_space import DEPTH
 from metapp.rendering.scene_loading import load_scene
 from tests.benchmarks.guiding_scenes import kind_of, scenes
 
-# how guided_path is asked for; None is Mitsuba's path
+# properties of guided_path; None is Mitsuba's path
 METHODS: dict[str, dict[str, Any] | None] = {
     "regular + NEE": None,
     "guided + NEE": {},
@@ -69,47 +69,47 @@ class Bench:
         import drjit as dr
 
         mi, side = self.mi, options.size // STEP
-        each = WAVE // side**2
-        waves = -(-options.reference // (2 * each))
+        per_pixel = WAVE // side**2
+        waves = -(-options.reference // (2 * per_pixel))
         total = torch.zeros(3, side, side)
         for wave in range(waves):
             sampler: Any = mi.load_dict({"type": "independent"})
             sampler.seed(seed * 2**16 + wave, WAVE)
-            index = dr.arange(mi.UInt32, WAVE) // each
+            index = dr.arange(mi.UInt32, WAVE) // per_pixel
             corner = mi.Point2f(mi.Float(index % side), mi.Float(index // side)) * STEP + STEP // 2
             film = (corner + sampler.next_2d()) / options.size
             ray, weight = self.scene.sensors()[0].sample_ray(0, 0, film, mi.Point2f(0.5))
             light = self.path.sample(self.scene, sampler, mi.RayDifferential3f(ray))[0] * weight
-            total += torch.from_numpy(dr.block_sum(light, each).numpy()).reshape(3, side, side)
-        return total / (each * waves)
+            total += torch.from_numpy(dr.block_sum(light, per_pixel).numpy()).reshape(3, side, side)
+        return total / (per_pixel * waves)
 
     def error(self, picture: Tensor) -> float:
         """MAPE of the reference's pixels."""
-        looked_at = picture[STEP // 2 :: STEP, STEP // 2 :: STEP]
-        return float(mape(looked_at.permute(2, 0, 1)[None], self.reference[None]))
+        pixels = picture[STEP // 2 :: STEP, STEP // 2 :: STEP]
+        return float(mape(pixels.permute(2, 0, 1)[None], self.reference[None]))
 
     def measured(self, name: str, seconds: float, seed: int) -> dict[str, Any]:
         """A picture that takes so many seconds, within NEAR, at the last of three attempts."""
         # with fewer samples `path` would render, whose costs say nothing of guided pictures
         least = -(-FEWEST // self.size**2) if METHODS[name] is not None else 1
         for _ in range(3):
-            fixed, each = self.costs[name]
-            spp = max(least, round((seconds - fixed) / each))
+            fixed, per_sample = self.costs[name]
+            spp = max(least, round((seconds - fixed) / per_sample))
             picture, spent = self._picture(METHODS[name], spp, seed)
             self.costs[name] = cost(spent, spp)
             if abs(sum(spent.values()) - seconds) < NEAR * seconds:
                 break
         return {"error": self.error(picture), "seconds": sum(spent.values()), "spp": spp, "spent": spent}
 
-    def _first(self, how: dict[str, Any] | None) -> tuple[float, float]:
+    def _first(self, properties: dict[str, Any] | None) -> tuple[float, float]:
         for spp in (64, WARM):
-            self._picture(how, spp, 0)  # compiles
-        return cost(self._picture(how, WARM, 0)[1], WARM)
+            self._picture(properties, spp, 0)  # compiles
+        return cost(self._picture(properties, WARM, 0)[1], WARM)
 
-    def _picture(self, how: dict[str, Any] | None, spp: int, seed: int) -> tuple[Tensor, dict[str, float]]:
-        if how is not None:
-            made = equal_time.guided_picture(self.scene, spp, DEPTH, seed, **how)
-            return made.picture, made.spent
+    def _picture(self, properties: dict[str, Any] | None, spp: int, seed: int) -> tuple[Tensor, dict[str, float]]:
+        if properties is not None:
+            guided = equal_time.guided_picture(self.scene, spp, DEPTH, seed, **properties)
+            return guided.picture, guided.spent
         begin = time.process_time()
         picture = equal_time.rendered(self.scene, self.path, spp, seed)
         return picture, {"regular samples": time.process_time() - begin}
@@ -124,23 +124,17 @@ def cost(spent: dict[str, float], spp: int) -> tuple[float, float]:
 def measure(options: argparse.Namespace, file: Path) -> list[dict[str, Any]]:
     """Measure all, and keep it, a line each, as soon as it is known."""
     kept = [json.loads(line) for line in file.read_text("utf-8").splitlines()] if file.exists() else []
-    found = [row for row in kept if row["size"] == options.size]
+    rows = [row for row in kept if row["size"] == options.size]
     with file.open("a", encoding="utf-8") as out:
         for name in options.scenes:
             bench = Bench(name, options)
             for seconds, seed, method in itertools.product(options.times, range(1, options.seeds + 1), options.methods):
-                row = {
-                    "size": options.size,
-                    "scene": name,
-                    "method": method,
-                    "time": seconds,
-                    "seed": seed,
-                    "reference": bench.own_error,
-                }
-                found.append(row | bench.measured(method, seconds, seed))
-                print(json.dumps(found[-1]), file=out, flush=True)
+                row = {"size": options.size, "scene": name, "method": method, "time": seconds, "seed": seed}
+                row["reference"] = bench.own_error
+                rows.append(row | bench.measured(method, seconds, seed))
+                print(json.dumps(rows[-1]), file=out, flush=True)
     keys = ("scene", "method", "time", "seed")
-    return list({tuple(row[key] for key in keys): row for row in found}.values())  # the last of each
+    return list({tuple(row[key] for key in keys): row for row in rows}.values())  # the last of each
 
 
 def table(rows: list[dict[str, Any]]) -> str:
@@ -179,7 +173,7 @@ def figure(rows: list[dict[str, Any]], file: Path) -> None:
             if not mine:
                 continue
             xs, ys = (
-                [statistics.geometric_mean(row[key] for row in each) for each in by_time]
+                [statistics.geometric_mean(row[key] for row in same) for same in by_time]
                 for key in ("seconds", "error")
             )
             panel.loglog(xs, ys, marker="o", label=method)

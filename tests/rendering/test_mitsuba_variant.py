@@ -31,23 +31,14 @@ def make(path: Path) -> Path:
     return path
 
 
-@pytest.mark.parametrize(
-    ("name", "version"),
-    [("libLLVM.so.19.1", 19), ("libLLVM-15.so.1", 15), ("libLLVM-14.0.6.so.1", 14), ("libLLVM-20.so", 20)],
-)
-def test_names_tell_the_version(tmp_path: Path, name: str, version: int) -> None:
-    assert llvm_version(make(tmp_path / name)) == version
-
-
-def test_a_link_is_what_it_leads_to(tmp_path: Path) -> None:
-    link = tmp_path / "libLLVM.so"
-    link.symlink_to(make(tmp_path / "libLLVM-14.so.1"))
-    assert llvm_version(link) == 14
-
-
-def test_what_is_no_library_has_no_version(tmp_path: Path) -> None:
-    assert llvm_version(tmp_path / "libLLVM.so.19.1") is None
-    assert llvm_version(make(tmp_path / "libLLVM.so")) is None
+def test_names_and_links_tell_the_version(tmp_path: Path) -> None:
+    names = {"libLLVM.so.19.1": 19, "libLLVM-15.so.1": 15, "libLLVM-14.0.6.so.1": 14, "libLLVM-20.so": 20}
+    assert {name: llvm_version(make(tmp_path / name)) for name in names} == names
+    link = tmp_path / "linked.so"
+    link.symlink_to(tmp_path / "libLLVM-15.so.1")
+    assert llvm_version(link) == 15
+    assert llvm_version(tmp_path / "libLLVM.so.22") is None  # not there
+    assert llvm_version(make(tmp_path / "libLLVM.so")) is None  # no library
 
 
 def test_a_library_without_a_version_in_its_name_is_asked(tmp_path: Path) -> None:
@@ -87,26 +78,28 @@ def test_where_there_is_none_the_message_says_what_to_install(environment: Path)
         find_llvm()
 
 
+def printed(lines: str, *arguments: str, **environment: str) -> str:
+    """What another process prints."""
+    root = Path(__file__).parents[2]
+    command = [sys.executable, "-c", lines, *arguments]
+    done = subprocess.run(
+        command, capture_output=True, text=True, check=True, cwd=root, env={**os.environ, **environment}, timeout=120
+    )
+    return done.stdout.strip()
+
+
 def test_a_mitsuba_that_took_an_old_library_is_refused_before_it_can_abort() -> None:
     old = [path for path in SYSTEM if 15 <= (llvm_version(path) or 0) < OLDEST]
     try:
-        find_llvm()
+        fit = find_llvm()
     except ValueError as error:
         pytest.skip(str(error))
     if not old:
-        pytest.skip("no libLLVM here that is too old for Mitsuba")
+        pytest.skip("no old libLLVM here")
     lines = "import mitsuba\nfrom metapp.rendering.variant import *\nimport os\ndel os.environ[VARIABLE]\n"
-    lines += f"os.environ[VARIABLE] = {str(find_llvm())!r}\n"
+    lines += f"os.environ[VARIABLE] = {str(fit)!r}\n"
     lines += "try:\n    load_mitsuba()\nexcept ValueError as error:\n    print(error)"
-    done = subprocess.run(
-        [sys.executable, "-c", lines],
-        capture_output=True,
-        text=True,
-        check=True,
-        cwd=Path(__file__).parents[2],
-        env={**os.environ, VARIABLE: str(old[0])},
-    )
-    assert "imported before with libLLVM" in done.stdout
+    assert "imported before with libLLVM" in printed(lines, **{VARIABLE: str(old[0])})
 
 
 @needs_mitsuba
@@ -114,13 +107,4 @@ def test_exr_files_are_written_and_read_where_torch_has_one_thread(tmp_path: Pat
     """Mitsuba waits for a thread of Dr.Jit's pool, which has one less than it is told."""
     lines = "import sys, numpy, torch\nfrom metapp.rendering.variant import load_mitsuba\ntorch.set_num_threads(1)\n"
     lines += "mi = load_mitsuba()\nmi.Bitmap(numpy.ones((64, 32, 3), 'float32')).write(sys.argv[1])\n"
-    lines += "print(mi.Bitmap(sys.argv[1]).size())"
-    done = subprocess.run(
-        [sys.executable, "-c", lines, tmp_path / "a.exr"],
-        capture_output=True,
-        text=True,
-        check=True,
-        cwd=Path(__file__).parents[2],
-        timeout=120,
-    )
-    assert done.stdout.strip() == "[32, 64]"
+    assert printed(lines + "print(mi.Bitmap(sys.argv[1]).size())", str(tmp_path / "a.exr")) == "[32, 64]"

@@ -250,22 +250,26 @@ def test_hostile_scenes_are_refused_at_once(name: str, tmp_path: Path, capfd: py
     assert capfd.readouterr() == ("", "")
 
 
-@pytest.mark.parametrize("kind", ["fifo", "device", "folder", "missing", "large", "utf16"])
+def sparse(path: Path) -> None:
+    with path.open("wb") as file:
+        file.truncate(2**40)
+
+
+NO_TEXT: dict[str, tuple[Callable[[Path], object], str]] = {
+    "fifo": (os.mkfifo, "no regular file"),
+    "device": (lambda path: path.symlink_to("/dev/zero"), "no regular file"),
+    "folder": (Path.mkdir, "no regular file"),
+    "missing": (lambda path: None, "No such file"),
+    "large": (sparse, "more than 16,777,216 bytes"),
+    "utf16": (lambda path: path.write_bytes(xml(ITSELF).encode("utf-16")), "not text in UTF-8"),
+}
+
+
+@pytest.mark.parametrize("kind", NO_TEXT)
 def test_a_scene_file_is_a_regular_file_of_text(kind: str, tmp_path: Path) -> None:
-    path = tmp_path / "room.xml"
-    if kind == "fifo":
-        os.mkfifo(path)
-    elif kind == "device":
-        path.symlink_to("/dev/zero")
-    elif kind == "folder":
-        path.mkdir()
-    elif kind == "large":
-        with path.open("wb") as file:
-            file.truncate(2**40)
-    elif kind == "utf16":
-        path.write_bytes(xml(ITSELF).encode("utf-16"))
-    expected = {"large": "more than 16,777,216 bytes", "missing": "No such file", "utf16": "not text in UTF-8"}
-    with pytest.raises(ValueError, match=expected.get(kind, "no regular file")) as caught:
+    path, (make, expected) = tmp_path / "room.xml", NO_TEXT[kind]
+    make(path)
+    with pytest.raises(ValueError, match=expected) as caught:
         read_scene(path)
     assert_one_line(caught.value, path)
 

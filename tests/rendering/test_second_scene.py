@@ -13,7 +13,9 @@ from torch import Tensor
 
 from metapp.appearance import latlong
 from metapp.rendering import second_scene
-from metapp.rendering.second_scene import GLOSSY_CENTRE, MATTE_CENTRE, direct, relight, transfer
+from metapp.rendering import second_scene_geometry as geometry
+from metapp.rendering.second_scene import direct, relight, transfer
+from metapp.rendering.second_scene_geometry import GLOSSY_CENTRE, MATTE_CENTRE
 from tests.needs_mitsuba import needs_mitsuba
 
 ROWS, COLUMNS = 16, 32
@@ -35,29 +37,29 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def matrix(built: Path, monkeypatch: pytest.MonkeyPatch) -> Tensor:
     """[64, 96, 16, 32]; `relight` finds it too."""
     monkeypatch.setenv("METAPP_CACHE", str(built))
-    return transfer(ROWS, COLUMNS).view(second_scene.HEIGHT, second_scene.WIDTH, ROWS, COLUMNS)
+    return transfer(ROWS, COLUMNS).view(geometry.HEIGHT, geometry.WIDTH, ROWS, COLUMNS)
 
 
 def view(rows: Tensor | float, columns: Tensor | float) -> Tensor:
     """Directions [..., 3] of view through places in the picture, in px from its top left corner."""
     rows, columns = torch.as_tensor(rows, dtype=torch.float64), torch.as_tensor(columns, dtype=torch.float64)
     right, up, forward = axes()
-    x = (columns / second_scene.WIDTH * 2 - 1) * math.tan(math.radians(second_scene.FIELD_DEGREES / 2))
-    y = (second_scene.HEIGHT - 2 * rows) / second_scene.WIDTH * math.tan(math.radians(second_scene.FIELD_DEGREES / 2))
+    x = (columns / geometry.WIDTH * 2 - 1) * math.tan(math.radians(geometry.FIELD_DEGREES / 2))
+    y = (geometry.HEIGHT - 2 * rows) / geometry.WIDTH * math.tan(math.radians(geometry.FIELD_DEGREES / 2))
     return torch.nn.functional.normalize(x[..., None] * right + y[..., None] * up + forward, dim=-1)
 
 
 def pixel(point: Tensor) -> tuple[int, int]:
     """Row and column of the picture in which a point [3] is seen."""
     right, up, forward = axes()
-    way = point - torch.tensor(second_scene.CAMERA, dtype=torch.float64)
-    scale = second_scene.WIDTH / 2 / math.tan(math.radians(second_scene.FIELD_DEGREES / 2)) / (way @ forward)
-    return int(second_scene.HEIGHT / 2 - way @ up * scale), int(second_scene.WIDTH / 2 + way @ right * scale)
+    way = point - torch.tensor(geometry.CAMERA, dtype=torch.float64)
+    scale = geometry.WIDTH / 2 / math.tan(math.radians(geometry.FIELD_DEGREES / 2)) / (way @ forward)
+    return int(geometry.HEIGHT / 2 - way @ up * scale), int(geometry.WIDTH / 2 + way @ right * scale)
 
 
 def axes() -> Tensor:
     """Right, up and forward [3, 3] of the camera."""
-    way = torch.tensor(second_scene.TARGET, dtype=torch.float64) - torch.tensor(second_scene.CAMERA).double()
+    way = torch.tensor(geometry.TARGET, dtype=torch.float64) - torch.tensor(geometry.CAMERA).double()
     forward = torch.nn.functional.normalize(way, dim=0)
     right = torch.nn.functional.normalize(torch.linalg.cross(forward, torch.tensor([0.0, 1.0, 0.0]).double()), dim=0)
     return torch.stack([right, torch.linalg.cross(right, forward), forward])
@@ -87,18 +89,18 @@ def test_maps_of_any_size_give_the_same_picture(matrix: Tensor, rng: torch.Gener
     maps = torch.rand(1, 3, ROWS, COLUMNS, generator=rng)
     larger = maps.repeat_interleave(2, -2).repeat_interleave(2, -1)
     # a texel's halves above and below differ in solid angle, but not in radiance
-    assert relight(larger, height=ROWS, width=COLUMNS).shape == (1, 3, second_scene.HEIGHT, second_scene.WIDTH)
+    assert relight(larger, height=ROWS, width=COLUMNS).shape == (1, 3, geometry.HEIGHT, geometry.WIDTH)
     torch.testing.assert_close(*(relight(each, height=ROWS, width=COLUMNS) for each in (maps, larger)))
 
 
 @needs_mitsuba
 def test_in_a_furnace_nothing_shines_and_the_open_floor_shows_its_albedo(matrix: Tensor) -> None:
     picture = matrix.sum((-2, -1))
-    assert picture.max() < second_scene.GLOSSY_REFLECTANCE * 1.03  # noise
-    torch.testing.assert_close(picture[0], torch.full_like(picture[0], second_scene.FLOOR_ALBEDO), rtol=0.03, atol=0)
+    assert picture.max() < geometry.GLOSSY_REFLECTANCE * 1.03  # noise
+    torch.testing.assert_close(picture[0], torch.full_like(picture[0], geometry.FLOOR_ALBEDO), rtol=0.03, atol=0)
     top = pixel(torch.tensor(GLOSSY_CENTRE).double() + torch.tensor([0, 0.85, 0.5]).double())
-    assert picture[top] > 0.95 * second_scene.GLOSSY_REFLECTANCE  # it sees nothing but the sky
-    assert picture[pixel(torch.tensor([1.15, 0.0, 1.0]).double())] < 0.9 * second_scene.FLOOR_ALBEDO
+    assert picture[top] > 0.95 * geometry.GLOSSY_REFLECTANCE  # it sees nothing but the sky
+    assert picture[pixel(torch.tensor([1.15, 0.0, 1.0]).double())] < 0.9 * geometry.FLOOR_ALBEDO
 
 
 @needs_mitsuba
@@ -114,7 +116,7 @@ def test_shadows_lie_on_the_far_side_of_the_spheres(matrix: Tensor, centre: tupl
     tried = 0
     for row, column in SUNS:
         light = to_light[:, row, column]
-        open_floor = second_scene.FLOOR_ALBEDO / math.pi * light[1] * latlong.solid_angles(ROWS, COLUMNS)[row, 0]
+        open_floor = geometry.FLOOR_ALBEDO / math.pi * light[1] * latlong.solid_angles(ROWS, COLUMNS)[row, 0]
         far, near = (torch.tensor(centre).double() + side * light / light[1] for side in (-1, 1))
         far[1] = near[1] = 0
         # the sphere hides some of these places from the camera, or they are outside the picture
@@ -130,22 +132,22 @@ def test_shadows_lie_on_the_far_side_of_the_spheres(matrix: Tensor, centre: tupl
 def is_seen(point: Tensor) -> bool:
     """Whether a point of the floor is in the picture, with no sphere, a little enlarged, before it."""
     row, column = pixel(point)
-    camera = torch.tensor(second_scene.CAMERA, dtype=torch.float64)
+    camera = torch.tensor(geometry.CAMERA, dtype=torch.float64)
     way = torch.nn.functional.normalize(point - camera, dim=0)
     for centre in (MATTE_CENTRE, GLOSSY_CENTRE):
         to_centre = torch.tensor(centre, dtype=torch.float64) - camera
         if torch.linalg.cross(way, to_centre).norm() < 1.1:
             return False
-    return 0 <= row < second_scene.HEIGHT and 0 <= column < second_scene.WIDTH
+    return 0 <= row < geometry.HEIGHT and 0 <= column < geometry.WIDTH
 
 
 @needs_mitsuba
 def test_the_glossy_sphere_reflects_what_lies_in_the_mirrors_direction(matrix: Tensor) -> None:
     rows, columns = torch.meshgrid(
-        torch.arange(second_scene.HEIGHT) + 0.5, torch.arange(second_scene.WIDTH) + 0.5, indexing="ij"
+        torch.arange(geometry.HEIGHT) + 0.5, torch.arange(geometry.WIDTH) + 0.5, indexing="ij"
     )
     way = view(rows, columns)
-    to_camera = torch.tensor(second_scene.CAMERA).double() - torch.tensor(GLOSSY_CENTRE).double()
+    to_camera = torch.tensor(geometry.CAMERA).double() - torch.tensor(GLOSSY_CENTRE).double()
     along = (way * to_camera).sum(-1)
     inside = along**2 - to_camera @ to_camera + 1
     normal = to_camera + (-along - inside.clamp_min(0).sqrt())[..., None] * way
@@ -175,7 +177,7 @@ def test_the_matrix_is_built_once_and_again_where_the_file_is_damaged(
     cache: Path, monkeypatch: pytest.MonkeyPatch, rng: torch.Generator
 ) -> None:
     calls: list[tuple[int, int]] = []
-    made = torch.rand(second_scene.HEIGHT * second_scene.WIDTH, 8, generator=rng)
+    made = torch.rand(geometry.HEIGHT * geometry.WIDTH, 8, generator=rng)
 
     def build(height: int, width: int, report: Callable[[int, int], Any]) -> Tensor:
         calls.append((height, width))

@@ -15,8 +15,7 @@ from metapp.appearance.presentation import REFERENCE, Fitted, Picture, Rendered
 from metapp.apps.transport.flow import Flow
 from metapp.apps.transport.guide import table_of
 from metapp.learning.task import Params, Task
-from metapp.rendering import equal_time, path_space
-from metapp.rendering.guided_plugin import register_guided_path
+from metapp.rendering import path_space
 from metapp.rendering.scene_rules import scene_of
 
 SHOWN_SIZE = 64  # px of a side, of the pictures that a run leaves
@@ -75,10 +74,14 @@ class Studio:
 
     def guided_path(self, spp: int, seed: int = 0) -> Shot:
         """The same, guided at all bounces by the cache that it learns while it renders."""
+        from metapp.rendering.guided_plugin import register_guided_path  # imports Mitsuba
+
         register_guided_path()
         return self._by({"type": "guided_path"}, spp, seed)
 
     def _by(self, integrator: dict[str, Any], spp: int, seed: int) -> Shot:
+        from metapp.rendering import equal_time
+
         mi, tracer = self.tracer.mi, self.tracer
         sensor = equal_time.square_sensor(tracer.scene, self.size)
         made = mi.load_dict(integrator | {"max_depth": tracer.depth})
@@ -199,6 +202,9 @@ def rendered(task: Task, side: int) -> Rendered:
         side: the longer side of the pictures, px.
     """
     tracer = path_space.Tracer(scene_of(task.data["scene"].cpu()))
+    from metapp.rendering import equal_time
+    from metapp.rendering.guided_plugin import register_guided_path
+
     register_guided_path()
     equal_time.resize(tracer.scene, side)
     guided = equal_time.guided_picture(tracer.scene, RENDERED_SPP, tracer.depth)

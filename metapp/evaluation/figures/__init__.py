@@ -7,22 +7,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
+    from metapp.evaluation.figures.style import Drawn
     from metapp.evaluation.subject import Subject
 
 FIGURES = ("plane", "ranks", "curves", "trajectories", "rates", "strips")
 STUDIES = ("rules",)  # of the tables of the same names
-
-
-class Drawn(NamedTuple):
-    """A figure and what it shows, in words, for those who read it or hear it."""
-
-    figure: Figure
-    caption: str
 
 
 def draw(name: str, subject: Subject) -> Drawn | None:

@@ -11,7 +11,6 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, FuncFormatter, MaxNLocator, NullFormatter, NullLocator
 from torch import Tensor
 
-from metapp.evaluation.figures import Drawn
 from metapp.evaluation.figures.style import (
     BASELINE,
     COLOURS,
@@ -20,6 +19,7 @@ from metapp.evaluation.figures.style import (
     MARKERS,
     MUTED,
     TITLES,
+    Drawn,
     legend,
     line,
     new,

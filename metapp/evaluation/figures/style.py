@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import io
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from matplotlib import rc_context
 from matplotlib.figure import Figure
@@ -46,6 +46,13 @@ STYLE: Any = {
     "lines.linewidth": 1.6,
     "pdf.fonttype": 42,  # text stays text
 }
+
+
+class Drawn(NamedTuple):
+    """A figure and what it shows, in words, for those who read it or hear it."""
+
+    figure: Figure
+    caption: str
 
 
 def new(width: float, height: float, rows: int = 1, columns: int = 1) -> tuple[Figure, Any]:

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from metapp.evaluation.figures import Drawn
+from metapp.evaluation.figures.style import Drawn, png_of
 from metapp.evaluation.notes import title_of
 from metapp.evaluation.rows import Row, Table
 from metapp.evaluation.subject import Subject
@@ -105,8 +105,6 @@ def image_html(address: str, text: str) -> str:
 
 def drawn_html(drawn: Drawn, name: str, pictures: Pictures, kind: str = "figure") -> str:
     """A figure that was drawn, with its caption."""
-    from metapp.evaluation.figures.style import png_of
-
     image = image_html(pictures.add(name, png_of(drawn.figure)), drawn.caption)
     return f'<figure class="{kind}">{image}<figcaption>{escape(drawn.caption)}</figcaption></figure>'
 
