@@ -220,9 +220,9 @@ def _require(path: Path, part: str, found: Params, expected: Params, *, steps: b
         if steps and all(shapes):
             shapes = [shape and ("steps", *shape[1:]) for shape in shapes]
         if shapes[0] != shapes[1]:
-            has, wants = (_said(shape) for shape in shapes)
+            has, wants = (_shape_text(shape) for shape in shapes)
             raise ValueError(f"{path}: {part} {key} is {has}, expected {wants}; {remedy}.")
 
 
-def _said(shape: tuple[int | str, ...] | None) -> str:
+def _shape_text(shape: tuple[int | str, ...] | None) -> str:
     return "missing" if shape is None else f"({', '.join(map(str, shape))})"
