@@ -62,7 +62,7 @@ def _table(compared: Comparison) -> Table:
     from metapp.runs.statistics import FEWEST
 
     one, other = compared.sides
-    found, app = compared.found, one.app
+    found, app = compared.ratio, one.app
     said = [caption_of(app)]
     if found:
         ahead = f"{one.label} has the lower error on {found.ahead} of {found.tasks}"

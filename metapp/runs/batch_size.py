@@ -6,12 +6,16 @@ import contextlib
 import os
 import resource
 import sys
+from collections.abc import Iterable
 from pathlib import Path
+from typing import TypeVar
 
 import torch
 
+from metapp.learning.task import Task
 from metapp.runs import BadOption
 
+Item = TypeVar("Item")
 AUTO = "auto"
 MOST = 256
 PAYS = 0.9  # of the seconds a task: what twice as many must save at least
@@ -47,7 +51,7 @@ class BatchSize:
         self._best = float("inf")
         self._peak = peak_bytes(device)
 
-    def told(self, count: int, seconds: float) -> None:
+    def note(self, count: int, seconds: float) -> None:
         """Take note of what a batch took; choose the next number."""
         peak = peak_bytes(self._device)
         grown, self._peak = max(0, peak - self._peak), peak
@@ -89,3 +93,12 @@ def bytes_left(device: torch.device) -> int:
         limit = int((group / "memory.max").read_text(encoding="ascii"))
         free = min(free, limit - int((group / "memory.current").read_text(encoding="ascii")))
     return free
+
+
+def alike(pairs: Iterable[tuple[Item, Task]]) -> list[list[tuple[Item, Task]]]:
+    """Groups of tasks whose tensors are of the same sizes, which can be fitted side by side."""
+    groups: dict[tuple[tuple[str, torch.Size], ...], list[tuple[Item, Task]]] = {}
+    for source, task in pairs:
+        sizes = tuple((key, task.data[key].shape) for key in sorted(task.data))
+        groups.setdefault(sizes, []).append((source, task))
+    return list(groups.values())

@@ -61,13 +61,13 @@ class Comparison(NamedTuple):
     Attributes:
         sides: the two.
         tasks: what was fitted, in the order of the records; none where it is not to be had.
-        found: the mean error of the first over that of the second, or their difference; None where there is none.
+        ratio: the mean error of the first over that of the second, or their difference; None where there is none.
         notes: what differs beside the runs' settings and must be known.
     """
 
     sides: tuple[Side, Side]
     tasks: list[Task]
-    found: Paired | None
+    ratio: Paired | None
     notes: list[str]
 
     def document(self, picture: Path | None) -> Document:
@@ -80,7 +80,7 @@ class Comparison(NamedTuple):
                 {"label": side.label, "out": str(side.folder), "error": side.mean(), "seconds": side.seconds()}
                 for side in self.sides
             ],
-            "compared": self.found and self.found._asdict(),
+            "compared": self.ratio and self.ratio._asdict(),
             "tasks": [
                 {"name": a["name"], "error": [a["error"], b["error"]], "seconds": [a["seconds"], b["seconds"]]}
                 for a, b in pairs

@@ -13,7 +13,7 @@ import torch
 from metapp.apps import presentation_of
 from metapp.learning.task import Task
 from metapp.paradigms import ranks
-from metapp.runs.batch_size import BatchSize, check_batch
+from metapp.runs.batch_size import BatchSize, alike, check_batch
 from metapp.runs.checkpoints import find_checkpoint
 from metapp.runs.fits import Fitter, Result
 from metapp.runs.inputs import SOURCED, Source, sources_of, sources_to_fit, tasks_to_fit
@@ -114,17 +114,17 @@ def execute(plan: Plan, lines: Iterable[Path] | None = None) -> Iterator[Run | F
     if ranks.number() > 0:
         if plan.request.train:
             with reporting(Reporter()):
-                prepared(replace(plan, request=replace(plan.request, quiet=True)))
+                with_checkpoint(replace(plan, request=replace(plan.request, quiet=True)))
         return
     make_folder(plan.request.out)
-    fitter = None if lines is None else Fitter(prepared(plan))  # a missing checkpoint is said before the first line
+    fitter = None if lines is None else Fitter(with_checkpoint(plan))  # said before the first line if missing
     for inputs in [plan.request.inputs] if lines is None else ((path,) for path in lines):
         done: Run | Failure
         try:
             one = replace(plan, request=replace(plan.request, inputs=inputs))
             with threads(threads_of(plan.app)):
                 sources, label = _sources(one)
-                fitter = fitter or Fitter(prepared(plan))
+                fitter = fitter or Fitter(with_checkpoint(plan))
                 fitter.plan = replace(one, checkpoint=fitter.plan.checkpoint)
                 done = _run(fitter, sources, label)
         except Exception as error:  # whatever it is, the next line is not to blame
@@ -134,7 +134,7 @@ def execute(plan: Plan, lines: Iterable[Path] | None = None) -> Iterator[Run | F
         yield done
 
 
-def prepared(plan: Plan) -> Plan:
+def with_checkpoint(plan: Plan) -> Plan:
     """The plan with the best checkpoint, trained first if that is asked for, by all ranks together."""
     with threads(threads_of(plan.app)):
         if plan.request.train:
@@ -273,7 +273,7 @@ class _Loop:
             yield from self._fitted(pairs[:middle])
             yield from self._fitted(pairs[middle:])
             return
-        self.size.told(len(pairs), sum(result.record["seconds"] for result in results))
+        self.size.note(len(pairs), sum(result.record["seconds"] for result in results))
         for (source, task), result in zip(pairs, results, strict=True):
             try:
                 yield self._keep(source, task, result, len(pairs))
@@ -292,12 +292,3 @@ class _Loop:
         self.folder.add(record, theta)
         self.count += 1
         return record
-
-
-def alike(pairs: Iterable[tuple[Source, Task]]) -> list[list[tuple[Source, Task]]]:
-    """Groups of tasks whose tensors are of the same sizes, which can be fitted side by side."""
-    groups: dict[tuple[tuple[str, torch.Size], ...], list[tuple[Source, Task]]] = {}
-    for source, task in pairs:
-        sizes = tuple((key, task.data[key].shape) for key in sorted(task.data))
-        groups.setdefault(sizes, []).append((source, task))
-    return list(groups.values())

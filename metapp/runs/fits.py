@@ -17,7 +17,7 @@ from metapp.learning.task import Params, Rng, Task, Tasks, drawn
 from metapp.paradigms import Job
 from metapp.runs.plan import Plan
 from metapp.runs.reporter import say
-from metapp.runs.request import said_time
+from metapp.runs.request import time_text
 from metapp.runs.watching import Watched
 from metapp.storage import Document
 
@@ -118,8 +118,8 @@ class Fitter:
         budget = self._budget or 0.0
         for moved, why in ((False, "even the initialisation took longer"), (True, "slow steps took longer")):
             if over := self.over[moved]:
-                most = said_time(budget + max(over))
-                say(f"budget: on {len(over)} of {count} tasks {why} than {said_time(budget)}, up to {most}")
+                most = time_text(budget + max(over))
+                say(f"budget: on {len(over)} of {count} tasks {why} than {time_text(budget)}, up to {most}")
                 over.clear()
 
     def _warm_up(self, task: Task) -> None:

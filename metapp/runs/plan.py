@@ -25,7 +25,7 @@ from metapp.runs.checks import (
     default_recipe,
 )
 from metapp.runs.naming import observe_of
-from metapp.runs.request import Request, portion_of, said_time, seconds_of
+from metapp.runs.request import Request, portion_of, seconds_of, time_text
 from metapp.runs.surroundings import find_device, machine, precision_of, versions
 from metapp.storage import Document
 
@@ -119,7 +119,7 @@ class Plan:
         if request.steps is not None:
             name += f"-{request.steps}steps"
         if self.budget is not None:
-            name += f"-{said_time(self.budget)}"
+            name += f"-{time_text(self.budget)}"
         if self.app.protocol:
             name += f"-{self.app.protocol}"
         return request.out / self.app.name / self.paradigm.name / name

@@ -96,7 +96,7 @@ def seconds_of(text: str) -> float | None:
     return seconds
 
 
-def said_time(seconds: float) -> str:
+def time_text(seconds: float) -> str:
     """A time as `seconds_of` reads it: 50ms, 2s, 1.5min."""
     unit = max((unit for unit in UNITS if UNITS[unit] <= max(seconds, 1e-3)), key=UNITS.__getitem__)
     return f"{seconds / UNITS[unit]:.4g}{unit}"

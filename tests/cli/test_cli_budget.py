@@ -11,7 +11,7 @@ import pytest
 from metapp.apps.brdf import Brdf
 from metapp.apps.brdf.recipes import RECIPES
 from metapp.runs import BadOption
-from metapp.runs.request import said_time, seconds_of
+from metapp.runs.request import seconds_of, time_text
 from metapp.storage.records import read_records
 
 pytestmark = pytest.mark.usefixtures("small_spheres")
@@ -101,7 +101,7 @@ def test_a_run_without_a_budget_says_nothing_of_it(
 def test_times_are_read_with_their_unit(text: str, seconds: float | None) -> None:
     found = seconds_of(text)
     assert found == (seconds if seconds is None else pytest.approx(seconds))
-    assert found is None or seconds_of(said_time(found)) == pytest.approx(found)
+    assert found is None or seconds_of(time_text(found)) == pytest.approx(found)
 
 
 @pytest.mark.parametrize("text", ["50", "0s", "-1s", "1 day", "ms", "1e3s", "nan s"])

@@ -98,13 +98,20 @@ def test_the_same_seed_gives_the_same_errors_whatever_is_fitted_beside(fit: Call
     assert errors[0]["m5"] != errors[2]["m5"]
 
 
-def test_a_start_trained_on_this_data_is_found_again_and_said(fit: Callable) -> None:
+def test_what_was_trained_on_this_data_is_found_says_how_and_can_be_named(fit: Callable, tmp_path: Path) -> None:
     trained = fit("general", *STEPS, "--json")
+    (file,) = (tmp_path / "runs" / "brdf" / "checkpoints").rglob("general.safetensors")
+    assert load_checkpoint(file)[1]["training"]["steps"] == 3
     again = fit("general", "--json")
     assert "checkpoints" in again.err
     assert "general.safetensors" in again.err
     assert again.document["tasks"][0]["error"] == trained.document["tasks"][0]["error"]
     assert fit("finetune", "--json").document["steps"] == 5
+    fit("general", *STEPS)
+    assert file.with_suffix(".previous.safetensors").is_file()
+    named = fit("general", "--checkpoint", file.rename(tmp_path / "mine.safetensors"))
+    assert named.code == 0
+    assert "mine.safetensors" in named.err
 
 
 def test_quickft_is_tuned_for_its_encoder(
@@ -120,15 +127,6 @@ def test_quickft_is_tuned_for_its_encoder(
     assert "tuned Adam" in tuned.err
     (file,) = (tmp_path / "runs" / "brdf" / "quickft").rglob("record.jsonl")
     assert read_records(file)[-1]["settings"]["adam"]["beta1"] == 0.3  # the tuned one, not the recipe's
-
-
-def test_a_named_checkpoint_is_used(fit: Callable, tmp_path: Path) -> None:
-    fit("general", *STEPS)
-    (start,) = (tmp_path / "runs" / "brdf" / "checkpoints").rglob("general.safetensors")
-    moved = start.rename(tmp_path / "mine.safetensors")
-    result = fit("general", "--checkpoint", moved)
-    assert result.code == 0
-    assert "mine.safetensors" in result.err
 
 
 @pytest.mark.parametrize("kind", ["nbrdf", "merl"])
@@ -166,20 +164,9 @@ def test_an_interrupted_run_keeps_finished_tasks_and_goes_on(
     assert first == kept
     assert second["name"] == "m9"
     assert calls == [("m4",), ("m9",), ("m9",)]
-
-
-def test_a_finished_run_that_is_run_again_and_interrupted_loses_nothing(
-    fit: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    assert fit("overfit").code == 0
-    (file,) = (tmp_path / "runs").rglob("record.jsonl")
+    del calls[1:]  # the next call is interrupted, too
     before = file.read_text()
-
-    def interrupted(theta, tasks):
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(Brdf, "errors", staticmethod(interrupted))
-    assert fit("overfit").code == 130
+    assert fit("overfit").code == 130  # a finished run, run again
     assert file.read_text() == before
 
 
@@ -187,15 +174,6 @@ def test_meta_on_own_data_starts_from_a_general_of_this_data(fit: Callable, tmp_
     result = fit("meta", *STEPS)
     assert "no General that was trained on this data yet" in result.err
     assert list((tmp_path / "runs" / "brdf" / "checkpoints").rglob("general.safetensors"))
-
-
-def test_a_start_says_how_it_was_trained(fit: Callable, tmp_path: Path) -> None:
-    fit("general", *STEPS)
-    (file,) = (tmp_path / "runs").rglob("general.safetensors")
-    _, info = load_checkpoint(file)
-    assert info["training"]["steps"] == 3
-    fit("general", *STEPS)
-    assert file.with_suffix(".previous.safetensors").is_file()
 
 
 def test_a_folder_is_read_by_every_reader_and_damaged_files_in_it_are_skipped(

@@ -244,13 +244,13 @@ def test_cases_of_few_steps_come_first() -> None:
 def test_seconds_of_a_training_outlive_a_kill(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     clock = [100.0]
     monkeypatch.setattr("metapp.storage.training_checkpoint.time.process_time", lambda: clock[0])
-    first = TrainingCheckpoint(tmp_path / "start.safetensors", {})
+    first = TrainingCheckpoint(tmp_path / "meta-sgd.safetensors", {})
     clock[0] += 7
     assert first.spent == 7
-    first.reached = first.reached._replace(looks=(1.0,))
+    first.progress = first.progress._replace(errors=(1.0,))
     first.write()
     clock[0] += 1000
-    second = TrainingCheckpoint(tmp_path / "start.safetensors", {})
-    assert second.load().looks == (1.0,)
+    second = TrainingCheckpoint(tmp_path / "meta-sgd.safetensors", {})
+    assert second.load().errors == (1.0,)
     clock[0] += 5
     assert second.spent == 12

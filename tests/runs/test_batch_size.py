@@ -25,7 +25,7 @@ def grown(size: BatchSize, seconds: dict[int, float], memory: dict[str, int], ea
     found = []
     for _ in range(12):
         memory["peak"] = max(memory["peak"], 1000 + each * size.now)
-        size.told(size.now, seconds[size.now])
+        size.note(size.now, seconds[size.now])
         found.append(size.now)
     return found
 
@@ -55,7 +55,7 @@ def test_batches_do_not_grow_without_end(memory: dict[str, int]) -> None:
 
 def test_a_number_that_was_asked_for_stays_unless_memory_runs_out(memory: dict[str, int]) -> None:
     size = BatchSize(64, CPU)
-    size.told(64, 100.0)
+    size.note(64, 100.0)
     assert size.now == 64
     size.failed()
     assert size.now == 32
@@ -63,8 +63,8 @@ def test_a_number_that_was_asked_for_stays_unless_memory_runs_out(memory: dict[s
 
 def test_a_last_batch_that_is_not_full_says_nothing(memory: dict[str, int]) -> None:
     size = BatchSize(None, CPU)
-    size.told(1, 1.0)
-    size.told(1, 100.0)
+    size.note(1, 1.0)
+    size.note(1, 100.0)
     assert size.now == 2
 
 

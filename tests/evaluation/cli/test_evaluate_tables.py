@@ -92,7 +92,7 @@ def test_a_terminal_shows_as_many_columns_as_it_has_room_for(
 ) -> None:
     from rich.console import Console
 
-    monkeypatch.setattr("metapp.cli.show.out", Console(width=width))
+    monkeypatch.setattr("metapp.cli.show.out", lambda: Console(width=width))
     for name in NAMES:
         table, found = load_table(name), rows(subject, name)
         if not found:

@@ -1,0 +1,143 @@
+"""The synthetic textures and flash photographs: varied, stationary, lit in the middle, well exposed."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from data_tools.draws import stream
+from data_tools.synthetic.stationary import families
+from data_tools.synthetic.stationary.families import FAMILIES
+from data_tools.synthetic.svbrdf_stationary import flash_photographs
+from data_tools.synthetic.texture import synthetic_tasks
+from metapp.appearance.flash import Maps, camera, expose, flash_position, normal_from_height, positions, render
+from metapp.runs.embedded import embedded_data
+from metapp.storage.shards import read_manifest
+from tests.synthetic.drawn import drawn, least_distance
+
+
+@pytest.fixture(scope="module")
+def pictures() -> Tensor:
+    """[N, 3, 256, 256] in [0, 1]."""
+    return drawn("texture").images()
+
+
+@pytest.fixture(scope="module")
+def photos() -> Tensor:
+    """The same, of materials under a flash."""
+    return drawn("svbrdf_stationary").images()
+
+
+def histograms(pictures: Tensor) -> Tensor:
+    """Shares of 8 levels of each channel, [N, 24]."""
+    levels = (pictures.flatten(2) * 7.999).byte()
+    return torch.stack([(levels == level).float().mean(2) for level in range(8)], -1).flatten(1)
+
+
+def test_pictures_are_neither_black_nor_white_nor_flat(pictures: Tensor) -> None:
+    means = pictures.mean((1, 2, 3))
+    assert means.min() > 0.2
+    assert means.max() < 0.85
+    assert (pictures >= 1).all(1).float().mean((1, 2)).max() < 0.03
+    assert (pictures.amax(1) < 0.02).float().mean((1, 2)).max() < 0.35
+    assert pictures.std((2, 3)).amax(1).min() > 0.015
+
+
+def test_most_pictures_are_the_same_everywhere(pictures: Tensor) -> None:
+    """In nine of ten no quadrant's mean colour is further than 0.03 from the whole's."""
+    quadrants = pictures.unflatten(3, (2, 128)).unflatten(2, (2, 128)).mean((3, 5))
+    apart = (quadrants - pictures.mean((2, 3))[..., None, None]).abs().amax((1, 2, 3))
+    assert (apart < 0.03).float().mean() > 0.9
+    assert apart.max() < 0.1
+
+
+def test_every_draw_is_another_texture(pictures: Tensor) -> None:
+    assert least_distance(pictures) > 0.01  # and with that no test texture is a training texture
+    shares = histograms(pictures)
+    differences = torch.cdist(shares, shares, p=1) / 6  # 1: no level in common
+    off_diagonal = ~torch.eye(len(shares), dtype=torch.bool)
+    assert differences[off_diagonal].mean() > 0.5
+    assert (differences[off_diagonal] < 0.05).float().mean() < 0.01
+
+
+def test_members_of_a_family_differ_in_colour(pictures: Tensor) -> None:
+    means = pictures[:100].mean((2, 3))
+    for family in range(20):
+        own = means[family::20]
+        assert torch.cdist(own, own).sum() / 20 > 0.05, family
+
+
+def test_another_size(tmp_path: Path) -> None:
+    large, again = (next(synthetic_tasks("train", 1, size=96)).data["image"] for _ in range(2))
+    assert large.shape == (3, 96, 96)
+    assert torch.equal(large, again)
+    assert not torch.equal(large, next(synthetic_tasks("train", 1, seed=1, size=96)).data["image"])
+    folder = embedded_data("texture", count=2, out=tmp_path / "large", quiet=True, size=64)
+    assert read_manifest(folder).notes["size"] == 64
+    with pytest.raises(ValueError, match=r"^brdf: size 64, but its embedded set has one size; leave --size out\.$"):
+        embedded_data("brdf", count=2, out=tmp_path / "no", quiet=True, size=64)
+
+
+# Under a flash
+
+
+def test_exposure_holds_the_highlight(photos: Tensor) -> None:
+    means = photos.mean((1, 2, 3))
+    assert means.min() > 0.15
+    assert means.max() < 0.75
+    assert (photos >= 0.999).all(1).float().mean((1, 2)).max() < 0.1
+    peaks = photos.mean(1).flatten(1).quantile(0.999, 1)
+    assert (peaks > 0.9).float().mean() > 0.3  # shiny ones are about to clip, matt ones are metered by their mean
+
+
+def test_the_flash_is_in_the_middle(photos: Tensor) -> None:
+    middle = photos[..., 64:192, 64:192].mean((1, 2, 3))
+    corners = torch.stack([photos[..., i : i + 48, j : j + 48].mean((1, 2, 3)) for i in (0, 208) for j in (0, 208)])
+    assert (middle > corners.mean(0)).float().mean() > 0.97
+    assert flash_position(photos).norm(dim=1).quantile(0.9) < 0.15
+
+
+def test_opposite_sides_are_alike(photos: Tensor) -> None:
+    """What a stationary material under a central flash has in common with itself: in nine of ten within 0.06."""
+    sides = [photos[..., :128, :], photos[..., 128:, :], photos[..., :128], photos[..., 128:]]
+    top, bottom, left, right = (side.mean((2, 3)) for side in sides)
+    apart = torch.maximum((top - bottom).abs(), (left - right).abs()).amax(1)
+    assert (apart < 0.06).float().mean() > 0.9
+
+
+def test_every_draw_is_another_material(photos: Tensor) -> None:
+    assert least_distance(photos) > 0.01
+    means = photos.mean((2, 3))
+    assert torch.cdist(means, means).mean() > 0.2
+
+
+def test_the_sensor_adds_noise_only() -> None:
+    """Another draw of place, exposure and noise shows the same material."""
+    maps = FAMILIES["marble"](stream(2), 64)
+    first, again, other = (flash_photographs(maps, stream(key))[0].float() for key in (0, 0, 1))
+    assert torch.equal(first, again)
+    assert not torch.equal(first, other)
+    together = torch.corrcoef(torch.stack([first.flatten(), other.flatten()]))[0, 1]
+    assert together > 0.9
+
+
+def test_the_truth_makes_the_photograph_without_its_exposure() -> None:
+    """Maps of one value each: a photograph of those that the statistics tell is the one that they belong to."""
+    size, one = 64, np.ones((1, 64, 64), np.float32)
+    plain = families.Maps(0.3 * np.repeat(one, 3, 0), 0.06 * one, 0.5 * one, 0 * one)
+    photo, _, truth = flash_photographs(plain, stream(3))
+    means, deviations = truth[:, 0], truth[:, 1]
+    assert truth.shape == (3, 2, 6)
+    assert means[:, :3].std() < 1e-4
+    torch.testing.assert_close(deviations, torch.full((3, 6), 1e-4), rtol=0, atol=2e-3)
+    torch.testing.assert_close(means[:, 4:], torch.tensor([0.5, 0.0]).expand(3, 2), rtol=0, atol=2e-3)
+    albedo, specular = means[0, 0] ** 2.2, means[0, 3] ** 2.2
+    torch.testing.assert_close(specular / albedo, torch.tensor(0.06 / 0.3))
+    square = torch.ones(1, size, size)
+    maps = Maps(albedo * square.expand(3, -1, -1), specular * square, 0.5 * square, normal_from_height(0 * square))
+    again = expose(render(maps, positions(size, size), camera(), camera(), falloff=1.0))
+    assert (again - photo / 255).abs().mean() < 0.02  # but for the flash's exact place and cone
