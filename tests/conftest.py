@@ -204,17 +204,12 @@ def photograph(mitsuba: Any) -> Callable[..., Tensor]:
     def photo(bsdf: Callable[[Any], dict[str, Any]], light: Tensor, size: int, samples: int) -> Tensor:
         pose = mitsuba.ScalarTransform4f().look_at(origin=[0, 0, camera_distance()], target=[0, 0, 0], up=[0, 1, 0])
         film = {"type": "hdrfilm", "width": size, "height": size, "rfilter": {"type": "box"}, "pixel_format": "rgb"}
+        sampler = {"type": "stratified", "sample_count": samples}
         scene = mitsuba.load_dict(
             {
                 "type": "scene",
                 "integrator": {"type": "direct"},
-                "sensor": {
-                    "type": "perspective",
-                    "fov": 45,
-                    "to_world": pose,
-                    "film": film,
-                    "sampler": {"type": "stratified", "sample_count": samples},
-                },
+                "sensor": {"type": "perspective", "fov": 45, "to_world": pose, "film": film, "sampler": sampler},
                 "light": {
                     "type": "point",
                     "position": light.tolist(),

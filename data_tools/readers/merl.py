@@ -15,16 +15,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from data_tools.readers import brdf_task
-from data_tools.readers.brdf_task import warn_implausible
 from data_tools.readers.listing import files_below
-from data_tools.readers.merl_table import SCALE, SHAPE, Array, merl_evaluate, merl_valid, tabulate
+from data_tools.readers.merl_table import SCALE, SHAPE, Array, merl_valid, tabulate
 from metapp.learning.task import Params, Task
 from metapp.storage.files import write_atomically
 
@@ -90,10 +88,7 @@ def read_task(path: Path, samples: int = 65_536) -> Task:
     Raises:
         ValueError: as `read_merl`.
     """
-    table = read_merl(path)
-    task = brdf_task.brdf_task(path.stem, table, samples=samples, source=path)
-    warn_implausible(path, task, partial(merl_evaluate, table))
-    return task
+    return brdf_task.measured_task(path.stem, read_merl(path), samples, path)
 
 
 def read_merl(path: str | Path) -> Array:

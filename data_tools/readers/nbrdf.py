@@ -22,7 +22,6 @@ from torch import Tensor
 
 from data_tools.formats import Conversion, Label
 from data_tools.readers import brdf_task
-from data_tools.readers.brdf_task import warn_implausible
 from data_tools.readers.listing import files_below
 from metapp.appearance.geometry import half_difference
 from metapp.learning.task import Params, Task
@@ -99,9 +98,7 @@ def read_task(path: Path, samples: int = 65_536) -> Task:
         ValueError: as `read_nbrdf`.
     """
     evaluate = partial(nbrdf_evaluate, read_nbrdf(path))
-    task = brdf_task.brdf_task(path.resolve().name, evaluate, samples=samples, source=path)
-    warn_implausible(path, task, evaluate)
-    return task
+    return brdf_task.measured_task(path.resolve().name, evaluate, samples, path)
 
 
 def read_nbrdf(folder: str | Path) -> dict[str, NDArray[np.float32]]:

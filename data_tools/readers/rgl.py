@@ -26,7 +26,6 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from data_tools.readers import brdf_task
-from data_tools.readers.brdf_task import warn_implausible
 from data_tools.readers.listing import find_by_suffix, has_suffix
 from metapp.appearance.geometry import directions_to_full_circle, rusinkiewicz_to_directions
 from metapp.learning.task import Params, Task
@@ -210,10 +209,7 @@ def read_task(path: Path, samples: int = 65_536) -> Task:
     Raises:
         ValueError: as `read_rgl`.
     """
-    evaluate = read_rgl(path)
-    task = brdf_task.brdf_task(path.stem, evaluate, samples=samples, source=path)
-    warn_implausible(path, task, evaluate)
-    return task
+    return brdf_task.measured_task(path.stem, read_rgl(path), samples, path)
 
 
 def read_rgl(path: Path) -> Callable[[Tensor], Tensor]:

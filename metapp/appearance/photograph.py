@@ -17,7 +17,7 @@ from torch import Generator, Tensor
 from metapp.appearance import latlong, reflection
 from metapp.appearance.colour import linear_to_srgb, srgb_to_linear
 from metapp.appearance.latlong import cosine_transfer, glossy_transfer, luminance, resample, sphere_normals
-from metapp.storage.kept import kept
+from metapp.storage.tensors import kept
 
 ROUGHNESSES = (0.15, 0.19, 0.25, 0.32, 0.42, 0.54, 0.7)  # each needs a matrix of its own
 CACHED = 64 * 64  # rows times px from which lobes take a tenth of a second or more: these are kept on disk

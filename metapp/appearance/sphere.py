@@ -12,7 +12,7 @@ from torch import Tensor
 
 from metapp.appearance import geometry
 from metapp.appearance.geometry import directions_to_rusinkiewicz, gauss_legendre
-from metapp.storage.kept import kept
+from metapp.storage.tensors import kept
 
 
 class SphereScene(NamedTuple):

@@ -15,7 +15,7 @@ from metapp.learning.task import Params
 from metapp.networks.field import regridded
 from metapp.paradigms import paradigms
 from metapp.paradigms.quickft import TUNED
-from metapp.runs.checks import shipped_path, ships
+from metapp.runs.checks import QUICK, shipped_path, ships
 from metapp.runs.embedded import embedded_exists
 from metapp.runs.inputs import data_folder, data_label
 from metapp.runs.naming import is_first_protocol, name_of
@@ -48,7 +48,12 @@ def find_checkpoint(plan: Plan) -> Plan:
     _require_protocol(path, plan.app, info)
     _require_conditions(path, plan.app, prepared, info)
     prepared = on_own_grid(plan, prepared)
-    require_fit(path, plan, prepared)
+    try:
+        require_fit(path, plan, prepared)
+    except ValueError as error:
+        if path.parent == shipped_path(plan.app.name, needed).parent and plan.request.recipe != QUICK:
+            raise ValueError(f"{str(error).removesuffix('.')}; this one ships for --recipe {QUICK}.") from None
+        raise
     checkpoint = Checkpoint(prepared, str(path), digest(path))
     if path == _shipped(plan, needed) and not plan.request.checkpoint:
         note = ", trained on other data, which may hold these tasks" if plan.request.data else ""

@@ -30,7 +30,7 @@ SCHEMA = 1
 
 
 class TrainingCheckpoint:
-    """The file of one training: what was last reached, and when it was last written."""
+    """The file of one training: how far it is, and when that was last written."""
 
     def __init__(self, checkpoint: Path, settings: dict[str, Any], device: torch.device | str = "cpu") -> None:
         """Nothing is read or written yet.
@@ -78,13 +78,13 @@ class TrainingCheckpoint:
         return self.progress
 
     def keep(self, progress: Progress) -> None:
-        """Take note of how far it is, and write it now and then."""
+        """Remember how far it is, and write it where the last write is `seconds` ago."""
         self.progress = progress
         if time.monotonic() - self.written >= self.seconds:
             self.write()
 
     def write(self) -> None:
-        """Write what was reached, if anything; a failure is said, and the last file that was written stays."""
+        """Write how far it is, if anything is done; after a failure, a warning, the last file stays."""
         if not self.progress.errors and self.progress.outer is None:
             return
         document, tensors = _document(self.progress)
@@ -126,7 +126,7 @@ def _read(path: Path) -> tuple[dict[str, Any], Params]:
 
 
 def _document(progress: Progress) -> tuple[dict[str, Any], Params]:
-    """What was reached as a JSON document and tensors [...] on the CPU, no two of which share memory."""
+    """How far it is as a JSON document and tensors [...] on the CPU, no two of which share memory."""
     document: dict[str, Any] = {"looks": progress.errors}
     outer, best, losses = progress.outer, progress.best, progress.losses
     if outer is None or best is None or progress.rng is None:

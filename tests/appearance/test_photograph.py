@@ -85,17 +85,13 @@ def test_furnace(roughness: float) -> None:
     torch.testing.assert_close(picture, mask.expand(3, 16, 16).float(), atol=1e-5, rtol=0)
 
 
-@pytest.mark.parametrize("specular", [0.04, 0.5])
+@pytest.mark.parametrize("specular", [0.0, 0.04, 0.5])
 def test_gloss_rises_to_the_rim_by_schlick(specular: float) -> None:
     """Under light of 1 from everywhere, a black body shows the share of its gloss alone: F + (1 - F) (1 - cos)^5."""
     normals, mask = sphere_normals(32)
     picture = shade(torch.ones(3, 64, 128), material(torch.zeros(3), specular, 0.54), 32)
-    expected = (specular + (1 - specular) * (1 - normals[2].double()) ** 5) * mask
+    expected = (specular + (1 - specular) * (1 - normals[2].double()) ** 5) * mask * (specular > 0)
     torch.testing.assert_close(picture.double(), expected.expand(3, -1, -1), atol=1e-5, rtol=0)
-
-
-def test_without_gloss_there_is_none_at_the_rim_either() -> None:
-    assert not shade(torch.ones(3, 64, 128), material(torch.zeros(3), 0.0, 0.54), 32).any()
 
 
 def test_a_quarter_of_the_matrix_is_enough(rng: torch.Generator) -> None:
@@ -149,15 +145,15 @@ def mitsuba_sphere(mitsuba: Any) -> Callable[[dict[str, Any], int], Tensor]:
 def test_the_picture_is_mitsubas(mitsuba_sphere: Callable) -> None:
     albedo = torch.tensor([0.8, 0.5, 0.3])
     bodies = {
-        "diffuse": ({"type": "diffuse", "reflectance": {"type": "rgb", "value": albedo.tolist()}},
-                    material(albedo, 0.0, 0.54)),
-        "mirror": ({"type": "roughconductor", "material": "none", "distribution": "ggx", "alpha": 0.25**2},
-                   gloss(0.25)),
-    }  # fmt: skip
+        "diffuse": ({"reflectance": {"type": "rgb", "value": albedo.tolist()}}, material(albedo, 0.0, 0.54)),
+        "roughconductor": ({"material": "none", "distribution": "ggx", "alpha": 0.25**2}, gloss(0.25)),
+    }
     normals, _ = sphere_normals(16)
     inside = normals[2] > 0.7  # a pixel is nearly what its centre is, and masking loses little
     for name, (bsdf, of) in bodies.items():
-        ours, theirs = (each[:, inside] for each in (shade(sky(64, 128), of, 16), mitsuba_sphere(bsdf, 16)))
+        ours, theirs = (
+            each[:, inside] for each in (shade(sky(64, 128), of, 16), mitsuba_sphere({"type": name, **bsdf}, 16))
+        )
         assert (ours - theirs).abs().mean() < 0.06 * theirs.mean(), name  # noise
         torch.testing.assert_close(ours.mean(-1), theirs.mean(-1), rtol=0.02, atol=0)
 
@@ -202,13 +198,13 @@ def test_suns_clip_and_the_rest_is_seen() -> None:
     assert 0.2 < picture[:, sphere_normals(16)[1]].median() < 0.8
 
 
-@pytest.mark.parametrize("peak", [0.0, 1e-20, 1e20])
-def test_light_from_behind_only(peak: float) -> None:
-    light = torch.zeros(3, 64, 128)
-    light[:, 32, 20] = peak  # z = -0.54: only the rim sees it
-    photos = photographs(light, 1)
-    assert (photos[:, :, 8, 8] == 0).all()
-    assert bool(photos.any()) == (peak > 0)
+def test_light_from_behind_only() -> None:
+    for peak in (0.0, 1e-20, 1e20):
+        light = torch.zeros(3, 64, 128)
+        light[:, 32, 20] = peak  # z = -0.54: only the rim sees it
+        photos = photographs(light, 1)
+        assert (photos[:, :, 8, 8] == 0).all()
+        assert bool(photos.any()) == (peak > 0), peak
 
 
 # Photographs

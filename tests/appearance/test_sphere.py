@@ -14,7 +14,7 @@ from metapp.appearance import sphere
 from metapp.appearance.geometry import above_horizon, cosines
 from metapp.appearance.reflection import MicrofacetKind, fresnel_schlick, microfacet_lobe, rough_reflectance
 from metapp.appearance.sphere import SphereScene, environment, environment_scene, shade_sphere, sphere_scene
-from metapp.storage import kept
+from metapp.storage import tensors
 
 KINDS: tuple[MicrofacetKind, ...] = ("ggx", "beckmann")
 ALPHAS = (0.03, 0.1, 0.3, 0.6)
@@ -141,7 +141,7 @@ def test_a_scene_is_made_once(cache: Path) -> None:
 
 def test_a_scene_of_other_code_is_made_anew(monkeypatch: pytest.MonkeyPatch) -> None:
     with monkeypatch.context() as patch:
-        patch.setattr(kept, "_maker", lambda sources: "of another version")
+        patch.setattr(tensors, "_maker", lambda sources: "of another version")
         sphere._kept("small", lambda: sphere_scene(SIZE + 1))
     assert same(sphere._kept("small", small), small())
     assert same(sphere._kept("small", never), small())

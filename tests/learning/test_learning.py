@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from contextlib import nullcontext
 from dataclasses import replace
 from typing import Any
 
@@ -162,6 +163,17 @@ def test_a_loss_that_is_not_finite_names_task_and_step(bad: float, tasks: Tasks,
     message = r"^glass: the loss is not finite at step 3; lower the learning rate or clip earlier\.$"
     with pytest.raises(FloatingPointError, match=message):
         last(checked(descend(zeros(tasks), sgd(rate(0.1)), tasks, loss, steps=10, rng=rng), every=1))
+
+
+@pytest.mark.parametrize(("every", "expected"), [(0, [0]), (1, list(range(10))), (4, [0, 4, 8, 9]), (50, [0, 9])])
+def test_which_steps_are_checked(every: int, expected: list[int]) -> None:
+    """Counted from 0: every so many, and the last, unless it is the first alone."""
+    for bad in range(10):
+        losses = [torch.tensor([math.nan if i == bad else 1.0]) for i in range(10)]
+        descent = [Step(0, {}, {}), *(Step(i + 1, {}, {}, loss, ("felt",)) for i, loss in enumerate(losses))]
+        message = rf"^felt: the loss is not finite at step {bad};"
+        with pytest.raises(FloatingPointError, match=message) if bad in expected else nullcontext():
+            last(checked(iter(descent), every))
 
 
 def test_the_last_step_is_always_checked(tasks: Tasks, rng: Generator) -> None:

@@ -46,3 +46,9 @@ def test_another_number_of_channels_is_refused(tmp_path: Path) -> None:
 def test_recipes_are_those_of_the_protocol(name: str, observe: str) -> None:
     planned = plan(Request(name, observe=observe, recipe="full"))
     assert planned.app.setup == planned.job.recipe.setup
+
+
+def test_a_rule_that_ships_at_the_quick_size_alone_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("metapp.runs.checkpoints._require_conditions", lambda *_: None)  # VGG may be missing
+    with pytest.raises(ValueError, match=r"meta-basis\.safetensors: .*; this one ships for --recipe quick\."):
+        find_checkpoint(plan(Request("texture", rule="meta-basis", out=tmp_path)))

@@ -12,7 +12,7 @@ from torch.nn.functional import normalize
 from metapp.appearance import latlong, reflection
 from metapp.appearance.latlong import cosine_transfer, glossy_transfer
 from metapp.rendering import second_scene
-from metapp.storage.kept import kept
+from metapp.storage.tensors import kept
 
 FACED, MIRRORED, SHINE = 64, 128, 0.35  # surfaces that the loss looks at: diffuse, glossy and how rough
 
