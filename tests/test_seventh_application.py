@@ -63,7 +63,7 @@ def test_every_command_takes_it(curves: Path, tmp_path: Path) -> None:
     shared = ["--data", data, "--out", runs, "--quiet"]
     train = [*shared, "--json", "--train", "--train-steps"]
     said = commands(
-        ["meta", "--help"],
+        ["meta", "curve", "--help"],
         ["data", "--help"],
         ["data", "curve", curves, "--out", data, "--json", "--quiet"],
         ["data", "check", data],
@@ -76,7 +76,7 @@ def test_every_command_takes_it(curves: Path, tmp_path: Path) -> None:
         ["evaluate", "curve", *shared, "--which", "storage", "--format", "markdown"],
         ["evaluate", "curve", *shared, "--figures", tmp_path / "figures", "--report", tmp_path / "report"],
     )  # fmt: skip
-    assert "curve: .curve files of 32 numbers" in " ".join(said[0].replace("│", " ").split())
+    assert "What to fit: .curve files of 32 numbers" in " ".join(said[0].replace("│", " ").split())
     assert "Convert curves, text files of 32 numbers." in said[1]
     assert json.loads(said[2])["app"] == "curve"
     assert "no problems" in said[3]
