@@ -93,7 +93,7 @@ def test_what_cannot_be_written_is_refused(metapp: Callable, run: Path) -> None:
 
 def test_damaged_parameters_and_strange_records_are_one_line(metapp: Callable, run: Path) -> None:
     (run / "params" / "m0.safetensors").write_bytes(b"hello")
-    assert "m0.safetensors: fitted parameters not readable" in metapp("export", run, "merl").error
+    assert "m0.safetensors: fitted parameters not readable" in metapp("export", run, "merl").refusal
     lines = [json.loads(line) for line in (run / "record.jsonl").read_text().splitlines()]
     lines[0]["settings"]["recipe"] = "other"
     (run / "record.jsonl").write_text("".join(json.dumps(line) + "\n" for line in lines))
