@@ -48,6 +48,27 @@ class Result(NamedTuple):
         return json.loads(self.out.splitlines()[-1])
 
     @property
+    def done(self) -> dict[str, Any]:
+        """The same, of a command that did all that it was to do."""
+        assert self.code == 0, self.err
+        return self.document
+
+    @property
+    def error(self) -> str:
+        """The one line of a command that could not use its data, after what else it said."""
+        assert self.code == 1, self.err
+        assert "Traceback" not in self.err
+        (line,) = [line for line in self.err.splitlines() if line.startswith("error: ")]
+        return line
+
+    @property
+    def misuse(self) -> str:
+        """The one line of a command that could not use its options."""
+        assert (self.code, self.out) == (2, ""), self.err
+        (line,) = [line for line in self.err.splitlines() if line.startswith("Error: ")]
+        return line
+
+    @property
     def refusal(self) -> str:
         """The one line of a command that could not use its data."""
         assert (self.code, self.out) == (1, "")

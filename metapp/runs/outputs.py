@@ -30,15 +30,20 @@ OUTPUTS = "outputs"  # the folder of pictures and maps, in a run's
 
 
 def write_fit(shown: Presentation[Any], run: RunFolder, task: Task, theta: Params, form: str) -> None:
-    """Write what a fit makes, if anything, <run>/outputs/<task>/<name>.png, and the form of --export, <run>/<form>.
-
-    PNGs have 8 bits. Colours are sRGB; data such as roughness, normals and heights are linear: the text `encoding` says
-    which. Heights h, in texels, are kept as (h - minimum) / (maximum - minimum); the texts `height_minimum` and
-    `height_maximum` say which. Radiance is kept as <name>.exr, and tone-mapped beside it.
-    """
-    _write(shown.files(theta, task), run.path / OUTPUTS / file_name(task.name))
+    """Write what a fit makes, <run>/outputs, and in the form of --export, if any, <run>/<form>."""
+    write_files(shown, task, theta, run.path / OUTPUTS)
     if form:
         export_fit(shown, task, theta, run.path / form / file_name(task.name), form, run.settings)
+
+
+def write_files(shown: Presentation[Any], task: Task, theta: Params, folder: Path) -> None:
+    """Write what a fit makes for its user, if anything, <folder>/<task>/<name>.png, 8 bits.
+
+    Colours are sRGB; data such as roughness, normals and heights are linear: the PNG's text `encoding` says which.
+    Heights h, in texels, are kept as (h - minimum) / (maximum - minimum), of which the texts `height_minimum` and
+    `height_maximum` tell. Radiance is kept as <name>.exr, and tone-mapped beside it.
+    """
+    _write(shown.files(theta, task), folder / file_name(task.name))
 
 
 def write_renders(app: App, tasks: Sequence[Task], folder: Path, side: int) -> list[str]:

@@ -62,9 +62,9 @@ def holds(value: Any, form: Any) -> bool:
     return not isinstance(value, int | float) or abs(value) <= sys.float_info.max
 
 
-def save_checkpoint(path: Path, phi: MetaParameters, info: Document, previous: Path | None = None) -> None:
+def save_checkpoint(path: Path, start: MetaParameters, info: Document, previous: Path | None = None) -> None:
     """Write a checkpoint with what it says about itself, as safetensors; `previous` names the one it replaces."""
-    tensors = {key: value.detach().cpu().contiguous().clone() for key, value in phi.flat().items()}
+    tensors = {key: value.detach().cpu().contiguous().clone() for key, value in start.flat().items()}
     metadata = {"metapp": json.dumps({**info, "schema": SCHEMA})}
     # bytes: save_file writes under a name of its own, which a kill would leave behind
     write_atomically(path, lambda target: target.write_bytes(save(tensors, metadata)), previous)

@@ -79,7 +79,7 @@ def test_they_say_what_they_are(name: str, recipe: str) -> None:
     encoder = tensor_digest(start_of(name, "general", recipe).encoder)
     for stem, path in files.items():
         _, info = load_checkpoint(path)
-        assert (info["app"], info["start"], info["recipe"]) == (name, stem.removesuffix("-photo"), recipe), stem
+        assert (info["app"], info["checkpoint"], info["recipe"]) == (name, stem.removesuffix("-photo"), recipe), stem
         assert info.get("features") == FEATURES.get(name), stem
         assert info["validation_error"] > 0 or name == "transport", stem
         if recipe == QUICK and name != "brdf":

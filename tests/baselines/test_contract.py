@@ -129,7 +129,6 @@ def test_its_table_prints_them(
     with (console := Console(width=200, force_terminal=False)).capture() as shown:
         console.print(rich_table(table, subject, table.rows(subject)))
     text = " ".join(shown.get().split())
-    assert "no training tasks" not in text
     assert list(picture_cells(subject)) == {
         "texture": ["nearest", "quilting", "patches"],
         "svbrdf_stationary": ["nearest"],

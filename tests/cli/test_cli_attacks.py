@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import json
 import shutil
-import signal
 import subprocess
 import sys
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
@@ -26,6 +26,7 @@ from metapp.runs.fits import warnings_of
 from metapp.runs.plan import plan
 from metapp.runs.request import Request
 from metapp.storage.records import load_checkpoint, read_records, save_checkpoint
+from tests.conftest import Result
 from tests.small_spheres import run_small
 
 pytestmark = pytest.mark.usefixtures("small_spheres")
@@ -47,21 +48,22 @@ def made(network: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def data(made: Path, tmp_path: Path) -> Path:
-    return shutil.copytree(made, tmp_path / "set")
+def data(made: Path) -> Path:
+    return shutil.copytree(made, Path("set"))
 
 
 @pytest.fixture
-def fit(metapp: Callable, tmp_path: Path) -> Callable:
-    def call(paradigm: str, *arguments: str | Path):
-        return metapp(paradigm, "brdf", *arguments, "--out", tmp_path / "runs", "--quiet")
-
-    return call
+def fit(metapp: Callable) -> Callable:
+    return lambda paradigm, *arguments: metapp(paradigm, "brdf", *arguments, "--quiet")
 
 
-def is_one_line(error: str) -> bool:
-    lines = error.splitlines()
-    return len(lines) == 1 and lines[0].startswith("error: ") and len(lines[0]) <= LONGEST and "Traceback" not in error
+def one(result: Result) -> str:
+    """The one line, and no other, of a command that failed."""
+    assert result.code == 1
+    (line,) = result.err.splitlines()
+    assert line.startswith("error: ")
+    assert len(line) <= LONGEST
+    return line
 
 
 # Shards
@@ -92,23 +94,21 @@ def test_what_a_shard_lacks_is_said_by_the_check_and_by_fits(
     checked = metapp("data", "check", data, "--json")
     assert checked.code == 1
     assert any(said in problem and file.name in problem for problem in checked.document["problems"])
-    fitted = fit("overfit", "--data", data)
-    assert fitted.code == 1
-    assert is_one_line(fitted.err)
-    assert said in fitted.err
-    assert file.name in fitted.err
+    line = one(fit("overfit", "--data", data))
+    assert said in line
+    assert file.name in line
 
 
 def test_a_set_of_an_unknown_application_is_one_line(metapp: Callable, data: Path) -> None:
     manifest = data / "manifest.json"
     manifest.write_text(json.dumps(json.loads(manifest.read_text()) | {"app": "../brdf"}))
-    assert is_one_line(metapp("data", "check", data).err)
+    assert one(metapp("data", "check", data))
 
 
-def test_what_applications_draw_is_what_they_hold(metapp: Callable, tmp_path: Path) -> None:
+def test_what_applications_draw_is_what_they_hold(metapp: Callable) -> None:
     for name in ("texture", "svbrdf_stationary", "svbrdf_nonstationary", "illumination"):
-        assert metapp("data", "synth", name, "--count", "2", "--out", tmp_path / name, "--quiet").code == 0
-        assert metapp("data", "check", tmp_path / name).code == 0
+        assert metapp("data", "synth", name, "--count", "2", "--out", name, "--quiet").code == 0
+        assert metapp("data", "check", name).code == 0
 
 
 # Two writers
@@ -116,6 +116,7 @@ def test_what_applications_draw_is_what_they_hold(metapp: Callable, tmp_path: Pa
 SLOW_WRITER = """
 import sys, time, torch
 from pathlib import Path
+from typing import Any
 from metapp.storage.shards import ShardWriter
 from metapp.learning.task import Task
 with ShardWriter(Path(sys.argv[1]), "brdf", {"x": "1"}) as writer:
@@ -125,79 +126,58 @@ with ShardWriter(Path(sys.argv[1]), "brdf", {"x": "1"}) as writer:
 """
 
 
-@pytest.fixture
-def writing(tmp_path: Path):
-    """Another program that is writing a data set to the folder `set`."""
-    folder = tmp_path / "set"
-    program = subprocess.Popen([sys.executable, "-c", SLOW_WRITER, str(folder)], stdout=subprocess.PIPE, text=True)
-    assert program.stdout is not None
-    assert program.stdout.readline() == "writing\n"
-    yield folder, program
-    program.kill()
-    program.wait()
-
-
-def test_a_second_writer_is_refused_and_a_killed_one_forgotten(metapp: Callable, network: Path, writing: tuple) -> None:
-    folder, program = writing
-    words = ("data", "nbrdf", network, "--out", folder, "--samples", "64", "--quiet")
-    refused = metapp(*words)
-    assert refused.code == 1
-    assert is_one_line(refused.err)
-    assert "another program is writing data there" in refused.err
-    program.send_signal(signal.SIGKILL)
-    program.wait()
+def test_a_second_writer_is_refused_and_a_killed_one_forgotten(metapp: Callable, network: Path) -> None:
+    words = ("data", "nbrdf", network, "--out", "set", "--samples", "64", "--quiet")
+    with subprocess.Popen([sys.executable, "-c", SLOW_WRITER, "set"], stdout=subprocess.PIPE, text=True) as program:
+        try:
+            assert program.stdout
+            assert program.stdout.readline() == "writing\n"
+            assert "another program is writing data there" in one(metapp(*words))
+        finally:
+            program.kill()
     assert metapp(*words).code == 0
-    assert metapp("data", "check", folder).code == 0
+    assert metapp("data", "check", "set").code == 0
 
 
-# Starts
+# Checkpoints
 
 
-def broken(path: Path, **changes: dict) -> Path:
-    """The rule meta-adam's start that ships, with other tensors: None takes one away."""
-    start, info = load_checkpoint(SHIPPED / "brdf" / "meta-adam.safetensors")
-    parts = {
-        name: {k: v for k, v in (getattr(start, name) | new).items() if v is not None} for name, new in changes.items()
-    }
-    save_checkpoint(path, start._replace(**parts), info)
-    return path
+def written(name: str, changes: dict[str, Any]) -> Path:
+    """A rule's checkpoint that ships, with another description or other tensors: None takes one away."""
+    checkpoint, info = load_checkpoint(SHIPPED / "brdf" / f"{name}.safetensors")
+    for part, new in changes.items():
+        if part in checkpoint._fields:
+            tensors = getattr(checkpoint, part) | new
+            tensors = {key: value for key, value in tensors.items() if value is not None}
+            checkpoint = checkpoint._replace(**{part: tensors})
+        else:
+            info = info | {part: new}
+    save_checkpoint(Path("s.safetensors"), checkpoint, info)
+    return Path("s.safetensors")
 
 
-STARTS = {
-    "alpha missing": ({"alpha": {"rate.w1": None}}, "alpha rate.w1 is missing"),
-    "alpha misshaped": ({"alpha": {"rate.w1": torch.ones(1, 3)}}, "alpha rate.w1 is (steps, 3)"),
-    "alpha scalar": ({"alpha": {"rate.w1": torch.ones(())}}, "alpha rate.w1 is ()"),
-    "alpha more": ({"alpha": {"beta3": torch.ones(10)}}, "alpha beta3 is (10), expected missing"),
-    "theta missing": ({"theta": {"w1": None}}, "theta w1 is missing"),
-    "theta misshaped": ({"theta": {"w1": torch.ones(4, 4)}}, "theta w1 is (4, 4)"),
-    "encoder": ({"encoder": {"in.w": torch.ones(2)}}, "encoder in.w is (2)"),
-}
+CHECKPOINTS: list[tuple[str, dict[str, Any], str]] = [
+    ("meta-adam", {"alpha": {"rate.w1": None}}, "alpha rate.w1 is missing"),
+    ("meta-adam", {"alpha": {"rate.w1": torch.ones(1, 3)}}, "alpha rate.w1 is (steps, 3)"),
+    ("meta-adam", {"alpha": {"rate.w1": torch.ones(())}}, "alpha rate.w1 is ()"),
+    ("meta-adam", {"alpha": {"beta3": torch.ones(10)}}, "alpha beta3 is (10), expected missing"),
+    ("meta-adam", {"theta": {"w1": None}}, "theta w1 is missing"),
+    ("meta-adam", {"theta": {"w1": torch.ones(4, 4)}}, "theta w1 is (4, 4)"),
+    ("meta-adam", {"encoder": {"in.w": torch.ones(2)}}, "encoder in.w is (2)"),
+    ("meta-sgd", {"app": ["brdf"]}, ""),
+    ("meta-sgd", {"app": {"a": 1}}, ""),
+    ("meta-sgd", {"start": ["meta-sgd"]}, ""),
+    ("meta-sgd", {"start": None}, ""),
+]
 
 
-@pytest.mark.parametrize(("changes", "said"), STARTS.values(), ids=STARTS)
-def test_starts_of_other_rules_or_sizes_are_one_line(
-    fit: Callable, network: Path, tmp_path: Path, changes: dict, said: str
-) -> None:
-    result = fit("meta", network, "--rule", "meta-adam", "--checkpoint", broken(tmp_path / "s.safetensors", **changes))
-    assert result.code == 1
-    assert is_one_line(result.err)
-    assert said in result.err
-    assert "s.safetensors" in result.err
-
-
-@pytest.mark.parametrize("changes", [{"app": ["brdf"]}, {"app": {"a": 1}}, {"start": ["meta-sgd"]}, {"start": None}])
-def test_odd_descriptions_of_starts_are_one_line(fit: Callable, network: Path, tmp_path: Path, changes: dict) -> None:
-    start, info = load_checkpoint(SHIPPED / "brdf" / "meta-sgd.safetensors")
-    path = tmp_path / "s.safetensors"
-    save_checkpoint(path, start, info | changes)
-    result = fit("meta", network, "--rule", "meta-sgd", "--checkpoint", path)
-    assert result.code == 1
-    assert is_one_line(result.err)
-
-
-def test_a_start_of_another_application_is_one_line(fit: Callable, network: Path) -> None:
+def test_checkpoints_of_other_rules_sizes_or_applications_are_one_line(fit: Callable, network: Path) -> None:
+    for rule, changes, said in CHECKPOINTS:
+        line = one(fit("meta", network, "--rule", rule, "--checkpoint", written(rule, changes)))
+        assert said in line, changes
+        assert "s.safetensors" in line, changes
     for name in ("texture/meta-basis", "illumination/general", "brdf/general", "brdf/quickft"):
-        assert is_one_line(fit("meta", network, "--checkpoint", SHIPPED / f"{name}.safetensors").err)
+        assert one(fit("meta", network, "--checkpoint", SHIPPED / f"{name}.safetensors"))
 
 
 # Names
@@ -206,9 +186,9 @@ def test_a_start_of_another_application_is_one_line(fit: Callable, network: Path
 @pytest.mark.parametrize(
     "name", ["x" * 230, "a\nb", "\x1b[31mred", "日" * 80, b"caf\xe9".decode(errors="surrogateescape")]
 )
-def test_files_of_any_name_are_fitted(fit: Callable, network: Path, tmp_path: Path, name: str) -> None:
-    shutil.copytree(network, tmp_path / name)
-    result = fit("overfit", tmp_path / name, "--steps", "2", "--export", "nbrdf", "--json")
+def test_files_of_any_name_are_fitted(fit: Callable, network: Path, name: str) -> None:
+    shutil.copytree(network, Path(name))
+    result = fit("overfit", Path(name), "--steps", "2", "--export", "nbrdf", "--json")
     assert result.code == 0
     (task,) = result.document["tasks"]
     assert task["name"].isprintable()
@@ -217,17 +197,16 @@ def test_files_of_any_name_are_fitted(fit: Callable, network: Path, tmp_path: Pa
     assert len(list((folder / "params").iterdir())) == len(list((folder / "nbrdf").iterdir())) == 1
 
 
-def test_a_picture_of_an_odd_name_is_drawn(metapp: Callable, network: Path, tmp_path: Path) -> None:
-    shutil.copytree(network, tmp_path / "a\nb$x$")
-    result = metapp("overfit", "brdf", tmp_path / "a\nb$x$", "--steps", "2", "--out", tmp_path / "runs")
-    assert result.code == 0
-    assert list((tmp_path / "runs").rglob("pictures.png"))
+def test_a_picture_of_an_odd_name_is_drawn(metapp: Callable, network: Path) -> None:
+    shutil.copytree(network, "a\nb$x$")
+    assert metapp("overfit", "brdf", "a\nb$x$", "--steps", "2").code == 0
+    assert list(Path("runs").rglob("pictures.png"))
 
 
-def test_messages_are_one_short_line(metapp: Callable, tmp_path: Path) -> None:
-    assert is_one_line(metapp("data", "check", tmp_path / "a\nb\x1b[31m").err)
-    assert is_one_line(metapp("data", "check", "/".join(["x" * 200] * 10)).err)
-    assert is_one_line(metapp("overfit", "brdf", "y" * 5000).err)
+def test_messages_are_one_short_line(metapp: Callable) -> None:
+    for words in (("data", "check", "a\nb\x1b[31m"), ("data", "check", "/".join(["x" * 200] * 10))):
+        assert one(metapp(*words))
+    assert one(metapp("overfit", "brdf", "y" * 5000))
     assert one_line("a\nb\t\x1b\udce9") == "a\\nb\\t\\x1b\\udce9"
     long = one_line("gold.binary: " + "x" * 5000 + "; download it again.")
     assert len(long) <= LONGEST
@@ -279,8 +258,8 @@ STREAMS: list[tuple[list[str], dict[int, str], int, int]] = [
 ]
 
 
-def test_closed_and_full_streams(data: Path, tmp_path: Path) -> None:
-    cases, said = json.dumps([(more, streams) for more, streams, *_ in STREAMS]), tmp_path / "said"
+def test_closed_and_full_streams(data: Path) -> None:
+    cases, said = json.dumps([(more, streams) for more, streams, *_ in STREAMS]), Path("said")
     said.mkdir()
     words = [sys.executable, "-c", IN_FORKS, cases, said, "data", "check", data]
     done = subprocess.run(words, capture_output=True, text=True, check=True)
@@ -301,11 +280,9 @@ def test_what_nobody_foresaw_is_one_line_that_asks_for_a_report(
         raise error
 
     monkeypatch.setattr(Brdf, "prepare", staticmethod(fail))
-    result = fit("overfit", network, "--steps", "2")
-    assert result.code == 1
-    assert is_one_line(result.err)
-    assert type(error).__name__ in result.err
-    assert "please report it" in result.err
+    line = one(fit("overfit", network, "--steps", "2"))
+    assert type(error).__name__ in line
+    assert "please report it" in line
     monkeypatch.setenv("METAPP_TRACEBACK", "1")
     with pytest.raises(type(error)):
         fit("overfit", network, "--steps", "2")
@@ -325,24 +302,21 @@ def test_a_bad_record_is_said_and_its_task_fitted_again(fit: Callable, network: 
     assert again.document["tasks"][0]["error"] == pytest.approx(record["error"])
 
 
-def test_records_say_the_threads(fit: Callable, network: Path, tmp_path: Path) -> None:
-    assert fit("overfit", network, "--steps", "2").code == 0
-    (file,) = (tmp_path / "runs").rglob("record.jsonl")
-    (record,) = read_records(file)
-    assert record["threads"] == torch.get_num_threads()
-    assert "threads" not in record["settings"]
-    assert "warning" not in record
-
-
-def test_a_fit_that_leaves_what_it_sees_worse_than_its_start_is_told(
-    fit: Callable, network: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def test_records_say_the_threads_and_fits_that_end_worse_than_they_began(
+    fit: Callable, network: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    def record(*words: str) -> tuple[Result, dict[str, Any]]:
+        result = fit("overfit", network, "--steps", "2", "--json", *words)
+        return result, read_records(Path(result.done["out"], "record.jsonl"))[-1]
+
+    _, whole = record()
+    assert whole["threads"] == torch.get_num_threads()
+    assert "threads" not in whole["settings"]
+    assert "warning" not in whole
     monkeypatch.setitem(RECIPES[""], "quick", replace(RECIPES[""]["quick"], overfit=Adam(1.0)))
-    result = fit("overfit", network, "--steps", "2", "--recipe", "quick")
-    assert result.code == 0
+    result, worse = record("--recipe", "quick")
     assert "warning: m0: the visible loss rose from" in result.err
-    (file,) = (tmp_path / "runs").rglob("record.jsonl")
-    assert read_records(file)[0]["warning"].startswith("the visible loss rose from ")
+    assert worse["warning"].startswith("the visible loss rose from ")
 
 
 def test_a_fit_that_gets_better_is_not_warned_of(network: Path, rng: torch.Generator) -> None:

@@ -22,10 +22,11 @@ from metapp.apps.brdf import Brdf
 from metapp.apps.brdf.recipes import RECIPES
 from metapp.learning.recipe import Adam, Recipe
 from metapp.storage.records import load_checkpoint, read_records
+from tests.conftest import Result
 
-FEW = ("--samples", "512")
 STEPS = ("--train", "--train-steps", "3")
 pytestmark = pytest.mark.usefixtures("small_spheres")
+NETWORKS = 10
 
 
 @pytest.fixture(autouse=True)
@@ -37,23 +38,13 @@ def short(monkeypatch: pytest.MonkeyPatch) -> Recipe:
     return recipe
 
 
-@pytest.fixture(scope="module")
-def networks(neural_fits: Callable[[int], Path]) -> Path:
-    return neural_fits(10)
-
-
 @pytest.fixture
-def data(ten_materials: Path, tmp_path: Path) -> Path:
-    return shutil.copytree(ten_materials, tmp_path / "materials")
-
-
-@pytest.fixture
-def fit(metapp: Callable, data: Path, tmp_path: Path) -> Callable:
+def fit(metapp: Callable, ten_materials: Path) -> Callable:
     """`metapp PARADIGM brdf` on ten small materials, eight of them for training, runs in a folder of this test."""
 
-    def call(paradigm: str, *arguments: str | Path, data: Path = data):
+    def call(paradigm: str, *arguments: str | Path, data: str | Path = ten_materials):
         named = () if "--recipe" in arguments else ("--recipe", "quick")
-        return metapp(paradigm, "brdf", *arguments, *named, "--data", data, "--out", tmp_path / "runs")
+        return metapp(paradigm, "brdf", *arguments, *named, "--data", data)
 
     return call
 
@@ -61,15 +52,17 @@ def fit(metapp: Callable, data: Path, tmp_path: Path) -> Callable:
 # What works
 
 
-def test_a_fit_prints_a_table_and_leaves_records_parameters_and_a_picture(fit: Callable, tmp_path: Path) -> None:
+def test_a_fit_prints_a_table_and_leaves_records_parameters_and_a_picture(fit: Callable) -> None:
     result = fit("overfit", "--steps", "40")
     assert result.code == 0
     assert "m4" in result.out
     assert "mean error" in result.out
     assert "from a random initialisation" in result.err
-    (folder,) = (tmp_path / "runs" / "brdf" / "overfit").iterdir()
+    (folder,) = Path("runs/brdf/overfit").iterdir()
     records = read_records(folder / "record.jsonl")
     assert [record["name"] for record in records] == ["m4", "m9"]
+    lines = [json.loads(line) for line in (folder / "record.jsonl").read_text().splitlines()]
+    assert all(line["settings"]["adam"]["rate"] > 0 for line in lines)
     assert records[0]["settings"]["steps"] == 40
     assert records[0]["settings"]["versions"]["torch"] == str(torch.__version__)
     assert load_file(folder / "params" / "m4.safetensors")["w2"].shape == (21, 21)
@@ -98,25 +91,23 @@ def test_the_same_seed_gives_the_same_errors_whatever_is_fitted_beside(fit: Call
     assert errors[0]["m5"] != errors[2]["m5"]
 
 
-def test_what_was_trained_on_this_data_is_found_says_how_and_can_be_named(fit: Callable, tmp_path: Path) -> None:
+def test_a_checkpoint_trained_on_this_data_is_found_again_or_named(fit: Callable) -> None:
     trained = fit("general", *STEPS, "--json")
-    (file,) = (tmp_path / "runs" / "brdf" / "checkpoints").rglob("general.safetensors")
-    assert load_checkpoint(file)[1]["training"]["steps"] == 3
     again = fit("general", "--json")
     assert "checkpoints" in again.err
     assert "general.safetensors" in again.err
     assert again.document["tasks"][0]["error"] == trained.document["tasks"][0]["error"]
     assert fit("finetune", "--json").document["steps"] == 5
+    (checkpoint,) = Path("runs/brdf/checkpoints").rglob("general.safetensors")
+    assert load_checkpoint(checkpoint)[1]["training"]["steps"] == 3
     fit("general", *STEPS)
-    assert file.with_suffix(".previous.safetensors").is_file()
-    named = fit("general", "--checkpoint", file.rename(tmp_path / "mine.safetensors"))
-    assert named.code == 0
-    assert "mine.safetensors" in named.err
+    assert checkpoint.with_suffix(".previous.safetensors").is_file()
+    result = fit("general", "--checkpoint", checkpoint.rename("mine.safetensors"))
+    assert result.code == 0
+    assert "mine.safetensors" in result.err
 
 
-def test_quickft_is_tuned_for_its_encoder(
-    fit: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, short: Recipe
-) -> None:
+def test_quickft_is_tuned_for_its_encoder(fit: Callable, monkeypatch: pytest.MonkeyPatch, short: Recipe) -> None:
     # a recipe that moves too far, and a search that looks at one other
     monkeypatch.setitem(RECIPES[""], "quick", replace(short, quickft=Adam(1.0)))
     monkeypatch.setattr("metapp.paradigms.tuning.SEARCHED", ([{"beta1": 0.3, "rate": 1e-7}],))
@@ -125,7 +116,7 @@ def test_quickft_is_tuned_for_its_encoder(
     tuned = fit("quickft", "--train")
     assert tuned.code == 0
     assert "tuned Adam" in tuned.err
-    (file,) = (tmp_path / "runs" / "brdf" / "quickft").rglob("record.jsonl")
+    (file,) = Path("runs/brdf/quickft").rglob("record.jsonl")
     assert read_records(file)[-1]["settings"]["adam"]["beta1"] == 0.3  # the tuned one, not the recipe's
 
 
@@ -141,15 +132,12 @@ def test_exports_hold_what_was_fitted(fit: Callable, networks: Path, kind: str) 
     assert again.document["tasks"][0]["name"] == "m4"
 
 
-def test_an_interrupted_run_keeps_finished_tasks_and_goes_on(
-    fit: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    calls = []
-    errors = Brdf().errors
+def test_interrupted_runs_lose_nothing_and_go_on(fit: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
+    errors, calls = Brdf().errors, []
 
     def interrupted(theta, tasks):
         calls.append(tasks.names)
-        if len(calls) == 2:
+        if len(calls) in (2, 4):
             raise KeyboardInterrupt
         return errors(theta, tasks)
 
@@ -157,29 +145,26 @@ def test_an_interrupted_run_keeps_finished_tasks_and_goes_on(
     result = fit("overfit")
     assert result.code == 130
     assert "the same command goes on" in result.err
-    (file,) = (tmp_path / "runs").rglob("record.jsonl")
+    (file,) = Path("runs").rglob("record.jsonl")
     (kept,) = read_records(file)
     assert fit("overfit").code == 0
     first, second = read_records(file)
     assert first == kept
     assert second["name"] == "m9"
     assert calls == [("m4",), ("m9",), ("m9",)]
-    del calls[1:]  # the next call is interrupted, too
     before = file.read_text()
     assert fit("overfit").code == 130  # a finished run, run again
     assert file.read_text() == before
 
 
-def test_meta_on_own_data_starts_from_a_general_of_this_data(fit: Callable, tmp_path: Path) -> None:
+def test_meta_on_own_data_starts_from_a_general_of_this_data(fit: Callable) -> None:
     result = fit("meta", *STEPS)
     assert "no General that was trained on this data yet" in result.err
-    assert list((tmp_path / "runs" / "brdf" / "checkpoints").rglob("general.safetensors"))
+    assert list(Path("runs/brdf/checkpoints").rglob("general.safetensors"))
 
 
-def test_a_folder_is_read_by_every_reader_and_damaged_files_in_it_are_skipped(
-    fit: Callable, networks: Path, tmp_path: Path
-) -> None:
-    mixed = tmp_path / "mixed"
+def test_a_folder_is_read_by_every_reader_and_damaged_files_in_it_are_skipped(fit: Callable, networks: Path) -> None:
+    mixed = Path("mixed")
     shutil.copytree(networks / "m1", mixed / "net")
     shutil.copytree(networks / "m2", mixed / "damaged")
     (mixed / "damaged" / "b1.npy").write_bytes(b"damaged")
@@ -190,35 +175,16 @@ def test_a_folder_is_read_by_every_reader_and_damaged_files_in_it_are_skipped(
     assert "a second net is called net-2" in result.err
 
 
-def test_interrupted_training_keeps_its_best_state(
-    fit: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    condition, calls = Brdf().condition, []
-
-    def interrupted(tasks, rng):
-        calls.append(1)
-        if len(calls) == 8:
-            raise KeyboardInterrupt
-        return condition(tasks, rng)
-
-    monkeypatch.setattr(Brdf, "condition", staticmethod(interrupted))
-    assert fit("general", "--train").code == 130
-    assert list((tmp_path / "runs").rglob("general.interrupted.safetensors"))
-
-
-def test_evaluate_runs_what_is_missing_and_prints_the_paper_beside_it(
-    metapp: Callable, fit: Callable, data: Path, tmp_path: Path
-) -> None:
+def test_evaluate_runs_what_is_missing_and_prints_the_paper_beside_it(fit: Callable) -> None:
     fit("general", *STEPS)
     fit("meta", *STEPS)
-    common = ("evaluate", "brdf", "--data", data, "--out", tmp_path / "runs")
-    missing = metapp(*common, "--no-run", "--json")
+    missing = fit("evaluate", "--no-run", "--json")
     assert "metapp overfit brdf" in missing.err
-    result = metapp(*common, "--table")
+    result = fit("evaluate", "--table")
     assert result.code == 0
     for text in ("general", "overfit", "finetune", "quickft", "meta", "1.892", "0.93", "4555", "gap closed"):
         assert text in result.out
-    document = metapp(*common, "--json", "--no-run").document
+    document = fit("evaluate", "--json", "--no-run").document
     assert document["which"] == "results"
     assert [row["paradigm"] for row in document["rows"]] == ["general", "overfit", "finetune", "quickft", "meta"]
     row = document["rows"][-1]
@@ -226,7 +192,7 @@ def test_evaluate_runs_what_is_missing_and_prints_the_paper_beside_it(
     assert wanted <= set(row)
     assert row["paper_error"] == 0.720
     assert row["low"] <= row["error"] <= row["high"]
-    by_format = {form: metapp(*common, "--no-run", "--format", form).out for form in ("markdown", "latex", "csv")}
+    by_format = {form: fit("evaluate", "--no-run", "--format", form).out for form in ("markdown", "latex", "csv")}
     assert by_format["markdown"].startswith("| app |")
     assert r"\bottomrule" in by_format["latex"]
     assert by_format["csv"].startswith("app,paradigm")
@@ -235,29 +201,36 @@ def test_evaluate_runs_what_is_missing_and_prints_the_paper_beside_it(
 # What is refused, each with its exit code and one line
 
 
-def refuse(result, code: int, *parts: str) -> None:
-    assert result.code == code, result.err
-    assert "Traceback" not in result.err
-    assert result.out == ""
-    for part in parts:
-        assert part in result.err.replace("\n", " ").replace("│", ""), result.err
+MISUSED = """
+meta --rule meta-magic                 | meta-magic ; meta-sgd
+meta --recipe slow                     | slow ; quick
+meta --observe photo                   | --observe
+meta --export blend                    | blend ; nbrdf
+meta --steps -1                        | --steps ; 0
+meta --steps ten                       | --steps ; integer
+meta --device tpu                      | tpu ; cuda
+overfit --train                        | needs no preparation
+meta --train-steps 5                   | --train
+overfit --seed -1                      | --seed
+evaluate --which nothing               | nothing ; results
+evaluate --format word                 | word ; markdown
+evaluate --recipe slow                 | slow ; quick
+meta --rule adam+magic                 | rule 'adam+magic': 'magic' is unknown, expected names
+meta --rule adam+tied                  | rates and shared for rates, expected one of
+meta --rule meta-lgd                   | rule 'meta-lgd': its part network does not apply to brdf: no parameter
+"""
 
 
 def test_refuses_wrong_options(metapp: Callable, fit: Callable) -> None:
-    refuse(metapp("meta", "brdfs"), 2, "brdfs", "expected one of brdf")
-    refuse(fit("meta", "--rule", "meta-magic"), 2, "meta-magic", "meta-sgd")
-    refuse(fit("meta", "--recipe", "slow"), 2, "slow", "quick")
-    refuse(fit("meta", "--observe", "photo"), 2, "--observe")
-    refuse(fit("meta", "--export", "blend"), 2, "blend", "nbrdf")
-    refuse(fit("meta", "--steps", "-1"), 2, "--steps", "0")
-    refuse(fit("meta", "--steps", "ten"), 2, "--steps", "integer")
-    refuse(fit("meta", "--device", "tpu"), 2, "tpu", "cuda")
-    refuse(fit("overfit", "--train"), 2, "needs no preparation")
-    refuse(fit("meta", "--train-steps", "5"), 2, "--train")
-    refuse(fit("overfit", "--seed", "-1"), 2, "--seed")
-    refuse(metapp("evaluate", "brdf", "--which", "nothing"), 2, "nothing", "results")
-    refuse(metapp("evaluate", "brdf", "--format", "word"), 2, "word", "markdown")
-    refuse(metapp("evaluate", "brdf", "--recipe", "slow"), 2, "slow", "quick")
+    for words, parts in (line.split("|") for line in MISUSED.strip().splitlines()):
+        command, *more = words.split()
+        misuse = fit(command, *more).misuse
+        assert all(part.strip() in misuse for part in parts.split(" ; ")), (words, misuse)
+    misuse = metapp("meta", "brdfs").misuse
+    assert "brdfs" in misuse
+    assert "expected one of brdf" in misuse
+    misuse = metapp("meta", "illumination", "--rule", "meta-mean").misuse
+    assert "its part average does not apply to illumination" in misuse
 
 
 def test_general_takes_no_steps_whatever_a_script_says(fit: Callable) -> None:
@@ -269,42 +242,40 @@ def test_general_takes_no_steps_whatever_a_script_says(fit: Callable) -> None:
     assert [task["error"] for task in asked.document["tasks"]] == [task["error"] for task in plain.document["tasks"]]
 
 
-def test_refuses_bad_input_files(fit: Callable, tmp_path: Path) -> None:
-    refuse(fit("overfit", tmp_path / "none.binary"), 1, "none.binary: no such file")
-    text = tmp_path / "text.binary"
-    text.write_text("not a material")
-    refuse(fit("overfit", text), 1, "text.binary: 14 bytes, expected 34,992,012")
-    other = tmp_path / "photo.png"
-    other.write_bytes(b"\x89PNG")
-    refuse(fit("overfit", other), 1, "photo.png: not an input of brdf", "MERL")
-    empty = tmp_path / "empty"
-    empty.mkdir()
-    refuse(fit("overfit", empty), 1, "empty: not an input of brdf")
+def refuse(result: Result, *parts: str) -> None:
+    assert result.out == ""
+    assert all(part in result.error for part in parts), result.err
 
 
-def test_refuses_bad_starts(fit: Callable, tmp_path: Path) -> None:
-    refuse(fit("general", "--checkpoint", tmp_path / "none.safetensors"), 1, "no such checkpoint")
-    broken = tmp_path / "broken.safetensors"
-    broken.write_bytes(b"broken")
-    refuse(fit("general", "--checkpoint", broken), 1, "not a checkpoint")
-    foreign = tmp_path / "foreign.safetensors"
-    save_file({"x": torch.zeros(2)}, foreign)
-    refuse(fit("general", "--checkpoint", foreign), 1, "not a checkpoint")
+def test_refuses_bad_input_files(fit: Callable) -> None:
+    refuse(fit("overfit", "none.binary"), "none.binary: no such file")
+    Path("text.binary").write_text("not a material")
+    refuse(fit("overfit", "text.binary"), "text.binary: 14 bytes, expected 34,992,012")
+    Path("photo.png").write_bytes(b"\x89PNG")
+    refuse(fit("overfit", "photo.png"), "photo.png: not an input of brdf", "MERL")
+    Path("empty").mkdir()
+    refuse(fit("overfit", "empty"), "empty: not an input of brdf")
+
+
+def test_refuses_bad_checkpoints(fit: Callable) -> None:
+    refuse(fit("general", "--checkpoint", "none.safetensors"), "no such checkpoint")
+    Path("broken.safetensors").write_bytes(b"broken")
+    save_file({"x": torch.zeros(2)}, "foreign.safetensors")
+    for name in ("broken", "foreign"):
+        refuse(fit("general", "--checkpoint", f"{name}.safetensors"), "not a checkpoint")
     fit("general", *STEPS)
-    (start,) = (tmp_path / "runs").rglob("general.safetensors")
-    refuse(fit("meta", "--checkpoint", start), 1, "a checkpoint of brdf general, expected brdf meta-curvature")
-    refuse(fit("meta", "--recipe", "paper"), 1, "no checkpoint", "--train")
+    (general,) = Path("runs").rglob("general.safetensors")
+    refuse(fit("meta", "--checkpoint", general), "a checkpoint of brdf general, expected brdf meta-curvature")
+    refuse(fit("meta", "--recipe", "paper"), "no checkpoint", "--train")
+    refuse(fit("meta", "--rule", "adam+average"), "brdf adam+average, recipe quick: no checkpoint", "--train")
 
 
-def test_refuses_bad_data(fit: Callable, metapp: Callable, networks: Path, tmp_path: Path) -> None:
-    refuse(fit("overfit", data=tmp_path / "none"), 1, "none")
-    only = tmp_path / "only"
-    metapp("data", "nbrdf", networks, "--out", only, "--split", "train", *FEW)
-    refuse(fit("overfit", data=only), 1, "0 test tasks")
-    few = tmp_path / "few"
-    metapp("data", "nbrdf", networks / "m1", networks / "m2", "--out", few, "--split", "train", *FEW)
-    metapp("data", "nbrdf", networks / "m1", "--out", tmp_path / "test", "--split", "test", *FEW)
-    refuse(fit("general", *STEPS, data=tmp_path / "test"), 1, "0 tasks")
+def test_refuses_bad_data(fit: Callable, metapp: Callable, networks: Path) -> None:
+    refuse(fit("overfit", data="none"), "none")
+    for split in ("train", "test"):
+        metapp("data", "nbrdf", networks / "m1", "--out", split, "--split", split, "--samples", "512")
+    refuse(fit("overfit", data="train"), "0 test tasks")
+    refuse(fit("general", *STEPS, data="test"), "0 tasks")
 
 
 def test_a_training_that_diverges_names_task_and_step(fit: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -317,15 +288,7 @@ def test_a_training_that_diverges_names_task_and_step(fit: Callable, monkeypatch
 
     # a class of its own, whose loss is not the one in C
     monkeypatch.setattr(brdf, "APP", type("Exploding", (Brdf,), {"loss": staticmethod(exploding)}))
-    result = fit("overfit")
-    refuse(result, 1, "m4", "not finite at step")
-
-
-def test_records_hold_valid_json_alone(fit: Callable, tmp_path: Path) -> None:
-    fit("overfit", "--quiet")
-    (file,) = (tmp_path / "runs").rglob("record.jsonl")
-    for line in file.read_text().splitlines():
-        assert json.loads(line)["settings"]["adam"]["rate"] > 0
+    refuse(fit("overfit"), "m4", "not finite at step")
 
 
 def test_doctor_says_what_there_is(metapp: Callable, cache: Path) -> None:
@@ -339,24 +302,23 @@ def test_doctor_says_what_there_is(metapp: Callable, cache: Path) -> None:
     assert "; texture full: general, meta-axes, quickft; " in out
 
 
-def test_doctor_misses_a_compiler(metapp: Callable, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setenv("PATH", str(tmp_path))
-    assert metapp("doctor", "--json").document["compiler"].startswith("none that works")
-    broken = tmp_path / "g++"
-    broken.write_text("#!/bin/sh\nexit 1\n")
-    broken.chmod(0o755)
-    assert metapp("doctor", "--json").document["compiler"].startswith("none that works")
+def test_doctor_misses_a_compiler(metapp: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PATH", str(Path.cwd()))
+    for _ in ("missing", "broken"):
+        assert metapp("doctor", "--json").document["compiler"].startswith("none that works")
+        Path("g++").write_text("#!/bin/sh\nexit 1\n")
+        Path("g++").chmod(0o755)
 
 
 # Rules that are composed
 
 
-def test_a_composition_is_trained_and_used(fit: Callable, tmp_path: Path) -> None:
+def test_a_composition_is_trained_and_used(fit: Callable) -> None:
     """As the recipe's default rule is, and under one name, whatever the order of its parts."""
     trained = fit("meta", "--rule", "curvature+adam", *STEPS, "--json", "--quiet")
     assert trained.code == 0, trained.err
     assert trained.document["rule"] == "adam+curvature"
-    (path,) = (tmp_path / "runs").rglob("adam+curvature.safetensors")
+    (path,) = Path("runs").rglob("adam+curvature.safetensors")
     start, info = load_checkpoint(path)
     assert info["checkpoint"] == "adam+curvature"
     assert info["training"]["clip"] == RECIPES[""]["quick"].meta["meta-curvature"].clip
@@ -364,20 +326,7 @@ def test_a_composition_is_trained_and_used(fit: Callable, tmp_path: Path) -> Non
     again = fit("meta", "--rule", "adam+curvature", "--json", "--quiet").document
     assert [task["error"] for task in again["tasks"]] == [task["error"] for task in trained.document["tasks"]]
     assert "adam+curvature" in Path(again["out"]).name
-    refuse(fit("meta", "--checkpoint", path), 1, "expected brdf meta-curvature; add --rule adam+curvature")
-
-
-def test_refuses_rules_that_make_no_sense(metapp: Callable, fit: Callable) -> None:
-    refuse(fit("meta", "--rule", "adam+magic"), 2, "rule 'adam+magic': 'magic' is unknown, expected names")
-    refuse(fit("meta", "--rule", "adam+tied"), 2, "rates and shared for rates, expected one of")
-    refuse(
-        fit("meta", "--rule", "meta-lgd"), 2, "rule 'meta-lgd': its part network does not apply to brdf: no parameter"
-    )
-    refuse(metapp("meta", "illumination", "--rule", "meta-mean"), 2, "its part average does not apply to illumination")
-    refuse(fit("meta", "--rule", "adam+average"), 1, "brdf adam+average, recipe quick: no checkpoint", "--train")
-    for rule in ("adam+magic", "meta-lgd"):
-        (line,) = (line for line in fit("meta", "--rule", rule).err.splitlines() if "Error" in line)
-        assert rule in line
+    refuse(fit("meta", "--checkpoint", path), "expected brdf meta-curvature; add --rule adam+curvature")
 
 
 def test_a_fit_imports_neither_libraries_of_figures_nor_of_baselines_and_ends_quietly() -> None:

@@ -31,19 +31,12 @@ RECIPES = {"illumination": illumination.RECIPES, SVBRDF: svbrdf.RECIPES}
 
 
 class Inputs(NamedTuple):
-    """What an application is given, and what it says and makes.
+    """What an application is given, and what it says and makes."""
 
-    Attributes:
-        reference: a file of an HDR map, or a strip.
-        photo: of a sphere, or under a flash.
-        files: that a fit makes.
-        refusal: of the photo where fits see references.
-    """
-
-    reference: Callable[[Path], Path]
-    photo: Callable[[Path], Path]
-    files: set[str]
-    refusal: str
+    reference: Callable[[Path], Path]  # a file of an HDR map, or a strip
+    photo: Callable[[Path], Path]  # of a sphere, or under a flash
+    files: set[str]  # that a fit makes
+    refusal: str  # of the photo where fits see references
 
 
 def lamp() -> Tensor:
@@ -95,13 +88,13 @@ def app(request: pytest.FixtureRequest) -> str:
 
 
 @pytest.fixture
-def reference(app: str, tmp_path: Path) -> Path:
-    return APPS[app].reference(tmp_path / "in")
+def reference(app: str) -> Path:
+    return APPS[app].reference(Path("in"))
 
 
 @pytest.fixture
-def photo(app: str, tmp_path: Path) -> Path:
-    return APPS[app].photo(tmp_path / "in")
+def photo(app: str) -> Path:
+    return APPS[app].photo(Path("in"))
 
 
 @pytest.fixture(autouse=True)
@@ -121,10 +114,8 @@ def luminance_of(path: Path) -> float:
     return float(mean_luminance(read_map(large, 8)))
 
 
-def test_a_reference_is_fitted_and_written(app: str, metapp: Callable, reference: Path, tmp_path: Path) -> None:
-    result = metapp("overfit", app, reference, "--out", tmp_path / "runs", "--json")
-    assert result.code == 0, result.err
-    document = result.document
+def test_a_reference_is_fitted_and_written(app: str, metapp: Callable, reference: Path) -> None:
+    document = metapp("overfit", app, reference, "--json").done
     assert (document["observe"], document["tasks"][0]["name"]) == ("reference", "reference")
     assert "-full-" in document["out"]
     assert 0 < document["error"] < (100 if app == "illumination" else 2)
@@ -137,66 +128,49 @@ def test_a_reference_is_fitted_and_written(app: str, metapp: Callable, reference
         assert {(spec.width, spec.height) for spec in specs} == {(256, 256)}  # readers scale to it
 
 
-def test_a_photo_is_fitted_without_a_reference(app: str, metapp: Callable, photo: Path, tmp_path: Path) -> None:
-    result = metapp("overfit", app, photo, "--observe", "photo", "--out", tmp_path / "runs", "--json")
-    assert result.code == 0, result.err
-    document = result.document
+def test_a_photo_is_fitted_without_a_reference(app: str, metapp: Callable, photo: Path, reference: Path) -> None:
+    """Alone, and in a folder with references."""
+    fit = ("overfit", app, "--observe", "photo", "--json")
+    document = metapp(*fit, photo).done
     assert (document["observe"], document["error"], document["tasks"][0]["error"]) == ("photo", None, None)
     made = Path(document["out"]) / "outputs" / "photo"
     assert {path.name for path in made.iterdir()} == APPS[app].files
-    assert (Path(document["out"]) / "pictures.png").is_file()
+    assert Path(document["out"], "pictures.png").is_file()
     if app == "illumination":
         assert luminance_of(made / "map.exr") == pytest.approx(1, rel=0.01)
-
-
-def test_a_photo_needs_its_protocol(app: str, metapp: Callable, photo: Path, reference: Path, tmp_path: Path) -> None:
-    """Alone, and among references before the first fit."""
-    for inputs in ((photo,), (reference, photo)):
-        result = metapp("overfit", app, *inputs, "--out", tmp_path / "runs")
-        assert result.code == 1
-        assert APPS[app].refusal in result.err
-        assert len(result.err.strip().splitlines()) <= 2
-        assert not any(path.read_text().strip() for path in (tmp_path / "runs").rglob("record.jsonl"))
-
-
-def test_a_folder_of_references_and_photos(
-    app: str, metapp: Callable, reference: Path, photo: Path, tmp_path: Path
-) -> None:
-    arguments = ("overfit", app, photo.parent, "--observe", "photo", "--out", tmp_path / "runs", "--json")
-    document = metapp(*arguments).document
+    document = metapp(*fit, photo.parent).done
     errors = {task["name"]: task["error"] for task in document["tasks"]}
     assert errors["photo"] is None
     assert document["error"] == pytest.approx(errors["reference"])
 
 
-@pytest.mark.parametrize("kind", ["nan", "square", "negative", "damaged"])
-def test_bad_inputs_end_in_one_line(kind: str, metapp: Callable, tmp_path: Path) -> None:
-    light, app, more = lamp(), "illumination", ()
-    if kind == "nan":
-        light[0, 3, 4] = np.nan
-    elif kind == "negative":
-        light[:, :16] *= -1
-    elif kind == "square":
-        light = light[:, :, :32]
-    bad = write_planes(tmp_path / "bad.exr", light, "float")
-    if kind == "damaged":
-        bad, app, more = tmp_path / "bad.png", SVBRDF, ("--observe", "photo")
-        bad.write_bytes(b"\x89PNG\r\n\x1a\n nothing")
-    result = metapp("meta", app, bad, *more, "--out", tmp_path / "runs")
-    assert result.code == 1
-    assert bad.name in result.err
-    assert "Traceback" not in result.err
+def test_a_photo_needs_its_protocol(app: str, metapp: Callable, photo: Path, reference: Path) -> None:
+    """Alone, and among references before the first fit."""
+    for inputs in ((photo,), (reference, photo)):
+        result = metapp("overfit", app, *inputs)
+        assert APPS[app].refusal in result.error
+        assert len(result.err.strip().splitlines()) <= 2
+        assert not any(path.read_text().strip() for path in Path("runs").rglob("record.jsonl"))
 
 
-def test_checkpoints_of_both_protocols(app: str, metapp: Callable, tmp_path: Path) -> None:
-    data, runs = tmp_path / "few", tmp_path / "runs"
-    assert metapp("data", "synth", app, "--count", "20", "--out", data).code == 0
-    common = (app, "--recipe", "quick", "--data", data, "--out", runs)
+def test_bad_inputs_end_in_one_line(metapp: Callable) -> None:
+    nan, negative = lamp(), lamp()
+    nan[0, 3, 4] = np.nan
+    negative[:, :16] *= -1
+    for name, light in (("nan", nan), ("negative", negative), ("square", lamp()[:, :, :32])):
+        bad = write_planes(Path(f"{name}.exr"), light, "float")
+        assert bad.name in metapp("meta", "illumination", bad).error
+    Path("bad.png").write_bytes(b"\x89PNG\r\n\x1a\n nothing")
+    assert "bad.png" in metapp("meta", SVBRDF, "bad.png", "--observe", "photo").error
+
+
+def test_checkpoints_of_both_protocols(app: str, metapp: Callable) -> None:
+    assert metapp("data", "synth", app, "--count", "20", "--out", "few").code == 0
+    common = (app, "--recipe", "quick", "--data", "few")
     for observe in ("reference", "photo"):
         for paradigm in ("meta", "quickft"):
-            result = metapp(paradigm, *common, "--observe", observe, "--train", "--train-steps", "2", "--json")
-            assert result.code == 0, result.err
-    (folder,) = (runs / app / "checkpoints").iterdir()
+            assert metapp(paradigm, *common, "--observe", observe, "--train", "--train-steps", "2", "--json").done
+    (folder,) = Path("runs", app, "checkpoints").iterdir()
     rules = {observe: recipes["quick"].rule for observe, recipes in RECIPES[app].items()}
     names = {path.name.removesuffix(".safetensors") for path in folder.glob("*.safetensors")}
     assert names == {"general", "quickft", "quickft-photo", rules["reference"], f"{rules['photo']}-photo"}
@@ -210,38 +184,36 @@ def test_checkpoints_of_both_protocols(app: str, metapp: Callable, tmp_path: Pat
 # Materials alone
 
 
-@pytest.mark.parametrize("app", [SVBRDF], indirect=True)
+@pytest.fixture
+def shot() -> Path:
+    return flash(Path("in"))
+
+
 @pytest.mark.parametrize("kind", [kind for kind, form in exports_of(SVBRDF).items() if not form.missing()])
-def test_a_photo_becomes_an_asset(app: str, metapp: Callable, photo: Path, tmp_path: Path, kind: str) -> None:
-    common = ("--observe", "photo", "--out", tmp_path / "runs", "--json")
-    result = metapp("overfit", app, photo, *common, "--steps", "2", "--export", kind)
-    assert result.code == 0, result.err
-    written = [path for path in (Path(result.document["out"]) / kind).rglob("photo*") if path.is_file()]
+def test_a_photo_becomes_an_asset(metapp: Callable, shot: Path, kind: str) -> None:
+    result = metapp("overfit", SVBRDF, shot, "--observe", "photo", "--json", "--steps", "2", "--export", kind)
+    written = [path for path in Path(result.done["out"], kind).rglob("photo*") if path.is_file()]
     assert written
     assert all(path.stat().st_size for path in written)
     assert f"1 fits written as {kind}" in result.err
 
 
-@pytest.mark.parametrize("app", [SVBRDF], indirect=True)
 def test_a_missing_library_is_named_before_anything_is_fitted(
-    app: str, metapp: Callable, photo: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    metapp: Callable, shot: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    form = exports_of(app)["asset"]._replace(needs=("no_such_module", "no-such-package"))
+    form = exports_of(SVBRDF)["asset"]._replace(needs=("no_such_module", "no-such-package"))
     monkeypatch.setattr("metapp.runs.checks.exports_of", lambda app: {"asset": form})
-    result = metapp("overfit", app, photo, "--out", tmp_path / "runs", "--export", "asset")
-    assert result.code == 2
-    assert '--export asset needs no-such-package: pip install "metapp[export]"' in result.err
-    assert not (tmp_path / "runs").exists()
+    misuse = metapp("overfit", SVBRDF, shot, "--export", "asset").misuse
+    assert '--export asset needs no-such-package: pip install "metapp[export]"' in misuse
+    assert not Path("runs").exists()
 
 
-@pytest.mark.parametrize("app", [SVBRDF], indirect=True)
-def test_the_field_of_view_counts(app: str, metapp: Callable, photo: Path, tmp_path: Path) -> None:
-    common = ("--observe", "photo", "--steps", "1", "--out", tmp_path / "runs", "--json")
-    data = {fov: metapp("overfit", app, photo, *common, "--fov", fov).document["data"] for fov in ("0", "45", "70")}
+def test_the_field_of_view_counts(metapp: Callable, shot: Path) -> None:
+    common = ("overfit", SVBRDF, shot, "--observe", "photo", "--steps", "1", "--json")
+    data = {fov: metapp(*common, "--fov", fov).document["data"] for fov in ("0", "45", "70")}
     assert data["0"] == data["45"] != data["70"]  # names of data tell their content
-    refused = metapp("overfit", "texture", photo, "--fov", "60", "--out", tmp_path / "runs")
-    assert refused.code == 2
-    assert "--fov: texture has no flash photos; leave it out." in refused.err
+    misuse = metapp("overfit", "texture", shot, "--fov", "60").misuse
+    assert "--fov: texture has no flash photos; leave it out." in misuse
 
 
 def test_the_second_scene_is_built_once(metapp: Callable, scene: Path) -> None:

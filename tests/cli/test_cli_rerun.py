@@ -9,25 +9,24 @@ from typing import Any
 
 import pytest
 
+from metapp.runs.checks import shipped_path
 from metapp.runs.rerun import ELSEWHERE, ROUNDING
 from metapp.storage.records import load_checkpoint, read_records, save_checkpoint
+from tests.conftest import Result
 
 pytestmark = pytest.mark.usefixtures("small_spheres")
 
 
 @pytest.fixture
-def networks(neural_fits: Callable[[int], Path], tmp_path: Path) -> Path:
+def networks(neural_fits: Callable[[int], Path]) -> Path:
     """Two networks that a test may change."""
-    source, target = neural_fits(2), tmp_path / "networks"
-    source.rename(target)
-    return target
+    return neural_fits(2).rename("networks")
 
 
 @pytest.fixture
-def run(metapp: Callable, networks: Path, tmp_path: Path) -> Path:
+def run(metapp: Callable, networks: Path) -> Path:
     """A run of both by Meta's gradient rule."""
-    result = metapp("meta", "brdf", networks, "--rule", "meta-adam", "--out", tmp_path / "runs", "--json", "--quiet")
-    return Path(result.document["out"])
+    return Path(metapp("meta", "brdf", networks, "--rule", "meta-adam", "--json", "--quiet").document["out"])
 
 
 def change(run: Path, edit: Callable[[dict[str, Any]], None]) -> None:
@@ -40,25 +39,19 @@ def change(run: Path, edit: Callable[[dict[str, Any]], None]) -> None:
 
 def test_rows_agree_to_rounding_and_nothing_is_written(metapp: Callable, run: Path) -> None:
     before = {path: path.read_bytes() for path in run.rglob("*") if path.is_file()}
-    result = metapp("rerun", run, "--json")
-    assert result.code == 0
-    assert result.document["agrees"]
-    assert [row["name"] for row in result.document["tasks"]] == ["m0", "m1"]
-    for row in result.document["tasks"]:
+    document = metapp("rerun", run, "--json").done
+    assert document["agrees"]
+    assert [row["name"] for row in document["tasks"]] == ["m0", "m1"]
+    for row in document["tasks"]:
         assert row["found"] == row["recorded"]
         assert (row["difference"], row["tolerance"], row["differs"]) == (0.0, ROUNDING, {})
     assert {path: path.read_bytes() for path in run.rglob("*") if path.is_file()} == before
-
-
-def test_one_row_is_chosen_by_its_name(metapp: Callable, run: Path) -> None:
     result = metapp("rerun", run / "record.jsonl", "--task", "m1")
     assert result.code == 0
     assert "m1" in result.out
     assert "m0" not in result.out
     assert "the figure agrees with the record" in result.err
-    missing = metapp("rerun", run, "--task", "m7")
-    assert missing.code == 1
-    assert "no record of task 'm7', expected one of m0, m1." in missing.err
+    assert "no record of task 'm7', expected one of m0, m1." in metapp("rerun", run, "--task", "m7").error
 
 
 def test_a_figure_that_was_altered_does_not_agree(metapp: Callable, run: Path) -> None:
@@ -71,75 +64,65 @@ def test_a_figure_that_was_altered_does_not_agree(metapp: Callable, run: Path) -
     assert metapp("rerun", run, "--tolerance", "0.002", "--quiet").code == 0
 
 
-def test_other_versions_and_machines_are_named_and_allowed_for(metapp: Callable, run: Path) -> None:
+def test_other_versions_machines_and_threads_are_named_and_allowed_for(metapp: Callable, run: Path) -> None:
     def edit(record: dict[str, Any]) -> None:
         record["settings"]["versions"]["torch"] = "2.0.0"
         record["origin"]["machine"] = "another"
 
+    change(run, lambda record: record.update(threads=2))  # on which it runs
+    assert metapp("rerun", run, "--task", "m0", "--json").document["tasks"][0]["differs"] == {}
     change(run, edit)
     result = metapp("rerun", run, "--task", "m0", "--json")
-    assert result.code == 0
-    (row,) = result.document["tasks"]
+    (row,) = result.done["tasks"]
     assert row["tolerance"] == ELSEWHERE
     assert row["differs"]["torch"][0] == "2.0.0"
     assert "note: machine: another then" in result.err
 
 
-def test_it_runs_on_as_many_threads_as_then(metapp: Callable, run: Path) -> None:
-    change(run, lambda record: record.update(threads=2))
-    assert metapp("rerun", run, "--task", "m0", "--json").document["tasks"][0]["differs"] == {}
+def error_of(result: Result) -> str:
+    """The only line beside warnings."""
+    (line,) = (each for each in result.err.splitlines() if not each.startswith("warning: "))
+    assert line == result.error
+    return line
 
 
 def test_data_that_changed_are_named_with_a_remedy(
     metapp: Callable, run: Path, networks: Path, neural_fits: Callable[[int], Path]
 ) -> None:
     (networks / "m1").rename(networks / "other")
-    result = metapp("rerun", run)
-    assert result.code == 1
-    (line,) = (each for each in result.err.splitlines() if not each.startswith("warning: "))
+    line = error_of(metapp("rerun", run))
     assert line.startswith("error: m0: data ")
     assert "as recorded; give what was fitted after RECORD, or --data." in line
-    moved = neural_fits(2)
-    assert metapp("rerun", run, moved, "--quiet").code == 0
+    assert metapp("rerun", run, neural_fits(2), "--quiet").code == 0
 
 
-def test_a_checkpoint_that_changed_is_named_with_a_remedy(metapp: Callable, networks: Path, tmp_path: Path) -> None:
-    from metapp.runs.checks import shipped_path
-
-    path = tmp_path / "mine.safetensors"
-    path.write_bytes(shipped_path("brdf", "general").read_bytes())
-    words = ("general", "brdf", networks, "--recipe", "quick", "--checkpoint", path, "--out", tmp_path / "runs")
+def test_a_checkpoint_that_changed_is_named_with_a_remedy(metapp: Callable, networks: Path) -> None:
+    shipped, path = shipped_path("brdf", "general"), Path("mine.safetensors")
+    path.write_bytes(shipped.read_bytes())
+    words = ("general", "brdf", networks, "--recipe", "quick", "--checkpoint", path)
     run = metapp(*words, "--json", "--quiet").document["out"]
     assert metapp("rerun", run, "--quiet").code == 0
-    start, info = load_checkpoint(path)
-    save_checkpoint(path, start, info | {"note": "another"})
-    result = metapp("rerun", run)
-    assert result.code == 1
-    (line,) = (each for each in result.err.splitlines() if not each.startswith("warning: "))
+    checkpoint, info = load_checkpoint(path)
+    save_checkpoint(path, checkpoint, info | {"note": "another"})
+    line = error_of(metapp("rerun", run))
     assert line.startswith("error: m0: checkpoint ")
     assert "as recorded; give that file by --checkpoint." in line
-    assert metapp("rerun", run, "--checkpoint", shipped_path("brdf", "general"), "--quiet").code == 0
+    assert metapp("rerun", run, "--checkpoint", shipped, "--quiet").code == 0
 
 
-def test_settings_that_changed_are_named(metapp: Callable, run: Path) -> None:
-    change(run, lambda record: record["settings"].update(batch=100))
-    result = metapp("rerun", run)
-    assert result.code == 1
-    assert "error: m0: batch 512, expected 100 as recorded; repeat it by the version of metapp" in result.err
-
-
-def test_a_fit_without_reference_is_judged_by_its_parameters(metapp: Callable, run: Path) -> None:
+def test_other_settings_are_named_and_fits_without_reference_judged(metapp: Callable, run: Path) -> None:
     change(run, lambda record: record.update(error=None))
     result = metapp("rerun", run, "--task", "m0", "--json")
     assert result.code == 1  # the record has no error, the fit has one
     assert result.document["tasks"][0]["difference"] is None
+    change(run, lambda record: record["settings"].update(batch=100))
+    said = "error: m0: batch 512, expected 100 as recorded; repeat it by the version of metapp"
+    assert said in metapp("rerun", run).error
 
 
 @pytest.mark.slow
-def test_rows_of_all_tables_are_repeated_or_refused_by_name(
-    metapp: Callable, ten_materials: Path, tmp_path: Path
-) -> None:
-    out = tmp_path / "runs"
+def test_rows_of_all_tables_are_repeated_or_refused_by_name(metapp: Callable, ten_materials: Path) -> None:
+    out = Path("runs")
     for table in ("results", "ablation", "baselines", "convergence"):
         words = ("--data", ten_materials, "--out", out, "--overfit-share", "0.001", "--which", table)
         assert metapp("evaluate", "brdf", *words, "--quiet", "--json").code == 0

@@ -45,19 +45,19 @@ def test_synth_makes_a_set_once(metapp: Callable, cache: Path) -> None:
 
 
 @pytest.mark.usefixtures("small_spheres")
-def test_synth_depends_on_the_seed_alone(metapp: Callable, tmp_path: Path) -> None:
+def test_synth_depends_on_the_seed_alone(metapp: Callable) -> None:
     for name, seed in (("a", "0"), ("b", "0"), ("c", "1")):
-        assert metapp("data", "synth", "brdf", "--count", "2", "--seed", seed, "--out", tmp_path / name, "-q").code == 0
-    assert fingerprint(tmp_path / "a") == fingerprint(tmp_path / "b") != fingerprint(tmp_path / "c")
+        assert metapp("data", "synth", "brdf", "--count", "2", "--seed", seed, "--out", name, "-q").code == 0
+    assert fingerprint(Path("a")) == fingerprint(Path("b")) != fingerprint(Path("c"))
 
 
 @pytest.mark.usefixtures("small_spheres")
-def test_synth_writes_merl_files_that_convert_back(metapp: Callable, tmp_path: Path) -> None:
-    result = metapp("data", "synth", "brdf", "--count", "2", "--as", "merl", "--out", tmp_path, "--json")
-    (train,), (test,) = result.document["train"], result.document["test"]
-    assert read_merl(tmp_path / "train" / f"{train}.binary").max() > 0
-    assert metapp("data", "merl", tmp_path / "test", "--out", tmp_path / "shards", "--samples", "64").code == 0
-    assert [task.name for task in read_manifest(tmp_path / "shards").tasks] == [test]
+def test_synth_writes_merl_files_that_convert_back(metapp: Callable) -> None:
+    document = metapp("data", "synth", "brdf", "--count", "2", "--as", "merl", "--out", "merl", "--json").document
+    (train,), (test,) = document["train"], document["test"]
+    assert read_merl(Path(f"merl/train/{train}.binary")).max() > 0
+    assert metapp("data", "merl", "merl/test", "--out", "shards", "--samples", "64").code == 0
+    assert [task.name for task in read_manifest(Path("shards")).tasks] == [test]
 
 
 def test_an_interrupted_synth_leaves_nothing(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -75,9 +75,9 @@ def test_an_interrupted_synth_leaves_nothing(cache: Path, monkeypatch: pytest.Mo
     assert list((cache / "data").iterdir()) == []
 
 
-@pytest.mark.parametrize(("count", "train", "test"), [(None, 80, 20), (1, 1, 0), (2, 1, 1), (10, 8, 2), (13, 10, 3)])
-def test_counts_keep_the_proportion(count: int | None, train: int, test: int) -> None:
-    assert split_counts("brdf", count) == {"train": train, "test": test}
+def test_counts_keep_the_proportion() -> None:
+    for count, train, test in ((None, 80, 20), (1, 1, 0), (2, 1, 1), (10, 8, 2), (13, 10, 3)):
+        assert split_counts("brdf", count) == {"train": train, "test": test}, count
 
 
 def test_the_cache_is_the_users_unless_moved(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -89,13 +89,13 @@ def test_the_cache_is_the_users_unless_moved(cache: Path, monkeypatch: pytest.Mo
 def test_a_full_disk_is_foreseen(metapp: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     usage = shutil.disk_usage(tmp_path)._replace(free=10**8)
     monkeypatch.setattr(shutil, "disk_usage", lambda _: usage)
-    result = metapp("data", "synth", "brdf", "--as", "merl", "--out", tmp_path / "out")
+    result = metapp("data", "synth", "brdf", "--as", "merl", "--out", "out")
     assert "0.1 GB free, expected 3.5 GB for 100 MERL files" in result.refusal
 
 
-def test_a_cache_that_cannot_be_written(metapp: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    (tmp_path / "file").write_text("")
-    monkeypatch.setenv("METAPP_CACHE", str(tmp_path / "file"))
+def test_a_cache_that_cannot_be_written(metapp: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
+    Path("file").write_text("")
+    monkeypatch.setenv("METAPP_CACHE", str(Path("file")))
     expected = "Not a directory, expected a folder that can be written; set METAPP_CACHE"
     assert expected in metapp("data", "synth", "brdf", "--count", "2").refusal
 
@@ -121,24 +121,23 @@ def _few_paths(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @needs_mitsuba
-def test_boxes_are_written_with_their_scenes_beside(metapp: Callable, tmp_path: Path) -> None:
-    result = metapp("data", "cornell", "--count", "5", "--seed", "7", *FEW, "--out", tmp_path / "a", "--json")
-    assert result.code == 0
-    assert result.document["train"] == [f"cornell-7-00{index}" for index in range(4)]
-    assert result.document["test"] == ["cornell-7-004"]
-    assert check_shard(tmp_path / "a") == []
-    tasks = read_shard(tmp_path / "a", app="transport")
+def test_boxes_are_written_with_their_scenes_beside(metapp: Callable) -> None:
+    document = metapp("data", "cornell", "--count", "5", "--seed", "7", *FEW, "--out", "a", "--json").done
+    assert document["train"] == [f"cornell-7-00{index}" for index in range(4)]
+    assert document["test"] == ["cornell-7-004"]
+    assert check_shard(Path("a")) == []
+    tasks = read_shard(Path("a"), app="transport")
     for task in tasks:
         assert task.data["samples"].shape == (200, 4)
         assert task.data["held"].shape == (50, 4)
-        scene = json.loads((tmp_path / "a" / f"{task.name}.json").read_text())
+        scene = json.loads(Path(f"a/{task.name}.json").read_text())
         assert scene == scene_of(task.data["scene"])
     # fewer take the place of all, scenes included
     for count in ("2", "1"):
-        assert metapp("data", "cornell", "--count", count, "--seed", "7", *FEW, "-o", tmp_path / "b", "-q").code == 0
+        assert metapp("data", "cornell", "--count", count, "--seed", "7", *FEW, "-o", "b", "-q").code == 0
     files = {"manifest.json", "cornell-7-000.json", "cornell-7-000.safetensors"}
-    assert {path.name for path in (tmp_path / "b").iterdir()} == files
-    (again,) = read_shard(tmp_path / "b")
+    assert {path.name for path in Path("b").iterdir()} == files
+    (again,) = read_shard(Path("b"))
     assert all(torch.equal(again.data[key], tasks[0].data[key]) for key in again.data)
 
 
@@ -179,30 +178,21 @@ def test_the_default_set() -> None:
         next(synthetic_tasks("other", 1))  # type: ignore[arg-type]
 
 
-def test_an_interruption_leaves_nothing(metapp: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_interruption_leaves_nothing(metapp: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
     def interrupt(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
     monkeypatch.setattr(synthetic_transport, "transport_task", interrupt)
-    assert metapp("data", "cornell", "--out", tmp_path / "boxes").code == 130
-    assert not (tmp_path / "boxes").exists()
+    assert metapp("data", "cornell", "--out", "boxes").code == 130
+    assert not Path("boxes").exists()
 
 
-def test_without_a_fit_libllvm_nothing_is_written(
-    metapp: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_without_a_fit_libllvm_nothing_is_written(metapp: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
     def none() -> Path:
         raise ValueError("libLLVM: found none, expected 19 or newer for Mitsuba; apt-get install libllvm19 libatomic1.")
 
     monkeypatch.setattr("metapp.rendering.variant.find_llvm", none)
     monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
-    refusal = metapp("data", "cornell", "--out", tmp_path / "boxes").refusal
+    refusal = metapp("data", "cornell", "--out", "boxes").refusal
     assert refusal.startswith("error: libLLVM: found none")
-    assert not (tmp_path / "boxes").exists()
-
-
-@pytest.mark.parametrize(("option", "value"), [("--dimensions", "5"), ("--count", "0"), ("--samples", "0")])
-def test_options_out_of_range(metapp: Callable, tmp_path: Path, option: str, value: str) -> None:
-    result = metapp("data", "cornell", "--out", tmp_path / "boxes", option, value)
-    assert result.code == 2
-    assert option in result.err
+    assert not Path("boxes").exists()

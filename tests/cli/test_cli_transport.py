@@ -22,7 +22,7 @@ from metapp.apps.transport.flow import Flow
 from metapp.apps.transport.guide import table_of
 from metapp.apps.transport.presentation import TransportPresentation
 from metapp.apps.transport.recipes import RECIPES
-from metapp.learning.task import Task
+from metapp.learning.task import Params, Task
 from metapp.rendering import path_space
 from metapp.storage.shards import ShardWriter
 from tests.quick import app_by
@@ -37,9 +37,14 @@ def scenes() -> list[Task]:
     return [transport_task(f"box-{i}", random_scene(i), i, samples=2048, held=512) for i in range(6)]
 
 
+def uniform(app: Transport) -> Params:
+    """The parameters that fits of it begin with: a uniform density."""
+    return {key: value[0] for key, value in app.init(torch.Generator().manual_seed(0), 1).items()}
+
+
 @pytest.fixture
-def data(scenes: list[Task], tmp_path: Path) -> Path:
-    folder = tmp_path / "data"
+def data(scenes: list[Task]) -> Path:
+    folder = Path("data")
     with ShardWriter(folder, "transport", UNITS, {}) as writer:
         for i, task in enumerate(scenes):
             writer.add(task, "train" if i < 5 else "test")
@@ -70,13 +75,10 @@ def small(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(images, "REFERENCE_SPP", 16)
 
 
-def test_train_fit_and_compare(metapp: Callable, data: Path, tmp_path: Path) -> None:
-    runs = tmp_path / "runs"
+def test_train_fit_and_compare(metapp: Callable, data: Path) -> None:
     for paradigm in PARADIGMS:
         train = () if paradigm in ("overfit", "finetune") else ("--train", "--train-steps", "2")
-        result = metapp(paradigm, "transport", "--data", data, "--out", runs, "--json", *train)
-        assert result.code == 0, result.err
-        document = result.document
+        document = metapp(paradigm, "transport", "--data", data, "--json", *train).done
         assert (document["app"], document["paradigm"], len(document["tasks"])) == ("transport", paradigm, 1)
         assert np.isfinite(document["error"])
         made = Path(document["out"]) / "outputs" / "box-5"
@@ -85,17 +87,15 @@ def test_train_fit_and_compare(metapp: Callable, data: Path, tmp_path: Path) -> 
         assert guided.shape == (64, 64, 3)
         assert float(np.mean(guided)) == pytest.approx(float(np.mean(regular)), rel=0.2)
         assert (Path(document["out"]) / "pictures.png").is_file()
-    result = metapp("evaluate", "transport", "--data", data, "--out", runs, "--json")
-    assert result.code == 0, result.err
-    rows = {row["paradigm"]: row["error"] for row in result.document["rows"]}
+    document = metapp("evaluate", "transport", "--data", data, "--json").done
+    rows = {row["paradigm"]: row["error"] for row in document["rows"]}
     assert set(PARADIGMS) <= set(rows)
     assert rows["overfit"] < 0  # below the uniform density's
 
 
 def test_pictures_are_judged_at_equal_paths_and_in_equal_time(scenes: list[Task]) -> None:
     task, app = scenes[0], app_by("transport")
-    shown = TransportPresentation(app)
-    theta = {key: value[0] for key, value in app.init(torch.Generator().manual_seed(0), 1).items()}
+    shown, theta = TransportPresentation(app), uniform(app)
     found = shown.image_errors({"instant": Fitted(theta, 0.0), "endless": Fitted(theta, 1e9)}, task)
     with_nee = [images.REGULAR_NEE, images.GUIDED_NEE]
     assert list(found) == ["reference", "regular", *with_nee, "instant", "endless"]
@@ -118,7 +118,6 @@ def test_pictures_are_judged_at_equal_paths_and_in_equal_time(scenes: list[Task]
 def test_pictures_are_judged_at_the_size_of_the_recipe(scenes: list[Task], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(images, "SPP", 4)
     app = Transport(replace(RECIPES[""]["quick"].setup, picture=24))
-    theta = {key: value[0] for key, value in app.init(torch.Generator().manual_seed(0), 1).items()}
     judged, errors = [], images.Studio.errors
 
     def noted(self: images.Studio, picture: torch.Tensor) -> dict[str, float]:
@@ -126,7 +125,7 @@ def test_pictures_are_judged_at_the_size_of_the_recipe(scenes: list[Task], monke
         return errors(self, picture)
 
     monkeypatch.setattr(images.Studio, "errors", noted)
-    shown = TransportPresentation(app)
+    shown, theta = TransportPresentation(app), uniform(app)
     found = shown.image_errors({"instant": Fitted(theta, 0.0)}, scenes[0])
     assert set(judged) == {((3, 24, 24), (3, 24, 24))}
     assert set(found) == {"reference", "regular", images.REGULAR_NEE, images.GUIDED_NEE, "instant"}
@@ -155,18 +154,15 @@ def test_pictures_with_nee_come_in_waves(scenes: list[Task], monkeypatch: pytest
 
 
 def test_equal_time_counts_the_samples_that_a_fit_sees(scenes: list[Task], monkeypatch: pytest.MonkeyPatch) -> None:
-    task, app = scenes[0], app_by("transport")
-    shown = TransportPresentation(app)
-    theta = {key: value[0] for key, value in app.init(torch.Generator().manual_seed(0), 1).items()}
-    asked = []
+    app, sampled = app_by("transport"), []
 
     def sampling(self: images.Studio, samples: torch.Tensor) -> float:
-        asked.append(tuple(samples.shape))
+        sampled.append(tuple(samples.shape))
         return 1e9
 
     monkeypatch.setattr(images.Studio, "sampling", sampling)
-    found = shown.image_errors({"instant": Fitted(theta, 0.0)}, task)
-    assert asked == [(2048, 4)]  # what fits may see, without what is held out
+    found = TransportPresentation(app).image_errors({"instant": Fitted(uniform(app), 0.0)}, scenes[0])
+    assert sampled == [(2048, 4)]  # what fits may see, without what is held out
     assert images.EQUAL_TIME not in found["instant"]
     assert found["instant"][images.FIXED] > 1e6
     assert found["regular"][images.FIXED] == 0
@@ -201,12 +197,12 @@ def test_guided_means_are_those_of_the_reference(scenes: list[Task]) -> None:
 
 
 def test_a_scene_is_rendered_with_and_without_a_guide_in_the_same_time(
-    metapp: Callable, data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    metapp: Callable, data: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(images, "RENDERED_SPP", 16)
-    result = metapp("overfit", "transport", "--data", data, "--out", tmp_path / "runs", "--render", "24")
+    result = metapp("overfit", "transport", "--data", data, "--render", "24")
     assert result.code == 0, result.err
-    folders = list((tmp_path / "runs").rglob("outputs/box-5"))
+    folders = list(Path("runs").rglob("outputs/box-5"))
     made = [oiio.ImageBuf(str(folders[0] / f"{name}.exr")).get_pixels() for name in ("guided_path", "regular_nee")]
     assert {picture.shape for picture in made} == {(24, 24, 3)}
     assert np.mean(made[0]) == pytest.approx(np.mean(made[1]), rel=0.2)
@@ -215,7 +211,6 @@ def test_a_scene_is_rendered_with_and_without_a_guide_in_the_same_time(
     assert "regular_nee: " in result.err
 
 
-def test_only_scenes_are_rendered(metapp: Callable, tmp_path: Path) -> None:
-    result = metapp("meta", "brdf", "--render", "24", "--out", tmp_path)
-    assert result.code == 2
-    assert "--render: brdf has no scenes, only transport; leave it out." in " ".join(result.err.split())
+def test_only_scenes_are_rendered(metapp: Callable) -> None:
+    misuse = metapp("meta", "brdf", "--render", "24").misuse
+    assert "--render: brdf has no scenes, only transport; leave it out." in misuse

@@ -17,13 +17,11 @@ from metapp.learning.task import Task
 from metapp.runs import watching
 from metapp.runs.watching import Watched
 
-APP = Brdf()
-
 pytestmark = pytest.mark.usefixtures("small_spheres")
 
 
 def test_a_watched_fit_is_the_same_and_leaves_its_last_picture(
-    metapp: Callable, ten_materials: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    metapp: Callable, ten_materials: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     titles = []
     write = watching.write_sheet
@@ -32,7 +30,7 @@ def test_a_watched_fit_is_the_same_and_leaves_its_last_picture(
     )
     monkeypatch.setattr(watching, "EVERY", 0.0)
     told = ("overfit", "brdf", "--steps", "3", "--data", ten_materials, "--json", "--out")
-    plain, watched = metapp(*told, tmp_path / "plain"), metapp(*told, tmp_path / "watched", "--watch")
+    plain, watched = metapp(*told, Path("plain")), metapp(*told, Path("watched"), "--watch")
     errors = [[task["error"] for task in run.document["tasks"]] for run in (plain, watched)]
     assert errors[0] == errors[1]
     picture = Path(watched.document["out"]) / "watch.png"
@@ -43,12 +41,12 @@ def test_a_watched_fit_is_the_same_and_leaves_its_last_picture(
     assert not list(picture.parent.glob(".partial*"))
 
 
-def test_pictures_come_at_most_so_often_and_the_last_is_drawn(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_pictures_come_at_most_so_often_and_the_last_is_drawn(monkeypatch: pytest.MonkeyPatch) -> None:
     now, drawn = 100.0, []
     monkeypatch.setattr(watching, "time", type("clock", (), {"monotonic": lambda: now}))
     monkeypatch.setattr(watching, "write_sheet", lambda tasks, title, *_: drawn.append((now, title)))
     monkeypatch.setattr(watching, "presentation_of", lambda app: type("none", (), {"outputs": lambda *_: {}}))
-    watched = Watched(APP, "meta", tmp_path / "watch.png")
+    watched = Watched(Brdf(), "meta", Path("watch.png"))
     descent = (Step(step, {}, {}) for step in range(40))
     for _ in watched.shown(descent, Task("gold", {}), 40, Stopwatch(torch.device("cpu"))):
         now += 0.03

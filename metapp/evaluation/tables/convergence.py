@@ -226,7 +226,7 @@ def notes(subject: Subject, all_rows: list[Row]) -> list[str]:
         f"over tasks of those after which Meta is within {known['within']:.0%} of Overfit",
     ]
     if last["near"] is not None:
-        lines.append(f"{last['near']} of {last['tasks']} tasks come that near (paper: after {known['steps']} steps)")
+        lines.append(f"{last['near']} of {last['tasks']} tasks come so near (paper: {known['steps']} further steps)")
     return [*lines, *overfit_note(subject), f"traces of up to {TRACED} tasks, evenly spaced"]
 
 

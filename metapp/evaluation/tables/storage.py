@@ -88,13 +88,13 @@ def sample_notes(subject: Subject, all_rows: list[Row]) -> list[str]:
     """What a sample is here, and in the paper."""
     if all(row["seen"] is None for row in all_rows):
         return ["how much a fit may see of a task is not known, or there are no tasks yet"]
-    lines = ["shares are of what fits may see; a sample that is drawn twice is sent once, so 'seen' is an upper bound"]
+    lines = ["of what fits may see; samples that are drawn twice are sent once, so 'seen' is an upper bound"]
     if all_rows[0]["all"] == 1:
         lines.append("each step sees the whole task: nothing to save")
     if known := paper()["samples"].get(subject.app.name):
         meta = next(row["seen"] for row in all_rows if row["paradigm"] == "meta")
         saved = f"{1 - min(meta, known['all']) / known['all']:.1%}"
-        lines.append(f"paper: meta sees {known['seen']:,} of {known['all']:,}; ours would save {saved} of as many")
+        lines.append(f"paper: meta sees {known['seen']:,} of {known['all']:,}; ours, of so many: saved {saved}")
     return lines
 
 

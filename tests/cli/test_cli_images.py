@@ -1,0 +1,298 @@
+"""`metapp data images`, `flash`, `laval`, `strips` and `maps` end to end: data sets of image files."""
+
+from __future__ import annotations
+
+import hashlib
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from metapp.storage.manifest import fingerprint, read_manifest
+from metapp.storage.shards import check_shard, read_shard
+from tests.pictures import environment, noise, photograph, text, truncated, write
+
+IN, OUT = Path("in"), Path("out")
+
+
+def strip(path: Path, tiles: int = 5) -> Path:
+    values = np.random.default_rng(0).integers(20, 236, (40, 40 * tiles, 3), dtype=np.uint8)
+    values[:, 40:80] = (128, 140, 250)
+    return write(path, values)
+
+
+def flat(path: Path, *colour: int) -> Path:
+    return write(path, np.full((40, 40, 3), colour, np.uint8))
+
+
+def material(folder: Path, name: str = "rock", tilt: int = 0, without: str = "") -> Path:
+    colour = noise(40, 40, seed=tilt)
+    write(folder / f"{name}_diffuse.png", colour)
+    flat(folder / f"{name}_normal.png", 128 + tilt, 128, 250)
+    write(folder / f"{name}_gloss.png", colour[..., :1])
+    if without:
+        (folder / f"{name}_{without}.png").unlink()
+    return folder
+
+
+def half(path: Path) -> Path:
+    return truncated(photograph(path) if path.suffix != ".hdr" else environment(path))
+
+
+def splits(out: Path | str = OUT) -> dict[str, str]:
+    assert check_shard(Path(out)) == []
+    return {entry.name: entry.split for entry in read_manifest(Path(out)).tasks}
+
+
+def shapes_of(split: str, app: str) -> dict[str, tuple[int, ...]]:
+    (task, *_) = read_shard(OUT, split, app)
+    return {key: tuple(value.shape) for key, value in task.data.items()}
+
+
+# Of all of them
+
+
+def test_the_same_files_give_the_same_data(metapp: Callable) -> None:
+    makers = {"images": ("jpg", photograph), "flash": ("jpg", photograph), "laval": ("exr", environment)}
+    for command, (form, make) in makers.items():
+        paths = [make(IN / command / f"{name}.{form}", seed) for seed, name in enumerate("abcdef")]
+        digests = []
+        for out, inputs in (("one", [IN / command]), ("two", paths[::-1])):
+            assert metapp("data", command, *inputs, "--out", f"{command}/{out}").code == 0
+            files = Path(command, out).glob("*.safetensors")
+            digests.append({file.name: hashlib.sha256(file.read_bytes()).hexdigest() for file in files})
+        assert digests[0] == digests[1], command
+        assert fingerprint(Path(command, "one")) == fingerprint(Path(command, "two")), command
+
+
+@pytest.mark.parametrize("command", ["images", "flash", "laval"])
+def test_bad_files_of_a_folder_are_skipped_with_one_line_each(metapp: Callable, command: str) -> None:
+    skipped = ["notes.txt", "black.png", "half.jpg", "text.jpg", "tiny.png"]
+    photograph(IN / "tiny.png", side=1)
+    write(IN / "black.png", 0 * noise(48, 48))
+    half(IN / "half.jpg")
+    if command == "laval":
+        skipped += ["bad.exr", "half.hdr"]
+        half(IN / "half.hdr")
+        text(IN / "bad.exr")
+        environment(IN / "good.exr")
+    else:
+        photograph(IN / "good.png")
+    for name in ("text.jpg", "notes.txt"):
+        text(IN / name)
+    result = metapp("data", command, IN, "--out", OUT, "--json")
+    assert result.done["train"] == ["good"]
+    assert len(result.document["skipped"]) == len(skipped)
+    *lines, last = result.err.splitlines()
+    assert last.endswith(f"1 train + 0 test tasks in out; {len(skipped)} skipped")
+    assert [line.split(":")[2].rpartition("/")[2] for line in lines] == skipped
+
+
+BAD: list[tuple[str, Callable[[], object], str, str]] = [
+    *((command, lambda: text(IN / "a.jpg"), "a.jpg", "not an image (") for command in ("images", "flash")),
+    *((command, lambda: half(IN / "a.jpg"), "a.jpg", "damaged or incomplete (") for command in ("images", "flash")),
+    *((command, lambda: None, "a.png", "no such file") for command in ("images", "flash", "laval", "strips")),
+    *((command, lambda: None, "", "no image in this folder") for command in ("images", "flash", "laval")),
+    *(
+        (command, lambda: [photograph(IN / name / "one" / "b.png") for name in ("", "two")], "", "two tasks named")
+        for command in ("images", "flash")  # there of one material
+    ),
+    ("laval", lambda: text(IN / "a.exr"), "a.exr", "not an image ("),
+    ("laval", lambda: truncated(environment(IN / "a.exr")), "a.exr", "damaged or incomplete ("),
+    ("laval", lambda: [environment(IN / name) for name in ("one/b.exr", "b.hdr")], "", "two tasks named 'b'"),
+    ("strips", lambda: strip(IN / "a.png", 4), "a.png", "a.png: 160x40 px, 4 tiles, expected 5 squares"),
+    ("strips", lambda: [strip(IN / name) for name in ("b;c.png", "b_c.png")], "", "two tasks named 'b_c'"),
+    ("maps", lambda: material(IN, without="normal"), "", "rock: no normal map (rock_diffuse.png, "),
+    ("maps", lambda: strip(IN / "a.png"), "", "in: no maps in this folder (a.png), expected"),
+    ("maps", lambda: None, "none", "none: no such file"),
+]
+
+
+@pytest.mark.parametrize(("command", "make", "name", "message"), BAD)
+def test_bad_paths_end_the_conversion_in_one_line(
+    metapp: Callable, command: str, make: Callable, name: str, message: str
+) -> None:
+    good = {"laval": lambda: [environment(Path("good.exr"))], "strips": list, "maps": list}
+    inputs = good.get(command, lambda: [photograph(Path("good.png"))])()
+    IN.mkdir()
+    make()
+    refusal = metapp("data", command, *inputs, IN / name, "--out", "new/out").refusal
+    assert message in refusal
+    assert name in refusal
+    assert not Path("new").exists()
+
+
+def test_options_out_of_range(metapp: Callable) -> None:
+    for command, made, refused in (
+        ("images", photograph(Path("a.png")), ("--size 31", "--size x")),
+        ("laval", environment(Path("a.exr")), ("--split some", "--size 8", "--rows 64")),
+        ("strips", strip(Path("b.png")), ("--split some", "--size 4", "--gamma 0", "--white 0")),
+        ("maps", material(IN), ("--normals left",)),
+    ):
+        for words in refused:
+            said = metapp("data", command, made, "--out", "new", *words.split()).misuse
+            expected = {"31": "greater than or equal to 32", "x": "valid integer"}.get(words.split()[1], "")
+            assert expected in said, (command, words)
+    assert not Path("new").exists()
+
+
+@pytest.mark.parametrize(("command", "suffix"), [("images", "png"), ("laval", "exr")])
+def test_a_real_process_says_nothing_else(command: str, suffix: str) -> None:
+    """Neither libpng's messages nor colour-science's warning nor OpenImageIO's notices at exit are for the user."""
+    if command == "images":
+        photograph(IN / "good.png")
+        text(IN / "bad.png")
+    else:
+        environment(IN / "good.exr", oiio_ColorSpace="ACEScg")
+    damaged = IN / f"half.{suffix}"
+    truncated(photograph(damaged) if command == "images" else environment(damaged))
+    call = [sys.executable, "-m", "metapp", "data", command]
+    done = subprocess.run([*call, IN, "--out", OUT], capture_output=True, text=True, check=True)
+    app, warnings = ("texture", 2) if command == "images" else ("illumination", 1)
+    assert done.stdout == ""
+    assert [line.partition(":")[0] for line in done.stderr.splitlines()] == ["warning"] * warnings + [app]
+    if command == "images":
+        done = subprocess.run([*call, damaged, "--out", OUT], capture_output=True, text=True, check=False)
+        assert (done.returncode, done.stdout, done.stderr.count("\n")) == (1, "", 1)
+        assert done.stderr.startswith(f"error: {damaged}: damaged or incomplete")
+
+
+# Photographs and environment maps
+
+
+def test_photographs_become_texture_tasks(metapp: Callable) -> None:
+    for index, name in enumerate(("bark", "sand", "grass", "sub/moss", "sub/wall", "rust")):
+        photograph(IN / f"{name}.png", index)
+    train, test = ["bark", "grass", "rust", "moss", "wall"], ["sand"]
+    document = metapp("data", "images", IN, "--out", OUT, "--json").document
+    assert document == {"app": "texture", "out": "out", "train": train, "test": test, "skipped": []}
+    assert set(splits()) == {*train, *test}
+    assert read_manifest(OUT).notes == {"made_by": "metapp data images", "size": 256, "split": "auto"}
+    assert {task.data["image"].shape for task in read_shard(OUT)} == {(3, 256, 256)}
+    result = metapp("data", "images", IN / "bark.png", "--out", OUT, "--split", "test", "--size", "64")
+    assert result == (0, "", "texture: 0 train + 1 test tasks in out\n")
+    assert shapes_of("test", "texture") == {"image": (3, 64, 64)}
+    assert metapp("data", "images", IN / "bark.png", "--out", "quiet", "--quiet") == (0, "", "")
+
+
+def test_environment_maps_become_a_data_set(metapp: Callable) -> None:
+    for seed, name in enumerate(("a.exr", "b.hdr", "deep/er/c.exr", "deep/d.EXR", "e.exr")):
+        environment(IN / name, seed)
+    result = metapp("data", "laval", IN, IN / "a.exr", "--out", OUT, "--json")
+    assert result.err == "illumination: 4 train + 1 test tasks in out\n"
+    assert sorted(result.document["train"]) == ["a", "b", "c", "d"]
+    assert (result.document["app"], result.document["test"]) == ("illumination", ["e"])
+    assert splits()["e"] == "test"
+    assert read_manifest(OUT).notes == {"made_by": "metapp data laval", "rows": 64, "split": "auto"}
+    assert shapes_of("test", "illumination") == {"map": (3, 64, 128), "scale": (), "photos": (4, 3, 64, 64)}
+    assert metapp("data", "laval", IN / "a.exr", "--out", "one", "--split", "test", "--quiet") == (0, "", "")
+    assert splits("one") == {"a": "test"}
+
+
+def test_flash_photographs_are_split_by_material(metapp: Callable) -> None:
+    names = [f"train_{material:02d}_{image}" for material in range(6) for image in range(1 + material % 3)]
+    for seed, name in enumerate(names):
+        photograph(IN / f"{name}.png", seed)
+    text(IN / "metadata.json")
+    document = metapp("data", "flash", IN, "--out", OUT, "--size", "32", "--json").document
+    assert document["app"] == "svbrdf_stationary"
+    assert document["test"] == ["04_0", "04_1"]
+    assert len(document["train"]) == len(names) - 2
+    assert document["skipped"] == []
+    assert read_manifest(OUT).notes == {"made_by": "metapp data flash", "size": 32, "split": "auto"}
+    assert {task.data["image"].shape for task in read_shard(OUT)} == {(3, 32, 32)}
+    for split in ("train", "test"):
+        metapp("data", "flash", IN, "--out", OUT, "--split", split)
+        assert set(splits().values()) == {split}
+
+
+def test_flash_photographs_keep_the_split_they_come_with(metapp: Callable) -> None:
+    for seed, name in enumerate(("test/0280/flash", "test/0281/flash", "train/0001/flash", "train/0001/other")):
+        photograph(IN / f"{name}.png", seed)
+    document = metapp("data", "flash", IN, "--out", OUT, "--json").document
+    assert document["train"] == ["0001_flash", "0001_other"]
+    assert document["test"] == ["0280_flash", "0281_flash"]
+    photograph(IN / "test" / "0001" / "flash-2.png")
+    refusal = metapp("data", "flash", IN, "--out", OUT).refusal
+    assert "training and test photograph of the material '0001'" in refusal
+    assert metapp("data", "flash", IN, "--out", OUT, "--split", "test").code == 0
+
+
+# Strips and maps of materials
+
+
+def test_strips_become_a_data_set(metapp: Callable) -> None:
+    for index in range(6):
+        strip(IN / "deep" / f"{index};a{index}Xb{index};0X1.png")
+        strip(IN / f"{index + 10};b{index}Xa{index};2Xdefault.png")
+    strip(IN / "four.png", 4)
+    text(IN / "notes.txt")
+    result = metapp("data", "strips", IN, "--out", OUT, "--size", "32", "--json")
+    assert result.code == 0
+    *lines, last = result.err.splitlines()
+    names = [line.partition("skipped: ")[2].rpartition("/")[2].partition(":")[0] for line in lines]
+    assert names == ["notes.txt", "four.png"]
+    assert last == "svbrdf_nonstationary: 10 train + 2 test tasks in out; 2 skipped"
+    assert {name for name, split in splits().items() if split == "test"} == {"4_a4Xb4_0X1", "14_b4Xa4_2Xdefault"}
+    manifest = read_manifest(OUT)
+    notes = {"size": 32, "gamma": 1.0, "white": 1.35, "split_by": "material", "left_out": 0, "split": "auto"}
+    assert manifest.notes == {"made_by": "metapp data strips", **notes}
+    assert {entry.name: entry.group for entry in manifest.tasks}["14_b4Xa4_2Xdefault"] == "a4"
+    assert shapes_of("test", "svbrdf_nonstationary") == {"maps": (10, 32, 32), "photo": (3, 32, 32)}
+    assert "no problems" in metapp("data", "check", OUT).out
+
+
+def test_strips_that_share_all_their_materials(metapp: Callable) -> None:
+    for index in range(6):
+        strip(IN / f"{index};aXb;{index}X{index}.png")
+    strip(IN / "6;aXb;0X1.png")
+    result = metapp("data", "strips", IN, "--out", OUT, "--json")
+    assert result.code == 0
+    said = "warning: base materials are blended with all others: training and test strips show other presets of them."
+    assert result.err.splitlines()[0] == said
+    assert sorted(splits().values()).count("test") == 2
+    notes = read_manifest(OUT).notes
+    assert notes["split_by"] == "preset"
+    left_out = notes["left_out"]
+    assert (f"warning: {left_out} of 7 strips left out: they blend" in result.err) == (left_out > 0)
+    assert len(splits()) == 7 - left_out
+
+
+def test_the_gamma_of_strips_and_the_normals_of_maps(metapp: Callable) -> None:
+    def means(out: str, planes: slice) -> float:
+        return read_shard(Path(out))[0].data["maps"][planes].float().mean().item()
+
+    path = strip(Path("a.png"))
+    for name, arguments in {"one": (), "two": (), "gamma": ("--gamma", "2.2")}.items():
+        call = ("data", "strips", path, "--out", name, "--split", "test", "--quiet", *arguments)
+        assert metapp(*call) == (0, "", "")
+    assert splits("one") == {"a": "test"}
+    assert fingerprint(Path("one")) == fingerprint(Path("two")) != fingerprint(Path("gamma"))
+    assert means("gamma", slice(3, 6)) < 0.8 * means("one", slice(3, 6))
+    flat(material(IN) / "rock_normal.png", 128, 180, 230)
+    for option, sign in (("opengl", 1), ("directx", -1)):
+        call = ("data", "maps", IN, "--out", option, "--split", "test", "--normals", option, "--quiet")
+        assert metapp(*call) == (0, "", "")
+        assert splits(option) == {"rock": "test"}
+        assert sign * means(option, slice(1, 2)) > 0.3
+
+
+def test_maps_of_materials_become_a_data_set(metapp: Callable) -> None:
+    for index in range(5):
+        material(IN / f"m{index}", f"rock{index}", index)
+    material(IN / "m0", "variant", 0)
+    flat(IN / "m1" / "odd_normal.png", 128, 128, 250)
+    result = metapp("data", "maps", IN, "--out", OUT, "--size", "32", "--json")
+    assert result.code == 0
+    line, last = result.err.splitlines()
+    assert "odd: no base colour map (odd_normal.png)" in line
+    assert last == "svbrdf_nonstationary: 5 train + 1 test tasks in out; 1 skipped"
+    assert [name for name, split in splits().items() if split == "test"] == ["rock4"]
+    manifest = read_manifest(OUT)
+    assert manifest.notes == {"made_by": "metapp data maps", "size": 32, "normals": "auto", "split": "auto"}
+    groups = {entry.name: entry.group for entry in manifest.tasks}
+    assert groups["rock0"] == groups["variant"] != groups["rock1"]
+    assert metapp("data", "join", OUT, OUT, "--out", "twice").code == 1  # the same names
