@@ -128,7 +128,8 @@ def ridge(axes: Tensor, targets: Tensor, weights: Tensor | None, deviation: Tens
         )
         values = torch.nn.functional.pad((roots * targets).T.double(), (0, axes.shape[1]))[..., None]
         q, r = torch.linalg.qr(rows)
-        return torch.linalg.solve_triangular(r, q.mT @ values, upper=True)[..., 0].T.to(targets)
+        exact: Tensor = torch.linalg.solve_triangular(r, q.mT @ values, upper=True)
+        return exact[..., 0].T.to(targets)
     solved = torch.cholesky_solve(right.double(), factor)
     return solved[..., 0].T.to(targets)
 

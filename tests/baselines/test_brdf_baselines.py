@@ -75,9 +75,6 @@ def test_components_are_those_of_the_singular_value_decomposition(rng: Generator
     assert torch.allclose(
         (left[:, :5].T @ found.axes).abs() / math.sqrt(300), torch.eye(5, dtype=torch.float64), atol=1e-9
     )
-
-
-def test_as_many_components_as_columns_span_at_most(rng: Generator) -> None:
     assert components(torch.randn(40, 4, generator=rng, dtype=torch.float64), 20).axes.shape == (40, 3)  # and a mean
 
 
@@ -115,8 +112,8 @@ def test_reweighting_brings_least_squares_to_the_median(rng: Generator) -> None:
     assert reweighted(slope, values).mean().item() == pytest.approx(1)
 
 
-def test_samples_are_those_of_the_application(stacked: Tasks) -> None:
-    """In one draw what ten steps draw of one task."""
+def test_samples_and_cosines_are_those_of_the_application(stacked: Tasks, rng: Generator) -> None:
+    # in one draw what ten steps draw of one task
     one = stacked.select([3])
     rng = Generator().manual_seed(5)
     steps = [APP.sample(one, rng, 64) for _ in range(10)]
@@ -124,15 +121,12 @@ def test_samples_are_those_of_the_application(stacked: Tasks) -> None:
     assert torch.equal(torch.cat([each["where"][0] for each in steps], 1).T, seen.where)
     assert torch.equal(torch.cat([each["target"][0] for each in steps], 1).T, seen.target)
     assert seen.rows.max() < SAMPLES // 2
-
-
-def test_cosines_are_those_of_the_angles(stacked: Tasks, rng: Generator) -> None:
-    from metapp.appearance.geometry import cosines
-
     task = random_materials(1, Generator().manual_seed(3))[0]
     prepared = APP.prepare(task)
     for found, expected in zip(cosines_of(prepared["where"]), cosines(task.data["angles"].double()), strict=True):
         torch.testing.assert_close(found, expected, atol=1e-6, rtol=1e-5)
+    space = space_of(stacked.data["where"][0], stacked.data["target"])
+    assert space.relative.weight.min() >= EPSILON
 
 
 @pytest.mark.parametrize("weighted", [False, True])
@@ -184,11 +178,6 @@ def test_fewer_of_the_same_angles_in_any_order_will_do(rng: Generator) -> None:
     moved = materials[3]._replace(data={key: value[order] for key, value in materials[3].data.items()})
     one = stack(APP, [moved])
     assert APP.errors_of(fit(one, rng, Allowed(400, 2700)).answer(), one)["error"].item() < 0.01
-
-
-def test_the_reference_is_bounded_away_from_0(stacked: Tasks) -> None:
-    space = space_of(stacked.data["where"][0], stacked.data["target"])
-    assert space.relative.weight.min() >= EPSILON
 
 
 @pytest.fixture

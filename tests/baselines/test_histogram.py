@@ -40,14 +40,11 @@ def grid(side: int) -> np.ndarray:
     return np.stack([np.tile(middles, side), np.repeat(middles, side)], 1)
 
 
-def test_cells_nest() -> None:
+def test_cells_nest_and_coarser_counts_are_sums(numbers: np.random.Generator) -> None:
     points = grid(32)
     fine, coarse = morton(points, 4), morton(points, 2)
     assert np.array_equal(fine >> 4, coarse)
     assert len(np.unique(fine)) == 256
-
-
-def test_coarser_counts_are_sums(numbers: np.random.Generator) -> None:
     points = numbers.random((1000, 2))
     found, expected = counted(morton(points, 5)).coarser(3), counted(morton(points, 2))
     assert np.array_equal(found.keys, expected.keys)
@@ -78,16 +75,13 @@ def test_directions_integrate_to_1_in_every_place(numbers: np.random.Generator, 
         assert density.std() > 0.3
 
 
-def test_without_strength_shares_are_those_of_the_samples(numbers: np.random.Generator) -> None:
+def test_strength_leads_from_the_samples_to_uniform_or_the_prior(numbers: np.random.Generator) -> None:
     points = peaked(numbers, 5000)[:, :2]
     found = square(points, 1)
     density = np.exp(found.log_density(grid(2), np.array([1e-12])))
     shares = np.array([((points * 2).astype(int) == cell).all(1).mean() for cell in ([0, 0], [1, 0], [0, 1], [1, 1])])
     np.testing.assert_allclose(density, 4 * shares, rtol=1e-9)
-
-
-def test_with_endless_strength_it_is_uniform_or_the_prior(numbers: np.random.Generator) -> None:
-    points = peaked(numbers, 500)
+    points = peaked(numbers, 500)  # endless strength
     assert np.allclose(square(points[:, :2], 3).log_density(grid(8), np.full(3, 1e12)), 0, atol=1e-6)
     assert np.allclose(pair(points, 2, 3).counts_at(points).log_density(np.full((3, 3), 1e12)), 0, atol=1e-6)
     image = torch.rand(3, 4, 4, generator=torch.Generator().manual_seed(0))
@@ -120,16 +114,15 @@ def _scene(numbers: np.random.Generator) -> Tasks:
     return Tasks(("s",), {"samples": samples, "held": held, "image": image}, torch.tensor([0]))
 
 
-def test_samples_are_those_of_the_application(numbers: np.random.Generator) -> None:
+def test_samples_are_those_of_the_application_and_the_lesser_of_cells_and_samples_is_kept(
+    numbers: np.random.Generator,
+) -> None:
     scene = _scene(numbers)
     made = Histograms(1, False).made(scene, torch.Generator().manual_seed(4), 512)
     batch = app_by("transport").sample(scene, torch.Generator().manual_seed(4), 512)["points"][0].T.double().numpy()
     assert np.array_equal(made.film.levels[-1].keys, counted(morton(batch[:, :2], 7)).keys)
     assert made.samples == len(np.unique(batch, axis=0))
-
-
-def test_what_is_kept_is_the_lesser_of_cells_and_samples(numbers: np.random.Generator) -> None:
-    scene, rng = _scene(numbers), torch.Generator().manual_seed(4)
+    rng = torch.Generator().manual_seed(4)
     one, many = (Histograms(grids, False).made(scene, rng, 2000) for grids in (1, GRIDS))
     assert many.kept == (5 * many.samples, 9 * many.samples)
     crowded = Densities(one.film, one.directions, 10**6)

@@ -10,7 +10,7 @@ from torch.nn.functional import interpolate, normalize
 
 from metapp.appearance.flash import Maps, pack
 from metapp.baselines import svbrdf_nonstationary as codec
-from metapp.baselines.baseline import Allowed, Baseline, BaselineFit, PreparedBaseline, Training
+from metapp.baselines.baseline import Allowed, BaselineFit, Training
 from metapp.baselines.svbrdf_nonstationary import _settings, baselines, maps_of, sheets
 from metapp.baselines.texture import beyond_cut, block_of, quilted, random_patches
 from metapp.learning.app import App
@@ -35,14 +35,14 @@ class Photographed:
         return {"error": (pack(Maps(*(each[0] for each in answer)))[None] - tasks.data["maps"]).abs().mean((1, 2, 3))}
 
 
+def tasks_of(maps: Maps) -> Tasks:
+    return Tasks(("a",), {"maps": pack(Maps(*(each[0] for each in maps)))[None]}, torch.tensor([0]))
+
+
 def fits(maps: Maps, allowed: Allowed) -> dict[str, BaselineFit]:
     app: App = Photographed()  # type: ignore[assignment]
-    tasks = Tasks(("a",), {"maps": pack(Maps(*(each[0] for each in maps)))[None]}, torch.tensor([0]))
-    training = Training(app, [])
-    found: list[tuple[Baseline, PreparedBaseline]] = [
-        (baseline, baseline.prepare(training, allowed)) for baseline in baselines(app)
-    ]
-    return {baseline.name: prepared.fit(tasks, Generator(), allowed) for baseline, prepared in found}
+    prepared = {baseline.name: baseline.prepare(Training(app, []), allowed) for baseline in baselines(app)}
+    return {name: each.fit(tasks_of(maps), Generator(), allowed) for name, each in prepared.items()}
 
 
 def test_maps_come_back_from_their_pictures(smooth_maps: Maps) -> None:
@@ -76,37 +76,27 @@ def test_the_search_meets_the_budget_of_bytes(smooth_maps: Maps, size: int) -> N
         assert found[name].numbers is None
 
 
-def test_a_larger_budget_is_used(smooth_maps: Maps) -> None:
+def test_the_search_uses_larger_budgets(smooth_maps: Maps) -> None:
     sizes = [
         {name: each.size for name, each in fits(smooth_maps, Allowed(1, size, 0.1)).items()} for size in (2500, 5000)
     ]
     assert all(sizes[0][name] < sizes[1][name] for name in ("jpeg", "png"))
-
-
-def test_no_file_is_small_enough_for_a_byte(smooth_maps: Maps) -> None:
     found = fits(smooth_maps, Allowed(1, 1, 0.1))
     assert not found["jpeg"].reached
     assert not found["png"].reached
+    with pytest.raises(ValueError, match="not known"):
+        fits(smooth_maps, Allowed(1, 1000))
 
 
 def test_the_search_meets_an_error_with_the_fewest_bytes(smooth_maps: Maps) -> None:
-    app, tasks = (
-        Photographed(),
-        Tasks(("a",), {"maps": pack(Maps(*(p[0] for p in smooth_maps)))[None]}, torch.tensor([0])),
-    )
-    sizes = {}
+    tasks, sizes = tasks_of(smooth_maps), {}
     for bound in (0.05, 0.01):
         found = fits(smooth_maps, Allowed(1, 10**6, bound))["jpeg@meta"]
         assert found.reached
-        assert app.errors_of(found.answer(), tasks)["error"].item() <= bound
+        assert Photographed().errors_of(found.answer(), tasks)["error"].item() <= bound
         sizes[bound] = found.size
     assert sizes[0.05] < sizes[0.01]
     assert not fits(smooth_maps, Allowed(1, 10**6, 1e-9))["jpeg@meta"].reached
-
-
-def test_an_error_that_is_not_known_is_refused(smooth_maps: Maps) -> None:
-    with pytest.raises(ValueError, match="not known"):
-        fits(smooth_maps, Allowed(1, 1000))
 
 
 def test_settings_grow_from_few_texels_to_16_bits() -> None:
@@ -160,9 +150,5 @@ def test_quilting_hides_seams() -> None:
 
 def test_a_cut_is_the_path_of_least_cost() -> None:
     cost = np.array([[9.0, 1, 9, 9], [9, 9, 1, 9], [9, 1, 9, 9], [1, 9, 9, 9]])
-    assert beyond_cut(cost).tolist() == [
-        [False, True, True, True],
-        [False, False, True, True],
-        [False, True, True, True],
-        [True, True, True, True],
-    ]
+    expected = [[0, 1, 1, 1], [0, 0, 1, 1], [0, 1, 1, 1], [1, 1, 1, 1]]
+    assert np.array_equal(beyond_cut(cost), np.array(expected, dtype=bool))

@@ -48,9 +48,6 @@ def test_haar_of_a_constant_is_one_number_and_of_a_step_two() -> None:
     assert haar(picture)[0, 0, 0] == pytest.approx(3 * 8)
     picture[:, :, 4:] = 1
     assert np.count_nonzero(np.abs(haar(picture)) > 1e-12) == 2
-
-
-def test_haar_refuses_what_it_cannot_halve() -> None:
     with pytest.raises(ValueError, match="powers of two"):
         haar(np.zeros((1, 24, 64)))
 
@@ -74,14 +71,11 @@ def test_the_largest_coefficients_are_the_best_so_many(numbers: np.random.Genera
         assert kept.numbers == 4 * count  # three values and a place
 
 
-def test_bytes_are_of_halves_and_places() -> None:
+def test_bytes_are_of_halves_and_places_and_suns_are_kept() -> None:
     few, many = (largest(np.ones((3, 32, 64)), count) for count in (10, 2000))
     assert few.size == 4 + 10 * (3 * 2 + 2)
     assert many.size == 4 + 2000 * 3 * 2 + 32 * 64 // 8  # a bit each is less than a list of places
     assert largest(np.zeros((1, 4, 4)), 3).coefficients().any() == False  # noqa: E712  (numpy's own)
-
-
-def test_suns_beyond_half_precision_are_kept() -> None:
     bright = np.zeros((1, 4, 4))
     bright[0, 1, 2] = 1e9
     np.testing.assert_allclose(largest(bright, 2).coefficients(), bright)
@@ -131,14 +125,11 @@ def test_harmonics_of_large_maps_have_an_inverse(numbers: np.random.Generator) -
     np.testing.assert_allclose(harmonics(from_harmonics(wanted, 128, 256), 127), wanted, atol=1e-12)
 
 
-def test_harmonics_are_orthonormal_over_the_sphere() -> None:
+def test_harmonics_are_orthonormal_and_exact_for_low_orders() -> None:
     height, width, order = 64, 128, 6
     basis = from_harmonics(np.eye((order + 1) ** 2), height, width).reshape(-1, height * width)
     weights = np.repeat(solid_angles(height, width, dtype=torch.float64).numpy()[:, 0], width)
     np.testing.assert_allclose((basis * weights) @ basis.T, np.eye((order + 1) ** 2), atol=2e-3)
-
-
-def test_harmonics_of_a_low_order_function_are_exact() -> None:
     x, y, z = directions(16, 32, dtype=torch.float64).numpy()
     wanted = (0.3 + 0.5 * x - y * z + (x * x - z * z))[None]  # order 2
     for order, exact in ((1, False), (2, True), (9, True)):

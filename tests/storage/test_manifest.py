@@ -19,6 +19,9 @@ def write(folder: Path, **changes: object) -> None:
 def test_round_trip(tmp_path: Path) -> None:
     write(tmp_path)
     assert read_manifest(tmp_path) == MANIFEST
+    tasks = [{key: value for key, value in entry._asdict().items() if key != "beside"} for entry in (GOLD, SILVER)]
+    write(tmp_path, tasks=tasks)
+    assert read_manifest(tmp_path) == MANIFEST
 
 
 @pytest.mark.parametrize(
@@ -31,6 +34,7 @@ def test_round_trip(tmp_path: Path) -> None:
         ({"tasks": {}}, "'tasks' is {}, expected a list"),
         ({"tasks": [3]}, "task 1: 'name' is null, expected text"),
         ({"units": {"angles": 1}}, "units: 'angles' is 1, expected text"),
+        ({"tasks": [GOLD._asdict() | {"name": "silver"}, SILVER._asdict()]}, "two tasks have the same name"),
     ],
 )
 def test_damaged_manifests(tmp_path: Path, changes: dict[str, object], message: str) -> None:
@@ -63,15 +67,3 @@ def test_a_file_beside_a_shard_is_named_as_it(tmp_path: Path) -> None:
         write(tmp_path, tasks=[{**GOLD._asdict(), "beside": beside}, SILVER._asdict()])
         with pytest.raises(ValueError, match=r"expected the name of gold\.safetensors with another suffix"):
             read_manifest(tmp_path)
-
-
-def test_manifests_without_files_beside_are_read(tmp_path: Path) -> None:
-    tasks = [{key: value for key, value in entry._asdict().items() if key != "beside"} for entry in (GOLD, SILVER)]
-    write(tmp_path, tasks=tasks)
-    assert read_manifest(tmp_path) == MANIFEST
-
-
-def test_repeated_names_in_a_manifest(tmp_path: Path) -> None:
-    write(tmp_path, tasks=[{**GOLD._asdict(), "name": "silver"}, SILVER._asdict()])
-    with pytest.raises(ValueError, match="two tasks have the same name"):
-        read_manifest(tmp_path)

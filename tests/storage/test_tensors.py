@@ -24,23 +24,14 @@ def folder(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
     return path
 
 
-def test_parameters(folder: Path) -> None:
+def test_parameters_checkpoints_and_data_sets(folder: Path) -> None:
     run = RunFolder(folder / "run", {"steps": 10}, FIT)
     run.add({"name": "gold", "error": 1.0, "seconds": 0.1}, {"w": VALUES})
     assert torch.equal(run.theta("gold")["w"], VALUES)
-
-
-def test_starts(folder: Path) -> None:
     save_checkpoint(folder / "a.safetensors", MetaParameters(theta={"w": VALUES}), {"app": "brdf"})
     assert torch.equal(load_checkpoint(folder / "a.safetensors")[0].theta["w"], VALUES)
-
-
-def test_shards(folder: Path) -> None:
     with ShardWriter(folder / "set", "brdf", {"w": "1"}) as writer:
         writer.add(Task("gold", {"w": VALUES}), "test")
     assert torch.equal(read_shard(folder / "set", "test")[0].data["w"], VALUES)
-
-
-def test_a_missing_file(folder: Path) -> None:
     with pytest.raises(OSError, match="No such file"):
         read_tensors(folder / "none.safetensors")
