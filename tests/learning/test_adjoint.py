@@ -58,6 +58,29 @@ def brdf_phi(rule: str, randn: Callable[..., Tensor], steps: int = STEPS) -> Par
     return MetaParameters(theta, alpha).flat()
 
 
+def brdf_case(rule: str, randn: Callable[..., Tensor]) -> tuple[Params, Callable[..., Callable[[Params], Tensor]]]:
+    """phi, and options -> the mean loss after STEPS steps by it; the same batches for all options."""
+    phi, last = brdf_phi(rule, randn), brdf_batch(randn)
+    batches = [brdf_batch(randn) for _ in range(STEPS)]
+
+    def mean(order: int, engine: Engine | None = TORCH) -> Callable[[Params], Tensor]:
+        def unrolled_mean(phi: Params) -> Tensor:
+            start = MetaParameters.unflat(phi)
+            learned = RULES[rule].rule(spread(start.alpha, TASKS, 1))
+            return APP.loss(unrolled(spread(start.theta, TASKS, 0), learned, batches, BRDF, order), last, {}).mean()
+
+        if engine is None:  # one unrolled graph
+            return unrolled_mean
+        lifted = after_learning(BRDF, RULES[rule].rule, steps=STEPS, order=order, engine=engine)
+        return lambda phi: lifted.value(phi, (batches, last, None), {}).mean()
+
+    return phi, mean
+
+
+def parabolas(randn: Callable[..., Tensor], count: int, tasks: int = TASKS) -> list[Batch]:
+    return [{"A": symmetric(randn(tasks, 3, 3)) / 3, "c": randn(tasks, 3)} for _ in range(count)]
+
+
 def unrolled(theta: Params, rule: UpdateRule, batches: Sequence[Batch], loss: Loss, order: int) -> Params:
     """What learn_through stands for: one graph through all steps."""
     state = rule.init(theta)
@@ -77,11 +100,17 @@ def value_and_grads(function: Callable[[Params], Tensor], params: Params) -> tup
     return value.detach(), dict(zip(leaves, grads, strict=True))
 
 
-def assert_same(actual: Params, expected: Params, rtol: float = 1e-7, atol: float = 1e-12) -> None:
+def assert_same(actual: Params, expected: Params) -> None:
     assert list(actual) == list(expected)
     for key, value in expected.items():
         away = float((actual[key] - value).abs().max())
-        assert torch.allclose(actual[key], value, rtol=rtol, atol=atol), f"{key}: off by {away}"
+        assert torch.allclose(actual[key], value, rtol=1e-7, atol=1e-12), f"{key}: off by {away}"
+
+
+def assert_alike(actual: tuple[Tensor, Params], expected: tuple[Tensor, Params]) -> None:
+    """Values and their gradients."""
+    torch.testing.assert_close(actual[0], expected[0])
+    assert_same(actual[1], expected[1])
 
 
 @pytest.mark.parametrize("steps", [1, 2, 5])
@@ -109,49 +138,25 @@ def test_one_dimension_in_closed_form(order: int, steps: int) -> None:
 @pytest.mark.parametrize("order", [1, 2])
 @pytest.mark.parametrize("rule", ON_MATRICES)
 def test_same_as_an_unrolled_graph(rule: str, order: int, randn: Callable[..., Tensor]) -> None:
-    phi, last = brdf_phi(rule, randn), brdf_batch(randn)
-    batches = [brdf_batch(randn) for _ in range(STEPS)]
-    lifted = after_learning(BRDF, RULES[rule].rule, steps=STEPS, order=order)
-
-    def reference(phi: Params) -> Tensor:
-        start = MetaParameters.unflat(phi)
-        learned = RULES[rule].rule(spread(start.alpha, TASKS, 1))
-        return APP.loss(unrolled(spread(start.theta, TASKS, 0), learned, batches, BRDF, order), last, {}).mean()
-
-    value, grads = value_and_grads(lambda phi: lifted.value(phi, (batches, last, None), {}).mean(), phi)
-    expected, expected_grads = value_and_grads(reference, phi)
-    torch.testing.assert_close(value, expected)
-    assert_same(grads, expected_grads)
-    for key, grad in grads.items():  # every quantity matters; order 1 does not see the loss's own
-        assert (float(grad.abs().max()) > 0) == (order == 2 or not key.startswith("alpha.loss.")), key
+    """Also where tasks are walked back in parts, by rules with and without products of betas."""
+    phi, mean = brdf_case(rule, randn)
+    expected = value_and_grads(mean(order, engine=None), phi)
+    for at_once in (None, 1, 2, TASKS) if rule in ("meta-sgd", "meta-adam-tied") else (None,):
+        value, grads = value_and_grads(mean(order, Engine(at_once)), phi)
+        assert_alike((value, grads), expected)
+        for key, grad in grads.items():  # every quantity matters; order 1 does not see the loss's own
+            assert (float(grad.abs().max()) > 0) == (order == 2 or not key.startswith("alpha.loss.")), key
 
 
 @pytest.mark.parametrize("rule", ON_MATRICES)
 def test_finite_differences(rule: str, randn: Callable[..., Tensor]) -> None:
-    phi, last = brdf_phi(rule, randn), brdf_batch(randn)
-    batches = [brdf_batch(randn) for _ in range(STEPS)]
-    lifted = after_learning(BRDF, RULES[rule].rule, steps=STEPS, order=2)
-
-    def mean(phi: Params) -> Tensor:
-        return lifted.value(phi, (batches, last, None), {}).mean()
-
+    phi, mean_of = brdf_case(rule, randn)
+    mean, h = mean_of(2), 1e-8
     _, grads = value_and_grads(mean, phi)
-    for part in (
-        "theta.",
-        "alpha.rate",
-        "alpha.pace",
-        "alpha.beta",
-        "alpha.eps",
-        "alpha.mean",
-        "alpha.loss",
-        "alpha.left",
-        "alpha.right",
-        "alpha.out",
-        "alpha.in",
-    ):
-        if part == "theta." and rule == "meta-basis":
+    names = ("rate", "pace", "beta", "eps", "mean", "loss", "left", "right", "out", "in")
+    for part in ("theta", *(f"alpha.{name}" for name in names)):
+        if part == "theta" and rule == "meta-basis":
             continue  # turned gradients have entries of 1e-6, where Adam's direction has a kink for any step h
-        h = 1e-8
         moved = [key for key in phi if key.startswith(part)]
         if not moved:
             continue
@@ -166,7 +171,7 @@ def test_finite_differences(rule: str, randn: Callable[..., Tensor]) -> None:
 @pytest.mark.parametrize("order", [1, 2])
 def test_quantities_of_the_loss(order: int, randn: Callable[..., Tensor]) -> None:
     """What is named loss.* goes to the inner loss and to no other: a factor on it is a factor on the rate."""
-    batch = {"A": symmetric(randn(TASKS, 3, 3)) / 3, "c": randn(TASKS, 3)}
+    (batch,) = parabolas(randn, 1)
     phi = {"theta.x": randn(3), "alpha.rate": torch.full((1, TASKS), 0.05).double(), "alpha.loss.factor": randn(2)}
     lifted = after_learning(PARABOLA, sgd, steps=2, order=order)
 
@@ -186,16 +191,16 @@ def test_quantities_of_the_loss(order: int, randn: Callable[..., Tensor]) -> Non
 
 
 def test_steps_beyond_the_last_quantities(randn: Callable[..., Tensor]) -> None:
-    batch = {"A": symmetric(randn(1, 3, 3)) / 3, "c": randn(1, 3)}
+    (batch,) = parabolas(randn, 1, tasks=1)
     rates, start = 0.1 * randn(2, 3), randn(3)
     few = {"theta.x": start, "alpha.rate.x": rates}
     many = {"theta.x": start, "alpha.rate.x": rates[[0, 1, 1, 1, 1]]}
     lifted = after_learning(PARABOLA, sgd, steps=5, order=2)
-    value, grads = value_and_grads(lambda phi: lifted.value(phi, ([batch] * 5, batch, None), {}).sum(), few)
-    expected, each = value_and_grads(lambda phi: lifted.value(phi, ([batch] * 5, batch, None), {}).sum(), many)
-    torch.testing.assert_close(value, expected)
-    rate = each["alpha.rate.x"]
-    assert_same(grads, {"theta.x": each["theta.x"], "alpha.rate.x": torch.stack([rate[0], rate[1:].sum(0)])})
+    found, (value, grads) = (
+        value_and_grads(lambda phi: lifted.value(phi, ([batch] * 5, batch, None), {}).sum(), phi) for phi in (few, many)
+    )
+    rate = grads["alpha.rate.x"]
+    assert_alike(found, (value, grads | {"alpha.rate.x": torch.stack([rate[0], rate[1:].sum(0)])}))
     assert at_step({"rate": rates}, 7)["rate"] is not rates
     assert torch.equal(at_step({"rate": rates}, 7)["rate"], rates[1])
 
@@ -221,43 +226,12 @@ def test_no_graph_is_kept_between_steps(randn: Callable[..., Tensor]) -> None:
     assert max(alive) == 0
 
 
-def brdf_path(rule: str, randn: Callable[..., Tensor], order: int) -> Callable[..., tuple[Tensor, Params]]:
-    """options -> value and gradients of a loss after STEPS steps; None for those of one unrolled graph."""
-    phi, last = brdf_phi(rule, randn), brdf_batch(randn)
-    batches = [brdf_batch(randn) for _ in range(STEPS)]
-
-    def path(options: dict[str, Any] | None) -> tuple[Tensor, Params]:
-        def value(phi: Params) -> Tensor:
-            start = MetaParameters.unflat(phi)
-            theta, learned = spread(start.theta, TASKS, 0), RULES[rule].rule(spread(start.alpha, TASKS, 1))
-            if options is None:
-                final = unrolled(theta, learned, batches, BRDF, order)
-            else:
-                final = learn_through(theta, learned, batches, BRDF, order=order, **options)
-            return APP.loss(final, last, {}).mean()
-
-        return value_and_grads(value, phi)
-
-    return path
-
-
-@pytest.mark.parametrize("at_once", [1, 2, TASKS])
-@pytest.mark.parametrize("order", [1, 2])
-@pytest.mark.parametrize("rule", ["meta-sgd", "meta-adam-tied"])
-def test_tasks_are_walked_back_in_parts(rule: str, order: int, at_once: int, randn: Callable[..., Tensor]) -> None:
-    path = brdf_path(rule, randn, order)
-    value, grads = path({"engine": Engine(at_once)})
-    expected, expected_grads = path(None)
-    torch.testing.assert_close(value, expected)
-    assert_same(grads, expected_grads)
-
-
 @pytest.mark.parametrize("at_once", [None, 1, 2])
 @pytest.mark.parametrize("order", [1, 2])
 def test_a_rule_that_all_tasks_share(order: int, at_once: int | None, randn: Callable[..., Tensor]) -> None:
     """Adam's products of betas then have no task axis, also where tasks are walked back in parts."""
     start = {"x": randn(TASKS, 3), "beta1": torch.full((1,), 0.8).double()}
-    batches = [{"A": symmetric(randn(TASKS, 3, 3)) / 3, "c": randn(TASKS, 3)} for _ in range(STEPS)]
+    batches = parabolas(randn, STEPS)
     adam = fixed_adam(Adam(1e-2), start, STEPS)
     alpha = {key: value.double() for key, value in adam.alpha.items()}
 
@@ -265,11 +239,9 @@ def test_a_rule_that_all_tasks_share(order: int, at_once: int | None, randn: Cal
         rule = adam._replace(alpha=alpha | {"beta1": leaves["beta1"]})
         return descend({"x": leaves["x"]}, rule, batches, PARABOLA, order=order, **options)["x"].square().sum()
 
-    value, grads = value_and_grads(lambda leaves: final(leaves, learn_through, engine=Engine(at_once)), start)
-    expected, expected_grads = value_and_grads(lambda leaves: final(leaves, unrolled), start)
-    torch.testing.assert_close(value, expected)
-    assert_same(grads, expected_grads)
-    assert grads["beta1"].any()
+    found = value_and_grads(lambda leaves: final(leaves, learn_through, engine=Engine(at_once)), start)
+    assert_alike(found, value_and_grads(lambda leaves: final(leaves, unrolled), start))
+    assert found[1]["beta1"].any()
 
 
 @pytest.mark.parametrize(("order", "at_once", "expected"), [(1, None, 5), (1, 1, 5), (2, None, 10), (2, 1, 5 + 15)])
@@ -296,10 +268,8 @@ def test_order_1_keeps_gradients_and_no_batches(randn: Callable[..., Tensor]) ->
     """A batch may be large, as Gram matrices are; what is kept for the way back is of the parameters' size."""
     theta = {"x": randn(1, 2).requires_grad_()}
     rule = sgd({"rate": torch.full((1, 1), 0.1).double()})
-    batches = [{"A": symmetric(randn(1, 2, 2)), "c": randn(1, 2)} for _ in range(4)]
-    kept = [weakref.ref(each["A"].untyped_storage()) for each in batches]
     for order, alive in ((2, 4), (1, 0)):
-        own = [{key: value.clone() for key, value in each.items()} for each in batches]
+        own = [{"A": symmetric(randn(1, 2, 2)), "c": randn(1, 2)} for _ in range(4)]
         kept = [weakref.ref(each["A"]) for each in own]
         final = learn_through(theta, rule, own, PARABOLA, order=order)["x"]
         del own
@@ -309,7 +279,7 @@ def test_order_1_keeps_gradients_and_no_batches(randn: Callable[..., Tensor]) ->
 
 def test_what_is_not_used_gets_no_gradient(randn: Callable[..., Tensor]) -> None:
     """A parameter that the loss does not see."""
-    batches = [{"A": symmetric(randn(TASKS, 3, 3)) / 3, "c": randn(TASKS, 3)} for _ in range(3)]
+    batches = parabolas(randn, 3)
     theta = {"x": randn(TASKS, 3).requires_grad_(), "unseen": randn(TASKS, 2).requires_grad_()}
     rule = sgd({"rate": torch.full((1, TASKS), 0.1).double()})
     final = learn_through(theta, rule, batches, PARABOLA, order=2)
@@ -322,7 +292,7 @@ def test_what_is_not_used_gets_no_gradient(randn: Callable[..., Tensor]) -> None
 @pytest.mark.parametrize("order", [1, 2])
 def test_a_start_that_an_encoder_predicts(order: int, randn: Callable[..., Tensor]) -> None:
     """The gradient goes on through the encoder, as in an unrolled graph."""
-    batches = [{"A": symmetric(randn(TASKS, 3, 3)) / 3, "c": randn(TASKS, 3)} for _ in range(STEPS + 1)]
+    *batches, last = parabolas(randn, STEPS + 1)
     observed = {"seen": randn(TASKS, 4)}
 
     def encode(encoder: Params, observed: Batch) -> Params:
@@ -336,13 +306,11 @@ def test_a_start_that_an_encoder_predicts(order: int, randn: Callable[..., Tenso
     def reference(phi: Params) -> Tensor:
         rule = sgd({"rate.x": phi["alpha.rate.x"][:, None].expand(-1, TASKS, -1)})
         theta = encode({"w": phi["encoder.w"]}, observed)
-        return parabola(unrolled(theta, rule, batches[:-1], PARABOLA, order), batches[-1], {}).mean()
+        return parabola(unrolled(theta, rule, batches, PARABOLA, order), last, {}).mean()
 
-    value, grads = value_and_grads(lambda phi: lifted.value(phi, (batches[:-1], batches[-1], observed), {}).mean(), phi)
-    expected, expected_grads = value_and_grads(reference, phi)
-    torch.testing.assert_close(value, expected)
-    assert_same(grads, expected_grads)
-    assert grads["encoder.w"].any()
+    found = value_and_grads(lambda phi: lifted.value(phi, (batches, last, observed), {}).mean(), phi)
+    assert_alike(found, value_and_grads(reference, phi))
+    assert found[1]["encoder.w"].any()
 
 
 def test_a_second_walk_back_is_refused_or_right(randn: Callable[..., Tensor]) -> None:
@@ -364,11 +332,5 @@ def test_a_second_walk_back_is_refused_or_right(randn: Callable[..., Tensor]) ->
 @pytest.mark.parametrize("order", [1, 2])
 @pytest.mark.parametrize("rule", ON_MATRICES)
 def test_compiled_same_as_eager(rule: str, order: int, randn: Callable[..., Tensor]) -> None:
-    phi, last = brdf_phi(rule, randn), brdf_batch(randn)
-    batches = [brdf_batch(randn) for _ in range(STEPS)]
-    results = []
-    for engine in (TORCH, Compiled()):
-        lifted = after_learning(BRDF, RULES[rule].rule, steps=STEPS, order=order, engine=engine)
-        results.append(value_and_grads(lambda phi: lifted.value(phi, (batches, last, None), {}).mean(), phi))  # noqa: B023
-    torch.testing.assert_close(results[0][0], results[1][0])
-    assert_same(results[1][1], results[0][1])
+    phi, mean = brdf_case(rule, randn)
+    assert_alike(*(value_and_grads(mean(order, engine), phi) for engine in (Compiled(), TORCH)))

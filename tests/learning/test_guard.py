@@ -26,6 +26,7 @@ GUARD = Guard(ADAM)
 STEPS = 12
 SLOW, FAST = 0.01, 0.5  # rates of a descent on parabolas of curvature 1
 DIVERGING = 2.5  # each step makes the error 1.5 times as large
+MIXED = (FAST, DIVERGING, FAST, DIVERGING, FAST)
 
 
 @pytest.fixture
@@ -67,8 +68,7 @@ def guarded_descent(
 
 
 def test_no_task_ends_above_its_initialisation(start: Params, tasks: Tasks) -> None:
-    rule = rates(FAST, DIVERGING, FAST, DIVERGING, FAST)
-    found, alone = fit(rule, start, tasks)
+    found, alone = fit(rates(*MIXED), start, tasks)
     assert (loss_of(alone, tasks) > loss_of(start, tasks)).tolist() == [False, True, False, True, False]
     assert found.guarded.tolist() == [False, True, False, True, False]
     assert (loss_of(found.theta, tasks) < loss_of(start, tasks)).all()
@@ -76,7 +76,7 @@ def test_no_task_ends_above_its_initialisation(start: Params, tasks: Tasks) -> N
 
 def test_where_it_does_not_act_nothing_changes(start: Params, tasks: Tasks) -> None:
     """To the last digit, and so do the draws of what is fitted next."""
-    found, alone = fit(rates(FAST, DIVERGING, FAST, DIVERGING, FAST), start, tasks, loss=NOISY)
+    found, alone = fit(rates(*MIXED), start, tasks, loss=NOISY)
     assert found.guarded.tolist() == [False, True, False, True, False]
     assert torch.equal(found.theta["x"][::2], alone["x"][::2])
     guarded, plain = Generator().manual_seed(1), Generator().manual_seed(1)
@@ -87,16 +87,12 @@ def test_where_it_does_not_act_nothing_changes(start: Params, tasks: Tasks) -> N
 
 
 def test_a_fit_that_diverged_goes_on_by_adam_from_its_initialisation(start: Params, tasks: Tasks) -> None:
-    found, _ = fit(rates(*[DIVERGING] * 5), start, tasks)
-    rng = Generator()
-    expected = learn(start, fixed_adam(ADAM, start, STEPS), tasks, EXACT, steps=STEPS, rng=rng)
-    assert torch.equal(found.theta["x"], expected["x"])
-
-
-def test_where_adam_does_not_help_the_initialisation_stays(start: Params, tasks: Tasks) -> None:
-    found, _ = fit(rates(*[DIVERGING] * 5), start, tasks, guard=Guard(Adam(1e3)))
-    assert found.guarded.all()
-    assert torch.equal(found.theta["x"], start["x"])
+    """Which stays where Adam does not help."""
+    adam = learn(start, fixed_adam(ADAM, start, STEPS), tasks, EXACT, steps=STEPS, rng=Generator())
+    for guard, expected in ((GUARD, adam), (Guard(Adam(1e3)), start)):
+        found, _ = fit(rates(*[DIVERGING] * 5), start, tasks, guard=guard)
+        assert found.guarded.all()
+        assert torch.equal(found.theta["x"], expected["x"])
 
 
 @pytest.mark.parametrize("bad", [1e200, math.nan])

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from contextlib import nullcontext
 from dataclasses import replace
 from typing import Any
@@ -62,19 +61,21 @@ def rate(value: float) -> Params:
     return {"rate": torch.full((1,), value, dtype=torch.float64)}
 
 
+@pytest.fixture
+def phi() -> Params:
+    """A random initialisation and a rate of 0.1, flat."""
+    return MetaParameters({"x": torch.randn(3, generator=Generator().manual_seed(0)).double()}, rate(0.1)).flat()
+
+
 # learn
 
 
-def test_closed_form(tasks: Tasks, rng: Generator) -> None:
-    final = learn(zeros(tasks), sgd(rate(0.1)), tasks, EXACT, steps=20, rng=rng)["x"]
-    torch.testing.assert_close(final, (1 - 0.9**20) * tasks.data["c"])
-
-
-@pytest.mark.parametrize("steps", [0, 2])
-def test_the_initialisation_is_not_written_to(steps: int, tasks: Tasks, rng: Generator) -> None:
+@pytest.mark.parametrize("steps", [0, 2, 20])
+def test_a_closed_form_and_an_initialisation_that_is_not_written_to(steps: int, tasks: Tasks, rng: Generator) -> None:
     theta = {"x": torch.randn(5, 3, dtype=torch.float64).requires_grad_()}
     before = theta["x"].detach().clone()
     final = learn(theta, sgd(rate(0.1)), tasks, EXACT, steps=steps, rng=rng)["x"]
+    torch.testing.assert_close(final, tasks.data["c"] + 0.9**steps * (before - tasks.data["c"]))
     assert torch.equal(theta["x"], before)
     assert theta["x"].grad is None
     assert not final.requires_grad
@@ -226,27 +227,19 @@ def test_over_tasks_samples_from_the_augmented(tasks: Tasks, rng: Generator) -> 
         assert torch.equal(c, 2 * tasks.data["c"][NAMES.index(name.removeprefix("twice "))])
 
 
-def test_after_learning_is_the_loss_after_learn(tasks: Tasks) -> None:
-    phi = MetaParameters({"x": torch.randn(3, generator=torch.Generator().manual_seed(0)).double()}, rate(0.1)).flat()
-    lifted = after_learning(NOISY, sgd, steps=4, order=2)
+@pytest.mark.parametrize("steps", [0, 4])
+def test_after_learning_is_the_loss_after_learn(steps: int, phi: Params, tasks: Tasks) -> None:
+    lifted = after_learning(NOISY, sgd, steps=steps, order=2)
     drawn = lifted.draw(tasks, Generator().manual_seed(1), 1.0)
     assert drawn.names == NAMES
     rng = Generator().manual_seed(1)
-    final = learn(spread({"x": phi["theta.x"]}, 5, 0), sgd(rate(0.1)), tasks, NOISY, steps=4, rng=rng)
+    final = learn(spread({"x": phi["theta.x"]}, 5, 0), sgd(rate(0.1)), tasks, NOISY, steps=steps, rng=rng)
     last = NOISY.draw(tasks, rng, 1.0).batch  # other samples than any step has seen
     torch.testing.assert_close(lifted.value(phi, drawn.batch, {}), parabola(final, last, {}))
 
 
-def test_after_no_steps_it_is_the_loss_itself(tasks: Tasks, rng: Generator) -> None:
-    phi = MetaParameters({"x": torch.randn(3, generator=torch.Generator().manual_seed(0)).double()}, rate(0.1)).flat()
-    lifted = after_learning(NOISY, sgd, steps=0, order=2)
-    batch = lifted.draw(tasks, rng, 1.0).batch
-    torch.testing.assert_close(lifted.value(phi, batch, {}), parabola({"x": phi["theta.x"]}, batch[1], {}))
-
-
-def test_meta_is_learn_over_tasks_after_learning(tasks: Tasks, rng: Generator) -> None:
+def test_meta_is_learn_over_tasks_after_learning(phi: Params, tasks: Tasks, rng: Generator) -> None:
     """Alg. 3: on parabolas of one curvature the best start is the mean and the best rate the curvature's inverse."""
-    phi = MetaParameters({"x": torch.randn(3, generator=torch.Generator().manual_seed(0)).double()}, rate(0.1)).flat()
     lifted = over_tasks(after_learning(EXACT, sgd, steps=3, order=2), count=5)
     start = float(lifted.value(phi, lifted.draw(tasks, rng, 1.0).batch, {}).mean())
     trained = learn(phi, fixed_adam(Adam(0.1, final=0.0), phi, 200), tasks, lifted, steps=200, rng=rng)
@@ -300,21 +293,15 @@ def test_spread_copies_nothing() -> None:
 # Clipping
 
 
-@pytest.fixture
-def pulled(rng: Generator) -> Callable[..., tuple[Tensor, Tensor]]:
-    """Gradients, for each task, of a function that is linear in theta [T, 4] and alpha [K, T, 2]."""
-
-    def pull(slope_theta: Tensor, slope_alpha: Tensor, limit: float) -> tuple[Tensor, Tensor]:
-        theta = {"x": torch.zeros_like(slope_theta, requires_grad=True)}
-        alpha = {"rate": torch.zeros_like(slope_alpha, requires_grad=True)}
-        same_theta, same_alpha = clip_per_task(theta, alpha, limit)
-        assert torch.equal(same_theta["x"], theta["x"])
-        assert torch.equal(same_alpha["rate"], alpha["rate"])
-        total = (same_theta["x"] * slope_theta).sum() + (same_alpha["rate"] * slope_alpha).sum()
-        grads = torch.autograd.grad(total, [theta["x"], alpha["rate"]])
-        return grads[0], grads[1]
-
-    return pull
+def pulled(slope_theta: Tensor, slope_alpha: Tensor, limit: float) -> Tensor:
+    """Clipped gradients, for each task, of a function that is linear in theta [T, 4] and alpha [K, T, 2]; [T, ...]."""
+    theta = {"x": torch.zeros_like(slope_theta, requires_grad=True)}
+    alpha = {"rate": torch.zeros_like(slope_alpha, requires_grad=True)}
+    same_theta, same_alpha = clip_per_task(theta, alpha, limit)
+    assert torch.equal(same_theta["x"], theta["x"])
+    assert torch.equal(same_alpha["rate"], alpha["rate"])
+    total = (same_theta["x"] * slope_theta).sum() + (same_alpha["rate"] * slope_alpha).sum()
+    return by_task(*torch.autograd.grad(total, [theta["x"], alpha["rate"]]))
 
 
 def slopes(rng: Generator) -> tuple[Tensor, Tensor]:
@@ -328,35 +315,28 @@ def by_task(theta: Tensor, alpha: Tensor) -> Tensor:
     return torch.cat([theta, alpha.movedim(1, 0).flatten(1)], 1)
 
 
-def test_clipping_keeps_directions(pulled: Callable, rng: Generator) -> None:
+@pytest.mark.parametrize("limit", [0.5, math.inf])
+def test_clipping_keeps_directions(limit: float, rng: Generator) -> None:
+    """And what is within the limit to the last digit; zeros stay zeros."""
     before = slopes(rng)
-    raw, clipped = by_task(*before), by_task(*pulled(*before, 0.5))
+    raw, clipped = by_task(*before), pulled(*before, limit)
     norms = raw.norm(dim=1)
     assert norms[0] < 0.5 < norms[2]
-    torch.testing.assert_close(clipped.norm(dim=1), norms.clamp_max(0.5))
+    torch.testing.assert_close(clipped.norm(dim=1), norms.clamp_max(limit))
     torch.testing.assert_close(torch.cosine_similarity(raw, clipped), torch.ones(4).double())
-    torch.testing.assert_close(clipped[norms <= 0.5], raw[norms <= 0.5])
-
-
-def test_no_limit_changes_nothing(pulled: Callable, rng: Generator) -> None:
-    before = slopes(rng)
-    for after, expected in zip(pulled(*before, math.inf), before, strict=True):
-        assert torch.equal(after, expected)
+    assert torch.equal(clipped[norms <= limit], raw[norms <= limit])
+    assert not pulled(torch.zeros(4, 4), torch.zeros(3, 4, 2), limit).any()
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf, 1e200])
 @pytest.mark.parametrize("limit", [0.5, math.inf])
-def test_a_task_that_overflows_adds_nothing(bad: float, limit: float, pulled: Callable, rng: Generator) -> None:
+def test_a_task_that_overflows_adds_nothing(bad: float, limit: float, rng: Generator) -> None:
     before = slopes(rng)
-    expected = by_task(*pulled(*before, limit))
+    expected = pulled(*before, limit)
     before[1][0, 1, 0] = bad
-    clipped = by_task(*pulled(*before, limit))
+    clipped = pulled(*before, limit)
     assert not clipped[1].any()
     assert torch.equal(clipped[[0, 2, 3]], expected[[0, 2, 3]])
-
-
-def test_a_gradient_of_zero_stays_zero(pulled: Callable) -> None:
-    assert not by_task(*pulled(torch.zeros(4, 4), torch.zeros(3, 4, 2), 0.5)).any()
 
 
 def test_meta_gradient_is_the_mean_of_clipped_ones(tasks: Tasks, rng: Generator) -> None:

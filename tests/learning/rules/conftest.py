@@ -8,7 +8,7 @@ from torch import Generator
 
 from metapp.apps.brdf import Brdf
 from metapp.learning.task import Params
-from tests.learning.rules.steps import STEPS
+from tests.learning.rules.steps import STEPS, one_task
 
 APP = Brdf()
 
@@ -16,6 +16,18 @@ APP = Brdf()
 @pytest.fixture
 def theta(rng: Generator) -> Params:
     return {key: value.double() for key, value in APP.init(rng, 2).items()}
+
+
+@pytest.fixture
+def start(theta: Params) -> Params:
+    """The parameters of one task, without task axis."""
+    return one_task(theta)
+
+
+@pytest.fixture
+def single(grads: list[Params]) -> list[Params]:
+    """Its gradients."""
+    return [one_task(grad) for grad in grads]
 
 
 @pytest.fixture

@@ -17,7 +17,7 @@ from metapp.learning.rules import META_EPS, PARTS, RULES, fixed_adam, rule_of, s
 from metapp.learning.rules.part import Before, Part
 from metapp.learning.rules.parts import Average, Basis, averaging
 from metapp.learning.task import Params
-from tests.learning.rules.steps import STEPS, assert_equal, assert_same, one_task, run
+from tests.learning.rules.steps import STEPS, assert_equal, assert_same, run
 from tests.paradigms.small import applicable
 
 APP = Brdf()
@@ -27,11 +27,10 @@ FIRST = Adam(5e-3, 0.8, 0.99, eps=1e-3, final=0.1)
 BASIS = Basis()
 
 
-def path_of(name: str, theta: Params, grads: list[Params], changes: Params | None = None) -> list[Params]:
+def path_of(name: str, start: Params, single: list[Params], changes: Params | None = None) -> list[Params]:
     """The parameters of one task after each step by a composition, as it is at first but for some changes."""
-    rule, start = rule_of(name), one_task(theta)
-    alpha = rule.alpha(APP, start, len(grads), FIRST) | (changes or {})
-    return run(rule.rule(alpha), start, [one_task(grad) for grad in grads])
+    rule = rule_of(name)
+    return run(rule.rule(rule.alpha(APP, start, len(single), FIRST) | (changes or {})), start, single)
 
 
 def test_a_part_that_says_nothing_changes_nothing(theta: Params) -> None:
@@ -48,65 +47,61 @@ def test_a_part_that_says_nothing_changes_nothing(theta: Params) -> None:
 
 
 @pytest.mark.parametrize("base", ["adam", "tied+betas+eps", "sgd"])
-@pytest.mark.parametrize("part", ["loss", "curvature", "basis"])
-def test_at_first_a_part_changes_nothing(part: str, base: str, theta: Params, grads: list[Params]) -> None:
-    assert_equal(path_of(f"{base}+{part}", theta, grads), path_of(base, theta, grads))
+def test_at_first_a_part_changes_nothing(base: str, start: Params, single: list[Params]) -> None:
+    """And the average of one step is its result."""
+    for part in ("loss", "curvature", "basis"):
+        assert_equal(path_of(f"{base}+{part}", start, single), path_of(base, start, single))
+    assert_equal(path_of(f"{base}+average", start, single[:1]), path_of(base, start, single[:1]))
 
 
-@pytest.mark.parametrize("base", ["adam", "sgd"])
-def test_the_average_of_one_step_is_its_result(base: str, theta: Params, grads: list[Params]) -> None:
-    assert_equal(path_of(f"{base}+average", theta, grads[:1]), path_of(base, theta, grads[:1]))
-
-
-def test_shared_rates_without_a_pace_stay_at_the_first(theta: Params, grads: list[Params]) -> None:
-    settings = Adam(FIRST.rate, FIRST.beta1, FIRST.beta2, META_EPS)
-    plain = fixed_adam(settings, one_task(theta), STEPS)
-    assert_same(path_of("shared+betas", theta, grads), run(plain, one_task(theta), [one_task(grad) for grad in grads]))
+def test_shared_rates_without_a_pace_stay_at_the_first(start: Params, single: list[Params]) -> None:
+    plain = fixed_adam(Adam(FIRST.rate, FIRST.beta1, FIRST.beta2, META_EPS), start, STEPS)
+    assert_same(path_of("shared+betas", start, single), run(plain, start, single))
 
 
 # Closed forms
 
 
-def test_signed_rates_are_sgd(theta: Params, grads: list[Params], rng: Generator) -> None:
-    rates = {
-        f"rate.{key}": torch.randn(1, *value.shape, generator=rng).double() for key, value in one_task(theta).items()
-    }
-    plain = run(sgd(rates), one_task(theta), [one_task(grad) for grad in grads])
-    assert_equal(path_of("sgd", theta, grads, rates), plain)
+def log_rates(start: Params, rate: float) -> Params:
+    return {f"rate.{key}": torch.full((1, *value.shape), math.log(rate)).double() for key, value in start.items()}
 
 
-def test_without_moments_rates_are_of_the_gradient(theta: Params, grads: list[Params]) -> None:
-    rates = {f"rate.{key}": torch.full((1, *value.shape[1:]), math.log(0.3)).double() for key, value in theta.items()}
-    after = path_of("shared", theta, grads[:1], rates)[0]
-    for key, value in one_task(theta).items():
-        torch.testing.assert_close(after[key], value - 0.3 * grads[0][key][0])
+def test_signed_rates_are_sgd(start: Params, single: list[Params], rng: Generator) -> None:
+    rates = {f"rate.{key}": torch.randn(1, *value.shape, generator=rng).double() for key, value in start.items()}
+    assert_equal(path_of("sgd", start, single, rates), run(sgd(rates), start, single))
 
 
-def test_betas_may_differ_from_step_to_step(theta: Params, grads: list[Params]) -> None:
+def test_without_moments_rates_are_of_the_gradient(start: Params, single: list[Params]) -> None:
+    after = path_of("shared", start, single[:1], log_rates(start, 0.3))[0]
+    for key, value in start.items():
+        torch.testing.assert_close(after[key], value - 0.3 * single[0][key])
+
+
+def test_betas_may_differ_from_step_to_step(start: Params, single: list[Params]) -> None:
     """Two steps by hand: a moment is a mean with weights that add up to 1 once divided by 1 - beta(1) beta(2)."""
     (b1, b2), (c1, c2), rate = (0.9, 0.4), (0.99, 0.8), 0.1
     changes = {
         "beta1": torch.logit(torch.tensor([b1, b2], dtype=torch.float64)),
         "beta2": torch.logit(torch.tensor([c1, c2], dtype=torch.float64)),
-    } | {f"rate.{key}": torch.full((1, *value.shape[1:]), math.log(rate)).double() for key, value in theta.items()}
-    first, second = path_of("shared+betas", theta, grads[1:3], changes)
-    for key in theta:
-        g, h = grads[1][key][0], grads[2][key][0]
+    }
+    first, second = path_of("shared+betas", start, single[1:3], changes | log_rates(start, rate))
+    for key in start:
+        g, h = single[1][key], single[2][key]
         mean = (b2 * (1 - b1) * g + (1 - b2) * h) / (1 - b1 * b2)
         square = (c2 * (1 - c1) * g * g + (1 - c2) * h * h) / (1 - c1 * c2)
         torch.testing.assert_close(first[key] - second[key], rate * mean / ((square + 1e-24).sqrt() + META_EPS))
 
 
-def test_eps_divides_small_gradients(theta: Params, grads: list[Params]) -> None:
+def test_eps_divides_small_gradients(start: Params, single: list[Params]) -> None:
     """Adam's first direction is g / (|g| + eps)."""
-    (after,) = path_of("adam+eps", theta, grads[:1], {"eps": torch.tensor([math.log(0.02)], dtype=torch.float64)})
-    for key, value in one_task(theta).items():
-        grad = grads[0][key][0]
+    (after,) = path_of("adam+eps", start, single[:1], {"eps": torch.tensor([math.log(0.02)], dtype=torch.float64)})
+    for key, value in start.items():
+        grad = single[0][key]
         torch.testing.assert_close(value - after[key], FIRST.rate * grad / (grad.abs() + 0.02), rtol=1e-5, atol=1e-12)
 
 
-def test_curvature_is_of_axes_that_have_more_than_one_entry(theta: Params) -> None:
-    alpha = PARTS["curvature"].initial(APP, one_task(theta), 3, FIRST)
+def test_curvature_is_of_axes_that_have_more_than_one_entry(start: Params) -> None:
+    alpha = PARTS["curvature"].initial(APP, start, 3, FIRST)
     assert {key: tuple(value.shape) for key, value in alpha.items() if key.endswith((".w1", ".b1"))} == {
         "left.w1": (3, 21, 21),
         "right.w1": (3, 6, 6),
@@ -114,18 +109,17 @@ def test_curvature_is_of_axes_that_have_more_than_one_entry(theta: Params) -> No
     }
 
 
-def test_plain_descent_is_the_same_in_all_bases(theta: Params, grads: list[Params], rng: Generator) -> None:
+def test_plain_descent_is_the_same_in_all_bases(start: Params, single: list[Params], rng: Generator) -> None:
     """Where all weights have one rate: a turned gradient, turned back, is the gradient."""
-    start = one_task(theta)
     bases = {
         key: torch.linalg.qr(torch.randn(value.shape, generator=rng).double()).Q
         for key, value in BASIS.initial(APP, start, 1, FIRST).items()
     }
-    for there, plain in zip(path_of("sgd+basis", theta, grads, bases), path_of("sgd", theta, grads), strict=True):
+    for there, plain in zip(path_of("sgd+basis", start, single, bases), path_of("sgd", start, single), strict=True):
         for key, value in plain.items():
             torch.testing.assert_close(there[key], value)
-    turned = path_of("adam+basis", theta, grads, bases)[0]
-    assert not torch.allclose(turned["w2"], path_of("adam", theta, grads)[0]["w2"])  # as Adam's is not
+    turned = path_of("adam+basis", start, single, bases)[0]
+    assert not torch.allclose(turned["w2"], path_of("adam", start, single)[0]["w2"])  # as Adam's is not
 
 
 @pytest.mark.parametrize("steps", [1, 4, 30])
@@ -145,9 +139,9 @@ def test_averaging_is_over_the_last_of_the_steps_of_a_fit() -> None:
     assert len(alpha["beta1"]) == 20
 
 
-def test_a_rule_without_averaging_is_the_same_for_all_numbers_of_steps(theta: Params) -> None:
+def test_a_rule_without_averaging_is_the_same_for_all_numbers_of_steps(start: Params) -> None:
     rule = rule_of("meta-curvature")
-    alpha = rule.alpha(APP, one_task(theta), 5, FIRST)
+    alpha = rule.alpha(APP, start, 5, FIRST)
     assert rule.for_steps(alpha, 9) is alpha
 
 
@@ -185,8 +179,8 @@ def test_second_moments_weigh_tasks_alike(rng: Generator) -> None:
 
 
 @pytest.mark.parametrize("rule", ON_MATRICES)
-def test_learned_rules_start_well_formed(rule: str, theta: Params) -> None:
-    alpha = RULES[rule].alpha(APP, one_task(theta), 5, Adam(5e-3, beta2=0.99))
+def test_learned_rules_start_well_formed(rule: str, start: Params) -> None:
+    alpha = RULES[rule].alpha(APP, start, 5, Adam(5e-3, beta2=0.99))
     for key, value in alpha.items():
         assert value.dtype == torch.float64 or rule == "meta-sgd", key
         # one entry for all steps, or one a step
@@ -202,8 +196,7 @@ def test_learned_rules_start_well_formed(rule: str, theta: Params) -> None:
 
 @pytest.mark.parametrize("settings", [Adam(5e-3, beta2=0.99), Adam(2e-2, 0.6, 0.95, final=0.1), Adam(1e-3, final=0.0)])
 @pytest.mark.parametrize("rule", [name for name in ON_MATRICES if name != "meta-sgd"])
-def test_learned_adam_starts_as_adam(rule: str, settings: Adam, theta: Params, grads: list[Params]) -> None:
-    start, single = one_task(theta), [one_task(grad) for grad in grads]
+def test_learned_adam_starts_as_adam(rule: str, settings: Adam, start: Params, single: list[Params]) -> None:
     own = dataclasses.replace(settings, eps=1e-3)
     learned = RULES[rule].rule(RULES[rule].alpha(APP, start, STEPS, own))
     plain = fixed_adam(own if "eps" in learned.alpha else dataclasses.replace(own, eps=META_EPS), start, STEPS)
@@ -211,9 +204,9 @@ def test_learned_adam_starts_as_adam(rule: str, settings: Adam, theta: Params, g
     assert_same(run(learned, start, single)[:until], run(plain, start, single)[:until])
 
 
-def test_tied_rates_are_adam_s_where_its_rates_are_alike(theta: Params, grads: list[Params]) -> None:
+def test_tied_rates_are_adam_s_where_its_rates_are_alike(start: Params, single: list[Params]) -> None:
     """With paces of 0 and the same rates at every step; a pace multiplies the rates of one tensor at one step."""
-    start, single, rng = one_task(theta), [one_task(grad) for grad in grads], Generator().manual_seed(0)
+    rng = Generator().manual_seed(0)
     tied = RULES["meta-adam-tied"].alpha(APP, start, STEPS, Adam(5e-3, beta2=0.99))
     free = RULES["meta-adam"].alpha(APP, start, STEPS, Adam(5e-3, beta2=0.99))
     for key in start:
@@ -231,23 +224,21 @@ def test_tied_rates_are_adam_s_where_its_rates_are_alike(theta: Params, grads: l
     torch.testing.assert_close(paced[3]["w2"] - paced[2]["w2"], 3 * (path[3]["w2"] - path[2]["w2"]))
 
 
-def test_curvature_multiplies_from_both_sides(theta: Params, grads: list[Params]) -> None:
-    start, rng = one_task(theta), Generator().manual_seed(0)
+def test_curvature_multiplies_from_both_sides(start: Params, single: list[Params]) -> None:
+    rng = Generator().manual_seed(0)
     alpha = RULES["meta-curvature"].alpha(APP, start, STEPS, Adam(5e-3, beta2=0.99))
     left, right = (torch.randn(21, 21, generator=rng).double() for _ in "lr")
     alpha |= {"left.w2": left[None], "right.w2": right[None]}
     plain = RULES["meta-adam"].alpha(APP, start, STEPS, Adam(5e-3, beta2=0.99))
-    first = one_task(grads[0])
-    bent = run(RULES["meta-curvature"].rule(alpha), start, [first])[0]
-    straight = run(RULES["meta-adam"].rule(plain), start, [first])[0]
+    bent = run(RULES["meta-curvature"].rule(alpha), start, single[:1])[0]
+    straight = run(RULES["meta-adam"].rule(plain), start, single[:1])[0]
     torch.testing.assert_close(bent["w2"] - start["w2"], left @ (straight["w2"] - start["w2"]) @ right)
     for key in set(start) - {"w2"}:
         torch.testing.assert_close(bent[key], straight[key])
 
 
 @pytest.mark.parametrize("steps", [1, 5, 15])
-def test_tail_averaging_gives_the_mean_of_the_last_parameters(steps: int, theta: Params, rng: Generator) -> None:
-    start = one_task(theta)
+def test_tail_averaging_gives_the_mean_of_the_last_parameters(steps: int, start: Params, rng: Generator) -> None:
     grads = [{key: torch.randn(v.shape, generator=rng).to(v) for key, v in start.items()} for _ in range(steps)]
     tied, mean = (
         RULES[rule].alpha(APP, start, steps, Adam(5e-3, eps=META_EPS)) for rule in ("meta-adam-tied", "meta-mean")
