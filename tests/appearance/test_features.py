@@ -60,12 +60,6 @@ def test_gram_matrices_in_closed_form(rand: Callable[..., Tensor]) -> None:
     torch.testing.assert_close(gram(maps), by_hand)
 
 
-def test_a_gram_matrix_does_not_know_places(rand: Callable[..., Tensor], rng: Generator) -> None:
-    maps = rand(1, 4, 6, 6)
-    moved = maps.flatten(2)[..., torch.randperm(36, generator=rng)].unflatten(2, (6, 6))
-    torch.testing.assert_close(gram(moved), gram(maps))
-
-
 @pytest.mark.parametrize("memory_format", [torch.contiguous_format, torch.channels_last])
 def test_gram_matrices_are_twice_differentiable(
     memory_format: torch.memory_format, rand: Callable[..., Tensor]

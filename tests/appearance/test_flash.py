@@ -249,12 +249,6 @@ def test_reflection_agrees_with_mitsuba(
 LIGHT = (0.5, 0.3, 2.0)  # to the right and further up, lower than the camera
 
 
-def test_a_matte_photo_agrees_with_mitsuba(photograph: Callable[..., Tensor]) -> None:
-    photo = photograph(lambda _: {"type": "diffuse", "reflectance": 0.6}, at(*LIGHT), 32, 16)
-    image = render(flat(0.6, size=(32, 32)), grid(32, 32), at(*LIGHT), at(0, 0))
-    torch.testing.assert_close(image, photo, rtol=4e-3, atol=0)
-
-
 def test_a_photo_of_a_texture_agrees_with_mitsuba(photograph: Callable[..., Tensor], rng: torch.Generator) -> None:
     diffuse = torch.rand(3, 16, 16, generator=rng, dtype=torch.float64)
 

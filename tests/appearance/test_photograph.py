@@ -222,17 +222,13 @@ def test_photographs_fill_the_disc(rng: torch.Generator) -> None:
     assert (seen < 250).all()
 
 
-def test_draws(rng: torch.Generator) -> None:
+def test_draws_and_that_the_scale_of_a_map_does_not_matter(rng: torch.Generator) -> None:
     light = draw_map(rng)
     first = photographs(light, 5)
     assert torch.equal(photographs(light, 5), first)
     assert not torch.equal(photographs(light, 6), first)
     assert (photographs(light, 5, count=2).int() - first[:2].int()).abs().max() <= 1  # rounding alone
     assert not any(torch.equal(first[0], other) for other in first[1:])
-
-
-def test_the_scale_of_a_map_does_not_matter(rng: torch.Generator) -> None:
-    light = draw_map(rng)
     photos = [photographs(light * scale, 2).int() for scale in (1.0, 1e-4, 1e4)]
     assert max((photo - photos[0]).abs().max() for photo in photos) <= 1
 

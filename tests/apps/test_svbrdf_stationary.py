@@ -314,7 +314,7 @@ def test_a_highlight_stays_out_of_the_maps(sources: list[Task], tasks: Tasks) ->
 # What a fit makes
 
 
-def test_files_are_the_maps_and_other_lights(sources: list[Task]) -> None:
+def test_files_are_maps_that_tile_and_other_lights(sources: list[Task]) -> None:
     app = tiny()
     theta = {key: value[0] for key, value in app.init(seeded(), 1).items()}
     made = SvbrdfStationaryPresentation(app).files(theta, sources[0])
@@ -340,18 +340,8 @@ def test_files_are_the_maps_and_other_lights(sources: list[Task]) -> None:
     for name, (light, view) in relightings().items():
         shown = app.photograph(maps, light, view).permute(1, 2, 0)
         torch.testing.assert_close(files[f"lit_from_{name}"], shown, rtol=0, atol=2e-3)
-
-
-def pixels_of(app: SvbrdfStationary, theta: Params, task: Task) -> dict[str, Tensor]:
-    return {name: picture.pixels for name, picture in SvbrdfStationaryPresentation(app).files(theta, task).items()}
-
-
-def test_maps_tile(sources: list[Task]) -> None:
-    """Also the normals, which look at their neighbours."""
-    app = tiny()
-    theta = {key: value[0] for key, value in app.init(seeded(), 1).items()}
-    files = pixels_of(app, theta, sources[0])
-    for name in ("diffuse", "specular", "roughness", "normal", "height"):
+    # maps tile, also normals, which look at their neighbours
+    for name in names:
         for axis in (0, 1):
             differences = (files[name] - files[name].roll(1, axis)).abs().movedim(axis, 0).flatten(1).mean(1)[::4]
             assert 0.5 < differences[0] / differences[1:].mean() < 1.6, name
@@ -361,7 +351,8 @@ def test_the_highlight_moves_with_light_and_viewer(sources: list[Task]) -> None:
     """To where they mirror each other in a flat material."""
     app = tiny()
     theta = {key: value[0] for key, value in flat(app, -3.0, -3.0, -3.0, -2.5, -1.5, 0.0).items()}
-    files = pixels_of(app, theta, sources[0])
+    made = SvbrdfStationaryPresentation(app).files(theta, sources[0])
+    files = {name: picture.pixels for name, picture in made.items()}
     assert files["height"].max() == 0
     places = positions(TILED * SIZE, TILED * SIZE).flatten(1)
     found = {}
@@ -431,12 +422,10 @@ def test_the_truth_follows_its_channels(sources: list[Task]) -> None:
     found = tiny().carried(tasks, torch.tensor([[2, 0, 1]]))["truth"][0]
     torch.testing.assert_close(found, truth[..., [2, 0, 1, 3, 4, 5]])
     assert tiny().augment(tasks, seeded()).data["truth"].shape == (1, 3, 2, 6)
-
-
-def test_photographs_without_truth_go_beside_those_with_it(sources: list[Task]) -> None:
-    known = Task("known", {**sources[0].data, "truth": torch.zeros(3, 2, 6)})
-    for tasks in ([known, sources[1]], [sources[1], known]):
-        assert "truth" not in stack(tiny(), tasks).data
+    # photographs without it go beside those with it
+    known = Task("known", {**sources[0].data, "truth": truth})
+    for both in ([known, sources[1]], [sources[1], known]):
+        assert "truth" not in stack(tiny(), both).data
 
 
 def test_outputs_show_photo_and_fit_under_its_light(sources: list[Task], tasks: Tasks) -> None:

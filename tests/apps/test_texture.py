@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import pytest
@@ -149,10 +148,8 @@ def test_errors_are_of_textures_that_no_fit_has_seen(tasks: Tasks) -> None:
 def test_the_exemplar_has_the_recipe_s_proportions(rng: Generator) -> None:
     """The paper's is 192 rows of 256: the middle of a square picture, none of it stretched."""
     app, images = Texture(PAPER.setup), torch.rand(2, 3, 256, 256, generator=rng)
-    assert torch.equal(app.exemplar(images), images[:, :, 32:-32])
     large = images.repeat_interleave(2, 2).repeat_interleave(2, 3)
     torch.testing.assert_close(app.exemplar(large), images[:, :, 32:-32])
-    assert app.noise(seeded(), 1, 1).shape == (1, 1, 8, 192, 256)
     square = Texture(QUICK.setup).exemplar(images)
     torch.testing.assert_close(square, interpolate(images, scale_factor=0.25, mode="area"))
 
@@ -317,14 +314,6 @@ def test_what_starts_that_ship_make_tiles() -> None:
             ratio = seams(large(Texture(QUICK.setup), {key: value[None] for key, value in theta.items()}, 2)[0])
             assert (ratio > 0.7).all(), name
             assert (ratio < 1.4).all(), name
-
-
-def test_the_noise_and_the_seed_decide_what_is_made(tasks: Tasks) -> None:
-    app: Callable = tiny().generate
-    theta = tiny().init(seeded(), 4)
-    first, again, other = (app(theta, tiny().noise(seeded(seed), 4, 1)) for seed in (0, 0, 1))
-    assert torch.equal(first, again)
-    assert (first - other).abs().mean() > 0.01
 
 
 def test_another_measure_of_the_same_pictures(

@@ -295,13 +295,9 @@ def test_an_untrained_encoder_says_what_the_picture_says(app: Transport, tasks: 
         assert float(torch.corrcoef(torch.stack([found.flatten(), wanted.flatten()]))[0, 1]) > 0.98
 
 
-def test_a_picture_of_another_size_is_refused(app: Transport, tasks: Tasks) -> None:
-    encoder = app.init_encoder(rng())
+def test_pictures_of_another_size_and_samples_of_another_dimension_are_refused(app: Transport) -> None:
     with pytest.raises(ValueError, match="picture: 16 px a side, expected 8"):
-        app.encode(encoder, {"image": torch.ones(1, 3, 16, 16)})
-
-
-def test_samples_of_another_dimension_are_refused(app: Transport) -> None:
+        app.encode(app.init_encoder(rng()), {"image": torch.ones(1, 3, 16, 16)})
     task = room(0)
     six = task._replace(data=task.data | {"samples": torch.rand(10, 6)})
     with pytest.raises(ValueError, match="room-0: samples of 6 coordinates, expected 4; make the data anew"):

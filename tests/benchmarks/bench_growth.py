@@ -57,7 +57,7 @@ ROWS: dict[str, list[Size]] = {
 
 
 def draw(size: Size, rng: Generator) -> Batch:
-    """Samples of random materials."""
+    """Samples of random materials: unit vectors, cosines in (0, 1), targets of another random network."""
     vectors = torch.randn(size.tasks, 2, 3, size.samples, generator=rng)
     where = (vectors / vectors.norm(dim=2, keepdim=True)).flatten(1, 2)
     cosine = torch.rand(size.tasks, 1, size.samples, generator=rng)

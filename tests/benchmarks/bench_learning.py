@@ -43,7 +43,7 @@ from torch.nn.functional import avg_pool2d, conv2d, interpolate, linear
 from torch.utils._python_dispatch import TorchDispatchMode
 from torch.utils._pytree import tree_leaves
 
-from metapp.apps.brdf import Brdf, network
+from metapp.apps.brdf import Brdf
 from metapp.engine import FASTEST, load
 from metapp.engine.fastest import Compiled
 from metapp.learning.adjoint import TORCH, Drawn, Engine, Loss
@@ -51,22 +51,14 @@ from metapp.learning.learn import MetaParameters, after_learning, learn, spread
 from metapp.learning.recipe import Adam
 from metapp.learning.rules import META_EPS, RULES, sgd
 from metapp.learning.task import Batch, Params
+from tests.benchmarks.bench_growth import Size, draw
 
 APP = Brdf()
 
-TASKS, STEPS, SAMPLES, RATE = 8, 10, 512, 1e-2
+SIZE, RATE = Size(steps=10, tasks=8, samples=512), 1e-2
+STEPS, TASKS, SAMPLES = SIZE
 ROUNDS = 25
 DEFAULT = "meta-curvature"
-
-
-def draw_batch(rng: Generator) -> Batch:
-    """Samples of 8 materials: unit vectors, cosines in (0, 1), targets of another random network."""
-    vectors = torch.randn(TASKS, 2, 3, SAMPLES, generator=rng)
-    vectors = (vectors / vectors.norm(dim=2, keepdim=True)).reshape(TASKS, 6, SAMPLES)
-    cosine = torch.rand(TASKS, 1, SAMPLES, generator=rng)
-    other = APP.init(Generator().manual_seed(1), TASKS)
-    target = torch.log1p(network(other, vectors).clamp_min(0) * cosine)
-    return {"where": torch.cat([vectors, cosine], 1), "target": target}
 
 
 def one_task(batch: Batch, task: int) -> tuple[Tensor, Tensor, Tensor]:
@@ -276,7 +268,7 @@ def bench_brdf() -> None:
     rng = Generator().manual_seed(0)
     theta = {key: value[0] for key, value in APP.init(rng, 1).items()}
     alpha = {f"rate.{key}": torch.full_like(value, RATE)[None] for key, value in theta.items()}
-    batches, last = [draw_batch(rng) for _ in range(STEPS)], draw_batch(rng)
+    batches, last = [draw(SIZE, rng) for _ in range(STEPS)], draw(SIZE, rng)
     plain_inner = [[one_task(batch, task) for batch in batches] for task in range(TASKS)]
     plain_last = [one_task(last, task) for task in range(TASKS)]
     supply: list[Iterator[Batch]] = [iter(())]
