@@ -32,22 +32,17 @@ def file(asset: Path, name: str) -> Path:
     return asset / f"rock_{name}.png"
 
 
-def test_all_files_are_there_in_16_bits(asset: Path) -> None:
+def test_all_files_are_there_in_16_bits_and_described(asset: Path) -> None:
     names = {f"rock_{name}.png" for name in MAPS}
     assert {each.name for each in asset.iterdir()} == names | {"preview.png", "material.json"}
-    for name in names:
-        spec = oiio.ImageBuf(str(asset / name)).spec()
-        assert (spec.width, spec.height, str(spec.format)) == (32, 32, "uint16")
     assert str(oiio.ImageBuf(str(asset / "preview.png")).spec().format) == "uint8"
-
-
-def test_the_description_tells_of_every_file(asset: Path) -> None:
     told = json.loads((asset / "material.json").read_text(encoding="utf-8"))
-    assert set(told["files"]) == {f"rock_{name}.png" for name in MAPS}
+    assert set(told["files"]) == names
     colours = {"rock_basecolor.png", "rock_diffuse.png", "rock_specular.png"}
     assert {name for name, each in told["files"].items() if each["colour_space"] == "sRGB"} == colours
     for name, each in told["files"].items():
         spec = oiio.ImageBuf(str(asset / name)).spec()
+        assert (spec.width, spec.height, str(spec.format)) == (32, 32, "uint16")
         assert spec.get_string_attribute("encoding") == each["colour_space"]
         assert spec.nchannels == each["channels"]
     assert told["tiles"] is True
@@ -78,13 +73,10 @@ def test_a_fit_without_heights_gets_those_of_its_normals(tmp_path: Path) -> None
     assert (found - expected).abs().mean() < 0.06 * expected.std()  # its normals are of differences
 
 
-def test_directx_normals_are_those_of_opengl_with_green_turned_over(asset: Path) -> None:
+def test_maps_that_are_made_of_others_are_the_same_values(asset: Path) -> None:
     gl, dx = stored(file(asset, "normal_gl")), stored(file(asset, "normal_dx"))
     assert torch.equal(gl[[0, 2]], dx[[0, 2]])
     assert (gl[1] + dx[1] - 1).abs().max() <= STEP
-
-
-def test_packed_maps_are_the_single_ones(asset: Path) -> None:
     single = torch.cat([stored(file(asset, name)) for name in ("ao", "roughness", "metallic")])
     assert torch.equal(stored(file(asset, "orm")), single)
     occlusion = occlusion_from_height(rock().height, periodic=True)
@@ -101,22 +93,18 @@ def test_the_metallic_roughness_files_are_one_material_with_the_others(asset: Pa
 
 
 def test_our_reader_takes_asset_folders(tmp_path: Path) -> None:
-    """The maps that were fitted are read, not those that were made of them."""
+    """The maps that were fitted are read, not those that were made of them, unless there are no others."""
     pictures.write_asset(rock(64), tmp_path / "rock", PROVENANCE)
     (source,) = find([tmp_path / "rock"])[0]
     assert svbrdf_inputs.find([tmp_path / "rock"]) == ([source], [])  # no preview or height for a photograph
     found, maps = unpack(read_task(source, 64).data["maps"].float()), rock(64).maps
     for name in Maps._fields:
         assert (getattr(found, name) - getattr(maps, name)).abs().max() < 1e-3, name  # kept as halves
-
-
-def test_our_reader_takes_the_metallic_roughness_files(tmp_path: Path) -> None:
-    pictures.write_asset(rock(64), tmp_path / "rock", PROVENANCE)
     for name in ("diffuse", "specular", "normal_dx"):
         file(tmp_path / "rock", name).unlink()
-    maps = unpack(read_task(file(tmp_path / "rock", "basecolor"), 64).data["maps"].float())
-    assert (maps.normal - rock(64).maps.normal).abs().max() < 2e-3  # kept as halves
-    assert (maps.roughness - rock(64).maps.roughness).abs().max() < 2e-3
+    found = unpack(read_task(file(tmp_path / "rock", "basecolor"), 64).data["maps"].float())
+    assert (found.normal - maps.normal).abs().max() < 2e-3
+    assert (found.roughness - maps.roughness).abs().max() < 2e-3
 
 
 def test_a_texture_has_a_base_colour_alone(tmp_path: Path) -> None:

@@ -61,13 +61,9 @@ def test_every_texel_reflects_as_it_was_fitted(mi: Any, folder: Path) -> None:
         expected = brdf(maps, *every) * cosine
         # a step of 16 bits turns a normal by up to 5e-5, of a lobe whose alpha is 0.02
         assert ((found - expected).abs() < 2e-3 * expected + 1e-4).all()
-
-
-def test_f0_comes_back(mi: Any, folder: Path) -> None:
-    si = texels(mi, mi.load_file(str(folder / "rock.xml")))
     texture = mi.load_dict({"type": "bitmap", "filename": str(folder / "rock_specular.png")})
-    found = plane(texture.eval(si)).clamp(0, 1)
-    assert (linear_to_srgb(found) - linear_to_srgb(rock(SIDE).maps.specular)).abs().max() < 1 / 255
+    f0 = plane(texture.eval(si)).clamp(0, 1)
+    assert (linear_to_srgb(f0) - linear_to_srgb(rock(SIDE).maps.specular)).abs().max() < 1 / 255
 
 
 def test_the_scene_shows_what_our_renderer_shows(mi: Any, folder: Path) -> None:
@@ -77,13 +73,10 @@ def test_the_scene_shows_what_our_renderer_shows(mi: Any, folder: Path) -> None:
     assert (expose(picture) - expose(lit)).abs().mean() < 0.02
 
 
-def test_the_builtin_scene_needs_no_plugin(folder: Path) -> None:
+def test_the_builtin_scene_needs_no_plugin_and_shows_nearly_the_same(folder: Path, mi: Any) -> None:
     text = (folder / "rock_builtin.xml").read_text(encoding="utf-8")
     assert "principled" in text
     assert "neural_svbrdf" not in text
-
-
-def test_the_builtin_scene_shows_nearly_the_same(mi: Any, folder: Path) -> None:
     pictures = [mi.render(mi.load_file(str(folder / f"rock{suffix}.xml")), spp=64) for suffix in ("", "_builtin")]
     own, builtin = (expose(torch.from_numpy(np.array(each))) for each in pictures)
     assert (own - builtin).abs().mean() < 0.12  # F0 of another hue than the body's is lost

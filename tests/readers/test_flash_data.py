@@ -42,7 +42,7 @@ def test_a_task_is_named_by_material_and_image(tmp_path: Path) -> None:
 
 
 def test_the_material_follows_from_name_and_place(tmp_path: Path) -> None:
-    told = {
+    labels = {
         "train_0231_IMG_0785.jpg": Label("0231_IMG_0785", "0231", "train"),
         "deep/Test_gold_a.jpg": Label("gold_a", "gold", "test"),
         "test/0280/IMG_0786.JPG": Label("0280_IMG_0786", "0280", "test"),
@@ -52,7 +52,7 @@ def test_the_material_follows_from_name_and_place(tmp_path: Path) -> None:
         "stone.jpg": Label("stone", "stone", ""),
         "test_stone.jpg": Label("test_stone", "test_stone", ""),
     }
-    for name, expected in told.items():
+    for name, expected in labels.items():
         assert shown(tmp_path / name, tmp_path) == expected
 
 
@@ -104,7 +104,11 @@ def test_stated_splits_hold_where_both_occur(tmp_path: Path) -> None:
     assert {name for name, side in splits_of(tmp_path).items() if side == "test"} == {"e"}
 
 
-def test_a_material_on_both_sides_is_refused(tmp_path: Path) -> None:
+def test_a_material_on_both_sides_and_bad_paths_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="no image in this folder"):
+        find_shown([tmp_path])
+    with pytest.raises(ValueError, match=r"none.jpg: no such file"):
+        find_shown([tmp_path / "none.jpg"])
     touch(tmp_path, "train_a_1.jpg", "test_a_2.jpg")
     with pytest.raises(ValueError, match=r"test_a_2.jpg and .*train_a_1.jpg: training and test .* material 'a'"):
         splits_of(tmp_path)
@@ -114,13 +118,6 @@ def test_a_photograph_found_twice_shows_one_material(tmp_path: Path) -> None:
     touch(tmp_path, "wood/a.jpg", "wood/b.jpg")
     for paths in ([tmp_path, tmp_path / "wood", tmp_path / "wood/a.jpg"], [tmp_path / "wood/a.jpg", tmp_path]):
         assert [each.group for each in find_shown(paths).values()] == ["wood", "wood"]
-
-
-def test_bad_paths_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match="no image in this folder"):
-        find_shown([tmp_path])
-    with pytest.raises(ValueError, match=r"none.jpg: no such file"):
-        find_shown([tmp_path / "none.jpg"])
 
 
 def test_a_task_is_named_by_the_stem_and_holds_one_image(tmp_path: Path) -> None:
@@ -134,7 +131,7 @@ def test_a_task_is_named_by_the_stem_and_holds_one_image(tmp_path: Path) -> None
     assert photos.read_task(path, 40).data["image"].shape == (3, 40, 40)
 
 
-def test_images_and_folders_of_them_are_recognised(tmp_path: Path) -> None:
+def test_images_and_folders_of_them_are_recognised_and_found(tmp_path: Path) -> None:
     photograph(tmp_path / "deep" / "er" / "a.JPEG")
     (tmp_path / "empty").mkdir()
     (tmp_path / "notes.txt").write_text("about")
@@ -143,13 +140,10 @@ def test_images_and_folders_of_them_are_recognised(tmp_path: Path) -> None:
         assert photos.recognises(tmp_path / name)
     for name in ("empty", "notes.txt", "missing.png"):
         assert not photos.recognises(tmp_path / name)
-
-
-def test_what_is_found_can_be_read(tmp_path: Path) -> None:
     for name in ("b.png", "a.tif", "sub/c.png"):
-        photograph(tmp_path / name)
-    (tmp_path / "notes.txt").write_text("about")
-    sources, skipped = photos.find([tmp_path])
+        photograph(tmp_path / "set" / name)
+    (tmp_path / "set" / "notes.txt").write_text("about")
+    sources, skipped = photos.find([tmp_path / "set"])
     assert [photos.read_task(source, 32).name for source in sources] == ["a", "b", "c"]
     assert len(skipped) == 1
     with pytest.raises(ValueError, match=r"notes.txt: not an image"):
@@ -163,16 +157,11 @@ def photo(path: Path, focal: int = 0, height: int = 96, width: int = 128) -> Pat
     return write(path, np.uint8(np.stack([x + 40, 2 * y + 20, 100 + 0 * x], -1)), **attributes)
 
 
-@pytest.mark.parametrize(
-    ("focal", "height", "width", "degrees"),
-    [(50, 24, 36, 26.99), (24, 36, 24, 53.13), (26, 3024, 4032, 53.07), (13, 3024, 4032, 89.91)],
-)
-def test_fields_of_view_of_known_lenses(focal: float, height: int, width: int, degrees: float) -> None:
+def test_fields_of_view_of_known_lenses_and_what_a_narrower_camera_sees() -> None:
     """50 mm and 24 mm on film, 24 mm along the shorter side; a phone's main and wide lens, of pictures 4:3."""
-    assert math.degrees(field_of_view(focal, height, width)) == pytest.approx(degrees, abs=0.05)
-
-
-def test_a_narrower_camera_sees_the_middle() -> None:
+    lenses = {(50, 24, 36): 26.99, (24, 36, 24): 53.13, (26, 3024, 4032): 53.07, (13, 3024, 4032): 89.91}
+    found = {lens: math.degrees(field_of_view(*lens)) for lens in lenses}
+    assert found == pytest.approx(lenses, abs=0.05)
     assert seen_share(math.radians(90), math.radians(45)) == pytest.approx(math.tan(math.radians(22.5)))
     assert seen_share(math.radians(45), math.radians(45)) == pytest.approx(1)
     assert seen_share(math.radians(30), math.radians(45)) == 1  # nothing can be added
@@ -191,15 +180,12 @@ def test_of_a_wide_lens_fits_see_what_their_camera_does(tmp_path: Path, suffix: 
     assert torch.equal(svbrdf_inputs.read_task(path, side).data["photo"].float(), found)
 
 
-def test_the_user_s_word_counts_more_than_the_file_s(tmp_path: Path) -> None:
+def test_fields_of_view_go_by_the_user_then_the_file(tmp_path: Path) -> None:
     wide, plain = photo(tmp_path / "a.png", focal=26), photo(tmp_path / "b.png")
     said = [flash.read_task(path, 64, math.radians(70)).data["image"] for path in (wide, plain)]
     assert torch.equal(*said)
     assert not torch.equal(said[0], flash.read_task(wide, 64).data["image"])
-
-
-def test_without_a_word_about_the_lens_the_whole_square_counts(tmp_path: Path) -> None:
-    plain, texture = photo(tmp_path / "a.png"), photo(tmp_path / "b.png", focal=13)
+    texture = photo(tmp_path / "c.png", focal=13)
     whole = photos.read_task(plain, 96).data["image"]
     assert torch.equal(flash.read_task(plain, 96).data["image"], whole)
     assert torch.equal(photos.read_task(texture, 96).data["image"], whole)  # no flash, no camera

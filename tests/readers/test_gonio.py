@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from data_tools.readers import gonio
-from data_tools.readers.colours import spectra_to_rgb
+from data_tools.readers.colours import colour_science, spectra_to_rgb
 from metapp.appearance.geometry import above_horizon, rusinkiewicz_to_directions
 
 pytestmark = pytest.mark.usefixtures("small_spheres")
@@ -63,7 +63,7 @@ def test_measurements_come_back(write: Callable[..., Path], angles: Tensor, unit
     torch.testing.assert_close(reflectance, material(angles), rtol=1e-6, atol=1e-8)
 
 
-def test_a_task_holds_each_measurement_once(write: Callable[..., Path], angles: Tensor) -> None:
+def test_a_task_holds_each_measurement_once_and_its_picture(write: Callable[..., Path], angles: Tensor) -> None:
     file = write()
     lines = file.read_text().splitlines()
     file.write_text("\n".join([*lines, *lines[2:102]]))  # a hundred measured twice
@@ -74,13 +74,10 @@ def test_a_task_holds_each_measurement_once(write: Callable[..., Path], angles: 
     assert torch.equal(task.data["angles"], gonio.read_task(file).data["angles"])
     first = task.data["angles"][: len(angles) // 2, 0]
     assert abs(float(first.mean() - angles[:, 0].mean())) < 0.05  # in random order
-
-
-def test_the_picture_shows_the_material(write: Callable[..., Path]) -> None:
-    from data_tools.readers.brdf_task import reference_scene
+    from data_tools.readers.brdf_task import reference_scene  # as it is patched
     from metapp.appearance.sphere import shade_sphere
 
-    render = gonio.read_task(write()).data["render"]
+    render = task.data["render"]
     half_turn = torch.tensor([0, 0, math.pi])  # pictures know both directions alike: the nearest are of both sides
     expected = shade_sphere(
         reference_scene(), lambda angles: (material(angles.double()) + material(angles.double() + half_turn)) / 2
@@ -109,11 +106,6 @@ def test_spectra_become_colours(tmp_path: Path) -> None:
     (tmp_path / "a.csv").write_text(f"{HEAD[:-6]},{names}\n30,0,30,180,0.2,0.2,0.2,0.2\n")
     _, reflectance = gonio.read_gonio(tmp_path / "a.csv")
     torch.testing.assert_close(reflectance, torch.full((1, 3), 0.2, dtype=torch.float64))
-
-
-def test_reflectance_in_d65_is_that_of_colour_science() -> None:
-    from data_tools.readers.colours import colour_science
-
     colour, nanometres = colour_science(), np.arange(360.0, 781, 5)
     values = 0.2 + 0.5 * np.exp(-(((nanometres - 530) / 60) ** 2))
     spectrum = colour.SpectralDistribution(dict(zip(nanometres, values, strict=True)))

@@ -26,14 +26,6 @@ def merl_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def damaged(merl_file: Path, tmp_path: Path, offset: int, data: bytes) -> Path:
-    content = bytearray(merl_file.read_bytes())
-    content[offset : offset + len(data)] = data
-    path = tmp_path / "damaged.binary"
-    path.write_bytes(content)
-    return path
-
-
 def test_read_known_values(merl_file: Path) -> None:
     table = read_merl(merl_file)
     assert table.shape == (90, 90, 180, 3)
@@ -64,7 +56,7 @@ def test_table_round_trip(merl_file: Path, tmp_path: Path) -> None:
     np.testing.assert_array_equal(planes == -1, expected == -1)
 
 
-def test_worked_bins() -> None:
+def test_index_inverts_centres_with_worked_bins() -> None:
     centres = merl_centres()
     assert centres.shape == (90, 90, 180, 3)
     expected = [(0.5 / 90) ** 2 * math.pi / 2, 2.5 / 90 * math.pi / 2, 179.5 / 180 * math.pi]
@@ -80,11 +72,7 @@ def test_worked_bins() -> None:
         ]
     )
     assert merl_index(angles).tolist() == [0, 90 * 90 * 180 - 1, 180 * (45 + 90 * 45), 179, 0]
-
-
-def test_index_inverts_centres() -> None:
-    index = merl_index(merl_centres())
-    assert torch.equal(index.reshape(-1), torch.arange(90 * 90 * 180))
+    assert torch.equal(merl_index(centres).reshape(-1), torch.arange(90 * 90 * 180))
 
 
 def test_evaluate_is_exact_at_centres(merl_file: Path) -> None:
@@ -127,9 +115,6 @@ def test_evaluate_ignores_invalid_entries() -> None:
     far = centres[50, 50, 50]
     result = merl_evaluate(table, torch.stack([near, far, centres[20, 20, 20]]))
     torch.testing.assert_close(result, torch.tensor([[5.0] * 3, [0.0] * 3, [0.5, 0.0, 0.5]]))
-
-
-def test_evaluate_takes_any_leading_axes() -> None:
     assert merl_evaluate(np.ones((90, 90, 180, 3)), torch.zeros(2, 4, 3)).shape == (2, 4, 3)
 
 
@@ -142,9 +127,6 @@ def test_tabulate(tmp_path: Path) -> None:
     planes = planes_of(tmp_path / "a.binary")
     assert (planes[:, ~above] == -1.0).all()
     assert tabulate(lambda angles: -angles).max() == 0.0
-
-
-def test_tabulate_refuses_bad_results() -> None:
     with pytest.raises(ValueError, match="RGB for each angle"):
         tabulate(lambda angles: angles[:, :1])
     with pytest.raises(ValueError, match="evaluate returned NaN"):
@@ -152,31 +134,33 @@ def test_tabulate_refuses_bad_results() -> None:
 
 
 def test_wrong_sizes(merl_file: Path, tmp_path: Path) -> None:
-    content, path = merl_file.read_bytes(), tmp_path / "gold.binary"
-    path.write_bytes(content[: 2**25])
+    whole, path = merl_file.read_bytes(), tmp_path / "gold.binary"
+    assert len(whole) == FILE_BYTES
     expected = r"expected 34,992,012 \(12-byte header \+ 3x90x90x180 doubles\)"
-    with pytest.raises(ValueError, match=f"gold.binary: 33,554,432 bytes, {expected}; the download is probably inco"):
-        read_merl(path)
-    path.write_bytes(content + b"\n")
-    with pytest.raises(ValueError, match=f"34,992,013 bytes, {expected}; the file has something appended"):
-        read_merl(path)
-    path.write_bytes(b"hello")
-    with pytest.raises(ValueError, match=f"5 bytes, {expected}; not a MERL file"):
-        read_merl(path)
-    assert len(content) == FILE_BYTES
+    for content, size, why in (
+        (whole[: 2**25], "33,554,432", "the download is probably incomplete"),
+        (whole + b"\n", "34,992,013", "the file has something appended"),
+        (b"hello", "5", "not a MERL file"),
+    ):
+        path.write_bytes(content)
+        with pytest.raises(ValueError, match=f"gold.binary: {size} bytes, {expected}; {why}"):
+            read_merl(path)
 
 
 def test_bad_contents(merl_file: Path, tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match="header 90x90x360, expected 90x90x180; not a MERL file"):
-        read_merl(damaged(merl_file, tmp_path, 8, struct.pack("<i", 360)))
-    with pytest.raises(ValueError, match=r"damaged.binary: 2 values are NaN or infinite"):
-        read_merl(damaged(merl_file, tmp_path, 12 + 8 * 77, struct.pack("<2d", math.inf, -math.inf)))
-    with pytest.raises(ValueError, match=r"damaged.binary: 0.00% of the entries are valid"):
-        read_merl(damaged(merl_file, tmp_path, 12, b"\xbf" * (FILE_BYTES - 12)))
-    with pytest.raises(ValueError, match="no such file, expected a MERL file"):
-        read_merl(tmp_path / "none.binary")
-    with pytest.raises(ValueError, match="a folder, expected a MERL file"):
-        read_merl(tmp_path)
+    for offset, data, message in (
+        (8, struct.pack("<i", 360), "header 90x90x360, expected 90x90x180; not a MERL file"),
+        (12 + 8 * 77, struct.pack("<2d", math.inf, -math.inf), "damaged.binary: 2 values are NaN or infinite"),
+        (12, b"\xbf" * (FILE_BYTES - 12), "damaged.binary: 0.00% of the entries are valid"),
+    ):
+        content = bytearray(merl_file.read_bytes())
+        content[offset : offset + len(data)] = data
+        (tmp_path / "damaged.binary").write_bytes(content)
+        with pytest.raises(ValueError, match=message):
+            read_merl(tmp_path / "damaged.binary")
+    for path, message in ((tmp_path / "none.binary", "no such file"), (tmp_path, "a folder")):
+        with pytest.raises(ValueError, match=f"{message}, expected a MERL file"):
+            read_merl(path)
 
 
 def test_refuse_to_write(tmp_path: Path) -> None:

@@ -135,10 +135,9 @@ def test_an_even_sky_gives_pi_times_its_radiance() -> None:
 @pytest.mark.parametrize("far", [0.4, 1.0, 4.0])
 def test_lamps_shine_as_closed_forms_say(far: float) -> None:
     at = vector(0, far, 0)
-    disc = Lamp(at, vector(0.3, 0, 0), vector(0, 0, 0.3), vector(5, 4, 3), "disc")
-    ball = disc._replace(shape="ball")
-    for lamp, expected in ((disc, math.pi * 0.09 / (0.09 + far**2)), (ball, math.pi * 0.09 / (0.09 + far**2))):
-        scene = room()
+    expected = math.pi * 0.09 / (0.09 + far**2)
+    for shape in ("disc", "ball"):
+        lamp, scene = Lamp(at, vector(0.3, 0, 0), vector(0, 0, 0.3), vector(5, 4, 3), shape), room()
         scene.lamps = [lamp]
         found = irradiance(scene, sources(scene), columns((0, 0, 0)), columns((0, 1, 0)))
         np.testing.assert_allclose(found[:, 0], lamp.radiance * expected, rtol=1e-3)
@@ -303,8 +302,7 @@ def test_clear_skies_are_like_mitsubas(mitsuba: Any, elevation_deg: float, turbi
     rays = directions(32, 64)[:, :15].flatten(1).numpy()
     angles = solid_angles(32, 64)[:15].expand(-1, 64).flatten().numpy() * rays[1]
     ours, theirs = sky.radiance(rays), mitsuba_sky(mitsuba, sky.sun, turbidity, rays, sun_scale=0.0)
-    shape = np.log(luminance(ours)), np.log(luminance(theirs))
-    assert np.corrcoef(*shape)[0, 1] > 0.88
+    assert np.corrcoef(np.log(luminance(ours)), np.log(luminance(theirs)))[0, 1] > 0.88
     assert np.abs(ours / ours.sum(0) - theirs / theirs.sum(0)).mean() < 0.06
     # Sunlight for the skylight, and their colours: the disc's radiance times its solid angle over the sky's irradiance.
     disc = math.tau * (1 - math.cos(math.radians(0.5358 / 2)))
@@ -346,8 +344,7 @@ def test_skies_are_finite_and_positive_everywhere(draw: Callable[..., Sky]) -> N
     for seed in range(20):
         radiance = draw(stream(seed)).radiance(view(1)[0])
         assert radiance.dtype == np.float32
-        assert np.isfinite(radiance).all()
-        assert (radiance > 0).all()
+        assert ((radiance > 0) & (radiance < np.inf)).all()
 
 
 @pytest.mark.parametrize("kind", ["hills", "woods", "town"])

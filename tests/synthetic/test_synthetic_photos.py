@@ -62,9 +62,6 @@ def test_every_draw_is_another_texture(pictures: Tensor) -> None:
     off_diagonal = ~torch.eye(len(shares), dtype=torch.bool)
     assert differences[off_diagonal].mean() > 0.5
     assert (differences[off_diagonal] < 0.05).float().mean() < 0.01
-
-
-def test_members_of_a_family_differ_in_colour(pictures: Tensor) -> None:
     means = pictures[:100].mean((2, 3))
     for family in range(20):
         own = means[family::20]
@@ -94,14 +91,11 @@ def test_exposure_holds_the_highlight(photos: Tensor) -> None:
     assert (peaks > 0.9).float().mean() > 0.3  # shiny ones are about to clip, matt ones are metered by their mean
 
 
-def test_the_flash_is_in_the_middle(photos: Tensor) -> None:
+def test_flashes_are_in_the_middle_and_opposite_sides_alike(photos: Tensor) -> None:
     middle = photos[..., 64:192, 64:192].mean((1, 2, 3))
     corners = torch.stack([photos[..., i : i + 48, j : j + 48].mean((1, 2, 3)) for i in (0, 208) for j in (0, 208)])
     assert (middle > corners.mean(0)).float().mean() > 0.97
     assert flash_position(photos).norm(dim=1).quantile(0.9) < 0.15
-
-
-def test_opposite_sides_are_alike(photos: Tensor) -> None:
     """What a stationary material under a central flash has in common with itself: in nine of ten within 0.06."""
     sides = [photos[..., :128, :], photos[..., 128:, :], photos[..., :128], photos[..., 128:]]
     top, bottom, left, right = (side.mean((2, 3)) for side in sides)
