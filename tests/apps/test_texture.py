@@ -228,6 +228,11 @@ def test_outputs_and_files(sources: list[Task], tasks: Tasks) -> None:
     assert outputs["fit"].shape == (SIZE, SIZE, 3)
     assert list(files) == ["texture"]
     assert files["texture"].pixels.shape == (TILED * SIZE, TILED * SIZE, 3)
+    # and of another size
+    assert shown.refusal(24, 4096) == ""
+    for height, width in ((22, 24), (24, 22), (4, 24), (24, 5000)):
+        assert shown.refusal(height, width) == "expects multiples of 4 from 8 to 4096"
+    assert TexturePresentation(app, (24, 40)).files(theta, sources[0])["texture"].pixels.shape == (24, 40, 3)
 
 
 def seams(made: Tensor) -> Tensor:
@@ -329,13 +334,3 @@ def test_another_measure_of_the_same_pictures(
     exemplar = app.exemplar(sources[0].data["image"][None] / 255)
     monkeypatch.setattr(app, "generate", lambda theta, noise, octave=0: exemplar[None])
     assert shown.image_errors(fits, sources[0])["b"]["sliced Wasserstein"] < 1e-5
-
-
-def test_files_of_another_size(sources: list[Task]) -> None:
-    shown = TexturePresentation(tiny())
-    theta = {key: value[0] for key, value in tiny().init(seeded(), 1).items()}
-    assert shown.refusal(24, 4096) == ""
-    for height, width in ((22, 24), (24, 22), (4, 24), (24, 5000)):
-        assert shown.refusal(height, width) == "expects multiples of 4 from 8 to 4096"
-    shown = TexturePresentation(tiny(), (24, 40))
-    assert shown.files(theta, sources[0])["texture"].pixels.shape == (24, 40, 3)

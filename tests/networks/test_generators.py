@@ -109,26 +109,20 @@ def test_a_unet_does_not_know_the_place(rng: Generator) -> None:
 
 
 def test_tasks_and_pictures_are_independent(network: UNet | Pyramid, theta: Params, noise: Tensor) -> None:
+    """No gradient reaches another task; tasks may share expanded parameters, as those of an initialisation."""
     together = network(theta, noise)
     torch.testing.assert_close(together, torch.cat([network(one(theta, i), noise[i : i + 1]) for i in range(3)]))
     torch.testing.assert_close(together, torch.cat([network(theta, noise[:, i : i + 1]) for i in range(2)], 1))
     other = {key: torch.cat([value[:1], 2 * value[1:] + 1]) for key, value in theta.items()}
     torch.testing.assert_close(network(other, noise)[0], together[0])
-
-
-def test_a_task_gets_no_gradient_from_another(network: UNet | Pyramid, theta: Params, noise: Tensor) -> None:
+    shared = {key: value[:1].expand(3, *value.shape[1:]) for key, value in theta.items()}
+    copied = {key: value.contiguous() for key, value in shared.items()}
+    assert torch.equal(network(shared, noise), network(copied, noise))
     leaves = {key: value.clone().requires_grad_() for key, value in theta.items()}
     grads = torch.autograd.grad(network(leaves, noise)[1].square().sum(), list(leaves.values()))
     for key, grad in zip(leaves, grads, strict=True):
         assert not grad[[0, 2]].any(), key
         assert grad[1].any(), key  # and every parameter matters
-
-
-def test_expanded_parameters_do_as_well(network: UNet | Pyramid, theta: Params, noise: Tensor) -> None:
-    """As an initialisation that all tasks share comes."""
-    shared = {key: value[:1].expand(3, *value.shape[1:]) for key, value in theta.items()}
-    copied = {key: value.contiguous() for key, value in shared.items()}
-    assert torch.equal(network(shared, noise), network(copied, noise))
 
 
 def test_the_code_changes_what_is_made(network: UNet | Pyramid, theta: Params, noise: Tensor) -> None:

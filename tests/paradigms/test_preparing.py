@@ -45,17 +45,22 @@ def test_split_keeps_photos_of_one_thing_together() -> None:
     assert {name[0] for name in validate.picked_names()} == set("abcd")
 
 
+EVERY = pytest.mark.parametrize(("app", "name"), [*((app, "general") for app in OWN_RULES), *PAIRS], indirect=["app"])
+
+
+def by(name: str, job: Job) -> Job:
+    return job if name == "general" else job._replace(rule=name)
+
+
 def look(name: str, job: Job, tasks: Tasks, **options: Any) -> Prepared:
-    job = job if name == "general" else job._replace(rule=name)
-    return result(prepare.prepare(name, job, tasks, rng(3), **options))
+    return result(prepare.prepare(name, by(name, job), tasks, rng(3), **options))
 
 
 def error_of(name: str, job: Job, start: MetaParameters, tasks: Tasks) -> float:
-    job = job if name == "general" else job._replace(rule=name)
-    return validation_error(paradigms()["general" if name == "general" else "meta"], job, start, tasks)
+    return validation_error(paradigms()["general" if name == "general" else "meta"], by(name, job), start, tasks)
 
 
-@pytest.mark.parametrize(("app", "name"), [*((app, "general") for app in OWN_RULES), *PAIRS], indirect=["app"])
+@EVERY
 def test_the_best_state_is_kept(name: str, job: Job, tasks: Tasks) -> None:
     prepared = look(name, job, tasks)
     steps, losses, errors = zip(*prepared.curve, strict=True)
@@ -71,7 +76,7 @@ def test_the_best_state_is_kept(name: str, job: Job, tasks: Tasks) -> None:
     assert all(torch.equal(again.phi.flat()[key], value) for key, value in prepared.phi.flat().items())
 
 
-@pytest.mark.parametrize(("app", "name"), [*((app, "general") for app in OWN_RULES), *PAIRS], indirect=["app"])
+@EVERY
 def test_a_start_that_only_gets_worse_is_kept(
     name: str, job: Job, tasks: Tasks, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -84,23 +89,15 @@ def test_a_start_that_only_gets_worse_is_kept(
     assert all(torch.equal(prepared.phi.flat()[key], value) for key, value in before.phi.flat().items())
 
 
-def gain(prepared: Prepared) -> float:
-    """How much lower the error is than before the first step, as a share of its size: errors may be negative."""
-    before = prepared.curve[0][2]
-    return (before - prepared.validation) / abs(before)
-
-
-def test_general_learns(job: Job, tasks: Tasks) -> None:
-    """Preparing it improves what it is prepared for."""
-    training = replace(job.recipe.general, steps=50, rates={"": 2e-3}, validate_every=25)
-    prepared = look("general", job._replace(recipe=replace(job.recipe, general=training)), tasks)
-    assert gain(prepared) > 0.1
-
-
-def test_meta_learns(job: Job, tasks: Tasks) -> None:
-    training = replace(job.recipe.meta["meta-adam"], steps=30, rates={"": 2e-2}, validate_every=15)
-    recipe = replace(job.recipe, meta={"meta-adam": training})
-    assert gain(look("meta-adam", job._replace(recipe=recipe), tasks)) > 0.1
+@pytest.mark.parametrize(("name", "steps", "rate"), [("general", 50, 2e-3), ("meta-adam", 30, 2e-2)])
+def test_preparing_improves_what_it_is_prepared_for(name: str, steps: int, rate: float, job: Job, tasks: Tasks) -> None:
+    """By a share of the error's size: errors may be negative."""
+    before = job.recipe.general if name == "general" else job.recipe.meta[name]
+    training = replace(before, steps=steps, rates={"": rate}, validate_every=steps // 2)
+    changed: dict[str, Any] = {"general": training} if name == "general" else {"meta": {name: training}}
+    prepared = look(name, job._replace(recipe=replace(job.recipe, **changed)), tasks)
+    first = prepared.curve[0][2]
+    assert first - prepared.validation > 0.1 * abs(first)
 
 
 def starting_from(start: str, job: Job) -> Job:
@@ -108,24 +105,20 @@ def starting_from(start: str, job: Job) -> Job:
     return job._replace(recipe=replace(job.recipe, meta={rule: replace(job.recipe.meta[rule], initialisation=start)}))
 
 
-def test_meta_starts_from_the_mean_of_general(job: Job, tasks: Tasks) -> None:
+def test_meta_starts_from_the_mean_of_general_or_at_random(job: Job, tasks: Tasks) -> None:
+    """At random where it is told to, and where there is no General."""
     encoder, rule = prepared_for(paradigms()["general"], job), job.recipe.rule
-    prepared = look(rule, starting_from("mean", job), tasks, encoder=encoder, steps=0)
-    assert not prepared.phi.encoder
     predicted = paradigms()["general"].fit(job, encoder, split_validation(tasks)[0], rng(3))
-    for key, value in predicted.items():
-        torch.testing.assert_close(prepared.phi.theta[key], value.mean(0))
-
-
-def test_meta_starts_at_random(job: Job, tasks: Tasks) -> None:
-    """Where it is told to, and where there is no General."""
-    encoder, rule = prepared_for(paradigms()["general"], job), job.recipe.rule
-    told = look(rule, starting_from("random", job), tasks, encoder=encoder, steps=0).phi
-    alone = look(rule, starting_from("mean", job), tasks, steps=0).phi
-    expected = {key: value[0] for key, value in job.app.init(rng(3), 1).items()}
-    for start in (told, alone):
-        assert not start.encoder
-        assert all(torch.equal(start.theta[key], value) for key, value in expected.items())
+    mean = {key: value.mean(0) for key, value in predicted.items()}
+    random = {key: value[0] for key, value in job.app.init(rng(3), 1).items()}
+    for start, given, expected in (("mean", encoder, mean), ("random", encoder, random), ("mean", None, random)):
+        phi = look(rule, starting_from(start, job), tasks, encoder=given, steps=0).phi
+        assert not phi.encoder
+        for key, value in expected.items():
+            if expected is mean:
+                torch.testing.assert_close(phi.theta[key], value)
+            else:
+                assert torch.equal(phi.theta[key], value)
 
 
 def test_meta_goes_on_from_general(job: Job, tasks: Tasks) -> None:
@@ -170,7 +163,7 @@ def test_each_moment_has_the_best_state_so_far(name: str, job: Job, tasks: Tasks
     """Before each outer step, and after each validation, which alone has a note."""
     whole, validation = look(name, job, tasks), split_validation(tasks)[1]
     moments = []
-    for now in prepare.prepare(name, job._replace(rule=name) if name != "general" else job, tasks, rng(3)):
+    for now in prepare.prepare(name, by(name, job), tasks, rng(3)):
         assert now.best is not None
         assert now.best.curve[1:] == whole.curve[1 : len(now.best.curve)]
         assert now.best.validation == min([math.inf, *(error for _, _, error in now.best.curve)])

@@ -39,12 +39,18 @@ def test_it_is_of_the_application_as_it_was_placed(app: App, presentation: Prese
             assert presentation_of(app_of(app.name, recipe, protocol)).app.protocol == protocol
 
 
-def test_what_tables_say_is_one_line_each(presentation: Presentation) -> None:
+def test_what_tables_say(presentation: Presentation, sources: list[Task]) -> None:
+    """One line each, and how much a fit may see."""
     for line in (presentation.title, presentation.measure):
         assert line
         assert line == " ".join(line.split())
     assert presentation.image_measure == " ".join(presentation.image_measure.split())
     assert presentation.image_seconds > 0
+    visible = presentation.visible(sources[0])
+    if visible:
+        assert visible.samples >= 1
+        assert visible.size > 0
+        assert visible.encoder >= 0
 
 
 def test_titles_differ() -> None:
@@ -71,6 +77,7 @@ def test_pictures_of_a_fit_and_of_its_reference(
 
 
 def test_files_are_what_their_kind_says(presentation: Presentation, fitted: Params, sources: list[Task]) -> None:
+    """With names for every file system, also those that do not tell upper from lower case."""
     made = presentation.files(fitted, sources[0])
     for name, (pixels, kind) in made.items():
         assert kind in KINDS, name
@@ -80,16 +87,11 @@ def test_files_are_what_their_kind_says(presentation: Presentation, fitted: Para
         if kind != "height":
             assert 0 <= float(pixels.min()) <= float(pixels.max()) <= (math.inf if kind == "radiance" else 1), name
         assert not pixels.requires_grad, name
-    again = presentation_of(presentation.app).files(fitted, sources[0])
-    assert all(torch.equal(again[name].pixels, picture.pixels) for name, picture in made.items())
-
-
-def test_names_of_files_are_safe(presentation: Presentation, fitted: Params, sources: list[Task]) -> None:
-    """On every file system, also those that do not tell upper from lower case."""
-    for name in presentation.files(fitted, sources[0]):
         assert name.replace("_", "").isalnum(), name
         assert name.isascii(), name
         assert name == file_name(name) == name.lower(), name
+    again = presentation_of(presentation.app).files(fitted, sources[0])
+    assert all(torch.equal(again[name].pixels, picture.pixels) for name, picture in made.items())
 
 
 def test_measures_of_pictures_are_said_where_there_are_any(
@@ -101,11 +103,3 @@ def test_measures_of_pictures_are_said_where_there_are_any(
         assert measures, name
         assert all(math.isfinite(value) for value in measures.values()), name
         assert all(-1 <= value <= 1 for key, value in measures.items() if key.startswith("SSIM")), name
-
-
-def test_how_much_a_fit_may_see(presentation: Presentation, sources: list[Task]) -> None:
-    visible = presentation.visible(sources[0])
-    if visible:
-        assert visible.samples >= 1
-        assert visible.size > 0
-        assert visible.encoder >= 0
