@@ -202,8 +202,7 @@ def test_encoder_does_not_mind_the_order_of_samples(tasks: Tasks, rng: Generator
 
 
 def test_encoder_predicts_networks(tasks: Tasks, rng: Generator) -> None:
-    encoder = APP.init_encoder(rng)
-    theta = APP.encode(encoder, APP.condition(tasks, rng))
+    theta = APP.encode(APP.init_encoder(rng), APP.condition(tasks, rng))
     template = APP.init(rng, 4)
     errors = APP.errors(theta, tasks)["error"]
     assert (errors < 3 * APP.errors(template, tasks)["error"].max()).all()

@@ -189,16 +189,13 @@ def test_turned_maps_have_the_light_of_the_map(app: Illumination, tasks: Tasks, 
     assert not torch.equal(made.data["photo"], tasks.data["photo"])
 
 
-def test_variants_are_the_maps_turned_and_mirrored(tasks: Tasks) -> None:
+def test_variants_are_the_maps_turned_and_mirrored_and_tinted(tasks: Tasks, rng: Generator) -> None:
     maps = tasks.data["map"]
     for found, original in zip(turned(maps, Generator().manual_seed(5)), maps, strict=True):
         candidates = [each.roll(turn, -1) for turn in range(16) for each in (original, original.flip(-1))]
         distances = [float((each - found).abs().mean()) for each in candidates]
         assert min(distances) == 0 < sorted(distances)[len(distances) // 2]
-
-
-def test_variants_are_tinted(tasks: Tasks, rng: Generator) -> None:
-    maps = tasks.data["map"]
+    # and tinted
     ratio = (tinted(maps, rng) / maps).flatten(2)
     torch.testing.assert_close(ratio, ratio[..., :1].expand_as(ratio))
     assert ratio[..., 0].std(1).min() > 0
