@@ -142,9 +142,3 @@ def test_before_training_all_features_have_one_penalty(theta: Params) -> None:
     alpha = PARTS["solve"].initial(Line(), {key: each[0] for key, each in theta.items()}, STEPS, Adam(1e-3))
     assert {key: tuple(each.shape) for key, each in alpha.items()} == {"penalty.W": (1, FEATURES), "keep.W": (STEPS,)}
     assert len(alpha["penalty.W"].unique()) == 1
-
-
-def test_it_moves_parameters_by_itself() -> None:
-    with pytest.raises(ValueError, match="rates and solve for rates"):
-        rule_of("adam+solve")
-    assert rule_of("solve+loss").name == "ridge"
