@@ -10,3 +10,9 @@ try:
 except ValueError as error:
     MISSING = str(error)
 needs_mitsuba = pytest.mark.skipif(bool(MISSING), reason=MISSING)
+
+
+def skip_without_mitsuba() -> None:
+    """For fixtures that need it."""
+    if MISSING:
+        pytest.skip(MISSING)

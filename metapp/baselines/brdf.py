@@ -98,8 +98,8 @@ def components(columns: Tensor, count: int) -> Components:
 def ridge(axes: Tensor, targets: Tensor, weights: Tensor | None, deviation: Tensor, penalty: float) -> Tensor:
     """Coefficients [K, C] that fit targets [n, C], drawn towards 0 by how little training tasks vary.
 
-    Products are in double precision where rounding would hide that they are positive definite: of fewer samples than
-    axes and a small penalty.
+    By normal equations; by QR in double precision where rounding would hide that these are positive definite: of fewer
+    samples than axes and a small penalty.
 
     Args:
         axes: [n, K].
@@ -114,10 +114,22 @@ def ridge(axes: Tensor, targets: Tensor, weights: Tensor | None, deviation: Tens
         weighted = axes * weights.T[..., None]
         left, right = axes.T @ weighted, weighted.mT @ targets.T[..., None]
     left = left.double() + torch.diag(penalty / deviation.double().square())
-    factor, failed = torch.linalg.cholesky_ex(left, check_errors=axes.dtype == torch.float64)
-    if failed.any():
-        exact = None if weights is None else weights.double()
-        return ridge(axes.double(), targets.double(), exact, deviation, penalty).to(targets)
+    factor, failed = torch.linalg.cholesky_ex(left)
+    # rounding changes pivots by about this much: smaller ones are made of it, even where the factorisation succeeds
+    rounding = torch.finfo(axes.dtype).eps * left.diagonal(dim1=1, dim2=2).sum(1)
+    if bool((failed.bool() | (factor.diagonal(dim1=1, dim2=2).square().amin(1) < rounding)).any()):
+        roots = targets.new_ones(1, 1) if weights is None else weights.sqrt()
+        rows = torch.cat(
+            [
+                roots.T[..., None].double() * axes.double(),
+                torch.diag(math.sqrt(penalty) / deviation.double()).expand(roots.shape[1], -1, -1),
+            ],
+            1,
+        )
+        values = torch.nn.functional.pad((roots * targets).T.double(), (0, axes.shape[1]))[..., None]
+        q, r = torch.linalg.qr(rows)
+        exact: Tensor = torch.linalg.solve_triangular(r, q.mT @ values, upper=True)
+        return exact[..., 0].T.to(targets)
     solved = torch.cholesky_solve(right.double(), factor)
     return solved[..., 0].T.to(targets)
 

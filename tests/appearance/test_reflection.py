@@ -123,9 +123,6 @@ def test_masking_is_total_under_the_horizon_and_absent_from_above(kind: Microfac
     masking = smith_masking(torch.tensor([-0.5, 0.0, 1.0]), 0.4, kind)
     torch.testing.assert_close(masking, torch.tensor([0.0, 0.0, 1.0]))
     assert (smith_masking(torch.linspace(0, 1, 200), 0.4, kind).diff() >= -1e-4).all()
-
-
-def test_an_unknown_kind_of_facet_is_an_error() -> None:
     with pytest.raises(ValueError, match="'phong', expected 'ggx' or 'beckmann'"):
         smith_masking(torch.ones(1), 0.1, "phong")  # type: ignore[arg-type]
 

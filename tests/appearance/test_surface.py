@@ -41,16 +41,14 @@ def test_waves_that_tile_are_found_exactly() -> None:
     assert torch.equal(both[1], height_from_normal(normal, periodic=True))
 
 
-def test_a_hill_in_a_frame_is_found() -> None:
+def test_a_hill_in_a_frame_and_a_tilted_plane_are_found_where_nothing_tiles() -> None:
     size = 64
     x, y = ((each - size / 2) / (size / 6) for each in grid(size))
     height = 5 * (-(x * x + 2 * y * y) / 2).exp()
     normal = normal_of(-x * height / (size / 6), -2 * y * height / (size / 6))
     found = height_from_normal(normal, periodic=False)[0]
     assert (found - (height - height.mean())).abs().max() < 0.02  # of 5
-
-
-def test_a_tilted_plane_is_found_where_nothing_tiles() -> None:
+    # and a tilted plane
     x, y = grid(32)
     plane = 0.3 * x - 0.2 * y
     found = height_from_normal(normal_of(0.3 + 0 * x, -0.2 + 0 * y), periodic=False)[0]
@@ -127,21 +125,20 @@ def test_it_is_inverted_where_such_maps_exist() -> None:
 def test_metals_and_dielectrics_are_what_they_are() -> None:
     gold, plaster = torch.tensor([1.0, 0.77, 0.34])[:, None, None], torch.full((3, 1, 1), 0.8)
     dielectric = torch.full((1, 1, 1), DIELECTRIC)
-    assert torch.allclose(to_metallic(torch.zeros(3, 1, 1), gold).metallic, torch.ones(1, 1, 1), atol=1e-4)
-    assert torch.allclose(to_metallic(torch.zeros(3, 1, 1), gold).base, gold, atol=1e-4)
-    assert torch.equal(to_metallic(plaster, dielectric).metallic, torch.zeros(1, 1, 1))
-    assert torch.allclose(to_metallic(plaster, dielectric).base, plaster)
+    metal, other = to_metallic(torch.zeros(3, 1, 1), gold), to_metallic(plaster, dielectric)
+    assert torch.allclose(metal.metallic, torch.ones(1, 1, 1), atol=1e-4)
+    assert torch.allclose(metal.base, gold, atol=1e-4)
+    assert torch.equal(other.metallic, torch.zeros(1, 1, 1))
+    assert torch.allclose(other.base, plaster)
 
 
-def test_what_no_such_material_reflects_stays_in_range() -> None:
+def test_what_no_such_material_reflects_stays_in_range_and_is_kept() -> None:
     diffuse, specular = drawn(3, 32, 32), drawn(3, 32, 32).flip(0)
     for each in to_metallic(diffuse, specular):
         assert each.isfinite().all()
         assert each.min() >= 0
         assert each.max() <= 1
-
-
-def test_all_that_is_reflected_is_kept_where_nothing_clips() -> None:
+    # and where nothing clips, all that is reflected is kept
     diffuse, specular = 0.4 * drawn(3, 16, 16), DIELECTRIC + 0.4 * drawn(1, 16, 16)
     again = from_metallic(*to_metallic(diffuse, specular))
     assert torch.allclose(again[0] + again[1], diffuse + specular, atol=1e-12)

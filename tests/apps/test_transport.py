@@ -207,37 +207,31 @@ def test_a_table_is_the_flow_in_cells() -> None:
 
 
 def test_what_a_table_draws_has_the_density_that_it_says() -> None:
-    """Also as its numbers say: of 200,000 draws as many fall into each cell as its mass is, within 5 deviations."""
+    """Also as its numbers say: of 200,000 draws as many fall into each cell as its mass is, within 5 deviations.
+
+    So a guide leaves means over draws, over their density, as they are.
+    """
     theta = {key: value[0].float() for key, value in bent(FLOW).items()}
     table = table_of(FLOW, theta, places=4, cells=8)
     torch.manual_seed(0)
     count = 200_000
-    place = torch.tensor([0.6, 0.3]).expand(count, 2)
-    drawn, density = table.sample(place)
-    assert drawn.min() >= 0
-    assert drawn.max() < 1
-    torch.testing.assert_close(density, table.density(place, drawn))
-    cell = (drawn * 8).long()
-    seen = torch.bincount(cell[:, 0] * 8 + cell[:, 1], minlength=64) / count
-    mass = table.masses[1 * 4 + 2]
-    assert ((seen - mass).abs() < 5 * (mass / count).sqrt() + 1e-5).all()
-
-
-def test_a_guide_leaves_means_as_they_are() -> None:
-    """Of any function: the mean over draws, over their density, mixed with uniform ones, is that over the square."""
-    theta = {key: value[0].float() for key, value in bent(FLOW, seed=3).items()}
-    table = table_of(FLOW, theta, places=4, cells=8)
-    torch.manual_seed(1)
-    film = torch.rand(400_000, 2)
-    guided, density = table.sample(film)
-    uniform = torch.rand(100_000, 2)
-    all_densities = torch.cat([density, table.density(film[:100_000], uniform)])
-    share = 0.2  # of uniform ones
-    value = torch.cat([guided, uniform])
-    value = (6 * value[:, 0]).sin().square() * value[:, 1] / (share + (1 - share) * all_densities)
-    expected = (0.5 - math.sin(12) / 24) / 2
-    error = (0.8 * value[:400_000].var() / 500_000 + 0.2 * value[400_000:].var() / 500_000).sqrt()
-    assert abs(float(value.mean()) - expected) < 4 * float(error)
+    for x, y in ((0.6, 0.3), (0.1, 0.9)):
+        place = torch.tensor([x, y]).expand(count, 2)
+        drawn, density = table.sample(place)
+        assert drawn.min() >= 0
+        assert drawn.max() < 1
+        torch.testing.assert_close(density, table.density(place, drawn))
+        cell = (drawn * 8).long()
+        seen = torch.bincount(cell[:, 0] * 8 + cell[:, 1], minlength=64) / count
+        mass = table.masses[int(4 * y) * 4 + int(4 * x)]
+        torch.testing.assert_close(density, 64 * mass[cell[:, 0] * 8 + cell[:, 1]])
+        assert ((seen - mass).abs() < 5 * (mass / count).sqrt() + 1e-5).all()
+        within = drawn.double() * 8 % 1
+        eighths = torch.stack([torch.bincount((8 * each).long(), minlength=8) for each in within.T]) / count
+        assert ((eighths - 1 / 8).abs() < 5 * math.sqrt(1 / 8 / count)).all()
+    film = torch.rand(count, 2)
+    drawn, density = table.sample(film)
+    torch.testing.assert_close(density, table.density(film, drawn))
 
 
 # The application

@@ -106,12 +106,10 @@ def plain_weights(theta: Params) -> list[Tensor]:
     return [value.squeeze(-1) if key.startswith("b") else value for key, value in theta.items()]
 
 
-def learn2learn_step(theta: Params, inner: list[list[PlainBatch]], last: list[PlainBatch]) -> Callable[[], Any] | str:
-    """One second-order outer step of learn2learn's MetaSGD, or why there is none."""
-    try:
-        from learn2learn.algorithms import MetaSGD
-    except Exception as error:  # its import fails in many ways
-        return f"learn2learn: not installed ({type(error).__name__})"
+def learn2learn_step(theta: Params, inner: list[list[PlainBatch]], last: list[PlainBatch]) -> list[Callable[[], Any]]:
+    """One second-order outer step of learn2learn's MetaSGD."""
+    from learn2learn.algorithms import MetaSGD
+
     meta = MetaSGD(Network(plain_weights(theta)), lr=RATE)
 
     def step() -> tuple[Tensor, list[Tensor]]:
@@ -123,15 +121,13 @@ def learn2learn_step(theta: Params, inner: list[list[PlainBatch]], last: list[Pl
             total = total + learner(final) / TASKS
         return total, list(torch.autograd.grad(total, list(meta.parameters())))
 
-    return step
+    return [step]
 
 
-def torchopt_step(theta: Params, inner: list[list[PlainBatch]], last: list[PlainBatch]) -> Callable[[], Any] | str:
-    """One second-order outer step of TorchOpt's differentiable SGD, or why there is none."""
-    try:
-        import torchopt
-    except Exception as error:
-        return f"TorchOpt: not installed ({type(error).__name__})"
+def torchopt_step(theta: Params, inner: list[list[PlainBatch]], last: list[PlainBatch]) -> list[Callable[[], Any]]:
+    """One second-order outer step of TorchOpt's differentiable SGD."""
+    import torchopt
+
     net = Network(plain_weights(theta))
     optimiser = torchopt.MetaSGD(net, lr=RATE)
     start_net, start_state = torchopt.extract_state_dict(net), torchopt.extract_state_dict(optimiser)
@@ -147,18 +143,13 @@ def torchopt_step(theta: Params, inner: list[list[PlainBatch]], last: list[Plain
             torchopt.recover_state_dict(optimiser, start_state)
         return total, list(torch.autograd.grad(total, leaves))
 
-    return step
+    return [step]
 
 
-def jax_steps(
-    theta: Params, inner: list[list[PlainBatch]], last: list[PlainBatch]
-) -> tuple[Callable[[], Any], Callable[[], Any]] | str:
-    """JAX's second-order outer step and its adapting, or why there are none."""
-    try:
-        import jax
-        import jax.numpy as jnp
-    except Exception as error:
-        return f"JAX: not installed ({type(error).__name__})"
+def jax_steps(theta: Params, inner: list[list[PlainBatch]], last: list[PlainBatch]) -> list[Callable[[], Any]]:
+    """JAX's second-order outer step and its adapting."""
+    import jax
+    import jax.numpy as jnp
 
     def stacked(pick: Callable[[PlainBatch], Tensor]) -> Any:
         return jnp.asarray(torch.stack([torch.stack([pick(b) for b in batches]) for batches in inner]).numpy())
@@ -188,10 +179,10 @@ def jax_steps(
 
     train = jax.jit(jax.value_and_grad(outer, argnums=(0, 1)))
     adapt = jax.jit(jax.vmap(adapted, in_axes=(None, None, 0)))
-    return (
+    return [
         lambda: jax.block_until_ready(train(weights, rates, batches, final)),
         lambda: jax.block_until_ready(adapt(weights, rates, batches)),
-    )
+    ]
 
 
 PEAK = """
@@ -318,7 +309,7 @@ def bench_brdf() -> None:
 
     (value_a, grads_a), (value, grads) = plain(), ours(FASTEST)()
     away = max(float((a - b.reshape(a.shape)).norm() / a.norm()) for a, b in zip(grads_a, grads, strict=True))
-    peak, by_jax = limit(), jax_steps(theta, plain_inner, plain_last)
+    peak = limit()
     print(f"\nBRDF network, {TASKS} tasks, {STEPS} steps of {SAMPLES} samples; CPU seconds, one thread")
     print(f"  loss (a) {float(value_a):.7f}, metapp {float(value):.7f}; gradients differ by {away:.0e} of their norm")
     least = 1e3 * TASKS * STEPS * SAMPLES * 2 * 1764 / (peak * 1e9)
@@ -332,18 +323,22 @@ def bench_brdf() -> None:
         name: ours(FASTEST),
         default: ours(FASTEST, "default"),
     }
-    for title, library in (("learn2learn MetaSGD", learn2learn_step), ("TorchOpt MetaSGD, one rate", torchopt_step)):
-        step = library(theta, plain_inner, plain_last)
-        if isinstance(step, str):
-            print(f"  (b) {step}")
+    adapting: dict[str, Callable[[], Any]] = {}
+    libraries: dict[str, Callable[..., Any]] = {
+        "(b) learn2learn MetaSGD": learn2learn_step,
+        "(b) TorchOpt MetaSGD, one rate": torchopt_step,
+        "(c) JAX, compiled": jax_steps,
+    }
+    for title, library in libraries.items():
+        try:
+            made = library(theta, plain_inner, plain_last)
+        except Exception as error:  # imports fail in many ways
+            print(f"  {title}: not installed ({type(error).__name__})")
             continue
-        print(f"  (b) {title}: loss {float(step()[0]):.7f}")
-        contestants[f"(b) {title}"] = step
-    if isinstance(by_jax, str):
-        print(f"  (c) {by_jax}")
-    else:
-        print(f"  (c) JAX: loss {float(by_jax[0]()[0]):.7f}")
-        contestants["(c) JAX, compiled"] = by_jax[0]
+        contestants[title], *others = made
+        if others:
+            adapting[title] = others[0]
+        print(f"  {title}: loss {float(contestants[title]()[0]):.7f}")
     show("second-order training step", medians(contestants), {name: 11, default: 8})
     contestants = {
         "(a) plain loop, one by one": plain_one_by_one(False),
@@ -354,9 +349,8 @@ def bench_brdf() -> None:
         name: adapt(FASTEST),
         default: adapt(FASTEST, "default"),
         f"one fit alone, {DEFAULT}": adapt(FASTEST, "default", tasks=1),
+        **adapting,
     }
-    if not isinstance(by_jax, str):
-        contestants["(c) JAX, compiled"] = by_jax[1]
     show("adapting, no meta-gradient", medians(contestants), {name: 11, default: 8})
     remember({"gflops": round(peak, 1), "ms": figures})
 

@@ -8,6 +8,8 @@ from typing import Any
 
 import pytest
 
+from tests.needs_mitsuba import skip_without_mitsuba
+
 SYNTHETIC = 10  # materials, two of them to be fitted
 
 
@@ -29,6 +31,7 @@ def fits(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
 @pytest.fixture
 def mi() -> Iterator[Any]:
     """Mitsuba with the plugins, in the variant llvm_ad_rgb; as it was afterwards."""
+    skip_without_mitsuba()
     import mitsuba
 
     import metapp.mitsuba  # noqa: F401  (registers the plugins)

@@ -44,7 +44,7 @@ from metapp.rendering.guide_prior import (
 from metapp.rendering.scene_loading import load_scene
 from metapp.rendering.variant import load_mitsuba
 from metapp.storage.records import save_checkpoint
-from tests.needs_mitsuba import needs_mitsuba
+from tests.needs_mitsuba import needs_mitsuba, skip_without_mitsuba
 
 HALF = GRID // 2
 HITS = (1, 4, BINS)
@@ -86,10 +86,7 @@ def test_with_many_paths_moments_are_means_however_they_were_sampled() -> None:
     expected = 1 + weights(len(VOXELS)).reshape(-1, SIDE, SIDE)
     counts = torch.full_like(expected, 1e6)
     assert torch.allclose(second_moments(expected * counts, counts, VOXELS), expected, rtol=1e-3)
-
-
-def test_without_paths_moments_are_the_expected_ones() -> None:
-    expected, nothing = weights(3).reshape(-1, SIDE, SIDE), torch.zeros(3, SIDE, SIDE, dtype=torch.float64)
+    nothing = torch.zeros_like(expected)  # and without paths the expected ones
     torch.testing.assert_close(shrunk(nothing, nothing, expected), expected)
 
 
@@ -111,15 +108,16 @@ def test_voxels_without_paths_get_the_moments_of_those_around_them_of_their_axis
     assert torch.allclose(second_moments(squares, counts, VOXELS)[5], shapes[1], rtol=0.05, atol=1e-3)
 
 
-def empty() -> Any:
+def empty(low: tuple[float, ...] = (-1, -1, -1), high: tuple[float, ...] = (1, 1, 1)) -> Any:
     from metapp.rendering.guide_cache import GuideCache
 
-    return GuideCache([-1, -1, -1], [1, 1, 1])
+    return GuideCache(list(low), list(high))
 
 
 @pytest.fixture(scope="module")
 def cache() -> Any:
     """One that has learned of weights in its first entries, of which the last few were hardly visited."""
+    skip_without_mitsuba()
     mi, made = load_mitsuba(), empty()
     sums = torch.zeros(ENTRIES, BINS, 2, dtype=torch.float64)
     sums[:7, :, 0], sums[:7, :, 1] = 1e3 * weights(7), 1e3
@@ -130,7 +128,6 @@ def cache() -> Any:
     return made
 
 
-@needs_mitsuba
 def test_what_is_added_is_the_second_moment_and_the_count_of_uniform_paths(mi: Any) -> None:
     made = empty()
     for _ in range(2):
@@ -141,7 +138,6 @@ def test_what_is_added_is_the_second_moment_and_the_count_of_uniform_paths(mi: A
     assert (float(squares.sum()), float(counts.sum())) == (72, 0.5)
 
 
-@needs_mitsuba
 def test_entries_of_few_paths_share_the_row_of_those_around_them(cache: Any) -> None:
     rows = cache.rows.numpy()
     assert len(set(rows[:5])) == 5
@@ -153,7 +149,6 @@ def test_entries_of_few_paths_share_the_row_of_those_around_them(cache: Any) -> 
     assert (beyond == 0).all()
 
 
-@needs_mitsuba
 def test_of_nothing_nothing_is_learned(mi: Any) -> None:
     nothing = empty()
     assert nothing.learn() == 0
@@ -161,7 +156,6 @@ def test_of_nothing_nothing_is_learned(mi: Any) -> None:
     assert (nothing.density(mi.UInt32(0), mi.UInt32(5), mi.Bool(True)).numpy() == 1).all()
 
 
-@needs_mitsuba
 @pytest.mark.parametrize("entry", [4, 6, 1000])
 def test_directions_are_sampled_as_densely_as_it_says(mi: Any, cache: Any, entry: int) -> None:
     count = 200_000
@@ -189,7 +183,6 @@ def test_directions_are_sampled_as_densely_as_it_says(mi: Any, cache: Any, entry
         assert ((eighths - count / 8) ** 2 / (count / 8)).sum() < 7 + 5 * np.sqrt(14)
 
 
-@needs_mitsuba
 def test_entries_are_voxels_and_sides(mi: Any, cache: Any) -> None:
     rng = np.random.default_rng(1)
     points, normals = rng.uniform(-1.2, 1.2, (2, 3, 5000)).astype(np.float32)
@@ -315,10 +308,9 @@ def test_the_prior_that_ships_lowers_the_noise(monkeypatch: pytest.MonkeyPatch) 
 def test_a_survey_finds_how_far_away_things_are() -> None:
     room = random_room("lamps", 1)
     scene = load_scene({key: value for key, value in room.items() if not key.startswith("sphere")})[1]
-    from metapp.rendering.guide_cache import GuideCache
     from metapp.rendering.guide_survey import survey
 
-    cache = GuideCache([-1.01, -1.01, -1.01], [1.01, 1.01, 1.01])
+    cache = empty(3 * (-1.01,), 3 * (1.01,))
     surveyed, luminance = survey(tracer(), scene, scene.sensors()[0], cache, 3, features=True)
     assert surveyed is not None
     assert luminance.shape == (128, 128)
@@ -348,11 +340,10 @@ def test_a_survey_weighs_emitters_and_turns_normals_to_the_ray(monkeypatch: pyte
         "board": {"type": "rectangle", "to_world": board, "bsdf": grey},
     })[1]  # fmt: skip
     from metapp.rendering import guide_survey
-    from metapp.rendering.guide_cache import GuideCache
 
     traced: list[FirstHits] = []
     monkeypatch.setattr(guide_survey, "features_of", lambda hits, *_: traced.append(hits))
-    cache = GuideCache([-1, -1, -0.1], [1, 1, 1.1])
+    cache = empty((-1, -1, -0.1), (1, 1, 1.1))
     surveyed, _ = guide_survey.survey(tracer(), scene, scene.sensors()[0], cache, 3, features=True)
     assert surveyed is not None
     entry, emitted = (values[:, :, (SIDE // 2) * SIDE + SIDE // 2] for values in (traced[0].entry, traced[0].emitted))
