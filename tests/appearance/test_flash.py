@@ -68,20 +68,17 @@ def test_texels_fill_the_patch_and_row_0_is_on_top() -> None:
     torch.testing.assert_close(y[:, 0], -x[0])
     wide = grid(4, 8)
     torch.testing.assert_close(wide[:, :, 2:6], grid(4, 4))  # the square in the middle of a photo is the patch
-
-
-def test_the_camera_sees_exactly_the_patch() -> None:
+    # the camera sees exactly the patch
     assert math.atan(1 / camera_distance()) == pytest.approx(math.pi / 8)
     assert camera().tolist() == pytest.approx([0, 0, camera_distance()])
 
 
-@pytest.mark.parametrize("periodic", [False, True])
-def test_normals_of_a_slope(periodic: bool) -> None:
+def test_normals_of_a_slope() -> None:
     x, y = grid(16, 16) * 8  # in texels
-    normal = normal_from_height((0.5 * x - 0.25 * y)[None], 2.0, periodic=periodic)
-    expected = torch.tensor([-1.0, 0.5, 1.0], dtype=torch.float64) / 1.5
-    inner = normal[:, 1:-1, 1:-1] if periodic else normal
-    torch.testing.assert_close(inner, expected[:, None, None].expand_as(inner))
+    expected = torch.tensor([-1.0, 0.5, 1.0], dtype=torch.float64)[:, None, None] / 1.5
+    for periodic, inner in ((False, slice(None)), (True, slice(1, -1))):
+        normal = normal_from_height((0.5 * x - 0.25 * y)[None], 2.0, periodic=periodic)[:, inner, inner]
+        torch.testing.assert_close(normal, expected.expand_as(normal))
 
 
 def test_statistics_of_halves() -> None:

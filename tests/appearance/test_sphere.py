@@ -39,6 +39,8 @@ def test_the_sphere_fills_its_picture_and_is_well_exposed(scene: SphereScene) ->
     assert inside.mean(-1).max().item() == pytest.approx(0.85, abs=1e-6)
     assert 0.4 < inside.mean() < 0.7
     assert (image[~scene.mask] == 0).all()
+    with pytest.raises(ValueError, match="4 pixels, expected at least 8"):
+        sphere_scene(4)
 
 
 def test_only_light_above_the_horizon_counts(scene: SphereScene) -> None:
@@ -88,11 +90,6 @@ def test_the_sky_integrates_lobes_of_any_width() -> None:
         albedo = rough_reflectance(torch.ones(1, dtype=torch.float64), alpha, torch.ones_like, kind)
         levels.append((weights * lobe).sum() / albedo.sum())
     assert max(levels) < 1.1 * min(levels)
-
-
-def test_a_sphere_of_too_few_pixels_is_an_error() -> None:
-    with pytest.raises(ValueError, match="4 pixels, expected at least 8"):
-        sphere_scene(4)
 
 
 def test_the_environment_lights_a_white_sphere_as_a_fine_sum_over_directions_does() -> None:

@@ -71,7 +71,7 @@ def exact(app: Illumination, tasks: Tasks, monkeypatch: pytest.MonkeyPatch) -> P
 # What the encoder sees
 
 
-def test_a_mirror_ball_is_unwrapped_to_the_map() -> None:
+def test_a_ball_is_unwrapped_to_the_map_that_it_mirrors_and_to_where_it_faces() -> None:
     # what a perfect mirror shows at a pixel is the map where it reflects the view
     size = 64
     centre = (torch.arange(size) + 0.5) * (2 / size) - 1
@@ -83,14 +83,9 @@ def test_a_mirror_ball_is_unwrapped_to_the_map() -> None:
     front = towards[2] > -0.6
     assert (seen - towards)[:, front].abs().max() < 0.12
     assert (seen - towards)[:, front].abs().mean() < 0.03  # it looks 3 % inside of where that is
-
-
-def test_what_faces_is_looked_up_where_it_faces() -> None:
-    size = 64
-    centre = (torch.arange(size) + 0.5) * (2 / size) - 1
-    normals = torch.stack([centre.expand(size, size), -centre[:, None].expand(size, size), torch.zeros(size, size)])
+    # what faces is looked up where it faces
+    normals = torch.stack([x, y, torch.zeros(size, size)])
     seen = unwrapped(0.5 * normals[None] + 0.5, 16, 32)[0, 3:6] * 2
-    towards = directions(16, 32)
     front = towards[2] > 0.1
     assert (seen - towards)[:2, front].abs().max() < 0.05
 
@@ -194,30 +189,23 @@ def test_turned_maps_have_the_light_of_the_map(app: Illumination, tasks: Tasks, 
     assert not torch.equal(made.data["photo"], tasks.data["photo"])
 
 
-def test_variants_are_the_maps_turned_and_mirrored(tasks: Tasks) -> None:
+def test_variants_are_the_maps_turned_and_mirrored_and_tinted(tasks: Tasks, rng: Generator) -> None:
     maps = tasks.data["map"]
     for found, original in zip(turned(maps, Generator().manual_seed(5)), maps, strict=True):
         candidates = [each.roll(turn, -1) for turn in range(16) for each in (original, original.flip(-1))]
         distances = [float((each - found).abs().mean()) for each in candidates]
         assert min(distances) == 0 < sorted(distances)[len(distances) // 2]
-
-
-def test_variants_are_tinted(tasks: Tasks, rng: Generator) -> None:
-    maps = tasks.data["map"]
+    # and tinted
     ratio = (tinted(maps, rng) / maps).flatten(2)
     torch.testing.assert_close(ratio, ratio[..., :1].expand_as(ratio))
     assert ratio[..., 0].std(1).min() > 0
 
 
-def test_some_variants_are_regraded(tasks: Tasks, rng: Generator) -> None:
+def test_some_variants_are_regraded_or_mixed(tasks: Tasks, rng: Generator) -> None:
     maps = tasks.data["map"].repeat(8, 1, 1, 1)
     power = (regraded(maps, rng).log() / maps.log()).flatten(1).median(1).values
     assert 6 < (power != 1).sum() < 26
     assert 0.7 < power.min() < power.max() < 1.4
-
-
-def test_some_variants_are_mixed(tasks: Tasks, rng: Generator) -> None:
-    maps = tasks.data["map"].repeat(8, 1, 1, 1)
     found = mixed(maps, rng)
     own, other = ((found - each).flatten(1).norm(dim=1) for each in (maps, maps.roll(1, 0)))
     torch.testing.assert_close(own + other, (maps - maps.roll(1, 0)).flatten(1).norm(dim=1))  # in between

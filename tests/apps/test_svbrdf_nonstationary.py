@@ -181,7 +181,7 @@ def test_gradients_of_the_flash_are_right() -> None:
     assert torch.autograd.gradcheck(lambda flash: photographed(maps, flash_of(flash)), (flash,))
 
 
-def test_gradients_of_the_maps_are_right(tasks: Tasks) -> None:
+def test_gradients_of_the_maps_are_right() -> None:
     field = field_of(6, hidden=4)._replace(code=2)
     app = SvbrdfNonstationary(MaterialSetup(field), "photo")
     theta = {key: value.double().requires_grad_() for key, value in app.init(Generator().manual_seed(0), 1).items()}

@@ -20,7 +20,6 @@ from metapp.learning.app import stack
 from metapp.learning.learn import MetaParameters
 from metapp.learning.recipe import Recipe
 from metapp.learning.task import Params, Task, Tasks
-from metapp.networks import layers as networks
 from metapp.networks.exemplar import JUDGED, ExemplarSetup
 from metapp.networks.generators import UNet
 from metapp.networks.presentation import TILED
@@ -247,10 +246,6 @@ def seams(made: Tensor) -> Tensor:
     return torch.stack(ratios)
 
 
-def without_circles(x: Tensor) -> Tensor:
-    return pad(x, (1, 1, 1, 1))
-
-
 @torch.no_grad()
 def large(app: Texture, theta: Params, count: int = 6) -> Tensor:
     """Pictures [T, count, 3, H, W], four times as high and wide as in training."""
@@ -277,15 +272,6 @@ def test_textures_tile_at_four_times_the_size(sources: list[Task], tasks: Tasks)
     one = [files({key: value[i] for key, value in theta.items()}, sources[i])["texture"].pixels for i in range(4)]
     mean = torch.stack([seams(made.permute(2, 0, 1)[None]) for made in one]).mean()
     assert 0.7 < mean < 1.4
-
-
-def test_without_circular_convolutions_textures_do_not_tile(tasks: Tasks, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The test above can fail."""
-    monkeypatch.setattr(networks, "tiled", without_circles)
-    app = tiny()
-    ratios = torch.stack([seams(made) for made in large(app, overfit(app, tasks, 80))])
-    assert (ratios > 1.4).float().mean() > 0.5
-    assert ratios.mean() > 1.6
 
 
 @pytest.mark.usefixtures("with_bfloat16")

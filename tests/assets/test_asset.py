@@ -49,15 +49,12 @@ def test_all_files_are_there_in_16_bits_and_described(asset: Path) -> None:
     assert told["provenance"] == PROVENANCE | {"rise": None}
 
 
-def test_what_was_fitted_comes_back_to_a_step(asset: Path) -> None:
+def test_what_was_fitted_comes_back_to_a_step_and_the_height_in_texture_widths(asset: Path) -> None:
     maps = rock().maps
-    assert (stored(file(asset, "specular")) - linear_to_srgb(maps.specular)).abs().max() < STEP
-    assert (stored(file(asset, "diffuse")) - linear_to_srgb(maps.diffuse)).abs().max() < STEP
+    for name in ("specular", "diffuse"):
+        assert (stored(file(asset, name)) - linear_to_srgb(getattr(maps, name))).abs().max() < STEP, name
     assert (stored(file(asset, "roughness")) - maps.roughness).abs().max() < STEP
     assert (stored(file(asset, "normal_gl")) * 2 - 1 - maps.normal).abs().max() < 2 * STEP
-
-
-def test_the_height_comes_back_in_texture_widths(asset: Path) -> None:
     told = json.loads((asset / "material.json").read_text(encoding="utf-8"))["files"]["rock_height.png"]
     height = told["offset"] + told["scale"] * stored(file(asset, "height"))
     expected = rock().height - rock().height.mean()

@@ -99,7 +99,7 @@ def test_the_rectangle_faces_its_viewer(tmp_path: Path, tiles: bool, wrap: int) 
     assert document["samplers"][0]["wrapS"] == wrap
 
 
-def test_blender_s_pictures_have_the_mean_f0_of_dielectrics(tmp_path: Path) -> None:
+def test_blender_s_pictures_have_the_f0_of_dielectrics_and_metals(tmp_path: Path) -> None:
     """Of what is no metal, F0 down to 0 and up to 0.08 is kept, but for its hue."""
     maps = rock().maps
     surface = rock()._replace(maps=maps._replace(specular=0.08 * maps.specular.clamp_max(0.49)))
@@ -110,9 +110,6 @@ def test_blender_s_pictures_have_the_mean_f0_of_dielectrics(tmp_path: Path) -> N
     assert not metallic.any()
     found = 0.08 * level * (1 - metallic) + srgb_to_linear(base) * metallic
     assert (found - surface.maps.specular.mean(0)).abs().max() < 1 / 65535
-
-
-def test_blender_s_pictures_keep_the_f0_of_metals(tmp_path: Path) -> None:
     base, metallic = torch.full((3, 8, 8), 0.8), torch.linspace(0, 1, 64).reshape(1, 8, 8)
     diffuse, specular = from_metallic(base, metallic)
     maps = rock(8).maps._replace(diffuse=diffuse, specular=specular)

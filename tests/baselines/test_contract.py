@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -22,10 +22,10 @@ from metapp.evaluation.figures import draw as draw_figure
 from metapp.evaluation.subject import Subject
 from metapp.evaluation.tables import load_table
 from metapp.evaluation.tables.baselines import baseline_cell, baseline_rows, picture_cells
-from metapp.learning.app import App, stack
+from metapp.learning.app import stack
 from metapp.learning.task import Task
 from metapp.runs.plan import plan
-from metapp.runs.reporter import Reporter, reporting
+from metapp.runs.reporter import Reporter
 from metapp.runs.request import Request
 from metapp.storage.records import RunFolder, read_theta
 from metapp.storage.shards import ShardWriter
@@ -33,10 +33,6 @@ from tests.quick import app_by
 
 PLACED = [(name, protocol) for name in app_names() for protocol in protocols_of(name) or ("",)]
 TRAIN, TEST = 6, 2
-
-
-def placed(name: str, protocol: str) -> App:
-    return app_by(name, protocol=protocol)
 
 
 def random_task(app: str, name: str, rng: Generator, angles: Tensor) -> Task:
@@ -90,7 +86,7 @@ def subject_of(data: Callable[[str], Path], tmp_path: Path, scene: Path) -> Call
 
 @pytest.mark.parametrize(("name", "protocol"), PLACED)
 def test_every_application_has_baselines_that_say_what_they_cannot_do(name: str, protocol: str) -> None:
-    baselines = baselines_of(placed(name, protocol))
+    baselines = baselines_of(app_by(name, protocol=protocol))
     assert baselines
     assert len({baseline.name for baseline in baselines}) == len(baselines)
     for baseline in baselines:
@@ -197,7 +193,7 @@ def test_notes_say_who_is_ahead(
     ("name", "lacked"), [("illumination", "map"), ("svbrdf_nonstationary", "maps"), ("transport", "held")]
 )
 def test_training_tasks_without_a_reference_are_passed_over(name: str, lacked: str, rng: Generator) -> None:
-    app = placed(name, (protocols_of(name) or ("",))[-1])
+    app = app_by(name, protocol=(protocols_of(name) or ("",))[-1])
     whole = [random_task(name, f"t{i}", rng, torch.zeros(0)) for i in range(3)]
     bare = [Task(task.name, {key: value for key, value in task.data.items() if key != lacked}) for task in whole]
     assert [task.name for task in Training(app, [*bare[:2], whole[2]]).holding(lacked).tasks] == ["t2"]
@@ -207,7 +203,7 @@ def test_training_tasks_without_a_reference_are_passed_over(name: str, lacked: s
 
 
 def test_a_task_without_a_reference_is_fitted_but_not_judged(rng: Generator) -> None:
-    app = placed("transport", "")
+    app = app_by("transport")
     scenes = [random_task("transport", f"t{i}", rng, torch.zeros(0)) for i in range(3)]
     prepared = baselines_of(app)[0].prepare(Training(app, scenes), Allowed(64, 1))
     bare = stack(app, [Task("bare", {key: value for key, value in scenes[0].data.items() if key != "held"})])
@@ -225,30 +221,16 @@ def test_the_plane_shows_baselines(subject_of: Callable[[str, str], Subject]) ->
     assert ", nearest " in drawn.caption
 
 
-class Hears(Reporter):
-    def __init__(self) -> None:
-        self.said: list[str] = []
-
-    def say(self, message: str) -> None:
-        self.said.append(message)
-
-
-@pytest.fixture
-def heard() -> Iterator[list[str]]:
-    reporter = Hears()
-    with reporting(reporter):
-        yield reporter.said
-
-
 def test_a_baseline_that_cannot_be_fitted_says_so_and_has_no_row_of_figures(
-    subject_of: Callable[[str, str], Subject], heard: list[str]
+    subject_of: Callable[[str, str], Subject], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    subject = subject_of("brdf", "")
+    subject, messages = subject_of("brdf", ""), []
+    monkeypatch.setattr(Reporter, "say", lambda _, message: messages.append(message))
     for task in subject.tasks:
         task.data["angles"] = task.data["angles"] + 0.01
     pca = baselines_of(subject.app)[0]
     run_cells([baseline_cell(subject, pca)], quiet=True)
-    assert any("pca_20" in line and "other angles" in line for line in heard)
+    assert any("pca_20" in line and "other angles" in line for line in messages)
     assert {row["paradigm"]: row["tasks"] for row in baseline_rows(subject)}["pca_20"] == 0
 
 
@@ -277,16 +259,13 @@ def test_the_nearest_training_task_of_itself_is_itself(data: Callable[[str], Pat
     """So that its error is 0, under every statistic that baselines compare."""
     angles = 0.6 * torch.rand(256, 3, generator=rng)
     for name, protocol in (("brdf", ""), ("texture", ""), ("svbrdf_stationary", "")):
-        app = placed(name, protocol)
+        app = app_by(name, protocol=protocol)
         tasks = [random_task(name, f"t{i}", rng, angles) for i in range(5)]
         (baseline,) = [baseline for baseline in baselines_of(app) if baseline.name == "nearest"]
         fitted = baseline.prepare(Training(app, tasks), Allowed(64, 1)).fit(stack(app, tasks[3:4]), rng, Allowed(64, 1))
         with torch.no_grad():
             assert app.errors_of(fitted.answer(), stack(app, tasks[3:4]))["error"].item() < 1e-5
         assert (fitted.numbers, fitted.size) == (1, 4)
-
-
-def test_nearest_takes_the_least_distance(rng: Generator) -> None:
     fit = nearest(lambda *_: torch.tensor([3.0, 1.0, 2.0]), lambda index: index)
     found: BaselineFit = fit(Any, rng, Allowed(1, 1))  # type: ignore[arg-type]
     assert found.answer() == 1

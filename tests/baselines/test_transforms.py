@@ -20,26 +20,15 @@ from metapp.baselines.illumination import (
     from_harmonics,
     haar,
     harmonics,
-    inverse_haar,
     largest,
     orders,
 )
 from metapp.learning.task import Tasks
 
-SHAPES = [(3, 32, 64), (1, 16, 16), (2, 1, 8), (1, 64, 4)]
-
 
 @pytest.fixture
 def numbers() -> np.random.Generator:
     return np.random.default_rng(0)
-
-
-@pytest.mark.parametrize("shape", SHAPES)
-def test_haar_has_an_inverse_and_keeps_energy(shape: tuple[int, ...], numbers: np.random.Generator) -> None:
-    pictures = numbers.normal(size=shape)
-    found = haar(pictures)
-    np.testing.assert_allclose(inverse_haar(found), pictures, atol=1e-12)
-    assert (found**2).sum() == pytest.approx((pictures**2).sum())  # Parseval
 
 
 def test_haar_of_a_constant_is_one_number_and_of_a_step_two() -> None:
@@ -52,9 +41,12 @@ def test_haar_of_a_constant_is_one_number_and_of_a_step_two() -> None:
         haar(np.zeros((1, 24, 64)))
 
 
+@pytest.mark.parametrize("shape", [(3, 32, 64), (1, 16, 16), (2, 1, 8), (1, 64, 4)])
 @pytest.mark.parametrize("transform", [HAAR, COSINES])
-def test_transforms_of_maps_keep_energy(transform: object, numbers: np.random.Generator) -> None:
-    pictures = numbers.normal(size=(3, 16, 32))
+def test_transforms_have_an_inverse_and_keep_energy(
+    transform: object, shape: tuple[int, ...], numbers: np.random.Generator
+) -> None:
+    pictures = numbers.normal(size=shape)
     found = transform.forward(pictures)  # type: ignore[attr-defined]
     assert (found**2).sum() == pytest.approx((pictures**2).sum())
     np.testing.assert_allclose(transform.inverse(found), pictures, atol=1e-12)  # type: ignore[attr-defined]

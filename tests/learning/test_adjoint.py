@@ -168,28 +168,6 @@ def test_finite_differences(rule: str, randn: Callable[..., Tensor]) -> None:
         torch.testing.assert_close(slope, (ahead - behind) / (2 * h), rtol=2e-5, atol=1e-8)
 
 
-@pytest.mark.parametrize("order", [1, 2])
-def test_quantities_of_the_loss(order: int, randn: Callable[..., Tensor]) -> None:
-    """What is named loss.* goes to the inner loss and to no other: a factor on it is a factor on the rate."""
-    (batch,) = parabolas(randn, 1)
-    phi = {"theta.x": randn(3), "alpha.rate": torch.full((1, TASKS), 0.05).double(), "alpha.loss.factor": randn(2)}
-    lifted = after_learning(PARABOLA, sgd, steps=2, order=order)
-
-    def by_factor(phi: Params) -> Tensor:
-        return lifted.value({**phi, "alpha.rate": phi["alpha.rate"][:, 0]}, ([batch] * 2, batch, None), {}).sum()
-
-    def by_rate(phi: Params) -> Tensor:
-        rate = phi["alpha.rate"][:, 0] * torch.exp(phi["alpha.loss.factor"])
-        return lifted.value({"theta.x": phi["theta.x"], "alpha.rate": rate}, ([batch] * 2, batch, None), {}).sum()
-
-    (value, grads), (expected, expected_grads) = value_and_grads(by_factor, phi), value_and_grads(by_rate, phi)
-    torch.testing.assert_close(value, expected)
-    if order == 1:  # which treats the gradient as a constant, its factor too
-        assert not grads.pop("alpha.loss.factor").any()
-        del expected_grads["alpha.loss.factor"]
-    assert_same(grads, expected_grads)
-
-
 def test_steps_beyond_the_last_quantities(randn: Callable[..., Tensor]) -> None:
     (batch,) = parabolas(randn, 1, tasks=1)
     rates, start = 0.1 * randn(2, 3), randn(3)

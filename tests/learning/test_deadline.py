@@ -53,21 +53,17 @@ def test_what_is_planned_ends_in_time(seconds: float) -> None:
     assert taken == 50 or (taken + 1) * STEP > 0.9 * (seconds - REST) - 1e-9
 
 
-def test_as_many_steps_as_taken_move_the_parameters() -> None:
-    clock = Timed(STEP)
-    deadline = Deadline(0.1, clock, PACE)
+@pytest.mark.parametrize(
+    ("step", "taken"), [(STEP, 8), (0.03, 3)], ids=["as in the pace", "slower, by the longest step of the pace"]
+)
+def test_as_many_steps_as_taken_move_the_parameters(step: float, taken: int) -> None:
+    """No step begins that would end too late."""
+    clock = Timed(step)
+    deadline = Deadline(0.1, clock, Pace(STEP, step, REST))
     theta = clock.descend(deadline, 50)
-    assert deadline.taken == [8]
-    assert float(theta["x"]) == 0.5**8
-
-
-def test_slower_steps_end_a_descent_before_its_plan() -> None:
-    """No step begins that would end too late by the longest step of the pace."""
-    clock = Timed(0.03)
-    deadline = Deadline(0.1, clock, Pace(STEP, 0.03, REST))
-    clock.descend(deadline, 50)
-    assert deadline.taken == [3]
-    assert clock.now == pytest.approx(0.09)
+    assert deadline.taken == [taken]
+    assert clock.now == pytest.approx(taken * step)
+    assert float(theta["x"]) == 0.5**taken
 
 
 def test_a_pace_is_measured_on_a_descent() -> None:

@@ -158,21 +158,13 @@ def failing(names: tuple[str, ...], at: int, bad: float) -> Loss:
     return Loss(draw, parabola)
 
 
-@pytest.mark.parametrize("bad", [math.nan, math.inf])
-def test_a_loss_that_is_not_finite_names_task_and_step(bad: float, tasks: Tasks, rng: Generator) -> None:
-    loss = failing(("glass",), 3, bad)
-    message = r"^glass: the loss is not finite at step 3; lower the learning rate or clip earlier\.$"
-    with pytest.raises(FloatingPointError, match=message):
-        last(checked(descend(zeros(tasks), sgd(rate(0.1)), tasks, loss, steps=10, rng=rng), every=1))
-
-
 @pytest.mark.parametrize(("every", "expected"), [(0, [0]), (1, list(range(10))), (4, [0, 4, 8, 9]), (50, [0, 9])])
 def test_which_steps_are_checked(every: int, expected: list[int]) -> None:
     """Counted from 0: every so many, and the last, unless it is the first alone."""
     for bad in range(10):
-        losses = [torch.tensor([math.nan if i == bad else 1.0]) for i in range(10)]
+        losses = [torch.tensor([(math.nan, math.inf)[bad % 2] if i == bad else 1.0]) for i in range(10)]
         descent = [Step(0, {}, {}), *(Step(i + 1, {}, {}, loss, ("felt",)) for i, loss in enumerate(losses))]
-        message = rf"^felt: the loss is not finite at step {bad};"
+        message = rf"^felt: the loss is not finite at step {bad}; lower the learning rate or clip earlier\.$"
         with pytest.raises(FloatingPointError, match=message) if bad in expected else nullcontext():
             last(checked(iter(descent), every))
 

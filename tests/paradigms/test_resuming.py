@@ -160,9 +160,13 @@ def cut(job: Job, tasks: Tasks, tmp_path: Path) -> Path:
     return checkpoint.path
 
 
+def reopened(cut: Path, **more: Any) -> TrainingCheckpoint:
+    return TrainingCheckpoint(cut.with_name("general.safetensors"), {**SETTINGS, **more})
+
+
 @ONE_APP
 def test_layouts_and_types_are_kept(cut: Path) -> None:
-    checkpoint = TrainingCheckpoint(cut.with_name("general.safetensors"), SETTINGS)
+    checkpoint = reopened(cut)
     progress = checkpoint.load()
     assert progress.outer is not None
     turned = torch.arange(6.0).reshape(2, 3).T
@@ -183,7 +187,7 @@ def test_layouts_and_types_are_kept(cut: Path) -> None:
 @ONE_APP
 def test_a_checkpoint_of_other_settings_is_put_aside(cut: Path) -> None:
     before = cut.read_bytes()
-    other = TrainingCheckpoint(cut.with_name("general.safetensors"), {**SETTINGS, "seed": 4, "more": 1})
+    other = reopened(cut, seed=4, more=1)
     with pytest.raises(ValueError, match=r"other settings \(more, seed\), put aside as general.training.aside"):
         other.load()
     assert cut.with_name("general.training.aside.safetensors").read_bytes() == before
@@ -203,11 +207,10 @@ def test_a_damaged_checkpoint_is_one_line(cut: Path) -> None:
     raw = cut.read_bytes()
     for each in damaged(raw):
         cut.write_bytes(each)
-        checkpoint = TrainingCheckpoint(cut.with_name("general.safetensors"), SETTINGS)
         with pytest.raises(ValueError, match="a damaged training checkpoint, put aside"):
-            checkpoint.load()
+            reopened(cut).load()
     cut.write_bytes(raw)
-    assert checkpoint.load().outer is not None
+    assert reopened(cut).load().outer is not None
 
 
 @ONE_APP
@@ -219,7 +222,7 @@ def test_a_full_disk_ends_no_training(
     def full(*_: Any) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    checkpoint = TrainingCheckpoint(cut.with_name("general.safetensors"), SETTINGS)
+    checkpoint = reopened(cut)
     checkpoint.seconds = 0.0
     with monkeypatch.context() as patch:
         patch.setattr(Path, "write_bytes", full)

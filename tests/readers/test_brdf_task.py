@@ -160,17 +160,14 @@ def test_conversions_and_fits_warn_once(metapp: Callable, tmp_path: Path, reflec
         assert "gold" in line
 
 
-def test_good_materials_are_not_warned_of(tmp_path: Path, neural_fits: Callable[[int], Path]) -> None:
+def test_absurd_values_are_warned_of_and_good_ones_not(tmp_path: Path, neural_fits: Callable[[int], Path]) -> None:
+    write_merl(tmp_path / "gold.binary", 1e30 * np.broadcast_to(SCALE, (*SHAPE, 3)))
+    with pytest.warns(UserWarning, match=r"gold.binary: reflectance of up to 1.11e\+27 /sr, expected at most 1e\+06"):
+        read_task(tmp_path / "gold.binary", samples=64)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         read_network(constant_network(tmp_path / "plaster", 0.25), samples=64)
         read_network(neural_fits(1) / "m0", samples=64)
-
-
-def test_a_merl_file_of_absurd_values_is_warned_of(tmp_path: Path) -> None:
-    write_merl(tmp_path / "gold.binary", 1e30 * np.broadcast_to(SCALE, (*SHAPE, 3)))
-    with pytest.warns(UserWarning, match=r"gold.binary: reflectance of up to 1.11e\+27 /sr, expected at most 1e\+06"):
-        read_task(tmp_path / "gold.binary", samples=64)
 
 
 def test_the_albedo_of_a_diffuse_surface_is_that_of_its_colour() -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import random
 from pathlib import Path
+from types import ModuleType
 
 import numpy as np
 import pytest
@@ -29,16 +30,23 @@ def splits_of(folder: Path) -> dict[str, str]:
     return {label.name: label.split for label in split_by_material(find_shown([folder])).values()}
 
 
-def test_a_task_is_named_by_material_and_image(tmp_path: Path) -> None:
-    path = write(tmp_path / "train_0231_IMG_0785.png", noise(40, 60))
-    task = flash.read_task(path, 40)
-    assert task.name == "0231_IMG_0785"
-    assert list(task.data) == list(flash.UNITS) == ["image"]
+@pytest.mark.parametrize(
+    ("reader", "file", "name"),
+    [(flash, "train_0231_IMG_0785.png", "0231_IMG_0785"), (photos, "old bark.v2.png", "old bark.v2")],
+)
+def test_a_task_is_named_by_its_file_and_holds_one_image(
+    reader: ModuleType, file: str, name: str, tmp_path: Path
+) -> None:
+    path = write(tmp_path / file, noise(40, 60))
+    task, large = reader.read_task(path, 40), reader.read_task(path).data["image"]
+    assert task.name == name
+    assert list(task.data) == list(reader.UNITS) == ["image"]
     assert torch.equal(task.data["image"], read_photo(path, 40))
-    assert flash.read_task(path).data["image"].shape == (3, 256, 256)
-    assert flash.recognises(tmp_path)
-    assert flash.recognises(path)
-    assert flash.find([tmp_path]) == ([path], [])
+    assert torch.equal(large, read_photo(path))
+    assert (large.shape, large.dtype) == ((3, 256, 256), torch.uint8)
+    assert reader.recognises(tmp_path)
+    assert reader.recognises(path)
+    assert reader.find([tmp_path]) == ([path], [])
 
 
 def test_the_material_follows_from_name_and_place(tmp_path: Path) -> None:
@@ -118,17 +126,6 @@ def test_a_photograph_found_twice_shows_one_material(tmp_path: Path) -> None:
     touch(tmp_path, "wood/a.jpg", "wood/b.jpg")
     for paths in ([tmp_path, tmp_path / "wood", tmp_path / "wood/a.jpg"], [tmp_path / "wood/a.jpg", tmp_path]):
         assert [each.group for each in find_shown(paths).values()] == ["wood", "wood"]
-
-
-def test_a_task_is_named_by_the_stem_and_holds_one_image(tmp_path: Path) -> None:
-    path = photograph(tmp_path / "old bark.v2.png")
-    task = photos.read_task(path)
-    assert task.name == "old bark.v2"
-    assert list(task.data) == list(photos.UNITS) == ["image"]
-    assert task.data["image"].shape == (3, 256, 256)
-    assert task.data["image"].dtype == torch.uint8
-    assert torch.equal(task.data["image"], read_photo(path))
-    assert photos.read_task(path, 40).data["image"].shape == (3, 40, 40)
 
 
 def test_images_and_folders_of_them_are_recognised_and_found(tmp_path: Path) -> None:

@@ -69,14 +69,12 @@ def test_worked_values(tmp_path: Path, kind: str) -> None:
 
 
 # 0.01 / g is alpha^2, the fourth power of the roughness
-@pytest.mark.parametrize(
-    ("gloss", "roughness"), [(0.0, 1.0), (0.004, 1.0), (0.2, 0.4729), (0.6, 0.3593), (1.0, 0.3162)]
-)
-def test_the_gloss_of_old_games_is_a_highlight(tmp_path: Path, gloss: float, roughness: float) -> None:
+def test_the_gloss_of_old_games_is_a_highlight(tmp_path: Path) -> None:
     write(tmp_path / "rock.png", 0.5)
     write(tmp_path / "rock_norm.png", UP)
-    write(tmp_path / "rock_gloss.png", [gloss] * 3)
-    assert values_of(tmp_path) == pytest.approx((LINEAR_HALF, roughness, 0.04), abs=1e-3)
+    for gloss, roughness in {0.0: 1.0, 0.004: 1.0, 0.2: 0.4729, 0.6: 0.3593, 1.0: 0.3162}.items():
+        write(tmp_path / "rock_gloss.png", [gloss] * 3)
+        assert values_of(tmp_path) == pytest.approx((LINEAR_HALF, roughness, 0.04), abs=1e-3), gloss
 
 
 @pytest.mark.parametrize(("kind", "suffix"), [("uint16", "png"), ("uint8", "tga"), ("uint8", "jpg"), ("half", "exr"),

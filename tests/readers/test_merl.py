@@ -88,7 +88,7 @@ def test_evaluate_is_exact_at_centres(merl_file: Path) -> None:
     np.testing.assert_allclose(merl_evaluate(smooth, angles).numpy(), smooth.reshape(-1, 3)[rows.numpy()], rtol=1e-5)
 
 
-def test_evaluate_a_linear_function() -> None:
+def test_evaluate_interpolates_wraps_phi_and_holds_the_ends() -> None:
     slopes = torch.tensor([[0.3, 0.1, 0.2], [0.0, 0.5, 0.1], [0.2, 0.2, 0.7]], dtype=torch.float64)
     table = (merl_centres().double() @ slopes + 0.4).numpy()
     # Within the outermost centres: beyond, the value is held, and phi_d goes round.
@@ -97,9 +97,6 @@ def test_evaluate_a_linear_function() -> None:
     angles = low + unit * (high - low)
     torch.testing.assert_close(merl_evaluate(table, angles), angles @ slopes + 0.4, rtol=0, atol=1e-6)
     torch.testing.assert_close(merl_evaluate(table, angles.float()), (angles @ slopes + 0.4).float(), rtol=0, atol=1e-5)
-
-
-def test_evaluate_wraps_phi_and_holds_the_ends() -> None:
     table = np.zeros((90, 90, 180, 3))
     table[0, 0, 0], table[0, 0, 179] = 1.0, 3.0
     angles = torch.tensor([[0.0, 0.0, 0.0], [0.0, 0.0, math.pi], [0.0, 0.0, math.pi / 360]], dtype=torch.float64)

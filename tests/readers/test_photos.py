@@ -329,10 +329,8 @@ def test_folders_are_searched_at_any_depth(tmp_path: Path) -> None:
     assert [line.split(":")[0].rpartition("/")[2] for line in skipped] == ["list.json", "notes.txt"]
     assert find_photos([tmp_path], expected=["list.json"])[1] == skipped[1:]
     assert find_photos([tmp_path / "notes.txt"]) == ([tmp_path / "notes.txt"], [])  # reading it says what is wrong
-    assert holds_photos(tmp_path)
-    assert holds_photos(tmp_path / "deep" / "picture")
-    assert not holds_photos(tmp_path / "notes.txt")
-    assert not holds_photos(tmp_path / "nothing")
+    for name, holds in {"": True, "deep/picture": True, "notes.txt": False, "nothing": False}.items():
+        assert holds_photos(tmp_path / name) == holds, name
 
 
 def test_what_cameras_and_phones_write_is_recognised_so_that_reading_explains(tmp_path: Path) -> None:
@@ -347,12 +345,9 @@ def test_what_cameras_and_phones_write_is_recognised_so_that_reading_explains(tm
     renamed = write(tmp_path / "e.jpg", noise(48, 48)).rename(tmp_path / "e.heic")  # and a suffix be wrong
     files, skipped = find_photos([tmp_path])
     assert files == [jpg, renamed]
-    assert [line.partition(",")[0] for line in skipped] == [
-        f"{tmp_path / 'a.dng'}: raw values of a camera",
-        f"{tmp_path / 'b.CR2'}: raw values of a camera",
-        f"{tmp_path / 'c.heic'}: a picture in HEIF or AVIF",
-        f"{tmp_path / 'd.HEIF'}: a picture in HEIF or AVIF",
-    ]
+    raw, heif = "raw values of a camera", "a picture in HEIF or AVIF"
+    whys = {"a.dng": raw, "b.CR2": raw, "c.heic": heif, "d.HEIF": heif}
+    assert [line.partition(",")[0] for line in skipped] == [f"{tmp_path / name}: {why}" for name, why in whys.items()]
 
 
 def test_a_folder_without_images_a_missing_path_and_a_bomb_are_refused(tmp_path: Path) -> None:

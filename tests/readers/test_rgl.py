@@ -74,17 +74,13 @@ def test_nodes_are_denser_at_grazing() -> None:
 
 
 @needs_mitsuba
+@pytest.mark.usefixtures("small_spheres")
 def test_what_is_read_is_what_was_written(file: Path, random_angles: Callable[..., Tensor]) -> None:
     angles = random_angles(2000)
     angles = angles[torch.minimum(cosines(angles).incident, cosines(angles).outgoing) > 0.1]
     found, expected = rgl.read_rgl(file)(angles), glossy(angles)
     assert found.shape == expected.shape
     assert float((found - expected).abs().mean() / expected.mean()) < 0.01
-
-
-@needs_mitsuba
-@pytest.mark.usefixtures("small_spheres")
-def test_a_task_of_a_file(file: Path) -> None:
     task = rgl.read_task(file, samples=256)
     assert (task.name, task.data["reflectance"].shape) == ("glossy", (256, 3))
     assert rgl.find([file.parent]) == ([file], [])

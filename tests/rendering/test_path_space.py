@@ -274,6 +274,9 @@ def test_a_picture_depends_on_the_seed_alone() -> None:
     assert first.dtype is torch.float32
     assert torch.equal(first, render(scene_of(scene_bytes(scene)), 4, 16, 7, sloped()))
     assert not torch.equal(first, render(scene, 4, 16, 8, sloped()))
+    for spp, size in ((0, 8), (1, 0)):
+        with pytest.raises(ValueError, match="expected 1 or more of both"):
+            render(scene, spp, size)
 
 
 @needs_mitsuba
@@ -285,10 +288,3 @@ def test_pixels_are_where_they_belong() -> None:
     light = torch.tensor(random_scene(1)["light"]["to_world"])[:3, 3]
     column = (0.5 + 0.5 * light[0] / ((3.9 - light[2]) * math.tan(math.radians(19)))) * 32
     assert abs(brightest % 32 - float(column)) < 6
-
-
-@needs_mitsuba
-@pytest.mark.parametrize(("spp", "size"), [(0, 8), (1, 0)])
-def test_empty_pictures_are_refused(spp: int, size: int) -> None:
-    with pytest.raises(ValueError, match="expected 1 or more of both"):
-        render(random_scene(0), spp, size)

@@ -336,14 +336,13 @@ def document(*parts: str) -> str:
     return f'<?xml version="1.0" encoding="utf-8"?>\n<scene version="3.0.0">\n{"".join(parts)}\n</scene>\n'
 
 
-def picture(path: Path, tmp_path: Path) -> Path:
+def picture(path: Path) -> None:
     import numpy as np
 
     mi = load_mitsuba()
     path.parent.mkdir(parents=True, exist_ok=True)
     values = np.linspace(0.2, 2, 8 * 16 * 3, dtype=np.float32).reshape(8, 16, 3)
     mi.Bitmap(values if path.suffix == ".exr" else (values * 100).astype(np.uint8)).write(str(path))
-    return path
 
 
 def test_a_cornell_box_of_fragments_and_meshes(tmp_path: Path) -> None:
@@ -391,8 +390,8 @@ def preview(*parts: str) -> str:
 
 
 def test_a_material_preview_under_a_map(tmp_path: Path) -> None:
-    picture(tmp_path / "textures" / "sky.exr", tmp_path)
-    picture(tmp_path / "textures" / "grid.png", tmp_path)
+    picture(tmp_path / "textures" / "sky.exr")
+    picture(tmp_path / "textures" / "grid.png")
     path = write(tmp_path / "preview.xml", preview())
     assert Tracer(read_scene(path)).brightest == pytest.approx(6, rel=0.01)  # 2 of the map, times its scale
     assert read_task(path, samples=64, held=16).data["image"].max() > 0.5
@@ -406,8 +405,8 @@ def test_a_material_preview_under_a_map(tmp_path: Path) -> None:
 
 def test_files_come_from_a_folder_that_the_user_names(tmp_path: Path, evil: Callable[[Path, str], Path]) -> None:
     data, scenes = tmp_path / "data", tmp_path / "scenes"
-    picture(data / "common" / "textures" / "sky.exr", tmp_path)
-    picture(data / "common" / "textures" / "grid.png", tmp_path)
+    picture(data / "common" / "textures" / "sky.exr")
+    picture(data / "common" / "textures" / "grid.png")
     named = write(scenes / "named.xml", preview('<path value="../data/common"/>'))
     with pytest.raises(ValueError, match=r"the <path> '\.\./data/common' outside.*: --scene-root .*/data/common$"):
         read_scene(named)

@@ -33,7 +33,7 @@ START = MetaParameters(
 )
 
 
-def test_start_round_trip(tmp_path: Path) -> None:
+def test_checkpoint_round_trip(tmp_path: Path) -> None:
     path, info = tmp_path / "new" / "start.safetensors", {"app": "brdf", "training": {"steps": 3}, "curve": [1.5, None]}
     save_checkpoint(path, START, info)
     start, said = load_checkpoint(path)
@@ -41,9 +41,6 @@ def test_start_round_trip(tmp_path: Path) -> None:
     for part, expected in zip(start, START, strict=True):
         torch.testing.assert_close(part, dict(expected), rtol=0, atol=0)  # of the same keys and types
     assert [file.name for file in path.parent.iterdir()] == ["start.safetensors"]
-
-
-def test_tensors_that_share_memory(tmp_path: Path) -> None:
     row = torch.arange(3.0)
     save_checkpoint(tmp_path / "s.safetensors", MetaParameters({"a": row.expand(2, 3), "b": row, "c": row[1:]}), {})
     start, _ = load_checkpoint(tmp_path / "s.safetensors")
@@ -186,9 +183,11 @@ def test_strange_lines_count_as_absent(tmp_path: Path) -> None:
 
 def test_a_task_that_runs_again_replaces_its_line_alone(tmp_path: Path) -> None:
     run = fit_folder(tmp_path)
-    run.add(record("gold", seconds=0.1) | {"error": 7.0}, THETA)
+    nan = {"ssim": float("nan"), "curve": [(1, float("inf"))]}  # JSON has no such numbers
+    run.add(record("gold", seconds=0.1) | {"error": 7.0} | nan, THETA)
     assert [(line["name"], line["error"]) for line in read_records(run.file)][1:] == [("gold", 7.0)]
     assert {name: line["error"] for name, line in run.finished().items()} == {"gold": 7.0, "tin": 0.5}
+    assert (run.finished()["gold"]["ssim"], run.finished()["gold"]["curve"]) == (None, [[1, None]])
 
 
 def test_parameters_are_there_before_their_record(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -284,13 +283,6 @@ def test_records_are_read_again_only_where_the_file_has_changed(
     run.add(record("zinc", seconds=0.1))
     assert len(run.finished()) == 3
     assert len(calls) == 2
-
-
-def test_numbers_that_json_lacks_become_none(tmp_path: Path) -> None:
-    run = RunFolder(tmp_path, {}, FIT)
-    run.add({"name": "gold", "error": 1.0, "seconds": 0.1, "ssim": float("nan"), "curve": [(1, float("inf"))]})
-    kept = run.finished()["gold"]
-    assert (kept["ssim"], kept["curve"]) == (None, [[1, None]])
 
 
 def test_damaged_parameters_are_one_line(tmp_path: Path) -> None:

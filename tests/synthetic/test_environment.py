@@ -313,14 +313,11 @@ def test_clear_skies_are_like_mitsubas(mitsuba: Any, elevation_deg: float, turbi
     assert 0.5 < our_share / their_share < 1.6
 
 
-def test_black_bodies_are_white_at_6500_kelvin_and_red_below() -> None:
+def test_black_bodies_and_suns_redden() -> None:
     np.testing.assert_allclose(glowing(6500), 1, atol=0.06)
     reds = [float(glowing(kelvin)[0] / glowing(kelvin)[2]) for kelvin in (1800, 2700, 3999, 4001, 6000, 12000)]
     assert reds == sorted(reds, reverse=True)
     assert luminance(glowing(2700)) == pytest.approx(1, rel=0.01)
-
-
-def test_the_sun_fades_to_the_horizon_and_in_haze() -> None:
     heights = [luminance(sun_irradiance(math.radians(angle), 3)) for angle in (-1, 0, 5, 20, 60)]
     assert heights == sorted(heights)
     assert heights[0] == 0

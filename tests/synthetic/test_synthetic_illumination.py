@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 from data_tools.draws import stream
-from data_tools.synthetic.illumination import FAMILIES, environment, white_balance
+from data_tools.synthetic.illumination import white_balance
 from metapp.appearance.latlong import luminance, mean_luminance, solid_angles
 from tests.synthetic.drawn import drawn
 
@@ -77,11 +77,3 @@ def test_cameras_take_away_strong_casts() -> None:
         gains = torch.from_numpy(white_balance(red, stream(seed)))
         seen = gains * torch.tensor([8.0, 1.0, 0.25])
         assert 0.4 < seen[0] / seen[2] < 2 ** (1.2 + 0.6) * 1.01
-
-
-@pytest.mark.parametrize("name", list(FAMILIES))
-def test_families_draw_without_fail(name: str) -> None:
-    for seed in range(2):
-        light = environment(FAMILIES[name], stream(7, seed), supersampling=1)
-        assert light.isfinite().all()
-        assert mean_luminance(light) > 1e-4

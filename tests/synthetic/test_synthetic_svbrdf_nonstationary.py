@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from pathlib import Path
-
 import numpy as np
 import pytest
 import torch
@@ -13,11 +10,9 @@ from torch import Tensor
 from data_tools.draws import stream
 from data_tools.synthetic.nonstationary.shapes import box, centred, disc, grid, star, text
 from data_tools.synthetic.nonstationary.surface import Surface, covers, distance, finish, lay, softened
-from data_tools.synthetic.svbrdf_nonstationary import FAMILIES, UNITS, held
+from data_tools.synthetic.svbrdf_nonstationary import held
 from metapp.appearance.colour import linear_to_srgb
 from metapp.appearance.flash import BESIDE_LENS, Maps, camera, positions, render, unpack
-from metapp.storage.manifest import read_manifest
-from metapp.storage.shards import check_shard, read_shard
 from tests.synthetic.drawn import drawn, least_distance
 
 
@@ -155,22 +150,3 @@ def test_shapes_measure_distances() -> None:
     assert 0 <= cells.cell.min() <= cells.cell.max() < cells.total
     ink = covers(text(stream(1), place, 0.9, 0.5, 3) * place.unit).mean()
     assert 0.03 < ink < 0.4
-
-
-@pytest.mark.parametrize("name", list(FAMILIES))
-def test_families_draw_without_fail(name: str) -> None:
-    for seed in range(3):
-        maps = finish(FAMILIES[name](stream(7, seed), 64))
-        assert maps.shape == (10, 64, 64)
-        assert maps.isfinite().all()
-
-
-def test_the_command_writes_the_set(metapp: Callable, tmp_path: Path) -> None:
-    result = metapp("data", "synth", "svbrdf_nonstationary", "--count", "8", "--out", tmp_path, "--json")
-    assert result.code == 0
-    assert (len(result.document["train"]), len(result.document["test"])) == (7, 1)
-    assert check_shard(tmp_path) == []
-    manifest = read_manifest(tmp_path)
-    assert (manifest.app, manifest.units) == ("svbrdf_nonstationary", UNITS)
-    (task,) = read_shard(tmp_path, "test", "svbrdf_nonstationary")
-    assert task.name == "inlay-t000"

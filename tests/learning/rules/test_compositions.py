@@ -49,14 +49,13 @@ def test_a_rule_has_one_step_whatever_its_hyperparameters() -> None:
     assert one != rule_of("adam").rule({}).step
 
 
-def test_a_composition_that_has_a_name_goes_by_it() -> None:
+def test_every_name_names_its_own_rule() -> None:
+    """And a composition that has a name goes by it."""
     assert rule_of("loss+betas+rates").name == "meta-adam"
     assert rule_of("meta-adam+curvature").name == "meta-curvature"
     assert rule_of("betas+rates+average+curvature").name == "adam+curvature+average"
     assert rule_of("sgd+curvature").name == "sgd+curvature"
-
-
-def test_every_name_names_its_own_rule() -> None:
+    assert rule_of("solve+loss").name == "ridge"
     for name, rule in RULES.items():
         assert rule.name == name
         assert rule_of(name) is rule
@@ -82,6 +81,7 @@ def test_unknown_names_are_refused(name: str) -> None:
         ("betas+curvature", "rule 'betas+curvature': no part for rates, expected one of sgd, rates, shared, solve"),
         ("adam+sgd", "rule 'adam+sgd': sgd and rates for rates, expected one of sgd, rates, shared, solve"),
         ("adam+tied", "rates and shared for rates"),
+        ("adam+solve", "rates and solve for rates"),
         ("sgd+eps", "rule 'sgd+eps': eps says nothing by itself, expected betas beside it"),
         ("sgd+pace", "rule 'sgd+pace': pace says nothing by itself, expected rates or shared beside it"),
     ],

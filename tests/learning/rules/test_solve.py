@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -63,9 +64,9 @@ def batches(randn: Callable[..., Tensor]) -> list[Batch]:
     ]
 
 
-def alpha_of(theta: Params, keep: float = 40.0) -> Params:
+def alpha_of(theta: Params, keep: float = 40.0, penalties: tuple[float, float] = (-3.0, 1.0)) -> Params:
     """Penalties that differ, of all tasks; `keep` of 40 keeps all samples."""
-    penalty = torch.linspace(-3, 1, FEATURES, dtype=torch.float64)
+    penalty = torch.linspace(*penalties, FEATURES, dtype=torch.float64)
     alpha = {"penalty.W": penalty[None], "keep.W": torch.full((STEPS,), keep, dtype=torch.float64)}
     return spread(alpha, len(theta["W"]), 1)
 
@@ -83,10 +84,15 @@ def ridge(theta: Params, batches: list[Batch], penalty: Tensor) -> Tensor:
 
 
 def test_steps_add_up_to_ridge_regression_on_all_samples(theta: Params, batches: list[Batch]) -> None:
+    """And plain fits take the same steps."""
     alpha = alpha_of(theta)
     final = learn_through(theta, SOLVE.rule(alpha), batches, LOSS, order=2)
     torch.testing.assert_close(final["W"], ridge(theta, batches, alpha["penalty.W"][0, 0]))
     assert torch.equal(final["scale"], theta["scale"])
+    supply = iter(batches)
+    loss = replace(LOSS, draw=lambda data, rng, done: Drawn((), next(supply)))
+    plain = learn(theta, SOLVE.rule(alpha), None, loss, steps=STEPS, rng=Generator())
+    assert torch.equal(plain["W"], final["W"])
 
 
 def test_a_step_that_keeps_nothing_solves_for_its_own_samples(theta: Params, batches: list[Batch]) -> None:
@@ -97,17 +103,9 @@ def test_a_step_that_keeps_nothing_solves_for_its_own_samples(theta: Params, bat
     torch.testing.assert_close(final["W"], ridge(before, batches[-1:], alpha["penalty.W"][0, 0]))
 
 
-def test_plain_fits_take_the_same_steps(theta: Params, batches: list[Batch]) -> None:
-    given = iter(batches)
-    loss = replace(LOSS, draw=lambda data, rng, done: Drawn((), next(given)))
-    rule = SOLVE.rule(alpha_of(theta))
-    found = learn(theta, rule, None, loss, steps=STEPS, rng=Generator())
-    assert torch.equal(found["W"], learn_through(theta, rule, batches, LOSS, order=2)["W"])
-
-
 def test_the_gradient_of_the_solution_is_zero(theta: Params, batches: list[Batch]) -> None:
     """With the least penalty, the solution is where the loss is least."""
-    alpha = alpha_of(theta) | {"penalty.W": torch.full((1, TASKS, FEATURES), -99.0, dtype=torch.float64)}
+    alpha = alpha_of(theta, penalties=(-99.0, -99.0))
     final = learn_through(theta, SOLVE.rule(alpha), batches[:1], LOSS, order=2)
     w = final["W"].detach().requires_grad_()
     slope = torch.autograd.grad(value(theta | {"W": w}, batches[0], {}).sum(), w)[0]
@@ -135,10 +133,8 @@ def test_derivatives_through_the_solve_are_those_of_finite_differences(theta: Pa
 def test_penalties_are_bounded(theta: Params, batches: list[Batch]) -> None:
     """Training cannot take them to where the solve is ill-conditioned."""
     for far, bound in ((-99.0, LEAST), (99.0, GREATEST)):
-        ends = []
-        for penalty in (far, torch.tensor(bound, dtype=torch.float64).log().item()):
-            alpha = alpha_of(theta) | {"penalty.W": torch.full((1, TASKS, FEATURES), penalty, dtype=torch.float64)}
-            ends.append(learn_through(theta, SOLVE.rule(alpha), batches, LOSS, order=2)["W"])
+        alphas = (alpha_of(theta, penalties=(each, each)) for each in (far, math.log(bound)))
+        ends = [learn_through(theta, SOLVE.rule(alpha), batches, LOSS, order=2)["W"] for alpha in alphas]
         torch.testing.assert_close(*ends)
 
 
@@ -146,9 +142,3 @@ def test_before_training_all_features_have_one_penalty(theta: Params) -> None:
     alpha = PARTS["solve"].initial(Line(), {key: each[0] for key, each in theta.items()}, STEPS, Adam(1e-3))
     assert {key: tuple(each.shape) for key, each in alpha.items()} == {"penalty.W": (1, FEATURES), "keep.W": (STEPS,)}
     assert len(alpha["penalty.W"].unique()) == 1
-
-
-def test_it_moves_parameters_by_itself() -> None:
-    with pytest.raises(ValueError, match="rates and solve for rates"):
-        rule_of("adam+solve")
-    assert rule_of("solve+loss").name == "ridge"
