@@ -109,6 +109,11 @@ def test_smoothing_by_hand(theta: Params, batch: Batch) -> None:
     assert (smooth < APP.loss(theta, batch, {})).all()
 
 
+def test_no_smoothing_and_no_weights_give_the_plain_loss(theta: Params, batch: Batch) -> None:
+    learned = {"smoothing": torch.full((4,), math.log(1e-9)), "weights": torch.zeros(4, KNOTS)}
+    torch.testing.assert_close(APP.loss(theta, batch, learned), APP.loss(theta, batch, {}))
+
+
 def test_sample_weights_by_hand(theta: Params, batch: Batch, rng: Generator) -> None:
     knots = torch.randn(4, KNOTS, generator=rng)
     weighted = APP.loss(theta, batch, {"smoothing": torch.full((4,), -20.0), "weights": knots})
