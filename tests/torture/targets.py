@@ -242,7 +242,7 @@ TARGETS: dict[str, Target] = {
     "nbrdf": Target(seeds.networks, _read_nbrdf),
     "rgl": Target(seeds.rgl_files, _read_rgl),
     "gonio": Target(seeds.goniometer_files, _read_gonio),
-    "images": Target(seeds.photographs, functools.partial(_read_with, "images", "image", 32)),
+    "images": Target(seeds.photographs, functools.partial(_read_with, "photos", "image", 32)),
     "flash": Target(seeds.flash_photos, functools.partial(_read_with, "flash", "image", 32)),
     "strips": Target(seeds.strips, functools.partial(_read_with, "strips", "photo", 32)),
     "material_maps": Target(seeds.material_maps, _read_maps),
