@@ -8,6 +8,7 @@ from pathlib import Path
 
 from torch import Generator, Tensor
 
+from metapp.apps import recipes_of
 from metapp.learning.app import App
 from metapp.learning.learn import MetaParameters
 from metapp.learning.rules import rule_of
@@ -142,6 +143,7 @@ def _checkpoint_path(plan: Plan, name: str) -> Path:
         path = trained_path(plan, name)
         if path.is_file():
             return path
+        _say_other_recipe(plan, name, path)
     path = _shipped(plan, name)
     if path.is_file() and ships(plan.app.name, request.recipe):
         return path
@@ -149,6 +151,17 @@ def _checkpoint_path(plan: Plan, name: str) -> Path:
         f"{name_of(plan.app)} {name}, recipe {request.recipe}: no checkpoint, neither trained on this data nor "
         "shipped; train one with --train."
     )
+
+
+def _say_other_recipe(plan: Plan, name: str, path: Path) -> None:
+    """Warn that this data has such a checkpoint by another recipe, or that of its default rule; here there is none."""
+    for recipe, settings in recipes_of(plan.app.name, plan.app.protocol).items():
+        file = checkpoint_name(plan.app, settings.rule if name == plan.job.recipe.rule else name)
+        run = path.parent.name.replace(f"-{plan.request.recipe}-seed", f"-{recipe}-seed")
+        for folder in FOLDERS:
+            other = _of_app(plan) / folder / run / f"{file}.safetensors"
+            if recipe != plan.request.recipe and other.is_file():
+                say(f"warning: {other} is used with --recipe {recipe} alone; here the recipe is {plan.request.recipe}.")
 
 
 def _shipped(plan: Plan, name: str) -> Path:
