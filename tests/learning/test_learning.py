@@ -230,6 +230,19 @@ def test_after_learning_is_the_loss_after_learn(steps: int, phi: Params, tasks: 
     torch.testing.assert_close(lifted.value(phi, drawn.batch, {}), parabola(final, last, {}))
 
 
+def test_inner_steps_draw_by_the_share_of_inner_steps(tasks: Tasks, rng: Generator) -> None:
+    """And the outer loss draws from all of the data, however far the outer loop is."""
+    shares: list[float] = []
+
+    def draw(tasks: Tasks, rng: Generator, done: float) -> Drawn:
+        shares.append(done)
+        return EXACT.draw(tasks, rng, done)
+
+    lifted = after_learning(replace(EXACT, draw=draw), sgd, steps=4, order=1)
+    lifted.draw(tasks, rng, 0.3)
+    assert shares == [0.0, 0.25, 0.5, 0.75, 1.0]
+
+
 def test_meta_is_learn_over_tasks_after_learning(phi: Params, tasks: Tasks, rng: Generator) -> None:
     """Alg. 3: on parabolas of one curvature the best start is the mean and the best rate the curvature's inverse."""
     lifted = over_tasks(after_learning(EXACT, sgd, steps=3, order=2), count=5)
