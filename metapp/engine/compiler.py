@@ -6,13 +6,14 @@ All of them are optional. Where there is no compiler, whoever asks for one compu
 from __future__ import annotations
 
 import functools
+import hashlib
 import os
 import shutil
-import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from metapp.storage.cache import cache_folder
+from metapp.storage.files import write_atomically
 
 if TYPE_CHECKING:
     from ctypes import CDLL
@@ -32,7 +33,7 @@ def load(source: Path) -> CDLL | None:
 
     try:
         path = cache_folder() / "native" / f"{source.stem}-{_key(source)}.so"
-        if not path.exists():
+        if not _is_whole(path):
             _compile(source, path)
         return ctypes.CDLL(str(path))
     except OSError:  # no compiler, a broken one, a folder that cannot be written, a file of another machine
@@ -47,8 +48,6 @@ def compiler() -> str | None:
 
 def _key(source: Path) -> str:
     """What a compiled source depends on: itself, the options, the CPU."""
-    import hashlib
-
     return hashlib.sha256("\0".join((source.read_text("utf-8"), *FLAGS, _cpu())).encode()).hexdigest()[:24]
 
 
@@ -64,8 +63,20 @@ def _cpu() -> str:
     return "\n".join([platform.machine(), *lasting])
 
 
+def _is_whole(path: Path) -> bool:
+    """Whether a library is as it was compiled: a truncated one would end the process at its first use."""
+    try:
+        return _digest_path(path).read_text("ascii") == hashlib.sha256(path.read_bytes()).hexdigest()
+    except (FileNotFoundError, UnicodeError):
+        return False
+
+
+def _digest_path(path: Path) -> Path:
+    return path.with_suffix(".sha256")
+
+
 def _compile(source: Path, path: Path) -> None:
-    """Compile a source, in one go with all who do so at the same time: the last one's file stays.
+    """Compile a source and keep its digest; of processes that do so at the same time the last one's file stays.
 
     Raises:
         OSError: there is no compiler, or it fails.
@@ -75,12 +86,14 @@ def _compile(source: Path, path: Path) -> None:
     command = compiler()
     if command is None:
         raise FileNotFoundError("no C compiler")
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(dir=path.parent, prefix=".partial-") as folder:
-        result = Path(folder) / path.name
-        arguments = [command, *FLAGS, str(source), "-o", str(result), "-lm"]
+
+    def write(partial: Path) -> None:
+        arguments = [command, *FLAGS, str(source), "-o", str(partial), "-lm"]
         try:
             subprocess.run(arguments, check=True, capture_output=True, timeout=SECONDS)
         except subprocess.SubprocessError as error:
             raise OSError(f"{command}: does not compile {source.name}") from error
-        os.replace(result, path)
+
+    write_atomically(path, write)
+    digest = hashlib.sha256(path.read_bytes()).hexdigest()
+    write_atomically(_digest_path(path), lambda partial: partial.write_text(digest, "ascii"))

@@ -1,0 +1,35 @@
+"""Compiled C sources in the cache folder: whole, or compiled anew."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+from metapp.engine.compiler import compiler, load
+
+
+@pytest.mark.skipif(compiler() is None, reason="no C compiler: apt-get install gcc libc6-dev")
+@pytest.mark.parametrize("damage", ["whole", "truncated", "a flipped bit", "no digest", "a digest that is no text"])
+def test_a_damaged_library_is_compiled_anew(damage: str, cache: Path, tmp_path: Path) -> None:
+    source = tmp_path / "seven.c"
+    source.write_text("int seven(void) { return 7; }\n")
+    if (child := os.fork()) == 0:  # the library is loaded elsewhere: damage to one that is loaded ends a process
+        os._exit(load.__wrapped__(source) is None)
+    assert os.waitpid(child, 0)[1] == 0
+    (library,), (digest,) = (list((cache / "native").glob(f"seven-*.{suffix}")) for suffix in ("so", "sha256"))
+    content, compiled_at = library.read_bytes(), library.stat().st_ino
+    if damage == "truncated":
+        os.truncate(library, len(content) // 2)
+    elif damage == "a flipped bit":
+        library.write_bytes(content[:-9] + bytes([content[-9] ^ 1]) + content[-8:])
+    elif damage == "no digest":
+        digest.unlink()
+    elif damage == "a digest that is no text":
+        digest.write_bytes(b"\xff" * 64)
+    functions = load.__wrapped__(source)
+    assert functions is not None
+    assert functions.seven() == 7
+    assert (library.stat().st_ino == compiled_at) == (damage == "whole")
+    assert sorted(path.suffix for path in (cache / "native").iterdir()) == [".sha256", ".so"]
