@@ -143,7 +143,7 @@ def _checkpoint_path(plan: Plan, name: str) -> Path:
         path = trained_path(plan, name)
         if path.is_file():
             return path
-        _say_other_recipe(plan, name, path)
+        _say_other_recipe(plan, name)
     path = _shipped(plan, name)
     if path.is_file() and ships(plan.app.name, request.recipe):
         return path
@@ -153,15 +153,13 @@ def _checkpoint_path(plan: Plan, name: str) -> Path:
     )
 
 
-def _say_other_recipe(plan: Plan, name: str, path: Path) -> None:
+def _say_other_recipe(plan: Plan, name: str) -> None:
     """Warn that this data has such a checkpoint by another recipe, or that of its default rule; here there is none."""
     for recipe, settings in recipes_of(plan.app.name, plan.app.protocol).items():
-        file = checkpoint_name(plan.app, settings.rule if name == plan.job.recipe.rule else name)
-        run = path.parent.name.replace(f"-{plan.request.recipe}-seed", f"-{recipe}-seed")
-        for folder in FOLDERS:
-            other = _of_app(plan) / folder / run / f"{file}.safetensors"
-            if recipe != plan.request.recipe and other.is_file():
-                say(f"warning: {other} is used with --recipe {recipe} alone; here the recipe is {plan.request.recipe}.")
+        by_other = replace(plan, request=replace(plan.request, recipe=recipe))
+        path = trained_path(by_other, settings.rule if name == plan.job.recipe.rule else name)
+        if recipe != plan.request.recipe and path.is_file():
+            say(f"warning: {path} is used with --recipe {recipe} alone; here the recipe is {plan.request.recipe}.")
 
 
 def _shipped(plan: Plan, name: str) -> Path:
