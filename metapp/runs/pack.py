@@ -19,7 +19,7 @@ from metapp.learning.task import Params, Task
 from metapp.paradigms import paradigms
 from metapp.runs.checkpoints import find_checkpoint
 from metapp.runs.plan import Plan
-from metapp.runs.recorded import plan_as, read_run, tasks_as
+from metapp.runs.recorded import ORIGIN, SETTINGS, plan_as, read_run, tasks_as
 from metapp.runs.reporter import progress, say
 from metapp.storage import Document
 from metapp.storage.packing import BITS, Pack, Steps, in_steps, opened_pack, write_pack
@@ -27,8 +27,8 @@ from metapp.storage.records import FIT, OPTIONAL, RunFolder, holds, read_theta, 
 
 GROWTH = 0.01  # of the mean error, at most, where the number of bits is chosen
 WITHOUT = 12  # bits where there is no error to choose by
-SETTINGS = {"app": str, "paradigm": str, "rule": str, "recipe": str, "data": str, "checkpoint": str}
-ABOUT = {"settings": SETTINGS, "bits": int, "records": [{**FIT, "name": str, "before": OPTIONAL}]}
+OF_FIT = {**SETTINGS, "paradigm": str, "rule": str, "checkpoint": str}
+ABOUT = {"settings": OF_FIT, "bits": range(BITS[0], BITS[1] + 1), "records": [{**FIT, "name": str, "before": OPTIONAL}]}
 
 
 class Packed(NamedTuple):
@@ -96,7 +96,7 @@ def pack(
     Raises:
         ValueError: no run, records of several, or another checkpoint than that of the fits.
     """
-    folder, records = read_run(run, {**FIT, "key": str, "settings": SETTINGS})
+    folder, records = read_run(run, {**FIT, "key": str, "settings": OF_FIT, "origin?": ORIGIN})
     if any(record["settings"] != records[0]["settings"] for record in records):
         raise ValueError(f"{run}: records of several runs, expected those of one; fit into another --out.")
     settings = records[0]["settings"]

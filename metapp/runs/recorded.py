@@ -16,9 +16,19 @@ from metapp.runs.inputs import SOURCED, data_folder, data_label, source_of, sour
 from metapp.runs.plan import Plan, plan
 from metapp.runs.request import Request
 from metapp.storage import Document
-from metapp.storage.records import FIT, holds, read_records
+from metapp.storage.records import FIT, NUMBER, holds, read_records
 
-FORM = {**FIT, "settings": {"app": str, "paradigm": str, "rule": str, "recipe": str, "data": str}}  # of a fit's record
+# what settings and origins of records hold: plans are made of them, and anybody may have written them
+SETTINGS = {
+    **{"app": str, "data": str, "recipe": str},
+    **{f"{name}?": str for name in ("paradigm", "rule", "observe", "checkpoint", "device", "precision", "peer")},
+    **{"seed?": range(1 << 63), "steps?": range(1 + 10**7), "versions?": {...: str}},
+}
+ORIGIN = {
+    **{f"{name}?": str for name in ("machine", "data", "checkpoint")},
+    **{"inputs?": [str], "roots?": [str], "fov_rad?": NUMBER},
+}
+FORM = {**FIT, "settings": {**SETTINGS, "paradigm": str, "rule": str}, "origin?": ORIGIN}  # of a fit's record
 
 
 class Recorded(NamedTuple):
@@ -67,7 +77,7 @@ def plan_as(settings: Document, origin: Document | None = None, **more: Any) -> 
     request = Request(
         settings["app"],
         settings.get("paradigm", "meta"),
-        rule=settings["rule"] if settings.get("paradigm") == "meta" else "",
+        rule=settings.get("rule", "") if settings.get("paradigm") == "meta" else "",
         recipe=settings["recipe"],
         observe=settings.get("observe", ""),
         quiet=True,

@@ -20,14 +20,17 @@ from metapp.runs.checkpoints import find_checkpoint
 from metapp.runs.fits import fit_tasks
 from metapp.runs.inputs import tasks_to_fit
 from metapp.runs.plan import Plan
-from metapp.runs.recorded import plan_as, read_run
+from metapp.runs.recorded import ORIGIN, SETTINGS, plan_as, read_run
 from metapp.runs.reporter import progress
 from metapp.runs.surroundings import machine, threads, threads_of
 from metapp.storage import Document
-from metapp.storage.records import OPTIONAL, finite, holds, read_theta
+from metapp.storage.records import NUMBER, OPTIONAL, finite, misfits, read_theta
 
 FORM = {"key": str, "settings": {"app": str}}
-FIT = {"error": OPTIONAL, "settings": {"data": str, "recipe": str, "seed": int}}
+FIT = {
+    **{"error": OPTIONAL, "seconds?": NUMBER, "threads?": range(1, 1025)},
+    **{"settings": {**SETTINGS, "seed": SETTINGS["seed?"]}, "origin?": ORIGIN},
+}
 ROUNDING = 1e-6  # relative: what the same machine, versions and threads may differ by
 ELSEWHERE = 0.01
 AROUND = ("versions", "device", "precision")  # settings that figures depend on by rounding, or by a device's draws
@@ -111,10 +114,19 @@ def rerun(record: Path, task: str, instead: Instead, tables: Tables, *, quiet: b
 def _repeated(folder: Path, records: list[Document], instead: Instead, tables: Tables) -> Iterator[Repeated]:
     """The rows of one run, which share their settings."""
     first = records[0]
-    if not holds(first, FIT):
+    if "study" in first["settings"] or "error" not in first:
         raise ValueError(_ALONE.format(first["name"], first["settings"].get("study", "no fit")))
+    for record in records:
+        place = next(misfits(record, FIT), None if record["settings"] == first["settings"] else ".settings")
+        if place is not None:
+            raise ValueError(
+                f"{folder / 'record.jsonl'}: record of {record['name']}: {place[1:]} is missing or not as metapp "
+                "writes it; take the run's folder from where it was made, or fit again."
+            )
     plan = _plan_of(folder, first, instead)
-    with threads(first.get("threads") or threads_of(plan.app)), _as_precise(first["settings"]):
+    # more threads than processors wait for each other, by minutes where a record says a thousand
+    count = min(first["threads"], os.cpu_count() or 1) if "threads" in first else threads_of(plan.app)
+    with threads(count), _as_precise(first["settings"]):
         repeat = _repeat(plan, first["settings"], tables)
         around = _changed(first, repeat.settings)
         around |= _differing({"machine": first.get("origin", {}).get("machine")}, {"machine": machine(plan.device)})

@@ -10,7 +10,7 @@ import statistics
 import sys
 import unicodedata
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -39,26 +39,43 @@ _RECORD = {"name": str, "key": str, "settings": dict}
 
 
 def holds(value: Any, form: Any) -> bool:
-    """Whether a JSON document has a form.
+    """Whether a JSON document has a form, as `misfits` reads it."""
+    return next(misfits(value, form), None) is None
 
-    A form is a type, or a union of several, of which numbers must be finite; a list of one form, that of all items; a
-    tuple of forms, one for each item of a list; a dictionary of the forms of those entries that must be there, where
-    `...` is the form of all.
+
+def misfits(value: Any, form: Any, place: str = "") -> Iterator[str]:
+    """The places of a JSON document, such as `.settings.seed`, that have not a form.
+
+    A form is a type, or a union of several, of which numbers must be finite; a range of whole numbers; a list of one
+    form, that of all items; a tuple of forms, one for each item of a list; a dictionary of the forms of those entries
+    that must be there, or, where `?` follows the name, may be; where `...` is the name, the form of all.
     """
-    if isinstance(form, dict):
-        if not isinstance(value, dict):
-            return False
+    if isinstance(form, dict) and isinstance(value, dict):
         if ... in form:
-            return all(holds(each, form[...]) for each in value.values())
-        return all(key in value and holds(value[key], each) for key, each in form.items())
-    if isinstance(form, list):
-        return isinstance(value, list) and all(holds(each, form[0]) for each in value)
-    if isinstance(form, tuple):
-        return (
-            isinstance(value, list)
-            and len(value) == len(form)
-            and all(holds(each, of) for each, of in zip(value, form, strict=True))
-        )
+            for key, each in value.items():
+                yield from misfits(each, form[...], f"{place}.{key}")
+            return
+        for key, of in form.items():
+            name = key.removesuffix("?")
+            if name in value:
+                yield from misfits(value[name], of, f"{place}.{name}")
+            elif name == key:
+                yield f"{place}.{name}"
+    elif isinstance(form, list | tuple) and isinstance(value, list):
+        forms = form if isinstance(form, tuple) else form * len(value)
+        if len(forms) != len(value):
+            yield place
+        else:
+            for i, (each, of) in enumerate(zip(value, forms, strict=True)):
+                yield from misfits(each, of, f"{place}.{i}")
+    elif isinstance(form, dict | list | tuple) or not _is(value, form):
+        yield place
+
+
+def _is(value: Any, form: Any) -> bool:
+    """Whether a value is of a type, finite if a number, or in a range."""
+    if isinstance(form, range):
+        return type(value) is int and value in form
     if isinstance(value, bool) or not isinstance(value, form):
         return False
     return not isinstance(value, int | float) or abs(value) <= sys.float_info.max

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import multiprocessing
 import warnings
 from pathlib import Path
@@ -21,7 +22,9 @@ from metapp.storage.records import (
     RunFolder,
     digest,
     file_name,
+    holds,
     load_checkpoint,
+    misfits,
     read_records,
     safe_name,
     save_checkpoint,
@@ -33,6 +36,26 @@ START = MetaParameters(
     {"rate.w1": torch.full((1, 2, 3), -1e-3), "beta1": torch.tensor([0.5, 0.25], dtype=torch.float64)},
     {"in.w": torch.ones(3, 2).T.requires_grad_()},
 )
+
+
+def test_places_that_have_not_a_form_are_named() -> None:
+    form = {"a": int, "b?": [str], "c": {...: float | None}, "d": (int, str), "e?": range(1, 4)}
+    good = {"a": 1, "c": {"x": 0.5, "y?": None}, "d": [1, "x"], "more": True}
+    assert holds(good, form)
+    assert holds(good | {"b": [], "e": 3}, form)
+    for change, place in (
+        *(({"a": value}, ".a") for value in (None, True, "1", 0.5, [1], {"a": 1})),
+        ({"b": ["x", 1]}, ".b.1"),
+        ({"b": None}, ".b"),
+        ({"c": {"y?": "x"}}, ".c.y?"),
+        *(({"c": {"x": value}}, ".c.x") for value in (math.nan, math.inf, 1, [])),
+        *(({"d": value}, ".d") for value in ([1], [1, "x", 2], {}, None)),
+        *(({"e": value}, ".e") for value in (0, 4, 2.0, True, 10**400, None)),
+    ):
+        assert list(misfits(good | change, form)) == [place], change
+    assert list(misfits({}, form)) == [".a", ".c", ".d"]
+    assert not holds(10**400, int | float)
+    assert list(misfits([], form)) == [""]
 
 
 def test_checkpoint_round_trip(tmp_path: Path) -> None:
