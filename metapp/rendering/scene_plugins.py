@@ -50,6 +50,11 @@ def check_plugin(kind: str) -> None:
     """
     if kind in _MEDIA:
         raise ValueError(f"a participating medium, '{kind}', expected surfaces alone; leave it out.")
+    if kind == "guided_path":
+        raise ValueError(
+            "an integrator 'guided_path', metapp's or that of Mueller et al. 2017 in public scenes, expected one of "
+            "Mitsuba's own: pictures choose theirs; leave it out."
+        )
     if kind not in _plugins() or kind in _MEMORY:
         raise ValueError(f"a plugin {kind[:60]!r}, expected one of Mitsuba's own; leave it out.")
 
