@@ -23,6 +23,7 @@ from metapp.storage import Document
 from metapp.storage.files import check_readable, named
 from metapp.storage.records import file_name, safe_name
 from metapp.storage.shards import fingerprint, read_shard
+from metapp.storage.text import as_text
 
 SOURCED = {"source": str, "stamp": str}  # what a record of a run of many inputs holds of its source
 
@@ -31,7 +32,7 @@ class Source(NamedTuple):
     """Something to fit, read when its turn comes.
 
     Attributes:
-        place: its path, or its name in a data set: what records know it by.
+        place: its path as text, or its name in a data set: what records know it by.
         read: -> the task; ValueError or OSError where it is damaged.
         stamp: changes when the file does; "" in a data set, whose content is part of the run's name.
         mark: what its task's name needs to be its own in a run, "" where nothing.
@@ -111,7 +112,9 @@ def sources_to_fit(app: App, request: Request) -> tuple[list[Source], str]:
     stems = collections.Counter(map(_stem, readers))
     stamp = functools.cache(_stamp)  # networks that share a folder share its stamp
     sources = [
-        Source(place, read, stamp(_stamped(Path(place))), "" if stems[_stem(place)] == 1 else f"-{_digest(place)}")
+        Source(
+            as_text(place), read, stamp(_stamped(Path(place))), "" if stems[_stem(place)] == 1 else f"-{_digest(place)}"
+        )
         for place, read in sorted(readers.items(), key=lambda item: item[0])
     ]
     roots = sorted(str(path.resolve()) for path in request.inputs)

@@ -55,7 +55,6 @@ def train_checkpoint(plan: Plan, steps: int | None, general: Checkpoint | None =
     """
     name, app, request = _name_of(plan), plan.app, plan.request
     path = trained_path(plan, name)
-    previous = path.with_suffix(".previous.safetensors")
     make_folder(path.parent)
     folder = data_folder(app, request.data, request.quiet)
     encoder = (general or general_of(plan, steps)).prepared if _needs_general(plan, name) else None
@@ -63,16 +62,14 @@ def train_checkpoint(plan: Plan, steps: int | None, general: Checkpoint | None =
     say(f"training {name_of(app)} {name} on {len(tasks)} tasks of {folder.name}, every eighth for validation")
     info = _about(plan, name, folder, encoder)
 
-    def keep(prepared: Prepared, file: Path) -> None:
+    def keep(prepared: Prepared, file: Path, previous: Path | None = None) -> None:
         # General's file holds the encoder that QuickFT is tuned for
         kept = prepared.phi._replace(encoder={}) if name == "quickft" else prepared.phi
-        replaced = previous if file == path else None
-        save_checkpoint(file, kept, describe(plan.job, name, prepared, steps) | info, replaced)
+        save_checkpoint(file, kept, describe(plan.job, name, prepared, steps) | info, previous)
 
     writes = ranks.number() == 0
     if writes:
-        for left in (path, previous):
-            remove_partial(left)
+        _remove_partial(path)
     else:
         ranks.wait()  # until rank 0 has looked at the file, and put it aside if need be
     checkpoint = TrainingCheckpoint(path, _settings(plan, name, steps, folder, encoder) | info, plan.device)
@@ -100,11 +97,22 @@ def train_checkpoint(plan: Plan, steps: int | None, general: Checkpoint | None =
             raise
     assert prepared is not None
     if writes:
-        keep(prepared, path)
+        keep(prepared, path, _previous(path))
         checkpoint.remove()
     ranks.wait()  # until the file is there, from which all go on
     say(f"{name}: validation error {prepared.validation:.3f} at step {prepared.step}; kept as {path}")
     return Trained(path, prepared, checkpoint.spent)
+
+
+def _previous(path: Path) -> Path:
+    """Where the checkpoint that is replaced is kept."""
+    return path.with_suffix(".previous.safetensors")
+
+
+def _remove_partial(path: Path) -> None:
+    """Remove what a kill left of a checkpoint, or of the one that it replaces."""
+    for file in (path, _previous(path)):
+        remove_partial(file)
 
 
 def general_of(plan: Plan, steps: int | None = None) -> Checkpoint:

@@ -24,6 +24,7 @@ from metapp.learning.task import Params
 from metapp.storage import Document
 from metapp.storage.files import append_line, locked, write_atomically
 from metapp.storage.tensors import opened_tensors, read_tensors
+from metapp.storage.text import as_text
 
 Record = Document  # of a task, a line of record.jsonl
 SCHEMA = 1
@@ -224,7 +225,7 @@ class RunFolder:
                 tensors = {key: value.detach().cpu().contiguous() for key, value in theta.items()}
                 write_atomically(self.params(record["name"]), lambda target: target.write_bytes(save(tensors)))
             whole = {**record, "key": self.key, "settings": self.settings, **self.origin}
-            line = json.dumps(finite(whole), allow_nan=False)
+            line = json.dumps(as_text(finite(whole)), allow_nan=False)
             append_line(self.file, line.encode(), lambda tail: _parsed(tail) is not None)
             with contextlib.suppress(OSError):  # the record is kept, whatever happens to replaced ones
                 self._remove_replaced()
@@ -276,7 +277,7 @@ def read_theta(folder: Path, task: str) -> dict[str, Tensor]:
 
 
 def _params(folder: Path, task: str) -> Path:
-    return folder / "params" / f"{file_name(task)}.safetensors"
+    return folder / "params" / f"{file_name(as_text(task))}.safetensors"
 
 
 def read_records(path: Path, form: Document | None = None) -> list[Document]:
@@ -292,7 +293,7 @@ def read_records(path: Path, form: Document | None = None) -> list[Document]:
     bad = []
     lines = path.read_bytes().split(b"\n") if path.is_file() else []
     for number, line in enumerate(lines, 1):
-        record = _parsed(line)
+        record = as_text(_parsed(line))
         if isinstance(record, dict) and isinstance(record.get("settings"), dict):
             record["settings"] = renamed(record["settings"])
         if holds(record, {"name": str, **(form or {})}):

@@ -30,6 +30,7 @@ from metapp.storage.records import (
     save_checkpoint,
     tensor_digest,
 )
+from metapp.storage.text import as_text
 
 START = MetaParameters(
     {"w1": torch.arange(6.0).reshape(2, 3)},
@@ -384,4 +385,6 @@ def test_names_are_made_safe_and_short(tmp_path: Path, name: str) -> None:
     run = RunFolder(tmp_path, {}, FIT)
     run.add(record(name, seconds=0.1), THETA)
     assert torch.equal(run.theta(name)["w"], THETA["w"])
-    assert list(run.finished()) == [name]
+    (text,) = run.finished()
+    assert text == as_text(name)
+    assert torch.equal(run.theta(text)["w"], THETA["w"])
