@@ -53,12 +53,22 @@ def harmonics(like: Tensor) -> Tensor:
 def high_passed(image: Tensor, side: int) -> Tensor:
     """Images [..., C, H, W] less the mean of their surroundings, a square of `side` px, an odd number; mean 0."""
     centred = image - image.mean((-1, -2), keepdim=True)
+    return centred - _around(centred, side)
+
+
+def flattened(photos: Tensor) -> Tensor:
+    """Photos [..., C, H, W] whose light falls off, as if all places were as bright as the mean."""
+    around = _around(photos, min(photos.shape[-2:]) // 4 | 1).clamp_min(0.02)
+    return photos * around.mean((-1, -2), keepdim=True) / around
+
+
+def _around(image: Tensor, side: int) -> Tensor:
+    """The mean of the surroundings of each px of images [..., H, W], a square of `side` px, an odd number."""
     border = min(side // 2, min(image.shape[-2:]) - 1)
-    around = pad(centred.reshape(-1, 1, *image.shape[-2:]), (border,) * 4, mode="reflect")
+    padded = pad(image.reshape(-1, 1, *image.shape[-2:]), (border,) * 4, mode="reflect")
     for window in ((2 * border + 1, 1), (1, 2 * border + 1)):
-        around = avg_pool2d(around, window, stride=1)
-    result: Tensor = centred - around.reshape(image.shape)
-    return result
+        padded = avg_pool2d(padded, window, stride=1)
+    return padded.reshape(image.shape)
 
 
 def autocorrelation(image: Tensor) -> Tensor:
@@ -135,7 +145,8 @@ def frequencies_of(vectors: Tensor) -> Tensor:
     if float(vectors[1].norm()) == 0:
         first = vectors[0] / (vectors[0] @ vectors[0]).clamp_min(1e-12)
         return torch.stack([first, torch.zeros_like(first)])
-    return torch.linalg.inv(vectors).T
+    inverse: Tensor = torch.linalg.inv(vectors)
+    return inverse.T
 
 
 class Periodic(NamedTuple):

@@ -12,7 +12,7 @@ from torch import Generator, Tensor
 from torch.nn.functional import avg_pool2d, interpolate, leaky_relu
 
 from metapp.appearance.features import channels_of, describe_features, describe_precision, load_features, moments
-from metapp.appearance.order import drawn, none_of, periodic_part, snapped
+from metapp.appearance.order import drawn, none_of, periodic_part, snapped, unlike
 from metapp.learning.app import App
 from metapp.learning.task import Batch, Params, Task, Tasks
 from metapp.networks.coded import encoder_of, with_decoder
@@ -21,6 +21,7 @@ from metapp.networks.generators import Pyramid, UNet
 HIDDEN = 128
 JUDGED = 4
 ORDER = ("lattice", "waves", "strength")  # of the periodic part, among the parameters
+DISORDER = 0.2  # its weight in the loss
 STRENGTH = 1.5  # root mean square, as the network gets it, of a periodic part that is all of a picture
 
 
@@ -155,7 +156,7 @@ class ExemplarApp(App):
     def basis(self, theta: Params, octave: int = 0) -> Tensor:
         """Basis frequencies [T, 1, 2, 2] of the exemplars' lattices, in cycles per texel of an octave."""
         lattice: Tensor = theta["lattice"].detach()[:, None]
-        return lattice * 2**octave
+        return lattice * (1 << octave)
 
     def periodic(self, theta: Params, noise: Tensor, octave: int = 0, *, tiles: bool = False) -> Tensor | None:
         """The periodic part [T, B, 3, H, W] of what is made of noise; None where the network is given none.
@@ -174,15 +175,26 @@ class ExemplarApp(App):
         offset = torch.special.ndtr(noise[:, :, 0, 0, :2]) * max(size)
         return drawn(snapped(basis, size) if tiles else basis, theta["waves"].detach()[:, None], size, offset)
 
-    def made(self, theta: Params, noise: Tensor, octave: int, periodic: Tensor | None) -> Tensor:
-        """What the network makes [T, B, outputs, H, W] of noise and, where it is given one, a periodic part."""
-        network = self.setup.at(octave)
+    def made(self, theta: Params, noise: Tensor, octave: int = 0, *, tiles: bool = False) -> Tensor:
+        """What the network makes of noise [T, B, outputs, H, W], before any range is imposed; arguments as above."""
+        network, periodic = self.setup.at(octave), self.periodic(theta, noise, octave, tiles=tiles)
         if periodic is None:
             return network(theta, noise)
         assert isinstance(network, Pyramid)
         power = theta["waves"].detach().square().sum((1, 2)).mean(-1) / 2
         gain = STRENGTH * theta["strength"].detach() / power.sqrt().clamp_min(1e-6)
         return network(theta, noise, gain[:, None, None, None, None] * periodic)
+
+    def disorder(self, theta: Params, noise: Tensor, octave: int, pictures: Tensor) -> Tensor:
+        """Part of the loss [T]: how far the order of pictures [T, B, 3, H, W] is from that of exemplars that have some.
+
+        0 where the network is not given the exemplar's periodic part.
+        """
+        periodic = self.periodic(theta, noise, octave)
+        if periodic is None:
+            return pictures.new_zeros(len(pictures))
+        strength: Tensor = DISORDER * theta["strength"].detach()
+        return strength * unlike(pictures, periodic, self.basis(theta, octave)).mean(1)
 
     def exemplar(self, images: Tensor, octave: int = 0) -> Tensor:
         """The part of square images [B, 3, S, S] that has the recipe's proportions, resampled to an octave's size."""

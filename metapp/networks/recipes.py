@@ -75,7 +75,7 @@ def pyramid(quick: Recipe, *, searched: Adam, tasks: int, prior: float = 0.0) ->
     """
     tuned = replace(quick.meta["meta-mean"], first=searched)
     taps = ("relu1_1", "relu2_1", "relu3_1", "relu4_1")
-    network = Pyramid(16, outputs=quick.setup.network.outputs, order=3)
+    network = Pyramid(16, outputs=quick.setup.network.outputs)
     return replace(
         quick,
         quickft=searched,

@@ -8,12 +8,10 @@ import torch
 from torch import Generator, Tensor
 
 from metapp.appearance.features import distance, gram
-from metapp.appearance.order import unlike
 from metapp.learning.task import Batch, Held, Params, Tasks
 from metapp.networks.exemplar import JUDGED, ExemplarApp
 
 SMALLEST_CROP = 0.5
-UNLIKE = 0.2  # weight in the loss of how far order is from the exemplar's
 
 
 class Texture(ExemplarApp):
@@ -31,7 +29,7 @@ class Texture(ExemplarApp):
 
     def generate(self, theta: Params, noise: Tensor, octave: int = 0, *, tiles: bool = False) -> Tensor:
         """Textures [T, B, 3, H, W], sRGB in [0, 1], from noise [T, B, C, H, W] of the size of an octave."""
-        return torch.sigmoid(self.made(theta, noise, octave, self.periodic(theta, noise, octave, tiles=tiles)))
+        return torch.sigmoid(self.made(theta, noise, octave, tiles=tiles))
 
     def sample(self, tasks: Tasks, rng: Generator, count: int) -> Batch:
         """`noise` for `count` textures of each task, and the exemplars' Gram matrices."""
@@ -44,12 +42,8 @@ class Texture(ExemplarApp):
     def loss(self, theta: Params, batch: Batch, learned: Params) -> Tensor:
         """Relative L1 distance of Gram matrices, [T], and how far the order is from the exemplar's if it has some."""
         octave, noise = self.octave(batch), batch["noise"]
-        periodic = self.periodic(theta, noise, octave)
-        images = torch.sigmoid(self.made(theta, noise, octave, periodic))
-        loss = self._distance(images, batch)
-        if periodic is None:
-            return loss
-        return loss + UNLIKE * theta["strength"].detach() * unlike(images, periodic, self.basis(theta, octave)).mean(1)
+        images = self.generate(theta, noise, octave)
+        return self._distance(images, batch) + self.disorder(theta, noise, octave, images)
 
     def _distance(self, images: Tensor, batch: Batch) -> Tensor:
         maps = self.features(images.flatten(0, 1), self.octave(batch))
@@ -61,7 +55,7 @@ class Texture(ExemplarApp):
         """On pictures from noise that no fit draws, the same for all."""
         rng = Generator(tasks.rows.device).manual_seed(0)
         noise = self.noise(rng, 1, JUDGED).expand(len(tasks), -1, -1, -1, -1)
-        return self.errors_of(self.generate(theta, noise), tasks)
+        return self.errors_of(self.generate(theta, noise, 0), tasks)
 
     @torch.no_grad()
     def errors_of(self, answer: Tensor, tasks: Tasks) -> dict[str, Tensor]:
