@@ -91,6 +91,16 @@ def test_a_trench_sees_what_its_walls_leave() -> None:
     assert abs(seen - exact) < 0.03
 
 
+@pytest.mark.parametrize("rows", [4, 64])
+def test_the_reach_of_occlusion_is_in_widths(rows: int) -> None:
+    """Of a wall, in a field of other height than width; columns farther from it than the reach are open."""
+    wall = torch.zeros(1, rows, 32)
+    wall[..., 24:] = 100
+    found = occlusion_from_height(wall, periodic=False, reach=0.25)[0, rows // 2]
+    assert (found[: 24 - 8 - 1] == 1).all()
+    assert (found[24 - 8 : 24] < 1).all()
+
+
 def test_occlusion_goes_on_at_the_other_edge_where_a_field_tiles() -> None:
     wall = torch.zeros(1, 16, 16)
     wall[..., 0] = 4
