@@ -56,6 +56,20 @@ def test_a_hill_in_a_frame_and_a_tilted_plane_are_found_where_nothing_tiles() ->
 
 
 @pytest.mark.parametrize("periodic", [True, False])
+@pytest.mark.parametrize("kept", [(48, 24), (24, 48)])
+def test_fields_need_not_be_square(kept: tuple[int, int], periodic: bool) -> None:
+    """Waves along the longer side alone, of which the other is a part."""
+    rows, columns = kept
+    x, y = (4 * math.pi * each / 48 for each in grid(48))
+    along, slope = (x, (1, 0)) if columns == 48 else (y, (0, 1))
+    step = 4 * math.pi / 48 * along.cos()
+    normal = normal_of(slope[0] * step, slope[1] * step)[:, :rows, :columns]
+    found = height_from_normal(normal, periodic=periodic)
+    assert found.shape == (1, rows, columns)
+    assert (found[0] - along.sin()[:rows, :columns]).abs().max() < (1e-9 if periodic else 0.2)
+
+
+@pytest.mark.parametrize("periodic", [True, False])
 def test_normals_of_smooth_heights_lead_back_to_them(periodic: bool) -> None:
     height, _ = waves(64)
     normal = normal_from_height(height[None], periodic=periodic)[0]
