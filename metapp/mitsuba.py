@@ -2,10 +2,10 @@
 
     {"type": "neural_brdf", "filename": "gold.safetensors"}
     {"type": "neural_svbrdf", "diffuse": TEXTURE, "specular": TEXTURE, "roughness": TEXTURE}
-    {"type": "guided_path", "max_depth": 8}
+    {"type": "metapp_guided_path", "max_depth": 8}
 
 The last is an integrator: Mitsuba's `path` with path guiding that it learns while it renders; see
-`metapp.rendering.guided_plugin`.
+`metapp.rendering.guided_plugin`. It is `guided_path`, too, unless a scene means that of Mueller et al. 2017.
 
 In XML: `<bsdf type="neural_brdf"><string name="filename" value="gold.safetensors"/></bsdf>`. The file is a fit of the
 BRDF application (`params/<task>.safetensors` of a run, or `Fit.save`), of either network, or a folder with an NBRDF

@@ -9,16 +9,15 @@ from __future__ import annotations
 import contextlib
 import importlib.util
 import io
-import os
-import re
 import warnings
 from collections.abc import Iterator
 from pathlib import Path
-from types import ModuleType
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+
+from metapp.storage.image_limits import check_memory, check_pixels, error_of, reason_of, silent
 
 if TYPE_CHECKING:
     import OpenImageIO as oiio
@@ -34,9 +33,6 @@ NAMED = (*SUFFIXES, *_RAW, *_HEIF)
 EXPECTED = "expected an image file, such as JPEG, PNG, TIFF or EXR"
 
 _MIN_SIDE = 32
-_MAX_PIXELS = 2**28
-_ALWAYS_BYTES, _MAX_RATIO = 2**26, 2000  # zlib packs 1032 to 1
-_REASON = 120  # characters of a library's message
 
 CONFIG = "ocio://default"  # a user's own, which the variable OCIO names, may know other spaces
 SRGB, LINEAR = "srgb_rec709_scene", "lin_rec709_scene"
@@ -74,24 +70,6 @@ def check_exists(path: Path) -> None:
     if not path.is_file():
         found = "a folder" if path.is_dir() else "no such file"
         raise ValueError(f"{path}: {found}, {EXPECTED}; check the path.")
-
-
-@contextlib.contextmanager
-def silent() -> Iterator[None]:
-    """Keep what libraries such as libpng write to standard error by themselves off the user's screen."""
-    try:
-        kept = os.dup(2)
-    except OSError:  # there is none
-        yield
-        return
-    nowhere = os.open(os.devnull, os.O_WRONLY)
-    try:
-        os.dup2(nowhere, 2)
-        yield
-    finally:
-        os.dup2(kept, 2)
-        os.close(kept)
-        os.close(nowhere)
 
 
 def opens(path: Path) -> bool:
@@ -141,36 +119,11 @@ def opened(path: Path) -> Iterator[oiio.ImageInput]:
             raise ValueError(f"{path}: holds text that is not UTF-8, {EXPECTED}; export it again.") from None
 
 
-def check_memory(spec: oiio.ImageSpec, path: Path) -> None:
-    """Refuse a small file that would take gigabytes: its header is damaged, or made for that."""
-    held = spec.image_bytes()
-    if held > max(_ALWAYS_BYTES, _MAX_RATIO * path.stat().st_size):
-        raise ValueError(
-            f"{path}: {spec.width}x{spec.height} px of {spec.nchannels} channels in {path.stat().st_size:,} bytes, "
-            "expected a whole image; copy or download it again."
-        )
-
-
-def error_of(source: oiio.ImageInput | ModuleType) -> str:
-    """What OpenImageIO, or an open file of its, says went wrong; "" for nothing."""
-    try:
-        return str(source.geterror())
-    except UnicodeDecodeError as error:  # it repeats bytes of the file
-        return error.object.decode("ascii", "replace")
-
-
 def to_export(path: Path) -> str:
     """The line about a camera's or phone's own form of pictures."""
     kind = "raw values of a camera" if path.suffix.lower() in _RAW else "a picture in HEIF or AVIF"
     remedy = "" if can_read() or not is_heif(path) else f", or read it as it is: {INSTALL}"
     return f"{path}: {kind}, {EXPECTED}; export it as JPEG or PNG{remedy}."
-
-
-def reason_of(message: str, path: Path) -> str:
-    """The first sentence of OpenImageIO's message, without the path, which the line has already."""
-    without = re.sub(rf'( for( file)?)? ?["(]?{re.escape(str(path))}[")]?( is\b)?', "", message)
-    first = next(iter(without.splitlines()), "").partition(". ")[0]
-    return "".join(c if c.isprintable() else "?" for c in first)[:_REASON].strip(" :.") or "unknown reason"
 
 
 def read_pixels(path: Path) -> Pixels:
@@ -227,8 +180,7 @@ def _read_heif(path: Path) -> Pixels:
 
 def _check_size(width: int, height: int, path: Path) -> None:
     found = f"{width}x{height} px"
-    if width * height > _MAX_PIXELS:
-        raise ValueError(f"{path}: {found}, expected {_MAX_PIXELS:,} px or fewer; scale it down.")
+    check_pixels(width, height, path)
     if min(width, height) < _MIN_SIDE:
         raise ValueError(f"{path}: {found}, expected {_MIN_SIDE} px or more on the short side; take a larger image.")
 

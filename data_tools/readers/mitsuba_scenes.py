@@ -13,6 +13,7 @@ from metapp.learning.task import Task
 from metapp.rendering.path_space import DIMENSIONS, Tracer, path_samples
 from metapp.rendering.scene_loading import checked
 from metapp.rendering.scene_rules import Places, SceneDict, read_text, scene_bytes
+from metapp.rendering.scene_trial import try_scene
 from metapp.rendering.variant import load_mitsuba
 from metapp.storage.manifest import MANIFEST
 
@@ -105,13 +106,16 @@ def read_task(
     Raises:
         ValueError: as `read_scene`, `load_scene` and `path_samples`, with the path.
     """
-    load_mitsuba()  # what keeps it from rendering is no fault of the scene
+    mi = load_mitsuba()  # what keeps it from rendering is no fault of the scene
     scene = read_scene(path, roots)
     seed = int.from_bytes(hashlib.sha256(path.stem.encode()).digest()[:7], "big")
     try:
+        try_scene(scene, mi.variant())
         return transport_task(path.stem, scene, seed, samples=samples, held=held, dimensions=dimensions)
     except ValueError as error:
-        raise ValueError(f"{path}: {error}") from None
+        reason = str(error)
+    # without the error, which would keep the scene alive: Dr.Jit traces the materials of all scenes that are
+    raise ValueError(f"{path}: {reason}")
 
 
 def read_scene(path: Path, roots: Iterable[Path] = ()) -> SceneDict:

@@ -170,21 +170,28 @@ def _locate(path: Path) -> tuple[Path, dict[str, Path]]:
     if path.is_file() or not folder.is_dir():
         found = "a file" if path.is_file() else "no such folder"
         raise ValueError(f"{path}: {found}, {_EXPECTED} in a folder; check the path.")
+    if only is not None:  # without a look at all files, of which a folder of many networks has six for each
+        own = {part: file for part in SHAPES if (file := folder / f"{only}_{part}.npy").is_file()}
+        if not own:
+            raise ValueError(f"{path}: no such folder, {_EXPECTED} in it, or {only}_fc1.npy, ...; check the path.")
+        return _whole(path, own)
     groups: dict[str, dict[str, Path]] = {}
     for file in sorted(folder.iterdir()):
         match = _FILE.fullmatch(file.name)
         if match and file.is_file():  # a pipe would be waited for
             groups.setdefault(match["name"] or "", {})[match["part"]] = file
-    if only is not None and only not in groups:
-        raise ValueError(f"{path}: no such folder, {_EXPECTED} in it, or {path.name}_fc1.npy, ...; check the path.")
-    if only is None and "" not in groups and len(groups) > 1:
+    if "" not in groups and len(groups) > 1:
         names = ", ".join(sorted(groups))
         raise ValueError(f"{folder}: {len(groups)} networks ({names}), expected one; name it: {folder / min(groups)}.")
-    name = only if only is not None else ("" if "" in groups or not groups else next(iter(groups)))
-    files = groups.get(name, {})
+    name = "" if "" in groups or not groups else next(iter(groups))
+    return _whole(folder / name, groups.get(name, {}))
+
+
+def _whole(network: Path, files: dict[str, Path]) -> tuple[Path, dict[str, Path]]:
+    """A network and its files, of which none may be missing."""
     if len(files) < len(SHAPES):
-        raise ValueError(_missing(folder / name, set(files)))
-    return folder / name, files
+        raise ValueError(_missing(network, set(files)))
+    return network, files
 
 
 def _missing(network: Path, parts: set[str]) -> str:

@@ -24,6 +24,7 @@ from rich.text import Text
 from metapp.runs import BadOption
 from metapp.runs.reporter import Bar, Clock, Reporter, duration, reporting
 from metapp.storage import Document
+from metapp.storage.text import as_text
 
 LONGEST = 300  # characters of an error or a warning
 
@@ -100,7 +101,7 @@ def print_json(document: Document) -> None:
     """
     if isinstance(sys.stdout, _Closed):
         raise ValueError("standard output: closed, expected an open one for --json; what was made is kept.")
-    sys.stdout.write(json.dumps(document, allow_nan=False, default=float) + "\n")
+    sys.stdout.write(json.dumps(as_text(document), allow_nan=False, default=float) + "\n")
     sys.stdout.flush()
 
 

@@ -1,4 +1,4 @@
-"""Pictures of a scene by `guided_path`, and by `path` in the same time: seconds of CPU, everything counted.
+"""Pictures of a scene by `metapp_guided_path`, and by `path` in the same time: seconds of CPU, everything counted.
 
 Scenes are loaded; `spp` are samples a pixel, `depth` edges of the longest path, `seed` is of all draws.
 """
@@ -64,10 +64,10 @@ def square_sensor(scene: Scene, side: int) -> Sensor:
 def guided_picture(
     scene: Scene, spp: int, depth: int, seed: int = 0, *, emitter_sampling: bool = True, checkpoint: str = ""
 ) -> TimedPicture:
-    """By `guided_path`, which must be registered, with properties of it."""
+    """By `metapp_guided_path`, which must be registered, with properties of it."""
     begin = time.process_time()
-    kind = {"type": "guided_path", "max_depth": depth, "emitter_sampling": emitter_sampling, "checkpoint": checkpoint}
-    integrator = mi.load_dict(kind)
+    more = {"emitter_sampling": emitter_sampling, "checkpoint": checkpoint}
+    integrator = mi.load_dict({"type": "metapp_guided_path", "max_depth": depth, **more})
     picture = rendered(scene, integrator, spp, seed)
     spent, total = dict(integrator.spent), time.process_time() - begin
     rest = "all else" if spent else "regular samples"  # where `path` rendered instead

@@ -1,6 +1,9 @@
-"""The integrator `guided_path` of Mitsuba 3: Mitsuba's `path`, its directions sampled from what it learns of the scene.
+"""An integrator for Mitsuba 3, `metapp_guided_path`: `path`, its directions sampled from what it learns of the scene.
 
-    {"type": "guided_path", "max_depth": 8}
+    {"type": "metapp_guided_path", "max_depth": 8}
+
+It is `guided_path`, too. Public scenes call another integrator so, of Mueller et al. 2017 (Practical Path Guiding for
+Efficient Light-Transport Simulation): a scene that gives one of its properties is refused.
 
 Properties: `max_depth`, `rr_depth` and `hide_emitters` as of `path`; `emitter_sampling` (true), whether there is
 next-event estimation; and `checkpoint`, the file of the cache's prior: the one that ships unless given, "none" for
@@ -13,6 +16,7 @@ before. Every part is a share of the picture that does not depend on what was sa
 
 from __future__ import annotations
 
+import functools
 import math
 import time
 import warnings
@@ -28,6 +32,7 @@ from metapp.rendering.guide_prior import LearnedPrior, read_prior, shipped
 from metapp.rendering.guide_survey import FILM, survey
 from metapp.rendering.guided_path import PathTracer
 from metapp.rendering.jit import dr, mi, register_plugin
+from metapp.rendering.scene_plugins import snake_case
 
 FEWEST = 3 * 2**18  # paths of a picture; with fewer there is no time to learn
 FIRST = 2**18  # paths of the first part, of which a quarter of the picture is the most
@@ -180,14 +185,20 @@ def _extent(scene: mt.Scene, sensor: mt.Sensor) -> tuple[NDArray[np.float64], ND
     return np.maximum(lower - margin, low), np.minimum(upper + margin, high)
 
 
-NAME = "guided_path"
+NAME, SHORT_NAME = "metapp_guided_path", "guided_path"
+# properties of the integrator of Mueller et al. that is called guided_path
+_OTHERS = {"budget", "budget_type", "bsdf_sampling_fraction", "bsdf_sampling_fraction_loss", "directional_filter",
+           "d_tree_threshold", "dump_sdtree", "nee", "s_tree_threshold", "sample_combination", "sd_tree_max_memory",
+           "spatial_filter", "spp_per_pass"}  # fmt: skip
 NO_PRIOR = "none"
 DEPTH, RR_DEPTH = -1, 5  # as of `path`
 
 
+@functools.cache  # once: Mitsuba keeps what is called when its variant changes
 def register_guided_path() -> None:
-    """Have Mitsuba know the plugin, in the variant that is active and in all that will be."""
-    register_plugin("integrator", NAME, plugin)
+    """Have Mitsuba know the plugin by both names, in the variant that is active and in all that will be."""
+    for name in (NAME, SHORT_NAME):
+        register_plugin("integrator", name, plugin)
 
 
 def plugin() -> mt.PluginClass:
@@ -198,6 +209,7 @@ def plugin() -> mt.PluginClass:
 
         def __init__(self, props: mt.Properties) -> None:
             mi.SamplingIntegrator.__init__(self, props)
+            _check_meant(props)
             self.path = _path(props)  # refuses what is out of range
             depth, rr_depth = int(props.get("max_depth", DEPTH)), int(props.get("rr_depth", RR_DEPTH))
             emitter_sampling = bool(props.get("emitter_sampling", True))
@@ -244,6 +256,16 @@ def plugin() -> mt.PluginClass:
             return f"GuidedPath[max_depth = {self.tracer.max_depth}, rr_depth = {self.tracer.rr_depth}]"
 
     return GuidedPath
+
+
+def _check_meant(props: mt.Properties) -> None:
+    """Refuse the properties of another integrator that public scenes call guided_path."""
+    others = [name for name in props.keys() if snake_case(name) in _OTHERS]  # noqa: SIM118  (no dictionary)
+    if others:
+        raise ValueError(
+            f"{SHORT_NAME}: '{others[0]}' is a property of the integrator of Mueller et al. 2017, expected {NAME} with "
+            "max_depth, rr_depth, hide_emitters, emitter_sampling or checkpoint; change the scene to the one it means."
+        )
 
 
 def _path(props: mt.Properties) -> mt.Integrator:

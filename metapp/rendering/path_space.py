@@ -11,13 +11,14 @@ are unbiased for every density that is positive or zero, and noisier where it is
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import contextlib
+from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
 import torch
 from torch import Generator, Tensor
 
-from metapp.rendering.scene_loading import brightness, load_scene
+from metapp.rendering.scene_loading import brightness, load_scene, reason_of
 from metapp.rendering.scene_rules import SceneDict
 from metapp.rendering.types import Color, Mask, Point2, RandomStreams, Ray, UInt32
 
@@ -29,6 +30,7 @@ UNIFORM = 4  # one path in so many is not guided
 _BATCH = 2**19  # paths traced at a time for samples, and for pictures
 _PICTURE_BATCH = 2**18
 _REFERENCE_SPP = 2048
+_BAD = 1e-4  # of the paths, that may carry no number
 _RAREST = 2e-4  # of the paths become samples: at this share, 40,000 take two minutes on one core
 
 
@@ -56,11 +58,15 @@ class Tracer:
 
         Returns:
             float32 [N, 3], linear RGB radiance; its mean over all points at a place on the film is what is seen there.
+
+        Raises:
+            ValueError: Mitsuba loads the scene, but cannot trace a path in it.
         """
         mi = self.mi
         columns = [mi.Float(column.cpu().contiguous().numpy()) for column in points.T]
         pairs = [mi.Point2f(x, y) for x, y in zip(columns[::2], columns[1::2], strict=True)]
-        radiance = self._trace(pairs[0], pairs[1:], self.streams(len(points), rng))
+        with _traceable():
+            radiance = self._trace(pairs[0], pairs[1:], self.streams(len(points), rng))
         return torch.from_numpy(radiance.numpy()).T.contiguous()
 
     def streams(self, count: int, rng: Generator) -> RandomStreams:
@@ -111,6 +117,20 @@ class Tracer:
         return dr.while_loop(state, lambda *state: state[-1], bounce)[2]
 
 
+@contextlib.contextmanager
+def _traceable() -> Iterator[None]:
+    """Name the scene where Mitsuba loads it, but cannot trace it, such as one with a spectrum that has no colour."""
+    reason = ""
+    try:
+        yield
+    except RuntimeError as error:
+        reason = reason_of(error)
+    if (
+        reason
+    ):  # without the error, which would keep the scene alive: its materials would be traced with the next scene's
+        raise ValueError(f"no scene that Mitsuba can trace paths in: {reason}")
+
+
 def path_samples(tracer: Tracer, count: int, dimensions: int, rng: Generator) -> tuple[Tensor, Tensor]:
     """Points of primary sample space in proportion to the luminance of their paths, by rejection.
 
@@ -135,7 +155,7 @@ def path_samples(tracer: Tracer, count: int, dimensions: int, rng: Generator) ->
     total, hits = torch.zeros(3, IMAGE**2, dtype=torch.float64), torch.zeros(IMAGE**2, dtype=torch.float64)
     while have < count:
         points = torch.rand(_BATCH, dimensions, generator=rng)
-        carried = tracer.contributions(points, rng)
+        carried = _finite(tracer.contributions(points, rng))
         bright = brightness(carried)
         highest = float(bright.max())
         if highest > bound:
@@ -153,6 +173,17 @@ def path_samples(tracer: Tracer, count: int, dimensions: int, rng: Generator) ->
             )
     image = (total / hits.clamp_min(1)).float().unflatten(1, (IMAGE, IMAGE))
     return torch.cat(kept)[:count].contiguous(), image
+
+
+def _finite(carried: Tensor) -> Tensor:
+    """The same with 0 for paths that carry NaN or infinity, as rough materials do now and then at grazing angles."""
+    bad = ~carried.isfinite().all(1)
+    if int(bad.sum()) > _BAD * len(bad):
+        raise ValueError(
+            f"{int(bad.sum()):,} of {len(bad):,} paths carry NaN or infinite values, expected finite ones; look for a "
+            "material, texture or light whose numbers are out of range."
+        )
+    return carried.masked_fill(bad[:, None], 0)
 
 
 class Guide(NamedTuple):
@@ -207,7 +238,9 @@ def reference(scene: SceneDict | Tracer, size: int, spp: int = _REFERENCE_SPP, s
         sampler = mi.load_dict({"type": "independent"})
         sampler.seed(int(torch.randint(2**31, (), generator=rng)), len(film))
         place = mi.Point2f(*(mi.Float(column.contiguous().numpy()) for column in film.T))
-        return torch.from_numpy(integrator.sample(tracer.scene, sampler, tracer.rays(place))[0].numpy()).T
+        with _traceable():
+            carried = integrator.sample(tracer.scene, sampler, tracer.rays(place))[0]
+        return torch.from_numpy(carried.numpy()).T
 
     return _picture(radiance, spp, size, rng)
 

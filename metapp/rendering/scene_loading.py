@@ -12,6 +12,7 @@ written anew from the tree.
 
 from __future__ import annotations
 
+import math
 import re
 from typing import NamedTuple, NoReturn
 from xml.etree.ElementTree import Element, tostring
@@ -22,19 +23,18 @@ import torch
 from torch import Tensor
 
 from metapp.appearance.latlong import luminance
+from metapp.rendering.scene_plugins import PLUGIN, check_parameters, check_plugin
 from metapp.rendering.scene_rules import (
     DEPTH,
     PARTS,
     TEXT,
     TEXT_BYTES,
     CheckedDict,
-    Json,
     Places,
     SceneDict,
-    check_plugin,
-    check_samples,
     checked_string,
 )
+from metapp.rendering.scene_trial import instantiate
 from metapp.rendering.types import Emitter, Mitsuba, Scene
 from metapp.rendering.variant import load_mitsuba
 
@@ -94,17 +94,22 @@ def load_scene(scene: SceneDict) -> Loaded:
     mi = load_mitsuba()
     mi.set_log_level(mi.LogLevel.Error)
     scene = checked(scene, Places())
-    try:  # in this thread: others would write what they have to say to the screen
-        if "xml" in scene:
-            loaded = mi.load_string(scene["xml"], parallel=False)
-        else:
-            loaded = mi.load_dict(_matrices(mi, scene), parallel=False)
+    try:
+        loaded = instantiate(mi, scene)
     except Exception as error:  # whatever it is, the scene is to blame
-        reason = re.sub(r"\[\w+\.cpp:\d+\] |\s+", lambda part: " " if part[0].isspace() else "", str(error)).strip()
-        reason = reason if len(reason) <= _LONGEST else f"{reason[: _LONGEST // 2]} ... {reason[5 - _LONGEST // 2 :]}"
-        raise ValueError(f"no scene that Mitsuba can load: {reason}") from None
+        raise ValueError(f"no scene that Mitsuba can load: {reason_of(error)}") from None
     _check(mi, loaded)
-    return Loaded(mi, loaded, max(_brightest(mi, emitter) for emitter in loaded.emitters()))
+    brightest = max(_brightest(mi, emitter) for emitter in loaded.emitters())
+    if not 0 <= brightest < math.inf:
+        raise ValueError(f"a light of luminance {brightest}, expected a finite one of 0 or more; change its radiance.")
+    return Loaded(mi, loaded, brightest)
+
+
+def reason_of(error: BaseException) -> str:
+    """What Mitsuba says of an error, in one line."""
+    error = error.__cause__ or error  # an error within a loop
+    reason = re.sub(r"\[\w+\.(?:cpp|h):\d+\] |\s+", lambda part: " " if part[0].isspace() else "", str(error)).strip()
+    return reason if len(reason) <= _LONGEST else f"{reason[: _LONGEST // 2]} ... {reason[5 - _LONGEST // 2 :]}"
 
 
 def brightness(radiance: Tensor) -> Tensor:
@@ -126,6 +131,9 @@ def _check(mi: Mitsuba, scene: Scene) -> None:
     kind = scene.sensors()[0].class_name()
     if kind != "PerspectiveCamera":
         raise ValueError(f"a sensor {kind}, expected a perspective one; change its type to 'perspective'.")
+    width, height = scene.sensors()[0].film().crop_size()
+    if not width or not height:
+        raise ValueError(f"a film of {width} x {height} px, expected 1 or more of both; change its crop.")
 
 
 def _brightest(mi: Mitsuba, emitter: Emitter) -> float:
@@ -140,16 +148,6 @@ def _brightest(mi: Mitsuba, emitter: Emitter) -> float:
             factor = np.array(values.get("scale", 1.0)).item() if name == "data" else 1.0  # a Dr.Jit array in envmaps
             return float(brightness(colours * factor).max())
     return 0.0
-
-
-def _matrices(mi: Mitsuba, value: Json) -> Json:
-    """The same with its matrices as Mitsuba wants them."""
-    if isinstance(value, dict):
-        plain = value.get("type") in ("rgb", "spectrum")
-        return {key: part if plain else _matrices(mi, part) for key, part in value.items()}
-    if isinstance(value, list) and isinstance(value[0], list):
-        return mi.ScalarTransform4f(value) if len(value) == 4 else mi.ScalarTransform3f(value)
-    return value
 
 
 def checked_xml(text: str, places: Places, name: str = "") -> str:
@@ -210,7 +208,8 @@ class _Reader:
             else:
                 made.append(self._element(child, places, chain, depth + 1))
         if made.tag in _OBJECTS or (made.tag == "spectrum" and "type" in made.attrib):
-            check_plugin(made.get("type", ""), {child.get("name", "") for child in made})
+            check_plugin(made.get("type", ""))
+            check_parameters(made.get("type", ""), dict(map(_parameter, made)))
         return made
 
     def _attributes(self, source: Element, places: Places) -> dict[str, str]:
@@ -219,8 +218,6 @@ class _Reader:
         self.characters += sum(map(len, made.values()))
         if self.parts > PARTS or self.characters > TEXT_BYTES:
             raise ValueError(f"more than {PARTS:,} elements or {TEXT_BYTES:,} characters; put meshes in files.")
-        if source.tag == "integer" and re.fullmatch(r"\s*\d{1,20}\s*", made.get("value", "")):
-            check_samples(made.get("name", ""), int(made["value"]))
         if source.tag == "string":
             made["value"] = checked_string(made.get("name", ""), made.get("value", ""), places)
         elif "filename" in made:  # of a spectrum
@@ -266,6 +263,14 @@ class _Reader:
         if "name" in element.attrib:
             root.set("name", self._substituted(element.attrib["name"]))
         return [root]
+
+
+def _parameter(element: Element) -> tuple[str, object]:
+    """Name and value of an element within a plugin; shapes, which have no names, are all one."""
+    name, value = element.get("name", ""), element.get("value", "")
+    if element.tag in _OBJECTS | {"ref"}:
+        return name, PLUGIN
+    return name, value if element.tag in ("string", "integer", "float") else None
 
 
 def parse(text: str) -> Element:

@@ -5,8 +5,6 @@ Files are regular ones of a bounded size, in folders that the user named, and no
 
 from __future__ import annotations
 
-import functools
-import importlib.util
 import json
 import math
 import os
@@ -16,6 +14,8 @@ from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
+
+from metapp.rendering.scene_plugins import check_parameters, check_plugin, materials, snake_case
 
 Json = Any  # a value of a scene
 SceneDict = dict[str, Any]  # as Mitsuba's `load_dict` takes it, as far as JSON holds it
@@ -152,64 +152,19 @@ DEPTH = 64  # of elements or objects within each other
 PARTS = 200_000  # elements, or values
 TEXT = 2**20  # characters of one value
 
-_SAMPLES = 2**20
-_MEDIA = {"homogeneous", "heterogeneous"}
-_MEMORY = {"blender"}  # reads addresses in memory that a scene gives as numbers
-_REQUIRED = {"bitmap": "filename", "blendbsdf": "weight"}  # Mitsuba 3.9 ends the process without these
-
-
-def own_folder() -> Path:
-    """Mitsuba's own folder, without importing it."""
-    spec = importlib.util.find_spec("mitsuba")
-    if spec is None or spec.origin is None:
-        raise ValueError("mitsuba: not installed, expected a package that can be imported; pip install mitsuba.")
-    return Path(spec.origin).resolve().parent
-
-
-@functools.cache
-def _plugins() -> frozenset[str]:
-    return frozenset(path.stem for path in (own_folder() / "plugins").iterdir())
-
-
-@functools.cache
-def _materials() -> frozenset[str]:
-    return frozenset(path.name.removesuffix(".eta.spd") for path in (own_folder() / "data/ior").glob("*.eta.spd"))
-
-
-def check_plugin(kind: str, given: set[str]) -> None:
-    """Refuse all but plugins that Mitsuba ships and that paths can be traced with.
-
-    Args:
-        kind: name of the plugin.
-        given: names of the parameters that the scene gives it.
-    """
-    if kind in _MEDIA:
-        raise ValueError(f"a participating medium, '{kind}', expected surfaces alone; leave it out.")
-    if kind not in _plugins() or kind in _MEMORY:
-        raise ValueError(f"a plugin {kind[:60]!r}, expected one of Mitsuba's own; leave it out.")
-    required = _REQUIRED.get(kind)
-    if required and required not in given:
-        raise ValueError(f"a plugin '{kind}' without '{required}', expected one; add it.")
-
 
 def checked_string(name: str, value: str, places: Places) -> str:
     """A parameter's text; file names come out absolute.
 
     Mitsuba builds file names from other parameters too, such as a conductor's material.
     """
-    if name.endswith("filename"):
+    if snake_case(name).endswith("filename"):
         return str(places.file(value))
     if len(value) > TEXT or not value.isascii() or not value.isprintable() or set("/\\$") & set(value) or ".." in value:
         raise ValueError(f"a parameter {name[:40]!r} of {value[:60]!r}, expected plain text, no path; change it.")
-    if name == "material" and value != "none" and value not in _materials():
+    if name == "material" and value != "none" and value not in materials():
         raise ValueError(f"a material {value[:60]!r}, expected one of Mitsuba's own; change it.")
     return value
-
-
-def check_samples(name: str, value: float) -> None:
-    """Refuse a count of samples that some of Mitsuba's samplers never come to an end with; paths here need none."""
-    if name == "sample_count" and value > _SAMPLES:
-        raise ValueError(f"a 'sample_count' of {value:.0f}, expected {_SAMPLES:,} at most; lower it.")
 
 
 class CheckedDict:
@@ -241,8 +196,11 @@ class CheckedDict:
         elif (kind == "scene") != (depth == 0):
             raise ValueError("a scene within a scene, or none at all, expected one around all else.")
         elif depth:
-            check_plugin(kind, set(scene))
-        return {key: self._value(key, value, depth, kind) for key, value in scene.items()}
+            check_plugin(kind)
+        made = {key: self._value(key, value, depth, kind) for key, value in scene.items()}
+        if depth:
+            check_parameters(kind, made)
+        return made
 
     def _value(self, key: str, value: Json, depth: int, kind: str) -> Json:
         self.parts += 1
@@ -259,8 +217,6 @@ class CheckedDict:
                 f"a value of {key[:40]!r}, {_shown(value)}, expected a finite number, text, true, false, three "
                 "numbers, a matrix or an object; change it."
             )
-        if _is_number(value):
-            check_samples(key, value)
         return value
 
     def _check_plain(self, kind: str, scene: SceneDict) -> None:

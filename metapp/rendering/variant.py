@@ -49,12 +49,12 @@ def load_mitsuba() -> Mitsuba:
             f"start again with {VARIABLE}={os.environ[VARIABLE]}."
         )
     mitsuba.set_variant("cuda_ad_rgb" if on_gpu else "llvm_ad_rgb")
-    _own_plugins_only(mitsuba)
+    own_plugins_only(mitsuba)
     drjit.set_thread_count(max(THREADS, torch.get_num_threads()))
     return mitsuba
 
 
-def _own_plugins_only(mitsuba: Mitsuba) -> None:
+def own_plugins_only(mitsuba: Mitsuba) -> None:
     """Have Mitsuba load plugins, native code, from its own folder alone: it would look in the working folder first."""
     places = mitsuba.FileResolver()
     places.clear()

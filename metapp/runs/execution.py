@@ -252,7 +252,9 @@ class _Loop:
     def _fail(self, source: Source, error: Exception) -> None:
         if not self.lazy:
             raise error
-        self.failures.append(Failure(source.place, error))
+        # frames hold what was read: of thousands of failures that is all memory
+        error.__context__ = error.__cause__ = None
+        self.failures.append(Failure(source.place, error.with_traceback(None)))
 
     def _read(self, sources: Sequence[Source]) -> Iterator[tuple[Source, Task]]:
         for source in sources:

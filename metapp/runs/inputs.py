@@ -5,6 +5,7 @@ from __future__ import annotations
 import collections
 import functools
 import hashlib
+import itertools
 import math
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
@@ -22,6 +23,7 @@ from metapp.storage import Document
 from metapp.storage.files import check_readable, named
 from metapp.storage.records import file_name, safe_name
 from metapp.storage.shards import fingerprint, read_shard
+from metapp.storage.text import as_text
 
 SOURCED = {"source": str, "stamp": str}  # what a record of a run of many inputs holds of its source
 
@@ -30,7 +32,7 @@ class Source(NamedTuple):
     """Something to fit, read when its turn comes.
 
     Attributes:
-        place: its path, or its name in a data set: what records know it by.
+        place: its path as text, or its name in a data set: what records know it by.
         read: -> the task; ValueError or OSError where it is damaged.
         stamp: changes when the file does; "" in a data set, whose content is part of the run's name.
         mark: what its task's name needs to be its own in a run, "" where nothing.
@@ -108,8 +110,11 @@ def sources_to_fit(app: App, request: Request) -> tuple[list[Source], str]:
         for places, read in _found(app, path, request):
             readers |= {str(place.resolve()): functools.partial(read, place) for place in places}
     stems = collections.Counter(map(_stem, readers))
+    stamp = functools.cache(_stamp)  # networks that share a folder share its stamp
     sources = [
-        Source(place, read, _stamp(Path(place)), "" if stems[_stem(place)] == 1 else f"-{_digest(place)}")
+        Source(
+            as_text(place), read, stamp(_stamped(Path(place))), "" if stems[_stem(place)] == 1 else f"-{_digest(place)}"
+        )
         for place, read in sorted(readers.items(), key=lambda item: item[0])
     ]
     roots = sorted(str(path.resolve()) for path in request.inputs)
@@ -134,13 +139,13 @@ def distinct(tasks: list[Task]) -> list[Task]:
     tasks = [task._replace(name=safe_name(task.name)) for task in tasks]
     first: set[str] = {task.name for task in tasks}
     taken: set[str] = set()
+    numbers: dict[str, Iterator[int]] = collections.defaultdict(functools.partial(itertools.count, 2))
     renamed = []
     for task in tasks:
-        name, i = task.name, 2
+        name = task.name
         if name in taken:
-            while f"{task.name}-{i}" in first | taken:
-                i += 1
-            name = f"{task.name}-{i}"
+            while name in first or name in taken:
+                name = f"{task.name}-{next(numbers[task.name])}"
             say(f"warning: a second {task.name} is called {name}")
         taken.add(name)
         renamed.append(task._replace(name=name))
@@ -208,9 +213,13 @@ def _digest(*texts: str) -> str:
     return hashlib.sha256("\n".join(texts).encode(errors="surrogatepass")).hexdigest()[:6]
 
 
+def _stamped(path: Path) -> Path:
+    """What the stamp of a place is of: a file or folder itself; of a name in a folder, that folder."""
+    return path if path.exists() else path.parent
+
+
 def _stamp(path: Path) -> str:
-    """Sizes and times of a file, or of the files that a folder holds; of a name in a folder, those of that."""
-    folder = path if path.is_dir() else path.parent
-    files = [path] if path.is_file() else sorted(file for file in folder.iterdir() if file.is_file())
+    """Sizes and times of a file, or of the files that a folder holds."""
+    files = [path] if path.is_file() else sorted(file for file in path.iterdir() if file.is_file())
     states = [(file.name, file.stat()) for file in files]
     return _digest(*(f"{name} {state.st_size} {state.st_mtime_ns}" for name, state in states))

@@ -6,6 +6,7 @@ The paper's client and server share what training has made; what is sent of a fi
 from __future__ import annotations
 
 import bisect
+import math
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import NamedTuple
@@ -18,16 +19,16 @@ from metapp.learning.task import Params, Task
 from metapp.paradigms import paradigms
 from metapp.runs.checkpoints import find_checkpoint
 from metapp.runs.plan import Plan
-from metapp.runs.recorded import plan_as, read_run, tasks_as
+from metapp.runs.recorded import ORIGIN, SETTINGS, plan_as, read_run, tasks_as
 from metapp.runs.reporter import progress, say
 from metapp.storage import Document
-from metapp.storage.packing import BITS, Pack, Steps, in_steps, read_pack, write_pack
+from metapp.storage.packing import BITS, Pack, Steps, in_steps, opened_pack, write_pack
 from metapp.storage.records import FIT, OPTIONAL, RunFolder, holds, read_theta, renamed
 
 GROWTH = 0.01  # of the mean error, at most, where the number of bits is chosen
 WITHOUT = 12  # bits where there is no error to choose by
-SETTINGS = {"app": str, "paradigm": str, "rule": str, "recipe": str, "data": str, "checkpoint": str}
-ABOUT = {"settings": SETTINGS, "bits": int, "records": [{**FIT, "name": str, "before": OPTIONAL}]}
+OF_FIT = {**SETTINGS, "paradigm": str, "rule": str, "checkpoint": str}
+ABOUT = {"settings": OF_FIT, "bits": range(BITS[0], BITS[1] + 1), "records": [{**FIT, "name": str, "before": OPTIONAL}]}
 
 
 class Packed(NamedTuple):
@@ -95,7 +96,7 @@ def pack(
     Raises:
         ValueError: no run, records of several, or another checkpoint than that of the fits.
     """
-    folder, records = read_run(run, {**FIT, "key": str, "settings": SETTINGS})
+    folder, records = read_run(run, {**FIT, "key": str, "settings": OF_FIT, "origin?": ORIGIN})
     if any(record["settings"] != records[0]["settings"] for record in records):
         raise ValueError(f"{run}: records of several runs, expected those of one; fit into another --out.")
     settings = records[0]["settings"]
@@ -106,7 +107,7 @@ def pack(
     if 0 < len(known) < len(names):
         say(f"note: errors of {len(known)} of {len(names)} fits, as what the others saw is not there or has changed.")
     fits = Stack(plan.app, thetas, [known.get(name, Task(name, {})) for name in names])
-    base = known_of(plan.prepared, thetas)
+    base = known_of(plan.prepared, {key: tuple(value.shape[1:]) for key, value in thetas.items()})
     before = fits.errors(thetas)
     with progress("pack", quiet=quiet) as bar:
         chosen = bits or _fewest_bits(fits, base, before, bar.name)
@@ -130,21 +131,23 @@ def unpack(file: Path, out: Path | None, checkpoint: Path | None) -> Packed:
         checkpoint: what was fitted by, where it is none that is found.
 
     Raises:
-        ValueError: a damaged file, or another checkpoint than that of the fits.
+        ValueError: a damaged file, tensors that are not of the network, or another checkpoint than that of the fits.
     """
-    names, steps, about = read_pack(file)
-    if isinstance(about.get("settings"), dict):
-        about["settings"] = renamed(about["settings"])
-    if not holds(about, ABOUT) or [record["name"] for record in about["records"]] != names:
-        raise ValueError(f"{file}: not what metapp pack writes, expected settings and a record of each fit.")
-    settings, records = about["settings"], about["records"]
-    plan = _plan_of(settings, str(file), checkpoint)
-    base = known_of(plan.prepared, {key: each.numbers for key, each in steps.items()})
-    thetas = restored(steps, base)
-    _require_network(file, plan.app, thetas)
+    with opened_pack(file) as packed:
+        names, about = packed.tasks, packed.about
+        if isinstance(about.get("settings"), dict):
+            about["settings"] = renamed(about["settings"])
+        if not holds(about, ABOUT) or [record["name"] for record in about["records"]] != names:
+            raise ValueError(f"{file}: not what metapp pack writes, expected settings and a record of each fit.")
+        settings, records = about["settings"], about["records"]
+        plan = _plan_of(settings, str(file), checkpoint)
+        _require_network(file, plan.app, packed.shapes)
+        steps = packed.read().tensors
+    base = known_of(plan.prepared, packed.shapes)
+    _require_finite(file, plan.app, steps, base)
     folder = RunFolder(out or file.with_suffix(""), {**settings, "bits": about["bits"]})
     for i, record in enumerate(records):
-        folder.add(record, {key: value[i] for key, value in thetas.items()})
+        folder.add(record, restored(steps, base, i))
     before, after = ([record[key] for record in records] for key in ("before", "error"))
     size = file.stat().st_size
     return Packed(
@@ -152,28 +155,38 @@ def unpack(file: Path, out: Path | None, checkpoint: Path | None) -> Packed:
     )
 
 
-def _require_network(file: Path, app: App, thetas: Params) -> None:
+def _require_network(file: Path, app: App, shapes: Mapping[str, tuple[int, ...]]) -> None:
     """Refuse tensors that are not of the application's network: anybody may have written a pack.
 
     Raises:
-        ValueError: one is missing, of another shape, or not finite.
+        ValueError: one is missing or of another shape.
     """
-    network = {key: value.shape[1:] for key, value in app.init(torch.Generator().manual_seed(0), 1).items()}
-    found = {key: value.shape[1:] for key, value in thetas.items()}
-    wrong = sorted(key for key in {*network, *found} if network.get(key) != found.get(key))
-    wrong += [key for key, value in thetas.items() if not bool(value.isfinite().all())]
-    if wrong:
-        raise ValueError(
-            f"{file}: tensor '{wrong[0]}' is not one of {app.name}, expected a fit's; pack the fits again."
-        )
+    network = {key: tuple(value.shape[1:]) for key, value in app.init(torch.Generator().manual_seed(0), 1).items()}
+    for key in sorted({*network, *shapes}):
+        if network.get(key) != shapes.get(key):
+            raise ValueError(_NOT_OF.format(file, key, app.name))
 
 
-def known_of(prepared: MetaParameters, thetas: Params) -> Params:
+def _require_finite(file: Path, app: App, steps: Mapping[str, Steps], base: Params) -> None:
+    """Refuse steps by which whole numbers of BITS come to what is not finite.
+
+    Raises:
+        ValueError: there are such.
+    """
+    for key, of in steps.items():
+        if not math.isfinite(float(base[key].abs().max()) + torch.tensor(of.step * 2 ** (BITS[1] - 1)).float().item()):
+            raise ValueError(_NOT_OF.format(file, key, app.name))
+
+
+_NOT_OF = "{}: tensor '{}' is not one of {}, expected a fit's; pack the fits again."
+
+
+def known_of(prepared: MetaParameters, shapes: Mapping[str, tuple[int, ...]]) -> Params:
     """What is known of a fit without its input: the learned initialisation, or the decoder that all tasks share.
 
     Args:
         prepared: the checkpoint.
-        thetas: tensors [T, ...] of the fits.
+        shapes: of a fit's tensors.
 
     Returns:
         A tensor for each of them: 0 for what an encoder predicts.
@@ -181,14 +194,14 @@ def known_of(prepared: MetaParameters, thetas: Params) -> Params:
     decoder = {key.removeprefix("decoder."): value for key, value in prepared.encoder.items()}
     said = {**decoder, **prepared.theta}
     return {
-        key: said[key].cpu() if key in said and said[key].shape == value.shape[1:] else torch.zeros(value.shape[1:])
-        for key, value in thetas.items()
+        key: said[key].cpu() if key in said and said[key].shape == shape else torch.zeros(shape)
+        for key, shape in shapes.items()
     }
 
 
-def restored(steps: Mapping[str, Steps], base: Params) -> Params:
-    """Parameters [T, ...] of differences from what is known."""
-    return {key: base[key] + each.values() for key, each in steps.items()}
+def restored(steps: Mapping[str, Steps], base: Params, fit: int | slice = slice(None)) -> Params:
+    """Parameters [...] of a fit, or [T, ...] of several, of differences from what is known."""
+    return {key: base[key] + of.values(fit) for key, of in steps.items()}
 
 
 def _in_steps(thetas: Params, base: Params, bits: int) -> dict[str, Steps]:

@@ -16,9 +16,20 @@ from metapp.runs.inputs import SOURCED, data_folder, data_label, source_of, sour
 from metapp.runs.plan import Plan, plan
 from metapp.runs.request import Request
 from metapp.storage import Document
-from metapp.storage.records import FIT, holds, read_records
+from metapp.storage.records import FIT, NUMBER, holds, read_records
+from metapp.storage.text import path_of
 
-FORM = {**FIT, "settings": {"app": str, "paradigm": str, "rule": str, "recipe": str, "data": str}}  # of a fit's record
+# what settings and origins of records hold: plans are made of them, and anybody may have written them
+SETTINGS = {
+    **{"app": str, "data": str, "recipe": str},
+    **{f"{name}?": str for name in ("paradigm", "rule", "observe", "checkpoint", "device", "precision", "peer")},
+    **{"seed?": range(1 << 63), "steps?": range(1 + 10**7), "versions?": {...: str}},
+}
+ORIGIN = {
+    **{f"{name}?": str for name in ("machine", "data", "checkpoint")},
+    **{"inputs?": [str], "roots?": [str], "fov_rad?": NUMBER},
+}
+FORM = {**FIT, "settings": {**SETTINGS, "paradigm": str, "rule": str}, "origin?": ORIGIN}  # of a fit's record
 
 
 class Recorded(NamedTuple):
@@ -67,7 +78,7 @@ def plan_as(settings: Document, origin: Document | None = None, **more: Any) -> 
     request = Request(
         settings["app"],
         settings.get("paradigm", "meta"),
-        rule=settings["rule"] if settings.get("paradigm") == "meta" else "",
+        rule=settings.get("rule", "") if settings.get("paradigm") == "meta" else "",
         recipe=settings["recipe"],
         observe=settings.get("observe", ""),
         quiet=True,
@@ -101,7 +112,7 @@ def tasks_as(records: list[Document], app: App, inputs: list[Path], data: Path |
     sourced = [record for record in records if holds(record, SOURCED) and record["stamp"]]
     if not (inputs or data):
         inputs = _existing(origin.get("inputs", [])) or _existing(record["source"] for record in sourced)
-        data = Path(origin["data"]) if "data" in origin and Path(origin["data"]).is_dir() else None
+        data = path_of(origin["data"]) if "data" in origin and path_of(origin["data"]).is_dir() else None
     request = Request(app.name, inputs=inputs, data=data, quiet=True, **reading_of(origin))
     if sourced:
         return _of_sources(sourced, app, request)
@@ -114,14 +125,14 @@ def tasks_as(records: list[Document], app: App, inputs: list[Path], data: Path |
 
 def _existing(places: Iterable[str]) -> list[Path]:
     """The paths, where all of them are there; else none."""
-    paths = [Path(place) for place in places]
+    paths = [path_of(place) for place in places]
     return paths if all(path.exists() for path in paths) else []
 
 
 def reading_of(origin: Document) -> Document:
     """The options of a record's origin that say how files were read."""
     fov = round(math.degrees(origin.get("fov_rad", 0.0)), 9)  # as it was given, so that radians are the same bits
-    return {"fov": fov, "scene_root": [Path(path) for path in origin.get("roots", [])]}
+    return {"fov": fov, "scene_root": [path_of(path) for path in origin.get("roots", [])]}
 
 
 def _of_sources(records: list[Document], app: App, request: Request) -> dict[str, Task]:

@@ -20,14 +20,19 @@ from metapp.runs.checkpoints import find_checkpoint
 from metapp.runs.fits import fit_tasks
 from metapp.runs.inputs import tasks_to_fit
 from metapp.runs.plan import Plan
-from metapp.runs.recorded import plan_as, read_run
+from metapp.runs.recorded import ORIGIN, SETTINGS, plan_as, read_run
 from metapp.runs.reporter import progress
 from metapp.runs.surroundings import machine, threads, threads_of
 from metapp.storage import Document
-from metapp.storage.records import OPTIONAL, finite, holds, read_theta
+from metapp.storage.records import NUMBER, OPTIONAL, finite, misfits, read_theta
+from metapp.storage.text import path_of
 
 FORM = {"key": str, "settings": {"app": str}}
-FIT = {"error": OPTIONAL, "settings": {"data": str, "recipe": str, "seed": int}}
+FIT = {
+    **{"error": OPTIONAL, "seconds?": NUMBER, "threads?": range(1, 1025)},
+    **{"settings": {**SETTINGS, "seed": SETTINGS["seed?"]}, "origin?": ORIGIN},
+}
+OF_FIT = {"data", "recipe", "seed"}  # settings
 ROUNDING = 1e-6  # relative: what the same machine, versions and threads may differ by
 ELSEWHERE = 0.01
 AROUND = ("versions", "device", "precision")  # settings that figures depend on by rounding, or by a device's draws
@@ -111,10 +116,19 @@ def rerun(record: Path, task: str, instead: Instead, tables: Tables, *, quiet: b
 def _repeated(folder: Path, records: list[Document], instead: Instead, tables: Tables) -> Iterator[Repeated]:
     """The rows of one run, which share their settings."""
     first = records[0]
-    if not holds(first, FIT):
+    if "study" in first["settings"] or "error" not in first or not first["settings"].keys() >= OF_FIT:
         raise ValueError(_ALONE.format(first["name"], first["settings"].get("study", "no fit")))
+    for record in records:
+        place = next(misfits(record, FIT), None if record["settings"] == first["settings"] else ".settings")
+        if place is not None:
+            raise ValueError(
+                f"{folder / 'record.jsonl'}: record of {record['name']}: {place[1:]} is missing or not as metapp "
+                "writes it; take the run's folder from where it was made, or fit again."
+            )
     plan = _plan_of(folder, first, instead)
-    with threads(first.get("threads") or threads_of(plan.app)), _as_precise(first["settings"]):
+    # more threads than processors wait for each other, by minutes where a record says a thousand
+    count = min(first["threads"], os.cpu_count() or 1) if "threads" in first else threads_of(plan.app)
+    with threads(count), _as_precise(first["settings"]):
         repeat = _repeat(plan, first["settings"], tables)
         around = _changed(first, repeat.settings)
         around |= _differing({"machine": first.get("origin", {}).get("machine")}, {"machine": machine(plan.device)})
@@ -135,8 +149,8 @@ def _plan_of(folder: Path, record: Document, instead: Instead) -> Plan:
     """The plan of a record, with what is used instead; of a row that a table alone makes, that of General."""
     settings, origin = record["settings"], record.get("origin", {})
     a_fit = settings.get("paradigm") in paradigms()
-    known = {key: Path(origin[key]) for key in ("data", "checkpoint") if key in origin}
-    inputs = list(instead.inputs) or ([] if instead.data else [Path(path) for path in origin.get("inputs", [])])
+    known = {key: path_of(origin[key]) for key in ("data", "checkpoint") if key in origin}
+    inputs = list(instead.inputs) or ([] if instead.data else [path_of(path) for path in origin.get("inputs", [])])
     above = [*folder.resolve().parents, *[Path("runs")] * 4]
     device = str(settings.get("device", "cpu")).split(":")[0]
     return plan_as(

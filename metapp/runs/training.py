@@ -74,7 +74,7 @@ def train_checkpoint(plan: Plan, steps: int | None, general: Checkpoint | None =
 
     writes = ranks.number() == 0
     if writes:
-        remove_partial(path)
+        _remove_partial(path)
     else:
         ranks.wait()  # until rank 0 has looked at the file, and put it aside if need be
     checkpoint = TrainingCheckpoint(path, _settings(plan, name, steps, folder, encoder) | info, plan.device)
@@ -103,11 +103,22 @@ def train_checkpoint(plan: Plan, steps: int | None, general: Checkpoint | None =
             raise
     assert prepared is not None
     if writes:
-        keep(prepared, path, path.with_suffix(".previous.safetensors"))
+        keep(prepared, path, _previous(path))
         checkpoint.remove()
     ranks.wait()  # until the file is there, from which all go on
     say(f"{name}: validation error {prepared.validation:.3f} at step {prepared.step}; kept as {path}")
     return Trained(path, prepared, checkpoint.spent)
+
+
+def _previous(path: Path) -> Path:
+    """Where the checkpoint that is replaced is kept."""
+    return path.with_suffix(".previous.safetensors")
+
+
+def _remove_partial(path: Path) -> None:
+    """Remove what a kill left of a checkpoint, or of the one that it replaces."""
+    for file in (path, _previous(path)):
+        remove_partial(file)
 
 
 def general_of(plan: Plan, steps: int | None = None) -> Checkpoint:

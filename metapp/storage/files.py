@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import errno
 import fcntl
+import filecmp
 import glob
 import os
 import re
@@ -21,7 +22,7 @@ def write_atomically(path: str | Path, write: Callable[[Path], object], previous
     Args:
         path: the file; an existing one is replaced at the end, missing folders are made.
         write: writes everything to the path it is given: a name in the same folder, with the same suffix.
-        previous: another name in that folder for the file that is replaced, if any.
+        previous: another name in that folder for the file that is replaced, if there is one of other content.
 
     Raises:
         OSError: it cannot be written; names the folder. What was there before is still there.
@@ -33,7 +34,8 @@ def write_atomically(path: str | Path, write: Callable[[Path], object], previous
         with naming(path):
             write(partial)
             _sync(partial)
-            if previous and path.is_file():
+            # one of the same bytes is what this program wrote before it was killed: the one before that stays
+            if previous and path.is_file() and not filecmp.cmp(partial, path, shallow=False):
                 _keep_as(previous, path)
             os.replace(partial, path)
     except BaseException:

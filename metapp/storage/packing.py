@@ -6,16 +6,18 @@ planes. No part of it is run or unpickled.
 
 from __future__ import annotations
 
+import contextlib
 import json
 import lzma
 import math
 import struct
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, BinaryIO, NamedTuple
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from metapp.storage import Document
@@ -24,25 +26,38 @@ from metapp.storage.records import holds
 
 SCHEMA = 1
 BITS = (2, 16)  # of a whole number, at least and at most
-LARGEST = 1 << 30  # bytes of what a file may unfold to
+LARGEST = 1 << 30  # bytes of planes that a file may hold
+LARGEST_HEADER = 1 << 24  # bytes; 100,000 fits take less
+MEMORY = 1 << 27  # bytes that a decoder may take: twice what the preset's takes
+BLOCK = 1 << 20  # bytes that are unfolded at once
 PARTS = {"name": str, "shape": [int], "step": float, "planes": int}
 FORM = {"schema": int, "tasks": [str], "tensors": [PARTS], "about": dict}
 
 
 class Steps(NamedTuple):
-    """A tensor of many fits as whole numbers of steps.
+    """A tensor of many fits as whole numbers of steps, in byte planes: those of a fit are unfolded when asked for.
 
     Attributes:
-        numbers: int32 [T, ...].
+        planes: uint8 [planes, places, T], the numbers' low bytes, then their high ones, if any, where 0, -1, 1, -2 are
+            0, 1, 2, 3; fits are beside each other, as these are alike.
+        shape: of a fit's tensor.
         step: what one is worth, >= 0.
     """
 
-    numbers: Tensor
+    planes: NDArray[np.uint8]
+    shape: tuple[int, ...]
     step: float
 
-    def values(self) -> Tensor:
-        """What they stand for, float32 [T, ...]."""
-        return (self.numbers.double() * self.step).float()
+    def numbers(self, fit: int | slice = slice(None)) -> Tensor:
+        """The whole numbers, int32 [...] of a fit, [T, ...] of several."""
+        low, *high = self.planes[..., fit].astype(np.int32)
+        folded = low + 256 * high[0] if high else low
+        signed = np.where(folded & 1, -(folded + 1) // 2, folded // 2)
+        return torch.from_numpy(signed.T.reshape(*signed.shape[1:], *self.shape).copy())
+
+    def values(self, fit: int | slice = slice(None)) -> Tensor:
+        """What they stand for, float32 [...] of a fit, [T, ...] of several."""
+        return (self.numbers(fit).double() * self.step).float()
 
 
 class Pack(NamedTuple):
@@ -62,7 +77,11 @@ def in_steps(values: Tensor, bits: int) -> Steps:
     """
     step = float(values.abs().max()) / (2 ** (bits - 1) - 1) if values.numel() else 0.0
     numbers = torch.round(values.double() / step) if step else torch.zeros_like(values)
-    return Steps(numbers.to(torch.int32), step)
+    signed = numbers.flatten(1).T.contiguous().numpy().astype(np.int64)
+    folded = np.where(signed < 0, -2 * signed - 1, 2 * signed)
+    count = 1 if folded.max(initial=0) < 256 else 2
+    planes = np.stack([(folded >> 8 * plane & 255).astype(np.uint8) for plane in range(count)])
+    return Steps(planes, tuple(values.shape[1:]), step)
 
 
 def write_pack(path: Path, pack: Pack) -> int:
@@ -70,14 +89,19 @@ def write_pack(path: Path, pack: Pack) -> int:
 
     Returns:
         Its bytes.
+
+    Raises:
+        ValueError: more fits than a file may hold.
     """
-    described, planes = [], b""
-    for name, (numbers, step) in pack.tensors.items():
-        data, count = _to_planes(numbers)
-        described.append({"name": name, "shape": list(numbers.shape[1:]), "step": float(step), "planes": count})
-        planes += data
+    described = [
+        {"name": name, "shape": list(of.shape), "step": float(of.step), "planes": len(of.planes)}
+        for name, of in pack.tensors.items()
+    ]
     head = {"schema": SCHEMA, "tasks": pack.tasks, "tensors": described, "about": pack.about}
     text = json.dumps(head, separators=(",", ":"), allow_nan=False).encode()
+    planes = b"".join(of.planes.tobytes() for of in pack.tensors.values())
+    if len(text) > LARGEST_HEADER or len(planes) > LARGEST:
+        raise ValueError(f"{path}: {len(planes):,} bytes of fits, expected at most {LARGEST:,}; pack fewer fits.")
     content = lzma.compress(struct.pack("<I", len(text)) + text + planes, check=lzma.CHECK_SHA256, preset=_PRESET)
     write_atomically(path, lambda target: target.write_bytes(content))
     return len(content)
@@ -87,7 +111,18 @@ _PRESET = 9 | lzma.PRESET_EXTREME
 
 
 def read_pack(path: Path) -> Pack:
-    """Read what `write_pack` wrote.
+    """Read all that `write_pack` wrote.
+
+    Raises:
+        ValueError: as `opened_pack`, and as `PackFile.read`.
+    """
+    with opened_pack(path) as pack:
+        return pack.read()
+
+
+@contextlib.contextmanager
+def opened_pack(path: Path) -> Iterator[PackFile]:
+    """A pack whose header is read and checked.
 
     Raises:
         ValueError: there is no such file, or it is damaged, cut off, of a later version, or no pack.
@@ -95,30 +130,86 @@ def read_pack(path: Path) -> Pack:
     check_readable(path)
     if not path.is_file():
         raise ValueError(f"{path}: no such file, expected one that metapp pack wrote.")
-    content = _unfolded(path)
-    length = int.from_bytes(content[:4], "little")
-    head = _header(path, content[4 : 4 + length])
-    sizes = [math.prod([len(head["tasks"]), *each["shape"]]) * each["planes"] for each in head["tensors"]]
-    if len(content) != 4 + length + sum(sizes):
-        raise ValueError(f"{path}: {len(content):,} bytes, expected {4 + length + sum(sizes):,}; pack the fits again.")
-    tensors, at = {}, 4 + length
-    for each, size in zip(head["tensors"], sizes, strict=True):
-        shape = (len(head["tasks"]), *each["shape"])
-        tensors[each["name"]] = Steps(_from_planes(content[at : at + size], shape, each["planes"]), each["step"])
-        at += size
-    return Pack(head["tasks"], tensors, head["about"])
+    with path.open("rb") as file:
+        yield PackFile(path, file)
 
 
-def _unfolded(path: Path) -> bytes:
-    """The content, checked against its digest."""
-    decoder = lzma.LZMADecompressor(lzma.FORMAT_XZ, memlimit=LARGEST)
-    try:
-        content = decoder.decompress(path.read_bytes(), LARGEST)
-    except (lzma.LZMAError, EOFError):
-        raise ValueError(_DAMAGED.format(path)) from None
-    if not decoder.eof or decoder.unused_data:
-        raise ValueError(_DAMAGED.format(path))
-    return content
+class PackFile:
+    """A pack whose header is read and whose planes are not, so that they can be refused before they are unfolded.
+
+    Attributes:
+        tasks: names of the fits.
+        about: what is said about them.
+        shapes: that the tensors of a fit are to have, by name.
+    """
+
+    def __init__(self, path: Path, file: BinaryIO) -> None:
+        self._path, self._stream = path, _Unfolding(path, file)
+        length = int.from_bytes(self._stream.take(4), "little")
+        head = _header(path, bytes(self._stream.take(min(length, LARGEST_HEADER))))
+        self.tasks: list[str] = head["tasks"]
+        self.about: Document = head["about"]
+        self._parts = head["tensors"]
+        self.shapes = {part["name"]: tuple(part["shape"]) for part in self._parts}
+
+    def read(self) -> Pack:
+        """Unfold the planes, as many bytes as the header declares; once.
+
+        Raises:
+            ValueError: the file is damaged, cut off, or declares more than LARGEST.
+        """
+        places = [(part["planes"], math.prod(part["shape"]), len(self.tasks)) for part in self._parts]
+        size = sum(map(math.prod, places))
+        if size > LARGEST:
+            raise ValueError(f"{self._path}: {size:,} bytes of fits, expected at most {LARGEST:,}; pack fewer fits.")
+        whole, at, tensors = np.frombuffer(self._stream.take(size), np.uint8), 0, {}
+        self._stream.end()
+        for part, shape in zip(self._parts, places, strict=True):
+            planes = whole[at : at + math.prod(shape)].reshape(shape)
+            tensors[part["name"]] = Steps(planes, self.shapes[part["name"]], part["step"])
+            at += planes.size
+        return Pack(self.tasks, tensors, self.about)
+
+
+class _Unfolding:
+    """The content of an XZ file, as far as it is asked for.
+
+    Raises:
+        ValueError: it is damaged or ends before.
+    """
+
+    def __init__(self, path: Path, file: BinaryIO) -> None:
+        self._path, self._file = path, file
+        self._decoder = lzma.LZMADecompressor(lzma.FORMAT_XZ, memlimit=MEMORY)
+
+    def take(self, count: int) -> bytearray:
+        """The next bytes."""
+        taken, at = bytearray(count), 0
+        while at < count:
+            block = self._next(min(count - at, BLOCK))
+            taken[at : at + len(block)] = block
+            at += len(block)
+        return taken
+
+    def end(self) -> None:
+        """Check that nothing follows, and the content against its digest."""
+        while not self._decoder.eof:
+            if self._next(1):
+                raise self._damaged()
+        if self._decoder.unused_data or self._file.read(1):
+            raise self._damaged()
+
+    def _next(self, most: int) -> bytes:
+        more = self._file.read(BLOCK) if self._decoder.needs_input else b""
+        if self._decoder.needs_input and not more:
+            raise self._damaged()
+        try:
+            return self._decoder.decompress(more, most)
+        except (lzma.LZMAError, EOFError):
+            raise self._damaged() from None
+
+    def _damaged(self) -> ValueError:
+        return ValueError(_DAMAGED.format(self._path))
 
 
 _DAMAGED = "{}: damaged or cut off, expected a whole file that metapp pack wrote; pack the fits again."
@@ -133,29 +224,13 @@ def _header(path: Path, text: bytes) -> Document:
         raise ValueError(_DAMAGED.format(path))
     if head["schema"] > SCHEMA:
         raise ValueError(f"{path}: schema {head['schema']}, expected at most {SCHEMA}; update metapp.")
-    good = all(
-        1 <= each["planes"] <= 2 and each["step"] >= 0 and all(size > 0 for size in each["shape"])
-        for each in head["tensors"]
-    )
-    if not good:
+    names = {part["name"] for part in head["tensors"]}
+    if len(names) < len(head["tensors"]) or not all(map(_is_good, head["tensors"])):
         raise ValueError(_DAMAGED.format(path))
     return head
 
 
-def _to_planes(numbers: Tensor) -> tuple[bytes, int]:
-    """Whole numbers as unsigned ones (0, -1, 1, -2 are 0, 1, 2, 3), their low bytes, then their high ones, if any.
-
-    One place of all fits after the other: these are alike.
-    """
-    signed = numbers.flatten(1).T.contiguous().numpy().astype(np.int64)
-    folded = np.where(signed < 0, -2 * signed - 1, 2 * signed)
-    count = 1 if folded.max(initial=0) < 256 else 2
-    return b"".join((folded >> 8 * plane & 255).astype(np.uint8).tobytes() for plane in range(count)), count
-
-
-def _from_planes(data: bytes, shape: tuple[int, ...], count: int) -> Tensor:
-    """The inverse of `_to_planes`."""
-    planes = np.frombuffer(data, np.uint8).astype(np.int64).reshape(count, -1)
-    folded = sum(planes[plane] << 8 * plane for plane in range(count))
-    signed = np.where(folded & 1, -(folded + 1) // 2, folded // 2).astype(np.int32)
-    return torch.from_numpy(signed.reshape(-1, shape[0]).T.copy()).reshape(shape)
+def _is_good(part: dict[str, Any]) -> bool:
+    """Whether a tensor can be one: of few axes, so that its size is soon known."""
+    shape = part["shape"]
+    return 1 <= part["planes"] <= 2 and part["step"] >= 0 and len(shape) < 16 and all(0 < n <= LARGEST for n in shape)

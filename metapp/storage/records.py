@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import json
 import math
@@ -9,7 +10,7 @@ import statistics
 import sys
 import unicodedata
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -23,9 +24,11 @@ from metapp.learning.task import Params
 from metapp.storage import Document
 from metapp.storage.files import append_line, locked, write_atomically
 from metapp.storage.tensors import opened_tensors, read_tensors
+from metapp.storage.text import as_text
 
 Record = Document  # of a task, a line of record.jsonl
 SCHEMA = 1
+SMALL_BYTES = 2**16  # of a record file: below it replaced lines stay
 LONGEST = 100  # bytes of a name; file systems take 255, of which suffixes and temporary names need some
 FLOATS = (torch.half, torch.float32, torch.float64)
 
@@ -37,26 +40,43 @@ _RECORD = {"name": str, "key": str, "settings": dict}
 
 
 def holds(value: Any, form: Any) -> bool:
-    """Whether a JSON document has a form.
+    """Whether a JSON document has a form, as `misfits` reads it."""
+    return next(misfits(value, form), None) is None
 
-    A form is a type, or a union of several, of which numbers must be finite; a list of one form, that of all items; a
-    tuple of forms, one for each item of a list; a dictionary of the forms of those entries that must be there, where
-    `...` is the form of all.
+
+def misfits(value: Any, form: Any, place: str = "") -> Iterator[str]:
+    """The places of a JSON document, such as `.settings.seed`, that have not a form.
+
+    A form is a type, or a union of several, of which numbers must be finite; a range of whole numbers; a list of one
+    form, that of all items; a tuple of forms, one for each item of a list; a dictionary of the forms of those entries
+    that must be there, or, where `?` follows the name, may be; where `...` is the name, the form of all.
     """
-    if isinstance(form, dict):
-        if not isinstance(value, dict):
-            return False
+    if isinstance(form, dict) and isinstance(value, dict):
         if ... in form:
-            return all(holds(each, form[...]) for each in value.values())
-        return all(key in value and holds(value[key], each) for key, each in form.items())
-    if isinstance(form, list):
-        return isinstance(value, list) and all(holds(each, form[0]) for each in value)
-    if isinstance(form, tuple):
-        return (
-            isinstance(value, list)
-            and len(value) == len(form)
-            and all(holds(each, of) for each, of in zip(value, form, strict=True))
-        )
+            for key, each in value.items():
+                yield from misfits(each, form[...], f"{place}.{key}")
+            return
+        for key, of in form.items():
+            name = key.removesuffix("?")
+            if name in value:
+                yield from misfits(value[name], of, f"{place}.{name}")
+            elif name == key:
+                yield f"{place}.{name}"
+    elif isinstance(form, list | tuple) and isinstance(value, list):
+        forms = form if isinstance(form, tuple) else form * len(value)
+        if len(forms) != len(value):
+            yield place
+        else:
+            for i, (each, of) in enumerate(zip(value, forms, strict=True)):
+                yield from misfits(each, of, f"{place}.{i}")
+    elif isinstance(form, dict | list | tuple) or not _is(value, form):
+        yield place
+
+
+def _is(value: Any, form: Any) -> bool:
+    """Whether a value is of a type, finite if a number, or in a range."""
+    if isinstance(form, range):
+        return type(value) is int and value in form
     if isinstance(value, bool) or not isinstance(value, form):
         return False
     return not isinstance(value, int | float) or abs(value) <= sys.float_info.max
@@ -148,10 +168,10 @@ def tensor_digest(params: Params) -> str:
 class RunFolder:
     """A run's folder: `record.jsonl`, one line a task, and `params/<task>.safetensors`.
 
-    Lines are only ever appended, whole or not at all, and what several programs add at once stays. Of a task's lines
-    the last one counts, since its parameters are those on disk. Lines carry the run's key, a digest of all settings;
-    those of another key are another run's: they stay, and count for that run alone. A run that was cut off resumes at
-    its first missing task.
+    Lines are appended, whole or not at all, and what several programs add at once stays. Of a task's lines the last one
+    counts, since its parameters are those on disk; the others are removed once they are most of a large file. Lines
+    carry the run's key, a digest of all settings; those of another key are another run's: they stay, and count for that
+    run alone. A run that was cut off resumes at its first missing task.
 
     Args:
         path: the folder, made at the first record.
@@ -174,6 +194,7 @@ class RunFolder:
         self.key = key_of(settings)
         self._form = form or {}
         self._read: tuple[Any, dict[str, Document]] = (None, {})
+        self._live_bytes = 0  # of the lines that counted when replaced ones were last looked for
 
     @property
     def file(self) -> Path:
@@ -204,8 +225,28 @@ class RunFolder:
                 tensors = {key: value.detach().cpu().contiguous() for key, value in theta.items()}
                 write_atomically(self.params(record["name"]), lambda target: target.write_bytes(save(tensors)))
             whole = {**record, "key": self.key, "settings": self.settings, **self.origin}
-            line = json.dumps(finite(whole), allow_nan=False)
+            line = json.dumps(as_text(finite(whole)), allow_nan=False)
             append_line(self.file, line.encode(), lambda tail: _parsed(tail) is not None)
+            with contextlib.suppress(OSError):  # the record is kept, whatever happens to replaced ones
+                self._remove_replaced()
+
+    def _remove_replaced(self) -> None:
+        """Remove lines that do not count any more: else a fit repeated n times reads n lines each time."""
+        size = self.file.stat().st_size
+        if size < max(SMALL_BYTES, 2 * self._live_bytes):
+            return
+        lines = self.file.read_bytes().split(b"\n")
+        tasks = [self._task_of(line) for line in lines]
+        last = {task: number for number, task in enumerate(tasks)}
+        kept = [line for number, line in enumerate(lines) if tasks[number] is None or last[tasks[number]] == number]
+        if 2 * len(kept) < len(lines):
+            write_atomically(self.file, lambda target: target.write_bytes(b"\n".join(kept)))
+        self._live_bytes = sum(map(len, kept))
+
+    def _task_of(self, line: bytes) -> tuple[str, str] | None:
+        """Name and key of a record; None where the line is none."""
+        record = _parsed(line)
+        return (record["name"], record["key"]) if holds(record, _RECORD | self._form) else None
 
     def params(self, task: str) -> Path:
         """The file of a task's parameters."""
@@ -236,7 +277,7 @@ def read_theta(folder: Path, task: str) -> dict[str, Tensor]:
 
 
 def _params(folder: Path, task: str) -> Path:
-    return folder / "params" / f"{file_name(task)}.safetensors"
+    return folder / "params" / f"{file_name(as_text(task))}.safetensors"
 
 
 def read_records(path: Path, form: Document | None = None) -> list[Document]:
@@ -252,7 +293,7 @@ def read_records(path: Path, form: Document | None = None) -> list[Document]:
     bad = []
     lines = path.read_bytes().split(b"\n") if path.is_file() else []
     for number, line in enumerate(lines, 1):
-        record = _parsed(line)
+        record = as_text(_parsed(line))
         if isinstance(record, dict) and isinstance(record.get("settings"), dict):
             record["settings"] = renamed(record["settings"])
         if holds(record, {"name": str, **(form or {})}):

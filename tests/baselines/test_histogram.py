@@ -7,12 +7,21 @@ import pytest
 import torch
 
 from metapp.baselines.transport import (
+    DIRECTIONS,
+    FIRST,
     GRIDS,
+    PLACES,
     Counts,
     Densities,
     Histograms,
+    _above,
+    _areas,
+    _film,
+    _keys,
     _mean,
+    _moved,
     _prior,
+    baselines,
     counted,
     morton,
     pair,
@@ -128,3 +137,112 @@ def test_samples_are_those_of_the_application_and_the_lesser_of_cells_and_sample
     crowded = Densities(one.film, one.directions, 10**6)
     cells = len(one.film.levels[-1].keys) + len(one.directions[0].levels[-1][-1].keys)
     assert crowded.kept == (2 * cells, 6 * cells)
+
+
+def test_strengths_are_of_the_levels_they_are_said_to_be_of(numbers: np.random.Generator) -> None:
+    """An endless one leaves a level as even as the one above, one of almost nothing the samples' own shares."""
+    points = peaked(numbers, 5000)[:, :2]
+    found, free, held = square(points, 2), 1e-9, 1e12
+    cells = grid(4)
+    fine = np.exp(found.log_density(cells, np.array([free, free])))
+    coarse = np.exp(found.log_density(cells, np.array([free, held])))
+    within = np.exp(found.log_density(cells, np.array([held, free])))
+    np.testing.assert_allclose(coarse, np.exp(square(points, 1).log_density(cells, np.array([free]))), rtol=1e-6)
+    np.testing.assert_allclose(coarse * within, fine, rtol=1e-6)
+    everywhere = pair(np.concatenate([points, points[::-1]], 1), 0, 3).counts_at(np.concatenate([cells, cells], 1))
+    shares = [np.exp(everywhere.log_density(np.array([each]))) for each in np.where(np.eye(3), free, held)]
+    np.testing.assert_allclose(
+        np.prod(shares, axis=0), np.exp(everywhere.log_density(np.full((1, 3), free))), rtol=1e-6
+    )
+
+
+def test_places_lead_down_from_the_whole_film(numbers: np.random.Generator) -> None:
+    """Endless strengths in all places but the whole leave what is known of all samples together."""
+    points = peaked(numbers, 3000)
+    whole = pair(points, 0, 3).counts_at(points).log_density(np.full((1, 3), 4.0))
+    strengths = np.concatenate([np.full((1, 3), 4.0), np.full((2, 3), 1e12)])
+    np.testing.assert_allclose(pair(points, 2, 3).counts_at(points).log_density(strengths), whole, rtol=1e-6, atol=1e-6)
+
+
+def test_the_finest_cells_hold_the_share_of_their_samples(numbers: np.random.Generator) -> None:
+    points = peaked(numbers, 400)
+    found = np.exp(pair(points, 0, 3).counts_at(points).log_density(np.full((1, 3), 1e-12)))
+    cells = morton(points[:, 2:], 3)
+    np.testing.assert_allclose(found, 64 * np.bincount(cells, minlength=64)[cells] / 400, rtol=1e-9)
+
+
+def test_cells_above_are_those_of_coarser_points(numbers: np.random.Generator) -> None:
+    points, places, directions = numbers.random((500, 4)), 3, 4
+    key = _keys(points, places, directions)
+    for i in range(places + 1):
+        for j in range(directions + 1):
+            expected = (morton(points[:, :2], i) << (2 * j)) | morton(points[:, 2:], j)
+            assert np.array_equal(_above(key, places, directions, i, j), expected), (i, j)
+
+
+@pytest.mark.parametrize("level", [0, 1, 2, 3])
+def test_areas_of_shifted_cells_are_how_much_of_the_square_they_hold(numbers: np.random.Generator, level: int) -> None:
+    points = np.concatenate([np.zeros((400**2, 2)), grid(400)], 1)
+    for shifts in (None, np.zeros(4), numbers.random(4)):
+        moved = _moved(points, shifts)[:, 2:]
+        _, cells, counts = np.unique(morton(moved, level), return_inverse=True, return_counts=True)
+        areas = _areas(moved, shifts, level)
+        np.testing.assert_allclose(areas, counts[cells] / 400**2, atol=0.01)
+        assert (1 / areas).mean() == pytest.approx(len(counts), rel=0.1)
+
+
+def test_strengths_grow_by_the_same_factor_from_level_to_level(numbers: np.random.Generator) -> None:
+    film = _film((2.0, -0.5))
+    assert film[0] == pytest.approx(np.exp(2))
+    np.testing.assert_allclose(film[1:] / film[:-1], np.exp(-0.5))
+    points, first, by_place, by_direction = peaked(numbers, 500), 3.0, -1.0, 0.4
+    counts = pair(points, PLACES, DIRECTIONS).counts_at(points[:50])
+    levels = np.array([[first + by_place * i + by_direction * j for j in range(DIRECTIONS)] for i in range(PLACES + 1)])
+    alone = counts.log_density(np.exp(levels))
+    for several in ([counts], [counts, counts]):  # the mean of what is the same
+        np.testing.assert_allclose(_mean(several, (first, by_place, by_direction)), alone, rtol=1e-9, atol=1e-9)
+
+
+def test_a_picture_is_a_prior_whatever_its_exposure_and_nowhere_0(numbers: np.random.Generator) -> None:
+    image = torch.from_numpy(numbers.random((3, 4, 4)))
+    image[:, 1, 2] = 0
+    prior = _prior(image)
+    assert prior.sum() == pytest.approx(1)
+    np.testing.assert_allclose(_prior(1000 * image), prior, rtol=1e-9)
+    assert 0 < prior.min() < 1e-5 * prior.mean()
+
+
+def test_strengths_are_chosen_where_held_out_samples_are_likeliest(
+    numbers: np.random.Generator, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """On scenes that are spread over all: the choice is at least as good as where the search begins."""
+    samples, held = (torch.from_numpy(peaked(numbers, count)).float().expand(16, -1, -1) for count in (3000, 500))
+    known = Tasks(tuple("abcdefghijklmnop"), {"samples": samples, "held": held}, torch.arange(16))
+    rows, original = [], Histograms.made
+
+    def made(self: Histograms, tasks: Tasks, rng: torch.Generator, count: int) -> Densities:
+        rows.append(tasks.rows.tolist())
+        return original(self, tasks, rng, count)
+
+    monkeypatch.setattr(Histograms, "made", made)
+    method = Histograms(1, False)
+    chosen = method._chosen(known, 300)
+    assert rows == [[row] for row in range(0, 16, 2)]
+    found, points = method.made(known.select([4]), torch.Generator().manual_seed(4), 300), held[0].double().numpy()
+    film, first = (found.film.log_density(points[:, :2], _film(x)).mean() for x in (chosen.film, FIRST[0]))
+    assert film >= first
+    looked = [found.directions[0].counts_at(points)]
+    assert _mean(looked, chosen.directions).mean() >= _mean(looked, FIRST[1]).mean()
+
+
+def test_only_the_mean_of_grids_looks_at_the_picture(numbers: np.random.Generator) -> None:
+    """Its density of the film lies between that of the samples alone and that of the picture."""
+    app, scene = app_by("transport"), _scene(numbers)
+    dark = scene.data["image"].clone()
+    dark[..., :16] = 0.01
+    other = Tasks(scene.names, scene.data | {"image": dark}, scene.rows)
+    for baseline in baselines(app):
+        made = [baseline.prepare.__self__.made(each, torch.Generator().manual_seed(0), 64) for each in (scene, other)]  # type: ignore[attr-defined]
+        films = [each.film.log_density(grid(8), _film((4.0, 0.0))) for each in made]
+        assert np.array_equal(*films) == (baseline.name == "histogram")
+        assert len(made[0].directions) == (1 if baseline.name == "histogram" else GRIDS)

@@ -183,6 +183,26 @@ def test_checkpoints_of_other_rules_sizes_or_applications_are_one_line(fit: Call
 # Names
 
 
+def test_names_that_are_no_utf_8_are_text_in_json(metapp: Callable, network: Path) -> None:
+    """Every document is UTF-8 without lone surrogates, which strict readers refuse; and paths are found again."""
+    place = Path(b"caf\xe9".decode(errors="surrogateescape"))
+    place.mkdir()
+    for name in ("m0", "m1"):
+        shutil.copytree(network, place / (place.name + name))
+    words = ("brdf", place, "--recipe", "quick", "--json", "--quiet")
+    runs = [metapp("meta", *words).done["out"], metapp("meta", *words, "--batch", "2").done["out"]]
+    texts = [path.read_bytes() for path in Path("runs").rglob("*.jsonl")]
+    texts += [metapp("rerun", run, "--json").out.encode() for run in runs]
+    texts += [metapp("meta", *words[:1], place / "none", "--batch", "2", *words[2:]).out.encode()]
+    for text in texts:
+        for line in text.splitlines():
+            json.dumps(json.loads(line), ensure_ascii=False).encode()
+    assert sum(rb"caf\\udce9" in text for text in texts) == 2
+    assert metapp("rerun", runs[0], "--quiet").code == 0
+    said = metapp("meta", *words[:-1], "--batch", "2").err
+    assert "2 fitted before" in said
+
+
 @pytest.mark.parametrize(
     "name", ["x" * 230, "a\nb", "\x1b[31mred", "日" * 80, b"caf\xe9".decode(errors="surrogateescape")]
 )

@@ -101,7 +101,9 @@ def test_a_checkpoint_trained_on_this_data_is_found_again_or_named(fit: Callable
     (checkpoint,) = Path("runs/brdf/checkpoints").rglob("general.safetensors")
     assert load_checkpoint(checkpoint)[1]["training"]["steps"] == 3
     fit("general", *STEPS)
-    assert checkpoint.with_suffix(".previous.safetensors").is_file()
+    assert not checkpoint.with_suffix(".previous.safetensors").exists()  # it would be the same
+    fit("general", *STEPS[:-1], "4")
+    assert load_checkpoint(checkpoint.with_suffix(".previous.safetensors"))[1]["training"]["steps"] == 3
     result = fit("general", "--checkpoint", checkpoint.rename("mine.safetensors"))
     assert result.code == 0
     assert "mine.safetensors" in result.err

@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 
 import pytest
 
+from metapp.storage.training_checkpoint import TrainingCheckpoint
 from tests import forks
 
 pytestmark = pytest.mark.usefixtures("compiled")
@@ -39,11 +40,11 @@ class Command(NamedTuple):
     out: Path
     wait: float  # s
 
-    def start(self) -> Running:
+    def start(self, program: Callable[..., None] = forks.metapp) -> Running:
         said = self.out.with_name(f"{self.out.name}-said")
         line = [*map(str, self.arguments), "--out", str(self.out), "--quiet"]
         often = {"METAPP_CHECKPOINT_SECONDS": str(self.wait / 5)}
-        return Running(forks.start(forks.metapp, *line, said=said, more=often), said)
+        return Running(forks.start(program, *line, said=said, more=often), said)
 
     def run(self) -> str:
         """To its end; what it says."""
@@ -121,12 +122,28 @@ def kill_often(command: Callable[..., Command], seed: int, count: int, paradigm:
         print(f"seed {seed}, {paradigm} {i}: {killed} kills;", "; ".join(line.split(" (")[0] for line in lines))
         assert again.starts() == expected
         assert not list(again.out.rglob("*.training.safetensors"))
+        assert not list(again.out.rglob("*.previous.safetensors"))
         assert not list(again.out.rglob(".partial-*"))
         total, i = total + killed, i + 1
 
 
 def test_killed_trainings_go_on(command: Callable[..., Command]) -> None:
     kill_often(command, seed=1, count=3, paradigm="quickft", steps=40, wait=0.25)
+
+
+def _killed_when_it_is_done(*words: str) -> None:
+    TrainingCheckpoint.remove = lambda self: os._exit(9)
+    forks.metapp(*words)
+
+
+def test_a_kill_after_the_checkpoint_is_written_keeps_it_once(command: Callable[..., Command]) -> None:
+    """The same command again writes the same checkpoint, which is none that it replaces."""
+    general = command("general")
+    assert general.start(_killed_when_it_is_done).end()[0] == 9
+    (before,) = general.starts().values()
+    general.run()
+    (found,) = (path for path in general.out.rglob("checkpoints/**/*") if path.is_file())
+    assert (found.name, found.read_bytes()) == ("general.safetensors", before)
 
 
 @pytest.mark.slow

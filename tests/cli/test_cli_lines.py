@@ -52,6 +52,7 @@ def test_what_fails_is_a_line_and_ends_nothing(answers: Callable, networks: Path
     broken, missing, fitted = found
     assert broken["input"] == str(Path("broken.binary"))
     assert "broken.binary: " in broken["failure"]
+    assert missing["input"] == r"no\udcffwhere"  # text, as JSON in UTF-8 has no lone surrogates
     assert missing["failure"] == r"no\udcffwhere: no such file or folder; give existing input files."
     assert fitted["tasks"][0]["name"] == "m2"
     assert errors == "error: 2 of 3 inputs were not fitted.\n"

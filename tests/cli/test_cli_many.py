@@ -11,6 +11,7 @@ import pytest
 
 from metapp.apps.brdf import Brdf
 from metapp.runs import BadOption
+from metapp.runs.execution import _Loop
 from metapp.runs.fits import Fitter
 from metapp.runs.request import Portion, portion_of
 from metapp.storage.records import read_records
@@ -93,6 +94,23 @@ def test_a_broken_file_stops_no_other(fit: Callable, fitted: list[list[str]], ma
     del fitted[:]
     assert sorted(errors(fit("--batch", "3").done)) == NAMES
     assert fitted == [["m2"]]
+
+
+def test_failures_keep_nothing_of_what_was_read(
+    fit: Callable, materials: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Frames of a traceback hold arrays and tensors: of thousands of damaged files that would be all memory."""
+    (materials / "m2" / "b1.npy").write_bytes(b"broken")
+    kept, original = [], _Loop.fit
+
+    def watched(self, sources):
+        yield from original(self, sources)
+        kept.extend(failure.error for failure in self.failures)
+
+    monkeypatch.setattr(_Loop, "fit", watched)
+    fit("--batch", "3")
+    (error,) = kept
+    assert (error.__traceback__, error.__context__, error.__cause__) == (None, None, None)
 
 
 def test_a_fit_that_fails_is_parted_from_its_batch(

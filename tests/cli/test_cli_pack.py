@@ -3,9 +3,14 @@
 from __future__ import annotations
 
 import json
+import lzma
+import math
 import shutil
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
@@ -132,3 +137,50 @@ def test_bad_files_are_one_line(metapp: Callable, fitted: Callable) -> None:
         write_pack(Path("b.pack"), whole._replace(tensors=tensors))
         assert "is not one of brdf, expected a fit's; pack the fits again." in metapp("unpack", "b.pack").error
         assert not Path("b").exists()
+
+
+@pytest.mark.parametrize("bomb", ["shape", "name", "tasks"])
+def test_what_a_pack_declares_is_compared_before_it_is_unfolded(metapp: Callable, fitted: Callable, bomb: str) -> None:
+    """40 kB that unfold to 256 MB: unpacking takes no more memory than refusing what is no pack."""
+    metapp("pack", fitted("general"), "--out", "a.pack", "--bits", "8", "--quiet")
+    content = lzma.decompress(Path("a.pack").read_bytes())
+    length = int.from_bytes(content[:4], "little")
+    head = json.loads(content[4 : 4 + length])
+    size, first = 1 << 28, head["tensors"][0]
+    if bomb == "tasks":
+        head["tasks"] += [f"t{i}" for i in range(size // _fit_bytes(head))]
+    elif bomb == "shape":
+        first["shape"] = [size // NETWORKS]
+    else:
+        head["tensors"].append({**first, "name": "more", "shape": [size // NETWORKS]})
+    text, zeros = json.dumps(head).encode(), bytes(len(head["tasks"]) * _fit_bytes(head))
+    bomb_content = len(text).to_bytes(4, "little") + text + zeros
+    Path("bomb.pack").write_bytes(lzma.compress(bomb_content, check=lzma.CHECK_NONE, preset=0))
+    words = [sys.executable, "-c", UNPACKED]
+    done = subprocess.run(words, check=True, capture_output=True, text=True)
+    refusal, before, after = done.stdout.splitlines()
+    assert refusal.startswith("bomb.pack: ")
+    assert "expected" in refusal
+    assert int(after) - int(before) < 100_000  # kB
+    assert not Path("bomb").exists()
+
+
+def _fit_bytes(head: dict[str, Any]) -> int:
+    """What one fit's planes take by a header."""
+    return sum(math.prod(tensor["shape"]) * tensor["planes"] for tensor in head["tensors"])
+
+
+UNPACKED = """
+from pathlib import Path
+from metapp.runs.pack import unpack
+
+def peak():
+    return Path("/proc/self/status").read_text().split("VmHWM:")[1].split()[0]
+
+unpack(Path("a.pack"), None, None)
+before = peak()
+try:
+    unpack(Path("bomb.pack"), None, None)
+except ValueError as error:
+    print(error, before, peak(), sep="\\n")
+"""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -69,8 +70,10 @@ def test_other_versions_machines_and_threads_are_named_and_allowed_for(metapp: C
         record["settings"]["versions"]["torch"] = "2.0.0"
         record["origin"]["machine"] = "another"
 
-    change(run, lambda record: record.update(threads=2))  # on which it runs
-    assert metapp("rerun", run, "--task", "m0", "--json").document["tasks"][0]["differs"] == {}
+    change(run, lambda record: record.update(threads=1000))  # it runs on as many as there are processors
+    result = metapp("rerun", run, "--task", "m0", "--json")
+    assert result.done["tasks"][0]["differs"] == {"threads": [1000, os.cpu_count()]}
+    change(run, lambda record: record.update(threads=1))
     change(run, edit)
     result = metapp("rerun", run, "--task", "m0", "--json")
     (row,) = result.done["tasks"]
@@ -118,6 +121,51 @@ def test_other_settings_are_named_and_fits_without_reference_judged(metapp: Call
     change(run, lambda record: record["settings"].update(batch=100))
     said = "error: m0: batch 512, expected 100 as recorded; repeat it by the version of metapp"
     assert said in metapp("rerun", run).error
+
+
+MISSING = object()
+DAMAGED = {
+    "error": (MISSING, "x"),
+    "seconds": ("x", None),
+    "threads": (0.5, -1, 0, 10**18, True, "x"),
+    "settings.rule": (7, MISSING, ["ridge"]),
+    "settings.paradigm": ([], {}),
+    "settings.steps": (10**18, -1, "x"),
+    "settings.seed": (0.5, MISSING),
+    "settings.versions": (None, [], {"torch": {}}),
+    "settings.data": (MISSING, 0.5),
+    "origin": (None, "x", []),
+    "origin.inputs": (7, [None], [[]]),
+    "origin.inputs.0": (7,),
+}
+
+
+def _damage(record: dict[str, Any], place: str, value: Any) -> None:
+    *above, last = place.split(".")
+    for key in above:
+        record = record[int(key) if isinstance(record, list) else key]
+    if value is MISSING:
+        del record[last]
+    else:
+        record[int(last) if isinstance(record, list) else last] = value
+
+
+@pytest.mark.parametrize("place", DAMAGED)
+def test_a_record_of_other_types_is_refused_in_a_line(metapp: Callable, run: Path, place: str) -> None:
+    whole = (run / "record.jsonl").read_text()
+    for value in DAMAGED[place]:
+        (run / "record.jsonl").write_text(whole)
+        change(run, lambda record, value=value: record["name"] == "m1" and _damage(record, place, value))
+        for words in (("rerun", run), ("rerun", run, "--task", "m1")):
+            line = error_of(metapp(*words))
+            assert "unexpected" not in line, (value, line)
+
+
+def test_a_fit_that_would_not_end_is_refused(metapp: Callable, networks: Path) -> None:
+    words = ("overfit", "brdf", networks, "--recipe", "quick", "--steps", "3", "--json", "--quiet")
+    run = Path(metapp(*words).document["out"])
+    change(run, lambda record: record["settings"].update(steps=10**18))
+    assert "record of m0: settings.steps is missing or not as metapp writes it" in metapp("rerun", run).error
 
 
 @pytest.mark.slow

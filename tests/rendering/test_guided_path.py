@@ -1,4 +1,4 @@
-"""The integrator guided_path: the mean of Mitsuba's path, less noise, and path itself where it cannot help."""
+"""The integrator metapp_guided_path: the mean of Mitsuba's path, less noise, and path itself where it cannot help."""
 
 from __future__ import annotations
 
@@ -41,10 +41,10 @@ def plugin(mi: Any, monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequ
 
 
 def loaded(mi: Any, scene: dict[str, Any], size: int = SIZE) -> Any:
-    from metapp.rendering.scene_loading import _matrices
+    from metapp.rendering.scene_trial import instantiate
 
     scene["sensor"]["film"] |= {"width": size, "height": size}
-    return mi.load_dict(_matrices(mi, scene), parallel=False)
+    return instantiate(mi, scene)
 
 
 def zoo() -> dict[str, Any]:
@@ -89,7 +89,7 @@ def deviation(first: np.ndarray[Any, Any], second: np.ndarray[Any, Any]) -> floa
 @pytest.mark.parametrize("emitter_sampling", [True, False])
 def test_the_mean_is_that_of_path_in_a_box(mi: Any, emitter_sampling: bool) -> None:
     scene = loaded(mi, random_scene(1))  # has glass and metal
-    guided = pictures(mi, scene, "guided_path", emitter_sampling=emitter_sampling)
+    guided = pictures(mi, scene, "metapp_guided_path", emitter_sampling=emitter_sampling)
     plain = pictures(mi, scene, "path")
     assert abs(deviation(guided[:, SIZE // 2 :], plain[:, SIZE // 2 :])) < 3
     assert abs(deviation(guided, plain)) < 3
@@ -101,7 +101,7 @@ def test_the_mean_is_that_of_path_for_all_materials_in_all_lights(mi: Any, lamp:
     for other in set(LAMPS) - {lamp}:
         del scene[other]
     scene = loaded(mi, scene)
-    assert abs(deviation(pictures(mi, scene, "guided_path"), pictures(mi, scene, "path"))) < 3
+    assert abs(deviation(pictures(mi, scene, "metapp_guided_path"), pictures(mi, scene, "path"))) < 3
 
 
 def test_a_cache_that_is_wrong_about_itself_is_found_out(mi: Any, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -110,7 +110,7 @@ def test_a_cache_that_is_wrong_about_itself_is_found_out(mi: Any, monkeypatch: p
     density = GuideCache.density
     monkeypatch.setattr(GuideCache, "density", lambda *arguments: 0.8 * density(*arguments))
     scene = loaded(mi, random_scene(1))
-    assert abs(deviation(pictures(mi, scene, "guided_path"), pictures(mi, scene, "path"))) > 5
+    assert abs(deviation(pictures(mi, scene, "metapp_guided_path"), pictures(mi, scene, "path"))) > 5
 
 
 @pytest.mark.parametrize(("emitter_sampling", "at_most"), [(True, 0.85), (False, 0.6)])
@@ -118,7 +118,7 @@ def test_there_is_less_noise(mi: Any, monkeypatch: pytest.MonkeyPatch, emitter_s
     from metapp.rendering.guide_cache import GuideCache
 
     scene, noise = loaded(mi, random_scene(101), 64), []
-    integrator = mi.load_dict({"type": "guided_path", "emitter_sampling": emitter_sampling, "max_depth": 5})
+    integrator = mi.load_dict({"type": "metapp_guided_path", "emitter_sampling": emitter_sampling, "max_depth": 5})
     for learns in (True, False):
         if not learns:
             monkeypatch.setattr(GuideCache, "learn", lambda cache: 0)
@@ -129,7 +129,7 @@ def test_there_is_less_noise(mi: Any, monkeypatch: pytest.MonkeyPatch, emitter_s
 
 def test_a_seed_says_what_a_picture_is(mi: Any) -> None:
     scene = loaded(mi, random_scene(1))
-    guided = mi.load_dict({"type": "guided_path", "max_depth": 4})
+    guided = mi.load_dict({"type": "metapp_guided_path", "max_depth": 4})
     first, again, other = (np.array(mi.render(scene, integrator=guided, spp=32, seed=seed)) for seed in (3, 3, 4))
     assert np.allclose(first, again, rtol=1e-5)
     assert not np.allclose(first, other, rtol=1e-2)
@@ -165,8 +165,8 @@ def test_it_works_from_xml_in_films_of_any_size(mi: Any) -> None:
 )
 def test_where_it_cannot_help_path_renders_and_it_says_so_once(mi: Any, more: Any, spp: int, why: str) -> None:
     scene = loaded(mi, random_scene(1))
-    guided, plain = (mi.load_dict({"type": kind, **more}) for kind in ("guided_path", "path"))
-    with pytest.warns(UserWarning, match=f"guided_path: .*{why}.*; rendered by path"):
+    guided, plain = (mi.load_dict({"type": kind, **more}) for kind in ("metapp_guided_path", "path"))
+    with pytest.warns(UserWarning, match=f"metapp_guided_path: .*{why}.*; rendered by path"):
         found = mi.render(scene, integrator=guided, spp=spp, seed=1)
     assert np.array_equal(np.array(found), np.array(mi.render(scene, integrator=plain, spp=spp, seed=1)))
     mi.render(scene, integrator=guided, spp=spp, seed=1)  # a second warning would be an error
@@ -174,16 +174,42 @@ def test_where_it_cannot_help_path_renders_and_it_says_so_once(mi: Any, more: An
 
 def test_within_another_integrator_it_is_path_and_some_properties_exclude_each_other(mi: Any) -> None:
     scene = loaded(mi, random_scene(1))
-    both = mi.load_dict({"type": "aov", "aovs": "d:depth", "own": {"type": "guided_path", "max_depth": 4}})
+    both = mi.load_dict({"type": "aov", "aovs": "d:depth", "own": {"type": "metapp_guided_path", "max_depth": 4}})
     with pytest.warns(UserWarning, match="another integrator"):
         assert np.isfinite(np.array(mi.render(scene, integrator=both, spp=16))).all()
     with pytest.raises(Exception, match="hide_emitters without emitter_sampling"):
-        mi.load_dict({"type": "guided_path", "hide_emitters": True, "emitter_sampling": False})
+        mi.load_dict({"type": "metapp_guided_path", "hide_emitters": True, "emitter_sampling": False})
+
+
+OTHERS = {
+    "budgetType": "spp",
+    "sppPerPass": 4,
+    "sTreeThreshold": 12_000,
+    "bsdf_sampling_fraction": 0.5,
+    "nee": "never",
+}
+
+
+@pytest.mark.parametrize("name", OTHERS)
+def test_a_scene_that_means_another_integrator_of_that_name_is_told(mi: Any, name: str) -> None:
+    """Public scenes call the one of Mueller et al. 2017 guided_path."""
+    line = rf"guided_path: '{name}' is a property of the integrator of Mueller et al. 2017.*expected metapp_guided_path"
+    with pytest.raises(Exception, match=line):
+        mi.load_dict({"type": "guided_path", "max_depth": 4, name: OTHERS[name]})
+    assert "max_depth = 4" in str(mi.load_dict({"type": "guided_path", "max_depth": 4}))
+
+
+def test_registering_again_adds_nothing(mi: Any, plugin: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    added: list[Any] = []
+    monkeypatch.setattr(mi.detail, "add_variant_callback", added.append)
+    for _ in range(3):
+        plugin.register_guided_path()
+    assert added == []
 
 
 def test_the_prior_is_the_file_that_is_named(mi: Any, tmp_path: Path) -> None:
     def prior(**more: Any) -> Any:
-        return mi.load_dict({"type": "guided_path", **more}).prior
+        return mi.load_dict({"type": "metapp_guided_path", **more}).prior
 
     assert prior(checkpoint="none") is None
     assert prior(emitter_sampling=False) is None  # it was trained with
@@ -231,6 +257,6 @@ def test_the_guard_leaves_a_guide_that_does_not_pay(mi: Any, monkeypatch: pytest
     one = torch.eye(BINS, dtype=torch.float64)[5:6]
     monkeypatch.setattr(GuideCache, "learn", lambda cache: cache._tabulate(one))
     scene = loaded(mi, random_scene(2), 32)
-    guided = mi.load_dict({"type": "guided_path", "max_depth": 5})
+    guided = mi.load_dict({"type": "metapp_guided_path", "max_depth": 5})
     with pytest.warns(UserWarning, match="does not lower the noise enough"):
         mi.render(scene, integrator=guided, spp=SPP)

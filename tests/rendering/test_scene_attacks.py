@@ -168,6 +168,24 @@ GROWING = "".join(f'<default name="a{i}" value="{f"$a{i - 1}" * 10 if i else "x"
 CYCLE = '<bsdf type="twosided" id="a"><ref id="b"/></bsdf><bsdf type="twosided" id="b"><ref id="a"/></bsdf>'
 LAUGH = "".join(f'<!ENTITY l{i + 1} "{f"&l{i};" * 10}">' for i in range(12))
 SPHERE = {"type": "sphere"}
+SAMPLER = '<sampler type="{}"><{} name="sampleCount" value="{}"/></sampler>'
+LAMP_SHAPE = f'<shape type="cube">{LAMP.replace("4 4 4", "{}")}</shape>'
+TWICE = SAMPLER.format("ldsampler", "float", 4).replace("/><", '/><float name="sample_count" value="9"/><')
+BLACK = '<texture type="blackbody"><float name="temperature" value="{}"/></texture>'
+
+
+def camera(**film: int) -> dict[str, Any]:
+    return {**random_scene(0)["sensor"], "film": {"type": "hdrfilm", **film}}
+
+
+def coloured(texture: dict[str, Any]) -> dict[str, Any]:
+    return {**SPHERE, "bsdf": {"type": "diffuse", "reflectance": texture}}
+
+
+def glowing(texture: dict[str, Any]) -> dict[str, Any]:
+    return {**SPHERE, "emitter": {"type": "area", "radiance": texture}}
+
+
 BAD: dict[str, tuple[str, str]] = {
     "doctype.xml": (xml(before="<!DOCTYPE scene>"), "a DOCTYPE, expected a scene without one"),
     "laughs.xml": (xml(before=f'<!DOCTYPE scene [<!ENTITY l0 "ha">{LAUGH}]>'), "a DOCTYPE"),
@@ -203,8 +221,26 @@ BAD: dict[str, tuple[str, str]] = {
     "bitmap.xml": (xml('<bsdf type="diffuse"><texture name="a" type="bitmap"/></bsdf>'), "without 'filename'"),
     "blend.xml": (xml('<bsdf type="blendbsdf" id="a"/>'), "a plugin 'blendbsdf' without 'weight'"),
     "version.xml": (xml(version="3;rm"), "a version '3;rm'"),
-    "samples.xml": (xml('<sampler type="ldsampler"><integer name="sample_count" value="4000000"/></sampler>'), "sam"),
+    "samples.xml": (xml(SAMPLER.format("ldsampler", "integer", 4_000_000).replace("C", "_c")), "a 'sample_count'"),
     "samples.json": (in_json({"type": "ldsampler", "sample_count": 4e9}), "a 'sample_count' of 4000000000, expected"),
+    "camel.xml": (xml(SAMPLER.format("ldsampler", "integer", 4_000_000), version="0.6"), "a 'sample_count' of 4000"),
+    "float.xml": (xml(SAMPLER.format("multijitter", "float", "4e9"), version="0.6"), "a 'sample_count' of 4000"),
+    "string.xml": (xml(SAMPLER.format("multijitter", "string", "4e9"), version="0.6"), "a 'sample_count' of 4000"),
+    "endless.xml": (xml(SAMPLER.format("multijitter", "integer", "9" * 400), version="0.6"), "a 'sample_count'"),
+    "twice.xml": (xml(TWICE, version="0.6"), "a parameter under two names"),
+    "boolean.xml": (xml('<shape type="ply"><boolean name="filename" value="a.ply"/></shape>'), "that Mitsuba can load"),
+    "bright.xml": (xml(LAMP_SHAPE.format("1e999 1e999 1e999")), "a light of luminance inf|that Mitsuba can load"),
+    "film.json": (in_json(SPHERE, sensor=camera(width=0)), "a 'width' of 0, expected 1 to 32,768"),
+    "large-film.json": (in_json(SPHERE, sensor=camera(height=2**31 - 1)), "a 'height' of 2147483647, expected 1 to"),
+    "crop.json": (in_json(SPHERE, sensor=camera(crop_width=0)), "a film of 0 x 576 px, expected 1 or more"),
+    "merge.json": (in_json({"type": "merge"}), "a 'merge' without shapes"),
+    "group.json": (in_json({"type": "shapegroup"}), "a 'shapegroup' without shapes"),
+    "group.xml": (xml('<shape type="shapegroup"/>'), "a 'shapegroup' without shapes"),
+    "volume.json": (in_json(coloured({"type": "volume"})), "a 'volume' without a volume"),
+    "black.json": (in_json(glowing({"type": "blackbody", "temperature": -1})), "a 'temperature' of -1, expected 1 to"),
+    "black.xml": (xml(BLACK.format("nan")), "a 'temperature' of nan, expected 1 to"),
+    "warm.json": (in_json(glowing({"type": "blackbody", "temperature": 5000})), "Mitsuba can trace.*BlackBody"),
+    "infinite.json": (in_json({**SPHERE, "b": {"type": "principled", "roughness": 1e30}}), "paths carry NaN"),
     "null.json": (in_json({**SPHERE, "radius": None}), "a value of 'radius', None"),
     "null-type.json": (in_json({"type": None}), "an object of type None"),
     "null-top.json": (in_json(None), "a value of 'more', None"),

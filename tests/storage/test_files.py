@@ -1,6 +1,7 @@
 """Files are there whole or not at all."""
 
 import errno
+import itertools
 import os
 from pathlib import Path
 
@@ -53,6 +54,47 @@ def test_what_is_replaced_is_kept_under_another_name(tmp_path: Path) -> None:
     write_atomically(path, lambda partial: partial.write_text("four"), previous)
     assert (path.read_text(), previous.read_text()) == ("four", "three")
     assert sorted(tmp_path.iterdir()) == [previous, path]
+
+
+CALLS = ("open", "fsync", "link", "replace", "unlink")  # of the system, by which a file is written
+
+
+def write_until(path: Path, previous: Path, calls: float) -> bool:
+    """Write a file in a fork that is killed before its so many-th call of the system; whether it was."""
+    if child := os.fork():
+        return os.waitpid(child, 0)[1] != 0
+    try:
+        done = itertools.count()
+        for name in CALLS:
+            call = getattr(os, name)
+            setattr(os, name, lambda *a, of=call, **b: os._exit(1) if next(done) >= calls else of(*a, **b))
+        write_atomically(path, lambda partial: partial.write_text("new"), previous)
+    finally:
+        os._exit(0)
+
+
+@pytest.mark.parametrize("earlier", [{}, {"start": "old"}, {"start": "old", "previous": "older"}])
+def test_a_kill_at_any_call_leaves_nothing_that_the_next_run_does_not_mend(
+    tmp_path: Path, earlier: dict[str, str]
+) -> None:
+    """The same command again leaves the same files as one that was never killed."""
+    for calls in itertools.count():
+        folder = tmp_path / str(calls)
+        folder.mkdir()
+        for name, text in earlier.items():
+            (folder / name).write_text(text)
+        path, previous = folder / "start", folder / "previous"
+        killed = write_until(path, previous, calls)
+        if path.is_file():
+            assert path.read_text() in (earlier.get("start"), "new")
+        remove_partial(path)
+        remove_partial(previous)
+        write_atomically(path, lambda partial: partial.write_text("new"), previous)
+        found = {file.name: file.read_text() for file in folder.iterdir()}
+        assert found == {"start": "new"} | ({"previous": earlier["start"]} if earlier else {}), calls
+        if not killed:
+            break
+    assert calls >= 5
 
 
 class Refused(Exception):

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import lzma
 import random
+import tracemalloc
 from pathlib import Path
 
 import pytest
 import torch
 from torch import Generator, Tensor
 
-from metapp.storage.packing import Pack, in_steps, read_pack, write_pack
+from metapp.storage.packing import LARGEST_HEADER, Pack, in_steps, read_pack, write_pack
 
 
 @pytest.fixture
@@ -21,7 +22,7 @@ def values(rng: Generator) -> Tensor:
 def test_values_come_back_to_half_a_step(values: Tensor) -> None:
     for bits in range(2, 17):
         steps = in_steps(values, bits)
-        assert int(steps.numbers.abs().max()) == 2 ** (bits - 1) - 1
+        assert int(steps.numbers().abs().max()) == 2 ** (bits - 1) - 1
         assert float((steps.values() - values).abs().max()) <= steps.step / 2 * (1 + 1e-6), bits
         assert steps.step == pytest.approx(float(values.abs().max()) / (2 ** (bits - 1) - 1))
     zeros = in_steps(torch.zeros(3, 4), 8)
@@ -39,7 +40,8 @@ def test_a_file_is_read_as_it_was_written(values: Tensor, bits: int, tmp_path: P
     back = read_pack(tmp_path / "a.pack")
     assert (back.tasks, back.about) == (names, {"bits": bits})
     for name, steps in tensors.items():
-        assert torch.equal(back.tensors[name].numbers, steps.numbers)
+        assert torch.equal(back.tensors[name].numbers(), steps.numbers())
+        assert torch.equal(back.tensors[name].values(3), steps.values()[3])
         assert back.tensors[name].step == steps.step
 
 
@@ -47,7 +49,7 @@ def test_fits_that_are_alike_take_fewer_bytes_than_their_bits(rng: Generator, tm
     """Laplacian values of a few steps: entropy coding must come below the plain 8 bits, and below 1.5 entropies."""
     values = torch.empty(50, 200).exponential_(1.0, generator=rng) * torch.randn(50, 200, generator=rng).sign()
     steps = in_steps(values, 6)
-    counts = torch.bincount((steps.numbers + 64).flatten()).double()
+    counts = torch.bincount((steps.numbers() + 64).flatten()).double()
     share = counts[counts > 0] / counts.sum()
     entropy = float(-(share * share.log2()).sum()) / 8 * values.numel()
     size = write_pack(tmp_path / "a.pack", Pack([str(i) for i in range(50)], {"w": steps}, {}))
@@ -89,11 +91,25 @@ def test_streams_that_somebody_else_made_are_refused(content: bytes, tmp_path: P
         read_pack(path)
 
 
-def test_a_file_that_unfolds_to_more_than_memory_holds_is_refused(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def test_a_file_that_unfolds_to_more_than_it_may_hold_is_neither_written_nor_read(
+    values: Tensor, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("metapp.storage.packing.LARGEST", 1 << 24)
+    path, pack = tmp_path / "a.pack", Pack([str(i) for i in range(7)], {"w": in_steps(values, 8)}, {})
+    write_pack(path, pack)
+    monkeypatch.setattr("metapp.storage.packing.LARGEST", 7 * 5 * 3 - 1)
+    with pytest.raises(ValueError, match="105 bytes of fits, expected at most 104; pack fewer fits"):
+        read_pack(path)
+    with pytest.raises(ValueError, match="105 bytes of fits, expected at most 104; pack fewer fits"):
+        write_pack(path, pack)
+
+
+@pytest.mark.parametrize("length", [b"\xff\xff\xff\xff", b"\x10\x00\x00\x00"])
+def test_what_follows_the_header_is_not_unfolded(length: bytes, tmp_path: Path) -> None:
+    """19 kB that unfold to 128 MB are refused in the memory of the longest header."""
     path = tmp_path / "a.pack"
-    path.write_bytes(lzma.compress(bytes(1 << 25), preset=0))
+    path.write_bytes(lzma.compress(length + bytes(1 << 27), preset=0, check=lzma.CHECK_NONE))
+    tracemalloc.start()
     with pytest.raises(ValueError, match="damaged or cut off"):
         read_pack(path)
+    assert tracemalloc.get_traced_memory()[1] < 4 * LARGEST_HEADER
+    tracemalloc.stop()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import multiprocessing
 import warnings
 from pathlib import Path
@@ -13,24 +14,49 @@ import torch
 from safetensors.torch import load_file, save
 
 from metapp.learning.learn import MetaParameters
+from metapp.storage.files import PARTIAL
 from metapp.storage.records import (
     FIT,
     SCHEMA,
+    SMALL_BYTES,
     RunFolder,
     digest,
     file_name,
+    holds,
     load_checkpoint,
+    misfits,
     read_records,
     safe_name,
     save_checkpoint,
     tensor_digest,
 )
+from metapp.storage.text import as_text
 
 START = MetaParameters(
     {"w1": torch.arange(6.0).reshape(2, 3)},
     {"rate.w1": torch.full((1, 2, 3), -1e-3), "beta1": torch.tensor([0.5, 0.25], dtype=torch.float64)},
     {"in.w": torch.ones(3, 2).T.requires_grad_()},
 )
+
+
+def test_places_that_have_not_a_form_are_named() -> None:
+    form = {"a": int, "b?": [str], "c": {...: float | None}, "d": (int, str), "e?": range(1, 4)}
+    good = {"a": 1, "c": {"x": 0.5, "y?": None}, "d": [1, "x"], "more": True}
+    assert holds(good, form)
+    assert holds(good | {"b": [], "e": 3}, form)
+    for change, place in (
+        *(({"a": value}, ".a") for value in (None, True, "1", 0.5, [1], {"a": 1})),
+        ({"b": ["x", 1]}, ".b.1"),
+        ({"b": None}, ".b"),
+        ({"c": {"y?": "x"}}, ".c.y?"),
+        *(({"c": {"x": value}}, ".c.x") for value in (math.nan, math.inf, 1, [])),
+        *(({"d": value}, ".d") for value in ([1], [1, "x", 2], {}, None)),
+        *(({"e": value}, ".e") for value in (0, 4, 2.0, True, 10**400, None)),
+    ):
+        assert list(misfits(good | change, form)) == [place], change
+    assert list(misfits({}, form)) == [".a", ".c", ".d"]
+    assert not holds(10**400, int | float)
+    assert list(misfits([], form)) == [""]
 
 
 def test_checkpoint_round_trip(tmp_path: Path) -> None:
@@ -190,6 +216,45 @@ def test_a_task_that_runs_again_replaces_its_line_alone(tmp_path: Path) -> None:
     assert (run.finished()["gold"]["ssim"], run.finished()["gold"]["curve"]) == (None, [[1, None]])
 
 
+def test_a_task_that_runs_many_times_leaves_a_small_file(tmp_path: Path) -> None:
+    """Else the n-th repetition reads n records; what else is in the file stays."""
+    settings = {"steps": 10, "long": "x" * 1000}
+    run, other = RunFolder(tmp_path, settings, FIT), RunFolder(tmp_path, {"steps": 20}, FIT)
+    other.add(record("zinc", seconds=0.1))
+    run.add(record("tin", seconds=0.1))
+    with run.file.open("ab") as file:
+        file.write(b"no record\n" + json.dumps(record("gold", key=run.key, settings=settings)).encode() + b"\n")
+    sizes = []
+    for repetition in range(300):
+        run.add(record("gold", seconds=float(repetition)))
+        sizes.append(run.file.stat().st_size)
+    assert max(sizes) < 1.2 * SMALL_BYTES
+    lines = run.file.read_bytes().splitlines()
+    assert b"no record" in lines
+    assert sum(b'"gold"' in line and b"seconds" not in line for line in lines) == 1  # of another form
+    with pytest.warns(UserWarning, match="no record"):
+        finished = run.finished()
+    assert {name: line["seconds"] for name, line in finished.items()} == {"tin": 0.1, "gold": 299.0}
+    with pytest.warns(UserWarning, match="no record"):
+        assert list(other.finished()) == ["zinc"]
+    assert not list(tmp_path.glob(f"{PARTIAL}*"))
+
+
+def test_a_record_is_kept_where_there_is_no_room_to_remove_replaced_ones(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(path: Path, write: Any) -> None:
+        raise OSError(28, "No space left on device", str(path))
+
+    monkeypatch.setattr("metapp.storage.records.SMALL_BYTES", 0)
+    monkeypatch.setattr("metapp.storage.records.write_atomically", full)
+    run = RunFolder(tmp_path, {}, FIT)
+    for repetition in range(5):
+        run.add(record("gold", seconds=float(repetition)))
+    assert run.finished()["gold"]["seconds"] == 4
+    assert len(run.file.read_bytes().splitlines()) == 5
+
+
 def test_parameters_are_there_before_their_record(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     run = RunFolder(tmp_path, {})
     monkeypatch.setattr("metapp.storage.records.json.dumps", lambda *_, **__: 1 / 0)
@@ -320,4 +385,6 @@ def test_names_are_made_safe_and_short(tmp_path: Path, name: str) -> None:
     run = RunFolder(tmp_path, {}, FIT)
     run.add(record(name, seconds=0.1), THETA)
     assert torch.equal(run.theta(name)["w"], THETA["w"])
-    assert list(run.finished()) == [name]
+    (text,) = run.finished()
+    assert text == as_text(name)
+    assert torch.equal(run.theta(text)["w"], THETA["w"])

@@ -1,6 +1,6 @@
 """`python -m tests.torture [--seed N] [--minutes M] [--quick] [PART ...]`: the runner; exit code 1 with any finding.
 
-A part is readers, kills or disk, or one of its cases: readers:merl, kills:fit, disk:full.
+A part is readers, kills, disk or many, or one of its cases: readers:merl, kills:fit, disk:full, many:lines.
 """
 
 from __future__ import annotations
@@ -12,16 +12,18 @@ import resource
 import sys
 import time
 
-from tests.torture import disk, kills, readers
+from tests.torture import disk, kills, many, readers
 from tests.torture.report import Report
 
-PARTS = {"readers": readers.run, "kills": kills.run, "disk": disk.run}
+PARTS = {"readers": readers.run, "kills": kills.run, "disk": disk.run, "many": many.run}
 
 
 def main() -> int:
     """Run the parts that were asked for and print the report."""
     parser = argparse.ArgumentParser(prog="python -m tests.torture", description="Attempts to break metapp.")
-    parser.add_argument("parts", nargs="*", metavar="PART", help="readers, kills, disk, or PART:CASE; default: all")
+    parser.add_argument(
+        "parts", nargs="*", metavar="PART", help="readers, kills, disk, many, or PART:CASE; default: all"
+    )
     parser.add_argument("--seed", type=int, help="of all draws; default: a new one, which is printed")
     parser.add_argument("--quick", action="store_true", help="a few minutes instead of about thirty")
     parser.add_argument("--minutes", type=float, help="no new kill point after so many")

@@ -77,7 +77,7 @@ class Studio:
         from metapp.rendering.guided_plugin import register_guided_path  # imports Mitsuba
 
         register_guided_path()
-        return self._by({"type": "guided_path"}, spp, seed)
+        return self._by({"type": "metapp_guided_path"}, spp, seed)
 
     def _by(self, integrator: dict[str, Any], spp: int, seed: int) -> Shot:
         from metapp.rendering import equal_time

@@ -1,0 +1,161 @@
+"""Baselines of BRDFs, by what their fits must be: minima of the cost that they name, and inverses of what they fit."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+from torch import Generator, Tensor
+
+from metapp.appearance.geometry import cosines
+from metapp.apps.brdf import Brdf
+from metapp.baselines import lobes
+from metapp.baselines.baseline import Allowed, Training, mean_error
+from metapp.baselines.brdf import EPSILON, Relative, RidgeOf, baselines, coefficients, drawn, reweighted, space_of
+from metapp.learning.app import stack
+from metapp.learning.task import Tasks
+from tests.baselines.test_brdf_baselines import SAMPLES, random_materials
+
+APP = Brdf()
+
+
+@pytest.fixture
+def materials(rng: Generator) -> Tasks:
+    """Twelve, in double precision."""
+    made = stack(APP, random_materials(12, rng))
+    where, target = made.data["where"][0].double(), made.data["target"].double()
+    return Tasks(made.names, {"where": where.expand(12, -1, -1), "target": target}, made.rows)
+
+
+def test_the_mapping_is_the_published_one() -> None:
+    """Nielsen et al. 2015: the log of (rho w + 0.001) / (rho_0 w + 0.001)."""
+    relative = Relative(torch.tensor([[0.5]]), torch.tensor([[0.2]]))
+    assert relative.mapped(torch.tensor([[0.0, 2.0]]))[0].tolist() == pytest.approx(
+        [math.log(0.001 / 0.101), math.log(1.001 / 0.101)]
+    )
+
+
+def test_weights_do_not_depend_on_the_unit_of_errors(rng: Generator) -> None:
+    slope, residual = (torch.rand(40, 3, generator=rng, dtype=torch.float64) + 0.1 for _ in range(2))
+    found = reweighted(slope, residual)
+    torch.testing.assert_close(found.mean(0), torch.ones(3, dtype=torch.float64))
+    torch.testing.assert_close(reweighted(7 * slope, -1000 * residual), found)
+    alike = reweighted(slope, torch.ones_like(residual))  # of errors that are alike, as the slope's square
+    torch.testing.assert_close(alike / alike[0], (slope / slope[0]) ** 2)
+    torch.testing.assert_close(reweighted(slope, None), slope / slope.mean(0))
+    some = reweighted(torch.ones_like(slope), residual)  # the larger the error, the less its square weighs
+    assert torch.equal(some.argsort(0), residual.argsort(0, descending=True))
+
+
+def test_places_are_weighted_by_both_cosines(rng: Generator) -> None:
+    task = random_materials(1, rng)[0]
+    prepared = APP.prepare(task)
+    space = space_of(prepared["where"], prepared["target"].expand(4, -1, -1))
+    of = cosines(task.data["angles"].double())
+    expected = (of.incident * of.outgoing).clamp_min(EPSILON)
+    torch.testing.assert_close(space.relative.weight[:, 0].double(), expected, atol=1e-6, rtol=1e-4)
+
+
+@pytest.mark.parametrize("solves", [0, 1, 2, 3])
+def test_coefficients_are_at_the_minimum_of_their_cost(materials: Tasks, rng: Generator, solves: int) -> None:
+    """Squares of log-relative residuals, weighted by the slope of the table's error and by its size before."""
+    where, target = materials.data["where"][0], materials.data["target"]
+    whole, penalty = space_of(where, target[:8]), 1e-3
+    whole = whole._replace(components=whole.components.first(5))
+    seen = drawn(materials.select([10]), rng, 300)  # which is not in the span
+    space = whole.at(seen.rows)
+    reflectance = (seen.target.expm1() / seen.cos).requires_grad_()
+    mapped = space.relative.mapped(reflectance)
+    error = torch.log1p(reflectance * seen.cos)
+    (by_reflectance,) = torch.autograd.grad(error.sum(), reflectance, retain_graph=True)
+    (mapped_by,) = torch.autograd.grad(mapped.sum(), reflectance)
+    slope, weights = by_reflectance / mapped_by, torch.ones_like(error)
+    if solves == 1:
+        weights = slope / slope.mean(0)
+    elif solves:
+        before = space.reflectance(coefficients(space, seen, penalty, solves - 1))
+        weights = reweighted(slope, torch.log1p(before * seen.cos) - seen.target)
+    found = coefficients(space, seen, penalty, solves).requires_grad_()
+    used = space.components
+    residual = used.axes @ found + used.mean - mapped.detach()
+    drawn_to = (found / used.deviation[:, None]) ** 2
+    cost = (weights.detach() * residual**2).sum() + penalty * len(residual) * drawn_to.sum()
+    (gradient,) = torch.autograd.grad(cost, found)
+    assert gradient.abs().max() < 1e-8 * cost.item() + 1e-8
+
+
+def test_more_solves_come_nearer_to_the_least_absolute_error(materials: Tasks, rng: Generator) -> None:
+    where, target = materials.data["where"][0], materials.data["target"]
+    whole = space_of(where, target[:8])
+    whole = whole._replace(components=whole.components.first(4))
+    seen = drawn(materials.select([11]), rng, 300)
+    space = whole.at(seen.rows)
+
+    def error(solves: int) -> float:
+        made = space.reflectance(coefficients(space, seen, 1e-9, solves))
+        return (torch.log1p(made * seen.cos) - seen.target).abs().mean().item()
+
+    assert error(30) < error(1)
+
+
+def test_a_penalty_is_judged_on_materials_that_components_do_not_know(rng: Generator) -> None:
+    training, allowed, method = Training(APP, random_materials(12, rng)), Allowed(200, 2700), RidgeOf(4, True)
+    known, validation = training.split
+    space = space_of(known.data["where"][0], known.data["target"][known.rows])
+    expected = mean_error(APP, method.fit_in(space, 1e-7, 1), validation, allowed)
+    assert method._error(training, allowed, (1e-7, 1)) == pytest.approx(expected, rel=1e-6)
+
+
+def test_the_nearest_of_a_training_material_is_itself(rng: Generator) -> None:
+    training, allowed = Training(APP, random_materials(6, rng)), Allowed(200, 2700)
+    (nearest,) = [baseline for baseline in baselines(APP) if baseline.name == "nearest"]
+    prepared = nearest.prepare(training, allowed)
+    for row in range(6):
+        one = training.stacked.select([row])
+        answer = prepared.fit(one, Generator().manual_seed(0), allowed).answer()
+        assert answer.shape == (1, 3, SAMPLES - SAMPLES // 2)
+        torch.testing.assert_close(
+            torch.log1p(answer[0].T * one.data["where"][row, SAMPLES // 2 :, 6:]),
+            one.data["target"][row, SAMPLES // 2 :],
+        )
+
+
+def near_mirror(rng: Generator, count: int = 3000) -> lobes.Cosines:
+    """Angles of which half have the half vector within two degrees of the normal."""
+    high = torch.tensor([1.3, 1.2, 2 * math.pi], dtype=torch.float64)
+    angles = torch.rand(count, 3, generator=rng, dtype=torch.float64) * high
+    angles[::2, 0] *= 0.03
+    of = cosines(angles)
+    above = (of.incident > 0.05) & (of.outgoing > 0.05)
+    return lobes.Cosines(*(cosine[above] for cosine in of))
+
+
+def lobe(alpha: float) -> Tensor:
+    return torch.tensor([0.3, 0.05, 0.6, math.log(alpha), 0.04, 0.5, 0.8, 0.2], dtype=torch.float64)
+
+
+def samples_of(numbers: Tensor, at: lobes.Cosines) -> lobes.CosineSamples:
+    return lobes.CosineSamples(at, torch.log1p(lobes.reflectance(numbers, at) * at.incident[:, None]))
+
+
+@pytest.mark.parametrize("alpha", [0.03, 0.12, 0.4])
+def test_a_descent_begins_at_the_colours_of_a_material_of_its_alphas(rng: Generator, alpha: float) -> None:
+    at = near_mirror(rng)
+    first = torch.from_numpy(lobes._first(samples_of(lobe(alpha), at), (alpha,)))
+    torch.testing.assert_close(first, lobe(alpha), atol=2e-4, rtol=1e-6)
+
+
+@pytest.mark.parametrize("alpha", [0.006, 0.02, 1.2])
+def test_lobes_from_nearly_a_mirror_to_nearly_none_are_recovered(rng: Generator, alpha: float) -> None:
+    found = lobes.fit(samples_of(lobe(alpha), near_mirror(rng)), 1)
+    assert found[3].exp().item() == pytest.approx(alpha, rel=0.05)
+
+
+def test_alphas_stay_in_their_bounds(rng: Generator) -> None:
+    at = near_mirror(rng)
+    for alpha in (0.001, 4.0):
+        found = lobes.fit(samples_of(lobe(alpha), at), 1)
+        assert 0.005 * (1 - 1e-9) <= found[3].exp().item() <= 1.5 * (1 + 1e-9)
+        assert 0 <= found[4] <= 1
+        assert found[[0, 1, 2, 5, 6, 7]].min() >= 0

@@ -1,0 +1,114 @@
+"""What the cache of path guiding makes of recorded bounces, and how it turns directions."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from metapp.rendering.guide_histogram import AXES, BINS, ENTRIES, GRID
+from metapp.rendering.variant import load_mitsuba
+from tests.needs_mitsuba import skip_without_mitsuba
+
+
+@pytest.fixture
+def mi() -> Any:
+    skip_without_mitsuba()
+    return load_mitsuba()
+
+
+def empty(low: tuple[float, ...] = (-1, -1, -1), high: tuple[float, ...] = (1, 1, 1)) -> Any:
+    from metapp.rendering.guide_cache import GuideCache
+
+    return GuideCache(list(low), list(high))
+
+
+def test_about_a_normal_along_an_axis_the_frame_is_of_axes(mi: Any) -> None:
+    """Each axis has another one for its tangent, the same on both sides."""
+    normals = np.concatenate([np.eye(3), -np.eye(3)], 1).astype(np.float32)
+    frame = empty().locate(mi.Point3f(0, 0, 0), mi.Vector3f(normals)).frame
+    tangent = frame.s.numpy()
+    assert np.array_equal(np.abs(tangent).max(0), np.ones(6))
+    assert np.array_equal(np.abs(tangent).sum(0), np.ones(6))
+    assert sorted(np.abs(tangent[:, :3]).argmax(0)) == [0, 1, 2]
+    assert np.array_equal(tangent[:, :3], tangent[:, 3:])
+
+
+def test_frames_of_an_entry_are_turned_alike(mi: Any) -> None:
+    """Normals that differ by little have tangents that differ by little, also near the axes."""
+    rng = np.random.default_rng(0)
+    normals = rng.standard_normal((3, 2000)).astype(np.float32)
+    normals /= np.linalg.norm(normals, axis=0)
+    near = normals + 1e-3 * rng.standard_normal((3, 2000)).astype(np.float32)
+    near /= np.linalg.norm(near, axis=0)
+    cache = empty()
+    found, beside = (cache.locate(mi.Point3f(0, 0, 0), mi.Vector3f(each)) for each in (normals, near))
+    same = found.entry.numpy() == beside.entry.numpy()
+    assert same.mean() > 0.99
+    assert np.linalg.norm(found.frame.s.numpy() - beside.frame.s.numpy(), axis=0)[same].max() < 0.05
+
+
+def test_flat_scenes_have_voxels_too(mi: Any) -> None:
+    cache = empty((0, 0, 5), (1, 1, 5))
+    x = np.float32((np.arange(GRID) + 0.5) / GRID)
+    location = cache.locate(mi.Point3f(mi.Float(x), 0.5, 5.0), mi.Vector3f(0, 0, 1))
+    entry = location.entry.numpy()
+    assert len(set(entry)) == GRID
+    assert entry.max() < ENTRIES
+    assert np.array_equal(np.diff(entry.astype(int)), np.full(GRID - 1, AXES))
+
+
+def bounce(mi: Any, **more: Any) -> Any:
+    from metapp.rendering.guide_cache import Bounce
+
+    usual = {"index": mi.UInt32(1), "density": 1.0, "throughput": 1.0, "radiance": 0.0, "unlit": 0.0}
+    values = {
+        key: mi.Float(value) if isinstance(value, float | list) else value for key, value in (usual | more).items()
+    }
+    return Bounce(**values, point=mi.Point3f(0, 0, 0), normal=mi.Vector3f(0, 0, 1))
+
+
+def learned(cache: Any) -> dict[int, tuple[float, float]]:
+    """Squares and counts of the bins that have any, by entry * BINS + bin."""
+    visited, squares, counts = cache.statistics()
+    cells = [(int(entry) * BINS + b, float(squares.flatten(1)[i, b]), float(counts.flatten(1)[i, b]))
+             for i, entry in enumerate(visited) for b in counts.flatten(1)[i].nonzero()[:, 0].tolist()]  # fmt: skip
+    return {cell: (square, count) for cell, square, count in cells}
+
+
+def test_a_bounce_carries_what_its_path_gains_after_it(mi: Any) -> None:
+    """Radiance in the end less that before, over the throughput; of it the square, times the density, is added."""
+    from metapp.rendering.guide_cache import Records
+
+    records, cache = Records(3), empty()
+    cells = [0, 7 * BINS + 3, 4]  # the first bin of the first entry among them
+    index = mi.UInt32(np.array(cells, np.uint32) + 1)
+    records.add(mi.UInt32(0), bounce(mi, index=index, density=[2.0, 4.0, 1.0], throughput=[0.5, 1.0, 1.0],
+                                     radiance=[1.0, 0.25, 5.0]), mi.Bool(True))  # fmt: skip
+    records.train(cache, mi.Color3f(mi.Float([3.0, 1.25, 2.0])))
+    found = learned(cache)
+    assert sorted(found) == sorted(cells)
+    for cell, (square, count) in {0: (4.0**2 * 2, 1 / 2), cells[1]: (1.0**2 * 4, 1 / 4), 4: (0.0, 1.0)}.items():
+        assert found[cell] == pytest.approx((square, count))  # of rounding that makes it darker, 0
+
+
+def test_bounces_are_recorded_by_depth_as_far_as_there_is_room(mi: Any) -> None:
+    from metapp.rendering.guide_cache import RECORDED, Records
+
+    records, cache = Records(2), empty()
+    for depth in range(RECORDED + 2):
+        index = mi.UInt32(np.array([1 + depth, 1 + 100 + depth], np.uint32))
+        records.add(mi.UInt32(depth), bounce(mi, index=index), mi.Bool([True, depth % 2 == 0]))
+    records.train(cache, mi.Color3f(1.0, 1.0, 1.0))
+    assert sorted(learned(cache)) == [*range(RECORDED), *range(100, 100 + RECORDED, 2)]
+
+
+def test_what_cannot_be_weighed_is_left_out(mi: Any) -> None:
+    """No bounce, a density of 0, radiance that is not finite."""
+    from metapp.rendering.guide_cache import Records
+
+    records, cache = Records(4), empty()
+    records.add(mi.UInt32(0), bounce(mi, index=mi.UInt32([0, 6, 7, 8]), density=[1.0, 0.0, 1.0, 1.0]), mi.Bool(True))
+    records.train(cache, mi.Color3f(mi.Float([1.0, 1.0, float("inf"), 1.0])))
+    assert sorted(learned(cache)) == [7]

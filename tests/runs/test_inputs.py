@@ -1,0 +1,45 @@
+"""Thousands of inputs take a time that grows as their number, not as its square."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from data_tools.readers.nbrdf import SHAPES, read_nbrdf
+from metapp.apps.brdf import Brdf
+from metapp.learning.task import Task
+from metapp.runs.inputs import distinct, sources_to_fit
+from metapp.runs.request import Request
+
+
+def test_a_folder_of_many_networks_is_listed_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in "abcdefgh":
+        for part, shape in SHAPES.items():
+            np.save(tmp_path / f"{name}_{part}.npy", np.zeros(shape, np.float32))
+    listed, original = [], Path.iterdir
+
+    def iterdir(self: Path) -> Iterator[Path]:
+        listed.append(self)
+        return original(self)
+
+    monkeypatch.setattr(Path, "iterdir", iterdir)
+    sources, _ = sources_to_fit(Brdf(), Request("brdf", inputs=[tmp_path]))
+    for source in sources:
+        assert read_nbrdf(source.place)["fc1"].shape == (6, 21)
+    assert len(sources) == 8
+    assert listed == [tmp_path]
+
+
+def test_thousands_of_inputs_of_one_name_are_numbered_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("metapp.runs.inputs.say", lambda line: None)
+    tasks = [Task(name, {"x": torch.zeros(1)}) for name in ["a-3", *["a"] * 3000]]
+    begin = time.process_time()
+    names = [task.name for task in distinct(tasks)]
+    assert time.process_time() - begin < 5
+    assert names[:5] == ["a-3", "a", "a-2", "a-4", "a-5"]
+    assert len(set(names)) == 3001
