@@ -113,7 +113,9 @@ def read_task(
         try_scene(scene, mi.variant())
         return transport_task(path.stem, scene, seed, samples=samples, held=held, dimensions=dimensions)
     except ValueError as error:
-        raise ValueError(f"{path}: {error}") from None
+        reason = str(error)
+    # without the error, which would keep the scene alive: Dr.Jit traces the materials of all scenes that are
+    raise ValueError(f"{path}: {reason}")
 
 
 def read_scene(path: Path, roots: Iterable[Path] = ()) -> SceneDict:

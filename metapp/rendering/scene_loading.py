@@ -12,6 +12,7 @@ written anew from the tree.
 
 from __future__ import annotations
 
+import math
 import re
 from typing import NamedTuple, NoReturn
 from xml.etree.ElementTree import Element, tostring
@@ -98,7 +99,10 @@ def load_scene(scene: SceneDict) -> Loaded:
     except Exception as error:  # whatever it is, the scene is to blame
         raise ValueError(f"no scene that Mitsuba can load: {reason_of(error)}") from None
     _check(mi, loaded)
-    return Loaded(mi, loaded, max(_brightest(mi, emitter) for emitter in loaded.emitters()))
+    brightest = max(_brightest(mi, emitter) for emitter in loaded.emitters())
+    if not 0 <= brightest < math.inf:
+        raise ValueError(f"a light of luminance {brightest}, expected a finite one of 0 or more; change its radiance.")
+    return Loaded(mi, loaded, brightest)
 
 
 def reason_of(error: BaseException) -> str:
@@ -263,7 +267,10 @@ class _Reader:
 
 def _parameter(element: Element) -> tuple[str, object]:
     """Name and value of an element within a plugin; shapes, which have no names, are all one."""
-    return element.get("name", ""), PLUGIN if element.tag in _OBJECTS | {"ref"} else element.get("value", "")
+    name, value = element.get("name", ""), element.get("value", "")
+    if element.tag in _OBJECTS | {"ref"}:
+        return name, PLUGIN
+    return name, value if element.tag in ("string", "integer", "float") else None
 
 
 def parse(text: str) -> Element:

@@ -69,6 +69,8 @@ def check_parameters(kind: str, given: Mapping[str, Any]) -> None:
     Raises:
         ValueError: a count, size, temperature or file that is out of range.
     """
+    if len({snake_case(name) for name in given}) < len(given):  # Mitsuba would take one of them
+        raise ValueError(f"a '{kind}' with a parameter under two names, {sorted(given)!s:.100}; leave one out.")
     given = {snake_case(name): value for name, value in given.items()}
     required = _REQUIRED.get(kind)
     if required and required not in given:
@@ -79,7 +81,7 @@ def check_parameters(kind: str, given: Mapping[str, Any]) -> None:
             raise ValueError(f"a '{name}' of {number:.12g}, expected {least:,} to {most:,}; change it.")
     if kind in _HOLDERS and not any(isinstance(value, Mapping) or value is PLUGIN for value in given.values()):
         raise ValueError(f"a '{kind}' without {_HOLDERS[kind]}, expected one or more; leave it out.")
-    if isinstance(given.get("filename"), str):
+    if isinstance(given.get("filename"), str):  # absolute: `checked_string` has found it
         check_file(kind, Path(given["filename"]), int(_number(given.get("shape_index")) or 0))
 
 

@@ -169,6 +169,8 @@ CYCLE = '<bsdf type="twosided" id="a"><ref id="b"/></bsdf><bsdf type="twosided" 
 LAUGH = "".join(f'<!ENTITY l{i + 1} "{f"&l{i};" * 10}">' for i in range(12))
 SPHERE = {"type": "sphere"}
 SAMPLER = '<sampler type="{}"><{} name="sampleCount" value="{}"/></sampler>'
+LAMP_SHAPE = f'<shape type="cube">{LAMP.replace("4 4 4", "{}")}</shape>'
+TWICE = SAMPLER.format("ldsampler", "float", 4).replace("/><", '/><float name="sample_count" value="9"/><')
 BLACK = '<texture type="blackbody"><float name="temperature" value="{}"/></texture>'
 
 
@@ -225,6 +227,9 @@ BAD: dict[str, tuple[str, str]] = {
     "float.xml": (xml(SAMPLER.format("multijitter", "float", "4e9"), version="0.6"), "a 'sample_count' of 4000"),
     "string.xml": (xml(SAMPLER.format("multijitter", "string", "4e9"), version="0.6"), "a 'sample_count' of 4000"),
     "endless.xml": (xml(SAMPLER.format("multijitter", "integer", "9" * 400), version="0.6"), "a 'sample_count'"),
+    "twice.xml": (xml(TWICE, version="0.6"), "a parameter under two names"),
+    "boolean.xml": (xml('<shape type="ply"><boolean name="filename" value="a.ply"/></shape>'), "that Mitsuba can load"),
+    "bright.xml": (xml(LAMP_SHAPE.format("1e999 1e999 1e999")), "a light of luminance inf|that Mitsuba can load"),
     "film.json": (in_json(SPHERE, sensor=camera(width=0)), "a 'width' of 0, expected 1 to 32,768"),
     "large-film.json": (in_json(SPHERE, sensor=camera(height=2**31 - 1)), "a 'height' of 2147483647, expected 1 to"),
     "crop.json": (in_json(SPHERE, sensor=camera(crop_width=0)), "a film of 0 x 576 px, expected 1 or more"),

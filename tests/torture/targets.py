@@ -10,7 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from tests.torture import seeds
+from tests.torture import scene_data, seeds
 from tests.torture.mutate import mutate_bytes, mutate_json, mutate_xml
 
 
@@ -237,6 +237,15 @@ def _manifest_alone() -> list[seeds.Files]:
     return [{"manifest.json": files["manifest.json"]} for files in seeds.shards()]
 
 
+@functools.cache
+def _scene_files(kind: str) -> list[seeds.Files]:
+    return {"meshes": scene_data.meshes, "volumes": scene_data.volumes}[kind]()
+
+
+def _write_scene(kind: str, rng: random.Random, folder: Path) -> Path:
+    return scene_data.write(rng, folder, _scene_files(kind))
+
+
 TARGETS: dict[str, Target] = {
     "merl": Target(lambda: [], _read_merl, _merl_file),
     "nbrdf": Target(seeds.networks, _read_nbrdf),
@@ -249,6 +258,9 @@ TARGETS: dict[str, Target] = {
     "latlong": Target(seeds.maps_of_light, _read_light),
     "scene_xml": Target(seeds.scenes_xml, _read_scene),
     "scene_json": Target(seeds.scenes_json, _read_scene),
+    "scene_old": Target(scene_data.old_scenes, _read_scene),
+    "meshes": Target(scene_data.meshes, _read_scene, functools.partial(_write_scene, "meshes")),
+    "volumes": Target(scene_data.volumes, _read_scene, functools.partial(_write_scene, "volumes")),
     "shard": Target(seeds.shards, _read_shard),
     "manifest": Target(_manifest_alone, _read_manifest),
     "checkpoint": Target(seeds.checkpoints, _read_checkpoint),
