@@ -44,6 +44,16 @@ def pictures() -> Tensor:
     return 0.1 + torch.rand(3, 3, 32, 32, generator=Generator().manual_seed(0))
 
 
+def test_relative_errors_of_dark_pixels_are_of_a_share_of_the_mean() -> None:
+    """1 % of the reference's mean, of a sum 2 %; of a black reference, of nearly nothing, but finite."""
+    reference = torch.tensor([0.0, 0.0, 1.0, 1.0]).reshape(1, 1, 2, 2)
+    picture = torch.tensor([0.001, 0.5, 1.0, 1.0]).reshape(1, 1, 2, 2)
+    assert float(mape(picture, reference)) == pytest.approx((0.001 / 0.005 + 0.5 / 0.005) / 4)
+    assert float(smape(picture, reference)) == pytest.approx((2 * 0.001 / 0.01 + 2) / 4)
+    black = torch.zeros(1, 1, 2, 2)
+    assert float(smape(black, black)) == float(mape(black, black)) == 0
+
+
 @pytest.mark.parametrize("measure", [mape, smape, dssim])
 def test_errors_are_of_each_picture_and_of_no_unit(measure, pictures: Tensor) -> None:  # type: ignore[no-untyped-def]
     torch.testing.assert_close(measure(pictures, pictures), torch.zeros(3), atol=1e-5, rtol=0)

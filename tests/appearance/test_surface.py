@@ -56,6 +56,20 @@ def test_a_hill_in_a_frame_and_a_tilted_plane_are_found_where_nothing_tiles() ->
 
 
 @pytest.mark.parametrize("periodic", [True, False])
+@pytest.mark.parametrize("kept", [(48, 24), (24, 48)])
+def test_fields_need_not_be_square(kept: tuple[int, int], periodic: bool) -> None:
+    """Waves along the longer side alone, of which the other is a part."""
+    rows, columns = kept
+    x, y = (4 * math.pi * each / 48 for each in grid(48))
+    along, slope = (x, (1, 0)) if columns == 48 else (y, (0, 1))
+    step = 4 * math.pi / 48 * along.cos()
+    normal = normal_of(slope[0] * step, slope[1] * step)[:, :rows, :columns]
+    found = height_from_normal(normal, periodic=periodic)
+    assert found.shape == (1, rows, columns)
+    assert (found[0] - along.sin()[:rows, :columns]).abs().max() < (1e-9 if periodic else 0.2)
+
+
+@pytest.mark.parametrize("periodic", [True, False])
 def test_normals_of_smooth_heights_lead_back_to_them(periodic: bool) -> None:
     height, _ = waves(64)
     normal = normal_from_height(height[None], periodic=periodic)[0]
@@ -89,6 +103,16 @@ def test_a_trench_sees_what_its_walls_leave() -> None:
     turns = torch.linspace(0, 2 * math.pi, 1025)[:-1]
     exact = float((1 / (1 + (depth / half * turns.cos().abs()) ** 2)).mean())  # along it nothing is in the way
     assert abs(seen - exact) < 0.03
+
+
+@pytest.mark.parametrize("rows", [4, 64])
+def test_the_reach_of_occlusion_is_in_widths(rows: int) -> None:
+    """Of a wall, in a field of other height than width; columns farther from it than the reach are open."""
+    wall = torch.zeros(1, rows, 32)
+    wall[..., 24:] = 100
+    found = occlusion_from_height(wall, periodic=False, reach=0.25)[0, rows // 2]
+    assert (found[: 24 - 8 - 1] == 1).all()
+    assert (found[24 - 8 : 24] < 1).all()
 
 
 def test_occlusion_goes_on_at_the_other_edge_where_a_field_tiles() -> None:

@@ -15,7 +15,7 @@ from metapp.learning.app import App
 from metapp.learning.learn import learn, spread
 from metapp.learning.recipe import Adam
 from metapp.learning.rules import PARTS, rule_of
-from metapp.learning.rules.solve import GREATEST, LEAST, NormalEquations
+from metapp.learning.rules.solve import GREATEST, LEAST, ROUNDING, NormalEquations
 from metapp.learning.task import Batch, Linear, Params
 from tests.learning.parabolas import unused
 
@@ -136,6 +136,20 @@ def test_penalties_are_bounded(theta: Params, batches: list[Batch]) -> None:
         alphas = (alpha_of(theta, penalties=(each, each)) for each in (far, math.log(bound)))
         ends = [learn_through(theta, SOLVE.rule(alpha), batches, LOSS, order=2)["W"] for alpha in alphas]
         torch.testing.assert_close(*ends)
+
+
+def test_penalties_are_at_least_what_rounding_makes_of_the_normal_equations() -> None:
+    """Orthogonal features, one of them 1e7 times the others: the least penalty is lost in its square's rounding."""
+    size = torch.tensor([1e7, 1.0, 2.0, 0.5, 1.0], dtype=torch.float64)
+    batch = {"x": torch.diag(size)[None], "y": torch.ones(1, OUTPUTS, FEATURES).double()}
+    batch["weights"] = torch.ones(1, FEATURES).double()
+    theta = {"W": torch.zeros(1, OUTPUTS, FEATURES).double(), "scale": torch.ones(1, FEATURES).double()}
+    rule = SOLVE.rule(alpha_of(theta, penalties=(-99.0, -99.0)))
+    final = learn_through(theta, rule, [batch], LOSS, order=2)
+    gram, moment = size.square() / FEATURES, size / FEATURES
+    penalty = LEAST + ROUNDING * torch.finfo(torch.float64).eps * gram.sum()
+    assert penalty > 100 * LEAST
+    torch.testing.assert_close(final["W"], (moment / (gram + penalty)).expand(1, OUTPUTS, -1), rtol=1e-9, atol=0)
 
 
 def test_before_training_all_features_have_one_penalty(theta: Params) -> None:
