@@ -1,6 +1,7 @@
-"""Baselines of texture networks: the nearest training texture, and pictures of patches of the exemplar itself.
+"""Baselines of texture networks: the nearest training texture, and pictures made of the exemplar itself.
 
-These are image quilting (Efros & Freeman 2001), and patches at random.
+These are image quilting (Efros & Freeman 2001), pictures with the patches of the exemplar (Elnekave & Weiss 2022), and
+patches at random.
 """
 
 from __future__ import annotations
@@ -11,20 +12,20 @@ from collections.abc import Callable
 import numpy as np
 import torch
 from numpy.lib.stride_tricks import sliding_window_view
-from numpy.typing import NDArray
 from torch import Generator, Tensor
+from torch.nn.functional import conv2d, interpolate, pad
 
 from metapp.appearance.colour import srgb_to_linear
 from metapp.appearance.features import distance
+from metapp.appearance.quilting import Picture, quilted
 from metapp.baselines.baseline import Allowed, Baseline, BaselineFit, PreparedBaseline, Training, bytes_of, nearest
 from metapp.learning.app import App
 from metapp.learning.task import Tasks
 from metapp.networks.exemplar import JUDGED, ExemplarApp
 
 AT_ONCE = 8  # training tasks whose matrices are compared
-Picture = NDArray[np.float32]
-Mask = NDArray[np.bool_]
-TOLERANCE = 0.1  # as published: patches whose overlaps differ by so much more than the best one's are as good
+PATCH, SLICES, COARSEST = 7, 64, 21  # of pictures with the exemplar's patches: px, directions, px of the coarsest
+DESCENT, FEWEST_STEPS = 150, 40  # steps at up to 64 px, and at the finest scale at least
 Make = Callable[[np.ndarray, np.random.Generator], np.ndarray]
 
 
@@ -69,65 +70,46 @@ def random_patches(exemplar: Picture, rng: np.random.Generator) -> Picture:
     return result
 
 
-def quilted(exemplar: Picture, rng: np.random.Generator) -> Picture:
-    """A picture of the exemplar's size [H, W, C]: patches that agree where they overlap, cut where they agree most."""
-    height, width, channels = exemplar.shape
+def quilt(exemplar: Picture, rng: np.random.Generator) -> Picture:
+    """A picture of the exemplar's size [H, W, C]: blocks that agree where they overlap, cut where they agree most."""
     block, overlap = block_of(exemplar)
-    step = block - overlap
-    patches = sliding_window_view(exemplar, (block, block), (0, 1)).transpose(0, 1, 3, 4, 2)
-    rows, columns = (-(-(size - overlap) // step) for size in (height, width))
-    result = np.zeros((rows * step + overlap, columns * step + overlap, channels), exemplar.dtype)
-    for i in range(rows):
-        for j in range(columns):
-            part = result[i * step : i * step + block, j * step : j * step + block]
-            shared = _shared(block, overlap, above=i > 0, before=j > 0)
-            patch = _chosen(patches, part, shared, rng)
-            part[:] = np.where(_mask(part, patch, overlap, above=i > 0, before=j > 0)[..., None], patch, part)
-    return result[:height, :width]
+    return quilted(exemplar, (exemplar.shape[0], exemplar.shape[1]), rng, block=block, overlap=overlap)
 
 
-def _shared(block: int, overlap: int, *, above: bool, before: bool) -> Mask:
-    """Which pixels [block, block] of a block are there already."""
-    shared = np.zeros((block, block), bool)
-    shared[:overlap] |= above
-    shared[:, :overlap] |= before
-    return shared
+def with_its_patches(exemplar: Picture, rng: np.random.Generator) -> Picture:
+    """A picture [H, W, 3] that tiles and whose patches are distributed as the exemplar's, at all scales.
+
+    GPDM (Elnekave & Weiss 2022): from coarse to fine, Adam moves the pixels themselves down the sliced Wasserstein
+    distance of patches, along random directions drawn anew in each step.
+    """
+    target = torch.from_numpy(exemplar).permute(2, 0, 1)[None].float()
+    generator = Generator().manual_seed(int(rng.integers(2**31)))
+    sizes = [tuple(max(COARSEST, round(side * 0.75**level)) for side in target.shape[-2:]) for level in range(99)]
+    sizes = sizes[: next(i for i, size in enumerate(sizes) if min(size) == COARSEST) + 1]
+    made = target.mean((2, 3), keepdim=True) + 0.1 * torch.randn(1, 3, *sizes[-1], generator=generator)
+    for size in reversed(sizes):
+        wanted = interpolate(target, size=size, mode="area")
+        made = interpolate(made, size=size, mode="bicubic")
+        made = _descended(made, wanted, max(FEWEST_STEPS, round(DESCENT * (64 / max(size)) ** 2)), generator)
+    return made[0].clamp(0, 1).permute(1, 2, 0).numpy()
 
 
-def _chosen(patches: Picture, part: Picture, shared: Mask, rng: np.random.Generator) -> Picture:
-    """A patch at random of those that agree with what is there about as well as the best."""
-    if not shared.any():
-        return np.asarray(patches[rng.integers(len(patches)), rng.integers(patches.shape[1])])
-    error = np.square(patches[:, :, shared] - part[shared]).sum((2, 3))
-    good = np.argwhere(error <= (1 + TOLERANCE) * error.min())
-    i, j = good[rng.integers(len(good))]
-    return np.asarray(patches[i, j])
-
-
-def _mask(part: Picture, patch: Picture, overlap: int, *, above: bool, before: bool) -> Mask:
-    """Which pixels [block, block] the patch takes: those beyond the cuts."""
-    differs = np.square(part - patch).sum(2)
-    mask = np.ones(differs.shape, bool)
-    if before:
-        mask[:, :overlap] &= beyond_cut(differs[:, :overlap])
-    if above:
-        mask[:overlap] &= beyond_cut(differs[:overlap].T).T
-    return mask
-
-
-def beyond_cut(cost: Picture) -> Mask:
-    """Which entries lie on or beyond the path from top to bottom of least total cost, one entry a row, [H, W]."""
-    height, width = cost.shape
-    total = cost.copy()
-    for row in range(1, height):
-        padded = np.pad(total[row - 1], 1, constant_values=np.inf)
-        total[row] += np.minimum(np.minimum(padded[:-2], padded[1:-1]), padded[2:])
-    path = np.empty(height, int)
-    path[-1] = total[-1].argmin()
-    for row in range(height - 2, -1, -1):
-        low = max(path[row + 1] - 1, 0)
-        path[row] = low + total[row, low : path[row + 1] + 2].argmin()
-    return np.arange(width) >= path[:, None]
+def _descended(made: Tensor, wanted: Tensor, steps: int, generator: Generator) -> Tensor:
+    """A picture [1, 3, H, W] after so many steps towards the patches of another one of its size."""
+    with torch.enable_grad():
+        made = made.detach().requires_grad_()
+        adam = torch.optim.Adam([made], lr=0.02)
+        for _ in range(min(steps, DESCENT)):
+            directions = torch.randn(SLICES, 3, PATCH, PATCH, generator=generator)
+            directions = directions / directions.flatten(1).norm(dim=1)[:, None, None, None]
+            tiled = pad(made, (0, PATCH - 1, 0, PATCH - 1), mode="circular")
+            projected = conv2d(tiled, directions).flatten(2)[0].sort(1).values
+            target = conv2d(wanted, directions).flatten(2)[0].sort(1).values
+            target = interpolate(target[None], size=projected.shape[1], mode="linear", align_corners=True)[0]
+            adam.zero_grad()
+            (projected - target).abs().mean().backward()
+            adam.step()
+    return made.detach()
 
 
 def baselines(app: App) -> tuple[Baseline, ...]:
@@ -144,7 +126,14 @@ def baselines(app: App) -> tuple[Baseline, ...]:
             "quilting",
             "image quilting (Efros & Freeman 2001), blocks of a quarter of the exemplar",
             cannot,
-            functools.partial(_copies, quilted),
+            functools.partial(_copies, quilt),
+            learns=False,
+        ),
+        Baseline(
+            "gpdm",
+            "pixels moved until patches are distributed as the exemplar's (Elnekave & Weiss 2022)",
+            "be kept in less than its pixels, or make more of it without another descent; it tiles",
+            functools.partial(_copies, with_its_patches, count=1),
             learns=False,
         ),
         Baseline(
@@ -157,17 +146,17 @@ def baselines(app: App) -> tuple[Baseline, ...]:
     )
 
 
-def _copies(make: Make, training: Training, allowed: Allowed) -> PreparedBaseline:
-    """Pictures of patches of the exemplar; seconds are of as many pictures as are judged."""
+def _copies(make: Make, training: Training, allowed: Allowed, count: int = JUDGED) -> PreparedBaseline:
+    """Pictures of patches of the exemplar; seconds are of as many pictures as are judged, `count` of them."""
     app = training.app
     assert isinstance(app, ExemplarApp)
 
     def fit(tasks: Tasks, rng: Generator, allowed: Allowed) -> BaselineFit:
         exemplar = app.exemplar(tasks.data["image"][tasks.rows].float() / 255)[0]
         numbers = np.random.default_rng(int(torch.randint(2**31, (), generator=rng)))
-        made = [make(exemplar.permute(1, 2, 0).numpy(), numbers) for _ in range(JUDGED)]
+        made = [make(exemplar.permute(1, 2, 0).numpy(), numbers) for _ in range(count)]
         pictures = torch.from_numpy(np.stack(made)).permute(0, 3, 1, 2)[None]
-        count = exemplar.numel()  # and as many bytes
-        return BaselineFit(lambda: pictures, count, count, picture=picture_of(pictures[0, 0]))
+        kept = exemplar.numel()  # numbers, and as many bytes
+        return BaselineFit(lambda: pictures, kept, kept, picture=picture_of(pictures[0, 0]))
 
     return PreparedBaseline(fit)

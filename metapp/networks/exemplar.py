@@ -7,22 +7,23 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
+import numpy as np
 import torch
 from torch import Generator, Tensor
 from torch.nn.functional import avg_pool2d, interpolate, leaky_relu
 
 from metapp.appearance.features import channels_of, describe_features, describe_precision, load_features, moments
-from metapp.appearance.order import drawn, none_of, periodic_part, snapped, unlike
+from metapp.appearance.quilting import quilted
 from metapp.learning.app import App
 from metapp.learning.task import Batch, Params, Task, Tasks
 from metapp.networks.coded import encoder_of, with_decoder
 from metapp.networks.generators import Pyramid, UNet
+from metapp.networks.layers import enlarged
 
 HIDDEN = 128
 JUDGED = 4
-ORDER = ("lattice", "waves", "strength")  # of the periodic part, among the parameters
-DISORDER = 0.2  # its weight in the loss
-STRENGTH = 1.5  # root mean square, as the network gets it, of a periodic part that is all of a picture
+CONTRAST = 1.5  # root mean square of layouts as networks get them
+ASTRAY = 0.1  # weight in the loss of how far pictures are from their layouts
 
 
 @dataclass(frozen=True)
@@ -63,6 +64,16 @@ class ExemplarSetup:
         """The maps that a summary has parts of: where finer octaves are not seen, the finest one stands for them."""
         finest = maps[self.maps_from(octave + 1) :]
         return maps + [each for finer in reversed(range(octave)) for each in finest[: self.taps_of(finer)]]
+
+    @property
+    def has_layout(self) -> bool:
+        """Whether the network reads a coarse picture of what to make."""
+        return isinstance(self.network, Pyramid) and self.network.layout > 0
+
+    @property
+    def coarsest(self) -> tuple[int, int]:
+        """Height and width of pictures of the coarsest octave."""
+        return self.height >> (self.octaves - 1), self.width >> (self.octaves - 1)
 
     def at(self, octave: int) -> UNet | Pyramid:
         """The network that makes pictures of the size of an octave."""
@@ -138,63 +149,64 @@ class ExemplarApp(App):
         image = task.data["image"]
         exemplar = self.exemplar(image[None].float() / 255)
         described = {key: value[0] for key, value in self.describe(exemplar).items()}
-        return {"image": image} | described | self.order_of(exemplar[0])
+        return {"image": image} | described | {key: value[0] for key, value in self.laid_out(exemplar).items()}
 
-    @property
-    def ordered(self) -> bool:
-        """Whether the network is given the exemplar's periodic part."""
-        return isinstance(self.setup.network, Pyramid) and self.setup.network.order > 0
+    def laid_out(self, exemplars: Tensor) -> dict[str, Tensor]:
+        """`layout` [B, 3, h, w] of exemplars [B, 3, H, W]: a coarse picture of each that tiles; {} without layouts.
 
-    def order_of(self, exemplar: Tensor) -> dict[str, Tensor]:
-        """The periodic part of an exemplar [3, h, w]: `lattice`, `waves`, `strength`, where the network gets it."""
-        return dict(zip(ORDER, periodic_part(exemplar), strict=True)) if self.ordered else {}
+        It is quilted of the exemplar itself, at the size of the coarsest octave.
+        """
+        if not self.setup.has_layout:
+            return {}
+        coarse = interpolate(exemplars, size=self.setup.coarsest, mode="area").movedim(1, -1)
+        return {"layout": torch.stack([_quilted(each, self.setup.coarsest) for each in coarse])}
 
     def known(self, tasks: Tasks) -> Params:
-        """The periodic parts of the exemplars, where the network is given them."""
-        return {key: tasks.data[key][tasks.rows] for key in ORDER if self.ordered}
+        """The layouts, where the network reads one."""
+        return {"layout": tasks.data["layout"][tasks.rows]} if self.setup.has_layout else {}
 
-    def basis(self, theta: Params, octave: int = 0) -> Tensor:
-        """Basis frequencies [T, 1, 2, 2] of the exemplars' lattices, in cycles per texel of an octave."""
-        lattice: Tensor = theta["lattice"].detach()[:, None]
-        return lattice * (1 << octave)
+    def layouts(self, theta: Params, noise: Tensor, octave: int) -> Tensor:
+        """The layouts [T, B, 3, h, w] of pictures made of noise [T, B, C, H, W] of the size of an octave.
 
-    def periodic(self, theta: Params, noise: Tensor, octave: int = 0, *, tiles: bool = False) -> Tensor | None:
-        """The periodic part [T, B, 3, H, W] of what is made of noise; None where the network is given none.
-
-        It lies where the first numbers of the noise say.
-
-        Args:
-            theta: parameters of T networks.
-            noise: standard normal [T, B, C, H, W] of the size of an octave.
-            octave: 0 the finest.
-            tiles: change the lattice by as little as makes the picture tile.
+        One moved by as much as the first numbers of the noise say; of pictures of other sizes one quilted anew.
         """
-        if not self.ordered:
-            return None
-        basis, size = self.basis(theta, octave), tuple(noise.shape[-2:])
-        offset = torch.special.ndtr(noise[:, :, 0, 0, :2]) * max(size)
-        return drawn(snapped(basis, size) if tiles else basis, theta["waves"].detach()[:, None], size, offset)
+        layout, times = theta["layout"].detach(), self.setup.octaves - 1 - octave
+        size = tuple(side >> times for side in noise.shape[-2:])
+        if size != self.setup.coarsest:
+            new = torch.stack([_quilted(each.movedim(0, -1), size) for each in layout])
+            return new[:, None].expand(-1, noise.shape[1], -1, -1, -1)
+        shares = torch.special.ndtr(noise[:, :, 0, 0, :2]).expand(len(layout), -1, -1)
+        moved = [
+            [one.roll([int(share * side) for share, side in zip(pair, size, strict=True)], (1, 2)) for pair in pairs]
+            for one, pairs in zip(layout, shares.tolist(), strict=True)
+        ]
+        return torch.stack([torch.stack(each) for each in moved])
 
-    def made(self, theta: Params, noise: Tensor, octave: int = 0, *, tiles: bool = False) -> Tensor:
-        """What the network makes of noise [T, B, outputs, H, W], before any range is imposed; arguments as above."""
-        network, periodic = self.setup.at(octave), self.periodic(theta, noise, octave, tiles=tiles)
-        if periodic is None:
+    def made(self, theta: Params, noise: Tensor, octave: int = 0) -> Tensor:
+        """What the network makes of noise [T, B, outputs, H, W], before any range is imposed; it tiles."""
+        network = self.setup.at(octave)
+        if not isinstance(network, Pyramid) or not self.setup.has_layout:
             return network(theta, noise)
-        assert isinstance(network, Pyramid)
-        power = theta["waves"].detach().square().sum((1, 2)).mean(-1) / 2
-        gain = STRENGTH * theta["strength"].detach() / power.sqrt().clamp_min(1e-6)
-        return network(theta, noise, gain[:, None, None, None, None] * periodic)
+        layout = self.layouts(theta, noise, octave)
+        layout = layout - layout.mean((-1, -2), keepdim=True)
+        layout = CONTRAST * layout / layout.square().mean((-1, -2, -3), keepdim=True).sqrt().clamp_min(0.02)
+        whole = layout.flatten(0, 1)
+        for _ in range(self.setup.octaves - 1 - octave):
+            whole = enlarged(whole)
+        return network(theta, noise, whole.unflatten(0, layout.shape[:2]))
 
-    def disorder(self, theta: Params, noise: Tensor, octave: int, pictures: Tensor) -> Tensor:
-        """Part of the loss [T]: how far the order of pictures [T, B, 3, H, W] is from that of exemplars that have some.
+    def astray(self, theta: Params, noise: Tensor, octave: int, pictures: Tensor) -> Tensor:
+        """Part of the loss [T]: how far pictures [T, B, 3, H, W], made of noise, are from their layouts.
 
-        0 where the network is not given the exemplar's periodic part.
+        The squared difference of the coarse pictures over the layout's variance; 0 without layouts.
         """
-        periodic = self.periodic(theta, noise, octave)
-        if periodic is None:
+        if not self.setup.has_layout:
             return pictures.new_zeros(len(pictures))
-        strength: Tensor = DISORDER * theta["strength"].detach()
-        return strength * unlike(pictures, periodic, self.basis(theta, octave)).mean(1)
+        layout = self.layouts(theta, noise, octave)
+        times = 1 << (self.setup.octaves - 1 - octave)
+        coarse: Tensor = avg_pool2d(pictures.flatten(0, 1), times).unflatten(0, pictures.shape[:2])
+        variance = layout.var((-1, -2)).mean(-1) + 1e-3
+        return ((coarse - layout).square().mean((-1, -2, -3)) * (ASTRAY / variance)).mean(1)
 
     def exemplar(self, images: Tensor, octave: int = 0) -> Tensor:
         """The part of square images [B, 3, S, S] that has the recipe's proportions, resampled to an octave's size."""
@@ -206,7 +218,9 @@ class ExemplarApp(App):
 
     def init(self, rng: Generator, count: int) -> Params:
         theta = self.setup.network.init(rng, count)
-        return theta | dict(zip(ORDER, none_of(count, device=rng.device), strict=True)) if self.ordered else theta
+        if self.setup.has_layout:
+            theta["layout"] = torch.zeros(count, 3, *self.setup.coarsest, device=rng.device)
+        return theta
 
     def noise(self, rng: Generator, tasks: int, count: int, octave: int = 0) -> Tensor:
         """Standard normal [tasks, count, C, h, w], as high and wide as the pictures of an octave."""
@@ -231,7 +245,7 @@ class ExemplarApp(App):
         for layer in (1, 2, 3):
             x = x @ encoder[f"mlp{layer}.w"].T + encoder[f"mlp{layer}.b"]
             x = leaky_relu(x, 0.2) if layer < 3 else x
-        return with_decoder({"z": x} | {key: condition[key] for key in ORDER if self.ordered}, encoder)
+        return with_decoder({"z": x} | {key: condition[key] for key in ("layout",) if key in condition}, encoder)
 
     def crop(self, image: Tensor, rng: Generator) -> Tensor:
         """A part [3, s, s] of an image [3, S, S] that could have been photographed as well; here all of it."""
@@ -240,34 +254,27 @@ class ExemplarApp(App):
     def augment(self, tasks: Tasks, rng: Generator) -> Tasks:
         """These exemplars cropped, flipped, transposed and with their channels permuted, at random."""
         count, device, octave = len(tasks), rng.device, self.octave(tasks.data)
-        exemplars, changes = [], []
+        exemplars = []
         for row, flip, turn in zip(
             tasks.rows, *torch.rand(2, count, generator=rng, device=device).tolist(), strict=True
         ):
-            whole = tasks.data["image"][row].float() / 255
-            image = self.crop(whole, rng)
-            changes.append(_change(image.shape[-1] / whole.shape[-1], flipped=flip < 0.5, transposed=turn < 0.5))
+            image = self.crop(tasks.data["image"][row].float() / 255, rng)
             image = image.flip(-1) if flip < 0.5 else image
             exemplars.append(self.exemplar((image.mT if turn < 0.5 else image)[None], octave))
         channels = torch.rand(count, 3, generator=rng, device=device).argsort(1)[..., None, None]
         images = torch.cat(exemplars)
         images = images.gather(1, channels.expand(images.shape))
-        order = self.known(tasks)
-        if order:
-            waves = order["waves"]
-            order["waves"] = waves.gather(-1, channels[:, None, None, :, 0, 0].expand(waves.shape))
-            order["lattice"] = order["lattice"] @ torch.stack(changes).to(waves)
-        return tasks.variants(self.describe(images, octave) | order | self.carried(tasks, channels[..., 0, 0]))
+        described = self.describe(images, octave) | self.laid_out(images)
+        return tasks.variants(described | self.carried(tasks, channels[..., 0, 0]))
 
     def carried(self, tasks: Tasks, channels: Tensor) -> dict[str, Tensor]:
         """What else is known of these exemplars, once their channels are those [T, 3] of before."""
         return {}
 
 
-def _change(scale: float, *, flipped: bool, transposed: bool) -> Tensor:
-    """What frequencies (y, x) of a picture are multiplied by [2, 2] where it is cropped, then flipped, transposed.
-
-    Where a part lies changes nothing: the place of a periodic part is drawn at random.
-    """
-    change = torch.diag(torch.tensor([scale, -scale if flipped else scale]))
-    return change.flip(1) if transposed else change
+def _quilted(exemplar: Tensor, size: tuple[int, ...]) -> Tensor:
+    """A picture [3, h, w] that tiles, quilted of a coarse exemplar [H, W, 3]; the same each time."""
+    block = max(4, min(*exemplar.shape[:2], *size) // 4)
+    rng = np.random.default_rng(0)
+    picture = quilted(exemplar.cpu().numpy(), (size[0], size[1]), rng, block=block, overlap=block // 3, tiles=True)
+    return torch.from_numpy(picture).movedim(-1, 0).to(exemplar)

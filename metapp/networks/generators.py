@@ -97,7 +97,7 @@ class Pyramid(NamedTuple):
         code: length of z.
         outputs: channels of what it makes.
         finest: the level whose picture it makes, 0 for the whole size.
-        order: channels of the exemplar's periodic part, given at each level beside noise.
+        layout: channels of a coarse picture of what to make, given at each level beside noise.
     """
 
     width: int
@@ -106,7 +106,7 @@ class Pyramid(NamedTuple):
     code: int = 32
     outputs: int = 3
     finest: int = 0
-    order: int = 0
+    layout: int = 0
 
     def channels(self, level: int) -> int:
         """Channels at a level, 0 the finest; none above the coarsest."""
@@ -118,7 +118,7 @@ class Pyramid(NamedTuple):
         each = {}
         for level in reversed(range(self.levels)):
             outputs = self.channels(level)
-            each[f"join{level}"] = (self.channels(level + 1) + self.noise + self.order, outputs)
+            each[f"join{level}"] = (self.channels(level + 1) + self.noise + self.layout, outputs)
             each[f"draw{level}"] = (outputs, outputs)
         return each
 
@@ -132,19 +132,19 @@ class Pyramid(NamedTuple):
             theta[f"out{level}.shift"] = torch.zeros(count, self.outputs, device=rng.device)
         return theta
 
-    def __call__(self, theta: Params, noise: Tensor, order: Tensor | None = None) -> Tensor:
+    def __call__(self, theta: Params, noise: Tensor, layout: Tensor | None = None) -> Tensor:
         """Maps from noise.
 
         Args:
             theta: parameters of T networks, as of `init`.
             noise: standard normal, [T, B, noise, H, W], of the size of the level `finest`.
-            order: the periodic part, [T, B, order, H, W]; None where the network reads none.
+            layout: of the noise's size, [T, B, layout, H, W]; None where the network reads none.
 
         Returns:
             Values before any range is imposed, [T, B, outputs, H, W].
         """
         tasks = len(noise)
-        given = noise if order is None else torch.cat([noise, order], 2)
+        given = noise if layout is None else torch.cat([noise, layout], 2)
         gain = torch.ones(given.shape[2], 1, 1, dtype=noise.dtype, device=noise.device)
         gain[: self.noise] = 2  # noise is of unit variance again
         pooled = [given.transpose(0, 1).flatten(1, 2)]

@@ -75,14 +75,14 @@ def pyramid(quick: Recipe, *, searched: Adam, tasks: int, prior: float = 0.0) ->
     """
     tuned = replace(quick.meta["meta-mean"], first=searched)
     taps = ("relu1_1", "relu2_1", "relu3_1", "relu4_1")
-    network = Pyramid(16, outputs=quick.setup.network.outputs)
+    network = Pyramid(16, outputs=quick.setup.network.outputs, layout=3)
     return replace(
         quick,
         quickft=searched,
         general=pixels(2400, tasks, validate_every=400),
         meta={"meta-encoder": quick.meta["meta-encoder"], "meta-mean": tuned, "meta-axes": tuned},
         rule="meta-axes",
-        setup=ExemplarSetup(256, 256, network, quick.setup.features, taps, octaves=3, shares=(0.5, 0.8), prior=prior),
+        setup=ExemplarSetup(256, 256, network, quick.setup.features, taps, octaves=3, shares=(0.2, 0.6), prior=prior),
     )
 
 

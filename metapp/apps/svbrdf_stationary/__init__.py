@@ -110,9 +110,9 @@ class SvbrdfStationary(ExemplarApp):
         noise = self.noise(rng, 1, 1, octave=coarsest).expand(len(theta["z"]), -1, -1, -1, -1)
         return torch.stack([part.mean((1, 2, 3, 4)) for part in _gloss(self.maps(theta, noise, coarsest)[0])], -1)
 
-    def maps(self, theta: Params, noise: Tensor, octave: int = 0, *, tiles: bool = False) -> tuple[Maps, Tensor]:
+    def maps(self, theta: Params, noise: Tensor, octave: int = 0) -> tuple[Maps, Tensor]:
         """Maps of materials [T, B, ...] from noise [T, B, C, H, W], and their height [T, B, 1, H, W] in texels."""
-        raw = self.made(theta, noise, octave, tiles=tiles)
+        raw = self.made(theta, noise, octave)
         diffuse = torch.sigmoid(raw[:, :, :3]) ** 2.2  # about evenly spread for the eye
         specular = torch.sigmoid(raw[:, :, 3:4] - 3)  # about 0.05 at first, as most dielectrics
         roughness = 0.1 + 0.9 * torch.sigmoid(raw[:, :, 4:5])
@@ -166,10 +166,10 @@ class SvbrdfStationary(ExemplarApp):
     def _distances(self, theta: Params, maps: Maps, batch: Batch) -> dict[str, Tensor]:
         pictures = self.photograph(maps, batch["light"][:, None], batch["light"][:, None])
         distances, octave = self._distances_of(pictures, batch), self.octave(batch)
-        return distances | {"disorder": self.disorder(theta, batch["noise"], octave, flattened(pictures))}
+        return distances | {"astray": self.astray(theta, batch["noise"], octave, flattened(pictures))}
 
-    def order_of(self, exemplar: Tensor) -> dict[str, Tensor]:
-        return super().order_of(flattened(exemplar))
+    def laid_out(self, exemplars: Tensor) -> dict[str, Tensor]:
+        return super().laid_out(flattened(exemplars)) if self.setup.has_layout else {}
 
     def _distances_of(self, pictures: Tensor, batch: Batch) -> dict[str, Tensor]:
         leading = pictures.shape[:2]

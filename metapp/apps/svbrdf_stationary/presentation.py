@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 from typing import Any
 
 from torch import Tensor
@@ -43,11 +42,11 @@ class SvbrdfStationaryPresentation(ExemplarPresentation[SvbrdfStationary]):
         return Surface(maps.diffuse, True, maps, height)
 
     def _whole(self, theta: Params, task: Task) -> tuple[Maps, Tensor]:
-        return self.kept(theta, task, lambda: self._maps(theta, self.whole(), tiles=True))
+        return self.kept(theta, task, lambda: self._maps(theta, self.whole()))
 
-    def _maps(self, theta: Params, size: tuple[int, int], *, tiles: bool = False) -> tuple[Maps, Tensor]:
+    def _maps(self, theta: Params, size: tuple[int, int]) -> tuple[Maps, Tensor]:
         """Maps of one material and their height, without leading axes."""
-        maps, heights = self.generated(theta, functools.partial(self.app.maps, tiles=tiles), size)
+        maps, heights = self.generated(theta, self.app.maps, size)
         return Maps(*(part[0, 0] for part in maps)), heights[0, 0]
 
     def _pictures(self, maps: Maps, height: Tensor) -> dict[str, Picture]:

@@ -27,9 +27,9 @@ class Texture(ExemplarApp):
         maps = self.features(exemplars, octave)
         return {f"gram{i}": gram(each) for i, each in enumerate(maps)} | {"summary": self.summary(maps, octave)}
 
-    def generate(self, theta: Params, noise: Tensor, octave: int = 0, *, tiles: bool = False) -> Tensor:
+    def generate(self, theta: Params, noise: Tensor, octave: int = 0) -> Tensor:
         """Textures [T, B, 3, H, W], sRGB in [0, 1], from noise [T, B, C, H, W] of the size of an octave."""
-        return torch.sigmoid(self.made(theta, noise, octave, tiles=tiles))
+        return torch.sigmoid(self.made(theta, noise, octave))
 
     def sample(self, tasks: Tasks, rng: Generator, count: int) -> Batch:
         """`noise` for `count` textures of each task, and the exemplars' Gram matrices."""
@@ -40,10 +40,10 @@ class Texture(ExemplarApp):
         return {key: value[tasks.rows] for key, value in tasks.data.items() if key.startswith("gram")}
 
     def loss(self, theta: Params, batch: Batch, learned: Params) -> Tensor:
-        """Relative L1 distance of Gram matrices, [T], and how far the order is from the exemplar's if it has some."""
+        """Relative L1 distance of Gram matrices, [T], and how far pictures are from their layouts."""
         octave, noise = self.octave(batch), batch["noise"]
         images = self.generate(theta, noise, octave)
-        return self._distance(images, batch) + self.disorder(theta, noise, octave, images)
+        return self._distance(images, batch) + self.astray(theta, noise, octave, images)
 
     def _distance(self, images: Tensor, batch: Batch) -> Tensor:
         maps = self.features(images.flatten(0, 1), self.octave(batch))

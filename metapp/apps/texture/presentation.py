@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Mapping
 from typing import Any
 
@@ -58,8 +57,7 @@ class TexturePresentation(ExemplarPresentation[Texture]):
 
     def _whole(self, theta: Params, task: Task) -> Tensor:
         """The texture of the size of files, [3, H, W]."""
-        tiling = functools.partial(self.app.generate, tiles=True)
-        textures: Tensor = self.kept(theta, task, lambda: self.generated(theta, tiling, self.whole()))
+        textures: Tensor = self.kept(theta, task, lambda: self.generated(theta, self.app.generate, self.whole()))
         return textures[0, 0]
 
 

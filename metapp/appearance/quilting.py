@@ -1,0 +1,119 @@
+"""Image quilting: a picture of blocks of an exemplar that agree where they overlap (Efros & Freeman 2001)."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Picture = NDArray[np.floating]
+Mask = NDArray[np.bool_]
+TOLERANCE = 0.1  # as published: blocks whose overlaps differ by so much more than the best one's are as good
+
+
+def quilted(
+    exemplar: Picture,
+    size: tuple[int, int],
+    rng: np.random.Generator,
+    *,
+    block: int,
+    overlap: int,
+    tiles: bool = False,
+) -> Picture:
+    """A picture [h, w, C] of blocks of an exemplar [H, W, C], each cut from its neighbours where both agree most.
+
+    Args:
+        exemplar: at least as high and wide as a block.
+        size: h and w in px.
+        rng: chooses among blocks that agree about as well.
+        block: side of a square block in px.
+        overlap: what neighbours share at least, in px.
+        tiles: blocks agree across the edges of the picture, too.
+    """
+    height, width = size
+    places = [_places(length, block - overlap, tiles=tiles) for length in size]
+    over = [block - max(np.diff([*of, of[-1] + block - overlap])) for of in places]
+    beyond = 0 if tiles else block  # cut off at the end
+    result = np.zeros((height + beyond, width + beyond, exemplar.shape[2]))
+    find = _finder(exemplar, block)
+    for i, top in enumerate(places[0]):
+        for j, left in enumerate(places[1]):
+            rows = (top + np.arange(block)) % len(result)
+            columns = (left + np.arange(block)) % result.shape[1]
+            part = result[np.ix_(rows, columns)]
+            sides = (i > 0, j > 0, tiles and i == len(places[0]) - 1, tiles and j == len(places[1]) - 1)
+            patch = find(part, _shared(block, over, sides), rng)
+            result[np.ix_(rows, columns)] = np.where(_taken(part, patch, over, sides)[..., None], patch, part)
+    return result[:height, :width].astype(exemplar.dtype)
+
+
+Sides = tuple[bool, bool, bool, bool]
+"""Whether there is something above a block, before it, below it, behind it."""
+
+
+def _places(length: int, step: int, *, tiles: bool) -> list[int]:
+    """Where blocks begin; of what tiles evenly, as far as whole px allow."""
+    if not tiles:
+        return list(range(0, length, step))
+    count = -(-length // step)
+    return [round(i * length / count) for i in range(count)]
+
+
+def _finder(exemplar: Picture, block: int):  # type: ignore[no-untyped-def]
+    """What finds a block of the exemplar that agrees with what is there: its errors are correlations."""
+    height, width, _ = exemplar.shape
+    size = (height, width)
+    channels = np.fft.rfft2(exemplar, axes=(0, 1))
+    squares = np.fft.rfft2(np.square(exemplar).sum(2))
+    rows, columns = height - block + 1, width - block + 1
+
+    def find(part: Picture, shared: Mask, rng: np.random.Generator) -> Picture:
+        if not shared.any():
+            i, j = rng.integers(rows), rng.integers(columns)
+        else:
+            there = np.fft.rfft2(part * shared[..., None], size, axes=(0, 1))
+            product = squares * np.conj(np.fft.rfft2(shared, size)) - 2 * (channels * np.conj(there)).sum(2)
+            error = np.fft.irfft2(product, size)[:rows, :columns] + np.square(part[shared]).sum()
+            error = np.maximum(error, 1e-6)
+            good = np.argwhere(error <= (1 + TOLERANCE) * error.min())
+            i, j = good[rng.integers(len(good))]
+        return exemplar[i : i + block, j : j + block]
+
+    return find
+
+
+def _shared(block: int, over: list[int], sides: Sides) -> Mask:
+    """Which px [block, block] of a block are there already."""
+    shared = np.zeros((block, block), bool)
+    above, before, below, behind = sides
+    shared[: over[0]] |= above
+    shared[:, : over[1]] |= before
+    shared[block - over[0] :] |= below
+    shared[:, block - over[1] :] |= behind
+    return shared
+
+
+def _taken(part: Picture, patch: Picture, over: list[int], sides: Sides) -> Mask:
+    """Which px [block, block] are taken from the patch: those beyond the cuts."""
+    differs = np.square(part - patch).sum(2)
+    mask = np.ones(differs.shape, bool)
+    for there, turns, width in zip(sides, (3, 0, 1, 2), (over[0], over[1], over[0], over[1]), strict=True):
+        if there:  # turned so that what is there is before the block
+            turned = np.rot90(mask, -turns)
+            turned[:, :width] &= beyond_cut(np.rot90(differs, -turns)[:, :width])
+    return mask
+
+
+def beyond_cut(cost: Picture) -> Mask:
+    """Which entries lie on or beyond the path from top to bottom of least total cost, one entry a row, [H, W]."""
+    height, width = cost.shape
+    total = cost.copy()
+    for row in range(1, height):
+        padded = np.pad(total[row - 1], 1, constant_values=np.inf)
+        total[row] += np.minimum(np.minimum(padded[:-2], padded[1:-1]), padded[2:])
+    path = np.empty(height, int)
+    path[-1] = total[-1].argmin()
+    for row in range(height - 2, -1, -1):
+        low = max(path[row + 1] - 1, 0)
+        path[row] = low + total[row, low : path[row + 1] + 2].argmin()
+    result: Mask = np.arange(width) >= path[:, None]
+    return result
