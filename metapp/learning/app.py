@@ -46,7 +46,7 @@ class App(ABC):
     All methods are batched over tasks: parameters and batches have a leading task axis T. What fits look like, and what
     tables say about errors, is the business of its `metapp.appearance.presentation.Presentation`; its recipes are a
     table beside it. What only some applications have are the protocols below: a coarse-to-fine `Staged`, a
-    `LinearLayer`, an `OuterLoss`, an `OuterSample`, a `Distilled` network, `ReducedPrecision`.
+    `LinearLayer`, `Known` parameters, an `OuterLoss`, an `OuterSample`, a `Distilled` network, `ReducedPrecision`.
 
     Attributes:
         setup: the sizes of its network, as a recipe has them; None where it has none.
@@ -145,6 +145,14 @@ class LinearLayer(Protocol):
 
     def linear(self, theta: Params, batch: Batch, learned: Params) -> Linear:
         """Least squares near the inner loss, in the parameter `solves`."""
+
+
+@runtime_checkable
+class Known(Protocol):
+    """An application some of whose parameters a task gives itself; no step moves them."""
+
+    def known(self, tasks: Tasks) -> Params:
+        """These parameters, [T, ...]."""
 
 
 @runtime_checkable

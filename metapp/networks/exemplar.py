@@ -12,6 +12,7 @@ from torch import Generator, Tensor
 from torch.nn.functional import avg_pool2d, interpolate, leaky_relu
 
 from metapp.appearance.features import channels_of, describe_features, describe_precision, load_features, moments
+from metapp.appearance.order import drawn, none_of, periodic_part, snapped, unlike
 from metapp.learning.app import App
 from metapp.learning.task import Batch, Params, Task, Tasks
 from metapp.networks.coded import encoder_of, with_decoder
@@ -19,6 +20,9 @@ from metapp.networks.generators import Pyramid, UNet
 
 HIDDEN = 128
 JUDGED = 4
+ORDER = ("lattice", "waves", "strength")  # of the periodic part, among the parameters
+DISORDER = 0.2  # its weight in the loss
+STRENGTH = 1.5  # root mean square, as the network gets it, of a periodic part that is all of a picture
 
 
 @dataclass(frozen=True)
@@ -132,8 +136,65 @@ class ExemplarApp(App):
     def prepare(self, task: Task) -> dict[str, Tensor]:
         """`image` uint8 [3, S, S], and what describes the exemplar in it."""
         image = task.data["image"]
-        described = self.describe(self.exemplar(image[None].float() / 255))
-        return {"image": image} | {key: value[0] for key, value in described.items()}
+        exemplar = self.exemplar(image[None].float() / 255)
+        described = {key: value[0] for key, value in self.describe(exemplar).items()}
+        return {"image": image} | described | self.order_of(exemplar[0])
+
+    @property
+    def ordered(self) -> bool:
+        """Whether the network is given the exemplar's periodic part."""
+        return isinstance(self.setup.network, Pyramid) and self.setup.network.order > 0
+
+    def order_of(self, exemplar: Tensor) -> dict[str, Tensor]:
+        """The periodic part of an exemplar [3, h, w]: `lattice`, `waves`, `strength`, where the network gets it."""
+        return dict(zip(ORDER, periodic_part(exemplar), strict=True)) if self.ordered else {}
+
+    def known(self, tasks: Tasks) -> Params:
+        """The periodic parts of the exemplars, where the network is given them."""
+        return {key: tasks.data[key][tasks.rows] for key in ORDER if self.ordered}
+
+    def basis(self, theta: Params, octave: int = 0) -> Tensor:
+        """Basis frequencies [T, 1, 2, 2] of the exemplars' lattices, in cycles per texel of an octave."""
+        lattice: Tensor = theta["lattice"].detach()[:, None]
+        return lattice * (1 << octave)
+
+    def periodic(self, theta: Params, noise: Tensor, octave: int = 0, *, tiles: bool = False) -> Tensor | None:
+        """The periodic part [T, B, 3, H, W] of what is made of noise; None where the network is given none.
+
+        It lies where the first numbers of the noise say.
+
+        Args:
+            theta: parameters of T networks.
+            noise: standard normal [T, B, C, H, W] of the size of an octave.
+            octave: 0 the finest.
+            tiles: change the lattice by as little as makes the picture tile.
+        """
+        if not self.ordered:
+            return None
+        basis, size = self.basis(theta, octave), tuple(noise.shape[-2:])
+        offset = torch.special.ndtr(noise[:, :, 0, 0, :2]) * max(size)
+        return drawn(snapped(basis, size) if tiles else basis, theta["waves"].detach()[:, None], size, offset)
+
+    def made(self, theta: Params, noise: Tensor, octave: int = 0, *, tiles: bool = False) -> Tensor:
+        """What the network makes of noise [T, B, outputs, H, W], before any range is imposed; arguments as above."""
+        network, periodic = self.setup.at(octave), self.periodic(theta, noise, octave, tiles=tiles)
+        if periodic is None:
+            return network(theta, noise)
+        assert isinstance(network, Pyramid)
+        power = theta["waves"].detach().square().sum((1, 2)).mean(-1) / 2
+        gain = STRENGTH * theta["strength"].detach() / power.sqrt().clamp_min(1e-6)
+        return network(theta, noise, gain[:, None, None, None, None] * periodic)
+
+    def disorder(self, theta: Params, noise: Tensor, octave: int, pictures: Tensor) -> Tensor:
+        """Part of the loss [T]: how far the order of pictures [T, B, 3, H, W] is from that of exemplars that have some.
+
+        0 where the network is not given the exemplar's periodic part.
+        """
+        periodic = self.periodic(theta, noise, octave)
+        if periodic is None:
+            return pictures.new_zeros(len(pictures))
+        strength: Tensor = DISORDER * theta["strength"].detach()
+        return strength * unlike(pictures, periodic, self.basis(theta, octave)).mean(1)
 
     def exemplar(self, images: Tensor, octave: int = 0) -> Tensor:
         """The part of square images [B, 3, S, S] that has the recipe's proportions, resampled to an octave's size."""
@@ -144,7 +205,8 @@ class ExemplarApp(App):
         return interpolate(part, size=size, mode="area" if part.shape[-2] >= size[0] else "bilinear")
 
     def init(self, rng: Generator, count: int) -> Params:
-        return self.setup.network.init(rng, count)
+        theta = self.setup.network.init(rng, count)
+        return theta | dict(zip(ORDER, none_of(count, device=rng.device), strict=True)) if self.ordered else theta
 
     def noise(self, rng: Generator, tasks: int, count: int, octave: int = 0) -> Tensor:
         """Standard normal [tasks, count, C, h, w], as high and wide as the pictures of an octave."""
@@ -162,14 +224,14 @@ class ExemplarApp(App):
         return encoder
 
     def condition(self, tasks: Tasks, rng: Generator) -> Batch:
-        return {"summary": tasks.data["summary"][tasks.rows]}
+        return {"summary": tasks.data["summary"][tasks.rows]} | self.known(tasks)
 
     def encode(self, encoder: Params, condition: Batch) -> Params:
         x = torch.log(condition["summary"] + 0.01) / 2  # features are heavy-tailed
         for layer in (1, 2, 3):
             x = x @ encoder[f"mlp{layer}.w"].T + encoder[f"mlp{layer}.b"]
             x = leaky_relu(x, 0.2) if layer < 3 else x
-        return with_decoder({"z": x}, encoder)
+        return with_decoder({"z": x} | {key: condition[key] for key in ORDER if self.ordered}, encoder)
 
     def crop(self, image: Tensor, rng: Generator) -> Tensor:
         """A part [3, s, s] of an image [3, S, S] that could have been photographed as well; here all of it."""
@@ -178,25 +240,34 @@ class ExemplarApp(App):
     def augment(self, tasks: Tasks, rng: Generator) -> Tasks:
         """These exemplars cropped, flipped, transposed and with their channels permuted, at random."""
         count, device, octave = len(tasks), rng.device, self.octave(tasks.data)
-        exemplars = []
+        exemplars, changes = [], []
         for row, flip, turn in zip(
             tasks.rows, *torch.rand(2, count, generator=rng, device=device).tolist(), strict=True
         ):
-            image = self.crop(tasks.data["image"][row].float() / 255, rng)
+            whole = tasks.data["image"][row].float() / 255
+            image = self.crop(whole, rng)
+            changes.append(_change(image.shape[-1] / whole.shape[-1], flipped=flip < 0.5, transposed=turn < 0.5))
             image = image.flip(-1) if flip < 0.5 else image
             exemplars.append(self.exemplar((image.mT if turn < 0.5 else image)[None], octave))
         channels = torch.rand(count, 3, generator=rng, device=device).argsort(1)[..., None, None]
         images = torch.cat(exemplars)
         images = images.gather(1, channels.expand(images.shape))
-        return tasks.variants(self.describe(images, octave) | self.carried(tasks, channels[..., 0, 0]))
+        order = self.known(tasks)
+        if order:
+            waves = order["waves"]
+            order["waves"] = waves.gather(-1, channels[:, None, None, :, 0, 0].expand(waves.shape))
+            order["lattice"] = order["lattice"] @ torch.stack(changes).to(waves)
+        return tasks.variants(self.describe(images, octave) | order | self.carried(tasks, channels[..., 0, 0]))
 
     def carried(self, tasks: Tasks, channels: Tensor) -> dict[str, Tensor]:
         """What else is known of these exemplars, once their channels are those [T, 3] of before."""
         return {}
 
-    @torch.no_grad()
-    def errors(self, theta: Params, tasks: Tasks) -> dict[str, Tensor]:
-        """On pictures from noise that no fit draws, the same for all."""
-        rng = Generator(tasks.rows.device).manual_seed(0)
-        noise = self.noise(rng, 1, JUDGED).expand(len(tasks), -1, -1, -1, -1)
-        return {"error": self.loss(theta, self.sample(tasks, rng, 1) | {"noise": noise}, {})}
+
+def _change(scale: float, *, flipped: bool, transposed: bool) -> Tensor:
+    """What frequencies (y, x) of a picture are multiplied by [2, 2] where it is cropped, then flipped, transposed.
+
+    Where a part lies changes nothing: the place of a periodic part is drawn at random.
+    """
+    change = torch.diag(torch.tensor([scale, -scale if flipped else scale]))
+    return change.flip(1) if transposed else change

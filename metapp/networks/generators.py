@@ -97,6 +97,7 @@ class Pyramid(NamedTuple):
         code: length of z.
         outputs: channels of what it makes.
         finest: the level whose picture it makes, 0 for the whole size.
+        order: channels of the exemplar's periodic part, given at each level beside noise.
     """
 
     width: int
@@ -105,6 +106,7 @@ class Pyramid(NamedTuple):
     code: int = 32
     outputs: int = 3
     finest: int = 0
+    order: int = 0
 
     def channels(self, level: int) -> int:
         """Channels at a level, 0 the finest; none above the coarsest."""
@@ -116,7 +118,7 @@ class Pyramid(NamedTuple):
         each = {}
         for level in reversed(range(self.levels)):
             outputs = self.channels(level)
-            each[f"join{level}"] = (self.channels(level + 1) + self.noise, outputs)
+            each[f"join{level}"] = (self.channels(level + 1) + self.noise + self.order, outputs)
             each[f"draw{level}"] = (outputs, outputs)
         return each
 
@@ -130,20 +132,25 @@ class Pyramid(NamedTuple):
             theta[f"out{level}.shift"] = torch.zeros(count, self.outputs, device=rng.device)
         return theta
 
-    def __call__(self, theta: Params, noise: Tensor) -> Tensor:
+    def __call__(self, theta: Params, noise: Tensor, order: Tensor | None = None) -> Tensor:
         """Maps from noise.
 
         Args:
             theta: parameters of T networks, as of `init`.
             noise: standard normal, [T, B, noise, H, W], of the size of the level `finest`.
+            order: the periodic part, [T, B, order, H, W]; None where the network reads none.
 
         Returns:
             Values before any range is imposed, [T, B, outputs, H, W].
         """
         tasks = len(noise)
-        pooled = [noise.transpose(0, 1).flatten(1, 2)]
+        given = noise if order is None else torch.cat([noise, order], 2)
+        gain = torch.ones(given.shape[2], 1, 1, dtype=noise.dtype, device=noise.device)
+        gain[: self.noise] = 2  # noise is of unit variance again
+        pooled = [given.transpose(0, 1).flatten(1, 2)]
+        gain = gain.repeat(tasks, 1, 1)
         for _ in range(self.finest + 1, self.levels):
-            pooled.append(2 * avg_pool2d(pooled[-1], 2))  # of unit variance again
+            pooled.append(gain * avg_pool2d(pooled[-1], 2))
         x, picture = None, None
         for level in reversed(range(self.finest, self.levels)):
             x = self._level(theta, level, x, pooled[level - self.finest])

@@ -36,7 +36,7 @@ def outer_problem(job: Job, rng: Generator) -> tuple[MetaParameters, Loss]:
 def prepare(job: Job, data: TrainingData) -> Iterator[Progress]:
     """Train the encoder."""
     phi, loss = outer_problem(job, data.rng)
-    return train(GENERAL, job, phi, loss, job.recipe.general, data)
+    return train(GENERAL, job, data.first if data.first.encoder else phi, loss, job.recipe.general, data)
 
 
 GENERAL = Paradigm(

@@ -122,8 +122,8 @@ def prepare(job: Job, data: TrainingData) -> Iterator[Progress]:
     """Learn the initialisation and the rule, after a search of the Adam that it begins as, if the recipe has one."""
     training = job.recipe.training(job.rule)
     first, loss = outer_problem(job, _first(job, training, data), data.rng)
-    first = with_gradients(job, first, data.to_fit, data.rng)
-    if training.tuned:
+    first = data.first if data.first.alpha else with_gradients(job, first, data.to_fit, data.rng)
+    if training.tuned and not data.first.alpha:
         # where outer steps follow, their number says nothing about the search
         searched = data._replace(steps=None if training.steps else data.steps)
         tuned = yield from search(META, job, training.first, functools.partial(with_adam, job, first), searched)
@@ -136,6 +136,8 @@ def prepare(job: Job, data: TrainingData) -> Iterator[Progress]:
 
 def _first(job: Job, training: MetaTraining, data: TrainingData) -> MetaParameters:
     """What phi begins with: an encoder, the mean of General's predictions, or nothing."""
+    if data.first.alpha:
+        return data.first
     if training.initialisation == "untrained":
         return MetaParameters(encoder=job.app.init_encoder(data.rng))
     if data.encoder is None or not training.from_general:

@@ -46,6 +46,7 @@ class TrainingData(NamedTuple):
         encoder: a prepared General; QuickFT tunes on it, Meta begins with it or with the mean of its predictions.
         steps: outer steps instead of the recipe's; validations where there is only a search.
         since: how far the same preparation was when it was cut off, to go on from.
+        first: a checkpoint of the same kind whose outer steps go on, in place of a fresh phi; {} for none.
     """
 
     to_fit: Tasks
@@ -54,6 +55,7 @@ class TrainingData(NamedTuple):
     encoder: MetaParameters | None = None
     steps: int | None = None
     since: Progress = Progress()
+    first: MetaParameters = MetaParameters()
 
 
 def nothing(job: Job, data: TrainingData) -> Iterator[Progress]:

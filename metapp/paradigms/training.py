@@ -26,6 +26,7 @@ def prepare(
     encoder: MetaParameters | None = None,
     steps: int | None = None,
     since: Progress = Progress(),  # noqa: B008  (never written to)
+    first: MetaParameters = MetaParameters(),  # noqa: B008
 ) -> Iterator[Progress]:
     """Prepare what a paradigm needs, by its name: "general", "quickft", or a learned rule.
 
@@ -37,6 +38,7 @@ def prepare(
         encoder: a prepared General; QuickFT tunes on it, Meta begins with it or with the mean of its predictions.
         steps: outer steps instead of the recipe's; validations where there is only a search.
         since: how far the same preparation was when it was cut off, to go on from.
+        first: a checkpoint of this name whose outer steps go on, instead of a fresh one.
 
     Yields:
         How far it is, before each outer step and after each validation; at the end `best` is the result.
@@ -48,7 +50,7 @@ def prepare(
     # a checkpoint is learned through the recipe's number of steps
     job = job._replace(steps=None, rule=name if name not in paradigms() else job.rule)
     paradigm = paradigms().get(name, paradigms()["meta"])
-    return paradigm.prepare(job, TrainingData(to_fit, to_validate, rng, encoder, steps, since))
+    return paradigm.prepare(job, TrainingData(to_fit, to_validate, rng, encoder, steps, since, first))
 
 
 def training_of(job: Job, name: str, steps: int | None) -> OuterLoop | None:

@@ -23,7 +23,7 @@ import torch
 from torch import Tensor
 
 from metapp.appearance.latlong import luminance
-from metapp.rendering.scene_plugins import PLUGIN, check_parameters, check_plugin
+from metapp.rendering.scene_plugins import PLUGIN, check_parameters, check_plugin, number_of
 from metapp.rendering.scene_rules import (
     DEPTH,
     PARTS,
@@ -270,7 +270,9 @@ def _parameter(element: Element) -> tuple[str, object]:
     name, value = element.get("name", ""), element.get("value", "")
     if element.tag in _OBJECTS | {"ref"}:
         return name, PLUGIN
-    return name, value if element.tag in ("string", "integer", "float") else None
+    if element.tag in ("integer", "float"):
+        return name, number_of(value)
+    return name, value if element.tag == "string" else None
 
 
 def parse(text: str) -> Element:

@@ -76,13 +76,13 @@ def check_parameters(kind: str, given: Mapping[str, Any]) -> None:
     if required and required not in given:
         raise ValueError(f"a plugin '{kind}' without '{required}', expected one; add it.")
     for name, (least, most) in _RANGES.items():
-        number = _number(given.get(name))
+        number = number_of(given.get(name))
         if number is not None and not least <= number <= most:
             raise ValueError(f"a '{name}' of {number:.12g}, expected {least:,} to {most:,}; change it.")
     if kind in _HOLDERS and not any(isinstance(value, Mapping) or value is PLUGIN for value in given.values()):
         raise ValueError(f"a '{kind}' without {_HOLDERS[kind]}, expected one or more; leave it out.")
     if isinstance(given.get("filename"), str):  # absolute: `checked_string` has found it
-        check_file(kind, Path(given["filename"]), int(_number(given.get("shape_index")) or 0))
+        check_file(kind, Path(given["filename"]), int(number_of(given.get("shape_index")) or 0))
 
 
 PLUGIN = object()  # in the place of what is within another one, where a number or text is no parameter
@@ -96,7 +96,7 @@ _RANGES = {
 }
 
 
-def _number(value: object) -> float | None:
+def number_of(value: object) -> float | None:
     """A number, or text that is one; None for all else."""
     try:
         return float(value) if isinstance(value, str | int | float) else None

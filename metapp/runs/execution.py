@@ -140,6 +140,7 @@ def with_checkpoint(plan: Plan) -> Plan:
         if plan.request.train:
             with ranks.joined(plan.device):
                 train_checkpoint(plan, plan.request.train_steps)
+            plan = replace(plan, request=replace(plan.request, checkpoint=None))  # where training began
         return find_checkpoint(plan) if ranks.number() == 0 else plan
 
 

@@ -19,12 +19,14 @@ from metapp.learning.task import Task
 from metapp.runs.embedded import embedded_data
 from metapp.runs.reporter import say
 from metapp.runs.request import Request
+from metapp.runs.surroundings import return_memory
 from metapp.storage import Document
 from metapp.storage.files import check_readable, named
 from metapp.storage.records import file_name, safe_name
 from metapp.storage.shards import fingerprint, read_shard
 from metapp.storage.text import as_text
 
+BETWEEN = 32  # inputs that are read between two times that freed memory is returned
 SOURCED = {"source": str, "stamp": str}  # what a record of a run of many inputs holds of its source
 
 
@@ -90,7 +92,10 @@ def tasks_to_fit(app: App, request: Request) -> tuple[list[Task], str]:
     tasks: list[Task] = []
     for path in request.inputs:
         for places, read in _found(app, path, request):
-            tasks += _read(path, places, read)
+            for task in _read(path, places, read):
+                tasks.append(task)
+                if len(tasks) % BETWEEN == 0:
+                    return_memory()
     tasks = distinct(tasks)
     more = f"-and-{len(tasks) - 1}-more" if len(tasks) > 1 else ""
     return tasks, f"{file_name(tasks[0].name)[:40]}{more}-{_content(tasks)}"
@@ -176,18 +181,20 @@ def _found(app: App, path: Path, request: Request) -> Iterator[tuple[list[Path],
         yield places, read
 
 
-def _read(path: Path, places: list[Path], read: Callable[[Path], Task]) -> list[Task]:
-    tasks = []
+def _read(path: Path, places: list[Path], read: Callable[[Path], Task]) -> Iterator[Task]:
+    count = 0
     for place in places:
         try:
-            tasks.append(read(place))
+            task = read(place)
         except (ValueError, OSError) as error:
             if len(places) == 1:
                 raise named(error, place) from None
             say(f"warning: skipped {named(error, place)}")
-    if not tasks:
+        else:
+            count += 1
+            yield task
+    if not count:
         raise ValueError(f"{path}: none of the {len(places)} found could be read.")
-    return tasks
 
 
 def _same(task: Task) -> Task:

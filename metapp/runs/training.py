@@ -57,10 +57,15 @@ def train_checkpoint(plan: Plan, steps: int | None, general: Checkpoint | None =
     path = trained_path(plan, name)
     make_folder(path.parent)
     folder = data_folder(app, request.data, request.quiet)
-    encoder = (general or general_of(plan, steps)).prepared if _needs_general(plan, name) else None
+    first = find_checkpoint(plan) if request.checkpoint else None
+    encoder = (general or general_of(plan, steps)).prepared if not first and _needs_general(plan, name) else None
     tasks = stack(app, read_shard(folder, "train", app.name, app.holds), plan.device)
     say(f"training {name_of(app)} {name} on {len(tasks)} tasks of {folder.name}, every eighth for validation")
     info = _about(plan, name, folder, encoder)
+    if first:
+        assert first.checkpoint is not None
+        info["first"] = first.checkpoint.digest
+        say(f"going on from {first.checkpoint.source}")
 
     def keep(prepared: Prepared, file: Path, previous: Path | None = None) -> None:
         # General's file holds the encoder that QuickFT is tuned for
@@ -81,7 +86,8 @@ def train_checkpoint(plan: Plan, steps: int | None, general: Checkpoint | None =
         rng = Generator(plan.device).manual_seed(request.seed)
         prepared: Prepared | None = None
         try:
-            for now in prepare(name, plan.job, tasks, rng, encoder=encoder, steps=steps, since=since):
+            phi = first.prepared if first else MetaParameters()
+            for now in prepare(name, plan.job, tasks, rng, encoder=encoder, steps=steps, since=since, first=phi):
                 prepared = now.best
                 if writes:
                     checkpoint.keep(now)
@@ -133,7 +139,11 @@ def _name_of(plan: Plan) -> str:
     if not needs:
         raise BadOption(f"--train: {plan.paradigm.name} needs no preparation; leave the option out.")
     if plan.request.checkpoint:
-        raise BadOption("--train makes a checkpoint of its own; leave --checkpoint out.")
+        training = training_of(plan.job, needs[-1], None)
+        if training is None or not training.steps:
+            raise BadOption(
+                f"--train: {needs[-1]} is found by a search, which goes on from no checkpoint; leave --checkpoint out."
+            )
     return needs[-1]
 
 

@@ -11,6 +11,7 @@ from torch import Generator, Tensor
 from torch.nn.functional import avg_pool2d
 
 from metapp.appearance.features import RANDOM, gram, load_features
+from metapp.appearance.order import lattice_of
 from metapp.apps import app_of, class_of, recipes_of
 from metapp.apps.svbrdf_stationary.presentation import SvbrdfStationaryPresentation
 from metapp.apps.texture import Texture
@@ -31,7 +32,7 @@ SHARE = 0.6  # of the steps at half the size
 def tiny(name: str) -> Recipe:
     """The recipe full with a small network, of two octaves."""
     full, side = recipes_of(name)["full"], {"texture": 32, "svbrdf_stationary": 64}[name]
-    network = Pyramid(4, 3, code=8, outputs=full.setup.network.outputs)
+    network = Pyramid(4, 3, code=8, outputs=full.setup.network.outputs, order=3)
     return replace(full, setup=ExemplarSetup(side, side, network, "vgg16", TAPS, octaves=2, shares=(SHARE,)))
 
 
@@ -194,7 +195,8 @@ def test_files_and_surface_are_of_the_same_maps_made_once(app: Any, monkeypatch:
     theta = {key: value[0] for key, value in app.init(Generator().manual_seed(0), 1).items()}
     make, sizes, task = app.maps, [], Task("noise", {})
 
-    def maps(theta: Params, noise: Tensor) -> Any:
+    def maps(theta: Params, noise: Tensor, *, tiles: bool) -> Any:
+        assert tiles
         sizes.append(tuple(noise.shape[-2:]))
         return make(theta, noise)
 
@@ -206,3 +208,80 @@ def test_files_and_surface_are_of_the_same_maps_made_once(app: Any, monkeypatch:
     other = shown.surface({**theta, "z": -theta["z"]}, task)
     assert len(sizes) == 2
     assert not torch.equal(other.base, surface.base)
+
+
+# Order: the periodic part of the exemplar
+
+
+@pytest.fixture(scope="module")
+def paved(app: ExemplarApp) -> Tasks:
+    """A pavement of stones of two colours, and one of noise."""
+    at = torch.arange(64)
+    stones = torch.where(((at[:, None] // 8 + at // 16) % 2).bool(), 200, 60).expand(3, -1, -1).clone()
+    stones[0] = (stones[0] + 40 * (at % 16 < 3)).clamp(max=255)
+    noise = torch.randint(256, (3, 64, 64), generator=Generator().manual_seed(0))
+    images = {"paved": stones.to(torch.uint8), "noise": noise.to(torch.uint8)}
+    return stack(app, [Task(name, {"image": image}) for name, image in images.items()])
+
+
+def test_order_is_known_of_each_task_and_no_step_moves_it(app: ExemplarApp, paved: Tasks) -> None:
+    assert paved.data["strength"][0] > 0.9
+    assert paved.data["strength"][1] < 0.3
+    rng = Generator().manual_seed(0)
+    recipe = tiny(app.name)
+    theta = paradigms()["overfit"].fit(Job(app, recipe, recipe.rule, 2), MetaParameters(), paved, rng)
+    encoded = app.encode(app.init_encoder(rng), app.condition(paved, rng))
+    for key, value in app.known(paved).items():
+        assert torch.equal(theta[key], value)
+        assert torch.equal(encoded[key], value)
+        assert not app.init(rng, 2)[key].any()
+
+
+def test_networks_without_order_know_none(app: ExemplarApp) -> None:
+    setup = recipes_of(app.name)["quick"].setup
+    plain = class_of(app.name)(setup)
+    assert isinstance(plain, ExemplarApp)
+    assert not plain.known(Tasks((), {}, torch.arange(0)))
+    assert not {"lattice", "waves", "strength"} & plain.init(Generator().manual_seed(0), 1).keys()
+
+
+@TEXTURE
+def test_augmented_exemplars_have_the_order_of_their_pictures(app: ExemplarApp, paved: Tasks) -> None:
+    """The lattice of a cropped, flipped, transposed exemplar, as it is found anew, is the changed one."""
+    described: list[Tensor] = []
+
+    class Watched(Texture):
+        def describe(self, exemplars: Tensor, octave: int = 0) -> dict[str, Tensor]:
+            described.append(exemplars)
+            return super().describe(exemplars, octave)
+
+    for seed in range(6):
+        changed = Watched(app.setup).augment(paved.select([0]), Generator().manual_seed(seed))
+        found = lattice_of(described[-1][0]).vectors
+        steps = found @ changed.data["lattice"][0].double().T  # whole numbers of periods
+        assert float((steps - steps.round()).abs().max()) < 0.15
+        waves = changed.data["waves"][0].square().sum((0, 1))
+        assert torch.equal(waves.sort().values, paved.data["waves"][0].square().sum((0, 1)).sort().values)
+
+
+def test_what_is_made_to_tile_has_a_lattice_that_tiles(app: ExemplarApp, paved: Tasks) -> None:
+    rng = Generator().manual_seed(0)
+    theta, noise = app.known(paved.select([0])), torch.randn(1, 1, 8, 40, 56, generator=rng)
+    leaks = []
+    for tiles in (True, False):
+        periodic = app.periodic(theta, noise, tiles=tiles)
+        assert periodic is not None
+        power = torch.fft.fft2(periodic[0, 0]).abs().square().sum(0).flatten().sort(descending=True).values
+        leaks.append(float(power[2 * 84 :].sum() / power.sum()))
+    assert leaks[0] < 1e-6 < 1e-3 < leaks[1]
+
+
+def test_loss_counts_order_where_the_exemplar_has_some(app: ExemplarApp, paved: Tasks) -> None:
+    theta = app.known(paved)
+    noise = torch.randn(2, 1, 8, *app.exemplar(paved.data["image"].float()).shape[-2:])
+    periodic = app.periodic(theta, noise)
+    assert periodic is not None
+    assert app.disorder(theta, noise, 0, 0.5 + periodic)[0] < 1e-6
+    lost = app.disorder(theta, noise, 0, torch.full_like(periodic, 0.5))
+    assert lost[0] > 0.15
+    assert lost[1] < 0.06

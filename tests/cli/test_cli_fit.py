@@ -21,7 +21,7 @@ from metapp.apps import brdf
 from metapp.apps.brdf import Brdf
 from metapp.apps.brdf.recipes import RECIPES
 from metapp.learning.recipe import Adam, Recipe
-from metapp.storage.records import load_checkpoint, read_records
+from metapp.storage.records import digest, load_checkpoint, read_records
 from tests.conftest import Result
 
 STEPS = ("--train", "--train-steps", "3")
@@ -107,6 +107,31 @@ def test_a_checkpoint_trained_on_this_data_is_found_again_or_named(fit: Callable
     result = fit("general", "--checkpoint", checkpoint.rename("mine.safetensors"))
     assert result.code == 0
     assert "mine.safetensors" in result.err
+
+
+@pytest.mark.parametrize(("paradigm", "rule"), [("general", "general"), ("meta", "meta-sgd")])
+def test_a_training_goes_on_from_a_checkpoint(fit: Callable, paradigm: str, rule: str) -> None:
+    """Its outer steps begin where those of the checkpoint ended, and the result is what fits are made by."""
+    named = () if paradigm == "general" else ("--rule", rule)
+    first = fit(paradigm, *named, *STEPS, "--json")
+    assert first.code == 0, first.err
+    (kept,) = Path("runs/brdf/checkpoints").rglob(f"{rule}.safetensors")
+    kept = kept.rename("mine.safetensors")
+    more = fit(paradigm, *named, *STEPS, "--checkpoint", kept, "--json")
+    assert more.code == 0, more.err
+    assert "going on from mine.safetensors" in more.err
+    (path,) = Path("runs/brdf/checkpoints").rglob(f"{rule}.safetensors")
+    (_, then), (_, info) = load_checkpoint(kept), load_checkpoint(path)
+    assert info["first"] == digest(kept)
+    assert info["curve"][0][2] == pytest.approx(then["validation_error"], rel=1e-4)
+    assert info["validation_error"] <= then["validation_error"]
+    assert str(path) in more.err
+
+
+def test_a_search_goes_on_from_no_checkpoint(fit: Callable) -> None:
+    fit("general", *STEPS)
+    (kept,) = Path("runs/brdf/checkpoints").rglob("general.safetensors")
+    refuse(fit("quickft", "--train", "--checkpoint", kept), "leave --checkpoint out")
 
 
 def test_quickft_is_tuned_for_its_encoder(fit: Callable, monkeypatch: pytest.MonkeyPatch, short: Recipe) -> None:

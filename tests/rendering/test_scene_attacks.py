@@ -228,6 +228,7 @@ BAD: dict[str, tuple[str, str]] = {
     "string.xml": (xml(SAMPLER.format("multijitter", "string", "4e9"), version="0.6"), "a 'sample_count' of 4000"),
     "endless.xml": (xml(SAMPLER.format("multijitter", "integer", "9" * 400), version="0.6"), "a 'sample_count'"),
     "twice.xml": (xml(TWICE, version="0.6"), "a parameter under two names"),
+    "number.xml": (xml('<shape type="ply"><float name="filename" value="a.ply"/></shape>'), "that Mitsuba can load"),
     "boolean.xml": (xml('<shape type="ply"><boolean name="filename" value="a.ply"/></shape>'), "that Mitsuba can load"),
     "bright.xml": (xml(LAMP_SHAPE.format("1e999 1e999 1e999")), "a light of luminance inf|that Mitsuba can load"),
     "film.json": (in_json(SPHERE, sensor=camera(width=0)), "a 'width' of 0, expected 1 to 32,768"),

@@ -55,7 +55,7 @@ MESHES: dict[str, tuple[bytes, str]] = {
     "short.serialized": (b"\x1c", "begins with 0x1c"),
     "many.serialized": (serialized(vertex=2**31), "2,147,483,648 vertices and 2 triangles in"),
     "huge.serialized": (serialized(vertex=2**32 + 4), "4,294,967,300 vertices"),
-    "bomb.serialized": (serialized(faces=np.zeros((10_000_000, 3))), "10,000,000 triangles in"),
+    "bomb.serialized": (serialized(face=10_000_000), "10,000,000 triangles in"),
     "nan.serialized": (serialized(corners=(NAN, *CORNERS)), "a coordinate nan"),
     "none.obj": (b"v 0 0 0\n", "no faces, expected a mesh"),
     "empty.obj": (b"", "no faces, expected a mesh"),
@@ -136,6 +136,30 @@ def test_shapes_within_shapes_are_checked_too(tmp_path: Path) -> None:
     path.write_text(f'<scene version="3.0.0"><shape type="shapegroup">{shape}</shape></scene>')
     with pytest.raises(ValueError, match=r"names the file 'a\.ply'.* a face at vertex 400,000"):
         read_scene(path)
+
+
+@pytest.mark.parametrize(
+    ("grid", "channels", "line"),
+    [
+        ((0, 0, 0), 1, "a grid of 0 x 0 x 0"),
+        ((2, 2, 2), 2**31 - 1, "2147483647 channels, expected 1 or more along each axis and 1 or 3 or 6 channels"),
+        ((-1, -2, 2), 1, "a grid of -1 x -2 x 2"),
+        ((1000, 1000, 1000), 6, "48 bytes, expected 24,000,000,048"),
+    ],
+)
+def test_volumes_of_textures_fit_their_files(
+    grid: tuple[int, int, int], channels: int, line: str, tmp_path: Path
+) -> None:
+    (tmp_path / "a.vol").write_bytes(volume(grid, channels))
+    texture = {"type": "volume", "volume": {"type": "gridvolume", "filename": "a.vol"}}
+    path = tmp_path / "room.json"
+    shape = {"type": "sphere", "bsdf": {"type": "diffuse", "reflectance": texture}}
+    path.write_text(json.dumps({**random_scene(0), "more": shape}))
+    with pytest.raises(ValueError, match=line) as caught:
+        read_scene(path)
+    assert str(caught.value).startswith(f"{path}: names the file 'a.vol'")
+    (tmp_path / "a.vol").write_bytes(volume((2, 2, 2), 3, values=np.ones(24)))
+    assert load_scene(read_scene(path)).scene
 
 
 GOOD = {

@@ -81,6 +81,12 @@ def test_files_are_as_long_as_is_allowed_and_no_longer(tmp_path: Path, monkeypat
     assert read_text(file) == "ab"  # without its byte order mark
     file.write_bytes(b"\xff")
     refused("not text in UTF-8", read_text, file)
+    monkeypatch.setattr(scene_rules, "_DATA_BYTES", 10)
+    places = Places((tmp_path,), (tmp_path,))
+    file.write_bytes(b"x" * 10)
+    assert places.file("x.xml") == file
+    file.write_bytes(b"x" * 11)
+    refused("of 11 bytes, expected 10 at most", places.file, "x.xml")
     refused("No such file", read_text, tmp_path / "none")
     refused("no regular file", read_text, tmp_path)
 

@@ -13,6 +13,7 @@ import tempfile
 import threading
 import time
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -24,11 +25,11 @@ from tests.torture.report import Report
 SAMPLES = 80  # of a material
 MATERIALS = 1000  # of the runs; a tenth with --quick
 LINES = 100_000  # a fiftieth with --quick
-GOOD = 25  # one of so many lines names a material, in turn one of KNOWN
-KNOWN = 20
+GOOD = 50  # one of so many lines names a material, in turn one of FEW
+FEW = 2
 FLAT = 24 * 2**20  # bytes that resident memory may grow by between a tenth of the inputs and the last
-TASK = 2**19  # the same for each input of a run without --batch, which holds all tasks
-SLOWER = 1.6  # times the CPU time an input of the first half, of the second
+TASK = 2**14  # the same for each input of a run without --batch, which holds all tasks: these are of 6 KB
+SLOWER = 1.5  # times the CPU time an input of the first half, of the second
 EVERY = 0.05  # seconds between two looks
 
 
@@ -55,12 +56,17 @@ def run(report: Report, seed: str, quick: bool, only: list[str], ends: float = f
     place = Path(tempfile.mkdtemp(prefix="torture-many-"))
     counts = dict(word.partition("=")[::2] for word in only)
     try:
-        for name, (case, usual, little) in CASES.items():
-            if name in counts or not only:
-                folder = place / name
-                folder.mkdir()
-                own = random.Random(f"{seed}/many/{name}")
-                case(report, own, folder, int(counts.get(name) or (little if quick else usual)))
+        waiting = []
+        with ThreadPoolExecutor(max_workers=2) as pool:
+            for name, (case, usual, little) in CASES.items():
+                if name in counts or not only:
+                    folder = place / name
+                    folder.mkdir()
+                    own = random.Random(f"{seed}/many/{name}")
+                    number = int(counts.get(name) or (little if quick else usual))
+                    waiting.append(pool.submit(case, report, own, folder, number))
+        for done in waiting:
+            done.result()
     finally:
         shutil.rmtree(place, ignore_errors=True)
 
@@ -80,10 +86,20 @@ def materials(rng: random.Random, folder: Path, count: int) -> list[Path]:
 
 def of_folder(report: Report, rng: random.Random, place: Path, count: int, *more: str) -> None:
     """One run of a folder; one input in fifty is damaged, and is named."""
+    part, memory = "many:batch" if more else "many:folder", None
+    if not more:  # which reads all before the first fit
+        few = _looks(report, rng, place / "few", part, count // 10)
+        memory = max(look.memory for look in few)
+    looks = _looks(report, rng, place / "all", part, count, *more)
+    judge(report, part, looks, FLAT + (0 if more else TASK * count), f"{part}={count}", memory)
+
+
+def _looks(report: Report, rng: random.Random, place: Path, part: str, count: int, *more: str) -> list[Look]:
+    """Looks at a run of so many inputs."""
+    place.mkdir()
     files = materials(rng, place / "materials", count)
     for file in files[::50]:
         file.write_text("theta_i_deg\n")
-    part = "many:batch" if more else "many:folder"
     command = _command(place / "materials", "--out", place / "runs", "--json", *more)
     report.count(part, count)
     process = commands.start(command, stderr=subprocess.DEVNULL)
@@ -97,7 +113,7 @@ def of_folder(report: Report, rng: random.Random, place: Path, count: int, *more
     names = [task["name"] for task in document.get("tasks", [])]
     if len(set(names)) != expected or records.count() != expected:
         report.add(part, f"{len(names)} answers and {records.count()} records of {expected}", commands.shown(command))
-    judge(report, part, looks, FLAT + (0 if more else TASK * count), commands.shown(command))
+    return looks
 
 
 def batch(report: Report, rng: random.Random, place: Path, count: int) -> None:
@@ -107,11 +123,11 @@ def batch(report: Report, rng: random.Random, place: Path, count: int) -> None:
 
 def lines(report: Report, rng: random.Random, place: Path, count: int, each: int = GOOD) -> None:
     """Lines of few materials between missing and damaged files: each is answered, in order."""
-    known = materials(rng, place / "materials", KNOWN)
+    known = materials(rng, place / "materials", FEW)
     bad = [place / "none.csv", place / "empty.csv", place / "empty", Path("\udcff"), Path("x" * 5000), Path("a\x1bb")]
     (place / "empty.csv").write_bytes(b"")
     (place / "empty").mkdir()
-    asked = [known[i // each % KNOWN] if i % each == 0 else bad[i % len(bad)] for i in range(count)]
+    asked = [known[i // each % FEW] if i % each == 0 else bad[i % len(bad)] for i in range(count)]
     command = _command("-", "--out", place / "runs", "--json")
     part = "many:lines" if each > 1 else "many:fits"
     report.count(part, count)
@@ -127,7 +143,7 @@ def lines(report: Report, rng: random.Random, place: Path, count: int, each: int
     process.wait()
     shown = f"{count} lines: {commands.shown(command)}"
     judge(report, part, watch.end(), FLAT, shown)
-    expected = [(os.fsencode(path).decode(errors="backslashreplace"), path not in known) for path in asked]
+    expected = [(str(path).encode(errors="backslashreplace").decode(), path not in known) for path in asked]
     if len(answered) != count:
         report.add(part, f"{len(answered)} answers of {count} lines", shown)
     for i, (found, wanted) in enumerate(zip(answered, expected, strict=False)):
@@ -146,9 +162,9 @@ def fits(report: Report, rng: random.Random, place: Path, count: int) -> None:
 
 def cut(report: Report, rng: random.Random, place: Path, count: int) -> None:
     """Ctrl-C, or a reader that goes away, amid lines: whatever was answered is kept."""
-    known = materials(rng, place / "materials", KNOWN)
+    known = materials(rng, place / "materials", 20)
     for turn in range(count):
-        by_signal, after, out = turn % 2 == 0, rng.randrange(1, KNOWN), place / f"runs{turn}"
+        by_signal, after, out = turn % 2 == 0, rng.randrange(1, len(known)), place / f"runs{turn}"
         command = _command("-", "--out", out, "--json")
         process = commands.start(command, stdin=subprocess.PIPE, stderr=subprocess.PIPE)
         assert process.stdout
@@ -240,10 +256,11 @@ class Watch:
         return self._looks
 
 
-def judge(report: Report, part: str, looks: list[Look], growth: int, repeat: str) -> None:
+def judge(report: Report, part: str, looks: list[Look], growth: int, repeat: str, memory: int | None = None) -> None:
     """Compare a tenth, the half and the end of the inputs: memory, handles, threads and time an input stay.
 
-    What is done when all are answered, such as a page of all, does not count.
+    What is done when all are answered, such as a page of all, does not count. `memory` is what a run of a tenth of the
+    inputs takes, instead of that of this run after so many.
     """
     last = max((look.done for look in looks), default=0)
     busy = [look for look in looks if 0.1 * last <= look.done <= last]
@@ -254,14 +271,15 @@ def judge(report: Report, part: str, looks: list[Look], growth: int, repeat: str
     busy = busy[: max(end, 1) + 1]
     first, final = busy[0], busy[-1]
     middle = min(busy, key=lambda look: abs(look.done - (first.done + final.done) / 2))
+    memory = first.memory if memory is None else memory
     before, after = ((b.seconds - a.seconds) / max(b.done - a.done, 1) for a, b in ((first, middle), (middle, final)))
     report.notice(
-        f"{part}: {final.memory / 2**20:.0f} MiB after {final.done:,} inputs, {first.memory / 2**20:.0f} MiB after "
+        f"{part}: {final.memory / 2**20:.0f} MiB after {final.done:,} inputs, {memory / 2**20:.0f} MiB after "
         f"{first.done:,}; {1000 * before:.2f} ms of CPU time an input of the first half, {1000 * after:.2f} ms of the "
         f"second; {final.handles} files, {final.threads} threads"
     )
-    if final.memory - first.memory > growth:
-        report.add(part, f"memory grew from {first.memory:,} to {final.memory:,} bytes", repeat)
+    if final.memory - memory > growth:
+        report.add(part, f"memory grew from {memory:,} to {final.memory:,} bytes", repeat)
     if final.handles > first.handles + 2 or final.threads > first.threads + 2:
         report.add(
             part, f"handles {first.handles} to {final.handles}, threads {first.threads} to {final.threads}", repeat
@@ -272,9 +290,9 @@ def judge(report: Report, part: str, looks: list[Look], growth: int, repeat: str
 
 _Case = Callable[[Report, random.Random, Path, int], None]
 CASES: dict[str, tuple[_Case, int, int]] = {
+    "lines": (lines, LINES, LINES // 50),
     "folder": (of_folder, MATERIALS, MATERIALS // 10),
     "batch": (batch, MATERIALS, MATERIALS // 10),
-    "lines": (lines, LINES, LINES // 50),
     "fits": (fits, MATERIALS, MATERIALS // 10),
     "cut": (cut, 8, 2),
 }

@@ -22,6 +22,7 @@ from metapp.appearance.flash import (
     render,
     statistics,
 )
+from metapp.appearance.order import flattened
 from metapp.learning.task import Batch, Held, Params, Task, Tasks
 from metapp.networks.exemplar import JUDGED, ExemplarApp
 
@@ -109,9 +110,9 @@ class SvbrdfStationary(ExemplarApp):
         noise = self.noise(rng, 1, 1, octave=coarsest).expand(len(theta["z"]), -1, -1, -1, -1)
         return torch.stack([part.mean((1, 2, 3, 4)) for part in _gloss(self.maps(theta, noise, coarsest)[0])], -1)
 
-    def maps(self, theta: Params, noise: Tensor, octave: int = 0) -> tuple[Maps, Tensor]:
+    def maps(self, theta: Params, noise: Tensor, octave: int = 0, *, tiles: bool = False) -> tuple[Maps, Tensor]:
         """Maps of materials [T, B, ...] from noise [T, B, C, H, W], and their height [T, B, 1, H, W] in texels."""
-        raw = self.setup.at(octave)(theta, noise)
+        raw = self.made(theta, noise, octave, tiles=tiles)
         diffuse = torch.sigmoid(raw[:, :, :3]) ** 2.2  # about evenly spread for the eye
         specular = torch.sigmoid(raw[:, :, 3:4] - 3)  # about 0.05 at first, as most dielectrics
         roughness = 0.1 + 0.9 * torch.sigmoid(raw[:, :, 4:5])
@@ -144,7 +145,7 @@ class SvbrdfStationary(ExemplarApp):
         And how unusual the maps are, by the setup's `prior`.
         """
         maps, _ = self.maps(theta, batch["noise"], self.octave(batch))
-        loss = torch.stack(list(self._distances(maps, batch).values())).sum(0)
+        loss = torch.stack(list(self._distances(theta, maps, batch).values())).sum(0)
         return loss + self.setup.prior * _unusual(maps, theta["gloss"]) if self.setup.prior else loss
 
     def outer_loss(self, theta: Params, batch: Batch, learned: Params) -> Tensor:
@@ -155,15 +156,20 @@ class SvbrdfStationary(ExemplarApp):
         """
         octave = self.octave(batch)
         maps, _ = self.maps(theta, batch["noise"], octave)
-        distances = self._distances(maps, batch)
+        distances = self._distances(theta, maps, batch)
         loss = torch.stack(list(distances.values())).sum(0) + BRIGHTER * distances["pooled"]
         if "truth" not in batch:
             return loss + LIKELY * _unusual(maps, maps.diffuse.new_zeros(len(maps.diffuse), 2))
         level = sum(self.setup.width >> octave < size for size in STATISTICS_AT[:-1])
         return loss + TRUTH * (statistics(maps) - batch["truth"][:, level, None]).abs().mean((1, 2, 3))
 
-    def _distances(self, maps: Maps, batch: Batch) -> dict[str, Tensor]:
-        return self._distances_of(self.photograph(maps, batch["light"][:, None], batch["light"][:, None]), batch)
+    def _distances(self, theta: Params, maps: Maps, batch: Batch) -> dict[str, Tensor]:
+        pictures = self.photograph(maps, batch["light"][:, None], batch["light"][:, None])
+        distances, octave = self._distances_of(pictures, batch), self.octave(batch)
+        return distances | {"disorder": self.disorder(theta, batch["noise"], octave, flattened(pictures))}
+
+    def order_of(self, exemplar: Tensor) -> dict[str, Tensor]:
+        return super().order_of(flattened(exemplar))
 
     def _distances_of(self, pictures: Tensor, batch: Batch) -> dict[str, Tensor]:
         leading = pictures.shape[:2]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from typing import Any
 
 from torch import Tensor
@@ -42,11 +43,11 @@ class SvbrdfStationaryPresentation(ExemplarPresentation[SvbrdfStationary]):
         return Surface(maps.diffuse, True, maps, height)
 
     def _whole(self, theta: Params, task: Task) -> tuple[Maps, Tensor]:
-        return self.kept(theta, task, lambda: self._maps(theta, self.whole()))
+        return self.kept(theta, task, lambda: self._maps(theta, self.whole(), tiles=True))
 
-    def _maps(self, theta: Params, size: tuple[int, int]) -> tuple[Maps, Tensor]:
+    def _maps(self, theta: Params, size: tuple[int, int], *, tiles: bool = False) -> tuple[Maps, Tensor]:
         """Maps of one material and their height, without leading axes."""
-        maps, heights = self.generated(theta, self.app.maps, size)
+        maps, heights = self.generated(theta, functools.partial(self.app.maps, tiles=tiles), size)
         return Maps(*(part[0, 0] for part in maps)), heights[0, 0]
 
     def _pictures(self, maps: Maps, height: Tensor) -> dict[str, Picture]:

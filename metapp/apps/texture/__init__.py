@@ -9,7 +9,7 @@ from torch import Generator, Tensor
 
 from metapp.appearance.features import distance, gram
 from metapp.learning.task import Batch, Held, Params, Tasks
-from metapp.networks.exemplar import ExemplarApp
+from metapp.networks.exemplar import JUDGED, ExemplarApp
 
 SMALLEST_CROP = 0.5
 
@@ -27,9 +27,9 @@ class Texture(ExemplarApp):
         maps = self.features(exemplars, octave)
         return {f"gram{i}": gram(each) for i, each in enumerate(maps)} | {"summary": self.summary(maps, octave)}
 
-    def generate(self, theta: Params, noise: Tensor, octave: int = 0) -> Tensor:
+    def generate(self, theta: Params, noise: Tensor, octave: int = 0, *, tiles: bool = False) -> Tensor:
         """Textures [T, B, 3, H, W], sRGB in [0, 1], from noise [T, B, C, H, W] of the size of an octave."""
-        return torch.sigmoid(self.setup.at(octave)(theta, noise))
+        return torch.sigmoid(self.made(theta, noise, octave, tiles=tiles))
 
     def sample(self, tasks: Tasks, rng: Generator, count: int) -> Batch:
         """`noise` for `count` textures of each task, and the exemplars' Gram matrices."""
@@ -40,13 +40,22 @@ class Texture(ExemplarApp):
         return {key: value[tasks.rows] for key, value in tasks.data.items() if key.startswith("gram")}
 
     def loss(self, theta: Params, batch: Batch, learned: Params) -> Tensor:
-        """Relative L1 distance of Gram matrices, [T]."""
-        return self._distance(self.generate(theta, batch["noise"], self.octave(batch)), batch)
+        """Relative L1 distance of Gram matrices, [T], and how far the order is from the exemplar's if it has some."""
+        octave, noise = self.octave(batch), batch["noise"]
+        images = self.generate(theta, noise, octave)
+        return self._distance(images, batch) + self.disorder(theta, noise, octave, images)
 
     def _distance(self, images: Tensor, batch: Batch) -> Tensor:
         maps = self.features(images.flatten(0, 1), self.octave(batch))
         grams = [gram(each).unflatten(0, images.shape[:2]) for each in maps]
         return distance(grams, [batch[f"gram{i}"][:, None] for i in range(len(maps))]).mean(1)
+
+    @torch.no_grad()
+    def errors(self, theta: Params, tasks: Tasks) -> dict[str, Tensor]:
+        """On pictures from noise that no fit draws, the same for all."""
+        rng = Generator(tasks.rows.device).manual_seed(0)
+        noise = self.noise(rng, 1, JUDGED).expand(len(tasks), -1, -1, -1, -1)
+        return self.errors_of(self.generate(theta, noise, 0), tasks)
 
     @torch.no_grad()
     def errors_of(self, answer: Tensor, tasks: Tasks) -> dict[str, Tensor]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Mapping
 from typing import Any
 
@@ -57,7 +58,8 @@ class TexturePresentation(ExemplarPresentation[Texture]):
 
     def _whole(self, theta: Params, task: Task) -> Tensor:
         """The texture of the size of files, [3, H, W]."""
-        textures: Tensor = self.kept(theta, task, lambda: self.generated(theta, self.app.generate, self.whole()))
+        tiling = functools.partial(self.app.generate, tiles=True)
+        textures: Tensor = self.kept(theta, task, lambda: self.generated(theta, tiling, self.whole()))
         return textures[0, 0]
 
 
