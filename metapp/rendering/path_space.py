@@ -30,7 +30,7 @@ UNIFORM = 4  # one path in so many is not guided
 _BATCH = 2**19  # paths traced at a time for samples, and for pictures
 _PICTURE_BATCH = 2**18
 _REFERENCE_SPP = 2048
-_BAD = 1e-4  # of the paths, that may carry no number
+_BAD, _FEW = 1e-4, 8  # share and number of paths that may carry no number
 _RAREST = 2e-4  # of the paths become samples: at this share, 40,000 take two minutes on one core
 
 
@@ -60,14 +60,14 @@ class Tracer:
             float32 [N, 3], linear RGB radiance; its mean over all points at a place on the film is what is seen there.
 
         Raises:
-            ValueError: Mitsuba loads the scene, but cannot trace a path in it.
+            ValueError: Mitsuba loads the scene, but cannot trace a path in it, or many carry NaN.
         """
         mi = self.mi
         columns = [mi.Float(column.cpu().contiguous().numpy()) for column in points.T]
         pairs = [mi.Point2f(x, y) for x, y in zip(columns[::2], columns[1::2], strict=True)]
         with _traceable():
             radiance = self._trace(pairs[0], pairs[1:], self.streams(len(points), rng))
-        return torch.from_numpy(radiance.numpy()).T.contiguous()
+        return _finite(torch.from_numpy(radiance.numpy()).T.contiguous())
 
     def streams(self, count: int, rng: Generator) -> RandomStreams:
         """A Dr.Jit generator of `count` random streams; unlike neighbouring streams of PCG32, they are not alike."""
@@ -155,7 +155,7 @@ def path_samples(tracer: Tracer, count: int, dimensions: int, rng: Generator) ->
     total, hits = torch.zeros(3, IMAGE**2, dtype=torch.float64), torch.zeros(IMAGE**2, dtype=torch.float64)
     while have < count:
         points = torch.rand(_BATCH, dimensions, generator=rng)
-        carried = _finite(tracer.contributions(points, rng))
+        carried = tracer.contributions(points, rng)
         bright = brightness(carried)
         highest = float(bright.max())
         if highest > bound:
@@ -178,7 +178,7 @@ def path_samples(tracer: Tracer, count: int, dimensions: int, rng: Generator) ->
 def _finite(carried: Tensor) -> Tensor:
     """The same with 0 for paths that carry NaN or infinity, as rough materials do now and then at grazing angles."""
     bad = ~carried.isfinite().all(1)
-    if int(bad.sum()) > _BAD * len(bad):
+    if int(bad.sum()) > max(_FEW, _BAD * len(bad)):
         raise ValueError(
             f"{int(bad.sum()):,} of {len(bad):,} paths carry NaN or infinite values, expected finite ones; look for a "
             "material, texture or light whose numbers are out of range."
@@ -240,7 +240,7 @@ def reference(scene: SceneDict | Tracer, size: int, spp: int = _REFERENCE_SPP, s
         place = mi.Point2f(*(mi.Float(column.contiguous().numpy()) for column in film.T))
         with _traceable():
             carried = integrator.sample(tracer.scene, sampler, tracer.rays(place))[0]
-        return torch.from_numpy(carried.numpy()).T
+        return _finite(torch.from_numpy(carried.numpy()).T)
 
     return _picture(radiance, spp, size, rng)
 

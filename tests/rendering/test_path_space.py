@@ -10,6 +10,7 @@ import torch
 from torch import Generator, Tensor
 
 from data_tools.synthetic.cornell import random_scene
+from metapp.rendering import path_space
 from metapp.rendering.path_space import IMAGE, Guide, Tracer, path_samples, reference, render
 from metapp.rendering.scene_loading import brightness, load_scene
 from metapp.rendering.scene_rules import box_film, scene_bytes, scene_of
@@ -288,3 +289,14 @@ def test_pixels_are_where_they_belong() -> None:
     light = torch.tensor(random_scene(1)["light"]["to_world"])[:3, 3]
     column = (0.5 + 0.5 * light[0] / ((3.9 - light[2]) * math.tan(math.radians(19)))) * 32
     assert abs(brightest % 32 - float(column)) < 6
+
+
+def test_few_paths_without_a_number_count_as_dark_and_many_are_refused() -> None:
+    carried = torch.ones(1000, 3)
+    carried[3, 1], carried[5, 0] = float("nan"), float("inf")
+    found = path_space._finite(carried)
+    assert found.isfinite().all()
+    assert found.sum() == 3 * 998
+    carried[10:20] = float("nan")
+    with pytest.raises(ValueError, match="12 of 1,000 paths carry NaN or infinite values"):
+        path_space._finite(carried)
