@@ -22,6 +22,7 @@ from metapp.runs.plan import Plan
 from metapp.runs.recorded import ORIGIN, SETTINGS, plan_as, read_run, tasks_as
 from metapp.runs.reporter import progress, say
 from metapp.storage import Document
+from metapp.storage.files import named
 from metapp.storage.packing import BITS, Pack, Steps, in_steps, opened_pack, write_pack
 from metapp.storage.records import FIT, OPTIONAL, RunFolder, holds, read_theta, renamed
 
@@ -236,7 +237,10 @@ def _plan_of(settings: Document, subject: str, path: Path | None) -> Plan:
         known = ", ".join(paradigms())
         raise ValueError(f"{subject}: fits by {settings['paradigm']}, expected one of {known}; fit again.")
     digest = settings["checkpoint"]
-    plan = find_checkpoint(plan_as(settings, checkpoint=path if digest else None, device="cpu"))
+    try:
+        plan = find_checkpoint(plan_as(settings, checkpoint=path if digest else None, device="cpu"))
+    except ValueError as error:
+        raise named(error, Path(subject)) from None
     assert plan.checkpoint is not None
     if plan.checkpoint.digest != digest:
         raise ValueError(

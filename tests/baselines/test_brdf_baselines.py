@@ -75,7 +75,9 @@ def test_components_are_those_of_the_singular_value_decomposition(rng: Generator
     assert torch.allclose(
         (left[:, :5].T @ found.axes).abs() / math.sqrt(300), torch.eye(5, dtype=torch.float64), atol=1e-9
     )
-    assert components(torch.randn(40, 4, generator=rng, dtype=torch.float64), 20).axes.shape == (40, 3)  # and a mean
+    few = torch.randn(40, 4, generator=rng, dtype=torch.float64)
+    for unit in (1e-4, 1, 1e4):
+        assert components(unit * few, 20).axes.shape == (40, 3)  # and a mean
 
 
 @pytest.mark.parametrize("solves", [0, 1, 2])

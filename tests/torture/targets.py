@@ -10,7 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from tests.torture import scene_data, seeds
+from tests.torture import results, scene_data, seeds
 from tests.torture.mutate import mutate_bytes, mutate_json, mutate_xml
 
 
@@ -265,4 +265,7 @@ TARGETS: dict[str, Target] = {
     "manifest": Target(_manifest_alone, _read_manifest),
     "checkpoint": Target(seeds.checkpoints, _read_checkpoint),
     "record": Target(seeds.records, _read_records),
+    "rerun": Target(results.runs, results.read_run, results.write_run),
+    "pack": Target(results.packs, results.read_pack, results.write_pack),
+    "library": Target(results.libraries, results.read_library),
 }
