@@ -7,23 +7,19 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
-import numpy as np
 import torch
 from torch import Generator, Tensor
 from torch.nn.functional import avg_pool2d, interpolate, leaky_relu
 
-from metapp.appearance.features import channels_of, describe_features, describe_precision, load_features, moments
-from metapp.appearance.quilting import quilted
+from metapp.appearance.features import channels_of, describe_features, load_features, moments
 from metapp.learning.app import App
 from metapp.learning.task import Batch, Params, Task, Tasks
 from metapp.networks.coded import encoder_of, with_decoder
 from metapp.networks.generators import Pyramid, UNet
-from metapp.networks.layers import enlarged
+from metapp.networks.layout import as_input, layouts, quilted_layout
 
 HIDDEN = 128
 JUDGED = 4
-CONTRAST = 1.5  # root mean square of layouts as networks get them
-ASTRAY = 0.1  # weight in the loss of how far pictures are from their layouts
 
 
 @dataclass(frozen=True)
@@ -70,6 +66,10 @@ class ExemplarSetup:
         """Whether the network reads a coarse picture of what to make."""
         return isinstance(self.network, Pyramid) and self.network.layout > 0
 
+    def times(self, octave: int) -> int:
+        """How many times as high and wide pictures of an octave are as those of the coarsest one."""
+        return 1 << (self.octaves - 1 - octave)
+
     @property
     def coarsest(self) -> tuple[int, int]:
         """Height and width of pictures of the coarsest octave."""
@@ -93,9 +93,6 @@ class ExemplarApp(App):
 
     def conditions(self) -> dict[str, str]:
         return {"features": describe_features(self.setup.features)}
-
-    def precision(self, device: torch.device) -> str:
-        return describe_precision(self.setup.features, device) if self.reduced else ""
 
     def features(self, images: Tensor, octave: int) -> list[Tensor]:
         """Features [B, C, H', W'] of images [B, 3, H, W] of the size of an octave, those of the coarsest one first.
@@ -158,55 +155,18 @@ class ExemplarApp(App):
         """
         if not self.setup.has_layout:
             return {}
-        coarse = interpolate(exemplars, size=self.setup.coarsest, mode="area").movedim(1, -1)
-        return {"layout": torch.stack([_quilted(each, self.setup.coarsest) for each in coarse])}
+        return {"layout": torch.stack([quilted_layout(each, self.setup.coarsest) for each in exemplars])}
 
     def known(self, tasks: Tasks) -> Params:
         """The layouts, where the network reads one."""
         return {"layout": tasks.data["layout"][tasks.rows]} if self.setup.has_layout else {}
-
-    def layouts(self, theta: Params, noise: Tensor, octave: int) -> Tensor:
-        """The layouts [T, B, 3, h, w] of pictures made of noise [T, B, C, H, W] of the size of an octave.
-
-        One moved by as much as the first numbers of the noise say; of pictures of other sizes one quilted anew.
-        """
-        layout, times = theta["layout"].detach(), self.setup.octaves - 1 - octave
-        size = tuple(side >> times for side in noise.shape[-2:])
-        if size != self.setup.coarsest:
-            new = torch.stack([_quilted(each.movedim(0, -1), size) for each in layout])
-            return new[:, None].expand(-1, noise.shape[1], -1, -1, -1)
-        shares = torch.special.ndtr(noise[:, :, 0, 0, :2]).expand(len(layout), -1, -1)
-        moved = [
-            [one.roll([int(share * side) for share, side in zip(pair, size, strict=True)], (1, 2)) for pair in pairs]
-            for one, pairs in zip(layout, shares.tolist(), strict=True)
-        ]
-        return torch.stack([torch.stack(each) for each in moved])
 
     def made(self, theta: Params, noise: Tensor, octave: int = 0) -> Tensor:
         """What the network makes of noise [T, B, outputs, H, W], before any range is imposed; it tiles."""
         network = self.setup.at(octave)
         if not isinstance(network, Pyramid) or not self.setup.has_layout:
             return network(theta, noise)
-        layout = self.layouts(theta, noise, octave)
-        layout = layout - layout.mean((-1, -2), keepdim=True)
-        layout = CONTRAST * layout / layout.square().mean((-1, -2, -3), keepdim=True).sqrt().clamp_min(0.02)
-        whole = layout.flatten(0, 1)
-        for _ in range(self.setup.octaves - 1 - octave):
-            whole = enlarged(whole)
-        return network(theta, noise, whole.unflatten(0, layout.shape[:2]))
-
-    def astray(self, theta: Params, noise: Tensor, octave: int, pictures: Tensor) -> Tensor:
-        """Part of the loss [T]: how far pictures [T, B, 3, H, W], made of noise, are from their layouts.
-
-        The squared difference of the coarse pictures over the layout's variance; 0 without layouts.
-        """
-        if not self.setup.has_layout:
-            return pictures.new_zeros(len(pictures))
-        layout = self.layouts(theta, noise, octave)
-        times = 1 << (self.setup.octaves - 1 - octave)
-        coarse: Tensor = avg_pool2d(pictures.flatten(0, 1), times).unflatten(0, pictures.shape[:2])
-        variance = layout.var((-1, -2)).mean(-1) + 1e-3
-        return ((coarse - layout).square().mean((-1, -2, -3)) * (ASTRAY / variance)).mean(1)
+        return network(theta, noise, as_input(layouts(theta["layout"], noise, self.setup.times(octave)), noise))
 
     def exemplar(self, images: Tensor, octave: int = 0) -> Tensor:
         """The part of square images [B, 3, S, S] that has the recipe's proportions, resampled to an octave's size."""
@@ -270,11 +230,3 @@ class ExemplarApp(App):
     def carried(self, tasks: Tasks, channels: Tensor) -> dict[str, Tensor]:
         """What else is known of these exemplars, once their channels are those [T, 3] of before."""
         return {}
-
-
-def _quilted(exemplar: Tensor, size: tuple[int, ...]) -> Tensor:
-    """A picture [3, h, w] that tiles, quilted of a coarse exemplar [H, W, 3]; the same each time."""
-    block = max(4, min(*exemplar.shape[:2], *size) // 4)
-    rng = np.random.default_rng(0)
-    picture = quilted(exemplar.cpu().numpy(), (size[0], size[1]), rng, block=block, overlap=block // 3, tiles=True)
-    return torch.from_numpy(picture).movedim(-1, 0).to(exemplar)

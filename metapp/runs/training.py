@@ -12,6 +12,7 @@ from metapp.learning.app import stack
 from metapp.learning.learn import MetaParameters
 from metapp.learning.progress import Prepared, Progress
 from metapp.learning.recipe import OuterLoop
+from metapp.learning.task import Tasks
 from metapp.paradigms import paradigms, ranks
 from metapp.paradigms.training import describe, prepare, training_of
 from metapp.runs import BadOption
@@ -51,42 +52,30 @@ def train_checkpoint(plan: Plan, steps: int | None, general: Checkpoint | None =
         general: the one that training goes on from or tunes for, if it does; None: the one there is, else trained now.
 
     Raises:
-        BadOption: there is nothing to train, or a checkpoint was given.
+        BadOption: there is nothing to train, or a checkpoint was given to what only a search finds.
     """
     name, app, request = _name_of(plan), plan.app, plan.request
     path = trained_path(plan, name)
     make_folder(path.parent)
     folder = data_folder(app, request.data, request.quiet)
-    first = find_checkpoint(plan) if request.checkpoint else None
-    encoder = (general or general_of(plan, steps)).prepared if not first and _needs_general(plan, name) else None
-    tasks = stack(app, read_shard(folder, "train", app.name, app.holds), plan.device)
-    say(f"training {name_of(app)} {name} on {len(tasks)} tasks of {folder.name}, every eighth for validation")
-    info = _about(plan, name, folder, encoder)
-    if first:
-        assert first.checkpoint is not None
-        info["first"] = first.checkpoint.digest
-        say(f"going on from {first.checkpoint.source}")
+    first = _first(plan)
+    begins = not first.digest and _needs_general(plan, name)
+    encoder = (general or general_of(plan, steps)).prepared if begins else None
+    tasks = _tasks_of(plan, name, folder)
+    info = _about(plan, name, folder, encoder) | ({"first": first.digest} if first.digest else {})
 
     def keep(prepared: Prepared, file: Path, previous: Path | None = None) -> None:
         # General's file holds the encoder that QuickFT is tuned for
         kept = prepared.phi._replace(encoder={}) if name == "quickft" else prepared.phi
         save_checkpoint(file, kept, describe(plan.job, name, prepared, steps) | info, previous)
 
-    writes = ranks.number() == 0
-    if writes:
-        _remove_partial(path)
-    else:
-        ranks.wait()  # until rank 0 has looked at the file, and put it aside if need be
-    checkpoint = TrainingCheckpoint(path, _settings(plan, name, steps, folder, encoder) | info, plan.device)
-    since = _go_on(checkpoint, training_of(plan.job, name, steps))
-    if writes:
-        ranks.wait()
-    ranks.wait()  # until all have read it
+    writes, phi = ranks.number() == 0, first.prepared
+    settings = _settings(plan, name, steps, folder, encoder) | info
+    checkpoint, since = _opened(path, settings, plan, training_of(plan.job, name, steps))
     with progress(f"train {name}", long=True, quiet=request.quiet) as bar:
         rng = Generator(plan.device).manual_seed(request.seed)
         prepared: Prepared | None = None
         try:
-            phi = first.prepared if first else MetaParameters()
             for now in prepare(name, plan.job, tasks, rng, encoder=encoder, steps=steps, since=since, first=phi):
                 prepared = now.best
                 if writes:
@@ -108,6 +97,41 @@ def train_checkpoint(plan: Plan, steps: int | None, general: Checkpoint | None =
     ranks.wait()  # until the file is there, from which all go on
     say(f"{name}: validation error {prepared.validation:.3f} at step {prepared.step}; kept as {path}")
     return Trained(path, prepared, checkpoint.spent)
+
+
+def _opened(
+    path: Path, settings: Document, plan: Plan, training: OuterLoop | None
+) -> tuple[TrainingCheckpoint, Progress]:
+    """The training checkpoint beside a file, and how far it was: read by all ranks."""
+    writes = ranks.number() == 0
+    if writes:
+        _remove_partial(path)
+    else:
+        ranks.wait()  # until rank 0 has looked at the file, and put it aside if need be
+    checkpoint = TrainingCheckpoint(path, settings, plan.device)
+    since = _go_on(checkpoint, training)
+    if writes:
+        ranks.wait()
+    ranks.wait()  # until all have read it
+    return checkpoint, since
+
+
+def _tasks_of(plan: Plan, name: str, folder: Path) -> Tasks:
+    """The training tasks of a data set."""
+    app = plan.app
+    tasks = stack(app, read_shard(folder, "train", app.name, app.holds), plan.device)
+    say(f"training {name_of(app)} {name} on {len(tasks)} tasks of {folder.name}, every eighth for validation")
+    return tasks
+
+
+def _first(plan: Plan) -> Checkpoint:
+    """The checkpoint that a training goes on from; an empty one where none was given."""
+    if not plan.request.checkpoint:
+        return Checkpoint(MetaParameters(), "", "")
+    checkpoint = find_checkpoint(plan).checkpoint
+    assert checkpoint is not None
+    say(f"going on from {checkpoint.source}")
+    return checkpoint
 
 
 def _previous(path: Path) -> Path:

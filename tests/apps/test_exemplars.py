@@ -11,7 +11,6 @@ from torch import Generator, Tensor
 from torch.nn.functional import avg_pool2d
 
 from metapp.appearance.features import RANDOM, gram, load_features
-from metapp.appearance.order import lattice_of
 from metapp.apps import app_of, class_of, recipes_of
 from metapp.apps.svbrdf_stationary.presentation import SvbrdfStationaryPresentation
 from metapp.apps.texture import Texture
@@ -23,6 +22,7 @@ from metapp.learning.task import Params, Task, Tasks
 from metapp.networks.exemplar import ExemplarApp, ExemplarSetup
 from metapp.networks.generators import Pyramid, UNet
 from metapp.networks.layers import enlarged
+from metapp.networks.layout import as_input, astray, layouts
 from metapp.paradigms import Job, paradigms
 
 TAPS = ("relu1_1", "relu2_1", "relu3_1")
@@ -32,7 +32,7 @@ SHARE = 0.6  # of the steps at half the size
 def tiny(name: str) -> Recipe:
     """The recipe full with a small network, of two octaves."""
     full, side = recipes_of(name)["full"], {"texture": 32, "svbrdf_stationary": 64}[name]
-    network = Pyramid(4, 3, code=8, outputs=full.setup.network.outputs, order=3)
+    network = Pyramid(4, 3, code=8, outputs=full.setup.network.outputs, layout=3)
     return replace(full, setup=ExemplarSetup(side, side, network, "vgg16", TAPS, octaves=2, shares=(SHARE,)))
 
 
@@ -195,8 +195,7 @@ def test_files_and_surface_are_of_the_same_maps_made_once(app: Any, monkeypatch:
     theta = {key: value[0] for key, value in app.init(Generator().manual_seed(0), 1).items()}
     make, sizes, task = app.maps, [], Task("noise", {})
 
-    def maps(theta: Params, noise: Tensor, *, tiles: bool) -> Any:
-        assert tiles
+    def maps(theta: Params, noise: Tensor) -> Any:
         sizes.append(tuple(noise.shape[-2:]))
         return make(theta, noise)
 
@@ -210,78 +209,77 @@ def test_files_and_surface_are_of_the_same_maps_made_once(app: Any, monkeypatch:
     assert not torch.equal(other.base, surface.base)
 
 
-# Order: the periodic part of the exemplar
+# Layouts: a coarse picture of what to make
 
 
 @pytest.fixture(scope="module")
 def paved(app: ExemplarApp) -> Tasks:
     """A pavement of stones of two colours, and one of noise."""
     at = torch.arange(64)
-    stones = torch.where(((at[:, None] // 8 + at // 16) % 2).bool(), 200, 60).expand(3, -1, -1).clone()
-    stones[0] = (stones[0] + 40 * (at % 16 < 3)).clamp(max=255)
+    stones = torch.where(((at[:, None] // 8 + at // 16) % 2).bool(), 200, 60).expand(3, -1, -1)
     noise = torch.randint(256, (3, 64, 64), generator=Generator().manual_seed(0))
     images = {"paved": stones.to(torch.uint8), "noise": noise.to(torch.uint8)}
     return stack(app, [Task(name, {"image": image}) for name, image in images.items()])
 
 
-def test_order_is_known_of_each_task_and_no_step_moves_it(app: ExemplarApp, paved: Tasks) -> None:
-    assert paved.data["strength"][0] > 0.9
-    assert paved.data["strength"][1] < 0.3
-    rng = Generator().manual_seed(0)
-    recipe = tiny(app.name)
+def test_layouts_are_known_of_each_task_and_no_step_moves_them(app: ExemplarApp, paved: Tasks) -> None:
+    layout = paved.data["layout"]
+    assert layout.shape == (2, 3, *app.setup.coarsest)
+    assert layout[0].std() > 0.1
+    rng, recipe = Generator().manual_seed(0), tiny(app.name)
     theta = paradigms()["overfit"].fit(Job(app, recipe, recipe.rule, 2), MetaParameters(), paved, rng)
     encoded = app.encode(app.init_encoder(rng), app.condition(paved, rng))
-    for key, value in app.known(paved).items():
-        assert torch.equal(theta[key], value)
-        assert torch.equal(encoded[key], value)
-        assert not app.init(rng, 2)[key].any()
+    assert torch.equal(theta["layout"], layout)
+    assert torch.equal(encoded["layout"], layout)
+    assert not app.init(rng, 2)["layout"].any()
 
 
-def test_networks_without_order_know_none(app: ExemplarApp) -> None:
-    setup = recipes_of(app.name)["quick"].setup
-    plain = class_of(app.name)(setup)
+def test_networks_without_layout_know_none(app: ExemplarApp) -> None:
+    plain = class_of(app.name)(recipes_of(app.name)["quick"].setup)
     assert isinstance(plain, ExemplarApp)
     assert not plain.known(Tasks((), {}, torch.arange(0)))
-    assert not {"lattice", "waves", "strength"} & plain.init(Generator().manual_seed(0), 1).keys()
+    assert "layout" not in plain.init(Generator().manual_seed(0), 1)
+
+
+def test_layouts_are_moved_by_the_noise_and_quilted_for_other_sizes(app: ExemplarApp, paved: Tasks) -> None:
+    rng, (height, width) = Generator().manual_seed(0), app.setup.coarsest
+    layout = paved.data["layout"]
+    moved = layouts(layout, torch.randn(2, 2, 8, 2 * height, 2 * width, generator=rng), 2)
+    assert moved.shape == (2, 2, 3, height, width)
+    assert not torch.equal(moved[0, 0], moved[0, 1])
+    rolls = [layout[0].roll((y, x), (1, 2)) for y in range(height) for x in range(width)]
+    assert any(torch.equal(roll, moved[0, 1]) for roll in rolls)
+    other = layouts(layout, torch.randn(2, 1, 8, 4 * height, 6 * width, generator=rng), 2)
+    assert other.shape == (2, 1, 3, 2 * height, 3 * width)
+    known = {tuple(pixel) for pixel in layout[0].flatten(1).T.tolist()}
+    assert {tuple(pixel) for pixel in other[0, 0].flatten(1).T.tolist()} <= known
+
+
+def test_networks_read_layouts_without_mean_and_of_one_contrast(app: ExemplarApp, paved: Tasks) -> None:
+    noise = torch.randn(2, 1, 8, *(2 * side for side in app.setup.coarsest))
+    layout = paved.data["layout"][:, None]
+    read = as_input(layout, noise)
+    assert read.shape == (2, 1, 3, *noise.shape[-2:])
+    torch.testing.assert_close(read.mean((-1, -2)), torch.zeros(2, 1, 3), atol=1e-5, rtol=0)
+    torch.testing.assert_close(as_input(0.3 + 0.5 * layout, noise), read)
+
+
+def test_what_is_made_follows_its_layout(app: ExemplarApp, paved: Tasks) -> None:
+    """The network reads it, and the loss counts how far the coarse picture is from it."""
+    rng = Generator().manual_seed(0)
+    noise = app.noise(rng, 2, 1)
+    theta = app.init(rng, 2) | app.known(paved)
+    other = theta | {"layout": theta["layout"].flip(0)}
+    assert not torch.equal(app.made(theta, noise), app.made(other, noise))
+    coarse = layouts(theta["layout"], noise, 2)
+    exact = coarse.repeat_interleave(2, -1).repeat_interleave(2, -2)
+    assert astray(theta, noise, exact, 2).abs().max() < 1e-6
+    assert astray(theta, noise, torch.full_like(exact, 0.5), 2)[0] > 0.05
 
 
 @TEXTURE
-def test_augmented_exemplars_have_the_order_of_their_pictures(app: ExemplarApp, paved: Tasks) -> None:
-    """The lattice of a cropped, flipped, transposed exemplar, as it is found anew, is the changed one."""
-    described: list[Tensor] = []
-
-    class Watched(Texture):
-        def describe(self, exemplars: Tensor, octave: int = 0) -> dict[str, Tensor]:
-            described.append(exemplars)
-            return super().describe(exemplars, octave)
-
-    for seed in range(6):
-        changed = Watched(app.setup).augment(paved.select([0]), Generator().manual_seed(seed))
-        found = lattice_of(described[-1][0]).vectors
-        steps = found @ changed.data["lattice"][0].double().T  # whole numbers of periods
-        assert float((steps - steps.round()).abs().max()) < 0.15
-        waves = changed.data["waves"][0].square().sum((0, 1))
-        assert torch.equal(waves.sort().values, paved.data["waves"][0].square().sum((0, 1)).sort().values)
-
-
-def test_what_is_made_to_tile_has_a_lattice_that_tiles(app: ExemplarApp, paved: Tasks) -> None:
-    rng = Generator().manual_seed(0)
-    theta, noise = app.known(paved.select([0])), torch.randn(1, 1, 8, 40, 56, generator=rng)
-    leaks = []
-    for tiles in (True, False):
-        periodic = app.periodic(theta, noise, tiles=tiles)
-        assert periodic is not None
-        power = torch.fft.fft2(periodic[0, 0]).abs().square().sum(0).flatten().sort(descending=True).values
-        leaks.append(float(power[2 * 84 :].sum() / power.sum()))
-    assert leaks[0] < 1e-6 < 1e-3 < leaks[1]
-
-
-def test_loss_counts_order_where_the_exemplar_has_some(app: ExemplarApp, paved: Tasks) -> None:
-    theta = app.known(paved)
-    noise = torch.randn(2, 1, 8, *app.exemplar(paved.data["image"].float()).shape[-2:])
-    periodic = app.periodic(theta, noise)
-    assert periodic is not None
-    assert app.disorder(theta, noise, 0, 0.5 + periodic)[0] < 1e-6
-    lost = app.disorder(theta, noise, 0, torch.full_like(periodic, 0.5))
-    assert lost[0] > 0.15
-    assert lost[1] < 0.06
+def test_augmented_exemplars_have_layouts_of_their_own(app: ExemplarApp, paved: Tasks) -> None:
+    changed = app.augment(paved.select([0]), Generator().manual_seed(3))
+    assert changed.data["layout"].shape == (1, 3, *app.setup.coarsest)
+    assert not torch.equal(changed.data["layout"][0], paved.data["layout"][0])
+    assert changed.data["layout"].aminmax() == pytest.approx((60 / 255, 200 / 255), abs=0.02)

@@ -126,7 +126,7 @@ def test_its_table_prints_them(
         console.print(rich_table(table, subject, table.rows(subject)))
     text = " ".join(shown.get().split())
     assert list(picture_cells(subject)) == {
-        "texture": ["nearest", "quilting", "patches"],
+        "texture": ["nearest", "quilting", "gpdm", "patches"],
         "svbrdf_stationary": ["nearest"],
     }.get(name, [])
     for baseline in baselines_of(subject.app):

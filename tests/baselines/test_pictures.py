@@ -9,10 +9,11 @@ from torch import Generator, Tensor
 from torch.nn.functional import interpolate, normalize
 
 from metapp.appearance.flash import Maps, pack
+from metapp.appearance.quilting import beyond_cut
 from metapp.baselines import svbrdf_nonstationary as codec
 from metapp.baselines.baseline import Allowed, BaselineFit, Training
 from metapp.baselines.svbrdf_nonstationary import _settings, baselines, maps_of, sheets
-from metapp.baselines.texture import beyond_cut, block_of, quilted, random_patches
+from metapp.baselines.texture import block_of, quilt, random_patches
 from metapp.learning.app import App
 from metapp.learning.task import Tasks
 
@@ -111,7 +112,7 @@ def exemplar() -> np.ndarray:
     return np.random.default_rng(1).random((32, 32, 3)).astype(np.float32)
 
 
-@pytest.mark.parametrize("make", [quilted, random_patches])
+@pytest.mark.parametrize("make", [quilt, random_patches])
 def test_pictures_are_made_of_the_exemplars_pixels(make: object, exemplar: np.ndarray) -> None:
     found = make(exemplar, np.random.default_rng(0))  # type: ignore[operator]
     assert found.shape == exemplar.shape
@@ -139,7 +140,7 @@ def test_quilting_hides_seams() -> None:
         return float(np.abs(np.diff(picture, axis=0)).mean() + np.abs(np.diff(picture, axis=1)).mean())
 
     seamed = np.mean([steepest(random_patches(exemplar, np.random.default_rng(i))) for i in range(5)])
-    hidden = np.mean([steepest(quilted(exemplar, np.random.default_rng(i))) for i in range(5)])
+    hidden = np.mean([steepest(quilt(exemplar, np.random.default_rng(i))) for i in range(5)])
     assert steepest(exemplar) * 1.15 > hidden
     assert hidden < seamed
 

@@ -25,6 +25,7 @@ from metapp.appearance.flash import (
 from metapp.appearance.order import flattened
 from metapp.learning.task import Batch, Held, Params, Task, Tasks
 from metapp.networks.exemplar import JUDGED, ExemplarApp
+from metapp.networks.layout import astray
 
 GRID = 3  # windows along a side
 DRAWN = 3
@@ -166,7 +167,7 @@ class SvbrdfStationary(ExemplarApp):
     def _distances(self, theta: Params, maps: Maps, batch: Batch) -> dict[str, Tensor]:
         pictures = self.photograph(maps, batch["light"][:, None], batch["light"][:, None])
         distances, octave = self._distances_of(pictures, batch), self.octave(batch)
-        return distances | {"astray": self.astray(theta, batch["noise"], octave, flattened(pictures))}
+        return distances | {"astray": astray(theta, batch["noise"], flattened(pictures), self.setup.times(octave))}
 
     def laid_out(self, exemplars: Tensor) -> dict[str, Tensor]:
         return super().laid_out(flattened(exemplars)) if self.setup.has_layout else {}

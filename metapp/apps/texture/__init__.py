@@ -7,9 +7,10 @@ from typing import ClassVar
 import torch
 from torch import Generator, Tensor
 
-from metapp.appearance.features import distance, gram
+from metapp.appearance.features import describe_precision, distance, gram
 from metapp.learning.task import Batch, Held, Params, Tasks
 from metapp.networks.exemplar import JUDGED, ExemplarApp
+from metapp.networks.layout import astray
 
 SMALLEST_CROP = 0.5
 
@@ -20,6 +21,9 @@ class Texture(ExemplarApp):
     name = "texture"
     reduced = True
     holds: ClassVar = {"image": Held((3, "S", "S"), "uint8")}
+
+    def precision(self, device: torch.device) -> str:
+        return describe_precision(self.setup.features, device)
 
     @torch.no_grad()
     def describe(self, exemplars: Tensor, octave: int = 0) -> dict[str, Tensor]:
@@ -43,7 +47,7 @@ class Texture(ExemplarApp):
         """Relative L1 distance of Gram matrices, [T], and how far pictures are from their layouts."""
         octave, noise = self.octave(batch), batch["noise"]
         images = self.generate(theta, noise, octave)
-        return self._distance(images, batch) + self.astray(theta, noise, octave, images)
+        return self._distance(images, batch) + astray(theta, noise, images, self.setup.times(octave))
 
     def _distance(self, images: Tensor, batch: Batch) -> Tensor:
         maps = self.features(images.flatten(0, 1), self.octave(batch))

@@ -1,0 +1,61 @@
+"""Image quilting: blocks of the exemplar, cuts where neighbours agree, pictures that tile."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from metapp.appearance.quilting import quilted
+
+
+def waves(size: int = 48, period: int = 8) -> np.ndarray:
+    """A picture [size, size, 3] that repeats every `period` px."""
+    at = np.arange(size) * (2 * np.pi / period)
+    wave = 0.5 + 0.25 * np.sin(at)[:, None] + 0.25 * np.cos(at)
+    return np.stack([wave, 1 - wave, 0.3 + 0.4 * wave], 2).astype(np.float32)
+
+
+def steepest(picture: np.ndarray) -> float:
+    """The greatest step between neighbours, across the edges too."""
+    return max(float(np.abs(np.roll(picture, 1, axis) - picture).max()) for axis in (0, 1))
+
+
+@pytest.mark.parametrize("tiles", [False, True])
+def test_every_pixel_is_one_of_the_exemplars(tiles: bool) -> None:
+    exemplar = np.random.default_rng(1).random((20, 24, 3)).astype(np.float32)
+    made = quilted(exemplar, (33, 41), np.random.default_rng(0), block=8, overlap=2, tiles=tiles)
+    assert made.shape == (33, 41, 3)
+    assert made.dtype == np.float32
+    known = {tuple(pixel) for pixel in exemplar.reshape(-1, 3)}
+    assert {tuple(pixel) for pixel in made.reshape(-1, 3)} <= known
+
+
+@pytest.mark.parametrize("size", [(48, 48), (64, 32), (40, 56)])
+def test_what_repeats_is_quilted_without_seams(size: tuple[int, int]) -> None:
+    """Of sizes that its period divides; across the edges where it tiles."""
+    exemplar = waves()
+    made = quilted(exemplar, size, np.random.default_rng(0), block=12, overlap=4, tiles=True)
+    assert steepest(made) <= 1.01 * steepest(exemplar)
+
+
+def test_tiles_agree_across_their_edges_more_than_others() -> None:
+    rng = np.random.default_rng(0)
+    coarse = rng.random((12, 12, 3))
+    exemplar = np.asarray(np.kron(coarse, np.ones((4, 4, 1))), np.float32)
+
+    def across(tiles: bool) -> float:
+        made = [
+            quilted(exemplar, (48, 48), np.random.default_rng(i), block=16, overlap=5, tiles=tiles) for i in range(5)
+        ]
+        return float(np.mean([np.abs(one[0] - one[-1]).mean() + np.abs(one[:, 0] - one[:, -1]).mean() for one in made]))
+
+    assert across(True) < 0.7 * across(False)
+
+
+def test_the_same_numbers_make_the_same_picture() -> None:
+    exemplar = np.random.default_rng(1).random((20, 20, 3)).astype(np.float32)
+    one, same, other = (
+        quilted(exemplar, (32, 32), np.random.default_rng(seed), block=8, overlap=2) for seed in (3, 3, 4)
+    )
+    assert np.array_equal(one, same)
+    assert not np.array_equal(one, other)
