@@ -320,3 +320,17 @@ def test_another_measure_of_the_same_pictures(
     exemplar = app.exemplar(sources[0].data["image"][None] / 255)
     monkeypatch.setattr(app, "generate", lambda theta, noise, octave=0: exemplar[None])
     assert shown.image_errors(fits, sources[0])["b"]["sliced Wasserstein"] < 1e-5
+
+
+def test_order_is_measured_where_the_exemplar_has_some(monkeypatch: pytest.MonkeyPatch) -> None:
+    """1 for the exemplar itself, about 0 for noise, nothing for an exemplar without order."""
+    app = Texture(replace(TINY.setup, height=64, width=64))
+    shown = TexturePresentation(app)
+    fits = {"a": Fitted({"z": torch.zeros(8)}, 0.0)}
+    paving = paved().repeat(1, 2, 2)[:, :64, :64]
+    for made, expected in ((paving, 1.0), (torch.rand(3, 64, 64, generator=seeded()), 0.0)):
+        monkeypatch.setattr(app, "generate", lambda theta, noise, octave=0, made=made: made[None, None])
+        measured = shown.image_errors(fits, Task("paving", {"image": (255 * paving).to(torch.uint8)}))
+        assert measured["a"]["order"] == pytest.approx(expected, abs=0.25)
+    noise = torch.randint(256, (3, 64, 64), generator=seeded(1), dtype=torch.uint8)
+    assert "order" not in shown.image_errors(fits, Task("noise", {"image": noise}))["a"]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -10,6 +11,7 @@ from torch import Tensor
 
 from metapp.appearance.colour import srgb_to_linear
 from metapp.appearance.features import load_features, sliced_wasserstein
+from metapp.appearance.order import lattice_of, order_kept
 from metapp.appearance.presentation import Fitted, Picture
 from metapp.appearance.surface import Surface
 from metapp.apps.texture import Texture
@@ -24,7 +26,10 @@ class TexturePresentation(ExemplarPresentation[Texture]):
 
     title = "Texture"
     measure = "relative L1 distance of Gram matrices, mean over taps and generated textures"
-    image_measure = "sliced Wasserstein distance of features that no fit is compared by, over their deviation"
+    image_measure = (
+        "sliced Wasserstein distance of features that no fit is compared by, over their deviation; of exemplars that "
+        "repeat, order: the autocorrelation's peaks on their lattice, as high as the exemplar's at 1"
+    )
 
     def outputs(self, theta: Params, task: Task) -> dict[str, Any]:
         """The exemplar and a texture of its size."""
@@ -37,14 +42,18 @@ class TexturePresentation(ExemplarPresentation[Texture]):
 
     @torch.no_grad()
     def image_errors(self, fits: Mapping[str, Fitted], task: Task) -> dict[str, dict[str, float]]:
-        """Of a texture of the exemplar's size."""
+        """Of a texture of the exemplar's size; `order` where the exemplar has some."""
         exemplar = self.app.exemplar(task.data["image"][None].float() / 255)
         features = load_features(self.app.setup.features, JUDGING, exemplar)
-        target, measured = features(exemplar), {}
+        target, lattice = features(exemplar), lattice_of(exemplar[0])
+        measured: dict[str, dict[str, float]] = {}
         for name, fit in fits.items():
-            maps = features(self.generated(fit.theta, self.app.generate, self.once())[0])
-            distances = [sliced_wasserstein(*pair) for pair in zip(maps, target, strict=True)]
+            made = self.generated(fit.theta, self.app.generate, self.once())[0]
+            distances = [sliced_wasserstein(*pair) for pair in zip(features(made), target, strict=True)]
             measured[name] = {"sliced Wasserstein": float(torch.stack(distances).mean())}
+            order = order_kept(lattice, made[0])
+            if not math.isnan(order):
+                measured[name]["order"] = order
         return measured
 
     def files(self, theta: Params, task: Task) -> dict[str, Picture]:

@@ -67,7 +67,7 @@ def rows(subject: Subject) -> list[Row]:
 def measured_row(subject: Subject, name: str, cell: Cell, key: str) -> Row:
     """A row of one measure; "" where nothing was measured yet."""
     known, app = paper(), subject.app.name
-    bound, more_is_better = known["ssim"]["at_least"], key.startswith("SSIM")
+    bound, ssim, more_is_better = known["ssim"]["at_least"], key.startswith("SSIM"), key.startswith(("SSIM", "order"))
 
     def take(record: Record) -> float | None:
         result: float | None = record["measures"].get(name, {}).get(key)
@@ -78,9 +78,9 @@ def measured_row(subject: Subject, name: str, cell: Cell, key: str) -> Row:
     return row | {
         "paper_error": known["image"].get(app, {}).get(key, {}).get(name),
         "worst": (min(values) if more_is_better else max(values)) if values else None,
-        "share": statistics.fmean(value >= bound for value in values) if more_is_better and values else None,
+        "share": statistics.fmean(value >= bound for value in values) if ssim and values else None,
         "measured": len(values),
-        "paper_share": known["ssim"]["share"].get(app, {}).get(name) if more_is_better else None,
+        "paper_share": known["ssim"]["share"].get(app, {}).get(name) if ssim else None,
     }
 
 
