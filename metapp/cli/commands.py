@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import typer
 
-from metapp.cli import compare, data, doctor, evaluate, export, pack, rerun
+from metapp.cli import baseline, compare, data, doctor, evaluate, export, pack, rerun
 from metapp.cli.fit import FitCommand, make_command
 
 SUMMARIES = {
@@ -24,6 +24,7 @@ app = typer.Typer(
 for name, summary in SUMMARIES.items():
     app.command(name, cls=FitCommand)(make_command(name, summary))
 app.command("evaluate")(evaluate.command)
+app.command("baseline")(baseline.command)
 app.command("export")(export.command)
 app.command("pack")(pack.pack_command)
 app.command("unpack")(pack.unpack_command)

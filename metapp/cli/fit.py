@@ -55,7 +55,9 @@ OPTIONS: Document = {
     ),
     "train": typer.Option("--train", help="Train the checkpoint on the training tasks first."),
     "train_steps": typer.Option(help="Outer training steps instead of the recipe's.", min=1),
-    "checkpoint": typer.Option(help="Checkpoint to use; default: trained here, else shipped."),
+    "checkpoint": typer.Option(
+        help="Checkpoint to use; default: trained here, else shipped. With --train its training goes on."
+    ),
     "data": typer.Option(help="Folder of task shards; default: the embedded set."),
     "out": typer.Option(help="Where runs and trained checkpoints are kept."),
     "batch": typer.Option(

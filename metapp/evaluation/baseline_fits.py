@@ -56,9 +56,15 @@ def own_parameters(app: App) -> Params:
 
 
 def fit_baselines(
-    plan: Plan, baseline: Baseline, training: Training, tasks: Sequence[Task], errors: Mapping[str, float]
+    plan: Plan,
+    baseline: Baseline,
+    training: Training,
+    tasks: Sequence[Task],
+    errors: Mapping[str, float],
+    *,
+    warm: bool = True,
 ) -> Iterator[tuple[Record, Params | None]]:
-    """Fit a baseline to tasks, each alone; the time is from the task's samples to what is kept, warm.
+    """Fit a baseline to tasks, each alone; the time is from the task's samples to what is kept.
 
     Args:
         plan: of the evaluation.
@@ -66,6 +72,7 @@ def fit_baselines(
         training: what it is prepared on.
         tasks: to be fitted.
         errors: of Meta's fits, as tables print them, by the task's name, for baselines that match these.
+        warm: fit the first task twice, so that its time is none of a first call, as paradigms' are not.
 
     Yields:
         The record of each task, and its `picture` where there is one. A baseline that matches an error has no time: its
@@ -80,8 +87,8 @@ def fit_baselines(
         for i, task in enumerate(tasks):
             known = errors.get(task.name)
             allowed = allowed._replace(error=None if known is None else known / plan.app.traits.scale)
-            if i == 0 and not baseline.matches:
-                _fit_one(plan, prepared, task, allowed)  # warm, as paradigms' fits are
+            if warm and i == 0 and not baseline.matches:
+                _fit_one(plan, prepared, task, allowed)
             yield _fit_one(plan, prepared, task, allowed, timed=not baseline.matches)
 
 

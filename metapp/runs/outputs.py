@@ -43,7 +43,7 @@ def write_files(shown: Presentation[Any], task: Task, theta: Params, folder: Pat
     Heights h, in texels, are kept as (h - minimum) / (maximum - minimum), of which the texts `height_minimum` and
     `height_maximum` tell. Radiance is kept as <name>.exr, and tone-mapped beside it.
     """
-    _write(shown.files(theta, task), folder / file_name(task.name))
+    write_pictures(shown.files(theta, task), folder / file_name(task.name))
 
 
 def write_renders(app: App, tasks: Sequence[Task], folder: Path, side: int) -> list[str]:
@@ -57,12 +57,13 @@ def write_renders(app: App, tasks: Sequence[Task], folder: Path, side: int) -> l
         made = shown.rendered(task, side)
         if made is None:
             raise ValueError(f"{task.name}: no scene, expected one to render; leave --render out.")
-        _write(made.files, folder / file_name(task.name))
+        write_pictures(made.files, folder / file_name(task.name))
         lines += [f"{task.name}: {line}" for line in made.lines]
     return lines
 
 
-def _write(files: dict[str, Picture], folder: Path) -> None:
+def write_pictures(files: dict[str, Picture], folder: Path) -> None:
+    """Write pictures as <folder>/<name>.png, and radiance as .exr beside it."""
     for name, (pixels, kind) in files.items():
         file = folder / f"{name}.png"
         texts = {"encoding": "linear" if kind in ("data", "height") else "sRGB"}

@@ -1,0 +1,84 @@
+"""Run one method of the baselines table on a user's own files."""
+
+from __future__ import annotations
+
+from importlib import metadata
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from metapp.appearance.colour import linear_to_srgb
+from metapp.appearance.presentation import Picture
+from metapp.baselines import baselines_of
+from metapp.evaluation.baseline_fits import FORM, allowed_for, fit_baselines, training_folder, training_of
+from metapp.runs import BadOption
+from metapp.runs.inputs import data_label, tasks_to_fit
+from metapp.runs.naming import observe_of
+from metapp.runs.outputs import OUTPUTS, write_pictures
+from metapp.runs.pictures import PICTURE
+from metapp.runs.plan import Plan
+from metapp.runs.reporter import progress
+from metapp.runs.surroundings import versions
+from metapp.storage.records import Record, RunFolder, file_name
+
+
+class BaselineRun(NamedTuple):
+    """What a method made of files.
+
+    Attributes:
+        method: its name.
+        cannot: what it cannot do that a network can.
+        folder: of the records; pictures are in `outputs` there, where the method makes any.
+        records: one a task.
+    """
+
+    method: str
+    cannot: str
+    folder: Path
+    records: list[Record]
+
+    def document(self) -> dict[str, Any]:
+        """As one JSON object."""
+        return {"method": self.method, "out": str(self.folder), "cannot": self.cannot, "tasks": self.records}
+
+
+def run_baseline(plan: Plan, method: str) -> BaselineRun:
+    """Fit what a plan's request names, or its data set's test tasks, by one of the application's baselines.
+
+    Raises:
+        BadOption: the application has no such baseline that needs no fit of Meta.
+        ValueError: an input cannot be read or fitted, or there are no training tasks for a method that learns.
+    """
+    app, request = plan.app, plan.request
+    known = {each.name: each for each in baselines_of(app) if not each.matches}
+    if method not in known:
+        raise BadOption(f"--method {method}: not one of {app.name}, expected {', '.join(known)}.")
+    baseline, (tasks, label) = known[method], tasks_to_fit(app, request)
+    source = training_folder(plan) if baseline.learns else None
+    if baseline.learns and source is None:
+        raise ValueError(f"{app.name} {method}: no training tasks to learn from; give a data set with --data.")
+    settings = {
+        "app": app.name,
+        **observe_of(app),
+        "method": method,
+        "data": label,
+        "training": source and data_label(source),
+        "allowed": allowed_for(plan)._asdict(),
+        "recipe": request.recipe,
+        "seed": request.seed,
+        "versions": versions() | {"scipy": metadata.version("scipy")},
+        **app.conditions(),
+    }
+    words = [label, request.recipe, f"seed{request.seed}", method, app.protocol]
+    folder = RunFolder(
+        request.out / app.name / "baseline" / "-".join(filter(None, words)), settings, FORM, plan.origin()
+    )
+    records = []
+    with progress(method, len(tasks), quiet=request.quiet) as bar:
+        for record, made in fit_baselines(plan, baseline, training_of(app, source), tasks, {}, warm=False):
+            folder.add(record, made)
+            if made:
+                pictures = {app.name: Picture(linear_to_srgb(made[PICTURE]), "srgb")}
+                write_pictures(pictures, folder.path / OUTPUTS / file_name(record["name"]))
+            records.append(record)
+            bar.advance(record["name"])
+    return BaselineRun(method, baseline.cannot, folder.path, records)
