@@ -78,8 +78,33 @@ def lattice_of(image: Tensor) -> Lattice:
     found = _basis(_peaks(correlation, image.shape[-2:]), min(image.shape[-2:]))
     vectors, heights = torch.zeros(2, 2, dtype=image.dtype), torch.zeros(2, dtype=image.dtype)
     for i, (height, y, x) in enumerate(found[1]):
-        vectors[i], heights[i] = torch.tensor([y, x], dtype=image.dtype), height
+        vectors[i], heights[i] = _refined(correlation, y, x), height
     return Lattice(vectors, heights, found[0])
+
+
+def _refined(correlation: Tensor, y: int, x: int) -> Tensor:
+    """A lattice vector [2] to a part of a texel, by the peaks at its multiples up to 0.7 of the picture's side."""
+    height, width = (side // 2 for side in correlation.shape)
+    vector, times = torch.tensor([y, x], dtype=correlation.dtype), 1
+    while all(abs(float(part)) * (times + 1) < 0.7 * side for part, side in zip(vector, (height, width), strict=True)):
+        times += 1
+        row, column = (round(float(part)) for part in vector * times + torch.tensor([height, width]))
+        near = correlation[row - MOVED : row + MOVED + 1, column - MOVED : column + MOVED + 1]
+        if float(near.max()) < LEAST:
+            break
+        down, across = divmod(int(near.argmax()), near.shape[1])
+        row, column = row - MOVED + down, column - MOVED + across
+        part = torch.stack(
+            [_top(correlation[row - 1 : row + 2, column]), _top(correlation[row, column - 1 : column + 2])]
+        )
+        vector = (torch.tensor([row - height, column - width], dtype=vector.dtype) + part) / times
+    return vector
+
+
+def _top(values: Tensor) -> Tensor:
+    """Where the parabola through three values is highest, from the middle one, in [-0.5, 0.5]."""
+    before, middle, behind = values
+    return (0.5 * (before - behind) / (before - 2 * middle + behind).clamp_max(-1e-12)).clamp(-0.5, 0.5)
 
 
 def _peaks(correlation: Tensor, size: torch.Size) -> list[tuple[float, int, int]]:

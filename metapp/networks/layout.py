@@ -5,33 +5,81 @@ Statistics cannot bring order into noise: where courses, threads and boards lie,
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import torch
 from torch import Tensor
-from torch.nn.functional import avg_pool2d, interpolate
+from torch.nn.functional import affine_grid, avg_pool2d, grid_sample, interpolate
 
+from metapp.appearance.order import Lattice, lattice_of
 from metapp.appearance.quilting import quilted
 from metapp.learning.task import Params
 from metapp.networks.layers import enlarged
 
 CONTRAST = 1.5  # root mean square of layouts as networks get them
 ASTRAY = 0.1  # weight in the loss of how far pictures are from their layouts
+FINER = 2  # times as fine as the layout is what it is quilted of
+REGULAR = 0.3  # score of a lattice that layouts keep
+STRETCH = 0.08  # most that a picture is stretched by
 FAINT = 1e-3  # variance of a layout, of display values, below which it counts for less
 
 
 def quilted_layout(exemplar: Tensor, size: tuple[int, int]) -> Tensor:
     """A coarse picture [3, h, w] that tiles, quilted of an exemplar [3, H, W]; the same each time."""
-    coarse = interpolate(exemplar[None], size=size, mode="area")[0] if exemplar.shape[-2:] != size else exemplar
-    return requilted(coarse, size)
+    fine = (FINER * size[0], FINER * size[1])
+    tiling = as_tile(exemplar, lattice_of(exemplar))
+    part = [round(side * to / of) for side, to, of in zip(tiling.shape[1:], fine, exemplar.shape[1:], strict=True)]
+    return _quilted(interpolate(tiling[None], size=part, mode="area")[0], size)
 
 
 def requilted(layout: Tensor, size: tuple[int, int]) -> Tensor:
     """A layout [3, h, w] of another size, quilted of this one [3, H, W]."""
-    block = max(4, min(*layout.shape[1:], *size) // 4)
+    return _quilted(interpolate(layout[None], scale_factor=FINER, mode="nearest")[0], size)
+
+
+def _quilted(exemplar: Tensor, size: tuple[int, int]) -> Tensor:
+    """A picture [3, h, w] that tiles of an exemplar FINER times as fine, so that blocks agree to a part of a texel."""
+    fine = (FINER * size[0], FINER * size[1])
+    block = max(4, min(*exemplar.shape[1:], *fine) // 4)
     picture = quilted(
-        layout.movedim(0, -1).cpu().numpy(), size, np.random.default_rng(0), block=block, overlap=block // 3, tiles=True
+        exemplar.movedim(0, -1).cpu().numpy(),
+        fine,
+        np.random.default_rng(0),
+        block=block,
+        overlap=block // 3,
+        tiles=True,
     )
-    return torch.from_numpy(picture).movedim(-1, 0).to(layout)
+    return avg_pool2d(torch.from_numpy(picture).movedim(-1, 0).to(exemplar), FINER)
+
+
+def as_tile(exemplar: Tensor, lattice: Lattice) -> Tensor:
+    """A picture [3, H, W] stretched by as little as lets its lattice, if it is a strong one, repeat with its sides.
+
+    Blocks of a regular pattern can agree across the edges of a tile only where the tile holds whole periods. What is
+    returned is smaller by what the stretched picture does not reach.
+    """
+    if lattice.score < REGULAR:
+        return exemplar
+    texels = torch.tensor(exemplar.shape[-2:], dtype=lattice.vectors.dtype)
+    vectors = lattice.vectors.clone()
+    alone = not bool(vectors[1].any())
+    if alone:  # one direction: what is across it stays
+        vectors[1] = torch.stack([-vectors[0, 1], vectors[0, 0]])
+    frequencies = torch.linalg.inv(vectors).T
+    whole = torch.round(frequencies * texels) / texels
+    if alone:
+        whole[1] = frequencies[1]
+    change = torch.linalg.solve(frequencies, whole)  # from places in the tile to places in the picture
+    if float((change - torch.eye(2, dtype=change.dtype)).abs().max()) > STRETCH:
+        return exemplar
+    change = change.flip(0, 1).to(exemplar)  # (x, y)
+    grid = affine_grid(torch.cat([change, change.new_zeros(2, 1)], 1)[None], [1, *exemplar.shape], align_corners=False)
+    stretched = grid_sample(exemplar[None], grid, align_corners=False)[0]
+    beyond = float(change.abs().sum(1).max()) - 1
+    margin = 4 * math.ceil(max(beyond, 0.0) * max(exemplar.shape[1:]) / 8)  # whole texels of the layout stay whole
+    height, width = exemplar.shape[1:]
+    return stretched[:, margin : height - margin, margin : width - margin]
 
 
 def layouts(layout: Tensor, noise: Tensor, times: int) -> Tensor:
