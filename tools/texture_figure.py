@@ -1,6 +1,6 @@
 """Draw textures of the embedded test set: texture_figure.py PICTURE TASK...
 
-A column a task, by the recipe `full`, 256 px each: the exemplar, image quilting, General, QuickFT, Meta. TASK is the
+A column a task, by the recipe `full`, 160 px each: the exemplar, image quilting, General, QuickFT, Meta. TASK is the
 beginning of a name, such as bricks.
 """
 
@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import torch
 from torch import Generator, Tensor
+from torch.nn.functional import interpolate
 
 from metapp.appearance.order import lattice_of, order_kept
 from metapp.apps import presentation_of
@@ -23,7 +24,7 @@ from metapp.runs.inputs import tasks_of_data
 from metapp.runs.plan import plan
 from metapp.runs.request import Request
 
-GAP = 4
+GAP, SIDE = 4, 160  # px
 
 
 def fitted(paradigm: str, task: Task) -> Tensor:
@@ -45,8 +46,9 @@ def column(task: Task) -> Tensor:
     lattice = lattice_of(exemplar)
     kept = ", ".join(f"{name} {order_kept(lattice, picture):.2f}" for name, picture in made.items())
     print(f"{task.name}: order {kept}", flush=True)
-    gap = torch.ones(3, GAP, exemplar.shape[-1])
-    parts = [part for picture in (exemplar, *made.values()) for part in (picture, gap)]
+    gap = torch.ones(3, GAP, SIDE)
+    small = [interpolate(picture[None], size=SIDE, mode="area")[0] for picture in (exemplar, *made.values())]
+    parts = [part for picture in small for part in (picture, gap)]
     return torch.cat(parts[:-1], 1)
 
 
