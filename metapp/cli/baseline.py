@@ -2,33 +2,40 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from metapp.cli.console import out, print_json
-from metapp.cli.options import Json
+from metapp.cli.options import Json, takes
 from metapp.runs.reporter import say
 
 
-def command(
-    app: Annotated[str, typer.Argument(metavar="APP", help="An application, such as texture.")],
+@dataclass(frozen=True)
+class Options:
+    """What the command takes."""
+
+    app: Annotated[str, typer.Argument(metavar="APP", help="An application, such as texture.")]
     inputs: Annotated[
         list[Path] | None,
         typer.Argument(metavar="[INPUT]...", help="Files of APP or folders; default: the test tasks of --data."),
-    ] = None,
+    ] = None
     method: Annotated[
         str, typer.Option(help="Such as quilting or gpdm of texture; another name lists those of APP.")
-    ] = "nearest",
-    recipe: Annotated[str, typer.Option(help="The size of pictures: quick, full or paper.")] = "",
-    observe: Annotated[str, typer.Option(help="What a fit may see: reference (the default) or photo.")] = "",
-    data: Annotated[Path | None, typer.Option(help="Data set whose training tasks a method may learn from.")] = None,
-    out_folder: Annotated[Path, typer.Option("--out", help="Where runs are kept.")] = Path("runs"),
-    seed: Annotated[int, typer.Option(min=0, help="Of all random draws.")] = 0,
-    json: Json = False,
-    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress bar, no table.")] = False,
-) -> None:
+    ] = "nearest"
+    recipe: Annotated[str, typer.Option(help="The size of pictures: quick, full or paper.")] = ""
+    observe: Annotated[str, typer.Option(help="What a fit may see: reference (the default) or photo.")] = ""
+    data: Annotated[Path | None, typer.Option(help="Data set whose training tasks a method may learn from.")] = None
+    out: Annotated[Path, typer.Option(help="Where runs are kept.")] = Path("runs")
+    seed: Annotated[int, typer.Option(min=0, help="Of all random draws.")] = 0
+    json: Json = False
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress bar, no table.")] = False
+
+
+@takes(Options)
+def command(options: Options) -> None:
     """Run a method that a reader would use instead of a network, and judge it as fits are.
 
     Example: metapp baseline texture wall.jpg --method quilting
@@ -39,22 +46,22 @@ def command(
     from metapp.runs.request import Request
 
     request = Request(
-        app,
+        options.app,
         "general",
-        inputs or [],
-        recipe=recipe,
-        observe=observe,
-        data=data,
-        out=out_folder,
-        seed=seed,
+        options.inputs or [],
+        recipe=options.recipe,
+        observe=options.observe,
+        data=options.data,
+        out=options.out,
+        seed=options.seed,
         device="cpu",
-        quiet=quiet,
+        quiet=options.quiet,
     )
     planned = plan(request)
-    done = run_baseline(planned, method)
-    if not (quiet or json):
-        out().print(table_of(planned.app, method, done.records))
-    if not quiet:
-        say(f"{method} cannot {done.cannot}\nrecords: {done.folder}")
-    if json:
+    done = run_baseline(planned, options.method)
+    if not (options.quiet or options.json):
+        out().print(table_of(planned.app, options.method, done.records))
+    if not options.quiet:
+        say(f"{options.method} cannot {done.cannot}\nrecords: {done.folder}")
+    if options.json:
         print_json(done.document())
