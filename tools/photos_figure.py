@@ -52,16 +52,21 @@ def column(app: str, photo: Path) -> Tensor:
     return torch.cat([cell(image.permute(1, 2, 0)), *map(drawn, fits)], 1)
 
 
-def main(picture: Path, named: list[str]) -> None:
-    """Write the picture, PNG or JPEG by its name."""
+def write(picture: Path, whole: Tensor) -> None:
+    """Write a picture [3, H, W], PNG or JPEG by its name."""
     import OpenImageIO as oiio
 
-    columns = [column(app, Path(photo)) for app, _, photo in (each.partition(":") for each in named)]
-    pixels = (torch.cat(columns, 2).permute(1, 2, 0) * 255).round().byte().contiguous().numpy()
+    pixels = (whole.permute(1, 2, 0) * 255).round().clamp(0, 255).byte().contiguous().numpy()
     image = oiio.ImageBuf(pixels)
     image.specmod().attribute("Compression", "jpeg:85")
     if not image.write(str(picture)):
         raise SystemExit(f"{picture}: not written ({image.geterror()}).")
+
+
+def main(picture: Path, named: list[str]) -> None:
+    """Draw the columns of the photos that were named."""
+    columns = [column(app, Path(photo)) for app, _, photo in (each.partition(":") for each in named)]
+    write(picture, torch.cat(columns, 2))
 
 
 if __name__ == "__main__":

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from photos_figure import write
 from torch import Generator, Tensor
 from torch.nn.functional import interpolate
 
@@ -53,18 +54,12 @@ def column(task: Task) -> Tensor:
 
 
 def main(picture: Path, names: list[str]) -> None:
-    """Write the picture, PNG or JPEG by its name."""
-    import OpenImageIO as oiio
-
+    """Draw the columns of the tasks that were named."""
     tasks, _ = tasks_of_data(find_checkpoint(plan(Request("texture", "general", quiet=True))).app, None, True)
     columns = [column(next(task for task in tasks if task.name.startswith(name))) for name in names]
     gap = torch.ones(3, columns[0].shape[1], GAP)
     whole = torch.cat([part for each in columns for part in (each, gap)][:-1], 2)
-    pixels = (whole.permute(1, 2, 0) * 255).round().clamp(0, 255).byte().contiguous().numpy()
-    image = oiio.ImageBuf(pixels)
-    image.specmod().attribute("Compression", "jpeg:85")
-    if not image.write(str(picture)):
-        raise SystemExit(f"{picture}: not written ({image.geterror()}).")
+    write(picture, whole)
 
 
 if __name__ == "__main__":

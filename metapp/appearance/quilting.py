@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -58,7 +60,7 @@ def _places(length: int, step: int, *, tiles: bool) -> list[int]:
     return [round(i * length / count) for i in range(count)]
 
 
-def _finder(exemplar: Picture, block: int):  # type: ignore[no-untyped-def]
+def _finder(exemplar: Picture, block: int) -> Callable[[Picture, Mask, np.random.Generator], Picture]:
     """What finds a block of the exemplar that agrees with what is there: its errors are correlations."""
     height, width, _ = exemplar.shape
     size = (height, width)
