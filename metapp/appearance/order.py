@@ -47,6 +47,17 @@ def flattened(photos: Tensor) -> Tensor:
     return photos * around.mean((-1, -2), keepdim=True) / around
 
 
+def levelled(image: Tensor) -> Tensor:
+    """A picture [C, H, W] without its slow change, the quadratic in x and y that fits each channel best."""
+    y, x = (torch.linspace(-1, 1, side, dtype=image.dtype, device=image.device) for side in image.shape[-2:])
+    y, x = y[:, None].expand(image.shape[-2:]), x.expand(image.shape[-2:])
+    terms = torch.stack([torch.ones_like(x), x, y, x * x, x * y, y * y]).flatten(1)
+    basis = torch.linalg.qr(terms.T)[0][:, 1:]  # orthonormal; the mean stays
+    slow = image.flatten(1) @ basis @ basis.T
+    flat: Tensor = image - slow.unflatten(1, image.shape[-2:])
+    return flat
+
+
 def _around(image: Tensor, side: int) -> Tensor:
     """The mean of the surroundings of each px of images [..., H, W], a square of `side` px, an odd number."""
     border = min(side // 2, min(image.shape[-2:]) - 1)

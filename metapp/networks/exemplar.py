@@ -66,14 +66,15 @@ class ExemplarSetup:
         """Whether the network reads a coarse picture of what to make."""
         return isinstance(self.network, Pyramid) and self.network.layout > 0
 
-    def times(self, octave: int) -> int:
-        """How many times as high and wide pictures of an octave are as those of the coarsest one."""
-        return 1 << (self.octaves - 1 - octave)
-
     @property
-    def coarsest(self) -> tuple[int, int]:
-        """Height and width of pictures of the coarsest octave."""
-        return self.height >> (self.octaves - 1), self.width >> (self.octaves - 1)
+    def laid_out(self) -> tuple[int, int]:
+        """Height and width of layouts: twice those of the coarsest pictures, where there are finer ones."""
+        octave = max(0, self.octaves - 2)
+        return self.height >> octave, self.width >> octave
+
+    def times(self, octave: int) -> float:
+        """How many times as high and wide pictures of an octave are as their layouts."""
+        return (self.height >> octave) / self.laid_out[0]
 
     def at(self, octave: int) -> UNet | Pyramid:
         """The network that makes pictures of the size of an octave."""
@@ -151,11 +152,11 @@ class ExemplarApp(App):
     def laid_out(self, exemplars: Tensor) -> dict[str, Tensor]:
         """`layout` [B, 3, h, w] of exemplars [B, 3, H, W]: a coarse picture of each that tiles; {} without layouts.
 
-        It is quilted of the exemplar itself, at the size of the coarsest octave.
+        It is quilted of the exemplar itself.
         """
         if not self.setup.has_layout:
             return {}
-        return {"layout": torch.stack([quilted_layout(each, self.setup.coarsest) for each in exemplars])}
+        return {"layout": torch.stack([quilted_layout(each, self.setup.laid_out) for each in exemplars])}
 
     def known(self, tasks: Tasks) -> Params:
         """The layouts, where the network reads one."""
@@ -179,7 +180,7 @@ class ExemplarApp(App):
     def init(self, rng: Generator, count: int) -> Params:
         theta = self.setup.network.init(rng, count)
         if self.setup.has_layout:
-            theta["layout"] = torch.zeros(count, 3, *self.setup.coarsest, device=rng.device)
+            theta["layout"] = torch.zeros(count, 3, *self.setup.laid_out, device=rng.device)
         return theta
 
     def noise(self, rng: Generator, tasks: int, count: int, octave: int = 0) -> Tensor:

@@ -33,6 +33,11 @@ class UNet(NamedTuple):
     code: int = 32
     outputs: int = 3
 
+    @property
+    def offset(self) -> str:
+        """The parameter [T, outputs] that is added to all that it makes."""
+        return "out.shift"
+
     def channels(self, level: int) -> int:
         """Channels at a level, 0 the finest."""
         result: int = self.width * min(2**level, 4)
@@ -107,6 +112,11 @@ class Pyramid(NamedTuple):
     outputs: int = 3
     finest: int = 0
     layout: int = 0
+
+    @property
+    def offset(self) -> str:
+        """The parameter [T, outputs] that is added to all that it makes, by the coarsest level."""
+        return f"out{self.levels - 1}.shift"
 
     def channels(self, level: int) -> int:
         """Channels at a level, 0 the finest; none above the coarsest."""

@@ -12,45 +12,40 @@ import torch
 from torch import Tensor
 from torch.nn.functional import affine_grid, avg_pool2d, grid_sample, interpolate
 
-from metapp.appearance.order import Lattice, lattice_of
+from metapp.appearance.order import Lattice, lattice_of, levelled
 from metapp.appearance.quilting import quilted
 from metapp.learning.task import Params
 from metapp.networks.layers import enlarged
 
 CONTRAST = 1.5  # root mean square of layouts as networks get them
 ASTRAY = 0.1  # weight in the loss of how far pictures are from their layouts
-FINER = 2  # times as fine as the layout is what it is quilted of
 REGULAR = 0.3  # score of a lattice that layouts keep
 STRETCH = 0.08  # most that a picture is stretched by
 FAINT = 1e-3  # variance of a layout, of display values, below which it counts for less
 
 
 def quilted_layout(exemplar: Tensor, size: tuple[int, int]) -> Tensor:
-    """A coarse picture [3, h, w] that tiles, quilted of an exemplar [3, H, W]; the same each time."""
-    fine = (FINER * size[0], FINER * size[1])
-    tiling = as_tile(exemplar, lattice_of(exemplar))
-    part = [round(side * to / of) for side, to, of in zip(tiling.shape[1:], fine, exemplar.shape[1:], strict=True)]
-    return _quilted(interpolate(tiling[None], size=part, mode="area")[0], size)
+    """A coarse picture [3, h, w] that tiles, quilted of an exemplar [3, H, W]; the same each time.
+
+    It is as bright everywhere: a slow change of the exemplar would be a band where its ends meet.
+    """
+    tiling = as_tile(levelled(exemplar), lattice_of(exemplar))
+    part = [round(side * to / of) for side, to, of in zip(tiling.shape[1:], size, exemplar.shape[1:], strict=True)]
+    return requilted(interpolate(tiling[None], size=part, mode="area")[0], size)
 
 
 def requilted(layout: Tensor, size: tuple[int, int]) -> Tensor:
-    """A layout [3, h, w] of another size, quilted of this one [3, H, W]."""
-    return _quilted(interpolate(layout[None], scale_factor=FINER, mode="nearest")[0], size)
-
-
-def _quilted(exemplar: Tensor, size: tuple[int, int]) -> Tensor:
-    """A picture [3, h, w] that tiles of an exemplar FINER times as fine, so that blocks agree to a part of a texel."""
-    fine = (FINER * size[0], FINER * size[1])
-    block = max(4, min(*exemplar.shape[1:], *fine) // 4)
+    """A layout [3, h, w] of another size, quilted of this one [3, H, W]; it tiles."""
+    block = max(4, min(*layout.shape[1:], *size) // 2)
     picture = quilted(
-        exemplar.movedim(0, -1).cpu().numpy(),
-        fine,
+        layout.movedim(0, -1).cpu().numpy(),
+        size,
         np.random.default_rng(0),
         block=block,
         overlap=block // 3,
         tiles=True,
     )
-    return avg_pool2d(torch.from_numpy(picture).movedim(-1, 0).to(exemplar), FINER)
+    return torch.from_numpy(picture).movedim(-1, 0).to(layout)
 
 
 def as_tile(exemplar: Tensor, lattice: Lattice) -> Tensor:
@@ -82,29 +77,37 @@ def as_tile(exemplar: Tensor, lattice: Lattice) -> Tensor:
     return stretched[:, margin : height - margin, margin : width - margin]
 
 
-def layouts(layout: Tensor, noise: Tensor, times: int) -> Tensor:
+def layouts(layout: Tensor, noise: Tensor, times: float) -> Tensor:
     """The layouts of pictures made of noise: each moved by as much as the first numbers of its noise say.
 
     Args:
         layout: of each task, [T, 3, h, w].
         noise: [T, B, C, H, W].
-        times: how many times as high and wide as their layouts pictures are; those of pictures of other sizes than
-            `times` the layout's are quilted anew, and not moved.
+        times: how many times as high and wide as their layouts pictures are, a power of 2; those of pictures of other
+            sizes than `times` the layout's are quilted anew, and not moved.
 
     Returns:
-        [T, B, 3, H / times, W / times].
+        [T, B, 3, H / times, W / times], at most [T, B, 3, H, W].
     """
     layout = layout.detach()
-    height, width = (side // times for side in noise.shape[-2:])
+    height, width = (round(side / times) for side in noise.shape[-2:])
     if (height, width) != layout.shape[-2:]:
         new = torch.stack([requilted(each, (height, width)) for each in layout])
-        return new[:, None].expand(-1, noise.shape[1], -1, -1, -1)
+        return _pooled(new[:, None].expand(-1, noise.shape[1], -1, -1, -1), 1 / times)
     shares = torch.special.ndtr(noise[:, :, 0, 0, :2]).expand(len(layout), -1, -1).tolist()
     moved = [
         torch.stack([one.roll((int(y * height), int(x * width)), (1, 2)) for y, x in pairs])
         for one, pairs in zip(layout, shares, strict=True)
     ]
-    return torch.stack(moved)
+    return _pooled(torch.stack(moved), 1 / times)
+
+
+def _pooled(pictures: Tensor, times: float) -> Tensor:
+    """Pictures [T, B, C, H, W] at 1 / `times` their size; those that would be larger stay as they are."""
+    if times <= 1:
+        return pictures
+    coarse: Tensor = avg_pool2d(pictures.flatten(0, 1), round(times)).unflatten(0, pictures.shape[:2])
+    return coarse
 
 
 def as_input(layout: Tensor, noise: Tensor) -> Tensor:
@@ -118,7 +121,7 @@ def as_input(layout: Tensor, noise: Tensor) -> Tensor:
     return result
 
 
-def astray(theta: Params, noise: Tensor, pictures: Tensor, times: int) -> Tensor:
+def astray(theta: Params, noise: Tensor, pictures: Tensor, times: float) -> Tensor:
     """Part of a loss [T]: how far pictures [T, B, 3, H, W], made of noise, are from their layouts.
 
     The squared difference of the coarse pictures over the layout's variance; 0 of networks that read no layout.
@@ -126,6 +129,5 @@ def astray(theta: Params, noise: Tensor, pictures: Tensor, times: int) -> Tensor
     if "layout" not in theta:
         return pictures.new_zeros(len(pictures))
     layout = layouts(theta["layout"], noise, times)
-    coarse: Tensor = avg_pool2d(pictures.flatten(0, 1), times).unflatten(0, pictures.shape[:2])
     variance = layout.var((-1, -2)).mean(-1) + FAINT
-    return ((coarse - layout).square().mean((-1, -2, -3)) * (ASTRAY / variance)).mean(1)
+    return ((_pooled(pictures, times) - layout).square().mean((-1, -2, -3)) * (ASTRAY / variance)).mean(1)

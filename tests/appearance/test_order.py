@@ -80,3 +80,17 @@ def test_flattened_photos_have_one_brightness() -> None:
     flat = order.flattened(ramp)
     assert float(flat[..., 32:-32].std()) < 0.02 < float(ramp[..., 32:-32].std())
     assert float(flat.mean()) == pytest.approx(0.5, abs=0.03)
+
+
+def test_levelled_pictures_lose_slow_changes_alone() -> None:
+    y, x = torch.meshgrid(torch.linspace(-1, 1, SIZE), torch.linspace(-1, 1, SIZE), indexing="ij")
+    slow = torch.stack([0.2 * x, 0.1 * y * y - 0.1 * x, 0.3 * x * y])
+    waves = torch.sin(2 * math.pi * torch.arange(SIZE) / 8).expand(3, SIZE, SIZE)
+    torch.testing.assert_close(
+        order.levelled(0.5 + slow + waves),
+        order.levelled(0.5 + waves) + slow.mean((1, 2))[:, None, None],
+        atol=1e-5,
+        rtol=0,
+    )
+    torch.testing.assert_close(order.levelled(waves), waves, atol=0.1, rtol=0)
+    assert float(order.levelled(0.5 + slow).std((1, 2)).max()) < 1e-5

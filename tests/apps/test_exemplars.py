@@ -224,7 +224,7 @@ def paved(app: ExemplarApp) -> Tasks:
 
 def test_layouts_are_known_of_each_task_and_no_step_moves_them(app: ExemplarApp, paved: Tasks) -> None:
     layout = paved.data["layout"]
-    assert layout.shape == (2, 3, *app.setup.coarsest)
+    assert layout.shape == (2, 3, *app.setup.laid_out)
     assert layout[0].std() > 0.1
     rng, recipe = Generator().manual_seed(0), tiny(app.name)
     theta = paradigms()["overfit"].fit(Job(app, recipe, recipe.rule, 2), MetaParameters(), paved, rng)
@@ -242,7 +242,7 @@ def test_networks_without_layout_know_none(app: ExemplarApp) -> None:
 
 
 def test_layouts_are_moved_by_the_noise_and_quilted_for_other_sizes(app: ExemplarApp, paved: Tasks) -> None:
-    rng, (height, width) = Generator().manual_seed(0), app.setup.coarsest
+    rng, (height, width) = Generator().manual_seed(0), app.setup.laid_out
     layout = paved.data["layout"]
     moved = layouts(layout, torch.randn(2, 2, 8, 2 * height, 2 * width, generator=rng), 2)
     assert moved.shape == (2, 2, 3, height, width)
@@ -256,7 +256,7 @@ def test_layouts_are_moved_by_the_noise_and_quilted_for_other_sizes(app: Exempla
 
 
 def test_networks_read_layouts_without_mean_and_of_one_contrast(app: ExemplarApp, paved: Tasks) -> None:
-    noise = torch.randn(2, 1, 8, *(2 * side for side in app.setup.coarsest))
+    noise = torch.randn(2, 1, 8, *(2 * side for side in app.setup.laid_out))
     layout = paved.data["layout"][:, None]
     read = as_input(layout, noise)
     assert read.shape == (2, 1, 3, *noise.shape[-2:])
@@ -280,6 +280,6 @@ def test_what_is_made_follows_its_layout(app: ExemplarApp, paved: Tasks) -> None
 @TEXTURE
 def test_augmented_exemplars_have_layouts_of_their_own(app: ExemplarApp, paved: Tasks) -> None:
     changed = app.augment(paved.select([0]), Generator().manual_seed(3))
-    assert changed.data["layout"].shape == (1, 3, *app.setup.coarsest)
+    assert changed.data["layout"].shape == (1, 3, *app.setup.laid_out)
     assert not torch.equal(changed.data["layout"][0], paved.data["layout"][0])
     assert changed.data["layout"].aminmax() == pytest.approx((60 / 255, 200 / 255), abs=0.02)

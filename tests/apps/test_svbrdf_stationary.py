@@ -128,6 +128,8 @@ def test_what_is_prepared(sources: list[Task], tasks: Tasks) -> None:
         "image": (3, SIZE, SIZE),
         "light": (3,),
         "pooled": (3, POOLED, POOLED),
+        "chroma": (2,),
+        "shine": (3,),
         "gram0": (9, RANDOM, RANDOM),
         "spectrum0": (SIZE, SIZE // 2 + 1),
         "summary": (6 * RANDOM,),
@@ -154,6 +156,7 @@ def test_samples_and_losses(tasks: Tasks) -> None:
         "windows": (2, DRAWN),
         "light": (2, 3),
         "pooled": (2, 3, POOLED, POOLED),
+        "chroma": (2, 2),
         "gram0": (2, DRAWN, RANDOM, RANDOM),
         "spectrum0": (2, SIZE, SIZE // 2 + 1),
     }
@@ -460,7 +463,8 @@ def test_fits_expect_the_gloss_that_general_predicts(sources: list[Task]) -> Non
     encoder = kept.init_encoder(rng)
     assert "decoder.gloss" not in encoder
     encoder |= {f"decoder.{key}": value[0] for key, value in predicted.items() if key not in ("z", "gloss")}
-    theta = kept.encode(encoder, kept.condition(tasks, rng))
+    unclear = kept.condition(tasks, rng) | {"shine": torch.tensor([[0.0, 3.0, 2.0]])}
+    theta = kept.encode(encoder, unclear)
     torch.testing.assert_close(theta["gloss"], torch.tensor([[0.5, -1.5]]))
     batch = kept.sample(tasks, seeded(), 1)
     torch.testing.assert_close(kept.loss(theta, batch, {}), tiny().loss(theta, batch, {}))
@@ -468,3 +472,25 @@ def test_fits_expect_the_gloss_that_general_predicts(sources: list[Task]) -> Non
     assert torch.equal(moved["gloss"], theta["gloss"])
     assert not torch.equal(moved["out.shift"], theta["out.shift"])
     assert "gloss" not in tiny().encode(encoder, kept.condition(tasks, rng))
+
+
+def test_a_clear_highlight_says_the_gloss_that_fits_begin_with() -> None:
+    """Of a photo of polished stone it is the photo's, of one of cloth General's."""
+    kept = SvbrdfStationary(replace(TINY.setup, prior=2.0))
+    one, up = torch.ones(1, 1, 128, 128), torch.tensor([0.0, 0.0, 1.0])[:, None, None].expand(1, 3, 128, 128)
+    photos = [
+        photo_of(Maps(0.2 * one.expand(1, 3, -1, -1), specular * one, roughness * one, up), (0.0, 0.0))
+        for specular, roughness in ((0.04, 0.25), (0.04, 0.8))
+    ]
+    tasks = stack(kept, [Task(str(i), {"image": each}) for i, each in enumerate(photos)])
+    encoder = kept.init_encoder(seeded())
+    predicted = flat(kept, 0.5, -0.5, 0.0, 0.5, -1.5, 0.0)
+    encoder |= {f"decoder.{key}": value[0] for key, value in predicted.items() if key not in ("z", "gloss")}
+    theta = kept.encode(encoder, kept.condition(tasks, seeded()))
+    maps, _ = kept.maps(theta, kept.noise(seeded(), 1, 1).expand(2, -1, -1, -1, -1))
+    polished, cloth = maps.roughness.mean((1, 2, 3, 4)).tolist()
+    assert polished == pytest.approx(0.25, rel=0.2)
+    assert cloth == pytest.approx(0.1 + 0.9 * float(torch.sigmoid(torch.tensor(-1.5))))
+    assert float(maps.specular[0].mean()) == pytest.approx(0.04, rel=0.5)
+    again = theta["gloss"] - torch.stack([each.mean((1, 2, 3, 4)) for each in svbrdf_stationary._gloss(maps)], -1)
+    assert float(again.abs().max()) < 1e-3

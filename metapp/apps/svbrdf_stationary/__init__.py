@@ -7,7 +7,7 @@ from typing import ClassVar
 
 import torch
 from torch import Generator, Tensor
-from torch.nn.functional import adaptive_avg_pool2d
+from torch.nn.functional import adaptive_avg_pool2d, avg_pool2d, pad
 
 from metapp.appearance.features import amplitudes, distance, gram, hann, moments
 from metapp.appearance.flash import (
@@ -22,6 +22,7 @@ from metapp.appearance.flash import (
     render,
     statistics,
 )
+from metapp.appearance.highlight import gloss, unlit
 from metapp.appearance.order import flattened
 from metapp.learning.task import Batch, Held, Params, Task, Tasks
 from metapp.networks.exemplar import JUDGED, ExemplarApp
@@ -36,6 +37,9 @@ BRIGHTER = 2.0  # further weight in the outer loss of pooled pictures, which hol
 TRUTH = 3.0  # weight in the outer loss of how far the maps' statistics are from the truth's
 LIKELY = 0.05  # the same where the truth is unknown, of how unusual specular and roughness are
 OF_ROUGHNESS = 0.4  # varies more between materials than specular does
+COLOUR = 3.0  # weight in the loss of how much more or less colours vary than in the photo
+# A highlight says gloss where the lobe is so much of what is reflected below the flash, 0 to 1, and is no wider.
+EVIDENT, NARROW = (0.6, 0.8), 0.5
 RELIEF = 1 / 32  # widths of the photo a unit of the network's output, as height
 FALLOFF = 1.0
 
@@ -61,10 +65,12 @@ class SvbrdfStationary(ExemplarApp):
         """Of photos [B, 3, h, w] of the size of an octave.
 
         Gram matrices in all windows `gram0`... [B, N, C, C], spectra `spectrum0`..., `pooled` [B, 3, 8, 8], `light`
-        [B, 3] where the flash was, `summary`.
+        [B, 3] where the flash was, `chroma` [B, 2], how much colours vary, `shine` [B, 3], what the highlight says
+        of specular and roughness and how clearly, `summary`.
         """
-        maps = self.features(exemplars, octave)
-        described = {"light": self.light_of(exemplars), "pooled": adaptive_avg_pool2d(exemplars, POOLED)}
+        maps, light = self.features(exemplars, octave), self.light_of(exemplars)
+        described = {"light": light, "pooled": adaptive_avg_pool2d(exemplars, POOLED)}
+        described |= {"chroma": _chroma(exemplars), "shine": _shine(exemplars, light)}
         for i, each in enumerate(maps):
             described[f"gram{i}"] = _grams(each, range(GRID * GRID))
             described[f"spectrum{i}"] = amplitudes(each)
@@ -99,10 +105,20 @@ class SvbrdfStationary(ExemplarApp):
         theta = super().init(rng, count)
         return theta | {"gloss": torch.zeros(count, 2, device=rng.device)} if self.setup.prior else theta
 
+    def condition(self, tasks: Tasks, rng: Generator) -> Batch:
+        return super().condition(tasks, rng) | {"shine": tasks.data["shine"][tasks.rows]}
+
     def encode(self, encoder: Params, condition: Batch) -> Params:
-        """As for all exemplars, and where fits have a prior, `gloss` [T, 2], what General expects of it."""
+        """As for all exemplars, and where fits have a prior, `gloss` [T, 2], what is expected of it."""
         theta = super().encode(encoder, condition)
-        return theta | {"gloss": self._expected(theta)} if self.setup.prior else theta
+        return self._as_glossy(theta, condition["shine"]) if self.setup.prior else theta
+
+    def _as_glossy(self, theta: Params, shine: Tensor) -> Params:
+        """Theta whose maps have the mean gloss that a clear highlight says, else General's, and that as `gloss`."""
+        expected, sure = self._expected(theta), shine[:, :1]
+        change = sure * (shine[:, 1:] - expected)
+        offset = self.setup.network.offset
+        return theta | {"gloss": expected + change, offset: theta[offset] + pad(change, (3, 1))}
 
     @torch.no_grad()
     def _expected(self, theta: Params) -> Tensor:
@@ -133,7 +149,7 @@ class SvbrdfStationary(ExemplarApp):
 
     def _targets(self, tasks: Tasks, windows: Tensor) -> Batch:
         rows = tasks.rows
-        named = [key for key in tasks.data if key in ("light", "pooled", "truth")]
+        named = [key for key in tasks.data if key in ("light", "pooled", "chroma", "truth")]
         targets = {key: tasks.data[key][rows] for key in named}
         for i in range(self.setup.maps_from(self.octave(tasks.data))):
             targets[f"spectrum{i}"] = tasks.data[f"spectrum{i}"][rows]
@@ -166,11 +182,18 @@ class SvbrdfStationary(ExemplarApp):
 
     def _distances(self, theta: Params, maps: Maps, batch: Batch) -> dict[str, Tensor]:
         pictures = self.photograph(maps, batch["light"][:, None], batch["light"][:, None])
-        distances, octave = self._distances_of(pictures, batch), self.octave(batch)
-        return distances | {"astray": astray(theta, batch["noise"], flattened(pictures), self.setup.times(octave))}
+        distances, times = self._distances_of(pictures, batch), self.setup.times(self.octave(batch))
+        if self.setup.has_layout:
+            colours = (
+                _chroma(pictures.flatten(0, 1)).unflatten(0, pictures.shape[:2]) - batch["chroma"][:, None]
+            ).abs()
+            distances["colour"] = COLOUR * colours.mean((1, 2))
+            distances["astray"] = astray(theta, batch["noise"], _even(pictures, batch["light"][:, None]), times)
+        return distances
 
     def laid_out(self, exemplars: Tensor) -> dict[str, Tensor]:
-        return super().laid_out(flattened(exemplars)) if self.setup.has_layout else {}
+        """Layouts of photos as if the light were the same everywhere."""
+        return super().laid_out(_even(exemplars, self.light_of(exemplars))) if self.setup.has_layout else {}
 
     def _distances_of(self, pictures: Tensor, batch: Batch) -> dict[str, Tensor]:
         leading = pictures.shape[:2]
@@ -230,6 +253,27 @@ class SvbrdfStationary(ExemplarApp):
 def _gloss(maps: Maps) -> tuple[Tensor, Tensor]:
     """What the network made specular and roughness of, before any range was imposed, [T, B, 1, H, W] each."""
     return torch.logit(maps.specular, 1e-4) + 3, torch.logit((maps.roughness - 0.1) / 0.9, 1e-4)
+
+
+def _even(photos: Tensor, light: Tensor) -> Tensor:
+    """Photos [..., 3, H, W] under a flash [..., 3] as if the light were the same everywhere."""
+    return flattened(unlit(photos, light))
+
+
+def _chroma(photos: Tensor) -> Tensor:
+    """Standard deviations [B, 2] of red less green and of yellow less blue, of photos [B, 3, H, W]."""
+    red, green, blue = photos.unbind(1)
+    each = torch.stack([red - green, (red + green) / 2 - blue], 1)
+    return (each.var((2, 3)) + 1e-6).sqrt()
+
+
+def _shine(photos: Tensor, light: Tensor) -> Tensor:
+    """How sure the highlight is of the gloss, 0 to 1, and specular and roughness as networks make them, [B, 3]."""
+    found = gloss(avg_pool2d(photos, 2), light)
+    low, high = EVIDENT
+    sure = ((found.contrast - low) / (high - low)).clamp(0, 1) * (found.roughness < NARROW)
+    made = torch.logit(found.specular.clamp(0.01, 0.5)) + 3, torch.logit((found.roughness - 0.1) / 0.9, 0.02)
+    return torch.stack([sure, *made], 1)
 
 
 def _unusual(maps: Maps, expected: Tensor) -> Tensor:

@@ -16,7 +16,7 @@ QUICK = generator(
     searched=Adam(3e-3, beta1=0.5, beta2=0.97, final=0.3),
     general=pixels(2500, 6),
 )
-FULL = pyramid(QUICK, searched=Adam(2.9e-3, beta1=0.3, beta2=0.9, final=0.3), tasks=3, prior=PRIOR)
+FULL = pyramid(QUICK, searched=Adam(2.9e-3, beta1=0.3, beta2=0.9, final=0.3), tasks=3, prior=PRIOR, layout=True)
 # Fischer & Ritschel 2022, section 4.1.3 and supplement: 20 inner steps, meta-batch 3
 PAPER = as_published(
     QUICK,
