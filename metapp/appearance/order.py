@@ -96,7 +96,8 @@ def lattice_of(image: Tensor) -> Lattice:
 def _refined(correlation: Tensor, y: int, x: int) -> Tensor:
     """A lattice vector [2] to a part of a texel, by the peaks at its multiples up to 0.7 of the picture's side."""
     height, width = (side // 2 for side in correlation.shape)
-    vector, times = torch.tensor([y, x], dtype=correlation.dtype), 1
+    first = torch.tensor([y, x], dtype=correlation.dtype)
+    vector, times = first, 1
     while all(abs(float(part)) * (times + 1) < 0.7 * side for part, side in zip(vector, (height, width), strict=True)):
         times += 1
         row, column = (round(float(part)) for part in vector * times + torch.tensor([height, width]))
@@ -108,7 +109,10 @@ def _refined(correlation: Tensor, y: int, x: int) -> Tensor:
         part = torch.stack(
             [_top(correlation[row - 1 : row + 2, column]), _top(correlation[row, column - 1 : column + 2])]
         )
-        vector = (torch.tensor([row - height, column - width], dtype=vector.dtype) + part) / times
+        refined = (torch.tensor([row - height, column - width], dtype=vector.dtype) + part) / times
+        if float((refined - first).abs().max()) > MOVED:  # no peaks, a slope: it would lead to shift 0
+            break
+        vector = refined
     return vector
 
 

@@ -11,6 +11,7 @@ from torch.nn.functional import adaptive_avg_pool2d, avg_pool2d, pad
 
 from metapp.appearance.features import amplitudes, distance, gram, hann, moments
 from metapp.appearance.flash import (
+    GAMMA,
     STATISTICS_AT,
     Maps,
     camera,
@@ -35,6 +36,7 @@ SPECTRUM = 0.3  # the spectra's weight in the loss
 RINGS = ((0.0, 0.2), (0.2, 0.8), (0.8, 3.0))  # squared distances from the centre, of half the photo's side
 BRIGHTER = 2.0  # further weight in the outer loss of pooled pictures, which hold the shape of the highlight
 TRUTH = 3.0  # weight in the outer loss of how far the maps' statistics are from the truth's
+SPECULAR = 0.05  # further weight in the outer loss of how far the logit of mean specular is from the truth's
 LIKELY = 0.05  # the same where the truth is unknown, of how unusual specular and roughness are
 OF_ROUGHNESS = 0.4  # varies more between materials than specular does
 COLOUR = 3.0  # weight in the loss of how much more or less colours vary than in the photo
@@ -178,7 +180,10 @@ class SvbrdfStationary(ExemplarApp):
         if "truth" not in batch:
             return loss + LIKELY * _unusual(maps, maps.diffuse.new_zeros(len(maps.diffuse), 2))
         level = sum(self.setup.width >> octave < size for size in STATISTICS_AT[:-1])
-        return loss + TRUTH * (statistics(maps) - batch["truth"][:, level, None]).abs().mean((1, 2, 3))
+        truth = batch["truth"][:, level]
+        specular = torch.logit(truth[:, 0, 3] ** GAMMA, 1e-3) + 3  # as networks make it, where no gradient vanishes
+        unlike = (_gloss(maps)[0].mean((1, 2, 3, 4)) - specular).abs()
+        return loss + TRUTH * (statistics(maps) - truth[:, None]).abs().mean((1, 2, 3)) + SPECULAR * unlike
 
     def _distances(self, theta: Params, maps: Maps, batch: Batch) -> dict[str, Tensor]:
         pictures = self.photograph(maps, batch["light"][:, None], batch["light"][:, None])
