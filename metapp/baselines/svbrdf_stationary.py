@@ -29,9 +29,9 @@ NUMBERS = 5  # beside the photo: diffuse red, green and blue, F0, roughness
 def quilted_maps(photo: Tensor, light: Tensor, rng: np.random.Generator, count: int) -> Maps:
     """Maps [1, count, ...] of the material of a flash photo, of its size, which tile: pieces of it.
 
-    The photo without its light is quilted. Its mean becomes the diffuse albedo that the highlight's profile says;
-    F0 varies as brightness does about what the profile says, roughness not at all. What is darker than its surroundings lies
-    deeper, but on metals and below clear highlights.
+    The photo without its light is quilted. Its mean becomes the diffuse albedo that the highlight's profile says; F0
+    varies as brightness does about what the profile says, roughness not at all. What is darker than its surroundings
+    lies deeper, but on metals and below clear highlights.
 
     Args:
         photo: one, [1, 3, H, W], display values in [0, 1].
@@ -64,7 +64,7 @@ def baselines(app: App) -> tuple[Baseline, ...]:
     cannot = "be a material that is not in its set, nor be lit from elsewhere: it is a photograph"
     guessed = (
         "make anything but pieces of the photo, which it repeats, nor tell what a highlight hides or how gloss varies: "
-        "roughness and F0 are constant, colours below the highlight a guess"
+        "roughness is constant, F0 goes with brightness, colours below the highlight are a guess"
     )
     return (
         Baseline("nearest", "the training photograph with the least error", cannot, nearest_exemplar),
