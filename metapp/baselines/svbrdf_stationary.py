@@ -8,7 +8,7 @@ from torch import Generator, Tensor
 
 from metapp.appearance.flash import GAMMA, Maps, normal_from_height
 from metapp.appearance.highlight import gloss, unlit
-from metapp.appearance.order import flattened, high_passed, lattice_of
+from metapp.appearance.order import flattened, high_passed
 from metapp.appearance.quilting import Picture, quilted
 from metapp.apps.svbrdf_stationary import SvbrdfStationary
 from metapp.baselines.baseline import Allowed, Baseline, BaselineFit, PreparedBaseline, Training
@@ -40,9 +40,9 @@ def quilted_maps(photo: Tensor, light: Tensor, rng: np.random.Generator, count: 
         count: of materials.
     """
     found, even = gloss(photo, light), flattened(unlit(photo, light))[0].clamp(0, 1)
-    exemplar: Picture = as_tile(even, lattice_of(even)).permute(1, 2, 0).numpy()
-    block, overlap = block_of(exemplar)
     size = (even.shape[1], even.shape[2])
+    exemplar: Picture = as_tile(even, size).permute(1, 2, 0).numpy()
+    block, overlap = block_of(exemplar)
     made = [quilted(exemplar, size, rng, block=block, overlap=overlap, tiles=True) for _ in range(count)]
     shown = torch.from_numpy(np.stack(made)).permute(0, 3, 1, 2)[None]
     colours, mean = shown**GAMMA, (even**GAMMA).mean((1, 2)).clamp_min(1e-4)
