@@ -23,11 +23,15 @@ class Gloss(NamedTuple):
         roughness: [B], of the flat even material that looks most alike.
         specular: [B], its F0.
         contrast: [B], the lobe's share of what is reflected right below the flash, 0 to 1.
+        share: [B], the same of all that the photo's patch reflects.
+        diffuse: [B, 3], its diffuse albedo, linear RGB.
     """
 
     roughness: Tensor
     specular: Tensor
     contrast: Tensor
+    share: Tensor
+    diffuse: Tensor
 
 
 def profile(pictures: Tensor, light: Tensor) -> tuple[Tensor, Tensor]:
@@ -89,9 +93,13 @@ def gloss(photos: Tensor, light: Tensor) -> Gloss:
     wrong = (made.clamp(1e-4, 1) ** (1 / GAMMA) - shown[:, None]) * inside[:, None]
     best = wrong.square().mean((2, 3)).argmin(1)
     row = torch.arange(len(best), device=best.device)
-    specular, diffuse = found[row, best, 3, 0], found[row, best, :3, 0].mean(1)
-    lobe, under = specular * lobes[row, best, 0], diffuse * body[:, 0]
-    return Gloss(lobes.new_tensor(ROUGHNESSES)[best], specular, lobe / (lobe + under + 0.01))
+    specular, under = found[row, best, 3, 0], found[row, best, :3, 0]
+    lobe, beneath = specular[:, None] * lobes[row, best], under.mean(1)[:, None] * body
+    contrast = lobe[:, 0] / (lobe[:, 0] + beneath[:, 0] + 0.01)
+    by_ring = belongs.sum(-1)
+    share = (lobe * by_ring).sum(1) / ((lobe + beneath) * by_ring).sum(1).clamp_min(1e-4)
+    diffuse = under / (1 - specular).clamp_min(0.1)[:, None]  # what the surface lets through reaches the body
+    return Gloss(lobes.new_tensor(ROUGHNESSES)[best], specular, contrast, share, diffuse)
 
 
 def _flat(light: Tensor) -> tuple[Tensor, Tensor]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
-from typing import Any, Generic, Literal, NamedTuple, TypeVar, get_args
+from typing import Any, Generic, Literal, NamedTuple, Protocol, TypeVar, get_args, runtime_checkable
 
 from torch import Tensor
 
@@ -143,3 +143,11 @@ class Presentation(ABC, Generic[AnyApp]):
     def visible(self, task: Task) -> Visible | None:
         """How much a fit may see of a task; None where the application does not say."""
         return None
+
+
+@runtime_checkable
+class DrawsAnswers(Protocol):
+    """A presentation that writes what methods without a network answer, too."""
+
+    def files_of(self, answer: Any, task: Task) -> dict[str, Picture]:
+        """What an answer, as of `App.errors_of` for this one task, makes for its user, as `Presentation.files`."""

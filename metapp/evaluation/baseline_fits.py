@@ -7,6 +7,7 @@ import math
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import torch
 from threadpoolctl import threadpool_limits
@@ -24,6 +25,20 @@ from metapp.storage.records import NUMBER, OPTIONAL, Record
 from metapp.storage.shards import read_manifest, read_shard
 
 FORM = {"error": OPTIONAL, "numbers": OPTIONAL, "size": NUMBER, "shared": NUMBER}  # of a record
+
+
+class Judged(NamedTuple):
+    """A baseline's fit of a task.
+
+    Attributes:
+        record: its errors, time and bytes.
+        kept: its `picture`, where there is one.
+        answer: what was judged, as of `App.errors_of`.
+    """
+
+    record: Record
+    kept: Params | None
+    answer: Any
 
 
 def training_folder(plan: Plan) -> Path | None:
@@ -63,7 +78,7 @@ def fit_baselines(
     errors: Mapping[str, float],
     *,
     warm: bool = True,
-) -> Iterator[tuple[Record, Params | None]]:
+) -> Iterator[Judged]:
     """Fit a baseline to tasks, each alone; the time is from the task's samples to what is kept.
 
     Args:
@@ -75,8 +90,7 @@ def fit_baselines(
         warm: fit the first task twice, so that its time is none of a first call, as paradigms' are not.
 
     Yields:
-        The record of each task, and its `picture` where there is one. A baseline that matches an error has no time: its
-        search is no fit.
+        Of each task. A baseline that matches an error has no time: its search is no fit.
 
     Raises:
         ValueError: it cannot be fitted to these tasks.
@@ -92,15 +106,14 @@ def fit_baselines(
             yield _fit_one(plan, prepared, task, allowed, timed=not baseline.matches)
 
 
-def _fit_one(
-    plan: Plan, prepared: PreparedBaseline, task: Task, allowed: Allowed, *, timed: bool = True
-) -> tuple[Record, Params | None]:
+def _fit_one(plan: Plan, prepared: PreparedBaseline, task: Task, allowed: Allowed, *, timed: bool = True) -> Judged:
     rng, app = rng_of(plan, task), plan.app
     begin = time.perf_counter()
     stacked = stack(app, [task])
     fitted = prepared.fit(stacked, rng, allowed)
     seconds = time.perf_counter() - begin
-    errors = {key: float(value[0]) for key, value in app.errors_of(fitted.answer(), stacked).items()}
+    answer = fitted.answer()
+    errors = {key: float(value[0]) for key, value in app.errors_of(answer, stacked).items()}
     if errors and not math.isfinite(errors["error"]):
         raise ValueError(f"{task.name}: the error is not finite.")
     errors |= {key: app.traits.scale * value for key, value in errors.items() if key == "error"}
@@ -115,4 +128,4 @@ def _fit_one(
         "reached": fitted.reached,
         "chosen": prepared.chosen,
     }
-    return record, None if fitted.picture is None else {PICTURE: fitted.picture}
+    return Judged(record, None if fitted.picture is None else {PICTURE: fitted.picture}, answer)

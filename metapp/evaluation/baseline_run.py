@@ -6,15 +6,14 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from metapp.appearance.colour import linear_to_srgb
-from metapp.appearance.presentation import Picture
+from metapp.appearance.presentation import DrawsAnswers
+from metapp.apps import presentation_of
 from metapp.baselines import baselines_of
 from metapp.evaluation.baseline_fits import FORM, allowed_for, fit_baselines, training_folder, training_of
 from metapp.runs import BadOption
 from metapp.runs.inputs import data_label, tasks_to_fit
 from metapp.runs.naming import observe_of
 from metapp.runs.outputs import OUTPUTS, write_pictures
-from metapp.runs.pictures import PICTURE
 from metapp.runs.plan import Plan
 from metapp.runs.reporter import progress
 from metapp.runs.surroundings import versions
@@ -27,7 +26,7 @@ class BaselineRun(NamedTuple):
     Attributes:
         method: its name.
         cannot: what it cannot do that a network can.
-        folder: of the records; pictures are in `outputs` there, where the method makes any.
+        folder: of the records; pictures and maps are in `outputs` there, where the application has any.
         records: one a task.
     """
 
@@ -72,13 +71,14 @@ def run_baseline(plan: Plan, method: str) -> BaselineRun:
     folder = RunFolder(
         request.out / app.name / "baseline" / "-".join(filter(None, words)), settings, FORM, plan.origin()
     )
-    records = []
+    records, shown = [], presentation_of(app)
     with progress(method, len(tasks), quiet=request.quiet) as bar:
-        for record, made in fit_baselines(plan, baseline, training_of(app, source), tasks, {}, warm=False):
-            folder.add(record, made)
-            if made:
-                pictures = {app.name: Picture(linear_to_srgb(made[PICTURE]), "srgb")}
-                write_pictures(pictures, folder.path / OUTPUTS / file_name(record["name"]))
-            records.append(record)
-            bar.advance(record["name"])
+        fits = fit_baselines(plan, baseline, training_of(app, source), tasks, {}, warm=False)
+        for task, fitted in zip(tasks, fits, strict=True):
+            folder.add(fitted.record, fitted.kept)
+            if isinstance(shown, DrawsAnswers):
+                files = shown.files_of(fitted.answer, task)
+                write_pictures(files, folder.path / OUTPUTS / file_name(task.name))
+            records.append(fitted.record)
+            bar.advance(task.name)
     return BaselineRun(method, baseline.cannot, folder.path, records)

@@ -33,6 +33,7 @@ def test_gloss_of_flat_even_materials_is_found(roughness: float, within: float, 
     found = gloss(photo(roughness, 0.04, light), light)
     assert float(found.roughness) == pytest.approx(roughness, rel=within)
     assert float(found.specular) == pytest.approx(0.04, rel=0.5)
+    torch.testing.assert_close(found.diffuse, torch.tensor([[0.3, 0.2, 0.1]]), rtol=0.08, atol=0)
 
 
 def test_clipped_highlights_still_say_how_wide_they_are() -> None:
@@ -42,11 +43,27 @@ def test_clipped_highlights_still_say_how_wide_they_are() -> None:
     assert float(gloss(picture, light).roughness) == pytest.approx(0.25, rel=0.2)
 
 
+def test_the_body_keeps_its_albedo_below_a_lobe_that_takes_its_share() -> None:
+    light = above(0.0, 0.0)
+    found = gloss(photo(0.4, 0.2, light, diffuse=(0.2, 0.3, 0.5)), light)
+    torch.testing.assert_close(found.diffuse, torch.tensor([[0.2, 0.3, 0.5]]), rtol=0.08, atol=0)
+
+
 def test_contrast_tells_varnish_from_cloth() -> None:
     light = above(0.0, 0.0)
     shiny, matte = (float(gloss(photo(*each, light), light).contrast) for each in ((0.2, 0.04), (0.8, 0.02)))
     assert shiny > 0.8
     assert matte < 0.3
+
+
+def test_the_lobes_share_is_all_of_a_metals_light_and_little_of_cloths() -> None:
+    light = above(0.0, 0.0)
+    metal, cloth = (
+        float(gloss(photo(*each, light, diffuse=diffuse), light).share)
+        for each, diffuse in (((0.5, 0.2), (0.0, 0.0, 0.0)), ((0.5, 0.02), (0.4, 0.4, 0.4)))
+    )
+    assert metal > 0.9
+    assert cloth < 0.15
 
 
 def test_profiles_of_even_pictures_are_even() -> None:

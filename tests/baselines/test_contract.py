@@ -12,7 +12,8 @@ import torch
 from rich.console import Console
 from torch import Generator, Tensor
 
-from metapp.apps import app_names, class_of, protocols_of
+from metapp.appearance.presentation import DrawsAnswers
+from metapp.apps import app_names, class_of, presentation_of, protocols_of
 from metapp.baselines import baselines_of
 from metapp.baselines.baseline import Allowed, BaselineFit, Training, nearest
 from metapp.cli.evaluate import draw
@@ -95,6 +96,22 @@ def test_every_application_has_baselines_that_say_what_they_cannot_do(name: str,
         assert len(baseline.cannot) > 10
 
 
+@pytest.mark.parametrize(("name", "protocol"), PLACED)
+def test_their_answers_are_drawn_where_an_application_has_pictures(name: str, protocol: str, rng: Generator) -> None:
+    app = app_by(name, protocol=protocol)
+    shown = presentation_of(app)
+    assert isinstance(shown, DrawsAnswers) == (name not in ("brdf", "transport"))
+    if isinstance(shown, DrawsAnswers):
+        tasks = [random_task(name, f"t{i}", rng, torch.zeros(0)) for i in range(3)]
+        first, allowed = baselines_of(app)[0], Allowed(64, 20_000)
+        prepared = first.prepare(Training(app, tasks), allowed)
+        answer = prepared.fit(stack(app, tasks[:1]), rng, allowed).answer()
+        for pixels, kind in shown.files_of(answer, tasks[0]).values():
+            assert pixels.shape[2] in (1, 3)
+            assert pixels.isfinite().all()
+            assert kind in ("height", "radiance") or 0 <= float(pixels.min()) <= float(pixels.max()) <= 1
+
+
 def pretend_meta(subject: Subject, error: float) -> None:
     """Records of Meta that cost nothing."""
     folder = subject.cell("meta").folder
@@ -127,7 +144,7 @@ def test_its_table_prints_them(
     text = " ".join(shown.get().split())
     assert list(picture_cells(subject)) == {
         "texture": ["nearest", "quilting", "gpdm", "patches"],
-        "svbrdf_stationary": ["nearest"],
+        "svbrdf_stationary": ["nearest", "quilting"],
     }.get(name, [])
     for baseline in baselines_of(subject.app):
         assert baseline.name in text

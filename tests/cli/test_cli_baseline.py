@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import OpenImageIO as oiio
 import pytest
 
 from metapp.storage.records import read_records
-from tests.pictures import photograph
+from tests.pictures import environment, photograph
 
 
 @pytest.mark.parametrize("method", ["quilting", "gpdm", "patches"])
@@ -25,6 +26,35 @@ def test_a_method_makes_a_picture_and_a_record_of_a_file(metapp: Callable, metho
     spec = oiio.ImageBuf(str(out / "outputs" / "wall" / "texture.png")).spec()
     assert (spec.width, spec.height) == (64, 64)
     assert "cannot" in done.err
+
+
+def test_quilting_writes_the_maps_of_a_flash_photo(metapp: Callable) -> None:
+    photograph(Path("cloth.png"), 9, 80)
+    done = metapp("baseline", "svbrdf_stationary", "cloth.png", "--method", "quilting", "--recipe", "quick", "--json")
+    assert done.code == 0, done.err
+    made = Path(done.document["out"], "outputs", "cloth")
+    maps = {"diffuse", "specular", "roughness", "normal", "height"}
+    assert {file.stem for file in made.iterdir()} == maps | {f"lit_from_{name}" for name in ("left", "above", "aside")}
+    for file in made.iterdir():
+        spec = oiio.ImageBuf(str(file)).spec()
+        assert (spec.width, spec.height) == (64, 64)
+        encoding = "linear" if file.stem in ("roughness", "normal", "height") else "sRGB"
+        assert spec.get_string_attribute("encoding") == encoding
+    assert "repeats" in done.err
+    unknown = metapp("baseline", "svbrdf_stationary", "cloth.png", "--method", "gpdm")
+    assert unknown.code == 2
+    assert "expected nearest, quilting." in unknown.err
+
+
+def test_a_map_in_half_precision_is_written_as_radiance(metapp: Callable) -> None:
+    environment(Path("hall.exr"))
+    options = ["--method", "halves", "--observe", "reference", "--recipe", "quick", "--json"]
+    done = metapp("baseline", "illumination", "hall.exr", *options)
+    assert done.code == 0, done.err
+    made = Path(done.document["out"], "outputs", "hall")
+    assert sorted(file.name for file in made.iterdir()) == ["map.exr", "map.png", "relit.png"]
+    pixels = [oiio.ImageBuf(str(file)).get_pixels("float") for file in (made / "map.exr", Path("hall.exr"))]
+    np.testing.assert_allclose(*pixels, rtol=0.01)
 
 
 def test_an_unknown_method_is_refused_and_the_known_ones_are_named(metapp: Callable) -> None:

@@ -113,9 +113,9 @@ class Illumination(CodedApp):
 
     def answer(self, theta: Params) -> Tensor:
         """The same as they are judged and shown."""
-        return self._scaled(self.radiance_of(theta))
+        return self.scaled(self.radiance_of(theta))
 
-    def _scaled(self, maps: Tensor) -> Tensor:
+    def scaled(self, maps: Tensor) -> Tensor:
         """Maps, of mean luminance 1 where a photograph does not say how bright they are."""
         return maps if self.protocol == "reference" else of_mean_1(maps)
 
@@ -130,7 +130,7 @@ class Illumination(CodedApp):
     def outer_loss(self, theta: Params, batch: Batch, learned: Params) -> Tensor:
         """Of the map, whatever fits see, [T]: above all of what diffuse surfaces send out under it."""
         maps = self.radiance_of(theta)
-        scaled = self._scaled(maps)
+        scaled = self.scaled(maps)
         sent, logs = self._sent_apart(scaled, batch["sent"], {})
         texels = _texels(scaled, batch["map"], {}, 0.0)
         photo = self._photo_loss(theta, maps, batch, {})
@@ -188,7 +188,7 @@ class Illumination(CodedApp):
         """Of maps [T, 3, H, W] of the field's size, linear radiance."""
         if "map" not in tasks.data:
             return {}
-        maps, target = self._scaled(answer), tasks.data["map"][tasks.rows]
+        maps, target = self.scaled(answer), tasks.data["map"][tasks.rows]
         pictures, references = relight(maps), relight(target)
         error = (pictures - references).abs().mean((1, 2, 3))
         logs = _texels(maps, target, {}, 0.0)

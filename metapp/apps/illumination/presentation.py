@@ -42,11 +42,17 @@ class IlluminationPresentation(CodedPresentation[Illumination]):
     def files(self, theta: Params, task: Task) -> dict[str, Picture]:
         """The map, at its file's scale, of mean luminance 1 where there was none, and the second scene under it."""
         one = {key: value[None] for key, value in theta.items()}
-        maps = self.app.answer(one)
-        large = self.app.sized(*self.size).answer(one) if self.size else maps
-        scale = task.data.get("scale", torch.ones(()))
+        files = self.files_of(self.app.radiance_of(one), task)
+        if self.size:
+            files["map"] = _radiance(self.app.sized(*self.size).answer(one), task)
+        return files
+
+    @torch.no_grad()
+    def files_of(self, answer: Tensor, task: Task) -> dict[str, Picture]:
+        """The same of a map [1, 3, H, W], of its size."""
+        maps = self.app.scaled(answer)
         return {
-            "map": Picture((large * scale)[0].permute(1, 2, 0), "radiance"),
+            "map": _radiance(maps, task),
             "relit": Picture(tone_map(relight(maps))[0].permute(1, 2, 0), "srgb"),
         }
 
@@ -55,6 +61,10 @@ class IlluminationPresentation(CodedPresentation[Illumination]):
         if self.app.protocol == "photo":
             return Visible(1, task.data["photos"][0].nbytes, 1)
         return Visible(1, task.data["map"].nbytes, 0)
+
+
+def _radiance(maps: Tensor, task: Task) -> Picture:
+    return Picture((maps * task.data.get("scale", torch.ones(())))[0].permute(1, 2, 0), "radiance")
 
 
 def shown(maps: Tensor, photo: Tensor) -> Tensor:

@@ -43,8 +43,12 @@ class SvbrdfNonstationaryPresentation(CodedPresentation[SvbrdfNonstationary]):
     @torch.no_grad()
     def files(self, theta: Params, task: Task) -> dict[str, Picture]:
         """The maps, as fine as the photograph up to FINEST px, and pictures under three other lights."""
-        maps = self._whole(theta, task)
-        pictures = displayed(maps) | {f"lit_from_{name}": picture for name, picture in relit(maps).items()}
+        return self.files_of(self._whole(theta, task), task)
+
+    @torch.no_grad()
+    def files_of(self, answer: Maps, task: Task) -> dict[str, Picture]:
+        """The same of maps [1, C, H, W], of their size."""
+        pictures = displayed(answer) | {f"lit_from_{name}": picture for name, picture in relit(answer).items()}
         return {
             name: Picture(picture.permute(1, 2, 0), KIND_OF.get(name, "srgb")) for name, picture in pictures.items()
         }

@@ -223,27 +223,30 @@ class SvbrdfStationary(ExemplarApp):
         """
         rng = Generator(tasks.rows.device).manual_seed(0)
         noise = self.noise(rng, 1, JUDGED).expand(len(tasks), -1, -1, -1, -1)
-        light = tasks.data["light"][tasks.rows][:, None]
-        errors = self.errors_of(self.photograph(self.maps(theta, noise)[0], light, light), tasks)
-        if "relit" in tasks.data:
-            errors["relit"] = self._relit(theta, noise, tasks.data["relit"][tasks.rows])
-        return errors
+        return self.errors_of(self.maps(theta, noise)[0], tasks)
 
     @torch.no_grad()
-    def errors_of(self, answer: Tensor, tasks: Tasks) -> dict[str, Tensor]:
-        """Of photographs [T, B, 3, H, W] of the exemplar's size under its light, sRGB in [0, 1]; without `relit`."""
+    def errors_of(self, answer: Maps | Tensor, tasks: Tasks) -> dict[str, Tensor]:
+        """Of maps [T, B, ...] of the exemplar's size, or of photographs [T, B, 3, H, W] of them, sRGB in [0, 1].
+
+        Photographs are under the exemplar's light and have no `relit`.
+        """
         every = torch.arange(GRID * GRID, device=tasks.rows.device).expand(len(tasks), -1)
-        distances = self._distances_of(answer, {"windows": every} | self._targets(tasks, every))
-        return {
+        light = tasks.data["light"][tasks.rows][:, None]
+        shown = self.photograph(answer, light, light) if isinstance(answer, Maps) else answer
+        distances = self._distances_of(shown, {"windows": every} | self._targets(tasks, every))
+        errors = {
             "error": distances["gram"],
             "spectrum": distances["spectrum"] / SPECTRUM,
             "brightness": distances["pooled"],
         }
+        if "relit" in tasks.data and isinstance(answer, Maps):
+            errors["relit"] = self._relit(answer, tasks.data["relit"][tasks.rows])
+        return errors
 
-    def _relit(self, theta: Params, noise: Tensor, references: Tensor) -> Tensor:
-        maps, _ = self.maps(theta, noise)
+    def _relit(self, maps: Maps, references: Tensor) -> Tensor:
         errors = []
-        for i, (light, view) in enumerate(relightings(device=noise.device).values()):
+        for i, (light, view) in enumerate(relightings(device=references.device).values()):
             pictures = self.photograph(maps, light, view)
             target = self.exemplar(references[:, i].float() / 255)
             grams = [

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from typing import Any
 
+import torch
 from torch import Tensor
 
 from metapp.appearance.colour import linear_to_srgb, srgb_to_linear, stretched
 from metapp.appearance.flash import Maps, relightings
 from metapp.appearance.presentation import Picture
+from metapp.appearance.relief import height_from_normal
 from metapp.appearance.surface import Surface
 from metapp.apps.svbrdf_stationary import SvbrdfStationary
 from metapp.learning.task import Params, Task
@@ -33,8 +35,15 @@ class SvbrdfStationaryPresentation(ExemplarPresentation[SvbrdfStationary]):
 
     def files(self, theta: Params, task: Task) -> dict[str, Picture]:
         """Maps that tile, of the size asked for, else four times the exemplar's; photographs under other lights."""
-        pictures = self._pictures(*self._whole(theta, task))
-        return {name: Picture(each.pixels.permute(1, 2, 0), each.kind) for name, each in pictures.items()}
+        return _as_files(self._pictures(*self._whole(theta, task)))
+
+    @torch.no_grad()
+    def files_of(self, answer: Maps | Tensor, task: Task) -> dict[str, Picture]:
+        """The same of the first of the maps [1, B, ...], which tile, of their size; or the first photograph."""
+        if not isinstance(answer, Maps):
+            return {"photo": Picture(answer[0, 0].permute(1, 2, 0), "srgb")}
+        maps = Maps(*(part[0, 0] for part in answer))
+        return _as_files(self._pictures(maps, height_from_normal(maps.normal, periodic=True)))
 
     def surface(self, theta: Params, task: Task) -> Surface:
         """The maps as `files` writes them."""
@@ -61,6 +70,11 @@ class SvbrdfStationaryPresentation(ExemplarPresentation[SvbrdfStationary]):
         for name, (light, view) in relightings(device=height.device).items():
             pictures[f"lit_from_{name}"] = Picture(self.app.photograph(maps, light, view), "srgb")
         return pictures
+
+
+def _as_files(pictures: dict[str, Picture]) -> dict[str, Picture]:
+    """Pictures [C, H, W] as files have them, [H, W, C]."""
+    return {name: Picture(each.pixels.permute(1, 2, 0), each.kind) for name, each in pictures.items()}
 
 
 PRESENTATION = SvbrdfStationaryPresentation

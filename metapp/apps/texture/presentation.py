@@ -60,6 +60,10 @@ class TexturePresentation(ExemplarPresentation[Texture]):
         """The texture, of the size asked for, else four times as high and wide as in training; it tiles."""
         return {"texture": Picture(self._whole(theta, task).permute(1, 2, 0), "srgb")}
 
+    def files_of(self, answer: Tensor, task: Task) -> dict[str, Picture]:
+        """The first of the textures [1, B, 3, H, W]."""
+        return {"texture": Picture(answer[0, 0].permute(1, 2, 0), "srgb")}
+
     def surface(self, theta: Params, task: Task) -> Surface:
         """The texture as `files` writes it."""
         return Surface(srgb_to_linear(self._whole(theta, task)), True)

@@ -68,7 +68,8 @@ def baseline_cell(subject: Subject, baseline: Baseline) -> Cell:
     def measure(tasks: list[Task]) -> Iterator[tuple[Record, Params | None]]:
         errors = {record["name"]: record["error"] for record in meta.records()} if baseline.matches else {}
         try:
-            yield from fit_baselines(plan, baseline, training_of(subject.app, source), tasks, errors)
+            for fitted in fit_baselines(plan, baseline, training_of(subject.app, source), tasks, errors):
+                yield fitted.record, fitted.kept
         except ValueError as error:
             say(f"{name_of(subject.app)} {baseline.name}: {error}")
 
