@@ -14,8 +14,8 @@ KEPT = 0.5  # of the order; quilting keeps 0.68 to 1.0
 CLIPPED = 0.01
 CELLS = 8  # along a side: blobs are of this size or larger, up to a quarter of a side
 NOISE = 0.02  # unevenness that is none: that of an even photo's sensor, and what steps leave in maps
-# General's maps of 12 of 220 synthetic materials have more, 7 of them 2 to 10 times as much as the true maps; the other 5
-# are rust, whose roughness does vary so.
+# General's maps of 12 of 220 synthetic materials have more, 7 of them 2 to 10 times as much as the true maps; the other
+# 5 are rust, whose roughness does vary so.
 BLOBS = 1.1
 
 

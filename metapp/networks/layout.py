@@ -6,13 +6,14 @@ Statistics cannot bring order into noise: where courses, threads and boards lie,
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 import torch
 from torch import Tensor
 from torch.nn.functional import affine_grid, avg_pool2d, grid_sample, interpolate
 
-from metapp.appearance.order import Lattice, lattice_of, levelled
+from metapp.appearance.order import lattice_of, levelled
 from metapp.appearance.quilting import quilted
 from metapp.learning.task import Params
 from metapp.networks.layers import enlarged
@@ -29,34 +30,39 @@ def quilted_layout(exemplar: Tensor, size: tuple[int, int]) -> Tensor:
 
     It is as bright everywhere: a slow change of the exemplar would be a band where its ends meet.
     """
-    tiling = as_tile(levelled(exemplar), lattice_of(exemplar))
+    tiling = as_tile(levelled(exemplar), exemplar.shape[1:])
     part = [round(side * to / of) for side, to, of in zip(tiling.shape[1:], size, exemplar.shape[1:], strict=True)]
-    return requilted(interpolate(tiling[None], size=part, mode="area")[0], size)
+    return _quilted(interpolate(tiling[None], size=part, mode="area")[0], size)
 
 
 def requilted(layout: Tensor, size: tuple[int, int]) -> Tensor:
     """A layout [3, h, w] of another size, quilted of this one [3, H, W]; it tiles."""
-    block = max(4, min(*layout.shape[1:], *size) // 2)
+    return _quilted(as_tile(layout, size), size)
+
+
+def _quilted(exemplar: Tensor, size: tuple[int, int]) -> Tensor:
+    block = max(4, min(*exemplar.shape[1:], *size) // 2)
     picture = quilted(
-        layout.movedim(0, -1).cpu().numpy(),
+        exemplar.movedim(0, -1).cpu().numpy(),
         size,
         np.random.default_rng(0),
         block=block,
         overlap=block // 3,
         tiles=True,
     )
-    return torch.from_numpy(picture).movedim(-1, 0).to(layout)
+    return torch.from_numpy(picture).movedim(-1, 0).to(exemplar)
 
 
-def as_tile(exemplar: Tensor, lattice: Lattice) -> Tensor:
-    """A picture [3, H, W] stretched by as little as lets its lattice, if it is a strong one, repeat with its sides.
+def as_tile(exemplar: Tensor, size: Sequence[int]) -> Tensor:
+    """A picture [3, H, W] stretched by as little as lets its lattice, if a strong one, repeat with a tile's sides.
 
-    Blocks of a regular pattern can agree across the edges of a tile only where the tile holds whole periods. What is
-    returned is smaller by what the stretched picture does not reach.
+    Blocks of a regular pattern can agree across the edges of a tile of size (h, w), of the picture's scale, only where
+    the tile holds whole periods. What is returned is smaller by what the stretched picture does not reach.
     """
+    lattice = lattice_of(exemplar)
     if lattice.score < REGULAR:
         return exemplar
-    texels = torch.tensor(exemplar.shape[-2:], dtype=lattice.vectors.dtype)
+    texels = torch.tensor(size, dtype=lattice.vectors.dtype)
     vectors = lattice.vectors.clone()
     alone = not bool(vectors[1].any())
     if alone:  # one direction: what is across it stays
