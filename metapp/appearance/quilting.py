@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 Picture = NDArray[np.floating]
 Mask = NDArray[np.bool_]
+Origins = NDArray[np.intp]
 TOLERANCE = 0.1  # as published: blocks whose overlaps differ by so much more than the best one's are as good
 
 
@@ -21,7 +22,22 @@ def quilted(
     overlap: int,
     tiles: bool = False,
 ) -> Picture:
-    """A picture [h, w, C] of blocks of an exemplar [H, W, C], each cut from its neighbours where both agree most.
+    """A picture [h, w, C] of blocks of an exemplar [H, W, C]; see `origins`."""
+    return _pixels(exemplar)[origins(exemplar, size, rng, block=block, overlap=overlap, tiles=tiles)]
+
+
+def origins(
+    exemplar: Picture,
+    size: tuple[int, int],
+    rng: np.random.Generator,
+    *,
+    block: int,
+    overlap: int,
+    tiles: bool = False,
+) -> Origins:
+    """Which px of an exemplar [H, W, C], row by row, each px [h, w] of a picture of its blocks is.
+
+    Each block is cut from its neighbours where both agree most.
 
     Args:
         exemplar: at least as high and wide as a block.
@@ -35,17 +51,35 @@ def quilted(
     places = [_places(length, block - overlap, tiles=tiles) for length in size]
     over = [block - max(np.diff([*of, of[-1] + block - overlap])) for of in places]
     beyond = 0 if tiles else block  # cut off at the end
-    result = np.zeros((height + beyond, width + beyond, exemplar.shape[2]))
+    result = np.zeros((height + beyond, width + beyond), np.intp)
+    pixels, numbers = _pixels(exemplar).astype(float), np.arange(exemplar.shape[0] * exemplar.shape[1])
+    numbers = numbers.reshape(exemplar.shape[:2])
     find = _finder(exemplar, block)
     for i, top in enumerate(places[0]):
         for j, left in enumerate(places[1]):
             rows = (top + np.arange(block)) % len(result)
             columns = (left + np.arange(block)) % result.shape[1]
-            part = result[np.ix_(rows, columns)]
+            there = result[np.ix_(rows, columns)]
+            part = pixels[there]
             sides = (i > 0, j > 0, tiles and i == len(places[0]) - 1, tiles and j == len(places[1]) - 1)
-            patch = find(part, _shared(block, over, sides), rng)
-            result[np.ix_(rows, columns)] = np.where(_taken(part, patch, over, sides)[..., None], patch, part)
-    return result[:height, :width].astype(exemplar.dtype)
+            y, x = find(part, _shared(block, over, sides), rng)
+            patch = numbers[y : y + block, x : x + block]
+            result[np.ix_(rows, columns)] = np.where(_taken(part, pixels[patch], over, sides), patch, there)
+    return result[:height, :width]
+
+
+def repeats(used: Origins) -> float:
+    """How many times a piece of the exemplar comes in a picture: its px over the distinct px of the exemplar in it.
+
+    Args:
+        used: as `origins` returns.
+    """
+    return used.size / np.unique(used).size
+
+
+def _pixels(exemplar: Picture) -> Picture:
+    """All px of an exemplar [H, W, C] in a row, [H W, C]."""
+    return exemplar.reshape(-1, exemplar.shape[2])
 
 
 Sides = tuple[bool, bool, bool, bool]
@@ -60,25 +94,27 @@ def _places(length: int, step: int, *, tiles: bool) -> list[int]:
     return [round(i * length / count) for i in range(count)]
 
 
-def _finder(exemplar: Picture, block: int) -> Callable[[Picture, Mask, np.random.Generator], Picture]:
-    """What finds a block of the exemplar that agrees with what is there: its errors are correlations."""
+Find = Callable[[Picture, Mask, np.random.Generator], tuple[int, int]]
+
+
+def _finder(exemplar: Picture, block: int) -> Find:
+    """What finds where a block of the exemplar begins that agrees with what is there: its errors are correlations."""
     height, width, _ = exemplar.shape
     size = (height, width)
     channels = np.fft.rfft2(exemplar, axes=(0, 1))
     squares = np.fft.rfft2(np.square(exemplar).sum(2))
     rows, columns = height - block + 1, width - block + 1
 
-    def find(part: Picture, shared: Mask, rng: np.random.Generator) -> Picture:
+    def find(part: Picture, shared: Mask, rng: np.random.Generator) -> tuple[int, int]:
         if not shared.any():
-            i, j = rng.integers(rows), rng.integers(columns)
-        else:
-            there = np.fft.rfft2(part * shared[..., None], size, axes=(0, 1))
-            product = squares * np.conj(np.fft.rfft2(shared, size)) - 2 * (channels * np.conj(there)).sum(2)
-            error = np.fft.irfft2(product, size)[:rows, :columns] + np.square(part[shared]).sum()
-            error = np.maximum(error, 1e-6)
-            good = np.argwhere(error <= (1 + TOLERANCE) * error.min())
-            i, j = good[rng.integers(len(good))]
-        return exemplar[i : i + block, j : j + block]
+            return int(rng.integers(rows)), int(rng.integers(columns))
+        there = np.fft.rfft2(part * shared[..., None], size, axes=(0, 1))
+        product = squares * np.conj(np.fft.rfft2(shared, size)) - 2 * (channels * np.conj(there)).sum(2)
+        error = np.fft.irfft2(product, size)[:rows, :columns] + np.square(part[shared]).sum()
+        error = np.maximum(error, 1e-6)
+        good = np.argwhere(error <= (1 + TOLERANCE) * error.min())
+        i, j = good[rng.integers(len(good))]
+        return int(i), int(j)
 
     return find
 

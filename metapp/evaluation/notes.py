@@ -49,9 +49,10 @@ def verdict(row: Row, other: str = "quickft") -> str:
 
 
 def warned(rows: Sequence[Row]) -> list[str]:
-    """How many fits end above their initialisation's loss, and on how many tasks the guard of a learned rule acted."""
+    """How many fits end above their initialisation's loss or look doubtful, and on how many tasks the guard acted."""
     remarks = (
         ("warnings", "{} of {} fits ended above their initialisation's loss"),
+        ("doubtful", "{} of {} fits look doubtful; their records say why, as `warning`"),
         ("guarded", "the guard acted on {} of {} tasks, which took twice the steps"),
     )
     return [

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 
 from metapp.evaluation.cell import Cell
 from metapp.evaluation.subject import Subject
+from metapp.runs.fits import ROSE
 from metapp.runs.naming import is_first_protocol, observe_of
 from metapp.runs.reporter import number
 from metapp.runs.statistics import Errors, Paired, paired, statistics_of
@@ -148,6 +149,7 @@ def blank(app: str, paradigm: str, *, beside_paper: bool = True, **entries: Any)
         "seconds": None,
         "tasks": 0,
         "warnings": 0,
+        "doubtful": 0,
         "guarded": None,
         "threads": None,
         "low": None,
@@ -206,10 +208,12 @@ def against(subject: Subject, name: str, *others: str) -> dict[str, list[Cell]]:
 
 
 def remarks(records: Sequence[Record]) -> Row:
-    """How many fits carry a warning, on how many the guard acted, and the threads, where records say so."""
+    """How many fits carry warnings of which kind, on how many the guard acted, and the threads, where records say."""
+    clauses = [record["warning"].split("; ") for record in records if record.get("warning")]
     threads = sorted({record["threads"] for record in records if record.get("threads")})
     return {
-        "warnings": sum(bool(record.get("warning")) for record in records),
+        "warnings": sum(some[0].startswith(ROSE) for some in clauses),
+        "doubtful": sum(not some[-1].startswith(ROSE) for some in clauses),
         "guarded": guarded(records),
         "threads": ", ".join(map(str, threads)) or None,
     }

@@ -46,7 +46,8 @@ class App(ABC):
     All methods are batched over tasks: parameters and batches have a leading task axis T. What fits look like, and what
     tables say about errors, is the business of its `metapp.appearance.presentation.Presentation`; its recipes are a
     table beside it. What only some applications have are the protocols below: a coarse-to-fine `Staged`, a
-    `LinearLayer`, `Known` parameters, an `OuterLoss`, an `OuterSample`, a `Distilled` network, `ReducedPrecision`.
+    `LinearLayer`, `Known` parameters, an `OuterLoss`, an `OuterSample`, a `Distilled` network, `ReducedPrecision`,
+    `Doubtful` fits.
 
     Attributes:
         setup: the sizes of its network, as a recipe has them; None where it has none.
@@ -185,6 +186,14 @@ class ReducedPrecision(Protocol):
 
     def precision(self, device: torch.device) -> str:
         """What is computed how, in words: part of every record; "" for float32 throughout."""
+
+
+@runtime_checkable
+class Doubtful(Protocol):
+    """An application that sees in a fit alone, without a reference, what is wrong with it."""
+
+    def doubts(self, theta: Params, tasks: Tasks) -> list[list[str]]:
+        """What is wrong with the fit of each task, in short clauses; [] where nothing is."""
 
 
 def linear_in(app: App) -> str:

@@ -20,6 +20,7 @@ from metapp.networks.layout import as_input, layouts, quilted_layout
 
 HIDDEN = 128
 JUDGED = 4
+SHOWN = 1  # seed of the noise of pictures that are written and shown
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from metapp.appearance.presentation import Fitted, Presentation, Visible
 from metapp.learning.app import stack
 from metapp.learning.task import Params, Task
 from metapp.networks.coded import CodedApp
-from metapp.networks.exemplar import ExemplarApp
+from metapp.networks.exemplar import SHOWN, ExemplarApp
 
 TILED = 4  # times as high and wide as in training: what is written
 LARGEST = 4096  # px
@@ -57,7 +57,7 @@ class ExemplarPresentation(Presentation[AnyExemplar]):
     def generated(self, theta: Params, make: Callable[[Params, Tensor], T], size: tuple[int, int]) -> T:
         """What `make` makes of theta [1, ...] and noise [1, 1, ...] of a size, height and width in px."""
         one = {key: value[None] for key, value in theta.items()}
-        rng, channels = Generator(theta["z"].device).manual_seed(1), self.app.setup.network.noise
+        rng, channels = Generator(theta["z"].device).manual_seed(SHOWN), self.app.setup.network.noise
         return make(one, torch.randn(1, 1, channels, *size, generator=rng, device=rng.device))
 
     def whole(self) -> tuple[int, int]:

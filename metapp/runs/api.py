@@ -133,5 +133,5 @@ def fit_all(
         tasks, label = tasks_to_fit(planned.app, planned.request)
         planned = find_checkpoint(planned)
         settings = planned.settings(label)
-        results = fit_tasks(planned, tasks)
+        results = fit_tasks(planned, tasks, warns=True)
         return [Fit(planned.app, task, settings, *result) for task, result in zip(tasks, results, strict=True)]

@@ -72,7 +72,7 @@ class Run(NamedTuple):
     def document(self) -> Document:
         """What --json prints."""
         plan, settings = self.plan, self.folder.settings
-        fields = ("name", "error", "seconds", "steps")
+        fields = ("name", "error", "seconds", "steps", "warning")
         document = {
             "app": plan.app.name,
             **observe_of(plan.app),
@@ -117,14 +117,15 @@ def execute(plan: Plan, lines: Iterable[Path] | None = None) -> Iterator[Run | F
                 with_checkpoint(replace(plan, request=replace(plan.request, quiet=True)))
         return
     make_folder(plan.request.out)
-    fitter = None if lines is None else Fitter(with_checkpoint(plan))  # said before the first line if missing
+    # with lines, what is missing is said before the first one
+    fitter = None if lines is None else Fitter(with_checkpoint(plan), warns=True)
     for inputs in [plan.request.inputs] if lines is None else ((path,) for path in lines):
         done: Run | Failure
         try:
             one = replace(plan, request=replace(plan.request, inputs=inputs))
             with threads(threads_of(plan.app)):
                 sources, label = _sources(one)
-                fitter = fitter or Fitter(with_checkpoint(plan))
+                fitter = fitter or Fitter(with_checkpoint(plan), warns=True)
                 fitter.plan = replace(one, checkpoint=fitter.plan.checkpoint)
                 done = _run(fitter, sources, label)
         except Exception as error:  # whatever it is, the next line is not to blame

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import torch
 from torch import Generator
 
-from metapp.learning.app import stack
+from metapp.learning.app import Doubtful, stack
 from metapp.learning.deadline import REMEMBERED, Deadline, Pace, Stopwatch, usual
 from metapp.learning.learn import Step, last
 from metapp.learning.task import Params, Rng, Task, Tasks, drawn
@@ -24,6 +24,7 @@ from metapp.storage import Document
 WARM = 1  # steps of the fit that loads kernels: the next one takes at most 2 % longer than after more of them
 PACED = 8  # steps of those that measure a step: as many as show all stages of a descent from coarse to fine
 PACING = 0.3  # seconds that these take, about; one of them at least
+ROSE = "the visible loss rose"  # a clause of warnings, which tables count apart from the others
 
 
 class Result(NamedTuple):
@@ -33,16 +34,24 @@ class Result(NamedTuple):
     theta: Params
 
 
-def fit_tasks(plan: Plan, tasks: Sequence[Task], watched: Watched | None = None) -> Iterator[Result]:
+def fit_tasks(
+    plan: Plan, tasks: Sequence[Task], watched: Watched | None = None, *, warns: bool = False
+) -> Iterator[Result]:
     """Fit tasks, each alone, so that its time is its own.
 
     The time is from the task's samples to the final parameters, warm. The error is None where a task holds no
     reference. Where fits are watched, drawing is not part of their times.
 
+    Args:
+        plan: with a checkpoint.
+        tasks: what to fit.
+        watched: the picture that is redrawn as steps go by, if any.
+        warns: whether warnings are also said, not only recorded; tables of hundreds of fits count them instead.
+
     Yields:
         Each fit as it comes.
     """
-    fitter = Fitter(plan, watched)
+    fitter = Fitter(plan, watched, warns=warns)
     fitter.check(tasks)
     for task in tasks:
         yield from fitter.fit([task])
@@ -55,11 +64,12 @@ class Fitter:
     Attributes:
         plan: with a checkpoint.
         watched: the picture that is redrawn as steps go by, if any.
+        warns: whether warnings are also said.
         over: by how many seconds fits were longer than the budget, of those that took steps and of those that did not.
     """
 
-    def __init__(self, plan: Plan, watched: Watched | None = None) -> None:
-        self.plan, self.watched = plan, watched
+    def __init__(self, plan: Plan, watched: Watched | None = None, *, warns: bool = False) -> None:
+        self.plan, self.watched, self.warns = plan, watched, warns
         self.over: dict[bool, list[float]] = {True: [], False: []}
         self._budget = plan.budget
         self._paces: list[Pace] = []
@@ -88,9 +98,9 @@ class Fitter:
         if self.watched:
             self.watched.show(tasks[0], theta, f"after {taken} steps")
         measures = app.errors(theta, stacked)
-        alarms = warnings_of(plan, stacked, theta, self._rng(tasks))
+        warnings = warnings_of(plan, stacked, theta, self._rng(tasks))
         results = []
-        for i, (task, alarm) in enumerate(zip(tasks, alarms, strict=True)):
+        for i, (task, clauses) in enumerate(zip(tasks, warnings, strict=True)):
             errors = {key: float(value[i]) for key, value in measures.items()}
             errors |= {key: app.traits.scale * value for key, value in errors.items() if key == "error"}
             own = {key: value[i] for key, value in theta.items()}
@@ -103,7 +113,10 @@ class Fitter:
                 {"guarded": fit.guarded is not None and bool(fit.guarded[i])} if plan.paradigm.guard(plan.job) else {}
             )
             record |= {"steps": taken} if self._budget is not None else {}
-            results.append(Result(record | ({"warning": alarm} if alarm else {}), own))
+            results.append(Result(record | ({"warning": "; ".join(clauses)} if clauses else {}), own))
+            for clause in clauses if self.warns else ():
+                remedy = "; try another rule, more steps or another paradigm." if clause.startswith(ROSE) else ""
+                say(f"warning: {task.name}: {clause}{remedy}")
         if self._budget is not None:
             if seconds > self._budget:
                 self.over[taken > 0].append(seconds - self._budget)
@@ -175,8 +188,8 @@ def require_finite(task: Task, theta: Params, errors: Mapping[str, float]) -> No
         raise FloatingPointError(f"{task.name}: the fit's {what} not finite; use another checkpoint or fewer steps.")
 
 
-def warnings_of(plan: Plan, stacked: Tasks, theta: Params, rng: Rng) -> list[str]:
-    """What records say of fits that are worse on what they see than their initialisation: learned rules can fail.
+def warnings_of(plan: Plan, stacked: Tasks, theta: Params, rng: Rng) -> list[list[str]]:
+    """What records say of fits that are doubtful, as some applications see themselves, or worse than they began.
 
     Args:
         plan: what the fits were made by.
@@ -185,22 +198,24 @@ def warnings_of(plan: Plan, stacked: Tasks, theta: Params, rng: Rng) -> list[str
         rng: as it was at the beginning of the fits, so that the initialisations are the same.
 
     Returns:
-        A line for each task, "" where there is nothing to say.
+        Clauses for each task, [] where there is nothing to say.
     """
+    app = plan.app
+    doubts = app.doubts(theta, stacked) if isinstance(app, Doubtful) else [[] for _ in range(len(stacked))]
+    rises = _rises(plan, stacked, theta, rng) if plan.steps else [[] for _ in range(len(stacked))]
+    return [[*rise, *doubt] for rise, doubt in zip(rises, doubts, strict=True)]
+
+
+def _rises(plan: Plan, stacked: Tasks, theta: Params, rng: Rng) -> list[list[str]]:
+    """Which fits are worse on what they see than their initialisation: learned rules can fail."""
     job = plan.job
-    if plan.steps == 0:
-        return [""] * len(stacked)
     first = plan.paradigm.initialisation(job, plan.prepared, stacked, rng)
     again = tuple(Generator(stacked.rows.device).manual_seed(0) for _ in stacked.names)
     with torch.no_grad():
         batch = drawn(lambda some, own: job.app.sample(some, own, job.recipe.batch), stacked, again)
         before, after = (job.app.loss(params, batch, {}).tolist() for params in (first, theta))
-    lines = []
-    for name, low, high in zip(stacked.names, before, after, strict=True):
-        lines.append("" if high <= low else f"the visible loss rose from {low:.4g} to {high:.4g}")
-        if lines[-1]:
-            say(f"warning: {name}: {lines[-1]}; try another rule, more steps or another paradigm.")
-    return lines
+    pairs = zip(before, after, strict=True)
+    return [[] if high <= low else [f"{ROSE} from {low:.4g} to {high:.4g}"] for low, high in pairs]
 
 
 def rng_of(plan: Plan, task: Task) -> Generator:

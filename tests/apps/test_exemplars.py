@@ -14,7 +14,7 @@ from metapp.appearance.features import RANDOM, gram, load_features
 from metapp.apps import app_of, class_of, recipes_of
 from metapp.apps.svbrdf_stationary.presentation import SvbrdfStationaryPresentation
 from metapp.apps.texture import Texture
-from metapp.learning.app import stack
+from metapp.learning.app import Doubtful, stack
 from metapp.learning.learn import MetaParameters, learn, over_tasks, task_loss
 from metapp.learning.recipe import Recipe
 from metapp.learning.rules import sgd
@@ -112,6 +112,24 @@ def test_an_exemplar_is_at_no_distance_from_itself(app: ExemplarApp, tasks: Task
     images = app.exemplar(tasks.data["image"].float() / 255)[:, None]
     assert app.errors_of(images, tasks)["error"].max() < 1e-5
     assert app.errors_of(images.roll(1, 0), tasks)["error"].min() > 1e-3
+
+
+def test_fits_are_doubted_each_for_itself_where_networks_read_layouts(app: ExemplarApp, tasks: Tasks) -> None:
+    at = torch.arange(64)
+    tiles = 60 + 130 * ((at[:, None] % 16 < 6) | (at % 16 < 6)).to(torch.uint8).expand(3, -1, -1)
+    ordered = Task("tiles", {"image": tiles})
+    noise = Task("noise", {"image": tasks.data["image"][0]})
+    assert isinstance(app, Doubtful)
+    both = stack(app, [noise, ordered])
+    theta = app.init(Generator().manual_seed(0), 2)
+    doubts = app.doubts(theta, both)
+    assert len(doubts) == 2
+    assert [any("regular structure" in clause for clause in clauses) for clauses in doubts] == [False, True]
+    alone = {key: value[1:] for key, value in theta.items()}
+    assert app.doubts(alone, both.select([1])) == doubts[1:]
+    quick = app_of(app.name, recipes_of(app.name)["quick"])
+    assert isinstance(quick, Doubtful)
+    assert quick.doubts({}, both) == [[], []]
 
 
 def test_coarse_stages_leave_out_all_of_the_finest_octave(app: ExemplarApp, tasks: Tasks) -> None:

@@ -347,5 +347,5 @@ def test_a_fit_that_gets_better_is_not_warned_of(network: Path, rng: torch.Gener
         return torch.Generator().manual_seed(1)
 
     theta = by.paradigm.fit(by.job, by.prepared, stacked, draws())
-    assert warnings_of(by, stacked, theta, draws()) == [""]
-    assert warnings_of(replace(by, job=by.job._replace(steps=0)), stacked, theta, draws()) == [""]
+    assert warnings_of(by, stacked, theta, draws()) == [[]]
+    assert warnings_of(replace(by, job=by.job._replace(steps=0)), stacked, theta, draws()) == [[]]

@@ -15,6 +15,7 @@ import torch
 from safetensors.numpy import save_file
 from safetensors.torch import load_file
 
+import metapp as api
 from data_tools.readers.material_maps import read_task
 from metapp.appearance import precision
 from metapp.appearance.colour import srgb_to_linear
@@ -23,7 +24,7 @@ from metapp.appearance.flash import normal_from_height, unpack
 from metapp.apps import presentation_of, recipes_of
 from metapp.learning.task import Task
 from metapp.networks.exemplar import ExemplarSetup
-from metapp.networks.generators import UNet
+from metapp.networks.generators import Pyramid, UNet
 from metapp.storage.records import read_records
 from tests.pictures import photograph, text, write
 from tests.quick import app_by
@@ -88,6 +89,28 @@ def test_a_photo_is_fitted_and_what_was_made_is_written(app: str, data: str, met
     assert (told["tiles"], told["size"]["width"]) == (True, 64)
     assert (told["provenance"]["app"], told["provenance"]["steps"]) == (app, 2)
     assert len(told["files"]) == {"texture": 1, "svbrdf_stationary": 10}[app]
+
+
+@pytest.mark.parametrize("app", ["texture"], indirect=True)
+def test_regular_structure_that_a_fit_loses_is_warned_of_by_all_that_shows_fits(
+    app: str, data: str, metapp: Callable, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Where networks read layouts; this one was not trained, so it loses it; General takes no step."""
+    quick = recipes_of(app)["quick"]
+    network = Pyramid(4, 3, code=8, outputs=quick.setup.network.outputs, layout=3)
+    setup = ExemplarSetup(64, 64, network, "vgg16", ("relu1_1", "relu2_1", "relu3_1"), octaves=2, shares=(0.6,))
+    monkeypatch.setitem(recipes_of(app), "quick", replace(quick, setup=setup))
+    at = np.arange(64)
+    tiles = np.where((at[:, None] % 16 < 5) | (at % 16 < 5), 190, 60).astype(np.uint8)
+    write(Path("tiles.png"), np.repeat(tiles[..., None], 3, 2))
+    done = metapp("general", app, "tiles.png", "--data", data, "--train", "--json")
+    warning = done.done["tasks"][0]["warning"]
+    assert warning.startswith("keeps 0.")
+    assert f"warning: tiles: {warning}" in " ".join(done.err.split())
+    (record,) = read_records(Path(done.document["out"], "record.jsonl"))
+    assert (record["warning"], record["settings"]["steps"]) == (warning, 0)
+    with pytest.warns(UserWarning, match="tiles: keeps 0"):
+        assert api.fit(app, "tiles.png", paradigm="general", data=Path(data)).warning == warning
 
 
 @pytest.mark.usefixtures("with_bfloat16")

@@ -26,7 +26,8 @@ from metapp.appearance.flash import (
 from metapp.appearance.highlight import gloss, unlit
 from metapp.appearance.order import flattened
 from metapp.learning.task import Batch, Held, Params, Task, Tasks
-from metapp.networks.exemplar import JUDGED, ExemplarApp
+from metapp.networks.doubts import of_blobs, of_highlight, of_order
+from metapp.networks.exemplar import JUDGED, SHOWN, ExemplarApp
 from metapp.networks.layout import astray
 
 GRID = 3  # windows along a side
@@ -243,6 +244,23 @@ class SvbrdfStationary(ExemplarApp):
         if "relit" in tasks.data and isinstance(answer, Maps):
             errors["relit"] = self._relit(answer, tasks.data["relit"][tasks.rows])
         return errors
+
+    @torch.no_grad()
+    def doubts(self, theta: Params, tasks: Tasks) -> list[list[str]]:
+        """Regular structure that was lost, clipped highlights, blobs; only where networks read layouts."""
+        if not self.setup.has_layout:
+            return [[] for _ in range(len(tasks))]
+        images, light = tasks.data["image"][tasks.rows], tasks.data["light"][tasks.rows]
+        noise = self.noise(Generator(tasks.rows.device).manual_seed(SHOWN), 1, 1).expand(len(tasks), -1, -1, -1, -1)
+        maps = Maps(*(part[:, 0] for part in self.maps(theta, noise)[0]))
+        photos = _even(self.exemplar(images.float() / 255), light)
+        made = _even(self.photograph(maps, light, light), light)
+        return [
+            of_order(self.name, photos[i], made[i])
+            + of_highlight(images[i])
+            + of_blobs(photos[i], Maps(*(part[i] for part in maps)))
+            for i in range(len(tasks))
+        ]
 
     def _relit(self, maps: Maps, references: Tensor) -> Tensor:
         errors = []

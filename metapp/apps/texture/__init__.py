@@ -9,7 +9,8 @@ from torch import Generator, Tensor
 
 from metapp.appearance.features import describe_precision, distance, gram
 from metapp.learning.task import Batch, Held, Params, Tasks
-from metapp.networks.exemplar import JUDGED, ExemplarApp
+from metapp.networks.doubts import of_order
+from metapp.networks.exemplar import JUDGED, SHOWN, ExemplarApp
 from metapp.networks.layout import astray
 
 SMALLEST_CROP = 0.5
@@ -65,6 +66,16 @@ class Texture(ExemplarApp):
     def errors_of(self, answer: Tensor, tasks: Tasks) -> dict[str, Tensor]:
         """Of pictures [T, B, 3, H, W] of the exemplar's size, sRGB in [0, 1]."""
         return {"error": self._distance(answer, self._targets(tasks))}
+
+    @torch.no_grad()
+    def doubts(self, theta: Params, tasks: Tasks) -> list[list[str]]:
+        """Regular structure that the picture of tables has lost; only where networks read layouts."""
+        if not self.setup.has_layout:
+            return [[] for _ in range(len(tasks))]
+        exemplars = self.exemplar(tasks.data["image"][tasks.rows].float() / 255)
+        noise = self.noise(Generator(tasks.rows.device).manual_seed(SHOWN), 1, 1)
+        made = self.generate(theta, noise.expand(len(tasks), -1, -1, -1, -1))[:, 0]
+        return [of_order(self.name, *pair) for pair in zip(exemplars, made, strict=True)]
 
     def crop(self, image: Tensor, rng: Generator) -> Tensor:
         """A square part of the image, at a random place and scale."""

@@ -73,16 +73,19 @@ def test_rows_are_compared_with_quickft_and_general_on_the_same_tasks(subject: S
 
 def test_fits_that_carry_a_warning_are_counted(subject: Subject, evaluate: Callable, tmp_path: Path) -> None:
     folder = RunFolder(tmp_path / "warned", {})
+    warnings = {1: "the visible loss rose from 1 to 2", 2: "the visible loss rose from 1 to 2; blobs", 0: "keeps 0.1"}
     for i, record in enumerate(subject.cell("meta").records()):
-        more = {"threads": 1, **({"warning": "the loss rose"} if i == 1 else {})}
+        more = {"threads": 1} | ({"warning": warnings[i]} if i in warnings else {})
         folder.add({key: value for key, value in record.items() if key not in ("key", "settings")} | more)
     subject._cells["meta"] = subject.cell("meta")._replace(folder=folder)
     for name in ("results", "quickft", "ablation"):
         found = rows(subject, name)
-        assert [row["warnings"] for row in found] == [int("meta" in (row["paradigm"],)) for row in found]
+        for kind in ("warnings", "doubtful"):
+            assert [row[kind] for row in found] == [2 * (row["paradigm"] == "meta") for row in found]
         notes = load_table(name).notes(subject, found)
-        assert "meta: 1 of 3 fits ended above their initialisation's loss" in notes
-        assert not any("quickft: " in note and "fits ended" in note for note in notes)
+        assert "meta: 2 of 3 fits ended above their initialisation's loss" in notes
+        assert "meta: 2 of 3 fits look doubtful; their records say why, as `warning`" in notes
+        assert not any("quickft: " in note and ("fits ended" in note or "doubtful" in note) for note in notes)
     assert "threads: 1" in load_table("quickft").notes(subject, rows(subject, "quickft"))
 
 
