@@ -65,7 +65,7 @@ def write_renders(app: App, tasks: Sequence[Task], folder: Path, side: int) -> l
 
 
 def write_pictures(files: dict[str, Picture], folder: Path) -> None:
-    """Write pictures as <folder>/<name>.png, and radiance as .exr beside it; some at a time, as compressing takes long."""
+    """Write pictures as <folder>/<name>.png, and radiance as .exr beside it; compressed side by side."""
     with ThreadPoolExecutor(WRITERS) as pool:
         list(pool.map(_write_picture, [folder / f"{name}.png" for name in files], files.values()))
 
