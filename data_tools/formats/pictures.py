@@ -102,7 +102,7 @@ FORMATS = (
         "svbrdf_stationary",
         "data_tools.readers.flash",
         "flash photos",
-        takes=("fov_rad",),
+        takes=("size", "least", "fov_rad"),
         command=Command(
             FLASH,
             "photograph",
@@ -117,6 +117,7 @@ FORMATS = (
         "texture",
         "data_tools.readers.photos",
         "images",
+        takes=("size", "least"),
         command=Command(IMAGES, "image", "FILES...", "Image files, and folders searched at any depth.", (SIZE,)),
     ),
     Format(

@@ -38,18 +38,19 @@ find = partial(find_photos, expected=("metadata.json",))  # the names that every
 recognises = holds_photos
 
 
-def read_task(path: Path, size: int = SIZE, fov_rad: float = 0.0) -> Task:
+def read_task(path: Path, size: int = SIZE, fov_rad: float = 0.0, least: int = 0) -> Task:
     """Turn a flash photograph into a task, named by `shown`.
 
     Args:
         path: the file.
         size: side in px.
         fov_rad: the camera's field of view along the shorter side; 0: as EXIF says, else that of fits.
+        least: as of `data_tools.readers.photos.read_photo`.
 
     Raises:
-        ValueError: as `data_tools.readers.photos.read_photo`.
+        ValueError: as the same.
     """
-    return Task(shown(path).name, {"image": read_photo(path, size, fov_rad=fov_rad, within_rad=FOV_RAD)})
+    return Task(shown(path).name, {"image": read_photo(path, size, fov_rad=fov_rad, within_rad=FOV_RAD, least=least)})
 
 
 def conversion(paths: Iterable[Path], split: str, *, size: int, fov: float) -> Conversion:

@@ -102,13 +102,15 @@ find = find_photos  # the names that every reader has
 recognises = holds_photos
 
 
-def read_task(path: Path, size: int = SIZE) -> Task:
+def read_task(path: Path, size: int = SIZE, least: int = 0) -> Task:
     """Turn an image file into a texture task of so many px a side, named by the file's stem.
+
+    What smaller pictures are enlarged to is `least`, as of `read_photo`.
 
     Raises:
         ValueError: as `read_photo`.
     """
-    return Task(path.stem, {"image": read_photo(path, size)})
+    return Task(path.stem, {"image": read_photo(path, size, least=least)})
 
 
 def read_photo(

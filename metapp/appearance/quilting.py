@@ -146,8 +146,11 @@ def beyond_cut(cost: Picture) -> Mask:
     height, width = cost.shape
     total = cost.copy()
     for row in range(1, height):
-        padded = np.pad(total[row - 1], 1, constant_values=np.inf)
-        total[row] += np.minimum(np.minimum(padded[:-2], padded[1:-1]), padded[2:])
+        above = total[row - 1]
+        least = above.copy()
+        np.minimum(least[1:], above[:-1], out=least[1:])
+        np.minimum(least[:-1], above[1:], out=least[:-1])
+        total[row] += least
     path = np.empty(height, int)
     path[-1] = total[-1].argmin()
     for row in range(height - 2, -1, -1):

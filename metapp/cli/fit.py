@@ -73,6 +73,11 @@ OPTIONS: Document = {
         help="px of what fits make: textures and maps of stationary svBRDFs to 4096x4096, illumination to 1024x2048; "
         "default: four times the exemplar's, the map's as it is fitted.",
     ),
+    "detail": typer.Option(
+        metavar="PX",
+        min=0,
+        help="px a side that photos are read and fitted at, 256 or 512; 0: 256. 512 takes four times as long.",
+    ),
     "render": typer.Option(
         metavar="PX",
         min=0,
@@ -95,7 +100,7 @@ OPTIONS: Document = {
     "device": typer.Option(help="auto, cpu or cuda."),
     "quiet": typer.Option("--quiet", "-q", help="No progress bar, no table."),
 }
-OWN = ("observe", "export", "size", "render", "fov", "scene_root")  # options that some applications have
+OWN = ("observe", "export", "size", "detail", "render", "fov", "scene_root")  # options that some applications have
 
 
 def exports() -> str:
@@ -111,6 +116,7 @@ def own_help(name: str) -> dict[str, str]:
     """What help says of arguments and options that differ between applications; of those it lacks, nothing."""
     from metapp.appearance.presentation import Presentation
     from metapp.apps import app_of, presentation_of, protocols_of, recipes_of
+    from metapp.runs.checks import details
 
     recipes, takes = recipes_of(name), {taken for form in inputs_of(name) for taken in form.takes}
     shown = presentation_of(app_of(name, next(iter(recipes.values()))))
@@ -121,6 +127,7 @@ def own_help(name: str) -> dict[str, str]:
         "observe": OPTIONS["observe"].help if protocols_of(name) else "",
         "export": f"Write each fit in another form: {', '.join(exports_of(name))}." if exports_of(name) else "",
         "size": OPTIONS["size"].help if type(shown).refusal is not Presentation.refusal else "",
+        "detail": OPTIONS["detail"].help if details(name) else "",
         "render": OPTIONS["render"].help if shown.renders else "",
         "fov": OPTIONS["fov"].help if "fov_rad" in takes else "",
         "scene_root": OPTIONS["scene_root"].help if "roots" in takes else "",

@@ -12,7 +12,7 @@ from torch import Generator, Tensor
 from torch.nn.functional import avg_pool2d, interpolate, leaky_relu
 
 from metapp.appearance.features import channels_of, describe_features, load_features, moments
-from metapp.learning.app import App
+from metapp.learning.app import App, Traits
 from metapp.learning.task import Batch, Params, Task, Tasks
 from metapp.networks.coded import encoder_of, with_decoder
 from metapp.networks.generators import Pyramid, UNet
@@ -38,6 +38,8 @@ class ExemplarSetup:
             it sees all from the beginning. A `Pyramid` makes small pictures, too.
         prior: weight in the loss of how far maps are from what General expects, where an application makes several
             that one picture does not tell apart.
+        finer: octaves by which exemplars are finer than what checkpoints were trained on; layouts, which hold the
+            structures that are larger in texels then, stay as they are.
     """
 
     height: int
@@ -48,6 +50,7 @@ class ExemplarSetup:
     octaves: int = 1
     shares: tuple[float, ...] = ()
     prior: float = 0.0
+    finer: int = 0
 
     def taps_of(self, octave: int) -> int:
         """How many layers are compared at an octave, 0 the finest."""
@@ -69,17 +72,25 @@ class ExemplarSetup:
 
     @property
     def laid_out(self) -> tuple[int, int]:
-        """Height and width of layouts: twice those of the coarsest pictures, where there are finer ones."""
-        octave = max(0, self.octaves - 2)
+        """Height and width of layouts: twice those of the coarsest pictures in training, where there are finer ones."""
+        octave = max(0, self.octaves - 2) + self.finer
         return self.height >> octave, self.width >> octave
 
     def times(self, octave: int) -> float:
         """How many times as high and wide pictures of an octave are as their layouts."""
         return (self.height >> octave) / self.laid_out[0]
 
-    def at(self, octave: int) -> UNet | Pyramid:
-        """The network that makes pictures of the size of an octave."""
-        return self.network._replace(finest=octave) if isinstance(self.network, Pyramid) else self.network
+
+def details_of(setup: ExemplarSetup) -> tuple[int, ...]:
+    """Sides in texels that exemplars can have, that of training first: a layout lets them be twice as large."""
+    trained = setup.width >> setup.finer
+    return (trained, 2 * trained) if setup.has_layout else ()
+
+
+def at_detail(setup: ExemplarSetup, side: int) -> ExemplarSetup:
+    """The same setup for exemplars of another side of `details_of`."""
+    finer = details_of(setup).index(side)
+    return replace(setup, height=(setup.height >> setup.finer) << finer, width=side, finer=finer)
 
 
 class ExemplarApp(App):
@@ -92,6 +103,10 @@ class ExemplarApp(App):
     setup: ExemplarSetup
     reduced: ClassVar[bool] = False  # whether fits see features in reduced precision
     described: ClassVar[tuple[str, ...]] = ("gram",)  # what is known of each map of features: gram0, gram1, ...
+
+    @property
+    def traits(self) -> Traits:
+        return replace(super().traits, reads=self.setup.width if self.setup.finer else 0)
 
     def conditions(self) -> dict[str, str]:
         return {"features": describe_features(self.setup.features)}
@@ -144,8 +159,14 @@ class ExemplarApp(App):
         return replace(tasks, data={key: value for key, value in tasks.data.items() if key not in left_out})
 
     def prepare(self, task: Task) -> dict[str, Tensor]:
-        """`image` uint8 [3, S, S], and what describes the exemplar in it."""
-        image = task.data["image"]
+        """`image` uint8 [3, S, S], and what describes the exemplar in it.
+
+        Raises:
+            ValueError: the picture is smaller than finer exemplars than those of training.
+        """
+        image, side = task.data["image"], self.setup.width
+        if self.setup.finer and image.shape[-1] < side:
+            raise ValueError(f"{task.name}: {image.shape[-1]} px a side, --detail {side} expects {side}; leave it out.")
         exemplar = self.exemplar(image[None].float() / 255)
         described = {key: value[0] for key, value in self.describe(exemplar).items()}
         return {"image": image} | described | {key: value[0] for key, value in self.laid_out(exemplar).items()}
@@ -165,8 +186,11 @@ class ExemplarApp(App):
 
     def made(self, theta: Params, noise: Tensor, octave: int = 0) -> Tensor:
         """What the network makes of noise [T, B, outputs, H, W], before any range is imposed; it tiles."""
-        network = self.setup.at(octave)
-        if not isinstance(network, Pyramid) or not self.setup.has_layout:
+        network = self.setup.network
+        if not isinstance(network, Pyramid):
+            return network(theta, noise)
+        network = network._replace(finest=octave)
+        if not self.setup.has_layout:
             return network(theta, noise)
         return network(theta, noise, as_input(layouts(theta["layout"], noise, self.setup.times(octave)), noise))
 

@@ -8,15 +8,17 @@ from typing import Any
 
 import torch
 from torch import Generator, Tensor
-from torch.nn.functional import conv2d, instance_norm, interpolate, leaky_relu, pad
+from torch.nn.functional import conv2d, instance_norm, interpolate, leaky_relu, leaky_relu_, pad
 
 from metapp.learning.task import Params
 
 SLOPE = 0.2
+EPS = 1e-5  # added to variances, as by instance_norm
 ROWS = 256  # of a `Pyramid` at a time; even
 
 Rows = Callable[[int, int], Tensor]
-"""(first, end) -> those rows of maps [B, C, end - first, W] that tile, so that row -1 is the last one."""
+"""(first, end) -> those rows of maps that tile, so that row -1 is the last one, with a column of the opposite edge on
+both sides: [B, C, end - first, W + 2]."""
 
 
 def add_layer(
@@ -147,7 +149,11 @@ def style_of(theta: Params, name: str) -> tuple[Tensor, Tensor]:
 
 def rows_of(x: Tensor) -> Rows:
     """The rows of maps [B, C, H, W]."""
-    return lambda first, end: x[..., torch.arange(first, end, device=x.device) % x.shape[-2], :]
+
+    def read(first: int, end: int) -> Tensor:
+        return pad(x[..., torch.arange(first, end, device=x.device) % x.shape[-2], :], (1, 1, 0, 0), mode="circular")
+
+    return read
 
 
 def enlarged_rows(x: Tensor) -> Rows:
@@ -155,7 +161,7 @@ def enlarged_rows(x: Tensor) -> Rows:
 
     def read(first: int, end: int) -> Tensor:
         coarse = rows_of(x)((first - 1) // 2, end // 2 + 1)
-        return interpolate(pad(coarse, (1, 1, 0, 0), mode="circular"), scale_factor=2, mode="bilinear")[..., 1:-1, 2:-2]
+        return interpolate(coarse, scale_factor=2, mode="bilinear")[..., 1:-1, 1:-1]
 
     return read
 
@@ -165,11 +171,13 @@ def styled_by_rows(theta: Params, name: str, read: Rows, height: int) -> Tensor:
     kernel, result = theta[f"{name}.kernel"], None
     for top in range(0, height, ROWS):
         end = min(top + ROWS, height)
-        strip = pad(read(top - 1, end + 1), (1, 1, 0, 0), mode="circular")
-        part = conv2d(strip, kernel.flatten(0, 1), groups=kernel.shape[0])
+        part = conv2d(read(top - 1, end + 1), kernel.flatten(0, 1), groups=kernel.shape[0])
         result = part.new_empty(*part.shape[:2], height, part.shape[3]) if result is None else result
         result[..., top:end, :] = part
     assert result is not None
     for channel, gain, shift in zip(result.split(1, 1), *style_of(theta, name), strict=True):
-        channel.copy_(leaky_relu(instance_norm(channel) * gain + shift, SLOPE))
+        channel.sub_(channel.mean((-1, -2), keepdim=True))
+        norm = torch.linalg.vector_norm(channel, dim=(-1, -2), keepdim=True)  # quicker than a variance
+        variance = norm.square() / channel[0, 0].numel()
+        leaky_relu_(channel.mul_(gain * torch.rsqrt(variance + EPS)).add_(shift), SLOPE)
     return result

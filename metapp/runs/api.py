@@ -117,8 +117,8 @@ def fit_all(
         sources: files and folders; none: the test tasks of `data`, else of the embedded set.
         paradigm: general, overfit, finetune, quickft or meta.
         fov: of flash photos, the camera's field of view along the shorter side in degrees; 0: as EXIF says, else 45.
-        options: observe, rule, recipe, steps, budget, data, checkpoint, seed, device, as on the command line; `out` is
-            where checkpoints that were trained here are looked for.
+        options: observe, rule, recipe, steps, budget, detail, data, checkpoint, seed, device, as on the command line;
+            `out` is where checkpoints that were trained here are looked for.
 
     Raises:
         ValueError: a bad file, no checkpoint; an option that the application does not have.

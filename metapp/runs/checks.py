@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from importlib import resources
 from pathlib import Path
 
@@ -13,6 +14,7 @@ from metapp.apps import app_names, app_of, presentation_of, protocols_of, recipe
 from metapp.learning.app import App
 from metapp.learning.recipe import Recipe
 from metapp.learning.rules import rule_of
+from metapp.networks.exemplar import ExemplarSetup, at_detail, details_of
 from metapp.runs import BadOption
 from metapp.runs.naming import name_of
 from metapp.runs.request import Request
@@ -102,6 +104,32 @@ def check_size(text: str, app: App) -> tuple[int, int] | None:
     if refusal := presentation_of(app).refusal(height, width):
         raise BadOption(f"--size {text}: {name_of(app)} {refusal}.")
     return height, width
+
+
+def details(app: str) -> dict[str, tuple[int, ...]]:
+    """The sides in px that an application's photographs can be fitted at, by its recipes that have a choice."""
+    setups = {name: recipe.setup for name, recipe in recipes_of(app).items()}
+    sides = {name: details_of(setup) for name, setup in setups.items() if isinstance(setup, ExemplarSetup)}
+    return {name: own for name, own in sides.items() if own}
+
+
+def check_detail(request: Request, name: str, recipe: Recipe) -> Recipe:
+    """The recipe of a name at the detail asked for.
+
+    Raises:
+        BadOption: it has no other, or not that one; training has none.
+    """
+    if not request.detail:
+        return recipe
+    known = details(request.app)
+    if name not in known:
+        remedy = f"give --recipe {', '.join(known)}" if known else "leave it out"
+        raise BadOption(f"--detail {request.detail}: {request.app} has no choice by recipe {name}; {remedy}.")
+    if request.detail not in known[name]:
+        raise BadOption(f"--detail {request.detail}: expected one of {', '.join(map(str, known[name]))}.")
+    if request.train:
+        raise BadOption("--detail: of fits; checkpoints are trained at the usual one, leave --train out.")
+    return replace(recipe, setup=at_detail(recipe.setup, request.detail))
 
 
 def check_export(name: str, app: str) -> None:

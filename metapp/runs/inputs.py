@@ -14,6 +14,7 @@ from typing import NamedTuple
 import torch
 
 from data_tools.formats import inputs_of
+from data_tools.readers.photos import SIZE
 from metapp.learning.app import App
 from metapp.learning.task import Task
 from metapp.runs.embedded import embedded_data
@@ -176,7 +177,11 @@ def _found(app: App, path: Path, request: Request) -> Iterator[tuple[list[Path],
         for line in skipped if len(readers) == 1 else ():
             say(f"warning: {line}")
         read = functools.partial(
-            form.read, size=app.traits.reads, roots=request.scene_root, fov_rad=math.radians(request.fov)
+            form.read,
+            size=app.traits.reads,
+            least=min(app.traits.reads, SIZE),
+            roots=request.scene_root,
+            fov_rad=math.radians(request.fov),
         )
         yield places, read
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -27,6 +28,7 @@ from metapp.storage.images import write_exr, write_png
 from metapp.storage.records import RunFolder, file_name, read_theta
 
 OUTPUTS = "outputs"  # the folder of pictures and maps, in a run's
+WRITERS = 2  # pictures compressed at a time
 
 
 def write_fit(shown: Presentation[Any], run: RunFolder, task: Task, theta: Params, form: str) -> None:
@@ -63,17 +65,21 @@ def write_renders(app: App, tasks: Sequence[Task], folder: Path, side: int) -> l
 
 
 def write_pictures(files: dict[str, Picture], folder: Path) -> None:
-    """Write pictures as <folder>/<name>.png, and radiance as .exr beside it."""
-    for name, (pixels, kind) in files.items():
-        file = folder / f"{name}.png"
-        texts = {"encoding": "linear" if kind in ("data", "height") else "sRGB"}
-        if kind == "height":
-            pixels, low, high = stretched(pixels)
-            texts |= {"height_minimum": f"{low:.9g}", "height_maximum": f"{high:.9g}", "height_unit": "texels"}
-        if kind == "radiance":
-            write_exr(pixels, file.with_name(f"{name}.exr"))
-            pixels = tone_map(pixels / pixels.mean().clamp_min(1e-20))  # whatever its unit
-        write_png(pixels, texts, file)
+    """Write pictures as <folder>/<name>.png, and radiance as .exr beside it; compressed side by side."""
+    with ThreadPoolExecutor(WRITERS) as pool:
+        list(pool.map(_write_picture, [folder / f"{name}.png" for name in files], files.values()))
+
+
+def _write_picture(file: Path, picture: Picture) -> None:
+    pixels, kind = picture
+    texts = {"encoding": "linear" if kind in ("data", "height") else "sRGB"}
+    if kind == "height":
+        pixels, low, high = stretched(pixels)
+        texts |= {"height_minimum": f"{low:.9g}", "height_maximum": f"{high:.9g}", "height_unit": "texels"}
+    if kind == "radiance":
+        write_exr(pixels, file.with_suffix(".exr"))
+        pixels = tone_map(pixels / pixels.mean().clamp_min(1e-20))  # whatever its unit
+    write_png(pixels, texts, file)
 
 
 def export_fit(shown: Presentation[Any], task: Task, theta: Params, path: Path, name: str, settings: Document) -> None:

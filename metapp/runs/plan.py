@@ -16,6 +16,7 @@ from metapp.paradigms import Job, Paradigm, paradigms
 from metapp.runs import BadOption
 from metapp.runs.batch_size import check_batch
 from metapp.runs.checks import (
+    check_detail,
     check_export,
     check_inputs,
     check_name,
@@ -43,7 +44,7 @@ class Plan:
     """What a request comes to.
 
     Attributes:
-        request: as it was made, with recipe and rule by their names, and steps None where they are the recipe's own.
+        request: as it was made, with recipe and rule by their names; steps None, detail 0 where they are the recipe's.
         paradigm: what fits.
         job: application, recipe, rule and steps that it works on.
         device: what it works with.
@@ -103,6 +104,7 @@ class Plan:
             "checkpoint": self.checkpoint.digest,
             "data": label,
             "recipe": self.request.recipe,
+            **({"detail": self.request.detail} if self.request.detail else {}),
             "seed": self.request.seed,
             "device": str(self.device),
             "versions": versions(),
@@ -111,11 +113,13 @@ class Plan:
         }
 
     def path(self, label: str) -> Path:
-        """runs/<app>/<paradigm>/<data>-<recipe>-seed<seed>, with rule, protocol, and steps other than the recipe's."""
+        """runs/<app>/<paradigm>/<data>-<recipe>-seed<seed>, with rule, protocol, and what is not the recipe's."""
         request = self.request
         name = f"{label}-{request.recipe}-seed{request.seed}"
         if self.paradigm.name == "meta":
             name += f"-{self.job.rule}"
+        if request.detail:
+            name += f"-detail{request.detail}"
         if request.steps is not None:
             name += f"-{request.steps}steps"
         if self.budget is not None:
@@ -154,12 +158,13 @@ def plan(request: Request) -> Plan:
     name = request.recipe or default_recipe(request.app)
     if name not in recipes:
         raise BadOption(f"--recipe '{name}': expected one of {', '.join(recipes)}.")
-    recipe = recipes[name]
+    recipe = check_detail(request, name, recipes[name])
     rule = check_rule(request, recipe)
     app = app_of(request.app, recipe, request.observe, rule=rule if paradigm.name == "meta" else "")
     device = find_device(request.device, app)
     steps = None if paradigm.steps(recipe) in (request.steps, 0) else request.steps
-    request = replace(request, recipe=name, rule=rule, steps=steps)
+    detail = request.detail if recipe.setup != recipes[name].setup else 0
+    request = replace(request, recipe=name, rule=rule, steps=steps, detail=detail)
     _check(request, app)
     budget, size = seconds_of(request.budget), check_size(request.size, app)
     return Plan(request, paradigm, Job(app, recipe, rule, steps), device, budget, size)

@@ -23,7 +23,7 @@ from metapp.storage.text import path_of
 SETTINGS = {
     **{"app": str, "data": str, "recipe": str},
     **{f"{name}?": str for name in ("paradigm", "rule", "observe", "checkpoint", "device", "precision", "peer")},
-    **{"seed?": range(1 << 63), "steps?": range(1 + 10**7), "versions?": {...: str}},
+    **{"seed?": range(1 << 63), "steps?": range(1 + 10**7), "detail?": range(1 + 10**4), "versions?": {...: str}},
 }
 ORIGIN = {
     **{f"{name}?": str for name in ("machine", "data", "checkpoint")},
@@ -81,6 +81,7 @@ def plan_as(settings: Document, origin: Document | None = None, **more: Any) -> 
         rule=settings.get("rule", "") if settings.get("paradigm") == "meta" else "",
         recipe=settings["recipe"],
         observe=settings.get("observe", ""),
+        detail=settings.get("detail", 0),
         quiet=True,
         **reading_of(origin or {}),
         **more,

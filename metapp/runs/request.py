@@ -22,6 +22,7 @@ class Request:
         app: name of the application.
         paradigm: general, overfit, finetune, quickft or meta.
         inputs: files and folders; none: the test tasks of the data set.
+        detail: px a side that photographs are read and fitted at; 0: as many as in training.
         fov: of flash photos, the camera's field of view along the shorter side in degrees; 0: as EXIF says, else 45.
         quiet: no progress, no messages but warnings.
     """
@@ -44,6 +45,7 @@ class Request:
     watch: bool = False
     export: str = ""
     size: str = ""
+    detail: int = 0
     render: int = 0
     fov: float = 0.0
     scene_root: Sequence[Path] = ()

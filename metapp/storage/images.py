@@ -15,6 +15,9 @@ from metapp.storage.files import write_atomically
 if TYPE_CHECKING:
     import OpenImageIO as oiio
 
+LEVEL = 2  # of 9, of deflation
+AVERAGE = 64  # libpng's filter by the average of the pixels left and above
+
 
 def write_png(pixels: Tensor, texts: Mapping[str, str], path: Path, bits: int = 8) -> None:
     """Write a picture as PNG.
@@ -53,6 +56,9 @@ def _write_png(picture: Tensor, texts: Mapping[str, str], bits: int, path: Path)
     image = oiio.ImageBuf(np.ascontiguousarray(pixels))
     # whoever honours a PNG's colour space would decode roughness and normals wrongly
     image.specmod().attribute("oiio:ColorSpace", "data" if texts["encoding"] == "linear" else "sRGB")
+    # the library's own take twice the time, for files of noisy pictures 2 % smaller
+    image.specmod().attribute("png:compressionLevel", LEVEL)
+    image.specmod().attribute("png:filter", AVERAGE)
     for key, text in texts.items():
         image.specmod().attribute(key, text)
     _write(image, f"uint{bits}", path)

@@ -8,9 +8,13 @@ from dataclasses import fields
 from pathlib import Path
 
 import pytest
+import torch
+from torch import Generator
 
 from metapp.apps import app_names, recipes_of
 from metapp.cli.fit import OPTIONS
+from metapp.learning.task import Task
+from metapp.runs import BadOption
 from metapp.runs.checks import ships
 from metapp.runs.plan import plan
 from metapp.runs.request import Request
@@ -29,12 +33,12 @@ def test_every_field_of_a_request_is_an_option() -> None:
     assert {field.name for field in fields(Request)} == OPTIONS.keys() | {"paradigm"}
 
 
-OWN = {"observe", "export", "size", "render", "fov", "scene-root"}
+OWN = {"observe", "export", "size", "detail", "render", "fov", "scene-root"}
 SHOWN = {
     "": set(),
     "brdf": {"export"},
-    "texture": {"export", "size"},
-    "svbrdf_stationary": {"export", "size", "fov"},
+    "texture": {"export", "size", "detail"},
+    "svbrdf_stationary": {"export", "size", "detail", "fov"},
     "svbrdf_nonstationary": {"observe", "export", "fov"},
     "illumination": {"observe", "size"},
     "transport": {"render", "scene-root"},
@@ -49,3 +53,34 @@ def test_help_shows_the_options_of_the_application_alone(metapp: Callable, name:
     assert options & OWN == SHOWN[name]
     assert {"steps", "rule", "recipe", "batch", "budget"} <= options
     assert ("MERL" in result.out) == (name == "brdf")  # the inputs are those of the application, too
+
+
+@pytest.mark.parametrize(
+    ("app", "recipe", "detail", "line"),
+    [
+        ("brdf", "", 512, "brdf has no choice by recipe .*; leave it out"),
+        ("texture", "quick", 512, "no choice by recipe quick; give --recipe full"),
+        ("texture", "full", 300, "expected one of 256, 512"),
+    ],
+)
+def test_a_detail_that_there_is_not_is_refused(app: str, recipe: str, detail: int, line: str) -> None:
+    with pytest.raises(BadOption, match=line):
+        plan(Request(app, recipe=recipe, detail=detail))
+
+
+@pytest.mark.parametrize("app", ["texture", "svbrdf_stationary"])
+def test_a_finer_detail_fits_the_same_parameters_to_larger_pictures(app: str) -> None:
+    usual, fine = (plan(Request(app, "general", recipe="full", detail=detail)) for detail in (256, 512))
+    assert usual.request.detail == 0
+    assert fine.request.detail == 512
+    assert (usual.app.traits.reads, fine.app.traits.reads) == (0, 512)
+    shapes = [{key: value.shape for key, value in of.app.init(Generator(), 1).items()} for of in (usual, fine)]
+    assert shapes[0] == shapes[1]
+    small = Task("small", {"image": torch.zeros(3, 300, 300, dtype=torch.uint8)})
+    with pytest.raises(ValueError, match="small: 300 px a side, --detail 512 expects 512; leave it out"):
+        fine.app.prepare(small)
+
+
+def test_training_has_no_detail() -> None:
+    with pytest.raises(BadOption, match="leave --train out"):
+        plan(Request("texture", recipe="full", detail=512, train=True))
