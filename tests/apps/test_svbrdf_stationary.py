@@ -11,7 +11,17 @@ from torch import Generator, Tensor
 
 from metapp.appearance.colour import linear_to_srgb, srgb_to_linear
 from metapp.appearance.features import RANDOM
-from metapp.appearance.flash import Maps, camera, expose, normal_from_height, positions, relightings, render, statistics
+from metapp.appearance.flash import (
+    GAMMA,
+    Maps,
+    camera,
+    expose,
+    normal_from_height,
+    positions,
+    relightings,
+    render,
+    statistics,
+)
 from metapp.apps import svbrdf_stationary
 from metapp.apps.svbrdf_stationary import (
     DRAWN,
@@ -20,6 +30,7 @@ from metapp.apps.svbrdf_stationary import (
     OF_ROUGHNESS,
     POOLED,
     RELIEF,
+    SPECULAR,
     TRUTH,
     SvbrdfStationary,
     _grams,
@@ -399,8 +410,14 @@ def test_the_outer_loss_knows_the_truth_where_a_task_has_it(sources: list[Task])
         return app.outer_loss(theta, app.sample(tasks, seeded(), 1) | {"noise": noise}, {})
 
     unequal = torch.cat([own.expand(2, -1, -1) + 0.5, own])  # of other sizes than the network's
-    there, off = loss_of(unequal), loss_of(unequal + 0.1)
-    torch.testing.assert_close(off - there, torch.tensor([0.1 * TRUTH]))
+    others = torch.full((2, 6), 0.1)
+    others[0, 3] = 0  # mean specular, which counts by its logit, too
+    there, off = loss_of(unequal), loss_of(unequal + others)
+    torch.testing.assert_close(off - there, torch.tensor([0.1 * TRUTH * 11 / 12]))
+    brighter = unequal + (0.1 - others)
+    logits = [torch.logit(truth[-1, 0, 3] ** GAMMA) for truth in (unequal, brighter)]
+    expected = 0.1 * TRUTH / 12 + SPECULAR * (logits[1] - logits[0]).abs()
+    torch.testing.assert_close(loss_of(brighter) - there, expected[None], atol=0.01, rtol=0)  # maps vary a little
 
 
 def test_a_prior_keeps_maps_usual(sources: list[Task]) -> None:
