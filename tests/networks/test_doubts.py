@@ -35,16 +35,17 @@ def test_what_keeps_regular_structure_is_not_doubted() -> None:
     assert of_order("texture", bricks(), bricks(5)) == []
 
 
-def test_what_loses_regular_structure_is_told_how_much_and_what_copies_it() -> None:
+@pytest.mark.parametrize("app", ["texture", "svbrdf_stationary"])
+def test_what_loses_regular_structure_is_told_how_much_and_what_copies_it(app: str) -> None:
     mixed = bricks().flatten(1)[:, torch.randperm(SIZE * SIZE, generator=Generator().manual_seed(0))]
-    (clause,) = of_order("texture", bricks(), mixed.unflatten(1, (SIZE, SIZE)))
+    (clause,) = of_order(app, bricks(), mixed.unflatten(1, (SIZE, SIZE)))
     kept = re.fullmatch(
-        r"keeps (\S+) of the photo's regular structure \(`metapp baseline texture INPUT --method (\w+)` copies it\)",
+        rf"keeps (\S+) of the photo's regular structure \(`metapp baseline {app} INPUT --method (\w+)` copies it\)",
         clause,
     )
     assert kept
     assert 0 <= float(kept[1]) < KEPT
-    assert kept[2] in {baseline.name for baseline in baselines_of(app_of("texture", recipes_of("texture")["full"]))}
+    assert kept[2] in {baseline.name for baseline in baselines_of(app_of(app, recipes_of(app)["full"]))}
 
 
 def test_photos_without_regular_structure_lose_none() -> None:
