@@ -1,8 +1,8 @@
 """Draw what fits by the recipe `full` make: full_figure.py PICTURE APP TASK|FILE...
 
 A column a task, 160 px each; TASK is the beginning of a name of the embedded test set, such as bricks. Of textures the
-exemplar, image quilting, General, QuickFT, Meta; of stationary svBRDFs the photo, General, QuickFT and Meta under its
-flash, then Meta's diffuse colour, roughness and normals, and lit from the left.
+exemplar, image quilting, General, QuickFT, Meta; of stationary svBRDFs the photo, quilting, General, QuickFT and Meta
+under its flash, then Meta's diffuse colour, roughness and normals, and lit from the left.
 """
 
 import sys
@@ -15,10 +15,12 @@ from torch import Generator, Tensor
 from torch.nn.functional import interpolate
 
 from metapp.appearance.colour import linear_to_srgb
+from metapp.appearance.flash import Maps
 from metapp.appearance.order import lattice_of, order_kept
 from metapp.apps import presentation_of
 from metapp.apps.svbrdf_stationary import SvbrdfStationary
 from metapp.apps.texture import Texture
+from metapp.baselines.svbrdf_stationary import quilted_maps
 from metapp.baselines.texture import quilt
 from metapp.learning.app import stack
 from metapp.learning.task import Task
@@ -55,12 +57,22 @@ def texture(task: Task) -> list[Tensor]:
     return [exemplar, *made.values()]
 
 
+def quilted(task: Task) -> Tensor:
+    """Quilted maps under the photo's flash, [3, H, W]."""
+    app = find_checkpoint(plan(Request("svbrdf_stationary", "general", recipe="full", quiet=True))).app
+    assert isinstance(app, SvbrdfStationary)
+    photo = app.exemplar(task.data["image"][None].float() / 255)
+    light = app.light_of(photo)
+    maps = quilted_maps(photo, light, np.random.default_rng(0), 1)
+    return app.photograph(Maps(*(part[0, 0] for part in maps)), light[0], light[0])
+
+
 def material(task: Task) -> list[Tensor]:
-    """The photo; General, QuickFT and Meta under its flash; Meta's maps, lit from the left."""
+    """The photo; quilting, General, QuickFT and Meta under its flash; Meta's maps, lit from the left."""
     made = {name: fitted("svbrdf_stationary", name, task) for name in PARADIGMS}
     print(task.name, flush=True)
     meta = made["meta"]
-    under_flash = [meta["reference"], *(each["fit"] for each in made.values())]
+    under_flash = [meta["reference"], quilted(task), *(each["fit"] for each in made.values())]
     return [*under_flash, meta["diffuse"], meta["roughness"], meta["normal"], meta["lit_from_left"]]
 
 
