@@ -59,7 +59,7 @@ def texture(task: Task) -> list[Tensor]:
 
 def quilted(task: Task) -> Tensor:
     """Quilted maps under the photo's flash, [3, H, W]."""
-    app = find_checkpoint(plan(Request("svbrdf_stationary", "general", recipe="full", quiet=True))).app
+    app = plan(Request("svbrdf_stationary", "general", recipe="full", quiet=True)).app
     assert isinstance(app, SvbrdfStationary)
     photo = app.exemplar(task.data["image"][None].float() / 255)
     light = app.light_of(photo)
@@ -79,10 +79,10 @@ def material(task: Task) -> list[Tensor]:
 def named(app: str, name: str) -> Task:
     """A file's task, or the embedded test task whose name begins so."""
     path = Path(name)
-    by = find_checkpoint(plan(Request(app, "general", [path] if path.exists() else [], recipe="full", quiet=True)))
+    planned = plan(Request(app, "general", [path] if path.exists() else [], recipe="full", quiet=True))
     if path.exists():
-        return tasks_to_fit(by.app, by.request)[0][0]
-    return next(task for task in tasks_of_data(by.app, None, True)[0] if task.name.startswith(name))
+        return tasks_to_fit(planned.app, planned.request)[0][0]
+    return next(task for task in tasks_of_data(planned.app, None, True)[0] if task.name.startswith(name))
 
 
 def main(picture: Path, app: str, names: list[str]) -> None:

@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from metapp.appearance.flash import GAMMA, Maps, positions, render
+from metapp.appearance.order import flattened
 
 RINGS = 24
 REACH = 1.5  # half sides of the patch from the flash to the last ring
@@ -55,6 +56,11 @@ def unlit(pictures: Tensor, light: Tensor) -> Tensor:
     around = (means @ belongs).unflatten(-1, pictures.shape[-2:]).clamp_min(0.02)
     even: Tensor = pictures * pictures.mean((-1, -2), keepdim=True) / around
     return even
+
+
+def evenly_lit(photos: Tensor, light: Tensor) -> Tensor:
+    """Photos [..., 3, H, W] under a flash [..., 3] as if the light were the same everywhere."""
+    return flattened(unlit(photos, light))
 
 
 @torch.no_grad()

@@ -7,8 +7,8 @@ import torch
 from torch import Generator, Tensor
 
 from metapp.appearance.flash import GAMMA, Maps, normal_from_height
-from metapp.appearance.highlight import gloss, unlit
-from metapp.appearance.order import flattened, high_passed
+from metapp.appearance.highlight import evenly_lit, gloss
+from metapp.appearance.order import high_passed
 from metapp.appearance.quilting import Picture, quilted
 from metapp.apps.svbrdf_stationary import SvbrdfStationary
 from metapp.baselines.baseline import Allowed, Baseline, BaselineFit, PreparedBaseline, Training
@@ -39,7 +39,7 @@ def quilted_maps(photo: Tensor, light: Tensor, rng: np.random.Generator, count: 
         rng: chooses among pieces that fit about as well.
         count: of materials.
     """
-    found, even = gloss(photo, light), flattened(unlit(photo, light))[0].clamp(0, 1)
+    found, even = gloss(photo, light), evenly_lit(photo, light)[0].clamp(0, 1)
     size = (even.shape[1], even.shape[2])
     exemplar: Picture = as_tile(even, size).permute(1, 2, 0).numpy()
     block, overlap = block_of(exemplar)

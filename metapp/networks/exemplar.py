@@ -256,3 +256,17 @@ class ExemplarApp(App):
     def carried(self, tasks: Tasks, channels: Tensor) -> dict[str, Tensor]:
         """What else is known of these exemplars, once their channels are those [T, 3] of before."""
         return {}
+
+
+def same_noise(app: ExemplarApp, like: Tensor, count: int, *, seed: int = 0, octave: int = 0) -> Tensor:
+    """Noise that is the same for all tasks and no fit draws, [tasks, count, C, h, w].
+
+    Args:
+        app: whose network reads it.
+        like: a tensor with one entry a task, on the device that noise is to be on.
+        count: of pictures of each task.
+        seed: of the draw.
+        octave: that pictures are as large as, 0 for the whole size.
+    """
+    rng = Generator(like.device).manual_seed(seed)
+    return app.noise(rng, 1, count, octave=octave).expand(len(like), -1, -1, -1, -1)

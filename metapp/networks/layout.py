@@ -30,9 +30,14 @@ def quilted_layout(exemplar: Tensor, size: tuple[int, int]) -> Tensor:
 
     It is as bright everywhere: a slow change of the exemplar would be a band where its ends meet.
     """
+    return _quilted(shrunk(exemplar, size), size)
+
+
+def shrunk(exemplar: Tensor, size: tuple[int, int]) -> Tensor:
+    """What a layout of a size is quilted of: an exemplar [3, H, W], levelled, stretched, at the layout's scale."""
     tiling = as_tile(levelled(exemplar), exemplar.shape[1:])
     part = [round(side * to / of) for side, to, of in zip(tiling.shape[1:], size, exemplar.shape[1:], strict=True)]
-    return _quilted(interpolate(tiling[None], size=part, mode="area")[0], size)
+    return interpolate(tiling[None], size=part, mode="area")[0]
 
 
 def requilted(layout: Tensor, size: tuple[int, int]) -> Tensor:
@@ -41,16 +46,16 @@ def requilted(layout: Tensor, size: tuple[int, int]) -> Tensor:
 
 
 def _quilted(exemplar: Tensor, size: tuple[int, int]) -> Tensor:
-    block = max(4, min(*exemplar.shape[1:], *size) // 2)
-    picture = quilted(
-        exemplar.movedim(0, -1).cpu().numpy(),
-        size,
-        np.random.default_rng(0),
-        block=block,
-        overlap=block // 3,
-        tiles=True,
-    )
+    block, overlap = blocks_of(exemplar, size)
+    numbers = np.random.default_rng(0)
+    picture = quilted(exemplar.movedim(0, -1).cpu().numpy(), size, numbers, block=block, overlap=overlap, tiles=True)
     return torch.from_numpy(picture).movedim(-1, 0).to(exemplar)
+
+
+def blocks_of(exemplar: Tensor, size: tuple[int, int]) -> tuple[int, int]:
+    """Side of the blocks that a layout is quilted in, and what neighbours share, in texels."""
+    block = max(4, min(*exemplar.shape[1:], *size) // 2)
+    return block, block // 3
 
 
 def as_tile(exemplar: Tensor, size: Sequence[int]) -> Tensor:

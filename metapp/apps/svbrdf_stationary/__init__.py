@@ -23,11 +23,10 @@ from metapp.appearance.flash import (
     render,
     statistics,
 )
-from metapp.appearance.highlight import gloss, unlit
-from metapp.appearance.order import flattened
+from metapp.appearance.highlight import evenly_lit, gloss
 from metapp.learning.task import Batch, Held, Params, Task, Tasks
 from metapp.networks.doubts import of_blobs, of_highlight, of_order
-from metapp.networks.exemplar import JUDGED, SHOWN, ExemplarApp
+from metapp.networks.exemplar import JUDGED, SHOWN, ExemplarApp, same_noise
 from metapp.networks.layout import astray
 
 GRID = 3  # windows along a side
@@ -126,8 +125,8 @@ class SvbrdfStationary(ExemplarApp):
     @torch.no_grad()
     def _expected(self, theta: Params) -> Tensor:
         """Means of specular and roughness [T, 2] as the network makes them, of a small picture from the same noise."""
-        coarsest, rng = self.setup.octaves - 1, Generator(theta["z"].device).manual_seed(0)
-        noise = self.noise(rng, 1, 1, octave=coarsest).expand(len(theta["z"]), -1, -1, -1, -1)
+        coarsest = self.setup.octaves - 1
+        noise = same_noise(self, theta["z"], 1, octave=coarsest)
         return torch.stack([part.mean((1, 2, 3, 4)) for part in _gloss(self.maps(theta, noise, coarsest)[0])], -1)
 
     def maps(self, theta: Params, noise: Tensor, octave: int = 0) -> tuple[Maps, Tensor]:
@@ -182,7 +181,7 @@ class SvbrdfStationary(ExemplarApp):
             return loss + LIKELY * _unusual(maps, maps.diffuse.new_zeros(len(maps.diffuse), 2))
         level = sum(self.setup.width >> octave < size for size in STATISTICS_AT[:-1])
         truth = batch["truth"][:, level]
-        specular = torch.logit(truth[:, 0, 3] ** GAMMA, 1e-3) + 3  # as networks make it, where no gradient vanishes
+        specular = _raw_specular(truth[:, 0, 3] ** GAMMA, 1e-3)  # where no gradient vanishes
         unlike = (_gloss(maps)[0].mean((1, 2, 3, 4)) - specular).abs()
         return loss + TRUTH * (statistics(maps) - truth[:, None]).abs().mean((1, 2, 3)) + SPECULAR * unlike
 
@@ -194,12 +193,12 @@ class SvbrdfStationary(ExemplarApp):
                 _chroma(pictures.flatten(0, 1)).unflatten(0, pictures.shape[:2]) - batch["chroma"][:, None]
             ).abs()
             distances["colour"] = COLOUR * colours.mean((1, 2))
-            distances["astray"] = astray(theta, batch["noise"], _even(pictures, batch["light"][:, None]), times)
+            distances["astray"] = astray(theta, batch["noise"], evenly_lit(pictures, batch["light"][:, None]), times)
         return distances
 
     def laid_out(self, exemplars: Tensor) -> dict[str, Tensor]:
         """Layouts of photos as if the light were the same everywhere."""
-        return super().laid_out(_even(exemplars, self.light_of(exemplars))) if self.setup.has_layout else {}
+        return super().laid_out(evenly_lit(exemplars, self.light_of(exemplars))) if self.setup.has_layout else {}
 
     def _distances_of(self, pictures: Tensor, batch: Batch) -> dict[str, Tensor]:
         leading = pictures.shape[:2]
@@ -222,8 +221,7 @@ class SvbrdfStationary(ExemplarApp):
 
         `relit` is the error under other lights and from elsewhere, where the data set has references of that.
         """
-        rng = Generator(tasks.rows.device).manual_seed(0)
-        noise = self.noise(rng, 1, JUDGED).expand(len(tasks), -1, -1, -1, -1)
+        noise = same_noise(self, tasks.rows, JUDGED)
         return self.errors_of(self.maps(theta, noise)[0], tasks)
 
     @torch.no_grad()
@@ -251,10 +249,10 @@ class SvbrdfStationary(ExemplarApp):
         if not self.setup.has_layout:
             return [[] for _ in range(len(tasks))]
         images, light = tasks.data["image"][tasks.rows], tasks.data["light"][tasks.rows]
-        noise = self.noise(Generator(tasks.rows.device).manual_seed(SHOWN), 1, 1).expand(len(tasks), -1, -1, -1, -1)
+        noise = same_noise(self, tasks.rows, 1, seed=SHOWN)
         maps = Maps(*(part[:, 0] for part in self.maps(theta, noise)[0]))
-        photos = _even(self.exemplar(images.float() / 255), light)
-        made = _even(self.photograph(maps, light, light), light)
+        photos = evenly_lit(self.exemplar(images.float() / 255), light)
+        made = evenly_lit(self.photograph(maps, light, light), light)
         return [
             of_order(self.name, photos[i], made[i])
             + of_highlight(images[i])
@@ -278,12 +276,15 @@ class SvbrdfStationary(ExemplarApp):
 
 def _gloss(maps: Maps) -> tuple[Tensor, Tensor]:
     """What the network made specular and roughness of, before any range was imposed, [T, B, 1, H, W] each."""
-    return torch.logit(maps.specular, 1e-4) + 3, torch.logit((maps.roughness - 0.1) / 0.9, 1e-4)
+    return _raw_specular(maps.specular), _raw_roughness(maps.roughness)
 
 
-def _even(photos: Tensor, light: Tensor) -> Tensor:
-    """Photos [..., 3, H, W] under a flash [..., 3] as if the light were the same everywhere."""
-    return flattened(unlit(photos, light))
+def _raw_specular(specular: Tensor, eps: float = 1e-4) -> Tensor:
+    return torch.logit(specular, eps) + 3
+
+
+def _raw_roughness(roughness: Tensor, eps: float = 1e-4) -> Tensor:
+    return torch.logit((roughness - 0.1) / 0.9, eps)
 
 
 def _chroma(photos: Tensor) -> Tensor:
@@ -298,7 +299,7 @@ def _shine(photos: Tensor, light: Tensor) -> Tensor:
     found = gloss(avg_pool2d(photos, 2), light)
     low, high = EVIDENT
     sure = ((found.contrast - low) / (high - low)).clamp(0, 1) * (found.roughness < NARROW)
-    made = torch.logit(found.specular.clamp(0.01, 0.5)) + 3, torch.logit((found.roughness - 0.1) / 0.9, 0.02)
+    made = _raw_specular(found.specular.clamp(0.01, 0.5)), _raw_roughness(found.roughness, 0.02)
     return torch.stack([sure, *made], 1)
 
 

@@ -10,7 +10,7 @@ from torch import Generator, Tensor
 from metapp.appearance.features import describe_precision, distance, gram
 from metapp.learning.task import Batch, Held, Params, Tasks
 from metapp.networks.doubts import of_order
-from metapp.networks.exemplar import JUDGED, SHOWN, ExemplarApp
+from metapp.networks.exemplar import JUDGED, SHOWN, ExemplarApp, same_noise
 from metapp.networks.layout import astray
 
 SMALLEST_CROP = 0.5
@@ -58,8 +58,7 @@ class Texture(ExemplarApp):
     @torch.no_grad()
     def errors(self, theta: Params, tasks: Tasks) -> dict[str, Tensor]:
         """On pictures from noise that no fit draws, the same for all."""
-        rng = Generator(tasks.rows.device).manual_seed(0)
-        noise = self.noise(rng, 1, JUDGED).expand(len(tasks), -1, -1, -1, -1)
+        noise = same_noise(self, tasks.rows, JUDGED)
         return self.errors_of(self.generate(theta, noise, 0), tasks)
 
     @torch.no_grad()
@@ -73,8 +72,7 @@ class Texture(ExemplarApp):
         if not self.setup.has_layout:
             return [[] for _ in range(len(tasks))]
         exemplars = self.exemplar(tasks.data["image"][tasks.rows].float() / 255)
-        noise = self.noise(Generator(tasks.rows.device).manual_seed(SHOWN), 1, 1)
-        made = self.generate(theta, noise.expand(len(tasks), -1, -1, -1, -1))[:, 0]
+        made = self.generate(theta, same_noise(self, tasks.rows, 1, seed=SHOWN))[:, 0]
         return [of_order(self.name, *pair) for pair in zip(exemplars, made, strict=True)]
 
     def crop(self, image: Tensor, rng: Generator) -> Tensor:
