@@ -491,7 +491,8 @@ def test_fits_expect_the_gloss_that_general_predicts(sources: list[Task]) -> Non
     assert "gloss" not in tiny().encode(encoder, kept.condition(tasks, rng))
 
 
-def test_a_clear_highlight_says_the_gloss_that_fits_begin_with() -> None:
+@pytest.mark.parametrize("specular_before", [0.5, -12.0])  # a General whose specular is 3e-7 everywhere, too
+def test_a_clear_highlight_says_the_gloss_that_fits_begin_with(specular_before: float) -> None:
     """Of a photo of polished stone it is the photo's, of one of cloth General's."""
     kept = SvbrdfStationary(replace(TINY.setup, prior=2.0))
     one, up = torch.ones(1, 1, 128, 128), torch.tensor([0.0, 0.0, 1.0])[:, None, None].expand(1, 3, 128, 128)
@@ -501,7 +502,7 @@ def test_a_clear_highlight_says_the_gloss_that_fits_begin_with() -> None:
     ]
     tasks = stack(kept, [Task(str(i), {"image": each}) for i, each in enumerate(photos)])
     encoder = kept.init_encoder(seeded())
-    predicted = flat(kept, 0.5, -0.5, 0.0, 0.5, -1.5, 0.0)
+    predicted = flat(kept, 0.5, -0.5, 0.0, specular_before, -1.5, 0.0)
     encoder |= {f"decoder.{key}": value[0] for key, value in predicted.items() if key not in ("z", "gloss")}
     theta = kept.encode(encoder, kept.condition(tasks, seeded()))
     maps, _ = kept.maps(theta, kept.noise(seeded(), 1, 1).expand(2, -1, -1, -1, -1))

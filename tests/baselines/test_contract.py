@@ -96,6 +96,7 @@ def test_every_application_has_baselines_that_say_what_they_cannot_do(name: str,
         assert len(baseline.cannot) > 10
 
 
+@pytest.mark.usefixtures("scene")
 @pytest.mark.parametrize(("name", "protocol"), PLACED)
 def test_their_answers_are_drawn_where_an_application_has_pictures(name: str, protocol: str, rng: Generator) -> None:
     app = app_by(name, protocol=protocol)
@@ -125,6 +126,7 @@ def test_its_table_prints_them(
     name: str, protocol: str, subject_of: Callable[[str, str], Subject], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("metapp.baselines.brdf.PENALTIES", (1e-6,))  # a choice takes its time
+    monkeypatch.setattr("metapp.baselines.texture.DESCENT", 2)  # and so does a descent
     subject, table = subject_of(name, protocol), load_table("baselines")
     assert {row["tasks"] for row in table.rows(subject)} == {0}
     pretend_meta(subject, 0.2 * subject.app.traits.scale)
@@ -168,7 +170,10 @@ def test_records_are_kept_and_not_made_again(
     assert baseline_cell(subject, first).records() == records
 
 
-def test_baselines_that_are_pictures_are_drawn_beside_metas_fits(subject_of: Callable[[str, str], Subject]) -> None:
+def test_baselines_that_are_pictures_are_drawn_beside_metas_fits(
+    subject_of: Callable[[str, str], Subject], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("metapp.baselines.texture.DESCENT", 2)  # takes its time
     subject = subject_of("texture", "")
     theta = {key: value[0] for key, value in subject.app.init(Generator().manual_seed(0), 1).items()}
     folder = RunFolder(subject.plan.request.out / "meta", {"of": "meta"})

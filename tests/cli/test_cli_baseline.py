@@ -46,6 +46,7 @@ def test_quilting_writes_the_maps_of_a_flash_photo(metapp: Callable) -> None:
     assert "expected nearest, quilting." in unknown.err
 
 
+@pytest.mark.usefixtures("scene")
 def test_a_map_in_half_precision_is_written_as_radiance(metapp: Callable) -> None:
     environment(Path("hall.exr"))
     options = ["--method", "halves", "--observe", "reference", "--recipe", "quick", "--json"]

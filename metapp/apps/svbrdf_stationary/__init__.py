@@ -279,12 +279,17 @@ def _gloss(maps: Maps) -> tuple[Tensor, Tensor]:
     return _raw_specular(maps.specular), _raw_roughness(maps.roughness)
 
 
-def _raw_specular(specular: Tensor, eps: float = 1e-4) -> Tensor:
-    return torch.logit(specular, eps) + 3
+def _raw_specular(specular: Tensor, eps: float = 1e-9) -> Tensor:
+    return _logit(specular, eps) + 3
 
 
-def _raw_roughness(roughness: Tensor, eps: float = 1e-4) -> Tensor:
-    return torch.logit((roughness - 0.1) / 0.9, eps)
+def _raw_roughness(roughness: Tensor, eps: float = 1e-6) -> Tensor:
+    return _logit((roughness - 0.1) / 0.9, eps)
+
+
+def _logit(share: Tensor, eps: float) -> Tensor:
+    """The logit of shares from eps to 1 - 1e-6; torch's own has one eps for both ends, and no float32 is 1 - 1e-9."""
+    return share.clamp_min(eps).log() - torch.log1p(-share.clamp_max(1 - 1e-6))
 
 
 def _chroma(photos: Tensor) -> Tensor:
