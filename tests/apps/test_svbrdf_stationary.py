@@ -26,11 +26,11 @@ from metapp.apps import svbrdf_stationary
 from metapp.apps.svbrdf_stationary import (
     DRAWN,
     FALLOFF,
+    GLOSS,
     GRID,
     OF_ROUGHNESS,
     POOLED,
     RELIEF,
-    SPECULAR,
     TRUTH,
     SvbrdfStationary,
     _grams,
@@ -411,13 +411,16 @@ def test_the_outer_loss_knows_the_truth_where_a_task_has_it(sources: list[Task])
 
     unequal = torch.cat([own.expand(2, -1, -1) + 0.5, own])  # of other sizes than the network's
     others = torch.full((2, 6), 0.1)
-    others[0, 3] = 0  # mean specular, which counts by its logit, too
+    others[0, 3:5] = 0  # mean specular and roughness, which count by their logits, too
     there, off = loss_of(unequal), loss_of(unequal + others)
-    torch.testing.assert_close(off - there, torch.tensor([0.1 * TRUTH * 11 / 12]))
-    brighter = unequal + (0.1 - others)
-    logits = [torch.logit(truth[-1, 0, 3] ** GAMMA) for truth in (unequal, brighter)]
-    expected = 0.1 * TRUTH / 12 + SPECULAR * (logits[1] - logits[0]).abs()
-    torch.testing.assert_close(loss_of(brighter) - there, expected[None], atol=0.01, rtol=0)  # maps vary a little
+    torch.testing.assert_close(off - there, torch.tensor([0.1 * TRUTH * 10 / 12]))
+    for channel, share in ((3, lambda shown: shown**GAMMA), (4, lambda roughness: (roughness - 0.1) / 0.9)):
+        more = torch.zeros(2, 6)
+        more[0, channel] = 0.1
+        logits = [torch.logit(share(truth[-1, 0, channel])) for truth in (unequal, unequal + more)]
+        expected = 0.1 * TRUTH / 12 + GLOSS * (logits[1] - logits[0]).abs()
+        found = loss_of(unequal + more) - there
+        torch.testing.assert_close(found, expected[None], atol=0.01, rtol=0)  # maps vary a little
 
 
 def test_a_prior_keeps_maps_usual(sources: list[Task]) -> None:

@@ -36,7 +36,7 @@ SPECTRUM = 0.3  # the spectra's weight in the loss
 RINGS = ((0.0, 0.2), (0.2, 0.8), (0.8, 3.0))  # squared distances from the centre, of half the photo's side
 BRIGHTER = 2.0  # further weight in the outer loss of pooled pictures, which hold the shape of the highlight
 TRUTH = 3.0  # weight in the outer loss of how far the maps' statistics are from the truth's
-SPECULAR = 0.05  # further weight in the outer loss of how far the logit of mean specular is from the truth's
+GLOSS = 0.05  # further weight in the outer loss of how far specular and roughness are from the truth's, in logits
 LIKELY = 0.05  # the same where the truth is unknown, of how unusual specular and roughness are
 OF_ROUGHNESS = 0.4  # varies more between materials than specular does
 COLOUR = 3.0  # weight in the loss of how much more or less colours vary than in the photo
@@ -181,9 +181,10 @@ class SvbrdfStationary(ExemplarApp):
             return loss + LIKELY * _unusual(maps, maps.diffuse.new_zeros(len(maps.diffuse), 2))
         level = sum(self.setup.width >> octave < size for size in STATISTICS_AT[:-1])
         truth = batch["truth"][:, level]
-        specular = _raw_specular(truth[:, 0, 3] ** GAMMA, 1e-3)  # where no gradient vanishes
-        unlike = (_gloss(maps)[0].mean((1, 2, 3, 4)) - specular).abs()
-        return loss + TRUTH * (statistics(maps) - truth[:, None]).abs().mean((1, 2, 3)) + SPECULAR * unlike
+        gloss_of_truth = _raw_specular(truth[:, 0, 3] ** GAMMA, 1e-3), _raw_roughness(truth[:, 0, 4].clamp(0.12, 0.98))
+        made = (part.mean((1, 2, 3, 4)) for part in _gloss(maps))  # where no gradient vanishes
+        unlike = torch.stack([(part - wanted).abs() for part, wanted in zip(made, gloss_of_truth, strict=True)]).sum(0)
+        return loss + TRUTH * (statistics(maps) - truth[:, None]).abs().mean((1, 2, 3)) + GLOSS * unlike
 
     def _distances(self, theta: Params, maps: Maps, batch: Batch) -> dict[str, Tensor]:
         pictures = self.photograph(maps, batch["light"][:, None], batch["light"][:, None])
@@ -283,8 +284,8 @@ def _raw_specular(specular: Tensor, eps: float = 1e-9) -> Tensor:
     return _logit(specular, eps) + 3
 
 
-def _raw_roughness(roughness: Tensor, eps: float = 1e-6) -> Tensor:
-    return _logit((roughness - 0.1) / 0.9, eps)
+def _raw_roughness(roughness: Tensor) -> Tensor:
+    return _logit((roughness - 0.1) / 0.9, 1e-6)
 
 
 def _logit(share: Tensor, eps: float) -> Tensor:
@@ -304,7 +305,7 @@ def _shine(photos: Tensor, light: Tensor) -> Tensor:
     found = gloss(avg_pool2d(photos, 2), light)
     low, high = EVIDENT
     sure = ((found.contrast - low) / (high - low)).clamp(0, 1) * (found.roughness < NARROW)
-    made = _raw_specular(found.specular.clamp(0.01, 0.5)), _raw_roughness(found.roughness, 0.02)
+    made = _raw_specular(found.specular.clamp(0.01, 0.5)), _raw_roughness(found.roughness.clamp(0.12, 0.98))
     return torch.stack([sure, *made], 1)
 
 
