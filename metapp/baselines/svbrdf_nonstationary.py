@@ -10,9 +10,10 @@ from typing import NamedTuple
 import numpy as np
 import OpenImageIO as oiio
 import torch
+from torch import Generator, Tensor
 from torch.nn.functional import adaptive_avg_pool2d, interpolate, normalize
 
-from metapp.appearance.flash import Maps, unpack
+from metapp.appearance.flash import Maps, camera, positions, render, unpack
 from metapp.baselines.baseline import (
     Allowed,
     Baseline,
@@ -27,6 +28,7 @@ from metapp.learning.task import Tasks
 
 GAMMA = 2.2  # colours in files, as the eye spaces them
 SMALLEST = 4  # px of a side
+ROUGHNESS, F0 = 0.5, 0.04  # of what a photo says nothing of: the middle, and that of most dielectrics
 
 
 def jpeg(picture: np.ndarray, quality: int) -> bytes:
@@ -82,7 +84,13 @@ def baselines(app: App) -> tuple[Baseline, ...]:
     """Of maps, or of photographs, by the protocol."""
     if app.protocol == "photo":
         title = "the training material whose photograph is nearest (mean absolute difference of logs)"
-        return (Baseline("nearest", title, "be a material that is not in its set", _nearest),)
+        flat = f"the photo without the flash's falloff as diffuse map, flat, of roughness {ROUGHNESS} and F0 {F0}"
+        return (
+            Baseline("nearest", title, "be a material that is not in its set", _nearest),
+            Baseline(
+                "flat", flat, "tell highlights and shading from colour", lambda *_: PreparedBaseline(_flat), False
+            ),
+        )
     cannot = "read maps from a photo"
 
     def as_jpeg(tasks: Tasks, rung: int) -> BaselineFit:
@@ -150,3 +158,17 @@ def _enlarged(maps: Maps, side: int) -> Maps:
 
 def _nearest(training: Training, allowed: Allowed) -> PreparedBaseline:
     return nearest_photo(training, "maps", unpack, lambda photos: (photos + 0.02).log())
+
+
+def _flat(tasks: Tasks, rng: Generator, allowed: Allowed) -> BaselineFit:
+    photo = tasks.data["photo"][tasks.rows]
+    return BaselineFit(lambda: flat_maps(photo), photo.numel(), photo.numel())
+
+
+def flat_maps(photos: Tensor) -> Maps:
+    """What photographs [T, 3, H, W], linear, would be of if it had no highlight and no relief, [T, C, H, W] each."""
+    one = torch.ones_like(photos)
+    flat = Maps(one, F0 * one, ROUGHNESS * one[:, :1], torch.cat([0 * one[:, :2], one[:, :1]], 1))
+    place, above = positions(*photos.shape[-2:], dtype=photos.dtype), camera(dtype=photos.dtype)
+    white = render(flat._replace(specular=0 * one, roughness=one[:, :1]), place, above, above)
+    return flat._replace(diffuse=(photos / white).clamp(0, 1))

@@ -144,6 +144,7 @@ def test_its_table_prints_them(
     with (console := Console(width=200, force_terminal=False)).capture() as shown:
         console.print(rich_table(table, subject, table.rows(subject)))
     text = " ".join(shown.get().split())
+    assert not any("no training tasks" in note for note in table.notes(subject, table.rows(subject)))
     assert list(picture_cells(subject)) == {
         "texture": ["nearest", "quilting", "gpdm", "patches"],
         "svbrdf_stationary": ["nearest", "quilting"],

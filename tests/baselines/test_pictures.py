@@ -10,9 +10,10 @@ from torch.nn.functional import interpolate, normalize
 
 from metapp.appearance.flash import Maps, pack
 from metapp.appearance.quilting import beyond_cut
+from metapp.apps.svbrdf_nonstationary.maps import FLASH, flash_of, photographed
 from metapp.baselines import svbrdf_nonstationary as codec
 from metapp.baselines.baseline import Allowed, BaselineFit, Training
-from metapp.baselines.svbrdf_nonstationary import _settings, baselines, maps_of, sheets
+from metapp.baselines.svbrdf_nonstationary import _settings, baselines, flat_maps, maps_of, sheets
 from metapp.baselines.texture import block_of, quilt, random_patches
 from metapp.learning.app import App
 from metapp.learning.task import Tasks
@@ -149,3 +150,12 @@ def test_a_cut_is_the_path_of_least_cost() -> None:
     cost = np.array([[9.0, 1, 9, 9], [9, 9, 1, 9], [9, 1, 9, 9], [1, 9, 9, 9]])
     expected = [[0, 1, 1, 1], [0, 0, 1, 1], [0, 1, 1, 1], [1, 1, 1, 1]]
     assert np.array_equal(beyond_cut(cost), np.array(expected, dtype=bool))
+
+
+def test_a_flat_matt_material_is_read_from_its_photo(smooth_maps: Maps) -> None:
+    """But for the highlight of the F0 that is assumed; a photo at which the flash falls off is not of darker edges."""
+    flat = torch.cat([torch.zeros(1, 2, 32, 32), torch.ones(1, 1, 32, 32)], 1)
+    matt = smooth_maps._replace(specular=0 * smooth_maps.diffuse, normal=flat)
+    found = flat_maps(photographed(matt, flash_of(torch.zeros(1, FLASH))))
+    torch.testing.assert_close(found.diffuse, matt.diffuse, atol=1e-3, rtol=0.01)
+    assert torch.equal(found.normal, flat)

@@ -196,8 +196,8 @@ def _missing(subject: Subject, all_rows: list[Row]) -> list[str]:
     """What has no records, and how to make them."""
     absent = [row["paradigm"] for row in all_rows if not row["tasks"] and not row["peer"]]
     lines = [f"no records yet of {', '.join(absent)}; {subject.command('results')} makes them"] if absent else []
-    able = _able(subject)
-    if without := [baseline.name for baseline in baselines_of(subject.app) if baseline not in able]:
+    able = {baseline.name for baseline in _able(subject)}
+    if without := [baseline.name for baseline in baselines_of(subject.app) if baseline.name not in able]:
         remedy = f"metapp data synth {subject.app.name} makes the embedded ones"
         lines.append(f"{', '.join(without)}: no training tasks; {remedy}")
     return lines
