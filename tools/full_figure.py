@@ -9,8 +9,8 @@ import sys
 from pathlib import Path
 
 import numpy as np
+import OpenImageIO as oiio
 import torch
-from photos_figure import write
 from torch import Generator, Tensor
 from torch.nn.functional import interpolate
 
@@ -83,6 +83,15 @@ def named(app: str, name: str) -> Task:
     if path.exists():
         return tasks_to_fit(planned.app, planned.request)[0][0]
     return next(task for task in tasks_of_data(planned.app, None, True)[0] if task.name.startswith(name))
+
+
+def write(picture: Path, whole: Tensor) -> None:
+    """Write a picture [3, H, W], PNG or JPEG by its name."""
+    pixels = (whole.permute(1, 2, 0) * 255).round().clamp(0, 255).byte().contiguous().numpy()
+    image = oiio.ImageBuf(pixels)
+    image.specmod().attribute("Compression", "jpeg:85")
+    if not image.write(str(picture)):
+        raise SystemExit(f"{picture}: not written ({image.geterror()}).")
 
 
 def main(picture: Path, app: str, names: list[str]) -> None:

@@ -1,4 +1,4 @@
-"""Baselines of non-stationary svBRDFs: picture files of the maps; of a photo, the nearest training material."""
+"""Baselines of non-stationary svBRDFs: picture files of the maps; of a photo, the nearest material, or itself, flat."""
 
 from __future__ import annotations
 
@@ -13,7 +13,8 @@ import torch
 from torch import Generator, Tensor
 from torch.nn.functional import adaptive_avg_pool2d, interpolate, normalize
 
-from metapp.appearance.flash import Maps, camera, positions, render, unpack
+from metapp.appearance.flash import Maps, unpack
+from metapp.apps.svbrdf_nonstationary.maps import FLASH, flash_of, photographed
 from metapp.baselines.baseline import (
     Allowed,
     Baseline,
@@ -88,7 +89,11 @@ def baselines(app: App) -> tuple[Baseline, ...]:
         return (
             Baseline("nearest", title, "be a material that is not in its set", _nearest),
             Baseline(
-                "flat", flat, "tell highlights and shading from colour", lambda *_: PreparedBaseline(_flat), False
+                "flat",
+                flat,
+                "tell highlights and shading from colour",
+                lambda training, allowed: PreparedBaseline(_flat),
+                learns=False,
             ),
         )
     cannot = "read maps from a photo"
@@ -169,6 +174,6 @@ def flat_maps(photos: Tensor) -> Maps:
     """What photographs [T, 3, H, W], linear, would be of if it had no highlight and no relief, [T, C, H, W] each."""
     one = torch.ones_like(photos)
     flat = Maps(one, F0 * one, ROUGHNESS * one[:, :1], torch.cat([0 * one[:, :2], one[:, :1]], 1))
-    place, above = positions(*photos.shape[-2:], dtype=photos.dtype), camera(dtype=photos.dtype)
-    white = render(flat._replace(specular=0 * one, roughness=one[:, :1]), place, above, above)
+    beside_lens = flash_of(photos.new_zeros(len(photos), FLASH))
+    white = photographed(flat._replace(specular=0 * one, roughness=one[:, :1]), beside_lens)
     return flat._replace(diffuse=(photos / white).clamp(0, 1))

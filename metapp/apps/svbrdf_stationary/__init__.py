@@ -181,7 +181,8 @@ class SvbrdfStationary(ExemplarApp):
             return loss + LIKELY * _unusual(maps, maps.diffuse.new_zeros(len(maps.diffuse), 2))
         level = sum(self.setup.width >> octave < size for size in STATISTICS_AT[:-1])
         truth = batch["truth"][:, level]
-        gloss_of_truth = _raw_specular(truth[:, 0, 3] ** GAMMA, 1e-3), _raw_roughness(truth[:, 0, 4].clamp(0.12, 0.98))
+        specular, roughness = (truth[:, 0, 3] ** GAMMA).clamp_min(1e-3), truth[:, 0, 4].clamp(0.12, 0.98)
+        gloss_of_truth = _raw_specular(specular), _raw_roughness(roughness)
         made = (part.mean((1, 2, 3, 4)) for part in _gloss(maps))  # where no gradient vanishes
         unlike = torch.stack([(part - wanted).abs() for part, wanted in zip(made, gloss_of_truth, strict=True)]).sum(0)
         return loss + TRUTH * (statistics(maps) - truth[:, None]).abs().mean((1, 2, 3)) + GLOSS * unlike
@@ -280,8 +281,8 @@ def _gloss(maps: Maps) -> tuple[Tensor, Tensor]:
     return _raw_specular(maps.specular), _raw_roughness(maps.roughness)
 
 
-def _raw_specular(specular: Tensor, eps: float = 1e-9) -> Tensor:
-    return _logit(specular, eps) + 3
+def _raw_specular(specular: Tensor) -> Tensor:
+    return _logit(specular, 1e-9) + 3
 
 
 def _raw_roughness(roughness: Tensor) -> Tensor:
