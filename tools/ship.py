@@ -1,7 +1,8 @@
 """Copy trained checkpoints to where those that ship lie: ship.py TRAINED CHECKPOINTS.
 
 Encoders and long hyperparameters (rates of weights, bases) are stored in half precision there, which halves their size
-and changes no error; checkpoints that refer to General's encoder by its digest refer to the rounded one.
+and changes no error, hyperparameters on grids on at most GRID cells a side; checkpoints that refer to General's encoder
+by its digest refer to the rounded one.
 """
 
 import json
@@ -12,11 +13,13 @@ from typing import Any
 import torch
 from safetensors import safe_open
 from safetensors.torch import save_file
+from torch.nn.functional import adaptive_avg_pool2d
 
 from metapp.learning.learn import MetaParameters
 from metapp.learning.task import Params
 from metapp.storage.records import load_checkpoint, tensor_digest
 
+GRID = 64
 SKIPPED = (".previous", ".interrupted", ".training", ".aside")
 
 
@@ -27,12 +30,19 @@ def ship(source: Path, target: Path, rounded: dict[str, str]) -> None:
         info: dict[str, Any] = json.loads(file.metadata()["metapp"])
     if "encoder" in info:
         info["encoder"] = rounded.get(info["encoder"], info["encoder"])
+    tensors = {key: _on_small_grid(value) if key.startswith("alpha.") else value for key, value in tensors.items()}
     tensors = {key: value.half() if _is_large(key, value) else value for key, value in tensors.items()}
     encoder = MetaParameters.unflat(tensors).encoder
-    if source.stem != "general" and encoder and _digest(encoder) in rounded.values():
+    if not source.stem.startswith("general") and encoder and _digest(encoder) in rounded.values():
         tensors = {key: value for key, value in tensors.items() if not key.startswith("encoder.")}
         info["general"] = _digest(encoder)
     save_file(tensors, target, {"metapp": json.dumps(info)})
+
+
+def _on_small_grid(value: torch.Tensor) -> torch.Tensor:
+    """Hyperparameters on a grid [K, channels, rows, columns] on one of at most GRID x GRID cells; fits enlarge it."""
+    on_grid = value.ndim == 4 and value.shape[2] == value.shape[3] > GRID
+    return adaptive_avg_pool2d(value, GRID) if on_grid else value
 
 
 def _is_large(key: str, value: torch.Tensor) -> bool:
@@ -44,18 +54,16 @@ def _digest(encoder: Params) -> str:
     return tensor_digest({key: value.float() for key, value in encoder.items()})
 
 
-def digests(general: Path) -> dict[str, str]:
-    """General's digest as it was trained, and as it ships."""
-    if not general.is_file():
-        return {}
-    encoder: Params = load_checkpoint(general)[0].encoder
-    return {tensor_digest(encoder): _digest({key: value.half() for key, value in encoder.items()})}
+def digests(folder: Path) -> dict[str, str]:
+    """Digests of Generals as they were trained, and as they ship."""
+    encoders = [load_checkpoint(path)[0].encoder for path in folder.glob("general*.safetensors")]
+    return {tensor_digest(each): _digest({key: value.half() for key, value in each.items()}) for each in encoders}
 
 
 if __name__ == "__main__":
     folder, checkpoints = map(Path, sys.argv[1:])
     checkpoints.mkdir(parents=True, exist_ok=True)
-    rounded = digests(folder / "general.safetensors")
+    rounded = digests(folder)
     for source in sorted(folder.glob("*.safetensors")):
         if not source.stem.endswith(SKIPPED):
             ship(source, checkpoints / source.name, rounded)

@@ -8,6 +8,7 @@ flash is not quite beside the lens.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Iterator
 
 import numpy as np
@@ -18,6 +19,7 @@ from data_tools.draws import Rng
 from data_tools.readers import svbrdf_task
 from data_tools.synthetic.nonstationary.built import circuit, cover, inlay, mosaic, planks, plates, tiles
 from data_tools.synthetic.nonstationary.crafted import carpet, label, ornament, stitched
+from data_tools.synthetic.nonstationary.materials import piece
 from data_tools.synthetic.nonstationary.surface import Surface, finish
 from data_tools.synthetic.nonstationary.worn import (
     corroded,
@@ -30,6 +32,7 @@ from data_tools.synthetic.nonstationary.worn import (
     tracks,
 )
 from data_tools.synthetic.stationary.families import Split, turns
+from data_tools.synthetic.svbrdf_stationary import FLAT
 from metapp.appearance.flash import ASIDE, BESIDE_LENS, BRIGHTER, HIGHER, camera
 from metapp.learning.task import Task
 
@@ -62,6 +65,7 @@ FAMILIES: dict[str, Callable[[Rng, int], Surface]] = {
 }
 
 SIZE = 128
+EVEN = {f"even_{name}": functools.partial(piece, names=(name,)) for name in FLAT}  # in sets of larger maps, too
 _STREAM = 2  # other materials than those of the textures and of the stationary svBRDFs
 
 
@@ -72,7 +76,8 @@ def synthetic_tasks(split: Split, count: int, seed: int = 0, size: int = SIZE) -
         split: "train" or "test"; the same families, other draws.
         count: how many. A larger set begins with the smaller one.
         seed: of all draws, >= 0.
-        size: px a side; another size draws other patches of the same families.
+        size: px a side; another size draws other patches of the same families, and a larger one than SIZE of materials
+            that are the same all over, too: `EVEN`.
 
     Returns:
         Tasks with unique names such as "inlay-016" ("inlay-t000" in the test split), as `svbrdf_task` makes them:
@@ -81,8 +86,9 @@ def synthetic_tasks(split: Split, count: int, seed: int = 0, size: int = SIZE) -
     Raises:
         ValueError: for another split, or a negative count or seed.
     """
-    for family, name, rng in turns("svBRDFs", FAMILIES, COUNTS, split, count, seed, _STREAM):
-        maps = finish(FAMILIES[family](rng, size))
+    families = FAMILIES if size <= SIZE else FAMILIES | EVEN
+    for family, name, rng in turns("svBRDFs", families, COUNTS, split, count, seed, _STREAM):
+        maps = finish(families[family](rng, size))
         yield svbrdf_task.svbrdf_task(name, maps, photo=svbrdf_task.flash_photo(maps, *held(rng)))
 
 

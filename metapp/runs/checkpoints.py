@@ -73,8 +73,12 @@ def trained_path(plan: Plan, name: str) -> Path:
 
 
 def checkpoint_name(app: App, name: str) -> str:
-    """A checkpoint's file name without its suffix: with the protocol, unless it is the first or General's."""
-    return name if name == "general" or is_first_protocol(app) else f"{name}-{app.protocol}"
+    """A checkpoint's file name without its suffix: with the protocol, unless it is the first.
+
+    General's is without it, too, where the network is one of the first protocol's: it learns nothing of what fits see.
+    """
+    shared = name == "general" and any(app.setup == recipe.setup for recipe in recipes_of(app.name).values())
+    return name if is_first_protocol(app) or shared else f"{name}-{app.protocol}"
 
 
 def has_general(plan: Plan) -> bool:

@@ -93,7 +93,7 @@ def save_checkpoint(path: Path, start: MetaParameters, info: Document, previous:
 def load_checkpoint(path: Path, device: torch.device | str = "cpu") -> tuple[MetaParameters, Document]:
     """Read a checkpoint; what is stored in half precision becomes float32.
 
-    One that names General's encoder by its digest, `general`, takes it from `general.safetensors` beside it.
+    One that names General's encoder by its digest, `general`, takes it from a `general*.safetensors` beside it.
 
     Returns:
         The checkpoint and what `save_checkpoint` was told about it.
@@ -128,13 +128,14 @@ def load_checkpoint(path: Path, device: torch.device | str = "cpu") -> tuple[Met
 
 def _with_general(path: Path, prepared: MetaParameters, wanted: str, device: torch.device | str) -> MetaParameters:
     """The checkpoint with the encoder of the General that it names; General's own names none."""
-    beside = path.with_name("general.safetensors")
-    encoder = load_checkpoint(beside, device)[0].encoder if beside.is_file() and beside != path else {}
-    if tensor_digest(encoder) != wanted:
-        raise ValueError(
-            f"{path}: goes on from General {wanted}, which is not beside it as {beside.name}; keep both in one folder."
-        )
-    return prepared._replace(encoder=encoder)
+    for beside in sorted(path.parent.glob("general*.safetensors")):
+        if beside != path:
+            encoder = load_checkpoint(beside, device)[0].encoder
+            if tensor_digest(encoder) == wanted:
+                return prepared._replace(encoder=encoder)
+    raise ValueError(
+        f"{path}: goes on from General {wanted}, which is not beside it, as general.safetensors; keep both together."
+    )
 
 
 class _Misnamed(Exception):

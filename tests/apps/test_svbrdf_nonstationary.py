@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 import torch
 from torch import Generator, Tensor
-from torch.nn.functional import interpolate, normalize
+from torch.nn.functional import adaptive_avg_pool2d, avg_pool2d, interpolate, normalize
 
 from data_tools.readers.svbrdf_task import flash_photo, svbrdf_task
 from metapp.appearance.colour import linear_to_srgb, srgb_to_linear
@@ -18,6 +18,7 @@ from metapp.appearance.flash import Maps, camera, camera_distance, normal_from_h
 from metapp.apps import svbrdf_nonstationary
 from metapp.apps.svbrdf_nonstationary import (
     HIDDEN,
+    INPUTS,
     STEEP,
     MaterialSetup,
     SvbrdfNonstationary,
@@ -27,9 +28,6 @@ from metapp.apps.svbrdf_nonstationary import (
 from metapp.apps.svbrdf_nonstationary.encoder import Encoder
 from metapp.apps.svbrdf_nonstationary.maps import (
     FLASH,
-    _mixed,
-    _recoloured,
-    _turned,
     decoded,
     flash_of,
     inputs_of,
@@ -37,10 +35,10 @@ from metapp.apps.svbrdf_nonstationary.maps import (
     oblique_pairs,
     photographed,
     pooled,
-    varied,
 )
 from metapp.apps.svbrdf_nonstationary.presentation import SvbrdfNonstationaryPresentation, fine_maps, relit
 from metapp.apps.svbrdf_nonstationary.recipes import QUICK
+from metapp.apps.svbrdf_nonstationary.variants import CROPPED, _cropped, _mixed, _recoloured, _restyled, _turned, varied
 from metapp.learning.app import stack
 from metapp.learning.task import Params, Task, Tasks
 from metapp.networks import field as fields
@@ -120,14 +118,34 @@ def test_the_encoder_makes_a_code_of_each_photo(app: SvbrdfNonstationary, tasks:
 
 
 def test_the_encoder_knows_the_whole_picture(rng: Generator) -> None:
-    encoder = Encoder(8, 4, code=3, flash=FLASH)
+    encoder = Encoder(INPUTS, 4, code=3, flash=FLASH)
     weights = encoder.init(rng)
-    known = torch.rand(1, 8, 32, 32, generator=rng)
-    other = known.clone()
+    photo = torch.rand(1, 3, 32, 32, generator=rng)
+    other = photo.clone()
     other[..., -1, -1] += 5
-    code, changed = encoder(weights, known)[0], encoder(weights, other)[0]
+    code, changed = encoder(weights, photo)["z"], encoder(weights, other)["z"]
     assert code.shape == (1, 3, 32, 32)
     assert (code - changed)[..., 0, 0].abs().max() > 0
+
+
+def test_finer_levels_add_to_what_the_coarse_ones_read(rng: Generator) -> None:
+    """Nothing at first; then at each resolution that a photo has, and what the coarse ones read of it stays in it."""
+    coarse, finer = Encoder(INPUTS, 4, code=3, flash=FLASH), Encoder(INPUTS, 4, code=3, flash=FLASH, finer=(3, 2))
+    weights = finer.init(rng)
+    photo = torch.rand(2, 3, 256, 256, generator=rng)
+    small = avg_pool2d(photo, 4)
+    code = coarse(weights, small)
+    for size in (64, 128, 256):
+        found = finer(weights, adaptive_avg_pool2d(photo, size))
+        torch.testing.assert_close(avg_pool2d(found["z"], size // 64), code["z"], atol=0.3, rtol=0)  # enlarged, no more
+        assert found["z"].shape == (2, 3, size, size)
+        torch.testing.assert_close(found["flash"], code["flash"])
+    changed = {key: value + 0.1 * torch.randn(value.shape, generator=rng) for key, value in weights.items()}
+    for level, size in enumerate((128, 256)):
+        given = adaptive_avg_pool2d(photo, size)
+        for name in (f"finer{level}.code.kernel", "finer0.known.kernel"):
+            without = changed | {name: torch.zeros_like(changed[name])}
+            assert not torch.equal(finer(changed, given)["z"], finer(without, given)["z"])
 
 
 # Views
@@ -242,7 +260,7 @@ def test_a_turned_material_looks_like_its_turned_photo_and_all_turns_occur() -> 
 
 
 def test_variants_are_materials(tasks: Tasks, rng: Generator) -> None:
-    for change in (_mixed, _recoloured):
+    for change in (_mixed, _recoloured, _restyled):
         maps = change(tasks.data["maps"], rng)
         torch.testing.assert_close(maps[:, :3].norm(dim=1), torch.ones(4, SIDE, SIDE))
         assert maps[:, 3:].amin() >= 0
@@ -250,8 +268,28 @@ def test_variants_are_materials(tasks: Tasks, rng: Generator) -> None:
         assert not torch.equal(maps, tasks.data["maps"])
 
 
+def test_the_normals_of_a_crop_are_those_of_its_relief(rng: Generator) -> None:
+    coarse = 20 * torch.randn(1, 1, 8, 8, generator=rng)
+    height = interpolate(coarse, size=(256, 256), mode="bicubic")
+    maps = torch.cat([normal_from_height(height, periodic=False), height, torch.zeros(1, 6, 256, 256)], 1)
+    for seed in range(8):
+        crops = _cropped(maps, 128, Generator().manual_seed(seed))
+        share = (CROPPED[0] + (CROPPED[1] - CROPPED[0]) * torch.rand(2, generator=Generator().manual_seed(seed)))[1]
+        found = normal_from_height(crops[:, 3:4], 128 / (256 * float(share)), periodic=False)
+        cosine = (found * crops[:, :3]).sum(1)[..., 2:-2, 2:-2].clamp(-1, 1)
+        assert float(torch.rad2deg(cosine.acos()).mean()) < 1.0
+
+
+def test_large_maps_are_cropped_and_small_ones_turned(tasks: Tasks, rng: Generator) -> None:
+    maps = tasks.data["maps"]
+    for side in (SIDE, SIDE // 2):
+        found, photos = varied(maps, side, rng)
+        assert found.shape == (4, 10, side, side)
+        assert photos.shape == (4, 3, side, side)
+
+
 def test_variants_are_photographed_anew(tasks: Tasks, rng: Generator) -> None:
-    maps, photos = varied(tasks.data["maps"].repeat(8, 1, 1, 1), rng)
+    maps, photos = varied(tasks.data["maps"].repeat(8, 1, 1, 1), SIDE, rng)
     straight = photographed(unpack(maps), flash_of(torch.zeros(32, FLASH))).clamp(0, 1)
     off = (linear_to_srgb(photos) - linear_to_srgb(straight)).abs().mean((1, 2, 3))
     assert photos.amin() >= 0

@@ -28,7 +28,7 @@ def test_meta_starts_from_what_quick_learned(name: str, observe: str, tmp_path: 
     field = planned.app.setup.field
     assert prepared.alpha["rate.z"].shape[-2:] == (field.rows, field.columns)
     file = f"{planned.job.rule}{'-photo' if observe == 'photo' else ''}"
-    learned = load_checkpoint(shipped_path(name, file))[0].alpha
+    learned = load_checkpoint(shipped_path(name, file, "full"))[0].alpha
     assert float(prepared.alpha["rate.z"].mean()) == pytest.approx(float(learned["rate.z"].mean()), rel=1e-4)
     assert all(torch.equal(prepared.alpha[key], learned[key]) for key in learned if learned[key].ndim < 4)
 

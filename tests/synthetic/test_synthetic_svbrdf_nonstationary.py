@@ -10,7 +10,7 @@ from torch import Tensor
 from data_tools.draws import stream
 from data_tools.synthetic.nonstationary.shapes import box, centred, disc, grid, star, text
 from data_tools.synthetic.nonstationary.surface import Surface, covers, distance, finish, lay, softened
-from data_tools.synthetic.svbrdf_nonstationary import held
+from data_tools.synthetic.svbrdf_nonstationary import FAMILIES, SIZE, held, synthetic_tasks
 from metapp.appearance.colour import linear_to_srgb
 from metapp.appearance.flash import BESIDE_LENS, Maps, camera, positions, render, unpack
 from tests.synthetic.drawn import drawn, least_distance
@@ -150,3 +150,11 @@ def test_shapes_measure_distances() -> None:
     assert 0 <= cells.cell.min() <= cells.cell.max() < cells.total
     ink = covers(text(stream(1), place, 0.9, 0.5, 3) * place.unit).mean()
     assert 0.03 < ink < 0.4
+
+
+def test_sets_of_larger_maps_hold_even_materials_too() -> None:
+    count = len(FAMILIES) + 1
+    large, usual = (list(synthetic_tasks("train", count, size=size)) for size in (SIZE + 32, SIZE))
+    assert [task.name.startswith("even_") for task in large] == [False] * len(FAMILIES) + [True]
+    assert not any(task.name.startswith("even_") for task in usual)
+    assert large[-1].data["maps"].shape == (10, SIZE + 32, SIZE + 32)

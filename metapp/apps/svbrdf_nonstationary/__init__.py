@@ -12,6 +12,7 @@ from torch.nn.functional import adaptive_avg_pool2d, relu
 
 from metapp.appearance.flash import Maps, expose, positions, render, statistics, tilt, unpack
 from metapp.appearance.metrics import ssim
+from metapp.apps.svbrdf_nonstationary.confidence import PARTS, coarse, surprise, unknown, unsure
 from metapp.apps.svbrdf_nonstationary.encoder import Encoder
 from metapp.apps.svbrdf_nonstationary.maps import (
     FLASH,
@@ -25,11 +26,12 @@ from metapp.apps.svbrdf_nonstationary.maps import (
     oblique_pairs,
     photographed,
     pooled,
-    varied,
 )
+from metapp.apps.svbrdf_nonstationary.variants import varied
 from metapp.learning.app import Traits
 from metapp.learning.task import Batch, Held, Params, Task, Tasks
 from metapp.networks.coded import CodedApp, norm
+from metapp.networks.doubts import of_highlight
 from metapp.networks.field import LocalField
 
 DARK = 0.1  # of white: the log of radiance is flat below
@@ -38,11 +40,12 @@ LEVEL = 0.01  # sine of an angle that hardly shows
 MAPS = 1.0  # weight of the maps' differences in a fit
 WANTED, SEEN = 0.3, 0.3  # and in the outer loss, beside the photograph's
 STEEP, HIDDEN = 0.2, 0.3  # there, of how steep normals are, which a photo hardly shows, and of diffuse where it clips
+SURE = 0.03  # and of how sure General is of its maps, which moves nothing but that
 CELLS = 8  # a side, in which normals are as steep on average as they should be
 RIG, JUDGED = (2, 3), (6, 6)  # lights that fits see, and that they are judged under: oblique, mirroring
 DRAWN = (1, 2)  # and those that preparation draws
 SMOOTHED = 0.03  # at first, where learned losses round off |d|
-FINER = 2  # how many times as fine as their maps augmented materials are photographed
+FINER, FINEST_SHOT = 2, 256  # how many times as fine as their maps augmented materials are photographed, to so many px
 INPUTS = 8
 FINEST = 2048  # px a side of a user's photograph, and of the maps that are written
 
@@ -53,18 +56,23 @@ class MaterialSetup:
 
     Attributes:
         field: the network of one material.
-        width: channels of the encoder's finest level.
+        width: channels of the encoder's level of 64 texels.
         read: side of the photograph that the encoder reads, 0 for the field's.
+        finer: channels of the encoder's levels above that.
+        sure: whether General says how sure it is of its maps.
     """
 
     field: LocalField
     width: int = 16
     read: int = 0
+    finer: tuple[int, ...] = ()
+    sure: bool = False
 
     @property
     def encoder(self) -> Encoder:
         """The encoder that fits it."""
-        return Encoder(INPUTS, self.width, self.field.code, FLASH)
+        deviations = len(PARTS) if self.sure else 0
+        return Encoder(INPUTS, self.width, self.field.code, FLASH, finer=self.finer, deviations=deviations)
 
 
 def field_of(side: int, hidden: int) -> LocalField:
@@ -102,20 +110,21 @@ class SvbrdfNonstationary(CodedApp):
 
     @property
     def traits(self) -> Traits:
-        return replace(super().traits, reads=FINEST if self.setup.read else 0)
+        return replace(super().traits, reads=FINEST if self.setup.read or self.setup.finer else 0)
 
     def prepare(self, task: Task) -> dict[str, Tensor]:
         """`photo`, linear [3, H, W], and `maps` [10, H, W] with what they look like under RIG lights, `lit`.
 
-        And `fine`, the maps as augmented ones are photographed.
+        And `fine`, the maps that augmented ones are made of.
         """
         size = (self.field.height, self.field.width)
         photo = {"photo": adaptive_avg_pool2d(linear(task.data["photo"]), size)}
         if "maps" in task.data:
             maps = task.data["maps"].float()
             described = self.described(pooled(maps, size)[None])
-            fine = pooled(maps, [FINER * side for side in size]).half()
-            return photo | {"fine": fine} | {key: value[0] for key, value in described.items()}
+            fine = min(maps.shape[-1], 2 * self.finer)  # twice as large, to have room for crops
+            kept = pooled(maps, (fine, fine)).half()
+            return photo | {"fine": kept} | {key: value[0] for key, value in described.items()}
         if self.protocol == "reference":
             raise ValueError(
                 f"{task.name}: a flash photo, expected a material's maps where fits see them; give a strip or its "
@@ -123,13 +132,19 @@ class SvbrdfNonstationary(CodedApp):
             )
         return photo
 
+    @property
+    def finer(self) -> int:
+        """Side in texels of augmented materials when they are photographed."""
+        return max(self.field.height, min(FINER * self.field.height, FINEST_SHOT))
+
     def described(self, maps: Tensor) -> dict[str, Tensor]:
         """Maps [T, 10, H, W], RIG lights, `rig`, and the log of what maps send out under these, `lit`."""
         rig = _pairs(RIG).to(maps).expand(len(maps), -1, -1, -1)
         return {"maps": maps, "rig": rig, "lit": self._logs(unpack(maps), rig)}
 
     def init(self, rng: Generator, count: int) -> Params:
-        return super().init(rng, count) | {"flash": torch.zeros(count, FLASH, device=rng.device)}
+        theta = super().init(rng, count) | {"flash": torch.zeros(count, FLASH, device=rng.device)}
+        return theta | unknown(count, rng.device) if self.setup.sure else theta
 
     def maps_of(self, theta: Params, photo: Tensor) -> Maps:
         """The fitted maps [T, C, h, w] of photographs [T, 3, h, w], at the photographs' resolution."""
@@ -162,7 +177,9 @@ class SvbrdfNonstationary(CodedApp):
         steep = (_steepness(maps) / _steepness(target)).log().abs().mean((1, 2, 3))
         apart = differences(maps, target)
         hidden = _blots(apart[0], batch["photo"])
-        return pictures + WANTED * _map_loss(apart, {}) + SEEN * photo + STEEP * steep + HIDDEN * hidden
+        wanted = _map_loss(apart, {}) + _map_loss(apart[2:], {})  # roughness and normals twice: photos say less of them
+        loss = pictures + WANTED * wanted + SEEN * photo + STEEP * steep + HIDDEN * hidden
+        return loss + SURE * surprise(coarse(maps).detach(), coarse(target), theta) if self.setup.sure else loss
 
     def _logs(self, maps: Maps, pairs: Tensor) -> Tensor:
         """Log of what maps [T, ...] send out under pairs of light and viewer [T or 1, V, 2, 3]: [T, V, 3, H, W]."""
@@ -186,14 +203,22 @@ class SvbrdfNonstationary(CodedApp):
 
     def read(self, reader: Params, photos: Tensor) -> Params:
         photos = adaptive_avg_pool2d(photos, self.setup.read or photos.shape[-1])
-        code, flash = self.setup.encoder(reader, inputs_of(photos))
-        return {"z": code / self.field.gain, "flash": flash / self.field.gain}
+        known = self.setup.encoder(reader, photos)
+        return known | {"z": known["z"] / self.field.gain, "flash": known["flash"] / self.field.gain}
 
     def augment(self, tasks: Tasks, rng: Generator) -> Tasks:
         """The same materials turned, mirrored, mixed and recoloured, photographed anew."""
         size = (self.field.height, self.field.width)
-        fine, photos = varied(tasks.data["fine"][tasks.rows].float(), rng)
+        fine, photos = varied(tasks.data["fine"][tasks.rows].float(), self.finer, rng)
         return tasks.variants({"photo": adaptive_avg_pool2d(photos, size)} | self.described(pooled(fine, size)))
+
+    @torch.no_grad()
+    def doubts(self, theta: Params, tasks: Tasks) -> list[list[str]]:
+        """Clipped highlights, and maps that General is not sure of; only of photographs, where it says so."""
+        if not self.setup.sure or self.protocol != "photo":
+            return [[] for _ in range(len(tasks))]
+        photos = (255 * tasks.data["photo"][tasks.rows]).floor()
+        return [of_highlight(photo) + doubt for photo, doubt in zip(photos, unsure(theta), strict=True)]
 
     @torch.no_grad()
     def errors(self, theta: Params, tasks: Tasks) -> dict[str, Tensor]:

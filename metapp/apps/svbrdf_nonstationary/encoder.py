@@ -9,10 +9,12 @@ import torch
 from torch import Generator, Tensor
 from torch.nn.functional import adaptive_avg_pool2d, avg_pool2d, conv2d, interpolate, leaky_relu
 
+from metapp.apps.svbrdf_nonstationary.maps import inputs_of
 from metapp.learning.task import Params
 from metapp.networks.layers import add_layer, convolved, dense
 
 SLOPE = 0.1
+BASE = 64  # texels a side of the level that all others are counted from
 LOOKED = 4  # cells a side of the coarsest level that the flash is looked for in
 MOST = 8  # times the finest level's channels, at the coarsest
 
@@ -20,12 +22,17 @@ MOST = 8  # times the finest level's channels, at the coarsest
 class Encoder(NamedTuple):
     """A U-Net whose levels all know the picture's mean (Ronneberger et al. 2015; Deschaintre et al. 2018).
 
+    It reads a photograph at BASE texels, and where that is larger, its finer levels add to what they are given of the
+    coarser ones. So its weights serve at every resolution up to BASE * 2^len(finer).
+
     Attributes:
         inputs: channels of what is known of the pixels.
-        width: channels of the finest level; each level down has twice as many, up to MOST times.
+        width: channels of the level of BASE texels; each level down has twice as many, up to MOST times.
         code: length of the code in a pixel.
         flash: numbers that describe the flash.
-        levels: resolutions, each half of the one before.
+        levels: resolutions from BASE down, each half of the one before.
+        finer: channels of the levels above, the coarsest first.
+        deviations: how many maps it says the deviation of, at BASE texels.
     """
 
     inputs: int
@@ -33,14 +40,16 @@ class Encoder(NamedTuple):
     code: int
     flash: int
     levels: int = 5
+    finer: tuple[int, ...] = ()
+    deviations: int = 0
 
     def channels(self, level: int) -> int:
-        """Channels at a level, 0 the finest."""
+        """Channels at a level, 0 that of BASE texels."""
         result: int = self.width * min(2**level, MOST)
         return result
 
     def init(self, rng: Generator) -> Params:
-        """Random parameters."""
+        """Random parameters; finer levels add nothing at first."""
         encoder: Params = {}
         layer = functools.partial(add_layer, encoder, rng)
 
@@ -56,19 +65,65 @@ class Encoder(NamedTuple):
             block(f"up{level}", self.channels(level + 1) + self.channels(level), self.channels(level))
         layer("code", self.code, self.channels(0), gain=0.3)
         layer("flash", self.flash, self.channels(self.levels - 1) * LOOKED**2, gain=0.1)
+        if self.deviations:
+            layer("deviation", self.deviations, self.channels(0), gain=0.0)
+        below = self.channels(0)
+        for level, (width, above) in enumerate(zip(self.finer, (*self.finer, 0)[1:], strict=True)):
+            block(f"finer{level}.down", self.inputs + above, width)
+            block(f"finer{level}.up", below + width, width)
+            layer(f"finer{level}.code", self.code, width, gain=0.0)
+            below = width
+        if self.finer:
+            layer("finer0.known", self.inputs, self.finer[0], gain=0.0)
         return encoder
 
-    def __call__(self, encoder: Params, inputs: Tensor) -> tuple[Tensor, Tensor]:
-        """The code [T, code, H, W] and the flash [T, flash] of what is known of the pixels, [T, inputs, H, W]."""
-        x, skips = inputs.contiguous(memory_format=torch.channels_last), []
+    def __call__(self, encoder: Params, photos: Tensor) -> Params:
+        """What linear photographs [T, 3, H, H] say: `z`, the code [T, code, H, H], and `flash` [T, flash].
+
+        And `deviation`, the logs of the maps' deviations [T, deviations, BASE, BASE], if it says any. Where there are
+        finer levels, H is at most BASE, or BASE times a power of two.
+        """
+        added, finer = self._finer_down(encoder, photos)
+        base = adaptive_avg_pool2d(photos, min(BASE, photos.shape[-1])) if finer else photos
+        x, skips = inputs_of(base).contiguous(memory_format=torch.channels_last), []
+        x = x if added is None else x + added
         for level in range(self.levels):
             x = _block(encoder, f"down{level}", avg_pool2d(x, 2) if level else x)
             skips.append(x)
         flash = dense(encoder, "flash", adaptive_avg_pool2d(x, LOOKED).flatten(1))
         for level in reversed(range(self.levels - 1)):
-            x = torch.cat([interpolate(x, scale_factor=2, mode="nearest"), skips[level]], 1)
-            x = _block(encoder, f"up{level}", x)
-        return conv2d(x, encoder["code.kernel"][..., None, None], encoder["code.shift"]), flash
+            x = _block(encoder, f"up{level}", torch.cat([_twice(x), skips[level]], 1))
+        code = _pointwise(encoder, "code", x)
+        known = {"deviation": _pointwise(encoder, "deviation", x)} if self.deviations else {}
+        for level, skip in enumerate(finer):
+            x = _block(encoder, f"finer{level}.up", torch.cat([_twice(x), skip], 1))
+            larger = interpolate(code, scale_factor=2, mode="bilinear")
+            code = larger + _pointwise(encoder, f"finer{level}.code", x)
+        return known | {"z": code, "flash": flash}
+
+    def _finer_down(self, encoder: Params, photos: Tensor) -> tuple[Tensor | None, list[Tensor]]:
+        """What the levels above BASE tell that of BASE, and their features, the coarsest first."""
+        count = min(len(self.finer), max(0, (photos.shape[-1] // BASE).bit_length() - 1))
+        x, found = None, []
+        for level in reversed(range(count)):
+            size = BASE << (level + 1)
+            known = inputs_of(adaptive_avg_pool2d(photos, size)).contiguous(memory_format=torch.channels_last)
+            if level + 1 < len(self.finer):  # none above: as if these had nothing to tell
+                above = known.new_zeros(len(known), self.finer[level + 1], size, size)
+                known = torch.cat([known, above if x is None else avg_pool2d(x, 2)], 1)
+            x = _block(encoder, f"finer{level}.down", known)
+            found.append(x)
+        added = None if x is None else _pointwise(encoder, "finer0.known", avg_pool2d(x, 2))
+        return added, found[::-1]
+
+
+def _twice(x: Tensor) -> Tensor:
+    return interpolate(x, scale_factor=2, mode="nearest")
+
+
+def _pointwise(encoder: Params, name: str, x: Tensor) -> Tensor:
+    """A layer of `add_layer` that reads each pixel of maps [T, inputs, H, W] by itself."""
+    return conv2d(x, encoder[f"{name}.kernel"][..., None, None], encoder[f"{name}.shift"])
 
 
 def _block(encoder: Params, name: str, x: Tensor) -> Tensor:

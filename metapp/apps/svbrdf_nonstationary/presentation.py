@@ -13,11 +13,13 @@ from metapp.appearance.flash import Maps, camera, expose, positions, relightings
 from metapp.appearance.presentation import Kind, Picture, Visible
 from metapp.appearance.surface import Surface
 from metapp.apps.svbrdf_nonstationary import FINEST, SvbrdfNonstationary
+from metapp.apps.svbrdf_nonstationary.confidence import deviations
 from metapp.apps.svbrdf_nonstationary.maps import decoded, inputs_of, linear, pooled
 from metapp.learning.task import Params, Task
 from metapp.networks.field import LocalField, field_by_rows, strips_of
 from metapp.networks.presentation import CodedPresentation
 
+LOOSE = 0.25  # the deviation of a map that is white in its picture
 LARGEST = 256  # px of the maps that are shown
 KIND_OF: dict[str, Kind] = {"normal": "data", "roughness": "data"}  # all others are colours
 
@@ -42,8 +44,15 @@ class SvbrdfNonstationaryPresentation(CodedPresentation[SvbrdfNonstationary]):
 
     @torch.no_grad()
     def files(self, theta: Params, task: Task) -> dict[str, Picture]:
-        """The maps, as fine as the photograph up to FINEST px, and pictures under three other lights."""
-        return self.files_of(self._whole(theta, task), task)
+        """The maps, as fine as the photograph up to FINEST px, and pictures under three other lights.
+
+        And where General says how sure it is, how far off each map may be: 0 black, LOOSE or more white.
+        """
+        pictures = self.files_of(self._whole(theta, task), task)
+        if self.app.setup.sure:
+            for name, part in deviations({"deviation": theta["deviation"][None]}).items():
+                pictures[f"deviation_{name}"] = Picture((part[0, ..., None] / LOOSE).clamp(0, 1), "data")
+        return pictures
 
     @torch.no_grad()
     def files_of(self, answer: Maps, task: Task) -> dict[str, Picture]:

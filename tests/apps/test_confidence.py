@@ -1,0 +1,94 @@
+"""How sure General is of its maps: a likelihood that has its maximum at the true scale, and what is told of it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import pytest
+import torch
+from torch import Generator
+
+from data_tools.readers.svbrdf_task import svbrdf_task
+from metapp.apps.svbrdf_nonstationary import MaterialSetup, SvbrdfNonstationary, field_of
+from metapp.apps.svbrdf_nonstationary.confidence import (
+    COARSE,
+    PARTS,
+    deviations,
+    scales,
+    surprise,
+    unknown,
+)
+from metapp.learning.app import stack
+from metapp.learning.task import Params, Task, Tasks
+from tests.apps.test_svbrdf_nonstationary import material
+
+CHANNELS = sum(PARTS.values())
+
+
+@pytest.fixture
+def rng() -> Generator:
+    return Generator().manual_seed(3)
+
+
+@pytest.fixture
+def app() -> SvbrdfNonstationary:
+    return SvbrdfNonstationary(MaterialSetup(field_of(64, 8), 4, sure=True), "photo")
+
+
+@pytest.fixture
+def tasks(app: SvbrdfNonstationary) -> Tasks:
+    made: list[Task] = [svbrdf_task(f"made-{i}", material(i, 64)) for i in range(3)]
+    return stack(app, made)
+
+
+def predicted(app: SvbrdfNonstationary, tasks: Tasks, rng: Generator) -> Params:
+    return app.encode(app.init_encoder(rng), app.condition(tasks, rng))
+
+
+def test_the_likelihood_is_greatest_at_the_scale_of_the_differences(rng: Generator) -> None:
+    """Differences of a Laplace distribution of scale 0.1: the scale that gradient descent finds is 0.1."""
+    uniform = torch.rand(1, CHANNELS, COARSE, COARSE, generator=rng) - 0.5
+    truth = -0.1 * uniform.sign() * (1 - 2 * uniform.abs()).clamp_min(1e-6).log()
+    log = torch.full((1, len(PARTS), 1, 1), -1.0, requires_grad=True)
+    adam = torch.optim.Adam([log], 0.05)
+    for _ in range(200):
+        theta = {"deviation": log.expand(1, len(PARTS), COARSE, COARSE)}
+        loss = surprise(torch.zeros_like(truth), truth, theta).sum()
+        adam.zero_grad()
+        loss.backward()
+        adam.step()
+    theta = {"deviation": log.detach().expand(1, len(PARTS), COARSE, COARSE)}
+    torch.testing.assert_close(scales(theta), torch.full_like(scales(theta), 0.1), rtol=0.05, atol=0)
+    for name, part in zip(PARTS, truth.abs().split(list(PARTS.values()), 1), strict=True):
+        within = (part < deviations(theta)[name][:, None]).float().mean()
+        assert math.isclose(float(within), 0.6827, abs_tol=0.02)
+
+
+def test_general_is_taught_how_sure_it_is_and_nothing_else_by_that(
+    app: SvbrdfNonstationary, tasks: Tasks, rng: Generator
+) -> None:
+    theta = {key: value.detach().requires_grad_() for key, value in predicted(app, tasks, rng).items()}
+    batch = app.sample(tasks, rng, 1)
+    without = SvbrdfNonstationary(replace(app.setup, sure=False), "photo")
+    grads, others = (
+        torch.autograd.grad(each.outer_loss(theta, batch, {}).sum(), list(theta.values()), materialize_grads=True)
+        for each in (app, without)
+    )
+    for key, grad, other in zip(theta, grads, others, strict=True):
+        assert torch.equal(grad, other) == (key != "deviation"), key
+
+
+def test_steps_leave_it_and_doubts_tell_what_is_unsure(app: SvbrdfNonstationary, tasks: Tasks, rng: Generator) -> None:
+    theta = predicted(app, tasks, rng)
+    leaves = {key: value.detach().requires_grad_() for key, value in theta.items()}
+    loss = app.loss(leaves, app.sample(tasks, rng, 1), {}).sum()
+    grads = dict(zip(leaves, torch.autograd.grad(loss, list(leaves.values()), materialize_grads=True), strict=True))
+    assert not grads["deviation"].any()
+    assert grads["z"].any()
+    sure, unsure = (torch.full_like(theta["deviation"], math.log(scale)) for scale in (0.05, 0.3))
+    known = app.doubts(theta | {"deviation": sure}, tasks)
+    assert not any("may be off" in clause for clauses in known for clause in clauses)
+    assert all(len(PARTS) <= len(clauses) for clauses in app.doubts(theta | {"deviation": unsure}, tasks))
+    random = app.doubts(theta | unknown(len(tasks), theta["deviation"].device), tasks)
+    assert not any("may be off" in clause for clauses in random for clause in clauses)
