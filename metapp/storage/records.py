@@ -93,7 +93,8 @@ def save_checkpoint(path: Path, start: MetaParameters, info: Document, previous:
 def load_checkpoint(path: Path, device: torch.device | str = "cpu") -> tuple[MetaParameters, Document]:
     """Read a checkpoint; what is stored in half precision becomes float32.
 
-    One that names General's encoder by its digest, `general`, takes it from a `general*.safetensors` beside it.
+    One that names General's encoder by its digest, `general`, takes it from `general.safetensors` beside it, or from
+    that of its protocol, such as `general-photo.safetensors`.
 
     Returns:
         The checkpoint and what `save_checkpoint` was told about it.
@@ -128,8 +129,9 @@ def load_checkpoint(path: Path, device: torch.device | str = "cpu") -> tuple[Met
 
 def _with_general(path: Path, prepared: MetaParameters, wanted: str, device: torch.device | str) -> MetaParameters:
     """The checkpoint with the encoder of the General that it names; General's own names none."""
-    for beside in sorted(path.parent.glob("general*.safetensors")):
-        if beside != path:
+    names = ("general", f"general-{path.stem.rpartition('-')[2]}")  # a protocol's own has its name
+    for beside in (path.with_name(f"{name}.safetensors") for name in names):
+        if beside.is_file() and beside != path:
             encoder = load_checkpoint(beside, device)[0].encoder
             if tensor_digest(encoder) == wanted:
                 return prepared._replace(encoder=encoder)

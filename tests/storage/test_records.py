@@ -131,6 +131,17 @@ def test_a_checkpoint_takes_the_encoder_of_the_general_beside_it(tmp_path: Path)
             load_checkpoint(tmp_path / "general.safetensors")
 
 
+def test_a_checkpoint_of_a_protocol_takes_the_general_of_its_protocol(tmp_path: Path) -> None:
+    """Whatever else lies beside it, such as a training's own file."""
+    encoder, other = {"w": torch.arange(3.0)}, {"w": torch.zeros(3)}
+    (tmp_path / "general-photo.training.safetensors").write_bytes(b"no checkpoint")
+    for name, each in (("general", other), ("general-photo", encoder)):
+        save_checkpoint(tmp_path / f"{name}.safetensors", MetaParameters(encoder=each), {"app": "brdf"})
+    path = tmp_path / "meta-encoder-photo.safetensors"
+    save_checkpoint(path, MetaParameters(alpha={"rate": torch.ones(1)}), {"general": tensor_digest(encoder)})
+    assert torch.equal(load_checkpoint(path)[0].encoder["w"], encoder["w"])
+
+
 def test_digest(tmp_path: Path) -> None:
     assert digest({"a": 1, "b": [2]}) == digest({"b": [2], "a": 1})
     assert digest({"a": 1}) != digest({"a": 2})

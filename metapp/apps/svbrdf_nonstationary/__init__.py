@@ -12,7 +12,7 @@ from torch.nn.functional import adaptive_avg_pool2d, relu
 
 from metapp.appearance.flash import Maps, expose, positions, render, statistics, tilt, unpack
 from metapp.appearance.metrics import ssim
-from metapp.apps.svbrdf_nonstationary.confidence import PARTS, coarse, surprise, unknown, unsure
+from metapp.apps.svbrdf_nonstationary.confidence import PARTS, surprise, unknown, unsure
 from metapp.apps.svbrdf_nonstationary.encoder import Encoder
 from metapp.apps.svbrdf_nonstationary.maps import (
     FLASH,
@@ -179,7 +179,7 @@ class SvbrdfNonstationary(CodedApp):
         hidden = _blots(apart[0], batch["photo"])
         wanted = _map_loss(apart, {}) + _map_loss(apart[2:], {})  # roughness and normals twice: photos say less of them
         loss = pictures + WANTED * wanted + SEEN * photo + STEEP * steep + HIDDEN * hidden
-        return loss + SURE * surprise(coarse(maps).detach(), coarse(target), theta) if self.setup.sure else loss
+        return loss + SURE * surprise(apart, theta) if self.setup.sure else loss
 
     def _logs(self, maps: Maps, pairs: Tensor) -> Tensor:
         """Log of what maps [T, ...] send out under pairs of light and viewer [T or 1, V, 2, 3]: [T, V, 3, H, W]."""

@@ -8,27 +8,20 @@ validation errors rise with its weight.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import torch
 from torch import Tensor
 from torch.nn.functional import adaptive_avg_pool2d
 
-from metapp.appearance.flash import Maps
-from metapp.apps.svbrdf_nonstationary.maps import shades
 from metapp.learning.task import Params
 
 COARSE = 64
-PARTS = {"diffuse": 3, "specular": 3, "roughness": 1, "normal": 3}  # channels
+PARTS = ("diffuse", "specular", "roughness", "normal")  # in the order of `differences`
 LEAST = 0.01  # scale that counts as sure
 UNKNOWN = 10.0  # log of a scale that says nothing
 UNSURE = 0.2  # deviation of a map that is told
 ONE_DEVIATION = -math.log(1 - 0.6827)  # of Laplace's scales, within which 68 % lie
-
-
-def coarse(maps: Maps) -> Tensor:
-    """Maps [T, C, H, W] as they are compared, colours as the eye spaces them, [T, 10, COARSE, COARSE]."""
-    parts = torch.cat([shades(maps.diffuse), shades(maps.specular), maps.roughness, maps.normal], 1)
-    return adaptive_avg_pool2d(parts, COARSE)
 
 
 def unknown(count: int, device: torch.device) -> Params:
@@ -41,10 +34,14 @@ def scales(theta: Params) -> Tensor:
     return LEAST + theta["deviation"].exp()
 
 
-def surprise(maps: Tensor, truth: Tensor, theta: Params) -> Tensor:
-    """Negative log likelihood of the true `coarse` maps where others were predicted, but for a constant, [T]."""
+def surprise(apart: Sequence[Tensor], theta: Params) -> Tensor:
+    """Negative log likelihood of how far maps are off, as of `differences`, but for a constant, [T].
+
+    Only `deviation` has a gradient of it.
+    """
+    off = [adaptive_avg_pool2d(part.detach(), COARSE).abs().mean(1, keepdim=True) for part in apart]
     scale = scales(theta)
-    return (_apart(truth, maps) / scale + scale.log()).mean((1, 2, 3))
+    return (torch.cat(off, 1) / scale + scale.log()).mean((1, 2, 3))
 
 
 def deviations(theta: Params) -> dict[str, Tensor]:
@@ -63,9 +60,3 @@ def unsure(theta: Params) -> list[list[str]]:
         ]
         for i in range(len(theta["deviation"]))
     ]
-
-
-def _apart(maps: Tensor, others: Tensor) -> Tensor:
-    """Mean difference over each map's channels, [T, 4, COARSE, COARSE]."""
-    parts = (maps - others).abs().split(list(PARTS.values()), 1)
-    return torch.cat([part.mean(1, keepdim=True) for part in parts], 1)

@@ -12,9 +12,6 @@ from torch.nn.functional import adaptive_avg_pool2d, pad
 
 from metapp.appearance.colour import srgb_to_linear
 from metapp.appearance.flash import (
-    ASIDE,
-    BRIGHTER,
-    HIGHER,
     Maps,
     camera,
     camera_distance,
@@ -27,8 +24,6 @@ FLASH = 4  # numbers that describe a flash
 ACROSS, UP, BRIGHT = 0.3, 0.2, 0.3  # and how much one of each is: half sides aside, the log of the height, of the gain
 STEEPEST = 0.4  # cosine with the patch's normal of the most oblique light or view
 STRIDE = 64  # a picture's side over how far apart neighbours are that contrasts are taken of
-# of the numbers that describe a flash, as drawn materials are photographed
-JITTER = (ASIDE / ACROSS, ASIDE / ACROSS, HIGHER / UP, BRIGHTER / BRIGHT)
 
 
 def decoded(raw: Tensor) -> Maps:
@@ -60,12 +55,11 @@ def of_length_1(vectors: Tensor) -> Tensor:
 
 def differences(maps: Maps, target: Maps) -> list[Tensor]:
     """Of diffuse and specular colour at gamma 2.2, of roughness and of normals, [T, C, H, W] each."""
-    colours = [shades(each) - shades(other) for each, other in zip(maps[:2], target[:2], strict=True)]
+    colours = [_shades(each) - _shades(other) for each, other in zip(maps[:2], target[:2], strict=True)]
     return [*colours, maps.roughness - target.roughness, maps.normal - target.normal]
 
 
-def shades(colour: Tensor) -> Tensor:
-    """A colour as the eye spaces it."""
+def _shades(colour: Tensor) -> Tensor:
     return (colour + 1e-3) ** (1 / 2.2)
 
 
