@@ -1,0 +1,54 @@
+"""Places of camera and flash beside several photos of one material."""
+
+from pathlib import Path
+
+import pytest
+import torch
+
+from data_tools.readers.flash_places import CAMERA, LIGHT, SIZE, read_places
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    (tmp_path / CAMERA).write_text("1,0,16\n-2,4,8\n\n")
+    (tmp_path / LIGHT).write_text("0,2,16\n-2,4,8\n")
+    (tmp_path / SIZE).write_text("8.0\n")
+    return tmp_path
+
+
+def test_places_are_in_half_sides(folder: Path) -> None:
+    places = read_places(folder, 2)
+    assert places is not None
+    torch.testing.assert_close(places.camera, torch.tensor([[0.25, 0.0, 4.0], [-0.5, 1.0, 2.0]]))
+    torch.testing.assert_close(places.light, torch.tensor([[0.0, 0.5, 4.0], [-0.5, 1.0, 2.0]]))
+
+
+def test_folder_without_places_has_none(tmp_path: Path) -> None:
+    (tmp_path / SIZE).write_text("8.0\n")
+    assert read_places(tmp_path, 2) is None
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "message"),
+    [
+        (CAMERA, "1,0,16\n", "1 lines, expected 2"),
+        (LIGHT, "1,0\n1,0,3\n", "line '1,0', expected 3 finite"),
+        (LIGHT, "1,0,nan\n1,0,3\n", "expected 3 finite"),
+        (CAMERA, "1,0,5\n1,0,-3\n", "place 2 has z -3 cm"),
+        (SIZE, "0\n", "above 0"),
+        (SIZE, "wide\n", "line 'wide', expected 1 finite"),
+    ],
+)
+def test_malformed_files_are_refused_in_one_line(folder: Path, name: str, text: str, message: str) -> None:
+    (folder / name).write_text(text)
+    with pytest.raises(ValueError, match=message) as caught:
+        read_places(folder, 2)
+    assert name in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("name", [CAMERA, LIGHT, SIZE])
+def test_a_missing_file_is_refused(folder: Path, name: str) -> None:
+    (folder / name).unlink()
+    with pytest.raises(ValueError, match=name):
+        read_places(folder, 2)
