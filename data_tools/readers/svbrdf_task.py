@@ -18,6 +18,11 @@ UNITS = {
     "linear RGB albedo, roughness (GGX alpha is its square), specular linear RGB reflectance at normal incidence",
     "photo": "sRGB, uint8 0..255 [3, height, width], rows from the top; camera and flash above the centre, 45 degrees",
 }
+SEVERAL_UNITS = {
+    "others": "sRGB, uint8 0..255 [photos - 1, 3, height, width], the further photos, in the frame of the first",
+    "places": "float32 [photos, 2, 3], measured places of camera and flash: x right, y up, z out of the patch, from "
+    "its centre, in half sides of the patch",
+}
 
 _MIN_HEIGHT = 0.3  # mean z of normals; a picture of middle brightness has 0
 _LOWEST = 0.02  # z of a normal: what points into the surface cannot be seen
@@ -37,20 +42,22 @@ def svbrdf_task(name: str, maps: Tensor, *, photo: Tensor | None = None) -> Task
     return Task(name, {"maps": maps.half(), "photo": flash_photo(maps) if photo is None else photo})
 
 
-def flash_photo(maps: Tensor, flash: Tensor | None = None, intensity: float = 1.0) -> Tensor:
-    """A material [10, H, W] from straight above under a flash at a place [3], beside the lens unless told otherwise.
+def flash_photo(maps: Tensor, flash: Tensor | None = None, intensity: float = 1.0, eye: Tensor | None = None) -> Tensor:
+    """A material [10, H, W] under a flash at a place [3], straight above and beside the lens unless told otherwise.
 
     Args:
         maps: the material.
         flash: where it is, as `metapp.appearance.flash.render` has it.
         intensity: of the flash; with 1 and beside the lens white has radiance 1 in the centre.
+        eye: where the camera is, [3].
 
     Returns:
         uint8 sRGB [3, H, W].
     """
     above = camera(dtype=torch.float32)
     place = positions(*maps.shape[-2:], dtype=torch.float32)
-    radiance = render(unpack(maps.float()), place, above if flash is None else flash, above, intensity=intensity)
+    light, view = (above if each is None else each for each in (flash, eye))
+    radiance = render(unpack(maps.float()), place, light, view, intensity=intensity)
     return encoded(radiance)
 
 

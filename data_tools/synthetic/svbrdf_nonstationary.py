@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 import torch
-from torch import Tensor
+from torch import Generator, Tensor
 
 from data_tools.draws import Rng
 from data_tools.readers import svbrdf_task
@@ -33,14 +33,17 @@ from data_tools.synthetic.nonstationary.worn import (
 )
 from data_tools.synthetic.stationary.families import Split, turns
 from data_tools.synthetic.svbrdf_stationary import FLAT
-from metapp.appearance.flash import ASIDE, BESIDE_LENS, BRIGHTER, HIGHER, camera
+from metapp.appearance.flash import ASIDE, BESIDE_LENS, BRIGHTER, HIGHER, camera, camera_distance
+from metapp.appearance.several import MOST, held_places
 from metapp.learning.task import Task
 
 VERSION = 2
+MOST_PHOTOS = MOST
 UNITS = {
     **svbrdf_task.UNITS,
     "photo": "sRGB, uint8 0..255 [3, height, width], rows from the top; camera above the centre, flash near it",
 }
+SEVERAL_UNITS = svbrdf_task.SEVERAL_UNITS
 COUNTS: dict[Split, int] = {"train": 1200, "test": 16}
 FAMILIES: dict[str, Callable[[Rng, int], Surface]] = {
     "inlay": inlay,
@@ -69,7 +72,7 @@ EVEN = {f"even_{name}": functools.partial(piece, names=(name,)) for name in FLAT
 _STREAM = 2  # other materials than those of the textures and of the stationary svBRDFs
 
 
-def synthetic_tasks(split: Split, count: int, seed: int = 0, size: int = SIZE) -> Iterator[Task]:
+def synthetic_tasks(split: Split, count: int, seed: int = 0, size: int = SIZE, photos: int = 1) -> Iterator[Task]:
     """The patches of one split, one by one.
 
     Args:
@@ -78,10 +81,12 @@ def synthetic_tasks(split: Split, count: int, seed: int = 0, size: int = SIZE) -
         seed: of all draws, >= 0.
         size: px a side; another size draws other patches of the same families, and a larger one than SIZE of materials
             that are the same all over, too: `EVEN`.
+        photos: of each material, 1 to MOST_PHOTOS; the first is the same whatever their number.
 
     Returns:
         Tasks with unique names such as "inlay-016" ("inlay-t000" in the test split), as `svbrdf_task` makes them:
-        `maps` float16 [10, size, size] and `photo` uint8 [3, size, size].
+        `maps` float16 [10, size, size] and `photo` uint8 [3, size, size]; of several photos `others` uint8
+        [photos - 1, 3, size, size] and `places` [photos, 2, 3], too, off by `metapp.appearance.several.ERROR`.
 
     Raises:
         ValueError: for another split, or a negative count or seed.
@@ -89,7 +94,21 @@ def synthetic_tasks(split: Split, count: int, seed: int = 0, size: int = SIZE) -
     families = FAMILIES if size <= SIZE else FAMILIES | EVEN
     for family, name, rng in turns("svBRDFs", families, COUNTS, split, count, seed, _STREAM):
         maps = finish(families[family](rng, size))
-        yield svbrdf_task.svbrdf_task(name, maps, photo=svbrdf_task.flash_photo(maps, *held(rng)))
+        place, intensity = held(rng)
+        task = svbrdf_task.svbrdf_task(name, maps, photo=svbrdf_task.flash_photo(maps, place, intensity))
+        yield task if photos == 1 else task._replace(data=task.data | _further(maps, place, photos, rng))
+
+
+def _further(maps: Tensor, first: Tensor, photos: int, rng: Rng) -> dict[str, Tensor]:
+    """`others` and `places` of so many photos, of the first of which the flash is known."""
+    (cameras,), (off,) = held_places(1, photos, Generator().manual_seed(int(rng.integers(2**62))))
+    lights = torch.cat([first[None], cameras[1:]])
+    brighter = np.exp(rng.normal(size=photos) * BRIGHTER)
+    others = [
+        svbrdf_task.flash_photo(maps, eye, float(gain * (eye[2] / camera_distance()) ** 2), eye)
+        for eye, gain in zip(cameras[1:], brighter[1:], strict=True)
+    ]
+    return {"others": torch.stack(others), "places": torch.stack([cameras, lights], 1) + off[:, None]}
 
 
 def held(rng: Rng) -> tuple[Tensor, float]:

@@ -91,6 +91,15 @@ class Synth:
             "of illumination (64): maps of so many rows.",
         ),
     ] = None
+    photos: Annotated[
+        int,
+        typer.Option(
+            min=1,
+            max=9,
+            metavar="N",
+            help="Of svbrdf_nonstationary: flash photos of each material, all but the first from places of their own.",
+        ),
+    ] = 1
     form: Annotated[
         Form, typer.Option("--as", help="shards: what metapp reads. merl: .binary files in DIR/train and DIR/test.")
     ] = Form.SHARDS
@@ -133,7 +142,8 @@ def synth(options: Synth) -> None:
     else:
         from metapp.storage.manifest import read_manifest
 
-        folder = embedded_data(name, options.seed, options.count, options.folder, options.quiet, options.size)
+        size, photos = options.size, options.photos
+        folder = embedded_data(name, options.seed, options.count, options.folder, options.quiet, size, photos)
         done = converted(name, folder, read_manifest(folder).tasks)
     report(done, options.quiet, options.as_json)
 

@@ -150,7 +150,7 @@ class LinearLayer(Protocol):
 
 @runtime_checkable
 class Known(Protocol):
-    """An application some of whose parameters a task gives itself; no step moves them."""
+    """An application some of whose parameters a task gives itself: what no step moves, or first values."""
 
     def known(self, tasks: Tasks) -> Params:
         """These parameters, [T, ...]."""

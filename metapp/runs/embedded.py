@@ -65,6 +65,7 @@ def embedded_data(
     out: Path | None = None,
     quiet: bool = False,
     size: int | None = None,
+    photos: int = 1,
 ) -> Path:
     """The folder of an application's embedded data set, made now if it is not there yet.
 
@@ -76,10 +77,11 @@ def embedded_data(
             is taken as it is.
         quiet: no progress.
         size: px a side of pictures, where the set can be drawn at several sizes; None is the default.
+        photos: of each material, where the set can be drawn with several.
 
     Raises:
-        ValueError: an application without embedded set, or of one size; a count below 1, a negative seed, a folder that
-            holds other data.
+        ValueError: an application without embedded set, of one size or of one photo; a count below 1, a negative seed,
+            a folder that holds other data.
     """
     counts = split_counts(app, count)
     notes = {"made_by": "metapp data synth", "version": _version(app), "seed": seed, "count": sum(counts.values())}
@@ -88,10 +90,16 @@ def embedded_data(
         if usual is None:
             raise ValueError(f"{app}: size {size}, but its embedded set has one size; leave --size out.")
         notes["size"] = size
+    if photos != 1:
+        most = getattr(embedded_module(app), "MOST_PHOTOS", 1)
+        if not 1 <= photos <= most:
+            raise ValueError(f"{app}: {photos} photos of each task, expected {f'1 to {most}' if most > 1 else '1'}.")
+        notes["photos"] = photos
     if out is not None:
         _make(app, out, counts, notes, quiet)
         return out
     sized = f"-{size}px" if "size" in notes else ""
+    sized += f"-{photos}photos" if "photos" in notes else ""
     folder = cache_folder() / "data" / f"{app}-{notes['count']}{sized}-seed{seed}-v{_version(app)}"
     if _is_finished(folder, app, notes):
         return folder
@@ -135,11 +143,12 @@ def _make(app: str, folder: Path, counts: dict[str, int], notes: Document, quiet
 
     module = embedded_module(app)
     beside = getattr(module, "BESIDE", None)
-    size = {"size": notes["size"]} if "size" in notes else {}
+    drawn = {key: notes[key] for key in ("size", "photos") if key in notes}
+    units = module.UNITS | (module.SEVERAL_UNITS if "photos" in notes else {})
     shown = progress(f"{app} data", sum(counts.values()), quiet=quiet)
-    with ShardWriter(folder, app, module.UNITS, notes, beside) as writer, shown as bar:
+    with ShardWriter(folder, app, units, notes, beside) as writer, shown as bar:
         for split, count in counts.items():
-            for task in module.synthetic_tasks(split, count, notes["seed"], **size):
+            for task in module.synthetic_tasks(split, count, notes["seed"], **drawn):
                 writer.add(task, split)
                 bar.advance(task.name)
 

@@ -38,7 +38,16 @@ from metapp.apps.svbrdf_nonstationary.maps import (
 )
 from metapp.apps.svbrdf_nonstationary.presentation import SvbrdfNonstationaryPresentation, fine_maps, relit
 from metapp.apps.svbrdf_nonstationary.recipes import QUICK
-from metapp.apps.svbrdf_nonstationary.variants import CROPPED, _cropped, _mixed, _recoloured, _restyled, _turned, varied
+from metapp.apps.svbrdf_nonstationary.variants import (
+    CROPPED,
+    _cropped,
+    _mixed,
+    _recoloured,
+    _restyled,
+    _turned,
+    photographs,
+    varied,
+)
 from metapp.learning.app import stack
 from metapp.learning.task import Params, Task, Tasks
 from metapp.networks import field as fields
@@ -283,13 +292,14 @@ def test_the_normals_of_a_crop_are_those_of_its_relief(rng: Generator) -> None:
 def test_large_maps_are_cropped_and_small_ones_turned(tasks: Tasks, rng: Generator) -> None:
     maps = tasks.data["maps"]
     for side in (SIDE, SIDE // 2):
-        found, photos = varied(maps, side, rng)
+        found = varied(maps, side, rng)
         assert found.shape == (4, 10, side, side)
-        assert photos.shape == (4, 3, side, side)
+        assert photographs(found, rng).shape == (4, 3, side, side)
 
 
 def test_variants_are_photographed_anew(tasks: Tasks, rng: Generator) -> None:
-    maps, photos = varied(tasks.data["maps"].repeat(8, 1, 1, 1), SIDE, rng)
+    maps = varied(tasks.data["maps"].repeat(8, 1, 1, 1), SIDE, rng)
+    photos = photographs(maps, rng)
     straight = photographed(unpack(maps), flash_of(torch.zeros(32, FLASH))).clamp(0, 1)
     off = (linear_to_srgb(photos) - linear_to_srgb(straight)).abs().mean((1, 2, 3))
     assert photos.amin() >= 0

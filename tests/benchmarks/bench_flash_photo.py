@@ -60,7 +60,7 @@ class Bench:
 
     def of_photo(self, maps: Maps, flash: Params) -> Tensor:
         """The photo's loss, [T]."""
-        return APP._photo_loss(flash, maps, self.photo, {})
+        return APP._photo_loss(flash, maps, {"photo": self.photo}, {})
 
     def true_flash(self) -> Params:
         """The flash under which the true maps look like the photo best."""

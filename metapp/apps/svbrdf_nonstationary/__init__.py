@@ -1,4 +1,4 @@
-"""Non-stationary svBRDFs: maps of a flat material from one photograph under a flash (paper section 4.1.4)."""
+"""Non-stationary svBRDFs: maps of a flat material from photographs under a flash (paper section 4.1.4: from one)."""
 
 from __future__ import annotations
 
@@ -15,11 +15,13 @@ from metapp.appearance.metrics import ssim
 from metapp.apps.svbrdf_nonstationary.confidence import PARTS, surprise, unknown, unsure
 from metapp.apps.svbrdf_nonstationary.encoder import Encoder
 from metapp.apps.svbrdf_nonstationary.maps import (
+    CLIPPED,
     FLASH,
     RAW,
     decoded,
     differences,
     flash_of,
+    flashes_of,
     inputs_of,
     linear,
     mirroring_pairs,
@@ -27,7 +29,8 @@ from metapp.apps.svbrdf_nonstationary.maps import (
     photographed,
     pooled,
 )
-from metapp.apps.svbrdf_nonstationary.variants import varied
+from metapp.apps.svbrdf_nonstationary.photos import KEYS, all_photos, drawn_photos, first_flashes, prepared, several
+from metapp.apps.svbrdf_nonstationary.variants import photographs, varied
 from metapp.learning.app import Traits
 from metapp.learning.task import Batch, Held, Params, Task, Tasks
 from metapp.networks.coded import CodedApp, norm
@@ -35,7 +38,6 @@ from metapp.networks.doubts import of_highlight
 from metapp.networks.field import LocalField
 
 DARK = 0.1  # of white: the log of radiance is flat below
-CLIPPED = 0.95  # of white: what a photograph shows no more
 LEVEL = 0.01  # sine of an angle that hardly shows
 MAPS = 1.0  # weight of the maps' differences in a fit
 WANTED, SEEN = 0.3, 0.3  # and in the outer loss, beside the photograph's
@@ -98,13 +100,15 @@ class SvbrdfNonstationary(CodedApp):
 
     The field makes maps of what the photograph shows in a place and of the code there. Under the protocol "reference"
     a fit sees the material's maps and pictures under RIG lights; under "photo" the photograph alone, whose flash it
-    looks for, too.
+    looks for, too; or several, from places that it looks for about those given.
     """
 
     name = "svbrdf_nonstationary"
     holds: ClassVar = {
         "photo": Held((3, "S", "S"), "uint8"),
         "maps": Held((10, "M", "M"), low=-1.001, high=1.001, optional=True),
+        "others": Held(("K", 3, "S", "S"), "uint8", optional=True),
+        "places": Held(("N", 2, 3), low=-1e3, high=1e3, optional=True),
     }
     setup: MaterialSetup
 
@@ -115,10 +119,12 @@ class SvbrdfNonstationary(CodedApp):
     def prepare(self, task: Task) -> dict[str, Tensor]:
         """`photo`, linear [3, H, W], and `maps` [10, H, W] with what they look like under RIG lights, `lit`.
 
-        And `fine`, the maps that augmented ones are made of.
+        And `fine`, the maps that augmented ones are made of; where fits see photographs, `others` and `places`.
         """
         size = (self.field.height, self.field.width)
         photo = {"photo": adaptive_avg_pool2d(linear(task.data["photo"]), size)}
+        if self.protocol == "photo":
+            photo |= prepared(task, size)
         if "maps" in task.data:
             maps = task.data["maps"].float()
             described = self.described(pooled(maps, size)[None])
@@ -146,6 +152,11 @@ class SvbrdfNonstationary(CodedApp):
         theta = super().init(rng, count) | {"flash": torch.zeros(count, FLASH, device=rng.device)}
         return theta | unknown(count, rng.device) if self.setup.sure else theta
 
+    def known(self, tasks: Tasks) -> Params:
+        """Where to begin to look for the flashes of several photographs."""
+        places = tasks.data.get("places", torch.zeros(len(tasks.names), 0, 2, 3))[tasks.rows]
+        return {"flash": places.new_zeros(len(places), FLASH, places.shape[1])} if places.shape[1] else {}
+
     def maps_of(self, theta: Params, photo: Tensor) -> Maps:
         """The fitted maps [T, C, h, w] of photographs [T, 3, h, w], at the photographs' resolution."""
         height, width = photo.shape[-2:]
@@ -161,7 +172,7 @@ class SvbrdfNonstationary(CodedApp):
         """Of maps and pictures, or of the photograph, by the protocol, [T]."""
         maps = self.maps_of(theta, batch["photo"])
         if self.protocol == "photo":
-            return self._photo_loss(theta, maps, batch["photo"], learned)
+            return self._photo_loss(theta, maps, batch, learned)
         pictures = norm(self._logs(maps, batch["rig"]) - batch["lit"], learned)
         apart = differences(maps, unpack(batch["maps"]))
         return pictures.mean((1, 2, 3, 4)) + MAPS * _map_loss(apart, learned)
@@ -173,7 +184,7 @@ class SvbrdfNonstationary(CodedApp):
         """
         maps, target = self.maps_of(theta, batch["photo"]), unpack(batch["maps"])
         pictures = (self._logs(maps, batch["pairs"]) - self._logs(target, batch["pairs"])).abs().mean((1, 2, 3, 4))
-        photo = self._photo_loss(theta, maps, batch["photo"], {})
+        photo = self._photo_loss(theta, maps, batch, {})
         steep = (_steepness(maps) / _steepness(target)).log().abs().mean((1, 2, 3))
         apart = differences(maps, target)
         hidden = _blots(apart[0], batch["photo"])
@@ -187,12 +198,13 @@ class SvbrdfNonstationary(CodedApp):
         spread = Maps(*(part[:, None] for part in maps))
         return (render(spread, place, pairs[:, :, 0], pairs[:, :, 1]) + DARK).log()
 
-    def _photo_loss(self, theta: Params, maps: Maps, photo: Tensor, learned: Params) -> Tensor:
-        """Mean difference of logs, [T]; where the photograph clips, only what is darker than it counts."""
-        flash = flash_of(self.field.gain * theta["flash"])  # as far to go as the code
-        short = (photo + DARK).log() - (photographed(maps, flash) + DARK).log()
-        short = torch.where(photo > CLIPPED, relu(short), short)
-        return norm(short, learned).mean((1, 2, 3))
+    def _photo_loss(self, theta: Params, maps: Maps, batch: Batch, learned: Params) -> Tensor:
+        """Mean difference of logs, of all photographs, [T]; where one clips, only what is darker than it counts."""
+        photos, flash = all_photos(batch), self.field.gain * theta["flash"]  # as far to go as the code
+        seen = photographed(maps, flashes_of(flash, batch["places"]) if several(batch) else flash_of(flash))
+        short = (photos + DARK).log() - (seen + DARK).log()
+        short = torch.where(photos > CLIPPED, relu(short), short)
+        return norm(short, learned).mean(tuple(range(1, short.ndim)))
 
     def loss_parameters(self, steps: int) -> Params:
         return {"smoothing": torch.full((steps,), math.log(SMOOTHED))}
@@ -201,7 +213,21 @@ class SvbrdfNonstationary(CodedApp):
         result: Params = self.setup.encoder.init(rng)
         return result
 
+    def condition(self, tasks: Tasks, rng: Generator) -> Batch:
+        return {key: tasks.data[key][tasks.rows] for key in ("photo", *KEYS) if key in tasks.data}
+
+    def encode(self, encoder: Params, condition: Batch) -> Params:
+        """Of several photographs the mean of their codes."""
+        theta = super().encode(encoder, {"photo": all_photos(condition)})
+        if several(condition):
+            theta["flash"] = first_flashes(self.maps_of(theta, condition["photo"]), condition) / self.field.gain
+        return theta
+
     def read(self, reader: Params, photos: Tensor) -> Params:
+        """Of photographs [T, 3, S, S], or means of those of several, [T, N, 3, S, S]."""
+        if photos.ndim > 4:
+            known = self.read(reader, photos.flatten(0, 1))
+            return {key: value.unflatten(0, photos.shape[:2]).mean(1) for key, value in known.items()}
         photos = adaptive_avg_pool2d(photos, self.setup.read or photos.shape[-1])
         known = self.setup.encoder(reader, photos)
         return known | {"z": known["z"] / self.field.gain, "flash": known["flash"] / self.field.gain}
@@ -209,15 +235,21 @@ class SvbrdfNonstationary(CodedApp):
     def augment(self, tasks: Tasks, rng: Generator) -> Tasks:
         """The same materials turned, mirrored, mixed and recoloured, photographed anew."""
         size = (self.field.height, self.field.width)
-        fine, photos = varied(tasks.data["fine"][tasks.rows].float(), self.finer, rng)
-        return tasks.variants({"photo": adaptive_avg_pool2d(photos, size)} | self.described(pooled(fine, size)))
+        fine = varied(tasks.data["fine"][tasks.rows].float(), self.finer, rng)
+        data = self.described(pooled(fine, size))
+        if not several(tasks.data):
+            return tasks.variants({"photo": adaptive_avg_pool2d(photographs(fine, rng), size)} | data)
+        photos, places = drawn_photos(fine, tasks.data["places"].shape[1], rng)
+        small = adaptive_avg_pool2d(photos.flatten(0, 1), size).unflatten(0, photos.shape[:2])
+        return tasks.variants({"photo": small[:, 0], "others": small[:, 1:], "places": places} | data)
 
     @torch.no_grad()
     def doubts(self, theta: Params, tasks: Tasks) -> list[list[str]]:
         """Clipped highlights, and maps that General is not sure of; only of photographs, where it says so."""
         if not self.setup.sure or self.protocol != "photo":
             return [[] for _ in range(len(tasks))]
-        photos = (255 * tasks.data["photo"][tasks.rows]).floor()
+        photos = all_photos(self.condition(tasks, Generator()))
+        photos = (255 * (photos.amin(1) if photos.ndim > 4 else photos)).floor()  # what clips in all of them
         return [of_highlight(photo) + doubt for photo, doubt in zip(photos, unsure(theta), strict=True)]
 
     @torch.no_grad()

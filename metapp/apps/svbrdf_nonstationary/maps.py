@@ -22,6 +22,7 @@ from metapp.appearance.flash import (
 RAW = (2, 3, 1, 3)  # numbers of any size in a place: slopes, diffuse colour, roughness, specular colour
 FLASH = 4  # numbers that describe a flash
 ACROSS, UP, BRIGHT = 0.3, 0.2, 0.3  # and how much one of each is: half sides aside, the log of the height, of the gain
+CLIPPED = 0.95  # of white: what a photograph shows no more
 STEEPEST = 0.4  # cosine with the patch's normal of the most oblique light or view
 STRIDE = 64  # a picture's side over how far apart neighbours are that contrasts are taken of
 
@@ -64,15 +65,17 @@ def _shades(colour: Tensor) -> Tensor:
 
 
 class Flash(NamedTuple):
-    """A flash beside the lens, and what the camera makes of it.
+    """A flash beside the lens, and what the camera makes of it; with an axis [T, N, ...] those of several photographs.
 
     Attributes:
         place: [T, 3].
         gain: [T, 1], its intensity, as `metapp.appearance.flash.render` has it.
+        eye: where the camera is, [T, 3] or [3].
     """
 
     place: Tensor
     gain: Tensor
+    eye: Tensor
 
 
 def flash_of(flash: Tensor) -> Flash:
@@ -82,15 +85,30 @@ def flash_of(flash: Tensor) -> Flash:
     """
     higher = torch.exp(UP * flash[:, 2:3])
     place = torch.cat([ACROSS * flash[:, :2], camera_distance() * higher], 1)
-    return Flash(place, torch.exp(BRIGHT * flash[:, 3:4]) * higher * higher)
+    eye = camera(dtype=flash.dtype, device=flash.device)
+    return Flash(place, torch.exp(BRIGHT * flash[:, 3:4]) * higher * higher, eye)
+
+
+def flashes_of(flash: Tensor, places: Tensor) -> Flash:
+    """Of the descriptions of several photographs' flashes [T, FLASH, N] about given places [T, N, 2, 3].
+
+    Zeros say: there, and white right below the flash is 1. People hold camera and flash together, so that both move.
+    """
+    aside, higher, brighter = flash.mT.split((2, 1, 1), -1)
+    higher = torch.exp(UP * higher)
+    eye, place = torch.cat(
+        [places[..., :2] + ACROSS * aside[:, :, None], places[..., 2:] * higher[:, :, None]], -1
+    ).unbind(2)
+    return Flash(place, torch.exp(BRIGHT * brighter) * (place[..., 2:] / camera_distance()) ** 2, eye)
 
 
 def photographed(maps: Maps, flash: Flash) -> Tensor:
-    """Radiance [T, 3, H, W] of maps [T, ...] under a flash, from straight above."""
+    """Radiance [T, 3, H, W] of maps [T, ...] under a flash; [T, N, 3, H, W] under those of several photographs."""
     like = maps.diffuse
     place = positions(*like.shape[-2:], dtype=like.dtype, device=like.device)
-    eye = camera(dtype=like.dtype, device=like.device)
-    return render(maps, place, flash.place, eye, intensity=flash.gain)
+    if flash.place.ndim > 2:
+        maps = Maps(*(part[:, None] for part in maps))
+    return render(maps, place, flash.place, flash.eye, intensity=flash.gain)
 
 
 def oblique_pairs(rng: Generator, shape: tuple[int, ...]) -> Tensor:

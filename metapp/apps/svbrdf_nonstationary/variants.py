@@ -24,8 +24,8 @@ RESTYLED = (0.75, 0.3)  # the share of materials of other gloss and colour, befo
 Draw = Callable[..., Tensor]
 
 
-def varied(maps: Tensor, side: int, rng: Generator) -> tuple[Tensor, Tensor]:
-    """Augmented materials [T, 10, side, side] and their photographs, linear [T, 3, side, side], of 8 bits.
+def varied(maps: Tensor, side: int, rng: Generator) -> Tensor:
+    """Augmented materials [T, 10, side, side].
 
     Half of them are mixed with their neighbour, evenly or by a smooth mask. Of maps [T, 10, S, S], S at least twice
     the side, they are crops in any direction, else the whole, turned by quarters.
@@ -35,11 +35,10 @@ def varied(maps: Tensor, side: int, rng: Generator) -> tuple[Tensor, Tensor]:
     else:
         maps = torch.stack([_turned(each, rng) for each in maps])
     maps = _some(_restyled, maps, RESTYLED[0], rng)
-    maps = _some(_restyled, _mixed(_recoloured(maps, rng), rng), RESTYLED[1], rng)
-    return maps, _photographs(maps, rng)
+    return _some(_restyled, _mixed(_recoloured(maps, rng), rng), RESTYLED[1], rng)
 
 
-def _photographs(maps: Tensor, rng: Generator) -> Tensor:
+def photographs(maps: Tensor, rng: Generator) -> Tensor:
     """Linear photographs [T, 3, S, S] of 8 bits: under any flash, exposed rightly or not, with noise."""
     uniform, normal = _draws(len(maps), rng)
     flash = normal(FLASH) * maps.new_tensor(JITTER) * (uniform(1) > BESIDE_LENS)

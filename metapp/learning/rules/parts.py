@@ -30,7 +30,7 @@ class SignedRates(Part):
 
     def updates(self, alpha: Params, updates: Params) -> Params:
         """Rate times update."""
-        return {key: alpha[f"rate.{key}"] * update for key, update in updates.items()}
+        return {key: like(alpha[f"rate.{key}"], update) * update for key, update in updates.items()}
 
 
 class Rates(Part):
@@ -46,7 +46,7 @@ class Rates(Part):
 
     def updates(self, alpha: Params, updates: Params) -> Params:
         """Rate times update; the logarithms of rate and pace, where there are paces, add up."""
-        return {key: torch.exp(_logarithm(alpha, key)) * update for key, update in updates.items()}
+        return {key: like(torch.exp(_logarithm(alpha, key)), update) * update for key, update in updates.items()}
 
 
 class SharedRates(Rates):
