@@ -147,7 +147,7 @@ FORMATS = (
         "svbrdf",
         "svbrdf_nonstationary",
         "data_tools.readers.svbrdf_inputs",
-        "flash photos, strips, a material's maps",
+        "flash photos, strips, a material's maps, folders of photos of one material with camera_pos.txt",
         takes=("size", "fov_rad"),
     ),
 )

@@ -1,11 +1,11 @@
-"""What fits of non-stationary svBRDFs read: strips, materials as maps, and plain flash photographs."""
+"""What fits of non-stationary svBRDFs read: strips, materials as maps, flash photographs, several with places."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
 from pathlib import Path
 
-from data_tools.readers import material_maps, strips
+from data_tools.readers import material_maps, placed_photos, strips
 from data_tools.readers.image_files import check_exists
 from data_tools.readers.photos import SIZE, find_photos, holds_photos, read_photo
 from data_tools.readers.svbrdf_task import UNITS, task_name
@@ -19,17 +19,22 @@ recognises = holds_photos  # the names that every reader has
 
 
 def find(paths: Iterable[str | Path]) -> tuple[list[Path], list[str]]:
-    """All strips and photographs, and one file of each material that is kept as maps.
+    """All strips and photographs, one file of each material that is kept as maps, each folder of photos with places.
 
     Returns:
-        The files, each once, and a line for each other file of a folder.
+        The files and folders, each once, and a line for each other file of a folder.
 
     Raises:
         ValueError: as `data_tools.readers.photos.find_photos`.
     """
-    files, skipped = find_photos(paths, expected=(DESCRIPTION,))
+    paths = [Path(path) for path in paths]
+    files, skipped = find_photos(paths, expected=(DESCRIPTION, *placed_photos.TEXTS))
     stands_for: dict[Path, Path | None] = {}
-    for folder in {file.parent for file in files}:
+    placed = {folder for path in paths if path.is_dir() for folder in placed_photos.placed_in(path)}
+    for file in files:
+        if file.parent in placed and file not in paths:
+            stands_for[file] = file.parent
+    for folder in {file.parent for file in files} - placed:
         for material in filter(_is_material, material_maps.materials_in(folder)[0]):
             stands_for.update(dict.fromkeys(filter(material_maps.lies_aside, folder.iterdir())))
             stands_for.update(dict.fromkeys(material.maps, material.source))
@@ -38,20 +43,23 @@ def find(paths: Iterable[str | Path]) -> tuple[list[Path], list[str]]:
 
 
 def read_task(path: Path, size: int = SIZE, fov_rad: float = 0.0) -> Task:
-    """Turn a strip, the material that a map belongs to, or else a photograph into a task named by the file.
+    """Turn a strip, the material that a map belongs to, a folder or else a photograph into a task named by it.
 
     Args:
-        path: the file.
+        path: the file, or the folder of photographs with places.
         size: side in px; where it is more than 256, of photographs as fine as that alone.
         fov_rad: of a photograph's camera, along the shorter side; 0: as EXIF says, else that of fits.
 
     Returns:
-        As `data_tools.readers.svbrdf_task.svbrdf_task`; of a photograph `photo` alone, uint8 [3, size, size].
+        As `data_tools.readers.svbrdf_task.svbrdf_task`; of a photograph `photo` alone, uint8 [3, size, size]; of a
+        folder as `data_tools.readers.placed_photos.read_task`.
 
     Raises:
-        ValueError: as the `read_task` of `data_tools.readers.strips` and `data_tools.readers.material_maps`, and as
-            `data_tools.readers.photos.read_photo`.
+        ValueError: as the `read_task` of `data_tools.readers.strips`, `data_tools.readers.material_maps` and
+            `data_tools.readers.placed_photos`, and as `data_tools.readers.photos.read_photo`.
     """
+    if placed_photos.is_placed(path):
+        return placed_photos.read_task(path, size)
     check_exists(path)
     material = material_maps.material_of(path)
     if material and _is_material(material):

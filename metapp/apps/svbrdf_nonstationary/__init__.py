@@ -217,17 +217,13 @@ class SvbrdfNonstationary(CodedApp):
         return {key: tasks.data[key][tasks.rows] for key in ("photo", *KEYS) if key in tasks.data}
 
     def encode(self, encoder: Params, condition: Batch) -> Params:
-        """Of several photographs the mean of their codes."""
-        theta = super().encode(encoder, {"photo": all_photos(condition)})
+        """Of several photographs the code of the first: General knows none from aside, the mean of codes is worse."""
+        theta = super().encode(encoder, condition)
         if several(condition):
             theta["flash"] = first_flashes(self.maps_of(theta, condition["photo"]), condition) / self.field.gain
         return theta
 
     def read(self, reader: Params, photos: Tensor) -> Params:
-        """Of photographs [T, 3, S, S], or means of those of several, [T, N, 3, S, S]."""
-        if photos.ndim > 4:
-            known = self.read(reader, photos.flatten(0, 1))
-            return {key: value.unflatten(0, photos.shape[:2]).mean(1) for key, value in known.items()}
         photos = adaptive_avg_pool2d(photos, self.setup.read or photos.shape[-1])
         known = self.setup.encoder(reader, photos)
         return known | {"z": known["z"] / self.field.gain, "flash": known["flash"] / self.field.gain}

@@ -1,0 +1,68 @@
+"""Several flash photographs of one flat material in a folder, rectified, with the places of camera and flash.
+
+The layout is that of Guo et al. 2020, "MaterialGAN": images in the order of their names, beside them the text files of
+`data_tools.readers.flash_places`. Such a folder is one task.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import torch
+
+from data_tools.readers.flash_places import CAMERA, LIGHT, SIZE, read_places
+from data_tools.readers.image_files import opened
+from data_tools.readers.photos import SIZE as PX
+from data_tools.readers.photos import is_photo, read_photo
+from data_tools.readers.svbrdf_task import SEVERAL_UNITS, UNITS, task_name
+from metapp.learning.task import Task
+
+__all__ = ["TEXTS", "UNITS", "is_placed", "placed_in", "read_task"]
+
+TEXTS = (CAMERA, LIGHT, SIZE, "light_power.txt")  # what lies beside the photographs; no fit reads the last one
+UNITS = UNITS | SEVERAL_UNITS
+
+
+def is_placed(folder: Path) -> bool:
+    """Whether a path is a folder that says where a camera or a flash was."""
+    return any((folder / name).is_file() for name in (CAMERA, LIGHT))
+
+
+def placed_in(folder: Path) -> list[Path]:
+    """A folder and those below it that say so, sorted, hidden ones left out."""
+    below = sorted(path for path in folder.rglob("*") if path.is_dir())
+    shown = [path for path in below if not any(part.startswith(".") for part in path.relative_to(folder).parts)]
+    return [path for path in (folder, *shown) if is_placed(path)]
+
+
+def read_task(folder: Path, size: int = PX) -> Task:
+    """Turn a folder into a task of its name: `photo`, the first one, `others` and `places`.
+
+    Args:
+        folder: of photographs and text files.
+        size: side in px; where it is more than 256, of photographs as fine as that alone.
+
+    Raises:
+        ValueError: no photograph; one that is not square, or another's size; as `read_photo` and `read_places`.
+    """
+    paths = [path for path in sorted(folder.iterdir()) if not path.name.startswith(".") and is_photo(path)]
+    if not paths:
+        raise ValueError(f"{folder}: places without a photo, expected rectified photos beside {CAMERA}; add them.")
+    places = read_places(folder, len(paths))
+    assert places is not None
+    shapes = {path: _shape(path) for path in paths}
+    for path, (width, height) in shapes.items():
+        if width != height or (width, height) != shapes[paths[0]]:
+            raise ValueError(
+                f"{path}: {width} x {height} px, expected square photos of one size, all of the same part of the "
+                "material; rectify them."
+            )
+    photo, *others = (read_photo(path, size, least=min(size, PX)) for path in paths)
+    data = {"photo": photo, "places": torch.stack([places.camera, places.light], 1)}
+    return Task(task_name(folder.resolve().name), data | ({"others": torch.stack(others)} if others else {}))
+
+
+def _shape(path: Path) -> tuple[int, int]:
+    """Width and height of an image in px."""
+    with opened(path) as source:
+        return source.spec().width, source.spec().height
