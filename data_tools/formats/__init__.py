@@ -146,6 +146,7 @@ class Format(NamedTuple):
         holds: the parameters that a written file holds; a fit of another network is distilled into them first; () for
             a format that is written from what a fit evaluates to.
         command: that converts files, if any.
+        recipe: that fits of these inputs take where none is asked for; "" for the application's.
     """
 
     name: str
@@ -156,6 +157,7 @@ class Format(NamedTuple):
     exports: bool = False
     holds: tuple[str, ...] = ()
     command: Command | None = None
+    recipe: str = ""
 
     def files(self) -> Files:
         """What finds and reads the files."""

@@ -130,6 +130,14 @@ FORMATS = (
         ),
     ),
     Format(
+        "placed",
+        "svbrdf_nonstationary",
+        "data_tools.readers.placed_photos",
+        "folders of rectified flash photos of one material with camera_pos.txt, light_pos.txt, image_size.txt",
+        takes=("size",),
+        recipe="several",
+    ),
+    Format(
         "strips",
         "svbrdf_nonstationary",
         "data_tools.readers.strips",
@@ -147,7 +155,7 @@ FORMATS = (
         "svbrdf",
         "svbrdf_nonstationary",
         "data_tools.readers.svbrdf_inputs",
-        "flash photos, strips, a material's maps, folders of photos of one material with camera_pos.txt",
+        "flash photos, strips, a material's maps",
         takes=("size", "fov_rad"),
     ),
 )

@@ -6,6 +6,7 @@ The layout is that of Guo et al. 2020, "MaterialGAN": images in the order of the
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 
 import torch
@@ -17,22 +18,25 @@ from data_tools.readers.photos import is_photo, read_photo
 from data_tools.readers.svbrdf_task import SEVERAL_UNITS, UNITS, task_name
 from metapp.learning.task import Task
 
-__all__ = ["TEXTS", "UNITS", "is_placed", "placed_in", "read_task"]
-
 TEXTS = (CAMERA, LIGHT, SIZE, "light_power.txt")  # what lies beside the photographs; no fit reads the last one
 UNITS = UNITS | SEVERAL_UNITS
 
 
-def is_placed(folder: Path) -> bool:
-    """Whether a path is a folder that says where a camera or a flash was."""
-    return any((folder / name).is_file() for name in (CAMERA, LIGHT))
+def recognises(path: Path) -> bool:
+    """Whether a path is a folder that says where a camera or a flash was, or has one below it."""
+    return path.is_dir() and bool(placed_in(path))
+
+
+def find(paths: Iterable[Path]) -> tuple[list[Path], list[str]]:
+    """The folders among these and below, each once; no lines, as nothing else is looked at."""
+    return list({folder.resolve(): folder for path in paths for folder in placed_in(path)}.values()), []
 
 
 def placed_in(folder: Path) -> list[Path]:
     """A folder and those below it that say so, sorted, hidden ones left out."""
     below = sorted(path for path in folder.rglob("*") if path.is_dir())
     shown = [path for path in below if not any(part.startswith(".") for part in path.relative_to(folder).parts)]
-    return [path for path in (folder, *shown) if is_placed(path)]
+    return [path for path in (folder, *shown) if any((path / name).is_file() for name in (CAMERA, LIGHT))]
 
 
 def read_task(folder: Path, size: int = PX) -> Task:
@@ -43,11 +47,14 @@ def read_task(folder: Path, size: int = PX) -> Task:
         size: side in px; where it is more than 256, of photographs as fine as that alone.
 
     Raises:
-        ValueError: no photograph; one that is not square, or another's size; as `read_photo` and `read_places`.
+        ValueError: fewer than two photographs; one that is not square, or another's size; as `read_photo` and `read_places`.
     """
     paths = [path for path in sorted(folder.iterdir()) if not path.name.startswith(".") and is_photo(path)]
-    if not paths:
-        raise ValueError(f"{folder}: places without a photo, expected rectified photos beside {CAMERA}; add them.")
+    if len(paths) < 2:
+        raise ValueError(
+            f"{folder}: {len(paths)} photo(s) beside the places of camera or flash, expected two or more; add some, or "
+            "give one photo by its name."
+        )
     places = read_places(folder, len(paths))
     assert places is not None
     shapes = {path: _shape(path) for path in paths}
@@ -58,8 +65,8 @@ def read_task(folder: Path, size: int = PX) -> Task:
                 "material; rectify them."
             )
     photo, *others = (read_photo(path, size, least=min(size, PX)) for path in paths)
-    data = {"photo": photo, "places": torch.stack([places.camera, places.light], 1)}
-    return Task(task_name(folder.resolve().name), data | ({"others": torch.stack(others)} if others else {}))
+    given = torch.stack([places.camera, places.light], 1)
+    return Task(task_name(folder.resolve().name), {"photo": photo, "others": torch.stack(others), "places": given})
 
 
 def _shape(path: Path) -> tuple[int, int]:

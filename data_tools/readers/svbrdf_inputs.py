@@ -1,8 +1,8 @@
-"""What fits of non-stationary svBRDFs read: strips, materials as maps, flash photographs, several with places."""
+"""What fits of non-stationary svBRDFs read: strips, materials as maps, and plain flash photographs."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from pathlib import Path
 
 from data_tools.readers import material_maps, placed_photos, strips
@@ -15,26 +15,32 @@ from metapp.learning.task import Task
 
 __all__ = ["UNITS", "find", "read_task", "recognises"]
 
-recognises = holds_photos  # the names that every reader has
+
+def recognises(path: Path) -> bool:
+    """Whether a path is an image file, or a folder with one below it that is not among those with places."""
+    if not path.is_dir():
+        return holds_photos(path)
+    placed = placed_photos.placed_in(path)
+    return holds_photos(path) and (not placed or bool(_elsewhere(find_photos([path])[0], placed)))
 
 
 def find(paths: Iterable[str | Path]) -> tuple[list[Path], list[str]]:
-    """All strips and photographs, one file of each material that is kept as maps, each folder of photos with places.
+    """All strips and photographs, and one file of each material that is kept as maps.
+
+    Of folders, those below them with the places of several photographs are left out (`placed_photos`).
 
     Returns:
-        The files and folders, each once, and a line for each other file of a folder.
+        The files, each once, and a line for each other file of a folder.
 
     Raises:
         ValueError: as `data_tools.readers.photos.find_photos`.
     """
-    paths = [Path(path) for path in paths]
-    files, skipped = find_photos(paths, expected=(DESCRIPTION, *placed_photos.TEXTS))
+    named = list(map(Path, paths))
+    files, skipped = find_photos(named, expected=(DESCRIPTION, *placed_photos.TEXTS))
+    placed = [folder for path in named if path.is_dir() for folder in placed_photos.placed_in(path)]
+    files = [file for file in files if file in named or _elsewhere([file], placed)]
     stands_for: dict[Path, Path | None] = {}
-    placed = {folder for path in paths if path.is_dir() for folder in placed_photos.placed_in(path)}
-    for file in files:
-        if file.parent in placed and file not in paths:
-            stands_for[file] = file.parent
-    for folder in {file.parent for file in files} - placed:
+    for folder in {file.parent for file in files}:
         for material in filter(_is_material, material_maps.materials_in(folder)[0]):
             stands_for.update(dict.fromkeys(filter(material_maps.lies_aside, folder.iterdir())))
             stands_for.update(dict.fromkeys(material.maps, material.source))
@@ -43,23 +49,20 @@ def find(paths: Iterable[str | Path]) -> tuple[list[Path], list[str]]:
 
 
 def read_task(path: Path, size: int = SIZE, fov_rad: float = 0.0) -> Task:
-    """Turn a strip, the material that a map belongs to, a folder or else a photograph into a task named by it.
+    """Turn a strip, the material that a map belongs to, or else a photograph into a task named by the file.
 
     Args:
-        path: the file, or the folder of photographs with places.
+        path: the file.
         size: side in px; where it is more than 256, of photographs as fine as that alone.
         fov_rad: of a photograph's camera, along the shorter side; 0: as EXIF says, else that of fits.
 
     Returns:
-        As `data_tools.readers.svbrdf_task.svbrdf_task`; of a photograph `photo` alone, uint8 [3, size, size]; of a
-        folder as `data_tools.readers.placed_photos.read_task`.
+        As `data_tools.readers.svbrdf_task.svbrdf_task`; of a photograph `photo` alone, uint8 [3, size, size].
 
     Raises:
-        ValueError: as the `read_task` of `data_tools.readers.strips`, `data_tools.readers.material_maps` and
-            `data_tools.readers.placed_photos`, and as `data_tools.readers.photos.read_photo`.
+        ValueError: as the `read_task` of `data_tools.readers.strips` and `data_tools.readers.material_maps`, and as
+            `data_tools.readers.photos.read_photo`.
     """
-    if placed_photos.is_placed(path):
-        return placed_photos.read_task(path, size)
     check_exists(path)
     material = material_maps.material_of(path)
     if material and _is_material(material):
@@ -68,6 +71,10 @@ def read_task(path: Path, size: int = SIZE, fov_rad: float = 0.0) -> Task:
         return strips.read_task(path, min(size, SIZE))
     photo = read_photo(path, size, fov_rad=fov_rad, within_rad=FOV_RAD, least=min(size, SIZE))
     return Task(task_name(path.stem), {"photo": photo})
+
+
+def _elsewhere(files: Iterable[Path], folders: Collection[Path]) -> list[Path]:
+    return [file for file in files if file.parent not in folders]
 
 
 def _is_material(material: material_maps.Material) -> bool:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from dataclasses import replace
 from importlib import resources
 from pathlib import Path
 
 import torch
 
-from data_tools.formats import Export, exports_of, inputs_of
+from data_tools.formats import Export, Format, exports_of, inputs_of
 from metapp.apps import app_names, app_of, presentation_of, protocols_of, recipes_of
 from metapp.learning.app import App
 from metapp.learning.recipe import Recipe
@@ -17,6 +18,7 @@ from metapp.learning.rules import rule_of
 from metapp.networks.exemplar import ExemplarSetup, at_detail, details_of
 from metapp.runs import BadOption
 from metapp.runs.naming import name_of
+from metapp.runs.reporter import say
 from metapp.runs.request import Request
 
 QUICK, FULL = "quick", "full"
@@ -25,11 +27,11 @@ QUICK, FULL = "quick", "full"
 def shipped_path(app: str, name: str, recipe: str = QUICK) -> Path:
     """Where a checkpoint that ships is, by its file name without suffix.
 
-    A recipe of another size has a folder, for what it does not share with "quick".
+    A recipe has a folder, for what it does not share with "full" and "quick"; that of "full" has nothing for "quick".
     """
     folder, file = _folder(app), f"{name}.safetensors"
-    own = folder / recipe / file
-    return own if own.is_file() else folder / file
+    own = [folder / each / file for each in (recipe, FULL) if recipe != QUICK]
+    return next((path for path in own if path.is_file()), folder / file)
 
 
 def shipped_names(app: str) -> dict[str, list[str]]:
@@ -56,9 +58,22 @@ def _folder(app: str) -> Path:
     return Path(str(resources.files("metapp.checkpoints"))) / app
 
 
-def default_recipe(app: str) -> str:
-    """What a request without a recipe is fitted by: "full", the best rule and size that ships, else "quick"."""
+def default_recipe(app: str, inputs: Sequence[Path] = (), protocol: str = "") -> str:
+    """What a request without a recipe is fitted by: "full", the best rule and size that ships, else "quick".
+
+    Where all inputs are of formats that have a recipe of their own, that one, and it is said.
+    """
+    forms = inputs_of(app)
+    for own in {form.recipe for form in forms if form.recipe and ships(app, form.recipe)} if inputs else ():
+        if own in recipes_of(app, protocol) and all(_is_of(path, own, forms) for path in inputs):
+            say(f"--recipe {own}, as all inputs are of its kind; --recipe {FULL} for that of other inputs")
+            return own
     return FULL if FULL in recipes_of(app) and ships(app, FULL) else QUICK
+
+
+def _is_of(path: Path, recipe: str, forms: Sequence[Format]) -> bool:
+    """Whether a path is a folder that formats of a recipe recognise, and no others."""
+    return path.is_dir() and {form.recipe for form in forms if form.recognises(path)} == {recipe}
 
 
 def check_name(app: str) -> None:

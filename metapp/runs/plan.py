@@ -155,7 +155,7 @@ def plan(request: Request) -> Plan:
     check_name(request.app)
     check_protocol(request.observe, request.app)
     recipes = recipes_of(request.app, request.observe)
-    name = request.recipe or default_recipe(request.app)
+    name = request.recipe or default_recipe(request.app, request.inputs, request.observe)
     if name not in recipes:
         raise BadOption(f"--recipe '{name}': expected one of {', '.join(recipes)}.")
     recipe = check_detail(request, name, recipes[name])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 import torch
@@ -14,7 +15,7 @@ from metapp.appearance.presentation import Kind, Picture, Visible
 from metapp.appearance.surface import Surface
 from metapp.apps.svbrdf_nonstationary import FINEST, SvbrdfNonstationary
 from metapp.apps.svbrdf_nonstationary.confidence import deviations
-from metapp.apps.svbrdf_nonstationary.maps import decoded, inputs_of, linear, pooled
+from metapp.apps.svbrdf_nonstationary.maps import Flash, decoded, flashes_of, inputs_of, linear, photographed, pooled
 from metapp.learning.task import Params, Task
 from metapp.networks.field import LocalField, field_by_rows, strips_of
 from metapp.networks.presentation import CodedPresentation
@@ -46,9 +47,14 @@ class SvbrdfNonstationaryPresentation(CodedPresentation[SvbrdfNonstationary]):
     def files(self, theta: Params, task: Task) -> dict[str, Picture]:
         """The maps, as fine as the photograph up to FINEST px, and pictures under three other lights.
 
-        And where General says how sure it is, how far off each map may be: 0 black, LOOSE or more white.
+        And where General says how sure it is, how far off each map may be: 0 black, LOOSE or more white. Of several
+        photographs also what the maps look like in each, `photo_1` and so on, from where the fit believes it was taken.
         """
-        pictures = self.files_of(self._whole(theta, task), task)
+        maps = self._whole(theta, task)
+        pictures = self.files_of(maps, task)
+        if "places" in task.data and self.app.protocol == "photo":
+            for number, radiance in enumerate(rephotographed(self.app, theta, task, maps), 1):
+                pictures[f"photo_{number}"] = Picture(linear_to_srgb(radiance.clamp(0, 1)).permute(1, 2, 0), "srgb")
         if self.app.setup.sure:
             for name, part in deviations({"deviation": theta["deviation"][None]}).items():
                 pictures[f"deviation_{name}"] = Picture((part[0, ..., None] / LOOSE).clamp(0, 1), "data")
@@ -82,8 +88,15 @@ class SvbrdfNonstationaryPresentation(CodedPresentation[SvbrdfNonstationary]):
     def visible(self, task: Task) -> Visible:
         """The maps or the photograph, all of it in each step; General's encoder reads the photograph alone."""
         if self.app.protocol == "photo":
-            return Visible(1, task.data["photo"].nbytes, 1)
+            return Visible(1 + len(task.data.get("others", ())), task.data["photo"].nbytes, 1)
         return Visible(1, task.data["maps"].nbytes, 0)
+
+
+def rephotographed(app: SvbrdfNonstationary, theta: Params, task: Task, maps: Maps) -> Iterator[Tensor]:
+    """Linear radiance [3, H, W] of maps [1, ...] in each of a task's several photographs, as the fit places it."""
+    flash = flashes_of(app.field.gain * theta["flash"][None], task.data["places"][None].float())
+    for number in range(flash.place.shape[1]):
+        yield photographed(maps, Flash(*(part[:, number] for part in flash)))[0]
 
 
 def fine_maps(field: LocalField, theta: Params, photo: Tensor) -> Maps:

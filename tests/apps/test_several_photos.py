@@ -1,0 +1,254 @@
+"""Several photographs of one material: the loss, where fits begin, what more photos are worth."""
+
+from __future__ import annotations
+
+import itertools
+
+import pytest
+import torch
+from torch import Generator, Tensor
+
+from data_tools.readers.svbrdf_task import flash_photo, svbrdf_task
+from data_tools.synthetic.svbrdf_nonstationary import synthetic_tasks
+from metapp.appearance.flash import Maps, camera, camera_distance, normal_from_height, pack, unpack
+from metapp.appearance.several import ASIDE, ERROR, FARTHEST, NEAREST, held_places
+from metapp.apps.svbrdf_nonstationary import MaterialSetup, SvbrdfNonstationary, field_of
+from metapp.apps.svbrdf_nonstationary.maps import FLASH, flash_of, flashes_of, photographed
+from metapp.apps.svbrdf_nonstationary.presentation import SvbrdfNonstationaryPresentation
+from metapp.learning.app import stack
+from metapp.learning.recipe import Adam
+from metapp.learning.rules import rule_of
+from metapp.learning.task import Params, Task, Tasks
+from metapp.runs.checkpoints import find_checkpoint
+from metapp.runs.plan import plan
+from metapp.runs.request import Request
+
+SIDE, COUNT = 16, 3
+
+
+def material(seed: int, size: int = 32) -> Tensor:
+    """Maps [10, size, size], smooth, with relief."""
+    coarse = torch.rand(1, 8, 4, 4, generator=Generator().manual_seed(seed))
+    smooth = torch.nn.functional.interpolate(coarse, (size, size), mode="bilinear")[0]
+    normal = normal_from_height(4 * smooth[:1], periodic=False)
+    return pack(Maps(0.1 + 0.7 * smooth[1:4], 0.4 * smooth[4:7], 0.3 + 0.5 * smooth[7:], normal))
+
+
+def several(seed: int, count: int = COUNT) -> Task:
+    """A task of so many photos, from known places."""
+    maps, places = material(seed), held_places(1, count, Generator().manual_seed(seed))[0][0]
+    photos = [flash_photo(maps, place, float((place[2] / camera_distance()) ** 2), place) for place in places]
+    task = svbrdf_task(f"material-{seed}", maps, photo=photos[0])
+    return task._replace(
+        data=task.data | {"others": torch.stack(photos[1:]), "places": places[:, None].repeat(1, 2, 1)}
+    )
+
+
+@pytest.fixture
+def app() -> SvbrdfNonstationary:
+    return SvbrdfNonstationary(MaterialSetup(field_of(SIDE, hidden=8)._replace(code=3), width=2), "photo")
+
+
+@pytest.fixture
+def tasks(app: SvbrdfNonstationary) -> Tasks:
+    return stack(app, [several(seed) for seed in range(2)])
+
+
+def started(app: SvbrdfNonstationary, tasks: Tasks) -> Params:
+    """Random parameters, as Overfit begins."""
+    theta = app.init(Generator().manual_seed(0), len(tasks))
+    return theta | app.known(tasks)
+
+
+def test_one_photo_has_the_loss_that_it_had(app: SvbrdfNonstationary) -> None:
+    """With a place, straight above, to rounding; without one, exactly: norm of the difference of logs."""
+    alone = Task("wall", {key: value for key, value in several(0).data.items() if key in ("photo", "maps")})
+    above = camera().expand(1, 2, 3)
+    one, placed = (stack(app, [task]) for task in (alone, alone._replace(data=alone.data | {"places": above})))
+    theta = started(app, one)
+    assert theta["flash"].shape == (1, FLASH)
+    theta["flash"] = torch.tensor([[0.01, -0.02, 0.03, 0.01]])
+    loss = app.loss(theta, app.sample(one, Generator(), 1), {})
+    photo, maps = one.data["photo"], app.maps_of(theta, one.data["photo"])
+    short = (photo + 0.1).log() - (photographed(maps, flash_of(60 * theta["flash"])) + 0.1).log()
+    short = torch.where(photo > 0.95, short.relu(), short)
+    assert torch.equal(loss, short.abs().mean((1, 2, 3)))
+    theta["flash"][:] = 0
+    loss = app.loss(theta, app.sample(one, Generator(), 1), {})
+    again = app.loss(theta | app.known(placed), app.sample(placed, Generator(), 1), {})
+    torch.testing.assert_close(again, loss)
+
+
+def test_the_loss_is_the_mean_over_photos_whatever_their_order(app: SvbrdfNonstationary, tasks: Tasks) -> None:
+    batch, theta = app.sample(tasks, Generator(), 1), started(app, tasks)
+    theta["flash"] = 0.02 * torch.randn(theta["flash"].shape, generator=Generator().manual_seed(1))
+    maps = app.maps_of(theta, batch["photo"])
+    photos = torch.cat([batch["photo"][:, None], batch["others"]], 1)
+    losses = []
+    for order in map(list, itertools.permutations(range(COUNT))):
+        mixed = {"photo": photos[:, order[0]], "others": photos[:, order[1:]], "places": batch["places"][:, order]}
+        losses.append(app._photo_loss({"flash": theta["flash"][:, :, order]}, maps, mixed, {}))
+    for loss in losses[1:]:
+        torch.testing.assert_close(loss, losses[0])
+    singles = [
+        {"photo": photos[:, i], "others": photos[:, :0], "places": batch["places"][:, i : i + 1]} for i in range(COUNT)
+    ]
+    each = [app._photo_loss({"flash": theta["flash"][:, :, i : i + 1]}, maps, one, {}) for i, one in enumerate(singles)]
+    torch.testing.assert_close(torch.stack(each).mean(0), losses[0])
+
+
+def test_gradients_of_maps_and_flashes_are_right() -> None:
+    app = SvbrdfNonstationary(MaterialSetup(field_of(6, hidden=4)._replace(code=2)), "photo")
+    tasks = stack(app, [several(0)])
+    batch = {key: value.double() for key, value in app.sample(tasks, Generator(), 1).items()}
+    for key in ("photo", "others"):  # no texel near the corner of the loss, where a photo is as the maps have it
+        batch[key] = 0.9 * torch.rand(batch[key].shape, generator=Generator().manual_seed(1)).double()
+    theta = {key: value.double().requires_grad_() for key, value in started(app, tasks).items()}
+    moved = ("z", "flash")
+
+    def loss(*values: Tensor) -> Tensor:
+        return app.loss(theta | dict(zip(moved, values, strict=True)), batch, {})
+
+    assert theta["flash"].shape == (1, FLASH, COUNT)
+    assert torch.autograd.gradcheck(loss, tuple(theta[key] for key in moved))
+
+
+def test_true_maps_from_true_places_have_no_loss(
+    app: SvbrdfNonstationary, tasks: Tasks, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(SvbrdfNonstationary, "maps_of", lambda app, theta, photo: unpack(tasks.data["maps"]))
+    batch, theta = app.sample(tasks, Generator(), 1), started(app, tasks)
+    assert app.loss(theta, batch, {}).max() < 0.03  # the maps are the photos' means, and 8 bits
+    for axis, off in ((0, 0.02), (2, 0.02), (3, 0.02)):
+        moved = theta["flash"].clone()
+        moved[:, axis, 1] = off
+        assert (app.loss(theta | {"flash": moved}, batch, {}) > app.loss(theta, batch, {})).all(), axis
+
+
+def test_general_reads_the_first_and_begins_as_bright_as_each_photo(app: SvbrdfNonstationary, tasks: Tasks) -> None:
+    weights = app.init_encoder(Generator().manual_seed(0))
+    batch = app.condition(tasks, Generator())
+    theta = app.encode(weights, batch)
+    alone = app.encode(weights, {"photo": batch["photo"]})
+    assert torch.equal(theta["z"], alone["z"])
+    darker = batch | {"others": torch.stack([0.25 * batch["others"][:, 0], batch["others"][:, 1]], 1)}
+    change = app.field.gain * (app.encode(weights, darker)["flash"] - theta["flash"])
+    assert change[:, :3].abs().max() == 0
+    assert change[:, 3, [0, 2]].abs().max() == 0
+    assert (change[:, 3, 1] < -2).all()  # log(1/4) = -4.6 times 0.3, less where it clipped
+    flash = flashes_of(app.field.gain * theta["flash"], batch["places"])
+    shown = photographed(app.maps_of(theta, batch["photo"]), flash)
+    photos = torch.cat([batch["photo"][:, None], batch["others"]], 1)
+    whole = photos < 0.95
+    torch.testing.assert_close((shown * whole).sum((2, 3, 4)), (photos * whole).sum((2, 3, 4)), rtol=1e-4, atol=0)
+
+
+def test_camera_and_flash_move_together() -> None:
+    places = torch.tensor([[[[0.1, 0.2, 3.0], [0.3, 0.2, 2.0]]]])
+    flash = torch.zeros(1, FLASH, 1)
+    given = flashes_of(flash, places)
+    torch.testing.assert_close(torch.stack([given.eye, given.place], 2), places)
+    moved = flashes_of(flash + torch.tensor([1.0, -1.0, 0.5, 0.0])[:, None], places)
+    for before, after in ((given.eye, moved.eye), (given.place, moved.place)):
+        torch.testing.assert_close(after[..., :2] - before[..., :2], torch.tensor([[[0.3, -0.3]]]))
+        torch.testing.assert_close(after[..., 2] / before[..., 2], torch.tensor([[0.1]]).exp())
+    white = Maps(
+        torch.ones(1, 3, 33, 33), torch.zeros(1, 3, 33, 33), torch.ones(1, 1, 33, 33), torch.zeros(1, 3, 33, 33)
+    )
+    white.normal[:, 2] = 1
+    above = flashes_of(flash, torch.tensor([[[[0.0, 0.0, 5.0], [0.0, 0.0, 5.0]]]]))
+    assert float(photographed(white, above)[0, 0, 0, 16, 16]) == pytest.approx(1, abs=1e-3)
+
+
+@pytest.mark.parametrize("rule", ["meta-encoder", "meta-sgd"])
+def test_learned_rates_of_one_flash_serve_all(app: SvbrdfNonstationary, tasks: Tasks, rule: str) -> None:
+    """A learned rule that is a plain Adam moves flashes of several photos as that Adam does, each by itself."""
+    theta = started(app, tasks)
+    one = {key: value[0] for key, value in app.init(Generator().manual_seed(0), 1).items()}
+    alpha = rule_of(rule).alpha(app, one, 4, Adam(1e-3))
+    spread = {key: value[:, None].expand(-1, 2, *value.shape[1:]) for key, value in alpha.items()}
+    step = {name: value[0] for name, value in spread.items()}
+    assert step["rate.flash"].shape == (2, FLASH)
+    learned = rule_of(rule).rule(step)
+    grads = {key: torch.ones_like(value) for key, value in theta.items()}
+    moved, _ = learned.step(step, theta, grads, learned.init(theta))
+    change = moved["flash"] - theta["flash"]
+    torch.testing.assert_close(change, torch.full_like(change, -1e-3), rtol=1e-3, atol=0)
+
+
+def test_tasks_of_different_numbers_are_not_fitted_together(app: SvbrdfNonstationary) -> None:
+    alone = Task("wall", {"photo": several(0).data["photo"]})
+    for other in (several(1, 2), alone):
+        with pytest.raises(ValueError, match=r"others \(.*expected \(2, 3, 16, 16\) as of material-0; convert both"):
+            stack(app, [several(0), other])
+    data = several(0).data
+    for broken in (data | {"places": data["places"][:2]}, {key: data[key] for key in ("photo", "others")}):
+        with pytest.raises(ValueError, match=r"leaf: 3 photos and [02] places, expected as many"):
+            app.prepare(Task("leaf", broken))
+
+
+def test_references_need_no_photos(app: SvbrdfNonstationary) -> None:
+    reference = SvbrdfNonstationary(app.setup, "reference")
+    tasks = stack(reference, [several(0)])
+    assert not {"others", "places"} & tasks.data.keys()
+    assert started(reference, tasks)["flash"].shape == (1, FLASH)
+
+
+def test_augmented_tasks_have_as_many_photos(app: SvbrdfNonstationary, tasks: Tasks, rng: Generator) -> None:
+    data = app.augment(tasks, rng).data
+    assert data["photo"].shape == (2, 3, SIDE, SIDE)
+    assert data["others"].shape == (2, COUNT - 1, 3, SIDE, SIDE)
+    assert data["places"].shape == (2, COUNT, 2, 3)
+    assert not torch.equal(data["places"], tasks.data["places"])
+
+
+def test_each_photo_is_written_as_the_fit_sees_it(app: SvbrdfNonstationary) -> None:
+    task = several(0)
+    theta = {key: value[0] for key, value in started(app, stack(app, [task])).items()}
+    files = SvbrdfNonstationaryPresentation(app).files(theta, task)
+    assert [name for name in files if name.startswith("photo")] == ["photo_1", "photo_2", "photo_3"]
+    assert all(files[f"photo_{i}"].pixels.shape == (32, 32, 3) for i in (1, 2, 3))
+
+
+def test_places_are_as_people_hold_a_phone(rng: Generator) -> None:
+    places, off = held_places(300, 9, rng)
+    height = camera_distance()
+    assert torch.equal(places[:, 0], camera().expand(300, 3))
+    assert places[:, 1:, :2].norm(dim=-1).max() <= ASIDE
+    assert places[:, 1:, 2].min() >= NEAREST * height
+    assert places[:, 1:, 2].max() <= FARTHEST * height
+    torch.testing.assert_close((off / places[..., 2:]).std(), torch.tensor(ERROR), rtol=0.05, atol=0)
+
+
+def test_drawn_photos_are_those_of_the_places(rng: Generator) -> None:
+    """The first is the one of sets of one photo; measured places explain the others nearly, others do not."""
+    (one,), (five,) = (list(synthetic_tasks("train", 1, photos=count)) for count in (1, 5))
+    assert all(torch.equal(one.data[key], five.data[key]) for key in ("photo", "maps"))
+    assert set(one.data) == {"photo", "maps"}
+    maps, places = unpack(five.data["maps"].float()[None]), five.data["places"]
+    assert five.data["others"].shape == (4, 3, 128, 128)
+
+    def off(place: Tensor) -> Tensor:
+        seen = photographed(maps, flashes_of(torch.zeros(1, FLASH, 4), place[None]))[0].clamp(0, 1)
+        shown = seen.mean((1, 2, 3), keepdim=True)
+        photos = (five.data["others"].float() / 255) ** 2.2
+        return (seen / shown - photos / photos.mean((1, 2, 3), keepdim=True)).abs().mean((1, 2, 3))
+
+    assert (off(places[1:]) < 0.5 * off(places[1:].roll(1, 0) * torch.tensor([-1.0, -1.0, 1.0]))).float().mean() >= 0.5
+
+
+@pytest.mark.slow
+def test_five_photos_say_more_than_one_by_default() -> None:
+    """By what ships: one photo by the recipe that a user gets, five by that of folders with places."""
+    tasks = list(synthetic_tasks("test", 3, size=256, photos=5))
+    errors = {}
+    for recipe, paradigm in (("full", "meta"), ("several", "meta"), ("several", "quickft"), ("several", "general")):
+        by = find_checkpoint(
+            plan(Request("svbrdf_nonstationary", paradigm, observe="photo", recipe=recipe, quiet=True))
+        )
+        of = tasks if recipe == "several" else [Task(t.name, {k: t.data[k] for k in ("photo", "maps")}) for t in tasks]
+        theta = [by.paradigm.fit(by.job, by.prepared, stack(by.app, [task]), Generator()) for task in of]
+        found = [float(by.app.errors(each, stack(by.app, [t]))["error"]) for each, t in zip(theta, of, strict=True)]
+        errors[recipe, paradigm] = sum(found) / len(found)
+    assert errors["several", "quickft"] < 0.8 * errors["several", "general"]
+    assert errors["several", "meta"] < 0.8 * errors["full", "meta"]
