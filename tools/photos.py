@@ -77,7 +77,8 @@ def drawn(data: Path, most: int) -> None:
     print(f"| flat | {sum(flat.values()) / len(flat):.3f} |", flush=True)
     quickft: dict[int, dict[str, float]] = {}
     for name in sorted(PARADIGMS, key=lambda name: name != "quickft"):
-        cells, one = [], {}
+        cells: list[str] = []
+        one: dict[str, float] = {}
         for count in COUNTS:
             by = planned(name, count)
             chosen = [cut(task, list(range(count))) for task in tasks]

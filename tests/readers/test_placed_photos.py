@@ -1,0 +1,113 @@
+"""Folders of photos with the places of camera and flash: one input of non-stationary svBRDFs, and clear refusals."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import OpenImageIO as oiio
+import pytest
+import torch
+
+from data_tools.formats import inputs_of
+from data_tools.readers import placed_photos, svbrdf_inputs
+from data_tools.readers.flash_places import CAMERA, LIGHT, SIZE
+from metapp.runs.plan import plan
+from metapp.runs.request import Request
+
+APP = "svbrdf_nonstationary"
+
+
+def write(path: Path, seed: int, height: int = 48, width: int = 48) -> Path:
+    pixels = np.random.default_rng(seed).integers(0, 255, (height, width, 3), dtype=np.uint8)
+    oiio.ImageBuf(np.ascontiguousarray(pixels)).write(str(path))
+    return path
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """Three photos, written in another order than that of their names."""
+    made = tmp_path / "leaf"
+    made.mkdir()
+    for name, seed in (("c.png", 3), ("a.png", 1), ("b.png", 2)):
+        write(made / name, seed)
+    for name in (CAMERA, LIGHT):
+        (made / name).write_text("".join(f"{i},0,16\n" for i in range(3)))
+    (made / SIZE).write_text("8\n")
+    (made / "light_power.txt").write_text("1500,1500,1500\n")
+    return made
+
+
+def test_a_folder_is_one_task_in_the_order_of_names(folder: Path) -> None:
+    task = placed_photos.read_task(folder)
+    assert task.name == "leaf"
+    assert {key: tuple(value.shape) for key, value in task.data.items()} == {
+        "photo": (3, 256, 256), "others": (2, 3, 256, 256), "places": (3, 2, 3),
+    }  # fmt: skip
+    alone = [svbrdf_inputs.read_task(folder / f"{name}.png").data["photo"] for name in "abc"]
+    assert torch.equal(torch.cat([task.data["photo"][None], task.data["others"]]), torch.stack(alone))
+    torch.testing.assert_close(task.data["places"][:, 0], torch.tensor([[0.0, 0, 4], [0.25, 0, 4], [0.5, 0, 4]]))
+
+
+def found(path: Path) -> list[tuple[str, Path]]:
+    """What each format of the application finds in a path that it recognises."""
+    forms = [form for form in inputs_of(APP) if form.recognises(path)]
+    return [(form.name, place) for form in forms for place in form.find([path])[0]]
+
+
+def test_photos_of_other_folders_stay_what_they_were(folder: Path) -> None:
+    assert found(folder) == [("placed", folder)]
+    assert found(folder / "b.png") == [("svbrdf", folder / "b.png")]
+    assert found(folder.parent) == [("placed", folder)]
+    plain = write(folder.parent / "wall.png", 4)
+    assert found(folder.parent) == [("placed", folder), ("svbrdf", plain)]
+    for name in (CAMERA, LIGHT):
+        (folder / name).unlink()
+    assert [name for name, _ in found(folder)] == ["svbrdf"] * 3
+
+
+def test_folders_with_places_have_a_recipe_of_their_own(folder: Path) -> None:
+    def recipe(*inputs: Path, observe: str = "photo") -> str:
+        return plan(Request(APP, "general", inputs, observe=observe)).request.recipe
+
+    assert recipe(folder) == "several"
+    assert recipe(folder.parent) == "several"
+    assert recipe(folder / "a.png") == "full"
+    assert recipe(folder, folder / "a.png") == "full"
+    assert recipe(folder, observe="reference") == "full"
+    assert recipe() == "full"
+    write(folder.parent / "wall.png", 4)
+    assert recipe(folder.parent) == "full"
+
+
+def test_it_is_said_by_which_recipe(folder: Path, metapp: Callable) -> None:
+    result = metapp("general", APP, folder, "--observe", "photo", "--out", folder.parent / "runs", "--json")
+    assert result.code == 0, result.err
+    assert "--recipe several, as all inputs are of its kind" in result.err
+    made = Path(result.document["out"]) / "outputs" / "leaf"
+    assert {f"photo_{i}.png" for i in (1, 2, 3)} <= {path.name for path in made.iterdir()}
+    result = metapp("general", APP, folder, "--out", folder.parent / "runs")
+    assert result.code == 1
+    assert "leaf: a flash photo, expected a material's maps" in result.err
+    assert "--observe photo" in result.err
+
+
+@pytest.mark.parametrize(
+    ("change", "line"),
+    [
+        (lambda at: (at / LIGHT).unlink(), "light_pos.txt: cannot be read as text, expected 3 line(s)"),
+        (lambda at: (at / SIZE).unlink(), "image_size.txt: cannot be read as text"),
+        (lambda at: (at / "a.png").unlink(), "camera_pos.txt: 3 lines, expected 2; give one for each photo"),
+        (lambda at: write(at / "b.png", 2, 48, 64), "b.png: 64 x 48 px, expected square photos of one size"),
+        (lambda at: write(at / "b.png", 2, 64, 64), "b.png: 64 x 64 px, expected square photos of one size"),
+        (lambda at: (at / "b.png").write_bytes(b"no image"), "b.png"),
+        (lambda at: [(at / f"{name}.png").unlink() for name in "bc"], "leaf: 1 photo(s) beside the places"),
+    ],
+)
+def test_bad_folders_are_refused_in_a_line(folder: Path, change: Callable[[Path], object], line: str) -> None:
+    change(folder)
+    with pytest.raises(ValueError, match=re.escape(line)) as caught:
+        placed_photos.read_task(folder)
+    assert "\n" not in str(caught.value)
