@@ -1,7 +1,8 @@
-"""Errors of non-stationary svBRDFs against the number of photos: photos.py drawn DATA [TASKS] | real FOLDER [PICTURES].
+"""Errors of non-stationary svBRDFs against the number of photos: photos.py drawn TASKS | real FOLDER [PICTURES].
 
-drawn: the test tasks of `metapp data synth svbrdf_nonstationary --photos 9`, the first few of them, fitted to their
-first 1, 2, 5 and 9 photos by all paradigms, with checkpoints that ship: one photo by recipe full, several by several.
+drawn: so many test materials as `metapp data synth svbrdf_nonstationary --size 256 --photos 9` draws them, fitted to
+their first 1, 2, 5 and 9 photos by all paradigms, with checkpoints that ship: one photo by recipe full, others by
+several. The baseline takes the first photo for a flat diffuse colour.
 
 real: a folder of photos with places: fits of any k photos that follow each other (the first after the last), judged by
 the others, which no fit saw, rendered from the places that the folder gives, as bright as the photo is on average: RMSE
@@ -15,6 +16,7 @@ import torch
 from torch import Tensor
 
 from data_tools.readers.placed_photos import read_task
+from data_tools.synthetic.svbrdf_nonstationary import synthetic_tasks
 from metapp.appearance.colour import linear_to_srgb
 from metapp.appearance.flash import expose
 from metapp.appearance.metrics import ssim
@@ -33,9 +35,8 @@ from metapp.runs.outputs import write_pictures
 from metapp.runs.plan import Plan, plan
 from metapp.runs.request import Request
 from metapp.runs.statistics import paired
-from metapp.storage.shards import read_shard
 
-NAME, COUNTS = "svbrdf_nonstationary", (1, 2, 5, 9)
+NAME, COUNTS, SIDE = "svbrdf_nonstationary", (1, 2, 5, 9), 256
 PARADIGMS = ("general", "overfit", "finetune", "quickft", "meta")
 FITTED = ("general", "quickft", "meta")  # of real photos
 
@@ -68,9 +69,9 @@ def flat_errors(tasks: list[Task]) -> dict[str, float]:
     return errors
 
 
-def drawn(data: Path, most: int) -> None:
-    """Print errors of the test tasks by paradigm and number of photos, over those of one and of QuickFT."""
-    tasks = read_shard(data, "test")[:most]
+def drawn(total: int) -> None:
+    """Print errors of test tasks by paradigm and number of photos, over those of one and of QuickFT."""
+    tasks = list(synthetic_tasks("test", total, size=SIDE, photos=max(COUNTS)))
     groups = {task.name: task.name for task in tasks}
     flat = flat_errors(tasks)
     print(f"| {len(tasks)} materials | " + " | ".join(f"{count} photos" for count in COUNTS) + " |")
@@ -141,6 +142,6 @@ def real(folder: Path, pictures: Path | None) -> None:
 if __name__ == "__main__":
     what, place, *more = sys.argv[1:]
     if what == "drawn":
-        drawn(Path(place), int(more[0]) if more else 2**31)
+        drawn(int(place))
     else:
         real(Path(place), Path(more[0]) if more else None)

@@ -84,17 +84,7 @@ def embedded_data(
             a folder that holds other data.
     """
     counts = split_counts(app, count)
-    notes = {"made_by": "metapp data synth", "version": _version(app), "seed": seed, "count": sum(counts.values())}
-    usual = getattr(embedded_module(app), "SIZE", None)
-    if size not in (None, usual):
-        if usual is None:
-            raise ValueError(f"{app}: size {size}, but its embedded set has one size; leave --size out.")
-        notes["size"] = size
-    if photos != 1:
-        most = getattr(embedded_module(app), "MOST_PHOTOS", 1)
-        if not 1 <= photos <= most:
-            raise ValueError(f"{app}: {photos} photos of each task, expected {f'1 to {most}' if most > 1 else '1'}.")
-        notes["photos"] = photos
+    notes = _notes(app, seed, sum(counts.values()), size, photos)
     if out is not None:
         _make(app, out, counts, notes, quiet)
         return out
@@ -123,6 +113,23 @@ def embedded_data(
     finally:
         shutil.rmtree(work, ignore_errors=True)
     return folder
+
+
+def _notes(app: str, seed: int, count: int, size: int | None, photos: int) -> Document:
+    """What the manifest of a set says of how it was drawn; ValueError where it cannot be."""
+    module = embedded_module(app)
+    notes: Document = {"made_by": "metapp data synth", "version": _version(app), "seed": seed, "count": count}
+    usual, most = getattr(module, "SIZE", None), getattr(module, "MOST_PHOTOS", 1)
+    if size not in (None, usual):
+        if usual is None:
+            raise ValueError(f"{app}: size {size}, but its embedded set has one size; leave --size out.")
+        notes["size"] = size
+    if photos != 1:
+        if not 1 <= photos <= most:
+            has = f"up to {most}; give fewer" if most > 1 else "none or one; leave --photos out"
+            raise ValueError(f"{app}: {photos} photos of each task, but its embedded set has {has}.")
+        notes["photos"] = photos
+    return notes
 
 
 def embedded_exists(app: str) -> bool:

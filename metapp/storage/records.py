@@ -94,7 +94,7 @@ def load_checkpoint(path: Path, device: torch.device | str = "cpu") -> tuple[Met
     """Read a checkpoint; what is stored in half precision becomes float32.
 
     One that names General's encoder by its digest, `general`, takes it from `general.safetensors` beside it, or from
-    that of its protocol, such as `general-photo.safetensors`.
+    that of its protocol, such as `general-photo.safetensors`; else from one of these in a folder beside its own.
 
     Returns:
         The checkpoint and what `save_checkpoint` was told about it.
@@ -129,8 +129,11 @@ def load_checkpoint(path: Path, device: torch.device | str = "cpu") -> tuple[Met
 
 def _with_general(path: Path, prepared: MetaParameters, wanted: str, device: torch.device | str) -> MetaParameters:
     """The checkpoint with the encoder of the General that it names; General's own names none."""
-    names = ("general", f"general-{path.stem.rpartition('-')[2]}")  # a protocol's own has its name
-    for beside in (path.with_name(f"{name}.safetensors") for name in names):
+    names = [
+        f"{name}.safetensors" for name in ("general", f"general-{path.stem.rpartition('-')[2]}")
+    ]  # a protocol's own
+    others = (other for name in names for other in sorted(path.absolute().parent.parent.glob(f"*/{name}")))
+    for beside in (*map(path.with_name, names), *others):
         if beside.is_file() and beside != path:
             encoder = load_checkpoint(beside, device)[0].encoder
             if tensor_digest(encoder) == wanted:
