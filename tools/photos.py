@@ -1,4 +1,4 @@
-"""Errors of non-stationary svBRDFs against the number of photos: photos.py drawn TASKS | real FOLDER [PICTURES].
+"""Errors of non-stationary svBRDFs against the number of photos: drawn TASKS [PARADIGM...] | real FOLDER [PICTURES].
 
 drawn: so many test materials as `metapp data synth svbrdf_nonstationary --size 256 --photos 9` draws them, fitted to
 their first 1, 2, 5 and 9 photos by all paradigms, with checkpoints that ship: one photo by recipe full, others by
@@ -69,7 +69,7 @@ def flat_errors(tasks: list[Task]) -> dict[str, float]:
     return errors
 
 
-def drawn(total: int) -> None:
+def drawn(total: int, paradigms: tuple[str, ...]) -> None:
     """Print errors of test tasks by paradigm and number of photos, over those of one and of QuickFT."""
     tasks = list(synthetic_tasks("test", total, size=SIDE, photos=max(COUNTS)))
     groups = {task.name: task.name for task in tasks}
@@ -77,7 +77,7 @@ def drawn(total: int) -> None:
     print(f"| {len(tasks)} materials | " + " | ".join(f"{count} photos" for count in COUNTS) + " |")
     print(f"| flat | {sum(flat.values()) / len(flat):.3f} |", flush=True)
     quickft: dict[int, dict[str, float]] = {}
-    for name in sorted(PARADIGMS, key=lambda name: name != "quickft"):
+    for name in ("quickft", *(name for name in paradigms if name != "quickft")):
         cells: list[str] = []
         one: dict[str, float] = {}
         for count in COUNTS:
@@ -142,6 +142,6 @@ def real(folder: Path, pictures: Path | None) -> None:
 if __name__ == "__main__":
     what, place, *more = sys.argv[1:]
     if what == "drawn":
-        drawn(int(place))
+        drawn(int(place), tuple(more) or PARADIGMS)
     else:
         real(Path(place), Path(more[0]) if more else None)
