@@ -30,6 +30,7 @@ Record = Document  # of a task, a line of record.jsonl
 SCHEMA = 1
 SMALL_BYTES = 2**16  # of a record file: below it replaced lines stay
 LONGEST = 100  # bytes of a name; file systems take 255, of which suffixes and temporary names need some
+SHARED = "full"  # the recipe whose General those of the same network share
 FLOATS = (torch.half, torch.float32, torch.float64)
 
 NUMBER, OPTIONAL = int | float, int | float | None
@@ -94,7 +95,7 @@ def load_checkpoint(path: Path, device: torch.device | str = "cpu") -> tuple[Met
     """Read a checkpoint; what is stored in half precision becomes float32.
 
     One that names General's encoder by its digest, `general`, takes it from `general.safetensors` beside it, or from
-    that of its protocol, such as `general-photo.safetensors`; else from one of these in a folder beside its own.
+    that of its protocol, such as `general-photo.safetensors`; else from one of these in the folder SHARED beside its own.
 
     Returns:
         The checkpoint and what `save_checkpoint` was told about it.
@@ -129,11 +130,9 @@ def load_checkpoint(path: Path, device: torch.device | str = "cpu") -> tuple[Met
 
 def _with_general(path: Path, prepared: MetaParameters, wanted: str, device: torch.device | str) -> MetaParameters:
     """The checkpoint with the encoder of the General that it names; General's own names none."""
-    names = [
-        f"{name}.safetensors" for name in ("general", f"general-{path.stem.rpartition('-')[2]}")
-    ]  # a protocol's own
-    others = (other for name in names for other in sorted(path.absolute().parent.parent.glob(f"*/{name}")))
-    for beside in (*map(path.with_name, names), *others):
+    names = ("general", f"general-{path.stem.rpartition('-')[2]}")  # a protocol's own has its name
+    folders = (path.parent, path.absolute().parent.with_name(SHARED))
+    for beside in (folder / f"{name}.safetensors" for folder in folders for name in names):
         if beside.is_file() and beside != path:
             encoder = load_checkpoint(beside, device)[0].encoder
             if tensor_digest(encoder) == wanted:
