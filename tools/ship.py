@@ -1,8 +1,8 @@
 """Copy trained checkpoints to where those that ship lie: ship.py TRAINED CHECKPOINTS.
 
 Encoders and long hyperparameters (rates of weights, bases) are stored in half precision there, which halves their size
-and changes no error, hyperparameters on grids on at most GRID cells a side; checkpoints that refer to General's encoder
-by its digest refer to the rounded one.
+and changes no error, hyperparameters on grids on at most GRID cells a side, one where all are the same; checkpoints
+that refer to General's encoder by its digest refer to the rounded one.
 """
 
 import json
@@ -40,9 +40,15 @@ def ship(source: Path, target: Path, rounded: dict[str, str]) -> None:
 
 
 def _on_small_grid(value: torch.Tensor) -> torch.Tensor:
-    """Hyperparameters on a grid [K, channels, rows, columns] on one of at most GRID x GRID cells; fits enlarge it."""
-    on_grid = value.ndim == 4 and value.shape[2] == value.shape[3] > GRID
-    return adaptive_avg_pool2d(value, GRID) if on_grid else value
+    """Hyperparameters on a grid [K, channels, rows, columns] on one of at most GRID x GRID cells; fits enlarge it.
+
+    Those that are the same everywhere have one cell.
+    """
+    if value.ndim != 4 or value.shape[2] != value.shape[3]:
+        return value
+    if torch.equal(value, value[..., :1, :1].expand_as(value)):
+        return value[..., :1, :1].clone()
+    return adaptive_avg_pool2d(value, GRID) if value.shape[2] > GRID else value
 
 
 def _is_large(key: str, value: torch.Tensor) -> bool:

@@ -47,7 +47,8 @@ def read_task(folder: Path, size: int = PX) -> Task:
         size: side in px; where it is more than 256, of photographs as fine as that alone.
 
     Raises:
-        ValueError: fewer than two photographs; one that is not square, or another's size; as `read_photo` and `read_places`.
+        ValueError: fewer than two photographs; one that is not square, or of another size; as `read_photo` and
+            `read_places`.
     """
     paths = [path for path in sorted(folder.iterdir()) if not path.name.startswith(".") and is_photo(path)]
     if len(paths) < 2:

@@ -95,7 +95,8 @@ def load_checkpoint(path: Path, device: torch.device | str = "cpu") -> tuple[Met
     """Read a checkpoint; what is stored in half precision becomes float32.
 
     One that names General's encoder by its digest, `general`, takes it from `general.safetensors` beside it, or from
-    that of its protocol, such as `general-photo.safetensors`; else from one of these in the folder SHARED beside its own.
+    that of its protocol, such as `general-photo.safetensors`; else from one of these in the folder SHARED beside its
+    own.
 
     Returns:
         The checkpoint and what `save_checkpoint` was told about it.
