@@ -19,7 +19,7 @@ import torch
 
 from data_tools.assets.pictures import write_plane
 from metapp.appearance.surface import DIELECTRIC, Surface, all_planes
-from metapp.storage.files import write_atomically
+from metapp.storage.files import suffixed, write_atomically
 from metapp.storage.records import finite
 
 INDEX = 1.5  # of refraction; reflects DIELECTRIC
@@ -54,7 +54,7 @@ class _Binary:
 def write_gltf(surface: Surface, path: Path, provenance: Mapping[str, object]) -> None:
     """Write <path>.glb."""
     content = glb(surface, path.name, provenance)
-    write_atomically(path.with_name(f"{path.name}.glb"), lambda target: target.write_bytes(content))
+    write_atomically(suffixed(path, ".glb"), lambda target: target.write_bytes(content))
 
 
 def glb(surface: Surface, name: str, provenance: Mapping[str, object]) -> bytes:

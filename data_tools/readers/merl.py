@@ -24,7 +24,7 @@ from data_tools.readers import brdf_task
 from data_tools.readers.listing import files_below
 from data_tools.readers.merl_table import SCALE, SHAPE, Array, merl_valid, tabulate
 from metapp.learning.task import Params, Task
-from metapp.storage.files import write_atomically
+from metapp.storage.files import suffixed, write_atomically
 
 if TYPE_CHECKING:
     from metapp.apps.brdf import Brdf
@@ -78,8 +78,8 @@ def recognises(path: str | Path) -> bool:
 
 
 def export(app: Brdf, theta: Params, path: Path) -> None:
-    """Write a fitted network of the BRDF application as a MERL file, `path`.binary."""
-    write_merl(path.with_name(f"{path.name}.binary"), tabulate(lambda angles: app.reflectance(theta, angles)))
+    """Write a fitted network of the BRDF application as a MERL file; `path` without .binary gets it."""
+    write_merl(suffixed(path, ".binary"), tabulate(lambda angles: app.reflectance(theta, angles)))
 
 
 def read_task(path: Path, samples: int = 65_536) -> Task:

@@ -30,7 +30,7 @@ from data_tools.readers.listing import find_by_suffix, has_suffix
 from metapp.appearance.geometry import directions_to_full_circle, rusinkiewicz_to_directions
 from metapp.learning.task import Params, Task
 from metapp.rendering.variant import load_mitsuba
-from metapp.storage.files import write_atomically
+from metapp.storage.files import suffixed, write_atomically
 
 if TYPE_CHECKING:
     import mitsuba as mi
@@ -198,8 +198,8 @@ def _area(half: Tensor, angles: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def export(app: Brdf, theta: Params, path: Path) -> None:
-    """Write a fitted network of the BRDF application as a file of the RGL database, `path`.bsdf."""
-    file = path.with_name(f"{path.name}{SUFFIX}")
+    """Write a fitted network of the BRDF application as a file of the RGL database; `path` without .bsdf gets it."""
+    file = suffixed(path, SUFFIX)
     write_rgl(file, partial(app.reflectance, theta), f"{path.name}: a fit of metapp")
 
 

@@ -75,7 +75,7 @@ class Fit:
         return Path(path)
 
     def export(self, form: str, path: str | PathLike[str]) -> None:
-        """Write the fit in another form, such as "merl" of a BRDF or "gltf" of a material; `path` has no suffix.
+        """Write the fit in another form, such as "merl" of a BRDF or "gltf" of a material; `path` needs no suffix.
 
         Raises:
             BadOption: fits of this application cannot be written so, or a library for it is missing.

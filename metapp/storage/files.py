@@ -95,6 +95,11 @@ def _keep_as(name: Path, path: Path) -> None:
     partial.unlink(missing_ok=True)  # still there where both were the same file already
 
 
+def suffixed(path: Path, suffix: str) -> Path:
+    """A path with this suffix, such as ".glb", added unless it is there: other dots may be part of a name."""
+    return path if path.suffix == suffix else path.with_name(f"{path.name}{suffix}")
+
+
 def partial_path(path: Path) -> Path:
     """Where to write a file until it is whole: in the same folder, with the same suffix."""
     # The suffix stays, since image writers choose the format by it; the process id keeps two programs apart.
