@@ -248,10 +248,15 @@ class Terminal(Reporter):
 
     def __init__(self) -> None:
         self._console = Console(stderr=True, highlight=False)
+        self._warned: set[str] = set()
         self._steps = _Lines(self.say, float("-inf"))
 
     def say(self, message: str) -> None:
-        """Print a message; an error, a warning or a problem is one line of LONGEST characters."""
+        """Print a message; an error, a warning or a problem is one line of LONGEST characters, a warning once."""
+        if message in self._warned:
+            return
+        if message.startswith("warning: "):
+            self._warned.add(message)
         if message.startswith(("error: ", "warning: ", "problem: ")):
             message = one_line(message)
         try:

@@ -1,0 +1,15 @@
+"""Messages on a terminal."""
+
+import pytest
+
+from metapp.cli.console import Terminal
+
+
+def test_a_warning_is_said_once_by_each_command(capsys: pytest.CaptureFixture[str]) -> None:
+    for terminal in (Terminal(), Terminal()):
+        for message in ("warning: a.png: it clips", "a line", "warning: b.png: it clips", "a line"):
+            terminal.say(message)
+            terminal.say(message)
+    lines = capsys.readouterr().err.splitlines()
+    assert lines.count("warning: a.png: it clips") == lines.count("warning: b.png: it clips") == 2
+    assert lines.count("a line") == 8
