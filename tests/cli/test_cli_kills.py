@@ -182,6 +182,20 @@ def small_disk(tmp_path: Path) -> Iterator[Path]:
     subprocess.run(["umount", "-l", str(folder)], check=True)
 
 
+def _pause_between_writes(running: Running, folder: Path) -> None:
+    """Stop it where it has no file half written, whose space would be free again once the disk is full."""
+    state = Path(f"/proc/{running.process.pid}/stat")
+    while True:
+        os.kill(running.process.pid, signal.SIGSTOP)
+        while (letter := state.read_text().rsplit(")", 1)[1].split()[0]) != "T":
+            assert letter not in "ZX", "it ended before it could be stopped"
+            time.sleep(0.001)
+        if not list(folder.rglob(f"{PARTIAL}*")):
+            return
+        os.kill(running.process.pid, signal.SIGCONT)
+        time.sleep(0.001)
+
+
 def test_a_full_disk_is_one_line_and_loses_nothing(command: Callable[..., Command], small_disk: Path) -> None:
     """The start that was there stays, what was trained is in the training checkpoint, and both say where."""
     trained = command("disk/runs", steps=200)
@@ -190,9 +204,11 @@ def test_a_full_disk_is_one_line_and_loses_nothing(command: Callable[..., Comman
     (file,) = (trained.out / each for each in before)
     running = trained.start()
     assert trained.train_until(running, 0.0)
+    _pause_between_writes(running, trained.out)
     with suppress(OSError), open(small_disk / "filler", "wb", buffering=0) as filler:
         while True:
             filler.write(bytes(4096))
+    os.kill(running.process.pid, signal.SIGCONT)
     code, said = running.end()
     assert code == 1
     assert "Traceback" not in said
