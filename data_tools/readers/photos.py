@@ -194,7 +194,7 @@ def resample(pixels: Pixels, size: int) -> Floats:
     side = pixels.values.shape[0]
     columns = min(side, size)
     rows = [
-        _area(_linear(pixels, slice(row, row + _ROWS)).swapaxes(0, 1), columns).swapaxes(0, 1)
+        _area(linear_light(pixels, slice(row, row + _ROWS)).swapaxes(0, 1), columns).swapaxes(0, 1)
         for row in range(0, side, _ROWS)
     ]
     result = _area(np.concatenate(rows), columns)
@@ -215,8 +215,8 @@ def _area(values: Floats, count: int) -> Floats:
     return result
 
 
-def _linear(pixels: Pixels, rows: slice) -> Floats:
-    """Some rows in linear light, in [0, 1], float32; with alpha, colours are multiplied by it."""
+def linear_light(pixels: Pixels, rows: slice) -> Floats:
+    """Some rows of a picture in linear light, in [0, 1], float32; with alpha, colours are multiplied by it."""
     stored = pixels.values[rows]
     if stored.shape[-1] == 3:
         return _decode(stored, pixels.space)

@@ -74,7 +74,8 @@ def read_task(path: Path, size: int = SIZE, fov_rad: float = 0.0) -> Task:
 
 
 def _elsewhere(files: Iterable[Path], folders: Collection[Path]) -> list[Path]:
-    return [file for file in files if file.parent not in folders]
+    """The files that are neither in these folders nor below them, where pictures of what was found may lie."""
+    return [file for file in files if not any(parent in folders for parent in file.parents)]
 
 
 def _is_material(material: material_maps.Material) -> bool:

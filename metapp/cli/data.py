@@ -16,6 +16,7 @@ import typer
 from data_tools.formats import formats
 from metapp.cli.console import Exit, out, print_json
 from metapp.cli.data_convert import Quiet, check_folder, command_of, report
+from metapp.cli.data_markers import markers, rectify
 from metapp.cli.data_sets import cornell, holds_of, join, noisy
 from metapp.cli.options import Json, takes
 from metapp.runs.convert import Converted, converted
@@ -182,6 +183,8 @@ for _form in formats():
 _command(cornell)
 _command(join)
 _command(noisy)
+_command(markers)
+_command(rectify)
 
 
 @_command

@@ -1,0 +1,164 @@
+"""The marker sheet: where its markers lie, and the page to print."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Iterable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from data_tools.markers import opencv
+from metapp.storage.files import write_atomically
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+OPENINGS_CM = range(4, 14)  # sides of the opening; each has markers of its own, so that photos tell it
+OPENING_CM = 10
+PAGES_CM = {"a4": (21.0, 29.7), "letter": (21.59, 27.94)}
+RULER_CM = 10.0
+CELLS = 7  # of a marker's side: five of its code and a black one on either side
+MARKERS = 12  # of a sheet, four along each side
+
+_LARGEST_CM = 2.4  # a marker's side
+_GAP_CM = 0.6  # from the opening to the markers
+_CUT_CM = 0.15  # from the opening to the line to cut along: an uneven cut leaves no paper in the picture
+_CM = 1 / 2.54  # in inches
+_TOP_CM = 1.0  # margin that printers leave blank
+
+Floats = NDArray[np.float64]
+
+
+class Page(NamedTuple):
+    """A page to print.
+
+    Attributes:
+        figure: as large as the paper.
+        axes: all of it, in cm from its lower left corner.
+        centre_cm: of the opening, in these.
+    """
+
+    figure: Figure
+    axes: Axes
+    centre_cm: tuple[float, float]
+
+
+def dictionary() -> Any:
+    """OpenCV's dictionary of the markers: any two differ in six cells or more, however they are turned."""
+    aruco = opencv().aruco
+    return aruco.getPredefinedDictionary(aruco.DICT_5X5_250)
+
+
+def corners_cm(opening: int) -> dict[int, Floats]:
+    """Where the markers of a sheet lie.
+
+    Args:
+        opening: its side in cm, one of OPENINGS_CM.
+
+    Returns:
+        By a marker's number its corners [4, 2] in cm, upper left, upper right, lower right, lower left: x right, y up,
+        from the opening's centre.
+    """
+    side = _marker_cm(opening)
+    reach = opening / 2 + _GAP_CM + side / 2
+    along = np.linspace(-reach, reach, MARKERS // 4 + 1)
+    ring = [(x, y) for y in along[::-1] for x in along if max(abs(x), abs(y)) > reach - 1e-9]
+    square = np.array([[-1, 1], [1, 1], [1, -1], [-1, -1]]) * side / 2
+    first = (opening - OPENINGS_CM[0]) * MARKERS
+    return {first + i: square + centre for i, centre in enumerate(ring)}
+
+
+def opening_of(numbers: Iterable[int]) -> int | None:
+    """The opening in cm of the sheet that most of these markers belong to; None without any of a sheet."""
+    sheets = [number // MARKERS for number in numbers if number // MARKERS < len(OPENINGS_CM)]
+    return OPENINGS_CM[max(set(sheets), key=sheets.count)] if sheets else None
+
+
+def _marker_cm(opening: int) -> float:
+    """Side of a marker: four of them and the gaps between fit along a small opening, too."""
+    return min(_LARGEST_CM, (opening - 0.5) / 2)
+
+
+def write_sheet(path: Path, opening: int = OPENING_CM, page: str = "a4") -> None:
+    """Write the page as PDF, true to scale, the same bytes each time.
+
+    Args:
+        path: the file.
+        opening: its side in cm, one of OPENINGS_CM.
+        page: the paper, one of PAGES_CM.
+
+    Raises:
+        ValueError: OpenCV is not installed.
+        OSError: it cannot be written; names the folder.
+    """
+    from matplotlib import rc_context
+
+    with rc_context({"pdf.fonttype": 42}):
+        figure = draw_sheet(opening, page).figure
+        save = functools.partial(figure.savefig, format="pdf", metadata={"CreationDate": None})
+        write_atomically(path, save)
+
+
+def draw_sheet(opening: int = OPENING_CM, page: str = "a4") -> Page:
+    """Draw the page, as `write_sheet` writes it."""
+    from matplotlib.figure import Figure
+    from matplotlib.patches import PathPatch, Rectangle
+
+    width, height = PAGES_CM[page]
+    figure = Figure(figsize=(width * _CM, height * _CM))
+    axes = figure.add_axes((0.0, 0.0, 1.0, 1.0), xlim=(0, width), ylim=(0, height))
+    axes.set_axis_off()
+    markers = corners_cm(opening)
+    outer = max(corners.max() for corners in markers.values())
+    centre = width / 2, height - _TOP_CM - outer
+    for number, corners in markers.items():
+        axes.add_patch(PathPatch(_black_cells(number, corners + centre), color="black", linewidth=0))
+    cut = opening + 2 * _CUT_CM
+    corner = centre[0] - cut / 2, centre[1] - cut / 2
+    axes.add_patch(Rectangle(corner, cut, cut, fill=False, edgecolor="0.45", linewidth=0.6, linestyle=(0, (6, 4))))
+    axes.text(*centre, "Cut this square out\nalong the dashed line.", ha="center", va="center", color="0.45", size=9)
+    _write_words(axes, opening, centre[1] - outer - 1.2)
+    return Page(figure, axes, centre)
+
+
+def _black_cells(number: int, corners: Floats) -> Any:
+    """The black cells of a marker as one path: without seams between them."""
+    from matplotlib.path import Path as Outline
+
+    aruco = opencv().aruco
+    is_black = aruco.generateImageMarker(dictionary(), number, CELLS) == 0
+    (left, top), side = corners[0], (corners[1, 0] - corners[0, 0]) / CELLS
+    cells = [
+        Outline([(left + x * side, top - y * side) for x, y in _around(column, row)], closed=True)
+        for row, column in zip(*np.nonzero(is_black), strict=True)
+    ]
+    return Outline.make_compound_path(*cells)
+
+
+def _around(column: int, row: int) -> list[tuple[int, int]]:
+    return [(column, row), (column + 1, row), (column + 1, row + 1), (column, row + 1), (column, row)]
+
+
+def _write_words(axes: Axes, opening: int, top: float) -> None:
+    """The ruler, and below it what to do, from a height in cm on."""
+    left = (axes.get_xlim()[1] - RULER_CM) / 2
+    axes.plot([left, left + RULER_CM], [top, top], color="black", linewidth=0.8, solid_capstyle="butt")
+    for mark in range(int(RULER_CM) + 1):
+        axes.plot([left + mark] * 2, [top, top + 0.25], color="black", linewidth=0.8, solid_capstyle="butt")
+        axes.text(left + mark, top + 0.32, str(mark), ha="center", va="bottom", size=7)
+    axes.text(left + RULER_CM + 0.3, top, "cm", ha="left", va="center", size=8)
+    lines = (
+        f'metapp marker sheet, opening {opening} x {opening} cm. Print at 100 % ("actual size"), on matt paper.',
+        "1. Measure the ruler. If it is not 10 cm long, add it in step 4: --ruler CM",
+        "2. Cut out the square. Lay the sheet flat on the flat material; let neither of them move.",
+        "3. Take 3 to 10 photos, flash on, in a dark room, with the whole sheet in view and sharp:",
+        "    one from straight above, the others from other places and distances, up to 40 degrees aside.",
+        "4. metapp data rectify PHOTOS --out FOLDER",
+        "5. metapp meta svbrdf_nonstationary FOLDER --observe photo",
+    )
+    for i, line in enumerate(lines):
+        axes.text(left - 2.0, top - 0.8 - 0.5 * i, line, ha="left", va="center", size=8.5 if i else 9)

@@ -1,0 +1,122 @@
+"""Photographs of the marker sheet by a pinhole camera in a known place."""
+
+from __future__ import annotations
+
+import functools
+import io
+import math
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from data_tools.readers.photos import FRAME_MM
+
+cv2 = pytest.importorskip("cv2", reason='OpenCV is not installed: pip install "metapp[markers]"')
+
+PX_PER_CM = 80
+FOCAL_MM = 26  # as of 35 mm film
+SIDE = 512  # px, of what lies in the opening
+
+
+class Camera(NamedTuple):
+    """A camera that looks at the sheet: `place` in cm, `aim` on the sheet, turned by `roll` degrees."""
+
+    place: tuple[float, float, float]
+    aim: tuple[float, float] = (0.0, 0.0)
+    roll: float = 0.0
+    focal_mm: float = FOCAL_MM
+    height: int = 1200
+    width: int = 1600
+
+    def to_px(self) -> np.ndarray:
+        """[3, 3], from cm on the sheet to px, pixel centres at whole numbers."""
+        forward = np.array([*self.aim, 0.0]) - self.place
+        forward /= np.linalg.norm(forward)
+        right = np.cross(forward, (0.0, 1.0, 0.0))
+        right /= np.linalg.norm(right)
+        down = np.cross(forward, right)
+        cos, sin = math.cos(math.radians(self.roll)), math.sin(math.radians(self.roll))
+        axes = np.stack([cos * right + sin * down, cos * down - sin * right, forward])
+        focal = self.focal_mm / FRAME_MM * math.hypot(self.height, self.width)
+        lens = np.array([[focal, 0, (self.width - 1) / 2], [0, focal, (self.height - 1) / 2], [0, 0, 1]])
+        return lens @ np.column_stack([axes[:, :2], -axes @ self.place])
+
+
+def tilted(degrees: float, around: float = 0.0, distance: float = 28.0, **more: float) -> Camera:
+    """A camera so far from the opening's centre, seen so many degrees from the normal, `around` it."""
+    slope, turn = math.radians(degrees), math.radians(around)
+    aside = distance * math.sin(slope)
+    place = aside * math.cos(turn), aside * math.sin(turn), distance * math.cos(slope)
+    return Camera(place, **more)
+
+
+@functools.lru_cache(4)
+def page(opening: int, paper: str = "a4") -> tuple[np.ndarray, tuple[float, float]]:
+    """The printed page [H, W] in [0, 1], rows from the top, and the opening's centre in cm from its lower left."""
+    from data_tools.markers.sheet import draw_sheet
+
+    drawn = draw_sheet(opening, paper)
+    for patch_of_page in drawn.axes.patches:
+        patch_of_page.set_snap(False)  # to whole pixels, which a printer does not do
+    stream = io.BytesIO()
+    drawn.figure.savefig(stream, format="png", dpi=PX_PER_CM * 2.54)
+    return np.asarray(Image.open(stream).convert("L")) / 255.0, drawn.centre_cm
+
+
+@functools.cache
+def patch() -> np.ndarray:
+    """What lies in the opening: sRGB [SIDE, SIDE, 3] in [0, 1], smooth enough for a photograph to resolve."""
+    rng = np.random.default_rng(4)
+    coarse = cv2.resize(rng.uniform(0.2, 0.8, (24, 24, 3)), (SIDE, SIDE), interpolation=cv2.INTER_CUBIC)
+    fine = cv2.resize(rng.uniform(-0.1, 0.1, (96, 96, 3)), (SIDE, SIDE), interpolation=cv2.INTER_CUBIC)
+    return (coarse + fine).clip(0, 1)
+
+
+def sheet_on_patch(opening: int = 10, bend: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
+    """The page with the patch in its opening [H, W, 3], and [3, 3] from cm on the sheet to its pixels.
+
+    `bend` shifts what is right of the opening by so many cm.
+    """
+    paper, centre = page(opening)
+    values = np.repeat(paper[..., None], 3, -1)
+    side = opening * PX_PER_CM
+    left, top = round(centre[0] * PX_PER_CM - side / 2), round(len(paper) - centre[1] * PX_PER_CM - side / 2)
+    to_page = np.array([[PX_PER_CM, 0, left + side / 2 - 0.5], [0, -PX_PER_CM, top + side / 2 - 0.5], [0, 0, 1]])
+    cut = 12  # px, 0.15 cm
+    values[top - cut : top + side + cut, left - cut : left + side + cut] = 0.3
+    values[top : top + side, left : left + side] = cv2.resize(patch(), (side, side), interpolation=cv2.INTER_AREA)
+    if bend:
+        right = left + side + cut
+        values[:, right:] = np.roll(values[:, right:], round(bend * PX_PER_CM), 0)
+    return values, to_page
+
+
+def photograph(
+    camera: Camera, opening: int = 10, vignette: float = 0.0, noise: float = 0.0, bend: float = 0.0
+) -> np.ndarray:
+    """A photograph, sRGB [height, width, 3] in [0, 1], on a gray table; four samples a pixel."""
+    values, to_page = sheet_on_patch(opening, bend)
+    many = 2
+    finer = np.array([[many, 0, (many - 1) / 2], [0, many, (many - 1) / 2], [0, 0, 1]])
+    warp = finer @ camera.to_px() @ np.linalg.inv(to_page)
+    size = camera.width * many, camera.height * many
+    large = cv2.warpPerspective(values.astype(np.float32), warp, size, flags=cv2.INTER_LINEAR, borderValue=(0.4,) * 3)
+    seen = cv2.resize(large, (camera.width, camera.height), interpolation=cv2.INTER_AREA).astype(np.float64)
+    y, x = np.mgrid[: camera.height, : camera.width]
+    off = np.hypot(x - camera.width / 2, y - camera.height / 2) / math.hypot(camera.width, camera.height) * 2
+    seen *= (1 - vignette * off**2)[..., None]
+    return (seen + np.random.default_rng(1).normal(0, 1, seen.shape) * noise).clip(0, 1)
+
+
+def take(path: Path, camera: Camera, focal: bool = True, **look: float) -> Path:
+    """Write a photograph as JPEG, or by the suffix; with the focal length in its EXIF, if wanted."""
+    image = Image.fromarray((photograph(camera, **look) * 255 + 0.5).astype(np.uint8))
+    exif = image.getexif()
+    if focal:
+        exif.get_ifd(0x8769)[0xA405] = round(camera.focal_mm)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    image.save(path, exif=exif.tobytes(), **({"quality": 92} if path.suffix == ".jpg" else {}))
+    return path
