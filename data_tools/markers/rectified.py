@@ -113,10 +113,10 @@ def place(paths: Sequence[Path], settings: Settings, done: Callable[[str], objec
         except ValueError as error:
             skipped.append(str(error))
     if len(photos) < 2:
-        reasons = f" ({skipped[0]})" if len(paths) == 1 and skipped else ""
+        why = f" ({skipped[0].partition(', expected')[0]})" if skipped else ""
         raise ValueError(
-            f"{len(photos)} of {len(paths)} photo(s) can be used{reasons}, expected two or more of one material; take "
-            "more from other places."
+            f"{len(photos)} of {len(paths)} photo(s) can be used{why}, expected two or more of one material; take more "
+            "from other places, with the whole sheet in view."
         )
     photos.sort(key=lambda photo: photo.pose.tilt)
     opening = sightings[0].opening

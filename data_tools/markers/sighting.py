@@ -16,7 +16,6 @@ LIMIT = 1 / 256  # of the opening's side, that markers may be off on average: a 
 FEWEST = 4  # markers
 
 _SEARCH_PX = 2000  # the longer side of the picture that is searched; corners are then refined in the whole one
-_SMALLEST_PX = 64  # of the opening
 _REMEDY = "photograph the whole sheet, sharp and well lit"
 
 
@@ -74,8 +73,7 @@ def find_sheet(path: Path) -> Sighting:
 
     Raises:
         ValueError: as `read_pixels`; no sheet, or fewer than FEWEST markers of it; these do not lie in a plane or on
-            one side of the opening alone; the opening is not wholly in the picture, or too small; OpenCV is not
-            installed.
+            one side of the opening alone; the opening is not wholly in the picture; OpenCV is not installed.
     """
     pixels = read_pixels(path)
     height, width = pixels.values.shape[:2]
@@ -167,9 +165,6 @@ def _check(sighting: Sighting) -> None:
     corners = moved(sighting.to_px, np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * side / 2)
     if (corners < -0.5).any() or (corners > np.array([sighting.width, sighting.height]) - 0.5).any():
         raise ValueError(f"{path}: the opening is not wholly in the picture, expected all of it; {_REMEDY}.")
-    if side * sighting.scales()[0] < _SMALLEST_PX:
-        seen = side * sighting.scales()[0]
-        raise ValueError(f"{path}: an opening of {seen:.0f} px, expected {_SMALLEST_PX} or more; go closer.")
 
 
 def _hull_area(points: Floats) -> float:

@@ -133,7 +133,7 @@ def _flash(text: str) -> tuple[float, float]:
         x, y = map(float, text.split(","))
     except ValueError:
         x = y = math.nan
-    if not max(abs(x), abs(y)) <= 30:
+    if not math.hypot(x, y) <= 30:
         raise typer.BadParameter(
             f"'{text}', expected two numbers in cm, up to 30, such as 1.2,0.", param_hint="--flash"
         )

@@ -1,0 +1,141 @@
+"""`metapp data markers` and `metapp data rectify`: from a sheet and photographs to a folder that fits read."""
+
+from __future__ import annotations
+
+import shutil
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from data_tools.readers.flash_places import read_places
+from tests.marker_photos import take, tilted
+from tests.pictures import noise, text, write
+
+CAMERAS = {"a": tilted(20, 30), "b": tilted(1, distance=26), "c": tilted(35, 200, roll=90)}
+LEAF = Path("leaf")
+
+
+@pytest.fixture(scope="module")
+def taken(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Photographs of CAMERAS, not to write to."""
+    folder = tmp_path_factory.mktemp("taken")
+    for name, camera in CAMERAS.items():
+        take(folder / f"{name}.jpg", camera)
+        take(folder / "plain" / f"{name}.jpg", camera, focal=False)
+    return folder
+
+
+def paths(taken: Path, names: str = "abc") -> list[Path]:
+    return [taken / f"{name}.jpg" for name in names]
+
+
+def test_a_sheet_is_written(metapp: Callable) -> None:
+    done = metapp("data", "markers", "sheet", "--opening", 8, "--page", "letter", "--json")
+    assert done.done == {"path": "sheet.pdf", "opening_cm": 8, "page": "letter"}
+    assert Path("sheet.pdf").read_bytes().startswith(b"%PDF")
+    assert done.err == "sheet.pdf: a sheet with an opening of 8 x 8 cm; print it at 100 % and measure its ruler\n"
+
+
+def test_photographs_become_a_folder_that_a_fit_reads(metapp: Callable, taken: Path) -> None:
+    result = metapp("data", "rectify", *paths(taken), "--out", LEAF, "--flash", "1,0", "--json")
+    document = result.done
+    assert [Path(photo["source"]).name for photo in document["photos"]] == ["b.jpg", "a.jpg", "c.jpg"]
+    assert [photo["file"] for photo in document["photos"]] == ["00.png", "01.png", "02.png"]
+    assert document["skipped"] == []
+    assert document["focal_mm"] is None
+    lines = result.err.splitlines()
+    assert lines[0].startswith("00.png: b.jpg, 12 markers, error 0.")
+    assert "camera 26.0 cm away, 1 degrees aside" in lines[0]
+    assert lines[-1] == f"leaf: 3 photos of 10 cm, {document['size']} px a side; look at what was found: leaf/found"
+    assert sorted(file.name for file in LEAF.iterdir()) == [
+        "00.png", "01.png", "02.png", "camera_pos.txt", "found", "image_size.txt", "light_pos.txt",
+    ]  # fmt: skip
+    places = read_places(LEAF, 3)
+    assert places is not None
+    for number, name in enumerate("bac"):
+        camera = np.array(CAMERAS[name].place)
+        assert np.linalg.norm(places.camera[number].numpy() * 5 - camera) < 0.005 * np.linalg.norm(camera)
+        assert np.linalg.norm((places.light - places.camera)[number] * 5) == pytest.approx(1, abs=1e-3)
+    fitted = metapp("general", "svbrdf_nonstationary", LEAF, "--observe", "photo", "--json").done
+    made = Path(fitted["out"], "outputs", "leaf")
+    assert {"normal.png", "diffuse.png", "photo_3.png"} <= {file.name for file in made.iterdir()}
+
+
+def test_without_a_focal_length_it_is_found_and_said(metapp: Callable, taken: Path) -> None:
+    result = metapp("data", "rectify", taken / "plain", "--out", LEAF, "--json")
+    assert result.done["focal_mm"] == pytest.approx(26, rel=0.01)
+    assert "mm as of 35 mm film, found by the markers, as EXIF has none" in result.err
+    for photo in result.done["photos"]:
+        camera = np.array(CAMERAS[Path(photo["source"]).stem].place)
+        assert np.linalg.norm(np.array(photo["camera_cm"]) - camera) < 0.01 * np.linalg.norm(camera)
+    alone = metapp("data", "rectify", taken / "plain" / "b.jpg", taken / "plain" / "b.jpg", "--out", "new")
+    assert "no focal length in its EXIF, and too little tilt to find it; give the camera's field of" in alone.refusal
+    assert not Path("new").exists()
+
+
+def test_photographs_that_do_not_serve_are_skipped_with_a_line_each(metapp: Callable, taken: Path) -> None:
+    photos = Path("photos")
+    shutil.copytree(taken, photos, ignore=shutil.ignore_patterns("plain"))
+    write(photos / "table.png", noise(300, 400))
+    text(photos / "damaged.jpg")
+    text(photos / "notes.txt")
+    result = metapp("data", "rectify", photos, "--out", LEAF, "--json")
+    assert len(result.done["photos"]) == 3
+    skipped = [line for line in result.err.splitlines() if line.startswith("warning: skipped: ")]
+    assert [line.split(": ")[2] for line in skipped] == [
+        str(photos / name) for name in ("notes.txt", "damaged.jpg", "table.png")
+    ]
+    assert [f"warning: skipped: {line}" for line in result.document["skipped"]] == skipped
+    assert "no marker found" in skipped[2]
+
+
+def test_fewer_than_two_are_refused(metapp: Callable, taken: Path) -> None:
+    write(Path("table.png"), noise(300, 400))
+    for inputs, line in (
+        (paths(taken, "a"), "1 of 1 photo(s) can be used, expected two or more of one material; take more"),
+        ([*paths(taken, "a"), Path("table.png")], "1 of 2 photo(s) can be used (table.png: no marker found"),
+        ([Path("table.png")], "0 of 1 photo(s) can be used (table.png: no marker found"),
+        ([Path("none.jpg")], "none.jpg: no such file"),
+    ):
+        assert line in metapp("data", "rectify", *inputs, "--out", LEAF).refusal
+    assert not LEAF.exists()
+
+
+def test_a_folder_with_files_is_left_alone(metapp: Callable, taken: Path) -> None:
+    LEAF.mkdir()
+    text(LEAF / "notes.txt")
+    refusal = metapp("data", "rectify", *paths(taken), "--out", LEAF).refusal
+    assert "leaf: holds files, expected a new or empty folder to write to; choose another one." in refusal
+    assert [file.name for file in LEAF.iterdir()] == ["notes.txt"]
+
+
+def test_without_opencv_the_line_says_what_to_install(
+    metapp: Callable, taken: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "cv2", None)
+    line = 'OpenCV: not installed, expected for marker sheets; install it: pip install "metapp[markers]".'
+    assert line in metapp("data", "markers", "sheet.pdf").refusal
+    assert line in metapp("data", "rectify", *paths(taken), "--out", LEAF).refusal
+    assert list(Path().iterdir()) == []
+
+
+def test_options_out_of_range(metapp: Callable, taken: Path) -> None:
+    for words in ("--opening 3", "--opening 14", "--opening 7.5", "--page a3"):
+        metapp("data", "markers", "sheet.pdf", *words.split()).misuse  # noqa: B018  (it looks by itself)
+    for words, line in (
+        ("--flash 1", "'1', expected two numbers in cm, up to 30, such as 1.2,0."),
+        ("--flash left", "'left', expected two numbers"),
+        ("--flash nan,0", "'nan,0', expected two numbers"),
+        ("--flash 1,nan", "'1,nan', expected two numbers"),
+        ("--flash 0,300", "'0,300', expected two numbers"),
+        ("--size 63", "greater than or equal to 64"),
+        ("--fov 180", "less than or equal to 150"),
+        ("--fov nan", "--fov"),
+        ("--ruler 97", "less than or equal to 20"),
+        ("--ruler nan", "--ruler"),
+    ):
+        assert line in metapp("data", "rectify", *paths(taken), "--out", LEAF, *words.split()).misuse
+    assert list(Path().iterdir()) == []

@@ -1,0 +1,289 @@
+"""Photographs of the marker sheet: rectified to the opening, with the places of camera and flash."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.marker_photos import Camera, cv2, patch, photograph, take, tilted  # isort: skip
+
+from data_tools.markers.pose import common_focal, focal_of, pose_of
+from data_tools.markers.rectified import Placed, Set, Settings, place, rectified, write_set
+from data_tools.markers.sighting import find_sheet
+from data_tools.readers import placed_photos
+from data_tools.readers.flash_places import read_places
+from data_tools.readers.image_files import Pixels, read_pixels
+from data_tools.readers.photos import field_of_view
+from tests.pictures import STORED, noise, write
+
+LOOK = {"vignette": 0.3, "noise": 0.01}
+CAMERAS = {
+    "above": tilted(0, distance=26),
+    "aside": tilted(20, 30, roll=10),
+    "turned": tilted(30, 120, distance=34, roll=-80),
+    "steep": tilted(40, 200, roll=90),
+    "far": tilted(40, 300, distance=45, focal_mm=52),
+    "off centre": Camera((6.0, -4.0, 30.0), aim=(3.0, 2.0), roll=170),
+    "upright": tilted(25, 60, distance=34, height=1600, width=1200),
+}
+
+
+@pytest.fixture(scope="module")
+def photos(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """All of CAMERAS as JPEG, with noise, a vignette and the focal length in their EXIF."""
+    folder = tmp_path_factory.mktemp("photos")
+    for name, camera in CAMERAS.items():
+        take(folder / f"{name}.jpg", camera, **LOOK)
+    return folder
+
+
+def off_by(place_cm: Any, camera: Camera) -> float:
+    """How far a place is from the camera's, as a share of its distance."""
+    return float(np.linalg.norm(place_cm - np.array(camera.place)) / np.linalg.norm(camera.place))
+
+
+def expected(size: int, vignette: float, camera: Camera) -> np.ndarray:
+    """The patch as a picture of so many px, darker towards the photograph's corners."""
+    picture = cv2.resize(patch(), (size, size), interpolation=cv2.INTER_AREA)
+    y, x = ((np.mgrid[:size, :size] + 0.5) / size - 0.5) * 10
+    seen = np.einsum("ij,jhw->ihw", camera.to_px(), np.stack([x, -y, np.ones_like(x)]))
+    off = np.hypot(seen[0] / seen[2] - camera.width / 2, seen[1] / seen[2] - camera.height / 2)
+    return picture * (1 - vignette * (off / math.hypot(camera.width, camera.height) * 2) ** 2)[..., None]
+
+
+@pytest.mark.parametrize("name", CAMERAS)
+def test_the_patch_and_the_camera_are_found(photos: Path, name: str) -> None:
+    camera, path = CAMERAS[name], photos / f"{name}.jpg"
+    sighting = find_sheet(path)
+    assert (sighting.opening, len(sighting.numbers), sighting.focal_mm) == (10, 12, camera.focal_mm)
+    assert sighting.error_px < 0.4
+    pose = pose_of(sighting, sighting.focal_mm)
+    assert off_by(pose.place_cm, camera) < 0.003  # asked for: 0.02
+    assert pose.error_px < 0.4
+    size = int(10 * sighting.scales()[0])
+    picture = rectified(read_pixels(path), sighting, size)
+    rmse = np.sqrt(np.mean((picture - expected(size, LOOK["vignette"], camera)) ** 2))
+    assert rmse < 0.02  # the patch's own deviation is 0.17
+
+
+@pytest.mark.parametrize("name", [name for name in CAMERAS if name not in ("above", "off centre")])
+def test_without_a_focal_length_one_tilted_photograph_tells_it(photos: Path, name: str) -> None:
+    camera = CAMERAS[name]
+    sighting = find_sheet(photos / f"{name}.jpg")
+    focal = common_focal([sighting])
+    assert focal == pytest.approx(camera.focal_mm, rel=0.02)
+    assert off_by(pose_of(sighting, focal).place_cm, camera) < 0.02  # asked for: 0.05
+
+
+def test_photographs_from_above_do_not_tell_the_focal_length(photos: Path) -> None:
+    sighting = find_sheet(photos / "above.jpg")
+    with pytest.raises(ValueError, match="too little tilt to find it; give the camera's field of view: --fov"):
+        common_focal([sighting])
+    together = common_focal([sighting, find_sheet(photos / "aside.jpg")])
+    assert together == pytest.approx(26, rel=0.01)
+
+
+def test_focal_length_and_field_of_view_are_inverses() -> None:
+    for shape in ((1200, 1600), (1600, 900)):
+        assert focal_of(field_of_view(26.0, *shape), *shape) == pytest.approx(26)
+
+
+def test_distances_follow_from_a_given_field_of_view(tmp_path: Path) -> None:
+    cameras = [tilted(0, distance=26), tilted(5, 40)]
+    paths = [take(tmp_path / f"{i}.png", camera, focal=False) for i, camera in enumerate(cameras)]
+    placed = place(paths, Settings(fov_rad=field_of_view(26, 1200, 1600)))
+    for photo, camera in zip(placed.photos, cameras, strict=True):
+        assert off_by(photo.camera_cm, camera) < 0.002
+    with pytest.raises(ValueError, match="--fov"):
+        place(paths, Settings())
+
+
+@pytest.mark.parametrize("opening", [4, 7, 13])
+def test_sheets_of_other_openings(tmp_path: Path, opening: int) -> None:
+    camera = tilted(25, 70, distance=22 + opening)
+    sighting = find_sheet(take(tmp_path / "a.jpg", camera, opening=opening, **LOOK))
+    assert (sighting.opening, len(sighting.numbers)) == (opening, 12)
+    assert off_by(pose_of(sighting, 26).place_cm, camera) < 0.005
+
+
+@pytest.mark.parametrize("orientation", STORED)
+def test_photographs_are_read_upright(tmp_path: Path, orientation: int) -> None:
+    camera = tilted(25, 60, distance=34, height=800, width=600)
+    upright = (photograph(camera) * 255 + 0.5).astype(np.uint8)
+    path = write(tmp_path / "a.png", STORED[orientation](upright), Orientation=orientation)
+    sighting = find_sheet(path)
+    assert (sighting.height, sighting.width) == (800, 600)
+    assert off_by(pose_of(sighting, 26).place_cm, camera) < 0.005
+    picture = rectified(read_pixels(path), sighting, 128)
+    assert np.sqrt(np.mean((picture - expected(128, 0, camera)) ** 2)) < 0.03
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+def test_colours_are_what_they_were(photos: Path, dtype: type) -> None:
+    """Every level of a uniform picture comes back, and of a fine pattern the mean of linear light."""
+    sighting = find_sheet(photos / "steep.jpg")
+    highest = np.iinfo(dtype).max
+    for level in np.linspace(0, highest, 18).astype(dtype):
+        values = np.full((sighting.height, sighting.width, 3), level, dtype)
+        back = rectified(Pixels(values, "srgb_rec709_scene", False), sighting, 100) * highest
+        assert abs(back - level).max() < 0.4
+    checks = (np.indices((sighting.height, sighting.width)).sum(0) % 2 * highest).astype(dtype)
+    pixels = Pixels(np.repeat(checks[..., None], 3, -1), "srgb_rec709_scene", False)
+    back = rectified(pixels, sighting, 64)
+    np.testing.assert_allclose(back.mean(), 0.735, atol=0.01)  # half the light
+    assert back.std() < 0.02
+
+
+def written(folder: Path, paths: list[Path], **settings: Any) -> Set:
+    placed = place(paths, Settings(**settings))
+    write_set(placed, folder)
+    return placed
+
+
+def test_the_folder_is_read_as_photographs_with_places(photos: Path, tmp_path: Path) -> None:
+    names = ["steep", "aside", "above", "turned"]
+    placed = written(tmp_path / "leaf", [photos / f"{name}.jpg" for name in names])
+    order = ["above", "aside", "turned", "steep"]  # that from straight above first
+    assert [photo.sighting.path.stem for photo in placed.photos] == order
+    assert placed.side_cm == 10
+    assert placed.size == int(10 * placed.photos[0].sighting.scales()[0])
+    task = placed_photos.read_task(tmp_path / "leaf")
+    assert task.data["photo"].shape == (3, 256, 256)
+    assert task.data["others"].shape == (3, 3, 256, 256)
+    for number, name in enumerate(order):
+        for column in range(2):  # camera and light, in half sides
+            assert off_by(task.data["places"][number, column].numpy() * 5, CAMERAS[name]) < 0.005
+    pictures = [task.data["photo"], *task.data["others"]]
+    for picture, name in zip(pictures, order, strict=True):
+        wanted = expected(256, LOOK["vignette"], CAMERAS[name])
+        assert np.sqrt(np.mean((picture.permute(1, 2, 0).numpy() / 255 - wanted) ** 2)) < 0.035
+
+
+def test_what_was_found_is_shown_and_not_read_as_a_photograph(photos: Path, tmp_path: Path) -> None:
+    from data_tools.formats import inputs_of
+
+    written(tmp_path / "in" / "leaf", [photos / "aside.jpg", photos / "above.jpg"])
+    for folder in (tmp_path / "in", tmp_path / "in" / "leaf"):
+        forms = [form for form in inputs_of("svbrdf_nonstationary") if form.recognises(folder)]
+        assert [form.name for form in forms] == ["placed"]
+    shown = read_pixels(tmp_path / "in" / "leaf" / "found" / "01.png").values
+    assert shown.shape == (900, 1200, 3)
+    square = find_sheet(photos / "aside.jpg").to_px @ np.array([-5.0, 0, 1])
+    x, y = (square[:2] / square[2] * 1200 / 1600).round().astype(int)
+    assert (shown[y - 3 : y + 4, x - 3 : x + 4].reshape(-1, 3) == (255, 0, 200)).all(-1).any()  # the opening's outline
+
+
+def test_higher_depth_stays_and_size_has_limits(tmp_path: Path) -> None:
+    cameras = [tilted(0, distance=26), tilted(20)]
+    paths = []
+    for i, camera in enumerate(cameras):
+        values = (photograph(camera) * 65535).astype(np.uint16)
+        paths.append(write(tmp_path / f"{i}.png", values))
+    placed = written(tmp_path / "deep", paths, fov_rad=field_of_view(26, 1200, 1600), size=200)
+    assert placed.size == 200
+    values = read_pixels(tmp_path / "deep" / "00.png").values
+    assert (values.dtype, values.shape) == (np.uint16, (200, 200, 3))
+    assert place(paths, Settings(fov_rad=1.0, size=4096)).size == int(10 * find_sheet(paths[0]).scales()[0])
+
+
+def test_the_flash_is_beside_the_lens_in_the_photograph(photos: Path) -> None:
+    paths = [photos / "aside.jpg", photos / "turned.jpg"]
+    for photo in place(paths, Settings(flash_cm=(1.5, -0.5))).photos:
+        seen = photo.pose.axes @ (photo.light_cm - photo.camera_cm)  # right, down, forward
+        np.testing.assert_allclose(seen, [1.5, 0.5, 0], atol=1e-9)
+        # what is to the right in the photograph is where its homography says
+        camera = CAMERAS[photo.sighting.path.stem]
+        before, after = (camera.to_px() @ np.array([*(foot(photo, shift)), 1]) for shift in (0.0, 1.0))
+        assert after[0] / after[2] > before[0] / before[2]
+
+
+def foot(photo: Placed, share: float) -> np.ndarray:
+    """A point of the sheet so much of the flash's offset from the opening's centre."""
+    return share * (photo.light_cm - photo.camera_cm)[:2]
+
+
+def test_a_page_that_was_printed_smaller_is_all_smaller(photos: Path, tmp_path: Path) -> None:
+    paths = [photos / "aside.jpg", photos / "turned.jpg"]
+    placed = written(tmp_path / "leaf", paths, ruler_cm=9.7)
+    assert placed.side_cm == pytest.approx(9.7)
+    for photo in placed.photos:
+        assert off_by(photo.camera_cm / 0.97, CAMERAS[photo.sighting.path.stem]) < 0.003
+    before = place(paths, Settings())
+    places = read_places(tmp_path / "leaf", 2)
+    assert places is not None
+    np.testing.assert_allclose(places.camera * 5, np.stack([photo.camera_cm for photo in before.photos]), atol=1e-3)
+
+
+def hidden(path: Path, camera: Camera, *boxes: tuple[float, float, float, float]) -> Path:
+    """A photograph where some of the sheet, left, right, lower, upper in cm, is under something gray."""
+    values = (photograph(camera) * 255).astype(np.uint8)
+    for left, right, lower, upper in boxes:
+        corners = (
+            np.array([[left, lower, 1], [right, lower, 1], [right, upper, 1], [left, upper, 1]]) @ camera.to_px().T
+        )
+        cv2.fillPoly(values, [(corners[:, :2] / corners[:, 2:]).round().astype(np.int32)], (110, 100, 90))
+    return write(path, values)
+
+
+def test_some_hidden_markers_do_no_harm(tmp_path: Path) -> None:
+    camera = tilted(25, 60, distance=30)
+    sighting = find_sheet(hidden(tmp_path / "a.png", camera, (-9, 9, 5.2, 9), (5.2, 9, 2, 3)))
+    assert len(sighting.numbers) == 7
+    assert off_by(pose_of(sighting, 26).place_cm, camera) < 0.005
+
+
+REFUSED: dict[str, tuple[Callable[[Path], Path], str]] = {
+    "nothing": (lambda path: write(path, noise(600, 800)), "no marker found, expected those of a marker sheet; photog"),
+    "few": (
+        lambda path: hidden(path, tilted(20), (-9, 9, -5.2, 9)),
+        "markers on one side of the opening alone",
+    ),
+    "three": (lambda path: hidden(path, tilted(20), (-9, 9, -5.2, 9), (-9, -5, -9, -5)), "3 marker(s) found, expected"),
+    "bent": (lambda path: take(path, tilted(20), bend=0.35), "of a flat sheet; lay it flat"),
+    "bent much": (
+        lambda path: take(path, tilted(20), bend=1.5),
+        "corners of markers lie in one plane, expected nearly",
+    ),
+    "cut off": (
+        lambda path: take(path, Camera((5.0, 0, 18.0), aim=(9.5, 0.0))),
+        "the opening is not wholly in the pic",
+    ),
+    "far": (lambda path: take(path, tilted(20, distance=400)), "no marker found"),
+}
+
+
+@pytest.mark.parametrize("case", REFUSED)
+def test_what_cannot_be_rectified_is_refused_in_a_line(tmp_path: Path, case: str) -> None:
+    make, line = REFUSED[case]
+    with pytest.raises(ValueError, match=re.escape(line)) as caught:
+        find_sheet(make(tmp_path / "a.png"))
+    assert str(caught.value).startswith(f"{tmp_path / 'a.png'}: ")
+    assert "\n" not in str(caught.value)
+
+
+def test_a_cropped_photograph_or_another_lens_is_refused(photos: Path, tmp_path: Path) -> None:
+    values = read_pixels(photos / "steep.jpg").values[:, 250:]
+    cropped = write(tmp_path / "cropped.png", np.ascontiguousarray(values), Exif_FocalLengthIn35mmFilm=26)
+    find_sheet(cropped)
+    paths = [photos / "above.jpg", photos / "aside.jpg", cropped]
+    placed = place(paths, Settings())
+    assert len(placed.photos) == 2
+    (line,) = placed.skipped
+    assert line.startswith(f"{cropped}: markers are ")
+    assert "from where a lens of 26 mm sees them" in line
+    with pytest.raises(ValueError, match=r"1 of 2 photo\(s\) can be used, expected two or more"):
+        place([photos / "above.jpg", cropped], Settings())
+
+
+def test_photographs_are_of_one_sheet(photos: Path, tmp_path: Path) -> None:
+    other = take(tmp_path / "other.jpg", tilted(10), opening=7)
+    with pytest.raises(
+        ValueError, match=r"other\.jpg: a sheet with an opening of 7 cm, expected 10 cm as in above\.jpg"
+    ):
+        place([photos / "above.jpg", other], Settings())
