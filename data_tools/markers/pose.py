@@ -53,14 +53,23 @@ def pose_of(sighting: Sighting, focal_mm: float) -> Pose:
     focal = focal_mm / FRAME_MM * math.hypot(height, width)
     camera = np.array([[focal, 0, (width - 1) / 2], [0, focal, (height - 1) / 2], [0, 0, 1]])
     points, seen = np.pad(sighting.points_cm[sighting.kept], ((0, 0), (0, 1))), sighting.points_px[sighting.kept]
-    _, turns, shifts, _ = cv2.solvePnPGeneric(points, seen, camera, None, flags=cv2.SOLVEPNP_IPPE)
-    poses = []
-    for turn, shift in zip(turns, shifts, strict=True):  # a plane has two; nearly frontal ones hardly differ
-        turned, shifted = cv2.solvePnPRefineLM(points, seen, camera, None, turn, shift)
-        off = cv2.projectPoints(points, turned, shifted, camera, None)[0][:, 0] - seen
-        axes = cv2.Rodrigues(turned)[0]
-        poses.append(Pose(-axes.T @ shifted[:, 0], axes, float(np.sqrt((off**2).sum(-1).mean()))))
-    return min(poses, key=lambda pose: pose.error_px)
+    turn, shift = cv2.solvePnPRefineLM(
+        points, seen, camera, None, *_first_guess(np.linalg.inv(camera) @ sighting.to_px)
+    )
+    off = cv2.projectPoints(points, turn, shift, camera, None)[0][:, 0] - seen
+    axes = cv2.Rodrigues(turn)[0]
+    return Pose(-axes.T @ shift[:, 0], axes, float(np.sqrt((off**2).sum(-1).mean())))
+
+
+def _first_guess(homography: Floats) -> tuple[Floats, Floats]:
+    """Rotation vector and translation [3, 1] of a camera by the homography to directions (Zhang 2000).
+
+    OpenCV's IPPE is not used: with these points it is tens of pixels off at some focal lengths, or NaN.
+    """
+    scaled = homography / math.sqrt(np.linalg.norm(homography[:, 0]) * np.linalg.norm(homography[:, 1]))
+    scaled *= np.sign(scaled[2, 2])  # the sheet is in front
+    left, _, right = np.linalg.svd(np.column_stack([scaled[:, :2], np.cross(scaled[:, 0], scaled[:, 1])]))
+    return opencv().Rodrigues(left @ right)[0], scaled[:, 2:].copy()
 
 
 def common_focal(sightings: Sequence[Sighting]) -> float:

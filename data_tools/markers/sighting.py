@@ -149,16 +149,16 @@ def _plane(points_cm: Floats, points_px: Floats, opening: int) -> tuple[Array, F
 def _check(sighting: Sighting) -> None:
     """Refuse what a photograph cannot be rectified by."""
     path, side = sighting.path, sighting.opening
-    flat = "lay it flat, let nothing move, and leave this photo out or take it again"
+    flat = "a flat sheet in focus; lay it flat, hold the camera still, or leave this photo out"
     if sighting.kept.mean() < 0.75:
         raise ValueError(
             f"{path}: {sighting.kept.sum()} of {len(sighting.kept)} corners of markers lie in one plane, expected "
-            f"nearly all of one flat sheet; {flat}."
+            f"nearly all of {flat}."
         )
     if sighting.error_px > sighting.limit_px:
         raise ValueError(
-            f"{path}: markers are {sighting.error_px:.1f} px off a plane, expected up to {sighting.limit_px:.1f} of a "
-            f"flat sheet; {flat}."
+            f"{path}: markers are {sighting.error_px:.1f} px off a plane, expected up to {sighting.limit_px:.1f} of "
+            f"{flat}."
         )
     if _hull_area(sighting.points_cm[sighting.kept]) < side**2:
         raise ValueError(f"{path}: markers on one side of the opening alone, expected them all round; {_REMEDY}.")
