@@ -37,7 +37,8 @@ def markers(
 ) -> None:
     """Write a marker sheet to print: a frame of markers round an opening, which is laid on a flat material.
 
-    `metapp data rectify` finds the markers in photographs of it. Needs OpenCV: pip install "metapp[markers]".
+    `metapp data rectify` finds the markers in photographs of it. Needs OpenCV, which metapp's extra
+    `markers` installs.
 
     Example:
       metapp data markers sheet.pdf
@@ -93,7 +94,7 @@ def rectify(options: Rectify) -> None:
     Writes square pictures 00.png, 01.png, ... of the sheet's opening, that from nearest to straight above first,
     camera_pos.txt, light_pos.txt and image_size.txt: a folder for `metapp meta svbrdf_nonstationary DIR --observe
     photo`. Pictures in its folder found/ show what was found. Photos whose markers are missing or do not fit are
-    skipped, each with a line. Needs OpenCV: pip install "metapp[markers]".
+    skipped, each with a line. Needs OpenCV, which metapp's extra `markers` installs.
 
     Examples:
       metapp data rectify photos/ --out leaf
