@@ -153,7 +153,7 @@ def _write_words(axes: Axes, opening: int, top: float) -> None:
     axes.text(left + RULER_CM + 0.3, top, "cm", ha="left", va="center", size=8)
     lines = (
         f'metapp marker sheet, opening {opening} x {opening} cm. Print at 100 % ("actual size"), on matt paper.',
-        "1. Measure the ruler. If it is not 10 cm long, add it in step 4: --ruler CM",
+        "1. Measure the ruler. If it is not 10 cm long, add its length in step 4: --ruler CM",
         "2. Cut out the square. Lay the sheet flat on the flat material; let neither of them move.",
         "3. Take 3 to 10 photos, flash on, in a dark room, with the whole sheet in view and sharp:",
         "    one from straight above, the others from other places and distances, up to 40 degrees aside.",

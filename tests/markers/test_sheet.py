@@ -10,11 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-pytest.importorskip("cv2", reason='OpenCV is not installed: pip install "metapp[markers]"')
-import cv2
-
 from data_tools.markers.sheet import OPENINGS_CM, PAGES_CM, corners_cm, dictionary, draw_sheet, opening_of, write_sheet
-from tests.marker_photos import PX_PER_CM, page
+from tests.marker_photos import PX_PER_CM, cv2, page  # skips where there is no OpenCV
 
 POINT = 72 / 2.54  # a centimetre in the unit of PDF
 
