@@ -31,6 +31,14 @@ WHITE = Setting(
     high=100,
 )
 
+PREDICTED = Setting(
+    "predicted",
+    "",
+    "Maps that another method predicts of the photographs, <number>_N.png, _D, _R and _S (colours at gamma 2.2), for "
+    "the table of baselines; where they show the middle alone, so do the tasks.",
+    "FOLDER",
+)
+
 IMAGES = """Convert photographs of textures.
 
 Any format of OpenImageIO: JPEG, PNG, TIFF, EXR and more. Of each the central square is taken, upright, scaled in
@@ -89,6 +97,7 @@ material of its own. Where base materials cannot be parted, since all are blende
 Examples:
   metapp data strips DeepMaterialsData/trainBlended --out svbrdf
   metapp data strips strips --gamma 2.2 --white 1 --split test --out svbrdf
+  metapp data strips strips --predicted maps --split test --out svbrdf
 """
 STRIPS_SPLIT = (
     "Where the tasks belong. auto: no base material on both sides, a fifth or more for tests; what blends materials of "
@@ -147,7 +156,7 @@ FORMATS = (
             "strip",
             "FILES...",
             "Strips, and folders searched at any depth.",
-            (SIZE, GAMMA, WHITE),
+            (SIZE, GAMMA, WHITE, PREDICTED),
             STRIPS_SPLIT,
         ),
     ),

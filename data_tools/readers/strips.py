@@ -23,7 +23,8 @@ from torch import Tensor
 
 from data_tools.formats import AUTO, Conversion, Label
 from data_tools.readers.image_files import LINEAR, Pixels, is_heif, opened, read_pixels
-from data_tools.readers.photos import SIZE, find_photos, fraction, is_photo, resample
+from data_tools.readers.photos import SIZE, Floats, central_square, find_photos, fraction, is_photo, resample
+from data_tools.readers.predicted_maps import read_predicted
 from data_tools.readers.svbrdf_task import UNITS as OF_TASKS
 from data_tools.readers.svbrdf_task import encoded, svbrdf_task, task_name, unit_normals
 from metapp.appearance.flash import Maps, pack
@@ -38,6 +39,7 @@ UNITS = {
     "photo": "sRGB, uint8 0..255 [3, height, width], rows from the top; the strip's own flash photograph, exposed so "
     "that white has radiance 1 right below the flash",
 }
+PREDICTED = {"predicted": "as maps: those that another method predicts of the photograph"}
 
 _CLIPPED = 0.995
 _DARKEST = 1 / 255  # neither diffuse nor specular above it anywhere: nothing to see
@@ -91,8 +93,11 @@ def is_strip(path: Path) -> bool:
         return _has_tiles(spec.height, spec.width)
 
 
-def read_task(path: Path, size: int = SIZE, gamma: float = 1.0, white: float = WHITE) -> Task:
+def read_task(path: Path, size: int = SIZE, gamma: float = 1.0, white: float = WHITE, predicted: str = "") -> Task:
     """Turn a strip into a task with the maps and the photograph that it holds.
+
+    With maps that another method predicts it has `predicted`, too. Where these have fewer px than the strip's tiles
+    they show the middle of them, texel by texel, and so do then the task's maps and photograph.
 
     Args:
         path: the file.
@@ -100,19 +105,35 @@ def read_task(path: Path, size: int = SIZE, gamma: float = 1.0, white: float = W
         gamma: all tiles but the normals are encoded so; 1 is linear, other than files say.
         white: the radiance that white would have right below the flash; the photograph becomes so much darker, but
             where it is clipped.
+        predicted: a folder of predicted maps, of the strip's stem or what is before its first `;`; "" for none.
 
     Raises:
-        ValueError: as `read_pixels`; not five squares, NaN, black, normals that are none.
+        ValueError: as `read_pixels` and `read_predicted`; not five squares, NaN, black, normals that are none.
     """
-    photo, normal, diffuse, roughness, specular = _read_tiles(path, size, gamma, white)
-    if max(float(diffuse.max()), float(specular.max())) < _DARKEST:
+    tiles = _read_tiles(path, gamma, white)
+    of_others = read_predicted(Path(predicted), (path.stem, path.stem.split(";")[0])) if predicted else ()
+    share = min(1.0, len(of_others[0]) / len(tiles[0])) if of_others else 1.0
+    photo, *true = (_resampled(tile, size, share) for tile in tiles)
+    if max(float(true[1].max()), float(true[3].max())) < _DARKEST:
         raise ValueError(f"{path}: diffuse and specular are black, expected a material that reflects; leave it out.")
-    maps = Maps(diffuse, specular, roughness.mean(0, keepdim=True), unit_normals(normal, path))
-    return svbrdf_task(task_name(path.stem), pack(maps), photo=encoded(photo))
+    task = svbrdf_task(task_name(path.stem), _packed(path, *true), photo=encoded(photo))
+    if not of_others:
+        return task
+    maps = _packed(Path(predicted, path.name), *(_resampled(tile, size) for tile in of_others))
+    return task._replace(data=task.data | {"predicted": maps.half()})
 
 
-def conversion(paths: Iterable[Path], split: str, *, size: int, gamma: float, white: float) -> Conversion:
+def _packed(source: Path, normal: Tensor, diffuse: Tensor, roughness: Tensor, specular: Tensor) -> Tensor:
+    """Maps [10, S, S] of what images hold, [3, S, S] each; errors name the source."""
+    return pack(Maps(diffuse, specular, roughness.mean(0, keepdim=True), unit_normals(normal, source)))
+
+
+def conversion(
+    paths: Iterable[Path], split: str, *, size: int, gamma: float, white: float, predicted: str
+) -> Conversion:
     """How strips become tasks; with a split by base materials, those that blend both sides are left out."""
+    if predicted and not Path(predicted).is_dir():
+        raise ValueError(f"{predicted}: no such folder, expected one of predicted maps; check --predicted.")
     sources = [source.resolve() for source in find(paths)[0]]
     groups = group_strips(sources)
     parted = split_strips(sources) if split == AUTO else Split({}, [], "")
@@ -126,12 +147,14 @@ def conversion(paths: Iterable[Path], split: str, *, size: int, gamma: float, wh
         place = source.resolve()
         return Label(task_name(source.stem), groups[place], parted.sides.get(place, ""))
 
-    read = partial(read_task, size=size, gamma=gamma, white=white)
+    read = partial(read_task, size=size, gamma=gamma, white=white, predicted=predicted)
     notes: dict[str, object] = {"made_by": "metapp data strips", "size": size, "gamma": gamma, "white": white}
     if split == AUTO:
         notes |= {"split_by": parted.by, "left_out": len(parted.left_out)}
+    notes |= {"predicted": Path(predicted).resolve().name} if predicted else {}
+    units = UNITS | (PREDICTED if predicted else {})
     remarks = _remarks(parted, len(sources))
-    return Conversion("svbrdf_nonstationary", "strip", UNITS, find_kept, read, notes, label, remarks)
+    return Conversion("svbrdf_nonstationary", "strip", units, find_kept, read, notes, label, remarks)
 
 
 def _remarks(parted: Split, count: int) -> tuple[str, ...]:
@@ -149,8 +172,8 @@ def _has_tiles(height: int, width: int) -> bool:
     return abs(width - TILES * height) <= TILES
 
 
-def _read_tiles(path: Path, size: int, gamma: float, white: float) -> list[Tensor]:
-    """The tiles, [3, size, size] in [0, 1]; all but the normals linear; the photograph's white as `read_task` says."""
+def _read_tiles(path: Path, gamma: float, white: float) -> list[Floats]:
+    """The tiles, [S, S, 3] in [0, 1]; all but the normals linear; the photograph's white as `read_task` says."""
     pixels = read_pixels(path)
     height, width = pixels.values.shape[:2]
     if not _has_tiles(height, width):
@@ -172,9 +195,14 @@ def _read_tiles(path: Path, size: int, gamma: float, white: float) -> list[Tenso
         tile = tile if index == 1 else tile**gamma
         if index == 0:
             tile = np.where(tile < _CLIPPED, (tile / white).clip(0, 1), 1)  # who knows how bright what is clipped was
-        shown = Pixels(tile, LINEAR, False)
-        tiles.append(torch.from_numpy(resample(shown, size)).permute(2, 0, 1).float())
+        tiles.append(tile)
     return tiles
+
+
+def _resampled(tile: Floats, size: int, share: float = 1.0) -> Tensor:
+    """The middle of a tile [S, S, 3], such a share of its side, [3, size, size]."""
+    shown = central_square(Pixels(tile, LINEAR, False), share)
+    return torch.from_numpy(resample(shown, size)).permute(2, 0, 1).float()
 
 
 def blend(strip: Path) -> Blend:

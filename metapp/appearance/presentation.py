@@ -75,6 +75,7 @@ class Presentation(ABC, Generic[AnyApp]):
         app: the application, at a recipe's setup and under a protocol.
         title: as in tables.
         measure: what the error is, in one line.
+        measures: further errors that tables state the means of, what they are by their names in records.
         logarithmic: True where the error is a logarithm, of any sign: of two, the difference counts, not the ratio.
         image_measure: what `image_errors` are of, in one line; "" where there are none.
         renders: whether tasks are scenes that `rendered` makes pictures of.
@@ -84,6 +85,7 @@ class Presentation(ABC, Generic[AnyApp]):
 
     title: str
     measure: str
+    measures: Mapping[str, str] = {}
     logarithmic: bool = False
     image_measure: str = ""
     renders: bool = False

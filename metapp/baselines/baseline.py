@@ -95,12 +95,12 @@ class PreparedBaseline(NamedTuple):
 
     Attributes:
         fit: fits one task.
-        shared: bytes that all tasks share, without which no fit can be evaluated or made.
+        shared: bytes that all tasks share, without which no fit can be evaluated or made; None where not known.
         chosen: what validation tasks have chosen.
     """
 
     fit: FitTask
-    shared: int = 0
+    shared: int | None = 0
     chosen: dict[str, Any] = {}  # noqa: RUF012  (never written to)
 
 
@@ -114,6 +114,7 @@ class Baseline(NamedTuple):
         prepare: (training tasks, what fits may use) -> the baseline at work.
         learns: whether it needs any.
         matches: whether it spends as many bytes as Meta's error takes, instead of those of a network.
+        stored: the tensor of tasks that holds its answers, which were made elsewhere: it has no time; "" for none.
     """
 
     name: str
@@ -122,6 +123,7 @@ class Baseline(NamedTuple):
     prepare: Callable[[Training, Allowed], PreparedBaseline]
     learns: bool = True
     matches: bool = False
+    stored: str = ""
 
 
 def both_ways(

@@ -95,6 +95,14 @@ def baselines(app: App) -> tuple[Baseline, ...]:
                 lambda training, allowed: PreparedBaseline(_flat),
                 learns=False,
             ),
+            Baseline(
+                "predicted",
+                "the maps that another method predicts of the photo, as `metapp data strips --predicted` reads them",
+                "be made of another photo here, as its network is not at hand",
+                lambda training, allowed: PreparedBaseline(_predicted, shared=None),
+                learns=False,
+                stored="predicted",
+            ),
         )
     cannot = "read maps from a photo"
 
@@ -168,6 +176,14 @@ def _nearest(training: Training, allowed: Allowed) -> PreparedBaseline:
 def _flat(tasks: Tasks, rng: Generator, allowed: Allowed) -> BaselineFit:
     photo = tasks.data["photo"][tasks.rows]
     return BaselineFit(lambda: flat_maps(photo), photo.numel(), photo.numel())
+
+
+def _predicted(tasks: Tasks, rng: Generator, allowed: Allowed) -> BaselineFit:
+    if "predicted" not in tasks.data:
+        (name,) = tasks.picked_names()
+        raise ValueError(f"{name}: no predicted maps, expected some; convert it by metapp data strips --predicted.")
+    maps = tasks.data["predicted"][tasks.rows]
+    return BaselineFit(lambda: unpack(maps), maps.numel(), maps.numel())
 
 
 def flat_maps(photos: Tensor) -> Maps:

@@ -112,5 +112,6 @@ def table_of(
         table.add_column("steps", f"{statistics.median(steps):g}", justify="right")
     for record in listed:
         taken = [f"{record['steps']}"] if steps else []
-        table.add_row(Text(record["name"]), number(record["error"], ".3f"), f"{record['seconds']:.4f}", *taken)
+        measured = (number(record.get(key), form) for key, form in (("error", ".3f"), ("seconds", ".4f")))
+        table.add_row(Text(record["name"]), *measured, *taken)
     return table

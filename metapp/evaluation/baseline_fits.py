@@ -24,7 +24,7 @@ from metapp.runs.plan import Plan
 from metapp.storage.records import NUMBER, OPTIONAL, Record
 from metapp.storage.shards import read_manifest, read_shard
 
-FORM = {"error": OPTIONAL, "numbers": OPTIONAL, "size": NUMBER, "shared": NUMBER}  # of a record
+FORM = {"error": OPTIONAL, "numbers": OPTIONAL, "size": NUMBER, "shared": OPTIONAL}  # of a record
 
 
 class Judged(NamedTuple):
@@ -90,20 +90,20 @@ def fit_baselines(
         warm: fit the first task twice, so that its time is none of a first call, as paradigms' are not.
 
     Yields:
-        Of each task. A baseline that matches an error has no time: its search is no fit.
+        Of each task. A baseline that matches an error has no time, as its search is no fit, nor one that is stored.
 
     Raises:
         ValueError: it cannot be fitted to these tasks.
     """
     with threadpool_limits(torch.get_num_threads(), user_api="blas"), torch.no_grad():
         allowed = allowed_for(plan)
-        prepared = baseline.prepare(training, allowed)
+        prepared, timed = baseline.prepare(training, allowed), not (baseline.matches or baseline.stored)
         for i, task in enumerate(tasks):
             known = errors.get(task.name)
             allowed = allowed._replace(error=None if known is None else known / plan.app.traits.scale)
-            if warm and i == 0 and not baseline.matches:
+            if warm and i == 0 and timed:
                 _fit_one(plan, prepared, task, allowed)
-            yield _fit_one(plan, prepared, task, allowed, timed=not baseline.matches)
+            yield _fit_one(plan, prepared, task, allowed, timed=timed)
 
 
 def _fit_one(plan: Plan, prepared: PreparedBaseline, task: Task, allowed: Allowed, *, timed: bool = True) -> Judged:

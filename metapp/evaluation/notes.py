@@ -63,6 +63,15 @@ def warned(rows: Sequence[Row]) -> list[str]:
     ]
 
 
+def measures_note(subject: Subject, rows: Sequence[Row]) -> list[str]:
+    """The means of the further errors that the application states, a line each."""
+    known = {
+        title: [f"{row['paradigm']} {row[f'mean_{key}']:.3f}" for row in rows if row.get(f"mean_{key}") is not None]
+        for key, title in subject.presentation.measures.items()
+    }
+    return [f"{title}: {', '.join(means)}" for title, means in known.items() if means]
+
+
 def threads_note(rows: Sequence[Row]) -> list[str]:
     """The threads that seconds are of, where records say so."""
     known = list(dict.fromkeys(row["threads"] for row in rows if row["threads"]))

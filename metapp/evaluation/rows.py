@@ -188,12 +188,18 @@ def row_of(
     row = blank(app.name, name, beside_paper=of_paper, **observe_of(app))
     row |= statistics_of([values_of(cell, take) for cell in cells], groups)
     row |= {"seconds": statistics.median(seconds) if seconds else None, "tasks": len(cells[0].records())}
-    row |= remarks(records) | entries | app.conditions()
+    row |= remarks(records) | means_of(subject, records) | entries | app.conditions()
     logarithmic, ours = subject.presentation.logarithmic, [values_of(cell) for cell in cells]
     for other, others in (against or {}).items():
         theirs = [values_of(cell) for cell in others]
         row |= paired_entries(other, paired(ours, theirs, groups, logarithmic=logarithmic) if theirs else None)
     return row
+
+
+def means_of(subject: Subject, records: Sequence[Record]) -> Row:
+    """The means of the further errors that the application states, `mean_<name>`, of records that have them."""
+    found = {key: [record[key] for record in records if key in record] for key in subject.presentation.measures}
+    return {f"mean_{key}": statistics.fmean(values) if values else None for key, values in found.items()}
 
 
 def values_of(cell: Cell, take: Take | None = None) -> Errors:

@@ -357,11 +357,12 @@ def _marked(safe: str, name: str) -> str:
 
 
 def summary(records: Sequence[Document]) -> dict[str, float | None]:
-    """Mean error, as the table prints it, of tasks that have one, and median inference time of a task."""
+    """Mean error, as the table prints it, and median inference time of a task, of those that have one."""
     errors = [record["error"] for record in records if record["error"] is not None]
+    seconds = [record["seconds"] for record in records if "seconds" in record]
     return {
         "error": statistics.fmean(errors) if errors else None,
-        "seconds": statistics.median(record["seconds"] for record in records),
+        "seconds": statistics.median(seconds) if seconds else None,
     }
 
 

@@ -245,6 +245,29 @@ def test_strips_become_a_data_set(metapp: Callable) -> None:
     assert "no problems" in metapp("data", "check", OUT).out
 
 
+def test_predicted_maps_become_a_method_of_the_baselines_table(metapp: Callable) -> None:
+    for name in ("1", "2"):
+        strip(IN / f"{name};a;0.png")
+    for letter, colour in {"N": (128, 128, 255), "D": (90, 80, 70), "R": (99, 99, 99), "S": (60, 60, 60)}.items():
+        write(Path("of") / f"1_{letter}.png", np.full((36, 36, 3), colour, np.uint8))
+    convert = ("data", "strips", IN, "--out", OUT, "--split", "test", "--size", "36")
+    done = metapp(*convert, "--predicted", "of")
+    assert "in/2;a;0.png: of/2_N.png: no such file" in done.err
+    assert list(splits()) == ["1_a_0"]  # what is not predicted is left out
+    assert read_manifest(OUT).notes["predicted"] == "of"
+    assert set(shapes_of("test", "svbrdf_nonstationary").values()) == {(10, 36, 36), (3, 36, 36)}
+    call = ("baseline", "svbrdf_nonstationary", "--observe", "photo", "--method", "predicted", "--data", OUT)
+    judged = metapp(*call, "--recipe", "quick", "--json").done
+    (record,) = judged["tasks"]
+    assert record["normal"] < 20
+    assert {"seconds", "threads"}.isdisjoint(record)
+    assert (Path(judged["out"]) / "outputs" / "1_a_0" / "normal.png").is_file()
+    assert "1_a_0" in metapp(*call, "--recipe", "quick").out
+    assert metapp(*convert).code == 0
+    assert "1_a_0: no predicted maps, expected some" in metapp(*call, "--recipe", "quick").error
+    assert "nowhere: no such folder" in metapp(*convert, "--predicted", "nowhere").error
+
+
 def test_strips_that_share_all_their_materials(metapp: Callable) -> None:
     for index in range(6):
         strip(IN / f"{index};aXb;{index}X{index}.png")

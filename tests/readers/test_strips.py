@@ -81,6 +81,39 @@ def test_other_sizes_keep_means_and_unit_normals(tmp_path: Path, size: int) -> N
     assert got[2].min() > 0
 
 
+def predictions(folder: Path, name: str, maps: Tensor) -> Path:
+    """Maps [10, S, S] as another method's files."""
+    at = unpack(maps)
+    images = {"N": at.normal / 2 + 0.5, "D": at.diffuse ** (1 / 2.2), "R": at.roughness.expand(3, -1, -1)}
+    for letter, values in (images | {"S": at.specular ** (1 / 2.2)}).items():
+        write(folder / f"{name}_{letter}.png", values, "uint16")
+    return folder
+
+
+@pytest.mark.parametrize(("side", "name"), [(48, "7"), (64, "7"), (48, "7;a;b"), (51, "7")])
+def test_predicted_maps_lie_over_the_middle_of_a_strip(tmp_path: Path, side: int, name: str) -> None:
+    first = (64 - side) // 2
+    middle = (..., slice(first, first + side), slice(first, first + side))
+    maps, photo = material(), torch.rand(3, 64, 64)
+    folder = predictions(tmp_path / "predicted", name, maps[middle])
+    path = write(tmp_path / "7;a;b.png", strip(maps, photo), "uint16")
+    whole, read = strips.read_task(path, 64), strips.read_task(path, side, predicted=str(folder))
+    assert torch.equal(read.data["maps"], whole.data["maps"][middle])
+    assert torch.equal(read.data["photo"], whole.data["photo"][middle])
+    assert read.data["predicted"].dtype == torch.float16
+    torch.testing.assert_close(read.data["predicted"], read.data["maps"], atol=2e-3, rtol=0)
+    assert strips.read_task(path, 32, predicted=str(folder)).data["predicted"].shape == (10, 32, 32)
+
+
+def test_predicted_maps_that_are_not_whole_are_refused(tmp_path: Path) -> None:
+    path = write(tmp_path / "7;a;b.png", example())
+    folder = predictions(tmp_path / "predicted", "7", material(48))
+    write(folder / "7_R.png", torch.rand(3, 40, 40))
+    for missing, said in (("", "48 x 48, 48 x 48, 40 x 40, 48 x 48 px"), ("R", "7_R.png: no such file"), ("N", "7_N")):
+        (folder / f"7_{missing}.png").unlink(missing_ok=not missing)
+        check_refused(lambda place: strips.read_task(path, predicted=str(place)), folder, said)
+
+
 def test_normals_that_point_inwards_are_lifted(tmp_path: Path) -> None:
     values = example()
     values[:, 0, 64:74] = torch.tensor([1.0, 0.5, 0.0])[:, None]

@@ -108,6 +108,7 @@ class SvbrdfNonstationary(CodedApp):
         "photo": Held((3, "S", "S"), "uint8"),
         "maps": Held((10, "M", "M"), low=-1.001, high=1.001, optional=True),
         "others": Held(("K", 3, "S", "S"), "uint8", optional=True),
+        "predicted": Held((10, "M", "M"), low=-1.001, high=1.001, optional=True),
         "places": Held(("N", 2, 3), low=-1e3, high=1e3, optional=True),
     }
     setup: MaterialSetup
@@ -119,7 +120,8 @@ class SvbrdfNonstationary(CodedApp):
     def prepare(self, task: Task) -> dict[str, Tensor]:
         """`photo`, linear [3, H, W], and `maps` [10, H, W] with what they look like under RIG lights, `lit`.
 
-        And `fine`, the maps that augmented ones are made of; where fits see photographs, `others` and `places`.
+        And `fine`, the maps that augmented ones are made of; `predicted`, another method's maps, which no fit sees;
+        where fits see photographs, `others` and `places`.
         """
         size = (self.field.height, self.field.width)
         photo = {"photo": adaptive_avg_pool2d(linear(task.data["photo"]), size)}
@@ -130,6 +132,8 @@ class SvbrdfNonstationary(CodedApp):
             described = self.described(pooled(maps, size)[None])
             fine = min(maps.shape[-1], 2 * self.finer)  # twice as large, to have room for crops
             kept = pooled(maps, (fine, fine)).half()
+            if "predicted" in task.data:
+                photo["predicted"] = pooled(task.data["predicted"].float(), size)
             return photo | {"fine": kept} | {key: value[0] for key, value in described.items()}
         if self.protocol == "reference":
             raise ValueError(
@@ -165,7 +169,7 @@ class SvbrdfNonstationary(CodedApp):
     def sample(self, tasks: Tasks, rng: Generator, count: int) -> Batch:
         """All there is of each task; `pairs` [T, V, 2, 3] of light and viewer are random, for the outer loss."""
         drawn = {"pairs": draw_pairs(DRAWN, rng, len(tasks))} if "maps" in tasks.data else {}
-        shown = {key: value for key, value in tasks.data.items() if key != "fine"}
+        shown = {key: value for key, value in tasks.data.items() if key not in ("fine", "predicted")}
         return super().sample(replace(tasks, data=shown), rng, count) | drawn
 
     def loss(self, theta: Params, batch: Batch, learned: Params) -> Tensor:

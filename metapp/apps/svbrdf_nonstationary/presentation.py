@@ -30,6 +30,12 @@ class SvbrdfNonstationaryPresentation(CodedPresentation[SvbrdfNonstationary]):
 
     title = "svBRDF non-stat."
     measure = "mean absolute difference of log(radiance + 0.1) under 12 other lights, from elsewhere"
+    measures = {  # noqa: RUF012  (never written to)
+        "normal": "normals, degrees",
+        "diffuse": "diffuse at gamma 2.2",
+        "roughness": "roughness",
+        "specular": "specular at gamma 2.2",
+    }
     image_measure = "renderings under 12 other lights: difference of logs, and SSIM at gamma 2.2"
     of_pictures = {"error": "log L1", "ssim": "SSIM"}  # noqa: RUF012  (never written to)
 

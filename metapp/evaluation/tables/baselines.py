@@ -18,7 +18,7 @@ from metapp.evaluation.baseline_fits import (
     training_of,
 )
 from metapp.evaluation.cell import Cell
-from metapp.evaluation.notes import compared_text, overfit_note, paired_note, threads_note
+from metapp.evaluation.notes import compared_text, measures_note, overfit_note, paired_note, threads_note
 from metapp.evaluation.rows import Row, Table, against, bytes_column, columns, numbers, paired_of, row_of, words
 from metapp.evaluation.subject import Subject
 from metapp.evaluation.tables.storage import size, stored
@@ -47,11 +47,15 @@ def _larger(subject: Subject) -> list[str]:
 
 
 def _able(subject: Subject) -> list[Baseline]:
-    """The baselines that lack no training tasks."""
-    known = baselines_of(subject.app)
+    """The baselines that lack neither training tasks nor, in any task, the tensor that holds their answers."""
+    known = [each for each in baselines_of(subject.app) if not each.stored or _all_hold(subject, each.stored)]
     if subject.tasks and any(baseline.learns for baseline in known) and training_folder(subject.plan) is None:
         return [baseline for baseline in known if not baseline.learns]
-    return list(known)
+    return known
+
+
+def _all_hold(subject: Subject, tensor: str) -> bool:
+    return bool(subject.tasks) and all(tensor in task.data for task in subject.tasks)
 
 
 def baseline_cell(subject: Subject, baseline: Baseline) -> Cell:
@@ -162,6 +166,7 @@ def notes(subject: Subject, all_rows: list[Row]) -> list[str]:
         *_described(baselines),
         "bytes: of what is kept of a task; shared: of what all tasks share, to be fitted or to be evaluated",
         caption_of(subject.app),
+        *measures_note(subject, all_rows),
         *paired_note(all_rows, "meta"),
         *threads_note(all_rows),
         *overfit_note(subject),
@@ -197,7 +202,9 @@ def _missing(subject: Subject, all_rows: list[Row]) -> list[str]:
     absent = [row["paradigm"] for row in all_rows if not row["tasks"] and not row["peer"]]
     lines = [f"no records yet of {', '.join(absent)}; {subject.command('results')} makes them"] if absent else []
     able = {baseline.name for baseline in _able(subject)}
-    if without := [baseline.name for baseline in baselines_of(subject.app) if baseline.name not in able]:
+    others = [baseline for baseline in baselines_of(subject.app) if baseline.name not in able]
+    lines += [f"{each.name}: left out, as not all tasks hold {each.title}" for each in others if each.stored]
+    if without := [baseline.name for baseline in others if not baseline.stored]:
         remedy = f"metapp data synth {subject.app.name} makes the embedded ones"
         lines.append(f"{', '.join(without)}: no training tasks; {remedy}")
     return lines

@@ -3,7 +3,16 @@
 from __future__ import annotations
 
 from metapp.evaluation.cell import Cell
-from metapp.evaluation.notes import carried, change, overfit_note, paired_note, threads_note, verdict, warned
+from metapp.evaluation.notes import (
+    carried,
+    change,
+    measures_note,
+    overfit_note,
+    paired_note,
+    threads_note,
+    verdict,
+    warned,
+)
 from metapp.evaluation.rows import Row, Table, against, columns, paired_of, row_of
 from metapp.evaluation.subject import Subject
 from metapp.learning.app import App
@@ -41,6 +50,7 @@ def notes(subject: Subject, all_rows: list[Row]) -> list[str]:
         *filter(None, (verdict(meta, other) for other in COMPARED)),
         *warned(all_rows),
         f"meta: {meta['rule']}; {caption_of(subject.app)}",
+        *measures_note(subject, all_rows),
         *paired_note(all_rows),
         *threads_note(all_rows),
         *overfit_note(subject),
