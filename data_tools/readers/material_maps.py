@@ -28,8 +28,8 @@ import torch
 from torch import Tensor
 
 from data_tools.formats import Conversion, Label
-from data_tools.readers.image_files import LINEAR, SUFFIXES, read_pixels
-from data_tools.readers.photos import SIZE, central_square, find_photos, resample
+from data_tools.readers.image_files import LINEAR, SUFFIXES, is_heif, opened, read_pixels
+from data_tools.readers.photos import SIZE, central_square, find_photos, resample, side_of
 from data_tools.readers.svbrdf_task import UNITS, svbrdf_task, task_name, unit_normals
 from metapp.appearance.flash import Maps, pack
 from metapp.appearance.surface import DESCRIPTION, DIELECTRIC, from_metallic
@@ -201,7 +201,7 @@ def _parts(stem: str) -> tuple[str, str | None]:
     return stem, None
 
 
-def read_task(source: Path, size: int = SIZE, normals: str = "auto") -> Task:
+def read_task(source: Path, size: int = SIZE, normals: str = "auto", least: int = 0) -> Task:
     """Turn the material that a map belongs to into a task, photographed by the renderer.
 
     Args:
@@ -209,6 +209,7 @@ def read_task(source: Path, size: int = SIZE, normals: str = "auto") -> Task:
         size: side in px; of each map the central square counts.
         normals: whether green points up ("opengl") or down ("directx"); "auto": as names say, else what a height field
             could have, up if that is not clear.
+        least: what maps that are all smaller than `size` are enlarged to, if at all; 0: to `size`.
 
     Raises:
         ValueError: as `read_pixels`; a map that is missing or there twice, maps of different shapes, NaN, black,
@@ -218,6 +219,7 @@ def read_task(source: Path, size: int = SIZE, normals: str = "auto") -> Task:
     if material is None:
         raise ValueError(f"{source}: no map under a usual name, {_EXPECTED}; rename it.")
     chosen = _choose(material)
+    size = side_of(max(map(_side, chosen.values())), size, least) if least else size
     shapes: dict[str, tuple[int, int]] = {}
     maps = {role: _read(file, size, role, shapes) for role, file in chosen.items()}
     _check_shapes(material, chosen, shapes)
@@ -323,6 +325,14 @@ def _specular_workflow(roles: Mapping[str, tuple[Path, ...]]) -> dict[str, tuple
     if not ("specular" in roles and len(diffuse) == 1 and len(colours) == 2):
         return dict(roles)
     return {role: files for role, files in roles.items() if role != "metallic"} | {"base colour": diffuse}
+
+
+def _side(file: Path) -> int:
+    """The shorter side of an image in px."""
+    if is_heif(file):
+        return min(read_pixels(file).values.shape[:2])
+    with opened(file) as source:
+        return min(source.spec().height, source.spec().width)
 
 
 def _read(file: Path, size: int, role: str, shapes: dict[str, tuple[int, int]]) -> Tensor:

@@ -141,7 +141,7 @@ def read_photo(
     if not fov_rad and whole.focal_mm:
         fov_rad = field_of_view(whole.focal_mm, *whole.values.shape[:2])
     pixels = central_square(whole, seen_share(fov_rad, within_rad) if fov_rad and within_rad else 1.0)
-    linear = resample(pixels, min(size, max(least, len(pixels.values))) if least else size)
+    linear = resample(pixels, side_of(len(pixels.values), size, least))
     if not np.isfinite(linear).all():
         raise ValueError(f"{path}: holds NaN, expected finite values; export the image again.")
     if linear.shape[-1] == 4:
@@ -160,6 +160,11 @@ def read_photo(
             "a visible structure; leave it out."
         )
     return torch.from_numpy((srgb * 255).round().astype(np.uint8)).permute(2, 0, 1).contiguous()
+
+
+def side_of(own: int, size: int, least: int) -> int:
+    """px a side that a picture of its own side is read at: as fine as it is, from `least` to `size`; 0: `size`."""
+    return min(size, max(least, own)) if least else size
 
 
 def field_of_view(focal_mm: float, height: int, width: int) -> float:

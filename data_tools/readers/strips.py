@@ -23,7 +23,7 @@ from torch import Tensor
 
 from data_tools.formats import AUTO, Conversion, Label
 from data_tools.readers.image_files import LINEAR, Pixels, is_heif, opened, read_pixels
-from data_tools.readers.photos import SIZE, Floats, central_square, find_photos, fraction, is_photo, resample
+from data_tools.readers.photos import SIZE, Floats, central_square, find_photos, fraction, is_photo, resample, side_of
 from data_tools.readers.predicted_maps import read_predicted
 from data_tools.readers.svbrdf_task import UNITS as OF_TASKS
 from data_tools.readers.svbrdf_task import encoded, svbrdf_task, task_name, unit_normals
@@ -93,7 +93,9 @@ def is_strip(path: Path) -> bool:
         return _has_tiles(spec.height, spec.width)
 
 
-def read_task(path: Path, size: int = SIZE, gamma: float = 1.0, white: float = WHITE, predicted: str = "") -> Task:
+def read_task(
+    path: Path, size: int = SIZE, gamma: float = 1.0, white: float = WHITE, predicted: str = "", least: int = 0
+) -> Task:
     """Turn a strip into a task with the maps and the photograph that it holds.
 
     With maps that another method predicts it has `predicted`, too. Where these have fewer px than the strip's tiles
@@ -106,6 +108,7 @@ def read_task(path: Path, size: int = SIZE, gamma: float = 1.0, white: float = W
         white: the radiance that white would have right below the flash; the photograph becomes so much darker, but
             where it is clipped.
         predicted: a folder of predicted maps, of the strip's stem or what is before its first `;`; "" for none.
+        least: what smaller tiles than `size` are enlarged to, if at all; 0: to `size`.
 
     Raises:
         ValueError: as `read_pixels` and `read_predicted`; not five squares, NaN, black, normals that are none.
@@ -113,6 +116,7 @@ def read_task(path: Path, size: int = SIZE, gamma: float = 1.0, white: float = W
     tiles = _read_tiles(path, gamma, white)
     of_others = read_predicted(Path(predicted), (path.stem, path.stem.split(";")[0])) if predicted else ()
     share = min(1.0, len(of_others[0]) / len(tiles[0])) if of_others else 1.0
+    size = side_of(round(share * len(tiles[0])), size, least)
     photo, *true = (_resampled(tile, size, share) for tile in tiles)
     if max(float(true[1].max()), float(true[3].max())) < _DARKEST:
         raise ValueError(f"{path}: diffuse and specular are black, expected a material that reflects; leave it out.")

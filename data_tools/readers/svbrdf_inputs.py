@@ -53,23 +53,23 @@ def read_task(path: Path, size: int = SIZE, fov_rad: float = 0.0) -> Task:
 
     Args:
         path: the file.
-        size: side in px; where it is more than 256, of photographs as fine as that alone.
+        size: side in px; where it is more than 256, of files as fine as that alone.
         fov_rad: of a photograph's camera, along the shorter side; 0: as EXIF says, else that of fits.
 
     Returns:
-        As `data_tools.readers.svbrdf_task.svbrdf_task`; of a photograph `photo` alone, uint8 [3, size, size].
+        As `data_tools.readers.svbrdf_task.svbrdf_task`; of a photograph `photo` alone, uint8 [3, S, S].
 
     Raises:
         ValueError: as the `read_task` of `data_tools.readers.strips` and `data_tools.readers.material_maps`, and as
             `data_tools.readers.photos.read_photo`.
     """
     check_exists(path)
-    material = material_maps.material_of(path)
+    material, least = material_maps.material_of(path), min(size, SIZE)
     if material and _is_material(material):
-        return material_maps.read_task(path, min(size, SIZE))
+        return material_maps.read_task(path, size, least=least)
     if strips.is_strip(path):
-        return strips.read_task(path, min(size, SIZE))
-    photo = read_photo(path, size, fov_rad=fov_rad, within_rad=FOV_RAD, least=min(size, SIZE))
+        return strips.read_task(path, size, least=least)
+    photo = read_photo(path, size, fov_rad=fov_rad, within_rad=FOV_RAD, least=least)
     return Task(task_name(path.stem), {"photo": photo})
 
 

@@ -122,6 +122,18 @@ def test_normals_that_point_inwards_are_lifted(tmp_path: Path) -> None:
     torch.testing.assert_close(normal[0, 0, :10], torch.ones(10), atol=1e-3, rtol=0)
 
 
+@pytest.mark.parametrize(("side", "size", "wanted"), [(270, 2048, 270), (270, 264, 264), (64, 2048, 256), (64, 32, 32)])
+def test_fits_read_strips_and_maps_as_fine_as_they_are(tmp_path: Path, side: int, size: int, wanted: int) -> None:
+    maps = material(side)
+    path = write(tmp_path / "a.png", strip(maps, torch.rand(3, side, side)))
+    for name, values in {"rock": maps[3:6], "rock_norm": maps[:3] / 2 + 0.5, "rock_gloss": maps[6:7, ::2, ::2]}.items():
+        write(tmp_path / "rock" / f"{name}.png", values)
+    for source in (path, tmp_path / "rock" / "rock.png"):
+        task = svbrdf_inputs.read_task(source, size)
+        assert (task.data["maps"].shape, task.data["photo"].shape) == ((10, wanted, wanted), (3, wanted, wanted))
+    assert strips.read_task(path).data["maps"].shape == (10, 256, 256)  # data sets have one size
+
+
 # Names
 
 BLENDS = {
