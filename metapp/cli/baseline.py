@@ -27,6 +27,10 @@ class Options:
     ] = "nearest"
     recipe: Annotated[str, typer.Option(help="The size of pictures: quick, full or paper.")] = ""
     observe: Annotated[str, typer.Option(help="What a fit may see: reference (the default) or photo.")] = ""
+    detail: Annotated[
+        int,
+        typer.Option(metavar="PX", min=0, help="px a side that photos are read at, as by fits, 256 or 512; 0: 256."),
+    ] = 0
     data: Annotated[Path | None, typer.Option(help="Data set whose training tasks a method may learn from.")] = None
     out: Annotated[Path, typer.Option(help="Where runs are kept.")] = Path("runs")
     seed: Annotated[int, typer.Option(min=0, help="Of all random draws.")] = 0
@@ -51,6 +55,7 @@ def command(options: Options) -> None:
         options.inputs or [],
         recipe=options.recipe,
         observe=options.observe,
+        detail=options.detail,
         data=options.data,
         out=options.out,
         seed=options.seed,

@@ -63,11 +63,13 @@ def run_baseline(plan: Plan, method: str) -> BaselineRun:
         "training": source and data_label(source),
         "allowed": allowed_for(plan)._asdict(),
         "recipe": request.recipe,
+        **({"detail": request.detail} if request.detail else {}),
         "seed": request.seed,
         "versions": versions() | {"scipy": metadata.version("scipy")},
         **app.conditions(),
     }
-    words = [label, request.recipe, f"seed{request.seed}", method, app.protocol]
+    detail = f"detail{request.detail}" if request.detail else ""
+    words = [label, request.recipe, f"seed{request.seed}", detail, method, app.protocol]
     folder = RunFolder(
         request.out / app.name / "baseline" / "-".join(filter(None, words)), settings, FORM, plan.origin()
     )

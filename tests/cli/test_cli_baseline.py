@@ -58,6 +58,19 @@ def test_a_map_in_half_precision_is_written_as_radiance(metapp: Callable) -> Non
     np.testing.assert_allclose(*pixels, rtol=0.01)
 
 
+def test_a_method_reads_photos_at_the_detail_asked_for(metapp: Callable) -> None:
+    photograph(Path("wall.png"), 9, 520)
+    sides = []
+    for detail in (0, 512):
+        options = ["--method", "patches", "--detail", str(detail), "--json"]
+        done = metapp("baseline", "texture", "wall.png", *options).done
+        spec = oiio.ImageBuf(str(Path(done["out"], "outputs", "wall", "texture.png"))).spec()
+        sides.append((spec.width, "detail512" in done["out"]))
+    assert sides == [(256, False), (512, True)]
+    refused = metapp("baseline", "texture", "wall.png", "--detail", "300")
+    assert (refused.code, "expected one of 256, 512" in refused.err) == (2, True)
+
+
 def test_an_unknown_method_is_refused_and_the_known_ones_are_named(metapp: Callable) -> None:
     photograph(Path("wall.png"), 9, 80)
     done = metapp("baseline", "texture", "wall.png", "--method", "magic")
