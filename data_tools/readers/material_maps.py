@@ -330,7 +330,7 @@ def _specular_workflow(roles: Mapping[str, tuple[Path, ...]]) -> dict[str, tuple
 def _side(file: Path) -> int:
     """The shorter side of an image in px."""
     if is_heif(file):
-        return min(read_pixels(file).values.shape[:2])
+        return int(min(read_pixels(file).values.shape[:2]))
     with opened(file) as source:
         return min(source.spec().height, source.spec().width)
 

@@ -48,7 +48,8 @@ def command(
     if not quiet:
         for note in compared.notes:
             say(f"note: {note}")
-        say(f"picture: {picture}" if picture else "no picture: what was fitted is not there; give it after the runs.")
+        missing = "no picture: fits or what was fitted are not there; give what was fitted after the runs."
+        say(f"picture: {picture}" if picture else missing)
     if json:
         print_json(compared.document(picture))
 
@@ -70,17 +71,19 @@ def _table(compared: Comparison) -> Table:
         said[0] += f"; {found.groups} different tasks are too few to call a win" if found.groups < FEWEST else ""
         if found.kind == "difference":
             said[0] = said[0].replace(" over ", " minus ")
+    for title, (means, pair) in compared.measures.items():
+        said.append(f"{title}: {means[0]:.3f} and {means[1]:.3f}" + (f", ratio {pair}" if pair else ""))
     table = Table(title=f"{title_of(app)}: {one.label} and {other.label}", caption="\n".join(said), show_footer=True)
     table.add_column("task", "mean error, median time")
     for side in compared.sides:
         table.add_column(f"error, {side.label}", number(side.mean(), ".3f"), justify="right")
     table.add_column("ratio", justify="right")
     for side in compared.sides:
-        table.add_column(f"seconds, {side.label}", f"{side.seconds():.4f}", justify="right")
+        table.add_column(f"seconds, {side.label}", number(side.seconds(), ".4f"), justify="right")
     for a, b in zip(one.records, other.records, strict=True):
         errors = (a["error"], b["error"])
         both = None not in errors and b["error"] > 0 and found is not None and found.kind == "ratio"
         ratio = f"{a['error'] / b['error']:.3f}" if both else "-"
-        seconds = (f"{each['seconds']:.4f}" for each in (a, b))
+        seconds = (number(each.get("seconds"), ".4f") for each in (a, b))
         table.add_row(Text(a["name"]), *(number(each, ".3f") for each in errors), ratio, *seconds)
     return table

@@ -10,12 +10,14 @@ from metapp.apps import presentation_of
 from metapp.learning.app import App
 from metapp.learning.task import Task
 from metapp.runs.pictures import COMPARED, column_of, write_compared
-from metapp.runs.recorded import app_as, read_run, tasks_as
+from metapp.runs.recorded import SETTINGS, app_as, read_run, tasks_as
 from metapp.runs.reporter import progress
 from metapp.runs.statistics import Paired, paired
 from metapp.runs.surroundings import threads, threads_of
 from metapp.storage import Document
+from metapp.storage.records import OPTIONAL, summary
 
+FORM = {"error": OPTIONAL, "settings": SETTINGS}  # of records of fits, and of methods without a network
 TOLD = (
     "paradigm",
     "rule",
@@ -42,17 +44,24 @@ class Side(NamedTuple):
     folder: Path
     records: list[Document]
 
-    def errors(self) -> dict[str, float]:
-        """By the task's name, of those that have one."""
-        return {record["name"]: record["error"] for record in self.records if record["error"] is not None}
+    def errors(self, measure: str = "error") -> dict[str, float]:
+        """By the task's name, of those that have one; also further ones that records state."""
+        return {record["name"]: record[measure] for record in self.records if record.get(measure) is not None}
 
-    def mean(self) -> float | None:
+    def mean(self, measure: str = "error") -> float | None:
         """Of the errors; None where there are none."""
-        return statistics.fmean(self.errors().values()) if self.errors() else None
+        return statistics.fmean(self.errors(measure).values()) if self.errors(measure) else None
 
-    def seconds(self) -> float:
-        """The median of a fit."""
-        return float(statistics.median(record["seconds"] for record in self.records))
+    def seconds(self) -> float | None:
+        """The median of a fit; None of answers that were made elsewhere."""
+        return summary(self.records)["seconds"]
+
+
+class Measured(NamedTuple):
+    """The means of a further error of both runs, and their ratio."""
+
+    means: tuple[float, float]
+    ratio: Paired | None
 
 
 class Comparison(NamedTuple):
@@ -62,12 +71,14 @@ class Comparison(NamedTuple):
         sides: the two.
         tasks: what was fitted, in the order of the records; none where it is not to be had.
         ratio: the mean error of the first over that of the second, or their difference; None where there is none.
+        measures: the same of further errors that both have, by what they are.
         notes: what differs beside the runs' settings and must be known.
     """
 
     sides: tuple[Side, Side]
     tasks: list[Task]
     ratio: Paired | None
+    measures: dict[str, Measured]
     notes: list[str]
 
     def document(self, picture: Path | None) -> Document:
@@ -81,8 +92,12 @@ class Comparison(NamedTuple):
                 for side in self.sides
             ],
             "compared": self.ratio and self.ratio._asdict(),
+            "measures": {
+                title: {"means": each.means, "compared": each.ratio and each.ratio._asdict()}
+                for title, each in self.measures.items()
+            },
             "tasks": [
-                {"name": a["name"], "error": [a["error"], b["error"]], "seconds": [a["seconds"], b["seconds"]]}
+                {"name": a["name"], "error": [a["error"], b["error"]], "seconds": [a.get("seconds"), b.get("seconds")]}
                 for a, b in pairs
             ],
             "notes": self.notes,
@@ -103,7 +118,7 @@ def compare(first: Path, second: Path, task: str, inputs: list[Path], data: Path
     Raises:
         ValueError: no runs, of different applications, or without a task in common.
     """
-    runs = [read_run(path, task=task) for path in (first, second)]
+    runs = [read_run(path, FORM, task) for path in (first, second)]
     settings = [run.records[-1]["settings"] for run in runs]
     if settings[0]["app"] != settings[1]["app"]:
         apps = " and ".join(each["app"] for each in settings)
@@ -120,18 +135,25 @@ def compare(first: Path, second: Path, task: str, inputs: list[Path], data: Path
     known = tasks_as(runs[0].records, sides[0].app, inputs, data)
     tasks = [known[name] for name in names if name in known]
     groups = {name: (known[name].group if name in known else "") or name for name in names}
-    logarithmic = presentation_of(sides[0].app).logarithmic
-    found = paired([sides[0].errors()], [sides[1].errors()], groups, logarithmic=logarithmic)
-    return Comparison((sides[0], sides[1]), tasks, found, _notes(settings, by_name, names))
+    one, other = sides
+    shown = presentation_of(one.app)
+    found = paired([one.errors()], [other.errors()], groups, logarithmic=shown.logarithmic)
+    measures = {}
+    for key, title in shown.measures.items():
+        means = one.mean(key), other.mean(key)
+        if means[0] is not None and means[1] is not None:
+            ratio = paired([one.errors(key)], [other.errors(key)], groups, logarithmic=False)
+            measures[title] = Measured((means[0], means[1]), ratio)
+    return Comparison((one, other), tasks, found, measures, _notes(settings, by_name, names))
 
 
 def draw(compared: Comparison, file: Path, *, quiet: bool) -> Path | None:
     """Write a picture of up to COMPARED tasks, a column each: the reference, and the fits of both runs below it.
 
     Returns:
-        The file; None where it is not known what was fitted.
+        The file; None where it is not known what was fitted, or one run is of a method that keeps no picture.
     """
-    if not compared.tasks:
+    if not compared.tasks or not all((side.folder / "params").is_dir() for side in compared.sides):
         return None
     records = [{record["name"]: record for record in side.records} for side in compared.sides]
     shown, app = compared.tasks[:COMPARED], compared.sides[0].app
@@ -146,6 +168,7 @@ def draw(compared: Comparison, file: Path, *, quiet: bool) -> Path | None:
 
 def _labels(first: Document, second: Document) -> tuple[str, str]:
     """What tells two runs apart, in a word each; A and B where nothing in TOLD does."""
+    first, second = ({"paradigm": each.get("method"), **each} for each in (first, second))
     for key in TOLD:
         if first.get(key) != second.get(key):
             kind = "" if key in ("paradigm", "rule", "recipe") else f"{key}-"

@@ -262,6 +262,14 @@ def test_predicted_maps_become_a_method_of_the_baselines_table(metapp: Callable)
     assert record["normal"] < 20
     assert {"seconds", "threads"}.isdisjoint(record)
     assert (Path(judged["out"]) / "outputs" / "1_a_0" / "normal.png").is_file()
+    options = ("--observe", "photo", "--data", OUT, "--recipe", "quick")
+    ours = metapp("general", "svbrdf_nonstationary", *options, "--json").done["out"]
+    compared = metapp("compare", ours, judged["out"], "--json")
+    assert compared.code == 0
+    assert "no picture" in compared.err
+    assert [side["label"] for side in compared.document["runs"]] == ["general", "predicted"]
+    assert compared.document["measures"]["normals, degrees"]["means"][1] == record["normal"]
+    assert "normals, degrees: " in " ".join(metapp("compare", ours, judged["out"]).out.split())
     assert "1_a_0" in metapp(*call, "--recipe", "quick").out
     assert metapp(*convert).code == 0
     assert "1_a_0: no predicted maps, expected some" in metapp(*call, "--recipe", "quick").error
