@@ -75,7 +75,6 @@ class Presentation(ABC, Generic[AnyApp]):
         app: the application, at a recipe's setup and under a protocol.
         title: as in tables.
         measure: what the error is, in one line.
-        measures: further errors that tables state the means of, what they are by their names in records.
         logarithmic: True where the error is a logarithm, of any sign: of two, the difference counts, not the ratio.
         image_measure: what `image_errors` are of, in one line; "" where there are none.
         renders: whether tasks are scenes that `rendered` makes pictures of.
@@ -85,7 +84,6 @@ class Presentation(ABC, Generic[AnyApp]):
 
     title: str
     measure: str
-    measures: Mapping[str, str] = {}
     logarithmic: bool = False
     image_measure: str = ""
     renders: bool = False
@@ -145,6 +143,22 @@ class Presentation(ABC, Generic[AnyApp]):
     def visible(self, task: Task) -> Visible | None:
         """How much a fit may see of a task; None where the application does not say."""
         return None
+
+
+@runtime_checkable
+class HasMeasures(Protocol):
+    """A presentation whose tables state the means of further errors.
+
+    Attributes:
+        measures: what they are, by their names in records.
+    """
+
+    measures: Mapping[str, str]
+
+
+def measures_of(shown: object) -> Mapping[str, str]:
+    """The further errors of a presentation; none of most."""
+    return shown.measures if isinstance(shown, HasMeasures) else {}
 
 
 @runtime_checkable

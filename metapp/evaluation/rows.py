@@ -9,6 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 from importlib import resources
 from typing import Any, NamedTuple
 
+from metapp.appearance.presentation import measures_of
 from metapp.evaluation.cell import Cell
 from metapp.evaluation.subject import Subject
 from metapp.runs.fits import ROSE
@@ -198,7 +199,7 @@ def row_of(
 
 def means_of(subject: Subject, records: Sequence[Record]) -> Row:
     """The means of the further errors that the application states, `mean_<name>`, of records that have them."""
-    found = {key: [record[key] for record in records if key in record] for key in subject.presentation.measures}
+    found = {key: [record[key] for record in records if key in record] for key in measures_of(subject.presentation)}
     return {f"mean_{key}": statistics.fmean(values) if values else None for key, values in found.items()}
 
 
