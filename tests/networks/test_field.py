@@ -91,3 +91,12 @@ def test_a_field_makes_nearly_the_same_picture_of_it(rng: Generator) -> None:
     places = directions(32, 64)[None]
     one, other = coarse(theta, places), coarse._replace(rows=16, columns=32)(finer, places)
     assert float((one - other).abs().mean()) < 0.1 * float(one.std())
+
+
+def test_a_code_for_each_texel_needs_no_interpolation(rng: Generator) -> None:
+    field = FIELD._replace(rows=8, columns=16, periodic=True)
+    theta = field.init(rng, 2)
+    down, across = fields._interpolation(field, theta["z"].device)
+    whole = down @ (field.gain * theta["z"]) @ across
+    assert torch.equal(field.code_at(theta, 0, 8), whole)
+    assert torch.equal(field.code_at(theta, 3, 5), whole[:, :, 3:5])

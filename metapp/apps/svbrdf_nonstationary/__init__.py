@@ -30,6 +30,7 @@ from metapp.apps.svbrdf_nonstationary.maps import (
     pooled,
 )
 from metapp.apps.svbrdf_nonstationary.photos import KEYS, all_photos, drawn_photos, first_flashes, prepared, several
+from metapp.apps.svbrdf_nonstationary.quarters import drawn_quarters, in_quarters
 from metapp.apps.svbrdf_nonstationary.variants import photographs, varied
 from metapp.learning.app import Traits
 from metapp.learning.task import Batch, Held, Params, Task, Tasks
@@ -148,7 +149,9 @@ class SvbrdfNonstationary(CodedApp):
         return max(self.field.height, min(FINER * self.field.height, FINEST_SHOT))
 
     def described(self, maps: Tensor) -> dict[str, Tensor]:
-        """Maps [T, 10, H, W], RIG lights, `rig`, and the log of what maps send out under these, `lit`."""
+        """Maps [T, 10, H, W]; where fits see them, RIG lights, `rig`, and the log of what these make of them, `lit`."""
+        if self.protocol == "photo":
+            return {"maps": maps}
         rig = _pairs(RIG).to(maps).expand(len(maps), -1, -1, -1)
         return {"maps": maps, "rig": rig, "lit": self._logs(unpack(maps), rig)}
 
@@ -172,6 +175,10 @@ class SvbrdfNonstationary(CodedApp):
         shown = {key: value for key, value in tasks.data.items() if key not in ("fine", "predicted")}
         return super().sample(replace(tasks, data=shown), rng, count) | drawn
 
+    def outer_sample(self, tasks: Tasks, rng: Generator, count: int) -> Batch:
+        """The same; of large pictures a random quarter of each is named, `quarter` [T], for the outer loss."""
+        return self.sample(tasks, rng, count) | drawn_quarters(self.field, len(tasks), rng)
+
     def loss(self, theta: Params, batch: Batch, learned: Params) -> Tensor:
         """Of maps and pictures, or of the photograph, by the protocol, [T]."""
         maps = self.maps_of(theta, batch["photo"])
@@ -185,27 +192,41 @@ class SvbrdfNonstationary(CodedApp):
         """Of the maps and what they look like under any light, whatever fits see, [T].
 
         How steep normals are counts, too: those with the least mean difference from all that a photo allows are flat.
+        Where the batch names a quarter of each picture, of that alone, with the same mean over quarters.
         """
-        maps, target = self.maps_of(theta, batch["photo"]), unpack(batch["maps"])
-        pictures = (self._logs(maps, batch["pairs"]) - self._logs(target, batch["pairs"])).abs().mean((1, 2, 3, 4))
+        clipping = _clipping(batch["photo"])
+        if "quarter" in batch:
+            maps, theta, batch = in_quarters(self.field, theta, batch)
+        else:
+            maps = self.maps_of(theta, batch["photo"])
+        target, place = unpack(batch["maps"]), batch.get("place")
+        logs, references = (self._logs(each, batch["pairs"], place) for each in (maps, target))
+        pictures = (logs - references).abs().mean((1, 2, 3, 4))
         photo = self._photo_loss(theta, maps, batch, {})
-        steep = (_steepness(maps) / _steepness(target)).log().abs().mean((1, 2, 3))
+        cells = CELLS * target.diffuse.shape[-1] // self.field.width
+        steep = (_steepness(maps, cells) / _steepness(target, cells)).log().abs().mean((1, 2, 3))
         apart = differences(maps, target)
-        hidden = _blots(apart[0], batch["photo"])
+        hidden = _blots(apart[0], batch["photo"], clipping)
         wanted = _map_loss(apart, {}) + _map_loss(apart[2:], {})  # roughness and normals twice: photos say less of them
         loss = pictures + WANTED * wanted + SEEN * photo + STEEP * steep + HIDDEN * hidden
         return loss + SURE * surprise(apart, theta) if self.setup.sure else loss
 
-    def _logs(self, maps: Maps, pairs: Tensor) -> Tensor:
-        """Log of what maps [T, ...] send out under pairs of light and viewer [T or 1, V, 2, 3]: [T, V, 3, H, W]."""
-        place = positions(*maps.diffuse.shape[-2:], dtype=pairs.dtype, device=pairs.device)
+    def _logs(self, maps: Maps, pairs: Tensor, place: Tensor | None = None) -> Tensor:
+        """Log of what maps [T, ...] send out under pairs of light and viewer [T or 1, V, 2, 3]: [T, V, 3, H, W].
+
+        Of parts of the patch `place` [T, 2, H, W] says where they are.
+        """
+        if place is None:
+            place = positions(*maps.diffuse.shape[-2:], dtype=pairs.dtype, device=pairs.device)[None]
+        place = place[:, None]
         spread = Maps(*(part[:, None] for part in maps))
         return (render(spread, place, pairs[:, :, 0], pairs[:, :, 1]) + DARK).log()
 
     def _photo_loss(self, theta: Params, maps: Maps, batch: Batch, learned: Params) -> Tensor:
         """Mean difference of logs, of all photographs, [T]; where one clips, only what is darker than it counts."""
         photos, flash = all_photos(batch), self.field.gain * theta["flash"]  # as far to go as the code
-        seen = photographed(maps, flashes_of(flash, batch["places"]) if several(batch) else flash_of(flash))
+        flash_or_several = flashes_of(flash, batch["places"]) if several(batch) else flash_of(flash)
+        seen = photographed(maps, flash_or_several, batch.get("place"))
         short = (photos + DARK).log() - (seen + DARK).log()
         short = torch.where(photos > CLIPPED, relu(short), short)
         return norm(short, learned).mean(tuple(range(1, short.ndim)))
@@ -273,12 +294,13 @@ class SvbrdfNonstationary(CodedApp):
         cosine = (maps.normal * target.normal).sum(1).clamp(-1, 1)
         parts = dict(zip(("diffuse", "specular", "roughness"), differences(maps, target), strict=False))
         steep = [statistics(each)[:, 0, -1] + LEVEL for each in (maps, target)]
+        photo = tasks.data["photo"][tasks.rows]
         return {
             "error": (logs - references).abs().mean((1, 2, 3, 4)),
             "ssim": ssim(shown, target_shown).flatten(1).mean(1).reshape(len(tasks), -1).mean(1),
             "normal": torch.rad2deg(cosine.acos()).mean((1, 2)),
             "relief": steep[0] / steep[1],
-            "blots": _blots(parts["diffuse"], tasks.data["photo"][tasks.rows]),
+            "blots": _blots(parts["diffuse"], photo, _clipping(photo)),
             **{name: part.abs().mean((1, 2, 3)) for name, part in parts.items()},
         }
 
@@ -288,15 +310,27 @@ def _map_loss(apart: list[Tensor], learned: Params) -> Tensor:
     return torch.stack([norm(each, learned).mean((1, 2, 3)) for each in apart]).sum(0)
 
 
-def _steepness(maps: Maps) -> Tensor:
-    """Sines of the angles between normals and the patch's, means in cells and a little more, [T, 1, CELLS, CELLS]."""
-    return adaptive_avg_pool2d(tilt(maps.normal), CELLS) + 2 * LEVEL
+def _steepness(maps: Maps, cells: int) -> Tensor:
+    """Sines of the angles between normals and the patch's, means in cells and a little more, [T, 1, cells, cells]."""
+    return adaptive_avg_pool2d(tilt(maps.normal), cells) + 2 * LEVEL
 
 
-def _blots(diffuse: Tensor, photo: Tensor) -> Tensor:
-    """Mean of how far diffuse colours are off, as of `differences`, where the photo clips; 0 where it does not, [T]."""
-    clips = (photo > CLIPPED).any(1, keepdim=True).float()
-    return (diffuse.abs() * clips).mean((1, 2, 3)) / clips.mean((1, 2, 3)).clamp_min(1e-6)
+def _clips(photo: Tensor) -> Tensor:
+    """1 where photographs [T, 3, H, W] clip, else 0, [T, 1, H, W]."""
+    return (photo > CLIPPED).any(1, keepdim=True).float()
+
+
+def _clipping(photo: Tensor) -> Tensor:
+    """The share of photographs [T, 3, H, W] that clips, [T]."""
+    return _clips(photo).mean((1, 2, 3))
+
+
+def _blots(diffuse: Tensor, photo: Tensor, clipping: Tensor) -> Tensor:
+    """Mean of how far diffuse colours are off, as of `differences`, where the photo clips; 0 where it does not, [T].
+
+    Of a part of each picture, `clipping` [T] is the share of the whole one, by which parts have that mean on average.
+    """
+    return (diffuse.abs() * _clips(photo)).mean((1, 2, 3)) / clipping.clamp_min(1e-6)
 
 
 def draw_pairs(counts: tuple[int, int], rng: Generator, tasks: int) -> Tensor:

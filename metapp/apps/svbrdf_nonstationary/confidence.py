@@ -39,8 +39,9 @@ def surprise(apart: Sequence[Tensor], theta: Params) -> Tensor:
 
     Only `deviation` has a gradient of it.
     """
-    off = [adaptive_avg_pool2d(part.detach(), COARSE).abs().mean(1, keepdim=True) for part in apart]
     scale = scales(theta)
+    size = (scale.shape[-2], scale.shape[-1])  # COARSE, or that of a part of the maps
+    off = [adaptive_avg_pool2d(part.detach(), size).abs().mean(1, keepdim=True) for part in apart]
     return (torch.cat(off, 1) / scale + scale.log()).mean((1, 2, 3))
 
 

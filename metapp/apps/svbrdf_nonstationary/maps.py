@@ -102,12 +102,16 @@ def flashes_of(flash: Tensor, places: Tensor) -> Flash:
     return Flash(place, torch.exp(BRIGHT * brighter) * (place[..., 2:] / camera_distance()) ** 2, eye)
 
 
-def photographed(maps: Maps, flash: Flash) -> Tensor:
-    """Radiance [T, 3, H, W] of maps [T, ...] under a flash; [T, N, 3, H, W] under those of several photographs."""
+def photographed(maps: Maps, flash: Flash, place: Tensor | None = None) -> Tensor:
+    """Radiance [T, 3, H, W] of maps [T, ...] under a flash; [T, N, 3, H, W] under those of several photographs.
+
+    Of parts of the patch `place` [T, 2, H, W] says where they are.
+    """
     like = maps.diffuse
-    place = positions(*like.shape[-2:], dtype=like.dtype, device=like.device)
+    if place is None:
+        place = positions(*like.shape[-2:], dtype=like.dtype, device=like.device)[None]
     if flash.place.ndim > 2:
-        maps = Maps(*(part[:, None] for part in maps))
+        maps, place = Maps(*(part[:, None] for part in maps)), place[:, None]
     return render(maps, place, flash.place, flash.eye, intensity=flash.gain)
 
 
