@@ -152,7 +152,7 @@ real-svbrdf: setup  ## real materials: make real-svbrdf DATA=<folder with svbrdf
 checkpoints-illumination: setup  ## train the checkpoints of illumination that ship, on the embedded maps; two to three hours
 	bash tools/checkpoints_observed.sh "$(METAPP)" "$(RUNS)" illumination
 
-checkpoints-svbrdf: setup  ## train those of non-stationary svBRDFs, on the embedded patches; three hours
+checkpoints-svbrdf: setup  ## train those of non-stationary svBRDFs, on drawn materials; six hours, 4 GB of memory and 2 GB of disk
 	bash tools/checkpoints_observed.sh "$(METAPP)" "$(RUNS)" svbrdf_nonstationary
 
 checkpoints-transport: setup  ## train those of light transport, on the embedded scenes; an hour

@@ -1,5 +1,6 @@
 #!/usr/bin/env bash
-# Train the checkpoints that ship of an application with two protocols, on its embedded set alone:
+# Train the checkpoints that ship of an application with two protocols, on its embedded set alone, and those of flash
+# photographs of non-stationary svBRDFs, whose maps are finer, on drawn materials of 512 px:
 # checkpoints_observed.sh METAPP RUNS APP
 set -euo pipefail
 metapp=$1 runs=$2 app=$3
@@ -11,3 +12,13 @@ for observe in reference photo; do
 done
 folder=$(ls -td "$runs/$app"/checkpoints/"$app"-*-quick-seed0 | head -1)
 "$(dirname "$metapp")/python" tools/ship.py "$folder" "metapp/checkpoints/$app"
+
+if [ "$app" = svbrdf_nonstationary ]; then
+  data=$runs/data/drawn-512px
+  [ -f "$data/manifest.json" ] || "$metapp" data synth "$app" --count 400 --size 512 --seed 1 --out "$data"
+  for paradigm in general quickft meta; do
+    "$metapp" "$paradigm" "$app" --recipe full --observe photo --data "$data" --out "$runs" --train
+  done
+  folder=$(ls -td "$runs/$app"/checkpoints/drawn-512px-*-full-seed0 | head -1)
+  "$(dirname "$metapp")/python" tools/ship.py "$folder" "metapp/checkpoints/$app/full"
+fi

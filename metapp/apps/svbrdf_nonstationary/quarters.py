@@ -28,7 +28,8 @@ def quarter_of(pictures: Tensor, which: Tensor) -> Tensor:
     """A quarter [T, ..., H / 2, W / 2] of each of pictures [T, ..., H, W], H and W even; `which` is 0 to 3, [T]."""
     height, width = (size // 2 for size in pictures.shape[-2:])
     parts = pictures.unflatten(-1, (2, width)).unflatten(-3, (2, height)).movedim((-4, -2), (1, 2))
-    return parts[torch.arange(len(which), device=which.device), which // 2, which % 2]
+    chosen: Tensor = parts[torch.arange(len(which), device=which.device), which // 2, which % 2]
+    return chosen
 
 
 def in_quarters(field: LocalField, theta: Params, batch: Batch) -> tuple[Maps, Params, Batch]:
