@@ -131,6 +131,20 @@ class Command(NamedTuple):
     split_help: str = SPLIT
 
 
+class OwnRecipe(NamedTuple):
+    """A recipe for the inputs of one format.
+
+    Attributes:
+        name: of the recipe.
+        has: what these inputs have and the application's others lack, in words.
+        tensor: the one that their tasks alone hold.
+    """
+
+    name: str
+    has: str
+    tensor: str
+
+
 class Format(NamedTuple):
     """A format of files.
 
@@ -146,7 +160,7 @@ class Format(NamedTuple):
         holds: the parameters that a written file holds; a fit of another network is distilled into them first; () for
             a format that is written from what a fit evaluates to.
         command: that converts files, if any.
-        recipe: that fits of these inputs take where none is asked for; "" for the application's.
+        own: the recipe that fits of these inputs take where none is asked for; None for the application's.
     """
 
     name: str
@@ -157,7 +171,7 @@ class Format(NamedTuple):
     exports: bool = False
     holds: tuple[str, ...] = ()
     command: Command | None = None
-    recipe: str = ""
+    own: OwnRecipe | None = None
 
     def files(self) -> Files:
         """What finds and reads the files."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from data_tools.formats import Command, Format, Setting
+from data_tools.formats import Command, Format, OwnRecipe, Setting
 
 SIZE = Setting("size", 256, "Side of the pictures.", "PX", low=32, high=4096)
 FOV = Setting(
@@ -144,7 +144,7 @@ FORMATS = (
         "data_tools.readers.placed_photos",
         "folders of rectified flash photos of one material with camera_pos.txt, light_pos.txt, image_size.txt",
         takes=("size",),
-        recipe="several",
+        own=OwnRecipe("several", has="several photos", tensor="places"),
     ),
     Format(
         "strips",

@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 import inspect
 from collections.abc import Callable
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
 
@@ -14,7 +14,7 @@ from typer.core import TyperCommand
 
 from data_tools.formats import exports_of, inputs_of
 from metapp.apps import app_names
-from metapp.cli.console import importing
+from metapp.cli.console import importing, lines_of_input
 from metapp.cli.fitting import fit
 from metapp.cli.options import Json
 from metapp.runs.reporter import say
@@ -173,7 +173,8 @@ def make_command(name: str, summary: str) -> Callable[..., None]:
         ):
             if unused:  # scripts over all paradigms give all the same options
                 say(f"{remark}; the option is ignored.")
-        fit(planned, lines=lines, json=json)
+        some = (replace(request, inputs=(Path(line),)) for line in lines_of_input()) if lines else None
+        fit(planned, some, json=json)
 
     hints = get_type_hints(Request)
     parameters = []

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import statistics
-from collections.abc import Sequence
-from pathlib import Path
+from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING
 
 import typer
 
-from metapp.cli.console import Exit, lines_of_input, one_line, out, print_json, what_failed
+from metapp.cli.console import Exit, one_line, out, print_json, what_failed
 from metapp.runs.reporter import number, say
 from metapp.storage import Document
 
@@ -19,28 +18,30 @@ if TYPE_CHECKING:
     from metapp.learning.app import App
     from metapp.runs.execution import Run
     from metapp.runs.plan import Plan
+    from metapp.runs.request import Request
 
 LISTED = 20  # tasks in the table of a run that lists what failed
 
 
-def fit(plan: Plan, *, lines: bool, json: bool) -> None:
-    """Fit what a plan asks for, or what lines of standard input name; the exit code is 1 if something was not fitted.
+def fit(plan: Plan, lines: Iterable[Request] | None, *, json: bool) -> None:
+    """Fit what a plan asks for, or requests as they come; the exit code is 1 if something was not fitted.
 
     Args:
         plan: what to do.
-        lines: each line of standard input is a run, answered by a line.
+        lines: each is a run, answered by a line; None: the plan is the one run.
         json: print an object in place of tables.
     """
     from metapp.runs.execution import Failure, execute
 
     failed = total = 0
-    for done in execute(plan, map(Path, lines_of_input()) if lines else None):
+    for done in execute(plan, lines):
         if isinstance(done, Failure):
             failed, total = failed + 1, total + 1
             print_json({"input": done.source, "failure": one_line(what_failed(done.error))})
             continue
-        failed, total = failed + len(done.failures), total + (1 if lines else len(done.failures) + len(done.records))
-        if lines:
+        failed += len(done.failures)
+        total += len(done.failures) + len(done.records) if lines is None else 1
+        if lines is not None:
             print_json({"input": str(done.plan.request.inputs[0])} | done.document())
         else:
             _show(done, json=json)

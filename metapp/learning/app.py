@@ -47,7 +47,7 @@ class App(ABC):
     tables say about errors, is the business of its `metapp.appearance.presentation.Presentation`; its recipes are a
     table beside it. What only some applications have are the protocols below: a coarse-to-fine `Staged`, a
     `LinearLayer`, `Known` parameters, an `OuterLoss`, an `OuterSample`, a `Distilled` network, `ReducedPrecision`,
-    `Doubtful` fits.
+    `Counted` tasks, `Doubtful` fits.
 
     Attributes:
         setup: the sizes of its network, as a recipe has them; None where it has none.
@@ -186,6 +186,14 @@ class ReducedPrecision(Protocol):
 
     def precision(self, device: torch.device) -> str:
         """What is computed how, in words: part of every record; "" for float32 throughout."""
+
+
+@runtime_checkable
+class Counted(Protocol):
+    """An application some of whose tasks hold more of a thing than others, such as photographs."""
+
+    def counts(self, task: Task) -> dict[str, int]:
+        """How many a fit sees, by what they are: part of every record."""
 
 
 @runtime_checkable

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
 from dataclasses import replace
 from importlib import resources
 from pathlib import Path
 
 import torch
 
-from data_tools.formats import Export, Format, exports_of, inputs_of
+from data_tools.formats import Export, Format, OwnRecipe, exports_of, inputs_of
 from metapp.apps import app_names, app_of, presentation_of, protocols_of, recipes_of
 from metapp.learning.app import App
 from metapp.learning.recipe import Recipe
@@ -20,6 +19,7 @@ from metapp.runs import BadOption
 from metapp.runs.naming import name_of
 from metapp.runs.reporter import say
 from metapp.runs.request import Request
+from metapp.storage.manifest import read_manifest
 
 QUICK, FULL = "quick", "full"
 
@@ -58,22 +58,44 @@ def _folder(app: str) -> Path:
     return Path(str(resources.files("metapp.checkpoints"))) / app
 
 
-def default_recipe(app: str, inputs: Sequence[Path] = (), protocol: str = "") -> str:
+def default_recipe(request: Request) -> str:
     """What a request without a recipe is fitted by: "full", the best rule and size that ships, else "quick".
 
-    Where all inputs are of formats that have a recipe of their own, that one, and it is said.
+    Where every input, or every task of the data set, is of a format that has a recipe of its own: that one.
+
+    Raises:
+        BadOption: some inputs are, and others are not.
+        ValueError: the data set cannot be read.
     """
-    forms = inputs_of(app)
-    for own in {form.recipe for form in forms if form.recipe and ships(app, form.recipe)} if inputs else ():
-        if own in recipes_of(app, protocol) and all(_is_of(path, own, forms) for path in inputs):
-            say(f"--recipe {own}, as all inputs are of its kind; --recipe {FULL} for that of other inputs")
-            return own
+    app = request.app
+    for form in inputs_of(app):
+        own = form.own
+        if own is None or not ships(app, own.name) or own.name not in recipes_of(app, request.observe):
+            continue
+        if _are_of(form, own, request) if request.inputs else _is_set_of(own, request.data):
+            what = "input" if request.inputs else f"task of {request.data}"
+            if not request.quiet:
+                say(f"{app}: recipe {own.name}, since every {what} has {own.has}")
+            return own.name
     return FULL if FULL in recipes_of(app) and ships(app, FULL) else QUICK
 
 
-def _is_of(path: Path, recipe: str, forms: Sequence[Format]) -> bool:
-    """Whether a path is a folder that formats of a recipe recognise, and no others."""
-    return path.is_dir() and {form.recipe for form in forms if form.recognises(path)} == {recipe}
+def _are_of(form: Format, own: OwnRecipe, request: Request) -> bool:
+    """Whether inputs are folders with sources of this format alone; BadOption where only some are."""
+    some = [path for path in request.inputs if form.recognises(path)]
+    for other in inputs_of(form.app) if some else ():
+        path = next((path for path in request.inputs if other.own != own and other.recognises(path)), None)
+        if path is not None:
+            has, lacks = form.find(some[:1])[0][0], (other.find([path])[0] or [path])[0]
+            raise BadOption(
+                f"{form.app}: {has} has {own.has}, {lacks} has not, and recipes for these differ; fit them by two "
+                f"commands, or all by --recipe {own.name} or --recipe {FULL}."
+            )
+    return bool(some)
+
+
+def _is_set_of(own: OwnRecipe, data: Path | None) -> bool:
+    return data is not None and own.tensor in read_manifest(data).units
 
 
 def check_name(app: str) -> None:

@@ -15,14 +15,16 @@ from metapp.learning.task import Task
 from metapp.paradigms import ranks
 from metapp.runs.batch_size import BatchSize, alike, check_batch
 from metapp.runs.checkpoints import find_checkpoint
+from metapp.runs.checks import default_recipe
 from metapp.runs.fits import Fitter, Result
 from metapp.runs.inputs import SOURCED, Source, sources_of, sources_to_fit, tasks_to_fit
 from metapp.runs.naming import name_of, observe_of
 from metapp.runs.outputs import OUTPUTS, write_fit
 from metapp.runs.pictures import write_gallery, write_thumbnail
 from metapp.runs.plan import Plan
+from metapp.runs.plan import plan as plan_of
 from metapp.runs.reporter import Reporter, number, progress, reporting, say
-from metapp.runs.request import portion_of
+from metapp.runs.request import Request, portion_of
 from metapp.runs.surroundings import make_folder, threads, threads_of
 from metapp.runs.training import train_checkpoint
 from metapp.runs.watching import Watched
@@ -72,7 +74,7 @@ class Run(NamedTuple):
     def document(self) -> Document:
         """What --json prints."""
         plan, settings = self.plan, self.folder.settings
-        fields = ("name", "error", "seconds", "steps", "warning")
+        fields = ("name", "error", "seconds", "steps", "counts", "warning")
         document = {
             "app": plan.app.name,
             **observe_of(plan.app),
@@ -95,14 +97,14 @@ class Run(NamedTuple):
         return document
 
 
-def execute(plan: Plan, lines: Iterable[Path] | None = None) -> Iterator[Run | Failure]:
+def execute(plan: Plan, lines: Iterable[Request] | None = None) -> Iterator[Run | Failure]:
     """Train the checkpoint, if that is asked for, then fit all inputs as one run, or each line as a run of its own.
 
     Of several ranks only the first one fits.
 
     Args:
         plan: what to do.
-        lines: inputs as they come, instead of those of the request; what fails does not stop the others.
+        lines: requests of other inputs, else alike, as they come; what fails does not stop the others.
 
     Yields:
         Each run when it is done.
@@ -118,21 +120,30 @@ def execute(plan: Plan, lines: Iterable[Path] | None = None) -> Iterator[Run | F
         return
     make_folder(plan.request.out)
     # with lines, what is missing is said before the first one
-    fitter = None if lines is None else Fitter(with_checkpoint(plan), warns=True)
-    for inputs in [plan.request.inputs] if lines is None else ((path,) for path in lines):
+    fitters = {} if lines is None else {plan.request.recipe: Fitter(with_checkpoint(plan), warns=True)}
+    for request in [plan.request] if lines is None else lines:
         done: Run | Failure
         try:
-            one = replace(plan, request=replace(plan.request, inputs=inputs))
-            with threads(threads_of(plan.app)):
+            one = plan if lines is None else _plan_of_line(plan, request)
+            with threads(threads_of(one.app)):
                 sources, label = _sources(one)
-                fitter = fitter or Fitter(with_checkpoint(plan), warns=True)
+                recipe = one.request.recipe
+                fitter = fitters[recipe] = fitters.get(recipe) or Fitter(with_checkpoint(one), warns=True)
                 fitter.plan = replace(one, checkpoint=fitter.plan.checkpoint)
                 done = _run(fitter, sources, label)
         except Exception as error:  # whatever it is, the next line is not to blame
             if lines is None:
                 raise
-            done = Failure(str(inputs[0]), error)
+            done = Failure(str(request.inputs[0]), error)
         yield done
+
+
+def _plan_of_line(plan: Plan, request: Request) -> Plan:
+    """The plan of a line, by the recipe that its inputs have; training was done for the plan of all."""
+    recipe = request.recipe or default_recipe(request)
+    if recipe == plan.request.recipe:
+        return replace(plan, request=replace(plan.request, inputs=request.inputs))
+    return plan_of(replace(request, recipe=recipe, train=False, train_steps=None))
 
 
 def with_checkpoint(plan: Plan) -> Plan:

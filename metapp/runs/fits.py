@@ -10,7 +10,7 @@ from typing import NamedTuple
 import torch
 from torch import Generator
 
-from metapp.learning.app import Doubtful, stack
+from metapp.learning.app import Counted, Doubtful, stack
 from metapp.learning.deadline import REMEMBERED, Deadline, Pace, Stopwatch, usual
 from metapp.learning.learn import Step, last
 from metapp.learning.task import Params, Rng, Task, Tasks, drawn
@@ -107,8 +107,10 @@ class Fitter:
             require_finite(task, own, errors)
             # sums depend on the number of threads, in their last digits: the record says it, but its key does not,
             # since that is no reason to fit anew
-            record = {"name": task.name, "error": None, **errors, "seconds": seconds / len(tasks)}
+            record: Document = {"name": task.name, "error": None, **errors, "seconds": seconds / len(tasks)}
             record["threads"] = torch.get_num_threads()
+            counts = app.counts(task) if isinstance(app, Counted) else {}
+            record |= {"counts": counts} if counts else {}
             record |= (
                 {"guarded": fit.guarded is not None and bool(fit.guarded[i])} if plan.paradigm.guard(plan.job) else {}
             )

@@ -142,11 +142,11 @@ class Plan:
 
 
 def plan(request: Request) -> Plan:
-    """Check what was asked for and look up what it names; no file is read or written.
+    """Check what was asked for and look up what it names; no task is read and nothing is written.
 
     Raises:
-        BadOption: something that the application does not have, or options that exclude each other.
-        ValueError: no such device or paradigm.
+        BadOption: something that the application does not have, or options or inputs that exclude each other.
+        ValueError: no such device, paradigm or data set.
     """
     known = paradigms()
     if request.paradigm not in known:
@@ -155,7 +155,7 @@ def plan(request: Request) -> Plan:
     check_name(request.app)
     check_protocol(request.observe, request.app)
     recipes = recipes_of(request.app, request.observe)
-    name = request.recipe or default_recipe(request.app, request.inputs, request.observe)
+    name = request.recipe or default_recipe(request)
     if name not in recipes:
         raise BadOption(f"--recipe '{name}': expected one of {', '.join(recipes)}.")
     recipe = check_detail(request, name, recipes[name])

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import io
+import json
 import re
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 
@@ -14,6 +17,7 @@ import torch
 from data_tools.formats import inputs_of
 from data_tools.readers import placed_photos, svbrdf_inputs
 from data_tools.readers.flash_places import CAMERA, LIGHT, SIZE
+from metapp.runs import BadOption
 from metapp.runs.plan import plan
 from metapp.runs.request import Request
 
@@ -75,23 +79,85 @@ def test_folders_with_places_have_a_recipe_of_their_own(folder: Path) -> None:
     assert recipe(folder) == "several"
     assert recipe(folder.parent) == "several"
     assert recipe(folder / "a.png") == "full"
-    assert recipe(folder, folder / "a.png") == "full"
     assert recipe(folder, observe="reference") == "full"
+    assert recipe(folder, folder / "a.png", observe="reference") == "full"
     assert recipe() == "full"
-    write(folder.parent / "wall.png", 4)
-    assert recipe(folder.parent) == "full"
+
+
+def test_folders_with_places_and_single_photos_take_two_commands(folder: Path, metapp: Callable) -> None:
+    """Or one recipe that is asked for; whether they are named or found in one folder."""
+    plain = write(folder.parent / "wall.png", 4)
+    line = (
+        f"{APP}: {folder} has several photos, {plain} has not, and recipes for these differ; fit them by two commands"
+    )
+    for inputs in ((folder, plain), (plain, folder), (folder.parent,), (folder.parent, plain)):
+        with pytest.raises(BadOption, match=re.escape(line)):
+            plan(Request(APP, "general", inputs, observe="photo"))
+        for recipe in ("full", "several"):
+            assert plan(Request(APP, "general", inputs, observe="photo", recipe=recipe)).request.recipe == recipe
+    result = metapp("general", APP, folder, plain, "--observe", "photo", "--out", folder.parent / "runs")
+    assert result.code == 2
+    assert line in " ".join(result.err.replace("\u2502", " ").split())
+    assert not (folder.parent / "runs").exists()
 
 
 def test_it_is_said_by_which_recipe(folder: Path, metapp: Callable) -> None:
     result = metapp("general", APP, folder, "--observe", "photo", "--out", folder.parent / "runs", "--json")
     assert result.code == 0, result.err
-    assert "--recipe several, as all inputs are of its kind" in result.err
+    assert f"{APP}: recipe several, since every input has several photos\n" in result.err
+    assert result.document["tasks"][0]["counts"] == {"photos": 3}
     made = Path(result.document["out"]) / "outputs" / "leaf"
     assert {f"photo_{i}.png" for i in (1, 2, 3)} <= {path.name for path in made.iterdir()}
     result = metapp("general", APP, folder, "--out", folder.parent / "runs")
     assert result.code == 1
     assert "leaf: a flash photo, expected a material's maps" in result.err
     assert "--observe photo" in result.err
+
+
+def test_data_sets_of_several_photos_have_that_recipe(tmp_path: Path, metapp: Callable) -> None:
+    said = {}
+    for photos, recipe in ((1, "full"), (3, "several")):
+        data = tmp_path / f"{photos}-photos"
+        drawn = ("--count", "2", "--size", "64", "--photos", photos, "--out", data)
+        assert metapp("data", "synth", APP, *drawn).code == 0
+        result = metapp("general", APP, "--observe", "photo", "--data", data, "--out", tmp_path / "runs", "--json")
+        assert result.code == 0, result.err
+        assert [task["counts"] for task in result.document["tasks"]] == [{"photos": photos}]
+        record = json.loads((Path(result.document["out"]) / "record.jsonl").read_text().splitlines()[0])
+        assert (record["settings"]["recipe"], record["counts"]) == (recipe, {"photos": photos})
+        said[recipe] = result.err
+    assert f"{APP}: recipe several, since every task of {data} has several photos\n" in said["several"]
+    assert "recipe several" not in said["full"]
+    seen = plan(Request(APP, "general", data=data, observe="reference"))
+    assert seen.request.recipe == "full"
+
+
+def test_lines_have_the_recipes_of_their_inputs(
+    folder: Path, metapp: Callable, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each is answered as by a command of its own; one that holds both kinds is refused, unless a recipe is given."""
+    plain, both = folder / "a.png", folder.parent / "both"
+    shutil.copytree(folder, both / "leaf")
+    write(both / "wall.png", 4)
+    told = ("--observe", "photo", "--out", folder.parent / "runs", "--json", "--quiet")
+
+    def answers(*more: str) -> list[dict]:
+        text = "".join(f"{line}\n" for line in (plain, folder, both, plain, folder))
+        monkeypatch.setattr("sys.stdin", io.TextIOWrapper(io.BytesIO(text.encode())))
+        return [json.loads(line) for line in metapp("general", APP, "-", *told, *more).out.splitlines()]
+
+    found = answers()
+    for answer, path in zip(found, (plain, folder, both, plain, folder), strict=True):
+        assert answer["input"] == str(path)
+        if path == both:
+            assert "leaf has several photos" in answer["failure"]
+            assert "fit them by two commands" in answer["failure"]
+        else:
+            photos, recipe = (3, "several") if path == folder else (1, "full")
+            assert answer["tasks"][0]["counts"] == {"photos": photos}
+            assert f"-{recipe}-seed0" in Path(answer["out"]).name
+    assert found[4]["out"] == metapp("general", APP, folder, *told).document["out"]
+    assert all("-full-seed0" in Path(answer["out"]).name for answer in answers("--recipe", "full"))
 
 
 @pytest.mark.parametrize(

@@ -225,8 +225,8 @@ class SvbrdfNonstationary(CodedApp):
     def _photo_loss(self, theta: Params, maps: Maps, batch: Batch, learned: Params) -> Tensor:
         """Mean difference of logs, of all photographs, [T]; where one clips, only what is darker than it counts."""
         photos, flash = all_photos(batch), self.field.gain * theta["flash"]  # as far to go as the code
-        flash_or_several = flashes_of(flash, batch["places"]) if several(batch) else flash_of(flash)
-        seen = photographed(maps, flash_or_several, batch.get("place"))
+        taken_by = flashes_of(flash, batch["places"]) if several(batch) else flash_of(flash)
+        seen = photographed(maps, taken_by, batch.get("place"))
         short = (photos + DARK).log() - (seen + DARK).log()
         short = torch.where(photos > CLIPPED, relu(short), short)
         return norm(short, learned).mean(tuple(range(1, short.ndim)))
@@ -263,6 +263,10 @@ class SvbrdfNonstationary(CodedApp):
         photos, places = drawn_photos(fine, tasks.data["places"].shape[1], rng)
         small = adaptive_avg_pool2d(photos.flatten(0, 1), size).unflatten(0, photos.shape[:2])
         return tasks.variants({"photo": small[:, 0], "others": small[:, 1:], "places": places} | data)
+
+    def counts(self, task: Task) -> dict[str, int]:
+        """The photographs, where fits see them alone."""
+        return {"photos": 1 + len(task.data.get("others", ()))} if self.protocol == "photo" else {}
 
     @torch.no_grad()
     def doubts(self, theta: Params, tasks: Tasks) -> list[list[str]]:
