@@ -12,6 +12,7 @@ from torch import Generator
 from metapp.learning.task import Task
 from metapp.rendering.path_space import DIMENSIONS, Tracer, path_samples
 from metapp.rendering.scene_loading import checked
+from metapp.rendering.scene_plugins import Unsupported
 from metapp.rendering.scene_rules import Places, SceneDict, read_text, scene_bytes
 from metapp.rendering.scene_trial import try_scene
 from metapp.rendering.variant import load_mitsuba
@@ -27,6 +28,7 @@ UNITS = {
 }
 BESIDE = ("scene", ".json")  # is a file beside each shard, too
 SUFFIXES = (".xml", ".json")
+UPGRADE = "metapp data scene {} --upgrade"
 
 
 def transport_task(
@@ -114,6 +116,8 @@ def read_task(
         return transport_task(path.stem, scene, seed, samples=samples, held=held, dimensions=dimensions)
     except ValueError as error:
         reason = str(error)
+        if "xml" in scene and "that Mitsuba can load: " in reason:
+            reason += f"; {UPGRADE.format(path)}"
     # without the error, which would keep the scene alive: Dr.Jit traces the materials of all scenes that are
     raise ValueError(f"{path}: {reason}")
 
@@ -134,6 +138,9 @@ def read_scene(path: Path, roots: Iterable[Path] = ()) -> SceneDict:
         text = read_text(path)
         scene = {"xml": text} if path.suffix.lower() == ".xml" else _from_json(text)
         return checked(scene, places, str(path.resolve()))
+    except Unsupported as error:
+        remedy = f", or {UPGRADE.format(path)}" if path.suffix.lower() == ".xml" else "."
+        raise ValueError(f"{path}: {str(error).rstrip('.')}{remedy}") from None
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from None
 

@@ -17,6 +17,7 @@ from data_tools.formats import formats
 from metapp.cli.console import Exit, out, print_json
 from metapp.cli.data_convert import Quiet, check_folder, command_of, report
 from metapp.cli.data_markers import markers, rectify
+from metapp.cli.data_scene import scene
 from metapp.cli.data_sets import cornell, holds_of, join, noisy
 from metapp.cli.options import Json, takes
 from metapp.runs.convert import Converted, converted
@@ -278,23 +279,4 @@ def vgg(
         print_json({**document, **origin._asdict()})
 
 
-@functools.partial(_command, bare_is_help=False)
-def scene(quiet: Quiet = False, as_json: Json = False) -> None:
-    """Build the second scene, under which illumination is judged, once, into the user's cache.
-
-    Mitsuba finds how much of each direction's light reaches each pixel; that takes 20 s and 50 MB. Without this command
-    the first fit that needs it builds it.
-
-    Example: metapp data scene
-    """
-    from metapp.rendering.second_scene import matrix_path, transfer
-
-    file = matrix_path()
-    there = file.is_file()
-    with progress("second scene", quiet=quiet) as bar:
-        transfer(report=bar.at)
-    size = file.stat().st_size
-    if not quiet:
-        say(f"second scene: {'there already' if there else 'done'}: {file}, {size / 1e6:.1f} MB")
-    if as_json:
-        print_json({"path": str(file), "bytes": size, "there_already": there})
+_command(scene, bare_is_help=False)

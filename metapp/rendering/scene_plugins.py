@@ -18,6 +18,10 @@ _SAMPLES = 2**20  # some samplers never come to an end with more; paths here nee
 _SIDE = 2**15  # px of a film: pictures of it are made
 
 
+class Unsupported(ValueError):
+    """Something of other versions of Mitsuba, or of other people's plugins, which an upgrade may repair."""
+
+
 def own_folder() -> Path:
     """Mitsuba's own folder, without importing it."""
     spec = importlib.util.find_spec("mitsuba")
@@ -27,7 +31,8 @@ def own_folder() -> Path:
 
 
 @functools.cache
-def _plugins() -> frozenset[str]:
+def plugins() -> frozenset[str]:
+    """Names of the plugins that Mitsuba ships."""
     return frozenset(path.stem for path in (own_folder() / "plugins").iterdir())
 
 
@@ -51,12 +56,14 @@ def check_plugin(kind: str) -> None:
     if kind in _MEDIA:
         raise ValueError(f"a participating medium, '{kind}', expected surfaces alone; leave it out.")
     if kind == "guided_path":
-        raise ValueError(
+        raise Unsupported(
             "an integrator 'guided_path', metapp's or that of Mueller et al. 2017 in public scenes, expected one of "
             "Mitsuba's own: pictures choose theirs; leave it out."
         )
-    if kind not in _plugins() or kind in _MEMORY:
-        raise ValueError(f"a plugin {kind[:60]!r}, expected one of Mitsuba's own; leave it out.")
+    if kind in _MEMORY:
+        raise ValueError(f"a plugin {kind[:60]!r}, expected one that reads files; leave it out.")
+    if kind not in plugins():
+        raise Unsupported(f"a plugin {kind[:60]!r}, expected one of Mitsuba's own; leave it out.")
 
 
 def check_parameters(kind: str, given: Mapping[str, Any]) -> None:

@@ -1,0 +1,253 @@
+"""Scenes in XML as trees: read, put together with their includes and defaults, and checked.
+
+Mitsuba reads XML by another parser than ours. So nothing that two parsers may read in two ways gets through: entities,
+defaults of attributes and names from elsewhere are refused, includes and `$name` are put in here, and what is handed on
+is written anew from the tree.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, NoReturn
+from xml.etree.ElementTree import Element, tostring
+from xml.parsers import expat
+
+from metapp.rendering.scene_plugins import (
+    PLUGIN,
+    Unsupported,
+    check_parameters,
+    check_plugin,
+    number_of,
+    snake_case,
+)
+from metapp.rendering.scene_rules import DEPTH, PARTS, TEXT, TEXT_BYTES, Places, checked_string
+
+_OBJECTS = {"bsdf", "emitter", "film", "integrator", "medium", "phase", "rfilter", "sampler", "sensor", "shape",
+            "texture", "volume"}  # fmt: skip
+_VALUES = {"alias", "boolean", "float", "integer", "lookat", "matrix", "point", "ref", "rgb", "rotate", "scale",
+           "spectrum", "string", "transform", "translate", "vector"}  # fmt: skip
+_OURS = {"default", "include", "path"}
+_ATTRIBUTES = {"angle", "as", "filename", "id", "name", "origin", "target", "type", "up", "value", "version", "x", "y",
+               "z"}  # fmt: skip
+_INCLUDES = 64  # in all
+_DEFAULTS, _SHORT = 1_000, 4_096  # <default>s, and characters of their values and of what they are put into
+
+
+def checked_xml(text: str, places: Places, name: str = "") -> str:
+    """The XML text of a scene with all includes, defaults and absolute file names in it.
+
+    Args:
+        text: a document.
+        places: where its files may lie.
+        name: resolved path of its file, if it has one.
+
+    Raises:
+        ValueError: no scene in XML, or something that a scene may not hold.
+    """
+    return tostring(_Reader().document(text, places, (name,)), encoding="unicode")
+
+
+def merged(text: str, places: Places, name: str = "") -> SceneElement:
+    """The tree of a scene of any version, with all includes, defaults and absolute file names in it.
+
+    Args:
+        text: a document.
+        places: where its files may lie.
+        name: resolved path of its file, if it has one.
+
+    Returns:
+        Its root. Elements, plugins and parameters are not checked, a `$name` without a default stays: nothing but
+        an upgrade may take it.
+
+    Raises:
+        ValueError: no scene in XML, or files and includes that a scene may not name.
+    """
+    return _Reader(strict=False).document(text, places, (name,))
+
+
+class SceneElement(Element):
+    """An element of a document.
+
+    Attributes:
+        line: on which it begins, from 1; 0 of one that no document holds.
+    """
+
+    line = 0
+
+    if TYPE_CHECKING:
+
+        def __iter__(self) -> Iterator[SceneElement]: ...
+
+    def __str__(self) -> str:
+        """As messages name it."""
+        shown = "".join(f' {key}="{self.get(key)}"' for key in ("type", "name", "id") if key in self.attrib)
+        return f"<{self.tag}{shown}>"[:80]
+
+
+class _Reader:
+    """Puts one document together, within bounds on all of it; if strict, out of what Mitsuba 3 knows alone."""
+
+    def __init__(self, strict: bool = True) -> None:
+        self.strict = strict
+        self.parts, self.characters, self.read, self.includes = 0, 0, 0, 0
+        self.defaults: dict[str, str] = {}
+        self.old = False
+
+    def document(self, text: str, places: Places, chain: tuple[str, ...], depth: int = 0) -> SceneElement:
+        """The root of a document, checked; `chain` names the files that include each other, this one last."""
+        self.read += len(text)
+        if self.read > TEXT_BYTES:
+            raise ValueError(f"more than {TEXT_BYTES:,} characters with all includes, expected fewer.")
+        root = parse(text, self.strict)
+        version = root.attrib.pop("version", "")
+        if not re.fullmatch(r"\d{1,4}(\.\d{1,4}){0,2}", version):
+            raise ValueError(f"a version {version[:20]!r} of <{root.tag[:20]}>, expected one such as 3.0.0; add it.")
+        old = int(version.partition(".")[0]) < 2  # Mitsuba renames parameters of these
+        if len(chain) == 1:
+            self.old = old
+            if root.tag != "scene":
+                raise ValueError("no scene, expected <scene> around all else.")
+        if old != self.old:
+            raise ValueError(f"of version {version}, expected that of the scene that includes it.")
+        made = self._element(root, places, chain, depth)
+        made.set("version", version)
+        return made
+
+    def _element(self, source: SceneElement, places: Places, chain: tuple[str, ...], depth: int) -> SceneElement:
+        if depth >= DEPTH:
+            raise ValueError(f"elements within each other, {DEPTH} deep, expected fewer.")
+        made = SceneElement(source.tag, self._attributes(source, places))
+        made.line = source.line
+        for child in source:
+            if child.tag == "include":
+                made.extend(self._included(child, places, chain, depth))
+            elif child.tag == "default":
+                self._default(child)
+            elif child.tag == "path":
+                places = places.first(places.folder(self._substituted(child.get("value", ""))))
+            elif child.tag == "scene":
+                raise ValueError("a <scene> within a <scene>, expected one around all else; leave it out.")
+            else:
+                made.append(self._element(child, places, chain, depth + 1))
+        if self.strict and (made.tag in _OBJECTS or (made.tag == "spectrum" and "type" in made.attrib)):
+            _check_object(made)
+        return made
+
+    def _attributes(self, source: Element, places: Places) -> dict[str, str]:
+        self.parts += 1
+        made = {key: self._substituted(value) for key, value in source.attrib.items()}
+        self.characters += sum(map(len, made.values()))
+        if self.parts > PARTS or self.characters > TEXT_BYTES:
+            raise ValueError(f"more than {PARTS:,} elements or {TEXT_BYTES:,} characters; put meshes in files.")
+        if source.tag == "string":
+            name = made.get("name", "")
+            if self.strict or snake_case(name).endswith("filename"):
+                made["value"] = checked_string(name, made.get("value", ""), places)
+        elif "filename" in made:  # of a spectrum
+            made["filename"] = checked_string("filename", made["filename"], places)
+        return made
+
+    def _substituted(self, value: str) -> str:
+        if "$" not in value:
+            return value
+        self.parts += value.count("$")
+        if self.defaults and len(value) <= _SHORT:
+            longest_first = sorted(self.defaults, key=len, reverse=True)  # as Mitsuba does
+            names = "|".join(map(re.escape, longest_first))
+            value = re.sub(rf"\$({names})", lambda found: self.defaults[found[1]], value)
+        if len(value) > TEXT or ("$" in value and self.strict):
+            raise Unsupported(f"{value[:60]!r}, expected a <default> before it for each '$'; add it.")
+        return value
+
+    def _default(self, element: Element) -> None:
+        name, value = (self._substituted(element.get(key, "")) for key in ("name", "value"))
+        if not re.fullmatch(r"[\w.-]{1,256}", name) or len(value) > _SHORT or len(self.defaults) >= _DEFAULTS:
+            raise ValueError(f"a <default> {name[:40]!r}, expected up to {_DEFAULTS} short ones; shorten it.")
+        self.defaults.setdefault(name, value)
+
+    def _included(
+        self, element: SceneElement, places: Places, chain: tuple[str, ...], depth: int
+    ) -> list[SceneElement]:
+        """What a document holds, or, of one without <scene>, the document's element."""
+        name = self._substituted(element.get("filename", ""))
+        self.includes += 1
+        if self.includes > _INCLUDES:
+            raise ValueError(f"more than {_INCLUDES} includes, expected fewer; write their content out.")
+        try:
+            path, text = places.text(name)
+            if str(path) in chain:
+                raise ValueError("it includes itself.")
+            root = self.document(text, places.first(path.parent), (*chain, str(path)), depth)
+        except ValueError as error:
+            if str(error).startswith("includes "):
+                raise  # one file is named, the one that is to blame
+            kind = Unsupported if isinstance(error, Unsupported) else ValueError
+            raise kind(f"includes {name[:60]!r}, which cannot be read: {error}") from None
+        del root.attrib["version"]
+        if root.tag == "scene":
+            return list(root)
+        if "name" in element.attrib:
+            root.set("name", self._substituted(element.attrib["name"]))
+        return [root]
+
+
+def _check_object(made: SceneElement) -> None:
+    try:
+        check_plugin(made.get("type", ""))
+    except Unsupported as error:
+        raise Unsupported(f"line {made.line}, {made}: {error}") from None
+    check_parameters(made.get("type", ""), dict(map(_parameter, made)))
+
+
+def _parameter(element: Element) -> tuple[str, object]:
+    """Name and value of an element within a plugin; shapes, which have no names, are all one."""
+    name, value = element.get("name", ""), element.get("value", "")
+    if element.tag in _OBJECTS | {"ref"}:
+        return name, PLUGIN
+    if element.tag in ("integer", "float"):
+        return name, number_of(value)
+    return name, value if element.tag == "string" else None
+
+
+def parse(text: str, strict: bool = True) -> SceneElement:
+    """The tree of a document; text between elements is left out, as it says nothing to Mitsuba.
+
+    Args:
+        text: the document.
+        strict: refuse elements and attributes that Mitsuba 3 has not.
+
+    Raises:
+        ValueError: no XML, or XML with a DOCTYPE, names of other languages, too many elements or too deep.
+    """
+    parser = expat.ParserCreate()
+    stack, count = [SceneElement("document")], 0
+
+    def start(tag: str, attributes: dict[str, str]) -> None:
+        nonlocal count
+        count += 1
+        if len(stack) > DEPTH or count > PARTS:
+            raise ValueError(f"more than {PARTS:,} elements, or {DEPTH} within each other, expected fewer.")
+        line = parser.CurrentLineNumber
+        known = tag in _OBJECTS | _VALUES | _OURS | {"scene"} and attributes.keys() <= _ATTRIBUTES
+        if strict and not known:
+            shown = f"<{tag} {' '.join(attributes)}>"
+            raise Unsupported(f"line {line}: an element {shown[:60]!r}, expected those of Mitsuba 3; leave it out.")
+        made = SceneElement(tag, attributes)
+        made.line = line
+        stack[-1].append(made)
+        stack.append(made)
+
+    def refuse(*_: object) -> NoReturn:
+        raise ValueError("a DOCTYPE, expected a scene without one; leave it out.")
+
+    parser.StartElementHandler = start
+    parser.EndElementHandler = lambda _: stack.pop()
+    parser.StartDoctypeDeclHandler = refuse
+    parser.EntityDeclHandler = refuse
+    try:
+        parser.Parse(text, True)
+    except expat.ExpatError as error:
+        raise ValueError(f"not readable as XML ({error}), expected a scene of Mitsuba 3.") from None
+    root: SceneElement = stack[0][0]  # type: ignore[assignment]  # the document's
+    return root
