@@ -20,14 +20,16 @@ def phong(element: SceneElement, log: Log) -> None:
     """Make a modified Phong BRDF one of a diffuse part and of microfacets.
 
     The lobe of exponent n is about the mirror direction, which turns twice as fast as the half vector: a Beckmann
-    alpha of sqrt(1 / (2 (n + 2))) has the same peak, (n + 2) / (2 pi), and albedo at normal incidence.
+    alpha of sqrt(1 / (2 (n + 2))) has the same peak, (n + 2) / (2 pi), at normal incidence. Phong's albedo falls with
+    the cosine of the incident angle, that of microfacets does not: 2/3 of it is the same under even light from all
+    directions.
     """
     exponent = number(child(element, "exponent"), 30.0)
     if exponent is None or exponent < 0:
         return
     taken(element, "exponent")
     alpha = math.sqrt(0.5 / (exponent + 2))
-    _glossy(element, log, (alpha, alpha), f"exponent {exponent:g} is alpha {alpha:.4g}")
+    _glossy(element, log, (alpha, alpha), f"exponent {exponent:g} is alpha {alpha:.4g}", 2 / 3)
 
 
 def ward(element: SceneElement, log: Log) -> None:
@@ -48,17 +50,21 @@ def ward(element: SceneElement, log: Log) -> None:
     _glossy(element, log, (along, across), f"variant {kind}, with the same alphas {along:g} and {across:g}")
 
 
-def _glossy(element: SceneElement, log: Log, alphas: tuple[float, float], what: str) -> None:
-    """Make an element of `diffuse_reflectance` and `specular_reflectance` a BSDF of both, without Fresnel's term."""
+def _glossy(element: SceneElement, log: Log, alphas: tuple[float, float], what: str, share: float = 1.0) -> None:
+    """Make an element of `diffuse_reflectance` and `specular_reflectance` a BSDF of both, without Fresnel's term.
+
+    Microfacets have this share of the specular reflectance.
+    """
     diffuse, specular = (taken(element, f"{name}_reflectance") for name in ("diffuse", "specular"))
     kd, ks = colour(diffuse, 0.5), colour(specular, 0.2)
     if kd is not None and ks is not None:
         kd, ks = _conserving(kd, ks)
+        ks = _divided(ks, 1 / share)
         weight = _weight(kd, ks)
-        log(element, f"{what}: blendbsdf of diffuse and roughconductor (Beckmann, reflectance 1 at all angles)")
+        log(element, f"{what}: blendbsdf of diffuse and roughconductor (Beckmann, the same reflectance at all angles)")
         _blend(element, weight, _lambertian(_divided(kd, 1 - weight)), _metal(_divided(ks, weight), alphas))
     elif ks is not None and diffuse is not None:
-        _principled(element, log, diffuse, sum(ks) / 3, math.sqrt(alphas[0] * alphas[1]), what)
+        _principled(element, log, diffuse, share * sum(ks) / 3, math.sqrt(alphas[0] * alphas[1]), what)
     elif specular is not None:
         log(element, f"{what}: blendbsdf by the specular texture; the diffuse part loses what the specular one has")
         specular.set("name", "weight")
@@ -68,7 +74,7 @@ def _glossy(element: SceneElement, log: Log, alphas: tuple[float, float], what: 
         elif diffuse is not None:
             diffuse.set("name", "reflectance")
             base.append(diffuse)
-        _put(element, "blendbsdf", specular, base, _metal((1.0, 1.0, 1.0), alphas))
+        _put(element, "blendbsdf", specular, base, _metal((share, share, share), alphas))
 
 
 def _principled(element: SceneElement, log: Log, diffuse: SceneElement, mean: float, alpha: float, what: str) -> None:

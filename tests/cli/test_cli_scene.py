@@ -1,0 +1,91 @@
+"""`metapp data scene FILE`: public scenes checked, repaired and written for Mitsuba 3."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from tests.needs_mitsuba import needs_mitsuba
+
+CORNELL = """<scene version="0.6.0">
+<integrator type="photonmapper"><integer name="maxDepth" value="6"/><integer name="photons" value="1"/></integrator>
+<sensor type="perspective"><float name="fov" value="39"/>
+  <transform name="toWorld"><lookAt origin="0, 1, 5" target="0, 1, 0" up="0, 1, 0"/></transform>
+  <sampler type="halton"><integer name="sampleCount" value="4"/></sampler>
+  <film type="hdrfilm"><integer name="width" value="16"/><integer name="height" value="16"/></film></sensor>
+<bsdf type="phong" id="grey"><float name="exponent" value="20"/></bsdf>
+<bsdf type="ward" id="red"><srgb name="diffuseReflectance" value="#c02020"/></bsdf>
+<shape type="rectangle"><transform name="toWorld"><rotate x="1" angle="-90"/></transform><ref id="grey"/></shape>
+<shape type="rectangle"><transform name="toWorld"><translate y="1" z="-1"/></transform><ref id="red"/></shape>
+<shape type="rectangle"><transform name="toWorld"><rotate x="1" angle="90"/><translate y="2"/></transform>
+  <emitter type="area"><rgb name="radiance" value="9"/></emitter></shape>
+</scene>"""
+
+
+@pytest.fixture
+def cornell(tmp_path: Path) -> Path:
+    path = tmp_path / "cornell.xml"
+    path.write_text(CORNELL)
+    return path
+
+
+@needs_mitsuba
+def test_a_public_scene_is_checked_upgraded_and_fitted(cornell: Path, metapp: Callable) -> None:
+    checked = metapp("data", "scene", cornell)
+    assert checked.code == 1
+    assert "line 2: <integrator type=\"photonmapper\">: 'path' of max_depth 6" in checked.out
+    assert 'line 2: <integer name="photons">: left out, version 3 has no such parameter' in checked.out
+    assert 'line 4 and 3 more: <transform name="toWorld">: to_world' in checked.out
+    assert 'line 7: <bsdf type="phong" id="grey">: exponent 20 is alpha 0.1508: blendbsdf' in checked.out
+    assert checked.err.rstrip().endswith(f"leave it out, or metapp data scene {cornell} --upgrade")
+    assert [path.name for path in cornell.parent.iterdir()] == ["cornell.xml"]
+
+    done = metapp("data", "scene", cornell, "--upgrade")
+    assert done.code == 0
+    assert done.out == checked.out
+    target = cornell.with_name("cornell-v3.xml")
+    assert f"{target}: Mitsuba 3 loads it; " in done.err
+    assert cornell.read_text() == CORNELL
+
+    again = metapp("data", "scene", cornell, "--upgrade")
+    assert again.code == 1
+    assert "cornell-v3.xml: there already, expected a new file; remove it, or name another one: --out FILE" in again.err
+    fine = metapp("data", "scene", target)
+    assert (fine.code, fine.out) == (0, "")
+    assert "Mitsuba 3 loads it" in fine.err
+    fit = metapp("general", "transport", target, "--quiet", "--json")
+    assert fit.code == 0
+    assert json.loads(fit.out.splitlines()[-1])["tasks"][0]["name"] == "cornell-v3"
+
+
+@needs_mitsuba
+def test_scripts_read_what_was_done(cornell: Path, metapp: Callable, tmp_path: Path) -> None:
+    cornell.write_text(CORNELL.replace('type="ward"', 'type="coating"'))
+    target = tmp_path / "out" / "new.xml"
+    done = metapp("data", "scene", cornell, "--upgrade", "--out", target, "--quiet", "--json")
+    assert done.code == 1
+    document = json.loads(done.out)
+    assert (document["out"], document["loads"]) == (str(target), False)
+    assert document["repairs"][0] == {"line": 1, "element": "<scene>", "done": "version 0.6.0 is 3.0.0"}
+    assert document["problem"].startswith('line 8: <bsdf type="coating" id="red">: version 3 has no layers; give')
+    assert "error: " in done.err
+    assert "--upgrade" not in done.err
+    assert target.is_file()  # to be edited
+
+
+def test_misuse_is_named(cornell: Path, metapp: Callable) -> None:
+    assert "of a scene's FILE, expected one; name it." in metapp("data", "scene", "--upgrade").misuse
+    assert "of --upgrade, expected that too; add it." in metapp("data", "scene", cornell, "--out", "a.xml").misuse
+    for name, problem in (("none.xml", "No such file"), ("box.json", "no .xml file, expected a scene in XML")):
+        path = cornell.with_name(name)
+        if name == "box.json":
+            path.write_text("{}")
+        found = metapp("data", "scene", path, "--upgrade")
+        assert found.code == 1
+        assert problem in found.err
+    same = metapp("data", "scene", cornell, "--upgrade", "--out", cornell)
+    assert (same.code, cornell.read_text()) == (1, CORNELL)
+    assert "there already" in same.err
