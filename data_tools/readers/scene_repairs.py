@@ -230,7 +230,7 @@ def _texture(element: SceneElement, log: Log) -> None:
         return
     gamma = taken(element, "gamma") if kind == "bitmap" else None
     if gamma is not None:
-        raw = number(gamma, 0) == 1
+        raw = number(gamma, 0.0) == 1
         log(gamma, "raw, no conversion" if raw else f"{_GONE}, version 3 takes what the file says")
         if raw and child(element, "raw") is None:
             element.append(made("boolean", name="raw", value="true"))

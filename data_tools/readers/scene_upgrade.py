@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable
 from pathlib import Path
 from typing import NamedTuple
@@ -91,21 +92,25 @@ def write(root: SceneElement, path: Path) -> None:
 
 
 def verdict(path: Path, roots: Iterable[Path] = ()) -> Verdict:
-    """Whether Mitsuba 3 loads a scene file, and metapp traces its paths; lines in Mitsuba's messages are the file's.
+    """Whether Mitsuba 3 loads a scene file, and metapp traces its paths.
 
     Args:
         path: of the file, XML.
         roots: folders that its files may come from, beside its own.
     """
     variant = load_mitsuba().variant()
+    wrong = re.compile("")
     try:
-        tree = parse(checked_xml(read_text(path), _places(path, roots), str(path.resolve())))
+        text = read_text(path)
+        tree = parse(checked_xml(text, _places(path, roots), str(path.resolve())))
         indent(tree, " " * 4)
         scene = {"xml": tostring(tree, encoding="unicode")}
+        if scene["xml"].count("\n") != text.rstrip().count("\n"):  # written by another hand, lines are not the file's
+            wrong = re.compile(r" \(line \d+, col \d+\)")
         try_scene(scene, variant)
         mi, loaded = load_any(scene)
     except ValueError as error:
-        return Verdict(problem=str(error))
+        return Verdict(problem=wrong.sub("", str(error)))
     try:
         check_traced(mi, loaded)
     except ValueError as error:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Iterable
 
@@ -42,15 +43,20 @@ def taken(element: SceneElement, name: str) -> SceneElement | None:
 
 
 def numbers(text: str) -> tuple[float, ...] | None:
-    """Numbers between blanks or commas; None where there is anything else."""
-    values = [number_of(part) for part in text.replace(",", " ").split()]
+    """Finite numbers between blanks or commas; None where there is anything else."""
+    values = [_finite(part) for part in text.replace(",", " ").split()]
     plain = tuple(value for value in values if value is not None)
     return plain if plain and len(plain) == len(values) else None
 
 
 def number(element: SceneElement | None, default: float) -> float | None:
-    """A parameter's number; None where it is no number, such as a texture."""
-    return default if element is None else number_of(element.get("value"))
+    """A parameter's number; None where it is no finite number, such as a texture."""
+    return default if element is None else _finite(element.get("value"))
+
+
+def _finite(text: str | None) -> float | None:
+    value = number_of(text)
+    return value if value is not None and math.isfinite(value) else None
 
 
 def colour(element: SceneElement | None, default: float) -> Colour | None:
