@@ -36,6 +36,8 @@ from metapp.rendering.jit import dr, mi
 
 FINE_PATHS = 2048.0  # from which an entry has a histogram of its own
 RECORDED = 8  # bounces of a path that the cache learns from
+KNOWN = 8  # bounces from which a row's expectations are known
+_SUMS = 3
 
 
 class Location(NamedTuple):
@@ -69,8 +71,9 @@ class GuideCache:
         # in double precision the order in which threads add makes no difference that matters: pictures can be repeated
         self.sums = dr.zeros(mi.Float64, ENTRIES * BINS * 2)  # squares and counts in turn, which are read together
         self.rows = dr.zeros(mi.UInt32, ENTRIES)  # each entry's; the first, uniform, is of unknown ones
-        self.visited = dr.zeros(mi.UInt32, ENTRIES)
-        dr.eval(self.sums, self.rows, self.visited)
+        self.bounces = dr.zeros(mi.Float64, ENTRIES * _SUMS)  # of radiance, of squares of what was carried, of ones
+        self.expected = dr.zeros(mi.Float, 2)  # of each row; see `expect`
+        dr.eval(self.sums, self.rows, self.bounces, self.expected)
         self._tabulate(torch.ones(1, BINS, dtype=torch.float64))
         self.prior: MomentPrior = second_moments
 
@@ -115,23 +118,35 @@ class GuideCache:
         word = dr.gather(mi.UInt32, self.words, row * BINS + index, active)
         return mi.Float(word >> 2 * BYTE) * (BINS / SLOTS)
 
-    def add(self, index: mt.UInt32, density: mt.Float, carried: mt.Float, active: mt.Mask) -> None:
+    def expect(self, row: mt.UInt32, active: mt.Mask) -> mt.Vector2:
+        """Luminance that surfaces are expected to send out, but for emission, and the root mean square of what paths
+        bring that go on from there; 0 where few paths were."""
+        return dr.gather(mi.Vector2f, self.expected, row, active)
+
+    def add(
+        self, index: mt.UInt32, density: mt.Float, carried: mt.Float, outgoing: mt.Float, active: mt.Mask
+    ) -> None:
         """Add what paths carried.
 
         Args:
             index: entry * BINS + bin.
             density: of the direction over the cosine's.
             carried: luminance that came from it, over the density by which it was sampled.
+            outgoing: the same, and that of the emitter that was sampled there.
             active: where there was a path.
         """
-        for number, value in enumerate((carried * carried * density, dr.rcp(density))):
-            dr.scatter_reduce(dr.ReduceOp.Add, self.sums, mi.Float64(value), index * 2 + number, active)
-        dr.scatter(self.visited, mi.UInt32(1), index // BINS, active)
+        squares = carried * carried
+        for sums, first, values in (
+            (self.sums, index * 2, (squares * density, dr.rcp(density))),
+            (self.bounces, index // BINS * _SUMS, (outgoing, squares, mi.Float(1))),
+        ):
+            for number, value in enumerate(values):
+                dr.scatter_reduce(dr.ReduceOp.Add, sums, mi.Float64(value), first + number, active)
 
     def statistics(self) -> tuple[Tensor, Tensor, Tensor]:
         """Entries that paths visited, [P], and their sums of squares and of counts, float64 [P, SIDE, SIDE]."""
         # most entries are in the air: they are left out before their sums are read
-        visited = torch.from_numpy(self.visited.numpy().view(np.int32)).nonzero()[:, 0]
+        visited = self._bounces()[:, -1].nonzero()[:, 0]
         sums = torch.from_numpy(self.sums.numpy()).reshape(ENTRIES, SIDE, SIDE, 2)[visited]
         return visited, sums[..., 0].contiguous(), sums[..., 1].contiguous()
 
@@ -149,6 +164,7 @@ class GuideCache:
         weights = torch.cat([expected, own]).flatten(1) ** POWER
         dark = weights.sum(1) == 0
         self._tabulate(torch.cat([weights.new_ones(1, BINS), torch.where(dark[:, None], 1, weights)]))
+        self._expect(visited, parent, len(coarse), fine)
         rows = torch.zeros(*3 * (GRID // 2,), AXES, dtype=torch.int32)
         rows[tuple(coarse.T)] = torch.arange(1, 1 + len(coarse), dtype=torch.int32)
         for axis in range(3):
@@ -157,6 +173,18 @@ class GuideCache:
         rows[visited[fine]] = torch.arange(1 + len(coarse), 1 + len(weights), dtype=torch.int32)
         self.rows = mi.UInt32(rows.numpy().view(np.uint32))
         return len(weights)
+
+    def _bounces(self) -> Tensor:
+        return torch.from_numpy(self.bounces.numpy()).reshape(ENTRIES, _SUMS)
+
+    def _expect(self, visited: Tensor, parent: Tensor, coarse: int, fine: Tensor) -> None:
+        """Make the table of `expect`, of the same rows as that of histograms."""
+        own = self._bounces()[visited]
+        shared = own.new_zeros(coarse, _SUMS).index_add_(0, parent, own)
+        sums = torch.cat([own.new_zeros(1, _SUMS), shared, own[fine]])
+        means = torch.where(sums[:, 2:] < KNOWN, 0, sums[:, :2] / sums[:, 2:])
+        means[:, 1] = means[:, 1].sqrt()
+        self.expected = mi.Float(means.float().flatten().numpy())
 
     def _tabulate(self, weights: Tensor) -> None:
         """Make the table of histograms, of weights [rows, BINS]."""
@@ -191,7 +219,7 @@ class Records:
         stores: the first numbers of `Bounce`, each of all paths; 0 where there was no bounce.
     """
 
-    numbers = 4
+    numbers = 5
 
     def __init__(self, paths: int) -> None:
         self.paths, self.lane = paths, dr.arange(mi.UInt32, paths)
@@ -210,9 +238,11 @@ class Records:
         """Add all bounces to a cache, by the radiance that the paths have in the end."""
         total = mi.luminance(radiance)
         dr.eval(total, self.stores)
-        index, density, throughput, before = self.stores[:4]
-        after = dr.gather(mi.Float, total, dr.arange(mi.UInt32, self.paths * RECORDED) // RECORDED) - before
-        carried = dr.maximum(after, 0) / dr.maximum(throughput, 1e-12)
-        active = (index > 0) & (density > 0) & dr.isfinite(carried)
-        cache.add(index - 1, density, carried, active)
-        dr.eval(cache.sums, cache.visited)
+        index, density, throughput, radiance, unlit = self.stores[:5]
+        total = dr.gather(mi.Float, total, dr.arange(mi.UInt32, self.paths * RECORDED) // RECORDED)
+        carried, outgoing = (
+            dr.maximum(total - before, 0) / dr.maximum(throughput, 1e-12) for before in (radiance, unlit)
+        )
+        active = (index > 0) & (density > 0) & dr.isfinite(outgoing)
+        cache.add(index - 1, density, carried, outgoing, active)
+        dr.eval(cache.sums, cache.bounces)

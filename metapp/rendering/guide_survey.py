@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
 from metapp.rendering import types as mt
@@ -52,19 +51,15 @@ class SurveyRecords(Records):
 
 
 def survey(
-    tracer: PathTracer, scene: mt.Scene, sensor: mt.Sensor, cache: GuideCache, seed: mt.UInt32, *, features: bool
-) -> tuple[SurveyFeatures | None, NDArray[np.float32]]:
-    """Trace a few paths of a scene, from which the cache learns, too.
+    tracer: PathTracer, scene: mt.Scene, sensor: mt.Sensor, cache: GuideCache, seed: mt.UInt32
+) -> SurveyFeatures:
+    """Trace a few paths of a scene, and rays from where they were.
 
     Args:
         tracer: of the picture.
         scene, sensor: as of `render` of an integrator.
-        cache: of the scene.
+        cache: of the scene, which learns from the paths, too.
         seed: of all draws.
-        features: whether to make these as well.
-
-    Returns:
-        the features, if asked for, and the luminance of the paths, [FILM, FILM].
     """
     paths = FILM**2
     sampler = mi.load_dict({"type": "independent"})
@@ -73,11 +68,10 @@ def survey(
     film = (mi.Point2f(mi.Float(index % FILM), mi.Float(index // FILM)) + sampler.next_2d()) / FILM
     ray, _ = sensor.sample_ray(sensor.shutter_open(), sampler.next_1d(), film, sampler.next_2d())
     records = SurveyRecords(paths)
-    light, _ = tracer.trace(scene, sampler, mi.RayDifferential3f(ray), cache, False, records)
+    light = tracer.trace(scene, sampler, mi.RayDifferential3f(ray), cache, False, records).radiance
     dr.eval(light)
     records.train(cache, light)
-    luminance = mi.luminance(light).numpy().reshape(FILM, FILM)
-    return _features(records, light, scene, cache, sampler) if features else None, luminance
+    return _features(records, light, scene, cache, sampler)
 
 
 def _features(

@@ -8,6 +8,7 @@ cache holds.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -16,6 +17,8 @@ from metapp.rendering.guide_cache import Bounce, GuideCache, Location, Records
 from metapp.rendering.guide_histogram import BINS
 from metapp.rendering.jit import dr, mi
 
+LEAST, MOST = 0.1, 0.95  # probability that a path goes on: at least by the cache, at most from `rr_depth` on
+LAMBERTIAN, TWO_SIDED = "SmoothDiffuse", "TwoSidedBRDF"  # Mitsuba's classes
 MIXED, GLOSSY = 0.5, 0.25  # share of directions from the cache where surfaces are diffuse and more, or glossy
 
 
@@ -24,9 +27,10 @@ class _Paths:
     """All paths in the loop, each before its next surface.
 
     Attributes:
-        origin: the surface that the ray leaves, by a direction of `density` per solid angle, or of none (`is_delta`).
+        origin: the point that the ray leaves, by a direction of `density` per solid angle, or of none (`is_delta`).
         eta: relative index of refraction of all surfaces so far.
         hits: where a path met something, a sky at least.
+        expected: luminance of the whole path, by the cache at the first surface that it knows; 0 before.
     """
 
     sampler: mt.Sampler
@@ -40,6 +44,21 @@ class _Paths:
     is_delta: mt.Mask
     hits: mt.Mask
     active: mt.Mask
+    expected: mt.Float
+
+
+class Traced(NamedTuple):
+    """What paths brought.
+
+    Attributes:
+        radiance: of each.
+        hits: where one met something, a sky at least.
+        bounces: how many surfaces it met.
+    """
+
+    radiance: mt.Color
+    hits: mt.Mask
+    bounces: mt.UInt32
 
 
 class PathTracer(NamedTuple):
@@ -63,17 +82,14 @@ class PathTracer(NamedTuple):
         cache: GuideCache,
         guided: bool,
         records: Records | None,
-    ) -> tuple[mt.Color, mt.Mask]:
+    ) -> Traced:
         """Trace paths.
 
         Args:
             scene, sampler, ray: as of `sample` of an integrator.
             cache: of the scene.
-            guided: sample directions from it.
+            guided: sample directions from it, and end paths by what it expects of them.
             records: where to record bounces, of as many paths as there are rays.
-
-        Returns:
-            radiance, and where a ray met something, a sky at least.
         """
 
         def bounce(paths: _Paths) -> tuple[_Paths]:
@@ -82,32 +98,42 @@ class PathTracer(NamedTuple):
             active = paths.active & (paths.depth + 1 < self.max_depth) & si.is_valid()
             vertex = Vertex(scene, paths, si, active, emitter_sampling=self.emitter_sampling)
             sample = vertex.by_cache(cache) if guided else vertex.by_bsdf()
-            unlit = mi.luminance(paths.radiance)
+            before, unlit = mi.luminance(paths.throughput), mi.luminance(paths.radiance)
             paths.radiance += paths.throughput * sample.emitter_radiance
             if records is not None:
-                path = mi.luminance(paths.throughput), mi.luminance(paths.radiance), unlit
+                path = before, mi.luminance(paths.radiance), unlit
                 records.add(paths.depth, *vertex.recorded(cache, sample, *path))
             paths.throughput *= sample.weight
             paths.eta *= sample.eta
             paths.hits |= active & ~sample.is_null
-            brightest = dr.max(paths.throughput)
-            active &= brightest != 0
-            survives = dr.minimum(brightest * dr.square(paths.eta), 0.95)
-            roulette = paths.depth >= self.rr_depth
-            paths.throughput = dr.select(roulette, paths.throughput / survives, paths.throughput)
-            paths.active = active & (~roulette | (paths.sampler.next_1d(roulette) < survives))
+            active &= dr.max(paths.throughput) != 0
+            survives = self._survival(paths)
+            if guided:
+                expected = vertex.expected(cache, sample)
+                first = (paths.expected == 0) & (expected.x > 0)
+                paths.expected = dr.select(first, unlit + before * expected.x, paths.expected)
+                contribution = dr.clip(before * expected.y / paths.expected, LEAST, dr.select(survives < 1, MOST, 1))
+                survives = dr.select(expected.x > 0, contribution, survives)
+            paths.throughput /= survives
+            paths.active = active & (paths.sampler.next_1d(active & (survives < 1)) < survives)
             paths.ray = mi.RayDifferential3f(si.spawn_ray(si.to_world(sample.wo)))
             paths.depth += 1
-            paths.origin, paths.density, paths.is_delta = si, sample.density, sample.is_delta
+            paths.origin = mi.Interaction3f(si.t, si.time, si.wavelengths, si.p, si.n)
+            paths.density, paths.is_delta = sample.density, sample.is_delta
             return (paths,)
 
         paths = _Paths(
             sampler, mi.RayDifferential3f(ray), mi.UInt32(0), mi.Color3f(0), mi.Color3f(1), mi.Float(1),
-            dr.zeros(mi.SurfaceInteraction3f), mi.Float(1), mi.Bool(True), mi.Bool(scene.environment() is not None),
-            mi.Bool(True),
+            dr.zeros(mi.Interaction3f), mi.Float(1), mi.Bool(True), mi.Bool(scene.environment() is not None),
+            mi.Bool(True), mi.Float(0),
         )  # fmt: skip
         (paths,) = dr.while_loop((paths,), lambda paths: paths.active, bounce)
-        return paths.radiance, paths.hits
+        return Traced(paths.radiance, paths.hits, paths.depth)
+
+    def _survival(self, paths: _Paths) -> mt.Float:
+        """The probability by which `path` lets paths go on (Russian roulette)."""
+        late = dr.minimum(dr.max(paths.throughput) * dr.square(paths.eta), MOST)
+        return dr.select(paths.depth >= self.rr_depth, late, 1)
 
     def _emitted(self, scene: mt.Scene, si: mt.Interaction, paths: _Paths) -> mt.Color:
         """What the surface or sky that paths met emits, by its MIS weight beside emitter sampling."""
@@ -230,12 +256,20 @@ class Vertex:
         bounce = Bounce(index, density, throughput, radiance, unlit, self.si.p, location.frame.n)
         return bounce, self.active & (self.share > 0) & ~sample.is_delta & (local.z > 1e-4)
 
+    def expected(self, cache: GuideCache, sample: Sampled) -> mt.Vector2:
+        """What the cache expects of paths that go on by a sample of this vertex, as of `expect`."""
+        return cache.expect(self._location(cache).row, self.active & (self.share > 0) & ~sample.is_delta)
+
     def _evaluated(self, guided: mt.Vector3, of_cache: mt.Mask, draw: mt.Float) -> Evaluated:
         """Of the cache's direction `guided`, or one of the BSDF."""
         sees_emitter = self.emitter is not None
 
         def evaluate(bsdf: mt.Bsdf, si: mt.Interaction, guided: mt.Vector3, to_emitter: mt.Vector3,
                      of_cache: mt.Mask, draw: mt.Float, point: mt.Point2, active: mt.Mask) -> Evaluated:  # fmt: skip
+            if is_lambertian(bsdf):
+                lobe = lambertian(bsdf, si, active)
+                light = lobe(to_emitter) if sees_emitter else (mi.Color3f(0), mi.Float(0))
+                return dr.zeros(mi.BSDFSample3f), mi.Color3f(0), mi.Vector3f(guided), *lobe(guided), light
             context = mi.BSDFContext()
             drawn, weight = bsdf.sample(context, si, draw, point, active & ~of_cache)
             wo = dr.select(of_cache, guided, drawn.wo)
@@ -262,3 +296,22 @@ class Vertex:
         """Light of the sampled emitter, by its MIS weight beside sampling directions of such a density."""
         weight = dr.select(self.emitter.delta, 1, mis_weight(self.emitter.pdf, density))
         return dr.select(self.is_lit, weight * value * self.emitted, 0)
+
+
+def is_lambertian(bsdf: mt.Bsdf) -> bool:
+    """Whether a BSDF is Mitsuba's `diffuse`, on one side or on both."""
+    kind = bsdf.class_name()
+    both = (f"brdf[{side}] = {LAMBERTIAN}[" in str(bsdf) for side in range(2))
+    return kind == LAMBERTIAN or (kind == TWO_SIDED and all(both))
+
+
+def lambertian(bsdf: mt.Bsdf, si: mt.Interaction, active: mt.Mask) -> Callable[[mt.Vector3], tuple[mt.Color, mt.Float]]:
+    """The value, times the cosine, and the density of such a BSDF by direction; its texture is read once."""
+    albedo, both = bsdf.eval_diffuse_reflectance(si, active), bsdf.class_name() == TWO_SIDED
+
+    def lobe(wo: mt.Vector3) -> tuple[mt.Color, mt.Float]:
+        same_side = si.wi.z * wo.z > 0 if both else (si.wi.z > 0) & (wo.z > 0)
+        density = dr.select(active & same_side, dr.abs(wo.z) * dr.inv_pi, 0)
+        return albedo * density, density
+
+    return lobe

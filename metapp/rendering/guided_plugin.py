@@ -21,6 +21,7 @@ import math
 import time
 import warnings
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,16 +30,19 @@ from metapp.learning.task import Params
 from metapp.rendering import types as mt
 from metapp.rendering.guide_cache import GuideCache, Records
 from metapp.rendering.guide_prior import LearnedPrior, read_prior, shipped
-from metapp.rendering.guide_survey import FILM, survey
+from metapp.rendering.guide_survey import survey
 from metapp.rendering.guided_path import PathTracer
 from metapp.rendering.jit import dr, mi, register_plugin
 from metapp.rendering.scene_plugins import snake_case
 
-FEWEST = 3 * 2**18  # paths of a picture; with fewer there is no time to learn
-FIRST = 2**18  # paths of the first part, of which a quarter of the picture is the most
+FEWEST = 3 * 2**19  # paths of a picture; with fewer there is no time to learn
+FIRST = 2**18  # paths of the first guided part, of which a quarter of the picture is the most
 LEARNED = 2**21  # paths after which the cache has learned enough
-PAYS = 1.0  # of the noise without a cache, the most that a part has which a cache guided
-BLOCK = 4  # samples along a side of the blocks in which noise is compared
+PAYS = 1.0  # the most that the error of a guided part may be, over that of `path` in the same time
+FEWER = 0.3  # weight of samples of the regular part beside guided ones, where these pay
+STEP_COST = 1.25  # of a guided bounce over one of `path`
+BLOCK = 128  # samples of the blocks in which noise is compared, at least
+LANES = 8  # paths that are traced side by side, until the last of them ends
 
 _WAVE = 2**22  # paths at a time
 _PROBES = 128  # rays along a side of the film that tell where the scene is
@@ -47,51 +51,59 @@ _PROBES = 128  # rays along a side of the film that tell where the scene is
 def parts_of(spp: int, pixels: int) -> list[int]:
     """Samples a pixel of the parts of a picture of `spp` in all.
 
-    All but the last are learned from, up to a third of the picture; each has twice as many as the one before. There is
-    but one where there are fewer than 4.
+    The first is of regular paths, and half of the next one. All but the last are learned from, up to a third of the
+    picture; each of the guided ones has twice as many as the one before. There is but one where there are fewer than 8.
     """
-    if spp < 4:
+    if spp < 8:
         return [spp]
     # of powers of two, as Dr.Jit compiles code for other numbers anew
-    parts = [2 ** int(math.log2(max(1, min(spp // 4, -(-FIRST // pixels)))))]
+    first = 2 ** int(math.log2(max(2, min(spp // 4, -(-FIRST // pixels)))))
+    parts = [first // 2, first]
     while 3 * (sum(parts) + 2 * parts[-1]) <= spp and sum(parts) * pixels < LEARNED:
         parts.append(2 * parts[-1])
     return [*parts, spp - sum(parts)]
 
 
-def noise_of(luminance: NDArray[np.float32]) -> float:
-    """How far halves of blocks of samples [side, side] over the film differ, relative to their sum, on average."""
-    count = len(luminance) // BLOCK
-    blocks = luminance[: count * BLOCK, : count * BLOCK].reshape(count, BLOCK, count, BLOCK).swapaxes(1, 2)
-    own = np.indices((BLOCK, BLOCK)).sum(0) % 2 == 0  # fields of a chessboard
-    first, second = blocks[:, :, own].sum(-1), blocks[:, :, ~own].sum(-1)
-    both = first + second
-    return float((np.abs(first - second)[both > 0] / both[both > 0]).mean()) if both.any() else 0.0
+class Work(NamedTuple):
+    """What paths brought, and what they took.
 
+    Attributes:
+        luminance: of the samples, [rows, columns, samples].
+        bounces: of the longest of LANES paths, on average.
+    """
 
-def spread(luminance: NDArray[np.float32], side: int) -> NDArray[np.float32]:
-    """Samples of a picture [rows, columns, samples] evenly over the film, [side, side], none twice if possible."""
-    indices, within = [], []
-    for length in luminance.shape[:2]:
-        place = np.arange(side) * length // side
-        indices.append(place)
-        within.append(np.arange(side) - np.searchsorted(place, place))
-    number = within[0][:, None] * (within[1].max() + 1) + within[1][None]
-    picked: NDArray[np.float32] = luminance[indices[0][:, None], indices[1][None], number % luminance.shape[2]]
-    return picked
+    luminance: NDArray[np.float32]
+    bounces: float
+
+    def noise(self, samples: int) -> float:
+        """How far halves of blocks of pixels differ, relative to their sum, on average; of so many samples of each."""
+        side = math.ceil(math.sqrt(BLOCK / samples))
+        rows, columns = (max(1, length // side) for length in self.luminance.shape[:2])
+        tall, wide = (min(side, length) for length in self.luminance.shape[:2])
+        blocks = self.luminance[: rows * tall, : columns * wide, :samples].reshape(rows, tall, columns, wide, samples)
+        own = np.indices((tall, wide, samples)).sum(0) % 2 == 0
+        sums = blocks.sum((1, 3, 4), dtype=np.float64)
+        first = (blocks * own[:, None]).sum((1, 3, 4), dtype=np.float64)
+        return float((np.abs(2 * first - sums)[sums > 0] / sums[sums > 0]).mean()) if (sums > 0).any() else 0.0
+
+    def pays(self, regular: Work) -> bool:
+        """Whether this guided part has less error than a regular one in the same time; errors go by the root of it."""
+        samples = min(self.luminance.shape[2], regular.luminance.shape[2])
+        time_ratio = STEP_COST * self.bounces / regular.bounces
+        return self.noise(samples) * math.sqrt(time_ratio) <= PAYS * regular.noise(samples)
 
 
 class GuidedPicture:
     """A picture in the making.
 
     Args:
-        integrator: of Mitsuba, which the picture is for.
+        integrator: of Mitsuba, which the picture is for; has the regular one of the same properties as `path`.
         tracer: of paths.
         scene, sensor, seed: as of `render` of an integrator.
         prior: parameters of the network that is the cache's prior; None for none.
 
     Attributes:
-        pays: whether the cache lowers the noise by more than it costs, as far as is known.
+        pays: whether guided paths have less error in the same time, as far as is known.
         spent: seconds of CPU that each kind of work took, by its name.
     """
 
@@ -107,13 +119,12 @@ class GuidedPicture:
         begin = time.process_time()
         self.integrator, self.tracer, self.scene, self.sensor, self.seed = integrator, tracer, scene, sensor, seed
         self.cache = GuideCache(*_extent(scene, sensor))
-        features, luminance = survey(tracer, scene, sensor, self.cache, seed, features=prior is not None)
-        self.noise = noise_of(luminance)
-        if prior is not None and features is not None:
-            self.cache.prior = LearnedPrior(prior, features)
-        self.cache.learn()
+        if prior is not None:
+            self.cache.prior = LearnedPrior(prior, survey(tracer, scene, sensor, self.cache, seed))
+        self.first: mt.ImageBlock = None  # of the regular part
         self.block: mt.ImageBlock = None
         self.made, self.pays = 0, True
+        self.regular: Work | None = None
         self.spent = {"survey": time.process_time() - begin}
 
     def render(self, spp: int) -> None:
@@ -123,27 +134,37 @@ class GuidedPicture:
         for part in learned:
             self.add(part, learns=True)
         self.add(last, learns=False)
-        film.put_block(self.block)
+        for block, weight in ((self.first, FEWER if self.pays else 1.0), (self.block, 1.0)):
+            if block is not None:
+                block.tensor()[:] = weight * block.tensor()
+                film.put_block(block)
 
     def add(self, spp: int, *, learns: bool) -> None:
-        """Add a part, and learn from it if asked to and as long as that pays."""
+        """Add a part, and learn from it if asked to and as long as that pays; the first of these is regular."""
         width, height = self.sensor.film().crop_size()
-        guided, learns = self.pays, learns and self.pays
-        begin, samples = time.process_time(), None
+        learns = learns and self.pays
+        guided = self.pays and not (learns and self.regular is None)
+        begin = time.process_time()
         wave = max(1, _WAVE // (width * height))
-        for first in range(0, spp, wave):
-            samples = self._wave(min(wave, spp - first), guided, learns)
+        works = [self._wave(min(wave, spp - first), guided, learns) for first in range(0, spp, wave)]
         dr.sync_thread()
         middle = time.process_time()
-        if samples is not None:
+        if works[0] is not None:
+            self._judge(works[0], guided)
             self.cache.learn()
-            self.pays = noise_of(spread(samples.reshape(height, width, -1), FILM)) < PAYS * self.noise
         name = f"{'guided' if guided else 'regular'} samples{', which are learned from' if learns else ''}"
         for work, seconds in ((name, middle - begin), ("learning", time.process_time() - middle)):
             self.spent[work] = self.spent.get(work, 0.0) + seconds
 
-    def _wave(self, spp: int, guided: bool, learns: bool) -> NDArray[np.float32] | None:
-        """Add samples to the picture; their luminance where the cache learns from them."""
+    def _judge(self, work: Work, guided: bool) -> None:
+        """Compare a part with the regular one, which comes first."""
+        if guided and self.regular is not None:
+            self.pays = work.pays(self.regular)
+        else:
+            self.regular, self.first, self.block = work, self.block, None
+
+    def _wave(self, spp: int, guided: bool, learns: bool) -> Work | None:
+        """Add samples to the picture; what they brought where the cache learns from them."""
         from mitsuba.python.ad.integrators.common import ADIntegrator
 
         film, own = self.sensor.film(), self.integrator
@@ -153,15 +174,23 @@ class GuidedPicture:
         self.block = self.block or film.create_block()  # of a film that is prepared
         ray, weight, place = ADIntegrator.sample_rays(own, self.scene, self.sensor, sampler)
         records = Records(dr.width(place)) if learns else None
-        light, hits = self.tracer.trace(self.scene, sampler, ray, self.cache, guided, records)
+        work = None
+        if guided or records is not None:
+            light, hits, bounces = self.tracer.trace(self.scene, sampler, ray, self.cache, guided, records)
+        else:
+            light, hits, _ = own.path.sample(self.scene, sampler, ray)
         if records is not None:
-            dr.eval(light, hits, place, weight)
+            dr.eval(light, hits, place, weight, bounces)
             records.train(self.cache, light)
+            rows = int(film.crop_size()[1]), int(film.crop_size()[0]), spp
+            steps = bounces.numpy()
+            longest = steps[: len(steps) // LANES * LANES].reshape(-1, LANES).max(1)
+            work = Work(mi.luminance(light).numpy().reshape(rows), float(longest.mean()))
         alpha = dr.select(hits, mi.Float(1), mi.Float(0))
         # of the film's own kind, such as that of spectra
         ADIntegrator._splat_to_block(self.block, film, place, light * weight, mi.Float(1), alpha, [], ray.wavelengths)
         dr.eval(self.block.tensor())
-        return mi.luminance(light).numpy() if learns else None
+        return work
 
 
 def _extent(scene: mt.Scene, sensor: mt.Sensor) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -123,8 +123,9 @@ def cache() -> Any:
     sums = torch.zeros(ENTRIES, BINS, 2, dtype=torch.float64)
     sums[:7, :, 0], sums[:7, :, 1] = 1e3 * weights(7), 1e3
     sums[5:7] *= 1e-3
-    visited = torch.arange(ENTRIES) < 7
-    made.sums, made.visited = mi.Float64(sums.flatten().numpy()), mi.UInt32(visited.int().numpy().view(np.uint32))
+    bounces = torch.zeros(ENTRIES, 3, dtype=torch.float64)
+    bounces[:7, 2] = 10
+    made.sums, made.bounces = (mi.Float64(each.flatten().numpy()) for each in (sums, bounces))
     assert made.learn() == 6 + 5  # voxels of twice the side, whose axes are six, and entries of their own
     return made
 
@@ -132,7 +133,7 @@ def cache() -> Any:
 def test_what_is_added_is_the_second_moment_and_the_count_of_uniform_paths(mi: Any) -> None:
     made = empty()
     for _ in range(2):
-        made.add(mi.UInt32([5 * BINS + 3, 9]), mi.Float([4, 1]), mi.Float([3, 7]), mi.Bool([True, False]))
+        made.add(mi.UInt32([5 * BINS + 3, 9]), mi.Float([4, 1]), mi.Float([3, 7]), mi.Float([3, 7]), mi.Bool([True, False]))
     visited, squares, counts = made.statistics()
     assert visited.tolist() == [5]
     assert (float(squares[0, 0, 3]), float(counts[0, 0, 3])) == (2 * 3**2 * 4, 2 / 4)
@@ -312,9 +313,7 @@ def test_a_survey_finds_how_far_away_things_are() -> None:
     from metapp.rendering.guide_survey import survey
 
     cache = empty(3 * (-1.01,), 3 * (1.01,))
-    surveyed, luminance = survey(tracer(), scene, scene.sensors()[0], cache, 3, features=True)
-    assert surveyed is not None
-    assert luminance.shape == (128, 128)
+    surveyed = survey(tracer(), scene, scene.sensors()[0], cache, 3)
     floor = (surveyed.voxels[:, 1] == 0) & (surveyed.voxels[:, 3] == 2)  # faces up
     assert floor.sum() > HALF**2 / 2
     straight = torch.expm1(surveyed.features[floor, 2, SIDE // 2 - 1 : SIDE // 2 + 1, SIDE // 2 - 1 : SIDE // 2 + 1])
@@ -345,8 +344,7 @@ def test_a_survey_weighs_emitters_and_turns_normals_to_the_ray(monkeypatch: pyte
     traced: list[FirstHits] = []
     monkeypatch.setattr(guide_survey, "features_of", lambda hits, *_: traced.append(hits))
     cache = empty((-1, -1, -0.1), (1, 1, 1.1))
-    surveyed, _ = guide_survey.survey(tracer(), scene, scene.sensors()[0], cache, 3, features=True)
-    assert surveyed is not None
+    surveyed = guide_survey.survey(tracer(), scene, scene.sensors()[0], cache, 3)
     entry, emitted = (values[:, :, (SIDE // 2) * SIDE + SIDE // 2] for values in (traced[0].entry, traced[0].emitted))
     floor = (surveyed.voxels[:, 3] == 4) & (surveyed.voxels[:, 0] == 0)
     below, open_floor = floor & (surveyed.voxels[:, 2] > HALF // 2), floor & (surveyed.voxels[:, 2] < HALF // 2 - 1)

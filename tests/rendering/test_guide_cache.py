@@ -112,3 +112,28 @@ def test_what_cannot_be_weighed_is_left_out(mi: Any) -> None:
     records.add(mi.UInt32(0), bounce(mi, index=mi.UInt32([0, 6, 7, 8]), density=[1.0, 0.0, 1.0, 1.0]), mi.Bool(True))
     records.train(cache, mi.Color3f(mi.Float([1.0, 1.0, float("inf"), 1.0])))
     assert sorted(learned(cache)) == [7]
+
+
+def test_what_paths_are_expected_to_bring_is_the_mean_of_those_before(mi: Any) -> None:
+    """Of outgoing radiance with next-event estimation, the mean; of what is carried, the root mean square."""
+    import drjit as dr
+
+    from metapp.rendering.guide_cache import KNOWN, Records
+
+    rng, cache = np.random.default_rng(0), empty()
+    cells = np.array([3] * 40 + [7 * BINS] * (KNOWN - 1), np.uint32)  # entries 0, which is known, and 7
+    throughput, unlit, lit, after = rng.uniform(0.1, 1, (4, len(cells))).astype(np.float32)
+    records = Records(len(cells))
+    records.add(
+        mi.UInt32(0),
+        bounce(mi, index=mi.UInt32(cells + 1), throughput=mi.Float(throughput), unlit=mi.Float(unlit),
+               radiance=mi.Float(unlit + lit)),
+        mi.Bool(True),
+    )  # fmt: skip
+    records.train(cache, mi.Color3f(mi.Float(unlit + lit + after)))
+    cache.learn()
+    rows = dr.gather(mi.UInt32, cache.rows, mi.UInt32([0, 7, 11]))
+    found = cache.expect(rows, mi.Bool(True)).numpy()
+    outgoing, carried = ((lit + after) / throughput)[:40], (after / throughput)[:40]
+    assert found[:, 0] == pytest.approx([outgoing.mean(), np.sqrt((carried**2).mean())], rel=1e-4)
+    assert (found[:, 1:] == 0).all()

@@ -223,30 +223,59 @@ def test_the_prior_is_the_file_that_is_named(mi: Any, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("spp", "pixels"), [(16, 16), (17, 65536), (64, 4096), (1000, 65536), (4096, 2**20)])
 def test_the_parts_are_the_picture(plugin: Any, spp: int, pixels: int) -> None:
-    *learned, last = plugin.parts_of(spp, pixels)
-    assert sum(learned) + last == spp
+    regular, *guided, last = plugin.parts_of(spp, pixels)
+    assert regular + sum(guided) + last == spp
     assert last > spp / 2
-    assert learned[0] <= spp / 4
-    assert all(after == 2 * before for before, after in itertools.pairwise(learned))
+    assert guided[0] == 2 * regular <= spp / 4
+    assert all(after == 2 * before for before, after in itertools.pairwise(guided))
 
 
-def test_noise_is_how_far_two_halves_differ(plugin: Any) -> None:
+@pytest.mark.parametrize("shape", [(64, 64, 4), (64, 64, 16), (128, 96, 1), (40, 3, 8)])
+def test_noise_is_how_far_two_halves_of_blocks_differ(plugin: Any, shape: tuple[int, int, int]) -> None:
+    rng, samples = np.random.default_rng(0), shape[2]
+    side = math.ceil(math.sqrt(plugin.BLOCK / samples))
+    half = min(side, shape[0]) * min(side, shape[1]) * samples / 2
+    luminance = 1 + 0.1 * rng.standard_normal(shape)
+    noise = plugin.Work(luminance, 1.0).noise(samples)
+    assert noise == pytest.approx(0.1 / math.sqrt(half) * math.sqrt(2) * math.sqrt(2 / math.pi) / 2, rel=0.15)
+    assert plugin.Work(7 * luminance, 1.0).noise(samples) == pytest.approx(noise)
+    assert plugin.Work(np.zeros(shape), 1.0).noise(samples) == 0
+
+
+def test_what_a_picture_shows_is_no_noise(plugin: Any) -> None:
+    shown = np.random.default_rng(0).uniform(size=(64, 64, 1)) * np.ones(8)
+    assert plugin.Work(shown, 1.0).noise(8) == pytest.approx(0, abs=1e-12)
+
+
+@pytest.mark.parametrize(("spread", "bounces", "pays"), [(0.1, 4, False), (0.04, 4, True), (0.04, 40, False)])
+def test_the_guard_compares_errors_in_the_same_time(plugin: Any, spread: float, bounces: float, pays: bool) -> None:
+    """Whose error is 0.4 of the regular one's may take 0.4**-2 of its time."""
     rng = np.random.default_rng(0)
-    samples = 1 + 0.1 * rng.standard_normal((128, 128))
-    expected = 0.1 / math.sqrt(8) * math.sqrt(2) * math.sqrt(2 / math.pi) / 2
-    assert plugin.noise_of(samples) == pytest.approx(expected, rel=0.05)
-    assert plugin.noise_of(7 * samples) == pytest.approx(plugin.noise_of(samples))
-    assert plugin.noise_of(np.zeros((128, 128))) == 0
+    regular = plugin.Work(1 + 0.1 * rng.standard_normal((64, 64, 8)), 4.0)
+    guided = plugin.Work(1 + spread * rng.standard_normal((64, 64, 16)), bounces)
+    assert guided.pays(regular) is pays
 
 
-@pytest.mark.parametrize("shape", [(256, 256, 2), (64, 64, 4), (100, 37, 8), (128, 128, 1)])
-def test_samples_are_spread_over_the_film(plugin: Any, shape: tuple[int, int, int]) -> None:
-    numbers = np.arange(math.prod(shape)).reshape(shape)
-    found = plugin.spread(numbers, 128)
-    assert found.shape == (128, 128)
-    assert len(np.unique(found)) == 128**2
-    rows = found // (shape[1] * shape[2])
-    assert (np.abs(rows - np.arange(128)[:, None] * shape[0] / 128) <= 1).all()
+@pytest.mark.parametrize("sides", [1, 2])
+def test_the_lambertian_shortcut_is_the_plugin(mi: Any, sides: int) -> None:
+    import drjit as dr
+
+    from metapp.rendering.guided_path import is_lambertian, lambertian
+
+    plain = {"type": "diffuse", "reflectance": {"type": "rgb", "value": [0.2, 0.5, 0.9]}}
+    bsdf = mi.load_dict(plain if sides == 1 else {"type": "twosided", "inside": plain})
+    assert is_lambertian(bsdf)
+    rng = np.random.default_rng(0)
+    wi, wo = (mi.Vector3f(each / np.linalg.norm(each, axis=0)) for each in rng.standard_normal((2, 3, 1000)))
+    si = dr.zeros(mi.SurfaceInteraction3f, 1000)
+    si.wi = wi
+    value, density = lambertian(bsdf, si, mi.Bool(True))(wo)
+    expected, expected_density = bsdf.eval_pdf(mi.BSDFContext(), si, wo)
+    assert value.numpy() == pytest.approx(expected.numpy(), rel=1e-5)
+    assert density.numpy() == pytest.approx(expected_density.numpy(), rel=1e-5)
+    for other in ({"type": "twosided", "inside": {"type": "roughplastic"}}, {"type": "bumpmap", "arbitrary": {
+            "type": "checkerboard"}, "inside": plain}, {"type": "mask", "inside": plain}):  # fmt: skip
+        assert not is_lambertian(mi.load_dict(other))
 
 
 def test_the_guard_leaves_a_guide_that_does_not_pay(mi: Any, monkeypatch: pytest.MonkeyPatch) -> None:
