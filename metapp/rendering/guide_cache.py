@@ -119,13 +119,13 @@ class GuideCache:
         return mi.Float(word >> 2 * BYTE) * (BINS / SLOTS)
 
     def expect(self, row: mt.UInt32, active: mt.Mask) -> mt.Vector2:
-        """Luminance that surfaces are expected to send out, but for emission, and the root mean square of what paths
-        bring that go on from there; 0 where few paths were."""
+        """What is expected at a surface in a row of the table; 0 where few paths were.
+
+        The luminance that it sends out, but for emission; the root mean square of what a path brings that goes on.
+        """
         return dr.gather(mi.Vector2f, self.expected, row, active)
 
-    def add(
-        self, index: mt.UInt32, density: mt.Float, carried: mt.Float, outgoing: mt.Float, active: mt.Mask
-    ) -> None:
+    def add(self, index: mt.UInt32, density: mt.Float, carried: mt.Float, outgoing: mt.Float, active: mt.Mask) -> None:
         """Add what paths carried.
 
         Args:

@@ -35,7 +35,7 @@ from metapp.rendering.guided_path import PathTracer
 from metapp.rendering.jit import dr, mi, register_plugin
 from metapp.rendering.scene_plugins import snake_case
 
-FEWEST = 3 * 2**19  # paths of a picture; with fewer there is no time to learn
+FEWEST = 3 * 2**18  # paths of a picture; with fewer there is no time to learn
 FIRST = 2**18  # paths of the first guided part, of which a quarter of the picture is the most
 LEARNED = 2**21  # paths after which the cache has learned enough
 PAYS = 1.0  # the most that the error of a guided part may be, over that of `path` in the same time

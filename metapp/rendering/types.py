@@ -12,7 +12,8 @@ from typing import Any
 Float = Any
 UInt32 = Any
 Mask = Any
-# vectors: Point2f in [0, 1)^2 unless said otherwise, Point3f, Vector3f, Color3f (linear Rec.709)
+# vectors: Vector2f, Point2f in [0, 1)^2 unless said otherwise, Point3f, Vector3f, Color3f (linear Rec.709)
+Vector2 = Any
 Point2 = Any
 Point3 = Any
 Vector3 = Any

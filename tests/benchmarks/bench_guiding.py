@@ -12,6 +12,7 @@ import argparse
 import itertools
 import json
 import math
+import re
 import statistics
 import time
 import warnings
@@ -22,6 +23,8 @@ import torch
 from torch import Tensor
 
 import metapp.mitsuba  # noqa: F401  (registers guided_path)
+from data_tools.readers.mitsuba_scenes import read_scene
+from data_tools.synthetic.cornell import Scene
 from metapp.appearance.metrics import mape
 from metapp.rendering import equal_time
 from metapp.rendering.guided_plugin import FEWEST
@@ -30,8 +33,9 @@ from metapp.rendering.scene_loading import load_scene
 from tests.benchmarks.guiding_scenes import kind_of, scenes
 
 # properties of guided_path; None is Mitsuba's path
+REGULAR = "regular + NEE"
 METHODS: dict[str, dict[str, Any] | None] = {
-    "regular + NEE": None,
+    REGULAR: None,
     "guided + NEE": {},
     "guided + NEE, no prior": {"checkpoint": "none"},
     "guided": {"emitter_sampling": False},
@@ -40,7 +44,6 @@ WARM = 48  # samples a pixel by which code is compiled and speeds are first know
 NEAR = 0.1  # of the seconds
 STEP = 4  # px between those that references are made of
 WAVE = 2**21  # paths at a time
-KINDS = ("boxes", "mitsuba", "baffle", "caustic")
 
 
 class Bench:
@@ -52,9 +55,9 @@ class Bench:
     """
 
     def __init__(self, name: str, options: argparse.Namespace) -> None:
-        self.mi, self.scene, _ = load_scene(scenes()[name])
-        self.size = options.size
+        self.mi, self.scene, _ = load_scene(options.known[name])
         equal_time.resize(self.scene, options.size)
+        self.width, self.height = (int(n) for n in self.scene.sensors()[0].film().size())
         self.path = self.mi.load_dict({"type": "path", "max_depth": DEPTH})
         file = options.out / f"{name.replace(' ', '-')}-{options.size}-{options.reference}.pt"
         if not file.exists():
@@ -62,49 +65,53 @@ class Bench:
         halves = torch.load(file, weights_only=True)
         self.reference = halves.mean(0)
         self.own_error = float(mape(halves[:1], self.reference[None]))  # both halves are as far from the mean
-        self.costs = {name: self._first(METHODS[name]) for name in options.methods}
+        self.costs = {name: self._first(METHODS[name]) for name in {REGULAR, *options.methods}}
 
     def _half(self, options: argparse.Namespace, seed: int) -> Tensor:
         """A picture by `path`, with next-event estimation, of half the reference's samples a pixel."""
         import drjit as dr
 
-        mi, side = self.mi, options.size // STEP
-        per_pixel = WAVE // side**2
-        waves = -(-options.reference // (2 * per_pixel))
-        total = torch.zeros(3, side, side)
+        mi, columns, rows = self.mi, self.width // STEP, self.height // STEP
+        per_pixel = WAVE // (columns * rows)
+        paths, waves = columns * rows * per_pixel, -(-options.reference // (2 * per_pixel))
+        total = torch.zeros(3, rows, columns)
         for wave in range(waves):
             sampler: Any = mi.load_dict({"type": "independent"})
-            sampler.seed(seed * 2**16 + wave, WAVE)
-            index = dr.arange(mi.UInt32, WAVE) // per_pixel
-            corner = mi.Point2f(mi.Float(index % side), mi.Float(index // side)) * STEP + STEP // 2
-            film = (corner + sampler.next_2d()) / options.size
+            sampler.seed(seed * 2**16 + wave, paths)
+            index = dr.arange(mi.UInt32, paths) // per_pixel
+            corner = mi.Point2f(mi.Float(index % columns), mi.Float(index // columns)) * STEP + STEP // 2
+            film = (corner + sampler.next_2d()) / mi.Point2f(self.width, self.height)
             ray, weight = self.scene.sensors()[0].sample_ray(0, 0, film, mi.Point2f(0.5))
             light = self.path.sample(self.scene, sampler, mi.RayDifferential3f(ray))[0] * weight
-            total += torch.from_numpy(dr.block_sum(light, per_pixel).numpy()).reshape(3, side, side)
+            total += torch.from_numpy(dr.block_sum(light, per_pixel).numpy()).reshape(3, rows, columns)
         return total / (per_pixel * waves)
 
     def error(self, picture: Tensor) -> float:
         """MAPE of the reference's pixels."""
-        pixels = picture[STEP // 2 :: STEP, STEP // 2 :: STEP]
+        rows, columns = self.reference.shape[-2:]
+        pixels = picture[STEP // 2 :: STEP, STEP // 2 :: STEP][:rows, :columns]
         return float(mape(pixels.permute(2, 0, 1)[None], self.reference[None]))
 
     def measured(self, name: str, seconds: float, seed: int) -> dict[str, Any]:
         """A picture that takes so many seconds, within NEAR, at the last of three attempts."""
-        # with fewer samples `path` would render, whose costs say nothing of guided pictures
-        least = -(-FEWEST // self.size**2) if METHODS[name] is not None else 1
+        least = -(-FEWEST // (self.width * self.height)) if METHODS[name] is not None else 1
         for _ in range(3):
             fixed, per_sample = self.costs[name]
-            spp = max(least, round((seconds - fixed) / per_sample))
+            spp, by = round((seconds - fixed) / per_sample), name
+            if spp < least:  # `path` renders, at its own cost
+                by = REGULAR
+                spp = max(1, min(least - 1, round(seconds / self.costs[by][1])))
             picture, spent = self._picture(METHODS[name], spp, seed)
-            self.costs[name] = cost(spent, spp)
+            self.costs[by] = cost(spent, spp)
             if abs(sum(spent.values()) - seconds) < NEAR * seconds:
                 break
         return {"error": self.error(picture), "seconds": sum(spent.values()), "spp": spp, "spent": spent}
 
     def _first(self, properties: dict[str, Any] | None) -> tuple[float, float]:
-        for spp in (64, WARM):
+        spp = WARM if properties is None else max(WARM, -(-FEWEST // (self.width * self.height)))
+        for _ in range(2):
             self._picture(properties, spp, 0)  # compiles
-        return cost(self._picture(properties, WARM, 0)[1], WARM)
+        return cost(self._picture(properties, spp, 0)[1], spp)
 
     def _picture(self, properties: dict[str, Any] | None, spp: int, seed: int) -> tuple[Tensor, dict[str, float]]:
         if properties is not None:
@@ -137,12 +144,22 @@ def measure(options: argparse.Namespace, file: Path) -> list[dict[str, Any]]:
     return list({tuple(row[key] for key in keys): row for row in rows}.values())  # the last of each
 
 
+def box_filtered(scene: Scene) -> Scene:
+    """The scene of an XML file with a box filter: pixels are means, as those of references."""
+    return {"xml": re.sub(r'<rfilter [^>]*type="\w+"', '<rfilter type="box"', scene["xml"])}
+
+
+def kinds(rows: list[dict[str, Any]]) -> list[str]:
+    """What scenes are counted among, in their order."""
+    return list(dict.fromkeys(kind_of(row["scene"]) for row in rows))
+
+
 def table(rows: list[dict[str, Any]]) -> str:
     """Errors over those of `regular + NEE` in the same time and scene, with 95 % intervals, as markdown."""
     errors = {(row["scene"], row["method"], row["time"], row["seed"]): row["error"] for row in rows}
     lines = ["| scenes | seconds | method | MAPE over regular + NEE | MAPE |", "|---|---|---|---|---|"]
     times = sorted({row["time"] for row in rows})
-    for kind, seconds, method in itertools.product(KINDS, times, METHODS):
+    for kind, seconds, method in itertools.product(kinds(rows), times, METHODS):
         mine = {
             key: error for key, error in errors.items() if kind_of(key[0]) == kind and key[1:3] == (method, seconds)
         }
@@ -165,8 +182,9 @@ def figure(rows: list[dict[str, Any]], file: Path) -> None:
     matplotlib.use("Agg")
     from matplotlib import pyplot
 
-    drawn, panels = pyplot.subplots(1, len(KINDS), figsize=(12, 3.2), sharex=True)
-    for kind, panel in zip(KINDS, panels, strict=True):
+    names = kinds(rows)
+    drawn, panels = pyplot.subplots(1, len(names), figsize=(3 * len(names), 3.2), sharex=True, squeeze=False)
+    for kind, panel in zip(names, panels[0], strict=True):
         for method in METHODS:
             mine = [row for row in rows if kind_of(row["scene"]) == kind and row["method"] == method]
             by_time = [[row for row in mine if row["time"] == seconds] for seconds in sorted({r["time"] for r in mine})]
@@ -180,8 +198,8 @@ def figure(rows: list[dict[str, Any]], file: Path) -> None:
         panel.set_title(kind)
         panel.set_xlabel("seconds of CPU")
         panel.grid(visible=True, which="both", alpha=0.3)
-    panels[0].set_ylabel("MAPE")
-    drawn.legend(*panels[0].get_legend_handles_labels(), loc="upper center", ncols=len(METHODS), frameon=False)
+    panels[0, 0].set_ylabel("MAPE")
+    drawn.legend(*panels[0, 0].get_legend_handles_labels(), loc="upper center", ncols=len(METHODS), frameon=False)
     drawn.tight_layout(rect=(0, 0, 1, 0.93))
     drawn.savefig(file, dpi=120)
 
@@ -194,11 +212,14 @@ def main() -> None:
     parser.add_argument("--times", type=float, nargs="+", default=[1.0, 4.0, 16.0], help="seconds of CPU")
     parser.add_argument("--seeds", type=int, default=3)
     parser.add_argument("--methods", nargs="+", default=list(METHODS), choices=list(METHODS))
-    parser.add_argument("--scenes", nargs="+", default=list(scenes()), choices=list(scenes()))
+    parser.add_argument("--scenes", nargs="+", default=list(scenes()), help="names, or scene files of Mitsuba 3")
     parser.add_argument("--out", type=Path, default=Path("runs/guiding"))
     options = parser.parse_args()
     options.out.mkdir(parents=True, exist_ok=True)
     warnings.simplefilter("ignore")
+    files = {name: Path(name) for name in options.scenes if name not in scenes()}
+    options.known = scenes() | {file.parent.name: box_filtered(read_scene(file)) for file in files.values()}
+    options.scenes = [files[name].parent.name if name in files else name for name in options.scenes]
     rows = measure(options, options.out / "guiding.jsonl")
     print(table(rows))
     figure(rows, options.out / "guiding.png")

@@ -133,7 +133,8 @@ def cache() -> Any:
 def test_what_is_added_is_the_second_moment_and_the_count_of_uniform_paths(mi: Any) -> None:
     made = empty()
     for _ in range(2):
-        made.add(mi.UInt32([5 * BINS + 3, 9]), mi.Float([4, 1]), mi.Float([3, 7]), mi.Float([3, 7]), mi.Bool([True, False]))
+        carried = mi.Float([3, 7])
+        made.add(mi.UInt32([5 * BINS + 3, 9]), mi.Float([4, 1]), carried, carried, mi.Bool([True, False]))
     visited, squares, counts = made.statistics()
     assert visited.tolist() == [5]
     assert (float(squares[0, 0, 3]), float(counts[0, 0, 3])) == (2 * 3**2 * 4, 2 / 4)
