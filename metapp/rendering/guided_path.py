@@ -1,25 +1,25 @@
 """A path tracer that samples directions from a spatial cache of histograms, at every surface that scatters.
 
-It is Mitsuba's `path`, with the same multiple importance sampling of emitters. Only how directions are sampled differs:
-from the cache where a surface is diffuse alone, from cache or BSDF at random where it is glossy, too (one-sample
-multiple importance sampling), from the BSDF where it is smooth or transmissive. The mean is that of `path` whatever the
-cache holds.
+It is Mitsuba's `path`, with the same multiple importance sampling of emitters. What differs is how directions are
+sampled: from the cache where a surface is diffuse alone, from cache or BSDF at random where it is glossy, too
+(one-sample multiple importance sampling), from the BSDF where it is smooth or transmissive; and when paths end. The
+mean is that of `path` whatever the cache holds.
+
+A path ends by Russian roulette on what it is expected to bring yet: the root mean square of what others brought from
+that surface on, over the luminance of the whole path (Vorba & Křivánek 2016 with the mean; Rath et al. 2022).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
 
 from metapp.rendering import types as mt
-from metapp.rendering.guide_cache import Bounce, GuideCache, Location, Records
-from metapp.rendering.guide_histogram import BINS
+from metapp.rendering.guide_cache import GuideCache, Records
+from metapp.rendering.guided_vertex import Vertex, mis_weight
 from metapp.rendering.jit import dr, mi
 
 LEAST, MOST = 0.1, 0.95  # probability that a path goes on: at least by the cache, at most from `rr_depth` on
-LAMBERTIAN, TWO_SIDED = "SmoothDiffuse", "TwoSidedBRDF"  # Mitsuba's classes
-MIXED, GLOSSY = 0.5, 0.25  # share of directions from the cache where surfaces are diffuse and more, or glossy
 
 
 @dataclass
@@ -96,24 +96,20 @@ class PathTracer(NamedTuple):
             si = scene.ray_intersect(paths.ray, mi.RayFlags.All, paths.depth == 0, paths.active)
             paths.radiance += paths.throughput * self._emitted(scene, si, paths)
             active = paths.active & (paths.depth + 1 < self.max_depth) & si.is_valid()
-            vertex = Vertex(scene, paths, si, active, emitter_sampling=self.emitter_sampling)
+            vertex = Vertex(scene, paths.sampler, paths.ray, si, active, emitter_sampling=self.emitter_sampling)
             sample = vertex.by_cache(cache) if guided else vertex.by_bsdf()
-            before, unlit = mi.luminance(paths.throughput), mi.luminance(paths.radiance)
+            unlit, remaining = mi.luminance(paths.radiance), mi.Float(0)
+            if guided:
+                paths.expected, remaining = self._expected(paths, *vertex.expected(cache, sample))
             paths.radiance += paths.throughput * sample.emitter_radiance
             if records is not None:
-                path = before, mi.luminance(paths.radiance), unlit
+                path = mi.luminance(paths.throughput), mi.luminance(paths.radiance), unlit
                 records.add(paths.depth, *vertex.recorded(cache, sample, *path))
             paths.throughput *= sample.weight
             paths.eta *= sample.eta
             paths.hits |= active & ~sample.is_null
             active &= dr.max(paths.throughput) != 0
-            survives = self._survival(paths)
-            if guided:
-                expected = vertex.expected(cache, sample)
-                first = (paths.expected == 0) & (expected.x > 0)
-                paths.expected = dr.select(first, unlit + before * expected.x, paths.expected)
-                contribution = dr.clip(before * expected.y / paths.expected, LEAST, dr.select(survives < 1, MOST, 1))
-                survives = dr.select(expected.x > 0, contribution, survives)
+            survives = self._survival(paths, remaining)
             paths.throughput /= survives
             paths.active = active & (paths.sampler.next_1d(active & (survives < 1)) < survives)
             paths.ray = mi.RayDifferential3f(si.spawn_ray(si.to_world(sample.wo)))
@@ -130,10 +126,23 @@ class PathTracer(NamedTuple):
         (paths,) = dr.while_loop((paths,), lambda paths: paths.active, bounce)
         return Traced(paths.radiance, paths.hits, paths.depth)
 
-    def _survival(self, paths: _Paths) -> mt.Float:
-        """The probability by which `path` lets paths go on (Russian roulette)."""
-        late = dr.minimum(dr.max(paths.throughput) * dr.square(paths.eta), MOST)
-        return dr.select(paths.depth >= self.rr_depth, late, 1)
+    def _expected(self, paths: _Paths, outgoing: mt.Float, carried: mt.Float) -> tuple[mt.Float, mt.Float]:
+        """The luminance of whole paths, and the share of it that they are expected to bring yet; 0 if not known.
+
+        Args:
+            paths: before next-event estimation.
+            outgoing, carried: what the cache expects here, as of `GuideCache.expect`.
+        """
+        throughput, known = mi.luminance(paths.throughput), outgoing > 0
+        here = mi.luminance(paths.radiance) + throughput * outgoing
+        whole = dr.select((paths.expected == 0) & known, here, paths.expected)
+        return whole, dr.select(known, throughput * carried / whole, 0)
+
+    def _survival(self, paths: _Paths, remaining: mt.Float) -> mt.Float:
+        """The probability that paths go on: by what remains of them, or as in `path` where that is not known."""
+        late = paths.depth >= self.rr_depth
+        usual = dr.select(late, dr.minimum(dr.max(paths.throughput) * dr.square(paths.eta), MOST), 1)
+        return dr.select(remaining > 0, dr.clip(remaining, LEAST, dr.select(late, MOST, 1)), usual)
 
     def _emitted(self, scene: mt.Scene, si: mt.Interaction, paths: _Paths) -> mt.Color:
         """What the surface or sky that paths met emits, by its MIS weight beside emitter sampling."""
@@ -143,175 +152,3 @@ class PathTracer(NamedTuple):
             return light
         density = scene.pdf_emitter_direction(paths.origin, there, paths.active & ~paths.is_delta)
         return light * mis_weight(paths.density, density)
-
-
-def mis_weight(density: mt.Float, other: mt.Float) -> mt.Float:
-    """The power heuristic (Veach & Guibas 1995)."""
-    square = dr.square(density)
-    weight = square / (square + dr.square(other))
-    return dr.select(dr.isfinite(weight), weight, 0)
-
-
-class Sampled(NamedTuple):
-    """How paths go on.
-
-    Attributes:
-        wo: the direction, in the surface's frame.
-        density: of it, per solid angle.
-        weight: the BSDF's value over that, times the cosine.
-        eta: relative index of refraction.
-        is_delta: whether there was no choice; is_null, whether paths went straight on.
-        emitter_radiance: of next-event estimation.
-        guide: density over the cosine's, and bin in the cache; None where it was not asked.
-    """
-
-    wo: mt.Vector3
-    density: mt.Float
-    weight: mt.Color
-    eta: mt.Float
-    is_delta: mt.Mask
-    is_null: mt.Mask
-    emitter_radiance: mt.Color
-    guide: tuple[mt.Float, mt.UInt32] | None
-
-
-Evaluated = tuple[mt.BsdfSample, mt.Color, mt.Vector3, mt.Color, mt.Float, tuple[mt.Color, mt.Float]]
-"""The BSDF's sample and weight; the direction taken, value and density there; both in the emitter's direction."""
-
-
-class Vertex:
-    """Vertices of paths, where an emitter and the next direction are sampled."""
-
-    def __init__(
-        self, scene: mt.Scene, paths: _Paths, si: mt.Interaction, active: mt.Mask, *, emitter_sampling: bool
-    ) -> None:
-        self.si, self.bsdf, self.active = si, si.bsdf(paths.ray), active
-        sampler = paths.sampler
-        flags, kinds = self.bsdf.flags(), mi.BSDFFlags
-        self.emitter: mt.EmitterSample = None
-        if emitter_sampling:
-            scatters = active & mi.has_flag(flags, kinds.Smooth)
-            self.emitter, self.emitted = scene.sample_emitter_direction(si, sampler.next_2d(), True, scatters)
-            self.is_lit = scatters & (self.emitter.pdf != 0)
-        self.draws = sampler.next_1d(), sampler.next_2d()
-        diffuse, glossy = (mi.has_flag(flags, kind) for kind in (kinds.DiffuseReflection, kinds.GlossyReflection))
-        transmits = mi.has_flag(flags, kinds.Transmission)
-        others = int(kinds.All) & ~int(kinds.DiffuseReflection)
-        only_diffuse = diffuse & (flags & mi.UInt32(others) == 0)
-        mixed = dr.select(diffuse, MIXED, dr.select(glossy & ~transmits, GLOSSY, 0))
-        self.share = dr.select(only_diffuse, 1, mixed)  # of directions that the cache samples
-
-    def by_bsdf(self) -> Sampled:
-        """Sample directions as the BSDF does."""
-        context = mi.BSDFContext()
-        if self.emitter is None:
-            drawn, weight = self.bsdf.sample(context, self.si, *self.draws, self.active)
-            light = mi.Color3f(0)
-        else:
-            wo = self.si.to_local(self.emitter.d)
-            value, density, drawn, weight = self.bsdf.eval_pdf_sample(context, self.si, wo, *self.draws, self.active)
-            light = self._emitter_radiance(value, density)
-        is_delta, is_null = (mi.has_flag(drawn.sampled_type, kind) for kind in (mi.BSDFFlags.Delta, mi.BSDFFlags.Null))
-        return Sampled(drawn.wo, drawn.pdf, weight, drawn.eta, is_delta, is_null, light, None)
-
-    def by_cache(self, cache: GuideCache) -> Sampled:
-        """Sample a share of the directions from the cache."""
-        si, location = self.si, self._location(cache)
-        of_cache = self.draws[0] < self.share
-        rest = (self.draws[0] - self.share) / dr.maximum(1 - self.share, 1e-6)
-        rest = dr.clip(rest, 0, dr.one_minus_epsilon(mi.Float))
-        guided = self.active & (self.share > 0)
-        index, local = cache.sample(location.row, self.draws[1], guided & of_cache)
-        drawn, weight, wo, value, density, to_emitter = self._evaluated(
-            si.to_local(location.frame.to_world(local)), of_cache, rest
-        )
-        local = dr.select(of_cache, local, location.frame.to_local(si.to_world(wo)))
-        index = dr.select(of_cache, index, cache.bin(local))
-        relative = cache.density(location.row, index, guided)
-        is_delta = ~of_cache & mi.has_flag(drawn.sampled_type, mi.BSDFFlags.Delta)
-        cosine = dr.maximum(local.z, 0)
-        mixture = dr.lerp(density, relative * cosine * dr.inv_pi, self.share)
-        light = mi.Color3f(0)
-        if self.emitter is not None:
-            light = self._emitter_radiance(to_emitter[0], self._mixture_to_emitter(cache, location, to_emitter[1]))
-        return Sampled(
-            wo,
-            dr.select(is_delta, drawn.pdf, mixture),
-            dr.select(is_delta, weight / (1 - self.share), dr.select(mixture > 0, value / mixture, 0)),
-            dr.select(of_cache, 1, drawn.eta),
-            is_delta,
-            ~of_cache & mi.has_flag(drawn.sampled_type, mi.BSDFFlags.Null),
-            light,
-            (mixture * dr.pi / dr.maximum(cosine, 1e-6), index),
-        )
-
-    def recorded(
-        self, cache: GuideCache, sample: Sampled, throughput: mt.Float, radiance: mt.Float, unlit: mt.Float
-    ) -> tuple[Bounce, mt.Mask]:
-        """The bounce as `Records` keep it, of a sample of this vertex, and where it counts."""
-        location = self._location(cache)
-        local = location.frame.to_local(self.si.to_world(sample.wo))
-        density, index = sample.guide or (sample.density * dr.pi / dr.maximum(local.z, 1e-6), cache.bin(local))
-        index = location.entry * BINS + index + 1
-        bounce = Bounce(index, density, throughput, radiance, unlit, self.si.p, location.frame.n)
-        return bounce, self.active & (self.share > 0) & ~sample.is_delta & (local.z > 1e-4)
-
-    def expected(self, cache: GuideCache, sample: Sampled) -> mt.Vector2:
-        """What the cache expects of paths that go on by a sample of this vertex, as of `expect`."""
-        return cache.expect(self._location(cache).row, self.active & (self.share > 0) & ~sample.is_delta)
-
-    def _evaluated(self, guided: mt.Vector3, of_cache: mt.Mask, draw: mt.Float) -> Evaluated:
-        """Of the cache's direction `guided`, or one of the BSDF."""
-        sees_emitter = self.emitter is not None
-
-        def evaluate(bsdf: mt.Bsdf, si: mt.Interaction, guided: mt.Vector3, to_emitter: mt.Vector3,
-                     of_cache: mt.Mask, draw: mt.Float, point: mt.Point2, active: mt.Mask) -> Evaluated:  # fmt: skip
-            if is_lambertian(bsdf):
-                lobe = lambertian(bsdf, si, active)
-                light = lobe(to_emitter) if sees_emitter else (mi.Color3f(0), mi.Float(0))
-                return dr.zeros(mi.BSDFSample3f), mi.Color3f(0), mi.Vector3f(guided), *lobe(guided), light
-            context = mi.BSDFContext()
-            drawn, weight = bsdf.sample(context, si, draw, point, active & ~of_cache)
-            wo = dr.select(of_cache, guided, drawn.wo)
-            value, density = bsdf.eval_pdf(context, si, wo, active)
-            light = bsdf.eval_pdf(context, si, to_emitter, active) if sees_emitter else (mi.Color3f(0), mi.Float(0))
-            return drawn, weight, wo, value, density, light
-
-        to_emitter = self.si.to_local(self.emitter.d) if sees_emitter else mi.Vector3f(0, 0, 1)
-        return dr.dispatch(  # type: ignore[no-any-return]
-            self.bsdf, evaluate, self.si, guided, to_emitter, of_cache, draw, self.draws[1], self.active
-        )
-
-    def _location(self, cache: GuideCache) -> Location:
-        normal = self.si.sh_frame.n
-        return cache.locate(self.si.p, dr.select(self.si.wi.z < 0, -normal, normal))
-
-    def _mixture_to_emitter(self, cache: GuideCache, location: Location, density: mt.Float) -> mt.Float:
-        """The density by which cache and BSDF together sample the emitter's direction."""
-        local = location.frame.to_local(self.emitter.d)
-        relative = cache.density(location.row, cache.bin(local), self.is_lit & (self.share > 0))
-        return dr.lerp(density, relative * dr.maximum(local.z, 0) * dr.inv_pi, self.share)
-
-    def _emitter_radiance(self, value: mt.Color, density: mt.Float) -> mt.Color:
-        """Light of the sampled emitter, by its MIS weight beside sampling directions of such a density."""
-        weight = dr.select(self.emitter.delta, 1, mis_weight(self.emitter.pdf, density))
-        return dr.select(self.is_lit, weight * value * self.emitted, 0)
-
-
-def is_lambertian(bsdf: mt.Bsdf) -> bool:
-    """Whether a BSDF is Mitsuba's `diffuse`, on one side or on both."""
-    kind = bsdf.class_name()
-    both = (f"brdf[{side}] = {LAMBERTIAN}[" in str(bsdf) for side in range(2))
-    return kind == LAMBERTIAN or (kind == TWO_SIDED and all(both))
-
-
-def lambertian(bsdf: mt.Bsdf, si: mt.Interaction, active: mt.Mask) -> Callable[[mt.Vector3], tuple[mt.Color, mt.Float]]:
-    """The value, times the cosine, and the density of such a BSDF by direction; its texture is read once."""
-    albedo, both = bsdf.eval_diffuse_reflectance(si, active), bsdf.class_name() == TWO_SIDED
-
-    def lobe(wo: mt.Vector3) -> tuple[mt.Color, mt.Float]:
-        same_side = si.wi.z * wo.z > 0 if both else (si.wi.z > 0) & (wo.z > 0)
-        density = dr.select(active & same_side, dr.abs(wo.z) * dr.inv_pi, 0)
-        return albedo * density, density
-
-    return lobe

@@ -287,7 +287,7 @@ def tracer() -> Any:
 
 
 def picture_of(mi: Any, scene: Any, prior: Any, seed: int, spp: int = 16) -> np.ndarray[Any, Any]:
-    from metapp.rendering.guided_plugin import GuidedPicture
+    from metapp.rendering.guided_picture import GuidedPicture
 
     sensor, path = scene.sensors()[0], mi.load_dict({"type": "path", "max_depth": 6})
     made = GuidedPicture(path, tracer(), scene, sensor, seed, prior)
@@ -297,7 +297,7 @@ def picture_of(mi: Any, scene: Any, prior: Any, seed: int, spp: int = 16) -> np.
 
 @needs_mitsuba
 def test_the_prior_that_ships_lowers_the_noise(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("metapp.rendering.guided_plugin.PAYS", math.inf)
+    monkeypatch.setattr("metapp.rendering.guided_picture.PAYS", math.inf)
     mi, scene, _ = load_scene(random_room("board", 5000))  # of no training
     noise = []
     for prior in (read_prior(shipped()), None):
@@ -360,7 +360,7 @@ def test_a_survey_weighs_emitters_and_turns_normals_to_the_ray(monkeypatch: pyte
 
 @needs_mitsuba
 def test_weights_are_of_the_power_heuristic() -> None:
-    from metapp.rendering.guided_path import mis_weight
+    from metapp.rendering.guided_vertex import mis_weight
     from metapp.rendering.jit import mi
 
     weight = mis_weight(mi.Float([1, 2, 0, 5]), mi.Float([3, 0, 1, 5]))

@@ -29,12 +29,12 @@ def plugin(mi: Any, monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequ
 
     Every reason may be warned of once a test; none is unless a test expects it.
     """
-    from metapp.rendering import guided_plugin
+    from metapp.rendering import guided_picture, guided_plugin
 
     guided_plugin._WARNED.clear()
     monkeypatch.setattr(guided_plugin, "FEWEST", 2**10)
     if "guard" not in request.node.name:
-        monkeypatch.setattr(guided_plugin, "PAYS", math.inf)
+        monkeypatch.setattr(guided_picture, "PAYS", math.inf)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         yield guided_plugin
@@ -222,8 +222,10 @@ def test_the_prior_is_the_file_that_is_named(mi: Any, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("spp", "pixels"), [(16, 16), (17, 65536), (64, 4096), (1000, 65536), (4096, 2**20)])
-def test_the_parts_are_the_picture(plugin: Any, spp: int, pixels: int) -> None:
-    regular, *guided, last = plugin.parts_of(spp, pixels)
+def test_the_parts_are_the_picture(spp: int, pixels: int) -> None:
+    from metapp.rendering import guided_picture
+
+    regular, *guided, last = guided_picture.parts_of(spp, pixels)
     assert regular + sum(guided) + last == spp
     assert last > spp / 2
     assert guided[0] == 2 * regular <= spp / 4
@@ -231,28 +233,34 @@ def test_the_parts_are_the_picture(plugin: Any, spp: int, pixels: int) -> None:
 
 
 @pytest.mark.parametrize("shape", [(64, 64, 4), (64, 64, 16), (128, 96, 1), (40, 3, 8)])
-def test_noise_is_how_far_two_halves_of_blocks_differ(plugin: Any, shape: tuple[int, int, int]) -> None:
+def test_noise_is_how_far_two_halves_of_blocks_differ(shape: tuple[int, int, int]) -> None:
+    from metapp.rendering import guided_picture
+
     rng, samples = np.random.default_rng(0), shape[2]
-    side = math.ceil(math.sqrt(plugin.BLOCK / samples))
+    side = math.ceil(math.sqrt(guided_picture.BLOCK / samples))
     half = min(side, shape[0]) * min(side, shape[1]) * samples / 2
     luminance = 1 + 0.1 * rng.standard_normal(shape)
-    noise = plugin.Work(luminance, 1.0).noise(samples)
+    noise = guided_picture.Work(luminance, 1.0).noise(samples)
     assert noise == pytest.approx(0.1 / math.sqrt(half) * math.sqrt(2) * math.sqrt(2 / math.pi) / 2, rel=0.15)
-    assert plugin.Work(7 * luminance, 1.0).noise(samples) == pytest.approx(noise)
-    assert plugin.Work(np.zeros(shape), 1.0).noise(samples) == 0
+    assert guided_picture.Work(7 * luminance, 1.0).noise(samples) == pytest.approx(noise)
+    assert guided_picture.Work(np.zeros(shape), 1.0).noise(samples) == 0
 
 
-def test_what_a_picture_shows_is_no_noise(plugin: Any) -> None:
+def test_what_a_picture_shows_is_no_noise() -> None:
+    from metapp.rendering import guided_picture
+
     shown = np.random.default_rng(0).uniform(size=(64, 64, 1)) * np.ones(8)
-    assert plugin.Work(shown, 1.0).noise(8) == pytest.approx(0, abs=1e-12)
+    assert guided_picture.Work(shown, 1.0).noise(8) == pytest.approx(0, abs=1e-12)
 
 
 @pytest.mark.parametrize(("spread", "bounces", "pays"), [(0.1, 4, False), (0.04, 4, True), (0.04, 40, False)])
-def test_the_guard_compares_errors_in_the_same_time(plugin: Any, spread: float, bounces: float, pays: bool) -> None:
+def test_the_guard_compares_errors_in_the_same_time(spread: float, bounces: float, pays: bool) -> None:
     """Whose error is 0.4 of the regular one's may take 0.4**-2 of its time."""
+    from metapp.rendering import guided_picture
+
     rng = np.random.default_rng(0)
-    regular = plugin.Work(1 + 0.1 * rng.standard_normal((64, 64, 8)), 4.0)
-    guided = plugin.Work(1 + spread * rng.standard_normal((64, 64, 16)), bounces)
+    regular = guided_picture.Work(1 + 0.1 * rng.standard_normal((64, 64, 8)), 4.0)
+    guided = guided_picture.Work(1 + spread * rng.standard_normal((64, 64, 16)), bounces)
     assert guided.pays(regular) is pays
 
 
@@ -260,7 +268,7 @@ def test_the_guard_compares_errors_in_the_same_time(plugin: Any, spread: float, 
 def test_the_lambertian_shortcut_is_the_plugin(mi: Any, sides: int) -> None:
     import drjit as dr
 
-    from metapp.rendering.guided_path import is_lambertian, lambertian
+    from metapp.rendering.guided_vertex import is_lambertian, lambertian
 
     plain = {"type": "diffuse", "reflectance": {"type": "rgb", "value": [0.2, 0.5, 0.9]}}
     bsdf = mi.load_dict(plain if sides == 1 else {"type": "twosided", "inside": plain})
@@ -276,6 +284,22 @@ def test_the_lambertian_shortcut_is_the_plugin(mi: Any, sides: int) -> None:
     for other in ({"type": "twosided", "inside": {"type": "roughplastic"}}, {"type": "bumpmap", "arbitrary": {
             "type": "checkerboard"}, "inside": plain}, {"type": "mask", "inside": plain}):  # fmt: skip
         assert not is_lambertian(mi.load_dict(other))
+
+
+def test_a_kept_cache_serves_the_next_picture_of_its_scene(
+    mi: Any, plugin: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scene, other = (loaded(mi, random_scene(seed), 32) for seed in (1, 2))
+    integrator = mi.load_dict({"type": "metapp_guided_path", "max_depth": 5, "keep_cache": True})
+    first, spent = np.array(mi.render(scene, integrator=integrator, spp=64, seed=1)), integrator.spent
+    assert spent["survey"] > 0.01
+    monkeypatch.setattr(plugin, "FEWEST", 2**40)  # with a cache it takes none to begin
+    made = np.array([mi.render(scene, integrator=integrator, spp=16, seed=seed) for seed in range(2, 34)])
+    assert integrator.spent["survey"] < 0.01
+    assert "guided samples" in integrator.spent
+    assert made.mean() == pytest.approx(first.mean(), rel=0.03)
+    with pytest.warns(UserWarning, match="expected 1,099,511,627,776"):
+        mi.render(other, integrator=integrator, spp=16)
 
 
 def test_the_guard_leaves_a_guide_that_does_not_pay(mi: Any, monkeypatch: pytest.MonkeyPatch) -> None:

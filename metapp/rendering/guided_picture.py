@@ -1,0 +1,206 @@
+"""A picture that the integrator `metapp_guided_path` makes.
+
+It is rendered in parts: a regular one, then guided ones, by what a cache has learned from a survey of the scene and
+from the parts before. Every part is a share of the picture that does not depend on what was sampled.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from metapp.learning.task import Params
+from metapp.rendering import types as mt
+from metapp.rendering.guide_cache import GuideCache, Records
+from metapp.rendering.guide_prior import LearnedPrior
+from metapp.rendering.guide_survey import survey
+from metapp.rendering.guided_path import PathTracer
+from metapp.rendering.jit import dr, mi
+
+FIRST = 2**18  # paths of the first guided part, of which a quarter of the picture is the most
+LEARNED = 2**21  # paths after which the cache has learned enough
+PAYS = 1.0  # the most that the error of a guided part may be, over that of `path` in the same time
+KEPT = 0.5  # weight of what a kept cache knows beside what it learns of the next picture
+FEWER = 0.3  # weight of samples of the regular part beside guided ones, where these pay
+STEP_COST = 1.25  # of a guided bounce over one of `path`
+BLOCK = 128  # samples of the blocks in which noise is compared, at least
+LANES = 8  # paths that are traced side by side, until the last of them ends
+
+_WAVE = 2**22  # paths at a time
+_PROBES = 128  # rays along a side of the film that tell where the scene is
+
+
+def parts_of(spp: int, pixels: int) -> list[int]:
+    """Samples a pixel of the parts of a picture of `spp` in all.
+
+    The first is of regular paths, and half of the next one. All but the last are learned from, up to a third of the
+    picture; each of the guided ones has twice as many as the one before. There is but one where there are fewer than 8.
+    """
+    if spp < 8:
+        return [spp]
+    # of powers of two, as Dr.Jit compiles code for other numbers anew
+    first = 2 ** int(math.log2(max(2, min(spp // 4, -(-FIRST // pixels)))))
+    parts = [first // 2, first]
+    while 3 * (sum(parts) + 2 * parts[-1]) <= spp and sum(parts) * pixels < LEARNED:
+        parts.append(2 * parts[-1])
+    return [*parts, spp - sum(parts)]
+
+
+class Work(NamedTuple):
+    """What paths brought, and what they took.
+
+    Attributes:
+        luminance: of the samples, [rows, columns, samples].
+        bounces: of the longest of LANES paths, on average.
+    """
+
+    luminance: NDArray[np.float32]
+    bounces: float
+
+    def noise(self, samples: int) -> float:
+        """How far halves of blocks of pixels differ, relative to their sum, on average; of so many samples of each."""
+        side = math.ceil(math.sqrt(BLOCK / samples))
+        rows, columns = (max(1, length // side) for length in self.luminance.shape[:2])
+        tall, wide = (min(side, length) for length in self.luminance.shape[:2])
+        blocks = self.luminance[: rows * tall, : columns * wide, :samples].reshape(rows, tall, columns, wide, samples)
+        own = np.indices((tall, wide, samples)).sum(0) % 2 == 0
+        sums = blocks.sum((1, 3, 4), dtype=np.float64)
+        first = (blocks * own[:, None]).sum((1, 3, 4), dtype=np.float64)
+        return float((np.abs(2 * first - sums)[sums > 0] / sums[sums > 0]).mean()) if (sums > 0).any() else 0.0
+
+    def pays(self, regular: Work) -> bool:
+        """Whether this guided part has less error than a regular one in the same time; errors go by the root of it."""
+        samples = min(self.luminance.shape[2], regular.luminance.shape[2])
+        time_ratio = STEP_COST * self.bounces / regular.bounces
+        return self.noise(samples) * math.sqrt(time_ratio) <= PAYS * regular.noise(samples)
+
+
+class GuidedPicture:
+    """A picture in the making.
+
+    Args:
+        integrator: Mitsuba's `path` of the same properties, by which regular paths are traced.
+        tracer: of paths.
+        scene, sensor, seed: as of `render` of an integrator.
+        prior: parameters of the network that is the cache's prior; None for none.
+        before: the last picture of the scene, of which the cache is kept; None for none.
+
+    Attributes:
+        pays: whether guided paths have less error in the same time, as far as is known.
+        spent: seconds of CPU that each kind of work took, by its name.
+    """
+
+    def __init__(
+        self,
+        integrator: mt.Integrator,
+        tracer: PathTracer,
+        scene: mt.Scene,
+        sensor: mt.Sensor,
+        seed: mt.UInt32 | int,
+        prior: Params | None = None,
+        before: GuidedPicture | None = None,
+    ) -> None:
+        begin = time.process_time()
+        self.integrator, self.tracer, self.scene, self.sensor, self.seed = integrator, tracer, scene, sensor, seed
+        self.first: mt.ImageBlock = None  # of the regular part
+        self.block: mt.ImageBlock = None
+        self.made, self.pays = 0, before is None or before.pays
+        self.regular = before.regular if before else None
+        self.cache: GuideCache = before.cache if before else GuideCache(*_extent(scene, sensor))
+        if before:
+            self.cache.forget(KEPT)
+        elif prior is not None:
+            self.cache.prior = LearnedPrior(prior, survey(tracer, scene, sensor, self.cache, seed))
+        self.spent = {"survey": time.process_time() - begin}
+
+    def render(self, spp: int) -> None:
+        """Put all parts of so many samples a pixel on the sensor's film."""
+        film = self.sensor.film()
+        parts = parts_of(spp, int(dr.prod(film.crop_size())))
+        if self.regular is not None and len(parts) > 2:  # the cache is kept: a part keeps it up to date
+            parts = [parts[1], spp - parts[1]]
+        for part in parts[:-1]:
+            self.add(part, learns=True)
+        self.add(parts[-1], learns=False)
+        for block, weight in ((self.first, FEWER if self.pays else 1.0), (self.block, 1.0)):
+            if block is not None:
+                block.tensor()[:] = weight * block.tensor()
+                film.put_block(block)
+
+    def add(self, spp: int, *, learns: bool) -> None:
+        """Add a part, and learn from it if asked to and as long as that pays; the first of these is regular."""
+        width, height = self.sensor.film().crop_size()
+        learns = learns and self.pays
+        guided = self.pays and not (learns and self.regular is None)
+        begin = time.process_time()
+        wave = max(1, _WAVE // (width * height))
+        works = [self._wave(min(wave, spp - first), guided, learns) for first in range(0, spp, wave)]
+        dr.sync_thread()
+        middle = time.process_time()
+        if works[0] is not None:
+            self._judge(works[0], guided)
+            self.cache.learn()
+        name = f"{'guided' if guided else 'regular'} samples{', which are learned from' if learns else ''}"
+        for work, seconds in ((name, middle - begin), ("learning", time.process_time() - middle)):
+            self.spent[work] = self.spent.get(work, 0.0) + seconds
+
+    def _judge(self, work: Work, guided: bool) -> None:
+        """Compare a part with the regular one, which comes first."""
+        if guided and self.regular is not None:
+            self.pays = work.pays(self.regular)
+        else:
+            self.regular, self.first, self.block = work, self.block, None
+
+    def _wave(self, spp: int, guided: bool, learns: bool) -> Work | None:
+        """Add samples to the picture; what they brought where the cache learns from them."""
+        from mitsuba.python.ad.integrators.common import ADIntegrator
+
+        film, own = self.sensor.film(), self.integrator
+        seed = mi.sample_tea_32(mi.UInt32(self.seed), mi.UInt32(self.made))[0]
+        sampler, spp = ADIntegrator.prepare(own, self.sensor, seed, spp, [])
+        self.made += 1
+        self.block = self.block or film.create_block()  # of a film that is prepared
+        ray, weight, place = ADIntegrator.sample_rays(own, self.scene, self.sensor, sampler)
+        records = Records(dr.width(place)) if learns else None
+        work = None
+        if guided or records is not None:
+            light, hits, bounces = self.tracer.trace(self.scene, sampler, ray, self.cache, guided, records)
+        else:
+            light, hits, _ = own.sample(self.scene, sampler, ray)
+        if records is not None:
+            dr.eval(light, hits, place, weight, bounces)
+            records.train(self.cache, light)
+            rows = int(film.crop_size()[1]), int(film.crop_size()[0]), spp
+            steps = bounces.numpy()
+            longest = steps[: len(steps) // LANES * LANES].reshape(-1, LANES).max(1)
+            work = Work(mi.luminance(light).numpy().reshape(rows), float(longest.mean()))
+        alpha = dr.select(hits, mi.Float(1), mi.Float(0))
+        # of the film's own kind, such as that of spectra
+        ADIntegrator._splat_to_block(self.block, film, place, light * weight, mi.Float(1), alpha, [], ray.wavelengths)
+        dr.eval(self.block.tensor())
+        return work
+
+
+def _extent(scene: mt.Scene, sensor: mt.Sensor) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """The box in which most of what the camera sees lies, and most of what is seen from there."""
+    index = dr.arange(mi.UInt32, _PROBES**2)
+    sampler = mi.load_dict({"type": "independent"})
+    sampler.seed(0, _PROBES**2)
+    film = mi.Point2f(mi.Float(index % _PROBES), mi.Float(index // _PROBES)) / _PROBES
+    ray, _ = sensor.sample_ray(sensor.shutter_open(), sampler.next_1d(), film, mi.Point2f(0.5))
+    first = scene.ray_intersect(ray)
+    local = mi.warp.square_to_cosine_hemisphere(sampler.next_2d())
+    local.z = dr.select(first.wi.z < 0, -local.z, local.z)
+    second = scene.ray_intersect(first.spawn_ray(first.to_world(local)), first.is_valid())
+    points = np.concatenate([si.p.numpy()[:, si.is_valid().numpy()] for si in (first, second)], 1)
+    bounds = scene.bbox()
+    low, high = np.array(bounds.min, np.float64), np.array(bounds.max, np.float64)
+    if not points.size:
+        return low, high
+    lower, upper = np.percentile(points, (1, 99), axis=1)
+    margin = 0.02 * (upper - lower)
+    return np.maximum(lower - margin, low), np.minimum(upper + margin, high)
