@@ -14,7 +14,8 @@ from metapp.rendering import equal_time
 from metapp.rendering.guide_histogram import coarsened, second_moments, voxels_of
 from metapp.rendering.guide_prior import LearnedPrior, histogram_features, init
 from metapp.rendering.guided_path import PathTracer
-from metapp.rendering.guided_plugin import RR_DEPTH, GuidedPicture
+from metapp.rendering.guided_picture import GuidedPicture
+from metapp.rendering.guided_plugin import RR_DEPTH
 from metapp.rendering.path_space import DEPTH
 from metapp.rendering.scene_loading import load_scene
 

@@ -10,7 +10,8 @@ from metapp.rendering import types as mt
 from metapp.rendering.guide_cache import RECORDED, GuideCache, Records
 from metapp.rendering.guide_histogram import BINS, ENTRIES, SIDE, coarse_voxels, voxels_of
 from metapp.rendering.guide_prior import CHANNELS, FirstHits, SurveyFeatures, features_of
-from metapp.rendering.guided_path import PathTracer, mis_weight
+from metapp.rendering.guided_path import PathTracer
+from metapp.rendering.guided_vertex import mis_weight
 from metapp.rendering.jit import dr, mi
 
 FILM = 128  # paths along a side of the film

@@ -108,8 +108,9 @@ class GuidedPicture:
         self.integrator, self.tracer, self.scene, self.sensor, self.seed = integrator, tracer, scene, sensor, seed
         self.first: mt.ImageBlock = None  # of the regular part
         self.block: mt.ImageBlock = None
-        self.made, self.pays = 0, before is None or before.pays
-        self.regular = before.regular if before else None
+        self.made = 0
+        self.pays: bool = before is None or before.pays
+        self.regular: Work | None = before.regular if before else None
         self.cache: GuideCache = before.cache if before else GuideCache(*_extent(scene, sensor))
         if before:
             self.cache.forget(KEPT)
