@@ -97,14 +97,15 @@ class Bench:
         least = -(-FEWEST // (self.width * self.height)) if METHODS[name] is not None else 1
         for _ in range(3):
             fixed, per_sample = self.costs[name]
-            spp, by = round((seconds - fixed) / per_sample), name
-            if spp < least:  # `path` renders, at its own cost
-                by = REGULAR
-                spp = max(1, min(least - 1, round(seconds / self.costs[by][1])))
+            spp = max(least, round((seconds - fixed) / per_sample))
             picture, spent = self._picture(METHODS[name], spp, seed)
-            self.costs[by] = cost(spent, spp)
+            self.costs[name] = cost(spent, spp)
             if abs(sum(spent.values()) - seconds) < NEAR * seconds:
                 break
+        if name != REGULAR and spp == least and sum(spent.values()) > (1 + NEAR) * seconds:
+            # it takes longer: fewer samples, which `path` renders
+            spp = max(1, min(least - 1, round(seconds / self.costs[REGULAR][1])))
+            picture, spent = self._picture(METHODS[name], spp, seed)
         return {"error": self.error(picture), "seconds": sum(spent.values()), "spp": spp, "spent": spent}
 
     def _first(self, properties: dict[str, Any] | None) -> tuple[float, float]:
