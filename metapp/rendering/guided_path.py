@@ -19,6 +19,7 @@ from metapp.rendering.guide_cache import GuideCache, Records
 from metapp.rendering.guided_vertex import Vertex, mis_weight
 from metapp.rendering.jit import dr, mi
 
+WORTH = 1.5  # of what a path is expected to bring yet: the share of its luminance that lets it go on for certain is 1 / WORTH
 LEAST, MOST = 0.1, 0.95  # probability that a path goes on: at least by the cache, at most from `rr_depth` on
 
 
@@ -142,7 +143,7 @@ class PathTracer(NamedTuple):
         """The probability that paths go on: by what remains of them, or as in `path` where that is not known."""
         late = paths.depth >= self.rr_depth
         usual = dr.select(late, dr.minimum(dr.max(paths.throughput) * dr.square(paths.eta), MOST), 1)
-        return dr.select(remaining > 0, dr.clip(remaining, LEAST, dr.select(late, MOST, 1)), usual)
+        return dr.select(remaining > 0, dr.clip(WORTH * remaining, LEAST, dr.select(late, MOST, 1)), usual)
 
     def _emitted(self, scene: mt.Scene, si: mt.Interaction, paths: _Paths) -> mt.Color:
         """What the surface or sky that paths met emits, by its MIS weight beside emitter sampling."""
