@@ -32,6 +32,7 @@ from metapp.rendering.guide_histogram import (
     shrunk,
     voxels_of,
 )
+from metapp.rendering.guide_voxels import Voxels
 from metapp.rendering.jit import dr, mi
 
 FINE_PATHS = 2048.0  # from which an entry has a histogram of its own
@@ -59,15 +60,14 @@ class GuideCache:
 
     Args:
         low, high: corners of the box that voxels fill, [3] each; what is outside belongs to the outermost.
+        points: of surfaces that paths meet, [3, N]: along each axis voxels are narrower where there are many of them.
 
     Attributes:
         prior: expected second moments in voxels of twice the side; by default those of the voxels around them.
     """
 
-    def __init__(self, low: ArrayLike, high: ArrayLike) -> None:
-        low, high = np.asarray(low, np.float64), np.asarray(high, np.float64)
-        extent = np.maximum(high - low, 1e-6 * max(float((high - low).max()), 1e-6))
-        self.low, self.scale = mi.ScalarPoint3f(low), mi.ScalarVector3f(GRID / extent)
+    def __init__(self, low: ArrayLike, high: ArrayLike, points: ArrayLike | None = None) -> None:
+        self.voxels = Voxels(low, high, points)
         # in double precision the order in which threads add makes no difference that matters: pictures can be repeated
         self.sums = dr.zeros(mi.Float64, ENTRIES * BINS * 2)  # squares and counts in turn, which are read together
         self.rows = dr.zeros(mi.UInt32, ENTRIES)  # each entry's; the first, uniform, is of unknown ones
@@ -79,7 +79,7 @@ class GuideCache:
 
     def locate(self, point: mt.Point3, normal: mt.Vector3) -> Location:
         """Where points with these unit normals are."""
-        voxel = mi.Vector3u(dr.clip(mi.Vector3i((point - self.low) * self.scale), 0, GRID - 1))
+        voxel = self.voxels.index(point)
         size = dr.abs(normal)
         along_x = (size.x >= size.y) & (size.x >= size.z)
         along_y = ~along_x & (size.y >= size.z)

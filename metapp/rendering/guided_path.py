@@ -19,7 +19,7 @@ from metapp.rendering.guide_cache import GuideCache, Records
 from metapp.rendering.guided_vertex import Vertex, mis_weight
 from metapp.rendering.jit import dr, mi
 
-WORTH = 1.5  # of what a path is expected to bring yet: the share of its luminance that lets it go on for certain is 1 / WORTH
+WORTH = 1.5  # a path goes on for certain that is expected to bring 1 / WORTH of its luminance yet, or more
 LEAST, MOST = 0.1, 0.95  # probability that a path goes on: at least by the cache, at most from `rr_depth` on
 
 

@@ -186,8 +186,11 @@ class GuidedPicture:
         return work
 
 
-def _extent(scene: mt.Scene, sensor: mt.Sensor) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """The box in which most of what the camera sees lies, and most of what is seen from there."""
+Extent = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float32]]
+
+
+def _extent(scene: mt.Scene, sensor: mt.Sensor) -> Extent:
+    """The box in which most of what the camera sees lies, and what is seen from there; and points of both, [3, N]."""
     index = dr.arange(mi.UInt32, _PROBES**2)
     sampler = mi.load_dict({"type": "independent"})
     sampler.seed(0, _PROBES**2)
@@ -201,7 +204,7 @@ def _extent(scene: mt.Scene, sensor: mt.Sensor) -> tuple[NDArray[np.float64], ND
     bounds = scene.bbox()
     low, high = np.array(bounds.min, np.float64), np.array(bounds.max, np.float64)
     if not points.size:
-        return low, high
+        return low, high, points
     lower, upper = np.percentile(points, (1, 99), axis=1)
     margin = 0.02 * (upper - lower)
-    return np.maximum(lower - margin, low), np.minimum(upper + margin, high)
+    return np.maximum(lower - margin, low), np.minimum(upper + margin, high), points

@@ -49,6 +49,33 @@ def test_frames_of_an_entry_are_turned_alike(mi: Any) -> None:
     assert np.linalg.norm(found.frame.s.numpy() - beside.frame.s.numpy(), axis=0)[same].max() < 0.05
 
 
+@pytest.mark.parametrize("points", [None, np.zeros((3, 0)), np.random.default_rng(0).uniform(-1, 1, (3, 100_000))])
+def test_voxels_are_alike_where_points_are(mi: Any, points: Any) -> None:
+    from metapp.rendering.guide_cache import GuideCache
+
+    place = np.random.default_rng(1).uniform(-1, 1, (3, 1000)).astype(np.float32)
+    place = place[:, (np.abs((place + 1) * GRID / 2 % 1 - 0.5) < 0.4).all(0)]  # not at a boundary
+    found = GuideCache([-1] * 3, [1] * 3, points).locate(mi.Point3f(place), mi.Vector3f(1, 0, 0)).entry.numpy()
+    x, y, z = ((place + 1) * GRID / 2).astype(int)
+    assert (found == ((z * GRID + y) * GRID + x) * AXES).all()
+
+
+def test_voxels_are_narrower_where_there_are_many_points(mi: Any) -> None:
+    from metapp.rendering.guide_cache import GuideCache
+    from metapp.rendering.guide_voxels import CROWDED
+
+    rng = np.random.default_rng(0)
+    points = np.stack([rng.uniform(0, 0.1, 20_000), *rng.uniform(0, 1, (2, 20_000))])
+    x = np.float32(np.linspace(-0.5, 1.5, 4001))
+    cache = GuideCache([0] * 3, [1] * 3, points)
+    entry = cache.locate(mi.Point3f(mi.Float(x), 0.5, 0.5), mi.Vector3f(1, 0, 0)).entry.numpy()
+    voxel = entry // AXES % GRID
+    assert (np.diff(voxel.astype(int)) >= 0).all()
+    assert set(voxel) == set(range(GRID))
+    within = len(set(voxel[(x > 0) & (x < 0.1)]))
+    assert within == pytest.approx(GRID * (CROWDED + (1 - CROWDED) * 0.1), abs=1)
+
+
 def test_flat_scenes_have_voxels_too(mi: Any) -> None:
     cache = empty((0, 0, 5), (1, 1, 5))
     x = np.float32((np.arange(GRID) + 0.5) / GRID)
