@@ -62,11 +62,12 @@ def checked(scene: SceneDict, places: Places, name: str = "") -> SceneDict:
 
 
 def load_scene(scene: SceneDict) -> Loaded:
-    """Load a scene whose paths can be traced without next-event estimation.
+    """Load a scene whose paths can be traced.
 
     Raises:
-        ValueError: no Mitsuba that can render here; no scene that it can load; no light, or one that paths cannot meet;
-            a sensor other than a perspective one; fog; a file that `checked` did not let through before.
+        ValueError: no Mitsuba that can render here; no scene that it can load; no light, or one that Mitsuba's own path
+            tracer leaves dark; a sensor other than a perspective one; fog; a file that `checked` did not let through
+            before.
     """
     mi, loaded = load_any(checked(scene, Places()))
     check_traced(mi, loaded)
@@ -109,12 +110,13 @@ def check_traced(mi: Mitsuba, scene: Scene) -> None:
         ValueError: no light, or one that paths cannot meet; a sensor other than a perspective one.
     """
     if not scene.emitters():
-        raise ValueError("no emitter, expected an area light or an environment; add one.")
+        raise ValueError("no emitter, expected an area light, an environment, a point or directional light; add one.")
     for emitter in scene.emitters():
-        if mi.has_flag(emitter.flags(), mi.EmitterFlags.Delta):
+        flags = emitter.flags()
+        if mi.has_flag(flags, mi.EmitterFlags.Delta) and mi.has_flag(flags, mi.EmitterFlags.Surface):
             raise ValueError(
-                f"an emitter {emitter.class_name()}, which no path meets by chance, expected area lights and "
-                "environments; put a small area light in its place."
+                f"an emitter {emitter.class_name()}, which path tracers find no light of, expected others; put a "
+                "directional light or a small area light in its place."
             )
     if not scene.sensors():
         raise ValueError("no sensor, expected a perspective one; add it.")

@@ -11,7 +11,7 @@ from typing import Any
 
 from metapp.rendering.scene_files import check_file
 
-_MEDIA = {"homogeneous", "heterogeneous"}
+MEDIA = {"homogeneous", "heterogeneous"}
 _MEMORY = {"blender"}  # reads addresses in memory that a scene gives as numbers
 _REQUIRED = {"bitmap": "filename", "blendbsdf": "weight"}  # Mitsuba 3.9 ends the process without these
 _SAMPLES = 2**20  # some samplers never come to an end with more; paths here need none
@@ -53,8 +53,11 @@ def check_plugin(kind: str) -> None:
     Args:
         kind: name of the plugin.
     """
-    if kind in _MEDIA:
-        raise ValueError(f"a participating medium, '{kind}', expected surfaces alone; leave it out.")
+    if kind in MEDIA:
+        raise ValueError(
+            f"a participating medium, '{kind}', expected surfaces alone: paths do not scatter in fog here; leave it "
+            "out of the shape or sensor that has it (as 'interior' or 'exterior'), or render by Mitsuba's 'volpath'."
+        )
     if kind == "guided_path":
         raise Unsupported(
             "an integrator 'guided_path', metapp's or that of Mueller et al. 2017 in public scenes, expected one of "

@@ -9,13 +9,14 @@ import json
 import math
 import os
 import stat
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
 
-from metapp.rendering.scene_plugins import check_parameters, check_plugin, materials, snake_case
+from metapp.rendering.scene_plugins import MEDIA, check_parameters, check_plugin, materials, snake_case
 
 Json = Any  # a value of a scene
 SceneDict = dict[str, Any]  # as Mitsuba's `load_dict` takes it, as far as JSON holds it
@@ -197,9 +198,13 @@ class CheckedDict:
             raise ValueError("a scene within a scene, or none at all, expected one around all else.")
         elif depth:
             check_plugin(kind)
-        made = {key: self._value(key, value, depth, kind) for key, value in scene.items()}
+        media = {} if depth else _media(scene)
+        made = {key: self._value(key, value, depth, kind) for key, value in scene.items() if key not in media}
         if depth:
             check_parameters(kind, made)
+        for key, medium in media.items():
+            if any(name in (key, medium.get("id")) for name in _references(made)):
+                check_plugin(medium["type"])
         return made
 
     def _value(self, key: str, value: Json, depth: int, kind: str) -> Json:
@@ -228,6 +233,21 @@ class CheckedDict:
         if found not in expected or not fits:
             names = " or ".join(next(iter(keys)) for keys in expected)
             raise ValueError(f"a '{kind}' with {sorted(found)!s:.60}, expected '{names}' of numbers or text.")
+
+
+def _media(scene: SceneDict) -> dict[str, Any]:
+    """The participating media that a scene declares, by key; they do nothing where no shape and no sensor has them."""
+    objects = {key: value for key, value in scene.items() if isinstance(value, dict)}
+    return {key: value for key, value in objects.items() if value.get("type") in tuple(MEDIA)}
+
+
+def _references(value: Json) -> Iterator[str]:
+    """The names that an object refers to."""
+    if isinstance(value, dict):
+        if value.get("type") == "ref":
+            yield value["id"]
+        for part in value.values():
+            yield from _references(part)
 
 
 def _identifier(value: str) -> str:

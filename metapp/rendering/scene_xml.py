@@ -45,7 +45,12 @@ def checked_xml(text: str, places: Places, name: str = "") -> str:
     Raises:
         ValueError: no scene in XML, or something that a scene may not hold.
     """
-    return tostring(_Reader().document(text, places, (name,)), encoding="unicode")
+    reader = _Reader()
+    root = reader.document(text, places, (name,))
+    for element in (element for tag in ("ref", "alias") for element in root.iter(tag)):
+        if element.get("id") in reader.media:
+            check_plugin(reader.media[element.attrib["id"]])
+    return tostring(root, encoding="unicode")
 
 
 def merged(text: str, places: Places, name: str = "") -> SceneElement:
@@ -86,10 +91,16 @@ class SceneElement(Element):
 
 
 class _Reader:
-    """Puts one document together, within bounds on all of it; if strict, out of what Mitsuba 3 knows alone."""
+    """Puts one document together, within bounds on all of it; if strict, out of what Mitsuba 3 knows alone.
+
+    Attributes:
+        media: types of the participating media that the scene declares, by name; a strict document goes without them,
+            since they do nothing where no shape and no sensor refers to them.
+    """
 
     def __init__(self, strict: bool = True) -> None:
         self.strict = strict
+        self.media: dict[str, str] = {}
         self.parts, self.characters, self.read, self.includes = 0, 0, 0, 0
         self.defaults: dict[str, str] = {}
         self.old = False
@@ -126,6 +137,9 @@ class _Reader:
                 self._default(child)
             elif child.tag == "path":
                 places = places.first(places.folder(self._substituted(child.get("value", ""))))
+            elif self.strict and child.tag == "medium" and source.tag == "scene":
+                declared = self._attributes(child, places)
+                self.media[declared.get("id", "")] = declared.get("type", "")
             elif child.tag == "scene":
                 raise ValueError("a <scene> within a <scene>, expected one around all else; leave it out.")
             else:
