@@ -7,10 +7,12 @@ import json
 from collections.abc import Iterable
 from pathlib import Path
 
+import torch
 from torch import Generator
 
 from metapp.learning.task import Task
-from metapp.rendering.path_space import DIMENSIONS, Tracer, path_samples
+from metapp.rendering.path_resampling import draw_samples
+from metapp.rendering.path_space import DIMENSIONS, Tracer
 from metapp.rendering.scene_loading import checked
 from metapp.rendering.scene_plugins import Unsupported
 from metapp.rendering.scene_rules import Places, SceneDict, read_text, scene_bytes
@@ -25,6 +27,7 @@ UNITS = {
     "held": "as samples; for tests alone",
     "image": "linear RGB radiance [3, 32, 32], rows from the top; noisy",
     "scene": "Mitsuba 3 scene as JSON text, UTF-8, blanks at its end",
+    "next_event": "1 where paths had next-event estimation and samples were resampled and moved; else missing",
 }
 BESIDE = ("scene", ".json")  # is a file beside each shard, too
 SUFFIXES = (".xml", ".json")
@@ -51,14 +54,17 @@ def transport_task(
         dimensions: d of both, 4 or 6.
 
     Returns:
-        `samples` [N, d], `held` [M, d] and `image` [3, 32, 32], float32, and `scene`, uint8 [L].
+        `samples` [N, d], `held` [M, d] and `image` [3, 32, 32], float32, and `scene`, uint8 [L]; where paths had
+        next-event estimation also `next_event`, uint8 [1].
 
     Raises:
-        ValueError: as `load_scene` and `path_samples`.
+        ValueError: as `load_scene` and `draw_samples`.
     """
-    rng = Generator().manual_seed(seed)
-    points, image = path_samples(Tracer(scene), samples + held, dimensions, rng)
+    rng, tracer = Generator().manual_seed(seed), Tracer(scene)
+    points, image = draw_samples(tracer, samples + held, dimensions, rng)
     data = {"samples": points[:samples], "held": points[samples:], "image": image, "scene": scene_bytes(scene)}
+    if tracer.next_event:
+        data["next_event"] = torch.ones(1, dtype=torch.uint8)
     return Task(name, data)
 
 
@@ -106,7 +112,7 @@ def read_task(
         As `transport_task`.
 
     Raises:
-        ValueError: as `read_scene`, `load_scene` and `path_samples`, with the path.
+        ValueError: as `read_scene`, `load_scene` and `draw_samples`, with the path.
     """
     mi = load_mitsuba()  # what keeps it from rendering is no fault of the scene
     scene = read_scene(path, roots)

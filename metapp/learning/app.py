@@ -47,7 +47,7 @@ class App(ABC):
     tables say about errors, is the business of its `metapp.appearance.presentation.Presentation`; its recipes are a
     table beside it. What only some applications have are the protocols below: a coarse-to-fine `Staged`, a
     `LinearLayer`, `Known` parameters, an `OuterLoss`, an `OuterSample`, a `Distilled` network, `ReducedPrecision`,
-    `Counted` tasks, `Doubtful` fits.
+    `Doubtful` fits, `Remarked` tasks.
 
     Attributes:
         setup: the sizes of its network, as a recipe has them; None where it has none.
@@ -189,19 +189,19 @@ class ReducedPrecision(Protocol):
 
 
 @runtime_checkable
-class Counted(Protocol):
-    """An application some of whose tasks hold more of a thing than others, such as photographs."""
-
-    def counts(self, task: Task) -> dict[str, int]:
-        """How many a fit sees, by what they are: part of every record."""
-
-
-@runtime_checkable
 class Doubtful(Protocol):
     """An application that sees in a fit alone, without a reference, what is wrong with it."""
 
     def doubts(self, theta: Params, tasks: Tasks) -> list[list[str]]:
         """What is wrong with the fit of each task, in short clauses; [] where nothing is."""
+
+
+@runtime_checkable
+class Remarked(Protocol):
+    """An application whose tasks differ in what they hold or in how they were made."""
+
+    def remarks(self, task: Task) -> dict[str, Any]:
+        """Entries of the task's record: `counts`, how many things of a kind a fit sees; `note`, a clause, also printed."""
 
 
 def linear_in(app: App) -> str:

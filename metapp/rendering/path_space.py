@@ -2,7 +2,9 @@
 
 A point holds the place on the film, x to the right and y down, then two numbers for the direction in which the path
 leaves each of the first surfaces that scatter. Mirrors and glass, which leave no choice of direction, take none. All
-further numbers of a path are drawn within. There is no next-event estimation: a path counts if it meets a light.
+further numbers of a path are drawn within. A path counts if it meets a light, without next-event estimation, or, where
+the tracer has it, as `metapp.rendering.next_event` says: the mean over what is drawn within is the same function of the
+point. Only light that point, spot and directional emitters send to the first surface comes beside it.
 
 A density q(directions | film) can guide pictures. One path of four is left to the uniform density (defensive sampling),
 so that the weight 1 / (1/4 + 3/4 q) of a path is never above 4 (the balance heuristic of Veach & Guibas 1995): pictures
@@ -26,8 +28,9 @@ DIMENSIONS = 4  # film, and the direction at the first surface that scatters
 DEPTH = 6  # edges of the longest path
 IMAGE = 32  # px, side of the picture that comes with samples
 UNIFORM = 4  # one path in so many is not guided
+BELOW_ONE = 1 - 2**-24
 
-_BATCH = 2**19  # paths traced at a time for samples, and for pictures
+BATCH = 2**19  # paths traced at a time for samples, and for pictures
 _PICTURE_BATCH = 2**18
 _REFERENCE_SPP = 2048
 _BAD, _FEW = 1e-4, 8  # share and number of paths that may carry no number
@@ -40,14 +43,18 @@ class Tracer:
     Args:
         scene: as `load_scene` takes it.
         depth: edges of the longest path, as `max_depth` of Mitsuba's `path`.
+        next_event: whether paths have next-event estimation; those of a scene with a point, spot or directional emitter
+            have it anyway.
 
     Raises:
         ValueError: as `load_scene`.
     """
 
-    def __init__(self, scene: SceneDict, depth: int = DEPTH) -> None:
+    def __init__(self, scene: SceneDict, depth: int = DEPTH, next_event: bool = False) -> None:
         self.mi, self.scene, self.brightest = load_scene(scene)
         self.depth = depth
+        flags = (emitter.flags() for emitter in self.scene.emitters())
+        self.next_event = next_event or any(self.mi.has_flag(flag, self.mi.EmitterFlags.Delta) for flag in flags)
 
     def contributions(self, points: Tensor, rng: Generator) -> Tensor:
         """What paths carry to the film.
@@ -57,17 +64,27 @@ class Tracer:
             rng: of all numbers that the points do not hold.
 
         Returns:
-            float32 [N, 3], linear RGB radiance; its mean over all points at a place on the film is what is seen there.
+            float32 [N, 3], linear RGB radiance; its mean over all points at a place on the film is what is seen there,
+            without the light that `parts` has beside it.
 
         Raises:
             ValueError: Mitsuba loads the scene, but cannot trace a path in it, or many carry NaN.
         """
+        return self.parts(points, rng)[0]
+
+    def parts(self, points: Tensor, rng: Generator) -> tuple[Tensor, Tensor | float]:
+        """The same, and light beside it that no direction meets, [N, 3], or 0: see `metapp.rendering.next_event`."""
         mi = self.mi
         columns = [mi.Float(column.cpu().contiguous().numpy()) for column in points.T]
         pairs = [mi.Point2f(x, y) for x, y in zip(columns[::2], columns[1::2], strict=True)]
         with _traceable():
-            radiance = self._trace(pairs[0], pairs[1:], self.streams(len(points), rng))
-        return _finite(torch.from_numpy(radiance.numpy()).T.contiguous())
+            streams = self.streams(len(points), rng)
+            if not self.next_event:
+                return _as_tensor(self._trace(pairs[0], pairs[1:], streams)), 0.0
+            from metapp.rendering import next_event  # imports Mitsuba
+
+            carried, direct = next_event.trace(self.scene, self.rays(pairs[0]), pairs[1:], streams, self.depth)
+            return _as_tensor(carried), _as_tensor(direct)
 
     def streams(self, count: int, rng: Generator) -> RandomStreams:
         """A Dr.Jit generator of `count` random streams; unlike neighbouring streams of PCG32, they are not alike."""
@@ -131,6 +148,29 @@ def _traceable() -> Iterator[None]:
         raise ValueError(f"no scene that Mitsuba can trace paths in: {reason}")
 
 
+class FewPaths(ValueError):
+    """Hardly any path meets a light."""
+
+
+class ImageSum:
+    """The picture that paths add up to."""
+
+    def __init__(self) -> None:
+        self._total = torch.zeros(3, IMAGE**2, dtype=torch.float64)
+        self._hits = torch.zeros(IMAGE**2, dtype=torch.float64)
+
+    def add(self, points: Tensor, carried: Tensor) -> None:
+        """Add what paths [N, 3] of points [N, d] carry."""
+        pixel = (points[:, 1] * IMAGE).long() * IMAGE + (points[:, 0] * IMAGE).long()
+        self._hits += torch.bincount(pixel, minlength=IMAGE**2)
+        self._total += torch.stack([torch.bincount(pixel, channel.double(), IMAGE**2) for channel in carried.T])
+
+    def mean(self) -> Tensor:
+        """Linear RGB, float32 [3, 32, 32]."""
+        picture: Tensor = (self._total / self._hits.clamp_min(1)).float().unflatten(1, (IMAGE, IMAGE))
+        return picture
+
+
 def path_samples(tracer: Tracer, count: int, dimensions: int, rng: Generator) -> tuple[Tensor, Tensor]:
     """Points of primary sample space in proportion to the luminance of their paths, by rejection.
 
@@ -148,31 +188,33 @@ def path_samples(tracer: Tracer, count: int, dimensions: int, rng: Generator) ->
         to, float32 [3, 32, 32], linear RGB.
 
     Raises:
-        ValueError: hardly any path meets a light.
+        FewPaths: hardly any path meets a light.
     """
     kept: list[Tensor] = []
     bound, traced, have = tracer.brightest, 0, 0
-    total, hits = torch.zeros(3, IMAGE**2, dtype=torch.float64), torch.zeros(IMAGE**2, dtype=torch.float64)
+    image = ImageSum()
     while have < count:
-        points = torch.rand(_BATCH, dimensions, generator=rng)
+        points = torch.rand(BATCH, dimensions, generator=rng)
         carried = tracer.contributions(points, rng)
         bright = brightness(carried)
         highest = float(bright.max())
         if highest > bound:
             kept = [part[torch.rand(len(part), generator=rng) < bound / highest] for part in kept]
             bound = highest
-        kept.append(points[torch.rand(_BATCH, generator=rng) * bound < bright])
-        pixel = (points[:, 1] * IMAGE).long() * IMAGE + (points[:, 0] * IMAGE).long()
-        hits += torch.bincount(pixel, minlength=IMAGE**2)
-        total += torch.stack([torch.bincount(pixel, channel.double(), IMAGE**2) for channel in carried.T])
-        traced, have = traced + _BATCH, sum(map(len, kept))
+        kept.append(points[torch.rand(BATCH, generator=rng) * bound < bright])
+        image.add(points, carried)
+        traced, have = traced + BATCH, sum(map(len, kept))
         if have < _RAREST * traced:
-            raise ValueError(
+            raise FewPaths(
                 f"{have} of {traced:,} paths meet a light, expected {_RAREST:.2%} or more; point the camera at "
                 "surfaces that light reaches, or enlarge the lights."
             )
-    image = (total / hits.clamp_min(1)).float().unflatten(1, (IMAGE, IMAGE))
-    return torch.cat(kept)[:count].contiguous(), image
+    return torch.cat(kept)[:count].contiguous(), image.mean()
+
+
+def _as_tensor(carried: Color) -> Tensor:
+    """Float32 [N, 3], finite."""
+    return _finite(torch.from_numpy(carried.numpy()).T.contiguous())
 
 
 def _finite(carried: Tensor) -> Tensor:
@@ -216,9 +258,11 @@ def render(scene: SceneDict | Tracer, spp: int, size: int, seed: int = 0, guide:
 
     def radiance(film: Tensor, first: int) -> Tensor:
         if guide is None:
-            return tracer.contributions(film, rng)
+            carried, beside = tracer.parts(film, rng)
+            return carried + beside
         points, weight = _guided(guide, film, first, rng)
-        return tracer.contributions(points, rng) * weight[:, None]
+        carried, beside = tracer.parts(points, rng)
+        return carried * weight[:, None] + beside
 
     with torch.random.fork_rng(devices=range(torch.cuda.device_count())):
         torch.manual_seed(seed)

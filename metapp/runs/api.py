@@ -48,7 +48,7 @@ class Fit:
         self.warning: str = record.get("warning", "")
         self.guarded: bool = record.get("guarded", False)
         self.steps: int = record.get("steps", settings["steps"])
-        fields = ("name", "seconds", "threads", "counts", "warning", "guarded", "steps")
+        fields = ("name", "seconds", "threads", "counts", "note", "warning", "guarded", "steps")
         self.errors = {key: value for key, value in record.items() if key not in fields and value is not None}
 
     @property

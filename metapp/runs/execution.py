@@ -74,7 +74,7 @@ class Run(NamedTuple):
     def document(self) -> Document:
         """What --json prints."""
         plan, settings = self.plan, self.folder.settings
-        fields = ("name", "error", "seconds", "steps", "counts", "warning")
+        fields = ("name", "error", "seconds", "steps", "counts", "note", "warning")
         document = {
             "app": plan.app.name,
             **observe_of(plan.app),

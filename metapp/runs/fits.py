@@ -10,7 +10,7 @@ from typing import NamedTuple
 import torch
 from torch import Generator
 
-from metapp.learning.app import Counted, Doubtful, stack
+from metapp.learning.app import Doubtful, Remarked, stack
 from metapp.learning.deadline import REMEMBERED, Deadline, Pace, Stopwatch, usual
 from metapp.learning.learn import Step, last
 from metapp.learning.task import Params, Rng, Task, Tasks, drawn
@@ -109,12 +109,13 @@ class Fitter:
             # since that is no reason to fit anew
             record: Document = {"name": task.name, "error": None, **errors, "seconds": seconds / len(tasks)}
             record["threads"] = torch.get_num_threads()
-            counts = app.counts(task) if isinstance(app, Counted) else {}
-            record |= {"counts": counts} if counts else {}
+            record |= app.remarks(task) if isinstance(app, Remarked) else {}
             record |= (
                 {"guarded": fit.guarded is not None and bool(fit.guarded[i])} if plan.paradigm.guard(plan.job) else {}
             )
             record |= {"steps": taken} if self._budget is not None else {}
+            if self.warns and "note" in record:
+                say(f"{task.name}: {record['note']}")
             results.append(Result(record | ({"warning": "; ".join(clauses)} if clauses else {}), own))
             for clause in clauses if self.warns else ():
                 remedy = "; try another rule, more steps or another paradigm." if clause.startswith(ROSE) else ""

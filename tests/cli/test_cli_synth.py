@@ -117,7 +117,7 @@ def test_help_tells_how_many_tasks_a_set_has() -> None:
 
 @pytest.fixture(autouse=True)
 def _few_paths(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("metapp.rendering.path_space._BATCH", 2**16)
+    monkeypatch.setattr("metapp.rendering.path_space.BATCH", 2**16)
 
 
 @needs_mitsuba

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import json
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -13,6 +14,7 @@ import OpenImageIO as oiio
 import pytest
 import torch
 
+from data_tools.readers import mitsuba_scenes
 from data_tools.readers.mitsuba_scenes import transport_task
 from data_tools.synthetic.cornell import random_scene
 from data_tools.synthetic.transport import UNITS
@@ -209,6 +211,25 @@ def test_a_scene_is_rendered_with_and_without_a_guide_in_the_same_time(
     assert (folders[0] / "guided_path.png").is_file()
     assert "guided_path: 16 samples a pixel in" in result.err
     assert "regular_nee: " in result.err
+
+
+def test_a_scene_with_a_point_light_alone_is_fitted(metapp: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(path_space, "BATCH", 2**15)
+    monkeypatch.setattr(mitsuba_scenes.read_task, "__defaults__", (512, 128, 4, ()))
+    box = {key: value for key, value in random_scene(0).items() if key != "light"}
+    box["bulb"] = {"type": "point", "position": [0.0, 0.7, 0.0]}
+    box["fog"] = {"type": "homogeneous"}  # which nothing refers to
+    Path("bulb.json").write_text(json.dumps(box))
+    result = metapp("overfit", "transport", "bulb.json", "--json")
+    assert result.err.count("bulb: paths have next-event estimation from the second surface on") == 1
+    assert result.done["tasks"][0]["note"].startswith("paths have next-event estimation")
+    assert np.isfinite(result.done["error"])
+    made = Path(result.done["out"])
+    assert "next-event estimation" in json.loads((made / "record.jsonl").read_text())["note"]
+    guided, regular = (
+        oiio.ImageBuf(str(made / "outputs" / "bulb" / f"{name}.exr")).get_pixels() for name in ("guided", "regular")
+    )
+    assert float(np.mean(guided)) == pytest.approx(float(np.mean(regular)), rel=0.2)
 
 
 def test_only_scenes_are_rendered(metapp: Callable) -> None:

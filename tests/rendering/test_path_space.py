@@ -147,7 +147,7 @@ class _Sloped:
 
 @pytest.mark.parametrize("brightest", [0.0, 1.3, 2.0, 5.0])
 def test_a_bound_that_is_exceeded_is_raised(brightest: float, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("metapp.rendering.path_space._BATCH", 1000)
+    monkeypatch.setattr("metapp.rendering.path_space.BATCH", 1000)
     points, image = path_samples(_Sloped(brightest), 100_000, 4, seeded())  # type: ignore[arg-type]
     # of a density 2 x the cumulative distribution is x^2; Kolmogorov and Smirnov's distance is below 2 / sqrt(N)
     place = points[:, 2].sort().values.double()

@@ -16,6 +16,7 @@ from metapp.networks.coded import encoder_of, reader_of, with_decoder
 
 WANTED = 2048  # samples of a training scene that preparation judges a fit by
 JITTER = 0.1  # of what augmentation adds to the log of a picture
+NOTE = "paths have next-event estimation from the second surface on, since few or none meet a light without it"
 
 
 @dataclass(frozen=True)
@@ -46,6 +47,7 @@ class Transport(App):
         "held": Held(("M", "d"), low=0.0, high=1.0, optional=True),
         "image": Held((3, 32, 32), low=0.0),
         "scene": Held(("L",), "uint8", optional=True),
+        "next_event": Held((1,), "uint8", optional=True),
     }
     setup: TransportSetup
 
@@ -53,6 +55,9 @@ class Transport(App):
     def flow(self) -> Flow:
         """The network of one task."""
         return self.setup.flow
+
+    def remarks(self, task: Task) -> dict[str, str]:
+        return {"note": NOTE} if "next_event" in task.data else {}
 
     def prepare(self, task: Task) -> dict[str, Tensor]:
         """`samples` [d, N] and `held` [d, M] of primary sample space, and `image` [3, 32, 32], linear.

@@ -16,6 +16,7 @@ from metapp.apps.transport.flow import Flow
 from metapp.apps.transport.guide import table_of
 from metapp.learning.task import Params, Task
 from metapp.rendering import path_space
+from metapp.rendering.path_resampling import draw_samples
 from metapp.rendering.scene_rules import scene_of
 
 SHOWN_SIZE = 64  # px of a side, of the pictures that a run leaves
@@ -41,13 +42,15 @@ class Studio:
     Args:
         scene: its JSON text, UTF-8.
         size: side of the pictures, px.
+        next_event: whether paths, guided or not, have next-event estimation from the second surface on.
 
     Raises:
         ValueError: it cannot be traced here.
     """
 
-    def __init__(self, scene: bytes, size: int) -> None:
-        self.tracer = path_space.Tracer(scene_of(torch.frombuffer(bytearray(scene), dtype=torch.uint8)))
+    def __init__(self, scene: bytes, size: int, next_event: bool = False) -> None:
+        text = torch.frombuffer(bytearray(scene), dtype=torch.uint8)
+        self.tracer = path_space.Tracer(scene_of(text), next_event=next_event)
         self.size = size
 
     def regular(self, spp: int, seed: int = 0) -> Shot:
@@ -90,9 +93,9 @@ class Studio:
     def sampling(self, samples: Tensor) -> float:
         """Seconds that as many samples [N, d] of the scene take, and with them the picture that General reads."""
         count, dimensions = samples.shape
-        path_space.path_samples(self.tracer, 1, dimensions, Generator())  # the first call compiles
+        draw_samples(self.tracer, 1, dimensions, Generator())  # the first call compiles
         begin = time.process_time()
-        path_space.path_samples(self.tracer, count, dimensions, Generator())
+        draw_samples(self.tracer, count, dimensions, Generator())
         return time.process_time() - begin
 
     @functools.cached_property
@@ -140,12 +143,12 @@ def studio_of(task: Task, size: int = SHOWN_SIZE) -> Studio:
     Raises:
         ValueError: the scene cannot be traced here.
     """
-    return _studio(task.data["scene"].cpu().numpy().tobytes(), size)
+    return _studio(task.data["scene"].cpu().numpy().tobytes(), size, "next_event" in task.data)
 
 
 @functools.lru_cache(maxsize=16)  # a reference takes seconds, of 256 px minutes
-def _studio(scene: bytes, size: int) -> Studio:
-    return Studio(scene, size)
+def _studio(scene: bytes, size: int, next_event: bool) -> Studio:
+    return Studio(scene, size, next_event)
 
 
 def image_errors(flow: Flow, fits: Mapping[str, Fitted], task: Task, size: int) -> dict[str, dict[str, float]]:

@@ -1,0 +1,103 @@
+"""Paths by their random numbers, as `metapp.rendering.path_space` traces them, with next-event estimation.
+
+The mean over all numbers that a point does not hold is that of paths without it, where these meet the light at all: a
+direction that the point holds decides alone what light it meets, and emitters are sampled from the next surface on.
+There multiple importance sampling counts light from both sides once (Veach & Guibas 1995). Emitters that no direction
+meets (point, spot, directional) are sampled at all surfaces but the first. What these send to the first surface depends
+on no direction: it is no part of what a path carries, but comes beside it, for pictures.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from metapp.rendering import types as mt
+from metapp.rendering.guided_path import mis_weight
+from metapp.rendering.jit import dr, mi
+
+
+@dataclass
+class _Paths:
+    """All paths in the loop, each before its next surface.
+
+    Attributes:
+        used: surfaces so far that scatter.
+        origin: the surface that the ray leaves, by a direction of `density` per solid angle.
+        weighted: whether emitters were sampled there, too, so that light which the ray meets counts by a weight.
+        direct: light of the first surface that scatters, of emitters that no direction meets.
+    """
+
+    rng: mt.RandomStreams
+    ray: mt.Ray
+    depth: mt.UInt32
+    used: mt.UInt32
+    radiance: mt.Color
+    direct: mt.Color
+    throughput: mt.Color
+    origin: mt.Interaction
+    density: mt.Float
+    weighted: mt.Mask
+    active: mt.Mask
+
+
+def trace(
+    scene: mt.Scene, ray: mt.Ray, directions: list[mt.Point2], rng: mt.RandomStreams, depth: int
+) -> tuple[mt.Color, mt.Color]:
+    """Trace paths.
+
+    Args:
+        scene: Mitsuba's.
+        ray: the first ray of each path.
+        directions: numbers for the direction at each of the first surfaces that scatter; the first surface has no
+            next-event estimation of lights that a direction can meet, even if there are none.
+        rng: of all further numbers.
+        depth: edges of the longest path.
+
+    Returns:
+        What paths carry; and beside it the light of point, spot and directional emitters at the first surface that
+        scatters.
+    """
+    first = max(len(directions), 1)
+
+    def bounce(paths: _Paths) -> tuple[_Paths]:
+        si = scene.ray_intersect(paths.ray, paths.active)
+        paths.radiance += paths.throughput * _emitted(scene, si, paths)
+        paths.depth += 1
+        active = paths.active & si.is_valid() & (paths.depth < depth)
+        bsdf, rng = si.bsdf(paths.ray), paths.rng
+        scatters = active & mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth)
+        place = mi.Point2f(rng.next_float32(), rng.next_float32())
+        emitter, emitted = scene.sample_emitter_direction(si, place, True, scatters)
+        lobe, pair = rng.next_float32(), mi.Point2f(rng.next_float32(), rng.next_float32())
+        for number, direction in enumerate(directions):
+            pair = dr.select(paths.used == number, direction, pair)
+        to_emitter = si.to_local(emitter.d)
+        value, density, drawn, weight = bsdf.eval_pdf_sample(mi.BSDFContext(), si, to_emitter, lobe, pair, active)
+        share = dr.select(emitter.delta, 1, mis_weight(emitter.pdf, density))
+        is_lit = scatters & (emitter.pdf != 0) & (emitter.delta | (paths.used >= first))
+        light = dr.select(is_lit, paths.throughput * value * emitted * share, 0)
+        paths.direct += dr.select(paths.used == 0, light, 0)
+        paths.radiance += dr.select(paths.used == 0, 0, light)
+        paths.weighted = scatters & (paths.used >= first) & ~mi.has_flag(drawn.sampled_type, mi.BSDFFlags.Delta)
+        paths.origin, paths.density = si, drawn.pdf
+        paths.used += dr.select(scatters, mi.UInt32(1), mi.UInt32(0))
+        paths.throughput *= weight
+        paths.active = active & (dr.max(paths.throughput) > 0)
+        paths.ray = si.spawn_ray(si.to_world(drawn.wo))
+        return (paths,)
+
+    count = dr.width(ray)
+    paths = _Paths(
+        rng, ray, mi.UInt32(0), mi.UInt32(0), mi.Color3f(0), mi.Color3f(0), mi.Color3f(1),
+        dr.zeros(mi.SurfaceInteraction3f), mi.Float(1), mi.Bool(False), dr.full(mi.Bool, True, count),
+    )  # fmt: skip
+    (paths,) = dr.while_loop((paths,), lambda paths: paths.active, bounce)
+    return paths.radiance, paths.direct
+
+
+def _emitted(scene: mt.Scene, si: mt.Interaction, paths: _Paths) -> mt.Color:
+    """What the surface or sky that paths met emits, by its weight where emitters were sampled before."""
+    there = mi.DirectionSample3f(scene, si=si, ref=paths.origin)
+    light = there.emitter.eval(si, paths.active)
+    density = scene.pdf_emitter_direction(paths.origin, there, paths.active & paths.weighted)
+    return light * dr.select(paths.weighted, mis_weight(paths.density, density), 1)

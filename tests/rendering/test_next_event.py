@@ -1,0 +1,177 @@
+"""Next-event estimation: what paths carry stays the same in the mean, samples are in proportion, pictures are whole."""
+
+from __future__ import annotations
+
+import copy
+import math
+from typing import Any
+
+import pytest
+import torch
+from torch import Generator, Tensor
+
+from data_tools.synthetic.cornell import random_scene, rgb
+from metapp.rendering import path_resampling, path_space
+from metapp.rendering.path_resampling import draw_samples, resampled
+from metapp.rendering.path_space import FewPaths, Guide, Tracer, path_samples, reference, render
+from metapp.rendering.scene_loading import brightness
+from tests.needs_mitsuba import needs_mitsuba
+
+CELLS = {4: 3, 6: 2}  # along each number of a point, so that each cell has thousands of paths
+
+Scene = dict[str, Any]
+
+
+def small_lamp(seed: int, times: float) -> Scene:
+    """A Cornell box whose lamp has sides so many times shorter, and the same power."""
+    scene: Scene = copy.deepcopy(random_scene(seed))
+    lamp = scene["light"]
+    lamp["to_world"] = [[*(value / times for value in row[:2]), *row[2:]] for row in lamp["to_world"]]
+    radiance = lamp["emitter"]["radiance"]["value"]
+    lamp["emitter"]["radiance"] = rgb([times**2 * value for value in radiance])
+    return scene
+
+
+def bulb(seed: int, **more: Any) -> Scene:
+    """A Cornell box with a point light instead of its lamp."""
+    scene = {key: value for key, value in random_scene(seed).items() if key != "light"}
+    return {**scene, "bulb": {"type": "point", "position": [0.1, 0.7, 0.0], "intensity": rgb([1.0] * 3)}, **more}
+
+
+def cell_of(points: Tensor) -> Tensor:
+    cells = CELLS[points.shape[1]]
+    return sum(((points[:, axis] * cells).long() * cells**axis for axis in range(points.shape[1])), torch.tensor(0))
+
+
+def cell_means(tracer: Tracer, batches: int, dimensions: int, seed: int = 0) -> tuple[Tensor, Tensor]:
+    """Mean luminance of cells of primary sample space, and its standard errors."""
+    rng = Generator().manual_seed(seed)
+    count = CELLS[dimensions] ** dimensions
+    sums = torch.zeros(3, count, dtype=torch.float64)
+    for _ in range(batches):
+        points = torch.rand(2**18, dimensions, generator=rng)
+        values = brightness(tracer.contributions(points, rng)).double()
+        sums += torch.stack([torch.bincount(cell_of(points), values**power, count) for power in (0, 1, 2)])
+    mean = sums[1] / sums[0]
+    return mean, ((sums[2] / sums[0] - mean**2) / sums[0]).sqrt()
+
+
+@needs_mitsuba
+@pytest.mark.parametrize(("seed", "dimensions"), [(2, 4), (4, 6)])
+def test_both_estimators_have_one_mean_over_cells_of_primary_sample_space(seed: int, dimensions: int) -> None:
+    scene = random_scene(seed)
+    plain, plain_error = cell_means(Tracer(scene), 4, dimensions)
+    other, other_error = cell_means(Tracer(scene, next_event=True), 4, dimensions, seed=1)
+    deviation = (plain - other) / (plain_error**2 + other_error**2).sqrt().clamp_min(1e-9)
+    assert deviation.abs().max() < 5
+    assert deviation.square().mean() < 1.35
+    assert float(plain.mean()) == pytest.approx(float(other.mean()), rel=0.02)
+    assert float((other_error / plain_error).median()) < 1
+
+
+@needs_mitsuba
+def test_next_event_estimation_lowers_the_noise_of_a_small_lamps_indirect_light() -> None:
+    scene = small_lamp(1, 8)
+    errors = []
+    for next_event in (False, True):
+        mean, error = cell_means(Tracer(scene, next_event=next_event), 2, 4)
+        errors.append(float((error / mean.mean()).median()))
+    assert errors[1] < 0.3 * errors[0]
+
+
+@needs_mitsuba
+def test_the_marginal_of_six_numbers_is_that_of_four(monkeypatch: pytest.MonkeyPatch) -> None:
+    # light of a point that reaches the second surface counts whether or not its direction is held
+    monkeypatch.setitem(CELLS, 4, CELLS[6])
+    tracer = Tracer(bulb(0))
+    four, error = cell_means(tracer, 2, 4)
+    six, other = (values.view(4, -1) for values in cell_means(tracer, 2, 6, seed=1))  # the last two: outermost
+    six, other = six.mean(0), other.square().mean(0).sqrt() / 2
+    deviation = (four - six) / (error**2 + other**2).sqrt().clamp_min(1e-9)
+    assert deviation.abs().max() < 4.5
+    assert deviation.square().mean() < 1.5
+
+
+@needs_mitsuba
+@pytest.mark.parametrize("scene", [random_scene(0), small_lamp(1, 4), bulb(3)], ids=["box", "small", "bulb"])
+def test_resampled_points_are_in_proportion_to_what_paths_carry(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(path_space, "BATCH", 2**17)
+    tracer, count = Tracer(scene, next_event=True), 4096
+    points, image = resampled(tracer, count, 4, Generator().manual_seed(0))
+    assert points.shape == (count, 4)
+    assert (points.min() >= 0) & (points.max() < 1)
+    assert len(points.unique(dim=0)) > 0.9 * count
+    mean, error = cell_means(tracer, 4, 4, seed=9)
+    share = torch.bincount(cell_of(points), minlength=CELLS[4] ** 4) / count
+    expected, spread = mean / mean.sum(), error / mean.sum()
+    # of as many independent samples as the pool has effective ones, which the fewest allow for
+    fewest = path_resampling.ENOUGH * count
+    deviation = (share - expected) / (expected / fewest + spread**2).sqrt()
+    assert deviation.abs().max() < 4.5
+    assert deviation.square().mean() < 1.4
+    noise = (1 / fewest + spread.square().sum()).sqrt()  # relative, of the mean of as many effective paths
+    assert abs(float(brightness(image.flatten(1).T).mean() / mean.mean()) - 1) < 4 * float(noise)
+
+
+class _Steep:
+    """Stands for a tracer: paths that carry 3 u^2 along one number, by a noise whose mean is 1."""
+
+    next_event = True
+
+    def contributions(self, points: Tensor, rng: Generator) -> Tensor:
+        noise = 4.0 * (torch.rand(len(points), 1, generator=rng) < 0.25)
+        return (3 * points[:, 2:3] ** 2 * noise).expand(-1, 3)
+
+
+def test_moves_leave_the_density_of_a_noisy_function_as_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(path_space, "BATCH", 2**16)
+    points, image = resampled(_Steep(), 20_000, 4, Generator().manual_seed(0))  # type: ignore[arg-type]
+    # of a density 3 x^2 the cumulative distribution is x^3; Kolmogorov and Smirnov's distance is below 2 / sqrt(N)
+    place = points[:, 2].sort().values.double()
+    assert float((place**3 - torch.arange(len(place)) / len(place)).abs().max()) < 2 / math.sqrt(len(place))
+    assert float(image.mean()) == pytest.approx(1, abs=0.05)
+
+
+@needs_mitsuba
+def test_samples_are_resampled_where_and_only_where_few_paths_meet_a_light(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(path_space, "BATCH", 2**16)
+    plain, small = Tracer(random_scene(0)), Tracer(small_lamp(0, 12))
+    expected = path_samples(plain, 500, 4, Generator().manual_seed(3))
+    found = draw_samples(plain, 500, 4, Generator().manual_seed(3))
+    assert not plain.next_event
+    assert all(map(torch.equal, expected, found))  # bit for bit
+    with pytest.raises(FewPaths, match="meet a light"):
+        path_samples(small, 500, 4, Generator())
+    points, _ = draw_samples(small, 500, 4, Generator())
+    assert small.next_event
+    assert points.shape == (500, 4)
+
+
+def corner(film: Tensor) -> tuple[Tensor, Tensor]:
+    """Directions all in one corner, of density 16."""
+    return 0.25 * torch.rand(len(film), 2), torch.full((len(film),), 16.0)
+
+
+@needs_mitsuba
+@pytest.mark.parametrize("scene", [bulb(1), small_lamp(3, 2)], ids=["bulb", "small"])
+def test_pictures_are_those_of_the_reference(scene: Scene) -> None:
+    tracer = Tracer(scene, next_event=True)
+    guide = Guide(corner, lambda film, directions: 16 * (directions < 0.25).all(1).float())
+    wanted = float(reference(tracer, 8, 8192)[:, 4:].mean())  # the lower half, without the lamp
+    for each in (None, guide):
+        shots = torch.stack([render(tracer, 512, 8, seed, each)[:, 4:].mean() for seed in range(8)]).double()
+        error = float(shots.std() / len(shots) ** 0.5)
+        assert abs(float(shots.mean()) - wanted) < 3.5 * error + 0.003 * wanted
+        assert error < 0.1 * wanted
+
+
+@needs_mitsuba
+def test_a_guide_leaves_the_light_of_a_point_at_the_first_surface_without_noise() -> None:
+    tracer = Tracer(bulb(1), depth=2)  # that light alone
+    points = torch.rand(4096, 4, generator=Generator().manual_seed(0))
+    carried, beside = tracer.parts(points, Generator())
+    assert not carried.any()
+    assert torch.is_tensor(beside)
+    assert beside.mean() > 0.01
+    guide = Guide(corner, lambda film, directions: 16 * (directions < 0.25).all(1).float())
+    torch.testing.assert_close(render(tracer, 64, 8, 0, guide), render(tracer, 64, 8, 0), rtol=0.5, atol=0.02)
