@@ -201,7 +201,7 @@ class Remarked(Protocol):
     """An application whose tasks differ in what they hold or in how they were made."""
 
     def remarks(self, task: Task) -> dict[str, Any]:
-        """Entries of the task's record: `counts`, how many things of a kind a fit sees; `note`, a clause, also printed."""
+        """Entries of its record: `counts`, how many things of a kind a fit sees; `note`, a clause, also printed."""
 
 
 def linear_in(app: App) -> str:

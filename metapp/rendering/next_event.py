@@ -12,7 +12,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from metapp.rendering import types as mt
-from metapp.rendering.guided_path import mis_weight
+from metapp.rendering.guided_vertex import mis_weight
 from metapp.rendering.jit import dr, mi
 
 

@@ -382,10 +382,11 @@ def test_what_mitsuba_refuses_has_the_line_of_the_written_file(tmp_path: Path) -
 
 
 @needs_mitsuba
-def test_lights_that_paths_do_not_meet_are_a_limit_of_metapp(tmp_path: Path) -> None:
+def test_lights_that_path_tracers_find_no_light_of_are_a_limit_of_metapp(tmp_path: Path) -> None:
     path = tmp_path / "scene.xml"
-    path.write_text(old(CAMERA.replace("$spp", "4"), '<emitter type="point"/>'))
+    lamp = '<shape type="rectangle"><emitter type="directionalarea"/></shape>'
+    path.write_text(old(CAMERA.replace("$spp", "4"), lamp))
     write(upgraded(path).root, target := tmp_path / "v3.xml")
     problem, limit = verdict(target)
     assert not problem
-    assert "an emitter PointLight" in limit
+    assert "an emitter DirectionalArea" in limit
