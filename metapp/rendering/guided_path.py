@@ -69,11 +69,13 @@ class PathTracer(NamedTuple):
         max_depth: edges of the longest path.
         rr_depth: edges from which on paths end by chance (Russian roulette).
         emitter_sampling: whether there is next-event estimation.
+        vertex: what samples at surfaces.
     """
 
     max_depth: int
     rr_depth: int
     emitter_sampling: bool = True
+    vertex: type[Vertex] = Vertex
 
     def trace(
         self,
@@ -97,7 +99,7 @@ class PathTracer(NamedTuple):
             si = scene.ray_intersect(paths.ray, mi.RayFlags.All, paths.depth == 0, paths.active)
             paths.radiance += paths.throughput * self._emitted(scene, si, paths)
             active = paths.active & (paths.depth + 1 < self.max_depth) & si.is_valid()
-            vertex = Vertex(scene, paths.sampler, paths.ray, si, active, emitter_sampling=self.emitter_sampling)
+            vertex = self.vertex(scene, paths.sampler, paths.ray, si, active, emitter_sampling=self.emitter_sampling)
             sample = vertex.by_cache(cache) if guided else vertex.by_bsdf()
             unlit, remaining = mi.luminance(paths.radiance), mi.Float(0)
             if guided:
