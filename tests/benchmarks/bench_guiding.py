@@ -30,15 +30,16 @@ from metapp.rendering import equal_time
 from metapp.rendering.guided_plugin import FEWEST
 from metapp.rendering.path_space import DEPTH
 from metapp.rendering.scene_loading import load_scene
+from tests.benchmarks import practical_path_guiding
 from tests.benchmarks.guiding_scenes import kind_of, scenes
 
-# properties of guided_path; None is Mitsuba's path
-REGULAR = "regular + NEE"
-METHODS: dict[str, dict[str, Any] | None] = {
-    REGULAR: None,
-    "guided + NEE": {},
-    "guided + NEE, no prior": {"checkpoint": "none"},
-    "guided": {"emitter_sampling": False},
+REGULAR, GUIDED = "regular + NEE", {"type": "metapp_guided_path"}
+METHODS: dict[str, dict[str, Any]] = {  # integrators
+    REGULAR: {"type": "path"},
+    "guided + NEE": GUIDED,
+    "guided + NEE, no prior": GUIDED | {"checkpoint": "none"},
+    "guided": GUIDED | {"emitter_sampling": False},
+    "practical path guiding + NEE": {"type": practical_path_guiding.NAME},
 }
 WARM = 48  # samples a pixel by which code is compiled and speeds are first known
 NEAR = 0.1  # of the seconds
@@ -65,7 +66,7 @@ class Bench:
         halves = torch.load(file, weights_only=True)
         self.reference = halves.mean(0)
         self.own_error = float(mape(halves[:1], self.reference[None]))  # both halves are as far from the mean
-        self.costs = {name: self._first(METHODS[name]) for name in {REGULAR, *options.methods}}
+        self.costs = {name: self._first(name) for name in {REGULAR, *options.methods}}
 
     def _half(self, options: argparse.Namespace, seed: int) -> Tensor:
         """A picture by `path`, with next-event estimation, of half the reference's samples a pixel."""
@@ -94,33 +95,34 @@ class Bench:
 
     def measured(self, name: str, seconds: float, seed: int) -> dict[str, Any]:
         """A picture that takes so many seconds, within NEAR, at the last of three attempts."""
-        least = -(-FEWEST // (self.width * self.height)) if METHODS[name] is not None else 1
+        least = -(-FEWEST // (self.width * self.height)) if name != REGULAR else 1
         for _ in range(3):
             fixed, per_sample = self.costs[name]
             spp = max(least, round((seconds - fixed) / per_sample))
-            picture, spent = self._picture(METHODS[name], spp, seed)
+            picture, spent = self._picture(name, spp, seed)
             self.costs[name] = cost(spent, spp)
             if abs(sum(spent.values()) - seconds) < NEAR * seconds:
                 break
         if name != REGULAR and spp == least and sum(spent.values()) > (1 + NEAR) * seconds:
             # it takes longer: fewer samples, which `path` renders
             spp = max(1, min(least - 1, round(seconds / self.costs[REGULAR][1])))
-            picture, spent = self._picture(METHODS[name], spp, seed)
+            picture, spent = self._picture(name, spp, seed)
         return {"error": self.error(picture), "seconds": sum(spent.values()), "spp": spp, "spent": spent}
 
-    def _first(self, properties: dict[str, Any] | None) -> tuple[float, float]:
-        spp = WARM if properties is None else max(WARM, -(-FEWEST // (self.width * self.height)))
+    def _first(self, name: str) -> tuple[float, float]:
+        spp = WARM if name == REGULAR else max(WARM, -(-FEWEST // (self.width * self.height)))
         for _ in range(2):
-            self._picture(properties, spp, 0)  # compiles
-        return cost(self._picture(properties, spp, 0)[1], spp)
+            self._picture(name, spp, 0)  # compiles
+        return cost(self._picture(name, spp, 0)[1], spp)
 
-    def _picture(self, properties: dict[str, Any] | None, spp: int, seed: int) -> tuple[Tensor, dict[str, float]]:
-        if properties is not None:
-            guided = equal_time.guided_picture(self.scene, spp, DEPTH, seed, **properties)
-            return guided.picture, guided.spent
+    def _picture(self, name: str, spp: int, seed: int) -> tuple[Tensor, dict[str, float]]:
+        """A picture, and seconds of CPU by what they were spent on."""
         begin = time.process_time()
-        picture = equal_time.rendered(self.scene, self.path, spp, seed)
-        return picture, {"regular samples": time.process_time() - begin}
+        integrator = self.mi.load_dict(METHODS[name] | {"max_depth": DEPTH})
+        picture = equal_time.rendered(self.scene, integrator, spp, seed)
+        spent, total = dict(getattr(integrator, "spent", {})), time.process_time() - begin
+        rest = "all else" if spent else "regular samples"  # where `path` rendered instead
+        return picture, spent | {rest: total - sum(spent.values())}
 
 
 def cost(spent: dict[str, float], spp: int) -> tuple[float, float]:
@@ -216,6 +218,7 @@ def main() -> None:
     parser.add_argument("--scenes", nargs="+", default=list(scenes()), help="names, or scene files of Mitsuba 3")
     parser.add_argument("--out", type=Path, default=Path("runs/guiding"))
     options = parser.parse_args()
+    practical_path_guiding.register()
     options.out.mkdir(parents=True, exist_ok=True)
     warnings.simplefilter("ignore")
     files = {name: Path(name) for name in options.scenes if name not in scenes()}

@@ -26,7 +26,7 @@ from metapp.rendering.jit import dr, mi, register_plugin
 from tests.benchmarks.sd_tree import SDTree
 
 NAME = "practical_path_guiding"
-FIRST = 2**16  # paths of the first iteration
+FIRST = 2**14  # paths of the first iteration
 FRACTION = 0.5  # of directions that the tree samples
 
 

@@ -16,10 +16,11 @@ from numpy.typing import NDArray
 from metapp.rendering import types as mt
 from metapp.rendering.jit import dr, mi
 
-SPLIT = 4000.0  # c: a leaf of space is halved from c sqrt(samples a pixel) bounces on; 12,000 in 2017, 4,000 in 2019
+SPLIT = 1000.0  # c: a leaf of space is halved from c sqrt(samples a pixel) bounces on
 FLUX = 0.01  # rho: a node of directions is divided if it has more of the flux
 CELLS = 64  # finest cells of space along an axis
 LEVELS = 10  # of quadtrees, at most
+START = 4  # levels at first
 CODES = 4**LEVELS  # Morton codes of the finest directions
 SLOTS = 256  # of the tables from which searches start, for each quadtree
 _Numbers = NDArray[Any]
@@ -36,8 +37,10 @@ class SDTree:
         extent = np.maximum(high - low, 1e-6 * max(float((high - low).max()), 1e-6))
         self.low, self.scale = mi.ScalarPoint3f(low), mi.ScalarVector3f(CELLS / extent)
         self.corners, self.halvings = np.zeros((1, 3), np.int64), np.zeros(1, np.int64)  # of leaves of space
-        self.keys, self.depths = np.zeros(1, np.int64), np.zeros(1, np.int64)  # tree * CODES + code, of leaves
-        self._tabulate(np.zeros(1))
+        # of leaves of directions: tree * CODES + code, and level
+        self.keys = np.arange(4**START) * (CODES >> 2 * START)
+        self.depths = np.full(len(self.keys), START)
+        self._tabulate(np.zeros(len(self.keys)))
 
     def tree(self, point: mt.Point3) -> mt.UInt32:
         """The quadtree of points."""
