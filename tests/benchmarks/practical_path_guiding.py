@@ -63,9 +63,9 @@ class TreeVertex(Vertex):
             (mixture, leaf),
         )
 
-    def recorded(
+    def recorded(  # type: ignore[override]
         self, cache: SDTree, sample: Sampled, throughput: mt.Float, radiance: mt.Float, unlit: mt.Float
-    ) -> tuple[Bounce, mt.Mask]:  # type: ignore[override]
+    ) -> tuple[Bounce, mt.Mask]:
         """The bounce as `Records` keep it, with its weight in the density, and where it counts."""
         weight = mi.luminance(sample.weight)
         active = self.active & (self.share > 0) & ~sample.is_delta & (weight > 0)
