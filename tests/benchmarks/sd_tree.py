@@ -84,8 +84,8 @@ class SDTree:
 
         def flux_of(tree: _Numbers, code: _Numbers, depth: _Numbers) -> _Numbers:
             start = source[tree] * CODES + code
-            after: _Numbers = np.interp(start + (CODES >> 2 * depth), ends, total)
-            return after - np.interp(start, ends, total)
+            flux: _Numbers = np.interp(start + (CODES >> 2 * depth), ends, total) - np.interp(start, ends, total)
+            return flux
 
         tree = np.arange(len(source))
         code = depth = np.zeros_like(tree)
