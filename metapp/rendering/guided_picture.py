@@ -37,14 +37,15 @@ _PROBES = 128  # rays along a side of the film that tell where the scene is
 def parts_of(spp: int, pixels: int) -> list[int]:
     """Samples a pixel of the parts of a picture of `spp` in all.
 
-    The first is of regular paths, and half of the next one. All but the last are learned from, up to a third of the
-    picture; each of the guided ones has twice as many as the one before. There is but one where there are fewer than 8.
+    The first is of regular paths, and half of the next one, if that has several samples. All but the last are learned
+    from, up to a third of the picture; each of the guided ones has twice as many as the one before. There is but one
+    where there are fewer than 4.
     """
-    if spp < 8:
+    if spp < 4:
         return [spp]
     # of powers of two, as Dr.Jit compiles code for other numbers anew
-    first = 2 ** int(math.log2(max(2, min(spp // 4, -(-FIRST // pixels)))))
-    parts = [first // 2, first]
+    first = 2 ** int(math.log2(max(1, min(spp // 4, -(-FIRST // pixels)))))
+    parts = [max(1, first // 2), first]
     while 3 * (sum(parts) + 2 * parts[-1]) <= spp and sum(parts) * pixels < LEARNED:
         parts.append(2 * parts[-1])
     return [*parts, spp - sum(parts)]
@@ -124,6 +125,8 @@ class GuidedPicture:
         parts = parts_of(spp, int(dr.prod(film.crop_size())))
         if self.regular is not None and len(parts) > 2:  # the cache is kept: a part keeps it up to date
             parts = [parts[1], spp - parts[1]]
+        if len(parts) == 1 and self.regular is None:
+            self.cache.learn()  # of the survey alone
         for part in parts[:-1]:
             self.add(part, learns=True)
         self.add(parts[-1], learns=False)

@@ -221,14 +221,17 @@ def test_the_prior_is_the_file_that_is_named(mi: Any, tmp_path: Path) -> None:
         prior(checkpoint=str(tmp_path / "none-such.safetensors"))
 
 
-@pytest.mark.parametrize(("spp", "pixels"), [(16, 16), (17, 65536), (64, 4096), (1000, 65536), (4096, 2**20)])
+@pytest.mark.parametrize(
+    ("spp", "pixels"), [(4, 2**20), (7, 2**20), (16, 16), (17, 65536), (64, 4096), (1000, 65536), (4096, 2**20)]
+)
 def test_the_parts_are_the_picture(spp: int, pixels: int) -> None:
     from metapp.rendering import guided_picture
 
     regular, *guided, last = guided_picture.parts_of(spp, pixels)
     assert regular + sum(guided) + last == spp
-    assert last > spp / 2
-    assert guided[0] == 2 * regular <= spp / 4
+    assert last >= spp / 2
+    assert regular == max(1, guided[0] // 2)
+    assert guided[0] <= spp / 4
     assert all(after == 2 * before for before, after in itertools.pairwise(guided))
 
 
@@ -284,6 +287,17 @@ def test_the_lambertian_shortcut_is_the_plugin(mi: Any, sides: int) -> None:
     for other in ({"type": "twosided", "inside": {"type": "roughplastic"}}, {"type": "bumpmap", "arbitrary": {
             "type": "checkerboard"}, "inside": plain}, {"type": "mask", "inside": plain}):  # fmt: skip
         assert not is_lambertian(mi.load_dict(other))
+
+
+def test_pictures_of_few_samples_are_guided_by_the_survey(mi: Any, plugin: Any) -> None:
+    scene = loaded(mi, random_scene(101), 128)
+    integrator = mi.load_dict({"type": "metapp_guided_path", "max_depth": 5})
+    noise = []
+    for each in (integrator, mi.load_dict({"type": "path", "max_depth": 5})):
+        made = [np.array(mi.render(scene, integrator=each, spp=3, seed=seed)).mean(-1) for seed in (1, 2, 3, 4)]
+        noise.append(np.mean(np.abs(made[0] + made[1] - made[2] - made[3]) / (sum(made) + 1e-2)))
+    assert list(integrator.spent) == ["survey", "guided samples", "learning"]
+    assert noise[0] < 0.95 * noise[1]
 
 
 def test_a_kept_cache_serves_the_next_picture_of_its_scene(
