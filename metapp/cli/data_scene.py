@@ -85,7 +85,7 @@ def _scene_file(path: Path, options: SceneOptions) -> None:
         if said.limit:
             say(f"warning: {judged}: Mitsuba 3 loads it, but metapp traces no such scene: {said.limit}")
         if not problem:
-            count = f"{len(found.repairs)} repairs"
+            count = f"{len(found.repairs)} repair{'' if len(found.repairs) == 1 else 's'}"
             say(f"{judged}: Mitsuba 3 loads it{f'; {count} of {path}' if options.upgrade else ''}")
     if options.as_json:
         document = {"path": str(path), "out": str(target) if options.upgrade else None, "loads": not problem}
