@@ -119,7 +119,7 @@ class PracticalPicture(GuidedPicture):
         # not super's, which makes another cache
         begin = time.process_time()
         self.integrator, self.tracer, self.scene, self.sensor, self.seed = integrator, tracer, scene, sensor, seed
-        self.cache: SDTree = SDTree(*_extent(scene, sensor))  # type: ignore[assignment]
+        self.cache: SDTree = SDTree(*_extent(scene, sensor)[:2])  # type: ignore[assignment]
         self.block, self.made = None, 0
         self.spent = {"start": time.process_time() - begin, "samples": 0.0, "learning": 0.0}
 
