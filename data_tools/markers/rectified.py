@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from data_tools.markers import opencv
 from data_tools.markers.pose import Pose, common_focal, focal_of, pose_of
 from data_tools.markers.sheet import RULER_CM, Floats
-from data_tools.markers.sighting import Sighting, find_sheet, moved
+from data_tools.markers.sighting import Sighting, find_sheet
 from data_tools.readers.flash_places import CAMERA, LIGHT, SIZE
 from data_tools.readers.image_files import Pixels, read_pixels
 from data_tools.readers.photos import linear_light
@@ -190,7 +190,7 @@ def rectified(pixels: Pixels, sighting: Sighting, size: int) -> NDArray[np.float
     Means are taken in linear light over as many samples as the photograph has there.
     """
     cv2 = opencv()
-    corners = moved(sighting.to_px, np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * sighting.opening / 2)
+    corners = sighting.corners_px()
     left, top = np.maximum(np.floor(corners.min(0)).astype(int) - 1, 0)
     right, bottom = np.ceil(corners.max(0)).astype(int) + 2
     part = pixels._replace(values=pixels.values[top:bottom, left:right, :3])
@@ -233,8 +233,7 @@ def _shown(pixels: Pixels, photo: Placed, name: str) -> NDArray[np.float32]:
 
     for corners in sighting.points_px.reshape(-1, 4, 2):
         outline(corners, "#00c800")
-    square = np.array([[-1, 1], [1, 1], [1, -1], [-1, -1]]) * sighting.opening / 2
-    outline(moved(sighting.to_px, square), "#ff00c8")
+    outline(sighting.corners_px(), "#ff00c8")
     draw.text(
         (8, 6), f"{name}: {summary(photo)}", "white", ImageFont.load_default(18), stroke_width=3, stroke_fill="black"
     )

@@ -51,6 +51,10 @@ class Sighting(NamedTuple):
         """How far markers may be off."""
         return LIMIT * self.opening * float(self.scales()[1])
 
+    def corners_px(self) -> Floats:
+        """Where the corners of the opening are in the photograph [4, 2], round it from the lower left one."""
+        return moved(self.to_px, np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * self.opening / 2)
+
     def scales(self) -> tuple[float, float]:
         """The least and the greatest px per cm within the opening, in any direction."""
         along = np.linspace(-0.5, 0.5, 5) * self.opening
@@ -162,7 +166,7 @@ def _check(sighting: Sighting) -> None:
         )
     if _hull_area(sighting.points_cm[sighting.kept]) < side**2:
         raise ValueError(f"{path}: markers on one side of the opening alone, expected them all round; {_REMEDY}.")
-    corners = moved(sighting.to_px, np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * side / 2)
+    corners = sighting.corners_px()
     if (corners < -0.5).any() or (corners > np.array([sighting.width, sighting.height]) - 0.5).any():
         raise ValueError(f"{path}: the opening is not wholly in the picture, expected all of it; {_REMEDY}.")
 

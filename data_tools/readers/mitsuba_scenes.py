@@ -139,11 +139,9 @@ def read_scene(path: Path, roots: Iterable[Path] = ()) -> SceneDict:
         ValueError: no text; of a .json file, no JSON or no object; something that a scene may not hold.
     """
     try:
-        own, *others = (folder.resolve() for folder in (path.resolve().parent, *roots))
-        places = Places(search=(own, *others), roots=(own, *others))
         text = read_text(path)
         scene = {"xml": text} if path.suffix.lower() == ".xml" else _from_json(text)
-        return checked(scene, places, str(path.resolve()))
+        return checked(scene, Places.beside(path, roots), str(path.resolve()))
     except Unsupported as error:
         remedy = f", or {UPGRADE.format(path)}" if path.suffix.lower() == ".xml" else "."
         raise ValueError(f"{path}: {str(error).rstrip('.')}{remedy}") from None

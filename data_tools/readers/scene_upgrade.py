@@ -57,7 +57,7 @@ def upgraded(path: Path, roots: Iterable[Path] = ()) -> Upgraded:
     try:
         if path.suffix.lower() != ".xml":
             raise ValueError("no .xml file, expected a scene in XML; dictionaries as JSON are of version 3 already.")
-        root = merged(read_text(path), _places(path, roots), str(path.resolve()))
+        root = merged(read_text(path), Places.beside(path, roots), str(path.resolve()))
         done, left = repair(root)
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from None
@@ -99,18 +99,18 @@ def verdict(path: Path, roots: Iterable[Path] = ()) -> Verdict:
         roots: folders that its files may come from, beside its own.
     """
     variant = load_mitsuba().variant()
-    wrong = re.compile("")
+    wrong = ""
     try:
         text = read_text(path)
-        tree = parse(checked_xml(text, _places(path, roots), str(path.resolve())))
+        tree = parse(checked_xml(text, Places.beside(path, roots), str(path.resolve())))
         indent(tree, " " * 4)
         scene = {"xml": tostring(tree, encoding="unicode")}
         if scene["xml"].count("\n") != text.rstrip().count("\n"):  # written by another hand, lines are not the file's
-            wrong = re.compile(r" \(line \d+, col \d+\)")
+            wrong = r" \(line \d+, col \d+\)"
         try_scene(scene, variant)
         mi, loaded = load_any(scene)
     except ValueError as error:
-        return Verdict(problem=wrong.sub("", str(error)))
+        return Verdict(problem=re.sub(wrong, "", str(error)))
     try:
         check_traced(mi, loaded)
     except ValueError as error:
@@ -127,8 +127,3 @@ def lines(repairs: Iterable[Repair]) -> list[str]:
         f"line {found[0]}{f' and {len(found) - 1} more' if found[1:] else ''}: {element}: {done}"
         for (element, done), found in same.items()
     ]
-
-
-def _places(path: Path, roots: Iterable[Path]) -> Places:
-    own, *others = (folder.resolve() for folder in (path.resolve().parent, *roots))
-    return Places(search=(own, *others), roots=(own, *others))

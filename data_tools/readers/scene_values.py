@@ -7,7 +7,9 @@ import re
 from collections.abc import Iterable
 
 import numpy as np
+import torch
 
+from metapp.appearance.colour import srgb_to_linear
 from metapp.rendering.scene_plugins import number_of
 from metapp.rendering.scene_xml import SceneElement
 
@@ -82,8 +84,8 @@ def linear(code: str) -> Colour | None:
 
 
 def linear_rgb(srgb: Iterable[float]) -> Colour:
-    """Linear RGB of sRGB in [0, 1]; IEC 61966-2-1."""
-    red, green, blue = (v / 12.92 if v <= 0.04045 else ((v + 0.055) / 1.055) ** 2.4 for v in srgb)
+    """Linear RGB of sRGB in [0, 1]."""
+    red, green, blue = srgb_to_linear(torch.tensor(list(srgb), dtype=torch.float64)).tolist()
     return red, green, blue
 
 

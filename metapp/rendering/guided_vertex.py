@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from metapp.rendering import types as mt
 from metapp.rendering.guide_cache import Bounce, GuideCache, Location
@@ -44,8 +44,22 @@ class Sampled(NamedTuple):
     guide: tuple[mt.Float, mt.UInt32] | None
 
 
-Evaluated = tuple[mt.BsdfSample, mt.Color, mt.Vector3, mt.Color, mt.Float, tuple[mt.Color, mt.Float]]
-"""The BSDF's sample and weight; the direction taken, value and density there; both in the emitter's direction."""
+class Evaluated(NamedTuple):
+    """A direction, of the guide or of the BSDF.
+
+    Attributes:
+        drawn, weight: the BSDF's sample.
+        wo: the direction, in the surface's frame.
+        value, density: of the BSDF there.
+        to_emitter: both in the emitter's direction.
+    """
+
+    drawn: mt.BsdfSample
+    weight: mt.Color
+    wo: mt.Vector3
+    value: mt.Color
+    density: mt.Float
+    to_emitter: tuple[mt.Color, mt.Float]
 
 
 class Vertex:
@@ -97,27 +111,38 @@ class Vertex:
         rest = dr.clip(rest, 0, dr.one_minus_epsilon(mi.Float))
         guided = self.active & (self.share > 0)
         index, local = cache.sample(location.row, self.draws[1], guided & of_cache)
-        drawn, weight, wo, value, density, to_emitter = self._evaluated(
-            si.to_local(location.frame.to_world(local)), of_cache, rest
-        )
-        local = dr.select(of_cache, local, location.frame.to_local(si.to_world(wo)))
+        evaluated = self._evaluated(si.to_local(location.frame.to_world(local)), of_cache, rest)
+        local = dr.select(of_cache, local, location.frame.to_local(si.to_world(evaluated.wo)))
         index = dr.select(of_cache, index, cache.bin(local))
         relative = cache.density(location.row, index, guided)
-        is_delta = ~of_cache & mi.has_flag(drawn.sampled_type, mi.BSDFFlags.Delta)
         cosine = dr.maximum(local.z, 0)
-        mixture = dr.lerp(density, relative * cosine * dr.inv_pi, self.share)
+        mixture = dr.lerp(evaluated.density, relative * cosine * dr.inv_pi, self.share)
         light = mi.Color3f(0)
         if self.emitter is not None:
-            light = self._emitter_radiance(to_emitter[0], self._mixture_to_emitter(cache, location, to_emitter[1]))
+            value, density = evaluated.to_emitter
+            light = self._emitter_radiance(value, self._mixture_to_emitter(cache, location, density))
+        return self._sampled(evaluated, of_cache, mixture, light, (mixture * dr.pi / dr.maximum(cosine, 1e-6), index))
+
+    def _sampled(
+        self,
+        evaluated: Evaluated,
+        of_guide: mt.Mask,
+        mixture: mt.Float,
+        light: mt.Color,
+        guide: tuple[mt.Float, mt.UInt32],
+    ) -> Sampled:
+        """The direction that was evaluated, of the guide or the BSDF, whose densities are mixed."""
+        drawn, weight, wo, value, *_ = evaluated
+        is_delta = ~of_guide & mi.has_flag(drawn.sampled_type, mi.BSDFFlags.Delta)
         return Sampled(
             wo,
             dr.select(is_delta, drawn.pdf, mixture),
             dr.select(is_delta, weight / (1 - self.share), dr.select(mixture > 0, value / mixture, 0)),
-            dr.select(of_cache, 1, drawn.eta),
+            dr.select(of_guide, 1, drawn.eta),
             is_delta,
-            ~of_cache & mi.has_flag(drawn.sampled_type, mi.BSDFFlags.Null),
+            ~of_guide & mi.has_flag(drawn.sampled_type, mi.BSDFFlags.Null),
             light,
-            (mixture * dr.pi / dr.maximum(cosine, 1e-6), index),
+            guide,
         )
 
     def recorded(
@@ -139,8 +164,8 @@ class Vertex:
         """Of the cache's direction `guided`, or one of the BSDF."""
         sees_emitter = self.emitter is not None
 
-        def evaluate(bsdf: mt.Bsdf, si: mt.Interaction, guided: mt.Vector3, to_emitter: mt.Vector3,
-                     of_cache: mt.Mask, draw: mt.Float, point: mt.Point2, active: mt.Mask) -> Evaluated:  # fmt: skip
+        def evaluate(bsdf: mt.Bsdf, si: mt.Interaction, guided: mt.Vector3, to_emitter: mt.Vector3, of_cache: mt.Mask,
+                     draw: mt.Float, point: mt.Point2, active: mt.Mask) -> tuple[Any, ...]:  # fmt: skip
             if is_lambertian(bsdf):
                 lobe = lambertian(bsdf, si, active)
                 light = lobe(to_emitter) if sees_emitter else (mi.Color3f(0), mi.Float(0))
@@ -153,8 +178,8 @@ class Vertex:
             return drawn, weight, wo, value, density, light
 
         to_emitter = self.si.to_local(self.emitter.d) if sees_emitter else mi.Vector3f(0, 0, 1)
-        return dr.dispatch(  # type: ignore[no-any-return]
-            self.bsdf, evaluate, self.si, guided, to_emitter, of_cache, draw, self.draws[1], self.active
+        return Evaluated(
+            *dr.dispatch(self.bsdf, evaluate, self.si, guided, to_emitter, of_cache, draw, self.draws[1], self.active)
         )
 
     def _location(self, cache: GuideCache) -> Location:

@@ -9,7 +9,7 @@ import json
 import math
 import os
 import stat
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -66,6 +66,12 @@ class Places(NamedTuple):
 
     search: tuple[Path, ...] = ()
     roots: tuple[Path, ...] = ()
+
+    @classmethod
+    def beside(cls, path: Path, others: Iterable[Path] = ()) -> Places:
+        """The folder of a scene file, then further folders; files may lie in each."""
+        folders = tuple(folder.resolve() for folder in (path.resolve().parent, *others))
+        return cls(folders, folders)
 
     def first(self, folder: Path) -> Places:
         """The same, with this folder searched first."""

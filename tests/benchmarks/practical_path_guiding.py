@@ -45,23 +45,14 @@ class TreeVertex(Vertex):
         rest = (self.draws[0] - self.share) / (1 - self.share)
         guided = self.active & (self.share > 0)
         leaf, direction = cache.sample(tree, self.choice, self.draws[1], guided & of_tree)
-        drawn, weight, wo, value, density, to_emitter = self._evaluated(si.to_local(direction), of_tree, rest)
-        leaf = dr.select(of_tree, leaf, cache.leaf(tree, si.to_world(wo), guided & ~of_tree))
-        is_delta = ~of_tree & mi.has_flag(drawn.sampled_type, mi.BSDFFlags.Delta)
-        mixture = dr.lerp(density, cache.density(leaf, guided), self.share)
+        evaluated = self._evaluated(si.to_local(direction), of_tree, rest)
+        leaf = dr.select(of_tree, leaf, cache.leaf(tree, si.to_world(evaluated.wo), guided & ~of_tree))
+        mixture = dr.lerp(evaluated.density, cache.density(leaf, guided), self.share)
         is_lit = self.is_lit & guided
         there = cache.density(cache.leaf(tree, self.emitter.d, is_lit), is_lit)
-        light = self._emitter_radiance(to_emitter[0], dr.lerp(to_emitter[1], there, self.share))
-        return Sampled(
-            wo,
-            dr.select(is_delta, drawn.pdf, mixture),
-            dr.select(is_delta, weight / (1 - self.share), dr.select(mixture > 0, value / mixture, 0)),
-            dr.select(of_tree, 1, drawn.eta),
-            is_delta,
-            ~of_tree & mi.has_flag(drawn.sampled_type, mi.BSDFFlags.Null),
-            light,
-            (mixture, leaf),
-        )
+        value, density = evaluated.to_emitter
+        light = self._emitter_radiance(value, dr.lerp(density, there, self.share))
+        return self._sampled(evaluated, of_tree, mixture, light, (mixture, leaf))
 
     def recorded(  # type: ignore[override]
         self, cache: SDTree, sample: Sampled, throughput: mt.Float, radiance: mt.Float, unlit: mt.Float
@@ -83,8 +74,8 @@ class TreeVertex(Vertex):
     def _evaluated(self, guided: mt.Vector3, of_cache: mt.Mask, draw: mt.Float) -> Evaluated:
         """Of the tree's direction `guided`, or one of the BSDF; textures of diffuse ones are read once."""
 
-        def evaluate(bsdf: mt.Bsdf, si: mt.Interaction, guided: mt.Vector3, to_emitter: mt.Vector3,
-                     of_cache: mt.Mask, draw: mt.Float, point: mt.Point2, active: mt.Mask) -> Evaluated:  # fmt: skip
+        def evaluate(bsdf: mt.Bsdf, si: mt.Interaction, guided: mt.Vector3, to_emitter: mt.Vector3, of_cache: mt.Mask,
+                     draw: mt.Float, point: mt.Point2, active: mt.Mask) -> tuple[Any, ...]:  # fmt: skip
             if is_lambertian(bsdf):
                 lobe = lambertian(bsdf, si, active)
                 wo = mi.warp.square_to_cosine_hemisphere(point)
@@ -98,8 +89,8 @@ class TreeVertex(Vertex):
             return drawn, weight, wo, value, density, bsdf.eval_pdf(context, si, to_emitter, active)
 
         to_emitter = self.si.to_local(self.emitter.d)
-        return dr.dispatch(  # type: ignore[no-any-return]
-            self.bsdf, evaluate, self.si, guided, to_emitter, of_cache, draw, self.draws[1], self.active
+        return Evaluated(
+            *dr.dispatch(self.bsdf, evaluate, self.si, guided, to_emitter, of_cache, draw, self.draws[1], self.active)
         )
 
 
