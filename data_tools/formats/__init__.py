@@ -154,7 +154,8 @@ class Format(NamedTuple):
         module: of what finds, reads and writes them.
         inputs: what the files are, in words, for help and errors; "" where fits do not take them as INPUT.
         takes: what fits may tell `read_task`: "size", px a side or rows of what the file becomes; "least", what
-            smaller photos are enlarged to; "fov_rad", the camera's field of view along the shorter side; "roots",
+            smaller photos are enlarged to; "fov_rad", the camera's field of view along the shorter side; "exposure", by
+            how many stops photos are too bright; "roots",
             folders that files named in a file may come from.
         exports: whether fits are written in it.
         holds: the parameters that a written file holds; a fit of another network is distilled into them first; () for

@@ -143,7 +143,7 @@ FORMATS = (
         "svbrdf_nonstationary",
         "data_tools.readers.placed_photos",
         "folders of rectified flash photos of one material with camera_pos.txt, light_pos.txt, image_size.txt",
-        takes=("size",),
+        takes=("size", "exposure"),
         own=OwnRecipe("several", has="several photos", tensor="places"),
     ),
     Format(
@@ -165,6 +165,6 @@ FORMATS = (
         "svbrdf_nonstationary",
         "data_tools.readers.svbrdf_inputs",
         "flash photos, strips, a material's maps",
-        takes=("size", "fov_rad"),
+        takes=("size", "fov_rad", "exposure"),
     ),
 )

@@ -15,7 +15,7 @@ from data_tools.readers.flash_places import CAMERA, LIGHT, SIZE, read_places
 from data_tools.readers.image_files import opened
 from data_tools.readers.photos import SIZE as PX
 from data_tools.readers.photos import is_photo, read_photo
-from data_tools.readers.svbrdf_task import SEVERAL_UNITS, UNITS, task_name
+from data_tools.readers.svbrdf_task import SEVERAL_UNITS, UNITS, rightly_exposed, task_name
 from metapp.learning.task import Task
 
 TEXTS = (CAMERA, LIGHT, SIZE, "light_power.txt")  # what lies beside the photographs; no fit reads the last one
@@ -39,12 +39,13 @@ def placed_in(folder: Path) -> list[Path]:
     return [path for path in (folder, *shown) if any((path / name).is_file() for name in (CAMERA, LIGHT))]
 
 
-def read_task(folder: Path, size: int = PX) -> Task:
+def read_task(folder: Path, size: int = PX, exposure: float = 0.0) -> Task:
     """Turn a folder into a task of its name: `photo`, the first one, `others` and `places`.
 
     Args:
         folder: of photographs and text files.
         size: side in px; where it is more than 256, of photographs as fine as that alone.
+        exposure: by how many stops all of them are too bright.
 
     Raises:
         ValueError: fewer than two photographs; one that is not square, or of another size; as `read_photo` and
@@ -65,7 +66,7 @@ def read_task(folder: Path, size: int = PX) -> Task:
                 f"{path}: {width} x {height} px, expected square photos of one size, all of the same part of the "
                 "material; rectify them."
             )
-    photo, *others = (read_photo(path, size, least=min(size, PX)) for path in paths)
+    photo, *others = (rightly_exposed(read_photo(path, size, least=min(size, PX)), exposure) for path in paths)
     given = torch.stack([places.camera, places.light], 1)
     return Task(task_name(folder.resolve().name), {"photo": photo, "others": torch.stack(others), "places": given})
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from data_tools.readers import material_maps, placed_photos, strips
 from data_tools.readers.image_files import check_exists
 from data_tools.readers.photos import SIZE, find_photos, holds_photos, read_photo
-from data_tools.readers.svbrdf_task import UNITS, task_name
+from data_tools.readers.svbrdf_task import UNITS, rightly_exposed, task_name
 from metapp.appearance.flash import FOV_RAD
 from metapp.appearance.surface import DESCRIPTION
 from metapp.learning.task import Task
@@ -48,13 +48,14 @@ def find(paths: Iterable[str | Path]) -> tuple[list[Path], list[str]]:
     return list({source.resolve(): source for source in sources}.values()), skipped
 
 
-def read_task(path: Path, size: int = SIZE, fov_rad: float = 0.0) -> Task:
+def read_task(path: Path, size: int = SIZE, fov_rad: float = 0.0, exposure: float = 0.0) -> Task:
     """Turn a strip, the material that a map belongs to, or else a photograph into a task named by the file.
 
     Args:
         path: the file.
         size: side in px; where it is more than 256, of files as fine as that alone.
         fov_rad: of a photograph's camera, along the shorter side; 0: as EXIF says, else that of fits.
+        exposure: by how many stops a photograph is too bright; of strips and materials that says nothing.
 
     Returns:
         As `data_tools.readers.svbrdf_task.svbrdf_task`; of a photograph `photo` alone, uint8 [3, S, S].
@@ -70,7 +71,7 @@ def read_task(path: Path, size: int = SIZE, fov_rad: float = 0.0) -> Task:
     if strips.is_strip(path):
         return strips.read_task(path, size, least=least)
     photo = read_photo(path, size, fov_rad=fov_rad, within_rad=FOV_RAD, least=least)
-    return Task(task_name(path.stem), {"photo": photo})
+    return Task(task_name(path.stem), {"photo": rightly_exposed(photo, exposure)})
 
 
 def _elsewhere(files: Iterable[Path], folders: Collection[Path]) -> list[Path]:

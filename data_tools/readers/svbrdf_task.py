@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from metapp.appearance.colour import linear_to_srgb
+from metapp.appearance.colour import linear_to_srgb, srgb_to_linear
 from metapp.appearance.flash import camera, positions, render, unpack
 from metapp.learning.task import Task
 
@@ -24,6 +24,7 @@ SEVERAL_UNITS = {
     "its centre, in half sides of the patch",
 }
 
+CLIPPED = 0.95  # of white: brighter px say no more than "at least so bright"
 _MIN_HEIGHT = 0.3  # mean z of normals; a picture of middle brightness has 0
 _LOWEST = 0.02  # z of a normal: what points into the surface cannot be seen
 
@@ -59,6 +60,18 @@ def flash_photo(maps: Tensor, flash: Tensor | None = None, intensity: float = 1.
     light, view = (above if each is None else each for each in (flash, eye))
     radiance = render(unpack(maps.float()), place, light, view, intensity=intensity)
     return encoded(radiance)
+
+
+def rightly_exposed(photo: Tensor, stops: float) -> Tensor:
+    """A photograph, uint8 sRGB of any shape with 3 channels third from last, that is too bright by so many stops.
+
+    Where it clips it stays white, since nobody knows how bright that was.
+    """
+    if not stops:
+        return photo
+    radiance = srgb_to_linear(photo.float() / 255)
+    clips = (radiance > CLIPPED).any(-3, keepdim=True) & (stops > 0)
+    return torch.where(clips, photo, encoded(radiance * 2.0**-stops))
 
 
 def encoded(radiance: Tensor) -> Tensor:

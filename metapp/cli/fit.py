@@ -90,6 +90,13 @@ OPTIONS: Document = {
         max=150,
         help="The camera's field of view along the shorter side, for flash photos; 0: as EXIF says, else 45.",
     ),
+    "exposure": typer.Option(
+        metavar="STOPS",
+        min=-4,
+        max=4,
+        help="By how many stops INPUT photos are too bright, negative: too dark; right is where white paper below the "
+        "flash would just be white. Colours are scaled by that before fits see them.",
+    ),
     "scene_root": typer.Option(
         metavar="DIR",
         exists=True,
@@ -100,7 +107,8 @@ OPTIONS: Document = {
     "device": typer.Option(help="auto, cpu or cuda."),
     "quiet": typer.Option("--quiet", "-q", help="No progress bar, no table."),
 }
-OWN = ("observe", "export", "size", "detail", "render", "fov", "scene_root")  # options that some applications have
+# options that some applications have
+OWN = ("observe", "export", "size", "detail", "render", "fov", "exposure", "scene_root")
 
 
 def exports() -> str:
@@ -130,6 +138,7 @@ def own_help(name: str) -> dict[str, str]:
         "detail": OPTIONS["detail"].help if details(name) else "",
         "render": OPTIONS["render"].help if shown.renders else "",
         "fov": OPTIONS["fov"].help if "fov_rad" in takes else "",
+        "exposure": OPTIONS["exposure"].help if "exposure" in takes else "",
         "scene_root": OPTIONS["scene_root"].help if "roots" in takes else "",
     }
     return {key: text for key, text in found.items() if text}

@@ -197,3 +197,7 @@ def check_inputs(request: Request, app: App) -> None:
         raise BadOption(f"--render: {app.name} has no scenes, only transport; leave it out.")
     if request.fov and not any("fov_rad" in form.takes for form in formats):
         raise BadOption(f"--fov: {app.name} has no flash photos; leave it out.")
+    if request.exposure and not any("exposure" in form.takes for form in formats):
+        raise BadOption(f"--exposure: {app.name} takes photos as they are, only svbrdf_nonstationary scales them.")
+    if request.exposure and (app.protocol != "photo" or not request.inputs):
+        raise BadOption("--exposure is about INPUT photos where fits see them alone; add --observe photo, name photos.")

@@ -124,7 +124,9 @@ def sources_to_fit(app: App, request: Request) -> tuple[list[Source], str]:
         for place, read in sorted(readers.items(), key=lambda item: item[0])
     ]
     roots = sorted(str(path.resolve()) for path in request.inputs)
-    return sources, f"{file_name(request.inputs[0].resolve().name)[:40]}-{_digest(*roots)}"
+    # read otherwise, the same files are other tasks
+    ways = [f"{name}={value:g}" for name in ("fov", "exposure") if (value := getattr(request, name))]
+    return sources, f"{file_name(request.inputs[0].resolve().name)[:40]}-{_digest(*roots, *ways)}"
 
 
 def sources_of(tasks: Sequence[Task]) -> list[Source]:
@@ -182,6 +184,7 @@ def _found(app: App, path: Path, request: Request) -> Iterator[tuple[list[Path],
             least=min(app.traits.reads, SIZE),
             roots=request.scene_root,
             fov_rad=math.radians(request.fov),
+            exposure=request.exposure,
         )
         yield places, read
 

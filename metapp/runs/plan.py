@@ -135,6 +135,7 @@ class Plan:
             "inputs": [str(path.absolute()) for path in request.inputs],
             "roots": [str(path.absolute()) for path in request.scene_root],
             "fov_rad": math.radians(request.fov),
+            "exposure": request.exposure,
             "data": request.data and str(request.data.absolute()),
             "checkpoint": request.checkpoint and str(request.checkpoint.absolute()),
         }

@@ -24,6 +24,7 @@ class Request:
         inputs: files and folders; none: the test tasks of the data set.
         detail: px a side that photographs are read and fitted at; 0: as many as in training.
         fov: of flash photos, the camera's field of view along the shorter side in degrees; 0: as EXIF says, else 45.
+        exposure: of flash photos without maps, by how many stops they are too bright, negative: too dark.
         quiet: no progress, no messages but warnings.
     """
 
@@ -48,6 +49,7 @@ class Request:
     detail: int = 0
     render: int = 0
     fov: float = 0.0
+    exposure: float = 0.0
     scene_root: Sequence[Path] = ()
     seed: int = 0
     device: str = "auto"

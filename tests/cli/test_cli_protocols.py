@@ -216,6 +216,21 @@ def test_the_field_of_view_counts(metapp: Callable, shot: Path) -> None:
     assert "--fov: texture has no flash photos; leave it out." in misuse
 
 
+def test_the_exposure_counts(metapp: Callable, shot: Path) -> None:
+    common = ("overfit", SVBRDF, shot, "--observe", "photo", "--steps", "1", "--json")
+    fits = {stops: metapp(*common, "--exposure", stops).document for stops in ("0", "-1")}
+    assert fits["0"]["data"] != fits["-1"]["data"]  # names of data tell their content
+    assert metapp("rerun", Path(fits["-1"]["out"]) / "record.jsonl").code == 0  # reads the photo as it was read then
+    batches = {stops: metapp(*common, "--batch", "1", "--exposure", stops).document["out"] for stops in ("0", "-1")}
+    assert batches["0"] != batches["-1"]
+    for words in (("--observe", "reference"), ("--observe", "photo")):
+        inputs = (shot,) if "reference" in words else ()
+        misuse = metapp("overfit", SVBRDF, *inputs, *words, "--exposure", "1").misuse
+        assert "--exposure is about INPUT photos where fits see them alone" in misuse
+    misuse = metapp("overfit", "texture", shot, "--exposure", "1").misuse
+    assert "--exposure: texture takes photos as they are" in misuse
+
+
 def test_the_second_scene_is_built_once(metapp: Callable, scene: Path) -> None:
     document = metapp("data", "scene", "--json").document
     assert document["there_already"]
