@@ -15,6 +15,7 @@ import typer
 
 from data_tools.formats import formats
 from metapp.cli.console import Exit, out, print_json
+from metapp.cli.data_ball import ball
 from metapp.cli.data_convert import Quiet, check_folder, command_of, report
 from metapp.cli.data_markers import markers, rectify
 from metapp.cli.data_scene import scene
@@ -186,6 +187,7 @@ _command(join)
 _command(noisy)
 _command(markers)
 _command(rectify)
+_command(ball)
 
 
 @_command

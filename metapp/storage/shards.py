@@ -264,7 +264,8 @@ def check_shard(folder: str | Path, holds: Mapping[str, Held] | None = None) -> 
         problems += [f"{path}: {problem}; convert the data again." for problem in problems_of(task, holds or {})]
     missing = [entry.beside for entry in manifest.tasks if entry.beside and not (folder / entry.beside).is_file()]
     problems += [f"{folder / file}: missing, expected a file as {MANIFEST} lists it." for file in missing]
-    listed = {MANIFEST, *_files(manifest.tasks)}
+    beside = manifest.notes.get("files")  # what else its command wrote there
+    listed = {MANIFEST, *_files(manifest.tasks), *(map(str, beside) if isinstance(beside, list) else ())}
     problems += [
         f"{path}: not listed in {MANIFEST}; remove it, or convert the data again."
         for path in sorted(folder.iterdir())

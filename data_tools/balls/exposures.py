@@ -1,0 +1,220 @@
+"""Exposures of photographs: as EXIF says, as they are given, or as pixels tell; and radiance merged from several.
+
+After Debevec & Malik 1997, "Recovering High Dynamic Range Radiance Maps from Photographs".
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter
+
+from data_tools.balls.view import Floats
+from data_tools.readers.image_files import is_heif, opened
+from metapp.appearance.colour import linear_to_srgb
+
+CLIPPED, DARK = 0.98, 0.03  # display values that are white, and that say little
+
+_KNOTS = 32  # of a camera's curve
+_SAMPLES = 600  # pixels that tell it
+_SHOWN = 6  # values of a pixel, of three a photograph, that are neither dark nor white
+_SMOOTH = 3.0  # weight of its second difference
+_LEVEL = (0.1, 0.7)  # display values that ratios are measured by
+
+
+class Merged(NamedTuple):
+    """Radiance of several photographs.
+
+    Attributes:
+        radiance: linear RGB [3, S, S]; 1 is white in a photograph of exposure 1.
+        clipped, dark: [S, S], where all photographs are white, and where none says more than that it is dark.
+        seen: [S, S], where any photograph shows the ball.
+        residuals: of each photograph, by what share its radiance typically differs from the merged one; 0 for one alone.
+    """
+
+    radiance: Floats
+    clipped: NDArray[np.bool_]
+    dark: NDArray[np.bool_]
+    seen: NDArray[np.bool_]
+    residuals: list[float]
+
+
+def parsed(text: str) -> list[float]:
+    """Exposures such as "1/20,1/60" or "0.05,0.017".
+
+    Raises:
+        ValueError: not numbers above 0.
+    """
+    values = []
+    for part in text.split(","):
+        above, _, below = part.strip().partition("/")
+        try:
+            value = float(above) / (float(below) if below else 1)
+        except (ValueError, ZeroDivisionError):
+            value = math.nan
+        if not 0 < value < math.inf:
+            raise ValueError(f"'{part.strip()}' of '{text}', expected exposure times such as 1/20,1/60,1/160")
+        values.append(value)
+    return values
+
+
+def exif_exposure(path: Path) -> float:
+    """Time in s by ISO / 100 over the square of the f-number, as EXIF says; 0 where it does not say the time.
+
+    What it does not say of ISO and f-number counts as 100 and 1.
+    """
+    if is_heif(path):
+        return 0.0
+    with opened(path) as source:
+        spec = source.spec()
+
+        def value(*names: str) -> float:
+            found = [float(spec.get_float_attribute(name, 0.0)) for name in names]
+            return next((number for number in found if 0 < number < math.inf), 0.0)
+
+        seconds = value("ExposureTime")
+        stops = spec.getattribute("Exif:ShutterSpeedValue")
+        if not seconds and isinstance(stops, int | float):
+            seconds = 2.0 ** -float(np.clip(stops, -20, 20))
+        iso = value("Exif:PhotographicSensitivity", "Exif:ISOSpeedRatings")
+        if not iso:
+            iso = float(spec.get_int_attribute("Exif:PhotographicSensitivity", 0))
+        return seconds * (iso or 100) / 100 / (value("FNumber") or 1) ** 2
+
+
+def measured_steps(lights: Sequence[Floats], seen: Sequence[NDArray[np.bool_]], order: Sequence[int]) -> Floats:
+    """Exposures as pixels tell them, [N], that of the first in `order` 1: medians of ratios where none clips."""
+    result = np.ones(len(lights))
+    for before, after in zip(order, order[1:], strict=False):
+        a, b = lights[before], lights[after]
+        low, high = _linear(_LEVEL[0]), _linear(_LEVEL[1])
+        for least in (low, low / 8, low / 40):
+            usable = seen[before] & seen[after] & (a.max(0) < high) & (b.max(0) < high)
+            usable &= (a.mean(0) > least) & (b.mean(0) > least)
+            if usable.sum() >= 50:
+                break
+        ratio = np.median(b.mean(0)[usable] / a.mean(0)[usable]) if usable.any() else 1.0
+        result[after] = result[before] * ratio
+    return result
+
+
+def _linear(display: float) -> float:
+    return ((display + 0.055) / 1.055) ** 2.4
+
+
+class Curve(NamedTuple):
+    """A camera's curve: the logarithm of exposure at evenly spaced display values, [C, K], white at about 0."""
+
+    logs: Floats
+
+    def linear(self, display: Floats) -> Floats:
+        """Linear values of display values [3, ...]."""
+        at = np.linspace(0, 1, self.logs.shape[1])
+        planes = [np.exp(np.interp(plane, at, logs)) for plane, logs in zip(display, self.logs, strict=True)]
+        return np.stack(planes)
+
+
+def recovered_curve(displays: Sequence[Floats], seen: Sequence[NDArray[np.bool_]], exposures: Floats) -> Curve:
+    """The curve that makes photographs agree, by linear least squares; gray stays gray where they are half bright.
+
+    Args:
+        displays: display values [3, S, S] of each.
+        seen: where each shows the ball, [S, S].
+        exposures: [N].
+    """
+    stack = np.stack(displays)
+    smooth = np.stack([gaussian_filter(picture, (0, 1, 1)) for picture in stack])
+    edges = np.abs(np.gradient(smooth.max(0), axis=(1, 2))).sum((0, 1))
+    usable = np.all(seen, 0) & (edges < np.quantile(edges[np.all(seen, 0)], 0.6))
+    many = ((smooth > DARK) & (smooth < 0.95)).sum((0, 1))
+    places = np.flatnonzero(usable & (many >= _SHOWN))
+    rng = np.random.default_rng(0)
+    places = rng.choice(places, min(_SAMPLES, len(places)), replace=False)
+    logs = np.stack([_solved(smooth[:, c].reshape(len(stack), -1)[:, places], np.log(exposures)) for c in range(3)])
+    return Curve(logs)
+
+
+def _solved(values: Floats, logs: Floats) -> Floats:
+    """Knots [K] of the curve of display values [N, P] of photographs whose exposures' logarithms are [N]."""
+    count, pixels = values.shape
+    place = np.clip(values, 0, 1) * (_KNOTS - 1)
+    low = np.minimum(place.astype(int), _KNOTS - 2)
+    part = place - low
+    weight = hat(values)
+    rows = np.arange(count * pixels)
+    system = np.zeros((count * pixels + _KNOTS - 1, _KNOTS + pixels))
+    target = np.zeros(len(system))
+    flat = weight.ravel()
+    system[rows, low.ravel()] = flat * (1 - part.ravel())
+    system[rows, low.ravel() + 1] = flat * part.ravel()
+    system[rows, _KNOTS + np.tile(np.arange(pixels), count)] = -flat
+    target[rows] = flat * np.repeat(logs, pixels)
+    # the second difference of what sRGB's curve leaves, so that little data changes it little
+    known = np.log(np.maximum([_linear(z) if z > 0.04 else z / 12.92 for z in np.linspace(0, 1, _KNOTS)], 1e-3))
+    smooth = np.diff(np.eye(_KNOTS), 2, axis=0) * _SMOOTH * math.sqrt(pixels / 100 + 1)
+    system[len(rows) : -1, :_KNOTS] = smooth
+    target[len(rows) : -1] = smooth @ known
+    middle = (_KNOTS - 1) // 2
+    system[-1, middle], target[-1] = 1e3, 1e3 * known[middle]
+    solution: Floats = np.linalg.lstsq(system, target, rcond=None)[0]
+    return np.maximum.accumulate(solution[:_KNOTS])
+
+
+def hat(display: Floats) -> Floats:
+    """Weights of display values in [0, 1]: 0 at black and white."""
+    rising = np.clip((display - 0.01) / 0.15, 0, 1)
+    falling = np.clip((0.97 - display) / 0.15, 0, 1)
+    result: Floats = rising * falling
+    return result
+
+
+def merged(
+    lights: Sequence[Floats], seen: Sequence[NDArray[np.bool_]], exposures: Floats, curve: Curve | None = None
+) -> Merged:
+    """Radiance of photographs that show the same.
+
+    Args:
+        lights: values [3, S, S] of each, linear by sRGB's curve.
+        seen: where each shows the ball.
+        exposures: [N].
+        curve: of the camera; None: sRGB's.
+    """
+    displays = [linear_to_srgb(torch.from_numpy(light)).numpy() for light in lights]
+    radiances = [
+        (curve.linear(display) if curve else light) / exposure
+        for display, light, exposure in zip(displays, lights, exposures, strict=True)
+    ]
+    # colours of a pixel that clips in one channel are wrong in the others
+    weights = [hat(display) * (hat_top(display.max(0)) * there) for display, there in zip(displays, seen, strict=True)]
+    total = sum(weights)
+    shortest, longest = int(np.argmin(exposures)), int(np.argmax(exposures))
+    bright = displays[shortest].max(0) * seen[shortest]
+    clipped = bright >= CLIPPED
+    dark = (displays[longest].max(0) < DARK) & seen[longest]
+    radiance = sum(weight * value for weight, value in zip(weights, radiances, strict=True)) / np.maximum(total, 1e-6)
+    instead = np.where(bright > 0.5, radiances[shortest], radiances[longest])
+    radiance = np.where((total > 1e-3) & ~clipped, radiance, instead)
+    residuals = [
+        _residual(value, radiance, weight) if len(lights) > 1 else 0.0
+        for value, weight in zip(radiances, weights, strict=True)
+    ]
+    return Merged(radiance, clipped, dark, np.any(seen, 0), residuals)
+
+
+def hat_top(display: Floats) -> Floats:
+    """1, but towards white 0."""
+    result: Floats = np.clip((0.97 - display) / 0.15, 0, 1)
+    return result
+
+
+def _residual(value: Floats, radiance: Floats, weight: Floats) -> float:
+    used = weight > 0.3
+    if not used.any():
+        return 0.0
+    return float(np.median(np.abs(np.log(np.maximum(value[used], 1e-9) / np.maximum(radiance[used], 1e-9)))))

@@ -1,0 +1,167 @@
+"""The command of `metapp data` for photographs of a mirror ball."""
+
+from __future__ import annotations
+
+import enum
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from metapp.cli.console import print_json
+from metapp.cli.data_convert import Out, Quiet
+from metapp.cli.options import Json, takes
+from metapp.runs.reporter import progress, say
+
+if TYPE_CHECKING:
+    from data_tools.balls.capture import Capture
+
+
+class CameraCurve(enum.StrEnum):
+    """How display values become radiance."""
+
+    AUTO = "auto"
+    SRGB = "srgb"
+
+
+@dataclass(frozen=True)
+class BallOptions:
+    """The arguments and options of `ball`."""
+
+    paths: Annotated[
+        list[Path], typer.Argument(metavar="PHOTO...", help="Photographs of one ball, of different exposures.")
+    ]
+    folder: Out
+    exposures: Annotated[
+        str,
+        typer.Option(
+            metavar="T,T,...",
+            help="Exposure times of the photos in their order, such as 1/20,1/60; default: EXIF, else by the pixels.",
+        ),
+    ] = ""
+    fov: Annotated[
+        float,
+        typer.Option(
+            min=0,
+            max=150,
+            metavar="DEGREES",
+            help="Field of view along the photos' shorter side; 0: as EXIF says of uncropped photos, else far away.",
+        ),
+    ] = 0
+    ball: Annotated[
+        str, typer.Option(metavar="X,Y,RADIUS", help="Where the ball is, px from the upper left; default: it is found.")
+    ] = ""
+    size: Annotated[int, typer.Option(min=32, max=1024, metavar="ROWS", help="Of the map.")] = 64
+    curve: Annotated[
+        CameraCurve, typer.Option(help="auto: recovered of three or more known exposures where these agree better.")
+    ] = CameraCurve.AUTO
+    quiet: Quiet = False
+    as_json: Json = False
+
+
+@takes(BallOptions)
+def ball(options: BallOptions) -> None:
+    """Read the light around a mirror ball from photographs of it.
+
+    The ball is found in each photo (borders may cut it), photos of several exposures are aligned and merged
+    (Debevec & Malik 1997), and what the ball mirrors is unwrapped. Writes a data set for `metapp meta illumination
+    --data DIR --observe photo`, the map DIR/NAME.exr, whose alpha says where it is seen and does not clip, and
+    pictures of what was found in DIR/found/.
+
+    Examples:
+      metapp data ball a.jpg b.jpg c.jpg --exposures 1/20,1/60,1/160 --out garden
+      metapp data ball IMG_1.jpg --fov 55 --size 128 --out garden
+    """
+    from data_tools.balls.capture import Settings, capture
+    from data_tools.balls.write import FOUND, write_capture
+
+    place = _place(options.ball)
+    settings = Settings(
+        _times(options.exposures),
+        math.radians(options.fov),
+        place,
+        options.size,
+        options.curve is CameraCurve.AUTO,
+    )
+    folder, name = options.folder, options.folder.resolve().name
+    with progress("photos", len(options.paths), quiet=options.quiet) as bar:
+        found = capture(options.paths, settings, bar.advance)
+    write_capture(name, options.paths, found, folder)
+    if not options.quiet:
+        for line in _summary(options.paths, found):
+            say(line)
+        say(f"{folder}: {name}.exr and a data set; look at what was found: {folder / FOUND}")
+    if options.as_json:
+        print_json(_document(options, found))
+
+
+def _times(text: str) -> tuple[float, ...]:
+    from data_tools.balls.exposures import parsed
+
+    try:
+        return tuple(parsed(text)) if text else ()
+    except ValueError as error:
+        raise typer.BadParameter(f"{error}.", param_hint="--exposures") from None
+
+
+def _place(text: str) -> tuple[float, float, float] | None:
+    """A circle "X,Y,RADIUS" in px."""
+    if not text:
+        return None
+    try:
+        x, y, radius = map(float, text.split(","))
+    except ValueError:
+        x = y = radius = math.nan
+    if not (math.isfinite(x) and math.isfinite(y) and 0 < radius < math.inf):
+        raise typer.BadParameter(
+            f"'{text}', expected centre and radius in px, such as 210,205,180.", param_hint="--ball"
+        )
+    return x, y, radius
+
+
+def _summary(paths: list[Path], found: Capture) -> list[str]:
+    """What was found, a line a photograph and one of all."""
+    lines = []
+    for path, shot, exposure, residual in zip(
+        paths, found.shots, found.exposures, found.light.residuals, strict=True
+    ):
+        circle = shot.whole
+        line = f"{path.name}: ball at {circle.x:.1f},{circle.y:.1f}, radius {circle.radius:.1f} px"
+        if len(paths) > 1:
+            line += f", exposure {exposure:.4g}, {100 * residual:.1f} % from the merged radiance"
+        lines.append(line)
+    share = found.certain.mean((1, 2))
+    curve = f"exposures by {found.told_by}; camera's curve: {found.curve}; " if len(paths) > 1 else ""
+    lines.append(f"{curve}{share[0]:.0%} of the texels seen, {share[1]:.1%} clipped")
+    if found.told_by == "the pixels":
+        lines.append("warning: exposures are not known, so contrast is that of sRGB's curve; give --exposures.")
+    return lines
+
+
+def _document(options: BallOptions, found: Capture) -> dict[str, object]:
+    """What scripts read."""
+    photos = [
+        {
+            "source": str(path),
+            "x": shot.whole.x,
+            "y": shot.whole.y,
+            "radius": shot.whole.radius,
+            "score": shot.ball.score,
+            "exposure": float(exposure),
+            "residual": residual,
+        }
+        for path, shot, exposure, residual in zip(
+            options.paths, found.shots, found.exposures, found.light.residuals, strict=True
+        )
+    ]
+    return {
+        "out": str(options.folder),
+        "exposures_by": found.told_by,
+        "curve": found.curve,
+        "chosen": str(options.paths[found.chosen]),
+        "seen": float(found.certain[0].mean()),
+        "clipped": float(found.certain[1].mean()),
+        "photos": photos,
+    }
