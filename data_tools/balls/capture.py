@@ -24,6 +24,7 @@ from metapp.appearance.latlong import sphere_normals
 ROWS = 64
 SIZE = 64  # px of the photograph of the ball alone
 
+_AS_GOOD = 0.8  # of the best score: other balls are looked for where that one is
 _LARGEST = 800  # px of the merged picture of the ball
 _SHARED = 0.01  # of the ball, that may be white in the photograph that fits see
 _FORMATS, _WHOLE_PX = (4 / 3, 3 / 2, 16 / 9), 1000  # of photographs that were not cropped, and their longer side
@@ -146,13 +147,11 @@ def _agreed(paths: Sequence[Path], balls: Sequence[Ball | None]) -> tuple[int, l
             f"({FOUND:.2f} or more); say where it is with --ball X,Y,RADIUS."
         )
     lenses = [ball.lens if ball else best.lens for ball in balls]
-    known = [ball if ball and ball.score >= FOUND else best for ball in balls]
+    known = [ball if ball and ball.score >= _AS_GOOD * best.score else best for ball in balls]
     return first, [ball._replace(slant=best.slant, lens=lens) for ball, lens in zip(known, lenses, strict=True)]
 
 
-def _known(
-    paths: Sequence[Path], given: Sequence[float], brightness: Sequence[float]
-) -> tuple[Floats | None, str]:
+def _known(paths: Sequence[Path], given: Sequence[float], brightness: Sequence[float]) -> tuple[Floats | None, str]:
     """Exposures and what they are by; None where pixels must tell.
 
     Numbers that fall as photographs get brighter are taken for those below the line: 60 for 1/60.

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from scipy.ndimage import gaussian_filter, map_coordinates, maximum_filter
+from scipy.ndimage import gaussian_filter, map_coordinates, maximum_filter, uniform_filter
 from scipy.optimize import minimize
 
 from data_tools.balls.view import Ball, Floats, Lens, sampled
@@ -22,18 +22,19 @@ _RADII = (0.12, 0.75)  # least of the shorter side, greatest of the longer one
 _STEP = 0.03  # between radii, relative
 _MARGIN = 0.15  # of the longer side, that centres may be outside the picture
 _VISIBLE = 0.5  # least share of the contour inside the picture
-_CANDIDATES, _MOVED = 60, 8  # circles that are compared, and that are moved
+_CANDIDATES, _MOVED = 60, 5  # circles that are compared, and that are moved
 _CHANCE = 0.15  # support of any circle
 _ROUND = 0.3  # of support, that a slant must bring
 _EDGE = 0.35  # least strength of an edge that votes
 _ANGLES = np.arange(120) * (2 * np.pi / 120)
 _UNIT = np.stack([np.cos(_ANGLES), np.sin(_ANGLES)])
 _RINGS = (1.0, 0.88, 0.92, 0.96, 1.04, 1.07, 1.1)  # the contour, and what is around it, of the radius
+_UNITS = _UNIT[:, None] * np.array(_RINGS)[None, :, None]
 _WEIGHTS = np.array([1.0, *[1 / 3] * 3, *[-1 / 3] * 3])
 _BIN = 2  # px of the searched picture
 _DARK = 0.05  # display value that logarithms are added to
 _NOISE = 0.02  # a gradient, of logarithms a px, that counts as half an edge, or more where others are strong
-_AROUND = 0.08  # of the picture's longer side: how near these are
+_AROUND = 0.25  # of the picture's longer side: side of the square that they are in
 
 
 def best_ball(gray: Floats, lens: Lens | None = None) -> Ball | None:
@@ -50,22 +51,29 @@ def best_ball(gray: Floats, lens: Lens | None = None) -> Ball | None:
     scored = [_scored(slopes, Ball(x, y, radius, lens=own)) for x, y, radius in _candidates(slopes)]
     scored.sort(key=_evidence, reverse=True)
     moved = [_moved(slopes, ball) for ball in scored[:_MOVED]]
-    return _refined(gray, max(moved, key=_evidence).scaled(1 / share)) if moved else None
+    if not moved:
+        return None
+    best = max(moved, key=_evidence)
+    return _refined(gray, best.scaled(1 / share))._replace(score=_evidence(best))
+
+
+def score_of(gray: Floats, ball: Ball) -> float:
+    """The score that `best_ball` gives a ball, here one that is known; display values [H, W] in [0, 1]."""
+    share = min(1.0, SEARCHED_PX / max(gray.shape))
+    slopes = slopes_of(resized(np.log(gray + _DARK), share), 1.0)
+    return _evidence(_moved(slopes, ball.scaled(share), step=0.005))
 
 
 def _evidence(ball: Ball) -> float:
-    """How unlikely the contour's support is by chance: by chance short contours have more of it than long ones."""
-    return (ball.score - _CHANCE) * ball.radius**0.5
+    """Support beyond chance, which is greater for short contours than for long ones; of a large ball up to 1."""
+    return (ball.score - _CHANCE) * math.sqrt(2 * ball.radius / SEARCHED_PX)
 
 
 def _refined(gray: Floats, ball: Ball) -> Ball:
-    """A ball that is nearly right, to fractions of a px, and its score."""
+    """A ball that is nearly right, to fractions of a px, by its contour alone."""
     share = min(1.0, REFINED_PX / ball.radius)
-    picture = resized(gray, share)
-    ball = ball.scaled(share)
-    for sigma in (2.0, 1.0):
-        ball = _moved(slopes_of(picture, sigma), ball)
-    return ball.scaled(1 / share)
+    slopes = slopes_of(resized(gray, share), 1.0)
+    return _moved(slopes, ball.scaled(share), 1, 1 / REFINED_PX).scaled(1 / share)
 
 
 def resized(gray: Floats, share: float) -> Floats:
@@ -84,7 +92,7 @@ def slopes_of(gray: Floats, sigma: float) -> Floats:
     Along x and y, and the length that counts as half an edge there.
     """
     y, x = np.gradient(gaussian_filter(gray, sigma, mode="nearest"))
-    around = gaussian_filter(np.hypot(x, y), _AROUND * max(gray.shape), mode="nearest")
+    around = uniform_filter(np.hypot(x, y), round(_AROUND * max(gray.shape)), mode="nearest")
     return np.stack([x, y, np.maximum(around, _NOISE)])
 
 
@@ -92,13 +100,13 @@ def _scored(slopes: Floats, ball: Ball) -> Ball:
     return ball._replace(score=support(slopes, ball))
 
 
-def support(slopes: Floats, ball: Ball) -> float:
+def support(slopes: Floats, ball: Ball, rings: int = len(_RINGS)) -> float:
     """How well edges agree with a ball, up to about 1: -1 where less than half of its contour is in the picture.
 
     The share of the contour that lies on edges along it; more where edges just inside run along it, too, as a mirror
     presses all that is around into its rim, and less where edges just outside do, as if it was inside a larger one.
     """
-    px = np.stack([ball.to_px(ring * _UNIT) for ring in _RINGS], 1)
+    px = ball.to_px(_UNITS[:, :rings])
     _, height, width = slopes.shape
     inside = ((px > 1) & (px < np.array([width - 1, height - 1])[:, None, None])).all(0)
     if inside[0].mean() < _VISIBLE:
@@ -110,20 +118,19 @@ def support(slopes: Floats, ball: Ball) -> float:
     length = np.hypot(x, y)
     straight = (2 * (through / np.maximum(length, 1e-12)) ** 2 - 1) * through / (through + half) * inside
     found = straight.sum(1) / np.maximum(inside.sum(1), 0.2 * inside.shape[1])
-    return float(found @ _WEIGHTS)
+    return float(found @ _WEIGHTS[:rings])
 
 
-def _moved(slopes: Floats, ball: Ball) -> Ball:
-    """The ball where the most of its contour lies on edges, near where it is."""
+def _moved(slopes: Floats, ball: Ball, rings: int = len(_RINGS), step: float = 0.02) -> Ball:
+    """The ball with most support by so many rings, near where it is: within about a few steps of its radius."""
 
     def worse(change: Floats) -> float:
         moved = _changed(ball, change)
-        return _ROUND * math.hypot(*moved.slant) - support(slopes, moved)
+        return _ROUND * math.hypot(*moved.slant) - support(slopes, moved, rings)
 
     free = 3 if ball.lens else 5
-    step = 0.02 if ball.radius < 100 else 0.01
     simplex = np.concatenate([np.zeros((1, free)), np.diag([step] * free)]) - step / 4
-    options = {"initial_simplex": simplex, "xatol": 2e-5, "fatol": 1e-5, "maxfev": 60 * free}
+    options = {"initial_simplex": simplex, "xatol": 1e-4, "fatol": 1e-4, "maxfev": 40 * free}
     done = minimize(worse, np.zeros(free), method="Nelder-Mead", options=options)
     moved = _changed(ball, done.x)
     return _scored(slopes, moved)
@@ -170,7 +177,9 @@ def _candidates(slopes: Floats) -> list[tuple[float, float, float]]:
 def _visible(radius: float, picture: tuple[int, int], margin: int, size: tuple[int, int]) -> Floats:
     """px of circles' contours inside the picture by their centres' bins; infinite for less than half of them."""
     unit = _UNIT[:, ::4] * radius
-    row, column = ((np.arange(count)[:, None] + 0.5) * _BIN - margin + unit[1 - axis] for axis, count in enumerate(size))
+    row, column = (
+        (np.arange(count)[:, None] + 0.5) * _BIN - margin + unit[1 - axis] for axis, count in enumerate(size)
+    )
     rows, columns = ((place > 0) & (place < side) for place, side in zip((row, column), picture, strict=True))
     share = rows.astype(np.float64) @ columns.T.astype(np.float64) / unit.shape[1]
     return 2 * np.pi * radius * np.where(share > _VISIBLE, share, np.inf)

@@ -17,7 +17,7 @@ from data_tools.readers.image_files import Pixels
 from data_tools.readers.photos import linear_light
 from metapp.appearance.colour import linear_to_srgb
 
-FOUND = 0.45  # least score of a ball; docs/notebook says what it takes for one and what not
+FOUND = 0.34  # least score of a ball
 LARGEST_PX = 1024  # the ball's diameter, of what is kept of a photograph
 
 _AROUND = 1.2  # of the radius, how much of the photograph is kept
@@ -131,7 +131,7 @@ def _registered(known: Shot, shot: Shot, angle: float) -> Shot:
             change = _nearest(shot, towards, target)
         residuals = _Residuals(shot, towards, target)
         done = least_squares(residuals, change, loss="soft_l1", f_scale=0.15, diff_step=1e-4, x_scale=_LOOSE / 10,
-                             max_nfev=12)  # fmt: skip
+                             max_nfev=8)  # fmt: skip
         change = done.x
     return changed(shot, change)
 

@@ -22,8 +22,8 @@ FORMATS = (
     Format(
         "laval",
         "illumination",
-        "data_tools.readers.latlong",
-        "HDR maps (.exr, .hdr) or LDR photos of a sphere that touches their borders",
+        "data_tools.balls.reading",
+        "HDR maps (.exr, .hdr) or LDR photos of a ball",
         takes=("size",),
         command=Command(LAVAL, "map", "FILES...", "HDR maps (.exr, .hdr), and folders searched at any depth.", (ROWS,)),
     ),

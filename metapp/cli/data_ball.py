@@ -124,9 +124,7 @@ def _place(text: str) -> tuple[float, float, float] | None:
 def _summary(paths: list[Path], found: Capture) -> list[str]:
     """What was found, a line a photograph and one of all."""
     lines = []
-    for path, shot, exposure, residual in zip(
-        paths, found.shots, found.exposures, found.light.residuals, strict=True
-    ):
+    for path, shot, exposure, residual in zip(paths, found.shots, found.exposures, found.light.residuals, strict=True):
         circle = shot.whole
         line = f"{path.name}: ball at {circle.x:.1f},{circle.y:.1f}, radius {circle.radius:.1f} px"
         if len(paths) > 1:

@@ -1,0 +1,55 @@
+"""Photographs of perfect mirror balls under maps in closed form."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from data_tools.balls.shots import disc
+from data_tools.balls.view import Ball, Floats, mirrored
+
+
+def light(towards: Floats) -> Floats:
+    """A smooth map, radiance [3, ...] in directions [3, ...]: 0.1 to 0.9."""
+    x, y, z = towards
+    return np.stack([0.5 + 0.2 * x + 0.2 * y * z, 0.5 + 0.3 * z, 0.45 + 0.25 * y - 0.1 * x * z])
+
+
+def detailed(towards: Floats) -> Floats:
+    """A map with some detail, as a room has, radiance [3, ...]."""
+    x, y, z = towards
+    waves = np.sin(9 * x + 2 * y) * np.sin(7 * y - 3 * z) * np.cos(5 * z + 4 * x)
+    return light(towards) * (0.6 + 0.5 * np.tanh(4 * waves))
+
+
+def places_of(ball: Ball, height: int, width: int, many: int = 2) -> Floats:
+    """Places [2, many * height, many * width] in the ball's disc of a photograph's pixels."""
+    x, y = np.meshgrid((np.arange(many * width) + 0.5) / many, (np.arange(many * height) + 0.5) / many)
+    if ball.lens is None:
+        return np.stack([(x - ball.x) / ball.radius, (ball.y - y) / ball.radius])
+    centre, right, up = ball._axes()
+    ray = np.stack([x - ball.lens.x, y - ball.lens.y, np.full(x.shape, ball.lens.focal)])
+    along = centre @ centre / np.einsum("i,ihw->hw", centre, ray)
+    return np.stack([np.einsum("i,ihw->hw", axis, ray) * along / ball.radius for axis in (right, up)])
+
+
+def photograph(ball: Ball, height: int, width: int, around: Floats | float = 0.05, lit=light) -> Floats:
+    """Linear RGB [3, height, width] of a mirror ball before something else."""
+    places = places_of(ball, height, width)
+    behind = np.kron(np.broadcast_to(around, (height, width)), np.ones((2, 2)))
+    values = np.where(np.hypot(*places) < 1, lit(mirrored(places, ball.angle)), behind)
+    return values.reshape(3, height, 2, width, 2).mean((2, 4))
+
+
+def busy(height: int, width: int, seed: int) -> Floats:
+    """A background of boxes, brighter or darker than what balls mirror at their contour, [height, width]."""
+    rng = np.random.default_rng(seed)
+    result = np.full((height, width), 0.8)
+    for _ in range(40):
+        y, x = rng.integers(height), rng.integers(width)
+        result[y : y + rng.integers(10, 80), x : x + rng.integers(10, 80)] = rng.choice(
+            [0.02, 0.04, 0.6, 0.7, 0.9, 1.0]
+        )
+    return result
+
+
+__all__ = ["busy", "detailed", "disc", "light", "photograph", "places_of"]

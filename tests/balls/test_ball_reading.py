@@ -1,0 +1,81 @@
+"""Photographs of balls as inputs of fits: old ones stay as they are, a mirror says what it shows."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from data_tools.balls.mirror import features, is_mirror
+from data_tools.balls.reading import read_task
+from data_tools.balls.shots import Shot
+from data_tools.balls.view import Ball
+from data_tools.readers import latlong
+from metapp.appearance.colour import linear_to_srgb
+from metapp.appearance.latlong import directions, sphere_normals
+from metapp.storage.images import write_png
+from tests.ball_photos import detailed, light, photograph
+
+
+def written(path: Path, linear: np.ndarray) -> Path:
+    display = linear_to_srgb(torch.from_numpy(linear).clamp(0, 1)).permute(1, 2, 0).float()
+    write_png(display, {"encoding": "sRGB"}, path)
+    return path
+
+
+def room(towards: np.ndarray) -> np.ndarray:
+    """With edges and dark things, as a mirror needs to be known."""
+    boxes = np.sign(np.sin(14 * towards[0])) * np.sign(np.sin(11 * towards[1])) * np.sign(np.sin(9 * towards[2] + 1))
+    return detailed(towards) * np.where(boxes > 0, 1.0, 0.08)
+
+
+def matte() -> np.ndarray:
+    """A square photograph of a matte ball that touches the borders."""
+    normals, mask = sphere_normals(160, dtype=torch.float64)
+    return ((0.3 + 0.25 * normals[:1] + 0.3 * normals[1:2]).clamp_min(0.02) * mask).repeat(3, 1, 1).numpy()
+
+
+def test_a_ball_that_touches_the_borders_is_read_as_ever(tmp_path: Path) -> None:
+    path = written(tmp_path / "matte.png", matte())
+    read = read_task(path).data
+    assert read.keys() == {"photos"}
+    assert torch.equal(read["photos"], latlong.read_task(path).data["photos"])
+
+
+def test_a_matte_ball_elsewhere_is_cropped_to_it(tmp_path: Path) -> None:
+    picture = np.full((3, 240, 320), 0.6)
+    mask = sphere_normals(160)[1].numpy()
+    picture[:, 60:220, 130:290] = np.where(mask, matte(), 0.6)
+    read = read_task(written(tmp_path / "matte.png", picture)).data
+    assert read.keys() == {"photos"}
+    other = latlong.read_task(written(tmp_path / "cropped.png", matte())).data["photos"]
+    inside = sphere_normals(64)[1] & (torch.from_numpy(np.hypot(*np.mgrid[-31.5:32, -31.5:32])) < 30)
+    assert (read["photos"].float() - other.float()).abs()[..., inside].mean() < 3
+
+
+def test_of_a_mirror_what_it_shows_is_read(tmp_path: Path) -> None:
+    ball = Ball(150, 120, 80)
+    read = read_task(written(tmp_path / "mirror.png", photograph(ball, 220, 300, 0.9, room)), 32).data
+    assert read["seen"].shape == (3, 32, 64)
+    assert read["certain"].shape == (2, 32, 64)
+    true = torch.from_numpy(room(directions(32, 64, dtype=torch.float64).numpy())).float()
+    certain = read["certain"][0] > 0.99
+    assert certain.float().mean() > 0.7
+    assert (read["seen"] - true)[:, certain].abs().median() < 0.03
+
+
+@pytest.mark.parametrize("lit", [light, detailed])
+def test_what_may_be_matte_is_no_mirror(lit: object) -> None:
+    values = matte().astype(np.float32)
+    assert not is_mirror(Shot(values, Ball(80, 80, 80)))
+    smooth = photograph(Ball(80, 80, 78), 160, 160, 0.05, light).astype(np.float32)
+    assert not is_mirror(Shot(smooth, Ball(80, 80, 78)))
+
+
+def test_a_small_ball_is_not_told() -> None:
+    sharp = photograph(Ball(80, 80, 78), 160, 160, 0.05, room).astype(np.float32)
+    assert is_mirror(Shot(sharp, Ball(80, 80, 78)))
+    assert not is_mirror(Shot(sharp, Ball(80, 80, 30)))
+    assert np.isfinite(features(np.zeros((3, 128, 128)))).all()

@@ -1,0 +1,169 @@
+"""From photographs to maps: unwrapping, registration, brackets."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from data_tools.balls.capture import Settings, capture, lens_of, recovered
+from data_tools.balls.exposures import exif_exposure, merged, parsed
+from data_tools.balls.shots import Shot, aligned, changed, disc
+from data_tools.balls.unwrap import unwrapped
+from data_tools.balls.view import Ball, Lens, mirrored
+from data_tools.readers.image_files import Pixels
+from metapp.appearance.colour import linear_to_srgb, srgb_to_linear
+from metapp.appearance.latlong import directions
+from metapp.storage.images import write_png
+from tests.ball_photos import busy, detailed, light, photograph
+
+TIMES = (1 / 20, 1 / 60, 1 / 240)
+
+
+def written(path: Path, linear: np.ndarray) -> Path:
+    display = linear_to_srgb(torch.from_numpy(linear).clamp(0, 1)).permute(1, 2, 0).float()
+    write_png(display, {"encoding": "sRGB"}, path)
+    return path
+
+
+@pytest.mark.parametrize("angle", [0.0, 0.1, 0.4])
+def test_the_map_is_what_the_ball_mirrors(angle: float) -> None:
+    places = disc(400)
+    seen, certain = unwrapped(
+        light(mirrored(places, angle)), np.zeros((400, 400), bool), np.ones((400, 400), bool), 64, angle, 200
+    )
+    true = torch.from_numpy(light(directions(64, 128, dtype=torch.float64).numpy())).float()
+    error = (seen - true).abs()
+    assert error[:, certain[0] > 0.99].max() < 0.01
+    assert error[:, certain[0] > 0].max() < 0.03
+    assert (certain[1] == 0).all()
+    hidden = directions(64, 128)[2] < -math.cos(max(0.0, angle - 0.05))
+    assert (certain[0][hidden] == 0).all()
+    assert (certain[0] > 0.99).float().mean() > 0.8
+
+
+def test_what_clips_is_said_and_a_small_ball_is_less_certain() -> None:
+    places = disc(200)
+    values = light(mirrored(places))
+    clipped = values.max(0) > 0.75
+    _, certain = unwrapped(values, clipped, np.ones((200, 200), bool), 64, 0.0, 100)
+    bright = torch.from_numpy(light(directions(64, 128, dtype=torch.float64).numpy())).max(0).values
+    assert (certain[1][bright > 0.78] > 0.9).all()
+    assert (certain[1][bright < 0.72] == 0).all()
+    assert (certain.sum(0) <= 1.00001).all()
+    _, small = unwrapped(values, clipped, np.ones((200, 200), bool), 64, 0.0, 20)
+    assert (small.sum(0) <= certain.sum(0) + 1e-6).all()
+
+
+def test_hand_held_photographs_are_aligned() -> None:
+    ball = Ball(150, 140, 100)
+    known = Shot(photograph(ball, 280, 300, 0.1, detailed).astype(np.float32), ball)
+    true = Ball(157, 135, 98)
+    other = Shot((0.4 * photograph(true, 280, 300, 0.1, detailed)).astype(np.float32), ball)
+    _, found = aligned([known, other], [0, 1], 0)
+    np.testing.assert_allclose(found.ball[:3], true[:3], atol=0.3)
+    assert np.abs(found.turn).max() < 0.004
+    turned = changed(known, np.array([0, 0, 0, 0.0, 0.0, 0.05]))
+    towards = mirrored(disc(80))
+    assert np.abs(turned.at(towards)[0] - known.at(towards)[0]).max() > 0.05
+
+
+def lamp_lit(towards: np.ndarray) -> np.ndarray:
+    return detailed(towards) * 0.6 + 20 * np.exp(60 * (towards[1] * 0.8 + towards[2] * 0.6 - 1))
+
+
+@pytest.fixture(scope="module")
+def brackets(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    """A ball under a lamp by hand, linear but for sRGB's curve."""
+    folder = tmp_path_factory.mktemp("brackets")
+    paths = []
+    for number, time in enumerate(TIMES):
+        ball = Ball(80 + 2 * number, 75 - 2 * number, 60)
+        picture = time / TIMES[0] * photograph(ball, 150, 160, 0.02, lamp_lit)
+        paths.append(written(folder / f"{number}.png", picture))
+    return paths
+
+
+@pytest.mark.parametrize("told", [tuple(1 / time for time in TIMES), ()])
+def test_brackets_have_the_radiance_of_the_scene(brackets: list[Path], told: tuple[float, ...]) -> None:
+    found = capture(brackets, Settings(told, ball=(80, 75, 60)))
+    np.testing.assert_allclose(found.exposures / found.exposures[0], np.array(TIMES) / TIMES[0], rtol=0.03)
+    true = torch.from_numpy(lamp_lit(directions(64, 128, dtype=torch.float64).numpy())).float()
+    certain = (found.certain[0] > 0.99) & (true.amin(0) > 0.05)
+    ratios = found.seen / true
+    ratios = ratios / ratios[:, certain].median()
+    assert ratios[:, certain].log().abs().quantile(0.9) < 0.1
+    lamp = certain & (true.amax(0) > 3)
+    assert lamp.sum() > 20
+    assert 0.9 < ratios[:, lamp].median() < 1.1
+    assert found.photo.shape == (3, 64, 64)
+
+
+def test_a_foreign_curve_is_recovered() -> None:
+    values = detailed(mirrored(disc(160)))
+    there = [np.hypot(*disc(160)) < 1] * 3
+    times = np.array(TIMES) / TIMES[0]
+    lights = [np.clip(values * time, 0, 1) ** 1.5 for time in times]
+    lights = [np.round(linear_to_srgb(torch.from_numpy(light)).numpy() * 255) / 255 for light in lights]
+    lights = [srgb_to_linear(torch.from_numpy(light)).numpy() for light in lights]
+    own = recovered(lights, there, times)
+    assert own is not None
+    assert max(own.residuals) < 0.05
+    assert max(merged(lights, there, times).residuals) > 0.15
+    bright = there[0] & (values.min(0) > 0.1) & (values.max(0) < 0.9)
+    ratios = own.radiance[:, bright] / values[:, bright]
+    assert np.abs(np.log(ratios / np.median(ratios))).mean() < 0.1
+
+
+def test_what_all_photographs_clip_is_a_lower_bound() -> None:
+    values = np.linspace(0.0, 4, 10000).reshape(1, 100, 100).repeat(3, 0)
+    lights = [np.clip(values * time, 0, 1) for time in (1.0, 0.5)]
+    there = [np.ones((100, 100), bool)] * 2
+    found = merged(lights, there, np.array([1.0, 0.5]))
+    assert (found.clipped == (values[0] * 0.5 >= ((0.98 + 0.055) / 1.055) ** 2.4)).all()
+    inside = ~found.clipped & (values[0] > 0.01)
+    np.testing.assert_allclose(found.radiance[:, inside], values[:, inside], rtol=1e-5)
+    assert (found.radiance[:, found.clipped] <= values[:, found.clipped] + 1e-9).all()
+    assert found.dark[values[0] < 1e-3].all()
+
+
+def test_exposures_are_read() -> None:
+    assert parsed("1/20, 0.5,2") == [0.05, 0.5, 2]
+    for text in ("", "1/0", "a", "1,-2", "1/20/3"):
+        with pytest.raises(ValueError, match="expected exposure times"):
+            parsed(text)
+
+
+def test_exif_says_exposure(tmp_path: Path) -> None:
+    from PIL import Image
+
+    path = tmp_path / "a.jpg"
+    exif = Image.Exif()
+    exif[0x8769] = {0x829A: 0.05, 0x829D: 2.0, 0x8827: 400}
+    Image.new("RGB", (40, 40)).save(path, exif=exif)
+    assert exif_exposure(path) == pytest.approx(0.05 * 4 / 4)
+    Image.new("RGB", (40, 40)).save(path)
+    assert exif_exposure(path) == 0
+
+
+def test_a_cropped_photograph_has_no_lens() -> None:
+    whole = Pixels(np.zeros((1500, 2000, 3), np.uint8), "", False, 26.0)
+    lens = lens_of(whole, 0.0)
+    assert lens is not None
+    assert lens.focal == pytest.approx(26 * 2500 / math.hypot(36, 24))
+    assert lens_of(whole._replace(values=whole.values[:, :1700]), 0.0) is None
+    given = lens_of(whole._replace(values=whole.values[:, :1700]), math.pi / 2)
+    assert given == pytest.approx(Lens(750, 850, 750))
+
+
+def test_no_ball_is_one_line(tmp_path: Path) -> None:
+    path = written(tmp_path / "a.png", busy(200, 240, 0)[None].repeat(3, 0))
+    with pytest.raises(ValueError, match=r"a\.png: no ball found .* say where it is with --ball"):
+        capture([path], Settings())
+    found = capture([path], Settings(ball=(120, 100, 60)))
+    assert tuple(found.shots[0].whole[:3]) == pytest.approx((120, 100, 60))
+    with pytest.raises(ValueError, match="2 exposure"):
+        capture([path], Settings((1.0, 2.0)))

@@ -1,0 +1,58 @@
+"""Finding balls: on drawn photographs, where noise, blur, borders and backgrounds are in the way."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from scipy.ndimage import gaussian_filter
+
+from data_tools.balls.circle import best_ball
+from data_tools.balls.shots import FOUND
+from data_tools.balls.view import Ball, Lens
+from tests.ball_photos import busy, detailed, photograph
+
+
+def gray(linear: np.ndarray) -> np.ndarray:
+    return linear.mean(0).clip(0, 1) ** (1 / 2.2)
+
+
+@pytest.mark.parametrize(
+    ("circle", "noise", "blur", "tolerance"),
+    [
+        ((150.3, 120.6, 80.2), 0.0, 0.0, 0.25),
+        ((150.3, 120.6, 80.2), 0.05, 1.0, 0.5),
+        ((101.7, 168.4, 60.9), 0.02, 2.0, 0.5),
+        ((160.0, 112.0, 125.0), 0.02, 0.0, 1.0),  # cut by two borders
+        ((30.0, 110.0, 70.0), 0.02, 0.0, 1.0),  # by one
+    ],
+)
+def test_a_ball_is_found_before_a_busy_background(
+    circle: tuple[float, float, float], noise: float, blur: float, tolerance: float
+) -> None:
+    picture = photograph(Ball(*circle), 240, 300, busy(240, 300, 3), detailed)
+    picture = gaussian_filter(gray(picture), blur) + noise * np.random.default_rng(0).normal(size=(240, 300))
+    found = best_ball(picture.clip(0, 1))
+    assert found is not None
+    assert found.score > FOUND
+    np.testing.assert_allclose(found[:3], circle, atol=tolerance)
+    assert math.hypot(*found.slant) < 0.01
+
+
+def test_with_a_lens_the_contour_is_an_ellipse() -> None:
+    lens = Lens(240, 150, 120)
+    ball = Ball(215, 150, 45, lens=lens)
+    found = best_ball(gray(photograph(ball, 240, 300, busy(240, 300, 1), detailed)), lens)
+    assert found is not None
+    np.testing.assert_allclose(found[:3], ball[:3], atol=0.4)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_where_there_is_no_ball_none_is_found(seed: int) -> None:
+    found = best_ball(busy(200, 260, seed) ** (1 / 2.2))
+    assert found is None or found.score < FOUND
+
+
+def test_a_picture_without_edges_has_no_ball() -> None:
+    assert best_ball(np.full((100, 120), 0.4)) is None
