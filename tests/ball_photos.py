@@ -46,9 +46,8 @@ def busy(height: int, width: int, seed: int) -> Floats:
     result = np.full((height, width), 0.8)
     for _ in range(40):
         y, x = rng.integers(height), rng.integers(width)
-        result[y : y + rng.integers(10, 80), x : x + rng.integers(10, 80)] = rng.choice(
-            [0.02, 0.04, 0.6, 0.7, 0.9, 1.0]
-        )
+        height_, width_ = rng.integers(10, 80, 2)
+        result[y : y + height_, x : x + width_] = rng.choice([0.02, 0.04, 0.6, 0.7, 0.9, 1.0])
     return result
 
 

@@ -108,7 +108,7 @@ def support(slopes: Floats, ball: Ball, rings: int = len(_RINGS)) -> float:
     """
     px = ball.to_px(_UNITS[:, :rings])
     _, height, width = slopes.shape
-    inside = ((px > 1) & (px < np.array([width - 1, height - 1])[:, None, None])).all(0)
+    inside = np.all((px > 1) & (px < np.array([width - 1, height - 1])[:, None, None]), axis=0)
     if inside[0].mean() < _VISIBLE:
         return -1.0
     tangent = np.roll(px, -1, 2) - np.roll(px, 1, 2)

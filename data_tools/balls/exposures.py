@@ -5,6 +5,7 @@ After Debevec & Malik 1997, "Recovering High Dynamic Range Radiance Maps from Ph
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
 from pathlib import Path
@@ -35,7 +36,7 @@ class Merged(NamedTuple):
         radiance: linear RGB [3, S, S]; 1 is white in a photograph of exposure 1.
         clipped, dark: [S, S], where all photographs are white, and where none says more than that it is dark.
         seen: [S, S], where any photograph shows the ball.
-        residuals: of each photograph, by what share its radiance typically differs from the merged one; 0 for one alone.
+        residuals: of each photograph, by what share its radiance typically differs from the merged one; 0 for one.
     """
 
     radiance: Floats
@@ -91,7 +92,7 @@ def exif_exposure(path: Path) -> float:
 def measured_steps(lights: Sequence[Floats], seen: Sequence[NDArray[np.bool_]], order: Sequence[int]) -> Floats:
     """Exposures as pixels tell them, [N], that of the first in `order` 1: medians of ratios where none clips."""
     result = np.ones(len(lights))
-    for before, after in zip(order, order[1:], strict=False):
+    for before, after in itertools.pairwise(order):
         a, b = lights[before], lights[after]
         low, high = _linear(_LEVEL[0]), _linear(_LEVEL[1])
         for least in (low, low / 8, low / 40):

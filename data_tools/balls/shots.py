@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -109,7 +110,7 @@ def aligned(shots: Sequence[Shot], order: Sequence[int], first: int) -> list[Sho
     result = list(shots)
     start = list(order).index(first)
     for way in (order[start:], order[start::-1]):
-        for known, other in zip(way, way[1:], strict=False):
+        for known, other in itertools.pairwise(way):
             result[other] = _registered(result[known], result[other], shots[first].ball.angle)
     return result
 

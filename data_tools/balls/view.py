@@ -30,8 +30,8 @@ class Ball(NamedTuple):
     Attributes:
         x, y: where its centre is seen.
         radius: of its contour; with a lens, measured in the plane through (x, y) that faces the camera.
-        slant: p and q, which make the circle an ellipse by (1 + p, q; q, 1 - p), as a camera sees it whose axis does not
-            meet the ball; 0, 0 with a lens, by which the ellipse is known.
+        slant: p and q, which make the circle an ellipse by (1 + p, q; q, 1 - p), as a camera sees it whose axis does
+            not meet the ball; 0, 0 with a lens, by which the ellipse is known.
         lens: None is one that is far away, whose rays are parallel.
         score: how much of the contour is there, in [0, 1].
     """
@@ -60,7 +60,8 @@ class Ball(NamedTuple):
         centre, right, up = self._axes()
         points = centre[:, None] + self.radius * (np.outer(right, disc[0]) + np.outer(up, disc[1]))
         seen = self.lens.focal * points[:2] / points[2] + np.array([[self.lens.x], [self.lens.y]])
-        return seen.reshape(disc.shape)
+        result: Floats = seen.reshape(disc.shape)
+        return result
 
     def _axes(self) -> tuple[Floats, Floats, Floats]:
         """Centre, right and up of the disc for a camera that looks to +z, x right, y down; unit px."""

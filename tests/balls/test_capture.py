@@ -139,10 +139,11 @@ def test_exposures_are_read() -> None:
 
 def test_exif_says_exposure(tmp_path: Path) -> None:
     from PIL import Image
+    from PIL.TiffImagePlugin import IFDRational
 
     path = tmp_path / "a.jpg"
     exif = Image.Exif()
-    exif[0x8769] = {0x829A: 0.05, 0x829D: 2.0, 0x8827: 400}
+    exif[0x8769] = {0x829A: IFDRational(1, 20), 0x829D: IFDRational(2, 1), 0x8827: 400}
     Image.new("RGB", (40, 40)).save(path, exif=exif)
     assert exif_exposure(path) == pytest.approx(0.05 * 4 / 4)
     Image.new("RGB", (40, 40)).save(path)
