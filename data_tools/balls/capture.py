@@ -92,13 +92,14 @@ def capture(paths: Sequence[Path], settings: Settings, done: Callable[[str], obj
     given = settings.exposures
     if given and len(given) != len(paths):
         raise ValueError(f"{len(given)} exposure(s) for {len(paths)} photo(s), expected one for each, in their order.")
-    pictures, balls = [], []
+    pictures: list[Pixels] = []
+    found: list[Ball | None] = []
     for path in paths:
         pixels = read_pixels(path)
         pictures.append(pixels)
-        balls.append(_ball(pixels, settings))
+        found.append(_ball(pixels, settings))
         done(path.name)
-    first, balls = _agreed(paths, balls)
+    first, balls = _agreed(paths, found)
     brightness = [float(gray_of(pixels).mean()) for pixels in pictures]
     exposures, told_by = _known(paths, given, brightness)
     order = np.argsort(brightness if exposures is None else exposures).tolist()

@@ -106,7 +106,7 @@ def measured_steps(lights: Sequence[Floats], seen: Sequence[NDArray[np.bool_]], 
 
 
 def _linear(display: float) -> float:
-    return ((display + 0.055) / 1.055) ** 2.4
+    return math.pow((display + 0.055) / 1.055, 2.4)
 
 
 class Curve(NamedTuple):

@@ -37,7 +37,8 @@ def looked_at(shot: Shot) -> Floats:
     many = max(1, math.ceil(2 * shot.ball.radius / SIZE))
     towards = mirrored(disc(SIZE * many), shot.ball.angle)
     light, _ = shot._replace(turn=(0.0, 0.0, 0.0)).at(towards)
-    return light.reshape(3, SIZE, many, SIZE, many).mean((2, 4))
+    result: Floats = light.reshape(3, SIZE, many, SIZE, many).mean((2, 4))
+    return result
 
 
 def features(light: Floats) -> Floats:

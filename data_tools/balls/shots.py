@@ -64,8 +64,11 @@ def gray_of(pixels: Pixels) -> Floats:
     """Display values [H, W] in [0, 1], the mean of red, green and blue."""
     values = pixels.values[..., :3]
     if values.dtype.kind == "u":
-        return values.mean(-1) / float(np.iinfo(values.dtype).max)
-    return linear_to_srgb(torch.from_numpy(linear_light(pixels, slice(None))[..., :3])).numpy().mean(-1).astype(float)
+        result: Floats = values.mean(-1) / float(np.iinfo(values.dtype).max)
+        return result
+    linear = torch.from_numpy(linear_light(pixels, slice(None))[..., :3])
+    display: Floats = linear_to_srgb(linear).numpy().mean(-1).astype(np.float64)
+    return display
 
 
 def searched(pixels: Pixels, lens: Lens | None) -> Ball | None:
@@ -118,7 +121,7 @@ def aligned(shots: Sequence[Shot], order: Sequence[int], first: int) -> list[Sho
 def _registered(known: Shot, shot: Shot, angle: float) -> Shot:
     """A photograph with ball and turn that make it agree best with a known one, but for its exposure."""
     shot = shot._replace(turn=known.turn)
-    change = np.zeros(6)
+    change: Floats = np.zeros(6)
     for level in _LEVELS:
         places = disc(level)
         towards = mirrored(places, angle)[:, np.hypot(*places) < 0.96]

@@ -67,4 +67,5 @@ def _sharpness(px_a_rad: Floats) -> Floats:
 
 def _means(values: Floats, many: int) -> Floats:
     rows, columns = (side // many for side in values.shape)
-    return values.reshape(rows, many, columns, many).mean((1, 3))
+    result: Floats = values.reshape(rows, many, columns, many).mean((1, 3))
+    return result
