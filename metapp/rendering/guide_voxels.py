@@ -10,7 +10,8 @@ from metapp.rendering.guide_histogram import GRID
 from metapp.rendering.jit import dr, mi
 
 CROWDED = 0.8  # of the voxels along an axis, the share that goes by how many points there are
-_STEPS = 64  # of an axis, within which voxels are alike
+_COUNTED = 64  # parts of an axis, within which voxels are alike
+_STEPS = 1024  # of an axis, each of one voxel: a look-up where paths are, not a search
 
 
 class Voxels:
@@ -26,23 +27,19 @@ class Voxels:
         extent = np.maximum(high - low, 1e-6 * max(float((high - low).max()), 1e-6))
         self.low, self.scale = mi.ScalarPoint3f(low), mi.ScalarVector3f(_STEPS / extent)
         inside = np.zeros((3, 0)) if points is None else (np.asarray(points) - low[:, None]) / extent[:, None]
-        self.below = [mi.Float(_below(along)) for along in inside]
+        self.voxels = [mi.UInt32(_voxels(along)) for along in inside]
 
     def index(self, point: mt.Point3) -> mt.Vector3:
         """The indices of the voxels that points are in, whole numbers."""
-        along = dr.clip((point - self.low) * self.scale, 0, _STEPS * (1 - 1e-6))
-        step = mi.Vector3u(along)
-        indices = [
-            dr.lerp(*(dr.gather(mi.Float, table, step[axis] + end) for end in range(2)), along[axis] - step[axis])
-            for axis, table in enumerate(self.below)
-        ]
-        return mi.Vector3u(dr.clip(mi.Vector3i(*map(mi.Int, indices)), 0, GRID - 1))
+        step = mi.Vector3u(dr.clip((point - self.low) * self.scale, 0, _STEPS - 1))
+        return mi.Vector3u(*(dr.gather(mi.UInt32, table, step[axis]) for axis, table in enumerate(self.voxels)))
 
 
-def _below(along: ArrayLike) -> NDArray[np.float32]:
-    """How many voxels lie below each step of an axis, [_STEPS + 1], of points at such shares of it, [N]."""
-    steps = np.linspace(0, 1, _STEPS + 1)
-    counts = np.concatenate([[0], np.histogram(along, steps)[0].cumsum()])
-    crowded = counts / counts[-1] if counts[-1] else steps
-    below: NDArray[np.float32] = (GRID * ((1 - CROWDED) * steps + CROWDED * crowded)).astype(np.float32)
-    return below
+def _voxels(along: ArrayLike) -> NDArray[np.uint32]:
+    """The voxel of each step of an axis, [_STEPS], of points at such shares of it, [N]."""
+    ends = np.linspace(0, 1, _COUNTED + 1)
+    counts = np.concatenate([[0], np.histogram(along, ends)[0].cumsum()])
+    crowded = counts / counts[-1] if counts[-1] else ends
+    below = GRID * ((1 - CROWDED) * ends + CROWDED * crowded)
+    voxels: NDArray[np.uint32] = np.interp((np.arange(_STEPS) + 0.5) / _STEPS, ends, below).astype(np.uint32)
+    return voxels

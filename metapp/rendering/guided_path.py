@@ -20,7 +20,7 @@ from metapp.rendering.guided_vertex import Vertex, mis_weight
 from metapp.rendering.jit import dr, mi
 
 WORTH = 1.5  # a path goes on for certain that is expected to bring 1 / WORTH of its luminance yet, or more
-LEAST, MOST = 0.1, 0.95  # probability that a path goes on: at least by the cache, at most from `rr_depth` on
+LEAST, MOST = 0.1, 0.95  # probability that a path goes on: at least, by the cache; at most, from `rr_depth` on
 
 
 @dataclass
@@ -144,8 +144,10 @@ class PathTracer(NamedTuple):
     def _survival(self, paths: _Paths, remaining: mt.Float) -> mt.Float:
         """The probability that paths go on: by what remains of them, or as in `path` where that is not known."""
         late = paths.depth >= self.rr_depth
-        usual = dr.select(late, dr.minimum(dr.max(paths.throughput) * dr.square(paths.eta), MOST), 1)
-        return dr.select(remaining > 0, dr.clip(WORTH * remaining, LEAST, dr.select(late, MOST, 1)), usual)
+        most, throughput = dr.select(late, MOST, 1), dr.max(paths.throughput)
+        usual = dr.select(late, dr.minimum(throughput * dr.square(paths.eta), most), 1)
+        least = dr.clip(throughput, LEAST, most)  # or ends of others would brighten a path, by chance without bound
+        return dr.select(remaining > 0, dr.clip(WORTH * remaining, least, most), usual)
 
     def _emitted(self, scene: mt.Scene, si: mt.Interaction, paths: _Paths) -> mt.Color:
         """What the surface or sky that paths met emits, by its MIS weight beside emitter sampling."""

@@ -21,6 +21,7 @@ from metapp.rendering.guide_survey import survey
 from metapp.rendering.guided_path import PathTracer
 from metapp.rendering.jit import dr, mi
 
+SEVERAL = 4  # samples a pixel, with which a picture has parts
 FIRST = 2**18  # paths of the first guided part, of which a quarter of the picture is the most
 LEARNED = 2**21  # paths after which the cache has learned enough
 PAYS = 1.0  # the most that the error of a guided part may be, over that of `path` in the same time
@@ -39,9 +40,9 @@ def parts_of(spp: int, pixels: int) -> list[int]:
 
     The first is of regular paths, and half of the next one, if that has several samples. All but the last are learned
     from, up to a third of the picture; each of the guided ones has twice as many as the one before. There is but one
-    where there are fewer than 4.
+    where there are fewer than SEVERAL.
     """
-    if spp < 4:
+    if spp < SEVERAL:
         return [spp]
     # of powers of two, as Dr.Jit compiles code for other numbers anew
     first = 2 ** int(math.log2(max(1, min(spp // 4, -(-FIRST // pixels)))))

@@ -21,11 +21,12 @@ from pathlib import Path
 from metapp.rendering import types as mt
 from metapp.rendering.guide_prior import read_prior, shipped
 from metapp.rendering.guided_path import PathTracer
-from metapp.rendering.guided_picture import GuidedPicture
+from metapp.rendering.guided_picture import SEVERAL, GuidedPicture
 from metapp.rendering.jit import dr, mi, register_plugin
 from metapp.rendering.scene_plugins import snake_case
 
 FEWEST = 3 * 2**18  # paths of a picture; with fewer there is no time to learn
+SURVEYED = 2**21  # from which the survey and the prior are a small part of the time
 NAME, SHORT_NAME = "metapp_guided_path", "guided_path"
 # properties of the integrator of Mueller et al. that is called guided_path
 _OTHERS = {"budget", "budget_type", "bsdf_sampling_fraction", "bsdf_sampling_fraction_loss", "directional_filter",
@@ -77,13 +78,14 @@ def plugin() -> mt.PluginClass:
             spp, film = spp or sensor.sampler().sample_count(), sensor.film()
             paths = spp * int(dr.prod(film.crop_size()))
             before = self.last if self.last and self.last.scene is scene else None
-            paths = max(paths, FEWEST) if before else paths  # nothing is to be learned first
-            why = _useless(self.tracer, scene, paths, hides_emitters=self.hide_emitters)
+            prior = self.prior if self.keeps or paths >= SURVEYED else None
+            fewest = 0 if before else FEWEST if spp >= SEVERAL else SURVEYED  # the survey alone may be learned from
+            why = _useless(self.tracer, scene, paths, fewest, hides_emitters=self.hide_emitters)
             if why:
                 _warn(why)
                 return self.path.render(scene, sensor, seed, spp, develop, evaluate)
             with dr.suspend_grad():
-                picture = GuidedPicture(self.path, self.tracer, scene, sensor, seed, self.prior, before)
+                picture = GuidedPicture(self.path, self.tracer, scene, sensor, seed, prior, before)
                 picture.render(spp)
                 self.spent, self.last = picture.spent, picture if self.keeps else None
                 if not picture.pays:
@@ -119,7 +121,7 @@ def _path(props: mt.Properties) -> mt.Integrator:
     return mi.load_dict({"type": "path", **{name: props[name] for name in names if name in props}})
 
 
-def _useless(tracer: PathTracer, scene: mt.Scene, paths: int, *, hides_emitters: bool) -> str:
+def _useless(tracer: PathTracer, scene: mt.Scene, paths: int, fewest: int, *, hides_emitters: bool) -> str:
     """Why a guide cannot help, if so."""
     if tracer.emitter_sampling and tracer.max_depth <= 2:
         return f"max_depth {tracer.max_depth} leaves direct light alone, expected 3 or more"
@@ -127,8 +129,8 @@ def _useless(tracer: PathTracer, scene: mt.Scene, paths: int, *, hides_emitters:
         return "no surfaces to learn of"
     if hides_emitters:
         return "hide_emitters, which is not guided"
-    few = tracer.emitter_sampling and paths < FEWEST
-    return f"{paths:,} paths (samples a pixel times pixels), expected {FEWEST:,} or more" if few else ""
+    few = tracer.emitter_sampling and paths < fewest
+    return f"{paths:,} paths (samples a pixel times pixels), expected {fewest:,} or more" if few else ""
 
 
 def _warn(why: str) -> None:

@@ -89,6 +89,7 @@ class Vertex:
         only_diffuse = diffuse & (flags & mi.UInt32(others) == 0)
         mixed = dr.select(diffuse, MIXED, dr.select(glossy & ~transmits, GLOSSY, 0))
         self.share = dr.select(only_diffuse, 1, mixed)  # of directions that the cache samples
+        self.location: Location | None = None
 
     def by_bsdf(self) -> Sampled:
         """Sample directions as the BSDF does."""
@@ -183,8 +184,10 @@ class Vertex:
         )
 
     def _location(self, cache: GuideCache) -> Location:
-        normal = self.si.sh_frame.n
-        return cache.locate(self.si.p, dr.select(self.si.wi.z < 0, -normal, normal))
+        if self.location is None:  # once: Dr.Jit would look it up anew after a call
+            normal = self.si.sh_frame.n
+            self.location = cache.locate(self.si.p, dr.select(self.si.wi.z < 0, -normal, normal))
+        return self.location
 
     def _mixture_to_emitter(self, cache: GuideCache, location: Location, density: mt.Float) -> mt.Float:
         """The density by which cache and BSDF together sample the emitter's direction."""

@@ -7,6 +7,7 @@ import math
 import warnings
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -33,6 +34,7 @@ def plugin(mi: Any, monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequ
 
     guided_plugin._WARNED.clear()
     monkeypatch.setattr(guided_plugin, "FEWEST", 2**10)
+    monkeypatch.setattr(guided_plugin, "SURVEYED", 2**11)
     if "guard" not in request.node.name:
         monkeypatch.setattr(guided_picture, "PAYS", math.inf)
     with warnings.catch_warnings():
@@ -160,7 +162,7 @@ def test_it_works_from_xml_in_films_of_any_size(mi: Any) -> None:
     [
         ({"max_depth": 2}, 32, "direct light alone"),
         ({"hide_emitters": True}, 32, "hide_emitters"),
-        ({}, 2, "512 paths .*, expected 1,024 or more"),
+        ({}, 2, "512 paths .*, expected 2,048 or more"),
     ],
 )
 def test_where_it_cannot_help_path_renders_and_it_says_so_once(mi: Any, more: Any, spp: int, why: str) -> None:
@@ -298,6 +300,33 @@ def test_pictures_of_few_samples_are_guided_by_the_survey(mi: Any, plugin: Any) 
         noise.append(np.mean(np.abs(made[0] + made[1] - made[2] - made[3]) / (sum(made) + 1e-2)))
     assert list(integrator.spent) == ["survey", "guided samples", "learning"]
     assert noise[0] < 0.95 * noise[1]
+
+
+@pytest.mark.parametrize(("size", "more", "surveys"), [(8, {}, 0), (16, {}, 1), (8, {"keep_cache": True}, 1)])
+def test_pictures_of_few_paths_do_not_pay_for_a_survey(
+    mi: Any, monkeypatch: pytest.MonkeyPatch, size: int, more: Any, surveys: int
+) -> None:
+    from metapp.rendering import guided_picture
+
+    made, survey = [], guided_picture.survey
+    monkeypatch.setattr(guided_picture, "survey", lambda *arguments: made.append(survey(*arguments)) or made[-1])
+    integrator = mi.load_dict({"type": "metapp_guided_path", "max_depth": 4, **more})
+    mi.render(loaded(mi, random_scene(101), size), integrator=integrator, spp=16)
+    assert len(made) == surveys
+    assert "guided samples" in integrator.spent
+
+
+def test_the_roulette_gives_no_path_more_than_it_began_with(mi: Any) -> None:
+    from metapp.rendering.guided_path import LEAST, PathTracer
+
+    throughput = mi.Float(np.geomspace(1e-3, 20, 500))
+    for remaining, depth in ((1e-6, 1), (0.2, 1), (1e-6, 7), (0.9, 7)):
+        paths: Any = SimpleNamespace(throughput=mi.Color3f(throughput), eta=mi.Float(1), depth=mi.UInt32(depth))
+        survival = PathTracer(8, 5)._survival(paths, mi.Float(remaining)).numpy()
+        assert (survival <= 1).all()
+        after = throughput.numpy() / survival
+        assert (after <= np.maximum(1 / 0.95, throughput.numpy() / 0.95) + 1e-4).all()
+        assert survival.min() == pytest.approx(max(LEAST, min(1.5 * remaining, 0.95 if depth == 7 else 1)), rel=1e-5)
 
 
 def test_a_kept_cache_serves_the_next_picture_of_its_scene(
