@@ -31,6 +31,15 @@ def directions(
     return torch.stack([theta.sin() * phi.sin(), y, -theta.sin() * phi.cos()]).to(device, dtype)
 
 
+def texel_of(towards: Tensor, height: int, width: int) -> Tensor:
+    """Which texel of a map directions [3, ...] of unit length lie in, counted row by row: int64 [...]."""
+    x, y, z = towards
+    across = torch.atan2(x, -z) / math.tau % 1
+    down = torch.acos(y.clamp(-1, 1)) / math.pi
+    row, column = ((place * count).long().clamp(max=count - 1) for place, count in ((down, height), (across, width)))
+    return row * width + column
+
+
 def solid_angles(
     height: int, width: int, *, dtype: torch.dtype = torch.float32, device: torch.device | str | None = None
 ) -> Tensor:

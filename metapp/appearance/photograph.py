@@ -13,10 +13,11 @@ from typing import NamedTuple
 
 import torch
 from torch import Generator, Tensor
+from torch.nn.functional import avg_pool2d
 
 from metapp.appearance import latlong, reflection
 from metapp.appearance.colour import linear_to_srgb, srgb_to_linear
-from metapp.appearance.latlong import cosine_transfer, glossy_transfer, luminance, resample, sphere_normals
+from metapp.appearance.latlong import cosine_transfer, glossy_transfer, luminance, resample, sphere_normals, texel_of
 from metapp.storage.tensors import kept
 
 ROUGHNESSES = (0.15, 0.19, 0.25, 0.32, 0.42, 0.54, 0.7)  # each needs a matrix of its own
@@ -128,6 +129,20 @@ def shade(maps: Tensor, material: Material, size: int, roughnesses: Sequence[flo
     specular = material.specular[:, None, None, None]
     fresnel = specular + (specular > 0) * (1 - specular) * (1 - normals[2]) ** 5
     return torch.lerp(body, gloss, fresnel.expand_as(body)) * mask
+
+
+def mirror(maps: Tensor, size: int, samples: int = 4) -> Tensor:
+    """Radiance [T, 3, size, size] of perfect mirror spheres under maps [T, 3, H, W]; 0 outside the disc.
+
+    Args:
+        maps: linear radiance.
+        size: side of the pictures, px.
+        samples: of a pixel along each side.
+    """
+    normals, mask = sphere_normals(size * samples, dtype=torch.float64)
+    texels = texel_of(2 * normals[2] * normals - normals.new_tensor([0.0, 0.0, 1.0])[:, None, None], *maps.shape[-2:])
+    seen = maps.flatten(2)[..., texels.flatten()].unflatten(2, texels.shape) * mask
+    return avg_pool2d(seen, samples) / avg_pool2d(mask[None].to(maps), samples).clamp_min(0.5) * sphere_normals(size)[1]
 
 
 def develop(radiance: Tensor, camera: Camera) -> Tensor:

@@ -21,6 +21,7 @@ from metapp.appearance.latlong import (
     resample,
     solid_angles,
     sphere_normals,
+    texel_of,
 )
 
 SIZES = [(2, 4), (5, 10), (16, 32), (64, 128), (64, 96)]
@@ -287,3 +288,9 @@ def test_types_are_kept() -> None:
     for result in (resample(maps, 8, 16), mean_luminance(maps), *transfers, directions(4, 8), solid_angles(4, 8)):
         assert result.dtype == torch.float32
         assert result.isfinite().all()
+
+
+def test_a_direction_lies_in_the_texel_that_it_is_the_centre_of() -> None:
+    found = texel_of(directions(8, 16), 8, 16)
+    assert torch.equal(found, torch.arange(8 * 16).reshape(8, 16))
+    assert int(texel_of(torch.tensor([0.0, -1.0, 0.0]), 8, 16)) // 16 == 7  # the pole below

@@ -21,6 +21,7 @@ from metapp.appearance.photograph import (
     draw_camera,
     draw_material,
     exposures,
+    mirror,
     photograph,
 )
 from metapp.appearance.photograph import shade as shade_all
@@ -280,3 +281,15 @@ def test_mixed_gloss_is_the_mixture(rng: torch.Generator) -> None:
     mixed = shade_all(light[None], Material(torch.zeros(1, 3), torch.ones(1), parts), 16)[0]
     apart = 0.25 * shade(light, gloss(ROUGHNESSES[2]), 16) + 0.75 * shade(light, gloss(ROUGHNESSES[5]), 16)
     torch.testing.assert_close(mixed, apart)
+
+
+def test_a_mirror_shows_the_map_where_it_reflects_the_view() -> None:
+    towards = directions(256, 512)
+    seen = mirror((towards + 1)[None], 32)[0] - 1
+    normals, mask = sphere_normals(32)
+    inside = normals[2] > 0.4
+    reflected = 2 * normals[2] * normals - torch.tensor([0.0, 0.0, 1.0])[:, None, None]
+    assert (seen - reflected)[:, inside].abs().max() < 0.02  # texels, and curvature within a pixel
+    assert (seen[:, ~mask] == -1).all()
+    assert torch.equal(mirror(torch.ones(1, 3, 16, 32), 16)[0, 0] > 0, sphere_normals(16)[1])
+    torch.testing.assert_close(mirror(torch.ones(1, 3, 16, 32), 16).amax(), torch.ones(()))

@@ -14,19 +14,14 @@ from metapp.apps.illumination import (
     BODY,
     BODY_GAIN,
     GLOSSES,
-    LAMPS,
     Illumination,
     IlluminationSetup,
     body_of,
-    lit,
-    mixed,
-    regraded,
-    tinted,
-    turned,
 )
 from metapp.apps.illumination.encoder import Encoder, unwrapped
 from metapp.apps.illumination.presentation import IlluminationPresentation
 from metapp.apps.illumination.recipes import QUICK, RECIPES
+from metapp.apps.illumination.variants import LAMPS, lit, mixed, regraded, tinted, turned
 from metapp.learning.app import stack
 from metapp.learning.task import Params, Task, Tasks
 from metapp.networks.field import LocalField
@@ -147,7 +142,7 @@ def test_protocols_differ_in_what_fits_see(tasks: Tasks) -> None:
         before = app.loss(small, batch, {})
         torch.testing.assert_close(app.loss(small, {**batch, unseen: batch[unseen] * 0}, {}), before)
         assert not torch.allclose(app.loss(small, {**batch, seen: batch[seen] * 0}, {}), before)
-    torch.testing.assert_close(mean_luminance(photo.answer(small)), torch.ones(4))
+    torch.testing.assert_close(mean_luminance(photo.answer(small, {})), torch.ones(4))
     brighter = {**small, "out.shift": small["out.shift"] + 1, "body": small["body"] - torch.eye(BODY)[7] / BODY_GAIN}
     torch.testing.assert_close(
         photo.outer_loss(brighter, batch, {}), photo.outer_loss(small, batch, {})
@@ -178,6 +173,58 @@ def test_photographs_alone_have_no_error(rng: Generator) -> None:
     assert torch.isfinite(app.loss(theta, app.sample(tasks, rng, 1), {})).all()
     with pytest.raises(ValueError, match=r"lamps: a photo of a sphere, expected an HDR map .*--observe photo"):
         stack(Illumination(RECIPE.setup, "reference"), [alone])
+
+
+# Mirrors
+
+
+def mirrored(light: Tensor, clip: float = 1e9) -> Task:
+    """A task whose mirror shows the front half of the sphere, up to a radiance, at twice the map's scale."""
+    task, towards = task_of(light), directions(*light.shape[1:])
+    front, clips = (towards[2] > 0).float(), (light.amax(0) > clip).float()
+    shares = torch.stack([front * (1 - clips), front * clips])
+    return task._replace(data=task.data | {"seen": 2 * light.clamp(max=clip), "certain": shares})
+
+
+def test_what_a_mirror_shows_is_taken_as_it_is(rng: Generator) -> None:
+    app, light = Illumination(RECIPE.setup, "photo"), lamps(2)
+    tasks = stack(app, [mirrored(light)])
+    theta = app.init(rng, 1)
+    made, target = app.answer(theta, tasks.data)[0], app.described(light[None])["map"][0]
+    front = directions(8, 16)[2] > 0
+    ratio = made / target
+    torch.testing.assert_close(ratio[:, front], ratio[:, front].mean().expand(3, 64), rtol=1e-4, atol=0)
+    # the rest is the network's, but for its scale
+    ratio = made / app.radiance_of(theta)[0]
+    torch.testing.assert_close(ratio[:, ~front], ratio[:, ~front].mean().expand(3, 64), rtol=1e-4, atol=0)
+
+
+def test_the_light_of_a_network_is_raised_to_that_of_a_mirror(monkeypatch: pytest.MonkeyPatch, rng: Generator) -> None:
+    app, light = Illumination(RECIPE.setup, "photo"), lamps(2)
+    tasks = stack(app, [mirrored(light)])
+    theta = exact(app, tasks, monkeypatch)
+    torch.testing.assert_close(app.answer(theta, tasks.data), tasks.data["map"] / mean_luminance(tasks.data["map"]))
+    assert app.loss(theta, app.sample(tasks, rng, 1), {}).max() < 1e-5  # at whatever scale
+
+
+def test_what_clips_in_a_mirror_is_as_bright_or_brighter(monkeypatch: pytest.MonkeyPatch, rng: Generator) -> None:
+    app, light = Illumination(RECIPE.setup, "photo"), torch.ones(3, 64, 128)
+    light[:, :, 64:72] = 20.0  # the texels of a column of the field's
+    light /= mean_luminance(light)
+    tasks = stack(app, [mirrored(light, clip=2.0)])
+    target, batch = tasks.data["map"], app.sample(tasks, rng, 1)
+    theta = exact(app, tasks, monkeypatch)
+    torch.testing.assert_close(app.answer(theta, tasks.data), target)  # though it was seen as 2
+    assert app.loss(theta, batch, {}).max() < 1e-5
+    monkeypatch.setattr(LocalField, "__call__", lambda field, theta, places: target.clamp(max=1.0).log())
+    assert app.loss(theta, batch, {}).min() > 0.01
+    made = app.answer(theta, tasks.data)[0, 0]
+    torch.testing.assert_close(made[4, 8] / made[4, 6], 2 / light[0, 0, 0])  # the bound
+
+
+def test_a_mirror_counts_only_where_fits_see_a_photo(rng: Generator) -> None:
+    app = Illumination(RECIPE.setup, "reference")
+    assert "seen" not in stack(app, [mirrored(lamps(1))]).data
 
 
 # Made-up tasks

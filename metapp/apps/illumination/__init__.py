@@ -12,11 +12,13 @@ from torch import Generator, Tensor
 from torch.nn.functional import avg_pool2d, relu, softmax
 
 from metapp.appearance.colour import tone_map
-from metapp.appearance.latlong import directions, mean_luminance, resample, solid_angles, sphere_normals
+from metapp.appearance.latlong import directions, resample, solid_angles, sphere_normals
 from metapp.appearance.metrics import ssim
 from metapp.appearance.photograph import Camera, Material, develop, photograph, shade
 from metapp.apps.illumination.encoder import Encoder
+from metapp.apps.illumination.mirror import completed, resampled, seen_loss
 from metapp.apps.illumination.surfaces import FACED, MIRRORED, relight, surfaces
+from metapp.apps.illumination.variants import of_mean_1, varied
 from metapp.learning.app import Traits
 from metapp.learning.task import Batch, Held, Params, Task, Tasks
 from metapp.networks.coded import CodedApp, norm
@@ -33,9 +35,6 @@ BODY_GAIN = 100  # of these: few steps at a network's rate find them, else the m
 GLOSSES = (0.25, 0.42, 0.7)
 READ = 64  # rows of a map that every size can be made of, but for finer ones
 SMALL = 32  # px of the photograph in the loss
-# shares of the maps that get another contrast, that are mixed with another one, that get lamps
-REGRADED, MIXED, LIT = 1 / 2, 1 / 3, 1 / 3
-LAMPS, BRIGHTEST = 3, 6.5  # how many, and the log of the brightest one's radiance
 
 
 @dataclass(frozen=True)
@@ -60,7 +59,8 @@ class Illumination(CodedApp):
     """One environment map a task, of mean luminance 1.
 
     Under the protocol "reference" a fit sees the map itself; under "photo" it sees the LDR photograph of a sphere
-    alone, and is what a sphere of some material must be lit by to look so through some camera.
+    alone, and is what a sphere of some material must be lit by to look so through some camera. Where that sphere is a
+    mirror, the task may hold what it shows (`metapp.apps.illumination.mirror`): a fit is then the rest of the map.
     """
 
     name = "illumination"
@@ -68,6 +68,8 @@ class Illumination(CodedApp):
         "photos": Held(("K", 3, 64, 64), "uint8"),
         "map": Held((3, "H", "W"), low=0.0, optional=True),
         "scale": Held((), low=0.0, optional=True),
+        "seen": Held((3, "h", "w"), low=0.0, optional=True),
+        "certain": Held((2, "h", "w"), low=0.0, high=1.0, optional=True),
     }
     setup: IlluminationSetup
 
@@ -77,9 +79,12 @@ class Illumination(CodedApp):
         return replace(super().traits, scale=100.0, reads=reads)
 
     def prepare(self, task: Task) -> dict[str, Tensor]:
-        """`photo` uint8 [3, S, S], and of the map `map` [3, H, W] and `sent`, what surfaces send out under it."""
+        """`photo` uint8 [3, S, S], and of the map `map` [3, H, W] and `sent`, what surfaces send out under it.
+
+        Of a mirror `seen` [3, H, W] and `certain` [2, H, W], where fits see a photograph.
+        """
         second_scene.transfer()  # better missed now than after a fit
-        photo = {"photo": task.data["photos"][0]}
+        photo = {"photo": task.data["photos"][0]} | self.mirrored(task)
         if "map" in task.data:
             described = self.described(task.data["map"][None].float())
             return photo | {key: value[0] for key, value in described.items()}
@@ -89,6 +94,12 @@ class Illumination(CodedApp):
                 ".hdr map, or fit photos alone with --observe photo."
             )
         return photo
+
+    def mirrored(self, task: Task) -> dict[str, Tensor]:
+        """What a task's mirror shows, `seen` [3, H, W] and `certain` [2, H, W]; {} where fits do not see it."""
+        if self.protocol != "photo" or not {"seen", "certain"} <= task.data.keys():
+            return {}
+        return resampled(task.data["seen"].float(), task.data["certain"].float(), self.field.height, self.field.width)
 
     def described(self, maps: Tensor) -> dict[str, Tensor]:
         maps = resample(maps, self.field.height, self.field.width)
@@ -111,9 +122,10 @@ class Illumination(CodedApp):
         """The application with maps of another size: its networks can be evaluated anywhere."""
         return replace(self, setup=replace(self.setup, field=self.field._replace(height=height, width=width)))
 
-    def answer(self, theta: Params) -> Tensor:
-        """The same as they are judged and shown."""
-        return self.scaled(self.radiance_of(theta))
+    def answer(self, theta: Params, data: Batch) -> Tensor:
+        """The same as they are judged and shown; `data` as of `prepare`, [T, ...]."""
+        maps = self.radiance_of(theta)
+        return self.scaled(completed(maps, data) if "seen" in data else maps)
 
     def scaled(self, maps: Tensor) -> Tensor:
         """Maps, of mean luminance 1 where a photograph does not say how bright they are."""
@@ -122,6 +134,8 @@ class Illumination(CodedApp):
     def loss(self, theta: Params, batch: Batch, learned: Params) -> Tensor:
         """Of the map or of the photograph, by the protocol, [T]."""
         maps = self.radiance_of(theta)
+        if "seen" in batch:
+            return seen_loss(maps, batch, learned)
         if self.protocol == "photo":
             return self._photo_loss(theta, maps, batch, learned)
         light = torch.exp(learned["light"])[:, None, None, None] if learned else LIGHT
@@ -182,7 +196,7 @@ class Illumination(CodedApp):
 
         And `map`, the mean difference of the maps' logs.
         """
-        return self.errors_of(self.radiance_of(theta), tasks)
+        return self.errors_of(self.answer(theta, {key: value[tasks.rows] for key, value in tasks.data.items()}), tasks)
 
     def errors_of(self, answer: Tensor, tasks: Tasks) -> dict[str, Tensor]:
         """Of maps [T, 3, H, W] of the field's size, linear radiance."""
@@ -221,66 +235,6 @@ def _inside(side: int, device: torch.device) -> Tensor:
     """Where, row by row, the pixels are of SMALL px a side of a photograph that show nothing but the sphere."""
     shown = avg_pool2d(sphere_normals(side)[1].float()[None], side // SMALL)[0] > 0.999
     return shown.flatten().nonzero()[:, 0].to(device)
-
-
-# Data augmentation
-
-
-def of_mean_1(maps: Tensor) -> Tensor:
-    """Maps [T, 3, H, W] of mean luminance 1."""
-    return maps / mean_luminance(maps)[:, None, None, None]
-
-
-def varied(maps: Tensor, rng: Generator) -> Tensor:
-    """Augmented maps [T, 3, H, W], of mean luminance 1."""
-    return of_mean_1(lit(mixed(of_mean_1(regraded(tinted(turned(maps, rng), rng), rng)), rng), rng))
-
-
-def turned(maps: Tensor, rng: Generator) -> Tensor:
-    """Turned about the vertical, half of them mirrored."""
-    count, width = len(maps), maps.shape[-1]
-    turns = torch.randint(width, (count, 1), generator=rng, device=rng.device)
-    mirrored = _happens(rng, (count, 1), 0.5)
-    columns = (torch.arange(width, device=rng.device) + turns) % width
-    columns = torch.where(mirrored, columns.flip(1), columns)
-    return maps.gather(3, columns[:, None, None].expand_as(maps))
-
-
-def tinted(maps: Tensor, rng: Generator) -> Tensor:
-    """Maps [T, 3, H, W], each channel times a random gain of about 15 %."""
-    return maps * torch.exp(0.15 * torch.randn(len(maps), 3, 1, 1, generator=rng, device=rng.device))
-
-
-def regraded(maps: Tensor, rng: Generator) -> Tensor:
-    """Some to the power of 0.74 to 1.35, mostly 0.8 to 1.2."""
-    shape = (len(maps), 1, 1, 1)
-    power = torch.exp((0.2 * torch.randn(shape, generator=rng, device=rng.device)).clamp(-0.3, 0.3))
-    return maps ** torch.where(_happens(rng, shape, REGRADED), power, 1.0)
-
-
-def mixed(maps: Tensor, rng: Generator) -> Tensor:
-    """Some with the map before them, in any proportion."""
-    shape = (len(maps), 1, 1, 1)
-    share = torch.rand(shape, generator=rng, device=rng.device)
-    return torch.lerp(maps.roll(1, 0), maps, torch.where(_happens(rng, shape, MIXED), share, 1.0))
-
-
-def lit(maps: Tensor, rng: Generator) -> Tensor:
-    """Some with a few more lamps of about a texel, anywhere, of radiance 1 to exp(BRIGHTEST)."""
-    count, _, height, width = maps.shape
-
-    def draw(*shape: int) -> Tensor:
-        return torch.rand(count, LAMPS, *shape, generator=rng, device=rng.device)
-
-    rows = relu(1 - (torch.arange(height, device=rng.device) - (height - 1) * draw(1)).abs())
-    away = (torch.arange(width, device=rng.device) - width * draw(1)).abs()
-    columns = relu(1 - torch.minimum(away, width - away))  # around the horizon
-    lamps = torch.einsum("tlh,tlw,tlc->tchw", rows, columns, torch.exp(BRIGHTEST * draw(1)) * (0.7 + 0.6 * draw(3)))
-    return maps + torch.where(_happens(rng, (count, 1, 1, 1), LIT), lamps, 0.0)
-
-
-def _happens(rng: Generator, shape: tuple[int, ...], share: float) -> Tensor:
-    return torch.rand(shape, generator=rng, device=rng.device) < share
 
 
 APP = Illumination

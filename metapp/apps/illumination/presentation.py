@@ -34,7 +34,7 @@ class IlluminationPresentation(CodedPresentation[Illumination]):
     def outputs(self, theta: Params, task: Task) -> dict[str, Any]:
         """Map and second scene, tone-mapped, of the reference, beside the photograph, and of the fit."""
         prepared = {key: value[None] for key, value in self.app.prepare(task).items()}
-        fit = self.app.answer({key: value[None] for key, value in theta.items()})
+        fit = self.app.answer({key: value[None] for key, value in theta.items()}, prepared)
         both = ({"reference": prepared["map"]} if "map" in prepared else {}) | {"fit": fit}
         return {name: shown(maps, prepared["photo"]) for name, maps in both.items()}
 
@@ -42,9 +42,9 @@ class IlluminationPresentation(CodedPresentation[Illumination]):
     def files(self, theta: Params, task: Task) -> dict[str, Picture]:
         """The map, at its file's scale, of mean luminance 1 where there was none, and the second scene under it."""
         one = {key: value[None] for key, value in theta.items()}
-        files = self.files_of(self.app.radiance_of(one), task)
+        files = self.files_of(_answer(self.app, one, task), task)
         if self.size:
-            files["map"] = _radiance(self.app.sized(*self.size).answer(one), task)
+            files["map"] = _radiance(_answer(self.app.sized(*self.size), one, task), task)
         return files
 
     @torch.no_grad()
@@ -61,6 +61,10 @@ class IlluminationPresentation(CodedPresentation[Illumination]):
         if self.app.protocol == "photo":
             return Visible(1, task.data["photos"][0].nbytes, 1)
         return Visible(1, task.data["map"].nbytes, 0)
+
+
+def _answer(app: Illumination, theta: Params, task: Task) -> Tensor:
+    return app.answer(theta, {key: value[None] for key, value in app.mirrored(task).items()})
 
 
 def _radiance(maps: Tensor, task: Task) -> Picture:

@@ -1,0 +1,53 @@
+"""What a mirror ball shows of the light: taken as it is where it is seen, a bound where it clips.
+
+Beside its picture a task may hold `seen` [3, H, W], linear radiance in some unit, and `certain` [2, H, W] in [0, 1]:
+the share of each texel that is seen, and the share where all photographs clip, of which `seen` is a lower bound. What
+lies behind the ball is in neither.
+"""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import Tensor
+from torch.nn.functional import relu
+
+from metapp.appearance.latlong import mean_luminance, resample, solid_angles
+from metapp.learning.task import Batch, Params
+from metapp.networks.coded import norm
+
+DARK = 0.01  # of the mean of what is seen: the log of radiance is flat below
+
+
+def resampled(seen: Tensor, certain: Tensor, height: int, width: int) -> dict[str, Tensor]:
+    """What is seen, `seen` [3, H, W] and `certain` [2, H, W], at another resolution."""
+    shares = resample(certain, height, width).clamp(0, 1)
+    weight = certain.sum(0, keepdim=True)
+    mean = resample(seen * weight, height, width) / resample(weight, height, width).clamp_min(1e-6)
+    return {"seen": mean, "certain": shares}
+
+
+def raised(maps: Tensor, data: Batch) -> Tensor:
+    """Maps [T, 3, H, W] in the unit of what is seen: of equal light where that is certain."""
+    sure = data["certain"][:, :1]
+    ratio = mean_luminance(data["seen"] * sure) / mean_luminance(maps * sure).clamp_min(1e-9)
+    return maps * torch.where(ratio > 0, ratio, 1.0)[:, None, None, None]
+
+
+def completed(maps: Tensor, data: Batch) -> Tensor:
+    """What is seen, and maps [T, 3, H, W] where it is not; where it clips, the brighter of both; in its unit."""
+    filled, (sure, clipped) = raised(maps, data), data["certain"].split(1, 1)
+    filled = torch.lerp(filled, torch.maximum(filled, data["seen"]), clipped / (1 - sure).clamp_min(1e-6))
+    return torch.lerp(filled, data["seen"], sure)
+
+
+def seen_loss(maps: Tensor, data: Batch, learned: Params) -> Tensor:
+    """Mean difference of the logs of radiance, [T]; where the ball clips, only darker maps differ."""
+    seen, (sure, clipped) = data["seen"], data["certain"].split(1, 1)
+    floor = DARK * mean_luminance(seen)[:, None, None, None] + 1e-9
+    short = (seen + floor).log() - (raised(maps, data) + floor).log()
+    weights = solid_angles(*maps.shape[-2:], dtype=maps.dtype, device=maps.device) / (4 * math.pi)
+    differences = sure * norm(short, learned) + clipped * norm(relu(short), learned)
+    result: Tensor = (differences * weights).sum((2, 3)).mean(1)
+    return result
