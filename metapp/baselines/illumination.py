@@ -29,6 +29,7 @@ from metapp.baselines.baseline import (
     both_ways,
     nearest_photo,
 )
+from metapp.baselines.mirror_balls import gaussian, unwrapped
 from metapp.learning.app import App
 from metapp.learning.task import Tasks
 
@@ -261,7 +262,12 @@ def baselines(app: App) -> tuple[Baseline, ...]:
     """Of maps, or of photographs, by the protocol."""
     if app.protocol == "photo":
         title = "the training map whose photograph is nearest (mean absolute difference of display values)"
-        return (Baseline("nearest", title, "be a map that is not in its set", _nearest),)
+        fill = "tell what the photo does not show"
+        return (
+            Baseline("nearest", title, "be a map that is not in its set", _nearest),
+            Baseline("unwrap", "what a mirror ball shows, as it is", fill, unwrapped, learns=False, stored="seen"),
+            Baseline("gaussian", "the same, its clipped light put back as one Gaussian", fill, gaussian, stored="seen"),
+        )
     same = "read a map from a photo"
     sun = f"{same}, nor hold a sun in few"
     rings = f"{same}, nor show a sun that does not ring"

@@ -16,7 +16,7 @@ from metapp.appearance.latlong import directions, resample, solid_angles, sphere
 from metapp.appearance.metrics import ssim
 from metapp.appearance.photograph import Camera, Material, develop, photograph, shade
 from metapp.apps.illumination.encoder import Encoder
-from metapp.apps.illumination.mirror import completed, resampled, seen_loss
+from metapp.apps.illumination.mirror import completed, is_mirror, nothing_seen, photographed, resampled, seen_loss
 from metapp.apps.illumination.surfaces import FACED, MIRRORED, relight, surfaces
 from metapp.apps.illumination.variants import of_mean_1, varied
 from metapp.learning.app import Traits
@@ -35,6 +35,7 @@ BODY_GAIN = 100  # of these: few steps at a network's rate find them, else the m
 GLOSSES = (0.25, 0.42, 0.7)
 READ = 64  # rows of a map that every size can be made of, but for finer ones
 SMALL = 32  # px of the photograph in the loss
+MIRRORS = 1 / 3  # of the photographs of training tasks
 
 
 @dataclass(frozen=True)
@@ -96,10 +97,13 @@ class Illumination(CodedApp):
         return photo
 
     def mirrored(self, task: Task) -> dict[str, Tensor]:
-        """What a task's mirror shows, `seen` [3, H, W] and `certain` [2, H, W]; {} where fits do not see it."""
-        if self.protocol != "photo" or not {"seen", "certain"} <= task.data.keys():
+        """What a task's mirror shows, `seen` [3, H, W] and `certain` [2, H, W]; {} where fits see the map."""
+        height, width = self.field.height, self.field.width
+        if self.protocol != "photo":
             return {}
-        return resampled(task.data["seen"].float(), task.data["certain"].float(), self.field.height, self.field.width)
+        if not {"seen", "certain"} <= task.data.keys():
+            return nothing_seen(height, width)
+        return resampled(task.data["seen"].float(), task.data["certain"].float(), height, width)
 
     def described(self, maps: Tensor) -> dict[str, Tensor]:
         maps = resample(maps, self.field.height, self.field.width)
@@ -134,20 +138,17 @@ class Illumination(CodedApp):
     def loss(self, theta: Params, batch: Batch, learned: Params) -> Tensor:
         """Of the map or of the photograph, by the protocol, [T]."""
         maps = self.radiance_of(theta)
-        if "seen" in batch:
-            return seen_loss(maps, batch, learned)
         if self.protocol == "photo":
-            return self._photo_loss(theta, maps, batch, learned)
+            return self._visible_loss(theta, maps, batch, learned)
         light = torch.exp(learned["light"])[:, None, None, None] if learned else LIGHT
         return self._map_loss(maps, batch, learned, light)
 
     def outer_loss(self, theta: Params, batch: Batch, learned: Params) -> Tensor:
         """Of the map, whatever fits see, [T]: above all of what diffuse surfaces send out under it."""
-        maps = self.radiance_of(theta)
-        scaled = self.scaled(maps)
+        maps, scaled = self.radiance_of(theta), self.answer(theta, batch)
         sent, logs = self._sent_apart(scaled, batch["sent"], {})
         texels = _texels(scaled, batch["map"], {}, 0.0)
-        photo = self._photo_loss(theta, maps, batch, {})
+        photo = self._visible_loss(theta, maps, batch, {})
         faced, mirrored = (each.mean((1, 2)) for each in sent.split((FACED, MIRRORED), 2))
         result: Tensor = faced + MIRRORING * mirrored + LOGS * logs.mean((1, 2)) + TEXELS * texels + SEEN * photo
         return result
@@ -161,6 +162,11 @@ class Illumination(CodedApp):
         """Mean differences, [T]: of the log of radiance over the sphere; of what surfaces send out, and of its log."""
         sent, logs = self._sent_apart(maps, batch["sent"], learned)
         return _texels(maps, batch["map"], learned, light) + (sent + logs).mean((1, 2))
+
+    def _visible_loss(self, theta: Params, maps: Tensor, batch: Batch, learned: Params) -> Tensor:
+        """Of what the mirror shows, else of the photograph, [T]."""
+        of_photo = self._photo_loss(theta, maps, batch, learned)
+        return torch.where(is_mirror(batch), seen_loss(maps, batch, learned), of_photo) if "seen" in batch else of_photo
 
     def _photo_loss(self, theta: Params, maps: Tensor, batch: Batch, learned: Params) -> Tensor:
         """Mean difference of display values; where the photograph clips, only what is darker than it counts."""
@@ -185,10 +191,14 @@ class Illumination(CodedApp):
         return {"z": code / self.field.gain, "body": body / BODY_GAIN}
 
     def augment(self, tasks: Tasks, rng: Generator) -> Tasks:
-        """Augmented maps, and new photographs under them."""
-        maps = varied(tasks.data["map"][tasks.rows], rng)
-        photos = (photograph(maps, rng, tasks.data["photo"].shape[-1]) * 255).round().to(torch.uint8)
-        return tasks.variants({"photo": photos} | self.described(maps))
+        """Augmented maps, and new photographs under them, some of mirrors where fits see photographs."""
+        maps, size = varied(tasks.data["map"][tasks.rows], rng), tasks.data["photo"].shape[-1]
+        photos, shown = photograph(maps, rng, size), dict[str, Tensor]()
+        if self.protocol == "photo":
+            balls, shown = photographed(maps, rng, size)
+            mirrors = (torch.rand(len(maps), generator=rng, device=rng.device) < MIRRORS)[:, None, None, None]
+            photos, shown["certain"] = torch.where(mirrors, balls, photos), shown["certain"] * mirrors
+        return tasks.variants({"photo": (photos * 255).round().to(torch.uint8)} | shown | self.described(maps))
 
     @torch.no_grad()
     def errors(self, theta: Params, tasks: Tasks) -> dict[str, Tensor]:

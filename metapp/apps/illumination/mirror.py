@@ -10,14 +10,51 @@ from __future__ import annotations
 import math
 
 import torch
-from torch import Tensor
+from torch import Generator, Tensor
 from torch.nn.functional import relu
 
-from metapp.appearance.latlong import mean_luminance, resample, solid_angles
+from metapp.appearance.colour import srgb_to_linear
+from metapp.appearance.latlong import directions, mean_luminance, resample, solid_angles
+from metapp.appearance.photograph import develop, draw_camera, mirror
 from metapp.learning.task import Batch, Params
 from metapp.networks.coded import norm
 
 DARK = 0.01  # of the mean of what is seen: the log of radiance is flat below
+REFLECTANCE = 0.9  # of a mirror
+CLIPPED = 0.98  # display value from which a photograph says no more
+ACROSS = 256  # px of a ball in the photographs of training tasks
+
+
+def nothing_seen(height: int, width: int) -> dict[str, Tensor]:
+    """Of a task without mirror."""
+    return {"seen": torch.zeros(3, height, width), "certain": torch.zeros(2, height, width)}
+
+
+def photographed(maps: Tensor, rng: Generator, size: int) -> tuple[Tensor, dict[str, Tensor]]:
+    """Photographs of mirror balls under maps [T, 3, H, W], by random cameras, and what is read from them.
+
+    Cameras have curves of their own, but what they made is read by sRGB's.
+
+    Returns:
+        Display values in [0, 1], [T, 3, size, size]; and `seen` [T, 3, H, W], `certain` [T, 2, H, W].
+    """
+    drawn = torch.rand(len(maps), 3, generator=rng, device=rng.device).to(maps)
+    balls = REFLECTANCE * mirror(maps, size)
+    camera = draw_camera(drawn, balls)
+    texels = develop(REFLECTANCE * maps, camera).clamp_max(1)
+    clipped = (texels.amax(1, keepdim=True) >= CLIPPED).to(maps)
+    front = in_view(*maps.shape[-2:]).to(maps)
+    shares = torch.cat([front * (1 - clipped), front * clipped], 1)
+    return develop(balls, camera).clamp_max(1), {"seen": srgb_to_linear(texels), "certain": shares}
+
+
+def in_view(height: int, width: int, across: int = ACROSS) -> Tensor:
+    """How far each texel of a map can be read off a ball of so many px, [height, width] in [0, 1].
+
+    A texel of the angle pi / height is `across / 4 cos(angle / 2)` times as many px deep at an angle to the camera.
+    """
+    away = ((1 + directions(height, width)[2]) / 2).clamp_min(0).sqrt()
+    return (across / 4 * math.pi / height * away - 0.5).clamp(0, 1)
 
 
 def resampled(seen: Tensor, certain: Tensor, height: int, width: int) -> dict[str, Tensor]:
@@ -40,6 +77,11 @@ def completed(maps: Tensor, data: Batch) -> Tensor:
     filled, (sure, clipped) = raised(maps, data), data["certain"].split(1, 1)
     filled = torch.lerp(filled, torch.maximum(filled, data["seen"]), clipped / (1 - sure).clamp_min(1e-6))
     return torch.lerp(filled, data["seen"], sure)
+
+
+def is_mirror(data: Batch) -> Tensor:
+    """Which tasks show a mirror, bool [T]."""
+    return data["certain"].flatten(1).amax(1) > 0
 
 
 def seen_loss(maps: Tensor, data: Batch, learned: Params) -> Tensor:
