@@ -29,7 +29,7 @@ def gaussian(training: Training, allowed: Allowed) -> PreparedBaseline:
     lost = _clipped(maps / _times(maps, shown), shown) / _clipped(shown["seen"], shown).clamp_min(1e-9)
     some = lost[lost > 0]
     gain = float(some.log().mean().exp()) if len(some) else 1.0
-    return PreparedBaseline(functools.partial(_fit, gain=max(gain - 1, 0.0)), chosen={GAIN: gain})
+    return PreparedBaseline(functools.partial(_fit, gain=max(gain - 1, 0.0)), shared=4, chosen={GAIN: gain})
 
 
 def _fit(tasks: Tasks, rng: Generator, allowed: Allowed, *, gain: float) -> BaselineFit:

@@ -53,7 +53,7 @@ class BallOptions:
     ball: Annotated[
         str, typer.Option(metavar="X,Y,RADIUS", help="Where the ball is, px from the upper left; default: it is found.")
     ] = ""
-    size: Annotated[int, typer.Option(min=32, max=1024, metavar="ROWS", help="Of the map.")] = 64
+    size: Annotated[int, typer.Option(min=32, max=1024, metavar="ROWS", help="Of the map.")] = 128
     curve: Annotated[
         CameraCurve, typer.Option(help="auto: recovered of three or more known exposures where these agree better.")
     ] = CameraCurve.AUTO
@@ -72,7 +72,7 @@ def ball(options: BallOptions) -> None:
 
     Examples:
       metapp data ball a.jpg b.jpg c.jpg --exposures 1/20,1/60,1/160 --out garden
-      metapp data ball IMG_1.jpg --fov 55 --size 128 --out garden
+      metapp data ball IMG_1.jpg --fov 55 --size 256 --out garden
     """
     from data_tools.balls.capture import Settings, capture
     from data_tools.balls.write import FOUND, write_capture

@@ -50,7 +50,8 @@ def random_task(app: str, name: str, rng: Generator, angles: Tensor) -> Task:
         reflectance = uniform(3) + 2 * uniform(3) * lobe
         return Task(name, {"angles": angles, "reflectance": reflectance, "render": uniform(8, 8, 4)})
     if app == "illumination":
-        return Task(name, {"map": uniform(3, 32, 64) + 0.1, "photos": picture(1, 3, 64, 64)})
+        mirror = {"seen": uniform(3, 32, 64), "certain": uniform(2, 32, 64) / 2}
+        return Task(name, {"map": uniform(3, 32, 64) + 0.1, "photos": picture(1, 3, 64, 64)} | mirror)
     if app == "svbrdf_nonstationary":
         normal = torch.tensor([0.0, 0.0, 1.0])[:, None, None].expand(3, 64, 64)
         maps = torch.cat([normal, 0.1 + 0.8 * uniform(7, 64, 64)])
@@ -199,7 +200,7 @@ def test_notes_say_who_is_ahead(
 ) -> None:
     subject = subject_of("illumination", "photo")
     subject.tasks.extend(task._replace(name=f"more{i}") for i, task in enumerate(subject.tasks * 3))
-    (baseline,) = baselines_of(subject.app)
+    baseline = baselines_of(subject.app)[0]
     folders = subject.cell("meta").folder, baseline_cell(subject, baseline).folder
     assert folders[0]
     assert folders[1]
@@ -236,7 +237,7 @@ def test_a_task_without_a_reference_is_fitted_but_not_judged(rng: Generator) -> 
 def test_the_plane_shows_baselines(subject_of: Callable[[str, str], Subject]) -> None:
     subject = subject_of("illumination", "photo")
     pretend_meta(subject, 5.0)
-    (baseline,) = baselines_of(subject.app)
+    baseline = baselines_of(subject.app)[0]
     run_cells([baseline_cell(subject, baseline)], quiet=True)
     drawn = draw_figure("plane", subject)
     assert drawn
