@@ -17,6 +17,7 @@ from metapp.appearance.metrics import ssim
 from metapp.appearance.photograph import Camera, Material, develop, photograph, shade
 from metapp.apps.illumination.encoder import Encoder
 from metapp.apps.illumination.mirror import completed, is_mirror, nothing_seen, photographed, resampled, seen_loss
+from metapp.apps.illumination.suns import suns_of, with_suns
 from metapp.apps.illumination.surfaces import FACED, MIRRORED, relight, surfaces
 from metapp.apps.illumination.variants import of_mean_1, varied
 from metapp.learning.app import Traits
@@ -107,7 +108,8 @@ class Illumination(CodedApp):
 
     def described(self, maps: Tensor) -> dict[str, Tensor]:
         maps = resample(maps, self.field.height, self.field.width)
-        return {"map": maps, "sent": maps.flatten(2) @ self._surfaces(maps).T}
+        suns = {"suns": suns_of(maps)} if self.protocol == "reference" else {}
+        return {"map": maps, "sent": maps.flatten(2) @ self._surfaces(maps).T} | suns
 
     def _surfaces(self, like: Tensor) -> Tensor:
         """What surfaces send out by a map, [S, H * W]: diffuse ones that face, glossy ones that mirror all around."""
@@ -120,7 +122,19 @@ class Illumination(CodedApp):
         """The fitted maps, linear radiance [T, 3, H, W]."""
         field, z = self.field, theta["z"]
         towards = directions(field.height, field.width, dtype=z.dtype, device=z.device)
-        return field(theta, towards.expand(len(z), -1, -1, -1)).clamp_max(16).exp()
+        maps = field(theta, towards.expand(len(z), -1, -1, -1)).clamp_max(16).exp()
+        return with_suns(maps, theta["suns"].detach()) if "suns" in theta else maps
+
+    def known(self, tasks: Tasks) -> Params:
+        """The suns, where fits see the map."""
+        return {"suns": tasks.data["suns"][tasks.rows]} if "suns" in tasks.data else {}
+
+    def condition(self, tasks: Tasks, rng: Generator) -> Batch:
+        return super().condition(tasks, rng) | self.known(tasks)
+
+    def encode(self, encoder: Params, condition: Batch) -> Params:
+        suns = {"suns": condition["suns"]} if "suns" in condition else {}
+        return super().encode(encoder, condition) | suns
 
     def sized(self, height: int, width: int) -> Illumination:
         """The application with maps of another size: its networks can be evaluated anywhere."""

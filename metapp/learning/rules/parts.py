@@ -29,8 +29,8 @@ class SignedRates(Part):
         return {f"rate.{key}": torch.full_like(value, first.rate)[None] for key, value in theta.items()}
 
     def updates(self, alpha: Params, updates: Params) -> Params:
-        """Rate times update."""
-        return {key: like(alpha[f"rate.{key}"], update) * update for key, update in updates.items()}
+        """Rate times update; what has no rate stays."""
+        return {key: like(alpha[f"rate.{key}"], up) * up for key, up in updates.items() if f"rate.{key}" in alpha}
 
 
 class Rates(Part):
@@ -45,8 +45,9 @@ class Rates(Part):
         return {f"rate.{key}": like(rates, value[None]).repeat(1, *value.shape) for key, value in theta.items()}
 
     def updates(self, alpha: Params, updates: Params) -> Params:
-        """Rate times update; the logarithms of rate and pace, where there are paces, add up."""
-        return {key: like(torch.exp(_logarithm(alpha, key)), update) * update for key, update in updates.items()}
+        """Rate times update; the logarithms of rate and pace, where there are paces, add up. No rate: no update."""
+        rated = {key: update for key, update in updates.items() if f"rate.{key}" in alpha}
+        return {key: like(torch.exp(_logarithm(alpha, key)), update) * update for key, update in rated.items()}
 
 
 class SharedRates(Rates):

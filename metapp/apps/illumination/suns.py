@@ -1,0 +1,119 @@
+"""The brightest lights of a map in closed form: where they are, their light and their size.
+
+A sun has 10 numbers: the mean direction of its light, the light itself (radiance times solid angle, RGB), its mean
+squared angle to that direction in rad^2, and the radiance round it. There the network does not count.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from scipy.ndimage import label
+from torch import Tensor
+
+from metapp.appearance.latlong import directions, luminance, solid_angles
+
+COUNT = 3  # suns of a map
+BRIGHT = 80.0  # luminance of what is a sun, of maps of mean luminance 1
+WIDEST = math.radians(2.5)  # root mean square angle; larger lights are no Gaussians, and the network fits them
+COVERED = 4.0  # the network does not count where a sun has this part of its radiance or more
+NARROWEST = 0.1  # texels, standard deviation along one axis
+
+
+def suns_of(maps: Tensor) -> Tensor:
+    """The suns of maps [T, 3, H, W] of mean luminance 1, [T, COUNT, 10]; zeros where there are no more."""
+    return torch.stack([_suns(one.detach().cpu()) for one in maps]).to(maps)
+
+
+def _suns(light: Tensor) -> Tensor:
+    bright = luminance(light)
+    found = torch.zeros(COUNT, 10)
+    if not (bright > BRIGHT).any():
+        return found
+    height, width = bright.shape
+    towards, area = directions(height, width), solid_angles(height, width)
+    excess = light * (1 - BRIGHT / bright.clamp_min(BRIGHT)) * area
+    regions = torch.from_numpy(_regions((bright > BRIGHT).numpy()))
+    weights = luminance(excess)
+    suns = [_shape(weights * (regions == region), towards) for region in range(1, int(regions.max()) + 1)]
+    small = sorted((sun for sun in suns if sun.spread <= WIDEST**2), key=lambda sun: -sun.light)[:COUNT]
+    for number, sun in enumerate(small):
+        found[number, :3], found[number, 6] = sun.towards, sun.spread
+    lobes = _lobes(found[None], height, width)[0]
+    covers = _covered(lobes) * area
+    rest = torch.minimum(light, light * BRIGHT / bright.clamp_min(1e-9))
+    level = torch.einsum("chw,shw->sc", rest, covers) / covers.sum((1, 2)).clamp_min(1e-12)[:, None]
+    whole = torch.einsum("chw,shw->sc", light, covers) - level * covers.sum((1, 2))[:, None]
+    found[:, 3:6], found[:, 7:] = whole.clamp_min(0), level
+    return found
+
+
+class _Shape(NamedTuple):
+    towards: Tensor
+    spread: float
+    light: float
+
+
+def _shape(weights: Tensor, towards: Tensor) -> _Shape:
+    """Mean direction, mean squared angle to it and sum of weights [H, W]."""
+    mean, light = torch.einsum("hw,chw->c", weights.double(), towards.double()), float(weights.double().sum())
+    length = float(mean.norm())
+    return _Shape((mean / length).float(), max(2 * (1 - length / light), 0.0), light)
+
+
+def _regions(bright: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """Numbers of connected regions, 0 outside; they go on around the horizon."""
+    regions, _ = label(bright, np.ones((3, 3)))
+    for left, right in zip(regions[:, 0], regions[:, -1], strict=True):
+        if left and right and left != right:
+            regions[regions == right] = left
+    numbers = np.unique(regions, return_inverse=True)[1]
+    return np.asarray(numbers.reshape(regions.shape), dtype=np.int64)
+
+
+def _lobes(suns: Tensor, height: int, width: int) -> Tensor:
+    """Gaussians round suns [T, COUNT, 10], the mean over each texel, [T, COUNT, height, width]; 0 where there is none.
+
+    They are Gaussians of latitude and of longitude, which is the same for a small sun.
+    """
+    (x, y, z), there = suns[..., :3].unbind(2), suns[..., :3].norm(dim=2) > 0
+    texel = math.pi / height
+    polar, around = torch.acos(y.clamp(-1, 1)), torch.atan2(x, -z) % math.tau
+    deviation, least = (suns[..., 6] / 2).sqrt(), NARROWEST * texel
+    sideways = (deviation / polar.sin().clamp_min(1e-3)).clamp(least, math.tau)
+    rows = torch.arange(height + 1).to(suns) * texel
+    columns = torch.arange(width + 1).to(suns) * texel
+    down = _between((rows - polar[..., None]) / deviation.clamp_min(least)[..., None])
+    turns = columns.new_tensor([-math.tau, 0, math.tau])[:, None]  # it goes on around the horizon
+    across = _between((columns - around[..., None, None] + turns) / sideways[..., None, None]).sum(-2)
+    lobes: Tensor = down[..., None] * across[..., None, :] * there[..., None, None]
+    return lobes
+
+
+def _between(edges: Tensor) -> Tensor:
+    """The share of a normal distribution between each two edges [..., N + 1], [..., N]."""
+    shares: Tensor = torch.special.ndtr(edges).diff(dim=-1)
+    return shares
+
+
+def _covered(lobes: Tensor) -> Tensor:
+    """Where suns count alone, in [0, 1]."""
+    return (COVERED * lobes / lobes.amax((-2, -1), keepdim=True).clamp_min(1e-12)).clamp_max(1)
+
+
+def with_suns(maps: Tensor, suns: Tensor) -> Tensor:
+    """Maps [T, 3, H, W] with suns [T, COUNT, 10], each of exactly its light, in place of what was there."""
+    height, width = maps.shape[-2:]
+    lobes = _lobes(suns, height, width)
+    light, level = suns[..., 3:6], suns[..., 7:]
+    shares = (lobes * solid_angles(height, width).to(suns)).sum((2, 3)).clamp_min(1e-12)
+    for number in range(suns.shape[1]):
+        lobe = lobes[:, number, None]
+        covers = _covered(lobe)
+        maps = torch.lerp(maps, level[:, number, :, None, None].expand_as(maps), covers)
+        maps = maps + lobe * (light[:, number] / shares[:, number, None])[..., None, None]
+    return maps

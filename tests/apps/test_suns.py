@@ -1,0 +1,109 @@
+"""Suns of environment maps in closed form: where, how much light, how wide; and the network beside them."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+from torch import Generator, Tensor
+from torch.nn.functional import normalize
+
+from metapp.appearance.latlong import directions, mean_luminance, solid_angles
+from metapp.apps.illumination import Illumination, IlluminationSetup
+from metapp.apps.illumination.suns import COUNT, WIDEST, suns_of, with_suns
+from metapp.learning.app import stack
+from metapp.learning.task import Task
+from metapp.networks.field import LocalField
+
+pytestmark = pytest.mark.usefixtures("scene")
+HEIGHT, WIDTH = 64, 128
+
+
+def sky(*lights: tuple[Tensor, float, float]) -> Tensor:
+    """A smooth sky with lights: direction, share of all light, standard deviation along one axis (rad)."""
+    towards, area = directions(HEIGHT, WIDTH), solid_angles(HEIGHT, WIDTH)
+    light = 0.3 + 0.1 * towards
+    for direction, share, deviation in lights:
+        lobe = ((torch.einsum("c,chw->hw", direction, towards) - 1) / deviation**2).exp()
+        light = light + share * 4 * math.pi * lobe / (lobe * area).sum() * torch.tensor([1.2, 1.0, 0.7])[:, None, None]
+    return light / mean_luminance(light)
+
+
+def towards(x: float, y: float, z: float) -> Tensor:
+    return normalize(torch.tensor([x, y, z], dtype=torch.float32), dim=0)
+
+
+@pytest.mark.parametrize("direction", [(0.3, 0.5, 0.8), (0.02, 0.4, -0.9), (-0.2, -0.1, 0.4)])
+def test_a_sun_is_found_where_it_is_as_wide_as_it_is(direction: tuple[float, float, float]) -> None:
+    at = towards(*direction)
+    (found,) = suns_of(sky((at, 8.0, 0.03))[None])
+    assert (found[:, 3] > 0).tolist() == [True, False, False]
+    assert float(found[0, :3] @ at) > math.cos(math.radians(0.3))
+    assert float((found[0, 6] / 2).sqrt()) == pytest.approx(0.03, rel=0.15)  # its dim border is the network's
+
+
+@pytest.mark.parametrize("row", [3, 20, 40])
+@pytest.mark.parametrize("column", [0, 50, 127])
+def test_a_sun_of_one_texel_is_exact(row: int, column: int) -> None:
+    light = sky()
+    light[:, row, column] = torch.tensor([9000.0, 7000.0, 5000.0])
+    light /= mean_luminance(light)
+    suns = suns_of(light[None])
+    made = with_suns(torch.rand(1, 3, HEIGHT, WIDTH), suns)[0]
+    torch.testing.assert_close(made[:, row, column], light[:, row, column], rtol=1e-3, atol=0)
+    # the network counts all round it
+    network = light.clone()
+    network[:, row, column] = 0
+    torch.testing.assert_close(with_suns(network[None], suns)[0], light, rtol=2e-3, atol=1e-3)
+
+
+def test_all_light_stays_whatever_the_network_has_there() -> None:
+    light = sky((towards(0.3, 0.5, 0.8), 0.4, 0.02), (towards(-0.6, 0.3, -0.5), 0.2, 0.03))
+    suns, area = suns_of(light[None]), solid_angles(HEIGHT, WIDTH)
+    assert (suns[0, :, 3] > 0).sum() == 2
+    lights = suns[0, :, 3:6].sum(0)
+    for network in (torch.zeros_like(light), light):
+        around = with_suns(network[None], suns)[0] - with_suns(network[None], suns * _without_light())[0]
+        torch.testing.assert_close((around * area).sum((1, 2)), lights, rtol=1e-3, atol=0)
+
+
+def _without_light() -> Tensor:
+    return torch.tensor([1.0, 1, 1, 0, 0, 0, 1, 1, 1, 1])
+
+
+def test_wide_and_dim_lights_are_the_networks() -> None:
+    assert not suns_of(sky((towards(0, 1, 1), 0.9, 1.5 * WIDEST))[None]).any()
+    assert not suns_of(sky((towards(0, 1, 1), 0.01, 0.05))[None]).any()
+    light = sky()[None]
+    torch.testing.assert_close(with_suns(light, suns_of(light)), light)
+
+
+def test_there_are_as_many_as_count_the_brightest() -> None:
+    corners = [towards(x, 0.4, z) for x, z in ((1, 1), (1, -1), (-1, 1), (-1, -1))]
+    shares = [0.1, 0.25, 0.15, 0.2]
+    (found,) = suns_of(sky(*((at, share, 0.02) for at, share in zip(corners, shares, strict=True)))[None])
+    assert COUNT == 3
+    for sun, at in zip(found, (corners[1], corners[3], corners[2]), strict=True):
+        assert float(sun[:3] @ at) > 0.999
+
+
+def test_fits_see_suns_where_they_see_the_map_and_steps_leave_them(rng: Generator) -> None:
+    setup = IlluminationSetup(LocalField(32, 64, rows=4, columns=8, code=3, hidden=8, layers=2))
+    light = sky((towards(0.3, 0.5, 0.8), 0.5, 0.02))
+    task = Task("sky", {"map": light, "photos": torch.full((1, 3, 64, 64), 99, dtype=torch.uint8)})
+    app = Illumination(setup, "reference")
+    tasks = stack(app, [task])
+    theta = app.encode(app.init_encoder(rng), app.condition(tasks, rng))
+    assert torch.equal(theta["suns"], tasks.data["suns"])
+    leaves = {key: value.detach().requires_grad_() for key, value in theta.items()}
+    loss = app.loss(leaves, app.sample(tasks, rng, 1), {}).sum()
+    grads = torch.autograd.grad(loss, list(leaves.values()), allow_unused=True)
+    moved = {key for key, grad in zip(leaves, grads, strict=True) if grad is not None and grad.any()}
+    assert "z" in moved
+    assert "suns" not in moved
+    larger = app.sized(128, 256).radiance_of(theta)  # a sun stays as wide and bright as it is
+    at = float(mean_luminance(larger)), float(mean_luminance(app.radiance_of(theta)))
+    assert at[0] == pytest.approx(at[1], rel=0.05)
+    photo = Illumination(setup, "photo")
+    assert "suns" not in photo.encode(app.init_encoder(rng), photo.condition(stack(photo, [task]), rng))
