@@ -22,6 +22,7 @@ from metapp.networks.coded import norm
 DARK = 0.01  # of the mean of what is seen: the log of radiance is flat below
 REFLECTANCE = 0.9  # of a mirror
 CLIPPED = 0.98  # display value from which a photograph says no more
+LOST = 4.0  # times the light of the clip is what photographs of training maps lose there (geometric mean 4.3)
 ACROSS = 256  # px of a ball in the photographs of training tasks
 
 
@@ -73,9 +74,12 @@ def raised(maps: Tensor, data: Batch) -> Tensor:
 
 
 def completed(maps: Tensor, data: Batch) -> Tensor:
-    """What is seen, and maps [T, 3, H, W] where it is not; where it clips, the brighter of both; in its unit."""
+    """What is seen, and maps [T, 3, H, W] where it is not, in its unit.
+
+    Where it clips, the brighter of both counts, as if as much light was lost as usual.
+    """
     filled, (sure, clipped) = raised(maps, data), data["certain"].split(1, 1)
-    filled = torch.lerp(filled, torch.maximum(filled, data["seen"]), clipped / (1 - sure).clamp_min(1e-6))
+    filled = torch.lerp(filled, torch.maximum(filled, LOST * data["seen"]), clipped / (1 - sure).clamp_min(1e-6))
     return torch.lerp(filled, data["seen"], sure)
 
 
