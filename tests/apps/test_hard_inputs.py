@@ -149,7 +149,7 @@ def sky() -> Tensor:
 
 @pytest.mark.usefixtures("scene")
 def test_suns() -> None:
-    """What a sun's fit ends at is chance: its radiance oscillates. The guard ends that where it sees it."""
+    """Small suns are known; what a wider one's fit ends at is chance, and the guard ends that where it sees it."""
     app = app_by("illumination")
     places = itertools.product((5, 8, 12, 24), (20, 64), (1, 2))
     suns = [(row, column, size, share) for (row, column, size), share in zip(places, 8 * (0.97, 0.997), strict=True)]
@@ -158,10 +158,10 @@ def test_suns() -> None:
         app.errors(theta, found.tasks)["error"] for theta in (found.quickft, found.alone, found.guarded.theta)
     )
     acted = found.guarded.guarded
-    assert acted.sum() >= 3
+    assert acted.any()
     assert guarded[acted].mean() < 0.6 * alone[acted].mean()
-    assert guarded.mean() < 0.7 * quickft.mean()
-    assert guarded.max() < WORSE * quickft.max()
+    assert guarded.mean() < 0.3 * quickft.mean()
+    assert guarded.max() < 0.4 * quickft.max()
 
 
 @pytest.mark.usefixtures("scene")

@@ -149,13 +149,6 @@ class Illumination(CodedApp):
         """Maps, of mean luminance 1 where a photograph does not say how bright they are."""
         return maps if self.protocol == "reference" else of_mean_1(maps)
 
-    def sample(self, tasks: Tasks, rng: Generator, count: int) -> Batch:
-        """All there is of each task; without mirrors nothing of them, as it takes time."""
-        batch = super().sample(tasks, rng, count)
-        if "certain" in batch and not batch["certain"].any():
-            return {key: value for key, value in batch.items() if key not in ("seen", "certain")}
-        return batch
-
     def loss(self, theta: Params, batch: Batch, learned: Params) -> Tensor:
         """Of the map or of the photograph, by the protocol, [T]."""
         maps = self.radiance_of(theta)
