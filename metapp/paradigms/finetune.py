@@ -2,7 +2,7 @@
 
 from metapp.learning.learn import MetaParameters
 from metapp.learning.recipe import Adam
-from metapp.paradigms.general import GENERAL
+from metapp.paradigms.general import GENERAL, beginning
 from metapp.paradigms.paradigm import Job, by_adam
 
 
@@ -13,6 +13,7 @@ def adam_of(job: Job, prepared: MetaParameters) -> Adam:
 
 FINETUNE = GENERAL._replace(
     name="finetune",
+    initialisation=beginning,
     rule=by_adam(adam_of),
     steps=lambda recipe: recipe.finetune_steps,
     adam=adam_of,

@@ -7,18 +7,45 @@ from collections.abc import Iterator
 from torch import Generator
 
 from metapp.learning.adjoint import Loss
-from metapp.learning.app import Staged
+from metapp.learning.app import App, Known, Staged
 from metapp.learning.learn import Encoding, MetaParameters, after_encoding, over_tasks, staged, task_outer_loss
 from metapp.learning.progress import Progress
 from metapp.learning.rules import fixed_adam
-from metapp.learning.task import Params, Rng, Tasks, drawn
+from metapp.learning.task import Batch, Params, Rng, Tasks, drawn
 from metapp.paradigms.outer_loop import train
 from metapp.paradigms.paradigm import Job, Paradigm, TrainingData
+
+GIVEN = "given."  # what names of parameters begin with that a task gives itself, in a condition
 
 
 def initialisation(job: Job, prepared: MetaParameters, tasks: Tasks, rng: Rng) -> Params:
     """theta = encode(I)."""
-    encoded = job.app.encode(prepared.encoder, drawn(job.app.condition, tasks, rng))
+    return _encoded(Encoding(job.app.condition, job.app.encode), prepared, tasks, rng)
+
+
+def beginning(job: Job, prepared: MetaParameters, tasks: Tasks, rng: Rng) -> Params:
+    """The same where steps follow: beside it are the parameters that tasks give themselves and that it leaves out."""
+    return _encoded(encoding(job.app), prepared, tasks, rng)
+
+
+def encoding(app: App) -> Encoding:
+    """How fits with steps begin."""
+    if not isinstance(app, Known):
+        return Encoding(app.condition, app.encode)
+
+    def condition(tasks: Tasks, rng: Generator) -> Batch:
+        return app.condition(tasks, rng) | {GIVEN + key: value for key, value in app.known(tasks).items()}
+
+    def encode(encoder: Params, condition: Batch) -> Params:
+        given = {key.removeprefix(GIVEN): value for key, value in condition.items() if key.startswith(GIVEN)}
+        read = {key: value for key, value in condition.items() if not key.startswith(GIVEN)}
+        return given | app.encode(encoder, read)
+
+    return Encoding(condition, encode)
+
+
+def _encoded(how: Encoding, prepared: MetaParameters, tasks: Tasks, rng: Rng) -> Params:
+    encoded = how.encode(prepared.encoder, drawn(how.condition, tasks, rng))
     return {key: value.detach() for key, value in encoded.items()}
 
 

@@ -12,7 +12,6 @@ from torch import Generator
 from metapp.engine import Fastest
 from metapp.learning.adjoint import Loss, UpdateRule
 from metapp.learning.learn import (
-    Encoding,
     MetaParameters,
     after_learning,
     learn,
@@ -52,7 +51,7 @@ def outer_problem(job: Job, prepared: MetaParameters, rng: Generator) -> tuple[M
         steps=steps,
         order=training.order,
         clip=training.clip,
-        encoding=Encoding(app.condition, app.encode) if prepared.encoder else None,
+        encoding=general.encoding(app) if prepared.encoder else None,
         outer_loss=task_outer_loss(app, recipe.batch),
         engine=Fastest(training.tasks_at_once, compiles=app.traits.compiles),
     )
@@ -93,7 +92,7 @@ def with_adam(job: Job, phi: MetaParameters, adam: Adam) -> MetaParameters:
 def initialisation(job: Job, prepared: MetaParameters, tasks: Tasks, rng: Rng) -> Params:
     """theta_0, the same for every task; or what an encoder that was trained through the steps says of each."""
     if prepared.encoder:
-        return general.initialisation(job, prepared, tasks, rng)
+        return general.beginning(job, prepared, tasks, rng)
     return spread(prepared.theta, len(tasks), 0)
 
 

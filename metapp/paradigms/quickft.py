@@ -10,7 +10,7 @@ from metapp.learning.learn import MetaParameters
 from metapp.learning.progress import Progress
 from metapp.learning.recipe import Adam
 from metapp.learning.task import Params
-from metapp.paradigms.general import GENERAL
+from metapp.paradigms.general import GENERAL, beginning
 from metapp.paradigms.paradigm import Job, TrainingData, by_adam
 from metapp.paradigms.tuning import search
 
@@ -40,6 +40,7 @@ def prepare(job: Job, data: TrainingData) -> Iterator[Progress]:
 
 QUICKFT = GENERAL._replace(
     name="quickft",
+    initialisation=beginning,
     needs=lambda job: (*GENERAL.needs(job), "quickft"),
     rule=by_adam(adam_of),
     steps=lambda recipe: recipe.steps,

@@ -15,6 +15,7 @@ from metapp.apps.illumination.suns import COUNT, WIDEST, suns_of, with_suns
 from metapp.learning.app import stack
 from metapp.learning.task import Task
 from metapp.networks.field import LocalField
+from metapp.paradigms.general import encoding
 
 pytestmark = pytest.mark.usefixtures("scene")
 HEIGHT, WIDTH = 64, 128
@@ -94,7 +95,9 @@ def test_fits_see_suns_where_they_see_the_map_and_steps_leave_them(rng: Generato
     task = Task("sky", {"map": light, "photos": torch.full((1, 3, 64, 64), 99, dtype=torch.uint8)})
     app = Illumination(setup, "reference")
     tasks = stack(app, [task])
-    theta = app.encode(app.init_encoder(rng), app.condition(tasks, rng))
+    how, encoder = encoding(app), app.init_encoder(rng)
+    predicted, theta = (each.encode(encoder, each.condition(tasks, rng)) for each in (app, how))
+    assert "suns" not in predicted  # General sees the photograph alone
     assert torch.equal(theta["suns"], tasks.data["suns"])
     leaves = {key: value.detach().requires_grad_() for key, value in theta.items()}
     loss = app.loss(leaves, app.sample(tasks, rng, 1), {}).sum()
@@ -106,4 +109,4 @@ def test_fits_see_suns_where_they_see_the_map_and_steps_leave_them(rng: Generato
     at = float(mean_luminance(larger)), float(mean_luminance(app.radiance_of(theta)))
     assert at[0] == pytest.approx(at[1], rel=0.05)
     photo = Illumination(setup, "photo")
-    assert "suns" not in photo.encode(app.init_encoder(rng), photo.condition(stack(photo, [task]), rng))
+    assert "suns" not in encoding(photo).encode(encoder, encoding(photo).condition(stack(photo, [task]), rng))

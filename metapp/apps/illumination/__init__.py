@@ -129,13 +129,6 @@ class Illumination(CodedApp):
         """The suns, where fits see the map."""
         return {"suns": tasks.data["suns"][tasks.rows]} if "suns" in tasks.data else {}
 
-    def condition(self, tasks: Tasks, rng: Generator) -> Batch:
-        return super().condition(tasks, rng) | self.known(tasks)
-
-    def encode(self, encoder: Params, condition: Batch) -> Params:
-        suns = {"suns": condition["suns"]} if "suns" in condition else {}
-        return super().encode(encoder, condition) | suns
-
     def sized(self, height: int, width: int) -> Illumination:
         """The application with maps of another size: its networks can be evaluated anywhere."""
         return replace(self, setup=replace(self.setup, field=self.field._replace(height=height, width=width)))
