@@ -20,7 +20,7 @@ from metapp.appearance.latlong import directions, luminance, solid_angles
 COUNT = 3  # suns of a map
 BRIGHT = 80.0  # luminance of what is a sun, of maps of mean luminance 1
 WIDEST = math.radians(2.5)  # root mean square angle; larger lights are no Gaussians, and the network fits them
-COVERED = 4.0  # the network does not count where a sun has this part of its radiance or more
+COVERED = 20.0  # the network does not count where a sun has this part of its radiance or more
 NARROWEST = 0.1  # texels, standard deviation along one axis
 
 
