@@ -27,6 +27,7 @@ class Traits:
         deterministic: True where nothing that a fit sees is drawn at random, so that one fit says what two would.
         reads: px a side, or rows of a map, of the resolution that a user's files are read at; 0: as their readers do.
         own: the parameters that a task does not share with others after General's encoder; () for all.
+        given: names and shapes, without task axis, of parameters that only tasks give (`Known`), not `App.init`.
     """
 
     scale: float = 1.0
@@ -37,6 +38,7 @@ class Traits:
     deterministic: bool = False
     reads: int = 0
     own: tuple[str, ...] = ()
+    given: tuple[tuple[str, tuple[int, ...]], ...] = ()
 
 
 @dataclass(frozen=True, eq=False, repr=False)

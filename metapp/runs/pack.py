@@ -163,6 +163,7 @@ def _require_network(file: Path, app: App, shapes: Mapping[str, tuple[int, ...]]
         ValueError: one is missing or of another shape.
     """
     network = {key: tuple(value.shape[1:]) for key, value in app.init(torch.Generator().manual_seed(0), 1).items()}
+    network |= {key: shape for key, shape in app.traits.given if key in shapes}
     for key in sorted({*network, *shapes}):
         if network.get(key) != shapes.get(key):
             raise ValueError(_NOT_OF.format(file, key, app.name))

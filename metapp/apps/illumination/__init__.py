@@ -17,7 +17,7 @@ from metapp.appearance.metrics import ssim
 from metapp.appearance.photograph import Camera, Material, develop, photograph, shade
 from metapp.apps.illumination.encoder import Encoder
 from metapp.apps.illumination.mirror import completed, is_mirror, nothing_seen, photographed, resampled, seen_loss
-from metapp.apps.illumination.suns import suns_of, with_suns
+from metapp.apps.illumination.suns import GIVEN, joined, parted, suns_of, with_suns
 from metapp.apps.illumination.surfaces import FACED, MIRRORED, relight, surfaces
 from metapp.apps.illumination.variants import of_mean_1, varied
 from metapp.learning.app import Traits
@@ -78,7 +78,8 @@ class Illumination(CodedApp):
     @property
     def traits(self) -> Traits:
         reads = self.field.height if self.field.height > READ else 0
-        return replace(super().traits, scale=100.0, reads=reads)
+        given = GIVEN if self.protocol == "reference" else ()
+        return replace(super().traits, scale=100.0, reads=reads, given=given)
 
     def prepare(self, task: Task) -> dict[str, Tensor]:
         """`photo` uint8 [3, S, S], and of the map `map` [3, H, W] and `sent`, what surfaces send out under it.
@@ -123,11 +124,11 @@ class Illumination(CodedApp):
         field, z = self.field, theta["z"]
         towards = directions(field.height, field.width, dtype=z.dtype, device=z.device)
         maps = field(theta, towards.expand(len(z), -1, -1, -1)).clamp_max(16).exp()
-        return with_suns(maps, theta["suns"].detach()) if "suns" in theta else maps
+        return with_suns(maps, joined(theta)) if "suns.light" in theta else maps
 
     def known(self, tasks: Tasks) -> Params:
         """The suns, where fits see the map."""
-        return {"suns": tasks.data["suns"][tasks.rows]} if "suns" in tasks.data else {}
+        return parted(tasks.data["suns"][tasks.rows]) if "suns" in tasks.data else {}
 
     def sized(self, height: int, width: int) -> Illumination:
         """The application with maps of another size: its networks can be evaluated anywhere."""

@@ -16,9 +16,11 @@ from scipy.ndimage import label
 from torch import Tensor
 
 from metapp.appearance.latlong import directions, luminance, solid_angles
+from metapp.learning.task import Params
 
-COUNT = 3  # suns of a map
+COUNT, NUMBERS = 3, 10  # suns of a map, and numbers of each
 BRIGHT = 80.0  # luminance of what is a sun, of maps of mean luminance 1
+GIVEN = tuple((f"suns.{kind}", (COUNT, 1 if kind == "angle" else 3)) for kind in ("angle", "level", "light", "towards"))
 WIDEST = math.radians(2.5)  # root mean square angle; larger lights are no Gaussians, and the network fits them
 COVERED = 20.0  # the network does not count where a sun has this part of its radiance or more
 NARROWEST = 0.1  # texels, standard deviation along one axis
@@ -31,7 +33,7 @@ def suns_of(maps: Tensor) -> Tensor:
 
 def _suns(light: Tensor) -> Tensor:
     bright = luminance(light)
-    found = torch.zeros(COUNT, 10)
+    found = torch.zeros(COUNT, NUMBERS)
     if not (bright > BRIGHT).any():
         return found
     height, width = bright.shape
@@ -98,6 +100,18 @@ def _between(edges: Tensor) -> Tensor:
     """The share of a normal distribution between each two edges [..., N + 1], [..., N]."""
     shares: Tensor = torch.special.ndtr(edges).diff(dim=-1)
     return shares
+
+
+def parted(suns: Tensor) -> Params:
+    """Suns [T, COUNT, NUMBERS] as parameters of fits, by kind, so that a pack spends bits on each; angles in rad."""
+    towards, light, spread, level = suns.split((3, 3, 1, 3), 2)
+    return {"suns.angle": spread.sqrt(), "suns.level": level, "suns.light": light, "suns.towards": towards}
+
+
+def joined(theta: Params) -> Tensor:
+    """The same again, [T, COUNT, NUMBERS], which no step moves."""
+    kinds = theta["suns.towards"], theta["suns.light"], theta["suns.angle"] ** 2, theta["suns.level"]
+    return torch.cat(kinds, 2).detach()
 
 
 def _covered(lobes: Tensor) -> Tensor:
