@@ -18,7 +18,7 @@ from scipy.ndimage import gaussian_filter
 
 from data_tools.balls.view import Floats
 from data_tools.readers.image_files import is_heif, opened
-from metapp.appearance.colour import linear_to_srgb
+from metapp.appearance.colour import linear_to_srgb, srgb_to_linear
 
 CLIPPED, DARK = 0.98, 0.03  # display values that are white, and that say little
 
@@ -94,7 +94,7 @@ def measured_steps(lights: Sequence[Floats], seen: Sequence[NDArray[np.bool_]], 
     result = np.ones(len(lights))
     for before, after in itertools.pairwise(order):
         a, b = lights[before], lights[after]
-        low, high = _linear(_LEVEL[0]), _linear(_LEVEL[1])
+        low, high = _linear(np.array(_LEVEL))
         for least in (low, low / 8, low / 40):
             usable = seen[before] & seen[after] & (a.max(0) < high) & (b.max(0) < high)
             usable &= (a.mean(0) > least) & (b.mean(0) > least)
@@ -105,8 +105,9 @@ def measured_steps(lights: Sequence[Floats], seen: Sequence[NDArray[np.bool_]], 
     return result
 
 
-def _linear(display: float) -> float:
-    return math.pow((display + 0.055) / 1.055, 2.4)
+def _linear(display: Floats) -> Floats:
+    result: Floats = srgb_to_linear(torch.from_numpy(display)).numpy()
+    return result
 
 
 class Curve(NamedTuple):
@@ -157,7 +158,7 @@ def _solved(values: Floats, logs: Floats) -> Floats:
     system[rows, _KNOTS + np.tile(np.arange(pixels), count)] = -flat
     target[rows] = flat * np.repeat(logs, pixels)
     # the second difference of what sRGB's curve leaves, so that little data changes it little
-    known = np.log(np.maximum([_linear(z) if z > 0.04 else z / 12.92 for z in np.linspace(0, 1, _KNOTS)], 1e-3))
+    known = np.log(np.maximum(_linear(np.linspace(0, 1, _KNOTS)), 1e-3))
     smooth = np.diff(np.eye(_KNOTS), 2, axis=0) * _SMOOTH * math.sqrt(pixels / 100 + 1)
     system[len(rows) : -1, :_KNOTS] = smooth
     target[len(rows) : -1] = smooth @ known

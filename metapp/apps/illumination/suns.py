@@ -9,11 +9,9 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-import numpy as np
 import torch
-from numpy.typing import NDArray
-from scipy.ndimage import label
 from torch import Tensor
+from torch.nn.functional import max_pool2d, pad
 
 from metapp.appearance.latlong import directions, luminance, solid_angles
 from metapp.learning.task import Params
@@ -39,7 +37,7 @@ def _suns(light: Tensor) -> Tensor:
     height, width = bright.shape
     towards, area = directions(height, width), solid_angles(height, width)
     excess = light * (1 - BRIGHT / bright.clamp_min(BRIGHT)) * area
-    regions = torch.from_numpy(_regions((bright > BRIGHT).numpy()))
+    regions = _regions(bright > BRIGHT)
     weights = luminance(excess)
     suns = [_shape(weights * (regions == region), towards) for region in range(1, int(regions.max()) + 1)]
     small = sorted((sun for sun in suns if sun.spread <= WIDEST**2), key=lambda sun: -sun.light)[:COUNT]
@@ -67,14 +65,17 @@ def _shape(weights: Tensor, towards: Tensor) -> _Shape:
     return _Shape((mean / length).float(), max(2 * (1 - length / light), 0.0), light)
 
 
-def _regions(bright: NDArray[np.bool_]) -> NDArray[np.int64]:
-    """Numbers of connected regions, 0 outside; they go on around the horizon."""
-    regions, _ = label(bright, np.ones((3, 3)))
-    for left, right in zip(regions[:, 0], regions[:, -1], strict=True):
-        if left and right and left != right:
-            regions[regions == right] = left
-    numbers = np.unique(regions, return_inverse=True)[1]
-    return np.asarray(numbers.reshape(regions.shape), dtype=np.int64)
+def _regions(bright: Tensor) -> Tensor:
+    """Numbers of connected regions, from 1, 0 outside; bool [H, W] to int64; they go on around the horizon."""
+    names = torch.arange(1.0, bright.numel() + 1).reshape(bright.shape) * bright
+    while True:  # each takes the largest name around it
+        around = pad(pad(names[None, None], (1, 1, 0, 0), mode="circular"), (0, 0, 1, 1))
+        grown = max_pool2d(around, 3, stride=1)[0, 0] * bright
+        if torch.equal(grown, names):
+            break
+        names = grown
+    numbers: Tensor = torch.cat([torch.zeros(1), names.flatten()]).unique(return_inverse=True)[1]
+    return numbers[1:].reshape(bright.shape)
 
 
 def _lobes(suns: Tensor, height: int, width: int) -> Tensor:
