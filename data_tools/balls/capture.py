@@ -12,7 +12,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from data_tools.balls.exposures import CLIPPED, Curve, Merged, exif_exposure, measured_steps, merged, recovered_curve
+from data_tools.balls.exposures import Curve, Merged, exif_exposure, measured_steps, merged, recovered_curve
 from data_tools.balls.shots import FOUND, Shot, aligned, disc, gray_of, searched, shot_of
 from data_tools.balls.unwrap import unwrapped
 from data_tools.balls.view import Ball, Floats, Lens, mirrored
@@ -20,6 +20,7 @@ from data_tools.readers.image_files import Pixels, read_pixels
 from data_tools.readers.photos import field_of_view
 from metapp.appearance.colour import linear_to_srgb
 from metapp.appearance.latlong import sphere_normals
+from metapp.apps.illumination.mirror import CLIPPED
 
 ROWS = 64
 SIZE = 64  # px of the photograph of the ball alone

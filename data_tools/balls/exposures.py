@@ -14,13 +14,13 @@ from typing import NamedTuple
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from scipy.ndimage import gaussian_filter
 
 from data_tools.balls.view import Floats
 from data_tools.readers.image_files import is_heif, opened
 from metapp.appearance.colour import linear_to_srgb, srgb_to_linear
+from metapp.apps.illumination.mirror import CLIPPED
 
-CLIPPED, DARK = 0.98, 0.03  # display values that are white, and that say little
+DARK = 0.03  # display value that says little
 
 _KNOTS = 32  # of a camera's curve
 _SAMPLES = 600  # pixels that tell it
@@ -130,6 +130,8 @@ def recovered_curve(displays: Sequence[Floats], seen: Sequence[NDArray[np.bool_]
         seen: where each shows the ball, [S, S].
         exposures: [N].
     """
+    from scipy.ndimage import gaussian_filter
+
     stack = np.stack(displays)
     smooth = np.stack([gaussian_filter(picture, (0, 1, 1)) for picture in stack])
     edges = np.abs(np.gradient(smooth.max(0), axis=(1, 2))).sum((0, 1))
@@ -170,9 +172,7 @@ def _solved(values: Floats, logs: Floats) -> Floats:
 
 def hat(display: Floats) -> Floats:
     """Weights of display values in [0, 1]: 0 at black and white."""
-    rising = np.clip((display - 0.01) / 0.15, 0, 1)
-    falling = np.clip((0.97 - display) / 0.15, 0, 1)
-    result: Floats = rising * falling
+    result: Floats = np.clip((display - 0.01) / 0.15, 0, 1) * hat_top(display)
     return result
 
 

@@ -12,7 +12,7 @@ import typer
 
 from metapp.cli.console import print_json
 from metapp.cli.data_convert import Out, Quiet
-from metapp.cli.options import Json, takes
+from metapp.cli.options import Json, field_of_view, takes
 from metapp.runs.reporter import progress, say
 
 if TYPE_CHECKING:
@@ -41,15 +41,7 @@ class BallOptions:
             help="Exposure times of the photos in their order, such as 1/20,1/60; default: EXIF, else by the pixels.",
         ),
     ] = ""
-    fov: Annotated[
-        float,
-        typer.Option(
-            min=0,
-            max=150,
-            metavar="DEGREES",
-            help="Field of view along the photos' shorter side; 0: as EXIF says of uncropped photos, else far away.",
-        ),
-    ] = 0
+    fov: Annotated[float, field_of_view("as EXIF says of uncropped photos, else far away")] = 0
     ball: Annotated[
         str, typer.Option(metavar="X,Y,RADIUS", help="Where the ball is, px from the upper left; default: it is found.")
     ] = ""

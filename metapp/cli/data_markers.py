@@ -12,7 +12,7 @@ import typer
 
 from metapp.cli.console import print_json
 from metapp.cli.data_convert import Out, Quiet
-from metapp.cli.options import Json, takes
+from metapp.cli.options import Json, field_of_view, takes
 from metapp.runs.reporter import progress, say
 
 if TYPE_CHECKING:
@@ -68,15 +68,7 @@ class Rectify:
             min=64, max=4096, metavar="PX", help="Greatest side of the pictures; never finer than the first photo."
         ),
     ] = 1024
-    fov: Annotated[
-        float,
-        typer.Option(
-            min=0,
-            max=150,
-            metavar="DEGREES",
-            help="Field of view along the photos' shorter side; 0: as EXIF says, else as the markers fit best.",
-        ),
-    ] = 0
+    fov: Annotated[float, field_of_view("as EXIF says, else as the markers fit best")] = 0
     flash: Annotated[
         str, typer.Option(metavar="X,Y", help="Where the flash is beside the lens: cm right and up in the photo.")
     ] = "0,0"

@@ -17,6 +17,12 @@ Options = TypeVar("Options")
 Result = TypeVar("Result")
 
 
+def field_of_view(unsaid: str) -> Any:
+    """The option for a camera's field of view in degrees; its help ends with what 0 means."""
+    words = f"Field of view along the photos' shorter side; 0: {unsaid}."
+    return typer.Option(min=0, max=150, metavar="DEGREES", help=words)
+
+
 def takes(options: Callable[..., Options]) -> Callable[[Callable[[Options], Result]], Callable[..., Result]]:
     """Make a command of a function of one object: each field of its dataclass is an argument or option, as annotated.
 

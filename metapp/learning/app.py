@@ -158,6 +158,11 @@ class Known(Protocol):
         """These parameters, [T, ...]."""
 
 
+def known_of(app: App, tasks: Tasks) -> Params:
+    """The parameters that tasks give themselves, [T, ...]; {} for applications that are not `Known`."""
+    return app.known(tasks) if isinstance(app, Known) else {}
+
+
 @runtime_checkable
 class OuterLoss(Protocol):
     """An application whose training tasks know more than a fit may see."""

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from torch import Generator
 
 from metapp.learning.adjoint import Loss
-from metapp.learning.app import App, Known, Staged
+from metapp.learning.app import App, Staged, known_of
 from metapp.learning.learn import Encoding, MetaParameters, after_encoding, over_tasks, staged, task_outer_loss
 from metapp.learning.progress import Progress
 from metapp.learning.rules import fixed_adam
@@ -30,11 +30,9 @@ def beginning(job: Job, prepared: MetaParameters, tasks: Tasks, rng: Rng) -> Par
 
 def encoding(app: App) -> Encoding:
     """How fits with steps begin."""
-    if not isinstance(app, Known):
-        return Encoding(app.condition, app.encode)
 
     def condition(tasks: Tasks, rng: Generator) -> Batch:
-        return app.condition(tasks, rng) | {GIVEN + key: value for key, value in app.known(tasks).items()}
+        return app.condition(tasks, rng) | {GIVEN + key: value for key, value in known_of(app, tasks).items()}
 
     def encode(encoder: Params, condition: Batch) -> Params:
         given = {key.removeprefix(GIVEN): value for key, value in condition.items() if key.startswith(GIVEN)}

@@ -11,7 +11,7 @@ from torch import Generator
 
 from metapp.engine import Fastest
 from metapp.learning.adjoint import Loss, UpdateRule
-from metapp.learning.app import Known
+from metapp.learning.app import known_of
 from metapp.learning.learn import (
     MetaParameters,
     after_learning,
@@ -94,8 +94,7 @@ def initialisation(job: Job, prepared: MetaParameters, tasks: Tasks, rng: Rng) -
     """theta_0, the same for every task; or what an encoder that was trained through the steps says of each."""
     if prepared.encoder:
         return general.beginning(job, prepared, tasks, rng)
-    given = job.app.known(tasks) if isinstance(job.app, Known) else {}
-    return given | spread(prepared.theta, len(tasks), 0)
+    return known_of(job.app, tasks) | spread(prepared.theta, len(tasks), 0)
 
 
 def rule(job: Job, prepared: MetaParameters, theta: Params, steps: int) -> UpdateRule:

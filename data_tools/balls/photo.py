@@ -1,0 +1,70 @@
+"""Photographs of one ball without further settings, as tasks of illumination."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+
+from data_tools.balls.capture import lens_of, photo_of
+from data_tools.balls.circle import score_of
+from data_tools.balls.exposures import merged
+from data_tools.balls.mirror import is_mirror
+from data_tools.balls.shots import FOUND, Shot, disc, gray_of, searched, shot_of
+from data_tools.balls.unwrap import unwrapped
+from data_tools.balls.view import Ball, Lens, mirrored
+from data_tools.readers.image_files import Pixels, read_pixels
+from metapp.learning.task import Task
+
+_BETTER = 1.2  # of its score, that another ball must have
+_SAME = 0.03  # of the radius, by which a ball may miss the central square's circle and be taken for that
+
+
+def read_photo(path: Path, task: Task, size: int, fov_rad: float) -> Task:
+    """The task of a photograph as its central square shows it, with what the ball in it tells.
+
+    Args:
+        path: the file.
+        task: what `latlong.read_task` makes of it.
+        size: rows of a map.
+        fov_rad: of the camera along the shorter side; 0: as EXIF says of uncropped photographs, else far away.
+    """
+    pixels = read_pixels(path)
+    if pixels.values.shape[-1] != 3:  # what is transparent is no contour
+        return task
+    ball = _found(pixels, lens_of(pixels, fov_rad))
+    shot = shot_of(pixels, ball or _central(pixels))
+    mirror = is_mirror(shot)
+    if ball:
+        task = Task(task.name, {"photos": photo_of(shot, mirror)[None]})
+    return _with_light(task, shot, size) if mirror else task
+
+
+def _found(pixels: Pixels, lens: Lens | None) -> Ball | None:
+    """The ball in a photograph; None where the central square's is as good."""
+    ball = searched(pixels, lens)
+    central = _central(pixels)
+    if ball is None or ball.score < FOUND or ball.score < _BETTER * score_of(gray_of(pixels), central):
+        return None
+    away = math.hypot(ball.x - central.x, ball.y - central.y)
+    differs = max(away, abs(ball.radius - central.radius), central.radius * math.hypot(*ball.slant))
+    return ball if differs > _SAME * central.radius else None
+
+
+def _central(pixels: Pixels) -> Ball:
+    """The ball that touches the borders of the central square."""
+    height, width = pixels.values.shape[:2]
+    side = min(height, width)
+    left, top = (width - side) // 2, (height - side) // 2
+    return Ball(left + side / 2, top + side / 2, side / 2)
+
+
+def _with_light(task: Task, shot: Shot, rows: int) -> Task:
+    """The task with what a mirror shows of the map."""
+    size = min(800, 2 * math.ceil(shot.ball.radius))
+    places = disc(size)
+    light, there = shot.at(mirrored(places, shot.ball.angle))
+    found = merged([light], [there & (np.hypot(*places) < 1)], np.ones(1))
+    seen, certain = unwrapped(found.radiance, found.clipped, found.seen, rows, shot.ball.angle, shot.ball.radius)
+    return task._replace(data=task.data | {"seen": seen, "certain": certain})
