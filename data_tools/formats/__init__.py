@@ -155,8 +155,8 @@ class Format(NamedTuple):
         inputs: what the files are, in words, for help and errors; "" where fits do not take them as INPUT.
         takes: what fits may tell `read_task`: "size", px a side or rows of what the file becomes; "least", what
             smaller photos are enlarged to; "fov_rad", the camera's field of view along the shorter side; "exposure", by
-            how many stops photos are too bright; "roots",
-            folders that files named in a file may come from.
+            how many stops photos are too bright; "roots", folders that files named in a file may come from.
+        merges: whether the module's `merge(paths, exposures, ...)` makes one task of photos of different exposures.
         exports: whether fits are written in it.
         holds: the parameters that a written file holds; a fit of another network is distilled into them first; () for
             a format that is written from what a fit evaluates to.
@@ -169,6 +169,7 @@ class Format(NamedTuple):
     module: str
     inputs: str = ""
     takes: tuple[str, ...] = ()
+    merges: bool = False
     exports: bool = False
     holds: tuple[str, ...] = ()
     command: Command | None = None
@@ -195,6 +196,12 @@ class Format(NamedTuple):
         taken = {name: value for name, value in known.items() if value and name in self.takes}
         read: Callable[..., Task] = self.files().read_task
         return read(source, **taken)
+
+    def merge(self, sources: list[Path], exposures: str, **known: object) -> Task:
+        """Read photographs of one thing, of different exposures, as one task; the rest as `read`."""
+        taken = {name: value for name, value in known.items() if value and name in self.takes}
+        merge: Callable[..., Task] = importlib.import_module(self.module).merge
+        return merge(sources, exposures, **taken)
 
     def conversion(self, paths: list[Path], split: str, settings: Mapping[str, object]) -> Conversion:
         """How files become tasks by the command's options; ValueError for bad paths."""

@@ -24,7 +24,8 @@ FORMATS = (
         "illumination",
         "data_tools.balls.reading",
         "HDR maps (.exr, .hdr) or LDR photos of a ball",
-        takes=("size",),
+        takes=("size", "fov_rad"),
+        merges=True,
         command=Command(LAVAL, "map", "FILES...", "HDR maps (.exr, .hdr), and folders searched at any depth.", (ROWS,)),
     ),
     Format(

@@ -88,7 +88,8 @@ OPTIONS: Document = {
         metavar="DEGREES",
         min=0,
         max=150,
-        help="The camera's field of view along the shorter side, for flash photos; 0: as EXIF says, else 45.",
+        help="The camera's field of view along the shorter side; 0: as EXIF says, else 45 for flash photos, and photos "
+        "of a ball are taken as from far away.",
     ),
     "exposure": typer.Option(
         metavar="STOPS",
@@ -96,6 +97,11 @@ OPTIONS: Document = {
         max=4,
         help="By how many stops INPUT photos are too bright, negative: too dark; right is where white paper below the "
         "flash would just be white. Colours are scaled by that before fits see them.",
+    ),
+    "exposures": typer.Option(
+        metavar="T,T,...|auto",
+        help="Merge INPUT photos of one mirror ball: their exposure times in their order, such as 1/20,1/60; auto: as "
+        "EXIF says, else as pixels tell.",
     ),
     "scene_root": typer.Option(
         metavar="DIR",
@@ -108,7 +114,7 @@ OPTIONS: Document = {
     "quiet": typer.Option("--quiet", "-q", help="No progress bar, no table."),
 }
 # options that some applications have
-OWN = ("observe", "export", "size", "detail", "render", "fov", "exposure", "scene_root")
+OWN = ("observe", "export", "size", "detail", "render", "fov", "exposure", "exposures", "scene_root")
 
 
 def exports() -> str:
@@ -139,6 +145,7 @@ def own_help(name: str) -> dict[str, str]:
         "render": OPTIONS["render"].help if shown.renders else "",
         "fov": OPTIONS["fov"].help if "fov_rad" in takes else "",
         "exposure": OPTIONS["exposure"].help if "exposure" in takes else "",
+        "exposures": OPTIONS["exposures"].help if any(form.merges for form in inputs_of(name)) else "",
         "scene_root": OPTIONS["scene_root"].help if "roots" in takes else "",
     }
     return {key: text for key, text in found.items() if text}
@@ -172,8 +179,9 @@ def make_command(name: str, summary: str) -> Callable[..., None]:
             from metapp.runs.plan import plan
         request = Request(paradigm=name, **{key: value for key, value in options.items() if value is not None})
         lines = request.inputs == [Path("-")]
-        if lines and (not json or request.batch or request.shard or request.render):
-            raise typer.BadParameter("-: give --json, by which lines are answered, no --batch, --shard, --render.")
+        if lines and (not json or request.batch or request.shard or request.render or request.exposures):
+            others = "no --batch, --shard, --render, --exposures"
+            raise typer.BadParameter(f"-: give --json, by which lines are answered, {others}.")
         planned = plan(request)
         for remark, unused in (
             ("--rule: only meta has learned rules", request.rule and name != "meta"),

@@ -196,8 +196,19 @@ def check_inputs(request: Request, app: App) -> None:
     if request.render and not presentation_of(app).renders:
         raise BadOption(f"--render: {app.name} has no scenes, only transport; leave it out.")
     if request.fov and not any("fov_rad" in form.takes for form in formats):
-        raise BadOption(f"--fov: {app.name} has no flash photos; leave it out.")
+        raise BadOption(f"--fov: {app.name} has no photos whose camera counts; leave it out.")
     if request.exposure and not any("exposure" in form.takes for form in formats):
         raise BadOption(f"--exposure: {app.name} takes photos as they are, only svbrdf_nonstationary scales them.")
     if request.exposure and (app.protocol != "photo" or not request.inputs):
         raise BadOption("--exposure is about INPUT photos where fits see them alone; add --observe photo, name photos.")
+    if request.exposures:
+        _check_exposures(request, app, any(form.merges for form in formats))
+
+
+def _check_exposures(request: Request, app: App, merges: bool) -> None:
+    if not merges:
+        raise BadOption(f"--exposures: {app.name} merges no photos, only illumination does; leave it out.")
+    if app.protocol != "photo" or not request.inputs:
+        raise BadOption("--exposures merges INPUT photos where fits see them alone; add --observe photo, name photos.")
+    if request.lazy:
+        raise BadOption("--exposures makes one input of all photos; leave out --batch and --shard.")

@@ -90,8 +90,8 @@ def tasks_to_fit(app: App, request: Request) -> tuple[list[Task], str]:
     """
     if not request.inputs:
         return tasks_of_data(app, request.data, request.quiet)
-    tasks: list[Task] = []
-    for path in request.inputs:
+    tasks = [_merged(app, request)] if request.exposures else []
+    for path in request.inputs if not request.exposures else ():
         for places, read in _found(app, path, request):
             for task in _read(path, places, read):
                 tasks.append(task)
@@ -187,6 +187,13 @@ def _found(app: App, path: Path, request: Request) -> Iterator[tuple[list[Path],
             exposure=request.exposure,
         )
         yield places, read
+
+
+def _merged(app: App, request: Request) -> Task:
+    """The one task of photos of different exposures."""
+    form = next(form for form in inputs_of(app.name) if form.merges)
+    places = [place for path in request.inputs for found, _ in _found(app, path, request) for place in found]
+    return form.merge(places, request.exposures, size=app.traits.reads, fov_rad=math.radians(request.fov))
 
 
 def _read(path: Path, places: list[Path], read: Callable[[Path], Task]) -> Iterator[Task]:

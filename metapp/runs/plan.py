@@ -136,6 +136,7 @@ class Plan:
             "roots": [str(path.absolute()) for path in request.scene_root],
             "fov_rad": math.radians(request.fov),
             "exposure": request.exposure,
+            "exposures": request.exposures,
             "data": request.data and str(request.data.absolute()),
             "checkpoint": request.checkpoint and str(request.checkpoint.absolute()),
         }

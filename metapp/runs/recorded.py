@@ -27,7 +27,7 @@ SETTINGS = {
 }
 ORIGIN = {
     **{f"{name}?": str for name in ("machine", "data", "checkpoint")},
-    **{"inputs?": [str], "roots?": [str], "fov_rad?": NUMBER, "exposure?": NUMBER},
+    **{"inputs?": [str], "roots?": [str], "fov_rad?": NUMBER, "exposure?": NUMBER, "exposures?": str},
 }
 FORM = {**FIT, "settings": {**SETTINGS, "paradigm": str, "rule": str}, "origin?": ORIGIN}  # of a fit's record
 
@@ -134,7 +134,8 @@ def reading_of(origin: Document) -> Document:
     """The options of a record's origin that say how files were read."""
     fov = round(math.degrees(origin.get("fov_rad", 0.0)), 9)  # as it was given, so that radians are the same bits
     roots = [path_of(path) for path in origin.get("roots", [])]
-    return {"fov": fov, "exposure": origin.get("exposure", 0.0), "scene_root": roots}
+    photos = {"exposure": origin.get("exposure", 0.0), "exposures": origin.get("exposures", "")}
+    return {"fov": fov, "scene_root": roots} | photos
 
 
 def _of_sources(records: list[Document], app: App, request: Request) -> dict[str, Task]:

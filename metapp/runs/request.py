@@ -23,8 +23,9 @@ class Request:
         paradigm: general, overfit, finetune, quickft or meta.
         inputs: files and folders; none: the test tasks of the data set.
         detail: px a side that photographs are read and fitted at; 0: as many as in training.
-        fov: of flash photos, the camera's field of view along the shorter side in degrees; 0: as EXIF says, else 45.
+        fov: of photos, the camera's field of view along the shorter side in degrees; 0: as EXIF says, else as usual.
         exposure: of flash photos without maps, by how many stops they are too bright, negative: too dark.
+        exposures: of photos of one mirror ball, which are merged into one input; "": inputs are apart.
         quiet: no progress, no messages but warnings.
     """
 
@@ -50,6 +51,7 @@ class Request:
     render: int = 0
     fov: float = 0.0
     exposure: float = 0.0
+    exposures: str = ""
     scene_root: Sequence[Path] = ()
     seed: int = 0
     device: str = "auto"

@@ -58,3 +58,43 @@ def test_bad_options_are_a_line(photo: Path, tmp_path: Path, options: list[str],
     found = done.output + str(done.exception)
     assert line in " ".join(found.replace("│", " ").split())
     assert not (tmp_path / "x").exists()
+
+
+@pytest.fixture
+def bracket(tmp_path: Path) -> list[str]:
+    picture = torch.from_numpy(photograph(Ball(80, 75, 60), 150, 160, 0.02, detailed))
+    files = [tmp_path / f"{name}.png" for name in "bac"]
+    for exposure, file in zip((0.5, 1.0, 2.0), files, strict=True):
+        shown = linear_to_srgb((exposure * picture).clamp(0, 1)).permute(1, 2, 0)
+        write_png(shown, {"encoding": "sRGB"}, file)
+    return [str(file) for file in files]
+
+
+@pytest.mark.parametrize("exposures", ["1/40,1/20,1/10", "auto"])
+def test_fits_merge_photos_of_several_exposures(bracket: list[str], tmp_path: Path, exposures: str) -> None:
+    options = ["--observe", "photo", "--recipe", "quick", "--out", str(tmp_path / "runs"), "--json", "--quiet"]
+    done = CliRunner().invoke(app, ["general", "illumination", *bracket, "--exposures", exposures, *options])
+    assert done.exit_code == 0, done.output
+    said = json.loads(done.stdout.splitlines()[-1])
+    assert [task["name"] for task in said["tasks"]] == ["b"]
+    again = CliRunner().invoke(app, ["rerun", str(Path(said["out"]) / "record.jsonl"), "--json", "--quiet"])
+    assert again.exit_code == 0, again.output
+
+
+@pytest.mark.parametrize(
+    ("words", "line"),
+    [
+        (["illumination", "--observe", "photo", "--exposures", "1/20,1/60"], "2 exposure(s) for 3 photo(s)"),
+        (["illumination", "--observe", "photo", "--exposures", "soon"], "expected exposure times"),
+        (["illumination", "--observe", "photo", "--exposures", "auto", "--batch", "2"], "leave out --batch"),
+        (["illumination", "--exposures", "auto"], "add --observe photo"),
+        (["svbrdf_nonstationary", "--observe", "photo", "--exposures", "auto"], "only illumination does"),
+    ],
+)
+def test_fits_refuse_exposures_that_do_not_fit_in_a_line(
+    bracket: list[str], tmp_path: Path, words: list[str], line: str
+) -> None:
+    done = CliRunner().invoke(app, ["general", words[0], *bracket, *words[1:], "--out", str(tmp_path / "runs")])
+    assert done.exit_code in (1, 2)
+    assert line in " ".join((done.output + str(done.exception)).replace("│", " ").split())
+    assert not list(tmp_path.glob("runs/*/*"))

@@ -213,7 +213,7 @@ def test_the_field_of_view_counts(metapp: Callable, shot: Path) -> None:
     data = {fov: metapp(*common, "--fov", fov).document["data"] for fov in ("0", "45", "70")}
     assert data["0"] == data["45"] != data["70"]  # names of data tell their content
     misuse = metapp("overfit", "texture", shot, "--fov", "60").misuse
-    assert "--fov: texture has no flash photos; leave it out." in misuse
+    assert "--fov: texture has no photos whose camera counts; leave it out." in misuse
 
 
 def test_the_exposure_counts(metapp: Callable, shot: Path) -> None:

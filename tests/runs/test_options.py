@@ -33,14 +33,14 @@ def test_every_field_of_a_request_is_an_option() -> None:
     assert {field.name for field in fields(Request)} == OPTIONS.keys() | {"paradigm"}
 
 
-OWN = {"observe", "export", "size", "detail", "render", "fov", "exposure", "scene-root"}
+OWN = {"observe", "export", "size", "detail", "render", "fov", "exposure", "exposures", "scene-root"}
 SHOWN = {
     "": set(),
     "brdf": {"export"},
     "texture": {"export", "size", "detail"},
     "svbrdf_stationary": {"export", "size", "detail", "fov"},
     "svbrdf_nonstationary": {"observe", "export", "fov", "exposure"},
-    "illumination": {"observe", "size"},
+    "illumination": {"observe", "size", "fov", "exposures"},
     "transport": {"render", "scene-root"},
 }
 
