@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import math
 import struct
+import warnings
 from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
@@ -47,6 +48,7 @@ GRID = 160  # half vectors along u and v
 LAST_DEGREES = 89.5
 LEAST_LUMINANCE = 1e-3  # of the mean: where a value is 0, directions are drawn all the same
 SUFFIX = ".bsdf"
+BELOW_ZERO = 1e-6  # of the greatest value of a density: values that little below 0 are noise
 LARGEST = 1e9  # of any number; measurements are below 1e6
 # number of axes of each field that `measured` reads
 AXES = {
@@ -282,7 +284,10 @@ def _check_values(path: Path, fields: Mapping[str, NDArray[np.number]]) -> None:
             raise ValueError(f"{path}: {name} not ascending, expected ascending angles in rad; download it again.")
     for name in ("vndf", "luminance"):
         slices = fields[name].reshape(-1, *fields[name].shape[2:])
-        if (slices < 0).any() or (slices.sum((1, 2), dtype=float) <= 0).any():
+        least, most = float(slices.min()), float(slices.max())
+        if least < -BELOW_ZERO * most or (slices.sum((1, 2), dtype=float) <= 0).any():
             raise ValueError(f"{path}: {name} negative or 0 throughout, expected a density; download it again.")
+        if least < 0:  # noise of a genuine measurement; `measured` draws directions by it, and `eval` does not use it
+            warnings.warn(f"{path}: {name} of down to {least:.1g}, taken for noise below 0.", stacklevel=2)
     if fields["jacobian"][0] and (fields["sigma"] <= 0).any():
         raise ValueError(f"{path}: sigma with values of 0 or less, expected areas above 0; download it again.")
