@@ -25,3 +25,8 @@ def __getattr__(name: str) -> Any:
 
         return getattr(api, name)
     raise AttributeError(f"module 'metapp' has no attribute '{name}'")
+
+
+def __dir__() -> list[str]:
+    """What `dir` and completion list, the API that is not imported yet included."""
+    return sorted({*globals(), *__all__})

@@ -157,6 +157,7 @@ class Format(NamedTuple):
             smaller photos are enlarged to; "fov_rad", the camera's field of view along the shorter side; "exposure", by
             how many stops photos are too bright; "roots", folders that files named in a file may come from.
         merges: whether the module's `merge(paths, exposures, ...)` makes one task of photos of different exposures.
+        objects: what the module's `from_object(source, name)` reads that is no file, in words; "" for nothing.
         exports: whether fits are written in it.
         holds: the parameters that a written file holds; a fit of another network is distilled into them first; () for
             a format that is written from what a fit evaluates to.
@@ -170,6 +171,7 @@ class Format(NamedTuple):
     inputs: str = ""
     takes: tuple[str, ...] = ()
     merges: bool = False
+    objects: str = ""
     exports: bool = False
     holds: tuple[str, ...] = ()
     command: Command | None = None
@@ -202,6 +204,11 @@ class Format(NamedTuple):
         taken = {name: value for name, value in known.items() if value and name in self.takes}
         merge: Callable[..., Task] = importlib.import_module(self.module).merge
         return merge(sources, exposures, **taken)
+
+    def from_object(self, source: object, name: str) -> Task:
+        """Read something in memory; ValueError where it is none of `objects`."""
+        read: Callable[[object, str], Task] = importlib.import_module(self.module).from_object
+        return read(source, name)
 
     def conversion(self, paths: list[Path], split: str, settings: Mapping[str, object]) -> Conversion:
         """How files become tasks by the command's options; ValueError for bad paths."""
@@ -265,6 +272,11 @@ def formats() -> tuple[Format, ...]:
 def inputs_of(app: str) -> tuple[Format, ...]:
     """Return the formats that fits of an application take as INPUT."""
     return tuple(form for form in formats() if form.app == app and form.inputs)
+
+
+def objects_of(app: str) -> tuple[Format, ...]:
+    """Return the formats of what fits of an application take from memory."""
+    return tuple(form for form in formats() if form.app == app and form.objects)
 
 
 def exports_of(app: str) -> dict[str, Format | Export]:

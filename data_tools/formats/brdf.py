@@ -77,6 +77,12 @@ FORMATS = (
     ),
     Format("mitsuba", "brdf", "data_tools.assets.mitsuba", exports=True),
     Format(
+        "objects",
+        "brdf",
+        "data_tools.readers.brdf_objects",
+        objects="a function f(wi, wo), arrays (wi, wo, reflectance) or a BSDF of Mitsuba",
+    ),
+    Format(
         "nbrdf",
         "brdf",
         "data_tools.readers.nbrdf",

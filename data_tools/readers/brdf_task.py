@@ -146,7 +146,7 @@ def _bins_above_horizon() -> Tensor:
     return above_horizon(merl_centres()).reshape(-1)
 
 
-def measured_task(name: str, material: Evaluate | Array, samples: int, source: Path) -> Task:
+def measured_task(name: str, material: Evaluate | Array, samples: int, source: str | Path) -> Task:
     """As `brdf_task`, of a file; warns of values that no material has."""
     task = brdf_task(name, material, samples, source=source)
     evaluate = functools.partial(merl_evaluate, material) if isinstance(material, np.ndarray) else material
@@ -154,7 +154,7 @@ def measured_task(name: str, material: Evaluate | Array, samples: int, source: P
     return task
 
 
-def warn_implausible(source: Path, task: Task, evaluate: Callable[[Tensor], Tensor]) -> None:
+def warn_implausible(source: str | Path, task: Task, evaluate: Callable[[Tensor], Tensor]) -> None:
     """One warning where no material reflects so: nothing, far too bright, or more than comes in.
 
     Args:

@@ -39,6 +39,7 @@ RADIANS = {"deg": math.pi / 180, "rad": 1.0}
 RGB = ("r", "g", "b")
 LEAST = 64  # pairs of directions
 LARGEST = 1e9  # of a BRDF, in 1/sr
+LAST_RAD = math.radians(89.999)  # from the normal: what is nearer to the surface is left out
 VISIBLE = (420.0, 680.0)  # nm, that spectra must cover
 NEIGHBOURS = 6  # measurements that a pixel of the picture is made of
 LONGEST = 1 << 28  # bytes of a file
@@ -62,16 +63,36 @@ def read_task(path: Path) -> Task:
     Raises:
         ValueError: as `read_gonio`; too few measurements.
     """
+    return _task(path.stem, path, *read_gonio(path))
+
+
+def task_of_directions(name: str, wi: Tensor, wo: Tensor, reflectance: Tensor) -> Task:
+    """The same of measurements in memory.
+
+    Args:
+        name: of the task.
+        wi, wo: unit vectors [N, 3] to light and detector, z the normal, float64; rows along or below the surface are
+            left out.
+        reflectance: linear RGB [N, 3] in 1/sr, float64.
+
+    Raises:
+        ValueError: too few measurements; arrays of different lengths.
+    """
+    if not len(wi) == len(wo) == len(reflectance):
+        raise ValueError(f"{name}: {len(wi)}, {len(wo)} and {len(reflectance)} rows, expected as many of each.")
+    above = torch.minimum(wi[:, 2], wo[:, 2]) > math.cos(LAST_RAD)
+    return _task(name, name, directions_to_full_circle(wi[above], wo[above]), reflectance[above])
+
+
+def _task(name: str, source: str | Path, angles: Tensor, reflectance: Tensor) -> Task:
     from scipy.spatial import KDTree  # here: every BRDF file is first shown to this reader, whatever it is
 
-    angles, reflectance = _distinct(*read_gonio(path))
+    angles, reflectance = _distinct(angles, reflectance)
     if len(angles) < LEAST:
-        raise ValueError(f"{path}: {len(angles)} pairs of directions, expected {LEAST} or more; measure more.")
+        raise ValueError(f"{source}: {len(angles)} pairs of directions, expected {LEAST} or more; measure more.")
     order = torch.randperm(len(angles), generator=torch.Generator().manual_seed(0))
     render = shade_sphere(reference_scene(), functools.partial(_near, KDTree(_points(angles)), reflectance)).float()
-    return Task(
-        path.stem, {"angles": angles[order].float(), "reflectance": reflectance[order].float(), "render": render}
-    )
+    return Task(name, {"angles": angles[order].float(), "reflectance": reflectance[order].float(), "render": render})
 
 
 class _Rows(NamedTuple):
@@ -115,7 +136,7 @@ def read_gonio(path: Path) -> tuple[Tensor, Tensor]:
             f"{path}: line {rows.lines[row]}: {names[column]} {values[row, column]:.6g}, expected 0 to {LARGEST:g} "
             "in 1/sr; leave out what was not measured."
         )
-    above = (angles[:, [0, 2]] < math.radians(89.999)).all(1)
+    above = (angles[:, [0, 2]] < LAST_RAD).all(1)
     light, viewer = (torch.from_numpy(_direction(angles[above, i], angles[above, i + 1])) for i in (0, 2))
     return directions_to_full_circle(light, viewer), torch.from_numpy((values @ matrix)[above]).clamp_min(0)
 

@@ -226,10 +226,11 @@ def read_rgl(path: Path) -> Callable[[Tensor], Tensor]:
     check(path, read_tensor_file(path))
     mitsuba = load_mitsuba()
     bsdf = mitsuba.load_dict({"type": "measured", "filename": str(path.resolve())})
-    return partial(_evaluate, mitsuba, bsdf)
+    return partial(evaluate, mitsuba, bsdf)
 
 
-def _evaluate(mitsuba: ModuleType, bsdf: mi.BSDF, angles: Tensor) -> Tensor:
+def evaluate(mitsuba: ModuleType, bsdf: mi.BSDF, angles: Tensor) -> Tensor:
+    """A BSDF of Mitsuba without the cosine, linear RGB [..., 3] in 1/sr, >= 0, of angles [..., 3] in rad."""
     import drjit
 
     light, viewer = rusinkiewicz_to_directions(angles.reshape(-1, 3).double())

@@ -15,7 +15,7 @@ from metapp.learning.task import Params, Task
 from metapp.runs.checkpoints import find_checkpoint
 from metapp.runs.checks import check_export
 from metapp.runs.fits import fit_tasks
-from metapp.runs.inputs import tasks_to_fit
+from metapp.runs.inputs import tasks_of_objects, tasks_to_fit
 from metapp.runs.outputs import export_fit
 from metapp.runs.plan import plan
 from metapp.runs.request import Request
@@ -84,12 +84,13 @@ class Fit:
         export_fit(presentation_of(self.app), self.task, self.parameters, Path(path), form, self.settings)
 
 
-def fit(app: str, source: str | PathLike[str], *, paradigm: str = "meta", **options: Any) -> Fit:
-    """Fit one file: a material, a texture, a map, a scene.
+def fit(app: str, source: Any, *, paradigm: str = "meta", **options: Any) -> Fit:
+    """Fit one file, a material, a texture, a map, a scene; or a BRDF in memory.
 
     Args:
         app: brdf, texture, svbrdf_stationary, svbrdf_nonstationary, illumination or transport.
-        source: what `metapp meta APP INPUT` takes, holding one task.
+        source: what `metapp meta APP INPUT` takes, holding one task; of "brdf" also f(wi, wo) -> reflectance, arrays
+            (wi, wo, reflectance) or a BSDF of Mitsuba, as of `data_tools.readers.brdf_objects.from_object`.
         paradigm: general, overfit, finetune, quickft or meta.
         options: as `fit_all` takes them.
 
@@ -104,7 +105,7 @@ def fit(app: str, source: str | PathLike[str], *, paradigm: str = "meta", **opti
 
 def fit_all(
     app: str,
-    sources: Sequence[str | PathLike[str]] = (),
+    sources: Sequence[Any] = (),
     *,
     paradigm: str = "meta",
     fov: float = 0.0,
@@ -114,7 +115,7 @@ def fit_all(
 
     Args:
         app: the application.
-        sources: files and folders; none: the test tasks of `data`, else of the embedded set.
+        sources: files and folders, or BRDFs in memory; none: the test tasks of `data`, else of the embedded set.
         paradigm: general, overfit, finetune, quickft or meta.
         fov: of flash photos, the camera's field of view along the shorter side in degrees; 0: as EXIF says, else 45.
         options: observe, rule, recipe, steps, budget, detail, data, checkpoint, seed, device, as on the command line;
@@ -127,10 +128,14 @@ def fit_all(
     for key in ("data", "out", "checkpoint"):
         if options.get(key) is not None:
             options[key] = Path(options[key])
-    inputs = [Path(source) for source in sources]
+    in_memory = [source for source in sources if not isinstance(source, str | PathLike)]
+    if 0 < len(in_memory) < len(sources):
+        raise ValueError(f"{len(in_memory)} of {len(sources)} sources are no paths, expected all or none of them.")
+    inputs = [] if in_memory else [Path(source) for source in sources]
     planned = plan(Request(app, paradigm, inputs, fov=fov, quiet=True, **options))
     with threads(threads_of(planned.app)):
-        tasks, label = tasks_to_fit(planned.app, planned.request)
+        found = tasks_of_objects(planned.app, in_memory) if in_memory else tasks_to_fit(planned.app, planned.request)
+        tasks, label = found
         planned = find_checkpoint(planned)
         settings = planned.settings(label)
         results = fit_tasks(planned, tasks, warns=True)

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import torch
 
-from data_tools.formats import inputs_of
+from data_tools.formats import inputs_of, objects_of
 from data_tools.readers.photos import SIZE
 from metapp.learning.app import App
 from metapp.learning.task import Task
@@ -100,6 +100,20 @@ def tasks_to_fit(app: App, request: Request) -> tuple[list[Task], str]:
     tasks = distinct(tasks)
     more = f"-and-{len(tasks) - 1}-more" if len(tasks) > 1 else ""
     return tasks, f"{file_name(tasks[0].name)[:40]}{more}-{_content(tasks)}"
+
+
+def tasks_of_objects(app: App, sources: Sequence[object]) -> tuple[list[Task], str]:
+    """What is to be fitted of a program's memory, and its name, "object", with a digest of its content.
+
+    Raises:
+        ValueError: the application reads none such.
+    """
+    forms = objects_of(app.name)
+    if not forms:
+        raise ValueError(f"{type(sources[0]).__name__}: no path, expected one; {app.name} reads files and folders.")
+    names = [getattr(source, "__name__", "object") for source in sources]
+    tasks = distinct([forms[0].from_object(source, name) for source, name in zip(sources, names, strict=True)])
+    return tasks, f"{file_name(tasks[0].name)[:40]}-{_content(tasks)}"
 
 
 def sources_to_fit(app: App, request: Request) -> tuple[list[Source], str]:

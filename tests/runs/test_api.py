@@ -8,10 +8,12 @@ import warnings
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 
 import metapp as api
+from metapp.rendering.variant import load_mitsuba
 from metapp.storage.tensors import read_tensors
 
 
@@ -83,3 +85,68 @@ def test_the_package_imports_at_once() -> None:
     assert done.stdout.startswith("set()")
     with pytest.raises(AttributeError, match="no attribute 'nothing'"):
         _ = api.nothing
+
+
+def lambertian(wi: np.ndarray, wo: np.ndarray) -> np.ndarray:
+    return np.full((len(wi), 3), (0.2, 0.4, 0.6)) / np.pi
+
+
+def directions(count: int) -> tuple[np.ndarray, np.ndarray]:
+    rng = np.random.default_rng(0)
+    wi, wo = rng.normal(size=(2, count, 3))
+    return tuple(np.abs(each) / np.linalg.norm(each, axis=1, keepdims=True) for each in (wi, wo))
+
+
+def test_a_function_is_fitted() -> None:
+    fit = api.fit("brdf", lambertian)
+    assert fit.name == "lambertian"
+    assert fit.error < 0.5
+    angles = torch.tensor([[0.3, 0.4, 1.0]])
+    torch.testing.assert_close(
+        fit.app.reflectance(fit.parameters, angles)[0], torch.tensor([0.2, 0.4, 0.6]) / np.pi, rtol=0.1, atol=0.01
+    )
+    gray = api.fit("brdf", lambda wi, wo: torch.full((len(wi),), 0.1), paradigm="general")
+    assert torch.equal(gray.task.data["reflectance"][:, 0], gray.task.data["reflectance"][:, 2])
+
+
+def test_arrays_of_samples_are_fitted() -> None:
+    wi, wo = directions(400)
+    fit = api.fit("brdf", (wi, wo, lambertian(wi, wo)))
+    assert fit.error < 1
+    assert len(fit.task.data["angles"]) == 400
+
+
+def test_a_bsdf_of_mitsuba_is_fitted() -> None:
+    mi = load_mitsuba()
+    bsdf = mi.load_dict({"type": "diffuse", "reflectance": {"type": "rgb", "value": [0.2, 0.4, 0.6]}})
+    fit = api.fit("brdf", bsdf, paradigm="general")
+    known = torch.tensor([0.2, 0.4, 0.6]) / np.pi
+    torch.testing.assert_close(fit.task.data["reflectance"], known.expand(len(fit.task.data["angles"]), 3))
+
+
+@pytest.mark.parametrize(
+    ("source", "line"),
+    [
+        (3, "object: int, expected a path, a function"),
+        ((1, 2), "2 arrays, expected 3"),
+        ((np.zeros((9, 3)), np.ones((9, 3)), np.ones((9, 3))), "wi of length 0, expected unit vectors"),
+        ((*directions(20), np.ones((20, 3))), "20 pairs of directions, expected 64"),
+        ((*directions(80), -np.ones((80, 3))), "reflectance that is negative"),
+        (lambda wi, wo: wi[:, :2], r"values \(\d+, 2\), expected"),
+        (lambda wi, wo: -np.abs(wi), "reflectance of -1 /sr, expected 0 or more"),
+    ],
+)
+def test_what_is_no_brdf_in_memory_is_refused_in_a_line(source: object, line: str) -> None:
+    with pytest.raises(ValueError, match=line):
+        api.fit("brdf", source)
+
+
+def test_other_applications_read_paths() -> None:
+    with pytest.raises(ValueError, match="function: no path, expected one; texture reads files"):
+        api.fit("texture", lambertian)
+    with pytest.raises(ValueError, match="1 of 2 sources are no paths"):
+        api.fit_all("brdf", ["a", lambertian])
+
+
+def test_names_of_the_api_are_listed() -> None:
+    assert {"fit", "fit_all", "Fit"} <= set(dir(api))

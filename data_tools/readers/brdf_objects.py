@@ -1,0 +1,81 @@
+"""BRDFs in memory: functions of two directions, arrays of samples, BSDFs of Mitsuba."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from data_tools.readers import brdf_task, gonio, rgl
+from metapp.appearance.geometry import rusinkiewicz_to_directions
+from metapp.learning.task import Task
+from metapp.rendering.variant import load_mitsuba
+
+SAMPLES = 65_536
+SAMPLED = ("wi", "wo", "reflectance")  # arrays of samples
+
+Function = Callable[[np.ndarray, np.ndarray], Any]
+
+
+def from_object(source: Any, name: str) -> Task:
+    """Make the task of an isotropic BRDF in memory.
+
+    Args:
+        source: one of
+            f(wi, wo) -> reflectance in 1/sr without the cosine, linear RGB [N, 3] or gray [N], a numpy array or a
+            tensor, of unit vectors [N, 3] in the surface's frame (z its normal), float32 arrays, to light and viewer;
+            (wi, wo, reflectance), arrays [N, 3] of measured samples, 64 or more; each counts as it is, half are held
+            out;
+            a BSDF of Mitsuba in an RGB variant that is not scalar, such as `mi.load_dict({"type": "roughconductor"})`.
+        name: of the task.
+
+    Raises:
+        ValueError: none of these; values of another shape, negative, or not finite; too few samples.
+    """
+    if isinstance(source, tuple | list):
+        if len(source) != len(SAMPLED):
+            raise ValueError(f"{name}: {len(source)} arrays, expected {len(SAMPLED)}: {', '.join(SAMPLED)}.")
+        wi, wo, values = (_array(name, each, what) for each, what in zip(source, SAMPLED, strict=True))
+        return gonio.task_of_directions(name, wi, wo, values)
+    if type(source).__module__.partition(".")[0] == "mitsuba":
+        return brdf_task.measured_task(name, partial(rgl.evaluate, load_mitsuba(), source), SAMPLES, name)
+    if callable(source):
+        return brdf_task.measured_task(name, partial(_called, name, source), SAMPLES, name)
+    raise ValueError(
+        f"{name}: {type(source).__name__}, expected a path, a function f(wi, wo), arrays (wi, wo, reflectance) or a "
+        "BSDF of Mitsuba."
+    )
+
+
+def _called(name: str, function: Function, angles: Tensor) -> Tensor:
+    """Linear RGB [..., 3] in 1/sr of angles [..., 3] in rad."""
+    wi, wo = (direction.reshape(-1, 3).float().numpy() for direction in rusinkiewicz_to_directions(angles.double()))
+    values = torch.as_tensor(function(wi, wo)).detach().cpu().to(angles)
+    if values.shape == (len(wi),):
+        values = values[:, None].expand(-1, 3)
+    if values.shape != (len(wi), 3):
+        raise ValueError(f"{name}: values {tuple(values.shape)}, expected {(len(wi), 3)}: RGB of each pair.")
+    if (values < 0).any():
+        least = float(values.min())
+        raise ValueError(f"{name}: reflectance of {least:.3g} /sr, expected 0 or more; clamp it in the function.")
+    return values.reshape(angles.shape)
+
+
+def _array(name: str, values: Any, what: str) -> Tensor:
+    """An array of samples [N, 3], float64."""
+    array: Tensor = torch.as_tensor(values).detach().cpu().double()
+    if array.ndim != 2 or array.shape[1] != 3:
+        raise ValueError(f"{name}: {what} {tuple(array.shape)}, expected [N, 3].")
+    if what != "reflectance":
+        lengths = array.norm(dim=1, keepdim=True)
+        if not ((lengths - 1).abs() < 1e-3).all():
+            raise ValueError(f"{name}: {what} of length {float(lengths.max()):.4g}, expected unit vectors.")
+        unit: Tensor = array / lengths
+        return unit
+    if not ((array >= 0) & (array <= gonio.LARGEST)).all():
+        raise ValueError(f"{name}: reflectance that is negative, huge or not finite, expected 0 to {gonio.LARGEST:g}.")
+    return array
