@@ -11,7 +11,7 @@ SEEDS ?= 0 1 2
 # small networks run many times slower where threads fight over them
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: help setup demo test test-slow mutants lint types docs bench bench-size bench-growth bench-samples bench-photo guiding tables rules figures report paper torture torture-quick real real-photos \
+.PHONY: help setup demo test test-long test-slow mutants lint types docs bench bench-size bench-growth bench-samples bench-photo guiding tables rules figures report paper torture torture-quick real real-photos \
   real-illumination real-svbrdf checkpoints-brdf checkpoints-photos checkpoints-illumination checkpoints-svbrdf \
   checkpoints-transport clean
 
@@ -29,8 +29,13 @@ demo: setup  ## fit 20 unseen materials by the best rule and in 10 gradient step
 	$(METAPP) meta brdf --rule meta-curvature --steps 10 --quiet --out $(RUNS)
 	$(METAPP) compare $(foreach rule,ridge meta-curvature,$$(ls -td $(RUNS)/brdf/meta/brdf-*-full-seed0-$(rule) | head -1))
 
+WORKERS := -n auto --maxprocesses 4 --dist worksteal
+
 test: setup  ## the tests on up to four cores, five minutes on two
-	$(VENV)/bin/python -m pytest -m "not slow" -n auto --maxprocesses 4 --dist worksteal
+	$(VENV)/bin/python -m pytest -m "not long and not slow" $(WORKERS)
+
+test-long: setup  ## the tests that take seconds each, beside quicker ones of their kind; on two cores
+	$(VENV)/bin/python -m pytest -m "long and not slow" $(WORKERS)
 
 test-slow: setup  ## the tests that take minutes each
 	$(VENV)/bin/python -m pytest -m slow -o faulthandler_timeout=3600

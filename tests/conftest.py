@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import importlib
 import itertools
 import json
 import math
@@ -113,12 +114,24 @@ def cache(_caches: Iterator[Path], monkeypatch: pytest.MonkeyPatch) -> Path:
     return folder
 
 
+COMPILER = importlib.import_module("metapp.engine.compiler")  # beside which there is a function of that name
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _compiled_once(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """C sources are compiled once for the tests of all workers; the folder that holds the compiled ones."""
+    base = tmp_path_factory.getbasetemp()
+    folder = base.parent if "PYTEST_XDIST_WORKER" in os.environ else base
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(COMPILER, "cache_folder", lambda: folder)
+        yield folder / "native"
+
+
 @pytest.fixture
-def compiled(cache: Path, _shared_cache: Path) -> None:
-    """For tests that start several processes: C sources are compiled once for all of them."""
-    shared = _shared_cache / "native"
-    shared.mkdir(exist_ok=True)
-    (cache / shared.name).symlink_to(shared)
+def compiled(cache: Path, _compiled_once: Path) -> None:
+    """The same for processes that a test starts."""
+    _compiled_once.mkdir(exist_ok=True)
+    (cache / _compiled_once.name).symlink_to(_compiled_once)
 
 
 USER_WEIGHTS, USER_MATRIX = weights_path("vgg16"), matrix_path()  # before any test moves the cache

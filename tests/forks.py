@@ -51,6 +51,13 @@ def metapp(*words: str) -> None:
     main()
 
 
+def compiles(source: Path, found: bool) -> None:
+    """Load a C source, and fail where its functions were to be had or not against `found`."""
+    from metapp.engine import load
+
+    assert (load(source) is not None) is found
+
+
 def _script(*words: str) -> None:
     sys.argv = [*words]
     sys.path.insert(0, str(Path(words[0]).parent))

@@ -56,6 +56,7 @@ def test_fit_brdf(neural_fits: Callable[[int], Path], tmp_path: Path, run: Calla
     assert (tmp_path / "a.safetensors").is_file()
 
 
+@pytest.mark.long
 def test_compare_paradigms(neural_fits: Callable[[int], Path], run_here: Callable[..., str]) -> None:
     rows = [line.split() for line in run_here("compare_paradigms.py", next(neural_fits(1).iterdir())).splitlines()[1:]]
     assert [row[0] for row in rows] == ["general", "quickft", "meta", "finetune", "overfit"]
@@ -84,6 +85,7 @@ def smaller(script: str, changes: dict[str, str], folder: Path) -> Path:
     return folder / script
 
 
+@pytest.mark.long
 @needs_mitsuba
 def test_mitsuba_brdf(neural_fits: Callable[[int], Path], tmp_path: Path, run: Callable[..., str]) -> None:
     changes = {r'"width": 256, "height": 256': '"width": 48, "height": 48', r"spp=64": "spp=8"}

@@ -58,6 +58,22 @@ def curves(tmp_path: Path) -> Path:
     return folder
 
 
+def test_it_is_converted_trained_and_fitted(curves: Path, tmp_path: Path) -> None:
+    data, runs = tmp_path / "set", tmp_path / "runs"
+    said = commands(
+        ["meta", "curve", "--help"],
+        ["data", "curve", curves, "--out", data, "--json", "--quiet"],
+        ["data", "check", data],
+        ["general", "curve", "--data", data, "--out", runs, "--quiet", "--json", "--train", "--train-steps", "5"],
+    )
+    assert "What to fit: .curve files of 32 numbers" in " ".join(said[0].replace("│", " ").split())
+    assert json.loads(said[1])["app"] == "curve"
+    assert "no problems" in said[2]
+    assert math.isfinite(json.loads(said[3])["error"])
+    assert list(runs.rglob("outputs/*/curve.png"))
+
+
+@pytest.mark.long
 def test_every_command_takes_it(curves: Path, tmp_path: Path) -> None:
     data, runs = tmp_path / "set", tmp_path / "runs"
     shared = ["--data", data, "--out", runs, "--quiet"]

@@ -38,9 +38,15 @@ def layer_of(path: Path) -> str:
     return parts[0] if parts[0] == "tests" else "/".join(parts[:2]) if len(parts) > 2 else parts[0]
 
 
+@functools.cache
+def nodes(path: Path) -> list[ast.AST]:
+    """All nodes of a file's source."""
+    return list(ast.walk(ast.parse(path.read_text("utf-8"))))
+
+
 def excesses(path: Path) -> Iterator[Excess]:
     """Everything over a limit in a file."""
-    for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+    for node in nodes(path):
         place = f"{path.relative_to(ROOT)}:{getattr(node, 'lineno', 0)}"
         if isinstance(node, ast.FunctionDef):
             lines = (node.end_lineno or 0) - node.lineno + 1
@@ -58,8 +64,7 @@ def excesses(path: Path) -> Iterator[Excess]:
 def classes() -> dict[str, ast.ClassDef]:
     """The classes of production by name."""
     files = [path for folder in FOLDERS if folder != "tests" for path in sorted((ROOT / folder).rglob("*.py"))]
-    nodes = [node for path in files for node in ast.walk(ast.parse(path.read_text("utf-8")))]
-    return {node.name: node for node in nodes if isinstance(node, ast.ClassDef)}
+    return {node.name: node for path in files for node in nodes(path) if isinstance(node, ast.ClassDef)}
 
 
 def inherited(node: ast.ClassDef) -> set[str]:

@@ -23,6 +23,7 @@ from metapp.paradigms import Job, paradigms
 from metapp.runs.checkpoints import checkpoint_name
 from metapp.runs.checks import FULL, QUICK, shipped_path, ships
 from metapp.storage.records import load_checkpoint, tensor_digest
+from tests.marked import long
 from tests.quick import app_by
 from tests.small_spheres import shrink_spheres
 
@@ -198,6 +199,7 @@ def test_few_steps_beat_none_on_unseen_pictures(
     assert fits.mean() < share * general.mean()
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("vgg")
 def test_few_steps_beat_none_on_each_of_two_stationary_materials() -> None:
     general, fits = errors_of_pictures("svbrdf_stationary", 2, "meta")
@@ -205,8 +207,8 @@ def test_few_steps_beat_none_on_each_of_two_stationary_materials() -> None:
 
 
 @pytest.mark.usefixtures("scene")
-@pytest.mark.parametrize("protocol", ["reference", "photo"])
-@pytest.mark.parametrize("name", OBSERVED)
+@pytest.mark.parametrize("protocol", ["reference", long("photo")])
+@pytest.mark.parametrize("name", ["illumination", long("svbrdf_nonstationary")])
 def test_few_steps_beat_none_on_unseen_tasks(name: str, protocol: str) -> None:
     app, rule = app_by(name, protocol=protocol), recipes_of(name, protocol)[QUICK].rule
     tasks, errors, losses = stack(app, tasks_of(name, 16)), {}, {}
@@ -221,6 +223,7 @@ def test_few_steps_beat_none_on_unseen_tasks(name: str, protocol: str) -> None:
         assert errors["meta"] < 1.2 * errors["general"]
 
 
+@pytest.mark.long
 def test_few_steps_beat_none_on_unseen_scenes() -> None:
     app = app_by("transport")
     tasks = stack(app, tasks_of("transport", 2))
@@ -260,7 +263,8 @@ PHOTO = ("--observe", "photo")
 @pytest.mark.parametrize(
     ("name", "options", "made", "most"),
     [
-        ("texture", ("--size", "64x64"), {"texture.png"}, 0.5),  # of the files; the fit has the size of the recipe
+        # of the files; the fit has the size of the recipe
+        long("texture", ("--size", "64x64"), {"texture.png"}, 0.5),
         pytest.param("svbrdf_stationary", ("--size", "64x64"), {"height.png"}, 0.5, marks=pytest.mark.slow),
         ("illumination", PHOTO, {"map.exr", "map.png", "relit.png"}, None),
         ("svbrdf_nonstationary", PHOTO, {"normal.png", "diffuse.png", "roughness.png", "specular.png"}, None),

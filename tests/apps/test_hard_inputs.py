@@ -28,6 +28,7 @@ from metapp.paradigms import Job, paradigms
 from metapp.runs.checkpoints import checkpoint_name
 from metapp.runs.checks import shipped_path
 from metapp.storage.records import load_checkpoint
+from tests.marked import long
 from tests.quick import app_by
 
 WORSE = 1.2  # than QuickFT's
@@ -222,7 +223,7 @@ def test_flat_materials(protocol: str) -> None:
 
 
 @pytest.mark.usefixtures("vgg")
-@pytest.mark.parametrize("name", ["texture", pytest.param("svbrdf_stationary", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("name", [long("texture"), pytest.param("svbrdf_stationary", marks=pytest.mark.slow)])
 def test_pictures(name: str) -> None:
     few = torch.rand(3, 2, 2, generator=Generator().manual_seed(0))
     images = {

@@ -146,6 +146,7 @@ def test_general_is_trained_on_quarters_and_validated_on_the_whole(
     assert set(seen) == {SIDE}
 
 
+@pytest.mark.long
 def test_the_command_trains_general_on_quarters(
     tmp_path: Path, metapp: Callable, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -161,6 +161,7 @@ def test_the_density_is_the_jacobian_of_the_chain(directions: int) -> None:
         assert float(jacobian[2:, 2:].diagonal().log().sum()) == pytest.approx(float(towards), abs=1e-5)
 
 
+@pytest.mark.long
 def test_the_loss_has_the_gradient_of_differences() -> None:
     theta = bent(FLOW, scale=0.2)
     points = torch.rand(1, 4, 40, generator=rng(1), dtype=torch.float64)

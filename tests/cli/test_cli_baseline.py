@@ -14,7 +14,10 @@ from tests.pictures import environment, photograph
 
 
 @pytest.mark.parametrize("method", ["quilting", "gpdm", "patches"])
-def test_a_method_makes_a_picture_and_a_record_of_a_file(metapp: Callable, method: str) -> None:
+def test_a_method_makes_a_picture_and_a_record_of_a_file(
+    metapp: Callable, method: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("metapp.baselines.texture.DESCENT", 10)  # of 150 steps, which take seconds
     photograph(Path("wall.png"), 9, 80)
     done = metapp("baseline", "texture", "wall.png", "--method", method, "--recipe", "quick", "--json")
     assert done.code == 0, done.err
@@ -58,6 +61,7 @@ def test_a_map_in_half_precision_is_written_as_radiance(metapp: Callable) -> Non
     np.testing.assert_allclose(*pixels, rtol=0.01)
 
 
+@pytest.mark.long
 def test_a_method_reads_photos_at_the_detail_asked_for(metapp: Callable) -> None:
     photograph(Path("wall.png"), 9, 520)
     sides = []

@@ -39,6 +39,7 @@ def run(finished: Path) -> Path:
     return Path(shutil.copytree(finished, Path("runs") / finished.name))
 
 
+@pytest.mark.long
 def test_every_fit_is_written(metapp: Callable, run: Path) -> None:
     for kind in exports_of("brdf"):
         document = metapp("export", run, kind, "--json").done
@@ -61,6 +62,7 @@ def test_a_ridge_fit_is_distilled_where_its_input_is_given(
     assert Path(run, "nbrdf", "m0", "b3.npy").is_file()
 
 
+@pytest.mark.long
 @needs_mitsuba
 def test_scenes_load_and_show_the_same(metapp: Callable, run: Path) -> None:
     """In a process of its own, as a user's script; with the fit and with the table that Mitsuba knows."""

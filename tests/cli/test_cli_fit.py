@@ -357,6 +357,7 @@ def test_a_composition_is_trained_and_used(fit: Callable) -> None:
     refuse(fit("meta", "--checkpoint", path), "expected brdf meta-curvature; add --rule adam+curvature")
 
 
+@pytest.mark.long
 def test_a_fit_imports_neither_libraries_of_figures_nor_of_baselines_and_ends_quietly() -> None:
     """Each takes as long to import as most fits; bindings of pictures must not be told of as garbage at the end."""
     lines = (

@@ -139,6 +139,7 @@ def test_options_out_of_range(metapp: Callable) -> None:
     assert not Path("new").exists()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("command", "suffix"), [("images", "png"), ("laval", "exr")])
 def test_a_real_process_says_nothing_else(command: str, suffix: str) -> None:
     """Neither libpng's messages nor colour-science's warning nor OpenImageIO's notices at exit are for the user."""

@@ -105,7 +105,7 @@ def command(ten_materials: Path, tmp_path: Path) -> Callable[..., Command]:
     """Makes a command that trains on ten small materials, whose runs go to a folder of their own."""
     data = shutil.copytree(ten_materials, tmp_path / "data")
 
-    def make(out: str, paradigm: str = "general", steps: int = 40, wait: float = 0.25) -> Command:
+    def make(out: str, paradigm: str = "general", steps: int = 12, wait: float = 0.25) -> Command:
         arguments = (paradigm, "brdf", "--recipe", "quick", "--data", data, "--train", "--train-steps", str(steps))
         return Command(arguments, tmp_path / out, wait)
 
@@ -130,6 +130,7 @@ def kill_often(command: Callable[..., Command], seed: int, count: int, paradigm:
         total, i = total + killed, i + 1
 
 
+@pytest.mark.long
 def test_killed_trainings_go_on(command: Callable[..., Command]) -> None:
     kill_often(command, seed=1, count=3, paradigm="quickft", steps=40, wait=0.25)
 
@@ -156,11 +157,35 @@ def test_trainings_that_are_killed_often_go_on(command: Callable[..., Command], 
     kill_often(command, seed=2, count=count, paradigm=paradigm, steps=250, wait=1.0)
 
 
+def _stops_once_kept(*words: str) -> None:
+    """Be the command, and stop where a training checkpoint is first written after a validation, until it may go on."""
+    write = TrainingCheckpoint.write
+
+    def written(self: TrainingCheckpoint) -> None:
+        write(self)
+        if self.path.is_file() and self.progress.best and self.progress.best.curve:
+            TrainingCheckpoint.write = write
+            os.kill(os.getpid(), signal.SIGSTOP)
+
+    TrainingCheckpoint.write = written
+    forks.metapp(*words)
+
+
+def stopped_once_kept(command: Command) -> Running:
+    """The command, stopped by itself: what it has left to do does not depend on how busy the machine is."""
+    running = command.start(_stops_once_kept)
+    state = Path(f"/proc/{running.process.pid}/stat")
+    while (letter := state.read_text().rsplit(")", 1)[1].split()[0]) != "T":
+        assert letter not in "ZX", "it ended before it stopped"
+        time.sleep(0.005)
+    return running
+
+
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
 def test_sigterm_acts_like_ctrl_c(command: Callable[..., Command], number: signal.Signals) -> None:
-    stopped = command("stopped", steps=200)  # far from its end when the signal comes, on a busy machine, too
-    running = stopped.start()
-    assert stopped.train_until(running, 0.1)
+    stopped = command("stopped")
+    running = stopped_once_kept(stopped)
+    os.kill(running.process.pid, signal.SIGCONT)
     os.kill(running.process.pid, number)
     code, said = running.end()
     assert code == 130
@@ -182,29 +207,13 @@ def small_disk(tmp_path: Path) -> Iterator[Path]:
     subprocess.run(["umount", "-l", str(folder)], check=True)
 
 
-def _pause_between_writes(running: Running, folder: Path) -> None:
-    """Stop it where it has no file half written, whose space would be free again once the disk is full."""
-    state = Path(f"/proc/{running.process.pid}/stat")
-    while True:
-        os.kill(running.process.pid, signal.SIGSTOP)
-        while (letter := state.read_text().rsplit(")", 1)[1].split()[0]) != "T":
-            assert letter not in "ZX", "it ended before it could be stopped"
-            time.sleep(0.001)
-        if not list(folder.rglob(f"{PARTIAL}*")):
-            return
-        os.kill(running.process.pid, signal.SIGCONT)
-        time.sleep(0.001)
-
-
 def test_a_full_disk_is_one_line_and_loses_nothing(command: Callable[..., Command], small_disk: Path) -> None:
     """The start that was there stays, what was trained is in the training checkpoint, and both say where."""
-    trained = command("disk/runs", steps=200)
+    trained = command("disk/runs")
     trained.run()
     before = trained.starts()
     (file,) = (trained.out / each for each in before)
-    running = trained.start()
-    assert trained.train_until(running, 0.0)
-    _pause_between_writes(running, trained.out)
+    running = stopped_once_kept(trained)  # with no file half written, whose space would be free again later
     with suppress(OSError), open(small_disk / "filler", "wb", buffering=0) as filler:
         while True:
             filler.write(bytes(4096))

@@ -174,6 +174,7 @@ def test_only_the_first_protocol_takes_the_starts_without_a_name(on_data: Callab
 # Tables
 
 
+@pytest.mark.long
 def test_every_protocol_has_a_table_of_its_own(on_data: Callable) -> None:
     assert on_data("meta", "brdf", "--observe", "photo", *STEPS).code == 0
     assert on_data("meta", "brdf", *STEPS).code == 0

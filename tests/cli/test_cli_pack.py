@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import json
 import lzma
 import math
@@ -19,9 +20,35 @@ from metapp.runs.checks import shipped_path
 from metapp.runs.pack import GROWTH
 from metapp.storage.packing import read_pack, write_pack
 from metapp.storage.records import load_checkpoint, read_records, read_theta, save_checkpoint
+from tests.small_spheres import run_small
 
 pytestmark = pytest.mark.usefixtures("small_spheres")
 NETWORKS = 4
+
+
+@pytest.fixture(scope="module")
+def kept(networks: Path, tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Path]:
+    """Fits the networks once for each paradigm and its options; runs not to write to."""
+
+    @functools.cache
+    def fit(paradigm: str, *more: str) -> Path:
+        folder = tmp_path_factory.mktemp("fits")
+        run_small(paradigm, "brdf", networks, "--recipe", "quick", "--quiet", *more, "--out", folder)
+        (record,) = folder.rglob("record.jsonl")
+        return record.parent
+
+    return fit
+
+
+@pytest.fixture
+def fitted(kept: Callable[..., Path]) -> Callable[..., Path]:
+    """A copy of such a run in the test's folder."""
+
+    def fit(paradigm: str, *more: str) -> Path:
+        run = kept(paradigm, *more)
+        return Path(shutil.copytree(run, Path("runs", paradigm, run.name)))
+
+    return fit
 
 
 def test_a_pack_is_small_and_its_error_grows_by_a_hundredth(metapp: Callable, fitted: Callable) -> None:
@@ -39,10 +66,11 @@ def test_a_pack_is_small_and_its_error_grows_by_a_hundredth(metapp: Callable, fi
 
 
 @pytest.mark.parametrize("state", ["there", "moved", "older records", "changed"])
-def test_inputs_of_a_run_of_many_are_found(metapp: Callable, fitted: Callable, networks: Path, state: str) -> None:
+def test_inputs_of_a_run_of_many_are_found(metapp: Callable, networks: Path, state: str) -> None:
     """Its records tell each input from others; where it was moved to is said after RUN."""
     materials = shutil.copytree(networks, Path("materials"))
-    run = fitted("meta", "--rule", "ridge", "--batch", "2", inputs=materials)
+    words = ("--rule", "ridge", "--batch", "2", "--recipe", "quick", "--json", "--quiet")
+    run = Path(metapp("meta", "brdf", materials, *words).done["out"])
     records, given = read_records(run / "record.jsonl"), ()
     if state == "moved":
         given = (materials.rename(Path("moved")),)
@@ -100,11 +128,11 @@ def test_fits_of_every_paradigm_are_packed(metapp: Callable, fitted: Callable) -
         assert metapp("unpack", f"{paradigm}.pack", "--json").document["after"] == told["after"], paradigm
 
 
-def test_another_checkpoint_is_refused(metapp: Callable, fitted: Callable) -> None:
+def test_another_checkpoint_is_refused(metapp: Callable, networks: Path) -> None:
     checkpoint, info = load_checkpoint(shipped_path("brdf", "general"))
     save_checkpoint(Path("mine.safetensors"), checkpoint, info | {"note": "mine"})
     mine = ("--checkpoint", "mine.safetensors")
-    run = fitted("general", *mine)
+    run = Path(metapp("general", "brdf", networks, "--recipe", "quick", "--json", "--quiet", *mine).done["out"])
     assert metapp("pack", run, "--out", "a.pack", *mine, "--quiet").code == 0
     for words in (("pack", run), ("unpack", "a.pack")):
         refused = metapp(*words).error
@@ -139,13 +167,28 @@ def test_bad_files_are_one_line(metapp: Callable, fitted: Callable) -> None:
         assert not Path("b").exists()
 
 
-@pytest.mark.parametrize("bomb", ["shape", "name", "tasks"])
-def test_what_a_pack_declares_is_compared_before_it_is_unfolded(metapp: Callable, fitted: Callable, bomb: str) -> None:
+BOMBS = ("shape", "name", "tasks")
+
+
+def test_what_a_pack_declares_is_compared_before_it_is_unfolded(metapp: Callable, fitted: Callable) -> None:
     """40 kB that unfold to 256 MB: unpacking takes no more memory than refusing what is no pack."""
     metapp("pack", fitted("general"), "--out", "a.pack", "--bits", "8", "--quiet")
     content = lzma.decompress(Path("a.pack").read_bytes())
     length = int.from_bytes(content[:4], "little")
-    head = json.loads(content[4 : 4 + length])
+    for bomb in BOMBS:
+        _write_bomb(bomb, json.loads(content[4 : 4 + length]))
+    words = [sys.executable, "-c", UNPACKED, *BOMBS]
+    done = subprocess.run(words, check=True, capture_output=True, text=True)
+    refusals, (before, *after) = done.stdout.splitlines()[:3], map(int, done.stdout.splitlines()[3:])
+    for bomb, refusal, peak in zip(BOMBS, refusals, after, strict=True):
+        assert refusal.startswith(f"{bomb}.pack: ")
+        assert "expected" in refusal
+        assert peak - before < 100_000, bomb  # kB
+        assert not Path(bomb).exists()
+
+
+def _write_bomb(bomb: str, head: dict[str, Any]) -> None:
+    """A pack by this header, of which a part is too large, and as many zeros as it tells."""
     size, first = 1 << 28, head["tensors"][0]
     if bomb == "tasks":
         head["tasks"] += [f"t{i}" for i in range(size // _fit_bytes(head))]
@@ -154,15 +197,8 @@ def test_what_a_pack_declares_is_compared_before_it_is_unfolded(metapp: Callable
     else:
         head["tensors"].append({**first, "name": "more", "shape": [size // NETWORKS]})
     text, zeros = json.dumps(head).encode(), bytes(len(head["tasks"]) * _fit_bytes(head))
-    bomb_content = len(text).to_bytes(4, "little") + text + zeros
-    Path("bomb.pack").write_bytes(lzma.compress(bomb_content, check=lzma.CHECK_NONE, preset=0))
-    words = [sys.executable, "-c", UNPACKED]
-    done = subprocess.run(words, check=True, capture_output=True, text=True)
-    refusal, before, after = done.stdout.splitlines()
-    assert refusal.startswith("bomb.pack: ")
-    assert "expected" in refusal
-    assert int(after) - int(before) < 100_000  # kB
-    assert not Path("bomb").exists()
+    content = len(text).to_bytes(4, "little") + text + zeros
+    Path(f"{bomb}.pack").write_bytes(lzma.compress(content, check=lzma.CHECK_NONE, preset=0))
 
 
 def _fit_bytes(head: dict[str, Any]) -> int:
@@ -171,6 +207,7 @@ def _fit_bytes(head: dict[str, Any]) -> int:
 
 
 UNPACKED = """
+import sys
 from pathlib import Path
 from metapp.runs.pack import unpack
 
@@ -178,9 +215,12 @@ def peak():
     return Path("/proc/self/status").read_text().split("VmHWM:")[1].split()[0]
 
 unpack(Path("a.pack"), None, None)
-before = peak()
-try:
-    unpack(Path("bomb.pack"), None, None)
-except ValueError as error:
-    print(error, before, peak(), sep="\\n")
+peaks = [peak()]
+for bomb in sys.argv[1:]:
+    try:
+        unpack(Path(f"{bomb}.pack"), None, None)
+    except ValueError as error:
+        print(error)
+        peaks.append(peak())
+print(*peaks, sep="\\n")
 """

@@ -32,6 +32,7 @@ def cornell(tmp_path: Path) -> Path:
     return path
 
 
+@pytest.mark.long
 @needs_mitsuba
 def test_a_public_scene_is_checked_upgraded_and_fitted(cornell: Path, metapp: Callable) -> None:
     checked = metapp("data", "scene", cornell)

@@ -36,7 +36,9 @@ PARADIGMS = ("general", "overfit", "finetune", "quickft", "meta")
 @pytest.fixture(scope="module")
 def scenes() -> list[Task]:
     """Cornell boxes of few samples each."""
-    return [transport_task(f"box-{i}", random_scene(i), i, samples=2048, held=512) for i in range(6)]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(path_space, "BATCH", 2**16)  # of 2**19 paths, for samples by the ten thousand
+        return [transport_task(f"box-{i}", random_scene(i), i, samples=2048, held=512) for i in range(6)]
 
 
 def uniform(app: Transport) -> Params:
@@ -95,6 +97,7 @@ def test_train_fit_and_compare(metapp: Callable, data: Path) -> None:
     assert rows["overfit"] < 0  # below the uniform density's
 
 
+@pytest.mark.long
 def test_pictures_are_judged_at_equal_paths_and_in_equal_time(scenes: list[Task]) -> None:
     task, app = scenes[0], app_by("transport")
     shown, theta = TransportPresentation(app), uniform(app)
@@ -117,6 +120,7 @@ def test_pictures_are_judged_at_equal_paths_and_in_equal_time(scenes: list[Task]
     assert shown.image_errors({"instant": Fitted(theta, 0.0)}, task._replace(data={})) == {}
 
 
+@pytest.mark.long
 def test_pictures_are_judged_at_the_size_of_the_recipe(scenes: list[Task], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(images, "SPP", 4)
     app = Transport(replace(RECIPES[""]["quick"].setup, picture=24))
@@ -135,6 +139,7 @@ def test_pictures_are_judged_at_the_size_of_the_recipe(scenes: list[Task], monke
     assert shown.outputs(theta, scenes[0])["fit"].shape == (128, 256, 3)  # of any recipe
 
 
+@pytest.mark.long
 def test_pictures_with_nee_come_in_waves(scenes: list[Task], monkeypatch: pytest.MonkeyPatch) -> None:
     studio = images.Studio(scenes[0].data["scene"].numpy().tobytes(), size=8)
     whole = studio.path(4096).picture
@@ -155,6 +160,7 @@ def test_pictures_with_nee_come_in_waves(scenes: list[Task], monkeypatch: pytest
     assert not torch.equal(waves, whole)
 
 
+@pytest.mark.long
 def test_equal_time_counts_the_samples_that_a_fit_sees(scenes: list[Task], monkeypatch: pytest.MonkeyPatch) -> None:
     app, sampled = app_by("transport"), []
 
@@ -170,15 +176,17 @@ def test_equal_time_counts_the_samples_that_a_fit_sees(scenes: list[Task], monke
     assert found["regular"][images.FIXED] == 0
 
 
+@pytest.mark.long
 def test_a_reference_knows_its_own_error(scenes: list[Task], monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(images, "REFERENCE_SPP", SPP_OF_TABLES)
+    monkeypatch.setattr(images, "REFERENCE_SPP", SPP_OF_TABLES // 4)
     studio = images.Studio(scenes[0].data["scene"].numpy().tobytes(), size=8)
-    told, wanted = studio.reference_error, path_space.reference(studio.tracer, 8, 16 * SPP_OF_TABLES, seed=9)
+    told, wanted = studio.reference_error, path_space.reference(studio.tracer, 8, 4 * SPP_OF_TABLES, seed=9)
     found = float(images.mape(studio.reference[None], wanted[None]))
     assert found == pytest.approx(told, rel=0.3)  # as far from the truth as its halves say
     assert studio.sampling(scenes[0].data["samples"]) > 0
 
 
+@pytest.mark.long
 def test_guided_means_are_those_of_the_reference(scenes: list[Task]) -> None:
     """On five scenes, by a guide that is far from them: within 3 standard errors, from 12 pictures each."""
     flow = Flow(code=3, hidden=8, bins=4)
@@ -213,6 +221,7 @@ def test_a_scene_is_rendered_with_and_without_a_guide_in_the_same_time(
     assert "regular_nee: " in result.err
 
 
+@pytest.mark.long
 def test_a_scene_with_a_point_light_alone_is_fitted(metapp: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(path_space, "BATCH", 2**15)
     monkeypatch.setattr(mitsuba_scenes.read_task, "__defaults__", (512, 128, 4, ()))

@@ -15,7 +15,6 @@ from metapp.apps import app_of
 from metapp.apps.brdf import Brdf, nbrdf_in_c
 from metapp.apps.brdf.recipes import RECIPES
 from metapp.engine import FASTEST, compiler, in_c
-from metapp.engine import load as load_library
 from metapp.engine.packing import Layout
 from metapp.learning.adjoint import TORCH, Drawn, Engine, Loss, UpdateRule
 from metapp.learning.learn import MetaParameters, after_learning, descend, learn, spread
@@ -215,16 +214,17 @@ def test_what_is_not_in_c_is_left_to_torch() -> None:
 
 # What is compiled
 
-SOURCE = Path(nbrdf_in_c.__file__).with_name("nbrdf.c")
-
-
-def load(found: bool) -> None:
-    assert (load_library(SOURCE) is not None) is found
-
 
 def process(cache: Path, found: bool = True, **environment: str) -> ForkServerProcess:
-    """A process that loads the functions of the network, and fails where they were to be had or not against `found`."""
-    return forks.start(load, found, said=cache / "said", more={"METAPP_CACHE": str(cache), **environment})
+    """A process that loads the functions of a source, and fails where they were to be had or not against `found`.
+
+    The source is small: those of the network take seconds to compile, and tests above have compiled them.
+    """
+    source = cache.parent / "seven.c"
+    source.write_text("int seven(void) { return 7; }\n")
+    return forks.start(
+        forks.compiles, source, found, said=cache / "said", more={"METAPP_CACHE": str(cache), **environment}
+    )
 
 
 def codes(*processes: ForkServerProcess) -> list[int | None]:
@@ -236,10 +236,11 @@ def codes(*processes: ForkServerProcess) -> list[int | None]:
 
 @needs_compiler
 def test_compiled_once_by_many_processes(tmp_path: Path) -> None:
-    assert codes(*[process(tmp_path) for _ in range(3)]) == [0, 0, 0]
-    (library,) = (tmp_path / "native").glob("*.so")
+    cache = tmp_path / "cache"
+    assert codes(*[process(cache) for _ in range(3)]) == [0, 0, 0]
+    (library,) = (cache / "native").glob("*.so")
     made = library.stat()
-    assert codes(process(tmp_path, CC="/nonexistent/cc")) == [0]  # nothing is compiled again
+    assert codes(process(cache, CC="/nonexistent/cc")) == [0]  # nothing is compiled again
     assert library.stat() == made or library.stat().st_mtime_ns == made.st_mtime_ns
 
 

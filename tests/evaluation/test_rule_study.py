@@ -133,6 +133,7 @@ def test_one_command_trains_fits_and_says_what_came_of_it(evaluate: Callable, da
     assert draw("rules", subject) is None
 
 
+@pytest.mark.long
 def test_a_study_that_is_cut_off_ends_in_the_table_of_an_unbroken_one(
     evaluate: Callable, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -156,6 +157,7 @@ def test_a_study_that_is_cut_off_ends_in_the_table_of_an_unbroken_one(
     assert figures(again) == unbroken
 
 
+@pytest.mark.long
 def test_parts_train_and_fit_what_one_program_does(
     evaluate: Callable, metapp: Callable, data: Path, tmp_path: Path
 ) -> None:

@@ -19,9 +19,11 @@ from metapp.paradigms import training as prepare
 from metapp.paradigms.paradigm import TrainingData
 from metapp.paradigms.quickft import QUICKFT
 from metapp.paradigms.validation import split_validation, validation_error
-from tests.paradigms.small import OWN_RULES, PAIRS, prepared_for, result, rng
+from tests.paradigms.small import KINDS, OWN_RULES, PAIRS, prepared_for, result, rng
 
 ONE_APP = pytest.mark.parametrize("app", ["brdf"], indirect=True)  # what no application changes
+# trainings of dozens of steps: of one application among the quick tests, of the others among the long ones
+ONE_QUICK = [pytest.param(kind, marks=() if kind == "brdf" else pytest.mark.long) for kind in KINDS]
 
 
 def test_split_keeps_tasks_apart(tasks: Tasks) -> None:
@@ -89,6 +91,7 @@ def test_a_start_that_only_gets_worse_is_kept(
     assert all(torch.equal(prepared.phi.flat()[key], value) for key, value in before.phi.flat().items())
 
 
+@pytest.mark.parametrize("app", ONE_QUICK, indirect=True)
 @pytest.mark.parametrize(("name", "steps", "rate"), [("general", 50, 2e-3), ("meta-adam", 30, 2e-2)])
 def test_preparing_improves_what_it_is_prepared_for(name: str, steps: int, rate: float, job: Job, tasks: Tasks) -> None:
     """By a share of the error's size: errors may be negative."""
@@ -121,6 +124,7 @@ def test_meta_starts_from_the_mean_of_general_or_at_random(job: Job, tasks: Task
                 assert torch.equal(phi.theta[key], value)
 
 
+@pytest.mark.parametrize("app", ONE_QUICK, indirect=True)
 def test_meta_goes_on_from_general(job: Job, tasks: Tasks) -> None:
     """The encoder itself is then trained through the steps, beside the rule, and another checkpoint there is none."""
     encoder, rule = prepared_for(paradigms()["general"], job), job.recipe.rule

@@ -66,6 +66,7 @@ def trained(folder: Path) -> dict[str, Path]:
     return {path.stem: path for path in folder.rglob("checkpoints/*/*.safetensors")}
 
 
+@pytest.mark.long
 def test_two_ranks_train_what_one_does(train: Callable[..., list[Rank]], tmp_path: Path) -> None:
     for count in (1, 2):
         for rank in train(count, tmp_path / str(count), 4):

@@ -20,6 +20,7 @@ from metapp.paradigms import Job, paradigms, tuning
 from metapp.paradigms import training as prepare
 from metapp.storage.records import save_checkpoint
 from metapp.storage.training_checkpoint import TrainingCheckpoint
+from tests.marked import long
 from tests.paradigms.small import OWN_RULES, prepared_for, rng
 
 ONE_APP = pytest.mark.parametrize("app", ["brdf"], indirect=True)  # what no application changes
@@ -79,7 +80,7 @@ def as_file(prepared: Prepared, path: Path) -> bytes:
 
 # each kind of stages on the fastest application, and each application's own rule with all stages that there are
 KINDS = [("brdf", kind) for kind in ("general", "quickft", "meta-sgd", "meta-encoder", "meta-basis tuned")]
-OWN_KINDS = [(app, f"{rule} tuned") for app, rule in OWN_RULES.items()]
+OWN_KINDS = [long(app, f"{rule} tuned") for app, rule in OWN_RULES.items()]
 
 
 @pytest.mark.parametrize(("app", "kind"), KINDS + OWN_KINDS, indirect=["app"])
@@ -102,7 +103,7 @@ def test_what_was_cut_off_ends_as_if_it_had_not_been(
 
 @pytest.mark.parametrize(
     ("app", "kind"),
-    [("brdf", "general"), ("brdf", "quickft"), ("brdf", "meta-encoder tuned"), ("illumination", "meta-lgd tuned")],
+    [("brdf", "general"), ("brdf", "quickft"), ("brdf", "meta-encoder tuned"), long("illumination", "meta-lgd tuned")],
     indirect=["app"],
 )
 def test_ctrl_c_at_any_moment_loses_no_step(

@@ -89,6 +89,7 @@ def test_channels_go_by_their_names(tmp_path: Path, layout: str) -> None:
 # Colours
 
 
+@pytest.mark.long
 def test_colour_leaves_no_mocks_behind() -> None:
     # in a process of its own: once a library that looks for SciPy is imported, it looks no more
     lines = (

@@ -21,11 +21,13 @@ from metapp.appearance.geometry import directions_to_full_circle
 from metapp.apps.brdf import Brdf, layers_of
 from metapp.rendering.scene_rules import box_film
 from metapp.storage.tensors import read_tensors
+from tests.marked import long
 from tests.needs_mitsuba import needs_mitsuba
 
 pytestmark = needs_mitsuba
 
 NETWORKS = ("nbrdf", "featured")
+BOTH = ["nbrdf", long("featured")]  # whose kernels take seconds to compile
 ANGLES = (0, 30, 60, 80, 88)  # degrees
 MATERIALS = {  # of maps: diffuse, specular, roughness
     "plaster": ((0.7, 0.6, 0.5), (0.04, 0.04, 0.04), 0.8),
@@ -83,7 +85,7 @@ def reflectance(file: Path, angles: Tensor) -> NDArray[np.float64]:
     return Brdf().reflectance(theta, angles).numpy().T
 
 
-@pytest.mark.parametrize("network", NETWORKS)
+@pytest.mark.parametrize("network", BOTH)
 def test_it_evaluates_to_what_ours_does(mi: Any, neural: Neural, fits: dict[str, Path], network: str) -> None:
     light, viewer = directions(20_000, 1), directions(20_000, 2)
     near = viewer * [[-1], [-1], [1]] + 0.01 * directions(20_000, 3)  # beside the mirror direction
@@ -99,6 +101,7 @@ def test_it_evaluates_to_what_ours_does(mi: Any, neural: Neural, fits: dict[str,
     assert expected.max() > 1
 
 
+@pytest.mark.long
 def test_weights_that_change_are_evaluated_from_memory_alike(mi: Any, neural: Neural) -> None:
     light, viewer = directions(1000, 1), directions(1000, 2)
     interaction, context = seen_from(mi, viewer, 1000), mi.BSDFContext()
@@ -123,7 +126,7 @@ def test_below_the_surface_there_is_nothing(mi: Any, bsdf: Any, other: str) -> N
     assert bsdf.pdf(context, seen_from(mi, up, 1), mi.Vector3f(up))[0] == 0
 
 
-@pytest.mark.parametrize("bsdf", [*NETWORKS, "plaster", "gold", "odd"], indirect=True)  # no lobe below the grid's cells
+@pytest.mark.parametrize("bsdf", [*BOTH, "plaster", "gold", "odd"], indirect=True)  # no lobe below the grid's cells
 @pytest.mark.parametrize("degrees", ANGLES)
 def test_directions_are_sampled_as_densely_as_it_says(
     mi: Any, bsdf: Any, degrees: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -147,7 +150,7 @@ def test_directions_are_sampled_as_densely_as_it_says(
     assert test.run(), test.messages
 
 
-@pytest.mark.parametrize("bsdf", [*NETWORKS, *MATERIALS], indirect=True)
+@pytest.mark.parametrize("bsdf", [*BOTH, *MATERIALS], indirect=True)
 @pytest.mark.parametrize("degrees", ANGLES)
 def test_weights_of_samples(mi: Any, bsdf: Any, degrees: float, request: pytest.FixtureRequest) -> None:
     """Value over density; little noise; and their mean, the albedo, is at most 1, of maps from above."""
@@ -200,7 +203,7 @@ def lit(mi: Any, bsdf: Any, integrator: str = "path", size: int = 16) -> Any:
     })  # fmt: skip
 
 
-@pytest.mark.parametrize("network", NETWORKS)
+@pytest.mark.parametrize("network", BOTH)
 def test_a_furnace_stays_below_white(mi: Any, neural: Neural, network: str) -> None:
     picture = np.array(mi.render(lit(mi, neural(network)), spp=256))
     assert np.isfinite(picture).all()
@@ -237,7 +240,7 @@ def test_normal_maps_turn_it(mi: Any, neural: Neural) -> None:
     assert abs(turned - plain)[4:12, 4:12].max() > 0.01
 
 
-@pytest.mark.parametrize("network", NETWORKS)
+@pytest.mark.parametrize("network", BOTH)
 def test_gradients_of_values_are_those_of_ours(mi: Any, neural: Neural, fits: dict[str, Path], network: str) -> None:
     """Against finite differences of the plain layers in double precision."""
     import drjit as dr
@@ -350,7 +353,7 @@ def test_other_variants_are_refused_in_one_line(mi: Any, fits: dict[str, Path]) 
             mi.load_dict({"type": "neural_brdf", "filename": str(fits["nbrdf"])})
 
 
-@pytest.mark.parametrize("order", ["import metapp.mitsuba", "mi.set_variant('llvm_ad_rgb')"])
+@pytest.mark.parametrize("order", [long("import metapp.mitsuba"), "mi.set_variant('llvm_ad_rgb')"])
 def test_the_import_may_come_before_or_after_the_variant(fits: dict[str, Path], order: str) -> None:
     first, second = order, "mi.set_variant('llvm_ad_rgb')" if "import" in order else "import metapp.mitsuba"
     start = "from metapp.rendering.variant import choose_llvm; choose_llvm(); import mitsuba as mi"

@@ -17,6 +17,7 @@ import torch
 from data_tools.synthetic.cornell import random_scene
 from metapp.learning.learn import MetaParameters
 from metapp.storage.records import save_checkpoint
+from tests.marked import long
 from tests.needs_mitsuba import needs_mitsuba
 
 pytestmark = needs_mitsuba
@@ -88,7 +89,7 @@ def deviation(first: np.ndarray[Any, Any], second: np.ndarray[Any, Any]) -> floa
     return float((means[0].mean() - means[1].mean()) / error)
 
 
-@pytest.mark.parametrize("emitter_sampling", [True, False])
+@pytest.mark.parametrize("emitter_sampling", [long(True), False])
 def test_the_mean_is_that_of_path_in_a_box(mi: Any, emitter_sampling: bool) -> None:
     scene = loaded(mi, random_scene(1))  # has glass and metal
     guided = pictures(mi, scene, "metapp_guided_path", emitter_sampling=emitter_sampling)
@@ -97,7 +98,7 @@ def test_the_mean_is_that_of_path_in_a_box(mi: Any, emitter_sampling: bool) -> N
     assert abs(deviation(guided, plain)) < 3
 
 
-@pytest.mark.parametrize("lamp", LAMPS)
+@pytest.mark.parametrize("lamp", [long(lamp) for lamp in LAMPS])
 def test_the_mean_is_that_of_path_for_all_materials_in_all_lights(mi: Any, lamp: str) -> None:
     scene = zoo()
     for other in set(LAMPS) - {lamp}:
@@ -115,7 +116,7 @@ def test_a_cache_that_is_wrong_about_itself_is_found_out(mi: Any, monkeypatch: p
     assert abs(deviation(pictures(mi, scene, "metapp_guided_path"), pictures(mi, scene, "path"))) > 5
 
 
-@pytest.mark.parametrize(("emitter_sampling", "at_most"), [(True, 0.85), (False, 0.6)])
+@pytest.mark.parametrize(("emitter_sampling", "at_most"), [long(True, 0.85), long(False, 0.6)])
 def test_there_is_less_noise(mi: Any, monkeypatch: pytest.MonkeyPatch, emitter_sampling: bool, at_most: float) -> None:
     from metapp.rendering.guide_cache import GuideCache
 
@@ -329,6 +330,7 @@ def test_the_roulette_gives_no_path_more_than_it_began_with(mi: Any) -> None:
         assert survival.min() == pytest.approx(max(LEAST, min(1.5 * remaining, 0.95 if depth == 7 else 1)), rel=1e-5)
 
 
+@pytest.mark.long
 def test_a_kept_cache_serves_the_next_picture_of_its_scene(
     mi: Any, plugin: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:

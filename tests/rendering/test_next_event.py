@@ -15,6 +15,7 @@ from metapp.rendering import path_resampling, path_space
 from metapp.rendering.path_resampling import draw_samples, resampled
 from metapp.rendering.path_space import FewPaths, Guide, Tracer, path_samples, reference, render
 from metapp.rendering.scene_loading import brightness
+from tests.marked import long
 from tests.needs_mitsuba import needs_mitsuba
 
 CELLS = {4: 3, 6: 2}  # along each number of a point, so that each cell has thousands of paths
@@ -57,7 +58,7 @@ def cell_means(tracer: Tracer, batches: int, dimensions: int, seed: int = 0) -> 
 
 
 @needs_mitsuba
-@pytest.mark.parametrize(("seed", "dimensions"), [(2, 4), (4, 6)])
+@pytest.mark.parametrize(("seed", "dimensions"), [(2, 4), long(4, 6)])
 def test_both_estimators_have_one_mean_over_cells_of_primary_sample_space(seed: int, dimensions: int) -> None:
     scene = random_scene(seed)
     plain, plain_error = cell_means(Tracer(scene), 4, dimensions)
@@ -79,6 +80,7 @@ def test_next_event_estimation_lowers_the_noise_of_a_small_lamps_indirect_light(
     assert errors[1] < 0.3 * errors[0]
 
 
+@pytest.mark.long
 @needs_mitsuba
 def test_the_marginal_of_six_numbers_is_that_of_four(monkeypatch: pytest.MonkeyPatch) -> None:
     # light of a point that reaches the second surface counts whether or not its direction is held
@@ -93,7 +95,9 @@ def test_the_marginal_of_six_numbers_is_that_of_four(monkeypatch: pytest.MonkeyP
 
 
 @needs_mitsuba
-@pytest.mark.parametrize("scene", [random_scene(0), small_lamp(1, 4), bulb(3)], ids=["box", "small", "bulb"])
+@pytest.mark.parametrize(
+    "scene", [long(random_scene(0)), long(small_lamp(1, 4)), bulb(3)], ids=["box", "small", "bulb"]
+)
 def test_resampled_points_are_in_proportion_to_what_paths_carry(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(path_space, "BATCH", 2**17)
     tracer, count = Tracer(scene, next_event=True), 4096
@@ -132,6 +136,7 @@ def test_moves_leave_the_density_of_a_noisy_function_as_it_is(monkeypatch: pytes
     assert float(image.mean()) == pytest.approx(1, abs=0.05)
 
 
+@pytest.mark.long
 @needs_mitsuba
 def test_samples_are_resampled_where_and_only_where_few_paths_meet_a_light(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(path_space, "BATCH", 2**16)
@@ -153,7 +158,7 @@ def corner(film: Tensor) -> tuple[Tensor, Tensor]:
 
 
 @needs_mitsuba
-@pytest.mark.parametrize("scene", [bulb(1), small_lamp(3, 2)], ids=["bulb", "small"])
+@pytest.mark.parametrize("scene", [bulb(1), long(small_lamp(3, 2))], ids=["bulb", "small"])
 def test_pictures_are_those_of_the_reference(scene: Scene) -> None:
     tracer = Tracer(scene, next_event=True)
     guide = Guide(corner, lambda film, directions: 16 * (directions < 0.25).all(1).float())

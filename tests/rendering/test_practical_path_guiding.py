@@ -46,11 +46,13 @@ def deviation(mi: Any, scene: Scene) -> float:
     return abs(float(guided.mean() - regular.mean())) / error
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["box 101", "mitsuba"])
 def test_the_mean_is_that_of_path(mi: Any, name: str) -> None:
     assert deviation(mi, scenes()[name]) < 3
 
 
+@pytest.mark.long
 def test_a_tree_that_is_wrong_about_itself_is_found_out(mi: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     from tests.benchmarks.sd_tree import SDTree
 
@@ -59,6 +61,7 @@ def test_a_tree_that_is_wrong_about_itself_is_found_out(mi: Any, monkeypatch: py
     assert deviation(mi, scenes()["mitsuba"]) > 5
 
 
+@pytest.mark.long
 def test_there_is_less_noise_behind_a_baffle_in_the_same_samples(mi: Any) -> None:
     made = (pictures(mi, scenes()["baffle"], kind, 2048, 2) for kind in ("practical_path_guiding", "path"))
     guided, regular = ((np.abs(one - two) / (one + two + 0.02)).mean() for one, two in made)

@@ -23,6 +23,7 @@ from data_tools.synthetic.cornell import random_scene
 from metapp.rendering import scene_plugins
 from metapp.rendering.scene_files import check_file
 from metapp.rendering.scene_loading import load_scene
+from tests.marked import long
 from tests.needs_mitsuba import needs_mitsuba
 from tests.scene_files import CORNERS, FACES, NAN, OBJ, ORDERS, ply, serialized, volume
 
@@ -102,7 +103,7 @@ def refusals(paths: list[Path]) -> dict[str, str]:
     return {path.name: lines.get(str(path), f"died with {done.returncode}") for path in paths}
 
 
-@pytest.mark.parametrize("light", [False, True])
+@pytest.mark.parametrize("light", [False, long(True)])
 def test_damaged_files_are_refused_in_one_line(light: bool, tmp_path: Path) -> None:
     more = {"emitter": LIGHT} if light else {}
     paths = [write_scene(tmp_path, name, content, **more) for name, (content, _) in MESHES.items()]

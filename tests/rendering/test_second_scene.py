@@ -16,6 +16,7 @@ from metapp.rendering import second_scene
 from metapp.rendering import second_scene_geometry as geometry
 from metapp.rendering.second_scene import direct, relight, transfer
 from metapp.rendering.second_scene_geometry import GLOSSY_CENTRE, MATTE_CENTRE
+from tests.marked import long
 from tests.needs_mitsuba import skip_without_mitsuba
 
 ROWS, COLUMNS = 16, 32
@@ -157,7 +158,7 @@ def test_the_glossy_sphere_reflects_what_lies_in_the_mirrors_direction(matrix: T
     assert angle.mean() < 4
 
 
-@pytest.mark.parametrize(("illumination", "spp", "within"), [("soft", 256, 0.05), ("sunny", 1024, 0.1)])
+@pytest.mark.parametrize(("illumination", "spp", "within"), [("soft", 256, 0.05), long("sunny", 1024, 0.1)])
 def test_pictures_agree_with_mitsubas_path_tracer(matrix: Tensor, illumination: str, spp: int, within: float) -> None:
     soft = 1 + 0.5 * latlong.directions(ROWS, COLUMNS)
     light = soft if illumination == "soft" else sun(3, 12) * soft

@@ -31,10 +31,15 @@ class Drawn(NamedTuple):
         return torch.stack([task.data["image"] for task in self.tasks]).float() / 255
 
 
+def source_of(app: str) -> ModuleType:
+    """The module that draws them."""
+    return import_module(f"data_tools.synthetic.{app}")
+
+
 @functools.cache
 def drawn(app: str) -> Drawn:
     """The set of an application with images or maps."""
-    source = import_module(f"data_tools.synthetic.{app}")
+    source = source_of(app)
     sets = (source.synthetic_tasks("train", TRAIN[app]), source.synthetic_tasks("test", source.COUNTS["test"]))
     return Drawn(source, *map(list, sets))
 

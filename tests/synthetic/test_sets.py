@@ -14,7 +14,7 @@ from data_tools.synthetic import brdf
 from data_tools.synthetic.svbrdf_stationary import FLAT
 from metapp.runs.embedded import embedded_data
 from metapp.storage.manifest import read_manifest
-from tests.synthetic.drawn import Drawn, drawn
+from tests.synthetic.drawn import Drawn, drawn, source_of
 
 Kind = tuple[torch.dtype, tuple[int, ...]]
 IMAGE: Kind = (torch.uint8, (3, 256, 256))
@@ -90,6 +90,7 @@ def data(app: str) -> Drawn:
     return drawn(app)
 
 
+@pytest.mark.long
 def test_counts_names_and_tensors(app: str, data: Drawn) -> None:
     counts, some, tensors, *_ = SETS[app]
     assert (data.source.COUNTS["train"], data.source.COUNTS["test"]) == counts
@@ -105,6 +106,7 @@ def test_counts_names_and_tensors(app: str, data: Drawn) -> None:
         assert {key: (task.data[key].dtype, task.data[key].shape) for key in tensors} == tensors
 
 
+@pytest.mark.long
 def test_a_larger_set_begins_with_the_smaller_one_and_a_seed_changes_all(app: str, data: Drawn) -> None:
     for one, two in zip(data.source.synthetic_tasks("train", 6), data.train, strict=False):
         assert one.name == two.name
@@ -114,6 +116,7 @@ def test_a_larger_set_begins_with_the_smaller_one_and_a_seed_changes_all(app: st
         assert (one.data[key].float() - two.data[key].float()).abs().mean() > SETS[app].least
 
 
+@pytest.mark.long
 def test_draws_are_the_same_on_every_machine(app: str, data: Drawn) -> None:
     """Whoever changes a draw changes the default data set, and with it all checkpoints and tables."""
     expected = SETS[app]
@@ -124,13 +127,13 @@ def test_draws_are_the_same_on_every_machine(app: str, data: Drawn) -> None:
 
 def test_the_embedded_set_has_all_units(app: str, tmp_path: Path) -> None:
     manifest = read_manifest(embedded_data(app, count=5, out=tmp_path / "set", quiet=True))
-    assert (manifest.app, manifest.units) == (app, drawn(app).source.UNITS)
+    assert (manifest.app, manifest.units) == (app, source_of(app).UNITS)
     assert [entry.split for entry in manifest.tasks].count("test") >= 1
 
 
 @pytest.mark.parametrize("arguments", [("validation", 1), ("train", -1), ("test", 5, -2)])
 def test_impossible_sets_are_errors(app: str, arguments: tuple[Any, ...]) -> None:
     with pytest.raises(ValueError, match="expected"):
-        next(drawn(app).source.synthetic_tasks(*arguments))
+        next(source_of(app).synthetic_tasks(*arguments))
     with pytest.raises(ValueError, match="expected"):
         brdf.synthetic_materials(*arguments)

@@ -18,6 +18,7 @@ def light() -> Tensor:
     return torch.stack([task.data["map"] for task in drawn("illumination").tasks])
 
 
+@pytest.mark.long
 def test_maps_are_finite_lit_everywhere_and_of_mean_luminance_1(light: Tensor) -> None:
     assert light.isfinite().all()
     assert light.min() >= 0
@@ -30,6 +31,7 @@ def test_maps_are_finite_lit_everywhere_and_of_mean_luminance_1(light: Tensor) -
     assert scales.max() > 300 * scales.min()
 
 
+@pytest.mark.long
 def test_every_map_is_another_place_and_suns_stand_in_all_directions(light: Tensor) -> None:
     small = torch.nn.functional.avg_pool2d(light, 8).add(0.05).log().flatten(1)
     apart = torch.cdist(small, small, p=1).fill_diagonal_(float("inf")) / small.shape[1]
@@ -40,6 +42,7 @@ def test_every_map_is_another_place_and_suns_stand_in_all_directions(light: Tens
     assert len((columns // 32).unique()) == 4
 
 
+@pytest.mark.long
 def test_light_is_spread_as_in_real_places(light: Tensor) -> None:
     """The medians and the range of some statistics lie where those of published environment maps do."""
     levels, share = luminance(light), solid_angles(64, 128) / (4 * torch.pi)
@@ -61,6 +64,7 @@ def test_light_is_spread_as_in_real_places(light: Tensor) -> None:
         assert found.max() > high
 
 
+@pytest.mark.long
 def test_photos_show_the_map() -> None:
     """What lies above is brighter than what lies below in the photos of most maps, as it is in the maps."""
     train = drawn("illumination").train

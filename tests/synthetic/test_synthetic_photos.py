@@ -38,6 +38,7 @@ def histograms(pictures: Tensor) -> Tensor:
     return torch.stack([(levels == level).float().mean(2) for level in range(8)], -1).flatten(1)
 
 
+@pytest.mark.long
 def test_pictures_are_neither_black_nor_white_nor_flat(pictures: Tensor) -> None:
     means = pictures.mean((1, 2, 3))
     assert 0.2 < means.min() <= means.max() < 0.85
@@ -46,6 +47,7 @@ def test_pictures_are_neither_black_nor_white_nor_flat(pictures: Tensor) -> None
     assert pictures.std((2, 3)).amax(1).min() > 0.015
 
 
+@pytest.mark.long
 def test_most_pictures_are_the_same_everywhere(pictures: Tensor) -> None:
     """In nine of ten no quadrant's mean colour is further than 0.03 from the whole's."""
     quadrants = pictures.unflatten(3, (2, 128)).unflatten(2, (2, 128)).mean((3, 5))
@@ -54,6 +56,7 @@ def test_most_pictures_are_the_same_everywhere(pictures: Tensor) -> None:
     assert apart.max() < 0.1
 
 
+@pytest.mark.long
 def test_every_draw_is_another_texture(pictures: Tensor) -> None:
     assert least_distance(pictures) > 0.01  # and with that no test texture is a training texture
     shares = histograms(pictures)
@@ -81,6 +84,7 @@ def test_another_size(tmp_path: Path) -> None:
 # Under a flash
 
 
+@pytest.mark.long
 def test_exposure_holds_the_highlight(photos: Tensor) -> None:
     means = photos.mean((1, 2, 3))
     assert 0.15 < means.min() <= means.max() < 0.75
@@ -89,6 +93,7 @@ def test_exposure_holds_the_highlight(photos: Tensor) -> None:
     assert (peaks > 0.9).float().mean() > 0.3  # shiny ones are about to clip, matt ones are metered by their mean
 
 
+@pytest.mark.long
 def test_flashes_are_in_the_middle_and_opposite_sides_alike(photos: Tensor) -> None:
     middle = photos[..., 64:192, 64:192].mean((1, 2, 3))
     corners = torch.stack([photos[..., i : i + 48, j : j + 48].mean((1, 2, 3)) for i in (0, 208) for j in (0, 208)])
@@ -101,6 +106,7 @@ def test_flashes_are_in_the_middle_and_opposite_sides_alike(photos: Tensor) -> N
     assert (apart < 0.06).float().mean() > 0.9
 
 
+@pytest.mark.long
 def test_every_draw_is_another_material(photos: Tensor) -> None:
     assert least_distance(photos) > 0.01
     means = photos.mean((2, 3))

@@ -27,6 +27,7 @@ def metal(maps: Maps) -> Tensor:
     return maps.specular.mean(1) > 0.4
 
 
+@pytest.mark.long
 def test_maps_are_physical(maps: Maps) -> None:
     assert all(each.isfinite().all() for each in maps)
     assert (maps.normal.norm(dim=1) - 1).abs().max() < 2e-3  # of 16 bits
@@ -39,6 +40,7 @@ def test_maps_are_physical(maps: Maps) -> None:
     assert dielectric.min() > 0.0199
 
 
+@pytest.mark.long
 def test_draws_cover_what_materials_do(maps: Maps) -> None:
     spread = maps.roughness.flatten(1).std(1)
     assert spread.median() > 0.12
@@ -56,6 +58,7 @@ def test_draws_cover_what_materials_do(maps: Maps) -> None:
     assert albedo.quantile(0.95) > 0.5
 
 
+@pytest.mark.long
 def test_normals_tilt_from_hardly_to_strongly_and_to_no_side(maps: Maps) -> None:
     tilt = torch.rad2deg(torch.acos(maps.normal[:, 2].clamp(-1, 1))).flatten(1).mean(1)
     assert 5 < tilt.median() < 20
@@ -64,6 +67,7 @@ def test_normals_tilt_from_hardly_to_strongly_and_to_no_side(maps: Maps) -> None
     assert maps.normal[:, :2].mean((0, 2, 3)).abs().max() < 0.03
 
 
+@pytest.mark.long
 def test_patches_are_neither_stationary_nor_centred_nor_alike(maps: Maps) -> None:
     content = torch.cat([maps.diffuse, maps.roughness, maps.specular], 1)
     quarters = torch.nn.functional.avg_pool2d(content, 64).flatten(2)
@@ -74,12 +78,14 @@ def test_patches_are_neither_stationary_nor_centred_nor_alike(maps: Maps) -> Non
     assert least_distance(torch.cat(maps, 1)) > 0.02  # and with that no test patch is a training patch
 
 
+@pytest.mark.long
 def test_photos_are_neither_dark_nor_burnt_out() -> None:
     photos = torch.stack([task.data["photo"] for task in drawn("svbrdf_nonstationary").tasks]).float() / 255
     assert photos.mean((1, 2, 3)).min() > 0.1
     assert (photos > 0.999).all(1).float().mean((1, 2)).quantile(0.9) < 0.15
 
 
+@pytest.mark.long
 def test_photos_show_the_maps_under_a_flash_nearby() -> None:
     """What the maps look like under one flash each, found by descent, is what the photographs show."""
     some = drawn("svbrdf_nonstationary").train[::4]
