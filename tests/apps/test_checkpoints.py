@@ -184,7 +184,7 @@ def errors_of_pictures(name: str, count: int, paradigm: str, recipe: str = QUICK
 @pytest.mark.parametrize(
     ("name", "count", "paradigm", "recipe", "share"),
     [
-        ("texture", 4, "meta", QUICK, 0.8),
+        long("texture", 4, "meta", QUICK, 0.8),
         # errors of these fall less: fewer than eight pictures say too little about the share
         *(pytest.param("svbrdf_stationary", 8, by, QUICK, 0.8, marks=pytest.mark.slow) for by in ("quickft", "meta")),
         pytest.param("texture", 4, "quickft", QUICK, 0.8, marks=pytest.mark.slow),
@@ -267,7 +267,7 @@ PHOTO = ("--observe", "photo")
         long("texture", ("--size", "64x64"), {"texture.png"}, 0.5),
         pytest.param("svbrdf_stationary", ("--size", "64x64"), {"height.png"}, 0.5, marks=pytest.mark.slow),
         ("illumination", PHOTO, {"map.exr", "map.png", "relit.png"}, None),
-        ("svbrdf_nonstationary", PHOTO, {"normal.png", "diffuse.png", "roughness.png", "specular.png"}, None),
+        long("svbrdf_nonstationary", PHOTO, {"normal.png", "diffuse.png", "roughness.png", "specular.png"}, None),
     ],
 )
 def test_a_photo_is_fitted_at_once_by_what_ships(

@@ -148,6 +148,7 @@ def sky() -> Tensor:
     return torch.where(up > 0, (0.6 + 0.4 * up) * torch.tensor([0.6, 0.8, 1.0])[:, None, None], 0.15)
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("scene")
 def test_suns() -> None:
     """Small suns are known; what a wider one's fit ends at is chance, and the guard ends that where it sees it."""

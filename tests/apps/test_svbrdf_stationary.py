@@ -303,6 +303,7 @@ def about(picture: Tensor) -> tuple[float, float]:
     return float(picture[..., squared < 0.25].mean()), float(picture[..., squared > 0.8].mean())
 
 
+@pytest.mark.long
 def test_a_highlight_stays_out_of_the_maps(sources: list[Task], tasks: Tasks) -> None:
     """The light explains what is bright in the middle; the generator cannot, since it does not know the place."""
     app, first = tiny(), tasks.select([0])

@@ -261,6 +261,7 @@ def test_seams_are_found_where_there_are_any() -> None:
     assert (seams(pictures[..., :100, :100]) > 2).all()
 
 
+@pytest.mark.long
 def test_textures_tile_at_four_times_the_size(sources: list[Task], tasks: Tasks) -> None:
     app = tiny()
     theta = overfit(app, tasks, 80)

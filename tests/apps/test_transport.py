@@ -270,6 +270,7 @@ def test_errors_are_of_held_out_samples_and_add_up(app: Transport, tasks: Tasks)
     torch.testing.assert_close(errors["error"], app.loss(theta, {"points": tasks.data["held"].mT}, {}))
 
 
+@pytest.mark.long
 def test_overfit_finds_the_lamp_and_where_it_is_from_each_place(app: Transport, tasks: Tasks) -> None:
     job = Job(app, replace(RECIPE, overfit_steps=150, batch=1024), "")
     theta = paradigms()["overfit"].fit(job, MetaParameters(), tasks, rng())
@@ -341,6 +342,7 @@ def test_the_tracer_mirrors_scenes_as_variants_do() -> None:
         assert float(((plain - other).abs().sum(1) < 1e-3 * plain.sum(1))[lit].float().mean()) > 0.98
 
 
+@pytest.mark.long
 def test_pictures_of_a_flow_and_of_samples_drawn_from_it_agree() -> None:
     theta = bent(FLOW, scale=0.3)
     points = torch.rand(1, 4, 600_000, generator=rng(1), dtype=torch.float64)

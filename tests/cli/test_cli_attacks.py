@@ -278,6 +278,7 @@ STREAMS: list[tuple[list[str], dict[int, str], int, int]] = [
 ]
 
 
+@pytest.mark.long
 def test_closed_and_full_streams(data: Path) -> None:
     cases, said = json.dumps([(more, streams) for more, streams, *_ in STREAMS]), Path("said")
     said.mkdir()

@@ -87,6 +87,8 @@ def test_whoever_asks_wrongly_is_told_before_any_line(answers: Callable, metapp:
     assert errors.startswith("error: ")
 
 
+@pytest.mark.long
+@pytest.mark.usefixtures("compiled")
 def test_an_answer_comes_before_the_next_line_is_sent(networks: Path) -> None:
     command = [sys.executable, "-m", "metapp", "meta", "brdf", "-", "--json", "--quiet"]
     lines: queue.Queue[str] = queue.Queue()

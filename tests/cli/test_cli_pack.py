@@ -20,6 +20,7 @@ from metapp.runs.checks import shipped_path
 from metapp.runs.pack import GROWTH
 from metapp.storage.packing import read_pack, write_pack
 from metapp.storage.records import load_checkpoint, read_records, read_theta, save_checkpoint
+from tests.marked import long
 from tests.small_spheres import run_small
 
 pytestmark = pytest.mark.usefixtures("small_spheres")
@@ -51,21 +52,21 @@ def fitted(kept: Callable[..., Path]) -> Callable[..., Path]:
     return fit
 
 
-def test_a_pack_is_small_and_its_error_grows_by_a_hundredth(metapp: Callable, fitted: Callable) -> None:
-    for rule in ("ridge", "meta-adam"):
-        run = fitted("meta", "--rule", rule)
-        result = metapp("pack", run, "--out", "a.pack", "--json")
-        told = result.done
-        assert told["size"] == Path("a.pack").stat().st_size < 4 * 4 * 675, rule
-        assert told["after"] - told["before"] <= GROWTH * told["before"], rule
-        errors = [record["error"] for record in read_records(run / "record.jsonl")]
-        assert told["before"] == pytest.approx(sum(errors) / 4, rel=1e-6), rule
-        assert f"{told['size']:,} bytes" in result.err, rule
-        fewer = metapp("pack", run, "--out", "b.pack", "--bits", told["bits"] - 1, "--json").document
-        assert fewer["after"] - fewer["before"] > GROWTH * fewer["before"], rule
+@pytest.mark.parametrize("rule", ["ridge", long("meta-adam")])
+def test_a_pack_is_small_and_its_error_grows_by_a_hundredth(metapp: Callable, fitted: Callable, rule: str) -> None:
+    run = fitted("meta", "--rule", rule)
+    result = metapp("pack", run, "--out", "a.pack", "--json")
+    told = result.done
+    assert told["size"] == Path("a.pack").stat().st_size < 4 * 4 * 675
+    assert told["after"] - told["before"] <= GROWTH * told["before"]
+    errors = [record["error"] for record in read_records(run / "record.jsonl")]
+    assert told["before"] == pytest.approx(sum(errors) / 4, rel=1e-6)
+    assert f"{told['size']:,} bytes" in result.err
+    fewer = metapp("pack", run, "--out", "b.pack", "--bits", told["bits"] - 1, "--json").document
+    assert fewer["after"] - fewer["before"] > GROWTH * fewer["before"]
 
 
-@pytest.mark.parametrize("state", ["there", "moved", "older records", "changed"])
+@pytest.mark.parametrize("state", [long("there"), "moved", long("older records"), long("changed")])
 def test_inputs_of_a_run_of_many_are_found(metapp: Callable, networks: Path, state: str) -> None:
     """Its records tell each input from others; where it was moved to is said after RUN."""
     materials = shutil.copytree(networks, Path("materials"))
@@ -121,6 +122,7 @@ def test_the_shared_network_is_not_in_the_file(metapp: Callable, fitted: Callabl
     assert all(torch.equal(ours[key], theirs[key]) for key in theirs if key not in ("z", "last"))
 
 
+@pytest.mark.long
 def test_fits_of_every_paradigm_are_packed(metapp: Callable, fitted: Callable) -> None:
     for paradigm, *steps in (("general",), ("quickft",), ("overfit", "--steps", "30")):
         told = metapp("pack", fitted(paradigm, *steps), "--out", f"{paradigm}.pack", "--json").document
@@ -170,6 +172,7 @@ def test_bad_files_are_one_line(metapp: Callable, fitted: Callable) -> None:
 BOMBS = ("shape", "name", "tasks")
 
 
+@pytest.mark.long
 def test_what_a_pack_declares_is_compared_before_it_is_unfolded(metapp: Callable, fitted: Callable) -> None:
     """40 kB that unfold to 256 MB: unpacking takes no more memory than refusing what is no pack."""
     metapp("pack", fitted("general"), "--out", "a.pack", "--bits", "8", "--quiet")

@@ -24,6 +24,7 @@ from metapp.apps.illumination import recipes as illumination
 from metapp.apps.svbrdf_nonstationary import MaterialSetup, field_of
 from metapp.apps.svbrdf_nonstationary import recipes as svbrdf
 from metapp.networks.field import LocalField
+from tests.marked import long
 from tests.pictures import write_planes
 
 SVBRDF = "svbrdf_nonstationary"
@@ -128,6 +129,7 @@ def test_a_reference_is_fitted_and_written(app: str, metapp: Callable, reference
         assert {(spec.width, spec.height) for spec in specs} == {(256, 256)}  # readers scale to it
 
 
+@pytest.mark.parametrize("app", [long("illumination"), SVBRDF], indirect=True)
 def test_a_photo_is_fitted_without_a_reference(app: str, metapp: Callable, photo: Path, reference: Path) -> None:
     """Alone, and in a folder with references."""
     fit = ("overfit", app, "--observe", "photo", "--json")
@@ -164,6 +166,7 @@ def test_bad_inputs_end_in_one_line(metapp: Callable) -> None:
     assert "bad.png" in metapp("meta", SVBRDF, "bad.png", "--observe", "photo").error
 
 
+@pytest.mark.long
 def test_checkpoints_of_both_protocols(app: str, metapp: Callable) -> None:
     assert metapp("data", "synth", app, "--count", "20", "--out", "few").code == 0
     common = (app, "--recipe", "quick", "--data", "few")

@@ -120,6 +120,7 @@ def _few_paths(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("metapp.rendering.path_space.BATCH", 2**16)
 
 
+@pytest.mark.long
 @needs_mitsuba
 def test_boxes_are_written_with_their_scenes_beside(metapp: Callable) -> None:
     document = metapp("data", "cornell", "--count", "5", "--seed", "7", *FEW, "--out", "a", "--json").done

@@ -26,6 +26,7 @@ from metapp.learning.task import Task
 from metapp.networks.exemplar import ExemplarSetup
 from metapp.networks.generators import Pyramid, UNet
 from metapp.storage.records import read_records
+from tests.marked import long
 from tests.pictures import photograph, text, write
 from tests.quick import app_by
 
@@ -175,6 +176,7 @@ def test_maps_come_back_from_their_files(app: str, data: str, metapp: Callable, 
     torch.testing.assert_close(normal_from_height(height[None])[0], wanted["normal"] * 2 - 1, rtol=0, atol=0.05)
 
 
+@pytest.mark.parametrize("app", ["texture", long("svbrdf_stationary")], indirect=True)
 def test_all_paradigms_and_their_table(app: str, data: Path, metapp: Callable) -> None:
     common = (app, "--data", data)
     rule = recipes_of(app)["quick"].rule

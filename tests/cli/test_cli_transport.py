@@ -79,6 +79,7 @@ def small(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(images, "REFERENCE_SPP", 16)
 
 
+@pytest.mark.long
 def test_train_fit_and_compare(metapp: Callable, data: Path) -> None:
     for paradigm in PARADIGMS:
         train = () if paradigm in ("overfit", "finetune") else ("--train", "--train-steps", "2")

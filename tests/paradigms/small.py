@@ -33,6 +33,7 @@ from metapp.networks.exemplar import ExemplarSetup
 from metapp.networks.field import LocalField
 from metapp.networks.generators import UNet
 from metapp.paradigms import Job, Paradigm
+from tests.marked import long
 from tests.small_spheres import shrink_spheres
 
 COUNT = 12
@@ -41,6 +42,7 @@ FEATURED = "brdf, features"
 KINDS = [*app_names(), FEATURED]
 OWN_RULES = {name: recipes_of(name)["quick"].rule for name in app_names()} | {FEATURED: "ridge"}
 # each application with its own rule, and each other rule on the fastest application, instead of all with all
+ONE_QUICK = ["brdf", *(long(kind) for kind in KINDS if kind != "brdf")]  # trainings of one application, of others long
 PAIRS = [*OWN_RULES.items(), *(("brdf", rule) for rule in RULES if rule not in OWN_RULES.values())]
 
 
@@ -156,8 +158,8 @@ def small_recipe(app: App) -> Recipe:
         recipe,
         steps=3,
         batch=min(64, recipe.batch),
-        overfit_steps=60,
-        finetune_steps=20,
+        overfit_steps=20,
+        finetune_steps=8,
         general=replace(recipe.general, **few),
         meta={rule: short(recipe.meta.get(rule, recipe.meta[recipe.rule])) for rule in applicable(app)},
         setup=app.setup,

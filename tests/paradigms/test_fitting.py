@@ -18,9 +18,12 @@ from metapp.learning.rules import RULES, fixed_adam, rule_of
 from metapp.learning.task import Batch, Tasks
 from metapp.paradigms import Job, paradigms
 from metapp.paradigms.quickft import to_alpha
-from tests.paradigms.small import PAIRS, prepared_for, rng, untrained
+from tests.marked import long
+from tests.paradigms.small import KINDS, PAIRS, prepared_for, rng, untrained
 
 # Fitting
+
+SLOWEST = ("svbrdf_stationary", "svbrdf_nonstationary", "transport")
 
 
 @pytest.mark.parametrize("name", list(paradigms()))
@@ -58,7 +61,7 @@ def test_the_five_paradigms(job: Job) -> None:
         "meta": (job.rule,),
     }
     recipe = job.recipe
-    expected = {"general": 0, "overfit": 60, "finetune": 20, "quickft": recipe.steps, "meta": recipe.steps}
+    expected = {"general": 0, "overfit": 20, "finetune": 8, "quickft": recipe.steps, "meta": recipe.steps}
     assert {name: paradigm.count(job) for name, paradigm in table.items()} == expected
     seven = {name: paradigm.count(job._replace(steps=7)) for name, paradigm in table.items()}
     assert seven == {name: 0 if name == "general" else 7 for name in table}
@@ -75,6 +78,7 @@ def test_meta_fits_by_every_rule(rule: str, job: Job, tasks: Tasks) -> None:
     assert all(torch.isfinite(value).all() for value in longer.values())
 
 
+@pytest.mark.parametrize("app", [long(kind) if kind in SLOWEST else kind for kind in KINDS], indirect=True)
 def test_overfit_learns(job: Job, tasks: Tasks) -> None:
     few, job = tasks.select([0, 1, 2, 3]), job._replace(steps=300)
     before = job.app.errors(job.app.init(rng(), 4), few)["error"]

@@ -19,11 +19,10 @@ from metapp.paradigms import training as prepare
 from metapp.paradigms.paradigm import TrainingData
 from metapp.paradigms.quickft import QUICKFT
 from metapp.paradigms.validation import split_validation, validation_error
-from tests.paradigms.small import KINDS, OWN_RULES, PAIRS, prepared_for, result, rng
+from tests.marked import long
+from tests.paradigms.small import ONE_QUICK, OWN_RULES, PAIRS, prepared_for, result, rng
 
 ONE_APP = pytest.mark.parametrize("app", ["brdf"], indirect=True)  # what no application changes
-# trainings of dozens of steps: of one application among the quick tests, of the others among the long ones
-ONE_QUICK = [pytest.param(kind, marks=() if kind == "brdf" else pytest.mark.long) for kind in KINDS]
 
 
 def test_split_keeps_tasks_apart(tasks: Tasks) -> None:
@@ -47,7 +46,12 @@ def test_split_keeps_photos_of_one_thing_together() -> None:
     assert {name[0] for name in validate.picked_names()} == set("abcd")
 
 
-EVERY = pytest.mark.parametrize(("app", "name"), [*((app, "general") for app in OWN_RULES), *PAIRS], indirect=["app"])
+OTHERS = ("illumination", "svbrdf_nonstationary", "svbrdf_stationary", "texture", "transport")
+EVERY = pytest.mark.parametrize(
+    ("app", "name"),
+    [*((app, "general") for app in OWN_RULES), *(long(*pair) if pair[0] in OTHERS else pair for pair in PAIRS)],
+    indirect=["app"],
+)
 
 
 def by(name: str, job: Job) -> Job:

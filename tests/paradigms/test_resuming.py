@@ -21,7 +21,7 @@ from metapp.paradigms import training as prepare
 from metapp.storage.records import save_checkpoint
 from metapp.storage.training_checkpoint import TrainingCheckpoint
 from tests.marked import long
-from tests.paradigms.small import OWN_RULES, prepared_for, rng
+from tests.paradigms.small import ONE_QUICK, OWN_RULES, prepared_for, rng
 
 ONE_APP = pytest.mark.parametrize("app", ["brdf"], indirect=True)  # what no application changes
 SETTINGS = {"steps": 12, "seed": 3}
@@ -79,7 +79,9 @@ def as_file(prepared: Prepared, path: Path) -> bytes:
 
 
 # each kind of stages on the fastest application, and each application's own rule with all stages that there are
-KINDS = [("brdf", kind) for kind in ("general", "quickft", "meta-sgd", "meta-encoder", "meta-basis tuned")]
+KINDS = [("brdf", kind) for kind in ("general", "quickft", "meta-sgd", "meta-encoder")] + [
+    long("brdf", "meta-basis tuned")
+]
 OWN_KINDS = [long(app, f"{rule} tuned") for app, rule in OWN_RULES.items()]
 
 
@@ -144,6 +146,7 @@ def test_ctrl_c_at_any_moment_loses_no_step(
     assert reached == sorted(reached)
 
 
+@pytest.mark.parametrize("app", ONE_QUICK, indirect=True)
 def test_training_draws_from_its_own_generator_alone(job: Job, tasks: Tasks) -> None:
     """What else was random would not be in a checkpoint."""
     before = torch.get_rng_state()

@@ -353,7 +353,8 @@ def test_other_variants_are_refused_in_one_line(mi: Any, fits: dict[str, Path]) 
             mi.load_dict({"type": "neural_brdf", "filename": str(fits["nbrdf"])})
 
 
-@pytest.mark.parametrize("order", [long("import metapp.mitsuba"), "mi.set_variant('llvm_ad_rgb')"])
+@pytest.mark.long
+@pytest.mark.parametrize("order", ["import metapp.mitsuba", "mi.set_variant('llvm_ad_rgb')"])
 def test_the_import_may_come_before_or_after_the_variant(fits: dict[str, Path], order: str) -> None:
     first, second = order, "mi.set_variant('llvm_ad_rgb')" if "import" in order else "import metapp.mitsuba"
     start = "from metapp.rendering.variant import choose_llvm; choose_llvm(); import mitsuba as mi"

@@ -295,6 +295,7 @@ def picture_of(mi: Any, scene: Any, prior: Any, seed: int, spp: int = 16) -> np.
     return np.array(sensor.film().develop(), np.float64)[..., :3]
 
 
+@pytest.mark.long
 @needs_mitsuba
 def test_the_prior_that_ships_lowers_the_noise(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("metapp.rendering.guided_picture.PAYS", math.inf)

@@ -107,6 +107,7 @@ def test_the_mean_is_that_of_path_for_all_materials_in_all_lights(mi: Any, lamp:
     assert abs(deviation(pictures(mi, scene, "metapp_guided_path"), pictures(mi, scene, "path"))) < 3
 
 
+@pytest.mark.long
 def test_a_cache_that_is_wrong_about_itself_is_found_out(mi: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     from metapp.rendering.guide_cache import GuideCache
 
@@ -130,6 +131,7 @@ def test_there_is_less_noise(mi: Any, monkeypatch: pytest.MonkeyPatch, emitter_s
     assert noise[0] < at_most * noise[1]
 
 
+@pytest.mark.long
 def test_a_seed_says_what_a_picture_is(mi: Any) -> None:
     scene = loaded(mi, random_scene(1))
     guided = mi.load_dict({"type": "metapp_guided_path", "max_depth": 4})
@@ -292,6 +294,7 @@ def test_the_lambertian_shortcut_is_the_plugin(mi: Any, sides: int) -> None:
         assert not is_lambertian(mi.load_dict(other))
 
 
+@pytest.mark.long
 def test_pictures_of_few_samples_are_guided_by_the_survey(mi: Any, plugin: Any) -> None:
     scene = loaded(mi, random_scene(101), 128)
     integrator = mi.load_dict({"type": "metapp_guided_path", "max_depth": 5})
@@ -303,7 +306,7 @@ def test_pictures_of_few_samples_are_guided_by_the_survey(mi: Any, plugin: Any) 
     assert noise[0] < 0.95 * noise[1]
 
 
-@pytest.mark.parametrize(("size", "more", "surveys"), [(8, {}, 0), (16, {}, 1), (8, {"keep_cache": True}, 1)])
+@pytest.mark.parametrize(("size", "more", "surveys"), [(8, {}, 0), (16, {}, 1), long(8, {"keep_cache": True}, 1)])
 def test_pictures_of_few_paths_do_not_pay_for_a_survey(
     mi: Any, monkeypatch: pytest.MonkeyPatch, size: int, more: Any, surveys: int
 ) -> None:

@@ -87,6 +87,7 @@ def printed(lines: str, *arguments: str, **environment: str) -> str:
     return done.stdout.strip()
 
 
+@pytest.mark.long
 def test_a_mitsuba_that_took_an_old_library_is_refused_before_it_can_abort() -> None:
     old = [path for path in SYSTEM if 15 <= (llvm_version(path) or 0) < OLDEST]
     try:
@@ -101,6 +102,7 @@ def test_a_mitsuba_that_took_an_old_library_is_refused_before_it_can_abort() -> 
     assert "imported before with libLLVM" in printed(lines, **{VARIABLE: str(old[0])})
 
 
+@pytest.mark.long
 @needs_mitsuba
 def test_exr_files_are_written_and_read_where_torch_has_one_thread(tmp_path: Path) -> None:
     """Mitsuba waits for a thread of Dr.Jit's pool, which has one less than it is told."""

@@ -58,7 +58,7 @@ def cell_means(tracer: Tracer, batches: int, dimensions: int, seed: int = 0) -> 
 
 
 @needs_mitsuba
-@pytest.mark.parametrize(("seed", "dimensions"), [(2, 4), long(4, 6)])
+@pytest.mark.parametrize(("seed", "dimensions"), [long(2, 4), long(4, 6)])
 def test_both_estimators_have_one_mean_over_cells_of_primary_sample_space(seed: int, dimensions: int) -> None:
     scene = random_scene(seed)
     plain, plain_error = cell_means(Tracer(scene), 4, dimensions)
