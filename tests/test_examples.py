@@ -112,6 +112,7 @@ def test_guided_render(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, run: Cal
     assert oiio.ImageBuf(str(tmp_path / "ball.png")).get_pixels(oiio.FLOAT).shape[:2] == (16, 24)
 
 
+@pytest.mark.long
 def test_photo_to_blender(tmp_path: Path, run_here: Callable[..., str]) -> None:
     y, x = np.mgrid[-1:1:64j, -1:1:64j]
     pixels = np.stack([np.exp(-2 * (x * x + y * y)) * (0.5 + 0.3 * np.sin(9 * x + i)) for i in range(3)], -1)

@@ -245,6 +245,7 @@ def test_the_plugin_sees_what_fits_see(tmp_path: Path) -> None:
         np.testing.assert_allclose(found, nbrdf_evaluate(weights, at).numpy(), rtol=1e-6, atol=1e-9)
 
 
+@pytest.mark.long
 def test_exported_fits_are_as_good_on_both_halves_of_the_circle(tmp_path: Path) -> None:
     materials = synthetic_materials("test")[:8]
     tasks = stack(APP, [brdf_task(each.name, each.evaluate) for each in materials])

@@ -132,6 +132,7 @@ def test_data_sets_of_several_photos_have_that_recipe(tmp_path: Path, metapp: Ca
     assert seen.request.recipe == "full"
 
 
+@pytest.mark.long
 def test_lines_have_the_recipes_of_their_inputs(
     folder: Path, metapp: Callable, monkeypatch: pytest.MonkeyPatch
 ) -> None:

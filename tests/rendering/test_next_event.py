@@ -96,7 +96,7 @@ def test_the_marginal_of_six_numbers_is_that_of_four(monkeypatch: pytest.MonkeyP
 
 @needs_mitsuba
 @pytest.mark.parametrize(
-    "scene", [long(random_scene(0)), long(small_lamp(1, 4)), bulb(3)], ids=["box", "small", "bulb"]
+    "scene", [long(random_scene(0)), long(small_lamp(1, 4)), long(bulb(3))], ids=["box", "small", "bulb"]
 )
 def test_resampled_points_are_in_proportion_to_what_paths_carry(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(path_space, "BATCH", 2**17)

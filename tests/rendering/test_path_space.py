@@ -109,6 +109,7 @@ def test_streams_are_even_and_not_alike() -> None:
     assert float(first.mean(0).square().mean() * 8 * 12) == pytest.approx(1, abs=0.03)  # variance of streams' means
 
 
+@pytest.mark.long
 @needs_mitsuba
 def test_samples_are_in_proportion_to_what_paths_carry() -> None:
     tracer = Tracer(random_scene(0))

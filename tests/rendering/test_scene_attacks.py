@@ -133,6 +133,7 @@ def test_no_scene_runs_a_library(name: str, tmp_path: Path, evil: Callable[[Path
     assert not mark.exists()
 
 
+@pytest.mark.long
 def test_no_library_in_the_working_folder_is_run(tmp_path: Path, evil: Callable[[Path, str], Path]) -> None:
     """Mitsuba looks in the folder that it is started in first; all that we do with a scene, its later plugins too."""
     import mitsuba

@@ -74,6 +74,7 @@ def sun(row: int, column: int) -> Tensor:
     return light
 
 
+@pytest.mark.long
 def test_light_adds_up_and_is_never_negative(matrix: Tensor, rng: torch.Generator) -> None:
     assert (matrix >= 0).all()
     assert matrix.isfinite().all()
@@ -85,6 +86,7 @@ def test_light_adds_up_and_is_never_negative(matrix: Tensor, rng: torch.Generato
     torch.testing.assert_close(first.double(), by_hand, rtol=1e-5, atol=0)
 
 
+@pytest.mark.long
 def test_maps_of_any_size_give_the_same_picture(matrix: Tensor, rng: torch.Generator) -> None:
     maps = torch.rand(1, 3, ROWS, COLUMNS, generator=rng)
     larger = maps.repeat_interleave(2, -2).repeat_interleave(2, -1)
@@ -93,6 +95,7 @@ def test_maps_of_any_size_give_the_same_picture(matrix: Tensor, rng: torch.Gener
     torch.testing.assert_close(*(relight(each, height=ROWS, width=COLUMNS) for each in (maps, larger)))
 
 
+@pytest.mark.long
 def test_in_a_furnace_nothing_shines_and_the_open_floor_shows_its_albedo(matrix: Tensor) -> None:
     picture = matrix.sum((-2, -1))
     assert picture.max() < geometry.GLOSSY_REFLECTANCE * 1.03  # noise
@@ -102,11 +105,13 @@ def test_in_a_furnace_nothing_shines_and_the_open_floor_shows_its_albedo(matrix:
     assert picture[pixel(torch.tensor([1.15, 0.0, 1.0]).double())] < 0.9 * geometry.FLOOR_ALBEDO
 
 
+@pytest.mark.long
 def test_what_is_below_the_horizon_lights_nothing(matrix: Tensor) -> None:
     assert (matrix[..., ROWS // 2 :, :] == 0).all()
     assert (matrix[..., : ROWS // 2, :].amax((0, 1)) > 0).all()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("centre", [MATTE_CENTRE, GLOSSY_CENTRE])
 def test_shadows_lie_on_the_far_side_of_the_spheres(matrix: Tensor, centre: tuple[float, float, float]) -> None:
     to_light = latlong.directions(ROWS, COLUMNS, dtype=torch.float64)
@@ -138,6 +143,7 @@ def is_seen(point: Tensor) -> bool:
     return 0 <= row < geometry.HEIGHT and 0 <= column < geometry.WIDTH
 
 
+@pytest.mark.long
 def test_the_glossy_sphere_reflects_what_lies_in_the_mirrors_direction(matrix: Tensor) -> None:
     rows, columns = torch.meshgrid(
         torch.arange(geometry.HEIGHT) + 0.5, torch.arange(geometry.WIDTH) + 0.5, indexing="ij"
@@ -158,6 +164,7 @@ def test_the_glossy_sphere_reflects_what_lies_in_the_mirrors_direction(matrix: T
     assert angle.mean() < 4
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("illumination", "spp", "within"), [("soft", 256, 0.05), long("sunny", 1024, 0.1)])
 def test_pictures_agree_with_mitsubas_path_tracer(matrix: Tensor, illumination: str, spp: int, within: float) -> None:
     soft = 1 + 0.5 * latlong.directions(ROWS, COLUMNS)

@@ -29,11 +29,21 @@ def data(neural_fits: Callable[[int], Path], tmp_path_factory: pytest.TempPathFa
 
 @pytest.fixture(scope="session")
 def done(data: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with the runs of all tables, the figures and the report, by what ships; not to write to."""
+    """A folder with the runs of all tables, by what ships; not to write to."""
     folder = tmp_path_factory.mktemp("done")
-    drawn = ("--report", folder / "report", "--figures", folder / "figures")
+    words = ("--data", data, "--out", folder / "runs", "--quiet", "--json")
     with few_steps():
-        assert call("evaluate", "brdf", "--data", data, "--out", folder / "runs", "--quiet", "--json", *drawn) == 0
+        assert call("evaluate", "brdf", "--which", "all", *words) == 0
+    return folder
+
+
+@pytest.fixture(scope="session")
+def drawn(data: Path, done: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with the figures and the report of these runs."""
+    folder = tmp_path_factory.mktemp("drawn")
+    words = ("--data", data, "--out", done / "runs", "--no-run", "--quiet", "--json")
+    with few_steps():
+        assert call("evaluate", "brdf", *words, "--report", folder / "report", "--figures", folder / "figures") == 0
     return folder
 
 

@@ -39,8 +39,9 @@ class Page(HTMLParser):
         return [attributes for name, attributes in self.tags if name == tag]
 
 
-def test_the_report_is_one_whole_page_that_needs_no_network(done: Path) -> None:
-    page = done / "report" / "index.html"
+@pytest.mark.long
+def test_the_report_is_one_whole_page_that_needs_no_network(drawn: Path) -> None:
+    page = drawn / "report" / "index.html"
     text = page.read_text()
     parsed = Page()
     parsed.feed(text)
@@ -67,9 +68,9 @@ def test_the_report_is_one_whole_page_that_needs_no_network(done: Path) -> None:
         assert found["brdf"]["settings"][shown["key"]]["paradigm"] == button["data-row"]
     for expected in ("metapp evaluate brdf --which all", str(torch.__version__), "4555", "95 % interval"):
         assert expected in text or expected.replace("4555", "4,555") in text
-    figures = {file.name for file in (done / "figures").iterdir()}
+    figures = {file.name for file in (drawn / "figures").iterdir()}
     assert figures == {f"brdf-{name}.{form}" for name in FIGURES for form in ("png", "pdf")}
-    assert (done / "figures" / "brdf-plane.pdf").read_bytes().startswith(b"%PDF")
+    assert (drawn / "figures" / "brdf-plane.pdf").read_bytes().startswith(b"%PDF")
 
 
 def test_a_report_of_nothing_is_a_page_as_well(evaluate: Callable, tmp_path: Path) -> None:
@@ -95,13 +96,13 @@ BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "
 
 @pytest.mark.slow
 @pytest.mark.skipif(BROWSER is None, reason="a browser draws the page: apt-get install chromium")
-def test_a_browser_shows_the_report_without_an_error(done: Path, tmp_path: Path) -> None:
+def test_a_browser_shows_the_report_without_an_error(drawn: Path, tmp_path: Path) -> None:
     page = tmp_path / "index.html"
     shot = tmp_path / "shot.png"
     # sort a table and open a record, as a reader does; what goes wrong is said on standard error
     acts = "document.querySelector('.sortable th button').click();document.querySelector('.record').click();"
     acts += "console.log('rows ' + document.querySelector('.sortable tbody').rows.length + ' ' + dialog.open);"
-    page.write_text((done / "report" / "index.html").read_text().replace("</body>", f"<script>{acts}</script></body>"))
+    page.write_text((drawn / "report" / "index.html").read_text().replace("</body>", f"<script>{acts}</script></body>"))
     options = ["--headless", "--no-sandbox", "--disable-gpu", "--enable-logging=stderr", "--window-size=1280,3000"]
     done = subprocess.run(
         [str(BROWSER), *options, f"--user-data-dir={tmp_path / 'profile'}", f"--screenshot={shot}", page.as_uri()],

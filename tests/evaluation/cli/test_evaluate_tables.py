@@ -124,6 +124,7 @@ def test_an_overfit_of_fewer_steps_is_said_and_is_another_run(evaluate: Callable
     assert "of the recipe's" not in evaluate(*common).out
 
 
+@pytest.mark.long
 def test_parts_make_the_records_of_one_program(evaluate: Callable, done: Path, tmp_path: Path) -> None:
     """All tables in two parts: the same records, the same tables; each part by itself, nothing twice."""
 
