@@ -278,6 +278,7 @@ def whole_vgg_in_bfloat16(vgg16: Path, cache: Path, monkeypatch: pytest.MonkeyPa
     features._load.cache_clear()
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("whole_vgg_in_bfloat16")
 def test_statistics_and_gradients_in_bfloat16_are_those_of_float32(
     rng: Generator, monkeypatch: pytest.MonkeyPatch

@@ -151,6 +151,7 @@ def unseen() -> Tasks:
         return stack(app_by("brdf"), [brdf_task(each.name, each.evaluate, samples=8192) for each in materials])
 
 
+@pytest.mark.long
 def test_ten_steps_of_the_default_rule_beat_the_other_quick_ways_on_unseen_materials(unseen: Tasks) -> None:
     recipe = recipes_of("brdf")[QUICK]
     general = start_of("brdf", "general")
@@ -206,6 +207,7 @@ def test_few_steps_beat_none_on_each_of_two_stationary_materials() -> None:
     assert (fits < general).all()
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("scene")
 @pytest.mark.parametrize("protocol", ["reference", long("photo")])
 @pytest.mark.parametrize("name", ["illumination", long("svbrdf_nonstationary")])

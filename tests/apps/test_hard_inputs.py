@@ -166,6 +166,7 @@ def test_suns() -> None:
     assert guarded.max() < 0.4 * quickft.max()
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("scene")
 def test_maps() -> None:
     rng = Generator().manual_seed(0)

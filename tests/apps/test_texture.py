@@ -308,6 +308,7 @@ def test_what_starts_that_ship_make_tiles() -> None:
             assert (ratio < 1.4).all(), name
 
 
+@pytest.mark.long
 def test_another_measure_of_the_same_pictures(
     sources: list[Task], tasks: Tasks, monkeypatch: pytest.MonkeyPatch
 ) -> None:

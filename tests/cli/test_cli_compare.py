@@ -36,6 +36,7 @@ def test_errors_seconds_ratio_and_a_picture_are_shown(metapp: Callable, fitted: 
     assert [side["label"] for side in itself["runs"]] == ["A", "B"]
 
 
+@pytest.mark.long
 def test_the_picture_has_reference_and_both_fits(metapp: Callable, fitted: Callable) -> None:
     meta, pixels = fitted("meta"), []
     for other in ("general", "quickft"):

@@ -50,6 +50,7 @@ def test_every_fit_is_written(metapp: Callable, run: Path) -> None:
         assert Path("else", kind, made[0]).read_bytes() == (run / kind / made[0]).read_bytes(), kind
 
 
+@pytest.mark.long
 def test_a_ridge_fit_is_distilled_where_its_input_is_given(
     metapp: Callable, neural_fits: Callable[[int], Path]
 ) -> None:

@@ -51,6 +51,7 @@ def errors(document: dict) -> dict[str, float]:
     return {task["name"]: task["error"] for task in document["tasks"]}
 
 
+@pytest.mark.long
 def test_fits_side_by_side_are_those_of_one_by_one(fit: Callable, fitted: list[list[str]]) -> None:
     alone, together = fit().document, fit("--batch", "2").document
     assert errors(together) == pytest.approx(errors(alone), rel=1e-3)

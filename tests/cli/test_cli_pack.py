@@ -66,7 +66,7 @@ def test_a_pack_is_small_and_its_error_grows_by_a_hundredth(metapp: Callable, fi
     assert fewer["after"] - fewer["before"] > GROWTH * fewer["before"]
 
 
-@pytest.mark.parametrize("state", [long("there"), "moved", long("older records"), long("changed")])
+@pytest.mark.parametrize("state", [long(state) for state in ("there", "moved", "older records", "changed")])
 def test_inputs_of_a_run_of_many_are_found(metapp: Callable, networks: Path, state: str) -> None:
     """Its records tell each input from others; where it was moved to is said after RUN."""
     materials = shutil.copytree(networks, Path("materials"))

@@ -65,6 +65,7 @@ def test_a_figure_that_was_altered_does_not_agree(metapp: Callable, run: Path) -
     assert metapp("rerun", run, "--tolerance", "0.002", "--quiet").code == 0
 
 
+@pytest.mark.long
 def test_other_versions_machines_and_threads_are_named_and_allowed_for(metapp: Callable, run: Path) -> None:
     def edit(record: dict[str, Any]) -> None:
         record["settings"]["versions"]["torch"] = "2.0.0"

@@ -87,6 +87,7 @@ def subject_of(data: Path, out: Path) -> Subject:
 # From one command
 
 
+@pytest.mark.long
 def test_one_command_trains_fits_and_says_what_came_of_it(evaluate: Callable, data: Path, tmp_path: Path) -> None:
     assert figures(evaluate("--no-run", "--json")) == []
     done = evaluate("--json", "--figures", tmp_path / "figures")

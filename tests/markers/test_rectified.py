@@ -102,6 +102,7 @@ def test_focal_length_and_field_of_view_are_inverses() -> None:
         assert focal_of(field_of_view(26.0, *shape), *shape) == pytest.approx(26)
 
 
+@pytest.mark.long
 def test_distances_follow_from_a_given_field_of_view(tmp_path: Path) -> None:
     cameras = [tilted(0, distance=26), tilted(5, 40)]
     paths = [take(tmp_path / f"{i}.png", camera, focal=False) for i, camera in enumerate(cameras)]
@@ -187,6 +188,7 @@ def test_what_was_found_is_shown_and_not_read_as_a_photograph(photos: Path, tmp_
     assert (shown[y - 3 : y + 4, x - 3 : x + 4].reshape(-1, 3) == (255, 0, 200)).all(-1).any()  # the opening's outline
 
 
+@pytest.mark.long
 def test_higher_depth_stays_and_size_has_limits(tmp_path: Path) -> None:
     cameras = [tilted(0, distance=26), tilted(20)]
     paths = []

@@ -23,7 +23,7 @@ from tests.paradigms.small import KINDS, PAIRS, prepared_for, rng, untrained
 
 # Fitting
 
-SLOWEST = ("svbrdf_stationary", "svbrdf_nonstationary", "transport")
+SLOWEST = ("illumination", "svbrdf_nonstationary", "svbrdf_stationary", "texture", "transport")
 
 
 @pytest.mark.parametrize("name", list(paradigms()))

@@ -86,6 +86,7 @@ def test_two_ranks_train_what_one_does(train: Callable[..., list[Rank]], tmp_pat
     assert document["best_step"] > 0  # what is compared was trained
 
 
+@pytest.mark.long
 def test_a_rank_that_dies_ends_the_run(train: Callable[..., list[Rank]], tmp_path: Path) -> None:
     first, second = train(2, tmp_path / "out", 10**6, METAPP_CHECKPOINT_SECONDS="0")
     until = time.monotonic() + 300

@@ -103,6 +103,7 @@ def test_table_samples_are_measured_values(table: np.ndarray) -> None:
     assert all(torch.equal(data[key], again[key]) for key in data)
 
 
+@pytest.mark.long
 def test_table_and_function_give_the_same_picture() -> None:
     first = brdf_task("a", tabulate(evaluate), samples=64).data["render"]
     second = brdf_task("a", evaluate, samples=64).data["render"]

@@ -114,6 +114,7 @@ def test_it_is_said_by_which_recipe(folder: Path, metapp: Callable) -> None:
     assert "--observe photo" in result.err
 
 
+@pytest.mark.long
 def test_data_sets_of_several_photos_have_that_recipe(tmp_path: Path, metapp: Callable) -> None:
     said = {}
     for photos, recipe in ((1, "full"), (3, "several")):

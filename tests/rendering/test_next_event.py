@@ -70,6 +70,7 @@ def test_both_estimators_have_one_mean_over_cells_of_primary_sample_space(seed: 
     assert float((other_error / plain_error).median()) < 1
 
 
+@pytest.mark.long
 @needs_mitsuba
 def test_next_event_estimation_lowers_the_noise_of_a_small_lamps_indirect_light() -> None:
     scene = small_lamp(1, 8)
