@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import torch
 from torch import Tensor
 from torch.nn.functional import conv2d, pad
@@ -30,6 +32,36 @@ def dssim(pictures: Tensor, references: Tensor) -> Tensor:
     exposure = references.mean((1, 2, 3), keepdim=True).clamp_min(torch.finfo(references.dtype).tiny)
     shown, wanted = tone_map(pictures / exposure), tone_map(references / exposure)
     return 1 - ssim(shown, wanted).flatten(1).mean(1)
+
+
+def si_rmse(pictures: Tensor, references: Tensor, mask: Tensor) -> Tensor:
+    """Scale-invariant root mean square error [T]: of the multiple of each picture that is nearest to its reference.
+
+    The mean is over pixels, of the squared distance of RGB vectors, as in the evaluation of StyleLight (Wang et al.
+    2022) and DiffusionLight (Phongthawee et al. 2024). Black pictures have the root mean square of the reference.
+
+    Args:
+        pictures: [T, 3, H, W], linear in what may be scaled.
+        references: the same.
+        mask: bool [H, W], which pixels count.
+    """
+    some, wanted = pictures[..., mask], references[..., mask]
+    tiny = torch.finfo(some.dtype).tiny
+    scale = (some * wanted).sum((1, 2), keepdim=True) / (some * some).sum((1, 2), keepdim=True).clamp_min(tiny)
+    return (scale * some - wanted).square().sum(1).mean(1).sqrt()
+
+
+def rgb_angle(pictures: Tensor, references: Tensor, mask: Tensor) -> Tensor:
+    """Mean angle [T] between RGB vectors of pixels, degrees, each pixel counting the same.
+
+    As in the evaluation of StyleLight and DiffusionLight, but for pixels of which one alone is black: these count 90
+    degrees, not 0, else a black picture would be perfect. Shapes as of `si_rmse`.
+    """
+    some, wanted = pictures[..., mask], references[..., mask]
+    # exact where both are nearly parallel, where the arc cosine is not
+    angle = torch.atan2(torch.linalg.cross(some, wanted, dim=1).norm(dim=1), (some * wanted).sum(1))
+    one_is_black = (some.amax(1) > 0) != (wanted.amax(1) > 0)
+    return torch.where(one_is_black, math.pi / 2, angle).mean(1) * (180 / math.pi)
 
 
 RADIUS, SIGMA = 5, 1.5  # px, of the Gaussian window about each pixel

@@ -139,10 +139,10 @@ def mirror(maps: Tensor, size: int, samples: int = 4) -> Tensor:
         size: side of the pictures, px.
         samples: of a pixel along each side.
     """
-    normals, mask = sphere_normals(size * samples, dtype=torch.float64)
-    texels = texel_of(2 * normals[2] * normals - normals.new_tensor([0.0, 0.0, 1.0])[:, None, None], *maps.shape[-2:])
+    texels, mask = (part.to(maps.device) for part in _mirrored(size * samples, *maps.shape[-2:]))
     seen = maps.flatten(2)[..., texels.flatten()].unflatten(2, texels.shape) * mask
-    return avg_pool2d(seen, samples) / avg_pool2d(mask[None].to(maps), samples).clamp_min(0.5) * sphere_normals(size)[1]
+    shares = avg_pool2d(mask[None].to(maps), samples).clamp_min(0.5)
+    return avg_pool2d(seen, samples) / shares * sphere_normals(size, device=maps.device)[1]
 
 
 def develop(radiance: Tensor, camera: Camera) -> Tensor:
@@ -168,6 +168,13 @@ def _lit(transfer: Tensor, maps: Tensor) -> Tensor:
     right, left = (mirrored @ transfer.to(maps).T).unflatten(-1, (half, half))
     upper, lower = torch.cat([left.flip(-1), right], dim=-1)
     return torch.cat([upper, lower.flip(-2)], dim=-2)
+
+
+@functools.lru_cache(maxsize=8)
+def _mirrored(size: int, height: int, width: int) -> tuple[Tensor, Tensor]:
+    """Which texels pixels [size, size] of a mirror sphere show, and which of them are on it."""
+    normals, mask = sphere_normals(size, dtype=torch.float64)
+    return texel_of(2 * normals[2] * normals - normals.new_tensor([0.0, 0.0, 1.0])[:, None, None], height, width), mask
 
 
 def _quarter(size: int) -> Tensor:

@@ -17,6 +17,7 @@ from metapp.appearance.metrics import ssim
 from metapp.appearance.photograph import Camera, Material, develop, photograph, shade
 from metapp.apps.illumination.encoder import Encoder
 from metapp.apps.illumination.mirror import completed, is_mirror, nothing_seen, photographed, resampled, seen_loss
+from metapp.apps.illumination.spheres import sphere_errors
 from metapp.apps.illumination.suns import GIVEN, joined, parted, suns_of, with_suns
 from metapp.apps.illumination.surfaces import FACED, MIRRORED, relight, surfaces
 from metapp.apps.illumination.variants import of_mean_1, varied
@@ -212,7 +213,7 @@ class Illumination(CodedApp):
     def errors(self, theta: Params, tasks: Tasks) -> dict[str, Tensor]:
         """Of the second scene's pictures `error`, `relative` to their mean, `ssim` after tone mapping.
 
-        And `map`, the mean difference of the maps' logs.
+        And `map`, the mean difference of the maps' logs; and what `spheres.sphere_errors` has of three spheres.
         """
         return self.errors_of(self.answer(theta, {key: value[tasks.rows] for key, value in tasks.data.items()}), tasks)
 
@@ -229,6 +230,7 @@ class Illumination(CodedApp):
             "relative": error / references.mean((1, 2, 3)).clamp_min(1e-6),
             "ssim": ssim(tone_map(pictures), tone_map(references)).flatten(1).mean(1),
             "map": logs,
+            **sphere_errors(maps, target),
         }
 
 

@@ -11,6 +11,7 @@ from torch.nn.functional import avg_pool2d, interpolate
 from metapp.appearance.colour import srgb_to_linear, tone_map
 from metapp.appearance.presentation import Picture, Visible
 from metapp.apps.illumination import Illumination
+from metapp.apps.illumination.spheres import SPHERES
 from metapp.apps.illumination.surfaces import relight
 from metapp.learning.task import Params, Task
 from metapp.networks.presentation import CodedPresentation
@@ -23,8 +24,21 @@ class IlluminationPresentation(CodedPresentation[Illumination]):
 
     title = "Illumination"
     measure = "mean absolute error of a second scene's picture under the map"
-    image_measure = "the second scene under the map; its SSIM after tone mapping"
-    of_pictures = {"error": "MAE x100", "relative": "relative MAE", "ssim": "SSIM"}  # noqa: RUF012  (never written to)
+    measures = {  # noqa: RUF012  (never written to)
+        f"{name}_{kind}": f"{name} sphere, {title}"
+        for kind, title in (("rmse", "si-RMSE"), ("angle", "degrees"))
+        for name in SPHERES
+    }
+    image_measure = (
+        "the second scene under the map; its SSIM after tone mapping; three spheres under the tone-mapped map, as "
+        "DiffusionLight's evaluation"
+    )
+    of_pictures = {  # noqa: RUF012  (never written to)
+        "error": "MAE x100",
+        "relative": "relative MAE",
+        "ssim": "SSIM",
+        **measures,
+    }
 
     def refusal(self, height: int, width: int) -> str:
         fits = 2 * height == width and 16 <= height <= LARGEST
