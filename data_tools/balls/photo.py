@@ -38,7 +38,7 @@ def read_photo(path: Path, task: Task, size: int, fov_rad: float) -> Task:
     mirror = is_mirror(shot)
     if ball:
         task = Task(task.name, {"photos": photo_of(shot, mirror)[None]})
-    return _with_light(task, shot, size) if mirror else task
+    return with_light(task, shot, size) if mirror else task
 
 
 def _found(pixels: Pixels, lens: Lens | None) -> Ball | None:
@@ -60,7 +60,7 @@ def _central(pixels: Pixels) -> Ball:
     return Ball(left + side / 2, top + side / 2, side / 2)
 
 
-def _with_light(task: Task, shot: Shot, rows: int) -> Task:
+def with_light(task: Task, shot: Shot, rows: int) -> Task:
     """The task with what a mirror shows of the map."""
     size = min(800, 2 * math.ceil(shot.ball.radius))
     places = disc(size)
