@@ -25,7 +25,7 @@ from data_tools.synthetic.illumination import synthetic_tasks
 from metapp.appearance.colour import linear_to_srgb, tone_map
 from metapp.appearance.latlong import sphere_normals
 from metapp.appearance.metrics import si_rmse
-from metapp.apps.illumination import Illumination
+from metapp.apps.illumination import READ, Illumination
 from metapp.apps.illumination.spheres import SIZE, SPHERES, lit_spheres, toned
 from metapp.baselines import baselines_of
 from metapp.baselines.baseline import Training
@@ -166,10 +166,10 @@ def row(*cells: str) -> str:
 def shown(bench: Bench, name: str, tasks: list[Task], out: Path, *, mirrors: bool) -> Measured:
     """Fit, judge and draw one set of photographs, and print its means."""
     answers = bench.answers(tasks, mirrors=mirrors)
-    columns = [bench.column(answers, task, number) for number, task in enumerate(tasks)]
-    write_sheet(columns, name, out / f"{name.replace(' ', '-')}.png", 256)
     measured = bench.measured(answers, tasks)
     print(f"\n{name}, {len(tasks)} photographs:\n\n{means(measured)}", flush=True)
+    columns = [bench.column(answers, task, number) for number, task in enumerate(tasks)]
+    write_sheet(columns, name, out / f"{name.replace(' ', '-')}.png", 256)
     return measured
 
 
@@ -200,7 +200,7 @@ def main() -> None:
     torch.set_num_threads(1)
     options.out.mkdir(parents=True, exist_ok=True)
     bench = Bench(options.recipe, options.training)
-    rows = bench.app.field.height
+    rows = max(READ, bench.app.field.height)
     measured = shown(bench, "maps as mirrors", mirror_tasks(options.maps, rows), options.out, mirrors=True)
     others = [(name, "unwrap") for name in measured if name not in (CONSTANT, "unwrap")]
     print("\n" + ratios(measured, [*others, ("meta", "quickft"), ("meta", "gaussian")]), flush=True)
