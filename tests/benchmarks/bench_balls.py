@@ -116,9 +116,9 @@ class Bench:
 
     def column(self, answers: Answers, task: Task, number: int) -> Column:
         """The photograph, the true map with its spheres, and those of each method below."""
-        photo = task.data["photos"][0].permute(1, 2, 0).numpy() / 255
+        photo = task.data["photos"][0].permute(1, 2, 0).numpy().repeat(4, 0).repeat(4, 1) / 255
         truth = stack(self.app, [task]).data["map"]
-        pictures = {"photo": np.pad(photo, ((0, 0), (64, 128), (0, 0)), constant_values=1.0), "truth": picture(truth)}
+        pictures = {"photo": photo, "truth": picture(truth)}
         pictures |= {method: picture(maps[number]) for method, maps in answers.items()}
         return Column(pictures, task.name)
 
