@@ -22,7 +22,7 @@ from metapp.networks.coded import norm
 DARK = 0.01  # of the mean of what is seen: the log of radiance is flat below
 REFLECTANCE = 0.9  # of a mirror
 CLIPPED = 0.98  # display value from which a photograph says no more
-LOST = 4.0  # times the light of the clip is what photographs of training maps lose there (geometric mean 4.3)
+LOST = 2.0  # times the light of the clip at least is there; General tells how much more, best so on validation maps
 ACROSS = 256  # px of a ball in the photographs of training tasks
 
 
@@ -76,7 +76,7 @@ def raised(maps: Tensor, data: Batch) -> Tensor:
 def completed(maps: Tensor, data: Batch) -> Tensor:
     """What is seen, and maps [T, 3, H, W] where it is not, in its unit.
 
-    Where it clips, the brighter of both counts, as if as much light was lost as usual.
+    Where it clips, the brighter of both counts, as if some light was lost for certain.
     """
     filled, (sure, clipped) = raised(maps, data), data["certain"].split(1, 1)
     filled = torch.lerp(filled, torch.maximum(filled, LOST * data["seen"]), clipped / (1 - sure).clamp_min(1e-6))
