@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
 import typer
 
 from metapp.cli import baseline, compare, data, doctor, evaluate, export, pack, rerun
@@ -21,6 +23,25 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
     help="Reproduce visual appearance by machine learning: five training paradigms, one way of learning.",
 )
+
+
+def _version(asked: bool) -> None:
+    if asked:
+        from metapp import __version__
+
+        typer.echo(f"metapp {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def options(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="The version of metapp.")
+    ] = False,
+) -> None:
+    """Take the options that need no command."""
+
+
 for name, summary in SUMMARIES.items():
     app.command(name, cls=FitCommand)(make_command(name, summary))
 app.command("evaluate")(evaluate.command)

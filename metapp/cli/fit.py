@@ -67,7 +67,9 @@ OPTIONS: Document = {
     ),
     "shard": typer.Option(metavar="I/N", help="Fit every N-th input from the I-th on, of the same run folder."),
     "watch": typer.Option("--watch", help="Rewrite watch.png in the run's folder as steps go by."),
-    "export": typer.Option(help="Write each fit in another form."),
+    "export": typer.Option(
+        metavar="KIND", help="Write each fit in another form; several times or with commas: in each."
+    ),
     "size": typer.Option(
         metavar="HxW",
         help="px of what fits make: textures and maps of stationary svBRDFs to 4096x4096, illumination to 1024x2048; "
@@ -117,6 +119,10 @@ OPTIONS: Document = {
 OWN = ("observe", "export", "size", "detail", "render", "fov", "exposure", "exposures", "scene_root")
 
 
+# those that may be given several times
+SEVERAL = {"inputs": list[Path] | None, "scene_root": list[Path] | None, "export": list[str] | None}
+
+
 def exports() -> str:
     """The values of --export, those of applications that have the same ones once."""
     apps: dict[str, list[str]] = {}
@@ -139,7 +145,7 @@ def own_help(name: str) -> dict[str, str]:
         "inputs": f"What to fit: {forms}; or folders of these; without any, the test tasks of --data. {LINES}",
         "recipe": f"{', '.join(recipes)}; {DEFAULT_RECIPE}.",
         "observe": OPTIONS["observe"].help if protocols_of(name) else "",
-        "export": f"Write each fit in another form: {', '.join(exports_of(name))}." if exports_of(name) else "",
+        "export": f"{OPTIONS['export'].help} {', '.join(exports_of(name))}." if exports_of(name) else "",
         "size": OPTIONS["size"].help if type(shown).refusal is not Presentation.refusal else "",
         "detail": OPTIONS["detail"].help if details(name) else "",
         "render": OPTIONS["render"].help if shown.renders else "",
@@ -177,6 +183,7 @@ def make_command(name: str, summary: str) -> Callable[..., None]:
     def command(json: bool, **options: Any) -> None:
         with importing():
             from metapp.runs.plan import plan
+        options["export"] = ",".join(options["export"] or ())
         request = Request(paradigm=name, **{key: value for key, value in options.items() if value is not None})
         lines = request.inputs == [Path("-")]
         if lines and (not json or request.batch or request.shard or request.render or request.exposures):
@@ -197,8 +204,8 @@ def make_command(name: str, summary: str) -> Callable[..., None]:
     parameters = []
     for field in fields(Request):
         if field.name in OPTIONS:
-            several = field.name in ("inputs", "scene_root")
-            kind: Any = list[Path] | None if several else hints[field.name]
+            several = SEVERAL.get(field.name)
+            kind: Any = several or hints[field.name]
             annotation = Annotated[kind, OPTIONS[field.name]]
             default = None if several else inspect.Parameter.empty if field.name == "app" else field.default
             keyword = inspect.Parameter.KEYWORD_ONLY

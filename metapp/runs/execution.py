@@ -189,9 +189,9 @@ def _run(fitter: Fitter, sources: list[Source], label: str) -> Run:
         raise ValueError(f"none of {len(mine)} inputs could be fitted; the first: {loop.failures[0].reason}")
     tasks = () if lazy else [source.task() for source in mine]
     for task in tasks:
-        write_fit(loop.presentation, folder, task, folder.theta(task.name), request.export)
-    if request.export and tasks:
-        say(f"{len(tasks)} fits written as {request.export}: {folder.path / request.export}")
+        write_fit(loop.presentation, folder, task, folder.theta(task.name), request.exports)
+    for form in request.exports if tasks else ():
+        say(f"{len(tasks)} fits written as {form}: {folder.path / form}")
     made = folder.path / OUTPUTS if (folder.path / OUTPUTS).is_dir() else None
     gallery = None
     if lazy:
@@ -302,7 +302,7 @@ class _Loop:
             theta = {key: value.detach().cpu() for key, value in theta.items()}
             with torch.no_grad():
                 write_thumbnail(self.fitter.plan.app, task, theta, self.folder.path)
-                write_fit(self.presentation, self.folder, task, theta, self.fitter.plan.request.export)
+                write_fit(self.presentation, self.folder, task, theta, self.fitter.plan.request.exports)
             record = record | {"batch": beside, "source": source.place, "stamp": source.stamp}
         self.folder.add(record, theta)
         self.count += 1

@@ -31,10 +31,10 @@ OUTPUTS = "outputs"  # the folder of pictures and maps, in a run's
 WRITERS = 2  # pictures compressed at a time
 
 
-def write_fit(shown: Presentation[Any], run: RunFolder, task: Task, theta: Params, form: str) -> None:
-    """Write what a fit makes, <run>/outputs, and in the form of --export, if any, <run>/<form>."""
+def write_fit(shown: Presentation[Any], run: RunFolder, task: Task, theta: Params, forms: Sequence[str]) -> None:
+    """Write what a fit makes, <run>/outputs, and in each form of --export, <run>/<form>."""
     write_files(shown, task, theta, run.path / OUTPUTS)
-    if form:
+    for form in forms:
         export_fit(shown, task, theta, run.path / form / file_name(task.name), form, run.settings)
 
 

@@ -185,5 +185,6 @@ def _check(request: Request, app: App) -> None:
         raise BadOption("--train-steps: only with --train.")
     if request.render and request.lazy:
         raise BadOption("--render: of scenes one by one; leave --batch and --shard out.")
-    check_export(request.export, request.app)
+    for form in request.exports:
+        check_export(form, request.app)
     check_inputs(request, app)

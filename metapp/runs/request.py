@@ -23,6 +23,7 @@ class Request:
         paradigm: general, overfit, finetune, quickft or meta.
         inputs: files and folders; none: the test tasks of the data set.
         detail: px a side that photographs are read and fitted at; 0: as many as in training.
+        export: forms to write fits in, with commas between them.
         fov: of photos, the camera's field of view along the shorter side in degrees; 0: as EXIF says, else as usual.
         exposure: of flash photos without maps, by how many stops they are too bright, negative: too dark.
         exposures: of photos of one mirror ball, which are merged into one input; "": inputs are apart.
@@ -56,6 +57,11 @@ class Request:
     seed: int = 0
     device: str = "auto"
     quiet: bool = False
+
+    @property
+    def exports(self) -> tuple[str, ...]:
+        """The forms to write fits in, each once."""
+        return tuple(dict.fromkeys(name for name in self.export.split(",") if name))
 
     @property
     def lazy(self) -> bool:

@@ -50,6 +50,14 @@ def test_every_fit_is_written(metapp: Callable, run: Path) -> None:
         assert Path("else", kind, made[0]).read_bytes() == (run / kind / made[0]).read_bytes(), kind
 
 
+def test_a_fit_is_written_in_several_forms_at_once(metapp: Callable, neural_fits: Callable[[int], Path]) -> None:
+    words = ("meta", "brdf", neural_fits(1) / "m0", "--rule", "meta-adam", "--json", "--quiet")
+    run = Path(metapp(*words, "--export", "nbrdf,bsdf", "--export", "bsdf").document["out"])
+    assert (run / "nbrdf" / "m0" / "fc1.npy").is_file()
+    assert (run / "bsdf" / "m0.bsdf").is_file()
+    assert "--export 'gltf': brdf expects one of" in metapp(*words, "--export", "bsdf,gltf").misuse
+
+
 @pytest.mark.long
 def test_a_ridge_fit_is_distilled_where_its_input_is_given(
     metapp: Callable, neural_fits: Callable[[int], Path]

@@ -17,6 +17,7 @@ import torch
 from safetensors.torch import load_file, save_file
 
 from data_tools.readers.nbrdf import read_nbrdf
+from metapp import __version__
 from metapp.apps import brdf
 from metapp.apps.brdf import Brdf
 from metapp.apps.brdf.recipes import RECIPES
@@ -371,3 +372,7 @@ def test_a_fit_imports_neither_libraries_of_figures_nor_of_baselines_and_ends_qu
     )
     done = subprocess.run([sys.executable, "-c", "\n".join(lines)], capture_output=True, text=True, check=False)
     assert (done.returncode, done.stdout, done.stderr) == (0, "True True\nset()\n", "")
+
+
+def test_the_version_is_said(metapp: Callable) -> None:
+    assert metapp("--version").out == f"metapp {__version__}\n"
