@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import typer
 
+from data_tools.formats import exports_of
 from metapp.cli.console import Exit, one_line, out, print_json, what_failed
 from metapp.runs.reporter import number, say
 from metapp.storage import Document
@@ -67,6 +68,9 @@ def _show(run: Run, *, json: bool) -> None:
             rate = run.tasks_per_second if run.gallery else None
             out().print(table_of(plan.app, paradigm, run.records, rate=rate, most=most))
         say(f"{where}\nrecords: {run.folder.file}" + (f"\nmade: {run.made}" if run.made else ""))
+        others = [kind for kind in exports_of(plan.app.name) if kind not in plan.request.exports]
+        if others:
+            say(f"other forms: metapp export {run.folder.path} KIND, one of {', '.join(others)}")
         for line in remarks:
             say(line)
     for failure in run.failures:
