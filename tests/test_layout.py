@@ -9,7 +9,6 @@ import os
 import runpy
 import subprocess
 import sys
-import time
 from pathlib import Path
 from typing import Any
 
@@ -168,13 +167,10 @@ def test_the_walk_sees_what_it_should() -> None:
 def test_help_answers_at_once(arguments: list[str]) -> None:
     lines = "import sys\nfrom metapp.cli import main\ntry:\n    main()\nfinally:\n"
     lines += "    print({'torch', 'mitsuba', 'colour', 'matplotlib', 'numpy', 'scipy'} & sys.modules.keys())"
-    start = time.perf_counter()
     done = subprocess.run(
         [sys.executable, "-c", lines, *arguments, "--help"], capture_output=True, text=True, check=True, cwd=ROOT
     )
     assert done.stdout.splitlines()[-1] == "set()"
-    # 0.2 s on an idle machine; the margin is for busy ones, which the list above does not depend on.
-    assert time.perf_counter() - start < 3
 
 
 @pytest.mark.parametrize("command", ["meta", "data synth"])

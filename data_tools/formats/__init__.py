@@ -14,6 +14,7 @@ import importlib.util
 import pkgutil
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
+from types import ModuleType
 from typing import TYPE_CHECKING, NamedTuple, Protocol, cast
 
 if TYPE_CHECKING:
@@ -156,8 +157,6 @@ class Format(NamedTuple):
         takes: what fits may tell `read_task`: "size", px a side or rows of what the file becomes; "least", what
             smaller photos are enlarged to; "fov_rad", the camera's field of view along the shorter side; "exposure", by
             how many stops photos are too bright; "roots", folders that files named in a file may come from.
-        merges: whether the module's `merge(paths, exposures, ...)` makes one task of photos of different exposures.
-        objects: what the module's `from_object(source, name)` reads that is no file, in words; "" for nothing.
         exports: whether fits are written in it.
         holds: the parameters that a written file holds; a fit of another network is distilled into them first; () for
             a format that is written from what a fit evaluates to.
@@ -170,8 +169,6 @@ class Format(NamedTuple):
     module: str
     inputs: str = ""
     takes: tuple[str, ...] = ()
-    merges: bool = False
-    objects: str = ""
     exports: bool = False
     holds: tuple[str, ...] = ()
     command: Command | None = None
@@ -198,17 +195,6 @@ class Format(NamedTuple):
         taken = {name: value for name, value in known.items() if value and name in self.takes}
         read: Callable[..., Task] = self.files().read_task
         return read(source, **taken)
-
-    def merge(self, sources: list[Path], exposures: str, **known: object) -> Task:
-        """Read photographs of one thing, of different exposures, as one task; the rest as `read`."""
-        taken = {name: value for name, value in known.items() if value and name in self.takes}
-        merge: Callable[..., Task] = importlib.import_module(self.module).merge
-        return merge(sources, exposures, **taken)
-
-    def from_object(self, source: object, name: str) -> Task:
-        """Read something in memory; ValueError where it is none of `objects`."""
-        read: Callable[[object, str], Task] = importlib.import_module(self.module).from_object
-        return read(source, name)
 
     def conversion(self, paths: list[Path], split: str, settings: Mapping[str, object]) -> Conversion:
         """How files become tasks by the command's options; ValueError for bad paths."""
@@ -265,8 +251,11 @@ EXPORTS = (
 @functools.cache
 def formats() -> tuple[Format, ...]:
     """Return all formats that tasks come from, by name, found by listing this folder."""
-    modules = [importlib.import_module(f"{__name__}.{module.name}") for module in pkgutil.iter_modules(__path__)]
-    return tuple(sorted((form for module in modules for form in module.FORMATS), key=lambda form: form.name))
+    return tuple(sorted((form for module in _modules() for form in module.FORMATS), key=lambda form: form.name))
+
+
+def _modules() -> list[ModuleType]:
+    return [importlib.import_module(f"{__name__}.{module.name}") for module in pkgutil.iter_modules(__path__)]
 
 
 def inputs_of(app: str) -> tuple[Format, ...]:
@@ -274,9 +263,21 @@ def inputs_of(app: str) -> tuple[Format, ...]:
     return tuple(form for form in formats() if form.app == app and form.inputs)
 
 
-def objects_of(app: str) -> tuple[Format, ...]:
-    """Return the formats of what fits of an application take from memory."""
-    return tuple(form for form in formats() if form.app == app and form.objects)
+def merge_of(app: str) -> Callable[..., Task] | None:
+    """Return what makes one task of an application of photos of different exposures, `merge(paths, exposures, ...)`."""
+    return _function_of(app, "MERGES", "merge")
+
+
+def objects_of(app: str) -> Callable[[object, str], Task] | None:
+    """Return what makes a task of an application of something in memory, `from_object(source, name)`."""
+    return _function_of(app, "OBJECTS", "from_object")
+
+
+def _function_of(app: str, table: str, name: str) -> Callable[..., Task] | None:
+    """A function of the module that a table of this folder's modules, by application, names; None for no module."""
+    tables = [getattr(module, table, {}) for module in _modules()]
+    found = next((modules[app] for modules in tables if app in modules), None)
+    return getattr(importlib.import_module(found), name) if found else None
 
 
 def exports_of(app: str) -> dict[str, Format | Export]:

@@ -51,6 +51,7 @@ Examples:
   metapp data gonio measurements --split test --out measured
 """
 
+OBJECTS = {"brdf": "data_tools.readers.brdf_objects"}
 FORMATS = (
     Format(
         "bsdf",
@@ -76,12 +77,6 @@ FORMATS = (
         command=Command(MERL, "MERL file", "FILES...", ".binary files, and folders searched at any depth.", (SAMPLES,)),
     ),
     Format("mitsuba", "brdf", "data_tools.assets.mitsuba", exports=True),
-    Format(
-        "objects",
-        "brdf",
-        "data_tools.readers.brdf_objects",
-        objects="a function f(wi, wo), arrays (wi, wo, reflectance) or a BSDF of Mitsuba",
-    ),
     Format(
         "nbrdf",
         "brdf",

@@ -18,6 +18,7 @@ Examples:
   metapp data laval office.exr street.hdr --split test --out maps
 """
 
+MERGES = {"illumination": "data_tools.balls.reading"}
 FORMATS = (
     Format(
         "laval",
@@ -25,7 +26,6 @@ FORMATS = (
         "data_tools.balls.reading",
         "HDR maps (.exr, .hdr) or LDR photos of a ball",
         takes=("size", "fov_rad"),
-        merges=True,
         command=Command(LAVAL, "map", "FILES...", "HDR maps (.exr, .hdr), and folders searched at any depth.", (ROWS,)),
     ),
     Format(

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
 import typer
 from typer.core import TyperCommand
 
-from data_tools.formats import exports_of, inputs_of
+from data_tools.formats import exports_of, inputs_of, merge_of
 from metapp.apps import app_names
 from metapp.cli.console import importing, lines_of_input
 from metapp.cli.fitting import fit
@@ -151,7 +151,7 @@ def own_help(name: str) -> dict[str, str]:
         "render": OPTIONS["render"].help if shown.renders else "",
         "fov": OPTIONS["fov"].help if "fov_rad" in takes else "",
         "exposure": OPTIONS["exposure"].help if "exposure" in takes else "",
-        "exposures": OPTIONS["exposures"].help if any(form.merges for form in inputs_of(name)) else "",
+        "exposures": OPTIONS["exposures"].help if merge_of(name) else "",
         "scene_root": OPTIONS["scene_root"].help if "roots" in takes else "",
     }
     return {key: text for key, text in found.items() if text}

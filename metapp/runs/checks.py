@@ -9,7 +9,7 @@ from pathlib import Path
 
 import torch
 
-from data_tools.formats import Export, Format, OwnRecipe, exports_of, inputs_of
+from data_tools.formats import Export, Format, OwnRecipe, exports_of, inputs_of, merge_of
 from metapp.apps import app_names, app_of, presentation_of, protocols_of, recipes_of
 from metapp.learning.app import App
 from metapp.learning.recipe import Recipe
@@ -202,7 +202,7 @@ def check_inputs(request: Request, app: App) -> None:
     if request.exposure and (app.protocol != "photo" or not request.inputs):
         raise BadOption("--exposure is about INPUT photos where fits see them alone; add --observe photo, name photos.")
     if request.exposures:
-        _check_exposures(request, app, any(form.merges for form in formats))
+        _check_exposures(request, app, merge_of(app.name) is not None)
 
 
 def _check_exposures(request: Request, app: App, merges: bool) -> None:

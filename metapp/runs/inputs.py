@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import torch
 
-from data_tools.formats import inputs_of, objects_of
+from data_tools.formats import inputs_of, merge_of, objects_of
 from data_tools.readers.photos import SIZE
 from metapp.learning.app import App
 from metapp.learning.task import Task
@@ -108,11 +108,11 @@ def tasks_of_objects(app: App, sources: Sequence[object]) -> tuple[list[Task], s
     Raises:
         ValueError: the application reads none such.
     """
-    forms = objects_of(app.name)
-    if not forms:
+    read = objects_of(app.name)
+    if not read:
         raise ValueError(f"{type(sources[0]).__name__}: no path, expected one; {app.name} reads files and folders.")
     names = [getattr(source, "__name__", "object") for source in sources]
-    tasks = distinct([forms[0].from_object(source, name) for source, name in zip(sources, names, strict=True)])
+    tasks = distinct([read(source, name) for source, name in zip(sources, names, strict=True)])
     return tasks, f"{file_name(tasks[0].name)[:40]}-{_content(tasks)}"
 
 
@@ -205,9 +205,11 @@ def _found(app: App, path: Path, request: Request) -> Iterator[tuple[list[Path],
 
 def _merged(app: App, request: Request) -> Task:
     """The one task of photos of different exposures."""
-    form = next(form for form in inputs_of(app.name) if form.merges)
+    merge = merge_of(app.name)
+    assert merge is not None  # as was checked
     places = [place for path in request.inputs for found, _ in _found(app, path, request) for place in found]
-    return form.merge(places, request.exposures, size=app.traits.reads, fov_rad=math.radians(request.fov))
+    size = {"size": app.traits.reads} if app.traits.reads else {}
+    return merge(places, request.exposures, fov_rad=math.radians(request.fov), **size)
 
 
 def _read(path: Path, places: list[Path], read: Callable[[Path], Task]) -> Iterator[Task]:

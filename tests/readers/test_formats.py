@@ -17,8 +17,6 @@ def test_modules_have_what_records_say(form: Format) -> None:
         assert callable(module.recognises)
         assert callable(module.find)
         assert set(form.takes) <= set(inspect.signature(module.read_task).parameters)
-    if form.merges:
-        assert {"exposures", *form.takes} <= set(inspect.signature(module.merge).parameters)
     assert callable(getattr(module, "export", None)) is form.exports
     if form.command:
         settings = [setting.name for setting in form.command.settings]
