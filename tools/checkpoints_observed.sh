@@ -1,21 +1,16 @@
 #!/usr/bin/env bash
-# Train the checkpoints that ship of an application with two protocols, on synthetic data alone, and those of flash
+# Train the checkpoints that ship of an application with two protocols, on its embedded set alone, and those of flash
 # photographs of non-stationary svBRDFs, whose maps are finer, on drawn materials of 512 px:
 # checkpoints_observed.sh METAPP RUNS APP
 set -euo pipefail
-metapp=$1 runs=$2 app=$3 set=$3
+metapp=$1 runs=$2 app=$3
 common=("$app" --recipe quick --out "$runs" --train)
-if [ "$app" = illumination ]; then  # many maps: by 900 Meta is best after a third of its steps
-  set=drawn-4500
-  [ -f "$runs/data/$set/manifest.json" ] || "$metapp" data synth "$app" --count 4516 --out "$runs/data/$set"
-  common+=(--data "$runs/data/$set")
-fi
 "$metapp" general "${common[@]}"
 for observe in reference photo; do
   "$metapp" quickft "${common[@]}" --observe "$observe"
   "$metapp" meta "${common[@]}" --observe "$observe"
 done
-folder=$(ls -td "$runs/$app"/checkpoints/"$set"-*-quick-seed0 | head -1)
+folder=$(ls -td "$runs/$app"/checkpoints/"$app"-*-quick-seed0 | head -1)
 "$(dirname "$metapp")/python" tools/ship.py "$folder" "metapp/checkpoints/$app"
 
 if [ "$app" = svbrdf_nonstationary ]; then

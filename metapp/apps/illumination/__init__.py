@@ -141,8 +141,8 @@ class Illumination(CodedApp):
         return self.scaled(completed(maps, data) if "seen" in data else maps)
 
     def scaled(self, maps: Tensor) -> Tensor:
-        """Maps, of mean luminance 1 where a photograph does not say how bright they are."""
-        return maps if self.protocol == "reference" else of_mean_1(maps)
+        """Maps of mean luminance 1, as all are that are fitted: what a file had beside it is its `scale`."""
+        return of_mean_1(maps)
 
     def loss(self, theta: Params, batch: Batch, learned: Params) -> Tensor:
         """Of the map or of the photograph, by the protocol, [T]."""
