@@ -8,8 +8,8 @@ The last is an integrator: Mitsuba's `path` with path guiding that it learns whi
 `metapp.rendering.guided_plugin`. It is `guided_path`, too, unless a scene means that of Mueller et al. 2017.
 
 In XML: `<bsdf type="neural_brdf"><string name="filename" value="gold.safetensors"/></bsdf>`. The file is a fit of the
-BRDF application (`params/<task>.safetensors` of a run, or `Fit.save`), of either network, or a folder with an NBRDF
-network of six .npy files. Variants: llvm_ad_rgb, cuda_ad_rgb.
+BRDF application (`params/<task>.safetensors` of a run, or `Fit.save`), of any of its networks, or a folder with an
+NBRDF network of six .npy files. Variants: llvm_ad_rgb, cuda_ad_rgb.
 
 Import it before mitsuba where an old libLLVM is installed beside one that works: mitsuba keeps what it finds first.
 """
@@ -26,6 +26,7 @@ from torch import Generator
 from data_tools.readers.nbrdf import read_nbrdf
 from metapp.apps.brdf import Brdf, layers_of
 from metapp.apps.brdf.featured import Featured
+from metapp.apps.brdf.few import DARKEST, Few
 from metapp.learning.task import Params
 from metapp.rendering.brdf_plugin import Material, register_neural_brdf
 from metapp.rendering.bsdfs import register_maps_bsdf
@@ -41,7 +42,8 @@ def read_material(path: Path) -> Material:
     """
     theta = _parameters(path) if path.is_file() else _from_nbrdf(path)
     layers = tuple((weights.float().numpy(), bias.float().numpy()) for weights, bias in layers_of(theta))
-    return Material(layers, "last" in theta, functools.partial(Brdf().reflectance, theta))
+    darkest = DARKEST if "deviation" in theta else 0.0
+    return Material(layers, "last" in theta, functools.partial(Brdf().reflectance, theta), darkest)
 
 
 def _parameters(path: Path) -> Params:
@@ -50,7 +52,7 @@ def _parameters(path: Path) -> Params:
     except (SafetensorError, OSError) as error:
         raise ValueError(f"{path}: not readable ({error}), expected the .safetensors file of a BRDF fit.") from None
     shapes = {key: value.shape for key, value in theta.items()}
-    networks = [Brdf(setup).init(Generator().manual_seed(0), 1) for setup in (None, Featured())]
+    networks = [Brdf(setup).init(Generator().manual_seed(0), 1) for setup in (None, Featured(), Few())]
     known = [{key: value[0].shape for key, value in network.items()} for network in networks]
     if shapes not in known:
         found = ", ".join(sorted(theta)) or "none"

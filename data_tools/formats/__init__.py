@@ -138,12 +138,12 @@ class OwnRecipe(NamedTuple):
     Attributes:
         name: of the recipe.
         has: what these inputs have and the application's others lack, in words.
-        tensor: the one that their tasks alone hold.
+        tensor: the one that their tasks alone hold; "" where there is none, and data sets do not choose it.
     """
 
     name: str
     has: str
-    tensor: str
+    tensor: str = ""
 
 
 class Format(NamedTuple):
@@ -185,6 +185,11 @@ class Format(NamedTuple):
     def recognises(self, path: Path) -> bool:
         """Whether a path is of this format, or a folder with such files."""
         return self.files().recognises(path)
+
+    def has_own_recipe(self, path: Path) -> bool:
+        """Whether its own recipe, `own`, is for what a path is; the module may say so, else it is for all it reads."""
+        module = self.files()
+        return module.recognises(path) and getattr(module, "has_own_recipe", lambda _: True)(path)
 
     def find(self, paths: Iterable[Path]) -> tuple[list[Path], list[str]]:
         """Sources, and a line for each file of a folder that is none; ValueError for a bad path."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from data_tools.formats import Command, Format, Setting
+from data_tools.formats import Command, Format, OwnRecipe, Setting
 
 SAMPLES = Setting(
     "samples", 65_536, "Samples (pairs of directions) per material; the first half is for fits to see.", "N", low=2
@@ -67,6 +67,7 @@ FORMATS = (
         "data_tools.readers.gonio",
         "goniometer .csv files",
         command=Command(GONIO, "CSV file", "FILES...", ".csv files, and folders searched at any depth."),
+        own=OwnRecipe("few", has="500 samples or fewer"),
     ),
     Format(
         "merl",

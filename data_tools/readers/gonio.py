@@ -9,9 +9,10 @@ Columns stand in any order; others are passed over.
 from __future__ import annotations
 
 import functools
+import itertools
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -26,6 +27,7 @@ from data_tools.readers.listing import find_by_suffix, has_suffix
 from metapp.appearance.geometry import directions_to_full_circle
 from metapp.appearance.sphere import reference_scene, shade_sphere
 from metapp.learning.task import Task
+from metapp.storage.files import write_atomically
 
 if TYPE_CHECKING:
     from scipy.spatial import KDTree
@@ -37,7 +39,8 @@ ANGLES = ("theta_i", "phi_i", "theta_o", "phi_o")
 UNITS = {key: unit for key, unit in brdf_task.UNITS.items() if key != "environment"}
 RADIANS = {"deg": math.pi / 180, "rad": 1.0}
 RGB = ("r", "g", "b")
-LEAST = 64  # pairs of directions
+LEAST = 4  # pairs of directions
+FEW = 500  # up to so many none is held out, and a recipe of its own fits them
 LARGEST = 1e9  # of a BRDF, in 1/sr
 LAST_RAD = math.radians(89.999)  # from the normal: what is nearer to the surface is left out
 VISIBLE = (420.0, 680.0)  # nm, that spectra must cover
@@ -50,12 +53,25 @@ find = functools.partial(find_by_suffix, suffix=SUFFIX, what="a .csv file of a g
 recognises = functools.partial(has_suffix, suffix=SUFFIX)
 
 
+def has_own_recipe(path: Path) -> bool:
+    """Whether a file, or each in a folder, has FEW rows at most."""
+    files, _ = find([path])
+    return all(_few_lines(file) for file in files)
+
+
+def _few_lines(file: Path) -> bool:
+    with file.open(encoding="utf-8-sig", errors="replace") as lines:
+        rows = (line for line in lines if line.strip() and line.lstrip()[0] != "#")
+        return sum(1 for _ in itertools.islice(rows, FEW + 2)) <= FEW + 1  # with the line of names
+
+
 def read_task(path: Path) -> Task:
     """Turn measurements into a BRDF task, named by the file's stem.
 
-    Nothing is resampled: the samples are the measurements, in random order, half of them for fits to see. Those of
-    the same half and difference angles, to 1e-5 rad, are averaged, since a held-out sample must not have been seen;
-    those along the surface are left out. Only the picture interpolates, and there is none under an environment map.
+    Nothing is resampled: the samples are the measurements, in random order, half of them for fits to see; where there
+    are FEW at most, fits see all of them, and errors are of what fits saw. Those of the same half and difference
+    angles, to 1e-5 rad, are averaged, since a held-out sample must not have been seen; those along the surface are
+    left out. Only the picture interpolates, and there is none under an environment map.
 
     Returns:
         angles [N, 3] rad, reflectance [N, 3] in 1/sr, linear RGB, and render [96, 96, 4], float32.
@@ -92,6 +108,8 @@ def _task(name: str, source: str | Path, angles: Tensor, reflectance: Tensor) ->
         raise ValueError(f"{source}: {len(angles)} pairs of directions, expected {LEAST} or more; measure more.")
     order = torch.randperm(len(angles), generator=torch.Generator().manual_seed(0))
     render = shade_sphere(reference_scene(), functools.partial(_near, KDTree(_points(angles)), reflectance)).float()
+    if len(order) <= FEW:
+        order = order.repeat(2)
     return Task(name, {"angles": angles[order].float(), "reflectance": reflectance[order].float(), "render": render})
 
 
@@ -114,12 +132,21 @@ class _Rows(NamedTuple):
         return values
 
 
-def read_gonio(path: Path) -> tuple[Tensor, Tensor]:
-    """Read a file.
+class Pairs(NamedTuple):
+    """Measured pairs of directions.
 
-    Returns:
-        Half and difference angles (theta_h, theta_d, phi_d) [N, 3] in rad, phi_d over the full circle, and linear RGB
-        [N, 3] in 1/sr, >= 0, float64, of the rows above the surface.
+    Attributes:
+        wi, wo: unit vectors [N, 3] to light and detector, above the surface, z the normal, float64.
+        reflectance: linear RGB [N, 3] in 1/sr, >= 0, float64.
+    """
+
+    wi: Tensor
+    wo: Tensor
+    reflectance: Tensor
+
+
+def read_pairs(path: Path) -> Pairs:
+    """Read a file; rows along or below the surface are left out.
 
     Raises:
         ValueError: no such table: missing columns, rows that are no numbers, negative or huge values, angles beyond
@@ -133,12 +160,46 @@ def read_gonio(path: Path) -> tuple[Tensor, Tensor]:
     if bad.any():
         row, column = np.argwhere(bad)[0]
         raise ValueError(
-            f"{path}: line {rows.lines[row]}: {names[column]} {values[row, column]:.6g}, expected 0 to {LARGEST:g} "
-            "in 1/sr; leave out what was not measured."
+            f"{path}: line {rows.lines[row]}: {names[column]} {values[row, column]:.6g}, expected 0 to "
+            f"{LARGEST:g} in 1/sr; fill in what a plan asks for, and leave out rows that were not measured."
         )
     above = (angles[:, [0, 2]] < LAST_RAD).all(1)
     light, viewer = (torch.from_numpy(_direction(angles[above, i], angles[above, i + 1])) for i in (0, 2))
-    return directions_to_full_circle(light, viewer), torch.from_numpy((values @ matrix)[above]).clamp_min(0)
+    return Pairs(light, viewer, torch.from_numpy((values @ matrix)[above]).clamp_min(0))
+
+
+def read_gonio(path: Path) -> tuple[Tensor, Tensor]:
+    """Read a file.
+
+    Returns:
+        Half and difference angles (theta_h, theta_d, phi_d) [N, 3] in rad, phi_d over the full circle, and linear RGB
+        [N, 3] in 1/sr, >= 0, float64, of the rows above the surface.
+
+    Raises:
+        ValueError: as `read_pairs`.
+    """
+    pairs = read_pairs(path)
+    return directions_to_full_circle(pairs.wi, pairs.wo), pairs.reflectance
+
+
+def write_pairs(path: Path, wi: Tensor, wo: Tensor, before: Pairs) -> None:
+    """Write a table to fill in: what was measured before, then pairs of unit vectors [N, 3] without a BRDF."""
+    lines = [
+        "# fill in the BRDF in 1/sr as linear RGB, a row a pair of directions: theta_i, phi_i light, theta_o, phi_o"
+    ]
+    lines += [
+        "# detector; leave out rows that cannot be measured",
+        ",".join([*(f"{name}_deg" for name in ANGLES), *RGB]),
+    ]
+    for *pair, colour in zip(before.wi, before.wo, before.reflectance.tolist(), strict=True):
+        lines.append(",".join([*_degrees(*pair), *(f"{value:.6g}" for value in colour)]))
+    lines += [",".join([*_degrees(*pair), "", "", ""]) for pair in zip(wi, wo, strict=True)]
+    write_atomically(path, lambda file: file.write_text("\n".join(lines) + "\n", encoding="utf-8"))
+
+
+def _degrees(*vectors: Tensor) -> Iterator[str]:
+    for x, y, z in (vector.tolist() for vector in vectors):
+        yield from (f"{math.degrees(angle):.2f}" for angle in (math.atan2(math.hypot(x, y), z), math.atan2(y, x)))
 
 
 def _rows(path: Path) -> _Rows:

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from metapp.cli import baseline, compare, data, doctor, evaluate, export, pack, rerun
+from metapp.cli import baseline, compare, data, doctor, evaluate, export, pack, plan, rerun
 from metapp.cli.fit import FitCommand, make_command
 
 SUMMARIES = {
@@ -46,6 +46,7 @@ for name, summary in SUMMARIES.items():
     app.command(name, cls=FitCommand)(make_command(name, summary))
 app.command("evaluate")(evaluate.command)
 app.command("baseline")(baseline.command)
+app.command("plan")(plan.command)
 app.command("export")(export.command)
 app.command("pack")(pack.pack_command)
 app.command("unpack")(pack.unpack_command)

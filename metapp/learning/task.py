@@ -40,6 +40,7 @@ class Linear(NamedTuple):
         residual: target minus output, before whatever follows the linear layer, [T, C, N].
         weights: of the samples, [T, N], above 0.
         losses: of each task, [T].
+        prior: precision of W around its initialisation, added to the rule's own penalties, [T, C, F]; None: 0.
     """
 
     name: str
@@ -47,6 +48,7 @@ class Linear(NamedTuple):
     residual: Tensor
     weights: Tensor
     losses: Tensor
+    prior: Tensor | None = None
 
 
 class Held(NamedTuple):

@@ -19,6 +19,8 @@ from metapp.rendering.bsdfs import LocalReflection, Reflection, reflection_bsdf
 from metapp.rendering.jit import dr, mi, nn, register_plugin
 from metapp.rendering.types import Color, Float, Vector3
 
+LARGEST = 14.0  # logarithm that such a network may end at
+
 
 class Material(NamedTuple):
     """A BRDF as a network of two hidden layers.
@@ -28,11 +30,14 @@ class Material(NamedTuple):
         featured: whether it reads `metapp.apps.brdf.featured.inputs_of`, with hidden layers x sigmoid(x); else half
             and difference vector, with ReLU.
         reflectance: linear RGB [..., 3] in 1/sr, >= 0, of angles (theta_h, theta_d, phi_d) [..., 3] in rad.
+        darkest: what it ends at is log(f cos theta_i cos theta_o + darkest), with that product at least this; 0: it is
+            log(1 + f).
     """
 
     layers: tuple[tuple[NDArray[np.float32], NDArray[np.float32]], ...]
     featured: bool
     reflectance: Callable[[Tensor], Tensor]
+    darkest: float = 0.0
 
 
 class Network:
@@ -40,13 +45,13 @@ class Network:
 
     Attributes:
         weights, biases: TensorXf [out, in] and Float [out] of each layer; who changes them says so by `changed`.
-        featured: as of the material.
+        featured, darkest: as of the material.
     """
 
     def __init__(self, material: Material) -> None:
         self.weights = [mi.TensorXf(weights) for weights, _ in material.layers]
         self.biases = [mi.Float(bias) for _, bias in material.layers]
-        self.featured = material.featured
+        self.featured, self.darkest = material.featured, material.darkest
         self._constants = [(weights.tolist(), bias.tolist()) for weights, bias in material.layers]
         self._zero = dr.opaque(mi.UInt32, 0)
 
@@ -67,7 +72,10 @@ class Network:
             last = self._by_vectors(inputs)
         else:  # OptiX has cooperative vectors of half precision alone
             last = self._by_gathers(inputs)
-        return dr.maximum(expm1(mi.Color3f(last)), 0)
+        if not self.darkest:
+            return dr.maximum(expm1(mi.Color3f(last)), 0)
+        product = dr.maximum(light.z * viewer.z, self.darkest)
+        return dr.maximum((dr.exp(dr.minimum(mi.Color3f(last), LARGEST)) - self.darkest) / product, 0)
 
     def _active(self, x: Float) -> Float:
         return x / (1 + dr.exp(-x)) if self.featured else dr.maximum(x, 0)

@@ -82,9 +82,10 @@ def default_recipe(request: Request) -> str:
 
 def _are_of(form: Format, own: OwnRecipe, request: Request) -> bool:
     """Whether inputs are folders with sources of this format alone; BadOption where only some are."""
-    some = [path for path in request.inputs if form.recognises(path)]
+    some = [path for path in request.inputs if form.has_own_recipe(path)]
     for other in inputs_of(form.app) if some else ():
-        path = next((path for path in request.inputs if other.own != own and other.recognises(path)), None)
+        others = (path for path in request.inputs if path not in some or other.own != own)
+        path = next((path for path in others if other.recognises(path)), None)
         if path is not None:
             has, lacks = form.find(some[:1])[0][0], (other.find([path])[0] or [path])[0]
             raise BadOption(
@@ -95,7 +96,7 @@ def _are_of(form: Format, own: OwnRecipe, request: Request) -> bool:
 
 
 def _is_set_of(own: OwnRecipe, data: Path | None) -> bool:
-    return data is not None and own.tensor in read_manifest(data).units
+    return data is not None and own.tensor != "" and own.tensor in read_manifest(data).units
 
 
 def check_name(app: str) -> None:

@@ -11,7 +11,7 @@ from torch import Generator, Tensor
 from data_tools.readers.brdf_task import brdf_task
 from metapp.appearance.geometry import cosines, half_difference
 from metapp.apps.brdf import MEASURED_RAD, NOISE, Brdf, measured, network
-from metapp.apps.brdf.featured import INPUTS, OWN, Featured, features_of, inputs_of
+from metapp.apps.brdf.featured import INPUTS, Featured, features_of, inputs_of
 from metapp.apps.brdf.recipes import RECIPES
 from metapp.learning.app import stack
 from metapp.learning.learn import MetaParameters
@@ -76,7 +76,7 @@ def test_the_encoder_predicts_what_a_task_has_of_its_own(theta: Params) -> None:
     encoded = APP.encode(encoder, APP.condition(both, Generator().manual_seed(4)))
     assert {key: value.shape[1:] for key, value in encoded.items()} == {k: v.shape[1:] for k, v in theta.items()}
     for key, value in encoded.items():
-        assert torch.equal(value[0], value[1]) == (key not in OWN), key
+        assert torch.equal(value[0], value[1]) == (key not in SIZE.own), key
 
 
 def test_ridge_recovers_a_material_that_its_features_span(theta: Params) -> None:

@@ -94,6 +94,41 @@ def test_columns_in_any_order_and_comments_and_more_columns(tmp_path: Path) -> N
     assert angles[0].tolist() == pytest.approx([math.radians(10), math.radians(30), 0], abs=1e-9)
 
 
+def test_few_measurements_are_all_seen(write: Callable[..., Path]) -> None:
+    file = write()
+    lines = file.read_text().splitlines()
+    assert not gonio.has_own_recipe(file)
+    assert not gonio.has_own_recipe(file.parent)
+    for count, few in ((gonio.FEW + 1, False), (gonio.FEW, True), (20, True)):
+        file.write_text("\n".join(lines[: 2 + count]))
+        assert gonio.has_own_recipe(file) == few
+    angles = gonio.read_task(file).data["angles"]
+    assert torch.equal(angles[:20], angles[20:])
+    assert len(angles.unique(dim=0)) == 20
+
+
+def test_what_a_plan_writes_is_read_back_when_it_is_filled_in(tmp_path: Path, angles: Tensor) -> None:
+    wi, wo = rusinkiewicz_to_directions(angles[:30])
+    file = tmp_path / "plan.csv"
+    nothing = torch.zeros(0, 3).double()
+    gonio.write_pairs(file, wi, wo, gonio.Pairs(nothing, nothing, nothing))
+    with pytest.raises(ValueError, match=r"line 4: r nan, expected .* fill in what a plan asks for"):
+        gonio.read_pairs(file)
+    colours = material(angles[:30])
+    rows = [",".join(f"{value:.9g}" for value in row) for row in colours.tolist()]
+    lines = file.read_text().splitlines()
+    filled = [line.removesuffix(",,") + row for line, row in zip(lines[3:], rows, strict=True)]
+    file.write_text("\n".join([*lines[:3], *filled]))
+    pairs = gonio.read_pairs(file)
+    torch.testing.assert_close(pairs.wi, wi, rtol=0, atol=2e-4)  # a hundredth of a degree
+    torch.testing.assert_close(pairs.wo, wo, rtol=0, atol=2e-4)
+    torch.testing.assert_close(pairs.reflectance, colours, rtol=1e-6, atol=1e-8)
+    gonio.write_pairs(tmp_path / "more.csv", wi[:2], wo[:2], pairs)
+    lines = (tmp_path / "more.csv").read_text().splitlines()
+    assert len(lines) == 3 + 32
+    assert sum(line.endswith(",,") for line in lines) == 2
+
+
 def test_spectra_become_colours(tmp_path: Path) -> None:
     """White is white, steps of wavelength do not matter, and a long-wave reflector is red."""
     for step in (5, 10, 20):
@@ -131,7 +166,7 @@ def test_spectra_become_colours(tmp_path: Path) -> None:
         (HEAD.replace("deg", "rad") + "\n" + ROW, "line 2: theta_i 30 rad, expected 0 to 1.5708"),
         (HEAD + ",r\n" + ROW + ",1", "two columns 'r'"),
         (HEAD[:-6] + ",500nm,600nm\n" + ROW[:-4], "2 wavelengths from 500 to 600 nm, expected 4"),
-        (HEAD + "\n" + "\n".join([ROW] * 200), "1 pairs of directions, expected 64 or more"),
+        (HEAD + "\n" + "\n".join([ROW] * 200), "1 pairs of directions, expected 4 or more"),
         (b"\xff\xfe\x00", "no text in UTF-8"),
     ],
 )

@@ -10,8 +10,9 @@ from torch import Generator, Tensor
 
 from metapp.appearance.geometry import half_difference
 from metapp.appearance.noise import factors, standing_in
-from metapp.apps.brdf import nbrdf, nbrdf_in_c
-from metapp.apps.brdf.featured import OWN, Featured, features_of, folded, outgoing_cosine, reflectance_of
+from metapp.apps.brdf import featured, few, nbrdf, nbrdf_in_c
+from metapp.apps.brdf.featured import Featured, outgoing_cosine
+from metapp.apps.brdf.few import MOST, Few
 from metapp.engine import register
 from metapp.learning.app import App, Traits
 from metapp.learning.task import Batch, Held, Linear, Params, Task, Tasks
@@ -23,6 +24,7 @@ SAMPLES = 8192
 # `appearance.noise.factors`; the least and greatest angle that is measured
 NOISY, CUT = 1 / 2, 1 / 3
 NOISE, OUTLIERS, MEASURED_RAD = 0.25, 0.02, (math.radians(60), math.radians(85))
+FEWEST, FEW_NOISE, POLAR = 4, 0.1, 3  # few samples: at least, their noise, and the power that crowds theta_h around 0
 
 
 class Brdf(App):
@@ -36,29 +38,37 @@ class Brdf(App):
         "environment": Held(("h", "w", 4), optional=True),
     }
 
-    setup: Featured | None
+    setup: Featured | Few | None
 
     @property
     def traits(self) -> Traits:
-        own = OWN if self.setup else ()
+        own = self.setup.own if self.setup else ()
         return Traits(scale=100.0, single_threaded=True, compiles=True, cheap_fits=True, own=own)
 
     @property
     def solves(self) -> str:
-        """The last layer of the featured network."""
+        """The last layer, but of the NBRDF network."""
         return "last" if self.setup else ""
 
     def prepare(self, task: Task) -> dict[str, Tensor]:
         """`where` [N, 7]: half and difference vector, cos theta_i; `target` [N, 3]: log(1 + f cos theta_i)."""
         where = _where(task.data["angles"])
-        return {"where": where.float(), "target": torch.log1p(task.data["reflectance"] * where[:, 6:]).float()}
+        data = {"where": where.float(), "target": torch.log1p(task.data["reflectance"] * where[:, 6:]).float()}
+        return few.condensed(data) if isinstance(self.setup, Few) else data
 
     def init(self, rng: Generator, count: int) -> Params:
         return self.setup.init(rng, count) if self.setup else nbrdf.init(rng, count)
 
     def sample(self, tasks: Tasks, rng: Generator, count: int) -> Batch:
-        """`where` [T, 7, count] and `target` [T, 3, count] from the first half of the samples."""
-        return self._drawn(tasks, rng, count, 0)
+        """`where` [T, 7, count] and `target` [T, 3, count] from the first half of the samples.
+
+        Where there are few, these, again and again, and how many, `count` [T].
+        """
+        if "count" not in tasks.data:
+            return self._drawn(tasks, rng, count, 0)
+        seen = tasks.data["count"][tasks.rows]
+        rows = torch.arange(count, device=rng.device) % seen[:, None].long()
+        return self._picked(tasks, rows) | {"count": seen}
 
     def outer_sample(self, tasks: Tasks, rng: Generator, count: int) -> Batch:
         """From the half that fits do not see, which is without noise and complete."""
@@ -66,7 +76,9 @@ class Brdf(App):
 
     def _drawn(self, tasks: Tasks, rng: Generator, count: int, first: int) -> Batch:
         half = tasks.data["where"].shape[1] // 2
-        rows = first + torch.randint(half, (len(tasks), count), generator=rng, device=rng.device)
+        return self._picked(tasks, first + torch.randint(half, (len(tasks), count), generator=rng, device=rng.device))
+
+    def _picked(self, tasks: Tasks, rows: Tensor) -> Batch:
         picked = (tasks.rows[:, None], rows)
         return {key: tasks.data[key][picked].transpose(1, 2).contiguous() for key in ("where", "target")}
 
@@ -86,17 +98,8 @@ class Brdf(App):
         return (norm * _weights(where, learned) if "weights" in learned else norm).mean(1)
 
     def linear(self, theta: Params, batch: Batch, learned: Params) -> Linear:
-        """Least squares in log(1 + f), weighted so that it follows the loss (iteratively reweighted least squares)."""
-        where, target = batch["where"], batch["target"]
-        cos = where[:, 6:7]
-        features = features_of(theta, where)
-        residual = torch.log1p(torch.expm1(target) / cos.clamp_min(1e-4)) - torch.bmm(theta["last"], features)
-        # the derivative of log(1 + f cos theta_i) in log(1 + f)
-        slope = 1 - (1 - cos) * torch.exp(-target)
-        d = slope * residual
-        s = torch.exp(learned["smoothing"])[:, None]
-        weights = slope.square().mean(1) / (d.square().mean(1) + s * s).sqrt()
-        return Linear("last", features, residual, weights, d.abs().mean((1, 2)))
+        """Least squares near the loss, of the network that the parameters are of."""
+        return few.linear(theta, batch) if isinstance(self.setup, Few) else featured.linear(theta, batch, learned)
 
     def loss_parameters(self, steps: int) -> Params:
         """Smoothing, and for the NBRDF network weights of samples."""
@@ -104,18 +107,24 @@ class Brdf(App):
         return {"smoothing": torch.full((steps,), math.log(0.05))} | weights
 
     def init_encoder(self, rng: Generator) -> Params:
-        return self.setup.init_encoder(rng) if self.setup else nbrdf.init_encoder(rng)
+        return self.setup.init_encoder(rng) if isinstance(self.setup, Featured) else nbrdf.init_encoder(rng)
 
     def condition(self, tasks: Tasks, rng: Generator) -> Batch:
         return self.sample(tasks, rng, CONDITION)
 
     def encode(self, encoder: Params, condition: Batch) -> Params:
-        return self.setup.encode(encoder, condition) if self.setup else nbrdf.encode(encoder, condition)
+        if isinstance(self.setup, Featured):
+            return self.setup.encode(encoder, condition)
+        return nbrdf.encode(encoder, condition)
 
     def augment(self, tasks: Tasks, rng: Generator) -> Tasks:
         """Mixtures of these materials, as measurements have them where the network learns from such."""
         data = mixed(tasks, rng)
-        return tasks.variants(measured(data, rng) if self.setup and self.setup.measured else data)
+        if isinstance(self.setup, Few):
+            data = fewer(data, rng)
+        elif self.setup and self.setup.measured:
+            data = measured(data, rng)
+        return tasks.variants(data)
 
     def errors(self, theta: Params, tasks: Tasks) -> dict[str, Tensor]:
         half = tasks.data["where"].shape[1] // 2
@@ -166,21 +175,25 @@ def network(theta: Params, where: Tensor) -> Tensor:
     Returns:
         [T, 3, N], linear RGB in 1/sr, above -1.
     """
-    return reflectance_of(theta, where) if "last" in theta else nbrdf.network(theta, where[:, :6])
+    if "deviation" in theta:
+        return few.reflectance_of(theta, where)
+    return featured.reflectance_of(theta, where) if "last" in theta else nbrdf.network(theta, where[:, :6])
 
 
 def layers_of(theta: Params) -> list[tuple[Tensor, Tensor]]:
-    """One material's network, either one, as plain layers: weights [out, in] and biases [out], float64.
+    """One material's network, any of them, as plain layers: weights [out, in] and biases [out], float64.
 
     Args:
         theta: parameters of one task, without a task axis.
 
     Returns:
-        Of NBRDF with ReLU between them, on half and difference vector; of a featured network with SiLU, on
-        `metapp.apps.brdf.featured.inputs_of`. They end at log(1 + f).
+        Of NBRDF with ReLU between them, on half and difference vector; of the others with SiLU, on
+        `metapp.apps.brdf.featured.inputs_of`. They end at log(1 + f), that of `few` as its `reflectance_of` says.
     """
+    if "deviation" in theta:
+        return few.folded(theta)
     if "last" in theta:
-        return folded(theta)
+        return featured.folded(theta)
     pairs = ((theta[f"w{layer}"], theta[f"b{layer}"].flatten()) for layer in (1, 2, 3))
     return [(weights.detach().double(), bias.detach().double()) for weights, bias in pairs]
 
@@ -233,6 +246,32 @@ def measured(data: Params, rng: Generator) -> Params:
     visible = {"where": where[:, :half], "target": torch.log1p(torch.expm1(target[:, :half]) * factor)}
     kept = {key: value.gather(1, rows.expand_as(value)) for key, value in visible.items()}
     return {key: torch.cat([value, data[key][:, half:]], 1) for key, value in kept.items()}
+
+
+def fewer(data: Params, rng: Generator) -> Params:
+    """Materials [T, N, ...] of which a fit sees few samples, `count` [T], among the first MOST.
+
+    In half of them with noise; in a third none beyond an angle; in half of them crowded around theta_h = 0, as planned
+    ones are.
+    """
+    where, target = data["where"].clone(), data["target"].clone()
+    count, half = len(where), where.shape[1] // 2
+
+    def uniform() -> Tensor:
+        return torch.rand(count, 1, generator=rng, device=rng.device)
+
+    low, high = MEASURED_RAD
+    limit = torch.where(uniform() < CUT, torch.cos(low + (high - low) * uniform()), 0.0)
+    lower = torch.minimum(where[:, :half, 6], outgoing_cosine(where[:, :half].transpose(1, 2)))
+    # the density of theta_h where it is the power of what is uniform
+    crowded = where[:, :half, 2].clamp(-1, 1).arccos().clamp_min(1e-2) ** (1 / POLAR - 1)
+    wanted = torch.where(uniform() < 0.5, crowded, 1.0) * (lower >= limit) + 1e-9
+    chosen = torch.multinomial(wanted, MOST, generator=rng)[..., None]
+    level = torch.where(uniform() < NOISY, uniform(), 0.0)[..., None]
+    factor = factors(rng, (count, MOST), FEW_NOISE * level, 0.0)
+    where[:, :MOST] = where.gather(1, chosen.expand(-1, -1, 7))
+    target[:, :MOST] = torch.log1p(torch.expm1(target.gather(1, chosen.expand(-1, -1, 3))) * factor)
+    return {"where": where, "target": target, "count": (FEWEST * (MOST / FEWEST) ** uniform()[:, 0]).round()}
 
 
 register(Brdf.loss, nbrdf_in_c.loss)

@@ -15,11 +15,10 @@ from torch import Generator, Tensor
 from torch.nn.functional import silu
 
 from metapp.apps.brdf.nbrdf import read_set, set_encoder
-from metapp.learning.task import Batch, Params
+from metapp.learning.task import Batch, Linear, Params
 from metapp.networks.coded import encoder_of, reader_of, with_decoder
 
 INPUTS = 15
-OWN = ("z", "last")  # what a material does not share with others
 
 
 class Featured(NamedTuple):
@@ -39,6 +38,11 @@ class Featured(NamedTuple):
     encoder: int = 64
     measured: bool = False
 
+    @property
+    def own(self) -> tuple[str, ...]:
+        """What a material does not share with others."""
+        return ("z", "last")
+
     def init(self, rng: Generator, count: int) -> Params:
         """Random weights, the same for all but for the code: 0."""
         sizes = {"w1": (self.width, INPUTS), "w2": (self.width, self.width), "w3": (self.features, self.width)}
@@ -57,7 +61,7 @@ class Featured(NamedTuple):
         """A set encoder to a code and a last layer, and the weights that all materials share."""
         numbers = self.code + 3 * (self.features + 1)
         reader = set_encoder(rng, INPUTS + 3, self.encoder, numbers)
-        return encoder_of(reader, self.init(rng, 1), OWN)
+        return encoder_of(reader, self.init(rng, 1), self.own)
 
     def encode(self, encoder: Params, condition: Batch) -> Params:
         """A code and a last layer from samples, beside the shared weights."""
@@ -121,3 +125,17 @@ def folded(theta: Params) -> list[tuple[Tensor, Tensor]]:
 def reflectance_of(theta: Params, where: Tensor) -> Tensor:
     """Reflectance before the clamp at 0: exp(last layer) - 1, [T, 3, N], linear RGB in 1/sr, above -1."""
     return torch.expm1(torch.bmm(theta["last"], features_of(theta, where)))
+
+
+def linear(theta: Params, batch: Batch, learned: Params) -> Linear:
+    """Least squares in log(1 + f), weighted so that it follows the loss (iteratively reweighted least squares)."""
+    where, target = batch["where"], batch["target"]
+    cos = where[:, 6:7]
+    features = features_of(theta, where)
+    residual = torch.log1p(torch.expm1(target) / cos.clamp_min(1e-4)) - torch.bmm(theta["last"], features)
+    # the derivative of log(1 + f cos theta_i) in log(1 + f)
+    slope = 1 - (1 - cos) * torch.exp(-target)
+    d = slope * residual
+    s = torch.exp(learned["smoothing"])[:, None]
+    weights = slope.square().mean(1) / (d.square().mean(1) + s * s).sqrt()
+    return Linear("last", features, residual, weights, d.abs().mean((1, 2)))

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from metapp.apps.brdf.featured import Featured
+from metapp.apps.brdf.few import MOST, Few
 from metapp.learning.recipe import Adam, Guard, MetaTraining, OuterLoop, Recipe
 
 # Each task's gradient is scaled to about the same norm before the mean is taken: meta-gradients are heavy-tailed, and a
@@ -65,6 +66,14 @@ FULL = replace(QUICK, rule="ridge")
 # for samples that are noisy, or that lack grazing angles, as those of a gonioreflectometer
 MEASURED = replace(FULL, meta={"ridge": replace(RIDGE, setup=Featured(measured=True))})
 
+# for up to MOST samples: one solve of all of them
+FEW = replace(
+    FULL,
+    steps=1,
+    batch=MOST,
+    meta={"ridge": replace(RIDGE, tasks=12, initialisation="random", validate_every=1000, setup=Few())},
+)
+
 # Fischer & Ritschel 2022, section 4.1.2 and supplement: 10 inner steps of 512 samples, MAML with Meta-SGD from
 # alpha = 1e-3, outer Adam at 1e-4 with weight decay 1e-6, a random initialisation
 PAPER = replace(
@@ -86,4 +95,4 @@ PAPER = replace(
     rule="meta-sgd",
 )
 
-RECIPES = {"": {"paper": PAPER, "quick": QUICK, "full": FULL, "measured": MEASURED}}
+RECIPES = {"": {"paper": PAPER, "quick": QUICK, "full": FULL, "measured": MEASURED, "few": FEW}}

@@ -38,20 +38,26 @@ class NormalEquations(Loss):
     linear: Callable[[Params, Any, Params], Linear] = field(kw_only=True)
 
     def gradient(self, theta: Params, batch: Any, learned: Params, *, graph: bool) -> tuple[Params, Tensor]:
-        """Means over samples: `gram.<W>` [T, F, F], products of features, `moment.<W>` [T, C, F], with residuals."""
+        """Means over samples: `gram.<W>` [T, F, F], products of features, `moment.<W>` [T, C, F], with residuals.
+
+        And `prior.<W>` [T, C, F] where the least squares have one.
+        """
         with torch.set_grad_enabled(graph):
             linear = self.linear(theta, batch, learned)
             weighted = (linear.features * linear.weights[:, None] / linear.weights.shape[1]).mT
             gram, moment = linear.features @ weighted, linear.residual @ weighted
-        return {f"gram.{linear.name}": gram, f"moment.{linear.name}": moment}, linear.losses.detach()
+        sums = {f"gram.{linear.name}": gram, f"moment.{linear.name}": moment}
+        prior = {} if linear.prior is None else {f"prior.{linear.name}": linear.prior}
+        return sums | prior, linear.losses.detach()
 
 
 class Solve(Part):
     """Least squares: `penalty.<W>` [1, F], logs of penalties, and `keep.<W>` [steps], logits of what a step keeps.
 
     With the normal equations G of a step (Gram matrix) and M (moments of residuals), P = keep P + G and
-    W += M (P + diag(exp(penalty)))^-1. Penalties are at least what rounding may have made of P: longer training lets
-    them fall, and without that bound the factorisation fails.
+    W += M (P + diag(exp(penalty)))^-1, where a prior of the least squares adds its precision to the penalties. These
+    are at least what rounding may have made of P: longer training lets them fall, and without that bound the
+    factorisation fails.
     """
 
     name = "solve"
@@ -89,8 +95,14 @@ class Solve(Part):
             trace = gram.diagonal(dim1=-2, dim2=-1).sum(-1, keepdim=True)
             penalty = penalty + ROUNDING * torch.finfo(gram.dtype).eps * trace
             # in double precision: features are far from orthogonal
-            factor = torch.linalg.cholesky((gram + torch.diag_embed(penalty)).double())
-            change = torch.cholesky_solve(before.grads[f"moment.{key}"].double().mT, factor).mT
+            penalised = (gram + torch.diag_embed(penalty)).double()
+            moment = before.grads[f"moment.{key}"].double()
+            if f"prior.{key}" in before.grads:  # of each channel its own
+                prior = torch.diag_embed(before.grads[f"prior.{key}"].double())
+                factors = torch.linalg.cholesky(penalised[:, None] + prior)
+                change = torch.cholesky_solve(moment[..., None], factors)[..., 0]
+            else:
+                change = torch.cholesky_solve(moment.mT, torch.linalg.cholesky(penalised)).mT
             results[key] = moved[key] + change.to(gram.dtype)
         return results, after
 

@@ -95,6 +95,20 @@ def test_steps_add_up_to_ridge_regression_on_all_samples(theta: Params, batches:
     assert torch.equal(plain["W"], final["W"])
 
 
+def test_a_prior_adds_to_the_penalties_of_each_output(theta: Params, batches: list[Batch]) -> None:
+    alpha = alpha_of(theta)
+    prior = torch.linspace(-2, 2, OUTPUTS * FEATURES, dtype=torch.float64).exp().reshape(1, OUTPUTS, FEATURES)
+
+    def informed(theta: Params, batch: Batch, learned: Params) -> Linear:
+        return linear(theta, batch, learned)._replace(prior=prior.expand(TASKS, -1, -1))
+
+    final = learn_through(theta, SOLVE.rule(alpha), batches, replace(LOSS, linear=informed), order=2)
+    for output in range(OUTPUTS):
+        total = (alpha["penalty.W"][0, 0].exp() + prior[0, output]).log()
+        expected = ridge(theta, batches, total)
+        torch.testing.assert_close(final["W"][:, output], expected[:, output])
+
+
 def test_a_step_that_keeps_nothing_solves_for_its_own_samples(theta: Params, batches: list[Batch]) -> None:
     alpha = alpha_of(theta, keep=-40.0)
     rule = SOLVE.rule(alpha)

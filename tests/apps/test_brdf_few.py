@@ -1,0 +1,200 @@
+"""The Gaussian model of BRDFs for few samples: closed forms, what samples leave open, which directions tell most."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import pytest
+import torch
+from torch import Generator, Tensor
+
+from data_tools.readers.brdf_task import brdf_task
+from metapp.appearance.geometry import directions_to_full_circle
+from metapp.apps.brdf import Brdf, fewer, layers_of, network
+from metapp.apps.brdf.design import Limits, belief, places_of, plan
+from metapp.apps.brdf.featured import inputs_of
+from metapp.apps.brdf.few import (
+    DARKEST,
+    MOST,
+    TABLE,
+    Few,
+    condensed,
+    cosine_product,
+    features_of,
+    linear,
+    opponent,
+    precision,
+    reflectance_of,
+    slope_of,
+)
+from metapp.learning.app import stack
+from metapp.learning.task import Batch, Params
+
+APP = Brdf(Few(width=12, features=7))
+NOTHING = torch.zeros(0, 3)
+
+
+@pytest.fixture
+def theta() -> Params:
+    """A model whose materials differ, in double precision."""
+    rng = Generator().manual_seed(1)
+    one = {key: value.double() for key, value in APP.init(rng, 1).items()}
+    last = 0.1 * torch.randn(1, 3, 8, generator=rng, dtype=torch.float64)
+    last[:, 0, -1] = -3
+    return one | {"last": last, "deviation": one["deviation"] + torch.randn(1, 3, 8, generator=rng).double() / 4}
+
+
+@pytest.fixture
+def where() -> Tensor:
+    return places_of(angles_of(40).double())
+
+
+def angles_of(count: int, seed: int = 2) -> Tensor:
+    draws = torch.rand(40 * count, 3, generator=Generator().manual_seed(seed))
+    draws = draws * torch.tensor([math.pi / 2, math.pi / 2, 2 * math.pi])
+    above = places_of(draws)
+    return draws[(above[0, 6] > 0.05) & (cosine_product(above)[0, 0] > 0.05)][:count]
+
+
+def batch_of(theta: Params, where: Tensor) -> Batch:
+    """Samples of a material that the model draws."""
+    change = torch.randn(theta["last"].shape, generator=Generator().manual_seed(3), dtype=torch.float64)
+    drawn = theta | {"last": theta["last"] + theta["deviation"].exp() * change}
+    target = torch.log1p(reflectance_of(drawn, where).clamp_min(0) * where[:, 6:])
+    return {"where": where, "target": target, "count": torch.tensor([float(where.shape[2])], dtype=torch.float64)}
+
+
+def test_opponent_axes_are_orthonormal(theta: Params) -> None:
+    axes = opponent(theta)
+    torch.testing.assert_close(axes.T @ axes, torch.eye(3).double())
+    torch.testing.assert_close(axes[:, 0], torch.full((3,), 3**-0.5).double())  # luminance; the others have no gray
+    torch.testing.assert_close(axes[:, 1:].sum(0), torch.zeros(2).double())
+
+
+def test_the_slope_is_that_of_finite_differences(where: Tensor) -> None:
+    f = torch.rand(1, 3, where.shape[2], generator=Generator().manual_seed(4)).double() * 3
+    logs, step = (f * cosine_product(where) + DARKEST).log(), 1e-6
+
+    def error(logs: Tensor) -> Tensor:
+        return torch.log1p((logs.exp() - DARKEST) / cosine_product(where) * where[:, 6:7])
+
+    expected = (error(logs + step) - error(logs - step)) / (2 * step)
+    torch.testing.assert_close(slope_of(f, where), expected, rtol=1e-6, atol=1e-9)
+
+
+def test_a_solve_is_ridge_regression_in_logarithms(theta: Params, where: Tensor) -> None:
+    """Of augmented rows, by a least-squares solver; and its covariance is the inverse of the normal equations."""
+    batch = batch_of(theta, where)
+    at = linear(theta, batch)
+    seen = batch["target"].expm1() / where[:, 6:7]
+    logs = opponent(theta).T @ (seen * cosine_product(where) + DARKEST).log()
+    features, weights = features_of(theta, where)[0], precision(theta, slope_of(seen, where))[0]
+    torch.testing.assert_close(at.weights[0], weights * where.shape[2])
+    known = belief(theta, where, slope_of(seen, where))
+    for axis in range(3):
+        root = weights.sqrt()
+        rows = torch.cat([(features * root).T, torch.diag(torch.exp(-theta["deviation"][0, axis]))])
+        wanted = (logs[0, axis] - theta["last"][0, axis] @ features) * root
+        change = torch.linalg.lstsq(rows, torch.cat([wanted, torch.zeros(8).double()])[:, None]).solution[:, 0]
+        gram = at.features[0] * at.weights[0] / where.shape[2] @ at.features[0].T + torch.diag(at.prior[0, axis])
+        moment = at.features[0] * at.weights[0] / where.shape[2] @ at.residual[0, axis]
+        torch.testing.assert_close(torch.linalg.solve(gram, moment), change)
+        torch.testing.assert_close(known.covariance[axis], torch.linalg.inv(rows.T @ rows))
+
+
+def test_deviations_are_those_of_materials_that_the_model_draws(theta: Params, where: Tensor) -> None:
+    known = belief(theta, where[:, :, :5])
+    rng = Generator().manual_seed(5)
+    roots = torch.linalg.cholesky(known.covariance)
+    draws = torch.einsum("cfg,cgn->cfn", roots, torch.randn(3, 8, 20_000, generator=rng, dtype=torch.float64))
+    logs = opponent(theta) @ torch.einsum("cfn,fm->mcn", draws, features_of(theta, where)[0])  # [M, 3, draws]
+    torch.testing.assert_close(known.deviation(where), logs.std(2).T, rtol=0.03, atol=1e-4)
+
+
+def test_samples_never_make_less_certain(theta: Params, where: Tensor) -> None:
+    before = belief(theta, where[:, :, :0]).deviation(where)
+    for count in (1, 4, 16):
+        after = belief(theta, where[:, :, :count]).deviation(where)
+        assert bool((after <= before + 1e-12).all())
+        before = after
+
+
+def test_a_fit_of_what_the_model_draws_finds_it(theta: Params, where: Tensor) -> None:
+    """With many samples and little noise, by the application's own loss."""
+    sure = theta | {"noise": torch.tensor([[12.0, -3.0, 0.0]]).double()}
+    many = places_of(angles_of(400).double())
+    batch = batch_of(sure, many)
+    at = linear(sure, batch)
+    known = belief(sure, many, slope_of(batch["target"].expm1() / many[:, 6:7], many))
+    moment = at.residual[0] * at.weights[0] / 400 @ at.features[0].T
+    found = sure | {"last": sure["last"] + torch.einsum("cfg,cg->cf", known.covariance, moment)[None]}
+    assert float(APP.loss(found, batch_of(sure, where), {})) < 0.05 * float(APP.loss(sure, batch_of(sure, where), {}))
+
+
+def test_layers_are_the_network(theta: Params, where: Tensor) -> None:
+    one = {key: value[0] for key, value in theta.items()}
+    x = inputs_of(where)[0]
+    for weights, bias in (layers := layers_of(one))[:2]:
+        x = torch.nn.functional.silu(weights @ x + bias[:, None])
+    x = layers[2][0] @ x + layers[2][1][:, None]
+    torch.testing.assert_close((x.exp() - DARKEST) / cosine_product(where)[0], network(theta, where)[0])
+
+
+# What a fit sees
+
+
+@pytest.mark.usefixtures("small_spheres")
+def test_a_table_is_seen_by_its_first_samples_and_a_cut_one_by_all_it_has() -> None:
+    task = brdf_task("gray", lambda angles: torch.full((*angles.shape[:-1], 3), 0.2), samples=4096)
+    data = Brdf(None).prepare(task)
+    assert float(condensed(data)["count"]) == TABLE
+    rows = torch.arange(2048) % 40 + 100
+    cut = {key: torch.cat([value[rows], value[2048:]]) for key, value in data.items()}
+    found = condensed(cut)
+    assert float(found["count"]) == 40
+    assert torch.equal(found["where"][:40].unique(dim=0), data["where"][100:140].unique(dim=0))
+    assert torch.equal(found["where"][2048:], data["where"][2048:])
+    batch = APP.sample(stack(APP, [task]), Generator(), MOST)
+    assert len(batch["where"][0].T.unique(dim=0)) == TABLE
+
+
+def test_training_draws_few_samples_of_each_material() -> None:
+    where = places_of(angles_of(2000)).expand(6, -1, -1).transpose(1, 2)
+    data = fewer({"where": where, "target": torch.rand(6, 2000, 3)}, Generator().manual_seed(0))
+    assert data["where"].shape == where.shape
+    assert bool(((data["count"] >= 4) & (data["count"] <= MOST)).all())
+    assert len(data["count"].unique()) > 1
+    assert torch.equal(data["where"][:, 1000:], where[:, 1000:])
+
+
+# Plans
+
+
+def test_plans_keep_to_the_limits_of_the_instrument(theta: Params) -> None:
+    single = {key: value.float() for key, value in theta.items()}
+    for limits in (Limits(), Limits(math.radians(50), math.radians(20)), Limits(detector_rad=math.radians(30))):
+        wi, wo = plan(single, 6, limits, NOTHING, Generator().manual_seed(0))
+        assert wi.shape == wo.shape == (6, 3)
+        torch.testing.assert_close(torch.cat([wi, wo]).norm(dim=1), torch.ones(12))
+        assert bool(limits.allowed(wi, wo).all())
+        if limits.detector_rad:
+            torch.testing.assert_close(wo[:, 2], torch.full((6,), math.cos(limits.detector_rad)))
+    with pytest.raises(ValueError, match="0 of 4096 pairs of directions within the limits, expected 6"):
+        plan(single, 6, Limits(detector_rad=math.radians(85)), NOTHING, Generator())
+
+
+def test_planned_directions_tell_more_than_random_ones(theta: Params) -> None:
+    """And more follow on what was measured: the second half of a plan is not the first one again."""
+    single = {key: value.float() for key, value in theta.items()}
+    others = places_of(angles_of(500, seed=8))
+
+    def left(angles: Tensor) -> float:
+        return float(belief(single, places_of(angles)).expected_error(others).mean())
+
+    wi, wo = plan(single, 6, Limits(), NOTHING, Generator().manual_seed(0))
+    first = directions_to_full_circle(wi, wo)
+    assert left(first) < min(left(angles_of(6, seed)) for seed in range(20))
+    more = directions_to_full_circle(*plan(single, 6, Limits(), first, Generator().manual_seed(0)))
+    assert left(torch.cat([first, more])) < left(torch.cat([first, first]))
+    assert replace(Limits(), apart_rad=0.0).allowed(wi, wi).all()
