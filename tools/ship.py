@@ -53,7 +53,8 @@ def _on_small_grid(value: torch.Tensor) -> torch.Tensor:
 
 def _is_large(key: str, value: torch.Tensor) -> bool:
     long = key.startswith(("alpha.rate.", "alpha.in.", "alpha.out.")) and value.numel() > 64
-    return value.dtype == torch.float32 and (key.startswith("encoder.") or long)
+    shared = key.startswith("theta.w") and value.numel() > 1024  # of networks of which a fit moves the last layer alone
+    return value.dtype == torch.float32 and (key.startswith("encoder.") or long or shared)
 
 
 def _digest(encoder: Params) -> str:

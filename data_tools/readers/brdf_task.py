@@ -78,7 +78,7 @@ def brdf_task(
             )
         else:
             evaluate = material
-            angles = analytic_angles(samples, seed).clone()  # tasks must not share what somebody may write to
+            angles = _analytic_angles(samples, seed).clone()  # tasks must not share what somebody may write to
             reflectance = evaluate(angles).float()
         if reflectance.shape != angles.shape:
             raise ValueError(
@@ -94,7 +94,7 @@ def brdf_task(
 
 
 @functools.lru_cache(maxsize=2)
-def analytic_angles(samples: int, seed: int) -> Tensor:
+def _analytic_angles(samples: int, seed: int) -> Tensor:
     """The pool [N, 3] rad of all materials that can be evaluated anywhere."""
     return _pool("samples", samples, seed, lambda draws: above_horizon(draws).nonzero()[:, 0])
 

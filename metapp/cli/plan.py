@@ -59,7 +59,7 @@ def command(
     planned = plan_brdf(samples, limits, after, seed)
     write_pairs(out, planned.wi, planned.wo, planned.before)
     before = (planned.before.wi, planned.before.wo)
-    picture = save(directions(planned.wi, planned.wo, before).figure, out.with_suffix(".png"))
+    picture = save(directions(planned.wi, planned.wo, before, planned.maps).figure, out.with_suffix(".png"))
     low = f"{planned.expected[0]:.2f} to {planned.expected[1]:.2f}"
     if not quiet:
         say(f"{out}: {samples} pairs of directions to measure; the expected error x100 falls from {low}")

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import torch
 from torch import Generator, Tensor
 
-from data_tools.readers.brdf_task import analytic_angles
 from data_tools.readers.gonio import Pairs, read_pairs
 from metapp.appearance.geometry import directions_to_full_circle
 from metapp.apps.brdf import few
-from metapp.apps.brdf.design import Limits, belief, places_of, plan
+from metapp.apps.brdf.design import Limits, belief, expected_errors, places_of, plan
+from metapp.apps.brdf.featured import outgoing_cosine
 from metapp.learning.task import Params
 from metapp.runs.checkpoints import find_checkpoint
 from metapp.runs.plan import plan as plan_of
@@ -20,7 +21,7 @@ from metapp.runs.recorded import read_run
 from metapp.runs.request import Request
 
 RECIPE = "few"
-REFERENCES = 512
+GRID, PHI = (30, 30), 8
 
 
 class Planned(NamedTuple):
@@ -30,12 +31,14 @@ class Planned(NamedTuple):
         wi, wo: unit vectors to light and detector, [N, 3] each, in the order in which they tell most.
         before: what was measured before.
         expected: errors x100 that fits are expected to have before these measurements and after them.
+        maps: the same over half and difference angles, 0 to 90 degrees, [GRID] each.
     """
 
     wi: Tensor
     wo: Tensor
     before: Pairs
     expected: tuple[float, float]
+    maps: tuple[Tensor, Tensor]
 
 
 def plan_brdf(count: int, limits: Limits, after: Path | None = None, seed: int = 0, checkpoint: Any = None) -> Planned:
@@ -61,7 +64,8 @@ def plan_brdf(count: int, limits: Limits, after: Path | None = None, seed: int =
         theta = fitted(theta, seen, before.reflectance)
     wi, wo = plan(theta, count, limits, seen, Generator().manual_seed(seed))
     every = torch.cat([seen.float(), directions_to_full_circle(wi, wo)])
-    return Planned(wi, wo, before, (_expected(theta, seen.float()), _expected(theta, every)))
+    (low, first), (high, then) = open_errors(theta, seen.float()), open_errors(theta, every)
+    return Planned(wi, wo, before, (low, high), (first, then))
 
 
 def fitted(theta: Params, angles: Tensor, reflectance: Tensor) -> Params:
@@ -76,13 +80,21 @@ def fitted(theta: Params, angles: Tensor, reflectance: Tensor) -> Params:
     return theta | {"last": theta["last"] + change[None].float()}
 
 
-def _anywhere() -> Tensor:
-    """Places all over the hemisphere, as held-out samples of BRDFs are."""
-    return places_of(analytic_angles(REFERENCES, 1))
+def _grid() -> Tensor:
+    """Places [1, 7, N] of the picture: half angles, then difference angles, mean over PHI azimuths."""
+    half, difference = ((torch.arange(each) + 0.5) / each * math.pi / 2 for each in GRID)
+    azimuth = (torch.arange(PHI) + 0.5) / PHI * math.tau
+    return places_of(torch.cartesian_prod(half, difference, azimuth))
 
 
-def _expected(theta: Params, seen: Tensor) -> float:
-    return 100 * float(belief(theta, places_of(seen)).expected_error(_anywhere()).mean())
+def open_errors(theta: Params, seen: Tensor) -> tuple[float, Tensor]:
+    """The expected error x100 over all directions after samples [N, 3] rad, and over GRID, NaN below the horizon."""
+    known = belief(theta, places_of(seen))
+    grid = _grid()
+    errors = 100 * known.expected_error(grid)
+    above = torch.minimum(grid[0, 6], outgoing_cosine(grid)[0]) > 0
+    mean = torch.where(above, errors, math.nan).reshape(*GRID, PHI).nanmean(2)
+    return 100 * expected_errors(known)["expected"], mean
 
 
 def _file_of(after: Path) -> Path:

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import torch
 from torch import Generator, Tensor
 
 from metapp.appearance.geometry import half_difference
 from metapp.appearance.noise import factors, standing_in
-from metapp.apps.brdf import featured, few, nbrdf, nbrdf_in_c
+from metapp.apps.brdf import design, featured, few, nbrdf, nbrdf_in_c
 from metapp.apps.brdf.featured import Featured, outgoing_cosine
 from metapp.apps.brdf.few import MOST, Few
 from metapp.engine import register
@@ -25,6 +25,7 @@ SAMPLES = 8192
 NOISY, CUT = 1 / 2, 1 / 3
 NOISE, OUTLIERS, MEASURED_RAD = 0.25, 0.02, (math.radians(60), math.radians(85))
 FEWEST, FEW_NOISE, POLAR = 4, 0.1, 3  # few samples: at least, their noise, and the power that crowds theta_h around 0
+SEEN = 256  # at most, in training
 
 
 class Brdf(App):
@@ -129,7 +130,26 @@ class Brdf(App):
     def errors(self, theta: Params, tasks: Tasks) -> dict[str, Tensor]:
         half = tasks.data["where"].shape[1] // 2
         where = tasks.data["where"][tasks.rows, half:].transpose(1, 2)
-        return self.errors_of(network(theta, where).clamp_min(0), tasks)
+        found = self.errors_of(network(theta, where).clamp_min(0), tasks)
+        return found | (self._expected(theta, tasks) if isinstance(self.setup, Few) else {})
+
+    def _expected(self, theta: Params, tasks: Tasks) -> dict[str, Tensor]:
+        """The error x100 that samples leave: `expected` over all directions, in highlights, at grazing angles."""
+        batch = self.sample(tasks, Generator(), MOST)
+        each = []
+        for i, count in enumerate(batch["count"].tolist()):
+            one = {key: value[i : i + 1] for key, value in theta.items()}
+            where, target = (batch[key][i : i + 1, :, : int(count)] for key in ("where", "target"))
+            slope = few.slope_of(target.expm1() / where[:, 6:].clamp_min(1e-4), where)
+            each.append(design.expected_errors(design.belief(one, where, slope)))
+        return {name: self.traits.scale * torch.tensor([one[name] for one in each]) for name in each[0]}
+
+    def remarks(self, task: Task) -> dict[str, Any]:
+        """Say that no sample was held out, where a measurement has few."""
+        half = len(task.data["angles"]) // 2
+        if not torch.equal(task.data["angles"][:half], task.data["angles"][half:]):
+            return {}
+        return {"note": f"all {half} samples are fitted, none is held out: the error is of these"}
 
     def errors_of(self, answer: Tensor, tasks: Tasks) -> dict[str, Tensor]:
         """Of reflectance [T, 3, M] at the held-out samples, linear RGB in 1/sr, >= 0."""
@@ -271,7 +291,7 @@ def fewer(data: Params, rng: Generator) -> Params:
     factor = factors(rng, (count, MOST), FEW_NOISE * level, 0.0)
     where[:, :MOST] = where.gather(1, chosen.expand(-1, -1, 7))
     target[:, :MOST] = torch.log1p(torch.expm1(target.gather(1, chosen.expand(-1, -1, 3))) * factor)
-    return {"where": where, "target": target, "count": (FEWEST * (MOST / FEWEST) ** uniform()[:, 0]).round()}
+    return {"where": where, "target": target, "count": (FEWEST * (SEEN / FEWEST) ** uniform()[:, 0]).round()}
 
 
 register(Brdf.loss, nbrdf_in_c.loss)

@@ -71,7 +71,16 @@ FEW = replace(
     FULL,
     steps=1,
     batch=MOST,
-    meta={"ridge": replace(RIDGE, tasks=12, initialisation="random", validate_every=1000, setup=Few())},
+    meta={
+        "ridge": replace(
+            RIDGE,
+            tasks=12,
+            rates=RIDGE.rates | dict.fromkeys(("theta.last", "theta.deviation", "theta.noise"), 1e-2),
+            initialisation="random",
+            validate_every=1000,
+            setup=Few(),
+        )
+    },
 )
 
 # Fischer & Ritschel 2022, section 4.1.2 and supplement: 10 inner steps of 512 samples, MAML with Meta-SGD from

@@ -6,6 +6,7 @@ import math
 from typing import Any
 
 from matplotlib import rc_context
+from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 from torch import Tensor
 
@@ -14,11 +15,23 @@ from metapp.evaluation.figures.style import COLOURS, INK, MUTED, STYLE, Drawn
 NUMBERED = 32  # pairs up to which each has its number
 
 
-def directions(wi: Tensor, wo: Tensor, before: tuple[Tensor, Tensor]) -> Drawn:
-    """Pairs of unit vectors [N, 3], z the normal, and those that were measured before."""
+def directions(wi: Tensor, wo: Tensor, before: tuple[Tensor, Tensor], maps: tuple[Tensor, Tensor]) -> Drawn:
+    """Pairs of directions to measure, and what they leave open.
+
+    Args:
+        wi, wo: unit vectors [N, 3] to light and detector, z the normal.
+        before: those of what was measured before.
+        maps: expected errors x100 before and after them, over half and difference angles from 0 to 90 degrees.
+    """
     with rc_context(STYLE):
-        figure = Figure(figsize=(5.2, 5.6), layout="constrained")
-        axis: Any = figure.add_subplot(projection="polar")
+        figure = Figure(figsize=(8.6, 5.2), layout="constrained")
+        places = figure.subplot_mosaic(
+            [["pairs", "before"], ["pairs", "after"]],
+            width_ratios=[1.7, 1],
+            per_subplot_kw={"pairs": {"projection": "polar"}},
+        )
+        axis: Any = places["pairs"]
+        _errors(figure, [places["before"], places["after"]], maps)
         axis.set_rlim(0, 90)
         axis.set_rticks([30, 60, 90], ["30", "60", "90 degrees"])
         axis.set_thetagrids(range(0, 360, 45))
@@ -31,7 +44,25 @@ def directions(wi: Tensor, wo: Tensor, before: tuple[Tensor, Tensor]) -> Drawn:
         if len(before[0]):
             axis.plot([], [], "o", color=MUTED, markersize=5, label="measured before")
         figure.legend(loc="outside lower center", ncols=3)
-    return Drawn(figure, f"{len(wi)} pairs of directions from above: light, and detector, joined by lines.")
+    return Drawn(
+        figure,
+        f"{len(wi)} pairs of directions from above, light and detector joined; beside it what they leave open.",
+    )
+
+
+def _errors(figure: Figure, axes: list[Any], maps: tuple[Tensor, Tensor]) -> None:
+    """Two pictures with one scale, logarithmic."""
+    high = float(maps[0].nan_to_num().max())
+    scale = LogNorm(high / 3000, high)
+    for axis, errors, when in zip(axes, maps, ("before", "after"), strict=True):
+        shown = axis.imshow(errors.T, origin="lower", extent=(0, 90, 0, 90), norm=scale, cmap="magma")
+        axis.set_title(f"expected error x100 {when}")
+        axis.set_ylabel("difference angle")
+        axis.grid(visible=False)
+        axis.set_xticks([0, 30, 60, 90])
+        axis.set_yticks([0, 30, 60, 90])
+    axes[1].set_xlabel("half angle, degrees")
+    figure.colorbar(shown, ax=axes, shrink=0.8)
 
 
 def _pair(axis: Any, light: Tensor, detector: Tensor, colour: str, number: str) -> None:
