@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import pytest
 import torch
@@ -196,4 +195,3 @@ def test_planned_directions_tell_more_than_random_ones(theta: Params) -> None:
     assert left(first) < min(left(angles_of(6, seed)) for seed in range(20))
     more = directions_to_full_circle(*plan(single, 6, Limits(), first, Generator().manual_seed(0)))
     assert left(torch.cat([first, more])) < left(torch.cat([first, first]))
-    assert replace(Limits(), apart_rad=0.0).allowed(wi, wi).all()
