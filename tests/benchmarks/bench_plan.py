@@ -1,12 +1,16 @@
 """Errors of BRDF fits against the number of samples, random ones and planned ones; `make bench-plan DATA=fits` runs it.
 
 Every way gets the directions that it asks for: fits by `few` those of `metapp plan`, components those of the least
-condition number (Nielsen et al. 2015), and, as they do not have it, of the least expected error as well. A second
-argument is the noise, such as 0.05. Test materials, held-out samples and penalties are those of `bench_samples`.
+condition number (Nielsen et al. 2015), and of the least expected error as well. A second argument is the noise, such as
+0.05. A third one is the folder of NBRDF networks that the data set was made of: then planned directions are measured
+exactly; else at the nearest samples of the table, as components must. Test materials, held-out samples and penalties
+are those of `bench_samples`.
 """
 
 from __future__ import annotations
 
+import functools
+import hashlib
 import math
 import statistics
 import sys
@@ -18,7 +22,9 @@ from matplotlib import rc_context
 from torch import Generator, Tensor
 
 from data_tools.readers.brdf_task import as_measured
+from data_tools.readers.nbrdf import read_nbrdf
 from metapp.appearance.geometry import directions_to_full_circle
+from metapp.appearance.noise import factors
 from metapp.apps.brdf import Brdf
 from metapp.apps.brdf.design import Limits, places_of
 from metapp.apps.brdf.featured import outgoing_cosine
@@ -105,11 +111,32 @@ def least_error(space: Space, kept: int, count: int, noise: float = 1e-2) -> Ten
     return rows[chosen]
 
 
+@functools.cache
+def planned(count: int) -> Tensor:
+    """The angles [count, 3] in rad of `metapp plan brdf`."""
+    found = plan_brdf(count, LIMITS)
+    return directions_to_full_circle(found.wi, found.wo).float()
+
+
 def planned_rows(where: Tensor, count: int) -> Tensor:
     """Rows of the visible half of places [N, 7] next to the directions of `metapp plan brdf`."""
-    planned = plan_brdf(count, LIMITS)
-    wanted = places_of(directions_to_full_circle(planned.wi, planned.wo))[0].T
+    wanted = places_of(planned(count))[0].T
     return torch.cdist(wanted[:, :6], where[: len(where) // 2, :6]).argmin(1)
+
+
+def measured(task: Task, folder: Path, count: int, noise: float) -> Task:
+    """A material of which fits see what its NBRDF network has at the directions of `metapp plan brdf`."""
+    angles = planned(count)
+    parts = {part: torch.from_numpy(array) for part, array in read_nbrdf(folder / task.name).items()}
+    theta = {f"w{layer}": parts[f"fc{layer}"].T for layer in (1, 2, 3)}
+    theta |= {f"b{layer}": parts[f"b{layer}"][:, None] for layer in (1, 2, 3)}
+    rng = Generator().manual_seed(int.from_bytes(hashlib.sha256(task.name.encode()).digest()[:6]))
+    reflectance = Brdf().reflectance(theta, angles) * factors(rng, (count,), noise, 0.0)
+    half = len(task.data["angles"]) // 2
+    stand = torch.arange(half) % count
+    data = {"angles": torch.cat([angles[stand], task.data["angles"][half:]])}
+    data["reflectance"] = torch.cat([reflectance[stand], task.data["reflectance"][half:]])
+    return task._replace(data=task.data | data)
 
 
 def cut(task: Task, rows: Tensor, noise: float) -> Task:
@@ -126,6 +153,7 @@ def main() -> None:
     torch.set_num_threads(1)
     data = Path(sys.argv[1]) if len(sys.argv) > 1 else None
     noise = float(sys.argv[2]) if len(sys.argv) > 2 else 0.0
+    networks = Path(sys.argv[3]) if len(sys.argv) > 3 else None
     app = plan(Request("brdf", "general", recipe="quick")).app
     tasks, label = tasks_of_data(app, data, quiet=True)
     training = training_of(app, data_folder(app, data, quiet=True))
@@ -137,8 +165,11 @@ def main() -> None:
     for line in _lines():
         found[line] = []
         for count in COUNTS:
-            few = [cut_for(line, task, where, count, noise, training) for task in tasks]
-            found[line].append(errors_of(line.way, few, data, count, training))
+            if line.directions == "plan" and networks:
+                few = [measured(task, networks, count, noise) for task in tasks]
+            else:
+                few = [cut_for(line, task, where, count, noise, training) for task in tasks]
+            found[line].append(finite(line, few, data, count, training))
         means = [statistics.fmean(errors.values()) for errors in found[line]]
         print(f"| {line.way.title} | {' | '.join(f'{error:.3f}' for error in means)} |", flush=True)
     first = next(iter(found))
@@ -152,6 +183,14 @@ def main() -> None:
     with rc_context(STYLE):
         figure({way: errors for way, errors in drawn.items() if all(map(math.isfinite, errors))}, FIGURE)
     print(f"\n{FIGURE}: figure")
+
+
+def finite(line: Line, few: list[Task], data: Path | None, count: int, training: Training) -> Errors:
+    """Errors, infinite where a fit overflows, as encoders do of samples such as they never saw."""
+    try:
+        return errors_of(line.way, few, data, count, training)
+    except FloatingPointError:
+        return {task.name: math.inf for task in few}
 
 
 def cut_for(line: Line, task: Task, where: Tensor, count: int, noise: float, training: Training) -> Task:

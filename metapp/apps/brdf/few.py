@@ -37,7 +37,7 @@ class Few(NamedTuple):
     """
 
     width: int = 128
-    features: int = 80
+    features: int = 100
 
     @property
     def own(self) -> tuple[str, ...]:
