@@ -33,7 +33,7 @@ from metapp.storage.files import write_atomically
 PARADIGMS = ("general", "quickft", "meta")
 SEED = 37  # of draws that no checkpoint has seen
 HARDEST = 1.8
-MAPS, BESIDE = {"quick": 320, "full": 32}, 8  # maps by recipe; fits side by side
+MAPS, BESIDE = {"quick": 320, "full": 16}, 8  # maps by recipe; fits side by side
 STEPS, RATE, FITS, TEXELS = 600, 2e-2, 64, 128
 CHECKED = 1 / 5  # of the maps, the last ones
 
