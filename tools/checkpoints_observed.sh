@@ -12,6 +12,7 @@ for observe in reference photo; do
 done
 folder=$(ls -td "$runs/$app"/checkpoints/"$app"-*-quick-seed0 | head -1)
 "$(dirname "$metapp")/python" tools/ship.py "$folder" "metapp/checkpoints/$app"
+[ "$app" != illumination ] || "$(dirname "$metapp")/python" tools/confidence.py
 
 if [ "$app" = svbrdf_nonstationary ]; then
   data=$runs/data/drawn-512px

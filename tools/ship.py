@@ -53,6 +53,7 @@ def _on_small_grid(value: torch.Tensor) -> torch.Tensor:
 
 def _is_large(key: str, value: torch.Tensor) -> bool:
     long = key.startswith(("alpha.rate.", "alpha.in.", "alpha.out.")) and value.numel() > 64
+    long = long or (key.endswith(".place") and value.numel() > 1 << 16)
     shared = key.startswith("theta.w") and value.numel() > 1024  # of networks of which a fit moves the last layer alone
     return value.dtype == torch.float32 and (key.startswith("encoder.") or long or shared)
 

@@ -205,10 +205,13 @@ class Doubtful(Protocol):
 
 @runtime_checkable
 class Remarked(Protocol):
-    """An application whose tasks differ in what they hold or in how they were made."""
+    """An application that has more to say of a task, or of its fit, than errors."""
 
-    def remarks(self, task: Task) -> dict[str, Any]:
-        """Entries of its record: `counts`, how many things of a kind a fit sees; `note`, a clause, also printed."""
+    def remarks(self, task: Task, theta: Params) -> dict[str, Any]:
+        """Entries of the record of a fit (no task axis in theta), with a reference or without.
+
+        `counts`: how many things of a kind a fit sees; `note`: a clause, also printed; others the application names.
+        """
 
 
 def linear_in(app: App) -> str:

@@ -109,7 +109,7 @@ class Fitter:
             # since that is no reason to fit anew
             record: Document = {"name": task.name, "error": None, **errors, "seconds": seconds / len(tasks)}
             record["threads"] = torch.get_num_threads()
-            record |= app.remarks(task) if isinstance(app, Remarked) else {}
+            record |= app.remarks(task, own) if isinstance(app, Remarked) else {}
             record |= (
                 {"guarded": fit.guarded is not None and bool(fit.guarded[i])} if plan.paradigm.guard(plan.job) else {}
             )

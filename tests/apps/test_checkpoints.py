@@ -22,7 +22,7 @@ from metapp.learning.task import Params, Task, Tasks
 from metapp.paradigms import Job, paradigms
 from metapp.runs.checkpoints import checkpoint_name
 from metapp.runs.checks import FULL, QUICK, shipped_path, ships
-from metapp.storage.records import load_checkpoint, tensor_digest
+from metapp.storage.records import load_checkpoint, read_records, tensor_digest
 from tests.marked import long
 from tests.quick import app_by
 from tests.small_spheres import shrink_spheres
@@ -268,7 +268,7 @@ PHOTO = ("--observe", "photo")
         # of the files; the fit has the size of the recipe
         long("texture", ("--size", "64x64"), {"texture.png"}, 0.5),
         pytest.param("svbrdf_stationary", ("--size", "64x64"), {"height.png"}, 0.5, marks=pytest.mark.slow),
-        ("illumination", PHOTO, {"map.exr", "map.png", "relit.png"}, None),
+        ("illumination", PHOTO, {"map.exr", "map.png", "relit.png", "confidence.png"}, None),
         long("svbrdf_nonstationary", PHOTO, {"normal.png", "diffuse.png", "roughness.png", "specular.png"}, None),
     ],
 )
@@ -284,4 +284,6 @@ def test_a_photo_is_fitted_at_once_by_what_ships(
     assert "the checkpoint that ships" in result.err
     found = {path.name for path in (Path(result.document["out"]) / "outputs" / "wall").iterdir()}
     assert made == found if name == "illumination" else made <= found
+    (record,) = read_records(Path(result.document["out"]) / "record.jsonl")
+    assert name != "illumination" or min(record["deviation"].values()) > 1
     assert most is None or result.document["error"] < most

@@ -144,7 +144,7 @@ class Brdf(App):
             each.append(design.expected_errors(design.belief(one, where, slope)))
         return {name: self.traits.scale * torch.tensor([one[name] for one in each]) for name in each[0]}
 
-    def remarks(self, task: Task) -> dict[str, Any]:
+    def remarks(self, task: Task, theta: Params) -> dict[str, Any]:
         """Say that no sample was held out, where a measurement has few."""
         half = len(task.data["angles"]) // 2
         if not torch.equal(task.data["angles"][:half], task.data["angles"][half:]):
@@ -159,8 +159,11 @@ class Brdf(App):
         return {"error": (torch.log1p(answer * cos) - target).abs().mean((1, 2))}
 
     def evaluated(self, theta: Params, task: Task) -> Task:
-        """The fit's own reflectance at the task's angles."""
-        return task._replace(data=task.data | {"reflectance": self.reflectance(theta, task.data["angles"])})
+        """The fit's own reflectance at the task's angles, all over the hemisphere where it has few."""
+        angles = task.data["angles"]
+        if len(angles) <= 2 * MOST:
+            angles = design.spread_angles(SAMPLES)
+        return task._replace(data=task.data | {"angles": angles, "reflectance": self.reflectance(theta, angles)})
 
     def reflectance(self, theta: Params, angles: Tensor) -> Tensor:
         """Evaluate one fitted network.

@@ -95,10 +95,15 @@ def belief(theta: Params, where: Tensor, slope: Tensor | None = None) -> Belief:
     return Belief(theta, torch.cholesky_inverse(torch.linalg.cholesky(gram + prior)))
 
 
+def spread_angles(count: int) -> Tensor:
+    """Angles [count, 3] in rad that are spread as held-out samples of BRDFs are: uniform, above the horizon."""
+    draws = torch.quasirandom.SobolEngine(3).draw(4 * count) * torch.tensor([math.pi / 2, math.pi / 2, math.tau])
+    return draws[above_horizon(draws)][:count]
+
+
 def everywhere(count: int = 512) -> Tensor:
-    """Places [1, 7, N] that are spread as held-out samples of BRDFs are: uniform in the angles, above the horizon."""
-    draws = torch.quasirandom.SobolEngine(3).draw(2 * count) * torch.tensor([math.pi / 2, math.pi / 2, math.tau])
-    return places_of(draws[above_horizon(draws)][:count])
+    """Places [1, 7, count] of `spread_angles`."""
+    return places_of(spread_angles(count))
 
 
 def expected_errors(known: Belief) -> dict[str, float]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import math
 from dataclasses import dataclass, replace
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import torch
 from torch import Generator, Tensor
@@ -15,6 +15,7 @@ from metapp.appearance.colour import tone_map
 from metapp.appearance.latlong import directions, resample, solid_angles, sphere_normals
 from metapp.appearance.metrics import ssim
 from metapp.appearance.photograph import Camera, Material, develop, photograph, shade
+from metapp.apps.illumination.confidence import Weibull, deviations, features, spread_of
 from metapp.apps.illumination.encoder import Encoder
 from metapp.apps.illumination.mirror import completed, is_mirror, nothing_seen, photographed, resampled, seen_loss
 from metapp.apps.illumination.spheres import sphere_errors
@@ -208,6 +209,25 @@ class Illumination(CodedApp):
             mirrors = (torch.rand(len(maps), generator=rng, device=rng.device) < MIRRORS)[:, None, None, None]
             photos, shown["certain"] = torch.where(mirrors, balls, photos), shown["certain"] * mirrors
         return tasks.variants({"photo": (photos * 255).round().to(torch.uint8)} | shown | self.described(maps))
+
+    @torch.no_grad()
+    def remarks(self, task: Task, theta: Params) -> dict[str, Any]:
+        """`deviation`, factors by which the fit's luminance may be off, where fits see a photograph."""
+        if self.protocol != "photo":
+            return {}
+        one = {key: value[None] for key, value in theta.items()}
+        data = {key: value[None].to(theta["z"].device) for key, value in self.prepare(task).items()}
+        return {"deviation": deviations(self.spread(one, data), data)[0]}
+
+    def spread(self, theta: Params, data: Batch) -> Weibull:
+        """How far fits of photographs may be off; `data` as of `prepare`, [T, ...]."""
+        return spread_of(self.read_off(theta, data))
+
+    def read_off(self, theta: Params, data: Batch) -> Tensor:
+        """What tells how sure fits are, `confidence.features`."""
+        gloss = body_of(BODY_GAIN * theta["body"])[0].gloss
+        left = self._visible_loss(theta, self.radiance_of(theta), data, {})
+        return features(self.answer(theta, data), data, gloss @ gloss.new_tensor(GLOSSES), left)
 
     @torch.no_grad()
     def errors(self, theta: Params, tasks: Tasks) -> dict[str, Tensor]:

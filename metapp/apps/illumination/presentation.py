@@ -11,6 +11,7 @@ from torch.nn.functional import avg_pool2d, interpolate
 from metapp.appearance.colour import srgb_to_linear, tone_map
 from metapp.appearance.presentation import Picture, Visible
 from metapp.apps.illumination import Illumination
+from metapp.apps.illumination.confidence import hatched
 from metapp.apps.illumination.spheres import SPHERES
 from metapp.apps.illumination.surfaces import relight
 from metapp.learning.task import Params, Task
@@ -54,11 +55,18 @@ class IlluminationPresentation(CodedPresentation[Illumination]):
 
     @torch.no_grad()
     def files(self, theta: Params, task: Task) -> dict[str, Picture]:
-        """The map, at its file's scale, of mean luminance 1 where there was none, and the second scene under it."""
+        """The map, at its file's scale, of mean luminance 1 where there was none, and the second scene under it.
+
+        Of a photograph also the map with stripes where the fit is not sure of it.
+        """
         one = {key: value[None] for key, value in theta.items()}
         files = self.files_of(_answer(self.app, one, task), task)
         if self.size:
             files["map"] = _radiance(_answer(self.app.sized(*self.size), one, task), task)
+        if self.app.protocol == "photo":
+            spread = self.app.spread(one, {key: value[None] for key, value in self.app.prepare(task).items()})
+            light = files["map"].pixels.permute(2, 0, 1)
+            files["confidence"] = Picture(hatched(tone_map(light / light.mean()), spread).permute(1, 2, 0), "srgb")
         return files
 
     @torch.no_grad()

@@ -264,7 +264,7 @@ class SvbrdfNonstationary(CodedApp):
         small = adaptive_avg_pool2d(photos.flatten(0, 1), size).unflatten(0, photos.shape[:2])
         return tasks.variants({"photo": small[:, 0], "others": small[:, 1:], "places": places} | data)
 
-    def remarks(self, task: Task) -> dict[str, dict[str, int]]:
+    def remarks(self, task: Task, theta: Params) -> dict[str, dict[str, int]]:
         """How many photographs, where fits see them alone."""
         return {"counts": {"photos": 1 + len(task.data.get("others", ()))}} if self.protocol == "photo" else {}
 

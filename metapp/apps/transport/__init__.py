@@ -56,7 +56,7 @@ class Transport(App):
         """The network of one task."""
         return self.setup.flow
 
-    def remarks(self, task: Task) -> dict[str, str]:
+    def remarks(self, task: Task, theta: Params) -> dict[str, str]:
         return {"note": NOTE} if "next_event" in task.data else {}
 
     def prepare(self, task: Task) -> dict[str, Tensor]:
