@@ -7,7 +7,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import torch
+from safetensors.torch import save_file
+from torch import Generator
 
+from metapp.apps.brdf.few import Few
 from tests.needs_mitsuba import skip_without_mitsuba
 
 SYNTHETIC = 10  # materials, two of them to be fitted
@@ -15,7 +19,7 @@ SYNTHETIC = 10  # materials, two of them to be fitted
 
 @pytest.fixture(scope="session")
 def fits(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
-    """Files of fits of a synthetic material, which conserves energy, by network: nbrdf and featured."""
+    """Files of fits of a synthetic material, which conserves energy, by network: nbrdf and featured; and one of few samples."""
     import metapp
     from tests.small_spheres import run_small
 
@@ -25,7 +29,11 @@ def fits(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     made = {name: metapp.fit_all("brdf", data=folder / "data", recipe=recipe) for name, recipe in recipes.items()}
     # the one that is bright everywhere: at the clamp at 0 there are no derivatives to compare
     bright = [max(each, key=lambda fit: float(fit.task.data["reflectance"].median())) for each in made.values()]
-    return {name: fit.save(folder / f"{name}.safetensors") for name, fit in zip(made, bright, strict=True)}
+    files = {name: fit.save(folder / f"{name}.safetensors") for name, fit in zip(made, bright, strict=True)}
+    theta = {key: value[0].clone() for key, value in Few().init(Generator().manual_seed(0), 1).items()}
+    theta["last"][0] = 0.3 * torch.randn(theta["last"].shape[1], generator=Generator().manual_seed(1))
+    save_file(theta, folder / "few.safetensors")
+    return files | {"few": folder / "few.safetensors"}
 
 
 @pytest.fixture

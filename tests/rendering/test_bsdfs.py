@@ -85,7 +85,7 @@ def reflectance(file: Path, angles: Tensor) -> NDArray[np.float64]:
     return Brdf().reflectance(theta, angles).numpy().T
 
 
-@pytest.mark.parametrize("network", BOTH)
+@pytest.mark.parametrize("network", [*BOTH, long("few")])
 def test_it_evaluates_to_what_ours_does(mi: Any, neural: Neural, fits: dict[str, Path], network: str) -> None:
     light, viewer = directions(20_000, 1), directions(20_000, 2)
     near = viewer * [[-1], [-1], [1]] + 0.01 * directions(20_000, 3)  # beside the mirror direction

@@ -1,0 +1,89 @@
+"""`metapp plan`: what to measure, filled in and fitted; nothing that was filled in is lost."""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from data_tools.readers.gonio import read_pairs
+from metapp.appearance.geometry import cosines, directions_to_full_circle
+from metapp.appearance.reflection import microfacet_lobe
+
+pytestmark = pytest.mark.usefixtures("small_spheres")
+
+
+def fill_in(file: Path) -> None:
+    """Measure a rough red plastic where a plan asks for it."""
+    rows = list(csv.reader(file.read_text().splitlines()))
+    for row in rows[3:]:
+        theta_i, phi_i, theta_o, phi_o = (math.radians(float(word)) for word in row[:4])
+        wi, wo = (
+            torch.tensor([[math.sin(t) * math.cos(p), math.sin(t) * math.sin(p), math.cos(t)]]).double()
+            for t, p in ((theta_i, phi_i), (theta_o, phi_o))
+        )
+        at = cosines(directions_to_full_circle(wi, wo))
+        gloss = float(microfacet_lobe(at, 0.3, lambda cos: 0.04 + 0.96 * (1 - cos) ** 5)[0])
+        row[4:] = [f"{albedo / math.pi + gloss:.6g}" for albedo in (0.4, 0.1, 0.05)]
+    file.write_text("\n".join(",".join(row) for row in rows) + "\n")
+
+
+def test_plan_measure_fit_and_plan_again(metapp: Callable, tmp_path: Path) -> None:
+    file = tmp_path / "paint.csv"
+    planned = metapp("plan", "brdf", "--samples", 12, "--out", file, "--json").document
+    expected = planned["expected_error"]
+    assert 0 < expected["after"] < 0.2 * expected["before"]
+    assert Path(planned["picture"]).is_file()
+    assert "line 4: r nan" in metapp("meta", "brdf", file).error
+    fill_in(file)
+    again = metapp("plan", "brdf", "--samples", 12, "--out", file)
+    assert "is there already, and may be filled in" in again.misuse
+    fitted = metapp("meta", "brdf", file, "--json")
+    assert "recipe few, since every input has 500 samples or fewer" in fitted.err
+    assert "all 12 samples are fitted, none is held out" in fitted.err
+    run = Path(fitted.document["out"])
+    assert fitted.document["error"] < 0.5
+    (record,) = (json.loads(line) for line in (run / "record.jsonl").read_text().splitlines())
+    assert 0 < record["expected"] < expected["before"]
+    for after in (file, run):  # the first rows are those that were measured
+        more = tmp_path / f"more-{after.name}.csv"
+        then = metapp("plan", "brdf", "--samples", 3, "--after", after, "--out", more, "--json", "-q").document
+        assert then["expected_error"]["after"] < then["expected_error"]["before"]
+        rows = list(csv.reader(more.read_text().splitlines()))[3:]
+        assert [row[4] != "" for row in rows] == [True] * 12 + [False] * 3
+    fill_in(more)
+    np.testing.assert_allclose(read_pairs(more).reflectance[:12], read_pairs(file).reflectance, rtol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("words", "found"),
+    [
+        (("texture",), "'texture': expected brdf"),
+        (("brdf", "--samples", 0), "samples"),
+        (("brdf", "--detector", 85, "--out", "a.csv"), "0 of 4096 pairs of directions within the limits"),
+        (("brdf", "--after", "gone.csv", "--out", "a.csv"), "gone.csv"),
+    ],
+)
+def test_what_cannot_be_planned_is_refused(metapp: Callable, words: tuple[object, ...], found: str) -> None:
+    done = metapp("plan", *words)
+    assert done.code in (1, 2)
+    assert found in done.err
+    assert "Traceback" not in done.err
+    assert not Path("a.csv").exists()
+
+
+def test_few_and_many_samples_are_not_fitted_alike(metapp: Callable, tmp_path: Path) -> None:
+    few, many = tmp_path / "few.csv", tmp_path / "many.csv"
+    head = "theta_i_deg,phi_i_deg,theta_o_deg,phi_o_deg,r,g,b"
+    rows = [f"{10 + 0.1 * i:.1f},0,{70 - 0.1 * i:.1f},{i % 180},0.1,0.1,0.1" for i in range(600)]
+    few.write_text("\n".join([head, *rows[:20]]))
+    many.write_text("\n".join([head, *rows]))
+    done = metapp("meta", "brdf", few, many)
+    assert "few.csv has 500 samples or fewer" in done.misuse
+    assert "many.csv has not" in done.misuse
