@@ -139,11 +139,13 @@ class OwnRecipe(NamedTuple):
         name: of the recipe.
         has: what these inputs have and the application's others lack, in words.
         tensor: the one that their tasks alone hold.
+        tells: the function of the format's module that tells which of its sources these are; "" for all.
     """
 
     name: str
     has: str
     tensor: str
+    tells: str = ""
 
 
 class Format(NamedTuple):
@@ -185,6 +187,11 @@ class Format(NamedTuple):
     def recognises(self, path: Path) -> bool:
         """Whether a path is of this format, or a folder with such files."""
         return self.files().recognises(path)
+
+    def has_own(self, path: Path) -> bool:
+        """Whether a path is, or holds, an input that takes the format's own recipe."""
+        tells = self.own.tells if self.own else ""
+        return self.own is not None and self.recognises(path) and (not tells or getattr(self.files(), tells)(path))
 
     def find(self, paths: Iterable[Path]) -> tuple[list[Path], list[str]]:
         """Sources, and a line for each file of a folder that is none; ValueError for a bad path."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from dataclasses import replace
 from importlib import resources
 from pathlib import Path
@@ -14,6 +15,7 @@ from metapp.apps import app_names, app_of, presentation_of, protocols_of, recipe
 from metapp.learning.app import App
 from metapp.learning.recipe import Recipe
 from metapp.learning.rules import rule_of
+from metapp.learning.task import Task
 from metapp.networks.exemplar import ExemplarSetup, at_detail, details_of
 from metapp.runs import BadOption
 from metapp.runs.naming import name_of
@@ -70,21 +72,41 @@ def default_recipe(request: Request) -> str:
     app = request.app
     for form in inputs_of(app):
         own = form.own
-        if own is None or not ships(app, own.name) or own.name not in recipes_of(app, request.observe):
+        if own is None or not _has_recipe(app, own, request.observe):
+            continue
+        if own.tells and request.lazy:  # it reads the inputs, which may be thousands
             continue
         if _are_of(form, own, request) if request.inputs else _is_set_of(own, request.data):
             what = "input" if request.inputs else f"task of {request.data}"
             if not request.quiet:
                 say(f"{app}: recipe {own.name}, since every {what} has {own.has}")
             return own.name
+    return _usual_recipe(app)
+
+
+def recipe_of_tasks(request: Request, tasks: Sequence[Task]) -> str:
+    """The same for tasks that were made in memory."""
+    for form in inputs_of(request.app):
+        own = form.own
+        if own and _has_recipe(request.app, own, request.observe) and all(own.tensor in task.data for task in tasks):
+            return own.name
+    return _usual_recipe(request.app)
+
+
+def _has_recipe(app: str, own: OwnRecipe, protocol: str) -> bool:
+    return ships(app, own.name) and own.name in recipes_of(app, protocol)
+
+
+def _usual_recipe(app: str) -> str:
     return FULL if FULL in recipes_of(app) and ships(app, FULL) else QUICK
 
 
 def _are_of(form: Format, own: OwnRecipe, request: Request) -> bool:
     """Whether inputs are folders with sources of this format alone; BadOption where only some are."""
-    some = [path for path in request.inputs if form.recognises(path)]
+    same = [other for other in inputs_of(form.app) if other.own == own]
+    some = [path for path in request.inputs if form.has_own(path)]
     for other in inputs_of(form.app) if some else ():
-        path = next((path for path in request.inputs if other.own != own and other.recognises(path)), None)
+        path = next((path for path in request.inputs if other.recognises(path) and _lacks(path, other, same)), None)
         if path is not None:
             has, lacks = form.find(some[:1])[0][0], (other.find([path])[0] or [path])[0]
             raise BadOption(
@@ -92,6 +114,11 @@ def _are_of(form: Format, own: OwnRecipe, request: Request) -> bool:
                 f"commands, or all by --recipe {own.name} or --recipe {FULL}."
             )
     return bool(some)
+
+
+def _lacks(path: Path, form: Format, same: Sequence[Format]) -> bool:
+    """Whether an input of a format is not of those that have a recipe of their own, the same for some formats."""
+    return form not in same or not any(other.has_own(path) for other in same)
 
 
 def _is_set_of(own: OwnRecipe, data: Path | None) -> bool:

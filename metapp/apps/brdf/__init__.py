@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 from typing import ClassVar
 
 import torch
@@ -10,8 +11,8 @@ from torch import Generator, Tensor
 
 from metapp.appearance.geometry import half_difference
 from metapp.appearance.noise import factors, standing_in
-from metapp.apps.brdf import nbrdf, nbrdf_in_c
-from metapp.apps.brdf.featured import OWN, Featured, features_of, folded, outgoing_cosine, reflectance_of
+from metapp.apps.brdf import anisotropic, nbrdf, nbrdf_in_c
+from metapp.apps.brdf.featured import TURN, Featured, features_of, folded, outgoing_cosine, reflectance_of
 from metapp.engine import register
 from metapp.learning.app import App, Traits
 from metapp.learning.task import Batch, Held, Linear, Params, Task, Tasks
@@ -26,11 +27,12 @@ NOISE, OUTLIERS, MEASURED_RAD = 0.25, 0.02, (math.radians(60), math.radians(85))
 
 
 class Brdf(App):
-    """One measured or modelled isotropic material a task."""
+    """One measured or modelled material a task; of an anisotropic one a network without phi_h fits what it can."""
 
     name = "brdf"
     holds: ClassVar = {
         "angles": Held(("N", 3), low=0.0, high=2 * math.pi),
+        "phi_h": Held(("N",), low=0.0, high=2 * math.pi, optional=True),
         "reflectance": Held(("N", 3), low=0.0),
         "render": Held(("H", "W", 4)),
         "environment": Held(("h", "w", 4), optional=True),
@@ -40,7 +42,7 @@ class Brdf(App):
 
     @property
     def traits(self) -> Traits:
-        own = OWN if self.setup else ()
+        own = self.setup.own if self.setup else ()
         return Traits(scale=100.0, single_threaded=True, compiles=True, cheap_fits=True, own=own)
 
     @property
@@ -48,9 +50,23 @@ class Brdf(App):
         """The last layer of the featured network."""
         return "last" if self.setup else ""
 
+    @property
+    def anisotropic(self) -> bool:
+        """Whether its network reads phi_h."""
+        return self.setup is not None and self.setup.anisotropic
+
+    def remarks(self, task: Task) -> dict[str, str]:
+        """That phi_h counts for nothing."""
+        note = "anisotropic, fitted as isotropic: phi_h is left out; take --recipe anisotropic"
+        return {"note": note} if "phi_h" in task.data and not self.anisotropic else {}
+
     def prepare(self, task: Task) -> dict[str, Tensor]:
         """`where` [N, 7]: half and difference vector, cos theta_i; `target` [N, 3]: log(1 + f cos theta_i)."""
-        where = _where(task.data["angles"])
+        angles = task.data["angles"]
+        if self.anisotropic:
+            phi_h = task.data.get("phi_h", anisotropic.random_azimuths(len(angles)).to(angles))
+            angles = torch.cat([angles, phi_h[:, None]], 1)
+        where = _where(angles)
         return {"where": where.float(), "target": torch.log1p(task.data["reflectance"] * where[:, 6:]).float()}
 
     def init(self, rng: Generator, count: int) -> Params:
@@ -115,6 +131,9 @@ class Brdf(App):
     def augment(self, tasks: Tasks, rng: Generator) -> Tasks:
         """Mixtures of these materials, as measurements have them where the network learns from such."""
         data = mixed(tasks, rng)
+        if self.anisotropic:
+            turn = 2 * math.pi * torch.rand(len(tasks), 1, generator=rng, device=rng.device)
+            data["where"] = anisotropic.turned(data["where"], turn)
         return tasks.variants(measured(data, rng) if self.setup and self.setup.measured else data)
 
     def errors(self, theta: Params, tasks: Tasks) -> dict[str, Tensor]:
@@ -130,7 +149,12 @@ class Brdf(App):
         return {"error": (torch.log1p(answer * cos) - target).abs().mean((1, 2))}
 
     def evaluated(self, theta: Params, task: Task) -> Task:
-        """The fit's own reflectance at the task's angles."""
+        """The fit's own reflectance at the task's angles.
+
+        Raises:
+            ValueError: the fit is anisotropic.
+        """
+        self.require_isotropic(task.name, "the NBRDF network")
         return task._replace(data=task.data | {"reflectance": self.reflectance(theta, task.data["angles"])})
 
     def reflectance(self, theta: Params, angles: Tensor) -> Tensor:
@@ -138,21 +162,35 @@ class Brdf(App):
 
         Args:
             theta: parameters of one task, no task axis.
-            angles: (theta_h, theta_d, phi_d), [..., 3] rad.
+            angles: (theta_h, theta_d, phi_d), and phi_h, which is 0 without, [..., 3 or 4] rad.
 
         Returns:
-            Linear RGB in 1/sr, [..., 3], >= 0.
+            Linear RGB in 1/sr, [..., 3], >= 0; of an isotropic network whatever phi_h is.
         """
         one = {key: value[None] for key, value in theta.items()}
-        return network(one, _where(angles.reshape(-1, 3)).T[None]).clamp_min(0)[0].T.reshape(*angles.shape[:-1], 3)
+        flat = angles.reshape(-1, angles.shape[-1])
+        where = _where(flat if TURN in theta else flat[:, :3])
+        return network(one, where.T[None]).clamp_min(0)[0].T.reshape(*angles.shape[:-1], 3)
+
+    def require_isotropic(self, subject: str | Path, form: str) -> None:
+        """Refuse to write a fit in a form that has no phi_h.
+
+        Raises:
+            ValueError: the fit is anisotropic.
+        """
+        if self.anisotropic:
+            raise ValueError(
+                f"{subject}: an anisotropic fit, expected an isotropic one: {form} has no phi_h; export bsdf or "
+                "mitsuba, or fit by --recipe full."
+            )
 
 
 def _where(angles: Tensor) -> Tensor:
-    """Half vector, difference vector and cos theta_i, [N, 7], of angles [N, 3] in rad."""
+    """Half vector, difference vector and cos theta_i, [N, 7], of angles [N, 3 or 4] in rad."""
     where = angles.new_empty(len(angles), 7)
     where[:, :6] = half_difference(angles)
-    half_x, _, half_z, x, _, z, cosine = where.unbind(1)
-    cosine[:] = z * half_z - x * half_x
+    half_x, half_y, half_z, x, _, z, cosine = where.unbind(1)
+    cosine[:] = z * half_z - x * (half_x if angles.shape[1] == 3 else torch.hypot(half_x, half_y))
     return where
 
 

@@ -65,6 +65,12 @@ FULL = replace(QUICK, rule="ridge")
 # for samples that are noisy, or that lack grazing angles, as those of a gonioreflectometer
 MEASURED = replace(FULL, meta={"ridge": replace(RIDGE, setup=Featured(measured=True))})
 
+# for materials whose reflectance depends on phi_h, too, which takes more features
+ANISOTROPIC = replace(
+    FULL,
+    meta={"ridge": replace(RIDGE, steps=4_000, setup=Featured(features=96, code=16, anisotropic=True))},
+)
+
 # Fischer & Ritschel 2022, section 4.1.2 and supplement: 10 inner steps of 512 samples, MAML with Meta-SGD from
 # alpha = 1e-3, outer Adam at 1e-4 with weight decay 1e-6, a random initialisation
 PAPER = replace(
@@ -86,4 +92,4 @@ PAPER = replace(
     rule="meta-sgd",
 )
 
-RECIPES = {"": {"paper": PAPER, "quick": QUICK, "full": FULL, "measured": MEASURED}}
+RECIPES = {"": {"paper": PAPER, "quick": QUICK, "full": FULL, "measured": MEASURED, "anisotropic": ANISOTROPIC}}
