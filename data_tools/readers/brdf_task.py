@@ -194,7 +194,7 @@ def warn_implausible(source: str | Path, task: Task, evaluate: Callable[[Tensor]
     """
     reflectance = task.data["reflectance"]
     high = float(reflectance.max())
-    albedo = float(normal_albedo(evaluate).max())
+    albedo = float(normal_albedo(evaluate, azimuths="phi_h" in task.data).max())
     if high == 0:
         found, expected = "reflectance 0 everywhere", "some light reflected"
     elif high > HIGHEST:
@@ -206,16 +206,19 @@ def warn_implausible(source: str | Path, task: Task, evaluate: Callable[[Tensor]
     warnings.warn(f"{source}: {found}, expected {expected}; is it damaged, or in another unit?", stacklevel=2)
 
 
-def normal_albedo(evaluate: Callable[[Tensor], Tensor]) -> Tensor:
+def normal_albedo(evaluate: Callable[[Tensor], Tensor], *, azimuths: bool = False) -> Tensor:
     """The share of light from straight above that is reflected, linear RGB [3].
 
-    The half vector is in the middle, so theta_h = theta_d = theta_o / 2.
+    The half vector is in the middle, so theta_h = theta_d = theta_o / 2. With `azimuths`, of an anisotropic
+    material, the mean over phi_h.
     """
     theta = (torch.arange(_RINGS) + 0.5) / _RINGS * (math.pi / 2)
     phi = (torch.arange(_TURNS) + 0.5) / _TURNS * math.pi
     half = (theta / 2)[:, None].expand(-1, _TURNS)
+    phi = phi.expand(_RINGS, -1)
+    angles = torch.stack([half, half, phi, 2 * phi] if azimuths else [half, half, phi], -1)
     with torch.no_grad():
-        values = evaluate(torch.stack([half, half, phi.expand(_RINGS, -1)], -1)).double().mean(1)
+        values = evaluate(angles).double().mean(1)
     solid_angle = 2 * math.pi * theta.sin() * (math.pi / 2 / _RINGS)
     return (values * (solid_angle * theta.cos())[:, None]).sum(0)
 

@@ -199,7 +199,7 @@ def _table(
     to_angles: Callable[[Tensor, Tensor], Tensor],
     half: Tensor,
     viewer: Tensor,
-) -> NDArray[np.float32]:
+) -> NDArray[np.float64]:
     """f cos theta of the light, [3, side, side], of one viewer [3]; 0 where the light is below the surface."""
     light = 2 * (half @ viewer)[..., None] * half - viewer
     up = (light[..., 2] > 0) & (half @ viewer > 0)
@@ -207,7 +207,7 @@ def _table(
     values = torch.zeros_like(light)
     with torch.no_grad():
         values[up] = evaluate(pairs.float()).double() * light[up][:, 2:]
-    return values.movedim(-1, 0).float().numpy()
+    return values.movedim(-1, 0).numpy()
 
 
 def _area(half: Tensor, viewers: Tensor) -> NDArray[np.float64]:
@@ -251,15 +251,26 @@ def read_rgl(path: Path) -> Callable[[Tensor], Tensor]:
 
     Returns:
         Linear RGB [..., 3] in 1/sr, >= 0, of angles (theta_h, theta_d, phi_d) [..., 3] in rad, and phi_h of an
-        anisotropic material, as Mitsuba evaluates it.
+        anisotropic material, as Mitsuba evaluates it; ValueError where that is missing.
 
     Raises:
         ValueError: it is damaged or spectral; Mitsuba cannot be loaded.
     """
-    check(path, read_tensor_file(path))
+    fields = read_tensor_file(path)
+    check(path, fields)
     mitsuba = load_mitsuba()
     bsdf = mitsuba.load_dict({"type": "measured", "filename": str(path.resolve())})
-    return partial(evaluate, mitsuba, bsdf)
+    if fields["phi_i"].size <= 2:
+        return partial(evaluate, mitsuba, bsdf)
+
+    def of_four(angles: Tensor) -> Tensor:
+        if angles.shape[-1] != 4:
+            raise ValueError(
+                f"{path}: anisotropic, expected an isotropic measurement where there is no phi_h, as in MERL tables."
+            )
+        return evaluate(mitsuba, bsdf, angles)
+
+    return of_four
 
 
 def evaluate(mitsuba: ModuleType, bsdf: mi.BSDF, angles: Tensor) -> Tensor:

@@ -140,6 +140,14 @@ def test_files_are_read_as_what_they_were_made_of(files: dict[str, Path], name: 
     assert shares[0] < 0.2 * shares[1]  # no mirror image
 
 
+def test_they_are_refused_where_there_is_no_azimuth(files: dict[str, Path]) -> None:
+    with pytest.raises(ValueError, match=r"anisotropic.bsdf: anisotropic, expected an isotropic measurement") as caught:
+        rgl.read_rgl(files["anisotropic"])(torch.zeros(5, 3))
+    assert "\n" not in str(caught.value)
+    task = rgl.read_task(files["anisotropic"], samples=256)
+    assert task.data["phi_h"].shape == (256,)
+
+
 def directions(count: int, seed: int) -> Tensor:
     """Unit vectors, not along the surface, float64."""
     vectors = torch.randn(count, 3, dtype=torch.float64, generator=torch.Generator().manual_seed(seed))

@@ -65,10 +65,12 @@ FULL = replace(QUICK, rule="ridge")
 # for samples that are noisy, or that lack grazing angles, as those of a gonioreflectometer
 MEASURED = replace(FULL, meta={"ridge": replace(RIDGE, setup=Featured(measured=True))})
 
-# for materials whose reflectance depends on phi_h, too, which takes more features
+# for materials whose reflectance depends on phi_h, too, which takes more features; one network for all paradigms
+AZIMUTHS = Featured(features=96, code=16, anisotropic=True)
 ANISOTROPIC = replace(
     FULL,
-    meta={"ridge": replace(RIDGE, steps=4_000, setup=Featured(features=96, code=16, anisotropic=True))},
+    meta={"ridge": replace(RIDGE, steps=4_000, warmup=50, validate_every=100, setup=AZIMUTHS)},
+    setup=AZIMUTHS,
 )
 
 # Fischer & Ritschel 2022, section 4.1.2 and supplement: 10 inner steps of 512 samples, MAML with Meta-SGD from
