@@ -188,11 +188,6 @@ class Format(NamedTuple):
         """Whether a path is of this format, or a folder with such files."""
         return self.files().recognises(path)
 
-    def has_own(self, path: Path) -> bool:
-        """Whether a path is, or holds, an input that takes the format's own recipe."""
-        tells = self.own.tells if self.own else ""
-        return self.own is not None and self.recognises(path) and (not tells or getattr(self.files(), tells)(path))
-
     def find(self, paths: Iterable[Path]) -> tuple[list[Path], list[str]]:
         """Sources, and a line for each file of a folder that is none; ValueError for a bad path."""
         return self.files().find(paths)

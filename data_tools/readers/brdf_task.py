@@ -6,7 +6,7 @@ import functools
 import hashlib
 import math
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
 import numpy as np
@@ -74,8 +74,7 @@ def brdf_task(
         phi_h [N] rad; all float32.
 
     Raises:
-        ValueError: too few samples, or more than the table has valid bins for; reflectance of another shape, or not
-            finite.
+        ValueError: too few samples, or more than the table has bins for; reflectance of another shape, or not finite.
     """
     source = source or name
     if samples < 2:
@@ -97,11 +96,15 @@ def brdf_task(
             )
         spheres = {"render": reference_scene(azimuths=azimuths), "environment": environment_scene(azimuths=azimuths)}
         pictures = {key: shade_sphere(scene, evaluate).float() for key, scene in spheres.items()}
-    for subject, values in (("samples", reflectance), *(("sphere", picture) for picture in pictures.values())):
+    _require_finite(source, (("samples", reflectance), *(("sphere", picture) for picture in pictures.values())))
+    return Task(name, {**columns_of(angles), "reflectance": reflectance.clamp_min(0), **pictures})
+
+
+def _require_finite(source: str | Path, subjects: Iterable[tuple[str, Tensor]]) -> None:
+    for subject, values in subjects:
         bad = int((~torch.isfinite(values)).sum())
         if bad:
             raise ValueError(f"{source}: {bad:,} values of the {subject} are NaN or infinite, expected finite ones.")
-    return Task(name, {**columns_of(angles), "reflectance": reflectance.clamp_min(0), **pictures})
 
 
 def columns_of(angles: Tensor) -> dict[str, Tensor]:

@@ -104,7 +104,7 @@ def _usual_recipe(app: str) -> str:
 def _are_of(form: Format, own: OwnRecipe, request: Request) -> bool:
     """Whether inputs are folders with sources of this format alone; BadOption where only some are."""
     same = [other for other in inputs_of(form.app) if other.own == own]
-    some = [path for path in request.inputs if form.has_own(path)]
+    some = [path for path in request.inputs if _has_own(form, path)]
     for other in inputs_of(form.app) if some else ():
         path = next((path for path in request.inputs if other.recognises(path) and _lacks(path, other, same)), None)
         if path is not None:
@@ -116,9 +116,15 @@ def _are_of(form: Format, own: OwnRecipe, request: Request) -> bool:
     return bool(some)
 
 
+def _has_own(form: Format, path: Path) -> bool:
+    """Whether a path is, or holds, an input that takes the format's own recipe."""
+    tells = form.own.tells if form.own else ""
+    return form.own is not None and form.recognises(path) and (not tells or getattr(form.files(), tells)(path))
+
+
 def _lacks(path: Path, form: Format, same: Sequence[Format]) -> bool:
     """Whether an input of a format is not of those that have a recipe of their own, the same for some formats."""
-    return form not in same or not any(other.has_own(path) for other in same)
+    return form not in same or not any(_has_own(other, path) for other in same)
 
 
 def _is_set_of(own: OwnRecipe, data: Path | None) -> bool:
