@@ -25,8 +25,8 @@ class BrdfPresentation(Presentation[Brdf]):
 
     def outputs(self, theta: Params, task: Task) -> dict[str, Any]:
         """The sphere, on black with coverage."""
-        azimuths = "phi_h" in task.data
-        fit = shade_sphere(reference_scene(azimuths=azimuths), functools.partial(self.app.reflectance, theta))
+        scene = reference_scene(azimuths=True) if "phi_h" in task.data else reference_scene()
+        fit = shade_sphere(scene, functools.partial(self.app.reflectance, theta))
         return {"reference": task.data["render"], "fit": fit}
 
     def image_errors(self, fits: Mapping[str, Fitted], task: Task) -> dict[str, dict[str, float]]:
