@@ -21,7 +21,7 @@ from tests import anisotropic
 from tests.anisotropic import APP, brushed, brushed_directions
 from tests.needs_mitsuba import needs_mitsuba
 
-pytestmark = needs_mitsuba
+pytestmark = [needs_mitsuba, pytest.mark.long]
 VIEWERS = ((10, 0), (40, 70), (40, 200), (65, 310))  # degrees: theta, phi
 RESOLUTION = 64  # of the tables of a file as the database has it
 
