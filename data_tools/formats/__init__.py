@@ -140,12 +140,14 @@ class OwnRecipe(NamedTuple):
         has: what these inputs have and the application's others lack, in words.
         tensor: the one that their tasks alone hold.
         tells: the function of the format's module that tells which of its sources these are; "" for all.
+        paradigms: those that its checkpoints serve; () for all.
     """
 
     name: str
     has: str
     tensor: str
     tells: str = ""
+    paradigms: tuple[str, ...] = ()
 
 
 class Format(NamedTuple):

@@ -29,7 +29,13 @@ Examples:
   metapp data nbrdf trained --out nbrdf
   metapp data nbrdf trained/gold trained/tin --split test --out metals
 """
-ANISOTROPIC = OwnRecipe("anisotropic", has="reflectance that depends on phi_h", tensor="phi_h", tells="is_anisotropic")
+ANISOTROPIC = OwnRecipe(
+    "anisotropic",
+    has="reflectance that depends on phi_h",
+    tensor="phi_h",
+    tells="is_anisotropic",
+    paradigms=("meta", "overfit"),
+)
 RGL = """Convert RGL measurements, BRDFs, isotropic or anisotropic.
 
 A file of the RGL material database (Dupuy and Jakob 2018) that ends in _rgb.bsdf. Mitsuba evaluates it; it becomes

@@ -72,7 +72,7 @@ def default_recipe(request: Request) -> str:
     app = request.app
     for form in inputs_of(app):
         own = form.own
-        if own is None or not _has_recipe(app, own, request.observe):
+        if own is None or not _has_recipe(request, own):
             continue
         if own.tells and request.lazy:  # it reads the inputs, which may be thousands
             continue
@@ -88,13 +88,14 @@ def recipe_of_tasks(request: Request, tasks: Sequence[Task]) -> str:
     """The same for tasks that were made in memory."""
     for form in inputs_of(request.app):
         own = form.own
-        if own and _has_recipe(request.app, own, request.observe) and all(own.tensor in task.data for task in tasks):
+        if own and _has_recipe(request, own) and all(own.tensor in task.data for task in tasks):
             return own.name
     return _usual_recipe(request.app)
 
 
-def _has_recipe(app: str, own: OwnRecipe, protocol: str) -> bool:
-    return ships(app, own.name) and own.name in recipes_of(app, protocol)
+def _has_recipe(request: Request, own: OwnRecipe) -> bool:
+    serves = not own.paradigms or request.paradigm in own.paradigms
+    return serves and ships(request.app, own.name) and own.name in recipes_of(request.app, request.observe)
 
 
 def _usual_recipe(app: str) -> str:

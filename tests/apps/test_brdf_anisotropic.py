@@ -183,6 +183,9 @@ def test_a_recipe_of_its_own_is_chosen_and_others_say_what_they_leave_out(
     plain = metapp("meta", "brdf", file, "--out", tmp_path / "runs", "--json", "--recipe", "full")
     assert fitted.done["error"] < 0.7 * plain.done["error"]
     assert "fitted as isotropic: phi_h is left out" in plain.err
+    general = metapp("general", "brdf", file, "--out", tmp_path / "runs", "--json")  # has no checkpoint for it
+    assert "phi_h is left out" in general.err
+    assert general.done["error"] > fitted.done["error"]
     other = table(tmp_path / "plain.csv", 500, turn=True, anisotropic=False)
     both = metapp("meta", "brdf", file, other, "--out", tmp_path / "runs")
     assert "plain.csv has not, and recipes for these differ" in both.misuse.replace("\n", "")

@@ -57,7 +57,7 @@ class Brdf(App):
 
     def remarks(self, task: Task) -> dict[str, str]:
         """That phi_h counts for nothing."""
-        note = "anisotropic, fitted as isotropic: phi_h is left out; take --recipe anisotropic"
+        note = "anisotropic, fitted as isotropic: phi_h is left out; take metapp meta --recipe anisotropic"
         return {"note": note} if "phi_h" in task.data and not self.anisotropic else {}
 
     def prepare(self, task: Task) -> dict[str, Tensor]:
