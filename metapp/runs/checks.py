@@ -129,7 +129,8 @@ def _lacks(path: Path, form: Format, same: Sequence[Format]) -> bool:
 
 
 def _is_set_of(own: OwnRecipe, data: Path | None) -> bool:
-    return data is not None and own.tensor in read_manifest(data).units
+    # of a folder that is not there, whatever reads it says so
+    return data is not None and data.exists() and own.tensor in read_manifest(data).units
 
 
 def check_name(app: str) -> None:
