@@ -24,9 +24,10 @@ from safetensors import SafetensorError
 from torch import Generator
 
 from data_tools.readers.nbrdf import read_nbrdf
+from metapp.apps import recipes_of
 from metapp.apps.brdf import Brdf, layers_of
-from metapp.apps.brdf.featured import Featured
-from metapp.apps.brdf.few import DARKEST, Few
+from metapp.apps.brdf.featured import TURN
+from metapp.apps.brdf.few import DARKEST
 from metapp.learning.task import Params
 from metapp.rendering.brdf_plugin import Material, register_neural_brdf
 from metapp.rendering.bsdfs import register_maps_bsdf
@@ -42,8 +43,9 @@ def read_material(path: Path) -> Material:
     """
     theta = _parameters(path) if path.is_file() else _from_nbrdf(path)
     layers = tuple((weights.float().numpy(), bias.float().numpy()) for weights, bias in layers_of(theta))
+    turn = float(theta[TURN]) if TURN in theta else None
     darkest = DARKEST if "deviation" in theta else 0.0
-    return Material(layers, "last" in theta, functools.partial(Brdf().reflectance, theta), darkest)
+    return Material(layers, "last" in theta, functools.partial(Brdf().reflectance, theta), turn, darkest)
 
 
 def _parameters(path: Path) -> Params:
@@ -52,7 +54,8 @@ def _parameters(path: Path) -> Params:
     except (SafetensorError, OSError) as error:
         raise ValueError(f"{path}: not readable ({error}), expected the .safetensors file of a BRDF fit.") from None
     shapes = {key: value.shape for key, value in theta.items()}
-    networks = [Brdf(setup).init(Generator().manual_seed(0), 1) for setup in (None, Featured(), Few())]
+    setups = {None, *(each.setup for recipe in recipes_of("brdf").values() for each in recipe.meta.values())}
+    networks = [Brdf(setup).init(Generator().manual_seed(0), 1) for setup in setups]
     known = [{key: value[0].shape for key, value in network.items()} for network in networks]
     if shapes not in known:
         found = ", ".join(sorted(theta)) or "none"

@@ -97,6 +97,19 @@ def test_mitsuba_brdf(neural_fits: Callable[[int], Path], tmp_path: Path, run: C
     assert picture[24, 24, :3].max() > 0.02
 
 
+@pytest.mark.long
+@needs_mitsuba
+def test_anisotropic_brdf(tmp_path: Path, run: Callable[..., str]) -> None:
+    """The fit is nearer to the metal than that which knows no azimuth."""
+    changes = {r"SIZE, SAMPLES = .*": "SIZE, SAMPLES = 32, 16", r', "Al": .*': "}"}
+    said = run(smaller("anisotropic_brdf.py", changes, tmp_path), tmp_path / "a.png")
+    found = re.findall(r"error x100 ([\d.]+), picture off by ([\d.]+) %", said)
+    (error, off), (other_error, other_off) = ((float(each) for each in pair) for pair in found)
+    assert error < 0.2 * other_error
+    assert off < 0.3 * other_off
+    assert oiio.ImageBuf(str(tmp_path / "a.png")).get_pixels(oiio.FLOAT).shape[:2] == (32, 96)
+
+
 @needs_mitsuba
 def test_guided_render(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, run: Callable[..., str]) -> None:
     monkeypatch.setenv("PYTHONWARNINGS", "ignore")  # in a small picture of one ball a guide does not pay

@@ -16,3 +16,8 @@ for rule in meta-sgd meta-adam ridge; do
 done
 folder=$(ls -td "$runs"/brdf/checkpoints/joint-*-quick-seed0 | head -1)
 cp -v "$folder"/{general,quickft,meta-sgd,meta-adam,meta-curvature,ridge}.safetensors metapp/checkpoints/brdf/
+# anisotropic materials have a recipe of their own
+"$metapp" data synth brdf --anisotropic --count 175 --out "$runs/data/anisotropic"
+"$metapp" meta brdf --recipe anisotropic --data "$runs/data/anisotropic" --out "$runs" --train
+folder=$(ls -td "$runs"/brdf/checkpoints/anisotropic-*-anisotropic-seed0 | head -1)
+"$(dirname "$metapp")/python" tools/ship.py "$folder" metapp/checkpoints/brdf/anisotropic

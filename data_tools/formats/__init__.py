@@ -139,11 +139,16 @@ class OwnRecipe(NamedTuple):
         name: of the recipe.
         has: what these inputs have and the application's others lack, in words.
         tensor: the one that their tasks alone hold; "" where there is none, and data sets do not choose it.
+        tells: the function of the format's module that tells which of its sources these are; "" for all. Where there is
+            no such tensor, the one of this name and `_task` tells which tasks in memory are.
+        paradigms: those that its checkpoints serve; () for all.
     """
 
     name: str
     has: str
     tensor: str = ""
+    tells: str = ""
+    paradigms: tuple[str, ...] = ()
 
 
 class Format(NamedTuple):
@@ -161,7 +166,7 @@ class Format(NamedTuple):
         holds: the parameters that a written file holds; a fit of another network is distilled into them first; () for
             a format that is written from what a fit evaluates to.
         command: that converts files, if any.
-        own: the recipe that fits of these inputs take where none is asked for; None for the application's.
+        own: recipes that fits of such inputs take where none is asked for, the first that is for all of them.
     """
 
     name: str
@@ -172,7 +177,7 @@ class Format(NamedTuple):
     exports: bool = False
     holds: tuple[str, ...] = ()
     command: Command | None = None
-    own: OwnRecipe | None = None
+    own: tuple[OwnRecipe, ...] = ()
 
     def files(self) -> Files:
         """What finds and reads the files."""
@@ -185,11 +190,6 @@ class Format(NamedTuple):
     def recognises(self, path: Path) -> bool:
         """Whether a path is of this format, or a folder with such files."""
         return self.files().recognises(path)
-
-    def has_own_recipe(self, path: Path) -> bool:
-        """Whether its own recipe, `own`, is for what a path is; the module may say so, else it is for all it reads."""
-        module = self.files()
-        return module.recognises(path) and getattr(module, "has_own_recipe", lambda _: True)(path)
 
     def find(self, paths: Iterable[Path]) -> tuple[list[Path], list[str]]:
         """Sources, and a line for each file of a folder that is none; ValueError for a bad path."""

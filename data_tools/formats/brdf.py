@@ -29,10 +29,18 @@ Examples:
   metapp data nbrdf trained --out nbrdf
   metapp data nbrdf trained/gold trained/tin --split test --out metals
 """
-RGL = """Convert RGL measurements, isotropic BRDFs.
+ANISOTROPIC = OwnRecipe(
+    "anisotropic",
+    has="reflectance that depends on phi_h",
+    tensor="phi_h",
+    tells="is_anisotropic",
+    paradigms=("meta", "overfit"),
+)
+FEW = OwnRecipe("few", has="500 samples or fewer", tells="has_few", paradigms=("meta",))
+RGL = """Convert RGL measurements, BRDFs, isotropic or anisotropic.
 
 A file of the RGL material database (Dupuy and Jakob 2018) that ends in _rgb.bsdf. Mitsuba evaluates it; it becomes
-samples (angles in rad, reflectance in 1/sr, linear RGB) above the horizon. Anisotropic and spectral files are refused.
+samples (angles in rad, reflectance in 1/sr, linear RGB) above the horizon. Spectral files are refused.
 A bad file that was named ends the conversion and nothing is written; one found in a folder is skipped with a warning.
 
 Examples:
@@ -60,6 +68,7 @@ FORMATS = (
         "RGL .bsdf files",
         exports=True,
         command=Command(RGL, "RGL file", "FILES...", ".bsdf files, and folders searched at any depth.", (SAMPLES,)),
+        own=(ANISOTROPIC,),
     ),
     Format(
         "gonio",
@@ -67,7 +76,7 @@ FORMATS = (
         "data_tools.readers.gonio",
         "goniometer .csv files",
         command=Command(GONIO, "CSV file", "FILES...", ".csv files, and folders searched at any depth."),
-        own=OwnRecipe("few", has="500 samples or fewer"),
+        own=(ANISOTROPIC, FEW),
     ),
     Format(
         "merl",

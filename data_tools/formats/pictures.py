@@ -144,7 +144,7 @@ FORMATS = (
         "data_tools.readers.placed_photos",
         "folders of rectified flash photos of one material with camera_pos.txt, light_pos.txt, image_size.txt",
         takes=("size", "exposure"),
-        own=OwnRecipe("several", has="several photos", tensor="places"),
+        own=(OwnRecipe("several", has="several photos", tensor="places"),),
     ),
     Format(
         "strips",

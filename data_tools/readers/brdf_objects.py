@@ -22,7 +22,7 @@ Function = Callable[[np.ndarray, np.ndarray], Any]
 
 
 def from_object(source: Any, name: str) -> Task:
-    """Make the task of an isotropic BRDF in memory.
+    """Make the task of a BRDF in memory, with phi_h where it is anisotropic.
 
     Args:
         source: one of
@@ -42,17 +42,21 @@ def from_object(source: Any, name: str) -> Task:
         wi, wo, values = (_array(name, each, what) for each, what in zip(source, SAMPLED, strict=True))
         return gonio.task_of_directions(name, wi, wo, values)
     if type(source).__module__.partition(".")[0] == "mitsuba":
-        return brdf_task.measured_task(name, partial(rgl.evaluate, load_mitsuba(), source), SAMPLES, name)
+        return _evaluated(name, partial(rgl.evaluate, load_mitsuba(), source))
     if callable(source):
-        return brdf_task.measured_task(name, partial(_called, name, source), SAMPLES, name)
+        return _evaluated(name, partial(_called, name, source))
     raise ValueError(
         f"{name}: {type(source).__name__}, expected a path, a function f(wi, wo), arrays (wi, wo, reflectance) or a "
         "BSDF of Mitsuba."
     )
 
 
+def _evaluated(name: str, evaluate: brdf_task.Evaluate) -> Task:
+    return brdf_task.measured_task(name, evaluate, SAMPLES, name, azimuths=brdf_task.is_anisotropic(evaluate))
+
+
 def _called(name: str, function: Function, angles: Tensor) -> Tensor:
-    """Linear RGB [..., 3] in 1/sr of angles [..., 3] in rad."""
+    """Linear RGB [..., 3] in 1/sr of angles [..., 3 or 4] in rad."""
     wi, wo = (direction.reshape(-1, 3).float().numpy() for direction in rusinkiewicz_to_directions(angles.double()))
     values = torch.as_tensor(function(wi, wo)).detach().cpu().to(angles)
     if values.shape == (len(wi),):
@@ -62,7 +66,7 @@ def _called(name: str, function: Function, angles: Tensor) -> Tensor:
     if (values < 0).any():
         least = float(values.min())
         raise ValueError(f"{name}: reflectance of {least:.3g} /sr, expected 0 or more; clamp it in the function.")
-    return values.reshape(angles.shape)
+    return values.reshape(*angles.shape[:-1], 3)
 
 
 def _array(name: str, values: Any, what: str) -> Tensor:

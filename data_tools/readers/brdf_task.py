@@ -6,7 +6,7 @@ import functools
 import hashlib
 import math
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
 import numpy as np
@@ -21,14 +21,17 @@ from metapp.learning.task import Task
 
 UNITS = {
     "angles": "rad; theta_h, theta_d, phi_d (Rusinkiewicz), phi_h = 0",
+    "phi_h": "rad; azimuth of the half vector from the tangent, of anisotropic materials",
     "reflectance": "1/sr; linear RGB",
     "render": "linear RGB on black, coverage; the reference sphere",
     "environment": "linear RGB on black, coverage; the sphere under the environment map of metapp.appearance.sphere",
 }
 
+LEAST_CHANGE = 0.01
+_TRIED = 4096  # samples
 _MAX_DRAWS = 64  # per sample; about 2 suffice for a measured table
 
-Evaluate = Callable[[Tensor], Tensor]  # angles [..., 3] rad -> reflectance [..., 3] in 1/sr, linear RGB
+Evaluate = Callable[[Tensor], Tensor]  # angles [..., 3 or 4] rad -> reflectance [..., 3] in 1/sr, linear RGB
 Keep = Callable[[Tensor], Tensor]  # draws [M, 3] -> indices of those to keep, ascending
 HIGHEST = 1e6  # 1/sr; a GGX highlight of alpha 0.001 has 3e5, and published networks reach 4e5 beside the horizon
 REFLECTED = 2.0  # of the light that comes in; of 131 published networks the brightest has 1.1
@@ -36,7 +39,13 @@ _RINGS, _TURNS = 256, 16
 
 
 def brdf_task(
-    name: str, material: Evaluate | Array, samples: int = 65536, seed: int = 0, source: str | Path = ""
+    name: str,
+    material: Evaluate | Array,
+    samples: int = 65536,
+    seed: int = 0,
+    source: str | Path = "",
+    *,
+    azimuths: bool = False,
 ) -> Task:
     """Make the task of one material.
 
@@ -57,14 +66,15 @@ def brdf_task(
         samples: N, 2 or more.
         seed: of the draws.
         source: the file that errors name; the material's name where there is none.
+        azimuths: whether the material is anisotropic: it is evaluated at four angles, of which phi_h is uniform.
 
     Returns:
         A task with angles [N, 3] rad, reflectance [N, 3] in 1/sr, linear RGB, >= 0, and of the sphere render
-        [96, 96, 4] in the studio and environment [48, 48, 4], linear RGB and coverage in [0, 1]; all float32.
+        [96, 96, 4] in the studio and environment [48, 48, 4], linear RGB and coverage in [0, 1]; of an anisotropic one
+        phi_h [N] rad; all float32.
 
     Raises:
-        ValueError: too few samples, or more than the table has valid bins for; reflectance of another shape, or not
-            finite.
+        ValueError: too few samples, or more than the table has bins for; reflectance of another shape, or not finite.
     """
     source = source or name
     if samples < 2:
@@ -78,25 +88,46 @@ def brdf_task(
             )
         else:
             evaluate = material
-            angles = _analytic_angles(samples, seed).clone()  # tasks must not share what somebody may write to
+            angles = _analytic_angles(samples, seed, azimuths).clone()  # tasks must not share what they may write to
             reflectance = evaluate(angles).float()
-        if reflectance.shape != angles.shape:
+        if reflectance.shape != (samples, 3):
             raise ValueError(
-                f"{source}: reflectance {tuple(reflectance.shape)}, expected {tuple(angles.shape)}: RGB of a sample."
+                f"{source}: reflectance {tuple(reflectance.shape)}, expected {(samples, 3)}: RGB of a sample."
             )
-        spheres = {"render": reference_scene(), "environment": environment_scene()}
+        spheres = {"render": reference_scene(azimuths=azimuths), "environment": environment_scene(azimuths=azimuths)}
         pictures = {key: shade_sphere(scene, evaluate).float() for key, scene in spheres.items()}
-    for subject, values in (("samples", reflectance), *(("sphere", picture) for picture in pictures.values())):
+    _require_finite(source, (("samples", reflectance), *(("sphere", picture) for picture in pictures.values())))
+    return Task(name, {**columns_of(angles), "reflectance": reflectance.clamp_min(0), **pictures})
+
+
+def _require_finite(source: str | Path, subjects: Iterable[tuple[str, Tensor]]) -> None:
+    for subject, values in subjects:
         bad = int((~torch.isfinite(values)).sum())
         if bad:
             raise ValueError(f"{source}: {bad:,} values of the {subject} are NaN or infinite, expected finite ones.")
-    return Task(name, {"angles": angles, "reflectance": reflectance.clamp_min(0), **pictures})
+
+
+def columns_of(angles: Tensor) -> dict[str, Tensor]:
+    """The tensors of a task for angles [N, 3 or 4]: `angles` [N, 3] and, of four, `phi_h` [N]."""
+    if angles.shape[-1] == 3:
+        return {"angles": angles}
+    return {"angles": angles[:, :3].contiguous(), "phi_h": angles[:, 3].contiguous()}
+
+
+def is_anisotropic(evaluate: Evaluate) -> bool:
+    """Whether reflectance depends on phi_h: by more than LEAST_CHANGE of its mean, both as log(1 + f cos theta_i)."""
+    angles = _analytic_angles(_TRIED, 0, azimuths=True)
+    still = angles * angles.new_tensor([1.0, 1.0, 1.0, 0.0])
+    with torch.no_grad():
+        turned, first = (torch.log1p(evaluate(each).clamp_min(0) * cosines(each).incident[:, None])
+                         for each in (angles, still))  # fmt: skip
+    return bool((turned - first).abs().mean() > LEAST_CHANGE * first.mean())
 
 
 @functools.lru_cache(maxsize=2)
-def _analytic_angles(samples: int, seed: int) -> Tensor:
-    """The pool [N, 3] rad of all materials that can be evaluated anywhere."""
-    return _pool("samples", samples, seed, lambda draws: above_horizon(draws).nonzero()[:, 0])
+def _analytic_angles(samples: int, seed: int, azimuths: bool = False) -> Tensor:
+    """The pool [N, 3] rad of all materials that can be evaluated anywhere; [N, 4] with phi_h."""
+    return _pool("samples", samples, seed, lambda draws: above_horizon(draws).nonzero()[:, 0], 3 + azimuths)
 
 
 def _table_samples(source: str | Path, table: Array, samples: int, seed: int) -> tuple[Tensor, Tensor]:
@@ -121,12 +152,12 @@ def _table_samples(source: str | Path, table: Array, samples: int, seed: int) ->
     return angles, torch.from_numpy(table.reshape(-1, 3)[bins.numpy()]).float()
 
 
-def _pool(source: str | Path, samples: int, seed: int, keep: Keep) -> Tensor:
-    """The first `samples` draws [N, 3] rad that are kept, the order random within each half."""
-    extent = torch.tensor([math.pi / 2, math.pi / 2, 2 * math.pi])
+def _pool(source: str | Path, samples: int, seed: int, keep: Keep, axes: int = 3) -> Tensor:
+    """The first `samples` draws [N, axes] rad that are kept, the order random within each half."""
+    extent = torch.tensor([math.pi / 2, math.pi / 2, 2 * math.pi, 2 * math.pi])[:axes]
     count = 4 * samples
     while True:
-        draws = torch.quasirandom.SobolEngine(3, scramble=True, seed=seed).draw(count) * extent
+        draws = torch.quasirandom.SobolEngine(axes, scramble=True, seed=seed).draw(count) * extent
         kept = keep(draws)
         if len(kept) >= samples:
             break
@@ -146,9 +177,11 @@ def _bins_above_horizon() -> Tensor:
     return above_horizon(merl_centres()).reshape(-1)
 
 
-def measured_task(name: str, material: Evaluate | Array, samples: int, source: str | Path) -> Task:
+def measured_task(
+    name: str, material: Evaluate | Array, samples: int, source: str | Path, *, azimuths: bool = False
+) -> Task:
     """As `brdf_task`, of a file; warns of values that no material has."""
-    task = brdf_task(name, material, samples, source=source)
+    task = brdf_task(name, material, samples, source=source, azimuths=azimuths)
     evaluate = functools.partial(merl_evaluate, material) if isinstance(material, np.ndarray) else material
     warn_implausible(source, task, evaluate)
     return task
@@ -164,7 +197,7 @@ def warn_implausible(source: str | Path, task: Task, evaluate: Callable[[Tensor]
     """
     reflectance = task.data["reflectance"]
     high = float(reflectance.max())
-    albedo = float(normal_albedo(evaluate).max())
+    albedo = float(normal_albedo(evaluate, azimuths="phi_h" in task.data).max())
     if high == 0:
         found, expected = "reflectance 0 everywhere", "some light reflected"
     elif high > HIGHEST:
@@ -176,16 +209,19 @@ def warn_implausible(source: str | Path, task: Task, evaluate: Callable[[Tensor]
     warnings.warn(f"{source}: {found}, expected {expected}; is it damaged, or in another unit?", stacklevel=2)
 
 
-def normal_albedo(evaluate: Callable[[Tensor], Tensor]) -> Tensor:
+def normal_albedo(evaluate: Callable[[Tensor], Tensor], *, azimuths: bool = False) -> Tensor:
     """The share of light from straight above that is reflected, linear RGB [3].
 
-    The half vector is in the middle, so theta_h = theta_d = theta_o / 2.
+    The half vector is in the middle, so theta_h = theta_d = theta_o / 2. With `azimuths`, of an anisotropic
+    material, the mean over phi_h.
     """
     theta = (torch.arange(_RINGS) + 0.5) / _RINGS * (math.pi / 2)
     phi = (torch.arange(_TURNS) + 0.5) / _TURNS * math.pi
     half = (theta / 2)[:, None].expand(-1, _TURNS)
+    phi = phi.expand(_RINGS, -1)
+    angles = torch.stack([half, half, phi, 2 * phi] if azimuths else [half, half, phi], -1)
     with torch.no_grad():
-        values = evaluate(torch.stack([half, half, phi.expand(_RINGS, -1)], -1)).double().mean(1)
+        values = evaluate(angles).double().mean(1)
     solid_angle = 2 * math.pi * theta.sin() * (math.pi / 2 / _RINGS)
     return (values * (solid_angle * theta.cos())[:, None]).sum(0)
 
@@ -209,7 +245,8 @@ def as_measured(
         ValueError: no sample of the visible half is left.
     """
     half = len(task.data["angles"]) // 2
-    angles, reflectance = (task.data[key].clone() for key in ("angles", "reflectance"))
+    data = {key: task.data[key].clone() for key in ("angles", "phi_h", "reflectance") if key in task.data}
+    angles, reflectance = data["angles"], data["reflectance"]
     rng = Generator().manual_seed(int.from_bytes(hashlib.sha256(task.name.encode(errors="replace")).digest()[:6]))
     reflectance[:half] *= factors(rng, (half,), noise, outliers)
     near = cosines(angles[:half].double())
@@ -224,6 +261,6 @@ def as_measured(
     missing = torch.ones(half, dtype=torch.bool)
     missing[rows] = False
     others = rows[torch.randint(len(rows), (int(missing.sum()),), generator=rng)]
-    for data in (angles, reflectance):
-        data[:half][missing] = data[others]
-    return task._replace(data=task.data | {"angles": angles, "reflectance": reflectance})
+    for column in data.values():
+        column[:half][missing] = column[others]
+    return task._replace(data=task.data | data)

@@ -24,7 +24,7 @@ from torch import Tensor
 from data_tools.readers import brdf_task
 from data_tools.readers.colours import spectra_to_rgb
 from data_tools.readers.listing import find_by_suffix, has_suffix
-from metapp.appearance.geometry import directions_to_full_circle
+from metapp.appearance.geometry import directions_to_four_angles
 from metapp.appearance.sphere import reference_scene, shade_sphere
 from metapp.learning.task import Task
 from metapp.storage.files import write_atomically
@@ -45,6 +45,10 @@ LARGEST = 1e9  # of a BRDF, in 1/sr
 LAST_RAD = math.radians(89.999)  # from the normal: what is nearer to the surface is left out
 VISIBLE = (420.0, 680.0)  # nm, that spectra must cover
 NEIGHBOURS = 6  # measurements that a pixel of the picture is made of
+COMPARED, PAIRED = 20_000, 8  # measurements that tell whether phi_h counts, and neighbours of each
+EXPLAINED = 0.1  # share of the squared differences of neighbours, from which on phi_h counts
+TOLD = 64  # measurements that tell so at least
+STEEPEST_RAD = math.radians(3)  # half vectors nearer to the normal have no azimuth to speak of
 LONGEST = 1 << 28  # bytes of a file
 
 _WAVELENGTH = re.compile(r"(\d{3,4}(?:\.\d+)?)\s*nm")
@@ -53,10 +57,15 @@ find = functools.partial(find_by_suffix, suffix=SUFFIX, what="a .csv file of a g
 recognises = functools.partial(has_suffix, suffix=SUFFIX)
 
 
-def has_own_recipe(path: Path) -> bool:
+def has_few(path: Path) -> bool:
     """Whether a file, or each in a folder, has FEW rows at most."""
     files, _ = find([path])
     return all(_few_lines(file) for file in files)
+
+
+def has_few_task(task: Task) -> bool:
+    """Whether a task is of FEW measurements at most."""
+    return len(task.data["angles"]) <= 2 * FEW
 
 
 def _few_lines(file: Path) -> bool:
@@ -74,12 +83,26 @@ def read_task(path: Path) -> Task:
     left out. Only the picture interpolates, and there is none under an environment map.
 
     Returns:
-        angles [N, 3] rad, reflectance [N, 3] in 1/sr, linear RGB, and render [96, 96, 4], float32.
+        angles [N, 3] rad, reflectance [N, 3] in 1/sr, linear RGB, and render [96, 96, 4], float32; phi_h [N] where that
+        counts, as `depends_on_azimuth` says.
 
     Raises:
-        ValueError: as `read_gonio`; too few measurements.
+        ValueError: as `read_pairs`; too few measurements.
     """
-    return _task(path.stem, path, *read_gonio(path))
+    return _task(path.stem, path, *read_pairs(path))
+
+
+def is_anisotropic(path: Path) -> bool:
+    """Whether a table, or one of a folder, is of an anisotropic material; of bad ones nothing is said."""
+    files = sorted(path.rglob(f"*{SUFFIX}")) if path.is_dir() else [path]
+    for file in files:
+        try:
+            light, viewer, reflectance = read_pairs(file)
+        except (ValueError, OSError):
+            continue
+        if depends_on_azimuth(directions_to_four_angles(light, viewer), reflectance):
+            return True
+    return False
 
 
 def task_of_directions(name: str, wi: Tensor, wo: Tensor, reflectance: Tensor) -> Task:
@@ -97,20 +120,55 @@ def task_of_directions(name: str, wi: Tensor, wo: Tensor, reflectance: Tensor) -
     if not len(wi) == len(wo) == len(reflectance):
         raise ValueError(f"{name}: {len(wi)}, {len(wo)} and {len(reflectance)} rows, expected as many of each.")
     above = torch.minimum(wi[:, 2], wo[:, 2]) > math.cos(LAST_RAD)
-    return _task(name, name, directions_to_full_circle(wi[above], wo[above]), reflectance[above])
+    return _task(name, name, wi[above], wo[above], reflectance[above])
 
 
-def _task(name: str, source: str | Path, angles: Tensor, reflectance: Tensor) -> Task:
+def _task(name: str, source: str | Path, light: Tensor, viewer: Tensor, reflectance: Tensor) -> Task:
     from scipy.spatial import KDTree  # here: every BRDF file is first shown to this reader, whatever it is
 
-    angles, reflectance = _distinct(angles, reflectance)
+    angles = directions_to_four_angles(light, viewer)
+    azimuths = depends_on_azimuth(angles, reflectance)
+    angles, reflectance = _distinct(angles if azimuths else angles[:, :3], reflectance)
     if len(angles) < LEAST:
         raise ValueError(f"{source}: {len(angles)} pairs of directions, expected {LEAST} or more; measure more.")
     order = torch.randperm(len(angles), generator=torch.Generator().manual_seed(0))
-    render = shade_sphere(reference_scene(), functools.partial(_near, KDTree(_points(angles)), reflectance)).float()
+    near = functools.partial(_near, KDTree(_points(angles)), reflectance)
+    render = shade_sphere(reference_scene(azimuths=azimuths), near).float()
     if len(order) <= FEW:
         order = order.repeat(2)
-    return Task(name, {"angles": angles[order].float(), "reflectance": reflectance[order].float(), "render": render})
+    samples = brdf_task.columns_of(angles[order].float())
+    return Task(name, {**samples, "reflectance": reflectance[order].float(), "render": render})
+
+
+def depends_on_azimuth(angles: Tensor, reflectance: Tensor) -> bool:
+    """Whether reflectance depends on phi_h: whether that explains how neighbours in the other angles differ.
+
+    By least squares of differences of log reflectance on differences of the first two harmonics of phi_h, which noise
+    does not follow. Of measurements at one azimuth nothing is told: they count as isotropic.
+
+    Args:
+        angles: [N, 4] in rad.
+        reflectance: [N, 3] in 1/sr.
+    """
+    from scipy.spatial import KDTree
+
+    tilted = angles[:, 0] > STEEPEST_RAD
+    angles, values = angles[tilted], torch.log(reflectance[tilted].mean(1) + 1e-3)
+    if len(angles) < TOLD:
+        return False
+    order = torch.randperm(len(angles), generator=torch.Generator().manual_seed(0))[:COMPARED]
+    points = _points(angles[:, :3])
+    near = KDTree(points).query(points[order.numpy()], k=1 + PAIRED)[1][:, 1:]
+    first, second = order[:, None].expand(-1, PAIRED).reshape(-1), torch.from_numpy(near).reshape(-1)
+    phi_h = angles[:, 3]
+    waves = torch.stack([phi_h.cos(), phi_h.sin(), (2 * phi_h).cos(), (2 * phi_h).sin()], 1).double()
+    changes, difference = waves[first] - waves[second], (values[first] - values[second]).double()
+    total = float(difference.square().sum())
+    gram = changes.T @ changes + 1e-9 * len(changes) * torch.eye(4, dtype=torch.float64)
+    moment = changes.T @ difference
+    # a few numbers explain a share of noise, too
+    explained = float(moment @ torch.linalg.solve(gram, moment)) - 4 * total / len(order)
+    return total > 0 and explained > EXPLAINED * total
 
 
 class _Rows(NamedTuple):
@@ -152,6 +210,12 @@ def read_pairs(path: Path) -> Pairs:
         ValueError: no such table: missing columns, rows that are no numbers, negative or huge values, angles beyond
             their range.
     """
+    state = path.stat()
+    return _parsed(path, state.st_size, state.st_mtime_ns)
+
+
+@functools.lru_cache(maxsize=2)  # what chooses a recipe has read the file that is then fitted
+def _parsed(path: Path, size: int, changed_ns: int) -> Pairs:
     rows = _rows(path)
     angles = np.stack([_angle(path, rows, name) for name in ANGLES], 1)
     names, matrix = _colours(path, rows.names)
@@ -166,20 +230,6 @@ def read_pairs(path: Path) -> Pairs:
     above = (angles[:, [0, 2]] < LAST_RAD).all(1)
     light, viewer = (torch.from_numpy(_direction(angles[above, i], angles[above, i + 1])) for i in (0, 2))
     return Pairs(light, viewer, torch.from_numpy((values @ matrix)[above]).clamp_min(0))
-
-
-def read_gonio(path: Path) -> tuple[Tensor, Tensor]:
-    """Read a file.
-
-    Returns:
-        Half and difference angles (theta_h, theta_d, phi_d) [N, 3] in rad, phi_d over the full circle, and linear RGB
-        [N, 3] in 1/sr, >= 0, float64, of the rows above the surface.
-
-    Raises:
-        ValueError: as `read_pairs`.
-    """
-    pairs = read_pairs(path)
-    return directions_to_full_circle(pairs.wi, pairs.wo), pairs.reflectance
 
 
 def write_pairs(path: Path, wi: Tensor, wo: Tensor, before: Pairs) -> None:
@@ -285,7 +335,7 @@ def _distinct(angles: Tensor, reflectance: Tensor) -> tuple[Tensor, Tensor]:
     _, inverse, count = torch.unique((angles * 1e5).round(), dim=0, return_inverse=True, return_counts=True)
 
     def mean(values: Tensor) -> Tensor:
-        total = torch.zeros(len(count), 3, dtype=values.dtype).index_add(0, inverse, values)
+        total = torch.zeros(len(count), values.shape[1], dtype=values.dtype).index_add(0, inverse, values)
         result: Tensor = total / count[:, None]
         return result
 
@@ -293,10 +343,12 @@ def _distinct(angles: Tensor, reflectance: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def _points(angles: Tensor) -> Array:
-    """Angles as points [N, 4] whose distances say how alike they are: highlights are narrow in theta_h."""
-    theta_h, theta_d, phi_d = angles.double().unbind(-1)
+    """Angles [N, 3 or 4] as points [N, 4 or 5] whose distances say how alike they are: highlights are narrow."""
+    theta_h, theta_d, phi_d = angles[:, :3].double().unbind(-1)
     turn = 2 * phi_d  # by reciprocity phi_d + pi is phi_d
-    return torch.stack([2 * theta_h.sqrt(), theta_d, theta_d * turn.cos() / 2, theta_d * turn.sin() / 2], -1).numpy()
+    radius = 2 * theta_h.sqrt()
+    half = [radius] if angles.shape[1] == 3 else [radius * angles[:, 3].cos(), radius * angles[:, 3].sin()]
+    return torch.stack([*half, theta_d, theta_d * turn.cos() / 2, theta_d * turn.sin() / 2], -1).numpy()
 
 
 def _near(tree: KDTree, reflectance: Tensor, angles: Tensor) -> Tensor:
@@ -304,5 +356,5 @@ def _near(tree: KDTree, reflectance: Tensor, angles: Tensor) -> Tensor:
     distance, index = tree.query(_points(angles), k=NEIGHBOURS)
     weights = torch.from_numpy(1 / (distance + 1e-3))[..., None]
     total: Tensor = (reflectance.log1p()[index] * weights).sum(1)
-    result: Tensor = torch.expm1(total / weights.sum(1)).to(angles)
+    result: Tensor = torch.expm1(total / weights.sum(1)).to(angles.dtype)
     return result

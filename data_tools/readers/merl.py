@@ -79,6 +79,7 @@ def recognises(path: str | Path) -> bool:
 
 def export(app: Brdf, theta: Params, path: Path) -> None:
     """Write a fitted network of the BRDF application as a MERL file; `path` without .binary gets it."""
+    app.require_isotropic(path.name, "a MERL table")
     write_merl(suffixed(path, ".binary"), tabulate(lambda angles: app.reflectance(theta, angles)))
 
 

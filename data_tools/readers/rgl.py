@@ -1,13 +1,15 @@
 """Files of the RGL material database (Dupuy and Jakob 2018): read by Mitsuba's `measured` BSDF, and written for it.
 
-Isotropic measurements in RGB, the files `*_rgb.bsdf` of the database: their spectral twins need another variant. They
-are tensor files, named arrays: "tensor_file" and a zero byte, the version 1.0, the number of fields; of each field its
+Measurements in RGB, the files `*_rgb.bsdf` of the database: their spectral twins need another variant. They are
+tensor files, named arrays: "tensor_file" and a zero byte, the version 1.0, the number of fields; of each field its
 name, number of axes, type, offset in the file and shape; then the values. All little-endian, in C order.
 
 For each angle of the viewer there is a grid over half vectors m, in u = sqrt(2 theta_m / pi), which is dense at the
-normal, and v = phi_m / (2 pi) + 1/2, the azimuth to the viewer's. The database warps it by the visible normals of a
-microfacet model; in files written here that warp is the identity (`vndf` is 1), and `luminance` alone says how Mitsuba
-samples.
+normal, and v = phi_m / (2 pi) + 1/2, the azimuth to the viewer's. Of an anisotropic material, whose viewers have
+three azimuths phi_i or more, phi_m is from the tangent, and there is a grid for each pair of phi_i and theta_i; phi_i
+goes from -pi to pi, or to 0 or -pi/2 of a material that is symmetric. The database warps grids by the visible normals
+of a microfacet model; in files written here that warp is the identity (`vndf` is 1), and `luminance` alone says how
+Mitsuba samples.
 """
 
 from __future__ import annotations
@@ -28,7 +30,11 @@ from torch import Tensor
 
 from data_tools.readers import brdf_task
 from data_tools.readers.listing import find_by_suffix, has_suffix
-from metapp.appearance.geometry import directions_to_full_circle, rusinkiewicz_to_directions
+from metapp.appearance.geometry import (
+    directions_to_four_angles,
+    directions_to_full_circle,
+    rusinkiewicz_to_directions,
+)
 from metapp.learning.task import Params, Task
 from metapp.rendering.variant import load_mitsuba
 from metapp.storage.files import suffixed, write_atomically
@@ -45,6 +51,7 @@ ALIGNMENT = 8
 MOST_FIELDS, MOST_AXES = 64, 8
 NODES = 40  # angles of the viewer
 GRID = 160  # half vectors along u and v
+TURNS, FEWER_NODES, FEWER = 17, 20, 96  # azimuths of the viewer, angles and half vectors of an anisotropic material
 LAST_DEGREES = 89.5
 LEAST_LUMINANCE = 1e-3  # of the mean: where a value is 0, directions are drawn all the same
 SUFFIX = ".bsdf"
@@ -128,81 +135,93 @@ def write_tensor_file(path: str | Path, fields: Mapping[str, NDArray[np.number]]
     write_atomically(path, lambda target: target.write_bytes(b"".join((*head, *body))))
 
 
-def viewer_angles() -> NDArray[np.float64]:
-    """Angles of the viewer in rad, [NODES], from the normal to LAST_DEGREES and denser there."""
-    rest = 1 - np.linspace(0, 1, NODES)
+def viewer_angles(count: int = NODES) -> NDArray[np.float64]:
+    """Angles of the viewer in rad, [count], from the normal to LAST_DEGREES and denser there."""
+    rest = 1 - np.linspace(0, 1, count)
     angles: NDArray[np.float64] = math.radians(LAST_DEGREES) * (1 - rest * rest)
     return angles
 
 
-def half_vectors() -> Tensor:
-    """The grid's half vectors, [GRID (v), GRID (u), 3]."""
-    line = torch.linspace(0, 1, GRID, dtype=torch.float64)
+def half_vectors(side: int = GRID) -> Tensor:
+    """The grid's half vectors, [side (v), side (u), 3]."""
+    line = torch.linspace(0, 1, side, dtype=torch.float64)
     v, u = torch.meshgrid(line, line, indexing="ij")
     theta, phi = u * u * (math.pi / 2), (2 * v - 1) * math.pi
     return torch.stack([theta.sin() * phi.cos(), theta.sin() * phi.sin(), theta.cos()], -1)
 
 
-def write_rgl(path: str | Path, evaluate: Callable[[Tensor], Tensor], description: str) -> None:
+def write_rgl(
+    path: str | Path, evaluate: Callable[[Tensor], Tensor], description: str, *, azimuths: bool = False
+) -> None:
     """Tabulate a BRDF as a file that `measured` loads in RGB variants, whole or not at all.
 
     Args:
-        path: the file, 6 MB.
-        evaluate: linear RGB [N, 3] in 1/sr, of angles (theta_h, theta_d, phi_d) [N, 3] in rad.
+        path: the file, 6 MB; 50 MB of an anisotropic BRDF.
+        evaluate: linear RGB [N, 3] in 1/sr, of angles (theta_h, theta_d, phi_d) [N, 3] in rad, or with phi_h [N, 4].
         description: kept in the file.
+        azimuths: whether the BRDF is anisotropic and takes phi_h.
 
     Raises:
         ValueError: a value that is not finite.
     """
-    half, angles = half_vectors(), viewer_angles()
-    tables = np.stack([_table(evaluate, half, float(angle)) for angle in angles])
+    half, theta = (half_vectors(FEWER), viewer_angles(FEWER_NODES)) if azimuths else (half_vectors(), viewer_angles())
+    phi = np.linspace(-np.pi, np.pi, TURNS) if azimuths else np.zeros(1)
+    viewers = torch.from_numpy(_directions(theta[None], phi[:, None]))
+    to_angles = directions_to_four_angles if azimuths else directions_to_full_circle
+    tables = np.stack([[_table(evaluate, to_angles, half, viewer) for viewer in row] for row in viewers])
     if not np.isfinite(tables).all():
         raise ValueError(f"{path}: values that are NaN or infinite, expected finite reflectance; fit again.")
-    luminance = tables.mean(1)
     # densities per area of the grid, so that what counts is the light a cell reflects
-    area = _area(half, angles)
-    luminance = luminance / np.maximum(np.cos(angles), 1e-3)[:, None, None] * area
-    luminance += LEAST_LUMINANCE * luminance.mean((1, 2), keepdims=True) + 1e-12
-    ones = np.ones((1, NODES, 2, 2), np.float32)
+    luminance = tables.mean(2) / np.maximum(np.cos(theta), 1e-3)[:, None, None] * _area(half, viewers)
+    luminance += LEAST_LUMINANCE * luminance.mean((2, 3), keepdims=True) + 1e-12
     fields: dict[str, NDArray[np.number]] = {
         "description": np.frombuffer(description.encode() or b" ", np.uint8),
-        "phi_i": np.zeros(1, np.float32),
-        "theta_i": angles.astype(np.float32),
+        "phi_i": phi.astype(np.float32),
+        "theta_i": theta.astype(np.float32),
         "sigma": np.ones((2, 2), np.float32),
         "ndf": np.ones((2, 2), np.float32),
-        "vndf": ones,
-        "luminance": luminance[None].astype(np.float32),
-        "rgb": tables[None].astype(np.float32),
+        "vndf": np.ones((*viewers.shape[:2], 2, 2), np.float32),
+        "luminance": luminance.astype(np.float32),
+        "rgb": tables.astype(np.float32),
         "jacobian": np.zeros(1, np.uint8),
     }
     write_tensor_file(path, fields)
 
 
-def _table(evaluate: Callable[[Tensor], Tensor], half: Tensor, angle: float) -> NDArray[np.float64]:
-    """f cos theta of the light, [3, GRID, GRID], of one viewer at azimuth 0; 0 where the light is below the surface."""
-    viewer = torch.tensor([math.sin(angle), 0.0, math.cos(angle)], dtype=torch.float64)
+def _directions(theta: NDArray[np.float64], phi: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Unit vectors [..., 3] of angles that broadcast."""
+    parts = (np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta))
+    return np.stack(np.broadcast_arrays(*parts), -1)
+
+
+def _table(
+    evaluate: Callable[[Tensor], Tensor],
+    to_angles: Callable[[Tensor, Tensor], Tensor],
+    half: Tensor,
+    viewer: Tensor,
+) -> NDArray[np.float64]:
+    """f cos theta of the light, [3, side, side], of one viewer [3]; 0 where the light is below the surface."""
     light = 2 * (half @ viewer)[..., None] * half - viewer
     up = (light[..., 2] > 0) & (half @ viewer > 0)
-    pairs = directions_to_full_circle(light[up], viewer.expand_as(light[up]))
+    pairs = to_angles(light[up], viewer.expand_as(light[up]))
     values = torch.zeros_like(light)
     with torch.no_grad():
         values[up] = evaluate(pairs.float()).double() * light[up][:, 2:]
     return values.movedim(-1, 0).numpy()
 
 
-def _area(half: Tensor, angles: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Solid angle of lights over area of the grid, but for factors that rows share, [NODES, GRID, GRID]."""
-    line = torch.linspace(0, 1, GRID, dtype=torch.float64)
+def _area(half: Tensor, viewers: Tensor) -> NDArray[np.float64]:
+    """Solid angle of lights over area of the grid, but for factors that rows share, [P, T, side, side]."""
+    line = torch.linspace(0, 1, half.shape[1], dtype=torch.float64)
     jacobian = line * (1 - half[..., 2] ** 2).sqrt()
-    viewers = torch.tensor(np.stack([np.sin(angles), 0 * angles, np.cos(angles)], -1))
-    cosine = torch.einsum("vuc,nc->nvu", half, viewers).clamp_min(0)
+    cosine = torch.einsum("vuc,ptc->ptvu", half, viewers).clamp_min(0)
     return (4 * cosine * jacobian).numpy()
 
 
 def export(app: Brdf, theta: Params, path: Path) -> None:
     """Write a fitted network of the BRDF application as a file of the RGL database; `path` without .bsdf gets it."""
     file = suffixed(path, SUFFIX)
-    write_rgl(file, partial(app.reflectance, theta), f"{path.name}: a fit of metapp")
+    write_rgl(file, partial(app.reflectance, theta), f"{path.name}: a fit of metapp", azimuths=app.anisotropic)
 
 
 def read_task(path: Path, samples: int = 65_536) -> Task:
@@ -211,33 +230,58 @@ def read_task(path: Path, samples: int = 65_536) -> Task:
     Raises:
         ValueError: as `read_rgl`.
     """
-    return brdf_task.measured_task(path.stem, read_rgl(path), samples, path)
+    return brdf_task.measured_task(path.stem, read_rgl(path), samples, path, azimuths=is_anisotropic(path))
+
+
+def is_anisotropic(path: Path) -> bool:
+    """Whether a file, or one of a folder, is of an anisotropic material; of damaged ones nothing is said."""
+    files = sorted(path.rglob(f"*{SUFFIX}")) if path.is_dir() else [path]
+    for file in files:
+        try:
+            azimuths = read_tensor_file(file).get("phi_i", np.zeros(0))
+        except (ValueError, OSError):
+            continue
+        if azimuths.size > 2:
+            return True
+    return False
 
 
 def read_rgl(path: Path) -> Callable[[Tensor], Tensor]:
     """Read a file.
 
     Returns:
-        Linear RGB [..., 3] in 1/sr, >= 0, of angles (theta_h, theta_d, phi_d) [..., 3] in rad, as Mitsuba evaluates it.
+        Linear RGB [..., 3] in 1/sr, >= 0, of angles (theta_h, theta_d, phi_d) [..., 3] in rad, and phi_h of an
+        anisotropic material, as Mitsuba evaluates it; ValueError where that is missing.
 
     Raises:
-        ValueError: it is damaged, spectral or anisotropic; Mitsuba cannot be loaded.
+        ValueError: it is damaged or spectral; Mitsuba cannot be loaded.
     """
-    check(path, read_tensor_file(path))
+    fields = read_tensor_file(path)
+    check(path, fields)
     mitsuba = load_mitsuba()
     bsdf = mitsuba.load_dict({"type": "measured", "filename": str(path.resolve())})
-    return partial(evaluate, mitsuba, bsdf)
+    if fields["phi_i"].size <= 2:
+        return partial(evaluate, mitsuba, bsdf)
+
+    def of_four(angles: Tensor) -> Tensor:
+        if angles.shape[-1] != 4:
+            raise ValueError(
+                f"{path}: anisotropic, expected an isotropic measurement where there is no phi_h, as in MERL tables."
+            )
+        return evaluate(mitsuba, bsdf, angles)
+
+    return of_four
 
 
 def evaluate(mitsuba: ModuleType, bsdf: mi.BSDF, angles: Tensor) -> Tensor:
-    """A BSDF of Mitsuba without the cosine, linear RGB [..., 3] in 1/sr, >= 0, of angles [..., 3] in rad."""
+    """A BSDF of Mitsuba without the cosine, linear RGB [..., 3] in 1/sr, >= 0, of angles [..., 3 or 4] in rad."""
     import drjit
 
-    light, viewer = rusinkiewicz_to_directions(angles.reshape(-1, 3).double())
+    light, viewer = rusinkiewicz_to_directions(angles.reshape(-1, angles.shape[-1]).double())
     interaction = drjit.zeros(mitsuba.SurfaceInteraction3f, len(light))
     interaction.wi, outward = (mitsuba.Vector3f(direction.T.float().numpy()) for direction in (viewer, light))
     value = torch.from_numpy(np.array(bsdf.eval(mitsuba.BSDFContext(), interaction, outward))).T
-    return (value / light[:, 2:].clamp_min(1e-6)).clamp_min(0).reshape(angles.shape).to(angles)
+    return (value / light[:, 2:].clamp_min(1e-6)).clamp_min(0).reshape(*angles.shape[:-1], 3).to(angles)
 
 
 def check(path: Path, fields: Mapping[str, NDArray[np.number]]) -> None:
@@ -266,8 +310,6 @@ def check(path: Path, fields: Mapping[str, NDArray[np.number]]) -> None:
 
 def _check_shapes(path: Path, shapes: Mapping[str, tuple[int, ...]]) -> None:
     (phis,), (thetas,) = shapes["phi_i"], shapes["theta_i"]
-    if phis > 2:
-        raise ValueError(f"{path}: anisotropic, {phis} azimuths, expected an isotropic measurement of one or two.")
     side = shapes["rgb"][-1]
     expected = {"vndf": (phis, thetas, *shapes["vndf"][2:]), "luminance": (phis, thetas, side, side),
                 "rgb": (phis, thetas, 3, side, side), "jacobian": (1,)}  # fmt: skip

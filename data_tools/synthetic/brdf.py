@@ -7,12 +7,9 @@ still covers the range. Random numbers are PCG64's raw uniforms, the same on eve
 
 from __future__ import annotations
 
-import colorsys
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Literal, NamedTuple
 
-import numpy as np
 import torch
 from torch import Tensor
 
@@ -20,10 +17,12 @@ from data_tools.readers.brdf_task import UNITS as UNITS
 from data_tools.readers.brdf_task import brdf_task
 from data_tools.readers.merl import write_merl
 from data_tools.readers.merl_table import tabulate
+from data_tools.synthetic.brdf_anisotropic import anisotropic_materials
+from data_tools.synthetic.brdf_draws import COUNTS as COUNTS
+from data_tools.synthetic.brdf_draws import Draws, Material, Split, colour_name, roughness_name
 from data_tools.synthetic.brdf_models import (
     CONDUCTORS,
     Model,
-    Rgb,
     absorbing_layer,
     coated,
     conductor,
@@ -35,107 +34,42 @@ from data_tools.synthetic.brdf_models import (
     sheen,
 )
 from metapp.appearance.geometry import Cosines, cosines
-from metapp.appearance.reflection import MicrofacetKind
 from metapp.learning.task import Task
 
-Split = Literal["train", "test"]
-COUNTS: dict[Split, int] = {"train": 80, "test": 20}
 VERSION = 3  # 2: pictures under an environment map; 3: phi_d over the full circle
 
 
-class Material(NamedTuple):
-    """One material.
-
-    Attributes:
-        name: family, what it is, and a number that is unique within the split ("t" before it: test).
-        evaluate: BRDF [..., 3] in 1/sr, linear RGB, >= 0, of angles [..., 3] in rad; 0 below the horizon.
-    """
-
-    name: str
-    evaluate: Callable[[Tensor], Tensor]
-
-
-class _Draws:
-    """Uniform numbers of one material: the first three spread evenly over its family, the others independent."""
-
-    def __init__(self, split: Split, seed: int, family: int, member: int) -> None:
-        key = [seed, list(COUNTS).index(split), family]
-        shift = np.random.Generator(np.random.PCG64(np.random.SeedSequence(key))).random(3)
-        # Kronecker sequences: the golden ratio for the hue, for the others its kin in the plane (Roberts 2018).
-        spread = (shift + member * np.array([0.6180339887498949, 0.7548776662466927, 0.5698402909980532])) % 1
-        self.hue, self.roughness, self.lightness = (float(value) for value in spread)
-        self._rest = np.random.Generator(np.random.PCG64(np.random.SeedSequence([*key, member])))
-
-    def between(self, low: float, high: float) -> float:
-        return low + (high - low) * float(self._rest.random())
-
-    def chance(self, probability: float) -> bool:
-        return float(self._rest.random()) < probability
-
-    def alpha(self, low: float, high: float) -> float:
-        """Roughness, evenly spread over its logarithm."""
-        result: float = low * (high / low) ** self.roughness
-        return result
-
-    def kind(self) -> MicrofacetKind:
-        return "ggx" if self.chance(0.65) else "beckmann"
-
-    def colour(self, darkest: float = 0.03, brightest: float = 0.9, saturation: tuple[float, float] = (0.1, 1)) -> Rgb:
-        """A linear RGB albedo: this material's hue, its brightest channel between the two given."""
-        srgb_value = (darkest ** (1 / 2.2)) + (brightest ** (1 / 2.2) - darkest ** (1 / 2.2)) * self.lightness
-        depth = self.between(*saturation) * (0.15 if self.chance(0.15) else 1.0)  # some are all but neutral
-        red, green, blue = (channel**2.2 for channel in colorsys.hsv_to_rgb(self.hue, depth, srgb_value))
-        return red, green, blue
-
-
-def colour_name(linear_rgb: Rgb) -> str:
-    """What to call a colour: a hue, or black, grey or white."""
-    hue, saturation, value = colorsys.rgb_to_hsv(*(channel ** (1 / 2.2) for channel in linear_rgb))
-    if value < 0.22:
-        return "black"
-    if saturation < 0.2:
-        return "white" if value > 0.85 else "grey"
-    names = ("red", "orange", "yellow", "lime", "green", "teal", "cyan", "azure", "blue", "violet", "magenta", "rose")
-    name = names[round(hue * 12) % 12]
-    return "brown" if name in ("red", "orange") and value < 0.6 and saturation > 0.3 else name
-
-
-def roughness_name(alpha: float) -> str:
-    """What to call a roughness."""
-    return "polished" if alpha < 0.07 else "satin" if alpha < 0.16 else "brushed" if alpha < 0.32 else "rough"
-
-
-def _draw_conductor(draw: _Draws) -> tuple[str, Model]:
+def _draw_conductor(draw: Draws) -> tuple[str, Model]:
     metal = list(CONDUCTORS)[int(draw.hue * len(CONDUCTORS))]
     alpha = draw.alpha(0.03, 0.5)
     return f"{metal}-{roughness_name(alpha)}", conductor(*CONDUCTORS[metal], alpha, draw.kind())
 
 
-def _draw_plastic(draw: _Draws) -> tuple[str, Model]:
+def _draw_plastic(draw: Draws) -> tuple[str, Model]:
     colour, alpha = draw.colour(), draw.alpha(0.12, 0.6)
     return f"{colour_name(colour)}-{roughness_name(alpha)}", plastic(colour, alpha, draw.kind(), draw.between(1.4, 1.7))
 
 
-def _draw_glossy(draw: _Draws) -> tuple[str, Model]:
+def _draw_glossy(draw: Draws) -> tuple[str, Model]:
     colour, alpha = draw.colour(0.01), draw.alpha(0.03, 0.12)
     return f"{colour_name(colour)}-{roughness_name(alpha)}", plastic(colour, alpha, draw.kind(), draw.between(1.4, 1.7))
 
 
-def _draw_coated_metal(draw: _Draws) -> tuple[str, Model]:
+def _draw_coated_metal(draw: Draws) -> tuple[str, Model]:
     metal = ("aluminium", "chromium", "silver", "titanium", "iron", "iridium")[int(draw.between(0, 6))]
     tint, alpha = draw.colour(0.5, 0.98, (0.1, 0.75)), draw.alpha(0.08, 0.45)
     body = absorbing_layer(conductor(*CONDUCTORS[metal], alpha, draw.kind()), tint)
     return f"{colour_name(tint)}-{metal}-{roughness_name(alpha)}", coated(body, draw.between(0.03, 0.12), "ggx")
 
 
-def _draw_paint(draw: _Draws) -> tuple[str, Model]:
+def _draw_paint(draw: Draws) -> tuple[str, Model]:
     colour, alpha = draw.colour(0.15, 0.85, (0.2, 0.9)), draw.alpha(0.2, 0.55)
     ground = diffuse(draw.colour(0.02, 0.35, (0.3, 1)))
     body = mixture(flakes(colour, alpha), ground, draw.between(0.35, 0.85))
     return f"{colour_name(colour)}-{roughness_name(alpha)}", coated(body, draw.between(0.03, 0.08), draw.kind())
 
 
-def _draw_fabric(draw: _Draws) -> tuple[str, Model]:
+def _draw_fabric(draw: Draws) -> tuple[str, Model]:
     colour, pile = draw.colour(0.02, 0.7), draw.between(0, 0.6)
     red, green, blue = (pile + (1 - pile) * channel for channel in colour)
     body = oren_nayar(colour, draw.between(0.3, 0.9))
@@ -145,14 +79,14 @@ def _draw_fabric(draw: _Draws) -> tuple[str, Model]:
     return f"{colour_name(colour)}-velvet", sheen(body, (red, green, blue), 0.2 + 0.6 * draw.roughness)
 
 
-def _draw_diffuse(draw: _Draws) -> tuple[str, Model]:
+def _draw_diffuse(draw: Draws) -> tuple[str, Model]:
     colour = draw.colour(0.02, 0.95)
     if draw.chance(0.4):
         return f"{colour_name(colour)}-lambert", diffuse(colour)
     return f"{colour_name(colour)}-oren-nayar", oren_nayar(colour, 0.2 + 0.8 * draw.roughness)
 
 
-def _draw_mixture(draw: _Draws) -> tuple[str, Model]:
+def _draw_mixture(draw: Draws) -> tuple[str, Model]:
     families = [_draw_conductor, _draw_plastic, _draw_glossy, _draw_paint, _draw_diffuse]
     first = int(draw.between(0, 5))
     second = (first + int(draw.between(1, 5))) % 5
@@ -162,7 +96,7 @@ def _draw_mixture(draw: _Draws) -> tuple[str, Model]:
     return f"{one}-on-{other}", mixture(model, body, draw.between(0.25, 0.75))
 
 
-_FAMILIES: dict[str, Callable[[_Draws], tuple[str, Model]]] = {
+_FAMILIES: dict[str, Callable[[Draws], tuple[str, Model]]] = {
     "conductor": _draw_conductor,
     "plastic": _draw_plastic,
     "glossy": _draw_glossy,
@@ -213,7 +147,7 @@ def synthetic_materials(split: Split, count: int | None = None, seed: int = 0) -
     materials = []
     for index in range(count):
         family = turns[index % len(turns)]
-        draw = _Draws(split, seed, list(_FAMILIES).index(family), drawn[family])
+        draw = Draws(split, seed, list(_FAMILIES).index(family), drawn[family])
         drawn[family] += 1
         kind, model = _FAMILIES[family](draw)
         number = f"{'t' if split == 'test' else ''}{index:02d}"
@@ -221,14 +155,18 @@ def synthetic_materials(split: Split, count: int | None = None, seed: int = 0) -
     return materials
 
 
-def synthetic_tasks(split: Split, count: int, seed: int = 0) -> Iterator[Task]:
+def synthetic_tasks(split: Split, count: int, seed: int = 0, *, anisotropic: bool = False) -> Iterator[Task]:
     """The same materials as tasks, one by one; all have the samples of seed 0, so that they share their angles.
+
+    Args:
+        split, count, seed: as of `synthetic_materials`.
+        anisotropic: take those of `data_tools.synthetic.brdf_anisotropic`.
 
     Raises:
         ValueError: as `synthetic_materials`.
     """
-    for material in synthetic_materials(split, count, seed):
-        yield brdf_task(material.name, material.evaluate)
+    for material in (anisotropic_materials if anisotropic else synthetic_materials)(split, count, seed):
+        yield brdf_task(material.name, material.evaluate, azimuths=anisotropic)
 
 
 def write_merl_files(folder: str | Path, split: Split, count: int, seed: int = 0) -> Iterator[str]:

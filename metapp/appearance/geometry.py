@@ -2,7 +2,8 @@
 
 Everything is differentiable and takes any leading axes, dtype and device. Directions are unit vectors of the local
 frame, z the surface normal; `wi` points to the light, `wo` to the viewer. Angles are (theta_h, theta_d, phi_d) in rad
-after Rusinkiewicz, "A New Change of Variables for Efficient BRDF Representation" (1998), with phi_h = 0: isotropic.
+after Rusinkiewicz, "A New Change of Variables for Efficient BRDF Representation" (1998), with phi_h = 0: isotropic. A
+fourth angle is phi_h, the azimuth of the half vector from the tangent x, which anisotropic reflection depends on.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ def _length(vectors: Tensor) -> Tensor:
 
 
 def _difference(angles: Tensor) -> Tensor:
-    _, theta_d, phi_d = angles.unbind(-1)
+    _, theta_d, phi_d = angles[..., :3].unbind(-1)
     return torch.stack([theta_d.sin() * phi_d.cos(), theta_d.sin() * phi_d.sin(), theta_d.cos()], dim=-1)
 
 
@@ -39,11 +40,18 @@ def _turn_about_y(vectors: Tensor, cosine: Tensor, sine: Tensor) -> Tensor:
     return torch.stack([cosine * x + sine * z, y, cosine * z - sine * x], dim=-1)
 
 
+def turned_about_normal(vectors: Tensor, angle_rad: Tensor) -> Tensor:
+    """Vectors [..., 3] turned about z by angles [...] in rad, from x towards y."""
+    x, y, z = vectors.unbind(-1)
+    cosine, sine = angle_rad.cos(), angle_rad.sin()
+    return torch.stack([cosine * x - sine * y, sine * x + cosine * y, z], dim=-1)
+
+
 def rusinkiewicz_to_directions(angles: Tensor) -> tuple[Tensor, Tensor]:
     """Half and difference angles to the two directions.
 
     Args:
-        angles: [..., 3], (theta_h, theta_d, phi_d) in rad, phi_h = 0.
+        angles: [..., 3 or 4], (theta_h, theta_d, phi_d) in rad, and phi_h, which is 0 without.
 
     Returns:
         wi and wo, [..., 3] each, unit length; below the horizon where the angles say so.
@@ -51,7 +59,10 @@ def rusinkiewicz_to_directions(angles: Tensor) -> tuple[Tensor, Tensor]:
     theta_h, difference = angles[..., 0], _difference(angles)
     mirrored = difference * difference.new_tensor([-1.0, -1.0, 1.0])
     cosine, sine = theta_h.cos(), theta_h.sin()
-    return _turn_about_y(difference, cosine, sine), _turn_about_y(mirrored, cosine, sine)
+    wi, wo = _turn_about_y(difference, cosine, sine), _turn_about_y(mirrored, cosine, sine)
+    if angles.shape[-1] < 4:
+        return wi, wo
+    return turned_about_normal(wi, angles[..., 3]), turned_about_normal(wo, angles[..., 3])
 
 
 def directions_to_rusinkiewicz(wi: Tensor, wo: Tensor) -> Tensor:
@@ -71,6 +82,17 @@ def directions_to_rusinkiewicz(wi: Tensor, wo: Tensor) -> Tensor:
 def directions_to_full_circle(wi: Tensor, wo: Tensor) -> Tensor:
     """As `directions_to_rusinkiewicz`, but with phi_d in [0, 2 pi): which of the two directions is the light counts."""
     return _angles(wi, wo, math.tau)
+
+
+def directions_to_four_angles(wi: Tensor, wo: Tensor) -> Tensor:
+    """As `directions_to_full_circle`, with phi_h in [0, 2 pi): [..., 4]; 0 where the half vector is the normal."""
+    total = wi + wo
+    tiny = torch.finfo(total.dtype).tiny
+    azimuthal = total[..., 0] ** 2 + total[..., 1] ** 2 > tiny
+    phi_h = torch.atan2(torch.where(azimuthal, total[..., 1], 0.0), torch.where(azimuthal, total[..., 0], 1.0))
+    phi_h = torch.where(phi_h < 0, phi_h + math.tau, phi_h)
+    phi_h = torch.where(phi_h >= math.tau, 0.0, phi_h)
+    return torch.cat([directions_to_full_circle(wi, wo), phi_h[..., None]], -1)
 
 
 def _angles(wi: Tensor, wo: Tensor, period: float) -> Tensor:
@@ -97,14 +119,17 @@ def half_difference(angles: Tensor) -> Tensor:
     """Half and difference vectors, the input of the network of Sztrajman et al., "Neural BRDF ..." (2021).
 
     Args:
-        angles: [..., 3] in rad.
+        angles: [..., 3 or 4] in rad.
 
     Returns:
-        [..., 6]: half vector (sin theta_h, 0, cos theta_h), then difference vector, each of unit length.
+        [..., 6]: half vector (sin theta_h, 0, cos theta_h), turned by phi_h if there is one, then difference vector, in
+        the frame of the half vector; each of unit length.
     """
-    theta_h, theta_d, phi_d = angles.unbind(-1)
+    theta_h, theta_d, phi_d = angles[..., :3].unbind(-1)
     sine = theta_d.sin()
     half: tuple[Tensor | float, ...] = (theta_h.sin(), 0.0, theta_h.cos())
+    if angles.shape[-1] == 4:
+        half = (theta_h.sin() * angles[..., 3].cos(), theta_h.sin() * angles[..., 3].sin(), theta_h.cos())
     difference = (sine * phi_d.cos(), sine * phi_d.sin(), theta_d.cos())
     vectors = angles.new_empty(*angles.shape[:-1], 6)  # written in place: to join the columns takes four times as long
     for i, column in enumerate((*half, *difference)):
@@ -113,15 +138,15 @@ def half_difference(angles: Tensor) -> Tensor:
 
 
 def cosines(angles: Tensor) -> Cosines:
-    """The four cosines of half and difference angles [..., 3] in rad, without forming directions."""
-    theta_h, theta_d, phi_d = angles.unbind(-1)
+    """The four cosines of half and difference angles [..., 3 or 4] in rad, without forming directions."""
+    theta_h, theta_d, phi_d = angles[..., :3].unbind(-1)
     half, difference = theta_h.cos(), theta_d.cos()
     common, apart = difference * half, theta_d.sin() * phi_d.cos() * theta_h.sin()
     return Cosines(common - apart, common + apart, half, difference)
 
 
 def above_horizon(angles: Tensor) -> Tensor:
-    """Whether both directions are above the surface: bool [...] of angles [..., 3] in rad."""
+    """Whether both directions are above the surface: bool [...] of angles [..., 3 or 4] in rad."""
     incident, outgoing, *_ = cosines(angles)
     return (incident > 0) & (outgoing > 0)
 

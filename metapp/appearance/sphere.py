@@ -11,8 +11,10 @@ import torch
 from torch import Tensor
 
 from metapp.appearance import geometry
-from metapp.appearance.geometry import directions_to_rusinkiewicz, gauss_legendre
+from metapp.appearance.geometry import directions_to_four_angles, directions_to_rusinkiewicz, gauss_legendre
 from metapp.storage.tensors import kept
+
+_FOUR = "-phi_h"  # of names of scenes with phi_h
 
 
 class SphereScene(NamedTuple):
@@ -21,7 +23,8 @@ class SphereScene(NamedTuple):
     Attributes:
         mask: [size, size] bool, the pixels that the sphere touches; P of them, in row-major order.
         coverage: [size, size] in [0, 1], the share of the pixel that the sphere covers.
-        angles: [P, L, 3] in rad, of light (wi) and camera (wo) at the pixel's point.
+        angles: [P, L, 3] in rad, of light (wi) and camera (wo) at the pixel's point; [P, L, 4] with phi_h, from a
+            tangent that lies horizontally.
         weights: [P, L, 3] linear RGB, radiance * cosine * solid angle; zero for lights below the horizon.
     """
 
@@ -120,7 +123,7 @@ def _surface(size: int) -> tuple[Tensor, Tensor, Tensor]:
     normal_x, normal_y = (x / shrink)[mask], (y / shrink)[mask]
     normal = torch.stack([normal_x, normal_y, (1 - normal_x**2 - normal_y**2).sqrt()], dim=-1)
 
-    # Any tangents serve isotropic surfaces; these are never parallel to the normal, which faces the camera.
+    # These are never parallel to the normal, which faces the camera.
     tangent = torch.nn.functional.normalize(
         torch.stack([normal[:, 2], torch.zeros_like(normal_x), -normal_x], dim=-1), dim=-1
     )
@@ -128,20 +131,26 @@ def _surface(size: int) -> tuple[Tensor, Tensor, Tensor]:
     return mask, coverage, frame
 
 
-def _exposed(mask: Tensor, coverage: Tensor, wi: Tensor, wo: Tensor, irradiance: Tensor) -> SphereScene:
+def _exposed(mask: Tensor, coverage: Tensor, wi: Tensor, wo: Tensor, irradiance: Tensor, azimuths: bool) -> SphereScene:
     """A scene such that a white diffuse sphere of albedo 0.8 is 0.85 where brightest."""
     weights = irradiance * wi[..., 2:].clamp_min(0)
     weights = weights * (0.85 * math.pi / 0.8 / weights.sum(1).mean(-1).max())
-    return SphereScene(mask, coverage, directions_to_rusinkiewicz(wi, wo[:, None].expand_as(wi)), weights)
+    to_angles = directions_to_four_angles if azimuths else directions_to_rusinkiewicz
+    return SphereScene(mask, coverage, to_angles(wi, wo[:, None].expand_as(wi)), weights)
 
 
 def sphere_scene(
-    size: int = 96, *, dtype: torch.dtype = torch.float32, device: torch.device | str | None = None
+    size: int = 96,
+    *,
+    azimuths: bool = False,
+    dtype: torch.dtype = torch.float32,
+    device: torch.device | str | None = None,
 ) -> SphereScene:
     """The reference picture: a sphere under three softboxes, a small lamp and a dim sky: 103 directions of light.
 
     Args:
         size: width and height in pixels, >= 8; the sphere fills 96 % of it.
+        azimuths: with phi_h, for anisotropic reflection.
         dtype: of the floating-point tensors.
         device: where they live.
 
@@ -154,7 +163,7 @@ def sphere_scene(
     sky, sky_irradiance = _dome(wo, frame[:, :, 1])
     wi = torch.cat([torch.einsum("pij,lj->pli", frame, directions), sky], dim=1)
     irradiance = torch.cat([irradiance.expand(len(wi), -1, -1), sky_irradiance], dim=1)
-    scene = _exposed(mask, coverage, wi, wo, irradiance)
+    scene = _exposed(mask, coverage, wi, wo, irradiance, azimuths)
     return SphereScene(*(part.to(device, None if part.dtype == torch.bool else dtype) for part in scene))
 
 
@@ -163,7 +172,7 @@ def shade_sphere(scene: SphereScene, evaluate: Callable[[Tensor], Tensor], *, ch
 
     Args:
         scene: the geometry and lights.
-        evaluate: BRDF [..., 3] in 1/sr, linear RGB, of angles [..., 3]; called with [<= chunk, 3].
+        evaluate: BRDF [..., 3] in 1/sr, linear RGB, of the scene's angles; called with [<= chunk, 3 or 4].
         chunk: (pixel, light) pairs a call, few enough to stay in the CPU's cache.
 
     Returns:
@@ -181,23 +190,23 @@ def shade_sphere(scene: SphereScene, evaluate: Callable[[Tensor], Tensor], *, ch
 
 
 @functools.cache
-def reference_scene() -> SphereScene:
-    """The scene of all BRDF pictures, of fits and references alike."""
-    return _kept("studio", sphere_scene)
+def reference_scene(*, azimuths: bool = False) -> SphereScene:
+    """The scene of all BRDF pictures, of fits and references alike; with phi_h for those of anisotropic ones."""
+    return _kept(f"studio{_FOUR * azimuths}", lambda: sphere_scene(azimuths=azimuths))
 
 
 @functools.cache
-def environment_scene(size: int = 48) -> SphereScene:
+def environment_scene(size: int = 48, *, azimuths: bool = False) -> SphereScene:
     """The same sphere under `environment` alone, 320 directions a pixel, float32; of width and height >= 8."""
-    return _kept(f"environment-{size}", lambda: _environment_scene(size))
+    return _kept(f"environment-{size}{_FOUR * azimuths}", lambda: _environment_scene(size, azimuths))
 
 
-def _environment_scene(size: int) -> SphereScene:
+def _environment_scene(size: int, azimuths: bool) -> SphereScene:
     mask, coverage, frame = _surface(size)
     wo = frame[:, :, 2]
     wi, solid_angle = _rings(wo, 16, 20)
     light = environment(torch.einsum("pji,plj->pli", frame, wi))
-    scene = _exposed(mask, coverage, wi, wo, light * solid_angle[..., None])
+    scene = _exposed(mask, coverage, wi, wo, light * solid_angle[..., None], azimuths)
     return SphereScene(*(part if part.dtype == torch.bool else part.float() for part in scene))
 
 

@@ -14,7 +14,7 @@ import torch
 from torch import Generator, Tensor
 
 from metapp.appearance.geometry import Cosines
-from metapp.baselines import lobes
+from metapp.baselines import anisotropic_lobes, lobes
 from metapp.baselines.baseline import (
     Allowed,
     Baseline,
@@ -207,6 +207,10 @@ def baselines(app: App) -> tuple[Baseline, ...]:
         title = f"a Lambertian body and {name}, by least squares on the table's error"
         lobes_of = functools.partial(_lobes, count)
         entries.append(Baseline(f"ggx_{count}", title, "be more than a sum of such lobes", lobes_of, learns=False))
+        if getattr(app.setup, "anisotropic", False):
+            title = title.replace("GGX", "anisotropic GGX")
+            lobes_of = functools.partial(_anisotropic_lobes, count)
+            entries.append(Baseline(f"ggx_{count}a", title, "be more than a sum of such lobes", lobes_of, learns=False))
     title = "the training material with the least error on the samples"
     return (*entries, Baseline("nearest", title, "be a material that is not in its set", _nearest))
 
@@ -330,6 +334,22 @@ def _lobes(count: int, training: Training, allowed: Allowed) -> PreparedBaseline
     def answer(tasks: Tasks, numbers: Tensor) -> Tensor:
         where, _ = _of_one(tasks)
         return lobes.reflectance(numbers.double(), cosines_of(where[len(where) // 2 :])).float().T[None]
+
+    return PreparedBaseline(fit)
+
+
+def _anisotropic_lobes(count: int, training: Training, allowed: Allowed) -> PreparedBaseline:
+    """GGX lobes of two roughnesses each: nothing is shared."""
+
+    def fit(tasks: Tasks, rng: Generator, allowed: Allowed) -> BaselineFit:
+        samples = drawn(tasks, rng, allowed.samples)
+        numbers = anisotropic_lobes.fit(samples.where, samples.target, count).float()
+        return BaselineFit(functools.partial(answer, tasks, numbers), numbers.numel(), bytes_of(numbers))
+
+    def answer(tasks: Tasks, numbers: Tensor) -> Tensor:
+        where, _ = _of_one(tasks)
+        pairs = anisotropic_lobes.pairs_of(where[len(where) // 2 :])
+        return anisotropic_lobes.reflectance(numbers.double(), pairs).float().T[None]
 
     return PreparedBaseline(fit)
 

@@ -103,6 +103,9 @@ class Synth:
             help="Of svbrdf_nonstationary: flash photos of each material, all but the first from places of their own.",
         ),
     ] = 1
+    anisotropic: Annotated[
+        bool, typer.Option("--anisotropic", help="Of brdf: brushed metals, cloths and others that depend on phi_h.")
+    ] = False
     form: Annotated[
         Form, typer.Option("--as", help="shards: what metapp reads. merl: .binary files in DIR/train and DIR/test.")
     ] = Form.SHARDS
@@ -116,7 +119,8 @@ def synth(options: Synth) -> None:
     """Draw an embedded data set: synthetic tasks, the same on every machine.
 
     brdf: isotropic metals, plastics, paints, fabrics and mixtures of them, from physically based reflection models;
-    about 1.6 MB and 0.1 s each, or 35 MB as a MERL file; 80 + 20.
+    about 1.6 MB and 0.1 s each, or 35 MB as a MERL file; 80 + 20. With --anisotropic: brushed metals, plastics, cloths,
+    at random azimuths; two families of the tests are not in the training set.
 
     texture: photographs of 20 families of flat materials such as bricks, weaves, wood; 0.2 MB each; 240 + 20.
 
@@ -146,7 +150,9 @@ def synth(options: Synth) -> None:
         from metapp.storage.manifest import read_manifest
 
         size, photos = options.size, options.photos
-        folder = embedded_data(name, options.seed, options.count, options.folder, options.quiet, size, photos)
+        folder = embedded_data(
+            name, options.seed, options.count, options.folder, options.quiet, size, photos, options.anisotropic
+        )
         done = converted(name, folder, read_manifest(folder).tasks)
     report(done, options.quiet, options.as_json)
 
@@ -158,6 +164,8 @@ def _synth_merl(options: Synth) -> Converted:
     module = embedded_module(name)
     if not hasattr(module, "write_merl_files"):
         raise typer.BadParameter(f"merl: a format of BRDFs, expected shards for {name}.", param_hint="--as")
+    if options.anisotropic:
+        raise typer.BadParameter("merl: tables have no phi_h, expected shards with --anisotropic.", param_hint="--as")
     if folder is None:
         raise typer.BadParameter("missing, expected a folder for the MERL files of 35 MB each.", param_hint="--out")
     counts = split_counts(name, options.count)

@@ -3,38 +3,45 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from metapp.cli.console import print_json
-from metapp.cli.options import Json
+from metapp.cli.options import Json, takes
 from metapp.runs.reporter import say
 
 
-def command(
-    app: Annotated[str, typer.Argument(metavar="APP", help="brdf.")],
-    samples: Annotated[int, typer.Option(min=1, max=256, help="Pairs of directions to measure.")] = 16,
+@dataclass(frozen=True)
+class Options:
+    """What the command takes."""
+
+    app: Annotated[str, typer.Argument(metavar="APP", help="brdf.")]
+    samples: Annotated[int, typer.Option(min=1, max=256, help="Pairs of directions to measure.")] = 16
     out: Annotated[
         Path, typer.Option(dir_okay=False, help="The CSV file to fill in; a PNG of the directions lies beside it.")
-    ] = Path("plan.csv"),
+    ] = Path("plan.csv")
     after: Annotated[
         Path | None,
         typer.Option(metavar="CSV|RUN", help="What was measured before: its rows go on top of the new ones."),
-    ] = None,
+    ] = None
     grazing: Annotated[
         float, typer.Option(min=10, max=89, help="Light and detector are no further from the normal, degrees.")
-    ] = 80.0,
-    apart: Annotated[float, typer.Option(min=0, max=90, help="Nor nearer to each other than this, degrees.")] = 5.0,
+    ] = 80.0
+    apart: Annotated[float, typer.Option(min=0, max=90, help="Nor nearer to each other than this, degrees.")] = 5.0
     detector: Annotated[
         float | None,
         typer.Option(min=0, max=89, help="A camera that stays: its angle from the normal, degrees; default: free."),
-    ] = None,
-    seed: Annotated[int, typer.Option(min=0, help="Of all random draws.")] = 0,
-    json: Json = False,
-    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No messages.")] = False,
-) -> None:
+    ] = None
+    seed: Annotated[int, typer.Option(min=0, help="Of all random draws.")] = 0
+    json: Json = False
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No messages.")] = False
+
+
+@takes(Options)
+def command(options: Options) -> None:
     """Choose the pairs of light and detector directions that say most of an isotropic BRDF.
 
     They are chosen by the model that fits of few samples have, each where the expected error falls most, then all
@@ -51,20 +58,22 @@ def command(
     from metapp.evaluation.figures.style import save
     from metapp.runs.planning import plan_brdf
 
-    if app != "brdf":
-        raise typer.BadParameter(f"'{app}': expected brdf; of other applications a fit takes whole pictures.")
+    out = options.out
+    if options.app != "brdf":
+        raise typer.BadParameter(f"'{options.app}': expected brdf; of other applications a fit takes whole pictures.")
     if out.exists():
         raise typer.BadParameter(f"--out {out}: is there already, and may be filled in; name another file.")
-    limits = Limits(math.radians(grazing), math.radians(apart), None if detector is None else math.radians(detector))
-    planned = plan_brdf(samples, limits, after, seed)
+    detector = None if options.detector is None else math.radians(options.detector)
+    limits = Limits(math.radians(options.grazing), math.radians(options.apart), detector)
+    planned = plan_brdf(options.samples, limits, options.after, options.seed)
     write_pairs(out, planned.wi, planned.wo, planned.before)
     before = (planned.before.wi, planned.before.wo)
     picture = save(directions(planned.wi, planned.wo, before, planned.maps).figure, out.with_suffix(".png"))
-    low = f"{planned.expected[0]:.2f} to {planned.expected[1]:.2f}"
-    if not quiet:
-        say(f"{out}: {samples} pairs of directions to measure; the expected error x100 falls from {low}")
+    first, then = planned.expected
+    if not options.quiet:
+        say(f"{out}: {options.samples} pairs to measure; the expected error x100 falls from {first:.2f} to {then:.2f}")
         say(f"picture: {picture}\nfill in r, g, b; then: metapp meta brdf {out}")
-    if json:
-        names = ("before", "after")
-        expected = dict(zip(names, planned.expected, strict=True))
-        print_json({"samples": samples, "out": str(out), "picture": str(picture), "expected_error": expected})
+    if options.json:
+        expected = {"before": first, "after": then}
+        written = {"out": str(out), "picture": str(picture)}
+        print_json({"samples": options.samples, **written, "expected_error": expected})

@@ -5,6 +5,7 @@ The network runs in Dr.Jit, in whatever variant is active, and is differentiable
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
@@ -29,7 +30,9 @@ class Material(NamedTuple):
         layers: weights [out, in] and biases [out] of each of the three, float32.
         featured: whether it reads `metapp.apps.brdf.featured.inputs_of`, with hidden layers x sigmoid(x); else half
             and difference vector, with ReLU.
-        reflectance: linear RGB [..., 3] in 1/sr, >= 0, of angles (theta_h, theta_d, phi_d) [..., 3] in rad.
+        reflectance: linear RGB [..., 3] in 1/sr, >= 0, of angles (theta_h, theta_d, phi_d) [..., 3] in rad; of an
+            anisotropic one also phi_h, [..., 4].
+        turn: azimuth of the axes in rad of an anisotropic one, which reads `metapp.apps.brdf.anisotropic.inputs_of`.
         darkest: what it ends at is log(f cos theta_i cos theta_o + darkest), with that product at least this; 0: it is
             log(1 + f).
     """
@@ -37,6 +40,7 @@ class Material(NamedTuple):
     layers: tuple[tuple[NDArray[np.float32], NDArray[np.float32]], ...]
     featured: bool
     reflectance: Callable[[Tensor], Tensor]
+    turn: float | None = None
     darkest: float = 0.0
 
 
@@ -45,13 +49,13 @@ class Network:
 
     Attributes:
         weights, biases: TensorXf [out, in] and Float [out] of each layer; who changes them says so by `changed`.
-        featured, darkest: as of the material.
+        featured, turn, darkest: as of the material.
     """
 
     def __init__(self, material: Material) -> None:
         self.weights = [mi.TensorXf(weights) for weights, _ in material.layers]
         self.biases = [mi.Float(bias) for _, bias in material.layers]
-        self.featured, self.darkest = material.featured, material.darkest
+        self.featured, self.turn, self.darkest = material.featured, material.turn, material.darkest
         self._constants = [(weights.tolist(), bias.tolist()) for weights, bias in material.layers]
         self._zero = dr.opaque(mi.UInt32, 0)
 
@@ -61,10 +65,12 @@ class Network:
 
     def reflectance(self, light: Vector3, viewer: Vector3) -> Color:
         """Linear RGB in 1/sr, >= 0 (Color3f), of directions above the surface in its local frame (Vector3f)."""
-        half, difference = half_difference(light, viewer)
-        inputs = [*half, *difference]
-        if self.featured:
-            inputs += features(half, difference, light.z, viewer.z)
+        if self.turn is not None:
+            inputs = anisotropic_features(*(turned(each, -self.turn) for each in (light, viewer)))
+        else:
+            half, difference = half_difference(light, viewer)
+            inputs = [*half, *difference]
+            inputs += features(half, difference, light.z, viewer.z) if self.featured else []
         if self._constants and not dr.grad_enabled(self.weights, self.biases):
             # a call, though it always goes the same way: evaluated twice in a kernel, a network is compiled once
             last = dr.switch(self._zero, [self._by_constants, lambda *_: [mi.Float(0)] * 3], *inputs)
@@ -128,6 +134,28 @@ def expm1(x: Color) -> Color:
 
 def half_difference(light: Vector3, viewer: Vector3) -> tuple[Vector3, Vector3]:
     """Half vector, turned to phi_h = 0, and difference vector of `metapp.appearance.geometry.half_difference`."""
+    frame = half_frame(light, viewer)
+    return mi.Vector3f(frame.sine, 0, frame.cosine), frame.difference
+
+
+class HalfFrame(NamedTuple):
+    """The half vector and what is seen of its frame.
+
+    Attributes:
+        sine, cosine: of theta_h.
+        cos_phi, sin_phi: of phi_h.
+        difference: vector.
+    """
+
+    sine: Float
+    cosine: Float
+    cos_phi: Float
+    sin_phi: Float
+    difference: Vector3
+
+
+def half_frame(light: Vector3, viewer: Vector3) -> HalfFrame:
+    """Of directions above the surface; phi_h is 0 where the half vector is the normal."""
     total = light + viewer
     length = dr.norm(total)
     half = total / length
@@ -139,7 +167,15 @@ def half_difference(light: Vector3, viewer: Vector3) -> tuple[Vector3, Vector3]:
     x, y = cos_phi * light.x + sin_phi * light.y, cos_phi * light.y - sin_phi * light.x
     # of the z axis, not half . light: between directions nearly opposite that differs by what rounding does to lengths
     difference = mi.Vector3f(half.z * x - sine * light.z, y, length / 2)
-    return mi.Vector3f(sine, 0, half.z), difference
+    return HalfFrame(sine, half.z, cos_phi, sin_phi, difference)
+
+
+def turned(direction: Vector3, angle_rad: float) -> Vector3:
+    """A direction turned about the normal."""
+    cosine, sine = math.cos(angle_rad), math.sin(angle_rad)
+    return mi.Vector3f(
+        cosine * direction.x - sine * direction.y, sine * direction.x + cosine * direction.y, direction.z
+    )
 
 
 def features(half: Vector3, difference: Vector3, incident: Float, outgoing: Float) -> list[Float]:
@@ -149,6 +185,25 @@ def features(half: Vector3, difference: Vector3, incident: Float, outgoing: Floa
     logs = (square + 1e-4, square + 1e-2, dr.maximum(incident, 1e-3), dr.maximum(outgoing, 1e-3))
     lying = difference.x * difference.x - difference.y * difference.y
     more = [incident, outgoing, dr.sqrt(angle), 1 / (1 + 100 * square), lying]
+    return [*more, *(0.4 * dr.log(value) + 1 for value in logs)]
+
+
+def anisotropic_features(light: Vector3, viewer: Vector3) -> list[Float]:
+    """`metapp.apps.brdf.anisotropic.inputs_of` of directions in the material's axes."""
+    sine, cosine, cos_phi, sin_phi, difference = half_frame(light, viewer)
+    x, y, z = difference.x, difference.y, difference.z
+    angle = dr.atan2(sine, cosine)
+    along, across = angle * cos_phi, angle * sin_phi
+    squares = [dr.square(angle), dr.square(along), dr.square(across)]
+    diagonals = [dr.square(along + across) / 2, dr.square(along - across) / 2]
+    first, second = cos_phi * cosine * x - sin_phi * y, sin_phi * cosine * x + cos_phi * y
+    both = dr.maximum(light.z * viewer.z, 1e-6)
+    logs = [square + floor for square in squares for floor in (1e-4, 1e-2)]
+    logs += [*(square + 1e-3 for square in diagonals), both]
+    more = [sine * cos_phi, sine * sin_phi, cosine, z, x * x - y * y, x * y, z * z, both]
+    more += [dr.square(light.z - viewer.z), dr.sqrt(angle), *(1 / (1 + 100 * each) for each in (*squares, *diagonals))]
+    more += [first * first - second * second, first * second]
+    more += [(squares[1] - squares[2]) / (squares[0] + 1e-3), along * across / (squares[0] + 1e-3)]
     return [*more, *(0.4 * dr.log(value) + 1 for value in logs)]
 
 
@@ -185,7 +240,7 @@ class NetworkReflection(Reflection):
     def __init__(self, props: mt.Properties, read: Read) -> None:
         self.path = Path(str(mi.file_resolver().resolve(props["filename"])))
         material = read(self.path)
-        self.network, self.mixture = Network(material), Mixture(fit_lobes(material.reflectance))
+        self.network, self.mixture = Network(material), Mixture(fit_lobes(material.reflectance, material.turn))
         self.tint = props.get_texture("tint", 1.0)
         self.components = [mi.BSDFFlags.GlossyReflection | mi.BSDFFlags.FrontSide]
 
@@ -222,7 +277,7 @@ class Mixture:
     """Lobes in the active variant."""
 
     def __init__(self, lobes: Lobes) -> None:
-        self.alphas = lobes.alphas
+        self.alphas, self.turn = lobes.alphas, lobes.turn
         self.shares = [mi.Float(column) for column in lobes.shares.astype(np.float32).T]
 
     def shares_of(self, viewer: mt.Vector3) -> list[mt.Float]:
@@ -235,24 +290,30 @@ class Mixture:
     def sample(self, viewer: mt.Vector3, number: mt.Float, point: mt.Point2) -> mt.Vector3:
         """A direction, which may be below the surface, of a number and a point in [0, 1)."""
         shares = self.shares_of(viewer)
-        alpha, end = mi.Float(self.alphas[0]), shares[0] + shares[1]
+        viewer = self._into_axes(viewer)
+        alpha, end = mi.Vector2f(self.alphas[0]), shares[0] + shares[1]
         for share, other in zip(shares[2:], self.alphas[1:], strict=True):
-            alpha = dr.select(number < end, alpha, other)
+            alpha = dr.select(number < end, alpha, mi.Vector2f(other))
             end += share
         half, _ = _facets(alpha).sample(viewer, point)
         # Mitsuba draws NaN once in a million times, at facets that stand upright; below the surface it counts nothing
         mirrored = dr.select(half.z >= 0, mi.reflect(viewer, half), mi.Vector3f(0, 0, -1))
+        mirrored = turned(mirrored, self.turn) if self.turn else mirrored
         return dr.select(number < shares[0], mi.warp.square_to_cosine_hemisphere(point), mirrored)
+
+    def _into_axes(self, direction: mt.Vector3) -> mt.Vector3:
+        return turned(direction, -self.turn) if self.turn else direction
 
     def density(self, viewer: mt.Vector3, light: mt.Vector3) -> mt.Float:
         """Density of `sample` for directions above the surface, per solid angle."""
         shares = self.shares_of(viewer)
+        viewer, light = self._into_axes(viewer), self._into_axes(light)
         half = dr.normalize(viewer + light)
         total = shares[0] * light.z * dr.inv_pi
         for share, alpha in zip(shares[1:], self.alphas, strict=True):
-            total += share * _facets(alpha).pdf(viewer, half) / (4 * dr.dot(light, half))
+            total += share * _facets(mi.Vector2f(alpha)).pdf(viewer, half) / (4 * dr.dot(light, half))
         return total
 
 
-def _facets(alpha: mt.Float) -> mt.Facets:
-    return mi.MicrofacetDistribution(mi.MicrofacetType.GGX, alpha, True)
+def _facets(alpha: mt.Vector2) -> mt.Facets:
+    return mi.MicrofacetDistribution(mi.MicrofacetType.GGX, alpha.x, alpha.y, True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -13,7 +14,7 @@ from metapp.apps import presentation_of
 from metapp.learning.app import App
 from metapp.learning.task import Params, Task
 from metapp.runs.checkpoints import find_checkpoint
-from metapp.runs.checks import check_export
+from metapp.runs.checks import check_export, recipe_of_tasks
 from metapp.runs.fits import fit_tasks
 from metapp.runs.inputs import tasks_of_objects, tasks_to_fit
 from metapp.runs.outputs import export_fit
@@ -132,10 +133,13 @@ def fit_all(
     if 0 < len(in_memory) < len(sources):
         raise ValueError(f"{len(in_memory)} of {len(sources)} sources are no paths, expected all or none of them.")
     inputs = [] if in_memory else [Path(source) for source in sources]
-    planned = plan(Request(app, paradigm, inputs, fov=fov, quiet=True, **options))
+    request = Request(app, paradigm, inputs, fov=fov, quiet=True, **options)
+    planned = plan(request)
     with threads(threads_of(planned.app)):
         found = tasks_of_objects(planned.app, in_memory) if in_memory else tasks_to_fit(planned.app, planned.request)
         tasks, label = found
+        if in_memory and not request.recipe:
+            planned = plan(replace(request, recipe=recipe_of_tasks(request, tasks)))
         planned = find_checkpoint(planned)
         settings = planned.settings(label)
         results = fit_tasks(planned, tasks, warns=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from importlib import resources
 from pathlib import Path
@@ -14,6 +15,7 @@ from metapp.apps import app_names, app_of, presentation_of, protocols_of, recipe
 from metapp.learning.app import App
 from metapp.learning.recipe import Recipe
 from metapp.learning.rules import rule_of
+from metapp.learning.task import Task
 from metapp.networks.exemplar import ExemplarSetup, at_detail, details_of
 from metapp.runs import BadOption
 from metapp.runs.naming import name_of
@@ -68,24 +70,52 @@ def default_recipe(request: Request) -> str:
         ValueError: the data set cannot be read.
     """
     app = request.app
-    for form in inputs_of(app):
-        own = form.own
-        if own is None or not ships(app, own.name) or own.name not in recipes_of(app, request.observe):
+    for form, own in _own_recipes(app):
+        if not _has_recipe(request, own):
+            continue
+        if own.tells and request.lazy:  # it reads the inputs, which may be thousands
             continue
         if _are_of(form, own, request) if request.inputs else _is_set_of(own, request.data):
             what = "input" if request.inputs else f"task of {request.data}"
             if not request.quiet:
                 say(f"{app}: recipe {own.name}, since every {what} has {own.has}")
             return own.name
+    return _usual_recipe(app)
+
+
+def recipe_of_tasks(request: Request, tasks: Sequence[Task]) -> str:
+    """The same for tasks that were made in memory."""
+    for form, own in _own_recipes(request.app):
+        if _has_recipe(request, own) and all(_is_own(form, own, task) for task in tasks):
+            return own.name
+    return _usual_recipe(request.app)
+
+
+def _own_recipes(app: str) -> list[tuple[Format, OwnRecipe]]:
+    return [(form, own) for form in inputs_of(app) for own in form.own]
+
+
+def _is_own(form: Format, own: OwnRecipe, task: Task) -> bool:
+    if own.tensor:
+        return own.tensor in task.data
+    tells: Callable[[Task], bool] = getattr(form.files(), f"{own.tells}_task")
+    return tells(task)
+
+
+def _has_recipe(request: Request, own: OwnRecipe) -> bool:
+    serves = not own.paradigms or request.paradigm in own.paradigms
+    return serves and ships(request.app, own.name) and own.name in recipes_of(request.app, request.observe)
+
+
+def _usual_recipe(app: str) -> str:
     return FULL if FULL in recipes_of(app) and ships(app, FULL) else QUICK
 
 
 def _are_of(form: Format, own: OwnRecipe, request: Request) -> bool:
     """Whether inputs are folders with sources of this format alone; BadOption where only some are."""
-    some = [path for path in request.inputs if form.has_own_recipe(path)]
+    some = [path for path in request.inputs if _has_own(form, own, path)]
     for other in inputs_of(form.app) if some else ():
-        others = (path for path in request.inputs if path not in some or other.own != own)
-        path = next((path for path in others if other.recognises(path)), None)
+        path = next((path for path in request.inputs if other.recognises(path) and _lacks(path, other, own)), None)
         if path is not None:
             has, lacks = form.find(some[:1])[0][0], (other.find([path])[0] or [path])[0]
             raise BadOption(
@@ -95,8 +125,21 @@ def _are_of(form: Format, own: OwnRecipe, request: Request) -> bool:
     return bool(some)
 
 
+def _has_own(form: Format, own: OwnRecipe, path: Path) -> bool:
+    """Whether a path is, or holds, an input of a format that takes a recipe of its own."""
+    return own in form.own and form.recognises(path) and (not own.tells or getattr(form.files(), own.tells)(path))
+
+
+def _lacks(path: Path, form: Format, own: OwnRecipe) -> bool:
+    """Whether an input of a format is not of those that take a recipe of their own, the same for some formats."""
+    same = [other for other in inputs_of(form.app) if own in other.own]
+    return form not in same or not any(_has_own(other, own, path) for other in same)
+
+
 def _is_set_of(own: OwnRecipe, data: Path | None) -> bool:
-    return data is not None and own.tensor != "" and own.tensor in read_manifest(data).units
+    # of a folder that is not there, whatever reads it says so
+    known = own.tensor and data is not None and data.exists()
+    return bool(known) and data is not None and own.tensor in read_manifest(data).units
 
 
 def check_name(app: str) -> None:

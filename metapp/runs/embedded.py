@@ -66,6 +66,7 @@ def embedded_data(
     quiet: bool = False,
     size: int | None = None,
     photos: int = 1,
+    anisotropic: bool = False,
 ) -> Path:
     """The folder of an application's embedded data set, made now if it is not there yet.
 
@@ -78,18 +79,20 @@ def embedded_data(
         quiet: no progress.
         size: px a side of pictures, where the set can be drawn at several sizes; None is the default.
         photos: of each material, where the set can be drawn with several.
+        anisotropic: other materials, where there are such.
 
     Raises:
         ValueError: an application without embedded set, of one size or of one photo; a count below 1, a negative seed,
             a folder that holds other data.
     """
     counts = split_counts(app, count)
-    notes = _notes(app, seed, sum(counts.values()), size, photos)
+    notes = _notes(app, seed, sum(counts.values()), size, photos, anisotropic)
     if out is not None:
         _make(app, out, counts, notes, quiet)
         return out
     sized = f"-{size}px" if "size" in notes else ""
     sized += f"-{photos}photos" if "photos" in notes else ""
+    sized += "-anisotropic" * anisotropic
     folder = cache_folder() / "data" / f"{app}-{notes['count']}{sized}-seed{seed}-v{_version(app)}"
     if _is_finished(folder, app, notes):
         return folder
@@ -115,7 +118,7 @@ def embedded_data(
     return folder
 
 
-def _notes(app: str, seed: int, count: int, size: int | None, photos: int) -> Document:
+def _notes(app: str, seed: int, count: int, size: int | None, photos: int, anisotropic: bool) -> Document:
     """What the manifest of a set says of how it was drawn; ValueError where it cannot be."""
     module = embedded_module(app)
     notes: Document = {"made_by": "metapp data synth", "version": _version(app), "seed": seed, "count": count}
@@ -129,6 +132,10 @@ def _notes(app: str, seed: int, count: int, size: int | None, photos: int) -> Do
             has = f"up to {most}; give fewer" if most > 1 else "none or one; leave --photos out"
             raise ValueError(f"{app}: {photos} photos of each task, but its embedded set has {has}.")
         notes["photos"] = photos
+    if anisotropic:
+        if "phi_h" not in module.UNITS:
+            raise ValueError(f"{app}: no anisotropic materials, only brdf has some; leave --anisotropic out.")
+        notes["anisotropic"] = True
     return notes
 
 
@@ -150,7 +157,7 @@ def _make(app: str, folder: Path, counts: dict[str, int], notes: Document, quiet
 
     module = embedded_module(app)
     beside = getattr(module, "BESIDE", None)
-    drawn = {key: notes[key] for key in ("size", "photos") if key in notes}
+    drawn = {key: notes[key] for key in ("size", "photos", "anisotropic") if key in notes}
     units = module.UNITS | (module.SEVERAL_UNITS if "photos" in notes else {})
     shown = progress(f"{app} data", sum(counts.values()), quiet=quiet)
     with ShardWriter(folder, app, units, notes, beside) as writer, shown as bar:

@@ -49,7 +49,7 @@ class ShardWriter:
     Args:
         folder: where; made if missing.
         app: the application the tasks belong to.
-        units: unit and meaning of every tensor, by name.
+        units: unit and meaning of every tensor, by name; the manifest has those of tensors that a task holds.
         notes: anything else worth keeping, as JSON can hold it.
         beside: name of a tensor whose bytes, a text, are kept as a file beside each task, and that file's suffix.
 
@@ -75,6 +75,7 @@ class ShardWriter:
         except (TypeError, ValueError) as error:
             raise ValueError(f"{folder}: notes hold {error}; expected plain text, numbers, lists.") from None
         self._entries: list[Entry] = []
+        self._held: set[str] = set()  # names of tensors
         self._files = {MANIFEST.replace(".json", SUFFIX)} if beside else set()  # its text would take the same name
         self._made: list[Path] = []
         self._lock = contextlib.ExitStack()
@@ -121,6 +122,7 @@ class ShardWriter:
                 raise ValueError(f"{task.name}: tensor '{key}' has no unit; add it to units.")
             if not _is_finite(tensor):
                 raise ValueError(f"{task.name}: tensor '{key}' holds NaN or infinite values, expected finite ones.")
+        self._held |= set(task.data)
         # A copy of its own each: safetensors refuses tensors that share memory.
         own = torch.contiguous_format
         payload = save({key: tensor.detach().cpu().clone(memory_format=own) for key, tensor in task.data.items()})
@@ -161,7 +163,8 @@ class ShardWriter:
         if not self._entries:
             raise ValueError(f"{self.folder}: 0 tasks to write, expected at least one.")
         before = self._replaced()
-        text = to_json(self._manifest._replace(tasks=self.entries()))
+        units = {key: unit for key, unit in self._manifest.units.items() if key in self._held}
+        text = to_json(self._manifest._replace(tasks=self.entries(), units=units))
         (self.folder / MANIFEST).unlink(missing_ok=True)
         for file in _files(self._entries):
             os.replace(partial_path(self.folder / file), self.folder / file)

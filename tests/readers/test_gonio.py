@@ -13,7 +13,7 @@ from torch import Tensor
 
 from data_tools.readers import gonio
 from data_tools.readers.colours import colour_science, spectra_to_rgb
-from metapp.appearance.geometry import above_horizon, rusinkiewicz_to_directions
+from metapp.appearance.geometry import above_horizon, directions_to_full_circle, rusinkiewicz_to_directions
 
 pytestmark = pytest.mark.usefixtures("small_spheres")
 HEAD = "theta_i_deg,phi_i_deg,theta_o_deg,phi_o_deg,r,g,b"
@@ -24,6 +24,12 @@ def material(angles: Tensor) -> Tensor:
     """Smooth, coloured, and not reciprocal: phi_d counts over the full circle."""
     theta_h, _, phi_d = angles.unbind(-1)
     return (torch.exp(-4 * theta_h) + 0.05 * phi_d)[..., None] * torch.tensor([1.0, 0.6, 0.3], dtype=angles.dtype)
+
+
+def measured(file: Path) -> tuple[Tensor, Tensor]:
+    """Angles [N, 3] and reflectance of a file."""
+    pairs = gonio.read_pairs(file)
+    return directions_to_full_circle(pairs.wi, pairs.wo), pairs.reflectance
 
 
 def spherical(directions: Tensor) -> tuple[Tensor, Tensor]:
@@ -58,7 +64,7 @@ def write(tmp_path: Path, angles: Tensor) -> Callable[..., Path]:
 
 @pytest.mark.parametrize("unit", ["deg", "rad"])
 def test_measurements_come_back(write: Callable[..., Path], angles: Tensor, unit: str) -> None:
-    found, reflectance = gonio.read_gonio(write(unit))
+    found, reflectance = measured(write(unit))
     torch.testing.assert_close(found, angles, rtol=0, atol=1e-6)
     torch.testing.assert_close(reflectance, material(angles), rtol=1e-6, atol=1e-8)
 
@@ -89,7 +95,7 @@ def test_a_task_holds_each_measurement_once_and_its_picture(write: Callable[...,
 def test_columns_in_any_order_and_comments_and_more_columns(tmp_path: Path) -> None:
     text = "# made by hand\n b , g, r,theta_o_deg,phi_o_deg,theta_i_deg,phi_i_deg,temperature\n\n# no row\n"
     (tmp_path / "a.csv").write_text(text + "0.3,0.2,0.1,20,180,40,0,\n")
-    angles, reflectance = gonio.read_gonio(tmp_path / "a.csv")
+    angles, reflectance = measured(tmp_path / "a.csv")
     torch.testing.assert_close(reflectance, torch.tensor([[0.1, 0.2, 0.3]], dtype=torch.float64))
     assert angles[0].tolist() == pytest.approx([math.radians(10), math.radians(30), 0], abs=1e-9)
 
@@ -97,11 +103,11 @@ def test_columns_in_any_order_and_comments_and_more_columns(tmp_path: Path) -> N
 def test_few_measurements_are_all_seen(write: Callable[..., Path]) -> None:
     file = write()
     lines = file.read_text().splitlines()
-    assert not gonio.has_own_recipe(file)
-    assert not gonio.has_own_recipe(file.parent)
+    assert not gonio.has_few(file)
+    assert not gonio.has_few(file.parent)
     for count, few in ((gonio.FEW + 1, False), (gonio.FEW, True), (20, True)):
         file.write_text("\n".join(lines[: 2 + count]))
-        assert gonio.has_own_recipe(file) == few
+        assert gonio.has_few(file) == few
     angles = gonio.read_task(file).data["angles"]
     assert torch.equal(angles[:20], angles[20:])
     assert len(angles.unique(dim=0)) == 20
@@ -139,7 +145,7 @@ def test_spectra_become_colours(tmp_path: Path) -> None:
         assert (red @ matrix) == pytest.approx([0.82, 0.06, 0.0], abs=0.08)
     names = ",".join(f"{each}nm" for each in range(400, 701, 100))
     (tmp_path / "a.csv").write_text(f"{HEAD[:-6]},{names}\n30,0,30,180,0.2,0.2,0.2,0.2\n")
-    _, reflectance = gonio.read_gonio(tmp_path / "a.csv")
+    _, reflectance = measured(tmp_path / "a.csv")
     torch.testing.assert_close(reflectance, torch.full((1, 3), 0.2, dtype=torch.float64))
     colour, nanometres = colour_science(), np.arange(360.0, 781, 5)
     values = 0.2 + 0.5 * np.exp(-(((nanometres - 530) / 60) ** 2))

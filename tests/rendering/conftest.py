@@ -19,7 +19,7 @@ SYNTHETIC = 10  # materials, two of them to be fitted
 
 @pytest.fixture(scope="session")
 def fits(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
-    """Files of fits of a synthetic material, which conserves energy, by network: nbrdf and featured; and one of few samples."""
+    """Files of fits of a material that conserves energy, by network: nbrdf and featured; `few` is random."""
     import metapp
     from tests.small_spheres import run_small
 

@@ -13,6 +13,7 @@ import pytest
 import torch
 
 import metapp as api
+from metapp.apps.brdf.few import Few
 from metapp.rendering.variant import load_mitsuba
 from metapp.storage.tensors import read_tensors
 
@@ -110,10 +111,15 @@ def test_a_function_is_fitted() -> None:
 
 
 def test_arrays_of_samples_are_fitted() -> None:
-    wi, wo = directions(400)
+    wi, wo = directions(600)
     fit = api.fit("brdf", (wi, wo, lambertian(wi, wo)))
     assert fit.error < 1
-    assert len(fit.task.data["angles"]) == 400
+    assert len(fit.task.data["angles"]) == 600
+    few = api.fit("brdf", (wi[:20], wo[:20], lambertian(wi[:20], wo[:20])))
+    assert few.app.setup == Few()  # by the model for few samples, which sees all of them
+    angles = fit.task.data["angles"]
+    known = torch.tensor([0.2, 0.4, 0.6]) / np.pi
+    assert float((few.app.reflectance(few.parameters, angles) - known).abs().median()) < 0.01
 
 
 def test_a_bsdf_of_mitsuba_is_fitted() -> None:
@@ -130,7 +136,7 @@ def test_a_bsdf_of_mitsuba_is_fitted() -> None:
         (3, "object: int, expected a path, a function"),
         ((1, 2), "2 arrays, expected 3"),
         ((np.zeros((9, 3)), np.ones((9, 3)), np.ones((9, 3))), "wi of length 0, expected unit vectors"),
-        ((*directions(20), np.ones((20, 3))), "20 pairs of directions, expected 64"),
+        ((*directions(3), np.ones((3, 3))), "3 pairs of directions, expected 4"),
         ((*directions(80), -np.ones((80, 3))), "reflectance that is negative"),
         (lambda wi, wo: wi[:, :2], r"values \(\d+, 2\), expected"),
         (lambda wi, wo: -np.abs(wi), "reflectance of -1 /sr, expected 0 or more"),

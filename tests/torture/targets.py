@@ -133,9 +133,9 @@ def _read_rgl(folder: Path, file: Path) -> None:
 def _read_gonio(folder: Path, file: Path) -> None:
     from data_tools.readers import gonio
 
-    angles, reflectance = gonio.read_gonio(file)
-    if angles.shape != reflectance.shape or not bool((angles + reflectance).isfinite().all()):
-        raise BadResult(f"angles {tuple(angles.shape)}, reflectance {tuple(reflectance.shape)}, or not finite")
+    wi, wo, reflectance = gonio.read_pairs(file)
+    if not wi.shape == wo.shape == reflectance.shape or not bool((wi + wo + reflectance).isfinite().all()):
+        raise BadResult(f"wi {tuple(wi.shape)}, reflectance {tuple(reflectance.shape)}, or not finite")
     if sum(file.read_bytes()) % 20 == 0:  # its picture costs more than all else
         finite(gonio.read_task(file), reflectance=None)
 

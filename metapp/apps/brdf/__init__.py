@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 from typing import Any, ClassVar
 
 import torch
@@ -10,8 +11,8 @@ from torch import Generator, Tensor
 
 from metapp.appearance.geometry import half_difference
 from metapp.appearance.noise import factors, standing_in
-from metapp.apps.brdf import design, featured, few, nbrdf, nbrdf_in_c
-from metapp.apps.brdf.featured import Featured, outgoing_cosine
+from metapp.apps.brdf import anisotropic, design, featured, few, nbrdf, nbrdf_in_c
+from metapp.apps.brdf.featured import TURN, Featured, outgoing_cosine
 from metapp.apps.brdf.few import MOST, Few
 from metapp.engine import register
 from metapp.learning.app import App, Traits
@@ -29,11 +30,12 @@ SEEN = 256  # at most, in training
 
 
 class Brdf(App):
-    """One measured or modelled isotropic material a task."""
+    """One measured or modelled material a task; of an anisotropic one a network without phi_h fits what it can."""
 
     name = "brdf"
     holds: ClassVar = {
         "angles": Held(("N", 3), low=0.0, high=2 * math.pi),
+        "phi_h": Held(("N",), low=0.0, high=2 * math.pi, optional=True),
         "reflectance": Held(("N", 3), low=0.0),
         "render": Held(("H", "W", 4)),
         "environment": Held(("h", "w", 4), optional=True),
@@ -51,9 +53,18 @@ class Brdf(App):
         """The last layer, but of the NBRDF network."""
         return "last" if self.setup else ""
 
+    @property
+    def anisotropic(self) -> bool:
+        """Whether its network reads phi_h."""
+        return isinstance(self.setup, Featured) and self.setup.anisotropic
+
     def prepare(self, task: Task) -> dict[str, Tensor]:
         """`where` [N, 7]: half and difference vector, cos theta_i; `target` [N, 3]: log(1 + f cos theta_i)."""
-        where = _where(task.data["angles"])
+        angles = task.data["angles"]
+        if self.anisotropic:
+            phi_h = task.data.get("phi_h", anisotropic.random_azimuths(len(angles)).to(angles))
+            angles = torch.cat([angles, phi_h[:, None]], 1)
+        where = _where(angles)
         data = {"where": where.float(), "target": torch.log1p(task.data["reflectance"] * where[:, 6:]).float()}
         return few.condensed(data) if isinstance(self.setup, Few) else data
 
@@ -121,6 +132,9 @@ class Brdf(App):
     def augment(self, tasks: Tasks, rng: Generator) -> Tasks:
         """Mixtures of these materials, as measurements have them where the network learns from such."""
         data = mixed(tasks, rng)
+        if self.anisotropic:
+            turn = 2 * math.pi * torch.rand(len(tasks), 1, generator=rng, device=rng.device)
+            data["where"] = anisotropic.turned(data["where"], turn)
         if isinstance(self.setup, Few):
             data = fewer(data, rng)
         elif self.setup and self.setup.measured:
@@ -145,11 +159,13 @@ class Brdf(App):
         return {name: self.traits.scale * torch.tensor([one[name] for one in each]) for name in each[0]}
 
     def remarks(self, task: Task, theta: Params) -> dict[str, Any]:
-        """Say that no sample was held out, where a measurement has few."""
-        half = len(task.data["angles"]) // 2
-        if not torch.equal(task.data["angles"][:half], task.data["angles"][half:]):
-            return {}
-        return {"note": f"all {half} samples are fitted, none is held out: the error is of these"}
+        """That no sample was held out, where a measurement has few; that phi_h counts for nothing."""
+        notes, half = [], len(task.data["angles"]) // 2
+        if torch.equal(task.data["angles"][:half], task.data["angles"][half:]):
+            notes.append(f"all {half} samples are fitted, none is held out: the error is of these")
+        if "phi_h" in task.data and not self.anisotropic:
+            notes.append("anisotropic, fitted as isotropic: phi_h is left out; take metapp meta --recipe anisotropic")
+        return {"note": "; ".join(notes)} if notes else {}
 
     def errors_of(self, answer: Tensor, tasks: Tasks) -> dict[str, Tensor]:
         """Of reflectance [T, 3, M] at the held-out samples, linear RGB in 1/sr, >= 0."""
@@ -159,7 +175,12 @@ class Brdf(App):
         return {"error": (torch.log1p(answer * cos) - target).abs().mean((1, 2))}
 
     def evaluated(self, theta: Params, task: Task) -> Task:
-        """The fit's own reflectance at the task's angles, all over the hemisphere where it has few."""
+        """The fit's own reflectance at the task's angles, all over the hemisphere where it has few.
+
+        Raises:
+            ValueError: the fit is anisotropic.
+        """
+        self.require_isotropic(task.name, "the NBRDF network")
         angles = task.data["angles"]
         if len(angles) <= 2 * MOST:
             angles = design.spread_angles(SAMPLES)
@@ -170,21 +191,35 @@ class Brdf(App):
 
         Args:
             theta: parameters of one task, no task axis.
-            angles: (theta_h, theta_d, phi_d), [..., 3] rad.
+            angles: (theta_h, theta_d, phi_d), and phi_h, which is 0 without, [..., 3 or 4] rad.
 
         Returns:
-            Linear RGB in 1/sr, [..., 3], >= 0.
+            Linear RGB in 1/sr, [..., 3], >= 0; of an isotropic network whatever phi_h is.
         """
         one = {key: value[None] for key, value in theta.items()}
-        return network(one, _where(angles.reshape(-1, 3)).T[None]).clamp_min(0)[0].T.reshape(*angles.shape[:-1], 3)
+        flat = angles.reshape(-1, angles.shape[-1])
+        where = _where(flat if TURN in theta else flat[:, :3])
+        return network(one, where.T[None]).clamp_min(0)[0].T.reshape(*angles.shape[:-1], 3)
+
+    def require_isotropic(self, subject: str | Path, form: str) -> None:
+        """Refuse to write a fit in a form that has no phi_h.
+
+        Raises:
+            ValueError: the fit is anisotropic.
+        """
+        if self.anisotropic:
+            raise ValueError(
+                f"{subject}: an anisotropic fit, expected an isotropic one: {form} has no phi_h; export bsdf or "
+                "mitsuba, or fit by --recipe full."
+            )
 
 
 def _where(angles: Tensor) -> Tensor:
-    """Half vector, difference vector and cos theta_i, [N, 7], of angles [N, 3] in rad."""
+    """Half vector, difference vector and cos theta_i, [N, 7], of angles [N, 3 or 4] in rad."""
     where = angles.new_empty(len(angles), 7)
     where[:, :6] = half_difference(angles)
-    half_x, _, half_z, x, _, z, cosine = where.unbind(1)
-    cosine[:] = z * half_z - x * half_x
+    half_x, half_y, half_z, x, _, z, cosine = where.unbind(1)
+    cosine[:] = z * half_z - x * (half_x if angles.shape[1] == 3 else torch.hypot(half_x, half_y))
     return where
 
 

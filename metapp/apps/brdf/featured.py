@@ -14,11 +14,13 @@ import torch
 from torch import Generator, Tensor
 from torch.nn.functional import silu
 
+from metapp.apps.brdf import anisotropic
 from metapp.apps.brdf.nbrdf import read_set, set_encoder
 from metapp.learning.task import Batch, Linear, Params
 from metapp.networks.coded import encoder_of, reader_of, with_decoder
 
 INPUTS = 15
+TURN = "turn"  # of an anisotropic material, its own: the azimuth of its axes
 
 
 class Featured(NamedTuple):
@@ -30,6 +32,7 @@ class Featured(NamedTuple):
         code: numbers of the code.
         encoder: width of the set encoder.
         measured: whether it learns from samples as measurements have them, with noise and gaps.
+        anisotropic: whether it reads phi_h, in axes that it finds in the samples (`metapp.apps.brdf.anisotropic`).
     """
 
     width: int = 96
@@ -37,15 +40,21 @@ class Featured(NamedTuple):
     code: int = 12
     encoder: int = 64
     measured: bool = False
+    anisotropic: bool = False
+
+    @property
+    def inputs(self) -> int:
+        """How many numbers of a pair of directions it reads."""
+        return anisotropic.INPUTS if self.anisotropic else INPUTS
 
     @property
     def own(self) -> tuple[str, ...]:
         """What a material does not share with others."""
-        return ("z", "last")
+        return ("z", "last", TURN) if self.anisotropic else ("z", "last")
 
     def init(self, rng: Generator, count: int) -> Params:
         """Random weights, the same for all but for the code: 0."""
-        sizes = {"w1": (self.width, INPUTS), "w2": (self.width, self.width), "w3": (self.features, self.width)}
+        sizes = {"w1": (self.width, self.inputs), "w2": (self.width, self.width), "w3": (self.features, self.width)}
         theta = {}
         for name, (rows, columns) in sizes.items():
             noise = torch.randn(count, rows, columns, generator=rng, device=rng.device)
@@ -55,19 +64,27 @@ class Featured(NamedTuple):
             noise = torch.randn(count, 2 * self.width, self.code, generator=rng, device=rng.device)
             theta[name] = noise * 0.1 / math.sqrt(self.code)
         theta["z"] = torch.zeros(count, self.code, 1, device=rng.device)
+        if self.anisotropic:
+            theta[TURN] = torch.zeros(count, 1, device=rng.device)
         return theta | {"last": torch.zeros(count, 3, self.features + 1, device=rng.device)}
 
     def init_encoder(self, rng: Generator) -> Params:
         """A set encoder to a code and a last layer, and the weights that all materials share."""
         numbers = self.code + 3 * (self.features + 1)
-        reader = set_encoder(rng, INPUTS + 3, self.encoder, numbers)
+        reader = set_encoder(rng, self.inputs + 3, self.encoder, numbers)
         return encoder_of(reader, self.init(rng, 1), self.own)
 
     def encode(self, encoder: Params, condition: Batch) -> Params:
         """A code and a last layer from samples, beside the shared weights."""
-        samples = torch.cat([inputs_of(condition["where"]), condition["target"]], 1).transpose(1, 2)
+        own = {TURN: anisotropic.axes_of(condition)} if self.anisotropic else {}
+        samples = torch.cat([read_by(own, condition["where"]), condition["target"]], 1).transpose(1, 2)
         z, last = read_set(reader_of(encoder), samples).split([self.code, 3 * (self.features + 1)], 1)
-        return with_decoder({"z": z[..., None], "last": last.reshape(len(last), 3, -1)}, encoder)
+        return with_decoder(own | {"z": z[..., None], "last": last.reshape(len(last), 3, -1)}, encoder)
+
+
+def read_by(theta: Params, where: Tensor) -> Tensor:
+    """What a network reads [T, inputs, N] of half vector, difference vector and cos theta_i, [T, 7, N]."""
+    return anisotropic.inputs_of(where, theta[TURN]) if TURN in theta else inputs_of(where)
 
 
 def inputs_of(where: Tensor) -> Tensor:
@@ -93,7 +110,7 @@ def outgoing_cosine(where: Tensor) -> Tensor:
 
 def features_of(theta: Params, where: Tensor) -> Tensor:
     """Features [T, F, N] of half vector, difference vector and cos theta_i, [T, 7, N]; the last one is 1."""
-    x = inputs_of(where)
+    x = read_by(theta, where)
     for layer in (1, 2):
         gain, shift = (theta[f"film{layer}"] @ theta["z"]).chunk(2, 1)
         weights, bias = theta[f"w{layer}"] * (1 + gain), theta[f"b{layer}"] * (1 + gain) + shift

@@ -25,7 +25,8 @@ class BrdfPresentation(Presentation[Brdf]):
 
     def outputs(self, theta: Params, task: Task) -> dict[str, Any]:
         """The sphere, on black with coverage."""
-        fit = shade_sphere(reference_scene(), functools.partial(self.app.reflectance, theta))
+        scene = reference_scene(azimuths=True) if "phi_h" in task.data else reference_scene()
+        fit = shade_sphere(scene, functools.partial(self.app.reflectance, theta))
         return {"reference": task.data["render"], "fit": fit}
 
     def image_errors(self, fits: Mapping[str, Fitted], task: Task) -> dict[str, dict[str, float]]:
@@ -35,7 +36,7 @@ class BrdfPresentation(Presentation[Brdf]):
         """
         if "environment" not in task.data:
             return {}
-        scene, measured = environment_scene(), {}
+        scene, measured = environment_scene(azimuths="phi_h" in task.data), {}
         reference = _display(task.data["environment"])
         for name, fit in fits.items():
             picture = _display(shade_sphere(scene, functools.partial(self.app.reflectance, fit.theta)))

@@ -82,6 +82,13 @@ FEW = replace(
         )
     },
 )
+# for materials whose reflectance depends on phi_h, too, which takes more features; one network for all paradigms
+AZIMUTHS = Featured(features=96, code=16, anisotropic=True)
+ANISOTROPIC = replace(
+    FULL,
+    meta={"ridge": replace(RIDGE, steps=4_000, warmup=50, validate_every=100, setup=AZIMUTHS)},
+    setup=AZIMUTHS,
+)
 
 # Fischer & Ritschel 2022, section 4.1.2 and supplement: 10 inner steps of 512 samples, MAML with Meta-SGD from
 # alpha = 1e-3, outer Adam at 1e-4 with weight decay 1e-6, a random initialisation
@@ -104,4 +111,6 @@ PAPER = replace(
     rule="meta-sgd",
 )
 
-RECIPES = {"": {"paper": PAPER, "quick": QUICK, "full": FULL, "measured": MEASURED, "few": FEW}}
+RECIPES = {
+    "": {"paper": PAPER, "quick": QUICK, "full": FULL, "measured": MEASURED, "few": FEW, "anisotropic": ANISOTROPIC}
+}

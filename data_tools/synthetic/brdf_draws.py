@@ -1,0 +1,81 @@
+"""What the materials of both synthetic BRDF sets, isotropic and anisotropic ones, are drawn with."""
+
+from __future__ import annotations
+
+import colorsys
+from collections.abc import Callable
+from typing import Literal, NamedTuple
+
+import numpy as np
+from torch import Tensor
+
+from data_tools.synthetic.brdf_models import Rgb
+from metapp.appearance.reflection import MicrofacetKind
+
+Split = Literal["train", "test"]
+COUNTS: dict[Split, int] = {"train": 80, "test": 20}
+
+
+class Material(NamedTuple):
+    """One material.
+
+    Attributes:
+        name: family, what it is, and a number that is unique within the split ("t" before it: test).
+        evaluate: BRDF [..., 3] in 1/sr, linear RGB, >= 0, of angles [..., 3] in rad; 0 below the horizon.
+    """
+
+    name: str
+    evaluate: Callable[[Tensor], Tensor]
+
+
+class Draws:
+    """Uniform numbers of one material: the first three spread evenly over its family, the others independent."""
+
+    def __init__(self, split: Split, seed: int, family: int, member: int) -> None:
+        key = [seed, list(COUNTS).index(split), family]
+        shift = np.random.Generator(np.random.PCG64(np.random.SeedSequence(key))).random(3)
+        # Kronecker sequences: the golden ratio for the hue, for the others its kin in the plane (Roberts 2018).
+        spread = (shift + member * np.array([0.6180339887498949, 0.7548776662466927, 0.5698402909980532])) % 1
+        self.hue, self.roughness, self.lightness = (float(value) for value in spread)
+        self._rest = np.random.Generator(np.random.PCG64(np.random.SeedSequence([*key, member])))
+
+    def between(self, low: float, high: float) -> float:
+        """A number, evenly between two."""
+        return low + (high - low) * float(self._rest.random())
+
+    def chance(self, probability: float) -> bool:
+        """True this often."""
+        return float(self._rest.random()) < probability
+
+    def alpha(self, low: float, high: float) -> float:
+        """Roughness, evenly spread over its logarithm."""
+        result: float = low * (high / low) ** self.roughness
+        return result
+
+    def kind(self) -> MicrofacetKind:
+        """GGX twice as often as Beckmann."""
+        return "ggx" if self.chance(0.65) else "beckmann"
+
+    def colour(self, darkest: float = 0.03, brightest: float = 0.9, saturation: tuple[float, float] = (0.1, 1)) -> Rgb:
+        """A linear RGB albedo: this material's hue, its brightest channel between the two given."""
+        srgb_value = (darkest ** (1 / 2.2)) + (brightest ** (1 / 2.2) - darkest ** (1 / 2.2)) * self.lightness
+        depth = self.between(*saturation) * (0.15 if self.chance(0.15) else 1.0)  # some are all but neutral
+        red, green, blue = (channel**2.2 for channel in colorsys.hsv_to_rgb(self.hue, depth, srgb_value))
+        return red, green, blue
+
+
+def colour_name(linear_rgb: Rgb) -> str:
+    """What to call a colour: a hue, or black, grey or white."""
+    hue, saturation, value = colorsys.rgb_to_hsv(*(channel ** (1 / 2.2) for channel in linear_rgb))
+    if value < 0.22:
+        return "black"
+    if saturation < 0.2:
+        return "white" if value > 0.85 else "grey"
+    names = ("red", "orange", "yellow", "lime", "green", "teal", "cyan", "azure", "blue", "violet", "magenta", "rose")
+    name = names[round(hue * 12) % 12]
+    return "brown" if name in ("red", "orange") and value < 0.6 and saturation > 0.3 else name
+
+
+def roughness_name(alpha: float) -> str:
+    """What to call a roughness."""
+    return "polished" if alpha < 0.07 else "satin" if alpha < 0.16 else "brushed" if alpha < 0.32 else "rough"

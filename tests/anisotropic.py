@@ -1,0 +1,57 @@
+"""An anisotropic material for tests, and a network that was solved for it."""
+
+from __future__ import annotations
+
+import functools
+
+import torch
+from torch import Tensor
+
+from data_tools.readers.brdf_task import brdf_task
+from data_tools.synthetic.brdf_anisotropic import turned
+from data_tools.synthetic.brdf_anisotropic_models import Roughness, facets
+from metapp.appearance.geometry import above_horizon, rusinkiewicz_to_directions
+from metapp.apps.brdf import Brdf
+from metapp.apps.brdf.anisotropic import axes_of
+from metapp.apps.brdf.featured import features_of
+from metapp.apps.brdf.recipes import ANISOTROPIC
+from metapp.learning.app import stack
+from metapp.learning.task import Params, Task
+
+TURN = 0.7  # rad, azimuth of the axis along which the highlight reaches farthest
+ROUGHNESS = Roughness(0.4, 0.12)
+APP = Brdf(ANISOTROPIC.meta["ridge"].setup)
+COLOUR = (0.9, 0.6, 0.3)
+
+
+def brushed_directions(wi: Tensor, wo: Tensor) -> Tensor:
+    """GGX of two roughnesses, turned, on a diffuse body: [..., 3] in 1/sr of unit vectors above the surface."""
+    lobe = turned(facets(ROUGHNESS, lambda cos: cos * 0 + cos.new_tensor(COLOUR)), TURN)
+    return lobe(wi, wo) + wi.new_tensor([0.02, 0.03, 0.05])
+
+
+def brushed(angles: Tensor) -> Tensor:
+    """The same of angles [..., 4] in rad, 0 below the horizon."""
+    wi, wo = rusinkiewicz_to_directions(angles.double())
+    return torch.where(above_horizon(angles)[..., None], brushed_directions(wi, wo), 0.0).to(angles)
+
+
+@functools.cache
+def task(samples: int = 16_384) -> Task:
+    """The material as a task."""
+    return brdf_task("brushed", brushed, samples, azimuths=True)
+
+
+@functools.cache
+def fitted() -> Params:
+    """A network with random features, of which the last layer was solved for the material; without a task axis."""
+    tasks = stack(APP, [task()])
+    theta = APP.init(torch.Generator().manual_seed(0), 1)
+    batch = APP.sample(tasks, torch.Generator().manual_seed(1), 4096)
+    theta["turn"] = axes_of(batch)
+    features = features_of(theta, batch["where"]).double()
+    cos = batch["where"][:, 6:7]
+    target = torch.log1p(torch.expm1(batch["target"]) / cos.clamp_min(0.05)).double()
+    gram = features @ features.mT + 0.1 * torch.eye(features.shape[1], dtype=torch.float64)
+    theta["last"] = torch.linalg.solve(gram, features @ target.mT).mT.float()
+    return {key: value[0].detach() for key, value in theta.items()}

@@ -1,0 +1,223 @@
+"""Anisotropic BRDFs: what is read, what is fitted, what is refused."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+import metapp as package
+from data_tools.readers import gonio, rgl
+from data_tools.readers.brdf_objects import from_object
+from data_tools.readers.brdf_task import as_measured, brdf_task, is_anisotropic
+from data_tools.synthetic.brdf import synthetic_materials
+from data_tools.synthetic.brdf_anisotropic import UNSEEN, anisotropic_materials
+from data_tools.synthetic.brdf_anisotropic_models import albedo
+from metapp.appearance.geometry import (
+    directions_to_four_angles,
+    directions_to_full_circle,
+    half_difference,
+    rusinkiewicz_to_directions,
+)
+from metapp.apps.brdf import Brdf
+from metapp.apps.brdf.anisotropic import axes_of, inputs_of, turned
+from metapp.baselines import anisotropic_lobes
+from metapp.learning.app import stack
+from metapp.learning.task import Task
+from tests import anisotropic
+from tests.anisotropic import APP, TURN, brushed, brushed_directions
+
+pytestmark = pytest.mark.usefixtures("small_spheres")
+
+
+def directions(count: int, seed: int) -> Tensor:
+    """Unit vectors above the surface, float64."""
+    vectors = torch.randn(count, 3, dtype=torch.float64, generator=torch.Generator().manual_seed(seed))
+    vectors[:, 2] = vectors[:, 2].abs() + 0.05
+    return vectors / vectors.norm(dim=1, keepdim=True)
+
+
+def test_four_angles_give_the_directions_back() -> None:
+    wi, wo = directions(1000, 0), directions(1000, 1)
+    angles = directions_to_four_angles(wi, wo)
+    for found, expected in zip(rusinkiewicz_to_directions(angles), (wi, wo), strict=True):
+        torch.testing.assert_close(found, expected, rtol=0, atol=1e-9)
+    torch.testing.assert_close(angles[:, :3], directions_to_full_circle(wi, wo))
+    total = wi + wo
+    torch.testing.assert_close(half_difference(angles)[:, :3], total / total.norm(dim=1, keepdim=True))
+    up = torch.tensor([[0.0, 0.0, 1.0]])
+    assert directions_to_four_angles(up, up)[0, 3] == 0
+
+
+def test_inputs_are_those_of_light_and_viewer_exchanged_and_turn_with_the_material() -> None:
+    wi, wo = directions(1000, 0), directions(1000, 1)
+    where, exchanged = (
+        APP.prepare(task_at(directions_to_four_angles(*pair)))["where"] for pair in ((wi, wo), (wo, wi))
+    )
+    turn, none = torch.full((1, 1), 0.4), torch.zeros(1, 1)
+    first = inputs_of(where.T[None], none)
+    torch.testing.assert_close(first, inputs_of(exchanged.T[None], none), rtol=1e-3, atol=1e-4)
+    around = turned(where[None], turn).transpose(1, 2)
+    torch.testing.assert_close(first, inputs_of(around, turn), rtol=1e-3, atol=1e-4)
+    assert float((first - inputs_of(around, none)).abs().max()) > 0.1
+
+
+def task_at(angles: Tensor) -> Task:
+    angles = angles.float()
+    data = {"angles": angles[:, :3], "phi_h": angles[:, 3], "reflectance": brushed(angles)}
+    return Task("brushed", data)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_axes_are_found_in_samples(seed: int) -> None:
+    batch = APP.sample(stack(APP, [anisotropic.task()]), torch.Generator().manual_seed(seed), 1024)
+    assert float(axes_of(batch)) == pytest.approx(TURN, abs=0.05)
+
+
+def test_a_fit_is_reciprocal_finite_and_nearer_than_any_isotropic_one() -> None:
+    theta, wi, wo = anisotropic.fitted(), directions(2000, 0), directions(2000, 1)
+    there, back = (APP.reflectance(theta, directions_to_four_angles(*pair).float()) for pair in ((wi, wo), (wo, wi)))
+    torch.testing.assert_close(there, back, rtol=1e-3, atol=1e-4)
+    assert there.isfinite().all()
+    with torch.no_grad():
+        own = albedo(
+            lambda *pair: APP.reflectance(theta, directions_to_four_angles(*pair).float()).double(), wi[:4], 24
+        )
+    assert own.max() < 1
+    tasks = stack(APP, [anisotropic.task()])
+    error = float(APP.errors({key: value[None] for key, value in theta.items()}, tasks)["error"])
+    where, target = tasks.data["where"][0], tasks.data["target"][0]
+    # the mean over phi_h is about the best that is isotropic: what remains is how far samples are from it
+    near = torch.cdist(where[:2000, [2, 3, 4, 5]], where[:2000, [2, 3, 4, 5]]).topk(20, largest=False).indices
+    spread = float((target[:2000][near].median(1).values - target[:2000]).abs().mean())
+    assert error < 0.6 * spread
+
+
+def test_anisotropic_ggx_is_found_by_its_baseline() -> None:
+    prepared = APP.prepare(anisotropic.task())
+    numbers = anisotropic_lobes.fit(prepared["where"][:2048], prepared["target"][:2048], 1)
+    first, second, turn = numbers[3:6].tolist()
+    found = sorted([(math.exp(first), turn), (math.exp(second), turn + math.pi / 2)], reverse=True)
+    assert found[0][0] == pytest.approx(0.4, rel=0.1)
+    assert found[1][0] == pytest.approx(0.12, rel=0.1)
+    assert math.sin(found[0][1] - TURN) == pytest.approx(0, abs=0.03)
+
+
+def test_synthetic_materials_are_reciprocal_and_lose_energy() -> None:
+    wi, wo = directions(200, 0), directions(200, 1)
+    for material in anisotropic_materials("test", 7):
+
+        def value(*pair: Tensor) -> Tensor:
+            return material.evaluate(directions_to_four_angles(*pair))  # noqa: B023
+
+        torch.testing.assert_close(value(wi, wo), value(wo, wi), rtol=1e-6, atol=1e-9)
+        assert value(wi, wo).min() >= 0
+        assert albedo(value, wi[:3], 64).max() < 1.01
+        assert is_anisotropic(material.evaluate)
+    names = [{each.name.split("-")[0] for each in anisotropic_materials(split, 14)} for split in ("train", "test")]
+    assert names[1] - names[0] == set(UNSEEN)
+    assert not any(is_anisotropic(each.evaluate) for each in synthetic_materials("test", 8))
+
+
+def test_objects_say_by_themselves_whether_phi_h_counts() -> None:
+    def function(wi: np.ndarray, wo: np.ndarray) -> Tensor:
+        return brushed_directions(*(torch.from_numpy(each).double() for each in (wi, wo)))
+
+    task = from_object(function, "f")
+    assert task.data["phi_h"].shape == (65_536,)
+    four = torch.cat([task.data["angles"], task.data["phi_h"][:, None]], 1)
+    torch.testing.assert_close(task.data["reflectance"], brushed(four), rtol=1e-3, atol=1e-5)
+    assert "phi_h" not in from_object(lambda wi, wo: 0.1 + 0 * wi, "lambert").data
+
+
+def test_noise_moves_all_angles_of_a_sample() -> None:
+    task = as_measured(anisotropic.task(), 0, samples=100)
+    four = torch.cat([task.data["angles"], task.data["phi_h"][:, None]], 1)
+    torch.testing.assert_close(task.data["reflectance"], brushed(four), rtol=1e-4, atol=1e-6)
+
+
+def table(path: Path, count: int, *, turn: bool, anisotropic: bool = True) -> Path:
+    """A goniometer's table of the material, or of one without azimuth."""
+    wi, wo = directions(count, 3), directions(count, 4)
+    near = wi * torch.tensor([-1.0, -1.0, 1.0]) + 0.4 * directions(count, 5)
+    wo[::2] = (near / near.norm(dim=1, keepdim=True))[::2]
+    values = brushed_directions(wi, wo)
+    if not anisotropic:
+        angles = directions_to_four_angles(wi, wo)
+        angles[:, 3] = 0
+        values = brushed(angles)
+    noise = torch.exp(0.05 * torch.randn(values.shape, generator=torch.Generator().manual_seed(0)))
+    rows = torch.cat([*(part for each in (wi, wo) for part in spherical(each)), values * noise], 1)
+    head = "theta_i_rad,phi_i_rad,theta_o_rad,phi_o_rad,r,g,b"
+    path.write_text("\n".join([head, *(",".join(f"{value:.9g}" for value in row) for row in rows.tolist())]))
+    return path
+
+
+def spherical(directions: Tensor) -> tuple[Tensor, Tensor]:
+    return directions[:, 2:].clamp(-1, 1).acos(), torch.atan2(directions[:, 1:2], directions[:, :1])
+
+
+@pytest.mark.parametrize("count", [500, 4000])
+def test_goniometer_tables_keep_phi_h_where_it_counts(tmp_path: Path, count: int) -> None:
+    task = gonio.read_task(table(tmp_path / "a.csv", count, turn=True))
+    four = torch.cat([task.data["angles"], task.data["phi_h"][:, None]], 1)
+    ratio = task.data["reflectance"] / brushed(four)
+    assert float((ratio.log().std() - 0.05).abs()) < 0.01
+    assert gonio.is_anisotropic(tmp_path)
+    task = gonio.read_task(table(tmp_path / "a.csv", count, turn=True, anisotropic=False))
+    assert "phi_h" not in task.data
+    assert not gonio.is_anisotropic(tmp_path / "a.csv")
+
+
+def test_a_recipe_of_its_own_is_chosen_and_others_say_what_they_leave_out(
+    metapp: Callable, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = table(tmp_path / "brushed.csv", 4000, turn=True)
+    fitted = metapp("meta", "brdf", file, "--out", tmp_path / "runs", "--json")
+    assert "recipe anisotropic, since every input has reflectance that depends on phi_h" in fitted.err
+    plain = metapp("meta", "brdf", file, "--out", tmp_path / "runs", "--json", "--recipe", "full")
+    assert fitted.done["error"] < 0.7 * plain.done["error"]
+    assert "fitted as isotropic: phi_h is left out" in plain.err
+    general = metapp("general", "brdf", file, "--out", tmp_path / "runs", "--json")  # has no checkpoint for it
+    assert "phi_h is left out" in general.err
+    assert general.done["error"] > fitted.done["error"]
+    other = table(tmp_path / "plain.csv", 500, turn=True, anisotropic=False)
+    both = metapp("meta", "brdf", file, other, "--out", tmp_path / "runs")
+    assert "plain.csv has not, and recipes for these differ" in both.misuse.replace("\n", "")
+
+
+def test_forms_without_phi_h_are_refused_in_one_line(metapp: Callable, tmp_path: Path) -> None:
+    file = table(tmp_path / "brushed.csv", 1000, turn=True)
+    metapp("meta", "brdf", file, "--out", tmp_path / "runs", "--quiet")
+    (run,) = (tmp_path / "runs" / "brdf" / "meta").iterdir()
+    for form, words in (("merl", "a MERL table has no phi_h"), ("nbrdf", "the NBRDF network has no phi_h")):
+        refused = metapp("export", run, form, file)
+        assert words in refused.error
+        assert "export bsdf or mitsuba" in refused.error
+    merl = metapp("data", "synth", "brdf", "--anisotropic", "--as", "merl", "--out", tmp_path / "merl")
+    assert merl.code == 2
+    assert metapp("data", "synth", "texture", "--anisotropic", "--out", tmp_path / "x").code == 1
+
+
+def test_isotropic_tasks_are_fitted_at_random_azimuths() -> None:
+    task = brdf_task("plain", lambda angles: 0.1 + 0 * angles[..., :3], 256)
+    where = APP.prepare(task)["where"]
+    assert float(where[:, 1].abs().max()) > 0.1
+    torch.testing.assert_close(where[:, 6], Brdf().prepare(task)["where"][:, 6], rtol=0, atol=1e-5)
+
+
+def test_anisotropic_rgl_files_of_damaged_headers_say_nothing(tmp_path: Path) -> None:
+    (tmp_path / "a.bsdf").write_bytes(b"tensor_file\0")
+    assert not rgl.is_anisotropic(tmp_path)
+
+
+def test_a_callable_is_fitted_with_the_anisotropic_recipe() -> None:
+    fit = package.fit("brdf", lambda wi, wo: brushed_directions(torch.from_numpy(wi).double(), torch.from_numpy(wo)))
+    assert fit.settings["recipe"] == "anisotropic"
+    assert "turn" in fit.parameters
+    assert {value.shape[-1] for value in fit.pictures().values()} == {4}
