@@ -11,7 +11,7 @@ SEEDS ?= 0 1 2
 # small networks run many times slower where threads fight over them
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: help setup demo test test-long test-slow mutants lint types docs bench bench-size bench-growth bench-samples bench-photo guiding tables rules figures report paper torture torture-quick real real-photos \
+.PHONY: help setup demo test test-long test-slow mutants lint types docs bench bench-size bench-growth bench-samples bench-plan bench-photo guiding tables rules figures report paper torture torture-quick real real-photos \
   real-illumination real-svbrdf checkpoints-brdf checkpoints-photos checkpoints-illumination checkpoints-svbrdf \
   checkpoints-transport clean
 
@@ -79,6 +79,9 @@ bench-growth: setup  ## growth of time and memory with steps, tasks and samples;
 # these two of the embedded data set, unless DATA is given
 bench-samples: setup  ## errors of BRDF fits by number of samples, a table and a figure; DATA=<data set of brdf>
 	$(VENV)/bin/python -m tests.benchmarks.bench_samples $(if $(filter file,$(origin DATA)),,"$(DATA)")
+
+bench-plan: setup  ## errors of BRDF fits of planned samples; DATA=<data set> NETWORKS=<folder it was made of> NOISE=0
+	$(VENV)/bin/python -m tests.benchmarks.bench_plan "$(DATA)" $(or $(NOISE),0) $(NETWORKS)
 
 bench-photo: setup  ## what a flash photo holds beyond what General reads from it; DATA=<data set of svbrdf_nonstationary>
 	$(VENV)/bin/python -m tests.benchmarks.bench_flash_photo $(if $(filter file,$(origin DATA)),,"$(DATA)")

@@ -16,8 +16,22 @@ for rule in meta-sgd meta-adam ridge; do
 done
 folder=$(ls -td "$runs"/brdf/checkpoints/joint-*-quick-seed0 | head -1)
 cp -v "$folder"/{general,quickft,meta-sgd,meta-adam,meta-curvature,ridge}.safetensors metapp/checkpoints/brdf/
-# anisotropic materials have a recipe of their own
+# ridge goes on with RGL networks, too: not those whose measurements judge it, nor every fifth of the others
+networks=() number=0
+for network in "$data"/nbrdf/rgl/*; do
+  [ -f "$data/rgl/$(basename "$network").bsdf" ] && continue
+  number=$((number + 1))
+  [ $((number % 5)) = 0 ] || networks+=("$network")
+done
+"$metapp" data nbrdf "${networks[@]}" --split train --out "$runs/data/nbrdf-rgl"
+"$metapp" data join "$runs/data/joint" "$runs/data/nbrdf-rgl" --out "$runs/data/three"
+"$metapp" meta brdf --recipe quick --rule ridge --data "$runs/data/three" --out "$runs" --train --train-steps 13000 \
+  --checkpoint metapp/checkpoints/brdf/ridge.safetensors
+ship() { "$(dirname "$metapp")/python" tools/ship.py "$(ls -td "$runs"/brdf/checkpoints/$1 | head -1)" "metapp/checkpoints/brdf/$2"; }
+ship "three-*-quick-seed0" ""
+# few samples, and anisotropic materials, have recipes of their own
+"$metapp" meta brdf --recipe few --data "$runs/data/joint" --out "$runs" --train --train-steps 12000
+ship "joint-*-few-seed0" few
 "$metapp" data synth brdf --anisotropic --count 175 --out "$runs/data/anisotropic"
 "$metapp" meta brdf --recipe anisotropic --data "$runs/data/anisotropic" --out "$runs" --train
-folder=$(ls -td "$runs"/brdf/checkpoints/anisotropic-*-anisotropic-seed0 | head -1)
-"$(dirname "$metapp")/python" tools/ship.py "$folder" metapp/checkpoints/brdf/anisotropic
+ship "anisotropic-*-anisotropic-seed0" anisotropic
