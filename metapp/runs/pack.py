@@ -95,7 +95,7 @@ def pack(
         quiet: no progress.
 
     Raises:
-        ValueError: no run, records of several, or another checkpoint than that of the fits.
+        ValueError: no run, records of several, another checkpoint than that of the fits, or too few bits.
     """
     folder, records = read_run(run, {**FIT, "key": str, "settings": OF_FIT, "origin?": ORIGIN})
     if any(record["settings"] != records[0]["settings"] for record in records):
@@ -114,6 +114,9 @@ def pack(
         chosen = bits or _fewest_bits(fits, base, before, bar.name)
     steps = _in_steps(thetas, base, chosen)
     after = fits.errors(restored(steps, base))
+    for name, error in zip(names, after, strict=True):
+        if error is not None and not math.isfinite(error):
+            raise ValueError(f"{run}: {name}: no finite error at {chosen} bits a number; give more --bits, or none.")
     kept = [
         {"name": name, "error": now, "seconds": record["seconds"], "before": then}
         for name, record, now, then in zip(names, records, after, before, strict=True)

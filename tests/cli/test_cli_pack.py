@@ -115,7 +115,8 @@ def test_mitsuba_reads_what_was_unpacked(metapp: Callable, fitted: Callable) -> 
 def test_the_shared_network_is_not_in_the_file(metapp: Callable, fitted: Callable) -> None:
     """85,000 weights are those of the checkpoint, bit for bit, and cost next to nothing."""
     run = fitted("meta", "--rule", "ridge")
-    metapp("pack", run, "--out", "a.pack", "--bits", "2", "--quiet")
+    assert "no finite error at 2 bits a number; give more --bits" in metapp("pack", run, "--bits", "2", "-q").error
+    metapp("pack", run, "--out", "a.pack", "--bits", "4", "--quiet")
     assert Path("a.pack").stat().st_size < 2000
     assert metapp("unpack", "a.pack", "--quiet").code == 0
     ours, theirs = read_theta(Path("a"), "m0"), read_theta(run, "m0")
