@@ -13,6 +13,7 @@ from metapp.cli.console import out, print_json
 from metapp.cli.options import Json, takes
 from metapp.evaluation.tables import NAMES, STUDIES, load_table
 from metapp.runs.reporter import say
+from metapp.storage.text import meant
 
 if TYPE_CHECKING:
     from metapp.evaluation.cell import Cell
@@ -135,7 +136,7 @@ def check(options: Evaluation) -> Evaluation:
     )
     for option, value, known in (("--which", options.which, WHICH), ("--format", options.form, FORMATS)):
         if value not in known:
-            raise typer.BadParameter(f"{option} '{value}': expected one of {', '.join(known)}.")
+            raise typer.BadParameter(f"{option} '{value}': expected one of {', '.join(known)}.{meant(value, known)}")
     of_studies: dict[str, object] = {
         "--steps": options.steps,
         "--train-steps": options.train_steps,

@@ -22,6 +22,7 @@ from metapp.runs.naming import name_of
 from metapp.runs.reporter import say
 from metapp.runs.request import Request
 from metapp.storage.manifest import read_manifest
+from metapp.storage.text import meant
 
 QUICK, FULL = "quick", "full"
 
@@ -145,7 +146,9 @@ def _is_set_of(own: OwnRecipe, data: Path | None) -> bool:
 def check_name(app: str) -> None:
     """A usage error that lists the applications where there is none of that name."""
     if app not in app_names():
-        raise BadOption(f"'{app}' is not an application; expected one of {', '.join(app_names())}.")
+        raise BadOption(
+            f"'{app}' is not an application; expected one of {', '.join(app_names())}.{meant(app, app_names())}"
+        )
 
 
 def check_protocol(protocol: str, app: str) -> None:

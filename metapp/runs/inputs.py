@@ -187,7 +187,8 @@ def _found(app: App, path: Path, request: Request) -> Iterator[tuple[list[Path],
     readers = [form for form in known if form.recognises(path)]
     if not readers:
         expected = ", ".join(form.inputs for form in known)
-        raise ValueError(f"{path}: not an input of {app.name}, expected {expected}, or a folder of these.")
+        remedy = "; of a fit, metapp export takes the run's folder" if path.suffix == ".safetensors" else ""
+        raise ValueError(f"{path}: not an input of {app.name}, expected {expected}, or a folder of these{remedy}.")
     for form in readers:
         places, skipped = form.find([path])
         for line in skipped if len(readers) == 1 else ():

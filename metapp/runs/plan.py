@@ -29,6 +29,7 @@ from metapp.runs.naming import observe_of
 from metapp.runs.request import Request, portion_of, seconds_of, time_text
 from metapp.runs.surroundings import find_device, machine, precision_of, versions
 from metapp.storage import Document
+from metapp.storage.text import meant
 
 
 class Checkpoint(NamedTuple):
@@ -159,7 +160,7 @@ def plan(request: Request) -> Plan:
     recipes = recipes_of(request.app, request.observe)
     name = request.recipe or default_recipe(request)
     if name not in recipes:
-        raise BadOption(f"--recipe '{name}': expected one of {', '.join(recipes)}.")
+        raise BadOption(f"--recipe '{name}': expected one of {', '.join(recipes)}.{meant(name, recipes)}")
     recipe = check_detail(request, name, recipes[name])
     rule = check_rule(request, recipe)
     app = app_of(request.app, recipe, request.observe, rule=rule if paradigm.name == "meta" else "")

@@ -2,10 +2,18 @@
 
 from __future__ import annotations
 
+import difflib
 import os
 import re
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
+
+
+def meant(word: str, names: Iterable[str]) -> str:
+    """A question after an error about a word that is none of these names, where one is like it; else ""."""
+    near = difflib.get_close_matches(word, list(names), 1)
+    return f" Did you mean '{near[0]}'?" if near else ""
 
 
 def as_text(value: Any) -> Any:

@@ -376,3 +376,22 @@ def test_a_fit_imports_neither_libraries_of_figures_nor_of_baselines_and_ends_qu
 
 def test_the_version_is_said(metapp: Callable) -> None:
     assert metapp("--version").out == f"metapp {__version__}\n"
+
+
+@pytest.mark.parametrize(
+    ("words", "near"),
+    [
+        (("meta", "brfd"), "'brdf'"),
+        (("meta", "brdf", "--recipe", "ful"), "'full'"),
+        (("evaluate", "--which", "quikft"), "'quickft'"),
+    ],
+)
+def test_a_name_that_is_nearly_right_is_suggested(metapp: Callable, words: tuple[str, ...], near: str) -> None:
+    assert f"Did you mean {near}?" in metapp(*words).misuse
+    assert "Did you mean" not in metapp(*words[:-1], "zzzz").misuse
+
+
+def test_a_fit_is_no_input_and_what_takes_it_is_said(metapp: Callable, tmp_path: Path) -> None:
+    file = tmp_path / "fit.safetensors"
+    file.write_bytes(b"")
+    assert "metapp export takes the run's folder" in metapp("meta", "brdf", file).error
