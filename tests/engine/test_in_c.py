@@ -215,13 +215,16 @@ def test_what_is_not_in_c_is_left_to_torch() -> None:
 # What is compiled
 
 
-def process(cache: Path, found: bool = True, **environment: str) -> ForkServerProcess:
-    """A process that loads the functions of a source, and fails where they were to be had or not against `found`.
+@pytest.fixture
+def source(tmp_path: Path) -> Path:
+    """A small source: those of the network take seconds to compile, and tests above have compiled them."""
+    path = tmp_path / "seven.c"
+    path.write_text("int seven(void) { return 7; }\n")
+    return path
 
-    The source is small: those of the network take seconds to compile, and tests above have compiled them.
-    """
-    source = cache.parent / "seven.c"
-    source.write_text("int seven(void) { return 7; }\n")
+
+def process(source: Path, cache: Path, found: bool = True, **environment: str) -> ForkServerProcess:
+    """A process that loads the functions of a source, and fails where they were to be had or not against `found`."""
     return forks.start(
         forks.compiles, source, found, said=cache / "said", more={"METAPP_CACHE": str(cache), **environment}
     )
@@ -235,19 +238,19 @@ def codes(*processes: ForkServerProcess) -> list[int | None]:
 
 
 @needs_compiler
-def test_compiled_once_by_many_processes(tmp_path: Path) -> None:
+def test_compiled_once_by_many_processes(source: Path, tmp_path: Path) -> None:
     cache = tmp_path / "cache"
-    assert codes(*[process(cache) for _ in range(3)]) == [0, 0, 0]
+    assert codes(*[process(source, cache) for _ in range(3)]) == [0, 0, 0]
     (library,) = (cache / "native").glob("*.so")
     made = library.stat()
-    assert codes(process(cache, CC="/nonexistent/cc")) == [0]  # nothing is compiled again
+    assert codes(process(source, cache, CC="/nonexistent/cc")) == [0]  # nothing is compiled again
     assert library.stat() == made or library.stat().st_mtime_ns == made.st_mtime_ns
 
 
-def test_without_a_compiler_or_with_a_broken_one(tmp_path: Path) -> None:
+def test_without_a_compiler_or_with_a_broken_one(source: Path, tmp_path: Path) -> None:
     for number, command in enumerate(("/nonexistent/cc", "false")):
         cache = tmp_path / str(number)
-        assert codes(process(cache, found=False, CC=command)) == [0]
+        assert codes(process(source, cache, found=False, CC=command)) == [0]
         assert not list(cache.rglob("*.so"))
 
 
