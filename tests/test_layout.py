@@ -17,7 +17,7 @@ from typer.testing import CliRunner
 
 from metapp.apps import app_names
 from metapp.cli.commands import app as cli
-from metapp.cli.fit import PART_NAMES, RULE_NAMES
+from metapp.cli.names import PART_NAMES, RULE_NAMES
 from metapp.learning.rules import PARTS, RULES
 from metapp.learning.rules.rule import SHORT
 
@@ -163,7 +163,7 @@ def test_the_walk_sees_what_it_should() -> None:
     assert "metapp.appearance.geometry" in imports("metapp.apps.brdf")
 
 
-@pytest.mark.parametrize("arguments", [[], ["data"]])
+@pytest.mark.parametrize("arguments", [[], ["data"], ["meta", "brdf"]])
 def test_help_answers_at_once(arguments: list[str]) -> None:
     lines = "import sys\nfrom metapp.cli import main\ntry:\n    main()\nfinally:\n"
     lines += "    print({'torch', 'mitsuba', 'colour', 'matplotlib', 'numpy', 'scipy'} & sys.modules.keys())"
@@ -180,8 +180,8 @@ def test_help_names_all_applications(command: str) -> None:
 
 
 def test_help_names_all_rules() -> None:
-    assert sorted(RULE_NAMES.split(", ")) == sorted(RULES)
-    assert PART_NAMES.split(", ") == [*SHORT, *PARTS]
+    assert sorted(RULE_NAMES) == sorted(RULES)
+    assert [*SHORT, *PARTS] == list(PART_NAMES)
 
 
 def test_functions_and_classes_are_small() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -16,6 +17,16 @@ def linear_to_srgb(linear: Tensor) -> Tensor:
     """Linear values in [0, 1] to display values in [0, 1], of any shape."""
     low = linear * 12.92
     return torch.where(linear <= 0.0031308, low, 1.055 * linear.clamp_min(0.0031308) ** (1 / 2.4) - 0.055)
+
+
+def to_srgb(linear: Tensor | np.ndarray) -> np.ndarray:
+    """Linear RGB [H, W, 3] or, on black with coverage, [H, W, 4] to sRGB on white, in [0, 1] (IEC 61966-2-1)."""
+    image = np.asarray(linear, dtype=np.float64)
+    # composited after encoding, so that the rim stays as smooth as its coverage
+    coverage = image[..., 3:] if image.shape[-1] == 4 else np.ones_like(image[..., :1])
+    colour = np.clip(image[..., :3] / np.maximum(coverage, 1e-6), 0, 1)
+    result: np.ndarray = coverage * linear_to_srgb(torch.from_numpy(colour)).numpy() + (1 - coverage)
+    return result
 
 
 def tone_map(radiance: Tensor) -> Tensor:

@@ -137,6 +137,15 @@ def half_difference(angles: Tensor) -> Tensor:
     return vectors
 
 
+def half_difference_incident(angles: Tensor) -> Tensor:
+    """Half vector, difference vector and cos theta_i, [N, 7], of angles [N, 3 or 4] in rad."""
+    places, vectors = angles.new_empty(len(angles), 7), half_difference(angles)
+    half_x, half_y, half_z, x, _, z = vectors.unbind(1)
+    places[:, :6] = vectors
+    places[:, 6] = z * half_z - x * (half_x if angles.shape[1] == 3 else torch.hypot(half_x, half_y))
+    return places
+
+
 def cosines(angles: Tensor) -> Cosines:
     """The four cosines of half and difference angles [..., 3 or 4] in rad, without forming directions."""
     theta_h, theta_d, phi_d = angles[..., :3].unbind(-1)

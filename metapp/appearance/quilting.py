@@ -13,6 +13,12 @@ Origins = NDArray[np.intp]
 TOLERANCE = 0.1  # as published: blocks whose overlaps differ by so much more than the best one's are as good
 
 
+def block_of(exemplar: Picture) -> tuple[int, int]:
+    """Side of a block, a quarter of the exemplar [H, W, C], and of what neighbours share, in px."""
+    block = max(2, min(exemplar.shape[:2]) // 4)
+    return block, max(1, round(block / 6))
+
+
 def quilted(
     exemplar: Picture,
     size: tuple[int, int],

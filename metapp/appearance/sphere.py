@@ -12,6 +12,7 @@ from torch import Tensor
 
 from metapp.appearance import geometry
 from metapp.appearance.geometry import directions_to_four_angles, directions_to_rusinkiewicz, gauss_legendre
+from metapp.appearance.latlong import directions as latlong_directions
 from metapp.storage.tensors import kept
 
 _FOUR = "-phi_h"  # of names of scenes with phi_h
@@ -57,33 +58,41 @@ def _studio_lights() -> tuple[Tensor, Tensor]:
     return torch.cat([d for d, _, _ in lights]), torch.cat(power)
 
 
+def _ring_halves(rings: int, around: int) -> tuple[Tensor, Tensor]:
+    """Half vectors [M, 3] on rings about a normal, dense towards it, and each one's share of d half in sr, [M]."""
+    nodes, weights = gauss_legendre(rings)
+    narrowest, reach = 0.05, math.asinh(math.pi / 2 / 0.05)
+    theta_h = (narrowest * (nodes * reach).sinh())[:, None]
+    width = math.tau / around
+    share = weights[:, None] * narrowest * reach * (nodes[:, None] * reach).cosh() * theta_h.sin() * width
+    phi_h = (torch.arange(around, dtype=torch.float64) + 0.5) * width
+    half = torch.stack(
+        [theta_h.sin() * phi_h.cos(), theta_h.sin() * phi_h.sin(), theta_h.cos().expand(rings, around)], dim=-1
+    ).reshape(-1, 3)
+    return half, share.expand(rings, around).reshape(-1)
+
+
 def _rings(wo: Tensor, rings: int, around: int) -> tuple[Tensor, Tensor]:
     """Quadrature over light for each pixel: wi [P, rings * around, 3] and solid angles, of `wo` [P, 3], all local.
 
     Half vectors lie on rings about each pixel's normal, dense towards it, which integrates lobes of any width to a few
     percent; fixed lights would show as dots in polished metal.
     """
-    nodes, weights = gauss_legendre(rings)
-    narrowest, reach = 0.05, math.asinh(math.pi / 2 / 0.05)
-    theta_h = (narrowest * (nodes * reach).sinh())[:, None]
-    # d theta_h sin theta_h d phi, then d wi = 4 cos theta_d d half
-    width = math.tau / around
-    solid_angle = weights[:, None] * narrowest * reach * (nodes[:, None] * reach).cosh() * theta_h.sin() * width
-    phi_h = (torch.arange(around, dtype=torch.float64) + 0.5) * width
-    half = torch.stack(
-        [theta_h.sin() * phi_h.cos(), theta_h.sin() * phi_h.sin(), theta_h.cos().expand(rings, around)], dim=-1
-    ).reshape(-1, 3)
+    half, share = _ring_halves(rings, around)
     cos_d = wo @ half.T
     wi = 2 * cos_d[..., None] * half - wo[:, None]
-    return wi, 4 * cos_d.clamp_min(0) * solid_angle.expand(rings, around).reshape(-1)
+    return wi, 4 * cos_d.clamp_min(0) * share  # d wi = 4 cos theta_d d half
+
+
+_DOME, _SKY = (7, 6), (0.95, 0.97, 1.0)  # rings and half vectors on each; colour
 
 
 def _dome(wo: Tensor, up: Tensor) -> tuple[Tensor, Tensor]:
     """A dim sky for each pixel: directions [P, 42, 3] and irradiance [P, 42, 3] of `wo` and "up" [P, 3], all local."""
-    wi, solid_angle = _rings(wo, 7, 6)
+    wi, solid_angle = _rings(wo, *_DOME)
     radiance = 0.06 + 0.05 * (wi * up[:, None]).sum(-1)  # brighter above than below
     irradiance = radiance * solid_angle
-    return wi, irradiance[..., None] * irradiance.new_tensor([0.95, 0.97, 1.0])
+    return wi, irradiance[..., None] * irradiance.new_tensor(_SKY)
 
 
 def environment(directions: Tensor) -> Tensor:
@@ -107,6 +116,11 @@ def environment(directions: Tensor) -> Tensor:
         axis = torch.nn.functional.normalize(colour(towards), dim=0)
         radiance = radiance + torch.exp(sharpness * ((directions * axis).sum(-1, keepdim=True) - 1)) * colour(power)
     return radiance
+
+
+def light_map() -> Tensor:
+    """`environment` as the light map of interactive pages, [64, 128, 3], float16."""
+    return environment(latlong_directions(64, 128).permute(1, 2, 0)).half()
 
 
 def _surface(size: int) -> tuple[Tensor, Tensor, Tensor]:
@@ -133,10 +147,40 @@ def _surface(size: int) -> tuple[Tensor, Tensor, Tensor]:
 
 def _exposed(mask: Tensor, coverage: Tensor, wi: Tensor, wo: Tensor, irradiance: Tensor, azimuths: bool) -> SphereScene:
     """A scene such that a white diffuse sphere of albedo 0.8 is 0.85 where brightest."""
-    weights = irradiance * wi[..., 2:].clamp_min(0)
-    weights = weights * (0.85 * math.pi / 0.8 / weights.sum(1).mean(-1).max())
+    weights = irradiance * wi[..., 2:].clamp_min(0) * _exposure(wi, irradiance)
     to_angles = directions_to_four_angles if azimuths else directions_to_rusinkiewicz
     return SphereScene(mask, coverage, to_angles(wi, wo[:, None].expand_as(wi)), weights)
+
+
+def _exposure(wi: Tensor, irradiance: Tensor) -> Tensor:
+    """The factor of light by which a white diffuse sphere of albedo 0.8 is 0.85 where brightest."""
+    return 0.85 * math.pi / 0.8 / (irradiance * wi[..., 2:].clamp_min(0)).sum(1).mean(-1).max()
+
+
+def _studio(frame: Tensor) -> tuple[Tensor, Tensor]:
+    """Light of the reference picture at points with frames [P, 3, 3]: directions and irradiance, both [P, 103, 3]."""
+    directions, irradiance = _studio_lights()
+    sky, sky_irradiance = _dome(frame[:, :, 2], frame[:, :, 1])
+    wi = torch.cat([torch.einsum("pij,lj->pli", frame, directions), sky], dim=1)
+    return wi, torch.cat([irradiance.expand(len(wi), -1, -1), sky_irradiance], dim=1)
+
+
+@functools.cache
+def studio_lights() -> Tensor:
+    """The lights of the reference picture as numbers, float32 [2, 103, 4], exposed as that is.
+
+    The first row holds directions (x right, y up, z to the camera) and 0, the second linear RGB irradiance across the
+    beam and 0. Of the sky these are half vectors in the frame of each point and 0, and its colour times the share of
+    d half in sr, and 1: radiance is 0.06 + 0.05 times the light's y, and d wi = 4 cos theta_d d half.
+    """
+    exposure = _exposure(*_studio(_surface(96)[2]))
+    directions, irradiance = _studio_lights()
+    half, share = _ring_halves(*_DOME)
+    sky = share[:, None] * share.new_tensor(_SKY)
+    places, powers = torch.cat([directions, half]), exposure * torch.cat([irradiance, sky])
+    is_sky = torch.arange(len(places)) >= len(directions)
+    lights = [torch.nn.functional.pad(places, (0, 1)), torch.cat([powers, is_sky[:, None]], 1)]
+    return torch.stack(lights).float()
 
 
 def sphere_scene(
@@ -158,12 +202,8 @@ def sphere_scene(
         The scene, exposed such that a white diffuse sphere of albedo 0.8 is 0.85 where brightest.
     """
     mask, coverage, frame = _surface(size)
-    directions, irradiance = _studio_lights()
-    wo = frame[:, :, 2]
-    sky, sky_irradiance = _dome(wo, frame[:, :, 1])
-    wi = torch.cat([torch.einsum("pij,lj->pli", frame, directions), sky], dim=1)
-    irradiance = torch.cat([irradiance.expand(len(wi), -1, -1), sky_irradiance], dim=1)
-    scene = _exposed(mask, coverage, wi, wo, irradiance, azimuths)
+    wi, irradiance = _studio(frame)
+    scene = _exposed(mask, coverage, wi, frame[:, :, 2], irradiance, azimuths)
     return SphereScene(*(part.to(device, None if part.dtype == torch.bool else dtype) for part in scene))
 
 

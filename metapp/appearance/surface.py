@@ -56,6 +56,19 @@ class Plane(NamedTuple):
     meaning: str
 
 
+def linear_maps(surface: Surface) -> dict[str, Tensor]:
+    """The fit's own maps by name, linear: [H, W, 3], or [H, W] of roughness and of heights in texels.
+
+    Normals are unit vectors. There are heights where the fit has them.
+    """
+    if surface.maps is None:
+        return {"basecolor": surface.base.movedim(0, -1)}
+    diffuse, specular, roughness, normal = surface.maps
+    maps = {"diffuse": diffuse, "specular": specular.expand(3, -1, -1), "normal": normal}
+    maps = {name: part.movedim(0, -1) for name, part in maps.items()} | {"roughness": roughness[0]}
+    return maps if surface.height is None else maps | {"height": surface.height[0]}
+
+
 def fitted_planes(surface: Surface) -> dict[str, Plane]:
     """The fit's own maps, by name: heights in texture widths, about a mean of 0."""
     if surface.maps is None:

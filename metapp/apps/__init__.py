@@ -11,6 +11,8 @@ import pkgutil
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
+from metapp.storage.text import meant
+
 if TYPE_CHECKING:
     from metapp.appearance.presentation import Presentation
     from metapp.learning.app import App
@@ -77,5 +79,6 @@ def _recipes(name: str) -> Mapping[str, Mapping[str, Recipe]]:
 
 def _module(name: str, part: str = "") -> Any:
     if name not in app_names():
-        raise ValueError(f"application '{name}': not known, expected one of {', '.join(app_names())}.")
+        known = app_names()
+        raise ValueError(f"application '{name}': not known, expected one of {', '.join(known)}.{meant(name, known)}")
     return importlib.import_module(f"metapp.apps.{name}{part}")

@@ -8,12 +8,11 @@ from typing import NamedTuple
 
 import numpy as np
 import torch
-from scipy.optimize import least_squares
 from torch import Tensor
 
 from metapp.appearance.reflection import fresnel_schlick
 from metapp.apps.brdf.anisotropic import axes_of
-from metapp.baselines.lobes import ENOUGH, FEW, NARROWEST, SMALL, WIDEST, Floats
+from metapp.baselines.lobes import FEW, NARROWEST, WIDEST, Floats, descended
 
 LOBE = 7  # numbers of one: logs of both roughnesses, azimuth of the first, Schlick's F0, a colour
 ALPHAS = {1: (((0.1, 0.03),), ((0.4, 0.1),)), 2: (((0.15, 0.04), (0.4, 0.4)), ((0.3, 0.1), (0.1, 0.3)))}
@@ -96,18 +95,7 @@ def _descend(where: Tensor, target: Tensor, first: Floats) -> tuple[Floats, floa
     count = (len(first) - 3) // LOBE
     low = np.array([0.0] * 3 + [*lobe_low, 0.0, 0.0, 0.0] * count)
     high = np.array([np.inf] * 3 + [*lobe_high, np.inf, np.inf, np.inf] * count)
-    solution = least_squares(
-        residual,
-        np.clip(first, low, high),
-        bounds=(low, high),
-        x_scale="jac",
-        loss="soft_l1",
-        f_scale=SMALL,
-        ftol=ENOUGH,
-        xtol=ENOUGH,
-        max_nfev=60,
-    )
-    return solution.x, float(solution.cost)
+    return descended(residual, first, (low, high))
 
 
 def _residual(pairs: Pairs, cos: Tensor, target: Tensor, x: Floats) -> Floats:

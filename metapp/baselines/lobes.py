@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -15,6 +16,7 @@ from metapp.appearance.geometry import Cosines
 from metapp.appearance.reflection import fresnel_schlick, microfacet_lobe
 
 Floats = NDArray[np.float64]
+Residual = Callable[[Floats], Floats]
 
 LOBE = 5  # numbers of one: log alpha, Schlick's F0, a colour
 ALPHAS = {1: ((0.03,), (0.12,), (0.4,)), 2: ((0.03, 0.3), (0.1, 0.5))}  # at which fits begin, by lobes
@@ -87,12 +89,25 @@ def _descend(samples: CosineSamples, first: Floats) -> tuple[Floats, float]:
         outer = cos / (1 + reflectance(numbers, samples.cosines) * cos)
         return (slopes(numbers, samples.cosines) * outer[..., None]).flatten(0, 1).numpy()
 
-    low, high = _bounds(len(first))
+    return descended(residual, first, _bounds(len(first)), slopes_of)
+
+
+def descended(
+    residual: Residual, first: Floats, bounds: tuple[Floats, Floats], slopes: Residual | None = None
+) -> tuple[Floats, float]:
+    """Numbers where errors, as absolute ones, are least, and their cost.
+
+    Args:
+        residual: errors [3 n] of numbers [P].
+        first: where the descent begins; what is out of bounds is moved there.
+        bounds: least and greatest numbers.
+        slopes: derivatives [3 n, P] of the errors; None: by differences.
+    """
     solution = least_squares(
         residual,
-        np.clip(first, low, high),
-        jac=slopes_of,
-        bounds=(low, high),
+        np.clip(first, *bounds),
+        jac=slopes or "2-point",
+        bounds=bounds,
         x_scale="jac",
         loss="soft_l1",
         f_scale=SMALL,

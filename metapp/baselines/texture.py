@@ -17,7 +17,7 @@ from torch.nn.functional import conv2d, interpolate, pad
 
 from metapp.appearance.colour import srgb_to_linear
 from metapp.appearance.features import distance
-from metapp.appearance.quilting import Picture, quilted
+from metapp.appearance.quilting import Picture, block_of, quilted
 from metapp.baselines.baseline import Allowed, Baseline, BaselineFit, PreparedBaseline, Training, bytes_of, nearest
 from metapp.learning.app import App
 from metapp.learning.task import Tasks
@@ -50,12 +50,6 @@ def nearest_exemplar(training: Training, allowed: Allowed) -> PreparedBaseline:
 def picture_of(srgb: Tensor) -> Tensor:
     """Linear RGB [H, W, 3] of a picture [3, H, W], sRGB in [0, 1]."""
     return srgb_to_linear(srgb).permute(1, 2, 0)
-
-
-def block_of(exemplar: Picture) -> tuple[int, int]:
-    """Side of a block and of what neighbours share, in px."""
-    block = max(2, min(exemplar.shape[:2]) // 4)
-    return block, max(1, round(block / 6))
 
 
 def random_patches(exemplar: Picture, rng: np.random.Generator) -> Picture:

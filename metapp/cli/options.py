@@ -13,6 +13,7 @@ import typer
 RunPath = Annotated[Path, typer.Argument(metavar="RUN", help="A run's folder, or the record.jsonl in it.")]
 FittedData = Annotated[Path | None, typer.Option(help="The data set that was fitted, for the same.")]
 Json = Annotated[bool, typer.Option("--json", help="One JSON object as last line of standard output.")]
+OpenPage = Annotated[bool, typer.Option("--open/--no-open", help="Open the page in the browser.")]
 Options = TypeVar("Options")
 Result = TypeVar("Result")
 

@@ -27,11 +27,12 @@ def title_of(app: App) -> str:
     return f"{title} ({app.protocol})" if app.protocol else title
 
 
-def caption_of(app: App) -> str:
-    """What a table says about its errors."""
+def caption_of(app: App, measured: bool = True) -> str:
+    """What a table says about its errors, or that there are none, as of photos without a reference."""
     protocol = {"fits see": app.protocol} if app.protocol else {}
     conditions = "".join(f"; {key}: {value}" for key, value in (protocol | app.conditions()).items())
-    return f"error: {presentation_of(app).measure}{factor_of(app)}{conditions}"
+    error = f"error: {presentation_of(app).measure}{factor_of(app)}" if measured else "no error: there is no reference"
+    return error + conditions
 
 
 def factor_of(app: App) -> str:

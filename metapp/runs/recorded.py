@@ -17,7 +17,7 @@ from metapp.runs.plan import Plan, plan
 from metapp.runs.request import Request
 from metapp.storage import Document
 from metapp.storage.records import FIT, NUMBER, holds, read_records
-from metapp.storage.text import path_of
+from metapp.storage.text import meant, path_of
 
 # what settings and origins of records hold: plans are made of them, and anybody may have written them
 SETTINGS = {
@@ -60,7 +60,7 @@ def read_run(run: Path, form: Document = FORM, task: str = "") -> Recorded:
     names = [record["name"] for record in records]
     if task not in names:
         known = f"{', '.join(names[:5])}{' and so on' if len(names) > 5 else ''}"
-        raise ValueError(f"{run}: no record of task '{task}', expected one of {known}.")
+        raise ValueError(f"{run}: no record of task '{task}', expected one of {known}.{meant(task, names)}")
     return Recorded(folder, [records[names.index(task)]])
 
 

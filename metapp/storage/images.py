@@ -1,8 +1,10 @@
-"""Image files, written whole or not at all: PNG of 8 or 16 bits, EXR."""
+"""Images: files, written whole or not at all, as PNG of 8 or 16 bits or EXR; pictures of 8 bits that pages hold."""
 
 from __future__ import annotations
 
+import base64
 import functools
+import io
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -14,6 +16,7 @@ from metapp.storage.files import write_atomically
 
 if TYPE_CHECKING:
     import OpenImageIO as oiio
+    from PIL.Image import Image
 
 LEVEL = 2  # of 9, of deflation
 AVERAGE = 64  # libpng's filter by the average of the pixels left and above
@@ -46,6 +49,26 @@ def write_exr(pixels: Tensor, path: Path, *, half: bool | None = None) -> None:
         OSError: it cannot be written; names the folder.
     """
     write_atomically(path, functools.partial(_write_exr, pixels, half))
+
+
+def in_8_bits(display: np.ndarray) -> Image:
+    """Display values [H, W, 1, 3 or 4], clamped to [0, 1], as a picture of PIL."""
+    from PIL import Image
+
+    pixels = (np.clip(display, 0, 1) * 255 + 0.5).astype(np.uint8)
+    return Image.fromarray(pixels[..., 0] if pixels.shape[-1] == 1 else pixels)
+
+
+def png_bytes(image: Image, *, optimize: bool = False) -> bytes:
+    """A picture as PNG; `optimize`: smaller, and slower to write."""
+    buffer = io.BytesIO()
+    image.save(buffer, "PNG", optimize=optimize)
+    return buffer.getvalue()
+
+
+def png_address(png: bytes) -> str:
+    """The address of a PNG that is part of a page."""
+    return f"data:image/png;base64,{base64.b64encode(png).decode()}"
 
 
 def _write_png(picture: Tensor, texts: Mapping[str, str], bits: int, path: Path) -> None:

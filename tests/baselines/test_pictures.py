@@ -9,12 +9,12 @@ from torch import Generator, Tensor
 from torch.nn.functional import interpolate, normalize
 
 from metapp.appearance.flash import Maps, pack
-from metapp.appearance.quilting import beyond_cut
+from metapp.appearance.quilting import beyond_cut, block_of
 from metapp.apps.svbrdf_nonstationary.maps import FLASH, flash_of, photographed
 from metapp.baselines import svbrdf_nonstationary as codec
 from metapp.baselines.baseline import Allowed, BaselineFit, Training
 from metapp.baselines.svbrdf_nonstationary import _settings, baselines, flat_maps, maps_of, sheets
-from metapp.baselines.texture import block_of, quilt, random_patches
+from metapp.baselines.texture import quilt, random_patches
 from metapp.learning.app import App
 from metapp.learning.task import Tasks
 

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from safetensors.torch import save_file
 from torch import Tensor
 
+import metapp
 from metapp.appearance.flash import Maps, brdf
 from metapp.appearance.geometry import directions_to_full_circle
 from metapp.apps.brdf import Brdf, layers_of
@@ -99,6 +100,14 @@ def test_it_evaluates_to_what_ours_does(mi: Any, neural: Neural, fits: dict[str,
         assert error[np.minimum(light[2], viewer[2]) > 0.02].max() < 1e-5
         assert error.max() < (5e-4 if network == "few" else 2e-4)  # it divides by both cosines
     assert expected.max() > 1
+
+
+def test_a_fit_called_in_python_is_what_it_is_in_a_scene(mi: Any, tmp_path: Path) -> None:
+    fit = metapp.fit("brdf", lambda wi, wo: 0.1 + (wi * wo) ** 2, paradigm="general", recipe="quick")
+    light, viewer = directions(500, 1), directions(500, 2)
+    bsdf = mi.load_dict({"type": "neural_brdf", "filename": str(fit.save(tmp_path / "fit.safetensors"))})
+    found = np.array(bsdf.eval(mi.BSDFContext(), seen_from(mi, viewer, 500), mi.Vector3f(light)))
+    np.testing.assert_allclose(fit(light.T, viewer.T).T * light[2], found, rtol=1e-3, atol=1e-4)
 
 
 @pytest.mark.long
@@ -274,10 +283,10 @@ def test_gradients_of_values_are_those_of_ours(mi: Any, neural: Neural, fits: di
 
 def total(layers: list[Tensor], network: str, light: NDArray[np.float32], viewer: NDArray[np.float32]) -> Tensor:
     """The sum of f cos theta over directions and channels, by plain layers."""
-    from metapp.apps.brdf import _where
+    from metapp.appearance.geometry import half_difference_incident
     from metapp.apps.brdf.featured import inputs_of
 
-    where = _where(angles_of(light, viewer)).T[None]
+    where = half_difference_incident(angles_of(light, viewer)).T[None]
     x = (inputs_of(where) if network == "featured" else where[:, :6])[0]
     for layer in range(3):
         x = layers[2 * layer] @ x + layers[2 * layer + 1][:, None]

@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 import torch
 from torch import Generator, Tensor
 
-from metapp.appearance.geometry import half_difference
+from metapp.appearance.geometry import half_difference_incident
 from metapp.appearance.noise import factors, standing_in
 from metapp.apps.brdf import anisotropic, design, featured, few, nbrdf, nbrdf_in_c
 from metapp.apps.brdf.featured import TURN, Featured, outgoing_cosine
@@ -64,7 +64,7 @@ class Brdf(App):
         if self.anisotropic:
             phi_h = task.data.get("phi_h", anisotropic.random_azimuths(len(angles)).to(angles))
             angles = torch.cat([angles, phi_h[:, None]], 1)
-        where = _where(angles)
+        where = half_difference_incident(angles)
         data = {"where": where.float(), "target": torch.log1p(task.data["reflectance"] * where[:, 6:]).float()}
         return few.condensed(data) if isinstance(self.setup, Few) else data
 
@@ -198,7 +198,7 @@ class Brdf(App):
         """
         one = {key: value[None] for key, value in theta.items()}
         flat = angles.reshape(-1, angles.shape[-1])
-        where = _where(flat if TURN in theta else flat[:, :3])
+        where = half_difference_incident(flat if TURN in theta else flat[:, :3])
         return network(one, where.T[None]).clamp_min(0)[0].T.reshape(*angles.shape[:-1], 3)
 
     def require_isotropic(self, subject: str | Path, form: str) -> None:
@@ -212,15 +212,6 @@ class Brdf(App):
                 f"{subject}: an anisotropic fit, expected an isotropic one: {form} has no phi_h; export bsdf or "
                 "mitsuba, or fit by --recipe full."
             )
-
-
-def _where(angles: Tensor) -> Tensor:
-    """Half vector, difference vector and cos theta_i, [N, 7], of angles [N, 3 or 4] in rad."""
-    where = angles.new_empty(len(angles), 7)
-    where[:, :6] = half_difference(angles)
-    half_x, half_y, half_z, x, _, z, cosine = where.unbind(1)
-    cosine[:] = z * half_z - x * (half_x if angles.shape[1] == 3 else torch.hypot(half_x, half_y))
-    return where
 
 
 def network(theta: Params, where: Tensor) -> Tensor:
@@ -297,13 +288,21 @@ def measured(data: Params, rng: Generator) -> Params:
 
     level = torch.where(uniform() < NOISY, uniform(), 0.0)
     factor = factors(rng, (count, half), NOISE * level, OUTLIERS * level)
-    low, high = MEASURED_RAD
-    limit = torch.where(uniform() < CUT, torch.cos(low + (high - low) * uniform()), 0.0)[..., 0]
-    lower = torch.minimum(where[:, :half, 6], outgoing_cosine(where[:, :half].transpose(1, 2)))
-    rows = standing_in(rng, lower >= limit)[..., None]
+    rows = standing_in(rng, within_reach(where[:, :half], rng))[..., None]
     visible = {"where": where[:, :half], "target": torch.log1p(torch.expm1(target[:, :half]) * factor)}
     kept = {key: value.gather(1, rows.expand_as(value)) for key, value in visible.items()}
     return {key: torch.cat([value, data[key][:, half:]], 1) for key, value in kept.items()}
+
+
+def within_reach(where: Tensor, rng: Generator) -> Tensor:
+    """Which samples [T, N, 7] an instrument sees, bool [T, N]: of a share of materials none beyond an angle."""
+
+    def uniform() -> Tensor:
+        return torch.rand(len(where), 1, generator=rng, device=rng.device)
+
+    low, high = MEASURED_RAD
+    limit = torch.where(uniform() < CUT, torch.cos(low + (high - low) * uniform()), 0.0)
+    return torch.minimum(where[..., 6], outgoing_cosine(where.transpose(1, 2))) >= limit
 
 
 def fewer(data: Params, rng: Generator) -> Params:
@@ -318,12 +317,10 @@ def fewer(data: Params, rng: Generator) -> Params:
     def uniform() -> Tensor:
         return torch.rand(count, 1, generator=rng, device=rng.device)
 
-    low, high = MEASURED_RAD
-    limit = torch.where(uniform() < CUT, torch.cos(low + (high - low) * uniform()), 0.0)
-    lower = torch.minimum(where[:, :half, 6], outgoing_cosine(where[:, :half].transpose(1, 2)))
+    seen = within_reach(where[:, :half], rng)
     # the density of theta_h where it is the power of what is uniform
     crowded = where[:, :half, 2].clamp(-1, 1).arccos().clamp_min(1e-2) ** (1 / POLAR - 1)
-    wanted = torch.where(uniform() < 0.5, crowded, 1.0) * (lower >= limit) + 1e-9
+    wanted = torch.where(uniform() < 0.5, crowded, 1.0) * seen + 1e-9
     chosen = torch.multinomial(wanted, MOST, generator=rng)[..., None]
     level = torch.where(uniform() < NOISY, uniform(), 0.0)[..., None]
     factor = factors(rng, (count, MOST), FEW_NOISE * level, 0.0)

@@ -7,13 +7,14 @@ most (A-optimal design), and then all together by the gradient of that error.
 
 from __future__ import annotations
 
+import functools
 import math
 from dataclasses import dataclass
 
 import torch
 from torch import Generator, Tensor
 
-from metapp.appearance.geometry import above_horizon, directions_to_full_circle, half_difference
+from metapp.appearance.geometry import above_horizon, directions_to_full_circle, half_difference_incident
 from metapp.apps.brdf.featured import outgoing_cosine
 from metapp.apps.brdf.few import features_of, opponent, precision, reflectance_of, slope_of
 from metapp.learning.task import Params
@@ -50,9 +51,7 @@ class Limits:
 
 def places_of(angles: Tensor) -> Tensor:
     """Half vector, difference vector and cos theta_i [1, 7, N] of angles [N, 3] in rad."""
-    vectors = half_difference(angles)
-    cosine = vectors[:, 5] * vectors[:, 2] - vectors[:, 3] * vectors[:, 0]
-    return torch.cat([vectors, cosine[:, None]], 1).T[None]
+    return half_difference_incident(angles).T[None]
 
 
 @dataclass(frozen=True)
@@ -101,6 +100,7 @@ def spread_angles(count: int) -> Tensor:
     return draws[above_horizon(draws)][:count]
 
 
+@functools.cache
 def everywhere(count: int = 512) -> Tensor:
     """Places [1, 7, count] of `spread_angles`."""
     return places_of(spread_angles(count))

@@ -182,11 +182,14 @@ class Illumination(CodedApp):
         """Mean difference of display values; where the photograph clips, only what is darker than it counts."""
         side = batch["photo"].shape[-1]
         target = avg_pool2d(batch["photo"].to(maps) / 255, side // SMALL)
-        material, camera = body_of(BODY_GAIN * theta["body"])
-        display = develop(shade(maps, material, SMALL, GLOSSES), camera)
-        short = target - display
+        short = target - self.ball(theta, maps, SMALL)
         short = torch.where(target > 0.98, relu(short), short)
         return norm(short, learned).flatten(2)[..., _inside(side, maps.device)].mean((1, 2))
+
+    def ball(self, theta: Params, maps: Tensor, size: int) -> Tensor:
+        """The photograph [T, 3, size, size] of the fitted sphere under maps of `radiance_of`, as of `develop`."""
+        material, camera = body_of(BODY_GAIN * theta["body"])
+        return develop(shade(maps, material, size, GLOSSES), camera)
 
     def loss_parameters(self, steps: int) -> Params:
         light = {"light": torch.full((steps,), math.log(LIGHT))} if self.protocol == "reference" else {}

@@ -168,6 +168,11 @@ def deviations(spread: Weibull, data: Batch) -> list[dict[str, float]]:
     return found
 
 
+def doubt(spread: Weibull) -> Tensor:
+    """How much stripes cover, [T, ROWS, COLUMNS]: from 0 or less, nothing, to 1 or more, as much as they do at all."""
+    return (spread.quantile(0.5) - SURE) / (UNSURE - SURE)
+
+
 def hatched(display: Tensor, spread: Weibull) -> Tensor:
     """Display values [3, H, W] of a map with diagonal stripes, the wider the less sure the first fit is of it.
 
@@ -175,12 +180,10 @@ def hatched(display: Tensor, spread: Weibull) -> Tensor:
         [3, h, w], of PICTURE rows or more.
     """
     display = interpolate(display[None], scale_factor=max(1, PICTURE // display.shape[1]), mode="nearest")[0]
-    middle = spread.quantile(0.5)[:1, None]
-    around = pad(pad(middle, (1, 1, 0, 0), mode="circular"), (0, 0, 1, 1), mode="replicate")
+    around = pad(pad(doubt(spread)[:1, None], (1, 1, 0, 0), mode="circular"), (0, 0, 1, 1), mode="replicate")
     times = math.ceil(display.shape[1] / ROWS)
     fine = interpolate(around, scale_factor=times, mode="bilinear")[..., times:-times, times:-times]
-    fine = interpolate(fine, size=display.shape[1:], mode="bilinear")[0, 0]
-    share = ((fine - SURE) / (UNSURE - SURE)).clamp(0, 1)
+    share = interpolate(fine, size=display.shape[1:], mode="bilinear")[0, 0].clamp(0, 1)
     y, x = (torch.arange(size, device=display.device) for size in display.shape[1:])
     away = ((x + y[:, None]) % PERIOD - PERIOD / 2).abs()  # px from the middle of a stripe
     stripe = (share * PERIOD / 4 + 0.5 - away).clamp(0, 1) * (share > 0)

@@ -13,9 +13,20 @@ from metapp.appearance.colour import linear_to_srgb, srgb_to_linear
 from metapp.appearance.flash import Maps, camera, expose, positions, relightings, render, unpack
 from metapp.appearance.presentation import Kind, Picture, Visible
 from metapp.appearance.surface import Surface
+from metapp.appearance.surface_view import Lit, surface_view
+from metapp.appearance.view import View
 from metapp.apps.svbrdf_nonstationary import FINEST, SvbrdfNonstationary
 from metapp.apps.svbrdf_nonstationary.confidence import deviations
-from metapp.apps.svbrdf_nonstationary.maps import Flash, decoded, flashes_of, inputs_of, linear, photographed, pooled
+from metapp.apps.svbrdf_nonstationary.maps import (
+    Flash,
+    decoded,
+    flash_of,
+    flashes_of,
+    inputs_of,
+    linear,
+    photographed,
+    pooled,
+)
 from metapp.learning.task import Params, Task
 from metapp.networks.field import LocalField, field_by_rows, strips_of
 from metapp.networks.presentation import CodedPresentation
@@ -80,6 +91,18 @@ class SvbrdfNonstationaryPresentation(CodedPresentation[SvbrdfNonstationary]):
         maps = self._whole(theta, task)
         return Surface(maps.diffuse[0], False, Maps(*(part[0] for part in maps)))
 
+    @torch.no_grad()
+    def view(self, theta: Params, task: Task, *, quick: bool = False) -> View:
+        """The maps as `files` writes them, the photographs, and the true maps where the task has them."""
+        flashes = placed(self.app, theta, task)
+        photos = [task.data["photo"], *task.data.get("others", ())][: len(flashes)]
+        photographed = [
+            Lit(flash.place, flash.eye, float(flash.gain), linear(photo))
+            for flash, photo in zip(flashes, photos, strict=True)
+        ]
+        reference = unpack(task.data["maps"].float()) if "maps" in task.data else None
+        return surface_view(self.surface(theta, task), photographed, reference=reference)
+
     def _whole(self, theta: Params, task: Task) -> Maps:
         """The maps [1, ...] of the size of files."""
         one = {key: value[None] for key, value in theta.items()}
@@ -98,11 +121,20 @@ class SvbrdfNonstationaryPresentation(CodedPresentation[SvbrdfNonstationary]):
         return Visible(1, task.data["maps"].nbytes, 0)
 
 
+def placed(app: SvbrdfNonstationary, theta: Params, task: Task) -> list[Flash]:
+    """The flash of each photograph that the fit saw, without task axis, as the fit places it."""
+    known = app.field.gain * theta["flash"][None]
+    if "places" not in task.data or app.protocol != "photo":
+        flash = flash_of(known)
+        return [Flash(flash.place[0], flash.gain[0], flash.eye)]
+    flash = flashes_of(known, task.data["places"][None].float())
+    return [Flash(*(part[0, number] for part in flash)) for number in range(flash.place.shape[1])]
+
+
 def rephotographed(app: SvbrdfNonstationary, theta: Params, task: Task, maps: Maps) -> Iterator[Tensor]:
     """Linear radiance [3, H, W] of maps [1, ...] in each of a task's several photographs, as the fit places it."""
-    flash = flashes_of(app.field.gain * theta["flash"][None], task.data["places"][None].float())
-    for number in range(flash.place.shape[1]):
-        yield photographed(maps, Flash(*(part[:, number] for part in flash)))[0]
+    for flash in placed(app, theta, task):
+        yield photographed(maps, Flash(*(part[None] for part in flash)))[0]
 
 
 def fine_maps(field: LocalField, theta: Params, photo: Tensor) -> Maps:

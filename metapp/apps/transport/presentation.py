@@ -9,11 +9,13 @@ import torch
 from torch import Tensor
 
 from metapp.appearance.colour import srgb_to_linear, tone_map
-from metapp.appearance.presentation import Fitted, Picture, Presentation, Rendered, Visible
+from metapp.appearance.presentation import Fitted, Picture, Presentation, Rendered, Visible, pictures_view
+from metapp.appearance.view import View
 from metapp.apps.transport import Transport
 from metapp.apps.transport.flow import Flow
 from metapp.apps.transport.guide import table_of
 from metapp.apps.transport.images import image_errors, rendered, studio_of
+from metapp.apps.transport.viewing import view_of
 from metapp.learning.task import Params, Task
 
 SHOWN, GLANCE = 512, 256  # paths a pixel of the pictures that a run leaves, and of those in its overview
@@ -63,6 +65,16 @@ class TransportPresentation(Presentation[Transport]):
         studio = studio_of(task)
         shots = {"guided": studio.guided(self.app.flow, theta, SHOWN), "regular": studio.regular(SHOWN)}
         return {name: Picture(shot.picture.permute(1, 2, 0), "radiance") for name, shot in shots.items()}
+
+    def view(self, theta: Params, task: Task, *, quick: bool = False) -> View:
+        """Pictures of the scene in equal time, and those that the fit guides; densities where there is no scene.
+
+        While a fit runs, densities.
+        """
+        if "scene" in task.data and not quick:
+            return view_of(self.app.flow, theta, task, self.app.setup.picture)
+        both = {"reference": picture_of_samples(task.data["samples"]), "fit": picture_of_flow(self.app.flow, theta)}
+        return pictures_view(both)
 
     def rendered(self, task: Task, side: int) -> Rendered | None:
         return rendered(task, side) if "scene" in task.data else None

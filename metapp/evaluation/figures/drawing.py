@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, FuncFormatter, MaxNLocator, NullFormatter, NullLocator
 from torch import Tensor
 
+from metapp.appearance.colour import to_srgb
 from metapp.evaluation.figures.style import (
     BASELINE,
     COLOURS,
@@ -34,7 +35,6 @@ from metapp.evaluation.tables.rules import rows as rule_rows
 from metapp.learning.rules import rule_of
 from metapp.learning.task import Params
 from metapp.runs.naming import factor_of
-from metapp.runs.pictures import to_srgb
 
 OFFSETS = {"meta": (8, 8), "quickft": (6, -13)}  # points; the two often lie close
 PATHS, STRIPS = 3, 4  # tasks

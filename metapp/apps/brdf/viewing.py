@@ -1,0 +1,96 @@
+"""What the interactive page needs of a BRDF: its network as a texture, lobes to sample it by, its samples."""
+
+from __future__ import annotations
+
+import functools
+import itertools
+import math
+
+import torch
+from torch import Tensor
+
+from metapp.appearance.sphere import light_map, studio_lights
+from metapp.appearance.view import View
+from metapp.apps.brdf import Brdf, layers_of
+from metapp.apps.brdf.featured import TURN
+from metapp.apps.brdf.few import DARKEST
+from metapp.learning.task import Params, Task
+from metapp.rendering.brdf_lobes import fit_lobes
+
+CELLS = (24, 24, 48)  # of phi_d in [0, pi], theta_d, and the square root of theta_h
+WIDENED = 4  # times that cells without samples look one cell farther
+PLOTTED = 8192  # samples of plots, at most
+
+
+def view_of(app: Brdf, theta: Params, task: Task) -> View:
+    """The fit, its samples where the task has some, and of isotropic ones a reference made of these."""
+    layers, turn = layers_of(theta), float(theta[TURN]) if TURN in theta else None
+    lobes = fit_lobes(functools.partial(app.reflectance, theta), turn)
+    kind = "anisotropic" if turn is not None else "featured" if "last" in theta else "nbrdf"
+    hidden, inputs = layers[0][0].shape
+    arrays = {"weights": packed(layers), "shares": torch.from_numpy(lobes.shares).float()}
+    if "angles" in task.data:
+        arrays["samples"] = torch.cat([task.data["angles"], task.data["reflectance"]], 1)[:PLOTTED].half()
+        if "phi_h" not in task.data and turn is None:
+            arrays["residual"] = _residual(app, theta, task)
+    facts = {
+        "network": kind,
+        "inputs": inputs,
+        "hidden": hidden,
+        "turn": turn,
+        "darkest": DARKEST if "deviation" in theta else 0.0,
+        "alphas": [list(alpha) for alpha in lobes.alphas],
+    }
+    return View("brdf", arrays, {}, facts, {"studio": studio_lights(), "light": light_map()})
+
+
+def packed(layers: list[tuple[Tensor, Tensor]]) -> Tensor:
+    """Three layers as one list of four numbers each, [N, 4] float32; sizes are rounded up to multiples of four.
+
+    For every four neurons of the first layer their weights, neuron by neuron, and their biases; for every neuron of the
+    second its weights, what it adds to the three outputs, and its bias behind that; at last the biases of the outputs.
+    """
+    (w1, b1), (w2, b2), (w3, b3) = ((_padded(weights), _padded(bias[:, None])[:, 0]) for weights, bias in layers)
+    first = torch.cat([w1.reshape(-1, 4 * w1.shape[1]), b1.reshape(-1, 4)], 1)
+    second = torch.cat([w2, w3[:3].T, b2[:, None]], 1)
+    return torch.cat([part.reshape(-1, 4) for part in (first, second, b3)])
+
+
+def _padded(weights: Tensor) -> Tensor:
+    """Weights [out, in], float32, with zeros up to multiples of four."""
+    rows, columns = (-size % 4 for size in weights.shape)
+    return torch.nn.functional.pad(weights.float(), (0, columns, 0, rows))
+
+
+def _residual(app: Brdf, theta: Params, task: Task) -> Tensor:
+    """What log(1 + f) of the samples has beyond the fit, on a grid."""
+    theta_h, theta_d, phi_d = task.data["angles"].float().unbind(1)
+    angles = torch.stack([theta_h, theta_d, phi_d % math.pi], 1)  # as the shader folds them, by reciprocity
+    more = torch.log1p(task.data["reflectance"].float()) - torch.log1p(app.reflectance(theta, angles))
+    return gridded(angles, more)
+
+
+def gridded(angles: Tensor, values: Tensor) -> Tensor:
+    """Values [N, 3] at angles [N, 3] in rad, phi_d in [0, pi), on a grid [*CELLS, 4], float16.
+
+    Each value counts in the cells about it by its distance along each axis; cells without any take what is near.
+    """
+    shares = angles / angles.new_tensor([math.pi / 2, math.pi / 2, math.pi])
+    places = torch.stack([shares[:, 2], shares[:, 1], shares[:, 0].sqrt()], 1) * shares.new_tensor(CELLS) - 0.5
+    first, sums = places.floor(), torch.zeros(math.prod(CELLS), 4)
+    for corner in itertools.product((0, 1), repeat=3):
+        cell = first + first.new_tensor(corner)
+        weight = (1 - (places - cell).abs()).prod(1, keepdim=True)
+        phi, theta_d, theta_h = cell.long().unbind(1)
+        index = phi % CELLS[0] * CELLS[1] + theta_d.clamp(0, CELLS[1] - 1)
+        index = index * CELLS[2] + theta_h.clamp(0, CELLS[2] - 1)
+        sums.index_add_(0, index, weight * torch.cat([values, torch.ones_like(values[:, :1])], 1))
+    wider = sums.T.reshape(1, 4, *CELLS)
+    total = wider.clone()
+    for step in range(1, WIDENED + 1):
+        around = torch.nn.functional.pad(wider, (0, 0, 0, 0, 1, 1), mode="circular")
+        around = torch.nn.functional.pad(around, (1, 1, 1, 1, 0, 0), mode="replicate")
+        wider = torch.nn.functional.avg_pool3d(around, 3, stride=1)
+        total += 0.01**step * wider
+    mean = total[0, :3] / total[0, 3:].clamp_min(1e-30)
+    return torch.nn.functional.pad(mean.permute(1, 2, 3, 0), (0, 1)).half()

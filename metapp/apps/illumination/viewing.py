@@ -1,0 +1,114 @@
+"""What the interactive page needs of a map: radiance, the reference, the photographed ball, where a fit is not sure."""
+
+from __future__ import annotations
+
+import functools
+
+import torch
+from torch import Tensor
+
+from metapp.appearance.colour import linear_to_srgb, srgb_to_linear
+from metapp.appearance.geometry import Cosines
+from metapp.appearance.latlong import directions, luminance, resample, solid_angles
+from metapp.appearance.photograph import mirror
+from metapp.appearance.reflection import microfacet_lobe
+from metapp.appearance.view import View
+from metapp.apps.illumination import Illumination
+from metapp.apps.illumination.confidence import doubt
+from metapp.apps.illumination.mirror import CLIPPED, DARK, is_mirror
+from metapp.apps.illumination.spheres import ALBEDO, METAL, ROUGHNESSES, SPECULAR
+from metapp.learning.task import Batch, Params, Task
+
+MOST = (512, 1024)  # texels of a map on a page
+HALF = 65504.0  # the greatest of float16
+NODES = 32  # cosines that the albedos of lobes are known at
+
+
+def view_of(app: Illumination, theta: Params, task: Task, pixels: Tensor) -> View:
+    """The fit; of a photograph also the ball.
+
+    Args:
+        app: the application.
+        theta: parameters, without a task axis.
+        task: what was fitted, without data where that is not at hand.
+        pixels: the map [H, W, 3] as `files` has it.
+
+    Raises:
+        KeyError: a fit of a photograph without it.
+    """
+    unit = pixels.mean().clamp_min(1e-20)  # of PNGs of radiance
+    maps = {"map": _limited(pixels.permute(2, 0, 1) / unit)}
+    if "map" in task.data:
+        reference = task.data["map"].float() * task.data.get("scale", torch.ones(())) / unit
+        maps["reference"] = resample(reference, *maps["map"].shape[1:])
+    scale = max(1.0, *(float(light.amax()) / HALF for light in maps.values()))
+    arrays = {name: (light / scale).permute(1, 2, 0).half() for name, light in maps.items()}
+    materials = {name: {"roughness": roughness} for name, roughness in ROUGHNESSES.items()}
+    facts = {
+        "scale": scale,
+        "note": _note(pixels, maps["map"], task),
+        "metal": METAL,
+        "albedo": ALBEDO,
+        "specular": SPECULAR,
+    }
+    pictures = {}
+    if app.protocol == "photo":
+        one = {key: value[None] for key, value in theta.items()}
+        data = {key: value[None] for key, value in {"photo": task.data["photos"][0], **app.mirrored(task)}.items()}
+        pictures = {"photo": data["photo"][0].permute(1, 2, 0) / 255, "ball": _ball(app, one, data).permute(1, 2, 0)}
+        arrays["doubt"] = doubt(app.spread(one, data))[0].half()
+    lobes = torch.stack([lobe_albedos(roughness) for roughness in ROUGHNESSES.values()]).half()
+    return View("light", arrays, pictures, facts | materials, {"lobes": lobes})
+
+
+def _limited(light: Tensor) -> Tensor:
+    """A map [3, H, W], of MOST texels at most."""
+    return resample(light, *MOST) if light.shape[1] > MOST[0] else light
+
+
+def _note(pixels: Tensor, light: Tensor, task: Task) -> str:
+    """What `light` shows at another size than it has: the map [H, W, 3], and the reference."""
+    (rows, columns), shown = pixels.shape[:2], tuple(light.shape[1:])
+    size = f"{shown[0]} x {shown[1]} texels"
+    lines = [f"The map has {rows} x {columns} texels; this page shows {size}."] if shown != (rows, columns) else []
+    if "map" in task.data and task.data["map"].shape[1:] != shown:
+        lines += [f"The reference is averaged to the {size} of the fit."]
+    return " ".join(lines)
+
+
+def _ball(app: Illumination, theta: Params, data: Batch) -> Tensor:
+    """Display values [3, S, S] of the ball of a fit's photograph, lit by the fit, above 1 where it would clip.
+
+    Args:
+        app: the application.
+        theta: parameters of one task.
+        data: of it, as of `App.prepare`, [1, ...].
+    """
+    size = data["photo"].shape[-1]
+    if not is_mirror(data):
+        return app.ball(theta, app.radiance_of(theta), size)[0].clamp(0, 1)
+    photo, ball = data["photo"][0] / 255, mirror(app.answer(theta, data), size)[0]
+    # no photograph says how bright its light was: exposed so that what it does not clip is as bright in the middle
+    told = (photo.amax(0) < CLIPPED) & (photo.amin(0) > DARK) & (ball.amin(0) > 0)
+    ratio = luminance(srgb_to_linear(photo))[told] / luminance(ball)[told]
+    exposure = ratio.median() if told.any() else 1 / ball.amax().clamp_min(1e-9)
+    return linear_to_srgb((ball * exposure).clamp(0, 1))
+
+
+@functools.cache
+def lobe_albedos(roughness: float, height: int = 256) -> Tensor:
+    """The share of light that a GGX lobe reflects, [NODES], of viewers at cosines (i + 0.5) / NODES; spheres lose none.
+
+    Args:
+        roughness: its alpha is the square of that.
+        height: of the grid of directions that it is summed over, enough for an alpha of 0.1.
+    """
+    cosines = (torch.arange(NODES) + 0.5) / NODES
+    viewers = torch.stack([(1 - cosines * cosines).sqrt(), torch.zeros(NODES), cosines], 1)
+    lights = directions(height, 2 * height).flatten(1)
+    incident, outgoing, both = lights[2].expand(NODES, -1), cosines[:, None], viewers @ lights
+    length = (2 + 2 * both).clamp_min(1e-9).sqrt()
+    at = Cosines(incident, outgoing, (incident + outgoing) / length, length / 2)
+    lobe = microfacet_lobe(at, roughness * roughness, torch.ones_like).squeeze(-1)
+    weights = solid_angles(height, 2 * height).expand(height, 2 * height).flatten()
+    return (lobe * incident.clamp_min(0) * weights).sum(1)

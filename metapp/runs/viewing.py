@@ -1,0 +1,167 @@
+"""Interactive pages of runs: which fits stand side by side, and what is said of each."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import torch
+
+from metapp.appearance.presentation import Presentation, view_of
+from metapp.apps import presentation_of
+from metapp.learning.app import App
+from metapp.learning.task import Params, Task
+from metapp.runs.naming import factor_of, title_of
+from metapp.runs.recorded import Recorded, app_as, read_run, tasks_as
+from metapp.runs.reporter import number, progress, say
+from metapp.runs.surroundings import threads, threads_of
+from metapp.storage import Document
+from metapp.storage.records import file_name, read_theta
+from metapp.viewer.page import Group, Shown, document, write_page
+
+MOST = 20  # tasks of a page, unless it says otherwise
+PAGE = "view.html"
+
+
+class Fitted(NamedTuple):
+    """A fit that is to be shown: of which run, its record, what was fitted (without data where that is not at hand)."""
+
+    app: App
+    folder: Path
+    record: Document
+    task: Task
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """What a page is to show.
+
+    Attributes:
+        runs: folders of runs, their record files, or files of parameters in them.
+        inputs: what was fitted, where it is not where records say.
+        data: the data set that was fitted, for the same.
+        task: the one to show; "" for all.
+        most: tasks at most.
+    """
+
+    runs: Sequence[Path]
+    inputs: list[Path] = field(default_factory=list)
+    data: Path | None = None
+    task: str = ""
+    most: int = MOST
+
+
+def view_page(wanted: Wanted, out: Path | None, *, quiet: bool) -> Path:
+    """Write the page of runs; fits of the same task stand side by side.
+
+    Args:
+        wanted: what it shows.
+        out: the file; None: `view.html` in the first run's folder.
+        quiet: no progress.
+
+    Raises:
+        ValueError: no run, no fit of that task, damaged records or parameters, nothing that can be shown.
+    """
+    runs = [_read(path, wanted.task) for path in wanted.runs]
+    fits = [fit for run in runs for fit in _fits(run, wanted)]
+    by_task: dict[tuple[str, str], list[Fitted]] = {}
+    for fit in fits:
+        by_task.setdefault((fit.app.name, fit.record["name"]), []).append(fit)
+    shown = list(by_task.values())[: wanted.most]
+    if len(by_task) > len(shown):
+        say(f"view: {len(shown)} of {len(by_task)} tasks; --most {len(by_task)} shows all.")
+    labels = _labels(runs)
+    with progress("view", len(shown), quiet=quiet) as bar:
+        groups, lacking = [], []
+        for several in shown:
+            try:
+                groups.append(group_of(several, labels))
+            except ValueError as error:
+                lacking.append(str(error))
+            bar.advance(several[0].record["name"])
+    if not groups:
+        raise ValueError(lacking[0])
+    for line in lacking:
+        say(f"warning: left out: {line}")
+    title = f"metapp: {', '.join(dict.fromkeys(title_of(fit.app) for fit in fits))}"
+    return write_page(document(title, groups), out or runs[0].folder / PAGE)
+
+
+def _read(path: Path, task: str) -> Recorded:
+    """The records of a run, or the one of a file of parameters in it."""
+    if path.suffix != ".safetensors":
+        return read_run(path, task=task)
+    folder = path.resolve().parent.parent
+    if path.resolve().parent.name != "params" or not (folder / "record.jsonl").is_file():
+        raise ValueError(
+            f"{path}: parameters without their run, expected a run's folder or a file of its params/; give the folder."
+        )
+    run = read_run(folder)
+    records = [record for record in run.records if file_name(record["name"]) == path.stem]
+    if not records:
+        raise ValueError(f"{path}: no record of this fit in {folder / 'record.jsonl'}, expected one; fit again.")
+    return Recorded(run.folder, records)
+
+
+def _fits(run: Recorded, wanted: Wanted) -> list[Fitted]:
+    app = app_as(run.records[-1]["settings"])
+    tasks = tasks_as(run.records, app, wanted.inputs, wanted.data)
+    if missing := sum(record["name"] not in tasks for record in run.records):
+        what = f"the inputs of {missing} of {len(run.records)} fits are not at hand"
+        say(f"view: {what}; give them by --input or --data to see references.")
+    return [
+        Fitted(app, run.folder, record, tasks.get(record["name"], Task(record["name"], {}))) for record in run.records
+    ]
+
+
+def _labels(runs: Sequence[Recorded]) -> dict[Path, str]:
+    """What tells runs apart: the paradigm, and of what differs as much as is needed."""
+    labels: dict[Path, str] = {}
+    for app in {run.records[-1]["settings"]["app"] for run in runs}:
+        labels |= _apart({run.folder: of for run in runs if (of := run.records[-1]["settings"])["app"] == app})
+    return labels
+
+
+def _apart(settings: dict[Path, Document]) -> dict[Path, str]:
+    labels = {folder: of["paradigm"] for folder, of in settings.items()}
+    for key in ("rule", "recipe", "steps", "seed"):
+        if len(set(labels.values())) == len(labels):
+            break
+        word = f" {key}" if key in ("steps", "seed") else ""
+        if len({str(of.get(key)) for of in settings.values()}) > 1:
+            labels = {folder: f"{label}{word} {settings[folder].get(key)}" for folder, label in labels.items()}
+    return labels
+
+
+@torch.no_grad()
+def group_of(fits: Sequence[Fitted], labels: dict[Path, str]) -> Group:
+    """Fits of one task, side by side.
+
+    Raises:
+        ValueError: what was fitted is needed, and not at hand.
+    """
+    shown = []
+    for fit in fits:
+        theta = read_theta(fit.folder, fit.record["name"])
+        with threads(threads_of(fit.app)):
+            shown.append(shown_of(presentation_of(fit.app), labels[fit.folder], fit.record, theta, fit.task))
+    return Group(fits[0].record["name"], title_of(fits[0].app), shown)
+
+
+def shown_of(
+    shown: Presentation[Any], label: str, record: Document, theta: Params, task: Task, *, quick: bool = False
+) -> Shown:
+    """One fit, with its error and seconds; `quick`: without what takes seconds to make."""
+    try:
+        view = view_of(shown, theta, task, quick=quick)
+    except KeyError as missing:
+        if task.data:
+            raise
+        raise ValueError(
+            f"{task.name}: its view is made of the fit and its input ({missing}), expected both; "
+            "give what was fitted by --input or --data."
+        ) from None
+    error = "" if record["error"] is None else f"error{factor_of(shown.app)} {number(record['error'], '.3f')}, "
+    return Shown(label, f"{error}{number(record['seconds'], '.3g')} s", view)

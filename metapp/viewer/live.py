@@ -1,0 +1,135 @@
+"""The page of a fit that runs, on this machine alone: it asks for what has changed until the fit is over."""
+
+from __future__ import annotations
+
+import hmac
+import json
+import secrets
+import threading
+import time
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from urllib.parse import parse_qs
+
+from metapp.storage import Document
+from metapp.viewer.page import html
+
+HOST = "127.0.0.1"
+NEWS = "news"
+WAIT_SECONDS = 10.0  # that a question for news waits for some
+LAST_SECONDS = 2.0  # that the end waits for pages that have not heard of it
+# a page that asks again at once, and is not answered before there is something to show or WAIT_SECONDS are over
+EARLY = """<!doctype html><meta charset="utf-8"><meta http-equiv="refresh" content="0"><title>metapp</title>
+<p>The fit has not begun yet; this page shows it once it has."""
+
+
+class Live:
+    """Serves one page at an address that nobody else knows; any other address is not found.
+
+    Attributes:
+        address: of the page, with a random token.
+    """
+
+    def __init__(self) -> None:
+        self._token, self._changed = secrets.token_urlsafe(16), threading.Condition()
+        self._news: Document | None = None
+        self._document: Document = {}
+        self._serial, self._heard, self._pages = 0, 0, 0
+        live = self
+
+        class Handler(_Handler):
+            def answer(self) -> tuple[str, str] | None:
+                """What this server answers."""
+                return live.answer(self.path)
+
+        self._server = ThreadingHTTPServer((HOST, 0), Handler)
+        self._server.daemon_threads = True
+        Handler.host = f"{HOST}:{self._server.server_port}"
+        self.address = f"http://{Handler.host}/{self._token}/"
+        threading.Thread(target=self._server.serve_forever, kwargs={"poll_interval": 0.1}, daemon=True).start()
+
+    def tell(self, document: Document, text: str, curve: list[tuple[int, float]], *, done: bool = False) -> None:
+        """Give pages something new.
+
+        Args:
+            document: as of `metapp.viewer.page.document`, with one group.
+            text: where the fit is.
+            curve: steps and the visible loss before each.
+            done: whether it is the last.
+        """
+        with self._changed:
+            self._serial += 1
+            self._document = document
+            group = document["groups"][0]
+            self._news = {"serial": self._serial, "text": text, "curve": curve, "done": done, "group": group}
+            self._changed.notify_all()
+
+    def close(self) -> None:
+        """End the server, once pages that were opened have heard of the last news."""
+        end = time.monotonic() + LAST_SECONDS
+        with self._changed:
+            while self._pages and self._heard < self._serial and time.monotonic() < end:
+                self._changed.wait(0.1)
+        self._server.shutdown()
+        self._server.server_close()
+
+    def answer(self, path: str) -> tuple[str, str] | None:
+        """The content and its type for a path; None where there is nothing."""
+        where, _, query = path.partition("?")
+        token, _, rest = where.lstrip("/").partition("/")
+        if not hmac.compare_digest(token.encode(), self._token.encode()) or rest not in ("", NEWS):
+            return None
+        if rest == NEWS:
+            after = parse_qs(query).get("after", ["0"])[0]
+            return json.dumps(
+                self._after(int(after) if after.isascii() and after.isdecimal() else 0)
+            ), "application/json"
+        self._after(0)  # a page shows something
+        with self._changed:
+            if self._news is None:
+                return EARLY, "text/html; charset=utf-8"
+            self._pages += 1
+            return html(self._document, NEWS), "text/html; charset=utf-8"
+
+    def _after(self, serial: int) -> Document:
+        """The news after a serial number; after a while without any where things are."""
+        with self._changed:
+            self._changed.wait_for(lambda: self._serial > serial, WAIT_SECONDS)
+            news = self._news or {"serial": 0, "text": "", "curve": [], "done": False}
+            if news["serial"] <= serial:
+                return {"serial": serial, "text": news["text"], "curve": news["curve"], "done": news["done"]}
+            self._heard = max(self._heard, news["serial"])
+            self._changed.notify_all()
+            return news
+
+
+class _Handler(BaseHTTPRequestHandler):
+    protocol_version = "HTTP/1.0"
+    timeout = 30
+    host: str
+
+    def answer(self) -> tuple[str, str] | None:
+        """Content and its type."""
+        raise NotImplementedError
+
+    def do_GET(self) -> None:
+        """Answer, if this machine's browser asks: other names of it may be of other people's pages."""
+        found = self.answer() if self.headers.get("Host") == self.host else None
+        content, kind = found or ("", "text/plain")
+        body = content.encode(errors="backslashreplace")
+        self.send_response(200 if found else 404)
+        headers = {"Content-Type": kind, "Content-Length": str(len(body)), "Cache-Control": "no-store"}
+        headers |= {"X-Content-Type-Options": "nosniff", "Referrer-Policy": "no-referrer"}
+        for name, value in headers.items():
+            self.send_header(name, value)
+        self.end_headers()
+        self.wfile.write(body)
+
+    def log_message(self, format: str, *args: object) -> None:
+        """Print nothing."""
+
+    def handle(self) -> None:
+        """Let a browser go away in the middle."""
+        try:
+            super().handle()
+        except (ConnectionError, TimeoutError):
+            self.close_connection = True

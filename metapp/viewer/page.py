@@ -1,0 +1,138 @@
+"""The page: fits as JSON, the scripts that show them, and three.js, all in one file."""
+
+from __future__ import annotations
+
+import base64
+import json
+import re
+import zlib
+from collections.abc import Sequence
+from html import escape
+from importlib import resources
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import torch
+from torch import Tensor
+
+from metapp.appearance.view import View
+from metapp.storage import Document
+from metapp.storage.files import write_atomically
+from metapp.storage.images import in_8_bits, png_address, png_bytes
+
+KINDS = ("brdf", "surface", "light", "pictures")  # the viewers; each has a script of its name
+SCRIPTS = ("core", "stage", *KINDS, "main")  # in the order in which they stand in the page
+TYPES = {torch.float16: "float16", torch.float32: "float32", torch.uint8: "uint8"}
+
+
+class Shown(NamedTuple):
+    """A fit on the page.
+
+    Attributes:
+        label: what tells it from others of its group, such as the paradigm.
+        caption: error, seconds and the like.
+        view: what is shown.
+    """
+
+    label: str
+    caption: str
+    view: View
+
+
+class Group(NamedTuple):
+    """Fits that are shown side by side: of one task, and of one kind.
+
+    Attributes:
+        title: of the task.
+        section: what it is listed under, such as the application's title.
+        fits: one or more.
+    """
+
+    title: str
+    section: str
+    fits: Sequence[Shown]
+
+
+def document(title: str, groups: Sequence[Group]) -> Document:
+    """What the scripts read."""
+    shared: dict[str, Any] = {}
+    for view in (fit.view for group in groups for fit in group.fits):
+        shared |= {name: array(values) for name, values in view.shared.items() if name not in shared}
+    return {
+        "title": title,
+        "groups": [
+            {
+                "title": group.title,
+                "section": group.section,
+                "kind": group.fits[0].view.kind,
+                "fits": [item(fit) for fit in group.fits],
+            }
+            for group in groups
+        ],
+        "shared": shared,
+    }
+
+
+def item(fit: Shown) -> Document:
+    """One fit."""
+    view = fit.view
+    return {
+        "label": fit.label,
+        "caption": fit.caption,
+        "facts": dict(view.facts),
+        "arrays": {name: array(values) for name, values in view.arrays.items()},
+        "pictures": {name: picture(pixels) for name, pixels in view.pictures.items()},
+    }
+
+
+def array(values: Tensor) -> Document:
+    """Numbers as text: deflated, base64."""
+    content = zlib.compress(values.detach().cpu().contiguous().numpy().tobytes(), 6)
+    return {
+        "type": TYPES[values.dtype],
+        "shape": list(values.shape),
+        "data": base64.b64encode(content).decode(),
+    }
+
+
+def picture(pixels: Tensor) -> str:
+    """Display values [H, W, 1, 3 or 4] in [0, 1] as the address of a PNG."""
+    return png_address(png_bytes(in_8_bits(pixels.detach().cpu().numpy())))
+
+
+def html(data: Document, live: str = "") -> str:
+    """The page.
+
+    Args:
+        data: as of `document`.
+        live: the address, relative to the page's, that tells what has changed while a fit runs; "" for a page that is
+            finished.
+    """
+    # no text can end the script that it stands in
+    content = json.dumps(data | {"live": live}, allow_nan=False).replace("<", "\\u003c")
+    parts = {
+        "title": escape(data["title"]),
+        "style": _text("page.css"),
+        "three": _text("three.min.js"),
+        "scripts": "\n".join(_text(f"scripts/{name}.js") for name in SCRIPTS),
+        "data": content,
+    }
+    return re.sub(r"\{\{(\w+)\}\}", lambda match: parts[match[1]], _text("page.html"))
+
+
+def write_page(data: Document, path: Path) -> Path:
+    """Write the page, whole or not at all.
+
+    Returns:
+        The file.
+
+    Raises:
+        OSError: it cannot be written.
+    """
+    text = html(data)
+    write_atomically(path, lambda partial: partial.write_text(text, encoding="utf-8", errors="backslashreplace"))
+    return path
+
+
+def _text(name: str) -> str:
+    return (resources.files("metapp.viewer") / name).read_text(encoding="utf-8")

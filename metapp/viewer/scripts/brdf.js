@@ -1,0 +1,281 @@
+// BRDFs: the fitted network itself in the fragment shader, on shapes; below the pointer a polar plot.
+//
+// facts: network ("nbrdf", "featured" or "anisotropic"), inputs, hidden, turn, darkest, alphas [[2], [2]] of the lobes, samples.
+// arrays: weights [N, 4] as metapp.apps.brdf.viewing.packed lays them out, shares [24, 3] of the lobes; perhaps residual
+// [phi_d, theta_d, theta_h, 4],
+// what the samples' log(1 + f) has more than the fit's (theta_h by its square root), and samples [N, 6] (theta_h, theta_d, phi_d, RGB).
+// shared: light, a lat-long map [H, W, 3]; studio [2, L, 4], the lights of metapp's pictures.
+
+const NETWORK = `
+#if IN_BLOCK
+layout(std140) uniform Block { vec4 block[WEIGHTS]; };
+vec4 weight(int i) { return block[i]; }
+#else
+uniform sampler2D weights;
+vec4 weight(int i) { return texelFetch(weights, ivec2(i % 256, i / 256), 0); }
+#endif
+uniform sampler3D residual; uniform bool hasResidual; uniform float turn, darkest;
+uniform vec2 alpha0, alpha1; uniform vec3 shares[${NODES}];
+vec4 activated(vec4 x) { return FEATURED ? x / (1.0 + exp(-x)) : max(x, 0.0); }
+LAYERS
+vec3 expm1_of(vec3 x) { return mix(exp(x) - 1.0, x * (1.0 + x * (0.5 + x / 6.0)), vec3(lessThan(abs(x), vec3(0.01)))); }
+struct Half { float sine, cosine, cos_phi, sin_phi; vec3 difference; };
+Half half_of(vec3 light, vec3 viewer) {
+  vec3 total = light + viewer;
+  float size = length(total);
+  vec3 h = total / size;
+  float square = dot(h.xy, h.xy);
+  bool azimuthal = square > 0.0;
+  float sine = azimuthal ? sqrt(square) : 0.0;
+  float cos_phi = azimuthal ? h.x / sine : 1.0, sin_phi = azimuthal ? h.y / sine : 0.0;
+  float x = cos_phi * light.x + sin_phi * light.y, y = cos_phi * light.y - sin_phi * light.x;
+  return Half(sine, h.z, cos_phi, sin_phi, vec3(h.z * x - sine * light.z, y, size / 2.0));
+}
+vec3 fitted(Half at, float incident, float outgoing) {
+  vec3 d = at.difference;
+  float angle = atan(at.sine, at.cosine), square = angle * angle;
+  vec4 x[INPUTS4];
+#if KIND == 0
+  x[0] = vec4(at.sine, 0.0, at.cosine, d.x); x[1] = vec4(d.y, d.z, 0.0, 0.0);
+#elif KIND == 1
+  x[0] = vec4(at.sine, 0.0, at.cosine, d.x); x[1] = vec4(d.y, d.z, incident, outgoing);
+  x[2] = vec4(sqrt(angle), 1.0 / (1.0 + 100.0 * square), d.x * d.x - d.y * d.y, 0.4 * log(square + 1e-4) + 1.0);
+  x[3] = vec4(0.4 * log(vec3(square + 1e-2, max(incident, 1e-3), max(outgoing, 1e-3))) + 1.0, 0.0);
+#else
+  float along = angle * at.cos_phi, across = angle * at.sin_phi;
+  vec3 squares = vec3(square, along * along, across * across);
+  vec2 diagonals = vec2(along + across, along - across);
+  diagonals = diagonals * diagonals / 2.0;
+  float one = at.cos_phi * at.cosine * d.x - at.sin_phi * d.y, two = at.sin_phi * at.cosine * d.x + at.cos_phi * d.y;
+  float both = max(incident * outgoing, 1e-6);
+  x[0] = vec4(at.sine * at.cos_phi, at.sine * at.sin_phi, at.cosine, d.z);
+  x[1] = vec4(d.x * d.x - d.y * d.y, d.x * d.y, d.z * d.z, both);
+  x[2] = vec4((incident - outgoing) * (incident - outgoing), sqrt(angle), 1.0 / (1.0 + 100.0 * squares.xy));
+  x[3] = vec4(1.0 / (1.0 + 100.0 * vec3(squares.z, diagonals)), one * one - two * two);
+  x[4] = vec4(one * two, (squares.y - squares.z) / (squares.x + 1e-3), along * across / (squares.x + 1e-3), 0.4 * log(squares.x + 1e-4) + 1.0);
+  x[5] = 0.4 * log(vec4(squares.x + 1e-2, squares.y + 1e-4, squares.y + 1e-2, squares.z + 1e-4)) + 1.0;
+  x[6] = 0.4 * log(vec4(squares.z + 1e-2, diagonals + 1e-3, both)) + 1.0;
+#endif
+  vec3 last = last_layer(x);
+  if (darkest == 0.0) return max(expm1_of(last), 0.0);
+  return max((exp(min(last, 14.0)) - darkest) / max(incident * outgoing, darkest), 0.0);
+}
+void reflectances(vec3 wi, vec3 wo, out vec3 fit, out vec3 reference) {  // in 1/sr
+  Half at;
+  float incident = wi.z, outgoing = wo.z;
+  if (KIND == 2) at = half_of(turned(wi, -turn), turned(wo, -turn));
+  else {
+    at = half_of(wi, wo);
+    if (at.difference.y < 0.0) {  // by reciprocity phi_d lies in [0, pi], as in metapp's pictures
+      at.difference.xy = -at.difference.xy;
+      incident = wo.z; outgoing = wi.z;
+    }
+  }
+  fit = fitted(at, incident, outgoing);
+  reference = fit;
+  if (!hasResidual) return;
+  vec3 place = vec3(sqrt(atan(at.sine, at.cosine) / (PI / 2.0)), acos(clamp(at.difference.z, 0.0, 1.0)) / (PI / 2.0),
+    atan(at.difference.y, at.difference.x) / PI);
+  reference = max(expm1_of(log(1.0 + fit) + textureLod(residual, place, 0.0).rgb), 0.0);
+}
+void at_point(vec2 uv) {}
+void response(vec3 wi, vec3 wo, out vec3 fit, out vec3 reference) {
+  reflectances(wi, wo, fit, reference);
+  fit *= wi.z; reference *= wi.z;
+}
+Lobes lobes(vec3 wo) {
+  float place = min(acos(clamp(wo.z, 0.0, 1.0)) * ${((NODES - 1) / (89 * Math.PI / 180)).toFixed(6)}, ${NODES - 1}.0);
+  int node = min(int(place), ${NODES - 2});
+  return Lobes(alpha0, alpha1, mix(shares[node], shares[node + 1], place - float(node)), turn);
+}`;
+
+// The layers with a variable for each four neurons: an array that is indexed would lie in memory. Weights lie as
+// metapp.apps.brdf.viewing.packed puts them.
+function layers(inputs4, hidden4) {
+  const each = (count, text, between = " ") => Array.from({ length: count }, (_, i) => text(i)).join(between);
+  const sum = (count, first, name) => each(count, (i) => `dot(weight(${first} + ${i}), ${name}${i})`, " + ");
+  const group = 4 * inputs4 + 1, second = hidden4 * group, row = hidden4 + 1;
+  const neurons = (g) => each(4, (k) => sum(inputs4, g * group + k * inputs4, "x"), ", ");
+  return `vec3 last_layer(vec4 x[INPUTS4]) {
+  ${each(inputs4, (i) => `vec4 x${i} = x[${i}];`)}
+  ${each(hidden4, (g) => `vec4 h${g} = activated(weight(${g * group + 4 * inputs4}) + vec4(${neurons(g)}));`, "\n  ")}
+  vec3 result = weight(${second + 4 * hidden4 * row}).rgb;
+  for (int first = ${second}; first < ${second + 4 * hidden4 * row}; first += ${row}) {
+    vec4 last = weight(first + ${hidden4});
+    result += activated(vec4(last.w + ${sum(hidden4, "first", "h")})).x * last.rgb;
+  }
+  return result;
+}`;
+}
+
+const EVALUATE = `
+uniform sampler2D pairs;
+layout(location = 0) out vec4 fitOut; layout(location = 1) out vec4 referenceOut;
+void main() {
+  int i = int(gl_FragCoord.x);
+  vec3 fit, reference;
+  reflectances(texelFetch(pairs, ivec2(i, 0), 0).xyz, texelFetch(pairs, ivec2(i, 1), 0).xyz, fit, reference);
+  fitOut = vec4(fit, 1.0); referenceOut = vec4(reference, 1.0);
+}`;
+
+class BrdfViewer extends ShapeViewer {
+  static shapes = ["sphere", "plane", "knot", "cylinder"];
+  static lights = [["lamp", "Lamp"], ["map", "Light map"], ["studio", "Studio of metapp's pictures"]];
+
+  async open() {
+    const studio = await shared("studio");
+    this.studio = texture(floatsOf(studio), studio.shape[1], 2);
+    await super.open();
+    this.plots = this.fits.map(() => make("canvas", { className: "plot", width: 280, height: 182, hidden: true }));
+    this.element.append(...this.plots);
+    this.samples = await Promise.all(this.fits.map(async (fit) => fit.arrays.samples && numbersOf(fit.arrays.samples).then(floatsOf)));
+  }
+
+  _listed(values) {  // as a texture, 256 texels a row
+    const rows = Math.ceil(values.length / 1024), padded = new Float32Array(1024 * rows);
+    padded.set(values);
+    return texture(padded, 256, rows);
+  }
+  get largestBlock() { const gl = this.renderer.getContext(); return gl.getParameter(gl.MAX_UNIFORM_BLOCK_SIZE); }
+
+  async material(fit) {
+    const { network, inputs, hidden, turn, darkest, alphas } = fit.facts, weights = await numbersOf(fit.arrays.weights);
+    const shares = floatsOf(await numbersOf(fit.arrays.shares)), residual = fit.arrays.residual && await numbersOf(fit.arrays.residual);
+    const defines = { KIND: ["nbrdf", "featured", "anisotropic"].indexOf(network), FEATURED: network !== "nbrdf", INPUTS4: Math.ceil(inputs / 4),
+      WEIGHTS: weights.shape[0],
+      IN_BLOCK: weights.values.byteLength <= this.largestBlock ? 1 : 0 };
+    const table = residual
+      ? new THREE.Data3DTexture(residual.values, residual.shape[2], residual.shape[1], residual.shape[0])
+      : new THREE.Data3DTexture(new Uint16Array(4), 1, 1, 1);
+    Object.assign(table, { format: THREE.RGBAFormat, type: THREE.HalfFloatType, ...LINEAR, wrapR: THREE.RepeatWrapping, needsUpdate: true });
+    const glsl = Object.entries(defines).map(([name, value]) => `#define ${name} ${value}`).join("\n") + NETWORK.replace("LAYERS", layers(defines.INPUTS4, Math.ceil(hidden / 4)));
+    return {
+      glsl, block: defines.IN_BLOCK ? weights.values : null,
+      uniforms: {
+        ...(defines.IN_BLOCK ? {} : { weights: this._listed(weights.values) }), residual: table, hasResidual: Boolean(residual), turn: turn ?? 0,
+        darkest, alpha0: new THREE.Vector2(...alphas[0]), alpha1: new THREE.Vector2(...alphas[1]),
+        shares: Array.from({ length: NODES }, (_, i) => new THREE.Vector3(...shares.slice(3 * i, 3 * i + 3))),
+      },
+    };
+  }
+
+  referenced(fit) { return "residual" in fit.arrays; }
+  picture() { return { light: "studio", shape: "sphere", half: 1 / 0.96 }; }
+
+  ownControls() {
+    const told = this.fits.some((fit) => this.referenced(fit))
+      ? "The reference is interpolated between its samples, as differences from the fit."
+      : "There is no reference: the input is not at hand, or the material is anisotropic.";
+    return [
+      { name: "plot", label: "Plot at the pointer", type: "choice", value: "lobe",
+        options: [["lobe", "Lobe of the viewer"], ["slice", "Slice at the lamp's theta_h"], ["none", "None"]] },
+      { name: "told", label: told, type: "note" },
+    ];
+  }
+
+  // Reflectance of pairs of directions [[wi, wo], ...] in the frame of the surface: [fit, reference], RGB in 1/sr each.
+  evaluate(column, pairs) {
+    const own = this.materials[column], count = pairs.length, values = new Float32Array(8 * count);
+    pairs.forEach(([wi, wo], i) => { values.set(wi, 4 * i); values.set(wo, 4 * (count + i)); });
+    if (!own.evaluator) {
+      own.evaluator = new THREE.RawShaderMaterial({
+        glslVersion: THREE.GLSL3, vertexShader: WHOLE, uniforms: { ...own.uniforms, pairs: { value: null } }, depthTest: false, depthWrite: false,
+        fragmentShader: `${COMMON}\n${own.glsl}\n${EVALUATE}`, blending: THREE.NoBlending,
+      });
+    }
+    const directions = texture(values, count, 2), target = new THREE.WebGLRenderTarget(count, 1, { count: 2, type: THREE.FloatType, ...NEAREST });
+    own.evaluator.uniforms.pairs.value = directions;
+    this._bind(own);
+    this._fill(own.evaluator, target);
+    const results = [0, 1].map((which) => {
+      const buffer = new Float32Array(4 * count);
+      this.renderer.readRenderTargetPixels(target, 0, 0, count, 1, buffer, undefined, which);
+      return Array.from({ length: count }, (_, i) => Array.from(buffer.subarray(4 * i, 4 * i + 3)));
+    });
+    directions.dispose();
+    target.dispose();
+    return results;
+  }
+
+  changed(name) {
+    super.changed(name);
+    if (name === "plot") this.plots.forEach((plot) => { plot.hidden = true; });
+  }
+
+  pointed(place) {
+    if (this.settings.plot === "none") return;
+    const met = this.pick(place), { column } = place;
+    this.plots.forEach((plot, i) => { plot.hidden = !met || i !== column; });
+    if (!met) return;
+    this.plots[column].style.left = `${(column + 1) * place.width - 290}px`;
+    const lamp = this.lampAt.clone().multiplyScalar(LAMP_DISTANCE).sub(met.p).normalize(), half = lamp.clone().add(met.towards).normalize();
+    const [viewer, thetaH, thetaD] = [met.towards.dot(met.n), half.dot(met.n), half.dot(lamp)].map((x) => Math.acos(clamp(x, 0.001, 1)));
+    if (this.settings.plot === "lobe") this.plot(column, lobeOf(viewer), `f in 1/sr in the plane of incidence; viewer at ${degrees(viewer)}, by the light's angle`);
+    else this.plot(column, sliceOf(thetaH), `f in 1/sr at theta_h ${degrees(thetaH)} by theta_d, lamp at ${degrees(thetaD)}; right: phi_d 90\u00b0, left: 0\u00b0`);
+  }
+
+  // Reflectance by angle, log radius, mean of RGB: the fit in white, the reference and its samples in blue.
+  plot(column, { pairs, angles, near }, title) {
+    const canvas = this.plots[column], g = canvas.getContext("2d"), { width, height } = canvas, base = [width / 2, height - 46], most = 112;
+    const [fit, reference] = this.evaluate(column, pairs).map((values) => values.map(meanOf)), floor = 1e-3;
+    const top = Math.max(...fit, ...reference, 2 * floor);
+    const radius = (value) => most * clamp(Math.log(Math.max(value, floor) / floor) / Math.log(top / floor), 0, 1);
+    const at = (angle, value) => [base[0] + radius(value) * Math.sin(angle), base[1] - radius(value) * Math.cos(angle)];
+    g.clearRect(0, 0, width, height);
+    g.lineWidth = 1; g.strokeStyle = "#444a"; g.fillStyle = "#9a9fa8"; g.font = "10px system-ui, sans-serif"; g.textAlign = "center";
+    for (let decade = -2; 10 ** decade <= top; decade++) {
+      g.beginPath(); g.arc(...base, radius(10 ** decade), Math.PI, 2 * Math.PI); g.stroke();
+      g.fillText(`${10 ** decade}`, base[0] + radius(10 ** decade), base[1] + 10);
+    }
+    const line = (values, colour) => {
+      g.strokeStyle = colour; g.lineWidth = 1.5; g.beginPath();
+      angles.forEach((angle, i) => g.lineTo(...at(angle, values[i])));
+      g.stroke();
+    };
+    if (this.referenced(this.fits[column])) line(reference, "#7fb2ff");
+    line(fit, "#fff");
+    g.fillStyle = "#7fb2ffaa";
+    const samples = this.samples[column] ?? [];
+    for (let i = 0; i < samples.length; i += 6) {
+      for (const angle of near(samples[i], samples[i + 1], samples[i + 2])) {
+        g.fillRect(...at(angle, meanOf(samples.subarray(i + 3, i + 6))).map((x) => x - 1), 2, 2);
+      }
+    }
+    g.fillStyle = "#9a9fa8";
+    title.split("; ").forEach((text, i) => g.fillText(text, width / 2, height - 20 + 13 * i));
+  }
+}
+
+const meanOf = (rgb) => (rgb[0] + rgb[1] + rgb[2]) / 3;
+const degrees = (angle) => `${Math.round(angle * 180 / Math.PI)}\u00b0`;
+
+// The plane of incidence of a viewer at theta: pairs of directions, angles of the light, and which of these a sample is of.
+function lobeOf(theta) {
+  const angles = Array.from({ length: 179 }, (_, i) => (i - 89) * Math.PI / 180), wo = [Math.sin(theta), 0, Math.cos(theta)];
+  const near = (h, d, phi) => {
+    if (Math.abs(Math.sin(phi)) * Math.sin(d) > 0.05) return [];  // across the plane
+    const side = Math.sign(Math.cos(phi)) || 1, [wi, other] = [h + side * d, h - side * d];
+    return [[wi, other], [-wi, -other], [other, wi], [-other, -wi]].filter(([a, b]) => Math.abs(b - theta) < 0.035 && Math.abs(a) < Math.PI / 2).map(([a]) => a);
+  };
+  return { angles, pairs: angles.map((a) => [[Math.sin(a), 0, Math.cos(a)], wo]), near };
+}
+
+// The slice at theta_h: by theta_d to the right where phi_d is 90 degrees, to the left where it is 0.
+function sliceOf(thetaH) {
+  const pair = (d, phi) => [1, -1].map((sign) => {
+    const [x, y, z] = [sign * Math.sin(d) * Math.cos(phi), sign * Math.sin(d) * Math.sin(phi), Math.cos(d)];
+    return [x * Math.cos(thetaH) + z * Math.sin(thetaH), y, z * Math.cos(thetaH) - x * Math.sin(thetaH)];
+  });
+  const degree = Math.PI / 180, angles = [], pairs = [];
+  for (let a = -89; a < 90; a++) {
+    const both = a < 0 ? pair(-a * degree, 0) : pair(a * degree, Math.PI / 2);
+    if (both[0][2] <= 0.01 || both[1][2] <= 0.01) continue;
+    angles.push(a * degree); pairs.push(both);
+  }
+  const near = (h, d, phi) => {
+    if (Math.abs(h - thetaH) > 0.035) return [];
+    return Math.abs(Math.cos(phi)) < 0.12 ? [d] : Math.abs(Math.sin(phi)) < 0.12 ? [-d] : [];
+  };
+  return { angles, pairs, near };
+}
+VIEWERS.brdf = BrdfViewer;

@@ -1,0 +1,229 @@
+// Light maps: to look around in, flat, lighting spheres, and the ball of a photograph beside the fit's.
+//
+// facts: scale of what arrays hold, note; of spheres metal, albedo, specular, silver and diffuse {roughness}.
+// arrays: map [H, W, 3], radiance over the mean of the fit's; perhaps reference, the same of what was fitted, and doubt [h, w], how
+// much stripes cover, 0 to 1. pictures: perhaps photo and ball, of what the fit saw and its own, both of the same size.
+// shared: lobes [2, N], the share of light that the glosses of silver and diffuse reflect, by the cosine to the viewer.
+
+// The spheres of metapp.apps.illumination.spheres; where on the shape says which.
+const SPHERES = `
+uniform sampler2D lobeAlbedos; uniform float metal, albedo, specular; uniform vec2 alphas;
+int kind;
+void at_point(vec2 uv) { kind = int(3.0 * uv.x); }  // mirror, silver, diffuse
+float alpha_of() { return kind == 1 ? alphas.x : alphas.y; }
+float fresnel(float cosine) { float f0 = kind == 2 ? specular : metal; return f0 + (1.0 - f0) * pow(1.0 - cosine, 5.0); }
+float masking(float cosine, float alpha) { return 2.0 * cosine / (cosine + sqrt(alpha * alpha + (1.0 - alpha * alpha) * cosine * cosine)); }
+void response(vec3 wi, vec3 wo, out vec3 fit, out vec3 reference) {
+  float share = fresnel(wo.z), alpha = alpha_of(), value = share;
+  if (kind > 0) {
+    vec3 h = normalize(wi + wo);
+    float square = dot(h.xy / alpha, h.xy / alpha) + h.z * h.z, density = 1.0 / (PI * alpha * alpha * square * square);
+    float lost = textureLod(lobeAlbedos, vec2(wo.z, kind == 1 ? 0.25 : 0.75), 0.0).r;
+    float lobe = density * masking(wi.z, alpha) * masking(wo.z, alpha) / (4.0 * wo.z * lost);
+    value = mix(kind == 2 ? albedo / PI * wi.z : 0.0, lobe, share);
+  }
+  fit = reference = vec3(value);
+}
+Lobes lobes(vec3 wo) {
+  float gloss = kind == 1 ? 1.0 : clamp(fresnel(wo.z), 0.1, 0.9);
+  return Lobes(vec2(alpha_of()), vec2(1.0), kind == 0 ? vec3(0.0) : vec3(1.0 - gloss, gloss, 0.0), 0.0);
+}`;
+
+// A map seen from its middle or flat, or two pictures side by side.
+const LOOK = `${SHOWING}
+uniform sampler2D doubt, photo, ball; uniform int mode, finer; uniform float zoom, dot; uniform vec2 heading; uniform bool hatch;
+const float PI = 3.14159265358979;
+bool place_at(vec2 px, out vec2 uv) {  // in the map, of a place in the column
+  vec2 at = 2.0 * px - column.zw;
+  if (mode == 1) {
+    uv = 0.5 + vec2(at.x, -at.y) / (2.0 * min(column.z, 2.0 * column.w) * vec2(1.0, 0.5));
+    return all(lessThan(abs(uv - 0.5), vec2(0.5)));
+  }
+  vec3 d = normalize(vec3(at / column.w * zoom, 1.0));  // right, up, ahead
+  float c = cos(heading.y), s = sin(heading.y);
+  d.yz = vec2(c * d.y + s * d.z, c * d.z - s * d.y);
+  uv = vec2(fract(0.5 + (heading.x + atan(d.x, d.z)) / (2.0 * PI)), acos(clamp(d.y, -1.0, 1.0)) / PI);
+  return true;
+}
+vec3 map_at(vec2 px) {
+  vec2 uv;
+  if (!place_at(px, uv)) return paper;
+  vec3 fit = encoded(textureLod(map, uv, 0.0).rgb * mapScale), reference = encoded(textureLod(referenceMap, uv, 0.0).rgb * mapScale);
+  return show == 3 ? abs(fit - reference) * gain : is_reference() ? reference : fit;
+}
+vec3 balls_at(vec2 px) {
+  bool wide = column.z > column.w;
+  vec2 cell = wide ? column.zw * vec2(0.5, 1.0) : column.zw * vec2(1.0, 0.5);
+  vec2 uv = 0.5 + (mod(px, cell) - 0.5 * cell) / (0.96 * min(cell.x, cell.y));
+  if (distance(uv, vec2(0.5)) > 0.49) return paper;
+  vec3 x = ((wide ? px.x < cell.x : px.y > cell.y) ? textureLod(photo, uv, 0.0) : textureLod(ball, uv, 0.0)).rgb;
+  return srgb(min(exposure * mix(x / 12.92, pow((x + 0.055) / 1.055, vec3(2.4)), step(0.04045, x)), 1.0));
+}
+void main() {
+  vec2 px = gl_FragCoord.xy - column.xy, uv;
+  vec3 sum = vec3(0.0);
+  if (mode == 2) sum = balls_at(px);
+  else if (mode < 2) {
+    for (int i = 0; i < finer * finer; i++) sum += map_at(px + (vec2(i % finer, i / finer) + 0.5) / float(finer) - 0.5);
+    sum /= float(finer * finer);
+    if (hatch && show != 3 && !is_reference() && place_at(px, uv)) {  // as metapp's confidence.png
+      float share = clamp(textureLod(doubt, uv, 0.0).r, 0.0, 1.0), away = abs(mod((px.x - px.y) / dot, 12.0) - 6.0);
+      if (share > 0.0) sum = mix(sum, vec3(0.90, 0.05, 0.45), 0.75 * clamp(share * 3.0 + 0.5 - away, 0.0, 1.0));
+    }
+  } else sum = paper;
+  result = vec4(sum, 1.0);
+}`;
+
+// Spheres [[kind, radius, x, y], ...] as one shape, their kind as the place on it.
+function spheres(several) {
+  const one = sphere(), count = one.attributes.position.count, geometry = new THREE.BufferGeometry(), index = [];
+  for (const [name, { itemSize, array }] of Object.entries(one.attributes)) {
+    const values = new Float32Array(several.length * array.length);
+    several.forEach(([kind, radius, x, y], k) => {
+      for (let i = 0; i < array.length; i++) {
+        const place = name === "position" ? radius * array[i] + [x, y, 0][i % 3] : array[i];
+        values[k * array.length + i] = name === "uv" ? (kind + 0.5) / 3 : place;
+      }
+    });
+    geometry.setAttribute(name, new THREE.BufferAttribute(values, itemSize));
+  }
+  several.forEach((each, k) => { for (const i of one.index.array) index.push(i + k * count); });
+  geometry.setIndex(index);
+  return geometry;
+}
+Object.assign(SHAPES, {
+  spheres: ["Mirror, silver, diffuse", () => spheres([[0, 0.62, 0, 0.62], [1, 0.62, -0.66, -0.5], [2, 0.62, 0.66, -0.5]])],
+  mirror: ["Mirror", () => spheres([[0, 1, 0, 0]])],
+  silver: ["Silver, matte", () => spheres([[1, 1, 0, 0]])],
+  diffuse: ["Plastic, diffuse", () => spheres([[2, 1, 0, 0]])],
+});
+
+const DEGREE = Math.PI / 180;
+
+class LightViewer extends ShapeViewer {
+  static shapes = ["spheres", "mirror", "silver", "diffuse"];
+  static lights = [["map", "The fitted map"]];
+  static curve = 2;
+  static stops = 10;
+
+  async open() {
+    await super.open();
+    this.orbit.enabled = false;
+    this.looking = this._pass(LOOK, {
+      ...this._shown(), doubt: null, photo: null, ball: null, mode: 0, finer: 1, zoom: 1, dot: 1, heading: new THREE.Vector2(), hatch: false,
+    });
+    this._look();
+  }
+
+  async ownLight() {
+    const lights = [];
+    for (const fit of this.fits) lights.push(await this._read(fit));
+    this.lights = lights;  // all at once: frames are drawn meanwhile
+    return lights[0];
+  }
+
+  // The light of a fit and its reference, and textures of what else there is.
+  async _read({ arrays, pictures, facts }) {
+    const map = await numbersOf(arrays.map), [height, width] = map.shape, reference = arrays.reference && floatsOf(await numbersOf(arrays.reference));
+    const own = { ...lightOf(floatsOf(map), height, width, reference), scale: facts.scale };
+    if (arrays.doubt) {
+      own.doubt = this._gray(await numbersOf(arrays.doubt), { ...LINEAR, wrapS: THREE.RepeatWrapping });
+    }
+    for (const name of ["photo", "ball"].filter((each) => pictures[each])) {
+      own[name] = Object.assign(new THREE.Texture(await imageOf(pictures[name])), { ...LINEAR, generateMipmaps: false, needsUpdate: true });
+    }
+    return own;
+  }
+
+  // A texture of halves [H, W], in its first channel.
+  _gray({ values, shape }, options) {
+    const texels = new Uint16Array(4 * values.length);
+    values.forEach((value, i) => { texels[4 * i] = value; });
+    return texture(texels, shape[1], shape[0], options);
+  }
+
+  async update(group) {
+    const before = this.lights;
+    await super.update(group);
+    await this.ownLight();
+    before.forEach(forget);
+    this.restart();
+  }
+  close() { this.lights?.forEach(forget); super.close(); }
+
+  lightOf(column) { return this.lights[column]; }
+  referenced(fit) { return "reference" in fit.arrays && this.settings.view !== "ball"; }
+  picture() { return { half: this.settings.shape === "spheres" ? 1.35 : 1 }; }
+  most() { return this.settings.shape === "mirror" ? 64 : super.most(); }
+  get inSpace() { return ["free", "picture"].includes(this.settings.view); }
+
+  async material({ facts }) {
+    const { metal, albedo, specular, silver, diffuse } = facts, alphas = new THREE.Vector2(silver.roughness ** 2, diffuse.roughness ** 2);
+    const lobeAlbedos = this._gray(await shared("lobes"), LINEAR);
+    return { glsl: SPHERES, uniforms: { metal, albedo, specular, alphas, lobeAlbedos } };
+  }
+
+  controls() {
+    const views = [["around", "Panorama"], ["flat", "Flat map, as in metapp's picture"], ["free", "Spheres, to turn"], ["picture", "Spheres from the front"]];
+    if (this.fits.some(({ pictures }) => pictures.photo)) views.push(["ball", "The photo's ball | the fit's"]);
+    const compared = this.fits.some((fit) => this.referenced(fit)), lit = (s) => ["free", "picture"].includes(s.view);
+    const own = {
+      view: { value: "around", options: views }, shape: { label: "Spheres", when: lit }, turn: { when: lit },
+      show: { when: (s) => compared && s.view !== "ball" }, wipe: { when: (s) => s.show === "wipe" && s.view !== "ball" },
+      gain: { when: (s) => s.show === "difference" && s.view !== "ball" },
+    };
+    return super.controls().filter(({ name }) => name !== "file").map((each) => ({ ...each, ...own[each.name] }));
+  }
+
+  ownControls() {
+    const around = (s) => s.view === "around", degrees = (x) => `${Math.round(x)}\u00b0`;
+    const unsure = this.fits.some(({ arrays }) => arrays.doubt), notes = this.fits.filter(({ facts }) => facts.note);
+    return [
+      { name: "heading", label: "Turned to the right", type: "range", min: -180, max: 180, step: 1, value: 0, text: degrees, when: around },
+      { name: "pitch", label: "Turned up", type: "range", min: -90, max: 90, step: 1, value: 0, text: degrees, when: around },
+      { name: "field", label: "Field of view", type: "range", min: 10, max: 140, step: 1, value: 75, text: degrees, when: around },
+      { name: "hatch", label: "Stripes where the fit is uncertain", type: "check", value: false, when: (s) => unsure && (around(s) || s.view === "flat") },
+      { name: "balls", label: "First what the fit saw, then its own ball under its map.", type: "note", when: (s) => s.view === "ball" },
+      ...notes.map(({ label, facts }, i) => (
+        { name: `note${i}`, label: notes.length > 1 ? `${label}: ${facts.note}` : facts.note, type: "note", when: (s) => s.view !== "ball" })),
+    ];
+  }
+
+  changed(name) {
+    if (["heading", "pitch", "field", "hatch"].includes(name)) this.redraw(); else super.changed(name);
+    this.orbit.enabled = this.settings.view === "free";
+  }
+
+  // Drag to turn, wheel to zoom.
+  _look() {
+    const canvas = this.renderer.domElement;
+    let last = null;
+    canvas.addEventListener("pointerdown", (event) => { last = [event.clientX, event.clientY]; canvas.setPointerCapture(event.pointerId); });
+    canvas.addEventListener("pointermove", (event) => {
+      if (this.settings.view !== "around" || !event.buttons || !last) return;
+      const degrees = this.settings.field / this.element.clientHeight, x = (event.clientX - last[0]) * degrees, y = (event.clientY - last[1]) * degrees;
+      last = [event.clientX, event.clientY];
+      this.set("heading", (this.settings.heading - x + 540) % 360 - 180);
+      this.set("pitch", clamp(this.settings.pitch + y, -90, 90));
+    });
+    canvas.addEventListener("wheel", (event) => {
+      if (this.settings.view !== "around") return;
+      event.preventDefault();
+      this.set("field", clamp(this.settings.field * 1.001 ** event.deltaY, 10, 140));
+    }, { passive: false });
+  }
+
+  draw() {
+    if (this.inSpace) return super.draw();
+    const { settings, renderer } = this, u = this.looking.uniforms, mode = { around: 0, flat: 1, ball: 2 }[settings.view], { field } = settings;
+    const ratio = renderer.getPixelRatio(), width = this.element.clientWidth * ratio / this.fits.length, height = this.element.clientHeight * ratio;
+    u.zoom.value = Math.tan(field / 2 * DEGREE); u.dot.value = ratio; u.heading.value.set(settings.heading * DEGREE, settings.pitch * DEGREE);
+    this._columns(this.looking, (i) => {
+      const { size, doubt, photo, ball } = this.lights[i], px = mode ? Math.min(width / 2, height) : height * 180 / field;  // of all rows
+      u.finer.value = clamp(Math.ceil(size.y / px), 1, 4); u.mode.value = mode === 2 && !photo ? 3 : mode;
+      u.doubt.value = doubt; u.photo.value = photo; u.ball.value = ball; u.hatch.value = Boolean(doubt) && settings.hatch;
+    });
+    return false;
+  }
+}
+VIEWERS.light = LightViewer;

@@ -1,0 +1,127 @@
+// The page: which group is open, the loop that draws, and what tests and other programs call (window.metapp).
+
+const page = {
+  header: document.querySelector("header"), nav: document.querySelector("nav"), stage: document.getElementById("stage"),
+  form: document.getElementById("controls"), footer: document.querySelector("footer"), problem: document.querySelector(".problem"),
+};
+let viewer = null, controls = null, dirty = false, busy = false, drawn = 0, opened = 0;
+
+function say(text) { page.footer.textContent = text; }
+
+function fail(error) {
+  closeView();
+  page.problem.hidden = false;
+  page.problem.textContent = `This view cannot be drawn: ${error.message}`;
+  console.error(error);
+}
+
+function closeView() { viewer?.close(); viewer = null; }
+
+async function openGroup(index) {
+  const group = DATA.groups[index], turn = ++opened, before = viewer?.kind === group.kind ? { ...controls.settings } : {};
+  closeView();
+  page.problem.hidden = true;
+  page.header.querySelector("h1").textContent = group.title;
+  document.title = `${group.title}: ${DATA.title}`;
+  captions(group);
+  page.nav.querySelectorAll("button").forEach((each, i) => each.setAttribute("aria-current", i === index));
+  const next = new VIEWERS[group.kind](page.stage, group, () => { dirty = true; });
+  try {
+    await next.open();
+    if (turn !== opened) return next.close();  // another one was asked for meanwhile
+    const made = new Controls(page.form, next.controls(), (name) => { next.changed(name); dirty = true; });
+    next.settings = made.settings;
+    next.set = (name, value) => made.set(name, value);
+    next.kind = group.kind;
+    next.lost = () => fail(new Error("the browser stopped WebGL, as drawing took too long or the page was left; load it anew."));
+    [viewer, controls] = [next, made];
+    resize();
+    for (const { name, options } of made.controls) {  // as they were, where that is possible here
+      if (name in before && (!options || options.some(([value]) => value === before[name]))) made.set(name, before[name]);
+    }
+  } catch (error) {
+    next.close();
+    if (turn === opened) fail(error);
+    throw error;
+  }
+}
+
+function captions(group) {
+  page.header.querySelector(".caption").textContent = group.fits.length === 1
+    ? [group.fits[0].label, group.fits[0].caption].filter(Boolean).join(": ") : group.section;
+}
+
+function resize() { viewer?.resize(); dirty = true; }
+
+function frame() {
+  if (viewer && (dirty || busy)) {
+    dirty = false;
+    try { busy = viewer.draw(); drawn += 1; } catch (error) { busy = false; fail(error); }
+  }
+  requestAnimationFrame(frame);
+}
+
+function list() {
+  if (DATA.groups.length < 2) return;
+  let section = "";
+  DATA.groups.forEach((group, i) => {
+    if (group.section !== section) page.nav.append(make("h2", { textContent: section = group.section }));
+    page.nav.append(make("button", { type: "button", textContent: group.title, onclick: () => openGroup(i) }));
+  });
+}
+
+// While a fit runs its page asks for what has changed.
+async function follow(address) {
+  for (let serial = 0, failures = 0; failures < 3;) {
+    let news;
+    try { news = await (await fetch(`${address}?after=${serial}`)).json(); failures = 0; } catch { failures += 1; continue; }
+    if (news.group && news.serial !== serial) {
+      const [before] = DATA.groups;
+      DATA.groups[0] = news.group;
+      captions(news.group);
+      if (news.group.title !== before.title) await openGroup(0);  // the next task
+      else await viewer?.update(news.group);
+      dirty = true;
+    }
+    serial = news.serial;
+    say(news.text);
+    curve(news.curve);
+    if (news.done) return;
+  }
+  say("The fit is over, or was stopped.");
+}
+
+// The visible loss by steps, log scale, at the right of the footer.
+function curve(points) {
+  if (points.length < 2) return;
+  const logs = points.map(([, loss]) => Math.log(Math.max(loss, 1e-9))), low = Math.min(...logs), high = Math.max(...logs, low + 1e-6);
+  const line = logs.map((each, i) => `${(160 * i / (points.length - 1)).toFixed(1)},${(20 - 18 * (each - low) / (high - low)).toFixed(1)}`);
+  const svg = document.createElementNS("http://www.w3.org/2000/svg", "svg"), drawn = document.createElementNS(svg.namespaceURI, "polyline");
+  svg.setAttribute("width", 162); svg.setAttribute("height", 22);
+  drawn.setAttribute("points", line.join(" ")); drawn.setAttribute("fill", "none"); drawn.setAttribute("stroke", "currentColor");
+  svg.append(drawn);
+  page.footer.append(`; visible loss ${points.at(-1)[1].toPrecision(3)} `, svg);
+}
+
+async function png() {
+  viewer.draw();
+  return viewer.png().toDataURL("image/png");
+}
+
+document.getElementById("save").addEventListener("click", async () => {
+  if (viewer) make("a", { href: await png(), download: `${document.querySelector("h1").textContent.replace(/[^\w.-]+/g, "_")}.png` }).click();
+});
+addEventListener("resize", resize);
+list();
+window.metapp = {
+  ready: openGroup(0),
+  open: openGroup,
+  set: (name, value) => controls.set(name, value),
+  png,
+  get viewer() { return viewer; },
+  get settings() { return controls.settings; },
+  get drawn() { return drawn; },
+  settled: async () => { do await new Promise((done) => { setTimeout(done, 30); }); while (dirty || busy); },
+};
+window.metapp.ready.then(() => { if (DATA.live) follow(DATA.live); }).catch(() => {});
+requestAnimationFrame(frame);

@@ -1,0 +1,469 @@
+// Pictures: side by side or one at a time, a wipe and the difference of two, errors against a reference, tiles, texels, a chart.
+//
+// pictures: display values, 8 bits. arrays: linear radiance [H, W, 1 or 3] of any unit, tone-mapped here as in metapp's PNGs.
+// facts, none of which is needed:
+//   pictures   [{title, names, tiles, told}]: what is shown, in this order; by default all, titled as they are named. names: of `pictures`
+//              or `arrays`, one, or one for each of steps.titles. tiles: "whole" (its edges meet) or "seams" (they do not). told: of each
+//              of names, what its label says beside the title
+//   steps      {label, titles}: what a slider chooses between, such as seconds
+//   compared   [left, right]: titles of the pair that is compared first; by default reference and fit
+//   reference  title of the radiance whose mean all are exposed by, and that errors are against; by default each has its own mean
+//   chart      {x, y, lines: [{title, points: [[x, y], ...]}]}, both axes logarithmic
+//   notes      [text]
+
+const FITTED = -6;                 // of the setting `zoom`, a logarithm to base 2: as large as fits in the view
+const LARGEST = 6;                 // of the same
+const LINES = ["#ffd76a", "#7fb2ff", "#c9ccd1"];
+const HEAT = [[0, 0, 4], [87, 16, 110], [188, 55, 84], [249, 142, 9], [252, 255, 164]];  // of errors, from none to all
+
+// A picture of the page: display values as a canvas, and the numbers behind it.
+class Raster {
+  constructor(width, height, source) { Object.assign(this, { width, height, source, levels: [] }); }
+
+  static async of(name, fit) {
+    if (!(name in fit.arrays)) {
+      const image = await imageOf(fit.pictures[name]), made = new Raster(image.width, image.height, fit.pictures[name]);
+      made.levels = [image];
+      return made;
+    }
+    const { shape, values } = await numbersOf(fit.arrays[name]).then((array) => ({ shape: array.shape, values: floatsOf(array) }));
+    const made = new Raster(shape[1], shape[0], fit.arrays[name].data);
+    return Object.assign(made, { radiance: values, channels: shape[2], mean: Math.max(values.reduce((sum, x) => sum + x, 0) / values.length, 1e-20) });
+  }
+
+  // Radiance over a mean and at an exposure: x / (1 + x), encoded as sRGB.
+  exposed(scale) {
+    if (!this.radiance || this.scale === scale) return;
+    this.scale = scale;
+    this.paint((i, c) => {
+      const x = Math.max(this.radiance[i * this.channels + Math.min(c, this.channels - 1)] * scale, 0), y = x / (1 + x);
+      return 255 * (y <= 0.0031308 ? 12.92 * y : 1.055 * y ** (1 / 2.4) - 0.055);
+    });
+  }
+
+  // Fill it with value(texel, channel) in [0, 255].
+  paint(value) {
+    const canvas = make("canvas", { width: this.width, height: this.height }), g = canvas.getContext("2d"), data = g.createImageData(this.width, this.height);
+    for (let i = 0; i < this.width * this.height; i++) {
+      for (let c = 0; c < 3; c++) data.data[4 * i + c] = value(i, c);
+      data.data[4 * i + 3] = 255;
+    }
+    g.putImageData(data, 0, 0);
+    this.levels = [canvas];
+    this.bytes = data.data;
+  }
+
+  // Display values, RGBA, 8 bits.
+  get data() {
+    if (!this.bytes) {
+      const g = make("canvas", { width: this.width, height: this.height }).getContext("2d");
+      g.drawImage(this.levels[0], 0, 0);
+      this.bytes = g.getImageData(0, 0, this.width, this.height).data;
+    }
+    return this.bytes;
+  }
+
+  // Halved so often: a browser that draws far less than there is skips texels.
+  level(n) {
+    while (this.levels.length <= n) {
+      const last = this.levels.at(-1), half = make("canvas", { width: Math.ceil(last.width / 2), height: Math.ceil(last.height / 2) });
+      half.getContext("2d").drawImage(last, 0, 0, half.width, half.height);
+      this.levels.push(half);
+    }
+    return this.levels[n];
+  }
+
+  // What its numbers are at a texel.
+  told(x, y) {
+    const i = y * this.width + x;
+    if (this.says) return this.says(i);
+    if (this.radiance) return `radiance ${[...this.radiance.subarray(i * this.channels, (i + 1) * this.channels)].map((v) => v.toPrecision(3)).join(", ")}`;
+    return `${[...this.data.subarray(4 * i, 4 * i + 3)].join(", ")} of 255`;
+  }
+}
+
+function heat(x) {
+  const at = clamp(x, 0, 1) * (HEAT.length - 1), i = Math.min(Math.floor(at), HEAT.length - 2);
+  return HEAT[i].map((low, c) => low + (at - i) * (HEAT[i + 1][c] - low));
+}
+
+class PicturesViewer extends Viewer {
+
+  async open() {
+    this.canvas = make("canvas", { tabIndex: 0 });
+    this.canvas.setAttribute("aria-label", "Pictures: drag or arrow keys move, wheel or + and - zoom, 0 fits them in the view");
+    this.pointed = make("div", { className: "label pointed", hidden: true });
+    this.pointed.style.top = "auto";
+    this.element.append(this.canvas, this.pointed);
+    this.overlays = []; this.pointers = new Map();
+    await this._load();
+    this._listen();
+  }
+
+  async update(group) {
+    await super.update(group);
+    await this._load();
+    this._layout();
+    this.redraw();
+  }
+
+  // Of each fit the rasters by title, one or as many as there are steps.
+  async _load() {
+    this.sets = await Promise.all(this.fits.map(async (fit) => {
+      const specs = fit.facts.pictures ?? [...Object.keys(fit.pictures), ...Object.keys(fit.arrays)].map((name) => ({ title: name, names: [name] }));
+      const rasters = await Promise.all(specs.map((spec) => Promise.all(spec.names.map((name) => Raster.of(name, fit)))));
+      return new Map(specs.map((spec, i) => [spec.title, { ...spec, rasters: rasters[i] }]));
+    }));
+    this.titles = [...new Set(this.sets.flatMap((set) => [...set.keys()]))];
+    this.derived = new Map();
+  }
+
+  facts(name) { return this.fits.map((fit) => fit.facts[name]).find((value) => value !== undefined); }
+
+  controls() {
+    const { titles } = this, all = this.sets.flatMap((set) => [...set.values()]), options = titles.map((title) => [title, title]);
+    const usual = titles.includes("reference") && titles.includes("fit") ? ["reference", "fit"] : [titles[0], titles.at(-1)];
+    const [left, right] = this.facts("compared") ?? usual, several = titles.length > 1, pair = (s) => ["wipe", "difference"].includes(s.show);
+    const steps = this.facts("steps"), hdr = all.some((each) => each.rasters[0].radiance), tiled = all.some((each) => each.tiles);
+    const shows = [["all", "Side by side"], ["one", "One at a time"], ["wipe", "Wipe between two"], ["difference", "Difference of two"]];
+    if (this.facts("reference")) shows.push(["error", "Error against the reference"]);
+    const percent = () => `${parseFloat((100 * (this.zoom ?? 1)).toPrecision(4))} %`;
+    return [
+      { name: "show", label: "Show", type: "choice", value: "all", options: shows, when: () => several },
+      { name: "one", label: "Picture", type: "choice", value: right, options, when: (s) => s.show === "one" },
+      { name: "left", label: "Left", type: "choice", value: left, options, when: pair },
+      { name: "right", label: "Right", type: "choice", value: right, options, when: pair },
+      { name: "wipe", label: "Wipe", type: "range", min: 0, max: 1, step: 0.005, value: 0.5, text: (x) => `${Math.round(100 * x)} %`, when: (s) => s.show === "wipe" },
+      { name: "gain", label: "Difference times", type: "range", min: 1, max: 50, step: 1, value: 5, when: (s) => s.show === "difference" },
+      { name: "most", label: "Brightest error", type: "range", min: 0.05, max: 2, step: 0.05, value: 1, text: (x) => `${Math.round(100 * x)} %`, when: (s) => s.show === "error" },
+      ...(steps ? [{ name: "step", label: steps.label, type: "range", min: 0, max: steps.titles.length - 1, step: 1, value: steps.titles.length - 1,
+        text: (i) => steps.titles[i] ?? steps.titles.at(-1) }] : []),
+      { name: "exposure", label: "Exposure", type: "range", min: -6, max: 6, step: 0.1, value: 0, text: (x) => `${x > 0 ? "+" : ""}${x.toFixed(1)} stops`, when: () => hdr },
+      { name: "tiles", label: "Tiles", type: "range", min: 1, max: 8, step: 1, value: 1, text: (n) => `${n} x ${n}`, when: () => tiled },
+      { name: "seams", label: "Mark where tiles meet", type: "check", value: false, when: () => tiled },
+      { name: "zoom", label: "Zoom", type: "range", min: FITTED, max: LARGEST, step: 0.25, value: FITTED, text: (x) => `${percent()}${x <= FITTED ? ", fits" : ""}` },
+      { name: "fit", label: "Fit to view", type: "action", run: () => this._put({ zoom: FITTED, x: 0, y: 0 }) },
+      { name: "whole", label: "100 %", type: "action", run: () => this._put({ zoom: 0 }) },
+      { name: "x", label: "", type: "note", value: 0, when: () => false },  // of what is in the middle: texels from the pictures' middle
+      { name: "y", label: "", type: "note", value: 0, when: () => false },
+      { name: "chart", label: "Chart", type: "check", value: true, when: () => Boolean(this.facts("chart")) },
+      ...[...new Set(this.fits.flatMap((fit) => fit.facts.notes ?? []))].map((text, i) => ({ name: `note${i}`, label: text, type: "note" })),
+    ];
+  }
+
+  _put(values) {
+    Object.assign(this.settings, values);
+    this._layout();
+    controls.refresh();
+    this.redraw();
+  }
+  changed() { this._layout(); controls?.refresh(); }
+
+  resize() {
+    const { clientWidth: width, clientHeight: height } = this.element, ratio = devicePixelRatio;
+    Object.assign(this.canvas, { width: Math.round(width * ratio), height: Math.round(height * ratio) });
+    this.canvas.style.width = `${width}px`;
+    this.canvas.style.height = `${height}px`;
+    this._layout();
+    controls?.refresh();
+  }
+
+  // The raster of a title in a fit at the chosen step, at the chosen exposure; undefined where it has none.
+  _raster(i, title) {
+    const picture = this.sets[i].get(title);
+    if (!picture) return undefined;
+    const of = (each, what = "rasters") => each[what][Math.min(this.settings.step ?? 0, each[what].length - 1)], raster = of(picture);
+    const by = this.sets[i].get(this.facts("reference"));
+    raster.exposed(2 ** this.settings.exposure / (by ? of(by) : raster).mean);
+    return Object.assign(raster, { tiles: picture.tiles, note: picture.told && of(picture, "told") });
+  }
+
+  // What is shown: [{fit, titles, rasters: one, or two of a wipe}]; what fits have in common is shown once.
+  _panels() {
+    const { show, one, left, right } = this.settings, panels = [], known = new Set(), reference = this.facts("reference");
+    const sources = (i, titles) => titles.map((title) => this._raster(i, title)?.source).join("\n");
+    const add = (fit, titles, made = (...rasters) => rasters, said = titles) => {
+      const rasters = titles.map((each) => this._raster(fit, each)), key = `${said}\n${sources(fit, titles)}`;
+      if (known.has(key) || rasters.some((each) => !each)) return;
+      known.add(key);
+      const shared = this.fits.every((_, i) => sources(i, titles) === sources(fit, titles)), shown = made(...rasters);
+      if (shown.every(Boolean)) panels.push({ fit, titles: said, rasters: shown, shared });
+    };
+    this.fits.forEach((_, i) => {
+      const titles = [...this.sets[i].keys()];
+      if (show === "one") add(i, [one]);
+      else if (show === "wipe") add(i, [left, right]);
+      else if (show === "difference") add(i, [left, right], (a, b) => [this._difference(a, b)], [`difference of ${left} and ${right}`]);
+      else if (show === "error") titles.filter((each) => each !== reference).forEach((each) => add(i, [each, reference], (a, b) => [this._error(a, b)], [each]));
+      else titles.forEach((each) => add(i, [each]));
+    });
+    return panels;
+  }
+
+  _kept(key, makes) {
+    if (!this.derived.has(key)) {
+      if (this.derived.size > 16) this.derived.clear();
+      this.derived.set(key, makes());
+    }
+    return this.derived.get(key);
+  }
+
+  // |a - b| of display values times the gain, over what both cover.
+  _difference(a, b) {
+    if (!a || !b) return undefined;
+    const { gain } = this.settings, key = `d ${gain} ${a.scale} ${b.scale} ${a.source} ${b.source}`;
+    return this._kept(key, () => {
+      const width = Math.min(a.width, b.width), height = Math.min(a.height, b.height), made = new Raster(width, height, key);
+      const at = (of, i) => 4 * (Math.floor(i / width) * of.width + i % width), off = (i, c) => Math.abs(a.data[at(a, i) + c] - b.data[at(b, i) + c]);
+      made.paint((i, c) => gain * off(i, c));
+      made.says = (i) => `differs by ${[0, 1, 2].map((c) => off(i, c)).join(", ")} of 255`;
+      return Object.assign(made, { tiles: a.tiles && b.tiles && a.width === b.width ? a.tiles : undefined });
+    });
+  }
+
+  // |p - r| / max(r, 1 % of r's mean), as metapp.appearance.metrics.mape has it, the mean over channels.
+  _error(picture, reference) {
+    if (!picture?.radiance || !reference?.radiance || picture.radiance.length !== reference.radiance.length) return undefined;
+    const { most } = this.settings, key = `e ${most} ${picture.source} ${reference.source}`;
+    return this._kept(key, () => {
+      const { channels, width, height, mean } = picture, made = new Raster(width, height, key), values = new Float32Array(width * height);
+      for (let k = 0; k < picture.radiance.length; k++) {
+        const r = reference.radiance[k];
+        values[Math.floor(k / channels)] += Math.abs(picture.radiance[k] - r) / Math.max(r, 0.01 * reference.mean) / channels;
+      }
+      made.paint((i, c) => heat(values[i] / most)[c]);
+      made.says = (i) => `error ${(100 * values[i]).toPrecision(3)} %`;
+      return Object.assign(made, { note: `${picture.note ? `${picture.note}, ` : ""}MAPE ${(values.reduce((sum, x) => sum + x, 0) / values.length).toPrecision(3)}` });
+    });
+  }
+
+  // How many texels a raster covers, its repetitions counted.
+  _area(raster) {
+    const { tiles } = this.settings;
+    if (!raster.tiles || (tiles === 1 && this.settings.show !== "wipe")) return [raster.width, raster.height];
+    const tiled = this.sets.flatMap((set) => [...set.values()]).filter((each) => each.tiles).map((each) => each.rasters[0]);
+    return [tiles * Math.max(...tiled.map((each) => each.width)), tiles * Math.max(...tiled.map((each) => each.height))];
+  }
+
+  // Cells for all panels, as large as they can be, and the zoom: px of the screen a texel.
+  _layout() {
+    const { canvas, settings } = this, ratio = devicePixelRatio, gap = Math.round(6 * ratio);
+    if (!canvas.width || !canvas.height || settings.show === undefined) return;
+    this.panels = this._panels();
+    const below = settings.chart && this.facts("chart") ? Math.round(clamp(0.34 * canvas.height, 110 * ratio, 260 * ratio)) : 0;
+    const height = canvas.height - below, areas = this.panels.flatMap((panel) => panel.rasters.map((each) => this._area(each)));
+    const [w, h] = [0, 1].map((axis) => Math.max(1, ...areas.map((area) => area[axis])));
+    let best = { fit: 0 };
+    for (let columns = 1; columns <= this.panels.length; columns++) {
+      const rows = Math.ceil(this.panels.length / columns);
+      const cell = [Math.floor((canvas.width - gap * (columns - 1)) / columns), Math.floor((height - gap * (rows - 1)) / rows)];
+      const fit = Math.min(cell[0] / w, cell[1] / h);
+      if (fit > best.fit) best = { fit, columns, cell };
+    }
+    if (!best.fit) return;
+    this.fitting = best.fit >= 1 ? Math.floor(best.fit) : best.fit;  // whole px a texel
+    this.zoom = settings.zoom <= FITTED ? this.fitting : 2 ** settings.zoom;
+    if (settings.zoom <= FITTED) Object.assign(settings, { x: 0, y: 0 });
+    settings.x = clamp(settings.x, -w / 2, w / 2);
+    settings.y = clamp(settings.y, -h / 2, h / 2);
+    this.panels.forEach((panel, i) => {
+      const column = i % best.columns, row = Math.floor(i / best.columns);
+      Object.assign(panel, { x: column * (best.cell[0] + gap), y: row * (best.cell[1] + gap), width: best.cell[0], height: best.cell[1] });
+    });
+    this.below = below;
+    this._place();
+  }
+
+  // Where a raster begins on the canvas, px.
+  _origin(panel, raster) {
+    const area = this._area(raster), middle = [panel.x + panel.width / 2, panel.y + panel.height / 2];
+    return [0, 1].map((axis) => Math.round(middle[axis] - (area[axis] / 2 + this.settings[axis ? "y" : "x"]) * this.zoom));
+  }
+
+  draw() {
+    const { canvas } = this, g = canvas.getContext("2d");
+    if (!this.panels) this._layout();
+    if (!this.panels) return false;
+    g.fillStyle = "#17181b";
+    g.fillRect(0, 0, canvas.width, canvas.height);
+    for (const panel of this.panels) {
+      const cut = Math.round(panel.width * this.settings.wipe);
+      panel.rasters.forEach((raster, i) => {
+        const from = panel.rasters.length === 2 && i ? cut : 0, to = panel.rasters.length === 2 && !i ? cut : panel.width;
+        g.save();
+        g.beginPath();
+        g.rect(panel.x + from, panel.y, to - from, panel.height);
+        g.clip();
+        this._paint(g, panel, raster);
+        g.restore();
+      });
+    }
+    if (this.below) this._chart(g, this.facts("chart"), canvas.height - this.below, this.below);
+    return false;
+  }
+
+  _paint(g, panel, raster) {
+    const { zoom } = this, [left, top] = this._origin(panel, raster), [w, h] = this._area(raster), { width, height } = raster;
+    let n = 0;
+    while (zoom * 2 ** n <= 0.5 && Math.min(width, height) >> (n + 1)) n++;
+    const source = raster.level(n);
+    g.imageSmoothingEnabled = zoom < 2 && zoom !== 1;
+    if (w === width && h === height) g.drawImage(source, left, top, width * zoom, height * zoom);
+    else {  // filtered across the edges, too
+      const pattern = g.createPattern(source, "repeat");
+      pattern.setTransform(new DOMMatrix([width * zoom / source.width, 0, 0, height * zoom / source.height, left, top]));
+      g.fillStyle = pattern;
+      g.fillRect(left, top, w * zoom, h * zoom);
+    }
+    if (!this.settings.seams || !raster.tiles) return;
+    g.fillStyle = raster.tiles === "seams" ? "#ff5d5d" : "#7fb2ff";
+    const line = Math.max(1, Math.round(devicePixelRatio));
+    for (let x = 0; x <= w; x += width) g.fillRect(left + Math.round(x * zoom) - (x === w ? line : 0), top, line, h * zoom);
+    for (let y = 0; y <= h; y += height) g.fillRect(left, top + Math.round(y * zoom) - (y === h ? line : 0), w * zoom, line);
+  }
+
+  // Both axes logarithmic; larger dots at the step that is shown.
+  _chart(g, { x: across, y: up, lines }, top, height) {
+    const ratio = devicePixelRatio, { width } = this.canvas, points = lines.flatMap((each) => each.points);
+    const box = { left: 52 * ratio, right: width - 14 * ratio, top: top + 26 * ratio, bottom: top + height - 34 * ratio };
+    const range = [0, 1].map((axis) => {
+      const all = points.map((point) => point[axis]).filter((value) => value > 0);
+      return [Math.log10(Math.min(...all)) - 0.06, Math.log10(Math.max(...all)) + 0.06];
+    });
+    const at = ([x, y]) => [
+      box.left + (Math.log10(x) - range[0][0]) / (range[0][1] - range[0][0]) * (box.right - box.left),
+      box.bottom - (Math.log10(y) - range[1][0]) / (range[1][1] - range[1][0]) * (box.bottom - box.top)];
+    g.font = `${11 * ratio}px system-ui, sans-serif`;
+    g.lineWidth = ratio;
+    for (const axis of [0, 1]) {
+      const [low, high] = range[axis];
+      for (let decade = Math.floor(low); decade <= high; decade++) {
+        for (const times of high - low < 0.5 ? [1, 1.5, 2, 3, 4, 5, 6, 8] : high - low < 1.7 ? [1, 2, 5] : [1]) {
+          const value = times * 10 ** decade;
+          if (Math.log10(value) < low || Math.log10(value) > high) continue;
+          const [x, y] = at(axis ? [10 ** range[0][0], value] : [value, 10 ** range[1][0]]);
+          g.fillStyle = "#34373d";
+          if (axis) g.fillRect(box.left, y, box.right - box.left, ratio); else g.fillRect(x, box.top, ratio, box.bottom - box.top);
+          g.fillStyle = "#9a9fa8"; g.textAlign = axis ? "right" : "center"; g.textBaseline = axis ? "middle" : "top";
+          g.fillText(`${parseFloat(value.toPrecision(2))}`, axis ? box.left - 6 * ratio : x, axis ? y : box.bottom + 4 * ratio);
+        }
+      }
+    }
+    g.textAlign = "right"; g.fillText(across, box.right, box.bottom + 17 * ratio);
+    g.textBaseline = "middle"; g.textAlign = "left"; g.fillText(up, 6 * ratio, top + 12 * ratio);
+    let legend = 6 * ratio + g.measureText(up).width + 16 * ratio;
+    lines.forEach(({ title, points: own }, i) => {
+      g.strokeStyle = g.fillStyle = LINES[i % LINES.length]; g.lineWidth = 1.5 * ratio;
+      g.setLineDash(i === 2 ? [5 * ratio, 4 * ratio] : []);
+      g.beginPath(); own.forEach((point) => g.lineTo(...at(point))); g.stroke();
+      g.setLineDash([]);
+      if (i < 2) own.forEach((point, k) => this._dot(g, at(point), (k === this.settings.step ? 5.5 : 3) * ratio, i));
+      this._dot(g, [legend, top + 12 * ratio], 3.5 * ratio, i);
+      g.fillText(title, legend + 9 * ratio, top + 12 * ratio);
+      legend += g.measureText(title).width + 22 * ratio;
+    });
+  }
+  _dot(g, [x, y], radius, kind) {
+    g.beginPath();
+    if (kind) g.rect(x - radius, y - radius, 2 * radius, 2 * radius); else g.arc(x, y, radius, 0, 2 * Math.PI);
+    g.fill();
+  }
+
+  png() { return this.canvas; }
+
+  // Labels, and the handles of wipes, over the panels.
+  _place() {
+    const ratio = devicePixelRatio;
+    while (this.overlays.length > this.panels.length) Object.values(this.overlays.pop()).forEach((each) => each.remove());
+    while (this.overlays.length < this.panels.length) {
+      const label = make("div", { className: "label" }), wipe = make("div", { className: "wipe" }), index = this.overlays.length;
+      wipe.addEventListener("pointerdown", (event) => { wipe.setPointerCapture(event.pointerId); event.preventDefault(); });
+      wipe.addEventListener("pointermove", (event) => {
+        const panel = this.panels[index];
+        if (wipe.hasPointerCapture(event.pointerId)) this._put({ wipe: clamp((this._at(event)[0] - panel.x) / panel.width, 0, 1) });
+      });
+      this.element.append(label, wipe);
+      this.overlays.push({ label, wipe });
+    }
+    this.panels.forEach((panel, i) => {
+      const { label, wipe } = this.overlays[i], fit = this.fits[panel.fit], several = this.fits.length > 1 && !panel.shared;
+      label.style.left = `${panel.x / ratio + 8}px`;
+      label.style.top = `${panel.y / ratio + 8}px`;
+      label.style.maxWidth = `${panel.width / ratio - 16}px`;
+      const says = (raster) => [raster.note, this._area(raster)[0] > raster.width && raster.tiles === "seams" && "repeated",
+        this.settings.seams && { whole: "its edges meet", seams: "its edges do not meet" }[raster.tiles]].filter(Boolean).join(", ");
+      const told = panel.rasters.map((raster, k) => [panel.titles[k], says(raster)].filter(Boolean).join(", ")).join(" | ");
+      const caption = several && this.settings.show !== "all" && fit.caption;
+      label.textContent = several ? `${[fit.label, caption].filter(Boolean).join(", ")}: ${told}` : told;
+      wipe.hidden = panel.rasters.length < 2;
+      wipe.style.left = `${(panel.x + panel.width * this.settings.wipe) / ratio}px`;
+      Object.assign(wipe.style, { top: `${panel.y / ratio}px`, bottom: "auto", height: `${panel.height / ratio}px` });
+    });
+    this.pointed.style.bottom = `${this.below / ratio + 8}px`;
+    this.pointed.style.left = "8px";
+  }
+
+  _at(event) {
+    const box = this.canvas.getBoundingClientRect();
+    return [(event.clientX - box.left) * this.canvas.width / box.width, (event.clientY - box.top) * this.canvas.height / box.height];
+  }
+  _panelAt([x, y]) { return this.panels.find((each) => x >= each.x && x < each.x + each.width && y >= each.y && y < each.y + each.height); }
+
+  // What is under the pointer: {title, raster, x, y}, the texel within the raster; null beside the pictures.
+  pick(place) {
+    const panel = this._panelAt(place);
+    if (!panel) return null;
+    const which = panel.rasters.length === 2 && place[0] >= panel.x + panel.width * this.settings.wipe ? 1 : 0;
+    const raster = panel.rasters[which], origin = this._origin(panel, raster), area = this._area(raster);
+    const [x, y] = [0, 1].map((axis) => Math.floor((place[axis] - origin[axis]) / this.zoom));
+    if (x < 0 || y < 0 || x >= area[0] || y >= area[1]) return null;
+    return { title: panel.titles[which], raster, x: x % raster.width, y: y % raster.height };
+  }
+
+  _tell(event) {
+    const picked = this.pick(this._at(event));
+    this.pointed.hidden = !picked;
+    if (picked) this.pointed.textContent = `${picked.title}, texel ${picked.x}, ${picked.y}: ${picked.raster.told(picked.x, picked.y)}`;
+  }
+
+  // Zoom by stops, the texel at a place staying where it is.
+  _zoom(stops, place) {
+    const panel = this._panelAt(place) ?? this.panels[0], least = Math.log2(Math.min(this.fitting, 1)), before = this.zoom;
+    if (!panel) return;
+    const stop = clamp(Math.log2(before) + stops, least, LARGEST), after = 2 ** stop;
+    if (stop <= Math.log2(this.fitting) && this.fitting <= 1) return this._put({ zoom: FITTED });
+    const moved = [place[0] - panel.x - panel.width / 2, place[1] - panel.y - panel.height / 2].map((off) => off / before - off / after);
+    this._put({ zoom: stop, x: this.settings.x + moved[0], y: this.settings.y + moved[1] });
+  }
+  _move(x, y) { this._put({ x: this.settings.x - x / this.zoom, y: this.settings.y - y / this.zoom }); }
+
+  _listen() {
+    const { canvas, pointers } = this;
+    canvas.addEventListener("wheel", (event) => {
+      event.preventDefault();
+      this._zoom(-event.deltaY * (event.deltaMode ? 0.05 : 0.002), this._at(event));
+    }, { passive: false });
+    canvas.addEventListener("pointerdown", (event) => { canvas.setPointerCapture(event.pointerId); pointers.set(event.pointerId, this._at(event)); });
+    for (const name of ["pointerup", "pointercancel"]) canvas.addEventListener(name, (event) => pointers.delete(event.pointerId));
+    canvas.addEventListener("pointerleave", () => { this.pointed.hidden = true; });
+    canvas.addEventListener("pointermove", (event) => {
+      const before = pointers.get(event.pointerId), now = this._at(event);
+      if (!before) return this._tell(event);
+      const other = [...pointers].find(([id]) => id !== event.pointerId)?.[1];
+      pointers.set(event.pointerId, now);
+      if (!other) return this._move(now[0] - before[0], now[1] - before[1]);
+      const apart = (a) => Math.max(Math.hypot(a[0] - other[0], a[1] - other[1]), 1);
+      this._move((now[0] - before[0]) / 2, (now[1] - before[1]) / 2);
+      this._zoom(Math.log2(apart(now) / apart(before)), [(now[0] + other[0]) / 2, (now[1] + other[1]) / 2]);
+    });
+    canvas.addEventListener("keydown", (event) => {
+      const step = 60 * devicePixelRatio, middle = this.panels[0] && [this.panels[0].x + this.panels[0].width / 2, this.panels[0].y + this.panels[0].height / 2];
+      const does = {
+        ArrowLeft: () => this._move(step, 0), ArrowRight: () => this._move(-step, 0), ArrowUp: () => this._move(0, step), ArrowDown: () => this._move(0, -step),
+        "+": () => this._zoom(0.5, middle), "-": () => this._zoom(-0.5, middle), 0: () => this._put({ zoom: FITTED }), 1: () => this._put({ zoom: 0 }),
+      }[event.key];
+      if (does && middle && !event.ctrlKey && !event.metaKey) { event.preventDefault(); does(); }
+    });
+  }
+}
+VIEWERS.pictures = PicturesViewer;

@@ -1,0 +1,180 @@
+// Maps of flat materials on shapes, and as in metapp's pictures of them: metapp.appearance.surface_view, metapp.appearance.flash.
+//
+// Pictures of a fit: fit_diffuse and fit_specular at gamma 2.2, fit_detail (x and y of normals, 0 at 128, and roughness), height from
+// the lowest to the highest of facts.heights, in texture widths; reference_diffuse and so on where the true maps are known; photo_1, ...
+// at gamma 2.2. facts.lit has light, eye, gain and shown part of metapp's pictures, by name.
+
+const MAPS = ["diffuse", "specular", "detail"];
+const SHOWN_MAPS = { lit: "Material", diffuse: "Diffuse", specular: "Specular", roughness: "Roughness", normal: "Normal", height: "Height" };
+// Of a shape: copies of the maps around it for one along it, the width of one, and vertices across.
+const UNROLLED = { plane: [1, 2, 256], cylinder: [2, 2.2, 256], sphere: [2, Math.PI, 192], cloth: [1, 2.4, 256] };
+
+const MATERIAL = `
+#define BENT
+#define UNLIT
+struct Texel { vec3 diffuse; vec3 specular; vec3 n; float roughness; };
+uniform sampler2D fit_diffuse, fit_specular, fit_detail, reference_diffuse, reference_specular, reference_detail, height, photo;
+uniform vec2 repeats, heights; uniform bool tiles, pictured, hasReference, hasPhoto; uniform float across, falloff; uniform int shownMap;
+Texel fitAt, referenceAt; vec2 at, turned_over, within;
+
+// Metapp's pictures have a pixel a texel, so there texels are squares, unless they are enlarged; elsewhere frames are jittered, which
+// smooths as the last half of a level would. The patch is so many pixels across.
+vec4 read(sampler2D map, vec2 place, float copies) {
+  vec2 size = vec2(textureSize(map, 0));
+  float texels = copies * size.y / across;
+  if (pictured && texels > 0.99) return textureLod(map, (floor(min(place, 1.0 - 1e-6) * size) + 0.5) / size, 0.0);
+  return textureLod(map, place, max(log2(texels) - 0.5, 0.0));
+}
+vec3 decoded(vec3 shown) { return pow(shown, vec3(2.2)); }
+Texel texel(sampler2D diffuse, sampler2D specular, sampler2D detail) {
+  vec3 x_y_roughness = read(detail, at, repeats.y).rgb;
+  vec2 slant = (x_y_roughness.xy * 255.0 - 128.0) / 127.0 * turned_over;
+  vec3 n = normalize(vec3(slant, sqrt(max(1.0 - dot(slant, slant), 1e-4))));
+  return Texel(decoded(read(diffuse, at, repeats.y).rgb), decoded(read(specular, at, repeats.y).rgb), n, max(x_y_roughness.z, 0.04));
+}
+void at_point(vec2 uv) {
+  within = vec2(uv.x, 1.0 - uv.y);  // row 0 is the upper edge
+  vec2 whole = within * repeats, odd = tiles ? vec2(0.0) : mod(floor(whole), 2.0);
+  turned_over = 1.0 - 2.0 * odd;
+  at = mix(fract(whole), 1.0 - fract(whole), odd);
+  fitAt = texel(fit_diffuse, fit_specular, fit_detail);
+  if (hasReference) referenceAt = texel(reference_diffuse, reference_specular, reference_detail);
+  else referenceAt = fitAt;
+}
+vec3 reflected(Texel m, vec3 wi, vec3 wo) {  // metapp.appearance.flash.brdf times the cosine
+  float incident = dot(wi, m.n), outgoing = dot(wo, m.n), length_ = length(wi + wo), alpha = m.roughness * m.roughness;
+  if (incident <= 0.0) return vec3(0.0);
+  vec3 body = m.diffuse * (1.0 - m.specular) / PI;
+  if (outgoing <= 0.0) return body * incident;
+  float half_ = min((incident + outgoing) / length_, 1.0), spread = (1.0 - half_) * (1.0 + half_) + alpha * alpha * half_ * half_;
+  float masked = (incident + sqrt((1.0 - incident * incident) * alpha * alpha + incident * incident))
+    * (outgoing + sqrt((1.0 - outgoing * outgoing) * alpha * alpha + outgoing * outgoing));
+  vec3 fresnel = m.specular + (1.0 - m.specular) * pow(max(1.0 - 0.5 * length_, 0.0), 5.0);
+  return (body + fresnel * alpha * alpha / (PI * spread * spread * masked)) * incident;
+}
+void response(vec3 wi, vec3 wo, out vec3 fit, out vec3 reference) {
+  float flat_lamp = falloff > 0.0 ? pow(wi.z, falloff) : 1.0;  // whose axis points straight down
+  fit = flat_lamp * reflected(fitAt, wi, wo);
+  reference = hasReference ? flat_lamp * reflected(referenceAt, wi, wo) : fit;
+}
+mat3 bent() {
+  vec3 t = normalize(vec3(1.0, 0.0, 0.0) - fitAt.n * fitAt.n.x);
+  return mat3(t, cross(fitAt.n, t), fitAt.n);
+}
+Lobes lobes(vec3 wo) {
+  const vec3 LUMINANCE = vec3(0.2126, 0.7152, 0.0722);
+  float f0 = dot(fitAt.specular, LUMINANCE), mirrored = f0 + (1.0 - f0) * pow(1.0 - wo.z, 5.0), body = dot(fitAt.diffuse, LUMINANCE) * (1.0 - f0);
+  float share = clamp(mirrored / (mirrored + body + 1e-4), 0.2, 0.9);
+  return Lobes(vec2(fitAt.roughness * fitAt.roughness), vec2(1.0), vec3(1.0 - share, share, 0.0), 0.0);
+}
+vec3 value(Texel m) {
+  if (shownMap == 1) return m.diffuse;
+  if (shownMap == 2) return m.specular;
+  return decoded(shownMap == 3 ? vec3(m.roughness) : shownMap == 4 ? 0.5 * m.n + 0.5 : read(height, at, repeats.y).rrr);
+}
+void unlit(inout vec3 fit, inout vec3 reference) {
+  if (shownMap > 0) { fit = value(fitAt); reference = value(referenceAt); }
+  else if (hasPhoto) reference = decoded(read(photo, within, 1.0).rgb);
+}`;
+
+const RELIEF = `
+uniform sampler2D height; uniform vec2 repeats, heights; uniform bool tiles, poles; uniform float relief, heightLod;
+float displacement(vec2 uv) {
+  vec2 whole = vec2(uv.x, 1.0 - uv.y) * repeats, odd = tiles ? vec2(0.0) : mod(floor(whole), 2.0);
+  float share = textureLod(height, mix(fract(whole), 1.0 - fract(whole), odd), heightLod).r;
+  float faded = poles ? smoothstep(0.0, 0.04, min(uv.y, 1.0 - uv.y)) : 1.0;  // to a point
+  return relief * mix(heights.x, heights.y, share) * faded;
+}`;
+
+class SurfaceViewer extends ShapeViewer {
+  static shapes = ["plane", "cylinder", "sphere", "cloth"];
+  static curve = 1;
+
+  async open() {
+    this.nothing = texture(new Float32Array(4), 1, 1);
+    this.photos = new Map();
+    await super.open();
+  }
+
+  async material(fit) {
+    const { tiles, heights } = fit.facts, known = "reference_diffuse" in fit.pictures;
+    const uniforms = { height: await pictureTexture(fit.pictures.height, tiles), hasReference: known, tiles, heights: new THREE.Vector2(...heights) };
+    for (const name of MAPS) {
+      uniforms[`fit_${name}`] = await pictureTexture(fit.pictures[`fit_${name}`], tiles);
+      uniforms[`reference_${name}`] = known ? await pictureTexture(fit.pictures[`reference_${name}`], tiles) : this.nothing;
+    }
+    for (const [name, address] of Object.entries(fit.pictures)) {
+      if (name.startsWith("photo_") && !this.photos.has(address)) this.photos.set(address, await pictureTexture(address, false));
+    }
+    const changing = { photo: this.nothing, repeats: new THREE.Vector2(1, 1), pictured: false, hasPhoto: false, across: 1, falloff: 0, shownMap: 0, relief: 0, heightLod: 0, poles: false };
+    return { glsl: MATERIAL, displacement: RELIEF, uniforms: { ...uniforms, ...changing } };
+  }
+
+  // Metapp's picture that is chosen, of one fit; others of its group may have another number of photographs.
+  lit(fit) {
+    const { lit } = fit.facts, name = this.settings.pictured in lit ? this.settings.pictured : Object.keys(lit)[0];
+    return { name, ...lit[name] };
+  }
+
+  picture() {
+    const { light, eye, gain } = this.lit(this.fits[0]);
+    return { shape: "plane", light: "lamp", half: 1, lamp: new THREE.Vector3(...light), eye: new THREE.Vector3(...eye), power: gain * Math.PI * LAMP_DISTANCE ** 2 };
+  }
+
+  photo(fit) { return this.settings.view === "picture" && this.photos.get(fit.pictures[this.lit(fit).name]); }
+  referenced(fit) {
+    const { map = "lit" } = this.settings;
+    return map === "height" ? false : "reference_diffuse" in fit.pictures || (map === "lit" && Boolean(this.photo(fit)));
+  }
+
+  most() { return this.settings.map === "lit" ? super.most() : 16; }
+
+  beforeDraw(u, column) {
+    const fit = this.fits[column], { settings } = this, pictured = settings.view === "picture", lit = this.lit(fit);
+    const [around, width, vertices] = UNROLLED[this.shape()], count = pictured ? lit.part : settings.repeats;
+    const photo = this.photo(fit), { width: pixels, height: rows } = this.targets[0], high = this.camera.position.length() * Math.tan(this.camera.fov * Math.PI / 360);
+    u.repeats.value.set(pictured ? count : around * count, count);
+    u.pictured.value = pictured;
+    u.across.value = pictured ? Math.min(pixels / this.fits.length, rows) : rows / high;
+    u.heightLod.value = Math.max(Math.log2(around * count * fit.facts.shown[1] / vertices), 0);
+    u.relief.value = pictured ? 0 : settings.relief * width / count;
+    u.poles.value = this.shape() === "sphere";
+    u.shownMap.value = Object.keys(SHOWN_MAPS).indexOf(settings.map);
+    u.hasPhoto.value = Boolean(photo);
+    u.photo.value = photo || this.nothing;
+    u.falloff.value = pictured ? fit.facts.falloff : 0;
+    if (!pictured) return;
+    u.jitter.value.multiplyScalar(0.9);  // within the texel: rasterisers round places to some sixteenth of a pixel
+    u.lamp.value = new THREE.Vector3(...lit.light);
+    u.eye.value = new THREE.Vector3(...lit.eye);
+    u.flashPower.value = lit.gain * Math.PI * LAMP_DISTANCE ** 2;
+  }
+
+  ownControls() {
+    const [fit] = this.fits, { lit, tiles, size, shown, fitted_height: fitted } = fit.facts, photos = Object.keys(fit.pictures).filter((name) => name.startsWith("photo_"));
+    const titles = { left: "Lit from the left", above: "Lit from above", aside: "Lit and seen from aside", photo_1: photos.length > 1 ? "As photo 1" : "As the photo" };
+    const free = (s) => s.view === "free", compared = "reference_diffuse" in fit.pictures;
+    const notes = [
+      tiles ? "The maps tile." : "The maps do not tile: copies are mirrored.",
+      fitted ? "" : "Heights are computed from the normals.",
+      photos.length ? `The reference under ${photos.length > 1 ? "a" : "the"} photo's flash is the photo${compared ? ", else the true maps" : ""}.` : "",
+      lit.photo_1?.part < 1 ? "The maps are larger than the photo: under its flash their upper left part is shown." : "",
+      shown[0] < size[0] ? `Reduced from ${size[1]} x ${size[0]} to ${shown[1]} x ${shown[0]} texels for this page.` : "",
+    ];
+    return [
+      { name: "pictured", label: "Picture", type: "choice", value: Object.keys(lit)[0], when: (s) => s.view === "picture",
+        options: Object.keys(lit).map((name) => [name, titles[name] ?? `As ${name.replace("_", " ")}`]) },
+      { name: "map", label: "Map", type: "choice", value: "lit", options: Object.entries(SHOWN_MAPS) },
+      { name: "repeats", label: "Copies of the maps", type: "range", min: 1, max: 8, step: 1, value: 1, when: free },
+      { name: "relief", label: "Displacement", type: "range", min: 0, max: 4, step: 0.1, value: 1, text: (x) => `${x.toFixed(1)} times`, when: free },
+      { name: "told", label: notes.filter(Boolean).join(" "), type: "note" },
+    ];
+  }
+}
+VIEWERS.surface = SurfaceViewer;
+
+// A picture as a texture, display values as they are, row 0 at v = 0.
+async function pictureTexture(address, tiles) {
+  const wrap = tiles ? THREE.RepeatWrapping : THREE.ClampToEdgeWrapping, made = new THREE.Texture(await imageOf(address));
+  return Object.assign(made, { wrapS: wrap, wrapT: wrap, flipY: false, minFilter: THREE.LinearMipmapLinearFilter, needsUpdate: true });
+}

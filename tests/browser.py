@@ -1,0 +1,70 @@
+"""Pages in headless Chromium, which draws WebGL by SwiftShader."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+ARGUMENTS = (
+    "--no-sandbox --disable-quic --no-first-run --disable-background-networking --disable-component-update "
+    "--disable-sync --use-gl=angle --use-angle=swiftshader --enable-unsafe-swiftshader --ignore-gpu-blocklist"
+)
+
+
+@contextlib.contextmanager
+def browsing() -> Iterator[Any]:
+    """A browser of playwright's; skips the test where there is none."""
+    if not CHROMIUM:
+        pytest.skip("no Chromium: apt-get install chromium")
+    playwright = pytest.importorskip("playwright.sync_api", reason="needs playwright: pip install 'metapp[dev]'")
+    with playwright.sync_playwright() as driver:
+        browser = driver.chromium.launch(executable_path=CHROMIUM, args=ARGUMENTS.split())
+        yield browser
+        browser.close()
+
+
+class Page:
+    """A page that `metapp view` wrote, opened from disk.
+
+    Attributes:
+        page: playwright's.
+        problems: errors that the page reported.
+    """
+
+    def __init__(self, browser: Any, file: Path | str, width: int = 800, height: int = 600) -> None:
+        self.page = browser.new_page(viewport={"width": width, "height": height})
+        self.problems: list[str] = []
+        self.page.on("pageerror", lambda error: self.problems.append(str(error)))
+        self.page.on("console", lambda message: message.type == "error" and self.problems.append(message.text))
+        self.page.goto(file.resolve().as_uri() if isinstance(file, Path) else file)
+        self.page.evaluate("metapp.ready")
+
+    def sized(self, width: int, height: int) -> None:
+        """Give the view a size in px."""
+        style = f"position: fixed; left: 0; top: 0; width: {width}px; height: {height}px; min-height: 0"
+        self.page.evaluate(f"document.getElementById('stage').style = '{style}'; dispatchEvent(new Event('resize'))")
+
+    def set(self, **settings: Any) -> None:
+        """Change settings, as the controls do."""
+        for name, value in settings.items():
+            self.page.evaluate("([name, value]) => metapp.set(name, value)", [name, value])
+
+    def settle(self, seconds: float = 120) -> None:
+        """Wait until the picture does not improve any more."""
+        self.page.set_default_timeout(1000 * seconds)
+        self.page.evaluate("metapp.settled()")
+
+    def screenshot(self) -> np.ndarray:
+        """The view as the screen shows it, [H, W, 3] in [0, 1], without what lies over it."""
+        self.page.add_style_tag(content=".label, .lamp, .wipe, .plot { visibility: hidden }")
+        picture = Image.open(io.BytesIO(self.page.locator("#stage").screenshot(timeout=120_000)))
+        return np.asarray(picture.convert("RGB"), dtype=np.float64) / 255

@@ -1,0 +1,206 @@
+"""BRDFs on the page: the shader's network is the fit's, its pictures are metapp's."""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from torch import Generator, Tensor
+from torch.nn.functional import normalize, silu
+
+from data_tools.readers.brdf_task import brdf_task
+from metapp.appearance.colour import to_srgb
+from metapp.appearance.geometry import above_horizon, directions_to_four_angles, directions_to_rusinkiewicz
+from metapp.appearance.metrics import ssim
+from metapp.appearance.sphere import reference_scene, shade_sphere, studio_lights
+from metapp.apps import presentation_of
+from metapp.apps.brdf import Brdf, layers_of
+from metapp.apps.brdf.featured import Featured
+from metapp.apps.brdf.few import Few
+from metapp.apps.brdf.viewing import CELLS, packed
+from metapp.learning.task import Params, Task
+from metapp.viewer.page import Group, Shown, document, write_page
+from tests.browser import Page, browsing
+
+APPS = {
+    "nbrdf": Brdf(),
+    "featured": Brdf(Featured(width=12, features=7, code=3)),
+    "few": Brdf(Few()),
+    "anisotropic": Brdf(Featured(width=12, features=7, code=3, anisotropic=True)),
+}
+
+
+def lobe(angles: Tensor) -> Tensor:
+    """A coloured body under a highlight."""
+    shine = torch.exp(-((angles[..., :1] / 0.15) ** 2))
+    return angles.new_tensor([0.06, 0.1, 0.2]) + shine * angles.new_tensor([2.0, 1.8, 1.5])
+
+
+@functools.cache
+def material() -> Task:
+    return brdf_task("lobe", lobe, samples=32_768)
+
+
+@functools.cache
+def theta_of(name: str) -> Params:
+    """A material by a network with random weights, that reflects everywhere."""
+    app, rng = APPS[name], Generator().manual_seed(1)
+    theta = {key: value[0].clone() for key, value in app.init(rng, 1).items()}
+    for key in {"last", "z", "turn"} & set(theta):
+        theta[key] = 0.2 * torch.randn(theta[key].shape, generator=rng)
+    if "last" in theta:
+        theta["last"][:, -1] = -1.5 if name == "few" else 0.4
+    else:
+        theta["b3"] = torch.full_like(theta["b3"], 0.4)
+    return theta
+
+
+def views(*names: str, task: Task | None = None) -> list[Shown]:
+    shown = []
+    for name in names:
+        view = presentation_of(APPS[name]).view(theta_of(name), task or Task("lobe", {}))
+        shown.append(Shown(name, "", view))
+    return shown
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    with browsing() as opened:
+        yield opened
+
+
+def open_page(browser: Any, folder: Path, fits: list[Shown]) -> Page:
+    return Page(browser, write_page(document("metapp", [Group("lobe", "BRDF", fits)]), folder / "view.html"))
+
+
+@pytest.mark.parametrize("name", APPS)
+def test_packed_weights_are_the_network(name: str) -> None:
+    """Unpacked as the shader reads them, they give its outputs."""
+    layers = layers_of(theta_of(name))
+    (w1, b1), (w2, b2), (w3, b3) = layers
+    rng = Generator().manual_seed(0)
+    x = torch.randn(w1.shape[1], generator=rng, dtype=torch.float64)
+    act = torch.relu if name == "nbrdf" else silu
+    wanted = w3 @ act(w2 @ act(w1 @ x + b1) + b2) + b3
+    rows, inputs4, hidden4 = packed(layers).double(), -(-w1.shape[1] // 4), -(-len(w1) // 4)
+    group, row = 4 * inputs4 + 1, hidden4 + 1
+    first = rows[: hidden4 * group].reshape(hidden4, group, 4)
+    padded = torch.nn.functional.pad(x, (0, 4 * inputs4 - len(x)))
+    hidden = act(first[:, :-1].reshape(hidden4, 4, -1) @ padded + first[:, -1]).flatten()
+    second = rows[hidden4 * group : hidden4 * group + 4 * hidden4 * row].reshape(4 * hidden4, row, 4)
+    values = act(second[:, :-1].flatten(1) @ hidden + second[:, -1, 3])
+    found = rows[-1, :3] + values @ second[:, -1, :3]
+    torch.testing.assert_close(found, wanted, atol=1e-5, rtol=1e-5)
+
+
+def test_lights_of_the_studio_make_metapps_picture() -> None:
+    """Of a white matte sphere, whose radiance is the irradiance over pi."""
+    scene, (places, powers) = reference_scene(), studio_lights().double()
+    wanted = shade_sphere(scene, lambda angles: torch.full((len(angles), 3), 1 / math.pi))
+    row, column = 40, 50
+    x, y = ((column + 0.5) / 48 - 1) / 0.96, (1 - (row + 0.5) / 48) / 0.96
+    normal = torch.tensor([x, y, math.sqrt(1 - x * x - y * y)], dtype=torch.float64)
+    tangent = normalize(torch.tensor([float(normal[2]), 0, -x], dtype=torch.float64), dim=0)
+    frame = torch.stack([tangent, torch.linalg.cross(normal, tangent), normal])
+    total, viewer = torch.zeros(3, dtype=torch.float64), frame[:, 2]
+    for place, power in zip(places[:, :3], powers, strict=True):
+        light, irradiance = frame @ place, power[:3]
+        if power[3]:
+            cosine = viewer @ place
+            light = 2 * cosine * place - viewer
+            irradiance = irradiance * 4 * cosine.clamp_min(0) * (0.06 + 0.05 * light @ frame[:, 1])
+        total += irradiance * light[2].clamp_min(0) / math.pi
+    torch.testing.assert_close(total.float(), wanted[row, column, :3], atol=1e-4, rtol=1e-3)
+
+
+def test_samples_beyond_the_fit_are_on_the_grid() -> None:
+    """In the middle of cells, log(1 + f) of fit and grid is the material's, to a tenth of what the fit lacks."""
+    grid = views("nbrdf", task=material())[0].view.arrays["residual"].float()
+    assert grid.shape == (*CELLS, 4)
+    phi_d, theta_d, theta_h = (torch.arange(count) + 0.5 for count in CELLS)
+    middles = (math.pi / CELLS[0] * phi_d, math.pi / 2 / CELLS[1] * theta_d, math.pi / 2 * (theta_h / CELLS[2]) ** 2)
+    angles = torch.stack(torch.meshgrid(*middles, indexing="ij"), -1).flip(-1)
+    fit = torch.log1p(APPS["nbrdf"].reflectance(theta_of("nbrdf"), angles))
+    inside = above_horizon(angles.reshape(-1, 3)).reshape(CELLS)
+    lacks, left = (torch.log1p(lobe(angles)) - each for each in (fit, fit + grid[..., :3]))
+    assert float(left[inside].abs().mean()) < 0.1 * float(lacks[inside].abs().mean())
+
+
+def test_anisotropic_fits_and_those_of_unknown_tasks_have_no_reference() -> None:
+    for shown in views("anisotropic", task=material()) + views("featured"):
+        assert "residual" not in shown.view.arrays
+
+
+@pytest.mark.long
+def test_the_shader_evaluates_the_fit(browser: Any, tmp_path: Path) -> None:
+    page = open_page(browser, tmp_path, views(*APPS))
+    rng = Generator().manual_seed(2)
+    wi, wo = (
+        normalize(torch.randn(2, 64, 3, generator=rng).abs() + 0.05, dim=-1) * torch.tensor([-1.0, 1, 1])
+    ).unbind()
+    wo = wo * torch.tensor([-1.0, 1, 1])
+    for column, (name, app) in enumerate(APPS.items()):
+        to_angles = directions_to_four_angles if app.anisotropic else directions_to_rusinkiewicz
+        wanted = app.reflectance(theta_of(name), to_angles(wi, wo))
+        script = "([column, pairs]) => metapp.viewer.evaluate(column, pairs)[0]"
+        found = torch.tensor(page.page.evaluate(script, [column, torch.stack([wi, wo], 1).tolist()]))
+        torch.testing.assert_close(found, wanted, atol=2e-4, rtol=2e-3)
+    assert not page.problems
+
+
+@pytest.mark.long
+def test_the_screen_shows_metapps_picture(browser: Any, tmp_path: Path) -> None:
+    """Fit and reference, and the wipe has both; the difference of a picture from itself is none."""
+    page = open_page(browser, tmp_path, views("nbrdf", task=material()))
+    page.sized(96, 96)
+    page.set(view="picture", paper="white", show="fit")
+    page.settle()
+    pictures = presentation_of(APPS["nbrdf"]).outputs(theta_of("nbrdf"), material())
+    shown = {}
+    for name in ("fit", "reference"):
+        page.set(show=name)
+        page.settle()
+        shown[name] = page.screenshot()
+        wanted = to_srgb(pictures[name])
+        assert np.abs(shown[name] - wanted).mean() <= 2 / 255
+        assert alike(shown[name], wanted) >= 0.97
+    page.set(show="wipe", wipe=0.25)
+    page.settle()
+    wiped = page.screenshot()
+    assert np.array_equal(wiped[:, :24], shown["reference"][:, :24])
+    assert np.array_equal(wiped[:, 24:], shown["fit"][:, 24:])
+    assert not page.problems
+
+
+@pytest.mark.long
+def test_a_lamp_and_a_light_map_light_what_faces_them(browser: Any, tmp_path: Path) -> None:
+    """A matte body of albedo a is a times as bright as a white map; the side away from a lamp is black."""
+    task = brdf_task("matte", lambda angles: torch.full((*angles.shape[:-1], 3), 0.3 / math.pi), samples=1024)
+    theta = {key: torch.zeros_like(value) for key, value in theta_of("nbrdf").items()}
+    theta["b3"] = torch.full_like(theta["b3"], math.log1p(0.3 / math.pi))
+    view = presentation_of(APPS["nbrdf"]).view(theta, task)
+    white = view._replace(shared=dict(view.shared) | {"light": torch.ones(8, 16, 3).half()})
+    page = open_page(browser, tmp_path, [Shown("meta", "", white)])
+    page.sized(64, 64)
+    page.set(light="map", shape="plane")
+    page.page.evaluate("metapp.viewer.most = () => 64")
+    page.settle()
+    middle = page.screenshot()[28:36, 28:36].mean()
+    assert middle == pytest.approx(float(to_srgb(np.full((1, 1, 3), 0.3 * 0.5)).mean()), abs=0.015)
+    page.set(light="lamp", shape="sphere")
+    page.page.evaluate("metapp.viewer.lampAt.set(1, 0, 0); metapp.viewer.restart()")
+    page.settle()
+    lit = page.screenshot().mean(-1)
+    assert lit[32, 14] < 0.02 < 0.2 < lit[32, 50]
+    assert not page.problems
+
+
+def alike(one: np.ndarray, other: np.ndarray) -> float:
+    pair = (torch.from_numpy(np.ascontiguousarray(each)).permute(2, 0, 1)[None] for each in (one, other))
+    return float(ssim(*pair)[0].mean())

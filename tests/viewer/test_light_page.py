@@ -1,0 +1,266 @@
+"""Light maps on the page: what is kept of them, and its pictures, which are metapp's."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from torch import Generator, Tensor
+from torch.nn.functional import avg_pool2d
+
+from metapp.appearance.colour import linear_to_srgb, tone_map
+from metapp.appearance.latlong import directions, mean_luminance, resample, sphere_normals
+from metapp.appearance.metrics import ssim
+from metapp.appearance.photograph import mirror
+from metapp.apps.illumination import SMALL, Illumination, IlluminationSetup, viewing
+from metapp.apps.illumination.confidence import hatched
+from metapp.apps.illumination.presentation import IlluminationPresentation
+from metapp.apps.illumination.spheres import SPHERES, lit_spheres
+from metapp.learning.task import Params, Task
+from metapp.networks.field import LocalField
+from metapp.viewer.page import Group, Shown, document, write_page
+from tests.browser import Page, browsing
+
+ROWS = 64
+FIELD = LocalField(ROWS, 2 * ROWS, rows=4, columns=8, code=3, hidden=8, layers=2)
+
+
+def lamps(seed: int, sun: float = 0.0) -> Tensor:
+    """A smooth map [3, ROWS, 2 ROWS] of mean luminance 1, with some detail and perhaps a sun of one texel."""
+    generator, towards = Generator().manual_seed(seed), directions(ROWS, 2 * ROWS)
+    lights = torch.nn.functional.normalize(torch.randn(3, 3, generator=generator), dim=1)
+    near = torch.einsum("lc,chw->lhw", lights, towards)
+    light = 0.2 + torch.einsum("lhw,lc->chw", (4 * (near - 0.5)).exp(), torch.rand(3, 3, generator=generator))
+    light *= 1 + 0.5 * torch.sin(9 * towards[0]) * torch.sin(7 * towards[1])
+    light[:, 20, 90] += sun
+    return light / mean_luminance(light)
+
+
+def task_of(light: Tensor) -> Task:
+    """A map, and its mirror ball, seen but for what lies behind it."""
+    ball = linear_to_srgb((0.4 * mirror(light[None], 64)).clamp(0, 1))
+    shares = torch.stack([(directions(ROWS, 2 * ROWS)[2] > -0.8).float(), torch.zeros(ROWS, 2 * ROWS)])
+    photos = (ball * 255).round().to(torch.uint8)
+    return Task("lamps", {"map": light, "scale": torch.tensor(3.0), "photos": photos, "seen": light, "certain": shares})
+
+
+@pytest.fixture
+def fitted(monkeypatch: pytest.MonkeyPatch) -> Tensor:
+    """The map that the networks give."""
+    light = lamps(1, sun=30.0)
+    monkeypatch.setattr(LocalField, "__call__", lambda field, theta, places: light.log()[None])
+    return light
+
+
+def shown(protocol: str) -> tuple[IlluminationPresentation, Params]:
+    app = Illumination(IlluminationSetup(FIELD), protocol)
+    return IlluminationPresentation(app), {
+        key: each[0] for key, each in app.init(Generator().manual_seed(0), 1).items()
+    }
+
+
+def test_a_page_holds_the_map_of_the_files_and_the_reference(fitted: Tensor) -> None:
+    presentation, theta = shown("reference")
+    view = presentation.view(theta, task_of(lamps(2)))
+    scale, light = view.facts["scale"], fitted.permute(1, 2, 0)
+    kept = view.arrays["map"].float() * scale
+    torch.testing.assert_close(kept, light / light.mean(), rtol=1e-3, atol=1e-6)  # as tone-mapped PNGs
+    reference = view.arrays["reference"].float() * scale
+    torch.testing.assert_close(reference, lamps(2).permute(1, 2, 0) / light.mean(), rtol=1e-3, atol=1e-6)
+    assert (view.kind, dict(view.pictures)) == ("light", {})
+    assert set(presentation.view(theta, Task("lamps", {})).arrays) == {"map"}  # what was fitted is not at hand
+
+
+def test_suns_beyond_half_floats_are_kept() -> None:
+    presentation, theta = shown("reference")
+    pixels = torch.full((256, 512, 3), 0.01)
+    pixels[100, 200, 0] = 1e5
+    view = viewing.view_of(presentation.app, theta, Task("sun", {}), pixels)
+    kept = view.arrays["map"].float() * view.facts["scale"]
+    assert torch.isfinite(kept).all()
+    torch.testing.assert_close(kept, pixels / pixels.mean(), rtol=1e-3, atol=1e-6)
+
+
+def test_large_maps_are_averaged_and_the_page_says_so(fitted: Tensor, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(viewing, "MOST", (16, 32))
+    presentation, theta = shown("reference")
+    view = presentation.view(theta, task_of(lamps(2)))
+    small = view.arrays["map"].float().permute(2, 0, 1) * view.facts["scale"]
+    torch.testing.assert_close(small, resample(fitted / fitted.mean(), 16, 32), rtol=1e-3, atol=1e-6)
+    assert view.facts["note"] == (
+        "The map has 64 x 128 texels; this page shows 16 x 32 texels. The reference is averaged to the 16 x 32 texels "
+        "of the fit."
+    )
+
+
+def test_a_mirror_is_shown_as_its_photo_was_exposed(fitted: Tensor) -> None:
+    presentation, theta = shown("photo")
+    view = presentation.view(theta, task_of(fitted))
+    inside = sphere_normals(64)[0][2] > 0.5
+    assert (view.pictures["photo"] - view.pictures["ball"])[inside].abs().mean() < 0.005
+    with pytest.raises(KeyError, match="photos"):
+        presentation.view(theta, Task("lamps", {}))
+
+
+def test_other_balls_are_those_that_fits_compare_with_their_photo(fitted: Tensor) -> None:
+    presentation, theta = shown("photo")
+    task = task_of(fitted)
+    task = task._replace(data={"photos": task.data["photos"]})
+    theta["body"] = torch.linspace(-1, 1, len(theta["body"])) / 100
+    ball = presentation.view(theta, task).pictures["ball"].permute(2, 0, 1)
+    target = presentation.app.ball({key: each[None] for key, each in theta.items()}, fitted[None], SMALL)[0]
+    inside = avg_pool2d(sphere_normals(64)[1].float()[None], 64 // SMALL)[0] > 0.999
+    assert (avg_pool2d(ball, 64 // SMALL) - target.clamp_max(1))[:, inside].abs().mean() < 0.004
+
+
+def test_what_a_gloss_reflects_at_normal_incidence() -> None:
+    """1 - ln 2 where alpha is 1, the integral of Smith's masking."""
+    assert float(viewing.lobe_albedos(1.0, 64)[-1]) == pytest.approx(1 - math.log(2), abs=0.005)
+
+
+# In a browser
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    with browsing() as opened:
+        yield opened
+
+
+def open_page(
+    browser: Any, folder: Path, protocol: str, reference: Tensor
+) -> tuple[Page, IlluminationPresentation, Params]:
+    presentation, theta = shown(protocol)
+    group = Group("lamps", "Illumination", [Shown("meta", "", presentation.view(theta, task_of(reference)))])
+    page = Page(browser, write_page(document("metapp", [group]), folder / "view.html"))
+    page.set(paper="white")
+    return page, presentation, theta
+
+
+def coarse(picture: np.ndarray | Tensor) -> Tensor:
+    """Means of 4 x 4 px, of [H, W, C]."""
+    pixels = torch.as_tensor(np.ascontiguousarray(picture)).float().permute(2, 0, 1)
+    return avg_pool2d(pixels, 4).permute(1, 2, 0)
+
+
+def assert_alike(seen: np.ndarray, wanted: Tensor, where: Tensor | None = None) -> None:
+    """Within the tolerances of all pages; [H, W, 3], where `where` [H, W] says."""
+    picture = torch.from_numpy(np.ascontiguousarray(seen)).float()
+    mask = torch.ones(wanted.shape[:2], dtype=torch.bool) if where is None else where
+    one, other = (torch.where(mask[..., None], each, 0.5).permute(2, 0, 1)[None] for each in (picture, wanted))
+    assert float(ssim(one, other).mean()) >= 0.97
+    assert float((picture - wanted)[mask].abs().mean()) <= 2 / 255
+
+
+@pytest.mark.long
+def test_the_flat_map_is_that_of_the_png(browser: Any, tmp_path: Path, fitted: Tensor, scene: Path) -> None:
+    page, presentation, theta = open_page(browser, tmp_path, "reference", lamps(2))
+    page.sized(2 * ROWS, ROWS)
+    page.set(view="flat")
+    page.settle()
+    pixels = presentation.files(theta, task_of(lamps(2)))["map"].pixels
+    toned = tone_map(pixels / pixels.mean())
+    assert_alike(page.screenshot(), toned)
+    page.set(exposure=2.0)
+    page.settle()
+    assert_alike(page.screenshot(), tone_map(4 * pixels / pixels.mean()))
+    page.set(exposure=0.0, show="wipe", wipe=0.25)
+    page.settle()
+    seen, reference = page.screenshot(), tone_map(lamps(2).permute(1, 2, 0) * 3 / pixels.mean())
+    assert_alike(seen[:, :32], reference[:, :32])
+    assert_alike(seen[:, 32:], toned[:, 32:])
+    page.set(show="difference", gain=1.0)
+    page.settle()
+    assert_alike(page.screenshot(), (toned - reference).abs())
+    assert not page.problems
+
+
+@pytest.mark.long
+def test_a_panorama_looks_where_it_is_turned(browser: Any, tmp_path: Path, fitted: Tensor) -> None:
+    """The middle of the view is the map's texel there, and the turn to the right goes right in the map."""
+    page, _, _ = open_page(browser, tmp_path, "reference", lamps(2))
+    page.sized(64, 64)
+    toned = tone_map(fitted / fitted.mean())
+    for heading, pitch in ((0, 0), (70, 40), (-150, -60)):
+        page.set(heading=heading, pitch=pitch, field=30)
+        page.settle()
+        across, down = (0.5 + heading / 360) * 2 * ROWS, (0.5 - pitch / 180) * ROWS
+        around = toned[:, round(down) - 1 : round(down) + 1, round(across) - 1 : round(across) + 1].mean((1, 2))
+        np.testing.assert_allclose(page.screenshot()[31:33, 31:33].mean((0, 1)), around.numpy(), atol=0.02)
+    page.set(heading=0, pitch=0, field=60)
+    page.settle()
+    # 64 px show tan(30 degrees) either way
+    row = page.screenshot()[31:33].mean(0)
+    x = (torch.arange(64) + 0.5) / 32 - 1
+    across = (0.5 + torch.atan(x * np.tan(np.pi / 6)) / (2 * np.pi)) * 2 * ROWS - 0.5
+    low, share = across.floor().long(), across - across.floor()
+    middle = (fitted / fitted.mean())[:, 31:33].mean(1)
+    wanted = tone_map(torch.lerp(middle[:, low], middle[:, low + 1], share))
+    np.testing.assert_allclose(row, wanted.T.numpy(), atol=0.02)
+    page.page.locator("#stage canvas").first.dispatch_event("wheel", {"deltaY": -300})
+    assert page.page.evaluate("metapp.settings.field") < 60
+    mouse = page.page.mouse
+    mouse.move(40, 20)
+    mouse.down()
+    mouse.move(20, 40)
+    mouse.up()
+    assert page.page.evaluate("metapp.settings.heading") > 0  # what is seen goes with the pointer
+    assert page.page.evaluate("metapp.settings.pitch") > 0
+    assert not page.problems
+
+
+@pytest.mark.long
+def test_spheres_are_lit_as_in_metapps_pictures(browser: Any, tmp_path: Path, fitted: Tensor) -> None:
+    page, _, _ = open_page(browser, tmp_path, "reference", lamps(2))
+    page.sized(64, 64)
+    page.page.evaluate("metapp.viewer.most = () => metapp.settings.shape === 'mirror' ? 16 : 64")
+    inside = sphere_normals(64)[0][2] > 0.25
+    pictures = {
+        "fit": lit_spheres(fitted[None] / fitted.mean()),
+        "reference": lit_spheres(lamps(2)[None] / fitted.mean()),
+    }
+    for name in SPHERES:
+        page.set(view="picture", shape=name)
+        for which, lit in pictures.items():
+            page.set(show=which)
+            page.settle()
+            seen, wanted = page.screenshot(), tone_map(lit[name][0].permute(1, 2, 0))
+            if name == "mirror":
+                assert_alike(seen, wanted, inside)
+            else:  # noise, of which more frames would leave less, averages out
+                assert_alike(coarse(seen).numpy(), coarse(wanted), coarse(inside[..., None].float())[..., 0] > 0.999)
+    assert not page.problems
+
+
+@pytest.mark.long
+def test_a_photo_stands_beside_the_fits_ball_and_doubts_are_hatched(
+    browser: Any, tmp_path: Path, fitted: Tensor
+) -> None:
+    page, presentation, theta = open_page(browser, tmp_path, "photo", fitted)
+    page.sized(2 * 64, 64)
+    page.set(view="ball")
+    page.settle()
+    seen, photo = page.screenshot(), task_of(fitted).data["photos"][0].permute(1, 2, 0) / 255
+    inside = sphere_normals(64)[0][2] > 0.5
+    # it fills 0.96 of its half
+    place = ((torch.arange(64) + 0.5 - 32) / 0.96 + 32).long().clamp(0, 63)
+    for half in (seen[:, :64], seen[:, 64:]):
+        assert float((torch.from_numpy(half.copy()) - photo[place][:, place])[inside].abs().mean()) < 0.03
+    page.sized(512, 256)
+    page.set(view="flat", hatch=True)
+    page.settle()
+    one = {key: each[None] for key, each in theta.items()}
+    task = task_of(fitted)
+    data = {"photo": task.data["photos"]} | {key: each[None] for key, each in presentation.app.mirrored(task).items()}
+    stripes = hatched(tone_map(fitted / fitted.mean()), presentation.app.spread(one, data))
+    means = (
+        avg_pool2d(each[None], 32)
+        for each in (stripes, torch.from_numpy(page.screenshot().copy()).float().permute(2, 0, 1))
+    )
+    torch.testing.assert_close(*means, atol=0.06, rtol=0)
+    assert not page.problems

@@ -1,0 +1,121 @@
+"""Views of the page: which one is open, what handles change, and what is left of a view that cannot be drawn."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+
+from metapp.appearance.view import View
+from metapp.viewer.live import Live
+from metapp.viewer.page import Group, Shown, document, write_page
+from tests.browser import Page, browsing
+
+pytestmark = pytest.mark.long
+PICTURES, LIGHT = 0, 1  # groups of the page
+SPHERES = {"metal": 0.9, "albedo": 0.5, "specular": 0.04, "silver": {"roughness": 0.5}, "diffuse": {"roughness": 0.6}}
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    with browsing() as browser:
+        yield browser
+
+
+@pytest.fixture
+def page(browser: Any, tmp_path: Path) -> Page:
+    """Two pictures, and a light with its reference."""
+    pictures = View("pictures", pictures={name: torch.rand(8, 8, 3) for name in ("reference", "fit")})
+    maps = {name: torch.rand(8, 16, 3).half() for name in ("map", "reference")}
+    light = View("light", maps, facts={"scale": 1.0, "note": "", **SPHERES}, shared={"lobes": torch.ones(2, 32).half()})
+    groups = [Group(view.kind, "Fits", [Shown("meta", "", view)]) for view in (pictures, light)]
+    opened = Page(browser, write_page(document("metapp", groups), tmp_path / "view.html"), 320, 240)
+    opened.sized(64, 64)
+    return opened
+
+
+def kinds(page: Page) -> tuple[str, int]:
+    """The kind of the view that is open, and how many views the page holds."""
+    shown = "[metapp.viewer?.kind ?? '', document.querySelectorAll('#stage > .view').length]"
+    kind, count = page.page.evaluate(shown)
+    return kind, count
+
+
+@pytest.mark.parametrize("last", [PICTURES, LIGHT])
+def test_of_two_views_that_open_at_once_the_last_one_stays(page: Page, last: int) -> None:
+    page.page.evaluate(f"Promise.all([metapp.open({1 - last}), metapp.open({last})])")
+    page.settle()
+    assert kinds(page) == (["pictures", "light"][last], 1)
+    assert page.page.evaluate("document.querySelectorAll('#stage canvas').length") == 1
+    assert not page.problems
+
+
+def test_a_wipe_follows_its_handle(page: Page) -> None:
+    for index, view in ((LIGHT, {"view": "flat"}), (PICTURES, {})):
+        page.page.evaluate(f"metapp.open({index})")
+        page.set(**view, show="wipe")
+        page.settle()
+        page.page.mouse.move(32, 50)
+        page.page.mouse.down()
+        page.page.mouse.move(16, 50)
+        page.page.mouse.up()
+        assert page.page.evaluate("metapp.settings.wipe") == pytest.approx(0.25, abs=0.02)
+        assert not page.page.evaluate("metapp.viewer.moves")
+    assert not page.problems
+
+
+def test_a_light_is_drawn_while_it_changes(page: Page) -> None:
+    """A frame may fall between the parts of an update."""
+    page.page.evaluate(f"metapp.open({LIGHT})")
+    update = (
+        "async () => { const { viewer } = metapp, done = viewer.update(viewer); viewer.draw(); await 0; viewer.draw();"
+    )
+    page.page.evaluate(update + " await new Promise((next) => setTimeout(next)); viewer.draw(); await done; }")
+    page.settle()
+    assert kinds(page) == ("light", 1)
+    assert not page.problems
+
+
+def test_what_cannot_be_drawn_makes_room_for_the_reason(page: Page) -> None:
+    page.page.evaluate("metapp.viewer.draw = () => { throw new Error('no memory'); }; metapp.set('show', 'one')")
+    page.page.wait_for_selector(".problem:not([hidden])")
+    assert page.page.inner_text(".problem") == "This view cannot be drawn: no memory"
+    assert kinds(page) == ("", 0)
+    page.page.evaluate(f"metapp.open({LIGHT})")
+    assert kinds(page) == ("light", 1)
+    assert page.page.locator(".problem").is_hidden()
+
+
+def test_another_light_map_is_read_or_refused(page: Page) -> None:
+    page.page.evaluate(f"metapp.open({LIGHT})")
+    head, rows = "#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y 4 +X 8\n", [128, 128, 128, 129] * 32
+    read = """async (bytes) => {
+        await metapp.viewer.readLight(new File([Uint8Array.from(bytes)], "a.hdr"));
+        return [metapp.viewer.light.size.x, document.querySelector("footer").textContent];
+    }"""
+    width, said = page.page.evaluate(read, [*head.encode()][:20])
+    assert width == 16
+    assert said.startswith("a.hdr is no light map of Radiance (.hdr): ")
+    assert page.page.evaluate(read, [*head.encode(), *rows]) == [8, "Light map: a.hdr"]
+    page.settle()
+    assert not page.problems
+
+
+def test_a_page_that_follows_goes_on_with_the_next_task(browser: Any) -> None:
+    live = Live()
+    try:
+        for title in ("gold", "brass"):
+            view = View("pictures", pictures={f"fit of {title}": torch.rand(8, 8, 3)})
+            told = document("metapp", [Group(title, "Fits", [Shown("meta", "step 1", view)])])
+            live.tell(told, f"{title}, step 1 of 2", [], done=title == "brass")
+            if title == "gold":
+                page = Page(browser, live.address, 320, 240)
+        page.page.wait_for_function("document.querySelector('footer').textContent === 'brass, step 1 of 2'")
+        assert page.page.inner_text("h1") == "brass"
+        assert page.page.evaluate("metapp.viewer.titles") == ["fit of brass"]
+        assert page.page.locator(".problem").is_hidden()
+    finally:
+        live.close()

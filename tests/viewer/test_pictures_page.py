@@ -1,0 +1,294 @@
+"""Pictures on the page: they are metapp's, to the texel, and wipe, difference, tiles and errors are of them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+from torch import Generator, Tensor
+from torch.nn.functional import interpolate
+
+from data_tools.synthetic.cornell import random_scene
+from metapp.appearance.colour import tone_map
+from metapp.appearance.metrics import mape, ssim
+from metapp.appearance.presentation import Picture
+from metapp.appearance.view import View
+from metapp.apps.texture import Texture
+from metapp.apps.texture.presentation import QUILTED, TexturePresentation
+from metapp.apps.transport import Transport, TransportSetup, viewing
+from metapp.apps.transport.flow import Flow
+from metapp.apps.transport.images import GUIDED_NEE, REGULAR, REGULAR_NEE
+from metapp.apps.transport.presentation import TransportPresentation
+from metapp.learning.task import Params, Task
+from metapp.networks.exemplar import ExemplarSetup
+from metapp.networks.generators import UNet
+from metapp.networks.presentation import TILED
+from metapp.rendering.scene_rules import scene_bytes
+from metapp.runs.outputs import write_pictures
+from metapp.viewer.page import Group, Shown, document, write_page
+from tests.browser import Page, browsing
+from tests.needs_mitsuba import needs_mitsuba
+
+SIZE = 32
+WHOLE = TILED * SIZE
+SHOWN = TexturePresentation(Texture(ExemplarSetup(SIZE, SIZE, UNet(8, 3, noise=4, code=8), "vgg16", ("relu1_1",))))
+FLOW = Flow(rows=4, columns=4, code=3, hidden=8, bins=5, film_bins=8, blobs=6)
+
+
+def theta_of(seed: int = 0) -> Params:
+    return {key: value[0] for key, value in SHOWN.app.init(Generator().manual_seed(seed), 1).items()}
+
+
+def coloured(height: int, width: int, seed: int = 0) -> Tensor:
+    """Smooth colours [height, width, 3] in [0, 1]."""
+    coarse = torch.rand(1, 3, 6, 6, generator=Generator().manual_seed(seed))
+    return interpolate(coarse, size=(height, width), mode="bicubic")[0].permute(1, 2, 0).clamp(0, 1)
+
+
+def exemplar_of(side: int = SIZE) -> Task:
+    return Task("bark", {"image": (255 * coloured(side, side)).round().to(torch.uint8).permute(2, 0, 1)})
+
+
+def light_of(seed: int, noise: float) -> Tensor:
+    """Radiance [48, 64, 3] of a tiny unit, with bright spots, as half floats hold it."""
+    rng = Generator().manual_seed(seed)
+    spots = coloured(48, 64) ** 6 * 40 + 0.1
+    return (1e-3 * spots * torch.exp(noise * torch.randn(48, 64, 3, generator=rng))).half().float()
+
+
+LIGHT = {"reference": light_of(0, 0.0), "noisy": light_of(1, 0.3), "noisier": light_of(2, 0.6)}
+
+
+def lit() -> View:
+    """As views of scenes are: a reference, and one picture of two steps."""
+    pictures = [{"title": "reference", "names": ["reference"]}, {"title": "made", "names": ["noisier", "noisy"]}]
+    chart = {"x": "seconds", "y": "MAPE", "lines": [{"title": "made", "points": [[0.5, 0.4], [1, 0.2]]}]}
+    facts = {
+        "pictures": pictures,
+        "steps": {"label": "Seconds", "titles": ["0.5 s", "1 s"]},
+        "reference": "reference",
+        "chart": chart,
+        "notes": ["Rendered here."],
+    }
+    return View("pictures", {name: light.half() for name, light in LIGHT.items()}, {}, facts)
+
+
+# What views hold
+
+
+def test_a_texture_is_shown_as_its_file_beside_the_exemplar() -> None:
+    theta, task = theta_of(), exemplar_of()
+    view = SHOWN.view(theta, task)
+    assert [(each["title"], each["tiles"]) for each in view.facts["pictures"]] == [
+        ("exemplar", "seams"),
+        ("fit", "whole"),
+        ("image quilting", "seams"),
+    ]
+    assert torch.equal(view.pictures["fit"], SHOWN.files(theta, task)["texture"].pixels)
+    exemplar, quilted = view.pictures["exemplar"], view.pictures["image quilting"]
+    assert torch.equal((255 * exemplar).round().to(torch.uint8), task.data["image"].permute(1, 2, 0))
+    assert quilted.shape == (QUILTED * SIZE, QUILTED * SIZE, 3)
+    assert {tuple(texel) for texel in quilted.reshape(-1, 3).tolist()} <= {
+        tuple(texel) for texel in exemplar.reshape(-1, 3).tolist()
+    }
+
+
+def test_a_texture_is_shown_without_its_exemplar_and_while_its_fit_runs() -> None:
+    alone = SHOWN.view(theta_of(), Task("bark", {}))
+    assert [each["title"] for each in alone.facts["pictures"]] == ["fit"]
+    quick = SHOWN.view(theta_of(), exemplar_of(), quick=True)
+    assert {name: tuple(each.shape) for name, each in quick.pictures.items()} == {
+        "exemplar": (SIZE, SIZE, 3),
+        "fit": (SIZE, SIZE, 3),
+    }
+
+
+def test_transport_without_a_scene_shows_densities() -> None:
+    shown = TransportPresentation(Transport(TransportSetup(FLOW)))
+    theta = {key: value[0] for key, value in FLOW.init(Generator().manual_seed(0), 1).items()}
+    view = shown.view(theta, Task("room", {"samples": torch.rand(500, 4)}))
+    assert {name: tuple(each.shape) for name, each in view.pictures.items()} == {
+        "reference": (128, 256, 3),
+        "fit": (128, 256, 3),
+    }
+
+
+@pytest.mark.long
+@needs_mitsuba
+def test_a_scene_is_shown_in_equal_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(viewing, "GUIDED_SECONDS", 0.3)
+    monkeypatch.setattr(viewing, "REFERENCE_SECONDS", 0.1)
+    theta = {key: value[0] for key, value in FLOW.init(Generator().manual_seed(0), 1).items()}
+    task = Task("room", {"samples": torch.rand(500, 4), "scene": scene_bytes(random_scene(0))})
+    view = TransportPresentation(Transport(TransportSetup(FLOW, picture=16))).view(theta, task)
+    assert [each["title"] for each in view.facts["pictures"]] == [
+        "reference",
+        GUIDED_NEE,
+        REGULAR_NEE,
+        viewing.GUIDED_BY_FIT,
+        REGULAR,
+    ]
+    steps = len(view.facts["steps"]["titles"])
+    assert 1 <= steps <= viewing.MOST
+    assert [len(each["names"]) for each in view.facts["pictures"]] == [1, steps, steps, 1, 1]
+    assert {tuple(each.shape) for each in view.arrays.values()} == {(16, 16, 3)}
+    assert float(view.arrays["reference"].float().mean()) == pytest.approx(1, rel=1e-3)
+    lines = {line["title"]: line["points"] for line in view.facts["chart"]["lines"]}
+    assert len(lines[GUIDED_NEE]) == len(lines[REGULAR_NEE]) == steps
+    reference = view.arrays["reference"].float().permute(2, 0, 1)[None]
+    made = view.arrays[f"{GUIDED_NEE} {steps - 1}"].float().permute(2, 0, 1)[None]
+    assert float(mape(made, reference)) == pytest.approx(lines[GUIDED_NEE][-1][1], rel=0.01)
+
+
+# What the page shows of them
+
+
+@pytest.fixture(scope="module")
+def page(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Page]:
+    """A texture by two fits, and lights by one."""
+    textures = [Shown(f"seed {seed}", "error 0.1", SHOWN.view(theta_of(seed), exemplar_of())) for seed in (0, 1)]
+    groups = [
+        Group("bark", "Texture", textures[:1]),
+        Group("bark twice", "Texture", textures),
+        Group("room", "Light", [Shown("meta", "", lit())]),
+    ]
+    file = write_page(document("metapp", groups), tmp_path_factory.mktemp("page") / "view.html")
+    with browsing() as browser:
+        opened = Page(browser, file)
+        yield opened
+        assert opened.problems == []
+
+
+FIRST = {"show": "all", "gain": 5, "exposure": 0, "tiles": 1, "seams": False, "zoom": -6, "x": 0, "y": 0, "chart": True}
+
+
+def seen(page: Page, group: int, size: tuple[int, int], **settings: Any) -> np.ndarray:
+    """A group at a size, width and height in px; what settings do not name is as at first."""
+    page.page.evaluate(f"metapp.open({group})")
+    page.sized(*size)
+    page.set(**(FIRST | settings))
+    page.settle()
+    return page.screenshot()
+
+
+def pixels_of(picture: Tensor) -> np.ndarray:
+    """As a PNG of 8 bits has them."""
+    pixels: np.ndarray = (np.clip(picture.numpy(), 0, 1) * 255 + 0.5).astype(np.uint8) / 255
+    return pixels
+
+
+def assert_same_as_file(screen: np.ndarray, picture: Picture, folder: Path) -> None:
+    write_pictures({"picture": picture}, folder)
+    file = np.asarray(Image.open(folder / "picture.png").convert("RGB")) / 255
+    pair = (torch.from_numpy(each).float().permute(2, 0, 1)[None] for each in (screen, file))
+    assert float(ssim(*pair)[0].mean()) >= 0.97
+    assert np.abs(screen - file).mean() <= 2 / 255
+
+
+@pytest.mark.long
+def test_a_texture_is_as_metapp_writes_it(page: Page, tmp_path: Path) -> None:
+    screen = seen(page, 0, (WHOLE, WHOLE), show="one", one="fit", zoom=0)
+    assert_same_as_file(screen, SHOWN.files(theta_of(), exemplar_of())["texture"], tmp_path)
+
+
+@pytest.mark.long
+def test_radiance_is_as_metapp_writes_it(page: Page, tmp_path: Path) -> None:
+    settings = {"show": "one", "one": "reference", "zoom": 0, "chart": False}
+    screen = seen(page, 2, (64, 48), **settings)
+    assert_same_as_file(screen, Picture(LIGHT["reference"], "radiance"), tmp_path)
+    brighter = seen(page, 2, (64, 48), **settings, exposure=1)
+    twice = 2 * LIGHT["reference"] / LIGHT["reference"].mean()
+    assert np.abs(brighter - pixels_of(tone_map(twice))).max() <= 1.01 / 255
+
+
+@pytest.mark.long
+def test_tiles_repeat_and_seams_are_marked(page: Page) -> None:
+    settings = {"show": "one", "tiles": 2, "zoom": 0}
+    fit = pixels_of(SHOWN.view(theta_of(), exemplar_of()).pictures["fit"])
+    tiled = seen(page, 0, (2 * WHOLE, 2 * WHOLE), one="fit", **settings)
+    assert np.array_equal(np.round(255 * tiled), np.round(255 * np.tile(fit, (2, 2, 1))))
+    exemplar = seen(page, 0, (2 * WHOLE, 2 * WHOLE), one="exemplar", **settings)
+    assert np.array_equal(exemplar[SIZE:], exemplar[:-SIZE])
+    marked = seen(page, 0, (2 * WHOLE, 2 * WHOLE), one="exemplar", seams=True, **settings)
+    columns = np.flatnonzero((marked != exemplar).any(2).all(0))
+    assert columns.tolist() == [*range(0, 2 * WHOLE, SIZE), 2 * WHOLE - 1]
+
+
+@pytest.mark.long
+def test_a_wipe_and_a_difference_are_of_the_two(page: Page) -> None:
+    pictures = {name: pixels_of(each) for name, each in SHOWN.view(theta_of(), exemplar_of()).pictures.items()}
+    fit, exemplar = pictures["fit"], np.tile(pictures["exemplar"], (TILED, TILED, 1))
+    pair = {"left": "fit", "right": "exemplar", "zoom": 0}
+    screen = seen(page, 0, (WHOLE, WHOLE), show="wipe", wipe=0.25, **pair)
+    cut = WHOLE // 4
+    assert np.abs(screen - np.concatenate([fit[:, :cut], exemplar[:, cut:]], 1)).max() < 0.5 / 255
+    differs = seen(page, 0, (SIZE, SIZE), show="difference", gain=3, **pair)
+    expected = np.clip(3 * np.abs(fit[:SIZE, :SIZE] - pictures["exemplar"]), 0, 1)
+    assert np.abs(differs - expected).max() < 0.5 / 255
+
+
+@pytest.mark.long
+def test_texels_are_squares_that_stay_under_the_pointer(page: Page) -> None:
+    fit = pixels_of(SHOWN.view(theta_of(), exemplar_of()).pictures["fit"])
+    screen = seen(page, 0, (WHOLE, WHOLE), show="one", one="fit", zoom=2, x=10, y=-7)
+    middle = WHOLE // 2
+    rows, columns = (slice(middle + shift - WHOLE // 8, middle + shift + WHOLE // 8) for shift in (-7, 10))
+    assert np.abs(screen - fit[rows, columns].repeat(4, 0).repeat(4, 1)).max() < 0.5 / 255
+    picked = "(({raster, x, y}) => [x, y])(metapp.viewer.pick([30, 90]))"
+    before = page.page.evaluate(picked)
+    page.page.mouse.move(30, 90)
+    label = page.page.locator(".pointed").text_content()
+    values = ", ".join(str(round(255 * value)) for value in fit[before[1], before[0]])
+    assert label == f"fit, texel {before[0]}, {before[1]}: {values} of 255"
+    page.page.mouse.wheel(0, -500)
+    page.page.wait_for_function("metapp.settings.zoom === 3")
+    assert page.page.evaluate(picked) == before
+    page.page.mouse.down()
+    page.page.mouse.move(30 + 16, 90)
+    page.page.mouse.up()
+    assert page.page.evaluate(picked) == [before[0] - 2, before[1]]
+
+
+@pytest.mark.long
+def test_errors_are_those_of_metrics(page: Page) -> None:
+    for step, name in enumerate(("noisier", "noisy")):
+        seen(page, 2, (200, 200), show="error", step=step)
+        expected = float(mape(*(LIGHT[each].permute(2, 0, 1)[None] for each in (name, "reference"))))
+        assert page.page.locator(".label").all_text_contents()[-1] == f"made, MAPE {expected:.3g}"
+
+
+@pytest.mark.long
+def test_a_chart_lies_below(page: Page) -> None:
+    screen = seen(page, 2, (300, 400), show="one", one="made")
+    yellow = (np.abs(screen - np.array([255, 215, 106]) / 255).max(2) < 0.02).any(1)
+    assert yellow[-136:].any()
+    assert not yellow[:-136].any()
+
+
+@pytest.mark.long
+def test_fits_share_what_they_have_in_common_and_their_place(page: Page) -> None:
+    seen(page, 1, (606, 406), zoom=1, x=5)
+    labels = page.page.locator(".label:not(.pointed)").all_text_contents()
+    assert labels == ["exemplar", "seed 0: fit", "image quilting", "seed 1: fit"]
+    picked = "metapp.viewer.pick([p.x + p.width / 2, p.y + p.height / 2])"
+    middles = page.page.evaluate(f"metapp.viewer.panels.map((p) => {picked}.x - p.rasters[0].width / 2)")
+    assert middles == [5, 5, 5, 5]
+    seen(page, 1, (600, 400), show="wipe")
+    labels = page.page.locator(".label:not(.pointed)").all_text_contents()
+    assert labels == [f"seed {seed}, error 0.1: exemplar, repeated | fit" for seed in (0, 1)]
+
+
+@pytest.mark.long
+def test_a_page_follows_a_fit(page: Page) -> None:
+    before = seen(page, 0, (WHOLE, WHOLE), show="one", one="fit", zoom=0)
+    page.page.evaluate("metapp.viewer.update({...DATA.groups[1], fits: DATA.groups[1].fits.slice(1)})")
+    page.settle()
+    fit = pixels_of(SHOWN.view(theta_of(1), exemplar_of()).pictures["fit"])
+    after = page.screenshot()
+    assert not np.array_equal(before, after)
+    assert np.abs(after - fit).max() < 0.5 / 255

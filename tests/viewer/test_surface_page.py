@@ -1,0 +1,260 @@
+"""Maps of flat materials on the page: they are the fit's, and its pictures are metapp's."""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from torch import Generator, Tensor
+from torch.nn.functional import normalize
+
+from data_tools.readers.svbrdf_task import svbrdf_task
+from metapp.appearance.flash import GAMMA, Maps, brdf, camera_distance, expose, pack, positions, relightings, render
+from metapp.appearance.metrics import ssim
+from metapp.appearance.surface import Surface, fitted_planes
+from metapp.appearance.surface_view import Lit, surface_view
+from metapp.appearance.view import View
+from metapp.apps.svbrdf_nonstationary import MaterialSetup, SvbrdfNonstationary, field_of
+from metapp.apps.svbrdf_nonstationary.maps import linear
+from metapp.apps.svbrdf_nonstationary.presentation import SvbrdfNonstationaryPresentation
+from metapp.apps.svbrdf_stationary import SvbrdfStationary
+from metapp.apps.svbrdf_stationary.presentation import SvbrdfStationaryPresentation
+from metapp.apps.svbrdf_stationary.recipes import QUICK
+from metapp.learning.task import Params, Task
+from metapp.networks.exemplar import ExemplarSetup
+from metapp.networks.generators import UNet
+from metapp.viewer.page import Group, Shown, document, write_page
+from tests.assets.surfaces import rock
+from tests.browser import Page, browsing
+
+SIDE = 16  # of exemplars, and of fields; the maps of the first are four times as large
+STEP = 1 / 255
+PHOTOS = 3
+
+
+def seeded(seed: int = 0) -> Generator:
+    return Generator().manual_seed(seed)
+
+
+@functools.cache
+def stationary() -> tuple[SvbrdfStationaryPresentation, Params, Task]:
+    """A random generator's maps."""
+    setup = replace(QUICK.setup, height=SIDE, width=SIDE, network=UNet(4, 3, noise=4, code=4, outputs=6))
+    app = SvbrdfStationary(ExemplarSetup(SIDE, SIDE, setup.network, "vgg16", ("relu1_1",)))
+    theta = {key: value[0] for key, value in app.init(seeded(), 1).items()}
+    photo = (255 * torch.rand(3, SIDE, SIDE, generator=seeded(1))).to(torch.uint8)
+    return SvbrdfStationaryPresentation(app), theta, Task("cloth", {"image": photo})
+
+
+@functools.cache
+def nonstationary() -> tuple[SvbrdfNonstationaryPresentation, Params, Task]:
+    """A random field's maps of several photographs, which the fit places elsewhere than they say."""
+    app = SvbrdfNonstationary(MaterialSetup(field_of(SIDE, hidden=8)._replace(code=3), width=2), "photo")
+    theta = {key: value[0] for key, value in app.init(seeded(), 1).items()}
+    theta["flash"] = 0.02 * torch.randn(4, PHOTOS, generator=seeded(1))
+    maps = rock(64, tiles=False).maps
+    assert maps is not None
+    task = svbrdf_task("rock", pack(maps))
+    places = torch.tensor([[0.0, 0, 1], [0.3, 0.2, 1.1], [-0.4, 0.1, 0.9]]) * camera_distance()
+    others = (255 * torch.rand(PHOTOS - 1, 3, 64, 64, generator=seeded(2))).to(torch.uint8)
+    return (
+        SvbrdfNonstationaryPresentation(app),
+        theta,
+        task._replace(data=task.data | {"others": others, "places": places[:, None].repeat(1, 2, 1)}),
+    )
+
+
+def maps_in(view: View, whose: str = "fit") -> Maps:
+    """The maps that a view's pictures hold, without rounding."""
+    diffuse, specular, detail = (
+        view.pictures[f"{whose}_{name}"].movedim(-1, 0) for name in ("diffuse", "specular", "detail")
+    )
+    x_and_y = (detail[:2] * 255 - 128) / 127
+    z = (1 - x_and_y.square().sum(0, keepdim=True)).clamp_min(0).sqrt()
+    return Maps(diffuse**GAMMA, specular**GAMMA, detail[2:], torch.cat([x_and_y, z]))
+
+
+def assert_same(maps: Maps, wanted: Maps) -> None:
+    for found, part in zip(maps, wanted, strict=True):
+        torch.testing.assert_close(found, part, atol=2e-3, rtol=0)
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    with browsing() as opened:
+        yield opened
+
+
+def open_page(browser: Any, folder: Path, view: View) -> Page:
+    fits = [Shown("meta", "", view)]
+    return Page(browser, write_page(document("metapp", [Group("rock", "svBRDF", fits)]), folder / "view.html"))
+
+
+def like(found: np.ndarray, wanted: np.ndarray) -> bool:
+    """Whether the screen shows a picture, [H, W, 3]."""
+    pair = (torch.from_numpy(np.ascontiguousarray(each, np.float64)).permute(2, 0, 1)[None] for each in (found, wanted))
+    return float(ssim(*pair)[0].mean()) >= 0.97 and float(np.abs(found - wanted).mean()) <= 2 * STEP
+
+
+def test_a_view_holds_the_maps_that_are_written() -> None:
+    """Photographs are there where the task is at hand: the part of the maps that one covers, and its flash."""
+    shown, theta, task = stationary()
+    surface, view = shown.surface(theta, task), shown.view(theta, task)
+    assert surface.maps is not None
+    assert_same(maps_in(view), surface.maps)
+    heights = torch.lerp(*torch.tensor(view.facts["heights"]), view.pictures["height"].movedim(-1, 0))
+    torch.testing.assert_close(heights, fitted_planes(surface)["height"].values, atol=1e-5, rtol=0)
+    assert list(view.facts["lit"]) == ["photo_1", *relightings()]
+    assert view.facts["lit"]["photo_1"]["part"] == 1 / 4
+    assert (view.facts["tiles"], view.facts["falloff"], view.facts["size"]) == (True, 1, [4 * SIDE, 4 * SIDE])
+    photo = task.data["image"].movedim(0, -1) / 255
+    torch.testing.assert_close(view.pictures["photo_1"], photo, atol=STEP / 2, rtol=0)
+    alone = shown.view(theta, Task("cloth", {}))
+    assert list(alone.facts["lit"]) == list(relightings())
+    assert "photo_1" not in alone.pictures
+
+
+def test_a_view_holds_true_maps_and_where_fits_place_their_photographs() -> None:
+    shown, theta, task = nonstationary()
+    view, files = shown.view(theta, task), shown.files(theta, task)
+    truth = rock(64, tiles=False).maps
+    assert truth is not None
+    assert_same(maps_in(view, "reference"), truth)
+    maps, lit = maps_in(view), view.facts["lit"]
+    assert list(lit) == [*(f"photo_{i + 1}" for i in range(PHOTOS)), *relightings()]
+    for name in ("photo_1", "photo_3"):
+        light, eye = (torch.tensor(lit[name][key]) for key in ("light", "eye"))
+        again = render(maps, positions(64, 64), light, eye, intensity=lit[name]["gain"])
+        torch.testing.assert_close(
+            again.clamp(0, 1), linear(255 * files[name].pixels.movedim(-1, 0)), atol=5e-3, rtol=0
+        )
+    torch.testing.assert_close(
+        view.pictures["photo_2"], expose(linear(task.data["others"][0])).movedim(0, -1), atol=1e-6, rtol=0
+    )
+    assert not view.facts["tiles"]
+    with pytest.raises(KeyError):
+        shown.view(theta, Task("rock", {}))
+
+
+def test_large_maps_are_reduced(monkeypatch: pytest.MonkeyPatch) -> None:
+    """To means of texels; heights stay as they are in widths of the texture."""
+    monkeypatch.setattr("metapp.appearance.surface_view.LARGEST", 64)
+    large = rock(128)
+    view = surface_view(large, [])
+    assert (view.facts["size"], view.facts["shown"]) == ([128, 128], [64, 64])
+    assert large.maps is not None
+    maps = maps_in(view)
+    torch.testing.assert_close(
+        maps.diffuse, large.maps.diffuse.unfold(1, 2, 2).unfold(2, 2, 2).mean((3, 4)), atol=1e-5, rtol=0
+    )
+    torch.testing.assert_close(maps.normal, large.maps.normal[:, ::2, ::2], atol=0.02, rtol=0)
+    heights = fitted_planes(large)["height"].values
+    assert view.facts["heights"] == pytest.approx([float(heights.min()), float(heights.max())], rel=2e-3)
+    assert view.pictures["fit_specular"].shape[-1] == 3
+    gray = large._replace(maps=large.maps._replace(specular=large.maps.specular[:1]))
+    assert surface_view(gray, []).pictures["fit_specular"].shape[-1] == 1
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("which", [stationary, nonstationary])
+def test_the_screen_shows_metapps_pictures(which: Any, browser: Any, tmp_path: Path) -> None:
+    shown, theta, task = which()
+    files = shown.files(theta, task)
+    page = open_page(browser, tmp_path, shown.view(theta, task))
+    page.sized(*[len(files["normal"].pixels)] * 2)
+    page.set(view="picture")
+    for name in ("left", "aside"):
+        page.set(pictured=name)
+        page.settle()
+        assert like(page.screenshot(), files[f"lit_from_{name}"].pixels.numpy())
+    page.set(pictured="photo_1", map="normal")
+    if which is nonstationary:
+        page.settle()
+        assert like(page.screenshot(), files["normal"].pixels.numpy())
+    assert not page.problems
+
+
+@pytest.mark.long
+def test_the_screen_shows_rocks_fit_and_reference(browser: Any, tmp_path: Path) -> None:
+    """Of glossy metal and stone; the reference is the photograph under its flash, which lies aside, else true maps."""
+    fit, truth = rock(64), rock(64, tiles=False).maps
+    assert fit.maps is not None
+    assert truth is not None
+    light, eye = torch.tensor([0.3, -0.2, 2.0]), torch.tensor([-0.1, 0.4, 2.2])
+    photo = torch.rand(3, 64, 64, generator=seeded())
+    truth = truth._replace(roughness=0.5 * truth.roughness)
+    page = open_page(
+        browser, tmp_path, surface_view(fit, [Lit(light, eye, 0.7, photo, 0.5)], falloff=2, reference=truth)
+    )
+    page.sized(64, 64)
+    page.set(view="picture", pictured="photo_1", show="reference")
+    page.settle()
+    assert like(page.screenshot(), expose(photo).movedim(0, -1).numpy())
+    page.set(pictured="above")
+    page.settle()
+    wanted = expose(render(truth, positions(64, 64), *relightings()["above"], falloff=2))
+    assert like(page.screenshot(), wanted.movedim(0, -1).numpy())
+    page.set(show="fit", pictured="photo_1")
+    page.sized(32, 32)  # a texel a pixel
+    page.settle()
+    part = Maps(*(each[:, :32, :32] for each in fit.maps))
+    wanted = expose(render(part, positions(32, 32), light, eye, intensity=0.7, falloff=2))
+    assert like(page.screenshot(), wanted.movedim(0, -1).numpy())
+    assert not page.problems
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("tiles", [True, False])
+def test_copies_tile_or_are_mirrored(tiles: bool, browser: Any, tmp_path: Path) -> None:
+    page = open_page(browser, tmp_path, surface_view(rock(64, tiles=tiles), []))
+    page.sized(134, 134)  # where the plane is 100 px wide
+    page.set(map="normal", repeats=2, relief=0)
+    page.settle()
+    plane = page.screenshot()[17:117, 17:117]
+    copies = plane[:50, :50], plane[:50, 50:], plane[50:, :50]
+    first, right, below = (each[4:-4, 4:-4] for each in copies)
+    mirrored = (  # what leans to the right leans to the left in the mirror
+        np.concatenate([1 - first[:, ::-1, :1], first[:, ::-1, 1:]], -1),
+        np.concatenate([first[::-1, :, :1], 1 - first[::-1, :, 1:2], first[::-1, :, 2:]], -1),
+    )
+    for copy, in_mirror in zip((right, below), mirrored, strict=True):
+        apart = [float(np.abs(copy - each).mean()) for each in (first, in_mirror)]
+        assert apart[tiles] > 4 * apart[not tiles]
+
+
+@pytest.mark.long
+def test_a_light_map_lights_tilted_normals(browser: Any, tmp_path: Path) -> None:
+    """A uniform map makes of a material what the hemisphere above the surface sends through it."""
+    one = torch.ones(1, 8, 8)
+    normal = normalize(torch.tensor([0.4, -0.2, 1.0]), dim=0)[:, None, None] * one
+    maps = Maps(0.4 * one.expand(3, -1, -1), 0.3 * one, 0.3 * one, normal)
+    view = surface_view(Surface(maps.diffuse, True, maps, one), [])
+    white = view._replace(shared={"light": torch.ones(8, 16, 3).half()})
+    page = open_page(browser, tmp_path, white)
+    page.sized(48, 48)
+    page.set(light="map", relief=0)
+    page.page.evaluate("metapp.viewer.most = () => 96")
+    page.settle()
+    middle = float(page.screenshot()[18:30, 18:30].mean())
+    assert middle == pytest.approx(float(expose(0.5 * white_light(maps)).mean()), abs=0.012)
+    assert not page.problems
+
+
+def white_light(maps: Maps) -> Tensor:
+    """What the first texel of maps reflects of white light to a viewer above, [3]."""
+    rows, columns = 256, 512
+    z = (torch.arange(rows) + 0.5) / rows
+    phi = (torch.arange(columns) + 0.5) * (math.tau / columns)
+    radius = (1 - z * z).sqrt()[:, None]
+    wi = torch.stack([radius * phi.cos(), radius * phi.sin(), z[:, None].expand(rows, columns)])
+    texel = Maps(*(each[:, :1, :1] for each in maps))
+    wo = torch.tensor([0.0, 0.0, 1.0])[:, None, None]
+    cosine = (wi * texel.normal).sum(0).clamp_min(0)
+    return (brdf(texel, wi, wo.expand_as(wi)) * cosine).sum((1, 2)) * (math.tau / (rows * columns))
