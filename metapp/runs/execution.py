@@ -17,7 +17,7 @@ from metapp.runs.batch_size import BatchSize, alike, check_batch
 from metapp.runs.checkpoints import find_checkpoint
 from metapp.runs.checks import default_recipe
 from metapp.runs.fits import Fitter, Result
-from metapp.runs.inputs import SOURCED, Source, sources_of, sources_to_fit, tasks_to_fit
+from metapp.runs.inputs import SOURCED, Source, former_label, sources_of, sources_to_fit, tasks_to_fit
 from metapp.runs.naming import name_of, observe_of
 from metapp.runs.outputs import OUTPUTS, write_fit
 from metapp.runs.pictures import write_gallery, write_thumbnail
@@ -31,6 +31,7 @@ from metapp.runs.watching import Watched
 from metapp.storage import Document
 from metapp.storage.files import named
 from metapp.storage.records import FIT, RunFolder, guarded, summary
+from metapp.viewer.live import Live
 
 
 class Failure(NamedTuple):
@@ -158,7 +159,9 @@ def with_checkpoint(plan: Plan) -> Plan:
 
 def _sources(plan: Plan) -> tuple[list[Source], str]:
     if plan.request.lazy:
-        return sources_to_fit(plan.app, plan.request)
+        sources, label = sources_to_fit(plan.app, plan.request)
+        former = former_label(label)
+        return sources, former if _path(plan, former).is_dir() else label
     tasks, label = tasks_to_fit(plan.app, plan.request)
     return sources_of(tasks), label
 
@@ -175,7 +178,7 @@ def _run(fitter: Fitter, sources: list[Source], label: str) -> Run:
     if not lazy and len(known) == len(mine):
         known = {}  # a finished run is run anew, one that was cut off is completed
     if not request.quiet:
-        _announce(plan, folder, len(sources), len(mine), len(known) if lazy else 0)
+        _announce(plan, folder, len(sources), len(mine), len(known) if lazy else 0, loop.live)
     begin = time.perf_counter()
     with progress(plan.paradigm.name, len(mine), done=len(known), quiet=request.quiet) as bar:
         for done in loop.fit([source for source in mine if source.place not in known]):
@@ -202,13 +205,18 @@ def _run(fitter: Fitter, sources: list[Source], label: str) -> Run:
 
 def _folder(plan: Plan, label: str) -> RunFolder:
     """The folder of a run; seconds of fits side by side are shares: those have one of their own."""
-    path, settings, form = plan.path(label), plan.settings(label), FIT
+    settings, form = plan.settings(label), FIT
     if plan.request.lazy:
-        path, settings, form = path.with_name(f"{path.name}-batch"), settings | {"batched": True}, FIT | SOURCED
-    return RunFolder(path, settings, form, plan.origin())
+        settings, form = settings | {"batched": True}, FIT | SOURCED
+    return RunFolder(_path(plan, label), settings, form, plan.origin())
 
 
-def _announce(plan: Plan, folder: RunFolder, total: int, mine: int, known: int) -> None:
+def _path(plan: Plan, label: str) -> Path:
+    path = plan.path(label)
+    return path.with_name(f"{path.name}-batch") if plan.request.lazy else path
+
+
+def _announce(plan: Plan, folder: RunFolder, total: int, mine: int, known: int, live: Live | None) -> None:
     assert plan.checkpoint is not None
     what = f"{name_of(plan.app)} {plan.paradigm.name}: {total} "
     if plan.request.lazy:
@@ -218,8 +226,9 @@ def _announce(plan: Plan, folder: RunFolder, total: int, mine: int, known: int) 
     else:
         what += f"tasks, {plan.steps} steps"
     say(f"{what}, from {plan.checkpoint.source}")
-    if plan.request.watch:
+    if live:
         say(f"watch: {folder.path / 'watch.png'}; the time that it takes to draw is not part of the seconds")
+        say(f"watch: {live.address} shows the same in a browser of this machine, until the fits are over")
 
 
 class _Loop:
@@ -228,12 +237,13 @@ class _Loop:
     Attributes:
         count: how many were fitted.
         failures: what was not; only of a lazy loop, else what fails is raised.
+        live: the page that follows, where fits are watched and messages are not left out.
     """
 
     def __init__(self, fitter: Fitter, folder: RunFolder, *, lazy: bool = False) -> None:
         plan = fitter.plan
-        file = folder.path / "watch.png"
-        fitter.watched = Watched(plan.app, plan.paradigm.name, file) if plan.request.watch else None
+        file, self.live = folder.path / "watch.png", Live() if plan.request.watch and not plan.request.quiet else None
+        fitter.watched = Watched(plan.app, plan.paradigm.name, file, self.live) if plan.request.watch else None
         self.fitter, self.folder, self.lazy = fitter, folder, lazy
         self.presentation = presentation_of(plan.app, plan.size)
         self.size = BatchSize(check_batch(plan.request.batch or "1"), plan.device)
@@ -249,7 +259,15 @@ class _Loop:
         return {source.place: finished[source.place] for source in sources if stamps.get(source.place) == source.stamp}
 
     def fit(self, sources: Sequence[Source]) -> Iterator[Document | Failure]:
-        """Fit sources and keep each fit; what has a record is whole."""
+        """Fit sources and keep each fit; what has a record is whole. The page that follows ends, whatever fails."""
+        try:
+            yield from self._fits(sources)
+            self.fitter.finish(self.count)
+        finally:
+            if self.live:
+                self.live.close()
+
+    def _fits(self, sources: Sequence[Source]) -> Iterator[Document | Failure]:
         if not self.lazy:
             self.fitter.check([source.task() for source in sources])
         first = 0
@@ -259,7 +277,6 @@ class _Loop:
             for group in alike(self._read(some)):
                 yield from self._fitted(group)
             yield from self.failures[failed:]
-        self.fitter.finish(self.count)
 
     def _fail(self, source: Source, error: Exception) -> None:
         if not self.lazy:

@@ -5,17 +5,15 @@ Pillow draws sheets: matplotlib, which figures are made by, takes longer to impo
 
 from __future__ import annotations
 
-import io
 from collections.abc import Callable, Mapping, Sequence
 from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-import torch
 from torch import Tensor
 
-from metapp.appearance.colour import linear_to_srgb
+from metapp.appearance.colour import to_srgb
 from metapp.apps import presentation_of
 from metapp.learning.app import App
 from metapp.learning.task import Params, Task
@@ -23,6 +21,7 @@ from metapp.runs.naming import caption_of, factor_of, title_of
 from metapp.runs.reporter import number
 from metapp.storage import Document
 from metapp.storage.files import write_atomically
+from metapp.storage.images import in_8_bits
 from metapp.storage.records import RunFolder, file_name, read_theta, summary
 
 if TYPE_CHECKING:
@@ -103,10 +102,14 @@ def _cell(tasks: list[Column], side: int) -> tuple[int, int]:
 
 
 def _shrunk(picture: np.ndarray, height: int, width: int) -> Image:
-    from PIL import Image
+    from PIL.Image import Resampling
 
-    pixels = (np.clip(picture, 0, 1) * 255 + 0.5).astype(np.uint8)
-    return Image.fromarray(pixels).resize((width, height), Image.Resampling.BICUBIC)
+    return in_8_bits(picture).resize((width, height), Resampling.BICUBIC)
+
+
+def image_of(linear: Tensor | np.ndarray) -> Image:
+    """A linear picture as `to_srgb` takes it, in 8 bits of sRGB."""
+    return in_8_bits(to_srgb(linear))
 
 
 def _short(name: str, width: int, font: object) -> str:
@@ -120,16 +123,6 @@ def _short(name: str, width: int, font: object) -> str:
 
 COMPARED = 20  # tasks in a picture of all paradigms
 PICTURE = "picture"  # what is kept in place of parameters where there are none
-
-
-def to_srgb(linear: Tensor | np.ndarray) -> np.ndarray:
-    """Linear RGB [H, W, 3] or, on black with coverage, [H, W, 4] to sRGB on white, in [0, 1] (IEC 61966-2-1)."""
-    image = np.asarray(linear, dtype=np.float64)
-    # composited after encoding, so that the rim stays as smooth as its coverage
-    coverage = image[..., 3:] if image.shape[-1] == 4 else np.ones_like(image[..., :1])
-    colour = np.clip(image[..., :3] / np.maximum(coverage, 1e-6), 0, 1)
-    result: np.ndarray = coverage * linear_to_srgb(torch.from_numpy(colour)).numpy() + (1 - coverage)
-    return result
 
 
 def picture_of_run(app: App, paradigm: str, tasks: Sequence[Task], records: Sequence[Document], folder: Path) -> Path:
@@ -209,22 +202,22 @@ figcaption { font-size: .85rem; overflow-wrap: anywhere; } small, p { color: #5c
 
 def write_thumbnail(app: App, task: Task, theta: Params, folder: Path) -> None:
     """Write the picture of a fit, parameters without a task axis, into a run's folder: reference left, fit right."""
+    strip = beside([image_of(linear) for linear in presentation_of(app).outputs(theta, task).values()], THUMBNAIL)
+    write_atomically(folder / FOLDER / f"{file_name(task.name)}.png", lambda file: strip.save(file, "PNG"))
+
+
+def beside(images: Sequence[Image], height: int = 0) -> Image:
+    """Pictures beside each other on white, each of a height in px; 0: as high as the first one."""
     from PIL import Image
 
-    shown = []
-    for linear in presentation_of(app).outputs(theta, task).values():
-        image = Image.fromarray((np.clip(to_srgb(linear), 0, 1) * 255 + 0.5).astype(np.uint8))
-        shown.append(
-            image.resize((max(1, round(THUMBNAIL * image.width / image.height)), THUMBNAIL), Image.Resampling.BICUBIC)
-        )
-    strip = Image.new("RGB", (sum(image.width for image in shown) + 4 * (len(shown) - 1), THUMBNAIL), "white")
+    height = height or images[0].height
+    shown = [image.resize((max(1, round(height * image.width / image.height)), height)) for image in images]
+    strip = Image.new("RGB", (sum(image.width for image in shown) + 4 * (len(shown) - 1), height), "white")
     left = 0
     for image in shown:
         strip.paste(image, (left, 0))
         left += image.width + 4
-    buffer = io.BytesIO()
-    strip.save(buffer, "PNG")
-    write_atomically(folder / FOLDER / f"{file_name(task.name)}.png", lambda file: file.write_bytes(buffer.getvalue()))
+    return strip
 
 
 def write_gallery(app: App, paradigm: str, folder: RunFolder, failures: Sequence[tuple[str, str]]) -> Path:
