@@ -7,13 +7,15 @@ does not say how bright its light was, so the map has mean luminance 1.
 import sys
 from pathlib import Path
 
+import torch
+
 import metapp
 from metapp.storage.images import write_exr
 
 photo, target = map(Path, sys.argv[1:])
 fit = metapp.fit("illumination", photo, observe="photo")
-radiance = fit.app.answer({key: value[None] for key, value in fit.parameters.items()})[0].permute(1, 2, 0)
-write_exr(radiance, target)
+radiance = fit.maps["radiance"]  # [H, W, 3]
+write_exr(torch.from_numpy(radiance), target)
 height, width, _ = radiance.shape
 row, column = divmod(int(radiance.sum(2).argmax()), width)
 print(f"{fit.name}: {width} x {height} texels, fitted in {fit.seconds:.2f} s")

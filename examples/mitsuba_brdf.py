@@ -28,7 +28,7 @@ with tempfile.TemporaryDirectory() as folder:
                 "type": "perspective",
                 "fov": 30,
                 "to_world": mi.ScalarTransform4f().look_at(origin=[0, 0, 5], target=[0, 0, 0], up=[0, 1, 0]),
-                "film": {"type": "hdrfilm", "width": 256, "height": 256},
+                "film": {"type": "hdrfilm", "width": 512, "height": 512},
             },
             "sky": {"type": "constant", "radiance": 0.3},
             "lamp": {

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import ast
+import json
 import re
 import runpy
 import sys
@@ -88,7 +90,7 @@ def smaller(script: str, changes: dict[str, str], folder: Path) -> Path:
 @pytest.mark.long
 @needs_mitsuba
 def test_mitsuba_brdf(neural_fits: Callable[[int], Path], tmp_path: Path, run: Callable[..., str]) -> None:
-    changes = {r'"width": 256, "height": 256': '"width": 48, "height": 48', r"spp=64": "spp=8"}
+    changes = {r'"width": 512, "height": 512': '"width": 48, "height": 48', r"spp=64": "spp=8"}
     script = smaller("mitsuba_brdf.py", changes, tmp_path)
     said = run(script, next(neural_fits(1).iterdir()), tmp_path / "ball.png")
     assert said.startswith("m0: error x100 ")
@@ -179,3 +181,32 @@ def test_ball_to_hdr(tmp_path: Path, run: Callable[..., str]) -> None:
     made = oiio.ImageBuf(str(tmp_path / "map.exr")).get_pixels(oiio.FLOAT)
     assert made.shape == (128, 256, 3)
     assert made[:64].mean() > made[64:].mean() > 0
+
+
+@pytest.mark.long
+@pytest.mark.usefixtures("vgg", "scene")
+def test_notebook(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> None:
+    """Its cells run in order, and those that end with fits show them; a texture of 64 texels stands for one of 256."""
+    document = json.loads((EXAMPLES / "notebook.ipynb").read_text(encoding="utf-8"))
+    cells = ["".join(cell["source"]) for cell in document["cells"] if cell["cell_type"] == "code"]
+    assert not any(cell.get("outputs") for cell in document["cells"])
+    monkeypatch.chdir(tmp_path)
+    shown, names = [], dict[str, object]()
+    for number, cell in enumerate(cells):
+        tree = ast.parse(cell.replace("bricks)\n", 'bricks, recipe="quick")\n'))
+        last = (
+            ast.Expression(tree.body.pop().value)
+            if isinstance(tree.body[-1], ast.Expr)
+            else ast.parse("0", mode="eval")
+        )
+        exec(compile(tree, f"cell {number}", "exec"), names)
+        value = eval(compile(last, f"cell {number}", "eval"), names)
+        shown += [value._repr_html_()] if hasattr(value, "_repr_html_") else []
+    assert [html.count("<img") for html in shown] == [2, 2, 2, 0]
+    assert shown[-1].count("<tr>") == 3
+    assert {path.name for path in tmp_path.iterdir()} == {"bricks.png", "plastic.safetensors"}
+    assert names["wall"].app.name == "texture"
+    assert names["light"].error < 1
+    said, warned = capfd.readouterr()
+    assert said.startswith("{'basecolor': (256, 256, 3)}")
+    assert warned == ""

@@ -15,7 +15,7 @@ import pkgutil
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from types import ModuleType
-from typing import TYPE_CHECKING, NamedTuple, Protocol, cast
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, cast
 
 if TYPE_CHECKING:
     from metapp.appearance.surface import Surface
@@ -278,7 +278,12 @@ def objects_of(app: str) -> Callable[[object, str], Task] | None:
     return _function_of(app, "OBJECTS", "from_object")
 
 
-def _function_of(app: str, table: str, name: str) -> Callable[..., Task] | None:
+def object_files_of(app: str) -> Callable[[object, str, Path, str], Path] | None:
+    """Return what writes something in memory as a file that fits take, `to_file(source, name, folder, observe)`."""
+    return _function_of(app, "OBJECT_FILES", "to_file")
+
+
+def _function_of(app: str, table: str, name: str) -> Callable[..., Any] | None:
     """A function of the module that a table of this folder's modules, by application, names; None for no module."""
     tables = [getattr(module, table, {}) for module in _modules()]
     found = next((modules[app] for modules in tables if app in modules), None)

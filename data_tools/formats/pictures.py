@@ -104,7 +104,11 @@ STRIPS_SPLIT = (
     "both sides is left out."
 )
 
-
+OBJECT_FILES = {
+    "texture": "data_tools.readers.picture_objects",
+    "svbrdf_stationary": "data_tools.readers.flash_objects",
+    "svbrdf_nonstationary": "data_tools.readers.map_objects",
+}
 FORMATS = (
     Format(
         "flash",

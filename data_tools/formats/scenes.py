@@ -19,6 +19,7 @@ Examples:
 """
 
 MERGES = {"illumination": "data_tools.balls.reading"}
+OBJECT_FILES = {"illumination": "data_tools.readers.light_objects", "transport": "data_tools.readers.scene_objects"}
 FORMATS = (
     Format(
         "laval",

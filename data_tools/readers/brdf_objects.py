@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 from data_tools.readers import brdf_task, gonio, rgl
+from data_tools.readers.picture_objects import array_of
 from metapp.appearance.geometry import rusinkiewicz_to_directions
 from metapp.learning.task import Task
 from metapp.rendering.variant import load_mitsuba
@@ -39,7 +40,11 @@ def from_object(source: Any, name: str) -> Task:
     if isinstance(source, tuple | list):
         if len(source) != len(SAMPLED):
             raise ValueError(f"{name}: {len(source)} arrays, expected {len(SAMPLED)}: {', '.join(SAMPLED)}.")
-        wi, wo, values = (_array(name, each, what) for each, what in zip(source, SAMPLED, strict=True))
+        wi, wo = (unit_vectors(name, *pair) for pair in zip(source[:2], SAMPLED[:2], strict=True))
+        values = _array(name, source[2], SAMPLED[2])
+        if not ((values >= 0) & (values <= gonio.LARGEST)).all():
+            found = "reflectance that is negative, huge or not finite"
+            raise ValueError(f"{name}: {found}, expected 0 to {gonio.LARGEST:g}.")
         return gonio.task_of_directions(name, wi, wo, values)
     if type(source).__module__.partition(".")[0] == "mitsuba":
         return _evaluated(name, partial(rgl.evaluate, load_mitsuba(), source))
@@ -58,7 +63,7 @@ def _evaluated(name: str, evaluate: brdf_task.Evaluate) -> Task:
 def _called(name: str, function: Function, angles: Tensor) -> Tensor:
     """Linear RGB [..., 3] in 1/sr of angles [..., 3 or 4] in rad."""
     wi, wo = (direction.reshape(-1, 3).float().numpy() for direction in rusinkiewicz_to_directions(angles.double()))
-    values = torch.as_tensor(function(wi, wo)).detach().cpu().to(angles)
+    values = _doubles(f"{name}'s values", function(wi, wo)).to(angles)
     if values.shape == (len(wi),):
         values = values[:, None].expand(-1, 3)
     if values.shape != (len(wi), 3):
@@ -69,17 +74,29 @@ def _called(name: str, function: Function, angles: Tensor) -> Tensor:
     return values.reshape(*angles.shape[:-1], 3)
 
 
+def _doubles(name: str, values: Any) -> Tensor:
+    """Numbers of any kind as a tensor; a copy, since arrays may be read-only or run backwards."""
+    return torch.from_numpy(np.array(array_of(name, values), np.float64, order="C"))
+
+
 def _array(name: str, values: Any, what: str) -> Tensor:
     """An array of samples [N, 3], float64."""
-    array: Tensor = torch.as_tensor(values).detach().cpu().double()
+    array = _doubles(f"{name}: {what}", values)
     if array.ndim != 2 or array.shape[1] != 3:
         raise ValueError(f"{name}: {what} {tuple(array.shape)}, expected [N, 3].")
-    if what != "reflectance":
-        lengths = array.norm(dim=1, keepdim=True)
-        if not ((lengths - 1).abs() < 1e-3).all():
-            raise ValueError(f"{name}: {what} of length {float(lengths.max()):.4g}, expected unit vectors.")
-        unit: Tensor = array / lengths
-        return unit
-    if not ((array >= 0) & (array <= gonio.LARGEST)).all():
-        raise ValueError(f"{name}: reflectance that is negative, huge or not finite, expected 0 to {gonio.LARGEST:g}.")
     return array
+
+
+def unit_vectors(name: str, values: Any, what: str) -> Tensor:
+    """Directions, an array or a tensor, as unit vectors [N, 3], float64.
+
+    Raises:
+        ValueError: another shape, type or length.
+    """
+    array = _array(name, values, what)
+    lengths = array.norm(dim=1, keepdim=True)
+    if not ((lengths - 1).abs() < 1e-3).all():
+        worst = float(lengths[(lengths - 1).abs().argmax()])
+        raise ValueError(f"{name}: {what} of length {worst:.4g}, expected unit vectors.")
+    unit: Tensor = array / lengths
+    return unit

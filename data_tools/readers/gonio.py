@@ -235,12 +235,10 @@ def _parsed(path: Path, size: int, changed_ns: int) -> Pairs:
 def write_pairs(path: Path, wi: Tensor, wo: Tensor, before: Pairs) -> None:
     """Write a table to fill in: what was measured before, then pairs of unit vectors [N, 3] without a BRDF."""
     lines = [
-        "# fill in the BRDF in 1/sr as linear RGB, a row a pair of directions: theta_i, phi_i light, theta_o, phi_o"
+        "# the BRDF in 1/sr as linear RGB, a row a pair of directions: theta_i, phi_i light, theta_o, phi_o detector"
     ]
-    lines += [
-        "# detector; leave out rows that cannot be measured",
-        ",".join([*(f"{name}_deg" for name in ANGLES), *RGB]),
-    ]
+    lines += ["# fill in all rows; leave out those that cannot be measured"] * (len(wi) > 0)
+    lines += [",".join([*(f"{name}_deg" for name in ANGLES), *RGB])]
     for *pair, colour in zip(before.wi, before.wo, before.reflectance.tolist(), strict=True):
         lines.append(",".join([*_degrees(*pair), *(f"{value:.6g}" for value in colour)]))
     lines += [",".join([*_degrees(*pair), "", "", ""]) for pair in zip(wi, wo, strict=True)]

@@ -60,6 +60,11 @@ find = find_photos  # the names that every reader has
 recognises = holds_photos
 
 
+def is_latlong(height: int, width: int) -> bool:
+    """Whether a picture is twice as wide as high, but for a row."""
+    return abs(width - 2 * height) <= 2
+
+
 class _Header(NamedTuple):
     """Type and size of a file's pixels."""
 
@@ -70,10 +75,6 @@ class _Header(NamedTuple):
     @property
     def is_hdr(self) -> bool:
         return self.kind in ("half", "float", "double")
-
-    @property
-    def is_latlong(self) -> bool:
-        return abs(self.width - 2 * self.height) <= 2  # a row more or less
 
     def __str__(self) -> str:
         return f"{self.width}x{self.height} px"
@@ -97,7 +98,7 @@ def read_task(path: Path, size: int = HEIGHT) -> Task:
     header = _header(path)
     if header.is_hdr:
         return read_map_task(path, size)
-    if header.is_latlong:
+    if is_latlong(header.height, header.width):
         raise ValueError(
             f"{path}: {header} of {header.kind}, {_EXPECTED} or a photograph of a sphere; export the map as HDR, or "
             "crop the photograph to the sphere."
@@ -190,7 +191,7 @@ def read_map(path: str | Path, height: int = HEIGHT) -> Tensor:
             f"{path}: an LDR image ({header.kind}), {_EXPECTED}; a photograph of a sphere is for fits with --observe "
             "photo."
         )
-    if not header.is_latlong:
+    if not is_latlong(header.height, header.width):
         raise ValueError(
             f"{path}: {header}, expected a lat-long map, twice as wide as high; a photograph of a sphere should be PNG "
             "or JPEG."

@@ -45,6 +45,7 @@ __all__ = [
     "materials_in",
     "read_task",
     "recognises",
+    "role_of",
     "split_materials",
     "task_name",
 ]
@@ -186,6 +187,11 @@ def materials_in(folder: Path) -> tuple[list[Material], list[Path]]:
 def lies_aside(file: Path) -> bool:
     """Whether a file's name says that it belongs to a material but is no map of use here: heights, previews."""
     return _parts(file.stem)[1] == ""
+
+
+def role_of(word: str) -> str | None:
+    """What a map of this name says, such as "base colour"; "" for nothing of use here, None for no usual name."""
+    return _parts(word)[1]
 
 
 def _parts(stem: str) -> tuple[str, str | None]:

@@ -2,26 +2,45 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import functools
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from os import PathLike
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+import numpy as np
+import torch
 from safetensors.torch import save
+from torch import Tensor
 
+from data_tools.formats import inputs_of
+from data_tools.readers.brdf_objects import unit_vectors
+from metapp.appearance.geometry import directions_to_four_angles
+from metapp.appearance.presentation import maps_of
 from metapp.apps import presentation_of
+from metapp.apps.brdf import Brdf
 from metapp.learning.app import App
 from metapp.learning.task import Params, Task
 from metapp.runs.checkpoints import find_checkpoint
-from metapp.runs.checks import check_export, recipe_of_tasks
+from metapp.runs.checks import check_export, check_name, check_protocol, recipe_of_tasks
 from metapp.runs.fits import fit_tasks
-from metapp.runs.inputs import tasks_of_objects, tasks_to_fit
+from metapp.runs.inputs import tasks_to_fit
+from metapp.runs.memory import files_of_objects, in_memory, tasks_of_objects
+from metapp.runs.naming import factor_of, title_of
+from metapp.runs.notebook import card_of, table_of
 from metapp.runs.outputs import export_fit
+from metapp.runs.pictures import beside, image_of
 from metapp.runs.plan import plan
 from metapp.runs.request import Request
 from metapp.runs.surroundings import threads, threads_of
+from metapp.runs.viewing import shown_of
 from metapp.storage.files import write_atomically
+from metapp.storage.records import file_name
+from metapp.viewer.page import Group, document, write_page
+
+if TYPE_CHECKING:
+    from PIL.Image import Image
 
 
 class Fit:
@@ -30,7 +49,7 @@ class Fit:
     Attributes:
         app: the application, at its recipe and protocol.
         task: what was fitted.
-        parameters: of the network, by name, without a task axis.
+        parameters: of the network, by name, without a task axis, on the CPU.
         error: as tables print it; None where the task holds no reference.
         errors: all measures, by name.
         seconds: of inference.
@@ -43,7 +62,9 @@ class Fit:
     def __init__(
         self, app: App, task: Task, settings: dict[str, Any], record: dict[str, Any], parameters: Params
     ) -> None:
-        self.app, self.task, self.settings, self.parameters = app, task, settings, parameters
+        self.app, self.task, self.settings = app, task, settings
+        self._page: Path | None = None
+        self.parameters: Params = {key: value.detach().cpu() for key, value in parameters.items()}
         self.error: float | None = record["error"]
         self.seconds: float = record["seconds"]
         self.warning: str = record.get("warning", "")
@@ -61,9 +82,80 @@ class Fit:
         error = "no reference" if self.error is None else f"error {self.error:.3f}"
         return f"<Fit of {self.app.name} {self.name}: {error}, {self.seconds:.4f} s>"
 
+    def _repr_html_(self) -> str:
+        """What notebooks show: pictures, error, seconds, and what is doubtful."""
+        error = "no reference" if self.error is None else f"error{factor_of(self.app)} {self.error:.3f}"
+        about = f"{title_of(self.app)}, {self.settings['paradigm']}"
+        facts = f"{error}, {self.seconds:.3g} s, {self.steps} steps"
+        return card_of(self.name, about, self._images, facts, self.warning, self._page)
+
+    def __call__(self, wi: Any, wo: Any) -> Any:
+        """Evaluate a fitted BRDF.
+
+        Args:
+            wi, wo: unit vectors [N, 3] to light and viewer in the surface's frame, z its normal, arrays or tensors.
+
+        Returns:
+            Reflectance in 1/sr without the cosine, linear RGB [N, 3], float32: a tensor where `wi` is one, else an
+            array; 0 where a direction is not above the surface.
+
+        Raises:
+            ValueError: a fit of another application; no unit vectors, another shape.
+        """
+        if not isinstance(self.app, Brdf):
+            raise ValueError(
+                f"{self.name}: a fit of {self.app.name}, expected one of brdf; take fit.maps or fit.picture()."
+            )
+        light, viewer = unit_vectors(self.name, wi, "wi"), unit_vectors(self.name, wo, "wo")
+        if len(light) != len(viewer):
+            raise ValueError(f"{self.name}: {len(light)} wi and {len(viewer)} wo, expected as many of both.")
+        with torch.no_grad():
+            values = self.app.reflectance(self.parameters, directions_to_four_angles(light, viewer).float())
+        values = values * ((light[:, 2:] > 0) & (viewer[:, 2:] > 0))
+        return values if isinstance(wi, Tensor) else values.numpy()
+
+    @functools.cached_property
+    def maps(self) -> dict[str, np.ndarray]:
+        """The maps of the fit, linear, float32, rows from the top; {} of brdf and transport.
+
+        Of svBRDFs `diffuse` and `specular` [H, W, 3], `roughness` [H, W], `normal` [H, W, 3] (unit vectors: x right, y
+        up, z out of the surface), and of stationary ones `height` [H, W] in texels; of textures `basecolor` [H, W, 3];
+        of illumination `radiance` [H, 2 H, 3]. They are as fine as the files of `metapp meta`.
+        """
+        maps = maps_of(presentation_of(self.app), self.parameters, self.task)
+        return {name: np.ascontiguousarray(values.float().numpy()) for name, values in maps.items()}
+
     def pictures(self) -> dict[str, Any]:
         """Return linear RGB pictures [H, W, 3 or 4] of the fit and its reference, by name."""
         return presentation_of(self.app).outputs(self.parameters, self.task)
+
+    @functools.cached_property
+    def _images(self) -> dict[str, Image]:
+        """`pictures`, as screens show them."""
+        with threads(threads_of(self.app)):
+            return {name: image_of(linear) for name, linear in self.pictures().items()}
+
+    def picture(self) -> Image:
+        """Return a picture of PIL, 8 bits of sRGB: the reference left, where there is one, and the fit right."""
+        return beside([image for name, image in self._images.items() if name in ("reference", "fit")])
+
+    def view(self, path: str | PathLike[str] = "") -> Path:
+        """Write an interactive page of the fit, as `metapp view` does; what notebooks show links to it from then on.
+
+        Args:
+            path: the HTML file; "" for one of the task's name in the current folder.
+
+        Raises:
+            OSError: the file cannot be written.
+        """
+        file = Path(path or f"{file_name(self.name)}.html")
+        record = {"error": self.error, "seconds": self.seconds}
+        with threads(threads_of(self.app)), torch.no_grad():
+            shown = presentation_of(self.app)
+            fit = shown_of(shown, self.settings["paradigm"], record, self.parameters, self.task)
+        page = document(f"metapp: {title_of(self.app)}", [Group(self.name, title_of(self.app), [fit])])
+        self._page = write_page(page, file)
+        return file
 
     def save(self, path: str | PathLike[str]) -> Path:
         """Write the parameters as safetensors, whole or not at all.
@@ -71,7 +163,7 @@ class Fit:
         Raises:
             OSError: the file cannot be written.
         """
-        content = save({key: value.detach().cpu().contiguous() for key, value in self.parameters.items()})
+        content = save({key: value.contiguous() for key, value in self.parameters.items()})
         write_atomically(Path(path), lambda partial: partial.write_bytes(content))
         return Path(path)
 
@@ -85,18 +177,43 @@ class Fit:
         export_fit(presentation_of(self.app), self.task, self.parameters, Path(path), form, self.settings)
 
 
+class Fits(list[Fit]):
+    """Several fits, a list that notebooks show as a table."""
+
+    def _repr_html_(self) -> str:
+        return table_of(
+            [(fit.name, fit.error, fit.seconds, fit.warning) for fit in self], self[0].app if self else None
+        )
+
+
 def fit(app: str, source: Any, *, paradigm: str = "meta", **options: Any) -> Fit:
-    """Fit one file, a material, a texture, a map, a scene; or a BRDF in memory.
+    """Fit one file, a material, a texture, a map, a scene; or one in memory.
+
+    What is in memory is read as files are, at the same sizes and with the same checks. A picture is one of PIL, or an
+    array or tensor [H, W, 3] or gray [H, W], rows from the top: integers of 8 or 16 bits are sRGB, floating-point
+    values display values in [0, 1]. Maps of a material are a dictionary of pictures `diffuse`, `normal`, `roughness`,
+    `specular`: integers as files hold them, colours sRGB, normals 0..255 for -1..1; floating-point values linear,
+    colours and roughness in [0, 1], normals unit vectors, x right, y up, z out of the surface. Functions get float32
+    arrays and return arrays or tensors, [N, 3], or gray [N]; places xy [N, 2] are in [0, 1), x to the right and y down.
 
     Args:
         app: brdf, texture, svbrdf_stationary, svbrdf_nonstationary, illumination or transport.
-        source: what `metapp meta APP INPUT` takes, holding one task; of "brdf" also f(wi, wo) -> reflectance, arrays
-            (wi, wo, reflectance) or a BSDF of Mitsuba, as of `data_tools.readers.brdf_objects.from_object`.
+        source: what `metapp meta APP INPUT` takes, holding one task; or, in memory,
+            of brdf f(wi, wo) -> reflectance, arrays (wi, wo, reflectance) or a BSDF of Mitsuba, as of
+            `data_tools.readers.brdf_objects.from_object`;
+            of texture a picture, or f(xy) -> display values in [0, 1];
+            of svbrdf_stationary a picture, the flash photo; or maps, or f(xy) -> maps, of which a flash photo is
+            rendered;
+            of svbrdf_nonstationary maps, or f(xy) -> maps; with observe="photo" also a picture, the flash photo;
+            of illumination linear radiance [H, 2 H, 3], floating point, the middle looks to +z, or f(directions) ->
+            radiance of unit vectors [N, 3], +y up; with observe="photo" also a picture, the photo of a ball;
+            of transport a scene as Mitsuba's `load_dict` takes it, or the text of an XML scene; files that it names
+            are looked for in the current folder and in those of scene_root.
         paradigm: general, overfit, finetune, quickft or meta.
         options: as `fit_all` takes them.
 
     Raises:
-        ValueError: a bad file, or one with several tasks; an option that the application does not have.
+        ValueError: a bad file or array, or a file with several tasks; an option that the application does not have.
     """
     fits = fit_all(app, [source], paradigm=paradigm, **options)
     if len(fits) != 1:
@@ -111,36 +228,54 @@ def fit_all(
     paradigm: str = "meta",
     fov: float = 0.0,
     **options: Any,
-) -> list[Fit]:
-    """Fit files and folders, or the test tasks of a data set.
+) -> Fits:
+    """Fit files and folders, things in memory, or the test tasks of a data set.
 
     Args:
         app: the application.
-        sources: files and folders, or BRDFs in memory; none: the test tasks of `data`, else of the embedded set.
+        sources: files and folders, or things in memory, as of `fit`; none: the test tasks of `data`, else of the
+            embedded set.
         paradigm: general, overfit, finetune, quickft or meta.
         fov: of flash photos, the camera's field of view along the shorter side in degrees; 0: as EXIF says, else 45.
-        options: observe, rule, recipe, steps, budget, detail, data, checkpoint, seed, device, as on the command line;
-            `out` is where checkpoints that were trained here are looked for.
+        options: observe, rule, recipe, steps, budget, detail, data, checkpoint, seed, device, exposure, scene_root, as
+            on the command line; `out` is where checkpoints that were trained here are looked for.
+
+    Returns:
+        The fits, a list.
 
     Raises:
-        ValueError: a bad file, no checkpoint; an option that the application does not have.
+        ValueError: a bad file or array, no checkpoint; an option that the application does not have.
         FloatingPointError: a fit is not finite.
     """
     for key in ("data", "out", "checkpoint"):
         if options.get(key) is not None:
             options[key] = Path(options[key])
-    in_memory = [source for source in sources if not isinstance(source, str | PathLike)]
-    if 0 < len(in_memory) < len(sources):
-        raise ValueError(f"{len(in_memory)} of {len(sources)} sources are no paths, expected all or none of them.")
-    inputs = [] if in_memory else [Path(source) for source in sources]
-    request = Request(app, paradigm, inputs, fov=fov, quiet=True, **options)
+    roots = options.get("scene_root", ())
+    options["scene_root"] = [Path(root) for root in ([roots] if isinstance(roots, str | PathLike) else roots)]
+    if isinstance(sources, str | PathLike | Mapping) or not isinstance(sources, Iterable):
+        raise ValueError(f"{type(sources).__name__}: one source, expected a list of them; take metapp.fit for one.")
+    sources = list(sources)
+    request = Request(app, paradigm, fov=fov, quiet=True, **options)
+    check_name(app)
+    check_protocol(request.observe, app)
+    if not in_memory(sources):
+        return _fitted(replace(request, inputs=[Path(source) for source in sources]), [])
+    with files_of_objects(app, sources, request.observe) as files:
+        if any("roots" in form.takes for form in inputs_of(app)):
+            request = replace(request, scene_root=[*request.scene_root, Path.cwd()])
+        return _fitted(replace(request, inputs=files), [] if files else sources)
+
+
+def _fitted(request: Request, objects: Sequence[Any]) -> Fits:
+    """Fits of a request's inputs, or of things in memory that the application makes tasks of."""
     planned = plan(request)
     with threads(threads_of(planned.app)):
-        found = tasks_of_objects(planned.app, in_memory) if in_memory else tasks_to_fit(planned.app, planned.request)
-        tasks, label = found
-        if in_memory and not request.recipe:
-            planned = plan(replace(request, recipe=recipe_of_tasks(request, tasks)))
+        if objects:
+            tasks, label = tasks_of_objects(request.app, objects)
+            planned = planned if request.recipe else plan(replace(request, recipe=recipe_of_tasks(request, tasks)))
+        else:
+            tasks, label = tasks_to_fit(planned.app, planned.request)
         planned = find_checkpoint(planned)
         settings = planned.settings(label)
         results = fit_tasks(planned, tasks, warns=True)
-        return [Fit(planned.app, task, settings, *result) for task, result in zip(tasks, results, strict=True)]
+        return Fits(Fit(planned.app, task, settings, *result) for task, result in zip(tasks, results, strict=True))

@@ -7,13 +7,14 @@ import functools
 import hashlib
 import itertools
 import math
+import re
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 import torch
 
-from data_tools.formats import inputs_of, merge_of, objects_of
+from data_tools.formats import inputs_of, merge_of
 from data_tools.readers.photos import SIZE
 from metapp.learning.app import App
 from metapp.learning.task import Task
@@ -98,22 +99,12 @@ def tasks_to_fit(app: App, request: Request) -> tuple[list[Task], str]:
                 if len(tasks) % BETWEEN == 0:
                     return_memory()
     tasks = distinct(tasks)
-    more = f"-and-{len(tasks) - 1}-more" if len(tasks) > 1 else ""
-    return tasks, f"{file_name(tasks[0].name)[:40]}{more}-{_content(tasks)}"
+    return tasks, label_of(tasks)
 
 
-def tasks_of_objects(app: App, sources: Sequence[object]) -> tuple[list[Task], str]:
-    """What is to be fitted of a program's memory, and its name, "object", with a digest of its content.
-
-    Raises:
-        ValueError: the application reads none such.
-    """
-    read = objects_of(app.name)
-    if not read:
-        raise ValueError(f"{type(sources[0]).__name__}: no path, expected one; {app.name} reads files and folders.")
-    names = [getattr(source, "__name__", "object") for source in sources]
-    tasks = distinct([read(source, name) for source, name in zip(sources, names, strict=True)])
-    return tasks, f"{file_name(tasks[0].name)[:40]}-{_content(tasks)}"
+def label_of(tasks: Sequence[Task]) -> str:
+    """A name of tasks that are no data set's: that of the first, how many more there are, a digest of their content."""
+    return _label(tasks[0].name, len(tasks), _content(tasks))
 
 
 def sources_to_fit(app: App, request: Request) -> tuple[list[Source], str]:
@@ -140,7 +131,17 @@ def sources_to_fit(app: App, request: Request) -> tuple[list[Source], str]:
     roots = sorted(str(path.resolve()) for path in request.inputs)
     # read otherwise, the same files are other tasks
     ways = [f"{name}={value:g}" for name in ("fov", "exposure") if (value := getattr(request, name))]
-    return sources, f"{file_name(request.inputs[0].resolve().name)[:40]}-{_digest(*roots, *ways)}"
+    return sources, _label(request.inputs[0].resolve().name, len(roots), _digest(*roots, *ways))
+
+
+def _label(first: str, count: int, digest: str) -> str:
+    more = f"-and-{count - 1}-more" if count > 1 else ""
+    return f"{file_name(first)[:40]}{more}-{digest}"
+
+
+def former_label(label: str) -> str:
+    """What `sources_to_fit` called several inputs before it counted them: by the first one alone."""
+    return re.sub(r"-and-\d+-more(-[0-9a-f]{6})$", r"\1", label)
 
 
 def sources_of(tasks: Sequence[Task]) -> list[Source]:
@@ -187,7 +188,7 @@ def _found(app: App, path: Path, request: Request) -> Iterator[tuple[list[Path],
     readers = [form for form in known if form.recognises(path)]
     if not readers:
         expected = ", ".join(form.inputs for form in known)
-        remedy = "; of a fit, metapp export takes the run's folder" if path.suffix == ".safetensors" else ""
+        remedy = _takes_fits(app) if path.suffix == ".safetensors" else ""
         raise ValueError(f"{path}: not an input of {app.name}, expected {expected}, or a folder of these{remedy}.")
     for form in readers:
         places, skipped = form.find([path])
@@ -202,6 +203,12 @@ def _found(app: App, path: Path, request: Request) -> Iterator[tuple[list[Path],
             exposure=request.exposure,
         )
         yield places, read
+
+
+def _takes_fits(app: App) -> str:
+    """What takes a fit, which somebody gave as an input."""
+    plugin = ", Mitsuba's neural_brdf (import metapp.mitsuba) the file" if app.name == "brdf" else ""
+    return f"; of a fit, metapp view takes the file, metapp export the run's folder{plugin}"
 
 
 def _merged(app: App, request: Request) -> Task:
@@ -233,7 +240,7 @@ def _same(task: Task) -> Task:
     return task
 
 
-def _content(tasks: list[Task]) -> str:
+def _content(tasks: Sequence[Task]) -> str:
     """6 hex digits of names and values."""
     total = hashlib.sha256()
     for task in tasks:

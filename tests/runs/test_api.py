@@ -2,20 +2,31 @@
 
 from __future__ import annotations
 
+import base64
+import io
+import re
 import subprocess
 import sys
+import tempfile
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
+from PIL import Image
 
 import metapp as api
+from metapp.appearance.geometry import rusinkiewicz_to_directions
 from metapp.apps.brdf.few import Few
 from metapp.rendering.variant import load_mitsuba
+from metapp.runs.pictures import to_srgb
+from metapp.storage.records import file_name
 from metapp.storage.tensors import read_tensors
+from tests import pictures
+from tests.needs_mitsuba import needs_mitsuba
+from tests.scene_files import OBJ
 
 
 @pytest.fixture
@@ -106,6 +117,10 @@ def test_a_function_is_fitted() -> None:
     torch.testing.assert_close(
         fit.app.reflectance(fit.parameters, angles)[0], torch.tensor([0.2, 0.4, 0.6]) / np.pi, rtol=0.1, atol=0.01
     )
+    with warnings.catch_warnings():  # of a function whose array is read-only
+        warnings.simplefilter("error")
+        constant = api.fit("brdf", lambda wi, wo: np.broadcast_to(np.float32([0.3, 0.2, 0.1]), wi.shape)[:, ::-1])
+    assert constant.task.data["reflectance"][0].tolist() == pytest.approx([0.1, 0.2, 0.3])
     gray = api.fit("brdf", lambda wi, wo: torch.full((len(wi),), 0.1), paradigm="general")
     assert torch.equal(gray.task.data["reflectance"][:, 0], gray.task.data["reflectance"][:, 2])
 
@@ -147,11 +162,261 @@ def test_what_is_no_brdf_in_memory_is_refused_in_a_line(source: object, line: st
         api.fit("brdf", source)
 
 
-def test_other_applications_read_paths() -> None:
-    with pytest.raises(ValueError, match="function: no path, expected one; texture reads files"):
-        api.fit("texture", lambertian)
+def test_a_fit_evaluates_its_application_and_nothing_below_the_surface(network: Path) -> None:
+    fit = api.fit("brdf", network, paradigm="general")
+    angles = torch.tensor([[0.3, 0.4, 1.0], [0.1, 0.9, 4.0]])
+    pair = rusinkiewicz_to_directions(angles.double())
+    values = fit(*pair)
+    torch.testing.assert_close(values, fit.app.reflectance(fit.parameters, angles), rtol=1e-4, atol=1e-6)
+    again = fit(*(each.numpy() for each in pair))
+    assert again.dtype == np.float32
+    np.testing.assert_array_equal(again, values.numpy())
+    up, down = np.array([[0.0, 0.0, 1.0]]), np.array([[0.0, 0.0, -1.0]])
+    assert not fit(up, down).any()
+    assert not fit(down, up).any()
+    assert fit(up[:0], up[:0]).shape == (0, 3)
+
+
+def test_an_anisotropic_fit_knows_the_azimuth() -> None:
+    def brushed(wi: np.ndarray, wo: np.ndarray) -> np.ndarray:
+        half = (wi + wo) / np.linalg.norm(wi + wo, axis=1, keepdims=True)
+        return np.repeat(0.2 + 0.5 * half[:, :1] ** 2, 3, 1)
+
+    fit = api.fit("brdf", brushed)
+    wi, wo = directions(200)
+    assert np.abs(fit(wi, wo) - brushed(wi, wo)).mean() < 0.02
+    turned = [each[:, [1, 0, 2]] for each in (wi, wo)]
+    assert np.abs(fit(*turned) - brushed(wi, wo)).mean() > 0.05
+
+
+@pytest.mark.parametrize(
+    ("wi", "wo", "line"),
+    [
+        (np.ones((2, 3)), np.ones((2, 3)), "m0: wi of length 1.732, expected unit vectors"),
+        ([[0, 0, 1]], np.zeros((1, 3)), "m0: wo of length 0, expected unit vectors"),
+        (np.ones(3), np.ones(3), r"m0: wi \(3,\), expected \[N, 3\]"),
+        ([[0, 0, 1]], [[0, 0, 1]] * 2, "m0: 1 wi and 2 wo, expected as many of both"),
+        ("up", "up", "m0: wi: str, expected an array of numbers"),
+    ],
+)
+def test_a_fit_refuses_what_are_no_directions(network: Path, wi: object, wo: object, line: str) -> None:
+    fit = api.fit("brdf", network, paradigm="general")
+    with pytest.raises(ValueError, match=line):
+        fit(wi, wo)
+
+
+def by_general(app: str, source: object, **options: str) -> api.Fit:
+    return api.fit(app, source, paradigm="general", recipe="quick", **options)
+
+
+def assert_same(fit: api.Fit, other: api.Fit) -> None:
+    """Two fits saw the same and came to the same, bit by bit."""
+    assert (fit.name, fit.error, fit.settings) == (other.name, other.error, other.settings)
+    for made, known in ((fit.task.data, other.task.data), (fit.parameters, other.parameters)):
+        assert made.keys() == known.keys()
+        assert all(torch.equal(value, known[key]) for key, value in made.items())
+
+
+@pytest.fixture
+def no_files_stay(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """Nothing is left of what was written for readers."""
+    folder = tmp_path / "temporary"
+    folder.mkdir()
+    monkeypatch.setattr(tempfile, "tempdir", str(folder))
+    yield
+    assert not list(folder.glob("metapp-*"))
+
+
+@pytest.mark.usefixtures("vgg", "no_files_stay")
+def test_a_texture_in_memory_is_that_of_its_file(tmp_path: Path) -> None:
+    pixels = pictures.noise(64, 80)
+    file = pictures.write(tmp_path / "object.png", pixels)
+    fit = by_general("texture", file)
+    assert_same(by_general("texture", pixels), fit)
+    assert_same(by_general("texture", Image.open(file)), fit)
+    assert fit.maps.keys() == {"basecolor"}
+    assert fit.maps["basecolor"].shape == (256, 256, 3)
+    assert fit.maps["basecolor"].dtype == np.float32
+
+
+@pytest.mark.usefixtures("vgg", "no_files_stay")
+def test_a_flash_photo_in_memory_is_that_of_its_file(tmp_path: Path) -> None:
+    pixels = pictures.noise(64, 64)
+    fit = by_general("svbrdf_stationary", pixels)
+    assert_same(fit, by_general("svbrdf_stationary", pictures.write(tmp_path / "object.png", pixels)))
+    assert {name: values.ndim for name, values in fit.maps.items()} == {
+        "diffuse": 3,
+        "specular": 3,
+        "normal": 3,
+        "roughness": 2,
+        "height": 2,
+    }
+    np.testing.assert_allclose(np.linalg.norm(fit.maps["normal"], axis=-1), 1, atol=1e-5)
+
+
+@pytest.mark.usefixtures("no_files_stay")
+def test_a_material_in_memory_is_that_of_its_files(tmp_path: Path) -> None:
+    maps = {name: pictures.noise(64, 64, seed=seed) for seed, name in enumerate(("diffuse", "specular", "roughness"))}
+    maps["normal"] = np.full_like(maps["diffuse"], (128, 128, 255))
+    for name, values in maps.items():
+        pictures.write(tmp_path / "files" / f"object_{name}.png", values)
+    fit = by_general("svbrdf_nonstationary", maps)
+    assert_same(fit, by_general("svbrdf_nonstationary", tmp_path / "files"))
+    again = by_general("svbrdf_nonstationary", fit.maps)  # what a fit gives is what another takes
+    for part, name in (slice(3), "normal"), (slice(3, 6), "diffuse"), (slice(6, 7), "roughness"):
+        given = torch.from_numpy(np.atleast_3d(fit.maps[name])).permute(2, 0, 1)
+        assert (again.task.data["maps"][part].float() - given).abs().max() < 2e-3, name
+
+
+@pytest.mark.usefixtures("no_files_stay")
+def test_a_photo_in_memory_is_fitted_alone(tmp_path: Path) -> None:
+    pixels = pictures.noise(64, 64)
+    file = pictures.write(tmp_path / "object.png", pixels)
+    fit = by_general("svbrdf_nonstationary", pixels, observe="photo")
+    assert_same(fit, by_general("svbrdf_nonstationary", file, observe="photo"))
+    darker = by_general("svbrdf_nonstationary", pixels, observe="photo", exposure=1.0)
+    assert_same(darker, by_general("svbrdf_nonstationary", file, observe="photo", exposure=1.0))
+    assert darker.task.data["photo"].float().mean() < 0.8 * fit.task.data["photo"].float().mean()
+    with pytest.raises(ValueError, match=r"object: a flash photo, expected a material's maps .* --observe photo"):
+        by_general("svbrdf_nonstationary", pixels)
+    assert (fit.error, fit.picture().width) == (None, fit.picture().height * 2)  # a sheet without a reference
+
+
+@pytest.mark.usefixtures("scene", "no_files_stay")
+def test_light_in_memory_is_that_of_its_file(tmp_path: Path) -> None:
+    light = np.random.default_rng(0).uniform(0.1, 9, (32, 64, 3)).astype(np.float32)
+    fit = by_general("illumination", light)
+    assert_same(fit, by_general("illumination", pictures.write(tmp_path / "object.exr", light)))
+    assert fit.maps["radiance"].shape == (32, 64, 3)
+    assert fit.maps["radiance"].mean() == pytest.approx(light.mean(), rel=0.5)  # at its own scale
+    with pytest.raises(ValueError, match=r"object: a photo of a sphere, expected an HDR map .* --observe photo"):
+        by_general("illumination", pictures.noise(64, 64))
+
+
+BALL = """<scene version="3.0.0">
+  <sensor type="perspective"><float name="fov" value="40"/>
+    <transform name="to_world"><lookat origin="0,0,5" target="0,0,0" up="0,1,0"/></transform></sensor>
+  <shape type="rectangle"><transform name="to_world"><scale value="4"/></transform></shape>
+  <shape type="sphere"/><shape type="{kind}"><string name="filename" value="{file}"/></shape>
+  <emitter type="constant"/></scene>"""
+
+
+@pytest.mark.long
+@needs_mitsuba
+@pytest.mark.usefixtures("no_files_stay")
+def test_a_scene_in_memory_is_that_of_its_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Files that it names lie in the current folder, or where `scene_root` says."""
+    text = BALL.format(kind="obj", file="corner.obj")
+    (tmp_path / "here").mkdir()
+    for file in (tmp_path / "here" / "corner.obj", tmp_path / "corner.obj"):
+        file.write_text(OBJ)
+    (tmp_path / "here" / "object.xml").write_text(text)
+    fit = by_general("transport", tmp_path / "here" / "object.xml")
+    monkeypatch.chdir(tmp_path / "here")
+    again = by_general("transport", text)
+    assert_same(again, fit)
+    monkeypatch.chdir(tmp_path / "temporary")
+    with pytest.raises(ValueError, match=r"object: names the file 'corner.obj': file not found"):
+        by_general("transport", text)
+    assert by_general("transport", text, scene_root=str(tmp_path)).error == pytest.approx(fit.error, abs=1e-6)
+
+
+def test_of_what_is_in_memory_errors_name_no_file() -> None:
+    for app, source, line in (
+        ("texture", np.zeros((40, 40, 3), np.uint8), "^object: one colour all over"),
+        ("texture", pictures.noise(20, 20), "^object: 20x20 px, expected 32 px or more"),
+        ("svbrdf_stationary", dict.fromkeys(("albedo", "normal"), pictures.noise(40, 40)), "^object: no roughness"),
+        ("transport", "<scene", "^object: not readable as XML"),
+    ):
+        with pytest.raises(ValueError, match=line) as caught:
+            by_general(app, source)
+        assert tempfile.gettempdir() not in str(caught.value)
+
+
+def test_options_that_do_not_fit_what_is_in_memory_are_refused() -> None:
+    pixels = pictures.noise(40, 40)
+    for app, options, line in (
+        ("texture", {"observe": "photo"}, "--observe 'photo': texture has one protocol"),
+        ("illumination", {"observe": "picture"}, "--observe 'picture': illumination expects one of reference, photo"),
+        ("texture", {"fov": 30.0}, "--fov: texture has no photos whose camera counts"),
+        ("svbrdf_nonstationary", {"recipe": "several"}, "--recipe 'several': expected one of"),
+        ("texture", {"scene_root": ["."]}, "--scene-root: texture has no scenes"),
+        ("textures", {}, "'textures' is not an application"),
+    ):
+        with pytest.raises(ValueError, match=line):
+            api.fit(app, pixels, **options)
+
+
+def test_sources_are_all_paths_or_none() -> None:
     with pytest.raises(ValueError, match="1 of 2 sources are no paths"):
         api.fit_all("brdf", ["a", lambertian])
+    for source in ("a.png", Path("a.png"), lambertian, {"diffuse": 1}, 3):
+        with pytest.raises(ValueError, match=r"^\w+: one source, expected a list of them; take metapp\.fit for one"):
+            api.fit_all("texture", source)
+    with pytest.raises(ValueError, match=r"object-1: ndarray, expected a path, a function"):
+        api.fit_all("brdf", np.ones((3, 2)))
+
+
+def test_things_in_memory_are_numbered_where_they_have_no_name(network: Path) -> None:
+    wi, wo = directions(80)
+    samples = wi, wo, lambertian(wi, wo)
+    fits = api.fit_all("brdf", [samples, lambertian, samples], paradigm="general")
+    assert [fit.name for fit in fits] == ["object-1", "lambertian", "object-2"]
+
+
+def pictures_in(html: str) -> list[Image.Image]:
+    urls = re.findall(r"src='data:image/png;base64,([^']+)'", html)
+    return [Image.open(io.BytesIO(base64.b64decode(url))) for url in urls]
+
+
+@pytest.mark.usefixtures("compiled")
+def test_a_fit_shows_itself(network: Path) -> None:
+    fit = api.fit("brdf", network)
+    html = fit._repr_html_()
+    assert [picture.size for picture in pictures_in(html)] == [(96, 96)] * 2
+    assert len(html) < 100_000
+    for part in (fit.name, "BRDF, meta", f"error x100 {fit.error:.3f}", f"{fit.seconds:.3g} s", "10 steps"):
+        assert part in html
+    assert "warning" not in html
+    picture = fit.picture()
+    assert (picture.mode, picture.size) == ("RGB", (196, 96))
+    reference = to_srgb(fit.pictures()["reference"])
+    assert np.abs(np.asarray(picture)[:, :96] - 255 * reference).max() <= 0.5 + 1e-4
+
+
+def test_a_fit_writes_its_page_and_links_to_it(network: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    fit = api.fit("brdf", network)
+    assert "href" not in fit._repr_html_()
+    page = fit.view()
+    assert page == Path(f"{file_name(fit.name)}.html")
+    assert "VIEWERS.brdf" in page.read_text(encoding="utf-8")
+    assert f"<a href='{page}'>" in fit._repr_html_()
+    assert fit.view(tmp_path / "a b.html").is_file()
+    assert "a%20b.html'" in fit._repr_html_()
+
+
+def test_a_warning_is_shown_and_names_are_text(network: Path) -> None:
+    fit = api.fit("brdf", network, paradigm="general")
+    fit.task, fit.warning = fit.task._replace(name="<b>"), "1 < 2"
+    html = fit._repr_html_()
+    assert "&lt;b&gt;" in html
+    assert "warning: 1 &lt; 2" in html
+
+
+@pytest.mark.filterwarnings("ignore:.* times the light that comes in")  # random networks
+def test_several_fits_show_themselves(neural_fits: Callable[[int], Path]) -> None:
+    fits = api.fit_all("brdf", [neural_fits(2)])
+    html = fits._repr_html_()
+    assert html.count("<tr>") == 3
+    assert all(f"<td>{fit.name}</td><td>{fit.error:.3f}</td>" in html for fit in fits)
+    assert api.fit_all("brdf", [neural_fits(2)])[:0] == []
+
+
+def test_other_fits_have_no_reflectance() -> None:
+    fit = by_general("svbrdf_nonstationary", pictures.noise(64, 64), observe="photo")
+    with pytest.raises(ValueError, match="object: a fit of svbrdf_nonstationary, expected one of brdf"):
+        fit(*directions(2))
 
 
 def test_names_of_the_api_are_listed() -> None:
