@@ -10,6 +10,7 @@ from __future__ import annotations
 import colorsys
 import math
 from typing import Any, NamedTuple
+from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
 import numpy as np
 
@@ -164,3 +165,30 @@ def diffuse(reflectance: list[float]) -> Scene:
 def rgb(value: list[float]) -> Scene:
     """A colour as scenes have it."""
     return {"type": "rgb", "value": value}
+
+
+def to_xml(scene: Scene) -> str:
+    """The same as an XML file of Mitsuba 3."""
+    root = Element("scene", version="3.0.0")
+    for name, part in scene.items():
+        if name != "type":
+            tag = name if name == "sensor" else "shape"
+            _add(root, tag, {"id": name} if tag == "shape" else {}, part)
+    indent(root, "    ")
+    return tostring(root, encoding="unicode") + "\n"
+
+
+def _add(parent: Element, tag: str, attributes: dict[str, str], part: Scene) -> None:
+    """An object of a scene below another one."""
+    element = SubElement(parent, tag, {"type": part["type"], **attributes})
+    for name, value in part.items():
+        if name == "to_world":
+            numbers = " ".join(f"{number:.9g}" for row in value for number in row)
+            SubElement(SubElement(element, "transform", name=name), "matrix", value=numbers)
+        elif isinstance(value, dict) and value["type"] == "rgb":
+            SubElement(element, "rgb", name=name, value=", ".join(f"{number:.9g}" for number in value["value"]))
+        elif isinstance(value, dict):
+            _add(element, name, {}, value)  # film, rfilter, bsdf, emitter: called as XML calls them
+        elif name != "type":
+            kind = {str: "string", int: "integer", float: "float"}[type(value)]
+            SubElement(element, kind, name=name, value=str(value))

@@ -1,0 +1,140 @@
+"""Small example inputs, one or two files an application, drawn like the test tasks of the embedded sets.
+
+They are in no embedded set, each is drawn in less than a second, and the same on every machine.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from types import ModuleType
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from torch import Generator, Tensor
+
+from data_tools.balls.view import Floats, mirrored
+from data_tools.draws import stream
+from data_tools.readers.gonio import Pairs, write_pairs
+from data_tools.synthetic import brdf, cornell, illumination, svbrdf_nonstationary, svbrdf_stationary, texture
+from metapp.appearance.colour import linear_to_srgb
+from metapp.appearance.geometry import directions_to_full_circle
+from metapp.appearance.latlong import texel_of
+from metapp.storage.files import write_atomically
+from metapp.storage.images import write_exr, write_png
+
+_SEED = 1  # the embedded sets have 0
+_PAIRS = 2000  # rows of the table of a BRDF
+_ROWS = 128  # of the environment map
+_SIDE, _BALL = 256, 110  # px of the ball's photograph and of its radius
+
+
+class Example(NamedTuple):
+    """The example inputs of an application.
+
+    Attributes:
+        files: their names; the first is what fits take without other options than `observe`.
+        write: writes them at these paths.
+        observe: what fits may see of the first, where that must be told: the option --observe.
+    """
+
+    files: tuple[str, ...]
+    write: Callable[..., None]
+    observe: str = ""
+
+
+def write_example(app: str, folder: Path) -> list[Path]:
+    """Write the example inputs of an application.
+
+    Args:
+        app: one of `EXAMPLES`.
+        folder: made if missing; files of the same names are replaced.
+
+    Returns:
+        The files, in the order of `EXAMPLES`.
+
+    Raises:
+        ValueError: an application without examples.
+        OSError: they cannot be written.
+    """
+    if app not in EXAMPLES:
+        raise ValueError(f"{app}: no example inputs, expected one of {', '.join(EXAMPLES)}.")
+    folder.mkdir(parents=True, exist_ok=True)
+    files = [folder / name for name in EXAMPLES[app].files]
+    EXAMPLES[app].write(*files)
+    return files
+
+
+def _write_brdf(file: Path) -> None:
+    """A paint, measured at random pairs of directions."""
+    paint = brdf.synthetic_materials("test", 4, _SEED)[3]
+    rng = Generator().manual_seed(_SEED)
+    wi, wo = (_hemisphere(torch.rand(2, _PAIRS, generator=rng)) for _ in range(2))
+    measured = Pairs(wi, wo, paint.evaluate(directions_to_full_circle(wi, wo)))
+    write_pairs(file, wi[:0], wo[:0], measured)
+
+
+def _hemisphere(uniform: Tensor) -> Tensor:
+    """Unit vectors [N, 3], uniform to 84 degrees from the normal, of numbers [2, N] in [0, 1)."""
+    z, phi = 0.1 + 0.9 * uniform[0], 2 * torch.pi * uniform[1]
+    across = (1 - z**2).sqrt()
+    return torch.stack([across * phi.cos(), across * phi.sin(), z], 1)
+
+
+def _write_texture(file: Path) -> None:
+    _write_picture(_drawn(texture, "gravel", "image"), file)
+
+
+def _write_svbrdf_stationary(file: Path) -> None:
+    _write_picture(_drawn(svbrdf_stationary, "leather", "image"), file)
+
+
+def _write_svbrdf_nonstationary(file: Path) -> None:
+    _write_picture(_drawn(svbrdf_nonstationary, "mosaic", "photo"), file)
+
+
+def _drawn(module: ModuleType, family: str, key: str) -> Tensor:
+    """The picture, uint8 [3, 256, 256], of the first test task of a family."""
+    tasks = module.synthetic_tasks("test", 20, _SEED, size=256)
+    picture: Tensor = next(task.data[key] for task in tasks if task.name.startswith(family))
+    return picture
+
+
+def _write_illumination(map_file: Path, ball_file: Path) -> None:
+    """A courtyard, and a mirror ball in it as a phone shows it: what is brightest is clipped."""
+    light = illumination.environment(illumination.FAMILIES["courtyard"], stream(_SEED, 1), rows=_ROWS)
+    write_exr(light.permute(1, 2, 0), map_file)
+    places = (np.arange(2 * _SIDE) + 0.5) / 2 - _SIDE / 2
+    disc = np.stack(np.meshgrid(places / _BALL, -places / _BALL))
+    behind = np.stack([*(disc * 0.3), np.full(disc.shape[1:], -1.0)])
+    towards = np.where(np.hypot(*disc) < 1, mirrored(disc), behind / np.linalg.norm(behind, axis=0))
+    seen = _looked_up(light, towards).unflatten(2, (_SIDE, 2)).unflatten(1, (_SIDE, 2)).mean((2, 4))
+    exposed = seen * (0.4 / seen.mean())
+    _write_picture(255 * linear_to_srgb(exposed.clamp(0, 1)), ball_file)
+
+
+def _looked_up(light: Tensor, towards: Floats) -> Tensor:
+    """Radiance [3, H, W] of a map in directions [3, H, W]."""
+    texels = texel_of(torch.from_numpy(towards), *light.shape[1:])
+    return light.flatten(1)[:, texels]
+
+
+def _write_transport(file: Path) -> None:
+    scene = cornell.to_xml(cornell.random_scene(_SEED))
+    write_atomically(file, lambda path: path.write_text(scene, encoding="utf-8"))
+
+
+def _write_picture(values: Tensor, file: Path) -> None:
+    """Write sRGB [3, H, W], 0 .. 255."""
+    write_png(values.permute(1, 2, 0) / 255, {"encoding": "sRGB"}, file)
+
+
+EXAMPLES: Mapping[str, Example] = {
+    "brdf": Example(("paint.csv",), _write_brdf),
+    "texture": Example(("gravel.png",), _write_texture),
+    "svbrdf_stationary": Example(("leather.png",), _write_svbrdf_stationary),
+    "svbrdf_nonstationary": Example(("mosaic.png",), _write_svbrdf_nonstationary, observe="photo"),
+    "illumination": Example(("courtyard.exr", "ball.png"), _write_illumination),
+    "transport": Example(("box.xml",), _write_transport),
+}

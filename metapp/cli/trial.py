@@ -1,0 +1,65 @@
+"""`metapp try`: one fit of each application, and the page of all."""
+
+from __future__ import annotations
+
+import time
+import webbrowser
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from metapp.cli import completion
+from metapp.cli.console import print_json
+from metapp.cli.options import Json, OpenPage
+from metapp.runs.reporter import number, say
+
+
+def command(
+    apps: Annotated[
+        list[str] | None,
+        typer.Argument(metavar="[APP]...", autocompletion=completion.applications, help="Applications; default: all."),
+    ] = None,
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Where inputs, fits and the page are.")] = Path("try"),
+    recipe: Annotated[str, typer.Option(help="quick or full; default: full.")] = "",
+    open_page: OpenPage = True,
+    json: Json = False,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No messages.")] = False,
+) -> None:
+    """Draw a small input of each application, fit it by Meta, and open one page of all fits.
+
+    Without APP those that cannot be fitted yet are left out: textures and svbrdf_stationary need metapp data vgg.
+
+    Example: metapp try --out try
+    """
+    begin = time.perf_counter()
+    from metapp.apps import app_names
+    from metapp.runs import BadOption
+    from metapp.runs.checks import check_name
+    from metapp.runs.trying import try_app, try_page
+
+    tried = []
+    for app in apps or ():
+        check_name(app)
+    for app in apps or app_names():
+        try:
+            tried.append(try_app(app, out, recipe))
+        except ValueError as reason:
+            if apps or not tried or isinstance(reason, BadOption):
+                raise
+            say(f"warning: {app} is left out: {reason}")
+            continue
+        fit = tried[-1].record
+        if not quiet:
+            error = "" if fit["error"] is None else f"error {number(fit['error'], '.3f')}, "
+            seconds = f"fitted in {number(fit['seconds'], '.3g')} s, all of it {number(fit['whole_seconds'], '.1f')} s"
+            say(f"{app}: {fit['name']}, {error}{seconds}")
+    page = try_page(tried, out, quiet=quiet)
+    whole = time.perf_counter() - begin
+    if open_page:
+        webbrowser.open(page.resolve().as_uri())
+    if json:
+        size = page.stat().st_size
+        print_json({"page": str(page), "bytes": size, "seconds": whole, "fits": [each.record for each in tried]})
+    elif not quiet:
+        say(f"page: {page}, {page.stat().st_size / 1e6:.1f} MB; all in {whole:.0f} s")

@@ -1,0 +1,77 @@
+"""`metapp examples`: what it prints works as it is."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from metapp.apps import app_names
+from metapp.cli.examples import COMMANDS, FOLDER, VGG, lines_of
+from tests.needs_mitsuba import skip_without_mitsuba
+
+
+@pytest.fixture
+def inputs(request: pytest.FixtureRequest, metapp: Callable, app: str) -> None:
+    """The input files of an application, and what a user has after the first run."""
+    if app == "illumination":
+        request.getfixturevalue("scene")
+    assert metapp("examples", app, "--make", FOLDER).code == 0
+
+
+@pytest.fixture
+def works(metapp: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable:
+    """Runs a command of a script and looks for the files that it makes, whose noise does not matter."""
+    monkeypatch.setattr("metapp.apps.transport.presentation.SHOWN", 4)
+
+    def run(line: str) -> None:
+        if "transport" in line or "--render" in line:
+            skip_without_mitsuba()
+        program, *words = shlex.split(line)
+        assert program == "metapp"
+        before = set(tmp_path.rglob("*"))
+        done = metapp(*words, "--quiet")
+        assert done.code == 0, done.err
+        assert any(path.is_file() for path in set(tmp_path.rglob("*")) - before)
+
+    return run
+
+
+def test_every_application_has_five_commands() -> None:
+    assert sorted(COMMANDS) == app_names()
+    assert {len({line for line, _ in lines}) for lines in COMMANDS.values()} == {5}
+
+
+def test_the_printed_script_makes_its_input_files_first(metapp: Callable, tmp_path: Path) -> None:
+    for words, count in ((["texture"], 7), (["brdf"], 6), ([], 14)):
+        lines = [line for line in metapp("examples", *words).out.splitlines() if not line.startswith("#")]
+        assert len(lines) == count
+    metapp(*shlex.split(metapp("examples", "texture").out.splitlines()[1])[1:])
+    assert [file.name for file in FOLDER.iterdir()] == ["gravel.png"]
+    made = metapp("examples", "illumination", "--make", tmp_path / "my files", "--json").document
+    assert len(made["commands"]) == 5
+    assert [Path(file).name for file in made["files"]] == ["courtyard.exr", "ball.png"]
+    assert shlex.split(made["commands"][0]["command"])[-1] == made["files"][0]
+
+
+def test_an_application_that_is_nearly_right_is_suggested(metapp: Callable) -> None:
+    assert "Did you mean 'brdf'?" in metapp("examples", "bdrf").misuse
+
+
+@pytest.mark.long
+@pytest.mark.usefixtures("inputs")
+@pytest.mark.parametrize("app", app_names())
+def test_the_first_command_of_an_application_works(works: Callable, app: str) -> None:
+    works(lines_of(app, FOLDER)[0][0])
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("inputs")
+@pytest.mark.parametrize("app", app_names())
+def test_the_other_commands_work(request: pytest.FixtureRequest, works: Callable, app: str) -> None:
+    if app in VGG:
+        request.getfixturevalue("vgg")
+    for line, _ in lines_of(app, FOLDER)[1:]:
+        works(line)
