@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import os
 import sys
 
 
 def main() -> None:
     """Entry point of the `metapp` command."""
+    if "_METAPP_COMPLETE" in os.environ:  # a shell waits for words that complete a line
+        from metapp.cli.commands import app
+
+        app(prog_name="metapp")
     from metapp.cli.console import run
 
     def command() -> object:

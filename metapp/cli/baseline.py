@@ -8,6 +8,7 @@ from typing import Annotated
 
 import typer
 
+from metapp.cli import completion
 from metapp.cli.console import out, print_json
 from metapp.cli.options import Json, takes
 from metapp.runs.reporter import say
@@ -17,16 +18,30 @@ from metapp.runs.reporter import say
 class Options:
     """What the command takes."""
 
-    app: Annotated[str, typer.Argument(metavar="APP", help="An application, such as texture.")]
+    app: Annotated[
+        str,
+        typer.Argument(metavar="APP", autocompletion=completion.applications, help="An application, such as texture."),
+    ]
     inputs: Annotated[
         list[Path] | None,
         typer.Argument(metavar="[INPUT]...", help="Files of APP or folders; default: the test tasks of --data."),
     ] = None
     method: Annotated[
-        str, typer.Option(help="Such as quilting or gpdm of texture; another name lists those of APP.")
+        str,
+        typer.Option(
+            autocompletion=completion.methods,
+            help="Such as quilting or gpdm of texture; another name lists those of APP.",
+        ),
     ] = "nearest"
-    recipe: Annotated[str, typer.Option(help="The size of pictures: quick, full or paper.")] = ""
-    observe: Annotated[str, typer.Option(help="What a fit may see: reference (the default) or photo.")] = ""
+    recipe: Annotated[
+        str, typer.Option(autocompletion=completion.recipes, help="The size of pictures: quick, full or paper.")
+    ] = ""
+    observe: Annotated[
+        str,
+        typer.Option(
+            autocompletion=completion.observations, help="What a fit may see: reference (the default) or photo."
+        ),
+    ] = ""
     detail: Annotated[
         int,
         typer.Option(metavar="PX", min=0, help="px a side that photos are read at, as by fits, 256 or 512; 0: 256."),
@@ -65,7 +80,7 @@ def command(options: Options) -> None:
     planned = plan(request)
     done = run_baseline(planned, options.method)
     if not (options.quiet or options.json):
-        out().print(table_of(planned.app, options.method, done.records))
+        out().print(table_of(planned.app, options.method, done.records, done.made))
     if not options.quiet:
         say(f"{options.method} cannot {done.cannot}\nrecords: {done.folder}")
     if options.json:

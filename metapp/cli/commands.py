@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from metapp.cli import baseline, compare, data, doctor, evaluate, export, pack, plan, rerun
+from metapp.cli import baseline, compare, data, doctor, evaluate, examples, export, pack, plan, rerun, trial, view
 from metapp.cli.fit import FitCommand, make_command
 
 SUMMARIES = {
@@ -14,12 +14,11 @@ SUMMARIES = {
     "overfit": "Train the network on each task alone, from a random initialisation, until it has converged.",
     "finetune": "General's result, then about a tenth of Overfit's steps.",
     "quickft": "General's result, then as many Adam steps as Meta takes.",
-    "meta": "A few steps from a learned initialisation by a learned rule.\n\nExample: metapp meta brdf --steps 10",
+    "meta": "A few steps from a learned initialisation by a learned rule.",
 }
 
 app = typer.Typer(
     no_args_is_help=True,
-    add_completion=False,
     context_settings={"help_option_names": ["-h", "--help"]},
     help="Reproduce visual appearance by machine learning: five training paradigms, one way of learning.",
 )
@@ -44,9 +43,12 @@ def options(
 
 for name, summary in SUMMARIES.items():
     app.command(name, cls=FitCommand)(make_command(name, summary))
+app.command("examples")(examples.command)
 app.command("evaluate")(evaluate.command)
 app.command("baseline")(baseline.command)
 app.command("plan")(plan.command)
+app.command("view")(view.command)
+app.command("try")(trial.command)
 app.command("export")(export.command)
 app.command("pack")(pack.pack_command)
 app.command("unpack")(pack.unpack_command)

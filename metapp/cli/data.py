@@ -14,6 +14,7 @@ from typing import Annotated
 import typer
 
 from data_tools.formats import formats
+from metapp.cli import completion
 from metapp.cli.console import Exit, out, print_json
 from metapp.cli.data_ball import ball
 from metapp.cli.data_convert import Quiet, check_folder, command_of, report
@@ -24,6 +25,7 @@ from metapp.cli.options import Json, takes
 from metapp.runs.convert import Converted, converted
 from metapp.runs.embedded import embedded_apps, embedded_data, embedded_module, split_counts
 from metapp.runs.reporter import progress, say
+from metapp.storage.text import meant
 
 app = typer.Typer(no_args_is_help=True, help="Make data sets from files or by drawing them, and check them.")
 
@@ -59,6 +61,7 @@ class Synth:
         str,
         typer.Argument(
             metavar="APP",
+            autocompletion=completion.applications,
             help="brdf, texture, svbrdf_stationary, svbrdf_nonstationary, illumination or transport.",
         ),
     ]
@@ -139,10 +142,11 @@ def synth(options: Synth) -> None:
       metapp data synth brdf
       metapp data synth brdf --count 10 --seed 1 --as merl --out materials
     """
-    name = options.name
-    if name not in embedded_apps():
+    name, known = options.name, embedded_apps()
+    if name not in known:
         raise typer.BadParameter(
-            f"'{name}' has no embedded data set, expected one of {', '.join(embedded_apps())}.", param_hint="APP"
+            f"'{name}' has no embedded data set, expected one of {', '.join(known)}.{meant(name, known)}",
+            param_hint="APP",
         )
     if options.form is Form.MERL:
         done = _synth_merl(options)

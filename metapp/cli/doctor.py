@@ -6,7 +6,6 @@ import os
 import shutil
 import subprocess
 import sysconfig
-from importlib import metadata
 
 from metapp.cli.console import out, print_json
 from metapp.cli.options import Json
@@ -73,6 +72,8 @@ def _compiler() -> str:
 
 
 def _version(package: str) -> str:
+    from importlib import metadata  # here: it takes as long to import as all commands
+
     try:
         return metadata.version(package)
     except metadata.PackageNotFoundError:

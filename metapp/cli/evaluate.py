@@ -9,7 +9,9 @@ from typing import TYPE_CHECKING, Annotated, cast
 
 import typer
 
-from metapp.cli.console import out, print_json
+from metapp.cli import completion
+from metapp.cli.console import print_json
+from metapp.cli.names import ALL, WHICH
 from metapp.cli.options import Json, takes
 from metapp.evaluation.tables import NAMES, STUDIES, load_table
 from metapp.runs.reporter import say
@@ -22,9 +24,8 @@ if TYPE_CHECKING:
     from metapp.evaluation.subject import Subject
     from metapp.learning.recipe import Initialisation
 
+LISTED = 8  # rows of a table that are named as missing
 FORMATS = ("rich", "markdown", "latex", "csv", "json")
-ALL = "all"
-WHICH = (*NAMES, ALL, *STUDIES)
 
 
 @dataclass(frozen=True)
@@ -32,12 +33,22 @@ class Evaluation:
     """The options of `metapp evaluate`."""
 
     apps: Annotated[
-        list[str] | None, typer.Argument(metavar="[APP]...", help="Applications; default: all there are.")
+        list[str] | None,
+        typer.Argument(
+            metavar="[APP]...", autocompletion=completion.applications, help="Applications; default: all there are."
+        ),
     ] = None
     table: Annotated[
         bool, typer.Option("--table/--no-table", help="Print the tables, or only write figures and report.")
     ] = True
-    which: Annotated[str, typer.Option(help=f"Which table: {', '.join(WHICH)}.")] = "results"
+    which: Annotated[
+        str,
+        typer.Option(
+            autocompletion=completion.tables,
+            metavar="NAME",
+            help=f"Which table: {', '.join(WHICH)}; default: results, in a report all.",
+        ),
+    ] = ""
     form: Annotated[str, typer.Option("--format", help=f"One of {', '.join(FORMATS)}.")] = "rich"
     no_run: Annotated[
         bool, typer.Option("--no-run", help="Print what there is, and the commands that make the rest.")
@@ -52,7 +63,7 @@ class Evaluation:
     ] = ""
     figures: Annotated[Path | None, typer.Option(help="Draw the figures there, as PNG and PDF.")] = None
     report: Annotated[
-        Path | None, typer.Option(help="Write one HTML page there: all tables, figures, pictures, records.")
+        Path | None, typer.Option(help="Write one HTML page there: tables, figures, pictures, records.")
     ] = None
     overfit_share: Annotated[
         float, typer.Option(help="Share of the recipe's steps that Overfit takes; tables say so.", min=1e-4, max=1.0)
@@ -73,22 +84,31 @@ class Evaluation:
     ] = ""
     start: Annotated[str, typer.Option(hidden=True)] = ""  # what --initialisation was called
     rule: Annotated[
-        str, typer.Option(help="Meta's learned rule, default: the recipe's; rules: this one alone, default: all.")
+        str,
+        typer.Option(
+            autocompletion=completion.rules,
+            help="Meta's learned rule, default: the recipe's; rules: this one alone, default: all.",
+        ),
     ] = ""
     observe: Annotated[
-        str, typer.Option(help="What fits may see, where an application has both: reference or photo; default: each.")
+        str,
+        typer.Option(
+            autocompletion=completion.observations,
+            help="What fits may see, where an application has both: reference or photo; default: each.",
+        ),
     ] = ""
     data: Annotated[Path | None, typer.Option(help="Folder of task shards; default: the embedded set.")] = None
     out: Annotated[Path, typer.Option(help="Where runs are kept.")] = Path("runs")
     recipe: Annotated[
         str,
         typer.Option(
+            autocompletion=completion.recipes,
             help="quick, full or paper; brdf: also measured; texture: also paper-vgg19. Where no APP is named, "
-            "quick for those that have no such recipe."
+            "quick for those that have no such recipe.",
         ),
     ] = "quick"
     seed: Annotated[int, typer.Option(help="Seed of all random draws.", min=0, max=2**63 - 1)] = 0
-    device: Annotated[str, typer.Option(help="auto, cpu or cuda.")] = "auto"
+    device: Annotated[str, typer.Option(autocompletion=completion.devices, help="auto, cpu or cuda.")] = "auto"
     json: Json = False
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress bar.")] = False
 
@@ -99,18 +119,21 @@ def command(options: Evaluation) -> None:
 
     Example: metapp evaluate brdf --which quickft
     """
+    reported = (options.which,) if options.which in NAMES else NAMES
     options = check(options)
     subjects = subjects_of(options)
     names = NAMES if options.which == ALL else (options.which,)
-    drawn = NAMES if options.report or (options.figures and options.which not in STUDIES) else ()
+    drawn = NAMES if options.figures and options.which not in STUDIES else reported if options.report else ()
     cells = cells_of([load_table(name) for name in dict.fromkeys((*names, *drawn))], subjects, options)
     if options.shard:
         fill_part(cells, options)
         return
-    fill(cells, options)
+    fill(cells, subjects, options)
     if not options.quiet:
         draw(subjects, names)
     if options.table or options.json:
+        from metapp.cli.show import show
+
         show([load_table(name) for name in names], subjects, "json" if options.json else options.form)
     if options.figures:
         from metapp.evaluation.figures import FIGURES, write_figures
@@ -120,7 +143,7 @@ def command(options: Evaluation) -> None:
     if options.report:
         from metapp.evaluation.report.page import write_report
 
-        say(f"report: {write_report(subjects, options.report)}")
+        say(f"report: {write_report(subjects, options.report, reported)}")
 
 
 def check(options: Evaluation) -> Evaluation:
@@ -131,7 +154,7 @@ def check(options: Evaluation) -> Evaluation:
     """
     options = replace(
         options,
-        which={"peers": "baselines"}.get(options.which, options.which),
+        which={"peers": "baselines", "": "results"}.get(options.which, options.which),
         initialisation=options.initialisation or options.start,
     )
     for option, value, known in (("--which", options.which, WHICH), ("--format", options.form, FORMATS)):
@@ -160,7 +183,8 @@ def design_of(options: Evaluation) -> Design:
     from metapp.evaluation.study import INITIALISATIONS, Design
 
     if (name := options.initialisation) and name not in INITIALISATIONS:
-        raise typer.BadParameter(f"--initialisation '{name}': expected one of {', '.join(INITIALISATIONS)}.")
+        expected = f"{', '.join(INITIALISATIONS)}.{meant(name, INITIALISATIONS)}"
+        raise typer.BadParameter(f"--initialisation '{name}': expected one of {expected}")
     default = Design()
     return Design(
         options.train_steps or default.outer,
@@ -242,20 +266,31 @@ def fill_part(cells: list[Cell], options: Evaluation) -> None:
         print_json({"which": options.which, "shard": options.shard, "made": made, "missing": missing})
 
 
-def fill(cells: list[Cell], options: Evaluation) -> None:
-    """Measure what has no record yet, or name the commands that do."""
+def fill(cells: list[Cell], subjects: list[Subject], options: Evaluation) -> None:
+    """Measure what has no record yet, or say how much that is and which command does it."""
     from metapp.evaluation.cell import run_cells
 
     if not options.no_run:
         run_cells(cells, quiet=options.quiet)
         return
-    groups: dict[str, list[Cell]] = {}
-    for cell in {cell.title: cell for cell in cells}.values():
-        groups.setdefault(cell.title.partition(": ")[0], []).append(cell)
-    for title, group in groups.items():
-        count, total = (sum(map(len, lists)) for lists in zip(*((c.missing(), c.tasks) for c in group), strict=True))
-        if count or not total:
-            say(f"{title}: {f'{count} of {total}' if count else 'all'} tasks missing: {group[0].command}")
+    commands = [command for subject in subjects if (command := _say_missing(subject, cells, options.which))]
+    if commands:
+        say(f"made by{' the same command without --no-run, or of one alone' * (len(commands) > 1)}: {commands[0]}")
+
+
+def _say_missing(subject: Subject, cells: list[Cell], which: str) -> str:
+    """A line about what has no record yet of an application, if anything; the command that makes it, else ""."""
+    from metapp.runs.naming import name_of
+
+    name = name_of(subject.app)
+    own = {cell.title: cell for cell in cells if cell.title.startswith(f"{name} ")}.values()
+    empty = {cell.title.removeprefix(f"{name} ").partition(": ")[0]: cell for cell in own if not cell.whole}
+    if not empty:
+        return ""
+    total, missing = sum(len(cell.tasks) for cell in own), sum(len(cell.missing()) for cell in own)
+    some = ", ".join([*list(empty)[:LISTED], *([f"{len(empty) - LISTED} more"] if len(empty) > LISTED else [])])
+    say(f"{name}: {f'{missing:,} of {total:,}' if total else 'all'} records missing: {some}")
+    return next(iter(empty.values())).command if which in STUDIES else subject.command(which)
 
 
 def draw(subjects: list[Subject], names: Sequence[str]) -> None:
@@ -265,25 +300,3 @@ def draw(subjects: list[Subject], names: Sequence[str]) -> None:
     for name, draw_one in (("results", draw_paradigms), ("baselines", draw_baselines)):
         for file in filter(None, map(draw_one, subjects) if name in names else ()):
             say(f"picture: {file}")
-
-
-def show(tables: list[Table], subjects: list[Subject], form: str) -> None:
-    """Print tables in a format."""
-    from metapp.cli.show import rich_table
-    from metapp.evaluation.notes import csv_of, text_table
-
-    several = len(tables) > 1
-    found = {table.name: [(one, rows) for one in subjects if (rows := table.rows(one))] for table in tables}
-    if form in ("json", "csv"):
-        rows = [row | ({"table": name} if several else {}) for name in found for _, some in found[name] for row in some]
-        if form == "csv":
-            out().print(csv_of(rows), markup=False, soft_wrap=True)
-        else:
-            print_json({"which": ALL if several else tables[0].name, "rows": rows})
-        return
-    for table in tables:
-        if form == "rich":
-            for subject, rows in found[table.name]:
-                out().print(rich_table(table, subject, rows))
-        else:
-            out().print(text_table(table, found[table.name], form), markup=False, soft_wrap=True)

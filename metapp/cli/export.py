@@ -7,16 +7,17 @@ from typing import Annotated
 
 import typer
 
+from metapp.cli import completion
 from metapp.cli.console import print_json
 from metapp.cli.data_convert import check_folder
-from metapp.cli.fit import exports
+from metapp.cli.fit_options import exports
 from metapp.cli.options import FittedData, Json, RunPath
 from metapp.runs.reporter import say
 
 
 def command(
     run: RunPath,
-    form: Annotated[str, typer.Argument(metavar="KIND", help=f"{exports()}.")],
+    form: Annotated[str, typer.Argument(metavar="KIND", autocompletion=completion.exports, help=f"{exports()}.")],
     inputs: Annotated[
         list[Path] | None,
         typer.Argument(

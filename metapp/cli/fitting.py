@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import statistics
 from collections.abc import Iterable, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import typer
 
 from data_tools.formats import exports_of
-from metapp.cli.console import Exit, one_line, out, print_json, what_failed
+from metapp.cli.console import Exit, out, print_json, what_failed
+from metapp.cli.streams import one_line
 from metapp.runs.reporter import number, say
 from metapp.storage import Document
 
@@ -21,6 +23,7 @@ if TYPE_CHECKING:
     from metapp.runs.plan import Plan
     from metapp.runs.request import Request
 
+NARROWEST = 50  # columns of a table, so that titles stay on a line
 LISTED = 20  # tasks in the table of a run that lists what failed
 
 
@@ -66,8 +69,9 @@ def _show(run: Run, *, json: bool) -> None:
         if not json:
             most = LISTED if run.gallery else None
             rate = run.tasks_per_second if run.gallery else None
-            out().print(table_of(plan.app, paradigm, run.records, rate=rate, most=most))
+            out().print(table_of(plan.app, paradigm, run.records, run.made, rate=rate, most=most))
         say(f"{where}\nrecords: {run.folder.file}" + (f"\nmade: {run.made}" if run.made else ""))
+        say(f"to look at: metapp view {run.folder.path}")
         others = [kind for kind in exports_of(plan.app.name) if kind not in plan.request.exports]
         if others:
             say(f"other forms: metapp export {run.folder.path} KIND, one of {', '.join(others)}")
@@ -80,14 +84,23 @@ def _show(run: Run, *, json: bool) -> None:
 
 
 def table_of(
-    app: App, paradigm: str, records: Sequence[Document], *, rate: float | None = None, most: int | None = None
+    app: App,
+    paradigm: str,
+    records: Sequence[Document],
+    made: Path | None = None,
+    *,
+    rate: float | None = None,
+    most: int | None = None,
 ) -> Table:
     """One line a task, and their mean; of more than `most` those of the largest errors.
+
+    Where there is no error, as of photos, it says how many files were made instead.
 
     Args:
         app: the application.
         paradigm: its name.
         records: of all tasks.
+        made: the folder of what fits made for their user, if any.
         rate: tasks that were fitted in a second, if that is to be said.
         most: lines, None for all.
     """
@@ -96,7 +109,7 @@ def table_of(
 
     from metapp.evaluation.notes import warned
     from metapp.runs.naming import caption_of, factor_of, title_of
-    from metapp.storage.records import guarded, summary
+    from metapp.storage.records import file_name, guarded, summary
 
     remarks = warned([{"paradigm": paradigm, "tasks": len(records), "guarded": guarded(records)}])
     listed = records
@@ -105,18 +118,22 @@ def table_of(
         remarks.insert(0, f"{most} of {len(records)} tasks, those of the largest errors")
     if rate is not None:
         remarks.insert(0, f"{rate:.4g} tasks/s, reading and pictures included")
-    table = Table(
-        title=f"{title_of(app)}: {paradigm}", show_footer=True, caption="\n".join([caption_of(app), *remarks])
-    )
-    total = summary(records)
-    table.add_column("task", "mean error, median of the rest")
-    table.add_column(f"error{factor_of(app)}", number(total["error"], ".3f"), justify="right")
+    total, steps = summary(records), [record["steps"] for record in records if "steps" in record]
+    measured = total["error"] is not None
+    caption = "\n".join([caption_of(app, measured), *remarks])
+    table = Table(title=f"{title_of(app)}: {paradigm}", show_footer=True, caption=caption, min_width=NARROWEST)
+    table.add_column("task", "mean error, median of the rest" if measured else "median")
+    if measured:
+        table.add_column(f"error{factor_of(app)}", number(total["error"], ".3f"), justify="right")
     table.add_column("seconds", number(total["seconds"], ".4f"), justify="right")
-    steps = [record["steps"] for record in records if "steps" in record]
     if steps:
         table.add_column("steps", f"{statistics.median(steps):g}", justify="right")
+    if not measured and made:
+        table.add_column("files", justify="right")
     for record in listed:
-        taken = [f"{record['steps']}"] if steps else []
-        measured = (number(record.get(key), form) for key, form in (("error", ".3f"), ("seconds", ".4f")))
-        table.add_row(Text(record["name"]), *measured, *taken)
+        cells = [number(record["error"], ".3f")] if measured else []
+        cells.append(number(record.get("seconds"), ".4f"))
+        cells += [f"{record['steps']}"] if steps else []
+        cells += [f"{sum(1 for _ in (made / file_name(record['name'])).glob('*'))}"] if made and not measured else []
+        table.add_row(Text(record["name"]), *cells)
     return table

@@ -12,13 +12,14 @@ import typer
 from metapp.cli.console import print_json
 from metapp.cli.options import Json, takes
 from metapp.runs.reporter import say
+from metapp.storage.text import meant
 
 
 @dataclass(frozen=True)
 class Options:
     """What the command takes."""
 
-    app: Annotated[str, typer.Argument(metavar="APP", help="brdf.")]
+    app: Annotated[str, typer.Argument(metavar="APP", autocompletion=lambda: ["brdf"], help="brdf.")]
     samples: Annotated[int, typer.Option(min=1, max=256, help="Pairs of directions to measure.")] = 16
     out: Annotated[
         Path, typer.Option(dir_okay=False, help="The CSV file to fill in; a PNG of the directions lies beside it.")
@@ -60,7 +61,8 @@ def command(options: Options) -> None:
 
     out = options.out
     if options.app != "brdf":
-        raise typer.BadParameter(f"'{options.app}': expected brdf; of other applications a fit takes whole pictures.")
+        whole = f"expected brdf; of other applications a fit takes whole pictures.{meant(options.app, ['brdf'])}"
+        raise typer.BadParameter(f"'{options.app}': {whole}")
     if out.exists():
         raise typer.BadParameter(f"--out {out}: is there already, and may be filled in; name another file.")
     detector = None if options.detector is None else math.radians(options.detector)

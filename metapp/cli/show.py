@@ -1,4 +1,4 @@
-"""A table of `metapp evaluate` for a terminal."""
+"""Tables of `metapp evaluate`, printed."""
 
 from __future__ import annotations
 
@@ -8,12 +8,32 @@ from typing import Any
 from rich.table import Table as RichTable
 from rich.text import Text
 
-from metapp.cli.console import out
-from metapp.evaluation.notes import title_of
+from metapp.cli.console import out, print_json
+from metapp.cli.names import ALL
+from metapp.evaluation.notes import csv_of, text_table, title_of
 from metapp.evaluation.rows import Column, Row, Table
 from metapp.evaluation.subject import Subject
 
 FEWEST_COLUMNS = 3  # are shown however narrow the terminal
+
+
+def show(tables: list[Table], subjects: list[Subject], form: str) -> None:
+    """Print tables in a format."""
+    several = len(tables) > 1
+    found = {table.name: [(one, rows) for one in subjects if (rows := table.rows(one))] for table in tables}
+    if form in ("json", "csv"):
+        rows = [row | ({"table": name} if several else {}) for name in found for _, some in found[name] for row in some]
+        if form == "csv":
+            out().print(csv_of(rows), markup=False, soft_wrap=True)
+        else:
+            print_json({"which": ALL if several else tables[0].name, "rows": rows})
+        return
+    for table in tables:
+        if form == "rich":
+            for subject, rows in found[table.name]:
+                out().print(rich_table(table, subject, rows))
+        else:
+            out().print(text_table(table, found[table.name], form), markup=False, soft_wrap=True)
 
 
 def rich_table(table: Table, subject: Subject, rows: list[Row]) -> Any:

@@ -14,7 +14,7 @@ from data_tools.formats import Export, Format, OwnRecipe, exports_of, inputs_of,
 from metapp.apps import app_names, app_of, presentation_of, protocols_of, recipes_of
 from metapp.learning.app import App
 from metapp.learning.recipe import Recipe
-from metapp.learning.rules import rule_of
+from metapp.learning.rules import PARTS, RULES, SHORT, rule_of
 from metapp.learning.task import Task
 from metapp.networks.exemplar import ExemplarSetup, at_detail, details_of
 from metapp.runs import BadOption
@@ -25,6 +25,7 @@ from metapp.storage.manifest import read_manifest
 from metapp.storage.text import meant
 
 QUICK, FULL = "quick", "full"
+RULE_WORDS = (*RULES, *SHORT, *PARTS)
 
 
 def shipped_path(app: str, name: str, recipe: str = QUICK) -> Path:
@@ -139,16 +140,16 @@ def _lacks(path: Path, form: Format, own: OwnRecipe) -> bool:
 
 def _is_set_of(own: OwnRecipe, data: Path | None) -> bool:
     # of a folder that is not there, whatever reads it says so
-    known = own.tensor and data is not None and data.exists()
-    return bool(known) and data is not None and own.tensor in read_manifest(data).units
+    if not own.tensor or data is None or not data.exists():
+        return False
+    return own.tensor in read_manifest(data).units
 
 
 def check_name(app: str) -> None:
     """A usage error that lists the applications where there is none of that name."""
     if app not in app_names():
-        raise BadOption(
-            f"'{app}' is not an application; expected one of {', '.join(app_names())}.{meant(app, app_names())}"
-        )
+        known = app_names()
+        raise BadOption(f"'{app}' is not an application; expected one of {', '.join(known)}.{meant(app, known)}")
 
 
 def check_protocol(protocol: str, app: str) -> None:
@@ -156,7 +157,7 @@ def check_protocol(protocol: str, app: str) -> None:
     known = protocols_of(app)
     if protocol and protocol not in known:
         expected = f"expects one of {', '.join(known)}" if known else "has one protocol; leave it out"
-        raise BadOption(f"--observe '{protocol}': {app} {expected}.")
+        raise BadOption(f"--observe '{protocol}': {app} {expected}.{meant(protocol, known)}")
 
 
 def check_rule(request: Request, recipe: Recipe) -> str:
@@ -169,7 +170,8 @@ def check_rule(request: Request, recipe: Recipe) -> str:
         theta = {key: value[0] for key, value in app.init(torch.Generator().manual_seed(0), 1).items()}
         rule.require(app, theta)
     except ValueError as error:
-        raise BadOption(f"--rule: {error}") from None
+        unknown = [word for word in request.rule.split("+") if word not in RULE_WORDS]
+        raise BadOption(f"--rule: {error}{meant(unknown[0], RULE_WORDS) if unknown else ''}") from None
     return rule.name
 
 
@@ -225,7 +227,7 @@ def check_export(name: str, app: str) -> None:
     known = exports_of(app)
     if name and name not in known:
         expected = f"expects one of {', '.join(known)}" if known else "has none; leave it out"
-        raise BadOption(f"--export '{name}': {app} {expected}.")
+        raise BadOption(f"--export '{name}': {app} {expected}.{meant(name, known)}")
     form = known.get(name)
     if isinstance(form, Export) and form.missing():
         raise BadOption(form.missing())

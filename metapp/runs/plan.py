@@ -153,7 +153,9 @@ def plan(request: Request) -> Plan:
     """
     known = paradigms()
     if request.paradigm not in known:
-        raise ValueError(f"paradigm '{request.paradigm}': expected one of {', '.join(known)}.")
+        raise ValueError(
+            f"paradigm '{request.paradigm}': expected one of {', '.join(known)}.{meant(request.paradigm, known)}"
+        )
     paradigm = known[request.paradigm]
     check_name(request.app)
     check_protocol(request.observe, request.app)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import torch
 from torch import Generator, Tensor
@@ -41,20 +41,19 @@ class Planned(NamedTuple):
     maps: tuple[Tensor, Tensor]
 
 
-def plan_brdf(count: int, limits: Limits, after: Path | None = None, seed: int = 0, checkpoint: Any = None) -> Planned:
-    """Choose directions by the model that ships for fits of few samples, or by another checkpoint.
+def plan_brdf(count: int, limits: Limits, after: Path | None = None, seed: int = 0) -> Planned:
+    """Choose directions by the model that ships for fits of few samples.
 
     Args:
         count: of pairs of directions.
         limits: of the instrument.
         after: a CSV file of what was measured, or the run that fitted it; None: nothing was.
         seed: of the candidates.
-        checkpoint: a file; None: the one that ships.
 
     Raises:
         ValueError: no direction is within the limits; `after` is no such file or run.
     """
-    request = Request("brdf", "meta", recipe=RECIPE, device="cpu", quiet=True, checkpoint=checkpoint)
+    request = Request("brdf", "meta", recipe=RECIPE, device="cpu", quiet=True)
     found = find_checkpoint(plan_of(request))
     assert found.checkpoint is not None  # or it would have been refused
     theta = {key: value[None] for key, value in found.checkpoint.prepared.theta.items()}

@@ -14,6 +14,7 @@ import torch
 
 from metapp.learning.app import App, ReducedPrecision
 from metapp.runs import BadOption
+from metapp.storage.text import meant
 
 
 def threads_of(app: App) -> int | None:
@@ -44,7 +45,7 @@ def return_memory() -> None:
 def find_device(name: str, app: App) -> torch.device:
     """The device; auto is CUDA where there is one, but the CPU where the application is single-threaded."""
     if name not in ("auto", "cpu", "cuda"):
-        raise BadOption(f"--device '{name}': expected auto, cpu or cuda.")
+        raise BadOption(f"--device '{name}': expected auto, cpu or cuda.{meant(name, ('auto', 'cpu', 'cuda'))}")
     if name == "cuda" and not torch.cuda.is_available():
         raise ValueError("--device cuda: PyTorch finds no CUDA device; use --device cpu or install a CUDA build.")
     automatic = "cuda" if torch.cuda.is_available() and not app.traits.single_threaded else "cpu"

@@ -17,7 +17,7 @@ from safetensors.torch import load_file, save_file
 
 from metapp.apps.brdf import Brdf
 from metapp.apps.brdf.recipes import RECIPES
-from metapp.cli.console import LONGEST, one_line
+from metapp.cli.streams import LONGEST, one_line
 from metapp.learning.app import stack
 from metapp.learning.recipe import Adam
 from metapp.learning.task import Task

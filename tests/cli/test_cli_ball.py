@@ -70,6 +70,7 @@ def bracket(tmp_path: Path) -> list[str]:
     return [str(file) for file in files]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("exposures", ["1/40,1/20,1/10", "auto"])
 def test_fits_merge_photos_of_several_exposures(bracket: list[str], tmp_path: Path, exposures: str) -> None:
     options = ["--observe", "photo", "--recipe", "quick", "--out", str(tmp_path / "runs"), "--json", "--quiet"]

@@ -208,7 +208,9 @@ def test_evaluate_runs_what_is_missing_and_prints_the_paper_beside_it(fit: Calla
     fit("general", *STEPS)
     fit("meta", *STEPS)
     missing = fit("evaluate", "--no-run", "--json")
-    assert "metapp overfit brdf" in missing.err
+    (line, command) = (line for line in missing.err.splitlines() if line.startswith(("brdf: ", "made by: ")))
+    assert line.endswith(" records missing: overfit, finetune, quickft")
+    assert command.startswith("made by: metapp evaluate brdf --which results")
     result = fit("evaluate", "--table")
     assert result.code == 0
     for text in ("general", "overfit", "finetune", "quickft", "meta", "1.892", "0.93", "4555", "gap closed"):
@@ -384,6 +386,18 @@ def test_the_version_is_said(metapp: Callable) -> None:
         (("meta", "brfd"), "'brdf'"),
         (("meta", "brdf", "--recipe", "ful"), "'full'"),
         (("evaluate", "--which", "quikft"), "'quickft'"),
+        (("mta",), "'meta'"),
+        (("data", "mrl"), "'merl'"),
+        (("data", "synth", "textur"), "'texture'"),
+        (("evaluate", "textur"), "'texture'"),
+        (("plan", "brfd"), "'brdf'"),
+        (("meta", "brdf", "--rule", "ridg"), "'ridge'"),
+        (("meta", "brdf", "--rule", "adam+curvatur"), "'curvature'"),
+        (("meta", "texture", "--export", "png61"), "'png16'"),
+        (("meta", "illumination", "--observe", "foto"), "'photo'"),
+        (("meta", "brdf", "--device", "cud"), "'cuda'"),
+        (("baseline", "texture", "--method", "quiltin"), "'quilting'"),
+        (("evaluate", "--which", "rules", "--initialisation", "encodr"), "'encoder'"),
     ],
 )
 def test_a_name_that_is_nearly_right_is_suggested(metapp: Callable, words: tuple[str, ...], near: str) -> None:
@@ -394,4 +408,7 @@ def test_a_name_that_is_nearly_right_is_suggested(metapp: Callable, words: tuple
 def test_a_fit_is_no_input_and_what_takes_it_is_said(metapp: Callable, tmp_path: Path) -> None:
     file = tmp_path / "fit.safetensors"
     file.write_bytes(b"")
-    assert "metapp export takes the run's folder" in metapp("meta", "brdf", file).error
+    line = metapp("meta", "brdf", file).error
+    assert "metapp view takes the file, metapp export the run's folder" in line
+    assert "Mitsuba's neural_brdf (import metapp.mitsuba) the file." in line
+    assert "neural_brdf" not in metapp("meta", "texture", file).error

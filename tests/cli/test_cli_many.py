@@ -66,6 +66,21 @@ def test_fits_side_by_side_are_those_of_one_by_one(fit: Callable, fitted: list[l
     assert (folder / "params" / "m3.safetensors").is_file()
 
 
+def test_a_run_of_several_folders_says_so_in_its_name(
+    metapp: Callable, materials: Path, fitted: list[list[str]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    words = ("quickft", "brdf", materials / "m0", materials / "m1", "--recipe", "quick", "--batch", "2", "--json")
+    named = Path(metapp(*words, "--out", "elsewhere").done["out"])
+    assert named.name.startswith("m0-and-1-more-")
+    with monkeypatch.context() as patch:  # as runs were called before
+        patch.setattr("metapp.runs.inputs._label", lambda first, count, digest: f"{first}-{digest}")
+        before = metapp(*words).done
+    assert Path(before["out"]).name == named.name.replace("-and-1-more", "")
+    del fitted[:]
+    assert metapp(*words).done["out"] == before["out"]
+    assert fitted == []
+
+
 def test_what_was_fitted_is_not_fitted_again(fit: Callable, fitted: list[list[str]], materials: Path) -> None:
     first = fit("--batch", "2").document
     del fitted[:]

@@ -179,7 +179,8 @@ def test_every_protocol_has_a_table_of_its_own(on_data: Callable) -> None:
     assert on_data("meta", "brdf", "--observe", "photo", *STEPS).code == 0
     assert on_data("meta", "brdf", *STEPS).code == 0
     missing = on_data("evaluate", "brdf", "--no-run", "--observe", "photo").err
-    assert "metapp overfit brdf" in missing
+    assert "brdf photo: " in missing
+    assert "overfit, finetune, quickft" in missing
     assert "--observe photo" in missing
     assert "--observe reference" not in missing
 
@@ -262,7 +263,9 @@ def test_a_task_without_reference_has_no_error(metapp: Callable, networks: Path)
         assert document["error"] == (rest[0]["error"] if others else None)
         assert read_records(Path(document["out"], "record.jsonl"))[0]["error"] is None
         assert Path(document["out"], "pictures.png").is_file()
-        assert " - " in metapp(*common).out
+        shown = metapp(*common).out
+        assert (" - " in shown, "no error: there is no reference" in shown) == (bool(others), not others)
+        assert ("files" in shown) == (not others)
 
 
 def test_tables_of_tasks_without_reference() -> None:

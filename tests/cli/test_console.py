@@ -2,7 +2,7 @@
 
 import pytest
 
-from metapp.cli.console import Terminal
+from metapp.cli.terminal import Terminal
 
 
 def test_a_warning_is_said_once_by_each_command(capsys: pytest.CaptureFixture[str]) -> None:

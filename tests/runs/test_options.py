@@ -10,12 +10,19 @@ from pathlib import Path
 import pytest
 import torch
 from torch import Generator
+from typer.testing import CliRunner
 
-from metapp.apps import app_names, recipes_of
-from metapp.cli.fit import OPTIONS
+from data_tools.formats import merge_of
+from metapp.appearance.presentation import Presentation
+from metapp.apps import app_names, app_of, presentation_of, protocols_of, recipes_of
+from metapp.baselines import baselines_of
+from metapp.cli.commands import SUMMARIES
+from metapp.cli.commands import app as cli
+from metapp.cli.fit_options import OPTIONS
+from metapp.cli.names import KNOWN, Known
 from metapp.learning.task import Task
 from metapp.runs import BadOption
-from metapp.runs.checks import ships
+from metapp.runs.checks import details, ships
 from metapp.runs.plan import plan
 from metapp.runs.request import Request
 
@@ -53,6 +60,44 @@ def test_help_shows_the_options_of_the_application_alone(metapp: Callable, name:
     assert options & OWN == SHOWN[name]
     assert {"steps", "rule", "recipe", "batch", "budget"} <= options
     assert ("MERL" in result.out) == (name == "brdf")  # the inputs are those of the application, too
+
+
+UNUSED = {
+    "general": {"steps", "rule", "budget", "watch"},
+    "overfit": {"rule", "checkpoint", "train", "train-steps"},
+    "finetune": {"rule"},
+    "quickft": {"rule"},
+    "meta": set(),
+}
+
+
+@pytest.mark.parametrize("paradigm", SUMMARIES)
+def test_help_fits_a_screen_and_leaves_out_what_the_paradigm_does_not_use(paradigm: str) -> None:
+    for name in ["", *app_names()]:
+        shown = CliRunner().invoke(cli, [paradigm, *filter(None, [name]), "--help"], env={"COLUMNS": "100"}).stdout
+        assert len(shown.splitlines()) <= 50
+        assert re.findall(r"╭─ (\w+)", shown) == ["Input", "Fit", "Output", "Machine"]
+        options = set(re.findall(r"^│ (?:-q, )?--([a-z-]+)", shown, re.MULTILINE))
+        every = {option.replace("_", "-") for option in OPTIONS} | {"json"}
+        assert options == every - {"app", "inputs"} - (OWN - SHOWN[name]) - UNUSED[paradigm]
+
+
+@pytest.mark.parametrize("name", app_names())
+def test_what_help_and_completion_know_of_an_application_is_what_it_has(name: str) -> None:
+    protocols = protocols_of(name)
+    recipes = {recipe: None for protocol in protocols or ("",) for recipe in recipes_of(name, protocol)}
+    apps = [app_of(name, recipes_of(name)["quick"], protocol) for protocol in protocols or ("",)]
+    methods = {each.name: None for app in apps for each in baselines_of(app) if not each.matches}
+    shown = presentation_of(apps[0])
+    options = {
+        "size": type(shown).refusal is not Presentation.refusal,
+        "detail": bool(details(name)),
+        "render": shown.renders,
+        "exposures": merge_of(name) is not None,
+    }
+    known = KNOWN[name]
+    assert sorted(known.recipes) == sorted(recipes)
+    assert known == Known(known.recipes, protocols, tuple(methods), tuple(key for key, has in options.items() if has))
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,70 @@
+"""What shells complete: applications and what they have, by `metapp.cli.names`; nothing large is imported."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Iterable
+
+from data_tools.formats import exports_of
+from metapp.apps import app_names
+from metapp.cli.names import DEVICES, PART_NAMES, RULE_NAMES, WHICH, known_of
+
+LINE = ("COMP_WORDS", "_TYPER_COMPLETE_ARGS")  # where shells leave the line that is completed
+
+
+def applications(incomplete: str) -> list[str]:
+    """Names of applications."""
+    return _that_begin(incomplete, app_names())
+
+
+def recipes(incomplete: str) -> list[str]:
+    """Recipes of the applications that are named, of all where none is."""
+    return _that_begin(incomplete, (name for app in _named() for name in known_of(app).recipes))
+
+
+def rules(incomplete: str) -> list[str]:
+    """Rules and parts of rules, after a + too."""
+    return _after("+", incomplete, (*RULE_NAMES, *PART_NAMES))
+
+
+def observations(incomplete: str) -> list[str]:
+    """What fits may see."""
+    return _that_begin(incomplete, (name for app in _named() for name in known_of(app).observe))
+
+
+def exports(incomplete: str) -> list[str]:
+    """Kinds of files that fits are written in, after a comma too."""
+    return _after(",", incomplete, (name for app in _named() for name in exports_of(app)))
+
+
+def methods(incomplete: str) -> list[str]:
+    """Baselines."""
+    return _that_begin(incomplete, (name for app in _named() for name in known_of(app).methods))
+
+
+def tables(incomplete: str) -> list[str]:
+    """Tables of `metapp evaluate`."""
+    return _that_begin(incomplete, WHICH)
+
+
+def devices(incomplete: str) -> list[str]:
+    """Devices."""
+    return _that_begin(incomplete, DEVICES)
+
+
+def _named() -> list[str]:
+    """The applications that are named before the word that is completed, also as a part of a run's path; else all."""
+    # by the whole line: typer parses none whose last option has no value yet
+    line = " ".join(os.environ.get(name, "") for name in LINE)
+    return [name for name in app_names() if re.search(rf"(?<![\w-]){name}(?![\w-])", line)] or app_names()
+
+
+def _that_begin(incomplete: str, names: Iterable[str]) -> list[str]:
+    return [name for name in dict.fromkeys(names) if name.startswith(incomplete)]
+
+
+def _after(mark: str, incomplete: str, names: Iterable[str]) -> list[str]:
+    """Words of which several may stand with a mark between them."""
+    before, found, last = incomplete.rpartition(mark)
+    return [before + found + name for name in _that_begin(last, names)]
