@@ -18,6 +18,7 @@ from metapp.runs.plan import Plan
 from metapp.runs.reporter import progress
 from metapp.runs.surroundings import versions
 from metapp.storage.records import Record, RunFolder, file_name
+from metapp.storage.text import meant
 
 
 class BaselineRun(NamedTuple):
@@ -26,14 +27,16 @@ class BaselineRun(NamedTuple):
     Attributes:
         method: its name.
         cannot: what it cannot do that a network can.
-        folder: of the records; pictures and maps are in `outputs` there, where the application has any.
+        folder: of the records.
         records: one a task.
+        made: the folder of pictures and maps; None where the application has none.
     """
 
     method: str
     cannot: str
     folder: Path
     records: list[Record]
+    made: Path | None
 
     def document(self) -> dict[str, Any]:
         """As one JSON object."""
@@ -50,7 +53,7 @@ def run_baseline(plan: Plan, method: str) -> BaselineRun:
     app, request = plan.app, plan.request
     known = {each.name: each for each in baselines_of(app) if not each.matches}
     if method not in known:
-        raise BadOption(f"--method {method}: not one of {app.name}, expected {', '.join(known)}.")
+        raise BadOption(f"--method {method}: not one of {app.name}, expected {', '.join(known)}.{meant(method, known)}")
     baseline, (tasks, label) = known[method], tasks_to_fit(app, request)
     source = training_folder(plan) if baseline.learns else None
     if baseline.learns and source is None:
@@ -83,4 +86,5 @@ def run_baseline(plan: Plan, method: str) -> BaselineRun:
                 write_pictures(files, folder.path / OUTPUTS / file_name(task.name))
             records.append(fitted.record)
             bar.advance(task.name)
-    return BaselineRun(method, baseline.cannot, folder.path, records)
+    made = folder.path / OUTPUTS if isinstance(shown, DrawsAnswers) else None
+    return BaselineRun(method, baseline.cannot, folder.path, records, made)

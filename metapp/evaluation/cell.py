@@ -25,7 +25,7 @@ class Cell(NamedTuple):
         folder: where records are kept; None where the checkpoint is missing that it needs.
         measure: tasks -> the record of each, and what is kept beside it as parameters, if anything.
         steps: gradient steps a task, about: cells with few come first.
-        command: the command that fills it.
+        command: the command that fills it alone, if there is one.
         stage: cells of a lower stage come first, which this one reads.
         threads: that torch works with meanwhile; None: as many as it does.
         guess: seconds that a task takes beside its steps, about, before any was measured.
@@ -56,6 +56,11 @@ class Cell(NamedTuple):
         else:
             tasks = list(self.tasks) if self.number % portion.parts == portion.number - 1 else []
         return [task for task in tasks if task.name not in finished]
+
+    @property
+    def whole(self) -> bool:
+        """Whether there is a record of every task."""
+        return bool(self.tasks) and not self.missing()
 
     def run(self, tasks: list[Task]) -> Iterator[Record]:
         """Measure tasks; each record is kept before it is yielded."""

@@ -139,7 +139,7 @@ class Subject:
         return self.make_cell(title, folder, functools.partial(fit_tasks, plan), plan.steps, command=command)
 
     def make_cell(
-        self, title: str, folder: RunFolder | None, measure: Measure, steps: int = 0, *, command: str
+        self, title: str, folder: RunFolder | None, measure: Measure, steps: int = 0, *, command: str = ""
     ) -> Cell:
         """A cell of all tasks, of the application's threads; other entries by `Cell._replace`."""
         title = f"{name_of(self.app)} {title}"

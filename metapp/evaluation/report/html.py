@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import base64
-import io
 import re
 from collections.abc import Sequence
 from html import escape
@@ -17,6 +15,7 @@ from metapp.evaluation.rows import Row, Table
 from metapp.evaluation.subject import Subject
 from metapp.runs.naming import name_of
 from metapp.storage.files import write_atomically
+from metapp.storage.images import in_8_bits, png_address, png_bytes
 
 EMBEDDED = 14_000_000  # bytes of pictures up to which they are part of the page; else they lie beside it
 LARGEST = 256  # px of a picture in the gallery
@@ -36,13 +35,9 @@ class Pictures:
 
     def add_array(self, name: str, srgb: np.ndarray) -> str:
         """Keep display values [H, W, 3] in [0, 1]."""
-        from PIL import Image  # matplotlib brings it
-
-        image = Image.fromarray((np.clip(srgb, 0, 1) * 255 + 0.5).astype(np.uint8))
+        image = in_8_bits(srgb)
         image.thumbnail((LARGEST, LARGEST))
-        buffer = io.BytesIO()
-        image.save(buffer, "PNG", optimize=True)
-        return self.add(name, buffer.getvalue())
+        return self.add(name, png_bytes(image, optimize=True))
 
     def place(self, page: str, folder: Path) -> str:
         """The page with the pictures' addresses: in the page itself, or, where they are too many, files beside it."""
@@ -51,7 +46,7 @@ class Pictures:
         def address(match: re.Match[str]) -> str:
             name, png = match[1], self._files[match[1]]
             if inside:
-                return f"data:image/png;base64,{base64.b64encode(png).decode()}"
+                return png_address(png)
             write_atomically(folder / "pictures" / f"{name}.png", lambda partial: partial.write_bytes(png))
             return f"pictures/{name}.png"
 

@@ -12,6 +12,7 @@ from html import escape
 from importlib import resources
 from pathlib import Path
 
+from metapp.appearance.colour import to_srgb
 from metapp.evaluation.figures import FIGURES, draw
 from metapp.evaluation.figures.style import TITLES
 from metapp.evaluation.notes import carried, overfit_note, warned
@@ -25,13 +26,13 @@ from metapp.evaluation.report.html import (
     sortable_html,
     table_html,
 )
+from metapp.evaluation.report.views import fits_of, write_view
 from metapp.evaluation.rows import Row, paired_of, paper, values_of
 from metapp.evaluation.subject import Subject, evenly
 from metapp.evaluation.tables import NAMES, load_table
 from metapp.evaluation.tables.results import result_row
 from metapp.learning.task import Task
 from metapp.runs.naming import is_first_protocol, name_of
-from metapp.runs.pictures import to_srgb
 from metapp.runs.reporter import number
 from metapp.runs.statistics import apart
 from metapp.runs.surroundings import make_folder, versions
@@ -52,22 +53,27 @@ HEADINGS = {
 }
 
 
-def write_report(subjects: Sequence[Subject], folder: Path) -> Path:
-    """Write `index.html`, of what has been measured so far.
+def write_report(subjects: Sequence[Subject], folder: Path, tables: Sequence[str] = NAMES) -> Path:
+    """Write `index.html`, of what has been measured so far, and an interactive page of each application beside it.
+
+    Args:
+        subjects: of which applications.
+        folder: made if missing.
+        tables: that it has, of `NAMES`.
 
     Returns:
         The file.
     """
     make_folder(folder)
     pictures = Pictures()
-    sections = [section(subject, pictures) for subject in subjects]
+    sections = [section(subject, pictures, tables, write_view(subject, folder)) for subject in subjects]
     links = [f'<a href="#{anchor(subject)}">{escape(subject.title)}</a>' for subject in subjects]
     records = json.dumps({anchor(subject): records_of(subject) for subject in subjects}, allow_nan=False)
     parts = {
         "style": _text("page.css"),
         "script": _text("page.js"),
         "links": "".join([*links, '<a href="#made">How this was made</a>']),
-        "body": "\n".join([glance(subjects, pictures), *sections, colophon(subjects)]),
+        "body": "\n".join([glance(subjects, pictures), *sections, colophon(subjects, tables)]),
         "records": records.replace("<", "\\u003c"),  # no record can end the script
     }
     page = re.sub(r"\{\{(\w+)\}\}", lambda match: parts[match[1]], _text("page.html"))
@@ -81,23 +87,24 @@ def _text(name: str) -> str:
     return (resources.files("metapp.evaluation.report") / name).read_text(encoding="utf-8")
 
 
-def section(subject: Subject, pictures: Pictures) -> str:
-    """All there is of one application."""
+def section(subject: Subject, pictures: Pictures, tables: Sequence[str], view: str) -> str:
+    """All there is of one application, these of its tables, and a link to its interactive page, if it has one."""
     name = anchor(subject)
     figures = {kind: draw(kind, subject) for kind in FIGURES if kind != "plane"}
     drawn = {kind: drawn_html(d, f"{name}-{kind}", pictures, _kind(kind)) for kind, d in figures.items() if d}
     strips = drawn.pop("strips", "")
     gallery = gallery_html(subject, pictures)
     hint = "The reference beside five results; a click shows the record behind one."
+    hint += f' <a href="{view}">Some of these to turn, light and zoom</a>.' if view else ""
     return "\n".join(
         [
             f'<section id="{name}"><h2>{escape(subject.title)}</h2>',
-            _table("results", subject),
+            _table("results", subject) if "results" in tables else "",
             f'<div class="figures">{"".join(drawn.values())}</div>' if drawn else "",
             f"<h3>Along the steps</h3>{strips}" if strips else "",
             f"<h3>Gallery</h3><p>{hint}</p>{gallery}" if gallery else "",
             tasks_html(subject),
-            *(_table(table, subject) for table in NAMES[1:]),
+            *(_table(table, subject) for table in tables if table != "results"),
             "</section>",
         ]
     )
@@ -113,7 +120,7 @@ def _table(name: str, subject: Subject) -> str:
     return f"<h3>{HEADINGS[name]}</h3>{table_html(table, subject, rows)}" if rows else ""
 
 
-def colophon(subjects: Sequence[Subject]) -> str:
+def colophon(subjects: Sequence[Subject], tables: Sequence[str]) -> str:
     """Versions, machine, data, commands, sources."""
     facts = {
         **versions(),
@@ -122,7 +129,8 @@ def colophon(subjects: Sequence[Subject]) -> str:
     }
     if subjects:
         facts |= {"recipe": subjects[0].plan.request.recipe, "seed": str(subjects[0].plan.request.seed)}
-    commands = dict.fromkeys(command for subject in subjects for command in _commands(subject))
+    which = tables[0] if len(tables) == 1 else "all"
+    commands = dict.fromkeys(command for subject in subjects for command in _commands(subject, which))
     known = paper()
     sources = "".join(f"<li>{escape(key)}: {escape(text)}</li>" for key, text in known["sources"].items())
     return (
@@ -138,8 +146,8 @@ def _facts(facts: dict[str, str]) -> str:
     return f"<dl>{pairs}</dl>"
 
 
-def _commands(subject: Subject) -> list[str]:
-    return [subject.command("all"), *(subject.cell(name).command for name in subject.fits)]
+def _commands(subject: Subject, which: str) -> list[str]:
+    return [subject.command(which), *(subject.cell(name).command for name in subject.fits)]
 
 
 # What the report says first
@@ -232,12 +240,8 @@ def gallery_html(subject: Subject, pictures: Pictures) -> str:
 def _task_html(subject: Subject, task: Task, pictures: Pictures) -> str:
     """The reference and the fits of one task; "" where none was fitted yet."""
     shown: list[str] = []
-    for name, title in TITLES.items():
-        cell = subject.cell(name)
-        record = next((record for record in cell.records() if record["name"] == task.name), None)
-        if record is None or cell.folder is None:
-            continue
-        made = subject.presentation.outputs(cell.folder.theta(task.name), task)
+    for name, record, theta in fits_of(subject, task):
+        title, made = TITLES[name], subject.presentation.outputs(theta, task)
         key = (name_of(subject.app), task.name)
         if not shown and "reference" in made:
             address = pictures.add_array(identifier(*key, "reference"), to_srgb(made["reference"]))

@@ -77,7 +77,7 @@ def baseline_cell(subject: Subject, baseline: Baseline) -> Cell:
         except ValueError as error:
             say(f"{name_of(subject.app)} {baseline.name}: {error}")
 
-    cell = subject.make_cell(baseline.name, folder, measure, command=subject.command("baselines"))
+    cell = subject.make_cell(baseline.name, folder, measure)
     return cell._replace(stage=int(baseline.matches), guess=GUESS)
 
 

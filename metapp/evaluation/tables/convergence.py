@@ -52,7 +52,7 @@ def trace_cell(subject: Subject) -> Cell:
         return (trace(subject, fits, task) for task in tasks)
 
     steps = sum(fit.steps for fit in fits.values()) + sum(FURTHER)
-    cell = subject.make_cell("trace", folder, measure, steps, command=subject.command("convergence"))
+    cell = subject.make_cell("trace", folder, measure, steps)
     return cell._replace(tasks=evenly(subject.tasks, TRACED))
 
 

@@ -43,7 +43,7 @@ def image_cell(subject: Subject) -> Cell:
             fitted = {name: Fitted(folders[name].theta(task.name), seconds[name][task.name]) for name in fits}
             yield {"name": task.name, "error": None, "measures": shown.image_errors(fitted, task)}, None
 
-    cell = subject.make_cell("pictures", folder, measure, command=subject.command("image"))
+    cell = subject.make_cell("pictures", folder, measure)
     return cell._replace(stage=1, guess=shown.image_seconds)
 
 

@@ -47,10 +47,11 @@ def test_the_report_is_one_whole_page_that_needs_no_network(drawn: Path) -> None
     parsed.feed(text)
     parsed.close()
     assert parsed.open == []
-    assert [file.name for file in page.parent.iterdir()] == ["index.html"]
+    assert sorted(file.name for file in page.parent.iterdir()) == ["index.html", "view-brdf.html"]
     assert len(text) < 15_000_000
     addresses = [value for _, attributes in parsed.tags for key, value in attributes.items() if key in ("src", "href")]
-    assert all(address and address.startswith(("data:", "#")) for address in addresses)
+    assert addresses.count("view-brdf.html") == 1
+    assert all(address and address.startswith(("data:", "#", "view-brdf.html")) for address in addresses)
     assert "http://" not in text
     assert "https://" not in text
     assert "@import" not in text
@@ -61,6 +62,8 @@ def test_the_report_is_one_whole_page_that_needs_no_network(drawn: Path) -> None
     assert len(ids) == len(set(ids))
     assert {address[1:] for address in addresses if address.startswith("#")} <= set(ids)
     assert "{{" not in text
+    view = (page.parent / "view-brdf.html").read_text()
+    assert [view.count(f'"label": "{title}"') for title in ("General", "Meta")] == [3, 3]
     found = json.loads(text.partition('id="records">')[2].partition("</script>")[0])
     assert set(found) == {"brdf"}
     for button in (each for each in parsed.all("button") if each.get("class") == "record"):
@@ -71,6 +74,16 @@ def test_the_report_is_one_whole_page_that_needs_no_network(drawn: Path) -> None
     figures = {file.name for file in (drawn / "figures").iterdir()}
     assert figures == {f"brdf-{name}.{form}" for name in FIGURES for form in ("png", "pdf")}
     assert (drawn / "figures" / "brdf-plane.pdf").read_bytes().startswith(b"%PDF")
+
+
+def test_a_report_has_and_runs_the_table_that_is_asked_for(evaluate: Callable, tmp_path: Path) -> None:
+    assert evaluate("--which", "quickft", "--report", tmp_path / "report", "--quiet", "--json").code == 0
+    text = (tmp_path / "report" / "index.html").read_text()
+    assert "<h3>Against as many steps of fine-tuning</h3>" in text
+    assert "<h3>Methods without a network</h3>" not in text
+    assert "<h3>Error and time</h3>" not in text
+    assert "metapp evaluate brdf --which quickft" in text
+    assert {folder.name for folder in (tmp_path / "runs" / "brdf").iterdir()} == {"general", "meta", "quickft"}
 
 
 def test_a_report_of_nothing_is_a_page_as_well(evaluate: Callable, tmp_path: Path) -> None:
@@ -101,7 +114,9 @@ def test_a_browser_shows_the_report_without_an_error(drawn: Path, tmp_path: Path
     shot = tmp_path / "shot.png"
     # sort a table and open a record, as a reader does; what goes wrong is said on standard error
     acts = "document.querySelector('.sortable th button').click();document.querySelector('.record').click();"
-    acts += "console.log('rows ' + document.querySelector('.sortable tbody').rows.length + ' ' + dialog.open);"
+    acts += "const wide = [...document.querySelectorAll('.scroll')].filter(e => e.scrollWidth > e.clientWidth).length;"
+    acts += "const count = document.querySelector('.sortable tbody').rows.length;"
+    acts += "console.log('rows ' + count + ' ' + dialog.open + ', wide tables ' + wide);"
     page.write_text((drawn / "report" / "index.html").read_text().replace("</body>", f"<script>{acts}</script></body>"))
     options = ["--headless", "--no-sandbox", "--disable-gpu", "--enable-logging=stderr", "--window-size=1280,3000"]
     done = subprocess.run(
@@ -110,5 +125,5 @@ def test_a_browser_shows_the_report_without_an_error(drawn: Path, tmp_path: Path
     )  # fmt: skip
     said = [line for line in done.stderr.splitlines() if "CONSOLE" in line]
     assert len(said) == 1, said
-    assert "rows 5 true" in said[0]
+    assert "rows 5 true, wide tables 0" in said[0]
     assert shot.stat().st_size > 20_000
