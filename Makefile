@@ -63,8 +63,11 @@ docs: $(VENV)/.docs  ## the pages of docs/ as a site: site/index.html
 	  site --include='*.html' --include='*.css' || { echo "docs: these pages load something from elsewhere" >&2; exit 1; }
 	@echo "docs: site/index.html"
 
-$(VENV)/.docs: $(VENV)/.ready
-	$(VENV)/bin/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[docs]'
+# what the pages need alone: mkdocstrings reads the sources here, so the environment keeps the metapp that it has
+$(VENV)/.docs: setup.cfg constraints.txt
+	[ -x $(VENV)/bin/python ] || "$(PYTHON)" -m venv $(VENV)
+	$(VENV)/bin/python -m pip install --quiet --disable-pip-version-check -c constraints.txt $$($(VENV)/bin/python -c \
+	  'import configparser as c; s = c.ConfigParser(); s.read("setup.cfg"); print(*s["options.extras_require"]["docs"].split())')
 	@touch $@
 
 bench: setup  ## speed and memory of learning, as ratios measured side by side

@@ -6,6 +6,7 @@ import ast
 import configparser
 import importlib
 import re
+import runpy
 import shlex
 from collections.abc import Iterator
 from pathlib import Path
@@ -18,6 +19,7 @@ from metapp.learning.rules import RULES
 
 ROOT = Path(__file__).parent.parent
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
+PICTURE = re.compile(r"^!\[[^]]*\]\(\S+\)\n(?:\n(\*[^*].*?\*)\n\n)?", re.DOTALL | re.MULTILINE)  # and its caption
 LINK = re.compile(r"\]\(([^)\s]+)\)")
 CODE = re.compile(r"`([^`]+)`")
 COMMAND = typer.main.get_command(cli)  # it takes 40 ms to make
@@ -29,9 +31,9 @@ STANDS_FOR = re.compile(r"<[a-z]+>|\.\.\.|\b(?:NAME|APP|DIR)\b")  # what a reade
 
 def code_of(page: Path) -> list[str]:
     """Lines of code blocks and inline code, without comments."""
-    text = page.read_text(encoding="utf-8")
-    blocks = re.findall(r"^```\w*\n(.*?)^```", text, re.DOTALL | re.MULTILINE)
-    prose = re.sub(r"^```.*?^```", "", text, flags=re.DOTALL | re.MULTILINE)
+    text = page.read_text(encoding="utf-8").replace("\\\n", " ")
+    blocks = re.findall(r"^ *```\w*\n(.*?)^ *```", text, re.DOTALL | re.MULTILINE)
+    prose = re.sub(r"^ *```.*?^ *```", "", text, flags=re.DOTALL | re.MULTILINE)
     inline = [" ".join(code.split()) for code in CODE.findall(prose)]
     lines = [line for block in blocks for line in block.splitlines()] + inline
     return [re.sub(r"\s+#.*", "", line).strip() for line in lines]
@@ -123,9 +125,44 @@ def test_python_in_pages_imports_what_exists() -> None:
                         assert hasattr(module, alias.name), (page, node.module, alias.name)
 
 
+def test_every_guide_has_a_picture() -> None:
+    for page in (ROOT / "docs" / "guides").glob("*.md"):
+        assert PICTURE.search(page.read_text(encoding="utf-8")), page
+
+
+def test_pictures_of_guides_and_results_have_captions() -> None:
+    for page in PAGES:
+        if page.parent.name in ("guides", "results") or page.stem.startswith("formats"):
+            for below in PICTURE.findall(page.read_text(encoding="utf-8")):
+                assert below, page
+
+
+def test_captions_become_captions_of_figures() -> None:
+    on_page_content = runpy.run_path(str(ROOT / "tools" / "site_figures.py"))["on_page_content"]
+    picture, text = '<img alt="a" src="a.jpg" />', "<p>c <em>d</em></p>"
+    linked = f'<a href="a.jpg">{picture}</a>'
+    html = on_page_content(f"<p>{picture}</p>\n<p><em>By <code>b</code>.</em></p>\n{text}")
+    assert html == f"<figure>{linked}<figcaption>By <code>b</code>.</figcaption></figure>\n{text}"
+    assert on_page_content(f"<p>{picture}</p>\n{text}") == f"<figure>{linked}</figure>\n{text}"
+
+
+def test_every_picture_is_shown() -> None:
+    text = "".join(page.read_text(encoding="utf-8") for page in PAGES)
+    for picture in (ROOT / "docs").rglob("*.*"):
+        if picture.suffix in (".jpg", ".png"):
+            assert f"{picture.name})" in text, picture
+
+
 def test_every_page_is_in_the_navigation() -> None:
     listed = set(re.findall(r": ([\w/-]+\.md)$", (ROOT / "mkdocs.yml").read_text(encoding="utf-8"), re.MULTILINE))
     assert listed == {str(page.relative_to(ROOT / "docs")) for page in PAGES if page.is_relative_to(ROOT / "docs")}
+
+
+def test_what_searches_without_a_server_is_kept_with_its_licence() -> None:
+    (shim,) = re.findall(r"polyfills: \[(\S+)\]", (ROOT / "mkdocs.yml").read_text(encoding="utf-8"))
+    file = ROOT / "docs" / shim
+    assert "IFrameWorker" in file.read_text(encoding="utf-8")
+    assert "granted" in (file.parent / "iframe-worker-LICENSE.txt").read_text(encoding="utf-8")
 
 
 def test_reference_pages_name_packages_that_exist() -> None:

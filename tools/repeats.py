@@ -12,8 +12,7 @@ import torch
 from torch import Tensor
 
 from data_tools.readers.photos import read_task
-from metapp.appearance.quilting import origins, repeats
-from metapp.baselines.texture import block_of
+from metapp.appearance.quilting import block_of, origins, repeats
 from metapp.networks.layout import blocks_of, shrunk
 
 SIDE, LAYOUT, LARGER = 256, 128, 4

@@ -1,0 +1,107 @@
+"""Make the cards of docs/what-can-i-make.md, 720 x 360 px, of what commands have written: cards.py FOLDER OUT.
+
+FOLDER holds exemplars of the embedded data sets as pictures (`metapp data synth APP` draws these), ball0.jpg to
+ball2.jpg (`metapp.appearance.photograph.mirror` of a map of `metapp data synth illumination --size 256`, on grey, each
+a third as bright as the one before), and the runs of
+
+    metapp meta texture gravel.png
+    metapp meta svbrdf_stationary rust.png leather.png --export blender
+    metapp meta svbrdf_nonstationary sign.png --observe photo
+    metapp meta transport --data boxes --render 256       (metapp data cornell --count 2 --split test --out boxes)
+    metapp baseline texture bricks.png --method quilting
+    metapp data ball ball0.jpg ball1.jpg ball2.jpg --exposures 1/20,1/60,1/180 --out garden
+    metapp meta brdf; metapp evaluate brdf --recipe quick; metapp compare RUN RUN --out compare.png     (Meta, QuickFT)
+
+The others are cut from pictures of docs/.
+"""
+
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+import OpenImageIO as oiio
+import torch
+from PIL import Image
+
+from metapp.appearance.colour import linear_to_srgb
+
+Part = tuple[str, tuple[int, int, int, int] | None]  # a file, which may be a pattern, and its box, px
+DOCS = Path(__file__).parent.parent / "docs"
+HEIGHT, WIDTH, GAP = 360, 720, 4  # px
+QUARTER = (0, 0, 512, 512)
+STATIONARY = "runs/svbrdf_stationary/meta/*{}*/outputs/*/{}.png"
+PHOTO = "runs/svbrdf_nonstationary/meta/*sign*/outputs/*/{}.png"
+BOX = "runs/transport/meta/*/outputs/cornell-0-000/{}.png"
+
+
+def maps(pattern: str, names: Sequence[str], box: tuple[int, int, int, int] | None) -> list[list[Part]]:
+    """Four maps, two above two."""
+    parts = [(pattern.format(name), box) for name in names]
+    return [parts[:2], parts[2:]]
+
+
+# columns of a card, each a list of rows of parts
+CARDS: dict[str, list[list[list[Part]]]] = {
+    "brdf": [[[("demo.png", (372, 30, 992, 340))]]],
+    "texture": [[[("gravel.png", None)]], [[("runs/texture/meta/*gravel*/outputs/*/texture.png", QUARTER)]]],
+    "svbrdf-stationary": [
+        [[("rust.png", None)]],
+        maps(STATIONARY.format("rust", "{}"), ("diffuse", "roughness", "normal", "lit_from_left"), QUARTER),
+    ],
+    "svbrdf-nonstationary": [
+        [[("sign.png", None)]],
+        maps(PHOTO, ("diffuse", "roughness", "normal", "lit_from_left"), None),
+    ],
+    "illumination": [
+        [[("ball-to-hdr.jpg", (0, 0, 192, 192))]],
+        [[("ball-to-hdr.jpg", (208, 0, 592, 192))], [("ball-to-hdr.jpg", (608, 24, 896, 168))]],
+    ],
+    "transport": [[[(BOX.format("guided_path"), None)]], [[(BOX.format("regular_nee"), None)]]],
+    "maps": [
+        [[(STATIONARY.format("leather", "lit_from_left"), QUARTER)]],
+        maps(STATIONARY.format("leather", "{}"), ("diffuse", "roughness", "normal", "specular"), QUARTER),
+    ],
+    "ball": [
+        [[("garden/found/ball0.png", (90, 0, 630, 540))]],
+        [[("garden/garden.exr*3", None)], [("garden/garden.exr*0.3", None)]],
+    ],
+    "compare": [[[("compare.png", (0, 30, 991, 525))]]],
+    "pack": [[[("packed.jpg", (0, 8, 991, 503))]]],
+    "report": [[[("report.jpg", (14, 0, 714, 350))]]],
+    "baseline": [[[("bricks.png", None)]], [[("runs/texture/baseline/*bricks*/outputs/*/texture.png", None)]]],
+    "guided": [[[("guiding-scenes.jpg", (0, 14, 258, 272))]], [[("guiding-scenes.jpg", (261, 14, 519, 272))]]],
+}
+
+
+def opened(folder: Path, name: str) -> Image.Image:
+    """A picture of the folder or else of docs/; linear ones by sRGB's curve, times the number after a `*`."""
+    path, linear, factor = name.partition(".exr*")
+    if not linear:
+        return Image.open(next(folder.glob(name), DOCS / name)).convert("RGB")
+    pixels = oiio.ImageBuf(str(folder / f"{path}.exr")).get_pixels(oiio.FLOAT)[..., :3]
+    shown = linear_to_srgb((torch.from_numpy(pixels) * float(factor)).clamp(0, 1))
+    return Image.fromarray((shown * 255).round().to(torch.uint8).numpy())
+
+
+def card(folder: Path, columns: list[list[list[Part]]]) -> Image.Image:
+    """Columns of equal width, of rows of equal height, of parts of equal width."""
+    result = Image.new("RGB", (WIDTH, HEIGHT), "white")
+    for i, column in enumerate(columns):
+        for j, row in enumerate(column):
+            for k, (name, box) in enumerate(row):
+                width, height = WIDTH // len(columns) // len(row), HEIGHT // len(column)
+                part = opened(folder, name).crop(box) if box else opened(folder, name)
+                place = (i * WIDTH // len(columns) + k * width, j * height)
+                result.paste(part.resize((width - GAP, height - GAP), Image.Resampling.LANCZOS), place)
+    return result.crop((0, 0, WIDTH - GAP, HEIGHT - GAP))
+
+
+def main(folder: Path, out: Path) -> None:
+    """Write all cards."""
+    out.mkdir(parents=True, exist_ok=True)
+    for name, columns in CARDS.items():
+        card(folder, columns).save(out / f"{name}.jpg", quality=88)
+
+
+if __name__ == "__main__":
+    main(*map(Path, sys.argv[1:]))
