@@ -21,7 +21,7 @@ from metapp.storage.files import write_atomically
 from metapp.storage.images import in_8_bits, png_address, png_bytes
 
 KINDS = ("brdf", "surface", "light", "pictures")  # the viewers; each has a script of its name
-SCRIPTS = ("core", "stage", *KINDS, "main")  # in the order in which they stand in the page
+SCRIPTS = ("core", "shading", "shapes", "overlay", "stage", *KINDS, "main")  # in this order
 TYPES = {torch.float16: "float16", torch.float32: "float32", torch.uint8: "uint8"}
 
 

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import base64
+import io
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import torch
+from PIL import Image
 
 from metapp.appearance.view import View
 from metapp.viewer.live import Live
@@ -37,6 +41,12 @@ def page(browser: Any, tmp_path: Path) -> Page:
     return opened
 
 
+def decoded(address: str) -> np.ndarray:
+    """The pixels of a picture's address, [H, W, 3], of 255."""
+    content = base64.b64decode(address.partition("base64,")[2])
+    return np.asarray(Image.open(io.BytesIO(content)).convert("RGB"), np.float64)
+
+
 def kinds(page: Page) -> tuple[str, int]:
     """The kind of the view that is open, and how many views the page holds."""
     shown = "[metapp.viewer?.kind ?? '', document.querySelectorAll('#stage > .view').length]"
@@ -64,6 +74,41 @@ def test_a_wipe_follows_its_handle(page: Page) -> None:
         page.page.mouse.up()
         assert page.page.evaluate("metapp.settings.wipe") == pytest.approx(0.25, abs=0.02)
         assert not page.page.evaluate("metapp.viewer.moves")
+    assert not page.problems
+
+
+@pytest.mark.parametrize("index", [PICTURES, LIGHT])
+def test_a_saved_picture_has_the_labels_and_lines_of_the_screen(page: Page, index: int) -> None:
+    page.page.evaluate(f"metapp.open({index})")
+    page.sized(300, 160)
+    page.set(**({"view": "flat"} if index == LIGHT else {}), show="wipe", wipe=0.5)
+    page.settle()
+    label = page.page.locator(".view .label:visible").first
+    assert label.inner_text() in ("reference | fit", "Reference | fit")
+    seen = np.asarray(Image.open(io.BytesIO(page.page.locator("#stage").screenshot())).convert("RGB"), np.float64)
+    plain, saved = (decoded(page.page.evaluate(f"metapp.{name}()")) for name in ("png", "labelled"))
+    box = label.bounding_box()
+    assert box
+    x, y, width, height = (round(box[key]) for key in ("x", "y", "width", "height"))
+    within = np.s_[y : y + height, x : x + width]
+    assert np.abs(saved[within] - plain[within]).mean() > 30
+    assert np.abs(saved[within] - seen[within]).mean() < 12  # letters are smoothed otherwise
+    assert np.abs(saved - seen).mean() < 2
+
+
+def test_two_fingers_zoom_a_panorama(page: Page) -> None:
+    page.page.evaluate(f"metapp.open({LIGHT})")
+    page.settle()
+    fingers = """(places) => places.forEach(([type, pointerId, clientX]) => {
+        const canvas = document.querySelector("#stage canvas");
+        canvas.setPointerCapture = () => {};
+        canvas.dispatchEvent(new PointerEvent(type, { pointerId, clientX, clientY: 30, buttons: 1 }));
+    })"""
+    down = [["pointerdown", 1, 10], ["pointerdown", 2, 30]]
+    page.page.evaluate(fingers, [*down, ["pointermove", 2, 50], ["pointerup", 2, 50], ["pointerup", 1, 10]])
+    assert page.page.evaluate("[metapp.settings.field, metapp.settings.heading]") == [37.5, 0]
+    page.page.evaluate(fingers, [["pointermove", 2, 20]])
+    assert page.page.evaluate("[metapp.settings.field, metapp.settings.heading]") == [37.5, 0]
     assert not page.problems
 
 

@@ -194,22 +194,27 @@ class LightViewer extends ShapeViewer {
     this.orbit.enabled = this.settings.view === "free";
   }
 
-  // Drag to turn, wheel to zoom.
+  // Drag to turn, wheel or two fingers to zoom.
   _look() {
-    const canvas = this.renderer.domElement;
-    let last = null;
-    canvas.addEventListener("pointerdown", (event) => { last = [event.clientX, event.clientY]; canvas.setPointerCapture(event.pointerId); });
+    const canvas = this.renderer.domElement, pointers = new Map();
+    const zoom = (times) => this.set("field", clamp(this.settings.field * times, 10, 140));
+    canvas.addEventListener("pointerdown", (event) => { pointers.set(event.pointerId, event); canvas.setPointerCapture(event.pointerId); });
+    for (const name of ["pointerup", "pointercancel"]) canvas.addEventListener(name, (event) => pointers.delete(event.pointerId));
     canvas.addEventListener("pointermove", (event) => {
-      if (this.settings.view !== "around" || !event.buttons || !last) return;
-      const degrees = this.settings.field / this.element.clientHeight, x = (event.clientX - last[0]) * degrees, y = (event.clientY - last[1]) * degrees;
-      last = [event.clientX, event.clientY];
-      this.set("heading", (this.settings.heading - x + 540) % 360 - 180);
-      this.set("pitch", clamp(this.settings.pitch + y, -90, 90));
+      const before = pointers.get(event.pointerId);
+      if (this.settings.view !== "around" || !before) return;
+      const other = [...pointers.values()].find((each) => each.pointerId !== event.pointerId);
+      const apart = (place) => Math.max(Math.hypot(place.clientX - other.clientX, place.clientY - other.clientY), 1);
+      pointers.set(event.pointerId, event);
+      if (other) return zoom(apart(before) / apart(event));
+      const degrees = this.settings.field / this.element.clientHeight;
+      this.set("heading", (this.settings.heading - (event.clientX - before.clientX) * degrees + 540) % 360 - 180);
+      this.set("pitch", clamp(this.settings.pitch + (event.clientY - before.clientY) * degrees, -90, 90));
     });
     canvas.addEventListener("wheel", (event) => {
       if (this.settings.view !== "around") return;
       event.preventDefault();
-      this.set("field", clamp(this.settings.field * 1.001 ** event.deltaY, 10, 140));
+      zoom(1.001 ** event.deltaY);
     }, { passive: false });
   }
 

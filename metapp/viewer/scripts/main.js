@@ -108,8 +108,46 @@ async function png() {
   return viewer.png().toDataURL("image/png");
 }
 
+// The same with the labels, plots and lines that lie over it.
+async function labelled() {
+  viewer.draw();
+  const seen = viewer.png(), box = seen.getBoundingClientRect(), ratio = seen.width / box.width;
+  const canvas = make("canvas", { width: seen.width, height: seen.height }), g = canvas.getContext("2d");
+  g.drawImage(seen, 0, 0);
+  g.scale(ratio, ratio);
+  for (const each of viewer.element.querySelectorAll(".wipe, .plot, .label")) {
+    const { left, top, width, height } = each.getBoundingClientRect(), [x, y] = [left - box.left, top - box.top];
+    if (each.hidden) continue;
+    if (each.matches(".plot")) { drawBox(g, x, y, width, height, "#101114e8"); g.drawImage(each, x, y, width, height); }
+    else if (each.matches(".wipe")) { g.fillStyle = "#fff"; g.fillRect(x + 6, y, 1, height); }
+    else { drawBox(g, x, y, width, height, "#000a"); drawText(g, each, x, y); }
+  }
+  return canvas.toDataURL("image/png");
+}
+
+function drawBox(g, x, y, width, height, colour) {
+  g.fillStyle = colour;
+  g.beginPath();
+  g.roundRect(x, y, width, height, 4);
+  g.fill();
+}
+
+// The text of an element, with the browser's own line breaks.
+function drawText(g, element, x, y) {
+  const range = document.createRange(), text = element.firstChild, box = element.getBoundingClientRect(), lines = [];
+  for (let i = 0; i < text.length; i++) {
+    range.setStart(text, i); range.setEnd(text, i + 1);
+    const { left, top } = range.getBoundingClientRect(), last = lines.at(-1);
+    if (last && Math.abs(last.top - top) < 2) last.text += text.data[i];
+    else lines.push({ left, top, text: text.data[i] });
+  }
+  const { font, color } = getComputedStyle(element);
+  Object.assign(g, { font, fillStyle: color, textBaseline: "alphabetic", textAlign: "left" });
+  for (const line of lines) g.fillText(line.text, x + line.left - box.left, Math.round(y + line.top - box.top + g.measureText(line.text).fontBoundingBoxAscent));
+}
+
 document.getElementById("save").addEventListener("click", async () => {
-  if (viewer) make("a", { href: await png(), download: `${document.querySelector("h1").textContent.replace(/[^\w.-]+/g, "_")}.png` }).click();
+  if (viewer) make("a", { href: await labelled(), download: `${document.querySelector("h1").textContent.replace(/[^\w.-]+/g, "_")}.png` }).click();
 });
 addEventListener("resize", resize);
 list();
@@ -118,6 +156,7 @@ window.metapp = {
   open: openGroup,
   set: (name, value) => controls.set(name, value),
   png,
+  labelled,
   get viewer() { return viewer; },
   get settings() { return controls.settings; },
   get drawn() { return drawn; },

@@ -122,6 +122,7 @@ class SurfaceViewer extends ShapeViewer {
   }
 
   photo(fit) { return this.settings.view === "picture" && this.photos.get(fit.pictures[this.lit(fit).name]); }
+  named(fit) { return this.photo(fit) ? "Photo" : super.named(fit); }
   referenced(fit) {
     const { map = "lit" } = this.settings;
     return map === "height" ? false : "reference_diffuse" in fit.pictures || (map === "lit" && Boolean(this.photo(fit)));

@@ -1,0 +1,202 @@
+// GLSL of shapes and light maps: what is seen at each pixel, its light, the sum of frames, what of it is shown.
+
+const LAMP_DISTANCE = 2.414;  // of a lamp under which a white matte surface that faces it has radiance 1
+const NODES = 24;             // angles of the viewer that lobes are known at
+
+const COMMON = `
+precision highp float; precision highp int; precision highp sampler2D; precision highp sampler3D;
+const float PI = 3.14159265358979;
+struct Lobes { vec2 first; vec2 second; vec3 shares; float turn; };  // GGX alphas of two lobes; shares of the cosine and of both
+
+uint seed; float draw, stride;  // of a pixel; which frame; by how much of 1 numbers go on from frame to frame
+// PCG of the pixel, and from frame to frame a Kronecker sequence, whose mean converges faster: powers of the root of g^6 + g^5 = 1.
+float random() {
+  seed = seed * 747796405u + 2891336453u;
+  uint word = ((seed >> ((seed >> 28u) + 4u)) ^ seed) * 277803737u;
+  stride *= 0.88127;
+  return fract(float((word >> 22u) ^ word) * (1.0 / 4294967296.0) + draw * stride);
+}
+vec3 turned(vec3 v, float angle) { float c = cos(angle), s = sin(angle); return vec3(c * v.x - s * v.y, s * v.x + c * v.y, v.z); }
+// Visible normals of GGX (Dupuy and Benyoub 2023), and the density of the direction that they mirror the viewer to.
+vec3 visible_normal(vec3 v, vec2 alpha, vec2 u) {
+  vec3 stretched = normalize(v * vec3(alpha, 1.0));
+  float z = (1.0 - u.x) * (1.0 + stretched.z) - stretched.z, radius = sqrt(max(1.0 - z * z, 0.0)), phi = 2.0 * PI * u.y;
+  vec3 h = vec3(radius * cos(phi), radius * sin(phi), z) + stretched;
+  return normalize(vec3(h.xy * alpha, max(h.z, 1e-6)));
+}
+float mirrored_density(vec3 v, vec3 l, vec2 alpha) {
+  vec3 h = normalize(v + l);
+  vec3 scaled = vec3(h.xy / alpha, h.z);
+  float square = dot(scaled, scaled), d = 1.0 / (PI * alpha.x * alpha.y * square * square);
+  return d / (2.0 * (v.z + length(vec3(alpha * v.xy, v.z))));
+}
+float lobes_density(Lobes m, vec3 v, vec3 l) {
+  if (l.z <= 0.0) return 0.0;
+  vec3 v_axes = turned(v, -m.turn), l_axes = turned(l, -m.turn);
+  return m.shares.x * l.z / PI + m.shares.y * mirrored_density(v_axes, l_axes, m.first) + m.shares.z * mirrored_density(v_axes, l_axes, m.second);
+}
+vec3 lobes_sample(Lobes m, vec3 v) {
+  float choice = random();
+  vec2 u = vec2(random(), random());
+  if (choice < m.shares.x) {
+    float radius = sqrt(u.x), phi = 2.0 * PI * u.y;
+    return vec3(radius * cos(phi), radius * sin(phi), sqrt(1.0 - u.x));
+  }
+  vec3 viewer = turned(v, -m.turn);
+  return turned(reflect(-viewer, visible_normal(viewer, choice < m.shares.x + m.shares.y ? m.first : m.second, u)), m.turn);
+}`;
+
+const VERTEX = `
+precision highp float; precision highp sampler2D;
+// What is seen at each pixel, which is shaded after: shading triangles would pay for all that lies behind others, and for the
+// quads at their edges.
+in vec3 position; in vec3 normal; in vec3 tangent; in vec2 uv;
+uniform mat4 toClip; uniform vec2 jitter;
+out vec3 P; out vec3 N; out vec3 T; out vec2 U;
+DISPLACEMENT
+void main() {
+  P = position + normal * displacement(uv); N = normal; T = tangent; U = uv;
+  gl_Position = toClip * vec4(P, 1.0);
+  gl_Position.xy += jitter * gl_Position.w;
+}`;
+
+const SEEN = `
+precision highp float;
+in vec3 P; in vec3 N; in vec3 T; in vec2 U;
+layout(location = 0) out vec4 place; layout(location = 1) out vec4 normalOut; layout(location = 2) out vec4 tangentOut;
+void main() { place = vec4(P, 1.0); normalOut = vec4(N, U.x); tangentOut = vec4(T, U.y); }`;
+
+const FRAGMENT = `
+uniform sampler2D seen0, seen1, seen2;
+vec3 P, N, T; vec2 U;
+layout(location = 0) out vec4 fitOut; layout(location = 1) out vec4 referenceOut;
+uniform vec3 eye; uniform vec3 towardsEye; uniform bool parallel;
+uniform int light, frame, chunks; uniform vec3 lamp; uniform float flashPower;
+uniform sampler2D map, referenceMap, places, studio; uniform vec2 mapSize; uniform float mapTotal, mapScale, mapTurn;
+
+#ifndef BENT
+mat3 bent() { return mat3(1.0); }
+#endif
+#ifndef UNLIT
+void unlit(inout vec3 fit, inout vec3 reference) {}
+#endif
+// Light maps as metapp.appearance.latlong has them: u = atan2(x, -z) / 2 pi, v = acos(y) / pi.
+vec2 place_of(vec3 d) { return vec2(fract(atan(d.x, -d.z) / (2.0 * PI) - mapTurn), acos(clamp(d.y, -1.0, 1.0)) / PI); }
+float map_density(vec2 at) { return textureLod(map, at, 0.0).a / (mapTotal * max(sin(PI * at.y), 1e-4)); }  // of samples: luminance
+float tent(float u) { float t = 2.0 * u - 1.0; return sign(t) * (1.0 - sqrt(1.0 - abs(t))); }
+vec3 map_sample() {  // around a texel as radiance is interpolated, so that one bright texel among dark ones is no noise
+  int count = textureSize(places, 0).x;
+  vec2 texel = texelFetch(places, ivec2(min(int(random() * float(count)), count - 1), 0), 0).xy;
+  float phi = 2.0 * PI * ((texel.x + 0.5 + tent(random())) / mapSize.x + mapTurn), theta = PI * (texel.y + 0.5 + tent(random())) / mapSize.y;
+  float radius = abs(sin(theta));  // beyond a pole it is mirrored there
+  return vec3(radius * sin(phi), cos(theta), -radius * cos(phi));
+}
+// Light from one direction in the frame of the shape, and what a response to it counts.
+vec3 by_lamp(mat3 frameOf, out vec3 weight) {
+  vec3 towards = lamp - P;
+  weight = vec3(flashPower / dot(towards, towards));
+  return normalize(towards) * frameOf;
+}
+vec3 by_map(vec3 wo, mat3 frameOf, out vec3 weight, out vec3 other) {  // one sample of either strategy, balance heuristic
+  mat3 axes = bent();
+  vec3 viewer = wo * axes;
+  viewer = normalize(vec3(viewer.xy, max(viewer.z, 1e-3)));
+  Lobes mixture = lobes(viewer);
+  bool perfect = mixture.shares == vec3(0.0);
+  vec3 wi = perfect ? vec3(-wo.xy, wo.z) : random() < 0.5 ? map_sample() * frameOf : axes * lobes_sample(mixture, viewer);
+  vec2 at = place_of(frameOf * wi);
+  float scale = mapScale / (perfect ? 1.0 : 0.5 * map_density(at) + 0.5 * lobes_density(mixture, viewer, wi * axes));
+  weight = textureLod(map, at, 0.0).rgb * scale;
+  other = textureLod(referenceMap, at, 0.0).rgb * scale;
+  return wi;
+}
+// The lights of metapp's pictures of BRDFs, some in each frame: row 0 holds directions, row 1 irradiance; of the rings about
+// each normal row 0 holds half vectors in the frame of the shape, row 1 a solid angle and in its fourth number 1.
+vec3 by_studio(int i, vec3 wo, mat3 frameOf, out vec3 weight) {
+  vec4 where = texelFetch(studio, ivec2(i, 0), 0), power = texelFetch(studio, ivec2(i, 1), 0);
+  weight = power.rgb * float(chunks);
+  if (power.a < 0.5) return where.xyz * frameOf;
+  float cosine = max(dot(wo, where.xyz), 0.0);
+  vec3 wi = 2.0 * cosine * where.xyz - wo;
+  weight *= 4.0 * cosine * (0.06 + 0.05 * (frameOf * wi).y);
+  return wi;
+}
+void main() {
+  ivec2 pixel = ivec2(gl_FragCoord.xy);
+  vec4 place = texelFetch(seen0, pixel, 0), first_two = texelFetch(seen1, pixel, 0), last_two = texelFetch(seen2, pixel, 0);
+  fitOut = referenceOut = vec4(0.0);
+  if (place.w == 0.0) return;
+  P = place.xyz; N = first_two.xyz; T = last_two.xyz; U = vec2(first_two.w, last_two.w);
+  seed = uint(gl_FragCoord.x) * 1973u + uint(gl_FragCoord.y) * 9277u + 1u;
+  random(); random();
+  draw = float(frame); stride = 1.0;
+  vec3 towards = parallel ? towardsEye : normalize(eye - P);
+  vec3 n = normalize(N);
+  if (dot(n, towards) < 0.0) n = -n;
+  vec3 t = normalize(T - n * dot(n, T));
+  mat3 frameOf = mat3(t, cross(n, t), n);
+  vec3 wo = towards * frameOf;
+  wo = normalize(vec3(wo.xy, max(wo.z, 1e-3)));
+  vec3 fit = vec3(0.0), reference = vec3(0.0), a, b, weight, other;
+  at_point(U);
+  int first = 0, last = 1;
+  if (light == 2) {
+    int count = textureSize(studio, 0).x, each = (count + chunks - 1) / chunks;
+    first = (frame % chunks) * each; last = min(first + each, count);
+  }
+  for (int i = first; i < last; i++) {  // one call of response, which may be long
+    vec3 wi = light == 0 ? by_lamp(frameOf, weight) : light == 1 ? by_map(wo, frameOf, weight, other) : by_studio(i, wo, frameOf, weight);
+    if (light != 1) other = weight;
+    if (wi.z <= 1e-4) continue;
+    response(wi, wo, a, b);
+    fit += a * weight; reference += b * other;
+  }
+  unlit(fit, reference);
+  if (any(isnan(fit)) || any(isinf(fit))) fit = vec3(0.0);
+  if (any(isnan(reference)) || any(isinf(reference))) reference = vec3(0.0);
+  fitOut = vec4(fit, 1.0); referenceOut = vec4(reference, 1.0);
+}`;
+
+const WHOLE = `precision highp float; in vec3 position; void main() { gl_Position = vec4(position.xy, 0.0, 1.0); }`;
+const ADD = `
+precision highp float; precision highp sampler2D;
+uniform sampler2D a0, a1, b0, b1; uniform float keep;
+layout(location = 0) out vec4 first; layout(location = 1) out vec4 second;
+void main() {
+  ivec2 at = ivec2(gl_FragCoord.xy);
+  first = keep * texelFetch(a0, at, 0) + texelFetch(b0, at, 0);
+  second = keep * texelFetch(a1, at, 0) + texelFetch(b1, at, 0);
+}`;
+// What puts fit and reference on the screen, in a column of it: [left, bottom, width, height], px.
+const SHOWING = `
+precision highp float; precision highp int; precision highp sampler2D;
+uniform float exposure, gain, wipe, mapScale; uniform int curve, show; uniform vec4 column; uniform vec3 paper;
+uniform sampler2D map, referenceMap;
+out vec4 result;
+vec3 srgb(vec3 x) { return mix(12.92 * x, 1.055 * pow(max(x, 0.0031308), vec3(1.0 / 2.4)) - 0.055, step(0.0031308, x)); }
+vec3 encoded(vec3 x) {  // the curves of metapp's PNGs
+  x = max(x * exposure, 0.0);
+  if (curve == 1) return pow(clamp(x, 1e-6, 1.0), vec3(1.0 / 2.2));
+  return srgb(curve == 2 ? x / (1.0 + x) : min(x, 1.0));
+}
+bool is_reference() { return show == 1 || (show == 2 && gl_FragCoord.x - column.x < wipe * column.z); }`;
+const DISPLAY = `${SHOWING}
+uniform sampler2D fit, reference; uniform float samples, scale, mapTurn;
+uniform bool mapBehind, parallel; uniform mat4 fromClip; uniform vec3 eye;
+vec4 shown(sampler2D sum) {
+  vec4 v = texelFetch(sum, ivec2(gl_FragCoord.xy * scale), 0);
+  return v.a > 0.0 ? vec4(encoded(v.rgb / v.a), v.a / samples) : vec4(0.0);
+}
+vec3 behind() {
+  if (!mapBehind || parallel) return paper;
+  vec4 far = fromClip * vec4((gl_FragCoord.xy - column.xy) / column.zw * 2.0 - 1.0, 1.0, 1.0);
+  vec3 d = normalize(far.xyz / far.w - eye);
+  vec2 at = vec2(fract(atan(d.x, -d.z) / 6.28318530718 - mapTurn), acos(clamp(d.y, -1.0, 1.0)) / 3.14159265359);
+  return encoded((is_reference() ? textureLod(referenceMap, at, 0.0) : textureLod(map, at, 0.0)).rgb * mapScale);
+}
+void main() {
+  vec4 a = shown(fit), b = shown(reference);
+  if (show == 3) { result = vec4(mix(paper, abs(a.rgb - b.rgb) * gain, a.a), 1.0); return; }
+  vec4 chosen = is_reference() ? b : a;
+  result = vec4(mix(behind(), chosen.rgb, chosen.a), 1.0);
+}`;
