@@ -258,3 +258,29 @@ def white_light(maps: Maps) -> Tensor:
     wo = torch.tensor([0.0, 0.0, 1.0])[:, None, None]
     cosine = (wi * texel.normal).sum(0).clamp_min(0)
     return (brdf(texel, wi, wo.expand_as(wi)) * cosine).sum((1, 2)) * (math.tau / (rows * columns))
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("tiles", [True, False])
+def test_what_stands_out_casts_a_shadow(tiles: bool, browser: Any, tmp_path: Path) -> None:
+    """A ridge of height 0.1 under a lamp at 45 degrees on its left: the shadow is as long as the ridge is high."""
+    one, height = torch.ones(1, 256, 256), torch.zeros(1, 256, 256)
+    height[..., 118:138] = 0.1 * 256  # texels
+    flat = torch.tensor([0.0, 0.0, 1.0])[:, None, None] * one
+    maps = Maps(0.5 * one.expand(3, -1, -1), 0.02 * one, 0.9 * one, flat)
+    page = open_page(browser, tmp_path, surface_view(Surface(maps.diffuse, tiles, maps, height), []))
+    page.sized(268, 268)  # where the plane is 200 px wide
+    far = "{ light: 'lamp', lamp: new THREE.Vector3(-1e3, 0, 1e3), power: Math.PI * 2e6 }"
+    page.page.evaluate(f"metapp.viewer.lighting = () => ({far})")
+    rows = {}
+    for relief in (0, 1):
+        page.set(relief=relief)
+        page.settle()
+        rows[relief] = page.screenshot()[134, 36:232].mean(-1)  # the plane, but for its rim
+    share = rows[1] / rows[0]
+    ridge, length = 200 * 138 / 256 - 2, 200 * 0.1
+    beyond = slice(round(ridge + 0.2 * length), round(ridge + 0.8 * length))
+    assert share[beyond].max() < 0.1
+    assert share[round(ridge + 1.3 * length) :].min() > 0.97
+    assert share[: round(200 * 100 / 256)].min() > 0.97
+    assert not page.problems

@@ -9,12 +9,22 @@ const SHOWN_MAPS = { lit: "Material", diffuse: "Diffuse", specular: "Specular", 
 // Of a shape: copies of the maps around it for one along it, the width of one, and vertices across.
 const UNROLLED = { plane: [1, 2, 256], cylinder: [2, 2.2, 256], sphere: [2, Math.PI, 192], cloth: [1, 2.4, 256] };
 
+const MARCH = 16;  // places between a point and its light at which heights are compared
+
+// What vertices and pixels know of heights, 0 to 1: places count copies from the upper left, which are mirrored unless the maps tile.
+const HEIGHTS = `
+uniform sampler2D height; uniform vec2 repeats, heights; uniform bool tiles;
+vec2 odd(vec2 place) { return tiles ? vec2(0.0) : mod(floor(place), 2.0); }
+vec2 folded(vec2 place) { return mix(fract(place), 1.0 - fract(place), odd(place)); }
+float height_at(vec2 place, float level) { return textureLod(height, folded(place), level).r; }`;
+
 const MATERIAL = `
 #define BENT
 #define UNLIT
+${HEIGHTS}
 struct Texel { vec3 diffuse; vec3 specular; vec3 n; float roughness; };
-uniform sampler2D fit_diffuse, fit_specular, fit_detail, reference_diffuse, reference_specular, reference_detail, height, photo;
-uniform vec2 repeats, heights; uniform bool tiles, pictured, hasReference, hasPhoto; uniform float across, falloff; uniform int shownMap;
+uniform sampler2D fit_diffuse, fit_specular, fit_detail, reference_diffuse, reference_specular, reference_detail, photo;
+uniform bool pictured, hasReference, hasPhoto; uniform float across, falloff, steepness; uniform int shownMap;
 Texel fitAt, referenceAt; vec2 at, turned_over, within;
 
 // Metapp's pictures have a pixel a texel, so there texels are squares, unless they are enlarged; elsewhere frames are jittered, which
@@ -34,9 +44,8 @@ Texel texel(sampler2D diffuse, sampler2D specular, sampler2D detail) {
 }
 void at_point(vec2 uv) {
   within = vec2(uv.x, 1.0 - uv.y);  // row 0 is the upper edge
-  vec2 whole = within * repeats, odd = tiles ? vec2(0.0) : mod(floor(whole), 2.0);
-  turned_over = 1.0 - 2.0 * odd;
-  at = mix(fract(whole), 1.0 - fract(whole), odd);
+  turned_over = 1.0 - 2.0 * odd(within * repeats);
+  at = folded(within * repeats);
   fitAt = texel(fit_diffuse, fit_specular, fit_detail);
   if (hasReference) referenceAt = texel(reference_diffuse, reference_specular, reference_detail);
   else referenceAt = fitAt;
@@ -52,7 +61,20 @@ vec3 reflected(Texel m, vec3 wi, vec3 wo) {  // metapp.appearance.flash.brdf tim
   vec3 fresnel = m.specular + (1.0 - m.specular) * pow(max(1.0 - 0.5 * length_, 0.0), 5.0);
   return (body + fresnel * alpha * alpha / (PI * spread * spread * masked)) * incident;
 }
+// Whether heights around hide the light: a march to where it is above all of them, at most a copy away. Lengths are in copies.
+bool shadowed(vec3 wi) {
+  vec2 place = within * repeats, along = vec2(wi.x, -wi.y) / wi.z;
+  float rise = steepness * (heights.y - heights.x), here = rise * height_at(place, 0.0), part = 1.0 / ${MARCH}.0;
+  float most = min(rise - here, 1.0 / max(length(along), 1e-6)), texels = part * most * length(along) * float(textureSize(height, 0).y);
+  for (float share = random() * part; share < 1.0; share += part) {
+    float above = share * most, there = rise * height_at(place + above * along, max(log2(texels) - 1.0, 0.0));
+    if (there > here + above + 0.02 * rise) return true;
+  }
+  return false;
+}
 void response(vec3 wi, vec3 wo, out vec3 fit, out vec3 reference) {
+  fit = reference = vec3(0.0);
+  if (steepness > 0.0 && shadowed(wi)) return;
   float flat_lamp = falloff > 0.0 ? pow(wi.z, falloff) : 1.0;  // whose axis points straight down
   fit = flat_lamp * reflected(fitAt, wi, wo);
   reference = hasReference ? flat_lamp * reflected(referenceAt, wi, wo) : fit;
@@ -77,11 +99,10 @@ void unlit(inout vec3 fit, inout vec3 reference) {
   else if (hasPhoto) reference = decoded(read(photo, within, 1.0).rgb);
 }`;
 
-const RELIEF = `
-uniform sampler2D height; uniform vec2 repeats, heights; uniform bool tiles, poles; uniform float relief, heightLod;
+const RELIEF = `${HEIGHTS}
+uniform bool poles; uniform float relief, heightLod;
 float displacement(vec2 uv) {
-  vec2 whole = vec2(uv.x, 1.0 - uv.y) * repeats, odd = tiles ? vec2(0.0) : mod(floor(whole), 2.0);
-  float share = textureLod(height, mix(fract(whole), 1.0 - fract(whole), odd), heightLod).r;
+  float share = height_at(vec2(uv.x, 1.0 - uv.y) * repeats, heightLod);
   float faded = poles ? smoothstep(0.0, 0.04, min(uv.y, 1.0 - uv.y)) : 1.0;  // to a point
   return relief * mix(heights.x, heights.y, share) * faded;
 }`;
@@ -106,7 +127,7 @@ class SurfaceViewer extends ShapeViewer {
     for (const [name, address] of Object.entries(fit.pictures)) {
       if (name.startsWith("photo_") && !this.photos.has(address)) this.photos.set(address, await pictureTexture(address, false));
     }
-    const changing = { photo: this.nothing, repeats: new THREE.Vector2(1, 1), pictured: false, hasPhoto: false, across: 1, falloff: 0, shownMap: 0, relief: 0, heightLod: 0, poles: false };
+    const changing = { photo: this.nothing, repeats: new THREE.Vector2(1, 1), pictured: false, hasPhoto: false, across: 1, falloff: 0, shownMap: 0, relief: 0, steepness: 0, heightLod: 0, poles: false };
     return { glsl: MATERIAL, displacement: RELIEF, uniforms: { ...uniforms, ...changing } };
   }
 
@@ -139,6 +160,7 @@ class SurfaceViewer extends ShapeViewer {
     u.across.value = pictured ? Math.min(pixels / this.fits.length, rows) : rows / high;
     u.heightLod.value = Math.max(Math.log2(around * count * fit.facts.shown[1] / vertices), 0);
     u.relief.value = pictured ? 0 : settings.relief * width / count;
+    u.steepness.value = pictured || settings.map !== "lit" ? 0 : settings.relief;
     u.poles.value = this.shape() === "sphere";
     u.shownMap.value = Object.keys(SHOWN_MAPS).indexOf(settings.map);
     u.hasPhoto.value = Boolean(photo);
