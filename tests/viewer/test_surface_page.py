@@ -261,6 +261,39 @@ def white_light(maps: Maps) -> Tensor:
 
 
 @pytest.mark.long
+def test_a_fitted_light_of_the_page_lights_materials(browser: Any, tmp_path: Path) -> None:
+    """The studio is white here, the fitted map red; the later of two choices counts."""
+    one = torch.ones(1, 8, 8)
+    up = torch.tensor([0.0, 0.0, 1.0])[:, None, None] * one
+    maps = Maps(0.4 * one.expand(3, -1, -1), 0.04 * one, 0.6 * one, up)
+    material = surface_view(Surface(maps.diffuse, True, maps, one), [])
+    material = material._replace(shared={"light": torch.ones(8, 16, 3).half()})
+    red = torch.tensor([1.0, 0.0, 0.0]).expand(8, 16, 3).half()
+    light = View("light", {"map": red}, facts={"scale": 1.0, "note": ""})
+    groups = [
+        Group("stone", "svBRDF", [Shown("meta", "", material)]),
+        Group("dusk", "Light", [Shown("meta", "", light)]),
+    ]
+    page = Page(browser, write_page(document("metapp", groups), tmp_path / "view.html"))
+    page.sized(48, 48)
+    page.page.evaluate("metapp.viewer.most = () => 64")
+    assert page.page.evaluate("metapp.viewer.environments()") == [["studio", "Studio"], ["1", "dusk"]]
+    colours = []
+    for choices in (["studio"], ["1"], ["studio", "1"], ["1", "studio"]):
+        page.set(light="map")
+        for choice in choices:
+            page.set(environment=choice)
+        page.settle()
+        colours.append(page.screenshot()[18:30, 18:30].mean((0, 1)))
+    white, dusk, again, back = colours
+    assert np.ptp(white) < 0.02 < 0.2 < dusk[0]
+    assert dusk[1:].max() < 0.02
+    np.testing.assert_allclose(again, dusk, atol=0.02)
+    np.testing.assert_allclose(back, white, atol=0.02)
+    assert not page.problems
+
+
+@pytest.mark.long
 @pytest.mark.parametrize("tiles", [True, False])
 def test_what_stands_out_casts_a_shadow(tiles: bool, browser: Any, tmp_path: Path) -> None:
     """A ridge of height 0.1 under a lamp at 45 degrees on its left: the shadow is as long as the ridge is high."""

@@ -172,7 +172,7 @@ class LightViewer extends ShapeViewer {
       show: { when: (s) => compared && s.view !== "ball" }, wipe: { when: (s) => s.show === "wipe" && s.view !== "ball" },
       gain: { when: (s) => s.show === "difference" && s.view !== "ball" },
     };
-    return super.controls().filter(({ name }) => name !== "file").map((each) => ({ ...each, ...own[each.name] }));
+    return super.controls().filter(({ name }) => !["environment", "file"].includes(name)).map((each) => ({ ...each, ...own[each.name] }));
   }
 
   ownControls() {

@@ -10,6 +10,7 @@
 //   #define UNLIT, void unlit(inout vec3 fit, inout vec3 reference)   radiance that stands for what the light makes
 // The frame has z along the shape's normal and x along its tangent. All light is linear RGB.
 
+const STUDIO = "studio";  // of `environments`
 const COMPARED = { fit: "Fit", reference: "Reference", wipe: "Reference | fit", difference: "Difference" };
 
 class ShapeViewer extends Viewer {
@@ -59,9 +60,21 @@ class ShapeViewer extends Viewer {
     this.overlay = new Overlay(this);
   }
 
-  async ownLight() {
-    const array = await shared("light");
+  async ownLight() { return this.lightFrom(STUDIO); }
+
+  // Maps to light by: the studio, and the fits of light that this page holds.
+  environments() { return [[STUDIO, "Studio"], ...DATA.groups.flatMap(({ kind, title }, i) => (kind === "light" ? [[`${i}`, title]] : []))]; }
+  async lightFrom(name) {
+    const array = await (name === STUDIO ? shared("light") : numbersOf(DATA.groups[name].fits[0].arrays.map));
     return lightOf(floatsOf(array), ...array.shape.slice(0, 2));
+  }
+  async relight(promised) {  // by a light, once it is there, unless another is wanted by then
+    this.awaited = promised;
+    const light = await promised;
+    if (this.awaited !== promised) return forget(light);
+    forget(this.light);
+    [this.light, this.awaited] = [light, null];
+    this.restart();
   }
 
   controls() {
@@ -71,6 +84,7 @@ class ShapeViewer extends Viewer {
       { name: "view", label: "View", type: "choice", value: "free", options: [["free", "Free"], ["picture", "As in metapp's picture"]], when: () => own },
       { name: "shape", label: "Shape", type: "choice", value: shapes[0], options: shapes.map((name) => [name, SHAPES[name][0]]), when: (s) => s.view === "free" },
       { name: "light", label: "Light", type: "choice", value: lights[0][0], options: lights, when: (s) => lights.length > 1 && s.view === "free" },
+      { name: "environment", label: "Environment", type: "choice", value: STUDIO, options: this.environments(), when: (s) => s.light === "map" && s.view === "free" && this.environments().length > 1 },
       { name: "turn", label: "Rotation of the light map", type: "range", min: 0, max: 360, step: 1, value: 0, text: (x) => `${x}\u00b0`, when: (s) => s.light === "map" && s.view === "free" },
       { name: "behind", label: "Show the light map", type: "check", value: false, when: (s) => s.light === "map" && s.view === "free" },
       { name: "file", label: "Another light map (.hdr)", type: "file", accept: ".hdr", run: (file) => this.readLight(file), when: (s) => s.light === "map" && s.view === "free" },
@@ -87,16 +101,15 @@ class ShapeViewer extends Viewer {
   async readLight(file) {
     let read;
     try { read = new THREE.HDRLoader().parse(await file.arrayBuffer()); } catch (error) { return say(`${file.name} is no light map of Radiance (.hdr): ${error.message}`); }
-    const { data, width, height } = read, before = this.light;
+    const { data, width, height } = read;
     const values = new Float32Array(3 * width * height), float = data instanceof Uint16Array ? fromHalf : (x) => x;
     for (let i = 0; i < width * height; i++) for (let c = 0; c < 3; c++) values[3 * i + c] = float(data[4 * i + c]);
-    this.light = lightOf(values, height, width);
-    forget(before);
+    await this.relight(Promise.resolve(lightOf(values, height, width)));
     say(`Light map: ${file.name}`);
-    this.restart();
   }
 
   changed(name) {
+    if (name === "environment") this.relight(this.lightFrom(this.settings.environment));
     if (name === "shape" || name === "view") this.mesh.geometry = shapeOf(this.shape());
     if (["wipe", "gain", "exposure", "paper", "show"].includes(name)) this.redraw(); else this.restart();
     this.overlay.place();
@@ -268,7 +281,7 @@ class ShapeViewer extends Viewer {
       if (!this.compiled) this.compiled = true;  // the first frame compiles: its time says nothing
       else { this.cost = this.cost ? 0.7 * this.cost + 0.3 * cost : cost; this._adapt(); }
     }
-    return this.count < this.most();
+    return Boolean(this.awaited) || this.count < this.most();
   }
   lightOf(column) { return this.light; }
   beforeDraw(uniforms, column) {}
