@@ -17,7 +17,7 @@ from metapp.runs.batch_size import BatchSize, alike, check_batch
 from metapp.runs.checkpoints import find_checkpoint
 from metapp.runs.checks import default_recipe
 from metapp.runs.fits import Fitter, Result
-from metapp.runs.inputs import SOURCED, Source, former_label, sources_of, sources_to_fit, tasks_to_fit
+from metapp.runs.inputs import SOURCED, Source, former_label, sources_read, sources_to_fit
 from metapp.runs.naming import name_of, observe_of
 from metapp.runs.outputs import OUTPUTS, write_fit
 from metapp.runs.pictures import write_gallery, write_thumbnail
@@ -162,8 +162,7 @@ def _sources(plan: Plan) -> tuple[list[Source], str]:
         sources, label = sources_to_fit(plan.app, plan.request)
         former = former_label(label)
         return sources, former if _path(plan, former).is_dir() else label
-    tasks, label = tasks_to_fit(plan.app, plan.request)
-    return sources_of(tasks), label
+    return sources_read(plan.app, plan.request)
 
 
 def _run(fitter: Fitter, sources: list[Source], label: str) -> Run:
@@ -321,6 +320,8 @@ class _Loop:
                 write_thumbnail(self.fitter.plan.app, task, theta, self.folder.path)
                 write_fit(self.presentation, self.folder, task, theta, self.fitter.plan.request.exports)
             record = record | {"batch": beside, "source": source.place, "stamp": source.stamp}
+        elif source.file:
+            record = record | {"source": source.file, "stamp": source.stamp}
         self.folder.add(record, theta)
         self.count += 1
         return record

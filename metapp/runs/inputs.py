@@ -40,12 +40,14 @@ class Source(NamedTuple):
         read: -> the task; ValueError or OSError where it is damaged.
         stamp: changes when the file does; "" in a data set, whose content is part of the run's name.
         mark: what its task's name needs to be its own in a run, "" where nothing.
+        file: the path that a task in memory was read from; "" of a data set, and of several photos.
     """
 
     place: str
     read: Callable[[], Task]
     stamp: str = ""
     mark: str = ""
+    file: str = ""
 
     def task(self) -> Task:
         """Read it.
@@ -89,17 +91,41 @@ def tasks_to_fit(app: App, request: Request) -> tuple[list[Task], str]:
     Raises:
         ValueError: a path that is missing or no input of the application, a damaged file, no test task.
     """
+    sources, label = sources_read(app, request)
+    return [source.read() for source in sources], label
+
+
+def sources_read(app: App, request: Request) -> tuple[list[Source], str]:
+    """The same as sources whose tasks are in memory.
+
+    Raises:
+        ValueError: as of `tasks_to_fit`.
+    """
     if not request.inputs:
-        return tasks_of_data(app, request.data, request.quiet)
-    tasks = [_merged(app, request)] if request.exposures else []
-    for path in request.inputs if not request.exposures else ():
+        tasks, label = tasks_of_data(app, request.data, request.quiet)
+        return sources_of(tasks), label
+    files, tasks = list[Path | None](), list[Task]()
+    for file, task in _tasks_of_files(app, request):
+        files.append(file)
+        tasks.append(task)
+        if len(tasks) % BETWEEN == 0:
+            return_memory()
+    tasks, stamp = distinct(tasks), functools.cache(_stamp)  # networks that share a folder share its stamp
+    sources = [
+        source._replace(file=as_text(str(file.resolve())), stamp=stamp(_stamped(file))) if file else source
+        for source, file in zip(sources_of(tasks), files, strict=True)
+    ]
+    return sources, label_of(tasks)
+
+
+def _tasks_of_files(app: App, request: Request) -> Iterator[tuple[Path | None, Task]]:
+    """Tasks of files, each with its path; the one of several photos has none."""
+    if request.exposures:
+        yield None, _merged(app, request)
+        return
+    for path in request.inputs:
         for places, read in _found(app, path, request):
-            for task in _read(path, places, read):
-                tasks.append(task)
-                if len(tasks) % BETWEEN == 0:
-                    return_memory()
-    tasks = distinct(tasks)
-    return tasks, label_of(tasks)
+            yield from _read(path, places, read)
 
 
 def label_of(tasks: Sequence[Task]) -> str:
@@ -220,7 +246,7 @@ def _merged(app: App, request: Request) -> Task:
     return merge(places, request.exposures, fov_rad=math.radians(request.fov), **size)
 
 
-def _read(path: Path, places: list[Path], read: Callable[[Path], Task]) -> Iterator[Task]:
+def _read(path: Path, places: list[Path], read: Callable[[Path], Task]) -> Iterator[tuple[Path, Task]]:
     count = 0
     for place in places:
         try:
@@ -231,7 +257,7 @@ def _read(path: Path, places: list[Path], read: Callable[[Path], Task]) -> Itera
             say(f"warning: skipped {named(error, place)}")
         else:
             count += 1
-            yield task
+            yield place, task
     if not count:
         raise ValueError(f"{path}: none of the {len(places)} found could be read.")
 

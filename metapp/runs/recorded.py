@@ -109,14 +109,16 @@ def tasks_as(records: list[Document], app: App, inputs: list[Path], data: Path |
     Returns:
         Without those that are not there, or not as they were fitted.
     """
-    label, origin = records[-1]["settings"]["data"], records[-1].get("origin", {})
+    settings, origin = records[-1]["settings"], records[-1].get("origin", {})
     sourced = [record for record in records if holds(record, SOURCED) and record["stamp"]]
     if not (inputs or data):
         inputs = _existing(origin.get("inputs", [])) or _existing(record["source"] for record in sourced)
         data = path_of(origin["data"]) if "data" in origin and path_of(origin["data"]).is_dir() else None
     request = Request(app.name, inputs=inputs, data=data, quiet=True, **reading_of(origin))
-    if sourced:
-        return _of_sources(sourced, app, request)
+    known = _of_sources(sourced, app, request)
+    if known or settings.get("batched"):
+        return known
+    label = settings["data"]
     embedded = embedded_exists(app.name) and data_label(data_folder(app, None, quiet=True)) == label
     if not (inputs or data or embedded):
         return {}
@@ -125,9 +127,8 @@ def tasks_as(records: list[Document], app: App, inputs: list[Path], data: Path |
 
 
 def _existing(places: Iterable[str]) -> list[Path]:
-    """The paths, where all of them are there; else none."""
-    paths = [path_of(place) for place in places]
-    return paths if all(path.exists() for path in paths) else []
+    """The paths that are there."""
+    return [path for path in map(path_of, places) if path.exists()]
 
 
 def reading_of(origin: Document) -> Document:
@@ -139,7 +140,7 @@ def reading_of(origin: Document) -> Document:
 
 
 def _of_sources(records: list[Document], app: App, request: Request) -> dict[str, Task]:
-    """Tasks of a run of many inputs, each of which its record knows: the run's name says nothing of their content."""
-    sources = sources_to_fit(app, request)[0] if request.inputs else []
+    """Tasks of files that have not changed since, each of which its record knows; no other is read."""
+    sources = sources_to_fit(app, request)[0] if records and request.inputs else []
     by_name = {record["name"]: source_of(record, sources) for record in records}
     return {name: source.task()._replace(name=name) for name, source in by_name.items() if source}

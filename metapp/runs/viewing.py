@@ -16,7 +16,7 @@ from metapp.learning.task import Params, Task
 from metapp.runs.naming import factor_of, title_of
 from metapp.runs.recorded import Recorded, app_as, read_run, tasks_as
 from metapp.runs.reporter import number, progress, say
-from metapp.runs.surroundings import threads, threads_of
+from metapp.runs.surroundings import make_folder, threads, threads_of
 from metapp.storage import Document
 from metapp.storage.records import file_name, read_theta
 from metapp.viewer.page import Group, Shown, document, write_page
@@ -72,21 +72,20 @@ def view_page(wanted: Wanted, out: Path | None, *, quiet: bool) -> Path:
     shown = list(by_task.values())[: wanted.most]
     if len(by_task) > len(shown):
         say(f"view: {len(shown)} of {len(by_task)} tasks; --most {len(by_task)} shows all.")
-    labels = _labels(runs)
+    labels, page = _labels(runs), out or runs[0].folder / PAGE
+    make_folder(page.parent)  # before what takes time
     with progress("view", len(shown), quiet=quiet) as bar:
-        groups, lacking = [], []
+        groups, lacking = [], list[str]()
         for several in shown:
-            try:
-                groups.append(group_of(several, labels))
-            except ValueError as error:
-                lacking.append(str(error))
+            groups.append(group_of(several, labels, lacking))
             bar.advance(several[0].record["name"])
+    groups = [group for group in groups if group.fits]
     if not groups:
         raise ValueError(lacking[0])
     for line in lacking:
         say(f"warning: left out: {line}")
     title = f"metapp: {', '.join(dict.fromkeys(title_of(fit.app) for fit in fits))}"
-    return write_page(document(title, groups), out or runs[0].folder / PAGE)
+    return write_page(document(title, groups), page)
 
 
 def _read(path: Path, task: str) -> Recorded:
@@ -136,17 +135,16 @@ def _apart(settings: dict[Path, Document]) -> dict[Path, str]:
 
 
 @torch.no_grad()
-def group_of(fits: Sequence[Fitted], labels: dict[Path, str]) -> Group:
-    """Fits of one task, side by side.
-
-    Raises:
-        ValueError: what was fitted is needed, and not at hand.
-    """
+def group_of(fits: Sequence[Fitted], labels: dict[Path, str], lacking: list[str]) -> Group:
+    """Fits of one task, side by side; `lacking` gets a line for each that needs what was fitted and has not got it."""
     shown = []
     for fit in fits:
-        theta = read_theta(fit.folder, fit.record["name"])
-        with threads(threads_of(fit.app)):
-            shown.append(shown_of(presentation_of(fit.app), labels[fit.folder], fit.record, theta, fit.task))
+        try:
+            theta = read_theta(fit.folder, fit.record["name"])
+            with threads(threads_of(fit.app)):
+                shown.append(shown_of(presentation_of(fit.app), labels[fit.folder], fit.record, theta, fit.task))
+        except ValueError as error:
+            lacking.append(f"{labels[fit.folder]} of {error}")
     return Group(fits[0].record["name"], title_of(fits[0].app), shown)
 
 

@@ -149,6 +149,7 @@ def test_without_references_bits_are_fixed_and_it_is_said(metapp: Callable, fitt
     records = read_records(run / "record.jsonl")
     for record in records:
         record["origin"]["inputs"] = ["gone"]
+        record["source"] = "gone"
     (run / "record.jsonl").write_text("".join(json.dumps(record) + "\n" for record in records))
     result = metapp("pack", run, "--json")
     assert (result.done["bits"], result.document["after"]) == (12, None)

@@ -14,6 +14,7 @@ import pytest
 from metapp.appearance.view import View
 from metapp.apps.brdf.presentation import BrdfPresentation
 from metapp.learning.task import Params, Task
+from metapp.runs.inputs import Source
 from metapp.runs.trying import Tried, try_app
 from metapp.runs.viewing import PAGE
 
@@ -79,10 +80,60 @@ def test_without_what_was_fitted_there_are_no_references(
     run = Path("copy")
     shutil.copytree(fitted("meta"), run)
     record = run / "record.jsonl"
-    record.write_text(re.sub(r'"origin": {[^}]*}', '"origin": {}', record.read_text()))
+    text = re.sub(r'"origin": {[^}]*}', '"origin": {}', record.read_text())
+    record.write_text(re.sub(r'"source": "[^"]*"', '"source": "/gone"', text))
     result = metapp("view", run, "--no-open")
     assert "view: the inputs of 2 of 2 fits are not at hand; give them by --input or --data" in result.err
     assert not any("residual" in fit["arrays"] for group in groups_of(run / PAGE) for fit in group["fits"])
+
+
+def referenced(page: Path) -> list[str]:
+    """Titles of the groups whose fits have a reference."""
+    return [group["title"] for group in groups_of(page) if all("residual" in fit["arrays"] for fit in group["fits"])]
+
+
+def test_each_input_that_has_not_changed_is_found(metapp: Callable, fitted: Callable, networks: Path) -> None:
+    shutil.copytree(networks, "mine")
+    run = fitted("meta", inputs=Path("mine"))
+    Path("mine/m0").rename("elsewhere")
+    result = metapp("view", run, "--no-open", "--out", "p.html")
+    assert "view: the inputs of 1 of 2 fits are not at hand" in result.err
+    assert referenced(Path("p.html")) == ["m1"]
+    # as it was moved, its files have the names and times that they had
+    Path("elsewhere").rename("m0")
+    metapp("view", run, "--no-open", "--out", "p.html", "--input", "m0")
+    assert referenced(Path("p.html")) == ["m0"]
+    Path("m0").rename("mine/m0")
+    for file in Path("mine/m1").iterdir():
+        file.touch()
+    metapp("view", run, "--no-open", "--out", "p.html")
+    assert referenced(Path("p.html")) == ["m0"]
+
+
+def test_copies_of_all_inputs_are_found_by_their_content(metapp: Callable, fitted: Callable, networks: Path) -> None:
+    shutil.copytree(networks, "mine", copy_function=shutil.copyfile)
+    run = fitted("meta", inputs=Path("mine"))
+    shutil.copytree("mine", "copies", copy_function=shutil.copyfile)
+    shutil.rmtree("mine")
+    metapp("view", run, "--no-open", "--out", "p.html", "--input", "copies")
+    assert referenced(Path("p.html")) == ["m0", "m1"]
+
+
+def test_one_task_reads_its_own_input_alone(
+    metapp: Callable, fitted: Callable, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run, read = fitted("meta"), list[str]()
+    task = Source.task
+    monkeypatch.setattr(Source, "task", lambda self: read.append(Path(self.place).name) or task(self))
+    metapp("view", run, "--no-open", "--out", "p.html", "--task", "m1")
+    assert read == ["m1"]
+    assert referenced(Path("p.html")) == ["m1"]
+
+
+def test_the_page_is_refused_before_it_is_made(metapp: Callable, fitted: Callable) -> None:
+    assert (
+        "--out /proc/pages: cannot be written to" in metapp("view", fitted("meta"), "--out", "/proc/pages/p.html").error
+    )
 
 
 def test_runs_that_differ_in_steps_alone_are_told_apart(metapp: Callable, fitted: Callable) -> None:
@@ -142,7 +193,7 @@ def test_fits_that_cannot_be_shown_are_left_out(
     monkeypatch.setattr(BrdfPresentation, "view", some)
     result = metapp("view", run, "--no-open", "--out", "some.html")
     assert (result.code, [group["title"] for group in groups_of(Path("some.html"))]) == (0, ["m1"])
-    assert "warning: left out: m0: no photo, expected one; give it by --input." in result.err
+    assert "warning: left out: meta of m0: no photo, expected one; give it by --input." in result.err
     lacking.add("m1")
     assert "m0: no photo, expected one" in metapp("view", run, "--no-open", "--out", "none.html").error
     assert not Path("none.html").exists()
