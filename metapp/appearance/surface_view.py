@@ -51,7 +51,8 @@ def surface_view(
     small = _reduced(surface)
     if small.maps is None:
         raise ValueError("a surface of one colour, expected one with maps")
-    height, low, high = stretched(fitted_planes(small)["height"].values)
+    heights = fitted_planes(small)["height"].values
+    height, low, high = stretched(heights if surface.height is not None or surface.tiles else _level(heights))
     pictures = {f"fit_{name}": pixels for name, pixels in _encoded(small.maps).items()} | {"height": _last(height)}
     if reference is not None:
         known = _resized(reference, _within(max(small.size), reference.diffuse))
@@ -72,6 +73,15 @@ def surface_view(
         },
     }
     return View("surface", pictures=pictures, facts=facts, shared={"light": light_map()})
+
+
+def _level(height: Tensor) -> Tensor:
+    """Heights [1, H, W] without the paraboloid that fits them best: the sum of errors of normals over a whole map."""
+    y, x = torch.meshgrid(*(torch.linspace(-1, 1, count) for count in height.shape[1:]), indexing="ij")
+    terms = torch.stack([torch.ones_like(x), x, y, x * x, x * y, y * y], dim=-1).reshape(-1, 6).double()
+    values = height.reshape(-1, 1).double()
+    drift = terms @ torch.linalg.lstsq(terms, values).solution
+    return (values - drift).reshape(height.shape).float()
 
 
 def _encoded(maps: Maps) -> dict[str, Tensor]:

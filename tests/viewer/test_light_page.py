@@ -186,6 +186,7 @@ def test_a_panorama_looks_where_it_is_turned(browser: Any, tmp_path: Path, fitte
     page, _, _ = open_page(browser, tmp_path, "reference", lamps(2))
     page.sized(64, 64)
     toned = tone_map(fitted / fitted.mean())
+    page.set(view="around")
     for heading, pitch in ((0, 0), (70, 40), (-150, -60)):
         page.set(heading=heading, pitch=pitch, field=30)
         page.settle()

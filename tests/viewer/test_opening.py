@@ -98,6 +98,7 @@ def test_a_saved_picture_has_the_labels_and_lines_of_the_screen(page: Page, inde
 
 def test_two_fingers_zoom_a_panorama(page: Page) -> None:
     page.page.evaluate(f"metapp.open({LIGHT})")
+    page.set(view="around")
     page.settle()
     fingers = """(places) => places.forEach(([type, pointerId, clientX]) => {
         const canvas = document.querySelector("#stage canvas");

@@ -143,6 +143,21 @@ def test_a_view_holds_true_maps_and_where_fits_place_their_photographs() -> None
         shown.view(theta, Task("rock", {}))
 
 
+def test_heights_of_normals_do_not_drift_over_a_map() -> None:
+    """A dome below a wave: what a page displaces by is the wave; normals that a fit has with heights stay as they are."""
+    y, x = torch.meshgrid(torch.linspace(-1, 1, 64), torch.linspace(-1, 1, 64), indexing="ij")
+    wave = 0.004 * torch.sin(40 * x)
+    slopes = torch.gradient(wave + 0.2 * (1 - x * x - 0.5 * y * y + 0.3 * x), spacing=2 / 63)
+    normal = normalize(torch.stack([-slopes[1], slopes[0], torch.ones(64, 64)]), dim=0)
+    one = torch.ones(1, 64, 64)
+    maps = Maps(one.expand(3, -1, -1), one, one, normal)
+    view = surface_view(Surface(maps.diffuse, False, maps), [])
+    heights = torch.lerp(*torch.tensor(view.facts["heights"]), view.pictures["height"][..., 0])
+    torch.testing.assert_close(heights[8:-8, 8:-8], (wave / 2)[8:-8, 8:-8], atol=1e-3, rtol=0)
+    known = surface_view(Surface(maps.diffuse, False, maps, one * torch.linspace(0, 6.4, 64)), [])
+    assert np.ptp(known.facts["heights"]) == pytest.approx(0.1, abs=1e-6)
+
+
 def test_large_maps_are_reduced(monkeypatch: pytest.MonkeyPatch) -> None:
     """To means of texels; heights stay as they are in widths of the texture."""
     monkeypatch.setattr("metapp.appearance.surface_view.LARGEST", 64)

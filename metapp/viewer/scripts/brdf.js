@@ -118,9 +118,11 @@ void main() {
   fitOut = vec4(fit, 1.0); referenceOut = vec4(reference, 1.0);
 }`;
 
+const SHARP = 0.08;  // of GGX alphas
+
 class BrdfViewer extends ShapeViewer {
   static shapes = ["sphere", "plane", "knot", "cylinder"];
-  static lights = [["lamp", "Lamp"], ["map", "Light map"], ["studio", "Studio of metapp's pictures"]];
+  static lights = [["lamp", "Lamp"], ["map", "Light map"], ["studio", "Studio lights"]];
 
   async open() {
     const studio = await shared("studio");
@@ -159,6 +161,8 @@ class BrdfViewer extends ShapeViewer {
     };
   }
 
+  // Under a lamp what is nearly a mirror is black but for a dot.
+  firstLight() { return this.fits.some((fit) => Math.min(...fit.facts.alphas.flat()) < SHARP) ? "map" : "lamp"; }
   referenced(fit) { return "residual" in fit.arrays; }
   picture() { return { light: "studio", shape: "sphere", half: 1 / 0.96 }; }
 
@@ -225,7 +229,7 @@ class BrdfViewer extends ShapeViewer {
     g.lineWidth = 1; g.strokeStyle = "#444a"; g.fillStyle = "#9a9fa8"; g.font = "10px system-ui, sans-serif"; g.textAlign = "center";
     for (let decade = -2; 10 ** decade <= top; decade++) {
       g.beginPath(); g.arc(...base, radius(10 ** decade), Math.PI, 2 * Math.PI); g.stroke();
-      g.fillText(`${10 ** decade}`, base[0] + radius(10 ** decade), base[1] + 10);
+      if (radius(10 ** decade) - radius(10 ** (decade - 1)) > 20) g.fillText(`${10 ** decade}`, base[0] + radius(10 ** decade), base[1] + 10);
     }
     const line = (values, colour) => {
       g.strokeStyle = colour; g.lineWidth = 1.5; g.beginPath();

@@ -164,11 +164,11 @@ class LightViewer extends ShapeViewer {
   }
 
   controls() {
-    const views = [["around", "Panorama"], ["flat", "Flat map, as in metapp's picture"], ["free", "Spheres, to turn"], ["picture", "Spheres from the front"]];
+    const views = [["flat", "Flat map"], ["around", "Panorama"], ["free", "Spheres, to turn"], ["picture", "Spheres from the front"]];
     if (this.fits.some(({ pictures }) => pictures.photo)) views.push(["ball", "The photo's ball | the fit's"]);
     const compared = this.fits.some((fit) => this.referenced(fit)), lit = (s) => ["free", "picture"].includes(s.view);
     const own = {
-      view: { value: "around", options: views }, shape: { label: "Spheres", when: lit }, turn: { when: lit },
+      view: { value: "flat", options: views }, shape: { label: "Spheres", when: lit }, turn: { when: lit },
       show: { when: (s) => compared && s.view !== "ball" }, wipe: { when: (s) => s.show === "wipe" && s.view !== "ball" },
       gain: { when: (s) => s.show === "difference" && s.view !== "ball" },
     };

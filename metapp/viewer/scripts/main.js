@@ -25,6 +25,7 @@ async function openGroup(index) {
   document.title = `${group.title}: ${DATA.title}`;
   captions(group);
   page.nav.querySelectorAll("button").forEach((each, i) => each.setAttribute("aria-current", i === index));
+  page.nav.querySelector('[aria-current="true"]')?.scrollIntoView({ block: "nearest" });
   const next = new VIEWERS[group.kind](page.stage, group, () => { dirty = true; });
   try {
     await next.open();
@@ -115,7 +116,7 @@ async function labelled() {
   const canvas = make("canvas", { width: seen.width, height: seen.height }), g = canvas.getContext("2d");
   g.drawImage(seen, 0, 0);
   g.scale(ratio, ratio);
-  for (const each of viewer.element.querySelectorAll(".wipe, .plot, .label")) {
+  for (const each of [".wipe", ".plot", ".label"].flatMap((kind) => [...viewer.element.querySelectorAll(kind)])) {
     const { left, top, width, height } = each.getBoundingClientRect(), [x, y] = [left - box.left, top - box.top];
     if (each.hidden) continue;
     if (each.matches(".plot")) { drawBox(g, x, y, width, height, "#101114e8"); g.drawImage(each, x, y, width, height); }
@@ -160,7 +161,7 @@ window.metapp = {
   get viewer() { return viewer; },
   get settings() { return controls.settings; },
   get drawn() { return drawn; },
-  settled: async () => { do await new Promise((done) => { setTimeout(done, 30); }); while (dirty || busy); },
+  settled: async () => { do await new Promise((done) => { setTimeout(done, 30); }); while ((dirty || busy) && page.problem.hidden); },
 };
 window.metapp.ready.then(() => { if (DATA.live) follow(DATA.live); }).catch(() => {});
 requestAnimationFrame(frame);

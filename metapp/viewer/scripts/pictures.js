@@ -261,7 +261,7 @@ class PicturesViewer extends Viewer {
       if (fit > best.fit) best = { fit, columns, cell };
     }
     if (!best.fit) return;
-    this.fitting = best.fit >= 1 ? Math.floor(best.fit) : best.fit;  // whole px a texel
+    this.fitting = best.fit >= 2 ? Math.floor(best.fit) : best.fit >= 1 ? Math.floor(4 * best.fit) / 4 : best.fit;  // whole px a texel, where little is lost by that
     this.zoom = settings.zoom <= FITTED ? this.fitting : 2 ** settings.zoom;
     if (settings.zoom <= FITTED) Object.assign(settings, { x: 0, y: 0 });
     settings.x = clamp(settings.x, -w / 2, w / 2);

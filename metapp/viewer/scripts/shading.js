@@ -140,11 +140,8 @@ void main() {
   vec3 fit = vec3(0.0), reference = vec3(0.0), a, b, weight, other;
   at_point(U);
   int first = 0, last = 1;
-  if (light == 2) {
-    int count = textureSize(studio, 0).x, each = (count + chunks - 1) / chunks;
-    first = (frame % chunks) * each; last = min(first + each, count);
-  }
-  for (int i = first; i < last; i++) {  // one call of response, which may be long
+  if (light == 2) { first = frame % chunks; last = textureSize(studio, 0).x; }  // lights of each kind in each frame
+  for (int i = first; i < last; i += chunks) {  // one call of response, which may be long
     vec3 wi = light == 0 ? by_lamp(frameOf, weight) : light == 1 ? by_map(wo, frameOf, weight, other) : by_studio(i, wo, frameOf, weight);
     if (light != 1) other = weight;
     if (wi.z <= 1e-4) continue;

@@ -10,6 +10,7 @@
 //   #define UNLIT, void unlit(inout vec3 fit, inout vec3 reference)   radiance that stands for what the light makes
 // The frame has z along the shape's normal and x along its tangent. All light is linear RGB.
 
+const GAP = 6;  // between columns, px
 const STUDIO = "studio";  // of `environments`
 const COMPARED = { fit: "Fit", reference: "Reference", wipe: "Reference | fit", difference: "Difference" };
 
@@ -22,11 +23,12 @@ class ShapeViewer extends Viewer {
   async material(fit) { throw new Error("no material"); }  // -> {glsl, displacement, uniforms}
   referenced(fit) { return false; }  // whether there is a reference to compare with
   named(fit) { return "Reference"; }
+  firstLight() { return this.constructor.lights[0][0]; }
   shown(fit) { return this.referenced(fit) ? this.settings.show : "fit"; }  // of COMPARED
   picture(settings) { return null; }  // where metapp's own picture is looked at: {lamp, eye, half: of an orthographic view}
 
   async open() {
-    this.renderer = new THREE.WebGLRenderer({ antialias: false, preserveDrawingBuffer: true, powerPreference: "high-performance" });
+    this.renderer = this._renderer();
     if (!this.renderer.extensions.has("EXT_color_buffer_float")) throw new Error("WebGL 2 lacks EXT_color_buffer_float here");
     this.renderer.domElement.addEventListener("webglcontextlost", () => this.lost?.());
     this.renderer.outputColorSpace = THREE.LinearSRGBColorSpace;
@@ -60,6 +62,14 @@ class ShapeViewer extends Viewer {
     this.overlay = new Overlay(this);
   }
 
+  _renderer() {
+    try {
+      return new THREE.WebGLRenderer({ antialias: false, preserveDrawingBuffer: true, powerPreference: "high-performance" });
+    } catch (error) {
+      throw new Error(`this browser gives no WebGL 2 (${error.message}); turn on its hardware acceleration, or take another browser`);
+    }
+  }
+
   async ownLight() { return this.lightFrom(STUDIO); }
 
   // Maps to light by: the studio, and the fits of light that this page holds.
@@ -83,7 +93,7 @@ class ShapeViewer extends Viewer {
     return [
       { name: "view", label: "View", type: "choice", value: "free", options: [["free", "Free"], ["picture", "As in metapp's picture"]], when: () => own },
       { name: "shape", label: "Shape", type: "choice", value: shapes[0], options: shapes.map((name) => [name, SHAPES[name][0]]), when: (s) => s.view === "free" },
-      { name: "light", label: "Light", type: "choice", value: lights[0][0], options: lights, when: (s) => lights.length > 1 && s.view === "free" },
+      { name: "light", label: "Light", type: "choice", value: this.firstLight(), options: lights, when: (s) => lights.length > 1 && s.view === "free" },
       { name: "environment", label: "Environment", type: "choice", value: STUDIO, options: this.environments(), when: (s) => s.light === "map" && s.view === "free" && this.environments().length > 1 },
       { name: "turn", label: "Rotation of the light map", type: "range", min: 0, max: 360, step: 1, value: 0, text: (x) => `${x}\u00b0`, when: (s) => s.light === "map" && s.view === "free" },
       { name: "behind", label: "Show the light map", type: "check", value: false, when: (s) => s.light === "map" && s.view === "free" },
@@ -109,6 +119,7 @@ class ShapeViewer extends Viewer {
   }
 
   changed(name) {
+    if (name === "light" || name === "view") this.cost = 0;  // each light has its own
     if (name === "environment") this.relight(this.lightFrom(this.settings.environment));
     if (name === "shape" || name === "view") this.mesh.geometry = shapeOf(this.shape());
     if (["wipe", "gain", "exposure", "paper", "show"].includes(name)) this.redraw(); else this.restart();
@@ -237,7 +248,7 @@ class ShapeViewer extends Viewer {
   }
 
   most() { return { lamp: 16, map: 1024, studio: 4 * this.chunks }[this.lighting().light]; }  // frames of a picture
-  get chunks() { return 8; }
+  get chunks() { return 16; }  // frames that share the studio's lights
 
   draw() {
     const begin = performance.now(), { renderer } = this, whole = this.targets[0], columns = this.fits.length;
@@ -311,6 +322,8 @@ class ShapeViewer extends Viewer {
     u.exposure.value = 2 ** settings.exposure; u.gain.value = settings.gain; u.wipe.value = settings.wipe; u.curve.value = this.constructor.curve;
     u.paper.value.setScalar({ dark: 0.09, gray: 0.5, white: 1 }[settings.paper]);
     renderer.setRenderTarget(null);
+    renderer.setClearColor(0x17181b, 1);
+    renderer.clear();
     renderer.setScissorTest(true);
     this.fits.forEach((fit, i) => {
       const left = Math.round(i * width), right = Math.round((i + 1) * width), own = this.lightOf(i);
@@ -318,7 +331,8 @@ class ShapeViewer extends Viewer {
       u.map.value = own.map; u.referenceMap.value = own.reference; u.mapScale.value = own.scale;
       u.show.value = Object.keys(COMPARED).indexOf(this.shown(fit));
       each(i);
-      renderer.setScissor(left / ratio, 0, (right - left) / ratio, size.y / ratio);
+      const gaps = [i ? GAP / 2 : 0, i < this.fits.length - 1 ? GAP / 2 : 0];
+      renderer.setScissor(left / ratio + gaps[0], 0, (right - left) / ratio - gaps[0] - gaps[1], size.y / ratio);
       this._fill(material, null);
     });
     renderer.setScissorTest(false);

@@ -175,12 +175,12 @@ class SurfaceViewer extends ShapeViewer {
 
   ownControls() {
     const [fit] = this.fits, { lit, tiles, size, shown, fitted_height: fitted } = fit.facts, photos = Object.keys(fit.pictures).filter((name) => name.startsWith("photo_"));
-    const titles = { left: "Lit from the left", above: "Lit from above", aside: "Lit and seen from aside", photo_1: photos.length > 1 ? "As photo 1" : "As the photo" };
+    const titles = { left: "Lit from the left", above: "Lit from above", aside: "Lit and seen from aside", photo_1: !photos.length ? "Under the flash" : photos.length > 1 ? "As photo 1" : "As the photo" };
     const free = (s) => s.view === "free", compared = "reference_diffuse" in fit.pictures;
     const notes = [
       tiles ? "The maps tile." : "The maps do not tile: copies are mirrored.",
-      fitted ? "" : "Heights are computed from the normals.",
-      photos.length ? `The reference under ${photos.length > 1 ? "a" : "the"} photo's flash is the photo${compared ? ", else the true maps" : ""}.` : "",
+      fitted ? "" : `Heights are computed from the normals${tiles ? "" : ", without their curvature over the whole map"}.`,
+      photos.length ? `To compare with ${photos.length > 1 ? "a" : "the"} photo: View, As in metapp's picture.${compared ? " Elsewhere the reference is the true maps." : ""}` : "",
       lit.photo_1?.part < 1 ? "The maps are larger than the photo: under its flash their upper left part is shown." : "",
       shown[0] < size[0] ? `Reduced from ${size[1]} x ${size[0]} to ${shown[1]} x ${shown[0]} texels for this page.` : "",
     ];
