@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -22,7 +23,7 @@ from metapp.apps.texture import Texture
 from metapp.apps.texture.presentation import QUILTED, TexturePresentation
 from metapp.apps.transport import Transport, TransportSetup, viewing
 from metapp.apps.transport.flow import Flow
-from metapp.apps.transport.images import GUIDED_NEE, REGULAR, REGULAR_NEE
+from metapp.apps.transport.images import GUIDED_NEE, REGULAR, REGULAR_NEE, Shot
 from metapp.apps.transport.presentation import TransportPresentation
 from metapp.learning.task import Params, Task
 from metapp.networks.exemplar import ExemplarSetup
@@ -143,6 +144,18 @@ def test_a_scene_is_shown_in_equal_time(monkeypatch: pytest.MonkeyPatch) -> None
     reference = view.arrays["reference"].float().permute(2, 0, 1)[None]
     made = view.arrays[f"{GUIDED_NEE} {steps - 1}"].float().permute(2, 0, 1)[None]
     assert float(mape(made, reference)) == pytest.approx(lines[GUIDED_NEE][-1][1], rel=0.01)
+
+
+def test_a_picture_takes_the_time_of_another_though_the_machine_was_slow() -> None:
+    """A rate that was measured beside other work is measured again; samples are never fewer than one."""
+
+    def studio(rate: float) -> Any:
+        return SimpleNamespace(path=lambda spp, seed: Shot(torch.zeros(3, 1, 1), rate * spp))
+
+    assert viewing._within(studio(0.01), 1.0, rate=0.1, seed=0).spp == 100
+    assert viewing._within(studio(0.01), 1.0, rate=0.0101, seed=0).spp == 99
+    assert viewing._within(studio(0.01), 1.0, rate=0.1, seed=0, tries=1).spp == 10
+    assert viewing._within(studio(5.0), 1.0, rate=0.1, seed=0).spp == 1
 
 
 # What the page shows of them

@@ -144,7 +144,7 @@ def test_a_view_holds_true_maps_and_where_fits_place_their_photographs() -> None
 
 
 def test_heights_of_normals_do_not_drift_over_a_map() -> None:
-    """A dome below a wave: what a page displaces by is the wave; normals that a fit has with heights stay as they are."""
+    """Of a dome with a wave the wave is left; heights that a fit has stay as they are."""
     y, x = torch.meshgrid(torch.linspace(-1, 1, 64), torch.linspace(-1, 1, 64), indexing="ij")
     wave = 0.004 * torch.sin(40 * x)
     slopes = torch.gradient(wave + 0.2 * (1 - x * x - 0.5 * y * y + 0.3 * x), spacing=2 / 63)

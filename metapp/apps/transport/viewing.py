@@ -18,6 +18,7 @@ LARGEST = 128  # px of a side
 GUIDED_SECONDS = 6.0  # of CPU for all pictures of one kind, about
 REFERENCE_SECONDS = 6.0  # of CPU for each half of the reference, about
 FEWEST, MOST = 8, 5  # samples a pixel of the first picture; pictures of a kind that are shown, the last ones
+TRIES, NEAR = 3, 0.1  # of a picture in the time of another, until it is off by less than this share
 SPP = 32  # paths a pixel of the pictures that fits guide
 GUIDED_BY_FIT, REFERENCE = "guided by the fit", "reference"
 
@@ -114,14 +115,18 @@ def equal_time(studio: Studio) -> EqualTime:
         spp *= 2
     last = guided[-1]
     spp = max(1, round(last.spp * REFERENCE_SECONDS / max(last.shot.seconds, 1e-9)))
-    halves = _within(studio, REFERENCE_SECONDS, rate, 2), Counted(studio.guided_path(spp, 2), spp)
+    halves = _within(studio, REFERENCE_SECONDS, rate, 2, tries=1), Counted(studio.guided_path(spp, 2), spp)
     return EqualTime(guided[-MOST:], regular[-MOST:], halves)
 
 
-def _within(studio: Studio, seconds: float, rate: float, seed: int) -> Counted:
-    """A picture by `path` in so many seconds, at a rate of seconds for a sample of each pixel."""
-    spp = max(1, round(seconds / max(rate, 1e-9)))
-    return Counted(studio.path(spp, seed), spp)
+def _within(studio: Studio, seconds: float, rate: float, seed: int, tries: int = TRIES) -> Counted:
+    """A picture by `path` in so many seconds, at a rate of seconds for a sample of each pixel, which others disturb."""
+    while True:
+        spp = max(1, round(seconds / max(rate, 1e-9)))
+        shot, tries = studio.path(spp, seed), tries - 1
+        if not tries or abs(shot.seconds - seconds) < NEAR * seconds:
+            return Counted(shot, spp)
+        rate = shot.seconds / spp
 
 
 def _half(picture: Tensor) -> Tensor:
