@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import ast
 import configparser
-import importlib
+import importlib.metadata
 import re
 import runpy
 import shlex
@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import typer
+from packaging.specifiers import SpecifierSet
 
 from metapp.cli.commands import app as cli
 from metapp.learning.rules import RULES
@@ -185,6 +186,15 @@ def test_examples_are_described_and_parse() -> None:
     for example in (ROOT / "examples").glob("*.py"):
         assert f"`{example.name} " in described
         assert f"{example.name} " in (ast.get_docstring(ast.parse(example.read_text(encoding="utf-8"))) or "")
+
+
+def test_what_is_pinned_takes_the_python_of_debian_12() -> None:
+    """Of what is installed here: 3.11.2, not merely a later 3.11."""
+    pinned = {line.partition("==")[0].lower() for line in (ROOT / "constraints.txt").read_text("utf-8").splitlines()}
+    for each in importlib.metadata.distributions():
+        wanted = each.metadata["Requires-Python"]
+        if each.name.lower() in pinned and wanted:
+            assert SpecifierSet(wanted).contains("3.11.2"), each.name
 
 
 def test_what_builds_the_pages_is_pinned() -> None:

@@ -80,7 +80,7 @@ def _level(height: Tensor) -> Tensor:
     y, x = torch.meshgrid(*(torch.linspace(-1, 1, count) for count in height.shape[1:]), indexing="ij")
     terms = torch.stack([torch.ones_like(x), x, y, x * x, x * y, y * y], dim=-1).reshape(-1, 6).double()
     values = height.reshape(-1, 1).double()
-    drift = terms @ torch.linalg.lstsq(terms, values).solution
+    drift: Tensor = terms @ torch.linalg.lstsq(terms, values).solution
     return (values - drift).reshape(height.shape).float()
 
 

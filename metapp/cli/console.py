@@ -7,6 +7,7 @@ import enum
 import gc
 import json
 import os
+import re
 import signal
 import sys
 import threading
@@ -92,6 +93,8 @@ def run(command: Callable[[], object]) -> int:
     except click_error as error:  # type: ignore[misc]  # a class, found at run time
         if hasattr(error, "message"):
             error.message = one_line(str(error.message))
+        if remedy := _remedy(error.format_message()):
+            error = usage_error(f"{error.format_message()}{remedy}", error.ctx)
         error.show()
         return Exit.USAGE if isinstance(error, usage_error) else Exit.FAILED
     except BadOption as error:
@@ -113,6 +116,16 @@ def run(command: Callable[[], object]) -> int:
     if code == Exit.INTERRUPTED:  # typer turns Ctrl-C into this code by itself
         return _interrupted(terminal)
     return code if isinstance(code, int) else Exit.DONE
+
+
+def _remedy(message: str) -> str:
+    """What to do about an application that was forgotten, or given in place of a command; else ""."""
+    from metapp.apps import app_names
+
+    if message == "Missing argument 'APP'.":
+        return f" It is one of {', '.join(app_names())}."
+    given = re.fullmatch(r"No such command '(\w+)'\.", message)
+    return f" {given[1]} is an application: metapp meta {given[1]}." if given and given[1] in app_names() else ""
 
 
 def what_failed(error: Exception) -> str:

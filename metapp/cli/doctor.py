@@ -23,6 +23,7 @@ PACKAGES = (
     "typer",
     "rich",
 )
+VGG = {"vgg16": "textures and svbrdf_stationary need it", "vgg19": "the recipe paper-vgg19 of texture alone needs it"}
 
 
 def command(
@@ -56,7 +57,7 @@ def examine() -> Document:
         "cache": str(cache_folder()),
         "data": {app: "made" if embedded_exists(app) else "made on first use" for app in app_names()},
         "checkpoints": {key: ", ".join(names) or "none" for key, names in shipped.items()},
-        "VGG": {which: _vgg(which) for which in ("vgg16", "vgg19")},
+        "VGG": {which: _vgg(which) for which in VGG},
         "libLLVM": _llvm(),
     }
 
@@ -89,7 +90,7 @@ def _vgg(which: str) -> str:
         return f"from {origin.source}"
     if weights_path(which).is_file():
         return f"damaged: what is fitted to pictures fails; fetch it again: metapp data vgg --which {which}"
-    return f"none: losses on pictures use random filters; get it: metapp data vgg --which {which}"
+    return f"not fetched; {VGG[which]}: metapp data vgg --which {which}"
 
 
 def _llvm() -> str:

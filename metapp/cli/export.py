@@ -43,6 +43,6 @@ def command(
 
     done = export_run(run, form, inputs or [], data=data, out=out_folder, size=size, quiet=quiet)
     if not quiet:
-        say(f"{len(done.tasks)} fits written as {done.form}: {done.out}")
+        say(f"{len(done.tasks)} fit{'s' * (len(done.tasks) != 1)} written as {done.form}: {done.out}")
     if json:
         print_json(done._asdict())

@@ -52,8 +52,10 @@ def command(
         fit = tried[-1].record
         if not quiet:
             error = "" if fit["error"] is None else f"error {number(fit['error'], '.3f')}, "
-            seconds = f"fitted in {number(fit['seconds'], '.3g')} s, all of it {number(fit['whole_seconds'], '.1f')} s"
+            seconds = f"fitted in {number(fit['seconds'], '.3g')} s, total {number(fit['whole_seconds'], '.1f')} s"
             say(f"{app}: {fit['name']}, {error}{seconds}")
+    if not quiet:
+        say("page: rendering what it shows")
     page = try_page(tried, out, quiet=quiet)
     whole = time.perf_counter() - begin
     if open_page:

@@ -23,7 +23,7 @@ from metapp.apps.brdf import Brdf
 from metapp.learning.app import App
 from metapp.learning.task import Params, Task
 from metapp.runs.checkpoints import find_checkpoint
-from metapp.runs.checks import check_export, check_name, check_protocol, recipe_of_tasks
+from metapp.runs.checks import check_export, check_name, check_options, check_protocol, recipe_of_tasks
 from metapp.runs.fits import fit_tasks
 from metapp.runs.inputs import tasks_to_fit
 from metapp.runs.memory import files_of_objects, in_memory, tasks_of_objects
@@ -223,7 +223,7 @@ def fit(app: str, source: Any, *, paradigm: str = "meta", **options: Any) -> Fit
 
 def fit_all(
     app: str,
-    sources: Sequence[Any] = (),
+    sources: Sequence[Any] | None = None,
     *,
     paradigm: str = "meta",
     fov: float = 0.0,
@@ -233,7 +233,7 @@ def fit_all(
 
     Args:
         app: the application.
-        sources: files and folders, or things in memory, as of `fit`; none: the test tasks of `data`, else of the
+        sources: files and folders, or things in memory, as of `fit`; None: the test tasks of `data`, else of the
             embedded set.
         paradigm: general, overfit, finetune, quickft or meta.
         fov: of flash photos, the camera's field of view along the shorter side in degrees; 0: as EXIF says, else 45.
@@ -248,14 +248,16 @@ def fit_all(
         FloatingPointError: a fit is not finite.
     """
     for key in ("data", "out", "checkpoint"):
-        if options.get(key) is not None:
+        if isinstance(options.get(key), str | PathLike):
             options[key] = Path(options[key])
     roots = options.get("scene_root", ())
     options["scene_root"] = [Path(root) for root in ([roots] if isinstance(roots, str | PathLike) else roots)]
-    if isinstance(sources, str | PathLike | Mapping) or not isinstance(sources, Iterable):
+    if isinstance(sources, str | PathLike | Mapping | np.ndarray | Tensor) or not isinstance(sources or (), Iterable):
         raise ValueError(f"{type(sources).__name__}: one source, expected a list of them; take metapp.fit for one.")
-    sources = list(sources)
-    request = Request(app, paradigm, fov=fov, quiet=True, **options)
+    if sources is not None and not (sources := list(sources)):
+        raise ValueError("0 sources, expected a list of one or more; leave it out to fit a data set's test tasks.")
+    check_options({"app": app, "paradigm": paradigm, "fov": fov, **options})
+    request, sources = Request(app, paradigm, fov=fov, quiet=True, **options), sources or []
     check_name(app)
     check_protocol(request.observe, app)
     if not in_memory(sources):

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from importlib import resources
 from pathlib import Path
+from types import UnionType
+from typing import get_args, get_origin, get_type_hints
 
 import torch
 
@@ -150,6 +152,24 @@ def check_name(app: str) -> None:
     if app not in app_names():
         known = app_names()
         raise BadOption(f"'{app}' is not an application; expected one of {', '.join(known)}.{meant(app, known)}")
+
+
+def check_options(options: Mapping[str, object]) -> None:
+    """A usage error where options that a program gives are none of `Request`, or of another type, or negative."""
+    hints = get_type_hints(Request)
+    known = [name for name in hints if name not in ("inputs", "quiet")]
+    for name, value in options.items():
+        if name not in known:
+            raise BadOption(f"{name}: no option of a fit, expected one of {', '.join(known)}.{meant(name, known)}")
+        kinds = get_args(hints[name]) if isinstance(hints[name], UnionType) else (hints[name],)
+        if get_origin(kinds[0]) is not None:
+            continue  # of the sequences there is only one of paths, which are made before
+        names = " or ".join(kind.__name__.replace("NoneType", "None") for kind in kinds)
+        kinds = (*kinds, int) if float in kinds else kinds
+        if not isinstance(value, kinds) or (isinstance(value, bool) and bool not in kinds):
+            raise BadOption(f"{name}: {value!r}, expected {names}.")
+        if int in kinds and isinstance(value, int) and value < 0 and float not in kinds:
+            raise BadOption(f"{name}: {value}, expected 0 or more.")
 
 
 def check_protocol(protocol: str, app: str) -> None:

@@ -193,7 +193,7 @@ def _run(fitter: Fitter, sources: list[Source], label: str) -> Run:
     for task in tasks:
         write_fit(loop.presentation, folder, task, folder.theta(task.name), request.exports)
     for form in request.exports if tasks else ():
-        say(f"{len(tasks)} fits written as {form}: {folder.path / form}")
+        say(f"{len(tasks)} fit{'s' * (len(tasks) != 1)} written as {form}: {folder.path / form}")
     made = folder.path / OUTPUTS if (folder.path / OUTPUTS).is_dir() else None
     gallery = None
     if lazy:
@@ -223,7 +223,7 @@ def _announce(plan: Plan, folder: RunFolder, total: int, mine: int, known: int, 
         what += f"inputs{f', part {number} of {parts}: {mine}' if parts > 1 else ''}"
         what += f"{f', {known} fitted before' if known else ''}; {plan.steps} steps"
     else:
-        what += f"tasks, {plan.steps} steps"
+        what += f"task{'s' * (total != 1)}, {plan.steps} steps"
     say(f"{what}, from {plan.checkpoint.source}")
     if live:
         say(f"watch: {folder.path / 'watch.png'}; the time that it takes to draw is not part of the seconds")

@@ -53,8 +53,8 @@ def read_run(run: Path, form: Document = FORM, task: str = "") -> Recorded:
     folder = run.parent if run.name == "record.jsonl" else run
     records = read_records(folder / "record.jsonl", form)
     if not records:
-        found = "no record.jsonl" if folder.is_dir() else "no such folder"
-        raise ValueError(f"{run}: {found} with fits, expected a run's folder, such as runs/brdf/meta/...")
+        found = "no record.jsonl with fits" if folder.is_dir() else "a file" if folder.is_file() else "no such folder"
+        raise ValueError(f"{run}: {found}, expected a run's folder, such as runs/brdf/meta/...")
     if not task:
         return Recorded(folder, records)
     names = [record["name"] for record in records]

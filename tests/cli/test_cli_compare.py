@@ -76,7 +76,7 @@ def test_what_cannot_be_compared_is_one_line(metapp: Callable, fitted: Callable,
     Path("other/record.jsonl").write_text(json.dumps(record))
     for words, said in (
         ((run, "other"), "runs of brdf and texture, expected two of one application; take another run."),
-        ((run, "nowhere"), "nowhere: no such folder with fits, expected a run's folder"),
+        ((run, "nowhere"), "nowhere: no such folder, expected a run's folder"),
         ((run, alone, "--task", "m2"), "no record of task 'm2', expected one of m0."),
         ((fitted("general", inputs=networks / "m1"), alone), "1 and 1 tasks, none in common, expected some"),
     ):

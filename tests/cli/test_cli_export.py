@@ -98,7 +98,7 @@ def test_what_cannot_be_written_is_refused(metapp: Callable, run: Path) -> None:
     ):
         assert said in metapp("export", *words).misuse
     refused = metapp("export", "nowhere", "merl").error
-    assert "nowhere: no such folder with fits, expected a run's folder" in refused
+    assert "nowhere: no such folder, expected a run's folder" in refused
     assert "no record.jsonl with fits" in metapp("export", run / "..", "merl").error
 
 

@@ -405,6 +405,13 @@ def test_a_name_that_is_nearly_right_is_suggested(metapp: Callable, words: tuple
     assert "Did you mean" not in metapp(*words[:-1], "zzzz").misuse
 
 
+def test_an_application_without_its_command_and_the_reverse_are_explained(metapp: Callable) -> None:
+    assert "brdf is an application: metapp meta brdf." in metapp("brdf", "gold.csv").misuse
+    assert "is an application" not in metapp("gold").misuse
+    assert "It is one of brdf, illumination, " in metapp("meta").misuse
+    assert "Did you mean 'svbrdf_nonstationary' or 'svbrdf_stationary'?" in metapp("meta", "svbrdf").misuse
+
+
 def test_a_fit_is_no_input_and_what_takes_it_is_said(metapp: Callable, tmp_path: Path) -> None:
     file = tmp_path / "fit.safetensors"
     file.write_bytes(b"")

@@ -199,7 +199,7 @@ def test_a_photo_becomes_an_asset(metapp: Callable, shot: Path, kind: str) -> No
     written = [path for path in Path(result.done["out"], kind).rglob("photo*") if path.is_file()]
     assert written
     assert all(path.stat().st_size for path in written)
-    assert f"1 fits written as {kind}" in result.err
+    assert f"1 fit written as {kind}" in result.err
 
 
 def test_a_missing_library_is_named_before_anything_is_fitted(

@@ -145,7 +145,9 @@ def test_runs_that_differ_in_steps_alone_are_told_apart(metapp: Callable, fitted
 def test_what_is_no_run_is_refused_in_a_line(metapp: Callable, fitted: Callable) -> None:
     Path("empty").mkdir()
     assert "empty: no record.jsonl with fits, expected a run's folder" in metapp("view", "empty").refusal
-    assert "nowhere: no such folder with fits" in metapp("view", "nowhere").refusal
+    assert "nowhere: no such folder, expected" in metapp("view", "nowhere").refusal
+    Path("notes.txt").write_text("gold")
+    assert "notes.txt: a file, expected a run's folder" in metapp("view", "notes.txt").refusal
     Path("fit.safetensors").write_bytes(b"x")
     assert "fit.safetensors: parameters without their run" in metapp("view", "fit.safetensors").refusal
     assert "no record of task 'm9', expected one of" in metapp("view", fitted("meta"), "--task", "m9").refusal

@@ -11,6 +11,7 @@ import tempfile
 import warnings
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -353,8 +354,38 @@ def test_sources_are_all_paths_or_none() -> None:
     for source in ("a.png", Path("a.png"), lambertian, {"diffuse": 1}, 3):
         with pytest.raises(ValueError, match=r"^\w+: one source, expected a list of them; take metapp\.fit for one"):
             api.fit_all("texture", source)
+    for array in (np.ones((3, 2)), torch.ones(3, 2)):
+        with pytest.raises(ValueError, match=r"^\w+: one source, expected a list of them"):
+            api.fit_all("brdf", array)
     with pytest.raises(ValueError, match=r"object-1: ndarray, expected a path, a function"):
-        api.fit_all("brdf", np.ones((3, 2)))
+        api.fit_all("brdf", list(np.ones((3, 2))))
+    with pytest.raises(ValueError, match="0 sources, expected a list of one or more"):
+        api.fit_all("brdf", [])
+
+
+@pytest.mark.parametrize(
+    ("options", "line"),
+    [
+        ({"steps": -1}, "steps: -1, expected 0 or more"),
+        ({"steps": "ten"}, "steps: 'ten', expected int or None"),
+        ({"steps": True}, "steps: True, expected int or None"),
+        ({"seed": "a"}, "seed: 'a', expected int"),
+        ({"size": 512}, "size: 512, expected str"),
+        ({"fov": "wide"}, "fov: 'wide', expected float"),
+        ({"paradigm": 3}, "paradigm: 3, expected str"),
+        ({"data": 3}, "data: 3, expected Path or None"),
+        ({"step": 3}, "step: no option of a fit, expected one of app, .* Did you mean 'steps'?"),
+    ],
+)
+def test_options_of_other_types_are_refused_in_a_line(options: dict[str, Any], line: str) -> None:
+    with pytest.raises(ValueError, match=line):
+        api.fit("brdf", lambertian, **options)
+
+
+def test_whole_numbers_are_numbers(network: Path) -> None:
+    assert api.fit("brdf", network, paradigm="overfit", steps=1, seed=3).steps == 1
+    with pytest.raises(ValueError, match="--fov: brdf has no photos whose camera counts"):
+        api.fit("brdf", network, fov=30)
 
 
 def test_things_in_memory_are_numbered_where_they_have_no_name(network: Path) -> None:

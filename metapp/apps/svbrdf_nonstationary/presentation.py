@@ -95,11 +95,11 @@ class SvbrdfNonstationaryPresentation(CodedPresentation[SvbrdfNonstationary]):
     def view(self, theta: Params, task: Task, *, quick: bool = False) -> View:
         """The maps as `files` writes them, the photographs, and the true maps where the task has them."""
         flashes = placed(self.app, theta, task)
-        photos: list[Tensor | None] = [None] * len(flashes)
-        if self.app.protocol == "photo":  # else it was rendered of the maps
-            photos = [linear(photo) for photo in (task.data["photo"], *task.data.get("others", ()))][: len(flashes)]
+        photos = [task.data["photo"], *task.data.get("others", ())][: len(flashes)]
+        taken = self.app.protocol == "photo"  # else the photo was rendered from the maps
         photographed = [
-            Lit(flash.place, flash.eye, float(flash.gain), photo) for flash, photo in zip(flashes, photos, strict=True)
+            Lit(flash.place, flash.eye, float(flash.gain), linear(photo) if taken else None)
+            for flash, photo in zip(flashes, photos, strict=True)
         ]
         reference = unpack(task.data["maps"].float()) if "maps" in task.data else None
         return surface_view(self.surface(theta, task), photographed, reference=reference)

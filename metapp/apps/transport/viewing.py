@@ -15,8 +15,8 @@ from metapp.apps.transport.images import GUIDED_NEE, REGULAR, REGULAR_NEE, Shot,
 from metapp.learning.task import Params, Task
 
 LARGEST = 128  # px of a side
-GUIDED_SECONDS = 6.0  # of CPU for all pictures of one kind, about
-REFERENCE_SECONDS = 6.0  # of CPU for each half of the reference, about
+GUIDED_SECONDS = 4.0  # of CPU for all pictures of one kind, about
+REFERENCE_SECONDS = 4.0  # of CPU for each half of the reference, about
 FEWEST, MOST = 8, 5  # samples a pixel of the first picture; pictures of a kind that are shown, the last ones
 TRIES, NEAR = 3, 0.1  # of a picture in the time of another, until it is off by less than this share
 SPP = 32  # paths a pixel of the pictures that fits guide

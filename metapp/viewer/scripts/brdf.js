@@ -118,11 +118,9 @@ void main() {
   fitOut = vec4(fit, 1.0); referenceOut = vec4(reference, 1.0);
 }`;
 
-const SHARP = 0.08;  // of GGX alphas
-
 class BrdfViewer extends ShapeViewer {
   static shapes = ["sphere", "plane", "knot", "cylinder"];
-  static lights = [["lamp", "Lamp"], ["map", "Light map"], ["studio", "Studio lights"]];
+  static lights = [["map", "Light map"], ["lamp", "Lamp"], ["studio", "Studio lights"]];  // under a lamp metals are black but for a dot
 
   async open() {
     const studio = await shared("studio");
@@ -161,8 +159,6 @@ class BrdfViewer extends ShapeViewer {
     };
   }
 
-  // Under a lamp what is nearly a mirror is black but for a dot.
-  firstLight() { return this.fits.some((fit) => Math.min(...fit.facts.alphas.flat()) < SHARP) ? "map" : "lamp"; }
   referenced(fit) { return "residual" in fit.arrays; }
   picture() { return { light: "studio", shape: "sphere", half: 1 / 0.96 }; }
 

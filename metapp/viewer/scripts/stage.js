@@ -23,7 +23,6 @@ class ShapeViewer extends Viewer {
   async material(fit) { throw new Error("no material"); }  // -> {glsl, displacement, uniforms}
   referenced(fit) { return false; }  // whether there is a reference to compare with
   named(fit) { return "Reference"; }
-  firstLight() { return this.constructor.lights[0][0]; }
   shown(fit) { return this.referenced(fit) ? this.settings.show : "fit"; }  // of COMPARED
   picture(settings) { return null; }  // where metapp's own picture is looked at: {lamp, eye, half: of an orthographic view}
 
@@ -93,7 +92,7 @@ class ShapeViewer extends Viewer {
     return [
       { name: "view", label: "View", type: "choice", value: "free", options: [["free", "Free"], ["picture", "As in metapp's picture"]], when: () => own },
       { name: "shape", label: "Shape", type: "choice", value: shapes[0], options: shapes.map((name) => [name, SHAPES[name][0]]), when: (s) => s.view === "free" },
-      { name: "light", label: "Light", type: "choice", value: this.firstLight(), options: lights, when: (s) => lights.length > 1 && s.view === "free" },
+      { name: "light", label: "Light", type: "choice", value: lights[0][0], options: lights, when: (s) => lights.length > 1 && s.view === "free" },
       { name: "environment", label: "Environment", type: "choice", value: STUDIO, options: this.environments(), when: (s) => s.light === "map" && s.view === "free" && this.environments().length > 1 },
       { name: "turn", label: "Rotation of the light map", type: "range", min: 0, max: 360, step: 1, value: 0, text: (x) => `${x}\u00b0`, when: (s) => s.light === "map" && s.view === "free" },
       { name: "behind", label: "Show the light map", type: "check", value: false, when: (s) => s.light === "map" && s.view === "free" },
