@@ -28,7 +28,7 @@ PACKAGES = (
 def command(
     json: Json = False,
 ) -> None:
-    """Say what is installed: versions, device, compiler, cache, shipped checkpoints, VGG's weights, libLLVM."""
+    """Print what is installed: versions, device, compiler, cache, shipped checkpoints, VGG weights, libLLVM."""
     found = examine()
     if json:
         print_json(found)
