@@ -30,32 +30,33 @@ class Options:
         str,
         typer.Option(
             autocompletion=completion.methods,
-            help="Such as quilting or gpdm of texture; another name lists those of APP.",
+            help="Such as quilting or gpdm of texture; an unknown name lists the methods of APP.",
         ),
     ] = "nearest"
     recipe: Annotated[
-        str, typer.Option(autocompletion=completion.recipes, help="The size of pictures: quick, full or paper.")
+        str, typer.Option(autocompletion=completion.recipes, help="quick, full or paper; sets the image resolution.")
     ] = ""
     observe: Annotated[
         str,
         typer.Option(
-            autocompletion=completion.observations, help="What a fit may see: reference (the default) or photo."
+            autocompletion=completion.observations,
+            help="What methods see: reference (ground truth, the default) or photo (photos alone).",
         ),
     ] = ""
     detail: Annotated[
         int,
-        typer.Option(metavar="PX", min=0, help="px a side that photos are read at, as by fits, 256 or 512; 0: 256."),
+        typer.Option(metavar="PX", min=0, help="Resolution at which photos are read, as for fits: 256 or 512; 0: 256."),
     ] = 0
     data: Annotated[Path | None, typer.Option(help="Data set whose training tasks a method may learn from.")] = None
-    out: Annotated[Path, typer.Option(help="Where runs are kept.")] = Path("runs")
-    seed: Annotated[int, typer.Option(min=0, help="Of all random draws.")] = 0
+    out: Annotated[Path, typer.Option(help="Folder for runs.")] = Path("runs")
+    seed: Annotated[int, typer.Option(min=0, help="Random seed.")] = 0
     json: Json = False
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress bar, no table.")] = False
 
 
 @takes(Options)
 def command(options: Options) -> None:
-    """Run a method that a reader would use instead of a network, and judge it as fits are.
+    """Run a baseline without a neural network and evaluate it in the same way as fits.
 
     Example: metapp baseline texture wall.jpg --method quilting
     """

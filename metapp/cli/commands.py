@@ -12,15 +12,15 @@ from metapp.cli.fit import FitCommand, make_command
 SUMMARIES = {
     "general": "One forward pass of an encoder that was trained over all tasks; no gradient steps.",
     "overfit": "Train the network on each task alone, from a random initialisation, until it has converged.",
-    "finetune": "General's result, then about a tenth of Overfit's steps.",
-    "quickft": "General's result, then as many Adam steps as Meta takes.",
-    "meta": "A few steps from a learned initialisation by a learned rule.",
+    "finetune": "Start from General's result and take about a tenth of Overfit's steps.",
+    "quickft": "Start from General's result and take as many Adam steps as Meta takes.",
+    "meta": "A few steps of a learned update rule from a learned initialisation.",
 }
 
 app = typer.Typer(
     no_args_is_help=True,
     context_settings={"help_option_names": ["-h", "--help"]},
-    help="Reproduce visual appearance by machine learning: five training paradigms, one way of learning.",
+    help="Fit small neural networks to visual appearance: BRDFs, textures, svBRDFs, illumination, light transport.",
 )
 
 
@@ -41,18 +41,18 @@ def options(
     """Take the options that need no command."""
 
 
+app.command("try")(trial.command)
+app.command("examples")(examples.command)
+app.command("doctor")(doctor.command)
 for name, summary in SUMMARIES.items():
     app.command(name, cls=FitCommand)(make_command(name, summary))
-app.command("examples")(examples.command)
 app.command("evaluate")(evaluate.command)
 app.command("baseline")(baseline.command)
 app.command("plan")(plan.command)
 app.command("view")(view.command)
-app.command("try")(trial.command)
 app.command("export")(export.command)
 app.command("pack")(pack.pack_command)
 app.command("unpack")(pack.unpack_command)
 app.command("rerun")(rerun.command)
 app.command("compare")(compare.command)
-app.command("doctor")(doctor.command)
 app.add_typer(data.app, name="data")

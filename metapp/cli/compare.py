@@ -19,25 +19,23 @@ if TYPE_CHECKING:
 
 def command(
     first: RunPath,
-    second: Annotated[Path, typer.Argument(metavar="RUN", help="Another one's, of the same application.")],
+    second: Annotated[Path, typer.Argument(metavar="RUN", help="Another run of the same application.")],
     inputs: Annotated[
         list[Path] | None,
-        typer.Argument(
-            metavar="[INPUT]...", help="What was fitted, for the picture, where it is not where records say."
-        ),
+        typer.Argument(metavar="[INPUT]...", help="Original input, if it has moved; needed for the picture."),
     ] = None,
     task: Annotated[str, typer.Option(metavar="NAME", help="Compare this task alone; default: all in common.")] = "",
     data: FittedData = None,
     out_file: Annotated[
         Path | None,
-        typer.Option("--out", dir_okay=False, help="The picture; default: comparison.png in the first RUN."),
+        typer.Option("--out", dir_okay=False, help="Picture to write; default: comparison.png in the first RUN."),
     ] = None,
     json: Json = False,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress bar, no table.")] = False,
 ) -> None:
-    """Show two runs side by side: errors and seconds of each task, their ratio with its interval, one picture.
+    """Compare two runs: errors and seconds of each task, the ratio of errors with its interval, and a picture.
 
-    Example: metapp compare runs/brdf/meta/gold-full-seed0-ridge runs/brdf/finetune/gold-full-seed0
+    Example: metapp compare RUN OTHER_RUN
     """
     from metapp.runs.compare import compare, draw
 

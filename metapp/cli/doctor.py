@@ -29,7 +29,7 @@ VGG = {"vgg16": "textures and svbrdf_stationary need it", "vgg19": "the recipe p
 def command(
     json: Json = False,
 ) -> None:
-    """Say what is installed: versions, device, compiler, cache, shipped checkpoints, VGG's weights, libLLVM."""
+    """Print what is installed: versions, device, compiler, cache, shipped checkpoints, VGG weights, libLLVM."""
     found = examine()
     if json:
         print_json(found)

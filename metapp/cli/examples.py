@@ -91,15 +91,15 @@ def command(
     folder: Annotated[
         Path | None,
         typer.Option(
-            "--make", metavar="DIR", callback=check_folder, help="Write the input files there; the commands name them."
+            "--make", metavar="DIR", callback=check_folder, help="Write the input files of the commands to DIR."
         ),
     ] = None,
     json: Json = False,
 ) -> None:
-    """Print commands that work as they are, five of an application, and what each makes.
+    """Print commands that can be run as printed, five per application, and what each makes.
 
-    They name small input files, which --make writes: drawn by metapp, of no training data. The output is a script for a
-    shell.
+    --make writes their input files, which are small, synthetic and no training data.
+    The output is a shell script.
 
     Example: metapp examples brdf --make example-inputs
     """

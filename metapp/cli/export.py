@@ -1,4 +1,4 @@
-"""`metapp export`: write the fits of a run in another form."""
+"""`metapp export`: write the fits of a run in another file format."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ def command(
         list[Path] | None,
         typer.Argument(
             metavar="[INPUT]...",
-            help="What was fitted, for kinds that are made of that, too: nbrdf of a ridge fit, surfaces of flash "
-            "photos. The embedded data set is found by itself.",
+            help="Original input, for formats that need it: nbrdf of a ridge fit, surfaces of flash photos. The "
+            "embedded data set is found automatically.",
         ),
     ] = None,
     data: FittedData = None,
@@ -31,13 +31,13 @@ def command(
         Path | None,
         typer.Option("--out", callback=check_folder, help="Folder to write to; default: RUN/KIND."),
     ] = None,
-    size: Annotated[str, typer.Option(metavar="HxW", help="px of what is made, as for the paradigms.")] = "",
+    size: Annotated[str, typer.Option(metavar="HxW", help="Output size in pixels, as for the paradigms.")] = "",
     json: Json = False,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress bar.")] = False,
 ) -> None:
-    """Write every fit of a run in another form, as --export of the paradigms does.
+    """Write every fit of a run in another file format, as --export of the paradigms does.
 
-    Example: metapp export runs/brdf/meta/gold-full-seed0-ridge bsdf
+    Example: metapp export RUN bsdf
     """
     from metapp.runs.outputs import export_run
 

@@ -11,14 +11,14 @@ from metapp.cli.names import DEVICES, PART_NAMES, RULE_NAMES, known_of
 from metapp.storage import Document
 
 PANELS = INPUT, FIT, OUTPUT, MACHINE = ("Input", "Fit", "Output", "Machine")
-WITHOUT = "without any, the test tasks of --data; -: one a line of standard input, with --json a line of answer each"
+WITHOUT = "default: the test tasks of --data; - (with --json): paths on standard input, one JSON line printed for each"
 # what an option or argument of each field of a Request is; names, types and defaults are the field's
 OPTIONS: Document = {
     "app": typer.Argument(
         autocompletion=completion.applications,
         metavar="APP",
         rich_help_panel=INPUT,
-        help=f"{', '.join(app_names())}; with its name --help shows its own options.",
+        help=f"{', '.join(app_names())}; APP --help shows the options of that application.",
     ),
     "inputs": typer.Argument(
         metavar="[INPUT]...", rich_help_panel=INPUT, help=f"What to fit: files of APP or folders of these; {WITHOUT}."
@@ -30,40 +30,40 @@ OPTIONS: Document = {
         autocompletion=completion.observations,
         metavar="NAME",
         rich_help_panel=INPUT,
-        help="What a fit may see: reference (the default) or photo, which INPUT photos need.",
+        help="What fits see: reference (ground truth, the default) or photo (photos alone; required for INPUT photos).",
     ),
     "detail": typer.Option(
         metavar="PX",
         min=0,
         rich_help_panel=INPUT,
-        help="Side that photos are read and fitted at: 256 (the default) or 512, which takes four times as long.",
+        help="Resolution at which photos are read and fitted: 256 (the default) or 512, which is four times as slow.",
     ),
     "fov": typer.Option(
         metavar="DEGREES",
         min=0,
         max=150,
         rich_help_panel=INPUT,
-        help="The camera's field of view along the shorter side; default: as EXIF says, else 45 for flash photos, and "
-        "balls are seen from far away.",
+        help="Camera field of view along the shorter side; default: from EXIF, else 45 for flash photos and a distant "
+        "camera for balls.",
     ),
     "exposure": typer.Option(
         metavar="STOPS",
         min=-4,
         max=4,
         rich_help_panel=INPUT,
-        help="How much too bright photos are (negative: too dark); right is where white paper just clips.",
+        help="Stops by which photos are too bright (negative: too dark); at 0, white paper below the flash just clips.",
     ),
     "exposures": typer.Option(
         metavar="T,T,...",
         rich_help_panel=INPUT,
-        help="Merge INPUT photos of one mirror ball: their exposure times, such as 1/20,1/60, or auto.",
+        help="Exposure times of INPUT photos of one mirror ball, which are merged: such as 1/20,1/60, or auto.",
     ),
     "scene_root": typer.Option(
         metavar="DIR",
         exists=True,
         file_okay=False,
         rich_help_panel=INPUT,
-        help="Another folder that files of a scene may come from; may be given several times.",
+        help="Additional folder from which a scene may load files; may be given several times.",
     ),
     "recipe": typer.Option(
         autocompletion=completion.recipes,
@@ -75,47 +75,51 @@ OPTIONS: Document = {
         autocompletion=completion.rules,
         metavar="NAME",
         rich_help_panel=FIT,
-        help=f"{', '.join(RULE_NAMES)}; or parts with + between them: {', '.join(PART_NAMES)}; default: the recipe's.",
+        help=f"{', '.join(RULE_NAMES)}; or parts joined by +: {', '.join(PART_NAMES)}; default: the recipe's.",
     ),
-    "steps": typer.Option(metavar="N", min=0, rich_help_panel=FIT, help="Gradient steps instead of the recipe's."),
+    "steps": typer.Option(metavar="N", min=0, rich_help_panel=FIT, help="Gradient steps; default: the recipe's."),
     "budget": typer.Option(
-        metavar="TIME", rich_help_panel=FIT, help="As many of the steps as fit in this time a task: 50ms, 2s, 1.5min."
+        metavar="TIME",
+        rich_help_panel=FIT,
+        help="Time limit per fit (50ms, 2s, 1.5min): as many of the steps as it allows.",
     ),
     "checkpoint": typer.Option(
-        metavar="FILE", rich_help_panel=FIT, help="What fits begin at; default: trained here, else shipped."
+        metavar="FILE",
+        rich_help_panel=FIT,
+        help="Initialisation from this checkpoint; default: trained here, else shipped.",
     ),
     "train": typer.Option(
-        "--train", rich_help_panel=FIT, help="Train first, on the training tasks of --data; goes on with --checkpoint."
+        "--train",
+        rich_help_panel=FIT,
+        help="Train first, on the training tasks of --data, from --checkpoint if given.",
     ),
     "train_steps": typer.Option(
-        metavar="N", min=1, rich_help_panel=FIT, help="Outer training steps instead of the recipe's."
+        metavar="N", min=1, rich_help_panel=FIT, help="Outer training steps; default: the recipe's."
     ),
-    "seed": typer.Option(
-        metavar="N", min=0, max=2**63 - 1, rich_help_panel=FIT, help="Of all random draws; default: 0."
-    ),
+    "seed": typer.Option(metavar="N", min=0, max=2**63 - 1, rich_help_panel=FIT, help="Random seed; default: 0."),
     "out": typer.Option(
-        metavar="DIR", rich_help_panel=OUTPUT, help="Where runs and trained checkpoints are kept; default: runs."
+        metavar="DIR", rich_help_panel=OUTPUT, help="Folder for runs and trained checkpoints; default: runs."
     ),
     "export": typer.Option(
         autocompletion=completion.exports,
         metavar="KIND",
         rich_help_panel=OUTPUT,
-        help="Write each fit in other forms, with commas between them.",
+        help="Also write each fit in these file formats, separated by commas.",
     ),
     "size": typer.Option(
         metavar="HxW",
         rich_help_panel=OUTPUT,
-        help="px of what fits make: textures and maps to 4096x4096, environment maps to 1024x2048.",
+        help="Output size in pixels: textures and maps up to 4096x4096, environment maps up to 1024x2048.",
     ),
     "render": typer.Option(
         metavar="PX",
         min=0,
         max=4096,
         rich_help_panel=OUTPUT,
-        help="Render each scene as well, guided, and without a guide in the same time.",
+        help="Also render each scene at this size, with path guiding and without it in equal time.",
     ),
     "watch": typer.Option(
-        "--watch", rich_help_panel=OUTPUT, help="Rewrite watch.png as steps go by, and serve a page that shows them."
+        "--watch", rich_help_panel=OUTPUT, help="Show the fit while it runs: update watch.png and serve a page."
     ),
     "quiet": typer.Option("--quiet", "-q", rich_help_panel=OUTPUT, help="No progress bar, no table."),
     "device": typer.Option(
@@ -127,14 +131,16 @@ OPTIONS: Document = {
     "batch": typer.Option(
         metavar="N|auto",
         rich_help_panel=MACHINE,
-        help="Fit so many inputs side by side, into one run that goes on where it was; what fails is listed at the "
-        "end; writes gallery.html.",
+        help="Fit N inputs in parallel in one run; the same command again resumes it; failures are listed at the end; "
+        "writes gallery.html.",
     ),
     "shard": typer.Option(
-        metavar="I/N", rich_help_panel=MACHINE, help="Fit every N-th input from the I-th on, of the same run folder."
+        metavar="I/N",
+        rich_help_panel=MACHINE,
+        help="Fit every N-th input from the I-th on; all shards share one run folder.",
     ),
 }
-JSON = typer.Option("--json", rich_help_panel=OUTPUT, help="One JSON object as last line of standard output.")
+JSON = typer.Option("--json", rich_help_panel=OUTPUT, help="Print one JSON object as the last line of standard output.")
 # options that some applications have
 OWN = ("observe", "export", "size", "detail", "render", "fov", "exposure", "exposures", "scene_root")
 NO_RULE = {"rule": "only meta has learned rules"}
@@ -168,7 +174,7 @@ def own_help(name: str) -> dict[str, str]:
     if known.observe:
         texts["observe"] = OPTIONS["observe"].help
     if exports_of(name):
-        texts["export"] = f"{', '.join(exports_of(name))}; several with commas between them."
+        texts["export"] = f"{', '.join(exports_of(name))}; several separated by commas."
     texts["inputs"] = f"What to fit: {forms}; or folders of these; {WITHOUT}."
     texts["recipe"] = f"{', '.join(known.recipes)}; default: full, the best that ships."
     return texts

@@ -10,9 +10,9 @@ from typing import Annotated, Any, TypeVar, get_type_hints
 
 import typer
 
-RunPath = Annotated[Path, typer.Argument(metavar="RUN", help="A run's folder, or the record.jsonl in it.")]
-FittedData = Annotated[Path | None, typer.Option(help="The data set that was fitted, for the same.")]
-Json = Annotated[bool, typer.Option("--json", help="One JSON object as last line of standard output.")]
+RunPath = Annotated[Path, typer.Argument(metavar="RUN", help="Folder of a run, or its record.jsonl.")]
+FittedData = Annotated[Path | None, typer.Option(help="Data set of the run, if it has moved.")]
+Json = Annotated[bool, typer.Option("--json", help="Print one JSON object as the last line of standard output.")]
 OpenPage = Annotated[bool, typer.Option("--open/--no-open", help="Open the page in the browser.")]
 Options = TypeVar("Options")
 Result = TypeVar("Result")

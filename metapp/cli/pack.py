@@ -14,14 +14,14 @@ from metapp.runs.reporter import number, say
 if TYPE_CHECKING:
     from metapp.runs.pack import Packed
 
-MadeBy = Annotated[Path | None, typer.Option(help="The checkpoint that fits were made by; default: the shipped one.")]
+MadeBy = Annotated[Path | None, typer.Option(help="Checkpoint of the fits; default: the shipped one.")]
 
 
 def pack_command(
     run: RunPath,
     inputs: Annotated[
         list[Path] | None,
-        typer.Argument(metavar="[INPUT]...", help="What was fitted, where records do not say where it is."),
+        typer.Argument(metavar="[INPUT]...", help="Original input, if it has moved."),
     ] = None,
     data: FittedData = None,
     out_file: Annotated[
@@ -29,7 +29,9 @@ def pack_command(
     ] = None,
     bits: Annotated[
         int | None,
-        typer.Option(min=2, max=16, help="Of a number; default: as few as let the mean error grow by 1 % at most."),
+        typer.Option(
+            min=2, max=16, help="Bits per number; default: the fewest that raise the mean error by 1 % at most."
+        ),
     ] = None,
     checkpoint: MadeBy = None,
     json: Json = False,
@@ -37,7 +39,7 @@ def pack_command(
 ) -> None:
     """Write the fits of a run as one small file: their quantised difference from the checkpoint.
 
-    Example: metapp pack runs/brdf/meta/materials-full-seed0-ridge --out materials.pack
+    Example: metapp pack RUN --out materials.pack
     """
     from metapp.runs.pack import pack
 
@@ -46,16 +48,16 @@ def pack_command(
 
 
 def unpack_command(
-    file: Annotated[Path, typer.Argument(metavar="FILE", help="What metapp pack wrote.")],
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="File written by metapp pack.")],
     out_folder: Annotated[
         Path | None,
-        typer.Option("--out", file_okay=False, help="The run's folder to make; default: as FILE, without its suffix."),
+        typer.Option("--out", file_okay=False, help="Run folder to write; default: FILE without its suffix."),
     ] = None,
     checkpoint: MadeBy = None,
     json: Json = False,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No message.")] = False,
 ) -> None:
-    """Make a run's folder of a pack, for metapp export, metapp compare and import metapp.mitsuba.
+    """Write the run folder of a pack, for metapp export, metapp compare and import metapp.mitsuba.
 
     Example: metapp unpack materials.pack --out runs/materials
     """

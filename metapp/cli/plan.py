@@ -26,27 +26,27 @@ class Options:
     ] = Path("plan.csv")
     after: Annotated[
         Path | None,
-        typer.Option(metavar="CSV|RUN", help="What was measured before: its rows go on top of the new ones."),
+        typer.Option(metavar="CSV|RUN", help="Earlier measurements; their rows are written above the new ones."),
     ] = None
     grazing: Annotated[
-        float, typer.Option(min=10, max=89, help="Light and detector are no further from the normal, degrees.")
+        float, typer.Option(min=10, max=89, help="Maximum angle of light and detector from the normal, degrees.")
     ] = 80.0
-    apart: Annotated[float, typer.Option(min=0, max=90, help="Nor nearer to each other than this, degrees.")] = 5.0
+    apart: Annotated[float, typer.Option(min=0, max=90, help="Minimum angle of light to detector, degrees.")] = 5.0
     detector: Annotated[
         float | None,
-        typer.Option(min=0, max=89, help="A camera that stays: its angle from the normal, degrees; default: free."),
+        typer.Option(min=0, max=89, help="Angle of a fixed detector from the normal, degrees; default: not fixed."),
     ] = None
-    seed: Annotated[int, typer.Option(min=0, help="Of all random draws.")] = 0
+    seed: Annotated[int, typer.Option(min=0, help="Random seed.")] = 0
     json: Json = False
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No messages.")] = False
 
 
 @takes(Options)
 def command(options: Options) -> None:
-    """Choose the pairs of light and detector directions that say most of an isotropic BRDF.
+    """Choose the pairs of light and detector directions that are most informative for an isotropic BRDF.
 
-    They are chosen by the model that fits of few samples have, each where the expected error falls most, then all
-    together by the gradient of that error. Measure them, fill in the BRDF (r, g, b in 1/sr), then fit the file.
+    They minimise the expected error of recipe few: first one by one, then jointly by its gradient.
+    Measure them, fill in the BRDF (r, g, b in 1/sr), then fit the file.
 
     Examples:
       metapp plan brdf --samples 16 --out paint.csv

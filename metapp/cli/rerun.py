@@ -19,30 +19,28 @@ if TYPE_CHECKING:
 
 
 def command(
-    record: Annotated[Path, typer.Argument(metavar="RECORD", help="A record.jsonl, or the run's folder.")],
+    record: Annotated[Path, typer.Argument(metavar="RECORD", help="Folder of a run, or its record.jsonl.")],
     inputs: Annotated[
         list[Path] | None,
-        typer.Argument(metavar="[INPUT]...", help="What was fitted, where it is no longer where the record says."),
+        typer.Argument(metavar="[INPUT]...", help="Original input, if it has moved."),
     ] = None,
     task: Annotated[str, typer.Option(metavar="NAME", help="Repeat this task alone; default: all.")] = "",
     data: FittedData = None,
-    checkpoint: Annotated[
-        Path | None, typer.Option(help="The checkpoint that was used; default: found as it was then.")
-    ] = None,
+    checkpoint: Annotated[Path | None, typer.Option(help="Checkpoint of the run; default: the recorded one.")] = None,
     tolerance: Annotated[
         float | None,
         typer.Option(
             min=0,
-            help="Relative difference up to which figures agree; default: 1e-6 on the same machine by the same "
+            help="Maximum relative difference of figures that agree; default: 1e-6 on the same machine by the same "
             "versions and threads, 0.01 elsewhere.",
         ),
     ] = None,
     json: Json = False,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress bar, no table.")] = False,
 ) -> int:
-    """Repeat rows of a table from their records and say whether the figures agree; if not, the exit code is 1.
+    """Repeat the fits of a run from its records and check that errors agree; if not, the exit code is 1.
 
-    Example: metapp rerun runs/brdf/meta/gold-full-seed0-ridge
+    Example: metapp rerun RUN
     """
     from metapp.evaluation.repeat import repeat_of
     from metapp.runs.rerun import Instead, rerun

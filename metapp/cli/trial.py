@@ -20,15 +20,15 @@ def command(
         list[str] | None,
         typer.Argument(metavar="[APP]...", autocompletion=completion.applications, help="Applications; default: all."),
     ] = None,
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Where inputs, fits and the page are.")] = Path("try"),
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the inputs, fits and page.")] = Path("try"),
     recipe: Annotated[str, typer.Option(help="quick or full; default: full.")] = "",
     open_page: OpenPage = True,
     json: Json = False,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No messages.")] = False,
 ) -> None:
-    """Draw a small input of each application, fit it by Meta, and open one page of all fits.
+    """Make a small synthetic input of each application, fit it by Meta, and open one page of all fits.
 
-    Without APP those that cannot be fitted yet are left out: textures and svbrdf_stationary need metapp data vgg.
+    texture and svbrdf_stationary need metapp data vgg first; without it and without APP they are left out.
 
     Example: metapp try --out try
     """

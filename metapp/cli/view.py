@@ -20,18 +20,18 @@ class Options:
 
     runs: Annotated[
         list[Path],
-        typer.Argument(metavar="RUN...", help="Folders of runs, or files of their params/; several: side by side."),
+        typer.Argument(metavar="RUN...", help="Run folders or files of their params/; several are shown side by side."),
     ]
     inputs: Annotated[
         list[Path] | None,
-        typer.Option("--input", metavar="INPUT", help="What was fitted, where it is not where records say."),
+        typer.Option("--input", metavar="INPUT", help="Original input, if it has moved."),
     ] = None
     task: Annotated[str, typer.Option(metavar="NAME", help="Show this task alone; default: all.")] = ""
-    most: Annotated[int, typer.Option(min=1, help="Tasks of the page at most.")] = 20
+    most: Annotated[int, typer.Option(min=1, help="Maximum number of tasks.")] = 20
     data: FittedData = None
-    out: Annotated[Path | None, typer.Option(dir_okay=False, help="The page; default: view.html in the first RUN.")] = (
-        None
-    )
+    out: Annotated[
+        Path | None, typer.Option(dir_okay=False, help="Output file; default: view.html in the first RUN.")
+    ] = None
     open_page: OpenPage = True
     json: Json = False
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress bar.")] = False
@@ -39,9 +39,11 @@ class Options:
 
 @takes(Options)
 def command(options: Options) -> None:
-    """Write one HTML page of fits to turn, light and zoom; runs of the same tasks side by side.
+    """Write an interactive HTML page of fits; several runs of the same tasks are shown side by side.
 
-    Example: metapp view runs/brdf/meta/gold-full-seed0-ridge runs/brdf/quickft/gold-full-seed0
+    RUN is the folder that a fit prints.
+
+    Example: metapp view RUN OTHER_RUN
     """
     from metapp.runs.viewing import Wanted, view_page
 
