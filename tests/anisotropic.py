@@ -13,6 +13,7 @@ from data_tools.synthetic.brdf_anisotropic_models import Roughness, facets
 from metapp.appearance.geometry import above_horizon, rusinkiewicz_to_directions
 from metapp.apps.brdf import Brdf
 from metapp.apps.brdf.anisotropic import axes_of
+from metapp.apps.brdf.anisotropic_residual import corners
 from metapp.apps.brdf.featured import features_of
 from metapp.apps.brdf.recipes import ANISOTROPIC
 from metapp.learning.app import stack
@@ -55,3 +56,9 @@ def fitted() -> Params:
     gram = features @ features.mT + 0.1 * torch.eye(features.shape[1], dtype=torch.float64)
     theta["last"] = torch.linalg.solve(gram, features @ target.mT).mT.float()
     return {key: value[0].detach() for key, value in theta.items()}
+
+
+def interpolated(grid: Tensor, angles: Tensor, turn: float) -> Tensor:
+    """What the page's shader finds at angles [N, 4] in rad in a grid of `metapp.apps.brdf.anisotropic_residual`."""
+    places = corners(angles, turn)
+    return (grid.float().flatten(0, -2)[places.cells, :3] * places.shares[..., None]).sum(1)

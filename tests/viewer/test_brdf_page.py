@@ -16,16 +16,23 @@ from torch.nn.functional import normalize, silu
 
 from data_tools.readers.brdf_task import brdf_task
 from metapp.appearance.colour import to_srgb
-from metapp.appearance.geometry import above_horizon, directions_to_four_angles, directions_to_rusinkiewicz
+from metapp.appearance.geometry import (
+    above_horizon,
+    directions_to_four_angles,
+    directions_to_rusinkiewicz,
+    rusinkiewicz_to_directions,
+)
 from metapp.appearance.metrics import ssim
 from metapp.appearance.sphere import reference_scene, shade_sphere, studio_lights
 from metapp.apps import presentation_of
 from metapp.apps.brdf import Brdf, layers_of
+from metapp.apps.brdf.anisotropic_residual import CELLS as AZIMUTHAL
 from metapp.apps.brdf.featured import Featured
 from metapp.apps.brdf.few import Few
 from metapp.apps.brdf.viewing import CELLS, packed
 from metapp.learning.task import Params, Task
-from metapp.viewer.page import Group, Shown, document, write_page
+from metapp.viewer.page import Group, Shown, array, document, write_page
+from tests import anisotropic
 from tests.browser import Page, browsing
 
 APPS = {
@@ -132,9 +139,15 @@ def test_samples_beyond_the_fit_are_on_the_grid() -> None:
     assert float(left[inside].abs().mean()) < 0.1 * float(lacks[inside].abs().mean())
 
 
-def test_anisotropic_fits_and_those_of_unknown_tasks_have_no_reference() -> None:
-    for shown in views("anisotropic", task=material()) + views("featured"):
+def test_fits_of_unknown_tasks_have_no_reference() -> None:
+    for shown in views("anisotropic") + views("featured"):
         assert "residual" not in shown.view.arrays
+
+
+def test_a_reference_takes_less_than_a_megabyte_of_the_page() -> None:
+    grid = views("anisotropic", task=anisotropic.task())[0].view.arrays["residual"]
+    assert grid.shape == (*AZIMUTHAL, 4)
+    assert len(array(grid)["data"]) < 1e6
 
 
 @pytest.mark.long
@@ -151,6 +164,53 @@ def test_the_shader_evaluates_the_fit(browser: Any, tmp_path: Path) -> None:
         script = "([column, pairs]) => metapp.viewer.evaluate(column, pairs)[0]"
         found = torch.tensor(page.page.evaluate(script, [column, torch.stack([wi, wo], 1).tolist()]))
         torch.testing.assert_close(found, wanted, atol=2e-4, rtol=2e-3)
+    assert not page.problems
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", ["anisotropic", "featured"])
+def test_the_shader_evaluates_the_reference_of_an_anisotropic_material(browser: Any, tmp_path: Path, name: str) -> None:
+    """Whatever network fits it; also where slices of the grid meet, with light and viewer exchanged, at the normal."""
+    shown = views(name, task=anisotropic.task())
+    page, app, theta = open_page(browser, tmp_path, shown), APPS[name], theta_of(name)
+    angles = 0.02 + torch.rand(600, 4, generator=Generator().manual_seed(3)) * torch.tensor([1.2, 1.2, 6.2, 6.2])
+    turn = float(theta["turn"]) if "turn" in theta else 0.0
+    angles[:100, 2] = (turn - angles[:100, 3]) % math.pi + 1e-3 * torch.linspace(-1, 1, 100)
+    angles[100:150, 0] = 1e-4
+    wi, wo = rusinkiewicz_to_directions(angles[above_horizon(angles)].double())
+    angles = directions_to_four_angles(wi, wo).float()
+    fit = app.reflectance(theta, angles if app.anisotropic else folded(angles))
+    more = anisotropic.interpolated(shown[0].view.arrays["residual"], angles, turn)
+    wanted = torch.expm1(torch.log1p(fit) + more).clamp_min(0)
+    script = "pairs => metapp.viewer.evaluate(0, pairs)[1]"
+    for pairs in ([wi, wo], [wo, wi]):
+        found = torch.tensor(page.page.evaluate(script, torch.stack(pairs, 1).tolist()))
+        torch.testing.assert_close(found, wanted, atol=2e-3, rtol=1e-2)
+    assert not page.problems
+
+
+def folded(angles: Tensor) -> Tensor:
+    """As networks without phi_h are shown, which need not be reciprocal."""
+    return torch.stack([angles[:, 0], angles[:, 1], angles[:, 2] % math.pi], 1)
+
+
+@pytest.mark.long
+def test_the_screen_shows_an_anisotropic_material_beside_a_wrong_fit(browser: Any, tmp_path: Path) -> None:
+    """The reference is metapp's picture of it, although the fit is of another; the pointer's plot is drawn."""
+    task = brdf_task("brushed", anisotropic.brushed, azimuths=True)
+    page = open_page(browser, tmp_path, views("anisotropic", task=task))
+    page.sized(96, 96)
+    page.set(view="picture", paper="white", show="reference")
+    page.settle()
+    wanted, found = to_srgb(task.data["render"]), page.screenshot()
+    assert np.abs(found - wanted).mean() <= 3 / 255
+    assert alike(found, wanted) >= 0.95
+    page.set(show="fit")
+    page.settle()
+    assert np.abs(page.screenshot() - wanted).mean() >= 15 / 255
+    for plot in ("lobe", "slice"):
+        page.set(plot=plot)
+        page.page.evaluate("metapp.viewer.pointed({ column: 0, x: 40, y: 40, width: 96, height: 96 })")
     assert not page.problems
 
 

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from metapp.appearance.sphere import light_map, studio_lights
 from metapp.appearance.view import View
-from metapp.apps.brdf import Brdf, layers_of
+from metapp.apps.brdf import Brdf, anisotropic, anisotropic_residual, layers_of
 from metapp.apps.brdf.featured import TURN
 from metapp.apps.brdf.few import DARKEST
 from metapp.learning.task import Params, Task
@@ -23,16 +23,16 @@ PLOTTED = 8192  # samples of plots, at most
 
 
 def view_of(app: Brdf, theta: Params, task: Task) -> View:
-    """The fit, its samples where the task has some, and of isotropic ones a reference made of these."""
+    """The fit, its samples where the task has some, and a reference made of these."""
     layers, turn = layers_of(theta), float(theta[TURN]) if TURN in theta else None
     lobes = fit_lobes(functools.partial(app.reflectance, theta), turn)
     kind = "anisotropic" if turn is not None else "featured" if "last" in theta else "nbrdf"
     hidden, inputs = layers[0][0].shape
     arrays = {"weights": packed(layers), "shares": torch.from_numpy(lobes.shares).float()}
     if "angles" in task.data:
-        arrays["samples"] = torch.cat([task.data["angles"], task.data["reflectance"]], 1)[:PLOTTED].half()
-        if "phi_h" not in task.data and turn is None:
-            arrays["residual"] = _residual(app, theta, task)
+        columns = [task.data["angles"], *([task.data["phi_h"][:, None]] if "phi_h" in task.data else [])]
+        arrays["samples"] = torch.cat([*columns, task.data["reflectance"]], 1)[:PLOTTED].half()
+        arrays["residual"] = _residual(app, theta, task)
     facts = {
         "network": kind,
         "inputs": inputs,
@@ -63,11 +63,15 @@ def _padded(weights: Tensor) -> Tensor:
 
 
 def _residual(app: Brdf, theta: Params, task: Task) -> Tensor:
-    """What log(1 + f) of the samples has beyond the fit, on a grid."""
-    theta_h, theta_d, phi_d = task.data["angles"].float().unbind(1)
-    angles = torch.stack([theta_h, theta_d, phi_d % math.pi], 1)  # as the shader folds them, by reciprocity
-    more = torch.log1p(task.data["reflectance"].float()) - torch.log1p(app.reflectance(theta, angles))
-    return gridded(angles, more)
+    """What log(1 + f) of the samples has beyond the fit, on a grid; on one with phi_h where either depends on it."""
+    columns, turn = task.data["angles"].float().split(1, 1), float(theta[TURN]) if TURN in theta else None
+    columns = (*columns[:2], columns[2] % math.pi)  # as the shader folds them, by reciprocity
+    if azimuthal := "phi_h" in task.data or turn is not None:
+        phi_h = task.data.get("phi_h", anisotropic.random_azimuths(len(columns[0])))
+        columns = (*columns, phi_h.float()[:, None])
+    angles = torch.cat(columns, 1)[: anisotropic_residual.MOST if azimuthal else None]
+    more = torch.log1p(task.data["reflectance"].float()[: len(angles)]) - torch.log1p(app.reflectance(theta, angles))
+    return anisotropic_residual.gridded(angles, more, turn or 0.0) if azimuthal else gridded(angles, more)
 
 
 def gridded(angles: Tensor, values: Tensor) -> Tensor:

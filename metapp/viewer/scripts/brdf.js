@@ -2,8 +2,8 @@
 //
 // facts: network ("nbrdf", "featured" or "anisotropic"), inputs, hidden, turn, darkest, alphas [[2], [2]] of the lobes, samples.
 // arrays: weights [N, 4] as metapp.apps.brdf.viewing.packed lays them out, shares [24, 3] of the lobes; perhaps residual
-// [phi_d, theta_d, theta_h, 4],
-// what the samples' log(1 + f) has more than the fit's (theta_h by its square root), and samples [N, 6] (theta_h, theta_d, phi_d, RGB).
+// [phi_d, theta_d, theta_h, 4], what the samples' log(1 + f) has more than the fit's (theta_h by its square root), or of samples
+// with phi_h the five axes of metapp.apps.brdf.anisotropic_residual; and samples [N, 6 or 7] (theta_h, theta_d, phi_d, perhaps phi_h, RGB).
 // shared: light, a lat-long map [H, W, 3]; studio [2, L, 4], the lights of metapp's pictures.
 
 const NETWORK = `
@@ -60,6 +60,21 @@ vec3 fitted(Half at, float incident, float outgoing) {
   if (darkest == 0.0) return max(expm1_of(last), 0.0);
   return max((exp(min(last, 14.0)) - darkest) / max(incident * outgoing, darkest), 0.0);
 }
+// What log(1 + f) of the samples has more; with phi_h in slices of one phi_h + phi_d each, side by side.
+vec3 beyond(Half at) {
+  float radius = sqrt(atan(at.sine, at.cosine) / (PI / 2.0)), theta_d = acos(clamp(at.difference.z, 0.0, 1.0)) / (PI / 2.0);
+  float phi_d = atan(at.difference.y, at.difference.x) / PI;
+#if SLICES == 0
+  return textureLod(residual, vec3(radius, theta_d, phi_d), 0.0).rgb;
+#else
+  float slices = float(SLICES), width = float(textureSize(residual, 0).x) / slices;
+  float slice = fract(phi_d + atan(at.sin_phi, at.cos_phi) / PI) * slices - 0.5, first = floor(slice);
+  vec2 disc = 0.5 + 0.5 * radius * vec2(at.sin_phi, at.cos_phi);
+  float column = clamp((1.0 - sqrt(max(1.0 - theta_d, 0.0))) * width, 0.5, width - 0.5);  // not into the next slice
+  vec2 columns = (column + width * mod(vec2(first, first + 1.0), slices)) / (width * slices);
+  return mix(textureLod(residual, vec3(columns.x, disc), 0.0).rgb, textureLod(residual, vec3(columns.y, disc), 0.0).rgb, slice - first);
+#endif
+}
 void reflectances(vec3 wi, vec3 wo, out vec3 fit, out vec3 reference) {  // in 1/sr
   Half at;
   float incident = wi.z, outgoing = wo.z;
@@ -72,11 +87,7 @@ void reflectances(vec3 wi, vec3 wo, out vec3 fit, out vec3 reference) {  // in 1
     }
   }
   fit = fitted(at, incident, outgoing);
-  reference = fit;
-  if (!hasResidual) return;
-  vec3 place = vec3(sqrt(atan(at.sine, at.cosine) / (PI / 2.0)), acos(clamp(at.difference.z, 0.0, 1.0)) / (PI / 2.0),
-    atan(at.difference.y, at.difference.x) / PI);
-  reference = max(expm1_of(log(1.0 + fit) + textureLod(residual, place, 0.0).rgb), 0.0);
+  reference = hasResidual ? max(expm1_of(log(1.0 + fit) + beyond(at)), 0.0) : fit;
 }
 void at_point(vec2 uv) {}
 void response(vec3 wi, vec3 wo, out vec3 fit, out vec3 reference) {
@@ -118,6 +129,14 @@ void main() {
   fitOut = vec4(fit, 1.0); referenceOut = vec4(reference, 1.0);
 }`;
 
+// The residual as a texture, of which phi_d, the last axis where there is no phi_h, repeats.
+function tableOf(residual) {
+  const [depth, height, ...widths] = residual ? residual.shape.slice(0, -1) : [1, 1, 1];
+  const table = new THREE.Data3DTexture(residual ? residual.values : new Uint16Array(4), widths.reduce((a, b) => a * b), height, depth);
+  const wrapR = widths.length === 1 ? THREE.RepeatWrapping : THREE.ClampToEdgeWrapping;
+  return Object.assign(table, { format: THREE.RGBAFormat, type: THREE.HalfFloatType, ...LINEAR, wrapR, needsUpdate: true });
+}
+
 class BrdfViewer extends ShapeViewer {
   static shapes = ["sphere", "plane", "knot", "cylinder"];
   static lights = [["map", "Light map"], ["lamp", "Lamp"], ["studio", "Studio lights"]];  // under a lamp metals are black but for a dot
@@ -128,7 +147,7 @@ class BrdfViewer extends ShapeViewer {
     await super.open();
     this.plots = this.fits.map(() => make("canvas", { className: "plot", width: 280, height: 182, hidden: true }));
     this.element.append(...this.plots);
-    this.samples = await Promise.all(this.fits.map(async (fit) => fit.arrays.samples && numbersOf(fit.arrays.samples).then(floatsOf)));
+    this.samples = await Promise.all(this.fits.map((fit) => (fit.arrays.samples ? samplesOf(fit.arrays.samples) : [])));
   }
 
   _listed(values) {  // as a texture, 256 texels a row
@@ -142,12 +161,9 @@ class BrdfViewer extends ShapeViewer {
     const { network, inputs, hidden, turn, darkest, alphas } = fit.facts, weights = await numbersOf(fit.arrays.weights);
     const shares = floatsOf(await numbersOf(fit.arrays.shares)), residual = fit.arrays.residual && await numbersOf(fit.arrays.residual);
     const defines = { KIND: ["nbrdf", "featured", "anisotropic"].indexOf(network), FEATURED: network !== "nbrdf", INPUTS4: Math.ceil(inputs / 4),
-      WEIGHTS: weights.shape[0],
+      WEIGHTS: weights.shape[0], SLICES: residual?.shape.length === 5 ? residual.shape[2] : 0,
       IN_BLOCK: weights.values.byteLength <= this.largestBlock ? 1 : 0 };
-    const table = residual
-      ? new THREE.Data3DTexture(residual.values, residual.shape[2], residual.shape[1], residual.shape[0])
-      : new THREE.Data3DTexture(new Uint16Array(4), 1, 1, 1);
-    Object.assign(table, { format: THREE.RGBAFormat, type: THREE.HalfFloatType, ...LINEAR, wrapR: THREE.RepeatWrapping, needsUpdate: true });
+    const table = tableOf(residual);
     const glsl = Object.entries(defines).map(([name, value]) => `#define ${name} ${value}`).join("\n") + NETWORK.replace("LAYERS", layers(defines.INPUTS4, Math.ceil(hidden / 4)));
     return {
       glsl, block: defines.IN_BLOCK ? weights.values : null,
@@ -165,7 +181,7 @@ class BrdfViewer extends ShapeViewer {
   ownControls() {
     const told = this.fits.some((fit) => this.referenced(fit))
       ? "The reference is interpolated between its samples, as differences from the fit."
-      : "There is no reference: the input is not at hand, or the material is anisotropic.";
+      : "There is no reference: the input is not at hand.";
     return [
       { name: "plot", label: "Plot at the pointer", type: "choice", value: "lobe",
         options: [["lobe", "Lobe of the viewer"], ["slice", "Slice at the lamp's theta_h"], ["none", "None"]] },
@@ -210,8 +226,9 @@ class BrdfViewer extends ShapeViewer {
     this.plots[column].style.left = `${(column + 1) * place.width - 290}px`;
     const lamp = this.lampAt.clone().multiplyScalar(LAMP_DISTANCE).sub(met.p).normalize(), half = lamp.clone().add(met.towards).normalize();
     const [viewer, thetaH, thetaD] = [met.towards.dot(met.n), half.dot(met.n), half.dot(lamp)].map((x) => Math.acos(clamp(x, 0.001, 1)));
-    if (this.settings.plot === "lobe") this.plot(column, lobeOf(viewer), `f in 1/sr in the plane of incidence; viewer at ${degrees(viewer)}, by the light's angle`);
-    else this.plot(column, sliceOf(thetaH), `f in 1/sr at theta_h ${degrees(thetaH)} by theta_d, lamp at ${degrees(thetaD)}; right: phi_d 90\u00b0, left: 0\u00b0`);
+    const [seen, slanted] = [met.towards, half].map((direction) => azimuthOf(direction, met));
+    if (this.settings.plot === "lobe") this.plot(column, lobeOf(viewer, seen), `f in 1/sr in the plane of incidence; viewer at ${degrees(viewer)}, by the light's angle`);
+    else this.plot(column, sliceOf(thetaH, slanted), `f in 1/sr at theta_h ${degrees(thetaH)} by theta_d, lamp at ${degrees(thetaD)}; right: phi_d 90\u00b0, left: 0\u00b0`);
   }
 
   // Reflectance by angle, log radius, mean of RGB: the fit in white, the reference and its samples in blue.
@@ -235,11 +252,8 @@ class BrdfViewer extends ShapeViewer {
     if (this.referenced(this.fits[column])) line(reference, "#7fb2ff");
     line(fit, "#fff");
     g.fillStyle = "#7fb2ffaa";
-    const samples = this.samples[column] ?? [];
-    for (let i = 0; i < samples.length; i += 6) {
-      for (const angle of near(samples[i], samples[i + 1], samples[i + 2])) {
-        g.fillRect(...at(angle, meanOf(samples.subarray(i + 3, i + 6))).map((x) => x - 1), 2, 2);
-      }
+    for (const { angles: sampled, rgb } of this.samples[column]) {
+      for (const angle of near(...sampled)) g.fillRect(...at(angle, meanOf(rgb)).map((x) => x - 1), 2, 2);
     }
     g.fillStyle = "#9a9fa8";
     title.split("; ").forEach((text, i) => g.fillText(text, width / 2, height - 20 + 13 * i));
@@ -249,22 +263,43 @@ class BrdfViewer extends ShapeViewer {
 const meanOf = (rgb) => (rgb[0] + rgb[1] + rgb[2]) / 3;
 const degrees = (angle) => `${Math.round(angle * 180 / Math.PI)}\u00b0`;
 
-// The plane of incidence of a viewer at theta: pairs of directions, angles of the light, and which of these a sample is of.
-function lobeOf(theta) {
-  const angles = Array.from({ length: 179 }, (_, i) => (i - 89) * Math.PI / 180), wo = [Math.sin(theta), 0, Math.cos(theta)];
-  const near = (h, d, phi) => {
-    if (Math.abs(Math.sin(phi)) * Math.sin(d) > 0.05) return [];  // across the plane
-    const side = Math.sign(Math.cos(phi)) || 1, [wi, other] = [h + side * d, h - side * d];
-    return [[wi, other], [-wi, -other], [other, wi], [-other, -wi]].filter(([a, b]) => Math.abs(b - theta) < 0.035 && Math.abs(a) < Math.PI / 2).map(([a]) => a);
-  };
-  return { angles, pairs: angles.map((a) => [[Math.sin(a), 0, Math.cos(a)], wo]), near };
+// Angles (theta_h, theta_d, phi_d, perhaps phi_h) and RGB of each row.
+async function samplesOf(spec) {
+  const values = floatsOf(await numbersOf(spec)), width = spec.shape[1];
+  return Array.from({ length: spec.shape[0] }, (_, i) => {
+    const row = values.subarray(width * i, width * (i + 1));
+    return { angles: row.subarray(0, width - 3), rgb: row.subarray(width - 3) };
+  });
 }
 
-// The slice at theta_h: by theta_d to the right where phi_d is 90 degrees, to the left where it is 0.
-function sliceOf(thetaH) {
+// Of a direction in the frame at a place that `pick` found.
+function azimuthOf(direction, { n, t }) {
+  const x = t.clone().addScaledVector(n, -n.dot(t)).normalize();
+  return Math.atan2(direction.dot(n.clone().cross(x)), direction.dot(x));
+}
+
+const turnedBy = (azimuth, [x, y, z]) => [x * Math.cos(azimuth) - y * Math.sin(azimuth), x * Math.sin(azimuth) + y * Math.cos(azimuth), z];
+
+// The plane of incidence of a viewer at theta and an azimuth: pairs of directions, angles of the light, and which of these a
+// sample is of. Those without phi_h are of any azimuth.
+function lobeOf(theta, azimuth) {
+  const angles = Array.from({ length: 179 }, (_, i) => (i - 89) * Math.PI / 180);
+  const along = (angle) => turnedBy(azimuth, [Math.sin(angle), 0, Math.cos(angle)]), wo = along(theta);
+  const near = (h, d, phi, phiH) => {
+    if (Math.abs(Math.sin(phi)) * Math.sin(d) > 0.05 || Math.abs(Math.sin((phiH ?? azimuth) - azimuth)) > 0.15) return [];  // across the plane
+    const side = Math.sign(Math.cos(phi)) || 1, [wi, other] = [h + side * d, h - side * d];
+    const signs = phiH === undefined ? [1, -1] : [Math.sign(Math.cos(phiH - azimuth))];
+    return signs.flatMap((sign) => [[sign * wi, sign * other], [sign * other, sign * wi]])
+      .filter(([a, b]) => Math.abs(b - theta) < 0.035 && Math.abs(a) < Math.PI / 2).map(([a]) => a);
+  };
+  return { angles, pairs: angles.map((a) => [along(a), wo]), near };
+}
+
+// The slice at theta_h, and phi_h: by theta_d to the right where phi_d is 90 degrees, to the left where it is 0.
+function sliceOf(thetaH, azimuth) {
   const pair = (d, phi) => [1, -1].map((sign) => {
     const [x, y, z] = [sign * Math.sin(d) * Math.cos(phi), sign * Math.sin(d) * Math.sin(phi), Math.cos(d)];
-    return [x * Math.cos(thetaH) + z * Math.sin(thetaH), y, z * Math.cos(thetaH) - x * Math.sin(thetaH)];
+    return turnedBy(azimuth, [x * Math.cos(thetaH) + z * Math.sin(thetaH), y, z * Math.cos(thetaH) - x * Math.sin(thetaH)]);
   });
   const degree = Math.PI / 180, angles = [], pairs = [];
   for (let a = -89; a < 90; a++) {
@@ -272,8 +307,8 @@ function sliceOf(thetaH) {
     if (both[0][2] <= 0.01 || both[1][2] <= 0.01) continue;
     angles.push(a * degree); pairs.push(both);
   }
-  const near = (h, d, phi) => {
-    if (Math.abs(h - thetaH) > 0.035) return [];
+  const near = (h, d, phi, phiH) => {
+    if (Math.abs(h - thetaH) > 0.035 || Math.cos((phiH ?? azimuth) - azimuth) < 0.99) return [];
     return Math.abs(Math.cos(phi)) < 0.12 ? [d] : Math.abs(Math.sin(phi)) < 0.12 ? [-d] : [];
   };
   return { angles, pairs, near };

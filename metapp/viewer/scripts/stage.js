@@ -342,7 +342,7 @@ class ShapeViewer extends Viewer {
   // What is seen at a place of a column: {p, n, towards: to the viewer}, or null.
   pick({ column, x, y, width, height }) {
     const { buffer } = this, at = [Math.floor((column + x / width) / this.fits.length * buffer.width), Math.floor((1 - y / height) * buffer.height)];
-    const [place, normal] = [0, 1].map((which) => {
+    const [place, normal, tangent] = [0, 1, 2].map((which) => {
       const values = new Float32Array(4);
       this.renderer.readRenderTargetPixels(buffer, ...at.map((each) => Math.max(each, 0)), 1, 1, values, undefined, which);
       return values;
@@ -351,7 +351,7 @@ class ShapeViewer extends Viewer {
     const p = new THREE.Vector3(...place), n = new THREE.Vector3(...normal).normalize(), view = this.view(width / height);
     const towards = view.parallel ? view.towardsEye.clone() : view.eye.clone().sub(p).normalize();
     if (n.dot(towards) < 0) n.negate();
-    return { p, n, towards };
+    return { p, n, t: new THREE.Vector3(...tangent.slice(0, 3)), towards };
   }
 }
 
