@@ -77,9 +77,17 @@ def views(*names: str, task: Task | None = None) -> list[Shown]:
 
 
 @pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    with browsing() as opened:
-        yield opened
+def opened() -> Iterator[Any]:
+    with browsing() as browser:
+        yield browser
+
+
+@pytest.fixture
+def browser(opened: Any) -> Iterator[Any]:
+    """Without the pages of earlier tests, which would go on drawing and slow what follows."""
+    yield opened
+    for context in opened.contexts:
+        context.close()
 
 
 def open_page(browser: Any, folder: Path, fits: list[Shown]) -> Page:
