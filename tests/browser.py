@@ -19,6 +19,13 @@ ARGUMENTS = (
     "--disable-sync --use-gl=angle --use-angle=swiftshader --enable-unsafe-swiftshader --ignore-gpu-blocklist"
 )
 
+WHOLE = """void (ShapeViewer.prototype._adapt = function () {
+    if (this.detail === 1) return;
+    this.detail = 1;
+    this._targets();
+    this.restart();
+})"""  # draw at full resolution, however busy this machine is
+
 
 @contextlib.contextmanager
 def browsing() -> Iterator[Any]:
@@ -33,20 +40,22 @@ def browsing() -> Iterator[Any]:
 
 
 class Page:
-    """A page that `metapp view` wrote, opened from disk.
+    """A page that `metapp view` wrote, opened from disk; `adapts`: it draws fewer pixels where the machine is slow.
 
     Attributes:
         page: playwright's.
         problems: errors that the page reported.
     """
 
-    def __init__(self, browser: Any, file: Path | str, width: int = 800, height: int = 600) -> None:
+    def __init__(self, browser: Any, file: Path | str, width: int = 480, height: int = 320, *, adapts: bool = False) -> None:
         self.page = browser.new_page(viewport={"width": width, "height": height})
         self.problems: list[str] = []
         self.page.on("pageerror", lambda error: self.problems.append(str(error)))
         self.page.on("console", lambda message: message.type == "error" and self.problems.append(message.text))
         self.page.goto(file.resolve().as_uri() if isinstance(file, Path) else file)
         self.page.evaluate("metapp.ready")
+        if not adapts:
+            self.page.evaluate(WHOLE)
 
     def sized(self, width: int, height: int) -> None:
         """Give the view a size in px."""

@@ -35,7 +35,7 @@ def main() -> None:
     file, out = Path(sys.argv[1]), Path(sys.argv[2])
     wanted = dict(each.partition(":")[::2] for each in sys.argv[3:] or NAMES)
     with browsing() as browser:
-        page = Page(browser, file, WIDTH, HEIGHT)
+        page = Page(browser, file, WIDTH, HEIGHT, adapts=True)
         groups = page.page.evaluate("DATA.groups.map((group) => [group.section, group.title])")
         for name, (section, settings) in zip(NAMES, VIEWS.items(), strict=True):
             if name not in wanted:

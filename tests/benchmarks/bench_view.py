@@ -38,7 +38,7 @@ def main() -> None:
     print("| view | frame at rest, ms | resolution while moving | frames/s while moving |")
     print("|---|---|---|---|")
     with browsing() as browser:
-        page = Page(browser, file, WIDTH, HEIGHT)
+        page = Page(browser, file, WIDTH, HEIGHT, adapts=True)
         for i, section in enumerate(page.page.evaluate("DATA.groups.map((group) => group.section)")):
             page.page.evaluate(f"metapp.open({i})")
             page.page.wait_for_timeout(6000)

@@ -10,6 +10,7 @@
 //   #define UNLIT, void unlit(inout vec3 fit, inout vec3 reference)   radiance that stands for what the light makes
 // The frame has z along the shape's normal and x along its tangent. All light is linear RGB.
 
+const MINUTE = 60000;  // ms
 const GAP = 6;  // between columns, px
 const STUDIO = "studio";  // of `environments`
 const COMPARED = { fit: "Fit", reference: "Reference", wipe: "Reference | fit", difference: "Difference" };
@@ -213,7 +214,7 @@ class ShapeViewer extends Viewer {
     this._adapt();
   }
   _adapt() {
-    let wanted = this.detail === 0.5 && this.cost > 2000 || this.cost > 4000 ? 0.5 : 1;  // between them as it is: each change begins anew
+    let wanted = this.detail === 0.5 && this.cost > 1000 || this.cost > 2000 ? 0.5 : 1;  // between them as it is: each change begins anew
     if (!this.cost) wanted = 0.25;
     else if (this.moves) wanted = clamp(Math.sqrt(70 / this.cost), 0.15, 1);
     if (wanted === this.detail || (this.moves && wanted < 1 && Math.abs(wanted - this.detail) < 0.15 * this.detail)) return;
@@ -246,7 +247,10 @@ class ShapeViewer extends Viewer {
     return { light: own?.light ?? this.settings.light, lamp: own?.lamp ?? this.lampAt.clone().multiplyScalar(LAMP_DISTANCE), power: own?.power ?? Math.PI * LAMP_DISTANCE ** 2 };
   }
 
-  most() { return { lamp: 16, map: 1024, studio: 4 * this.chunks }[this.lighting().light]; }  // frames of a picture
+  most() {  // frames of a picture; under a light map as many as a minute has, where that is fewer
+    const map = clamp(Math.round(MINUTE / Math.max(this.cost * this.detail ** 2, 1)), 64, 1024);
+    return { lamp: 16, map, studio: 4 * this.chunks }[this.lighting().light];
+  }
   get chunks() { return 16; }  // frames that share the studio's lights
 
   draw() {
