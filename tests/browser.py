@@ -47,7 +47,9 @@ class Page:
         problems: errors that the page reported.
     """
 
-    def __init__(self, browser: Any, file: Path | str, width: int = 480, height: int = 320, *, adapts: bool = False) -> None:
+    def __init__(
+        self, browser: Any, file: Path | str, width: int = 480, height: int = 320, *, adapts: bool = False
+    ) -> None:
         self.page = browser.new_page(viewport={"width": width, "height": height})
         self.problems: list[str] = []
         self.page.on("pageerror", lambda error: self.problems.append(str(error)))
