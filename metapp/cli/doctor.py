@@ -23,7 +23,7 @@ PACKAGES = (
     "typer",
     "rich",
 )
-VGG = {"vgg16": "textures and svbrdf_stationary need it", "vgg19": "the recipe paper-vgg19 of texture alone needs it"}
+VGG = {"vgg16": "textures and svbrdf_stationary need it", "vgg19": "only the recipe paper-vgg19 of texture needs it"}
 
 
 def command(
@@ -90,7 +90,7 @@ def _vgg(which: str) -> str:
         return f"from {origin.source}"
     if weights_path(which).is_file():
         return f"damaged: what is fitted to pictures fails; fetch it again: metapp data vgg --which {which}"
-    return f"not fetched; {VGG[which]}: metapp data vgg --which {which}"
+    return f"not fetched; {VGG[which]}; get it: metapp data vgg --which {which}"
 
 
 def _llvm() -> str:
