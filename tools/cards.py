@@ -42,7 +42,7 @@ def maps(pattern: str, names: Sequence[str], box: tuple[int, int, int, int] | No
 
 # columns of a card, each a list of rows of parts
 CARDS: dict[str, list[list[list[Part]]]] = {
-    "brdf": [[[("demo.png", (372, 30, 992, 340))]]],
+    "brdf": [[[("demo.png", (372, 32, 996, 350))]]],
     "texture": [[[("gravel.png", None)]], [[("runs/texture/meta/*gravel*/outputs/*/texture.png", QUARTER)]]],
     "svbrdf-stationary": [
         [[("rust.png", None)]],
