@@ -76,8 +76,8 @@ def _write_brdf(file: Path) -> None:
 
 
 def _hemisphere(uniform: Tensor) -> Tensor:
-    """Unit vectors [N, 3], uniform to 84 degrees from the normal, of numbers [2, N] in [0, 1)."""
-    z, phi = 0.1 + 0.9 * uniform[0], 2 * torch.pi * uniform[1]
+    """Unit vectors [N, 3], uniform to 89 degrees from the normal, of numbers [2, N] in [0, 1)."""
+    z, phi = 0.02 + 0.98 * uniform[0], 2 * torch.pi * uniform[1]
     across = (1 - z**2).sqrt()
     return torch.stack([across * phi.cos(), across * phi.sin(), z], 1)
 
