@@ -250,12 +250,12 @@ class _Loop:
         self.count = 0
 
     def known(self, sources: Sequence[Source]) -> dict[str, Document]:
-        """Records of sources that have not changed since, by their places."""
+        """Records of sources that have not changed since, by their places; else the folder's name is of the content."""
         finished = self.folder.finished()
         if self.lazy:
             finished = {record["source"]: record for record in finished.values()}
-        stamps = {place: record.get("stamp", "") for place, record in finished.items()}
-        return {source.place: finished[source.place] for source in sources if stamps.get(source.place) == source.stamp}
+            sources = [each for each in sources if finished.get(each.place, {}).get("stamp") == each.stamp]
+        return {source.place: finished[source.place] for source in sources if source.place in finished}
 
     def fit(self, sources: Sequence[Source]) -> Iterator[Document | Failure]:
         """Fit sources and keep each fit; what has a record is whole. The page that follows ends, whatever fails."""

@@ -110,9 +110,9 @@ def sources_read(app: App, request: Request) -> tuple[list[Source], str]:
         tasks.append(task)
         if len(tasks) % BETWEEN == 0:
             return_memory()
-    tasks, stamp = distinct(tasks), functools.cache(_stamp)  # networks that share a folder share its stamp
+    tasks, stamp = distinct(tasks), _stamps()
     sources = [
-        source._replace(file=as_text(str(file.resolve())), stamp=stamp(_stamped(file))) if file else source
+        source._replace(file=as_text(str(file.resolve())), stamp=stamp(file)) if file else source
         for source, file in zip(sources_of(tasks), files, strict=True)
     ]
     return sources, label_of(tasks)
@@ -147,11 +147,9 @@ def sources_to_fit(app: App, request: Request) -> tuple[list[Source], str]:
         for places, read in _found(app, path, request):
             readers |= {str(place.resolve()): functools.partial(read, place) for place in places}
     stems = collections.Counter(map(_stem, readers))
-    stamp = functools.cache(_stamp)  # networks that share a folder share its stamp
+    stamp = _stamps()
     sources = [
-        Source(
-            as_text(place), read, stamp(_stamped(Path(place))), "" if stems[_stem(place)] == 1 else f"-{_digest(place)}"
-        )
+        Source(as_text(place), read, stamp(Path(place)), "" if stems[_stem(place)] == 1 else f"-{_digest(place)}")
         for place, read in sorted(readers.items(), key=lambda item: item[0])
     ]
     roots = sorted(str(path.resolve()) for path in request.inputs)
@@ -285,9 +283,10 @@ def _digest(*texts: str) -> str:
     return hashlib.sha256("\n".join(texts).encode(errors="surrogatepass")).hexdigest()[:6]
 
 
-def _stamped(path: Path) -> Path:
-    """What the stamp of a place is of: a file or folder itself; of a name in a folder, that folder."""
-    return path if path.exists() else path.parent
+def _stamps() -> Callable[[Path], str]:
+    """What stamps places: a file or folder itself; a name in a folder as that folder, which many share, only once."""
+    stamp = functools.cache(_stamp)
+    return lambda path: stamp(path if path.exists() else path.parent)
 
 
 def _stamp(path: Path) -> str:

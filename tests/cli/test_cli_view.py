@@ -110,6 +110,20 @@ def test_each_input_that_has_not_changed_is_found(metapp: Callable, fitted: Call
     assert referenced(Path("p.html")) == ["m0"]
 
 
+def test_a_run_that_was_cut_off_keeps_fits_of_inputs_of_the_same_content(
+    metapp: Callable, fitted: Callable, networks: Path
+) -> None:
+    shutil.copytree(networks, "mine")
+    record = fitted("meta", inputs=Path("mine")) / "record.jsonl"
+    first = record.read_text().splitlines()[0]
+    record.write_text(first + "\n")
+    for file in Path("mine").rglob("*.npy"):
+        file.touch()
+    assert fitted("meta", inputs=Path("mine")) == record.parent
+    lines = record.read_text().splitlines()
+    assert (len(lines), lines[0]) == (2, first)
+
+
 def test_copies_of_all_inputs_are_found_by_their_content(metapp: Callable, fitted: Callable, networks: Path) -> None:
     shutil.copytree(networks, "mine", copy_function=shutil.copyfile)
     run = fitted("meta", inputs=Path("mine"))

@@ -52,7 +52,7 @@ class Overlay {
     const radius = Math.sqrt(Math.max(1 - lamp.z, 0)), flat = Math.hypot(lamp.x, lamp.y) || 1;
     this.columns.forEach((each, i) => {
       const left = i * width, fit = viewer.fits[i], text = this._text(fit);
-      each.lamp.hidden = settings.light !== "lamp" || settings.view !== "free" || (settings.map ?? "lit") !== "lit";
+      each.lamp.hidden = !viewer.lampShown();
       each.lamp.classList.toggle("behind", lamp.z < 0);
       each.lamp.style.left = `${left + width / 2 + half * radius * lamp.x / flat}px`;
       each.lamp.style.top = `${height / 2 - half * radius * lamp.y / flat}px`;

@@ -24,6 +24,7 @@ class ShapeViewer extends Viewer {
   async material(fit) { throw new Error("no material"); }  // -> {glsl, displacement, uniforms}
   referenced(fit) { return false; }  // whether there is a reference to compare with
   named(fit) { return "Reference"; }
+  lampShown() { return this.settings.light === "lamp" && this.settings.view === "free"; }
   shown(fit) { return this.referenced(fit) ? this.settings.show : "fit"; }  // of COMPARED
   picture(settings) { return null; }  // where metapp's own picture is looked at: {lamp, eye, half: of an orthographic view}
 

@@ -143,6 +143,7 @@ class SurfaceViewer extends ShapeViewer {
   }
 
   photo(fit) { return this.settings.view === "picture" && this.photos.get(fit.pictures[this.lit(fit).name]); }
+  lampShown() { return super.lampShown() && this.settings.map === "lit"; }
   named(fit) { return this.photo(fit) ? "Photo" : super.named(fit); }
   referenced(fit) {
     const { map = "lit" } = this.settings;
