@@ -25,7 +25,7 @@ from torch import Generator
 
 from data_tools.readers.nbrdf import read_nbrdf
 from metapp.apps import recipes_of
-from metapp.apps.brdf import Brdf, layers_of
+from metapp.apps.brdf.app import Brdf, layers_of
 from metapp.apps.brdf.featured import TURN
 from metapp.apps.brdf.few import DARKEST
 from metapp.learning.task import Params

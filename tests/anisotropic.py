@@ -11,9 +11,9 @@ from data_tools.readers.brdf_task import brdf_task
 from data_tools.synthetic.brdf_anisotropic import turned
 from data_tools.synthetic.brdf_anisotropic_models import Roughness, facets
 from metapp.appearance.geometry import above_horizon, rusinkiewicz_to_directions
-from metapp.apps.brdf import Brdf
 from metapp.apps.brdf.anisotropic import axes_of
 from metapp.apps.brdf.anisotropic_residual import corners
+from metapp.apps.brdf.app import Brdf
 from metapp.apps.brdf.featured import features_of
 from metapp.apps.brdf.recipes import ANISOTROPIC
 from metapp.learning.app import stack

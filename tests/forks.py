@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 FORKS = multiprocessing.get_context("forkserver")
-FORKS.set_forkserver_preload(["torch", "metapp.runs.checkpoints", "metapp.cli.commands", "metapp.apps.brdf"])
+FORKS.set_forkserver_preload(["torch", "metapp.runs.checkpoints", "metapp.cli.commands", "metapp.apps.brdf.app"])
 OUT, ERR = "out.txt", "err.txt"
 
 

@@ -20,7 +20,7 @@ from safetensors.torch import save_file
 from torch import Generator, Tensor
 
 from data_tools.synthetic.illumination import synthetic_tasks
-from metapp.apps.illumination import READ, Illumination
+from metapp.apps.illumination.app import READ, Illumination
 from metapp.apps.illumination.confidence import covered, init, off_by, predicted, shipped
 from metapp.apps.illumination.variants import of_mean_1
 from metapp.learning.app import stack

@@ -25,7 +25,7 @@ from torch.nn.functional import adaptive_avg_pool2d, avg_pool2d
 from data_tools.readers.svbrdf_task import encoded, rightly_exposed
 from metapp.appearance.flash import BESIDE_LENS, Maps, camera_distance, expose, flash_position, unpack
 from metapp.appearance.highlight import gloss
-from metapp.apps.svbrdf_nonstationary import JUDGED, SvbrdfNonstationary, _pairs
+from metapp.apps.svbrdf_nonstationary.app import JUDGED, SvbrdfNonstationary, _pairs
 from metapp.apps.svbrdf_nonstationary.encoder import _block
 from metapp.apps.svbrdf_nonstationary.maps import FLASH, flash_of, inputs_of, linear, photographed, pooled
 from metapp.apps.svbrdf_nonstationary.variants import JITTER, varied

@@ -18,8 +18,8 @@ from metapp.appearance.colour import linear_to_srgb
 from metapp.appearance.flash import Maps
 from metapp.appearance.order import lattice_of, order_kept
 from metapp.apps import presentation_of
-from metapp.apps.svbrdf_stationary import SvbrdfStationary
-from metapp.apps.texture import Texture
+from metapp.apps.svbrdf_stationary.app import SvbrdfStationary
+from metapp.apps.texture.app import Texture
 from metapp.baselines.svbrdf_stationary import quilted_maps
 from metapp.baselines.texture import quilt
 from metapp.learning.app import stack

@@ -21,7 +21,7 @@ from metapp.appearance.colour import linear_to_srgb
 from metapp.appearance.flash import expose
 from metapp.appearance.metrics import ssim
 from metapp.appearance.presentation import Picture
-from metapp.apps.svbrdf_nonstationary import SvbrdfNonstationary
+from metapp.apps.svbrdf_nonstationary.app import SvbrdfNonstationary
 from metapp.apps.svbrdf_nonstationary.maps import CLIPPED, FLASH, flashes_of, linear, photographed
 from metapp.apps.svbrdf_nonstationary.presentation import fine_maps
 from metapp.baselines import baselines_of

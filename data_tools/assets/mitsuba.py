@@ -23,7 +23,7 @@ from metapp.learning.task import Params
 from metapp.storage.files import write_atomically
 
 if TYPE_CHECKING:
-    from metapp.apps.brdf import Brdf
+    from metapp.apps.brdf.app import Brdf
 
 VERSION = "3.0.0"
 FOV_DEGREES = 45

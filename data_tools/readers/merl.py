@@ -27,7 +27,7 @@ from metapp.learning.task import Params, Task
 from metapp.storage.files import suffixed, write_atomically
 
 if TYPE_CHECKING:
-    from metapp.apps.brdf import Brdf
+    from metapp.apps.brdf.app import Brdf
 
 UNITS = brdf_task.UNITS
 FILE_BYTES = 12 + 8 * 3 * math.prod(SHAPE)

@@ -28,7 +28,7 @@ from metapp.learning.task import Params, Task
 from metapp.storage.files import write_atomically
 
 if TYPE_CHECKING:
-    from metapp.apps.brdf import Brdf
+    from metapp.apps.brdf.app import Brdf
 
 SHAPES = {"fc1": (6, 21), "fc2": (21, 21), "fc3": (21, 3), "b1": (21,), "b2": (21,), "b3": (3,)}
 

@@ -42,7 +42,7 @@ from metapp.storage.files import suffixed, write_atomically
 if TYPE_CHECKING:
     import mitsuba as mi
 
-    from metapp.apps.brdf import Brdf
+    from metapp.apps.brdf.app import Brdf
 
 MAGIC = b"tensor_file\0"
 VERSION = (1, 0)

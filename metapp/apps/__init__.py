@@ -30,7 +30,7 @@ def class_of(name: str) -> type[App]:
     Raises:
         ValueError: there is none; the message lists those that exist.
     """
-    result: type[App] = _module(name).APP
+    result: type[App] = _module(name, ".app").APP
     return result
 
 

@@ -19,7 +19,7 @@ from data_tools.readers.brdf_objects import unit_vectors
 from metapp.appearance.geometry import directions_to_four_angles
 from metapp.appearance.presentation import maps_of
 from metapp.apps import presentation_of
-from metapp.apps.brdf import Brdf
+from metapp.apps.brdf.app import Brdf
 from metapp.learning.app import App
 from metapp.learning.task import Params, Task
 from metapp.runs.checkpoints import find_checkpoint

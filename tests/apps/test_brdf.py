@@ -15,7 +15,7 @@ from data_tools.readers.brdf_task import brdf_task
 from data_tools.readers.nbrdf import export, nbrdf_evaluate, read_nbrdf
 from data_tools.synthetic.brdf import synthetic_materials
 from metapp.appearance.geometry import cosines
-from metapp.apps.brdf import KNOTS, Brdf
+from metapp.apps.brdf.app import KNOTS, Brdf
 from metapp.apps.brdf.presentation import BrdfPresentation
 from metapp.learning.app import stack
 from metapp.learning.task import Batch, Params, Task, Tasks

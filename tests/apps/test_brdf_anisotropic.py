@@ -24,8 +24,8 @@ from metapp.appearance.geometry import (
     half_difference,
     rusinkiewicz_to_directions,
 )
-from metapp.apps.brdf import Brdf
 from metapp.apps.brdf.anisotropic import axes_of, inputs_of, turned
+from metapp.apps.brdf.app import Brdf
 from metapp.baselines import anisotropic_lobes
 from metapp.learning.app import stack
 from metapp.learning.task import Task

@@ -10,7 +10,7 @@ from torch import Generator, Tensor
 
 from data_tools.readers.brdf_task import brdf_task
 from metapp.appearance.geometry import cosines, half_difference
-from metapp.apps.brdf import MEASURED_RAD, NOISE, Brdf, measured, network
+from metapp.apps.brdf.app import MEASURED_RAD, NOISE, Brdf, measured, network
 from metapp.apps.brdf.featured import INPUTS, Featured, features_of, inputs_of
 from metapp.apps.brdf.recipes import RECIPES
 from metapp.learning.app import stack

@@ -10,7 +10,7 @@ from torch import Generator, Tensor
 
 from data_tools.readers.brdf_task import brdf_task
 from metapp.appearance.geometry import directions_to_full_circle
-from metapp.apps.brdf import Brdf, fewer, layers_of, network
+from metapp.apps.brdf.app import Brdf, fewer, layers_of, network
 from metapp.apps.brdf.design import CALIBRATED, Limits, belief, expected_errors, places_of, plan
 from metapp.apps.brdf.featured import inputs_of
 from metapp.apps.brdf.few import (

@@ -10,7 +10,7 @@ import torch
 from torch import Generator
 
 from data_tools.readers.svbrdf_task import svbrdf_task
-from metapp.apps.svbrdf_nonstationary import MaterialSetup, SvbrdfNonstationary, field_of
+from metapp.apps.svbrdf_nonstationary.app import MaterialSetup, SvbrdfNonstationary, field_of
 from metapp.apps.svbrdf_nonstationary.confidence import (
     COARSE,
     PARTS,

@@ -13,7 +13,7 @@ from torch.nn.functional import avg_pool2d
 from metapp.appearance.features import RANDOM, gram, load_features
 from metapp.apps import app_of, class_of, recipes_of
 from metapp.apps.svbrdf_stationary.presentation import SvbrdfStationaryPresentation
-from metapp.apps.texture import Texture
+from metapp.apps.texture.app import Texture
 from metapp.learning.app import Doubtful, stack
 from metapp.learning.learn import MetaParameters, learn, over_tasks, task_loss
 from metapp.learning.recipe import Recipe

@@ -10,14 +10,7 @@ from torch import Generator, Tensor
 
 from metapp.appearance.latlong import cosine_transfer, directions, mean_luminance
 from metapp.appearance.photograph import develop, photograph, shade
-from metapp.apps.illumination import (
-    BODY,
-    BODY_GAIN,
-    GLOSSES,
-    Illumination,
-    IlluminationSetup,
-    body_of,
-)
+from metapp.apps.illumination.app import BODY, BODY_GAIN, GLOSSES, Illumination, IlluminationSetup, body_of
 from metapp.apps.illumination.encoder import Encoder, unwrapped
 from metapp.apps.illumination.mirror import LOST
 from metapp.apps.illumination.presentation import IlluminationPresentation

@@ -13,7 +13,7 @@ from torch import Generator, Tensor
 from data_tools.synthetic.illumination import synthetic_tasks
 from metapp.appearance.latlong import directions
 from metapp.appearance.photograph import photograph
-from metapp.apps.illumination import Illumination, IlluminationSetup
+from metapp.apps.illumination.app import Illumination, IlluminationSetup
 from metapp.apps.illumination.confidence import (
     COLUMNS,
     FEATURES,

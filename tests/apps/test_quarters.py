@@ -11,8 +11,9 @@ import torch
 from torch import Generator, Tensor
 
 from metapp.appearance.flash import Maps
-from metapp.apps import svbrdf_nonstationary
-from metapp.apps.svbrdf_nonstationary import MaterialSetup, SvbrdfNonstationary, field_of, quarters
+from metapp.apps.svbrdf_nonstationary import app as svbrdf_nonstationary
+from metapp.apps.svbrdf_nonstationary import quarters
+from metapp.apps.svbrdf_nonstationary.app import MaterialSetup, SvbrdfNonstationary, field_of
 from metapp.apps.svbrdf_nonstationary.quarters import drawn_quarters, quarter_of
 from metapp.learning.app import stack
 from metapp.learning.task import Batch, Params, Task, Tasks

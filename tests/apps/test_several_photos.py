@@ -12,7 +12,7 @@ from data_tools.readers.svbrdf_task import flash_photo, svbrdf_task
 from data_tools.synthetic.svbrdf_nonstationary import synthetic_tasks
 from metapp.appearance.flash import Maps, camera, camera_distance, normal_from_height, pack, unpack
 from metapp.appearance.several import ASIDE, ERROR, FARTHEST, NEAREST, held_places
-from metapp.apps.svbrdf_nonstationary import MaterialSetup, SvbrdfNonstationary, field_of
+from metapp.apps.svbrdf_nonstationary.app import MaterialSetup, SvbrdfNonstationary, field_of
 from metapp.apps.svbrdf_nonstationary.maps import FLASH, flash_of, flashes_of, linear, photographed
 from metapp.apps.svbrdf_nonstationary.presentation import SvbrdfNonstationaryPresentation
 from metapp.learning.app import stack

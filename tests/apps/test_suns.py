@@ -10,7 +10,7 @@ from torch import Generator, Tensor
 from torch.nn.functional import normalize
 
 from metapp.appearance.latlong import directions, mean_luminance, solid_angles
-from metapp.apps.illumination import Illumination, IlluminationSetup
+from metapp.apps.illumination.app import Illumination, IlluminationSetup
 from metapp.apps.illumination.suns import COUNT, WIDEST, joined, suns_of, with_suns
 from metapp.learning.app import stack
 from metapp.learning.task import Task

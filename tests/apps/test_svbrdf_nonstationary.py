@@ -15,16 +15,9 @@ from torch.nn.functional import adaptive_avg_pool2d, avg_pool2d, interpolate, no
 from data_tools.readers.svbrdf_task import flash_photo, svbrdf_task
 from metapp.appearance.colour import linear_to_srgb, srgb_to_linear
 from metapp.appearance.flash import Maps, camera, camera_distance, normal_from_height, pack, positions, render, unpack
-from metapp.apps import svbrdf_nonstationary
-from metapp.apps.svbrdf_nonstationary import (
-    HIDDEN,
-    INPUTS,
-    STEEP,
-    MaterialSetup,
-    SvbrdfNonstationary,
-    field_of,
-    presentation,
-)
+from metapp.apps.svbrdf_nonstationary import app as svbrdf_nonstationary
+from metapp.apps.svbrdf_nonstationary import presentation
+from metapp.apps.svbrdf_nonstationary.app import HIDDEN, INPUTS, STEEP, MaterialSetup, SvbrdfNonstationary, field_of
 from metapp.apps.svbrdf_nonstationary.encoder import Encoder
 from metapp.apps.svbrdf_nonstationary.maps import (
     FLASH,

@@ -22,8 +22,8 @@ from metapp.appearance.flash import (
     render,
     statistics,
 )
-from metapp.apps import svbrdf_stationary
-from metapp.apps.svbrdf_stationary import (
+from metapp.apps.svbrdf_stationary import app as svbrdf_stationary
+from metapp.apps.svbrdf_stationary.app import (
     DRAWN,
     FALLOFF,
     GLOSS,

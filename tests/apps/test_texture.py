@@ -13,7 +13,7 @@ from metapp.appearance import precision
 from metapp.appearance.colour import srgb_to_linear
 from metapp.appearance.features import RANDOM, gram, load_features, moments
 from metapp.appearance.presentation import Fitted
-from metapp.apps.texture import SMALLEST_CROP, Texture
+from metapp.apps.texture.app import SMALLEST_CROP, Texture
 from metapp.apps.texture.presentation import TexturePresentation
 from metapp.apps.texture.recipes import PAPER, QUICK
 from metapp.learning.app import stack

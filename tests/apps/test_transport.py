@@ -13,7 +13,8 @@ from torch import Generator, Tensor
 
 from data_tools.synthetic.cornell import random_scene
 from metapp.apps import presentation_of
-from metapp.apps.transport import Transport, TransportSetup, presentation, spline
+from metapp.apps.transport import presentation, spline
+from metapp.apps.transport.app import Transport, TransportSetup
 from metapp.apps.transport.flow import Flow, blobs, interpolated
 from metapp.apps.transport.guide import table_of
 from metapp.apps.transport.recipes import FULL, QUICK

@@ -11,7 +11,7 @@ from torch import Generator, Tensor
 
 from metapp.appearance.geometry import cosines
 from metapp.appearance.reflection import fresnel_schlick, microfacet_lobe
-from metapp.apps.brdf import Brdf
+from metapp.apps.brdf.app import Brdf
 from metapp.baselines import lobes
 from metapp.baselines.baseline import Allowed, Training
 from metapp.baselines.brdf import (

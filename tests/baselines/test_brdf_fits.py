@@ -9,7 +9,7 @@ import torch
 from torch import Generator, Tensor
 
 from metapp.appearance.geometry import cosines
-from metapp.apps.brdf import Brdf
+from metapp.apps.brdf.app import Brdf
 from metapp.baselines import lobes
 from metapp.baselines.baseline import Allowed, Training, mean_error
 from metapp.baselines.brdf import EPSILON, Relative, RidgeOf, baselines, coefficients, drawn, reweighted, space_of

@@ -11,7 +11,7 @@ from torch import Generator, Tensor
 
 from metapp.appearance.flash import Maps, camera, relightings
 from metapp.apps import presentation_of
-from metapp.apps.svbrdf_stationary import SvbrdfStationary
+from metapp.apps.svbrdf_stationary.app import SvbrdfStationary
 from metapp.baselines import baselines_of
 from metapp.baselines.baseline import Allowed, BaselineFit, Training
 from metapp.baselines.svbrdf_stationary import quilted_maps

@@ -25,7 +25,7 @@ from data_tools.synthetic.illumination import synthetic_tasks
 from metapp.appearance.colour import linear_to_srgb, tone_map
 from metapp.appearance.latlong import sphere_normals
 from metapp.appearance.metrics import si_rmse
-from metapp.apps.illumination import READ, Illumination
+from metapp.apps.illumination.app import READ, Illumination
 from metapp.apps.illumination.spheres import SIZE, SPHERES, lit_spheres, toned
 from metapp.baselines import baselines_of
 from metapp.baselines.baseline import Training

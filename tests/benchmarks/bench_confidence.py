@@ -19,7 +19,7 @@ from torch import Generator, Tensor
 
 from data_tools.synthetic.illumination import synthetic_tasks
 from metapp.appearance.photograph import photograph
-from metapp.apps.illumination import READ, Illumination
+from metapp.apps.illumination.app import READ, Illumination
 from metapp.apps.illumination.confidence import covered, deviations, off_by
 from metapp.apps.illumination.mirror import photographed
 from metapp.learning.app import stack

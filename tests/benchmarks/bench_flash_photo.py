@@ -20,7 +20,7 @@ import torch
 from torch import Generator, Tensor
 
 from metapp.appearance.flash import Maps, unpack
-from metapp.apps.svbrdf_nonstationary import JUDGED, SvbrdfNonstationary, _pairs
+from metapp.apps.svbrdf_nonstationary.app import JUDGED, SvbrdfNonstationary, _pairs
 from metapp.apps.svbrdf_nonstationary.maps import FLASH, RAW, decoded, inputs_of
 from metapp.apps.svbrdf_nonstationary.recipes import QUICK
 from metapp.cli.console import run

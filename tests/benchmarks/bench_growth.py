@@ -21,7 +21,7 @@ from typing import NamedTuple
 import torch
 from torch import Generator, Tensor
 
-from metapp.apps.brdf import Brdf, network
+from metapp.apps.brdf.app import Brdf, network
 from metapp.apps.brdf.recipes import RECIPES
 from metapp.engine import FASTEST
 from metapp.learning.adjoint import Drawn, Loss

@@ -43,7 +43,7 @@ from torch.nn.functional import avg_pool2d, conv2d, interpolate, linear
 from torch.utils._python_dispatch import TorchDispatchMode
 from torch.utils._pytree import tree_leaves
 
-from metapp.apps.brdf import Brdf
+from metapp.apps.brdf.app import Brdf
 from metapp.engine import FASTEST, load
 from metapp.engine.fastest import Compiled
 from metapp.learning.adjoint import TORCH, Drawn, Engine, Loss

@@ -25,7 +25,7 @@ from data_tools.readers.brdf_task import as_measured
 from data_tools.readers.nbrdf import read_nbrdf
 from metapp.appearance.geometry import directions_to_full_circle
 from metapp.appearance.noise import factors
-from metapp.apps.brdf import Brdf
+from metapp.apps.brdf.app import Brdf
 from metapp.apps.brdf.design import Limits, places_of
 from metapp.apps.brdf.featured import outgoing_cosine
 from metapp.baselines.baseline import Training

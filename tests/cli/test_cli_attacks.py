@@ -15,7 +15,7 @@ import pytest
 import torch
 from safetensors.torch import load_file, save_file
 
-from metapp.apps.brdf import Brdf
+from metapp.apps.brdf.app import Brdf
 from metapp.apps.brdf.recipes import RECIPES
 from metapp.cli.streams import LONGEST, one_line
 from metapp.learning.app import stack

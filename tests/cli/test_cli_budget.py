@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from metapp.apps.brdf import Brdf
+from metapp.apps.brdf.app import Brdf
 from metapp.apps.brdf.recipes import RECIPES
 from metapp.runs import BadOption
 from metapp.runs.request import seconds_of, time_text

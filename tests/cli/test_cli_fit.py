@@ -18,8 +18,8 @@ from safetensors.torch import load_file, save_file
 
 from data_tools.readers.nbrdf import read_nbrdf
 from metapp import __version__
-from metapp.apps import brdf
-from metapp.apps.brdf import Brdf
+from metapp.apps.brdf import app as brdf
+from metapp.apps.brdf.app import Brdf
 from metapp.apps.brdf.recipes import RECIPES
 from metapp.learning.recipe import Adam, Recipe
 from metapp.storage.records import digest, load_checkpoint, read_records

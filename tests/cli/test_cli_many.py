@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from metapp.apps.brdf import Brdf
+from metapp.apps.brdf.app import Brdf
 from metapp.runs import BadOption
 from metapp.runs.execution import _Loop
 from metapp.runs.fits import Fitter

@@ -16,8 +16,9 @@ from torch import Generator, Tensor
 from data_tools.readers.latlong import read_map
 from metapp.appearance.colour import tone_map
 from metapp.appearance.presentation import Picture
-from metapp.apps import brdf
-from metapp.apps.brdf import Brdf, presentation, recipes
+from metapp.apps.brdf import app as brdf
+from metapp.apps.brdf import presentation, recipes
+from metapp.apps.brdf.app import Brdf
 from metapp.apps.brdf.presentation import BrdfPresentation
 from metapp.cli.fitting import table_of
 from metapp.evaluation.tables.results import closing

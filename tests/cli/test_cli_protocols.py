@@ -19,10 +19,10 @@ from data_tools.readers.svbrdf_task import flash_photo
 from metapp.appearance.flash import Maps, normal_from_height, pack, unpack
 from metapp.appearance.latlong import directions, mean_luminance
 from metapp.appearance.photograph import photograph
-from metapp.apps.illumination import IlluminationSetup
 from metapp.apps.illumination import recipes as illumination
-from metapp.apps.svbrdf_nonstationary import MaterialSetup, field_of
+from metapp.apps.illumination.app import IlluminationSetup
 from metapp.apps.svbrdf_nonstationary import recipes as svbrdf
+from metapp.apps.svbrdf_nonstationary.app import MaterialSetup, field_of
 from metapp.networks.field import LocalField
 from tests.marked import long
 from tests.pictures import write_planes

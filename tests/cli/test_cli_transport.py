@@ -19,7 +19,8 @@ from data_tools.readers.mitsuba_scenes import transport_task
 from data_tools.synthetic.cornell import random_scene
 from data_tools.synthetic.transport import UNITS
 from metapp.appearance.presentation import Fitted
-from metapp.apps.transport import Transport, TransportSetup, images
+from metapp.apps.transport import images
+from metapp.apps.transport.app import Transport, TransportSetup
 from metapp.apps.transport.flow import Flow
 from metapp.apps.transport.guide import table_of
 from metapp.apps.transport.presentation import TransportPresentation

@@ -10,7 +10,7 @@ import pytest
 import torch
 from PIL import Image
 
-from metapp.apps.brdf import Brdf
+from metapp.apps.brdf.app import Brdf
 from metapp.learning.deadline import Stopwatch
 from metapp.learning.learn import Step
 from metapp.learning.task import Task

@@ -12,7 +12,8 @@ import torch
 from torch import Generator, Tensor
 
 from metapp.apps import app_of
-from metapp.apps.brdf import Brdf, nbrdf_in_c
+from metapp.apps.brdf import nbrdf_in_c
+from metapp.apps.brdf.app import Brdf
 from metapp.apps.brdf.recipes import RECIPES
 from metapp.engine import FASTEST, compiler, in_c
 from metapp.engine.packing import Layout

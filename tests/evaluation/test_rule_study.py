@@ -14,7 +14,7 @@ import pytest
 from rich.console import Console
 
 from metapp.apps import recipes_of
-from metapp.apps.brdf import Brdf
+from metapp.apps.brdf.app import Brdf
 from metapp.apps.brdf.recipes import RECIPES
 from metapp.cli.show import rich_table
 from metapp.evaluation import study as studies

@@ -11,7 +11,7 @@ import pytest
 import torch
 from torch import Generator, Tensor
 
-from metapp.apps.brdf import Brdf
+from metapp.apps.brdf.app import Brdf
 from metapp.engine.fastest import Compiled
 from metapp.learning.adjoint import TORCH, Engine, Loss, UpdateRule, at_step, learn_through
 from metapp.learning.learn import Encoding, MetaParameters, after_learning, spread

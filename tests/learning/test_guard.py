@@ -9,7 +9,7 @@ import pytest
 import torch
 from torch import Generator, Tensor
 
-from metapp.apps.brdf import Brdf
+from metapp.apps.brdf.app import Brdf
 from metapp.learning.adjoint import Loss, UpdateRule
 from metapp.learning.deadline import Deadline
 from metapp.learning.guard import descend_guarded

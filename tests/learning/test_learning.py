@@ -11,7 +11,7 @@ import pytest
 import torch
 from torch import Generator, Tensor
 
-from metapp.apps.brdf import Brdf
+from metapp.apps.brdf.app import Brdf
 from metapp.learning.adjoint import Drawn, Loss
 from metapp.learning.app import stack
 from metapp.learning.learn import (

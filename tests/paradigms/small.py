@@ -17,11 +17,11 @@ from metapp.appearance.flash import Maps, normal_from_height, pack
 from metapp.appearance.latlong import directions, mean_luminance
 from metapp.appearance.photograph import photograph
 from metapp.apps import app_names, app_of, recipes_of
-from metapp.apps.brdf import Brdf
+from metapp.apps.brdf.app import Brdf
 from metapp.apps.brdf.featured import Featured
-from metapp.apps.illumination import IlluminationSetup
-from metapp.apps.svbrdf_nonstationary import MaterialSetup, field_of
-from metapp.apps.transport import TransportSetup
+from metapp.apps.illumination.app import IlluminationSetup
+from metapp.apps.svbrdf_nonstationary.app import MaterialSetup, field_of
+from metapp.apps.transport.app import TransportSetup
 from metapp.apps.transport.flow import Flow
 from metapp.learning.app import App, linear_in
 from metapp.learning.learn import MetaParameters, last

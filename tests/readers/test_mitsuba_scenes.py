@@ -12,7 +12,7 @@ import torch
 
 from data_tools.readers.mitsuba_scenes import find, read_scene, read_task, recognises
 from data_tools.synthetic.cornell import random_scene
-from metapp.apps.transport import Transport
+from metapp.apps.transport.app import Transport
 from metapp.learning.task import problems_of
 from metapp.rendering import variant as mitsuba_variant
 from metapp.rendering.path_space import Tracer

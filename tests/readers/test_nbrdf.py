@@ -12,7 +12,7 @@ from data_tools.readers.brdf_task import brdf_task
 from data_tools.readers.nbrdf import SHAPES, export, find, nbrdf_evaluate, read_nbrdf, read_task, write_nbrdf
 from data_tools.synthetic.brdf import synthetic_materials
 from metapp.appearance.geometry import above_horizon, rusinkiewicz_to_directions
-from metapp.apps.brdf import Brdf
+from metapp.apps.brdf.app import Brdf
 from metapp.apps.brdf.recipes import RECIPES
 from metapp.learning.app import stack
 from metapp.paradigms import Job, paradigms

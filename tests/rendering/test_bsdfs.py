@@ -19,7 +19,7 @@ from torch import Tensor
 import metapp
 from metapp.appearance.flash import Maps, brdf
 from metapp.appearance.geometry import directions_to_full_circle
-from metapp.apps.brdf import Brdf, layers_of
+from metapp.apps.brdf.app import Brdf, layers_of
 from metapp.rendering.scene_rules import box_film
 from metapp.storage.tensors import read_tensors
 from tests.marked import long

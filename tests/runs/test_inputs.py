@@ -11,7 +11,7 @@ import pytest
 import torch
 
 from data_tools.readers.nbrdf import SHAPES, read_nbrdf
-from metapp.apps.brdf import Brdf
+from metapp.apps.brdf.app import Brdf
 from metapp.learning.task import Task
 from metapp.runs.inputs import distinct, sources_to_fit
 from metapp.runs.request import Request

@@ -26,7 +26,7 @@ SOURCE = "int seven(void) { return 7; }\n"
 @functools.cache
 def runs() -> list[Files]:
     """Data sets of two BRDFs, with the records of a run on them and its fits as a pack."""
-    from metapp.apps.brdf import Brdf
+    from metapp.apps.brdf.app import Brdf
     from metapp.runs.execution import execute
     from metapp.runs.inputs import data_folder
     from metapp.runs.pack import pack

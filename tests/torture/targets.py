@@ -177,7 +177,7 @@ def _read_scene(folder: Path, file: Path) -> None:
 
 
 def _read_shard(folder: Path, file: Path) -> None:
-    from metapp.apps.brdf import Brdf
+    from metapp.apps.brdf.app import Brdf
     from metapp.learning.app import stack
     from metapp.runs.inputs import tasks_of_data
     from metapp.storage.shards import check_shard
@@ -201,7 +201,7 @@ def _read_manifest(folder: Path, file: Path) -> None:
 @functools.cache
 def _small_task() -> Any:
     from data_tools.readers.brdf_task import brdf_task
-    from metapp.apps.brdf import Brdf
+    from metapp.apps.brdf.app import Brdf
     from metapp.learning.app import stack
 
     return stack(Brdf(), [brdf_task("small", lambda angles: angles * 0 + 0.1, samples=64)])

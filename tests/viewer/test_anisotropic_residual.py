@@ -9,8 +9,8 @@ import torch
 from torch import Generator, Tensor
 
 from metapp.appearance.geometry import above_horizon
-from metapp.apps.brdf import Brdf
 from metapp.apps.brdf.anisotropic_residual import CELLS, _interpolation, corners, gridded, reached, solved
+from metapp.apps.brdf.app import Brdf
 from metapp.apps.brdf.featured import Featured
 from metapp.apps.brdf.viewing import view_of
 from metapp.learning.task import Task

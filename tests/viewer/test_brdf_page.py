@@ -25,8 +25,8 @@ from metapp.appearance.geometry import (
 from metapp.appearance.metrics import ssim
 from metapp.appearance.sphere import reference_scene, shade_sphere, studio_lights
 from metapp.apps import presentation_of
-from metapp.apps.brdf import Brdf, layers_of
 from metapp.apps.brdf.anisotropic_residual import CELLS as AZIMUTHAL
+from metapp.apps.brdf.app import Brdf, layers_of
 from metapp.apps.brdf.featured import Featured
 from metapp.apps.brdf.few import Few
 from metapp.apps.brdf.viewing import CELLS, packed

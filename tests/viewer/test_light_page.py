@@ -17,7 +17,8 @@ from metapp.appearance.colour import linear_to_srgb, tone_map
 from metapp.appearance.latlong import directions, mean_luminance, resample, sphere_normals
 from metapp.appearance.metrics import ssim
 from metapp.appearance.photograph import mirror
-from metapp.apps.illumination import SMALL, Illumination, IlluminationSetup, viewing
+from metapp.apps.illumination import viewing
+from metapp.apps.illumination.app import SMALL, Illumination, IlluminationSetup
 from metapp.apps.illumination.confidence import hatched
 from metapp.apps.illumination.presentation import IlluminationPresentation
 from metapp.apps.illumination.spheres import SPHERES, lit_spheres

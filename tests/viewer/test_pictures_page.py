@@ -19,9 +19,10 @@ from metapp.appearance.colour import tone_map
 from metapp.appearance.metrics import mape, ssim
 from metapp.appearance.presentation import Picture
 from metapp.appearance.view import View
-from metapp.apps.texture import Texture
+from metapp.apps.texture.app import Texture
 from metapp.apps.texture.presentation import QUILTED, TexturePresentation
-from metapp.apps.transport import Transport, TransportSetup, viewing
+from metapp.apps.transport import viewing
+from metapp.apps.transport.app import Transport, TransportSetup
 from metapp.apps.transport.flow import Flow
 from metapp.apps.transport.images import GUIDED_NEE, REGULAR, REGULAR_NEE, Shot
 from metapp.apps.transport.presentation import TransportPresentation

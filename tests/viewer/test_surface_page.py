@@ -21,10 +21,10 @@ from metapp.appearance.metrics import ssim
 from metapp.appearance.surface import Surface, fitted_planes
 from metapp.appearance.surface_view import Lit, surface_view
 from metapp.appearance.view import View
-from metapp.apps.svbrdf_nonstationary import MaterialSetup, SvbrdfNonstationary, field_of
+from metapp.apps.svbrdf_nonstationary.app import MaterialSetup, SvbrdfNonstationary, field_of
 from metapp.apps.svbrdf_nonstationary.maps import linear
 from metapp.apps.svbrdf_nonstationary.presentation import SvbrdfNonstationaryPresentation
-from metapp.apps.svbrdf_stationary import SvbrdfStationary
+from metapp.apps.svbrdf_stationary.app import SvbrdfStationary
 from metapp.apps.svbrdf_stationary.presentation import SvbrdfStationaryPresentation
 from metapp.apps.svbrdf_stationary.recipes import QUICK
 from metapp.learning.task import Params, Task

@@ -13,7 +13,7 @@ from metapp.appearance.metrics import ssim
 from metapp.appearance.presentation import Fitted, Presentation, Visible
 from metapp.appearance.sphere import environment_scene, reference_scene, shade_sphere
 from metapp.appearance.view import View
-from metapp.apps.brdf import CONDITION, Brdf
+from metapp.apps.brdf.app import CONDITION, Brdf
 from metapp.apps.brdf.viewing import view_of
 from metapp.learning.task import Params, Task
 

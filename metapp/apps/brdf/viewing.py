@@ -11,7 +11,8 @@ from torch import Tensor
 
 from metapp.appearance.sphere import light_map, studio_lights
 from metapp.appearance.view import View
-from metapp.apps.brdf import Brdf, anisotropic, anisotropic_residual, layers_of
+from metapp.apps.brdf import anisotropic, anisotropic_residual
+from metapp.apps.brdf.app import Brdf, layers_of
 from metapp.apps.brdf.featured import TURN
 from metapp.apps.brdf.few import DARKEST
 from metapp.learning.task import Params, Task

@@ -11,7 +11,7 @@ from torch.nn.functional import avg_pool2d, interpolate
 from metapp.appearance.colour import srgb_to_linear, tone_map
 from metapp.appearance.presentation import Picture, Visible
 from metapp.appearance.view import View
-from metapp.apps.illumination import Illumination
+from metapp.apps.illumination.app import Illumination
 from metapp.apps.illumination.confidence import hatched
 from metapp.apps.illumination.spheres import SPHERES
 from metapp.apps.illumination.surfaces import relight

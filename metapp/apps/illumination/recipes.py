@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from metapp.apps.illumination import IlluminationSetup
+from metapp.apps.illumination.app import IlluminationSetup
 from metapp.learning.recipe import Adam, Guard, MetaTraining, OuterLoop, Recipe
 from metapp.networks.field import LocalField
 from metapp.networks.recipes import by_protocol

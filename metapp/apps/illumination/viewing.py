@@ -13,7 +13,7 @@ from metapp.appearance.latlong import directions, luminance, resample, solid_ang
 from metapp.appearance.photograph import mirror
 from metapp.appearance.reflection import microfacet_lobe
 from metapp.appearance.view import View
-from metapp.apps.illumination import Illumination
+from metapp.apps.illumination.app import Illumination
 from metapp.apps.illumination.confidence import doubt
 from metapp.apps.illumination.mirror import CLIPPED, DARK, is_mirror
 from metapp.apps.illumination.spheres import ALBEDO, METAL, ROUGHNESSES, SPECULAR

@@ -15,7 +15,7 @@ from metapp.appearance.presentation import Kind, Picture, Visible
 from metapp.appearance.surface import Surface
 from metapp.appearance.surface_view import Lit, surface_view
 from metapp.appearance.view import View
-from metapp.apps.svbrdf_nonstationary import FINEST, SvbrdfNonstationary
+from metapp.apps.svbrdf_nonstationary.app import FINEST, SvbrdfNonstationary
 from metapp.apps.svbrdf_nonstationary.confidence import deviations
 from metapp.apps.svbrdf_nonstationary.maps import (
     Flash,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from metapp.apps.svbrdf_nonstationary import MaterialSetup, field_of
+from metapp.apps.svbrdf_nonstationary.app import MaterialSetup, field_of
 from metapp.learning.recipe import Adam, Guard, MetaTraining, OuterLoop, Recipe
 from metapp.networks.recipes import by_protocol
 

@@ -14,7 +14,7 @@ from metapp.appearance.relief import height_from_normal
 from metapp.appearance.surface import Surface
 from metapp.appearance.surface_view import Lit, surface_view
 from metapp.appearance.view import View
-from metapp.apps.svbrdf_stationary import FALLOFF, SvbrdfStationary
+from metapp.apps.svbrdf_stationary.app import FALLOFF, SvbrdfStationary
 from metapp.learning.task import Params, Task
 from metapp.networks.presentation import ExemplarPresentation
 

@@ -17,7 +17,7 @@ from metapp.appearance.presentation import Fitted, Picture
 from metapp.appearance.quilting import block_of, quilted
 from metapp.appearance.surface import Surface
 from metapp.appearance.view import View
-from metapp.apps.texture import Texture
+from metapp.apps.texture.app import Texture
 from metapp.learning.task import Params, Task
 from metapp.networks.presentation import ExemplarPresentation
 

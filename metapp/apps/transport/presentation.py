@@ -11,7 +11,7 @@ from torch import Tensor
 from metapp.appearance.colour import srgb_to_linear, tone_map
 from metapp.appearance.presentation import Fitted, Picture, Presentation, Rendered, Visible, pictures_view
 from metapp.appearance.view import View
-from metapp.apps.transport import Transport
+from metapp.apps.transport.app import Transport
 from metapp.apps.transport.flow import Flow
 from metapp.apps.transport.guide import table_of
 from metapp.apps.transport.images import image_errors, rendered, studio_of

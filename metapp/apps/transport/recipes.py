@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from metapp.apps.transport import TransportSetup
+from metapp.apps.transport.app import TransportSetup
 from metapp.apps.transport.flow import Flow
 from metapp.learning.recipe import Adam, MetaTraining, OuterLoop, Recipe, as_published
 

@@ -13,7 +13,7 @@ from torch import Generator
 
 from metapp.appearance.presentation import Fitted
 from metapp.appearance.sphere import environment_scene, shade_sphere
-from metapp.apps.brdf import Brdf
+from metapp.apps.brdf.app import Brdf
 from metapp.apps.brdf.presentation import BrdfPresentation
 from metapp.evaluation.cell import run_cells
 from metapp.evaluation.rows import blank, paper

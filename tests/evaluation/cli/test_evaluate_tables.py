@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 from torch import Tensor
 
-from metapp.apps.brdf import Brdf
+from metapp.apps.brdf.app import Brdf
 from metapp.cli.show import rich_table
 from metapp.evaluation.rows import paired_of
 from metapp.evaluation.subject import Subject

@@ -6,7 +6,7 @@ import pytest
 import torch
 from torch import Generator
 
-from metapp.apps.brdf import Brdf
+from metapp.apps.brdf.app import Brdf
 from metapp.learning.task import Params
 from tests.learning.rules.steps import STEPS, one_task
 

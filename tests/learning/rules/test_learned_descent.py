@@ -10,7 +10,7 @@ import pytest
 import torch
 from torch import Generator, Tensor
 
-from metapp.apps import illumination
+from metapp.apps.illumination import app as illumination
 from metapp.engine.fastest import Compiled
 from metapp.learning.adjoint import TORCH, Engine, Loss, at_step, learn_through
 from metapp.learning.app import App

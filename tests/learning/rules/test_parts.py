@@ -9,7 +9,7 @@ import pytest
 import torch
 from torch import Generator
 
-from metapp.apps.brdf import Brdf
+from metapp.apps.brdf.app import Brdf
 from metapp.learning.adjoint import at_step
 from metapp.learning.learn import spread
 from metapp.learning.recipe import Adam

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import torch
-from metapp.apps.curve import SAMPLES, Curve
+from metapp.apps.curve.app import SAMPLES, Curve
 from torch import Tensor
 
 from metapp.appearance.presentation import Picture, Presentation

@@ -1,0 +1,283 @@
+"""Illumination: HDR environment maps, from themselves or from an LDR photograph of a sphere (paper section 4.1.5)."""
+
+from __future__ import annotations
+
+import functools
+import math
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar
+
+import torch
+from torch import Generator, Tensor
+from torch.nn.functional import avg_pool2d, relu, softmax
+
+from metapp.appearance.colour import tone_map
+from metapp.appearance.latlong import directions, resample, solid_angles, sphere_normals
+from metapp.appearance.metrics import ssim
+from metapp.appearance.photograph import Camera, Material, develop, photograph, shade
+from metapp.apps.illumination.confidence import Weibull, deviations, features, spread_of
+from metapp.apps.illumination.encoder import Encoder
+from metapp.apps.illumination.mirror import completed, is_mirror, nothing_seen, photographed, resampled, seen_loss
+from metapp.apps.illumination.spheres import sphere_errors
+from metapp.apps.illumination.suns import GIVEN, joined, parted, suns_of, with_suns
+from metapp.apps.illumination.surfaces import FACED, MIRRORED, relight, surfaces
+from metapp.apps.illumination.variants import of_mean_1, varied
+from metapp.learning.app import Traits
+from metapp.learning.task import Batch, Held, Params, Task, Tasks
+from metapp.networks.coded import CodedApp, norm
+from metapp.networks.field import LocalField
+from metapp.rendering import second_scene
+
+DARK = 0.01  # of a map of mean luminance 1: the log of radiance is flat below
+DIM = 0.02  # the same for what surfaces send out
+# weights in the outer loss, beside what faces the light: of texels, what mirrors, the log of both, the photograph
+TEXELS, MIRRORING, LOGS, SEEN = 0.3, 0.3, 0.2, 0.3
+LIGHT = 0.3  # by how much a texel's own light adds to what it counts in a fit, so that few steps find suns
+BODY = 10  # numbers of a sphere's material and a camera
+BODY_GAIN = 100  # of these: few steps at a network's rate find them, else the map takes their part
+GLOSSES = (0.25, 0.42, 0.7)
+READ = 64  # rows of a map that every size can be made of, but for finer ones
+SMALL = 32  # px of the photograph in the loss
+MIRRORS = 1 / 3  # of the photographs of training tasks
+
+
+@dataclass(frozen=True)
+class IlluminationSetup:
+    """The size of everything.
+
+    Attributes:
+        field: the network of one map.
+        read: rows and columns of the code that the encoder reads.
+    """
+
+    field: LocalField
+    read: tuple[int, int] = (16, 32)
+
+    @property
+    def encoder(self) -> Encoder:
+        """The encoder that fits it."""
+        return Encoder(2 * self.read[0], 2 * self.read[1], self.field.code, BODY)
+
+
+class Illumination(CodedApp):
+    """One environment map a task, of mean luminance 1.
+
+    Under the protocol "reference" a fit sees the map itself; under "photo" it sees the LDR photograph of a sphere
+    alone, and is what a sphere of some material must be lit by to look so through some camera. Where that sphere is a
+    mirror, the task may hold what it shows (`metapp.apps.illumination.mirror`): a fit is then the rest of the map.
+    """
+
+    name = "illumination"
+    holds: ClassVar = {
+        "photos": Held(("K", 3, 64, 64), "uint8"),
+        "map": Held((3, "H", "W"), low=0.0, optional=True),
+        "scale": Held((), low=0.0, optional=True),
+        "seen": Held((3, "h", "w"), low=0.0, optional=True),
+        "certain": Held((2, "h", "w"), low=0.0, high=1.0, optional=True),
+    }
+    setup: IlluminationSetup
+
+    @property
+    def traits(self) -> Traits:
+        reads = self.field.height if self.field.height > READ else 0
+        given = GIVEN if self.protocol == "reference" else ()
+        return replace(super().traits, scale=100.0, reads=reads, given=given)
+
+    def prepare(self, task: Task) -> dict[str, Tensor]:
+        """`photo` uint8 [3, S, S], and of the map `map` [3, H, W] and `sent`, what surfaces send out under it.
+
+        Of a mirror `seen` [3, H, W] and `certain` [2, H, W], where fits see a photograph.
+        """
+        second_scene.transfer()  # better missed now than after a fit
+        photo = {"photo": task.data["photos"][0]} | self.mirrored(task)
+        if "map" in task.data:
+            described = self.described(task.data["map"][None].float())
+            return photo | {key: value[0] for key, value in described.items()}
+        if self.protocol == "reference":
+            raise ValueError(
+                f"{task.name}: a photo of a sphere, expected an HDR map where fits see the map itself; give an .exr or "
+                ".hdr map, or fit photos alone with --observe photo."
+            )
+        return photo
+
+    def mirrored(self, task: Task) -> dict[str, Tensor]:
+        """What a task's mirror shows, `seen` [3, H, W] and `certain` [2, H, W]; {} where fits see the map."""
+        height, width = self.field.height, self.field.width
+        if self.protocol != "photo":
+            return {}
+        if not {"seen", "certain"} <= task.data.keys():
+            return nothing_seen(height, width)
+        return resampled(task.data["seen"].float(), task.data["certain"].float(), height, width)
+
+    def described(self, maps: Tensor) -> dict[str, Tensor]:
+        maps = resample(maps, self.field.height, self.field.width)
+        suns = {"suns": suns_of(maps)} if self.protocol == "reference" else {}
+        return {"map": maps, "sent": maps.flatten(2) @ self._surfaces(maps).T} | suns
+
+    def _surfaces(self, like: Tensor) -> Tensor:
+        """What surfaces send out by a map, [S, H * W]: diffuse ones that face, glossy ones that mirror all around."""
+        return surfaces(self.field.height, self.field.width, like.device).to(like)
+
+    def init(self, rng: Generator, count: int) -> Params:
+        return super().init(rng, count) | {"body": torch.zeros(count, BODY, device=rng.device)}
+
+    def radiance_of(self, theta: Params) -> Tensor:
+        """The fitted maps, linear radiance [T, 3, H, W]."""
+        field, z = self.field, theta["z"]
+        towards = directions(field.height, field.width, dtype=z.dtype, device=z.device)
+        maps = field(theta, towards.expand(len(z), -1, -1, -1)).clamp_max(16).exp()
+        return with_suns(maps, joined(theta)) if "suns.light" in theta else maps
+
+    def known(self, tasks: Tasks) -> Params:
+        """The suns, where fits see the map."""
+        return parted(tasks.data["suns"][tasks.rows]) if "suns" in tasks.data else {}
+
+    def sized(self, height: int, width: int) -> Illumination:
+        """The application with maps of another size: its networks can be evaluated anywhere."""
+        return replace(self, setup=replace(self.setup, field=self.field._replace(height=height, width=width)))
+
+    def answer(self, theta: Params, data: Batch) -> Tensor:
+        """The same as they are judged and shown; `data` as of `prepare`, [T, ...]."""
+        maps = self.radiance_of(theta)
+        return self.scaled(completed(maps, data) if "seen" in data else maps)
+
+    def scaled(self, maps: Tensor) -> Tensor:
+        """Maps of mean luminance 1, as all are that are fitted: what a file had beside it is its `scale`."""
+        return of_mean_1(maps)
+
+    def loss(self, theta: Params, batch: Batch, learned: Params) -> Tensor:
+        """Of the map or of the photograph, by the protocol, [T]."""
+        maps = self.radiance_of(theta)
+        if self.protocol == "photo":
+            return self._visible_loss(theta, maps, batch, learned)
+        light = torch.exp(learned["light"])[:, None, None, None] if learned else LIGHT
+        return self._map_loss(maps, batch, learned, light)
+
+    def outer_loss(self, theta: Params, batch: Batch, learned: Params) -> Tensor:
+        """Of the map, whatever fits see, [T]: above all of what diffuse surfaces send out under it."""
+        maps, scaled = self.radiance_of(theta), self.answer(theta, batch)
+        sent, logs = self._sent_apart(scaled, batch["sent"], {})
+        texels = _texels(scaled, batch["map"], {}, 0.0)
+        photo = self._visible_loss(theta, maps, batch, {})
+        faced, mirrored = (each.mean((1, 2)) for each in sent.split((FACED, MIRRORED), 2))
+        result: Tensor = faced + MIRRORING * mirrored + LOGS * logs.mean((1, 2)) + TEXELS * texels + SEEN * photo
+        return result
+
+    def _sent_apart(self, maps: Tensor, target: Tensor, learned: Params) -> tuple[Tensor, Tensor]:
+        """How far what surfaces send out is from the target, and its log, [T, 3, S] each."""
+        sent = maps.flatten(2) @ self._surfaces(maps).T
+        return norm(sent - target, learned), norm((sent + DIM).log() - (target + DIM).log(), learned)
+
+    def _map_loss(self, maps: Tensor, batch: Batch, learned: Params, light: Tensor | float) -> Tensor:
+        """Mean differences, [T]: of the log of radiance over the sphere; of what surfaces send out, and of its log."""
+        sent, logs = self._sent_apart(maps, batch["sent"], learned)
+        return _texels(maps, batch["map"], learned, light) + (sent + logs).mean((1, 2))
+
+    def _visible_loss(self, theta: Params, maps: Tensor, batch: Batch, learned: Params) -> Tensor:
+        """Of what the mirror shows, else of the photograph, [T]."""
+        of_photo = self._photo_loss(theta, maps, batch, learned)
+        return torch.where(is_mirror(batch), seen_loss(maps, batch, learned), of_photo) if "seen" in batch else of_photo
+
+    def _photo_loss(self, theta: Params, maps: Tensor, batch: Batch, learned: Params) -> Tensor:
+        """Mean difference of display values; where the photograph clips, only what is darker than it counts."""
+        side = batch["photo"].shape[-1]
+        target = avg_pool2d(batch["photo"].to(maps) / 255, side // SMALL)
+        short = target - self.ball(theta, maps, SMALL)
+        short = torch.where(target > 0.98, relu(short), short)
+        return norm(short, learned).flatten(2)[..., _inside(side, maps.device)].mean((1, 2))
+
+    def ball(self, theta: Params, maps: Tensor, size: int) -> Tensor:
+        """The photograph [T, 3, size, size] of the fitted sphere under maps of `radiance_of`, as of `develop`."""
+        material, camera = body_of(BODY_GAIN * theta["body"])
+        return develop(shade(maps, material, size, GLOSSES), camera)
+
+    def loss_parameters(self, steps: int) -> Params:
+        light = {"light": torch.full((steps,), math.log(LIGHT))} if self.protocol == "reference" else {}
+        return super().loss_parameters(steps) | light
+
+    def init_reader(self, rng: Generator) -> Params:
+        result: Params = self.setup.encoder.init(rng)
+        return result
+
+    def read(self, reader: Params, photos: Tensor) -> Params:
+        code, body = self.setup.encoder(reader, photos.to(next(iter(reader.values()))) / 255)
+        return {"z": code / self.field.gain, "body": body / BODY_GAIN}
+
+    def augment(self, tasks: Tasks, rng: Generator) -> Tasks:
+        """Augmented maps, and new photographs under them, some of mirrors where fits see photographs."""
+        maps, size = varied(tasks.data["map"][tasks.rows], rng), tasks.data["photo"].shape[-1]
+        photos, shown = photograph(maps, rng, size), dict[str, Tensor]()
+        if self.protocol == "photo":
+            balls, shown = photographed(maps, rng, size)
+            mirrors = (torch.rand(len(maps), generator=rng, device=rng.device) < MIRRORS)[:, None, None, None]
+            photos, shown["certain"] = torch.where(mirrors, balls, photos), shown["certain"] * mirrors
+        return tasks.variants({"photo": (photos * 255).round().to(torch.uint8)} | shown | self.described(maps))
+
+    @torch.no_grad()
+    def remarks(self, task: Task, theta: Params) -> dict[str, Any]:
+        """`deviation`, factors by which the fit's luminance may be off, where fits see a photograph."""
+        if self.protocol != "photo":
+            return {}
+        one = {key: value[None] for key, value in theta.items()}
+        data = {key: value[None].to(theta["z"].device) for key, value in self.prepare(task).items()}
+        return {"deviation": deviations(self.spread(one, data), data)[0]}
+
+    def spread(self, theta: Params, data: Batch) -> Weibull:
+        """How far fits of photographs may be off; `data` as of `prepare`, [T, ...]."""
+        return spread_of(self.read_off(theta, data))
+
+    def read_off(self, theta: Params, data: Batch) -> Tensor:
+        """What tells how sure fits are, `confidence.features`."""
+        gloss = body_of(BODY_GAIN * theta["body"])[0].gloss
+        left = self._visible_loss(theta, self.radiance_of(theta), data, {})
+        return features(self.answer(theta, data), data, gloss @ gloss.new_tensor(GLOSSES), left)
+
+    @torch.no_grad()
+    def errors(self, theta: Params, tasks: Tasks) -> dict[str, Tensor]:
+        """Of the second scene's pictures `error`, `relative` to their mean, `ssim` after tone mapping.
+
+        And `map`, the mean difference of the maps' logs; and what `spheres.sphere_errors` has of three spheres.
+        """
+        return self.errors_of(self.answer(theta, {key: value[tasks.rows] for key, value in tasks.data.items()}), tasks)
+
+    def errors_of(self, answer: Tensor, tasks: Tasks) -> dict[str, Tensor]:
+        """Of maps [T, 3, H, W] of the field's size, linear radiance."""
+        if "map" not in tasks.data:
+            return {}
+        maps, target = self.scaled(answer), tasks.data["map"][tasks.rows]
+        pictures, references = relight(maps), relight(target)
+        error = (pictures - references).abs().mean((1, 2, 3))
+        logs = _texels(maps, target, {}, 0.0)
+        return {
+            "error": error,
+            "relative": error / references.mean((1, 2, 3)).clamp_min(1e-6),
+            "ssim": ssim(tone_map(pictures), tone_map(references)).flatten(1).mean(1),
+            "map": logs,
+            **sphere_errors(maps, target),
+        }
+
+
+def _texels(maps: Tensor, target: Tensor, learned: Params, light: Tensor | float) -> Tensor:
+    """Mean difference of the logs of radiance, [T].
+
+    Texels count by their solid angle, and by the target's light, of mean 1, `light` times as much.
+    """
+    weights = solid_angles(*maps.shape[-2:], dtype=maps.dtype, device=maps.device) / (4 * math.pi)
+    weights = weights * (1 + light * target.mean(1, keepdim=True))
+    return (norm((maps + DARK).log() - (target + DARK).log(), learned) * weights).sum((2, 3)).mean(1)
+
+
+def body_of(body: Tensor) -> tuple[Material, Camera]:
+    """Materials and cameras of their description [T, BODY], any numbers."""
+    material = Material(torch.sigmoid(body[:, :3] + 1), torch.sigmoid(body[:, 3] - 1), softmax(body[:, 4:7], 1))
+    return material, Camera(torch.exp(body[:, 7]), torch.exp(0.3 * body[:, 8]), 0.5 * torch.sigmoid(body[:, 9]))
+
+
+@functools.lru_cache(maxsize=4)
+def _inside(side: int, device: torch.device) -> Tensor:
+    """Where, row by row, the pixels are of SMALL px a side of a photograph that show nothing but the sphere."""
+    shown = avg_pool2d(sphere_normals(side)[1].float()[None], side // SMALL)[0] > 0.999
+    return shown.flatten().nonzero()[:, 0].to(device)
+
+
+APP = Illumination

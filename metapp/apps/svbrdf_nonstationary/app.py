@@ -1,0 +1,350 @@
+"""Non-stationary svBRDFs: maps of a flat material from photographs under a flash (paper section 4.1.4: from one)."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+import torch
+from torch import Generator, Tensor
+from torch.nn.functional import adaptive_avg_pool2d, relu
+
+from metapp.appearance.flash import Maps, expose, positions, render, statistics, tilt, unpack
+from metapp.appearance.metrics import ssim
+from metapp.apps.svbrdf_nonstationary.confidence import PARTS, surprise, unknown, unsure
+from metapp.apps.svbrdf_nonstationary.encoder import Encoder
+from metapp.apps.svbrdf_nonstationary.maps import (
+    CLIPPED,
+    FLASH,
+    RAW,
+    decoded,
+    differences,
+    flash_of,
+    flashes_of,
+    inputs_of,
+    linear,
+    mirroring_pairs,
+    oblique_pairs,
+    photographed,
+    pooled,
+)
+from metapp.apps.svbrdf_nonstationary.photos import KEYS, all_photos, drawn_photos, first_flashes, prepared, several
+from metapp.apps.svbrdf_nonstationary.quarters import drawn_quarters, in_quarters
+from metapp.apps.svbrdf_nonstationary.variants import photographs, varied
+from metapp.learning.app import Traits
+from metapp.learning.task import Batch, Held, Params, Task, Tasks
+from metapp.networks.coded import CodedApp, norm
+from metapp.networks.doubts import of_highlight
+from metapp.networks.field import LocalField
+
+DARK = 0.1  # of white: the log of radiance is flat below
+LEVEL = 0.01  # sine of an angle that hardly shows
+MAPS = 1.0  # weight of the maps' differences in a fit
+WANTED, SEEN = 0.3, 0.3  # and in the outer loss, beside the photograph's
+STEEP, HIDDEN = 0.2, 0.3  # there, of how steep normals are, which a photo hardly shows, and of diffuse where it clips
+SURE = 0.03  # and of how sure General is of its maps, which moves nothing but that
+CELLS = 8  # a side, in which normals are as steep on average as they should be
+RIG, JUDGED = (2, 3), (6, 6)  # lights that fits see, and that they are judged under: oblique, mirroring
+DRAWN = (1, 2)  # and those that preparation draws
+SMOOTHED = 0.03  # at first, where learned losses round off |d|
+FINER, FINEST_SHOT = 2, 256  # how many times as fine as their maps augmented materials are photographed, to so many px
+INPUTS = 8
+FINEST = 2048  # px a side of a user's photograph, and of the maps that are written
+
+
+@dataclass(frozen=True)
+class MaterialSetup:
+    """The size of everything.
+
+    Attributes:
+        field: the network of one material.
+        width: channels of the encoder's level of 64 texels.
+        read: side of the photograph that the encoder reads, 0 for the field's.
+        finer: channels of the encoder's levels above that.
+        sure: whether General says how sure it is of its maps.
+    """
+
+    field: LocalField
+    width: int = 16
+    read: int = 0
+    finer: tuple[int, ...] = ()
+    sure: bool = False
+
+    @property
+    def encoder(self) -> Encoder:
+        """The encoder that fits it."""
+        deviations = len(PARTS) if self.sure else 0
+        return Encoder(INPUTS, self.width, self.field.code, FLASH, finer=self.finer, deviations=deviations)
+
+
+def field_of(side: int, hidden: int) -> LocalField:
+    """The network of maps of side x side texels, with so many hidden units."""
+    return LocalField(
+        side,
+        side,
+        inputs=INPUTS,
+        outputs=sum(RAW),
+        rows=side,  # a cell for each texel, so that a step moves each by itself
+        columns=side,
+        code=12,
+        hidden=hidden,
+        layers=2,
+        frequency=2.0,
+        periodic=False,
+        gain=60.0,
+    )
+
+
+class SvbrdfNonstationary(CodedApp):
+    """One flat material a task, photographed from straight above with the flash beside the lens.
+
+    The field makes maps of what the photograph shows in a place and of the code there. Under the protocol "reference"
+    a fit sees the material's maps and pictures under RIG lights; under "photo" the photograph alone, whose flash it
+    looks for, too; or several, from places that it looks for about those given.
+    """
+
+    name = "svbrdf_nonstationary"
+    holds: ClassVar = {
+        "photo": Held((3, "S", "S"), "uint8"),
+        "maps": Held((10, "M", "M"), low=-1.001, high=1.001, optional=True),
+        "others": Held(("K", 3, "S", "S"), "uint8", optional=True),
+        "predicted": Held((10, "M", "M"), low=-1.001, high=1.001, optional=True),
+        "places": Held(("N", 2, 3), low=-1e3, high=1e3, optional=True),
+    }
+    setup: MaterialSetup
+
+    @property
+    def traits(self) -> Traits:
+        return replace(super().traits, reads=FINEST if self.setup.read or self.setup.finer else 0)
+
+    def prepare(self, task: Task) -> dict[str, Tensor]:
+        """`photo`, linear [3, H, W], and `maps` [10, H, W] with what they look like under RIG lights, `lit`.
+
+        And `fine`, the maps that augmented ones are made of; `predicted`, another method's maps, which no fit sees;
+        where fits see photographs, `others` and `places`.
+        """
+        size = (self.field.height, self.field.width)
+        photo = {"photo": adaptive_avg_pool2d(linear(task.data["photo"]), size)}
+        if self.protocol == "photo":
+            photo |= prepared(task, size)
+        if "maps" in task.data:
+            maps = task.data["maps"].float()
+            described = self.described(pooled(maps, size)[None])
+            fine = min(maps.shape[-1], 2 * self.finer)  # twice as large, to have room for crops
+            kept = pooled(maps, (fine, fine)).half()
+            if "predicted" in task.data:
+                photo["predicted"] = pooled(task.data["predicted"].float(), size)
+            return photo | {"fine": kept} | {key: value[0] for key, value in described.items()}
+        if self.protocol == "reference":
+            raise ValueError(
+                f"{task.name}: a flash photo, expected a material's maps where fits see them; give a strip or its "
+                "maps, or fit photos alone with --observe photo."
+            )
+        return photo
+
+    @property
+    def finer(self) -> int:
+        """Side in texels of augmented materials when they are photographed."""
+        return max(self.field.height, min(FINER * self.field.height, FINEST_SHOT))
+
+    def described(self, maps: Tensor) -> dict[str, Tensor]:
+        """Maps [T, 10, H, W]; where fits see them, RIG lights, `rig`, and the log of what these make of them, `lit`."""
+        if self.protocol == "photo":
+            return {"maps": maps}
+        rig = _pairs(RIG).to(maps).expand(len(maps), -1, -1, -1)
+        return {"maps": maps, "rig": rig, "lit": self._logs(unpack(maps), rig)}
+
+    def init(self, rng: Generator, count: int) -> Params:
+        theta = super().init(rng, count) | {"flash": torch.zeros(count, FLASH, device=rng.device)}
+        return theta | unknown(count, rng.device) if self.setup.sure else theta
+
+    def known(self, tasks: Tasks) -> Params:
+        """Where to begin to look for the flashes of several photographs."""
+        places = tasks.data.get("places", torch.zeros(len(tasks.names), 0, 2, 3))[tasks.rows]
+        return {"flash": places.new_zeros(len(places), FLASH, places.shape[1])} if places.shape[1] else {}
+
+    def maps_of(self, theta: Params, photo: Tensor) -> Maps:
+        """The fitted maps [T, C, h, w] of photographs [T, 3, h, w], at the photographs' resolution."""
+        height, width = photo.shape[-2:]
+        return decoded(self.field._replace(height=height, width=width)(theta, inputs_of(photo)))
+
+    def sample(self, tasks: Tasks, rng: Generator, count: int) -> Batch:
+        """All there is of each task; `pairs` [T, V, 2, 3] of light and viewer are random, for the outer loss."""
+        drawn = {"pairs": draw_pairs(DRAWN, rng, len(tasks))} if "maps" in tasks.data else {}
+        shown = {key: value for key, value in tasks.data.items() if key not in ("fine", "predicted")}
+        return super().sample(replace(tasks, data=shown), rng, count) | drawn
+
+    def outer_sample(self, tasks: Tasks, rng: Generator, count: int) -> Batch:
+        """The same; of large pictures a random quarter of each is named, `quarter` [T], for the outer loss."""
+        return self.sample(tasks, rng, count) | drawn_quarters(self.field, len(tasks), rng)
+
+    def loss(self, theta: Params, batch: Batch, learned: Params) -> Tensor:
+        """Of maps and pictures, or of the photograph, by the protocol, [T]."""
+        maps = self.maps_of(theta, batch["photo"])
+        if self.protocol == "photo":
+            return self._photo_loss(theta, maps, batch, learned)
+        pictures = norm(self._logs(maps, batch["rig"]) - batch["lit"], learned)
+        apart = differences(maps, unpack(batch["maps"]))
+        return pictures.mean((1, 2, 3, 4)) + MAPS * _map_loss(apart, learned)
+
+    def outer_loss(self, theta: Params, batch: Batch, learned: Params) -> Tensor:
+        """Of the maps and what they look like under any light, whatever fits see, [T].
+
+        How steep normals are counts, too: those with the least mean difference from all that a photo allows are flat.
+        Where the batch names a quarter of each picture, of that alone, with the same mean over quarters.
+        """
+        clipping = _clipping(batch["photo"])
+        if "quarter" in batch:
+            maps, theta, batch = in_quarters(self.field, theta, batch)
+        else:
+            maps = self.maps_of(theta, batch["photo"])
+        target, place = unpack(batch["maps"]), batch.get("place")
+        logs, references = (self._logs(each, batch["pairs"], place) for each in (maps, target))
+        pictures = (logs - references).abs().mean((1, 2, 3, 4))
+        photo = self._photo_loss(theta, maps, batch, {})
+        cells = CELLS * target.diffuse.shape[-1] // self.field.width
+        steep = (_steepness(maps, cells) / _steepness(target, cells)).log().abs().mean((1, 2, 3))
+        apart = differences(maps, target)
+        hidden = _blots(apart[0], batch["photo"], clipping)
+        wanted = _map_loss(apart, {}) + _map_loss(apart[2:], {})  # roughness and normals twice: photos say less of them
+        loss = pictures + WANTED * wanted + SEEN * photo + STEEP * steep + HIDDEN * hidden
+        return loss + SURE * surprise(apart, theta) if self.setup.sure else loss
+
+    def _logs(self, maps: Maps, pairs: Tensor, place: Tensor | None = None) -> Tensor:
+        """Log of what maps [T, ...] send out under pairs of light and viewer [T or 1, V, 2, 3]: [T, V, 3, H, W].
+
+        Of parts of the patch `place` [T, 2, H, W] says where they are.
+        """
+        if place is None:
+            place = positions(*maps.diffuse.shape[-2:], dtype=pairs.dtype, device=pairs.device)[None]
+        place = place[:, None]
+        spread = Maps(*(part[:, None] for part in maps))
+        return (render(spread, place, pairs[:, :, 0], pairs[:, :, 1]) + DARK).log()
+
+    def _photo_loss(self, theta: Params, maps: Maps, batch: Batch, learned: Params) -> Tensor:
+        """Mean difference of logs, of all photographs, [T]; where one clips, only what is darker than it counts."""
+        photos, flash = all_photos(batch), self.field.gain * theta["flash"]  # as far to go as the code
+        taken_by = flashes_of(flash, batch["places"]) if several(batch) else flash_of(flash)
+        seen = photographed(maps, taken_by, batch.get("place"))
+        short = (photos + DARK).log() - (seen + DARK).log()
+        short = torch.where(photos > CLIPPED, relu(short), short)
+        return norm(short, learned).mean(tuple(range(1, short.ndim)))
+
+    def loss_parameters(self, steps: int) -> Params:
+        return {"smoothing": torch.full((steps,), math.log(SMOOTHED))}
+
+    def init_reader(self, rng: Generator) -> Params:
+        result: Params = self.setup.encoder.init(rng)
+        return result
+
+    def condition(self, tasks: Tasks, rng: Generator) -> Batch:
+        return {key: tasks.data[key][tasks.rows] for key in ("photo", *KEYS) if key in tasks.data}
+
+    def encode(self, encoder: Params, condition: Batch) -> Params:
+        """Of several photographs the code of the first: General knows none from aside, the mean of codes is worse."""
+        theta = super().encode(encoder, condition)
+        if several(condition):
+            theta["flash"] = first_flashes(self.maps_of(theta, condition["photo"]), condition) / self.field.gain
+        return theta
+
+    def read(self, reader: Params, photos: Tensor) -> Params:
+        photos = adaptive_avg_pool2d(photos, self.setup.read or photos.shape[-1])
+        known = self.setup.encoder(reader, photos)
+        return known | {"z": known["z"] / self.field.gain, "flash": known["flash"] / self.field.gain}
+
+    def augment(self, tasks: Tasks, rng: Generator) -> Tasks:
+        """The same materials turned, mirrored, mixed and recoloured, photographed anew."""
+        size = (self.field.height, self.field.width)
+        fine = varied(tasks.data["fine"][tasks.rows].float(), self.finer, rng)
+        data = self.described(pooled(fine, size))
+        if not several(tasks.data):
+            return tasks.variants({"photo": adaptive_avg_pool2d(photographs(fine, rng), size)} | data)
+        photos, places = drawn_photos(fine, tasks.data["places"].shape[1], rng)
+        small = adaptive_avg_pool2d(photos.flatten(0, 1), size).unflatten(0, photos.shape[:2])
+        return tasks.variants({"photo": small[:, 0], "others": small[:, 1:], "places": places} | data)
+
+    def remarks(self, task: Task, theta: Params) -> dict[str, dict[str, int]]:
+        """How many photographs, where fits see them alone."""
+        return {"counts": {"photos": 1 + len(task.data.get("others", ()))}} if self.protocol == "photo" else {}
+
+    @torch.no_grad()
+    def doubts(self, theta: Params, tasks: Tasks) -> list[list[str]]:
+        """Clipped highlights, and maps that General is not sure of; only of photographs, where it says so."""
+        if not self.setup.sure or self.protocol != "photo":
+            return [[] for _ in range(len(tasks))]
+        photos = all_photos(self.condition(tasks, Generator()))
+        photos = (255 * (photos.amin(1) if photos.ndim > 4 else photos)).floor()  # what clips in all of them
+        return [of_highlight(photo) + doubt for photo, doubt in zip(photos, unsure(theta), strict=True)]
+
+    @torch.no_grad()
+    def errors(self, theta: Params, tasks: Tasks) -> dict[str, Tensor]:
+        """`error` under lights that no fit has seen, `ssim` of these pictures, and how far the maps are off.
+
+        `normal` in degrees, `diffuse`, `roughness`, `specular` as means of differences, colours at gamma 2.2; `relief`,
+        how steep normals are on average over how steep they should be; `blots`, the difference of diffuse colours where
+        the photo clips, 0 where it does not.
+        """
+        return self.errors_of(self.maps_of(theta, tasks.data["photo"][tasks.rows]), tasks)
+
+    def errors_of(self, answer: Maps, tasks: Tasks) -> dict[str, Tensor]:
+        """Of maps [T, C, H, W] of the field's size."""
+        if "maps" not in tasks.data:
+            return {}
+        maps, target = answer, unpack(tasks.data["maps"][tasks.rows])
+        pairs = _pairs(JUDGED).to(target.diffuse)[None]
+        logs, references = self._logs(maps, pairs), self._logs(target, pairs)
+        shown, target_shown = (expose((each.exp() - DARK).flatten(0, 1)) for each in (logs, references))
+        cosine = (maps.normal * target.normal).sum(1).clamp(-1, 1)
+        parts = dict(zip(("diffuse", "specular", "roughness"), differences(maps, target), strict=False))
+        steep = [statistics(each)[:, 0, -1] + LEVEL for each in (maps, target)]
+        photo = tasks.data["photo"][tasks.rows]
+        return {
+            "error": (logs - references).abs().mean((1, 2, 3, 4)),
+            "ssim": ssim(shown, target_shown).flatten(1).mean(1).reshape(len(tasks), -1).mean(1),
+            "normal": torch.rad2deg(cosine.acos()).mean((1, 2)),
+            "relief": steep[0] / steep[1],
+            "blots": _blots(parts["diffuse"], photo, _clipping(photo)),
+            **{name: part.abs().mean((1, 2, 3)) for name, part in parts.items()},
+        }
+
+
+def _map_loss(apart: list[Tensor], learned: Params) -> Tensor:
+    """Sum of the mean differences of maps, as of `differences`, [T]; colours as the eye spaces them."""
+    return torch.stack([norm(each, learned).mean((1, 2, 3)) for each in apart]).sum(0)
+
+
+def _steepness(maps: Maps, cells: int) -> Tensor:
+    """Sines of the angles between normals and the patch's, means in cells and a little more, [T, 1, cells, cells]."""
+    return adaptive_avg_pool2d(tilt(maps.normal), cells) + 2 * LEVEL
+
+
+def _clips(photo: Tensor) -> Tensor:
+    """1 where photographs [T, 3, H, W] clip, else 0, [T, 1, H, W]."""
+    return (photo > CLIPPED).any(1, keepdim=True).float()
+
+
+def _clipping(photo: Tensor) -> Tensor:
+    """The share of photographs [T, 3, H, W] that clips, [T]."""
+    return _clips(photo).mean((1, 2, 3))
+
+
+def _blots(diffuse: Tensor, photo: Tensor, clipping: Tensor) -> Tensor:
+    """Mean of how far diffuse colours are off, as of `differences`, where the photo clips; 0 where it does not, [T].
+
+    Of a part of each picture, `clipping` [T] is the share of the whole one, by which parts have that mean on average.
+    """
+    return (diffuse.abs() * _clips(photo)).mean((1, 2, 3)) / clipping.clamp_min(1e-6)
+
+
+def draw_pairs(counts: tuple[int, int], rng: Generator, tasks: int) -> Tensor:
+    """Places of light and viewer [tasks, V, 2, 3]: some anywhere, then some that mirror each other in the patch."""
+    return torch.cat([oblique_pairs(rng, (tasks, counts[0])), mirroring_pairs(rng, (tasks, counts[1]))], 1)
+
+
+def _pairs(counts: tuple[int, int]) -> Tensor:
+    """The same ones for all tasks and for ever, [V, 2, 3]."""
+    return draw_pairs(counts, Generator().manual_seed(sum(counts)), 1)[0]
+
+
+APP = SvbrdfNonstationary

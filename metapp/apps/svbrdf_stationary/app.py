@@ -1,0 +1,356 @@
+"""Stationary svBRDFs: a network from noise to maps that look as a flash photo under its light (paper section 4.1.3)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import ClassVar
+
+import torch
+from torch import Generator, Tensor
+from torch.nn.functional import adaptive_avg_pool2d, avg_pool2d, pad
+
+from metapp.appearance.features import amplitudes, distance, gram, hann, moments
+from metapp.appearance.flash import (
+    GAMMA,
+    STATISTICS_AT,
+    Maps,
+    camera,
+    expose,
+    flash_position,
+    normal_from_height,
+    positions,
+    relightings,
+    render,
+    statistics,
+)
+from metapp.appearance.highlight import evenly_lit, gloss
+from metapp.learning.task import Batch, Held, Params, Task, Tasks
+from metapp.networks.doubts import of_blobs, of_highlight, of_order
+from metapp.networks.exemplar import JUDGED, SHOWN, ExemplarApp, same_noise
+from metapp.networks.layout import astray
+
+GRID = 3  # windows along a side
+DRAWN = 3
+POOLED = 8
+SPECTRUM = 0.3  # the spectra's weight in the loss
+RINGS = ((0.0, 0.2), (0.2, 0.8), (0.8, 3.0))  # squared distances from the centre, of half the photo's side
+BRIGHTER = 2.0  # further weight in the outer loss of pooled pictures, which hold the shape of the highlight
+TRUTH = 3.0  # weight in the outer loss of how far the maps' statistics are from the truth's
+GLOSS = 0.05  # further weight in the outer loss of how far specular and roughness are from the truth's, in logits
+LIKELY = 0.05  # the same where the truth is unknown, of how unusual specular and roughness are
+OF_ROUGHNESS = 0.4  # varies more between materials than specular does
+COLOUR = 3.0  # weight in the loss of how much more or less colours vary than in the photo
+# A highlight says gloss where the lobe is so much of what is reflected below the flash, 0 to 1, and is no wider.
+EVIDENT, NARROW = (0.6, 0.8), 0.5
+RELIEF = 1 / 32  # widths of the photo a unit of the network's output, as height
+FALLOFF = 1.0
+
+
+class SvbrdfStationary(ExemplarApp):
+    """One flash photograph of a flat stationary material a task.
+
+    What the light does depends on the place, so statistics are compared window by window: those of a window of the
+    picture with those of the same window of the photo. The generator does not know the place, which keeps highlights
+    out of the maps.
+    """
+
+    name = "svbrdf_stationary"
+    described = ("gram", "spectrum")
+    holds: ClassVar = {
+        "image": Held((3, "S", "S"), "uint8"),
+        "relit": Held((3, 3, "R", "R"), "uint8", optional=True),
+        "truth": Held((3, 2, 6), low=0, high=1, optional=True),
+    }
+
+    @torch.no_grad()
+    def describe(self, exemplars: Tensor, octave: int = 0) -> dict[str, Tensor]:
+        """Of photos [B, 3, h, w] of the size of an octave.
+
+        Gram matrices in all windows `gram0`... [B, N, C, C], spectra `spectrum0`..., `pooled` [B, 3, 8, 8], `light`
+        [B, 3] where the flash was, `chroma` [B, 2], how much colours vary, `shine` [B, 3], what the highlight says
+        of specular and roughness and how clearly, `summary`.
+        """
+        maps, light = self.features(exemplars, octave), self.light_of(exemplars)
+        described = {"light": light, "pooled": adaptive_avg_pool2d(exemplars, POOLED)}
+        described |= {"chroma": _chroma(exemplars), "shine": _shine(exemplars, light)}
+        for i, each in enumerate(maps):
+            described[f"gram{i}"] = _grams(each, range(GRID * GRID))
+            described[f"spectrum{i}"] = amplitudes(each)
+        return described | {"summary": self.summary(maps, octave)}
+
+    def summary(self, maps: list[Tensor], octave: int) -> Tensor:
+        """Means and root mean squares of features where the light is strong, at medium strength, and weak."""
+        rings = [[_ring(each, low, high) for each in self.setup.parts(maps, octave)] for low, high in RINGS]
+        return torch.cat([moments(ring) for ring in rings], 1)
+
+    def light_of(self, photos: Tensor) -> Tensor:
+        """Where the flash of photos [B, 3, h, w] was, [B, 3]."""
+        place = flash_position(photos)
+        height = camera(dtype=photos.dtype, device=photos.device)[2].expand(len(photos), 1)
+        return torch.cat([place.to(photos), height], 1)
+
+    def summary_size(self) -> int:
+        return len(RINGS) * super().summary_size()
+
+    def prepare(self, task: Task) -> dict[str, Tensor]:
+        """As for all exemplars, and what the task has of `relit` uint8 [3, 3, S, S] and `truth` [3, 2, 6]."""
+        return super().prepare(task) | {key: task.data[key] for key in ("relit", "truth") if key in task.data}
+
+    def carried(self, tasks: Tasks, channels: Tensor) -> dict[str, Tensor]:
+        if "truth" not in tasks.data:
+            return {}
+        order = torch.cat([channels, torch.arange(3, 6, device=channels.device).expand(len(channels), -1)], 1)
+        truth = tasks.data["truth"][tasks.rows]
+        return {"truth": truth.gather(-1, order[:, None, None].expand(truth.shape))}
+
+    def init(self, rng: Generator, count: int) -> Params:
+        theta = super().init(rng, count)
+        return theta | {"gloss": torch.zeros(count, 2, device=rng.device)} if self.setup.prior else theta
+
+    def condition(self, tasks: Tasks, rng: Generator) -> Batch:
+        return super().condition(tasks, rng) | {"shine": tasks.data["shine"][tasks.rows]}
+
+    def encode(self, encoder: Params, condition: Batch) -> Params:
+        """As for all exemplars, and where fits have a prior, `gloss` [T, 2], what is expected of it."""
+        theta = super().encode(encoder, condition)
+        return self._as_glossy(theta, condition["shine"]) if self.setup.prior else theta
+
+    def _as_glossy(self, theta: Params, shine: Tensor) -> Params:
+        """Theta whose maps have the mean gloss that a clear highlight says, else General's, and that as `gloss`."""
+        expected, sure = self._expected(theta), shine[:, :1]
+        change = sure * (shine[:, 1:] - expected)
+        offset = self.setup.network.offset
+        return theta | {"gloss": expected + change, offset: theta[offset] + pad(change, (3, 1))}
+
+    @torch.no_grad()
+    def _expected(self, theta: Params) -> Tensor:
+        """Means of specular and roughness [T, 2] as the network makes them, of a small picture from the same noise."""
+        coarsest = self.setup.octaves - 1
+        noise = same_noise(self, theta["z"], 1, octave=coarsest)
+        return torch.stack([part.mean((1, 2, 3, 4)) for part in _gloss(self.maps(theta, noise, coarsest)[0])], -1)
+
+    def maps(self, theta: Params, noise: Tensor, octave: int = 0) -> tuple[Maps, Tensor]:
+        """Maps of materials [T, B, ...] from noise [T, B, C, H, W], and their height [T, B, 1, H, W] in texels."""
+        raw = self.made(theta, noise, octave)
+        diffuse = torch.sigmoid(raw[:, :, :3]) ** 2.2  # about evenly spread for the eye
+        specular = torch.sigmoid(raw[:, :, 3:4] - 3)  # about 0.05 at first, as most dielectrics
+        roughness = 0.1 + 0.9 * torch.sigmoid(raw[:, :, 4:5])
+        height = RELIEF * (self.setup.width >> octave) * raw[:, :, 5:]
+        return Maps(diffuse, specular, roughness, normal_from_height(height)), height
+
+    def photograph(self, maps: Maps, light: Tensor, view: Tensor) -> Tensor:
+        """Display values [..., 3, H, W] of maps under a flash; light and view [..., 3]."""
+        place = positions(*maps.diffuse.shape[-2:], dtype=light.dtype, device=light.device)
+        return expose(render(maps, place, light, view, falloff=FALLOFF))
+
+    def sample(self, tasks: Tasks, rng: Generator, count: int) -> Batch:
+        """`noise` for `count` materials of each task, DRAWN of the windows and what is known of the photo there."""
+        drawn = torch.randperm(GRID * GRID, generator=rng, device=rng.device)[:DRAWN].expand(len(tasks), -1)
+        noise = self.noise(rng, len(tasks), count, octave=self.octave(tasks.data))
+        return {"noise": noise, "windows": drawn} | self._targets(tasks, drawn)
+
+    def _targets(self, tasks: Tasks, windows: Tensor) -> Batch:
+        rows = tasks.rows
+        named = [key for key in tasks.data if key in ("light", "pooled", "chroma", "truth")]
+        targets = {key: tasks.data[key][rows] for key in named}
+        for i in range(self.setup.maps_from(self.octave(tasks.data))):
+            targets[f"spectrum{i}"] = tasks.data[f"spectrum{i}"][rows]
+            targets[f"gram{i}"] = tasks.data[f"gram{i}"][rows[:, None], windows]
+        return targets
+
+    def loss(self, theta: Params, batch: Batch, learned: Params) -> Tensor:
+        """Distance of Gram matrices in windows, of the features' spectra, and of the pooled pictures, [T].
+
+        And how unusual the maps are, by the setup's `prior`.
+        """
+        maps, _ = self.maps(theta, batch["noise"], self.octave(batch))
+        loss = torch.stack(list(self._distances(theta, maps, batch).values())).sum(0)
+        return loss + self.setup.prior * _unusual(maps, theta["gloss"]) if self.setup.prior else loss
+
+    def outer_loss(self, theta: Params, batch: Batch, learned: Params) -> Tensor:
+        """The same, but how far the maps are from the truth, or how unusual where that is unknown, [T].
+
+        Without it General comes to explain all photographs by one bright, rough, specular surface without colour: one
+        flash photo does not say what is diffuse, what specular and what relief.
+        """
+        octave = self.octave(batch)
+        maps, _ = self.maps(theta, batch["noise"], octave)
+        distances = self._distances(theta, maps, batch)
+        loss = torch.stack(list(distances.values())).sum(0) + BRIGHTER * distances["pooled"]
+        if "truth" not in batch:
+            return loss + LIKELY * _unusual(maps, maps.diffuse.new_zeros(len(maps.diffuse), 2))
+        level = sum(self.setup.width >> octave < size for size in STATISTICS_AT[:-1])
+        truth = batch["truth"][:, level]
+        specular, roughness = (truth[:, 0, 3] ** GAMMA).clamp_min(1e-3), truth[:, 0, 4].clamp(0.12, 0.98)
+        gloss_of_truth = _raw_specular(specular), _raw_roughness(roughness)
+        made = (part.mean((1, 2, 3, 4)) for part in _gloss(maps))  # where no gradient vanishes
+        unlike = torch.stack([(part - wanted).abs() for part, wanted in zip(made, gloss_of_truth, strict=True)]).sum(0)
+        return loss + TRUTH * (statistics(maps) - truth[:, None]).abs().mean((1, 2, 3)) + GLOSS * unlike
+
+    def _distances(self, theta: Params, maps: Maps, batch: Batch) -> dict[str, Tensor]:
+        pictures = self.photograph(maps, batch["light"][:, None], batch["light"][:, None])
+        distances, times = self._distances_of(pictures, batch), self.setup.times(self.octave(batch))
+        if self.setup.has_layout:
+            colours = (
+                _chroma(pictures.flatten(0, 1)).unflatten(0, pictures.shape[:2]) - batch["chroma"][:, None]
+            ).abs()
+            distances["colour"] = COLOUR * colours.mean((1, 2))
+            distances["astray"] = astray(theta, batch["noise"], evenly_lit(pictures, batch["light"][:, None]), times)
+        return distances
+
+    def laid_out(self, exemplars: Tensor) -> dict[str, Tensor]:
+        """Layouts of photos as if the light were the same everywhere."""
+        return super().laid_out(evenly_lit(exemplars, self.light_of(exemplars))) if self.setup.has_layout else {}
+
+    def _distances_of(self, pictures: Tensor, batch: Batch) -> dict[str, Tensor]:
+        leading = pictures.shape[:2]
+        pooled = adaptive_avg_pool2d(pictures.flatten(0, 1), POOLED).unflatten(0, leading)
+        windows = batch["windows"].tolist()
+        grams, spectra = [], []
+        for each in self.features(pictures.flatten(0, 1), self.octave(batch)):
+            grams.append(_grams_of_tasks(each.unflatten(0, leading), windows))
+            spectra.append(amplitudes(each).unflatten(0, leading))
+        taps = range(len(grams))
+        return {
+            "gram": distance(grams, [batch[f"gram{i}"][:, None] for i in taps]).mean((1, 2)),
+            "spectrum": SPECTRUM * distance(spectra, [batch[f"spectrum{i}"][:, None] for i in taps]).mean(1),
+            "pooled": (pooled - batch["pooled"][:, None]).abs().mean((1, 2, 3, 4)),
+        }
+
+    @torch.no_grad()
+    def errors(self, theta: Params, tasks: Tasks) -> dict[str, Tensor]:
+        """`error` and its companions, on materials from noise that no fit has seen, the same for all.
+
+        `relit` is the error under other lights and from elsewhere, where the data set has references of that.
+        """
+        noise = same_noise(self, tasks.rows, JUDGED)
+        return self.errors_of(self.maps(theta, noise)[0], tasks)
+
+    @torch.no_grad()
+    def errors_of(self, answer: Maps | Tensor, tasks: Tasks) -> dict[str, Tensor]:
+        """Of maps [T, B, ...] of the exemplar's size, or of photographs [T, B, 3, H, W] of them, sRGB in [0, 1].
+
+        Photographs are under the exemplar's light and have no `relit`.
+        """
+        every = torch.arange(GRID * GRID, device=tasks.rows.device).expand(len(tasks), -1)
+        light = tasks.data["light"][tasks.rows][:, None]
+        shown = self.photograph(answer, light, light) if isinstance(answer, Maps) else answer
+        distances = self._distances_of(shown, {"windows": every} | self._targets(tasks, every))
+        errors = {
+            "error": distances["gram"],
+            "spectrum": distances["spectrum"] / SPECTRUM,
+            "brightness": distances["pooled"],
+        }
+        if "relit" in tasks.data and isinstance(answer, Maps):
+            errors["relit"] = self._relit(answer, tasks.data["relit"][tasks.rows])
+        return errors
+
+    @torch.no_grad()
+    def doubts(self, theta: Params, tasks: Tasks) -> list[list[str]]:
+        """Regular structure that was lost, clipped highlights, blobs; only where networks read layouts."""
+        if not self.setup.has_layout:
+            return [[] for _ in range(len(tasks))]
+        images, light = tasks.data["image"][tasks.rows], tasks.data["light"][tasks.rows]
+        noise = same_noise(self, tasks.rows, 1, seed=SHOWN)
+        maps = Maps(*(part[:, 0] for part in self.maps(theta, noise)[0]))
+        photos = evenly_lit(self.exemplar(images.float() / 255), light)
+        made = evenly_lit(self.photograph(maps, light, light), light)
+        return [
+            of_order(self.name, photos[i], made[i])
+            + of_highlight(images[i])
+            + of_blobs(photos[i], Maps(*(part[i] for part in maps)))
+            for i in range(len(tasks))
+        ]
+
+    def _relit(self, maps: Maps, references: Tensor) -> Tensor:
+        errors = []
+        for i, (light, view) in enumerate(relightings(device=references.device).values()):
+            pictures = self.photograph(maps, light, view)
+            target = self.exemplar(references[:, i].float() / 255)
+            grams = [
+                [_grams(part, range(GRID * GRID)) for part in self.features(images, 0)]
+                for images in (pictures.flatten(0, 1), target)
+            ]
+            own = [part.unflatten(0, pictures.shape[:2]) for part in grams[0]]
+            errors.append(distance(own, [part[:, None] for part in grams[1]]).mean((1, 2)))
+        return torch.stack(errors).mean(0)
+
+
+def _gloss(maps: Maps) -> tuple[Tensor, Tensor]:
+    """What the network made specular and roughness of, before any range was imposed, [T, B, 1, H, W] each."""
+    return _raw_specular(maps.specular), _raw_roughness(maps.roughness)
+
+
+def _raw_specular(specular: Tensor) -> Tensor:
+    return _logit(specular, 1e-9) + 3
+
+
+def _raw_roughness(roughness: Tensor) -> Tensor:
+    return _logit((roughness - 0.1) / 0.9, 1e-6)
+
+
+def _logit(share: Tensor, eps: float) -> Tensor:
+    """The logit of shares from eps to 1 - 1e-6; torch's own has one eps for both ends, and no float32 is 1 - 1e-9."""
+    return share.clamp_min(eps).log() - torch.log1p(-share.clamp_max(1 - 1e-6))
+
+
+def _chroma(photos: Tensor) -> Tensor:
+    """Standard deviations [B, 2] of red less green and of yellow less blue, of photos [B, 3, H, W]."""
+    red, green, blue = photos.unbind(1)
+    each = torch.stack([red - green, (red + green) / 2 - blue], 1)
+    return (each.var((2, 3)) + 1e-6).sqrt()
+
+
+def _shine(photos: Tensor, light: Tensor) -> Tensor:
+    """How sure the highlight is of the gloss, 0 to 1, and specular and roughness as networks make them, [B, 3]."""
+    found = gloss(avg_pool2d(photos, 2), light)
+    low, high = EVIDENT
+    sure = ((found.contrast - low) / (high - low)).clamp(0, 1) * (found.roughness < NARROW)
+    made = _raw_specular(found.specular.clamp(0.01, 0.5)), _raw_roughness(found.roughness.clamp(0.12, 0.98))
+    return torch.stack([sure, *made], 1)
+
+
+def _unusual(maps: Maps, expected: Tensor) -> Tensor:
+    """Mean squares of how far specular and, weighted, roughness are from what is expected [T, 2] of them, [T]."""
+    expected = expected.detach() + 0 * expected  # a parameter that no step moves
+    specular, roughness = (
+        (part - mean[:, None, None, None, None]).square().mean((1, 2, 3, 4))
+        for part, mean in zip(_gloss(maps), expected.unbind(1), strict=True)
+    )
+    return specular + OF_ROUGHNESS * roughness
+
+
+def _ring(maps: Tensor, low: float, high: float) -> Tensor:
+    """Feature maps [B, C, H, W] where the squared distance from the centre is in [low, high), 0 elsewhere.
+
+    Scaled so that their mean over the picture is the mean in the ring.
+    """
+    squared = positions(*maps.shape[-2:], dtype=maps.dtype, device=maps.device).square().sum(0)
+    inside = ((squared >= low) & (squared < high)).to(maps)
+    return maps * inside / inside.mean().clamp_min(1e-6)
+
+
+def _grams_of_tasks(maps: Tensor, windows: list[list[int]]) -> Tensor:
+    """Gram matrices [T, S, N, C, C] of feature maps [T, S, C, H, W] in the windows of each task."""
+    if all(each == windows[0] for each in windows):  # as where one generator drew them: in one go
+        together: Tensor = _grams(maps.flatten(0, 1), windows[0]).unflatten(0, maps.shape[:2])
+        return together
+    return torch.stack([_grams(own, each) for own, each in zip(maps, windows, strict=True)])
+
+
+def _grams(maps: Tensor, windows: Iterable[int]) -> Tensor:
+    """Gram matrices [B, N, C, C] of feature maps [B, C, H, W] in some windows.
+
+    Windows are half as high and wide as the picture, fade towards their edges, and lie on a grid, overlapping.
+    """
+    height, width = (size // 2 for size in maps.shape[-2:])
+    weights = hann(height, maps)[:, None] * hann(width, maps)
+    root = (weights / weights.mean()).sqrt()
+    each = []
+    for window in windows:
+        top, left = (i * size // (GRID - 1) for i, size in zip(divmod(window, GRID), (height, width), strict=True))
+        each.append(gram(maps[..., top : top + height, left : left + width] * root))
+    return torch.stack(each, 1)
+
+
+APP = SvbrdfStationary

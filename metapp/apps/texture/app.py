@@ -1,0 +1,87 @@
+"""Textures: a network from noise to a texture with the visual statistics of an exemplar (paper section 4.1.1)."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import torch
+from torch import Generator, Tensor
+
+from metapp.appearance.features import describe_precision, distance, gram
+from metapp.learning.task import Batch, Held, Params, Tasks
+from metapp.networks.doubts import of_order
+from metapp.networks.exemplar import JUDGED, SHOWN, ExemplarApp, same_noise
+from metapp.networks.layout import astray
+
+SMALLEST_CROP = 0.5
+
+
+class Texture(ExemplarApp):
+    """One exemplar of a stationary texture a task."""
+
+    name = "texture"
+    reduced = True
+    holds: ClassVar = {"image": Held((3, "S", "S"), "uint8")}
+
+    def precision(self, device: torch.device) -> str:
+        return describe_precision(self.setup.features, device)
+
+    @torch.no_grad()
+    def describe(self, exemplars: Tensor, octave: int = 0) -> dict[str, Tensor]:
+        """Gram matrices `gram0`... [B, C, C] and `summary`, means and root mean squares of features."""
+        maps = self.features(exemplars, octave)
+        return {f"gram{i}": gram(each) for i, each in enumerate(maps)} | {"summary": self.summary(maps, octave)}
+
+    def generate(self, theta: Params, noise: Tensor, octave: int = 0) -> Tensor:
+        """Textures [T, B, 3, H, W], sRGB in [0, 1], from noise [T, B, C, H, W] of the size of an octave."""
+        return torch.sigmoid(self.made(theta, noise, octave))
+
+    def sample(self, tasks: Tasks, rng: Generator, count: int) -> Batch:
+        """`noise` for `count` textures of each task, and the exemplars' Gram matrices."""
+        octave = self.octave(tasks.data)
+        return {"noise": self.noise(rng, len(tasks), count, octave=octave)} | self._targets(tasks)
+
+    def _targets(self, tasks: Tasks) -> Batch:
+        return {key: value[tasks.rows] for key, value in tasks.data.items() if key.startswith("gram")}
+
+    def loss(self, theta: Params, batch: Batch, learned: Params) -> Tensor:
+        """Relative L1 distance of Gram matrices, [T], and how far pictures are from their layouts."""
+        octave, noise = self.octave(batch), batch["noise"]
+        images = self.generate(theta, noise, octave)
+        return self._distance(images, batch) + astray(theta, noise, images, self.setup.times(octave))
+
+    def _distance(self, images: Tensor, batch: Batch) -> Tensor:
+        maps = self.features(images.flatten(0, 1), self.octave(batch))
+        grams = [gram(each).unflatten(0, images.shape[:2]) for each in maps]
+        return distance(grams, [batch[f"gram{i}"][:, None] for i in range(len(maps))]).mean(1)
+
+    @torch.no_grad()
+    def errors(self, theta: Params, tasks: Tasks) -> dict[str, Tensor]:
+        """On pictures from noise that no fit draws, the same for all."""
+        noise = same_noise(self, tasks.rows, JUDGED)
+        return self.errors_of(self.generate(theta, noise, 0), tasks)
+
+    @torch.no_grad()
+    def errors_of(self, answer: Tensor, tasks: Tasks) -> dict[str, Tensor]:
+        """Of pictures [T, B, 3, H, W] of the exemplar's size, sRGB in [0, 1]."""
+        return {"error": self._distance(answer, self._targets(tasks))}
+
+    @torch.no_grad()
+    def doubts(self, theta: Params, tasks: Tasks) -> list[list[str]]:
+        """Regular structure that the picture of tables has lost; only where networks read layouts."""
+        if not self.setup.has_layout:
+            return [[] for _ in range(len(tasks))]
+        exemplars = self.exemplar(tasks.data["image"][tasks.rows].float() / 255)
+        made = self.generate(theta, same_noise(self, tasks.rows, 1, seed=SHOWN))[:, 0]
+        return [of_order(self.name, *pair) for pair in zip(exemplars, made, strict=True)]
+
+    def crop(self, image: Tensor, rng: Generator) -> Tensor:
+        """A square part of the image, at a random place and scale."""
+        size = image.shape[-1]
+        scale, left, top = torch.rand(3, generator=rng, device=rng.device).tolist()
+        side = round(size * (SMALLEST_CROP + (1 - SMALLEST_CROP) * scale))
+        x, y = round(left * (size - side)), round(top * (size - side))
+        return image[:, y : y + side, x : x + side]
+
+
+APP = Texture

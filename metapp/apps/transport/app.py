@@ -1,0 +1,134 @@
+"""Transport: the light of a scene as a density over primary sample space, to guide paths by (paper section 4.1.6)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import ClassVar
+
+import torch
+from torch import Generator, Tensor
+
+from metapp.apps.transport.encoder import Encoder
+from metapp.apps.transport.flow import Flow
+from metapp.learning.app import App
+from metapp.learning.task import Batch, Held, Params, Task, Tasks
+from metapp.networks.coded import encoder_of, reader_of, with_decoder
+
+WANTED = 2048  # samples of a training scene that preparation judges a fit by
+JITTER = 0.1  # of what augmentation adds to the log of a picture
+NOTE = "paths have next-event estimation from the second surface on, since few or none meet a light without it"
+
+
+@dataclass(frozen=True)
+class TransportSetup:
+    """The size of everything.
+
+    Attributes:
+        flow: the network of one scene.
+        picture: side of the pictures that fits are judged by, px; no training depends on it, so that checkpoints
+            are the same for all sizes.
+    """
+
+    flow: Flow
+    picture: int = field(default=64, compare=False, repr=False)
+
+    @property
+    def encoder(self) -> Encoder:
+        """The encoder that fits it."""
+        return Encoder(self.flow)
+
+
+class Transport(App):
+    """One scene a task: samples of its light paths in proportion to the luminance that they carry."""
+
+    name = "transport"
+    holds: ClassVar = {
+        "samples": Held(("N", "d"), low=0.0, high=1.0),
+        "held": Held(("M", "d"), low=0.0, high=1.0, optional=True),
+        "image": Held((3, 32, 32), low=0.0),
+        "scene": Held(("L",), "uint8", optional=True),
+        "next_event": Held((1,), "uint8", optional=True),
+    }
+    setup: TransportSetup
+
+    @property
+    def flow(self) -> Flow:
+        """The network of one task."""
+        return self.setup.flow
+
+    def remarks(self, task: Task, theta: Params) -> dict[str, str]:
+        return {"note": NOTE} if "next_event" in task.data else {}
+
+    def prepare(self, task: Task) -> dict[str, Tensor]:
+        """`samples` [d, N] and `held` [d, M] of primary sample space, and `image` [3, 32, 32], linear.
+
+        Raises:
+            ValueError: the samples have another number of coordinates than the network.
+        """
+        count, expected = task.data["samples"].shape[1], 2 + self.flow.directions
+        if count != expected:
+            raise ValueError(f"{task.name}: samples of {count} coordinates, expected {expected}; make the data anew.")
+        return {key: task.data[key].float() for key in ("samples", "held", "image") if key in task.data}
+
+    def init(self, rng: Generator, count: int) -> Params:
+        return self.flow.init(rng, count)
+
+    def sample(self, tasks: Tasks, rng: Generator, count: int) -> Batch:
+        """`points` [T, d, count]."""
+        samples = tasks.data["samples"]
+        rows = torch.randint(samples.shape[1], (len(tasks), count), generator=rng, device=rng.device)
+        return {"points": samples[tasks.rows[:, None], rows].mT.contiguous()}
+
+    def loss(self, theta: Params, batch: Batch, learned: Params) -> Tensor:
+        """Mean negative log-likelihood, [T]."""
+        film, directions = self.flow.log_density(theta, batch["points"])
+        return -(film + directions).mean(1)
+
+    def outer_loss(self, theta: Params, batch: Batch, learned: Params) -> Tensor:
+        """The same, [T], of as many samples as preparation needs: scenes differ more than samples of one do."""
+        return self.loss(theta, {"points": batch["points"][..., :WANTED]}, learned)
+
+    def init_encoder(self, rng: Generator) -> Params:
+        """The reader of pictures, and the parameters of the flow that all tasks share."""
+        flow = self.flow.init(rng, 1)
+        return encoder_of(self.setup.encoder.init(rng), flow, ("z", "film.x", "film.y"))
+
+    def condition(self, tasks: Tasks, rng: Generator) -> Batch:
+        return {"image": tasks.data["image"][tasks.rows]}
+
+    def encode(self, encoder: Params, condition: Batch) -> Params:
+        return with_decoder(self.setup.encoder(reader_of(encoder), condition["image"]), encoder)
+
+    def augment(self, tasks: Tasks, rng: Generator) -> Tasks:
+        """The same scenes, some mirrored left to right, their pictures a little noisier.
+
+        Directions are counted from axes that the data's tracer mirrors with the scene.
+        """
+        count, device = len(tasks), rng.device
+        mirrored = torch.rand(count, 1, 1, generator=rng, device=device) < 0.5
+        image = tasks.data["image"][tasks.rows]
+        image = torch.where(mirrored[..., None], image.flip(3), image)
+        image = image * torch.exp(JITTER * torch.randn(image.shape, generator=rng, device=device))
+        samples = tasks.data["samples"][tasks.rows]
+        across = torch.zeros(samples.shape[2], dtype=torch.bool, device=device)
+        across[0], across[2::2] = True, True
+        turned = (1 - samples).clamp_max(1 - 2**-24)
+        samples = torch.where(mirrored & across, turned, samples)
+        return tasks.variants({"samples": samples, "image": image})
+
+    @torch.no_grad()
+    def errors(self, theta: Params, tasks: Tasks) -> dict[str, Tensor]:
+        """Negative log-likelihoods of held-out samples: `error`, and its parts `film` and `directions`."""
+        if "held" not in tasks.data:
+            return {}
+        return self.errors_of(self.flow.log_density(theta, tasks.data["held"][tasks.rows].mT), tasks)
+
+    def errors_of(self, answer: tuple[Tensor, Tensor], tasks: Tasks) -> dict[str, Tensor]:
+        """Of log q(film) and log q(directions | film), [T, M] each, of held-out samples."""
+        if "held" not in tasks.data:
+            return {}
+        film, directions = answer
+        return {"error": -(film + directions).mean(1), "film": -film.mean(1), "directions": -directions.mean(1)}
+
+
+APP = Transport
