@@ -44,10 +44,10 @@ mutants: setup  ## mutation testing, a sample of 200 mutants; an hour, docs/deve
 	$(VENV)/bin/python tools/mutants.py
 
 torture: setup  ## robustness: mutated files, kills, full disks; under 30 minutes, docs/reliability.md
-	$(VENV)/bin/python -m tests.torture
+	$(VENV)/bin/python -m torture
 
 torture-quick: setup  ## the same in 3 minutes
-	$(VENV)/bin/python -m tests.torture --quick
+	$(VENV)/bin/python -m torture --quick
 
 lint: setup  ## ruff, layers
 	$(VENV)/bin/ruff check .
@@ -71,27 +71,27 @@ $(VENV)/.docs: setup.cfg constraints.txt
 	@touch $@
 
 bench: setup  ## speed and memory of learning, as ratios measured side by side
-	$(VENV)/bin/python -m tests.benchmarks.bench_learning
+	$(VENV)/bin/python -m benchmarks.bench_learning
 
 bench-size: setup  ## time and memory of a fit by size, a table and runs/bench/size.png; 2 minutes
-	$(VENV)/bin/python -m tests.benchmarks.bench_size
+	$(VENV)/bin/python -m benchmarks.bench_size
 
 bench-growth: setup  ## growth of time and memory with steps, tasks and samples; a minute
-	$(VENV)/bin/python -m tests.benchmarks.bench_growth
+	$(VENV)/bin/python -m benchmarks.bench_growth
 
 # these two of the embedded data set, unless DATA is given
 bench-samples: setup  ## errors of BRDF fits by number of samples, a table and a figure; DATA=<data set of brdf>
-	$(VENV)/bin/python -m tests.benchmarks.bench_samples $(if $(filter file,$(origin DATA)),,"$(DATA)")
+	$(VENV)/bin/python -m benchmarks.bench_samples $(if $(filter file,$(origin DATA)),,"$(DATA)")
 
 bench-plan: setup  ## errors of BRDF fits of planned samples; DATA=<data set> NETWORKS=<folder it was made of> NOISE=0
-	$(VENV)/bin/python -m tests.benchmarks.bench_plan "$(DATA)" $(or $(NOISE),0) $(NETWORKS)
+	$(VENV)/bin/python -m benchmarks.bench_plan "$(DATA)" $(or $(NOISE),0) $(NETWORKS)
 
 bench-photo: setup  ## what a flash photo holds beyond what General reads from it; DATA=<data set of svbrdf_nonstationary>
-	$(VENV)/bin/python -m tests.benchmarks.bench_flash_photo $(if $(filter file,$(origin DATA)),,"$(DATA)")
+	$(VENV)/bin/python -m benchmarks.bench_flash_photo $(if $(filter file,$(origin DATA)),,"$(DATA)")
 
 # of 256 px; a shorter one: make guiding GUIDING="--size 64 --reference 4096 --times 0.25 1 4"; rows and references are kept
 guiding: setup  ## error over time of guided and regular paths, a table and a figure in runs/guiding; an hour
-	$(VENV)/bin/python -m tests.benchmarks.bench_guiding --out $(RUNS)/guiding $(GUIDING)
+	$(VENV)/bin/python -m benchmarks.bench_guiding --out $(RUNS)/guiding $(GUIDING)
 
 # on two cores; the tables say that Overfit has fewer steps than the recipe's; OVERFIT=1 takes all of them
 OVERFIT ?= 0.1

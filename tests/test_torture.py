@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from tests.torture import kills
-from tests.torture.report import Report, fault_of_message
-from tests.torture.targets import TARGETS, BadResult, Target, mutated
-from tests.torture.worker import fault
+from torture import kills
+from torture.report import Report, fault_of_message
+from torture.targets import TARGETS, BadResult, Target, mutated
+from torture.worker import fault
 
 
 def test_an_input_depends_on_seed_and_index_alone(tmp_path: Path) -> None:

@@ -20,7 +20,8 @@ from typing import NamedTuple
 
 ROOT = Path(__file__).resolve().parents[1]
 LINES, PARAMETERS, MEMBERS = 60, 8, 15
-FOLDERS = ("metapp", "data_tools", "tests")
+PRODUCTION = ("metapp", "data_tools")
+FOLDERS = (*PRODUCTION, "tests", "benchmarks", "torture")
 
 
 class Excess(NamedTuple):
@@ -33,9 +34,9 @@ class Excess(NamedTuple):
 
 
 def layer_of(path: Path) -> str:
-    """The layer that a file counts for: metapp/<folder>, data_tools/<folder> or tests."""
+    """The layer that a file counts for: metapp/<folder>, data_tools/<folder>, tests, benchmarks or torture."""
     parts = path.relative_to(ROOT).parts
-    return parts[0] if parts[0] == "tests" else "/".join(parts[:2]) if len(parts) > 2 else parts[0]
+    return parts[0] if parts[0] not in PRODUCTION else "/".join(parts[:2]) if len(parts) > 2 else parts[0]
 
 
 @functools.cache
@@ -63,7 +64,7 @@ def excesses(path: Path) -> Iterator[Excess]:
 @functools.cache
 def classes() -> dict[str, ast.ClassDef]:
     """The classes of production by name."""
-    files = [path for folder in FOLDERS if folder != "tests" for path in sorted((ROOT / folder).rglob("*.py"))]
+    files = [path for folder in PRODUCTION for path in sorted((ROOT / folder).rglob("*.py"))]
     return {node.name: node for path in files for node in nodes(path) if isinstance(node, ast.ClassDef)}
 
 
@@ -101,9 +102,13 @@ def main() -> None:
         loose[layer_of(path)] += len(re.findall(r"\bAny\b", text))
     for layer, count in sorted(lines.items()):
         print(f"{count:7,d} lines {loose[layer]:4d} Any  {layer}")
-    production = {layer: count for layer, count in lines.items() if layer not in ("tests", "data_tools/synthetic")}
+    production = {
+        layer: count
+        for layer, count in lines.items()
+        if layer.partition("/")[0] in PRODUCTION and layer != "data_tools/synthetic"
+    }
     print(f"{sum(production.values()):7,d} lines {sum(loose[layer] for layer in production):4d} Any  production")
-    found = [excess for path in files if layer_of(path) != "tests" for excess in excesses(path)]
+    found = [excess for path in files if path.relative_to(ROOT).parts[0] in PRODUCTION for excess in excesses(path)]
     for excess in sorted(found, key=lambda excess: (excess.what, -excess.count)):
         print(f"{excess.place}  {excess.name}: {excess.count} {excess.what}")
 

@@ -3,7 +3,7 @@
 Fits by the checkpoints of illumination that ship, General, QuickFT and Meta by photo, of drawn maps that none of them
 was trained on: augmented, and first brought to the power of 1 to HARDEST, as real rooms have more contrast than drawn
 ones. The network is written to OUT, else to where it ships; its coverage of other fits is printed.
-`python -m tests.benchmarks.bench_confidence` judges it.
+`python -m benchmarks.bench_confidence` judges it.
 """
 
 from __future__ import annotations

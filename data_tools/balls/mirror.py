@@ -2,7 +2,7 @@
 
 A mirror shows edges as sharp as the photograph, all over, and things that are dark; a ball with a body of its own or
 a rough one shows neither. A logistic regression on three numbers, made for simulated balls under synthetic maps, says
-which: tests/benchmarks/bench_mirror_balls.py makes its weights and measures it.
+which: benchmarks/bench_mirror_balls.py makes its weights and measures it.
 """
 
 from __future__ import annotations

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from benchmarks.guiding_scenes import scenes
 from data_tools.synthetic.cornell import Scene
 from metapp.rendering.scene_trial import instantiate
-from tests.benchmarks.guiding_scenes import scenes
 from tests.needs_mitsuba import needs_mitsuba
 
 pytestmark = needs_mitsuba
@@ -21,7 +21,7 @@ SIZE, SPP, RUNS, PAIRS = 32, 256, 8, 2**17
 @pytest.fixture(autouse=True)
 def module(mi: Any, monkeypatch: pytest.MonkeyPatch) -> Any:
     """The module, for small pictures."""
-    from tests.benchmarks import practical_path_guiding
+    from benchmarks import practical_path_guiding
 
     practical_path_guiding.register()
     monkeypatch.setattr(practical_path_guiding, "FIRST", 2**11)
@@ -54,7 +54,7 @@ def test_the_mean_is_that_of_path(mi: Any, name: str) -> None:
 
 @pytest.mark.long
 def test_a_tree_that_is_wrong_about_itself_is_found_out(mi: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    from tests.benchmarks.sd_tree import SDTree
+    from benchmarks.sd_tree import SDTree
 
     density = SDTree.density
     monkeypatch.setattr(SDTree, "density", lambda *arguments: 0.7 * density(*arguments))
@@ -71,7 +71,7 @@ def test_there_is_less_noise_behind_a_baffle_in_the_same_samples(mi: Any) -> Non
 @pytest.fixture
 def tree(mi: Any) -> Any:
     """A tree that has learned, in two iterations, a bright spot of directions where x is below 1/2, another above."""
-    from tests.benchmarks.sd_tree import SDTree
+    from benchmarks.sd_tree import SDTree
 
     made, rng = SDTree(np.zeros(3), np.ones(3)), np.random.default_rng(1)
     for _ in range(2):

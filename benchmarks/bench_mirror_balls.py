@@ -1,4 +1,4 @@
-"""Which balls are taken for mirrors: weights and accuracy; `python -m tests.benchmarks.bench_mirror_balls [COUNT]`.
+"""Which balls are taken for mirrors: weights and accuracy; `python -m benchmarks.bench_mirror_balls [COUNT]`.
 
 Balls of 70 to 300 px under synthetic maps, developed, with noise, through JPEG: perfect mirrors against matte and
 rough ones (metapp.appearance.photograph), and against a sharp coat over a diffuse body. Weights are made under maps of

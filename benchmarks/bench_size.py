@@ -20,6 +20,7 @@ import torch
 from matplotlib import rc_context
 from torch import Generator
 
+from benchmarks.bench_growth import exponent
 from metapp.apps import app_of, recipes_of
 from metapp.evaluation.figures.style import STYLE, new, save
 from metapp.learning.app import App, stack
@@ -27,7 +28,6 @@ from metapp.learning.learn import learn, task_loss
 from metapp.learning.recipe import Adam
 from metapp.learning.rules import fixed_adam
 from metapp.learning.task import Task
-from tests.benchmarks.bench_growth import exponent
 
 STEPS = 10
 FIGURE = Path("runs/bench/size.png")
@@ -113,7 +113,7 @@ def main() -> None:
     for name, sizes in SIZES.items():
         found = []
         for side in sizes:
-            words = [sys.executable, "-m", "tests.benchmarks.bench_size", name, str(side)]
+            words = [sys.executable, "-m", "benchmarks.bench_size", name, str(side)]
             done = subprocess.run(words, check=True, capture_output=True, text=True)
             found.append(json.loads(done.stdout.splitlines()[-1]))
         rows[name] = found

@@ -23,6 +23,8 @@ import torch
 from torch import Tensor
 
 import metapp.mitsuba  # noqa: F401  (registers guided_path)
+from benchmarks import practical_path_guiding
+from benchmarks.guiding_scenes import kind_of, scenes
 from data_tools.readers.mitsuba_scenes import read_scene
 from data_tools.synthetic.cornell import Scene
 from metapp.appearance.metrics import mape
@@ -30,8 +32,6 @@ from metapp.rendering import equal_time
 from metapp.rendering.guided_plugin import FEWEST
 from metapp.rendering.path_space import DEPTH
 from metapp.rendering.scene_loading import load_scene
-from tests.benchmarks import practical_path_guiding
-from tests.benchmarks.guiding_scenes import kind_of, scenes
 
 REGULAR, GUIDED = "regular + NEE", {"type": "metapp_guided_path"}
 METHODS: dict[str, dict[str, Any]] = {  # integrators

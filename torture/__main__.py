@@ -1,4 +1,4 @@
-"""`python -m tests.torture [--seed N] [--minutes M] [--quick] [PART ...]`: the runner; exit code 1 with any finding.
+"""`python -m torture [--seed N] [--minutes M] [--quick] [PART ...]`: the runner; exit code 1 with any finding.
 
 A part is readers, kills, disk or many, or one of its cases: readers:merl, kills:fit, disk:full, many:lines.
 """
@@ -12,15 +12,15 @@ import resource
 import sys
 import time
 
-from tests.torture import disk, kills, many, readers
-from tests.torture.report import Report
+from torture import disk, kills, many, readers
+from torture.report import Report
 
 PARTS = {"readers": readers.run, "kills": kills.run, "disk": disk.run, "many": many.run}
 
 
 def main() -> int:
     """Run the parts that were asked for and print the report."""
-    parser = argparse.ArgumentParser(prog="python -m tests.torture", description="Attempts to break metapp.")
+    parser = argparse.ArgumentParser(prog="python -m torture", description="Attempts to break metapp.")
     parser.add_argument(
         "parts", nargs="*", metavar="PART", help="readers, kills, disk, many, or PART:CASE; default: all"
     )

@@ -16,6 +16,7 @@ import math
 import time
 from typing import Any
 
+from benchmarks.sd_tree import SDTree
 from metapp.rendering import types as mt
 from metapp.rendering.guide_cache import Bounce
 from metapp.rendering.guided_path import PathTracer
@@ -23,7 +24,6 @@ from metapp.rendering.guided_picture import _WAVE, GuidedPicture, _extent
 from metapp.rendering.guided_plugin import DEPTH, RR_DEPTH
 from metapp.rendering.guided_vertex import Evaluated, Sampled, Vertex, is_lambertian, lambertian
 from metapp.rendering.jit import dr, mi, register_plugin
-from tests.benchmarks.sd_tree import SDTree
 
 NAME = "practical_path_guiding"
 FIRST = 2**14  # paths of the first iteration

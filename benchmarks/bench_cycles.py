@@ -21,10 +21,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from benchmarks.guiding_scenes import scenes
 from data_tools.synthetic.cornell import Scene
 from metapp.appearance.metrics import mape
 from metapp.rendering.path_space import DEPTH
-from tests.benchmarks.guiding_scenes import scenes
 
 try:
     import bpy

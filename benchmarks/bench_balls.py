@@ -1,6 +1,6 @@
 """Light from photographs of spheres, judged as DiffusionLight's evaluation does; prints tables as markdown.
 
-`python -m tests.benchmarks.bench_balls MAPS [--balls FOLDER...] [--recipe full]`: MAPS is a folder of HDR maps, each
+`python -m benchmarks.bench_balls MAPS [--balls FOLDER...] [--recipe full]`: MAPS is a folder of HDR maps, each
 FOLDER has photographs of one mirror ball named by 1 over their seconds, one of which a fit sees while all are merged
 for the truth. General, QuickFT and Meta are by the checkpoints that `metapp ... illumination --observe photo` takes.
 
@@ -21,6 +21,7 @@ import numpy as np
 import torch
 from torch import Generator, Tensor
 
+from benchmarks.ball_tasks import RealBall, glossy_tasks, mirror_tasks, of_middle, real_ball
 from data_tools.synthetic.illumination import synthetic_tasks
 from metapp.appearance.colour import linear_to_srgb, tone_map
 from metapp.appearance.latlong import sphere_normals
@@ -39,7 +40,6 @@ from metapp.runs.plan import plan
 from metapp.runs.request import Request
 from metapp.runs.statistics import Errors, paired
 from metapp.runs.surroundings import threads, threads_of
-from tests.benchmarks.ball_tasks import RealBall, glossy_tasks, mirror_tasks, of_middle, real_ball
 
 PARADIGMS = ("general", "quickft", "meta")
 OF_MIRRORS = ("unwrap", "gaussian")

@@ -43,6 +43,7 @@ from torch.nn.functional import avg_pool2d, conv2d, interpolate, linear
 from torch.utils._python_dispatch import TorchDispatchMode
 from torch.utils._pytree import tree_leaves
 
+from benchmarks.bench_growth import Size, draw
 from metapp.apps.brdf.app import Brdf
 from metapp.engine import FASTEST, load
 from metapp.engine.fastest import Compiled
@@ -51,7 +52,6 @@ from metapp.learning.learn import MetaParameters, after_learning, learn, spread
 from metapp.learning.recipe import Adam
 from metapp.learning.rules import META_EPS, RULES, sgd
 from metapp.learning.task import Batch, Params
-from tests.benchmarks.bench_growth import Size, draw
 
 APP = Brdf()
 

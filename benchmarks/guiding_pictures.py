@@ -17,6 +17,8 @@ from PIL import Image, ImageDraw, ImageFont
 from torch import Tensor
 
 import metapp.mitsuba  # noqa: F401  (registers guided_path)
+from benchmarks.bench_guiding import REGULAR, Bench, box_filtered
+from benchmarks.guiding_scenes import scenes
 from data_tools.readers.mitsuba_scenes import read_scene
 from data_tools.synthetic.cornell import Scene
 from metapp.appearance.metrics import mape
@@ -24,8 +26,6 @@ from metapp.rendering import equal_time
 from metapp.rendering.path_space import DEPTH
 from metapp.rendering.scene_loading import load_scene
 from metapp.storage.files import write_atomically
-from tests.benchmarks.bench_guiding import REGULAR, Bench, box_filtered
-from tests.benchmarks.guiding_scenes import scenes
 
 METHODS = {REGULAR: "path", "guided + NEE": "guided_path"}
 LARGEST = 240_000  # bytes of the file

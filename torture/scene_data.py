@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from tests.scene_files import CORNERS, FACES, OBJ, ORDERS, ply, serialized, volume
-from tests.torture.mutate import mutate_bytes
-from tests.torture.seeds import SCENE, Files
+from torture.mutate import mutate_bytes
+from torture.seeds import SCENE, Files
 
 SCENE_FILE = "box.json"
 _PACKED = 4  # bytes before the packed stream of .serialized

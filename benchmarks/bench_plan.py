@@ -21,6 +21,8 @@ import torch
 from matplotlib import rc_context
 from torch import Generator, Tensor
 
+from benchmarks import bench_samples
+from benchmarks.bench_samples import Errors, Way, errors_of, figure, ratios
 from data_tools.readers.brdf_task import as_measured
 from data_tools.readers.nbrdf import read_nbrdf
 from metapp.appearance.geometry import directions_to_full_circle
@@ -38,8 +40,6 @@ from metapp.runs.inputs import data_folder, tasks_of_data
 from metapp.runs.plan import plan
 from metapp.runs.planning import plan_brdf
 from metapp.runs.request import Request
-from tests.benchmarks import bench_samples
-from tests.benchmarks.bench_samples import Errors, Way, errors_of, figure, ratios
 
 COUNTS = (4, 8, 16, 32, 64)
 CANDIDATES = 2048

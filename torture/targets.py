@@ -10,8 +10,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from tests.torture import results, scene_data, seeds
-from tests.torture.mutate import mutate_bytes, mutate_json, mutate_xml
+from torture import results, scene_data, seeds
+from torture.mutate import mutate_bytes, mutate_json, mutate_xml
 
 
 class BadResult(Exception):

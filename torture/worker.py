@@ -1,4 +1,4 @@
-"""The process that reads mutated inputs: `python -m tests.torture.worker TARGET SEED FIRST COUNT FOLDER`.
+"""The process that reads mutated inputs: `python -m torture.worker TARGET SEED FIRST COUNT FOLDER`.
 
 It prints `at N` before input N and one JSON object a finding; the parent learns from that where it died.
 """
@@ -19,8 +19,8 @@ from pathlib import Path
 from typing import Any
 
 from metapp.cli import console
-from tests.torture.report import fault_of_message
-from tests.torture.targets import TARGETS, BadResult, Target, mutated
+from torture.report import fault_of_message
+from torture.targets import TARGETS, BadResult, Target, mutated
 
 CPU_SECONDS = 5.0  # of one input
 _MEMORY = 3 * 2**30  # more than at the start

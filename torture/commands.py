@@ -11,7 +11,7 @@ import sys
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from tests.torture.report import Report, fault_of_message
+from torture.report import Report, fault_of_message
 
 CODES = (0, 1, 2, 130)
 SECONDS = 180.0  # on a busy machine the slowest takes a quarter of it
@@ -42,7 +42,7 @@ def shown(command: list[Any]) -> str:
 
 def environment(**more: str) -> dict[str, str]:
     """The variables of a command: this checkout's code, one thread."""
-    own = {"PYTHONPATH": str(Path(__file__).parents[2]), "OMP_NUM_THREADS": "1", "PYTHONDONTWRITEBYTECODE": "1"}
+    own = {"PYTHONPATH": str(Path(__file__).parents[1]), "OMP_NUM_THREADS": "1", "PYTHONDONTWRITEBYTECODE": "1"}
     return {**os.environ, **own, **more}
 
 

@@ -14,8 +14,8 @@ import threading
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
-from tests.torture.report import Report
-from tests.torture.targets import TARGETS
+from torture.report import Report
+from torture.targets import TARGETS
 
 INPUTS, QUICK_INPUTS = 10_000, 250
 _CHUNK = 2500  # inputs of one process
@@ -69,7 +69,7 @@ def _chunk(report: Report, seed: str, name: str, first: int, count: int) -> None
 def _process(report: Report, seed: str, name: str, first: int, count: int) -> tuple[int, str]:
     """One process; the last input it said, and how it died, "" for not."""
     folder = tempfile.mkdtemp(prefix="torture-", dir="/dev/shm" if os.path.isdir("/dev/shm") else None)
-    words = [sys.executable, "-m", "tests.torture.worker", name, seed, str(first), str(count), folder]
+    words = [sys.executable, "-m", "torture.worker", name, seed, str(first), str(count), folder]
     process = subprocess.Popen(
         words, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE, start_new_session=True
     )
@@ -111,4 +111,4 @@ def _process(report: Report, seed: str, name: str, first: int, count: int) -> tu
 
 
 def _repeat(seed: str, name: str, index: int) -> str:
-    return f"python -m tests.torture --seed {seed} --index {index} readers:{name}"
+    return f"python -m torture --seed {seed} --index {index} readers:{name}"

@@ -1,4 +1,4 @@
-"""`python -m tests.torture.small ...`: metapp with pictures of BRDFs at 16 px, which cost nothing."""
+"""`python -m torture.small ...`: metapp with pictures of BRDFs at 16 px, which cost nothing."""
 
 import pytest
 

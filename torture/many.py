@@ -19,8 +19,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from tests.torture import commands
-from tests.torture.report import Report
+from torture import commands
+from torture.report import Report
 
 SAMPLES = 80  # of a material
 MATERIALS = 1000  # of the runs; a tenth with --quick
@@ -52,7 +52,7 @@ class Look(NamedTuple):
 
 
 def run(report: Report, seed: str, quick: bool, only: list[str], ends: float = float("inf")) -> None:
-    """Run all cases, or those named; see `tests.torture.kills.run`. With `COUNT` in `many:lines=COUNT`, of so many."""
+    """Run all cases, or those named; see `torture.kills.run`. With `COUNT` in `many:lines=COUNT`, of so many."""
     place = Path(tempfile.mkdtemp(prefix="torture-many-"))
     counts = dict(word.partition("=")[::2] for word in only)
     try:
@@ -189,7 +189,7 @@ def cut(report: Report, rng: random.Random, place: Path, count: int) -> None:
 
 
 def _command(*words: str | Path) -> list[Any]:
-    return [sys.executable, "-m", "tests.torture.small", "meta", "brdf", *words, "--quiet"]
+    return [sys.executable, "-m", "torture.small", "meta", "brdf", *words, "--quiet"]
 
 
 def _send(process: subprocess.Popen[bytes], paths: list[Path]) -> None:

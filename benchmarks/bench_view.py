@@ -1,6 +1,6 @@
 """Interactive pages: bytes, seconds of a frame of all pixels, and frames a second while something moves.
 
-    python -m tests.benchmarks.bench_view try/try.html
+    python -m benchmarks.bench_view try/try.html
 
 In headless Chromium, where SwiftShader draws on the processor. Viewers without WebGL draw what changes alone: they are
 left out.

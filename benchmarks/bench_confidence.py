@@ -1,6 +1,6 @@
 """How sure fits of photographs of light are, against how far they are off; prints a table as markdown.
 
-`python -m tests.benchmarks.bench_confidence [MAPS] [--recipe quick]`: of drawn maps that nothing was trained on, and of
+`python -m benchmarks.bench_confidence [MAPS] [--recipe quick]`: of drawn maps that nothing was trained on, and of
 MAPS, a folder of HDR maps, photographed as diffuse to glossy spheres and as mirrors, by General, QuickFT and Meta.
 
 Shares of the sphere that are off by less than the 50 and 90 % quantiles, means over fits, with 95 % intervals by
@@ -17,6 +17,8 @@ from pathlib import Path
 import torch
 from torch import Generator, Tensor
 
+from benchmarks.ball_tasks import glossy_tasks, mirror_tasks
+from benchmarks.bench_balls import PARADIGMS, row
 from data_tools.synthetic.illumination import synthetic_tasks
 from metapp.appearance.photograph import photograph
 from metapp.apps.illumination.app import READ, Illumination
@@ -28,8 +30,6 @@ from metapp.runs.checkpoints import find_checkpoint
 from metapp.runs.fits import fit_tasks
 from metapp.runs.plan import Plan, plan
 from metapp.runs.request import Request
-from tests.benchmarks.ball_tasks import glossy_tasks, mirror_tasks
-from tests.benchmarks.bench_balls import PARADIGMS, row
 
 SHARES = (0.5, 0.9)
 PARTS = ("front", "rim", "back")

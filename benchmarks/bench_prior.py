@@ -20,6 +20,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from benchmarks.bench_guiding import Bench, box_filtered
+from benchmarks.guiding_scenes import scenes
 from data_tools.readers.mitsuba_scenes import read_scene
 from data_tools.synthetic.rooms import KINDS, random_room
 from metapp.learning.task import Params
@@ -28,8 +30,6 @@ from metapp.rendering.guided_path import PathTracer
 from metapp.rendering.guided_picture import GuidedPicture
 from metapp.rendering.guided_plugin import RR_DEPTH
 from metapp.rendering.path_space import DEPTH
-from tests.benchmarks.bench_guiding import Bench, box_filtered
-from tests.benchmarks.guiding_scenes import scenes
 
 NONE = "none"
 

@@ -14,9 +14,9 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
-from tests.torture import commands
-from tests.torture.commands import metapp
-from tests.torture.report import Report
+from torture import commands
+from torture.commands import metapp
+from torture.report import Report
 
 POINTS, QUICK_POINTS = 100, 10
 _SPANS = ((0.1, 1.05), (0.6, 1.0))  # shares of a whole run; its first half is mostly imports

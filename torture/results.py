@@ -14,9 +14,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from tests.torture import seeds
-from tests.torture.mutate import mutate_bytes, mutate_json
-from tests.torture.seeds import Files
+from torture import seeds
+from torture.mutate import mutate_bytes, mutate_json
+from torture.seeds import Files
 
 RECORDS, PACK = "record.jsonl", "fits.pack"
 FITS = (("general", ""), ("meta", "meta-adam"))
@@ -116,7 +116,7 @@ def read_pack(folder: Path, file: Path) -> None:
     from metapp.runs.pack import unpack
     from metapp.runs.recorded import read_run
     from metapp.storage.records import read_theta
-    from tests.torture.targets import BadResult
+    from torture.targets import BadResult
 
     run = Path(unpack(file, folder / "out", None).out)
     for record in read_run(run).records:
@@ -150,7 +150,7 @@ def read_library(folder: Path, file: Path) -> None:
 
 def _load_elsewhere(cache: Path) -> None:
     from metapp.engine.compiler import load
-    from tests.torture.targets import BadResult
+    from torture.targets import BadResult
 
     source = _source()
     if (child := os.fork()) == 0:

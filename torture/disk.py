@@ -15,9 +15,9 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
-from tests.torture import commands, kills
-from tests.torture.commands import metapp
-from tests.torture.report import Report
+from torture import commands, kills
+from torture.commands import metapp
+from torture.report import Report
 
 _FULL = {"fit": 60, "export": 200, "synth": 3000, "convert": 1500, "general": 200, "evaluate": 40}  # KB that are free
 _NAMES = (b"a\nb", b"\xff\xfe", b"-q", b"x" * 230, "\N{GRINNING FACE}\u202e".encode(), b"\x1b[31mred", b" ", b"...",
@@ -26,7 +26,7 @@ _SIZES = (0, 4, 16)  # KB; and the case's own
 
 
 def run(report: Report, seed: str, quick: bool, only: list[str], ends: float = float("inf")) -> None:
-    """Run all cases, or those named; see `tests.torture.kills.run`."""
+    """Run all cases, or those named; see `torture.kills.run`."""
     place = Path(tempfile.mkdtemp(prefix="torture-disk-"))
     try:
         data = kills._make_data(report, place)
